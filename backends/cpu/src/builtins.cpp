@@ -1,0 +1,273 @@
+// The builtins of the CPU: ordered row sums, scan, stable sort, the inverse of an index table.
+#include <algorithm>
+#include <atomic>
+#include <cstring>
+#include <limits>
+#include <numeric>
+
+#include "module.h"
+#include "novaphy/abi/program.h"
+#include "novaphy/cpu/float_mode.h"
+
+namespace novaphy::cpu {
+namespace {
+
+template <class T>
+T* pointer(uint64_t word) {
+  return reinterpret_cast<T*>(word);
+}
+
+constexpr int64_t kSumChunk = NOVAPHY_ROW_SUM_CHUNK;
+constexpr int64_t kRowsPerChunk = 256;
+
+struct RowSum {
+  const float* source;
+  const int32_t* offsets;
+  const int32_t* items;
+  const float* init;
+  float* out;
+  int64_t width, stride, n;
+
+  int64_t begin(int64_t row) const { return offsets != nullptr ? offsets[row] : row * stride; }
+  int64_t end(int64_t row) const {
+    return offsets != nullptr ? offsets[row + 1] : (row + 1) * stride;
+  }
+  const float* item(int64_t k) const { return source + (items != nullptr ? items[k] : k) * width; }
+};
+
+// acc[0..width) += the items [begin, end), in order. With the width known the sums stay in machine
+// registers.
+template <int kWidth>
+void fold(const RowSum& s, int64_t begin, int64_t end, float* acc) {
+  float sum[kWidth];
+  for (int c = 0; c < kWidth; ++c) sum[c] = acc[c];
+  for (int64_t k = begin; k < end; ++k) {
+    const float* item = s.item(k);
+    for (int c = 0; c < kWidth; ++c) sum[c] += item[c];
+  }
+  for (int c = 0; c < kWidth; ++c) acc[c] = sum[c];
+}
+
+void fold_any(const RowSum& s, int64_t begin, int64_t end, float* acc) {
+  switch (s.width) {
+    case 1:
+      return fold<1>(s, begin, end, acc);
+    case 2:
+      return fold<2>(s, begin, end, acc);
+    case 3:
+      return fold<3>(s, begin, end, acc);
+    case 4:
+      return fold<4>(s, begin, end, acc);
+    case 6:
+      return fold<6>(s, begin, end, acc);
+    case 7:
+      return fold<7>(s, begin, end, acc);
+    case 9:
+      return fold<9>(s, begin, end, acc);
+    default:
+      break;
+  }
+  for (int64_t k = begin; k < end; ++k) {
+    const float* item = s.item(k);
+    for (int64_t c = 0; c < s.width; ++c) acc[c] += item[c];
+  }
+}
+
+// The sum from +0 of rows of `width` floats that lie one after the other, by the rule for long
+// rows.
+void fold_chunks(std::vector<float>& sums, int64_t count, int64_t width, float* result) {
+  while (count > kSumChunk) {
+    const int64_t chunks = (count + kSumChunk - 1) / kSumChunk;
+    std::vector<float> next(static_cast<size_t>(chunks * width), 0.0f);
+    for (int64_t k = 0; k < count; ++k) {
+      float* acc = next.data() + k / kSumChunk * width;
+      for (int64_t c = 0; c < width; ++c) acc[c] += sums[static_cast<size_t>(k * width + c)];
+    }
+    sums = std::move(next);
+    count = chunks;
+  }
+  std::fill(result, result + width, 0.0f);
+  for (int64_t k = 0; k < count; ++k) {
+    for (int64_t c = 0; c < width; ++c) result[c] += sums[static_cast<size_t>(k * width + c)];
+  }
+}
+
+struct LongRow {
+  const RowSum* sum;
+  int64_t begin, end;
+  float* partial;
+};
+
+void sum_one_chunk(void* opaque, int64_t chunk) {
+  const LongRow& row = *static_cast<const LongRow*>(opaque);
+  const FloatMode mode;
+  float* acc = row.partial + chunk * row.sum->width;
+  const int64_t begin = row.begin + chunk * kSumChunk;
+  fold_any(*row.sum, begin, std::min(row.end, begin + kSumChunk), acc);
+}
+
+void sum_long_row(const novaphy_host_api& host, const RowSum& s, int64_t begin, int64_t end,
+                  float* acc) {
+  const int64_t chunks = (end - begin + kSumChunk - 1) / kSumChunk;
+  std::vector<float> partial(static_cast<size_t>(chunks * s.width), 0.0f);
+  LongRow row{&s, begin, end, partial.data()};
+  if (chunks >= 8) {
+    host.parallel_for(chunks, sum_one_chunk, &row);  // serial when the rows already run in parallel
+  } else {
+    for (int64_t chunk = 0; chunk < chunks; ++chunk) sum_one_chunk(&row, chunk);
+  }
+  std::vector<float> total(static_cast<size_t>(s.width));
+  fold_chunks(partial, chunks, s.width, total.data());
+  for (int64_t c = 0; c < s.width; ++c) acc[c] += total[static_cast<size_t>(c)];
+}
+
+struct RowSumLaunch {
+  RowSum sum;
+  const novaphy_host_api* host;
+  std::atomic<bool> out_of_memory{false};
+};
+
+void sum_rows(void* opaque, int64_t chunk) {
+  auto& launch = *static_cast<RowSumLaunch*>(opaque);
+  const RowSum& s = launch.sum;
+  const FloatMode mode;
+  const int64_t first = chunk * kRowsPerChunk, last = std::min(s.n, first + kRowsPerChunk);
+  for (int64_t row = first; row < last; ++row) {
+    float* out = s.out + row * s.width;
+    if (s.init == nullptr) {
+      std::fill(out, out + s.width, 0.0f);
+    } else if (s.init != s.out) {
+      std::memcpy(out, s.init + row * s.width, static_cast<size_t>(s.width) * sizeof(float));
+    }
+    const int64_t begin = s.begin(row), end = s.end(row);
+    if (end - begin <= kSumChunk) {
+      fold_any(s, begin, end, out);
+      continue;
+    }
+    try {
+      sum_long_row(*launch.host, s, begin, end, out);
+    } catch (...) {  // only the partial sums allocate
+      launch.out_of_memory = true;
+    }
+  }
+}
+
+novaphy_status row_sum(const novaphy_host_api& host, int64_t n, const uint64_t* a,
+                       novaphy_error* error) {
+  RowSumLaunch launch;
+  launch.host = &host;
+  launch.sum = {pointer<const float>(a[0]),   pointer<const int32_t>(a[1]),
+                pointer<const int32_t>(a[2]), pointer<const float>(a[3]),
+                pointer<float>(a[4]),         static_cast<int64_t>(a[5]),
+                static_cast<int64_t>(a[6]),   n};
+  if (launch.sum.width < 1) {
+    return fail(error, NOVAPHY_INVALID_ARGUMENT,
+                "row_sum_f32: width: expected at least 1, got %lld",
+                static_cast<long long>(launch.sum.width));
+  }
+  if (launch.sum.offsets == nullptr && launch.sum.stride < 0) {
+    return fail(error, NOVAPHY_INVALID_ARGUMENT,
+                "row_sum_f32: stride: expected at least 0, got %lld",
+                static_cast<long long>(launch.sum.stride));
+  }
+  const int64_t chunks = (n + kRowsPerChunk - 1) / kRowsPerChunk;
+  if (chunks == 1) {
+    sum_rows(&launch, 0);
+  } else {
+    host.parallel_for(chunks, sum_rows, &launch);
+  }
+  if (launch.out_of_memory)
+    return fail(error, NOVAPHY_OUT_OF_MEMORY, "row_sum_f32: out of host memory");
+  return NOVAPHY_OK;
+}
+
+novaphy_status exclusive_scan(const novaphy_host_api&, int64_t n, const uint64_t* a,
+                              novaphy_error*) {
+  const auto* in = pointer<const uint32_t>(a[0]);
+  auto* out = pointer<uint32_t>(a[1]);
+  uint32_t sum = 0;  // i32 arithmetic wraps
+  for (int64_t k = 0; k < n; ++k) {
+    const uint32_t value = in[k];
+    out[k] = sum;
+    sum += value;
+  }
+  return NOVAPHY_OK;
+}
+
+// Least significant digit first, 11 bits at a time: each pass is stable.
+novaphy_status sort_by_key(const novaphy_host_api&, int64_t n, const uint64_t* a, novaphy_error*) {
+  const auto* keys = pointer<const int32_t>(a[0]);
+  auto* order = pointer<int32_t>(a[1]);
+  if (n <= 64) {
+    std::iota(order, order + n, 0);
+    for (int64_t k = 1; k < n; ++k) {  // insertion keeps equal keys in order
+      const int32_t item = order[k];
+      int64_t at = k;
+      for (; at > 0 && keys[order[at - 1]] > keys[item]; --at) order[at] = order[at - 1];
+      order[at] = item;
+    }
+    return NOVAPHY_OK;
+  }
+  constexpr uint32_t kBits = 11, kBuckets = 1u << kBits;
+  const auto digit = [&](int32_t item, uint32_t shift) {
+    return ((static_cast<uint32_t>(keys[item]) ^ 0x80000000u) >> shift) & (kBuckets - 1);
+  };
+  std::vector<int32_t> from(static_cast<size_t>(n)), to(static_cast<size_t>(n));
+  std::iota(from.begin(), from.end(), 0);
+  std::vector<int64_t> next(kBuckets + 1);
+  for (uint32_t shift = 0; shift < 32; shift += kBits) {
+    std::fill(next.begin(), next.end(), 0);
+    for (const int32_t item : from) ++next[digit(item, shift) + 1];
+    std::partial_sum(next.begin(), next.end(), next.begin());
+    for (const int32_t item : from) to[static_cast<size_t>(next[digit(item, shift)]++)] = item;
+    from.swap(to);
+  }
+  std::copy(from.begin(), from.end(), order);
+  return NOVAPHY_OK;
+}
+
+novaphy_status incidence(const novaphy_host_api&, int64_t n, const uint64_t* a,
+                         novaphy_error* error) {
+  const auto* table = pointer<const int32_t>(a[0]);
+  const auto slots = static_cast<int64_t>(a[1]);
+  auto* offsets = pointer<int32_t>(a[2]);
+  auto* items = pointer<int32_t>(a[3]);
+  if (slots < 0 || slots > std::numeric_limits<int32_t>::max()) {
+    return fail(error, NOVAPHY_INVALID_ARGUMENT,
+                "incidence_i32: slots: expected 0 to 2^31 - 1, got %lld",
+                static_cast<long long>(slots));
+  }
+  std::fill(offsets, offsets + n + 1, 0);
+  for (int64_t s = 0; s < slots; ++s) {
+    if (table[s] >= n) {
+      return fail(error, NOVAPHY_INDEX_OUT_OF_RANGE,
+                  "incidence_i32: slot %lld holds row %d of %lld rows", static_cast<long long>(s),
+                  table[s], static_cast<long long>(n));
+    }
+    if (table[s] >= 0) ++offsets[table[s] + 1];
+  }
+  std::partial_sum(offsets, offsets + n + 1, offsets);
+  std::vector<int32_t> next(offsets, offsets + n);
+  for (int64_t s = 0; s < slots; ++s) {
+    if (table[s] >= 0) items[next[static_cast<size_t>(table[s])]++] = static_cast<int32_t>(s);
+  }
+  return NOVAPHY_OK;
+}
+
+constexpr Builtin kBuiltins[] = {
+    {"row_sum_f32", 7, row_sum},
+    {"exclusive_scan_i32", 2, exclusive_scan},
+    {"sort_by_key_i32", 2, sort_by_key},
+    {"incidence_i32", 4, incidence},
+};
+
+}  // namespace
+
+const Builtin* find_builtin(std::string_view name) {
+  for (const Builtin& builtin : kBuiltins) {
+    if (name == builtin.name) return &builtin;
+  }
+  return nullptr;
+}
+
+}  // namespace novaphy::cpu

@@ -1,0 +1,66 @@
+// Program -> a flat list of items on numbered values, the common half of making the block and the
+// scalar form: aliases resolved, uniform values known, loads of neighbouring columns grouped,
+// multiply-add pairs joined, and every value placed in a register or a scalar.
+#pragma once
+
+#include <stdint.h>
+
+#include <vector>
+
+#include "executable.h"
+#include "novaphy/program/ir.h"
+
+namespace novaphy::cpu {
+
+// Values are the instructions of the Program and, after them, those that only exist at run time
+// (the row's number, accumulators, the state of a CSR loop).
+using ValueId = int32_t;
+constexpr ValueId kNoValue = -1;
+
+struct LoadGroup {
+  int32_t source = 0, column = 0;
+  ValueId row = kNoValue;  // the lane's own row when it is Lowering::index_value
+  std::vector<ValueId> targets;
+};
+
+struct Item {
+  enum class Kind { Op, Load, Skip, LoopBegin, LoopEnd } kind;
+  CpuOp op = kArithmeticOps;
+  ValueId d = kNoValue, a = kNoValue, b = kNoValue, c = kNoValue;
+  int32_t group = -1;    // Load
+  int32_t loop = -1;     // LoopBegin, LoopEnd: which; else the loop around, or -1
+  int32_t region = -1;   // innermost skip around (item number), or -1
+  bool polarity = true;  // Skip: the region is for lanes with a == polarity
+  int32_t target = -1;   // Skip: first item after the region
+  bool uniform = false;  // one result for all lanes
+};
+
+struct LoopValues {
+  std::vector<ValueId> accumulators, inits, terms;
+  ValueId reduce = kNoValue, slot = kNoValue;  // kNoValue: nobody reads it
+  ValueId start = kNoValue, length = kNoValue, active = kNoValue;
+  int32_t begin = 0, end = 0;  // items
+};
+
+struct Lowered {
+  std::vector<Item> items;
+  std::vector<LoadGroup> groups;
+  std::vector<LoopValues> loops;
+  std::vector<std::vector<ValueId>> outputs;
+  ValueId index_value = kNoValue;
+  bool index_used = false;          // as a value, not only as the row of a load
+  std::vector<Operand> place;       // per value
+  std::vector<uint32_t> constants;  // scalars [0, n)
+  std::vector<int32_t> parameters;  // the following scalars: which parameter each holds
+  int32_t register_count = 0, scalar_count = 0;
+  std::vector<int32_t> prologue;  // block form: items that run once per launch
+};
+
+// In the scalar form every value is a scalar.
+Lowered lower(const nova::ir::Program& program, const std::vector<nova::ir::Step>& steps,
+              bool scalar_form);
+
+// Gives every value of `lowered` its place.
+void place_values(Lowered& lowered, bool scalar_form);
+
+}  // namespace novaphy::cpu

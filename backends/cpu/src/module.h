@@ -1,0 +1,80 @@
+// A Program, or a builtin, made ready to run.
+#pragma once
+
+#include <stdint.h>
+
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "executable.h"
+#include "novaphy/abi/backend.h"
+#include "novaphy/program/ir.h"
+
+namespace novaphy::cpu {
+
+struct BlockForm {
+  std::vector<uint32_t> constants;
+  std::vector<uint32_t> parameter_words;  // launch argument words, one per following scalar
+  int32_t register_count = 0, scalar_count = 0;
+  std::vector<BlockInstr> prologue, code;
+  std::vector<LoadCode> loads;
+  std::vector<StoreCode> stores;
+  std::vector<Operand> store_values;
+  std::vector<LoopCode> loops;
+  std::vector<SumSlots> sums;
+  std::vector<GuardCode> guards;
+  BlockTables tables() const {
+    return {loads.data(), stores.data(), store_values.data(),
+            loops.data(), sums.data(),   guards.data()};
+  }
+};
+
+struct ScalarForm {
+  bool usable = false;  // false: the Program is too large for 16-bit operands
+  std::vector<uint32_t> constants;
+  std::vector<uint32_t> parameter_words;
+  int32_t scalar_count = 0;
+  int32_t index = 0;
+  std::vector<ScalarInstr> code;
+  std::vector<LoopCode> loops;
+  std::vector<SumSlots> sums;
+  std::vector<int32_t> source_widths, output_widths;
+};
+
+struct Executable {
+  std::string name;
+  std::vector<std::string> source_names;
+  uint32_t argument_count = 0;
+  uint32_t first_output = 0;
+  BlockForm block;
+  ScalarForm scalar;
+};
+
+Executable compile(const nova::ir::Program& program, const IsaTable& isa);
+BlockForm make_block_form(const nova::ir::Program& program,
+                          const std::vector<nova::ir::Step>& steps, const IsaTable& isa);
+ScalarForm make_scalar_form(const nova::ir::Program& program,
+                            const std::vector<nova::ir::Step>& steps);
+
+// The scratch memory of the calling thread, at least `words` words, 64-byte aligned; kept between
+// calls.
+uint32_t* thread_scratch(size_t words);
+
+novaphy_status run_executable(const Executable& executable, const IsaTable& isa,
+                              const novaphy_host_api& host, int64_t n, const uint64_t* arguments,
+                              novaphy_error* error);
+
+// A builtin: its argument count, and what runs it.
+struct Builtin {
+  const char* name;
+  uint32_t argument_count;
+  novaphy_status (*run)(const novaphy_host_api& host, int64_t n, const uint64_t* arguments,
+                        novaphy_error* error);
+};
+const Builtin* find_builtin(std::string_view name);
+
+novaphy_status fail(novaphy_error* error, novaphy_status status, const char* format, ...)
+    __attribute__((format(printf, 3, 4)));
+
+}  // namespace novaphy::cpu

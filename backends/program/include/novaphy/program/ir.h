@@ -1,0 +1,144 @@
+// Program: the SSA of one kernel as a plain value, and what every reader of it needs (serialisation
+// with validation, printing, hashing, sections, guards, schedule). The meaning of the format is
+// stated in <novaphy/abi/program.h>; this header adds the C++ form, shared by the runtime and the
+// CPU backend.
+#pragma once
+
+#include <cstdint>
+#include <span>
+#include <string>
+#include <vector>
+
+#include "novaphy/abi/program.h"
+
+namespace nova::ir {
+
+enum class Op : uint8_t {
+#define NOVA_IR_OP(name, signature) name,
+  NOVAPHY_PROGRAM_OPS(NOVA_IR_OP)
+#undef NOVA_IR_OP
+};
+
+inline constexpr const char* kOpNames[] = {
+#define NOVA_IR_OP(name, signature) #name,
+    NOVAPHY_PROGRAM_OPS(NOVA_IR_OP)
+#undef NOVA_IR_OP
+};
+inline constexpr const char* kOpSignatures[] = {
+#define NOVA_IR_OP(name, signature) signature,
+    NOVAPHY_PROGRAM_OPS(NOVA_IR_OP)
+#undef NOVA_IR_OP
+};
+inline constexpr int kOpCount = sizeof(kOpNames) / sizeof(kOpNames[0]);
+
+enum class Type : uint8_t { F32 = 0, I32 = 1, Bool = 2 };
+enum class Access : uint8_t { Direct = 0, Uniform = 1, Indexed = 2, CsrRow = 3, Reduced = 4 };
+enum class LoopKind : uint8_t { Fixed = 0, Csr = 1 };
+
+using Value = int32_t;  // index of the instruction that makes it
+inline constexpr Value kNone = -1;
+
+struct Instr {
+  Op op;
+  int32_t a = kNone, b = kNone, c = kNone;
+  bool operator==(const Instr&) const = default;
+};
+
+struct Source {
+  std::string name;
+  Type type = Type::F32;
+  int32_t width = 1;
+  Access access = Access::Direct;
+};
+
+struct Output {
+  std::string name;
+  Type type = Type::F32;
+  std::vector<Value> values;  // one per column
+};
+
+struct Sum {
+  Value init = kNone;
+  Value term = kNone;
+};
+
+struct Loop {
+  LoopKind kind = LoopKind::Fixed;
+  int32_t extent_param = 0;  // Fixed only
+  std::vector<Sum> sums;
+};
+
+struct Program {
+  std::string name;
+  std::vector<Source> sources;
+  std::vector<Output> outputs;
+  std::vector<Loop> loops;
+  int32_t param_count = 0;
+  bool contract = false;
+  std::vector<Instr> instrs;
+
+  // Launch argument words: see <novaphy/abi/program.h>.
+  uint32_t argument_count() const;
+  uint32_t source_argument(size_t source) const { return static_cast<uint32_t>(2 * source); }
+  uint32_t output_argument(size_t output) const;
+  uint32_t loop_argument(size_t loop) const;  // of a Csr loop
+  uint32_t param_argument(size_t param) const;
+};
+
+Type result_type(Op op);
+// Calls f(operand value) for each operand that is a value (immediates are left out).
+template <class F>
+void for_each_operand(const Instr& instr, F&& f) {
+  const char* s = kOpSignatures[static_cast<int>(instr.op)];
+  if (s[1] != '#' && s[1] != '-') f(instr.a);
+  if (s[2] != '#' && s[2] != '-') f(instr.b);
+  if (s[3] != '#' && s[3] != '-') f(instr.c);
+}
+
+// Empty when the Program keeps every rule of the format, else what is wrong with it.
+std::string validate(const Program& program, bool allow_trace_ops = false);
+
+std::vector<uint32_t> serialise(const Program& program);
+// Returns false and a reason when the words are not a valid Program.
+bool deserialise(std::span<const uint32_t> words, Program& program, std::string& reason);
+
+std::string to_string(const Program& program);
+
+// 64-bit hash of a canonical Program (names excluded): equal for equal computations, whatever the
+// order in which the compiler evaluated the operands while it was traced.
+uint64_t hash(const Program& program);
+
+// Rebuilds the Program depth first from its outputs: dead code goes, the order is canonical, and
+// with strip_trace_ops PARTIAL and DETACH are replaced by their value.
+Program canonicalise(const Program& program, bool strip_trace_ops);
+
+// Where each value lives: 2l outside of loops and after loop l-1, 2l+1 inside of loop l.
+std::vector<int32_t> sections(const Program& program);
+
+// Guards: a value whose every use sits on one side of the same select need not be computed for
+// lanes that take the other side. Guard 0 is "always"; guard g holds when its parent holds and cond
+// == polarity.
+struct Guard {
+  int32_t parent = -1;
+  Value cond = kNone;
+  bool polarity = true;
+};
+struct Guards {
+  std::vector<Guard> nodes;    // nodes[0] is the root
+  std::vector<int32_t> guard;  // per value
+  int32_t find_or_add(int32_t parent, Value cond, bool polarity);
+  int32_t common(int32_t g, int32_t h) const;
+};
+Guards guards(const Program& program);
+
+// The order in which a reader runs a Program. SkipIfNone jumps to `target` when no lane of a group
+// has value (a bool) == polarity; LoopBegin/LoopEnd bracket loop `value`.
+struct Step {
+  enum class Kind : uint8_t { Compute, SkipIfNone, LoopBegin, LoopEnd } kind;
+  int32_t value = kNone;
+  bool polarity = true;
+  int32_t target = -1;  // SkipIfNone: index of the first step after the region
+};
+std::vector<Step> schedule(const Program& program);
+
+}  // namespace nova::ir

@@ -1,0 +1,35 @@
+# novaphy_add_library(<name> SOURCES ... [PUBLIC lib ...] [PRIVATE lib ...] [HEADERS dir])
+# Declares the shared library novaphy_<name> (alias novaphy::<name>) of one layer: headers under include/,
+# hidden visibility, warnings, its install component <name> and its entry in the exported package.
+set(NOVAPHY_WARNINGS -Wall -Wextra -Wpedantic -Wshadow -Wconversion -Wno-sign-conversion)
+if(CMAKE_CXX_COMPILER_ID STREQUAL "GNU" AND CMAKE_CXX_COMPILER_VERSION VERSION_LESS 13)
+  # False positives of GCC 12's optimiser in inlined std::string and std::shared_ptr code.
+  list(APPEND NOVAPHY_WARNINGS -Wno-restrict -Wno-stringop-overflow)
+endif()
+if(NOVAPHY_WERROR)
+  list(APPEND NOVAPHY_WARNINGS -Werror)
+endif()
+
+function(novaphy_add_library name)
+  cmake_parse_arguments(ARG "" "" "SOURCES;PUBLIC;PRIVATE" ${ARGN})
+  set(target novaphy_${name})
+  add_library(${target} SHARED ${ARG_SOURCES})
+  add_library(novaphy::${name} ALIAS ${target})
+  set_target_properties(${target} PROPERTIES EXPORT_NAME ${name} VERSION ${PROJECT_VERSION}
+                                             SOVERSION ${PROJECT_VERSION_MAJOR})
+  target_compile_features(${target} PUBLIC cxx_std_20)
+  target_compile_options(${target} PRIVATE ${NOVAPHY_WARNINGS})
+  target_compile_options(${target} INTERFACE -ffp-contract=off)
+  target_include_directories(${target} PUBLIC $<BUILD_INTERFACE:${CMAKE_CURRENT_SOURCE_DIR}/include>
+                                              $<INSTALL_INTERFACE:${CMAKE_INSTALL_INCLUDEDIR}>)
+  target_link_libraries(${target} PUBLIC ${ARG_PUBLIC} PRIVATE ${ARG_PRIVATE})
+  # A missing symbol is found here, not by the user who loads the library.
+  if(NOT NOVAPHY_SANITIZE)
+    target_link_options(${target} PRIVATE -Wl,--no-undefined)
+  endif()
+  install(TARGETS ${target} EXPORT NovaPhy_${name} LIBRARY DESTINATION ${CMAKE_INSTALL_LIBDIR} COMPONENT ${name})
+  install(DIRECTORY include/novaphy DESTINATION ${CMAKE_INSTALL_INCLUDEDIR} COMPONENT ${name})
+  install(EXPORT NovaPhy_${name} NAMESPACE novaphy:: FILE NovaPhy_${name}.cmake
+          DESTINATION ${CMAKE_INSTALL_LIBDIR}/cmake/NovaPhy COMPONENT ${name})
+  set_property(GLOBAL APPEND PROPERTY NOVAPHY_COMPONENTS ${name})
+endfunction()

@@ -1,0 +1,71 @@
+# The options of the build. An option whose part is not built yet defaults to OFF, and asking for it is an error:
+# never a silent no-op.
+option(NOVAPHY_WITH_DIFF "Build the tensor runtime (nova), the differentiable operators (diff) and their bindings" OFF)
+option(NOVAPHY_BUILD_COLLISION "Build novaphy::collision" ON)
+option(NOVAPHY_BUILD_DYNAMICS "Build novaphy::dynamics (needs collision)" ON)
+option(NOVAPHY_BUILD_PYTHON "Build the Python module" OFF)
+option(NOVAPHY_BUILD_TESTS "Build the tests" ON)
+option(NOVAPHY_BUILD_BENCH "Build the benchmark programs" OFF)
+option(NOVAPHY_BUILD_CPU_PLUGIN "Build the CPU backend also as a plugin" ON)
+option(NOVAPHY_WERROR "Treat warnings as errors" OFF)
+set(NOVAPHY_SANITIZE "" CACHE STRING "Sanitizers for everything, e.g. address,undefined or thread")
+set(NOVAPHY_CUDA_ARCHITECTURES "" CACHE STRING "GPU architectures to build ahead (used by NOVAPHY_WITH_CUDA)")
+
+# Parts of the design that are not built yet.
+foreach(entry
+    "NOVAPHY_WITH_CUDA;the CUDA backend"
+    "NOVAPHY_WITH_DLAN;the Denglin backend"
+    "NOVAPHY_BUILD_VBD;the VBD library"
+    "NOVAPHY_WITH_VBD_CUDA;CUDA modules of the VBD library"
+    "NOVAPHY_WITH_VBD_DLAN;Denglin modules of the VBD library"
+    "NOVAPHY_WITH_COLLISION_CUDA;CUDA modules of the collision library"
+    "NOVA_ENABLE_NVRTC;run-time compilation with NVRTC")
+  list(GET entry 0 name)
+  list(GET entry 1 what)
+  option(${name} "Not built yet: ${what}" OFF)
+  if(${name})
+    message(FATAL_ERROR "${name}=ON asks for ${what}, which this version does not have. Configure with ${name}=OFF.")
+  endif()
+endforeach()
+
+if(NOVAPHY_BUILD_DYNAMICS AND NOT NOVAPHY_BUILD_COLLISION)
+  message(FATAL_ERROR "NOVAPHY_BUILD_DYNAMICS=ON needs NOVAPHY_BUILD_COLLISION=ON.")
+endif()
+if(NOVAPHY_WITH_DIFF AND NOT NOVAPHY_BUILD_DYNAMICS)
+  message(FATAL_ERROR "NOVAPHY_WITH_DIFF=ON needs NOVAPHY_BUILD_DYNAMICS=ON.")
+endif()
+if(NOVAPHY_BUILD_PYTHON AND NOT NOVAPHY_BUILD_DYNAMICS)
+  message(FATAL_ERROR "NOVAPHY_BUILD_PYTHON=ON needs NOVAPHY_BUILD_DYNAMICS=ON.")
+endif()
+
+if(NOT CMAKE_BUILD_TYPE AND NOT CMAKE_CONFIGURATION_TYPES)
+  set(CMAKE_BUILD_TYPE Release CACHE STRING "Build type" FORCE)
+endif()
+find_program(NOVAPHY_CCACHE ccache)
+if(NOVAPHY_CCACHE AND NOT CMAKE_CXX_COMPILER_LAUNCHER)
+  set(CMAKE_C_COMPILER_LAUNCHER "${NOVAPHY_CCACHE}")
+  set(CMAKE_CXX_COMPILER_LAUNCHER "${NOVAPHY_CCACHE}")
+endif()
+
+set(CMAKE_C_STANDARD 11)
+set(CMAKE_C_EXTENSIONS OFF)
+set(CMAKE_CXX_STANDARD 20)
+set(CMAKE_CXX_STANDARD_REQUIRED ON)
+set(CMAKE_CXX_EXTENSIONS OFF)
+set(CMAKE_POSITION_INDEPENDENT_CODE ON)
+set(CMAKE_CXX_VISIBILITY_PRESET hidden)
+set(CMAKE_C_VISIBILITY_PRESET hidden)
+set(CMAKE_VISIBILITY_INLINES_HIDDEN ON)
+set(CMAKE_EXPORT_COMPILE_COMMANDS ON)
+include(GNUInstallDirs)
+# All libraries in one folder, so that the build tree looks like the install tree to the plugin search.
+set(CMAKE_LIBRARY_OUTPUT_DIRECTORY "${CMAKE_BINARY_DIR}/lib")
+set(CMAKE_RUNTIME_OUTPUT_DIRECTORY "${CMAKE_BINARY_DIR}/bin")
+set(CMAKE_INSTALL_RPATH "$ORIGIN")
+
+# The arithmetic contract: the same bits on every path. Nothing else of fast-math.
+add_compile_options(-ffp-contract=off -fno-math-errno -fno-trapping-math)
+if(NOVAPHY_SANITIZE)
+  add_compile_options(-fsanitize=${NOVAPHY_SANITIZE} -fno-sanitize-recover=all -fno-omit-frame-pointer)
+  add_link_options(-fsanitize=${NOVAPHY_SANITIZE})
+endif()

@@ -1,0 +1,76 @@
+// CollisionPipeline: finds the contacts of a state.
+#pragma once
+
+#include <cstdint>
+#include <memory>
+#include <optional>
+#include <vector>
+
+#include "novaphy/collision/broad_phase.h"
+#include "novaphy/collision/export.h"
+#include "novaphy/core/sim/contacts.h"
+#include "novaphy/core/sim/model.h"
+
+namespace novaphy {
+
+struct CollisionOptions {
+  BroadPhase broad_phase = BroadPhase::Explicit;
+  // Only 0 until there are rigid bodies: anything else throws ErrorKind::NotImplemented.
+  std::optional<int32_t> rigid_contact_max = {};
+  // Slots of the contacts; as many as candidate pairs when empty, so that nothing can overflow.
+  std::optional<int32_t> soft_contact_max = {};
+  // m, finite and >= 0: contacts are made up to this distance between the surfaces. Newton 1.8
+  // calls it soft_contact_gap.
+  float soft_contact_margin = 0.01f;
+  bool deterministic = true;  // contacts are always made in candidate order, also with false
+  std::optional<bool> requires_grad = {};  // handed on to contacts(); the model's when empty
+};
+
+// Soft contacts: a record for every active particle and every shape with
+// ShapeFlags.COLLIDE_PARTICLES, of one world or with one of both in all worlds (-1), whose distance
+// d from the particle's centre to the surface is
+//   d < (soft_contact_margin + shape_margin) + particle_radius
+// with the closest point of the surface and the normal there (collision/diff_soft_contact_trace.h).
+// World-owned planes, boxes, spheres and capsules; others throw ErrorKind::NotImplemented. The
+// geometry of a record carries no gradient. A particle whose position is NaN meets nothing.
+//
+// Candidate pairs are ordered shape-major: all particles with the first colliding shape, then with
+// the second, ... The contacts have that order for any number of threads. If there are more than
+// slots, the first ones are kept, soft_contact_count keeps the full number and
+// Contacts::overflowed() is true.
+//
+// One thread at a time may use a pipeline.
+class NOVAPHY_COLLISION_API CollisionPipeline {
+ public:
+  // ErrorKind::Value: no model, a bad margin, a negative maximum, too many pairs for int32;
+  // ErrorKind::NotImplemented: sweep and prune, rigid contacts, a model that is not on the cpu, a
+  // colliding shape that is not covered.
+  explicit CollisionPipeline(std::shared_ptr<const Model> model,
+                             const CollisionOptions& options = {});
+
+  const std::shared_ptr<const Model>& model() const { return model_; }
+  BroadPhase broad_phase() const { return options_.broad_phase; }
+  float soft_contact_margin() const { return options_.soft_contact_margin; }
+  int32_t rigid_contact_max() const { return 0; }
+  int32_t soft_contact_max() const;         // slots of contacts()
+  int32_t soft_contact_pair_count() const;  // candidate pairs: particles times colliding shapes
+
+  // Empty contacts that collide takes.
+  Contacts contacts() const;
+
+  // Replaces the contacts by those of the state and raises contact_generation.
+  // `soft_contact_margin` replaces the pipeline's for this call. Nothing is written after an error:
+  //   ErrorKind::Value  a state or contacts of another model or device; contacts for another number
+  //                     of candidate pairs (shape flags were edited: call contacts() again); a bad
+  //                     margin
+  //   ErrorKind::NotImplemented  a colliding shape that is not covered
+  void collide(const SimState& state, Contacts& contacts,
+               std::optional<float> soft_contact_margin = {});
+
+ private:
+  std::shared_ptr<const Model> model_;
+  CollisionOptions options_;
+  std::vector<int64_t> chunk_offsets_;  // of collide, kept from call to call
+};
+
+}  // namespace novaphy

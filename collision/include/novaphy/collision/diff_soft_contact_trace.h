@@ -1,0 +1,225 @@
+// The contact of a particle with a shape, as formulas: the force of a contact record, and the
+// signed distance, normal and closest point of a static shape that make such a record.
+//
+// Law (penalty spring, one-sided damper, capped viscous friction):
+//   c  = dot(n, x - p) - R
+//   v  = v_p - v_s, vn = dot(n, v), vt = v - n*vn
+//   f  = (n*c)*ke + ((n*min(vn, 0))*kd + unit(vt)*min(kf*|vt|, |(mu*c)*ke|))
+//   the particle gets -f where c <= a, and nothing where c > a
+// Symbols:
+//   x, v_p           particle position (m) and velocity (m/s), world frame
+//   R                particle radius (m)
+//   p, v_s           contact point on the shape (m) and its velocity (m/s), world frame
+//   n                unit normal, out of the shape, world frame
+//   c                gap between the two surfaces (m); < 0 is penetration
+//   ke, kd, kf, mu   N/m, N*s/m, N*s/m, 1: each the mean of the model's value and the shape's
+//   a                adhesion distance (m), 0 unless the model says otherwise
+//   f                N, world frame
+// The margin of a shape widens the search for contacts only; it is not part of the force.
+// Source: Newton 1.8.0, SolverSemiImplicit; its output on the cpu is the same bits.
+//
+// Not smooth, and what is returned there (the derivative follows the same choice):
+//   c = a    the force acts. It jumps by the damping kd*vn at touch-down.
+//   vn = 0   min takes the constant 0: damping passes nothing.
+//   vt = 0   unit and length are 0 and pass nothing.
+//   kf*|vt| = |(mu*c)*ke|   the Coulomb side; |.| has derivative +1 at 0.
+//   The normal jumps on a box's faces, edges and symmetry planes (box_distance), at the centre of
+//   a sphere and on the axis of a capsule (sphere_distance, capsule_distance).
+// Gradient: exact in x, v_p, R, p, v_s, n, ke, kd, kf, mu away from these. `a` only chooses and
+// passes nothing.
+//
+// Freestanding: T = float runs in the forward engine, T = nova::Real is traced. Every operator
+// rounds once, in the order written, so both give the same bits.
+#pragma once
+
+#include "novaphy/math/types.h"
+
+namespace novaphy {
+
+template <class T>
+struct SoftContactMaterial {
+  T ke{}, kd{}, kf{}, mu{};
+};
+
+// 0.5*(model + shape), each coefficient.
+template <class T>
+SoftContactMaterial<T> mean_soft_contact_material(const SoftContactMaterial<T>& model,
+                                                  const SoftContactMaterial<T>& shape) {
+  const T half = T(0.5f);
+  return {half * (model.ke + shape.ke), half * (model.kd + shape.kd), half * (model.kf + shape.kf),
+          half * (model.mu + shape.mu)};
+}
+
+// What a contact adds to the particle's force: -f, or -0 where it does not act. acc + (-f) has the
+// bits of acc - f, and acc + (-0) those of acc for every acc, so adding the terms in slot order
+// gives Newton's sum.
+template <class T>
+Vec3<T> soft_contact_force_term(const Vec3<T>& x, const Vec3<T>& v_p, const T& radius,
+                                const Vec3<T>& point, const Vec3<T>& point_velocity,
+                                const Vec3<T>& normal, const SoftContactMaterial<T>& material,
+                                const T& adhesion) {
+  using namespace math;
+  const T c = dot(normal, x - point) - radius;
+  const Vec3<T> v = v_p - point_velocity;
+  const T vn = dot(normal, v);
+  const Vec3<T> vt = v - normal * vn;
+  const Vec3<T> fn = (normal * c) * material.ke;
+  const Vec3<T> fd = (normal * min(vn, T(0.0f))) * material.kd;
+  const Vec3<T> ft =
+      normalize(vt) * min(material.kf * length(vt), abs((material.mu * c) * material.ke));
+  const Vec3<T> f = fn + (fd + ft);
+  // Asked as c > a, so that a NaN reaches the force instead of switching the contact off.
+  const T none = T(-0.0f);
+  return select(c > adhesion, Vec3<T>{none, none, none}, -f);
+}
+
+// Signed distance of a point to a surface (m, < 0 inside) and the outward normal there, both in the
+// shape's frame.
+template <class T>
+struct SurfaceDistance {
+  T distance{};
+  Vec3<T> normal{};
+};
+
+// Sphere of a radius about the origin. Within 1e-8 of the centre the normal is +z.
+template <class T>
+SurfaceDistance<T> sphere_distance(const Vec3<T>& x, const T& radius) {
+  using namespace math;
+  const T l = length(x);
+  const Vec3<T> up = {T(0.0f), T(0.0f), T(1.0f)};
+  return {l - radius, select(l > T(1e-8f), x / l, up)};
+}
+
+// Capsule along z; half_height excludes the caps. Within 1e-8 of the axis the normal is +z, at the
+// lower cap's centre (below -half_height) -z.
+template <class T>
+SurfaceDistance<T> capsule_distance(const Vec3<T>& x, const T& radius, const T& half_height) {
+  using namespace math;
+  const T zero = T(0.0f);
+  const auto above = x.z > half_height;
+  const auto below = x.z < -half_height;
+  const Vec3<T> v = {x.x, x.y,
+                     select(above, x.z - half_height, select(below, x.z + half_height, zero))};
+  const T l = length(v);
+  const Vec3<T> axis = {zero, zero, select(below, T(-1.0f), T(1.0f))};
+  return {l - radius, select(l > T(1e-8f), v / l, axis)};
+}
+
+// Box of half extents h. Outside, the normal is the direction from the closest point. Inside and on
+// the surface it is the face's with the largest q = |x| - h: x if qx is the only largest, y
+// likewise, else z, with the sign of the coordinate (+ at 0); on an edge where two q are exactly 0,
+// the third axis is not chosen: (qy = qz = 0) gives x, (qx = qz = 0) y, (qx = qy = 0) z, and the
+// corner x. For a tie of qx and qy inside, the normal z does not belong to the distance qx.
+template <class T>
+SurfaceDistance<T> box_distance(const Vec3<T>& x, const Vec3<T>& h) {
+  using namespace math;
+  const T zero = T(0.0f);
+  const Vec3<T> q = {abs(x.x) - h.x, abs(x.y) - h.y, abs(x.z) - h.z};
+  const Vec3<T> e = {max(q.x, zero), max(q.y, zero), max(q.z, zero)};
+  const T distance = length(e) + min(max(q.x, max(q.y, q.z)), zero);
+
+  const Vec3<T> closest = {min(max(-h.x, x.x), h.x), min(max(-h.y, x.y), h.y),
+                           min(max(-h.z, x.z), h.z)};
+  const Vec3<T> outside = normalize(x - closest);
+  const auto use_x = either(both(q.x > q.y, q.x > q.z), both(q.y == zero, q.z == zero));
+  const auto use_y = either(both(q.y > q.x, q.y > q.z), both(q.x == zero, q.z == zero));
+  const Vec3<T> face_x = {sign(x.x), zero, zero};
+  const Vec3<T> face_y = {zero, sign(x.y), zero};
+  const Vec3<T> face_z = {zero, zero, sign(x.z)};
+  const Vec3<T> inside = select(use_x, face_x, select(use_y, face_y, face_z));
+  const auto is_outside = either(q.x > zero, either(q.y > zero, q.z > zero));
+  return {distance, select(is_outside, outside, inside)};
+}
+
+// Plane with the normal +z through the origin. Infinite unless width and length (along x and y, m)
+// are both > 0. A finite plane is the top face of a solid block without a bottom: the distance and
+// normal are those of a box whose top is the plane and that has no lower end. (Newton's finite
+// plane has an unsigned distance and always the normal +z: below its sheet and beside it the
+// contact point is not on the sheet. Above the sheet both agree to the bit.)
+template <class T>
+SurfaceDistance<T> plane_distance(const Vec3<T>& x, const T& width, const T& length_y) {
+  using namespace math;
+  const T zero = T(0.0f), one = T(1.0f), half = T(0.5f);
+  const T hx = width * half, hy = length_y * half;
+  const T qx = abs(x.x) - hx, qy = abs(x.y) - hy, qz = x.z;
+  const auto finite = both(hx > zero, hy > zero);
+  const auto beside = both(finite, either(qx > zero, qy > zero));
+  const Vec3<T> up = {zero, zero, one};
+
+  // Beside the block: the closest point is on a wall or on the rim.
+  const Vec3<T> closest = {min(max(-hx, x.x), hx), min(max(-hy, x.y), hy), min(x.z, zero)};
+  const Vec3<T> away = x - closest;
+  // Inside the block a wall may be closer than the top; on a tie the top is taken.
+  const auto under = both(finite, qz < zero);
+  const auto wall_x = both(under, both(qx > qy, qx > qz));
+  const auto wall_y = both(under, both(negate(qx > qy), qy > qz));
+  const Vec3<T> side_x = {sign(x.x), zero, zero};
+  const Vec3<T> side_y = {zero, sign(x.y), zero};
+
+  const T inside = select(wall_x, qx, select(wall_y, qy, qz));
+  const Vec3<T> inside_normal = select(wall_x, side_x, select(wall_y, side_y, up));
+  return {select(beside, length(away), inside), select(beside, normalize(away), inside_normal)};
+}
+
+// Which type a static shape is: bool, or nova::Bool in a trace. None set means a plane.
+template <class B>
+struct StaticShapeType {
+  B is_box{}, is_sphere{}, is_capsule{};
+};
+
+// Signed distance and normal in the frame of a shape of any covered type; `scale` as GeoType says.
+template <class B, class T>
+SurfaceDistance<T> static_shape_distance(const StaticShapeType<B>& type, const Vec3<T>& scale,
+                                         const Vec3<T>& x) {
+  using namespace math;
+  const SurfaceDistance<T> box = box_distance(x, scale);
+  const SurfaceDistance<T> sphere = sphere_distance(x, scale.x);
+  const SurfaceDistance<T> capsule = capsule_distance(x, scale.x, scale.y);
+  const SurfaceDistance<T> plane = plane_distance(x, scale.x, scale.y);
+  return {select(type.is_box, box.distance,
+                 select(type.is_sphere, sphere.distance,
+                        select(type.is_capsule, capsule.distance, plane.distance))),
+          select(type.is_box, box.normal,
+                 select(type.is_sphere, sphere.normal,
+                        select(type.is_capsule, capsule.normal, plane.normal)))};
+}
+
+// A contact record of a world-owned shape, world frame: what the force law takes.
+template <class T>
+struct StaticContact {
+  T distance{};      // m, from the particle's centre to the surface
+  Vec3<T> point{};   // m, closest point of the surface
+  Vec3<T> normal{};  // unit, out of the shape
+};
+
+// The pose of a world-owned shape as the search uses it: Newton multiplies it by the identity pose
+// of the world, which turns -0 components into +0.
+template <class T>
+Transform<T> static_shape_pose(const Transform<T>& xform) {
+  return math::multiply(Transform<T>::identity(), xform);
+}
+// The particle's position in the shape's frame; `pose` from static_shape_pose.
+template <class T>
+Vec3<T> to_shape_frame(const Transform<T>& pose, const Vec3<T>& x) {
+  return math::transform_point(math::inverse(pose), x);
+}
+// The record of a distance and normal in the shape's frame.
+template <class T>
+StaticContact<T> static_contact_record(const Transform<T>& xform, const Transform<T>& pose,
+                                       const Vec3<T>& x_local, const SurfaceDistance<T>& surface) {
+  using namespace math;
+  return {surface.distance, transform_point(xform, x_local - surface.normal * surface.distance),
+          rotate(pose.q, surface.normal)};
+}
+
+// All of it: the record of particle position `x` (world) with a world-owned shape at `xform`. A
+// contact exists where distance < (gap + margin) + radius.
+template <class B, class T>
+StaticContact<T> static_shape_contact(const StaticShapeType<B>& type, const Transform<T>& xform,
+                                      const Vec3<T>& scale, const Vec3<T>& x) {
+  const Transform<T> pose = static_shape_pose(xform);
+  const Vec3<T> x_local = to_shape_frame(pose, x);
+  return static_contact_record(xform, pose, x_local, static_shape_distance(type, scale, x_local));
+}
+
+}  // namespace novaphy

@@ -1,0 +1,70 @@
+// Differentiable contact forces of particles. Compiled into novaphy::diff.
+//
+// What each input's gradient is:
+//   input                               recorded contacts    static shapes
+//   particle_q, particle_qd             exact                exact (closest point and normal
+//   included) particle_f                          exact (linear)       exact (linear)
+//   particle_radius                     exact                exact
+//   shape_material_ke, kd, kf, mu       exact                exact
+//   contact point and normal            frozen               part of particle_q's
+//   shape_transform, shape_scale        none                 none
+//   shape_margin, detection distance    none (they choose)   none (they choose)
+// At the kinks of the law see diff_soft_contact_trace.h.
+#pragma once
+
+#include <array>
+
+#include "novaphy/core/sim/contacts.h"
+#include "novaphy/core/sim/model.h"
+#include "novaphy/diff/export.h"
+#include "novaphy/nova/kernel.h"
+
+namespace novaphy::diff {
+
+// particle_f {n, 3} plus the forces of all world-owned plane, box, sphere and capsule shapes,
+// evaluated at the true distance: {n, 3}, N. A shape acts where a contact would be detected within
+// soft_contact_margin (m) and the law says so. Tensors of the model's particle count, tightly
+// packed float32 (ErrorKind::Type, ErrorKind::Value).
+NOVAPHY_DIFF_API nova::Tensor eval_static_particle_shape_contact_forces_generated(
+    const Model& model, const nova::Tensor& particle_q, const nova::Tensor& particle_qd,
+    const nova::Tensor& particle_f, float soft_contact_margin = 0.0f);
+
+// The forces of recorded contacts, in slot order: `forces` = `particle_f` + the terms of the
+// contacts. `contacts_of` lists the slots of every particle (nova::make_incidence of
+// soft_contact_particle).
+NOVAPHY_DIFF_API void eval_soft_contact_forces(const Model& model, const Contacts& contacts,
+                                               const nova::Incidence& contacts_of,
+                                               const nova::Operand& particle_q,
+                                               const nova::Operand& particle_qd,
+                                               const nova::Operand& particle_f,
+                                               const nova::Operand& forces);
+
+namespace detail {
+// Sources, in order, of recorded contacts inside a sum over a particle's slots; their operands, the
+// parameters, and the term of one slot.
+std::vector<nova::SourceSpec> soft_contact_sources();
+std::vector<nova::Operand> soft_contact_operands(const Model& model, const Contacts& contacts);
+inline constexpr int32_t kSoftContactParams = 5;
+std::array<nova::Param, kSoftContactParams> soft_contact_params(const Model& model);
+Vec3<nova::Real> soft_contact_term(nova::TraceContext& c, const Vec3<nova::Real>& x,
+                                   const Vec3<nova::Real>& v, const nova::Real& radius,
+                                   int32_t first_param);
+// Sources, in order, of the static shapes inside a sum over shapes; and the term of one shape.
+std::vector<nova::SourceSpec> static_shape_sources();
+std::vector<nova::Operand> static_shape_operands(const Model& model);
+Vec3<nova::Real> static_shape_term(nova::TraceContext& c, const Vec3<nova::Real>& x,
+                                   const Vec3<nova::Real>& v, const nova::Real& radius,
+                                   int32_t first_param);
+// The parameters that static_shape_term reads: contact material of the model, adhesion, margin.
+std::vector<nova::Param> static_shape_params(const Model& model, float soft_contact_margin);
+inline constexpr int32_t kStaticShapeParams = 6;
+// ErrorKind::NotImplemented unless every particle-colliding shape is world-owned and of a covered
+// type.
+void check_static_shapes(const Model& model);
+// Shape checks shared by the operators: {n, 3} float32 on the model's device.
+void check_particle_tensor(const Model& model, const nova::Tensor& tensor, const char* op,
+                           const char* name);
+Vec3<nova::Real> load_vec3(nova::TraceContext& c, const char* source);
+}  // namespace detail
+
+}  // namespace novaphy::diff

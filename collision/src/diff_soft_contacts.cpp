@@ -1,0 +1,259 @@
+#include "novaphy/collision/diff_soft_contacts.h"
+
+#include <cmath>
+
+#include "novaphy/collision/diff_soft_contact_trace.h"
+#include "novaphy/core/error.h"
+#include "novaphy/core/sim/enums.h"
+
+namespace novaphy::diff {
+
+using nova::Access;
+using nova::Bool;
+using nova::DType;
+using nova::Int;
+using nova::Operand;
+using nova::Real;
+using nova::Tensor;
+using nova::TraceContext;
+
+namespace detail {
+
+Vec3<Real> load_vec3(TraceContext& c, const char* source) {
+  const size_t s = c.source(source);
+  return {c.f32(s, 0), c.f32(s, 1), c.f32(s, 2)};
+}
+
+void check_particle_tensor(const Model& model, const Tensor& tensor, const char* op,
+                           const char* name) {
+  require(tensor.defined() && tensor.dtype() == DType::F32, ErrorKind::Type, op, ", ", name,
+          ": expected a float32 tensor");
+  if (tensor.ndim() != 2 || tensor.rows() != model.particle_count() || tensor.row_width() != 3)
+    fail(ErrorKind::Value, op, ", ", name, ": expected {", model.particle_count(),
+         ", 3} tightly packed float32, got ", nova::shape_str(tensor.shape()));
+  if (tensor.device() != model.device())
+    fail(ErrorKind::Value, op, ", ", name, ": expected device ", model.device().str(), ", got ",
+         tensor.device().str());
+}
+
+}  // namespace detail
+
+namespace {
+
+SoftContactMaterial<Real> material_params(TraceContext& c, int32_t first) {
+  return {c.param(first), c.param(first + 1), c.param(first + 2), c.param(first + 3)};
+}
+}  // namespace
+
+namespace detail {
+
+std::vector<nova::SourceSpec> soft_contact_sources() {
+  return {{"soft_contact_shape", DType::I32, 1, Access::CsrRow},
+          {"soft_contact_body_pos", DType::F32, 3, Access::CsrRow},
+          {"soft_contact_normal", DType::F32, 3, Access::CsrRow},
+          {"shape_material_ke", DType::F32, 1, Access::Indexed},
+          {"shape_material_kd", DType::F32, 1, Access::Indexed},
+          {"shape_material_kf", DType::F32, 1, Access::Indexed},
+          {"shape_material_mu", DType::F32, 1, Access::Indexed}};
+}
+
+std::vector<Operand> soft_contact_operands(const Model& model, const Contacts& contacts) {
+  return {nova::operand_of(contacts.soft_contact_shape),
+          nova::operand_of(contacts.soft_contact_body_pos),
+          nova::operand_of(contacts.soft_contact_normal),
+          nova::operand_of(model.shape_material_ke),
+          nova::operand_of(model.shape_material_kd),
+          nova::operand_of(model.shape_material_kf),
+          nova::operand_of(model.shape_material_mu)};
+}
+
+std::array<nova::Param, kSoftContactParams> soft_contact_params(const Model& model) {
+  return {model.soft_contact_ke, model.soft_contact_kd, model.soft_contact_kf,
+          model.soft_contact_mu, model.particle_adhesion};
+}
+
+Vec3<Real> soft_contact_term(TraceContext& c, const Vec3<Real>& x, const Vec3<Real>& v,
+                             const Real& radius, int32_t first_param) {
+  const Int shape = c.i32(c.source("soft_contact_shape"));
+  auto of_shape = [&](const char* name) { return c.f32(c.source(name), shape, 0); };
+  const SoftContactMaterial<Real> shape_material{
+      of_shape("shape_material_ke"), of_shape("shape_material_kd"), of_shape("shape_material_kf"),
+      of_shape("shape_material_mu")};
+  const Vec3<Real> zero{0.0f, 0.0f, 0.0f};  // a world-owned shape does not move
+  return soft_contact_force_term(
+      x, v, radius, load_vec3(c, "soft_contact_body_pos"), zero,
+      load_vec3(c, "soft_contact_normal"),
+      mean_soft_contact_material(material_params(c, first_param), shape_material),
+      c.param(first_param + 4));
+}
+
+}  // namespace detail
+
+namespace {
+
+const nova::Kernel& soft_contact_kernel() {
+  static const nova::Kernel kernel = [] {
+    std::vector<nova::SourceSpec> sources = {{"particle_q", DType::F32, 3, Access::Direct},
+                                             {"particle_qd", DType::F32, 3, Access::Direct},
+                                             {"particle_f", DType::F32, 3, Access::Direct},
+                                             {"particle_radius", DType::F32, 1, Access::Direct}};
+    for (const nova::SourceSpec& s : detail::soft_contact_sources()) sources.push_back(s);
+    return nova::make_reduce_kernel("soft_contact_forces", sources, {{"particle_f", 3}},
+                                    {.init =
+                                         [](TraceContext& c) {
+                                           const Vec3<Real> f = detail::load_vec3(c, "particle_f");
+                                           return std::vector{f.x, f.y, f.z};
+                                         },
+                                     .body =
+                                         [](TraceContext& c) {
+                                           const Vec3<Real> term = detail::soft_contact_term(
+                                               c, detail::load_vec3(c, "particle_q"),
+                                               detail::load_vec3(c, "particle_qd"),
+                                               c.f32(c.source("particle_radius")), 0);
+                                           return std::vector{term.x, term.y, term.z};
+                                         },
+                                     .epilogue = {}});
+  }();
+  return kernel;
+}
+
+}  // namespace
+
+void eval_soft_contact_forces(const Model& model, const Contacts& contacts,
+                              const nova::Incidence& contacts_of, const Operand& particle_q,
+                              const Operand& particle_qd, const Operand& particle_f,
+                              const Operand& forces) {
+  std::vector<Operand> in = {particle_q, particle_qd, particle_f,
+                             nova::operand_of(model.particle_radius)};
+  for (Operand& o : detail::soft_contact_operands(model, contacts)) in.push_back(std::move(o));
+  const std::array params = detail::soft_contact_params(model);
+  soft_contact_kernel().launch(particle_q.rows, in, {&forces, 1},
+                               {.params = params, .csr = &contacts_of});
+}
+
+namespace detail {
+
+std::vector<nova::SourceSpec> static_shape_sources() {
+  return {{"shape_type", DType::I32, 1, Access::Reduced},
+          {"shape_flags", DType::I32, 1, Access::Reduced},
+          {"shape_body", DType::I32, 1, Access::Reduced},
+          {"shape_transform", DType::F32, 7, Access::Reduced},
+          {"shape_scale", DType::F32, 3, Access::Reduced},
+          {"shape_margin", DType::F32, 1, Access::Reduced},
+          {"shape_material_ke", DType::F32, 1, Access::Reduced},
+          {"shape_material_kd", DType::F32, 1, Access::Reduced},
+          {"shape_material_kf", DType::F32, 1, Access::Reduced},
+          {"shape_material_mu", DType::F32, 1, Access::Reduced}};
+}
+
+std::vector<Operand> static_shape_operands(const Model& model) {
+  return {nova::operand_of(model.shape_type),        nova::operand_of(model.shape_flags),
+          nova::operand_of(model.shape_body),        nova::operand_of(model.shape_transform),
+          nova::operand_of(model.shape_scale),       nova::operand_of(model.shape_margin),
+          nova::operand_of(model.shape_material_ke), nova::operand_of(model.shape_material_kd),
+          nova::operand_of(model.shape_material_kf), nova::operand_of(model.shape_material_mu)};
+}
+
+std::vector<nova::Param> static_shape_params(const Model& model, float soft_contact_margin) {
+  require(std::isfinite(soft_contact_margin) && soft_contact_margin >= 0.0f, ErrorKind::Value,
+          "soft_contact_margin: expected a finite distance >= 0, got ", soft_contact_margin);
+  const std::array law = soft_contact_params(model);
+  std::vector<nova::Param> params(law.begin(), law.end());
+  params.emplace_back(soft_contact_margin);
+  return params;
+}
+
+void check_static_shapes(const Model& model) {
+  const std::vector<int32_t> type = model.shape_type.to_host(), flags = model.shape_flags.to_host(),
+                             body = model.shape_body.to_host();
+  for (size_t s = 0; s < type.size(); ++s) {
+    if (!(flags[s] & static_cast<int32_t>(ShapeFlags::COLLIDE_PARTICLES))) continue;
+    const auto t = static_cast<GeoType>(type[s]);
+    const bool covered = body[s] < 0 && (t == GeoType::PLANE || t == GeoType::BOX ||
+                                         t == GeoType::SPHERE || t == GeoType::CAPSULE);
+    require(covered, ErrorKind::NotImplemented, "shape ", s,
+            ": static contacts cover world-owned planes, boxes, spheres and capsules");
+  }
+}
+
+Vec3<Real> static_shape_term(TraceContext& c, const Vec3<Real>& x, const Vec3<Real>& v,
+                             const Real& radius, int32_t first_param) {
+  const Int type = c.i32(c.source("shape_type"));
+  const Int flags = c.i32(c.source("shape_flags"));
+  const size_t t = c.source("shape_transform");
+  const Transform<Real> xform{{c.f32(t, 0), c.f32(t, 1), c.f32(t, 2)},
+                              {c.f32(t, 3), c.f32(t, 4), c.f32(t, 5), c.f32(t, 6)}};
+  auto is = [&](GeoType wanted) { return type == Int(static_cast<int32_t>(wanted)); };
+  const StaticShapeType<Bool> shape_type{is(GeoType::BOX), is(GeoType::SPHERE),
+                                         is(GeoType::CAPSULE)};
+  const StaticContact<Real> contact =
+      static_shape_contact(shape_type, xform, load_vec3(c, "shape_scale"), x);
+  auto of_shape = [&](const char* name) { return c.f32(c.source(name)); };
+  const SoftContactMaterial<Real> shape_material{
+      of_shape("shape_material_ke"), of_shape("shape_material_kd"), of_shape("shape_material_kf"),
+      of_shape("shape_material_mu")};
+  const Vec3<Real> zero{0.0f, 0.0f, 0.0f};
+  const Vec3<Real> term = soft_contact_force_term(
+      x, v, radius, contact.point, zero, contact.normal,
+      mean_soft_contact_material(material_params(c, first_param), shape_material),
+      c.param(first_param + 4));
+  const Bool collides =
+      (flags & Int(static_cast<int32_t>(ShapeFlags::COLLIDE_PARTICLES))) != Int(0);
+  const Bool world_owned = c.i32(c.source("shape_body")) < Int(0);
+  const Bool detected =
+      contact.distance < (c.param(first_param + 5) + of_shape("shape_margin")) + radius;
+  const Real none = -0.0f;
+  return math::select(both(both(collides, world_owned), detected), term,
+                      Vec3<Real>{none, none, none});
+}
+
+}  // namespace detail
+
+Tensor eval_static_particle_shape_contact_forces_generated(const Model& model,
+                                                           const Tensor& particle_q,
+                                                           const Tensor& particle_qd,
+                                                           const Tensor& particle_f,
+                                                           float soft_contact_margin) {
+  static const nova::Kernel kernel = [] {
+    std::vector<nova::SourceSpec> sources = {{"particle_q", DType::F32, 3, Access::Direct},
+                                             {"particle_qd", DType::F32, 3, Access::Direct},
+                                             {"particle_f", DType::F32, 3, Access::Direct},
+                                             {"particle_radius", DType::F32, 1, Access::Direct},
+                                             {"particle_flags", DType::I32, 1, Access::Direct}};
+    for (const nova::SourceSpec& s : detail::static_shape_sources()) sources.push_back(s);
+    return nova::make_reduce_kernel(
+        "static_particle_shape_contact_forces", sources, {{"particle_f", 3}},
+        {.init =
+             [](TraceContext& c) {
+               const Vec3<Real> f = detail::load_vec3(c, "particle_f");
+               return std::vector{f.x, f.y, f.z};
+             },
+         .body =
+             [](TraceContext& c) {
+               const Vec3<Real> term = detail::static_shape_term(
+                   c, detail::load_vec3(c, "particle_q"), detail::load_vec3(c, "particle_qd"),
+                   c.f32(c.source("particle_radius")), 0);
+               const Bool active = (c.i32(c.source("particle_flags")) & Int(1)) != Int(0);
+               const Real none = -0.0f;
+               const Vec3<Real> acting = math::select(active, term, Vec3<Real>{none, none, none});
+               return std::vector{acting.x, acting.y, acting.z};
+             },
+         .epilogue = {}});
+  }();
+  const char* op = "eval_static_particle_shape_contact_forces_generated";
+  detail::check_particle_tensor(model, particle_q, op, "particle_q");
+  detail::check_particle_tensor(model, particle_qd, op, "particle_qd");
+  detail::check_particle_tensor(model, particle_f, op, "particle_f");
+  detail::check_static_shapes(model);
+  const std::vector<nova::Param> params = detail::static_shape_params(model, soft_contact_margin);
+  std::vector<Operand> in = {particle_q.operand(), particle_qd.operand(), particle_f.operand(),
+                             nova::operand_of(model.particle_radius),
+                             nova::operand_of(model.particle_flags)};
+  for (const Operand& o : detail::static_shape_operands(model)) in.push_back(o);
+  const Tensor out(particle_f.shape(), DType::F32, model.device());
+  const Operand to = out.operand();
+  kernel.launch(particle_q.rows(), in, {&to, 1}, {.params = params, .extent = model.shape_count()});
+  return out;
+}
+
+}  // namespace novaphy::diff

@@ -1,0 +1,72 @@
+// The enumerations of the model. The values are part of the public interface (they are stored in
+// int32 arrays) and equal Newton 1.8's.
+#pragma once
+
+#include <cstdint>
+
+#include "novaphy/core/export.h"
+#include "novaphy/math/types.h"
+
+namespace novaphy {
+
+enum class Axis : int32_t { X = 0, Y = 1, Z = 2 };
+
+// What a row of Model::shape_type holds. `shape_scale` by type:
+//   PLANE    (width, length, 0): local +z is the normal; infinite unless both are > 0
+//   SPHERE   (radius, 0, 0)
+//   CAPSULE  (radius, half_height, 0): along local z, half_height excludes the caps
+//   BOX      (hx, hy, hz): half extents
+// The other types are reserved: adding one raises ErrorKind::NotImplemented.
+enum class GeoType : int32_t {
+  NONE = 0,
+  PLANE = 1,
+  HFIELD = 2,
+  SPHERE = 3,
+  CAPSULE = 4,
+  ELLIPSOID = 5,
+  CYLINDER = 6,
+  BOX = 7,
+  MESH = 8,
+  CONE = 9,
+  CONVEX_MESH = 10,
+};
+// "PLANE", ...; "unknown" for a value that is none.
+NOVAPHY_CORE_API const char* geo_type_name(GeoType type);
+
+// Bit masks of the *_flags arrays.
+enum class ParticleFlags : int32_t { ACTIVE = 1 };
+enum class ShapeFlags : int32_t {
+  VISIBLE = 1,
+  COLLIDE_SHAPES = 2,
+  COLLIDE_PARTICLES = 4,
+  SITE = 8
+};
+enum class BodyFlags : int32_t { DYNAMIC = 1, KINEMATIC = 2 };
+
+// What SolverBase::notify_model_changed is told. Combine with |.
+enum class ModelFlags : int32_t {
+  JOINT_PROPERTIES = 1,
+  JOINT_DOF_PROPERTIES = 2,
+  BODY_PROPERTIES = 4,
+  BODY_INERTIAL_PROPERTIES = 8,
+  SHAPE_PROPERTIES = 16,
+  MODEL_PROPERTIES = 32,
+  ALL = 63,
+};
+constexpr ModelFlags operator|(ModelFlags a, ModelFlags b) {
+  return static_cast<ModelFlags>(static_cast<int32_t>(a) | static_cast<int32_t>(b));
+}
+
+// True if every bit of `flag` is set in an element of a *_flags array.
+template <class Flag>
+constexpr bool has_flag(int32_t flags, Flag flag) {
+  return (flags & static_cast<int32_t>(flag)) == static_cast<int32_t>(flag);
+}
+
+// The unit vector of an axis.
+constexpr Vec3f axis_vector(Axis axis) {
+  return {axis == Axis::X ? 1.0f : 0.0f, axis == Axis::Y ? 1.0f : 0.0f,
+          axis == Axis::Z ? 1.0f : 0.0f};
+}
+
+}  // namespace novaphy

@@ -1,0 +1,130 @@
+// Model: what stays the same over time. Made by ModelBuilder::finalize; the sizes are fixed, values
+// may be edited.
+#pragma once
+
+#include <cstdint>
+#include <memory>
+#include <optional>
+#include <set>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "novaphy/core/sim/control.h"
+#include "novaphy/core/sim/counts.h"
+#include "novaphy/core/sim/enums.h"
+#include "novaphy/core/sim/fields.h"
+#include "novaphy/core/sim/sim_state.h"
+
+namespace novaphy {
+
+// X(name, element type, width, count, unit, frame, doc). The frame "body, or world" is the
+// frame of the shape's body, the world for a world-owned shape.
+// clang-format off
+#define NOVAPHY_MODEL_FIELDS(X)                                                                   \
+  X(particle_q, Vec3f, 1, particle_count, "m", "world", "initial particle positions")             \
+  X(particle_qd, Vec3f, 1, particle_count, "m/s", "world", "initial particle velocities")         \
+  X(particle_mass, float, 1, particle_count, "kg", "",                                            \
+    "particle masses; 0 makes a particle kinematic")                                              \
+  X(particle_inv_mass, float, 1, particle_count, "1/kg", "",                                      \
+    "1/mass; 0 where the mass is 0: no force, no gravity")                                        \
+  X(particle_radius, float, 1, particle_count, "m", "", "particle radii")                         \
+  X(particle_flags, int32_t, 1, particle_count, "", "",                                           \
+    "ParticleFlags; without ACTIVE a particle stays as it is")                                    \
+  X(particle_world, int32_t, 1, particle_count, "", "", "world of the particle; -1: all worlds")  \
+  X(shape_body, int32_t, 1, shape_count, "", "",                                                  \
+    "body of the shape; -1: world-owned, it does not move")                                       \
+  X(shape_transform, Transformf, 1, shape_count, "m, 1", "body, or world",                        \
+    "pose of the shape: position, quaternion xyzw")                                               \
+  X(shape_type, int32_t, 1, shape_count, "", "", "GeoType")                                       \
+  X(shape_scale, Vec3f, 1, shape_count, "m", "shape",                                             \
+    "size; its meaning depends on the type, see GeoType")                                         \
+  X(shape_flags, int32_t, 1, shape_count, "", "", "ShapeFlags")                                   \
+  X(shape_world, int32_t, 1, shape_count, "", "", "world of the shape; -1: all worlds")           \
+  X(shape_collision_group, int32_t, 1, shape_count, "", "", "collision group, see ShapeConfig")   \
+  X(shape_is_solid, uint8_t, 1, shape_count, "", "", "1 if solid, 0 if a shell")                  \
+  X(shape_margin, float, 1, shape_count, "m", "",                                                 \
+    "widens the detection of soft contacts; the soft contact force does not use it")              \
+  X(shape_gap, float, 1, shape_count, "m", "", "detection distance of rigid contacts")            \
+  X(shape_material_ke, float, 1, shape_count, "N/m", "", "contact stiffness")                     \
+  X(shape_material_kd, float, 1, shape_count, "N*s/m", "", "contact damping")                     \
+  X(shape_material_kf, float, 1, shape_count, "N*s/m", "", "friction below the Coulomb limit")    \
+  X(shape_material_ka, float, 1, shape_count, "m", "", "adhesion distance of rigid contacts")     \
+  X(shape_material_mu, float, 1, shape_count, "1", "", "Coulomb friction")                        \
+  X(shape_material_restitution, float, 1, shape_count, "1", "",                                   \
+    "restitution; soft contacts do not use it")                                                   \
+  X(shape_material_mu_torsional, float, 1, shape_count, "1", "",                                  \
+    "torsional friction; soft contacts do not use it")                                            \
+  X(shape_material_mu_rolling, float, 1, shape_count, "1", "",                                    \
+    "rolling friction; soft contacts do not use it")                                              \
+  X(shape_collision_radius, float, 1, shape_count, "m", "shape",                                  \
+    "radius of a sphere about the shape's origin that holds the shape; 1e6 for an infinite "      \
+    "plane")                                                                                      \
+  X(shape_aabb_lower, Vec3f, 1, shape_count, "m", "shape",                                        \
+    "lower corner of the shape's box, without margin")                                            \
+  X(shape_aabb_upper, Vec3f, 1, shape_count, "m", "shape",                                        \
+    "upper corner of the shape's box, without margin")                                            \
+  X(shape_contact_pairs, Vec2i, 1, shape_contact_pair_count, "", "",                              \
+    "shape pairs (i < j) that the rigid contact search visits, in lexicographic order")           \
+  X(gravity, Vec3f, 1, world_count, "m/s^2", "world",                                             \
+    "gravity of every world; world -1 reads the last row")
+// clang-format on
+
+NOVAPHY_DECLARE_FIELDS(ModelFields, NOVAPHY_MODEL_FIELDS, ModelCounts)
+
+// What a model holds besides its arrays; all of it may be edited.
+struct ModelSettings {
+  bool requires_grad = false;  // what state() and control() hand on
+
+  // Soft contacts: every coefficient of a contact is the mean of this one and of the shape's
+  // material.
+  float soft_contact_ke = 1.0e3f;         // N/m
+  float soft_contact_kd = 10.0f;          // N*s/m
+  float soft_contact_kf = 1.0e3f;         // N*s/m
+  float soft_contact_mu = 0.5f;           // 1
+  float soft_contact_restitution = 0.0f;  // stored for Newton's sake; no force uses it
+  float particle_adhesion = 0.0f;         // m: soft contacts act up to this gap
+  float particle_max_velocity = 1.0e5f;   // m/s: faster particles are slowed down to it
+  float particle_max_radius = 0.0f;       // m: the largest particle_radius when the model was made
+
+  std::vector<std::string> shape_label;  // one per shape
+  std::set<std::pair<int32_t, int32_t>>
+      shape_collision_filter_pairs;  // (i < j): never in shape_contact_pairs
+};
+
+class NOVAPHY_CORE_API Model : public ModelFields, public ModelSettings {
+ public:
+  using Fields = ModelFields;
+
+  Model(const Model&) = delete;
+  Model& operator=(const Model&) = delete;
+
+  NOVAPHY_MODEL_COUNTS(NOVAPHY_COUNT_GETTER)
+  const ModelCounts& counts() const { return counts_; }
+  Device device() const { return device_; }
+  Axis up_axis() const { return up_axis_; }
+  // A number that no other model of this process has; states, controls and contacts carry it.
+  uint64_t id() const { return id_; }
+
+  // A state with the initial values. `requires_grad`: the model's when empty.
+  SimState state(std::optional<bool> requires_grad = {}) const;
+  Control control(std::optional<bool> requires_grad = {}) const;
+
+  // m/s^2, of one world or (world empty) of all. ErrorKind::Value: not finite; ErrorKind::Index: no
+  // such world.
+  void set_gravity(const Vec3f& value, std::optional<int32_t> world = {});
+
+  std::shared_ptr<Model> clone() const { return to(device_); }
+  std::shared_ptr<Model> to(Device device) const;  // a copy on a device; it has its own id
+
+ private:
+  friend class ModelBuilder;
+  Model(const ModelCounts& counts, Device device, Axis up_axis);
+
+  ModelCounts counts_;
+  Device device_;
+  Axis up_axis_ = Axis::Z;
+  uint64_t id_ = 0;
+};
+
+}  // namespace novaphy

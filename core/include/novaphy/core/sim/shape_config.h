@@ -1,0 +1,43 @@
+// ShapeConfig: material and collision settings of a shape.
+#pragma once
+
+#include <cstdint>
+#include <optional>
+
+#include "novaphy/core/sim/enums.h"
+
+namespace novaphy {
+
+// All numbers must be finite, and all but `margin` and `collision_group` must be >= 0.
+struct ShapeConfig {
+  float density = 1000.0f;  // kg/m^3; of no effect on a world-owned shape
+  float ke = 2500.0f;       // N/m, contact stiffness
+  float kd = 100.0f;        // N*s/m, contact damping
+  float kf = 1000.0f;       // N*s/m, friction below the Coulomb limit
+  float ka = 0.0f;          // m, adhesion distance (rigid contacts)
+  float mu = 1.0f;          // 1, Coulomb friction
+  float restitution = 0.0f;
+  float mu_torsional = 0.005f, mu_rolling = 1e-4f;
+  // m, widens the detection of soft contacts; the soft contact force does not use it.
+  float margin = 0.0f;
+  // m, detection distance of rigid contacts; ModelBuilder::rigid_gap when empty.
+  std::optional<float> gap = {};
+  bool is_solid = true;
+  // 1 by default; 0 collides with nothing; a positive group meets itself and every negative group;
+  // a negative group meets everything but the same negative number. For shapes among each other;
+  // particles do not look at it.
+  int32_t collision_group = 1;
+  bool collision_filter_parent = true;
+  bool has_shape_collision = true;
+  bool has_particle_collision = true;
+  bool is_visible = true;
+
+  // The bits of Model::shape_flags.
+  constexpr int32_t flags() const {
+    return (is_visible ? static_cast<int32_t>(ShapeFlags::VISIBLE) : 0) |
+           (has_shape_collision ? static_cast<int32_t>(ShapeFlags::COLLIDE_SHAPES) : 0) |
+           (has_particle_collision ? static_cast<int32_t>(ShapeFlags::COLLIDE_PARTICLES) : 0);
+  }
+};
+
+}  // namespace novaphy

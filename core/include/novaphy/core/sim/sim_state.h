@@ -1,0 +1,68 @@
+// SimState: what changes over time. Made by Model::state(), or over given arrays (a trajectory).
+#pragma once
+
+#include <cstdint>
+
+#include "novaphy/core/sim/counts.h"
+#include "novaphy/core/sim/fields.h"
+
+namespace novaphy {
+
+class Model;
+
+// X(name, element type, width, count, unit, frame, doc)
+// clang-format off
+#define NOVAPHY_STATE_FIELDS(X)                                                                   \
+  X(particle_q, Vec3f, 1, particle_count, "m", "world", "particle positions")                     \
+  X(particle_qd, Vec3f, 1, particle_count, "m/s", "world", "particle velocities")                 \
+  X(particle_f, Vec3f, 1, particle_count, "N", "world",                                           \
+    "particle forces: what the user applies before a step; after it also the forces that the "    \
+    "solver added")                                                                               \
+  X(body_q, Transformf, 1, body_count, "m, 1", "world",                                           \
+    "poses of the body origins: position, quaternion xyzw")                                       \
+  X(body_qd, SpatialVectorf, 1, body_count, "m/s, rad/s", "world",                                \
+    "velocity of the centre of mass, then angular velocity")                                      \
+  X(body_f, SpatialVectorf, 1, body_count, "N, N*m", "world",                                     \
+    "force, then moment about the centre of mass")                                                \
+  X(joint_q, float, 1, joint_coord_count, "m or rad", "joint", "joint coordinates")               \
+  X(joint_qd, float, 1, joint_dof_count, "m/s or rad/s", "joint", "joint velocities")
+// clang-format on
+
+NOVAPHY_DECLARE_FIELDS(StateFields, NOVAPHY_STATE_FIELDS, ModelCounts)
+
+// Arrays of something that the model does not have exist with 0 rows. The arrays are public
+// handles: write values through them, but keep their sizes (solvers check). Move-only: copying
+// handles would make two states of one memory; clone() copies the values.
+class NOVAPHY_CORE_API SimState : public StateFields {
+ public:
+  using Fields = StateFields;
+
+  // Zero filled, on the model's device. Model::state() also copies the initial values.
+  explicit SimState(const Model& model);
+  // A state over existing arrays, e.g. ranges of one long allocation. ErrorKind::Value names the
+  // array whose rows or device are not the model's.
+  SimState(const Model& model, StateFields fields);
+  SimState(SimState&&) = default;
+  SimState& operator=(SimState&&) = default;
+
+  NOVAPHY_MODEL_COUNTS(NOVAPHY_COUNT_GETTER)
+  const ModelCounts& counts() const { return counts_; }
+  Device device() const { return device_; }
+  uint64_t model_id() const { return model_id_; }  // Model::id() of the model it belongs to
+  bool requires_grad = false;
+
+  // particle_f and body_f to zero.
+  void clear_forces();
+  // Copies all values. ErrorKind::Value when an array's rows or the device differ.
+  void assign(const SimState& source);
+  SimState clone() const;
+
+ private:
+  SimState(const SimState& source, StateFields fields);
+
+  ModelCounts counts_;
+  Device device_;
+  uint64_t model_id_ = 0;
+};
+
+}  // namespace novaphy

@@ -1,0 +1,60 @@
+// The scalar functions that formulas use. A formula is a template over its scalar T: with T = float
+// it runs in the forward engine, with T = nova::Real it is traced into a Program. So every function
+// here has a twin for nova::Real (found by argument-dependent lookup) with the same rounding and
+// the same ties.
+//
+// Freestanding: no library header except <cstdint> and <cmath>'s correctly rounded operations.
+#pragma once
+
+#include <cmath>
+#include <cstdint>
+
+namespace novaphy::math {
+
+// min is a <= b ? a : b and max is a >= b ? a : b, so with a NaN the second operand comes back.
+inline float min(float a, float b) { return a <= b ? a : b; }
+inline float max(float a, float b) { return a >= b ? a : b; }
+inline float abs(float a) { return __builtin_fabsf(a); }
+inline float sign(float a) { return a < 0.0f ? -1.0f : 1.0f; }  // sign(0) = +1
+inline float sqrt(float a) { return __builtin_sqrtf(a); }
+inline float floor(float a) { return __builtin_floorf(a); }
+inline float fma(float a, float b, float c) { return std::fma(a, b, c); }
+
+// c ? a : b. Formulas write select instead of `if`, so that they can be traced.
+inline float select(bool c, float a, float b) { return c ? a : b; }
+inline bool select(bool c, bool a, bool b) { return c ? a : b; }
+inline bool both(bool a, bool b) { return a && b; }
+inline bool either(bool a, bool b) { return a || b; }
+inline bool negate(bool a) { return !a; }
+
+// Casts and bit patterns. A traced integer wraps; an int32_t must not overflow, so formulas that do
+// integer arithmetic keep it in range (shifts included: the count is 0 .. 31).
+inline int32_t to_int(float a) {  // truncates, saturates, NaN gives 0
+  if (a != a) return 0;
+  if (a >= 2147483648.0f) return INT32_MAX;
+  if (a <= -2147483648.0f) return INT32_MIN;
+  return static_cast<int32_t>(a);
+}
+inline float to_real(int32_t a) { return static_cast<float>(a); }  // rounds to nearest even
+inline int32_t float_bits(float a) { return __builtin_bit_cast(int32_t, a); }
+inline float bits_float(int32_t a) { return __builtin_bit_cast(float, a); }
+
+// Marks for the derivative, which floats do not carry: the value as a constant, and the value y
+// whose derivative with respect to x is declared to be dy_dx.
+inline float detach(float a) { return a; }
+inline float with_derivative(float y, float, float) { return y; }
+
+template <class T>
+T clamp(const T& x, const T& lo, const T& hi) {
+  return min(max(x, lo), hi);
+}
+template <class T>
+T step(const T& x) {  // 1 if x < 0, else 0
+  return select(x < T(0.0f), T(1.0f), T(0.0f));
+}
+template <class T>
+T nonzero(const T& x) {  // 0 if x == 0, else 1
+  return select(x == T(0.0f), T(0.0f), T(1.0f));
+}
+
+}  // namespace novaphy::math

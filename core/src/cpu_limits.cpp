@@ -1,0 +1,101 @@
+#include "cpu_limits.h"
+
+#include <sched.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <cmath>
+#include <fstream>
+#include <sstream>
+#include <string>
+#include <vector>
+
+namespace novaphy {
+namespace fs = std::filesystem;
+namespace {
+
+// quota / period rounded up; 0 when either is missing or means "no limit".
+int to_cpus(double quota, double period) {
+  if (!(quota > 0.0) || !(period > 0.0)) return 0;
+  return static_cast<int>(std::clamp(std::ceil(quota / period), 1.0, 1.0e6));
+}
+
+int read_v2(const fs::path& folder) {
+  std::ifstream file(folder / "cpu.max");
+  std::string quota;
+  double period = 0.0;
+  if (!(file >> quota >> period) || quota == "max") return 0;
+  std::istringstream number(quota);
+  double value = 0.0;
+  return (number >> value) ? to_cpus(value, period) : 0;
+}
+
+int read_v1(const fs::path& folder) {
+  double quota = 0.0, period = 0.0;
+  std::ifstream quota_file(folder / "cpu.cfs_quota_us"), period_file(folder / "cpu.cfs_period_us");
+  return (quota_file >> quota && period_file >> period) ? to_cpus(quota, period) : 0;
+}
+
+// The smallest limit of `group` and of the groups above it. In a container the group's own path may
+// not exist under the mount; its root then stands for the group.
+int smallest(const fs::path& mount, fs::path group, int (*read)(const fs::path&)) {
+  int limit = 0;
+  group = group.relative_path();
+  while (true) {
+    const int here = read(mount / group);
+    if (here > 0 && (limit == 0 || here < limit)) limit = here;
+    if (group.empty()) return limit;
+    group = group.parent_path();
+  }
+}
+
+bool names_cpu(const std::string& controllers) {
+  std::istringstream list(controllers);
+  for (std::string name; std::getline(list, name, ',');) {
+    if (name == "cpu") return true;
+  }
+  return false;
+}
+
+}  // namespace
+
+int affinity_cpus() {
+  // The mask may be larger than cpu_set_t on a big machine: grow until the kernel accepts the size.
+  for (int cpus = 1024; cpus <= (1 << 20); cpus *= 2) {
+    cpu_set_t* set = CPU_ALLOC(static_cast<size_t>(cpus));
+    if (set == nullptr) break;
+    const size_t bytes = CPU_ALLOC_SIZE(static_cast<size_t>(cpus));
+    CPU_ZERO_S(bytes, set);
+    const int count = sched_getaffinity(0, bytes, set) == 0 ? CPU_COUNT_S(bytes, set) : 0;
+    CPU_FREE(set);
+    if (count > 0) return count;
+  }
+  return static_cast<int>(std::max(1L, sysconf(_SC_NPROCESSORS_ONLN)));
+}
+
+int cgroup_cpu_limit(const fs::path& root) {
+  const fs::path mount = root / "sys/fs/cgroup";
+  std::ifstream file(root / "proc/self/cgroup");
+  int limit = 0;
+  for (std::string line; std::getline(file, line);) {
+    // "0::/path" for v2, "4:cpu,cpuacct:/path" for v1
+    const size_t first = line.find(':');
+    const size_t second = first == std::string::npos ? first : line.find(':', first + 1);
+    if (second == std::string::npos) continue;
+    const std::string controllers = line.substr(first + 1, second - first - 1);
+    const fs::path group = line.substr(second + 1);
+    std::vector<int> found;
+    if (controllers.empty()) {
+      found.push_back(smallest(mount, group, read_v2));
+    } else if (names_cpu(controllers)) {
+      found.push_back(smallest(mount / controllers, group, read_v1));
+      if (controllers != "cpu") found.push_back(smallest(mount / "cpu", group, read_v1));
+    }
+    for (const int here : found) {
+      if (here > 0 && (limit == 0 || here < limit)) limit = here;
+    }
+  }
+  return limit;
+}
+
+}  // namespace novaphy

@@ -1,0 +1,36 @@
+// Internal to core: what the registry of backends shares with its neighbours.
+#pragma once
+
+#include <cstdint>
+#include <filesystem>
+#include <string>
+#include <vector>
+
+#include "novaphy/abi/backend.h"
+#include "novaphy/core/device.h"
+
+namespace novaphy {
+
+inline constexpr int32_t kMaxOrdinal = 64;  // devices per type
+
+const char* device_type_name(DeviceType type);
+// The number of devices of the backend that is in use for a type.
+int32_t active_device_count(DeviceType type);
+
+// One file that looks like a backend, or an entry of the search path that cannot be used (`problem`
+// says why).
+struct BackendCandidate {
+  std::filesystem::path path;
+  std::string name;  // "cuda" of libnovaphy_backend_cuda.so
+  std::string problem;
+};
+std::vector<std::filesystem::path> backend_search_path(std::vector<BackendCandidate>* unusable);
+std::vector<BackendCandidate> find_backends();
+std::string backend_name_of(const std::filesystem::path& path);
+
+// Empty when the table keeps the rules of the ABI, else the rule that it breaks.
+std::string check_backend_table(const novaphy_backend_api* api);
+
+const novaphy_host_api* host_api();
+
+}  // namespace novaphy

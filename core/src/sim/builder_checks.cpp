@@ -1,0 +1,132 @@
+#include "builder_checks.h"
+
+#include <algorithm>
+
+namespace novaphy::detail {
+namespace {
+
+constexpr float kInfiniteExtent = 1.0e6f;  // stands for infinity in bounds, as in Newton
+
+}  // namespace
+
+void check_shape_config(std::string_view function, const ShapeConfig& cfg) {
+  check_not_negative({function, "cfg.density"}, cfg.density);
+  check_not_negative({function, "cfg.ke"}, cfg.ke);
+  check_not_negative({function, "cfg.kd"}, cfg.kd);
+  check_not_negative({function, "cfg.kf"}, cfg.kf);
+  check_not_negative({function, "cfg.ka"}, cfg.ka);
+  check_not_negative({function, "cfg.mu"}, cfg.mu);
+  check_not_negative({function, "cfg.restitution"}, cfg.restitution);
+  check_not_negative({function, "cfg.mu_torsional"}, cfg.mu_torsional);
+  check_not_negative({function, "cfg.mu_rolling"}, cfg.mu_rolling);
+  check_finite({function, "cfg.margin"}, cfg.margin);
+  if (cfg.gap) check_not_negative({function, "cfg.gap"}, *cfg.gap);
+}
+
+Transformf checked_pose(std::string_view function, const Transformf& xform) {
+  check_finite({function, "xform.p"}, xform.p);
+  const Quatf& q = xform.q;
+  const double x = q.x, y = q.y, z = q.z, w = q.w;
+  const double norm = std::sqrt(x * x + y * y + z * z + w * w);
+  // Written so that a NaN is refused.
+  require(std::abs(norm - 1.0) <= 1e-3, ErrorKind::Value, function,
+          ": xform.q: expected a quaternion of length 1 (to 1e-3), got (", q.x, ", ", q.y, ", ",
+          q.z, ", ", q.w, ") of length ", norm);
+  constexpr double kFloatRounding = 0x1p-22;
+  if (std::abs(norm - 1.0) <= kFloatRounding) return xform;
+  return {xform.p,
+          {static_cast<float>(x / norm), static_cast<float>(y / norm), static_cast<float>(z / norm),
+           static_cast<float>(w / norm)}};
+}
+
+Vec3f checked_scale(std::string_view function, GeoType type, const Vec3f& scale) {
+  check_finite({function, "scale"}, scale);
+  switch (type) {
+    case GeoType::PLANE:
+      check_not_negative({function, "scale.x (width)"}, scale.x);
+      check_not_negative({function, "scale.y (length)"}, scale.y);
+      return {scale.x, scale.y, 0.0f};
+    case GeoType::SPHERE:
+      check_positive({function, "scale.x (radius)"}, scale.x);
+      return {scale.x, 0.0f, 0.0f};
+    case GeoType::CAPSULE:
+      check_positive({function, "scale.x (radius)"}, scale.x);
+      check_positive({function, "scale.y (half_height)"}, scale.y);
+      return {scale.x, scale.y, 0.0f};
+    case GeoType::BOX:
+      check_positive({function, "scale.x (hx)"}, scale.x);
+      check_positive({function, "scale.y (hy)"}, scale.y);
+      check_positive({function, "scale.z (hz)"}, scale.z);
+      return scale;
+    case GeoType::NONE:
+      fail(ErrorKind::Value, function, ": type: expected a shape type, got NONE");
+    case GeoType::HFIELD:
+    case GeoType::ELLIPSOID:
+    case GeoType::CYLINDER:
+    case GeoType::MESH:
+    case GeoType::CONE:
+    case GeoType::CONVEX_MESH:
+      fail(ErrorKind::NotImplemented, function,
+           ": type: expected PLANE, SPHERE, CAPSULE or BOX, got ", geo_type_name(type),
+           ", which is not there yet");
+  }
+  fail(ErrorKind::Value, function, ": type: expected a GeoType, got ", static_cast<int32_t>(type));
+}
+
+Transformf plane_pose(std::string_view function, const Vec4f& plane) {
+  require(std::isfinite(plane.x) && std::isfinite(plane.y) && std::isfinite(plane.z) &&
+              std::isfinite(plane.w),
+          ErrorKind::Value, function, ": plane: expected finite numbers, got (", plane.x, ", ",
+          plane.y, ", ", plane.z, ", ", plane.w, ")");
+  const double a = plane.x, b = plane.y, c = plane.z;
+  const double norm = std::sqrt(a * a + b * b + c * c);
+  require(norm > 0.0, ErrorKind::Value, function,
+          ": plane: expected a normal (a, b, c) that is not zero, got (0, 0, 0)");
+  const double nx = a / norm, ny = b / norm, nz = c / norm;
+  const double offset = -static_cast<double>(plane.w) / norm;
+  // The shortest rotation of +z to n: (cross(z, n), 1 + nz), normalised; 1 + nz without
+  // cancellation.
+  double qx = 0.0 - ny, qy = nx, qw = nz >= 0.0 ? 1.0 + nz : (nx * nx + ny * ny) / (1.0 - nz);
+  const double length = std::sqrt(qx * qx + qy * qy + qw * qw);
+  if (length > 0.0) {
+    qx /= length;
+    qy /= length;
+    qw /= length;
+  } else {  // n = -z: half a turn about x
+    qx = 1.0;
+  }
+  // + 0.0 turns -0 into +0.
+  Transformf pose;
+  pose.p = {static_cast<float>(offset * nx + 0.0), static_cast<float>(offset * ny + 0.0),
+            static_cast<float>(offset * nz + 0.0)};
+  check_finite({function, "plane"}, pose.p);
+  pose.q = {static_cast<float>(qx), static_cast<float>(qy), 0.0f, static_cast<float>(qw)};
+  return pose;
+}
+
+ShapeBounds shape_bounds(GeoType type, const Vec3f& scale) {
+  switch (type) {
+    case GeoType::SPHERE: {
+      const float r = scale.x;
+      return {r, {-r, -r, -r}, {r, r, r}};
+    }
+    case GeoType::CAPSULE: {
+      const float r = scale.x, end = scale.x + scale.y;
+      return {end, {-r, -r, -end}, {r, r, end}};
+    }
+    case GeoType::BOX:
+      return {math::length(scale), -scale, scale};
+    default:
+      break;
+  }
+  // PLANE: the face; what is below it is not bounded.
+  if (scale.x > 0.0f && scale.y > 0.0f) {
+    const Vec3f half = {scale.x * 0.5f, scale.y * 0.5f, 0.0f};
+    return {math::length(half), {-half.x, -half.y, 0.0f}, half};
+  }
+  return {kInfiniteExtent,
+          {-kInfiniteExtent, -kInfiniteExtent, 0.0f},
+          {kInfiniteExtent, kInfiniteExtent, 0.0f}};
+}
+
+}  // namespace novaphy::detail

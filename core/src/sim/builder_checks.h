@@ -1,0 +1,81 @@
+// The checks that ModelBuilder makes at add_* and again at finalize. Each throws ErrorKind::Value
+// with a message that names the argument, what was expected and what came.
+#pragma once
+
+#include <cmath>
+#include <cstddef>
+#include <optional>
+#include <sstream>
+#include <string>
+#include <string_view>
+
+#include "novaphy/core/error.h"
+#include "novaphy/core/sim/enums.h"
+#include "novaphy/core/sim/shape_config.h"
+#include "novaphy/math/types.h"
+
+namespace novaphy::detail {
+
+// Who asks, about what: "add_particle: mass" or "finalize: particle_mass[3]".
+struct Where {
+  std::string_view function, argument;
+  std::optional<size_t> element = {};
+};
+inline std::ostream& operator<<(std::ostream& out, const Where& where) {
+  out << where.function << ": " << where.argument;
+  if (where.element) out << '[' << *where.element << ']';
+  return out;
+}
+
+inline bool is_finite(const Vec3f& v) {
+  return std::isfinite(v.x) && std::isfinite(v.y) && std::isfinite(v.z);
+}
+
+inline void check_finite(const Where& where, float value) {
+  require(std::isfinite(value), ErrorKind::Value, where, ": expected a finite number, got ", value);
+}
+inline void check_finite(const Where& where, const Vec3f& v) {
+  require(is_finite(v), ErrorKind::Value, where, ": expected finite numbers, got (", v.x, ", ", v.y,
+          ", ", v.z, ")");
+}
+inline void check_not_negative(const Where& where, float value) {
+  require(std::isfinite(value) && value >= 0.0f, ErrorKind::Value, where,
+          ": expected a finite number >= 0, got ", value);
+}
+inline void check_positive(const Where& where, float value) {
+  require(std::isfinite(value) && value > 0.0f, ErrorKind::Value, where,
+          ": expected a finite number > 0, got ", value);
+}
+
+// A mass whose inverse is a float too, or 0.
+inline void check_mass(const Where& where, float mass) {
+  check_not_negative(where, mass);
+  require(mass == 0.0f || std::isfinite(1.0f / mass), ErrorKind::Value, where,
+          ": expected 0 or a mass whose inverse is finite, got ", mass);
+}
+inline void check_particle_flags(const Where& where, int32_t flags) {
+  require((flags & ~static_cast<int32_t>(ParticleFlags::ACTIVE)) == 0, ErrorKind::Value, where,
+          ": expected 0 or ParticleFlags.ACTIVE (1), got ", flags);
+}
+
+// Checks the numbers of a material and its gap.
+void check_shape_config(std::string_view function, const ShapeConfig& cfg);
+// Checks a pose and returns it with a unit quaternion. A quaternion that is of unit length to float
+// rounding keeps its bits, so that normalising twice changes nothing; one that misses by more than
+// 1e-3 is refused.
+Transformf checked_pose(std::string_view function, const Transformf& xform);
+// Checks the size of a shape and returns it with unused components zero. ErrorKind::NotImplemented:
+// a type that is not there yet.
+Vec3f checked_scale(std::string_view function, GeoType type, const Vec3f& scale);
+// The pose whose local +z is the normal of a*x + b*y + c*z + d = 0, at the point of the plane
+// nearest to the origin.
+Transformf plane_pose(std::string_view function, const Vec4f& plane);
+
+// Bounds of a shape in its own frame, see Model::shape_collision_radius and shape_aabb_lower.
+struct ShapeBounds {
+  float radius;
+  Vec3f lower, upper;
+};
+ShapeBounds shape_bounds(GeoType type, const Vec3f& scale);
+
+}  // namespace novaphy::detail

@@ -1,0 +1,81 @@
+#include "novaphy/core/sim/contacts.h"
+
+#include <algorithm>
+#include <utility>
+
+#include "novaphy/core/error.h"
+
+namespace novaphy {
+namespace {
+
+ContactCounts checked_counts(const ContactsOptions& options) {
+  require(options.soft_contact_max >= 0, ErrorKind::Value,
+          "Contacts: soft_contact_max: expected >= 0, got ", options.soft_contact_max);
+  require(options.soft_contact_pair_count >= 0, ErrorKind::Value,
+          "Contacts: soft_contact_pair_count: expected >= 0, got ",
+          options.soft_contact_pair_count);
+  return {.soft_contact_max = options.soft_contact_max,
+          .soft_contact_pair_count = options.soft_contact_pair_count};
+}
+
+}  // namespace
+
+Contacts::Contacts(const ContactsOptions& options, Device device)
+    : requires_grad(options.requires_grad),
+      counts_(checked_counts(options)),
+      device_(device),
+      model_id_(options.model_id) {
+  allocate(counts_, device_);
+  soft_contact_particle.fill(-1);
+  soft_contact_shape.fill(-1);
+  soft_contact_tids.fill(-1);
+}
+
+Contacts::Contacts(const Contacts& source, ContactFields fields)
+    : ContactFields(std::move(fields)),
+      requires_grad(source.requires_grad),
+      counts_(source.counts_),
+      device_(source.device_),
+      model_id_(source.model_id_) {}
+
+void Contacts::clear() {
+  soft_contact_count.zero();
+  soft_contact_particle.fill(-1);
+  soft_contact_shape.fill(-1);
+  soft_contact_body_pos.zero();
+  soft_contact_body_vel.zero();
+  soft_contact_normal.zero();
+  soft_contact_tids.fill(-1);
+  contact_generation.fill(contact_generation.to_host()[0] + 1);
+}
+
+int32_t Contacts::active_soft_contact_count() const {
+  return std::clamp(soft_contact_count.to_host()[0], 0, counts_.soft_contact_max);
+}
+
+bool Contacts::overflowed() const {
+  return soft_contact_count.to_host()[0] > counts_.soft_contact_max;
+}
+
+std::vector<SoftContact> Contacts::soft_contacts() const {
+  const auto particle = soft_contact_particle.to_host();
+  const auto shape = soft_contact_shape.to_host();
+  const auto body_pos = soft_contact_body_pos.to_host();
+  const auto body_vel = soft_contact_body_vel.to_host();
+  const auto normal = soft_contact_normal.to_host();
+  std::vector<SoftContact> contacts(static_cast<size_t>(active_soft_contact_count()));
+  for (size_t i = 0; i < contacts.size(); ++i)
+    contacts[i] = {particle[i], shape[i], body_pos[i], body_vel[i], normal[i]};
+  return contacts;
+}
+
+void Contacts::assign(const Contacts& source) {
+  detail::assign_fields(detail::mutable_fields<ContactFields>(*this),
+                        detail::const_fields<ContactFields>(source), "Contacts.assign");
+}
+
+Contacts Contacts::clone() const {
+  return Contacts(*this, detail::copy_fields<ContactFields>(*this, device_));
+}
+
+}  // namespace novaphy

@@ -1,0 +1,37 @@
+#include "novaphy/core/sim/fields.h"
+
+#include "novaphy/core/error.h"
+
+namespace novaphy::detail {
+
+void check_fields(const std::vector<ConstField>& fields, const std::vector<size_t>& expected_rows,
+                  Device device, const char* what) {
+  require(fields.size() == expected_rows.size(), ErrorKind::Runtime, what, ": ", fields.size(),
+          " fields but ", expected_rows.size(), " row counts");
+  for (size_t i = 0; i < fields.size(); ++i) {
+    const FieldInfo& info = fields[i].info;
+    const Array& array = *fields[i].array;
+    require(array.rows() == expected_rows[i] && array.width() == info.width, ErrorKind::Value, what,
+            ": ", info.name, ": expected ", expected_rows[i], " rows (", info.count_name,
+            ") of width ", info.width, ", got ", array.rows(), " rows of width ", array.width());
+    require(array.device() == device || array.rows() == 0, ErrorKind::Value, what, ": ", info.name,
+            ": expected an array on ", device.str(), ", got one on ", array.device().str());
+  }
+}
+
+void assign_fields(const std::vector<MutableField>& targets, const std::vector<ConstField>& sources,
+                   const char* what) {
+  for (size_t i = 0; i < targets.size(); ++i) {
+    const Array& target = *targets[i].array;
+    const Array& source = *sources[i].array;
+    require(source.rows() == target.rows() && source.width() == target.width(), ErrorKind::Value,
+            what, ": ", targets[i].info.name, ": expected ", target.rows(), " rows, got ",
+            source.rows());
+    require(source.device() == target.device() || target.rows() == 0, ErrorKind::Value, what, ": ",
+            targets[i].info.name, ": expected an array on ", target.device().str(), ", got one on ",
+            source.device().str());
+  }
+  for (size_t i = 0; i < targets.size(); ++i) targets[i].array->assign(*sources[i].array);
+}
+
+}  // namespace novaphy::detail

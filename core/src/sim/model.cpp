@@ -1,0 +1,57 @@
+#include "novaphy/core/sim/model.h"
+
+#include <atomic>
+#include <cmath>
+
+#include "novaphy/core/error.h"
+
+namespace novaphy {
+namespace {
+
+uint64_t next_model_id() {
+  static std::atomic<uint64_t> next{1};
+  return next.fetch_add(1, std::memory_order_relaxed);
+}
+
+}  // namespace
+
+Model::Model(const ModelCounts& counts, Device device, Axis up_axis)
+    : counts_(counts), device_(device), up_axis_(up_axis), id_(next_model_id()) {}
+
+SimState Model::state(std::optional<bool> grad) const {
+  SimState state(*this);
+  state.requires_grad = grad.value_or(requires_grad);
+  state.particle_q.assign(particle_q);
+  state.particle_qd.assign(particle_qd);
+  return state;
+}
+
+Control Model::control(std::optional<bool> grad) const {
+  Control control(*this);
+  control.requires_grad = grad.value_or(requires_grad);
+  return control;
+}
+
+void Model::set_gravity(const Vec3f& value, std::optional<int32_t> world) {
+  require(std::isfinite(value.x) && std::isfinite(value.y) && std::isfinite(value.z),
+          ErrorKind::Value, "set_gravity: value: expected finite numbers, got (", value.x, ", ",
+          value.y, ", ", value.z, ")");
+  if (!world) {
+    gravity.fill(value);
+    return;
+  }
+  require(*world >= 0 && *world < world_count(), ErrorKind::Index,
+          "set_gravity: world: expected 0 to ", world_count() - 1, ", got ", *world);
+  std::vector<Vec3f> values = gravity.to_host();
+  values[static_cast<size_t>(*world)] = value;
+  gravity.copy_from_host(std::span<const Vec3f>(values));
+}
+
+std::shared_ptr<Model> Model::to(Device device) const {
+  std::shared_ptr<Model> copy(new Model(counts_, device, up_axis_));
+  static_cast<ModelFields&>(*copy) = detail::copy_fields<ModelFields>(*this, device);
+  static_cast<ModelSettings&>(*copy) = *this;
+  return copy;
+}
+
+}  // namespace novaphy

@@ -1,0 +1,97 @@
+#include <algorithm>
+
+#include "builder_checks.h"
+#include "novaphy/core/error.h"
+#include "novaphy/core/sim/model_builder.h"
+
+namespace novaphy {
+namespace {
+
+template <class T>
+void upload(DeviceArray<T>& array, const std::vector<T>& values) {
+  array.copy_from_host(std::span<const T>(values));
+}
+
+}  // namespace
+
+std::shared_ptr<Model> ModelBuilder::finalize(Device device, const FinalizeOptions& options) const {
+  require_device(device);
+  check_sizes();
+  if (!options.skip_validation) check_values();
+
+  const size_t shapes = shapes_.size();
+  // One host column of the shapes.
+  const auto column = [&](auto get) {
+    std::vector<decltype(get(shapes_[0]))> values(shapes);
+    std::transform(shapes_.begin(), shapes_.end(), values.begin(), get);
+    return values;
+  };
+  const auto body = column([](const Shape& s) { return s.body; });
+  const auto flags = column([](const Shape& s) { return s.cfg.flags(); });
+  const auto group = column([](const Shape& s) { return s.cfg.collision_group; });
+  const std::vector<int32_t> world(shapes, -1);
+  const std::vector<Vec2i> pairs =
+      make_shape_contact_pairs(body, flags, group, world, filter_pairs_);
+
+  ModelCounts counts;
+  counts.particle_count = particle_count();
+  counts.shape_count = shape_count();
+  counts.world_count = 1;
+  counts.shape_contact_pair_count = static_cast<int32_t>(pairs.size());
+  std::shared_ptr<Model> model(new Model(counts, device, up_axis_));
+  Model& m = *model;
+  m.allocate(counts, device);
+  m.requires_grad = options.requires_grad;
+
+  upload(m.particle_q, particle_q);
+  upload(m.particle_qd, particle_qd);
+  upload(m.particle_mass, particle_mass);
+  std::vector<float> inv_mass(particle_mass.size());
+  std::transform(particle_mass.begin(), particle_mass.end(), inv_mass.begin(),
+                 [](float mass) { return mass == 0.0f ? 0.0f : 1.0f / mass; });
+  upload(m.particle_inv_mass, inv_mass);
+  upload(m.particle_radius, particle_radius);
+  upload(m.particle_flags, particle_flags);
+  upload(m.particle_world, particle_world);
+  for (const float radius : particle_radius)
+    m.particle_max_radius = std::max(m.particle_max_radius, radius);
+
+  upload(m.shape_body, body);
+  upload(m.shape_flags, flags);
+  upload(m.shape_collision_group, group);
+  upload(m.shape_world, world);
+  upload(m.shape_contact_pairs, pairs);
+  upload(m.shape_transform, column([](const Shape& s) { return s.xform; }));
+  upload(m.shape_type, column([](const Shape& s) { return static_cast<int32_t>(s.type); }));
+  upload(m.shape_scale, column([](const Shape& s) { return s.scale; }));
+  upload(m.shape_is_solid,
+         column([](const Shape& s) { return static_cast<uint8_t>(s.cfg.is_solid); }));
+  upload(m.shape_margin, column([](const Shape& s) { return s.cfg.margin; }));
+  upload(m.shape_gap, column([](const Shape& s) { return s.gap; }));
+  upload(m.shape_material_ke, column([](const Shape& s) { return s.cfg.ke; }));
+  upload(m.shape_material_kd, column([](const Shape& s) { return s.cfg.kd; }));
+  upload(m.shape_material_kf, column([](const Shape& s) { return s.cfg.kf; }));
+  upload(m.shape_material_ka, column([](const Shape& s) { return s.cfg.ka; }));
+  upload(m.shape_material_mu, column([](const Shape& s) { return s.cfg.mu; }));
+  upload(m.shape_material_restitution, column([](const Shape& s) { return s.cfg.restitution; }));
+  upload(m.shape_material_mu_torsional, column([](const Shape& s) { return s.cfg.mu_torsional; }));
+  upload(m.shape_material_mu_rolling, column([](const Shape& s) { return s.cfg.mu_rolling; }));
+  const auto bounds = column([](const Shape& s) { return detail::shape_bounds(s.type, s.scale); });
+  std::vector<float> radius(shapes);
+  std::vector<Vec3f> lower(shapes), upper(shapes);
+  for (size_t i = 0; i < shapes; ++i) {
+    radius[i] = bounds[i].radius;
+    lower[i] = bounds[i].lower;
+    upper[i] = bounds[i].upper;
+  }
+  upload(m.shape_collision_radius, radius);
+  upload(m.shape_aabb_lower, lower);
+  upload(m.shape_aabb_upper, upper);
+  m.shape_label = column([](const Shape& s) { return s.label; });
+  m.shape_collision_filter_pairs = filter_pairs_;
+
+  m.gravity.fill(gravity);
+  return model;
+}
+
+}  // namespace novaphy

@@ -1,0 +1,50 @@
+#include "novaphy/core/sim/sim_state.h"
+
+#include <utility>
+
+#include "novaphy/core/sim/model.h"
+
+namespace novaphy {
+
+SimState::SimState(const Model& model)
+    : requires_grad(model.requires_grad),
+      counts_(model.counts()),
+      device_(model.device()),
+      model_id_(model.id()) {
+  allocate(counts_, device_);
+  // A pose of zeros is no pose.
+  body_q.fill(Transformf::identity());
+}
+
+SimState::SimState(const Model& model, StateFields fields)
+    : StateFields(std::move(fields)),
+      requires_grad(model.requires_grad),
+      counts_(model.counts()),
+      device_(model.device()),
+      model_id_(model.id()) {
+  detail::check_fields(detail::const_fields<StateFields>(*this), expected_rows(counts_), device_,
+                       "SimState");
+}
+
+SimState::SimState(const SimState& source, StateFields fields)
+    : StateFields(std::move(fields)),
+      requires_grad(source.requires_grad),
+      counts_(source.counts_),
+      device_(source.device_),
+      model_id_(source.model_id_) {}
+
+void SimState::clear_forces() {
+  particle_f.zero();
+  body_f.zero();
+}
+
+void SimState::assign(const SimState& source) {
+  detail::assign_fields(detail::mutable_fields<StateFields>(*this),
+                        detail::const_fields<StateFields>(source), "SimState.assign");
+}
+
+SimState SimState::clone() const {
+  return SimState(*this, detail::copy_fields<StateFields>(*this, device_));
+}
+
+}  // namespace novaphy

@@ -1,0 +1,33 @@
+#include "novaphy/diff/tensor_views.h"
+
+#include "novaphy/nova/kernel.h"
+#include "novaphy/nova/tape.h"
+
+namespace novaphy::diff {
+
+#define NOVAPHY_DEFINE_STATE_VIEW(field)                                           \
+  nova::Tensor state_##field##_tensor(const SimState& state, bool requires_grad) { \
+    return nova::Tensor::view(state.field, requires_grad);                         \
+  }
+NOVAPHY_STATE_VIEWS(NOVAPHY_DEFINE_STATE_VIEW)
+
+#define NOVAPHY_DEFINE_MODEL_VIEW(field)                                        \
+  nova::Tensor model_##field##_tensor(const Model& model, bool requires_grad) { \
+    return nova::Tensor::view(model.field, requires_grad);                      \
+  }
+NOVAPHY_MODEL_VIEWS(NOVAPHY_DEFINE_MODEL_VIEW)
+
+void update_inverse_mass(Model& model) {
+  static const nova::Kernel kernel = nova::make_kernel(
+      "inverse_mass", {{"particle_mass", nova::DType::F32, 1, nova::Access::Direct}},
+      {{"particle_inv_mass", 1}}, [](nova::TraceContext& c) {
+        const nova::Real m = c.f32(0), zero = 0.0f;
+        return std::vector{select(m == zero, zero, nova::Real(1.0f) / m)};
+      });
+  nova::NoGrad no_grad;
+  const nova::Operand in = nova::Tensor::view(model.particle_mass).operand();
+  const nova::Operand out = nova::Tensor::view(model.particle_inv_mass).operand();
+  kernel.launch(in.rows, {&in, 1}, {&out, 1});
+}
+
+}  // namespace novaphy::diff

@@ -1,0 +1,57 @@
+// SolverSemiImplicit: forces as springs and dampers, then symplectic Euler.
+#pragma once
+
+#include <memory>
+
+#include "novaphy/dynamics/export.h"
+#include "novaphy/dynamics/solver_base.h"
+
+namespace novaphy {
+
+// All finite; the first four >= 0. They act on bodies, joints and triangles, which no model has
+// yet.
+struct SemiImplicitOptions {
+  float angular_damping = 0.05f;    // 1/s
+  float friction_smoothing = 1.0f;  // m/s
+  float joint_attach_ke = 1.0e4f;   // N/m
+  float joint_attach_kd = 1.0e2f;   // N*s/m
+  bool enable_tri_contact = true;
+};
+
+// Covers particles: external forces, soft contacts with world-owned shapes, gravity, the velocity
+// limit. Other parts of a model throw ErrorKind::NotImplemented; there is no contact between
+// particles.
+//
+// One step, in this order:
+//   1. every soft contact adds its force (collision/diff_soft_contact_trace.h) to
+//      state_in.particle_f, for each particle in slot order
+//   2. state_out.particle_q and particle_qd from symplectic Euler (particle_integrator_trace.h);
+//      particles without ParticleFlags.ACTIVE keep position and velocity
+// Of contacts that overflowed the slots that exist act; ask Contacts::overflowed().
+// The result has the same bits for any number of threads, and those of Newton 1.8.0 on the cpu.
+class NOVAPHY_DYNAMICS_API SolverSemiImplicit : public SolverBase {
+ public:
+  // ErrorKind::Value: a bad option; ErrorKind::NotImplemented: a model that is not on the cpu, or
+  // has something that is not covered.
+  explicit SolverSemiImplicit(std::shared_ptr<const Model> model,
+                              const SemiImplicitOptions& options = {});
+  ~SolverSemiImplicit() override;
+
+  const SemiImplicitOptions& options() const { return options_; }
+
+  // Besides the errors of SolverBase::step: ErrorKind::Index for a contact of a particle or shape
+  // that is not there; ErrorKind::NotImplemented for a contact with a shape of a body;
+  // ErrorKind::Value for a model setting that is NaN. On a tape it raises: DiffSemiImplicitSolver
+  // is the differentiable one.
+  void step(SimState& state_in, SimState& state_out, const Control* control,
+            const Contacts* contacts, float dt) override;
+  void notify_model_changed(ModelFlags flags) override;
+
+ private:
+  struct Cache;
+
+  SemiImplicitOptions options_;
+  std::unique_ptr<Cache> cache_;
+};
+
+}  // namespace novaphy

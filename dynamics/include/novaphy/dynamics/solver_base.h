@@ -1,0 +1,47 @@
+// SolverBase: what every solver is.
+#pragma once
+
+#include <memory>
+
+#include "novaphy/core/sim/contacts.h"
+#include "novaphy/core/sim/control.h"
+#include "novaphy/core/sim/enums.h"
+#include "novaphy/core/sim/model.h"
+#include "novaphy/core/sim/sim_state.h"
+#include "novaphy/dynamics/export.h"
+
+namespace novaphy {
+
+// A solver reads the model's arrays and settings at every step, so edited values act at the next
+// one. One thread at a time may use a solver.
+class NOVAPHY_DYNAMICS_API SolverBase {
+ public:
+  explicit SolverBase(std::shared_ptr<const Model> model);  // ErrorKind::Value: null
+  virtual ~SolverBase();
+  SolverBase(const SolverBase&) = delete;
+  SolverBase& operator=(const SolverBase&) = delete;
+
+  const std::shared_ptr<const Model>& model() const { return model_; }
+  Device device() const { return model_->device(); }
+
+  // Advances state_in by dt (s) into state_out. The forces in state_in act, and afterwards hold
+  // those that the solver added; clear them before the next use. `control` null: the model's
+  // defaults; `contacts` null: no contact. ErrorKind::Value: state_in and state_out are one, or
+  // share memory; dt not finite or <= 0; a state, control or contacts of another model or device.
+  virtual void step(SimState& state_in, SimState& state_out, const Control* control,
+                    const Contacts* contacts, float dt) = 0;
+  // False: step may not be called while a capture records.
+  virtual bool supports_graph_capture() const { return false; }
+  // Says that values of the model were edited behind its arrays' back.
+  virtual void notify_model_changed(ModelFlags flags);
+
+ protected:
+  // The checks that every step makes; `name` starts the messages.
+  void check_step(const char* name, const SimState& state_in, const SimState& state_out,
+                  const Control* control, const Contacts* contacts, float dt) const;
+
+ private:
+  std::shared_ptr<const Model> model_;
+};
+
+}  // namespace novaphy

@@ -1,0 +1,31 @@
+// Remembers which bytes, in which version, something was made from.
+#pragma once
+
+#include <cstdint>
+#include <memory>
+
+#include "novaphy/core/device_array.h"
+
+namespace novaphy {
+
+class ArrayStamp {
+ public:
+  // True if the array is the one that was stamped and was not written since. False for an array
+  // that was exported writable: it can change unseen.
+  bool matches(const Array& array) const {
+    const std::shared_ptr<Range> range = range_.lock();
+    return range != nullptr && range == array.range() && version_ == array.version() &&
+           !range->writable_export();
+  }
+  void set(const Array& array) {
+    range_ = array.range();
+    version_ = array.version();
+  }
+  void reset() { range_.reset(); }
+
+ private:
+  std::weak_ptr<Range> range_;
+  uint64_t version_ = 0;
+};
+
+}  // namespace novaphy

@@ -1,0 +1,161 @@
+#include "novaphy/dynamics/semi_implicit/solver_semi_implicit.h"
+
+#include <cmath>
+#include <utility>
+
+#include "novaphy/collision/diff_soft_contact_trace.h"
+#include "novaphy/core/error.h"
+#include "novaphy/core/sim/for_chunks.h"
+#include "novaphy/core/storage.h"
+#include "novaphy/dynamics/semi_implicit/particle_integrator_trace.h"
+#include "particle_contacts.h"
+
+namespace novaphy {
+namespace {
+
+constexpr const char* kName = "SolverSemiImplicit.step";
+constexpr int64_t kChunk = 512;  // particles
+
+void check_option(const char* name, float value) {
+  require(std::isfinite(value) && value >= 0.0f, ErrorKind::Value, "SolverSemiImplicit: ", name,
+          ": expected a finite number >= 0, got ", value);
+}
+
+// The model's settings are plain numbers that anybody may set. Infinity switches a limit off; a NaN
+// is a mistake.
+void check_settings(const Model& model) {
+  const auto check = [](const char* name, float value) {
+    require(!std::isnan(value), ErrorKind::Value, kName, ": model.", name,
+            ": expected a number, got NaN");
+  };
+  check("soft_contact_ke", model.soft_contact_ke);
+  check("soft_contact_kd", model.soft_contact_kd);
+  check("soft_contact_kf", model.soft_contact_kf);
+  check("soft_contact_mu", model.soft_contact_mu);
+  check("particle_adhesion", model.particle_adhesion);
+  check("particle_max_velocity", model.particle_max_velocity);
+}
+
+void check_covered(const Model& model) {
+  const auto check = [](const char* name, int32_t count) {
+    require(count == 0, ErrorKind::NotImplemented, "SolverSemiImplicit: model: expected ", name,
+            " 0 (they are not there yet), got ", count);
+  };
+  check("body_count", model.body_count());
+  check("joint_count", model.joint_count());
+  check("articulation_count", model.articulation_count());
+  check("spring_count", model.spring_count());
+  check("tri_count", model.tri_count());
+  check("edge_count", model.edge_count());
+  check("tet_count", model.tet_count());
+  require(model.device().is_cpu(), ErrorKind::NotImplemented,
+          "SolverSemiImplicit: model: expected one on the cpu, got ", "one on ",
+          model.device().str(), ": other devices are not there yet");
+}
+
+// The contacts of a step, as the force law reads them.
+struct ContactForces {
+  const ParticleContacts& rows;
+  const Contacts& contacts;
+  const Model& model;
+  const SoftContactMaterial<float> model_material{model.soft_contact_ke, model.soft_contact_kd,
+                                                  model.soft_contact_kf, model.soft_contact_mu};
+  const int32_t* shape = contacts.soft_contact_shape.data();
+  const Vec3f* body_pos = contacts.soft_contact_body_pos.data();
+  const Vec3f* body_vel = contacts.soft_contact_body_vel.data();
+  const Vec3f* normal = contacts.soft_contact_normal.data();
+  const float* radius = model.particle_radius.data();
+  const float *ke = model.shape_material_ke.data(), *kd = model.shape_material_kd.data(),
+              *kf = model.shape_material_kf.data(), *mu = model.shape_material_mu.data();
+
+  // f with the forces of the particle's contacts added in slot order.
+  Vec3f add(int64_t particle, const Vec3f& x, const Vec3f& v, Vec3f f) const {
+    for (const int32_t slot : rows.slots(particle)) {
+      const int32_t s = shape[slot];
+      const SoftContactMaterial<float> material =
+          mean_soft_contact_material(model_material, {ke[s], kd[s], kf[s], mu[s]});
+      f = f + soft_contact_force_term(x, v, radius[particle], body_pos[slot], body_vel[slot],
+                                      normal[slot], material, model.particle_adhesion);
+    }
+    return f;
+  }
+};
+
+}  // namespace
+
+struct SolverSemiImplicit::Cache {
+  ParticleContacts contacts;
+  ArrayStamp particle_world;  // its values were checked
+
+  void check_worlds(const Model& model) {
+    if (particle_world.matches(model.particle_world)) return;
+    const int32_t* world = model.particle_world.data();
+    for (int32_t p = 0; p < model.particle_count(); ++p) {
+      require(world[p] >= -1 && world[p] < model.world_count(), ErrorKind::Index, kName,
+              ": model.particle_world[", p, "]: expected -1 to ", model.world_count() - 1, ", got ",
+              world[p]);
+    }
+    particle_world.set(model.particle_world);
+  }
+};
+
+SolverSemiImplicit::SolverSemiImplicit(std::shared_ptr<const Model> model,
+                                       const SemiImplicitOptions& options)
+    : SolverBase(std::move(model)), options_(options), cache_(std::make_unique<Cache>()) {
+  check_option("angular_damping", options.angular_damping);
+  check_option("friction_smoothing", options.friction_smoothing);
+  check_option("joint_attach_ke", options.joint_attach_ke);
+  check_option("joint_attach_kd", options.joint_attach_kd);
+  check_covered(*this->model());
+}
+
+SolverSemiImplicit::~SolverSemiImplicit() = default;
+
+void SolverSemiImplicit::notify_model_changed(ModelFlags) { *cache_ = Cache(); }
+
+void SolverSemiImplicit::step(SimState& state_in, SimState& state_out, const Control* control,
+                              const Contacts* contacts, float dt) {
+  if (ArrayObserver* observer = array_observer()) observer->untracked_operation(kName);
+  const Model& m = *model();
+  check_step(kName, state_in, state_out, control, contacts, dt);
+  check_settings(m);
+  cache_->check_worlds(m);
+  if (contacts != nullptr) cache_->contacts.update(m, *contacts);
+
+  const Vec3f* q = state_in.particle_q.data();
+  const Vec3f* qd = state_in.particle_qd.data();
+  const int32_t* flags = m.particle_flags.data();
+  const int32_t* world = m.particle_world.data();
+  const float* inv_mass = m.particle_inv_mass.data();
+  const Vec3f* gravity = m.gravity.data();
+  const int32_t last_world = m.world_count() - 1;
+  Vec3f* const q_out = state_out.particle_q.mutable_data();
+  Vec3f* const qd_out = state_out.particle_qd.mutable_data();
+
+  const auto integrate = [&](int64_t p, const Vec3f& f) {
+    const bool active = has_flag(flags[p], ParticleFlags::ACTIVE);
+    const ParticleState<float> next = integrate_particle(
+        active, q[p], qd[p], f, inv_mass[p], gravity[world[p] < 0 ? last_world : world[p]],
+        m.particle_max_velocity, dt);
+    q_out[p] = next.q;
+    qd_out[p] = next.qd;
+  };
+
+  if (contacts == nullptr || cache_->contacts.empty()) {
+    const Vec3f* f = state_in.particle_f.data();
+    for_chunks(m.particle_count(), kChunk, [&](int64_t begin, int64_t end, int64_t) {
+      for (int64_t p = begin; p < end; ++p) integrate(p, f[p]);
+    });
+    return;
+  }
+  const ContactForces forces{.rows = cache_->contacts, .contacts = *contacts, .model = m};
+  Vec3f* const f = state_in.particle_f.mutable_data();
+  for_chunks(m.particle_count(), kChunk, [&](int64_t begin, int64_t end, int64_t) {
+    for (int64_t p = begin; p < end; ++p) {
+      f[p] = forces.add(p, q[p], qd[p], f[p]);
+      integrate(p, f[p]);
+    }
+  });
+}
+
+}  // namespace novaphy

@@ -1,0 +1,157 @@
+// Kernels from traced functions, with generated adjoints.
+//
+//   auto scale = nova::make_indexed_expr_kernel_typed_access_n(
+//       "scale", {{"x", DType::F32, 3, Access::Direct}, {"s", DType::F32, 1, Access::Uniform}}, 3,
+//       [](nova::TraceContext& c) { ... return std::vector<nova::Real>{...}; });
+//   std::vector<nova::Tensor> y = scale(n, {x, s});
+//
+// Inside an active Tape a call is recorded when an input carries a gradient, and Tape::backward
+// runs its adjoint.
+#pragma once
+
+#include <bit>
+#include <functional>
+#include <map>
+#include <memory>
+#include <mutex>
+#include <span>
+#include <string>
+#include <vector>
+
+#include "novaphy/core/backend.h"
+#include "novaphy/nova/adjoint.h"
+#include "novaphy/nova/incidence.h"
+#include "novaphy/nova/tensor.h"
+#include "novaphy/nova/trace.h"
+
+namespace nova {
+
+using ir::Access;
+
+// How a kernel reads a source at output row i.
+//   Direct   row i                          Uniform  row 0
+//   Indexed  row = an entry of an i32 source (a computed row is legal, but has no gradient)
+//   CsrRow   the slots of row i of an Incidence, one per step of the sum
+//   Reduced  row r of a sum over r < extent
+struct SourceSpec {
+  std::string name;
+  DType dtype = DType::F32;
+  int32_t width = 1;
+  Access access = Access::Direct;
+};
+struct OutputSpec {
+  std::string name;
+  int32_t width = 1;
+};
+
+// A launch parameter: 32 bits, float or int.
+struct Param {
+  uint32_t bits = 0;
+  bool is_float = true;
+  Param(float v) : bits(std::bit_cast<uint32_t>(v)) {}
+  Param(int32_t v) : bits(static_cast<uint32_t>(v)), is_float(false) {}
+};
+
+// What a traced function sees.
+class NOVAPHY_NOVA_API TraceContext {
+ public:
+  TraceContext(Trace& trace, const std::vector<SourceSpec>& sources, std::vector<int>& param_types,
+               int loop)
+      : trace_(trace), sources_(sources), param_types_(param_types), loop_(loop) {}
+
+  Int index() const;         // the output row i
+  Int reduce_index() const;  // r: the position in the sum (inside a sum's body)
+  Int slot() const;          // the CSR slot (inside the body of a CSR sum)
+
+  // Column `column` of a source, by its number or name, at the row that its access declares.
+  Real f32(size_t source, int32_t column = 0) const;
+  Int i32(size_t source, int32_t column = 0) const;
+  // At an explicit row. The row must fit the declared access: index() for Direct, an i32() value
+  // for Indexed, ...
+  Real f32(size_t source, const Int& row, int32_t column) const;
+  Int i32(size_t source, const Int& row, int32_t column) const;
+  size_t source(const std::string& name) const;  // the number of a source
+
+  Real param(int32_t k) const;     // launch parameter k as float
+  Int param_i32(int32_t k) const;  // launch parameter k as int
+
+ private:
+  Int implied_row(size_t source) const;
+  void check_row(size_t source, const Int& row) const;
+  ir::Value load(ir::Op op, ir::Type type, size_t source, const Int& row, int32_t column) const;
+  Trace& trace_;
+  const std::vector<SourceSpec>& sources_;
+  std::vector<int>& param_types_;  // per parameter: 0 unknown, 1 float, 2 int
+  int loop_;                       // the loop whose body is traced, or -1
+};
+
+using TraceFn = std::function<std::vector<Real>(TraceContext&)>;
+// epilogue(context, sums) -> outputs
+using EpilogueFn = std::function<std::vector<Real>(TraceContext&, std::span<const Real>)>;
+
+struct ReduceFns {
+  TraceFn init;         // initial values of the sums; empty: +0
+  TraceFn body;         // the terms at (i, r)
+  EpilogueFn epilogue;  // empty: the sums themselves
+};
+
+class Kernel;
+namespace detail {
+struct KernelImpl;
+}
+
+// Options of one call.
+struct LaunchOptions {
+  std::span<const Param> params = {};
+  int32_t extent = 0;              // of a fixed sum
+  const Incidence* csr = nullptr;  // of a CSR sum: one row per output row
+};
+
+// A Program with its adjoints and compiled modules. Cheap to copy.
+class NOVAPHY_NOVA_API Kernel {
+ public:
+  Kernel() = default;
+  // Allocates the outputs; each is {dim, width}.
+  std::vector<Tensor> operator()(int64_t dim, std::span<const Tensor> inputs,
+                                 const LaunchOptions& options = {}) const;
+  std::vector<Tensor> operator()(int64_t dim, std::initializer_list<Tensor> inputs,
+                                 const LaunchOptions& options = {}) const {
+    return (*this)(dim, std::span<const Tensor>(inputs.begin(), inputs.size()), options);
+  }
+  // Into given memory: what the engine's own operators call. Recorded like the form above.
+  void launch(int64_t dim, std::span<const Operand> inputs, std::span<const Operand> outputs,
+              const LaunchOptions& options = {}) const;
+
+  const std::string& name() const;
+  const std::vector<SourceSpec>& sources() const;
+  const std::vector<OutputSpec>& outputs() const;
+  const ir::Program& program() const;  // what runs: canonical, without tracing marks
+  const ir::Program& traced() const;   // with them
+  uint64_t hash() const;
+  std::string source() const;  // the Program as text
+  // The plan for a set of gradients, made once and kept.
+  const AdjointPlan& adjoint(const AdjointMask& mask) const;
+  const std::shared_ptr<detail::KernelImpl>& impl() const { return impl_; }
+  explicit Kernel(std::shared_ptr<detail::KernelImpl> impl) : impl_(std::move(impl)) {}
+
+ private:
+  std::shared_ptr<detail::KernelImpl> impl_;
+};
+using IndexedKernel = Kernel;
+
+// out[i, 0..n_out) = f(i)
+NOVAPHY_NOVA_API Kernel make_indexed_expr_kernel_typed_access_n(std::string name,
+                                                                std::vector<SourceSpec> sources,
+                                                                int32_t n_out,
+                                                                const TraceFn& trace);
+// out[i, 0..n_out) = epilogue(i, ordered sum over r < extent of body(i, r), starting from init(i)).
+// The sum runs over a CSR row when a source is CsrRow, else over `extent` items.
+NOVAPHY_NOVA_API Kernel make_indexed_fixed_reduce_expr_kernel_typed_access_n(
+    std::string name, std::vector<SourceSpec> sources, int32_t n_out, const ReduceFns& fns);
+// The same with several named outputs, whose columns the functions return one after the other.
+NOVAPHY_NOVA_API Kernel make_kernel(std::string name, std::vector<SourceSpec> sources,
+                                    std::vector<OutputSpec> outputs, const TraceFn& trace);
+NOVAPHY_NOVA_API Kernel make_reduce_kernel(std::string name, std::vector<SourceSpec> sources,
+                                           std::vector<OutputSpec> outputs, const ReduceFns& fns);
+
+}  // namespace nova

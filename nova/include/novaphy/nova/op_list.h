@@ -1,0 +1,144 @@
+// OpList: recorded launches, copies and fills. It is what a capture replays; everything that the
+// runtime does to device memory goes through submit_*, which either runs it now or records it into
+// the capture of this thread.
+#pragma once
+
+#include <cstdint>
+#include <map>
+#include <memory>
+#include <span>
+#include <vector>
+
+#include "novaphy/core/backend.h"
+#include "novaphy/core/storage.h"
+#include "novaphy/nova/export.h"
+
+namespace nova {
+
+using novaphy::Range;
+
+namespace detail {
+struct RowLayout;
+struct Segment;
+}  // namespace detail
+
+class NOVAPHY_NOVA_API OpList {
+ public:
+  struct Op {
+    enum class Kind : uint8_t { Launch, Copy, Fill } kind;
+    uint32_t first_word = 0, word_count = 0;  // Launch: argument words
+    int64_t n = 0;                            // Launch: domain; Copy and Fill: bytes
+    novaphy_kernel* kernel = nullptr;
+    const char* name = "";
+    void* target = nullptr;
+    const void* source = nullptr;
+    uint32_t pattern = 0;
+    const detail::RowLayout* layout =
+        nullptr;  // Launch: how the arguments depend on the row; null: unknown
+  };
+
+  void add(Op op, std::span<const uint64_t> words);
+  // Keeps a range (or a kernel) alive for as long as the list lives.
+  void hold(std::shared_ptr<const void> owner, size_t bytes = 0) {
+    held_.push_back(std::move(owner));
+    held_bytes_ += bytes;
+  }
+  size_t held_bytes() const { return held_bytes_; }
+  void writes(const std::shared_ptr<Range>& range);
+  // The recording depends on the present value of the range (an index table): launch throws once it
+  // was changed.
+  void freeze(const std::shared_ptr<Range>& range);
+  // Whether the gradient of the range holds something after this point of the recording.
+  void gradient(const std::shared_ptr<Range>& range, bool valid) { gradients_[range] = valid; }
+  size_t size() const { return ops_.size(); }
+  const std::vector<Op>& ops() const { return ops_; }
+  uint64_t id() const { return id_; }
+
+  // Runs all operations in order. No allocation, lock or check per operation; the versions of all
+  // written ranges are raised once at the end. Stretches in which every operation touches written
+  // memory at its own row only run block by block of rows, so that a block stays in the cache: the
+  // same results, less memory traffic.
+  void launch() const;
+  // The same for a list that is run once, by the code that recorded it: the versions were raised
+  // then.
+  void run_once() const;
+
+  OpList();
+  ~OpList();
+  OpList(const OpList&) = delete;
+  OpList& operator=(const OpList&) = delete;
+  const novaphy::DeviceContext* context = nullptr;  // of the first operation; all must agree
+
+ private:
+  void run() const;
+  uint64_t id_;
+  std::vector<Op> ops_;
+  std::vector<uint64_t> words_;
+  mutable std::vector<detail::Segment> segments_;  // found at the first launch
+  std::vector<std::shared_ptr<const void>> held_;
+  size_t held_bytes_ = 0;
+  std::vector<std::shared_ptr<Range>> written_;
+  std::vector<const Range*> written_keys_;                           // sorted, to add each once
+  std::vector<std::pair<std::shared_ptr<Range>, uint64_t>> frozen_;  // with the version then
+  std::map<std::shared_ptr<Range>, bool> gradients_;                 // valid after a launch?
+};
+
+// While one is alive, launches, copies and fills of this thread are recorded and not run. Host
+// reads and other work that cannot be recorded raise, naming the call.
+class NOVAPHY_NOVA_API ScopedCapture {
+ public:
+  ScopedCapture();
+  ~ScopedCapture();
+  ScopedCapture(const ScopedCapture&) = delete;
+  ScopedCapture& operator=(const ScopedCapture&) = delete;
+  void end();  // stops recording; the destructor does it too
+  const std::shared_ptr<OpList>& graph() const { return graph_; }
+
+ private:
+  std::shared_ptr<OpList> graph_;
+  bool active_ = true;
+};
+NOVAPHY_NOVA_API OpList* current_capture();  // of this thread, or null
+
+// While one is alive, what this thread submits is collected and then run as one list, so that its
+// operations can share the cache. Does nothing inside a capture (the capture collects already).
+// flush() runs what there is.
+class NOVAPHY_NOVA_API DeferredScope {
+ public:
+  explicit DeferredScope(bool wanted);
+  ~DeferredScope();  // discards what was not flushed: an exception is on its way
+  DeferredScope(const DeferredScope&) = delete;
+  DeferredScope& operator=(const DeferredScope&) = delete;
+  void flush();
+  void pause();   // flush, and run directly from now on
+  void resume();  // collect again
+  size_t held_bytes() const;
+
+ private:
+  std::unique_ptr<OpList> list_;
+  bool wanted_;
+};
+
+// Runs what a DeferredScope of this thread has collected: for whoever is about to look at the
+// memory.
+NOVAPHY_NOVA_API void flush_deferred();
+
+// Launches over the domain n. `words` are the argument words; `name` is for messages and must
+// outlive the list.
+NOVAPHY_NOVA_API void submit_launch(const novaphy::DeviceContext& context, novaphy_kernel* kernel,
+                                    const char* name, int64_t n, std::span<const uint64_t> words,
+                                    const detail::RowLayout* layout = nullptr);
+NOVAPHY_NOVA_API void submit_copy(const std::shared_ptr<Range>& target,
+                                  const std::shared_ptr<Range>& source);
+NOVAPHY_NOVA_API void submit_fill(const std::shared_ptr<Range>& target, float value);
+// Says that a submitted operation writes the range: raises its version, now and at every replay.
+NOVAPHY_NOVA_API void note_write(const std::shared_ptr<Range>& range);
+// Runs now even while a capture records: for what is derived from index tables, which a capture
+// freezes.
+NOVAPHY_NOVA_API void launch_now(const novaphy::DeviceContext& context, novaphy_kernel* kernel,
+                                 const char* name, int64_t n, std::span<const uint64_t> words);
+// Keeps the owner alive while the capture or deferred list of this thread (if any) lives. `bytes`:
+// memory that only the list needs.
+NOVAPHY_NOVA_API void hold_in_capture(const std::shared_ptr<const void>& owner, size_t bytes = 0);
+
+}  // namespace nova

@@ -1,0 +1,96 @@
+// Tape: records the launches whose inputs carry gradients, and runs their adjoints in reverse.
+//
+// Rules:
+//  - A leaf is a range that no operation of the tape writes. Only leaves accumulate over calls of
+//  backward; every
+//    other gradient is unset at its start, the first contribution stores, later ones add in a fixed
+//    order.
+//  - Operands are held by reference with their version. When an adjoint would read a value that was
+//  overwritten
+//    since, backward throws and names the operation and the input. Nothing is copied.
+//  - A leaf that was read with different values has no gradient of both: backward throws.
+//  - Kernels run and are recorded on the thread on which the tape is active.
+#pragma once
+
+#include <functional>
+#include <memory>
+#include <span>
+#include <string>
+#include <vector>
+
+#include "novaphy/nova/kernel.h"
+#include "novaphy/nova/tensor.h"
+
+namespace nova {
+
+// Gradients of the outputs in (undefined where there is none), gradients of the inputs out
+// (likewise).
+using BackwardFn = std::function<std::vector<Tensor>(const std::vector<Tensor>&)>;
+
+class NOVAPHY_NOVA_API Tape {
+ public:
+  Tape();
+  ~Tape();
+  Tape(const Tape&) = delete;
+  Tape& operator=(const Tape&) = delete;
+
+  // Makes this the active tape of the thread; throws when another one is active.
+  void begin();
+  void end();
+  static Tape* active();  // of this thread, or null; null inside NoGrad
+
+  // Pulls the gradient of `loss` back to every leaf. `loss` must be written by an operation of this
+  // tape. Without `seed` it must hold one value. Throws ErrorKind::Value or Runtime, or what a
+  // custom operation threw; the gradients of leaves are then as before the call.
+  void backward(const Tensor& loss, const Tensor& seed = {});
+  void zero();   // all gradients that this tape touched are zero
+  void reset();  // forgets all operations
+  size_t size() const;
+  std::vector<std::string> op_names() const;
+  size_t memory_bytes() const;  // of the records themselves (not of states and gradients)
+
+  // A differentiable operation that is no kernel: call it after the outputs were computed.
+  void record_custom(std::string name, std::vector<Tensor> inputs, std::vector<Tensor> outputs,
+                     BackwardFn backward);
+
+  // Says that the range now holds a copy of a recorded value which the tape does not follow. Using
+  // it as an input before it is written again throws, because the gradient would stop there. `name`
+  // is for the message.
+  void mark_copied(const std::shared_ptr<Range>& range, const char* name);
+
+  // For Kernel::launch: whether an input carries a gradient; refusals before anything is written;
+  // the record.
+  bool must_record(std::span<const Operand> inputs) const;
+  void check_launch(const detail::KernelImpl& kernel, std::span<const Operand> inputs) const;
+  void record_launch(const std::shared_ptr<detail::KernelImpl>& kernel, int64_t dim,
+                     std::span<const Operand> inputs, std::span<const Operand> outputs,
+                     const LaunchOptions& options, bool recorded);
+
+ private:
+  struct Impl;
+  static std::unique_ptr<Impl>& spare();
+  std::unique_ptr<Impl> impl_;
+};
+
+class NOVAPHY_NOVA_API TapeScope {
+ public:
+  explicit TapeScope(Tape& tape) : tape_(tape) { tape_.begin(); }
+  ~TapeScope() { tape_.end(); }
+  TapeScope(const TapeScope&) = delete;
+  TapeScope& operator=(const TapeScope&) = delete;
+
+ private:
+  Tape& tape_;
+};
+
+// While one is alive nothing of this thread is recorded on a tape.
+class NOVAPHY_NOVA_API NoGrad {
+ public:
+  NoGrad();
+  ~NoGrad();
+  NoGrad(const NoGrad&) = delete;
+  NoGrad& operator=(const NoGrad&) = delete;
+};
+NOVAPHY_NOVA_API bool grad_enabled();
+
+}  // namespace nova

@@ -1,0 +1,131 @@
+// Tensor: a typed view of a byte range, with a gradient. The version, the alias check and the
+// gradient belong to the range, so every view of the same bytes shares them, and a view of an
+// engine array is zero-copy.
+#pragma once
+
+#include <cstdint>
+#include <initializer_list>
+#include <memory>
+#include <span>
+#include <string>
+#include <vector>
+
+#include "novaphy/core/device_array.h"
+#include "novaphy/nova/export.h"
+#include "novaphy/program/ir.h"
+
+namespace nova {
+
+using novaphy::Device;
+using novaphy::ErrorKind;
+using novaphy::Range;
+
+enum class DType : uint8_t { F32, I32, U8 };
+NOVAPHY_NOVA_API const char* dtype_name(DType dtype);  // "float32", "int32", "uint8"
+NOVAPHY_NOVA_API size_t dtype_bytes(DType dtype);
+
+using Shape = std::vector<int64_t>;
+NOVAPHY_NOVA_API std::string shape_str(const Shape& shape);  // "{27, 3}"
+
+// What a launch reads or writes: a range seen as packed rows.
+struct Operand {
+  std::shared_ptr<Range> range;
+  int64_t rows = 0;
+  int32_t width = 1;
+  ir::Type type = ir::Type::F32;
+};
+
+struct TensorImpl {
+  std::shared_ptr<Range> range;
+  Shape shape;
+  DType dtype = DType::F32;
+};
+
+// An engine array as kernels read it: float32 or int32 rows of `width` scalars.
+NOVAPHY_NOVA_API Operand operand_of(const novaphy::Array& array);
+
+class NOVAPHY_NOVA_API Tensor {
+ public:
+  Tensor() = default;  // undefined
+  // Packed rows of `shape`, zero filled.
+  explicit Tensor(Shape shape, DType dtype = DType::F32, Device device = novaphy::default_device());
+  Tensor(std::shared_ptr<Range> range, Shape shape, DType dtype);
+  explicit Tensor(std::shared_ptr<TensorImpl> impl)
+      : impl_(std::move(impl)) {}  // the same tensor, from its impl()
+  static Tensor from_host(std::span<const float> values, Shape shape,
+                          Device device = novaphy::default_device());
+  static Tensor from_host(std::span<const int32_t> values, Shape shape,
+                          Device device = novaphy::default_device());
+  static Tensor full(Shape shape, float value, Device device = novaphy::default_device());
+  // Zero-copy view of an engine array: vec3 rows give {n, 3}. The same array gives the same Tensor
+  // while one is alive. requires_grad = true turns it on for the range; false leaves it as it is.
+  static Tensor view(const novaphy::Array& array, bool requires_grad = false);
+  // Memory of somebody else; `owner` keeps it alive.
+  static Tensor external(void* data, Shape shape, DType dtype, Device device,
+                         std::shared_ptr<void> owner);
+
+  bool defined() const { return impl_ != nullptr; }
+  const Shape& shape() const { return impl_->shape; }
+  int64_t dim(size_t k) const { return impl_->shape[k]; }
+  size_t ndim() const { return impl_->shape.size(); }
+  int64_t size() const;  // scalars
+  int64_t rows() const { return impl_->shape.empty() ? 1 : impl_->shape[0]; }
+  int32_t row_width() const;  // scalars per row
+  DType dtype() const { return impl_->dtype; }
+  Device device() const;
+  size_t bytes() const { return static_cast<size_t>(size()) * dtype_bytes(dtype()); }
+  uint64_t version() const { return impl_->range->version(); }
+  const std::shared_ptr<Range>& range() const { return impl_->range; }
+  const std::shared_ptr<TensorImpl>& impl() const { return impl_; }
+  bool is_external() const;
+  Operand operand() const;       // rows x row_width
+  Operand flat_operand() const;  // size x 1
+
+  bool requires_grad() const;
+  void set_requires_grad(bool on) const;  // float32 only
+  bool has_grad() const;                  // a gradient was computed or asked for
+  Tensor grad() const;                    // made (zero) when there is none
+  void zero_grad() const;
+  bool is_leaf() const;  // no operation of a living tape writes it
+
+  template <class T>
+  const T* data() const {
+    return static_cast<const T*>(impl_->range->data());
+  }
+  std::vector<float> to_host() const;  // float32
+  std::vector<int32_t> to_host_i32() const;
+  float item() const;  // one float32 value
+  void copy_from_host(const void* source, size_t bytes) const;
+
+  Tensor reshape(Shape shape) const;  // the same bytes
+  Tensor detach() const;  // the same bytes, in a view that no tape follows: a copy of the values
+  Tensor clone() const;   // recorded on an active tape
+  void copy_(const Tensor& source) const;  // recorded on an active tape
+  void fill_(float value) const;
+  Tensor to(Device device) const;
+
+ private:
+  std::shared_ptr<TensorImpl> impl_;
+};
+
+struct IncidenceData;
+
+// What the runtime attaches to a range that takes part in differentiation.
+struct GradInfo {
+  bool requires_grad = false;
+  std::shared_ptr<Range> grad;     // same layout as the range; null until needed
+  bool valid = false;              // false: the gradient is zero, whatever the bytes say
+  uint64_t zeroed_in_capture = 0;  // the capture in which it was last zeroed
+  int32_t producers = 0;           // recorded operations of living tapes that write the range
+  std::weak_ptr<TensorImpl> view;  // the canonical view of an engine array
+  std::vector<std::shared_ptr<const IncidenceData>>
+      incidences;  // of an index table, see cached_incidence
+};
+NOVAPHY_NOVA_API GradInfo& grad_info(Range& range);  // made on demand
+inline GradInfo* find_grad_info(const Range& range) {
+  return static_cast<GradInfo*>(range.attachment.get());
+}
+// The gradient's range, allocated on demand; contents are not touched.
+NOVAPHY_NOVA_API const std::shared_ptr<Range>& grad_storage(Range& range);
+
+}  // namespace nova

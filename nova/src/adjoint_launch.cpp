@@ -1,0 +1,138 @@
+#include "adjoint_launch.h"
+
+#include <algorithm>
+
+#include "novaphy/nova/op_list.h"
+
+namespace nova::detail {
+
+using novaphy::Storage;
+using Kind = AdjointBinding::Kind;
+
+Operand temporary(int64_t rows, int32_t width, const novaphy::Device& device) {
+  const auto bytes = static_cast<size_t>(rows) * static_cast<size_t>(width) * sizeof(float);
+  Operand o{Storage::allocate(bytes, device, false)->range(), rows, width};
+  hold_in_capture(o.range, bytes);
+  return o;
+}
+
+namespace {
+
+// The memory that the stages of one call share.
+struct Scratch {
+  std::vector<Operand> contributions;  // one per row-sum of the plan
+  Operand loop_gradient;
+};
+
+void run_stage(const KernelImpl& kernel, const AdjointStage& stage, Executable& code, int64_t n,
+               const AdjointCall& call, const Scratch& scratch,
+               const novaphy::DeviceContext& context) {
+  Words words(code.argument_count);
+  auto source = [&](const std::shared_ptr<Range>& range, int64_t rows) {
+    words.pointer(range->data());
+    words.word(static_cast<uint64_t>(rows));
+    hold_in_capture(range);
+  };
+  for (const AdjointBinding& b : stage.sources) {
+    switch (b.kind) {
+      case Kind::PrimalSource:
+        source(call.inputs[b.index]->range, call.inputs[b.index]->rows);
+        break;
+      case Kind::OutputGradient:
+        source(*call.output_gradients[b.index], call.dim);
+        break;
+      case Kind::SourceGradient:
+        source(*call.input_gradients[b.index], call.inputs[b.index]->rows);
+        break;
+      case Kind::LoopGradient:
+        source(scratch.loop_gradient.range, scratch.loop_gradient.rows);
+        break;
+      case Kind::RowOfItem:
+        source((*call.csr)->table.range, (*call.csr)->table.rows);
+        break;
+      case Kind::Contribution:
+        break;  // never read
+    }
+  }
+  auto target = [&](const AdjointBinding& b) -> const std::shared_ptr<Range>& {
+    return b.kind == Kind::SourceGradient ? *call.input_gradients[b.index]
+           : b.kind == Kind::Contribution ? scratch.contributions[b.index].range
+                                          : scratch.loop_gradient.range;
+  };
+  for (const AdjointBinding& b : stage.outputs) words.pointer(target(b)->data());
+  for (const ir::Loop& loop : code.program.loops)
+    if (loop.kind == ir::LoopKind::Csr) {
+      words.pointer((*call.csr)->offsets->data());
+      words.pointer((*call.csr)->items->data());
+    }
+  for (const Param& p : call.params) words.word(p.bits);
+  if (kernel.has_fixed_loop) words.word(static_cast<uint32_t>(call.extent));
+  if (stage.takes_row_count) words.word(static_cast<uint32_t>(call.dim));
+  submit_launch(context, code.get(context), code.program.name.c_str(), n, words.span(),
+                &code.layout);
+  for (const AdjointBinding& b : stage.outputs) {
+    note_write(target(b));
+    hold_in_capture(target(b));
+  }
+}
+
+void run_row_sums(const CompiledPlan& plan, const AdjointCall& call, const Scratch& scratch,
+                  int64_t items) {
+  uint64_t stored = plan.key.accumulate;  // sources whose gradient holds a contribution already
+  for (size_t k = 0; k < plan.plan.row_sums.size(); ++k) {
+    const AdjointRowSum& r = plan.plan.row_sums[k];
+    const uint64_t bit = uint64_t{1} << r.source;
+    Operand out = *call.inputs[r.source];
+    out.range = *call.input_gradients[r.source];
+    bool add = stored & bit;
+    const int64_t domain = r.per_item ? items : call.dim;
+    const int64_t rows = r.kind == AdjointRowSum::Kind::Uniform   ? 1
+                         : r.kind == AdjointRowSum::Kind::Reduced ? call.extent
+                         : r.kind == AdjointRowSum::Kind::Row     ? std::min(domain, out.rows)
+                                                                  : out.rows;
+    if (!add && rows < out.rows) {  // rows that the sum does not reach are zero
+      submit_fill(out.range, 0.0f);
+      add = true;
+    }
+    const Operand* init = add ? &out : nullptr;
+    if (r.kind == AdjointRowSum::Kind::Table) {
+      const Incidence incidence = cached_incidence(*call.inputs[r.table], out.rows);
+      hold_in_capture(incidence);
+      row_sum(scratch.contributions[k], *incidence, init, out);
+    } else {
+      const int64_t stride = r.kind == AdjointRowSum::Kind::Row       ? 1
+                             : r.kind == AdjointRowSum::Kind::Reduced ? call.dim
+                                                                      : domain;
+      row_sum(scratch.contributions[k], rows, stride, init, out);
+    }
+    stored |= bit;
+  }
+}
+
+}  // namespace
+
+void run_adjoint(KernelImpl& kernel, const CompiledPlan& plan, const AdjointCall& call) {
+  const novaphy::Device device = call.inputs[0]->range->storage().device();
+  const novaphy::DeviceContext& context = novaphy::device_context(device);
+  if (call.csr) hold_in_capture(*call.csr);
+  const int64_t items = call.csr ? (*call.csr)->table.rows : call.dim * call.extent;
+  Scratch scratch;
+  for (const AdjointRowSum& r : plan.plan.row_sums) {
+    const int32_t table_width = r.table < 0 ? 1 : call.inputs[r.table]->width;
+    scratch.contributions.push_back(
+        temporary((r.per_item ? items : call.dim) * table_width, r.width, device));
+  }
+  if (plan.items)
+    scratch.loop_gradient =
+        temporary(call.dim, static_cast<int32_t>(kernel.traced.loops[0].sums.size()), device);
+
+  if (plan.rows) run_stage(kernel, plan.plan.rows[0], *plan.rows, call.dim, call, scratch, context);
+  if (plan.items) run_stage(kernel, plan.plan.items[0], *plan.items, items, call, scratch, context);
+  run_row_sums(plan, call, scratch, items);
+
+  const uint64_t unreached = plan.key.wrt & ~plan.key.accumulate & ~plan.reached;
+  for (size_t s = 0; s < call.inputs.size(); ++s)
+    if (unreached >> s & 1) submit_fill(*call.input_gradients[s], 0.0f);
+}
+
+}  // namespace nova::detail

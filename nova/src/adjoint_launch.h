@@ -1,0 +1,25 @@
+// Internal: running the adjoint of one kernel call.
+#pragma once
+
+#include "kernel_impl.h"
+
+namespace nova::detail {
+
+struct AdjointCall {
+  int64_t dim = 0;
+  std::span<const Operand* const> inputs = {};
+  std::span<const std::shared_ptr<Range>* const> input_gradients = {};   // null: not wanted
+  std::span<const std::shared_ptr<Range>* const> output_gradients = {};  // null: none
+  std::span<const Param> params = {};
+  const Incidence* csr = nullptr;
+  int32_t extent = 0;
+};
+
+// Runs (or captures) the stages and row-sums of a plan. Stores into or adds to the gradients as the
+// plan's key says.
+void run_adjoint(KernelImpl& kernel, const CompiledPlan& plan, const AdjointCall& call);
+
+// Memory for one operation; a capture keeps it.
+Operand temporary(int64_t rows, int32_t width, const novaphy::Device& device);
+
+}  // namespace nova::detail

@@ -1,0 +1,445 @@
+// Internal: the reverse sweep over a traced Program, the heart of adjoint generation.
+#pragma once
+
+#include <iterator>
+#include <map>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "novaphy/core/error.h"
+#include "novaphy/nova/adjoint.h"
+#include "novaphy/nova/trace.h"
+#include "novaphy/program/ir.h"
+
+namespace nova::detail {
+
+using ir::Instr;
+using ir::kNone;
+using ir::Op;
+using ir::Value;
+using Kind = AdjointBinding::Kind;
+
+inline bool is_item(const Instr& in) { return in.op == Op::SLOT || in.op == Op::REDUCE_INDEX; }
+
+// Calls f for the operands that a gradient of the result passes to. Integers, comparisons, SIGN,
+// FLOOR, DETACH: none.
+template <class F>
+void for_each_differentiable(const Instr& in, const F& f) {
+  switch (in.op) {
+    case Op::ADD:
+    case Op::SUB:
+    case Op::MUL:
+    case Op::DIV:
+    case Op::MIN:
+    case Op::MAX:
+      f(in.a);
+      f(in.b);
+      break;
+    case Op::NEG:
+    case Op::ABS:
+    case Op::SQRT:
+      f(in.a);
+      break;
+    case Op::FMA:
+      f(in.a);
+      f(in.b);
+      f(in.c);
+      break;
+    case Op::SELECT_F:
+      f(in.b);
+      f(in.c);
+      break;
+    case Op::PARTIAL:
+      f(in.a);
+      f(in.b);
+      break;
+    default:
+      break;
+  }
+}
+
+// Facts about the primal that both stages use.
+struct Primal {
+  const ir::Program& p;
+  const AdjointMask& mask;
+  std::vector<int32_t> section;
+  std::vector<char>
+      active;  // a wanted source is reachable from the value, through differentiable operands
+  mutable ir::Guards guards;  // the sweep adds the sides of selects that guard nothing of their own
+  // The value is outside of the loop and needed for one side of a select in it. Its gradient is a
+  // sum over the items, which no guard covers: it may be 0 where the value is no number.
+  std::vector<char> perhaps_unneeded;
+
+  Primal(const ir::Program& program, const AdjointMask& m)
+      : p(program), mask(m), section(ir::sections(program)) {
+    active.assign(p.instrs.size(), 0);
+    for (size_t v = 0; v < p.instrs.size(); ++v) active[v] = is_active(p.instrs[v]);
+    find_guards();
+  }
+
+  bool is_active(const Instr& in) const {
+    if (in.op == Op::LOAD_F) return mask.wrt[in.a];
+    bool on = false;
+    const auto look = [&](Value v) { on = on || active[v] != 0; };
+    if (in.op == Op::SUM) {
+      look(p.loops[in.a].sums[in.b].init);
+      look(p.loops[in.a].sums[in.b].term);
+    }
+    for_each_differentiable(in, look);
+    return on;
+  }
+
+  // As ir::guards, but a use in a condition does not count, because no gradient comes from there.
+  // So the gradient of what was computed for one side stays on that side, although a condition
+  // needed the value as well. Guards hold across the sections too, except from inside the loop to
+  // outside.
+  void find_guards() {
+    constexpr int32_t kUnused = -1;
+    guards.nodes.push_back({});
+    guards.guard.assign(p.instrs.size(), kUnused);
+    perhaps_unneeded.assign(p.instrs.size(), 0);
+    const auto use = [&](Value v, int32_t guard) {
+      int32_t& g = guards.guard[v];
+      g = g == kUnused ? guard : guards.common(g, guard);
+    };
+    for (const ir::Output& o : p.outputs)
+      for (const Value v : o.values) use(v, 0);
+    for (const ir::Loop& l : p.loops)
+      for (const ir::Sum& s : l.sums) {
+        use(s.init, 0);
+        use(s.term, 0);
+      }
+    for (size_t k = p.instrs.size(); k-- > 0;) {
+      const Instr& in = p.instrs[k];
+      const bool reached = active[k] && guards.guard[k] != kUnused;
+      if (!reached || in.op == Op::SUM) guards.guard[k] = 0;
+      if (!reached) continue;
+      const int32_t guard = guards.guard[k];
+      const auto use_here = [&](Value v, int32_t g) {
+        const bool outward = section[k] == 1 && section[v] != 1;
+        if (perhaps_unneeded[k] || (outward && g != 0)) perhaps_unneeded[v] = 1;
+        use(v, outward ? 0 : g);
+      };
+      if (in.op == Op::SELECT_F) {
+        use_here(in.b, guards.find_or_add(guard, in.a, true));
+        use_here(in.c, guards.find_or_add(guard, in.a, false));
+      } else {
+        for_each_differentiable(in, [&](Value v) { use_here(v, guard); });
+      }
+    }
+  }
+};
+
+// One stage: clones of the primal into a new Program, and the reverse sweep over them.
+class Sweep {
+ public:
+  enum class Domain { Rows, CsrItems, FixedItems };
+
+  Sweep(const Primal& primal, Domain domain, const std::string& suffix)
+      : primal_(primal), p_(primal.p), domain_(domain), trace_(p_.name + suffix) {
+    ir::Program& out = trace_.program();
+    out.sources = p_.sources;
+    out.param_count = p_.param_count;
+    out.contract = p_.contract;
+    for (size_t s = 0; s < p_.sources.size(); ++s) {
+      stage.sources.push_back({Kind::PrimalSource, static_cast<int32_t>(s)});
+      if (domain != Domain::Rows) out.sources[s].access = ir::Access::Indexed;
+    }
+    for (auto& map : clones_) map.assign(p_.instrs.size(), kNone);
+  }
+
+  AdjointStage stage;
+
+  Value add_source(const std::string& name, int32_t width, AdjointBinding binding,
+                   ir::Access access) {
+    trace_.program().sources.push_back({name, ir::Type::F32, width, access});
+    stage.sources.push_back(binding);
+    return static_cast<Value>(trace_.program().sources.size()) - 1;
+  }
+  Value load(int32_t source, Value row, int32_t column) {
+    return trace_.emit({Op::LOAD_F, source, row, column});
+  }
+  Value index() { return trace_.emit({Op::INDEX}); }
+  Trace& trace() { return trace_; }
+
+  // The row of the primal that the lane belongs to.
+  Value primal_row() {
+    if (domain_ == Domain::Rows) return index();
+    if (domain_ == Domain::FixedItems) return trace_.emit({Op::IMOD, index(), row_count()});
+    if (row_of_item_source_ < 0) {
+      trace_.program().sources.push_back({"row_of_item", ir::Type::I32, 1, ir::Access::Direct});
+      stage.sources.push_back({Kind::RowOfItem, 0});
+      row_of_item_source_ = static_cast<int32_t>(trace_.program().sources.size()) - 1;
+    }
+    return trace_.emit({Op::LOAD_I, row_of_item_source_, index(), 0});
+  }
+  Value primal_item() {
+    return domain_ == Domain::CsrItems ? index() : trace_.emit({Op::IDIV, index(), row_count()});
+  }
+
+  // The clone of a primal value; `copy` 0 = as in the primal, 1 = inside the loop that sums
+  // adjoints.
+  Value clone(Value v, int copy) {
+    if (primal_.section[v] % 2 == 0) copy = 0;
+    Value& mapped = clones_[copy][v];
+    if (mapped != kNone) return mapped;
+    Instr in = p_.instrs[v];
+    if (in.op == Op::INDEX) return mapped = primal_row();
+    if (is_item(in)) return mapped = item(in, copy);
+    if (in.op == Op::SUM) return mapped = clone_sum(in);
+    if (in.op == Op::DETACH) return mapped = clone(in.a, copy);
+    if (in.op == Op::PARTIAL) return mapped = clone(in.a, copy);
+    const char* signature = ir::kOpSignatures[static_cast<int>(in.op)];
+    auto is_value = [](char letter) { return letter != '#' && letter != '-'; };
+    if (is_value(signature[1])) in.a = clone(in.a, copy);
+    if (is_value(signature[2])) in.b = clone(in.b, copy);
+    if (is_value(signature[3])) in.c = clone(in.c, copy);
+    return mapped = trace_.emit(in);
+  }
+
+  // Adds `value` to the adjoint of v, as seen under guard g of the primal.
+  void contribute(Value v, int32_t g, Value value) {
+    if (!primal_.active[v]) return;
+    auto [entry, fresh] = adjoints_[v].try_emplace(g, value);
+    if (!fresh) entry->second = add(entry->second, value);
+  }
+
+  // Gives the adjoint of a loop's sum to its term: once per item, also when the term is the same
+  // for all.
+  void contribute_term(Value term, Value value) {
+    if (primal_.section[term] == 1) {
+      contribute(term, 0, value);
+    } else if (primal_.active[term]) {
+      give_outward(term, 0, value, 1);
+    }
+  }
+
+  // Sweeps the values of one section in reverse.
+  void sweep(int32_t section, int copy) {
+    for (size_t k = p_.instrs.size(); k-- > 0;)
+      if (primal_.section[k] == section && primal_.active[k])
+        reverse(static_cast<Value>(k), section, copy);
+  }
+
+  // The adjoint of v with every guard resolved up to `to`, or kNone.
+  Value gather_adjoint(Value v, int32_t to, int copy) {
+    auto found = adjoints_.find(v);
+    if (found == adjoints_.end()) return kNone;
+    auto& by_guard = found->second;
+    while (!by_guard.empty()) {
+      const auto deepest =
+          std::prev(by_guard.end());  // children have larger numbers than their parents
+      const int32_t g = deepest->first;
+      Value value = deepest->second;
+      if (g == to) return value;
+      const ir::Guard& guard = primal_.guards.nodes[g];
+      const Value cond = clone(guard.cond, copy);
+      const Value zero = trace_.constant(0.0f);
+      value = guard.polarity ? trace_.emit({Op::SELECT_F, cond, value, zero})
+                             : trace_.emit({Op::SELECT_F, cond, zero, value});
+      by_guard.erase(deepest);
+      auto [entry, fresh] = by_guard.try_emplace(guard.parent, value);
+      if (!fresh) entry->second = add(entry->second, value);
+    }
+    return kNone;
+  }
+
+  // Adjoint of every load, resolved to "always": (load value in the primal) -> adjoint.
+  std::map<Value, Value> load_adjoints;
+
+  // After the sweep over the loop's section: turns what the body contributed to outer values into
+  // sums of a new loop, each starting from the adjoint that the value has so far.
+  void close_adjoint_loop() {
+    ir::Program& out = trace_.program();
+    for (auto& [v, value] : from_body_) {
+      const Value so_far = gather_adjoint(v, 0, 0);
+      out.loops[adjoint_loop_].sums.push_back(
+          {so_far == kNone ? trace_.constant(0.0f) : so_far, value});
+      const auto number = static_cast<int32_t>(out.loops[adjoint_loop_].sums.size()) - 1;
+      adjoints_[v][0] = trace_.emit({Op::SUM, adjoint_loop_, number});
+    }
+    from_body_.clear();
+    in_body_ = false;
+  }
+  void open_adjoint_loop(const ir::Loop& loop) {
+    ensure_primal_loop();
+    trace_.program().loops.push_back({loop.kind, loop.extent_param, {}});
+    adjoint_loop_ = static_cast<int32_t>(trace_.program().loops.size()) - 1;
+    in_body_ = true;
+  }
+
+ private:
+  Value row_count() {  // an extra parameter behind those of the primal
+    stage.takes_row_count = true;
+    trace_.program().param_count = p_.param_count + 1;
+    return trace_.emit({Op::PARAM_I, p_.param_count});
+  }
+
+  Value item(const Instr& in, int copy) {
+    if (domain_ == Domain::Rows) {
+      if (copy == 0) ensure_primal_loop();
+      return trace_.emit({in.op, copy == 0 ? primal_loop_ : adjoint_loop_});
+    }
+    novaphy::require(
+        domain_ == Domain::FixedItems || in.op == Op::SLOT, novaphy::ErrorKind::NotImplemented,
+        "kernel '", p_.name,
+        "': the position in a CSR row is used where a gradient of a loop source is wanted");
+    return primal_item();
+  }
+
+  void ensure_primal_loop() {
+    if (primal_loop_ >= 0 || p_.loops.empty()) return;
+    const ir::Loop& loop = p_.loops[0];
+    trace_.program().loops.push_back({loop.kind, loop.extent_param, {}});
+    primal_loop_ = static_cast<int32_t>(trace_.program().loops.size()) - 1;
+  }
+
+  Value clone_sum(const Instr& in) {
+    novaphy::require(domain_ == Domain::Rows, novaphy::ErrorKind::Runtime,
+                     "nova: a sum inside of its own loop");
+    ensure_primal_loop();
+    const ir::Sum& sum = p_.loops[in.a].sums[in.b];
+    const Value init = clone(sum.init, 0), term = clone(sum.term, 0);
+    auto& sums = trace_.program().loops[primal_loop_].sums;
+    sums.push_back({init, term});
+    return trace_.emit({Op::SUM, primal_loop_, static_cast<int32_t>(sums.size()) - 1});
+  }
+
+  Value add(Value a, Value b) { return trace_.emit({Op::ADD, a, b}); }
+  Value mul(Value a, Value b) { return trace_.emit({Op::MUL, a, b}); }
+  Value neg(Value a) { return trace_.emit({Op::NEG, a}); }
+  Value choose(Value c, Value a, Value b) { return trace_.emit({Op::SELECT_F, c, a, b}); }
+  // value, but exactly 0 where the incoming gradient is 0: 0 * inf and 0 / 0 stay 0.
+  Value zero_safe(Value gradient, Value value) {
+    const Value zero = trace_.constant(0.0f);
+    return choose(trace_.emit({Op::EQ, gradient, zero}), zero, value);
+  }
+
+  void reverse(Value v, int32_t section, int copy) {
+    const int32_t guard = primal_.guards.guard[v];
+    const Instr& in = p_.instrs[v];
+    if (in.op == Op::LOAD_F) {
+      if (const Value g = gather_adjoint(v, 0, copy); g != kNone) load_adjoints[v] = g;
+      return;
+    }
+    const Value g = gather_adjoint(v, guard, copy);
+    if (g == kNone) return;
+    auto give = [&](Value operand, int32_t under, Value value) {
+      if (!primal_.active[operand]) return;
+      if (primal_.section[operand] == section) {
+        contribute(operand, under, value);
+      } else {  // to a value of an earlier section
+        give_outward(operand, under, value, copy);
+      }
+    };
+    differentiate(v, in, g, guard, copy, give);
+  }
+
+  template <class Give>
+  void differentiate(Value v, const Instr& in, Value g, int32_t guard, int copy, const Give& give) {
+    auto at = [&](Value operand) { return clone(operand, copy); };
+    const Value zero = trace_.constant(0.0f);
+    auto times = [&](Value partial) {
+      const Value product = mul(g, partial);
+      return primal_.perhaps_unneeded[v] ? zero_safe(g, product) : product;
+    };
+    switch (in.op) {
+      case Op::ADD:
+        give(in.a, guard, g);
+        give(in.b, guard, g);
+        break;
+      case Op::SUB:
+        give(in.a, guard, g);
+        if (primal_.active[in.b]) give(in.b, guard, neg(g));
+        break;
+      case Op::MUL:
+        if (primal_.active[in.a]) give(in.a, guard, times(at(in.b)));
+        if (primal_.active[in.b]) give(in.b, guard, times(at(in.a)));
+        break;
+      case Op::DIV: {
+        Value ga = trace_.emit({Op::DIV, g, at(in.b)});
+        if (p_.instrs[in.b].op != Op::CONST_F) ga = zero_safe(g, ga);
+        give(in.a, guard, ga);
+        if (primal_.active[in.b]) give(in.b, guard, zero_safe(g, neg(mul(ga, at(v)))));
+        break;
+      }
+      case Op::NEG:
+        give(in.a, guard, neg(g));
+        break;
+      case Op::ABS:
+        give(in.a, guard, choose(trace_.emit({Op::LT, at(in.a), zero}), neg(g), g));
+        break;
+      case Op::MIN:
+      case Op::MAX: {
+        const Value first = in.op == Op::MIN ? trace_.emit({Op::LT, at(in.a), at(in.b)})
+                                             : trace_.emit({Op::LT, at(in.b), at(in.a)});
+        if (primal_.active[in.a]) give(in.a, guard, choose(first, g, zero));
+        if (primal_.active[in.b]) give(in.b, guard, choose(first, zero, g));
+        break;
+      }
+      case Op::SQRT: {
+        const Value half = mul(g, trace_.constant(0.5f));
+        give(in.a, guard,
+             choose(trace_.emit({Op::LT, zero, at(in.a)}), trace_.emit({Op::DIV, half, at(v)}),
+                    zero));
+        break;
+      }
+      case Op::FMA:
+        if (primal_.active[in.a]) give(in.a, guard, times(at(in.b)));
+        if (primal_.active[in.b]) give(in.b, guard, times(at(in.a)));
+        give(in.c, guard, g);
+        break;
+      case Op::SELECT_F: {
+        // Under the guard of its own side; gather_adjoint turns it into a select where the side is
+        // left.
+        give(in.b, primal_.guards.find_or_add(guard, in.a, true), g);
+        give(in.c, primal_.guards.find_or_add(guard, in.a, false), g);
+        break;
+      }
+      case Op::PARTIAL:
+        give(in.a, guard, g);
+        if (primal_.active[in.b]) give(in.b, guard, zero_safe(g, mul(g, at(in.c))));
+        break;
+      case Op::SUM: {  // passes to the initial value here; to the terms by the caller
+        sum_adjoints[{in.a, in.b}] = gather_adjoint(v, 0, copy);
+        give(p_.loops[in.a].sums[in.b].init, 0, sum_adjoints[{in.a, in.b}]);
+        break;
+      }
+      default:
+        break;
+    }
+  }
+
+  // Inside the loop an outer value collects one term per item; wrapped up to "always" first.
+  void give_outward(Value operand, int32_t guard, Value value, int copy) {
+    if (!in_body_) return contribute(operand, guard, value);  // epilogue to an earlier section
+    for (int32_t g = guard; g != 0; g = primal_.guards.nodes[g].parent)
+      value = wrap(g, value, copy);
+    auto [entry, fresh] = from_body_.try_emplace(operand, value);
+    if (!fresh) entry->second = add(entry->second, value);
+  }
+  Value wrap(int32_t g, Value value, int copy) {
+    const ir::Guard& guard = primal_.guards.nodes[g];
+    const Value cond = clone(guard.cond, copy), zero = trace_.constant(0.0f);
+    return guard.polarity ? choose(cond, value, zero) : choose(cond, zero, value);
+  }
+
+ public:
+  std::map<std::pair<int32_t, int32_t>, Value>
+      sum_adjoints;  // (loop, sum) -> adjoint of its result
+
+ private:
+  const Primal& primal_;
+  const ir::Program& p_;
+  Domain domain_;
+  Trace trace_;
+  std::vector<Value> clones_[2];
+  std::map<Value, std::map<int32_t, Value>> adjoints_;  // value -> guard -> adjoint
+  std::map<Value, Value> from_body_;
+  int32_t row_of_item_source_ = -1;
+  int32_t primal_loop_ = -1, adjoint_loop_ = -1;
+  bool in_body_ = false;
+};
+
+}  // namespace nova::detail

@@ -1,0 +1,66 @@
+#include "novaphy/nova/gradcheck.h"
+
+#include <algorithm>
+#include <cmath>
+#include <sstream>
+
+#include "novaphy/core/error.h"
+#include "novaphy/nova/tape.h"
+
+namespace nova {
+
+GradcheckResult gradcheck(const std::function<Tensor(const std::vector<Tensor>&)>& fn,
+                          const std::vector<Tensor>& inputs, const GradcheckOptions& options) {
+  for (const Tensor& x : inputs) {
+    x.set_requires_grad(true);
+    x.zero_grad();
+  }
+  Tape tape;
+  {
+    TapeScope scope(tape);
+    const Tensor loss = fn(inputs);
+    tape.backward(loss);
+  }
+  auto evaluate = [&] {
+    NoGrad no_grad;
+    return static_cast<double>(fn(inputs).item());
+  };
+  GradcheckResult result;
+  for (size_t k = 0; k < inputs.size(); ++k) {
+    const std::vector<float> ad = inputs[k].grad().to_host();
+    std::vector<float> x = inputs[k].to_host();
+    const std::vector<float> before = x;
+    std::vector<double> fd(x.size());
+    for (size_t i = 0; i < x.size(); ++i) {
+      const float h = options.epsilon * std::max(1.0f, std::fabs(before[i]));
+      const float up = before[i] + h, down = before[i] - h;
+      x[i] = up;
+      inputs[k].copy_from_host(x.data(), x.size() * sizeof(float));
+      const double f_up = evaluate();
+      x[i] = down;
+      inputs[k].copy_from_host(x.data(), x.size() * sizeof(float));
+      const double f_down = evaluate();
+      x[i] = before[i];
+      fd[i] = (f_up - f_down) / (static_cast<double>(up) - static_cast<double>(down));
+    }
+    inputs[k].copy_from_host(before.data(), before.size() * sizeof(float));
+    double scale = 0.0;
+    for (double d : fd) scale = std::max(scale, std::fabs(d));
+    for (size_t i = 0; i < fd.size(); ++i) {
+      const double error = std::fabs(static_cast<double>(ad[i]) - fd[i]);
+      const bool ok =
+          error <= static_cast<double>(options.atol) + static_cast<double>(options.rtol) * scale;
+      if (!ok) result.ok = false;  // also when it is NaN
+      if (!(error <= static_cast<double>(result.max_abs_error))) {
+        result.max_abs_error = static_cast<float>(error);
+        result.max_rel_error = static_cast<float>(error / std::max(scale, 1e-30));
+        std::ostringstream s;
+        s << "input " << k << ", value " << i << ": ad " << ad[i] << ", fd " << fd[i];
+        result.worst = s.str();
+      }
+    }
+  }
+  return result;
+}
+
+}  // namespace nova

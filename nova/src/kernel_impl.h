@@ -1,0 +1,94 @@
+// Internal: compiled Programs and the record of a kernel.
+#pragma once
+
+#include <atomic>
+#include <map>
+#include <mutex>
+
+#include "fusion.h"
+#include "novaphy/nova/kernel.h"
+
+namespace nova::detail {
+
+// A Program and what each device made of it.
+class Executable {
+ public:
+  explicit Executable(ir::Program p)
+      : program(std::move(p)),
+        layout(row_layout(program)),
+        argument_count(program.argument_count()) {}
+  ~Executable();
+  novaphy_kernel* get(const novaphy::DeviceContext& context);
+
+  ir::Program program;
+  RowLayout layout;
+  uint32_t argument_count;
+
+ private:
+  struct Compiled {
+    const novaphy::DeviceContext* context;
+    novaphy_module* module;
+    novaphy_kernel* kernel;
+  };
+  std::atomic<const Compiled*> first_{nullptr};
+  std::mutex mutex_;
+  std::vector<std::unique_ptr<Compiled>> all_;
+};
+
+// Which sources and outputs a reverse step concerns, as bits.
+struct AdjointKey {
+  uint64_t wrt = 0, accumulate = 0;
+  uint32_t seeded = 0;
+  auto operator<=>(const AdjointKey&) const = default;
+};
+
+struct CompiledPlan {
+  AdjointKey key;
+  AdjointPlan plan;
+  std::unique_ptr<Executable> rows, items;
+  uint64_t reached = 0;  // sources that get a gradient; the others' is zero
+};
+
+struct KernelImpl {
+  std::string name;
+  std::vector<SourceSpec> sources;
+  std::vector<OutputSpec> outputs;
+  std::vector<int> param_types;
+  ir::Program traced;
+  std::unique_ptr<Executable> forward;
+  uint64_t hash = 0;
+  bool has_fixed_loop = false, has_csr_loop = false;
+
+  const CompiledPlan& adjoint(const AdjointKey& key);
+
+ private:
+  std::mutex mutex_;
+  std::map<AdjointKey, std::unique_ptr<CompiledPlan>> plans_;
+  std::atomic<const CompiledPlan*> last_{nullptr};  // rollouts ask for the same one again and again
+};
+
+// The argument words of one launch, in the order of <novaphy/abi/program.h>.
+class Words {
+ public:
+  explicit Words(uint32_t count) : count_(count) {
+    if (count > kInline) heap_.resize(count);
+    data_ = count > kInline ? heap_.data() : inline_;
+  }
+  void pointer(const void* p) { data_[used_++] = reinterpret_cast<uint64_t>(p); }
+  void word(uint64_t w) { data_[used_++] = w; }
+  std::span<const uint64_t> span() const { return {data_, used_}; }
+
+ private:
+  static constexpr uint32_t kInline = 96;
+  uint32_t count_, used_ = 0;
+  uint64_t inline_[kInline];
+  uint64_t* data_;
+  std::vector<uint64_t> heap_;
+};
+
+// Runs (or captures) a kernel whose operands were checked; raises the versions of the outputs.
+void run_forward(KernelImpl& kernel, int64_t dim, std::span<const Operand> inputs,
+                 std::span<const Operand> outputs, std::span<const Param> params,
+                 const IncidenceData* csr, int32_t extent);
+
+}  // namespace nova::detail

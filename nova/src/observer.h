@@ -1,0 +1,7 @@
+// Internal: one array observer per thread while a tape or a capture is active there.
+#pragma once
+
+namespace nova::detail {
+void enter_observation();
+void leave_observation();
+}  // namespace nova::detail

@@ -1,0 +1,247 @@
+#include "novaphy/nova/op_list.h"
+
+#include <algorithm>
+#include <bit>
+#include <cstring>
+
+#include "fusion.h"
+#include "novaphy/core/error.h"
+#include "novaphy/core/parallel.h"
+#include "novaphy/nova/tensor.h"
+#include "observer.h"
+
+namespace nova {
+
+using novaphy::DeviceContext;
+using novaphy::ErrorKind;
+using novaphy::require;
+
+namespace {
+
+thread_local OpList* capture = nullptr;                // of a ScopedCapture
+thread_local OpList* deferred = nullptr;               // of a DeferredScope
+thread_local DeferredScope* deferred_scope = nullptr;  // whose list that is
+
+// Where operations are recorded instead of run, or null.
+OpList* recording() { return capture ? capture : deferred; }
+
+void run_copy(const DeviceContext& c, void* target, const void* source, int64_t bytes) {
+  novaphy_error error = novaphy::make_error();
+  novaphy::check(c.api->memory_copy(c.stream, NOVAPHY_COPY_DEVICE_TO_DEVICE, target, source,
+                                    static_cast<uint64_t>(bytes), &error),
+                 error, "copy");
+}
+void run_fill(const DeviceContext& c, void* target, uint32_t pattern, int64_t bytes) {
+  novaphy_error error = novaphy::make_error();
+  novaphy::check(
+      c.api->memory_fill(c.stream, target, pattern, 4, static_cast<uint64_t>(bytes), &error), error,
+      "fill");
+}
+
+void record(const DeviceContext& context, OpList::Op op, std::span<const uint64_t> words = {}) {
+  OpList& list = *recording();
+  require(list.context == nullptr || list.context == &context, ErrorKind::Runtime,
+          "capture: recorded on ", list.context ? list.context->id.str() : "", ", then asked for ",
+          context.id.str(), "; a capture holds the work of one device");
+  list.context = &context;
+  list.add(op, words);
+}
+
+}  // namespace
+
+OpList::~OpList() = default;
+
+OpList::OpList() {
+  static std::atomic<uint64_t> next{0};
+  id_ = ++next;
+}
+
+void OpList::add(Op op, std::span<const uint64_t> words) {
+  op.first_word = static_cast<uint32_t>(words_.size());
+  op.word_count = static_cast<uint32_t>(words.size());
+  words_.insert(words_.end(), words.begin(), words.end());
+  ops_.push_back(op);
+}
+
+void OpList::writes(const std::shared_ptr<Range>& range) {
+  const Range* key = range.get();
+  const auto at = std::lower_bound(written_keys_.begin(), written_keys_.end(), key);
+  if (at != written_keys_.end() && *at == key) return;
+  written_keys_.insert(at, key);
+  written_.push_back(range);
+}
+
+void OpList::freeze(const std::shared_ptr<Range>& range) {
+  require(!std::binary_search(written_keys_.begin(), written_keys_.end(), range.get()),
+          ErrorKind::Runtime, "capture: an index table that the capture itself writes");
+  require(!range->writable_export(), ErrorKind::Runtime,
+          "capture: an index table with a writable export; a replay could not tell that it changed");
+  frozen_.emplace_back(range, range->version());
+}
+
+void OpList::launch() const {
+  require(capture == nullptr, ErrorKind::Runtime,
+          "graph.launch() cannot be recorded into another capture");
+  if (auto* observer = novaphy::array_observer()) observer->untracked_operation("graph.launch()");
+  for (const auto& [range, version] : frozen_)
+    require(range->version() == version, ErrorKind::Runtime,
+            "graph.launch(): an index table (e.g. the contacts) was modified after the capture");
+  // Also when an operation fails or is interrupted in between: the ranges may have been written.
+  struct MarkWritten {
+    const std::vector<std::shared_ptr<Range>>& ranges;
+    ~MarkWritten() {
+      for (const auto& range : ranges) range->mark_written();
+    }
+  } mark_written{written_};
+  run();
+  for (const auto& [range, valid] : gradients_) grad_info(*range).valid = valid;
+}
+
+void OpList::run_once() const { run(); }
+
+void OpList::run() const {
+  if (ops_.empty()) return;
+  const novaphy_backend_api& api = *context->api;
+  if (segments_.empty()) segments_ = detail::find_segments(ops_, words_);
+  novaphy_error error = novaphy::make_error();
+  constexpr uint32_t kOpsPerInterruptCheck = 64;
+  for (const detail::Segment& segment : segments_) {
+    if (segment.n > 0 && context->host_accessible) {
+      detail::run_fused(*context, ops_, words_, segment);
+      continue;
+    }
+    for (uint32_t k = segment.first; k < segment.last; ++k) {
+      if (k % kOpsPerInterruptCheck == 0) novaphy::check_interrupt();
+      const Op& op = ops_[k];
+      novaphy_status status = NOVAPHY_OK;
+      switch (op.kind) {
+        case Op::Kind::Launch:
+          status = api.launch(context->stream, op.kernel, op.n, words_.data() + op.first_word,
+                              op.word_count, &error);
+          break;
+        case Op::Kind::Copy:
+          status = api.memory_copy(context->stream, NOVAPHY_COPY_DEVICE_TO_DEVICE, op.target,
+                                   op.source, static_cast<uint64_t>(op.n), &error);
+          break;
+        case Op::Kind::Fill:
+          status = api.memory_fill(context->stream, op.target, op.pattern, 4,
+                                   static_cast<uint64_t>(op.n), &error);
+          break;
+      }
+      if (status != NOVAPHY_OK) [[unlikely]]
+        novaphy::check(status, error, op.name);
+    }
+  }
+}
+
+DeferredScope::DeferredScope(bool wanted) : wanted_(wanted && !recording()) { resume(); }
+DeferredScope::~DeferredScope() {
+  if (list_ && deferred == list_.get()) deferred = nullptr;
+}
+void DeferredScope::flush() {
+  if (!list_) return;
+  deferred = nullptr;  // also when running it throws
+  const std::unique_ptr<OpList> full = std::move(list_);
+  full->run_once();
+  resume();
+}
+void DeferredScope::pause() {
+  flush();
+  if (list_) deferred = nullptr;
+}
+void DeferredScope::resume() {
+  if (!wanted_) return;
+  if (!list_) list_ = std::make_unique<OpList>();
+  deferred = list_.get();
+  deferred_scope = this;
+}
+void flush_deferred() {
+  if (deferred) deferred_scope->flush();
+}
+size_t DeferredScope::held_bytes() const { return list_ ? list_->held_bytes() : 0; }
+
+ScopedCapture::ScopedCapture() : graph_(std::make_shared<OpList>()) {
+  require(capture == nullptr, ErrorKind::Runtime,
+          "ScopedCapture: another capture is active on this thread");
+  capture = graph_.get();
+  detail::enter_observation();
+}
+void ScopedCapture::end() {
+  if (!active_) return;
+  active_ = false;
+  capture = nullptr;
+  detail::leave_observation();
+}
+ScopedCapture::~ScopedCapture() { end(); }
+
+OpList* current_capture() { return capture; }
+
+void submit_launch(const DeviceContext& context, novaphy_kernel* kernel, const char* name,
+                   int64_t n, std::span<const uint64_t> words, const detail::RowLayout* layout) {
+  if (recording()) {
+    OpList::Op op{OpList::Op::Kind::Launch};
+    op.layout = layout;
+    op.n = n;
+    op.kernel = kernel;
+    op.name = name;
+    record(context, op, words);
+    return;
+  }
+  launch_now(context, kernel, name, n, words);
+}
+
+void launch_now(const DeviceContext& context, novaphy_kernel* kernel, const char* name, int64_t n,
+                std::span<const uint64_t> words) {
+  novaphy_error error = novaphy::make_error();
+  const novaphy_status status = context.api->launch(context.stream, kernel, n, words.data(),
+                                                    static_cast<uint32_t>(words.size()), &error);
+  if (status != NOVAPHY_OK) [[unlikely]]
+    novaphy::check(status, error, name);
+}
+
+void submit_copy(const std::shared_ptr<Range>& target, const std::shared_ptr<Range>& source) {
+  const DeviceContext& context = novaphy::device_context(target->storage().device());
+  const auto bytes = static_cast<int64_t>(target->bytes());
+  if (recording()) {
+    OpList::Op op{OpList::Op::Kind::Copy};
+    op.n = bytes;
+    op.name = "copy";
+    op.target = target->data();
+    op.source = source->data();
+    record(context, op);
+    recording()->hold(source);
+    recording()->hold(target);
+  } else {
+    run_copy(context, target->data(), source->data(), bytes);
+  }
+  note_write(target);
+}
+
+void submit_fill(const std::shared_ptr<Range>& target, float value) {
+  const DeviceContext& context = novaphy::device_context(target->storage().device());
+  const auto bytes = static_cast<int64_t>(target->bytes());
+  const auto pattern = std::bit_cast<uint32_t>(value);
+  if (recording()) {
+    OpList::Op op{OpList::Op::Kind::Fill};
+    op.n = bytes;
+    op.name = "fill";
+    op.target = target->data();
+    op.pattern = pattern;
+    record(context, op);
+    recording()->hold(target);
+  } else {
+    run_fill(context, target->data(), pattern, bytes);
+  }
+  note_write(target);
+}
+
+void note_write(const std::shared_ptr<Range>& range) {
+  if (capture) capture->writes(range);
+  range->mark_written();
+}
+
+void hold_in_capture(const std::shared_ptr<const void>& owner, size_t bytes) {
+  if (OpList* list = recording()) list->hold(owner, bytes);
+}
+
+}  // namespace nova

@@ -1,0 +1,204 @@
+#include "novaphy/nova/ops.h"
+
+#include <cmath>
+
+#include "novaphy/core/error.h"
+#include "novaphy/nova/functions.h"
+#include "novaphy/nova/kernel.h"
+#include "novaphy/nova/op_list.h"
+#include "novaphy/nova/tape.h"
+
+namespace nova {
+
+using novaphy::require;
+
+namespace {
+
+void check_f32(const Tensor& x, const char* name, const char* argument) {
+  require(x.defined() && x.dtype() == DType::F32, ErrorKind::Type, name, ", ", argument,
+          ": expected float32, got ", x.defined() ? dtype_name(x.dtype()) : "an undefined tensor");
+}
+
+// One kernel per function and way of broadcasting, made at first use and kept.
+template <class F>
+struct Binary {
+  const char* name;
+  F f;
+  Kernel kernels[3] = {};
+  const Kernel& kernel(Access a, Access b) {
+    Kernel& k = kernels[a == Access::Uniform ? 1 : b == Access::Uniform ? 2 : 0];
+    if (!k.impl())
+      k = make_kernel(name, {{"a", DType::F32, 1, a}, {"b", DType::F32, 1, b}}, {{"out", 1}},
+                      [this](TraceContext& c) { return std::vector<Real>{f(c.f32(0), c.f32(1))}; });
+    return k;
+  }
+};
+
+template <class F>
+Tensor binary(Binary<F>& op, const Tensor& a, const Tensor& b) {
+  check_f32(a, op.name, "a");
+  check_f32(b, op.name, "b");
+  require(a.device() == b.device(), ErrorKind::Value, op.name, ": a is on ", a.device().str(),
+          ", b on ", b.device().str());
+  const bool one_a = a.size() == 1 && b.size() != 1, one_b = b.size() == 1 && a.size() != 1;
+  require(one_a || one_b || a.shape() == b.shape() || (a.size() == 1 && b.size() == 1),
+          ErrorKind::Value, op.name, ": shapes ", shape_str(a.shape()), " and ",
+          shape_str(b.shape()), " differ");
+  const Tensor out(one_a ? b.shape() : a.shape(), DType::F32, a.device());
+  const Operand in[] = {a.flat_operand(), b.flat_operand()};
+  const Operand to = out.flat_operand();
+  op.kernel(one_a ? Access::Uniform : Access::Direct, one_b ? Access::Uniform : Access::Direct)
+      .launch(out.size(), in, {&to, 1});
+  return out;
+}
+
+template <class F>
+Kernel unary_kernel(const char* name, F f) {
+  return make_kernel(name, {{"x", DType::F32, 1, Access::Direct}}, {{"out", 1}},
+                     [f](TraceContext& c) { return std::vector<Real>{f(c, c.f32(0))}; });
+}
+Tensor unary(const Kernel& kernel, const Tensor& x, std::span<const Param> params = {}) {
+  check_f32(x, kernel.name().c_str(), "x");
+  const Tensor out(x.shape(), DType::F32, x.device());
+  const Operand in = x.flat_operand(), to = out.flat_operand();
+  kernel.launch(x.size(), {&in, 1}, {&to, 1}, {.params = params});
+  return out;
+}
+
+// Kernels are shared by threads; making one is rare, so a function-local static guards it.
+#define NOVA_BINARY_OP(function, expression)                                                    \
+  Tensor function(const Tensor& a, const Tensor& b) {                                           \
+    static auto f = [](const Real& x, const Real& y) { return expression; };                    \
+    static Binary<decltype(f)> op = [] {                                                        \
+      Binary<decltype(f)> made{#function, f};                                                   \
+      return made;                                                                              \
+    }();                                                                                        \
+    static const bool ready =                                                                   \
+        (op.kernel(Access::Direct, Access::Direct), op.kernel(Access::Uniform, Access::Direct), \
+         op.kernel(Access::Direct, Access::Uniform), true);                                     \
+    (void)ready;                                                                                \
+    return binary(op, a, b);                                                                    \
+  }
+#define NOVA_UNARY_OP(function, expression)                                               \
+  Tensor function(const Tensor& x) {                                                      \
+    static const Kernel kernel =                                                          \
+        unary_kernel(#function, [](TraceContext&, const Real& v) { return expression; }); \
+    return unary(kernel, x);                                                              \
+  }
+#define NOVA_SCALAR_OP(function, expression)                                   \
+  Tensor function(const Tensor& x, float b) {                                  \
+    static const Kernel kernel =                                               \
+        unary_kernel(#function "_scalar", [](TraceContext& c, const Real& v) { \
+          const Real s = c.param(0);                                           \
+          return expression;                                                   \
+        });                                                                    \
+    const Param params[] = {b};                                                \
+    return unary(kernel, x, params);                                           \
+  }
+#define NOVA_SCALAR_FIRST_OP(function, expression)                             \
+  Tensor function(float a, const Tensor& x) {                                  \
+    static const Kernel kernel =                                               \
+        unary_kernel("scalar_" #function, [](TraceContext& c, const Real& v) { \
+          const Real s = c.param(0);                                           \
+          return expression;                                                   \
+        });                                                                    \
+    const Param params[] = {a};                                                \
+    return unary(kernel, x, params);                                           \
+  }
+
+}  // namespace
+
+NOVA_BINARY_OP(add, x + y)
+NOVA_BINARY_OP(sub, x - y)
+NOVA_BINARY_OP(mul, x* y)
+NOVA_BINARY_OP(div, x / y)
+NOVA_BINARY_OP(minimum, min(x, y))
+NOVA_BINARY_OP(maximum, max(x, y))
+NOVA_SCALAR_OP(add, v + s)
+NOVA_SCALAR_OP(sub, v - s)
+NOVA_SCALAR_OP(mul, v* s)
+NOVA_SCALAR_OP(div, v / s)
+NOVA_SCALAR_FIRST_OP(sub, s - v)
+NOVA_SCALAR_FIRST_OP(div, s / v)
+NOVA_UNARY_OP(neg, -v)
+NOVA_UNARY_OP(abs, abs(v))
+NOVA_UNARY_OP(sqrt, sqrt(v))
+NOVA_UNARY_OP(exp, exp(v))
+NOVA_UNARY_OP(log, log(v))
+NOVA_UNARY_OP(sin, sin(v))
+NOVA_UNARY_OP(cos, cos(v))
+NOVA_UNARY_OP(tanh, tanh(v))
+
+Tensor clamp(const Tensor& x, float lower, float upper) {
+  static const Kernel kernel = unary_kernel("clamp", [](TraceContext& c, const Real& v) {
+    const Real lo = c.param(0), hi = c.param(1);
+    return select(v < lo, lo, select(v > hi, hi, v));
+  });
+  require(lower <= upper, ErrorKind::Value, "clamp: expected lower <= upper, got ", lower, " and ",
+          upper);
+  const Param params[] = {lower, upper};
+  return unary(kernel, x, params);
+}
+
+Tensor where(const Tensor& condition, const Tensor& a, const Tensor& b) {
+  static const Kernel kernel = make_kernel(
+      "where",
+      {{"condition", DType::I32, 1, Access::Direct},
+       {"a", DType::F32, 1, Access::Direct},
+       {"b", DType::F32, 1, Access::Direct}},
+      {{"out", 1}},
+      [](TraceContext& c) { return std::vector{select(c.i32(0) != Int(0), c.f32(1), c.f32(2))}; });
+  require(condition.defined() && condition.dtype() == DType::I32, ErrorKind::Type,
+          "where, condition: expected int32");
+  check_f32(a, "where", "a");
+  check_f32(b, "where", "b");
+  require(condition.shape() == a.shape() && a.shape() == b.shape(), ErrorKind::Value,
+          "where: shapes ", shape_str(condition.shape()), ", ", shape_str(a.shape()), " and ",
+          shape_str(b.shape()), " differ");
+  const Tensor out(a.shape(), DType::F32, a.device());
+  const Operand in[] = {condition.flat_operand(), a.flat_operand(), b.flat_operand()};
+  const Operand to = out.flat_operand();
+  kernel.launch(out.size(), in, {&to, 1});
+  return out;
+}
+
+namespace {
+
+// Sums of all rows: {1, w} as `shape`. Its adjoint gives every row the gradient of the sum.
+Tensor sum_of_rows(const Operand& x, Shape shape, const Tensor& source) {
+  const Tensor out(std::move(shape), DType::F32, source.device());
+  row_sum(x, 1, x.rows, nullptr, {out.range(), 1, x.width});
+  if (Tape* tape = Tape::active())
+    tape->record_custom("sum", {source}, {out}, [x](const std::vector<Tensor>& g) {
+      const Tensor spread(Shape{x.rows, x.width}, DType::F32, g[0].device());
+      static const Kernel kernel = make_kernel(
+          "broadcast", {{"row", DType::F32, 1, Access::Indexed}}, {{"out", 1}},
+          [](TraceContext& c) { return std::vector{c.f32(0, c.index() % c.param_i32(0), 0)}; });
+      const Operand in = g[0].flat_operand(), to = spread.flat_operand();
+      const Param params[] = {x.width};
+      kernel.launch(spread.size(), {&in, 1}, {&to, 1}, {.params = params});
+      return std::vector<Tensor>{spread};
+    });
+  return out;
+}
+
+}  // namespace
+
+Tensor sum(const Tensor& x) {
+  check_f32(x, "sum", "x");
+  return sum_of_rows(x.flat_operand(), {1}, x);
+}
+Tensor sum_rows(const Tensor& x) {
+  check_f32(x, "sum_rows", "x");
+  require(x.ndim() == 2, ErrorKind::Value, "sum_rows, x: expected {n, w}, got ",
+          shape_str(x.shape()));
+  return sum_of_rows(x.operand(), {1, x.row_width()}, x);
+}
+Tensor mean(const Tensor& x) {
+  require(x.defined() && x.size() > 0, ErrorKind::Value, "mean, x: expected at least one value");
+  return div(sum(x), static_cast<float>(x.size()));
+}
+Tensor dot(const Tensor& a, const Tensor& b) { return sum(mul(a, b)); }
+Tensor norm(const Tensor& x) { return sqrt(dot(x, x)); }
+
+}  // namespace nova

@@ -1,0 +1,290 @@
+#include "novaphy/nova/tape.h"
+
+#include "novaphy/core/error.h"
+#include "novaphy/nova/op_list.h"
+#include "observer.h"
+#include "tape_impl.h"
+
+namespace nova {
+
+using detail::KernelImpl;
+using novaphy::fail;
+using novaphy::require;
+
+namespace {
+thread_local Tape* active_tape = nullptr;
+thread_local int no_grad_depth = 0;
+}  // namespace
+
+bool Tape::Impl::carries(const Range& range) {
+  const GradInfo* info = find_grad_info(range);
+  if (!info) return false;  // nothing that takes part in differentiation
+  const Node* n = find(range);
+  return n && n->ever_written ? n->carries : info->requires_grad;
+}
+
+Tape::Impl::Use Tape::Impl::make_use(const Operand& operand) {
+  Use use{operand, operand.range->version(), 0, false, false};
+  use.carries = operand.type == ir::Type::F32 && carries(*operand.range);
+  if (operand.range->writable_export()) {  // somebody outside can write it: remember the value
+    refuse_export_in_capture();
+    use.checksum = checksum_now(*operand.range);
+    use.has_checksum = true;
+  }
+  return use;
+}
+
+void Tape::Impl::refuse_export_in_capture() {
+  require(!current_capture(), ErrorKind::Runtime,
+          "tape: an array with a writable export cannot be followed inside a ScopedCapture");
+}
+
+uint64_t Tape::Impl::checksum_now(const Range& range) {
+  flush_deferred();
+  return range.checksum();
+}
+
+// Whether the recorded value of the node is no longer there.
+bool Tape::Impl::was_written_outside(const Node& n) {
+  if (n.written_version != n.range->version()) return true;
+  if (!n.range->writable_export()) return false;
+  refuse_export_in_capture();
+  return checksum_now(*n.range) !=
+         (n.has_checksum ? n.written_checksum : n.range->exported_checksum());
+}
+
+// A value that the tape produced and that was then overwritten behind it would carry a wrong
+// gradient.
+void Tape::Impl::check_not_overwritten(const Operand& in, const std::string& op,
+                                       const std::string& input) {
+  // Gradients belong to ranges: through another view of bytes that carry one it would stop.
+  const auto carries_gradient = [](const Range& other, void* self) {
+    return static_cast<Impl*>(self)->carries(other);
+  };
+  if (in.type == ir::Type::F32 && in.range->find_overlap(carries_gradient, this))
+    fail(ErrorKind::Runtime, "input '", input, "' of op '", op,
+         "' is a view of bytes whose gradient belongs to another view; use the view that was "
+         "recorded or requires it");
+  if (!find_grad_info(*in.range)) return;
+  const Node* n = find(*in.range);
+  if (n && n->copied_name && n->copied_version == in.range->version())
+    fail(ErrorKind::Runtime, "input '", input, "' of op '", op, "': ", n->copied_name,
+         " holds a copy of recorded values, through which no gradient would flow; clear it before "
+         "it is used again");
+  if (n && n->ever_written && n->carries && was_written_outside(*n))
+    fail(ErrorKind::Runtime, "input '", input, "' of op '", op, "' was written by op '",
+         op_name(ops[n->writer]),
+         "' of this tape and then overwritten outside of it; its gradient would be wrong");
+}
+
+void Tape::Impl::check_value(const Use& use, const Op& op, uint32_t input) {
+  const Range& range = *use.operand.range;
+  bool modified = range.version() != use.version;
+  if (!modified && range.writable_export()) {
+    refuse_export_in_capture();
+    const uint64_t recorded = use.has_checksum ? use.checksum : range.exported_checksum();
+    modified = checksum_now(range) != recorded;
+  }
+  if (modified) [[unlikely]]
+    fail(ErrorKind::Runtime, "input '", input_name(op, input), "' of op '", op_name(op),
+         "' was modified after recording");
+}
+
+void Tape::Impl::mark_output(const std::shared_ptr<Range>& range, int32_t op) {
+  GradInfo& info = grad_info(*range);
+  Node& n = node(range);
+  n.writer = op;
+  n.written_version = range->version();
+  n.has_checksum = range->writable_export() && !current_capture();
+  if (n.has_checksum) n.written_checksum = checksum_now(*range);
+  n.ever_written = true;
+  n.carries = true;
+  ++info.producers;
+}
+
+void Tape::Impl::mark_constant(const Range& range) {
+  if (Node* n = find(range)) {
+    n->carries = false;
+    n->written_version = range.version();
+  }
+}
+
+void Tape::Impl::forget() {
+  for (const Op& op : ops)
+    for (uint32_t o = 0; o < op.outputs; ++o)
+      if (GradInfo* info = find_grad_info(*output(op, o).range)) --info->producers;
+  ops.clear();
+  uses.clear();
+  params.clear();
+  customs.clear();
+  nodes.clear();
+}
+
+void Tape::mark_copied(const std::shared_ptr<Range>& range, const char* name) {
+  grad_info(*range);
+  Impl::Node& n = impl_->node(range);
+  n.copied_version = range->version();
+  n.copied_name = name;
+}
+
+// A loop makes a tape per iteration: the next one takes over the memory of the last.
+std::unique_ptr<Tape::Impl>& Tape::spare() {
+  thread_local std::unique_ptr<Impl> impl;
+  return impl;
+}
+
+Tape::Tape() : impl_(std::move(spare())) {
+  if (!impl_) impl_ = std::make_unique<Impl>();
+}
+Tape::~Tape() {
+  if (active_tape == this) end();
+  impl_->forget();
+  spare() = std::move(impl_);
+}
+
+void Tape::begin() {
+  require(
+      active_tape == nullptr, ErrorKind::Runtime,
+      active_tape == this ? "tape: already active" : "tape: another tape is active on this thread");
+  active_tape = this;
+  detail::enter_observation();
+}
+void Tape::end() {
+  require(active_tape == this, ErrorKind::Runtime, "tape: not active on this thread");
+  active_tape = nullptr;
+  detail::leave_observation();
+}
+Tape* Tape::active() { return no_grad_depth == 0 ? active_tape : nullptr; }
+
+NoGrad::NoGrad() { ++no_grad_depth; }
+NoGrad::~NoGrad() { --no_grad_depth; }
+bool grad_enabled() { return no_grad_depth == 0; }
+
+bool Tape::must_record(std::span<const Operand> inputs) const {
+  for (const Operand& in : inputs)
+    if (in.type == ir::Type::F32 && impl_->carries(*in.range)) return true;
+  return false;
+}
+
+void Tape::check_launch(const KernelImpl& kernel, std::span<const Operand> inputs) const {
+  for (size_t s = 0; s < inputs.size(); ++s)
+    impl_->check_not_overwritten(inputs[s], kernel.name, kernel.sources[s].name);
+}
+
+void Tape::record_launch(const std::shared_ptr<KernelImpl>& kernel, int64_t dim,
+                         std::span<const Operand> inputs, std::span<const Operand> outputs,
+                         const LaunchOptions& options, bool recorded) {
+  Impl& t = *impl_;
+  if (!recorded) {
+    for (const Operand& out : outputs) t.mark_constant(*out.range);
+    return;
+  }
+  Impl::Op op;
+  op.kernel = kernel;
+  op.dim = dim;
+  op.first_use = static_cast<uint32_t>(t.uses.size());
+  op.inputs = static_cast<uint32_t>(inputs.size());
+  op.outputs = static_cast<uint32_t>(outputs.size());
+  op.first_param = static_cast<uint32_t>(t.params.size());
+  op.params = static_cast<uint32_t>(options.params.size());
+  op.extent = options.extent;
+  if (options.csr) op.csr = *options.csr;
+  for (const Operand& in : inputs) {
+    t.uses.push_back(t.make_use(in));
+    if (t.uses.back().carries) t.node(in.range);
+  }
+  for (const Operand& out : outputs) t.uses.push_back({out, out.range->version(), 0, false, true});
+  t.params.insert(t.params.end(), options.params.begin(), options.params.end());
+  t.ops.push_back(std::move(op));
+  for (const Operand& out : outputs)
+    t.mark_output(out.range, static_cast<int32_t>(t.ops.size()) - 1);
+}
+
+void Tape::record_custom(std::string name, std::vector<Tensor> inputs, std::vector<Tensor> outputs,
+                         BackwardFn backward) {
+  Impl& t = *impl_;
+  require(static_cast<bool>(backward), ErrorKind::Value,
+          "record_custom, backward: expected a function");
+  require(!outputs.empty(), ErrorKind::Value, "record_custom, outputs: expected at least one");
+  require(inputs.size() <= 64 && outputs.size() <= 32, ErrorKind::Value,
+          "record_custom: expected at most 64 inputs and 32 outputs, got ", inputs.size(), " and ",
+          outputs.size());
+  for (const auto* list : {&inputs, &outputs})
+    for (const Tensor& tensor : *list)
+      require(tensor.defined() && tensor.dtype() == DType::F32, ErrorKind::Type,
+              "record_custom: expected float32 tensors");
+  for (const Tensor& out : outputs)
+    for (const Tensor& in : inputs)
+      require(!out.range()->overlaps(*in.range()), ErrorKind::Value, "record_custom '", name,
+              "': an output overlaps an input");
+  bool any = false;
+  for (size_t k = 0; k < inputs.size(); ++k) {
+    t.check_not_overwritten(inputs[k].operand(), name, "input " + std::to_string(k));
+    any = any || t.carries(*inputs[k].range());
+  }
+  if (!any || !grad_enabled()) {
+    for (const Tensor& out : outputs) t.mark_constant(*out.range());
+    return;
+  }
+  Impl::Op op;
+  op.first_use = static_cast<uint32_t>(t.uses.size());
+  op.inputs = static_cast<uint32_t>(inputs.size());
+  op.outputs = static_cast<uint32_t>(outputs.size());
+  op.custom = static_cast<int32_t>(t.customs.size());
+  for (const Tensor& in : inputs) {
+    t.uses.push_back(t.make_use(in.operand()));
+    if (t.uses.back().carries) t.node(in.range());
+  }
+  for (const Tensor& out : outputs)
+    t.uses.push_back({out.operand(), out.version(), 0, false, true});
+  t.ops.push_back(std::move(op));
+  for (const Tensor& out : outputs)
+    t.mark_output(out.range(), static_cast<int32_t>(t.ops.size()) - 1);
+  t.customs.push_back(
+      {std::move(name), std::move(inputs), std::move(outputs), std::move(backward)});
+}
+
+void Tape::backward(const Tensor& loss, const Tensor& seed) {
+  require(loss.defined(), ErrorKind::Value, "backward, loss: the tensor is undefined");
+  Impl::Node* n = impl_->find(*loss.range());
+  require(n && n->ever_written && n->carries, ErrorKind::Value,
+          "backward, loss: no operation of this tape wrote it from an input with a gradient");
+  require(n->written_version == loss.version(), ErrorKind::Runtime,
+          "backward, loss: it was overwritten after recording");
+  if (seed.defined() && (seed.dtype() != DType::F32 || seed.size() != loss.size()))
+    fail(ErrorKind::Value, "backward, grad: expected ", shape_str(loss.shape()), " float32, got ",
+         shape_str(seed.shape()), " ", dtype_name(seed.dtype()));
+  if (!seed.defined() && loss.size() != 1)
+    fail(ErrorKind::Value, "backward, loss: expected one value (or pass grad), got shape ",
+         shape_str(loss.shape()));
+  NoGrad no_grad;
+  impl_->backward(*n, seed);
+}
+
+void Tape::zero() {
+  for (Impl::Node& n : impl_->nodes) {
+    GradInfo& info = grad_info(*n.range);
+    info.valid = false;  // reads as zero, and the next contribution stores
+    if (OpList* graph = current_capture()) {
+      info.zeroed_in_capture = graph->id();
+      graph->gradient(n.range, false);
+    }
+    // Whoever holds the gradient's memory must see the zero now; what only the tape sees can wait.
+    if (!n.ever_written && info.grad) submit_fill(info.grad, 0.0f);
+  }
+}
+
+void Tape::reset() { impl_->forget(); }
+size_t Tape::size() const { return impl_->ops.size(); }
+std::vector<std::string> Tape::op_names() const {
+  std::vector<std::string> names;
+  for (const auto& op : impl_->ops) names.push_back(impl_->op_name(op));
+  return names;
+}
+size_t Tape::memory_bytes() const {
+  return impl_->ops.capacity() * sizeof(Impl::Op) + impl_->uses.capacity() * sizeof(Impl::Use) +
+         impl_->params.capacity() * sizeof(Param) +
+         impl_->nodes.size() * (sizeof(Impl::Node) + 4 * sizeof(void*));
+}
+
+}  // namespace nova

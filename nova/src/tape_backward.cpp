@@ -1,0 +1,254 @@
+// Tape::backward: first decides what to run and checks every value that will be read, then runs it.
+// So an overwritten input is reported before any gradient was touched.
+#include <algorithm>
+#include <array>
+
+#include "adjoint_launch.h"
+#include "novaphy/core/error.h"
+#include "novaphy/core/parallel.h"
+#include "novaphy/nova/op_list.h"
+#include "tape_impl.h"
+
+namespace nova {
+
+using detail::AdjointKey;
+using detail::Words;
+using novaphy::Range;
+using novaphy::require;
+using novaphy::Storage;
+
+namespace {
+
+// a += b over all values, in place.
+void accumulate(const Operand& into, const Operand& from) {
+  static const Kernel kernel =
+      make_kernel("accumulate_gradient",
+                  {{"a", DType::F32, 1, Access::Direct}, {"b", DType::F32, 1, Access::Direct}},
+                  {{"sum", 1}}, [](TraceContext& c) { return std::vector{c.f32(0) + c.f32(1)}; });
+  auto flat = [](Operand o) {
+    o.rows *= o.width;
+    o.width = 1;
+    return o;
+  };
+  const Operand in[] = {flat(into), flat(from)};
+  kernel.launch(in[0].rows, in, {&in[0], 1});
+}
+
+void fill_zero_now(Range& range) {
+  const novaphy::DeviceContext& c = novaphy::device_context(range.storage().device());
+  novaphy_error error = novaphy::make_error();
+  novaphy::check(c.api->memory_fill(c.stream, range.data(), 0, 4, range.bytes(), &error), error,
+                 "fill");
+}
+
+uint64_t bit(uint32_t k) { return uint64_t{1} << k; }
+
+}  // namespace
+
+// Whether an earlier input of the operation that carries a gradient is the same range.
+bool Tape::Impl::bound_before(const Op& op, uint32_t s) const {
+  for (uint32_t other = 0; other < s; ++other)
+    if (input(op, other).carries && input(op, other).operand.range == input(op, s).operand.range)
+      return true;
+  return false;
+}
+
+// Whether the next contribution to the range's gradient adds to what is there (else it stores).
+bool Tape::Impl::begin_contribution(Node& n) {
+  GradInfo& info = grad_info(*n.range);
+  grad_storage(*n.range);
+  if (n.set) return true;
+  n.set = true;
+  OpList* graph = current_capture();
+  if (!n.ever_written && graph && !info.valid && info.zeroed_in_capture != graph->id()) {
+    // Every replay adds to what is there then: give the first one a real zero to add to.
+    fill_zero_now(*info.grad);
+    info.valid = true;
+  }
+  const bool add = !n.ever_written && info.valid;  // only leaves go on from before
+  info.valid = true;
+  if (graph) graph->gradient(n.range, true);
+  return add;
+}
+
+// The items of a CSR sum find their row in the table that the Incidence was built from.
+void Tape::Impl::check_table(const Op& op, const detail::CompiledPlan& plan) const {
+  if (op.csr && plan.items && !is_current(*op.csr, *op.csr->table.range))
+    novaphy::fail(ErrorKind::Runtime, "the index table of op '", op_name(op),
+                  "' was modified after recording");
+}
+
+void Tape::Impl::plan_steps() {
+  steps.clear();
+  for (size_t k = ops.size(); k-- > 0;) {
+    const Op& op = ops[k];
+    AdjointKey key;
+    for (uint32_t o = 0; o < op.outputs; ++o) {
+      Node& n = *find(*output(op, o).range);
+      if (!n.set) continue;
+      key.seeded |= uint32_t{1} << o;
+      n.set = false;  // consumed: an earlier value of the same range starts anew
+    }
+    if (!key.seeded) continue;
+    for (uint32_t s = 0; s < op.inputs; ++s) {
+      const Use& use = input(op, s);
+      if (!use.carries) continue;
+      key.wrt |= bit(s);
+      if (bound_before(op, s)) continue;  // its gradient goes apart and is added afterwards
+      Node& n = *find(*use.operand.range);
+      if (!n.set) n.read_version = use.version;
+      if (!n.ever_written && n.read_version != use.version)
+        novaphy::fail(ErrorKind::Runtime, "input '", input_name(op, s), "' of op '", op_name(op),
+                      "' was modified after recording: a later operation read other values of it, "
+                      "and one gradient "
+                      "cannot be of both");
+      if (begin_contribution(n)) key.accumulate |= bit(s);
+    }
+    const detail::CompiledPlan* plan = nullptr;
+    if (op.kernel) {
+      plan = &op.kernel->adjoint(key);
+      for (uint32_t s = 0; s < op.inputs; ++s)
+        if (plan->plan.loads_value[s]) check_value(input(op, s), op, s);
+      check_table(op, *plan);
+    } else {
+      for (uint32_t s = 0; s < op.inputs; ++s) check_value(input(op, s), op, s);
+    }
+    steps.push_back({&op, key, plan});
+  }
+}
+
+void Tape::Impl::backward(Node& loss, const Tensor& seed) {
+  before.clear();
+  for (Node& n : nodes) {
+    GradInfo& info = grad_info(*n.range);
+    before.push_back(info.valid);
+    n.set = false;
+    if (n.ever_written) info.valid = false;
+  }
+  std::vector<std::pair<std::shared_ptr<Range>, std::shared_ptr<Range>>>
+      kept;  // gradients that are added to, copies
+  bool running = false;
+  try {
+    begin_contribution(loss);
+    plan_steps();
+    size_t k = 0;
+    for (Node& n : nodes) {
+      if (!before[k++] || n.ever_written || !n.set || current_capture()) continue;
+      const std::shared_ptr<Range>& grad = grad_storage(*n.range);
+      kept.emplace_back(grad,
+                        Storage::allocate(grad->bytes(), grad->storage().device(), false)->range());
+      submit_copy(kept.back().second, grad);
+    }
+    running = true;
+    run_steps(loss, seed);
+  } catch (...) {  // a call that was refused, or failed on the way, leaves the gradients of leaves
+                   // as they were
+    size_t k = 0;
+    for (Node& n : nodes) grad_info(*n.range).valid = before[k++] && !(running && n.ever_written);
+    for (const auto& [grad, copy] : kept) submit_copy(grad, copy);
+    throw;
+  }
+}
+
+void Tape::Impl::run_steps(Node& loss, const Tensor& seed) {
+  const std::shared_ptr<Range>& grad = grad_storage(*loss.range);
+  if (seed.defined()) {
+    submit_copy(grad, seed.range());
+  } else {
+    submit_fill(grad, 1.0f);
+  }
+  // Large domains are collected and run block by block, as long as what that keeps alive stays
+  // small.
+  int64_t largest = 0;
+  for (const Step& step : steps) largest = std::max(largest, step.op->dim);
+  DeferredScope deferred(largest >= 2 * detail::kBlockRows);
+  constexpr size_t kStepsPerInterruptCheck = 64, kMaxHeldBytes = size_t{64} << 20;
+  for (size_t k = 0; k < steps.size(); ++k) {
+    if (k % kStepsPerInterruptCheck == 0) novaphy::check_interrupt();
+    if (steps[k].op->kernel) {
+      run_kernel(steps[k]);
+      if (deferred.held_bytes() > kMaxHeldBytes) deferred.flush();
+    } else {
+      deferred.pause();
+      run_custom(steps[k]);
+      deferred.resume();
+    }
+  }
+  deferred.flush();
+}
+
+void Tape::Impl::run_kernel(const Step& step) {
+  const Op& op = *step.op;
+  constexpr size_t kMaxSources = 64;
+  // Where the gradient of each source goes. A range bound to two sources is written once and added
+  // to once.
+  std::array<const std::shared_ptr<Range>*, kMaxSources> gradients;
+  std::vector<std::pair<uint32_t, Operand>> added_later;
+  for (uint32_t s = 0; s < op.inputs; ++s) {
+    gradients[s] = nullptr;
+    if (!(step.key.wrt & bit(s))) continue;
+    const Operand& in = input(op, s).operand;
+    gradients[s] = &grad_storage(*in.range);
+    if (bound_before(op, s)) {
+      added_later.reserve(op.inputs);  // the pointers must stay
+      added_later.push_back(
+          {s, detail::temporary(in.rows, in.width, in.range->storage().device())});
+      gradients[s] = &added_later.back().second.range;
+    }
+  }
+  constexpr size_t kMaxOutputs = 32;
+  std::array<const std::shared_ptr<Range>*, kMaxOutputs> output_gradients;
+  for (uint32_t o = 0; o < op.outputs; ++o)
+    output_gradients[o] =
+        step.key.seeded & (uint32_t{1} << o) ? &grad_storage(*output(op, o).range) : nullptr;
+  std::array<const Operand*, kMaxSources> inputs;
+  for (uint32_t s = 0; s < op.inputs; ++s) inputs[s] = &input(op, s).operand;
+  detail::run_adjoint(*op.kernel, *step.plan,
+                      {.dim = op.dim,
+                       .inputs = std::span(inputs.data(), op.inputs),
+                       .input_gradients = std::span(gradients.data(), op.inputs),
+                       .output_gradients = std::span(output_gradients.data(), op.outputs),
+                       .params = std::span(params).subspan(op.first_param, op.params),
+                       .csr = op.csr ? &op.csr : nullptr,
+                       .extent = op.extent});
+  hold_in_capture(op.kernel);
+  for (const auto& [s, from] : added_later) {
+    Operand into = input(op, s).operand;
+    into.range = grad_storage(*into.range);
+    accumulate(into, from);
+  }
+}
+
+void Tape::Impl::run_custom(const Step& step) {
+  const Op& op = *step.op;
+  const Custom& custom = customs[op.custom];
+  std::vector<Tensor> grad_outputs;
+  for (uint32_t o = 0; o < op.outputs; ++o)
+    grad_outputs.push_back(step.key.seeded & (uint32_t{1} << o)
+                               ? Tensor(grad_storage(*custom.outputs[o].range()),
+                                        custom.outputs[o].shape(), DType::F32)
+                               : Tensor());
+  const std::vector<Tensor> grads = custom.backward(grad_outputs);
+  require(grads.size() == custom.inputs.size(), ErrorKind::Value, "op '", custom.name,
+          "': backward gave ", grads.size(), " gradients for ", custom.inputs.size(), " inputs");
+  for (uint32_t s = 0; s < op.inputs; ++s) {
+    if (!(step.key.wrt & bit(s))) continue;
+    const Tensor& in = custom.inputs[s];
+    const Tensor grad(grad_storage(*in.range()), in.shape(), DType::F32);
+    const bool add = (step.key.accumulate & bit(s)) || bound_before(op, s);
+    if (!grads[s].defined()) {
+      if (!add) submit_fill(grad.range(), 0.0f);
+      continue;
+    }
+    require(grads[s].dtype() == DType::F32 && grads[s].size() == in.size(), ErrorKind::Value,
+            "op '", custom.name, "', gradient of input ", s, ": expected ", shape_str(in.shape()),
+            " float32, got ", shape_str(grads[s].shape()));
+    if (add) {
+      accumulate(grad.operand(), grads[s].operand());
+    } else {
+      submit_copy(grad.range(), grads[s].range());
+    }
+  }
+}
+
+}  // namespace nova

@@ -1,0 +1,144 @@
+// Internal: what a tape keeps.
+#pragma once
+
+#include <bit>
+#include <string>
+#include <vector>
+
+#include "kernel_impl.h"
+#include "novaphy/nova/tape.h"
+
+namespace nova {
+
+struct Tape::Impl {
+  // One input or output of an operation.
+  struct Use {
+    Operand operand;
+    uint64_t version = 0;
+    uint64_t checksum = 0;
+    bool has_checksum = false;
+    bool carries = false;  // a gradient flows through it
+  };
+  struct Op {
+    std::shared_ptr<detail::KernelImpl> kernel;  // null: custom
+    int64_t dim = 0;
+    uint32_t first_use = 0, inputs = 0, outputs = 0;
+    uint32_t first_param = 0, params = 0;
+    int32_t extent = 0;
+    int32_t custom = -1;
+    Incidence csr;
+  };
+  struct Custom {
+    std::string name;
+    std::vector<Tensor> inputs, outputs;
+    BackwardFn backward;
+  };
+  // What the tape knows about a range.
+  struct Node {
+    std::shared_ptr<Range> range;
+    int32_t writer = -1;            // the last operation that wrote it
+    uint64_t written_version = 0;   // its version after that
+    uint64_t written_checksum = 0;  // of its value after that, where somebody outside can write it
+    bool has_checksum = false;
+    bool ever_written = false;  // by an operation of this tape: not a leaf
+    bool carries = false;       // a gradient flows through its present value
+    uint64_t copied_version =
+        0;  // its version when it got a copy of a recorded value that is not followed
+    const char* copied_name = nullptr;
+    bool set = false;  // during backward: its gradient has a contribution
+    uint64_t read_version =
+        0;  // during backward: of a leaf's value, where the first contribution came from
+  };
+  // The nodes in the order in which they came, with an open-addressing index by range.
+  class NodeTable {
+   public:
+    Node* find(const Range& range) {
+      if (index_.empty()) return nullptr;
+      for (size_t at = slot(range);; at = (at + 1) & (index_.size() - 1)) {
+        if (index_[at] == 0) return nullptr;
+        if (nodes_[index_[at] - 1].range.get() == &range) return &nodes_[index_[at] - 1];
+      }
+    }
+    Node& find_or_add(const std::shared_ptr<Range>& range) {
+      if (Node* known = find(*range)) return *known;
+      nodes_.push_back({range});
+      if (nodes_.size() * 2 > index_.size()) {
+        index_.assign(std::bit_ceil(nodes_.size() * 4), 0);
+        for (size_t k = 0; k < nodes_.size(); ++k) insert(k);
+      } else {
+        insert(nodes_.size() - 1);
+      }
+      return nodes_.back();
+    }
+    void clear() {
+      nodes_.clear();
+      std::fill(index_.begin(), index_.end(), 0u);
+    }
+    auto begin() { return nodes_.begin(); }
+    auto end() { return nodes_.end(); }
+    size_t size() const { return nodes_.size(); }
+
+   private:
+    size_t slot(const Range& range) const {
+      const auto key = reinterpret_cast<uintptr_t>(&range);
+      return ((key * 0x9E3779B97F4A7C15u) >> 20) & (index_.size() - 1);
+    }
+    void insert(size_t k) {
+      size_t at = slot(*nodes_[k].range);
+      while (index_[at] != 0) at = (at + 1) & (index_.size() - 1);
+      index_[at] = static_cast<uint32_t>(k + 1);
+    }
+    std::vector<Node> nodes_;
+    std::vector<uint32_t> index_;  // position + 1; 0 is free
+  };
+  // One operation to be reversed, decided before anything runs.
+  struct Step {
+    const Op* op;
+    detail::AdjointKey key;
+    const detail::CompiledPlan* plan;
+  };
+
+  std::vector<Op> ops;
+  std::vector<Use> uses;
+  std::vector<Param> params;
+  std::vector<Custom> customs;
+  NodeTable nodes;
+  std::vector<Step> steps;   // of the last backward; kept for their memory
+  std::vector<char> before;  // GradInfo::valid of every node before it
+
+  Node* find(const Range& range) { return nodes.find(range); }
+  Node& node(const std::shared_ptr<Range>& range) { return nodes.find_or_add(range); }
+  const Use& input(const Op& op, uint32_t k) const { return uses[op.first_use + k]; }
+  const Operand& output(const Op& op, uint32_t k) const {
+    return uses[op.first_use + op.inputs + k].operand;
+  }
+  const std::string& op_name(const Op& op) const {
+    return op.kernel ? op.kernel->name : customs[op.custom].name;
+  }
+  std::string input_name(const Op& op, uint32_t k) const {
+    return op.kernel ? op.kernel->sources[k].name : "input " + std::to_string(k);
+  }
+
+  bool carries(const Range& range);
+  Use make_use(const Operand& operand);
+  static void refuse_export_in_capture();
+  static uint64_t checksum_now(const Range& range);
+  static bool was_written_outside(const Node& n);
+  void check_not_overwritten(const Operand& in, const std::string& op, const std::string& input);
+  void check_value(const Use& use, const Op& op, uint32_t input);
+  void mark_output(const std::shared_ptr<Range>& range, int32_t op);
+  void mark_constant(const Range& range);
+  void forget();
+
+  // tape_backward.cpp
+  void backward(Node& loss, const Tensor& seed);
+  void plan_steps();
+  void run_steps(Node& loss, const Tensor& seed);
+  void check_table(const Op& op, const detail::CompiledPlan& plan) const;
+  bool begin_contribution(Node& n);
+  bool bound_before(const Op& op, uint32_t s) const;
+  void run_kernel(const Step& step);
+  void run_custom(const Step& step);
+};
+
+}  // namespace nova

@@ -1,0 +1,160 @@
+"""NovaPhy: a differentiable physics engine.
+
+The engine itself is native; this package is its Python surface. Subpackages (``novaphy.nova``,
+``novaphy.diff``, ``novaphy.solvers``, ``novaphy.viewer``, ``novaphy.io``, ``novaphy.testing``) are
+imported when they are first used.
+
+Conventions: SI units, float32, z up by default, quaternions ``(x, y, z, w)``, transforms
+``(px, py, pz, qx, qy, qz, qw)``.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from ._core import (
+    Axis,
+    BackendInfo,
+    BodyFlags,
+    CollisionPipeline,
+    Contacts,
+    Control,
+    Device,
+    DeviceArray,
+    DeviceType,
+    Error,
+    GeoType,
+    Model,
+    ModelBuilder,
+    ModelFlags,
+    ParticleFlags,
+    ScopedDevice,
+    ShapeConfig,
+    ShapeFlags,
+    SimState,
+    backends,
+    build_info,
+    dtype,
+    float32,
+    get_default_device,
+    get_device,
+    get_devices,
+    has_cuda,
+    has_diff,
+    has_nvrtc,
+    has_vbd,
+    int32,
+    is_device_available,
+    load_backend,
+    mat22,
+    mat33,
+    num_threads,
+    quat,
+    set_default_device,
+    set_num_threads,
+    spatial_vector,
+    synchronize,
+    transform,
+    uint8,
+    uint32,
+    uint64,
+    vec2,
+    vec2i,
+    vec3,
+    vec3i,
+    vec4,
+    vec4i,
+    version,
+)
+
+if TYPE_CHECKING:
+    from . import diff, io, nova, solvers, testing, viewer
+    from .viewer import ViewerFile, ViewerNull, create_viewer
+
+State = SimState
+__version__ = version()
+
+_SUBPACKAGES = ("diff", "io", "nova", "solvers", "testing", "viewer")
+_FROM_VIEWER = ("ViewerFile", "ViewerNull", "create_viewer")
+
+__all__ = [
+    "Axis",
+    "BackendInfo",
+    "BodyFlags",
+    "CollisionPipeline",
+    "Contacts",
+    "Control",
+    "Device",
+    "DeviceArray",
+    "DeviceType",
+    "Error",
+    "GeoType",
+    "Model",
+    "ModelBuilder",
+    "ModelFlags",
+    "ParticleFlags",
+    "ScopedDevice",
+    "ShapeConfig",
+    "ShapeFlags",
+    "SimState",
+    "State",
+    "ViewerFile",
+    "ViewerNull",
+    "__version__",
+    "backends",
+    "build_info",
+    "create_viewer",
+    "diff",
+    "dtype",
+    "float32",
+    "get_default_device",
+    "get_device",
+    "get_devices",
+    "has_cuda",
+    "has_diff",
+    "has_nvrtc",
+    "has_vbd",
+    "int32",
+    "io",
+    "is_device_available",
+    "load_backend",
+    "mat22",
+    "mat33",
+    "nova",
+    "num_threads",
+    "quat",
+    "set_default_device",
+    "set_num_threads",
+    "solvers",
+    "spatial_vector",
+    "synchronize",
+    "testing",
+    "transform",
+    "uint8",
+    "uint32",
+    "uint64",
+    "vec2",
+    "vec2i",
+    "vec3",
+    "vec3i",
+    "vec4",
+    "vec4i",
+    "version",
+    "viewer",
+]
+
+
+def __getattr__(name: str) -> object:
+    """Import a subpackage, or a viewer, at its first use."""
+    import importlib
+
+    if name in _SUBPACKAGES:
+        return importlib.import_module("." + name, __name__)
+    if name in _FROM_VIEWER:
+        return getattr(importlib.import_module(".viewer", __name__), name)
+    raise AttributeError(f"module 'novaphy' has no attribute '{name}'")
+
+
+def __dir__() -> list[str]:
+    """Every public name, also those that are imported later."""
+    return sorted(set(globals()) | set(__all__))

@@ -1,0 +1,655 @@
+"""Types of the native module. The documentation is in its docstrings: help(novaphy.Model)."""
+
+import enum
+import os
+from collections.abc import Iterator, Sequence
+from typing import Any, Final, Never, SupportsFloat, SupportsIndex, TypeAlias, overload
+
+import numpy as np
+from numpy.typing import NDArray
+
+from . import diff as diff
+from . import nova as nova
+from . import solvers as solvers
+
+# Three numbers, four numbers, ...: a tuple, list or array.
+_Vector: TypeAlias = Sequence[SupportsFloat] | NDArray[Any]
+# (px, py, pz, qx, qy, qz, qw), or a pair (position, quaternion).
+_Transform: TypeAlias = _Vector | tuple[_Vector, _Vector]
+# _Values for an array: float64 NumPy arrays are refused at run time.
+_Values: TypeAlias = DeviceArray | nova.Tensor | NDArray[Any] | Sequence[Any] | SupportsFloat
+_DeviceLike: TypeAlias = Device | str | None
+_DTypeLike: TypeAlias = dtype | str | type[np.generic] | np.dtype[Any]
+_Shape: TypeAlias = int | Sequence[int]
+_Index: TypeAlias = SupportsIndex | slice
+
+# The native classes have a metaclass of their own. Those without a constructor here are made by
+# the engine only.
+class _Type(type): ...
+
+class _Native(metaclass=_Type):
+    def __init__(self, *args: Never, **kwargs: Never) -> None: ...
+
+class Error(RuntimeError): ...
+
+def version() -> str: ...
+def build_info() -> dict[str, bool]: ...
+def has_cuda() -> bool: ...
+def has_diff() -> bool: ...
+def has_vbd() -> bool: ...
+def has_nvrtc() -> bool: ...
+def num_threads() -> int: ...
+def set_num_threads(count: SupportsIndex) -> None: ...
+
+# ------------------------------------------------------------------------------------ devices
+
+class DeviceType(enum.IntEnum):
+    CPU = 0
+    CUDA = 1
+    DLAN = 2
+
+class Device(_Native):
+    def __init__(self, spec: _DeviceLike = None) -> None: ...
+    @property
+    def type(self) -> DeviceType: ...
+    @property
+    def ordinal(self) -> int: ...
+    @property
+    def name(self) -> str: ...
+    @property
+    def arch(self) -> int: ...
+    @property
+    def total_memory(self) -> int: ...
+    @property
+    def free_memory(self) -> int: ...
+    @property
+    def is_cpu(self) -> bool: ...
+    @property
+    def is_cuda(self) -> bool: ...
+    @property
+    def supports_graph_capture(self) -> bool: ...
+    def __eq__(self, other: object, /) -> bool: ...
+    def __hash__(self) -> int: ...
+
+def get_device(spec: _DeviceLike = None) -> Device: ...
+def get_devices() -> list[Device]: ...
+def get_default_device() -> Device: ...
+def set_default_device(spec: _DeviceLike) -> None: ...
+def is_device_available(spec: _DeviceLike) -> bool: ...
+def synchronize(device: _DeviceLike = None) -> None: ...
+
+class ScopedDevice(_Native):
+    def __init__(self, spec: _DeviceLike) -> None: ...
+    def __enter__(self) -> Device: ...
+    def __exit__(self, *args: object) -> None: ...
+
+class BackendInfo(_Native):
+    @property
+    def name(self) -> str: ...
+    @property
+    def version(self) -> str: ...
+    @property
+    def abi_version(self) -> tuple[int, int]: ...
+    @property
+    def path(self) -> str: ...
+    @property
+    def loaded(self) -> bool: ...
+    @property
+    def active(self) -> bool: ...
+    @property
+    def device_count(self) -> int: ...
+    @property
+    def error(self) -> str: ...
+
+def backends() -> list[BackendInfo]: ...
+def load_backend(path: str | os.PathLike[str]) -> BackendInfo: ...
+
+# ------------------------------------------------------------------------------------ arrays
+
+class dtype(_Native):
+    @property
+    def name(self) -> str: ...
+    @property
+    def scalar(self) -> dtype: ...
+    @property
+    def shape(self) -> tuple[int, ...]: ...
+    @property
+    def itemsize(self) -> int: ...
+    @property
+    def numpy(self) -> np.dtype[Any]: ...
+
+_DType: TypeAlias = dtype
+float32: Final[dtype]
+int32: Final[dtype]
+uint32: Final[dtype]
+uint8: Final[dtype]
+uint64: Final[dtype]
+vec2: Final[dtype]
+vec3: Final[dtype]
+vec4: Final[dtype]
+quat: Final[dtype]
+transform: Final[dtype]
+spatial_vector: Final[dtype]
+mat22: Final[dtype]
+mat33: Final[dtype]
+vec2i: Final[dtype]
+vec3i: Final[dtype]
+vec4i: Final[dtype]
+
+class DeviceArray(_Native):
+    def __init__(
+        self, data: _Values, dtype: _DTypeLike | None = None, device: _DeviceLike = None
+    ) -> None: ...
+    @staticmethod
+    def zeros(
+        shape: _Shape, dtype: _DTypeLike = ..., device: _DeviceLike = None
+    ) -> DeviceArray: ...
+    @staticmethod
+    def empty(
+        shape: _Shape, dtype: _DTypeLike = ..., device: _DeviceLike = None
+    ) -> DeviceArray: ...
+    @staticmethod
+    def full(
+        shape: _Shape, value: _Values, dtype: _DTypeLike = ..., device: _DeviceLike = None
+    ) -> DeviceArray: ...
+    @staticmethod
+    def from_dlpack(obj: Any, dtype: _DTypeLike | None = None) -> DeviceArray: ...
+    @property
+    def shape(self) -> tuple[int, ...]: ...
+    @property
+    def dtype(self) -> _DType: ...
+    @property
+    def scalar_dtype(self) -> _DType: ...
+    @property
+    def ndim(self) -> int: ...
+    @property
+    def size(self) -> int: ...
+    @property
+    def nbytes(self) -> int: ...
+    @property
+    def strides(self) -> tuple[int, ...]: ...
+    @property
+    def device(self) -> Device: ...
+    @property
+    def ptr(self) -> int: ...
+    @property
+    def is_contiguous(self) -> bool: ...
+    @property
+    def version(self) -> int: ...
+    def numpy(self, copy: bool = True, writable: bool = False) -> NDArray[Any]: ...
+    def assign(self, source: _Values) -> None: ...
+    def copy_from(self, other: _Values) -> None: ...
+    def fill_(self, value: _Values) -> DeviceArray: ...
+    def zero_(self) -> DeviceArray: ...
+    def clone(self, device: _DeviceLike = None) -> DeviceArray: ...
+    def to(self, device: _DeviceLike) -> DeviceArray: ...
+    def __len__(self) -> int: ...
+    def __getitem__(self, index: _Index) -> Any: ...
+    def __setitem__(self, index: _Index, values: _Values) -> None: ...
+    def __iter__(self) -> Iterator[Any]: ...
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]: ...
+    @property
+    def __array_interface__(self) -> dict[str, Any]: ...
+    @property
+    def __cuda_array_interface__(self) -> dict[str, Any]: ...
+    def __dlpack__(
+        self,
+        *,
+        stream: Any = None,
+        max_version: tuple[int, int] | None = None,
+        dl_device: tuple[int, int] | None = None,
+        copy: bool | None = None,
+    ) -> Any: ...
+    def __dlpack_device__(self) -> tuple[int, int]: ...
+
+# An array of a model, state, ...: reading gives the array itself, assigning copies values into it.
+class _Field:
+    def __get__(self, instance: object, owner: type | None = None) -> DeviceArray: ...
+    def __set__(self, instance: object, value: _Values) -> None: ...
+
+# ------------------------------------------------------------------------------------ model
+
+class Axis(enum.IntEnum):
+    X = 0
+    Y = 1
+    Z = 2
+
+class GeoType(enum.IntEnum):
+    NONE = 0
+    PLANE = 1
+    HFIELD = 2
+    SPHERE = 3
+    CAPSULE = 4
+    ELLIPSOID = 5
+    CYLINDER = 6
+    BOX = 7
+    MESH = 8
+    CONE = 9
+    CONVEX_MESH = 10
+
+class ParticleFlags(enum.IntFlag):
+    ACTIVE = 1
+
+class BodyFlags(enum.IntFlag):
+    DYNAMIC = 1
+    KINEMATIC = 2
+
+class ShapeFlags(enum.IntFlag):
+    VISIBLE = 1
+    COLLIDE_SHAPES = 2
+    COLLIDE_PARTICLES = 4
+    SITE = 8
+
+class ModelFlags(enum.IntFlag):
+    JOINT_PROPERTIES = 1
+    JOINT_DOF_PROPERTIES = 2
+    BODY_PROPERTIES = 4
+    BODY_INERTIAL_PROPERTIES = 8
+    SHAPE_PROPERTIES = 16
+    MODEL_PROPERTIES = 32
+    ALL = 63
+
+class _Counts(_Native):
+    @property
+    def particle_count(self) -> int: ...
+    @property
+    def body_count(self) -> int: ...
+    @property
+    def shape_count(self) -> int: ...
+    @property
+    def joint_count(self) -> int: ...
+    @property
+    def joint_dof_count(self) -> int: ...
+    @property
+    def joint_coord_count(self) -> int: ...
+    @property
+    def articulation_count(self) -> int: ...
+    @property
+    def spring_count(self) -> int: ...
+    @property
+    def tri_count(self) -> int: ...
+    @property
+    def edge_count(self) -> int: ...
+    @property
+    def tet_count(self) -> int: ...
+    @property
+    def world_count(self) -> int: ...
+    @property
+    def shape_contact_pair_count(self) -> int: ...
+    @property
+    def device(self) -> Device: ...
+    requires_grad: bool
+
+class Model(_Counts):
+    particle_q: _Field
+    particle_qd: _Field
+    particle_mass: _Field
+    particle_inv_mass: _Field
+    particle_radius: _Field
+    particle_flags: _Field
+    particle_world: _Field
+    shape_body: _Field
+    shape_transform: _Field
+    shape_type: _Field
+    shape_scale: _Field
+    shape_flags: _Field
+    shape_world: _Field
+    shape_collision_group: _Field
+    shape_is_solid: _Field
+    shape_margin: _Field
+    shape_gap: _Field
+    shape_material_ke: _Field
+    shape_material_kd: _Field
+    shape_material_kf: _Field
+    shape_material_ka: _Field
+    shape_material_mu: _Field
+    shape_material_restitution: _Field
+    shape_material_mu_torsional: _Field
+    shape_material_mu_rolling: _Field
+    shape_collision_radius: _Field
+    shape_aabb_lower: _Field
+    shape_aabb_upper: _Field
+    shape_collision_aabb_lower: _Field
+    shape_collision_aabb_upper: _Field
+    shape_contact_pairs: _Field
+    gravity: _Field
+    soft_contact_ke: float
+    soft_contact_kd: float
+    soft_contact_kf: float
+    soft_contact_mu: float
+    soft_contact_restitution: float
+    particle_adhesion: float
+    particle_max_velocity: float
+    particle_max_radius: float
+    @property
+    def shape_label(self) -> list[str]: ...
+    @property
+    def shape_collision_filter_pairs(self) -> set[tuple[int, int]]: ...
+    @property
+    def up_axis(self) -> int: ...
+    def state(self, requires_grad: bool | None = None) -> SimState: ...
+    def control(
+        self, clone_variables: bool = True, requires_grad: bool | None = None
+    ) -> Control: ...
+    def contacts(self, collision_pipeline: CollisionPipeline | None = None) -> Contacts: ...
+    def collide(
+        self,
+        state: SimState,
+        contacts: Contacts | None = None,
+        *,
+        collision_pipeline: CollisionPipeline | None = None,
+    ) -> Contacts: ...
+    def set_gravity(self, value: _Vector, world: SupportsIndex | None = None) -> None: ...
+    def clone(self) -> Model: ...
+    def to(self, device: _DeviceLike) -> Model: ...
+
+class SimState(_Counts):
+    particle_q: _Field
+    particle_qd: _Field
+    particle_f: _Field
+    body_q: _Field
+    body_qd: _Field
+    body_f: _Field
+    joint_q: _Field
+    joint_qd: _Field
+    def clear_forces(self) -> None: ...
+    def assign(self, source: SimState) -> None: ...
+    def clone(self) -> SimState: ...
+
+class Control(_Counts):
+    joint_f: _Field
+    joint_target_q: _Field
+    joint_target_qd: _Field
+    joint_act: _Field
+    particle_tri_activation: _Field
+    particle_tet_activation: _Field
+    tri_activations: _Field
+    @property
+    def joint_target_pos(self) -> Any: ...
+    @property
+    def joint_target_vel(self) -> Any: ...
+    def clear(self, model: Model | None = None) -> None: ...
+    def assign(self, source: Control) -> None: ...
+    def clone(self) -> Control: ...
+
+class Contacts(_Native):
+    def __init__(
+        self,
+        rigid_contact_max: SupportsIndex = 0,
+        soft_contact_max: SupportsIndex = 0,
+        *,
+        device: _DeviceLike = None,
+        requires_grad: bool = False,
+    ) -> None: ...
+    soft_contact_count: _Field
+    soft_contact_particle: _Field
+    soft_contact_shape: _Field
+    soft_contact_body_pos: _Field
+    soft_contact_body_vel: _Field
+    soft_contact_normal: _Field
+    soft_contact_tids: _Field
+    contact_generation: _Field
+    requires_grad: bool
+    @property
+    def soft_contact_max(self) -> int: ...
+    @property
+    def soft_contact_pair_count(self) -> int: ...
+    @property
+    def device(self) -> Device: ...
+    @property
+    def overflowed(self) -> bool: ...
+    @property
+    def active_soft_contact_count(self) -> int: ...
+    def clear(self) -> None: ...
+    def soft_contacts(self) -> NDArray[Any]: ...
+    def assign(self, source: Contacts) -> None: ...
+    def clone(self) -> Contacts: ...
+
+class CollisionPipeline(_Native):
+    def __init__(
+        self,
+        model: Model,
+        *,
+        broad_phase: str = "explicit",
+        rigid_contact_max: SupportsIndex | None = None,
+        soft_contact_max: SupportsIndex | None = None,
+        soft_contact_margin: SupportsFloat | None = None,
+        soft_contact_gap: SupportsFloat | None = None,
+        requires_grad: bool | None = None,
+        deterministic: bool = True,
+    ) -> None: ...
+    @property
+    def model(self) -> Model: ...
+    @property
+    def broad_phase(self) -> str: ...
+    @property
+    def soft_contact_margin(self) -> float: ...
+    @property
+    def rigid_contact_max(self) -> int: ...
+    @property
+    def soft_contact_max(self) -> int: ...
+    @property
+    def soft_contact_pair_count(self) -> int: ...
+    def contacts(self) -> Contacts: ...
+    def collide(
+        self,
+        state: SimState,
+        contacts: Contacts,
+        *,
+        soft_contact_margin: SupportsFloat | None = None,
+    ) -> None: ...
+
+# ------------------------------------------------------------------------------------ builder
+
+class ShapeConfig(_Native):
+    def __init__(
+        self,
+        density: SupportsFloat = 1000.0,
+        ke: SupportsFloat = 2500.0,
+        kd: SupportsFloat = 100.0,
+        kf: SupportsFloat = 1000.0,
+        ka: SupportsFloat = 0.0,
+        mu: SupportsFloat = 1.0,
+        restitution: SupportsFloat = 0.0,
+        mu_torsional: SupportsFloat = 0.005,
+        mu_rolling: SupportsFloat = 0.0001,
+        margin: SupportsFloat = 0.0,
+        gap: SupportsFloat | None = None,
+        is_solid: bool = True,
+        collision_group: SupportsIndex = 1,
+        collision_filter_parent: bool = True,
+        has_shape_collision: bool = True,
+        has_particle_collision: bool = True,
+        is_visible: bool = True,
+    ) -> None: ...
+    density: float
+    ke: float
+    kd: float
+    kf: float
+    ka: float
+    mu: float
+    restitution: float
+    mu_torsional: float
+    mu_rolling: float
+    margin: float
+    gap: float | None
+    is_solid: bool
+    collision_group: int
+    collision_filter_parent: bool
+    has_shape_collision: bool
+    has_particle_collision: bool
+    is_visible: bool
+    @property
+    def flags(self) -> int: ...
+    def copy(self) -> ShapeConfig: ...
+    def __copy__(self) -> ShapeConfig: ...
+    def __deepcopy__(self, memo: dict[Any, Any], /) -> ShapeConfig: ...
+
+class _Vec3List(_Native):
+    def __len__(self) -> int: ...
+    @overload
+    def __getitem__(self, index: SupportsIndex) -> tuple[float, float, float]: ...
+    @overload
+    def __getitem__(self, index: slice) -> list[tuple[float, float, float]]: ...
+    @overload
+    def __setitem__(self, index: SupportsIndex, value: _Vector) -> None: ...
+    @overload
+    def __setitem__(self, index: slice, value: Sequence[_Vector] | NDArray[Any]) -> None: ...
+    def __iter__(self) -> Iterator[tuple[float, float, float]]: ...
+
+class _FloatList(_Native):
+    def __len__(self) -> int: ...
+    @overload
+    def __getitem__(self, index: SupportsIndex) -> float: ...
+    @overload
+    def __getitem__(self, index: slice) -> list[float]: ...
+    @overload
+    def __setitem__(self, index: SupportsIndex, value: SupportsFloat) -> None: ...
+    @overload
+    def __setitem__(self, index: slice, value: _Vector) -> None: ...
+    def __iter__(self) -> Iterator[float]: ...
+
+class _IntList(_Native):
+    def __len__(self) -> int: ...
+    @overload
+    def __getitem__(self, index: SupportsIndex) -> int: ...
+    @overload
+    def __getitem__(self, index: slice) -> list[int]: ...
+    @overload
+    def __setitem__(self, index: SupportsIndex, value: SupportsIndex) -> None: ...
+    @overload
+    def __setitem__(self, index: slice, value: Sequence[SupportsIndex]) -> None: ...
+    def __iter__(self) -> Iterator[int]: ...
+
+_ShapeConfig: TypeAlias = ShapeConfig
+
+class ModelBuilder(_Native):
+    ShapeConfig: type[_ShapeConfig]
+    def __init__(
+        self,
+        up_axis: Axis | int | str | _Vector = 2,
+        gravity: SupportsFloat | _Vector | None = None,
+    ) -> None: ...
+    @property
+    def gravity(self) -> tuple[float, float, float]: ...
+    @gravity.setter
+    def gravity(self, value: SupportsFloat | _Vector) -> None: ...
+    @property
+    def up_axis(self) -> int: ...
+    @property
+    def up_vector(self) -> tuple[float, float, float]: ...
+    default_particle_radius: float
+    default_shape_cfg: _ShapeConfig
+    rigid_gap: float
+    @property
+    def particle_count(self) -> int: ...
+    @property
+    def body_count(self) -> int: ...
+    @property
+    def shape_count(self) -> int: ...
+    @property
+    def particle_q(self) -> _Vec3List: ...
+    @particle_q.setter
+    def particle_q(self, values: Sequence[_Vector] | NDArray[Any]) -> None: ...
+    @property
+    def particle_qd(self) -> _Vec3List: ...
+    @particle_qd.setter
+    def particle_qd(self, values: Sequence[_Vector] | NDArray[Any]) -> None: ...
+    @property
+    def particle_mass(self) -> _FloatList: ...
+    @particle_mass.setter
+    def particle_mass(self, values: _Vector) -> None: ...
+    @property
+    def particle_radius(self) -> _FloatList: ...
+    @particle_radius.setter
+    def particle_radius(self, values: _Vector) -> None: ...
+    @property
+    def particle_flags(self) -> _IntList: ...
+    @particle_flags.setter
+    def particle_flags(self, values: Sequence[SupportsIndex]) -> None: ...
+    @property
+    def particle_world(self) -> _IntList: ...
+    @particle_world.setter
+    def particle_world(self, values: Sequence[SupportsIndex]) -> None: ...
+    def add_particle(
+        self,
+        pos: _Vector,
+        vel: _Vector,
+        mass: SupportsFloat,
+        radius: SupportsFloat | None = None,
+        flags: SupportsIndex = 1,
+    ) -> int: ...
+    def add_particles(
+        self,
+        pos: Sequence[_Vector] | NDArray[Any],
+        vel: Sequence[_Vector] | NDArray[Any],
+        mass: _Vector,
+        radius: _Vector | None = None,
+        flags: Sequence[SupportsIndex] | None = None,
+    ) -> None: ...
+    def add_shape(
+        self,
+        *,
+        body: SupportsIndex = -1,
+        type: GeoType | int,
+        xform: _Transform | None = None,
+        cfg: _ShapeConfig | None = None,
+        scale: _Vector | None = None,
+        label: str | None = None,
+    ) -> int: ...
+    def add_shape_plane(
+        self,
+        plane: _Vector = (0.0, 0.0, 1.0, 0.0),
+        *,
+        xform: _Transform | None = None,
+        width: SupportsFloat = 10.0,
+        length: SupportsFloat = 10.0,
+        body: SupportsIndex = -1,
+        cfg: _ShapeConfig | None = None,
+        label: str | None = None,
+    ) -> int: ...
+    def add_ground_plane(
+        self,
+        *,
+        height: SupportsFloat = 0.0,
+        cfg: _ShapeConfig | None = None,
+        label: str | None = None,
+    ) -> int: ...
+    def add_shape_sphere(
+        self,
+        body: SupportsIndex,
+        *,
+        xform: _Transform | None = None,
+        radius: SupportsFloat = 1.0,
+        cfg: _ShapeConfig | None = None,
+        label: str | None = None,
+    ) -> int: ...
+    def add_shape_box(
+        self,
+        body: SupportsIndex,
+        *,
+        xform: _Transform | None = None,
+        hx: SupportsFloat = 0.5,
+        hy: SupportsFloat = 0.5,
+        hz: SupportsFloat = 0.5,
+        cfg: _ShapeConfig | None = None,
+        label: str | None = None,
+    ) -> int: ...
+    def add_shape_capsule(
+        self,
+        body: SupportsIndex,
+        *,
+        xform: _Transform | None = None,
+        radius: SupportsFloat = 1.0,
+        half_height: SupportsFloat = 0.5,
+        cfg: _ShapeConfig | None = None,
+        label: str | None = None,
+    ) -> int: ...
+    def add_shape_collision_filter_pair(self, a: SupportsIndex, b: SupportsIndex) -> None: ...
+    def finalize(
+        self,
+        device: _DeviceLike = None,
+        *,
+        requires_grad: bool = False,
+        skip_validation: bool = False,
+    ) -> Model: ...

@@ -1,0 +1,97 @@
+"""Types of novaphy.solvers."""
+
+from typing import SupportsFloat
+
+from . import Contacts, Control, Device, Model, ModelFlags, SimState, _Native
+from .diff import Trajectory
+
+class SolverBase(_Native):
+    @property
+    def model(self) -> Model: ...
+    @property
+    def device(self) -> Device: ...
+    @property
+    def supports_graph_capture(self) -> bool: ...
+    def step(
+        self,
+        state_in: SimState,
+        state_out: SimState,
+        control: Control | None,
+        contacts: Contacts | None,
+        dt: SupportsFloat,
+    ) -> None: ...
+    def notify_model_changed(self, flags: ModelFlags | int) -> None: ...
+
+class SolverSemiImplicit(SolverBase):
+    def __init__(
+        self,
+        model: Model,
+        *,
+        angular_damping: SupportsFloat = 0.05,
+        friction_smoothing: SupportsFloat = 1.0,
+        joint_attach_ke: SupportsFloat = 1.0e4,
+        joint_attach_kd: SupportsFloat = 1.0e2,
+        enable_tri_contact: bool = True,
+    ) -> None: ...
+    @property
+    def angular_damping(self) -> float: ...
+    @property
+    def friction_smoothing(self) -> float: ...
+    @property
+    def joint_attach_ke(self) -> float: ...
+    @property
+    def joint_attach_kd(self) -> float: ...
+    @property
+    def enable_tri_contact(self) -> bool: ...
+    def step(
+        self,
+        state_in: SimState,
+        state_out: SimState,
+        control: Control | None,
+        contacts: Contacts | None,
+        dt: SupportsFloat,
+    ) -> None: ...
+
+class DiffSolverConfig(_Native):
+    def __init__(
+        self,
+        *,
+        enable_particles: bool = True,
+        enable_particle_contacts: bool = True,
+        enable_tetrahedra: bool = False,
+        enable_triangles: bool = False,
+        enable_rigid: bool = True,
+        enable_rigid_contacts: bool = True,
+        angular_damping: SupportsFloat = 0.05,
+        friction_smoothing: SupportsFloat = 1.0,
+        strict: bool = True,
+    ) -> None: ...
+    enable_particles: bool
+    enable_particle_contacts: bool
+    enable_tetrahedra: bool
+    enable_triangles: bool
+    enable_rigid: bool
+    enable_rigid_contacts: bool
+    angular_damping: float
+    friction_smoothing: float
+    strict: bool
+
+class DiffSemiImplicitSolver(SolverBase):
+    def __init__(self, model: Model, config: DiffSolverConfig | None = None) -> None: ...
+    @property
+    def config(self) -> DiffSolverConfig: ...
+    def step(
+        self,
+        state_in: SimState,
+        state_out: SimState,
+        control: Control | None,
+        contacts: Contacts | None,
+        dt: SupportsFloat,
+    ) -> None: ...
+    def rollout(
+        self,
+        trajectory: Trajectory,
+        control: Control | None,
+        contacts: Contacts | None,
+        dt: SupportsFloat,
+    ) -> None: ...

@@ -1,0 +1,58 @@
+"""Files, written whole or not at all."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+__all__ = ["atomic_path", "save_npz"]
+
+
+@contextlib.contextmanager
+def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
+    """Give a temporary path beside `path`; what is written there becomes `path` at the end.
+
+    The temporary name has the same ending. After an exception nothing is left, and an earlier file
+    at `path` is as it was.
+
+    Raises:
+        ValueError: the folder of `path` does not exist, or `path` is a folder.
+        OSError: the folder cannot be written.
+    """
+    target = Path(path)
+    if target.is_dir():
+        raise ValueError(f"path: expected a file name, got the folder {target}")
+    if not target.parent.is_dir():
+        raise ValueError(f"path: the folder {target.parent} does not exist")
+    handle, name = tempfile.mkstemp(
+        prefix=f".{target.stem}.", suffix=target.suffix, dir=target.parent
+    )
+    os.close(handle)
+    temporary = Path(name)
+    try:
+        yield temporary
+        umask = os.umask(0)
+        os.umask(umask)
+        temporary.chmod(0o666 & ~umask)  # mkstemp makes a private file
+        temporary.replace(target)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def save_npz(path: str | os.PathLike[str], **arrays: Any) -> None:
+    """Write named arrays as a compressed ``.npz`` file; the name must end in ``.npz``.
+
+    Arrays may be anything that `numpy.asarray` takes, `novaphy.DeviceArray` and `nova.Tensor`
+    included.
+    """
+    if Path(path).suffix != ".npz":
+        raise ValueError(f"path: expected a name that ends in .npz, got {os.fspath(path)!r}")
+    values: dict[str, Any] = {name: np.asarray(value) for name, value in arrays.items()}
+    with atomic_path(path) as temporary:
+        np.savez_compressed(temporary, **values)

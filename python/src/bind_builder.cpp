@@ -1,0 +1,390 @@
+// ModelBuilder and ShapeConfig.
+#include "convert.h"
+#include "novaphy/core/sim/model_builder.h"
+
+namespace novaphy::python {
+namespace {
+
+// ---------------------------------------------------------------- lists of the builder
+
+// builder.particle_q and so on: a list of fixed length that looks at the builder's own values.
+template <class T>
+struct BuilderList {
+  py::object owner;
+  std::vector<T> ModelBuilder::*member;
+  const char* name;
+
+  std::vector<T>& values() const { return owner.cast<ModelBuilder&>().*member; }
+};
+
+py::object to_python(const Vec3f& value) { return to_tuple(value); }
+py::object to_python(float value) { return py::float_(static_cast<double>(value)); }
+py::object to_python(int32_t value) { return py::int_(value); }
+
+template <class T>
+T element_from(py::handle value, const char* name) {
+  if constexpr (std::is_same_v<T, Vec3f>) {
+    return to_vec3(value, name);
+  } else if constexpr (std::is_same_v<T, float>) {
+    return to_float(value, name);
+  } else {
+    return to_int32(value, name);
+  }
+}
+template <class T>
+std::vector<T> list_from(py::handle value, const char* name) {
+  if constexpr (std::is_same_v<T, Vec3f>) {
+    return to_vec3_list(value, name);
+  } else if constexpr (std::is_same_v<T, float>) {
+    return to_float_list(value, name);
+  } else {
+    return to_int_list(value, name);
+  }
+}
+
+template <class T>
+size_t list_row(const BuilderList<T>& list, py::ssize_t index) {
+  const auto size = static_cast<py::ssize_t>(list.values().size());
+  require(index >= -size && index < size, ErrorKind::Index, list.name, ": expected an index of ",
+          size, ", got ", index);
+  return static_cast<size_t>(index < 0 ? index + size : index);
+}
+
+struct Slice {
+  size_t start = 0, step = 0, count = 0;  // `step` wraps for negative steps
+};
+Slice resolve(const py::slice& slice, size_t size) {
+  Slice s;
+  py::ssize_t start = 0, stop = 0, step = 0, count = 0;
+  if (!slice.compute(static_cast<py::ssize_t>(size), &start, &stop, &step, &count))
+    throw py::error_already_set();
+  s.start = static_cast<size_t>(start);
+  s.step = static_cast<size_t>(step);
+  s.count = static_cast<size_t>(count);
+  return s;
+}
+
+template <class T>
+py::list copy_of(const BuilderList<T>& list) {
+  py::list values;
+  for (const T& value : list.values()) values.append(to_python(value));
+  return values;
+}
+
+template <class T>
+void bind_list(py::module_& m, const char* class_name) {
+  using List = BuilderList<T>;
+  py::class_<List>(m, class_name,
+                   "Values of a ModelBuilder: a list of fixed length, writable before finalize.")
+      .def("__len__", [](const List& list) { return list.values().size(); })
+      .def(
+          "__getitem__",
+          [](const List& list, py::ssize_t index) {
+            return to_python(list.values()[list_row(list, index)]);
+          },
+          "index"_a)
+      .def(
+          "__getitem__",
+          [](const List& list, const py::slice& slice) {
+            const auto& values = list.values();
+            const Slice s = resolve(slice, values.size());
+            py::list result;
+            for (size_t k = 0; k < s.count; ++k)
+              result.append(to_python(values[s.start + k * s.step]));
+            return result;
+          },
+          "index"_a)
+      .def(
+          "__setitem__",
+          [](const List& list, py::ssize_t index, py::handle value) {
+            const size_t row = list_row(list, index);
+            list.values()[row] = element_from<T>(value, list.name);
+          },
+          "index"_a, "value"_a)
+      .def(
+          "__setitem__",
+          [](const List& list, const py::slice& slice, py::handle value) {
+            auto& values = list.values();
+            const Slice s = resolve(slice, values.size());
+            const std::vector<T> given = list_from<T>(value, list.name);
+            require(given.size() == s.count, ErrorKind::Value, list.name, ": expected ", s.count,
+                    " values, got ", given.size());
+            for (size_t k = 0; k < s.count; ++k) values[s.start + k * s.step] = given[k];
+          },
+          "index"_a, "value"_a)
+      .def("__iter__", [](const List& list) { return py::iter(copy_of(list)); })
+      .def("__eq__",
+           [](const List& list, const py::object& other) {
+             return copy_of(list).equal(py::isinstance<List>(other) ? py::list(other) : other);
+           })
+      .def("__repr__", [](const List& list) { return py::repr(copy_of(list)); });
+}
+
+template <class T>
+void bind_builder_list(py::class_<ModelBuilder>& c, const char* name,
+                       std::vector<T> ModelBuilder::*member, const char* doc) {
+  c.def_property(
+      name,
+      [name, member](const py::object& self) {
+        return BuilderList<T>{self, member, name};
+      },
+      [name, member](ModelBuilder& self, py::handle values) {
+        std::vector<T> given = list_from<T>(values, name);
+        require(given.size() == (self.*member).size(), ErrorKind::Value, name, ": expected ",
+                (self.*member).size(), " values, got ", given.size());
+        self.*member = std::move(given);
+      },
+      doc);
+}
+
+// ---------------------------------------------------------------- shapes
+
+// add_shape_* options that may be None.
+std::optional<ShapeConfig> config(const ShapeConfig* cfg) {
+  return cfg != nullptr ? std::optional<ShapeConfig>(*cfg) : std::nullopt;
+}
+std::string text(const std::optional<std::string>& label) { return label.value_or(std::string()); }
+
+void bind_shape_config(py::module_& m) {
+  const ShapeConfig d;
+  py::class_<ShapeConfig> c(
+      m, "ShapeConfig",
+      "Material and collision settings of a shape. All numbers finite; all but margin and "
+      "collision_group >= 0.");
+  c.def(py::init([](float density, float ke, float kd, float kf, float ka, float mu,
+                    float restitution, float mu_torsional, float mu_rolling, float margin,
+                    std::optional<float> gap, bool is_solid, int32_t collision_group,
+                    bool collision_filter_parent, bool has_shape_collision,
+                    bool has_particle_collision, bool is_visible) {
+          return ShapeConfig{density,
+                             ke,
+                             kd,
+                             kf,
+                             ka,
+                             mu,
+                             restitution,
+                             mu_torsional,
+                             mu_rolling,
+                             margin,
+                             gap,
+                             is_solid,
+                             collision_group,
+                             collision_filter_parent,
+                             has_shape_collision,
+                             has_particle_collision,
+                             is_visible};
+        }),
+        "density"_a = d.density, "ke"_a = d.ke, "kd"_a = d.kd, "kf"_a = d.kf, "ka"_a = d.ka,
+        "mu"_a = d.mu, "restitution"_a = d.restitution, "mu_torsional"_a = d.mu_torsional,
+        "mu_rolling"_a = d.mu_rolling, "margin"_a = d.margin, "gap"_a = py::none(),
+        "is_solid"_a = d.is_solid, "collision_group"_a = d.collision_group,
+        "collision_filter_parent"_a = d.collision_filter_parent,
+        "has_shape_collision"_a = d.has_shape_collision,
+        "has_particle_collision"_a = d.has_particle_collision, "is_visible"_a = d.is_visible);
+#define NOVAPHY_MEMBER(name, doc) c.def_readwrite(#name, &ShapeConfig::name, doc);
+  NOVAPHY_MEMBER(density, "kg/m^3; of no effect on a world-owned shape.")
+  NOVAPHY_MEMBER(ke, "N/m, contact stiffness.")
+  NOVAPHY_MEMBER(kd, "N*s/m, contact damping.")
+  NOVAPHY_MEMBER(kf, "N*s/m, friction below the Coulomb limit.")
+  NOVAPHY_MEMBER(ka, "m, adhesion distance of rigid contacts.")
+  NOVAPHY_MEMBER(mu, "Coulomb friction.")
+  NOVAPHY_MEMBER(restitution, "Restitution; soft contacts do not use it.")
+  NOVAPHY_MEMBER(mu_torsional, "Torsional friction; soft contacts do not use it.")
+  NOVAPHY_MEMBER(mu_rolling, "Rolling friction; soft contacts do not use it.")
+  NOVAPHY_MEMBER(margin, "m, widens the detection of soft contacts; their force does not use it.")
+  NOVAPHY_MEMBER(gap, "m, detection distance of rigid contacts; None: ModelBuilder.rigid_gap.")
+  NOVAPHY_MEMBER(is_solid, "False: a shell.")
+  NOVAPHY_MEMBER(collision_group,
+                 "0 collides with no shape; a positive group meets itself and negative ones; a "
+                 "negative group meets all "
+                 "but itself.")
+  NOVAPHY_MEMBER(collision_filter_parent, "Not against the parent body of a joint.")
+  NOVAPHY_MEMBER(has_shape_collision, "Whether shapes meet it.")
+  NOVAPHY_MEMBER(has_particle_collision, "Whether particles meet it.")
+  NOVAPHY_MEMBER(is_visible, "Whether viewers show it.")
+#undef NOVAPHY_MEMBER
+  c.def_property_readonly("flags", &ShapeConfig::flags, "The bits of Model.shape_flags.")
+      .def(
+          "copy", [](const ShapeConfig& self) { return self; }, "A copy.")
+      .def("__copy__", [](const ShapeConfig& self) { return self; })
+      .def("__deepcopy__", [](const ShapeConfig& self, const py::dict&) { return self; });
+}
+
+void bind_shapes(py::class_<ModelBuilder>& c) {
+  c.def(
+       "add_shape",
+       [](ModelBuilder& b, int32_t body, int32_t type, py::handle xform, const ShapeConfig* cfg,
+          py::handle scale, const std::optional<std::string>& label) {
+         ShapeArgs args{.body = body,
+                        .type = static_cast<GeoType>(type),
+                        .xform = to_transform(xform, "xform"),
+                        .cfg = config(cfg),
+                        .label = text(label)};
+         if (!scale.is_none()) args.scale = to_vec3(scale, "scale");
+         return b.add_shape(args);
+       },
+       py::kw_only(), "body"_a = -1, "type"_a, "xform"_a = py::none(), "cfg"_a = py::none(),
+       "scale"_a = py::none(), "label"_a = py::none(),
+       "A shape of a GeoType with its `scale` (m). Returns the index. NotImplementedError for a "
+       "type that is not built.")
+      .def(
+          "add_shape_plane",
+          [](ModelBuilder& b, py::handle plane, py::handle xform, float width, float length,
+             int32_t body, const ShapeConfig* cfg, const std::optional<std::string>& label) {
+            ShapePlaneArgs args{.width = width,
+                                .length = length,
+                                .body = body,
+                                .cfg = config(cfg),
+                                .label = text(label)};
+            args.plane = to_vec4(plane, "plane");
+            if (!xform.is_none()) args.xform = to_transform(xform, "xform");
+            return b.add_shape_plane(args);
+          },
+          "plane"_a = py::make_tuple(0.0, 0.0, 1.0, 0.0), py::kw_only(), "xform"_a = py::none(),
+          "width"_a = 10.0f, "length"_a = 10.0f, "body"_a = -1, "cfg"_a = py::none(),
+          "label"_a = py::none(),
+          "Plane a*x + b*y + c*z + d = 0 with the normal (a, b, c), or at `xform` with its +z as "
+          "the normal. Width and "
+          "length (m) along local x and y; infinite unless both are > 0. Returns the index.")
+      .def(
+          "add_ground_plane",
+          [](ModelBuilder& b, float height, const ShapeConfig* cfg,
+             const std::optional<std::string>& label) {
+            return b.add_ground_plane(
+                {.height = height, .cfg = config(cfg), .label = label.value_or("ground_plane")});
+          },
+          py::kw_only(), "height"_a = 0.0f, "cfg"_a = py::none(), "label"_a = py::none(),
+          "Infinite plane at a height (m) along the up axis. Returns the index.")
+      .def(
+          "add_shape_sphere",
+          [](ModelBuilder& b, int32_t body, py::handle xform, float radius, const ShapeConfig* cfg,
+             const std::optional<std::string>& label) {
+            return b.add_shape_sphere(body, {.xform = to_transform(xform, "xform"),
+                                             .radius = radius,
+                                             .cfg = config(cfg),
+                                             .label = text(label)});
+          },
+          "body"_a, py::kw_only(), "xform"_a = py::none(), "radius"_a = 1.0f, "cfg"_a = py::none(),
+          "label"_a = py::none(), "Sphere, radius in m. Returns the index.")
+      .def(
+          "add_shape_box",
+          [](ModelBuilder& b, int32_t body, py::handle xform, float hx, float hy, float hz,
+             const ShapeConfig* cfg, const std::optional<std::string>& label) {
+            return b.add_shape_box(body, {.xform = to_transform(xform, "xform"),
+                                          .hx = hx,
+                                          .hy = hy,
+                                          .hz = hz,
+                                          .cfg = config(cfg),
+                                          .label = text(label)});
+          },
+          "body"_a, py::kw_only(), "xform"_a = py::none(), "hx"_a = 0.5f, "hy"_a = 0.5f,
+          "hz"_a = 0.5f, "cfg"_a = py::none(), "label"_a = py::none(),
+          "Box of half extents (m). Returns the index.")
+      .def(
+          "add_shape_capsule",
+          [](ModelBuilder& b, int32_t body, py::handle xform, float radius, float half_height,
+             const ShapeConfig* cfg, const std::optional<std::string>& label) {
+            return b.add_shape_capsule(body, {.xform = to_transform(xform, "xform"),
+                                              .radius = radius,
+                                              .half_height = half_height,
+                                              .cfg = config(cfg),
+                                              .label = text(label)});
+          },
+          "body"_a, py::kw_only(), "xform"_a = py::none(), "radius"_a = 1.0f,
+          "half_height"_a = 0.5f, "cfg"_a = py::none(), "label"_a = py::none(),
+          "Capsule along local z; half_height (m) leaves out the caps. Returns the index.")
+      .def("add_shape_collision_filter_pair", &ModelBuilder::add_shape_collision_filter_pair, "a"_a,
+           "b"_a, "The two shapes never meet. IndexError: no such shape.");
+}
+
+}  // namespace
+
+void bind_builder(py::module_& m) {
+  bind_shape_config(m);
+  bind_list<Vec3f>(m, "_Vec3List");
+  bind_list<float>(m, "_FloatList");
+  bind_list<int32_t>(m, "_IntList");
+
+  py::class_<ModelBuilder> c(m, "ModelBuilder",
+                             "Collects particles and shapes and makes Models. A bad argument "
+                             "raises and leaves the builder as it was: ValueError "
+                             "(not finite, negative, not of unit length, ...), IndexError (no such "
+                             "body or shape), NotImplementedError (a shape "
+                             "type that is not built). Positions may be tuples, lists or arrays of "
+                             "any float type; they are rounded to float32.");
+  c.def(py::init([](py::handle up_axis, py::handle gravity) {
+          return ModelBuilder(to_axis(up_axis), to_gravity(gravity));
+        }),
+        "up_axis"_a = 2, "gravity"_a = py::none(),
+        "up_axis: Axis, \"x\", \"y\" or \"z\". gravity, m/s^2: None (-9.81 along up), a number "
+        "along up, or a vector.");
+  c.attr("ShapeConfig") = m.attr("ShapeConfig");
+  c.def_property(
+       "gravity", [](const ModelBuilder& b) { return to_tuple(b.gravity); },
+       [](ModelBuilder& b, py::handle value) {
+         if (PySequence_Check(value.ptr())) {
+           b.gravity = to_vec3(value, "gravity");
+         } else {
+           b.gravity = b.up_vector() * to_float(value, "gravity");
+         }
+       },
+       "m/s^2, world frame; a number means along the up axis.")
+      .def_property_readonly(
+          "up_axis", [](const ModelBuilder& b) { return static_cast<int>(b.up_axis()); },
+          "0, 1 or 2.")
+      .def_property_readonly(
+          "up_vector", [](const ModelBuilder& b) { return to_tuple(b.up_vector()); },
+          "Unit vector.")
+      .def_readwrite("default_particle_radius", &ModelBuilder::default_particle_radius, "m")
+      .def_readwrite("default_shape_cfg", &ModelBuilder::default_shape_cfg,
+                     "Of shapes that are added without one.")
+      .def_readwrite("rigid_gap", &ModelBuilder::rigid_gap,
+                     "m: the gap of shapes whose ShapeConfig has none.")
+      .def_property_readonly("particle_count", &ModelBuilder::particle_count, "Particles so far.")
+      .def_property_readonly("body_count", &ModelBuilder::body_count, "Bodies so far.")
+      .def_property_readonly("shape_count", &ModelBuilder::shape_count, "Shapes so far.");
+  bind_builder_list(c, "particle_q", &ModelBuilder::particle_q, "Positions, m, world frame.");
+  bind_builder_list(c, "particle_qd", &ModelBuilder::particle_qd, "Velocities, m/s, world frame.");
+  bind_builder_list(c, "particle_mass", &ModelBuilder::particle_mass, "kg; 0: kinematic.");
+  bind_builder_list(c, "particle_radius", &ModelBuilder::particle_radius, "m");
+  bind_builder_list(c, "particle_flags", &ModelBuilder::particle_flags, "ParticleFlags.");
+  bind_builder_list(c, "particle_world", &ModelBuilder::particle_world, "-1: all worlds.");
+
+  c.def(
+       "add_particle",
+       [](ModelBuilder& b, py::handle pos, py::handle vel, float mass, std::optional<float> radius,
+          int32_t flags) {
+         return b.add_particle(to_vec3(pos, "pos"), to_vec3(vel, "vel"), mass, radius, flags);
+       },
+       "pos"_a, "vel"_a, "mass"_a, "radius"_a = py::none(),
+       "flags"_a = static_cast<int32_t>(ParticleFlags::ACTIVE),
+       "A particle at `pos` (m) with `vel` (m/s) and `mass` (kg; 0: kinematic). radius (m) None: "
+       "default_particle_radius. Returns the index.")
+      .def(
+          "add_particles",
+          [](ModelBuilder& b, py::handle pos, py::handle vel, py::handle mass, py::handle radius,
+             py::handle flags) {
+            const std::vector<Vec3f> q = to_vec3_list(pos, "pos"), qd = to_vec3_list(vel, "vel");
+            const std::vector<float> m_list = to_float_list(mass, "mass");
+            std::vector<float> r;
+            std::vector<int32_t> f;
+            if (!radius.is_none()) r = to_float_list(radius, "radius");
+            if (!flags.is_none()) f = to_int_list(flags, "flags");
+            b.add_particles(q, qd, m_list, r, f);
+          },
+          "pos"_a, "vel"_a, "mass"_a, "radius"_a = py::none(), "flags"_a = py::none(),
+          "Many particles; the lists have one length (ValueError).");
+  bind_shapes(c);
+  c.def(
+      "finalize",
+      [](const ModelBuilder& b, py::handle device, bool requires_grad, bool skip_validation) {
+        return b.finalize(to_device(device),
+                          {.requires_grad = requires_grad, .skip_validation = skip_validation});
+      },
+      "device"_a = py::none(), py::kw_only(), "requires_grad"_a = false,
+      "skip_validation"_a = false,
+      "Checks everything and makes a Model; may be called again. novaphy.Error: the device is not "
+      "there.");
+}
+
+}  // namespace novaphy::python

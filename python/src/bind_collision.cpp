@@ -1,0 +1,62 @@
+// The collision pipeline.
+#include "convert.h"
+#include "novaphy/collision/collision_pipeline.h"
+
+namespace novaphy::python {
+
+void bind_collision(py::module_& m) {
+  py::class_<CollisionPipeline>(m, "CollisionPipeline",
+                                "Finds the contacts of particles with planes, boxes, spheres and "
+                                "capsules: a record for each active particle whose "
+                                "centre is closer to a shape than soft_contact_margin + "
+                                "shape_margin + particle_radius, in candidate order. The "
+                                "geometry of a record carries no gradient.")
+      .def(py::init(
+               [](const std::shared_ptr<Model>& model, const std::string& broad_phase,
+                  std::optional<int32_t> rigid_contact_max, std::optional<int32_t> soft_contact_max,
+                  std::optional<float> soft_contact_margin, std::optional<float> soft_contact_gap,
+                  std::optional<bool> requires_grad, bool deterministic) {
+                 require(!soft_contact_margin || !soft_contact_gap, ErrorKind::Value,
+                         "soft_contact_gap: another name of soft_contact_margin; give one of them");
+                 CollisionOptions options;
+                 options.broad_phase = parse_broad_phase(broad_phase);
+                 options.rigid_contact_max = rigid_contact_max;
+                 options.soft_contact_max = soft_contact_max;
+                 if (soft_contact_margin) options.soft_contact_margin = *soft_contact_margin;
+                 if (soft_contact_gap) options.soft_contact_margin = *soft_contact_gap;
+                 options.deterministic = deterministic;
+                 options.requires_grad = requires_grad;
+                 return std::make_unique<CollisionPipeline>(model, options);
+               }),
+           py::arg("model").none(false), py::kw_only(), "broad_phase"_a = "explicit",
+           "rigid_contact_max"_a = py::none(), "soft_contact_max"_a = py::none(),
+           "soft_contact_margin"_a = py::none(), "soft_contact_gap"_a = py::none(),
+           "requires_grad"_a = py::none(), "deterministic"_a = true,
+           "broad_phase: \"explicit\" (model.shape_contact_pairs) or \"nxn\"; rigid_contact_max: 0 "
+           "until there are rigid "
+           "bodies; soft_contact_max None: as many slots as candidate pairs; soft_contact_margin, "
+           "m, 0.01 by default "
+           "(soft_contact_gap is another name for it).")
+      .def_property_readonly(
+          "model",
+          [](const CollisionPipeline& p) { return std::const_pointer_cast<Model>(p.model()); },
+          "The model.")
+      .def_property_readonly(
+          "broad_phase",
+          [](const CollisionPipeline& p) { return broad_phase_name(p.broad_phase()); },
+          "\"explicit\" or \"nxn\"")
+      .def_property_readonly("soft_contact_margin", &CollisionPipeline::soft_contact_margin, "m")
+      .def_property_readonly("rigid_contact_max", &CollisionPipeline::rigid_contact_max, "0")
+      .def_property_readonly("soft_contact_max", &CollisionPipeline::soft_contact_max,
+                             "Slots of contacts().")
+      .def_property_readonly("soft_contact_pair_count", &CollisionPipeline::soft_contact_pair_count,
+                             "Candidate pairs: particles times colliding shapes.")
+      .def("contacts", &CollisionPipeline::contacts, "Empty contacts that collide takes.")
+      .def("collide", &CollisionPipeline::collide, "state"_a, "contacts"_a, py::kw_only(),
+           "soft_contact_margin"_a = py::none(), py::call_guard<py::gil_scoped_release>(),
+           "Replaces the contacts by those of the state. soft_contact_margin (m) holds for this "
+           "call. ValueError: a state "
+           "or contacts of another model or device, a bad margin; nothing is written then.");
+}
+
+}  // namespace novaphy::python

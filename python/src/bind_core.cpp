@@ -1,0 +1,145 @@
+// Devices and backends.
+#include "convert.h"
+#include "novaphy/core/backend.h"
+
+namespace novaphy::python {
+namespace {
+
+// with novaphy.ScopedDevice("cuda:0"): ...
+class ScopedDevice {
+ public:
+  explicit ScopedDevice(Device device) : device_(device) {}
+  Device enter() {
+    before_.push_back(default_device());
+    set_default_device(device_);
+    return device_;
+  }
+  void exit() {
+    if (before_.empty()) return;
+    set_default_device(before_.back());
+    before_.pop_back();
+  }
+
+ private:
+  Device device_;
+  std::vector<Device> before_;
+};
+
+void bind_devices(py::module_& m) {
+  py::object enums = py::module_::import("enum");
+  py::dict types("CPU"_a = static_cast<int>(DeviceType::CPU),
+                 "CUDA"_a = static_cast<int>(DeviceType::CUDA),
+                 "DLAN"_a = static_cast<int>(DeviceType::DLAN));
+  py::object device_type = enums.attr("IntEnum")("DeviceType", types, "module"_a = "novaphy");
+  device_type.attr("__doc__") = "The kind of a device.";
+  m.attr("DeviceType") = device_type;
+
+  py::class_<Device>(m, "Device",
+                     "A compute device: \"cpu\", \"cuda:0\", \"dlan:0\". Making one does not ask "
+                     "whether it is there; the "
+                     "properties name, arch, total_memory, free_memory and supports_graph_capture "
+                     "do (novaphy.Error).")
+      .def(py::init([](py::handle spec) { return to_device(spec); }), "spec"_a = py::none(),
+           "From a name, another Device, or None: the default device. ValueError for an unknown "
+           "name.")
+      .def_property_readonly(
+          "type", [device_type](const Device& d) { return device_type(static_cast<int>(d.type)); },
+          "DeviceType")
+      .def_property_readonly(
+          "ordinal", [](const Device& d) { return d.ordinal; }, "The number among its type.")
+      .def_property_readonly(
+          "name", [](const Device& d) { return device_info(d).name; }, "The hardware's name.")
+      .def_property_readonly(
+          "arch", [](const Device& d) { return device_info(d).arch; },
+          "Compute capability, e.g. 90; 0 on the cpu.")
+      .def_property_readonly(
+          "total_memory", [](const Device& d) { return device_info(d).total_memory; }, "Bytes.")
+      .def_property_readonly(
+          "free_memory", [](const Device& d) { return device_info(d).free_memory; }, "Bytes.")
+      .def_property_readonly("is_cpu", &Device::is_cpu, "Whether it is the cpu.")
+      .def_property_readonly(
+          "is_cuda", [](const Device& d) { return d.type == DeviceType::CUDA; },
+          "Whether it is a CUDA device.")
+      .def_property_readonly(
+          "supports_graph_capture",
+          [](const Device& d) { return device_info(d).supports_graph_capture; },
+          "Whether the driver itself replays captured work.")
+      .def("__eq__",
+           [](const Device& d, py::handle other) {
+             if (PyUnicode_Check(other.ptr())) return d == Device::parse(other.cast<std::string>());
+             return py::isinstance<Device>(other) && d == other.cast<Device>();
+           })
+      .def("__hash__", [](const Device& d) { return py::hash(py::str(d.str())); })
+      .def("__str__", &Device::str)
+      .def("__repr__", [](const Device& d) { return "Device('" + d.str() + "')"; });
+
+  m.def(
+      "get_device",
+      [](py::handle spec) {
+        const Device device = to_device(spec);
+        require_device(device);
+        return device;
+      },
+      "spec"_a = py::none(),
+      "The device of that name (None: the default one). novaphy.Error with the reasons if it is "
+      "not there.");
+  m.def("get_devices", &devices, "All devices that the backends offer.");
+  m.def("get_default_device", &default_device,
+        "Where arrays and models are made unless told otherwise.");
+  m.def(
+      "set_default_device", [](py::handle spec) { set_default_device(to_device(spec)); }, "spec"_a,
+      "Sets the default device. novaphy.Error if it is not there.");
+  m.def(
+      "is_device_available", [](py::handle spec) { return device_available(to_device(spec)); },
+      "spec"_a, "Whether the device is there. ValueError for an unknown name.");
+  m.def(
+      "synchronize",
+      [](py::handle device) {
+        const Device d = to_device(device);
+        const py::gil_scoped_release release;
+        synchronize(d);
+      },
+      "device"_a = py::none(), "Waits until all work of a device is done.");
+  py::class_<ScopedDevice>(m, "ScopedDevice", "Context manager: another default device inside.")
+      .def(py::init([](py::handle spec) { return ScopedDevice(to_device(spec)); }), "spec"_a)
+      .def("__enter__", &ScopedDevice::enter)
+      .def("__exit__", [](ScopedDevice& s, const py::args&) { s.exit(); });
+}
+
+void bind_backends(py::module_& m) {
+  py::class_<BackendInfo>(m, "BackendInfo", "A backend that was found, loaded or refused.")
+      .def_readonly("name", &BackendInfo::name,
+                    "\"cpu\"; the file's name when it could not be loaded.")
+      .def_readonly("version", &BackendInfo::version, "Its version.")
+      .def_property_readonly(
+          "abi_version",
+          [](const BackendInfo& b) { return py::make_tuple(b.abi_major, b.abi_minor); },
+          "(major, minor) of the plugin interface.")
+      .def_property_readonly(
+          "path", [](const BackendInfo& b) { return b.path; }, "Empty for the built-in one.")
+      .def_readonly("loaded", &BackendInfo::loaded, "False: `error` says why.")
+      .def_readonly("active", &BackendInfo::active, "Whether it serves its type of device.")
+      .def_readonly("device_count", &BackendInfo::device_count, "Devices that it offers.")
+      .def_readonly("error", &BackendInfo::error, "Why it was refused; empty when loaded.")
+      .def("__repr__", [](const BackendInfo& b) {
+        return "BackendInfo(name='" + b.name + "', version='" + b.version +
+               "', loaded=" + (b.loaded ? "True" : "False") +
+               ", active=" + (b.active ? "True" : "False") + ", path='" + b.path + "')";
+      });
+  m.def("backends", &backends, "Every backend found, in search order.");
+  m.def(
+      "load_backend",
+      [](const py::object& path) {
+        return load_backend(py::module_::import("os").attr("fspath")(path).cast<std::string>());
+      },
+      "path"_a, "Loads a backend plugin. novaphy.Error with the reason when it is refused.");
+}
+
+}  // namespace
+
+void bind_core(py::module_& m) {
+  bind_devices(m);
+  bind_backends(m);
+}
+
+}  // namespace novaphy::python

@@ -1,0 +1,78 @@
+// Solvers.
+#include "fast_step.h"
+#include "novaphy/dynamics/semi_implicit/solver_semi_implicit.h"
+
+namespace novaphy::python {
+
+void bind_dynamics(py::module_& m, py::module_& solvers) {
+  BoundClass<SimState>::remember(m.attr("SimState"));
+  BoundClass<Control>::remember(m.attr("Control"));
+  BoundClass<Contacts>::remember(m.attr("Contacts"));
+  py::class_<SolverBase> base(solvers, "SolverBase",
+                              "What every solver is. One thread at a time may use a solver.");
+  base.def_property_readonly(
+          "model", [](const SolverBase& s) { return std::const_pointer_cast<Model>(s.model()); },
+          "The model; its arrays and settings are read at every step.")
+      .def_property_readonly("device", &SolverBase::device, "Where it runs.")
+      .def_property_readonly("supports_graph_capture", &SolverBase::supports_graph_capture,
+                             "False: step may not be called in a capture.")
+      .def("step", &SolverBase::step, "state_in"_a, "state_out"_a, "control"_a.none(true),
+           "contacts"_a.none(true), "dt"_a, py::call_guard<py::gil_scoped_release>(),
+           "Advances state_in by dt (s) into state_out. Forces in state_in act; afterwards it "
+           "holds also those that the "
+           "solver added. control None: the model's; contacts None: no contact. ValueError: one "
+           "state given twice, dt not "
+           "finite or <= 0, objects of another model or device.")
+      .def(
+          "notify_model_changed",
+          [](SolverBase& s, int32_t flags) {
+            s.notify_model_changed(static_cast<ModelFlags>(flags));
+          },
+          "flags"_a,
+          "Says that values of the model were changed behind its arrays' back (ModelFlags).");
+  GeneralStep::function = py::object(base.attr("step")).release().ptr();
+
+  const SemiImplicitOptions d;
+  py::class_<SolverSemiImplicit, SolverBase> semi_implicit(
+      solvers, "SolverSemiImplicit",
+      "Forces as springs and dampers, then symplectic Euler. Covers particles: external forces, "
+      "contacts with world-owned "
+      "shapes, gravity, the velocity limit. Same bits for any number of threads. Raises on a tape: "
+      "DiffSemiImplicitSolver is the differentiable one.");
+  semi_implicit
+      .def(py::init([](const std::shared_ptr<Model>& model, float angular_damping,
+                       float friction_smoothing, float joint_attach_ke, float joint_attach_kd,
+                       bool enable_tri_contact) {
+             return std::make_unique<SolverSemiImplicit>(
+                 model, SemiImplicitOptions{.angular_damping = angular_damping,
+                                            .friction_smoothing = friction_smoothing,
+                                            .joint_attach_ke = joint_attach_ke,
+                                            .joint_attach_kd = joint_attach_kd,
+                                            .enable_tri_contact = enable_tri_contact});
+           }),
+           py::arg("model").none(false), py::kw_only(), "angular_damping"_a = d.angular_damping,
+           "friction_smoothing"_a = d.friction_smoothing, "joint_attach_ke"_a = d.joint_attach_ke,
+           "joint_attach_kd"_a = d.joint_attach_kd, "enable_tri_contact"_a = d.enable_tri_contact,
+           "Options act on bodies, joints and triangles, which no model has yet. "
+           "NotImplementedError for parts of a model "
+           "that are not covered.")
+      .def_property_readonly(
+          "angular_damping",
+          [](const SolverSemiImplicit& s) { return s.options().angular_damping; }, "1/s")
+      .def_property_readonly(
+          "friction_smoothing",
+          [](const SolverSemiImplicit& s) { return s.options().friction_smoothing; }, "m/s")
+      .def_property_readonly(
+          "joint_attach_ke",
+          [](const SolverSemiImplicit& s) { return s.options().joint_attach_ke; }, "N/m")
+      .def_property_readonly(
+          "joint_attach_kd",
+          [](const SolverSemiImplicit& s) { return s.options().joint_attach_kd; }, "N*s/m")
+      .def_property_readonly(
+          "enable_tri_contact",
+          [](const SolverSemiImplicit& s) { return s.options().enable_tri_contact; },
+          "Particles against triangles.");
+  add_fast_step(semi_implicit);
+}
+
+}  // namespace novaphy::python

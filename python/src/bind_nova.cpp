@@ -1,0 +1,263 @@
+// Tensors: their creation, and functions of them.
+#include "nova_types.h"
+#include "novaphy/nova/ops.h"
+
+namespace novaphy::python {
+
+using nova::Tensor;
+
+nova::DType to_nova_dtype(py::handle value) {
+  const DType dtype = to_dtype(value);
+  switch (dtype) {
+    case DType::float32:
+      return nova::DType::F32;
+    case DType::int32:
+      return nova::DType::I32;
+    case DType::uint8:
+      return nova::DType::U8;
+    default:
+      fail(ErrorKind::Type, "dtype: expected float32, int32 or uint8, got ",
+           dtype_info(dtype).name);
+  }
+}
+
+DType dtype_of(nova::DType dtype) {
+  return dtype == nova::DType::F32   ? DType::float32
+         : dtype == nova::DType::I32 ? DType::int32
+                                     : DType::uint8;
+}
+
+View view_of(const Tensor& tensor) {
+  const Scalar scalar = tensor.dtype() == nova::DType::F32   ? Scalar::F32
+                        : tensor.dtype() == nova::DType::I32 ? Scalar::I32
+                                                             : Scalar::U8;
+  return {tensor.range(), scalar, tensor.shape()};
+}
+
+Tensor tensor_of(const View& view) {
+  const bool known =
+      view.scalar == Scalar::F32 || view.scalar == Scalar::I32 || view.scalar == Scalar::U8;
+  require(known, ErrorKind::Type, "tensor: expected float32, int32 or uint8");
+  const nova::DType dtype = view.scalar == Scalar::F32   ? nova::DType::F32
+                            : view.scalar == Scalar::I32 ? nova::DType::I32
+                                                         : nova::DType::U8;
+  return {view.range, view.shape, dtype};
+}
+
+namespace {
+
+// Values written into memory that nobody else has seen yet: no tape or capture needs to know.
+class Unobserved {
+ public:
+  Unobserved() : before_(set_array_observer(nullptr)) {}
+  ~Unobserved() { set_array_observer(before_); }
+  Unobserved(const Unobserved&) = delete;
+  Unobserved& operator=(const Unobserved&) = delete;
+
+ private:
+  ArrayObserver* before_;
+};
+
+Tensor with_grad(const Tensor& tensor, bool requires_grad) {
+  if (requires_grad) tensor.set_requires_grad(true);
+  return tensor;
+}
+
+Tensor make_tensor(py::handle data, py::handle dtype, py::handle device, bool requires_grad) {
+  Scalar scalar = Scalar::F32;
+  if (dtype.is_none()) {
+    scalar = guess_scalar(data, "data");
+  } else {
+    scalar = dtype_info(dtype_of(to_nova_dtype(dtype))).scalar;
+  }
+  const py::object values = host_values(data, scalar, "data");
+  auto shape = values.attr("shape").cast<nova::Shape>();
+  if (shape.empty()) shape = {1};
+  const View plain{nullptr, scalar, shape};
+  const nova::DType type = scalar == Scalar::F32   ? nova::DType::F32
+                           : scalar == Scalar::I32 ? nova::DType::I32
+                                                   : nova::DType::U8;
+  require(scalar != Scalar::U32 && scalar != Scalar::U64, ErrorKind::Type,
+          "data: expected float32, int32 or uint8, got an unsigned integer array; convert it with "
+          "astype");
+  require(!requires_grad || type == nova::DType::F32, ErrorKind::Value,
+          "requires_grad: only float32 tensors have gradients");
+  const Tensor tensor(shape, type, to_device(device));
+  if (plain.bytes() != 0) {
+    const Unobserved fresh;
+    const BufferView bytes(values, false);
+    tensor.copy_from_host(bytes.data(), bytes.bytes());
+  }
+  return with_grad(tensor, requires_grad);
+}
+
+Tensor filled(py::handle shape, float value, py::handle dtype, py::handle device,
+              bool requires_grad) {
+  const Tensor tensor(to_shape(shape), to_nova_dtype(dtype), to_device(device));
+  if (value != 0.0f && tensor.size() != 0) {
+    const Unobserved fresh;
+    Array flat = view_of(tensor).flat();
+    const auto as_int = static_cast<int32_t>(value);
+    const auto as_byte = static_cast<uint8_t>(as_int);
+    switch (tensor.dtype()) {
+      case nova::DType::F32:
+        flat.fill_bytes(&value, sizeof(value));
+        break;
+      case nova::DType::I32:
+        flat.fill_bytes(&as_int, sizeof(as_int));
+        break;
+      case nova::DType::U8:
+        flat.fill_bytes(&as_byte, sizeof(as_byte));
+        break;
+    }
+  }
+  return with_grad(tensor, requires_grad);
+}
+
+Tensor arange(int64_t start, std::optional<int64_t> stop, int64_t step, py::handle dtype,
+              py::handle device) {
+  const py::object values = py::module_::import("numpy")
+                                .attr("arange")(stop ? start : 0, stop ? *stop : start, step)
+                                .attr("tolist")();
+  return make_tensor(values, dtype, device, false);
+}
+
+void bind_creation(py::module_& m) {
+  const py::object f32 = dtype_object(DType::float32);
+  m.def("tensor", &make_tensor, "data"_a, "dtype"_a = py::none(), "device"_a = py::none(),
+        "requires_grad"_a = false,
+        "A tensor from numbers, lists (rounded to float32) or arrays; a copy. TypeError for a "
+        "float64 array.")
+      .def(
+          "from_numpy",
+          [](py::handle a, py::handle device, bool requires_grad) {
+            return make_tensor(a, py::none(), device, requires_grad);
+          },
+          "a"_a, "device"_a = py::none(), "requires_grad"_a = false,
+          "A copy of a NumPy array. (from_dlpack shares memory.)")
+      .def(
+          "from_dlpack",
+          [](py::handle obj) {
+            if (py::isinstance<nova::TensorImpl>(obj)) return obj.cast<Tensor>();
+            if (py::isinstance<Array>(obj)) return Tensor::view(obj.cast<const Array&>());
+            return tensor_of(import_dlpack(obj));
+          },
+          "obj"_a,
+          "Looks at the memory of an array of another library, without a copy. BufferError: it is "
+          "read-only.")
+      .def(
+          "from_device_array",
+          [](const Array& a, bool requires_grad) { return Tensor::view(a, requires_grad); },
+          "array"_a, "requires_grad"_a = false,
+          "Looks at an engine array, without a copy: vec3 rows give {n, 3}. The same array gives "
+          "the same tensor.")
+      .def(
+          "external",
+          [](uintptr_t ptr, py::handle shape, py::handle dtype, py::handle device,
+             const py::object& owner) {
+            auto keep = std::make_shared<Callback>(owner);
+            const Tensor t = Tensor::external(reinterpret_cast<void*>(ptr), to_shape(shape),
+                                              to_nova_dtype(dtype), to_device(device), keep);
+            if (t.size() != 0) t.range()->mark_writable_export();
+            return t;
+          },
+          "ptr"_a, "shape"_a, "dtype"_a, "device"_a, "owner"_a,
+          "Memory at an address; `owner` is kept alive with it.")
+      .def(
+          "zeros",
+          [](py::handle shape, py::handle dtype, py::handle device, bool grad) {
+            return filled(shape, 0.0f, dtype, device, grad);
+          },
+          "shape"_a, "dtype"_a = f32, "device"_a = py::none(), "requires_grad"_a = false, "Zeros.")
+      .def(
+          "empty",
+          [](py::handle shape, py::handle dtype, py::handle device, bool grad) {
+            return filled(shape, 0.0f, dtype, device, grad);
+          },
+          "shape"_a, "dtype"_a = f32, "device"_a = py::none(), "requires_grad"_a = false,
+          "As zeros: memory is always cleared.")
+      .def(
+          "ones",
+          [](py::handle shape, py::handle dtype, py::handle device, bool grad) {
+            return filled(shape, 1.0f, dtype, device, grad);
+          },
+          "shape"_a, "dtype"_a = f32, "device"_a = py::none(), "requires_grad"_a = false, "Ones.")
+      .def("full", &filled, "shape"_a, "value"_a, "dtype"_a = f32, "device"_a = py::none(),
+           "requires_grad"_a = false, "One value.")
+      .def(
+          "zeros_like", [](const Tensor& t) { return Tensor(t.shape(), t.dtype(), t.device()); },
+          "tensor"_a, "Zeros of the same shape, dtype and device.")
+      .def("arange", &arange, "start"_a, "stop"_a = py::none(), "step"_a = 1,
+           "dtype"_a = dtype_object(DType::int32), "device"_a = py::none(),
+           "Integers from start (0 if stop is None) to before stop.");
+}
+
+#define NOVAPHY_BINARY(name, doc)                                                             \
+  m.def(                                                                                      \
+      #name, [](const Tensor& a, const Tensor& b) { return nova::name(a, b); }, "a"_a, "b"_a, \
+      release_gil(), doc);
+#define NOVAPHY_UNARY(name, doc) \
+  m.def(                         \
+      #name, [](const Tensor& x) { return nova::name(x); }, "x"_a, release_gil(), doc);
+
+void bind_functions(py::module_& m) {
+  NOVAPHY_BINARY(add, "a + b; one of them may hold a single value.")
+  NOVAPHY_BINARY(sub, "a - b; one of them may hold a single value.")
+  NOVAPHY_BINARY(mul, "a * b; one of them may hold a single value.")
+  NOVAPHY_BINARY(div, "a / b; one of them may hold a single value.")
+  NOVAPHY_BINARY(minimum, "The smaller value; the gradient goes to a where a < b, else to b.")
+  NOVAPHY_BINARY(maximum, "The larger value; the gradient goes to a where a > b, else to b.")
+  m.def(
+      "min", [](const Tensor& a, const Tensor& b) { return nova::minimum(a, b); }, "a"_a, "b"_a,
+      release_gil());
+  m.def(
+      "max", [](const Tensor& a, const Tensor& b) { return nova::maximum(a, b); }, "a"_a, "b"_a,
+      release_gil());
+  m.def(
+      "add", [](const Tensor& a, float b) { return nova::add(a, b); }, "a"_a, "b"_a, release_gil());
+  m.def(
+      "sub", [](const Tensor& a, float b) { return nova::sub(a, b); }, "a"_a, "b"_a, release_gil());
+  m.def(
+      "sub", [](float a, const Tensor& b) { return nova::sub(a, b); }, "a"_a, "b"_a, release_gil());
+  m.def(
+      "mul", [](const Tensor& a, float b) { return nova::mul(a, b); }, "a"_a, "b"_a, release_gil());
+  m.def(
+      "div", [](const Tensor& a, float b) { return nova::div(a, b); }, "a"_a, "b"_a, release_gil());
+  m.def(
+      "div", [](float a, const Tensor& b) { return nova::div(a, b); }, "a"_a, "b"_a, release_gil());
+  NOVAPHY_UNARY(neg, "-x")
+  NOVAPHY_UNARY(abs, "|x|; derivative -1 below 0, else +1.")
+  NOVAPHY_UNARY(sqrt, "Square root; no gradient at 0.")
+  NOVAPHY_UNARY(exp, "e^x")
+  NOVAPHY_UNARY(log, "Natural logarithm.")
+  NOVAPHY_UNARY(sin, "Sine, rad.")
+  NOVAPHY_UNARY(cos, "Cosine, rad.")
+  NOVAPHY_UNARY(tanh, "Hyperbolic tangent.")
+  m.def(
+      "clamp",
+      [](const Tensor& x, float lower, float upper) { return nova::clamp(x, lower, upper); }, "x"_a,
+      "lower"_a, "upper"_a, release_gil(),
+      "x limited to [lower, upper]; gradient 1 inside and at the bounds, 0 outside.");
+  m.def(
+      "where",
+      [](const Tensor& c, const Tensor& a, const Tensor& b) { return nova::where(c, a, b); },
+      "condition"_a, "a"_a, "b"_a, release_gil(), "a where the int32 condition is not 0, else b.");
+  NOVAPHY_UNARY(sum, "Sum of all values, {1}, in a fixed order.")
+  NOVAPHY_UNARY(mean, "Mean of all values, {1}.")
+  NOVAPHY_UNARY(norm, "Euclidean norm of all values, {1}; no gradient at 0.")
+  NOVAPHY_UNARY(sum_rows, "Sum of the rows of {n, w}: {1, w}.")
+  m.def(
+      "dot", [](const Tensor& a, const Tensor& b) { return nova::dot(a, b); }, "a"_a, "b"_a,
+      release_gil(), "Sum of a * b, {1}.");
+}
+
+}  // namespace
+
+void bind_nova(py::module_& m) {
+  for (const DType dtype : {DType::float32, DType::int32, DType::uint8})
+    m.attr(dtype_info(dtype).name) = dtype_object(dtype);
+  bind_creation(m);
+  bind_functions(m);
+}
+
+}  // namespace novaphy::python

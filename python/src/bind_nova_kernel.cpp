@@ -1,0 +1,278 @@
+// Kernels from traced Python functions.
+#include "nova_types.h"
+#include "novaphy/nova/kernel.h"
+
+namespace novaphy::python {
+
+using nova::Int;
+using nova::Real;
+using nova::Tensor;
+using nova::TraceContext;
+
+namespace {
+
+// The TraceContext for as long as the function runs: a Python function may keep what it was given.
+struct PyContext {
+  TraceContext* context;
+  TraceContext& get() const {
+    require(context != nullptr, ErrorKind::Runtime,
+            "TraceContext: the kernel is made, nothing more can be traced");
+    return *context;
+  }
+};
+
+// Calls fn(context, more...) and closes the context afterwards.
+template <class... More>
+py::object trace(const py::object& fn, TraceContext& c, More&&... more) {
+  const auto shared = std::make_shared<PyContext>(PyContext{&c});
+  struct Close {
+    PyContext& context;
+    ~Close() { context.context = nullptr; }
+  } close{*shared};
+  return fn(py::cast(shared), std::forward<More>(more)...);
+}
+
+// "particle_q" or 0
+size_t source_number(const TraceContext& c, py::handle source) {
+  if (PyUnicode_Check(source.ptr())) return c.source(source.cast<std::string>());
+  const int32_t number = to_int32(source, "source");
+  require(number >= 0, ErrorKind::Index, "source: expected a name or a number >= 0, got ", number);
+  return static_cast<size_t>(number);
+}
+
+void bind_context(py::module_& m) {
+  py::class_<PyContext, std::shared_ptr<PyContext>>(
+      m, "TraceContext",
+      "What a traced function gets. Sources are named by their name or number; without a row they "
+      "are read at the row that "
+      "their access declares.")
+      .def(
+          "index", [](const PyContext& c) { return c.get().index(); }, "The output row i.")
+      .def(
+          "reduce_index", [](const PyContext& c) { return c.get().reduce_index(); },
+          "The position in the sum (in its body).")
+      .def(
+          "slot", [](const PyContext& c) { return c.get().slot(); },
+          "The slot of a CSR row (in the body of its sum).")
+      .def(
+          "f32",
+          [](const PyContext& c, py::handle source, int32_t column) {
+            return c.get().f32(source_number(c.get(), source), column);
+          },
+          "source"_a, "column"_a = 0, "A float column at the declared row.")
+      .def(
+          "f32",
+          [](const PyContext& c, py::handle source, const Int& row, int32_t column) {
+            return c.get().f32(source_number(c.get(), source), row, column);
+          },
+          "source"_a, "row"_a, "column"_a,
+          "A float column at a row, which must fit the declared access.")
+      .def(
+          "i32",
+          [](const PyContext& c, py::handle source, int32_t column) {
+            return c.get().i32(source_number(c.get(), source), column);
+          },
+          "source"_a, "column"_a = 0, "An integer column at the declared row.")
+      .def(
+          "i32",
+          [](const PyContext& c, py::handle source, const Int& row, int32_t column) {
+            return c.get().i32(source_number(c.get(), source), row, column);
+          },
+          "source"_a, "row"_a, "column"_a,
+          "An integer column at a row, which must fit the declared access.")
+      .def(
+          "param", [](const PyContext& c, int32_t k) { return c.get().param(k); }, "k"_a,
+          "Launch parameter k as a float.")
+      .def(
+          "param_i32", [](const PyContext& c, int32_t k) { return c.get().param_i32(k); }, "k"_a,
+          "Launch parameter k as an int.");
+}
+
+std::vector<Real> reals(const py::object& result, const char* what) {
+  std::vector<Real> values;
+  const auto add = [&](py::handle value) {
+    py::detail::make_caster<Real> real;  // takes plain numbers too
+    require(!value.is_none() && real.load(value, true), ErrorKind::Type, what,
+            ": expected Real values, got ", type_name(value));
+    values.push_back(py::detail::cast_op<const Real&>(real));
+  };
+  if (py::isinstance<py::tuple>(result) || py::isinstance<py::list>(result)) {
+    for (const py::handle value : result) add(value);
+  } else {
+    add(result);
+  }
+  return values;
+}
+
+nova::Access to_access(py::handle value) {
+  constexpr std::pair<const char*, nova::Access> names[] = {{"direct", nova::Access::Direct},
+                                                            {"uniform", nova::Access::Uniform},
+                                                            {"indexed", nova::Access::Indexed},
+                                                            {"csr_row", nova::Access::CsrRow},
+                                                            {"reduced", nova::Access::Reduced}};
+  require(PyUnicode_Check(value.ptr()) != 0, ErrorKind::Type, "access: expected a name, got ",
+          type_name(value));
+  const auto text = value.cast<std::string>();
+  for (const auto& [name, access] : names)
+    if (text == name) return access;
+  fail(ErrorKind::Value,
+       "access: expected \"direct\", \"uniform\", \"indexed\", \"csr_row\" or \"reduced\", got \"",
+       text, "\"");
+}
+
+// (name, dtype, width=1, access="direct") each
+std::vector<nova::SourceSpec> to_sources(const py::sequence& sources) {
+  std::vector<nova::SourceSpec> specs;
+  for (const py::handle item : sources) {
+    require(py::isinstance<py::tuple>(item) || py::isinstance<py::list>(item), ErrorKind::Type,
+            "sources: expected tuples (name, dtype, width, access), got ", type_name(item));
+    const auto parts = py::reinterpret_borrow<py::sequence>(item);
+    require(parts.size() >= 2 && parts.size() <= 4, ErrorKind::Value,
+            "sources: expected (name, dtype, width, access), got ", parts.size(), " parts");
+    nova::SourceSpec spec;
+    spec.name = py::object(parts[0]).cast<std::string>();
+    spec.dtype = to_nova_dtype(py::object(parts[1]));
+    if (parts.size() > 2) spec.width = to_int32(py::object(parts[2]), "width");
+    if (parts.size() > 3) spec.access = to_access(py::object(parts[3]));
+    specs.push_back(std::move(spec));
+  }
+  return specs;
+}
+
+// A number of columns of the output "out", or (name, width) each.
+std::vector<nova::OutputSpec> to_outputs(py::handle outputs) {
+  if (PyIndex_Check(outputs.ptr())) return {{"out", to_int32(outputs, "outputs")}};
+  std::vector<nova::OutputSpec> specs;
+  for (const py::handle item : outputs.cast<py::sequence>()) {
+    const auto [name, width] = item.cast<std::pair<std::string, int32_t>>();
+    specs.push_back({name, width});
+  }
+  return specs;
+}
+
+// ---------------------------------------------------------------- kernels
+
+struct PyKernel {
+  nova::Kernel kernel;
+  std::vector<bool> param_is_int;  // as the function reads it
+};
+
+PyKernel finish(nova::Kernel kernel) {
+  PyKernel made{std::move(kernel), {}};
+  for (const nova::ir::Instr& in : made.kernel.traced().instrs) {
+    if (in.op != nova::ir::Op::PARAM_I) continue;
+    const auto k = static_cast<size_t>(in.a);
+    if (k >= made.param_is_int.size()) made.param_is_int.resize(k + 1);
+    made.param_is_int[k] = true;
+  }
+  return made;
+}
+
+PyKernel make_indexed(const std::string& name, const py::sequence& sources, py::handle outputs,
+                      const py::function& fn) {
+  return finish(nova::make_kernel(name, to_sources(sources), to_outputs(outputs),
+                                  [&fn](TraceContext& c) { return reals(trace(fn, c), "fn"); }));
+}
+
+PyKernel make_reduce(const std::string& name, const py::sequence& sources, py::handle outputs,
+                     const py::function& body, const py::object& init, const py::object& epilogue) {
+  nova::ReduceFns fns;
+  fns.body = [&body](TraceContext& c) { return reals(trace(body, c), "body"); };
+  if (!init.is_none())
+    fns.init = [&init](TraceContext& c) { return reals(trace(init, c), "init"); };
+  if (!epilogue.is_none())
+    fns.epilogue = [&epilogue](TraceContext& c, std::span<const Real> sums) {
+      py::tuple given(sums.size());
+      for (size_t k = 0; k < sums.size(); ++k) given[k] = py::cast(sums[k]);
+      return reals(trace(epilogue, c, given), "epilogue");
+    };
+  return finish(nova::make_reduce_kernel(name, to_sources(sources), to_outputs(outputs), fns));
+}
+
+std::vector<Tensor> call(const PyKernel& k, int64_t dim, const std::vector<Tensor>& inputs,
+                         const py::sequence& params, int32_t extent,
+                         const std::shared_ptr<nova::IncidenceData>& csr) {
+  std::vector<nova::Param> words;
+  for (size_t p = 0; p < params.size(); ++p) {
+    const py::object value = params[p];
+    if (p < k.param_is_int.size() && k.param_is_int[p]) {
+      words.emplace_back(to_int32(value, "params"));
+    } else {
+      words.emplace_back(to_float(value, "params"));
+    }
+  }
+  const nova::Incidence incidence = csr;
+  const py::gil_scoped_release release;
+  return k.kernel(dim, inputs,
+                  {.params = words, .extent = extent, .csr = csr ? &incidence : nullptr});
+}
+
+py::object items_to_numpy(const std::shared_ptr<Range>& range) {
+  return copy_to_numpy(
+      {range, Scalar::I32, {static_cast<int64_t>(range->bytes() / sizeof(int32_t))}});
+}
+
+}  // namespace
+
+void bind_nova_kernel(py::module_& m) {
+  bind_context(m);
+
+  py::class_<nova::IncidenceData, std::shared_ptr<nova::IncidenceData>>(
+      m, "Incidence",
+      "The inverse of an index table: for every row the slots that hold it, ascending.")
+      .def_property_readonly(
+          "rows", [](const nova::IncidenceData& i) { return i.rows; }, "Rows.")
+      .def_property_readonly(
+          "offsets", [](const nova::IncidenceData& i) { return items_to_numpy(i.offsets); },
+          "int32 {rows + 1}: where the items of a row begin.")
+      .def_property_readonly(
+          "items", [](const nova::IncidenceData& i) { return items_to_numpy(i.items); },
+          "int32 {slots}: the slots, row by row.");
+  m.def(
+      "make_incidence",
+      [](const Tensor& table, int64_t rows) {
+        require(table.dtype() == nova::DType::I32, ErrorKind::Type,
+                "make_incidence, table: expected int32, got ", nova::dtype_name(table.dtype()));
+        return std::const_pointer_cast<nova::IncidenceData>(
+            nova::make_incidence(table.flat_operand(), rows));
+      },
+      "table"_a, "rows"_a, release_gil(),
+      "Inverts an int32 table of row numbers; negative entries belong to no row. IndexError: an "
+      "entry >= rows.");
+
+  py::class_<PyKernel>(m, "IndexedKernel",
+                       "A kernel with generated adjoints: call it with tensors.")
+      .def("__call__", &call, "dim"_a, "inputs"_a, "params"_a = py::tuple(), "extent"_a = 0,
+           "csr"_a = py::none(),
+           "Runs over `dim` output rows; returns a list with one new Tensor per output, {dim, "
+           "width} ({dim} for width 1). "
+           "Recorded on an active tape when an input carries a gradient. extent: items of a fixed "
+           "sum; csr: the Incidence "
+           "of a CSR sum. ValueError: a shape that is not exactly the declared one.")
+      .def_property_readonly(
+          "name", [](const PyKernel& k) { return k.kernel.name(); }, "Its name.")
+      .def_property_readonly(
+          "hash", [](const PyKernel& k) { return k.kernel.hash(); },
+          "64 bits: equal for equal computations.")
+      .def(
+          "source", [](const PyKernel& k) { return k.kernel.source(); }, "The Program as text.")
+      .def("__repr__",
+           [](const PyKernel& k) { return "IndexedKernel('" + k.kernel.name() + "')"; });
+  m.def("make_indexed_kernel", &make_indexed, "name"_a, "sources"_a, "outputs"_a, "fn"_a,
+        "A kernel out[i] = fn(i) from a Python function that is traced once: fn(c) reads sources "
+        "through the TraceContext c "
+        "and returns the output columns as Real values, one or a tuple. sources: (name, dtype, "
+        "width, access) each, with the "
+        "access \"direct\" (row i), \"uniform\" (row 0) or \"indexed\" (a row from an int32 "
+        "source); outputs: a number of "
+        "columns, or (name, width) each.");
+  m.def("make_reduce_kernel", &make_reduce, "name"_a, "sources"_a, "outputs"_a, "body"_a,
+        py::kw_only(), "init"_a = py::none(), "epilogue"_a = py::none(),
+        "A kernel out[i] = epilogue(i, ordered sum of body(i, r) from init(i)). body(c) returns "
+        "the terms, init(c) the "
+        "initial values (0), epilogue(c, sums) the outputs (the sums). Sources may also be "
+        "\"reduced\" (row r of `extent`) "
+        "or \"csr_row\" (the slots of row i of an Incidence).");
+}
+
+}  // namespace novaphy::python

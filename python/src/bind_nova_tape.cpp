@@ -1,0 +1,196 @@
+// Tape, no_grad, capture, optimiser updates, gradient checks.
+#include "nova_types.h"
+#include "novaphy/nova/gradcheck.h"
+#include "novaphy/nova/optim.h"
+
+namespace novaphy::python {
+
+using nova::Tensor;
+
+namespace {
+
+// with nova.no_grad(): ...  (may be nested)
+class NoGradContext {
+ public:
+  void enter() { active_.push_back(std::make_unique<nova::NoGrad>()); }
+  void exit() {
+    if (!active_.empty()) active_.pop_back();
+  }
+
+ private:
+  std::vector<std::unique_ptr<nova::NoGrad>> active_;
+};
+
+// with nova.ScopedCapture() as capture: ...; capture.graph.launch()
+class CaptureContext {
+ public:
+  void enter() {
+    require(capture_ == nullptr, ErrorKind::Runtime, "ScopedCapture: already active");
+    capture_ = std::make_unique<nova::ScopedCapture>();
+    graph_ = capture_->graph();
+  }
+  void exit() { capture_.reset(); }
+  const std::shared_ptr<nova::OpList>& graph() const {
+    require(graph_ != nullptr, ErrorKind::Runtime,
+            "ScopedCapture: nothing was captured; use it in a with statement");
+    return graph_;
+  }
+
+ private:
+  std::unique_ptr<nova::ScopedCapture> capture_;
+  std::shared_ptr<nova::OpList> graph_;
+};
+
+void record_custom(nova::Tape& tape, const std::string& name, const std::vector<Tensor>& inputs,
+                   const std::vector<Tensor>& outputs, const py::function& backward) {
+  const Callback callback{backward};
+  tape.record_custom(name, inputs, outputs, [callback](const std::vector<Tensor>& grad_outputs) {
+    const py::gil_scoped_acquire gil;
+    py::list given;
+    for (const Tensor& grad : grad_outputs) given.append(py::cast(grad));
+    const py::object result = callback.get()(given);
+    std::vector<Tensor> grads;
+    if (py::isinstance<nova::TensorImpl>(result)) {
+      grads.push_back(result.cast<Tensor>());
+      return grads;
+    }
+    require(py::isinstance<py::sequence>(result), ErrorKind::Type,
+            "record_custom, backward: expected it to return a list of gradients, got ",
+            type_name(result));
+    for (const py::handle grad : result) {
+      require(grad.is_none() || py::isinstance<nova::TensorImpl>(grad), ErrorKind::Type,
+              "record_custom, backward: expected Tensors or None, got ", type_name(grad));
+      grads.push_back(grad.is_none() ? Tensor() : grad.cast<Tensor>());
+    }
+    return grads;
+  });
+}
+
+void bind_tape(py::module_& m) {
+  py::class_<nova::Tape>(m, "Tape",
+                         "Records the operations whose inputs carry gradients, and runs their "
+                         "adjoints in reverse. with nova.Tape() as tape "
+                         "makes it the active one of the thread (novaphy.Error when another one is "
+                         "active). Inputs are kept by reference with "
+                         "their version: backward raises when an adjoint would read a value that "
+                         "was overwritten since.")
+      .def(py::init<>())
+      .def("__enter__",
+           [](py::object self) {
+             self.cast<nova::Tape&>().begin();
+             return self;
+           })
+      .def("__exit__", [](nova::Tape& tape, const py::args&) { tape.end(); })
+      .def(
+          "backward",
+          [](nova::Tape& tape, const Tensor& loss, const std::optional<Tensor>& grad) {
+            tape.backward(loss, grad.value_or(Tensor()));
+          },
+          "loss"_a, "grad"_a = py::none(), release_gil(),
+          "Pulls the gradient of `loss` back: leaves accumulate over calls, everything else starts "
+          "anew. Without `grad` "
+          "the loss must hold one value (ValueError, also for a loss that is not on the tape).")
+      .def("zero", &nova::Tape::zero, release_gil(),
+           "All gradients that the tape touched are zero.")
+      .def("reset", &nova::Tape::reset, "Forgets all operations.")
+      .def_property_readonly("size", &nova::Tape::size, "Recorded operations.")
+      .def("__len__", &nova::Tape::size)
+      .def("op_names", &nova::Tape::op_names, "The names of the recorded operations, in order.")
+      .def_property_readonly("memory_bytes", &nova::Tape::memory_bytes,
+                             "Bytes of the records themselves.")
+      .def("record_custom", &record_custom, "name"_a, "inputs"_a, "outputs"_a, "backward"_a,
+           "A differentiable operation that is no kernel; call it after the outputs were computed. "
+           "backward(grad_outputs) gets and returns a list with a Tensor or None for each output "
+           "and input.");
+
+  py::class_<NoGradContext>(m, "no_grad",
+                            "Context manager: nothing of this thread is recorded on a tape.")
+      .def(py::init<>())
+      .def("__enter__", &NoGradContext::enter)
+      .def("__exit__", [](NoGradContext& c, const py::args&) { c.exit(); });
+  m.def("grad_enabled", &nova::grad_enabled, "Whether this thread is outside of no_grad.");
+}
+
+void bind_capture(py::module_& m) {
+  py::class_<nova::OpList, std::shared_ptr<nova::OpList>>(m, "Graph",
+                                                          "Captured work on fixed memory.")
+      .def("launch", &nova::OpList::launch, release_gil(),
+           "Runs all of it. novaphy.Error when an index table (the contacts) changed since the "
+           "capture.")
+      .def("__len__", &nova::OpList::size)
+      .def_property_readonly("size", &nova::OpList::size, "Operations.");
+  py::class_<CaptureContext>(m, "ScopedCapture",
+                             "Context manager: launches, copies and fills of this thread are "
+                             "recorded and not run. Host reads and whatever else "
+                             "cannot be recorded raise novaphy.Error.")
+      .def(py::init<>())
+      .def("__enter__",
+           [](py::object self) {
+             self.cast<CaptureContext&>().enter();
+             return self;
+           })
+      .def("__exit__", [](CaptureContext& c, const py::args&) { c.exit(); })
+      .def_property_readonly("graph", &CaptureContext::graph, "What was captured.");
+  m.def(
+      "capture_launch", [](const nova::OpList& graph) { graph.launch(); }, "graph"_a, release_gil(),
+      "graph.launch()");
+}
+
+void bind_optim(py::module_& m) {
+  m.def("sgd_update_f32", &nova::sgd_update_f32, "param"_a, "learning_rate"_a, release_gil(),
+        "param -= learning_rate * param.grad, in place, as one kernel. ValueError when there is no "
+        "gradient.");
+  m.def("sgd_update_vec3_clipped_f32", &nova::sgd_update_vec3_clipped_f32, "param"_a,
+        "learning_rate"_a, "max_parameter_norm"_a, "max_gradient_norm"_a, release_gil(),
+        "Per row of param {n, 3}: a gradient that is not finite leaves the row; a longer gradient "
+        "is scaled to "
+        "max_gradient_norm; p -= learning_rate * g; a longer result is scaled to "
+        "max_parameter_norm. A norm <= 0 switches "
+        "that clip off.");
+}
+
+void bind_gradcheck(py::module_& m) {
+  const nova::GradcheckOptions d;
+  py::class_<nova::GradcheckResult>(m, "GradcheckResult",
+                                    "What gradcheck found; true when it is ok.")
+      .def_readonly("ok", &nova::GradcheckResult::ok, "Whether all values agree.")
+      .def_readonly("max_abs_error", &nova::GradcheckResult::max_abs_error, "Largest difference.")
+      .def_readonly("max_rel_error", &nova::GradcheckResult::max_rel_error,
+                    "Relative to the largest difference quotient of the input.")
+      .def_readonly("worst", &nova::GradcheckResult::worst,
+                    "Where: \"input 1, value 4: ad 0.5, fd 0.4\".")
+      .def("__bool__", [](const nova::GradcheckResult& r) { return r.ok; })
+      .def("__repr__", [](const nova::GradcheckResult& r) {
+        return std::string("GradcheckResult(ok=") + (r.ok ? "True" : "False") +
+               ", max_rel_error=" + std::to_string(r.max_rel_error) + ", worst='" + r.worst + "')";
+      });
+  m.def(
+      "gradcheck",
+      [](const py::function& fn, const std::vector<Tensor>& inputs, float epsilon, float rtol,
+         float atol) {
+        const auto call = [&fn](const std::vector<Tensor>& tensors) {
+          const py::object loss = fn(*py::tuple(py::cast(tensors)));
+          require(py::isinstance<nova::TensorImpl>(loss), ErrorKind::Type,
+                  "gradcheck, fn: expected it to return a Tensor, got ", type_name(loss));
+          return loss.cast<Tensor>();
+        };
+        return nova::gradcheck(call, inputs, {.epsilon = epsilon, .rtol = rtol, .atol = atol});
+      },
+      "fn"_a, "inputs"_a, py::kw_only(), "epsilon"_a = d.epsilon, "rtol"_a = d.rtol,
+      "atol"_a = d.atol,
+      "Compares the tape's gradient of the one-value fn(*inputs) with central differences of every "
+      "input value. epsilon: "
+      "step relative to max(1, |x|); |ad - fd| <= atol + rtol * max|fd|. The inputs keep their "
+      "values.");
+}
+
+}  // namespace
+
+void bind_nova_tape(py::module_& m) {
+  bind_tape(m);
+  bind_capture(m);
+  bind_optim(m);
+  bind_gradcheck(m);
+}
+
+}  // namespace novaphy::python

@@ -1,0 +1,242 @@
+// nova.Tensor.
+#include "nova_types.h"
+#include "novaphy/nova/ops.h"
+
+namespace novaphy::python {
+
+using nova::Tensor;
+
+namespace {
+
+void assign_tensor(const Tensor& self, py::handle source) {
+  if (py::isinstance<nova::TensorImpl>(source)) {
+    const auto other = source.cast<Tensor>();
+    check_assignable(self.shape(), other.shape(), "assign");
+    const py::gil_scoped_release release;
+    self.copy_(other);
+    return;
+  }
+  assign_host_values(view_of(self), source, "assign");
+}
+
+// One size may be -1: whatever is left.
+Tensor reshape(const Tensor& self, const py::args& args) {
+  py::object sizes = args.size() == 1 && PySequence_Check(py::object(args[0]).ptr())
+                         ? py::object(args[0])
+                         : py::object(args);
+  nova::Shape shape;
+  try {
+    shape = sizes.cast<nova::Shape>();
+  } catch (const py::cast_error&) {
+    fail(ErrorKind::Type, "reshape: expected integers, got ", type_name(sizes));
+  }
+  int64_t known = 1, free_at = -1;
+  for (size_t k = 0; k < shape.size(); ++k) {
+    if (shape[k] == -1 && free_at < 0) {
+      free_at = static_cast<int64_t>(k);
+    } else {
+      known *= shape[k];
+    }
+  }
+  if (free_at >= 0 && known > 0 && self.size() % known == 0)
+    shape[static_cast<size_t>(free_at)] = self.size() / known;
+  return self.reshape(shape);
+}
+
+py::object grad_of(const Tensor& self) {
+  if (self.dtype() != nova::DType::F32 || !(self.requires_grad() || self.has_grad()))
+    return py::none();
+  return py::cast(self.grad());
+}
+
+std::string repr(const Tensor& t) {
+  return "Tensor(shape=" + shape_text(t.shape()) + ", dtype=" + nova::dtype_name(t.dtype()) +
+         ", device='" + t.device().str() + "'" + (t.requires_grad() ? ", requires_grad=True" : "") +
+         ")";
+}
+
+using TensorClass = py::class_<nova::TensorImpl, std::shared_ptr<nova::TensorImpl>>;
+
+void bind_properties(TensorClass& c) {
+  c.def_property_readonly(
+       "shape", [](const Tensor& t) { return shape_tuple(t.shape()); }, "Sizes.")
+      .def_property_readonly("ndim", method<&Tensor::ndim>, "Dimensions.")
+      .def_property_readonly("size", method<&Tensor::size>, "Values in all.")
+      .def_property_readonly(
+          "dtype", [](const Tensor& t) { return dtype_object(dtype_of(t.dtype())); },
+          "float32, int32 or uint8.")
+      .def_property_readonly("device", method<&Tensor::device>, "Where it is.")
+      .def_property_readonly(
+          "strides", [](const Tensor& t) { return shape_tuple(view_of(t).strides()); }, "Bytes.")
+      .def_property_readonly(
+          "itemsize", [](const Tensor& t) { return nova::dtype_bytes(t.dtype()); }, "Bytes.")
+      .def_property_readonly("nbytes", method<&Tensor::bytes>, "Bytes.")
+      .def_property_readonly(
+          "data_ptr",
+          [](const Tensor& t) { return reinterpret_cast<uintptr_t>(t.range()->data()); },
+          "The address on the device.")
+      .def_property_readonly(
+          "is_contiguous", [](const Tensor&) { return true; }, "Always.")
+      .def_property_readonly("is_external", method<&Tensor::is_external>,
+                             "Whether the memory belongs to somebody else.")
+      .def_property_readonly("is_leaf", method<&Tensor::is_leaf>,
+                             "No operation of a living tape writes it.")
+      .def_property_readonly("version", method<&Tensor::version>,
+                             "Goes up with every write to the memory.")
+      .def_property("requires_grad", method<&Tensor::requires_grad>,
+                    method<&Tensor::set_requires_grad>,
+                    "Whether tapes follow it; float32 only (ValueError).")
+      .def_property_readonly("grad", &grad_of,
+                             "The gradient: a Tensor of the same shape, zero until a backward; "
+                             "None for a tensor without.");
+}
+
+void bind_methods(TensorClass& c) {
+  c.def(
+       "numpy",
+       [](const Tensor& t, bool copy, bool writable) {
+         return view_to_numpy(view_of(t), copy, writable);
+       },
+       "copy"_a = true, "writable"_a = false,
+       "A NumPy array: a copy, or with copy=False the memory itself, read-only unless "
+       "writable=True. novaphy.Error in a "
+       "capture.")
+      .def(
+          "item",
+          [](const Tensor& t) {
+            require(t.size() == 1, ErrorKind::Value, "item: expected one value, got shape ",
+                    nova::shape_str(t.shape()));
+            return py::object(copy_to_numpy(view_of(t)).attr("item")());
+          },
+          "The value of a tensor that holds one, as a Python number.")
+      .def(
+          "tolist",
+          [](const Tensor& t) { return py::object(copy_to_numpy(view_of(t)).attr("tolist")()); },
+          "The values as nested lists.")
+      .def("clone", method<&Tensor::clone>, release_gil(), "A copy, recorded on an active tape.")
+      .def("detach", method<&Tensor::detach>, release_gil(), "A copy that no tape follows.")
+      .def(
+          "to", [](const Tensor& t, py::handle device) { return t.to(to_device(device)); },
+          "device"_a, "A copy on a device.")
+      .def("reshape", &reshape, "The same memory in another shape; one size may be -1.")
+      .def(
+          "copy_",
+          [](const py::object& self, const Tensor& source) {
+            const auto t = self.cast<Tensor>();
+            {
+              const py::gil_scoped_release release;
+              t.copy_(source);
+            }
+            return self;
+          },
+          "source"_a, "Copies a tensor's values, recorded on an active tape; returns self.")
+      .def("assign", &assign_tensor, "source"_a,
+           "Copies values from a Tensor, NumPy array or list of the same number of values "
+           "(ValueError). TypeError for a "
+           "float64 array.")
+      .def(
+          "fill_",
+          [](const py::object& self, float value) {
+            self.cast<Tensor>().fill_(value);
+            return self;
+          },
+          "value"_a, "Sets all values (float32); returns self.")
+      .def(
+          "zero_",
+          [](const py::object& self) {
+            const auto t = self.cast<Tensor>();
+            if (t.dtype() == nova::DType::F32) {
+              t.fill_(0.0f);
+            } else {
+              view_of(t).flat().zero();
+            }
+            return self;
+          },
+          "Sets all values to zero; returns self.")
+      .def("zero_grad", method<&Tensor::zero_grad>, "Sets the gradient to zero.")
+      .def("__len__",
+           [](const Tensor& t) {
+             require(t.ndim() != 0, ErrorKind::Type, "len: the tensor has no dimension");
+             return t.dim(0);
+           })
+      .def(
+          "__getitem__",
+          [](const Tensor& t, py::handle index) { return get_rows(view_of(t), index); }, "index"_a,
+          "Rows as a NumPy copy.")
+      .def("__iter__", [](const Tensor& t) { return py::iter(copy_to_numpy(view_of(t))); })
+      .def(
+          "__array__",
+          [](const Tensor& t, py::handle dtype, py::handle copy) {
+            return array_protocol(view_of(t), dtype, copy);
+          },
+          "dtype"_a = py::none(), "copy"_a = py::none())
+      .def(
+          "__dlpack__",
+          [](const Tensor& t, py::handle stream, py::handle max_version, py::handle dl_device,
+             py::handle copy) {
+            return export_dlpack(view_of(t), stream, max_version, dl_device, copy);
+          },
+          py::kw_only(), "stream"_a = py::none(), "max_version"_a = py::none(),
+          "dl_device"_a = py::none(), "copy"_a = py::none())
+      .def("__dlpack_device__", [](const Tensor& t) { return dlpack_device(view_of(t)); })
+      .def_property_readonly(
+          "__array_interface__",
+          [](const Tensor& t) {
+            if (!t.device().is_cpu())
+              throw py::attribute_error("__array_interface__: the tensor is not on the cpu");
+            return array_interface(view_of(t));
+          })
+      .def_property_readonly(
+          "__cuda_array_interface__",
+          [](const Tensor& t) {
+            if (t.device().type != DeviceType::CUDA)
+              throw py::attribute_error(
+                  "__cuda_array_interface__: the tensor is not on a CUDA device");
+            return cuda_array_interface(view_of(t));
+          })
+      .def("__repr__", &repr);
+  // NumPy leaves arithmetic with a tensor to the tensor, so that no gradient is lost in an array.
+  c.attr("__array_ufunc__") = py::none();
+}
+
+// An operator and the function of the same name, between tensors and numbers.
+#define NOVAPHY_OPERATOR(name, function)                                                       \
+  c.def(                                                                                       \
+       "__" #name "__", [](const Tensor& a, const Tensor& b) { return nova::function(a, b); }, \
+       py::is_operator(), release_gil())                                                       \
+      .def(                                                                                    \
+          "__" #name "__", [](const Tensor& a, float b) { return nova::function(a, b); },      \
+          py::is_operator(), release_gil())
+#define NOVAPHY_REVERSED(name, expression)                                                     \
+  c.def(                                                                                       \
+      "__" #name "__", [](const Tensor& a, float b) { return expression; }, py::is_operator(), \
+      release_gil())
+
+void bind_operators(TensorClass& c) {
+  NOVAPHY_OPERATOR(add, add);
+  NOVAPHY_OPERATOR(sub, sub);
+  NOVAPHY_OPERATOR(mul, mul);
+  NOVAPHY_OPERATOR(truediv, div);
+  NOVAPHY_REVERSED(radd, nova::add(a, b));
+  NOVAPHY_REVERSED(rsub, nova::sub(b, a));
+  NOVAPHY_REVERSED(rmul, nova::mul(a, b));
+  NOVAPHY_REVERSED(rtruediv, nova::div(b, a));
+  c.def(
+      "__neg__", [](const Tensor& t) { return nova::neg(t); }, release_gil());
+  c.def(
+      "__abs__", [](const Tensor& t) { return nova::abs(t); }, release_gil());
+}
+
+}  // namespace
+
+void bind_nova_tensor(py::module_& m) {
+  TensorClass c(m, "Tensor",
+                "A typed view of memory, with a gradient. Version, gradient and overwrite checks "
+                "belong to the memory, so "
+                "every view of the same bytes shares them.");
+  bind_properties(c);
+  bind_methods(c);
+  bind_operators(c);
+}
+
+}  // namespace novaphy::python

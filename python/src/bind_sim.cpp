@@ -1,0 +1,243 @@
+// Enumerations, Model, SimState, Control and Contacts.
+#include "fields.h"
+#include "novaphy/collision/collision_pipeline.h"
+#include "novaphy/core/sim/contacts.h"
+#include "novaphy/core/sim/model.h"
+
+namespace novaphy::python {
+namespace {
+
+using Names = std::initializer_list<std::pair<const char*, int>>;
+
+// enum.IntEnum or enum.IntFlag: its members are ints for every function that takes them.
+void add_enum(py::module_& m, const char* base, const char* name, const char* doc,
+              const Names& members) {
+  py::dict values;
+  for (const auto& [member, value] : members) values[member] = value;
+  py::object type = py::module_::import("enum").attr(base)(name, values, "module"_a = "novaphy");
+  type.attr("__doc__") = doc;
+  m.attr(name) = type;
+}
+
+template <class E>
+constexpr int value_of(E e) {
+  return static_cast<int>(e);
+}
+
+py::object soft_contact_rows(const Contacts& contacts) {
+  const std::vector<SoftContact> rows = contacts.soft_contacts();
+  static_assert(sizeof(SoftContact) == 44);
+  py::list fields;
+  fields.append(py::make_tuple("particle", "<i4"));
+  fields.append(py::make_tuple("shape", "<i4"));
+  for (const char* name : {"body_pos", "body_vel", "normal"})
+    fields.append(py::make_tuple(name, "<f4", 3));
+  const py::bytes data(reinterpret_cast<const char*>(rows.data()),
+                       rows.size() * sizeof(SoftContact));
+  return py::module_::import("numpy")
+      .attr("frombuffer")(data, numpy().dtype(fields))
+      .attr("copy")();
+}
+
+[[noreturn]] void removed_name(const char* name, const char* other) {
+  throw py::attribute_error(std::string("Control has no ") + name + "; its name is " + other);
+}
+
+void bind_model(py::module_& m) {
+  py::class_<Model, std::shared_ptr<Model>> c(
+      m, "Model",
+      "What stays the same over time: particles, shapes, materials. Made by ModelBuilder.finalize; "
+      "sizes are fixed, values "
+      "may be edited at any time and act at the next step.");
+  using Fields = ModelFields;
+  NOVAPHY_MODEL_FIELDS(NOVAPHY_BIND_FIELD)
+  bind_counts(c);
+  // The same arrays under Newton's names.
+  bind_field(
+      c, {"shape_aabb_lower", DType::vec3, 1, "shape_count", "m", "shape", "as shape_aabb_lower"},
+      &Fields::shape_aabb_lower, "shape_collision_aabb_lower");
+  bind_field(
+      c, {"shape_aabb_upper", DType::vec3, 1, "shape_count", "m", "shape", "as shape_aabb_upper"},
+      &Fields::shape_aabb_upper, "shape_collision_aabb_upper");
+#define NOVAPHY_SETTING(name, doc) c.def_readwrite(#name, &Model::name, doc);
+  NOVAPHY_SETTING(soft_contact_ke,
+                  "N/m; a contact uses the mean of this and of the shape's material.")
+  NOVAPHY_SETTING(soft_contact_kd, "N*s/m, contact damping.")
+  NOVAPHY_SETTING(soft_contact_kf, "N*s/m, friction below the Coulomb limit.")
+  NOVAPHY_SETTING(soft_contact_mu, "Coulomb friction.")
+  NOVAPHY_SETTING(soft_contact_restitution, "No force uses it.")
+  NOVAPHY_SETTING(particle_adhesion,
+                  "m: a soft contact acts up to this distance between the surfaces.")
+  NOVAPHY_SETTING(particle_max_velocity, "m/s: faster particles are slowed down to it.")
+  NOVAPHY_SETTING(particle_max_radius, "m: the largest particle_radius when the model was made.")
+#undef NOVAPHY_SETTING
+  c.def_readonly("shape_label", &Model::shape_label, "One name per shape.")
+      .def_readonly("shape_collision_filter_pairs", &Model::shape_collision_filter_pairs,
+                    "Shape pairs (i < j) that never meet.")
+      .def_property_readonly(
+          "up_axis", [](const Model& self) { return value_of(self.up_axis()); }, "0, 1 or 2.")
+      .def("state", &Model::state, "requires_grad"_a = py::none(),
+           "A new state with the initial values. requires_grad None: the model's.")
+      .def(
+          "control",
+          [](const Model& self, bool clone_variables, std::optional<bool> grad) {
+            require(clone_variables, ErrorKind::NotImplemented,
+                    "control, clone_variables: a control always has arrays of its own");
+            return self.control(grad);
+          },
+          "clone_variables"_a = true, "requires_grad"_a = py::none(), "A new control, zero.")
+      .def(
+          "contacts",
+          [](const std::shared_ptr<Model>& self, CollisionPipeline* pipeline) {
+            return pipeline != nullptr ? pipeline->contacts() : CollisionPipeline(self).contacts();
+          },
+          "collision_pipeline"_a = py::none(), "Empty contacts, of a pipeline or of a default one.")
+      .def(
+          "collide",
+          [](const std::shared_ptr<Model>& self, const SimState& state, py::object contacts,
+             CollisionPipeline* given) {
+            std::optional<CollisionPipeline> made;
+            CollisionPipeline& pipeline = given != nullptr ? *given : made.emplace(self);
+            if (contacts.is_none()) contacts = py::cast(pipeline.contacts());
+            auto& target = contacts.cast<Contacts&>();
+            const py::gil_scoped_release release;
+            pipeline.collide(state, target);
+            return contacts;
+          },
+          "state"_a, "contacts"_a = py::none(), py::kw_only(), "collision_pipeline"_a = py::none(),
+          "Contacts of a state, by a pipeline or a default one; new ones when `contacts` is None.")
+      .def(
+          "set_gravity",
+          [](Model& self, py::handle value, std::optional<int32_t> world) {
+            self.set_gravity(to_vec3(value, "gravity"), world);
+          },
+          "value"_a, "world"_a = py::none(),
+          "Gravity, m/s^2, of one world or of all. ValueError: not finite.")
+      .def("clone", &Model::clone, "A copy on the same device.")
+      .def(
+          "to", [](const Model& self, py::handle device) { return self.to(to_device(device)); },
+          "device"_a, "A copy on a device.");
+}
+
+void bind_state(py::module_& m) {
+  py::class_<SimState> c(m, "SimState",
+                         "What changes over time. Made by Model.state(), or part of a Trajectory. "
+                         "Arrays of something that "
+                         "the model does not have exist with 0 rows.");
+  using Fields = StateFields;
+  NOVAPHY_STATE_FIELDS(NOVAPHY_BIND_FIELD)
+  bind_counts(c);
+  c.def("clear_forces", &SimState::clear_forces, py::call_guard<py::gil_scoped_release>(),
+        "particle_f and body_f to zero.")
+      .def("assign", &SimState::assign, "source"_a, py::call_guard<py::gil_scoped_release>(),
+           "Copies all values. ValueError when sizes or devices differ; nothing is copied then.")
+      .def("clone", &SimState::clone, "A copy.");
+}
+
+void bind_control(py::module_& m) {
+  py::class_<Control> c(m, "Control",
+                        "What drives the model during a step. Made by Model.control().");
+  using Fields = ControlFields;
+  NOVAPHY_CONTROL_FIELDS(NOVAPHY_BIND_FIELD)
+  bind_field(
+      c, {"tri_activations", DType::float32, 1, "tri_count", "1", "", "as particle_tri_activation"},
+      &Fields::particle_tri_activation, "tri_activations");
+  bind_counts(c);
+  c.def(
+       "clear", [](Control& self, const Model*) { self.clear(); }, "model"_a = py::none(),
+       "Everything to zero. (With a model: joint targets to its own; no model has joints yet.)")
+      .def("assign", &Control::assign, "source"_a,
+           "Copies all values. ValueError when sizes or devices differ.")
+      .def("clone", &Control::clone, "A copy.")
+      .def_property_readonly(
+          "joint_target_pos",
+          [](const Control&) { removed_name("joint_target_pos", "joint_target_q"); },
+          "Removed: joint_target_q.")
+      .def_property_readonly(
+          "joint_target_vel",
+          [](const Control&) { removed_name("joint_target_vel", "joint_target_qd"); },
+          "Removed: joint_target_qd.");
+}
+
+void bind_contacts(py::module_& m) {
+  py::class_<Contacts> c(
+      m, "Contacts",
+      "Contacts of particles with shapes. Made by CollisionPipeline.contacts(). The capacity is "
+      "fixed: "
+      "when more are found, the first soft_contact_max are kept and overflowed is True.");
+  using Fields = ContactFields;
+  c.def(py::init([](int32_t rigid_contact_max, int32_t soft_contact_max, py::handle device,
+                    bool requires_grad) {
+          require(rigid_contact_max >= 0, ErrorKind::Value,
+                  "rigid_contact_max: expected >= 0, got ", rigid_contact_max);
+          require(rigid_contact_max == 0, ErrorKind::NotImplemented,
+                  "rigid_contact_max: contacts of rigid bodies are not built yet");
+          return Contacts({.soft_contact_max = soft_contact_max, .requires_grad = requires_grad},
+                          to_device(device));
+        }),
+        "rigid_contact_max"_a = 0, "soft_contact_max"_a = 0, py::kw_only(), "device"_a = py::none(),
+        "requires_grad"_a = false,
+        "Empty contacts of no model; pipelines take only those that they made.");
+  NOVAPHY_CONTACT_FIELDS(NOVAPHY_BIND_FIELD)
+  c.def_property_readonly("soft_contact_max", &Contacts::soft_contact_max, "Slots.")
+      .def_property_readonly("soft_contact_pair_count", &Contacts::soft_contact_pair_count,
+                             "Candidate (particle, shape) pairs.")
+      .def_property_readonly("device", &Contacts::device, "Where the arrays are.")
+      .def_readwrite("requires_grad", &Contacts::requires_grad, "Whether gradients are wanted.")
+      .def_property_readonly("overflowed", &Contacts::overflowed,
+                             "Whether contacts found no slot. Reads from the device.")
+      .def_property_readonly("active_soft_contact_count", &Contacts::active_soft_contact_count,
+                             "min(soft_contact_count, soft_contact_max). Reads from the device.")
+      .def("clear", &Contacts::clear, "No contacts.")
+      .def("soft_contacts", &soft_contact_rows,
+           "The contacts in slot order, as a NumPy copy with the columns particle, shape, "
+           "body_pos, body_vel, normal.")
+      .def("assign", &Contacts::assign, "source"_a,
+           "Copies all values. ValueError when sizes or devices differ.")
+      .def("clone", &Contacts::clone, "A copy.");
+}
+
+}  // namespace
+
+void bind_enums(py::module_& m) {
+  add_enum(m, "IntEnum", "Axis", "A coordinate axis.", {{"X", 0}, {"Y", 1}, {"Z", 2}});
+  add_enum(m, "IntEnum", "GeoType", "What a shape is, see Model.shape_type.",
+           {{"NONE", value_of(GeoType::NONE)},
+            {"PLANE", value_of(GeoType::PLANE)},
+            {"HFIELD", value_of(GeoType::HFIELD)},
+            {"SPHERE", value_of(GeoType::SPHERE)},
+            {"CAPSULE", value_of(GeoType::CAPSULE)},
+            {"ELLIPSOID", value_of(GeoType::ELLIPSOID)},
+            {"CYLINDER", value_of(GeoType::CYLINDER)},
+            {"BOX", value_of(GeoType::BOX)},
+            {"MESH", value_of(GeoType::MESH)},
+            {"CONE", value_of(GeoType::CONE)},
+            {"CONVEX_MESH", value_of(GeoType::CONVEX_MESH)}});
+  add_enum(m, "IntFlag", "ParticleFlags", "Bits of Model.particle_flags.",
+           {{"ACTIVE", value_of(ParticleFlags::ACTIVE)}});
+  add_enum(
+      m, "IntFlag", "BodyFlags", "Bits of Model.body_flags.",
+      {{"DYNAMIC", value_of(BodyFlags::DYNAMIC)}, {"KINEMATIC", value_of(BodyFlags::KINEMATIC)}});
+  add_enum(m, "IntFlag", "ShapeFlags", "Bits of Model.shape_flags.",
+           {{"VISIBLE", value_of(ShapeFlags::VISIBLE)},
+            {"COLLIDE_SHAPES", value_of(ShapeFlags::COLLIDE_SHAPES)},
+            {"COLLIDE_PARTICLES", value_of(ShapeFlags::COLLIDE_PARTICLES)},
+            {"SITE", value_of(ShapeFlags::SITE)}});
+  add_enum(m, "IntFlag", "ModelFlags", "What notify_model_changed is told.",
+           {{"JOINT_PROPERTIES", value_of(ModelFlags::JOINT_PROPERTIES)},
+            {"JOINT_DOF_PROPERTIES", value_of(ModelFlags::JOINT_DOF_PROPERTIES)},
+            {"BODY_PROPERTIES", value_of(ModelFlags::BODY_PROPERTIES)},
+            {"BODY_INERTIAL_PROPERTIES", value_of(ModelFlags::BODY_INERTIAL_PROPERTIES)},
+            {"SHAPE_PROPERTIES", value_of(ModelFlags::SHAPE_PROPERTIES)},
+            {"MODEL_PROPERTIES", value_of(ModelFlags::MODEL_PROPERTIES)},
+            {"ALL", value_of(ModelFlags::ALL)}});
+}
+
+void bind_sim(py::module_& m) {
+  bind_model(m);
+  bind_state(m);
+  bind_control(m);
+  bind_contacts(m);
+}
+
+}  // namespace novaphy::python

@@ -1,0 +1,100 @@
+// Python values to engine values. A conversion that fails names the argument: TypeError for a wrong
+// kind of object, ValueError for a wrong number of numbers. Numbers may be float64; they are
+// rounded to float32.
+#pragma once
+
+#include <pybind11/pybind11.h>
+#include <pybind11/stl.h>
+
+#include <optional>
+#include <span>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "novaphy/core/device.h"
+#include "novaphy/core/device_array.h"
+#include "novaphy/core/error.h"
+#include "novaphy/core/sim/enums.h"
+#include "novaphy/core/sim/model_builder.h"
+#include "novaphy/math/types.h"
+
+namespace novaphy::python {
+
+namespace py = pybind11;
+using namespace pybind11::literals;
+
+// The parts of the module, one per library.
+void bind_core(py::module_& m);
+void bind_array(py::module_& m);
+void bind_enums(py::module_& m);
+void bind_sim(py::module_& m);
+void bind_builder(py::module_& m);
+void bind_collision(py::module_& m);
+void bind_dynamics(py::module_& m, py::module_& solvers);
+void bind_nova_tensor(py::module_& nova);
+void bind_nova(py::module_& nova);
+void bind_nova_tape(py::module_& nova);
+void bind_nova_trace(py::module_& nova);
+void bind_nova_kernel(py::module_& nova);
+void bind_diff(py::module_& diff, py::module_& solvers);
+
+// "str", "numpy.ndarray", ...
+std::string type_name(py::handle value);
+
+float to_float(py::handle value, const char* name);
+int32_t to_int32(py::handle value, const char* name);
+// Exactly out.size() numbers from a tuple, list, array or other sequence.
+void to_floats(py::handle value, const char* name, std::span<float> out);
+Vec3f to_vec3(py::handle value, const char* name);
+Vec4f to_vec4(py::handle value, const char* name);
+// None: the identity; else (px, py, pz, qx, qy, qz, qw), or a pair (position, quaternion).
+Transformf to_transform(py::handle value, const char* name);
+std::vector<Vec3f> to_vec3_list(py::handle value, const char* name);
+std::vector<float> to_float_list(py::handle value, const char* name);
+std::vector<int32_t> to_int_list(py::handle value, const char* name);
+
+// None: the default device; else a Device or its name.
+Device to_device(py::handle value);
+// 0, 1, 2, "x", "y", "z" or a unit vector along an axis.
+Axis to_axis(py::handle value);
+// None: 9.81 m/s^2 downwards; a number along the up axis; or a vector.
+GravitySpec to_gravity(py::handle value);
+
+// Element types are seen from Python as one object each: novaphy.vec3, ...
+struct DTypeObject {
+  DType dtype;
+};
+py::object dtype_object(DType dtype);
+// A dtype object, its name, or a NumPy dtype of a scalar.
+DType to_dtype(py::handle value);
+
+// (1, 2, 3)
+py::tuple to_tuple(const Vec3f& value);
+
+// NumPy, imported at the first use.
+struct NumPy {
+  py::object asarray, empty, generic, dtype, iinfo;
+  py::object scalars[5];  // dtypes by novaphy::Scalar
+};
+const NumPy& numpy();
+const py::object& numpy_dtype(Scalar scalar);
+
+// A contiguous NumPy array as bytes, for as long as this object lives.
+class BufferView {
+ public:
+  BufferView(py::handle array, bool writable) {
+    const int flags = PyBUF_C_CONTIGUOUS | (writable ? PyBUF_WRITABLE : 0);
+    if (PyObject_GetBuffer(array.ptr(), &buffer_, flags) != 0) throw py::error_already_set();
+  }
+  ~BufferView() { PyBuffer_Release(&buffer_); }
+  BufferView(const BufferView&) = delete;
+  BufferView& operator=(const BufferView&) = delete;
+  void* data() const { return buffer_.buf; }
+  size_t bytes() const { return static_cast<size_t>(buffer_.len); }
+
+ private:
+  Py_buffer buffer_{};
+};
+
+}  // namespace novaphy::python

@@ -1,0 +1,50 @@
+// Properties for the array fields of Model, SimState, Control and Contacts, from their field lists.
+#pragma once
+
+#include <string>
+
+#include "exchange.h"
+#include "novaphy/core/sim/fields.h"
+
+namespace novaphy::python {
+
+void assign_array(Array& array, py::handle source);  // DeviceArray.assign
+
+// "vec3 {particle_count}, m, world: initial positions. ..."
+inline std::string field_doc(const FieldInfo& info) {
+  std::string doc = std::string(dtype_info(info.dtype).name) + " {" + std::string(info.count_name) +
+                    (info.width != 1 ? ", " + std::to_string(info.width) : "") + "}";
+  if (!info.unit.empty()) doc += ", " + std::string(info.unit);
+  if (!info.frame.empty()) doc += ", " + std::string(info.frame) + " frame";
+  return doc + ": " + std::string(info.doc) +
+         ". Reading gives the array itself; assigning copies values into it.";
+}
+
+// Reads give a DeviceArray over the same memory; assignments copy values, the array stays the same.
+template <class Class, class Owner, class T>
+void bind_field(Class& c, const FieldInfo& info, DeviceArray<T> Owner::*member,
+                const char* name = nullptr) {
+  using Object = typename Class::type;
+  const std::string label(name != nullptr ? name : info.name);
+  c.def_property(
+      label.c_str(), [member](const Object& self) { return static_cast<Array>(self.*member); },
+      [member](Object& self, py::handle source) { assign_array(self.*member, source); },
+      field_doc(info).c_str());
+}
+
+#define NOVAPHY_BIND_FIELD(name, type, width, count, unit, frame, doc)                   \
+  bind_field(c, FieldInfo{#name, DTypeOf<type>::value, width, #count, unit, frame, doc}, \
+             &Fields::name);
+
+// Counts, device, requires_grad: what all objects of a model have.
+#define NOVAPHY_BIND_COUNT(name, doc) c.def_property_readonly(#name, &Object::name, doc);
+template <class Object, class... Options>
+void bind_counts(py::class_<Object, Options...>& c) {
+  NOVAPHY_MODEL_COUNTS(NOVAPHY_BIND_COUNT)
+  c.def_property_readonly("device", &Object::device, "Where the arrays are.");
+  c.def_property(
+      "requires_grad", [](const Object& self) { return self.requires_grad; },
+      [](Object& self, bool on) { self.requires_grad = on; }, "Whether gradients are wanted.");
+}
+
+}  // namespace novaphy::python

@@ -1,0 +1,138 @@
+// The module novaphy._core: errors, signals, and the parts in the order in which they need each
+// other.
+#include <new>
+
+#include "fast_step.h"
+#include "novaphy/core/parallel.h"
+#include "novaphy/core/version.h"
+
+namespace novaphy::python {
+
+void bind_host_buffer(py::module_& m);
+
+namespace {
+
+PyObject* error_type = nullptr;  // novaphy.Error, never released
+
+PyObject* python_type(ErrorKind kind) {
+  switch (kind) {
+    case ErrorKind::Value:
+      return PyExc_ValueError;
+    case ErrorKind::Type:
+      return PyExc_TypeError;
+    case ErrorKind::Index:
+      return PyExc_IndexError;
+    case ErrorKind::NotImplemented:
+      return PyExc_NotImplementedError;
+    case ErrorKind::Runtime:
+      break;
+  }
+  return error_type;
+}
+
+void bind_errors(py::module_& m) {
+  error_type = PyErr_NewExceptionWithDoc("novaphy.Error",
+                                         "Misuse of a device, a backend, a tape or a capture.",
+                                         PyExc_RuntimeError, nullptr);
+  if (error_type == nullptr) throw py::error_already_set();
+  m.attr("Error") = py::handle(error_type);
+  py::register_exception_translator([](std::exception_ptr pointer) {
+    try {
+      if (pointer) std::rethrow_exception(pointer);
+    } catch (const Error& error) {
+      PyErr_SetString(python_type(error.kind()), error.what());
+    }
+  });
+}
+
+// Ctrl-C in a long native loop: Python's handlers run on its main thread only, elsewhere this does
+// nothing.
+void check_signals() {
+  if (!Py_IsInitialized()) return;
+  const py::gil_scoped_acquire gil;
+  if (PyErr_CheckSignals() != 0) throw py::error_already_set();
+}
+
+constexpr std::pair<const char*, bool> kBuildInfo[] = {
+#include "build_info.inc"
+};
+
+bool built_with(std::string_view option) {
+  for (const auto& [name, on] : kBuildInfo)
+    if (option == name) return on;
+  return false;
+}
+
+void bind_build(py::module_& m) {
+  m.def(
+      "version", [] { return std::string(version()); }, "The version of the engine, \"0.1.0\".");
+  m.def(
+      "build_info",
+      [] {
+        py::dict info;
+        for (const auto& [name, on] : kBuildInfo) info[name] = on;
+        return info;
+      },
+      "The CMake options of this build: name -> bool.");
+  m.def(
+      "has_cuda", [] { return device_available(Device::cuda()); },
+      "Whether there is a CUDA device to use.");
+  m.def(
+      "has_diff", [] { return built_with("NOVAPHY_WITH_DIFF"); },
+      "Whether novaphy.nova and novaphy.diff are built.");
+  m.def(
+      "has_vbd", [] { return built_with("NOVAPHY_BUILD_VBD"); },
+      "Whether the VBD solver is built.");
+  m.def(
+      "has_nvrtc", [] { return built_with("NOVA_ENABLE_NVRTC"); },
+      "Whether run-time compilation is built.");
+  m.def("num_threads", &num_threads, "The number of threads that parallel work uses.");
+  m.def("set_num_threads", &set_num_threads, "count"_a, py::call_guard<py::gil_scoped_release>(),
+        "Sets the number of threads, 1 to 1024 (else ValueError). Results do not depend on it.");
+}
+
+}  // namespace
+
+void set_python_error(const std::exception_ptr& error) {
+  try {
+    std::rethrow_exception(error);
+  } catch (py::error_already_set& e) {
+    e.restore();
+  } catch (const Error& e) {
+    PyErr_SetString(python_type(e.kind()), e.what());
+  } catch (const std::bad_alloc&) {
+    PyErr_NoMemory();
+  } catch (const std::exception& e) {
+    PyErr_SetString(PyExc_RuntimeError, e.what());
+  }
+}
+
+PYBIND11_MODULE(_core, m) {
+  m.doc() = "The engine of NovaPhy. Import novaphy, not this module.";
+  py::options options;
+  options.disable_enum_members_docstring();
+  bind_errors(m);
+  bind_build(m);
+  bind_host_buffer(m);
+  bind_core(m);
+  bind_array(m);
+  bind_enums(m);
+  bind_sim(m);
+  bind_builder(m);
+  bind_collision(m);
+  py::module_ solvers = m.def_submodule("solvers", "Solvers; import novaphy.solvers.");
+  bind_dynamics(m, solvers);
+#ifdef NOVAPHY_PYTHON_DIFF
+  py::module_ nova = m.def_submodule("nova", "The tensor runtime; import novaphy.nova.");
+  bind_nova_tensor(nova);
+  bind_nova(nova);
+  bind_nova_tape(nova);
+  bind_nova_trace(nova);
+  bind_nova_kernel(nova);
+  py::module_ diff = m.def_submodule("diff", "Differentiable operators; import novaphy.diff.");
+  bind_diff(diff, solvers);
+#endif
+  set_interrupt_check(&check_signals);
+}
+
+}  // namespace novaphy::python

@@ -1,0 +1,66 @@
+// Tensors as Python sees them: an object of the class nova.Tensor is the shared TensorImpl, so the
+// same tensor is the same Python object for as long as it lives.
+#pragma once
+
+#include "exchange.h"
+#include "novaphy/nova/incidence.h"
+#include "novaphy/nova/op_list.h"
+#include "novaphy/nova/tape.h"
+#include "novaphy/nova/tensor.h"
+
+namespace pybind11::detail {
+
+template <>
+struct type_caster<nova::Tensor> {
+  PYBIND11_TYPE_CASTER(nova::Tensor, const_name("novaphy._core.nova.Tensor"));
+
+  bool load(handle source, bool convert) {
+    make_caster<std::shared_ptr<nova::TensorImpl>> impl;
+    if (source.is_none() || !impl.load(source, convert)) return false;
+    value = nova::Tensor(cast_op<std::shared_ptr<nova::TensorImpl>>(impl));
+    return true;
+  }
+  static handle cast(const nova::Tensor& tensor, return_value_policy, handle) {
+    if (!tensor.defined()) return none().release();
+    return make_caster<std::shared_ptr<nova::TensorImpl>>::cast(tensor.impl(),
+                                                                return_value_policy::automatic, {});
+  }
+};
+
+}  // namespace pybind11::detail
+
+namespace novaphy::python {
+
+using release_gil = py::call_guard<py::gil_scoped_release>;
+
+// A const method of Tensor as a function, because the bound class is TensorImpl.
+template <auto F>
+struct Method;
+template <class R, class... Args, R (nova::Tensor::*F)(Args...) const>
+struct Method<F> {
+  static R call(const nova::Tensor& self, Args... args) { return (self.*F)(args...); }
+};
+template <auto F>
+inline constexpr auto method = &Method<F>::call;
+
+nova::DType to_nova_dtype(py::handle value);
+DType dtype_of(nova::DType dtype);
+View view_of(const nova::Tensor& tensor);
+nova::Tensor tensor_of(const View& view);
+
+// A Python callable that native code may call and drop on any thread.
+class Callback {
+ public:
+  explicit Callback(py::object function)
+      : function_(new py::object(std::move(function)), [](py::object* f) {
+          if (!Py_IsInitialized()) return;
+          const py::gil_scoped_acquire gil;
+          delete f;
+        }) {}
+  const py::object& get() const { return *function_; }  // needs the GIL
+
+ private:
+  std::shared_ptr<py::object> function_;
+};
+
+}  // namespace novaphy::python

@@ -1,0 +1,223 @@
+// The builtin modules: row sums by the stated order, scan, stable sort, incidence.
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <cstring>
+#include <numeric>
+
+#include "harness.h"
+#include "novaphy/abi/program.h"
+#include "novaphy/core/parallel.h"
+
+namespace conformance {
+namespace {
+
+uint32_t next_random() {
+  static uint32_t state = 7;
+  return state = state * 1664525u + 1013904223u;
+}
+
+std::vector<float> random_floats(size_t count) {
+  std::vector<float> values(count);
+  for (float& v : values) v = static_cast<float>(static_cast<int32_t>(next_random())) * 1e-8f;
+  return values;
+}
+
+std::vector<uint32_t> words_of(const std::vector<float>& values) {
+  std::vector<uint32_t> words(values.size());
+  std::transform(values.begin(), values.end(), words.begin(), [](float v) { return bits(v); });
+  return words;
+}
+std::vector<uint32_t> words_of(const std::vector<int32_t>& values) {
+  return {values.begin(), values.end()};
+}
+
+// The rule of program.h on the items of one column.
+float ordered_sum(float init, const std::vector<float>& items) {
+  constexpr size_t kChunk = NOVAPHY_ROW_SUM_CHUNK;
+  if (items.size() <= kChunk) return std::accumulate(items.begin(), items.end(), init);
+  std::vector<float> level = items;
+  while (level.size() > kChunk) {
+    std::vector<float> sums;
+    for (size_t k = 0; k < level.size(); k += kChunk) {
+      float acc = 0.0f;
+      for (size_t j = k; j < std::min(level.size(), k + kChunk); ++j) acc += level[j];
+      sums.push_back(acc);
+    }
+    level = sums;
+  }
+  return init + std::accumulate(level.begin(), level.end(), 0.0f);
+}
+
+struct RowSumCase {
+  std::vector<int64_t> lengths;
+  bool with_items, with_init;
+};
+
+std::vector<uint32_t> expected_sums(const RowSumCase& c, int64_t width,
+                                    const std::vector<int32_t>& offsets,
+                                    const std::vector<int32_t>& items,
+                                    const std::vector<float>& source,
+                                    const std::vector<float>& init) {
+  std::vector<uint32_t> result;
+  for (size_t row = 0; row < c.lengths.size(); ++row) {
+    for (int64_t column = 0; column < width; ++column) {
+      std::vector<float> values;
+      for (int32_t k = offsets[row]; k < offsets[row + 1]; ++k) {
+        const int64_t item = c.with_items ? items[static_cast<size_t>(k)] : k;
+        values.push_back(source[static_cast<size_t>(item * width + column)]);
+      }
+      const float start =
+          c.with_init ? init[row * static_cast<size_t>(width) + static_cast<size_t>(column)] : 0.0f;
+      result.push_back(bits(ordered_sum(start, values)));
+    }
+  }
+  return result;
+}
+
+TEST(RowSum, FollowsTheRuleOfChunksForEveryLengthAndWidth) {
+  const Module module("row_sum_f32");
+  const int before = novaphy::num_threads();
+  for (const bool with_items : {false, true}) {
+    for (const bool with_init : {false, true}) {
+      RowSumCase c{{0, 1, 255, 256, 257, 600, 3, 70000, 0, 5}, with_items, with_init};
+      for (int k = 0; k < 600; ++k) c.lengths.push_back(k % 9);
+      for (const int64_t width : {1, 2, 3, 4, 5, 6, 7, 9, 12}) {
+        std::vector<int32_t> offsets = {0};
+        for (const int64_t length : c.lengths)
+          offsets.push_back(offsets.back() + static_cast<int32_t>(length));
+        const auto total = static_cast<size_t>(offsets.back());
+        std::vector<int32_t> items(total);
+        for (int32_t& item : items) item = static_cast<int32_t>(next_random() % total);
+        const std::vector<float> source = random_floats(total * static_cast<size_t>(width));
+        const std::vector<float> init =
+            random_floats(c.lengths.size() * static_cast<size_t>(width));
+        const std::vector<uint32_t> expected =
+            expected_sums(c, width, offsets, items, source, init);
+
+        const Buffer d_source(words_of(source)), d_offsets(words_of(offsets)),
+            d_items(words_of(items)), d_init(words_of(init));
+        for (const int threads : {1, 2, 7}) {
+          novaphy::set_num_threads(threads);
+          const Buffer d_out(std::vector<uint32_t>(expected.size(), 0xFFFFFFFFu));
+          const Result result = module.launch(
+              static_cast<int64_t>(c.lengths.size()),
+              {d_source.word(), d_offsets.word(), with_items ? d_items.word() : 0,
+               with_init ? d_init.word() : 0, d_out.word(), static_cast<uint64_t>(width), 0});
+          ASSERT_EQ(result.status, NOVAPHY_OK) << result.message;
+          ASSERT_EQ(d_out.read(), expected) << "width " << width << ", threads " << threads;
+        }
+        if (!with_init) continue;  // out may be init
+        const Result result =
+            module.launch(static_cast<int64_t>(c.lengths.size()),
+                          {d_source.word(), d_offsets.word(), with_items ? d_items.word() : 0,
+                           d_init.word(), d_init.word(), static_cast<uint64_t>(width), 0});
+        ASSERT_EQ(result.status, NOVAPHY_OK) << result.message;
+        ASSERT_EQ(d_init.read(), expected) << "in place, width " << width;
+      }
+    }
+  }
+  novaphy::set_num_threads(before);
+}
+
+TEST(RowSum, WithoutOffsetsEveryRowHasTheStrideAsLength) {
+  const Module module("row_sum_f32");
+  for (const int64_t stride : {0, 1, 4, 300, 100000}) {
+    const int64_t rows = stride > 1000 ? 1 : 5;
+    RowSumCase c{std::vector<int64_t>(static_cast<size_t>(rows), stride), false, false};
+    std::vector<int32_t> offsets;
+    for (int64_t row = 0; row <= rows; ++row) offsets.push_back(static_cast<int32_t>(row * stride));
+    const std::vector<float> source = random_floats(static_cast<size_t>(rows * stride * 3));
+    const std::vector<uint32_t> expected = expected_sums(c, 3, offsets, {}, source, {});
+    const Buffer d_source(words_of(source)), d_out(std::vector<uint32_t>(expected.size(), 1));
+    const Result result = module.launch(
+        rows, {d_source.word(), 0, 0, 0, d_out.word(), 3, static_cast<uint64_t>(stride)});
+    ASSERT_EQ(result.status, NOVAPHY_OK) << result.message;
+    EXPECT_EQ(d_out.read(), expected) << "stride " << stride;
+  }
+}
+
+TEST(ExclusiveScan, SumsWhatStandsBeforeAndMayRunInPlace) {
+  const Module module("exclusive_scan_i32");
+  for (const size_t n : {1u, 2u, 255u, 256u, 257u, 100000u}) {
+    std::vector<uint32_t> in(n), expected(n);
+    for (uint32_t& v : in) v = next_random();  // the sums wrap
+    std::exclusive_scan(in.begin(), in.end(), expected.begin(), 0u);
+    const Buffer d_in(in), d_out(std::vector<uint32_t>(n, 9));
+    ASSERT_EQ(module.launch(static_cast<int64_t>(n), {d_in.word(), d_out.word()}).status,
+              NOVAPHY_OK);
+    EXPECT_EQ(d_out.read(), expected);
+    ASSERT_EQ(module.launch(static_cast<int64_t>(n), {d_in.word(), d_in.word()}).status,
+              NOVAPHY_OK);
+    EXPECT_EQ(d_in.read(), expected);
+  }
+}
+
+TEST(SortByKey, GivesTheStablePermutation) {
+  const Module module("sort_by_key_i32");
+  for (const size_t n : {1u, 2u, 64u, 65u, 1000u, 50000u}) {
+    for (const uint32_t range : {3u, 1000u, 0u}) {
+      std::vector<int32_t> keys(n), expected(n);
+      for (int32_t& key : keys) {
+        key = range != 0 ? static_cast<int32_t>(next_random() % range) - 1
+                         : static_cast<int32_t>(next_random());
+      }
+      std::iota(expected.begin(), expected.end(), 0);
+      std::stable_sort(expected.begin(), expected.end(), [&](int32_t a, int32_t b) {
+        return keys[static_cast<size_t>(a)] < keys[static_cast<size_t>(b)];
+      });
+      const Buffer d_keys(words_of(keys)), d_order(std::vector<uint32_t>(n, 77));
+      ASSERT_EQ(module.launch(static_cast<int64_t>(n), {d_keys.word(), d_order.word()}).status,
+                NOVAPHY_OK);
+      EXPECT_EQ(d_order.read(), words_of(expected)) << "n " << n << ", range " << range;
+    }
+  }
+}
+
+TEST(Incidence, ListsTheSlotsOfEveryRowInOrderWithoutTheNegativeOnes) {
+  const Module module("incidence_i32");
+  for (const size_t slots : {0u, 1u, 3u, 1000u, 30000u}) {
+    const int32_t rows = 37;
+    std::vector<int32_t> table(slots);
+    for (int32_t& entry : table) entry = static_cast<int32_t>(next_random() % 39u) - 2;
+    std::vector<int32_t> offsets = {0}, items;
+    for (int32_t row = 0; row < rows; ++row) {
+      for (size_t s = 0; s < slots; ++s) {
+        if (table[s] == row) items.push_back(static_cast<int32_t>(s));
+      }
+      offsets.push_back(static_cast<int32_t>(items.size()));
+    }
+    const Buffer d_table(words_of(table)), d_offsets(std::vector<uint32_t>(rows + 1, 5)),
+        d_items(std::vector<uint32_t>(slots, 5));
+    const Result result =
+        module.launch(rows, {d_table.word(), slots, d_offsets.word(), d_items.word()});
+    ASSERT_EQ(result.status, NOVAPHY_OK) << result.message;
+    EXPECT_EQ(d_offsets.read(), words_of(offsets));
+    std::vector<uint32_t> got = d_items.read();
+    got.resize(items.size());
+    EXPECT_EQ(got, words_of(items));
+  }
+}
+
+TEST(Incidence, ATableEntryPastTheLastRowFails) {
+  const Module module("incidence_i32");
+  const Buffer table({0, 1, 2, 4, 3}), offsets(std::vector<uint32_t>(5)),
+      items(std::vector<uint32_t>(5));
+  const Result result = module.launch(4, {table.word(), 5, offsets.word(), items.word()});
+  EXPECT_EQ(result.status, NOVAPHY_INDEX_OUT_OF_RANGE);
+  EXPECT_FALSE(result.message.empty());
+}
+
+TEST(Builtins, AnUnknownNameAndAWrongArgumentCountAreRefused) {
+  novaphy_error error = make_error();
+  novaphy_module* module = nullptr;
+  EXPECT_EQ(backend().api->module_create(backend().device, NOVAPHY_CODE_BUILTIN, "nonsense", 8,
+                                         &module, &error),
+            NOVAPHY_INVALID_ARGUMENT);
+  EXPECT_EQ(module, nullptr);
+  EXPECT_NE(std::strstr(error.message, "nonsense"), nullptr) << error.message;
+  EXPECT_EQ(Module("row_sum_f32").launch(1, {0, 0}).status, NOVAPHY_INVALID_ARGUMENT);
+}
+
+}  // namespace
+}  // namespace conformance

@@ -1,0 +1,194 @@
+#include <gtest/gtest.h>
+
+#include <filesystem>
+#include <fstream>
+
+#include "novaphy/core/backend.h"
+#include "novaphy/core/error.h"
+#include "novaphy/core/stream.h"
+#include "probe.h"
+
+namespace novaphy {
+namespace {
+
+using testing::probe;
+using testing::ProbeResult;
+
+std::string plugin_folder(const std::string& name) {
+  return std::string(NOVAPHY_PLUGIN_DIR) + "/" + name;
+}
+std::string plugin_file(const std::string& name) {
+  return plugin_folder(name) + "/libnovaphy_backend_" + name + ".so";
+}
+
+bool contains(const std::string& text, const std::string& part) {
+  return text.find(part) != std::string::npos;
+}
+
+// A refused plugin keeps its reason, and the process still computes on the CPU.
+void expect_refused(const std::string& plugin, const std::string& reason) {
+  const ProbeResult listed = probe("NOVAPHY_BACKEND_PATH=" + plugin_folder(plugin), "backends");
+  EXPECT_EQ(listed.code, 0);
+  EXPECT_TRUE(contains(listed.output, plugin + "|" + plugin_file(plugin) + "|refused|idle|0|"))
+      << listed.output;
+  EXPECT_TRUE(contains(listed.output, reason)) << listed.output;
+  EXPECT_TRUE(contains(listed.output, "|loaded|active|1|")) << listed.output;
+  const ProbeResult loaded = probe("", "load " + plugin_file(plugin));
+  EXPECT_EQ(loaded.code, 1);
+  EXPECT_TRUE(contains(loaded.output, "error: load_backend: " + plugin_file(plugin) + ": "))
+      << loaded.output;
+  EXPECT_TRUE(contains(loaded.output, reason)) << loaded.output;
+}
+
+TEST(BackendRegistry, RefusesALibraryWithoutTheSymbol) {
+  expect_refused("no_symbol", "exports no symbol novaphy_backend_query");
+}
+TEST(BackendRegistry, RefusesAnotherMajorVersion) {
+  expect_refused("wrong_major",
+                 "its ABI major version is " + std::to_string(NOVAPHY_ABI_MAJOR + 1));
+}
+TEST(BackendRegistry, RefusesATableThatEndsBeforeTheMandatoryFunctions) {
+  expect_refused("short_table", "bytes, expected at least");
+}
+TEST(BackendRegistry, NamesTheFunctionThatIsMissing) {
+  expect_refused("missing_function", "its function table lacks memory_fill");
+}
+TEST(BackendRegistry, RefusesHalfACaptureGroup) {
+  expect_refused("half_capture", "all four functions or none");
+}
+TEST(BackendRegistry, PassesOnTheReasonOfAQueryThatReturnsNull) {
+  expect_refused("null_with_reason", "too few vector units");
+}
+TEST(BackendRegistry, RefusesAnUnknownDeviceType) {
+  expect_refused("unknown_type", "device type 77 is unknown");
+}
+
+class TemporaryFolder {
+ public:
+  TemporaryFolder() {
+    std::string name = (std::filesystem::temp_directory_path() / "novaphy_backend_XXXXXX").string();
+    path_ = mkdtemp(name.data());
+  }
+  ~TemporaryFolder() { std::filesystem::remove_all(path_); }
+  const std::filesystem::path& path() const { return path_; }
+
+ private:
+  std::filesystem::path path_;
+};
+
+TEST(BackendRegistry, RefusesAFileThatIsNoLibraryAndIgnoresOtherNames) {
+  const TemporaryFolder folder;
+  std::ofstream(folder.path() / "libnovaphy_backend_text.so") << "hello";
+  std::ofstream(folder.path() / "libother.so") << "hello";
+  const ProbeResult result = probe("NOVAPHY_BACKEND_PATH=" + folder.path().string(), "backends");
+  EXPECT_EQ(result.code, 0);
+  EXPECT_TRUE(contains(result.output, "text|" + folder.path().string() +
+                                          "/libnovaphy_backend_text.so|refused|idle|0|"))
+      << result.output;
+  EXPECT_FALSE(contains(result.output, "libother")) << result.output;
+}
+
+TEST(BackendRegistry, NeverLooksIntoTheCurrentDirectory) {
+  const ProbeResult plain = probe("", "backends", plugin_folder("second_cpu"));
+  EXPECT_FALSE(contains(plain.output, "second_cpu")) << plain.output;
+  for (const char* relative : {".", "plugins", "../second_cpu"}) {
+    const ProbeResult result = probe(std::string("NOVAPHY_BACKEND_PATH=") + relative, "backends",
+                                     plugin_folder("second_cpu"));
+    EXPECT_FALSE(contains(result.output, "libnovaphy_backend_second_cpu")) << result.output;
+    EXPECT_TRUE(contains(result.output, "expected an absolute path")) << result.output;
+  }
+}
+
+TEST(BackendRegistry, SkipsDisabledNamesAndSaysSo) {
+  const ProbeResult result = probe(
+      "NOVAPHY_DISABLE_BACKENDS=cpu,second_cpu NOVAPHY_BACKEND_PATH=" + plugin_folder("second_cpu"),
+      "backends");
+  EXPECT_TRUE(contains(result.output, "second_cpu|" + plugin_file("second_cpu") +
+                                          "|refused|idle|0|disabled by NOVAPHY_DISABLE_BACKENDS"))
+      << result.output;
+  EXPECT_TRUE(contains(result.output, "cpu||loaded|active|1|"))
+      << "the linked-in one stays: " << result.output;
+}
+
+TEST(BackendRegistry, PrefersAPluginToTheLinkedInBackend) {
+  const ProbeResult result =
+      probe("NOVAPHY_BACKEND_PATH=" + plugin_folder("second_cpu"), "backends");
+  EXPECT_TRUE(contains(result.output, "cpu|" + plugin_file("second_cpu") + "|loaded|active|1|"))
+      << result.output;
+  EXPECT_TRUE(contains(result.output, "cpu||loaded|idle|1|")) << result.output;
+}
+
+TEST(BackendRegistry, LoadsAPluginByPathAndUsesIt) {
+  const ProbeResult result = probe("", "load " + plugin_file("second_cpu"));
+  EXPECT_EQ(result.code, 0) << result.output;
+  EXPECT_TRUE(contains(result.output, "cpu 1.2.3 active\n2\n")) << result.output;
+}
+
+TEST(BackendRegistry, ADeviceThatIsNotThereNamesWhatWasTried) {
+  const ProbeResult nothing = probe("", "open cuda");
+  EXPECT_EQ(nothing.code, 1);
+  EXPECT_TRUE(contains(nothing.output, "error: cuda backend not available: ")) << nothing.output;
+  const ProbeResult no_device =
+      probe("NOVAPHY_BACKEND_PATH=" + plugin_folder("no_device"), "open cuda:0");
+  EXPECT_TRUE(contains(no_device.output, "cuda backend not available: " + plugin_file("no_device") +
+                                             ": no driver found"))
+      << no_device.output;
+  const ProbeResult cpu = probe("", "open cpu");
+  EXPECT_EQ(cpu.output, "opened\n");
+}
+
+TEST(BackendRegistry, ReportsABadNumberOfThreadsOrInstructionSetWhenTheDeviceOpens) {
+  const ProbeResult threads = probe("NOVAPHY_NUM_THREADS=many", "open cpu");
+  EXPECT_EQ(threads.code, 1);
+  EXPECT_TRUE(contains(threads.output,
+                       "NOVAPHY_NUM_THREADS: expected an integer from 1 to 1024, got \"many\""))
+      << threads.output;
+  const ProbeResult isa = probe("NOVAPHY_CPU_ISA=mmx", "open cpu");
+  EXPECT_EQ(isa.code, 1);
+  EXPECT_TRUE(contains(isa.output, "NOVAPHY_CPU_ISA: expected baseline, avx2 or avx512, got 'mmx'"))
+      << isa.output;
+}
+
+TEST(BackendRegistry, OpensADeviceOnce) {
+  const DeviceContext& first = device_context(Device::cpu());
+  EXPECT_EQ(&first, &device_context(Device::cpu()));
+  EXPECT_TRUE(first.host_accessible);
+  EXPECT_NE(first.stream, nullptr);
+}
+
+TEST(Check, MapsTheStatusAndNamesTheOperation) {
+  novaphy_error error = make_error();
+  EXPECT_NO_THROW(check(NOVAPHY_OK, error, "x"));
+  std::snprintf(error.message, sizeof(error.message), "row 7");
+  try {
+    check(NOVAPHY_INDEX_OUT_OF_RANGE, error, "launch");
+    FAIL();
+  } catch (const Error& e) {
+    EXPECT_EQ(e.kind(), ErrorKind::Index);
+    EXPECT_STREQ(e.what(), "launch: row 7");
+  }
+  try {
+    check(NOVAPHY_OUT_OF_MEMORY, make_error(), "alloc");
+    FAIL();
+  } catch (const Error& e) {
+    EXPECT_EQ(e.kind(), ErrorKind::Runtime);
+  }
+}
+
+TEST(StreamAndEvent, MeasureAndWait) {
+  Stream stream(Device::cpu()), second(Device::cpu());
+  Event start(Device::cpu()), stop(Device::cpu());
+  EXPECT_THROW(Event::elapsed(start, stop), Error);
+  stream.record(start);
+  stream.record(stop);
+  second.wait(stop);
+  second.synchronize();
+  stop.synchronize();
+  EXPECT_GE(Event::elapsed(start, stop), 0.0);
+  Stream moved = std::move(second);
+  EXPECT_NE(moved.native(), nullptr);
+  EXPECT_EQ(moved.device(), Device::cpu());
+}
+
+}  // namespace
+}  // namespace novaphy

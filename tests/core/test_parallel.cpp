@@ -1,0 +1,204 @@
+#include <gtest/gtest.h>
+#include <sys/wait.h>
+#include <unistd.h>
+
+#include <atomic>
+#include <chrono>
+#include <mutex>
+#include <set>
+#include <stdexcept>
+#include <thread>
+#include <vector>
+
+#include "novaphy/core/error.h"
+#include "novaphy/core/parallel.h"
+#include "novaphy/cpu/float_mode.h"
+#include "probe.h"
+
+namespace novaphy {
+namespace {
+
+// Calls a C++ callable for every chunk.
+template <class F>
+void for_chunks(int64_t chunks, F&& f) {
+  parallel_for(
+      chunks,
+      [](void* context, int64_t chunk) {
+        (*static_cast<std::remove_reference_t<F>*>(context))(chunk);
+      },
+      &f);
+}
+
+class Parallel : public ::testing::TestWithParam<int> {
+ protected:
+  void SetUp() override {
+    before_ = num_threads();
+    set_num_threads(GetParam());
+  }
+  void TearDown() override { set_num_threads(before_); }
+  int before_ = 1;
+};
+
+TEST_P(Parallel, RunsEveryChunkOnce) {
+  for (const int64_t chunks : {0, 1, 2, 3, 100, 10007}) {
+    std::vector<std::atomic<int>> runs(static_cast<size_t>(chunks));
+    for_chunks(chunks, [&](int64_t chunk) { ++runs[static_cast<size_t>(chunk)]; });
+    for (const auto& count : runs) ASSERT_EQ(count, 1);
+  }
+}
+
+TEST_P(Parallel, UsesAsManyThreadsAsAsked) {
+  std::set<std::thread::id> seen;
+  std::mutex mutex;
+  std::atomic<int> arrived{0};
+  // Every chunk waits until all threads have come, so that none can do the work of two.
+  for_chunks(GetParam(), [&](int64_t) {
+    ++arrived;
+    const auto limit = std::chrono::steady_clock::now() + std::chrono::seconds(10);
+    while (arrived < GetParam() && std::chrono::steady_clock::now() < limit)
+      std::this_thread::yield();
+    const std::lock_guard lock(mutex);
+    seen.insert(std::this_thread::get_id());
+  });
+  EXPECT_EQ(seen.size(), static_cast<size_t>(GetParam()));
+}
+
+TEST_P(Parallel, NestedWorkRunsOnTheSameThread) {
+  std::atomic<int> total{0};
+  for_chunks(20, [&](int64_t) {
+    const auto outer = std::this_thread::get_id();
+    for_chunks(10, [&](int64_t) {
+      EXPECT_EQ(std::this_thread::get_id(), outer);
+      ++total;
+    });
+  });
+  EXPECT_EQ(total, 200);
+}
+
+TEST_P(Parallel, AnExceptionOfABodyReachesTheCaller) {
+  EXPECT_THROW(for_chunks(50,
+                          [](int64_t chunk) {
+                            if (chunk == 17) throw std::runtime_error("chunk 17");
+                          }),
+               std::runtime_error);
+  std::atomic<int> total{0};
+  for_chunks(50, [&](int64_t) { ++total; });
+  EXPECT_EQ(total, 50);
+}
+
+TEST_P(Parallel, AChildProcessAfterForkWorksOnItsOneThread) {
+  for_chunks(100, [](int64_t) {});  // the threads exist
+  const pid_t child = fork();
+  ASSERT_GE(child, 0);
+  if (child == 0) {
+    alarm(20);  // a hang ends the child, not the test run
+    int total = 0;
+    const auto self = std::this_thread::get_id();
+    for_chunks(100, [&](int64_t) { total += std::this_thread::get_id() == self ? 1 : 1000; });
+    set_num_threads(3);
+    for_chunks(100, [&](int64_t) { ++total; });
+    _exit(total == 200 ? 0 : 1);
+  }
+  int status = 0;
+  ASSERT_EQ(waitpid(child, &status, 0), child);
+  EXPECT_TRUE(WIFEXITED(status));
+  EXPECT_EQ(WEXITSTATUS(status), 0);
+  std::atomic<int> total{0};
+  for_chunks(100, [&](int64_t) { ++total; });
+  EXPECT_EQ(total, 100) << "the parent goes on";
+}
+
+TEST_P(Parallel, WorkFromSeveralThreadsAtOnceIsDone) {
+  std::atomic<int> total{0};
+  std::vector<std::thread> threads;
+  for (int t = 0; t < 3; ++t) {
+    threads.emplace_back([&] {
+      for (int k = 0; k < 20; ++k) for_chunks(30, [&](int64_t) { ++total; });
+    });
+  }
+  for (std::thread& thread : threads) thread.join();
+  EXPECT_EQ(total, 3 * 20 * 30);
+}
+
+INSTANTIATE_TEST_SUITE_P(Threads, Parallel, ::testing::Values(1, 2, 7));
+
+TEST(NumThreads, ComesFromTheEnvironmentAndABadValueIsAnError) {
+  EXPECT_EQ(testing::probe("NOVAPHY_NUM_THREADS=7", "threads").output, "7\n");
+  EXPECT_EQ(testing::probe("NOVAPHY_NUM_THREADS=", "threads").output,
+            std::to_string(available_cpus()) + "\n");
+  for (const char* bad : {"0", "-1", "x", "3x", "1025", "99999999999", "1.5", "' 2'"}) {
+    const testing::ProbeResult result =
+        testing::probe(std::string("NOVAPHY_NUM_THREADS=") + bad, "threads");
+    EXPECT_EQ(result.code, 1) << bad;
+    EXPECT_NE(result.output.find("NOVAPHY_NUM_THREADS: expected an integer from 1 to 1024, got"),
+              std::string::npos)
+        << result.output;
+  }
+}
+
+TEST(NumThreads, MustBePositiveAndIsNotChangedFromInside) {
+  EXPECT_THROW(set_num_threads(0), Error);
+  EXPECT_THROW(set_num_threads(-3), Error);
+  EXPECT_THROW(set_num_threads(1025), Error);
+  const int before = num_threads();
+  set_num_threads(2);
+  EXPECT_THROW(for_chunks(4, [](int64_t) { set_num_threads(3); }), Error);
+  EXPECT_EQ(num_threads(), 2);
+  set_num_threads(before);
+}
+
+#if defined(__x86_64__)
+TEST(FloatMode, IsSetWhileItLastsAndGivenBack) {
+  const uint32_t before = _mm_getcsr();
+  _mm_setcsr(before | 0x8040u | 0x2000u);  // flush to zero, denormals are zero, round down
+  const uint32_t odd = _mm_getcsr();
+  {
+    const cpu::FloatMode mode;
+    EXPECT_EQ(_mm_getcsr() & 0xFFC0u, 0x1F80u);
+    volatile float tiny = 1e-40f;
+    EXPECT_NE(tiny * 0.5f, 0.0f);
+  }
+  EXPECT_EQ(_mm_getcsr() & 0xFFC0u, odd & 0xFFC0u);
+  _mm_setcsr(before);
+}
+
+TEST(FloatMode, WorkersComputeInTheContractsMode) {
+  const int threads = num_threads();
+  for (const int count : {1, 4}) {
+    set_num_threads(count);
+    const uint32_t before = _mm_getcsr();
+    _mm_setcsr(before | 0x8040u | 0x6000u);
+    std::atomic<int> wrong{0};
+    for_chunks(64, [&](int64_t) { wrong += (_mm_getcsr() & 0xFFC0u) != 0x1F80u; });
+    for_chunks(1, [&](int64_t) { wrong += (_mm_getcsr() & 0xFFC0u) != 0x1F80u; });
+    _mm_setcsr(before);
+    EXPECT_EQ(wrong, 0) << count;
+  }
+  set_num_threads(threads);
+}
+#endif
+
+TEST(CheckInterrupt, AsksAtMostEveryFiftyMilliseconds) {
+  int asked = 0;
+  set_interrupt_check([&] { ++asked; });
+  const auto start = std::chrono::steady_clock::now();
+  while (std::chrono::steady_clock::now() - start < std::chrono::milliseconds(220))
+    check_interrupt();
+  set_interrupt_check(nullptr);
+  check_interrupt();
+  EXPECT_GE(asked, 2);
+  EXPECT_LE(asked, 5);
+}
+
+TEST(CheckInterrupt, PassesOnWhatTheCheckThrows) {
+  set_interrupt_check([] { throw Error(ErrorKind::Runtime, "stop"); });
+  const auto run = [] {
+    const auto start = std::chrono::steady_clock::now();
+    while (std::chrono::steady_clock::now() - start < std::chrono::seconds(2)) check_interrupt();
+  };
+  EXPECT_THROW(run(), Error);
+  set_interrupt_check(nullptr);
+}
+
+}  // namespace
+}  // namespace novaphy

@@ -1,0 +1,151 @@
+"""Captures: replays have the bits of what runs at once, and what cannot be recorded raises."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scenes import DT, LEARNING_RATE, STEPS, TARGET, ball_contacts, ball_model, golden
+
+import novaphy
+from novaphy import diff, nova, solvers
+from novaphy.testing import assert_same_bits
+
+
+class Training:
+    """One training iteration of the ball as a rollout."""
+
+    def __init__(self) -> None:
+        """Make everything that a capture needs to stay where it is."""
+        self.model = ball_model()
+        self.trajectory = diff.Trajectory(self.model, STEPS)
+        self.contacts = ball_contacts(self.model, self.trajectory[0])
+        self.solver = solvers.DiffSemiImplicitSolver(self.model)
+        self.velocity = diff.state_particle_qd_tensor(self.trajectory[0], requires_grad=True)
+        self.last = diff.state_particle_q_tensor(self.trajectory[STEPS])
+
+    def iteration(self):
+        """Forward, backward, update; the loss."""
+        with nova.Tape() as tape:
+            self.solver.rollout(self.trajectory, None, self.contacts, DT)
+            loss = diff.particle_point_loss_generated(self.last, 0, *TARGET)
+            tape.backward(loss)
+            nova.sgd_update_f32(self.velocity, LEARNING_RATE)
+            tape.zero()
+        return loss
+
+
+def test_a_replay_has_the_bits_of_what_runs_at_once():
+    newton = golden("newton_ball_strict")
+    eager, captured = Training(), Training()
+    start = captured.velocity.numpy()
+    with nova.ScopedCapture() as capture:
+        loss = captured.iteration()
+    assert capture.graph.size == len(capture.graph) > STEPS
+    assert_same_bits(captured.velocity, start, "recorded, not run")
+    for k in range(10):
+        expected = eager.iteration()
+        if k % 2:
+            capture.graph.launch()
+        else:
+            nova.capture_launch(capture.graph)
+        assert_same_bits(loss, expected, "loss")
+        assert_same_bits(captured.velocity, eager.velocity, "velocity")
+        assert_same_bits(captured.trajectory.particle_q, eager.trajectory.particle_q, "states")
+        assert loss.item() == pytest.approx(float(newton["train_loss"][k]), rel=1e-5)
+
+
+def test_a_replay_sees_new_values():
+    x, y = nova.tensor([1.0, 2.0]), nova.zeros(2)
+    with nova.ScopedCapture() as capture:
+        y.copy_(x * x + 1)
+    assert y.tolist() == [0, 0]
+    version = y.version
+    for values in ([1.0, 2.0], [3.0, 4.0]):
+        x.assign(values)
+        capture.graph.launch()
+        assert y.tolist() == [v * v + 1 for v in values]
+    assert y.version > version
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda s: s.velocity.numpy(),
+        lambda s: s.velocity.numpy(copy=False),
+        lambda s: s.velocity.numpy(copy=False, writable=True),
+        lambda s: s.last[0],
+        lambda s: s.last.tolist(),
+        lambda s: np.asarray(s.velocity),
+        lambda s: np.from_dlpack(s.velocity),
+        lambda s: s.trajectory[0].particle_q.numpy(),
+        lambda s: s.trajectory[0].particle_q[0],
+        lambda s: s.trajectory[0].particle_q.__setitem__(0, (0, 0, 0)),
+        lambda s: s.trajectory[0].particle_q.assign([(0, 0, 0)]),
+        lambda s: s.trajectory[0].particle_q.fill_(0),
+        lambda s: s.trajectory[0].clear_forces(),
+        lambda s: s.solver.step(s.trajectory[0], s.trajectory[1], None, s.contacts, DT),
+        lambda s: solvers.SolverSemiImplicit(s.model).step(
+            s.trajectory[0], s.trajectory[1], None, s.contacts, DT
+        ),
+        lambda s: s.model.collide(s.trajectory[0]),
+        lambda s: s.contacts.soft_contacts(),
+        lambda s: nova.ones(1).item(),
+        lambda s: nova.ScopedCapture().__enter__(),
+    ],
+)
+def test_what_cannot_be_recorded_raises_and_changes_nothing(call):
+    scene = Training()
+    before = scene.trajectory[0].particle_q.numpy()
+    with nova.ScopedCapture() as capture, pytest.raises(novaphy.Error, match=r"[Cc]apture"):
+        call(scene)
+    assert_same_bits(scene.trajectory[0].particle_q, before)
+    capture.graph.launch()
+
+
+def test_a_graph_whose_contacts_changed_refuses():
+    scene = Training()
+    with nova.ScopedCapture() as capture:
+        scene.iteration()
+    capture.graph.launch()
+    scene.contacts.assign(ball_contacts(scene.model, scene.trajectory[0]))
+    with pytest.raises(novaphy.Error, match="index table"):
+        capture.graph.launch()
+
+
+def test_a_graph_keeps_what_it_works_on():
+    x = nova.tensor([1.0])
+    total = nova.zeros(1)
+    with nova.ScopedCapture() as capture:
+        total.copy_(total + x * 2)
+    graph = capture.graph
+    del x, capture
+    for _ in range(3):
+        graph.launch()
+    assert total.item() == 6
+
+
+def test_a_capture_ends_with_its_block():
+    capture = nova.ScopedCapture()
+    with pytest.raises(novaphy.Error, match="with"):
+        _ = capture.graph
+    with pytest.raises(ZeroDivisionError), capture:
+        _ = 1 / 0
+    assert nova.tensor([1.0]).item() == 1
+    with nova.Tape() as tape:
+        with nova.ScopedCapture():
+            pass
+        x = nova.tensor([1.0], requires_grad=True)
+        with pytest.raises(novaphy.Error, match="Tape|recorded"):
+            with nova.ScopedCapture() as inner:
+                pass
+            inner.graph.launch()
+        assert tape.size == 0 and x.is_leaf
+
+
+def test_tensors_may_be_made_inside():
+    y = nova.zeros(2)
+    with nova.ScopedCapture() as capture:
+        y.copy_(y + nova.tensor([1.0, 2.0]) + nova.full(2, 0.5))
+    capture.graph.launch()
+    capture.graph.launch()
+    assert y.tolist() == [3, 5]

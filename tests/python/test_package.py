@@ -1,0 +1,192 @@
+"""The package: its names, what it imports, its stubs, and a build without the tensor runtime."""
+
+from __future__ import annotations
+
+import ast
+import importlib
+import importlib.util
+import inspect
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import novaphy
+from novaphy import _core
+from novaphy.testing import assert_allclose, assert_same_bits, assert_same_state
+
+PACKAGE = Path(novaphy.__file__).parent
+SUBPACKAGES = ("diff", "io", "nova", "solvers", "testing", "viewer")
+
+
+def run(code: str) -> str:
+    """The output of Python code in a process of its own."""
+    result = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=120
+    )
+    assert result.returncode == 0, result.stderr
+    return result.stdout.strip()
+
+
+def test_differentiable_solvers_are_reached_through_solvers_only():
+    for name in ("DiffSemiImplicitSolver", "DiffSolverConfig", "SolverSemiImplicit"):
+        assert not hasattr(novaphy, name) and name not in dir(novaphy)
+        assert not hasattr(_core, name) and hasattr(novaphy.solvers, name)
+
+
+@pytest.mark.parametrize("name", ["", *SUBPACKAGES])
+def test_every_public_name_is_there_and_documented(name):
+    module = importlib.import_module(f"novaphy.{name}".rstrip("."))
+    assert module.__doc__ and sorted(set(module.__all__)) == sorted(module.__all__)
+    for public in module.__all__:
+        value = getattr(module, public)
+        if inspect.isclass(value) or callable(value):
+            assert value.__doc__, f"{module.__name__}.{public}"
+    assert set(module.__all__) <= set(dir(module))
+
+
+def test_every_native_function_is_documented():
+    for module in (_core, _core.solvers, _core.nova, _core.diff):
+        for name, value in vars(module).items():
+            if name.startswith("__") or inspect.ismodule(value):
+                continue
+            assert value.__doc__, f"{module.__name__}.{name}"
+            if inspect.isclass(value):
+                for member in vars(value):
+                    if not member.startswith("_"):
+                        assert getattr(value, member).__doc__, f"{name}.{member}"
+
+
+def test_an_unknown_name_is_an_attribute_error():
+    with pytest.raises(AttributeError, match="'novaphy' has no attribute 'nothing'"):
+        _ = novaphy.nothing
+    with pytest.raises(ImportError):
+        from novaphy import nothing  # noqa: F401
+
+
+def test_import_is_lean():
+    out = run(
+        "import sys; before = set(sys.modules); import novaphy; novaphy.ModelBuilder().finalize(); "
+        "print(*sorted(m.split('.')[0] for m in set(sys.modules) - before))"
+    )
+    loaded = set(out.split())
+    assert "numpy" not in loaded and not loaded & {"matplotlib", "tqdm", "torch", "typing_extensions"}
+
+
+def test_subpackages_come_when_they_are_used():
+    assert run("import novaphy; print(novaphy.nova.tensor([1.0]).item())") == "1.0"
+    assert run("import novaphy.diff; print(novaphy.diff.Trajectory.__name__)") == "Trajectory"
+    assert run("from novaphy import ViewerNull; print(ViewerNull().num_frames)") == "1000"
+    run("from novaphy import *; ModelBuilder, nova.Tape, create_viewer")
+
+
+def test_a_build_without_the_tensor_runtime_says_so(tmp_path):
+    for name in ("nova", "diff"):
+        out = run(
+            f"""
+import novaphy
+from novaphy import _core
+_core.has_diff = lambda: False
+try:
+    import novaphy.{name}
+except ImportError as error:
+    print(error)
+try:
+    novaphy.solvers.DiffSemiImplicitSolver
+except ImportError as error:
+    print(error)
+print(hasattr(novaphy.solvers, "SolverSemiImplicit"))
+"""
+        )
+        lines = out.splitlines()
+        assert "NOVAPHY_WITH_DIFF=ON" in lines[0] and "NOVAPHY_WITH_DIFF=ON" in lines[1]
+        assert lines[2] == "True"
+
+
+# ---------------------------------------------------------------------------- stubs
+
+
+def stub_names(path: Path) -> dict[str, set[str]]:
+    """The names of a stub file: "" for the module, class names for their members."""
+    names: dict[str, set[str]] = {"": set()}
+
+    def bound(node: ast.stmt) -> list[str]:
+        if isinstance(node, ast.FunctionDef | ast.ClassDef):
+            return [node.name]
+        if isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name):
+            return [node.target.id]
+        if isinstance(node, ast.Assign):
+            return [t.id for t in node.targets if isinstance(t, ast.Name)]
+        if isinstance(node, ast.ImportFrom):
+            return [a.asname for a in node.names if a.asname == a.name]
+        return []
+
+    for node in ast.parse(path.read_text(encoding="utf-8")).body:
+        names[""].update(bound(node))
+        if isinstance(node, ast.ClassDef):
+            names[node.name] = {name for member in node.body for name in bound(member)}
+            for base in node.bases:
+                if isinstance(base, ast.Name) and base.id.startswith("_"):
+                    names[node.name] |= names.get(base.id, set())
+    return names
+
+
+@pytest.mark.parametrize("name", ["", "nova", "diff", "solvers"])
+def test_the_stubs_name_what_is_there(name):
+    module = getattr(_core, name) if name else _core
+    stub = stub_names(PACKAGE / "_core" / f"{name or '__init__'}.pyi")
+    public = {n for n in vars(module) if not n.startswith("_")}
+    assert {n for n in stub[""] if not n.startswith("_")} == public
+    for class_name in public:
+        value = getattr(module, class_name)
+        if not inspect.isclass(value) or class_name == "Error":
+            continue
+        members = {m for m in vars(value) if not m.startswith("_")}
+        assert {m for m in stub[class_name] if not m.startswith("_")} == members, class_name
+
+
+def test_the_package_says_that_it_is_typed():
+    assert (PACKAGE / "py.typed").exists()
+
+
+# ---------------------------------------------------------------------------- testing helpers
+
+
+def test_same_bits_means_same_bits():
+    nan = np.float32("nan")
+    assert_same_bits(np.float32([1, nan]), np.float32([1, nan]))
+    assert_same_bits(novaphy.DeviceArray([1.0]), np.float32([1.0]))
+    for other in (
+        np.float32([1, 0]),
+        np.float32([1]),
+        np.float64([1, 2]),
+        np.nextafter(np.float32([1, 2]), 3, dtype=np.float32),
+    ):
+        with pytest.raises(AssertionError):
+            assert_same_bits(np.float32([1, 2]), other)
+    with pytest.raises(AssertionError, match=r"first at \(0,\)"):
+        assert_same_bits(np.float32([0.0]), np.float32([-0.0]))
+    assert_allclose([1.0], [1.0 + 1e-7])
+    for other in ([1.1], [nan]):
+        with pytest.raises(AssertionError):
+            assert_allclose([1.0], other)
+    builder = novaphy.ModelBuilder()
+    builder.add_particle((0, 0, 0), (0, 0, 0), 1)
+    model = builder.finalize()
+    a, b = model.state(), model.state()
+    assert_same_state(a, b)
+    b.particle_qd.fill_(1.0)
+    with pytest.raises(AssertionError, match="particle_qd"):
+        assert_same_state(a, b)
+
+
+def test_gradients_can_be_asserted():
+    from novaphy import nova
+    from novaphy.testing import assert_gradcheck
+
+    x = nova.tensor([0.5, 1.0])
+    assert_gradcheck(lambda t: nova.sum(nova.exp(t)), [x])
+    with pytest.raises(AssertionError, match="gradcheck"):
+        assert_gradcheck(lambda t: nova.sum(nova.abs(t - 0.5)), [x])

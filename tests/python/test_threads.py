@@ -1,0 +1,277 @@
+"""Threads, processes and signals: the same bits for any number of threads, and Ctrl-C works."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+import threading
+import time
+
+import numpy as np
+import pytest
+from scenes import DT, TARGET, Ball, ball_contacts, ball_model
+
+import novaphy
+from novaphy import diff, nova, solvers
+from novaphy.testing import assert_same_bits
+
+HERE = os.path.dirname(__file__)
+
+
+@pytest.fixture
+def threads():
+    """Set the number of threads for a test."""
+    before = novaphy.num_threads()
+    yield novaphy.set_num_threads
+    novaphy.set_num_threads(before)
+
+
+def rollout(balls: int, steps: int) -> list[np.ndarray]:
+    """States and gradient of a rollout of many balls."""
+    model = ball_model(balls)
+    trajectory = diff.Trajectory(model, steps)
+    contacts = ball_contacts(model, trajectory[0])
+    velocity = diff.state_particle_qd_tensor(trajectory[0], requires_grad=True)
+    with nova.Tape() as tape:
+        solvers.DiffSemiImplicitSolver(model).rollout(trajectory, None, contacts, DT)
+        loss = nova.sum(diff.state_particle_q_tensor(trajectory[steps]))
+        tape.backward(loss)
+    return [trajectory.particle_q.numpy(), velocity.grad.numpy(), loss.numpy()]
+
+
+def test_any_number_of_threads_gives_the_same_bits(threads):
+    results = []
+    for count in (1, 2, 7):
+        threads(count)
+        results.append(rollout(5000, 20))
+    for other in results[1:]:
+        for one, two in zip(results[0], other):
+            assert_same_bits(one, two)
+
+
+def test_two_threads_with_two_tapes_do_not_meet():
+    alone = Ball()
+    with nova.Tape() as tape:
+        tape.backward(alone.forward())
+    expected = alone.velocity.grad.numpy()
+    results: dict[int, np.ndarray] = {}
+    errors: list[BaseException] = []
+    start = threading.Barrier(4)
+
+    def work(index: int) -> None:
+        try:
+            ball = Ball()
+            start.wait()
+            for _ in range(5):
+                with nova.Tape() as tape:
+                    tape.backward(ball.forward())
+                    results[index] = ball.velocity.grad.numpy()
+                    tape.zero()
+        except BaseException as error:
+            errors.append(error)
+
+    workers = [threading.Thread(target=work, args=(k,)) for k in range(4)]
+    for worker in workers:
+        worker.start()
+    for worker in workers:
+        worker.join()
+    assert not errors
+    for result in results.values():
+        assert_same_bits(result, expected)
+
+
+def test_python_runs_while_the_engine_computes():
+    model = ball_model(2000)
+    trajectory = diff.Trajectory(model, 500)
+    contacts = ball_contacts(model, trajectory[0])
+    solver = solvers.DiffSemiImplicitSolver(model)
+    done, ticks = threading.Event(), []
+
+    def tick() -> None:
+        while not done.is_set():
+            ticks.append(time.perf_counter())
+            time.sleep(0.001)
+
+    ticker = threading.Thread(target=tick)
+    ticker.start()
+    begin = time.perf_counter()
+    solver.rollout(trajectory, None, contacts, DT)
+    end = time.perf_counter()
+    done.set()
+    ticker.join()
+    inside = [t for t in ticks if begin < t < end]
+    assert len(inside) >= min(3, (end - begin) / 0.02)
+
+
+def test_a_custom_backward_may_run_on_a_thread_that_has_no_python_work():
+    x = nova.tensor([2.0], requires_grad=True)
+    seen = []
+    with nova.Tape() as tape:
+        y = nova.tensor([4.0])
+        tape.record_custom("square", [x], [y], lambda g: seen.append(1) or [g[0] * 4.0])
+    worker = threading.Thread(target=tape.backward, args=(y,))
+    worker.start()
+    worker.join()
+    assert seen == [1] and x.grad.tolist() == [4]
+
+
+def run(code: str, **options) -> subprocess.CompletedProcess[str]:
+    """Run code that may import scenes in a process of its own."""
+    text = f"import sys; sys.path.insert(0, {HERE!r})\n" + code
+    return subprocess.run(
+        [sys.executable, "-c", text], capture_output=True, text=True, timeout=120, **options
+    )
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="there is no fork")
+def test_a_forked_child_computes_the_same():
+    result = run(
+        """
+import os, warnings
+warnings.simplefilter("ignore")
+import numpy as np
+import novaphy
+from scenes import ball_model, ball_contacts, DT
+from novaphy import solvers
+novaphy.set_num_threads(4)
+
+def end():
+    model = ball_model(5000)
+    contacts = ball_contacts(model, model.state())
+    solver = solvers.SolverSemiImplicit(model)
+    a, b = model.state(), model.state()
+    for _ in range(20):
+        a.clear_forces()
+        solver.step(a, b, None, contacts, DT)
+        a, b = b, a
+    return a.particle_q.numpy().tobytes()
+
+expected = end()
+read, write = os.pipe()
+pid = os.fork()
+if pid == 0:
+    os.close(read)
+    os.write(write, b"same" if end() == expected else b"other")
+    os._exit(0)
+os.close(write)
+said = os.read(read, 100)
+os.waitpid(pid, 0)
+assert said == b"same", said
+assert end() == expected
+print("ok")
+"""
+    )
+    assert result.stdout.strip() == "ok", result.stderr
+
+
+LONG = {
+    "rollout": """
+        solver.rollout(trajectory, None, contacts, DT)
+    """,
+    "step": """
+        solver.step(trajectory[0], trajectory[1], None, contacts, DT)
+    """,
+    "backward": """
+        with nova.Tape() as tape:
+            solver.rollout(trajectory, None, contacts, DT)
+            tape.backward(nova.sum(last))
+    """,
+    "launch": """
+        with nova.ScopedCapture() as capture:
+            solver.rollout(trajectory, None, contacts, DT)
+        while True:
+            capture.graph.launch()
+    """,
+}
+SCRIPT = """
+from scenes import ball_model, ball_contacts, DT
+from novaphy import diff, nova, solvers
+
+model = ball_model(2000)
+trajectory = diff.Trajectory(model, 4000)
+velocity = diff.state_particle_qd_tensor(trajectory[0], requires_grad=True)
+last = diff.state_particle_q_tensor(trajectory[4000])
+contacts = ball_contacts(model, trajectory[0])
+solver = solvers.DiffSemiImplicitSolver(model)
+try:
+    print("started", flush=True)
+    while True:
+{work}
+except KeyboardInterrupt:
+    # The engine works as before.
+    solver.step(model.state(), model.state(), None, contacts, DT)
+    print("interrupted")
+"""
+
+
+@pytest.mark.parametrize("what", LONG)
+def test_ctrl_c_interrupts_long_native_work(what):
+    code = SCRIPT.replace("{work}", textwrap.indent(textwrap.dedent(LONG[what]), " " * 8))
+    process = subprocess.Popen(
+        [sys.executable, "-c", code],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join([HERE, os.environ.get("PYTHONPATH", "")])},
+    )
+    assert process.stdout is not None and process.stderr is not None
+    assert process.stdout.readline().strip() == "started", process.stderr.read()
+    time.sleep(1.0)
+    begin = time.perf_counter()
+    process.send_signal(signal.SIGINT)
+    out, err = process.communicate(timeout=100)
+    assert out.strip() == "interrupted" and err == ""
+    assert time.perf_counter() - begin < 5
+
+
+def test_a_signal_handler_that_raises_reaches_the_caller():
+    result = run(
+        """
+import signal
+from scenes import ball_model, ball_contacts, DT
+from novaphy import diff, solvers
+
+class Stop(Exception):
+    pass
+
+def stop(*_):
+    raise Stop
+
+signal.signal(signal.SIGALRM, stop)
+model = ball_model(2000)
+trajectory = diff.Trajectory(model, 4000)
+contacts = ball_contacts(model, trajectory[0])
+solver = solvers.DiffSemiImplicitSolver(model)
+signal.setitimer(signal.ITIMER_REAL, 0.3)
+try:
+    while True:
+        solver.rollout(trajectory, None, contacts, DT)
+except Stop:
+    print("stopped")
+"""
+    )
+    assert result.stdout.strip() == "stopped", result.stderr
+
+
+def test_the_interpreter_ends_cleanly_whatever_is_alive():
+    result = run(
+        f"""
+import threading
+from scenes import Ball
+from novaphy import nova
+ball = Ball()
+tape = nova.Tape()
+tape.__enter__()
+loss = ball.forward()
+tape.record_custom("held", [ball.velocity], [nova.zeros(1)], lambda g: g)
+tape.backward(loss)
+alias = ball.states[3].particle_q.numpy(copy=False, writable=True)
+capture = nova.ScopedCapture()
+kernel = nova.make_indexed_kernel("k", [("x", nova.float32)], 1, lambda c: c.f32("x"))
+print("end", {TARGET!r}[1])
+"""
+    )
+    assert (result.returncode, result.stderr) == (0, "") and result.stdout.startswith("end")

@@ -1,0 +1,215 @@
+"""ViewerFile records and plays back; ViewerNull runs for a while; both take every call."""
+
+from __future__ import annotations
+
+import json
+import stat
+
+import numpy as np
+import pytest
+from scenes import DT, Ball
+
+import novaphy
+from novaphy import ViewerFile, ViewerNull, create_viewer
+from novaphy.viewer import Viewer
+
+
+@pytest.fixture(scope="module")
+def ball():
+    """A short rollout."""
+    ball = Ball(steps=20)
+    ball.forward()
+    return ball
+
+
+def record(ball, path, **options):
+    """Record all states of a rollout."""
+    viewer = ViewerFile(path, **options)
+    viewer.set_model(ball.model)
+    for k, state in enumerate(ball.states):
+        viewer.begin_frame(k * DT)
+        viewer.log_state(state)
+        viewer.end_frame()
+    return viewer
+
+
+def test_a_recording_comes_back_to_the_bit(ball, tmp_path):
+    path = tmp_path / "ball.npz"
+    record(ball, path).close()
+    viewer = ViewerFile(path)
+    viewer.load_recording()
+    assert viewer.frame_count == 21
+    np.testing.assert_allclose(viewer.times, np.arange(21) * DT)
+    state = ball.model.state()
+    for k in (0, 7, 20, -1):
+        assert viewer.playback(state, k) == viewer.times[k]
+        novaphy.testing.assert_same_bits(state.particle_q, ball.states[k].particle_q)
+        novaphy.testing.assert_same_bits(state.particle_qd, ball.states[k].particle_qd)
+    for bad in (21, -22):
+        with pytest.raises(IndexError, match="frame"):
+            viewer.playback(state, bad)
+
+
+def test_the_file_is_an_archive_with_a_json_header(ball, tmp_path):
+    path = record(ball, tmp_path / "ball.npz", auto_save=False).save_recording()
+    with np.load(path, allow_pickle=False) as archive:
+        header = json.loads(archive["header"].tobytes())
+        assert archive["state/particle_q"].shape == (21, 1, 3)
+        assert archive["model/shape_type"].tolist() == [7, 1]
+    assert header["format"] == "novaphy-recording" and header["version"] == 1
+    assert header["frames"] == 21 and header["state"] == ["particle_q", "particle_qd"]
+    assert header["novaphy"] == novaphy.version() and header["up_axis"] == 2
+
+
+def test_saving_happens_at_intervals_and_at_the_end(ball, tmp_path):
+    path = tmp_path / "ball.npz"
+    viewer = record(ball, path, save_interval=8)
+    other = ViewerFile(path)
+    other.load_recording()
+    assert other.frame_count == 16
+    viewer.close()
+    other.load_recording()
+    assert other.frame_count == 21 and not viewer.is_running()
+    never = tmp_path / "never.npz"
+    record(ball, never, auto_save=False).close()
+    assert not never.exists()
+    assert [p.name for p in tmp_path.iterdir()] == ["ball.npz"]
+    assert stat.S_IMODE(path.stat().st_mode) & 0o400
+
+
+def test_only_the_last_frames_are_kept_when_asked(ball, tmp_path):
+    viewer = record(ball, tmp_path / "ball.npz", max_history_size=5)
+    assert viewer.frame_count == 5
+    state = ball.model.state()
+    viewer.playback(state, 0)
+    novaphy.testing.assert_same_bits(state.particle_q, ball.states[16].particle_q)
+
+
+def test_a_recorded_state_is_a_copy(tmp_path):
+    state = Ball(steps=0).model.state()
+    viewer = ViewerFile(tmp_path / "x.npz", auto_save=False)
+    viewer.record(state)
+    state.particle_q.fill_(9.0)
+    viewer.playback(state, 0)
+    np.testing.assert_array_equal(state.particle_q[0], [0, -0.5, 1])
+
+
+def test_states_of_other_sizes_are_refused(ball, tmp_path):
+    viewer = record(ball, tmp_path / "ball.npz", auto_save=False)
+    other = Ball(balls=2, steps=0).model.state()
+    with pytest.raises(ValueError, match="sizes"):
+        viewer.record(other)
+    with pytest.raises(ValueError, match="sizes"):
+        viewer.playback(other, 0)
+    assert viewer.frame_count == 21
+
+
+def test_what_is_no_recording_is_refused_and_nothing_is_lost(ball, tmp_path):
+    viewer = record(ball, tmp_path / "ball.npz", auto_save=False)
+    files = {
+        "text.npz": b"not an archive",
+        "empty.npz": b"",
+    }
+    for name, content in files.items():
+        (tmp_path / name).write_bytes(content)
+    np.savez(tmp_path / "plain.npz", a=np.zeros(3))
+    np.savez(tmp_path / "pickle.npz", header=np.array([{}], dtype=object))
+    header = {"format": "novaphy-recording", "version": 99, "frames": 0, "state": []}
+    coded = np.frombuffer(json.dumps(header).encode(), np.uint8)
+    np.savez(tmp_path / "new.npz", header=coded)
+    header = {**header, "version": 1, "frames": 3, "state": ["particle_q"]}
+    coded = np.frombuffer(json.dumps(header).encode(), np.uint8)
+    np.savez(tmp_path / "short.npz", header=coded, time=np.zeros(3))
+    whole = viewer.save_recording(tmp_path / "whole.npz")
+    (tmp_path / "cut.npz").write_bytes(open(whole, "rb").read()[:500])
+    for name in (*files, "plain.npz", "pickle.npz", "new.npz", "short.npz", "cut.npz"):
+        with pytest.raises(ValueError, match="load_recording"):
+            viewer.load_recording(tmp_path / name)
+    with pytest.raises(FileNotFoundError):
+        viewer.load_recording(tmp_path / "none.npz")
+    assert viewer.frame_count == 21
+
+
+def test_a_path_that_cannot_be_written_is_reported(ball, tmp_path):
+    with pytest.raises(ValueError, match="folder"):
+        ViewerFile(tmp_path / "nowhere" / "ball.npz")
+    for options in ({"save_interval": 0}, {"max_history_size": 0}):
+        with pytest.raises(ValueError, match=next(iter(options))):
+            ViewerFile(tmp_path / "ball.npz", **options)
+    viewer = record(ball, tmp_path / "ball.npz", auto_save=False)
+    for bad in (tmp_path, tmp_path / "nowhere" / "x.npz", "/proc/x.npz"):
+        with pytest.raises((ValueError, OSError)):
+            viewer.save_recording(bad)
+    assert not list(tmp_path.iterdir()) and viewer.frame_count == 21
+
+
+def test_an_error_while_writing_leaves_the_old_file(tmp_path):
+    path = tmp_path / "x.npz"
+    novaphy.io.save_npz(path, a=np.arange(3))
+    before = path.read_bytes()
+
+    class Bad:
+        """Something that no array can be made of."""
+
+        def __array__(self, dtype=None, copy=None):
+            raise RuntimeError("bad")
+
+    with pytest.raises(RuntimeError):
+        novaphy.io.save_npz(path, a=Bad())
+    assert path.read_bytes() == before and len(list(tmp_path.iterdir())) == 1
+    novaphy.io.save_npz(path, b=novaphy.DeviceArray([1.0]), c=[1, 2])
+    with np.load(path) as archive:
+        assert archive["b"].tolist() == [1] and archive["c"].tolist() == [1, 2]
+
+
+def test_viewers_take_every_call(ball, tmp_path):
+    points = ball.states[0].particle_q
+    for viewer in (ViewerNull(2), ViewerFile(tmp_path / "all.npz", auto_save=False)):
+        with viewer:
+            viewer.set_model(ball.model)
+            viewer.set_camera((1, 2, 3), pitch=0.0, yaw=90.0)
+            viewer.set_world_offsets((1, 0, 0))
+            viewer.begin_frame(0.5)
+            viewer.log_state(ball.states[0])
+            viewer.log_contacts(ball.contacts, ball.states[0])
+            viewer.log_mesh("m", points, [[0, 0, 0]], color=(1, 0, 0))
+            viewer.log_instances("i", "m", np.zeros((1, 7), np.float32))
+            viewer.log_shapes("s", novaphy.GeoType.BOX, (1, 1, 1), np.zeros((1, 7), np.float32))
+            viewer.log_lines("l", points, points, None)
+            viewer.log_arrows("a", points, points, None)
+            viewer.log_points("p", points, radii=0.1)
+            viewer.log_array("x", points)
+            viewer.log_scalar("y", 1.0)
+            viewer.log_image("z", np.zeros((2, 2, 3), np.uint8))
+            viewer.apply_forces(ball.states[0])
+            assert viewer.should_step() and not viewer.is_paused()
+            assert not viewer.is_key_down("space") and viewer.time == 0.5
+            with pytest.raises(NotImplementedError, match="picture"):
+                viewer.get_frame()
+            assert viewer.is_running()
+            viewer.end_frame()
+        assert not viewer.is_running() and isinstance(viewer, Viewer)
+
+
+def test_the_null_viewer_counts_and_measures():
+    viewer = ViewerNull(num_frames=3, benchmark=True)
+    frames = 0
+    while viewer.is_running():
+        viewer.begin_frame(frames * 0.1)
+        viewer.end_frame()
+        frames += 1
+    assert frames == viewer.frame_count == 3
+    assert viewer.benchmark_result()["frames"] == 2 and viewer.benchmark_result()["fps"] > 0
+    assert ViewerNull().benchmark_result() is None
+    with pytest.raises(ValueError, match="num_frames"):
+        ViewerNull(-1)
+
+
+def test_viewers_are_made_by_name(tmp_path):
+    assert isinstance(create_viewer("null", num_frames=5), ViewerNull)
+    assert isinstance(create_viewer("file", output_path=tmp_path / "a.npz"), ViewerFile)
+    for kind in ("gl", "viser", "rerun"):
+        with pytest.raises(NotImplementedError, match=kind):
+            create_viewer(kind)
+    with pytest.raises(ValueError, match="kind"):
+        create_viewer("canvas")

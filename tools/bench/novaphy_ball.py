@@ -1,0 +1,238 @@
+#!/usr/bin/env python3
+"""Time NovaPhy's ball training iteration on many balls.
+
+The scene, the iteration and the JSON lines are those of newton_ball.py beside this file; see there.
+Contacts are generated once, from the first state.
+
+Modes:
+
+* `step`: a Python loop of `clear_forces` and `DiffSemiImplicitSolver.step` over one state per
+  substep, recorded on a new tape in every iteration. This is how Newton's example is written.
+* `rollout`: one call of `rollout` over a `Trajectory`, recorded on a new tape in every iteration.
+* `captured`: the `rollout` iteration, captured once with `nova.ScopedCapture` and replayed.
+
+With `--memory` it prints, instead of timings, how much memory the `step` loop takes per particle
+and substep: `states_bytes` is what the states took, `tape_bytes` what recording and `backward`
+added to it (resident set).
+
+    python tools/bench/novaphy_ball.py --n 1 10 1000 --mode step captured --iterations 20
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import json
+import os
+import statistics
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+import novaphy
+from novaphy import diff, nova
+
+MODES = ("step", "rollout", "captured")
+STEPS = 36 * 8
+DT = (1.0 / 60) / 8
+TRAIN_RATE = 0.02
+GAP = 10.0
+MATERIAL = {"ke": 1.0e4, "kd": 1.0e1, "kf": 0.0, "mu": 0.2}
+
+
+def ball_offsets(n: int) -> np.ndarray:
+    """The x offsets of the balls, shape {n}, float32."""
+    if n == 1:
+        return np.zeros(1, np.float32)
+    return (np.arange(n) % 7 - 3).astype(np.float32) * np.float32(0.05)
+
+
+class Balls:
+    """N balls, their states, contacts and training iteration."""
+
+    def __init__(self, n: int, mode: str, device: str) -> None:
+        """Build the model and the contacts, and capture the iteration when asked to."""
+        self.n = n
+        self.mode = mode
+        position = np.zeros((n, 3), np.float32)
+        position[:, 0] = ball_offsets(n)
+        self.target = nova.tensor(position + np.float32([0.0, -2.0, 1.5]), device=device)
+        position += np.float32([0.0, -0.5, 1.0])
+        self.start = np.tile(np.float32([0.0, 5.0, -5.0]), (n, 1))
+
+        builder = novaphy.ModelBuilder()
+        builder.add_particles(position, self.start, np.ones(n, np.float32))
+        shape = novaphy.ShapeConfig(**MATERIAL)
+        wall = ((0.0, 2.0, 1.0), (0.0, 0.0, 0.0, 1.0))
+        builder.add_shape_box(-1, xform=wall, hx=1.0, hy=0.25, hz=1.0, cfg=shape)
+        builder.add_ground_plane(cfg=shape)
+        self.model = builder.finalize(device, requires_grad=True)
+        for name, value in MATERIAL.items():
+            setattr(self.model, f"soft_contact_{name}", value)
+
+        self.solver = novaphy.solvers.DiffSemiImplicitSolver(self.model)
+        if mode == "step":
+            self.states = [self.model.state() for _ in range(STEPS + 1)]
+            self.first, self.last = self.states[0], self.states[-1]
+        else:
+            self.trajectory = diff.Trajectory(self.model, STEPS)
+            self.first, self.last = self.trajectory[0], self.trajectory[STEPS]
+        pipeline = novaphy.CollisionPipeline(self.model, soft_contact_margin=GAP)
+        self.contacts = pipeline.contacts()
+        pipeline.collide(self.first, self.contacts)
+        self.velocity = diff.state_particle_qd_tensor(self.first, requires_grad=True)
+
+        self.graph = None
+        if mode == "captured":
+            with nova.ScopedCapture() as capture:
+                self.loss = self.record()
+            self.graph = capture.graph
+
+    def simulate(self) -> None:
+        """Run all substeps."""
+        if self.mode != "step":
+            self.solver.rollout(self.trajectory, None, self.contacts, DT)
+            return
+        for before, after in zip(self.states, self.states[1:]):
+            before.clear_forces()
+            self.solver.step(before, after, None, self.contacts, DT)
+
+    def record(self, update: bool = True) -> nova.Tensor:
+        """One training iteration on a new tape; the loss before the update."""
+        with nova.Tape() as tape:
+            self.simulate()
+            final = diff.state_particle_q_tensor(self.last)
+            if self.n == 1:
+                loss = diff.particle_point_loss_generated(final, 0, 0.0, -2.0, 1.5)
+            else:
+                delta = final - self.target
+                loss = nova.dot(delta, delta)
+            tape.backward(loss)
+            if update:
+                nova.sgd_update_f32(self.velocity, TRAIN_RATE)
+                tape.zero()
+        return loss
+
+    def iterate(self) -> None:
+        """One training iteration."""
+        if self.graph is not None:
+            self.graph.launch()
+        else:
+            self.loss = self.record()
+
+    def reset(self) -> None:
+        """Restore the initial velocity."""
+        self.velocity.assign(self.start)
+
+    def gradient(self, velocity: np.ndarray) -> np.ndarray:
+        """The gradient at an initial velocity, outside of the timed iterations."""
+        self.velocity.assign(velocity)
+        self.velocity.zero_grad()
+        self.record(update=False)
+        return self.velocity.grad.numpy()
+
+
+def timed(function: Callable[[], None]) -> float:
+    """Wall-clock seconds of one call."""
+    start = time.perf_counter()
+    function()
+    return time.perf_counter() - start
+
+
+def measure(n: int, mode: str, iterations: int, device: str) -> dict[str, object]:
+    """Build the scene, run it, and return the record to print."""
+    start = time.perf_counter()
+    balls = Balls(n, mode, device)
+    balls.iterate()
+    first = time.perf_counter() - start
+
+    balls.reset()
+    seconds = [timed(balls.iterate) for _ in range(iterations - 1)]
+    before = balls.velocity.numpy()  # of the last iteration: its gradient is computed again below
+    seconds.append(timed(balls.iterate))
+    loss = balls.loss.item()
+    digest = hashlib.sha256(balls.last.particle_q.numpy().tobytes())
+    digest.update(balls.gradient(before).tobytes())
+    return {
+        "engine": "novaphy",
+        "version": novaphy.__version__,
+        "device": str(balls.model.device),
+        "threads": novaphy.num_threads(),
+        "scene": "ball",
+        "mode": mode,
+        "n": n,
+        "iterations": iterations,
+        "median_s": statistics.median(seconds),
+        "min_s": min(seconds),
+        "first_s": first,
+        "loss": loss,
+        "result_hash": digest.hexdigest()[:16],
+    }
+
+
+def resident_bytes() -> int:
+    """The resident set of this process."""
+    pages = int(Path("/proc/self/statm").read_text().split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE")
+
+
+def measure_memory(n: int, device: str) -> dict[str, object]:
+    """The memory of the step loop."""
+    Balls(1, "step", device).record()  # what is made once
+    before = resident_bytes()
+    balls = Balls(n, "step", device)
+    with nova.no_grad():
+        balls.simulate()
+    states = resident_bytes()
+    balls.record()
+    recorded = resident_bytes()
+    per = n * STEPS
+    return {
+        "engine": "novaphy",
+        "version": novaphy.__version__,
+        "scene": "ball",
+        "measure": "memory",
+        "n": n,
+        "substeps": STEPS,
+        "states_bytes": (states - before) / per,
+        "tape_bytes": (recorded - states) / per,
+    }
+
+
+def parse_arguments() -> argparse.Namespace:
+    """Command line."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--n", type=int, nargs="+", default=[1], help="numbers of balls")
+    parser.add_argument("--mode", choices=MODES, nargs="+", default=["captured"])
+    parser.add_argument(
+        "--iterations", type=int, default=20, help="timed iterations per measurement"
+    )
+    parser.add_argument("--device", default="cpu", help="NovaPhy device")
+    parser.add_argument(
+        "--memory", action="store_true", help="measure the step loop's memory instead"
+    )
+    arguments = parser.parse_args()
+    if min(arguments.n) < 1 or arguments.iterations < 1:
+        parser.error("--n and --iterations must be positive")
+    return arguments
+
+
+def main() -> None:
+    """Run every requested measurement."""
+    arguments = parse_arguments()
+    if arguments.memory:
+        for n in arguments.n:
+            print(json.dumps(measure_memory(n, arguments.device)), flush=True)
+        return
+    for mode in arguments.mode:
+        for n in arguments.n:
+            record = measure(n, mode, arguments.iterations, arguments.device)
+            print(json.dumps(record), flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,142 @@
+#!/usr/bin/env python3
+"""Fail on an include that points up the layers.
+
+The libraries stand in layers, and each may use only the ones below it:
+
+    abi <- core <- nova          core <- collision <- dynamics          core, collision <- vbd
+    core, nova, collision, dynamics <- diff          a backend uses abi and the Program reader
+
+Besides the folders, two kinds of file have a layer of their own:
+
+* `diff_*` in collision/ and dynamics/ stand beside the forward code but compile into
+  novaphy::diff, so they belong to diff: the forward code of those folders may not include them;
+* `*_trace.h` are the formulas, shared by the forward engine and the traced kernels: they may
+  include the math headers and other formulas, and nothing else.
+
+The abi headers are C and may include <stdint.h> only; the math headers <cstdint> and <cmath>.
+
+    tools/lint/check_layers.py [ROOT]
+
+Prints one line per fault and exits with 1 when there is one, with 2 when ROOT holds no sources.
+"""
+
+from __future__ import annotations
+
+import re
+import sys
+from pathlib import Path
+
+# Layer -> the layers it may include besides itself.
+ALLOWED: dict[str, set[str]] = {
+    "abi": set(),
+    "math": set(),
+    "program": {"abi"},
+    "cpu": {"abi", "program"},
+    "core": {"abi", "math", "cpu"},  # the CPU backend is linked into core
+    "nova": {"abi", "math", "core", "program"},
+    "formula": {"math"},
+    "collision": {"math", "core", "formula"},
+    "dynamics": {"math", "core", "collision", "formula"},
+    "vbd": {"math", "core", "collision", "formula"},
+    "diff": {"abi", "math", "core", "program", "nova", "formula", "collision", "dynamics"},
+}
+# Layers that may use these system headers only.
+SYSTEM_HEADERS: dict[str, set[str]] = {
+    "abi": {"stdint.h"},
+    "math": {"cstdint", "cmath"},
+    "formula": set(),
+}
+# Folder of the repository -> layer. The longest match counts.
+FOLDERS = {
+    "backends/abi": "abi",
+    "backends/program": "program",
+    "backends/cpu": "cpu",
+    "core/include/novaphy/math": "math",
+    "core": "core",
+    "nova": "nova",
+    "collision": "collision",
+    "dynamics": "dynamics",
+    "vbd": "vbd",
+    "diff": "diff",
+}
+SUFFIXES = {".h", ".hpp", ".inc", ".c", ".cpp"}
+INCLUDE = re.compile(r'^\s*#\s*include\s*(?:"([^"]+)"|<([^>]+)>)')
+
+
+def by_name(layer: str, name: str) -> str:
+    """The layer of a file of a library, by the name of the file."""
+    if layer in ("collision", "dynamics", "vbd") and name.endswith("_trace.h"):
+        return "formula"
+    if layer in ("collision", "dynamics") and name.startswith("diff_"):
+        return "diff"
+    return layer
+
+
+def layer_of_file(path: Path, root: Path) -> str | None:
+    """The layer of a file of the repository; None where every include is allowed."""
+    relative = path.relative_to(root).as_posix()
+    for folder in sorted(FOLDERS, key=len, reverse=True):
+        if relative.startswith(folder + "/"):
+            return by_name(FOLDERS[folder], path.name)
+    return None
+
+
+def layer_of_include(text: str, quoted: bool, path: Path, root: Path) -> str | None:
+    """The layer an include leads to; None: a system header or a private file of the library."""
+    parts = text.split("/")
+    if parts[0] == "novaphy" and len(parts) > 2:
+        return by_name(parts[1], parts[-1])
+    if quoted:
+        target = (path.parent / text).resolve()
+        if target.is_file() and target.is_relative_to(root):
+            return layer_of_file(target, root)
+    return None
+
+
+def check_file(path: Path, root: Path) -> list[str]:
+    """The faults of one file."""
+    layer = layer_of_file(path, root)
+    if layer is None:
+        return []
+    faults = []
+    for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), 1):
+        match = INCLUDE.match(line)
+        if match is None:
+            continue
+        text = match[1] or match[2]
+        where = f"{path.relative_to(root)}:{number}"
+        target = layer_of_include(text, match[1] is not None, path, root)
+        if target is None:
+            system = SYSTEM_HEADERS.get(layer)
+            if system is not None and match[2] is not None and text not in system:
+                allowed = ", ".join(f"<{h}>" for h in sorted(system)) or "no system header"
+                faults.append(f"{where}: {layer} may not include <{text}> (allowed: {allowed})")
+        elif target != layer and target not in ALLOWED[layer]:
+            kind = "unknown layer" if target not in ALLOWED else "layer"
+            faults.append(f'{where}: {layer} may not include "{text}" ({kind} {target})')
+    return faults
+
+
+def sources(root: Path) -> list[Path]:
+    """All C and C++ files of the layered folders."""
+    top = sorted({folder.split("/")[0] for folder in FOLDERS})
+    return sorted(p for t in top for p in (root / t).rglob("*") if p.suffix in SUFFIXES)
+
+
+def main(arguments: list[str]) -> int:
+    """Check a tree."""
+    default = Path(__file__).parents[2]
+    root = Path(arguments[0] if arguments else default).resolve()
+    files = sources(root)
+    if not files:
+        print(f"check_layers: no sources under {root}", file=sys.stderr)
+        return 2
+    faults = [fault for path in files for fault in check_file(path, root)]
+    for fault in faults:
+        print(fault)
+    print(f"check_layers: {len(files)} files, {len(faults)} faults")
+    return 1 if faults else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,33 @@
+#!/usr/bin/env bash
+# Set up NovaPhy on a bare Debian 12 or Ubuntu 24.04 machine and run the ball: gradient descent through 288
+# substeps of simulation, drawn into ball.png.
+#
+#   tools/run_ball.sh [OPTION OF THE DEMO]...       for example: tools/run_ball.sh --headless 30 --check-grad
+#
+# Installs missing system packages (with sudo when not root), makes the virtual environment .venv in this
+# repository, builds and installs the Python package there, and runs python/demos/diff/demo_diffsim_ball.py. A
+# second run only runs the demo, and needs no network. PYTHON chooses another Python.
+set -euo pipefail
+cd "$(dirname "${BASH_SOURCE[0]}")/.."
+. tools/setup.sh
+
+install_packages "${BUILD_PACKAGES[@]}"
+find_python
+make_venv .venv "${WHEEL_REQUIREMENTS[@]}"
+
+# Build again only after an edit. A folder's own time tells of files that were removed.
+sources=(CMakeLists.txt pyproject.toml backends cmake collision core diff dynamics nova python/src python/novaphy)
+installed=.venv/novaphy.stamp
+if [ ! -e "$installed" ] || [ -n "$(find "${sources[@]}" -newer "$installed" -not -name __pycache__ -not -name '*.pyc' -print -quit)" ]; then
+  echo "building the Python package (the first time takes a few minutes)"
+  started=$(mktemp)
+  .venv/bin/python -m pip install --disable-pip-version-check -q --no-build-isolation '.[demos]' </dev/null ||
+    die "the build failed: see above"
+  mv "$started" "$installed"
+fi
+
+.venv/bin/python python/demos/diff/demo_diffsim_ball.py --headless 150 --plot "$PWD/ball.png" "$@"
+case " $*" in
+  *" --plot"*) ;;
+  *) echo "picture: $PWD/ball.png" ;;
+esac

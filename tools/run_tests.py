@@ -1,0 +1,427 @@
+#!/usr/bin/env python3
+"""Run all tests. tools/run_tests.sh calls this after it has set up what is needed."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+import xml.etree.ElementTree as ElementTree
+import zipfile
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+BUILD = ROOT / "build"
+LOGS = BUILD / "log"
+DEMO = ROOT / "python" / "demos" / "diff" / "demo_diffsim_ball.py"
+JOBS = len(os.sched_getaffinity(0))
+MAX_WHEEL_BYTES = 10_000_000
+TAIL_LINES = 120
+
+# Component -> the components that its consumer's prefix holds.
+COMPONENTS = {
+    "core": ["core"],
+    "nova": ["core", "nova"],
+    "collision": ["core", "collision"],
+    "dynamics": ["core", "collision", "dynamics"],
+    "diff": ["core", "nova", "collision", "dynamics", "diff"],
+}
+# What a library of the wheel may need besides the wheel's own: all of it is on every Linux.
+SYSTEM_LIBRARIES = re.compile(
+    r"^(libc|libm|libdl|libpthread|librt|libgcc_s|libstdc\+\+)\.so\.\d+$|^ld-linux"
+)
+
+
+class StepError(Exception):
+    """A step cannot go on."""
+
+
+@dataclass
+class Totals:
+    """What the tests gave so far."""
+
+    passed: int = 0
+    failed: int = 0
+    skipped: int = 0
+    problems: list[str] = field(default_factory=list)
+
+    def add_junit(self, path: Path, what: str) -> int:
+        """Add a JUnit file; returns its number of failed cases."""
+        cases = list(ElementTree.parse(path).iter("testcase"))
+        failed = [c for c in cases if c.find("failure") is not None or c.find("error") is not None]
+        skipped = [c for c in cases if c.find("skipped") is not None and c not in failed]
+        for case in failed:
+            group, name = case.get("classname"), case.get("name")
+            self.problems.append(f"{what}: {name if group in (None, name) else f'{group}.{name}'}")
+        self.failed += len(failed)
+        self.skipped += len(skipped)
+        self.passed += len(cases) - len(failed) - len(skipped)
+        print(
+            f"   {what}: {len(cases) - len(failed) - len(skipped)} passed, "
+            f"{len(failed)} failed, {len(skipped)} skipped"
+        )
+        for case in skipped:
+            reason = case.find("skipped").get("message", "")
+            print(f"   skipped: {case.get('name')} {reason}".rstrip())
+        return len(failed)
+
+    def fail(self, problem: str) -> None:
+        """Count something that failed without being a test."""
+        self.failed += 1
+        self.problems.append(problem)
+
+
+totals = Totals()
+
+
+def environment(**extra: str) -> dict[str, str]:
+    """The caller's environment without what changes how NovaPhy runs."""
+    ours = ("NOVAPHY_", "NOVA_", "CMAKE_ARGS")
+    kept = {k: v for k, v in os.environ.items() if not k.startswith(ours)}
+    return kept | {"PYTHONDONTWRITEBYTECODE": "1"} | extra
+
+
+def output_of(*command: str | Path) -> str:
+    """What a command prints."""
+    words = [str(word) for word in command]
+    return subprocess.run(words, capture_output=True, text=True, check=True).stdout
+
+
+def run(
+    log: str,
+    *command: str | Path,
+    cwd: Path = ROOT,
+    env: dict[str, str] | None = None,
+    may_fail: bool = False,
+) -> int:
+    """Run a command with its output in build/log/<log>.log; show the end of it when it fails."""
+    LOGS.mkdir(parents=True, exist_ok=True)
+    path = LOGS / f"{log}.log"
+    words = [str(word) for word in command]
+    with path.open("a", encoding="utf-8") as out:
+        out.write(f"$ {' '.join(words)}\n")
+        out.flush()
+        start = out.tell()
+        code = subprocess.run(
+            words,
+            cwd=cwd,
+            env=env or environment(),
+            stdout=out,
+            stderr=subprocess.STDOUT,
+            check=False,
+        ).returncode
+    if code != 0:
+        with path.open(encoding="utf-8", errors="replace") as written:
+            written.seek(start)
+            lines = written.read().splitlines()
+        print(f"   $ {' '.join(words)}")
+        print("\n".join(f"   | {line}" for line in lines[-TAIL_LINES:]))
+        print(f"   exit code {code}; all of it in {path.relative_to(ROOT)}")
+        if not may_fail:
+            raise StepError(f"{log}: {Path(words[0]).name} failed with exit code {code}")
+    return code
+
+
+def pip(log: str, python: str | Path, *arguments: str | Path, **options: object) -> None:
+    """Run pip of a Python."""
+    run(log, python, "-m", "pip", "--disable-pip-version-check", *arguments, **options)
+
+
+def build(preset: str) -> Path:
+    """Configure and build a preset; returns its build tree."""
+    run(preset, "cmake", "--preset", preset)
+    run(preset, "cmake", "--build", "--preset", preset, f"-j{JOBS}")
+    return BUILD / preset
+
+
+def ctest(what: str, *arguments: str | Path, cwd: Path = ROOT) -> None:
+    """Run CTest and add its results."""
+    log = what.replace(" ", "-")
+    junit = LOGS / f"{log}.ctest.xml"
+    junit.unlink(missing_ok=True)
+    options = ["--output-junit", junit, f"-j{JOBS}"]
+    code = run(log, "ctest", *arguments, *options, cwd=cwd, may_fail=True)
+    if not junit.exists():
+        raise StepError(f"{what}: ctest wrote no results")
+    if totals.add_junit(junit, what) == 0 and code != 0:
+        raise StepError(f"{what}: ctest failed with exit code {code}")
+
+
+def pytest(what: str, python: Path, *arguments: str | Path) -> None:
+    """Run pytest and add its results."""
+    junit = LOGS / f"{what}.pytest.xml"
+    junit.unlink(missing_ok=True)
+    options = ["-q", "-ra", "-p", "no:cacheprovider", f"--junitxml={junit}"]
+    code = run(what, python, "-m", "pytest", *options, *arguments, may_fail=True)
+    if not junit.exists():
+        raise StepError(f"{what}: pytest wrote no results")
+    if totals.add_junit(junit, what) == 0 and code != 0:
+        raise StepError(f"{what}: pytest failed with exit code {code}")
+
+
+def make_venv(name: str, *requirements: str) -> Path:
+    """A virtual environment with these packages, made once; returns its Python."""
+    folder = BUILD / "venv" / name
+    python, stamp = folder / "bin" / "python", folder / "requirements.stamp"
+    wanted = f"{sys.version} {requirements}"
+    if not python.exists() or not stamp.exists() or stamp.read_text() != wanted:
+        run(f"venv-{name}", sys.executable, "-m", "venv", "--clear", folder)
+        pip(f"venv-{name}", python, "install", *requirements)
+        stamp.write_text(wanted)
+    return python
+
+
+# The steps, in order. A step is named as its function, with - for _.
+
+STEPS: dict[str, Callable[[], None]] = {}
+WITH_TESTS = ("core-only", "cpu", "cpu-diff", "asan", "install", "python")  # fail if none ran
+
+
+def step(function: Callable[[], None]) -> Callable[[], None]:
+    """Register a step."""
+    STEPS[function.__name__.replace("_", "-")] = function
+    return function
+
+
+@step
+def lint() -> None:
+    """Includes keep the layers; ruff; shell scripts parse."""
+    run("lint", sys.executable, "tools/lint/check_layers.py")
+    ruff = Path(sys.executable).with_name("ruff")
+    run("lint", ruff, "check", "--no-cache", "--output-format=concise")
+    for script in ("tools/setup.sh", "tools/run_ball.sh", "tools/run_tests.sh", ".ci/run"):
+        run("lint", "bash", "-n", script)
+
+
+@step
+def core_only() -> None:
+    """novaphy::core alone."""
+    build("core-only")
+    ctest("core-only", "--preset", "core-only")
+
+
+@step
+def cpu() -> None:
+    """The forward engine, without the tensor runtime."""
+    build("cpu")
+    ctest("cpu", "--preset", "cpu")
+
+
+@step
+def symbols() -> None:
+    """The forward engine needs and holds nothing of the tensor runtime."""
+    tree = build("cpu")
+    if found := list(tree.rglob("libnovaphy_nova*")) + list(tree.rglob("libnovaphy_diff*")):
+        raise StepError(f"symbols: the slice cpu built {found[0].name}")
+    for name in ("core", "collision", "dynamics"):
+        library = tree / "lib" / f"libnovaphy_{name}.so"
+        dynamic = output_of("nm", "-DC", library)
+        # The reader of Programs (nova::ir) belongs to the CPU backend, which core links in.
+        pattern = re.compile(r"(?<![\w:])nova::" + (r"(?!ir::)" if name == "core" else ""))
+        lines = (output_of("nm", "-C", library) + dynamic).splitlines()
+        if bad := [line for line in lines if pattern.search(line)]:
+            raise StepError(f"symbols: {library.name} has {bad[:3]}")
+        if "libnovaphy_nova" in output_of("readelf", "-d", library):
+            raise StepError(f"symbols: {library.name} links libnovaphy_nova")
+        print(f"   {library.name}: {len(dynamic.splitlines())} dynamic symbols, none of nova")
+
+
+@step
+def cpu_diff() -> None:
+    """The differentiable engine."""
+    build("cpu-diff")
+    ctest("cpu-diff", "--preset", "cpu-diff")
+
+
+@step
+def asan() -> None:
+    """The differentiable engine under AddressSanitizer and UndefinedBehaviorSanitizer."""
+    build("asan")
+    ctest("asan", "--preset", "asan")
+
+
+@step
+def dev() -> None:
+    """Everything builds without a warning."""
+    build("dev")
+
+
+@step
+def install() -> None:
+    """A program per component builds against just the components that it needs, and runs."""
+    tree = build("release")
+    consumers = ROOT / "tests" / "install_consumer"
+    work = BUILD / "install"
+    shutil.rmtree(work, ignore_errors=True)
+    missing = [name for name in COMPONENTS if not (consumers / name / "CMakeLists.txt").exists()]
+    if missing:
+        raise StepError(f"install: tests/install_consumer has none for {', '.join(missing)}")
+    for name, components in COMPONENTS.items():
+        prefix, binary = work / name / "prefix", work / name / "build"
+        for component in components:
+            run("install", "cmake", "--install", tree, "--component", component, "--prefix", prefix)
+        run(
+            "install", "cmake", "-G", "Ninja", "-S", consumers / name, "-B", binary,
+            f"-DCMAKE_PREFIX_PATH={prefix}", "-DCMAKE_BUILD_TYPE=Release",
+        )  # fmt: skip
+        run("install", "cmake", "--build", binary, f"-j{JOBS}")
+        ctest(f"install {name}", "--test-dir", binary, "--no-tests=error", "--output-on-failure")
+
+
+def make_wheel() -> Path:
+    """Build the wheel, once per run of this script."""
+    folder = BUILD / "wheel"
+    if not make_wheel.made:
+        shutil.rmtree(folder, ignore_errors=True)
+        options = ["--no-build-isolation", "--no-deps", "-w", folder]
+        pip("wheel", sys.executable, "wheel", *options, ROOT)
+        make_wheel.made = True
+    wheels = list(folder.glob("novaphy-*.whl"))
+    if len(wheels) != 1:
+        raise StepError(f"wheel: expected one in {folder}, found {len(wheels)}")
+    return wheels[0]
+
+
+make_wheel.made = False
+
+
+def check_wheel(wheel: Path) -> None:
+    """The wheel is small, and needs NumPy and a Linux, nothing else."""
+    size = wheel.stat().st_size
+    print(f"   {wheel.name}: {size / 1e6:.2f} MB")
+    if size >= MAX_WHEEL_BYTES:
+        raise StepError(f"wheel: {size} bytes, allowed are {MAX_WHEEL_BYTES}")
+    with zipfile.ZipFile(wheel) as archive, tempfile.TemporaryDirectory() as folder:
+        names = archive.namelist()
+        metadata = next(n for n in names if n.endswith(".dist-info/METADATA"))
+        metadata = archive.read(metadata).decode()
+        requires = re.findall(r"^Requires-Dist: (.+)$", metadata, re.MULTILINE)
+        if extra := [r for r in requires if "extra ==" not in r and not re.match(r"numpy\b", r)]:
+            raise StepError(f"wheel: it requires {', '.join(extra)} besides NumPy")
+        libraries = [n for n in names if re.search(r"\.so(\.\d+)*$", n)]
+        own = {Path(n).name for n in libraries}
+        for name in libraries:
+            path = archive.extract(name, folder)
+            for needed in re.findall(r"\(NEEDED\).*\[(.+)\]", output_of("readelf", "-d", path)):
+                if needed not in own and not SYSTEM_LIBRARIES.match(needed):
+                    raise StepError(f"wheel: {name} needs {needed}, which is not in the wheel")
+
+
+def wheel_python() -> Path:
+    """The Python of an environment with the wheel of this run."""
+    wheel = make_wheel()
+    python = make_venv("wheel", "numpy", "pytest", "mypy", "matplotlib", "tqdm")
+    if not wheel_python.installed:
+        pip("wheel", python, "install", "--no-deps", "--force-reinstall", wheel)
+        wheel_python.installed = True
+    return python
+
+
+wheel_python.installed = False
+
+
+@step
+def python() -> None:
+    """The wheel: its size, what it needs, its stubs, and pytest against it."""
+    check_wheel(make_wheel())
+    interpreter = wheel_python()
+    # Not from the repository: its python/ folder must not shadow the installed package.
+    with tempfile.TemporaryDirectory() as folder:
+        run("stubs", interpreter, "-m", "mypy.stubtest", "novaphy", "--concise", cwd=Path(folder))
+    pytest("python", interpreter, "tests/python")
+
+
+@step
+def editable() -> None:
+    """The documented editable install, and the ball from it."""
+    interpreter = make_venv("editable", "scikit-build-core>=0.10", "numpy")
+    # The pybind11 that the wheel was built with: the compiler cache then knows the objects.
+    pybind11 = output_of(sys.executable, "-m", "pybind11", "--cmakedir").strip()
+    options = (
+        "-DNOVAPHY_BUILD_TESTS=OFF -DNOVAPHY_BUILD_VBD=OFF "
+        f"-DCMAKE_PREFIX_PATH=/usr -Dpybind11_DIR={pybind11}"
+    )
+    environ = environment(CMAKE_ARGS=options)
+    pip(
+        "editable",
+        interpreter,
+        "install",
+        "-e",
+        ".",
+        "--no-build-isolation",
+        "--no-deps",
+        env=environ,
+    )
+    code = (
+        "import novaphy, pathlib; p = pathlib.Path(novaphy.__file__).resolve(); print(p); "
+        f"assert p.is_relative_to({str(ROOT / 'python')!r}), p; "
+        "assert novaphy.has_diff() and not novaphy.has_vbd()"
+    )
+    with tempfile.TemporaryDirectory() as folder:
+        run("editable", interpreter, "-c", code, cwd=Path(folder))
+        run("editable", interpreter, DEMO, "--headless", "1", cwd=Path(folder))
+
+
+@step
+def ball() -> None:
+    """The ball demo: training, gradient check, states and picture."""
+    interpreter = wheel_python()
+    with tempfile.TemporaryDirectory() as folder:
+        outputs = [Path(folder) / "states.npz", Path(folder) / "ball.png"]
+        run(
+            "ball", interpreter, DEMO, "--headless", "5", "--check-grad",
+            "--dump-states", outputs[0], "--plot", outputs[1],
+        )  # fmt: skip
+        for path in outputs:
+            if not path.exists() or path.stat().st_size == 0:
+                raise StepError(f"ball: the demo wrote no {path.name}")
+
+
+def run_step(name: str) -> None:
+    """Run one step under its header."""
+    function = STEPS[name]
+    print(f"== {name}: {function.__doc__.splitlines()[0]}", flush=True)
+    start, before = time.monotonic(), totals.passed + totals.failed
+    try:
+        function()
+        if name in WITH_TESTS and totals.passed + totals.failed == before:
+            raise StepError(f"{name}: no test was run")
+    except (StepError, OSError, subprocess.CalledProcessError) as error:
+        print(f"   FAILED: {error}")
+        totals.fail(str(error))
+    print(f"   {time.monotonic() - start:.0f} s", flush=True)
+
+
+def main() -> int:
+    """Run the steps asked for, or all."""
+    parser = argparse.ArgumentParser(prog="tools/run_tests.sh", description="Run all tests.")
+    parser.add_argument("steps", nargs="*", metavar="STEP", help="only these steps, in this order")
+    parser.add_argument("--list", action="store_true", help="list the steps")
+    arguments = parser.parse_args()
+    if arguments.list:
+        for name, function in STEPS.items():
+            print(f"{name:10} {function.__doc__.splitlines()[0]}")
+        return 0
+    if unknown := [name for name in arguments.steps if name not in STEPS]:
+        parser.error(f"unknown step {unknown[0]!r}; there are: {', '.join(STEPS)}")
+
+    shutil.rmtree(LOGS, ignore_errors=True)
+    start = time.monotonic()
+    for name in arguments.steps or STEPS:
+        run_step(name)
+    for problem in totals.problems:
+        print(f"failed: {problem}")
+    print(f"all steps: {time.monotonic() - start:.0f} s")
+    print(f"tests: {totals.passed} passed, {totals.failed} failed, {totals.skipped} skipped")
+    return 1 if totals.failed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

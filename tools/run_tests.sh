@@ -1,0 +1,17 @@
+#!/usr/bin/env bash
+# Set up what the tests need on a bare Debian 12 or Ubuntu 24.04 machine and run them all.
+#
+#   tools/run_tests.sh [STEP]...                    for example: tools/run_tests.sh cpu-diff python
+#   tools/run_tests.sh --list                       the steps
+#
+# The last line is `tests: N passed, M failed, K skipped`, over CTest and pytest together; what fails without being
+# a test (a build, a lint, a size, a step whose tests did not run) counts as one failed. The exit code is 0 only when
+# nothing failed. Logs are in build/log. PYTHON chooses another Python.
+set -euo pipefail
+cd "$(dirname "${BASH_SOURCE[0]}")/.."
+. tools/setup.sh
+
+install_packages "${BUILD_PACKAGES[@]}" binutils libgtest-dev googletest zlib1g-dev
+find_python
+make_venv build/venv/tools "${WHEEL_REQUIREMENTS[@]}" ruff
+exec build/venv/tools/bin/python tools/run_tests.py "$@" </dev/null

@@ -196,6 +196,7 @@ def lint() -> None:
     run("lint", sys.executable, "tools/lint/check_layers.py")
     ruff = Path(sys.executable).with_name("ruff")
     run("lint", ruff, "check", "--no-cache", "--output-format=concise")
+    run("lint", ruff, "format", "--no-cache", "--check")
     for script in ("tools/setup.sh", "tools/run_ball.sh", "tools/run_tests.sh", ".ci/run"):
         run("lint", "bash", "-n", script)
 

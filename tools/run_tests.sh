@@ -13,5 +13,5 @@ cd "$(dirname "${BASH_SOURCE[0]}")/.."
 
 install_packages "${BUILD_PACKAGES[@]}" binutils libgtest-dev googletest zlib1g-dev
 find_python
-make_venv build/venv/tools "${WHEEL_REQUIREMENTS[@]}" ruff
+make_venv build/venv/tools "${WHEEL_REQUIREMENTS[@]}" "ruff==0.17.6"  # a newer one may ask for more
 exec build/venv/tools/bin/python tools/run_tests.py "$@" </dev/null

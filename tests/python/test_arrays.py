@@ -162,9 +162,7 @@ def test_rows_are_read_and_written():
     array[0] = (7, 8, 9)
     array[-1] = 0.5
     array[1:3] = [[1, 1, 1], [2, 2, 2]]
-    np.testing.assert_array_equal(
-        array.numpy(), [[7, 8, 9], [1, 1, 1], [2, 2, 2], [0.5, 0.5, 0.5]]
-    )
+    np.testing.assert_array_equal(array.numpy(), [[7, 8, 9], [1, 1, 1], [2, 2, 2], [0.5, 0.5, 0.5]])
     assert [float(row[0]) for row in array] == [7, 1, 2, 0.5]
     for bad in (4, -5):
         with pytest.raises(IndexError, match="expected a row of 4"):
@@ -321,8 +319,9 @@ def test_exports_and_imports_keep_memory_alive():
     imported = DeviceArray.from_dlpack(values)
     del values
     gc.collect()
-    blocks = [np.zeros(1000, np.float32) for _ in range(8)]
+    reused = [np.zeros(1000, np.float32) for _ in range(8)]  # the memory, had it been freed
     np.testing.assert_array_equal(imported.numpy(), np.arange(1000))
+    del reused
 
 
 def test_an_export_outlives_its_model():

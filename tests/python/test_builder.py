@@ -218,7 +218,10 @@ def test_shapes_get_their_values():
     np.testing.assert_allclose(model.shape_transform[1], [0, 0, 0.5, 0, 0, 0, 1])
     np.testing.assert_allclose(model.shape_transform[3][:3], [0, 0, -1])
     assert model.shape_material_ke[0] == 5 and model.shape_margin[0] == 0.25
-    assert model.shape_flags[0] == cfg.flags == 5 and list(model.shape_is_solid.numpy()[:2]) == [0, 1]
+    assert model.shape_flags[0] == cfg.flags == 5 and list(model.shape_is_solid.numpy()[:2]) == [
+        0,
+        1,
+    ]
     assert model.shape_collision_aabb_upper.ptr == model.shape_aabb_upper.ptr
     for bad in (GeoType.MESH, GeoType.CONE):
         with pytest.raises(NotImplementedError, match=bad.name):
@@ -280,7 +283,7 @@ def test_the_lists_of_a_builder_are_writable_and_keep_their_length():
         with pytest.raises((error, AttributeError) if error is TypeError else error):
             change()
     kept = builder.particle_q
-    del builder
+    builder = None  # the list keeps what it shows alive
     assert kept[1] == (1, 2, 3)
 
 

@@ -45,7 +45,9 @@ def test_equal_computations_have_equal_hashes():
 
 
 def test_several_outputs_have_names_and_shapes():
-    kernel = make(lambda c: (c.f32("x"), -c.f32("x"), c.f32("x") ** 2), outputs=[("a", 1), ("b", 2)])
+    kernel = make(
+        lambda c: (c.f32("x"), -c.f32("x"), c.f32("x") ** 2), outputs=[("a", 1), ("b", 2)]
+    )
     a, b = kernel(2, [nova.tensor([3.0, 4.0])])
     assert a.tolist() == [3, 4] and b.tolist() == [[-3, 9], [-4, 16]]
 
@@ -260,7 +262,12 @@ def test_parameters_are_checked():
     x = nova.ones(2)
     assert kernel(2, [x], (2, 3))[0].tolist() == [5, 5]
     assert kernel(2, [x], [np.float32(2), np.int64(3)])[0].tolist() == [5, 5]
-    for params, error in [((2,), ValueError), ((2, 3.5), TypeError), (("a", 1), TypeError), ((1, 2, 3), ValueError)]:
+    for params, error in [
+        ((2,), ValueError),
+        ((2, 3.5), TypeError),
+        (("a", 1), TypeError),
+        ((1, 2, 3), ValueError),
+    ]:
         with pytest.raises(error):
             kernel(2, [x], params)
 

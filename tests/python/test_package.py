@@ -72,7 +72,12 @@ def test_import_is_lean():
         "print(*sorted(m.split('.')[0] for m in set(sys.modules) - before))"
     )
     loaded = set(out.split())
-    assert "numpy" not in loaded and not loaded & {"matplotlib", "tqdm", "torch", "typing_extensions"}
+    assert "numpy" not in loaded and not loaded & {
+        "matplotlib",
+        "tqdm",
+        "torch",
+        "typing_extensions",
+    }
 
 
 def test_subpackages_come_when_they_are_used():

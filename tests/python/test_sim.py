@@ -303,7 +303,11 @@ def test_solver_options_are_checked():
     model = ball_model()
     solver = novaphy.solvers.SolverSemiImplicit(model, angular_damping=0.5)
     assert solver.angular_damping == 0.5 and solver.enable_tri_contact
-    assert (solver.friction_smoothing, solver.joint_attach_ke, solver.joint_attach_kd) == (1, 1e4, 1e2)
+    assert (solver.friction_smoothing, solver.joint_attach_ke, solver.joint_attach_kd) == (
+        1,
+        1e4,
+        1e2,
+    )
     with pytest.raises(ValueError, match="angular_damping"):
         novaphy.solvers.SolverSemiImplicit(model, angular_damping=-1.0)
     config = novaphy.solvers.DiffSolverConfig(enable_particle_contacts=False)

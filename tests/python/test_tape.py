@@ -418,7 +418,9 @@ def test_what_a_custom_operation_holds_is_let_go_with_the_tape():
 def test_the_operators_agree_with_the_solver():
     ball = Ball(steps=1)
     state = ball.states[0]
-    q, qd, f = (nova.tensor(getattr(state, n).numpy()) for n in ("particle_q", "particle_qd", "particle_f"))
+    q, qd, f = (
+        nova.tensor(getattr(state, n).numpy()) for n in ("particle_q", "particle_qd", "particle_f")
+    )
     q1, qd1 = diff.integrate_particles_generated(ball.model, q, qd, f, DT)
     ball.solver.step(*ball.states, None, None, DT)
     assert_same_bits(q1, ball.states[1].particle_q)
@@ -466,7 +468,9 @@ def test_losses():
         center = diff.particle_centroid_generated(q)
         tape.backward(diff.vec3_point_loss_generated(center, 0, 0, 0))
     np.testing.assert_allclose(q.grad.numpy(), np.full((2, 3), 2.0))
-    novaphy.testing.assert_gradcheck(lambda x: diff.particle_point_loss_generated(x, 0, 1, 0, 0), [q])
+    novaphy.testing.assert_gradcheck(
+        lambda x: diff.particle_point_loss_generated(x, 0, 1, 0, 0), [q]
+    )
 
 
 def test_optimiser_updates():

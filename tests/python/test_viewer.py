@@ -121,7 +121,7 @@ def test_what_is_no_recording_is_refused_and_nothing_is_lost(ball, tmp_path):
     coded = np.frombuffer(json.dumps(header).encode(), np.uint8)
     np.savez(tmp_path / "short.npz", header=coded, time=np.zeros(3))
     whole = viewer.save_recording(tmp_path / "whole.npz")
-    (tmp_path / "cut.npz").write_bytes(open(whole, "rb").read()[:500])
+    (tmp_path / "cut.npz").write_bytes(whole.read_bytes()[:500])
     for name in (*files, "plain.npz", "pickle.npz", "new.npz", "short.npz", "cut.npz"):
         with pytest.raises(ValueError, match="load_recording"):
             viewer.load_recording(tmp_path / name)

@@ -1,9 +1,9 @@
 """Throw a ball off a wall so that it lands on a target, by gradient descent through the simulation.
 
-The initial velocity of one particle is optimised. Every step of the simulation runs on the regular arrays of a
-``SimState`` and is recorded by a ``nova.Tape``; ``tape.backward(loss)`` pulls the gradient of the landing error back
-through 288 substeps with two contacts. Contacts are found once, from the first state, so the wall is the half-space
-behind its face.
+The initial velocity of one particle is optimised. Every step of the simulation runs on the regular
+arrays of a ``SimState`` and is recorded by a ``nova.Tape``; ``tape.backward(loss)`` pulls the
+gradient of the landing error back through 288 substeps with two contacts. Contacts are found once,
+from the first state, so the wall is the half-space behind its face.
 
     python demo_diffsim_ball.py --headless 150 --plot ball.png
     python demo_diffsim_ball.py --check-grad
@@ -32,7 +32,9 @@ def build_model(device: str) -> novaphy.Model:
     builder = novaphy.ModelBuilder()
     builder.add_particle(pos=(0.0, -0.5, 1.0), vel=(0.0, 5.0, -5.0), mass=1.0)
     cfg = novaphy.ShapeConfig(ke=1.0e4, kd=10.0, kf=0.0, mu=0.2)
-    builder.add_shape_box(-1, xform=((0.0, 2.0, 1.0), (0.0, 0.0, 0.0, 1.0)), hx=1.0, hy=0.25, hz=1.0, cfg=cfg)
+    builder.add_shape_box(
+        -1, xform=((0.0, 2.0, 1.0), (0.0, 0.0, 0.0, 1.0)), hx=1.0, hy=0.25, hz=1.0, cfg=cfg
+    )
     builder.add_ground_plane(cfg=cfg)
     model = builder.finalize(device, requires_grad=True)
     model.soft_contact_ke, model.soft_contact_kd = 1.0e4, 10.0
@@ -48,7 +50,9 @@ class Ball:
         self.solver = novaphy.solvers.DiffSemiImplicitSolver(self.model)
         self.states = [self.model.state() for _ in range(STEPS + 1)]
         self.control = self.model.control()
-        pipeline = novaphy.CollisionPipeline(self.model, broad_phase="explicit", soft_contact_margin=10.0)
+        pipeline = novaphy.CollisionPipeline(
+            self.model, broad_phase="explicit", soft_contact_margin=10.0
+        )
         self.contacts = pipeline.contacts()
         pipeline.collide(self.states[0], self.contacts)
         self.velocity = diff.state_particle_qd_tensor(self.states[0], requires_grad=True)
@@ -58,7 +62,9 @@ class Ball:
         for state, next_state in zip(self.states, self.states[1:]):
             state.clear_forces()
             self.solver.step(state, next_state, self.control, self.contacts, DT)
-        return diff.particle_point_loss_generated(diff.state_particle_q_tensor(self.states[-1]), 0, *TARGET)
+        return diff.particle_point_loss_generated(
+            diff.state_particle_q_tensor(self.states[-1]), 0, *TARGET
+        )
 
     def train(self) -> float:
         """One iteration of gradient descent; returns the loss before it."""
@@ -103,7 +109,9 @@ def plot(path: str, losses: list[float], trajectories: list[np.ndarray]) -> None
     import matplotlib.pyplot as plt
     from matplotlib.ticker import MaxNLocator
 
-    figure, (left, right) = plt.subplots(1, 2, figsize=(11, 4.2), width_ratios=(2, 3), layout="constrained")
+    figure, (left, right) = plt.subplots(
+        1, 2, figsize=(11, 4.2), width_ratios=(2, 3), layout="constrained"
+    )
     left.semilogy(losses, color="#2a6f97", marker="o", markersize=3)
     left.set(xlabel="iteration", ylabel="squared distance to the target [m²]", title="Loss")
     left.grid(alpha=0.3, which="both")
@@ -117,11 +125,15 @@ def plot(path: str, losses: list[float], trajectories: list[np.ndarray]) -> None
     start = trajectories[0][0, 0]
     right.plot(start[1], start[2], "ko", markersize=6, label="start")
     right.plot(TARGET[1], TARGET[2], "*", color="#c1121f", markersize=15, label="target", zorder=3)
-    right.add_patch(plt.Rectangle((1.75, 0.0), 0.5, 2.0, facecolor="#adb5bd", edgecolor="#495057", label="wall"))
+    right.add_patch(
+        plt.Rectangle((1.75, 0.0), 0.5, 2.0, facecolor="#adb5bd", edgecolor="#495057", label="wall")
+    )
     right.axhspan(-0.25, 0.0, color="#dee2e6")
     right.text(-2.4, -0.18, "ground", color="#495057")
     figure.colorbar(scale, ax=right, pad=0.01, label="iteration", ticks=MaxNLocator(integer=True))
-    right.set(xlabel="y [m]", ylabel="z [m]", title="Trajectories", xlim=(-2.6, 2.4), ylim=(-0.25, 2.2))
+    right.set(
+        xlabel="y [m]", ylabel="z [m]", title="Trajectories", xlim=(-2.6, 2.4), ylim=(-0.25, 2.2)
+    )
     right.set_aspect("equal")
     right.legend(loc="upper left", ncols=3)
     with novaphy.io.atomic_path(path) as temporary:
@@ -132,10 +144,16 @@ def plot(path: str, losses: list[float], trajectories: list[np.ndarray]) -> None
 def main() -> int:
     """Train, check, dump and plot as asked; 0 when every check passed."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--headless", type=int, default=150, metavar="N", help="training iterations (default 150)")
+    parser.add_argument(
+        "--headless", type=int, default=150, metavar="N", help="training iterations (default 150)"
+    )
     parser.add_argument("--device", default="cpu", help="cpu, cuda, cuda:1, ... or auto")
-    parser.add_argument("--check-grad", action="store_true", help="compare the gradient with central differences")
-    parser.add_argument("--dump-states", metavar="PATH.npz", help="write the states of the last rollout")
+    parser.add_argument(
+        "--check-grad", action="store_true", help="compare the gradient with central differences"
+    )
+    parser.add_argument(
+        "--dump-states", metavar="PATH.npz", help="write the states of the last rollout"
+    )
     parser.add_argument("--plot", metavar="PATH.png", help="draw the loss and the trajectories")
     args = parser.parse_args()
     if args.headless < 0:
@@ -159,13 +177,19 @@ def main() -> int:
 
     if args.dump_states:
         q = trajectories[-1]
-        novaphy.io.save_npz(args.dump_states, particle_q=q[::SUBSTEPS], particle_q_substeps=q, loss=np.float32(losses))
+        novaphy.io.save_npz(
+            args.dump_states,
+            particle_q=q[::SUBSTEPS],
+            particle_q_substeps=q,
+            loss=np.float32(losses),
+        )
     if args.plot:
         plot(args.plot, losses, trajectories)
     drops = -np.diff(losses[:31])  # later on the loss may jump where a contact opens or closes
     ok = ok and bool(np.all(drops > 1.0e-3)) and (final < losses[0] or not args.headless)
     print(
-        f"ball on {ball.model.device}: {args.headless} iterations, loss {losses[0]:.4f} -> {final:.4f}, "
+        f"ball on {ball.model.device}: {args.headless} iterations, "
+        f"loss {losses[0]:.4f} -> {final:.4f}, "
         f"v0 = {ball.velocity.numpy().ravel()}, {'ok' if ok else 'CHECK FAILED'}"
     )
     return 0 if ok else 1

@@ -74,8 +74,9 @@ void OpList::writes(const std::shared_ptr<Range>& range) {
 void OpList::freeze(const std::shared_ptr<Range>& range) {
   require(!std::binary_search(written_keys_.begin(), written_keys_.end(), range.get()),
           ErrorKind::Runtime, "capture: an index table that the capture itself writes");
-  require(!range->writable_export(), ErrorKind::Runtime,
-          "capture: an index table with a writable export; a replay could not tell that it changed");
+  require(
+      !range->writable_export(), ErrorKind::Runtime,
+      "capture: an index table with a writable export; a replay could not tell that it changed");
   frozen_.emplace_back(range, range->version());
 }
 
@@ -94,7 +95,7 @@ void OpList::launch() const {
     }
   } mark_written{written_};
   run();
-  for (const auto& [range, valid] : gradients_) grad_info(*range).valid = valid;
+  for (const auto& [range, state] : gradients_) grad_info(*range).state = state;
 }
 
 void OpList::run_once() const { run(); }

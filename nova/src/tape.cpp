@@ -133,8 +133,9 @@ std::unique_ptr<Tape::Impl>& Tape::spare() {
   return impl;
 }
 
-Tape::Tape() : impl_(std::move(spare())) {
+Tape::Tape(KeepGradients keep) : impl_(std::move(spare())) {
   if (!impl_) impl_ = std::make_unique<Impl>();
+  impl_->leaves_only = keep == KeepGradients::Leaves;
 }
 Tape::~Tape() {
   if (active_tape == this) end();
@@ -264,10 +265,10 @@ void Tape::backward(const Tensor& loss, const Tensor& seed) {
 void Tape::zero() {
   for (Impl::Node& n : impl_->nodes) {
     GradInfo& info = grad_info(*n.range);
-    info.valid = false;  // reads as zero, and the next contribution stores
+    info.state = GradState::Zero;  // and the next contribution stores
     if (OpList* graph = current_capture()) {
       info.zeroed_in_capture = graph->id();
-      graph->gradient(n.range, false);
+      graph->gradient(n.range, info.state);
     }
     // Whoever holds the gradient's memory must see the zero now; what only the tape sees can wait.
     if (!n.ever_written && info.grad) submit_fill(info.grad, 0.0f);

@@ -55,20 +55,43 @@ bool Tape::Impl::bound_before(const Op& op, uint32_t s) const {
 
 // Whether the next contribution to the range's gradient adds to what is there (else it stores).
 bool Tape::Impl::begin_contribution(Node& n) {
-  GradInfo& info = grad_info(*n.range);
-  grad_storage(*n.range);
   if (n.set) return true;
   n.set = true;
+  GradInfo& info = grad_info(*n.range);
   OpList* graph = current_capture();
-  if (!n.ever_written && graph && !info.valid && info.zeroed_in_capture != graph->id()) {
+  const bool leaf = !n.ever_written;
+  const bool kept = leaf || !leaves_only;
+  n.place = kept ? &grad_storage(*n.range) : pool.take(*n.range);
+  if (leaf && graph && info.state != GradState::Held && info.zeroed_in_capture != graph->id()) {
     // Every replay adds to what is there then: give the first one a real zero to add to.
     fill_zero_now(*info.grad);
-    info.valid = true;
+    info.state = GradState::Held;
   }
-  const bool add = !n.ever_written && info.valid;  // only leaves go on from before
-  info.valid = true;
-  if (graph) graph->gradient(n.range, true);
+  const bool add = leaf && info.state == GradState::Held;  // only leaves go on from before
+  info.state = kept ? GradState::Held : GradState::Dropped;
+  if (graph) graph->gradient(n.range, info.state);
   return add;
+}
+
+const std::shared_ptr<Range>* Tape::Impl::GradientPool::take(const Range& like) {
+  const auto fits = [&](const std::shared_ptr<Range>* place) {
+    return (*place)->bytes() == like.bytes() &&
+           (*place)->storage().device() == like.storage().device();
+  };
+  const auto at = std::find_if(free_.rbegin(), free_.rend(), fits);
+  if (at == free_.rend())
+    return &all_.emplace_back(
+        Storage::allocate(like.bytes(), like.storage().device(), false)->range());
+  const std::shared_ptr<Range>* place = *at;
+  free_.erase(std::next(at).base());
+  return place;
+}
+void Tape::Impl::GradientPool::give_back(const std::shared_ptr<Range>* place) {
+  free_.push_back(place);
+}
+void Tape::Impl::GradientPool::clear() {
+  all_.clear();
+  free_.clear();
 }
 
 // The items of a CSR sum find their row in the table that the Incidence was built from.
@@ -80,22 +103,34 @@ void Tape::Impl::check_table(const Op& op, const detail::CompiledPlan& plan) con
 
 void Tape::Impl::plan_steps() {
   steps.clear();
+  places.clear();
   for (size_t k = ops.size(); k-- > 0;) {
     const Op& op = ops[k];
     AdjointKey key;
+    const size_t first_place = places.size();
+    places.resize(first_place + op.outputs + op.inputs);
+    const auto output_places = places.begin() + static_cast<ptrdiff_t>(first_place);
+    const auto input_places = output_places + op.outputs;
     for (uint32_t o = 0; o < op.outputs; ++o) {
       Node& n = *find(*output(op, o).range);
       if (!n.set) continue;
       key.seeded |= uint32_t{1} << o;
+      output_places[o] = n.place;
       n.set = false;  // consumed: an earlier value of the same range starts anew
     }
-    if (!key.seeded) continue;
+    if (!key.seeded) {
+      places.resize(first_place);
+      continue;
+    }
     for (uint32_t s = 0; s < op.inputs; ++s) {
       const Use& use = input(op, s);
       if (!use.carries) continue;
       key.wrt |= bit(s);
-      if (bound_before(op, s)) continue;  // its gradient goes apart and is added afterwards
       Node& n = *find(*use.operand.range);
+      if (bound_before(op, s)) {  // its gradient goes apart and is added afterwards
+        input_places[s] = n.place;
+        continue;
+      }
       if (!n.set) n.read_version = use.version;
       if (!n.ever_written && n.read_version != use.version)
         novaphy::fail(ErrorKind::Runtime, "input '", input_name(op, s), "' of op '", op_name(op),
@@ -103,7 +138,11 @@ void Tape::Impl::plan_steps() {
                       "and one gradient "
                       "cannot be of both");
       if (begin_contribution(n)) key.accumulate |= bit(s);
+      input_places[s] = n.place;
     }
+    if (leaves_only)
+      for (uint32_t o = 0; o < op.outputs; ++o)
+        if (output_places[o]) pool.give_back(output_places[o]);
     const detail::CompiledPlan* plan = nullptr;
     if (op.kernel) {
       plan = &op.kernel->adjoint(key);
@@ -113,7 +152,7 @@ void Tape::Impl::plan_steps() {
     } else {
       for (uint32_t s = 0; s < op.inputs; ++s) check_value(input(op, s), op, s);
     }
-    steps.push_back({&op, key, plan});
+    steps.push_back({&op, key, plan, first_place});
   }
 }
 
@@ -121,41 +160,46 @@ void Tape::Impl::backward(Node& loss, const Tensor& seed) {
   before.clear();
   for (Node& n : nodes) {
     GradInfo& info = grad_info(*n.range);
-    before.push_back(info.valid);
+    before.push_back(info.state);
     n.set = false;
-    if (n.ever_written) info.valid = false;
+    if (n.ever_written) info.state = GradState::Zero;
   }
   std::vector<std::pair<std::shared_ptr<Range>, std::shared_ptr<Range>>>
       kept;  // gradients that are added to, copies
   bool running = false;
   try {
     begin_contribution(loss);
+    const std::shared_ptr<Range>* loss_gradient = loss.place;
     plan_steps();
     size_t k = 0;
     for (Node& n : nodes) {
-      if (!before[k++] || n.ever_written || !n.set || current_capture()) continue;
+      if (before[k++] != GradState::Held || n.ever_written || !n.set || current_capture()) continue;
       const std::shared_ptr<Range>& grad = grad_storage(*n.range);
       kept.emplace_back(grad,
                         Storage::allocate(grad->bytes(), grad->storage().device(), false)->range());
       submit_copy(kept.back().second, grad);
     }
     running = true;
-    run_steps(loss, seed);
+    run_steps(*loss_gradient, seed);
   } catch (...) {  // a call that was refused, or failed on the way, leaves the gradients of leaves
                    // as they were
     size_t k = 0;
-    for (Node& n : nodes) grad_info(*n.range).valid = before[k++] && !(running && n.ever_written);
+    for (Node& n : nodes) {
+      const GradState state = before[k++];
+      grad_info(*n.range).state = running && n.ever_written ? GradState::Zero : state;
+    }
     for (const auto& [grad, copy] : kept) submit_copy(grad, copy);
+    pool.clear();
     throw;
   }
+  pool.clear();
 }
 
-void Tape::Impl::run_steps(Node& loss, const Tensor& seed) {
-  const std::shared_ptr<Range>& grad = grad_storage(*loss.range);
+void Tape::Impl::run_steps(const std::shared_ptr<Range>& loss_gradient, const Tensor& seed) {
   if (seed.defined()) {
-    submit_copy(grad, seed.range());
+    submit_copy(loss_gradient, seed.range());
   } else {
-    submit_fill(grad, 1.0f);
+    submit_fill(loss_gradient, 1.0f);
   }
   // Large domains are collected and run block by block, as long as what that keeps alive stays
   // small.
@@ -188,7 +232,7 @@ void Tape::Impl::run_kernel(const Step& step) {
     gradients[s] = nullptr;
     if (!(step.key.wrt & bit(s))) continue;
     const Operand& in = input(op, s).operand;
-    gradients[s] = &grad_storage(*in.range);
+    gradients[s] = input_place(step, s);
     if (bound_before(op, s)) {
       added_later.reserve(op.inputs);  // the pointers must stay
       added_later.push_back(
@@ -198,9 +242,7 @@ void Tape::Impl::run_kernel(const Step& step) {
   }
   constexpr size_t kMaxOutputs = 32;
   std::array<const std::shared_ptr<Range>*, kMaxOutputs> output_gradients;
-  for (uint32_t o = 0; o < op.outputs; ++o)
-    output_gradients[o] =
-        step.key.seeded & (uint32_t{1} << o) ? &grad_storage(*output(op, o).range) : nullptr;
+  for (uint32_t o = 0; o < op.outputs; ++o) output_gradients[o] = output_place(step, o);
   std::array<const Operand*, kMaxSources> inputs;
   for (uint32_t s = 0; s < op.inputs; ++s) inputs[s] = &input(op, s).operand;
   detail::run_adjoint(*op.kernel, *step.plan,
@@ -214,7 +256,7 @@ void Tape::Impl::run_kernel(const Step& step) {
   hold_in_capture(op.kernel);
   for (const auto& [s, from] : added_later) {
     Operand into = input(op, s).operand;
-    into.range = grad_storage(*into.range);
+    into.range = *input_place(step, s);
     accumulate(into, from);
   }
 }
@@ -223,18 +265,18 @@ void Tape::Impl::run_custom(const Step& step) {
   const Op& op = *step.op;
   const Custom& custom = customs[op.custom];
   std::vector<Tensor> grad_outputs;
-  for (uint32_t o = 0; o < op.outputs; ++o)
-    grad_outputs.push_back(step.key.seeded & (uint32_t{1} << o)
-                               ? Tensor(grad_storage(*custom.outputs[o].range()),
-                                        custom.outputs[o].shape(), DType::F32)
-                               : Tensor());
+  for (uint32_t o = 0; o < op.outputs; ++o) {
+    const std::shared_ptr<Range>* place = output_place(step, o);
+    grad_outputs.push_back(place ? Tensor(*place, custom.outputs[o].shape(), DType::F32)
+                                 : Tensor());
+  }
   const std::vector<Tensor> grads = custom.backward(grad_outputs);
   require(grads.size() == custom.inputs.size(), ErrorKind::Value, "op '", custom.name,
           "': backward gave ", grads.size(), " gradients for ", custom.inputs.size(), " inputs");
   for (uint32_t s = 0; s < op.inputs; ++s) {
     if (!(step.key.wrt & bit(s))) continue;
     const Tensor& in = custom.inputs[s];
-    const Tensor grad(grad_storage(*in.range()), in.shape(), DType::F32);
+    const Tensor grad(*input_place(step, s), in.shape(), DType::F32);
     const bool add = (step.key.accumulate & bit(s)) || bound_before(op, s);
     if (!grads[s].defined()) {
       if (!add) submit_fill(grad.range(), 0.0f);

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <bit>
+#include <deque>
 #include <string>
 #include <vector>
 
@@ -46,6 +47,7 @@ struct Tape::Impl {
         0;  // its version when it got a copy of a recorded value that is not followed
     const char* copied_name = nullptr;
     bool set = false;  // during backward: its gradient has a contribution
+    const std::shared_ptr<Range>* place = nullptr;  // during backward: where that is
     uint64_t read_version =
         0;  // during backward: of a leaf's value, where the first contribution came from
   };
@@ -96,6 +98,19 @@ struct Tape::Impl {
     const Op* op;
     detail::AdjointKey key;
     const detail::CompiledPlan* plan;
+    size_t first_place;  // in `places`: of the gradients of the outputs, then of the inputs
+  };
+  // Memory for gradients that are not kept, used again after they were read. Of one backward: what
+  // a capture recorded has its memory for itself.
+  class GradientPool {
+   public:
+    const std::shared_ptr<Range>* take(const Range& like);
+    void give_back(const std::shared_ptr<Range>* place);
+    void clear();
+
+   private:
+    std::deque<std::shared_ptr<Range>> all_;
+    std::vector<const std::shared_ptr<Range>*> free_;
   };
 
   std::vector<Op> ops;
@@ -103,8 +118,12 @@ struct Tape::Impl {
   std::vector<Param> params;
   std::vector<Custom> customs;
   NodeTable nodes;
-  std::vector<Step> steps;   // of the last backward; kept for their memory
-  std::vector<char> before;  // GradInfo::valid of every node before it
+  bool leaves_only = false;  // KeepGradients::Leaves
+  // Of the last backward; kept for their memory.
+  std::vector<Step> steps;
+  std::vector<const std::shared_ptr<Range>*> places;
+  std::vector<GradState> before;  // of every node
+  GradientPool pool;
 
   Node* find(const Range& range) { return nodes.find(range); }
   Node& node(const std::shared_ptr<Range>& range) { return nodes.find_or_add(range); }
@@ -133,7 +152,13 @@ struct Tape::Impl {
   // tape_backward.cpp
   void backward(Node& loss, const Tensor& seed);
   void plan_steps();
-  void run_steps(Node& loss, const Tensor& seed);
+  void run_steps(const std::shared_ptr<Range>& loss_gradient, const Tensor& seed);
+  const std::shared_ptr<Range>* output_place(const Step& step, uint32_t o) const {
+    return places[step.first_place + o];
+  }
+  const std::shared_ptr<Range>* input_place(const Step& step, uint32_t s) const {
+    return places[step.first_place + step.op->outputs + s];
+  }
   void check_table(const Op& op, const detail::CompiledPlan& plan) const;
   bool begin_contribution(Node& n);
   bool bound_before(const Op& op, uint32_t s) const;

@@ -70,8 +70,9 @@ const std::shared_ptr<Range>& grad_storage(Range& range) {
   GradInfo& info = grad_info(range);
   // What a capture records runs later; until then it reads as zero.
   if (!info.grad)
-    info.grad = Storage::allocate(range.bytes(), range.storage().device(), current_capture() != nullptr)
-                    ->range();
+    info.grad =
+        Storage::allocate(range.bytes(), range.storage().device(), current_capture() != nullptr)
+            ->range();
   return info.grad;
 }
 
@@ -192,21 +193,23 @@ Tensor Tensor::grad() const {
   require(dtype() == DType::F32, ErrorKind::Value,
           "grad: only float32 tensors have gradients, this is ", dtype_name(dtype()));
   GradInfo& info = grad_info(*impl_->range);
+  require(info.state != GradState::Dropped, ErrorKind::Runtime,
+          "grad: it was not kept; the tape that computed it keeps the gradients of leaves only");
   const std::shared_ptr<Range>& storage = grad_storage(*impl_->range);
-  if (!info.valid) {
+  if (info.state == GradState::Zero) {
     submit_fill(storage, 0.0f);
-    info.valid = true;
-    if (OpList* graph = current_capture()) graph->gradient(impl_->range, true);
+    info.state = GradState::Held;
+    if (OpList* graph = current_capture()) graph->gradient(impl_->range, info.state);
   }
   return {storage, impl_->shape, DType::F32};
 }
 void Tensor::zero_grad() const {
   GradInfo& info = grad_info(*impl_->range);
   if (info.grad) submit_fill(info.grad, 0.0f);
-  info.valid = false;
+  info.state = GradState::Zero;
   if (OpList* graph = current_capture()) {
     info.zeroed_in_capture = graph->id();
-    graph->gradient(impl_->range, false);
+    graph->gradient(impl_->range, info.state);
   }
 }
 bool Tensor::is_leaf() const {

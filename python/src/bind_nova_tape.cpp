@@ -73,8 +73,14 @@ void bind_tape(py::module_& m) {
                          "makes it the active one of the thread (novaphy.Error when another one is "
                          "active). Inputs are kept by reference with "
                          "their version: backward raises when an adjoint would read a value that "
-                         "was overwritten since.")
-      .def(py::init<>())
+                         "was overwritten since. With leaf_gradients_only, the memory of every "
+                         "other gradient is used again as soon as it was read: the same bits, half "
+                         "the memory; reading such a gradient afterwards raises novaphy.Error.")
+      .def(py::init([](bool leaf_gradients_only) {
+             return std::make_unique<nova::Tape>(leaf_gradients_only ? nova::KeepGradients::Leaves
+                                                                     : nova::KeepGradients::All);
+           }),
+           py::kw_only(), "leaf_gradients_only"_a = false)
       .def("__enter__",
            [](py::object self) {
              self.cast<nova::Tape&>().begin();

@@ -28,6 +28,24 @@ def test_backward_twice_gives_exactly_twice():
     assert_same_bits(ball.velocity.grad, once + once)
 
 
+def test_leaf_gradients_are_the_same_bits_when_only_they_are_kept():
+    gradients = []
+    for leaf_gradients_only in (False, True):
+        ball = Ball()
+        with nova.Tape(leaf_gradients_only=leaf_gradients_only) as tape:
+            tape.backward(ball.forward())
+        gradients.append(ball.velocity.grad.numpy())
+        middle = diff.state_particle_qd_tensor(ball.states[5])
+        if leaf_gradients_only:
+            with pytest.raises(novaphy.Error, match="leaves only"):
+                _ = middle.grad
+        else:
+            assert np.any(middle.grad.numpy())
+    assert_same_bits(*gradients)
+    with pytest.raises(TypeError):
+        nova.Tape(True)
+
+
 def test_two_losses_give_the_sum():
     x = nova.tensor([1.0, -2.0, 3.0], requires_grad=True)
     grads = []

@@ -17,6 +17,7 @@ namespace nova {
 
 using novaphy::Range;
 
+enum class GradState : uint8_t;  // tensor.h
 namespace detail {
 struct RowLayout;
 struct Segment;
@@ -48,8 +49,8 @@ class NOVAPHY_NOVA_API OpList {
   // The recording depends on the present value of the range (an index table): launch throws once it
   // was changed.
   void freeze(const std::shared_ptr<Range>& range);
-  // Whether the gradient of the range holds something after this point of the recording.
-  void gradient(const std::shared_ptr<Range>& range, bool valid) { gradients_[range] = valid; }
+  // What the gradient of the range is after this point of the recording.
+  void gradient(const std::shared_ptr<Range>& range, GradState state) { gradients_[range] = state; }
   size_t size() const { return ops_.size(); }
   const std::vector<Op>& ops() const { return ops_; }
   uint64_t id() const { return id_; }
@@ -80,7 +81,7 @@ class NOVAPHY_NOVA_API OpList {
   std::vector<std::shared_ptr<Range>> written_;
   std::vector<const Range*> written_keys_;                           // sorted, to add each once
   std::vector<std::pair<std::shared_ptr<Range>, uint64_t>> frozen_;  // with the version then
-  std::map<std::shared_ptr<Range>, bool> gradients_;                 // valid after a launch?
+  std::map<std::shared_ptr<Range>, GradState> gradients_;            // after a launch
 };
 
 // While one is alive, launches, copies and fills of this thread are recorded and not run. Host

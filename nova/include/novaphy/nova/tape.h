@@ -2,16 +2,17 @@
 //
 // Rules:
 //  - A leaf is a range that no operation of the tape writes. Only leaves accumulate over calls of
-//  backward; every
-//    other gradient is unset at its start, the first contribution stores, later ones add in a fixed
-//    order.
+//    backward; every other gradient is unset at its start, the first contribution stores, later
+//    ones add in a fixed order.
 //  - Operands are held by reference with their version. When an adjoint would read a value that was
-//  overwritten
-//    since, backward throws and names the operation and the input. Nothing is copied.
+//    overwritten since, backward throws and names the operation and the input. Nothing is copied.
 //  - A leaf that was read with different values has no gradient of both: backward throws.
+//  - A tape that keeps the gradients of leaves only (KeepGradients::Leaves) gives the same bits; to
+//    read another gradient afterwards throws.
 //  - Kernels run and are recorded on the thread on which the tape is active.
 #pragma once
 
+#include <cstdint>
 #include <functional>
 #include <memory>
 #include <span>
@@ -27,9 +28,13 @@ namespace nova {
 // (likewise).
 using BackwardFn = std::function<std::vector<Tensor>(const std::vector<Tensor>&)>;
 
+// Which gradients can be read after backward. Those of intermediate values take as much memory as
+// the values do; a tape that keeps leaves only uses that memory again as soon as it can.
+enum class KeepGradients : uint8_t { All, Leaves };
+
 class NOVAPHY_NOVA_API Tape {
  public:
-  Tape();
+  explicit Tape(KeepGradients keep = KeepGradients::All);
   ~Tape();
   Tape(const Tape&) = delete;
   Tape& operator=(const Tape&) = delete;

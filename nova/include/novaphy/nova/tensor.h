@@ -111,10 +111,15 @@ class NOVAPHY_NOVA_API Tensor {
 struct IncidenceData;
 
 // What the runtime attaches to a range that takes part in differentiation.
+enum class GradState : uint8_t {
+  Zero,     // zero, whatever the bytes say
+  Held,     // what the bytes say
+  Dropped,  // computed, and not kept: only the gradients of leaves were wanted
+};
 struct GradInfo {
   bool requires_grad = false;
-  std::shared_ptr<Range> grad;     // same layout as the range; null until needed
-  bool valid = false;              // false: the gradient is zero, whatever the bytes say
+  std::shared_ptr<Range> grad;  // same layout as the range; null until needed
+  GradState state = GradState::Zero;
   uint64_t zeroed_in_capture = 0;  // the capture in which it was last zeroed
   int32_t producers = 0;           // recorded operations of living tapes that write the range
   std::weak_ptr<TensorImpl> view;  // the canonical view of an engine array

@@ -1,0 +1,164 @@
+// A tape that keeps the gradients of leaves only: the same bits, and nothing that can be misread.
+#include <array>
+#include <thread>
+
+#include "novaphy/nova/op_list.h"
+#include "support.h"
+
+namespace novaphy::testing {
+namespace {
+
+using nova::KeepGradients;
+using nova::ScopedCapture;
+using Floats = std::vector<float>;
+
+// A chain whose every value meets the loss too, with values that are read several times.
+struct Chain {
+  Tensor x, start = tensor({0.25f, -0.5f, 2.0f}, true);
+  std::vector<Tensor> values;
+  Tensor loss;
+  Chain() : x(tensor({1.0f, -2.0f, 3.0f}, true)) {}
+  void record() {
+    Tensor y = x;
+    Tensor total = nova::mul(start, 1.0f);
+    for (int k = 0; k < 9; ++k) {
+      y = nova::mul(nova::sin(y), nova::add(x, y));
+      values.push_back(y);
+      total = nova::add(total, nova::mul(y, start));
+    }
+    loss = nova::dot(total, values[4]);
+  }
+  std::vector<Floats> gradients() const { return {x.grad().to_host(), start.grad().to_host()}; }
+};
+
+std::vector<Floats> gradients(KeepGradients keep, int backwards = 1) {
+  Chain chain;
+  Tape tape(keep);
+  const TapeScope scope(tape);
+  chain.record();
+  for (int k = 0; k < backwards; ++k) tape.backward(chain.loss);
+  return chain.gradients();
+}
+
+TEST(LeafGradients, HaveTheBitsOfATapeThatKeepsAll) {
+  for (const int backwards : {1, 2}) {
+    const auto all = gradients(KeepGradients::All, backwards);
+    const auto leaves = gradients(KeepGradients::Leaves, backwards);
+    for (size_t k = 0; k < all.size(); ++k)
+      EXPECT_TRUE(same_bits<float>(leaves[k], all[k])) << backwards << " " << k;
+  }
+}
+
+TEST(LeafGradients, ReadingAnotherGradientIsRefusedUntilItIsZeroOrKept) {
+  Chain chain;
+  Tape tape(KeepGradients::Leaves);
+  const TapeScope scope(tape);
+  chain.record();
+  EXPECT_EQ(chain.values[3].grad().to_host(), Floats(3, 0.0f));  // nothing was computed yet
+  tape.backward(chain.loss);
+  for (const Tensor& value : {chain.values[0], chain.values[8], chain.loss}) {
+    try {
+      value.grad();
+      ADD_FAILURE() << "a gradient that was not kept was given";
+    } catch (const Error& error) {
+      EXPECT_NE(std::string(error.what()).find("leaves only"), std::string::npos);
+    }
+  }
+  tape.zero();
+  EXPECT_EQ(chain.values[0].grad().to_host(), Floats(3, 0.0f));
+}
+
+TEST(LeafGradients, TakeNoMemoryForOtherValues) {
+  Chain chain;
+  Tape tape(KeepGradients::Leaves);
+  const TapeScope scope(tape);
+  chain.record();
+  tape.backward(chain.loss);
+  for (const Tensor& value : chain.values) EXPECT_FALSE(value.has_grad());
+  EXPECT_TRUE(chain.x.has_grad());
+}
+
+TEST(LeafGradients, ARangeThatIsWrittenSeveralTimesKeepsItsValuesApart) {
+  static const Kernel kernel =
+      nova::make_kernel("scale", {{"x", DType::F32, 1, Access::Direct}}, {{"out", 1}},
+                        [](TraceContext& c) { return std::vector{c.f32(0) * c.param(0)}; });
+  const auto scale = [](const Tensor& out, const Tensor& in, float a) {
+    const nova::Operand from = in.operand(), to = out.operand();
+    const Param params[] = {a};
+    kernel.launch(in.rows(), {&from, 1}, {&to, 1}, {.params = params});
+  };
+  for (const KeepGradients keep : {KeepGradients::All, KeepGradients::Leaves}) {
+    const Tensor x = tensor({1.0f, 2.0f, 3.0f}, true), a = tensor({0, 0, 0}), b = tensor({0, 0, 0});
+    Tape tape(keep);
+    const TapeScope scope(tape);
+    scale(a, x, 3.0f);
+    scale(b, a, 5.0f);
+    scale(a, b, 7.0f);  // another value of a
+    tape.backward(nova::sum(nova::add(a, b)));
+    EXPECT_EQ(x.grad().to_host(), Floats(3, 3.0f * 5.0f * (1.0f + 7.0f)));
+  }
+}
+
+TEST(LeafGradients, OfACustomOperationAreHandedOnAndNotKept) {
+  const Tensor x = tensor({1.0f, -2.0f, 3.0f}, true);
+  Tape tape(KeepGradients::Leaves);
+  const TapeScope scope(tape);
+  const Tensor y = nova::mul(x, 2.0f);
+  Tensor z;
+  {
+    const NoGrad no_grad;
+    z = nova::mul(y, 10.0f);
+  }
+  tape.record_custom("ten_times", {y}, {z}, [](const std::vector<Tensor>& grads) {
+    return std::vector{nova::mul(grads[0], 10.0f)};
+  });
+  tape.backward(nova::sum(nova::mul(z, z)));
+  EXPECT_EQ(x.grad().to_host(), (Floats{800.0f, -1600.0f, 2400.0f}));
+  EXPECT_THROW(z.grad(), Error);
+}
+
+TEST(LeafGradients, OfAGraphAreThoseOfEagerRunsAndGraphsShareNoMemory) {
+  const auto expected = gradients(KeepGradients::All);
+  std::array<Chain, 2> chains;
+  std::array<std::shared_ptr<nova::OpList>, 2> graphs;
+  for (size_t k = 0; k < 2; ++k) {
+    ScopedCapture capture;
+    Tape tape(KeepGradients::Leaves);
+    {
+      const TapeScope scope(tape);
+      chains[k].record();
+      chains[k].x.zero_grad();
+      chains[k].start.zero_grad();
+      tape.backward(chains[k].loss);
+    }
+    graphs[k] = capture.graph();
+  }
+  std::array<std::thread, 2> threads;
+  for (size_t k = 0; k < 2; ++k)
+    threads[k] = std::thread([&, k] {
+      for (int i = 0; i < 200; ++i) graphs[k]->launch();
+    });
+  for (std::thread& thread : threads) thread.join();
+  for (const Chain& chain : chains) {
+    const auto actual = chain.gradients();
+    for (size_t k = 0; k < actual.size(); ++k)
+      EXPECT_TRUE(same_bits<float>(actual[k], expected[k]));
+    EXPECT_THROW(chain.values[0].grad(), Error);
+  }
+}
+
+TEST(LeafGradients, AreAsBeforeWhenBackwardIsRefused) {
+  Chain chain;
+  Tape tape(KeepGradients::Leaves);
+  const TapeScope scope(tape);
+  chain.record();
+  tape.backward(chain.loss);
+  const auto before = chain.gradients();
+  write(chain.x, {9.0f, 9.0f, 9.0f});
+  EXPECT_THROW(tape.backward(chain.loss), Error);
+  EXPECT_EQ(chain.gradients(), before);
+  EXPECT_THROW(chain.values[0].grad(), Error);
+}
+
+}  // namespace
+}  // namespace novaphy::testing

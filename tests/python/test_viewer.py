@@ -120,8 +120,8 @@ def test_what_is_no_recording_is_refused_and_nothing_is_lost(ball, tmp_path):
     header = {**header, "version": 1, "frames": 3, "state": ["particle_q"]}
     coded = np.frombuffer(json.dumps(header).encode(), np.uint8)
     np.savez(tmp_path / "short.npz", header=coded, time=np.zeros(3))
-    whole = viewer.save_recording(tmp_path / "whole.npz")
-    (tmp_path / "cut.npz").write_bytes(whole.read_bytes()[:500])
+    viewer.save_recording(tmp_path / "whole.npz")
+    (tmp_path / "cut.npz").write_bytes((tmp_path / "whole.npz").read_bytes()[:500])
     for name in (*files, "plain.npz", "pickle.npz", "new.npz", "short.npz", "cut.npz"):
         with pytest.raises(ValueError, match="load_recording"):
             viewer.load_recording(tmp_path / name)

@@ -66,11 +66,11 @@ void update(const Tensor& param, const Tensor& m, const Tensor& v, const Tensor&
                   {{"param", 1}, {"m", 1}, {"v", 1}}, [](TraceContext& c) {
                     const Real one(1.0f), g = c.f32(3);
                     const Real lr = c.param(0), beta1 = c.param(1), beta2 = c.param(2);
-                    const Real m = beta1 * c.f32(1) + (one - beta1) * g;
-                    const Real v = beta2 * c.f32(2) + (one - beta2) * g * g;
-                    const Real m_hat = m / c.f32(4, 0), v_hat = v / c.f32(4, 1);
+                    const Real new_m = beta1 * c.f32(1) + (one - beta1) * g;
+                    const Real new_v = beta2 * c.f32(2) + (one - beta2) * g * g;
+                    const Real m_hat = new_m / c.f32(4, 0), v_hat = new_v / c.f32(4, 1);
                     const Real p = c.f32(0) - lr * m_hat / (sqrt(v_hat) + c.param(3));
-                    return std::vector{p, m, v};
+                    return std::vector{p, new_m, new_v};
                   });
   const Operand in[] = {param.flat_operand(), m.flat_operand(), v.flat_operand(),
                         detail::grad_operand(param), correction.operand()};
@@ -85,20 +85,20 @@ void check_state(const Tensor& param, const Tensor& m, const Tensor& v, const Te
   constexpr const char* kCall = "adam_update_f32";
   const std::pair<const char*, const Tensor*> all[] = {
       {"param", &param}, {"m", &m}, {"v", &v}, {"t", &t}};
+  constexpr size_t kT = 3;
   for (const auto& [name, x] : all) check_f32(*x, {kCall, name});
-  for (const auto& [name, x] : all) {
-    const bool shape_ok = x == &t ? t.size() == 1 : x->shape() == param.shape();
+  for (size_t k = 0; k < std::size(all); ++k) {
+    const auto& [name, x] = all[k];
+    const bool shape_ok = k == kT ? x->size() == 1 : x->shape() == param.shape();
     if (!shape_ok)
       fail(ErrorKind::Value, Argument{kCall, name}, "expected shape ",
-           x == &t ? "{1}" : shape_str(param.shape()), ", got ", shape_str(x->shape()));
+           k == kT ? "{1}" : shape_str(param.shape()), ", got ", shape_str(x->shape()));
     if (x->device() != param.device())
       fail(ErrorKind::Value, Argument{kCall, name}, "expected device ", param.device().str(),
            ", got ", x->device().str());
-    for (const auto& [other_name, other] : all) {
-      if (other == x) break;
-      require(!x->range()->overlaps(*other->range()), ErrorKind::Value, Argument{kCall, name},
-              "expected memory of its own, got that of ", other_name);
-    }
+    for (size_t j = 0; j < k; ++j)
+      require(!x->range()->overlaps(*all[j].second->range()), ErrorKind::Value,
+              Argument{kCall, name}, "expected memory of its own, got that of ", all[j].first);
   }
   detail::check_has_grad(param, {kCall, "param"});
   const Range& grad = *grad_info(*param.range()).grad;

@@ -58,9 +58,9 @@ void scale(const Operand& grad, const Operand& factor) {
       "scale_grad_f32",
       {{"grad", DType::F32, 1, Access::Direct}, {"factor", DType::F32, 1, Access::Uniform}},
       {{"grad", 1}}, [](TraceContext& c) {
-        const Real zero(0.0f), factor = c.f32(1);
+        const Real zero(0.0f), by = c.f32(1);
         // 0 times a gradient that is not finite would be NaN.
-        return std::vector{select(factor == zero, zero, c.f32(0) * factor)};
+        return std::vector{select(by == zero, zero, c.f32(0) * by)};
       });
   const Operand in[] = {grad, factor};
   kernel.launch(grad.rows, in, {in, 1});
@@ -87,13 +87,12 @@ Tensor clip_grad_norm_(const std::vector<Tensor>& params, float max_norm) {
   return norm;
 }
 
-void clip_grad_value_(const std::vector<Tensor>& params, float limit) {
+void clip_grad_value_(const std::vector<Tensor>& params, float v) {
   detail::check_params(params, "clip_grad_value_");
   detail::check_grads(params, "clip_grad_value_");
-  require(limit > 0.0f, ErrorKind::Value, "clip_grad_value_, v: expected a number > 0, got ",
-          limit);
+  require(v > 0.0f, ErrorKind::Value, "clip_grad_value_, v: expected a number > 0, got ", v);
   NoGrad no_grad;
-  for (const Tensor& p : params) clamp_in_place(detail::grad_operand(p), -limit, limit);
+  for (const Tensor& p : params) clamp_in_place(detail::grad_operand(p), -v, v);
 }
 
 void clamp_(const Tensor& param, float lower, float upper) {

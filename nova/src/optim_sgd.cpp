@@ -55,10 +55,10 @@ void update_with_momentum(const Tensor& param, const Tensor& b, const Tensor& t,
                     const Real momentum = c.param(1), dampening = c.param(2);
                     const Real g = decayed(c.f32(2), c.f32(0), c.param(3));
                     const Real later = momentum * c.f32(1) + (Real(1.0f) - dampening) * g;
-                    const Real b = select(c.f32(3) <= Real(1.0f), g, later);
+                    const Real new_b = select(c.f32(3) <= Real(1.0f), g, later);
                     const Bool nesterov = c.param_i32(4) != Int(0);
-                    const Real move = select(nesterov, g + momentum * b, b);
-                    return std::vector{c.f32(0) - c.param(0) * move, b};
+                    const Real move = select(nesterov, g + momentum * new_b, new_b);
+                    return std::vector{c.f32(0) - c.param(0) * move, new_b};
                   });
   const Operand in[] = {param.flat_operand(), b.flat_operand(), detail::grad_operand(param),
                         t.operand()};

@@ -58,8 +58,8 @@ NOVAPHY_NOVA_API void adam_update_f32(const Tensor& param, const Tensor& m, cons
 // is not, or its square overflows) sets all gradients to zero, so that an update after it moves
 // nothing by garbage; the norm that is returned tells. max_norm > 0; infinity only measures.
 NOVAPHY_NOVA_API Tensor clip_grad_norm_(const std::vector<Tensor>& params, float max_norm);
-// Limits every value of every gradient to [-limit, limit]; NaN stays NaN. limit > 0.
-NOVAPHY_NOVA_API void clip_grad_value_(const std::vector<Tensor>& params, float limit);
+// Limits every value of every gradient to [-v, v]; NaN stays NaN. v > 0.
+NOVAPHY_NOVA_API void clip_grad_value_(const std::vector<Tensor>& params, float v);
 // Limits every value of param itself to [lower, upper]; NaN stays NaN. lower <= upper.
 NOVAPHY_NOVA_API void clamp_(const Tensor& param, float lower, float upper);
 

@@ -2,22 +2,19 @@
 
 #include <cmath>
 
-#include "novaphy/core/error.h"
+#include "checks.h"
 #include "novaphy/nova/functions.h"
 #include "novaphy/nova/kernel.h"
 #include "novaphy/nova/op_list.h"
 #include "novaphy/nova/tape.h"
+#include "ops_impl.h"
 
 namespace nova {
 
+using detail::check_f32;
 using novaphy::require;
 
 namespace {
-
-void check_f32(const Tensor& x, const char* name, const char* argument) {
-  require(x.defined() && x.dtype() == DType::F32, ErrorKind::Type, name, ", ", argument,
-          ": expected float32, got ", x.defined() ? dtype_name(x.dtype()) : "an undefined tensor");
-}
 
 // One kernel per function and way of broadcasting, made at first use and kept.
 template <class F>
@@ -36,8 +33,8 @@ struct Binary {
 
 template <class F>
 Tensor binary(Binary<F>& op, const Tensor& a, const Tensor& b) {
-  check_f32(a, op.name, "a");
-  check_f32(b, op.name, "b");
+  check_f32(a, {op.name, "a"});
+  check_f32(b, {op.name, "b"});
   require(a.device() == b.device(), ErrorKind::Value, op.name, ": a is on ", a.device().str(),
           ", b on ", b.device().str());
   const bool one_a = a.size() == 1 && b.size() != 1, one_b = b.size() == 1 && a.size() != 1;
@@ -58,7 +55,7 @@ Kernel unary_kernel(const char* name, F f) {
                      [f](TraceContext& c) { return std::vector<Real>{f(c, c.f32(0))}; });
 }
 Tensor unary(const Kernel& kernel, const Tensor& x, std::span<const Param> params = {}) {
-  check_f32(x, kernel.name().c_str(), "x");
+  check_f32(x, {kernel.name().c_str(), "x"});
   const Tensor out(x.shape(), DType::F32, x.device());
   const Operand in = x.flat_operand(), to = out.flat_operand();
   kernel.launch(x.size(), {&in, 1}, {&to, 1}, {.params = params});
@@ -129,15 +126,22 @@ NOVA_UNARY_OP(sin, sin(v))
 NOVA_UNARY_OP(cos, cos(v))
 NOVA_UNARY_OP(tanh, tanh(v))
 
-Tensor clamp(const Tensor& x, float lower, float upper) {
+const Kernel& detail::clamp_kernel() {
   static const Kernel kernel = unary_kernel("clamp", [](TraceContext& c, const Real& v) {
     const Real lo = c.param(0), hi = c.param(1);
     return select(v < lo, lo, select(v > hi, hi, v));
   });
-  require(lower <= upper, ErrorKind::Value, "clamp: expected lower <= upper, got ", lower, " and ",
+  return kernel;
+}
+void detail::check_limits(const char* call, float lower, float upper) {
+  require(lower <= upper, ErrorKind::Value, call, ": expected lower <= upper, got ", lower, " and ",
           upper);
+}
+
+Tensor clamp(const Tensor& x, float lower, float upper) {
+  detail::check_limits("clamp", lower, upper);
   const Param params[] = {lower, upper};
-  return unary(kernel, x, params);
+  return unary(detail::clamp_kernel(), x, params);
 }
 
 Tensor where(const Tensor& condition, const Tensor& a, const Tensor& b) {
@@ -150,8 +154,8 @@ Tensor where(const Tensor& condition, const Tensor& a, const Tensor& b) {
       [](TraceContext& c) { return std::vector{select(c.i32(0) != Int(0), c.f32(1), c.f32(2))}; });
   require(condition.defined() && condition.dtype() == DType::I32, ErrorKind::Type,
           "where, condition: expected int32");
-  check_f32(a, "where", "a");
-  check_f32(b, "where", "b");
+  check_f32(a, {"where", "a"});
+  check_f32(b, {"where", "b"});
   require(condition.shape() == a.shape() && a.shape() == b.shape(), ErrorKind::Value,
           "where: shapes ", shape_str(condition.shape()), ", ", shape_str(a.shape()), " and ",
           shape_str(b.shape()), " differ");
@@ -185,11 +189,11 @@ Tensor sum_of_rows(const Operand& x, Shape shape, const Tensor& source) {
 }  // namespace
 
 Tensor sum(const Tensor& x) {
-  check_f32(x, "sum", "x");
+  check_f32(x, {"sum", "x"});
   return sum_of_rows(x.flat_operand(), {1}, x);
 }
 Tensor sum_rows(const Tensor& x) {
-  check_f32(x, "sum_rows", "x");
+  check_f32(x, {"sum_rows", "x"});
   require(x.ndim() == 2, ErrorKind::Value, "sum_rows, x: expected {n, w}, got ",
           shape_str(x.shape()));
   return sum_of_rows(x.operand(), {1, x.row_width()}, x);

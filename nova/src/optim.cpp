@@ -1,12 +1,12 @@
+// The updates of plain gradient descent.
 #include "novaphy/nova/optim.h"
 
 #include <cmath>
 
-#include "novaphy/core/error.h"
 #include "novaphy/math/types.h"
 #include "novaphy/nova/kernel.h"
-#include "novaphy/nova/op_list.h"
 #include "novaphy/nova/tape.h"
+#include "optim_impl.h"
 
 namespace nova {
 
@@ -15,12 +15,10 @@ using novaphy::Vec3;
 
 namespace {
 
-void check_param(const Tensor& param, float learning_rate, const char* what) {
-  require(param.defined() && param.dtype() == DType::F32, ErrorKind::Type, what,
-          ", param: expected a float32 tensor");
-  require(param.has_grad(), ErrorKind::Value, what,
-          ", param: it has no gradient; run backward first");
-  require(std::isfinite(learning_rate), ErrorKind::Value, what,
+void check_param(const Tensor& param, float learning_rate, const char* call) {
+  detail::check_f32(param, {call, "param"});
+  detail::check_has_grad(param, {call, "param"});
+  require(std::isfinite(learning_rate), ErrorKind::Value, call,
           ", learning_rate: expected a finite number, got ", learning_rate);
 }
 
@@ -44,7 +42,7 @@ void sgd_update_f32(const Tensor& param, float learning_rate) {
       [](TraceContext& c) { return std::vector{c.f32(0) - c.f32(1) * c.param(0)}; });
   check_param(param, learning_rate, "sgd_update_f32");
   NoGrad no_grad;
-  const Operand in[] = {param.flat_operand(), param.grad().flat_operand()};
+  const Operand in[] = {param.flat_operand(), detail::grad_operand(param)};
   const Param params[] = {learning_rate};
   kernel.launch(param.size(), in, {&in[0], 1}, {.params = params});
 }

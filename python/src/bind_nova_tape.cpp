@@ -1,7 +1,6 @@
-// Tape, no_grad, capture, optimiser updates, gradient checks.
+// Tape, no_grad, capture, gradient checks.
 #include "nova_types.h"
 #include "novaphy/nova/gradcheck.h"
-#include "novaphy/nova/optim.h"
 
 namespace novaphy::python {
 
@@ -142,19 +141,6 @@ void bind_capture(py::module_& m) {
       "graph.launch()");
 }
 
-void bind_optim(py::module_& m) {
-  m.def("sgd_update_f32", &nova::sgd_update_f32, "param"_a, "learning_rate"_a, release_gil(),
-        "param -= learning_rate * param.grad, in place, as one kernel. ValueError when there is no "
-        "gradient.");
-  m.def("sgd_update_vec3_clipped_f32", &nova::sgd_update_vec3_clipped_f32, "param"_a,
-        "learning_rate"_a, "max_parameter_norm"_a, "max_gradient_norm"_a, release_gil(),
-        "Per row of param {n, 3}: a gradient that is not finite leaves the row; a longer gradient "
-        "is scaled to "
-        "max_gradient_norm; p -= learning_rate * g; a longer result is scaled to "
-        "max_parameter_norm. A norm <= 0 switches "
-        "that clip off.");
-}
-
 void bind_gradcheck(py::module_& m) {
   const nova::GradcheckOptions d;
   py::class_<nova::GradcheckResult>(m, "GradcheckResult",
@@ -195,7 +181,6 @@ void bind_gradcheck(py::module_& m) {
 void bind_nova_tape(py::module_& m) {
   bind_tape(m);
   bind_capture(m);
-  bind_optim(m);
   bind_gradcheck(m);
 }
 

@@ -35,6 +35,7 @@ void bind_dynamics(py::module_& m, py::module_& solvers);
 void bind_nova_tensor(py::module_& nova);
 void bind_nova(py::module_& nova);
 void bind_nova_tape(py::module_& nova);
+void bind_nova_optim(py::module_& nova);
 void bind_nova_trace(py::module_& nova);
 void bind_nova_kernel(py::module_& nova);
 void bind_diff(py::module_& diff, py::module_& solvers);

@@ -127,6 +127,7 @@ PYBIND11_MODULE(_core, m) {
   bind_nova_tensor(nova);
   bind_nova(nova);
   bind_nova_tape(nova);
+  bind_nova_optim(nova);
   bind_nova_trace(nova);
   bind_nova_kernel(nova);
   py::module_ diff = m.def_submodule("diff", "Differentiable operators; import novaphy.diff.");

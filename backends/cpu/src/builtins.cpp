@@ -4,6 +4,8 @@
 #include <cstring>
 #include <limits>
 #include <numeric>
+#include <utility>
+#include <vector>
 
 #include "module.h"
 #include "novaphy/abi/program.h"
@@ -74,23 +76,29 @@ void fold_any(const RowSum& s, int64_t begin, int64_t end, float* acc) {
 }
 
 // The sum from +0 of rows of `width` floats that lie one after the other, by the rule for long
-// rows.
-void fold_chunks(std::vector<float>& sums, int64_t count, int64_t width, float* result) {
+// rows. The sums of chunks replace the rows that they are of.
+void fold_chunks(float* sums, int64_t count, int64_t width, float* result) {
+  const auto fold_rows = [&](int64_t begin, int64_t end) {
+    std::fill(result, result + width, 0.0f);
+    for (int64_t k = begin; k < end; ++k) {
+      for (int64_t c = 0; c < width; ++c) result[c] += sums[k * width + c];
+    }
+  };
   while (count > kSumChunk) {
     const int64_t chunks = (count + kSumChunk - 1) / kSumChunk;
-    std::vector<float> next(static_cast<size_t>(chunks * width), 0.0f);
-    for (int64_t k = 0; k < count; ++k) {
-      float* acc = next.data() + k / kSumChunk * width;
-      for (int64_t c = 0; c < width; ++c) acc[c] += sums[static_cast<size_t>(k * width + c)];
+    for (int64_t chunk = 0; chunk < chunks; ++chunk) {
+      const int64_t begin = chunk * kSumChunk;
+      fold_rows(begin, std::min(count, begin + kSumChunk));
+      std::copy(result, result + width, sums + chunk * width);
     }
-    sums = std::move(next);
     count = chunks;
   }
-  std::fill(result, result + width, 0.0f);
-  for (int64_t k = 0; k < count; ++k) {
-    for (int64_t c = 0; c < width; ++c) result[c] += sums[static_cast<size_t>(k * width + c)];
-  }
+  fold_rows(0, count);
 }
+
+// The partial sums of a long row, kept per thread so that a replay allocates nothing. Taken out
+// while it is in use: a thread that waits for others may be given another row meanwhile.
+thread_local std::vector<float> t_partial;
 
 struct LongRow {
   const RowSum* sum;
@@ -109,16 +117,18 @@ void sum_one_chunk(void* opaque, int64_t chunk) {
 void sum_long_row(const novaphy_host_api& host, const RowSum& s, int64_t begin, int64_t end,
                   float* acc) {
   const int64_t chunks = (end - begin + kSumChunk - 1) / kSumChunk;
-  std::vector<float> partial(static_cast<size_t>(chunks * s.width), 0.0f);
+  std::vector<float> partial = std::move(t_partial);
+  partial.assign(static_cast<size_t>((chunks + 1) * s.width), 0.0f);  // and the total
   LongRow row{&s, begin, end, partial.data()};
   if (chunks >= 8) {
     host.parallel_for(chunks, sum_one_chunk, &row);  // serial when the rows already run in parallel
   } else {
     for (int64_t chunk = 0; chunk < chunks; ++chunk) sum_one_chunk(&row, chunk);
   }
-  std::vector<float> total(static_cast<size_t>(s.width));
-  fold_chunks(partial, chunks, s.width, total.data());
-  for (int64_t c = 0; c < s.width; ++c) acc[c] += total[static_cast<size_t>(c)];
+  float* total = partial.data() + chunks * s.width;
+  fold_chunks(partial.data(), chunks, s.width, total);
+  for (int64_t c = 0; c < s.width; ++c) acc[c] += total[c];
+  t_partial = std::move(partial);
 }
 
 struct RowSumLaunch {

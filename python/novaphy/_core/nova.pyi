@@ -1,6 +1,6 @@
 """Types of novaphy.nova."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any, Final, NoReturn, SupportsFloat, SupportsIndex, TypeAlias, overload
 
 from numpy.typing import NDArray
@@ -264,6 +264,11 @@ class ScopedCapture(_Native):
     def graph(self) -> Graph: ...
 
 def capture_launch(graph: Graph) -> None: ...
+
+# ------------------------------------------------------------------------------------ optimisers
+
+_Params: TypeAlias = Tensor | Iterable[Tensor]
+
 def sgd_update_f32(param: Tensor, learning_rate: SupportsFloat) -> None: ...
 def sgd_update_vec3_clipped_f32(
     param: Tensor,
@@ -271,6 +276,61 @@ def sgd_update_vec3_clipped_f32(
     max_parameter_norm: SupportsFloat,
     max_gradient_norm: SupportsFloat,
 ) -> None: ...
+def adam_update_f32(
+    param: Tensor,
+    m: Tensor,
+    v: Tensor,
+    t: Tensor,
+    lr: SupportsFloat,
+    beta1: SupportsFloat = 0.9,
+    beta2: SupportsFloat = 0.999,
+    eps: SupportsFloat = 1e-8,
+) -> None: ...
+def clip_grad_norm_(params: _Params, max_norm: SupportsFloat) -> Tensor: ...
+def clip_grad_value_(params: _Params, v: SupportsFloat) -> None: ...
+def clamp_(param: Tensor, lo: SupportsFloat, hi: SupportsFloat) -> None: ...
+
+class SGD(_Native):
+    def __init__(
+        self,
+        params: _Params,
+        lr: SupportsFloat = 1e-3,
+        momentum: SupportsFloat = 0.0,
+        dampening: SupportsFloat = 0.0,
+        weight_decay: SupportsFloat = 0.0,
+        nesterov: bool = False,
+    ) -> None: ...
+    def step(self) -> None: ...
+    def zero_grad(self) -> None: ...
+    @property
+    def params(self) -> list[Tensor]: ...
+    lr: float
+    @property
+    def b(self) -> list[Tensor]: ...
+    @property
+    def t(self) -> Tensor | None: ...
+
+class Adam(_Native):
+    def __init__(
+        self,
+        params: _Params,
+        lr: SupportsFloat = 1e-3,
+        betas: tuple[SupportsFloat, SupportsFloat] = (0.9, 0.999),
+        eps: SupportsFloat = 1e-8,
+    ) -> None: ...
+    def step(self) -> None: ...
+    def zero_grad(self) -> None: ...
+    @property
+    def params(self) -> list[Tensor]: ...
+    lr: float
+    @property
+    def m(self) -> list[Tensor]: ...
+    @property
+    def v(self) -> list[Tensor]: ...
+    @property
+    def t(self) -> Tensor: ...
+
+# ------------------------------------------------------------------------------------ gradient checks
 
 class GradcheckResult(_Native):
     @property

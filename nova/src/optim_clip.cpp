@@ -1,0 +1,105 @@
+// Clipping of gradients, and the projection of a parameter on an interval.
+#include <algorithm>
+#include <cmath>
+
+#include "novaphy/nova/incidence.h"
+#include "novaphy/nova/kernel.h"
+#include "novaphy/nova/tape.h"
+#include "ops_impl.h"
+#include "optim_impl.h"
+
+namespace nova {
+
+using novaphy::require;
+using novaphy::Storage;
+
+namespace {
+
+// total = the sum of the squares of all gradients, as one row sum that goes on from one parameter
+// to the next.
+void sum_squares(const std::vector<Tensor>& params, const Operand& total) {
+  static const Kernel square =
+      make_kernel("square_f32", {{"x", DType::F32, 1, Access::Direct}}, {{"out", 1}},
+                  [](TraceContext& c) { return std::vector{c.f32(0) * c.f32(0)}; });
+  int64_t most = 0;
+  for (const Tensor& p : params) most = std::max(most, p.size());
+  const auto squares = Storage::allocate(static_cast<size_t>(most) * sizeof(float),
+                                         params[0].device(), /*zeroed=*/false)
+                           ->range();
+  for (size_t k = 0; k < params.size(); ++k) {
+    const int64_t n = params[k].size();
+    const Operand in = detail::grad_operand(params[k]), out{squares, n, 1};
+    square.launch(n, {&in, 1}, {&out, 1});
+    row_sum(out, 1, n, k == 0 ? nullptr : &total, total);
+  }
+}
+
+// PyTorch's, which keeps a norm of 0 from dividing.
+constexpr float kNormEpsilon = 1e-6f;
+
+// total becomes the norm; factor what the gradients are multiplied with, 0 for a norm that is not
+// finite.
+void norm_and_factor(const Operand& total, const Operand& factor, float max_norm) {
+  static const Kernel kernel =
+      make_kernel("clip_factor_f32", {{"total", DType::F32, 1, Access::Direct}},
+                  {{"norm", 1}, {"factor", 1}}, [](TraceContext& c) {
+                    const Real norm = sqrt(c.f32(0));
+                    const Bool finite = norm < Real(INFINITY);  // false for NaN
+                    const Real wanted = c.param(0) / (norm + Real(kNormEpsilon));
+                    return std::vector{norm, select(finite, min(wanted, Real(1.0f)), Real(0.0f))};
+                  });
+  const Operand out[] = {total, factor};
+  const Param params[] = {max_norm};
+  kernel.launch(1, {&total, 1}, out, {.params = params});
+}
+
+void scale(const Operand& grad, const Operand& factor) {
+  static const Kernel kernel = make_kernel(
+      "scale_grad_f32",
+      {{"grad", DType::F32, 1, Access::Direct}, {"factor", DType::F32, 1, Access::Uniform}},
+      {{"grad", 1}}, [](TraceContext& c) {
+        const Real zero(0.0f), by = c.f32(1);
+        // 0 times a gradient that is not finite would be NaN.
+        return std::vector{select(by == zero, zero, c.f32(0) * by)};
+      });
+  const Operand in[] = {grad, factor};
+  kernel.launch(grad.rows, in, {in, 1});
+}
+
+void clamp_in_place(const Operand& x, float lower, float upper) {
+  const Param params[] = {lower, upper};
+  detail::clamp_kernel().launch(x.rows, {&x, 1}, {&x, 1}, {.params = params});
+}
+
+}  // namespace
+
+Tensor clip_grad_norm_(const std::vector<Tensor>& params, float max_norm) {
+  detail::check_params(params, "clip_grad_norm_");
+  detail::check_grads(params, "clip_grad_norm_");
+  require(max_norm > 0.0f, ErrorKind::Value,
+          "clip_grad_norm_, max_norm: expected a number > 0, got ", max_norm);
+  NoGrad no_grad;
+  const Tensor norm({1}, DType::F32, params[0].device());
+  const Tensor factor({1}, DType::F32, params[0].device());
+  sum_squares(params, norm.operand());
+  norm_and_factor(norm.operand(), factor.operand(), max_norm);
+  for (const Tensor& p : params) scale(detail::grad_operand(p), factor.operand());
+  return norm;
+}
+
+void clip_grad_value_(const std::vector<Tensor>& params, float v) {
+  detail::check_params(params, "clip_grad_value_");
+  detail::check_grads(params, "clip_grad_value_");
+  require(v > 0.0f, ErrorKind::Value, "clip_grad_value_, v: expected a number > 0, got ", v);
+  NoGrad no_grad;
+  for (const Tensor& p : params) clamp_in_place(detail::grad_operand(p), -v, v);
+}
+
+void clamp_(const Tensor& param, float lower, float upper) {
+  detail::check_f32(param, {"clamp_", "param"});
+  detail::check_limits("clamp_", lower, upper);
+  NoGrad no_grad;
+  clamp_in_place(param.flat_operand(), lower, upper);
+}
+
+}  // namespace nova

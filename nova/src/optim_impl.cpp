@@ -1,0 +1,50 @@
+#include "optim_impl.h"
+
+#include <cmath>
+
+namespace nova::detail {
+
+using novaphy::fail;
+using novaphy::require;
+
+void check_rate(const Argument& argument, float value) {
+  require(std::isfinite(value) && value >= 0.0f, ErrorKind::Value, argument,
+          "expected a finite number >= 0, got ", value);
+}
+
+void check_has_grad(const Tensor& param, const Argument& argument) {
+  require(param.has_grad(), ErrorKind::Value, argument, "it has no gradient; run backward first");
+}
+
+void check_params(std::span<const Tensor> params, const char* call) {
+  require(!params.empty(), ErrorKind::Value, call, ", params: expected at least one tensor, got 0");
+  for (size_t k = 0; k < params.size(); ++k) {
+    const Argument argument{call, "params", static_cast<int64_t>(k)};
+    check_f32(params[k], argument);
+    if (params[k].device() != params[0].device())
+      fail(ErrorKind::Value, argument, "expected device ", params[0].device().str(), ", got ",
+           params[k].device().str());
+    for (size_t j = 0; j < k; ++j)
+      require(!params[k].range()->overlaps(*params[j].range()), ErrorKind::Value, argument,
+              "expected memory of its own, got that of params[", j, "]");
+  }
+}
+
+void check_grads(std::span<const Tensor> params, const char* call) {
+  for (size_t k = 0; k < params.size(); ++k)
+    check_has_grad(params[k], {call, "params", static_cast<int64_t>(k)});
+}
+
+Operand grad_operand(const Tensor& param) {
+  const GradInfo& info = grad_info(*param.range());
+  if (!info.valid) param.grad();  // fills it
+  Operand o = param.flat_operand();
+  o.range = info.grad;
+  return o;
+}
+
+Int next_count(const Real& t) {
+  return min(max(to_int(t), Int(0)), Int((1 << kCountBits) - 2)) + Int(1);
+}
+
+}  // namespace nova::detail

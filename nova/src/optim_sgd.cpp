@@ -1,0 +1,107 @@
+// The class SGD, and what it shares with Adam.
+#include <cmath>
+
+#include "novaphy/nova/kernel.h"
+#include "novaphy/nova/tape.h"
+#include "optim_impl.h"
+
+namespace nova::optim {
+
+using novaphy::require;
+
+Optimiser::Optimiser(const char* name, std::vector<Tensor> params, float lr)
+    : name_(name), params_(std::move(params)), lr_(lr) {
+  detail::check_params(params_, name_);
+  set_lr(lr);
+}
+void Optimiser::set_lr(float lr) {
+  detail::check_rate({name_, "lr"}, lr);
+  lr_ = lr;
+}
+void Optimiser::zero_grad() const {
+  for (const Tensor& p : params_) p.zero_grad();
+}
+
+namespace {
+
+// The gradient with the one of weight_decay / 2 * p^2 added. Without decay it keeps its bits (the
+// sum would turn -0 into +0), also where p is not finite.
+Real decayed(const Real& grad, const Real& p, const Real& weight_decay) {
+  return select(weight_decay == Real(0.0f), grad, grad + weight_decay * p);
+}
+
+void update(const Tensor& param, float lr, float weight_decay) {
+  static const Kernel kernel = make_kernel(
+      "sgd_step_f32",
+      {{"param", DType::F32, 1, Access::Direct}, {"grad", DType::F32, 1, Access::Direct}},
+      {{"param", 1}}, [](TraceContext& c) {
+        return std::vector{c.f32(0) - c.param(0) * decayed(c.f32(1), c.f32(0), c.param(1))};
+      });
+  const Operand in[] = {param.flat_operand(), detail::grad_operand(param)};
+  const Param params[] = {lr, weight_decay};
+  kernel.launch(param.size(), in, {in, 1}, {.params = params});
+}
+
+// t counts the steps, this one included.
+void update_with_momentum(const Tensor& param, const Tensor& b, const Tensor& t, float lr,
+                          const SGDOptions& options) {
+  static const Kernel kernel =
+      make_kernel("sgd_momentum_step_f32",
+                  {{"param", DType::F32, 1, Access::Direct},
+                   {"b", DType::F32, 1, Access::Direct},
+                   {"grad", DType::F32, 1, Access::Direct},
+                   {"t", DType::F32, 1, Access::Uniform}},
+                  {{"param", 1}, {"b", 1}}, [](TraceContext& c) {
+                    const Real momentum = c.param(1), dampening = c.param(2);
+                    const Real g = decayed(c.f32(2), c.f32(0), c.param(3));
+                    const Real later = momentum * c.f32(1) + (Real(1.0f) - dampening) * g;
+                    const Real new_b = select(c.f32(3) <= Real(1.0f), g, later);
+                    const Bool nesterov = c.param_i32(4) != Int(0);
+                    const Real move = select(nesterov, g + momentum * new_b, new_b);
+                    return std::vector{c.f32(0) - c.param(0) * move, new_b};
+                  });
+  const Operand in[] = {param.flat_operand(), b.flat_operand(), detail::grad_operand(param),
+                        t.operand()};
+  const Param params[] = {lr, options.momentum, options.dampening, options.weight_decay,
+                          static_cast<int32_t>(options.nesterov)};
+  kernel.launch(param.size(), in, {in, 2}, {.params = params});
+}
+
+void advance(const Tensor& t) {
+  static const Kernel kernel = make_kernel(
+      "step_count_f32", {{"t", DType::F32, 1, Access::Direct}}, {{"t", 1}},
+      [](TraceContext& c) { return std::vector{to_real(detail::next_count(c.f32(0)))}; });
+  const Operand operand = t.operand();
+  kernel.launch(1, {&operand, 1}, {&operand, 1});
+}
+
+}  // namespace
+
+SGD::SGD(std::vector<Tensor> params, const SGDOptions& options)
+    : Optimiser("SGD", std::move(params), options.lr), options_(options) {
+  detail::check_rate({name_, "momentum"}, options.momentum);
+  detail::check_rate({name_, "weight_decay"}, options.weight_decay);
+  require(std::isfinite(options.dampening), ErrorKind::Value,
+          "SGD, dampening: expected a finite number, got ", options.dampening);
+  require(!options.nesterov || (options.momentum > 0.0f && options.dampening == 0.0f),
+          ErrorKind::Value, "SGD, nesterov: expected a momentum > 0 and dampening 0, got ",
+          options.momentum, " and ", options.dampening);
+  if (options.momentum == 0.0f) return;
+  const Device device = params_[0].device();
+  for (const Tensor& p : params_) b_.emplace_back(p.shape(), DType::F32, device);
+  t_ = Tensor({1}, DType::F32, device);
+}
+
+void SGD::step() const {
+  detail::check_grads(params_, name_);
+  NoGrad no_grad;
+  if (t_.defined()) {
+    advance(t_);
+    for (size_t k = 0; k < params_.size(); ++k)
+      update_with_momentum(params_[k], b_[k], t_, lr_, options_);
+    return;
+  }
+  for (const Tensor& p : params_) update(p, lr_, options_.weight_decay);
+}
+
+}  // namespace nova::optim

@@ -1,0 +1,149 @@
+// Optimisers and clipping.
+#include "nova_types.h"
+#include "novaphy/nova/optim.h"
+
+namespace novaphy::python {
+
+using nova::Tensor;
+using nova::optim::Adam;
+using nova::optim::SGD;
+
+namespace {
+
+// A Tensor, or any iterable of them.
+std::vector<Tensor> to_params(py::handle value, const char* call) {
+  if (py::isinstance<nova::TensorImpl>(value)) return {value.cast<Tensor>()};
+  require(py::isinstance<py::iterable>(value), ErrorKind::Type, call,
+          ", params: expected a list of Tensors, got ", type_name(value));
+  std::vector<Tensor> params;
+  for (const py::handle item : value) {
+    require(py::isinstance<nova::TensorImpl>(item), ErrorKind::Type, call, ", params[",
+            params.size(), "]: expected a Tensor, got ", type_name(item));
+    params.push_back(item.cast<Tensor>());
+  }
+  return params;
+}
+
+void bind_updates(py::module_& m) {
+  m.def("sgd_update_f32", &nova::sgd_update_f32, "param"_a, "learning_rate"_a, release_gil(),
+        "param -= learning_rate * param.grad, in place, as one kernel. ValueError when there is no "
+        "gradient.");
+  m.def("sgd_update_vec3_clipped_f32", &nova::sgd_update_vec3_clipped_f32, "param"_a,
+        "learning_rate"_a, "max_parameter_norm"_a, "max_gradient_norm"_a, release_gil(),
+        "Per row of param {n, 3}: a gradient that is not finite leaves the row; a longer gradient "
+        "is scaled to "
+        "max_gradient_norm; p -= learning_rate * g; a longer result is scaled to "
+        "max_parameter_norm. A norm <= 0 switches "
+        "that clip off.");
+  const nova::AdamOptions d;
+  m.def("adam_update_f32", &nova::adam_update_f32, "param"_a, "m"_a, "v"_a, "t"_a, "lr"_a,
+        "beta1"_a = d.beta1, "beta2"_a = d.beta2, "eps"_a = d.eps, release_gil(),
+        R"(One step of Adam, in place, from param.grad (Kingma and Ba 2015, Algorithm 1):
+
+    t += 1;  m = beta1 * m + (1 - beta1) * g;  v = beta2 * v + (1 - beta2) * g * g
+    param -= lr * (m / (1 - beta1^t)) / (sqrt(v / (1 - beta2^t)) + eps)
+
+param: float32 of any shape; m, v: zeros of that shape before the first step; t: zeros(1), the number
+of steps so far. A kernel raises t, so each launch of a captured graph is a step; give every parameter
+a t of its own. lr (in units of param) is finite and >= 0, the betas are in [0, 1), eps (in units of
+the gradient) is finite and > 0. TypeError: not float32. ValueError: no gradient, a wrong shape,
+memory given twice, a number out of range; nothing was written then.)");
+}
+
+void bind_clipping(py::module_& m) {
+  m.def(
+      "clip_grad_norm_",
+      [](py::handle params, float max_norm) {
+        const std::vector<Tensor> list = to_params(params, "clip_grad_norm_");
+        const py::gil_scoped_release release;
+        return nova::clip_grad_norm_(list, max_norm);
+      },
+      "params"_a, "max_norm"_a,
+      "Scales the gradients in place by min(1, max_norm / (norm + 1e-6)), as PyTorch does, where "
+      "norm is the Euclidean norm over all values of all of them. Returns the norm before, {1}. "
+      "Summed in a fixed order: the same bits for any number of threads. A norm that is not finite "
+      "(a gradient is not, or a square overflows) sets all gradients to zero. ValueError: a "
+      "parameter without gradient or given twice, no parameters, max_norm <= 0 or NaN (infinity "
+      "only measures). TypeError: not float32.");
+  m.def(
+      "clip_grad_value_",
+      [](py::handle params, float v) {
+        const std::vector<Tensor> list = to_params(params, "clip_grad_value_");
+        const py::gil_scoped_release release;
+        nova::clip_grad_value_(list, v);
+      },
+      "params"_a, "v"_a,
+      "Limits every value of the gradients to [-v, v], in place; NaN stays NaN. ValueError: a "
+      "parameter without gradient or given twice, no parameters, v <= 0 or NaN. TypeError: not "
+      "float32.");
+  m.def("clamp_", &nova::clamp_, "param"_a, "lo"_a, "hi"_a, release_gil(),
+        "Limits every value of param itself to [lo, hi], in place and not recorded on a tape; NaN "
+        "stays NaN. ValueError unless lo <= hi. TypeError: not float32.");
+}
+
+// What both classes have.
+template <class C>
+void bind_optimiser(py::class_<C>& c) {
+  c.def("step", &C::step, release_gil(),
+        "One step of all parameters, in place and not recorded on a tape. It may be captured: each "
+        "launch of the graph is a step then, at the rate of the capture. ValueError when a "
+        "parameter has no gradient; nothing was written then.")
+      .def("zero_grad", &C::zero_grad, release_gil(), "Sets the gradients to zero.")
+      .def_property_readonly("params", &C::params, "The parameters, as a list.")
+      .def_property("lr", &C::lr, &C::set_lr,
+                    "The learning rate of steps from now on; finite and >= 0 (ValueError). A "
+                    "captured graph keeps its own.");
+}
+
+void bind_classes(py::module_& m) {
+  const nova::SGDOptions s;
+  py::class_<SGD> sgd(m, "SGD",
+                      R"(Gradient descent with momentum, as in PyTorch and Warp:
+
+    g += weight_decay * p;  b = momentum * b + (1 - dampening) * g, in the first step b = g
+    g = g + momentum * b if nesterov else b;  p -= lr * g
+
+params: a list of float32 Tensors of one device, none of them twice. lr is finite and >= 0, in units
+of param^2 / loss; so are momentum and weight_decay; nesterov needs a momentum > 0 and no dampening.
+ValueError and TypeError name the argument.)");
+  sgd.def(py::init([](py::handle params, float lr, float momentum, float dampening,
+                      float weight_decay, bool nesterov) {
+            return std::make_unique<SGD>(
+                to_params(params, "SGD"),
+                nova::SGDOptions{lr, momentum, dampening, weight_decay, nesterov});
+          }),
+          "params"_a, "lr"_a = s.lr, "momentum"_a = s.momentum, "dampening"_a = s.dampening,
+          "weight_decay"_a = s.weight_decay, "nesterov"_a = s.nesterov)
+      .def_property_readonly("b", &SGD::b, "The momentum of each parameter; none without momentum.")
+      .def_property_readonly("t", &SGD::t,
+                             "The number of steps so far, {1}; None without momentum.");
+  bind_optimiser(sgd);
+
+  const nova::AdamOptions a;
+  py::class_<Adam> adam(
+      m, "Adam",
+      R"(Adam (Kingma and Ba 2015, Algorithm 1): adam_update_f32 of every parameter.
+
+params: a list of float32 Tensors of one device, none of them twice. lr (in units of param) is finite
+and >= 0, the betas are in [0, 1), eps (in units of the gradient) is finite and > 0. ValueError and
+TypeError name the argument.)");
+  adam.def(py::init([](py::handle params, float lr, std::pair<float, float> betas, float eps) {
+             return std::make_unique<Adam>(to_params(params, "Adam"),
+                                           nova::AdamOptions{lr, betas.first, betas.second, eps});
+           }),
+           "params"_a, "lr"_a = a.lr, "betas"_a = std::pair(a.beta1, a.beta2), "eps"_a = a.eps)
+      .def_property_readonly("m", &Adam::m, "The first moment of each parameter.")
+      .def_property_readonly("v", &Adam::v, "The second moment of each parameter.")
+      .def_property_readonly("t", &Adam::t, "The number of steps so far, {1}.");
+  bind_optimiser(adam);
+}
+
+}  // namespace
+
+void bind_nova_optim(py::module_& m) {
+  bind_updates(m);
+  bind_clipping(m);
+  bind_classes(m);
+}
+
+}  // namespace novaphy::python

@@ -37,7 +37,7 @@ void check_grads(std::span<const Tensor> params, const char* call) {
 
 Operand grad_operand(const Tensor& param) {
   const GradInfo& info = grad_info(*param.range());
-  if (!info.valid) param.grad();  // fills it
+  if (info.state != GradState::Held) param.grad();  // fills it
   Operand o = param.flat_operand();
   o.range = info.grad;
   return o;

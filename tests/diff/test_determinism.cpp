@@ -66,9 +66,10 @@ Result run(int balls, Way way, int steps = 60,
   } else {
     iteration();
   }
-  for (int t = 1; t <= steps; ++t)
-    EXPECT_EQ(diff::state_particle_qd_tensor(state(t)).has_grad(),
-              keep == nova::KeepGradients::All);
+  if (keep == nova::KeepGradients::Leaves) {  // what lies between takes no memory
+    for (int t = 1; t <= steps; ++t)
+      EXPECT_FALSE(diff::state_particle_qd_tensor(state(t)).has_grad()) << t;
+  }
   Result result;
   for (int t = 0; t <= steps; ++t)
     for (const Vec3f& x : state(t).particle_q.to_host()) result.q.push_back(x);

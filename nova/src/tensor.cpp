@@ -187,7 +187,7 @@ void Tensor::set_requires_grad(bool on) const {
 }
 bool Tensor::has_grad() const {
   const GradInfo* info = find_grad_info(*impl_->range);
-  return info && info->grad;
+  return info && (info->grad || info->state == GradState::Dropped);
 }
 Tensor Tensor::grad() const {
   require(dtype() == DType::F32, ErrorKind::Value,

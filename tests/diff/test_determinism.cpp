@@ -3,7 +3,6 @@
 #include <sys/wait.h>
 #include <unistd.h>
 
-#include <cmath>
 #include <thread>
 
 #include "diff/ball_scene.h"
@@ -111,20 +110,15 @@ TEST_P(Determinism, AnyNumberOfThreadsGivesTheSameBits) {
   }
 }
 
-TEST_P(Determinism, EveryWayOfRunningGivesTheSameStates) {
+TEST_P(Determinism, EveryWayOfRunningGivesTheSameBits) {
   const Result rollout = run(GetParam(), Way::Rollout);
   expect_same(run(GetParam(), Way::Rollout), rollout);
   expect_same(run(GetParam(), Way::Captured), rollout);
   for (const Way way : {Way::Rollout, Way::Captured})
     expect_same(run(GetParam(), way, 60, nova::KeepGradients::Leaves), rollout);
-  // The step loop adds the gradients of contact and integration in another order, so only the
-  // states are the same bits.
-  const Result loop = run(GetParam(), Way::StepLoop);
-  EXPECT_TRUE(same_bits<Vec3f>(loop.q, rollout.q));
-  EXPECT_EQ(loop.loss, rollout.loss);
-  for (size_t k = 0; k < loop.grad_qd.size(); ++k)
-    EXPECT_NEAR(loop.grad_qd[k], rollout.grad_qd[k],
-                1e-5f * (1.0f + std::fabs(rollout.grad_qd[k])));
+  // Where a particle meets several shapes at once, the gradients of the loop are the sum of the same
+  // terms in another order; here none does.
+  expect_same(run(GetParam(), Way::StepLoop), rollout);
 }
 
 INSTANTIATE_TEST_SUITE_P(Balls, Determinism, ::testing::Values(1, 3, 100, 2047, 2048, 5001));

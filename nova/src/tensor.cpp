@@ -2,6 +2,7 @@
 
 #include <mutex>
 
+#include "engine_kernels.h"
 #include "novaphy/core/backend.h"
 #include "novaphy/core/error.h"
 #include "novaphy/nova/kernel.h"
@@ -70,8 +71,9 @@ const std::shared_ptr<Range>& grad_storage(Range& range) {
   GradInfo& info = grad_info(range);
   // What a capture records runs later; until then it reads as zero.
   if (!info.grad)
-    info.grad = Storage::allocate(range.bytes(), range.storage().device(), current_capture() != nullptr)
-                    ->range();
+    info.grad =
+        Storage::allocate(range.bytes(), range.storage().device(), current_capture() != nullptr)
+            ->range();
   return info.grad;
 }
 
@@ -267,6 +269,11 @@ const Kernel& copy_kernel(DType dtype) {
   return f32;
 }
 }  // namespace
+
+void detail::add_tensor_kernels(EngineKernels& list) {
+  const Kernel& kernel = copy_kernel(DType::F32);
+  list.push_back({kernel, every_gradient(kernel)});
+}
 
 void Tensor::copy_(const Tensor& source) const {
   if (source.size() != size() || source.dtype() != dtype())

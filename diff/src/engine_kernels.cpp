@@ -40,7 +40,9 @@ std::vector<nova::AdjointMask> detail::rollout_gradients(
   for (const Names& s : states)
     for (const Names& extra : extras) {
       const Names wrt = join(s, extra);
-      if (wrt.empty()) continue;
+      // Whoever wants the gradient of a model's array lets the whole state carry it, but for the
+      // first step.
+      if (wrt.empty() || (!extra.empty() && s.size() == 1)) continue;
       want(wrt, {}, all);
       if (!extra.empty()) want(wrt, extra, all);
       if (!s.empty() && extra.empty()) want(wrt, s, all);

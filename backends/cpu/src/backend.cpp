@@ -326,6 +326,30 @@ novaphy_status launch(novaphy_stream*, novaphy_kernel* kernel, int64_t n, const 
   });
 }
 
+novaphy_status kernel_info(novaphy_kernel* kernel, novaphy_kernel_info* info,
+                           novaphy_error* error) {
+  const uint64_t size = info->struct_size;
+  if (size < sizeof(novaphy_kernel_info)) {
+    return fail(error, NOVAPHY_INVALID_ARGUMENT,
+                "kernel_info: struct_size: expected at least %zu, got %llu",
+                sizeof(novaphy_kernel_info), static_cast<unsigned long long>(size));
+  }
+  *info = {};
+  info->struct_size = size;
+  info->lanes = 1;
+  if (kernel->builtin != nullptr) {
+    info->native = 1;
+    std::snprintf(info->isa, sizeof(info->isa), "baseline");
+    return NOVAPHY_OK;
+  }
+  const Executable& executable = *kernel->executable;
+  info->hash = nova::ir::hash(executable.program);
+  info->native = executable.native.rows != nullptr ? 1 : 0;
+  info->lanes = info->native != 0 ? executable.native.lanes : executable.isa.lanes;
+  std::snprintf(info->isa, sizeof(info->isa), "%s", executable.isa.name);
+  return NOVAPHY_OK;
+}
+
 constexpr novaphy_backend_api kApi = {
     sizeof(novaphy_backend_api),
     NOVAPHY_ABI_MAJOR,
@@ -358,6 +382,7 @@ constexpr novaphy_backend_api kApi = {
     nullptr,
     nullptr,
     nullptr,
+    kernel_info,
 };
 
 }  // namespace

@@ -43,6 +43,52 @@ static __attribute__((noinline, unused)) void gather_lanes(vi* target, const cha
   for (int32_t k = 0; k < columns; ++k) memcpy(&target[k], word[k], sizeof(vi));
 }
 
+/* Whether every row lies in [0, limit). */
+LANE_FN int all_rows_inside(vi row, int64_t limit) {
+  const int32_t end = limit < 0 ? 0 : limit > INT32_MAX ? INT32_MAX : (int32_t)limit;
+  return !any(vor(vilt(row, splati(0)), vile(splati(end), row)));
+}
+
+#if defined(__x86_64__)
+/* Rows of three words, each read with the first word of the next row, four or eight rows at a time. */
+#if LANES == 4
+typedef __m128 row_quads;
+#define QUADS_OF(l) _mm_loadu_ps((const float*)(s + 12 * (int64_t)at[l]))
+#define QUADS(operation) _mm_##operation
+#else
+typedef __m256 row_quads;
+#define QUADS_OF(l)                                                                          \
+  _mm256_insertf128_ps(                                                                      \
+      _mm256_castps128_ps256(_mm_loadu_ps((const float*)(s + 12 * (int64_t)at[l]))),         \
+      _mm_loadu_ps((const float*)(s + 12 * (int64_t)at[(l) + 4])), 1)
+#define QUADS(operation) _mm256_##operation
+#endif
+LANE_FN void transpose_rows3(const char* s, const int32_t* at, row_quads* a, row_quads* b, row_quads* c) {
+  const row_quads r0 = QUADS_OF(0), r1 = QUADS_OF(1), r2 = QUADS_OF(2), r3 = QUADS_OF(3);
+  const row_quads xy01 = QUADS(unpacklo_ps(r0, r1)), xy23 = QUADS(unpacklo_ps(r2, r3));
+  *a = QUADS(shuffle_ps(xy01, xy23, 0x44));
+  *b = QUADS(shuffle_ps(xy01, xy23, 0xEE));
+  const row_quads z01 = QUADS(unpackhi_ps(r0, r1)), z23 = QUADS(unpackhi_ps(r2, r3));
+  *c = QUADS(shuffle_ps(z01, z23, 0x44));
+}
+#undef QUADS
+#undef QUADS_OF
+LANE_FN void gather3_inside(const char* s, vi row, vi* a, vi* b, vi* c) {
+  int32_t at[LANES];
+  memcpy(at, &row, sizeof(at));
+#if LANES == 16
+  row_quads low[3], high[3];
+  transpose_rows3(s, at, &low[0], &low[1], &low[2]);
+  transpose_rows3(s, at + 8, &high[0], &high[1], &high[2]);
+  *a = (vi)_mm512_insertf32x8(_mm512_castps256_ps512(low[0]), high[0], 1);
+  *b = (vi)_mm512_insertf32x8(_mm512_castps256_ps512(low[1]), high[1], 1);
+  *c = (vi)_mm512_insertf32x8(_mm512_castps256_ps512(low[2]), high[2], 1);
+#else
+  transpose_rows3(s, at, (row_quads*)a, (row_quads*)b, (row_quads*)c);
+#endif
+}
+#endif
+
 #define GATHER_ARGUMENTS const char *s, int64_t rows, const row_lanes *r
 #define GATHER_ERROR vb need, int32_t source, int64_t i, novaphy_error_sink *sink
 
@@ -50,6 +96,15 @@ LANE_FN vi gather_columni(GATHER_ARGUMENTS, int32_t width, int32_t column, GATHE
   if (same_row_inside(r, rows)) return splati(word_at(s, (int64_t)r->first * width + column));
   if (consecutive_rows_inside(r, rows))
     return load_columni(s + 4 * ((int64_t)r->first * width + column), width);
+#if LANES >= 8
+  if (width == 1 && all_rows_inside(r->row, rows)) {
+#if LANES == 8
+    return (vi)_mm256_i32gather_epi32((const int*)s, (__m256i)r->row, 4);
+#else
+    return (vi)_mm512_i32gather_epi32((__m512i)r->row, s, 4);
+#endif
+  }
+#endif
   vi target[1];
   gather_lanes(target, s + 4 * column, rows, &r->row, width, 1, need, source, i, sink);
   return target[0];
@@ -72,6 +127,10 @@ LANE_FN void gather3i(GATHER_ARGUMENTS, GATHER_ERROR, vi* a, vi* b, vi* c) {
     *a = splati(word_at(p, 0)), *b = splati(word_at(p, 1)), *c = splati(word_at(p, 2));
   } else if (consecutive_rows_inside(r, rows)) {
     load3i(p, a, b, c);
+#if defined(__x86_64__)
+  } else if (all_rows_inside(r->row, rows - 1)) {
+    gather3_inside(s, r->row, a, b, c);
+#endif
   } else {
     vi target[3];
     gather_lanes(target, s, rows, &r->row, 3, 3, need, source, i, sink);

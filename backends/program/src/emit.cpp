@@ -284,13 +284,14 @@ class Emitter {
     }
     const std::string rows = own ? "" : rows_of(group.row, plan_.region[at(v)]);
     if (width >= 2 && width <= 4 && wanted >= 2) {
-      std::string targets;
+      std::string targets, fresh;
       for (int32_t c = 0; c < width; ++c) {
         const Value d = group.columns[at(c)];
         const std::string name = d != kNone ? text_.name(d) : "x" + str(v) + "_" + str(c);
-        if (d == kNone || !plan_.escapes[at(d)]) line("v" + t + " " + name + ";");
+        if (d == kNone || !plan_.escapes[at(d)]) fresh += (fresh.empty() ? "" : ", ") + name;
         targets += ", &" + name;
       }
+      if (!fresh.empty()) line("v" + t + " " + fresh + ";");
       line(own ? "load" + str(width) + t + "(" + s + " + " + str(4 * width) + " * i" + targets +
                      ");"
                : "gather" + str(width) + t + "(" + s + ", " + n + ", &" + rows + where + targets +
@@ -301,20 +302,23 @@ class Emitter {
       const Value d = group.columns[at(c)];
       if (d == kNone) continue;
       line(declaration(d) + " = " +
-           (own ? "load_column" + t + "(" + s + " + " + str(4 * width) + " * i + " + str(4 * c) +
-                      ", " + str(width) + ");"
+           (own ? "load_column" + t + "(" + s + " + " + str(4 * width) + " * i" +
+                      (c == 0 ? "" : " + " + str(4 * c)) + ", " + str(width) + ");"
                 : "gather_column" + t + "(" + s + ", " + n + ", &" + rows + ", " + str(width) +
                       ", " + str(c) + where + ");"));
     }
   }
 
-  // The variable that says how the rows of a load lie; written where they are first asked for in a
-  // region.
+  // The variable that says how the rows of a load lie: one that is in sight, else a new one.
   std::string rows_of(Value row, int32_t region) {
-    const std::string name = "rows" + str(row) + "_" + str(region + 1);
-    if (looked_.emplace(row, region, loop_).second)
-      line("const row_lanes " + name + " = look_at_rows(" + text_.lanes(row) + ");");
-    return name;
+    const auto name = [&](int32_t r) { return "rows" + str(row) + "_" + str(r + 1); };
+    for (int32_t r = region;; r = plan_.regions[at(r)].parent) {
+      if (looked_.count({row, r, loop_}) != 0) return name(r);
+      if (r < 0) break;
+    }
+    looked_.emplace(row, region, loop_);
+    line("const row_lanes " + name(region) + " = look_at_rows(" + text_.lanes(row) + ");");
+    return name(region);
   }
 
   Value column_owner(Value v, const Instr& in) const {

@@ -7,10 +7,10 @@
 namespace nova::ir {
 namespace {
 
-// A region with fewer operations costs less than asking whether any lane needs it.
-constexpr int32_t kMinPrintedRegion = 4;
-// One whose rows come through a table counts for more: its loads are the dear part.
-constexpr int32_t kLoadWeight = 3;
+// A region that weighs less costs less than asking whether any lane needs it. Weights are about
+// cycles per vector.
+constexpr int32_t kMinPrintedRegion = 12;
+constexpr int32_t kDivisionWeight = 8, kTableLoadWeight = 8;
 
 size_t at(int32_t k) { return static_cast<size_t>(k); }
 
@@ -99,8 +99,11 @@ class Planner {
         use(s.term);
       }
     for (const Region& r : out_.regions) use(r.cond);
-    for (size_t v = p_.instrs.size(); v-- > 0;)
-      if (out_.used[v]) for_each_operand(p_.instrs[v], use);
+    for (size_t v = p_.instrs.size(); v-- > 0;) {
+      const Instr& in = p_.instrs[v];
+      const bool own_row = is_load(in.op) && p_.instrs[at(in.b)].op == Op::INDEX;  // written as i
+      if (out_.used[v] && !own_row) for_each_operand(in, use);
+    }
   }
 
   // Columns of one row in the same place are one load, where the first of them stood.
@@ -129,10 +132,13 @@ class Planner {
       const Op op = p_.instrs[v].op;
       if (!out_.used[v] || out_.once[v] || is_leaf(op)) continue;
       const bool through_table = is_load(op) && p_.instrs[at(p_.instrs[v].b)].op != Op::INDEX;
+      const bool division = op == Op::DIV || op == Op::SQRT || op == Op::IDIV || op == Op::IMOD;
       for (int32_t r = out_.region[v]; r >= 0; r = out_.regions[at(r)].parent)
-        out_.regions[at(r)].size += through_table ? kLoadWeight : 1;
+        out_.regions[at(r)].weight += through_table ? kTableLoadWeight
+                                      : division    ? kDivisionWeight
+                                                    : 1;
     }
-    for (Region& r : out_.regions) r.printed = r.size >= kMinPrintedRegion;
+    for (Region& r : out_.regions) r.printed = r.weight >= kMinPrintedRegion;
   }
 
   bool inside(int32_t region, int32_t ancestor) const {

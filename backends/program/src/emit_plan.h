@@ -21,7 +21,7 @@ struct Region {
   Value cond = kNone;
   bool polarity = true;
   bool printed = true;
-  int32_t size = 0;           // operations and loads in it
+  int32_t weight = 0;         // of the operations in it
   std::vector<Value> escape;  // values made inside and read outside: declared before the `if`
 };
 

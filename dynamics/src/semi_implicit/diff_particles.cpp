@@ -115,8 +115,9 @@ void detail::add_particle_kernels(std::vector<nova::EngineKernel>& list) {
   const std::vector<std::string> materials = {"shape_material_ke", "shape_material_kd",
                                               "shape_material_kf", "shape_material_mu"};
   list.push_back({integrate_kernel(), rollout_gradients(integrate_kernel(), state, others, {})});
-  for (const nova::Kernel& k : {fused_kernel(), step_kernel()})
-    list.push_back({k, rollout_gradients(k, state, with_contacts, materials)});
+  list.push_back({fused_kernel(), rollout_gradients(fused_kernel(), state, others, materials)});
+  list.push_back(
+      {step_kernel(), rollout_gradients(step_kernel(), state, with_contacts, materials)});
 }
 
 namespace {

@@ -11,6 +11,17 @@ option(NOVAPHY_WERROR "Treat warnings as errors" OFF)
 set(NOVAPHY_SANITIZE "" CACHE STRING "Sanitizers for everything, e.g. address,undefined or thread")
 set(NOVAPHY_CUDA_ARCHITECTURES "" CACHE STRING "GPU architectures to build ahead (used by NOVAPHY_WITH_CUDA)")
 
+# The engine's own kernels live in nova and diff, so there are none without them. A sanitizer is for the written code,
+# and would make the generated code take minutes to compile.
+set(NOVAPHY_NATIVE_DEFAULT OFF)
+if(NOVAPHY_WITH_DIFF AND NOVAPHY_BUILD_CPU_PLUGIN AND NOT NOVAPHY_SANITIZE)
+  set(NOVAPHY_NATIVE_DEFAULT ON)
+endif()
+option(NOVAPHY_WITH_NATIVE_KERNELS "Compile the engine's kernels into the CPU plugin" ${NOVAPHY_NATIVE_DEFAULT})
+if(NOVAPHY_WITH_NATIVE_KERNELS AND NOT (NOVAPHY_WITH_DIFF AND NOVAPHY_BUILD_CPU_PLUGIN))
+  message(FATAL_ERROR "NOVAPHY_WITH_NATIVE_KERNELS=ON needs NOVAPHY_WITH_DIFF=ON and NOVAPHY_BUILD_CPU_PLUGIN=ON.")
+endif()
+
 # Parts of the design that are not built yet.
 foreach(entry
     "NOVAPHY_WITH_CUDA;the CUDA backend"

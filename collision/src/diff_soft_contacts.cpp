@@ -5,6 +5,7 @@
 #include "novaphy/collision/diff_soft_contact_trace.h"
 #include "novaphy/core/error.h"
 #include "novaphy/core/sim/enums.h"
+#include "novaphy/diff/engine_kernels.h"
 
 namespace novaphy::diff {
 
@@ -209,11 +210,9 @@ Vec3<Real> static_shape_term(TraceContext& c, const Vec3<Real>& x, const Vec3<Re
 
 }  // namespace detail
 
-Tensor eval_static_particle_shape_contact_forces_generated(const Model& model,
-                                                           const Tensor& particle_q,
-                                                           const Tensor& particle_qd,
-                                                           const Tensor& particle_f,
-                                                           float soft_contact_margin) {
+namespace {
+
+const nova::Kernel& static_contact_kernel() {
   static const nova::Kernel kernel = [] {
     std::vector<nova::SourceSpec> sources = {{"particle_q", DType::F32, 3, Access::Direct},
                                              {"particle_qd", DType::F32, 3, Access::Direct},
@@ -240,6 +239,24 @@ Tensor eval_static_particle_shape_contact_forces_generated(const Model& model,
              },
          .epilogue = {}});
   }();
+  return kernel;
+}
+
+}  // namespace
+
+void detail::add_contact_kernels(std::vector<nova::EngineKernel>& list) {
+  const std::vector<std::string> materials = {"shape_material_ke", "shape_material_kd",
+                                              "shape_material_kf", "shape_material_mu"};
+  for (const nova::Kernel& k : {soft_contact_kernel(), static_contact_kernel()})
+    list.push_back({k, rollout_gradients(k, {"particle_q", "particle_qd", "particle_f"},
+                                         {"particle_radius"}, materials)});
+}
+
+Tensor eval_static_particle_shape_contact_forces_generated(const Model& model,
+                                                           const Tensor& particle_q,
+                                                           const Tensor& particle_qd,
+                                                           const Tensor& particle_f,
+                                                           float soft_contact_margin) {
   const char* op = "eval_static_particle_shape_contact_forces_generated";
   detail::check_particle_tensor(model, particle_q, op, "particle_q");
   detail::check_particle_tensor(model, particle_qd, op, "particle_qd");
@@ -252,7 +269,8 @@ Tensor eval_static_particle_shape_contact_forces_generated(const Model& model,
   for (const Operand& o : detail::static_shape_operands(model)) in.push_back(o);
   const Tensor out(particle_f.shape(), DType::F32, model.device());
   const Operand to = out.operand();
-  kernel.launch(particle_q.rows(), in, {&to, 1}, {.params = params, .extent = model.shape_count()});
+  static_contact_kernel().launch(particle_q.rows(), in, {&to, 1},
+                                 {.params = params, .extent = model.shape_count()});
   return out;
 }
 

@@ -5,6 +5,8 @@
 #include <algorithm>
 #include <array>
 #include <atomic>
+#include <cstdio>
+#include <cstdlib>
 #include <cstring>
 #include <memory>
 #include <mutex>
@@ -48,6 +50,7 @@ class Registry {
   Entry* active(DeviceType type);
   std::string reasons(DeviceType type);
   const DeviceContext& open(Device device);
+  void say_interpreted();
 
   std::mutex mutex_;
   bool searched_ = false;
@@ -72,6 +75,11 @@ void Registry::accept(Entry& entry,
   entry.info.abi_major = api->abi_major;
   entry.info.abi_minor = api->abi_minor;
   entry.info.error = check_backend_table(api);
+  // The compiled kernels of another version are those of another engine.
+  if (entry.info.error.empty() && entry.info.name == "cpu" && !entry.info.path.empty() &&
+      std::strcmp(api->version, NOVAPHY_VERSION) != 0)
+    entry.info.error =
+        std::string("it is of version ") + api->version + ", this library of " + NOVAPHY_VERSION;
   if (!entry.info.error.empty()) return;
   entry.info.name = api->name;
   entry.info.version = api->version;
@@ -153,6 +161,25 @@ std::string Registry::reasons(DeviceType type) {
   return text;
 }
 
+// Slower by a factor of several, which nobody should have to find by measuring. Said once per
+// process, because the device is opened once; not to who switched the plugin off.
+void Registry::say_interpreted() {
+  if (const char* quiet = std::getenv("NOVAPHY_QUIET"); quiet != nullptr && *quiet != '\0') return;
+  std::string why;
+  for (const Entry& entry : entries_) {
+    if (entry.info.name != "cpu" || entry.info.path.empty() || entry.api != nullptr) continue;
+    if (entry.info.error == kDisabledReason) return;
+    why = entry.info.path + ": " + entry.info.error;
+    break;
+  }
+  if (why.empty()) why = reasons(DeviceType::CPU);
+  std::fprintf(
+      stderr,
+      "novaphy: kernels are interpreted (same results, slower), because the compiled ones were not "
+      "loaded: %s [NOVAPHY_QUIET=1 hides this line]\n",
+      why.c_str());
+}
+
 const DeviceContext& Registry::open(Device device) {
   num_threads();  // a bad NOVAPHY_NUM_THREADS is reported here, where throwing is allowed
   const std::lock_guard lock(mutex_);
@@ -179,6 +206,9 @@ const DeviceContext& Registry::open(Device device) {
   if (status != NOVAPHY_OK) entry->api->device_close(context->device);
   check(status, error, "stream_create");
   in_use_[static_cast<size_t>(device.type)] = entry->api;
+#ifdef NOVAPHY_WITH_NATIVE_KERNELS
+  if (device.type == DeviceType::CPU && entry->info.path.empty()) say_interpreted();
+#endif
   const DeviceContext* opened = context.release();
   slot.store(opened, std::memory_order_release);
   return *opened;

@@ -99,7 +99,7 @@ std::vector<BackendCandidate> find_backends() {
       if (!seen.insert(ignored ? file : canonical).second) continue;
       BackendCandidate candidate{file, backend_name_of(file), {}};
       if (std::find(disabled.begin(), disabled.end(), candidate.name) != disabled.end()) {
-        candidate.problem = "disabled by NOVAPHY_DISABLE_BACKENDS";
+        candidate.problem = kDisabledReason;
       }
       found.push_back(std::move(candidate));
     }
@@ -148,7 +148,7 @@ std::string check_backend_table(const novaphy_backend_api* api) {
   NOVAPHY_NEED(launch);
 #undef NOVAPHY_NEED
   if (api->struct_size > mandatory) {
-    if (api->struct_size < sizeof(novaphy_backend_api))
+    if (api->struct_size < offsetof(novaphy_backend_api, kernel_info))
       return "its function table ends inside the capture group";
     const int there = (api->capture_begin != nullptr) + (api->capture_end != nullptr) +
                       (api->graph_launch != nullptr) + (api->graph_destroy != nullptr);

@@ -11,6 +11,8 @@
 
 namespace novaphy {
 
+inline constexpr const char* kDisabledReason = "disabled by NOVAPHY_DISABLE_BACKENDS";
+
 inline constexpr int32_t kMaxOrdinal = 64;  // devices per type
 
 const char* device_type_name(DeviceType type);

@@ -3,6 +3,7 @@
 #include <cmath>
 
 #include "novaphy/core/error.h"
+#include "novaphy/diff/engine_kernels.h"
 #include "novaphy/math/types.h"
 #include "novaphy/nova/kernel.h"
 #include "novaphy/nova/ops.h"
@@ -34,10 +35,7 @@ std::vector<Real> squared_distance(TraceContext& c, const Vec3<Real>& p) {
   return {math::dot(delta, delta)};
 }
 
-}  // namespace
-
-Tensor particle_point_loss_generated(const Tensor& particle_q, int64_t particle_index,
-                                     float target_x, float target_y, float target_z) {
+const nova::Kernel& particle_point_loss_kernel() {
   static const nova::Kernel kernel = nova::make_kernel(
       "particle_point_loss",
       {{"particle_index", DType::I32, 1, Access::Direct},
@@ -46,6 +44,27 @@ Tensor particle_point_loss_generated(const Tensor& particle_q, int64_t particle_
         const nova::Int row = c.i32(0);
         return squared_distance(c, {c.f32(1, row, 0), c.f32(1, row, 1), c.f32(1, row, 2)});
       });
+  return kernel;
+}
+
+const nova::Kernel& vec3_point_loss_kernel() {
+  static const nova::Kernel kernel =
+      nova::make_kernel("vec3_point_loss", {{"point", DType::F32, 3, Access::Direct}},
+                        {{"loss", 1}}, [](TraceContext& c) {
+                          return squared_distance(c, {c.f32(0, 0), c.f32(0, 1), c.f32(0, 2)});
+                        });
+  return kernel;
+}
+
+}  // namespace
+
+void detail::add_loss_kernels(std::vector<nova::EngineKernel>& list) {
+  for (const nova::Kernel& k : {particle_point_loss_kernel(), vec3_point_loss_kernel()})
+    list.push_back({k, nova::every_gradient(k)});
+}
+
+Tensor particle_point_loss_generated(const Tensor& particle_q, int64_t particle_index,
+                                     float target_x, float target_y, float target_z) {
   const char* op = "particle_point_loss_generated";
   check_points(particle_q, op, "particle_q");
   check_target(target_x, target_y, target_z, op);
@@ -54,7 +73,7 @@ Tensor particle_point_loss_generated(const Tensor& particle_q, int64_t particle_
   const auto index = static_cast<int32_t>(particle_index);
   const Tensor table = Tensor::from_host(std::span(&index, 1), {1}, particle_q.device());
   const nova::Param params[] = {target_x, target_y, target_z};
-  return kernel(1, {table, particle_q}, {.params = params})[0];
+  return particle_point_loss_kernel()(1, {table, particle_q}, {.params = params})[0];
 }
 
 Tensor particle_centroid_generated(const Tensor& particle_q) {
@@ -66,11 +85,6 @@ Tensor particle_centroid_generated(const Tensor& particle_q) {
 
 Tensor vec3_point_loss_generated(const Tensor& point, float target_x, float target_y,
                                  float target_z) {
-  static const nova::Kernel kernel =
-      nova::make_kernel("vec3_point_loss", {{"point", DType::F32, 3, Access::Direct}},
-                        {{"loss", 1}}, [](TraceContext& c) {
-                          return squared_distance(c, {c.f32(0, 0), c.f32(0, 1), c.f32(0, 2)});
-                        });
   const char* op = "vec3_point_loss_generated";
   require(point.defined() && point.dtype() == DType::F32, ErrorKind::Type, op,
           ", point: expected a float32 tensor");
@@ -78,7 +92,7 @@ Tensor vec3_point_loss_generated(const Tensor& point, float target_x, float targ
           ", point: expected {1, 3} or {3}, got ", nova::shape_str(point.shape()));
   check_target(target_x, target_y, target_z, op);
   const nova::Param params[] = {target_x, target_y, target_z};
-  return kernel(1, {point.reshape({1, 3})}, {.params = params})[0];
+  return vec3_point_loss_kernel()(1, {point.reshape({1, 3})}, {.params = params})[0];
 }
 
 Tensor clamp_f32_generated(const Tensor& x, float lower, float upper) {

@@ -6,6 +6,7 @@
 #include "novaphy/core/error.h"
 #include "novaphy/nova/op_list.h"
 #include "novaphy/nova/tape.h"
+#include "novaphy/program/emit.h"
 
 namespace nova {
 
@@ -15,6 +16,7 @@ using novaphy::require;
 namespace detail {
 
 Executable::~Executable() {
+  forget_executable(this);
   for (const auto& c : all_) c->context->api->module_destroy(c->module);
 }
 
@@ -22,7 +24,7 @@ novaphy_kernel* Executable::get(const novaphy::DeviceContext& context) {
   if (const Compiled* c = first_.load(std::memory_order_acquire); c && c->context == &context)
       [[likely]]
     return c->kernel;
-  std::lock_guard lock(mutex_);
+  std::unique_lock lock(mutex_);
   for (const auto& c : all_)
     if (c->context == &context) return c->kernel;
   auto made = std::make_unique<Compiled>();
@@ -34,9 +36,13 @@ novaphy_kernel* Executable::get(const novaphy::DeviceContext& context) {
                  error, program.name.c_str());
   novaphy::check(context.api->kernel_get(made->module, "main", &made->kernel, &error), error,
                  program.name.c_str());
+  novaphy_kernel* const kernel = made->kernel;
+  const bool first = all_.empty();
   all_.push_back(std::move(made));
-  if (!first_.load()) first_.store(all_.back().get(), std::memory_order_release);
-  return all_.back()->kernel;
+  if (first) first_.store(all_.back().get(), std::memory_order_release);
+  lock.unlock();  // whoever lists the kernels takes the two locks the other way round
+  if (first) remember_executable(this);
+  return kernel;
 }
 
 const CompiledPlan& KernelImpl::adjoint(const AdjointKey& key) {
@@ -401,7 +407,12 @@ const std::vector<OutputSpec>& Kernel::outputs() const { return impl_->outputs; 
 const ir::Program& Kernel::program() const { return impl_->forward->program; }
 const ir::Program& Kernel::traced() const { return impl_->traced; }
 uint64_t Kernel::hash() const { return impl_->hash; }
-std::string Kernel::source() const { return ir::to_string(program()); }
+std::string Kernel::source(const std::string& form) const {
+  if (form == "c") return ir::emit_c(program());
+  require(form == "program", ErrorKind::Value, "kernel '", name(),
+          "', source: expected \"c\" or \"program\", got \"", form, "\"");
+  return ir::to_string(program());
+}
 
 const AdjointPlan& Kernel::adjoint(const AdjointMask& mask) const {
   detail::AdjointKey key;

@@ -19,6 +19,7 @@ class Executable {
         argument_count(program.argument_count()) {}
   ~Executable();
   novaphy_kernel* get(const novaphy::DeviceContext& context);
+  void describe(std::vector<KernelInfo>& list);  // adds one entry per device
 
   ir::Program program;
   RowLayout layout;
@@ -34,6 +35,10 @@ class Executable {
   std::mutex mutex_;
   std::vector<std::unique_ptr<Compiled>> all_;
 };
+
+// The Programs that kernel_info() lists: those that were made ready for a device.
+void remember_executable(Executable* executable);
+void forget_executable(Executable* executable);
 
 // Which sources and outputs a reverse step concerns, as bits.
 struct AdjointKey {

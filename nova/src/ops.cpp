@@ -3,6 +3,7 @@
 #include <cmath>
 
 #include "checks.h"
+#include "engine_kernels.h"
 #include "novaphy/nova/functions.h"
 #include "novaphy/nova/kernel.h"
 #include "novaphy/nova/op_list.h"
@@ -64,7 +65,7 @@ Tensor unary(const Kernel& kernel, const Tensor& x, std::span<const Param> param
 
 // Kernels are shared by threads; making one is rare, so a function-local static guards it.
 #define NOVA_BINARY_OP(function, expression)                                                    \
-  Tensor function(const Tensor& a, const Tensor& b) {                                           \
+  auto& function##_op() {                                                                       \
     static auto f = [](const Real& x, const Real& y) { return expression; };                    \
     static Binary<decltype(f)> op = [] {                                                        \
       Binary<decltype(f)> made{#function, f};                                                   \
@@ -74,36 +75,23 @@ Tensor unary(const Kernel& kernel, const Tensor& x, std::span<const Param> param
         (op.kernel(Access::Direct, Access::Direct), op.kernel(Access::Uniform, Access::Direct), \
          op.kernel(Access::Direct, Access::Uniform), true);                                     \
     (void)ready;                                                                                \
-    return binary(op, a, b);                                                                    \
+    return op;                                                                                  \
   }
 #define NOVA_UNARY_OP(function, expression)                                               \
-  Tensor function(const Tensor& x) {                                                      \
+  const Kernel& function##_kernel() {                                                     \
     static const Kernel kernel =                                                          \
         unary_kernel(#function, [](TraceContext&, const Real& v) { return expression; }); \
-    return unary(kernel, x);                                                              \
+    return kernel;                                                                        \
   }
-#define NOVA_SCALAR_OP(function, expression)                                   \
-  Tensor function(const Tensor& x, float b) {                                  \
-    static const Kernel kernel =                                               \
-        unary_kernel(#function "_scalar", [](TraceContext& c, const Real& v) { \
-          const Real s = c.param(0);                                           \
-          return expression;                                                   \
-        });                                                                    \
-    const Param params[] = {b};                                                \
-    return unary(kernel, x, params);                                           \
+// With a parameter s.
+#define NOVA_SCALAR_OP(function, name, expression)                                       \
+  const Kernel& function##_kernel() {                                                    \
+    static const Kernel kernel = unary_kernel(name, [](TraceContext& c, const Real& v) { \
+      const Real s = c.param(0);                                                         \
+      return expression;                                                                 \
+    });                                                                                  \
+    return kernel;                                                                       \
   }
-#define NOVA_SCALAR_FIRST_OP(function, expression)                             \
-  Tensor function(float a, const Tensor& x) {                                  \
-    static const Kernel kernel =                                               \
-        unary_kernel("scalar_" #function, [](TraceContext& c, const Real& v) { \
-          const Real s = c.param(0);                                           \
-          return expression;                                                   \
-        });                                                                    \
-    const Param params[] = {a};                                                \
-    return unary(kernel, x, params);                                           \
-  }
-
-}  // namespace
 
 NOVA_BINARY_OP(add, x + y)
 NOVA_BINARY_OP(sub, x - y)
@@ -111,12 +99,12 @@ NOVA_BINARY_OP(mul, x* y)
 NOVA_BINARY_OP(div, x / y)
 NOVA_BINARY_OP(minimum, min(x, y))
 NOVA_BINARY_OP(maximum, max(x, y))
-NOVA_SCALAR_OP(add, v + s)
-NOVA_SCALAR_OP(sub, v - s)
-NOVA_SCALAR_OP(mul, v* s)
-NOVA_SCALAR_OP(div, v / s)
-NOVA_SCALAR_FIRST_OP(sub, s - v)
-NOVA_SCALAR_FIRST_OP(div, s / v)
+NOVA_SCALAR_OP(add_scalar, "add_scalar", v + s)
+NOVA_SCALAR_OP(sub_scalar, "sub_scalar", v - s)
+NOVA_SCALAR_OP(mul_scalar, "mul_scalar", v* s)
+NOVA_SCALAR_OP(div_scalar, "div_scalar", v / s)
+NOVA_SCALAR_OP(scalar_sub, "scalar_sub", s - v)
+NOVA_SCALAR_OP(scalar_div, "scalar_div", s / v)
 NOVA_UNARY_OP(neg, -v)
 NOVA_UNARY_OP(abs, abs(v))
 NOVA_UNARY_OP(sqrt, sqrt(v))
@@ -125,6 +113,65 @@ NOVA_UNARY_OP(log, log(v))
 NOVA_UNARY_OP(sin, sin(v))
 NOVA_UNARY_OP(cos, cos(v))
 NOVA_UNARY_OP(tanh, tanh(v))
+
+const Kernel& where_kernel() {
+  static const Kernel kernel = make_kernel(
+      "where",
+      {{"condition", DType::I32, 1, Access::Direct},
+       {"a", DType::F32, 1, Access::Direct},
+       {"b", DType::F32, 1, Access::Direct}},
+      {{"out", 1}},
+      [](TraceContext& c) { return std::vector{select(c.i32(0) != Int(0), c.f32(1), c.f32(2))}; });
+  return kernel;
+}
+
+// The adjoint of a sum of rows: every row gets the gradient of the sum.
+const Kernel& broadcast_kernel() {
+  static const Kernel kernel = make_kernel(
+      "broadcast", {{"row", DType::F32, 1, Access::Indexed}}, {{"out", 1}},
+      [](TraceContext& c) { return std::vector{c.f32(0, c.index() % c.param_i32(0), 0)}; });
+  return kernel;
+}
+
+Tensor with_parameter(const Kernel& kernel, const Tensor& x, float value) {
+  const Param params[] = {value};
+  return unary(kernel, x, params);
+}
+
+}  // namespace
+
+#define NOVA_DEFINE_BINARY(function) \
+  Tensor function(const Tensor& a, const Tensor& b) { return binary(function##_op(), a, b); }
+#define NOVA_DEFINE_UNARY(function) \
+  Tensor function(const Tensor& x) { return unary(function##_kernel(), x); }
+#define NOVA_BINARY_OPS(X) X(add) X(sub) X(mul) X(div) X(minimum) X(maximum)
+#define NOVA_UNARY_OPS(X) X(neg) X(abs) X(sqrt) X(exp) X(log) X(sin) X(cos) X(tanh)
+#define NOVA_SCALAR_OPS(X) \
+  X(add_scalar) X(sub_scalar) X(mul_scalar) X(div_scalar) X(scalar_sub) X(scalar_div)
+
+NOVA_BINARY_OPS(NOVA_DEFINE_BINARY)
+NOVA_UNARY_OPS(NOVA_DEFINE_UNARY)
+Tensor add(const Tensor& x, float b) { return with_parameter(add_scalar_kernel(), x, b); }
+Tensor sub(const Tensor& x, float b) { return with_parameter(sub_scalar_kernel(), x, b); }
+Tensor mul(const Tensor& x, float b) { return with_parameter(mul_scalar_kernel(), x, b); }
+Tensor div(const Tensor& x, float b) { return with_parameter(div_scalar_kernel(), x, b); }
+Tensor sub(float a, const Tensor& x) { return with_parameter(scalar_sub_kernel(), x, a); }
+Tensor div(float a, const Tensor& x) { return with_parameter(scalar_div_kernel(), x, a); }
+
+void detail::add_op_kernels(EngineKernels& list) {
+  const auto add_one = [&](const Kernel& k) { list.push_back({k, every_gradient(k)}); };
+#define NOVA_LIST_BINARY(function)                           \
+  for (const Access a : {Access::Direct, Access::Uniform})   \
+    for (const Access b : {Access::Direct, Access::Uniform}) \
+      if (a == Access::Direct || b == Access::Direct) add_one(function##_op().kernel(a, b));
+#define NOVA_LIST_UNARY(function) add_one(function##_kernel());
+  NOVA_BINARY_OPS(NOVA_LIST_BINARY)
+  NOVA_UNARY_OPS(NOVA_LIST_UNARY)
+  NOVA_SCALAR_OPS(NOVA_LIST_UNARY)
+  add_one(detail::clamp_kernel());
+  add_one(where_kernel());
+  list.push_back({broadcast_kernel(), {}});  // only ever part of a backward
+}
 
 const Kernel& detail::clamp_kernel() {
   static const Kernel kernel = unary_kernel("clamp", [](TraceContext& c, const Real& v) {
@@ -137,7 +184,6 @@ void detail::check_limits(const char* call, float lower, float upper) {
   require(lower <= upper, ErrorKind::Value, call, ": expected lower <= upper, got ", lower, " and ",
           upper);
 }
-
 Tensor clamp(const Tensor& x, float lower, float upper) {
   detail::check_limits("clamp", lower, upper);
   const Param params[] = {lower, upper};
@@ -145,13 +191,6 @@ Tensor clamp(const Tensor& x, float lower, float upper) {
 }
 
 Tensor where(const Tensor& condition, const Tensor& a, const Tensor& b) {
-  static const Kernel kernel = make_kernel(
-      "where",
-      {{"condition", DType::I32, 1, Access::Direct},
-       {"a", DType::F32, 1, Access::Direct},
-       {"b", DType::F32, 1, Access::Direct}},
-      {{"out", 1}},
-      [](TraceContext& c) { return std::vector{select(c.i32(0) != Int(0), c.f32(1), c.f32(2))}; });
   require(condition.defined() && condition.dtype() == DType::I32, ErrorKind::Type,
           "where, condition: expected int32");
   check_f32(a, {"where", "a"});
@@ -162,7 +201,7 @@ Tensor where(const Tensor& condition, const Tensor& a, const Tensor& b) {
   const Tensor out(a.shape(), DType::F32, a.device());
   const Operand in[] = {condition.flat_operand(), a.flat_operand(), b.flat_operand()};
   const Operand to = out.flat_operand();
-  kernel.launch(out.size(), in, {&to, 1});
+  where_kernel().launch(out.size(), in, {&to, 1});
   return out;
 }
 
@@ -175,12 +214,9 @@ Tensor sum_of_rows(const Operand& x, Shape shape, const Tensor& source) {
   if (Tape* tape = Tape::active())
     tape->record_custom("sum", {source}, {out}, [x](const std::vector<Tensor>& g) {
       const Tensor spread(Shape{x.rows, x.width}, DType::F32, g[0].device());
-      static const Kernel kernel = make_kernel(
-          "broadcast", {{"row", DType::F32, 1, Access::Indexed}}, {{"out", 1}},
-          [](TraceContext& c) { return std::vector{c.f32(0, c.index() % c.param_i32(0), 0)}; });
       const Operand in = g[0].flat_operand(), to = spread.flat_operand();
       const Param params[] = {x.width};
-      kernel.launch(spread.size(), {&in, 1}, {&to, 1}, {.params = params});
+      broadcast_kernel().launch(spread.size(), {&in, 1}, {&to, 1}, {.params = params});
       return std::vector<Tensor>{spread};
     });
   return out;

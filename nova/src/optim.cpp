@@ -3,6 +3,7 @@
 
 #include <cmath>
 
+#include "engine_kernels.h"
 #include "novaphy/math/types.h"
 #include "novaphy/nova/kernel.h"
 #include "novaphy/nova/tape.h"
@@ -32,23 +33,16 @@ Vec3<Real> clip(const Vec3<Real>& v, const Real& limit) {
   return novaphy::math::select(too_long, v * (limit / l), v);
 }
 
-}  // namespace
-
-void sgd_update_f32(const Tensor& param, float learning_rate) {
+const Kernel& sgd_kernel() {
   static const Kernel kernel = make_kernel(
       "sgd_update_f32",
       {{"param", DType::F32, 1, Access::Direct}, {"grad", DType::F32, 1, Access::Direct}},
       {{"param", 1}},
       [](TraceContext& c) { return std::vector{c.f32(0) - c.f32(1) * c.param(0)}; });
-  check_param(param, learning_rate, "sgd_update_f32");
-  NoGrad no_grad;
-  const Operand in[] = {param.flat_operand(), detail::grad_operand(param)};
-  const Param params[] = {learning_rate};
-  kernel.launch(param.size(), in, {&in[0], 1}, {.params = params});
+  return kernel;
 }
 
-void sgd_update_vec3_clipped_f32(const Tensor& param, float learning_rate, float max_parameter_norm,
-                                 float max_gradient_norm) {
+const Kernel& sgd_vec3_clipped_kernel() {
   static const Kernel kernel = make_kernel(
       "sgd_update_vec3_clipped_f32",
       {{"param", DType::F32, 3, Access::Direct}, {"grad", DType::F32, 3, Access::Direct}},
@@ -60,6 +54,30 @@ void sgd_update_vec3_clipped_f32(const Tensor& param, float learning_rate, float
         const Vec3<Real> out = novaphy::math::select(finite, moved, p);
         return std::vector{out.x, out.y, out.z};
       });
+  return kernel;
+}
+
+}  // namespace
+
+// Updates are never recorded, so they have no gradients.
+void detail::add_optim_kernels(EngineKernels& list) {
+  list.push_back({sgd_kernel(), {}});
+  list.push_back({sgd_vec3_clipped_kernel(), {}});
+  add_sgd_kernels(list);
+  add_adam_kernels(list);
+  add_clip_kernels(list);
+}
+
+void sgd_update_f32(const Tensor& param, float learning_rate) {
+  check_param(param, learning_rate, "sgd_update_f32");
+  NoGrad no_grad;
+  const Operand in[] = {param.flat_operand(), detail::grad_operand(param)};
+  const Param params[] = {learning_rate};
+  sgd_kernel().launch(param.size(), in, {&in[0], 1}, {.params = params});
+}
+
+void sgd_update_vec3_clipped_f32(const Tensor& param, float learning_rate, float max_parameter_norm,
+                                 float max_gradient_norm) {
   check_param(param, learning_rate, "sgd_update_vec3_clipped_f32");
   require(param.row_width() == 3, ErrorKind::Value,
           "sgd_update_vec3_clipped_f32, param: expected {n, 3}, got ", shape_str(param.shape()));
@@ -68,7 +86,7 @@ void sgd_update_vec3_clipped_f32(const Tensor& param, float learning_rate, float
   NoGrad no_grad;
   const Operand in[] = {param.operand(), param.grad().operand()};
   const Param params[] = {learning_rate, max_parameter_norm, max_gradient_norm};
-  kernel.launch(param.rows(), in, {&in[0], 1}, {.params = params});
+  sgd_vec3_clipped_kernel().launch(param.rows(), in, {&in[0], 1}, {.params = params});
 }
 
 }  // namespace nova

@@ -1,6 +1,7 @@
 // Adam: the function and the class.
 #include <cmath>
 
+#include "engine_kernels.h"
 #include "novaphy/nova/kernel.h"
 #include "novaphy/nova/tape.h"
 #include "optim_impl.h"
@@ -39,9 +40,7 @@ Real bias_correction(const Int& count, const Real& beta) {
   return total;
 }
 
-// t += 1, and both bias corrections for it: once a step, because they are many operations, and one
-// step of the class has one t for all parameters.
-void advance(const Tensor& t, const Tensor& correction, const AdamOptions& options) {
+const Kernel& adam_advance_kernel() {
   static const Kernel kernel =
       make_kernel("adam_advance_f32", {{"t", DType::F32, 1, Access::Direct}},
                   {{"t", 1}, {"correction", 2}}, [](TraceContext& c) {
@@ -49,13 +48,18 @@ void advance(const Tensor& t, const Tensor& correction, const AdamOptions& optio
                     return std::vector{to_real(count), bias_correction(count, c.param(0)),
                                        bias_correction(count, c.param(1))};
                   });
-  const Operand in = t.flat_operand(), out[] = {in, correction.operand()};
-  const Param params[] = {options.beta1, options.beta2};
-  kernel.launch(1, {&in, 1}, out, {.params = params});
+  return kernel;
 }
 
-void update(const Tensor& param, const Tensor& m, const Tensor& v, const Tensor& correction,
-            const AdamOptions& options) {
+// t += 1, and both bias corrections for it: once a step, because they are many operations, and one
+// step of the class has one t for all parameters.
+void advance(const Tensor& t, const Tensor& correction, const AdamOptions& options) {
+  const Operand in = t.flat_operand(), out[] = {in, correction.operand()};
+  const Param params[] = {options.beta1, options.beta2};
+  adam_advance_kernel().launch(1, {&in, 1}, out, {.params = params});
+}
+
+const Kernel& adam_update_kernel() {
   static const Kernel kernel =
       make_kernel("adam_update_f32",
                   {{"param", DType::F32, 1, Access::Direct},
@@ -72,10 +76,15 @@ void update(const Tensor& param, const Tensor& m, const Tensor& v, const Tensor&
                     const Real p = c.f32(0) - lr * m_hat / (sqrt(v_hat) + c.param(3));
                     return std::vector{p, new_m, new_v};
                   });
+  return kernel;
+}
+
+void update(const Tensor& param, const Tensor& m, const Tensor& v, const Tensor& correction,
+            const AdamOptions& options) {
   const Operand in[] = {param.flat_operand(), m.flat_operand(), v.flat_operand(),
                         detail::grad_operand(param), correction.operand()};
   const Param params[] = {options.lr, options.beta1, options.beta2, options.eps};
-  kernel.launch(param.size(), in, {in, 3}, {.params = params});
+  adam_update_kernel().launch(param.size(), in, {in, 3}, {.params = params});
 }
 
 // Two floats for advance to write.
@@ -108,6 +117,10 @@ void check_state(const Tensor& param, const Tensor& m, const Tensor& v, const Te
 }
 
 }  // namespace
+
+void detail::add_adam_kernels(EngineKernels& list) {
+  for (const Kernel* k : {&adam_advance_kernel(), &adam_update_kernel()}) list.push_back({*k, {}});
+}
 
 void adam_update_f32(const Tensor& param, const Tensor& m, const Tensor& v, const Tensor& t,
                      float lr, float beta1, float beta2, float eps) {

@@ -2,6 +2,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "engine_kernels.h"
 #include "novaphy/nova/incidence.h"
 #include "novaphy/nova/kernel.h"
 #include "novaphy/nova/tape.h"
@@ -15,12 +16,16 @@ using novaphy::Storage;
 
 namespace {
 
+const Kernel& square_kernel() {
+  static const Kernel kernel =
+      make_kernel("square_f32", {{"x", DType::F32, 1, Access::Direct}}, {{"out", 1}},
+                  [](TraceContext& c) { return std::vector{c.f32(0) * c.f32(0)}; });
+  return kernel;
+}
+
 // total = the sum of the squares of all gradients, as one row sum that goes on from one parameter
 // to the next.
 void sum_squares(const std::vector<Tensor>& params, const Operand& total) {
-  static const Kernel square =
-      make_kernel("square_f32", {{"x", DType::F32, 1, Access::Direct}}, {{"out", 1}},
-                  [](TraceContext& c) { return std::vector{c.f32(0) * c.f32(0)}; });
   int64_t most = 0;
   for (const Tensor& p : params) most = std::max(most, p.size());
   const auto squares = Storage::allocate(static_cast<size_t>(most) * sizeof(float),
@@ -29,7 +34,7 @@ void sum_squares(const std::vector<Tensor>& params, const Operand& total) {
   for (size_t k = 0; k < params.size(); ++k) {
     const int64_t n = params[k].size();
     const Operand in = detail::grad_operand(params[k]), out{squares, n, 1};
-    square.launch(n, {&in, 1}, {&out, 1});
+    square_kernel().launch(n, {&in, 1}, {&out, 1});
     row_sum(out, 1, n, k == 0 ? nullptr : &total, total);
   }
 }
@@ -37,9 +42,7 @@ void sum_squares(const std::vector<Tensor>& params, const Operand& total) {
 // PyTorch's, which keeps a norm of 0 from dividing.
 constexpr float kNormEpsilon = 1e-6f;
 
-// total becomes the norm; factor what the gradients are multiplied with, 0 for a norm that is not
-// finite.
-void norm_and_factor(const Operand& total, const Operand& factor, float max_norm) {
+const Kernel& clip_factor_kernel() {
   static const Kernel kernel =
       make_kernel("clip_factor_f32", {{"total", DType::F32, 1, Access::Direct}},
                   {{"norm", 1}, {"factor", 1}}, [](TraceContext& c) {
@@ -48,12 +51,18 @@ void norm_and_factor(const Operand& total, const Operand& factor, float max_norm
                     const Real wanted = c.param(0) / (norm + Real(kNormEpsilon));
                     return std::vector{norm, select(finite, min(wanted, Real(1.0f)), Real(0.0f))};
                   });
-  const Operand out[] = {total, factor};
-  const Param params[] = {max_norm};
-  kernel.launch(1, {&total, 1}, out, {.params = params});
+  return kernel;
 }
 
-void scale(const Operand& grad, const Operand& factor) {
+// total becomes the norm; factor what the gradients are multiplied with, 0 for a norm that is not
+// finite.
+void norm_and_factor(const Operand& total, const Operand& factor, float max_norm) {
+  const Operand out[] = {total, factor};
+  const Param params[] = {max_norm};
+  clip_factor_kernel().launch(1, {&total, 1}, out, {.params = params});
+}
+
+const Kernel& scale_grad_kernel() {
   static const Kernel kernel = make_kernel(
       "scale_grad_f32",
       {{"grad", DType::F32, 1, Access::Direct}, {"factor", DType::F32, 1, Access::Uniform}},
@@ -62,8 +71,12 @@ void scale(const Operand& grad, const Operand& factor) {
         // 0 times a gradient that is not finite would be NaN.
         return std::vector{select(by == zero, zero, c.f32(0) * by)};
       });
+  return kernel;
+}
+
+void scale(const Operand& grad, const Operand& factor) {
   const Operand in[] = {grad, factor};
-  kernel.launch(grad.rows, in, {in, 1});
+  scale_grad_kernel().launch(grad.rows, in, {in, 1});
 }
 
 void clamp_in_place(const Operand& x, float lower, float upper) {
@@ -72,6 +85,11 @@ void clamp_in_place(const Operand& x, float lower, float upper) {
 }
 
 }  // namespace
+
+void detail::add_clip_kernels(EngineKernels& list) {
+  for (const Kernel* k : {&square_kernel(), &clip_factor_kernel(), &scale_grad_kernel()})
+    list.push_back({*k, {}});
+}
 
 Tensor clip_grad_norm_(const std::vector<Tensor>& params, float max_norm) {
   detail::check_params(params, "clip_grad_norm_");

@@ -1,6 +1,7 @@
 // The class SGD, and what it shares with Adam.
 #include <cmath>
 
+#include "engine_kernels.h"
 #include "novaphy/nova/kernel.h"
 #include "novaphy/nova/tape.h"
 #include "optim_impl.h"
@@ -30,21 +31,23 @@ Real decayed(const Real& grad, const Real& p, const Real& weight_decay) {
   return select(weight_decay == Real(0.0f), grad, grad + weight_decay * p);
 }
 
-void update(const Tensor& param, float lr, float weight_decay) {
+const Kernel& sgd_step_kernel() {
   static const Kernel kernel = make_kernel(
       "sgd_step_f32",
       {{"param", DType::F32, 1, Access::Direct}, {"grad", DType::F32, 1, Access::Direct}},
       {{"param", 1}}, [](TraceContext& c) {
         return std::vector{c.f32(0) - c.param(0) * decayed(c.f32(1), c.f32(0), c.param(1))};
       });
-  const Operand in[] = {param.flat_operand(), detail::grad_operand(param)};
-  const Param params[] = {lr, weight_decay};
-  kernel.launch(param.size(), in, {in, 1}, {.params = params});
+  return kernel;
 }
 
-// t counts the steps, this one included.
-void update_with_momentum(const Tensor& param, const Tensor& b, const Tensor& t, float lr,
-                          const SGDOptions& options) {
+void update(const Tensor& param, float lr, float weight_decay) {
+  const Operand in[] = {param.flat_operand(), detail::grad_operand(param)};
+  const Param params[] = {lr, weight_decay};
+  sgd_step_kernel().launch(param.size(), in, {in, 1}, {.params = params});
+}
+
+const Kernel& sgd_momentum_kernel() {
   static const Kernel kernel =
       make_kernel("sgd_momentum_step_f32",
                   {{"param", DType::F32, 1, Access::Direct},
@@ -60,19 +63,29 @@ void update_with_momentum(const Tensor& param, const Tensor& b, const Tensor& t,
                     const Real move = select(nesterov, g + momentum * new_b, new_b);
                     return std::vector{c.f32(0) - c.param(0) * move, new_b};
                   });
+  return kernel;
+}
+
+// t counts the steps, this one included.
+void update_with_momentum(const Tensor& param, const Tensor& b, const Tensor& t, float lr,
+                          const SGDOptions& options) {
   const Operand in[] = {param.flat_operand(), b.flat_operand(), detail::grad_operand(param),
                         t.operand()};
   const Param params[] = {lr, options.momentum, options.dampening, options.weight_decay,
                           static_cast<int32_t>(options.nesterov)};
-  kernel.launch(param.size(), in, {in, 2}, {.params = params});
+  sgd_momentum_kernel().launch(param.size(), in, {in, 2}, {.params = params});
 }
 
-void advance(const Tensor& t) {
+const Kernel& step_count_kernel() {
   static const Kernel kernel = make_kernel(
       "step_count_f32", {{"t", DType::F32, 1, Access::Direct}}, {{"t", 1}},
       [](TraceContext& c) { return std::vector{to_real(detail::next_count(c.f32(0)))}; });
+  return kernel;
+}
+
+void advance(const Tensor& t) {
   const Operand operand = t.operand();
-  kernel.launch(1, {&operand, 1}, {&operand, 1});
+  step_count_kernel().launch(1, {&operand, 1}, {&operand, 1});
 }
 
 }  // namespace
@@ -105,3 +118,9 @@ void SGD::step() const {
 }
 
 }  // namespace nova::optim
+
+void nova::detail::add_sgd_kernels(EngineKernels& list) {
+  for (const Kernel* k :
+       {&optim::sgd_step_kernel(), &optim::sgd_momentum_kernel(), &optim::step_count_kernel()})
+    list.push_back({*k, {}});
+}

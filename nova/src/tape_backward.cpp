@@ -4,6 +4,7 @@
 #include <array>
 
 #include "adjoint_launch.h"
+#include "engine_kernels.h"
 #include "novaphy/core/error.h"
 #include "novaphy/core/parallel.h"
 #include "novaphy/nova/op_list.h"
@@ -19,19 +20,23 @@ using novaphy::Storage;
 
 namespace {
 
-// a += b over all values, in place.
-void accumulate(const Operand& into, const Operand& from) {
+const Kernel& accumulate_kernel() {
   static const Kernel kernel =
       make_kernel("accumulate_gradient",
                   {{"a", DType::F32, 1, Access::Direct}, {"b", DType::F32, 1, Access::Direct}},
                   {{"sum", 1}}, [](TraceContext& c) { return std::vector{c.f32(0) + c.f32(1)}; });
+  return kernel;
+}
+
+// a += b over all values, in place.
+void accumulate(const Operand& into, const Operand& from) {
   auto flat = [](Operand o) {
     o.rows *= o.width;
     o.width = 1;
     return o;
   };
   const Operand in[] = {flat(into), flat(from)};
-  kernel.launch(in[0].rows, in, {&in[0], 1});
+  accumulate_kernel().launch(in[0].rows, in, {&in[0], 1});
 }
 
 void fill_zero_now(Range& range) {
@@ -44,6 +49,8 @@ void fill_zero_now(Range& range) {
 uint64_t bit(uint32_t k) { return uint64_t{1} << k; }
 
 }  // namespace
+
+void detail::add_tape_kernels(EngineKernels& list) { list.push_back({accumulate_kernel(), {}}); }
 
 // Whether an earlier input of the operation that carries a gradient is the same range.
 bool Tape::Impl::bound_before(const Op& op, uint32_t s) const {

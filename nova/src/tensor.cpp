@@ -2,6 +2,7 @@
 
 #include <mutex>
 
+#include "engine_kernels.h"
 #include "novaphy/core/backend.h"
 #include "novaphy/core/error.h"
 #include "novaphy/nova/kernel.h"
@@ -270,6 +271,11 @@ const Kernel& copy_kernel(DType dtype) {
   return f32;
 }
 }  // namespace
+
+void detail::add_tensor_kernels(EngineKernels& list) {
+  const Kernel& kernel = copy_kernel(DType::F32);
+  list.push_back({kernel, every_gradient(kernel)});
+}
 
 void Tensor::copy_(const Tensor& source) const {
   if (source.size() != size() || source.dtype() != dtype())

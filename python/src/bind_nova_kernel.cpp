@@ -255,9 +255,32 @@ void bind_nova_kernel(py::module_& m) {
           "hash", [](const PyKernel& k) { return k.kernel.hash(); },
           "64 bits: equal for equal computations.")
       .def(
-          "source", [](const PyKernel& k) { return k.kernel.source(); }, "The Program as text.")
+          "source",
+          [](const PyKernel& k, const std::string& form) { return k.kernel.source(form); },
+          "form"_a = "c",
+          "As text: \"c\", what a C compiler gets (engine kernels) or would get; \"program\", the "
+          "Program itself. ValueError: another form.")
       .def("__repr__",
            [](const PyKernel& k) { return "IndexedKernel('" + k.kernel.name() + "')"; });
+  py::class_<nova::KernelInfo>(m, "KernelInfo", "How a Program runs on a device.")
+      .def_readonly("name", &nova::KernelInfo::name,
+                    "The kernel's; adjoints end in \".adjoint\" or \".adjoint_items\".")
+      .def_readonly("hash", &nova::KernelInfo::hash, "Of the Program.")
+      .def_property_readonly(
+          "device", [](const nova::KernelInfo& i) { return i.device.str(); }, "\"cpu\", ...")
+      .def_readonly("how", &nova::KernelInfo::how,
+                    "\"native\", \"interpreter\", or \"unknown\" where the backend does not tell.")
+      .def_readonly("isa", &nova::KernelInfo::isa, "The instruction set: \"avx2\", ...")
+      .def_readonly("lanes", &nova::KernelInfo::lanes, "Rows per vector of the processor.")
+      .def("__repr__", [](const nova::KernelInfo& i) {
+        return "KernelInfo(name='" + i.name + "', device='" + i.device.str() + "', how='" + i.how +
+               "', isa='" + i.isa + "', lanes=" + std::to_string(i.lanes) + ")";
+      });
+  m.def(
+      "kernel_info", [] { return nova::kernel_info(); },
+      "How each kernel and adjoint runs that was made ready for a device so far, in that order: a "
+      "list of "
+      "KernelInfo.");
   m.def("make_indexed_kernel", &make_indexed, "name"_a, "sources"_a, "outputs"_a, "fn"_a,
         "A kernel out[i] = fn(i) from a Python function that is traced once: fn(c) reads sources "
         "through the TraceContext c "

@@ -3,6 +3,7 @@
 #include <gtest/gtest.h>
 
 #include <cmath>
+#include <cstddef>
 #include <cstdio>
 #include <cstring>
 #include <memory>
@@ -50,7 +51,11 @@ std::vector<uint32_t> Buffer::read() const {
 
 Module::Module(const ir::Program& program) {
   const std::vector<uint32_t> words = ir::serialise(program);
+  if (std::FILE* file = backend().collected) {
+    EXPECT_EQ(std::fwrite(words.data(), 4, words.size(), file), words.size());
+  }
   create(NOVAPHY_CODE_PROGRAM, words.data(), words.size() * 4);
+  count_form();
 }
 Module::Module(const char* builtin) { create(NOVAPHY_CODE_BUILTIN, builtin, std::strlen(builtin)); }
 
@@ -61,6 +66,18 @@ void Module::create(int32_t format, const void* data, uint64_t bytes) {
       << error.message;
   if (module_ == nullptr) return;
   EXPECT_EQ(b.api->kernel_get(module_, "main", &kernel_, &error), NOVAPHY_OK) << error.message;
+}
+
+// Which form the tests covered, where the backend tells.
+void Module::count_form() const {
+  Backend& b = backend();
+  constexpr size_t end = offsetof(novaphy_backend_api, kernel_info) + sizeof(b.api->kernel_info);
+  if (kernel_ == nullptr || b.api->struct_size < end || b.api->kernel_info == nullptr) return;
+  novaphy_kernel_info info{};
+  info.struct_size = sizeof(info);
+  novaphy_error error = make_error();
+  EXPECT_EQ(b.api->kernel_info(kernel_, &info, &error), NOVAPHY_OK) << error.message;
+  ++(info.native != 0 ? b.native : b.interpreted);
 }
 
 Module::~Module() {

@@ -3,6 +3,7 @@
 #pragma once
 
 #include <cstdint>
+#include <cstdio>
 #include <optional>
 #include <string>
 #include <vector>
@@ -20,6 +21,8 @@ struct Backend {
   novaphy_device* device = nullptr;
   novaphy_stream* stream = nullptr;
   int32_t device_total = 0;
+  std::FILE* collected = nullptr;       // receives the words of every Program that is tested
+  int64_t native = 0, interpreted = 0;  // Programs, by how the backend says that they run
 };
 Backend& backend();
 
@@ -67,6 +70,7 @@ class Module {
 
  private:
   void create(int32_t format, const void* data, uint64_t bytes);
+  void count_form() const;
   novaphy_module* module_ = nullptr;
   novaphy_kernel* kernel_ = nullptr;
 };

@@ -1,7 +1,9 @@
 // Conformance of a backend to <novaphy/abi/backend.h> and <novaphy/abi/program.h>.
 //   test_conformance --backend <path of a plugin, or a device type> [--require <device type>]
-//   [gtest options]
-// A backend without a device skips with its reason; --require makes that a failure.
+//   [--collect <file>] [--native] [gtest options]
+// --collect writes the Programs that were tested, one after the other, for the kernel generator.
+// --native asks that the backend runs at least half of them as compiled kernels. A backend without
+// a device skips with its reason; --require makes that a failure.
 #include <dlfcn.h>
 #include <gtest/gtest.h>
 
@@ -70,13 +72,18 @@ bool open(const std::string& name) {
 
 int main(int argc, char** argv) {
   testing::InitGoogleTest(&argc, argv);
-  std::string name, required;
+  std::string name, required, collected;
+  bool native = false;
   for (int k = 1; k < argc; ++k) {
     const bool has_value = k + 1 < argc;
     if (std::strcmp(argv[k], "--backend") == 0 && has_value) {
       name = argv[++k];
     } else if (std::strcmp(argv[k], "--require") == 0 && has_value) {
       required = argv[++k];
+    } else if (std::strcmp(argv[k], "--collect") == 0 && has_value) {
+      collected = argv[++k];
+    } else if (std::strcmp(argv[k], "--native") == 0) {
+      native = true;
     } else {
       std::fprintf(stderr, "unknown argument '%s'\n", argv[k]);
       return 2;
@@ -98,7 +105,19 @@ int main(int argc, char** argv) {
                  g_reason.c_str());
     return required.empty() ? 77 : 1;  // CTest's SKIP_RETURN_CODE
   }
+  auto& b = backend();
+  if (!collected.empty() && (b.collected = std::fopen(collected.c_str(), "wb")) == nullptr) {
+    std::fprintf(stderr, "cannot write %s\n", collected.c_str());
+    return 2;
+  }
   const int status = RUN_ALL_TESTS();
+  if (b.collected != nullptr && std::fclose(b.collected) != 0) return 2;
+  std::printf("%lld Programs ran natively, %lld in an interpreter\n",
+              static_cast<long long>(b.native), static_cast<long long>(b.interpreted));
+  if (native && b.native < b.interpreted) {
+    std::fprintf(stderr, "too few Programs ran as compiled kernels\n");
+    return 1;
+  }
   if (testing::UnitTest::GetInstance()->test_to_run_count() == 0) {
     std::fprintf(stderr, "no test was run\n");
     return 1;

@@ -149,6 +149,57 @@ TEST(BackendRegistry, ReportsABadNumberOfThreadsOrInstructionSetWhenTheDeviceOpe
       << isa.output;
 }
 
+// A copy of the core library in a folder of its own, without the plugin beside it.
+class CoreAlone {
+ public:
+  CoreAlone() {
+    namespace fs = std::filesystem;
+    for (const auto& entry : fs::directory_iterator(NOVAPHY_LIBRARY_DIR))
+      if (contains(entry.path().filename().string(), "libnovaphy_core.so") && !entry.is_symlink())
+        fs::copy_file(entry.path(), folder_.path() / NOVAPHY_CORE_SONAME);
+  }
+  void add_plugin(const std::string& file) const {
+    std::filesystem::create_directory(folder_.path() / "novaphy_backends");
+    std::filesystem::copy_file(file,
+                               folder_.path() / "novaphy_backends" / "libnovaphy_backend_cpu.so");
+  }
+  ProbeResult open(const std::string& environment) const {
+    return probe("LD_LIBRARY_PATH=" + folder_.path().string() + " " + environment, "open cpu");
+  }
+
+ private:
+  TemporaryFolder folder_;
+};
+constexpr const char* kInterpreted = "novaphy: kernels are interpreted";
+#ifdef NOVAPHY_WITH_NATIVE_KERNELS
+constexpr bool kSaysSo = true;
+#else
+constexpr bool kSaysSo = false;  // none were to be expected
+#endif
+
+TEST(BackendRegistry, WithoutTheCpuPluginItComputesAndSaysThatKernelsAreInterpreted) {
+  const CoreAlone core;
+  const ProbeResult result = core.open("");
+  EXPECT_EQ(result.code, 0) << result.output;
+  const size_t first = result.output.find(kInterpreted);
+  EXPECT_EQ(first != std::string::npos, kSaysSo) << result.output;
+  if (kSaysSo) {
+    EXPECT_EQ(result.output.find(kInterpreted, first + 1), std::string::npos) << "once";
+    EXPECT_TRUE(contains(result.output, "no file libnovaphy_backend_cpu.so in")) << result.output;
+  }
+  EXPECT_FALSE(contains(core.open("NOVAPHY_QUIET=1").output, kInterpreted));
+  EXPECT_FALSE(contains(probe("", "open cpu").output, kInterpreted)) << "with the plugin";
+}
+TEST(BackendRegistry, RefusesTheCpuPluginOfAnotherVersion) {
+  const CoreAlone core;
+  core.add_plugin(plugin_file("second_cpu"));
+  const ProbeResult result = core.open("");
+  EXPECT_EQ(result.code, 0) << result.output;
+  EXPECT_EQ(contains(result.output, "it is of version 1.2.3, this library of"), kSaysSo)
+      << result.output;
+  EXPECT_FALSE(contains(core.open("NOVAPHY_DISABLE_BACKENDS=cpu").output, kInterpreted));
+}
+
 TEST(BackendRegistry, OpensADeviceOnce) {
   const DeviceContext& first = device_context(Device::cpu());
   EXPECT_EQ(&first, &device_context(Device::cpu()));

@@ -29,8 +29,8 @@ struct novaphy_event {
   bool recorded = false;
 };
 struct novaphy_kernel {
-  const novaphy::cpu::Builtin* builtin = nullptr;  // null: the executable
-  novaphy::cpu::Executable executable;
+  const novaphy::cpu::Builtin* builtin = nullptr;
+  std::unique_ptr<const novaphy::cpu::Executable> executable;  // without a builtin
   uint32_t argument_count = 0;
 };
 struct novaphy_module {
@@ -265,8 +265,8 @@ novaphy_status create_program(const IsaTable& isa, const void* data, uint64_t by
   if (!nova::ir::deserialise(words, program, reason)) {
     return fail(error, NOVAPHY_INVALID_ARGUMENT, "%s", reason.c_str());
   }
-  kernel.executable = compile(program, isa);
-  kernel.argument_count = kernel.executable.argument_count;
+  kernel.executable = std::make_unique<Executable>(std::move(program), isa);
+  kernel.argument_count = kernel.executable->argument_count;
   return NOVAPHY_OK;
 }
 
@@ -307,11 +307,11 @@ novaphy_status kernel_get(novaphy_module* module, const char* name, novaphy_kern
   return NOVAPHY_OK;
 }
 
-novaphy_status launch(novaphy_stream* stream, novaphy_kernel* kernel, int64_t n,
-                      const uint64_t* arguments, uint32_t argument_count, novaphy_error* error) {
+novaphy_status launch(novaphy_stream*, novaphy_kernel* kernel, int64_t n, const uint64_t* arguments,
+                      uint32_t argument_count, novaphy_error* error) {
   if (argument_count != kernel->argument_count) [[unlikely]] {
-    const char* name =
-        kernel->builtin != nullptr ? kernel->builtin->name : kernel->executable.name.c_str();
+    const char* name = kernel->builtin != nullptr ? kernel->builtin->name
+                                                  : kernel->executable->program.name.c_str();
     return fail(error, NOVAPHY_INVALID_ARGUMENT, "kernel '%s': expected %u argument words, got %u",
                 name, kernel->argument_count, argument_count);
   }
@@ -322,8 +322,32 @@ novaphy_status launch(novaphy_stream* stream, novaphy_kernel* kernel, int64_t n,
   }
   return guarded(error, [&] {
     if (kernel->builtin != nullptr) return kernel->builtin->run(*g_host, n, arguments, error);
-    return run_executable(kernel->executable, *stream->device->isa, *g_host, n, arguments, error);
+    return run_executable(*kernel->executable, *g_host, n, arguments, error);
   });
+}
+
+novaphy_status kernel_info(novaphy_kernel* kernel, novaphy_kernel_info* info,
+                           novaphy_error* error) {
+  const uint64_t size = info->struct_size;
+  if (size < sizeof(novaphy_kernel_info)) {
+    return fail(error, NOVAPHY_INVALID_ARGUMENT,
+                "kernel_info: struct_size: expected at least %zu, got %llu",
+                sizeof(novaphy_kernel_info), static_cast<unsigned long long>(size));
+  }
+  *info = {};
+  info->struct_size = size;
+  info->lanes = 1;
+  if (kernel->builtin != nullptr) {
+    info->native = 1;
+    std::snprintf(info->isa, sizeof(info->isa), "baseline");
+    return NOVAPHY_OK;
+  }
+  const Executable& executable = *kernel->executable;
+  info->hash = nova::ir::hash(executable.program);
+  info->native = executable.native.rows != nullptr ? 1 : 0;
+  info->lanes = info->native != 0 ? executable.native.lanes : executable.isa.lanes;
+  std::snprintf(info->isa, sizeof(info->isa), "%s", executable.isa.name);
+  return NOVAPHY_OK;
 }
 
 constexpr novaphy_backend_api kApi = {
@@ -358,6 +382,7 @@ constexpr novaphy_backend_api kApi = {
     nullptr,
     nullptr,
     nullptr,
+    kernel_info,
 };
 
 }  // namespace

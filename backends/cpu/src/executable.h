@@ -9,6 +9,7 @@
 
 #include <stdint.h>
 
+#include "native.h"
 #include "ops.h"
 
 namespace novaphy::cpu {
@@ -45,13 +46,8 @@ enum CpuOp : uint16_t {
   kScalarOps
 };
 
-// Collects the out-of-range read of the smallest row, so that the message does not depend on
-// timing.
-struct ErrorSink {
-  int64_t index = INT64_MAX;
-  int64_t row = 0;
-  int32_t source = 0;
-  int32_t lock = 0;
+struct ErrorSink : novaphy_error_sink {
+  ErrorSink() : novaphy_error_sink{INT64_MAX, 0, 0, 0} {}
 };
 
 // A value at run time: a register (one word per lane) or a scalar (one word for all lanes).
@@ -139,6 +135,7 @@ struct ScalarCode {
 // scalars (bit k: operand k); with all operands scalar the result is a scalar.
 struct IsaTable {
   const char* name;
+  int32_t lanes;        // of a vector of the processor
   int64_t scalar_rows;  // up to so many rows the scalar form is faster (measured)
   BlockFn ops[kArithmeticOps][8];
   BlockFn index, store, end, loop_begin, loop_end;

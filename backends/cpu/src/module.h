@@ -3,11 +3,13 @@
 
 #include <stdint.h>
 
+#include <mutex>
 #include <string>
 #include <string_view>
 #include <vector>
 
 #include "executable.h"
+#include "native_tables.h"
 #include "novaphy/abi/backend.h"
 #include "novaphy/program/ir.h"
 
@@ -42,16 +44,29 @@ struct ScalarForm {
   std::vector<int32_t> source_widths, output_widths;
 };
 
-struct Executable {
-  std::string name;
-  std::vector<std::string> source_names;
-  uint32_t argument_count = 0;
-  uint32_t first_output = 0;
+// The two forms of the interpreter.
+struct Interpreted {
   BlockForm block;
   ScalarForm scalar;
 };
 
-Executable compile(const nova::ir::Program& program, const IsaTable& isa);
+class Executable {
+ public:
+  Executable(nova::ir::Program program, const IsaTable& isa);
+
+  const nova::ir::Program program;
+  const uint32_t argument_count;
+  const uint32_t first_output;
+  const IsaTable& isa;
+  const NativeCode native;
+  // Made at once without native code, else when a launch first needs it.
+  const Interpreted& interpreted() const;
+
+ private:
+  mutable std::once_flag once_;
+  mutable Interpreted interpreted_;
+};
+
 BlockForm make_block_form(const nova::ir::Program& program,
                           const std::vector<nova::ir::Step>& steps, const IsaTable& isa);
 ScalarForm make_scalar_form(const nova::ir::Program& program,
@@ -61,9 +76,17 @@ ScalarForm make_scalar_form(const nova::ir::Program& program,
 // calls.
 uint32_t* thread_scratch(size_t words);
 
-novaphy_status run_executable(const Executable& executable, const IsaTable& isa,
-                              const novaphy_host_api& host, int64_t n, const uint64_t* arguments,
-                              novaphy_error* error);
+// Rows per chunk of a launch that is shared out to threads: a multiple of every group.
+constexpr int64_t kChunkRows = 8 * kLanes;
+
+novaphy_status run_executable(const Executable& executable, const novaphy_host_api& host, int64_t n,
+                              const uint64_t* arguments, novaphy_error* error);
+// The native code, which hands the rows that it cannot do to the interpreter.
+void run_native(const Executable& executable, const novaphy_host_api& host, int64_t n,
+                const uint64_t* arguments, ErrorSink& sink);
+// The interpreter, on the calling thread.
+void interpret_rows(const Executable& executable, int64_t begin, int64_t end,
+                    const uint64_t* arguments, ErrorSink& sink);
 
 // A builtin: its argument count, and what runs it.
 struct Builtin {

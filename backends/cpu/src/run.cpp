@@ -10,7 +10,6 @@
 namespace novaphy::cpu {
 namespace {
 
-constexpr int64_t kChunkRows = 8 * kLanes;
 constexpr size_t kStackScalars = 1024;  // a scalar form with more of them uses the thread's scratch
 
 struct Scratch {
@@ -32,8 +31,8 @@ novaphy_status out_of_range(const Executable& executable, const ErrorSink& sink,
   const auto source = static_cast<size_t>(sink.source);
   return fail(error, NOVAPHY_INDEX_OUT_OF_RANGE,
               "kernel '%s': row i = %lld reads row %lld of source '%s', which has %lld rows",
-              executable.name.c_str(), static_cast<long long>(sink.index),
-              static_cast<long long>(sink.row), executable.source_names[source].c_str(),
+              executable.program.name.c_str(), static_cast<long long>(sink.index),
+              static_cast<long long>(sink.row), executable.program.sources[source].name.c_str(),
               static_cast<long long>(arguments[2 * source + 1]));
 }
 
@@ -48,7 +47,7 @@ void run_blocks(BlockContext& context, const BlockInstr* code, int64_t begin, in
 }
 
 struct Launch {
-  const Executable* executable;
+  const BlockForm* block;
   const uint64_t* arguments;
   const uint32_t* scalars;  // after the prologue
   ErrorSink* sink;
@@ -56,7 +55,7 @@ struct Launch {
 };
 
 BlockContext make_context(const Launch& launch) {
-  const BlockForm& block = launch.executable->block;
+  const BlockForm& block = *launch.block;
   const size_t register_words = static_cast<size_t>(block.register_count) * kLanes;
   const auto scalar_count = static_cast<size_t>(block.scalar_count);
   uint32_t* words = thread_scratch(register_words + scalar_count);
@@ -69,21 +68,25 @@ BlockContext make_context(const Launch& launch) {
   return context;
 }
 
-void run_chunk(void* opaque, int64_t chunk) {
-  const Launch& launch = *static_cast<const Launch*>(opaque);
-  const BlockForm& block = launch.executable->block;
-  const FloatMode mode;
+void run_rows(const Launch& launch, int64_t begin, int64_t end) {
+  const BlockForm& block = *launch.block;
   BlockContext context = make_context(launch);
   std::copy_n(launch.scalars, block.scalar_count, context.scalars);
-  const int64_t begin = chunk * kChunkRows;
-  run_blocks(context, block.code.data(), begin, std::min(launch.n, begin + kChunkRows));
+  run_blocks(context, block.code.data(), begin, end);
 }
 
-// Rows of the scalars are copied for every chunk, so that a chunk may write the ones that change in
-// its loops.
-novaphy_status run_block_form(const Executable& executable, const novaphy_host_api& host, int64_t n,
-                              const uint64_t* arguments, ErrorSink& sink) {
-  const BlockForm& block = executable.block;
+void run_chunk(void* opaque, int64_t chunk) {
+  const Launch& launch = *static_cast<const Launch*>(opaque);
+  const FloatMode mode;
+  const int64_t begin = chunk * kChunkRows;
+  run_rows(launch, begin, std::min(launch.n, begin + kChunkRows));
+}
+
+// Prepares a launch of the block form and gives it to `run`. Rows of the scalars are copied for
+// every chunk, so that a chunk may write the ones that change in its loops.
+template <class Run>
+void with_launch(const BlockForm& block, int64_t n, const uint64_t* arguments, ErrorSink& sink,
+                 const Run& run) {
   std::vector<uint32_t> large;
   uint32_t small[kStackScalars];
   uint32_t* scalars = small;
@@ -92,7 +95,7 @@ novaphy_status run_block_form(const Executable& executable, const novaphy_host_a
     scalars = large.data();
   }
   set_leaves(scalars, block.constants, block.parameter_words, arguments);
-  Launch launch{&executable, arguments, scalars, &sink, n};
+  Launch launch{&block, arguments, scalars, &sink, n};
   {
     BlockContext context{};
     context.scalars = scalars;
@@ -103,13 +106,38 @@ novaphy_status run_block_form(const Executable& executable, const novaphy_host_a
     const BlockInstr* next = block.prologue.data();
     while (next != nullptr) next = next->run(context, *next);
   }
-  const int64_t chunks = (n + kChunkRows - 1) / kChunkRows;
-  if (chunks == 1) {
-    run_chunk(&launch, 0);
-  } else {
-    host.parallel_for(chunks, run_chunk, &launch);
+  run(launch);
+}
+
+void run_block_form(const BlockForm& block, const novaphy_host_api& host, int64_t n,
+                    const uint64_t* arguments, ErrorSink& sink) {
+  with_launch(block, n, arguments, sink, [&](Launch& launch) {
+    const int64_t chunks = (n + kChunkRows - 1) / kChunkRows;
+    if (chunks == 1) {
+      run_chunk(&launch, 0);
+    } else {
+      host.parallel_for(chunks, run_chunk, &launch);
+    }
+  });
+}
+
+void run_scalar_form(const Executable& executable, int64_t n, const uint64_t* arguments,
+                     ErrorSink& sink) {
+  const ScalarForm& scalar = executable.interpreted().scalar;
+  uint32_t small[kStackScalars];
+  uint32_t* scalars = small;
+  if (static_cast<size_t>(scalar.scalar_count) > kStackScalars) {
+    scalars = thread_scratch(static_cast<size_t>(scalar.scalar_count));
   }
-  return NOVAPHY_OK;
+  set_leaves(scalars, scalar.constants, scalar.parameter_words, arguments);
+  const ScalarCode code = {scalar.code.data(),
+                           scalar.loops.data(),
+                           scalar.sums.data(),
+                           scalar.source_widths.data(),
+                           scalar.output_widths.data(),
+                           static_cast<int32_t>(executable.first_output),
+                           scalar.index};
+  executable.isa.run_scalar(code, arguments, 0, n, scalars, &sink);
 }
 
 }  // namespace
@@ -127,29 +155,22 @@ uint32_t* thread_scratch(size_t words) {
   return scratch.words;
 }
 
-novaphy_status run_executable(const Executable& executable, const IsaTable& isa,
-                              const novaphy_host_api& host, int64_t n, const uint64_t* arguments,
-                              novaphy_error* error) {
+void interpret_rows(const Executable& executable, int64_t begin, int64_t end,
+                    const uint64_t* arguments, ErrorSink& sink) {
+  with_launch(executable.interpreted().block, end, arguments, sink,
+              [&](const Launch& launch) { run_rows(launch, begin, end); });
+}
+
+novaphy_status run_executable(const Executable& executable, const novaphy_host_api& host, int64_t n,
+                              const uint64_t* arguments, novaphy_error* error) {
   const FloatMode mode;
   ErrorSink sink;
-  const ScalarForm& scalar = executable.scalar;
-  if (n <= isa.scalar_rows && scalar.usable) {
-    uint32_t small[kStackScalars];
-    uint32_t* scalars = small;
-    if (static_cast<size_t>(scalar.scalar_count) > kStackScalars) {
-      scalars = thread_scratch(static_cast<size_t>(scalar.scalar_count));
-    }
-    set_leaves(scalars, scalar.constants, scalar.parameter_words, arguments);
-    const ScalarCode code = {scalar.code.data(),
-                             scalar.loops.data(),
-                             scalar.sums.data(),
-                             scalar.source_widths.data(),
-                             scalar.output_widths.data(),
-                             static_cast<int32_t>(executable.first_output),
-                             scalar.index};
-    isa.run_scalar(code, arguments, 0, n, scalars, &sink);
+  if (executable.native.rows != nullptr) {
+    run_native(executable, host, n, arguments, sink);
+  } else if (n <= executable.isa.scalar_rows && executable.interpreted().scalar.usable) {
+    run_scalar_form(executable, n, arguments, sink);
   } else {
-    run_block_form(executable, host, n, arguments, sink);
+    run_block_form(executable.interpreted().block, host, n, arguments, sink);
   }
   if (sink.index != INT64_MAX) [[unlikely]]
     return out_of_range(executable, sink, arguments, error);

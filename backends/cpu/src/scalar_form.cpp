@@ -143,16 +143,21 @@ ScalarForm make_scalar_form(const nova::ir::Program& program,
   return ScalarBuilder(program, lowered).run();
 }
 
-Executable compile(const nova::ir::Program& program, const IsaTable& isa) {
-  Executable out;
-  out.name = program.name;
-  for (const auto& source : program.sources) out.source_names.push_back(source.name);
-  out.argument_count = program.argument_count();
-  out.first_output = program.output_argument(0);
-  const std::vector<nova::ir::Step> steps = nova::ir::schedule(program);
-  out.block = make_block_form(program, steps, isa);
-  out.scalar = make_scalar_form(program, steps);
-  return out;
+Executable::Executable(nova::ir::Program p, const IsaTable& table)
+    : program(std::move(p)),
+      argument_count(program.argument_count()),
+      first_output(program.output_argument(0)),
+      isa(table),
+      native(find_native(program, table.name)) {
+  if (native.rows == nullptr) interpreted();
+}
+
+const Interpreted& Executable::interpreted() const {
+  std::call_once(once_, [this] {
+    const std::vector<nova::ir::Step> steps = nova::ir::schedule(program);
+    interpreted_ = {make_block_form(program, steps, isa), make_scalar_form(program, steps)};
+  });
+  return interpreted_;
 }
 
 }  // namespace novaphy::cpu

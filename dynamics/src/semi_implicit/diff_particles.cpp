@@ -4,6 +4,7 @@
 
 #include "novaphy/collision/diff_soft_contacts.h"
 #include "novaphy/core/error.h"
+#include "novaphy/diff/engine_kernels.h"
 #include "novaphy/dynamics/semi_implicit/particle_integrator_trace.h"
 
 namespace novaphy::diff {
@@ -102,6 +103,24 @@ const nova::Kernel& step_kernel() {
   }();
   return kernel;
 }
+
+}  // namespace
+
+void detail::add_particle_kernels(std::vector<nova::EngineKernel>& list) {
+  const std::vector<std::string> state = {"particle_q", "particle_qd"};
+  const std::vector<std::string> others = {"particle_f", "particle_mass", "gravity"};
+  const std::vector<std::string> with_contacts = {
+      "particle_f",        "particle_mass",     "gravity",          "particle_radius",
+      "shape_material_ke", "shape_material_kd", "shape_material_mu"};
+  const std::vector<std::string> materials = {"shape_material_ke", "shape_material_kd",
+                                              "shape_material_kf", "shape_material_mu"};
+  list.push_back({integrate_kernel(), rollout_gradients(integrate_kernel(), state, others, {})});
+  list.push_back({fused_kernel(), rollout_gradients(fused_kernel(), state, others, materials)});
+  list.push_back(
+      {step_kernel(), rollout_gradients(step_kernel(), state, with_contacts, materials)});
+}
+
+namespace {
 
 std::vector<Operand> integration_operands(const Model& model, const Operand& particle_q,
                                           const Operand& particle_qd, const Operand& particle_f) {

@@ -128,7 +128,9 @@ class NOVAPHY_NOVA_API Kernel {
   const ir::Program& program() const;  // what runs: canonical, without tracing marks
   const ir::Program& traced() const;   // with them
   uint64_t hash() const;
-  std::string source() const;  // the Program as text
+  // As text: "c", what the compiler gets or would get, or "program", the Program itself.
+  // ErrorKind::Value for others.
+  std::string source(const std::string& form = "c") const;
   // The plan for a set of gradients, made once and kept.
   const AdjointPlan& adjoint(const AdjointMask& mask) const;
   const std::shared_ptr<detail::KernelImpl>& impl() const { return impl_; }
@@ -153,5 +155,21 @@ NOVAPHY_NOVA_API Kernel make_kernel(std::string name, std::vector<SourceSpec> so
                                     std::vector<OutputSpec> outputs, const TraceFn& trace);
 NOVAPHY_NOVA_API Kernel make_reduce_kernel(std::string name, std::vector<SourceSpec> sources,
                                            std::vector<OutputSpec> outputs, const ReduceFns& fns);
+
+// How a Program runs on a device.
+struct KernelInfo {
+  std::string name;   // of the kernel; adjoints end in ".adjoint" or ".adjoint_items"
+  uint64_t hash = 0;  // of its Program
+  novaphy::Device device;
+  std::string how;  // "native": compiled code; "interpreter"; "unknown": the backend does not tell
+  std::string isa;  // the instruction set: "avx2", ...
+  int32_t lanes = 1;  // rows per vector of the processor
+};
+// Of every Program that was made ready for a device and is still there, in that order: kernels and
+// their adjoints, the engine's own and those of users.
+NOVAPHY_NOVA_API std::vector<KernelInfo> kernel_info();
+// Of one Program, which is made ready for this.
+NOVAPHY_NOVA_API KernelInfo kernel_info(const ir::Program& program,
+                                        const novaphy::Device& device = novaphy::default_device());
 
 }  // namespace nova

@@ -4,11 +4,15 @@
  * `novaphy_backend_query`. It returns a static table of functions (or null and a reason).
  *
  * Rules that keep the boundary narrow and safe:
- *  - C11, standard integer headers only. No C++ type, no exception, no ownership of host memory crosses.
- *  - Every struct begins with `struct_size`. The major version must match; fields are only appended.
- *  - Every function that can fail returns a `novaphy_status` and fills the caller's `novaphy_error`.
+ *  - C11, standard integer headers only. No C++ type, no exception, no ownership of host memory
+ * crosses.
+ *  - Every struct begins with `struct_size`. The major version must match; fields are only
+ * appended.
+ *  - Every function that can fail returns a `novaphy_status` and fills the caller's
+ * `novaphy_error`.
  *  - Functions marked (optional) may be null; every other entry is required.
- *  - Until a GPU backend has run on this ABI the major version is 0: no promise to outside vendors yet.
+ *  - Until a GPU backend has run on this ABI the major version is 0: no promise to outside vendors
+ * yet.
  */
 #ifndef NOVAPHY_ABI_BACKEND_H
 #define NOVAPHY_ABI_BACKEND_H
@@ -20,7 +24,7 @@ extern "C" {
 #endif
 
 #define NOVAPHY_ABI_MAJOR 0u
-#define NOVAPHY_ABI_MINOR 1u
+#define NOVAPHY_ABI_MINOR 2u
 
 typedef enum novaphy_status {
   NOVAPHY_OK = 0,
@@ -39,8 +43,9 @@ typedef struct novaphy_error {
   char message[500];
 } novaphy_error;
 
-/* What the host lends to a backend. `parallel_for` calls body(context, chunk) once for every chunk in
- * [0, chunks), possibly on several threads and in any order, and returns when all have finished. */
+/* What the host lends to a backend. `parallel_for` calls body(context, chunk) once for every chunk
+ * in [0, chunks), possibly on several threads and in any order, and returns when all have finished.
+ */
 typedef struct novaphy_host_api {
   uint64_t struct_size;
   uint32_t abi_major;
@@ -61,17 +66,17 @@ typedef enum novaphy_device_type {
   NOVAPHY_DEVICE_DLAN = 2
 } novaphy_device_type;
 
-enum { /* capability bits */
-  NOVAPHY_CAP_HOST_ACCESSIBLE = 1u << 0, /* device memory may be dereferenced by the host */
-  NOVAPHY_CAP_GRAPH_CAPTURE = 1u << 1,   /* the capture group is there */
-  NOVAPHY_CAP_SOURCE_MODULES = 1u << 2,
-  NOVAPHY_CAP_BINARY_MODULES = 1u << 3
+enum {                                        /* capability bits */
+       NOVAPHY_CAP_HOST_ACCESSIBLE = 1u << 0, /* device memory may be dereferenced by the host */
+       NOVAPHY_CAP_GRAPH_CAPTURE = 1u << 1,   /* the capture group is there */
+       NOVAPHY_CAP_SOURCE_MODULES = 1u << 2,
+       NOVAPHY_CAP_BINARY_MODULES = 1u << 3
 };
 
 typedef struct novaphy_device_info {
   uint64_t struct_size;
   char name[128];
-  int32_t arch; /* 90 for sm_90; 0 on a CPU */
+  int32_t arch;  /* 90 for sm_90; 0 on a CPU */
   int32_t units; /* multiprocessors or hardware threads */
   uint64_t total_memory;
   uint64_t free_memory;
@@ -96,6 +101,15 @@ typedef enum novaphy_code_format {
   NOVAPHY_CODE_BUILTIN = 3  /* data = the builtin's name, see program.h; mandatory */
 } novaphy_code_format;
 
+/* How a kernel runs. */
+typedef struct novaphy_kernel_info {
+  uint64_t struct_size;
+  uint64_t hash;  /* of the Program; 0: the kernel is no Program */
+  int32_t native; /* 1: compiled code; 0: an interpreter of the Program */
+  int32_t lanes;  /* rows that one vector of the processor holds; 1 where that has no meaning */
+  char isa[32];   /* the instruction set, as the backend names it */
+} novaphy_kernel_info;
+
 typedef struct novaphy_backend_api {
   uint64_t struct_size;
   uint32_t abi_major;
@@ -111,45 +125,58 @@ typedef struct novaphy_backend_api {
   void (*device_close)(novaphy_device* device);
 
   /* memory: 256-byte aligned; zero bytes are legal and give a pointer that may be freed */
-  novaphy_status (*memory_alloc)(novaphy_device* device, int32_t kind, uint64_t bytes, void** pointer,
-                                 novaphy_error* error);
+  novaphy_status (*memory_alloc)(novaphy_device* device, int32_t kind, uint64_t bytes,
+                                 void** pointer, novaphy_error* error);
   void (*memory_free)(novaphy_device* device, int32_t kind, void* pointer);
-  /* in stream order; host memory that is not pinned is consumed or filled before the call returns */
-  novaphy_status (*memory_copy)(novaphy_stream* stream, int32_t kind, void* target, const void* source,
-                                uint64_t bytes, novaphy_error* error);
+  /* in stream order; host memory that is not pinned is consumed or filled before the call returns
+   */
+  novaphy_status (*memory_copy)(novaphy_stream* stream, int32_t kind, void* target,
+                                const void* source, uint64_t bytes, novaphy_error* error);
   /* repeats the pattern of 1, 2, 4 or 8 bytes; bytes is a multiple of pattern_bytes */
   novaphy_status (*memory_fill)(novaphy_stream* stream, void* target, uint64_t pattern,
                                 uint32_t pattern_bytes, uint64_t bytes, novaphy_error* error);
 
   /* streams are in order; events mark a point in a stream */
-  novaphy_status (*stream_create)(novaphy_device* device, novaphy_stream** stream, novaphy_error* error);
+  novaphy_status (*stream_create)(novaphy_device* device, novaphy_stream** stream,
+                                  novaphy_error* error);
   void (*stream_destroy)(novaphy_stream* stream);
   novaphy_status (*stream_synchronize)(novaphy_stream* stream, novaphy_error* error);
   novaphy_status (*stream_wait)(novaphy_stream* stream, novaphy_event* event, novaphy_error* error);
-  novaphy_status (*event_create)(novaphy_device* device, novaphy_event** event, novaphy_error* error);
+  novaphy_status (*event_create)(novaphy_device* device, novaphy_event** event,
+                                 novaphy_error* error);
   void (*event_destroy)(novaphy_event* event);
-  novaphy_status (*event_record)(novaphy_event* event, novaphy_stream* stream, novaphy_error* error);
+  novaphy_status (*event_record)(novaphy_event* event, novaphy_stream* stream,
+                                 novaphy_error* error);
   novaphy_status (*event_synchronize)(novaphy_event* event, novaphy_error* error);
   novaphy_status (*event_elapsed)(novaphy_event* start, novaphy_event* stop, double* seconds,
                                   novaphy_error* error);
 
   /* code: `data` is read during the call only */
-  novaphy_status (*module_create)(novaphy_device* device, int32_t format, const void* data, uint64_t bytes,
-                                  novaphy_module** module, novaphy_error* error);
+  novaphy_status (*module_create)(novaphy_device* device, int32_t format, const void* data,
+                                  uint64_t bytes, novaphy_module** module, novaphy_error* error);
   void (*module_destroy)(novaphy_module* module);
   novaphy_status (*kernel_get)(novaphy_module* module, const char* name, novaphy_kernel** kernel,
                                novaphy_error* error);
 
-  /* launch over the 1-D domain [0, n) with 8-byte argument words in the order that program.h states;
-   * n = 0 does nothing; a wrong argument count is INVALID_ARGUMENT. `arguments` is read during the call. */
+  /* launch over the 1-D domain [0, n) with 8-byte argument words in the order that program.h
+   * states; n = 0 does nothing; a wrong argument count is INVALID_ARGUMENT. `arguments` is read
+   * during the call. */
   novaphy_status (*launch)(novaphy_stream* stream, novaphy_kernel* kernel, int64_t n,
-                           const uint64_t* arguments, uint32_t argument_count, novaphy_error* error);
+                           const uint64_t* arguments, uint32_t argument_count,
+                           novaphy_error* error);
 
-  /* capture (optional, all four or none): work issued to a stream between begin and end becomes a graph */
+  /* capture (optional, all four or none): work issued to a stream between begin and end becomes a
+   * graph */
   novaphy_status (*capture_begin)(novaphy_stream* stream, novaphy_error* error);
-  novaphy_status (*capture_end)(novaphy_stream* stream, novaphy_graph** graph, novaphy_error* error);
-  novaphy_status (*graph_launch)(novaphy_graph* graph, novaphy_stream* stream, novaphy_error* error);
+  novaphy_status (*capture_end)(novaphy_stream* stream, novaphy_graph** graph,
+                                novaphy_error* error);
+  novaphy_status (*graph_launch)(novaphy_graph* graph, novaphy_stream* stream,
+                                 novaphy_error* error);
   void (*graph_destroy)(novaphy_graph* graph);
+
+  /* since minor version 2 (optional; a table that ends before it is legal) */
+  novaphy_status (*kernel_info)(novaphy_kernel* kernel, novaphy_kernel_info* info,
+                                novaphy_error* error);
 } novaphy_backend_api;
 
 /* The one exported symbol. Returns null and fills `error` when the host's major version is not the

@@ -1,0 +1,132 @@
+/* The prelude of compiled kernels: what the names in emitted text mean for LANES rows at a time.
+ * See <novaphy/program/emit.h>; the arithmetic is that of ops.h, to the bit.
+ *
+ * vf, vi, vb: a float, an int32_t, a truth value per lane. u...: on scalars, v...: on lanes. LANES
+ * is 1, 4, 8 or 16; more than one needs the vector extensions of GCC and Clang. Everything has
+ * internal linkage: the same text is compiled for several instruction sets.
+ */
+#ifndef NOVAPHY_CPU_LANES_H
+#define NOVAPHY_CPU_LANES_H
+
+#include <stddef.h>
+#include <stdint.h>
+#include <string.h>
+
+#include "native.h"
+
+#define LANE_FN static inline __attribute__((always_inline, unused))
+#define COLD_FN static __attribute__((noinline, cold, unused))
+
+/* Scalars. */
+
+LANE_FN float ubits_f(int32_t a) {
+  float f;
+  memcpy(&f, &a, 4);
+  return f;
+}
+LANE_FN int32_t uf_bits(float a) {
+  int32_t i;
+  memcpy(&i, &a, 4);
+  return i;
+}
+LANE_FN int32_t uparam_i(uint64_t word) { return (int32_t)(uint32_t)word; }
+LANE_FN float uparam_f(uint64_t word) { return ubits_f(uparam_i(word)); }
+
+LANE_FN float uabs(float a) { return __builtin_fabsf(a); }
+LANE_FN float usign(float a) { return a < 0.0f ? -1.0f : 1.0f; }
+LANE_FN float umin(float a, float b) { return a <= b ? a : b; }
+LANE_FN float umax(float a, float b) { return a >= b ? a : b; }
+LANE_FN float usqrt(float a) { return __builtin_sqrtf(a); }
+LANE_FN float ufma(float a, float b, float c) {
+  return __builtin_fmaf(a, b, c);
+} /* exact everywhere */
+LANE_FN float ufloor(float a) {
+#if defined(__SSE4_1__) || defined(__aarch64__)
+  return __builtin_floorf(a);
+#else
+  /* From 2^23 on, infinities and NaN: their own floor. */
+  const int small = __builtin_fabsf(a) < 8388608.0f;
+  const float t = (float)(int32_t)(small ? a : 0.0f);
+  const float down = t > a ? t - 1.0f : t;
+  return small ? __builtin_copysignf(down, a) : a;
+#endif
+}
+LANE_FN int32_t uf_to_i(float a) {
+  const int fits = a >= -2147483648.0f && a < 2147483648.0f;
+  const int32_t inside = (int32_t)(fits ? a : 0.0f);
+  const int32_t outside = a > 0.0f ? INT32_MAX : a < 0.0f ? INT32_MIN : 0;
+  return fits ? inside : outside;
+}
+LANE_FN float ui_to_f(int32_t a) { return (float)a; }
+LANE_FN int32_t uidiv(int32_t a, int32_t b) {
+  if (b == 0) return 0;
+  if (b == -1) return (int32_t)(0u - (uint32_t)a);
+  return a / b;
+}
+LANE_FN int32_t uimod(int32_t a, int32_t b) { return b == 0 || b == -1 ? 0 : a % b; }
+LANE_FN int32_t uimin(int32_t a, int32_t b) { return a <= b ? a : b; }
+LANE_FN int32_t uimax(int32_t a, int32_t b) { return a >= b ? a : b; }
+LANE_FN int32_t uishl(int32_t a, int32_t b) { return (int32_t)((uint32_t)a << (b & 31)); }
+LANE_FN int32_t uishr(int32_t a, int32_t b) { return a >> (b & 31); }
+LANE_FN int32_t uiushr(int32_t a, int32_t b) { return (int32_t)((uint32_t)a >> (b & 31)); }
+LANE_FN int ult(float a, float b) { return a < b; }
+LANE_FN int ule(float a, float b) { return a <= b; }
+LANE_FN int ueq(float a, float b) { return a == b; }
+LANE_FN int une(float a, float b) { return a != b; }
+LANE_FN int uilt(int32_t a, int32_t b) { return a < b; }
+LANE_FN int uile(int32_t a, int32_t b) { return a <= b; }
+LANE_FN int uieq(int32_t a, int32_t b) { return a == b; }
+LANE_FN int uine(int32_t a, int32_t b) { return a != b; }
+LANE_FN int uand(int a, int b) { return a & b; }
+LANE_FN int uor(int a, int b) { return a | b; }
+LANE_FN int unot(int a) { return !a; }
+LANE_FN float uselectf(int c, float a, float b) { return c ? a : b; }
+LANE_FN int32_t uselecti(int c, int32_t a, int32_t b) { return c ? a : b; }
+LANE_FN int uselectb(int c, int a, int b) { return c ? a : b; }
+
+/* The first failing read in the order of rows wins. Rare, so a spinning lock is good enough. */
+COLD_FN void report_row(novaphy_error_sink* sink, int64_t index, int32_t source, int64_t row) {
+  while (__atomic_exchange_n(&sink->lock, 1, __ATOMIC_ACQUIRE) != 0) {
+  }
+  if (index < sink->index) {
+    sink->index = index;
+    sink->source = source;
+    sink->row = row;
+  }
+  __atomic_store_n(&sink->lock, 0, __ATOMIC_RELEASE);
+}
+
+LANE_FN int32_t word_at(const char* source, int64_t word) {
+  int32_t w;
+  memcpy(&w, source + 4 * word, 4);
+  return w;
+}
+
+#if LANES == 1
+#include "lanes_one.h"
+#else
+#include "lanes_many.h"
+#include "lanes_memory.h"
+#endif
+
+/* Lane 0 is row i; reads past the end are reported for the first lane that needs them. */
+COLD_FN void report_lanes(vb need, int32_t source, int64_t row, int64_t i,
+                          novaphy_error_sink* sink) {
+  for (int l = 0; l < LANES; ++l) {
+    if (!lane_of(need, l)) continue;
+    report_row(sink, i + l, source, row);
+    return;
+  }
+}
+LANE_FN int32_t uloadi(const char* s, int64_t rows, int32_t row, int32_t width, int32_t column,
+                       vb need, int32_t source, int64_t i, novaphy_error_sink* sink) {
+  if (__builtin_expect(row >= 0 && row < rows, 1)) return word_at(s, (int64_t)row * width + column);
+  if (row >= 0) report_lanes(need, source, row, i, sink);
+  return 0;
+}
+LANE_FN float uloadf(const char* s, int64_t rows, int32_t row, int32_t width, int32_t column,
+                     vb need, int32_t source, int64_t i, novaphy_error_sink* sink) {
+  return ubits_f(uloadi(s, rows, row, width, column, need, source, i, sink));
+}
+
+#endif

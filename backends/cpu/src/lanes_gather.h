@@ -1,0 +1,201 @@
+/* Several lanes: rows through a table, and CSR rows. */
+
+/* How the rows of the lanes lie. Tables often hold the same row for all lanes, or rows in order:
+ * both are far cheaper than a gather. */
+enum { ROWS_SAME, ROWS_CONSECUTIVE, ROWS_ANY };
+typedef struct row_lanes {
+  vi row;
+  int32_t first;
+  int kind;
+} row_lanes;
+LANE_FN row_lanes look_at_rows(vi row) {
+  const int32_t first = row[0];
+  const vi step = row - first;
+  const int kind = !any(vine(step, splati(0)))        ? ROWS_SAME
+                   : !any(vine(step, lane_numbers())) ? ROWS_CONSECUTIVE
+                                                      : ROWS_ANY;
+  return (row_lanes){row, first, kind};
+}
+LANE_FN int same_row_inside(const row_lanes* r, int64_t rows) {
+  return r->kind == ROWS_SAME && r->first >= 0 && r->first < rows;
+}
+LANE_FN int consecutive_rows_inside(const row_lanes* r, int64_t rows) {
+  return r->kind == ROWS_CONSECUTIVE && r->first >= 0 && r->first + LANES <= rows;
+}
+
+/* Any rows, `columns` neighbouring columns of each: a negative row reads 0, one past the end fails
+ * if it is needed. */
+static __attribute__((noinline, unused)) void gather_lanes(vi* target, const char* s, int64_t rows,
+                                                           const vi* row, int32_t width,
+                                                           int32_t columns, vb need, int32_t source,
+                                                           int64_t i, novaphy_error_sink* sink) {
+  int32_t word[4][LANES], at[LANES];
+  memcpy(at, row, sizeof(at));
+  for (int l = 0; l < LANES; ++l) {
+    const int64_t r = at[l];
+    if (__builtin_expect(r >= 0 && r < rows, 1)) {
+      for (int32_t k = 0; k < columns; ++k) word[k][l] = word_at(s, r * width + k);
+      continue;
+    }
+    if (r >= rows && r >= 0 && lane_of(need, l)) report_row(sink, i + l, source, r);
+    for (int32_t k = 0; k < columns; ++k) word[k][l] = 0;
+  }
+  for (int32_t k = 0; k < columns; ++k) memcpy(&target[k], word[k], sizeof(vi));
+}
+
+/* Whether every row lies in [0, limit). */
+LANE_FN int all_rows_inside(vi row, int64_t limit) {
+  const int32_t end = limit < 0 ? 0 : limit > INT32_MAX ? INT32_MAX : (int32_t)limit;
+  return !any(vor(vilt(row, splati(0)), vile(splati(end), row)));
+}
+
+#if defined(__x86_64__)
+/* Rows of three words, each read with the first word of the next row, four or eight rows at a time. */
+#if LANES == 4
+typedef __m128 row_quads;
+#define QUADS_OF(l) _mm_loadu_ps((const float*)(s + 12 * (int64_t)at[l]))
+#define QUADS(operation) _mm_##operation
+#else
+typedef __m256 row_quads;
+#define QUADS_OF(l)                                                                          \
+  _mm256_insertf128_ps(                                                                      \
+      _mm256_castps128_ps256(_mm_loadu_ps((const float*)(s + 12 * (int64_t)at[l]))),         \
+      _mm_loadu_ps((const float*)(s + 12 * (int64_t)at[(l) + 4])), 1)
+#define QUADS(operation) _mm256_##operation
+#endif
+LANE_FN void transpose_rows3(const char* s, const int32_t* at, row_quads* a, row_quads* b, row_quads* c) {
+  const row_quads r0 = QUADS_OF(0), r1 = QUADS_OF(1), r2 = QUADS_OF(2), r3 = QUADS_OF(3);
+  const row_quads xy01 = QUADS(unpacklo_ps(r0, r1)), xy23 = QUADS(unpacklo_ps(r2, r3));
+  *a = QUADS(shuffle_ps(xy01, xy23, 0x44));
+  *b = QUADS(shuffle_ps(xy01, xy23, 0xEE));
+  const row_quads z01 = QUADS(unpackhi_ps(r0, r1)), z23 = QUADS(unpackhi_ps(r2, r3));
+  *c = QUADS(shuffle_ps(z01, z23, 0x44));
+}
+#undef QUADS
+#undef QUADS_OF
+LANE_FN void gather3_inside(const char* s, vi row, vi* a, vi* b, vi* c) {
+  int32_t at[LANES];
+  memcpy(at, &row, sizeof(at));
+#if LANES == 16
+  row_quads low[3], high[3];
+  transpose_rows3(s, at, &low[0], &low[1], &low[2]);
+  transpose_rows3(s, at + 8, &high[0], &high[1], &high[2]);
+  *a = (vi)_mm512_insertf32x8(_mm512_castps256_ps512(low[0]), high[0], 1);
+  *b = (vi)_mm512_insertf32x8(_mm512_castps256_ps512(low[1]), high[1], 1);
+  *c = (vi)_mm512_insertf32x8(_mm512_castps256_ps512(low[2]), high[2], 1);
+#else
+  transpose_rows3(s, at, (row_quads*)a, (row_quads*)b, (row_quads*)c);
+#endif
+}
+#endif
+
+#define GATHER_ARGUMENTS const char *s, int64_t rows, const row_lanes *r
+#define GATHER_ERROR vb need, int32_t source, int64_t i, novaphy_error_sink *sink
+
+LANE_FN vi gather_columni(GATHER_ARGUMENTS, int32_t width, int32_t column, GATHER_ERROR) {
+  if (same_row_inside(r, rows)) return splati(word_at(s, (int64_t)r->first * width + column));
+  if (consecutive_rows_inside(r, rows))
+    return load_columni(s + 4 * ((int64_t)r->first * width + column), width);
+#if LANES >= 8
+  if (width == 1 && all_rows_inside(r->row, rows)) {
+#if LANES == 8
+    return (vi)_mm256_i32gather_epi32((const int*)s, (__m256i)r->row, 4);
+#else
+    return (vi)_mm512_i32gather_epi32((__m512i)r->row, s, 4);
+#endif
+  }
+#endif
+  vi target[1];
+  gather_lanes(target, s + 4 * column, rows, &r->row, width, 1, need, source, i, sink);
+  return target[0];
+}
+LANE_FN void gather2i(GATHER_ARGUMENTS, GATHER_ERROR, vi* a, vi* b) {
+  const char* const p = s + 8 * (int64_t)r->first;
+  if (same_row_inside(r, rows)) {
+    *a = splati(word_at(p, 0)), *b = splati(word_at(p, 1));
+  } else if (consecutive_rows_inside(r, rows)) {
+    load2i(p, a, b);
+  } else {
+    vi target[2];
+    gather_lanes(target, s, rows, &r->row, 2, 2, need, source, i, sink);
+    *a = target[0], *b = target[1];
+  }
+}
+LANE_FN void gather3i(GATHER_ARGUMENTS, GATHER_ERROR, vi* a, vi* b, vi* c) {
+  const char* const p = s + 12 * (int64_t)r->first;
+  if (same_row_inside(r, rows)) {
+    *a = splati(word_at(p, 0)), *b = splati(word_at(p, 1)), *c = splati(word_at(p, 2));
+  } else if (consecutive_rows_inside(r, rows)) {
+    load3i(p, a, b, c);
+#if defined(__x86_64__)
+  } else if (all_rows_inside(r->row, rows - 1)) {
+    gather3_inside(s, r->row, a, b, c);
+#endif
+  } else {
+    vi target[3];
+    gather_lanes(target, s, rows, &r->row, 3, 3, need, source, i, sink);
+    *a = target[0], *b = target[1], *c = target[2];
+  }
+}
+LANE_FN void gather4i(GATHER_ARGUMENTS, GATHER_ERROR, vi* a, vi* b, vi* c, vi* d) {
+  const char* const p = s + 16 * (int64_t)r->first;
+  if (same_row_inside(r, rows)) {
+    *a = splati(word_at(p, 0)), *b = splati(word_at(p, 1)), *c = splati(word_at(p, 2)),
+    *d = splati(word_at(p, 3));
+  } else if (consecutive_rows_inside(r, rows)) {
+    load4i(p, a, b, c, d);
+  } else {
+    vi target[4];
+    gather_lanes(target, s, rows, &r->row, 4, 4, need, source, i, sink);
+    *a = target[0], *b = target[1], *c = target[2], *d = target[3];
+  }
+}
+LANE_FN vf gather_columnf(GATHER_ARGUMENTS, int32_t width, int32_t column, GATHER_ERROR) {
+  return (vf)gather_columni(s, rows, r, width, column, need, source, i, sink);
+}
+LANE_FN void gather2f(GATHER_ARGUMENTS, GATHER_ERROR, vf* a, vf* b) {
+  gather2i(s, rows, r, need, source, i, sink, (vi*)a, (vi*)b);
+}
+LANE_FN void gather3f(GATHER_ARGUMENTS, GATHER_ERROR, vf* a, vf* b, vf* c) {
+  gather3i(s, rows, r, need, source, i, sink, (vi*)a, (vi*)b, (vi*)c);
+}
+LANE_FN void gather4f(GATHER_ARGUMENTS, GATHER_ERROR, vf* a, vf* b, vf* c, vf* d) {
+  gather4i(s, rows, r, need, source, i, sink, (vi*)a, (vi*)b, (vi*)c, (vi*)d);
+}
+
+/* CSR rows. Most groups have rows of one length: then the items of the group are a packed table of
+ * that width. */
+typedef struct csr_rows {
+  vi start, length;
+  int32_t longest;
+  int32_t width; /* the common length, or -1 */
+} csr_rows;
+LANE_FN csr_rows csr_begin(const int32_t* offsets, int64_t i) {
+  const vi start = load_lanes((const char*)(offsets + i));
+  const vi length = load_lanes((const char*)(offsets + i + 1)) - start;
+  const int32_t first = length[0];
+  csr_rows c = {start, length, first, first};
+  if (any(vine(length, splati(first)))) {
+    c.width = -1;
+    for (int l = 1; l < LANES; ++l)
+      if (length[l] > c.longest) c.longest = length[l];
+  }
+  return c;
+}
+LANE_FN vb csr_on(const csr_rows* c, int32_t r) { return vilt(splati(r), c->length); }
+/* A lane whose row has ended gets -1, which reads as an absent neighbour. */
+LANE_FN vi csr_slot(const csr_rows* c, const int32_t* items, int32_t r, vb on) {
+  if (items == NULL) return vselecti(on, c->start + r, splati(-1));
+  const char* const p = (const char*)(items + c->start[0]);
+  if (c->width == 1) return load_lanes(p);
+  if (c->width == 2) {
+    vi a, b;
+    load2i(p, &a, &b);
+    return r == 0 ? a : b;
+  }
+  vi slot;
+  for (int l = 0; l < LANES; ++l) slot[l] = lane_of(on, l) ? items[c->start[l] + r] : -1;
+  return slot;
+}
+#undef GATHER_ARGUMENTS
+#undef GATHER_ERROR

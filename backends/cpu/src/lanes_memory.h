@@ -1,0 +1,151 @@
+/* Several lanes: rows in memory. Rows are tightly packed, so {n, 3} is loaded whole and taken apart
+ * in registers. */
+
+LANE_FN vi load_lanes(const char* p) { return *(const vi_unaligned*)p; }
+LANE_FN void store_lanes(char* p, vi a) { *(vi_unaligned*)p = a; }
+
+#define LANES_STRIDED(l) word_at(p, (int64_t)(l)*width)
+LANE_FN vi load_columni(const char* p, int32_t width) {
+  if (width == 1) return load_lanes(p);
+  return (vi){LANE_LIST(LANES_STRIDED)};
+}
+LANE_FN void store_columni(char* p, int32_t width, vi a) {
+  if (width == 1) {
+    store_lanes(p, a);
+    return;
+  }
+  for (int l = 0; l < LANES; ++l) {
+    const int32_t w = a[l];
+    memcpy(p + 4 * (int64_t)l * width, &w, 4);
+  }
+}
+
+LANE_FN void load2i(const char* p, vi* a, vi* b) {
+#if LANES == 4
+  const vi x = load_lanes(p), y = load_lanes(p + 16);
+  *a = __builtin_shufflevector(x, y, 0, 2, 4, 6);
+  *b = __builtin_shufflevector(x, y, 1, 3, 5, 7);
+#elif LANES == 8
+  const __m256 x = (__m256)load_lanes(p), y = (__m256)load_lanes(p + 32);
+  const __m256 low = _mm256_permute2f128_ps(x, y, 0x20), high = _mm256_permute2f128_ps(x, y, 0x31);
+  *a = (vi)_mm256_shuffle_ps(low, high, 0x88);
+  *b = (vi)_mm256_shuffle_ps(low, high, 0xDD);
+#else
+#define LANES_EVEN(l) 2 * (l)
+#define LANES_ODD(l) 2 * (l) + 1
+  const __m512i x = (__m512i)load_lanes(p), y = (__m512i)load_lanes(p + 64);
+  *a = (vi)_mm512_permutex2var_epi32(x, (__m512i)(vi){LANE_LIST(LANES_EVEN)}, y);
+  *b = (vi)_mm512_permutex2var_epi32(x, (__m512i)(vi){LANE_LIST(LANES_ODD)}, y);
+#endif
+}
+
+#if LANES == 16
+/* Word 3 l + k of three vectors: the words below 32 from the first two, the rest put over them. */
+#define LANES_TAKE3_0(l) (3 * (l)) & 31
+#define LANES_TAKE3_1(l) (3 * (l) + 1) & 31
+#define LANES_TAKE3_2(l) (3 * (l) + 2) & 31
+LANE_FN vi take3(__m512i x, __m512i y, __m512i z, vi word, __mmask16 from_z) {
+  const __m512i low = _mm512_permutex2var_epi32(x, (__m512i)word, y);
+  return (vi)_mm512_mask_permutexvar_epi32(low, from_z, (__m512i)word, z);
+}
+LANE_FN void load3i(const char* p, vi* a, vi* b, vi* c) {
+  const __m512i x = (__m512i)load_lanes(p), y = (__m512i)load_lanes(p + 64),
+                z = (__m512i)load_lanes(p + 128);
+  *a = take3(x, y, z, (vi){LANE_LIST(LANES_TAKE3_0)}, 0xF800);
+  *b = take3(x, y, z, (vi){LANE_LIST(LANES_TAKE3_1)}, 0xF800);
+  *c = take3(x, y, z, (vi){LANE_LIST(LANES_TAKE3_2)}, 0xFC00);
+}
+/* Word w of the row-major store is column w % 3 of row w / 3. */
+#define LANES_ROW0(w) (w) / 3 + ((w) % 3 == 1 ? 16 : 0)
+#define LANES_ROW1(w) ((w) + 16) / 3 + (((w) + 16) % 3 == 1 ? 16 : 0)
+#define LANES_ROW2(w) ((w) + 32) / 3 + (((w) + 32) % 3 == 1 ? 16 : 0)
+LANE_FN vi give3(vi a, vi b, vi c, vi row, __mmask16 from_c) {
+  const __m512i ab = _mm512_permutex2var_epi32((__m512i)a, (__m512i)row, (__m512i)b);
+  return (vi)_mm512_mask_permutexvar_epi32(ab, from_c, (__m512i)row, (__m512i)c);
+}
+LANE_FN void store3i(char* p, vi a, vi b, vi c) {
+  store_lanes(p, give3(a, b, c, (vi){LANE_LIST(LANES_ROW0)}, 0x4924));
+  store_lanes(p + 64, give3(a, b, c, (vi){LANE_LIST(LANES_ROW1)}, 0x2492));
+  store_lanes(p + 128, give3(a, b, c, (vi){LANE_LIST(LANES_ROW2)}, 0x9249));
+}
+#elif defined(__x86_64__)
+/* Both halves of a vector of 8 do what a vector of 4 does: rows 0 to 3, and rows 4 to 7. */
+#if LANES == 8
+typedef __m256 quad;
+#define QUAD_SHUFFLE(a, b, d, c, e, f) _mm256_shuffle_ps(a, b, _MM_SHUFFLE(d, c, e, f))
+LANE_FN quad load_quad(const char* p, int part) {
+  const __m128 low = _mm_loadu_ps((const float*)(p + 16 * part));
+  return _mm256_insertf128_ps(_mm256_castps128_ps256(low),
+                              _mm_loadu_ps((const float*)(p + 16 * part + 48)), 1);
+}
+LANE_FN void store_quads(char* p, quad q0, quad q1, quad q2) {
+  float* const f = (float*)p;
+  _mm256_storeu_ps(f, _mm256_permute2f128_ps(q0, q1, 0x20));
+  _mm256_storeu_ps(f + 8, _mm256_blend_ps(q2, q0, 0xF0));
+  _mm256_storeu_ps(f + 16, _mm256_permute2f128_ps(q1, q2, 0x31));
+}
+#else
+typedef __m128 quad;
+#define QUAD_SHUFFLE(a, b, d, c, e, f) _mm_shuffle_ps(a, b, _MM_SHUFFLE(d, c, e, f))
+LANE_FN quad load_quad(const char* p, int part) {
+  return _mm_loadu_ps((const float*)(p + 16 * part));
+}
+LANE_FN void store_quads(char* p, quad q0, quad q1, quad q2) {
+  float* const f = (float*)p;
+  _mm_storeu_ps(f, q0), _mm_storeu_ps(f + 4, q1), _mm_storeu_ps(f + 8, q2);
+}
+#endif
+LANE_FN void load3i(const char* p, vi* a, vi* b, vi* c) {
+  const quad m0 = load_quad(p, 0), m1 = load_quad(p, 1), m2 = load_quad(p, 2);
+  const quad xy = QUAD_SHUFFLE(m1, m2, 2, 1, 3, 2), yz = QUAD_SHUFFLE(m0, m1, 1, 0, 2, 1);
+  *a = (vi)QUAD_SHUFFLE(m0, xy, 2, 0, 3, 0);
+  *b = (vi)QUAD_SHUFFLE(yz, xy, 3, 1, 2, 0);
+  *c = (vi)QUAD_SHUFFLE(yz, m2, 3, 0, 3, 1);
+}
+LANE_FN void store3i(char* p, vi a, vi b, vi c) {
+  const quad x = (quad)a, y = (quad)b, z = (quad)c;
+  const quad xy = QUAD_SHUFFLE(x, y, 2, 0, 2, 0), yz = QUAD_SHUFFLE(y, z, 3, 1, 3, 1),
+             zx = QUAD_SHUFFLE(z, x, 3, 1, 2, 0);
+  store_quads(p, QUAD_SHUFFLE(xy, zx, 2, 0, 2, 0), QUAD_SHUFFLE(yz, xy, 3, 1, 2, 0),
+              QUAD_SHUFFLE(zx, yz, 3, 1, 3, 1));
+}
+#elif defined(__aarch64__)
+LANE_FN void load3i(const char* p, vi* a, vi* b, vi* c) {
+  const int32x4x3_t rows = vld3q_s32((const int32_t*)p);
+  *a = (vi)rows.val[0], *b = (vi)rows.val[1], *c = (vi)rows.val[2];
+}
+LANE_FN void store3i(char* p, vi a, vi b, vi c) {
+  const int32x4x3_t rows = {{(int32x4_t)a, (int32x4_t)b, (int32x4_t)c}};
+  vst3q_s32((int32_t*)p, rows);
+}
+#else
+LANE_FN void load3i(const char* p, vi* a, vi* b, vi* c) {
+  *a = load_columni(p, 3), *b = load_columni(p + 4, 3), *c = load_columni(p + 8, 3);
+}
+LANE_FN void store3i(char* p, vi a, vi b, vi c) {
+  store_columni(p, 3, a), store_columni(p + 4, 3, b), store_columni(p + 8, 3, c);
+}
+#endif
+
+LANE_FN void load4i(const char* p, vi* a, vi* b, vi* c, vi* d) {
+  *a = load_columni(p, 4), *b = load_columni(p + 4, 4), *c = load_columni(p + 8, 4),
+  *d = load_columni(p + 12, 4);
+}
+LANE_FN void store2i(char* p, vi a, vi b) { store_columni(p, 2, a), store_columni(p + 4, 2, b); }
+LANE_FN void store4i(char* p, vi a, vi b, vi c, vi d) {
+  store_columni(p, 4, a), store_columni(p + 4, 4, b), store_columni(p + 8, 4, c),
+      store_columni(p + 12, 4, d);
+}
+
+LANE_FN vf load_columnf(const char* p, int32_t width) { return (vf)load_columni(p, width); }
+LANE_FN void load2f(const char* p, vf* a, vf* b) { load2i(p, (vi*)a, (vi*)b); }
+LANE_FN void load3f(const char* p, vf* a, vf* b, vf* c) { load3i(p, (vi*)a, (vi*)b, (vi*)c); }
+LANE_FN void load4f(const char* p, vf* a, vf* b, vf* c, vf* d) {
+  load4i(p, (vi*)a, (vi*)b, (vi*)c, (vi*)d);
+}
+LANE_FN void store_columnf(char* p, int32_t width, vf a) { store_columni(p, width, (vi)a); }
+LANE_FN void store2f(char* p, vf a, vf b) { store2i(p, (vi)a, (vi)b); }
+LANE_FN void store3f(char* p, vf a, vf b, vf c) { store3i(p, (vi)a, (vi)b, (vi)c); }
+LANE_FN void store4f(char* p, vf a, vf b, vf c, vf d) { store4i(p, (vi)a, (vi)b, (vi)c, (vi)d); }
+
+#include "lanes_gather.h"

@@ -1,0 +1,145 @@
+/* One lane: the scalars themselves. For launches of few rows, and for the rows behind the last
+ * whole group. */
+typedef float vf;
+typedef int32_t vi;
+typedef int vb;
+
+#define splatf(a) (a)
+#define splati(a) (a)
+#define splatb(a) (a)
+#define any(a) ((a) != 0)
+#define index_lanes(i) ((int32_t)(i))
+LANE_FN int lane_of(vb b, int l) {
+  (void)l;
+  return b;
+}
+
+#define vabs uabs
+#define vsign usign
+#define vmin umin
+#define vmax umax
+#define vsqrt usqrt
+#define vfma ufma
+#define vfloor ufloor
+#define vf_to_i uf_to_i
+#define vi_to_f ui_to_f
+#define vf_bits uf_bits
+#define vbits_f ubits_f
+#define vidiv uidiv
+#define vimod uimod
+#define vimin uimin
+#define vimax uimax
+#define vishl uishl
+#define vishr uishr
+#define viushr uiushr
+#define vlt ult
+#define vle ule
+#define veq ueq
+#define vne une
+#define vilt uilt
+#define vile uile
+#define vieq uieq
+#define vine uine
+#define vand uand
+#define vor uor
+#define vnot unot
+#define vselectf uselectf
+#define vselecti uselecti
+#define vselectb uselectb
+
+/* Rows. */
+typedef struct row_lanes {
+  int32_t row;
+} row_lanes;
+LANE_FN row_lanes look_at_rows(int32_t row) { return (row_lanes){row}; }
+
+LANE_FN vi load_columni(const char* p, int32_t width) {
+  (void)width;
+  return word_at(p, 0);
+}
+LANE_FN vf load_columnf(const char* p, int32_t width) { return ubits_f(load_columni(p, width)); }
+LANE_FN void load2i(const char* p, vi* a, vi* b) { *a = word_at(p, 0), *b = word_at(p, 1); }
+LANE_FN void load3i(const char* p, vi* a, vi* b, vi* c) { load2i(p, a, b), *c = word_at(p, 2); }
+LANE_FN void load4i(const char* p, vi* a, vi* b, vi* c, vi* d) {
+  load3i(p, a, b, c), *d = word_at(p, 3);
+}
+LANE_FN void load2f(const char* p, vf* a, vf* b) {
+  *a = ubits_f(word_at(p, 0)), *b = ubits_f(word_at(p, 1));
+}
+LANE_FN void load3f(const char* p, vf* a, vf* b, vf* c) {
+  load2f(p, a, b), *c = ubits_f(word_at(p, 2));
+}
+LANE_FN void load4f(const char* p, vf* a, vf* b, vf* c, vf* d) {
+  load3f(p, a, b, c), *d = ubits_f(word_at(p, 3));
+}
+
+LANE_FN void store_columni(char* p, int32_t width, vi a) {
+  (void)width;
+  memcpy(p, &a, 4);
+}
+LANE_FN void store_columnf(char* p, int32_t width, vf a) { store_columni(p, width, uf_bits(a)); }
+LANE_FN void store2i(char* p, vi a, vi b) { memcpy(p, &a, 4), memcpy(p + 4, &b, 4); }
+LANE_FN void store3i(char* p, vi a, vi b, vi c) { store2i(p, a, b), memcpy(p + 8, &c, 4); }
+LANE_FN void store4i(char* p, vi a, vi b, vi c, vi d) {
+  store3i(p, a, b, c), memcpy(p + 12, &d, 4);
+}
+LANE_FN void store2f(char* p, vf a, vf b) { memcpy(p, &a, 4), memcpy(p + 4, &b, 4); }
+LANE_FN void store3f(char* p, vf a, vf b, vf c) { store2f(p, a, b), memcpy(p + 8, &c, 4); }
+LANE_FN void store4f(char* p, vf a, vf b, vf c, vf d) {
+  store3f(p, a, b, c), memcpy(p + 12, &d, 4);
+}
+
+/* Rows of a table: the row itself, or zeros. */
+static const int32_t kZeroRow[4] = {0, 0, 0, 0};
+LANE_FN const char* row_or_zeros(const char* s, int64_t rows, int32_t row, int32_t width, vb need,
+                                 int32_t source, int64_t i, novaphy_error_sink* sink) {
+  if (__builtin_expect(row >= 0 && row < rows, 1)) return s + 4 * ((int64_t)row * width);
+  if (row >= 0 && need) report_row(sink, i, source, row);
+  return (const char*)kZeroRow;
+}
+LANE_FN vi gather_columni(const char* s, int64_t rows, const row_lanes* r, int32_t width,
+                          int32_t column, vb need, int32_t source, int64_t i,
+                          novaphy_error_sink* sink) {
+  if (__builtin_expect(r->row >= 0 && r->row < rows, 1))
+    return word_at(s, (int64_t)r->row * width + column);
+  if (r->row >= 0 && need) report_row(sink, i, source, r->row);
+  return 0;
+}
+LANE_FN vf gather_columnf(const char* s, int64_t rows, const row_lanes* r, int32_t width,
+                          int32_t column, vb need, int32_t source, int64_t i,
+                          novaphy_error_sink* sink) {
+  return ubits_f(gather_columni(s, rows, r, width, column, need, source, i, sink));
+}
+#define LANES_GATHER(t, T)                                                                         \
+  LANE_FN void gather2##t(const char* s, int64_t rows, const row_lanes* r, vb need,                \
+                          int32_t source, int64_t i, novaphy_error_sink* sink, T* a, T* b) {       \
+    load2##t(row_or_zeros(s, rows, r->row, 2, need, source, i, sink), a, b);                       \
+  }                                                                                                \
+  LANE_FN void gather3##t(const char* s, int64_t rows, const row_lanes* r, vb need,                \
+                          int32_t source, int64_t i, novaphy_error_sink* sink, T* a, T* b, T* c) { \
+    load3##t(row_or_zeros(s, rows, r->row, 3, need, source, i, sink), a, b, c);                    \
+  }                                                                                                \
+  LANE_FN void gather4##t(const char* s, int64_t rows, const row_lanes* r, vb need,                \
+                          int32_t source, int64_t i, novaphy_error_sink* sink, T* a, T* b, T* c,   \
+                          T* d) {                                                                  \
+    load4##t(row_or_zeros(s, rows, r->row, 4, need, source, i, sink), a, b, c, d);                 \
+  }
+LANES_GATHER(f, vf)
+LANES_GATHER(i, vi)
+#undef LANES_GATHER
+
+/* CSR rows. */
+typedef struct csr_rows {
+  int32_t start, longest;
+} csr_rows;
+LANE_FN csr_rows csr_begin(const int32_t* offsets, int64_t i) {
+  return (csr_rows){offsets[i], offsets[i + 1] - offsets[i]};
+}
+LANE_FN vb csr_on(const csr_rows* c, int32_t r) {
+  (void)c, (void)r;
+  return 1;
+}
+LANE_FN vi csr_slot(const csr_rows* c, const int32_t* items, int32_t r, vb on) {
+  (void)on;
+  return items != NULL ? items[c->start + r] : c->start + r;
+}

@@ -1,0 +1,26 @@
+// Program -> C: the text that a compiler turns into native code, and that users read.
+//
+// The text is one function over a range of rows. It names lane types and functions (vf, vi, vm,
+// load3f, vselect_f, ...) whose meaning a prelude gives for one width of lanes:
+// backends/cpu/src/lanes.h for the host compiler. The same text serves every width, one lane
+// included, and gives the same bits as an interpreter of the Program in each:
+//  - every operation of the Program is one operation of the text, in the order of schedule();
+//  nothing is contracted
+//    or reassociated
+//  - values that are the same in every lane are plain C scalars, and as far as possible computed
+//  before the rows
+//  - a region that no lane of a group needs is jumped over
+#pragma once
+
+#include <string>
+
+#include "novaphy/program/ir.h"
+
+namespace nova::ir {
+
+// `function`: the name of the C function; empty: one made of the Program's name and hash.
+std::string emit_c(const Program& program, const std::string& function = {});
+// "step_particles_0123456789abcdef": a legal C name, the same for equal Programs of one name.
+std::string c_function_name(const Program& program);
+
+}  // namespace nova::ir

@@ -1,0 +1,204 @@
+#include "emit_plan.h"
+
+#include <algorithm>
+#include <map>
+#include <tuple>
+
+namespace nova::ir {
+namespace {
+
+// A region that weighs less costs less than asking whether any lane needs it. Weights are about
+// cycles per vector.
+constexpr int32_t kMinPrintedRegion = 12;
+constexpr int32_t kDivisionWeight = 8, kTableLoadWeight = 8;
+
+size_t at(int32_t k) { return static_cast<size_t>(k); }
+
+class Planner {
+ public:
+  explicit Planner(const Program& program) : p_(program) {}
+
+  EmitPlan run() {
+    out_.steps = schedule(p_);
+    const size_t count = p_.instrs.size();
+    out_.uniform.assign(count, 0);
+    out_.once.assign(count, 0);
+    out_.used.assign(count, 0);
+    out_.escapes.assign(count, 0);
+    out_.loop.assign(count, -1);
+    out_.region.assign(count, -1);
+    out_.group.assign(count, -1);
+    locate();
+    find_uniform();
+    find_used();
+    group_loads();
+    weigh_regions();
+    find_escapes();
+    return std::move(out_);
+  }
+
+ private:
+  // Where every value stands.
+  void locate() {
+    out_.region_of_step.assign(out_.steps.size(), -1);
+    std::vector<std::pair<int32_t, int32_t>> open;  // (end step, region)
+    int32_t loop = -1;
+    for (size_t s = 0; s < out_.steps.size(); ++s) {
+      while (!open.empty() && open.back().first <= static_cast<int32_t>(s)) open.pop_back();
+      const Step& step = out_.steps[s];
+      switch (step.kind) {
+        case Step::Kind::LoopBegin:
+          loop = step.value;
+          break;
+        case Step::Kind::LoopEnd:
+          loop = -1;
+          break;
+        case Step::Kind::SkipIfNone: {
+          Region region;
+          region.parent = open.empty() ? -1 : open.back().second;
+          region.cond = step.value;
+          region.polarity = step.polarity;
+          const auto number = static_cast<int32_t>(out_.regions.size());
+          out_.regions.push_back(std::move(region));
+          out_.region_of_step[s] = number;
+          open.emplace_back(step.target, number);
+          break;
+        }
+        case Step::Kind::Compute:
+          out_.loop[at(step.value)] = loop;
+          out_.region[at(step.value)] = open.empty() ? -1 : open.back().second;
+          break;
+      }
+    }
+  }
+
+  // Operands come before their users, so one pass is enough. Only loads are tied to their place: a
+  // row that is legal under a condition only must not be read without it.
+  void find_uniform() {
+    for (size_t v = 0; v < p_.instrs.size(); ++v) {
+      const Instr& in = p_.instrs[v];
+      bool uniform = in.op != Op::INDEX && in.op != Op::SLOT && in.op != Op::SUM;
+      bool once = uniform && in.op != Op::REDUCE_INDEX;
+      for_each_operand(in, [&](Value o) {
+        uniform = uniform && out_.uniform[at(o)];
+        once = once && out_.once[at(o)];
+      });
+      if (is_load(in.op) && (out_.region[v] >= 0 || out_.loop[v] >= 0)) once = false;
+      out_.uniform[v] = uniform;
+      out_.once[v] = uniform && once;
+    }
+  }
+
+  void find_used() {
+    const auto use = [&](Value v) { out_.used[at(v)] = 1; };
+    for (const Output& o : p_.outputs)
+      for (const Value v : o.values) use(v);
+    for (const Loop& l : p_.loops)
+      for (const Sum& s : l.sums) {
+        use(s.init);
+        use(s.term);
+      }
+    for (const Region& r : out_.regions) use(r.cond);
+    for (size_t v = p_.instrs.size(); v-- > 0;) {
+      const Instr& in = p_.instrs[v];
+      const bool own_row = is_load(in.op) && p_.instrs[at(in.b)].op == Op::INDEX;  // written as i
+      if (out_.used[v] && !own_row) for_each_operand(in, use);
+    }
+  }
+
+  // Columns of one row in the same place are one load, where the first of them stood.
+  void group_loads() {
+    std::map<std::tuple<int32_t, Value, int32_t, int32_t, bool>, int32_t> known;
+    for (const Step& step : out_.steps) {
+      if (step.kind != Step::Kind::Compute || !out_.used[at(step.value)]) continue;
+      const Instr& in = p_.instrs[at(step.value)];
+      if (!is_load(in.op)) continue;
+      const size_t v = at(step.value);
+      const auto [entry, fresh] = known.emplace(
+          std::make_tuple(in.a, in.b, out_.loop[v], out_.region[v], out_.once[v] != 0),
+          static_cast<int32_t>(out_.groups.size()));
+      if (fresh) {
+        out_.group[v] = entry->second;
+        out_.groups.push_back(
+            {in.a, in.b, std::vector<Value>(at(p_.sources[at(in.a)].width), kNone)});
+      }
+      Value& column = out_.groups[at(entry->second)].columns[at(in.c)];
+      if (column == kNone) column = step.value;
+    }
+  }
+
+  void weigh_regions() {
+    for (size_t v = 0; v < p_.instrs.size(); ++v) {
+      const Op op = p_.instrs[v].op;
+      if (!out_.used[v] || out_.once[v] || is_leaf(op)) continue;
+      const bool through_table = is_load(op) && p_.instrs[at(p_.instrs[v].b)].op != Op::INDEX;
+      const bool division = op == Op::DIV || op == Op::SQRT || op == Op::IDIV || op == Op::IMOD;
+      for (int32_t r = out_.region[v]; r >= 0; r = out_.regions[at(r)].parent)
+        out_.regions[at(r)].weight += through_table ? kTableLoadWeight
+                                      : division    ? kDivisionWeight
+                                                    : 1;
+    }
+    for (Region& r : out_.regions) r.printed = r.weight >= kMinPrintedRegion;
+  }
+
+  bool inside(int32_t region, int32_t ancestor) const {
+    while (region >= 0 && region != ancestor) region = out_.regions[at(region)].parent;
+    return region == ancestor;
+  }
+
+  void find_escapes() {
+    // Per value the innermost printed region that contains it and all its uses.
+    constexpr int32_t kUnseen = -2;
+    std::vector<int32_t> scope(p_.instrs.size(), kUnseen);
+    const auto common = [&](int32_t a, int32_t b) {
+      while (a >= 0 && !inside(b, a)) a = out_.printed_region(out_.regions[at(a)].parent);
+      return a;
+    };
+    const auto use = [&](Value v, int32_t region) {
+      int32_t& s = scope[at(v)];
+      if (s == kUnseen) s = out_.printed_region(out_.region[at(v)]);
+      s = common(s, out_.printed_region(region));
+    };
+    for (const Output& o : p_.outputs)
+      for (const Value v : o.values) use(v, -1);
+    for (const Loop& l : p_.loops)
+      for (const Sum& s : l.sums) use(s.term, -1);
+    for (const Region& r : out_.regions) use(r.cond, r.parent);
+    for (size_t v = 0; v < p_.instrs.size(); ++v)
+      if (out_.used[v]) for_each_operand(p_.instrs[v], [&](Value o) { use(o, out_.region[v]); });
+    for (size_t v = 0; v < p_.instrs.size(); ++v) {
+      if (scope[v] == kUnseen || out_.once[v] || is_leaf(p_.instrs[v].op)) continue;
+      int32_t child = out_.printed_region(out_.region[v]);
+      if (child == scope[v]) continue;
+      while (out_.printed_region(out_.regions[at(child)].parent) != scope[v])
+        child = out_.printed_region(out_.regions[at(child)].parent);
+      out_.regions[at(child)].escape.push_back(static_cast<Value>(v));
+      out_.escapes[v] = 1;
+    }
+  }
+
+  const Program& p_;
+  EmitPlan out_;
+};
+
+}  // namespace
+
+bool is_leaf(Op op) {
+  switch (op) {
+    case Op::CONST_F:
+    case Op::CONST_I:
+    case Op::CONST_B:
+    case Op::PARAM_F:
+    case Op::PARAM_I:
+    case Op::REDUCE_INDEX:
+    case Op::SLOT:
+    case Op::SUM:
+      return true;
+    default:
+      return false;
+  }
+}
+
+EmitPlan make_emit_plan(const Program& program) { return Planner(program).run(); }
+
+}  // namespace nova::ir

@@ -1,0 +1,55 @@
+// Internal to the emitter: what is known about a Program before the first line of text is written.
+#pragma once
+
+#include <vector>
+
+#include "novaphy/program/ir.h"
+
+namespace nova::ir {
+
+// Loads of several columns of one row, written as one.
+struct LoadGroup {
+  int32_t source = 0;
+  Value row = kNone;
+  std::vector<Value> columns;  // per column of the source the value that it becomes, or kNone
+};
+
+// A skippable region of the schedule. One that would skip too little to pay for the question is
+// written without an `if`; its condition still says which lanes need a load.
+struct Region {
+  int32_t parent = -1;
+  Value cond = kNone;
+  bool polarity = true;
+  bool printed = true;
+  int32_t weight = 0;         // of the operations in it
+  std::vector<Value> escape;  // values made inside and read outside: declared before the `if`
+};
+
+struct EmitPlan {
+  std::vector<Step> steps;
+  std::vector<Region> regions;
+  std::vector<int32_t> region_of_step;  // SkipIfNone: which region it opens
+  // per value
+  std::vector<char> uniform;  // the same in every lane
+  std::vector<char> once;     // computed before the rows
+  std::vector<char> used;
+  std::vector<char> escapes;    // declared before the region that computes it
+  std::vector<int32_t> loop;    // the loop around, or -1
+  std::vector<int32_t> region;  // the innermost region around, or -1
+  std::vector<int32_t> group;   // loads: the group that this value leads, or -1
+  std::vector<LoadGroup> groups;
+
+  int32_t printed_region(int32_t r) const {
+    while (r >= 0 && !regions[static_cast<size_t>(r)].printed)
+      r = regions[static_cast<size_t>(r)].parent;
+    return r;
+  }
+};
+
+EmitPlan make_emit_plan(const Program& program);
+
+inline bool is_load(Op op) { return op == Op::LOAD_F || op == Op::LOAD_I; }
+// Values that are written where they are used: constants, parameters, counters, sums.
+bool is_leaf(Op op);
+
+}  // namespace nova::ir

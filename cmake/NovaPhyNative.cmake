@@ -1,0 +1,92 @@
+# novaphy_add_native_kernels(<target> NAME <name> PARTS <n> [PROGRAMS <file>])
+# Gives the plugin <target> the compiled kernels: runs the kernel generator in the build, compiles the C files that it
+# writes once per instruction set, and writes the C++ file that lists their tables. Without kernels the list is empty.
+#
+# The generator links the engine and runs on the host. A cross build names one that a host build of the same sources
+# made: -DNOVAPHY_KERNEL_GENERATOR=<path>.
+set(NOVAPHY_KERNEL_GENERATOR "" CACHE FILEPATH
+    "A kernel generator that runs here (cross builds; empty: the one of this build)")
+
+# Level, lanes and options. The scalar form serves the rows that fill no group, on every processor.
+set(NOVAPHY_NATIVE_LEVELS scalar baseline)
+set(NOVAPHY_NATIVE_LANES_scalar 1)
+set(NOVAPHY_NATIVE_LANES_baseline 4)
+set(NOVAPHY_NATIVE_OPTIONS_scalar "")
+set(NOVAPHY_NATIVE_OPTIONS_baseline "")
+if(CMAKE_SYSTEM_PROCESSOR MATCHES "^(x86_64|AMD64)$")
+  list(APPEND NOVAPHY_NATIVE_LEVELS avx2 avx512)
+  set(NOVAPHY_NATIVE_LANES_avx2 8)
+  set(NOVAPHY_NATIVE_LANES_avx512 16)
+  set(NOVAPHY_NATIVE_OPTIONS_avx2 -mavx2 -mfma)
+  set(NOVAPHY_NATIVE_OPTIONS_avx512 -mavx2 -mfma -mavx512f -mavx512dq -mavx512bw -mavx512vl
+                                    -mprefer-vector-width=512)
+endif()
+
+# The arithmetic contract, wrapping integers, and words that are read as float or int. The text is generated, so it is
+# not held to the warnings of written code.
+set(NOVAPHY_NATIVE_COMMON_OPTIONS -O2 -g0 -ffp-contract=off -fno-math-errno -fno-trapping-math -fwrapv
+    -fno-strict-aliasing -w -Wno-psabi)
+
+function(novaphy_add_native_kernels target)
+  cmake_parse_arguments(ARG "" "NAME;PARTS;PROGRAMS" "" ${ARGN})
+  set(folder ${CMAKE_CURRENT_BINARY_DIR}/${ARG_NAME})
+  file(MAKE_DIRECTORY ${folder})
+  set(prelude ${PROJECT_SOURCE_DIR}/backends/cpu/src)
+  set(declarations "")
+  set(lists "")
+  set(levels "")
+  if(ARG_PARTS GREATER 0)
+    set(files "")
+    math(EXPR last "${ARG_PARTS} - 1")
+    foreach(part RANGE ${last})
+      list(APPEND files ${folder}/kernels_${part}.c)
+    endforeach()
+    set(generator ${NOVAPHY_KERNEL_GENERATOR})
+    if(NOT generator)
+      set(generator novaphy_kernel_generator)
+    endif()
+    set(arguments ${folder} ${ARG_PARTS})
+    if(ARG_PROGRAMS)
+      list(APPEND arguments --programs ${ARG_PROGRAMS})
+    endif()
+    add_custom_command(OUTPUT ${files} COMMAND ${generator} ${arguments} DEPENDS ${generator} ${ARG_PROGRAMS}
+                       COMMENT "Generating kernels: ${ARG_NAME}" VERBATIM)
+    add_custom_target(${target}_${ARG_NAME} DEPENDS ${files})
+    foreach(level ${NOVAPHY_NATIVE_LEVELS})
+      set(objects ${target}_${ARG_NAME}_${level})
+      add_library(${objects} OBJECT ${files})
+      add_dependencies(${objects} ${target}_${ARG_NAME})
+      set_target_properties(${objects} PROPERTIES C_EXTENSIONS ON)
+      target_include_directories(${objects} PRIVATE ${prelude})
+      target_compile_definitions(${objects} PRIVATE LANES=${NOVAPHY_NATIVE_LANES_${level}}
+                                 NOVAPHY_NATIVE_LEVEL=${level})
+      target_compile_options(${objects} PRIVATE ${NOVAPHY_NATIVE_COMMON_OPTIONS} ${NOVAPHY_NATIVE_OPTIONS_${level}})
+      target_sources(${target} PRIVATE $<TARGET_OBJECTS:${objects}>)
+      string(APPEND lists "constexpr const novaphy_native_table* k_${level}[] = {")
+      foreach(part RANGE ${last})
+        string(APPEND declarations "extern \"C\" const novaphy_native_table novaphy_native_${level}_${part};\n")
+        string(APPEND lists "&novaphy_native_${level}_${part}, ")
+      endforeach()
+      string(APPEND lists "};\n")
+      string(APPEND levels "    {\"${level}\", k_${level}},\n")
+    endforeach()
+    set(result "kLevels")
+    set(levels "const NativeLevel kLevels[] = {\n${levels}};\n")
+  else()
+    set(result "{}")
+  endif()
+  file(CONFIGURE OUTPUT ${folder}/compiled_levels.cpp @ONLY CONTENT
+"// Written by cmake/NovaPhyNative.cmake.
+#include \"native_tables.h\"
+
+@declarations@
+namespace novaphy::cpu {
+namespace {
+@lists@@levels@}  // namespace
+std::span<const NativeLevel> compiled_levels();
+std::span<const NativeLevel> compiled_levels() { return @result@; }
+}  // namespace novaphy::cpu
+")
+  target_sources(${target} PRIVATE ${folder}/compiled_levels.cpp)
+  target_include_directories(${target} PRIVATE ${prelude})
+endfunction()

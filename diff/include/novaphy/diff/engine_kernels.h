@@ -1,0 +1,30 @@
+// The kernels of the differentiable operators, with the gradients that are built ahead for them;
+// see <novaphy/nova/registry.h>.
+#pragma once
+
+#include <vector>
+
+#include "novaphy/diff/export.h"
+#include "novaphy/nova/registry.h"
+
+namespace novaphy::diff {
+
+NOVAPHY_DIFF_API std::vector<nova::EngineKernel> engine_kernels();
+
+namespace detail {
+// Each file that defines kernels adds them to the list.
+void add_contact_kernels(std::vector<nova::EngineKernel>& list);   // diff_soft_contacts.cpp
+void add_loss_kernels(std::vector<nova::EngineKernel>& list);      // losses.cpp
+void add_particle_kernels(std::vector<nova::EngineKernel>& list);  // diff_particles.cpp
+void add_view_kernels(std::vector<nova::EngineKernel>& list);      // tensor_views.cpp
+
+// The gradients that are built ahead for an operator on particles: of its state (those of `state`
+// that it has), of each of `others`, of both, and of all of `materials` together. What all steps of
+// a rollout share is stored at the last one and added to at the others.
+std::vector<nova::AdjointMask> rollout_gradients(const nova::Kernel& kernel,
+                                                 const std::vector<std::string>& state,
+                                                 const std::vector<std::string>& others,
+                                                 const std::vector<std::string>& materials);
+}  // namespace detail
+
+}  // namespace novaphy::diff

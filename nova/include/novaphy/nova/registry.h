@@ -1,0 +1,35 @@
+// The kernels that the engine itself defines, with the gradients that are built ahead for them:
+// what the build's kernel generator compiles into the CPU plugin. A kernel that is not listed
+// works, interpreted.
+#pragma once
+
+#include <string>
+#include <vector>
+
+#include "novaphy/nova/export.h"
+#include "novaphy/nova/kernel.h"
+
+namespace nova {
+
+struct EngineKernel {
+  Kernel kernel;
+  std::vector<AdjointMask> gradients;  // of these, the adjoints are built ahead too
+};
+
+// The kernels of this library. novaphy::diff::engine_kernels() lists those of the operators.
+NOVAPHY_NOVA_API std::vector<EngineKernel> engine_kernels();
+
+// The Programs of a list, every one once, in the order of their hashes.
+NOVAPHY_NOVA_API std::vector<ir::Program> programs_of(const std::vector<EngineKernel>& kernels);
+
+// A mask from the names of sources and outputs. `accumulate`: those of `wrt` whose gradient is
+// added to.
+NOVAPHY_NOVA_API AdjointMask gradient_mask(const Kernel& kernel,
+                                           const std::vector<std::string>& wrt,
+                                           const std::vector<std::string>& accumulate,
+                                           const std::vector<std::string>& seeded);
+// Every set of float sources, stored or added to, with all outputs seeded: for kernels with one or
+// two of them.
+NOVAPHY_NOVA_API std::vector<AdjointMask> every_gradient(const Kernel& kernel);
+
+}  // namespace nova

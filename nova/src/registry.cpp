@@ -1,0 +1,83 @@
+#include "novaphy/nova/registry.h"
+
+#include <algorithm>
+#include <map>
+
+#include "engine_kernels.h"
+#include "novaphy/core/error.h"
+
+namespace nova {
+
+std::vector<EngineKernel> engine_kernels() {
+  std::vector<EngineKernel> list;
+  detail::add_op_kernels(list);
+  detail::add_optim_kernels(list);
+  detail::add_tape_kernels(list);
+  detail::add_tensor_kernels(list);
+  return list;
+}
+
+std::vector<ir::Program> programs_of(const std::vector<EngineKernel>& kernels) {
+  std::map<uint64_t, ir::Program> programs;
+  // Equal Programs may have several names: the smallest, so that the choice does not depend on the
+  // order.
+  const auto add = [&](const ir::Program& p) {
+    const auto [entry, fresh] = programs.try_emplace(ir::hash(p), p);
+    if (!fresh && p.name < entry->second.name) entry->second = p;
+  };
+  for (const EngineKernel& k : kernels) {
+    add(k.kernel.program());
+    for (const AdjointMask& mask : k.gradients) {
+      const AdjointPlan& plan = k.kernel.adjoint(mask);
+      for (const auto* stages : {&plan.rows, &plan.items})
+        for (const AdjointStage& stage : *stages) add(stage.program);
+    }
+  }
+  std::vector<ir::Program> list;
+  for (auto& [hash, program] : programs) list.push_back(std::move(program));
+  return list;
+}
+
+AdjointMask gradient_mask(const Kernel& kernel, const std::vector<std::string>& wrt,
+                          const std::vector<std::string>& accumulate,
+                          const std::vector<std::string>& seeded) {
+  const auto has = [](const std::vector<std::string>& names, const std::string& name) {
+    return std::find(names.begin(), names.end(), name) != names.end();
+  };
+  AdjointMask mask;
+  size_t found = 0;
+  for (const SourceSpec& s : kernel.sources()) {
+    mask.wrt.push_back(has(wrt, s.name));
+    mask.accumulate.push_back(has(accumulate, s.name));
+    found += (mask.wrt.back() ? 1u : 0u) + (mask.accumulate.back() ? 1u : 0u);
+  }
+  for (const OutputSpec& o : kernel.outputs()) {
+    mask.seeded.push_back(has(seeded, o.name));
+    found += mask.seeded.back() ? 1u : 0u;
+  }
+  novaphy::require(found == wrt.size() + accumulate.size() + seeded.size(), ErrorKind::Value,
+                   "gradient_mask: kernel '", kernel.name(), "' lacks one of the names");
+  return mask;
+}
+
+std::vector<AdjointMask> every_gradient(const Kernel& kernel) {
+  std::vector<size_t> floats;
+  for (size_t s = 0; s < kernel.sources().size(); ++s)
+    if (kernel.sources()[s].dtype == DType::F32) floats.push_back(s);
+  const size_t count = kernel.sources().size();
+  const std::vector<bool> seeded(kernel.outputs().size(), true);
+  std::vector<AdjointMask> masks;
+  for (size_t wrt = 1; wrt < size_t{1} << floats.size(); ++wrt)
+    for (size_t add = 0; add <= wrt; ++add) {
+      if ((add & ~wrt) != 0) continue;
+      AdjointMask mask{std::vector<bool>(count, false), std::vector<bool>(count, false), seeded};
+      for (size_t k = 0; k < floats.size(); ++k) {
+        mask.wrt[floats[k]] = wrt >> k & 1;
+        mask.accumulate[floats[k]] = add >> k & 1;
+      }
+      masks.push_back(std::move(mask));
+    }
+  return masks;
+}
+
+}  // namespace nova

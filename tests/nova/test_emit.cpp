@@ -1,0 +1,152 @@
+// The text of the C emitter. With NOVAPHY_UPDATE_GOLDEN=1 the golden files are written instead of
+// compared.
+#include <cstdlib>
+#include <fstream>
+#include <set>
+#include <sstream>
+
+#include "novaphy/nova/registry.h"
+#include "novaphy/program/emit.h"
+#include "random_kernel.h"
+
+namespace novaphy::testing {
+namespace {
+
+std::string read(const std::string& path) {
+  std::ifstream file(path, std::ios::binary);
+  std::stringstream text;
+  text << file.rdbuf();
+  return file ? text.str() : std::string();
+}
+
+void expect_golden(const std::string& name, const nova::ir::Program& program) {
+  const std::string path = std::string(NOVAPHY_GOLDEN_DIR) + "/emit/" + name + ".c";
+  const std::string text = nova::ir::emit_c(program);
+  if (const char* update = std::getenv("NOVAPHY_UPDATE_GOLDEN"); update && *update) {
+    std::ofstream(path, std::ios::binary) << text;
+    return;
+  }
+  const std::string golden = read(path);
+  ASSERT_FALSE(golden.empty()) << path << " is missing; NOVAPHY_UPDATE_GOLDEN=1 writes it";
+  EXPECT_EQ(text, golden) << "a wanted change: NOVAPHY_UPDATE_GOLDEN=1 writes " << path;
+}
+
+nova::Kernel engine_kernel(const std::string& name) {
+  for (const nova::EngineKernel& k : nova::engine_kernels())
+    if (k.kernel.name() == name) return k.kernel;
+  ADD_FAILURE() << "no kernel " << name;
+  return {};
+}
+
+TEST(Emit, SaysWhatTheArgumentsAreAndComputesRowByRow) {
+  expect_golden("sgd_update_f32", engine_kernel("sgd_update_f32").program());
+}
+TEST(Emit, TakesPackedRowsApartAndSkipsWhatNoLaneNeeds) {
+  expect_golden("sgd_update_vec3_clipped_f32",
+                engine_kernel("sgd_update_vec3_clipped_f32").program());
+}
+TEST(Emit, ComputesWhatIsTheSameForAllRowsOnce) {
+  const nova::Kernel kernel = nova::make_kernel(
+      "uniform", {{"x", DType::F32, 2, Access::Direct}, {"u", DType::F32, 3, Access::Uniform}},
+      {{"y", 2}}, [](nova::TraceContext& c) {
+        const nova::Real u = c.f32(1, 0) * c.param(0) - c.f32(1, 2);
+        return std::vector{c.f32(0, 0) * u, c.f32(0, 1) + sqrt(u)};
+      });
+  expect_golden("uniform", kernel.program());
+}
+TEST(Emit, SumsOverACsrRowInOrder) {
+  const nova::Kernel kernel =
+      nova::make_reduce_kernel("neighbours",
+                               {{"x", DType::F32, 3, Access::Direct},
+                                {"other", DType::I32, 1, Access::CsrRow},
+                                {"position", DType::F32, 3, Access::Indexed}},
+                               {{"sum", 1}},
+                               {.init = {},
+                                .body =
+                                    [](nova::TraceContext& c) {
+                                      const nova::Int row = c.i32(1);
+                                      nova::Real d = c.f32(2, row, 0) - c.f32(0, 0);
+                                      for (int32_t k = 1; k < 3; ++k)
+                                        d = d + (c.f32(2, row, k) - c.f32(0, k));
+                                      return std::vector{d};
+                                    },
+                                .epilogue = {}});
+  expect_golden("neighbours", kernel.program());
+}
+TEST(Emit, SumsOverAFixedNumberOfUniformRows) {
+  const nova::Kernel kernel = nova::make_reduce_kernel(
+      "weights", {{"x", DType::F32, 1, Access::Direct}, {"w", DType::F32, 1, Access::Reduced}},
+      {{"sum", 1}},
+      {.init = {},
+       .body =
+           [](nova::TraceContext& c) {
+             return std::vector{c.f32(0) * (c.f32(1) * nova::Real(2.0f))};
+           },
+       .epilogue = {}});
+  expect_golden("weights", kernel.program());
+}
+
+// Every name that the text uses is declared before: an undeclared one would break a build far from
+// here.
+TEST(Emit, DeclaresEveryValueBeforeItsUse) {
+  for (const SumKind kind : {SumKind::None, SumKind::Fixed, SumKind::Csr})
+    for (uint32_t seed = 1; seed < 60; ++seed) {
+      const Kernel kernel = RandomKernel(seed).make(kind);
+      std::stringstream text(nova::ir::emit_c(kernel.program()));
+      std::set<std::string> declared;
+      std::string word;
+      const auto is_value = [](const std::string& w) {
+        return w.size() > 1 && (w[0] == 'v' || w[0] == 'u') &&
+               w.find_first_not_of("0123456789", 1) == std::string::npos;
+      };
+      for (std::string line; std::getline(text, line);) {
+        if (line.rfind("//", 0) == 0) continue;
+        const size_t equals = line.find('=');
+        const bool declares =
+            line.find("const v") != std::string::npos ||
+            line.find("const float u") != std::string::npos ||
+            line.find("const int") != std::string::npos || line.find(" vf ") != std::string::npos ||
+            line.find(" vi ") != std::string::npos || line.find(" vb ") != std::string::npos ||
+            line.find(" float u") != std::string::npos ||
+            line.find(" int32_t u") != std::string::npos ||
+            line.find(" int u") != std::string::npos;
+        std::string name;
+        for (size_t k = 0; k <= line.size(); ++k) {
+          const char c = k < line.size() ? line[k] : ' ';
+          if (std::isalnum(static_cast<unsigned char>(c)) || c == '_') {
+            name += c;
+            continue;
+          }
+          if (is_value(name)) {
+            if (declares && (equals == std::string::npos || k <= equals)) {
+              declared.insert(name);
+            } else {
+              ASSERT_TRUE(declared.count(name)) << name << " in: " << line << "\n"
+                                                << kernel.source();
+            }
+          }
+          name.clear();
+        }
+      }
+      EXPECT_GT(declared.size(), 3u);
+    }
+}
+
+TEST(Emit, GivesEqualTextsForEqualPrograms) {
+  for (uint32_t seed = 1; seed < 10; ++seed)
+    EXPECT_EQ(nova::ir::emit_c(RandomKernel(seed).make(SumKind::Csr).program()),
+              nova::ir::emit_c(RandomKernel(seed).make(SumKind::Csr).program()));
+}
+
+TEST(Emit, MakesACFunctionNameOfAnyName) {
+  nova::ir::Program p = RandomKernel(1).make(SumKind::None).program();
+  p.name = "a b*/c\n" + std::string(500, 'x');
+  const std::string name = nova::ir::c_function_name(p);
+  EXPECT_EQ(name.find_first_not_of("abcdefghijklmnopqrstuvwxyz0123456789_"), std::string::npos)
+      << name;
+  EXPECT_LT(name.size(), 90u);
+  EXPECT_EQ(nova::ir::emit_c(p).rfind("// a b*/c ", 0), 0u);
+}
+
+}  // namespace
+}  // namespace novaphy::testing

@@ -82,6 +82,7 @@ TEST(NativeKernels, ATrainingIterationOfBallsRunsNothingElse) {
     diff::DiffSemiImplicitSolver solver(model, {});
     const nova::Tensor velocity = diff::state_particle_qd_tensor(trajectory.state(0), true);
     nova::Tape tape;
+    const nova::TapeScope scope(tape);
     solver.rollout(trajectory, nullptr, &contacts, kBallDt);
     const nova::Tensor last = diff::state_particle_q_tensor(trajectory.state(8));
     tape.backward(diff::particle_point_loss_generated(last, 0, 0.0f, -2.0f, 1.5f));
@@ -165,15 +166,15 @@ class RandomArguments {
     }
     arguments.resize(arguments.size() + p.outputs.size());
     // Rows of one, two and mixed lengths, over consecutive items and not.
-    const int kind = static_cast<int>(random_() % 4);
+    const int kind = static_cast<int>(next() % 4);
     for (const ir::Loop& l : p.loops) {
       if (l.kind != ir::LoopKind::Csr) continue;
       std::vector<uint32_t> offsets = {0}, list;
       for (int64_t i = 0; i < n; ++i) {
-        const uint32_t length = kind < 3 ? static_cast<uint32_t>(kind) : random_() % 4;
+        const uint32_t length = kind < 3 ? static_cast<uint32_t>(kind) : next() % 4;
         for (uint32_t k = 0; k < length; ++k)
-          list.push_back(random_() % 5 == 0
-                             ? random_() % static_cast<uint32_t>(items)
+          list.push_back(next() % 5 == 0
+                             ? next() % static_cast<uint32_t>(items)
                              : static_cast<uint32_t>(list.size()) % static_cast<uint32_t>(items));
         offsets.push_back(static_cast<uint32_t>(list.size()));
       }
@@ -183,7 +184,7 @@ class RandomArguments {
     std::vector<char> is_float(static_cast<size_t>(p.param_count), 0);
     for (const ir::Instr& in : p.instrs)
       if (in.op == Op::PARAM_F) is_float[static_cast<size_t>(in.a)] = 1;
-    for (const char f : is_float) arguments.push_back(f ? number() : random_() % 5);
+    for (const char f : is_float) arguments.push_back(f ? number() : next() % 5);
   }
 
   std::vector<uint64_t> arguments;
@@ -193,17 +194,18 @@ class RandomArguments {
     memory_.push_back(std::move(words));
     arguments.push_back(reinterpret_cast<uint64_t>(memory_.back().data()));
   }
+  uint32_t next() { return static_cast<uint32_t>(random_()); }
   uint32_t number() {
     static const float edges[] = {0.0f,  -0.0f,    1.0f,      -1.0f, 1e-40f,
                                   3e38f, INFINITY, -INFINITY, NAN};
-    const float value = random_() % 25 == 0
-                            ? edges[random_() % 9]
+    const float value = next() % 25 == 0
+                            ? edges[next() % 9]
                             : std::uniform_real_distribution<float>(-2.0f, 2.0f)(random_);
     uint32_t word;
     std::memcpy(&word, &value, 4);
     return word;
   }
-  uint32_t row() { return random_() % 6 == 0 ? 0xFFFFFFFFu : random_() % 7; }
+  uint32_t row() { return next() % 6 == 0 ? 0xFFFFFFFFu : next() % 7; }
 
   std::mt19937 random_;
   std::vector<std::vector<uint32_t>> memory_;

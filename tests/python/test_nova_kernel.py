@@ -37,6 +37,31 @@ def test_a_kernel_computes_each_row_and_its_gradient():
     assert repr(kernel) == "IndexedKernel('affine')"
 
 
+def test_a_kernel_shows_its_c_text_and_its_program():
+    kernel = make(lambda c: c.f32("x") * 0.5, name="half")
+    text = kernel.source()
+    assert text == kernel.source("c") and text.startswith("// half\n")
+    assert "x: f32{1}, own row" in text and "* 0.5f;" in text
+    assert kernel.source(form="program").startswith("program half")
+    with pytest.raises(ValueError, match="source"):
+        kernel.source("ptx")
+
+
+def test_kernel_info_tells_how_each_kernel_runs():
+    kernel = make(lambda c: c.f32("x") * 0.125, name="an_eighth")
+    assert "an_eighth" not in [info.name for info in nova.kernel_info()]
+    x = nova.tensor([1.0, 2.0])
+    kernel(2, [x])
+    (mine,) = [info for info in nova.kernel_info() if info.name == "an_eighth"]
+    assert mine.how == "interpreter" and mine.hash == kernel.hash and mine.device == "cpu"
+    assert (mine.isa, mine.lanes) in {("baseline", 4), ("avx2", 8), ("avx512", 16)}
+    assert "an_eighth" in repr(mine) and "interpreter" in repr(mine)
+    nova.tanh(x)
+    (tanh,) = [info for info in nova.kernel_info() if info.name == "tanh"]
+    native = novaphy.build_info()["NOVAPHY_WITH_NATIVE_KERNELS"]
+    assert tanh.how == ("native" if native else "interpreter") and tanh.isa == mine.isa
+
+
 def test_equal_computations_have_equal_hashes():
     one = make(lambda c: c.f32("x") * 2 + 1)
     two = make(lambda c: c.f32(0) * np.float32(2) + 1.0, name="other")

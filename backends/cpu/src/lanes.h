@@ -53,7 +53,9 @@ LANE_FN float ufloor(float a) {
 }
 LANE_FN int32_t uf_to_i(float a) {
   const int fits = a >= -2147483648.0f && a < 2147483648.0f;
-  const int32_t inside = (int32_t)(fits ? a : 0.0f);
+  int32_t inside = (int32_t)(fits ? a : 0.0f);
+  /* GCC makes one rounding of (float)(int)a where the processor has it, and -0 of the +0. */
+  __asm__("" : "+r"(inside));
   const int32_t outside = a > 0.0f ? INT32_MAX : a < 0.0f ? INT32_MIN : 0;
   return fits ? inside : outside;
 }

@@ -11,9 +11,9 @@ typedef struct row_lanes {
 LANE_FN row_lanes look_at_rows(vi row) {
   const int32_t first = row[0];
   const vi step = row - first;
-  const int kind = !any(vine(step, splati(0)))        ? ROWS_SAME
-                   : !any(vine(step, lane_numbers())) ? ROWS_CONSECUTIVE
-                                                      : ROWS_ANY;
+  const int kind = all(vieq(step, splati(0)))        ? ROWS_SAME
+                   : all(vieq(step, lane_numbers())) ? ROWS_CONSECUTIVE
+                                                     : ROWS_ANY;
   return (row_lanes){row, first, kind};
 }
 LANE_FN int same_row_inside(const row_lanes* r, int64_t rows) {
@@ -50,20 +50,22 @@ LANE_FN int all_rows_inside(vi row, int64_t limit) {
 }
 
 #if defined(__x86_64__)
-/* Rows of three words, each read with the first word of the next row, four or eight rows at a time. */
+/* Rows of three words, each read with the first word of the next row, four or eight rows at a time.
+ */
 #if LANES == 4
 typedef __m128 row_quads;
 #define QUADS_OF(l) _mm_loadu_ps((const float*)(s + 12 * (int64_t)at[l]))
 #define QUADS(operation) _mm_##operation
 #else
 typedef __m256 row_quads;
-#define QUADS_OF(l)                                                                          \
-  _mm256_insertf128_ps(                                                                      \
-      _mm256_castps128_ps256(_mm_loadu_ps((const float*)(s + 12 * (int64_t)at[l]))),         \
+#define QUADS_OF(l)                                                                  \
+  _mm256_insertf128_ps(                                                              \
+      _mm256_castps128_ps256(_mm_loadu_ps((const float*)(s + 12 * (int64_t)at[l]))), \
       _mm_loadu_ps((const float*)(s + 12 * (int64_t)at[(l) + 4])), 1)
 #define QUADS(operation) _mm256_##operation
 #endif
-LANE_FN void transpose_rows3(const char* s, const int32_t* at, row_quads* a, row_quads* b, row_quads* c) {
+LANE_FN void transpose_rows3(const char* s, const int32_t* at, row_quads* a, row_quads* b,
+                             row_quads* c) {
   const row_quads r0 = QUADS_OF(0), r1 = QUADS_OF(1), r2 = QUADS_OF(2), r3 = QUADS_OF(3);
   const row_quads xy01 = QUADS(unpacklo_ps(r0, r1)), xy23 = QUADS(unpacklo_ps(r2, r3));
   *a = QUADS(shuffle_ps(xy01, xy23, 0x44));
@@ -175,7 +177,7 @@ LANE_FN csr_rows csr_begin(const int32_t* offsets, int64_t i) {
   const vi length = load_lanes((const char*)(offsets + i + 1)) - start;
   const int32_t first = length[0];
   csr_rows c = {start, length, first, first};
-  if (any(vine(length, splati(first)))) {
+  if (!all(vieq(length, splati(first)))) {
     c.width = -1;
     for (int l = 1; l < LANES; ++l)
       if (length[l] > c.longest) c.longest = length[l];

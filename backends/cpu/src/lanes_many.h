@@ -39,6 +39,7 @@ LANE_FN vf vbits_f(vi a) { return (vf)a; }
 typedef __mmask16 vb;
 LANE_FN vb splatb(int a) { return (vb)(a ? 0xFFFF : 0); }
 LANE_FN int any(vb a) { return a != 0; }
+LANE_FN int all(vb a) { return a == 0xFFFF; }
 LANE_FN int lane_of(vb a, int l) { return (a >> l) & 1; }
 LANE_FN vb vand(vb a, vb b) { return (vb)(a & b); }
 LANE_FN vb vor(vb a, vb b) { return (vb)(a | b); }
@@ -79,16 +80,20 @@ LANE_FN vb vieq(vi a, vi b) { return (vb)(a == b); }
 LANE_FN vb vine(vi a, vi b) { return (vb)(a != b); }
 #if LANES == 8
 LANE_FN int any(vb a) { return !_mm256_testz_si256((__m256i)a, (__m256i)a); }
+LANE_FN int all(vb a) { return _mm256_movemask_ps((__m256)a) == 0xFF; }
 LANE_FN vi vselecti(vb c, vi a, vi b) {
   return (vi)_mm256_blendv_ps((__m256)b, (__m256)a, (__m256)c);
 }
 #else
 #if defined(__x86_64__)
 LANE_FN int any(vb a) { return _mm_movemask_ps((__m128)a) != 0; }
+LANE_FN int all(vb a) { return _mm_movemask_ps((__m128)a) == 0xF; }
 #elif defined(__aarch64__)
 LANE_FN int any(vb a) { return vmaxvq_u32((uint32x4_t)a) != 0; }
+LANE_FN int all(vb a) { return vminvq_u32((uint32x4_t)a) != 0; }
 #else
 LANE_FN int any(vb a) { return (a[0] | a[1] | a[2] | a[3]) != 0; }
+LANE_FN int all(vb a) { return (a[0] & a[1] & a[2] & a[3]) != 0; }
 #endif
 LANE_FN vi vselecti(vb c, vi a, vi b) { return (c & a) | (~c & b); }
 #endif
@@ -109,10 +114,21 @@ LANE_FN vi vishr(vi a, vi b) { return a >> (b & 31); }
 LANE_FN vi viushr(vi a, vi b) { return (vi)((vu)a >> (vu)(b & 31)); }
 LANE_FN vf vi_to_f(vi a) { return __builtin_convertvector(a, vf); }
 
+#if LANES == 16
+#define LANES_IN_REGISTER(a) "+v"(a)
+#elif defined(__x86_64__)
+#define LANES_IN_REGISTER(a) "+x"(a)
+#elif defined(__aarch64__)
+#define LANES_IN_REGISTER(a) "+w"(a)
+#else
+#define LANES_IN_REGISTER(a) "+m"(a)
+#endif
+
 /* Out of range: the processor's answer is not the contract's, so it is not asked. */
 LANE_FN vi vf_to_i(vf a) {
   const vb fits = vand(vge(a, splatf(-2147483648.0f)), vlt(a, splatf(2147483648.0f)));
-  const vi inside = __builtin_convertvector(vselectf(fits, a, splatf(0.0f)), vi);
+  vi inside = __builtin_convertvector(vselectf(fits, a, splatf(0.0f)), vi);
+  __asm__("" : LANES_IN_REGISTER(inside)); /* see uf_to_i */
   const vi outside = vselecti(vlt(splatf(0.0f), a), splati(INT32_MAX),
                               vselecti(vlt(a, splatf(0.0f)), splati(INT32_MIN), splati(0)));
   return vselecti(fits, inside, outside);

@@ -74,8 +74,8 @@ TEST(LeafGradients, TakeNoMemoryForOtherValues) {
   const TapeScope scope(tape);
   chain.record();
   tape.backward(chain.loss);
-  for (const Tensor& value : chain.values) EXPECT_EQ(grad_info(*value.range()).grad, nullptr);
-  EXPECT_NE(grad_info(*chain.x.range()).grad, nullptr);
+  for (const Tensor& value : chain.values) EXPECT_EQ(nova::grad_info(*value.range()).grad, nullptr);
+  EXPECT_NE(nova::grad_info(*chain.x.range()).grad, nullptr);
 }
 
 TEST(LeafGradients, ARangeThatIsWrittenSeveralTimesKeepsItsValuesApart) {

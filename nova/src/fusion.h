@@ -25,15 +25,25 @@ struct RowLayout {
 };
 RowLayout row_layout(const ir::Program& program);
 
-// A stretch of operations; n > 0: to be run block by block over n rows.
+// A stretch of operations; n > 0: to be run block by block over n rows, `block_rows` at a time. An
+// operation over m * n rows has m rows there for each.
 struct Segment {
   uint32_t first = 0, last = 0;
   int64_t n = 0;
+  int64_t block_rows = 0;
 };
-inline constexpr int64_t kBlockRows = 1024;
+
+// The operations in an order that gives the same results, cut into segments. What stands in the
+// way of a segment is run before it or after it where no data forbids that: a loss that sums over
+// all rows does not part the forward rollout of a block from its backward one.
+struct RunPlan {
+  std::vector<OpList::Op> ops;
+  std::vector<Segment> segments;
+};
+inline constexpr int64_t kMinFusedRows = 2048;
 inline constexpr uint32_t kMaxFusedWords = 192;  // argument words of a launch that can be fused
-std::vector<Segment> find_segments(std::span<const OpList::Op> ops,
-                                   std::span<const uint64_t> words);
+RunPlan plan_run(std::span<const OpList::Op> ops, std::span<const uint64_t> words,
+                 std::span<const MemoryAccess> accesses);
 
 // Runs one segment block by block on the threads. Throws like a launch.
 void run_fused(const novaphy::DeviceContext& context, std::span<const OpList::Op> ops,

@@ -58,7 +58,13 @@ void run_row_sum(const Operand& source, const void* offsets, const void* items, 
                             word(out.range->data()),
                             static_cast<uint64_t>(source.width),
                             static_cast<uint64_t>(stride)};
-  submit_launch(context, known, "row_sum", rows, words);
+  const auto row_bytes = static_cast<uint64_t>(out.width) * 4;
+  const auto row_count = static_cast<uint64_t>(rows);
+  const detail::MemoryAccess accesses[] = {
+      {words[0], static_cast<uint64_t>(source.rows) * row_bytes},
+      {words[3], init ? row_count * row_bytes : 0},
+      {words[4], row_count * row_bytes, 0, true}};
+  submit_launch(context, known, "row_sum", rows, words, nullptr, accesses);
   note_write(out.range);
   for (const Operand* operand : {&source, init, &out})
     if (operand) hold_in_capture(operand->range);

@@ -38,13 +38,14 @@ void run_fill(const DeviceContext& c, void* target, uint32_t pattern, int64_t by
       "fill");
 }
 
-void record(const DeviceContext& context, OpList::Op op, std::span<const uint64_t> words = {}) {
+void record(const DeviceContext& context, OpList::Op op, std::span<const uint64_t> words = {},
+            std::span<const detail::MemoryAccess> accesses = {}) {
   OpList& list = *recording();
   require(list.context == nullptr || list.context == &context, ErrorKind::Runtime,
           "capture: recorded on ", list.context ? list.context->id.str() : "", ", then asked for ",
           context.id.str(), "; a capture holds the work of one device");
   list.context = &context;
-  list.add(op, words);
+  list.add(op, words, accesses);
 }
 
 }  // namespace
@@ -56,10 +57,14 @@ OpList::OpList() {
   id_ = ++next;
 }
 
-void OpList::add(Op op, std::span<const uint64_t> words) {
+void OpList::add(Op op, std::span<const uint64_t> words,
+                 std::span<const detail::MemoryAccess> accesses) {
   op.first_word = static_cast<uint32_t>(words_.size());
   op.word_count = static_cast<uint32_t>(words.size());
   words_.insert(words_.end(), words.begin(), words.end());
+  op.first_access = static_cast<uint32_t>(accesses_.size());
+  op.access_count = static_cast<uint32_t>(accesses.size());
+  accesses_.insert(accesses_.end(), accesses.begin(), accesses.end());
   ops_.push_back(op);
 }
 
@@ -103,17 +108,18 @@ void OpList::run_once() const { run(); }
 void OpList::run() const {
   if (ops_.empty()) return;
   const novaphy_backend_api& api = *context->api;
-  if (segments_.empty()) segments_ = detail::find_segments(ops_, words_);
+  if (!plan_)
+    plan_ = std::make_unique<detail::RunPlan>(detail::plan_run(ops_, words_, accesses_));
   novaphy_error error = novaphy::make_error();
   constexpr uint32_t kOpsPerInterruptCheck = 64;
-  for (const detail::Segment& segment : segments_) {
+  for (const detail::Segment& segment : plan_->segments) {
     if (segment.n > 0 && context->host_accessible) {
-      detail::run_fused(*context, ops_, words_, segment);
+      detail::run_fused(*context, plan_->ops, words_, segment);
       continue;
     }
     for (uint32_t k = segment.first; k < segment.last; ++k) {
       if (k % kOpsPerInterruptCheck == 0) novaphy::check_interrupt();
-      const Op& op = ops_[k];
+      const Op& op = plan_->ops[k];
       novaphy_status status = NOVAPHY_OK;
       switch (op.kind) {
         case Op::Kind::Launch:
@@ -178,14 +184,15 @@ ScopedCapture::~ScopedCapture() { end(); }
 OpList* current_capture() { return capture; }
 
 void submit_launch(const DeviceContext& context, novaphy_kernel* kernel, const char* name,
-                   int64_t n, std::span<const uint64_t> words, const detail::RowLayout* layout) {
+                   int64_t n, std::span<const uint64_t> words, const detail::RowLayout* layout,
+                   std::span<const detail::MemoryAccess> accesses) {
   if (recording()) {
     OpList::Op op{OpList::Op::Kind::Launch};
     op.layout = layout;
     op.n = n;
     op.kernel = kernel;
     op.name = name;
-    record(context, op, words);
+    record(context, op, words, accesses);
     return;
   }
   launch_now(context, kernel, name, n, words);

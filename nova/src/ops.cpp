@@ -133,6 +133,13 @@ const Kernel& broadcast_kernel() {
   return kernel;
 }
 
+const Kernel& broadcast_value_kernel() {
+  static const Kernel kernel =
+      make_kernel("broadcast_value", {{"value", DType::F32, 1, Access::Uniform}}, {{"out", 1}},
+                  [](TraceContext& c) { return std::vector{c.f32(0)}; });
+  return kernel;
+}
+
 Tensor with_parameter(const Kernel& kernel, const Tensor& x, float value) {
   const Param params[] = {value};
   return unary(kernel, x, params);
@@ -170,7 +177,8 @@ void detail::add_op_kernels(EngineKernels& list) {
   NOVA_SCALAR_OPS(NOVA_LIST_UNARY)
   add_one(detail::clamp_kernel());
   add_one(where_kernel());
-  list.push_back({broadcast_kernel(), {}});  // only ever part of a backward
+  list.push_back({broadcast_kernel(), {}});  // these two are only ever part of a backward
+  list.push_back({broadcast_value_kernel(), {}});
 }
 
 const Kernel& detail::clamp_kernel() {
@@ -215,8 +223,12 @@ Tensor sum_of_rows(const Operand& x, Shape shape, const Tensor& source) {
     tape->record_custom("sum", {source}, {out}, [x](const std::vector<Tensor>& g) {
       const Tensor spread(Shape{x.rows, x.width}, DType::F32, g[0].device());
       const Operand in = g[0].flat_operand(), to = spread.flat_operand();
-      const Param params[] = {x.width};
-      broadcast_kernel().launch(spread.size(), {&in, 1}, {&to, 1}, {.params = params});
+      const Param width[] = {x.width};
+      // A single value goes without the row number, and so block by block with its neighbours.
+      const bool one = x.width == 1;
+      (one ? broadcast_value_kernel() : broadcast_kernel())
+          .launch(spread.size(), {&in, 1}, {&to, 1},
+                  {.params = std::span<const Param>(width, one ? 0 : 1)});
       return std::vector<Tensor>{spread};
     });
   return out;

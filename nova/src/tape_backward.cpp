@@ -212,7 +212,7 @@ void Tape::Impl::run_steps(const std::shared_ptr<Range>& loss_gradient, const Te
   // small.
   int64_t largest = 0;
   for (const Step& step : steps) largest = std::max(largest, step.op->dim);
-  DeferredScope deferred(largest >= 2 * detail::kBlockRows);
+  DeferredScope deferred(largest >= detail::kMinFusedRows);
   constexpr size_t kStepsPerInterruptCheck = 64, kMaxHeldBytes = size_t{64} << 20;
   for (size_t k = 0; k < steps.size(); ++k) {
     if (k % kStepsPerInterruptCheck == 0) novaphy::check_interrupt();

@@ -10,6 +10,7 @@ Modes:
   substep, recorded on a new tape in every iteration. This is how Newton's example is written.
 * `rollout`: one call of `rollout` over a `Trajectory`, recorded on a new tape in every iteration.
 * `captured`: the `rollout` iteration, captured once with `nova.ScopedCapture` and replayed.
+* `leaves`: the same on a tape that keeps the gradients of leaves only.
 
 With `--memory` it prints, instead of timings, how much memory the `step` loop takes per particle
 and substep: `states_bytes` is what the states took, `tape_bytes` what recording and `backward`
@@ -34,7 +35,7 @@ import numpy as np
 import novaphy
 from novaphy import diff, nova
 
-MODES = ("step", "rollout", "captured")
+MODES = ("step", "rollout", "captured", "leaves")
 STEPS = 36 * 8
 DT = (1.0 / 60) / 8
 TRAIN_RATE = 0.02
@@ -85,7 +86,7 @@ class Balls:
         self.velocity = diff.state_particle_qd_tensor(self.first, requires_grad=True)
 
         self.graph = None
-        if mode == "captured":
+        if mode in ("captured", "leaves"):
             with nova.ScopedCapture() as capture:
                 self.loss = self.record()
             self.graph = capture.graph
@@ -101,7 +102,7 @@ class Balls:
 
     def record(self, update: bool = True) -> nova.Tensor:
         """One training iteration on a new tape; the loss before the update."""
-        with nova.Tape() as tape:
+        with nova.Tape(leaf_gradients_only=self.mode == "leaves") as tape:
             self.simulate()
             final = diff.state_particle_q_tensor(self.last)
             if self.n == 1:

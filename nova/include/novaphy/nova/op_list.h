@@ -20,7 +20,13 @@ using novaphy::Range;
 enum class GradState : uint8_t;  // tensor.h
 namespace detail {
 struct RowLayout;
-struct Segment;
+struct RunPlan;
+// Memory that an operation reads or writes. `row_bytes`: of one row of its domain; 0: any row.
+struct MemoryAccess {
+  uint64_t begin = 0, bytes = 0;
+  uint32_t row_bytes = 0;
+  bool write = false;
+};
 }  // namespace detail
 
 class NOVAPHY_NOVA_API OpList {
@@ -36,9 +42,12 @@ class NOVAPHY_NOVA_API OpList {
     uint32_t pattern = 0;
     const detail::RowLayout* layout =
         nullptr;  // Launch: how the arguments depend on the row; null: unknown
+    uint32_t first_access = 0, access_count = 0;  // Launch without a layout: what it touches
   };
 
-  void add(Op op, std::span<const uint64_t> words);
+  // No accesses and no layout: what a launch touches is not known, and it keeps its place.
+  void add(Op op, std::span<const uint64_t> words,
+           std::span<const detail::MemoryAccess> accesses = {});
   // Keeps a range (or a kernel) alive for as long as the list lives.
   void hold(std::shared_ptr<const void> owner, size_t bytes = 0) {
     held_.push_back(std::move(owner));
@@ -56,9 +65,9 @@ class NOVAPHY_NOVA_API OpList {
   uint64_t id() const { return id_; }
 
   // Runs all operations in order. No allocation, lock or check per operation; the versions of all
-  // written ranges are raised once at the end. Stretches in which every operation touches written
-  // memory at its own row only run block by block of rows, so that a block stays in the cache: the
-  // same results, less memory traffic.
+  // written ranges are raised once at the end. Operations that touch written memory at their own
+  // row only run block by block of rows, so that a block stays in the cache: the same results, less
+  // memory traffic.
   void launch() const;
   // The same for a list that is run once, by the code that recorded it: the versions were raised
   // then.
@@ -75,7 +84,8 @@ class NOVAPHY_NOVA_API OpList {
   uint64_t id_;
   std::vector<Op> ops_;
   std::vector<uint64_t> words_;
-  mutable std::vector<detail::Segment> segments_;  // found at the first launch
+  std::vector<detail::MemoryAccess> accesses_;
+  mutable std::unique_ptr<detail::RunPlan> plan_;  // made at the first launch
   std::vector<std::shared_ptr<const void>> held_;
   size_t held_bytes_ = 0;
   std::vector<std::shared_ptr<Range>> written_;
@@ -128,7 +138,8 @@ NOVAPHY_NOVA_API void flush_deferred();
 // outlive the list.
 NOVAPHY_NOVA_API void submit_launch(const novaphy::DeviceContext& context, novaphy_kernel* kernel,
                                     const char* name, int64_t n, std::span<const uint64_t> words,
-                                    const detail::RowLayout* layout = nullptr);
+                                    const detail::RowLayout* layout = nullptr,
+                                    std::span<const detail::MemoryAccess> accesses = {});
 NOVAPHY_NOVA_API void submit_copy(const std::shared_ptr<Range>& target,
                                   const std::shared_ptr<Range>& source);
 NOVAPHY_NOVA_API void submit_fill(const std::shared_ptr<Range>& target, float value);

@@ -1,0 +1,289 @@
+// Which recorded operations can run block by block, and in which order.
+#include <algorithm>
+#include <map>
+
+#include "fusion.h"
+
+namespace nova::detail {
+
+RowLayout row_layout(const ir::Program& p) {
+  RowLayout layout;
+  layout.row_local = true;
+  enum : char { kUnread, kDirect, kShared };
+  std::vector<char> how(p.sources.size(), kUnread);
+  for (const ir::Instr& in : p.instrs) {
+    const bool load = in.op == ir::Op::LOAD_F || in.op == ir::Op::LOAD_I;
+    if (load) {
+      const char now = p.instrs[in.b].op == ir::Op::INDEX ? kDirect : kShared;
+      if (how[in.a] != kUnread && how[in.a] != now) layout.row_local = false;
+      how[in.a] = now;
+    } else {
+      ir::for_each_operand(in, [&](ir::Value v) {
+        if (p.instrs[v].op == ir::Op::INDEX) layout.row_local = false;
+      });
+    }
+  }
+  for (size_t s = 0; s < p.sources.size(); ++s) {
+    const auto bytes = static_cast<uint32_t>(p.sources[s].width) * 4;
+    if (how[s] == kDirect) layout.inputs.push_back({p.source_argument(s), bytes});
+    if (how[s] == kShared) layout.shared.push_back({p.source_argument(s), bytes});
+  }
+  for (size_t o = 0; o < p.outputs.size(); ++o)
+    layout.outputs.push_back(
+        {p.output_argument(o), static_cast<uint32_t>(p.outputs[o].values.size()) * 4});
+  for (size_t l = 0; l < p.loops.size(); ++l)
+    if (p.loops[l].kind == ir::LoopKind::Csr) layout.tables.push_back({p.loop_argument(l), 4});
+  if (p.argument_count() > kMaxFusedWords) layout.row_local = false;
+  return layout;
+}
+
+namespace {
+
+uint64_t address(const void* p) { return reinterpret_cast<uint64_t>(p); }
+
+// The memory that some operations touch: disjoint intervals by their start.
+class Footprint {
+  struct Interval {
+    uint64_t end;
+    uint32_t row_bytes;  // 0: all rows may be read
+    bool written;
+  };
+  using Intervals = std::map<uint64_t, Interval>;
+
+  // The first interval that ends behind `begin`.
+  static auto first_from(auto& intervals, uint64_t begin) {
+    auto at = intervals.upper_bound(begin);
+    if (at != intervals.begin() && std::prev(at)->second.end > begin) --at;
+    return at;
+  }
+
+ public:
+  // Whether running before what was added, instead of after it, could change a result.
+  bool conflicts(const MemoryAccess& access) const {
+    if (access.bytes == 0) return false;
+    for (auto at = first_from(intervals_, access.begin); at != intervals_.end(); ++at) {
+      if (at->first >= access.begin + access.bytes) return false;
+      if (access.write || at->second.written) return true;
+    }
+    return false;
+  }
+  bool conflicts(std::span<const MemoryAccess> accesses) const {
+    return std::any_of(accesses.begin(), accesses.end(),
+                       [this](const MemoryAccess& a) { return conflicts(a); });
+  }
+
+  // Adds the accesses of an operation that is to run block by block with the others; false, and
+  // nothing added, when it may see another row's data.
+  bool add_fused(std::span<const MemoryAccess> accesses) {
+    undo_.clear();
+    for (const MemoryAccess& access : accesses) {
+      if (add_fused(access)) continue;
+      for (auto at = undo_.rbegin(); at != undo_.rend(); ++at) {
+        if (at->second.end == 0) {
+          intervals_.erase(at->first);
+        } else {
+          intervals_[at->first] = at->second;
+        }
+      }
+      return false;
+    }
+    return true;
+  }
+  // Adds the accesses of an operation that runs apart.
+  void add(std::span<const MemoryAccess> accesses) {
+    for (const MemoryAccess& access : accesses) {
+      if (access.bytes == 0) continue;
+      uint64_t begin = access.begin, end = access.begin + access.bytes;
+      bool written = access.write;
+      auto at = first_from(intervals_, begin);
+      while (at != intervals_.end() && at->first < end) {  // overlapping ones become one
+        begin = std::min(begin, at->first);
+        end = std::max(end, at->second.end);
+        written = written || at->second.written;
+        at = intervals_.erase(at);
+      }
+      intervals_[begin] = {end, 0, written};
+    }
+  }
+  void clear() { intervals_.clear(); }
+  // Of one row, everything that is touched at the own row.
+  uint64_t bytes_per_row() const {
+    uint64_t bytes = 0;
+    for (const auto& [begin, interval] : intervals_) bytes += interval.row_bytes;
+    return bytes;
+  }
+
+ private:
+  bool add_fused(const MemoryAccess& access) {
+    if (access.bytes == 0) return true;
+    const uint64_t end = access.begin + access.bytes;
+    const auto at = first_from(intervals_, access.begin);
+    if (at == intervals_.end() || at->first >= end) {
+      intervals_[access.begin] = {end, access.row_bytes, access.write};
+      undo_.push_back({access.begin, Interval{}});
+      return true;
+    }
+    // The intervals stay disjoint: another view of the same bytes is not fused.
+    Interval& known = at->second;
+    if (at->first != access.begin || known.end != end) return false;
+    if ((access.write || known.written) &&
+        (access.row_bytes == 0 || known.row_bytes != access.row_bytes))
+      return false;
+    undo_.push_back({at->first, known});
+    if (known.row_bytes != access.row_bytes) known.row_bytes = 0;
+    known.written = known.written || access.write;
+    return true;
+  }
+
+  Intervals intervals_;
+  std::vector<std::pair<uint64_t, Interval>> undo_;
+};
+
+class Planner {
+ public:
+  Planner(std::span<const OpList::Op> ops, std::span<const uint64_t> words,
+          std::span<const MemoryAccess> accesses)
+      : ops_(ops), words_(words), accesses_(accesses) {
+    order_.resize(ops.size());
+    for (uint32_t k = 0; k < ops.size(); ++k) order_[k] = k;
+  }
+
+  RunPlan plan() {
+    RunPlan made;
+    for (size_t k = 0; k < order_.size();) {
+      Segment segment{static_cast<uint32_t>(k), static_cast<uint32_t>(k + 1)};
+      const int64_t n = rows_from(k);
+      if (n >= kMinFusedRows && grow(k, n)) {
+        k += before_.size();
+        append_plain(made.segments, segment.first, k);
+        segment = {static_cast<uint32_t>(k), static_cast<uint32_t>(k + fused_.size()), n,
+                   block_rows()};
+        made.segments.push_back(segment);
+        k = segment.last;
+      } else {
+        append_plain(made.segments, k, k + 1);
+        ++k;
+      }
+    }
+    for (const uint32_t k : order_) made.ops.push_back(ops_[k]);
+    return made;
+  }
+
+ private:
+  static void append_plain(std::vector<Segment>& segments, size_t first, size_t last) {
+    if (first == last) return;
+    if (!segments.empty() && segments.back().n == 0) {
+      segments.back().last = static_cast<uint32_t>(last);
+    } else {
+      segments.push_back({static_cast<uint32_t>(first), static_cast<uint32_t>(last)});
+    }
+  }
+
+  const OpList::Op& op(size_t k) const { return ops_[order_[k]]; }
+
+  // The rows of a segment that starts at k: those of its first launch, or of one soon after that
+  // has fewer for each.
+  int64_t rows_from(size_t k) const {
+    constexpr size_t kLookAhead = 32;
+    int64_t n = 0;
+    for (size_t end = std::min(order_.size(), k + kLookAhead); k < end; ++k) {
+      if (op(k).kind != OpList::Op::Kind::Launch) continue;
+      if (n == 0) n = op(k).n;
+      if (n < kMinFusedRows) break;
+      if (op(k).n >= kMinFusedRows && n % op(k).n == 0) n = op(k).n;
+    }
+    return n;
+  }
+
+  // What the operation touches. Gives false when that is not known; `own_row`: whether everything
+  // that it writes is touched at its own one of n rows.
+  bool look_at(const OpList::Op& o, int64_t n, bool& own_row) {
+    touched_.clear();
+    const auto rows = static_cast<uint64_t>(o.n);
+    if (o.kind != OpList::Op::Kind::Launch) {
+      own_row = rows % (4 * static_cast<uint64_t>(n)) == 0;
+      const auto row_bytes = own_row ? static_cast<uint32_t>(o.n / n) : 0;
+      if (o.source) touched_.push_back({address(o.source), rows, row_bytes, false});
+      touched_.push_back({address(o.target), rows, row_bytes, true});
+      return true;
+    }
+    own_row = o.layout && o.layout->row_local && o.n % n == 0;
+    if (!o.layout) {
+      const auto known = accesses_.subspan(o.first_access, o.access_count);
+      touched_.assign(known.begin(), known.end());
+      return !known.empty();
+    }
+    const auto factor = own_row ? static_cast<uint32_t>(o.n / n) : 0;
+    const uint64_t* arguments = words_.data() + o.first_word;
+    for (const RowLayout::Word& w : o.layout->inputs)
+      touched_.push_back(
+          {arguments[w.word], rows * w.row_bytes, w.row_bytes * factor, false});
+    for (const RowLayout::Word& w : o.layout->shared)
+      touched_.push_back(
+          {arguments[w.word], arguments[w.word + 1] * w.row_bytes, 0, false});
+    for (const RowLayout::Word& w : o.layout->outputs)
+      touched_.push_back({arguments[w.word], rows * w.row_bytes, w.row_bytes * factor, true});
+    return true;
+  }
+
+  // Orders what starts at k into operations that go before a segment, the segment, and those after
+  // it. False, with the order as it was, when no segment of at least two operations starts there.
+  bool grow(size_t k, int64_t n) {
+    constexpr size_t kMaxApart = 16;
+    segment_.clear();
+    late_.clear();
+    before_.clear();
+    fused_.clear();
+    after_.clear();
+    size_t end = k;
+    for (; end < order_.size(); ++end) {
+      bool own_row = false;
+      if (!look_at(op(end), n, own_row)) break;
+      if (!late_.conflicts(touched_)) {
+        if (own_row && segment_.add_fused(touched_)) {
+          fused_.push_back(order_[end]);
+          continue;
+        }
+        if (before_.size() < kMaxApart && !segment_.conflicts(touched_)) {
+          before_.push_back(order_[end]);
+          continue;
+        }
+      }
+      if (after_.size() == kMaxApart) break;
+      late_.add(touched_);
+      after_.push_back(order_[end]);
+    }
+    if (fused_.size() < 2) return false;
+    auto to = order_.begin() + static_cast<ptrdiff_t>(k);
+    for (const auto* part : {&before_, &fused_, &after_})
+      to = std::copy(part->begin(), part->end(), to);
+    return true;
+  }
+
+  // So many rows that what one block touches stays in the cache of a core from the first operation
+  // to the last, unless they get so few that the launches cost more than the memory.
+  int64_t block_rows() const {
+    constexpr uint64_t kCacheBytes = 768 << 10;
+    constexpr int64_t kStep = 128, kMost = 1024;
+    const uint64_t bytes = std::max<uint64_t>(1, segment_.bytes_per_row());
+    const auto fit = static_cast<int64_t>(kCacheBytes / bytes) / kStep * kStep;
+    return std::clamp(fit, kStep, kMost);
+  }
+
+  std::span<const OpList::Op> ops_;
+  std::span<const uint64_t> words_;
+  std::span<const MemoryAccess> accesses_;
+  std::vector<uint32_t> order_;
+  Footprint segment_, late_;
+  std::vector<uint32_t> before_, fused_, after_;
+  std::vector<MemoryAccess> touched_;  // by the operation looked at
+};
+
+}  // namespace
+
+RunPlan plan_run(std::span<const OpList::Op> ops, std::span<const uint64_t> words,
+                 std::span<const MemoryAccess> accesses) {
+  return Planner(ops, words, accesses).plan();
+}
+
+}  // namespace nova::detail

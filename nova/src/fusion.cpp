@@ -50,7 +50,8 @@ void run_block(FusedRun& run, int64_t block) {
       std::memcpy(arguments, run.words.data() + op.first_word, op.word_count * sizeof(uint64_t));
       for (const auto* list : {&op.layout->inputs, &op.layout->outputs, &op.layout->tables})
         for (const RowLayout::Word& w : *list) arguments[w.word] += skip * w.row_bytes;
-      status = api.launch(run.context.stream, op.kernel, rows * factor, arguments, op.word_count, &error);
+      status = api.launch(run.context.stream, op.kernel, rows * factor, arguments, op.word_count,
+                          &error);
     } else {
       const int64_t row_bytes = op.n / n;
       const auto skip = static_cast<uint64_t>(begin * row_bytes);

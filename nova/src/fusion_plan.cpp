@@ -216,11 +216,9 @@ class Planner {
     const auto factor = own_row ? static_cast<uint32_t>(o.n / n) : 0;
     const uint64_t* arguments = words_.data() + o.first_word;
     for (const RowLayout::Word& w : o.layout->inputs)
-      touched_.push_back(
-          {arguments[w.word], rows * w.row_bytes, w.row_bytes * factor, false});
+      touched_.push_back({arguments[w.word], rows * w.row_bytes, w.row_bytes * factor, false});
     for (const RowLayout::Word& w : o.layout->shared)
-      touched_.push_back(
-          {arguments[w.word], arguments[w.word + 1] * w.row_bytes, 0, false});
+      touched_.push_back({arguments[w.word], arguments[w.word + 1] * w.row_bytes, 0, false});
     for (const RowLayout::Word& w : o.layout->outputs)
       touched_.push_back({arguments[w.word], rows * w.row_bytes, w.row_bytes * factor, true});
     return true;

@@ -108,8 +108,7 @@ void OpList::run_once() const { run(); }
 void OpList::run() const {
   if (ops_.empty()) return;
   const novaphy_backend_api& api = *context->api;
-  if (!plan_)
-    plan_ = std::make_unique<detail::RunPlan>(detail::plan_run(ops_, words_, accesses_));
+  if (!plan_) plan_ = std::make_unique<detail::RunPlan>(detail::plan_run(ops_, words_, accesses_));
   novaphy_error error = novaphy::make_error();
   constexpr uint32_t kOpsPerInterruptCheck = 64;
   for (const detail::Segment& segment : plan_->segments) {

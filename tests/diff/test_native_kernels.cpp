@@ -165,13 +165,21 @@ class RandomArguments {
       arguments.push_back(static_cast<uint64_t>(rows));
     }
     arguments.resize(arguments.size() + p.outputs.size());
-    // Rows of one, two and mixed lengths, over consecutive items and not.
+    // Rows of one, two and mixed lengths, over consecutive items and not; several sums over the same
+    // rows, as in an adjoint, and over others.
     const int kind = static_cast<int>(next() % 4);
+    const bool same_rows = next() % 2 == 0;
+    size_t first_rows = 0;
     for (const ir::Loop& l : p.loops) {
       if (l.kind != ir::LoopKind::Csr) continue;
+      if (first_rows != 0 && same_rows) {
+        for (size_t k = 0; k < 2; ++k) arguments.push_back(arguments[first_rows + k]);
+        continue;
+      }
+      first_rows = arguments.size();
       std::vector<uint32_t> offsets = {0}, list;
       for (int64_t i = 0; i < n; ++i) {
-        const uint32_t length = kind < 3 ? static_cast<uint32_t>(kind) : next() % 4;
+        const uint32_t length = kind < 3 ? static_cast<uint32_t>(kind) : next() % 7;
         for (uint32_t k = 0; k < length; ++k)
           list.push_back(next() % 5 == 0
                              ? next() % static_cast<uint32_t>(items)

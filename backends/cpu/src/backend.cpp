@@ -174,8 +174,8 @@ novaphy_status memory_alloc(novaphy_device*, int32_t kind, uint64_t bytes, void*
   const uint64_t rounded =
       bytes == 0 ? kAlignment : (bytes + kAlignment - 1) / kAlignment * kAlignment;
   const bool large = bytes >= kLargeBytes;
-  *pointer = rounded >= bytes ? std::aligned_alloc(large ? kHugePage : kAlignment, rounded)
-                              : nullptr;
+  *pointer =
+      rounded >= bytes ? std::aligned_alloc(large ? kHugePage : kAlignment, rounded) : nullptr;
 #if defined(MADV_HUGEPAGE)
   // A rollout runs through many arrays at once, one page of each: with small pages the processor's
   // page table cache misses all the time. A hint; where it is not taken, nothing changes.

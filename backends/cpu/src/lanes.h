@@ -17,6 +17,11 @@
 #define LANE_FN static inline __attribute__((always_inline, unused))
 #define COLD_FN static __attribute__((noinline, cold, unused))
 
+/* A sum over rows of up to so many items keeps what a later sum over the same rows needs again. One
+ * row alone has that in less time than it takes to ask. */
+#define KEPT_ITEMS 4
+#define CAN_KEEP(csr) (LANES > 1 && (csr).longest <= KEPT_ITEMS)
+
 /* Scalars. */
 
 LANE_FN float ubits_f(int32_t a) {

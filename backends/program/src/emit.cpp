@@ -4,6 +4,7 @@
 #include <set>
 #include <tuple>
 
+#include "emit_kept.h"
 #include "emit_plan.h"
 #include "emit_values.h"
 
@@ -31,7 +32,12 @@ std::string one_line(const std::string& s) {
 class Emitter {
  public:
   explicit Emitter(const Program& program)
-      : p_(program), plan_(make_emit_plan(program)), text_(program, plan_) {}
+      : p_(program),
+        plan_(make_emit_plan(program)),
+        text_(program, plan_),
+        kept_(find_kept_values(program, plan_)),
+        declared_(program.instrs.size(), 0),
+        done_(program.instrs.size(), 0) {}
 
   std::string run(const std::string& function) {
     head(function);
@@ -131,6 +137,11 @@ class Emitter {
            (is_float ? " = uparam_f(args[" : " = uparam_i(args[") +
            str(p_.param_argument(at(in.a))) + "]);");
     }
+    for (const KeptValues& kept : kept_) {
+      const std::string a = str(kept.loop), b = str(kept.earlier);
+      line("const int same" + a + " = offsets" + a + " == offsets" + b + " && items" + a +
+           " == items" + b + ";");
+    }
     line("int64_t i = begin, last = end;");
     // Rows that a source lacks are left to the caller: a launch that runs into them is an error,
     // unless no lane needs them.
@@ -167,7 +178,8 @@ class Emitter {
             closing.push_back(step.target);
           break;
         case Step::Kind::Compute:
-          if (plan_.used[at(step.value)] && !plan_.once[at(step.value)]) compute(step.value);
+          if (plan_.used[at(step.value)] && !plan_.once[at(step.value)] && !done_[at(step.value)])
+            compute(step.value);
           break;
       }
     }
@@ -204,7 +216,7 @@ class Emitter {
       line("vf sum" + k + "_" + str(static_cast<int64_t>(s)) + " = " +
            text_.lanes(loop.sums[s].init) + ";");
     if (loop.kind == LoopKind::Csr) {
-      line("const csr_rows csr" + k + " = csr_begin(offsets" + k + ", i);");
+      csr_rows(l);
       line("for (int32_t r" + k + " = 0; r" + k + " < csr" + k + ".longest; ++r" + k + ") {");
       ++depth_;
       line("const vb on" + k + " = csr_on(&csr" + k + ", r" + k + ");");
@@ -214,15 +226,63 @@ class Emitter {
                k + ");");
           break;
         }
+      for (const KeptValues& kept : kept_)
+        if (kept.loop == l) read_kept(kept);
     } else {
       line("for (int32_t r" + k + " = 0; r" + k + " < extent" + k + "; ++r" + k + ") {");
       ++depth_;
     }
   }
 
+  // Where this loop begins, and whether one that follows reads what this one computes.
+  void csr_rows(int32_t l) {
+    const std::string k = str(l);
+    std::string begin = "csr_begin(offsets" + k + ", i)";
+    for (const KeptValues& kept : kept_)
+      if (kept.loop == l) begin = "same" + k + " ? csr" + str(kept.earlier) + " : " + begin;
+    line("const csr_rows csr" + k + " = " + begin + ";");
+    for (const KeptValues& kept : kept_) {
+      if (kept.earlier != l) continue;
+      const std::string later = str(kept.loop);
+      line("const int keep" + later + " = same" + later + " && CAN_KEEP(csr" + k + ");");
+      for (const auto& [value, equal] : kept.kept)
+        line(text_.c_type(value) + " kept" + str(value) + "[KEPT_ITEMS];");
+    }
+  }
+  void write_kept(const KeptValues& kept) {
+    line("if (keep" + str(kept.loop) + ") {");
+    ++depth_;
+    for (const auto& [value, equal] : kept.kept)
+      line("kept" + str(value) + "[r" + str(kept.earlier) + "] = " + text_.name(equal) + ";");
+    close();
+  }
+  // What an earlier loop has kept for the item, or else all of it once more.
+  void read_kept(const KeptValues& kept) {
+    for (const auto& [value, equal] : kept.kept) {
+      line(text_.c_type(value) + " " + text_.name(value) + ";");
+      declared_[at(value)] = 1;
+    }
+    line("if (keep" + str(kept.loop) + ") {");
+    ++depth_;
+    for (const auto& [value, equal] : kept.kept)
+      line(text_.name(value) + " = kept" + str(value) + "[r" + str(kept.loop) + "];");
+    --depth_;
+    line("} else {");
+    ++depth_;
+    const auto in_sight = looked_;
+    for (const auto& [value, equal] : kept.equal) {
+      compute(value);
+      done_[at(value)] = 1;
+    }
+    looked_ = in_sight;
+    close();
+  }
+
   void loop_end(int32_t l) {
     const std::string k = str(l);
     const Loop& loop = p_.loops[at(l)];
+    for (const KeptValues& kept : kept_)
+      if (kept.earlier == l) write_kept(kept);
     for (size_t s = 0; s < loop.sums.size(); ++s) {
       const std::string sum = "sum" + k + "_" + str(static_cast<int64_t>(s));
       const std::string added = sum + " + " + text_.name(loop.sums[s].term);
@@ -242,8 +302,9 @@ class Emitter {
     line(declaration(v) + " = " + text_.expression(v) + ";");
   }
   std::string declaration(Value v) const {
-    return plan_.escapes[at(v)] ? text_.name(v) : "const " + text_.c_type(v) + " " + text_.name(v);
+    return is_declared(v) ? text_.name(v) : "const " + text_.c_type(v) + " " + text_.name(v);
   }
+  bool is_declared(Value v) const { return plan_.escapes[at(v)] || declared_[at(v)]; }
 
   // The lanes that need a load: those for which every condition around it holds.
   std::string need(Value v) const {
@@ -288,7 +349,7 @@ class Emitter {
       for (int32_t c = 0; c < width; ++c) {
         const Value d = group.columns[at(c)];
         const std::string name = d != kNone ? text_.name(d) : "x" + str(v) + "_" + str(c);
-        if (d == kNone || !plan_.escapes[at(d)]) fresh += (fresh.empty() ? "" : ", ") + name;
+        if (d == kNone || !is_declared(d)) fresh += (fresh.empty() ? "" : ", ") + name;
         targets += ", &" + name;
       }
       if (!fresh.empty()) line("v" + t + " " + fresh + ";");
@@ -354,6 +415,8 @@ class Emitter {
   const Program& p_;
   const EmitPlan plan_;
   const ValueText text_;
+  const std::vector<KeptValues> kept_;
+  std::vector<char> declared_, done_;  // per value: before its computation; it too
   std::string out_;
   int32_t depth_ = 0, loop_ = -1;
   std::set<std::tuple<Value, int32_t, int32_t>> looked_;  // row, region, loop

@@ -10,7 +10,7 @@ namespace {
 // A region that weighs less costs less than asking whether any lane needs it. Weights are about
 // cycles per vector.
 constexpr int32_t kMinPrintedRegion = 12;
-constexpr int32_t kDivisionWeight = 8, kTableLoadWeight = 8;
+constexpr int32_t kDivisionWeight = 12, kTableLoadWeight = 8;
 
 size_t at(int32_t k) { return static_cast<size_t>(k); }
 

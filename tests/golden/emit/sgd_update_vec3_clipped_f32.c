@@ -47,10 +47,15 @@ static int64_t k_sgd_update_vec3_clipped_f32_7475730fe0934a3c(const uint64_t* ar
       const vf v23 = vsqrt(v22);
       const vb v24 = vlt(splatf(pf2), v23);
       const vb v25 = vand(splatb(u17), v24);
-      const vf v26 = pf2 / v23;
-      const vf v27 = v1 * v26;
-      const vf v34 = v5 * v26;
-      const vf v41 = v8 * v26;
+      vf v27 = splatf(0.0f);
+      vf v34 = splatf(0.0f);
+      vf v41 = splatf(0.0f);
+      if (any(v25)) {
+        const vf v26 = pf2 / v23;
+        v27 = v1 * v26;
+        v34 = v5 * v26;
+        v41 = v8 * v26;
+      }
       const vf v28 = vselectf(v25, v27, v1);
       const vf v30 = v28 * pf0;
       const vf v31 = v15 - v30;
@@ -68,10 +73,15 @@ static int64_t k_sgd_update_vec3_clipped_f32_7475730fe0934a3c(const uint64_t* ar
       const vf v47 = vsqrt(v46);
       const vb v48 = vlt(splatf(pf1), v47);
       const vb v49 = vand(splatb(u14), v48);
-      const vf v50 = pf1 / v47;
-      const vf v51 = v31 * v50;
-      const vf v54 = v37 * v50;
-      const vf v57 = v44 * v50;
+      vf v51 = splatf(0.0f);
+      vf v54 = splatf(0.0f);
+      vf v57 = splatf(0.0f);
+      if (any(v49)) {
+        const vf v50 = pf1 / v47;
+        v51 = v31 * v50;
+        v54 = v37 * v50;
+        v57 = v44 * v50;
+      }
       v52 = vselectf(v49, v51, v31);
       v55 = vselectf(v49, v54, v37);
       v58 = vselectf(v49, v57, v44);

@@ -166,12 +166,15 @@ float ModelBuilder::add_triangle(int32_t i, int32_t j, int32_t k, const TriMater
 }
 
 std::vector<float> ModelBuilder::add_triangles(std::span<const Vec3i> indices,
-                                               const TriMaterial& material) {
+                                               std::span<const TriMaterial> materials) {
+  constexpr std::string_view name = "add_triangles";
+  detail::check_one_or_each(name, "materials", materials.size(), indices.size());
   Transaction transaction(*this);
   std::vector<float> areas;
   areas.reserve(indices.size());
-  for (const Vec3i& triangle : indices)
-    areas.push_back(append_triangle("add_triangles", triangle, material));
+  for (size_t n = 0; n < indices.size(); ++n)
+    areas.push_back(
+        append_triangle(name, indices[n], detail::one_or_each(materials, n, TriMaterial{})));
   transaction.keep();
   return areas;
 }
@@ -184,6 +187,26 @@ float ModelBuilder::add_tetrahedron(int32_t i, int32_t j, int32_t k, int32_t l,
                             k_damp.value_or(default_tet_k_damp));
 }
 
+std::vector<float> ModelBuilder::add_tetrahedra(std::span<const Vec4i> indices,
+                                                std::span<const float> k_mu,
+                                                std::span<const float> k_lambda,
+                                                std::span<const float> k_damp) {
+  constexpr std::string_view name = "add_tetrahedra";
+  detail::check_one_or_each(name, "k_mu", k_mu.size(), indices.size());
+  detail::check_one_or_each(name, "k_lambda", k_lambda.size(), indices.size());
+  detail::check_one_or_each(name, "k_damp", k_damp.size(), indices.size());
+  Transaction transaction(*this);
+  std::vector<float> volumes;
+  volumes.reserve(indices.size());
+  for (size_t n = 0; n < indices.size(); ++n)
+    volumes.push_back(append_tetrahedron(name, indices[n],
+                                         detail::one_or_each(k_mu, n, default_tet_k_mu),
+                                         detail::one_or_each(k_lambda, n, default_tet_k_lambda),
+                                         detail::one_or_each(k_damp, n, default_tet_k_damp)));
+  transaction.keep();
+  return volumes;
+}
+
 int32_t ModelBuilder::add_edge(int32_t i, int32_t j, int32_t k, int32_t l,
                                std::optional<float> rest, const EdgeMaterial& material) {
   append_edge("add_edge", {i, j, k, l}, rest, material);
@@ -191,13 +214,15 @@ int32_t ModelBuilder::add_edge(int32_t i, int32_t j, int32_t k, int32_t l,
 }
 
 void ModelBuilder::add_edges(std::span<const Vec4i> indices, std::span<const float> rest,
-                             const EdgeMaterial& material) {
+                             std::span<const EdgeMaterial> materials) {
   constexpr std::string_view name = "add_edges";
   require(rest.empty() || rest.size() == indices.size(), ErrorKind::Value, name,
           ": rest: expected ", indices.size(), " angles (or none), got ", rest.size());
+  detail::check_one_or_each(name, "materials", materials.size(), indices.size());
   Transaction transaction(*this);
   for (size_t n = 0; n < indices.size(); ++n)
-    append_edge(name, indices[n], rest.empty() ? std::nullopt : std::optional(rest[n]), material);
+    append_edge(name, indices[n], rest.empty() ? std::nullopt : std::optional(rest[n]),
+                detail::one_or_each(materials, n, EdgeMaterial{}));
   transaction.keep();
 }
 

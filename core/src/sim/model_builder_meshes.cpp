@@ -31,11 +31,6 @@ void check_mesh(std::string_view function, std::span<const Vec3f> vertices,
           "]: expected a vertex that a ", elements, " uses, got a loose one, which has no mass");
 }
 
-// One value for all tetrahedra, one each, or none (the default).
-float material_of(std::span<const float> values, size_t n, float by_default) {
-  return values.empty() ? by_default : values.size() == 1 ? values[0] : values[n];
-}
-
 }  // namespace
 
 int32_t ModelBuilder::append_vertices(std::string_view function, const Placement& placement,
@@ -103,13 +98,9 @@ void ModelBuilder::add_soft_mesh(const SoftMeshArgs& args) {
   Transaction transaction(*this);
   check_mesh(name, args.vertices, args.indices, 4, "tetrahedron");
   const size_t count = args.indices.size() / 4;
-  const auto check_length = [&](const char* argument, std::span<const float> values) {
-    require(values.size() <= 1 || values.size() == count, ErrorKind::Value, name, ": ", argument,
-            ": expected one value or ", count, ", one for each tetrahedron, got ", values.size());
-  };
-  check_length("k_mu", args.k_mu);
-  check_length("k_lambda", args.k_lambda);
-  check_length("k_damp", args.k_damp);
+  detail::check_one_or_each(name, "k_mu", args.k_mu.size(), count);
+  detail::check_one_or_each(name, "k_lambda", args.k_lambda.size(), count);
+  detail::check_one_or_each(name, "k_damp", args.k_damp.size(), count);
   const double density = args.density.value_or(static_cast<double>(default_tet_density));
   require(std::isfinite(density) && density >= 0.0, ErrorKind::Value, name,
           ": density: expected a finite number >= 0, got ", density);
@@ -119,9 +110,10 @@ void ModelBuilder::add_soft_mesh(const SoftMeshArgs& args) {
   for (size_t n = 0; n < count; ++n) {
     const auto corner = [&](size_t c) { return first + args.indices[4 * n + c]; };
     const Vec4i t = {corner(0), corner(1), corner(2), corner(3)};
-    const float volume = append_tetrahedron(name, t, material_of(args.k_mu, n, default_tet_k_mu),
-                                            material_of(args.k_lambda, n, default_tet_k_lambda),
-                                            material_of(args.k_damp, n, default_tet_k_damp));
+    const float volume =
+        append_tetrahedron(name, t, detail::one_or_each(args.k_mu, n, default_tet_k_mu),
+                           detail::one_or_each(args.k_lambda, n, default_tet_k_lambda),
+                           detail::one_or_each(args.k_damp, n, default_tet_k_damp));
     const float mass = static_cast<float>(density) * volume / 4.0f;
     for (const int32_t p : {t.x, t.y, t.z, t.w}) particle_mass[static_cast<size_t>(p)] += mass;
     tetrahedra.push_back(t);

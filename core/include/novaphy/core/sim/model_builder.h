@@ -136,20 +136,26 @@ class NOVAPHY_CORE_API ModelBuilder {
   int32_t add_spring(int32_t i, int32_t j, float ke, float kd, float control = 0.0f);
   // A triangle, counter-clockwise. Returns its area (m^2).
   float add_triangle(int32_t i, int32_t j, int32_t k, const TriMaterial& material = {});
+  // Many; `materials`: none, one for all, or one each. Returns their areas.
   std::vector<float> add_triangles(std::span<const Vec3i> indices,
-                                   const TriMaterial& material = {});
+                                   std::span<const TriMaterial> materials = {});
   // A tetrahedron of positive volume: l on the side to which (i, j, k) turns counter-clockwise.
   // Returns its volume (m^3).
   float add_tetrahedron(int32_t i, int32_t j, int32_t k, int32_t l, std::optional<float> k_mu = {},
                         std::optional<float> k_lambda = {}, std::optional<float> k_damp = {});
+  // Many; each material: none, one for all, or one each. Returns their volumes.
+  std::vector<float> add_tetrahedra(std::span<const Vec4i> indices,
+                                    std::span<const float> k_mu = {},
+                                    std::span<const float> k_lambda = {},
+                                    std::span<const float> k_damp = {});
   // A bending edge from k to l between the triangles (i, k, l) and (j, l, k); i or j may be -1,
   // which makes it a border without a force. `rest`: the angle at rest (rad), the present one when
   // empty. Returns the index.
   int32_t add_edge(int32_t i, int32_t j, int32_t k, int32_t l, std::optional<float> rest = {},
                    const EdgeMaterial& material = {});
-  // `rest`: one per edge, or empty.
+  // Many; `rest`: one each, or none; `materials`: none, one for all, or one each.
   void add_edges(std::span<const Vec4i> indices, std::span<const float> rest = {},
-                 const EdgeMaterial& material = {});
+                 std::span<const EdgeMaterial> materials = {});
 
   // Whole grids and meshes, see element_args.h. Meshes are refused (ErrorKind::Value) when they are
   // empty, have a vertex that no element uses, or an edge or face that too many elements share.

@@ -11,9 +11,12 @@
 //   ke, kd     stiffness (N/m^2 per rad) and damping (N*s/m^4)
 //   rest       angle without a force (rad)
 //   results    N, world frame
-// Source: Bridson, Marino, Fedkiw, "Simulation of Clothing with Folds and Wrinkles" (2003), section
-// 4, in the form of Newton 1.8.0, SolverSemiImplicit. Where ke = 0 its output on the cpu is the
+// Source: the bending element of Bridson, Marino, Fedkiw, "Simulation of Clothing with Folds and
+// Wrinkles" (2003), section 4, in the simplified form of Newton 1.8.0, SolverSemiImplicit. Where ke = 0 its output on the cpu is the
 // same bits; otherwise atan2 differs by up to 1.6 ulp.
+//
+// The forces of a hinge sum to zero. Their moment does only where both triangles have the same height
+// over the edge: the directions d are not divided by the heights, as the gradient of theta would be.
 //
 // A border (an opposite vertex is absent) and a hinge with a triangle or edge smaller than 1e-6
 // (|n| in m^2, |e| in m) have no force and pass nothing. At a full fold theta jumps by 2 pi, and

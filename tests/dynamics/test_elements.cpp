@@ -92,7 +92,9 @@ TEST_P(EveryKind, InternalForcesConserveMomentum) {
   EXPECT_GT(size, 0.1);
   EXPECT_LT(norm(total), 1e-6 * size);
   // The law of bending conserves the moment only where both triangles are of one height.
-  if (GetParam() != Kind::Edges) EXPECT_LT(norm(moment), 2e-6 * moments);
+  if (GetParam() != Kind::Edges) {
+    EXPECT_LT(norm(moment), 2e-6 * moments);
+  }
 }
 
 TEST(Bending, AHingeOfEqualHeightsConservesTheMoment) {

@@ -252,6 +252,18 @@ void detail::add_contact_kernels(std::vector<nova::EngineKernel>& list) {
                                          {"particle_radius"}, materials)});
 }
 
+void eval_static_contact_forces(const Model& model, const Operand& particle_q,
+                                const Operand& particle_qd, const Operand& particle_f,
+                                float soft_contact_margin, const Operand& forces) {
+  const std::vector<nova::Param> params = detail::static_shape_params(model, soft_contact_margin);
+  std::vector<Operand> in = {particle_q, particle_qd, particle_f,
+                             nova::operand_of(model.particle_radius),
+                             nova::operand_of(model.particle_flags)};
+  for (const Operand& o : detail::static_shape_operands(model)) in.push_back(o);
+  static_contact_kernel().launch(particle_q.rows, in, {&forces, 1},
+                                 {.params = params, .extent = model.shape_count()});
+}
+
 Tensor eval_static_particle_shape_contact_forces_generated(const Model& model,
                                                            const Tensor& particle_q,
                                                            const Tensor& particle_qd,
@@ -262,15 +274,9 @@ Tensor eval_static_particle_shape_contact_forces_generated(const Model& model,
   detail::check_particle_tensor(model, particle_qd, op, "particle_qd");
   detail::check_particle_tensor(model, particle_f, op, "particle_f");
   detail::check_static_shapes(model);
-  const std::vector<nova::Param> params = detail::static_shape_params(model, soft_contact_margin);
-  std::vector<Operand> in = {particle_q.operand(), particle_qd.operand(), particle_f.operand(),
-                             nova::operand_of(model.particle_radius),
-                             nova::operand_of(model.particle_flags)};
-  for (const Operand& o : detail::static_shape_operands(model)) in.push_back(o);
   const Tensor out(particle_f.shape(), DType::F32, model.device());
-  const Operand to = out.operand();
-  static_contact_kernel().launch(particle_q.rows(), in, {&to, 1},
-                                 {.params = params, .extent = model.shape_count()});
+  eval_static_contact_forces(model, particle_q.operand(), particle_qd.operand(),
+                             particle_f.operand(), soft_contact_margin, out.operand());
   return out;
 }
 

@@ -1,6 +1,8 @@
 #include "novaphy/diff/diff_semi_implicit_solver.h"
 
+#include <algorithm>
 #include <cmath>
+#include <initializer_list>
 
 #include "novaphy/collision/diff_soft_contacts.h"
 #include "novaphy/core/error.h"
@@ -16,15 +18,60 @@ using nova::Operand;
 DiffSemiImplicitSolver::DiffSemiImplicitSolver(std::shared_ptr<const Model> model,
                                                const DiffSolverConfig& config)
     : SolverBase(std::move(model)), config_(config) {
-  require(!config.enable_tetrahedra, ErrorKind::NotImplemented,
-          "DiffSolverConfig, enable_tetrahedra: not covered yet");
-  require(!config.enable_triangles, ErrorKind::NotImplemented,
-          "DiffSolverConfig, enable_triangles: not covered yet");
   const ModelCounts& counts = this->model()->counts();
   require(!config.strict || counts.body_count == 0, ErrorKind::NotImplemented,
           "DiffSemiImplicitSolver: rigid bodies are not covered yet");
   require(this->model()->gravity.rows() == 1, ErrorKind::NotImplemented,
           "DiffSemiImplicitSolver: models of several worlds are not covered");
+  require(std::isfinite(config.static_contact_margin) && config.static_contact_margin >= 0.0f,
+          ErrorKind::Value,
+          "DiffSolverConfig, static_contact_margin: expected a finite distance "
+          ">= 0, got ",
+          config.static_contact_margin);
+  if (config.strict) check_elements();
+  if (config.enable_static_contacts) detail::check_static_shapes(*this->model());
+  elements_ = ElementOperators(*this->model(), {.springs = config.enable_springs,
+                                                .triangles = config.enable_triangles,
+                                                .edges = config.enable_bending,
+                                                .tetrahedra = config.enable_tetrahedra});
+  if (!elements_.empty())
+    forces_ =
+        DeviceArray<Vec3f>(static_cast<size_t>(counts.particle_count), this->model()->device());
+}
+
+// Elements that exert a force but are not enabled would be left out without a word.
+void DiffSemiImplicitSolver::check_elements() const {
+  const auto check = [](bool enabled, const char* option, const char* elements,
+                        std::initializer_list<const DeviceArray<float>*> strengths) {
+    if (enabled) return;
+    for (const DeviceArray<float>* strength : strengths) {
+      const std::vector<float> values = strength->to_host();
+      const bool acts =
+          std::any_of(values.begin(), values.end(), [](float v) { return v != 0.0f; });
+      require(!acts, ErrorKind::NotImplemented, "DiffSemiImplicitSolver: the model has ", elements,
+              " that exert forces, and ", option,
+              " is false: enable them, or leave them out with strict = false");
+    }
+  };
+  const Model& m = *model();
+  check(config_.enable_springs, "enable_springs", "springs",
+        {&m.particle_spring_stiffness, &m.particle_spring_damping});
+  check(config_.enable_triangles, "enable_triangles", "triangles", {&m.particle_tri_material});
+  check(config_.enable_bending, "enable_bending", "bending edges", {&m.particle_edge_material});
+  check(config_.enable_tetrahedra, "enable_tetrahedra", "tetrahedra", {&m.particle_tet_material});
+}
+
+void DiffSemiImplicitSolver::check_contacts(const char* function, const Contacts* contacts) const {
+  require(!config_.enable_static_contacts || contacts == nullptr, ErrorKind::Value, function,
+          ", contacts: expected none, because enable_static_contacts is true");
+}
+
+Operand DiffSemiImplicitSolver::add_elements(const Control* control, const Operand& q,
+                                             const Operand& qd, const Operand& f,
+                                             const Operand& to) {
+  if (elements_.empty()) return f;
+  elements_.eval(*model(), control, q, qd, f, to);
+  return to;
 }
 
 // Rebuilt when the contacts changed.
@@ -55,24 +102,37 @@ void DiffSemiImplicitSolver::step(SimState& state_in, SimState& state_out, const
           "(supports_graph_capture is False)");
   check_step("DiffSemiImplicitSolver.step", state_in, state_out, control, contacts, dt);
   if (!config_.enable_particles || model()->particle_count() == 0) return;
+  check_contacts("DiffSemiImplicitSolver.step", contacts);
   const Operand q = nova::operand_of(state_in.particle_q),
                 qd = nova::operand_of(state_in.particle_qd);
-  Operand f = nova::operand_of(state_in.particle_f);
-  if (const nova::Incidence* contacts_of = contacts_of_particles(contacts)) {
-    nova::Tape* tape = nova::Tape::active();
-    const Operand operands[] = {q, qd, f};
-    if (tape && tape->must_record(operands)) {
-      // The recorded force lives in memory of the tape, so that the state's own array can be
-      // cleared and reused; what a user reads there is a copy.
-      Operand total = f;
-      total.range = Storage::allocate(f.range->bytes(), device(), false)->range();
-      eval_soft_contact_forces(*model(), *contacts, *contacts_of, q, qd, f, total);
-      nova::submit_copy(f.range, total.range);
-      tape->mark_copied(f.range, "particle_f");
-      f = total;
+  const Operand applied = nova::operand_of(state_in.particle_f);
+  const nova::Incidence* contacts_of = contacts_of_particles(contacts);
+  const bool static_contacts = config_.enable_static_contacts && config_.enable_particle_contacts;
+  // Recorded forces live in memory of the tape, so that the state's own array can be cleared and
+  // reused; what a user reads there is a copy.
+  const bool recording = nova::Tape::active() != nullptr;
+  const auto target = [&] {
+    if (!recording) return applied;
+    Operand total = applied;
+    total.range = Storage::allocate(applied.range->bytes(), device(), false)->range();
+    return total;
+  };
+  Operand f = applied;
+  if (!elements_.empty()) f = add_elements(control, q, qd, f, target());
+  if (contacts_of || static_contacts) {
+    const Operand total = target();
+    if (static_contacts) {
+      eval_static_contact_forces(*model(), q, qd, f, config_.static_contact_margin, total);
     } else {
-      eval_soft_contact_forces(*model(), *contacts, *contacts_of, q, qd, f, f);
+      eval_soft_contact_forces(*model(), *contacts, *contacts_of, q, qd, f, total);
     }
+    f = total;
+  }
+  if (f.range != applied.range) {
+    nova::submit_copy(applied.range, f.range);
+    const Operand recorded[] = {f};
+    if (nova::Tape::active()->must_record(recorded))
+      nova::Tape::active()->mark_copied(applied.range, "particle_f");
   }
   integrate_particles(*model(), q, qd, f, dt, nova::operand_of(state_out.particle_q),
                       nova::operand_of(state_out.particle_qd));
@@ -91,8 +151,11 @@ void DiffSemiImplicitSolver::rollout(Trajectory& trajectory, const Control* cont
           "DiffSemiImplicitSolver.rollout, control: it belongs to another model");
   require(!contacts || contacts->model_id() == model()->id(), ErrorKind::Value,
           "DiffSemiImplicitSolver.rollout, contacts: they belong to another model");
+  check_contacts("DiffSemiImplicitSolver.rollout", contacts);
   const nova::Incidence* contacts_of = contacts_of_particles(contacts);
-  const Operand f = nova::operand_of(trajectory.particle_f());
+  const bool static_contacts = config_.enable_static_contacts && config_.enable_particle_contacts;
+  const Operand applied = nova::operand_of(trajectory.particle_f());
+  const bool recording = nova::Tape::active() != nullptr;
   constexpr int32_t kStepsPerInterruptCheck = 32;
   constexpr int32_t kLargeParticleCount =
       2048;  // from here on the steps share the cache block by block
@@ -104,7 +167,14 @@ void DiffSemiImplicitSolver::rollout(Trajectory& trajectory, const Control* cont
     const Operand q = nova::operand_of(now.particle_q), qd = nova::operand_of(now.particle_qd);
     const Operand q_out = nova::operand_of(next.particle_q),
                   qd_out = nova::operand_of(next.particle_qd);
-    if (contacts_of) {
+    Operand f = applied;
+    if (!elements_.empty())
+      f = add_elements(control, q, qd, applied,
+                       nova::operand_of(recording ? trajectory.total_force(t) : forces_));
+    if (static_contacts) {
+      step_particles_with_static_contacts(*model(), q, qd, f, config_.static_contact_margin, dt,
+                                          q_out, qd_out);
+    } else if (contacts_of) {
       step_particles(*model(), *contacts, *contacts_of, q, qd, f, dt, q_out, qd_out);
     } else {
       integrate_particles(*model(), q, qd, f, dt, q_out, qd_out);

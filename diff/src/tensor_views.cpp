@@ -18,6 +18,18 @@ NOVAPHY_STATE_VIEWS(NOVAPHY_DEFINE_STATE_VIEW)
   }
 NOVAPHY_MODEL_VIEWS(NOVAPHY_DEFINE_MODEL_VIEW)
 
+#define NOVAPHY_DEFINE_ELEMENT_VIEW(name, field)                               \
+  nova::Tensor model_##name##_tensor(const Model& model, bool requires_grad) { \
+    return nova::Tensor::view(model.field, requires_grad);                     \
+  }
+NOVAPHY_ELEMENT_VIEWS(NOVAPHY_DEFINE_ELEMENT_VIEW)
+
+#define NOVAPHY_DEFINE_CONTROL_VIEW(name, field)                                     \
+  nova::Tensor control_##name##_tensor(const Control& control, bool requires_grad) { \
+    return nova::Tensor::view(control.field, requires_grad);                         \
+  }
+NOVAPHY_CONTROL_VIEWS(NOVAPHY_DEFINE_CONTROL_VIEW)
+
 namespace {
 const nova::Kernel& inverse_mass_kernel() {
   static const nova::Kernel kernel = nova::make_kernel(

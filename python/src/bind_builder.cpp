@@ -305,13 +305,14 @@ void bind_builder(py::module_& m) {
   bind_list<float>(m, "_FloatList");
   bind_list<int32_t>(m, "_IntList");
 
-  py::class_<ModelBuilder> c(m, "ModelBuilder",
-                             "Collects particles and shapes and makes Models. A bad argument "
-                             "raises and leaves the builder as it was: ValueError "
-                             "(not finite, negative, not of unit length, ...), IndexError (no such "
-                             "body or shape), NotImplementedError (a shape "
-                             "type that is not built). Positions may be tuples, lists or arrays of "
-                             "any float type; they are rounded to float32.");
+  py::class_<ModelBuilder> c(
+      m, "ModelBuilder",
+      "Collects particles, elements over them and shapes, and makes Models. A bad argument "
+      "raises and leaves the builder as it was: ValueError "
+      "(not finite, negative, not of unit length, ...), IndexError (no such "
+      "body or shape), NotImplementedError (a shape "
+      "type that is not built). Positions may be tuples, lists or arrays of "
+      "any float type; they are rounded to float32.");
   c.def(py::init([](py::handle up_axis, py::handle gravity) {
           return ModelBuilder(to_axis(up_axis), to_gravity(gravity));
         }),
@@ -374,6 +375,7 @@ void bind_builder(py::module_& m) {
           },
           "pos"_a, "vel"_a, "mass"_a, "radius"_a = py::none(), "flags"_a = py::none(),
           "Many particles; the lists have one length (ValueError).");
+  bind_builder_elements(c);
   bind_shapes(c);
   c.def(
       "finalize",

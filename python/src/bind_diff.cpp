@@ -6,6 +6,7 @@
 #include "novaphy/diff/losses.h"
 #include "novaphy/diff/tensor_views.h"
 #include "novaphy/diff/trajectory.h"
+#include "novaphy/dynamics/semi_implicit/diff_elements.h"
 #include "novaphy/dynamics/semi_implicit/diff_particles.h"
 
 namespace novaphy::python {
@@ -31,9 +32,24 @@ using diff::Trajectory;
         " as a Tensor: the same memory, the same Tensor at every call. requires_grad=True " \
         "turns the gradient on; False leaves it as it is.");
 
+#define NOVAPHY_BIND_ELEMENT_VIEW(name, field)                                              \
+  m.def("model_" #name "_tensor", &diff::model_##name##_tensor, "model"_a,                  \
+        "requires_grad"_a = false,                                                          \
+        "The model's " #field                                                               \
+        " as a Tensor: the same memory, the same Tensor at every call. requires_grad=True " \
+        "turns the gradient on; False leaves it as it is.");
+#define NOVAPHY_BIND_CONTROL_VIEW(name, field)                                              \
+  m.def("control_" #name "_tensor", &diff::control_##name##_tensor, "control"_a,            \
+        "requires_grad"_a = false,                                                          \
+        "The control's " #field                                                             \
+        " as a Tensor: the same memory, the same Tensor at every call. requires_grad=True " \
+        "turns the gradient on; False leaves it as it is.");
+
 void bind_views(py::module_& m) {
   NOVAPHY_STATE_VIEWS(NOVAPHY_BIND_STATE_VIEW)
   NOVAPHY_MODEL_VIEWS(NOVAPHY_BIND_MODEL_VIEW)
+  NOVAPHY_ELEMENT_VIEWS(NOVAPHY_BIND_ELEMENT_VIEW)
+  NOVAPHY_CONTROL_VIEWS(NOVAPHY_BIND_CONTROL_VIEW)
   m.def("update_inverse_mass", &diff::update_inverse_mass, "model"_a, release_gil(),
         "particle_inv_mass = 1 / particle_mass, 0 where the mass is 0. Not recorded.");
 }
@@ -56,6 +72,30 @@ void bind_operators(py::module_& m) {
         "particle_qd"_a, "particle_f"_a, "soft_contact_margin"_a, "dt"_a, release_gil(),
         "Forces of static shapes and integration in one kernel, with the bits of one after the "
         "other: (q, qd).");
+  m.def("assign_tet_materials_generated", &diff::assign_tet_materials_generated,
+        "material_params"_a, "base_tet_materials"_a, "tet_count"_a, release_gil(),
+        "Materials {tet_count, 3}: k_mu and k_lambda (Pa) from parameters for all {2} or for each "
+        "{2 * tet_count}, k_damp from the base {tet_count, 3}. Exact gradients.");
+  m.def("eval_tetrahedra_forces_generated", &diff::eval_tetrahedra_forces_generated, "model"_a,
+        "particle_q"_a, "particle_qd"_a, "particle_f"_a, "tet_activations"_a, "tet_materials"_a,
+        release_gil(),
+        "particle_f {n, 3} plus the forces (N) of all tetrahedra; activations {k}, materials "
+        "{k, 3}. Exact gradients for all of them.");
+  m.def("eval_triangle_forces_generated", &diff::eval_triangle_forces_generated, "model"_a,
+        "particle_q"_a, "particle_qd"_a, "particle_f"_a, "tri_activations"_a, "tri_materials"_a,
+        release_gil(),
+        "particle_f {n, 3} plus the forces (N) of all triangles; activations {t}, materials "
+        "{t, 5}. Exact gradients for all of them.");
+  m.def("eval_spring_forces_generated", &diff::eval_spring_forces_generated, "model"_a,
+        "particle_q"_a, "particle_qd"_a, "particle_f"_a, "spring_stiffness"_a, "spring_damping"_a,
+        "spring_rest_length"_a, release_gil(),
+        "particle_f {n, 3} plus the forces (N) of all springs; stiffness, damping and rest lengths "
+        "{s}. Exact gradients for all of them.");
+  m.def("eval_bending_forces_generated", &diff::eval_bending_forces_generated, "model"_a,
+        "particle_q"_a, "particle_qd"_a, "particle_f"_a, "edge_materials"_a, "edge_rest_angle"_a,
+        release_gil(),
+        "particle_f {n, 3} plus the forces (N) of all bending edges; materials {e, 2}, rest angles "
+        "{e}. Exact gradients for all of them.");
   m.def("particle_point_loss_generated", &diff::particle_point_loss_generated, "particle_q"_a,
         "particle_index"_a, "target_x"_a, "target_y"_a, "target_z"_a, release_gil(),
         "|q[particle_index] - target|^2, {1}, m^2. IndexError: no such particle.");
@@ -118,31 +158,46 @@ void bind_solver(py::module_& solvers) {
   const DiffSolverConfig d;
   py::class_<DiffSolverConfig> config(solvers, "DiffSolverConfig",
                                       "What a DiffSemiImplicitSolver covers.");
-  config.def(
-      py::init([](bool enable_particles, bool enable_particle_contacts, bool enable_tetrahedra,
-                  bool enable_triangles, bool enable_rigid, bool enable_rigid_contacts,
-                  float angular_damping, float friction_smoothing, bool strict) {
-        return DiffSolverConfig{.enable_particles = enable_particles,
-                                .enable_particle_contacts = enable_particle_contacts,
-                                .enable_tetrahedra = enable_tetrahedra,
-                                .enable_triangles = enable_triangles,
-                                .enable_rigid = enable_rigid,
-                                .enable_rigid_contacts = enable_rigid_contacts,
-                                .angular_damping = angular_damping,
-                                .friction_smoothing = friction_smoothing,
-                                .strict = strict};
-      }),
-      py::kw_only(), "enable_particles"_a = d.enable_particles,
-      "enable_particle_contacts"_a = d.enable_particle_contacts,
-      "enable_tetrahedra"_a = d.enable_tetrahedra, "enable_triangles"_a = d.enable_triangles,
-      "enable_rigid"_a = d.enable_rigid, "enable_rigid_contacts"_a = d.enable_rigid_contacts,
-      "angular_damping"_a = d.angular_damping, "friction_smoothing"_a = d.friction_smoothing,
-      "strict"_a = d.strict);
+  config.def(py::init([](bool enable_particles, bool enable_particle_contacts,
+                         bool enable_tetrahedra, bool enable_triangles, bool enable_springs,
+                         bool enable_bending, bool enable_static_contacts,
+                         float static_contact_margin, bool enable_rigid, bool enable_rigid_contacts,
+                         float angular_damping, float friction_smoothing, bool strict) {
+               return DiffSolverConfig{.enable_particles = enable_particles,
+                                       .enable_particle_contacts = enable_particle_contacts,
+                                       .enable_tetrahedra = enable_tetrahedra,
+                                       .enable_triangles = enable_triangles,
+                                       .enable_springs = enable_springs,
+                                       .enable_bending = enable_bending,
+                                       .enable_static_contacts = enable_static_contacts,
+                                       .static_contact_margin = static_contact_margin,
+                                       .enable_rigid = enable_rigid,
+                                       .enable_rigid_contacts = enable_rigid_contacts,
+                                       .angular_damping = angular_damping,
+                                       .friction_smoothing = friction_smoothing,
+                                       .strict = strict};
+             }),
+             py::kw_only(), "enable_particles"_a = d.enable_particles,
+             "enable_particle_contacts"_a = d.enable_particle_contacts,
+             "enable_tetrahedra"_a = d.enable_tetrahedra, "enable_triangles"_a = d.enable_triangles,
+             "enable_springs"_a = d.enable_springs, "enable_bending"_a = d.enable_bending,
+             "enable_static_contacts"_a = d.enable_static_contacts,
+             "static_contact_margin"_a = d.static_contact_margin, "enable_rigid"_a = d.enable_rigid,
+             "enable_rigid_contacts"_a = d.enable_rigid_contacts,
+             "angular_damping"_a = d.angular_damping, "friction_smoothing"_a = d.friction_smoothing,
+             "strict"_a = d.strict);
 #define NOVAPHY_MEMBER(name, doc) config.def_readwrite(#name, &DiffSolverConfig::name, doc);
   NOVAPHY_MEMBER(enable_particles, "Particles move.")
   NOVAPHY_MEMBER(enable_particle_contacts, "Contacts of particles act.")
-  NOVAPHY_MEMBER(enable_tetrahedra, "Not built yet: NotImplementedError.")
-  NOVAPHY_MEMBER(enable_triangles, "Not built yet: NotImplementedError.")
+  NOVAPHY_MEMBER(enable_tetrahedra, "Tetrahedra act.")
+  NOVAPHY_MEMBER(enable_triangles, "Triangles act.")
+  NOVAPHY_MEMBER(enable_springs, "Springs act.")
+  NOVAPHY_MEMBER(enable_bending, "Bending edges act.")
+  NOVAPHY_MEMBER(
+      enable_static_contacts,
+      "Contacts with world-owned shapes at their true distance in every substep, instead "
+      "of those of a Contacts, which must then be None.")
+  NOVAPHY_MEMBER(static_contact_margin, "m: how far a static contact is looked for.")
   NOVAPHY_MEMBER(enable_rigid, "Acts on bodies, which no model has yet.")
   NOVAPHY_MEMBER(enable_rigid_contacts, "Acts on bodies, which no model has yet.")
   NOVAPHY_MEMBER(angular_damping, "1/s")
@@ -152,11 +207,12 @@ void bind_solver(py::module_& solvers) {
 
   py::class_<DiffSemiImplicitSolver, SolverBase> solver(
       solvers, "DiffSemiImplicitSolver",
-      "The semi-implicit step as generated kernels (contact forces, then integration), with the "
-      "bits of SolverSemiImplicit. "
-      "On an active tape both are recorded on the states' own arrays. Gradients: positions, "
+      "The semi-implicit step as generated kernels (forces of elements and contacts, then "
+      "integration), with the bits of SolverSemiImplicit. "
+      "On an active tape they are recorded on the states' own arrays. Gradients: positions, "
       "velocities, forces, masses, "
-      "radii, gravity and contact materials are exact; contact points and normals are frozen. "
+      "radii, gravity, contact materials, activations, materials, rest lengths and rest angles of "
+      "elements are exact; points and normals of recorded contacts are frozen. "
       "Forces left in "
       "state_in.particle_f are for reading: clear_forces() before the state is used again.");
   solver

@@ -35,9 +35,10 @@ void bind_dynamics(py::module_& m, py::module_& solvers) {
   const SemiImplicitOptions d;
   py::class_<SolverSemiImplicit, SolverBase> semi_implicit(
       solvers, "SolverSemiImplicit",
-      "Forces as springs and dampers, then symplectic Euler. Covers particles: external forces, "
-      "contacts with world-owned "
-      "shapes, gravity, the velocity limit. Same bits for any number of threads. Raises on a tape: "
+      "Forces as springs and dampers, then symplectic Euler. Covers particles and elements over "
+      "them: external forces, springs, triangles, bending edges, tetrahedra, contacts with "
+      "world-owned shapes, gravity, the velocity limit. Same bits for any number of threads. "
+      "Raises on a tape: "
       "DiffSemiImplicitSolver is the differentiable one.");
   semi_implicit
       .def(py::init([](const std::shared_ptr<Model>& model, float angular_damping,
@@ -53,7 +54,8 @@ void bind_dynamics(py::module_& m, py::module_& solvers) {
            py::arg("model").none(false), py::kw_only(), "angular_damping"_a = d.angular_damping,
            "friction_smoothing"_a = d.friction_smoothing, "joint_attach_ke"_a = d.joint_attach_ke,
            "joint_attach_kd"_a = d.joint_attach_kd, "enable_tri_contact"_a = d.enable_tri_contact,
-           "Options act on bodies, joints and triangles, which no model has yet. "
+           "Options act on bodies and joints, which no model has yet, and on contacts of particles "
+           "with triangles, of which there are none yet. "
            "NotImplementedError for parts of a model "
            "that are not covered.")
       .def_property_readonly(
@@ -71,7 +73,7 @@ void bind_dynamics(py::module_& m, py::module_& solvers) {
       .def_property_readonly(
           "enable_tri_contact",
           [](const SolverSemiImplicit& s) { return s.options().enable_tri_contact; },
-          "Particles against triangles.");
+          "Stored; particles do not meet triangles yet.");
   add_fast_step(semi_implicit);
 }
 

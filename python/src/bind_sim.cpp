@@ -59,6 +59,30 @@ void bind_model(py::module_& m) {
   bind_field(
       c, {"shape_aabb_upper", DType::vec3, 1, "shape_count", "m", "shape", "as shape_aabb_upper"},
       &Fields::shape_aabb_upper, "shape_collision_aabb_upper");
+#define NOVAPHY_ALIAS(name, field)                                              \
+  c.def_property(                                                               \
+      #name, [](const Model& self) { return static_cast<Array>(self.field); },  \
+      [](Model& self, py::handle source) { assign_array(self.field, source); }, \
+      "Newton's name of " #field ".");
+  NOVAPHY_ALIAS(spring_indices, particle_spring_indices)
+  NOVAPHY_ALIAS(spring_rest_length, particle_spring_rest_length)
+  NOVAPHY_ALIAS(spring_stiffness, particle_spring_stiffness)
+  NOVAPHY_ALIAS(spring_damping, particle_spring_damping)
+  NOVAPHY_ALIAS(spring_control, particle_spring_control)
+  NOVAPHY_ALIAS(tri_indices, particle_tri_indices)
+  NOVAPHY_ALIAS(tri_poses, particle_tri_pose)
+  NOVAPHY_ALIAS(tri_areas, particle_tri_area)
+  NOVAPHY_ALIAS(tri_activations, particle_tri_activation)
+  NOVAPHY_ALIAS(tri_materials, particle_tri_material)
+  NOVAPHY_ALIAS(edge_indices, particle_edge_indices)
+  NOVAPHY_ALIAS(edge_rest_angle, particle_edge_rest_angle)
+  NOVAPHY_ALIAS(edge_rest_length, particle_edge_rest_length)
+  NOVAPHY_ALIAS(edge_bending_properties, particle_edge_material)
+  NOVAPHY_ALIAS(tet_indices, particle_tet_indices)
+  NOVAPHY_ALIAS(tet_poses, particle_tet_pose)
+  NOVAPHY_ALIAS(tet_activations, particle_tet_activation)
+  NOVAPHY_ALIAS(tet_materials, particle_tet_material)
+#undef NOVAPHY_ALIAS
 #define NOVAPHY_SETTING(name, doc) c.def_readwrite(#name, &Model::name, doc);
   NOVAPHY_SETTING(soft_contact_ke,
                   "N/m; a contact uses the mean of this and of the shape's material.")
@@ -85,7 +109,8 @@ void bind_model(py::module_& m) {
                     "control, clone_variables: a control always has arrays of its own");
             return self.control(grad);
           },
-          "clone_variables"_a = true, "requires_grad"_a = py::none(), "A new control, zero.")
+          "clone_variables"_a = true, "requires_grad"_a = py::none(),
+          "A new control: the model's activations, the rest zero.")
       .def(
           "contacts",
           [](const std::shared_ptr<Model>& self, CollisionPipeline* pipeline) {
@@ -142,6 +167,9 @@ void bind_control(py::module_& m) {
   bind_field(
       c, {"tri_activations", DType::float32, 1, "tri_count", "1", "", "as particle_tri_activation"},
       &Fields::particle_tri_activation, "tri_activations");
+  bind_field(
+      c, {"tet_activations", DType::float32, 1, "tet_count", "1", "", "as particle_tet_activation"},
+      &Fields::particle_tet_activation, "tet_activations");
   bind_counts(c);
   c.def(
        "clear", [](Control& self, const Model*) { self.clear(); }, "model"_a = py::none(),

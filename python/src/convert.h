@@ -30,6 +30,7 @@ void bind_array(py::module_& m);
 void bind_enums(py::module_& m);
 void bind_sim(py::module_& m);
 void bind_builder(py::module_& m);
+void bind_builder_elements(py::class_<ModelBuilder>& builder);
 void bind_collision(py::module_& m);
 void bind_dynamics(py::module_& m, py::module_& solvers);
 void bind_nova_tensor(py::module_& nova);

@@ -314,10 +314,9 @@ def test_solver_options_are_checked():
     config.strict = False
     made = novaphy.solvers.DiffSemiImplicitSolver(model, config)
     assert not made.config.strict and not made.config.enable_particle_contacts
-    for name in ("enable_tetrahedra", "enable_triangles"):
-        config = novaphy.solvers.DiffSolverConfig(**{name: True})
-        with pytest.raises(NotImplementedError, match=name):
-            novaphy.solvers.DiffSemiImplicitSolver(model, config)
+    config = novaphy.solvers.DiffSolverConfig(static_contact_margin=-1.0)
+    with pytest.raises(ValueError, match="static_contact_margin"):
+        novaphy.solvers.DiffSemiImplicitSolver(model, config)
     with pytest.raises(TypeError):
         novaphy.solvers.DiffSolverConfig(True)
 

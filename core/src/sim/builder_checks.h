@@ -5,6 +5,7 @@
 #include <cmath>
 #include <cstddef>
 #include <optional>
+#include <span>
 #include <sstream>
 #include <string>
 #include <string_view>
@@ -56,6 +57,17 @@ inline void check_mass(const Where& where, float mass) {
 inline void check_particle_flags(const Where& where, int32_t flags) {
   require((flags & ~static_cast<int32_t>(ParticleFlags::ACTIVE)) == 0, ErrorKind::Value, where,
           ": expected 0 or ParticleFlags.ACTIVE (1), got ", flags);
+}
+
+// A list that may hold none (the default), one value for all elements, or one each.
+inline void check_one_or_each(std::string_view function, std::string_view argument, size_t size,
+                              size_t elements) {
+  require(size <= 1 || size == elements, ErrorKind::Value, function, ": ", argument,
+          ": expected one value or ", elements, ", one for each element, got ", size);
+}
+template <class T>
+T one_or_each(std::span<const T> values, size_t element, const T& by_default) {
+  return values.empty() ? by_default : values.size() == 1 ? values[0] : values[element];
 }
 
 // Checks the numbers of a material and its gap.

@@ -29,6 +29,8 @@ SimState Model::state(std::optional<bool> grad) const {
 Control Model::control(std::optional<bool> grad) const {
   Control control(*this);
   control.requires_grad = grad.value_or(requires_grad);
+  control.particle_tri_activation.assign(particle_tri_activation);
+  control.particle_tet_activation.assign(particle_tet_activation);
   return control;
 }
 

@@ -14,6 +14,26 @@ void upload(DeviceArray<T>& array, const std::vector<T>& values) {
 
 }  // namespace
 
+void ModelBuilder::upload_elements(Model& m) const {
+  upload(m.particle_spring_indices, springs_.indices);
+  upload(m.particle_spring_rest_length, springs_.rest_length);
+  upload(m.particle_spring_stiffness, springs_.stiffness);
+  upload(m.particle_spring_damping, springs_.damping);
+  upload(m.particle_spring_control, springs_.control);
+  upload(m.particle_tri_indices, triangles_.indices);
+  upload(m.particle_tri_pose, triangles_.pose);
+  upload(m.particle_tri_area, triangles_.area);
+  upload(m.particle_tri_material, triangles_.material);
+  upload(m.particle_edge_indices, edges_.indices);
+  upload(m.particle_edge_rest_angle, edges_.rest_angle);
+  upload(m.particle_edge_rest_length, edges_.rest_length);
+  upload(m.particle_edge_material, edges_.material);
+  upload(m.particle_tet_indices, tetrahedra_.indices);
+  upload(m.particle_tet_pose, tetrahedra_.pose);
+  upload(m.particle_tet_volume, tetrahedra_.volume);
+  upload(m.particle_tet_material, tetrahedra_.material);
+}
+
 std::shared_ptr<Model> ModelBuilder::finalize(Device device, const FinalizeOptions& options) const {
   require_device(device);
   check_sizes();
@@ -36,6 +56,10 @@ std::shared_ptr<Model> ModelBuilder::finalize(Device device, const FinalizeOptio
   ModelCounts counts;
   counts.particle_count = particle_count();
   counts.shape_count = shape_count();
+  counts.spring_count = spring_count();
+  counts.tri_count = tri_count();
+  counts.edge_count = edge_count();
+  counts.tet_count = tet_count();
   counts.world_count = 1;
   counts.shape_contact_pair_count = static_cast<int32_t>(pairs.size());
   std::shared_ptr<Model> model(new Model(counts, device, up_axis_));
@@ -56,6 +80,7 @@ std::shared_ptr<Model> ModelBuilder::finalize(Device device, const FinalizeOptio
   for (const float radius : particle_radius)
     m.particle_max_radius = std::max(m.particle_max_radius, radius);
 
+  upload_elements(m);
   upload(m.shape_body, body);
   upload(m.shape_flags, flags);
   upload(m.shape_collision_group, group);

@@ -166,6 +166,22 @@ void step_particles(const Model& model, const Contacts& contacts,
   step_kernel().launch(particle_q.rows, in, out, {.params = params, .csr = &contacts_of});
 }
 
+void step_particles_with_static_contacts(const Model& model, const Operand& particle_q,
+                                         const Operand& particle_qd, const Operand& particle_f,
+                                         float soft_contact_margin, float dt, const Operand& q_out,
+                                         const Operand& qd_out) {
+  check_model(model, dt, "step_particles_with_static_contacts");
+  std::vector<Operand> in = integration_operands(model, particle_q, particle_qd, particle_f);
+  in.push_back(nova::operand_of(model.particle_radius));
+  for (const Operand& o : detail::static_shape_operands(model)) in.push_back(o);
+  std::vector<nova::Param> params = {model.particle_max_velocity, dt};
+  for (const nova::Param& p : detail::static_shape_params(model, soft_contact_margin))
+    params.push_back(p);
+  const Operand out[] = {q_out, qd_out};
+  fused_kernel().launch(particle_q.rows, in, out,
+                        {.params = params, .extent = model.shape_count()});
+}
+
 std::pair<Tensor, Tensor> integrate_particles_generated(const Model& model,
                                                         const Tensor& particle_q,
                                                         const Tensor& particle_qd,
@@ -191,18 +207,11 @@ std::pair<Tensor, Tensor> integrate_particles_with_static_contacts_generated(
   detail::check_particle_tensor(model, particle_f, op, "particle_f");
   check_model(model, dt, op);
   detail::check_static_shapes(model);
-  std::vector<Operand> in = integration_operands(model, particle_q.operand(), particle_qd.operand(),
-                                                 particle_f.operand());
-  in.push_back(nova::operand_of(model.particle_radius));
-  for (const Operand& o : detail::static_shape_operands(model)) in.push_back(o);
-  std::vector<nova::Param> params = {model.particle_max_velocity, dt};
-  for (const nova::Param& p : detail::static_shape_params(model, soft_contact_margin))
-    params.push_back(p);
   const Tensor q(particle_q.shape(), DType::F32, model.device()),
       qd(particle_q.shape(), DType::F32, model.device());
-  const Operand out[] = {q.operand(), qd.operand()};
-  fused_kernel().launch(particle_q.rows(), in, out,
-                        {.params = params, .extent = model.shape_count()});
+  step_particles_with_static_contacts(model, particle_q.operand(), particle_qd.operand(),
+                                      particle_f.operand(), soft_contact_margin, dt, q.operand(),
+                                      qd.operand());
   return {q, qd};
 }
 

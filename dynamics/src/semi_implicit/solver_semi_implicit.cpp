@@ -1,8 +1,10 @@
 #include "novaphy/dynamics/semi_implicit/solver_semi_implicit.h"
 
 #include <cmath>
+#include <optional>
 #include <utility>
 
+#include "element_forces.h"
 #include "novaphy/collision/diff_soft_contact_trace.h"
 #include "novaphy/core/error.h"
 #include "novaphy/core/sim/for_chunks.h"
@@ -44,10 +46,6 @@ void check_covered(const Model& model) {
   check("body_count", model.body_count());
   check("joint_count", model.joint_count());
   check("articulation_count", model.articulation_count());
-  check("spring_count", model.spring_count());
-  check("tri_count", model.tri_count());
-  check("edge_count", model.edge_count());
-  check("tet_count", model.tet_count());
   require(model.device().is_cpu(), ErrorKind::NotImplemented,
           "SolverSemiImplicit: model: expected one on the cpu, got ", "one on ",
           model.device().str(), ": other devices are not there yet");
@@ -55,6 +53,8 @@ void check_covered(const Model& model) {
 
 // The contacts of a step, as the force law reads them.
 struct ContactForces {
+  ContactForces(const ParticleContacts& contact_rows, const Contacts& c, const Model& m)
+      : rows(contact_rows), contacts(c), model(m) {}
   const ParticleContacts& rows;
   const Contacts& contacts;
   const Model& model;
@@ -85,6 +85,7 @@ struct ContactForces {
 
 struct SolverSemiImplicit::Cache {
   ParticleContacts contacts;
+  ElementForces elements;
   ArrayStamp particle_world;  // its values were checked
 
   void check_worlds(const Model& model) {
@@ -141,18 +142,23 @@ void SolverSemiImplicit::step(SimState& state_in, SimState& state_out, const Con
     qd_out[p] = next.qd;
   };
 
-  if (contacts == nullptr || cache_->contacts.empty()) {
+  const bool touching = contacts != nullptr && !cache_->contacts.empty();
+  const bool deformable = ElementForces::any(m);
+  if (!touching && !deformable) {
     const Vec3f* f = state_in.particle_f.data();
     for_chunks(m.particle_count(), kChunk, [&](int64_t begin, int64_t end, int64_t) {
       for (int64_t p = begin; p < end; ++p) integrate(p, f[p]);
     });
     return;
   }
-  const ContactForces forces{.rows = cache_->contacts, .contacts = *contacts, .model = m};
+  if (deformable) cache_->elements.evaluate(m, control, q, qd);
+  std::optional<ContactForces> contact_forces;
+  if (touching) contact_forces.emplace(cache_->contacts, *contacts, m);
   Vec3f* const f = state_in.particle_f.mutable_data();
   for_chunks(m.particle_count(), kChunk, [&](int64_t begin, int64_t end, int64_t) {
     for (int64_t p = begin; p < end; ++p) {
-      f[p] = forces.add(p, q[p], qd[p], f[p]);
+      if (deformable) f[p] = cache_->elements.add(p, f[p]);
+      if (touching) f[p] = contact_forces->add(p, q[p], qd[p], f[p]);
       integrate(p, f[p]);
     }
   });

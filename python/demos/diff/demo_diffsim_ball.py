@@ -11,11 +11,17 @@ from the first state, so the wall is the half-space behind its face.
 
 from __future__ import annotations
 
-import argparse
-import sys
-from pathlib import Path
-
 import numpy as np
+from demo_common import (
+    check_gradient,
+    dump_states,
+    loss_figure,
+    make_parser,
+    parse,
+    progress,
+    run,
+    save_figure,
+)
 
 import novaphy
 from novaphy import diff, nova
@@ -79,43 +85,13 @@ class Ball:
         """All positions of the last rollout, {STEPS + 1, n, 3}, m."""
         return np.stack([state.particle_q.numpy() for state in self.states])
 
-    def check_gradient(self, eps: float = 1.0e-3, tolerance: float = 3.0e-3) -> bool:
-        """Compare the tape's gradient with central differences."""
-        with nova.Tape() as tape:
-            tape.backward(self.forward())
-            ad = self.velocity.grad.numpy().ravel()
-            tape.zero()
-        start = self.velocity.numpy()
-        fd = np.zeros(3, np.float32)
-        for k in range(3):
-            values = []
-            for sign in (1.0, -1.0):
-                moved = start.copy()
-                moved[0, k] += np.float32(sign * eps)
-                self.velocity.assign(moved)
-                values.append(self.forward().item())
-            fd[k] = (values[0] - values[1]) / (2.0 * eps)
-        self.velocity.assign(start)
-        error = float(np.max(np.abs(ad - fd)) / np.max(np.abs(fd)))
-        print(f"gradient  ad {ad}  fd {fd}  relative error {error:.1e} (tolerance {tolerance:.0e})")
-        return error <= tolerance
-
 
 def plot(path: str, losses: list[float], trajectories: list[np.ndarray]) -> None:
     """Draw the loss and the trajectories over the iterations, in the plane of the throw."""
-    import matplotlib
-
-    matplotlib.use("Agg")
     import matplotlib.pyplot as plt
     from matplotlib.ticker import MaxNLocator
 
-    figure, (left, right) = plt.subplots(
-        1, 2, figsize=(11, 4.2), width_ratios=(2, 3), layout="constrained"
-    )
-    left.semilogy(losses, color="#2a6f97", marker="o", markersize=3)
-    left.set(xlabel="iteration", ylabel="squared distance to the target [m²]", title="Loss")
-    left.grid(alpha=0.3, which="both")
-
+    figure, right = loss_figure(losses, "squared distance to the target [m²]")
     last = len(trajectories) - 1
     scale = plt.cm.ScalarMappable(cmap="viridis_r", norm=plt.Normalize(0, max(last, 1)))
     shown = sorted({round(k) for k in np.linspace(0, last, 25)})  # more lines would hide each other
@@ -136,37 +112,16 @@ def plot(path: str, losses: list[float], trajectories: list[np.ndarray]) -> None
     )
     right.set_aspect("equal")
     right.legend(loc="upper left", ncols=3)
-    with novaphy.io.atomic_path(path) as temporary:
-        figure.savefig(temporary, dpi=140)
-    plt.close(figure)
+    save_figure(figure, path)
 
 
 def main() -> int:
     """Train, check, dump and plot as asked; 0 when every check passed."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument(
-        "--headless", type=int, default=150, metavar="N", help="training iterations (default 150)"
-    )
-    parser.add_argument("--device", default="cpu", help="cpu, cuda, cuda:1, ... or auto")
-    parser.add_argument(
-        "--check-grad", action="store_true", help="compare the gradient with central differences"
-    )
-    parser.add_argument(
-        "--dump-states", metavar="PATH.npz", help="write the states of the last rollout"
-    )
-    parser.add_argument("--plot", metavar="PATH.png", help="draw the loss and the trajectories")
-    args = parser.parse_args()
-    if args.headless < 0:
-        parser.error(f"--headless: expected a number of iterations >= 0, got {args.headless}")
-    for path in filter(None, (args.dump_states, args.plot)):
-        if not Path(path).parent.is_dir():
-            parser.error(f"the folder of {path} does not exist")
-    device = args.device
-    if device == "auto":
-        device = "cuda" if novaphy.is_device_available("cuda") else "cpu"
-
-    ball = Ball(device)
-    ok = ball.check_gradient() if args.check_grad else True
+    args = parse(make_parser(__doc__, iterations=150))
+    ball = Ball(args.device)
+    ok = True
+    if args.check_grad:
+        ok = check_gradient(ball.velocity, ball.forward, eps=1.0e-3, tolerance=3.0e-3)
     losses, trajectories = [], []
     for _ in progress(range(args.headless)):
         losses.append(ball.train())
@@ -176,13 +131,7 @@ def main() -> int:
     trajectories.append(ball.positions())
 
     if args.dump_states:
-        q = trajectories[-1]
-        novaphy.io.save_npz(
-            args.dump_states,
-            particle_q=q[::SUBSTEPS],
-            particle_q_substeps=q,
-            loss=np.float32(losses),
-        )
+        dump_states(args.dump_states, trajectories[-1], SUBSTEPS, losses)
     if args.plot:
         plot(args.plot, losses, trajectories)
     drops = -np.diff(losses[:31])  # later on the loss may jump where a contact opens or closes
@@ -195,19 +144,5 @@ def main() -> int:
     return 0 if ok else 1
 
 
-def progress(iterations: range):
-    """Show a progress bar on a terminal."""
-    if not sys.stderr.isatty():
-        return iterations
-    try:
-        from tqdm import tqdm
-    except ImportError:
-        return iterations
-    return tqdm(iterations, desc="training", unit="it", leave=False)
-
-
 if __name__ == "__main__":
-    try:
-        sys.exit(main())
-    except (ValueError, OSError, novaphy.Error) as error:
-        sys.exit(f"error: {error}")
+    run(main)

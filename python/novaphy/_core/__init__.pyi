@@ -288,6 +288,43 @@ class Model(_Counts):
     particle_radius: _Field
     particle_flags: _Field
     particle_world: _Field
+    particle_spring_indices: _Field
+    particle_spring_rest_length: _Field
+    particle_spring_stiffness: _Field
+    particle_spring_damping: _Field
+    particle_spring_control: _Field
+    particle_tri_indices: _Field
+    particle_tri_pose: _Field
+    particle_tri_area: _Field
+    particle_tri_activation: _Field
+    particle_tri_material: _Field
+    particle_edge_indices: _Field
+    particle_edge_rest_angle: _Field
+    particle_edge_rest_length: _Field
+    particle_edge_material: _Field
+    particle_tet_indices: _Field
+    particle_tet_pose: _Field
+    particle_tet_volume: _Field
+    particle_tet_activation: _Field
+    particle_tet_material: _Field
+    spring_indices: _Field
+    spring_rest_length: _Field
+    spring_stiffness: _Field
+    spring_damping: _Field
+    spring_control: _Field
+    tri_indices: _Field
+    tri_poses: _Field
+    tri_areas: _Field
+    tri_activations: _Field
+    tri_materials: _Field
+    edge_indices: _Field
+    edge_rest_angle: _Field
+    edge_rest_length: _Field
+    edge_bending_properties: _Field
+    tet_indices: _Field
+    tet_poses: _Field
+    tet_activations: _Field
+    tet_materials: _Field
     shape_body: _Field
     shape_transform: _Field
     shape_type: _Field
@@ -364,6 +401,7 @@ class Control(_Counts):
     particle_tri_activation: _Field
     particle_tet_activation: _Field
     tri_activations: _Field
+    tet_activations: _Field
     @property
     def joint_target_pos(self) -> Any: ...
     @property
@@ -541,6 +579,27 @@ class ModelBuilder(_Native):
     default_particle_radius: float
     default_shape_cfg: _ShapeConfig
     rigid_gap: float
+    default_tri_ke: float
+    default_tri_ka: float
+    default_tri_kd: float
+    default_tri_drag: float
+    default_tri_lift: float
+    default_spring_ke: float
+    default_spring_kd: float
+    default_edge_ke: float
+    default_edge_kd: float
+    default_tet_k_mu: float
+    default_tet_k_lambda: float
+    default_tet_k_damp: float
+    default_tet_density: float
+    @property
+    def spring_count(self) -> int: ...
+    @property
+    def tri_count(self) -> int: ...
+    @property
+    def edge_count(self) -> int: ...
+    @property
+    def tet_count(self) -> int: ...
     @property
     def particle_count(self) -> int: ...
     @property
@@ -586,6 +645,203 @@ class ModelBuilder(_Native):
         mass: _Vector,
         radius: _Vector | None = None,
         flags: Sequence[SupportsIndex] | None = None,
+    ) -> None: ...
+    def add_spring(
+        self,
+        i: SupportsIndex,
+        j: SupportsIndex,
+        ke: SupportsFloat,
+        kd: SupportsFloat,
+        control: SupportsFloat = 0.0,
+    ) -> int: ...
+    def add_triangle(
+        self,
+        i: SupportsIndex,
+        j: SupportsIndex,
+        k: SupportsIndex,
+        *,
+        tri_ke: SupportsFloat | None = None,
+        tri_ka: SupportsFloat | None = None,
+        tri_kd: SupportsFloat | None = None,
+        tri_drag: SupportsFloat | None = None,
+        tri_lift: SupportsFloat | None = None,
+    ) -> float: ...
+    def add_triangles(
+        self,
+        i: Sequence[SupportsIndex] | NDArray[Any],
+        j: Sequence[SupportsIndex] | NDArray[Any],
+        k: Sequence[SupportsIndex] | NDArray[Any],
+        *,
+        tri_ke: SupportsFloat | _Vector | None = None,
+        tri_ka: SupportsFloat | _Vector | None = None,
+        tri_kd: SupportsFloat | _Vector | None = None,
+        tri_drag: SupportsFloat | _Vector | None = None,
+        tri_lift: SupportsFloat | _Vector | None = None,
+    ) -> list[float]: ...
+    def add_tetrahedron(
+        self,
+        i: SupportsIndex,
+        j: SupportsIndex,
+        k: SupportsIndex,
+        l: SupportsIndex,
+        k_mu: SupportsFloat | None = None,
+        k_lambda: SupportsFloat | None = None,
+        k_damp: SupportsFloat | None = None,
+    ) -> float: ...
+    def add_tetrahedra(
+        self,
+        i: Sequence[SupportsIndex] | NDArray[Any],
+        j: Sequence[SupportsIndex] | NDArray[Any],
+        k: Sequence[SupportsIndex] | NDArray[Any],
+        l: Sequence[SupportsIndex] | NDArray[Any],
+        *,
+        k_mu: SupportsFloat | _Vector | None = None,
+        k_lambda: SupportsFloat | _Vector | None = None,
+        k_damp: SupportsFloat | _Vector | None = None,
+    ) -> list[float]: ...
+    def add_edge(
+        self,
+        i: SupportsIndex,
+        j: SupportsIndex,
+        k: SupportsIndex,
+        l: SupportsIndex,
+        *,
+        rest: SupportsFloat | None = None,
+        edge_ke: SupportsFloat | None = None,
+        edge_kd: SupportsFloat | None = None,
+    ) -> int: ...
+    def add_edges(
+        self,
+        i: Sequence[SupportsIndex] | NDArray[Any],
+        j: Sequence[SupportsIndex] | NDArray[Any],
+        k: Sequence[SupportsIndex] | NDArray[Any],
+        l: Sequence[SupportsIndex] | NDArray[Any],
+        *,
+        rest: _Vector | None = None,
+        edge_ke: SupportsFloat | _Vector | None = None,
+        edge_kd: SupportsFloat | _Vector | None = None,
+    ) -> None: ...
+    def add_particle_grid(
+        self,
+        *,
+        pos: _Vector = (0.0, 0.0, 0.0),
+        rot: _Vector = (0.0, 0.0, 0.0, 1.0),
+        vel: _Vector = (0.0, 0.0, 0.0),
+        dim_x: SupportsIndex,
+        dim_y: SupportsIndex,
+        dim_z: SupportsIndex,
+        cell_x: SupportsFloat,
+        cell_y: SupportsFloat,
+        cell_z: SupportsFloat,
+        mass: SupportsFloat,
+        jitter: SupportsFloat = 0.0,
+        radius_mean: SupportsFloat | None = None,
+        radius_std: SupportsFloat = 0.0,
+        seed: SupportsIndex = 0,
+    ) -> None: ...
+    def add_cloth_grid(
+        self,
+        *,
+        pos: _Vector = (0.0, 0.0, 0.0),
+        rot: _Vector = (0.0, 0.0, 0.0, 1.0),
+        vel: _Vector = (0.0, 0.0, 0.0),
+        dim_x: SupportsIndex,
+        dim_y: SupportsIndex,
+        cell_x: SupportsFloat,
+        cell_y: SupportsFloat,
+        mass: SupportsFloat,
+        reverse_winding: bool = False,
+        fix_left: bool = False,
+        fix_right: bool = False,
+        fix_top: bool = False,
+        fix_bottom: bool = False,
+        tri_ke: SupportsFloat | None = None,
+        tri_ka: SupportsFloat | None = None,
+        tri_kd: SupportsFloat | None = None,
+        tri_drag: SupportsFloat | None = None,
+        tri_lift: SupportsFloat | None = None,
+        edge_ke: SupportsFloat | None = None,
+        edge_kd: SupportsFloat | None = None,
+        add_springs: bool = False,
+        spring_ke: SupportsFloat | None = None,
+        spring_kd: SupportsFloat | None = None,
+        particle_radius: SupportsFloat | None = None,
+    ) -> None: ...
+    def add_cloth_mesh(
+        self,
+        *,
+        pos: _Vector = (0.0, 0.0, 0.0),
+        rot: _Vector = (0.0, 0.0, 0.0, 1.0),
+        scale: SupportsFloat = 1.0,
+        vel: _Vector = (0.0, 0.0, 0.0),
+        vertices: Sequence[_Vector] | NDArray[Any],
+        indices: Sequence[SupportsIndex] | NDArray[Any],
+        density: SupportsFloat,
+        tri_ke: SupportsFloat | None = None,
+        tri_ka: SupportsFloat | None = None,
+        tri_kd: SupportsFloat | None = None,
+        tri_drag: SupportsFloat | None = None,
+        tri_lift: SupportsFloat | None = None,
+        edge_ke: SupportsFloat | None = None,
+        edge_kd: SupportsFloat | None = None,
+        add_springs: bool = False,
+        spring_ke: SupportsFloat | None = None,
+        spring_kd: SupportsFloat | None = None,
+        particle_radius: SupportsFloat | None = None,
+    ) -> None: ...
+    def add_soft_grid(
+        self,
+        *,
+        pos: _Vector = (0.0, 0.0, 0.0),
+        rot: _Vector = (0.0, 0.0, 0.0, 1.0),
+        vel: _Vector = (0.0, 0.0, 0.0),
+        dim_x: SupportsIndex,
+        dim_y: SupportsIndex,
+        dim_z: SupportsIndex,
+        cell_x: SupportsFloat,
+        cell_y: SupportsFloat,
+        cell_z: SupportsFloat,
+        density: SupportsFloat,
+        k_mu: SupportsFloat | None = None,
+        k_lambda: SupportsFloat | None = None,
+        k_damp: SupportsFloat | None = None,
+        fix_left: bool = False,
+        fix_right: bool = False,
+        fix_top: bool = False,
+        fix_bottom: bool = False,
+        tri_ke: SupportsFloat | None = 0.0,
+        tri_ka: SupportsFloat | None = 0.0,
+        tri_kd: SupportsFloat | None = 0.0,
+        tri_drag: SupportsFloat | None = 0.0,
+        tri_lift: SupportsFloat | None = 0.0,
+        add_surface_mesh_edges: bool = True,
+        edge_ke: SupportsFloat | None = 0.0,
+        edge_kd: SupportsFloat | None = 0.0,
+        particle_radius: SupportsFloat | None = None,
+    ) -> None: ...
+    def add_soft_mesh(
+        self,
+        *,
+        pos: _Vector = (0.0, 0.0, 0.0),
+        rot: _Vector = (0.0, 0.0, 0.0, 1.0),
+        scale: SupportsFloat = 1.0,
+        vel: _Vector = (0.0, 0.0, 0.0),
+        mesh: object | None = None,
+        vertices: Sequence[_Vector] | NDArray[Any] | None = None,
+        indices: Sequence[SupportsIndex] | NDArray[Any] | None = None,
+        density: SupportsFloat | None = None,
+        k_mu: SupportsFloat | _Vector | None = None,
+        k_lambda: SupportsFloat | _Vector | None = None,
+        k_damp: SupportsFloat | _Vector | None = None,
+        tri_ke: SupportsFloat | None = 0.0,
+        tri_ka: SupportsFloat | None = 0.0,
+        tri_kd: SupportsFloat | None = 0.0,
+        tri_drag: SupportsFloat | None = 0.0,
+        tri_lift: SupportsFloat | None = 0.0,
+        add_surface_mesh_edges: bool = True,
+        edge_ke: SupportsFloat | None = 0.0,
+        edge_kd: SupportsFloat | None = 0.0,
+        particle_radius: SupportsFloat | None = None,
     ) -> None: ...
     def add_shape(
         self,

@@ -60,6 +60,10 @@ class DiffSolverConfig(_Native):
         enable_particle_contacts: bool = True,
         enable_tetrahedra: bool = False,
         enable_triangles: bool = False,
+        enable_springs: bool = False,
+        enable_bending: bool = False,
+        enable_static_contacts: bool = False,
+        static_contact_margin: SupportsFloat = 0.0,
         enable_rigid: bool = True,
         enable_rigid_contacts: bool = True,
         angular_damping: SupportsFloat = 0.05,
@@ -70,6 +74,10 @@ class DiffSolverConfig(_Native):
     enable_particle_contacts: bool
     enable_tetrahedra: bool
     enable_triangles: bool
+    enable_springs: bool
+    enable_bending: bool
+    enable_static_contacts: bool
+    static_contact_margin: float
     enable_rigid: bool
     enable_rigid_contacts: bool
     angular_damping: float

@@ -29,6 +29,12 @@ NOVAPHY_DIFF_API nova::Tensor eval_static_particle_shape_contact_forces_generate
     const Model& model, const nova::Tensor& particle_q, const nova::Tensor& particle_qd,
     const nova::Tensor& particle_f, float soft_contact_margin = 0.0f);
 
+// The same into given memory: what the solver calls. ErrorKind::Value for a bad margin; whether the
+// shapes are covered is the caller's to check (detail::check_static_shapes).
+NOVAPHY_DIFF_API void eval_static_contact_forces(
+    const Model& model, const nova::Operand& particle_q, const nova::Operand& particle_qd,
+    const nova::Operand& particle_f, float soft_contact_margin, const nova::Operand& forces);
+
 // The forces of recorded contacts, in slot order: `forces` = `particle_f` + the terms of the
 // contacts. `contacts_of` lists the slots of every particle (nova::make_incidence of
 // soft_contact_particle).

@@ -5,6 +5,7 @@
 
 #include "novaphy/diff/export.h"
 #include "novaphy/diff/trajectory.h"
+#include "novaphy/dynamics/semi_implicit/diff_elements.h"
 #include "novaphy/dynamics/solver_base.h"
 #include "novaphy/nova/incidence.h"
 
@@ -13,22 +14,36 @@ namespace novaphy::diff {
 struct DiffSolverConfig {
   bool enable_particles = true;
   bool enable_particle_contacts = true;
-  bool enable_tetrahedra = false;  // not built yet: ErrorKind::NotImplemented
-  bool enable_triangles = false;   // not built yet: ErrorKind::NotImplemented
-  bool enable_rigid = true;        // acts on bodies, which no model has yet
+  bool enable_tetrahedra = false;
+  bool enable_triangles = false;
+  bool enable_springs = false;
+  bool enable_bending = false;
+  // Contacts of particles with world-owned planes, boxes, spheres and capsules at their true
+  // distance in every substep, instead of those of a Contacts (which must then be null). Their
+  // gradient follows the closest point and the normal.
+  bool enable_static_contacts = false;
+  float static_contact_margin = 0.0f;  // m, >= 0: how far a static contact is looked for
+  bool enable_rigid = true;            // acts on bodies, which no model has yet
   bool enable_rigid_contacts = true;
   float angular_damping = 0.05f;
   float friction_smoothing = 1.0f;
   bool strict = true;  // refuse what is not covered instead of leaving it out
 };
 
-// One step runs two generated kernels: contact forces (added to state_in.particle_f in slot order),
-// then integration. The result has the bits of SolverSemiImplicit. Inside an active nova::Tape both
-// are recorded on the states' own arrays; outside they just run.
+// One step runs generated kernels: the forces of springs, triangles, bending edges and tetrahedra
+// (two kernels for each kind that is enabled and there), of contacts, then integration. Forces are
+// added to state_in.particle_f in the order of SolverSemiImplicit, and the result has its bits.
+// Inside an active nova::Tape the kernels are recorded on the states' own arrays; outside they just
+// run.
 //
-// Gradients: positions, velocities, applied forces, masses, radii, gravity and contact materials
-// are exact; contact points and normals are frozen (collision is not differentiated here). See
-// diff_soft_contacts.h and diff_particles.h.
+// Gradients: positions, velocities, applied forces, masses, radii, gravity, contact materials,
+// activations and all materials, rest lengths and rest angles of elements are exact. Points and
+// normals of recorded contacts are frozen (collision is not differentiated here); those of static
+// contacts are exact. See diff_elements.h, diff_soft_contacts.h and diff_particles.h.
+//
+// Under `strict` a model whose elements would be left out is refused: the element kind must be
+// enabled, unless it exerts no force (all its stiffness, damping, drag and lift are 0 when the
+// solver is made; so it is with the bending edges that add_soft_grid makes).
 //
 // The forces that a step leaves in state_in.particle_f are for reading. Using them as input of
 // another recorded step raises: clear_forces() first.
@@ -39,6 +54,7 @@ class NOVAPHY_DIFF_API DiffSemiImplicitSolver : public SolverBase {
 
   const DiffSolverConfig& config() const { return config_; }
 
+  // The activations of triangles and tetrahedra are the control's, or the model's without one.
   // Errors as SolverBase::step; ErrorKind::Runtime inside a ScopedCapture, and under `strict` for
   // contacts that overflowed their slots.
   void step(SimState& state_in, SimState& state_out, const Control* control,
@@ -47,17 +63,26 @@ class NOVAPHY_DIFF_API DiffSemiImplicitSolver : public SolverBase {
     return false;
   }  // of step; rollout may be captured
 
-  // All steps of a trajectory from state 0, contacts and integration in one kernel per step,
-  // recorded on an active tape. The states have the bits of a loop of `step` in which every step
-  // starts from the force in trajectory.particle_f; that force is only read. May be captured.
+  // All steps of a trajectory from state 0, contacts and integration in one kernel per step after
+  // those of the elements, recorded on an active tape. The states have the bits of a loop of `step`
+  // in which every step starts from the force in trajectory.particle_f; that force is only read.
+  // May be captured.
   void rollout(Trajectory& trajectory, const Control* control, const Contacts* contacts, float dt);
 
  private:
+  void check_elements() const;
+  void check_contacts(const char* function, const Contacts* contacts) const;
+  // f plus the forces of the elements: in `to`, which is returned; f itself without elements.
+  nova::Operand add_elements(const Control* control, const nova::Operand& q,
+                             const nova::Operand& qd, const nova::Operand& f,
+                             const nova::Operand& to);
   // The slots of every particle, or null when no contact acts.
   const nova::Incidence* contacts_of_particles(const Contacts* contacts);
 
   DiffSolverConfig config_;
   nova::Incidence contacts_of_;  // of the last contacts
+  ElementOperators elements_;
+  DeviceArray<Vec3f> forces_;  // {n}: of a rollout that is not recorded
 };
 
 }  // namespace novaphy::diff

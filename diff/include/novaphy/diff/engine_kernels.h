@@ -13,10 +13,12 @@ NOVAPHY_DIFF_API std::vector<nova::EngineKernel> engine_kernels();
 
 namespace detail {
 // Each file that defines kernels adds them to the list.
-void add_contact_kernels(std::vector<nova::EngineKernel>& list);   // diff_soft_contacts.cpp
-void add_loss_kernels(std::vector<nova::EngineKernel>& list);      // losses.cpp
-void add_particle_kernels(std::vector<nova::EngineKernel>& list);  // diff_particles.cpp
-void add_view_kernels(std::vector<nova::EngineKernel>& list);      // tensor_views.cpp
+void add_contact_kernels(std::vector<nova::EngineKernel>& list);       // diff_soft_contacts.cpp
+void add_element_kernels(std::vector<nova::EngineKernel>& list);       // diff_elements.cpp
+void add_tet_material_kernels(std::vector<nova::EngineKernel>& list);  // diff_tetrahedra.cpp
+void add_loss_kernels(std::vector<nova::EngineKernel>& list);          // losses.cpp
+void add_particle_kernels(std::vector<nova::EngineKernel>& list);      // diff_particles.cpp
+void add_view_kernels(std::vector<nova::EngineKernel>& list);          // tensor_views.cpp
 
 // The gradients that are built ahead for an operator on particles: of its state (those of `state`
 // that it has), of each of `others`, of both, and of all of `materials` together. What all steps of

@@ -11,10 +11,24 @@
 // X(field): the views that exist, one function per row.
 #define NOVAPHY_STATE_VIEWS(X) \
   X(particle_q) X(particle_qd) X(particle_f) X(body_q) X(body_qd) X(body_f) X(joint_q) X(joint_qd)
-#define NOVAPHY_MODEL_VIEWS(X)                                                                 \
-  X(particle_mass)                                                                             \
-  X(particle_radius) X(gravity) X(shape_material_ke) X(shape_material_kd) X(shape_material_kf) \
-      X(shape_material_mu)
+#define NOVAPHY_MODEL_VIEWS(X) \
+  X(particle_mass)             \
+  X(particle_radius)           \
+  X(gravity) X(shape_material_ke) X(shape_material_kd) X(shape_material_kf) X(shape_material_mu)
+// X(name, field): views of arrays over elements, without the prefix of the field.
+#define NOVAPHY_ELEMENT_VIEWS(X)                     \
+  X(tet_activation, particle_tet_activation)         \
+  X(tet_material, particle_tet_material)             \
+  X(tri_activation, particle_tri_activation)         \
+  X(tri_material, particle_tri_material)             \
+  X(spring_stiffness, particle_spring_stiffness)     \
+  X(spring_damping, particle_spring_damping)         \
+  X(spring_rest_length, particle_spring_rest_length) \
+  X(edge_material, particle_edge_material)           \
+  X(edge_rest_angle, particle_edge_rest_angle)
+#define NOVAPHY_CONTROL_VIEWS(X)             \
+  X(tet_activation, particle_tet_activation) \
+  X(tri_activation, particle_tri_activation)
 
 namespace novaphy::diff {
 
@@ -32,6 +46,21 @@ NOVAPHY_STATE_VIEWS(NOVAPHY_DECLARE_STATE_VIEW)
                                                        bool requires_grad = false);
 NOVAPHY_MODEL_VIEWS(NOVAPHY_DECLARE_MODEL_VIEW)
 #undef NOVAPHY_DECLARE_MODEL_VIEW
+
+// model_tet_material_tensor(model): {tet_count, 3}, Pa; and so on, with the shapes of the fields.
+#define NOVAPHY_DECLARE_ELEMENT_VIEW(name, field)                         \
+  NOVAPHY_DIFF_API nova::Tensor model_##name##_tensor(const Model& model, \
+                                                      bool requires_grad = false);
+NOVAPHY_ELEMENT_VIEWS(NOVAPHY_DECLARE_ELEMENT_VIEW)
+#undef NOVAPHY_DECLARE_ELEMENT_VIEW
+
+// control_tet_activation_tensor(control): {tet_count}, control_tri_activation_tensor: {tri_count}.
+// The activations of a step come from its control; without one they are the model's.
+#define NOVAPHY_DECLARE_CONTROL_VIEW(name, field)                               \
+  NOVAPHY_DIFF_API nova::Tensor control_##name##_tensor(const Control& control, \
+                                                        bool requires_grad = false);
+NOVAPHY_CONTROL_VIEWS(NOVAPHY_DECLARE_CONTROL_VIEW)
+#undef NOVAPHY_DECLARE_CONTROL_VIEW
 
 // particle_inv_mass = 1/particle_mass, 0 where the mass is 0. Not recorded on a tape.
 NOVAPHY_DIFF_API void update_inverse_mass(Model& model);

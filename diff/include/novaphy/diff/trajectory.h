@@ -12,7 +12,8 @@ namespace novaphy::diff {
 // steps + 1 states of a model. Positions and velocities are one allocation each {steps + 1, n, 3};
 // state(t) is a regular SimState over its part. state(0) starts with the model's initial values.
 // All states share one particle_f {n, 3}: the force that is applied in every step of a rollout. 24
-// bytes per particle and step, and 24 more for the gradients of all states once a backward ran.
+// bytes per particle and step, and 24 more for the gradients of all states once a backward ran;
+// where elements act 12 more of both for total_forces.
 class NOVAPHY_DIFF_API Trajectory {
  public:
   // ErrorKind::Value unless steps >= 0.
@@ -27,10 +28,16 @@ class NOVAPHY_DIFF_API Trajectory {
   const DeviceArray<Vec3f>& particle_q() const { return particle_q_; }
   const DeviceArray<Vec3f>& particle_qd() const { return particle_qd_; }
   const DeviceArray<Vec3f>& particle_f() const { return particle_f_; }  // {n}
+  // {steps * n} rows, made when first asked for: the forces on the particles in every step, applied
+  // ones and those of elements, as a recorded rollout needs them again for its gradient.
+  const DeviceArray<Vec3f>& total_forces();
+  const DeviceArray<Vec3f>& total_force(int32_t t);  // {n}, of step t
 
  private:
   std::shared_ptr<const Model> model_;
   DeviceArray<Vec3f> particle_q_, particle_qd_, particle_f_;
+  DeviceArray<Vec3f> total_forces_;
+  std::vector<DeviceArray<Vec3f>> total_force_;
   std::vector<SimState> states_;
 };
 

@@ -1,4 +1,5 @@
-// Control: what drives the model during a step. Made by Model::control().
+// Control: what drives the model during a step. Made by Model::control(), which copies the
+// activations of triangles and tetrahedra from the model; the rest is zero.
 #pragma once
 
 #include <cstdint>

@@ -32,6 +32,33 @@ namespace novaphy {
   X(particle_flags, int32_t, 1, particle_count, "", "",                                           \
     "ParticleFlags; without ACTIVE a particle stays as it is")                                    \
   X(particle_world, int32_t, 1, particle_count, "", "", "world of the particle; -1: all worlds")  \
+  X(particle_spring_indices, Vec2i, 1, spring_count, "", "", "ends of the springs")               \
+  X(particle_spring_rest_length, float, 1, spring_count, "m", "", "length without a force")       \
+  X(particle_spring_stiffness, float, 1, spring_count, "N/m", "", "spring stiffness")             \
+  X(particle_spring_damping, float, 1, spring_count, "N*s/m", "", "damping along the spring")     \
+  X(particle_spring_control, float, 1, spring_count, "1", "", "stored; no force uses it")         \
+  X(particle_tri_indices, Vec3i, 1, tri_count, "", "", "corners, counter-clockwise")              \
+  X(particle_tri_pose, Mat22f, 1, tri_count, "1/m", "triangle",                                   \
+    "inverse of the edges x1 - x0, x2 - x0 at rest, as columns; x along the first edge")          \
+  X(particle_tri_area, float, 1, tri_count, "m^2", "", "area at rest")                            \
+  X(particle_tri_activation, float, 1, tri_count, "1", "",                                        \
+    "added to the relative area; where a step has a Control, the Control's acts")                 \
+  X(particle_tri_material, float, 5, tri_count, "N/m, N/m, N*s/m, N*s^2/m^4, N*s^2/m^4", "",      \
+    "ke (membrane), ka (area), kd (damping), drag, lift")                                         \
+  X(particle_edge_indices, Vec4i, 1, edge_count, "", "",                                          \
+    "bending edges: the two opposite vertices (-1: none), then the ends of the edge")             \
+  X(particle_edge_rest_angle, float, 1, edge_count, "rad", "", "angle without a force")           \
+  X(particle_edge_rest_length, float, 1, edge_count, "m", "", "length of the edge at rest")       \
+  X(particle_edge_material, float, 2, edge_count, "N/m^2, N*s/m^4", "",                           \
+    "ke (bending stiffness), kd (damping)")                                                       \
+  X(particle_tet_indices, Vec4i, 1, tet_count, "", "", "corners, of positive volume")             \
+  X(particle_tet_pose, Mat33f, 1, tet_count, "1/m", "world",                                      \
+    "inverse of the edges x1 - x0, x2 - x0, x3 - x0 at rest, as columns")                         \
+  X(particle_tet_volume, float, 1, tet_count, "m^3", "", "volume at rest")                        \
+  X(particle_tet_activation, float, 1, tet_count, "1", "",                                        \
+    "added to the relative volume; where a step has a Control, the Control's acts")               \
+  X(particle_tet_material, float, 3, tet_count, "Pa, Pa, Pa*s", "",                               \
+    "k_mu, k_lambda (Lame), k_damp (damping)")                                                    \
   X(shape_body, int32_t, 1, shape_count, "", "",                                                  \
     "body of the shape; -1: world-owned, it does not move")                                       \
   X(shape_transform, Transformf, 1, shape_count, "m, 1", "body, or world",                        \

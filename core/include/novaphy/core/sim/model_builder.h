@@ -1,4 +1,4 @@
-// ModelBuilder: collects particles and shapes, checks them, and makes Models.
+// ModelBuilder: collects particles, elements over them and shapes, checks them, and makes Models.
 #pragma once
 
 #include <cstdint>
@@ -12,6 +12,7 @@
 #include <vector>
 
 #include "novaphy/core/device.h"
+#include "novaphy/core/sim/element_args.h"
 #include "novaphy/core/sim/enums.h"
 #include "novaphy/core/sim/model.h"
 #include "novaphy/core/sim/shape_config.h"
@@ -94,6 +95,13 @@ class NOVAPHY_CORE_API ModelBuilder {
   float default_particle_radius = 0.1f;  // m
   ShapeConfig default_shape_cfg;
   float rigid_gap = 0.1f;  // m: the gap of shapes whose ShapeConfig has none
+  // Materials of elements, where add_* is given none.
+  float default_tri_ke = 100.0f, default_tri_ka = 100.0f, default_tri_kd = 10.0f;
+  float default_tri_drag = 0.0f, default_tri_lift = 0.0f;
+  float default_spring_ke = 100.0f, default_spring_kd = 0.0f;
+  float default_edge_ke = 100.0f, default_edge_kd = 0.0f;
+  float default_tet_k_mu = 1.0e3f, default_tet_k_lambda = 1.0e3f, default_tet_k_damp = 0.0f;
+  float default_tet_density = 1.0f;  // kg/m^3
 
   // The particles so far. Values may be edited before finalize, which checks them again.
   std::vector<Vec3f> particle_q, particle_qd;  // m, m/s, world
@@ -105,6 +113,10 @@ class NOVAPHY_CORE_API ModelBuilder {
   int32_t particle_count() const { return static_cast<int32_t>(particle_q.size()); }
   int32_t body_count() const { return 0; }
   int32_t shape_count() const { return static_cast<int32_t>(shapes_.size()); }
+  int32_t spring_count() const { return static_cast<int32_t>(springs_.indices.size()); }
+  int32_t tri_count() const { return static_cast<int32_t>(triangles_.indices.size()); }
+  int32_t edge_count() const { return static_cast<int32_t>(edges_.indices.size()); }
+  int32_t tet_count() const { return static_cast<int32_t>(tetrahedra_.indices.size()); }
 
   // Returns the index. `mass` 0 makes the particle kinematic: it keeps its velocity.
   int32_t add_particle(const Vec3f& pos, const Vec3f& vel, float mass,
@@ -114,6 +126,44 @@ class NOVAPHY_CORE_API ModelBuilder {
   void add_particles(std::span<const Vec3f> pos, std::span<const Vec3f> vel,
                      std::span<const float> mass, std::span<const float> radius = {},
                      std::span<const int32_t> flags = {});
+
+  // Elements over particles, which must be there (ErrorKind::Index). Their rest shape is that of
+  // the present positions; one without a size is refused and named (ErrorKind::Value): an area up
+  // to 1e-7 of the longest edge squared, a volume up to 1e-7 of it cubed, an inverted tetrahedron.
+  // Materials are finite and >= 0.
+  //
+  // A spring, its rest length the present distance; `control` is stored only. Returns the index.
+  int32_t add_spring(int32_t i, int32_t j, float ke, float kd, float control = 0.0f);
+  // A triangle, counter-clockwise. Returns its area (m^2).
+  float add_triangle(int32_t i, int32_t j, int32_t k, const TriMaterial& material = {});
+  // Many; `materials`: none, one for all, or one each. Returns their areas.
+  std::vector<float> add_triangles(std::span<const Vec3i> indices,
+                                   std::span<const TriMaterial> materials = {});
+  // A tetrahedron of positive volume: l on the side to which (i, j, k) turns counter-clockwise.
+  // Returns its volume (m^3).
+  float add_tetrahedron(int32_t i, int32_t j, int32_t k, int32_t l, std::optional<float> k_mu = {},
+                        std::optional<float> k_lambda = {}, std::optional<float> k_damp = {});
+  // Many; each material: none, one for all, or one each. Returns their volumes.
+  std::vector<float> add_tetrahedra(std::span<const Vec4i> indices,
+                                    std::span<const float> k_mu = {},
+                                    std::span<const float> k_lambda = {},
+                                    std::span<const float> k_damp = {});
+  // A bending edge from k to l between the triangles (i, k, l) and (j, l, k); i or j may be -1,
+  // which makes it a border without a force. `rest`: the angle at rest (rad), the present one when
+  // empty. Returns the index.
+  int32_t add_edge(int32_t i, int32_t j, int32_t k, int32_t l, std::optional<float> rest = {},
+                   const EdgeMaterial& material = {});
+  // Many; `rest`: one each, or none; `materials`: none, one for all, or one each.
+  void add_edges(std::span<const Vec4i> indices, std::span<const float> rest = {},
+                 std::span<const EdgeMaterial> materials = {});
+
+  // Whole grids and meshes, see element_args.h. Meshes are refused (ErrorKind::Value) when they are
+  // empty, have a vertex that no element uses, or an edge or face that too many elements share.
+  void add_particle_grid(const ParticleGridArgs& args);
+  void add_cloth_grid(const ClothGridArgs& args);
+  void add_cloth_mesh(const ClothMeshArgs& args);
+  void add_soft_grid(const SoftGridArgs& args);
+  void add_soft_mesh(const SoftMeshArgs& args);
 
   // All return the index of the shape. `body` -1 is the world; there are no rigid bodies yet.
   int32_t add_shape(const ShapeArgs& args);
@@ -142,12 +192,51 @@ class NOVAPHY_CORE_API ModelBuilder {
     std::string label = {};
   };
 
+  // One vector per array of the model, a row per element.
+  struct Springs {
+    std::vector<Vec2i> indices;
+    std::vector<float> rest_length, stiffness, damping, control;
+  };
+  struct Triangles {
+    std::vector<Vec3i> indices;
+    std::vector<Mat22f> pose;
+    std::vector<float> area, material;  // material: 5 per triangle
+  };
+  struct Edges {
+    std::vector<Vec4i> indices;
+    std::vector<float> rest_angle, rest_length, material;  // material: 2 per edge
+  };
+  struct Tetrahedra {
+    std::vector<Vec4i> indices;
+    std::vector<Mat33f> pose;
+    std::vector<float> volume, material;  // material: 3 per tetrahedron
+  };
+  class Transaction;
+
   int32_t append_shape(std::string_view function, const ShapeArgs& args);
+  void append_spring(std::string_view function, const Vec2i& spring, float ke, float kd,
+                     float control);
+  float append_triangle(std::string_view function, const Vec3i& triangle,
+                        const TriMaterial& material);
+  float append_tetrahedron(std::string_view function, const Vec4i& tetrahedron, float k_mu,
+                           float k_lambda, float k_damp);
+  void append_edge(std::string_view function, const Vec4i& edge, std::optional<float> rest,
+                   const EdgeMaterial& material);
+  int32_t append_vertices(std::string_view function, const Placement& placement, double scale,
+                          std::span<const Vec3f> vertices, std::optional<float> radius);
+  void append_cloth(std::string_view function, const ClothMeshArgs& args);
+  void append_surface(std::string_view function, std::span<const Vec4i> tetrahedra,
+                      const TriMaterial& tri, bool add_edges, const EdgeMaterial& edge);
+  void upload_elements(Model& model) const;
   void check_sizes() const;
   void check_values() const;
 
   Axis up_axis_;
   std::vector<Shape> shapes_;
+  Springs springs_;
+  Triangles triangles_;
+  Edges edges_;
+  Tetrahedra tetrahedra_;
   std::set<std::pair<int32_t, int32_t>> filter_pairs_;
 };
 

@@ -39,6 +39,12 @@ NOVAPHY_DIFF_API void integrate_particles(const Model& model, const nova::Operan
                                           const nova::Operand& particle_f, float dt,
                                           const nova::Operand& q_out, const nova::Operand& qd_out);
 
+// The forces of all static shapes and the integration, into given memory.
+NOVAPHY_DIFF_API void step_particles_with_static_contacts(
+    const Model& model, const nova::Operand& particle_q, const nova::Operand& particle_qd,
+    const nova::Operand& particle_f, float soft_contact_margin, float dt,
+    const nova::Operand& q_out, const nova::Operand& qd_out);
+
 // The forces of recorded contacts (eval_soft_contact_forces) and the integration in one kernel: the
 // same bits as one after the other. `particle_f` is only read.
 NOVAPHY_DIFF_API void step_particles(const Model& model, const Contacts& contacts,

@@ -8,8 +8,8 @@
 
 namespace novaphy {
 
-// All finite; the first four >= 0. They act on bodies, joints and triangles, which no model has
-// yet.
+// All finite; the first four >= 0. The first four act on bodies and joints, which no model has yet;
+// enable_tri_contact on contacts of particles with triangles, of which there are none yet.
 struct SemiImplicitOptions {
   float angular_damping = 0.05f;    // 1/s
   float friction_smoothing = 1.0f;  // m/s
@@ -18,17 +18,24 @@ struct SemiImplicitOptions {
   bool enable_tri_contact = true;
 };
 
-// Covers particles: external forces, soft contacts with world-owned shapes, gravity, the velocity
-// limit. Other parts of a model throw ErrorKind::NotImplemented; there is no contact between
-// particles.
+// Covers particles and elements over them: external forces, springs, triangles, bending edges,
+// tetrahedra, soft contacts with world-owned shapes, gravity, the velocity limit. Other parts of a
+// model throw ErrorKind::NotImplemented; there is no contact between particles, or of particles
+// with triangles.
 //
 // One step, in this order:
-//   1. every soft contact adds its force (collision/diff_soft_contact_trace.h) to
-//      state_in.particle_f, for each particle in slot order
-//   2. state_out.particle_q and particle_qd from symplectic Euler (particle_integrator_trace.h);
+//   1. every spring, then triangle, bending edge and tetrahedron adds its forces (spring_trace.h,
+//      triangle_trace.h, bending_trace.h, tetrahedron_trace.h) to state_in.particle_f, for each
+//      particle in the order of the elements. Activations are the control's, or the model's when
+//      there is no control.
+//   2. every soft contact adds its force (collision/diff_soft_contact_trace.h), for each particle
+//   in
+//      slot order
+//   3. state_out.particle_q and particle_qd from symplectic Euler (particle_integrator_trace.h);
 //      particles without ParticleFlags.ACTIVE keep position and velocity
 // Of contacts that overflowed the slots that exist act; ask Contacts::overflowed().
-// The result has the same bits for any number of threads, and those of Newton 1.8.0 on the cpu.
+// The result has the same bits for any number of threads, and those of Newton 1.8.0 on the cpu as
+// far as the formulas' head comments say.
 class NOVAPHY_DYNAMICS_API SolverSemiImplicit : public SolverBase {
  public:
   // ErrorKind::Value: a bad option; ErrorKind::NotImplemented: a model that is not on the cpu, or
@@ -39,10 +46,10 @@ class NOVAPHY_DYNAMICS_API SolverSemiImplicit : public SolverBase {
 
   const SemiImplicitOptions& options() const { return options_; }
 
-  // Besides the errors of SolverBase::step: ErrorKind::Index for a contact of a particle or shape
-  // that is not there; ErrorKind::NotImplemented for a contact with a shape of a body;
-  // ErrorKind::Value for a model setting that is NaN. On a tape it raises: DiffSemiImplicitSolver
-  // is the differentiable one.
+  // Besides the errors of SolverBase::step: ErrorKind::Index for a contact of a particle or shape,
+  // or an element of a particle, that is not there; ErrorKind::NotImplemented for a contact with a
+  // shape of a body; ErrorKind::Value for a model setting that is NaN. On a tape it raises:
+  // DiffSemiImplicitSolver is the differentiable one.
   void step(SimState& state_in, SimState& state_out, const Control* control,
             const Contacts* contacts, float dt) override;
   void notify_model_changed(ModelFlags flags) override;

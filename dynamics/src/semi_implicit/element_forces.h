@@ -1,0 +1,44 @@
+// The forces of springs, triangles, bending edges and tetrahedra, in two passes without a race:
+// every element writes what it adds to its particles, then every particle sums what it was given,
+// in the order springs, triangles, edges, tetrahedra, and each of these in the order of the
+// elements.
+#pragma once
+
+#include <vector>
+
+#include "novaphy/core/sim/control.h"
+#include "novaphy/core/sim/model.h"
+#include "particle_rows.h"
+
+namespace novaphy {
+
+class ElementForces {
+ public:
+  // Whether the model has elements at all.
+  static bool any(const Model& model);
+
+  // Evaluates all elements. The activations are the control's, or the model's without one. Keeps
+  // its memory. ErrorKind::Index: an element of a particle that is not there.
+  void evaluate(const Model& model, const Control* control, const Vec3f* q, const Vec3f* qd);
+  // f with the forces of the particle's elements added.
+  Vec3f add(int64_t particle, Vec3f f) const {
+    for (const Table& table : tables_) {
+      if (table.rows.empty()) continue;
+      for (const int32_t item : table.rows.items(particle))
+        f = f + table.forces[static_cast<size_t>(item)];
+    }
+    return f;
+  }
+  void reset();
+
+ private:
+  struct Table {
+    ParticleRows rows;
+    std::vector<Vec3f> forces;  // of every entry of the table of indices
+    void update(const Array& indices, int32_t particles, const char* name,
+                bool may_be_absent = false);
+  };
+  Table tables_[4];  // springs, triangles, edges, tetrahedra
+};
+
+}  // namespace novaphy

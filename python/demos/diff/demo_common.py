@@ -1,0 +1,128 @@
+"""What the demos share: flags, the gradient check, progress, pictures and the way out."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable, Iterable
+from pathlib import Path
+
+import numpy as np
+
+import novaphy
+from novaphy import nova
+
+
+def make_parser(doc: str, iterations: int) -> argparse.ArgumentParser:
+    """Flags of every demo; `iterations` is the default of --headless."""
+    parser = argparse.ArgumentParser(description=doc.splitlines()[0])
+    parser.add_argument(
+        "--headless",
+        type=int,
+        default=iterations,
+        metavar="N",
+        help=f"training iterations (default {iterations})",
+    )
+    parser.add_argument("--device", default="cpu", help="cpu, cuda, cuda:1, ... or auto")
+    parser.add_argument(
+        "--check-grad", action="store_true", help="compare the gradient with central differences"
+    )
+    parser.add_argument(
+        "--dump-states", metavar="PATH.npz", help="write the states of the last rollout"
+    )
+    parser.add_argument("--plot", metavar="PATH.png", help="draw the loss and the motion")
+    return parser
+
+
+def parse(parser: argparse.ArgumentParser) -> argparse.Namespace:
+    """Parse and check the flags; `device` is then the name of a device."""
+    args = parser.parse_args()
+    if args.headless < 0:
+        parser.error(f"--headless: expected a number of iterations >= 0, got {args.headless}")
+    for path in filter(None, (args.dump_states, args.plot)):
+        if not Path(path).parent.is_dir():
+            parser.error(f"the folder of {path} does not exist")
+    if args.device == "auto":
+        args.device = "cuda" if novaphy.is_device_available("cuda") else "cpu"
+    return args
+
+
+def check_gradient(
+    parameter: nova.Tensor,
+    forward: Callable[[], nova.Tensor],
+    eps: Callable[[float], float] | float,
+    tolerance: float,
+    indices: Iterable[int] | None = None,
+) -> bool:
+    """Compare the tape's gradient with central differences; eps may depend on the value."""
+    with nova.Tape() as tape:
+        tape.backward(forward())
+        gradient = parameter.grad.numpy().ravel()
+        tape.zero()
+    start = parameter.numpy()
+    chosen = np.array(list(range(start.size) if indices is None else indices))
+    ad, fd = gradient[chosen], np.zeros(chosen.size, np.float32)
+    for n, k in enumerate(chosen):
+        step = eps(float(start.flat[k])) if callable(eps) else eps
+        values = []
+        for sign in (1.0, -1.0):
+            moved = start.copy()
+            moved.flat[k] += np.float32(sign * step)
+            parameter.assign(moved)
+            values.append(forward().item())
+        fd[n] = (values[0] - values[1]) / (2.0 * step)
+    parameter.assign(start)
+    error = float(np.max(np.abs(ad - fd)) / np.max(np.abs(fd)))
+    print(f"gradient  ad {ad}  fd {fd}  relative error {error:.1e} (tolerance {tolerance:.0e})")
+    return error <= tolerance
+
+
+def loss_figure(losses: list[float], loss_label: str):
+    """A figure with the loss on the left; gives (figure, right axis)."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    figure, (left, right) = plt.subplots(
+        1, 2, figsize=(11, 4.2), width_ratios=(2, 3), layout="constrained"
+    )
+    left.semilogy(losses, color="#2a6f97", marker="o", markersize=3)
+    left.set(xlabel="iteration", ylabel=loss_label, title="Loss")
+    left.grid(alpha=0.3, which="both")
+    return figure, right
+
+
+def save_figure(figure, path: str) -> None:
+    """Write the picture: all of it, or nothing."""
+    import matplotlib.pyplot as plt
+
+    with novaphy.io.atomic_path(path) as temporary:
+        figure.savefig(temporary, dpi=140)
+    plt.close(figure)
+
+
+def dump_states(path: str, q: np.ndarray, substeps: int, losses: list[float]) -> None:
+    """Write positions {steps + 1, n, 3} (m) at every frame and substep, and the losses."""
+    novaphy.io.save_npz(
+        path, particle_q=q[::substeps], particle_q_substeps=q, loss=np.float32(losses)
+    )
+
+
+def progress(iterations: range):
+    """Show a progress bar on a terminal."""
+    if not sys.stderr.isatty():
+        return iterations
+    try:
+        from tqdm import tqdm
+    except ImportError:
+        return iterations
+    return tqdm(iterations, desc="training", unit="it", leave=False)
+
+
+def run(main: Callable[[], int]) -> None:
+    """Leave with main's code; errors of the user in one line."""
+    try:
+        sys.exit(main())
+    except (ValueError, OSError, novaphy.Error) as error:
+        sys.exit(f"error: {error}")

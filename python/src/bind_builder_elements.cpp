@@ -1,0 +1,354 @@
+// ModelBuilder's springs, triangles, bending edges, tetrahedra, grids and meshes.
+#include "convert.h"
+#include "novaphy/core/sim/model_builder.h"
+
+namespace novaphy::python {
+namespace {
+
+using Builder = py::class_<ModelBuilder>;
+using OptionalFloat = std::optional<float>;
+
+// Indices from a flat list, or from rows of `width`, as one flat list.
+std::vector<int32_t> flat_indices(py::handle value, const char* name, int64_t width) {
+  py::object array = numpy().asarray(value);
+  if (array.attr("size").cast<int64_t>() == 0) return {};
+  const auto shape = array.attr("shape").cast<std::vector<int64_t>>();
+  require(shape.size() == 1 || (shape.size() == 2 && shape[1] == width), ErrorKind::Value, name,
+          ": expected shape (n,) or (n, ", width, "), got ",
+          std::string(py::str(array.attr("shape"))));
+  return to_int_list(array.attr("reshape")(-1), name);
+}
+
+// None: none; a number: one; a list: one each.
+std::vector<float> one_or_each(py::handle value, const char* name) {
+  if (value.is_none()) return {};
+  if (PyFloat_Check(value.ptr()) || PyLong_Check(value.ptr())) return {to_float(value, name)};
+  if (PyObject_HasAttrString(value.ptr(), "__array_interface__") != 0 &&
+      value.attr("ndim").cast<int>() == 0)
+    return {to_float(value, name)};
+  return to_float_list(value, name);
+}
+
+// Materials from parallel lists: none where all are None, else one for all or one each.
+template <class Material>
+std::vector<Material> materials(
+    std::initializer_list<std::tuple<py::handle, const char*, OptionalFloat Material::*>> columns) {
+  std::vector<std::vector<float>> values;
+  size_t count = 0;
+  for (const auto& [value, name, member] : columns) {
+    values.push_back(one_or_each(value, name));
+    count = std::max(count, values.back().size());
+  }
+  std::vector<Material> rows(count);
+  size_t c = 0;
+  for (const auto& [value, name, member] : columns) {
+    const std::vector<float>& column = values[c++];
+    require(column.size() <= 1 || column.size() == count, ErrorKind::Value, name, ": expected ",
+            count, " values, got ", column.size());
+    for (size_t n = 0; n < count && !column.empty(); ++n)
+      rows[n].*member = column.size() == 1 ? column[0] : column[n];
+  }
+  return rows;
+}
+
+Placement placement(py::handle pos, py::handle rot, py::handle vel) {
+  const Vec4f q = to_vec4(rot, "rot");
+  return {to_vec3(pos, "pos"), {q.x, q.y, q.z, q.w}, to_vec3(vel, "vel")};
+}
+
+template <size_t N, class Row>
+std::vector<Row> rows_of(std::initializer_list<std::pair<py::handle, const char*>> columns) {
+  std::vector<std::vector<int32_t>> values;
+  for (const auto& [value, name] : columns) {
+    values.push_back(to_int_list(value, name));
+    require(values.back().size() == values[0].size(), ErrorKind::Value, name, ": expected ",
+            values[0].size(), " indices as i has, got ", values.back().size());
+  }
+  std::vector<Row> rows;
+  for (size_t n = 0; n < values[0].size(); ++n) {
+    if constexpr (N == 3) {
+      rows.push_back({values[0][n], values[1][n], values[2][n]});
+    } else {
+      rows.push_back({values[0][n], values[1][n], values[2][n], values[3][n]});
+    }
+  }
+  return rows;
+}
+
+void bind_single(Builder& c) {
+  c.def("add_spring", &ModelBuilder::add_spring, "i"_a, "j"_a, "ke"_a, "kd"_a, "control"_a = 0.0f,
+        "A spring of stiffness ke (N/m) and damping kd (N*s/m) between two particles, at rest at "
+        "their present distance. Returns the index. ValueError: no length.");
+  c.def(
+      "add_triangle",
+      [](ModelBuilder& b, int32_t i, int32_t j, int32_t k, OptionalFloat ke, OptionalFloat ka,
+         OptionalFloat kd, OptionalFloat drag, OptionalFloat lift) {
+        return b.add_triangle(i, j, k, {ke, ka, kd, drag, lift});
+      },
+      "i"_a, "j"_a, "k"_a, py::kw_only(), "tri_ke"_a = py::none(), "tri_ka"_a = py::none(),
+      "tri_kd"_a = py::none(), "tri_drag"_a = py::none(), "tri_lift"_a = py::none(),
+      "A triangle, counter-clockwise. Returns its area (m^2). ValueError: an area up to 1e-7 of "
+      "the longest edge squared.");
+  c.def(
+      "add_triangles",
+      [](ModelBuilder& b, py::handle i, py::handle j, py::handle k, py::handle ke, py::handle ka,
+         py::handle kd, py::handle drag, py::handle lift) {
+        return b.add_triangles(rows_of<3, Vec3i>({{i, "i"}, {j, "j"}, {k, "k"}}),
+                               materials<TriMaterial>({{ke, "tri_ke", &TriMaterial::ke},
+                                                       {ka, "tri_ka", &TriMaterial::ka},
+                                                       {kd, "tri_kd", &TriMaterial::kd},
+                                                       {drag, "tri_drag", &TriMaterial::drag},
+                                                       {lift, "tri_lift", &TriMaterial::lift}}));
+      },
+      "i"_a, "j"_a, "k"_a, py::kw_only(), "tri_ke"_a = py::none(), "tri_ka"_a = py::none(),
+      "tri_kd"_a = py::none(), "tri_drag"_a = py::none(), "tri_lift"_a = py::none(),
+      "Many triangles from three lists of particles; a material is a number or a list. Returns "
+      "their areas (m^2).");
+  c.def(
+      "add_tetrahedron",
+      [](ModelBuilder& b, int32_t i, int32_t j, int32_t k, int32_t l, OptionalFloat mu,
+         OptionalFloat lambda,
+         OptionalFloat damp) { return b.add_tetrahedron(i, j, k, l, mu, lambda, damp); },
+      "i"_a, "j"_a, "k"_a, "l"_a, "k_mu"_a = py::none(), "k_lambda"_a = py::none(),
+      "k_damp"_a = py::none(),
+      "A tetrahedron with the Lame parameters k_mu, k_lambda (Pa) and damping k_damp (Pa*s). "
+      "Returns its volume (m^3). ValueError: a volume up to 1e-7 of the longest edge cubed, or an "
+      "inverted one.");
+  c.def(
+      "add_tetrahedra",
+      [](ModelBuilder& b, py::handle i, py::handle j, py::handle k, py::handle l, py::handle mu,
+         py::handle lambda, py::handle damp) {
+        return b.add_tetrahedra(rows_of<4, Vec4i>({{i, "i"}, {j, "j"}, {k, "k"}, {l, "l"}}),
+                                one_or_each(mu, "k_mu"), one_or_each(lambda, "k_lambda"),
+                                one_or_each(damp, "k_damp"));
+      },
+      "i"_a, "j"_a, "k"_a, "l"_a, py::kw_only(), "k_mu"_a = py::none(), "k_lambda"_a = py::none(),
+      "k_damp"_a = py::none(),
+      "Many tetrahedra from four lists of particles; a material is a number or a list. Returns "
+      "their volumes (m^3).");
+  c.def(
+      "add_edge",
+      [](ModelBuilder& b, int32_t i, int32_t j, int32_t k, int32_t l, OptionalFloat rest,
+         OptionalFloat ke, OptionalFloat kd) {
+        return b.add_edge(i, j, k, l, rest, EdgeMaterial{ke, kd});
+      },
+      "i"_a, "j"_a, "k"_a, "l"_a, py::kw_only(), "rest"_a = py::none(), "edge_ke"_a = py::none(),
+      "edge_kd"_a = py::none(),
+      "A bending edge from k to l between the triangles (i, k, l) and (j, l, k); i or j may be -1. "
+      "rest: the angle (rad) without a force, None for the present one. Returns the index.");
+  c.def(
+      "add_edges",
+      [](ModelBuilder& b, py::handle i, py::handle j, py::handle k, py::handle l, py::handle rest,
+         py::handle ke, py::handle kd) {
+        const std::vector<float> angles =
+            rest.is_none() ? std::vector<float>() : to_float_list(rest, "rest");
+        b.add_edges(rows_of<4, Vec4i>({{i, "i"}, {j, "j"}, {k, "k"}, {l, "l"}}), angles,
+                    materials<EdgeMaterial>(
+                        {{ke, "edge_ke", &EdgeMaterial::ke}, {kd, "edge_kd", &EdgeMaterial::kd}}));
+      },
+      "i"_a, "j"_a, "k"_a, "l"_a, py::kw_only(), "rest"_a = py::none(), "edge_ke"_a = py::none(),
+      "edge_kd"_a = py::none(), "Many bending edges from four lists of particles.");
+}
+
+void bind_grids(Builder& c) {
+  const py::tuple origin = py::make_tuple(0.0, 0.0, 0.0);
+  const py::tuple no_turn = py::make_tuple(0.0, 0.0, 0.0, 1.0);
+  c.def(
+      "add_particle_grid",
+      [](ModelBuilder& b, py::handle pos, py::handle rot, py::handle vel, int32_t dim_x,
+         int32_t dim_y, int32_t dim_z, double cell_x, double cell_y, double cell_z, float mass,
+         double jitter, OptionalFloat radius_mean, double radius_std, uint64_t seed) {
+        b.add_particle_grid({placement(pos, rot, vel), dim_x, dim_y, dim_z, cell_x, cell_y, cell_z,
+                             mass, jitter, radius_mean, radius_std, seed});
+      },
+      py::kw_only(), "pos"_a = origin, "rot"_a = no_turn, "vel"_a = origin, "dim_x"_a, "dim_y"_a,
+      "dim_z"_a, "cell_x"_a, "cell_y"_a, "cell_z"_a, "mass"_a, "jitter"_a = 0.0,
+      "radius_mean"_a = py::none(), "radius_std"_a = 0.0, "seed"_a = 0,
+      "dim_x * dim_y * dim_z particles of one mass (kg), y slowest, then x, then z. jitter (m) "
+      "moves each coordinate by up to half of it; radii (m) are normally distributed.");
+  c.def(
+      "add_cloth_grid",
+      [](ModelBuilder& b, py::handle pos, py::handle rot, py::handle vel, int32_t dim_x,
+         int32_t dim_y, double cell_x, double cell_y, float mass, bool reverse_winding,
+         bool fix_left, bool fix_right, bool fix_top, bool fix_bottom, OptionalFloat tri_ke,
+         OptionalFloat tri_ka, OptionalFloat tri_kd, OptionalFloat tri_drag, OptionalFloat tri_lift,
+         OptionalFloat edge_ke, OptionalFloat edge_kd, bool add_springs, OptionalFloat spring_ke,
+         OptionalFloat spring_kd, OptionalFloat particle_radius) {
+        b.add_cloth_grid({placement(pos, rot, vel),
+                          dim_x,
+                          dim_y,
+                          cell_x,
+                          cell_y,
+                          mass,
+                          reverse_winding,
+                          fix_left,
+                          fix_right,
+                          fix_top,
+                          fix_bottom,
+                          {tri_ke, tri_ka, tri_kd, tri_drag, tri_lift},
+                          {edge_ke, edge_kd},
+                          add_springs,
+                          spring_ke,
+                          spring_kd,
+                          particle_radius});
+      },
+      py::kw_only(), "pos"_a = origin, "rot"_a = no_turn, "vel"_a = origin, "dim_x"_a, "dim_y"_a,
+      "cell_x"_a, "cell_y"_a, "mass"_a, "reverse_winding"_a = false, "fix_left"_a = false,
+      "fix_right"_a = false, "fix_top"_a = false, "fix_bottom"_a = false, "tri_ke"_a = py::none(),
+      "tri_ka"_a = py::none(), "tri_kd"_a = py::none(), "tri_drag"_a = py::none(),
+      "tri_lift"_a = py::none(), "edge_ke"_a = py::none(), "edge_kd"_a = py::none(),
+      "add_springs"_a = false, "spring_ke"_a = py::none(), "spring_kd"_a = py::none(),
+      "particle_radius"_a = py::none(),
+      "A cloth of dim_x * dim_y cells (m) in the plane z = 0 before it is placed; every particle "
+      "has `mass` (kg). Fixed sides (left, right: ends of x; bottom, top: of y) get mass 0 and are "
+      "not active.");
+  c.def(
+      "add_soft_grid",
+      [](ModelBuilder& b, py::handle pos, py::handle rot, py::handle vel, int32_t dim_x,
+         int32_t dim_y, int32_t dim_z, double cell_x, double cell_y, double cell_z, double density,
+         OptionalFloat k_mu, OptionalFloat k_lambda, OptionalFloat k_damp, bool fix_left,
+         bool fix_right, bool fix_top, bool fix_bottom, OptionalFloat tri_ke, OptionalFloat tri_ka,
+         OptionalFloat tri_kd, OptionalFloat tri_drag, OptionalFloat tri_lift,
+         bool add_surface_mesh_edges, OptionalFloat edge_ke, OptionalFloat edge_kd,
+         OptionalFloat particle_radius) {
+        b.add_soft_grid({placement(pos, rot, vel),
+                         dim_x,
+                         dim_y,
+                         dim_z,
+                         cell_x,
+                         cell_y,
+                         cell_z,
+                         density,
+                         k_mu,
+                         k_lambda,
+                         k_damp,
+                         fix_left,
+                         fix_right,
+                         fix_top,
+                         fix_bottom,
+                         {tri_ke, tri_ka, tri_kd, tri_drag, tri_lift},
+                         add_surface_mesh_edges,
+                         {edge_ke, edge_kd},
+                         particle_radius});
+      },
+      py::kw_only(), "pos"_a = origin, "rot"_a = no_turn, "vel"_a = origin, "dim_x"_a, "dim_y"_a,
+      "dim_z"_a, "cell_x"_a, "cell_y"_a, "cell_z"_a, "density"_a, "k_mu"_a = py::none(),
+      "k_lambda"_a = py::none(), "k_damp"_a = py::none(), "fix_left"_a = false,
+      "fix_right"_a = false, "fix_top"_a = false, "fix_bottom"_a = false, "tri_ke"_a = 0.0f,
+      "tri_ka"_a = 0.0f, "tri_kd"_a = 0.0f, "tri_drag"_a = 0.0f, "tri_lift"_a = 0.0f,
+      "add_surface_mesh_edges"_a = true, "edge_ke"_a = 0.0f, "edge_kd"_a = 0.0f,
+      "particle_radius"_a = py::none(),
+      "A block of dim_x * dim_y * dim_z cells (m), five tetrahedra each, its surface as triangles "
+      "and bending edges. Every particle has the mass of one cell at `density` (kg/m^3). Fixed "
+      "sides (left, right: ends of x; bottom, top: of y) get mass 0.");
+}
+
+// An attribute of a mesh where the argument was not given.
+py::object given_or(const py::object& mesh, const char* attribute, const py::object& argument) {
+  if (!argument.is_none() || mesh.is_none()) return argument;
+  return py::getattr(mesh, attribute, py::none());
+}
+
+void bind_meshes(Builder& c) {
+  const py::tuple origin = py::make_tuple(0.0, 0.0, 0.0);
+  const py::tuple no_turn = py::make_tuple(0.0, 0.0, 0.0, 1.0);
+  c.def(
+      "add_cloth_mesh",
+      [](ModelBuilder& b, py::handle pos, py::handle rot, double scale, py::handle vel,
+         py::handle vertices, py::handle indices, double density, OptionalFloat tri_ke,
+         OptionalFloat tri_ka, OptionalFloat tri_kd, OptionalFloat tri_drag, OptionalFloat tri_lift,
+         OptionalFloat edge_ke, OptionalFloat edge_kd, bool add_springs, OptionalFloat spring_ke,
+         OptionalFloat spring_kd, OptionalFloat particle_radius) {
+        const std::vector<Vec3f> points = to_vec3_list(vertices, "vertices");
+        const std::vector<int32_t> corners = flat_indices(indices, "indices", 3);
+        b.add_cloth_mesh({placement(pos, rot, vel),
+                          scale,
+                          points,
+                          corners,
+                          density,
+                          {tri_ke, tri_ka, tri_kd, tri_drag, tri_lift},
+                          {edge_ke, edge_kd},
+                          add_springs,
+                          spring_ke,
+                          spring_kd,
+                          particle_radius});
+      },
+      py::kw_only(), "pos"_a = origin, "rot"_a = no_turn, "scale"_a = 1.0, "vel"_a = origin,
+      "vertices"_a, "indices"_a, "density"_a, "tri_ke"_a = py::none(), "tri_ka"_a = py::none(),
+      "tri_kd"_a = py::none(), "tri_drag"_a = py::none(), "tri_lift"_a = py::none(),
+      "edge_ke"_a = py::none(), "edge_kd"_a = py::none(), "add_springs"_a = false,
+      "spring_ke"_a = py::none(), "spring_kd"_a = py::none(), "particle_radius"_a = py::none(),
+      "A cloth from a triangle mesh: vertices (n, 3), indices (m, 3) or flat; density (kg/m^2) by "
+      "thirds to the corners. ValueError: an empty mesh, a loose vertex, a degenerate triangle, an "
+      "edge of more than two triangles.");
+  c.def(
+      "add_soft_mesh",
+      [](ModelBuilder& b, py::handle pos, py::handle rot, double scale, py::handle vel,
+         const py::object& mesh, const py::object& vertices, const py::object& indices,
+         const py::object& density, const py::object& k_mu, const py::object& k_lambda,
+         const py::object& k_damp, OptionalFloat tri_ke, OptionalFloat tri_ka, OptionalFloat tri_kd,
+         OptionalFloat tri_drag, OptionalFloat tri_lift, bool add_surface_mesh_edges,
+         OptionalFloat edge_ke, OptionalFloat edge_kd, OptionalFloat particle_radius) {
+        const py::object v = given_or(mesh, "vertices", vertices);
+        const py::object t = given_or(mesh, "indices", indices);
+        require(!v.is_none() && !t.is_none(), ErrorKind::Value,
+                "add_soft_mesh: expected `mesh`, or `vertices` and `indices`, got neither");
+        const std::vector<Vec3f> points = to_vec3_list(v, "vertices");
+        const std::vector<int32_t> corners = flat_indices(t, "indices", 4);
+        const std::vector<float> mu = one_or_each(given_or(mesh, "k_mu", k_mu), "k_mu");
+        const std::vector<float> lambda =
+            one_or_each(given_or(mesh, "k_lambda", k_lambda), "k_lambda");
+        const std::vector<float> damp = one_or_each(given_or(mesh, "k_damp", k_damp), "k_damp");
+        b.add_soft_mesh({placement(pos, rot, vel),
+                         scale,
+                         points,
+                         corners,
+                         given_or(mesh, "density", density).cast<std::optional<double>>(),
+                         mu,
+                         lambda,
+                         damp,
+                         {tri_ke, tri_ka, tri_kd, tri_drag, tri_lift},
+                         add_surface_mesh_edges,
+                         {edge_ke, edge_kd},
+                         particle_radius});
+      },
+      py::kw_only(), "pos"_a = origin, "rot"_a = no_turn, "scale"_a = 1.0, "vel"_a = origin,
+      "mesh"_a = py::none(), "vertices"_a = py::none(), "indices"_a = py::none(),
+      "density"_a = py::none(), "k_mu"_a = py::none(), "k_lambda"_a = py::none(),
+      "k_damp"_a = py::none(), "tri_ke"_a = 0.0f, "tri_ka"_a = 0.0f, "tri_kd"_a = 0.0f,
+      "tri_drag"_a = 0.0f, "tri_lift"_a = 0.0f, "add_surface_mesh_edges"_a = true,
+      "edge_ke"_a = 0.0f, "edge_kd"_a = 0.0f, "particle_radius"_a = py::none(),
+      "A soft body from a tetrahedral mesh: vertices (n, 3), indices (m, 4) or flat, or a `mesh` "
+      "with these as attributes (and density, k_mu, k_lambda, k_damp). density (kg/m^3) by "
+      "quarters to the corners; materials are numbers or one each. ValueError: an empty mesh, a "
+      "loose vertex, a degenerate or inverted tetrahedron, a face of more than two.");
+}
+
+}  // namespace
+
+void bind_builder_elements(Builder& c) {
+#define NOVAPHY_DEFAULT(name, doc) c.def_readwrite(#name, &ModelBuilder::name, doc);
+  NOVAPHY_DEFAULT(default_tri_ke, "N/m, membrane stiffness of triangles.")
+  NOVAPHY_DEFAULT(default_tri_ka, "N/m, area stiffness of triangles.")
+  NOVAPHY_DEFAULT(default_tri_kd, "N*s/m, damping of triangles.")
+  NOVAPHY_DEFAULT(default_tri_drag, "N*s^2/m^4, drag of triangles.")
+  NOVAPHY_DEFAULT(default_tri_lift, "N*s^2/m^4, lift of triangles.")
+  NOVAPHY_DEFAULT(default_spring_ke, "N/m, of the springs of cloth.")
+  NOVAPHY_DEFAULT(default_spring_kd, "N*s/m, of the springs of cloth.")
+  NOVAPHY_DEFAULT(default_edge_ke, "N/m^2, stiffness of bending edges.")
+  NOVAPHY_DEFAULT(default_edge_kd, "N*s/m^4, damping of bending edges.")
+  NOVAPHY_DEFAULT(default_tet_k_mu, "Pa")
+  NOVAPHY_DEFAULT(default_tet_k_lambda, "Pa")
+  NOVAPHY_DEFAULT(default_tet_k_damp, "Pa*s")
+  NOVAPHY_DEFAULT(default_tet_density, "kg/m^3")
+#undef NOVAPHY_DEFAULT
+  c.def_property_readonly("spring_count", &ModelBuilder::spring_count, "Springs so far.")
+      .def_property_readonly("tri_count", &ModelBuilder::tri_count, "Triangles so far.")
+      .def_property_readonly("edge_count", &ModelBuilder::edge_count, "Bending edges so far.")
+      .def_property_readonly("tet_count", &ModelBuilder::tet_count, "Tetrahedra so far.");
+  bind_single(c);
+  bind_grids(c);
+  bind_meshes(c);
+}
+
+}  // namespace novaphy::python

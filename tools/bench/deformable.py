@@ -1,0 +1,157 @@
+"""What newton_deformable.py and novaphy_deformable.py have in common: scenes, command line, timing.
+
+Scenes, of size N:
+
+* `soft_body`: Newton's `diffsim_soft_body` example with a block of N³ cells (N = 2 in the example).
+  Every particle has the mass that it has there, so that the step stays stable. One iteration: the
+  materials from 2 parameters per tetrahedron, 960 substeps, the squared distance of the centroid to
+  the target, the backward pass, `p -= 1e7 * grad`, clamped to [500, 4e6].
+* `cloth`: Newton's `diffsim_cloth` example with N² cells (N = 16 in the example) on one square
+  metre. One iteration: 1,920 substeps, the squared distance of the centroid to the target, the
+  backward pass, `v0 -= 5 * grad` over all particles.
+
+`--steps` shortens the rollout; the record says how many substeps were timed. The result hash is the
+first 16 hex digits of sha256 over the final positions of the first iteration, as float32 bytes: for
+the soft body both engines have the same.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import json
+import statistics
+import time
+from collections.abc import Callable
+from typing import Protocol
+
+import numpy as np
+
+SUBSTEPS = 16
+DT = 1.0 / 60 / SUBSTEPS
+STEPS = {"soft_body": 60 * SUBSTEPS, "cloth": 120 * SUBSTEPS}
+TARGET = {"soft_body": (0.0, -1.0, 1.5), "cloth": (0.0, 8.0, 0.0)}
+RATE = {"soft_body": 1.0e7, "cloth": 5.0}
+BOUNDS = (500.0, 4.0e6)
+GAP = 0.001
+MATERIAL = {"ke": 1.0e3, "kd": 1.0, "kf": 0.0, "mu": 0.2}
+YOUNG, POISSON = 1.5e4, 0.3
+
+
+def soft_grid(n: int) -> dict[str, object]:
+    """Arguments of add_soft_grid, the same in both engines."""
+    cell = 0.1
+    return {
+        "pos": (-0.5 * cell * n, -0.5, 1.0),
+        "rot": (0.0, 0.0, 0.0, 1.0),
+        "vel": (0.0, 6.0, -6.0),
+        "dim_x": n,
+        "dim_y": n,
+        "dim_z": n,
+        "cell_x": cell,
+        "cell_y": cell,
+        "cell_z": cell,
+        "density": (0.2 / 27) / cell**3,
+        "k_mu": 0.5 * YOUNG / (1.0 + POISSON),
+        "k_lambda": YOUNG * POISSON / ((1 + POISSON) * (1 - 2 * POISSON)),
+        "k_damp": 0.0,
+        "tri_ke": 1e-4,
+        "tri_ka": 1e-4,
+        "tri_kd": 1e-4,
+    }
+
+
+def cloth_grid(n: int) -> dict[str, object]:
+    """Arguments of add_cloth_grid, the same in both engines."""
+    half = -0.75 * np.pi / 2.0
+    return {
+        "pos": (0.0, 0.0, 0.0),
+        "rot": (0.0, float(np.sin(half)), 0.0, float(np.cos(half))),
+        "vel": (0.0, 0.1, 0.1),
+        "dim_x": n,
+        "dim_y": n,
+        "cell_x": 1.0 / n,
+        "cell_y": 1.0 / n,
+        "mass": 1.0,
+        "tri_ke": 1.0e4,
+        "tri_ka": 1.0e4,
+        "tri_kd": 100.0,
+        "tri_lift": 10.0,
+        "tri_drag": 5.0,
+    }
+
+
+class Scene(Protocol):
+    """What an engine's program makes of a scene."""
+
+    def iterate(self) -> None:
+        """One training iteration, finished when it returns."""
+
+    def loss_value(self) -> float:
+        """The loss of the last iteration, before its update."""
+
+    def positions(self) -> np.ndarray:
+        """The final positions of the last iteration."""
+
+    def elements(self) -> int:
+        """How many tetrahedra (soft body) or triangles (cloth)."""
+
+
+def measure(
+    make: Callable[[], Scene], iterations: int, facts: dict[str, object]
+) -> dict[str, object]:
+    """Build the scene, run it, and return the record to print."""
+    start = time.perf_counter()
+    scene = make()
+    scene.iterate()
+    first = time.perf_counter() - start
+    loss = scene.loss_value()
+    digest = hashlib.sha256(np.ascontiguousarray(scene.positions(), np.float32).tobytes())
+    seconds = []
+    for _ in range(iterations):
+        start = time.perf_counter()
+        scene.iterate()
+        seconds.append(time.perf_counter() - start)
+    return facts | {
+        "elements": scene.elements(),
+        "iterations": iterations,
+        "median_s": statistics.median(seconds),
+        "min_s": min(seconds),
+        "first_s": first,
+        "first_loss": loss,
+        "loss": scene.loss_value(),
+        "result_hash": digest.hexdigest()[:16],
+    }
+
+
+def run(
+    doc: str, engine: str, modes: tuple[str, ...], make: Callable[..., Scene], facts: Callable
+) -> None:
+    """The command line of both programs. make(scene, n, mode, steps, device) gives a scene."""
+    parser = argparse.ArgumentParser(
+        description=doc, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--scene", choices=tuple(STEPS), nargs="+", default=["soft_body"])
+    parser.add_argument("--n", type=int, nargs="+", default=[2], help="cells per side")
+    parser.add_argument("--mode", choices=modes, nargs="+", default=["captured"])
+    parser.add_argument("--iterations", type=int, default=5, help="timed iterations")
+    parser.add_argument("--steps", type=int, help="substeps (default: those of the example)")
+    parser.add_argument("--device", default="cpu")
+    arguments = parser.parse_args()
+    if min(arguments.n) < 1 or arguments.iterations < 1 or (arguments.steps or 1) < 1:
+        parser.error("--n, --iterations and --steps must be positive")
+    for scene in arguments.scene:
+        steps = arguments.steps or STEPS[scene]
+        for mode in arguments.mode:
+            for n in arguments.n:
+                record = {"engine": engine, "scene": scene, "mode": mode, "n": n, "substeps": steps}
+                print(
+                    json.dumps(
+                        measure(
+                            lambda s=scene, k=n, m=mode, t=steps: make(s, k, m, t, arguments.device),
+                            arguments.iterations,
+                            record | facts(),
+                        )
+                    ),
+                    flush=True,
+                )

@@ -160,17 +160,12 @@ void DiffSemiImplicitSolver::rollout(Trajectory& trajectory, const Control* cont
   constexpr int32_t kLargeParticleCount =
       2048;  // from here on the steps share the cache block by block
   nova::DeferredScope deferred(model()->particle_count() >= kLargeParticleCount);
-  for (int32_t t = 0; t < trajectory.steps(); ++t) {
-    if (t % kStepsPerInterruptCheck == 0) check_interrupt();
-    const SimState& now = trajectory.state(t);
-    const SimState& next = trajectory.state(t + 1);
+  const auto step = [this, control, contacts, contacts_of, static_contacts, applied, dt](
+                        const SimState& now, const SimState& next, const Operand& total) {
     const Operand q = nova::operand_of(now.particle_q), qd = nova::operand_of(now.particle_qd);
     const Operand q_out = nova::operand_of(next.particle_q),
                   qd_out = nova::operand_of(next.particle_qd);
-    Operand f = applied;
-    if (!elements_.empty())
-      f = add_elements(control, q, qd, applied,
-                       nova::operand_of(recording ? trajectory.total_force(t) : forces_));
+    const Operand f = add_elements(control, q, qd, applied, total);
     if (static_contacts) {
       step_particles_with_static_contacts(*model(), q, qd, f, config_.static_contact_margin, dt,
                                           q_out, qd_out);
@@ -179,8 +174,23 @@ void DiffSemiImplicitSolver::rollout(Trajectory& trajectory, const Control* cont
     } else {
       integrate_particles(*model(), q, qd, f, dt, q_out, qd_out);
     }
+  };
+  const bool between = !elements_.empty() && recording;
+  const Operand alone = elements_.empty() ? applied : nova::operand_of(forces_);
+  const int32_t steps = trajectory.steps(), interval = trajectory.checkpoint_interval();
+  for (int32_t first = 0; first < steps; first += interval) {
+    const nova::RecomputedScope once_more(interval > 1);
+    for (int32_t t = first; t < std::min(first + interval, steps); ++t) {
+      if (t % kStepsPerInterruptCheck == 0) check_interrupt();
+      step(trajectory.any_state(t), trajectory.any_state(t + 1),
+           between ? nova::operand_of(trajectory.total_force(t)) : alone);
+    }
   }
   deferred.flush();
+  trajectory.step_ = [this, step, alone](const SimState& from, SimState& to) {
+    const nova::NoGrad no_grad;
+    step(from, to, alone);
+  };
 }
 
 }  // namespace novaphy::diff

@@ -94,6 +94,7 @@ void Tape::Impl::mark_output(const std::shared_ptr<Range>& range, int32_t op) {
   GradInfo& info = grad_info(*range);
   Node& n = node(range);
   n.writer = op;
+  n.group = -1;
   n.written_version = range->version();
   n.has_checksum = range->writable_export() && !current_capture();
   if (n.has_checksum) n.written_checksum = checksum_now(*range);
@@ -110,10 +111,14 @@ void Tape::Impl::mark_constant(const Range& range) {
 }
 
 void Tape::Impl::forget() {
-  for (const Op& op : ops)
+  for (const Op& op : ops) {
+    if (op.constant) continue;
     for (uint32_t o = 0; o < op.outputs; ++o)
       if (GradInfo* info = find_grad_info(*output(op, o).range)) --info->producers;
+  }
   ops.clear();
+  groups.clear();
+  in_group = false;
   uses.clear();
   params.clear();
   customs.clear();
@@ -178,10 +183,12 @@ void Tape::record_launch(const std::shared_ptr<KernelImpl>& kernel, int64_t dim,
   Impl& t = *impl_;
   if (!recorded) {
     for (const Operand& out : outputs) t.mark_constant(*out.range);
-    return;
+    if (!t.in_group) return;
   }
   Impl::Op op;
   op.kernel = kernel;
+  op.constant = !recorded;
+  op.group = t.in_group ? static_cast<int32_t>(t.groups.size()) - 1 : -1;
   op.dim = dim;
   op.first_use = static_cast<uint32_t>(t.uses.size());
   op.inputs = static_cast<uint32_t>(inputs.size());
@@ -192,14 +199,35 @@ void Tape::record_launch(const std::shared_ptr<KernelImpl>& kernel, int64_t dim,
   if (options.csr) op.csr = *options.csr;
   for (const Operand& in : inputs) {
     t.uses.push_back(t.make_use(in));
-    if (t.uses.back().carries) t.node(in.range);
+    Impl::Use& use = t.uses.back();
+    if (use.carries) t.node(in.range);
+    const Impl::Node* n = op.group >= 0 ? t.find(*in.range) : nullptr;
+    if (n && n->group == op.group) {
+      use.recomputed = true;
+      t.ops[static_cast<size_t>(n->writer)].replayed = true;
+    }
   }
   for (const Operand& out : outputs) t.uses.push_back({out, out.range->version(), 0, false, true});
   t.params.insert(t.params.end(), options.params.begin(), options.params.end());
   t.ops.push_back(std::move(op));
-  for (const Operand& out : outputs)
-    t.mark_output(out.range, static_cast<int32_t>(t.ops.size()) - 1);
+  const auto number = static_cast<int32_t>(t.ops.size()) - 1;
+  for (const Operand& out : outputs) {
+    if (recorded) t.mark_output(out.range, number);
+    if (!t.in_group) continue;
+    Impl::Node& n = t.node(out.range);
+    n.writer = number;
+    n.group = t.ops.back().group;
+  }
+  if (t.in_group) t.groups.back().last = static_cast<uint32_t>(t.ops.size());
 }
+
+void Tape::begin_recomputed() {
+  require(!impl_->in_group, ErrorKind::Runtime, "begin_recomputed: inside another");
+  impl_->in_group = true;
+  const auto first = static_cast<uint32_t>(impl_->ops.size());
+  impl_->groups.push_back({first, first});
+}
+void Tape::end_recomputed() { impl_->in_group = false; }
 
 void Tape::record_custom(std::string name, std::vector<Tensor> inputs, std::vector<Tensor> outputs,
                          BackwardFn backward) {
@@ -227,6 +255,8 @@ void Tape::record_custom(std::string name, std::vector<Tensor> inputs, std::vect
     for (const Tensor& out : outputs) t.mark_constant(*out.range());
     return;
   }
+  require(!t.in_group, ErrorKind::NotImplemented, "record_custom '", name,
+          "': not between checkpoints, where operations are run once more");
   Impl::Op op;
   op.first_use = static_cast<uint32_t>(t.uses.size());
   op.inputs = static_cast<uint32_t>(inputs.size());

@@ -102,17 +102,52 @@ void Tape::Impl::GradientPool::clear() {
 }
 
 // The items of a CSR sum find their row in the table that the Incidence was built from.
-void Tape::Impl::check_table(const Op& op, const detail::CompiledPlan& plan) const {
-  if (op.csr && plan.items && !is_current(*op.csr, *op.csr->table.range))
+void Tape::Impl::check_table(const Op& op) const {
+  if (op.csr && !is_current(*op.csr, *op.csr->table.range))
     novaphy::fail(ErrorKind::Runtime, "the index table of op '", op_name(op),
                   "' was modified after recording");
+}
+
+// A group is run once more before the first of its adjoints: then all that it reads from outside
+// must still be there.
+void Tape::Impl::plan_group(int32_t number) {
+  const Group& group = groups[static_cast<size_t>(number)];
+  for (uint32_t k = group.first; k < group.last; ++k) {
+    if (!ops[k].replayed) continue;
+    for (uint32_t s = 0; s < ops[k].inputs; ++s)
+      if (!input(ops[k], s).recomputed) check_value(input(ops[k], s), ops[k], s);
+    check_table(ops[k]);
+  }
+  Step step{};
+  step.group = number;
+  steps.push_back(step);
+}
+
+void Tape::Impl::run_group(const Group& group) {
+  for (uint32_t k = group.first; k < group.last; ++k) {
+    const Op& op = ops[k];
+    if (!op.replayed) continue;
+    operands.clear();
+    for (uint32_t u = 0; u < op.inputs + op.outputs; ++u)
+      operands.push_back(uses[op.first_use + u].operand);
+    const std::span<const Operand> all = operands;
+    detail::run_forward(*op.kernel, op.dim, all.first(op.inputs), all.subspan(op.inputs),
+                        std::span(params).subspan(op.first_param, op.params), op.csr.get(),
+                        op.extent);
+    hold_in_capture(op.kernel);
+    if (op.csr) hold_in_capture(op.csr);
+    for (const Operand& operand : all) hold_in_capture(operand.range);
+  }
+  operands.clear();
 }
 
 void Tape::Impl::plan_steps() {
   steps.clear();
   places.clear();
+  int32_t open_group = -1;
   for (size_t k = ops.size(); k-- > 0;) {
     const Op& op = ops[k];
+    if (op.constant) continue;
     AdjointKey key;
     const size_t first_place = places.size();
     places.resize(first_place + op.outputs + op.inputs);
@@ -129,6 +164,8 @@ void Tape::Impl::plan_steps() {
       places.resize(first_place);
       continue;
     }
+    if (op.group >= 0 && op.group != open_group) plan_group(op.group);
+    open_group = op.group;
     for (uint32_t s = 0; s < op.inputs; ++s) {
       const Use& use = input(op, s);
       if (!use.carries) continue;
@@ -154,8 +191,9 @@ void Tape::Impl::plan_steps() {
     if (op.kernel) {
       plan = &op.kernel->adjoint(key);
       for (uint32_t s = 0; s < op.inputs; ++s)
-        if (plan->plan.loads_value[s]) check_value(input(op, s), op, s);
-      check_table(op, *plan);
+        if (plan->plan.loads_value[s] && !input(op, s).recomputed)
+          check_value(input(op, s), op, s);
+      if (plan->items) check_table(op);
     } else {
       for (uint32_t s = 0; s < op.inputs; ++s) check_value(input(op, s), op, s);
     }
@@ -211,12 +249,15 @@ void Tape::Impl::run_steps(const std::shared_ptr<Range>& loss_gradient, const Te
   // Large domains are collected and run block by block, as long as what that keeps alive stays
   // small.
   int64_t largest = 0;
-  for (const Step& step : steps) largest = std::max(largest, step.op->dim);
+  for (const Step& step : steps)
+    if (step.op) largest = std::max(largest, step.op->dim);
   DeferredScope deferred(largest >= detail::kMinFusedRows);
   constexpr size_t kStepsPerInterruptCheck = 64, kMaxHeldBytes = size_t{64} << 20;
   for (size_t k = 0; k < steps.size(); ++k) {
     if (k % kStepsPerInterruptCheck == 0) novaphy::check_interrupt();
-    if (steps[k].op->kernel) {
+    if (!steps[k].op) {
+      run_group(groups[static_cast<size_t>(steps[k].group)]);
+    } else if (steps[k].op->kernel) {
       run_kernel(steps[k]);
       if (deferred.held_bytes() > kMaxHeldBytes) deferred.flush();
     } else {

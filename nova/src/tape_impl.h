@@ -18,7 +18,8 @@ struct Tape::Impl {
     uint64_t version = 0;
     uint64_t checksum = 0;
     bool has_checksum = false;
-    bool carries = false;  // a gradient flows through it
+    bool carries = false;     // a gradient flows through it
+    bool recomputed = false;  // an operation of the same group writes it
   };
   struct Op {
     std::shared_ptr<detail::KernelImpl> kernel;  // null: custom
@@ -27,7 +28,13 @@ struct Tape::Impl {
     uint32_t first_param = 0, params = 0;
     int32_t extent = 0;
     int32_t custom = -1;
+    int32_t group = -1;     // of operations that backward runs once more
+    bool replayed = false;  // in a group: another operation of it reads what this one writes
+    bool constant = false;  // in a group: no gradient flows through it
     Incidence csr;
+  };
+  struct Group {
+    uint32_t first = 0, last = 0;  // operations
   };
   struct Custom {
     std::string name;
@@ -38,6 +45,7 @@ struct Tape::Impl {
   struct Node {
     std::shared_ptr<Range> range;
     int32_t writer = -1;            // the last operation that wrote it
+    int32_t group = -1;             // the group of that operation
     uint64_t written_version = 0;   // its version after that
     uint64_t written_checksum = 0;  // of its value after that, where somebody outside can write it
     bool has_checksum = false;
@@ -95,10 +103,11 @@ struct Tape::Impl {
   };
   // One operation to be reversed, decided before anything runs.
   struct Step {
-    const Op* op;
+    const Op* op;  // null: run a group once more
     detail::AdjointKey key;
     const detail::CompiledPlan* plan;
     size_t first_place;  // in `places`: of the gradients of the outputs, then of the inputs
+    int32_t group = -1;
   };
   // Memory for gradients that are not kept, used again after they were read. Of one backward: what
   // a capture recorded has its memory for itself.
@@ -117,6 +126,8 @@ struct Tape::Impl {
   std::vector<Use> uses;
   std::vector<Param> params;
   std::vector<Custom> customs;
+  std::vector<Group> groups;
+  bool in_group = false;  // the last of them is still growing
   NodeTable nodes;
   bool leaves_only = false;  // KeepGradients::Leaves
   // Of the last backward; kept for their memory.
@@ -124,6 +135,7 @@ struct Tape::Impl {
   std::vector<const std::shared_ptr<Range>*> places;
   std::vector<GradState> before;  // of every node
   GradientPool pool;
+  std::vector<Operand> operands;  // of an operation that is run once more
 
   Node* find(const Range& range) { return nodes.find(range); }
   Node& node(const std::shared_ptr<Range>& range) { return nodes.find_or_add(range); }
@@ -159,7 +171,9 @@ struct Tape::Impl {
   const std::shared_ptr<Range>* input_place(const Step& step, uint32_t s) const {
     return places[step.first_place + step.op->outputs + s];
   }
-  void check_table(const Op& op, const detail::CompiledPlan& plan) const;
+  void check_table(const Op& op) const;
+  void plan_group(int32_t group);
+  void run_group(const Group& group);
   bool begin_contribution(Node& n);
   bool bound_before(const Op& op, uint32_t s) const;
   void run_kernel(const Step& step);

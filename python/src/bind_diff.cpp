@@ -1,4 +1,6 @@
 // Views, differentiable operators, losses, Trajectory and the differentiable solver.
+#include <charconv>
+
 #include "fast_step.h"
 #include "nova_types.h"
 #include "novaphy/collision/diff_soft_contacts.h"
@@ -109,27 +111,53 @@ void bind_operators(py::module_& m) {
         "x limited to [lower, upper]; gradient 1 inside and at the bounds, 0 outside.");
 }
 
-// {steps + 1, n, 3}: the whole of a field as one tensor.
+// {kept, n, 3}: the whole of a field as one tensor.
 Tensor whole(const Trajectory& t, const DeviceArray<Vec3f>& array) {
-  return {array.range(), {t.steps() + 1, t.model()->particle_count(), 3}, nova::DType::F32};
+  return {array.range(), {t.kept_count(), t.model()->particle_count(), 3}, nova::DType::F32};
+}
+
+// "64MiB" as bytes.
+uint64_t byte_count(const std::string& text) {
+  uint64_t number = 0;
+  const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), number);
+  const std::string unit(end, text.data() + text.size());
+  const int shift = unit == "KiB" ? 10 : unit == "MiB" ? 20 : unit == "GiB" ? 30 : -1;
+  require(error == std::errc() && shift > 0 && number > 0 && number < (uint64_t{1} << 33),
+          ErrorKind::Value,
+          "Trajectory, checkpoint: expected an interval or memory as \"64MiB\" (KiB, MiB, GiB), got \"",
+          text, "\"");
+  return number << shift;
+}
+
+int32_t checkpoint_interval(const Model& model, int32_t steps, const py::object& checkpoint) {
+  if (checkpoint.is_none()) return 1;
+  if (py::isinstance<py::str>(checkpoint))
+    return diff::checkpoint_interval_for(model, steps, byte_count(checkpoint.cast<std::string>()));
+  return checkpoint.cast<int32_t>();
 }
 
 void bind_trajectory(py::module_& m) {
-  py::class_<Trajectory>(m, "Trajectory",
+  py::class_<Trajectory>(m, "Trajectory", py::dynamic_attr(),
                          "steps + 1 states of a model, contiguous in time: len() states, [t] is a "
-                         "regular SimState. State 0 "
-                         "starts with the model's initial values.")
-      .def(py::init([](const std::shared_ptr<Model>& model, int32_t steps, bool requires_grad) {
-             return std::make_unique<Trajectory>(model, steps, requires_grad);
+                         "regular SimState. State 0 starts with the model's initial values.")
+      .def(py::init([](const std::shared_ptr<Model>& model, int32_t steps, bool requires_grad,
+                       const py::object& checkpoint) {
+             return std::make_unique<Trajectory>(model, steps, requires_grad,
+                                                 checkpoint_interval(*model, steps, checkpoint));
            }),
            py::arg("model").none(false), "steps"_a, "requires_grad"_a = true,
-           "ValueError unless steps >= 0.")
+           "checkpoint"_a = py::none(),
+           "checkpoint: None keeps all states; an interval k keeps every k-th and the last one; "
+           "\"64MiB\" chooses the smallest interval whose states take no more. backward then runs "
+           "each stretch between two kept states once more: the same bits for more time. "
+           "ValueError unless steps >= 0 and the interval >= 1, and where no interval is enough.")
       .def("__len__", [](const Trajectory& t) { return t.steps() + 1; })
       .def("__iter__",
            [](const py::object& self) {
              py::list states;
-             const int32_t count = self.cast<Trajectory&>().steps() + 1;
-             for (int32_t t = 0; t < count; ++t) states.append(self[py::int_(t)]);
+             const auto& trajectory = self.cast<Trajectory&>();
+             for (int32_t t = 0; t <= trajectory.steps(); ++t)
+               if (trajectory.keeps(t)) states.append(self[py::int_(t)]);
              return py::iter(states);
            })
       .def(
@@ -137,17 +165,33 @@ void bind_trajectory(py::module_& m) {
           [](Trajectory& t, int32_t k) -> SimState& {
             return t.state(k < 0 ? k + t.steps() + 1 : k);
           },
-          "t"_a, py::return_value_policy::reference_internal, "State t. IndexError.")
+          "t"_a, py::return_value_policy::reference_internal,
+          "State t. IndexError; RuntimeError for a state that is not kept.")
+      .def("recompute", &Trajectory::recompute, "t"_a, release_gil(),
+           "A copy of state t, kept or not, run once more from the last kept one before it. "
+           "RuntimeError before a rollout, and when the next kept state does not come out again "
+           "bit by bit because something was changed.")
+      .def_property_readonly("checkpoint_interval", &Trajectory::checkpoint_interval,
+                             "Every so many states one is kept; 1: all.")
+      .def_property_readonly(
+          "kept_steps",
+          [](const Trajectory& t) {
+            py::list kept;
+            for (int32_t k = 0; k <= t.steps(); ++k)
+              if (t.keeps(k)) kept.append(k);
+            return kept;
+          },
+          "The numbers of the states that are kept, which are the rows of particle_q.")
       .def_property_readonly("steps", &Trajectory::steps, "Steps: one less than states.")
       .def_property_readonly(
           "model", [](const Trajectory& t) { return std::const_pointer_cast<Model>(t.model()); },
           "The model.")
       .def_property_readonly(
           "particle_q", [](const Trajectory& t) { return whole(t, t.particle_q()); },
-          "Tensor {steps + 1, n, 3}, m, world frame.")
+          "Tensor {kept, n, 3}, m, world frame; {steps + 1, n, 3} without a checkpoint.")
       .def_property_readonly(
           "particle_qd", [](const Trajectory& t) { return whole(t, t.particle_qd()); },
-          "Tensor {steps + 1, n, 3}, m/s, world frame.")
+          "Tensor {kept, n, 3}, m/s, world frame; {steps + 1, n, 3} without a checkpoint.")
       .def_property_readonly(
           "particle_f", [](const Trajectory& t) { return Tensor::view(t.particle_f()); },
           "Tensor {n, 3}, N, world frame: the force that is applied in every step; all states "
@@ -225,8 +269,19 @@ void bind_solver(py::module_& solvers) {
       .def_property_readonly(
           "config", [](const DiffSemiImplicitSolver& s) { return s.config(); },
           "A copy of the settings.")
-      .def("rollout", &DiffSemiImplicitSolver::rollout, "trajectory"_a, "control"_a.none(true),
-           "contacts"_a.none(true), "dt"_a, release_gil(),
+      .def(
+          "rollout",
+          [](DiffSemiImplicitSolver& self, Trajectory& trajectory, const Control* control,
+             const Contacts* contacts, float dt) {
+            {
+              const py::gil_scoped_release no_gil;
+              self.rollout(trajectory, control, contacts, dt);
+            }
+            // recompute needs them again.
+            py::cast(trajectory).attr("_rollout_of") =
+                py::make_tuple(py::cast(self), py::cast(control), py::cast(contacts));
+          },
+          "trajectory"_a, "control"_a.none(true), "contacts"_a.none(true), "dt"_a,
            "All steps of a trajectory from its state 0, contacts and integration in one kernel per "
            "step, recorded on an "
            "active tape. The bits of a loop of step in which every step starts from the force in "

@@ -63,6 +63,13 @@ class NOVAPHY_NOVA_API Tape {
   // is for the message.
   void mark_copied(const std::shared_ptr<Range>& range, const char* name);
 
+  // What is recorded in between may be overwritten afterwards, but for what it reads from before and
+  // for what is read of it later: backward runs these operations once more, ahead of their adjoints.
+  // So a rollout needs memory for some of its states only (Griewank and Walther, "Algorithm 799:
+  // revolve", with a fixed interval). Kernels only: ErrorKind::NotImplemented for custom operations.
+  void begin_recomputed();  // ErrorKind::Runtime inside another
+  void end_recomputed();
+
   // For Kernel::launch: whether an input carries a gradient; refusals before anything is written;
   // the record.
   bool must_record(std::span<const Operand> inputs) const;
@@ -75,6 +82,22 @@ class NOVAPHY_NOVA_API Tape {
   struct Impl;
   static std::unique_ptr<Impl>& spare();
   std::unique_ptr<Impl> impl_;
+};
+
+// begin_recomputed and end_recomputed of the active tape, if there is one and it is wanted.
+class NOVAPHY_NOVA_API RecomputedScope {
+ public:
+  explicit RecomputedScope(bool wanted) : tape_(wanted ? Tape::active() : nullptr) {
+    if (tape_) tape_->begin_recomputed();
+  }
+  ~RecomputedScope() {
+    if (tape_) tape_->end_recomputed();
+  }
+  RecomputedScope(const RecomputedScope&) = delete;
+  RecomputedScope& operator=(const RecomputedScope&) = delete;
+
+ private:
+  Tape* tape_;
 };
 
 class NOVAPHY_NOVA_API TapeScope {

@@ -1,7 +1,7 @@
 """Find the rest lengths of eight springs that pull a particle to a target.
 
-A particle hangs in a cage of eight fixed points, a spring to each. Optimised are the rest lengths of
-the springs, so that the particle is at the target after a second, 30 steps.
+A particle hangs in a cage of eight fixed points, a spring to each. Optimised are the rest lengths
+of the springs, so that the particle is at the target after a second, 30 steps.
 
     python demo_diffsim_spring_cage.py --headless 60 --plot spring_cage.png
     python demo_diffsim_spring_cage.py --headless 0 --check-grad

@@ -20,7 +20,8 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 BUILD = ROOT / "build"
 LOGS = BUILD / "log"
-DEMO = ROOT / "python" / "demos" / "diff" / "demo_diffsim_ball.py"
+DEMOS = ROOT / "python" / "demos" / "diff"
+DEMO = DEMOS / "demo_diffsim_ball.py"
 JOBS = len(os.sched_getaffinity(0))
 MAX_WHEEL_BYTES = 10_000_000
 TAIL_LINES = 120
@@ -371,18 +372,21 @@ def editable() -> None:
 
 
 @step
-def ball() -> None:
-    """The ball demo: training, gradient check, states and picture."""
+def demos() -> None:
+    """The demos: training, gradient check, states and picture."""
     interpreter = wheel_python()
-    with tempfile.TemporaryDirectory() as folder:
-        outputs = [Path(folder) / "states.npz", Path(folder) / "ball.png"]
-        run(
-            "ball", interpreter, DEMO, "--headless", "5", "--check-grad",
-            "--dump-states", outputs[0], "--plot", outputs[1],
-        )  # fmt: skip
-        for path in outputs:
-            if not path.exists() or path.stat().st_size == 0:
-                raise StepError(f"ball: the demo wrote no {path.name}")
+    iterations = {"ball": 5, "soft_body": 10, "cloth": 5, "spring_cage": 20}
+    for demo, count in iterations.items():
+        with tempfile.TemporaryDirectory() as folder:
+            outputs = [Path(folder) / "states.npz", Path(folder) / "picture.png"]
+            run(
+                demo, interpreter, DEMOS / f"demo_diffsim_{demo}.py",
+                "--headless", str(count), "--check-grad",
+                "--dump-states", outputs[0], "--plot", outputs[1],
+            )  # fmt: skip
+            for path in outputs:
+                if not path.exists() or path.stat().st_size == 0:
+                    raise StepError(f"{demo}: the demo wrote no {path.name}")
 
 
 def run_step(name: str) -> None:

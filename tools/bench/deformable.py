@@ -23,6 +23,7 @@ import json
 import statistics
 import time
 from collections.abc import Callable
+from functools import partial
 from typing import Protocol
 
 import numpy as np
@@ -144,14 +145,7 @@ def run(
         steps = arguments.steps or STEPS[scene]
         for mode in arguments.mode:
             for n in arguments.n:
+                build = partial(make, scene, n, mode, steps, arguments.device)
                 record = {"engine": engine, "scene": scene, "mode": mode, "n": n, "substeps": steps}
-                print(
-                    json.dumps(
-                        measure(
-                            lambda s=scene, k=n, m=mode, t=steps: make(s, k, m, t, arguments.device),
-                            arguments.iterations,
-                            record | facts(),
-                        )
-                    ),
-                    flush=True,
-                )
+                record = measure(build, arguments.iterations, record | facts())
+                print(json.dumps(record), flush=True)

@@ -5,9 +5,11 @@ Scenes and records: see deformable.py beside this file. The rollout and its back
 captured once with `wp.ScopedCapture` and replayed, as the examples do. Modes:
 
 * `captured`: as the examples are shipped.
-* `captured-lean`: without what does nothing in these scenes: no hash grid of the particles
+* `captured-lean`: without the passes that do nothing in these scenes: no hash grid of the particles
   (`model.particle_grid = None`), no pass over (triangle, particle) pairs
-  (`enable_tri_contact=False`), no empty slots for rigid contacts (`rigid_contact_max=0`).
+  (`enable_tri_contact=False`).
+* `captured-bare`: as `captured-lean`, and without the 1,000 empty slots for rigid contacts
+  (`rigid_contact_max=0`).
 
     pip install newton==1.8.0 warp-lang==1.19.0
     python tools/bench/newton_deformable.py --scene soft_body --n 2 4 --mode captured-lean
@@ -22,7 +24,7 @@ import numpy as np
 import warp as wp
 from deformable import BOUNDS, DT, GAP, MATERIAL, RATE, TARGET, cloth_grid, run, soft_grid
 
-MODES = ("captured", "captured-lean")
+MODES = ("captured", "captured-lean", "captured-bare")
 
 
 @wp.kernel
@@ -62,7 +64,7 @@ class Deformable:
         """Build the model and capture the iteration."""
         wp.set_device(device)
         self.scene, self.steps = scene, steps
-        self.lean = mode == "captured-lean"
+        self.lean, bare = mode != "captured", mode == "captured-bare"
         builder = newton.ModelBuilder()
         if scene == "soft_body":
             builder.default_particle_radius = 0.0005
@@ -90,7 +92,7 @@ class Deformable:
                 broad_phase="explicit",
                 soft_contact_gap=GAP,
                 requires_grad=True,
-                rigid_contact_max=0 if self.lean else None,
+                rigid_contact_max=0 if bare else None,
             )
             start = self.model.tet_materials.numpy()[:, :2].flatten()
             self.params = wp.array(start, dtype=wp.float32, requires_grad=True)

@@ -187,10 +187,7 @@ void DiffSemiImplicitSolver::rollout(Trajectory& trajectory, const Control* cont
     }
   }
   deferred.flush();
-  trajectory.step_ = [this, step, alone](const SimState& from, SimState& to) {
-    const nova::NoGrad no_grad;
-    step(from, to, alone);
-  };
+  trajectory.step_ = [step, alone](const SimState& from, SimState& to) { step(from, to, alone); };
 }
 
 }  // namespace novaphy::diff

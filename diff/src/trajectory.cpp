@@ -4,6 +4,7 @@
 #include <cstring>
 
 #include "novaphy/core/error.h"
+#include "novaphy/nova/tape.h"
 
 namespace novaphy::diff {
 
@@ -30,8 +31,8 @@ Trajectory::Trajectory(std::shared_ptr<const Model> model, int32_t steps, bool r
     : model_(std::move(model)), steps_(steps), interval_(checkpoint_interval) {
   require(model_ != nullptr, ErrorKind::Value, "Trajectory, model: expected a model, got none");
   require(steps >= 0, ErrorKind::Value, "Trajectory, steps: expected >= 0, got ", steps);
-  require(interval_ >= 1, ErrorKind::Value, "Trajectory, checkpoint: expected an interval >= 1, got ",
-          interval_);
+  require(interval_ >= 1, ErrorKind::Value,
+          "Trajectory, checkpoint: expected an interval >= 1, got ", interval_);
   const auto n = static_cast<size_t>(model_->particle_count());
   const auto kept = static_cast<size_t>(kept_states(steps, interval_));
   particle_q_ = DeviceArray<Vec3f>(kept * n, model_->device());
@@ -89,8 +90,9 @@ SimState& Trajectory::state(int32_t t) {
   require(t >= 0 && t <= steps(), ErrorKind::Index, "Trajectory: expected 0 <= t <= ", steps(),
           ", got ", t);
   if (!keeps(t)) [[unlikely]]
-    fail(ErrorKind::Runtime, "Trajectory: state ", t, " is not kept, but those of t = ",
-         kept_text(), " are (checkpoint interval ", interval_, "); recompute(", t, ") gives it");
+    fail(ErrorKind::Runtime, "Trajectory: state ", t,
+         " is not kept, but those of t = ", kept_text(), " are (checkpoint interval ", interval_,
+         "); recompute(", t, ") gives it");
   return any_state(t);
 }
 const SimState& Trajectory::state(int32_t t) const {
@@ -98,8 +100,9 @@ const SimState& Trajectory::state(int32_t t) const {
 }
 
 SimState Trajectory::recompute(int32_t t) const {
-  require(t >= 0 && t <= steps(), ErrorKind::Index, "Trajectory.recompute: expected 0 <= t <= ",
-          steps(), ", got ", t);
+  require(t >= 0 && t <= steps(), ErrorKind::Index,
+          "Trajectory.recompute: expected 0 <= t <= ", steps(), ", got ", t);
+  const nova::NoGrad no_grad;
   const auto n = static_cast<size_t>(model_->particle_count());
   const auto copy_of = [&](const SimState& state) {
     SimState copy = make_state(DeviceArray<Vec3f>(n, model_->device()),

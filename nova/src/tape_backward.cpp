@@ -191,8 +191,7 @@ void Tape::Impl::plan_steps() {
     if (op.kernel) {
       plan = &op.kernel->adjoint(key);
       for (uint32_t s = 0; s < op.inputs; ++s)
-        if (plan->plan.loads_value[s] && !input(op, s).recomputed)
-          check_value(input(op, s), op, s);
+        if (plan->plan.loads_value[s] && !input(op, s).recomputed) check_value(input(op, s), op, s);
       if (plan->items) check_table(op);
     } else {
       for (uint32_t s = 0; s < op.inputs; ++s) check_value(input(op, s), op, s);

@@ -122,10 +122,11 @@ uint64_t byte_count(const std::string& text) {
   const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), number);
   const std::string unit(end, text.data() + text.size());
   const int shift = unit == "KiB" ? 10 : unit == "MiB" ? 20 : unit == "GiB" ? 30 : -1;
-  require(error == std::errc() && shift > 0 && number > 0 && number < (uint64_t{1} << 33),
-          ErrorKind::Value,
-          "Trajectory, checkpoint: expected an interval or memory as \"64MiB\" (KiB, MiB, GiB), got \"",
-          text, "\"");
+  require(
+      error == std::errc() && shift > 0 && number > 0 && number < (uint64_t{1} << 33),
+      ErrorKind::Value,
+      "Trajectory, checkpoint: expected an interval or memory as \"64MiB\" (KiB, MiB, GiB), got \"",
+      text, "\"");
   return number << shift;
 }
 
@@ -282,11 +283,11 @@ void bind_solver(py::module_& solvers) {
                 py::make_tuple(py::cast(self), py::cast(control), py::cast(contacts));
           },
           "trajectory"_a, "control"_a.none(true), "contacts"_a.none(true), "dt"_a,
-           "All steps of a trajectory from its state 0, contacts and integration in one kernel per "
-           "step, recorded on an "
-           "active tape. The bits of a loop of step in which every step starts from the force in "
-           "trajectory.particle_f, "
-           "which is only read. May be captured.");
+          "All steps of a trajectory from its state 0, contacts and integration in one kernel per "
+          "step, recorded on an "
+          "active tape. The bits of a loop of step in which every step starts from the force in "
+          "trajectory.particle_f, "
+          "which is only read. May be captured.");
   add_fast_step(solver);
 }
 

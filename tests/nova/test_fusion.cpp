@@ -34,20 +34,30 @@ class Workspace {
       const Tensor &a = array(random), &b = array(random), &y = array(random);
       const Tensor& scalar = scalars_[static_cast<size_t>(random.below(kScalars))];
       switch (random.below(10)) {
-        case 0: launch(per_value(), kRows * 3, {a.flat_operand(), b.flat_operand()}, y.flat_operand()); break;
-        case 1:
-          if (&a != &y) launch(gather(), kRows, {table_.operand(), a.operand(), b.operand()}, y.operand());
+        case 0:
+          launch(per_value(), kRows * 3, {a.flat_operand(), b.flat_operand()}, y.flat_operand());
           break;
-        case 2: nova::row_sum(a.flat_operand(), 1, kRows * 3, nullptr, scalar.operand()); break;
-        case 3: launch(scale(), kRows, {a.operand(), scalar.operand()}, y.operand()); break;
-        case 4: nova::submit_fill(random.chance(50) ? y.range() : scalar.range(), 0.5f); break;
+        case 1:
+          if (&a != &y)
+            launch(gather(), kRows, {table_.operand(), a.operand(), b.operand()}, y.operand());
+          break;
+        case 2:
+          nova::row_sum(a.flat_operand(), 1, kRows * 3, nullptr, scalar.operand());
+          break;
+        case 3:
+          launch(scale(), kRows, {a.operand(), scalar.operand()}, y.operand());
+          break;
+        case 4:
+          nova::submit_fill(random.chance(50) ? y.range() : scalar.range(), 0.5f);
+          break;
         case 5:
           if (&a != &y) nova::submit_copy(y.range(), a.range());
           break;
         case 6:
           if (&a != &y) nova::row_sum(a.operand(), *incidence_, nullptr, y.operand());
           break;
-        default: launch(per_row(), kRows, {a.operand(), b.operand()}, y.operand());
+        default:
+          launch(per_row(), kRows, {a.operand(), b.operand()}, y.operand());
       }
     }
   }
@@ -63,39 +73,46 @@ class Workspace {
   static void launch(const Kernel& kernel, int64_t n, std::vector<Operand> in, Operand out) {
     kernel.launch(n, in, {&out, 1});
   }
-  const Tensor& array(Random& random) const { return arrays_[static_cast<size_t>(random.below(kArrays))]; }
+  const Tensor& array(Random& random) const {
+    return arrays_[static_cast<size_t>(random.below(kArrays))];
+  }
 
   static const Kernel& per_row() {
     static const Kernel kernel = make_kernel(
-        "per_row", {{"a", DType::F32, 3, Access::Direct}, {"b", DType::F32, 3, Access::Direct}}, {{"y", 3}},
-        [](TraceContext& c) {
+        "per_row", {{"a", DType::F32, 3, Access::Direct}, {"b", DType::F32, 3, Access::Direct}},
+        {{"y", 3}}, [](TraceContext& c) {
           std::vector<Real> y;
-          for (int32_t k = 0; k < 3; ++k) y.push_back(c.f32(0, k) * Real(0.5f) - c.f32(1, (k + 1) % 3));
+          for (int32_t k = 0; k < 3; ++k)
+            y.push_back(c.f32(0, k) * Real(0.5f) - c.f32(1, (k + 1) % 3));
           return y;
         });
     return kernel;
   }
   static const Kernel& per_value() {
     static const Kernel kernel = make_kernel(
-        "per_value", {{"a", DType::F32, 1, Access::Direct}, {"b", DType::F32, 1, Access::Direct}}, {{"y", 1}},
-        [](TraceContext& c) { return std::vector{c.f32(0) * Real(0.75f) + c.f32(1) * Real(0.125f)}; });
+        "per_value", {{"a", DType::F32, 1, Access::Direct}, {"b", DType::F32, 1, Access::Direct}},
+        {{"y", 1}}, [](TraceContext& c) {
+          return std::vector{c.f32(0) * Real(0.75f) + c.f32(1) * Real(0.125f)};
+        });
     return kernel;
   }
   static const Kernel& gather() {
-    static const Kernel kernel = make_kernel(
-        "gather",
-        {{"row", DType::I32, 1, Access::Direct}, {"a", DType::F32, 3, Access::Indexed}, {"b", DType::F32, 3, Access::Direct}},
-        {{"y", 3}}, [](TraceContext& c) {
-          std::vector<Real> y;
-          for (int32_t k = 0; k < 3; ++k) y.push_back(c.f32(1, c.i32(0), k) - c.f32(2, k));
-          return y;
-        });
+    static const Kernel kernel = make_kernel("gather",
+                                             {{"row", DType::I32, 1, Access::Direct},
+                                              {"a", DType::F32, 3, Access::Indexed},
+                                              {"b", DType::F32, 3, Access::Direct}},
+                                             {{"y", 3}}, [](TraceContext& c) {
+                                               std::vector<Real> y;
+                                               for (int32_t k = 0; k < 3; ++k)
+                                                 y.push_back(c.f32(1, c.i32(0), k) - c.f32(2, k));
+                                               return y;
+                                             });
     return kernel;
   }
   static const Kernel& scale() {
     static const Kernel kernel = make_kernel(
-        "scale", {{"a", DType::F32, 3, Access::Direct}, {"s", DType::F32, 1, Access::Uniform}}, {{"y", 3}},
-        [](TraceContext& c) {
+        "scale", {{"a", DType::F32, 3, Access::Direct}, {"s", DType::F32, 1, Access::Uniform}},
+        {{"y", 3}}, [](TraceContext& c) {
           std::vector<Real> y;
           for (int32_t k = 0; k < 3; ++k) y.push_back(c.f32(0, k) * nova::sin(c.f32(1)));
           return y;
@@ -126,7 +143,8 @@ TEST_P(RandomLists, ReplayHasTheBitsOfRunningAsWritten) {
   graph->launch();
   graph->launch();
   const auto expected = direct.values(), got = replayed.values();
-  for (size_t k = 0; k < expected.size(); ++k) EXPECT_TRUE(same_bits<float>(got[k], expected[k])) << "array " << k;
+  for (size_t k = 0; k < expected.size(); ++k)
+    EXPECT_TRUE(same_bits<float>(got[k], expected[k])) << "array " << k;
 }
 
 INSTANTIATE_TEST_SUITE_P(Seeds, RandomLists, ::testing::Range(0u, 40u));

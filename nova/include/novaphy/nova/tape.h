@@ -63,10 +63,11 @@ class NOVAPHY_NOVA_API Tape {
   // is for the message.
   void mark_copied(const std::shared_ptr<Range>& range, const char* name);
 
-  // What is recorded in between may be overwritten afterwards, but for what it reads from before and
-  // for what is read of it later: backward runs these operations once more, ahead of their adjoints.
-  // So a rollout needs memory for some of its states only (Griewank and Walther, "Algorithm 799:
-  // revolve", with a fixed interval). Kernels only: ErrorKind::NotImplemented for custom operations.
+  // What is recorded in between may be overwritten afterwards, but for what it reads from before
+  // and for what is read of it later: backward runs these operations once more, ahead of their
+  // adjoints. So a rollout needs memory for some of its states only (Griewank and Walther,
+  // "Algorithm 799: revolve", with a fixed interval). Kernels only: ErrorKind::NotImplemented for
+  // custom operations.
   void begin_recomputed();  // ErrorKind::Runtime inside another
   void end_recomputed();
 

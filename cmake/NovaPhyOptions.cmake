@@ -22,9 +22,10 @@ if(NOVAPHY_WITH_NATIVE_KERNELS AND NOT (NOVAPHY_WITH_DIFF AND NOVAPHY_BUILD_CPU_
   message(FATAL_ERROR "NOVAPHY_WITH_NATIVE_KERNELS=ON needs NOVAPHY_WITH_DIFF=ON and NOVAPHY_BUILD_CPU_PLUGIN=ON.")
 endif()
 
+option(NOVAPHY_WITH_CUDA "Build the CUDA backend (a plugin that opens the driver at run time)" OFF)
+
 # Parts of the design that are not built yet.
 foreach(entry
-    "NOVAPHY_WITH_CUDA;the CUDA backend"
     "NOVAPHY_WITH_DLAN;the Denglin backend"
     "NOVAPHY_BUILD_VBD;the VBD library"
     "NOVAPHY_WITH_VBD_CUDA;CUDA modules of the VBD library"

@@ -1,0 +1,18 @@
+// The text of device code: the prelude, and what the emitter writes for a Program.
+#pragma once
+
+#include <string>
+
+#include "novaphy/program/ir.h"
+
+namespace novaphy::gpu {
+
+inline constexpr const char* kEntry = "novaphy_main";
+
+const char* prelude_text();   // device_prelude.cuh
+const char* builtins_text();  // builtins.cuh
+// One kernel: novaphy_main(argument words, n, sink), a thread per row.
+std::string kernel_source(const nova::ir::Program& program);
+std::string builtins_source();
+
+}  // namespace novaphy::gpu

@@ -4,10 +4,22 @@
 
 namespace novaphy::gpu {
 
+namespace {
+
+// Equal Programs have equal text, whatever their names.
+nova::ir::Program without_names(nova::ir::Program program) {
+  program.name = "kernel";
+  for (nova::ir::Source& source : program.sources) source.name.clear();
+  for (nova::ir::Output& output : program.outputs) output.name.clear();
+  return program;
+}
+
+}  // namespace
+
 std::string kernel_source(const nova::ir::Program& program) {
   const std::string words = std::to_string(program.argument_count());
   std::string text = prelude_text();
-  text += nova::ir::emit_device(program, "row");
+  text += nova::ir::emit_device(without_names(program), "row");
   text += "struct kernel_arguments {\n  uint64_t word[" + words + "];\n};\n";
   text +=
       "extern \"C\" __global__ void __launch_bounds__(128) novaphy_main(\n"

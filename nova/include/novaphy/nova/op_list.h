@@ -21,6 +21,7 @@ enum class GradState : uint8_t;  // tensor.h
 namespace detail {
 struct RowLayout;
 struct Segment;
+class DeviceGraph;
 }  // namespace detail
 
 class NOVAPHY_NOVA_API OpList {
@@ -76,6 +77,8 @@ class NOVAPHY_NOVA_API OpList {
   std::vector<Op> ops_;
   std::vector<uint64_t> words_;
   mutable std::vector<detail::Segment> segments_;  // found at the first launch
+  // Made at the first launch, on devices that replay graphs.
+  mutable std::unique_ptr<detail::DeviceGraph> device_graph_;
   std::vector<std::shared_ptr<const void>> held_;
   size_t held_bytes_ = 0;
   std::vector<std::shared_ptr<Range>> written_;

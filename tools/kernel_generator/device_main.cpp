@@ -23,6 +23,7 @@
 #include "code_cache.h"
 #include "compiler.h"
 #include "device_source.h"
+#include "novaphy/collision/device_modules.h"
 #include "programs.h"
 #include "vendor.h"
 
@@ -44,7 +45,7 @@ namespace gpu = novaphy::gpu;
 
 struct Job {
   std::string source, name;
-  bool contract = false;
+  gpu::Dialect dialect = gpu::Dialect::Program;
   int arch = 0;
   bool as_text = false;
   gpu::CompiledCode code;
@@ -56,7 +57,7 @@ void compile_all(std::vector<Job>& jobs) {
   const auto work = [&] {
     for (size_t k = next++; k < jobs.size(); k = next++) {
       Job& job = jobs[k];
-      job.code = gpu::compile(job.source, "kernel", job.arch, job.contract, job.as_text);
+      job.code = gpu::compile(job.source, job.arch, job.dialect, job.as_text);
     }
   };
   std::vector<std::thread> threads;
@@ -75,7 +76,7 @@ void write_file(const std::string& path, std::vector<Job>& jobs) {
   };
   std::vector<Item> items;
   for (const Job& job : jobs)
-    items.push_back({{gpu::ahead_key(job.source, job.contract), job.arch, job.as_text ? 1 : 0, 0,
+    items.push_back({{gpu::ahead_key(job.source, job.dialect), job.arch, job.as_text ? 1 : 0, 0,
                       job.code.bytes.size()},
                      &job});
   const auto order = [](const Item& x, const Item& y) {
@@ -137,19 +138,22 @@ int run(int argc, char** argv) {
     std::sort(archs.begin(), archs.end());
   }
   std::vector<Job> jobs;
-  const auto add = [&](const std::string& source, const std::string& name, bool contract) {
-    for (const int arch : archs) jobs.push_back({source, name, contract, arch, false, {}});
-    if (cache_arch == 0) jobs.push_back({source, name, contract, archs.back(), true, {}});
+  const auto add = [&](const std::string& source, const std::string& name, gpu::Dialect dialect) {
+    for (const int arch : archs) jobs.push_back({source, name, dialect, arch, false, {}});
+    if (cache_arch == 0) jobs.push_back({source, name, dialect, archs.back(), true, {}});
   };
-  add(gpu::builtins_source(), "builtins", false);
+  add(gpu::builtins_source(), "builtins", gpu::Dialect::Program);
   const auto programs = programs_file.empty() ? generator::engine_programs()
                                               : generator::read_programs(programs_file);
-  for (const nova::ir::Program& p : programs) add(gpu::kernel_source(p), p.name, p.contract);
+  for (const nova::ir::Program& p : programs)
+    add(gpu::kernel_source(p), p.name,
+        p.contract ? gpu::Dialect::Contracted : gpu::Dialect::Program);
+  for (const std::string& text : novaphy::collision_device_modules())
+    add(gpu::module_source(text), "collision", gpu::Dialect::Source);
   compile_all(jobs);
   if (cache_arch != 0) {
     for (const Job& job : jobs)
-      gpu::CodeCache::get().store(gpu::disk_key(job.source, job.contract, job.arch),
-                                  job.code.bytes);
+      gpu::CodeCache::get().store(gpu::disk_key(job.source, job.dialect, job.arch), job.code.bytes);
   } else {
     write_file(words[0], jobs);
   }

@@ -27,7 +27,8 @@ novaphy_status load_functions(novaphy_device* device, const Functions** result,
   if (f.module != nullptr) return NOVAPHY_OK;
   const Use use(device);
   Module module = nullptr;
-  novaphy_status status = load_code(device, builtins_source(), "builtins", false, &module, error);
+  novaphy_status status =
+      load_code(device, builtins_source(), "builtins", Dialect::Program, &module, error);
   if (status != NOVAPHY_OK) return status;
   const std::pair<Function*, const char*> entries[] = {{&f.row_sum, "row_sum_f32"},
                                                        {&f.scan, "exclusive_scan_i32"},

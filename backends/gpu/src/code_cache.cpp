@@ -74,12 +74,12 @@ CodeKey code_key(const std::string& text) {
           hash_bytes(text.data(), text.size(), 0x9E3779B97F4A7C15ull)};
 }
 
-CodeKey ahead_key(const std::string& source, bool contract) {
-  return code_key(compile_options(contract) + "\n" + source);
+CodeKey ahead_key(const std::string& source, Dialect dialect) {
+  return code_key(compile_options(dialect) + "\n" + source);
 }
-CodeKey disk_key(const std::string& source, bool contract, int arch) {
+CodeKey disk_key(const std::string& source, Dialect dialect, int arch) {
   const Compiler& c = compiler(driver().version);
-  return code_key(compile_options(contract) + " sm_" + std::to_string(arch) + " nvrtc " +
+  return code_key(compile_options(dialect) + " sm_" + std::to_string(arch) + " nvrtc " +
                   std::to_string(c.major) + "." + std::to_string(c.minor) + "\n" + source);
 }
 

@@ -9,6 +9,8 @@
 #include <string>
 #include <vector>
 
+#include "compiler.h"
+
 namespace novaphy::gpu {
 
 struct CodeKey {
@@ -18,8 +20,8 @@ struct CodeKey {
 CodeKey code_key(const std::string& text);
 // Of code that was built ahead: of the text and the options. Of code on disk: also of the device
 // and the compiler's version.
-CodeKey ahead_key(const std::string& source, bool contract);
-CodeKey disk_key(const std::string& source, bool contract, int arch);
+CodeKey ahead_key(const std::string& source, Dialect dialect);
+CodeKey disk_key(const std::string& source, Dialect dialect, int arch);
 
 class CodeCache {
  public:

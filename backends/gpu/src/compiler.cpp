@@ -168,18 +168,19 @@ const Compiler& compiler(int driver_version) {
   return *found;
 }
 
-std::string compile_options(bool contract) {
-  return std::string("--std=c++17 --ftz=false --prec-div=true --prec-sqrt=true --fmad=") +
-         (contract ? "true" : "false");
+std::string compile_options(Dialect dialect) {
+  return std::string(dialect == Dialect::Source ? "--std=c++20 --device-as-default-execution-space"
+                                                : "--std=c++17") +
+         " --ftz=false --prec-div=true --prec-sqrt=true --fmad=" +
+         (dialect == Dialect::Contracted ? "true" : "false");
 }
 
-CompiledCode compile(const std::string& source, const std::string& name, int arch, bool contract,
-                     bool as_text) {
+CompiledCode compile(const std::string& source, int arch, Dialect dialect, bool as_text) {
   CompiledCode code;
   const Functions& f = g_functions;
   bool is_text = as_text;
   std::vector<std::string> options = {architecture_option(arch, is_text)};
-  const std::string all = compile_options(contract);
+  const std::string all = compile_options(dialect);
   for (size_t at = 0; at < all.size();) {
     const size_t end = std::min(all.find(' ', at), all.size());
     options.push_back(all.substr(at, end - at));
@@ -188,7 +189,7 @@ CompiledCode compile(const std::string& source, const std::string& name, int arc
   std::vector<const char*> words;
   for (const std::string& option : options) words.push_back(option.c_str());
   Program program = nullptr;
-  int result = f.create(&program, source.c_str(), (name + ".cu").c_str(), 0, nullptr, nullptr);
+  int result = f.create(&program, source.c_str(), "kernel.cu", 0, nullptr, nullptr);
   if (result == 0) result = f.compile(program, static_cast<int>(words.size()), words.data());
   size_t size = 0;
   if (result == 0) result = is_text ? f.text_size(program, &size) : f.image_size(program, &size);

@@ -21,11 +21,12 @@ struct CompiledCode {
   std::vector<char> bytes;  // an image for the driver, or text of its assembler with a final zero
   std::string problem;      // not empty: the compiler's own messages
 };
-// The options that decide about the bits of the result.
-std::string compile_options(bool contract);
+// What the text is: a Program without or with contraction, or a SOURCE module.
+enum class Dialect { Program, Contracted, Source };
+// The options that decide about the result.
+std::string compile_options(Dialect dialect);
 // For `arch` (90), or as assembler text: for the nearest older one when the compiler does not know
 // `arch`, or when `as_text` asks for it.
-CompiledCode compile(const std::string& source, const std::string& name, int arch, bool contract,
-                     bool as_text = false);
+CompiledCode compile(const std::string& source, int arch, Dialect dialect, bool as_text = false);
 
 }  // namespace novaphy::gpu

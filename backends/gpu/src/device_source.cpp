@@ -40,6 +40,14 @@ std::string kernel_source(const nova::ir::Program& program) {
   return text;
 }
 
+std::string module_source(const std::string& text) {
+  return std::string(prelude_text()) +
+         "#define NOVAPHY_KERNEL extern \"C\" __global__ void __launch_bounds__(128)\n"
+         "#define NOVAPHY_ROW ((int64_t)blockIdx.x * blockDim.x + threadIdx.x)\n"
+         "template <int words>\nstruct novaphy_arguments {\n  uint64_t word[words];\n};\n" +
+         text;
+}
+
 std::string builtins_source() { return std::string(prelude_text()) + builtins_text(); }
 
 }  // namespace novaphy::gpu

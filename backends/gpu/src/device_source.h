@@ -14,5 +14,7 @@ const char* builtins_text();  // builtins.cuh
 // One kernel: novaphy_main(argument words, n, sink), a thread per row.
 std::string kernel_source(const nova::ir::Program& program);
 std::string builtins_source();
+// A SOURCE module: what <novaphy/abi/backend.h> says is known to it, then its own text.
+std::string module_source(const std::string& text);
 
 }  // namespace novaphy::gpu

@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <cstdio>
 #include <cstring>
+#include <sstream>
 
 #include "ahead.h"
 #include "code_cache.h"
@@ -27,7 +28,7 @@ novaphy_status create_program(novaphy_device* device, const void* data, uint64_t
   std::string reason;
   if (!nova::ir::deserialise(words, program, reason))
     return fail(error, NOVAPHY_INVALID_ARGUMENT, "%s", reason.c_str());
-  novaphy_kernel& kernel = module.kernel;
+  novaphy_kernel& kernel = *module.kernels.emplace_back(std::make_unique<novaphy_kernel>());
   kernel.device = device;
   kernel.name = program.name;
   kernel.argument_count = program.argument_count();
@@ -37,8 +38,9 @@ novaphy_status create_program(novaphy_device* device, const void* data, uint64_t
                 "kernel '%s': expected at most %u argument words on this device, got %u",
                 kernel.name.c_str(), kMaxArgumentWords, kernel.argument_count);
   const Use use(device);
-  novaphy_status status = load_code(device, kernel_source(program), kernel.name, program.contract,
-                                    &module.module, error);
+  novaphy_status status =
+      load_code(device, kernel_source(program), kernel.name,
+                program.contract ? Dialect::Contracted : Dialect::Program, &module.module, error);
   if (status != NOVAPHY_OK) return status;
   status = check(device, driver().module_function(&kernel.function, module.module, kEntry),
                  kernel.name.c_str(), error);
@@ -50,9 +52,37 @@ novaphy_status create_program(novaphy_device* device, const void* data, uint64_t
   return NOVAPHY_OK;
 }
 
+// Text whose kernels are named in lines "// kernel NAME WORDS".
+novaphy_status create_source(novaphy_device* device, const void* data, uint64_t bytes,
+                             novaphy_module& module, novaphy_error* error) {
+  const std::string text(static_cast<const char*>(data), bytes);
+  const Use use(device);
+  novaphy_status status = load_code(device, module_source(text), "source module", Dialect::Source,
+                                    &module.module, error);
+  std::istringstream lines(text);
+  for (std::string line; status == NOVAPHY_OK && std::getline(lines, line);) {
+    char name[64];
+    unsigned words = 0;
+    if (std::sscanf(line.c_str(), "// kernel %63s %u", name, &words) != 2) continue;
+    novaphy_kernel& kernel = *module.kernels.emplace_back(std::make_unique<novaphy_kernel>());
+    kernel.device = device;
+    kernel.name = name;
+    kernel.argument_count = words;
+    kernel.number = remember_kernel(device, {name, {}});
+    status =
+        check(device, driver().module_function(&kernel.function, module.module, name), name, error);
+  }
+  if (status == NOVAPHY_OK && module.kernels.empty())
+    return fail(
+        error, NOVAPHY_INVALID_ARGUMENT,
+        "source module: expected a line \"// kernel NAME WORDS\" for every kernel, got none");
+  return status;
+}
+
 void destroy(novaphy_module* module) {
-  novaphy_device* const device = module->kernel.device;
-  if (module->kernel.number != 0) forget_kernel(device, module->kernel.number);
+  novaphy_device* const device = module->device;
+  for (const auto& kernel : module->kernels)
+    if (kernel->number != 0) forget_kernel(device, kernel->number);
   if (module->module != nullptr && !device->lost) {
     const Use use(device);
     driver().module_unload(module->module);
@@ -63,13 +93,13 @@ void destroy(novaphy_module* module) {
 }  // namespace
 
 novaphy_status load_code(novaphy_device* device, const std::string& source, const std::string& name,
-                         bool contract, Module* module, novaphy_error* error) {
+                         Dialect dialect, Module* module, novaphy_error* error) {
   const Driver& d = driver();
-  if (const AheadCode ahead = find_ahead(ahead_key(source, contract), device->arch);
+  if (const AheadCode ahead = find_ahead(ahead_key(source, dialect), device->arch);
       ahead.data != nullptr && d.module_load(module, ahead.data) == kSuccess)
     return NOVAPHY_OK;
   const Compiler& c = compiler(d.version);
-  const CodeKey key = disk_key(source, contract, device->arch);
+  const CodeKey key = disk_key(source, dialect, device->arch);
   std::vector<char> code;
   if (CodeCache::get().find(key, code)) {
     if (d.module_load(module, code.data()) == kSuccess) return NOVAPHY_OK;
@@ -78,7 +108,7 @@ novaphy_status load_code(novaphy_device* device, const std::string& source, cons
   if (!c.available())
     return fail(error, NOVAPHY_NOT_SUPPORTED, "kernel '%s' cannot be compiled: %s", name.c_str(),
                 c.problem.c_str());
-  CompiledCode compiled = compile(source, "kernel", device->arch, contract);
+  CompiledCode compiled = compile(source, device->arch, dialect);
   if (!compiled.problem.empty())
     return fail(error, NOVAPHY_INTERNAL, "kernel '%s' does not compile: %s", name.c_str(),
                 compiled.problem.c_str());
@@ -107,14 +137,18 @@ novaphy_status module_create(novaphy_device* device, int32_t format, const void*
       void operator()(novaphy_module* m) const { destroy(m); }
     };
     std::unique_ptr<novaphy_module, Destroy> made(new novaphy_module);
-    made->kernel.device = device;
+    made->device = device;
     novaphy_status status = NOVAPHY_OK;
     if (format == NOVAPHY_CODE_PROGRAM) {
       status = create_program(device, data, bytes, *made, error);
     } else if (format == NOVAPHY_CODE_BUILTIN) {
       const std::string_view name(static_cast<const char*>(data), bytes);
       // The name may come with its terminating zero.
-      status = make_builtin(device, name.substr(0, name.find('\0')), made->kernel, error);
+      novaphy_kernel& kernel = *made->kernels.emplace_back(std::make_unique<novaphy_kernel>());
+      kernel.device = device;
+      status = make_builtin(device, name.substr(0, name.find('\0')), kernel, error);
+    } else if (format == NOVAPHY_CODE_SOURCE) {
+      status = create_source(device, data, bytes, *made, error);
     } else {
       status = fail(error, NOVAPHY_NOT_SUPPORTED,
                     "the %s backend takes no modules of code format %d", vendor().name, format);
@@ -128,11 +162,14 @@ void module_destroy(novaphy_module* module) { destroy(module); }
 
 novaphy_status kernel_get(novaphy_module* module, const char* name, novaphy_kernel** kernel,
                           novaphy_error* error) {
-  if (std::strcmp(name, "main") != 0)
-    return fail(error, NOVAPHY_INVALID_ARGUMENT, "kernel_get: expected \"main\", got \"%.64s\"",
-                name);
-  *kernel = &module->kernel;
-  return NOVAPHY_OK;
+  for (const auto& own : module->kernels) {
+    const bool is_main = own->hash != 0 || own->run != nullptr;  // else it has a name of its own
+    if (std::strcmp(name, is_main ? "main" : own->name.c_str()) != 0) continue;
+    *kernel = own.get();
+    return NOVAPHY_OK;
+  }
+  return fail(error, NOVAPHY_INVALID_ARGUMENT, "kernel_get: the module has no kernel \"%.64s\"",
+              name);
 }
 
 novaphy_status launch(novaphy_stream* stream, novaphy_kernel* kernel, int64_t n,

@@ -4,6 +4,7 @@
 #include <memory>
 #include <string>
 
+#include "compiler.h"
 #include "device.h"
 #include "device_source.h"
 #include "novaphy/program/ir.h"
@@ -21,8 +22,10 @@ struct novaphy_kernel {
   nova::ir::Program program;  // of a Program: what a fused list is made of
 };
 struct novaphy_module {
+  novaphy_device* device = nullptr;
   novaphy::gpu::Module module = nullptr;  // null: the builtins', which the device keeps
-  novaphy_kernel kernel;
+  // One kernel "main", or those that a SOURCE module names.
+  std::vector<std::unique_ptr<novaphy_kernel>> kernels;
 };
 
 namespace novaphy::gpu {
@@ -31,7 +34,7 @@ inline constexpr unsigned kBlock = 128;
 
 // Code for the device from text: built ahead, from the cache on disk, or compiled now.
 novaphy_status load_code(novaphy_device* device, const std::string& source, const std::string& name,
-                         bool contract, Module* module, novaphy_error* error);
+                         Dialect dialect, Module* module, novaphy_error* error);
 novaphy_status make_builtin(novaphy_device* device, std::string_view name, novaphy_kernel& kernel,
                             novaphy_error* error);
 novaphy_status launch_function(novaphy_stream* stream, Function function, int64_t blocks,

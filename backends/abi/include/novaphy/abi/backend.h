@@ -96,10 +96,20 @@ typedef enum novaphy_copy_kind {
 
 typedef enum novaphy_code_format {
   NOVAPHY_CODE_PROGRAM = 0, /* serialised SSA, see program.h; mandatory; one kernel named "main" */
-  NOVAPHY_CODE_SOURCE = 1,  /* freestanding C++ text (optional, see the capability bits) */
+  NOVAPHY_CODE_SOURCE = 1,  /* freestanding C++ text (optional, see the capability bits and below) */
   NOVAPHY_CODE_BINARY = 2,  /* built ahead for this device (optional) */
   NOVAPHY_CODE_BUILTIN = 3  /* data = the builtin's name, see program.h; mandatory */
 } novaphy_code_format;
+
+/* SOURCE modules: C++20 text without includes. A line "// kernel NAME WORDS" names each kernel and its
+ * number of argument words; it is written
+ *   NOVAPHY_KERNEL NAME(const novaphy_arguments<WORDS> args, const int64_t n, const device_sink) {
+ *     const int64_t i = NOVAPHY_ROW;
+ *     if (i >= n) return;
+ *     ... args.word[0] ...
+ *   }
+ * The backend supplies these names, the sized integers of <stdint.h>, and for its own compiler
+ * usqrt, ufma, ufloor, ubits_f and uf_bits, with the rounding that program.h states. */
 
 /* How a kernel runs. */
 typedef struct novaphy_kernel_info {

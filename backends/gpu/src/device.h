@@ -71,6 +71,7 @@ struct novaphy_stream {
   novaphy_device* device;
   novaphy::gpu::Stream stream;
   bool capturing = false;
+  novaphy::gpu::Stream before_capture = nullptr;  // while capturing: where its work goes otherwise
 };
 struct novaphy_event {
   novaphy_device* device;

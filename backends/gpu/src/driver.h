@@ -33,6 +33,7 @@ enum DeviceAttribute : int {
   kComputeMinor = 76,
 };
 enum : unsigned {
+  kStreamDefault = 0,
   kStreamNonBlocking = 1,
   kHostPortable = 1,
   kHostMapped = 2,

@@ -1,4 +1,6 @@
 // Streams, events and the capture of a stream into a graph.
+#include <utility>
+
 #include "device.h"
 
 namespace novaphy::gpu {
@@ -11,10 +13,10 @@ novaphy_status stream_create(novaphy_device* device, novaphy_stream** stream,
   return guarded(error, [&] {
     const Use use(device);
     Stream made = nullptr;
-    // Not ordered with the driver's default stream: whoever shares memory with another library
-    // says so by events.
+    // Ordered with the driver's default stream, on which other libraries work unless told
+    // otherwise: memory that is shared with them needs no events.
     const novaphy_status status =
-        check(device, driver().stream_create(&made, kStreamNonBlocking), "stream_create", error);
+        check(device, driver().stream_create(&made, kStreamDefault), "stream_create", error);
     if (status == NOVAPHY_OK) *stream = new novaphy_stream{device, made};
     return status;
   });
@@ -112,11 +114,22 @@ novaphy_status capture_begin(novaphy_stream* stream, novaphy_error* error) {
   if (stream->capturing)
     return fail(error, NOVAPHY_INVALID_ARGUMENT, "capture_begin: the stream is being captured");
   const Use use(stream->device);
-  const novaphy_status status =
-      check(stream->device, driver().capture_begin(stream->stream, kCaptureRelaxed),
-            "capture_begin", error);
-  stream->capturing = status == NOVAPHY_OK;
-  return status;
+  // Recorded on a stream that is not ordered with the default stream: there, another thread's work
+  // on the default stream would break the capture.
+  Stream recording = nullptr;
+  novaphy_status status =
+      check(stream->device, driver().stream_create(&recording, kStreamNonBlocking), "capture_begin",
+            error);
+  if (status != NOVAPHY_OK) return status;
+  status = check(stream->device, driver().capture_begin(recording, kCaptureRelaxed),
+                 "capture_begin", error);
+  if (status != NOVAPHY_OK) {
+    driver().stream_destroy(recording);
+    return status;
+  }
+  stream->before_capture = std::exchange(stream->stream, recording);
+  stream->capturing = true;
+  return NOVAPHY_OK;
 }
 
 novaphy_status capture_end(novaphy_stream* stream, novaphy_graph** graph, novaphy_error* error) {
@@ -129,6 +142,7 @@ novaphy_status capture_end(novaphy_stream* stream, novaphy_graph** graph, novaph
     Graph recorded = nullptr;
     novaphy_status status =
         check(stream->device, d.capture_end(stream->stream, &recorded), "capture_end", error);
+    d.stream_destroy(std::exchange(stream->stream, stream->before_capture));
     if (status != NOVAPHY_OK) return status;
     GraphExec exec = nullptr;
     status = check(stream->device, d.graph_instantiate(&exec, recorded, 0), "capture_end", error);

@@ -1,9 +1,12 @@
-// Internal: a recorded list as a graph of the device, so that a replay is one call.
+// Internal: a recorded list as a graph of the device, so that a replay is one call. Stretches of
+// operations that touch what the list writes at their own row only become one launch each, where
+// the backend can do that (NOVAPHY_DEVICE_LISTS=0 keeps them apart; the results are the same).
 #pragma once
 
 #include <cstdint>
 #include <memory>
 #include <span>
+#include <vector>
 
 #include "novaphy/core/backend.h"
 #include "novaphy/nova/op_list.h"
@@ -26,10 +29,20 @@ class DeviceGraph {
   void launch() const;  // on the device's stream
 
  private:
-  DeviceGraph(const novaphy::DeviceContext& context, novaphy_graph* graph)
-      : context_(context), graph_(graph) {}
+  explicit DeviceGraph(const novaphy::DeviceContext& context) : context_(context) {}
+  void make_lists(std::span<const OpList::Op> ops, std::span<const uint64_t> words);
+  novaphy_status issue_all(novaphy_stream* stream, std::span<const OpList::Op> ops,
+                           std::span<const uint64_t> words, novaphy_error& error,
+                           const char*& name) const;
+
+  // A stretch of the operations that the backend runs as one launch.
+  struct List {
+    uint32_t first, last;
+    novaphy_list* list;
+  };
   const novaphy::DeviceContext& context_;
-  novaphy_graph* graph_;
+  std::vector<List> lists_;  // in order
+  novaphy_graph* graph_ = nullptr;
 };
 
 }  // namespace nova::detail

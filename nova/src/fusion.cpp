@@ -102,8 +102,8 @@ bool add_op(Footprint& footprint, const OpList::Op& op, std::span<const uint64_t
 
 }  // namespace
 
-std::vector<Segment> find_segments(std::span<const OpList::Op> ops,
-                                   std::span<const uint64_t> words) {
+std::vector<Segment> find_segments(std::span<const OpList::Op> ops, std::span<const uint64_t> words,
+                                   int64_t min_rows) {
   std::vector<Segment> segments;
   Footprint footprint;
   // The rows of the stretch that starts at k: those of its first launch.
@@ -116,7 +116,7 @@ std::vector<Segment> find_segments(std::span<const OpList::Op> ops,
   while (k < ops.size()) {
     Segment segment{static_cast<uint32_t>(k), static_cast<uint32_t>(k), 0};
     const int64_t n = rows_from(k);
-    if (n >= 2 * kBlockRows) {
+    if (n >= min_rows) {
       footprint.clear();
       while (k < ops.size() && add_op(footprint, ops[k], words, n)) ++k;
       segment.last = static_cast<uint32_t>(k);

@@ -32,8 +32,9 @@ struct Segment {
 };
 inline constexpr int64_t kBlockRows = 1024;
 inline constexpr uint32_t kMaxFusedWords = 192;  // argument words of a launch that can be fused
-std::vector<Segment> find_segments(std::span<const OpList::Op> ops,
-                                   std::span<const uint64_t> words);
+// Of at least `min_rows` rows and two operations each.
+std::vector<Segment> find_segments(std::span<const OpList::Op> ops, std::span<const uint64_t> words,
+                                   int64_t min_rows = 2 * kBlockRows);
 
 // Runs one segment block by block on the threads. Throws like a launch.
 void run_fused(const novaphy::DeviceContext& context, std::span<const OpList::Op> ops,

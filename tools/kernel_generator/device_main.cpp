@@ -32,8 +32,13 @@ namespace novaphy::gpu {
 // No plugin: there is nothing ahead, and the driver is not asked for.
 AheadData ahead_data() { return {nullptr, 0}; }
 const VendorInfo& vendor() {
-  static constexpr VendorInfo kNone = {
-      "none", 0, "CUDA", "NOVAPHY_CUDA_DRIVER", {nullptr, nullptr, nullptr, nullptr}, 0};
+  static constexpr VendorInfo kNone = {"none",
+                                       0,
+                                       "CUDA",
+                                       "NOVAPHY_CUDA_DRIVER",
+                                       [] { return static_cast<const char*>(nullptr); },
+                                       {nullptr, nullptr, nullptr, nullptr},
+                                       0};
   return kNone;
 }
 

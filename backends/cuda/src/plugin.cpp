@@ -1,4 +1,6 @@
 // The exported entry of libnovaphy_backend_cuda.so, and what is CUDA's own.
+#include <cstdlib>
+
 #include "backend.h"
 #include "vendor.h"
 
@@ -10,6 +12,7 @@ const VendorInfo& vendor() {
       NOVAPHY_DEVICE_CUDA,
       "CUDA",
       "NOVAPHY_CUDA_DRIVER",
+      [] { return static_cast<const char*>(std::getenv("NOVAPHY_CUDA_DRIVER")); },
       {"libcuda.so.1", "libcuda.so", nullptr, nullptr},
       12000,
   };

@@ -43,6 +43,9 @@ novaphy_backend_api make_table() {
   api.graph_launch = graph_launch;
   api.graph_destroy = graph_destroy;
   api.kernel_info = kernel_info;
+  api.list_create = list_create;
+  api.list_launch = list_launch;
+  api.list_destroy = list_destroy;
   return api;
 }
 

@@ -151,6 +151,11 @@ novaphy_status launch(novaphy_stream* stream, novaphy_kernel* kernel, int64_t n,
                       const uint64_t* arguments, uint32_t argument_count, novaphy_error* error);
 novaphy_status kernel_info(novaphy_kernel* kernel, novaphy_kernel_info* info, novaphy_error* error);
 
+novaphy_status list_create(novaphy_device* device, int64_t n, const novaphy_list_op* ops,
+                           uint32_t count, novaphy_list** list, novaphy_error* error);
+novaphy_status list_launch(novaphy_list* list, novaphy_stream* stream, novaphy_error* error);
+void list_destroy(novaphy_list* list);
+
 novaphy_status capture_begin(novaphy_stream* stream, novaphy_error* error);
 novaphy_status capture_end(novaphy_stream* stream, novaphy_graph** graph, novaphy_error* error);
 novaphy_status graph_launch(novaphy_graph* graph, novaphy_stream* stream, novaphy_error* error);

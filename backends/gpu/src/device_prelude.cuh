@@ -192,11 +192,21 @@ LANE_FN void put_columni(const output_rows o, int32_t width, int32_t column, int
   ((int32_t*)o.p)[i * width + column] = a;
 }
 
+// The own row of a source that no operation of a fused list writes: loaded once.
+struct source_constants {
+  const char* p;
+  int64_t rows;
+};
+LANE_FN vi own_columni(const source_constants s, int32_t width, int32_t column, vb need,
+                       int32_t source, int64_t i, const device_sink sink) {
+  if (i < s.rows) return __ldg((const int32_t*)s.p + (i * width + column));
+  if (need) report_row(sink, i, source, i, s.rows);
+  return 0;
+}
+
 // The own row in registers: what an earlier operation of a fused list left, and what one leaves.
 struct source_registers {
   const int32_t* words;
-  int64_t rows;
-  const char* p;
 };
 struct output_registers {
   char* p;

@@ -4,17 +4,12 @@
 
 namespace novaphy::gpu {
 
-namespace {
-
-// Equal Programs have equal text, whatever their names.
 nova::ir::Program without_names(nova::ir::Program program) {
   program.name = "kernel";
   for (nova::ir::Source& source : program.sources) source.name.clear();
   for (nova::ir::Output& output : program.outputs) output.name.clear();
   return program;
 }
-
-}  // namespace
 
 std::string kernel_source(const nova::ir::Program& program) {
   const std::string words = std::to_string(program.argument_count());

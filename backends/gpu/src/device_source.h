@@ -11,6 +11,8 @@ inline constexpr const char* kEntry = "novaphy_main";
 
 const char* prelude_text();   // device_prelude.cuh
 const char* builtins_text();  // builtins.cuh
+// Equal Programs have equal text, whatever their names.
+nova::ir::Program without_names(nova::ir::Program program);
 // One kernel: novaphy_main(argument words, n, sink), a thread per row.
 std::string kernel_source(const nova::ir::Program& program);
 std::string builtins_source();

@@ -2,8 +2,6 @@
 
 #include <dlfcn.h>
 
-#include <cstdlib>
-
 #include "vendor.h"
 
 namespace novaphy::gpu {
@@ -11,7 +9,7 @@ namespace {
 
 void* open_library(std::string& problem) {
   const VendorInfo& v = vendor();
-  if (const char* path = std::getenv(v.driver_variable); path != nullptr && *path != '\0') {
+  if (const char* path = v.driver_file(); path != nullptr && *path != '\0') {
     void* library = dlopen(path, RTLD_NOW | RTLD_LOCAL);
     if (library == nullptr) {
       const char* why = dlerror();

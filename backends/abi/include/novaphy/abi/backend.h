@@ -24,7 +24,7 @@ extern "C" {
 #endif
 
 #define NOVAPHY_ABI_MAJOR 0u
-#define NOVAPHY_ABI_MINOR 2u
+#define NOVAPHY_ABI_MINOR 3u
 
 typedef enum novaphy_status {
   NOVAPHY_OK = 0,
@@ -120,6 +120,20 @@ typedef struct novaphy_kernel_info {
   char isa[32];   /* the instruction set, as the backend names it */
 } novaphy_kernel_info;
 
+/* One operation of a list. `kernel` null: a copy of row_bytes per row, or without `source` a fill with the
+ * 32-bit `pattern`. */
+typedef struct novaphy_list_op {
+  uint64_t struct_size;
+  novaphy_kernel* kernel;
+  const uint64_t* arguments;
+  uint32_t argument_count;
+  uint32_t pattern;
+  void* target;
+  const void* source;
+  uint64_t row_bytes;
+} novaphy_list_op;
+typedef struct novaphy_list novaphy_list;
+
 typedef struct novaphy_backend_api {
   uint64_t struct_size;
   uint32_t abi_major;
@@ -187,6 +201,15 @@ typedef struct novaphy_backend_api {
   /* since minor version 2 (optional; a table that ends before it is legal) */
   novaphy_status (*kernel_info)(novaphy_kernel* kernel, novaphy_kernel_info* info,
                                 novaphy_error* error);
+
+  /* since minor version 3 (optional, all three or none): operations over one domain of n rows, of
+   * which each touches memory that the list writes at its own row only, run as one launch. Row i of
+   * all operations may so run before row i + 1 of the first. `ops` is read during the call; the
+   * kernels outlive the list. NOT_SUPPORTED: it would gain nothing here, launch them one by one. */
+  novaphy_status (*list_create)(novaphy_device* device, int64_t n, const novaphy_list_op* ops,
+                                uint32_t count, novaphy_list** list, novaphy_error* error);
+  novaphy_status (*list_launch)(novaphy_list* list, novaphy_stream* stream, novaphy_error* error);
+  void (*list_destroy)(novaphy_list* list);
 } novaphy_backend_api;
 
 /* The one exported symbol. Returns null and fills `error` when the host's major version is not the

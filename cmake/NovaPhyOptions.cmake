@@ -22,15 +22,21 @@ if(NOVAPHY_WITH_NATIVE_KERNELS AND NOT (NOVAPHY_WITH_DIFF AND NOVAPHY_BUILD_CPU_
   message(FATAL_ERROR "NOVAPHY_WITH_NATIVE_KERNELS=ON needs NOVAPHY_WITH_DIFF=ON and NOVAPHY_BUILD_CPU_PLUGIN=ON.")
 endif()
 
+option(NOVAPHY_WITH_CUDA "Build the CUDA backend (a plugin that opens the driver at run time)" OFF)
+option(NOVAPHY_WITH_COLLISION_CUDA "Contacts on CUDA devices; without effect while NOVAPHY_WITH_CUDA is OFF" ON)
+option(NOVA_ENABLE_NVRTC "Compile kernels with NVRTC at run time; without effect while NOVAPHY_WITH_CUDA is OFF" ON)
+
+if(NOVAPHY_WITH_CUDA AND NOT NOVA_ENABLE_NVRTC)
+  message(FATAL_ERROR "NOVA_ENABLE_NVRTC=OFF asks for an interpreter on the device, which this version does not have. "
+                      "Configure with NOVA_ENABLE_NVRTC=ON.")
+endif()
+
 # Parts of the design that are not built yet.
 foreach(entry
-    "NOVAPHY_WITH_CUDA;the CUDA backend"
     "NOVAPHY_WITH_DLAN;the Denglin backend"
     "NOVAPHY_BUILD_VBD;the VBD library"
     "NOVAPHY_WITH_VBD_CUDA;CUDA modules of the VBD library"
-    "NOVAPHY_WITH_VBD_DLAN;Denglin modules of the VBD library"
-    "NOVAPHY_WITH_COLLISION_CUDA;CUDA modules of the collision library"
-    "NOVA_ENABLE_NVRTC;run-time compilation with NVRTC")
+    "NOVAPHY_WITH_VBD_DLAN;Denglin modules of the VBD library")
   list(GET entry 0 name)
   list(GET entry 1 what)
   option(${name} "Not built yet: ${what}" OFF)

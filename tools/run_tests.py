@@ -182,7 +182,7 @@ def make_venv(name: str, *requirements: str) -> Path:
 # The steps, in order. A step is named as its function, with - for _.
 
 STEPS: dict[str, Callable[[], None]] = {}
-WITH_TESTS = ("core-only", "cpu", "cpu-diff", "asan", "install", "python")  # fail if none ran
+WITH_TESTS = ("core-only", "cpu", "cpu-diff", "asan", "dev", "install", "python")  # fail if none ran
 
 
 def step(function: Callable[[], None]) -> Callable[[], None]:
@@ -251,8 +251,9 @@ def asan() -> None:
 
 @step
 def dev() -> None:
-    """Everything builds without a warning."""
+    """Everything builds without a warning; the CUDA backend against a fake driver."""
     build("dev")
+    ctest("dev", "--preset", "dev", "-R", r"^gpu\.|^conformance\.cuda")
 
 
 @step

@@ -5,6 +5,7 @@
 #include <limits>
 #include <utility>
 
+#include "device_soft_contacts.h"
 #include "novaphy/collision/diff_soft_contact_trace.h"
 #include "novaphy/core/error.h"
 #include "novaphy/core/sim/for_chunks.h"
@@ -39,7 +40,9 @@ SurfaceDistance<float> surface_distance(const CandidateShape& shape, const Vec3f
   }
 }
 
-void check_covered(int32_t index, int32_t body, GeoType type) {
+}  // namespace
+
+void detail::check_covered_shape(int32_t index, int32_t body, GeoType type) {
   require(body < 0, ErrorKind::NotImplemented, "CollisionPipeline: shape ", index,
           " is owned by body ", body, "; only world-owned shapes (body -1) are there yet");
   const bool covered = type == GeoType::PLANE || type == GeoType::BOX || type == GeoType::SPHERE ||
@@ -49,12 +52,15 @@ void check_covered(int32_t index, int32_t body, GeoType type) {
           "); only PLANE, BOX, SPHERE and CAPSULE are there yet");
 }
 
+namespace {
+
 int32_t count_candidate_shapes(const Model& model) {
   const int32_t* flags = model.shape_flags.data();
   int32_t count = 0;
   for (int32_t s = 0; s < model.shape_count(); ++s) {
     if (!has_flag(flags[s], ShapeFlags::COLLIDE_PARTICLES)) continue;
-    check_covered(s, model.shape_body.data()[s], static_cast<GeoType>(model.shape_type.data()[s]));
+    detail::check_covered_shape(s, model.shape_body.data()[s],
+                                static_cast<GeoType>(model.shape_type.data()[s]));
     ++count;
   }
   return count;
@@ -66,7 +72,7 @@ std::vector<CandidateShape> candidate_shapes(const Model& model, float gap) {
   for (int32_t s = 0; s < model.shape_count(); ++s) {
     if (!has_flag(model.shape_flags.data()[s], ShapeFlags::COLLIDE_PARTICLES)) continue;
     const auto type = static_cast<GeoType>(model.shape_type.data()[s]);
-    check_covered(s, model.shape_body.data()[s], type);
+    detail::check_covered_shape(s, model.shape_body.data()[s], type);
     CandidateShape& shape = shapes.emplace_back();
     shape.index = s;
     shape.type = type;
@@ -131,9 +137,13 @@ CollisionPipeline::CollisionPipeline(std::shared_ptr<const Model> model,
     : model_(std::move(model)), options_(options) {
   constexpr const char* name = "CollisionPipeline";
   require(model_ != nullptr, ErrorKind::Value, name, ": model: expected a model, got null");
+#ifdef NOVAPHY_WITH_DEVICE_COLLISION
+  if (!model_->device().is_cpu()) device_ = std::make_shared<detail::DeviceSoftContacts>(model_);
+#else
   require(model_->device().is_cpu(), ErrorKind::NotImplemented, name,
           ": expected a model on the cpu, got one on ", model_->device().str(),
-          ": collision on other devices is not there yet");
+          "; this build has no collision for other devices (NOVAPHY_WITH_COLLISION_CUDA)");
+#endif
   require(options.broad_phase != BroadPhase::Sap, ErrorKind::NotImplemented, name,
           ": broad_phase: sweep and prune (\"sap\") is not there yet; use \"explicit\" or \"nxn\"");
   require(options.broad_phase == BroadPhase::Explicit || options.broad_phase == BroadPhase::NxN,
@@ -152,7 +162,12 @@ CollisionPipeline::CollisionPipeline(std::shared_ptr<const Model> model,
 }
 
 int32_t CollisionPipeline::soft_contact_pair_count() const {
-  const int64_t pairs = int64_t{model_->particle_count()} * count_candidate_shapes(*model_);
+#ifdef NOVAPHY_WITH_DEVICE_COLLISION
+  const int32_t shapes = device_ ? device_->candidate_count() : count_candidate_shapes(*model_);
+#else
+  const int32_t shapes = count_candidate_shapes(*model_);
+#endif
+  const int64_t pairs = int64_t{model_->particle_count()} * shapes;
   require(pairs <= std::numeric_limits<int32_t>::max(), ErrorKind::Value,
           "CollisionPipeline: expected at most ", std::numeric_limits<int32_t>::max(),
           " candidate pairs, got ", pairs, " (", model_->particle_count(), " particles)");
@@ -183,11 +198,11 @@ void CollisionPipeline::collide(const SimState& state, Contacts& contacts,
           "CollisionPipeline.contacts()");
   const int64_t particles = model_->particle_count();
   require(static_cast<int64_t>(state.particle_q.rows()) == particles &&
-              state.particle_q.device().is_cpu(),
-          ErrorKind::Value, name, ": state.particle_q: expected ", particles, " rows on cpu, got ",
-          state.particle_q.rows(), " rows on ", state.particle_q.device().str());
-  const std::vector<CandidateShape> shapes = candidate_shapes(*model_, gap);
-  const int64_t pairs = particles * static_cast<int64_t>(shapes.size());
+              state.particle_q.device() == model_->device(),
+          ErrorKind::Value, name, ": state.particle_q: expected ", particles, " rows on ",
+          model_->device().str(), ", got ", state.particle_q.rows(), " rows on ",
+          state.particle_q.device().str());
+  const int64_t pairs = soft_contact_pair_count();
   require(pairs == contacts.soft_contact_pair_count(), ErrorKind::Value, name,
           ": contacts: expected ", pairs, " candidate pairs, got ",
           contacts.soft_contact_pair_count(),
@@ -195,6 +210,10 @@ void CollisionPipeline::collide(const SimState& state, Contacts& contacts,
   detail::check_fields(detail::const_fields<ContactFields>(contacts),
                        ContactFields::expected_rows(contacts.counts()), model_->device(),
                        "collide: contacts");
+#ifdef NOVAPHY_WITH_DEVICE_COLLISION
+  if (device_) return device_->collide(state, contacts, gap);
+#endif
+  const std::vector<CandidateShape> shapes = candidate_shapes(*model_, gap);
 
   const Search search = {*model_,
                          shapes,

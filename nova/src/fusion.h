@@ -40,10 +40,14 @@ struct RunPlan {
   std::vector<OpList::Op> ops;
   std::vector<Segment> segments;
 };
-inline constexpr int64_t kMinFusedRows = 2048;
 inline constexpr uint32_t kMaxFusedWords = 192;  // argument words of a launch that can be fused
+// What a segment may be made of.
+struct PlanLimits {
+  int64_t min_rows = 2048;
+  bool multiples = true;  // operations that have several rows for each row of the segment
+};
 RunPlan plan_run(std::span<const OpList::Op> ops, std::span<const uint64_t> words,
-                 std::span<const MemoryAccess> accesses);
+                 std::span<const MemoryAccess> accesses, const PlanLimits& limits = {});
 
 // Runs one segment block by block on the threads. Throws like a launch.
 void run_fused(const novaphy::DeviceContext& context, std::span<const OpList::Op> ops,

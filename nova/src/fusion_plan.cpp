@@ -142,8 +142,8 @@ class Footprint {
 class Planner {
  public:
   Planner(std::span<const OpList::Op> ops, std::span<const uint64_t> words,
-          std::span<const MemoryAccess> accesses)
-      : ops_(ops), words_(words), accesses_(accesses) {
+          std::span<const MemoryAccess> accesses, const PlanLimits& limits)
+      : ops_(ops), words_(words), accesses_(accesses), limits_(limits) {
     order_.resize(ops.size());
     for (uint32_t k = 0; k < ops.size(); ++k) order_[k] = k;
   }
@@ -153,7 +153,7 @@ class Planner {
     for (size_t k = 0; k < order_.size();) {
       Segment segment{static_cast<uint32_t>(k), static_cast<uint32_t>(k + 1)};
       const int64_t n = rows_from(k);
-      if (n >= kMinFusedRows && grow(k, n)) {
+      if (n >= std::max<int64_t>(1, limits_.min_rows) && grow(k, n)) {
         k += before_.size();
         append_plain(made.segments, segment.first, k);
         segment = {static_cast<uint32_t>(k), static_cast<uint32_t>(k + fused_.size()), n,
@@ -189,8 +189,8 @@ class Planner {
     for (size_t end = std::min(order_.size(), k + kLookAhead); k < end; ++k) {
       if (op(k).kind != OpList::Op::Kind::Launch) continue;
       if (n == 0) n = op(k).n;
-      if (n < kMinFusedRows) break;
-      if (op(k).n >= kMinFusedRows && n % op(k).n == 0) n = op(k).n;
+      if (n < limits_.min_rows || !limits_.multiples) break;
+      if (op(k).n >= limits_.min_rows && n % op(k).n == 0) n = op(k).n;
     }
     return n;
   }
@@ -207,7 +207,8 @@ class Planner {
       touched_.push_back({address(o.target), rows, row_bytes, true});
       return true;
     }
-    own_row = o.layout && o.layout->row_local && o.n % n == 0;
+    own_row = o.layout && o.layout->row_local &&
+              (limits_.multiples ? o.n % n == 0 : o.n == n);
     if (!o.layout) {
       const auto known = accesses_.subspan(o.first_access, o.access_count);
       touched_.assign(known.begin(), known.end());
@@ -271,6 +272,7 @@ class Planner {
   std::span<const OpList::Op> ops_;
   std::span<const uint64_t> words_;
   std::span<const MemoryAccess> accesses_;
+  const PlanLimits limits_;
   std::vector<uint32_t> order_;
   Footprint segment_, late_;
   std::vector<uint32_t> before_, fused_, after_;
@@ -280,8 +282,8 @@ class Planner {
 }  // namespace
 
 RunPlan plan_run(std::span<const OpList::Op> ops, std::span<const uint64_t> words,
-                 std::span<const MemoryAccess> accesses) {
-  return Planner(ops, words, accesses).plan();
+                 std::span<const MemoryAccess> accesses, const PlanLimits& limits) {
+  return Planner(ops, words, accesses, limits).plan();
 }
 
 }  // namespace nova::detail

@@ -4,6 +4,7 @@
 #include <bit>
 #include <cstring>
 
+#include "device_graph.h"
 #include "fusion.h"
 #include "novaphy/core/error.h"
 #include "novaphy/core/parallel.h"
@@ -99,7 +100,13 @@ void OpList::launch() const {
       for (const auto& range : ranges) range->mark_written();
     }
   } mark_written{written_};
-  run();
+  if (!ops_.empty() && !context->host_accessible && !device_graph_)
+    device_graph_ = detail::DeviceGraph::make(*context, ops_, words_, accesses_);
+  if (device_graph_) {
+    device_graph_->launch();
+  } else {
+    run();
+  }
   for (const auto& [range, state] : gradients_) grad_info(*range).state = state;
 }
 
@@ -107,7 +114,6 @@ void OpList::run_once() const { run(); }
 
 void OpList::run() const {
   if (ops_.empty()) return;
-  const novaphy_backend_api& api = *context->api;
   if (!plan_) plan_ = std::make_unique<detail::RunPlan>(detail::plan_run(ops_, words_, accesses_));
   novaphy_error error = novaphy::make_error();
   constexpr uint32_t kOpsPerInterruptCheck = 64;
@@ -119,21 +125,8 @@ void OpList::run() const {
     for (uint32_t k = segment.first; k < segment.last; ++k) {
       if (k % kOpsPerInterruptCheck == 0) novaphy::check_interrupt();
       const Op& op = plan_->ops[k];
-      novaphy_status status = NOVAPHY_OK;
-      switch (op.kind) {
-        case Op::Kind::Launch:
-          status = api.launch(context->stream, op.kernel, op.n, words_.data() + op.first_word,
-                              op.word_count, &error);
-          break;
-        case Op::Kind::Copy:
-          status = api.memory_copy(context->stream, NOVAPHY_COPY_DEVICE_TO_DEVICE, op.target,
-                                   op.source, static_cast<uint64_t>(op.n), &error);
-          break;
-        case Op::Kind::Fill:
-          status = api.memory_fill(context->stream, op.target, op.pattern, 4,
-                                   static_cast<uint64_t>(op.n), &error);
-          break;
-      }
+      const novaphy_status status =
+          detail::issue(*context, context->stream, op, words_.data(), error);
       if (status != NOVAPHY_OK) [[unlikely]]
         novaphy::check(status, error, op.name);
     }

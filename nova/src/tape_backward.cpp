@@ -250,7 +250,7 @@ void Tape::Impl::run_steps(const std::shared_ptr<Range>& loss_gradient, const Te
   int64_t largest = 0;
   for (const Step& step : steps)
     if (step.op) largest = std::max(largest, step.op->dim);
-  DeferredScope deferred(largest >= detail::kMinFusedRows);
+  DeferredScope deferred(largest >= detail::PlanLimits{}.min_rows);
   constexpr size_t kStepsPerInterruptCheck = 64, kMaxHeldBytes = size_t{64} << 20;
   for (size_t k = 0; k < steps.size(); ++k) {
     if (k % kStepsPerInterruptCheck == 0) novaphy::check_interrupt();

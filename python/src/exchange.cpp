@@ -182,10 +182,10 @@ py::dict cuda_array_interface(const View& view) {
   report_host_read("__cuda_array_interface__");
   synchronize(view.device());
   const auto address = reinterpret_cast<uintptr_t>(view.range->data());
-  // The protocol's read-only flag is not honoured by all consumers.
+  // Consumers ignore the protocol's read-only flag or refuse memory that carries it.
   view.range->mark_writable_export();
   return py::dict("version"_a = 3, "shape"_a = shape_tuple(view.shape),
-                  "typestr"_a = type_string(view.scalar), "data"_a = py::make_tuple(address, true),
+                  "typestr"_a = type_string(view.scalar), "data"_a = py::make_tuple(address, false),
                   "strides"_a = py::none());
 }
 

@@ -75,7 +75,7 @@ def test_every_environment_variable_is_in_the_table() -> None:
     documented = set(
         re.findall(r"^\| `(NOVA\w+)`", (ROOT / "docs/environment.md").read_text(), re.MULTILINE)
     )
-    assert read == documented
+    assert {name for name in read if name.startswith("NOVA")} == documented
 
 
 def test_every_operator_is_in_the_coverage_table() -> None:

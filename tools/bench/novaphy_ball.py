@@ -135,10 +135,12 @@ class Balls:
         return self.velocity.grad.numpy()
 
 
-def timed(function: Callable[[], None]) -> float:
-    """Wall-clock seconds of one call."""
+def timed(function: Callable[[], None], device: str) -> float:
+    """Wall-clock seconds of one call, until the device has finished."""
+    novaphy.synchronize(device)
     start = time.perf_counter()
     function()
+    novaphy.synchronize(device)
     return time.perf_counter() - start
 
 
@@ -150,9 +152,9 @@ def measure(n: int, mode: str, iterations: int, device: str) -> dict[str, object
     first = time.perf_counter() - start
 
     balls.reset()
-    seconds = [timed(balls.iterate) for _ in range(iterations - 1)]
+    seconds = [timed(balls.iterate, device) for _ in range(iterations - 1)]
     before = balls.velocity.numpy()  # of the last iteration: its gradient is computed again below
-    seconds.append(timed(balls.iterate))
+    seconds.append(timed(balls.iterate, device))
     loss = balls.loss.item()
     digest = hashlib.sha256(balls.last.particle_q.numpy().tobytes())
     digest.update(balls.gradient(before).tobytes())

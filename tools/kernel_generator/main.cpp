@@ -12,52 +12,17 @@
 #include <cstring>
 #include <fstream>
 #include <iostream>
-#include <map>
 #include <sstream>
 #include <stdexcept>
 #include <string>
 #include <vector>
 
-#include "novaphy/diff/engine_kernels.h"
-#include "novaphy/nova/registry.h"
 #include "novaphy/program/emit.h"
+#include "programs.h"
 
 namespace {
 
 namespace ir = nova::ir;
-
-std::vector<ir::Program> engine_programs() {
-  std::vector<nova::EngineKernel> kernels = nova::engine_kernels();
-  for (nova::EngineKernel& k : novaphy::diff::engine_kernels()) kernels.push_back(std::move(k));
-  return nova::programs_of(kernels);
-}
-
-// One Program after the other; each begins with a header that holds its length.
-std::vector<ir::Program> read_programs(const std::string& path) {
-  std::ifstream file(path, std::ios::binary);
-  if (!file) throw std::runtime_error("cannot read " + path);
-  std::stringstream bytes;
-  bytes << file.rdbuf();
-  const std::string text = bytes.str();
-  std::vector<uint32_t> words(text.size() / sizeof(uint32_t));
-  std::memcpy(words.data(), text.data(), words.size() * sizeof(uint32_t));
-  std::map<uint64_t, ir::Program> programs;
-  for (size_t at = 0; at < words.size();) {
-    const size_t count = at + NOVAPHY_PROGRAM_HEADER_WORD_COUNT < words.size()
-                             ? words[at + NOVAPHY_PROGRAM_HEADER_WORD_COUNT]
-                             : 0;
-    ir::Program program;
-    std::string reason = "its length is wrong";
-    if (count == 0 || count > words.size() - at ||
-        !ir::deserialise({words.data() + at, count}, program, reason))
-      throw std::runtime_error(path + ": " + reason);
-    programs.emplace(ir::hash(program), std::move(program));
-    at += count;
-  }
-  std::vector<ir::Program> list;
-  for (auto& [hash, program] : programs) list.push_back(std::move(program));
-  return list;
-}
 
 std::string hex(uint64_t value) {
   char text[24];
@@ -125,7 +90,8 @@ int run(int argc, char** argv) {
     std::cerr << "usage: " << argv[0] << " OUTPUT_FOLDER PARTS [--programs FILE]\n";
     return 2;
   }
-  const std::vector<ir::Program> programs = from_file ? read_programs(argv[4]) : engine_programs();
+  const std::vector<ir::Program> programs =
+      from_file ? generator::read_programs(argv[4]) : generator::engine_programs();
   const auto shares = share_out(programs, static_cast<size_t>(parts));
   for (size_t part = 0; part < shares.size(); ++part)
     write_if_different(std::string(argv[1]) + "/kernels_" + std::to_string(part) + ".c",

@@ -393,6 +393,9 @@ constexpr novaphy_backend_api kApi = {
     nullptr,
     nullptr,
     kernel_info,
+    nullptr,  // no lists: the runtime runs blocks of rows itself
+    nullptr,
+    nullptr,
 };
 
 }  // namespace

@@ -31,11 +31,13 @@ std::string one_line(const std::string& s) {
 
 class Emitter {
  public:
-  explicit Emitter(const Program& program)
+  explicit Emitter(const Program& program, bool device = false)
       : p_(program),
         plan_(make_emit_plan(program)),
-        text_(program, plan_),
-        kept_(find_kept_values(program, plan_)),
+        text_(program, plan_, device),
+        device_(device),
+        // A thread of a GPU has one row and few registers: there it is cheaper to compute again.
+        kept_(device ? std::vector<KeptValues>{} : find_kept_values(program, plan_)),
         declared_(program.instrs.size(), 0),
         done_(program.instrs.size(), 0) {}
 
@@ -53,6 +55,17 @@ class Emitter {
     return std::move(out_);
   }
 
+  std::string run_device(const std::string& function) {
+    head_comment();
+    device_signature(function);
+    loops_and_parameters();
+    before_the_rows();
+    steps();
+    stores();
+    close();
+    return std::move(out_);
+  }
+
  private:
   void line(const std::string& s) { out_.append(2 * at(depth_), ' ').append(s).append("\n"); }
   void close() {
@@ -61,6 +74,29 @@ class Emitter {
   }
 
   void head(const std::string& function) {
+    head_comment();
+    line("// Computes the rows [begin, end) in groups of LANES; returns the first that it left.");
+    line("static int64_t " + function + "(const uint64_t* args, int64_t begin, int64_t end,");
+    line("                  novaphy_error_sink* sink) {");
+    ++depth_;
+  }
+  // How sources and outputs are reached is a type: memory, or the registers of the thread.
+  void device_signature(const std::string& function) {
+    std::string types, values;
+    const auto add = [&](const char* type, const char* value, size_t k) {
+      const std::string number = str(static_cast<int64_t>(k));
+      types += (types.empty() ? "class " : ", class ") + (type + number);
+      values += ", const " + (type + number) + " " + (value + number);
+    };
+    for (size_t s = 0; s < p_.sources.size(); ++s) add("S", "s", s);
+    for (size_t o = 0; o < p_.outputs.size(); ++o) add("O", "o", o);
+    line("// Computes row i.");
+    line("template <" + types + ">");
+    line("LANE_FN void " + function + "(const uint64_t* args" + values + ", const int64_t i,");
+    line("                  const device_sink sink) {");
+    ++depth_;
+  }
+  void head_comment() {
     char hash_text[24];
     std::snprintf(hash_text, sizeof(hash_text), "%016llx",
                   static_cast<unsigned long long>(hash(p_)));
@@ -86,10 +122,6 @@ class Emitter {
                                           str(p_.loop_argument(l) + 1) + "  its items");
     for (int32_t k = 0; k < p_.param_count; ++k)
       argument(p_.param_argument(at(k)), "parameter " + str(k) + extent_note(k));
-    line("// Computes the rows [begin, end) in groups of LANES; returns the first that it left.");
-    line("static int64_t " + function + "(const uint64_t* args, int64_t begin, int64_t end,");
-    line("                  novaphy_error_sink* sink) {");
-    ++depth_;
   }
   std::string extent_note(int32_t parameter) const {
     for (size_t l = 0; l < p_.loops.size(); ++l)
@@ -113,6 +145,22 @@ class Emitter {
     for (size_t o = 0; o < p_.outputs.size(); ++o)
       line("char* const o" + str(static_cast<int64_t>(o)) + " = (char*)args[" +
            str(p_.output_argument(o)) + "];");
+    loops_and_parameters();
+    for (const KeptValues& kept : kept_) {
+      const std::string a = str(kept.loop), b = str(kept.earlier);
+      line("const int same" + a + " = offsets" + a + " == offsets" + b + " && items" + a +
+           " == items" + b + ";");
+    }
+    line("int64_t i = begin, last = end;");
+    // Rows that a source lacks are left to the caller: a launch that runs into them is an error,
+    // unless no lane needs them.
+    for (size_t s = 0; s < p_.sources.size(); ++s)
+      if (own[s]) {
+        const std::string n = "n" + str(static_cast<int64_t>(s));
+        line("if (" + n + " < last) last = " + n + ";");
+      }
+  }
+  void loops_and_parameters() {
     for (size_t l = 0; l < p_.loops.size(); ++l) {
       const std::string k = str(static_cast<int64_t>(l));
       if (p_.loops[l].kind == LoopKind::Csr) {
@@ -137,19 +185,6 @@ class Emitter {
            (is_float ? " = uparam_f(args[" : " = uparam_i(args[") +
            str(p_.param_argument(at(in.a))) + "]);");
     }
-    for (const KeptValues& kept : kept_) {
-      const std::string a = str(kept.loop), b = str(kept.earlier);
-      line("const int same" + a + " = offsets" + a + " == offsets" + b + " && items" + a +
-           " == items" + b + ";");
-    }
-    line("int64_t i = begin, last = end;");
-    // Rows that a source lacks are left to the caller: a launch that runs into them is an error,
-    // unless no lane needs them.
-    for (size_t s = 0; s < p_.sources.size(); ++s)
-      if (own[s]) {
-        const std::string n = "n" + str(static_cast<int64_t>(s));
-        line("if (" + n + " < last) last = " + n + ";");
-      }
   }
 
   void before_the_rows() {
@@ -333,7 +368,8 @@ class Emitter {
     const int32_t width = p_.sources[at(group.source)].width;
     int32_t wanted = 0;
     for (const Value c : group.columns) wanted += c != kNone ? 1 : 0;
-    const std::string s = "s" + str(group.source), n = "n" + str(group.source);
+    const std::string s = "s" + str(group.source) + (device_ && !own ? ".p" : "");
+    const std::string n = device_ ? "s" + str(group.source) + ".rows" : "n" + str(group.source);
     const std::string t = letter(p_.sources[at(group.source)].type);
     const std::string where = ", " + need(v) + ", " + str(group.source) + ", i, sink";
     if (scalar) {
@@ -353,20 +389,23 @@ class Emitter {
         targets += ", &" + name;
       }
       if (!fresh.empty()) line("v" + t + " " + fresh + ";");
-      line(own ? "load" + str(width) + t + "(" + s + " + " + str(4 * width) + " * i" + targets +
-                     ");"
-               : "gather" + str(width) + t + "(" + s + ", " + n + ", &" + rows + where + targets +
-                     ");");
+      line(own && device_ ? "own" + str(width) + t + "(" + s + where + targets + ");"
+           : own ? "load" + str(width) + t + "(" + s + " + " + str(4 * width) + " * i" + targets +
+                       ");"
+                 : "gather" + str(width) + t + "(" + s + ", " + n + ", &" + rows + where + targets +
+                       ");");
       return;
     }
     for (int32_t c = 0; c < width; ++c) {
       const Value d = group.columns[at(c)];
       if (d == kNone) continue;
       line(declaration(d) + " = " +
-           (own ? "load_column" + t + "(" + s + " + " + str(4 * width) + " * i" +
-                      (c == 0 ? "" : " + " + str(4 * c)) + ", " + str(width) + ");"
-                : "gather_column" + t + "(" + s + ", " + n + ", &" + rows + ", " + str(width) +
-                      ", " + str(c) + where + ");"));
+           (own && device_
+                ? "own_column" + t + "(" + s + ", " + str(width) + ", " + str(c) + where + ");"
+            : own ? "load_column" + t + "(" + s + " + " + str(4 * width) + " * i" +
+                        (c == 0 ? "" : " + " + str(4 * c)) + ", " + str(width) + ");"
+                  : "gather_column" + t + "(" + s + ", " + n + ", &" + rows + ", " + str(width) +
+                        ", " + str(c) + where + ");"));
     }
   }
 
@@ -398,8 +437,14 @@ class Emitter {
     for (size_t o = 0; o < p_.outputs.size(); ++o) {
       const Output& output = p_.outputs[o];
       const auto width = static_cast<int32_t>(output.values.size());
-      const std::string to = "o" + str(static_cast<int64_t>(o)) + " + " + str(4 * width) + " * i";
-      const std::string t = letter(output.type);
+      const std::string k = str(static_cast<int64_t>(o)), t = letter(output.type);
+      if (device_) {
+        for (int32_t c = 0; c < width; ++c)
+          line("put_column" + t + "(o" + k + ", " + str(width) + ", " + str(c) + ", i, " +
+               text_.lanes(output.values[at(c)]) + ");");
+        continue;
+      }
+      const std::string to = "o" + k + " + " + str(4 * width) + " * i";
       if (width >= 2 && width <= 4) {
         std::string values;
         for (const Value v : output.values) values += ", " + text_.lanes(v);
@@ -415,6 +460,7 @@ class Emitter {
   const Program& p_;
   const EmitPlan plan_;
   const ValueText text_;
+  const bool device_;
   const std::vector<KeptValues> kept_;
   std::vector<char> declared_, done_;  // per value: before its computation; it too
   std::string out_;
@@ -439,6 +485,10 @@ std::string c_function_name(const Program& program) {
 
 std::string emit_c(const Program& program, const std::string& function) {
   return Emitter(program).run(function.empty() ? c_function_name(program) : function);
+}
+
+std::string emit_device(const Program& program, const std::string& function) {
+  return Emitter(program, true).run_device(function);
 }
 
 }  // namespace nova::ir

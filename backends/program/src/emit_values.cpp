@@ -35,6 +35,12 @@ const char* infix(Op op) {
 // The prelude's function for the others, without its first letter: v for lanes, u for scalars.
 const char* function(Op op) {
   switch (op) {
+    case Op::IADD:
+      return "iadd";
+    case Op::ISUB:
+      return "isub";
+    case Op::IMUL:
+      return "imul";
     case Op::ABS:
       return "abs";
     case Op::SIGN:
@@ -173,7 +179,9 @@ std::string ValueText::expression(Value v) const {
   const Instr& in = p_.instrs[static_cast<size_t>(v)];
   if (in.op == Op::INDEX) return "index_lanes(i)";
   if (in.op == Op::NEG) return "-" + name(in.a);
-  if (const char* sign = infix(in.op)) return name(in.a) + " " + sign + " " + name(in.b);
+  const bool wraps = in.op == Op::IADD || in.op == Op::ISUB || in.op == Op::IMUL;
+  if (const char* sign = infix(in.op); sign != nullptr && !(device_ && wraps))
+    return name(in.a) + " " + sign + " " + name(in.b);
   const bool scalar = uniform(v);
   std::string text = (scalar ? "u" : "v") + std::string(function(in.op)) + "(";
   const char* separator = "";

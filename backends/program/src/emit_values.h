@@ -9,7 +9,9 @@ namespace nova::ir {
 
 class ValueText {
  public:
-  ValueText(const Program& program, const EmitPlan& plan) : p_(program), plan_(plan) {}
+  // `device`: for compilers that have no option which makes integers wrap.
+  ValueText(const Program& program, const EmitPlan& plan, bool device = false)
+      : p_(program), plan_(plan), device_(device) {}
 
   bool uniform(Value v) const { return plan_.uniform[static_cast<size_t>(v)] != 0; }
   Type type(Value v) const { return result_type(p_.instrs[static_cast<size_t>(v)].op); }
@@ -27,6 +29,7 @@ class ValueText {
 
   const Program& p_;
   const EmitPlan& plan_;
+  const bool device_;
 };
 
 }  // namespace nova::ir

@@ -13,6 +13,10 @@
 
 namespace novaphy {
 
+namespace detail {
+class DeviceSoftContacts;
+}
+
 struct CollisionOptions {
   BroadPhase broad_phase = BroadPhase::Explicit;
   // Only 0 until there are rigid bodies: anything else throws ErrorKind::NotImplemented.
@@ -43,8 +47,8 @@ struct CollisionOptions {
 class NOVAPHY_COLLISION_API CollisionPipeline {
  public:
   // ErrorKind::Value: no model, a bad margin, a negative maximum, too many pairs for int32;
-  // ErrorKind::NotImplemented: sweep and prune, rigid contacts, a model that is not on the cpu, a
-  // colliding shape that is not covered.
+  // ErrorKind::NotImplemented: sweep and prune, rigid contacts, a model on a device whose collision
+  // was not built, a colliding shape that is not covered.
   explicit CollisionPipeline(std::shared_ptr<const Model> model,
                              const CollisionOptions& options = {});
 
@@ -70,7 +74,8 @@ class NOVAPHY_COLLISION_API CollisionPipeline {
  private:
   std::shared_ptr<const Model> model_;
   CollisionOptions options_;
-  std::vector<int64_t> chunk_offsets_;  // of collide, kept from call to call
+  std::vector<int64_t> chunk_offsets_;                  // of collide, kept from call to call
+  std::shared_ptr<detail::DeviceSoftContacts> device_;  // of a model that is not on the cpu
 };
 
 }  // namespace novaphy

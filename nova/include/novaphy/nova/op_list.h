@@ -27,6 +27,7 @@ struct MemoryAccess {
   uint32_t row_bytes = 0;
   bool write = false;
 };
+class DeviceGraph;
 }  // namespace detail
 
 class NOVAPHY_NOVA_API OpList {
@@ -86,6 +87,8 @@ class NOVAPHY_NOVA_API OpList {
   std::vector<uint64_t> words_;
   std::vector<detail::MemoryAccess> accesses_;
   mutable std::unique_ptr<detail::RunPlan> plan_;  // made at the first launch
+  // Made at the first launch, on devices that replay graphs.
+  mutable std::unique_ptr<detail::DeviceGraph> device_graph_;
   std::vector<std::shared_ptr<const void>> held_;
   size_t held_bytes_ = 0;
   std::vector<std::shared_ptr<Range>> written_;

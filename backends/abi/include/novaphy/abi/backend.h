@@ -24,7 +24,7 @@ extern "C" {
 #endif
 
 #define NOVAPHY_ABI_MAJOR 0u
-#define NOVAPHY_ABI_MINOR 2u
+#define NOVAPHY_ABI_MINOR 3u
 
 typedef enum novaphy_status {
   NOVAPHY_OK = 0,
@@ -96,10 +96,20 @@ typedef enum novaphy_copy_kind {
 
 typedef enum novaphy_code_format {
   NOVAPHY_CODE_PROGRAM = 0, /* serialised SSA, see program.h; mandatory; one kernel named "main" */
-  NOVAPHY_CODE_SOURCE = 1,  /* freestanding C++ text (optional, see the capability bits) */
+  NOVAPHY_CODE_SOURCE = 1,  /* freestanding C++ text (optional, see the capability bits and below) */
   NOVAPHY_CODE_BINARY = 2,  /* built ahead for this device (optional) */
   NOVAPHY_CODE_BUILTIN = 3  /* data = the builtin's name, see program.h; mandatory */
 } novaphy_code_format;
+
+/* SOURCE modules: C++20 text without includes. A line "// kernel NAME WORDS" names each kernel and its
+ * number of argument words; it is written
+ *   NOVAPHY_KERNEL NAME(const novaphy_arguments<WORDS> args, const int64_t n, const device_sink) {
+ *     const int64_t i = NOVAPHY_ROW;
+ *     if (i >= n) return;
+ *     ... args.word[0] ...
+ *   }
+ * The backend supplies these names, the sized integers of <stdint.h>, and for its own compiler
+ * usqrt, ufma, ufloor, ubits_f and uf_bits, with the rounding that program.h states. */
 
 /* How a kernel runs. */
 typedef struct novaphy_kernel_info {
@@ -109,6 +119,20 @@ typedef struct novaphy_kernel_info {
   int32_t lanes;  /* rows that one vector of the processor holds; 1 where that has no meaning */
   char isa[32];   /* the instruction set, as the backend names it */
 } novaphy_kernel_info;
+
+/* One operation of a list. `kernel` null: a copy of row_bytes per row, or without `source` a fill with the
+ * 32-bit `pattern`. */
+typedef struct novaphy_list_op {
+  uint64_t struct_size;
+  novaphy_kernel* kernel;
+  const uint64_t* arguments;
+  uint32_t argument_count;
+  uint32_t pattern;
+  void* target;
+  const void* source;
+  uint64_t row_bytes;
+} novaphy_list_op;
+typedef struct novaphy_list novaphy_list;
 
 typedef struct novaphy_backend_api {
   uint64_t struct_size;
@@ -177,6 +201,15 @@ typedef struct novaphy_backend_api {
   /* since minor version 2 (optional; a table that ends before it is legal) */
   novaphy_status (*kernel_info)(novaphy_kernel* kernel, novaphy_kernel_info* info,
                                 novaphy_error* error);
+
+  /* since minor version 3 (optional, all three or none): operations over one domain of n rows, of
+   * which each touches memory that the list writes at its own row only, run as one launch. Row i of
+   * all operations may so run before row i + 1 of the first. `ops` is read during the call; the
+   * kernels outlive the list. NOT_SUPPORTED: it would gain nothing here, launch them one by one. */
+  novaphy_status (*list_create)(novaphy_device* device, int64_t n, const novaphy_list_op* ops,
+                                uint32_t count, novaphy_list** list, novaphy_error* error);
+  novaphy_status (*list_launch)(novaphy_list* list, novaphy_stream* stream, novaphy_error* error);
+  void (*list_destroy)(novaphy_list* list);
 } novaphy_backend_api;
 
 /* The one exported symbol. Returns null and fills `error` when the host's major version is not the

@@ -20,6 +20,9 @@ namespace nova::ir {
 
 // `function`: the name of the C function; empty: one made of the Program's name and hash.
 std::string emit_c(const Program& program, const std::string& function = {});
+// The same for a GPU: a C++ function of one row, templated on how each source and output is reached
+// (s0, o0, ...), whose names backends/gpu/src/device_prelude.cuh gives a meaning.
+std::string emit_device(const Program& program, const std::string& function);
 // "step_particles_0123456789abcdef": a legal C name, the same for equal Programs of one name.
 std::string c_function_name(const Program& program);
 

@@ -1,0 +1,27 @@
+// The exported entry of libnovaphy_backend_cuda.so, and what is CUDA's own.
+#include <cstdlib>
+
+#include "backend.h"
+#include "vendor.h"
+
+namespace novaphy::gpu {
+
+const VendorInfo& vendor() {
+  static constexpr VendorInfo kCuda = {
+      "cuda",
+      NOVAPHY_DEVICE_CUDA,
+      "CUDA",
+      "NOVAPHY_CUDA_DRIVER",
+      [] { return static_cast<const char*>(std::getenv("NOVAPHY_CUDA_DRIVER")); },
+      {"libcuda.so.1", "libcuda.so", nullptr, nullptr},
+      12000,
+  };
+  return kCuda;
+}
+
+}  // namespace novaphy::gpu
+
+extern "C" __attribute__((visibility("default"))) const novaphy_backend_api* novaphy_backend_query(
+    uint32_t host_abi_major, const novaphy_host_api* host, novaphy_error* error) {
+  return novaphy::gpu::query(host_abi_major, host, error);
+}

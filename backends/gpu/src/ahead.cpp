@@ -1,0 +1,33 @@
+#include "ahead.h"
+
+#include <algorithm>
+#include <cstring>
+#include <tuple>
+
+namespace novaphy::gpu {
+
+AheadCode find_ahead(const CodeKey& key, int arch) {
+  const AheadData all = ahead_data();
+  if (all.bytes < sizeof(AheadHeader)) return {};
+  AheadHeader header;
+  std::memcpy(&header, all.data, sizeof(header));
+  if (std::memcmp(header.magic, kAheadMagic, sizeof(kAheadMagic)) != 0) return {};
+  const auto* const entries = reinterpret_cast<const AheadEntry*>(all.data + sizeof(header));
+  const auto* const last = entries + header.count;
+  const auto* const first =
+      std::lower_bound(entries, last, key, [](const AheadEntry& entry, const CodeKey& k) {
+        return std::tie(entry.key.a, entry.key.b) < std::tie(k.a, k.b);
+      });
+  const AheadEntry* best = nullptr;
+  for (const AheadEntry* entry = first; entry != last && entry->key == key; ++entry) {
+    if (entry->is_text == 0 && entry->arch == arch) {
+      best = entry;
+      break;
+    }
+    if (entry->is_text != 0 && entry->arch <= arch && (best == nullptr || best->arch < entry->arch))
+      best = entry;
+  }
+  return best != nullptr ? AheadCode{all.data + best->offset, best->bytes} : AheadCode{};
+}
+
+}  // namespace novaphy::gpu

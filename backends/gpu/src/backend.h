@@ -1,0 +1,12 @@
+// The table of a backend of this family, for the vendor's plugin to export.
+#pragma once
+
+#include "novaphy/abi/backend.h"
+
+namespace novaphy::gpu {
+
+// The answer to novaphy_backend_query.
+const novaphy_backend_api* query(uint32_t host_abi_major, const novaphy_host_api* host,
+                                 novaphy_error* error);
+
+}  // namespace novaphy::gpu

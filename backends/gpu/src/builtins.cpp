@@ -1,0 +1,233 @@
+// The host's side of the builtins: their modules, launches and scratch memory. The scratch memory
+// is taken and given back in stream order, so a captured builtin brings its own along.
+#include <algorithm>
+#include <limits>
+#include <map>
+
+#include "module.h"
+
+namespace novaphy::gpu {
+namespace {
+
+struct Functions {
+  Module module = nullptr;
+  Function row_sum = nullptr, scan = nullptr, sort_count = nullptr, sort_place = nullptr,
+           incidence_count = nullptr, incidence_items = nullptr;
+};
+
+// Compiled at the first use on a device and kept as long as the process.
+std::mutex g_mutex;
+std::map<const novaphy_device*, Functions> g_functions;
+
+novaphy_status load_functions(novaphy_device* device, const Functions** result,
+                              novaphy_error* error) {
+  const std::lock_guard lock(g_mutex);
+  Functions& f = g_functions[device];
+  *result = &f;
+  if (f.module != nullptr) return NOVAPHY_OK;
+  const Use use(device);
+  Module module = nullptr;
+  novaphy_status status =
+      load_code(device, builtins_source(), "builtins", Dialect::Program, &module, error);
+  if (status != NOVAPHY_OK) return status;
+  const std::pair<Function*, const char*> entries[] = {{&f.row_sum, "row_sum_f32"},
+                                                       {&f.scan, "exclusive_scan_i32"},
+                                                       {&f.sort_count, "sort_count"},
+                                                       {&f.sort_place, "sort_place"},
+                                                       {&f.incidence_count, "incidence_count"},
+                                                       {&f.incidence_items, "incidence_items"}};
+  for (const auto& [function, name] : entries) {
+    status = check(device, driver().module_function(function, module, name), name, error);
+    if (status != NOVAPHY_OK) {
+      driver().module_unload(module);
+      return status;
+    }
+  }
+  f.module = module;
+  return NOVAPHY_OK;
+}
+
+// Of a kernel that exists: loaded already.
+const Functions& functions_of(const novaphy_device* device) {
+  const std::lock_guard lock(g_mutex);
+  return g_functions.find(device)->second;
+}
+
+class Scratch {
+ public:
+  explicit Scratch(novaphy_stream* stream) : stream_(stream) {}
+  ~Scratch() {
+    if (memory_ != 0) driver().free_async(memory_, stream_->stream);
+  }
+  Scratch(const Scratch&) = delete;
+  Scratch& operator=(const Scratch&) = delete;
+  novaphy_status allocate(uint64_t words, const char* what, novaphy_error* error) {
+    return check(stream_->device,
+                 driver().alloc_async(&memory_, std::max<uint64_t>(words, 1) * 4, stream_->stream),
+                 what, error);
+  }
+  DevicePointer words(uint64_t first) const { return memory_ + 4 * first; }
+
+ private:
+  novaphy_stream* stream_;
+  DevicePointer memory_ = 0;
+};
+
+struct RowSumArguments {
+  uint64_t source, offsets, items, init, out;
+  int64_t width, stride, n;
+};
+
+novaphy_status row_sum(novaphy_stream* stream, const novaphy_kernel& kernel, int64_t n,
+                       const uint64_t* a, novaphy_error* error) {
+  RowSumArguments arguments = {
+      a[0], a[1], a[2], a[3], a[4], static_cast<int64_t>(a[5]), static_cast<int64_t>(a[6]), n};
+  if (arguments.width < 1)
+    return fail(error, NOVAPHY_INVALID_ARGUMENT,
+                "row_sum_f32: width: expected at least 1, got %lld",
+                static_cast<long long>(arguments.width));
+  if (arguments.offsets == 0 && arguments.stride < 0)
+    return fail(error, NOVAPHY_INVALID_ARGUMENT,
+                "row_sum_f32: stride: expected at least 0, got %lld",
+                static_cast<long long>(arguments.stride));
+  void* pointers[] = {&arguments};
+  constexpr int64_t kRows = NOVAPHY_ROW_SUM_CHUNK;
+  return launch_function(stream, kernel.function, (n + kRows - 1) / kRows, kRows, pointers,
+                         "row_sum_f32", error);
+}
+
+novaphy_status scan(novaphy_stream* stream, Function function, uint64_t in, uint64_t out, int64_t n,
+                    novaphy_error* error) {
+  void* pointers[] = {&in, &out, &n};
+  return launch_function(stream, function, 1, 1024, pointers, "exclusive_scan_i32", error);
+}
+
+novaphy_status exclusive_scan(novaphy_stream* stream, const novaphy_kernel& kernel, int64_t n,
+                              const uint64_t* a, novaphy_error* error) {
+  return scan(stream, kernel.function, a[0], a[1], n, error);
+}
+
+struct SortArguments {
+  uint64_t keys, from, to, counts;
+  int64_t n, per_thread;
+  int32_t threads, shift;
+};
+constexpr int64_t kMaxSortThreads = 16384, kSortBlock = 64, kDigits = 16;
+int64_t sort_threads(int64_t n) { return std::clamp<int64_t>((n + 15) / 16, 1, kMaxSortThreads); }
+
+// Sorts the numbers 0 .. n-1 by their keys, by the digits at `shifts`. The result is at `a` or at
+// `b`.
+novaphy_status sort(novaphy_stream* stream, const Functions& f, uint64_t keys, int64_t n,
+                    const std::vector<int32_t>& shifts, uint64_t a, uint64_t b, uint64_t counts,
+                    uint64_t* result, novaphy_error* error) {
+  const int64_t threads = sort_threads(n);
+  SortArguments arguments = {
+      keys, 0, 0, counts, n, (n + threads - 1) / threads, static_cast<int32_t>(threads), 0};
+  void* pointers[] = {&arguments};
+  const int64_t blocks = (threads + kSortBlock - 1) / kSortBlock;
+  uint64_t target = a, other = b;
+  for (const int32_t shift : shifts) {
+    arguments.shift = shift;
+    arguments.to = target;
+    novaphy_status status = launch_function(stream, f.sort_count, blocks, kSortBlock, pointers,
+                                            "sort_by_key_i32", error);
+    if (status == NOVAPHY_OK)
+      status = scan(stream, f.scan, counts, counts, threads * kDigits, error);
+    if (status == NOVAPHY_OK)
+      status = launch_function(stream, f.sort_place, blocks, kSortBlock, pointers,
+                               "sort_by_key_i32", error);
+    if (status != NOVAPHY_OK) return status;
+    arguments.from = target;
+    std::swap(target, other);
+  }
+  *result = other;
+  return NOVAPHY_OK;
+}
+
+novaphy_status sort_by_key(novaphy_stream* stream, const novaphy_kernel&, int64_t n,
+                           const uint64_t* a, novaphy_error* error) {
+  Scratch scratch(stream);
+  const auto count = static_cast<uint64_t>(n);
+  const novaphy_status status = scratch.allocate(
+      count + static_cast<uint64_t>(sort_threads(n) * kDigits), "sort_by_key_i32", error);
+  if (status != NOVAPHY_OK) return status;
+  // Eight passes: the last one writes the second of the two.
+  uint64_t result = 0;
+  return sort(stream, functions_of(stream->device), a[0], n, {0, 4, 8, 12, 16, 20, 24, 28},
+              scratch.words(0), a[1], scratch.words(count), &result, error);
+}
+
+novaphy_status incidence(novaphy_stream* stream, const novaphy_kernel& kernel, int64_t n,
+                         const uint64_t* a, novaphy_error* error) {
+  uint64_t table = a[0], offsets = a[2], items = a[3];
+  auto slots = static_cast<int64_t>(a[1]);
+  if (slots < 0 || slots > std::numeric_limits<int32_t>::max())
+    return fail(error, NOVAPHY_INVALID_ARGUMENT,
+                "incidence_i32: slots: expected 0 to 2^31 - 1, got %lld",
+                static_cast<long long>(slots));
+  const Functions& f = functions_of(stream->device);
+  const Driver& d = driver();
+  novaphy_status status =
+      check(stream->device, d.fill_32(offsets, 0, static_cast<size_t>(n) + 1, stream->stream),
+            "incidence_i32", error);
+  if (status != NOVAPHY_OK || slots == 0) return status;
+  SinkArgument sink = sink_of(stream->device, kernel.number);
+  const int64_t blocks = (slots + kBlock - 1) / kBlock;
+  void* count_pointers[] = {&table, &slots, &offsets, &n, &sink};
+  status = launch_function(stream, f.incidence_count, blocks, kBlock, count_pointers,
+                           "incidence_i32", error);
+  if (status == NOVAPHY_OK) status = scan(stream, f.scan, offsets, offsets, n + 1, error);
+  if (status != NOVAPHY_OK) return status;
+  Scratch scratch(stream);
+  const auto words = static_cast<uint64_t>(slots);
+  status = scratch.allocate(2 * words + static_cast<uint64_t>(sort_threads(slots) * kDigits),
+                            "incidence_i32", error);
+  if (status != NOVAPHY_OK) return status;
+  // The digits that rows below n differ in, and the one that sets negative entries apart.
+  std::vector<int32_t> shifts;
+  for (int32_t shift = 0; shift < 28 && (shift == 0 || (n - 1) >> shift != 0); shift += 4)
+    shifts.push_back(shift);
+  shifts.push_back(28);
+  uint64_t order = 0;
+  status = sort(stream, f, table, slots, shifts, scratch.words(0), scratch.words(words),
+                scratch.words(2 * words), &order, error);
+  if (status != NOVAPHY_OK) return status;
+  void* item_pointers[] = {&order, &slots, &offsets, &items, &n};
+  return launch_function(stream, f.incidence_items, blocks, kBlock, item_pointers, "incidence_i32",
+                         error);
+}
+
+}  // namespace
+
+novaphy_status make_builtin(novaphy_device* device, std::string_view name, novaphy_kernel& kernel,
+                            novaphy_error* error) {
+  struct Builtin {
+    const char* name;
+    uint32_t arguments;
+    novaphy_status (*run)(novaphy_stream*, const novaphy_kernel&, int64_t, const uint64_t*,
+                          novaphy_error*);
+    Function Functions::*function;
+  };
+  static constexpr Builtin kBuiltins[] = {
+      {"row_sum_f32", 7, row_sum, &Functions::row_sum},
+      {"exclusive_scan_i32", 2, exclusive_scan, &Functions::scan},
+      {"sort_by_key_i32", 2, sort_by_key, &Functions::sort_count},
+      {"incidence_i32", 4, incidence, &Functions::incidence_count},
+  };
+  for (const Builtin& builtin : kBuiltins) {
+    if (name != builtin.name) continue;
+    const Functions* f = nullptr;
+    const novaphy_status status = load_functions(device, &f, error);
+    if (status != NOVAPHY_OK) return status;
+    kernel.function = f->*builtin.function;
+    kernel.run = builtin.run;
+    kernel.argument_count = builtin.arguments;
+    kernel.name = builtin.name;
+    kernel.number = remember_kernel(device, {builtin.name, {}});
+    return NOVAPHY_OK;
+  }
+  return fail(error, NOVAPHY_INVALID_ARGUMENT, "unknown builtin '%.*s'",
+              static_cast<int>(std::min<size_t>(name.size(), 64)), name.data());
+}
+
+}  // namespace novaphy::gpu

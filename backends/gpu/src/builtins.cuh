@@ -1,0 +1,195 @@
+// The builtins of <novaphy/abi/program.h>. Compiled behind device_prelude.cuh.
+#define BUILTIN extern "C" __global__ void
+
+// The sum of the rows of one column, from +0, by the rule for long rows: chunks of kChunk, each
+// folded from +0, and their sums by the same rule. One block works on it; the result is thread 0's.
+#define kChunk 256
+struct row_sum_arguments {
+  const float* source;
+  const int32_t* offsets;
+  const int32_t* items;
+  const float* init;
+  float* out;
+  int64_t width, stride, n;
+};
+LANE_FN float fold_items(const row_sum_arguments a, int64_t begin, int64_t end, int64_t column,
+                         float sum) {
+  if (a.items != 0) {
+    for (int64_t k = begin; k < end; ++k) sum += a.source[a.items[k] * a.width + column];
+  } else {
+    for (int64_t k = begin; k < end; ++k) sum += a.source[k * a.width + column];
+  }
+  return sum;
+}
+LANE_FN float fold_shared(const float* values, int32_t count) {
+  float sum = 0.0f;
+  for (int32_t k = 0; k < count; ++k) sum += values[k];
+  return sum;
+}
+static __device__ float fold_long(const row_sum_arguments a, int64_t begin, int64_t end,
+                                  int64_t column, float (*level)[kChunk]) {
+  const int64_t chunks = (end - begin + kChunk - 1) / kChunk;
+  const int64_t groups = (chunks + kChunk - 1) / kChunk;
+  const bool deep = groups > kChunk;
+  int32_t seconds = 0, thirds = 0;
+  for (int64_t g = 0; g < groups; ++g) {
+    const int64_t chunk = g * kChunk + threadIdx.x;
+    if (chunk < chunks) {
+      const int64_t from = begin + chunk * kChunk;
+      const int64_t to = from + kChunk < end ? from + kChunk : end;
+      level[0][threadIdx.x] = fold_items(a, from, to, column, 0.0f);
+    }
+    __syncthreads();
+    if (threadIdx.x == 0) {
+      const int64_t left = chunks - g * kChunk;
+      level[1][seconds++] = fold_shared(level[0], left < kChunk ? (int32_t)left : kChunk);
+      if (deep && (seconds == kChunk || g + 1 == groups)) {
+        level[2][thirds++] = fold_shared(level[1], seconds);
+        seconds = 0;
+      }
+    }
+    __syncthreads();
+  }
+  if (groups == 1) return level[1][0];
+  return deep ? fold_shared(level[2], thirds) : fold_shared(level[1], seconds);
+}
+BUILTIN __launch_bounds__(kChunk) row_sum_f32(const row_sum_arguments a) {
+  __shared__ float level[3][kChunk];
+  __shared__ int32_t long_rows[kChunk];
+  __shared__ int32_t long_count;
+  if (threadIdx.x == 0) long_count = 0;
+  __syncthreads();
+  const int64_t row = (int64_t)blockIdx.x * kChunk + threadIdx.x;
+  if (row < a.n) {
+    const int64_t begin = a.offsets != 0 ? a.offsets[row] : row * a.stride;
+    const int64_t end = a.offsets != 0 ? a.offsets[row + 1] : begin + a.stride;
+    if (end - begin <= kChunk) {
+      for (int64_t c = 0; c < a.width; ++c) {
+        const float start = a.init != 0 ? a.init[row * a.width + c] : 0.0f;
+        a.out[row * a.width + c] = fold_items(a, begin, end, c, start);
+      }
+    } else {
+      long_rows[atomicAdd(&long_count, 1)] = (int32_t)threadIdx.x;  // in any order
+    }
+  }
+  __syncthreads();
+  for (int32_t k = 0; k < long_count; ++k) {
+    const int64_t r = (int64_t)blockIdx.x * kChunk + long_rows[k];
+    const int64_t begin = a.offsets != 0 ? a.offsets[r] : r * a.stride;
+    const int64_t end = a.offsets != 0 ? a.offsets[r + 1] : begin + a.stride;
+    for (int64_t c = 0; c < a.width; ++c) {
+      const float total = fold_long(a, begin, end, c, level);
+      if (threadIdx.x == 0) {
+        const float start = a.init != 0 ? a.init[r * a.width + c] : 0.0f;
+        a.out[r * a.width + c] = start + total;
+      }
+      __syncthreads();
+    }
+  }
+}
+
+// One block; a thread takes kScanItems neighbours at a time. Integers wrap, so the order of
+// additions does not matter.
+#define kScanThreads 1024
+#define kScanItems 4
+BUILTIN __launch_bounds__(kScanThreads) exclusive_scan_i32(const uint32_t* in, uint32_t* out,
+                                                           const int64_t n) {
+  __shared__ uint32_t warps[32];
+  __shared__ uint32_t carry;
+  if (threadIdx.x == 0) carry = 0;
+  __syncthreads();
+  const uint32_t lane = threadIdx.x & 31, warp = threadIdx.x >> 5;
+  for (int64_t base = 0; base < n; base += kScanThreads * kScanItems) {
+    const int64_t first = base + (int64_t)threadIdx.x * kScanItems;
+    uint32_t value[kScanItems], mine = 0;
+    for (int k = 0; k < kScanItems; ++k) {
+      value[k] = first + k < n ? in[first + k] : 0u;
+      mine += value[k];
+    }
+    uint32_t sum = mine;  // of the threads of the warp up to this one
+    for (int step = 1; step < 32; step *= 2) {
+      const uint32_t other = __shfl_up_sync(0xffffffffu, sum, step);
+      if (lane >= (uint32_t)step) sum += other;
+    }
+    if (lane == 31) warps[warp] = sum;
+    __syncthreads();
+    if (warp == 0) {
+      uint32_t all = warps[lane];
+      for (int step = 1; step < 32; step *= 2) {
+        const uint32_t other = __shfl_up_sync(0xffffffffu, all, step);
+        if (lane >= (uint32_t)step) all += other;
+      }
+      warps[lane] = all;
+    }
+    __syncthreads();
+    uint32_t before = carry + sum - mine + (warp == 0 ? 0u : warps[warp - 1]);
+    for (int k = 0; k < kScanItems; ++k) {
+      if (first + k < n) out[first + k] = before;
+      before += value[k];
+    }
+    __syncthreads();
+    if (threadIdx.x == 0) carry += warps[31];
+    __syncthreads();
+  }
+}
+
+// One pass of a stable radix sort: every thread counts, and later places, a contiguous piece of the
+// items in their order. counts is digit-major, so that a scan of it gives the places.
+#define kDigits 16
+#define kSortThreads 64
+struct sort_arguments {
+  const int32_t* keys;
+  const int32_t* from;  // null: 0, 1, 2, ...
+  int32_t* to;
+  uint32_t* counts;
+  int64_t n, per_thread;
+  int32_t threads, shift;
+};
+LANE_FN uint32_t digit_of(const sort_arguments a, int32_t item) {
+  return (((uint32_t)a.keys[item] ^ 0x80000000u) >> a.shift) & (kDigits - 1);
+}
+BUILTIN __launch_bounds__(kSortThreads) sort_count(const sort_arguments a) {
+  __shared__ uint32_t count[kDigits][kSortThreads];
+  const int32_t t = (int32_t)(blockIdx.x * kSortThreads + threadIdx.x);
+  if (t >= a.threads) return;
+  for (int d = 0; d < kDigits; ++d) count[d][threadIdx.x] = 0;
+  const int64_t begin = t * a.per_thread;
+  const int64_t end = begin + a.per_thread < a.n ? begin + a.per_thread : a.n;
+  for (int64_t k = begin; k < end; ++k)
+    ++count[digit_of(a, a.from != 0 ? a.from[k] : (int32_t)k)][threadIdx.x];
+  for (int d = 0; d < kDigits; ++d) a.counts[(int64_t)d * a.threads + t] = count[d][threadIdx.x];
+}
+BUILTIN __launch_bounds__(kSortThreads) sort_place(const sort_arguments a) {
+  __shared__ uint32_t next[kDigits][kSortThreads];
+  const int32_t t = (int32_t)(blockIdx.x * kSortThreads + threadIdx.x);
+  if (t >= a.threads) return;
+  for (int d = 0; d < kDigits; ++d) next[d][threadIdx.x] = a.counts[(int64_t)d * a.threads + t];
+  const int64_t begin = t * a.per_thread;
+  const int64_t end = begin + a.per_thread < a.n ? begin + a.per_thread : a.n;
+  for (int64_t k = begin; k < end; ++k) {
+    const int32_t item = a.from != 0 ? a.from[k] : (int32_t)k;
+    a.to[next[digit_of(a, item)][threadIdx.x]++] = item;
+  }
+}
+
+// The inverse of an index table: how often each row occurs, and after a scan of that and a sort of
+// the slots by row (those of no row come first) the slots of every row.
+BUILTIN __launch_bounds__(128) incidence_count(const int32_t* table, const int64_t slots,
+                                               int32_t* offsets, const int64_t n,
+                                               const device_sink sink) {
+  const int64_t s = (int64_t)blockIdx.x * blockDim.x + threadIdx.x;
+  if (s >= slots) return;
+  const int32_t row = table[s];
+  if (row >= n) {
+    report_row(sink, s, -1, row, n);
+  } else if (row >= 0) {
+    atomicAdd(offsets + row, 1);
+  }
+}
+BUILTIN __launch_bounds__(128) incidence_items(const int32_t* order, const int64_t slots,
+                                               const int32_t* offsets, int32_t* items,
+                                               const int64_t n) {
+  const int64_t k = (int64_t)blockIdx.x * blockDim.x + threadIdx.x;
+  const int64_t total = offsets[n];
+  if (k < total) items[k] = order[slots - total + k];
+}

@@ -1,0 +1,180 @@
+// The objects behind the opaque handles of <novaphy/abi/backend.h>, and how errors of the driver
+// become those of the ABI.
+#pragma once
+
+#include <atomic>
+#include <cstdint>
+#include <memory>
+#include <mutex>
+#include <string>
+#include <unordered_map>
+#include <vector>
+
+#include "driver.h"
+#include "novaphy/abi/backend.h"
+
+namespace novaphy::gpu {
+
+// device_error of device_prelude.cuh: what a failing read leaves.
+struct ErrorRecord {
+  int64_t index;  // INT64_MAX: none
+  int64_t row;
+  int64_t rows;
+  uint32_t kernel;
+  int32_t source;
+  uint32_t lock;
+  uint32_t unused;
+};
+static_assert(sizeof(ErrorRecord) == 40);
+// device_sink: the last argument of every kernel.
+struct SinkArgument {
+  DevicePointer record;
+  DevicePointer flag;
+  uint32_t kernel;
+  uint32_t unused;
+};
+static_assert(sizeof(SinkArgument) == 24);
+
+// What the message about a failing read says; kept for as long as the kernel lives.
+struct KernelNames {
+  std::string name;
+  std::vector<std::string> sources;
+};
+
+novaphy_status fail(novaphy_error* error, novaphy_status status, const char* format, ...)
+    __attribute__((format(printf, 3, 4)));
+// No exception may cross the C boundary.
+template <class Body>
+novaphy_status guarded(novaphy_error* error, Body&& body) noexcept;
+
+const novaphy_host_api* host();
+
+}  // namespace novaphy::gpu
+
+struct novaphy_device {
+  int32_t ordinal = 0;
+  novaphy::gpu::DeviceId id = 0;
+  novaphy::gpu::Context context = nullptr;
+  int32_t arch = 0;  // 90 for compute capability 9.0
+  int32_t units = 0;
+  uint64_t total_memory = 0;
+  // Failing reads.
+  novaphy::gpu::DevicePointer record = 0, flag_on_device = 0;
+  volatile uint32_t* flag = nullptr;
+  std::atomic<bool> lost{false};
+  std::mutex mutex;  // guards what follows
+  std::string lost_reason;
+  uint32_t next_kernel = 1;
+  std::unordered_map<uint32_t, novaphy::gpu::KernelNames> kernels;
+};
+struct novaphy_stream {
+  novaphy_device* device;
+  novaphy::gpu::Stream stream;
+  bool capturing = false;
+  novaphy::gpu::Stream before_capture = nullptr;  // while capturing: where its work goes otherwise
+};
+struct novaphy_event {
+  novaphy_device* device;
+  novaphy::gpu::Event event;
+  bool recorded = false;
+};
+struct novaphy_graph {
+  novaphy_device* device;
+  novaphy::gpu::GraphExec exec;
+};
+
+namespace novaphy::gpu {
+
+// Makes the device's context current for a scope, and gives the caller's back.
+class Use {
+ public:
+  explicit Use(const novaphy_device* device) {
+    driver().context_get(&before_);
+    if (before_ != device->context) driver().context_set(device->context);
+    restore_ = before_ != nullptr && before_ != device->context;
+  }
+  ~Use() {
+    if (restore_) driver().context_set(before_);
+  }
+  Use(const Use&) = delete;
+  Use& operator=(const Use&) = delete;
+
+ private:
+  Context before_ = nullptr;
+  bool restore_ = false;
+};
+
+// OK, or the status and message of a failed call of the driver. An error after which the device's
+// context is unusable marks the device as lost: from then on every call says so.
+novaphy_status check(novaphy_device* device, Result result, const char* what, novaphy_error* error);
+novaphy_status check_lost(novaphy_device* device, const char* what, novaphy_error* error);
+// After the host has waited for a stream: whether a kernel read past the end of a source.
+novaphy_status check_reads(novaphy_device* device, novaphy_stream* stream, novaphy_error* error);
+// A number for the kernel, by which a failing read names it.
+uint32_t remember_kernel(novaphy_device* device, KernelNames names);
+void forget_kernel(novaphy_device* device, uint32_t kernel);
+inline SinkArgument sink_of(const novaphy_device* device, uint32_t kernel) {
+  return {device->record, device->flag_on_device, kernel, 0};
+}
+
+// The functions of the ABI's table, by file.
+novaphy_status device_count(int32_t* count, novaphy_error* error);
+novaphy_status device_info(int32_t ordinal, novaphy_device_info* info, novaphy_error* error);
+novaphy_status device_open(int32_t ordinal, novaphy_device** device, novaphy_error* error);
+void device_close(novaphy_device* device);
+
+novaphy_status memory_alloc(novaphy_device* device, int32_t kind, uint64_t bytes, void** pointer,
+                            novaphy_error* error);
+void memory_free(novaphy_device* device, int32_t kind, void* pointer);
+novaphy_status memory_copy(novaphy_stream* stream, int32_t kind, void* target, const void* source,
+                           uint64_t bytes, novaphy_error* error);
+novaphy_status memory_fill(novaphy_stream* stream, void* target, uint64_t pattern,
+                           uint32_t pattern_bytes, uint64_t bytes, novaphy_error* error);
+
+novaphy_status stream_create(novaphy_device* device, novaphy_stream** stream, novaphy_error* error);
+void stream_destroy(novaphy_stream* stream);
+novaphy_status stream_synchronize(novaphy_stream* stream, novaphy_error* error);
+novaphy_status stream_wait(novaphy_stream* stream, novaphy_event* event, novaphy_error* error);
+novaphy_status event_create(novaphy_device* device, novaphy_event** event, novaphy_error* error);
+void event_destroy(novaphy_event* event);
+novaphy_status event_record(novaphy_event* event, novaphy_stream* stream, novaphy_error* error);
+novaphy_status event_synchronize(novaphy_event* event, novaphy_error* error);
+novaphy_status event_elapsed(novaphy_event* start, novaphy_event* stop, double* seconds,
+                             novaphy_error* error);
+
+novaphy_status module_create(novaphy_device* device, int32_t format, const void* data,
+                             uint64_t bytes, novaphy_module** module, novaphy_error* error);
+void module_destroy(novaphy_module* module);
+novaphy_status kernel_get(novaphy_module* module, const char* name, novaphy_kernel** kernel,
+                          novaphy_error* error);
+novaphy_status launch(novaphy_stream* stream, novaphy_kernel* kernel, int64_t n,
+                      const uint64_t* arguments, uint32_t argument_count, novaphy_error* error);
+novaphy_status kernel_info(novaphy_kernel* kernel, novaphy_kernel_info* info, novaphy_error* error);
+
+novaphy_status list_create(novaphy_device* device, int64_t n, const novaphy_list_op* ops,
+                           uint32_t count, novaphy_list** list, novaphy_error* error);
+novaphy_status list_launch(novaphy_list* list, novaphy_stream* stream, novaphy_error* error);
+void list_destroy(novaphy_list* list);
+
+novaphy_status capture_begin(novaphy_stream* stream, novaphy_error* error);
+novaphy_status capture_end(novaphy_stream* stream, novaphy_graph** graph, novaphy_error* error);
+novaphy_status graph_launch(novaphy_graph* graph, novaphy_stream* stream, novaphy_error* error);
+void graph_destroy(novaphy_graph* graph);
+
+}  // namespace novaphy::gpu
+
+#include <exception>
+#include <new>
+
+template <class Body>
+novaphy_status novaphy::gpu::guarded(novaphy_error* error, Body&& body) noexcept {
+  try {
+    return body();
+  } catch (const std::bad_alloc&) {
+    return fail(error, NOVAPHY_OUT_OF_MEMORY, "out of host memory");
+  } catch (const std::exception& exception) {
+    return fail(error, NOVAPHY_INTERNAL, "%s", exception.what());
+  } catch (...) {
+    return fail(error, NOVAPHY_INTERNAL, "unknown exception");
+  }
+}

@@ -1,0 +1,287 @@
+// The prelude of device code: what the names in emitted text mean for the one row of a thread (see
+// <novaphy/program/emit.h>). Needs no header; the arithmetic is that of backends/cpu/src/lanes.h,
+// to the bit. Compiled without contraction, without flush to zero, and with correctly rounded
+// division and square root.
+typedef signed char int8_t;
+typedef unsigned char uint8_t;
+typedef int int32_t;
+typedef unsigned int uint32_t;
+typedef long long int64_t;
+typedef unsigned long long uint64_t;
+#define INT32_MAX 2147483647
+#define INT32_MIN (-2147483647 - 1)
+
+#define LANE_FN static __device__ __forceinline__
+#define COLD_FN static __device__ __noinline__
+
+// What a failing read leaves for the host; the layout is that of ErrorRecord in device.h. The first
+// kernel that fails keeps the record; of its rows the smallest wins, whatever the timing.
+struct device_error {
+  int64_t index;  // INT64_MAX: none
+  int64_t row;
+  int64_t rows;
+  uint32_t kernel;
+  int32_t source;
+  uint32_t lock;
+  uint32_t unused;
+};
+struct device_sink {
+  device_error* record;  // device memory
+  uint32_t* flag;        // host memory: 1 once there is a record
+  uint32_t kernel;
+};
+COLD_FN void report_row(const device_sink sink, int64_t index, int32_t source, int64_t row,
+                        int64_t rows) {
+  volatile device_error* const e = sink.record;
+  if (index >= e->index) return;  // spares the lock; asked again below
+  bool done = false;
+  while (!done) {
+    if (atomicExch(&sink.record->lock, 1u) != 0u) continue;
+    __threadfence();
+    if (index < e->index && (e->index == 0x7fffffffffffffffLL || e->kernel == sink.kernel)) {
+      e->index = index;
+      e->row = row;
+      e->rows = rows;
+      e->kernel = sink.kernel;
+      e->source = source;
+      *(volatile uint32_t*)sink.flag = 1u;
+      __threadfence_system();
+    }
+    __threadfence();
+    atomicExch(&sink.record->lock, 0u);
+    done = true;
+  }
+}
+
+// Scalars.
+LANE_FN float ubits_f(int32_t a) { return __int_as_float(a); }
+LANE_FN int32_t uf_bits(float a) { return __float_as_int(a); }
+LANE_FN int32_t uparam_i(uint64_t word) { return (int32_t)(uint32_t)word; }
+LANE_FN float uparam_f(uint64_t word) { return ubits_f(uparam_i(word)); }
+LANE_FN float uabs(float a) { return ubits_f(uf_bits(a) & 0x7fffffff); }
+LANE_FN float usign(float a) { return a < 0.0f ? -1.0f : 1.0f; }
+LANE_FN float umin(float a, float b) { return a <= b ? a : b; }
+LANE_FN float umax(float a, float b) { return a >= b ? a : b; }
+LANE_FN float usqrt(float a) { return __fsqrt_rn(a); }
+LANE_FN float ufma(float a, float b, float c) { return __fmaf_rn(a, b, c); }
+LANE_FN float ufloor(float a) { return floorf(a); }
+LANE_FN int32_t uf_to_i(float a) {
+  const bool fits = a >= -2147483648.0f && a < 2147483648.0f;
+  const int32_t outside = a > 0.0f ? INT32_MAX : a < 0.0f ? INT32_MIN : 0;
+  return fits ? __float2int_rz(a) : outside;
+}
+LANE_FN float ui_to_f(int32_t a) { return __int2float_rn(a); }
+LANE_FN int32_t uiadd(int32_t a, int32_t b) { return (int32_t)((uint32_t)a + (uint32_t)b); }
+LANE_FN int32_t uisub(int32_t a, int32_t b) { return (int32_t)((uint32_t)a - (uint32_t)b); }
+LANE_FN int32_t uimul(int32_t a, int32_t b) { return (int32_t)((uint32_t)a * (uint32_t)b); }
+LANE_FN int32_t uidiv(int32_t a, int32_t b) {
+  if (b == 0) return 0;
+  if (b == -1) return (int32_t)(0u - (uint32_t)a);
+  return a / b;
+}
+LANE_FN int32_t uimod(int32_t a, int32_t b) { return b == 0 || b == -1 ? 0 : a % b; }
+LANE_FN int32_t uimin(int32_t a, int32_t b) { return a <= b ? a : b; }
+LANE_FN int32_t uimax(int32_t a, int32_t b) { return a >= b ? a : b; }
+LANE_FN int32_t uishl(int32_t a, int32_t b) { return (int32_t)((uint32_t)a << (b & 31)); }
+LANE_FN int32_t uishr(int32_t a, int32_t b) { return a >> (b & 31); }
+LANE_FN int32_t uiushr(int32_t a, int32_t b) { return (int32_t)((uint32_t)a >> (b & 31)); }
+LANE_FN int ult(float a, float b) { return a < b; }
+LANE_FN int ule(float a, float b) { return a <= b; }
+LANE_FN int ueq(float a, float b) { return a == b; }
+LANE_FN int une(float a, float b) { return a != b; }
+LANE_FN int uilt(int32_t a, int32_t b) { return a < b; }
+LANE_FN int uile(int32_t a, int32_t b) { return a <= b; }
+LANE_FN int uieq(int32_t a, int32_t b) { return a == b; }
+LANE_FN int uine(int32_t a, int32_t b) { return a != b; }
+LANE_FN int uand(int a, int b) { return a & b; }
+LANE_FN int uor(int a, int b) { return a | b; }
+LANE_FN int unot(int a) { return !a; }
+LANE_FN float uselectf(int c, float a, float b) { return c ? a : b; }
+LANE_FN int32_t uselecti(int c, int32_t a, int32_t b) { return c ? a : b; }
+LANE_FN int uselectb(int c, int a, int b) { return c ? a : b; }
+
+// One lane: the scalars themselves.
+typedef float vf;
+typedef int32_t vi;
+typedef int vb;
+#define splatf(a) (a)
+#define splati(a) (a)
+#define splatb(a) (a)
+#define any(a) ((a) != 0)
+#define index_lanes(i) ((int32_t)(i))
+#define vabs uabs
+#define vsign usign
+#define vmin umin
+#define vmax umax
+#define vsqrt usqrt
+#define vfma ufma
+#define vfloor ufloor
+#define vf_to_i uf_to_i
+#define vi_to_f ui_to_f
+#define vf_bits uf_bits
+#define vbits_f ubits_f
+#define viadd uiadd
+#define visub uisub
+#define vimul uimul
+#define vidiv uidiv
+#define vimod uimod
+#define vimin uimin
+#define vimax uimax
+#define vishl uishl
+#define vishr uishr
+#define viushr uiushr
+#define vlt ult
+#define vle ule
+#define veq ueq
+#define vne une
+#define vilt uilt
+#define vile uile
+#define vieq uieq
+#define vine uine
+#define vand uand
+#define vor uor
+#define vnot unot
+#define vselectf uselectf
+#define vselecti uselecti
+#define vselectb uselectb
+
+// Rows of a table. No kernel writes what it gathers from, so these loads may use the read-only path.
+typedef int32_t row_lanes;
+#define look_at_rows(row) (row)
+LANE_FN int32_t table_word(const char* p, int64_t rows, int32_t row, int32_t width, int32_t column,
+                           vb need, int32_t source, int64_t i, const device_sink sink) {
+  if (row >= 0 && row < rows) return __ldg((const int32_t*)p + ((int64_t)row * width + column));
+  if (row >= 0 && need) report_row(sink, i, source, row, rows);
+  return 0;
+}
+LANE_FN int32_t uloadi(const char* p, int64_t rows, int32_t row, int32_t width, int32_t column,
+                       vb need, int32_t source, int64_t i, const device_sink sink) {
+  return table_word(p, rows, row, width, column, need, source, i, sink);
+}
+LANE_FN float uloadf(const char* p, int64_t rows, int32_t row, int32_t width, int32_t column,
+                     vb need, int32_t source, int64_t i, const device_sink sink) {
+  return ubits_f(table_word(p, rows, row, width, column, need, source, i, sink));
+}
+LANE_FN vi gather_columni(const char* p, int64_t rows, const row_lanes* r, int32_t width,
+                          int32_t column, vb need, int32_t source, int64_t i,
+                          const device_sink sink) {
+  return table_word(p, rows, *r, width, column, need, source, i, sink);
+}
+LANE_FN vf gather_columnf(const char* p, int64_t rows, const row_lanes* r, int32_t width,
+                          int32_t column, vb need, int32_t source, int64_t i,
+                          const device_sink sink) {
+  return ubits_f(table_word(p, rows, *r, width, column, need, source, i, sink));
+}
+
+// The own row of a source in memory, and of an output. Through pointers that may alias: an output
+// may be the same rows as an input.
+struct source_rows {
+  const char* p;
+  int64_t rows;
+};
+struct output_rows {
+  char* p;
+};
+LANE_FN vi own_columni(const source_rows s, int32_t width, int32_t column, vb need, int32_t source,
+                       int64_t i, const device_sink sink) {
+  if (i < s.rows) return ((const int32_t*)s.p)[i * width + column];
+  if (need) report_row(sink, i, source, i, s.rows);
+  return 0;
+}
+LANE_FN void put_columni(const output_rows o, int32_t width, int32_t column, int64_t i, vi a) {
+  ((int32_t*)o.p)[i * width + column] = a;
+}
+
+// The own row of a source that no operation of a fused list writes: loaded once.
+struct source_constants {
+  const char* p;
+  int64_t rows;
+};
+LANE_FN vi own_columni(const source_constants s, int32_t width, int32_t column, vb need,
+                       int32_t source, int64_t i, const device_sink sink) {
+  if (i < s.rows) return __ldg((const int32_t*)s.p + (i * width + column));
+  if (need) report_row(sink, i, source, i, s.rows);
+  return 0;
+}
+
+// The own row in registers: what an earlier operation of a fused list left, and what one leaves.
+struct source_registers {
+  const int32_t* words;
+};
+struct output_registers {
+  char* p;
+  int32_t* words;
+};
+LANE_FN vi own_columni(const source_registers s, int32_t, int32_t column, vb, int32_t, int64_t,
+                       const device_sink) {
+  return s.words[column];
+}
+LANE_FN void put_columni(const output_registers o, int32_t width, int32_t column, int64_t i, vi a) {
+  o.words[column] = a;
+  ((int32_t*)o.p)[i * width + column] = a;
+}
+
+#define put_columnf(o, width, column, i, a) put_columni(o, width, column, i, uf_bits(a))
+template <class S>
+LANE_FN vf own_columnf(const S s, int32_t width, int32_t column, vb need, int32_t source, int64_t i,
+                       const device_sink sink) {
+  return ubits_f(own_columni(s, width, column, need, source, i, sink));
+}
+#define LANES_ROWS(t, T)                                                                          \
+  LANE_FN void gather2##t(const char* p, int64_t n, const row_lanes* r, vb need, int32_t source,  \
+                          int64_t i, const device_sink sink, T* a, T* b) {                        \
+    *a = gather_column##t(p, n, r, 2, 0, need, source, i, sink);                                  \
+    *b = gather_column##t(p, n, r, 2, 1, need, source, i, sink);                                  \
+  }                                                                                               \
+  LANE_FN void gather3##t(const char* p, int64_t n, const row_lanes* r, vb need, int32_t source,  \
+                          int64_t i, const device_sink sink, T* a, T* b, T* c) {                  \
+    *a = gather_column##t(p, n, r, 3, 0, need, source, i, sink);                                  \
+    *b = gather_column##t(p, n, r, 3, 1, need, source, i, sink);                                  \
+    *c = gather_column##t(p, n, r, 3, 2, need, source, i, sink);                                  \
+  }                                                                                               \
+  LANE_FN void gather4##t(const char* p, int64_t n, const row_lanes* r, vb need, int32_t source,  \
+                          int64_t i, const device_sink sink, T* a, T* b, T* c, T* d) {            \
+    *a = gather_column##t(p, n, r, 4, 0, need, source, i, sink);                                  \
+    *b = gather_column##t(p, n, r, 4, 1, need, source, i, sink);                                  \
+    *c = gather_column##t(p, n, r, 4, 2, need, source, i, sink);                                  \
+    *d = gather_column##t(p, n, r, 4, 3, need, source, i, sink);                                  \
+  }                                                                                               \
+  template <class S>                                                                              \
+  LANE_FN void own2##t(const S s, vb need, int32_t source, int64_t i, const device_sink sink,     \
+                       T* a, T* b) {                                                              \
+    *a = own_column##t(s, 2, 0, need, source, i, sink);                                           \
+    *b = own_column##t(s, 2, 1, need, source, i, sink);                                           \
+  }                                                                                               \
+  template <class S>                                                                              \
+  LANE_FN void own3##t(const S s, vb need, int32_t source, int64_t i, const device_sink sink,     \
+                       T* a, T* b, T* c) {                                                        \
+    *a = own_column##t(s, 3, 0, need, source, i, sink);                                           \
+    *b = own_column##t(s, 3, 1, need, source, i, sink);                                           \
+    *c = own_column##t(s, 3, 2, need, source, i, sink);                                           \
+  }                                                                                               \
+  template <class S>                                                                              \
+  LANE_FN void own4##t(const S s, vb need, int32_t source, int64_t i, const device_sink sink,     \
+                       T* a, T* b, T* c, T* d) {                                                  \
+    *a = own_column##t(s, 4, 0, need, source, i, sink);                                           \
+    *b = own_column##t(s, 4, 1, need, source, i, sink);                                           \
+    *c = own_column##t(s, 4, 2, need, source, i, sink);                                           \
+    *d = own_column##t(s, 4, 3, need, source, i, sink);                                           \
+  }
+LANES_ROWS(f, vf)
+LANES_ROWS(i, vi)
+#undef LANES_ROWS
+
+// CSR rows.
+struct csr_rows {
+  int32_t start, longest;
+};
+LANE_FN csr_rows csr_begin(const int32_t* offsets, int64_t i) {
+  csr_rows c;
+  c.start = __ldg(offsets + i);
+  c.longest = __ldg(offsets + i + 1) - c.start;
+  return c;
+}
+LANE_FN vb csr_on(const csr_rows*, int32_t) { return 1; }
+LANE_FN vi csr_slot(const csr_rows* c, const int32_t* items, int32_t r, vb) {
+  return items != 0 ? __ldg(items + (c->start + r)) : c->start + r;
+}

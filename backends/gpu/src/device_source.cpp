@@ -1,0 +1,48 @@
+#include "device_source.h"
+
+#include "novaphy/program/emit.h"
+
+namespace novaphy::gpu {
+
+nova::ir::Program without_names(nova::ir::Program program) {
+  program.name = "kernel";
+  for (nova::ir::Source& source : program.sources) source.name.clear();
+  for (nova::ir::Output& output : program.outputs) output.name.clear();
+  return program;
+}
+
+std::string kernel_source(const nova::ir::Program& program) {
+  const std::string words = std::to_string(program.argument_count());
+  std::string text = prelude_text();
+  text += nova::ir::emit_device(without_names(program), "row");
+  text += "struct kernel_arguments {\n  uint64_t word[" + words + "];\n};\n";
+  text +=
+      "extern \"C\" __global__ void __launch_bounds__(128) novaphy_main(\n"
+      "    const __grid_constant__ kernel_arguments args, const int64_t n, const device_sink sink) "
+      "{\n"
+      "  const int64_t i = (int64_t)blockIdx.x * blockDim.x + threadIdx.x;\n"
+      "  if (i >= n) return;\n"
+      "  const uint64_t* const w = args.word;\n"
+      "  row(w";
+  for (size_t s = 0; s < program.sources.size(); ++s) {
+    const uint32_t k = program.source_argument(s);
+    text += ",\n      source_rows{(const char*)w[" + std::to_string(k) + "], (int64_t)w[" +
+            std::to_string(k + 1) + "]}";
+  }
+  for (size_t o = 0; o < program.outputs.size(); ++o)
+    text += ",\n      output_rows{(char*)w[" + std::to_string(program.output_argument(o)) + "]}";
+  text += ",\n      i, sink);\n}\n";
+  return text;
+}
+
+std::string module_source(const std::string& text) {
+  return std::string(prelude_text()) +
+         "#define NOVAPHY_KERNEL extern \"C\" __global__ void __launch_bounds__(128)\n"
+         "#define NOVAPHY_ROW ((int64_t)blockIdx.x * blockDim.x + threadIdx.x)\n"
+         "template <int words>\nstruct novaphy_arguments {\n  uint64_t word[words];\n};\n" +
+         text;
+}
+
+std::string builtins_source() { return std::string(prelude_text()) + builtins_text(); }
+
+}  // namespace novaphy::gpu

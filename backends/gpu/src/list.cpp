@@ -1,0 +1,104 @@
+// Lists of operations that run as one kernel; see list_plan.h.
+#include "list_plan.h"
+#include "vendor.h"
+
+struct novaphy_list {
+  novaphy_device* device = nullptr;
+  novaphy::gpu::Module module = nullptr;
+  novaphy::gpu::Function function = nullptr;
+  novaphy::gpu::DevicePointer table = 0;
+  std::vector<uint64_t> words;
+  int64_t n = 0;
+};
+
+namespace novaphy::gpu {
+namespace {
+
+struct Destroy {
+  void operator()(novaphy_list* list) const { list_destroy(list); }
+};
+
+novaphy_status create(novaphy_device* device, int64_t n, std::span<const novaphy_list_op> ops,
+                      novaphy_list** list, novaphy_error* error) {
+  const auto refuse = [&](const char* why) {
+    return fail(error, NOVAPHY_NOT_SUPPORTED, "list: %s", why);
+  };
+  bool contract = false;
+  for (const novaphy_list_op& op : ops) {
+    if (op.kernel == nullptr) {
+      if (op.row_bytes % 4 != 0) return refuse("a row of no whole words");
+      continue;
+    }
+    if (op.kernel->program.instrs.empty()) return refuse("a kernel that is no Program");
+    contract = contract || op.kernel->program.contract;
+    if (op.argument_count != op.kernel->argument_count)
+      return fail(error, NOVAPHY_INVALID_ARGUMENT,
+                  "kernel '%s': expected %u argument words, got %u", op.kernel->name.c_str(),
+                  op.kernel->argument_count, op.argument_count);
+  }
+  // One rounding policy for the whole text.
+  for (const novaphy_list_op& op : ops)
+    if (op.kernel != nullptr && op.kernel->program.contract != contract)
+      return refuse("kernels with and without contraction");
+  const ListPlan plan = plan_list(ops);
+  if (!plan.worth_it) return refuse("no structure that repeats");
+  ListSource source = list_source(plan, ops);
+  if (!source.fits) return refuse("too many arguments");
+  std::unique_ptr<novaphy_list, Destroy> made(new novaphy_list);
+  made->device = device;
+  made->n = n;
+  made->words = std::move(source.words);
+  const Use use(device);
+  const Driver& d = driver();
+  novaphy_status status =
+      load_code(device, source.text, "list", contract ? Dialect::Contracted : Dialect::Program,
+                &made->module, error);
+  if (status == NOVAPHY_OK)
+    status = check(device, d.module_function(&made->function, made->module, kEntry), "list", error);
+  if (status == NOVAPHY_OK && !source.table.empty()) {
+    const size_t bytes = source.table.size() * sizeof(uint64_t);
+    status = check(device, d.alloc(&made->table, bytes), "list", error);
+    if (status == NOVAPHY_OK)
+      status = check(device, d.copy_to_device(made->table, source.table.data(), bytes, nullptr),
+                     "list", error);
+    if (status == NOVAPHY_OK) status = check(device, d.stream_synchronize(nullptr), "list", error);
+  }
+  if (status == NOVAPHY_OK) *list = made.release();
+  return status;
+}
+
+}  // namespace
+
+novaphy_status list_create(novaphy_device* device, int64_t n, const novaphy_list_op* ops,
+                           uint32_t count, novaphy_list** list, novaphy_error* error) {
+  if (const novaphy_status status = check_lost(device, "list_create", error); status != NOVAPHY_OK)
+    return status;
+  if (n < 1 || n > INT32_MAX || count == 0)
+    return fail(error, NOVAPHY_INVALID_ARGUMENT,
+                "list_create: expected rows and operations, got %lld and %u",
+                static_cast<long long>(n), count);
+  return guarded(error, [&] { return create(device, n, {ops, count}, list, error); });
+}
+
+novaphy_status list_launch(novaphy_list* list, novaphy_stream* stream, novaphy_error* error) {
+  if (const novaphy_status status = check_lost(stream->device, "list_launch", error);
+      status != NOVAPHY_OK)
+    return status;
+  const Use use(stream->device);
+  SinkArgument sink = sink_of(stream->device, 0);
+  void* pointers[] = {list->words.data(), &list->table, &list->n, &sink};
+  const unsigned threads = list->n <= 32 ? 32 : kBlock;
+  return launch_function(stream, list->function, (list->n + threads - 1) / threads, threads,
+                         pointers, "list", error);
+}
+
+void list_destroy(novaphy_list* list) {
+  if (!list->device->lost) {
+    const Use use(list->device);
+    if (list->module != nullptr) driver().module_unload(list->module);
+    if (list->table != 0) driver().free(list->table);
+  }
+  delete list;
+}
+
+}  // namespace novaphy::gpu

@@ -1,0 +1,49 @@
+// Internal: a recorded list as a graph of the device, so that a replay is one call. Stretches of
+// operations that touch what the list writes at their own row only become one launch each, where
+// the backend can do that (NOVAPHY_DEVICE_LISTS=0 keeps them apart; the results are the same).
+#pragma once
+
+#include <cstdint>
+#include <memory>
+#include <span>
+#include <vector>
+
+#include "novaphy/core/backend.h"
+#include "novaphy/nova/op_list.h"
+
+namespace nova::detail {
+
+// Issues one operation to a stream. OK, or the backend's status and message.
+novaphy_status issue(const novaphy::DeviceContext& context, novaphy_stream* stream,
+                     const OpList::Op& op, const uint64_t* words, novaphy_error& error);
+
+class DeviceGraph {
+ public:
+  // Null when the backend captures no streams.
+  static std::unique_ptr<DeviceGraph> make(const novaphy::DeviceContext& context,
+                                           std::span<const OpList::Op> ops,
+                                           std::span<const uint64_t> words,
+                                           std::span<const MemoryAccess> accesses);
+  ~DeviceGraph();
+  DeviceGraph(const DeviceGraph&) = delete;
+  DeviceGraph& operator=(const DeviceGraph&) = delete;
+  void launch() const;  // on the device's stream
+
+ private:
+  explicit DeviceGraph(const novaphy::DeviceContext& context) : context_(context) {}
+  void make_lists(const RunPlan& plan, std::span<const uint64_t> words);
+  novaphy_status issue_all(novaphy_stream* stream, std::span<const OpList::Op> ops,
+                           std::span<const uint64_t> words, novaphy_error& error,
+                           const char*& name) const;
+
+  // A stretch of the operations that the backend runs as one launch.
+  struct List {
+    uint32_t first, last;
+    novaphy_list* list;
+  };
+  const novaphy::DeviceContext& context_;
+  std::vector<List> lists_;  // in order
+  novaphy_graph* graph_ = nullptr;
+};
+
+}  // namespace nova::detail

@@ -1,0 +1,229 @@
+// A stand-in for the CUDA driver: device memory is host memory, copies and fills happen, kernels do
+// not run. For tests of what the backend does around kernels, on machines without a GPU.
+// Environment variables choose what goes wrong:
+//   FAKE_DRIVER_VERSION   what cuDriverGetVersion says (13000)
+//   FAKE_DRIVER_DEVICES   how many devices there are (1)
+//   FAKE_DRIVER_INIT      what cuInit returns (0)
+//   FAKE_DRIVER_MEMORY    bytes of a device (1 GiB)
+//   FAKE_DRIVER_LOSE      the launch or fill, counted from 1, after which the device is lost
+// Built with FAKE_DRIVER_LACKS_SYMBOL it does not export cuMemAllocAsync, as an old driver.
+#include <atomic>
+#include <cstdint>
+#include <cstdio>
+#include <cstdlib>
+#include <cstring>
+#include <map>
+#include <mutex>
+
+#define FAKE extern "C" __attribute__((visibility("default"))) int
+
+namespace {
+
+constexpr int kInvalidValue = 1, kOutOfMemory = 2, kInvalidDevice = 101, kIllegalAddress = 700,
+              kNotCapturing = 901;
+
+long setting(const char* name, long otherwise) {
+  const char* text = std::getenv(name);
+  return text != nullptr && *text != '\0' ? std::strtol(text, nullptr, 10) : otherwise;
+}
+
+std::atomic<long> g_launches{0};
+bool lost() {
+  const long after = setting("FAKE_DRIVER_LOSE", 0);
+  return after > 0 && g_launches >= after;
+}
+int result() { return lost() ? kIllegalAddress : 0; }
+
+std::mutex g_mutex;
+std::map<void*, size_t>& blocks() {
+  static auto& all = *new std::map<void*, size_t>;
+  return all;
+}
+size_t g_used = 0;
+
+int allocate(void** pointer, size_t bytes) {
+  if (lost()) return kIllegalAddress;
+  const std::lock_guard lock(g_mutex);
+  const auto memory = static_cast<size_t>(setting("FAKE_DRIVER_MEMORY", 1L << 30));
+  if (bytes == 0) return kInvalidValue;
+  if (bytes > memory - g_used) return kOutOfMemory;
+  void* made = std::aligned_alloc(4096, (bytes + 4095) / 4096 * 4096);
+  if (made == nullptr) return kOutOfMemory;
+  blocks()[made] = bytes;
+  g_used += bytes;
+  *pointer = made;
+  return 0;
+}
+int release(void* pointer) {
+  const std::lock_guard lock(g_mutex);
+  const auto found = blocks().find(pointer);
+  if (found == blocks().end()) return kInvalidValue;
+  g_used -= found->second;
+  blocks().erase(found);
+  std::free(pointer);
+  return 0;
+}
+
+void* pointer(uint64_t p) { return reinterpret_cast<void*>(p); }
+template <class T>
+int fill(uint64_t target, T value, size_t count) {
+  if (lost()) return kIllegalAddress;
+  ++g_launches;
+  auto* out = static_cast<T*>(pointer(target));
+  for (size_t k = 0; k < count; ++k) out[k] = value;
+  return 0;
+}
+struct Handle {
+  bool capturing = false;
+};
+int make(void** handle) {
+  *handle = new Handle;
+  return result();
+}
+int destroy(void* handle) {
+  delete static_cast<Handle*>(handle);
+  return result();
+}
+thread_local void* t_context = nullptr;
+int g_context;
+
+}  // namespace
+
+FAKE cuDriverGetVersion(int* version) {
+  *version = static_cast<int>(setting("FAKE_DRIVER_VERSION", 13000));
+  return 0;
+}
+FAKE cuGetErrorName(int code, const char** name) {
+  *name = code == kOutOfMemory      ? "CUDA_ERROR_OUT_OF_MEMORY"
+          : code == kIllegalAddress ? "CUDA_ERROR_ILLEGAL_ADDRESS"
+          : code == 0               ? "CUDA_SUCCESS"
+                                    : "CUDA_ERROR_FAKE";
+  return 0;
+}
+FAKE cuGetErrorString(int code, const char** text) {
+  *text = code == kOutOfMemory ? "out of memory" : "an error of the fake driver";
+  return 0;
+}
+FAKE cuInit(unsigned) { return static_cast<int>(setting("FAKE_DRIVER_INIT", 0)); }
+FAKE cuDeviceGetCount(int* count) {
+  *count = static_cast<int>(setting("FAKE_DRIVER_DEVICES", 1));
+  return 0;
+}
+FAKE cuDeviceGet(int* device, int ordinal) {
+  *device = ordinal;
+  return ordinal < setting("FAKE_DRIVER_DEVICES", 1) ? 0 : kInvalidDevice;
+}
+FAKE cuDeviceGetName(char* name, int size, int) {
+  std::snprintf(name, static_cast<size_t>(size), "Fake GPU");
+  return 0;
+}
+FAKE cuDeviceGetAttribute(int* value, int attribute, int) {
+  *value = attribute == 75 ? 9 : attribute == 76 ? 0 : 4;  // compute capability 9.0, 4 units
+  return 0;
+}
+FAKE cuDeviceTotalMem_v2(size_t* bytes, int) {
+  *bytes = static_cast<size_t>(setting("FAKE_DRIVER_MEMORY", 1L << 30));
+  return 0;
+}
+FAKE cuDevicePrimaryCtxRetain(void** context, int) {
+  *context = &g_context;
+  return 0;
+}
+FAKE cuDevicePrimaryCtxRelease_v2(int) { return 0; }
+FAKE cuCtxSetCurrent(void* context) {
+  t_context = context;
+  return 0;
+}
+FAKE cuCtxGetCurrent(void** context) {
+  *context = t_context;
+  return 0;
+}
+FAKE cuMemGetInfo_v2(size_t* free_bytes, size_t* total) {
+  *total = static_cast<size_t>(setting("FAKE_DRIVER_MEMORY", 1L << 30));
+  *free_bytes = *total - g_used;
+  return result();
+}
+FAKE cuMemAlloc_v2(uint64_t* target, size_t bytes) {
+  return allocate(reinterpret_cast<void**>(target), bytes);
+}
+FAKE cuMemFree_v2(uint64_t target) { return release(pointer(target)); }
+#ifndef FAKE_DRIVER_LACKS_SYMBOL
+FAKE cuMemAllocAsync(uint64_t* target, size_t bytes, void*) {
+  return allocate(reinterpret_cast<void**>(target), bytes);
+}
+#endif
+FAKE cuMemFreeAsync(uint64_t target, void*) { return release(pointer(target)); }
+FAKE cuMemHostAlloc(void** target, size_t bytes, unsigned) { return allocate(target, bytes); }
+FAKE cuMemFreeHost(void* target) { return release(target); }
+FAKE cuMemHostGetDevicePointer_v2(uint64_t* target, void* source, unsigned) {
+  *target = reinterpret_cast<uint64_t>(source);
+  return 0;
+}
+FAKE cuMemcpyHtoDAsync_v2(uint64_t target, const void* source, size_t bytes, void*) {
+  if (!lost()) std::memcpy(pointer(target), source, bytes);
+  return result();
+}
+FAKE cuMemcpyDtoHAsync_v2(void* target, uint64_t source, size_t bytes, void*) {
+  if (!lost()) std::memcpy(target, pointer(source), bytes);
+  return result();
+}
+FAKE cuMemcpyDtoDAsync_v2(uint64_t target, uint64_t source, size_t bytes, void*) {
+  if (!lost()) std::memmove(pointer(target), pointer(source), bytes);
+  return result();
+}
+FAKE cuMemsetD8Async(uint64_t target, unsigned char value, size_t count, void*) {
+  return fill(target, value, count);
+}
+FAKE cuMemsetD16Async(uint64_t target, unsigned short value, size_t count, void*) {
+  return fill(target, value, count);
+}
+FAKE cuMemsetD32Async(uint64_t target, unsigned value, size_t count, void*) {
+  return fill(target, value, count);
+}
+FAKE cuMemsetD2D32Async(uint64_t target, size_t pitch, unsigned value, size_t width, size_t height,
+                        void*) {
+  int status = result();
+  for (size_t row = 0; row < height && status == 0; ++row)
+    status = fill(target + row * pitch, value, width);
+  return status;
+}
+FAKE cuStreamCreate(void** stream, unsigned) { return make(stream); }
+FAKE cuStreamDestroy_v2(void* stream) { return destroy(stream); }
+FAKE cuStreamSynchronize(void*) { return result(); }
+FAKE cuStreamWaitEvent(void*, void*, unsigned) { return result(); }
+FAKE cuEventCreate(void** event, unsigned) { return make(event); }
+FAKE cuEventDestroy_v2(void* event) { return destroy(event); }
+FAKE cuEventRecord(void*, void*) { return result(); }
+FAKE cuEventSynchronize(void*) { return result(); }
+FAKE cuEventElapsedTime(float* milliseconds, void*, void*) {
+  *milliseconds = 0.0f;
+  return result();
+}
+FAKE cuModuleLoadData(void** module, const void*) { return make(module); }
+FAKE cuModuleUnload(void* module) { return destroy(module); }
+FAKE cuModuleGetFunction(void** function, void* module, const char*) {
+  *function = module;
+  return result();
+}
+FAKE cuLaunchKernel(void*, unsigned, unsigned, unsigned, unsigned, unsigned, unsigned, unsigned,
+                    void*, void**, void**) {
+  const int before = result();
+  ++g_launches;
+  return before;  // a kernel that fails is noticed by the call after it
+}
+FAKE cuStreamBeginCapture_v2(void* stream, unsigned) {
+  static_cast<Handle*>(stream)->capturing = true;
+  return result();
+}
+FAKE cuStreamEndCapture(void* stream, void** graph) {
+  if (!static_cast<Handle*>(stream)->capturing) return kNotCapturing;
+  static_cast<Handle*>(stream)->capturing = false;
+  return make(graph);
+}
+FAKE cuGraphInstantiateWithFlags(void** exec, void*, unsigned long long) { return make(exec); }
+FAKE cuGraphDestroy(void* graph) { return destroy(graph); }
+FAKE cuGraphExecDestroy(void* exec) { return destroy(exec); }
+FAKE cuGraphLaunch(void*, void*) {
+  ++g_launches;
+  return result();
+}

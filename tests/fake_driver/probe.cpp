@@ -1,0 +1,82 @@
+// Uses a CUDA device and prints what happens; errors as "error: ...".
+#include <cstdio>
+#include <string>
+
+#include "novaphy/core/backend.h"
+#include "novaphy/core/device_array.h"
+#include "novaphy/core/error.h"
+#include "novaphy/core/stream.h"
+
+namespace {
+
+using novaphy::Device;
+using novaphy::DeviceArray;
+
+void print_device() {
+  const novaphy::DeviceInfo info = novaphy::device_info(Device::cuda());
+  std::printf("%s sm_%d %d units, graphs %d\n", info.name.c_str(), info.arch, info.units,
+              info.supports_graph_capture);
+}
+
+void round_trip() {
+  DeviceArray<float> array(1000, Device::cuda());
+  array.fill(2.5f);
+  float sum = 0.0f;
+  for (const float v :
+       array.clone().to(Device::cpu()).size() == 1000 ? array.to_host() : std::vector<float>())
+    sum += v;
+  std::printf("sum %g\n", static_cast<double>(sum));
+}
+
+// More than there is, then again what fits.
+void run_out_of_memory() {
+  try {
+    const DeviceArray<float> array(size_t{1} << 24, Device::cuda());
+    std::printf("allocated\n");
+  } catch (const novaphy::Error& error) {
+    std::printf("error: %s\n", error.what());
+  }
+  round_trip();
+}
+
+void lose_the_device() {
+  for (int k = 0; k < 3; ++k) {
+    try {
+      DeviceArray<float> array(10, Device::cuda());
+      array.fill(1.0f);
+      array.to_host();
+      std::printf("worked\n");
+    } catch (const novaphy::Error& error) {
+      std::printf("error: %s\n", error.what());
+    }
+  }
+  DeviceArray<float> array(10, Device::cpu());
+  array.fill(3.0f);
+  std::printf("the cpu gives %g\n", static_cast<double>(array.to_host()[9]));
+}
+
+int run(const std::string& command) {
+  if (command == "device") {
+    print_device();
+  } else if (command == "round_trip") {
+    round_trip();
+  } else if (command == "memory") {
+    run_out_of_memory();
+  } else if (command == "lose") {
+    lose_the_device();
+  } else {
+    return 2;
+  }
+  return 0;
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  try {
+    return argc == 2 ? run(argv[1]) : 2;
+  } catch (const novaphy::Error& error) {
+    std::printf("error: %s\n", error.what());
+    return 1;
+  }
+}

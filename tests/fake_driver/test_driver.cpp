@@ -1,0 +1,90 @@
+// What the CUDA backend says and does when the driver is missing, old, without a device, out of
+// memory or has lost its device. A process each, because the driver is opened once.
+#include <gtest/gtest.h>
+#include <sys/wait.h>
+
+#include <cstdio>
+#include <string>
+
+namespace {
+
+struct Outcome {
+  int code = -1;
+  std::string output;
+};
+
+Outcome probe(const std::string& environment, const std::string& command) {
+  const std::string line =
+      "env -u NOVAPHY_DEVICE " + environment + " " FAKE_DRIVER_PROBE " " + command + " 2>&1";
+  Outcome outcome;
+  std::FILE* pipe = popen(line.c_str(), "r");
+  if (pipe == nullptr) return outcome;
+  char text[1024];
+  while (std::fgets(text, sizeof(text), pipe) != nullptr) outcome.output += text;
+  const int status = pclose(pipe);
+  outcome.code = WIFEXITED(status) ? WEXITSTATUS(status) : -1;
+  return outcome;
+}
+
+const std::string kFake = "NOVAPHY_CUDA_DRIVER=" FAKE_DRIVER " ";
+
+void expect_refused(const std::string& environment, const std::string& reason) {
+  const Outcome outcome = probe(environment, "device");
+  EXPECT_EQ(outcome.code, 1);
+  EXPECT_NE(outcome.output.find("error: cuda backend not available: "), std::string::npos)
+      << outcome.output;
+  EXPECT_NE(outcome.output.find(reason), std::string::npos) << outcome.output;
+}
+
+TEST(FakeDriver, ADeviceOpensAndDescribesItself) {
+  const Outcome outcome = probe(kFake, "device");
+  EXPECT_EQ(outcome.output, "Fake GPU sm_90 4 units, graphs 1\n");
+  EXPECT_EQ(outcome.code, 0);
+}
+
+TEST(FakeDriver, BytesComeBackThroughCopiesAndFills) {
+  EXPECT_EQ(probe(kFake, "round_trip").output, "sum 2500\n");
+}
+
+TEST(FakeDriver, ADriverThatIsNotThereIsNamed) {
+  expect_refused("NOVAPHY_CUDA_DRIVER=/nowhere/libcuda.so.1", "NOVAPHY_CUDA_DRIVER: ");
+  expect_refused("NOVAPHY_CUDA_DRIVER=/nowhere/libcuda.so.1", "/nowhere/libcuda.so.1");
+}
+
+TEST(FakeDriver, AMissingSymbolIsNamedWithTheVersions) {
+  expect_refused("NOVAPHY_CUDA_DRIVER=" FAKE_DRIVER_WITHOUT_SYMBOL " FAKE_DRIVER_VERSION=11010",
+                 "no symbol cuMemAllocAsync; it is of CUDA 11.1, expected 12.0 or later");
+}
+
+TEST(FakeDriver, AnOldDriverIsRefusedWithBothVersions) {
+  expect_refused(kFake + "FAKE_DRIVER_VERSION=11080",
+                 "the driver is too old: it is of CUDA 11.8, expected 12.0 or later");
+}
+
+TEST(FakeDriver, NoDeviceAndADriverThatDoesNotStartAreReasons) {
+  expect_refused(kFake + "FAKE_DRIVER_DEVICES=0", "no device is visible (driver of CUDA 13.0)");
+  expect_refused(kFake + "FAKE_DRIVER_INIT=3", "the driver did not start: CUDA_ERROR_FAKE");
+}
+
+TEST(FakeDriver, RunningOutOfMemoryIsAnErrorAndTheDeviceWorksOn) {
+  const Outcome outcome = probe(kFake + "FAKE_DRIVER_MEMORY=1000000", "memory");
+  EXPECT_EQ(outcome.code, 0);
+  EXPECT_NE(outcome.output.find("error: Storage.allocate: memory_alloc: no "), std::string::npos)
+      << outcome.output;
+  EXPECT_NE(outcome.output.find("the device has 1000000 in all\nsum 2500\n"), std::string::npos)
+      << outcome.output;
+}
+
+TEST(FakeDriver, ALostDeviceIsReportedFromThenOnAndTheProcessSurvives) {
+  const Outcome outcome = probe(kFake + "FAKE_DRIVER_LOSE=3", "lose");
+  EXPECT_EQ(outcome.code, 0);
+  EXPECT_EQ(outcome.output.rfind("worked\nerror: ", 0), 0u) << outcome.output;
+  const std::string lost = "device cuda:0 is lost since ";
+  const size_t first = outcome.output.find(lost);
+  ASSERT_NE(first, std::string::npos) << outcome.output;
+  EXPECT_NE(outcome.output.find("CUDA_ERROR_ILLEGAL_ADDRESS", first), std::string::npos);
+  EXPECT_NE(outcome.output.find(lost, first + 1), std::string::npos) << outcome.output;
+  EXPECT_NE(outcome.output.find("the cpu gives 3\n"), std::string::npos) << outcome.output;
+}
+
+}  // namespace

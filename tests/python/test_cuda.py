@@ -1,0 +1,218 @@
+"""CUDA devices: the bits of the CPU, and exchange of memory."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scenes import DT, LEARNING_RATE, STEPS, TARGET, Ball, ball_builder, ball_contacts, golden
+
+import novaphy
+from novaphy import diff, nova, solvers
+from novaphy.testing import assert_same_bits
+
+
+def why_not() -> str:
+    """Why there is no CUDA device, or nothing."""
+    if novaphy.is_device_available("cuda:0"):
+        return ""
+    reasons = [f"{b.path}: {b.error}" for b in novaphy.backends() if "cuda" in b.name]
+    return "; ".join(reasons) or "this build has no CUDA backend"
+
+
+pytestmark = pytest.mark.skipif(bool(why_not()), reason=why_not() or "there is a CUDA device")
+
+
+@pytest.fixture(autouse=True)
+def _restored_default_device():
+    """Leave the default device as it was."""
+    before = novaphy.get_default_device()
+    yield
+    novaphy.set_default_device(before)
+
+
+def on(device: str, balls: int = 1, steps: int = STEPS) -> Ball:
+    """The ball scene on a device."""
+    novaphy.set_default_device(device)
+    ball = Ball(balls, steps)
+    assert str(ball.model.device) == device
+    return ball
+
+
+def test_the_device_describes_itself():
+    device = novaphy.get_device("cuda:0")
+    assert device.is_cuda and device.name and device.arch >= 70
+    assert 0 < device.free_memory <= device.total_memory
+    assert device.supports_graph_capture
+
+
+def test_a_loop_of_steps_has_newtons_bits():
+    newton = golden("newton_ball_strict")
+    ball = on("cuda:0")
+    loss = ball.forward()
+    assert_same_bits(ball.array("particle_q"), newton["particle_q"], "particle_q")
+    assert_same_bits(ball.array("particle_qd"), newton["particle_qd"], "particle_qd")
+    assert_same_bits(ball.array("particle_f")[:-1], newton["particle_f"][:-1], "particle_f")
+    assert_same_bits(loss, newton["loss"], "loss")
+
+
+def gradients(device: str, balls: int, steps: int) -> dict[str, np.ndarray]:
+    """States and gradients of a loop of steps."""
+    ball = on(device, balls, steps)
+    position = diff.state_particle_q_tensor(ball.states[0], requires_grad=True)
+    with nova.Tape() as tape:
+        loss = ball.forward()
+        tape.backward(loss)
+        return {
+            "q": ball.array("particle_q"),
+            "qd": ball.array("particle_qd"),
+            "loss": loss.numpy(),
+            "grad_qd": ball.velocity.grad.numpy(),
+            "grad_q": position.grad.numpy(),
+        }
+
+
+@pytest.mark.parametrize(("balls", "steps"), [(1, STEPS), (7, 60), (3000, 20)])
+def test_states_and_gradients_have_the_bits_of_the_cpu(balls, steps):
+    cpu, cuda = gradients("cpu", balls, steps), gradients("cuda:0", balls, steps)
+    assert np.abs(cpu["grad_qd"]).max() > 0
+    for name, expected in cpu.items():
+        assert_same_bits(cuda[name], expected, name)
+
+
+def trained(device: str, balls: int, captured: bool, iterations: int) -> list[np.ndarray]:
+    """Trajectory and velocity after some iterations of a rollout, recorded anew or replayed."""
+    novaphy.set_default_device(device)
+    builder = ball_builder(balls)
+    model = builder.finalize(device, requires_grad=True)
+    model.soft_contact_ke, model.soft_contact_kd = 1.0e4, 10.0
+    model.soft_contact_kf, model.soft_contact_mu = 0.0, 0.2
+    trajectory = diff.Trajectory(model, STEPS)
+    contacts = ball_contacts(model, trajectory[0])
+    solver = solvers.DiffSemiImplicitSolver(model)
+    velocity = diff.state_particle_qd_tensor(trajectory[0], requires_grad=True)
+    target = nova.tensor(np.tile(np.float32(TARGET), (balls, 1)), device=device)
+
+    def iterate():
+        with nova.Tape() as tape:
+            solver.rollout(trajectory, None, contacts, DT)
+            delta = diff.state_particle_q_tensor(trajectory[STEPS]) - target
+            loss = nova.dot(delta, delta)
+            tape.backward(loss)
+            nova.sgd_update_f32(velocity, LEARNING_RATE)
+            tape.zero()
+        return loss
+
+    if captured:
+        with nova.ScopedCapture() as capture:
+            loss = iterate()
+        for _ in range(iterations):
+            capture.graph.launch()
+    else:
+        for _ in range(iterations):
+            loss = iterate()
+    return [trajectory.particle_q.numpy(), velocity.numpy(), loss.numpy()]
+
+
+@pytest.mark.parametrize("balls", [1, 5000])
+def test_a_captured_iteration_replays_with_the_bits_of_the_cpu(balls):
+    expected = trained("cpu", balls, False, 3)
+    for captured in (False, True):
+        for name, a, b in zip(
+            ("q", "velocity", "loss"), trained("cuda:0", balls, captured, 3), expected
+        ):
+            assert_same_bits(a, b, f"{name}, captured {captured}")
+
+
+CONTACT_FIELDS = [
+    "soft_contact_count",
+    "soft_contact_particle",
+    "soft_contact_shape",
+    "soft_contact_body_pos",
+    "soft_contact_body_vel",
+    "soft_contact_normal",
+    "soft_contact_tids",
+    "contact_generation",
+]
+
+
+def many_shapes() -> novaphy.ModelBuilder:
+    """Particles among shapes of all covered types."""
+    builder = novaphy.ModelBuilder()
+    random = np.random.default_rng(5)
+    n = 700
+    builder.add_particles(
+        random.uniform(-1.5, 1.5, (n, 3)).astype(np.float32),
+        np.zeros((n, 3), np.float32),
+        np.ones(n, np.float32),
+    )
+    turned = ((0.1, 0.2, 0.3), tuple(np.float32([0.5, 0.5, -0.5, 0.5])))
+    builder.add_shape_box(-1, xform=turned, hx=0.5, hy=0.4, hz=0.3)
+    builder.add_shape_sphere(-1, xform=((0.7, 0.0, 0.2), (0.0, 0.0, 0.0, 1.0)), radius=0.4)
+    builder.add_shape_capsule(-1, xform=turned, radius=0.2, half_height=0.5)
+    builder.add_ground_plane()
+    return builder
+
+
+@pytest.mark.parametrize("slots", [None, 50, 0])
+def test_contacts_have_the_slots_and_bits_of_the_cpu(slots):
+    found = {}
+    for device in ("cpu", "cuda:0"):
+        model = many_shapes().finalize(device)
+        options = {} if slots is None else {"soft_contact_max": slots}
+        pipeline = novaphy.CollisionPipeline(model, soft_contact_margin=0.1, **options)
+        contacts, state = pipeline.contacts(), model.state()
+        pipeline.collide(state, contacts)
+        moved = state.particle_q.numpy() * np.float32(0.75)
+        state.particle_q.assign(moved)
+        pipeline.collide(state, contacts)
+        found[device] = {name: getattr(contacts, name).numpy() for name in CONTACT_FIELDS}
+    assert found["cpu"]["soft_contact_count"][0] > 100
+    for name, expected in found["cpu"].items():
+        assert_same_bits(found["cuda:0"][name], expected, name)
+
+
+def test_arrays_move_between_devices():
+    values = np.arange(12, dtype=np.float32).reshape(4, 3)
+    array = novaphy.DeviceArray(values, novaphy.vec3, device="cuda:0")
+    assert str(array.device) == "cuda:0"
+    np.testing.assert_array_equal(array.numpy(), values)
+    np.testing.assert_array_equal(array.to("cpu").numpy(), values)
+    np.testing.assert_array_equal(array.to("cpu").to("cuda:0").numpy(), values)
+    array[1] = (7.0, 8.0, 9.0)
+    np.testing.assert_array_equal(array[1], np.float32([7, 8, 9]))
+    with pytest.raises(novaphy.Error, match="cuda:0"):
+        array.numpy(copy=False)
+    with pytest.raises(AttributeError):
+        _ = array.__array_interface__
+
+
+def test_memory_is_shared_with_cupy():
+    cupy = pytest.importorskip("cupy")
+    array = novaphy.DeviceArray(np.arange(6, dtype=np.float32), device="cuda:0")
+    interface = array.__cuda_array_interface__
+    assert interface["version"] == 3 and interface["shape"] == (6,)
+    view = cupy.asarray(array)
+    assert view.data.ptr == array.ptr
+    np.testing.assert_array_equal(cupy.asnumpy(view), np.arange(6, dtype=np.float32))
+    theirs = cupy.arange(5, dtype=cupy.float32) * 2
+    ours = novaphy.DeviceArray.from_dlpack(theirs)
+    assert ours.ptr == theirs.data.ptr and str(ours.device) == "cuda:0"
+    np.testing.assert_array_equal(ours.numpy(), np.float32([0, 2, 4, 6, 8]))
+    theirs += 1  # on CuPy's stream, then read on ours
+    np.testing.assert_array_equal(ours.numpy(), np.float32([1, 3, 5, 7, 9]))
+
+
+def test_memory_is_shared_with_torch():
+    torch = pytest.importorskip("torch")
+    if not torch.cuda.is_available():
+        pytest.skip("this PyTorch sees no CUDA device")
+    theirs = torch.arange(6, dtype=torch.float32, device="cuda").reshape(2, 3)
+    ours = novaphy.DeviceArray.from_dlpack(theirs)
+    assert ours.ptr == theirs.data_ptr() and ours.shape == (2, 3)
+    ours[0] = (5.0, 6.0, 7.0)
+    novaphy.synchronize("cuda:0")
+    assert theirs[0].tolist() == [5.0, 6.0, 7.0]
+    theirs.mul_(2)
+    np.testing.assert_array_equal(ours.numpy()[0], np.float32([10, 12, 14]))
+    back = torch.as_tensor(ours, device="cuda")
+    assert back.data_ptr() == theirs.data_ptr()

@@ -177,9 +177,16 @@ typedef int32_t row_lanes;
 #define look_at_rows(row) (row)
 LANE_FN int32_t table_word(const char* p, int64_t rows, int32_t row, int32_t width, int32_t column,
                            vb need, int32_t source, int64_t i, row_failure& sink) {
-  const bool there = row >= 0 && row < rows;
-  note_read(sink, row >= 0 && !there && need, source, row, rows);
-  return __ldg(there ? (const int32_t*)p + ((int64_t)row * width + column) : sink.zeros);
+  // Without a branch: the last row stands in for one that may not be read, and zeros for a source
+  // without rows. What does not depend on the row is found once by the compiler.
+  const bool empty = rows <= 0;
+  const int32_t* const table = empty ? sink.zeros : (const int32_t*)p;
+  const uint32_t last = empty ? 0u : (rows > INT32_MAX ? (uint32_t)INT32_MAX : (uint32_t)rows) - 1u;
+  const bool outside = empty || (uint32_t)row > last;  // a negative row is a large unsigned one
+  note_read(sink, outside && row >= 0 && need, source, row, rows);
+  const uint32_t at = (uint32_t)row > last ? last : (uint32_t)row;
+  const int32_t value = __ldg(table + ((int64_t)at * width + column));
+  return outside ? 0 : value;
 }
 LANE_FN int32_t uloadi(const char* p, int64_t rows, int32_t row, int32_t width, int32_t column,
                        vb need, int32_t source, int64_t i, row_failure& sink) {

@@ -1,4 +1,6 @@
 // The text of a list as one kernel: a thread runs all operations of its row.
+#include <map>
+
 #include "list_plan.h"
 #include "novaphy/program/emit.h"
 
@@ -36,10 +38,24 @@ class Writer {
     out_.words.push_back(value);
     return out_.words.size() - 1;
   }
+  // Equal words that are the same in every iteration share a place, so that the compiler sees that
+  // they are equal. Only numbers of rows: whether two addresses are equal depends on the list.
+  uint64_t rows_word(uint64_t rows) {
+    const auto [known, fresh] = rows_.emplace(rows, 0);
+    if (fresh) known->second = word(rows);
+    return known->second;
+  }
 
   // Word w of an operation: fixed, growing evenly from iteration to iteration, or listed.
   std::string word_text(uint32_t op, uint32_t w, bool in_body) {
     const uint64_t value = ops_[op].arguments[w];
+    const size_t sources = ops_[op].kernel->program.sources.size();
+    if (w < 2 * sources && w % 2 == 1) {  // a number of rows
+      bool fixed = true;
+      for (uint32_t k = 1; in_body && k < plan_.repeats; ++k)
+        fixed = fixed && ops_[op + k * plan_.period].arguments[w] == value;
+      if (fixed) return "a.word[" + str(rows_word(value)) + "]";
+    }
     return varying(value, in_body,
                    [&](uint32_t k) { return ops_[op + k * plan_.period].arguments[w]; });
   }
@@ -234,6 +250,7 @@ class Writer {
   const uint64_t n_;
   ListSource out_;
   std::vector<std::vector<uint64_t>> columns_;
+  std::map<uint64_t, uint64_t> rows_;
 };
 
 }  // namespace

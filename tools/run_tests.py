@@ -182,7 +182,15 @@ def make_venv(name: str, *requirements: str) -> Path:
 # The steps, in order. A step is named as its function, with - for _.
 
 STEPS: dict[str, Callable[[], None]] = {}
-WITH_TESTS = ("core-only", "cpu", "cpu-diff", "asan", "dev", "install", "python")  # fail if none ran
+WITH_TESTS = (
+    "core-only",
+    "cpu",
+    "cpu-diff",
+    "asan",
+    "dev",
+    "install",
+    "python",
+)  # fail if none ran
 
 
 def step(function: Callable[[], None]) -> Callable[[], None]:

@@ -76,7 +76,7 @@ TEST(FakeDriver, RunningOutOfMemoryIsAnErrorAndTheDeviceWorksOn) {
 }
 
 TEST(FakeDriver, ALostDeviceIsReportedFromThenOnAndTheProcessSurvives) {
-  const Outcome outcome = probe(kFake + "FAKE_DRIVER_LOSE=3", "lose");
+  const Outcome outcome = probe(kFake + "FAKE_DRIVER_LOSE=4", "lose");
   EXPECT_EQ(outcome.code, 0);
   EXPECT_EQ(outcome.output.rfind("worked\nerror: ", 0), 0u) << outcome.output;
   const std::string lost = "device cuda:0 is lost since ";

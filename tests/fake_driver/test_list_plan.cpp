@@ -86,9 +86,10 @@ TEST_F(ListPlanTest, AChainOfStatesStaysInRegisters) {
   EXPECT_EQ(sources[1].from, From::Registers);
   EXPECT_EQ(sources[1].output, 1u);
   EXPECT_EQ(sources[2].from, From::Constant);
-  const ListSource source = list_source(plan, ops);
+  const ListSource source = list_source(plan, ops, kRows);
   EXPECT_TRUE(source.table.empty());  // the addresses grow evenly
   EXPECT_NE(source.text.find("source_registers{r0_1}"), std::string::npos);
+  EXPECT_NE(source.text.find("source_registers{c0_2}"), std::string::npos);  // loaded once
   EXPECT_TRUE(compiles(source));
 }
 
@@ -99,7 +100,7 @@ TEST_F(ListPlanTest, StatesThatTakeTurnsAreListedInATable) {
   const ListPlan plan = plan_list(ops);
   EXPECT_EQ(plan.period, 1u);
   EXPECT_EQ(plan.body[0].sources[0].from, From::Registers);
-  const ListSource source = list_source(plan, ops);
+  const ListSource source = list_source(plan, ops, kRows);
   EXPECT_EQ(source.table_width, 4u);
   EXPECT_EQ(source.table.size(), 7u * 4u);
   EXPECT_EQ(source.table[4], x + 0x100);
@@ -126,7 +127,7 @@ TEST_F(ListPlanTest, WhatComesBeforeAndAfterTheBodyReadsMemory) {
   EXPECT_FALSE(sum.sources[1].carried);
   EXPECT_EQ(sum.sources[1].op, 0u);
   EXPECT_EQ(plan.after[0].sources[0].from, From::Memory);
-  EXPECT_TRUE(compiles(list_source(plan, ops)));
+  EXPECT_TRUE(compiles(list_source(plan, ops, kRows)));
 }
 
 TEST_F(ListPlanTest, AValueThatIsOverwrittenBeforeItIsReadIsLoaded) {
@@ -139,7 +140,7 @@ TEST_F(ListPlanTest, AValueThatIsOverwrittenBeforeItIsReadIsLoaded) {
   EXPECT_EQ(plan.period, 2u);
   EXPECT_EQ(plan.body[1].sources[0].from, From::Memory);
   EXPECT_EQ(plan.body[1].sources[1].from, From::Constant);
-  EXPECT_TRUE(compiles(list_source(plan, ops)));
+  EXPECT_TRUE(compiles(list_source(plan, ops, kRows)));
 }
 
 TEST_F(ListPlanTest, CopiesAndFillsAreOperationsToo) {
@@ -159,7 +160,7 @@ TEST_F(ListPlanTest, CopiesAndFillsAreOperationsToo) {
   const ListPlan plan = plan_list(ops);
   EXPECT_EQ(plan.period, 3u);
   EXPECT_EQ(plan.repeats, 5u);
-  EXPECT_TRUE(compiles(list_source(plan, ops)));
+  EXPECT_TRUE(compiles(list_source(plan, ops, kRows)));
 }
 
 TEST_F(ListPlanTest, ALongListWithoutStructureIsLeftAlone) {

@@ -186,6 +186,54 @@ def test_arrays_move_between_devices():
         _ = array.__array_interface__
 
 
+def gather_kernel():
+    """Value of the row that a table names."""
+    return nova.make_indexed_kernel(
+        "reads_where_it_is_told",
+        [("at", nova.int32), ("value", nova.float32, 1, "indexed")],
+        1,
+        lambda c: c.f32("value", c.i32("at"), 0),
+    )
+
+
+def test_a_read_past_the_end_names_the_kernel_the_row_and_the_source():
+    kernel = gather_kernel()
+    value = nova.tensor(np.float32([1, 2, 3]), device="cuda:0")
+    good = nova.tensor(np.int32([2, -1, 0]), device="cuda:0")
+    bad = nova.tensor(np.int32([0, 9, 7]), device="cuda:0")
+    (y,) = kernel(3, [bad, value])
+    with pytest.raises(IndexError) as error:
+        y.numpy()
+    for part in ("reads_where_it_is_told", "i = 1 reads row 9", "'value'", "3 rows"):
+        assert part in str(error.value)
+    (y,) = kernel(3, [good, value])  # the device works on; a negative row reads 0
+    np.testing.assert_array_equal(y.numpy(), np.float32([3, 0, 1]))
+
+
+@pytest.mark.parametrize("lists", ["0", "1"])
+def test_a_replay_reports_a_read_past_the_end(lists, monkeypatch):
+    monkeypatch.setenv("NOVAPHY_DEVICE_LISTS", lists)
+    step = nova.make_indexed_kernel(
+        "a_step",
+        [("x", nova.float32), ("at", nova.int32), ("value", nova.float32, 1, "indexed")],
+        1,
+        lambda c: c.f32("x") + c.f32("value", c.i32("at"), 0),
+    )
+    value = nova.tensor(np.float32([1, 2, 3]), device="cuda:0")
+    at = nova.tensor(np.int32([0, 1, 2, 0]), device="cuda:0")
+    x = nova.tensor(np.zeros(4, np.float32), device="cuda:0")
+    with nova.ScopedCapture() as capture:
+        y = x
+        for _ in range(12):
+            (y,) = step(4, [y, at, value])
+    capture.graph.launch()
+    np.testing.assert_array_equal(y.numpy(), np.float32([12, 24, 36, 12]))
+    at.assign(np.int32([0, 1, 3, 0]))
+    capture.graph.launch()
+    with pytest.raises(IndexError, match="'a_step': row i = 2 reads row 3 of source 'value'"):
+        novaphy.synchronize("cuda:0")
+
+
 def test_memory_is_shared_with_cupy():
     cupy = pytest.importorskip("cupy")
     array = novaphy.DeviceArray(np.arange(6, dtype=np.float32), device="cuda:0")

@@ -26,7 +26,7 @@ struct device_error {
   uint32_t unused;
 };
 struct device_sink {
-  device_error* record;  // device memory
+  device_error* record;  // device memory; zeros lie kZeros words behind its start
   uint32_t* flag;        // host memory: 1 once there is a record
   uint32_t kernel;
 };
@@ -51,6 +51,33 @@ COLD_FN void report_row(const device_sink sink, int64_t index, int32_t source, i
     atomicExch(&sink.record->lock, 0u);
     done = true;
   }
+}
+
+// The first failing read of a row. Loads never branch: one that may not be read reads a zero, and what
+// was wrong is kept here until the row is done.
+#define kZeros 32
+struct row_failure {
+  const int32_t* zeros;
+  int32_t source;  // -1: none
+  int32_t row;
+  uint32_t rows;
+};
+LANE_FN row_failure begin_row(const device_sink sink) {
+  row_failure f;
+  f.zeros = (const int32_t*)sink.record + kZeros;
+  f.source = -1;
+  f.row = 0;
+  f.rows = 0;
+  return f;
+}
+LANE_FN void note_read(row_failure& f, bool bad, int32_t source, int32_t row, int64_t rows) {
+  const bool first = bad && f.source < 0;
+  f.source = first ? source : f.source;
+  f.row = first ? row : f.row;
+  f.rows = first ? (uint32_t)rows : f.rows;
+}
+LANE_FN void end_row(const row_failure& f, const device_sink sink, int64_t i) {
+  if (f.source >= 0) report_row(sink, i, f.source, f.row, f.rows);
 }
 
 // Scalars.
@@ -149,27 +176,34 @@ typedef int vb;
 typedef int32_t row_lanes;
 #define look_at_rows(row) (row)
 LANE_FN int32_t table_word(const char* p, int64_t rows, int32_t row, int32_t width, int32_t column,
-                           vb need, int32_t source, int64_t i, const device_sink sink) {
-  if (row >= 0 && row < rows) return __ldg((const int32_t*)p + ((int64_t)row * width + column));
-  if (row >= 0 && need) report_row(sink, i, source, row, rows);
-  return 0;
+                           vb need, int32_t source, int64_t i, row_failure& sink) {
+  // Without a branch: the last row stands in for one that may not be read, and zeros for a source
+  // without rows. What does not depend on the row is found once by the compiler.
+  const bool empty = rows <= 0;
+  const int32_t* const table = empty ? sink.zeros : (const int32_t*)p;
+  const uint32_t last = empty ? 0u : (rows > INT32_MAX ? (uint32_t)INT32_MAX : (uint32_t)rows) - 1u;
+  const bool outside = empty || (uint32_t)row > last;  // a negative row is a large unsigned one
+  note_read(sink, outside && row >= 0 && need, source, row, rows);
+  const uint32_t at = (uint32_t)row > last ? last : (uint32_t)row;
+  const int32_t value = __ldg(table + ((int64_t)at * width + column));
+  return outside ? 0 : value;
 }
 LANE_FN int32_t uloadi(const char* p, int64_t rows, int32_t row, int32_t width, int32_t column,
-                       vb need, int32_t source, int64_t i, const device_sink sink) {
+                       vb need, int32_t source, int64_t i, row_failure& sink) {
   return table_word(p, rows, row, width, column, need, source, i, sink);
 }
 LANE_FN float uloadf(const char* p, int64_t rows, int32_t row, int32_t width, int32_t column,
-                     vb need, int32_t source, int64_t i, const device_sink sink) {
+                     vb need, int32_t source, int64_t i, row_failure& sink) {
   return ubits_f(table_word(p, rows, row, width, column, need, source, i, sink));
 }
 LANE_FN vi gather_columni(const char* p, int64_t rows, const row_lanes* r, int32_t width,
                           int32_t column, vb need, int32_t source, int64_t i,
-                          const device_sink sink) {
+                          row_failure& sink) {
   return table_word(p, rows, *r, width, column, need, source, i, sink);
 }
 LANE_FN vf gather_columnf(const char* p, int64_t rows, const row_lanes* r, int32_t width,
                           int32_t column, vb need, int32_t source, int64_t i,
-                          const device_sink sink) {
+                          row_failure& sink) {
   return ubits_f(table_word(p, rows, *r, width, column, need, source, i, sink));
 }
 
@@ -183,10 +217,10 @@ struct output_rows {
   char* p;
 };
 LANE_FN vi own_columni(const source_rows s, int32_t width, int32_t column, vb need, int32_t source,
-                       int64_t i, const device_sink sink) {
-  if (i < s.rows) return ((const int32_t*)s.p)[i * width + column];
-  if (need) report_row(sink, i, source, i, s.rows);
-  return 0;
+                       int64_t i, row_failure& sink) {
+  const bool there = i < s.rows;
+  note_read(sink, !there && need, source, (int32_t)i, s.rows);
+  return *(there ? (const int32_t*)s.p + (i * width + column) : sink.zeros);
 }
 LANE_FN void put_columni(const output_rows o, int32_t width, int32_t column, int64_t i, vi a) {
   ((int32_t*)o.p)[i * width + column] = a;
@@ -198,10 +232,10 @@ struct source_constants {
   int64_t rows;
 };
 LANE_FN vi own_columni(const source_constants s, int32_t width, int32_t column, vb need,
-                       int32_t source, int64_t i, const device_sink sink) {
-  if (i < s.rows) return __ldg((const int32_t*)s.p + (i * width + column));
-  if (need) report_row(sink, i, source, i, s.rows);
-  return 0;
+                       int32_t source, int64_t i, row_failure& sink) {
+  const bool there = i < s.rows;
+  note_read(sink, !there && need, source, (int32_t)i, s.rows);
+  return __ldg(there ? (const int32_t*)s.p + (i * width + column) : sink.zeros);
 }
 
 // The own row in registers: what an earlier operation of a fused list left, and what one leaves.
@@ -213,7 +247,7 @@ struct output_registers {
   int32_t* words;
 };
 LANE_FN vi own_columni(const source_registers s, int32_t, int32_t column, vb, int32_t, int64_t,
-                       const device_sink) {
+                       row_failure&) {
   return s.words[column];
 }
 LANE_FN void put_columni(const output_registers o, int32_t width, int32_t column, int64_t i, vi a) {
@@ -224,43 +258,43 @@ LANE_FN void put_columni(const output_registers o, int32_t width, int32_t column
 #define put_columnf(o, width, column, i, a) put_columni(o, width, column, i, uf_bits(a))
 template <class S>
 LANE_FN vf own_columnf(const S s, int32_t width, int32_t column, vb need, int32_t source, int64_t i,
-                       const device_sink sink) {
+                       row_failure& sink) {
   return ubits_f(own_columni(s, width, column, need, source, i, sink));
 }
 #define LANES_ROWS(t, T)                                                                          \
   LANE_FN void gather2##t(const char* p, int64_t n, const row_lanes* r, vb need, int32_t source,  \
-                          int64_t i, const device_sink sink, T* a, T* b) {                        \
+                          int64_t i, row_failure& sink, T* a, T* b) {                        \
     *a = gather_column##t(p, n, r, 2, 0, need, source, i, sink);                                  \
     *b = gather_column##t(p, n, r, 2, 1, need, source, i, sink);                                  \
   }                                                                                               \
   LANE_FN void gather3##t(const char* p, int64_t n, const row_lanes* r, vb need, int32_t source,  \
-                          int64_t i, const device_sink sink, T* a, T* b, T* c) {                  \
+                          int64_t i, row_failure& sink, T* a, T* b, T* c) {                  \
     *a = gather_column##t(p, n, r, 3, 0, need, source, i, sink);                                  \
     *b = gather_column##t(p, n, r, 3, 1, need, source, i, sink);                                  \
     *c = gather_column##t(p, n, r, 3, 2, need, source, i, sink);                                  \
   }                                                                                               \
   LANE_FN void gather4##t(const char* p, int64_t n, const row_lanes* r, vb need, int32_t source,  \
-                          int64_t i, const device_sink sink, T* a, T* b, T* c, T* d) {            \
+                          int64_t i, row_failure& sink, T* a, T* b, T* c, T* d) {            \
     *a = gather_column##t(p, n, r, 4, 0, need, source, i, sink);                                  \
     *b = gather_column##t(p, n, r, 4, 1, need, source, i, sink);                                  \
     *c = gather_column##t(p, n, r, 4, 2, need, source, i, sink);                                  \
     *d = gather_column##t(p, n, r, 4, 3, need, source, i, sink);                                  \
   }                                                                                               \
   template <class S>                                                                              \
-  LANE_FN void own2##t(const S s, vb need, int32_t source, int64_t i, const device_sink sink,     \
+  LANE_FN void own2##t(const S s, vb need, int32_t source, int64_t i, row_failure& sink,     \
                        T* a, T* b) {                                                              \
     *a = own_column##t(s, 2, 0, need, source, i, sink);                                           \
     *b = own_column##t(s, 2, 1, need, source, i, sink);                                           \
   }                                                                                               \
   template <class S>                                                                              \
-  LANE_FN void own3##t(const S s, vb need, int32_t source, int64_t i, const device_sink sink,     \
+  LANE_FN void own3##t(const S s, vb need, int32_t source, int64_t i, row_failure& sink,     \
                        T* a, T* b, T* c) {                                                        \
     *a = own_column##t(s, 3, 0, need, source, i, sink);                                           \
     *b = own_column##t(s, 3, 1, need, source, i, sink);                                           \
     *c = own_column##t(s, 3, 2, need, source, i, sink);                                           \
   }                                                                                               \
   template <class S>                                                                              \
-  LANE_FN void own4##t(const S s, vb need, int32_t source, int64_t i, const device_sink sink,     \
+  LANE_FN void own4##t(const S s, vb need, int32_t source, int64_t i, row_failure& sink,     \
                        T* a, T* b, T* c, T* d) {                                                  \
     *a = own_column##t(s, 4, 0, need, source, i, sink);                                           \
     *b = own_column##t(s, 4, 1, need, source, i, sink);                                           \

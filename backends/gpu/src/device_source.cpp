@@ -23,6 +23,7 @@ std::string kernel_source(const nova::ir::Program& program) {
       "  const int64_t i = (int64_t)blockIdx.x * blockDim.x + threadIdx.x;\n"
       "  if (i >= n) return;\n"
       "  const uint64_t* const w = args.word;\n"
+      "  row_failure failure = begin_row(sink);\n"
       "  row(w";
   for (size_t s = 0; s < program.sources.size(); ++s) {
     const uint32_t k = program.source_argument(s);
@@ -31,7 +32,7 @@ std::string kernel_source(const nova::ir::Program& program) {
   }
   for (size_t o = 0; o < program.outputs.size(); ++o)
     text += ",\n      output_rows{(char*)w[" + std::to_string(program.output_argument(o)) + "]}";
-  text += ",\n      i, sink);\n}\n";
+  text += ",\n      i, failure);\n  end_row(failure, sink, i);\n}\n";
   return text;
 }
 

@@ -42,7 +42,7 @@ novaphy_status create(novaphy_device* device, int64_t n, std::span<const novaphy
       return refuse("kernels with and without contraction");
   const ListPlan plan = plan_list(ops);
   if (!plan.worth_it) return refuse("no structure that repeats");
-  ListSource source = list_source(plan, ops);
+  ListSource source = list_source(plan, ops, n);
   if (!source.fits) return refuse("too many arguments");
   std::unique_ptr<novaphy_list, Destroy> made(new novaphy_list);
   made->device = device;

@@ -42,6 +42,6 @@ struct ListSource {
   uint32_t table_width = 0;
   bool fits = true;  // the words are few enough for an argument
 };
-ListSource list_source(const ListPlan& plan, std::span<const novaphy_list_op> ops);
+ListSource list_source(const ListPlan& plan, std::span<const novaphy_list_op> ops, int64_t n);
 
 }  // namespace novaphy::gpu

@@ -1,4 +1,6 @@
 // The text of a list as one kernel: a thread runs all operations of its row.
+#include <map>
+
 #include "list_plan.h"
 #include "novaphy/program/emit.h"
 
@@ -11,13 +13,14 @@ std::string str(uint64_t k) { return std::to_string(k); }
 
 class Writer {
  public:
-  Writer(const ListPlan& plan, std::span<const novaphy_list_op> ops) : plan_(plan), ops_(ops) {}
+  Writer(const ListPlan& plan, std::span<const novaphy_list_op> ops, int64_t n)
+      : plan_(plan), ops_(ops), n_(static_cast<uint64_t>(n)) {}
 
   ListSource run() {
     std::string code;
     for (const ListPlan::Site& site : plan_.before) code += operation(site, false, "  ");
     if (plan_.period != 0) {
-      code += registers();
+      code += registers() + constants();
       std::string body;
       for (const ListPlan::Site& site : plan_.body) body += operation(site, true, "    ");
       code += "  const int32_t repeats = (int32_t)a.word[" + str(word(plan_.repeats)) + "];\n";
@@ -35,10 +38,24 @@ class Writer {
     out_.words.push_back(value);
     return out_.words.size() - 1;
   }
+  // Equal words that are the same in every iteration share a place, so that the compiler sees that
+  // they are equal. Only numbers of rows: whether two addresses are equal depends on the list.
+  uint64_t rows_word(uint64_t rows) {
+    const auto [known, fresh] = rows_.emplace(rows, 0);
+    if (fresh) known->second = word(rows);
+    return known->second;
+  }
 
   // Word w of an operation: fixed, growing evenly from iteration to iteration, or listed.
   std::string word_text(uint32_t op, uint32_t w, bool in_body) {
     const uint64_t value = ops_[op].arguments[w];
+    const size_t sources = ops_[op].kernel->program.sources.size();
+    if (w < 2 * sources && w % 2 == 1) {  // a number of rows
+      bool fixed = true;
+      for (uint32_t k = 1; in_body && k < plan_.repeats; ++k)
+        fixed = fixed && ops_[op + k * plan_.period].arguments[w] == value;
+      if (fixed) return "a.word[" + str(rows_word(value)) + "]";
+    }
     return varying(value, in_body,
                    [&](uint32_t k) { return ops_[op + k * plan_.period].arguments[w]; });
   }
@@ -92,6 +109,45 @@ class Writer {
     }
     return code;
   }
+  // A source that is the same rows in every iteration, which no operation writes, and of which only
+  // the own row is read: it is loaded before the loop.
+  bool is_loaded_once(const ListPlan::Site& site, size_t s) const {
+    if (site.sources[s].from != ListPlan::Source::From::Constant) return false;
+    const nova::ir::Program& p = ops_[site.op].kernel->program;
+    for (uint32_t k = 0; k < plan_.repeats; ++k) {
+      const uint64_t* words = ops_[site.op + k * plan_.period].arguments;
+      if (words[2 * s] != ops_[site.op].arguments[2 * s] || words[2 * s + 1] < n_) return false;
+    }
+    bool read = false;
+    for (const nova::ir::Instr& in : p.instrs) {
+      if ((in.op != nova::ir::Op::LOAD_F && in.op != nova::ir::Op::LOAD_I) ||
+          in.a != static_cast<int32_t>(s))
+        continue;
+      if (p.instrs[static_cast<size_t>(in.b)].op != nova::ir::Op::INDEX) return false;
+      read = true;
+    }
+    return read;
+  }
+  static std::string constant_name(uint32_t op, size_t source) {
+    return "c" + str(op) + "_" + str(source);
+  }
+  std::string constants() {
+    std::string code;
+    for (uint32_t j = 0; j < plan_.period; ++j) {
+      const ListPlan::Site& site = plan_.body[j];
+      for (size_t s = 0; s < site.sources.size(); ++s) {
+        if (!is_loaded_once(site, s)) continue;
+        const auto width = static_cast<uint64_t>(ops_[site.op].kernel->program.sources[s].width);
+        const std::string name = constant_name(j, s), words = str(width);
+        const std::string from = "a.word[" + str(word(ops_[site.op].arguments[2 * s])) + "]";
+        code += "  int32_t " + name + "[" + words + "];\n";
+        for (uint64_t c = 0; c < width; ++c)
+          code += "  " + name + "[" + str(c) + "] = __ldg((const int32_t*)" + from + " + (i * " +
+                  words + " + " + str(c) + "));\n";
+      }
+    }
+    return code;
+  }
   std::string start_of(uint32_t op, uint32_t output) {
     for (const ListPlan::Site& site : plan_.body)
       for (size_t s = 0; s < site.sources.size(); ++s) {
@@ -116,6 +172,10 @@ class Writer {
       const std::string memory =
           "{(const char*)w[" + str(2 * s) + "], (int64_t)w[" + str(2 * s + 1) + "]}";
       code += ", ";
+      if (in_body && is_loaded_once(site, s)) {
+        code += "source_registers{" + constant_name(site.op - plan_.first, s) + "}";
+        continue;
+      }
       code += source.from == ListPlan::Source::From::Registers
                   ? "source_registers{" + register_name(source.op, source.output) + "}"
               : source.from == ListPlan::Source::From::Constant ? "source_constants" + memory
@@ -128,8 +188,10 @@ class Writer {
                   ? ", output_registers{" + pointer + ", " + register_name(j, o) + "}"
                   : ", output_rows{" + pointer + "}";
     }
-    return code + ", i, device_sink{sink.record, sink.flag, (uint32_t)a.word[" +
-           str(word(op.kernel->number)) + "]});\n" + indent + "}\n";
+    return code + ", i, failure);\n" + indent + "  if (failure.source >= 0) {\n" + indent +
+           "    end_row(failure, device_sink{sink.record, sink.flag, (uint32_t)a.word[" +
+           str(word(op.kernel->number)) + "]}, i);\n" + indent + "    failure.source = -1;\n" +
+           indent + "  }\n" + indent + "}\n";
   }
 
   // A copy or a fill of the own row.
@@ -173,7 +235,8 @@ class Writer {
         "    const __grid_constant__ list_arguments a, const uint64_t* table, const int64_t n,\n"
         "    const device_sink sink) {\n"
         "  const int64_t i = (int64_t)blockIdx.x * blockDim.x + threadIdx.x;\n"
-        "  if (i >= n) return;\n" +
+        "  if (i >= n) return;\n"
+        "  row_failure failure = begin_row(sink);\n" +
         code + "}\n";
   }
 
@@ -184,14 +247,16 @@ class Writer {
 
   const ListPlan& plan_;
   std::span<const novaphy_list_op> ops_;
+  const uint64_t n_;
   ListSource out_;
   std::vector<std::vector<uint64_t>> columns_;
+  std::map<uint64_t, uint64_t> rows_;
 };
 
 }  // namespace
 
-ListSource list_source(const ListPlan& plan, std::span<const novaphy_list_op> ops) {
-  return Writer(plan, ops).run();
+ListSource list_source(const ListPlan& plan, std::span<const novaphy_list_op> ops, int64_t n) {
+  return Writer(plan, ops, n).run();
 }
 
 }  // namespace novaphy::gpu

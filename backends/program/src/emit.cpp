@@ -93,7 +93,7 @@ class Emitter {
     line("// Computes row i.");
     line("template <" + types + ">");
     line("LANE_FN void " + function + "(const uint64_t* args" + values + ", const int64_t i,");
-    line("                  const device_sink sink) {");
+    line("                  row_failure& sink) {");
     ++depth_;
   }
   void head_comment() {

@@ -86,7 +86,10 @@ def environment(**extra: str) -> dict[str, str]:
     """The caller's environment without what changes how NovaPhy runs."""
     ours = ("NOVAPHY_", "NOVA_", "CMAKE_ARGS")
     kept = {k: v for k, v in os.environ.items() if not k.startswith(ours)}
-    return kept | {"PYTHONDONTWRITEBYTECODE": "1"} | extra
+    # All build trees lie two folders below the root: the compiler cache then knows the objects of
+    # one in the other.
+    cache = {"CCACHE_BASEDIR": str(ROOT), "CCACHE_NOHASHDIR": "1"}
+    return kept | {"PYTHONDONTWRITEBYTECODE": "1"} | cache | extra
 
 
 def output_of(*command: str | Path) -> str:
@@ -291,7 +294,8 @@ def make_wheel() -> Path:
     folder = BUILD / "wheel"
     if not make_wheel.made:
         shutil.rmtree(folder, ignore_errors=True)
-        options = ["--no-build-isolation", "--no-deps", "-w", folder]
+        tree = BUILD / "wheel-tree"
+        options = ["--no-build-isolation", "--no-deps", "-C", f"build-dir={tree}", "-w", folder]
         pip("wheel", sys.executable, "wheel", *options, ROOT)
         make_wheel.made = True
     wheels = list(folder.glob("novaphy-*.whl"))
@@ -368,6 +372,8 @@ def editable() -> None:
         ".",
         "--no-build-isolation",
         "--no-deps",
+        "-C",
+        f"build-dir={BUILD / 'editable'}",
         env=environ,
     )
     code = (

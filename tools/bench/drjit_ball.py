@@ -84,7 +84,7 @@ class Balls:
         dr.eval(self.scene, self.velocity)
         self.step = dr.freeze(self.train) if mode == "frozen" else self.train
 
-    def loss_of(self, velocity, scene):  # noqa: ANN001, ANN201
+    def loss_of(self, velocity, scene):
         """The loss of the rollout."""
         dr = self.dr
         x, v = scene["position"], velocity
@@ -101,7 +101,7 @@ class Balls:
         delta = x - scene["target"]
         return dr.sum(dr.dot(delta, delta) * scene["counted"])
 
-    def train(self, velocity, scene):  # noqa: ANN001, ANN201
+    def train(self, velocity, scene):
         """The loss, and the updated velocity."""
         dr = self.dr
         velocity = self.vector(velocity)

@@ -11,6 +11,7 @@ require_diff("novaphy.diff")
 from .._core.diff import (  # noqa: E402
     Trajectory,
     clamp_f32_generated,
+    engine_programs,
     eval_static_particle_shape_contact_forces_generated,
     integrate_particles_generated,
     integrate_particles_with_static_contacts_generated,
@@ -38,6 +39,7 @@ from .._core.diff import (  # noqa: E402
 __all__ = [
     "Trajectory",
     "clamp_f32_generated",
+    "engine_programs",
     "eval_static_particle_shape_contact_forces_generated",
     "integrate_particles_generated",
     "integrate_particles_with_static_contacts_generated",

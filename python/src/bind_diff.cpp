@@ -5,6 +5,7 @@
 #include "nova_types.h"
 #include "novaphy/collision/diff_soft_contacts.h"
 #include "novaphy/diff/diff_semi_implicit_solver.h"
+#include "novaphy/diff/engine_kernels.h"
 #include "novaphy/diff/losses.h"
 #include "novaphy/diff/tensor_views.h"
 #include "novaphy/diff/trajectory.h"
@@ -291,9 +292,26 @@ void bind_solver(py::module_& solvers) {
   add_fast_step(solver);
 }
 
+void bind_engine_programs(py::module_& m) {
+  m.def(
+      "engine_programs",
+      [] {
+        std::vector<nova::EngineKernel> kernels = nova::engine_kernels();
+        for (nova::EngineKernel& k : diff::engine_kernels()) kernels.push_back(std::move(k));
+        std::map<uint64_t, std::string> texts;
+        for (const nova::ir::Program& p : nova::programs_of(kernels))
+          texts[nova::ir::hash(p)] = nova::ir::to_string(p);
+        return texts;
+      },
+      release_gil(),
+      "The Programs of the engine's own kernels and of their adjoints that are built ahead: hash, "
+      "as in KernelInfo, to text.");
+}
+
 }  // namespace
 
 void bind_diff(py::module_& m, py::module_& solvers) {
+  bind_engine_programs(m);
   bind_views(m);
   bind_operators(m);
   bind_trajectory(m);

@@ -6,6 +6,7 @@
 #include <xmmintrin.h>
 #endif
 
+#include <bit>
 #include <cmath>
 #include <limits>
 
@@ -244,6 +245,40 @@ TEST(FusedMultiplyAdd, RoundsOnceInHardCases) {
     }
   }
   EXPECT_EQ(check(b.p, static_cast<int64_t>(in.sources[0].size()), in), "");
+}
+
+// Whether a root is above a limit, with the root needed only where it is: a backend may decide that
+// without the root.
+TEST(Limit, OfARootIsExactForEveryLimit) {
+  Builder b;
+  const Value x = b.load(b.source(Type::F32, 1), b.index());
+  const Value limit = b.op(Op::PARAM_F, b.p.param_count++);
+  const Value root = b.op(Op::SQRT, x);
+  const Value above = b.op(Op::LT, limit, root);
+  Value scaled = b.op(Op::MUL, x, b.op(Op::DIV, limit, root));
+  for (int k = 0; k < 8; ++k)  // enough to be worth skipping
+    scaled = b.op(Op::DIV, b.op(Op::ADD, scaled, root), b.op(Op::MUL, limit, scaled));
+  b.output({b.op(Op::SELECT_F, above, scaled, x)});
+  b.output({b.op(Op::SELECT_I, above, b.i(1), b.i(0))});
+  std::vector<float> limits = {1e-18f, 0.99e-18f, 1.2e-22f, 1e-23f, 1000.0f, 1.8446743e19f, 2e19f};
+  for (const uint32_t word : float_edges()) limits.push_back(std::bit_cast<float>(word));
+  for (const float c : limits) {
+    // Far below, so that whole groups lie there; around the limit, word by word; anything.
+    Inputs in;
+    in.parameters = {bits(c)};
+    std::vector<uint32_t>& words = in.sources.emplace_back();
+    for (int k = 0; k < 64; ++k) words.push_back(bits(c * c * 0.25f));
+    for (const float factor : {1.0f, 0.999f, 1.001f})
+      for (int k = -40; k <= 40; ++k)
+        words.push_back(bits(c * c * factor) + static_cast<uint32_t>(k));
+    words.insert(words.end(), float_edges().begin(), float_edges().end());
+    ASSERT_EQ(check(b.p, static_cast<int64_t>(words.size()), in), "") << "limit " << c;
+    for (const uint32_t word : {words[64], words[104], words[105], words[120]}) {
+      Inputs one = in;
+      one.sources[0] = {word};
+      ASSERT_EQ(check(b.p, 1, one), "") << "limit " << c;
+    }
+  }
 }
 
 #if defined(__x86_64__)

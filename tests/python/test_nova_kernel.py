@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import novaphy
-from novaphy import nova
+from novaphy import diff, nova
 
 F32, I32 = nova.float32, nova.int32
 
@@ -60,6 +60,14 @@ def test_kernel_info_tells_how_each_kernel_runs():
     (tanh,) = [info for info in nova.kernel_info() if info.name == "tanh"]
     native = novaphy.build_info()["NOVAPHY_WITH_NATIVE_KERNELS"]
     assert tanh.how == ("native" if native else "interpreter") and tanh.isa == mine.isa
+
+
+def test_the_engine_programs_are_listed_by_hash():
+    nova.tanh(nova.tensor([1.0]))
+    (tanh,) = [info for info in nova.kernel_info() if info.name == "tanh"]
+    programs = diff.engine_programs()
+    assert programs[tanh.hash].startswith("program tanh\n")
+    assert any(text.startswith("program step_particles.adjoint\n") for text in programs.values())
 
 
 def test_equal_computations_have_equal_hashes():

@@ -12,9 +12,12 @@ Modes:
 * `captured`: the `rollout` iteration, captured once with `nova.ScopedCapture` and replayed.
 * `leaves`: the same on a tape that keeps the gradients of leaves only.
 
-With `--memory` it prints, instead of timings, how much memory the `step` loop takes per particle
-and substep: `states_bytes` is what the states took, `tape_bytes` what recording and `backward`
-added to it (resident set).
+With `--memory` it prints, instead of timings, how much memory `step`, `rollout` or `leaves` take
+per particle and substep, without a capture: `states_bytes` is what the states took, `tape_bytes`
+what recording and `backward` added to it (resident set).
+
+With `--operations` it prints how many float32 operations the Programs of one iteration hold per
+particle and substep (see `count_operations`).
 
     python tools/bench/novaphy_ball.py --n 1 10 1000 --mode step captured --iterations 20
 """
@@ -50,11 +53,17 @@ def ball_offsets(n: int) -> np.ndarray:
     return (np.arange(n) % 7 - 3).astype(np.float32) * np.float32(0.05)
 
 
+def resident_bytes() -> int:
+    """The resident set of this process."""
+    pages = int(Path("/proc/self/statm").read_text().split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE")
+
+
 class Balls:
     """N balls, their states, contacts and training iteration."""
 
-    def __init__(self, n: int, mode: str, device: str) -> None:
-        """Build the model and the contacts, and capture the iteration when asked to."""
+    def __init__(self, n: int, mode: str, device: str, capture: bool = True) -> None:
+        """Build the model and the contacts, and capture the iteration where the mode does."""
         self.n = n
         self.mode = mode
         position = np.zeros((n, 3), np.float32)
@@ -74,22 +83,23 @@ class Balls:
             setattr(self.model, f"soft_contact_{name}", value)
 
         self.solver = novaphy.solvers.DiffSemiImplicitSolver(self.model)
+        pipeline = novaphy.CollisionPipeline(self.model, soft_contact_margin=GAP)
+        self.contacts = pipeline.contacts()
+        pipeline.collide(self.model.state(), self.contacts)
+        self.scene_resident = resident_bytes()
         if mode == "step":
             self.states = [self.model.state() for _ in range(STEPS + 1)]
             self.first, self.last = self.states[0], self.states[-1]
         else:
             self.trajectory = diff.Trajectory(self.model, STEPS)
             self.first, self.last = self.trajectory[0], self.trajectory[STEPS]
-        pipeline = novaphy.CollisionPipeline(self.model, soft_contact_margin=GAP)
-        self.contacts = pipeline.contacts()
-        pipeline.collide(self.first, self.contacts)
         self.velocity = diff.state_particle_qd_tensor(self.first, requires_grad=True)
 
         self.graph = None
-        if mode in ("captured", "leaves"):
-            with nova.ScopedCapture() as capture:
+        if capture and mode in ("captured", "leaves"):
+            with nova.ScopedCapture() as captured:
                 self.loss = self.record()
-            self.graph = capture.graph
+            self.graph = captured.graph
 
     def simulate(self) -> None:
         """Run all substeps."""
@@ -175,17 +185,10 @@ def measure(n: int, mode: str, iterations: int, device: str) -> dict[str, object
     }
 
 
-def resident_bytes() -> int:
-    """The resident set of this process."""
-    pages = int(Path("/proc/self/statm").read_text().split()[1])
-    return pages * os.sysconf("SC_PAGE_SIZE")
-
-
-def measure_memory(n: int, device: str) -> dict[str, object]:
-    """The memory of the step loop."""
-    Balls(1, "step", device).record()  # what is made once
-    before = resident_bytes()
-    balls = Balls(n, "step", device)
+def measure_memory(n: int, mode: str, device: str) -> dict[str, object]:
+    """The memory of the states, and of recording and running backward."""
+    Balls(1, mode, device, capture=False).record()  # what is made once
+    balls = Balls(n, mode, device, capture=False)
     with nova.no_grad():
         balls.simulate()
     states = resident_bytes()
@@ -197,10 +200,57 @@ def measure_memory(n: int, device: str) -> dict[str, object]:
         "version": novaphy.__version__,
         "scene": "ball",
         "measure": "memory",
+        "mode": mode,
         "n": n,
         "substeps": STEPS,
-        "states_bytes": (states - before) / per,
+        "states_bytes": (states - balls.scene_resident) / per,
         "tape_bytes": (recorded - states) / per,
+    }
+
+
+ARITHMETIC = frozenset(["ADD", "SUB", "MUL", "DIV", "NEG", "ABS", "SQRT", "MIN", "MAX"])
+
+
+def operations_of(program: str, items: int) -> int:
+    """Float32 operations of one row of a Program's text, whose loops run over `items` items.
+
+    Every instruction is a line `%number = NAME operands`, indented further inside a loop. A fused
+    multiply-add is two operations; comparisons, selections, loads and casts are none.
+    """
+    total = 0
+    for line in program.splitlines():
+        indent, _, rest = line.partition("%")
+        _, assigned, instruction = rest.partition(" = ")
+        if not assigned or indent.strip():
+            continue
+        name = instruction.split()[0]
+        total += ((name in ARITHMETIC) + 2 * (name == "FMA")) * (items if len(indent) > 2 else 1)
+    return total
+
+
+def count_operations(device: str) -> dict[str, object]:
+    """Operations of a substep and of its adjoint, per particle.
+
+    Counted in the Programs, every region of them: kernels skip those that no lane of a group takes,
+    so that this is an upper bound. Each ball has two contacts.
+    """
+    balls = Balls(1, "leaves", device)
+    balls.iterate()
+    texts = diff.engine_programs()
+    counts: dict[str, int] = {}
+    for info in nova.kernel_info():  # of several adjoints, for one substep each, the longest
+        if info.name.split(".")[0] == "step_particles":
+            operations = operations_of(texts[info.hash], 2)
+            counts[info.name] = max(counts.get(info.name, 0), operations)
+    if sorted(counts) != ["step_particles", "step_particles.adjoint"] or not all(counts.values()):
+        raise SystemExit(f"novaphy_ball: unexpected Programs in a rollout: {counts}")
+    return {
+        "engine": "novaphy",
+        "version": novaphy.__version__,
+        "scene": "ball",
+        "measure": "operations",
+        "programs": counts,
+        "operations": sum(counts.values()),
     }
 
 
@@ -216,24 +266,33 @@ def parse_arguments() -> argparse.Namespace:
     )
     parser.add_argument("--device", default="cpu", help="NovaPhy device")
     parser.add_argument(
-        "--memory", action="store_true", help="measure the step loop's memory instead"
+        "--memory", action="store_true", help="measure the memory instead of the time"
+    )
+    parser.add_argument(
+        "--operations", action="store_true", help="count the float32 operations instead"
     )
     arguments = parser.parse_args()
     if min(arguments.n) < 1 or arguments.iterations < 1:
         parser.error("--n and --iterations must be positive")
+    if arguments.memory and (arguments.mode == ["captured"] or len(arguments.mode) > 1):
+        parser.error("--memory takes one of the modes step, rollout and leaves")
+    if arguments.memory and len(arguments.n) > 1:
+        parser.error("--memory takes one number of balls: memory that was used is used again")
     return arguments
 
 
 def main() -> None:
     """Run every requested measurement."""
     arguments = parse_arguments()
-    if arguments.memory:
-        for n in arguments.n:
-            print(json.dumps(measure_memory(n, arguments.device)), flush=True)
+    if arguments.operations:
+        print(json.dumps(count_operations(arguments.device)))
         return
     for mode in arguments.mode:
         for n in arguments.n:
-            record = measure(n, mode, arguments.iterations, arguments.device)
+            if arguments.memory:
+                record = measure_memory(n, mode, arguments.device)
+            else:
+                record = measure(n, mode, arguments.iterations, arguments.device)
             print(json.dumps(record), flush=True)
 
 

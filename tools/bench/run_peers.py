@@ -1,10 +1,15 @@
 #!/usr/bin/env python3
-"""Time NovaPhy and Newton on the same scene, in one run, and write docs/performance.md.
+"""Time NovaPhy and its peers on the same scene, in one run, and write docs/performance.md.
 
-Makes a virtual environment with Newton under build/ (from the package index, once), then runs
-newton_ball.py and novaphy_ball.py in turn, each measurement in a process of its own. Before any
-timing, the loss of the first iteration of one ball must be the same bits in both engines and in all
-modes. Adds the start-up time of a fresh process (start_up.py) and the memory of the step loop.
+Makes a virtual environment per peer under build/ (from the package index, once), then runs the
+programs beside this file in turn, each measurement in a process of its own. Before any timing, the
+loss of the first iteration of one ball must be the same bits in Newton and in all modes of NovaPhy,
+and within 1e-5 of them in JAX and Dr.Jit. Adds the copy bandwidth of the machine, the operations
+of the rollout, the instructions of an iteration (where valgrind is installed), the start-up time of
+a fresh process and the memory of a rollout.
+
+A measurement that needs more memory than is free is left out, and the table says so; `--slow` does
+the same for those that would take longer than so many seconds per iteration.
 
 Run it with the Python that has NovaPhy installed, on a machine that does nothing else:
 
@@ -18,86 +23,139 @@ import argparse
 import json
 import os
 import platform
+import re
+import shutil
 import statistics
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+
+import numpy as np
 
 ROOT = Path(__file__).resolve().parents[2]
 BENCH = ROOT / "tools" / "bench"
-VENV = ROOT / "build" / "venv" / "peers"
-REQUIREMENTS = ("newton==1.8.0", "warp-lang==1.19.0", "numpy")
+VENVS = ROOT / "build" / "venv"
+REQUIREMENTS = {
+    "newton": ("newton==1.8.0", "warp-lang==1.19.0", "numpy"),
+    "jax": ("jax==0.10.2", "jaxlib==0.10.2", "numpy"),
+    "drjit": ("drjit==1.5.0", "numpy"),
+}
+SUBSTEPS = 288
+SAME_BITS = ("newton", "novaphy")
+RELATIVE = 1.0e-5  # how far the loss of the first iteration may be off in the others
 
-ENGINES = ("newton", "novaphy")
 # Column -> engine, mode, threads (0: as many as there are).
 COLUMNS = {
     "Newton, eager": ("newton", "eager", 0),
     "Newton, captured": ("newton", "captured", 0),
     "Newton, captured, lean": ("newton", "captured-lean", 0),
+    "JAX, full": ("jax", "full", 0),
+    "JAX, lean": ("jax", "lean", 0),
+    "Dr.Jit, lean": ("drjit", "lean", 0),
+    "Dr.Jit, lean, frozen": ("drjit", "frozen", 0),
     "NovaPhy, step": ("novaphy", "step", 0),
     "NovaPhy, rollout": ("novaphy", "rollout", 0),
     "NovaPhy, captured": ("novaphy", "captured", 0),
-    "NovaPhy, captured, 1 thread": ("novaphy", "captured", 1),
+    "NovaPhy, leaves": ("novaphy", "leaves", 0),
+    "NovaPhy, leaves, 1 thread": ("novaphy", "leaves", 1),
 }
+BEST = "NovaPhy, leaves"
 # Ratio -> slower column, faster column.
 RATIOS = {
-    "step loop against Newton eager": ("Newton, eager", "NovaPhy, step"),
-    "step loop against Newton captured": ("Newton, captured", "NovaPhy, step"),
-    "captured against captured": ("Newton, captured", "NovaPhy, captured"),
-    "captured against captured, lean": ("Newton, captured, lean", "NovaPhy, captured"),
-    "captured, 1 thread, against captured": ("Newton, captured", "NovaPhy, captured, 1 thread"),
-    "captured, 1 thread, against captured, lean": (
-        "Newton, captured, lean",
-        "NovaPhy, captured, 1 thread",
-    ),
+    "step against Newton, eager": ("Newton, eager", "NovaPhy, step"),
+    "captured against Newton, captured": ("Newton, captured", "NovaPhy, captured"),
+    "leaves against Newton, captured": ("Newton, captured", BEST),
+    "leaves, 1 thread, against Newton, captured": ("Newton, captured", "NovaPhy, leaves, 1 thread"),
+    "leaves against Newton, captured, lean": ("Newton, captured, lean", BEST),
+    "leaves against JAX, full": ("JAX, full", BEST),
+    "leaves against JAX, lean": ("JAX, lean", BEST),
+    "leaves against Dr.Jit, lean": ("Dr.Jit, lean", BEST),
+    "leaves against Dr.Jit, lean, frozen": ("Dr.Jit, lean, frozen", BEST),
 }
+# Bytes per particle and substep that a measurement needs, where its program does not tell: states
+# of positions, velocities and forces, and as much for their gradients.
+NEEDED_BYTES = {"newton": 72, "step": 88, "rollout": 49, "captured": 49, "leaves": 25}
+# Bytes per particle and substep that a rollout and its backward pass must move: positions and
+# velocities are 24, written by the substep and read by its adjoint.
+MOVED_BYTES = 48
+COPY_BYTES = 256 << 20
 
 
-def newton_python() -> Path:
-    """The Python of an environment with Newton, made once."""
-    python, stamp = VENV / "bin" / "python", VENV / "requirements.stamp"
-    wanted = f"{sys.version} {REQUIREMENTS}"
+def python_of(engine: str) -> Path | str:
+    """The Python that has an engine; a virtual environment of a peer is made once."""
+    if engine not in REQUIREMENTS:
+        return sys.executable
+    venv, wanted = VENVS / engine, f"{sys.version} {REQUIREMENTS[engine]}"
+    python, stamp = venv / "bin" / "python", venv / "requirements.stamp"
     if not python.exists() or not stamp.exists() or stamp.read_text() != wanted:
-        print(f"installing {', '.join(REQUIREMENTS)}", file=sys.stderr)
-        subprocess.run([sys.executable, "-m", "venv", "--clear", VENV], check=True)
+        print(f"installing {', '.join(REQUIREMENTS[engine])}", file=sys.stderr)
+        subprocess.run([sys.executable, "-m", "venv", "--clear", venv], check=True)
         pip = [python, "-m", "pip", "install", "-q", "--disable-pip-version-check"]
-        subprocess.run([*pip, *REQUIREMENTS], check=True)
+        subprocess.run([*pip, *REQUIREMENTS[engine]], check=True)
         stamp.write_text(wanted)
     return python
 
 
-def run(python: Path | str, script: str, *arguments: object, threads: int = 0) -> dict[str, object]:
-    """Run a benchmark program; the record of its last line."""
+def environment(threads: int = 0) -> dict[str, str]:
+    """This process's, without settings of NovaPhy but for where its plugin lies."""
     env = {k: v for k, v in os.environ.items() if not k.startswith(("NOVAPHY_", "NOVA_"))}
+    if (
+        "NOVAPHY_BACKEND_PATH" in os.environ
+    ):  # set for a build tree; an installed package needs none
+        env["NOVAPHY_BACKEND_PATH"] = os.environ["NOVAPHY_BACKEND_PATH"]
     if threads:
         env["NOVAPHY_NUM_THREADS"] = str(threads)
+    return env
+
+
+def run(python: Path | str, script: str, *arguments: object, threads: int = 0) -> dict[str, object]:
+    """Run a benchmark program; the record of its last line."""
     command = [str(python), str(BENCH / script), *map(str, arguments)]
-    done = subprocess.run(command, env=env, stdout=subprocess.PIPE, text=True, check=True)
+    done = subprocess.run(
+        command, env=environment(threads), stdout=subprocess.PIPE, text=True, check=True
+    )
     record = json.loads(done.stdout.splitlines()[-1])
     print(json.dumps(record), flush=True)
     return record
 
 
-def measure(column: str, newton: Path, n: int, iterations: int) -> dict[str, object]:
-    """One measurement of a column of the table."""
+def free_memory() -> int:
+    """Bytes that a program can still take."""
+    for line in Path("/proc/meminfo").read_text().splitlines():
+        if line.startswith("MemAvailable"):
+            return int(line.split()[1]) * 1024
+    raise SystemExit("run_peers: /proc/meminfo does not tell the free memory")
+
+
+def measure(column: str, n: int, iterations: int) -> dict[str, object]:
+    """One measurement of a column of the table; `skipped` tells why there is none."""
     engine, mode, threads = COLUMNS[column]
-    python = newton if engine == "newton" else sys.executable
+    needed = NEEDED_BYTES.get(engine, NEEDED_BYTES.get(mode, 0)) * n * SUBSTEPS
+    if needed > free_memory():
+        return {"engine": engine, "skipped": f"needs {needed / 2**30:.0f} GiB"}
     options = ["--n", n, "--mode", mode, "--iterations", iterations]
-    return run(python, f"{engine}_ball.py", *options, threads=threads)
+    return run(python_of(engine), f"{engine}_ball.py", *options, threads=threads)
 
 
-def check_bits(newton: Path) -> float:
-    """The loss of the first iteration of one ball, which must be the same everywhere."""
-    losses = {column: measure(column, newton, 1, 1)["loss"] for column in COLUMNS}
-    if len(set(losses.values())) != 1:
+def check_losses() -> tuple[float, dict[str, str]]:
+    """The loss of the first iteration of one ball, which must agree, and the versions by engine."""
+    records = {column: measure(column, 1, 1) for column in COLUMNS}
+    losses = {c: float(r["loss"]) for c, r in records.items() if "skipped" not in r}
+    exact = {loss for c, loss in losses.items() if COLUMNS[c][0] in SAME_BITS}
+    expected = losses[BEST]
+    if len(exact) != 1 or any(abs(v - expected) > RELATIVE * expected for v in losses.values()):
         raise SystemExit(f"run_peers: the losses of the first iteration differ: {losses}")
-    return float(next(iter(losses.values())))
+    versions = {COLUMNS[c][0]: str(r["version"]) for c, r in records.items() if "version" in r}
+    return expected, versions
 
 
 def check_hashes(records: list[dict[str, object]]) -> bool:
     """Whether Newton's final positions and gradient are NovaPhy's, which are one in all modes."""
-    hashes = {e: {r["result_hash"] for r in records if r["engine"] == e} for e in ENGINES}
+    ran = [r for r in records if "result_hash" in r]
+    hashes = {e: {r["result_hash"] for r in ran if r["engine"] == e} for e in SAME_BITS}
     if len(hashes["novaphy"]) > 1:
         raise SystemExit(f"run_peers: the results of NovaPhy differ: {sorted(hashes['novaphy'])}")
     return hashes["newton"] == hashes["novaphy"]
@@ -108,26 +166,85 @@ def iterations_for(n: int) -> int:
     return 30 if n <= 1000 else 5 if n <= 10_000 else 2
 
 
-def time_all(
-    newton: Path, sizes: list[int], rounds: int
-) -> tuple[dict[int, dict[str, float]], list[int]]:
-    """Median seconds by number of balls and column, and for how many balls both had the same bits.
+class Results:
+    """What was measured, by number of balls and column."""
 
-    The engines take turns.
-    """
-    table: dict[int, dict[str, float]] = {}
-    same: list[int] = []
-    for n in sizes:
-        seconds: dict[str, list[float]] = {column: [] for column in COLUMNS}
-        records = []
-        for _ in range(rounds):
-            for column in COLUMNS:
-                records.append(measure(column, newton, n, iterations_for(n)))
-                seconds[column].append(float(records[-1]["median_s"]))
-        if check_hashes(records):
-            same.append(n)
-        table[n] = {column: statistics.median(values) for column, values in seconds.items()}
-    return table, same
+    def __init__(self, sizes: list[int], rounds: int, slow: float) -> None:
+        """Measure; the engines take turns."""
+        self.seconds: dict[int, dict[str, float]] = {}  # medians
+        self.first: dict[int, dict[str, float]] = {}  # until the first iteration is done
+        self.skipped: dict[int, dict[str, str]] = {}
+        self.same: list[int] = []  # for which Newton and NovaPhy have the same bits
+        before = 0
+        for n in sorted(sizes):
+            records: dict[str, list[dict[str, object]]] = {column: [] for column in COLUMNS}
+            self.skipped[n] = {}
+            for _ in range(rounds):
+                for column in [c for c in COLUMNS if c not in self.skipped[n]]:
+                    expected = self.seconds.get(before, {}).get(column, 0.0) * n / max(before, 1)
+                    if before and (column in self.skipped[before] or expected > slow):
+                        self.skipped[n][column] = self.skipped[before].get(column, "too slow")
+                        continue
+                    record = measure(column, n, iterations_for(n))
+                    if "skipped" in record:
+                        self.skipped[n][column] = str(record["skipped"])
+                    else:
+                        records[column].append(record)
+            if check_hashes([r for column in COLUMNS for r in records[column]]):
+                self.same.append(n)
+            self.seconds[n] = self.medians(records, "median_s")
+            self.first[n] = self.medians(records, "first_s")
+            before = n
+
+    @staticmethod
+    def medians(records: dict[str, list[dict[str, object]]], key: str) -> dict[str, float]:
+        """Of a number over the rounds, by column."""
+        return {c: statistics.median(float(r[key]) for r in rs) for c, rs in records.items() if rs}
+
+    def cell(self, n: int, column: str) -> str:
+        """The time of an iteration, or why there is none."""
+        if column in self.skipped[n]:
+            return self.skipped[n][column]
+        return duration(self.seconds[n][column])
+
+    def ratio(self, n: int, slow: str, fast: str) -> str:
+        """How many times faster one column is than another."""
+        times = self.seconds[n]
+        return f"{times[slow] / times[fast]:.3g}" if slow in times and fast in times else "–"
+
+
+def copy_bandwidth(threads: int) -> float:
+    """Bytes read and written per second by copying an array larger than the caches, best of 5."""
+    source = np.ones(COPY_BYTES, np.uint8)
+    target = np.empty_like(source)
+    parts = list(zip(np.array_split(target, threads), np.array_split(source, threads)))
+    best = float("inf")
+    with ThreadPoolExecutor(threads) as pool:
+        for _ in range(6):  # the first one touches the pages
+            start = time.perf_counter()
+            list(pool.map(lambda part: np.copyto(*part), parts))
+            best = min(best, time.perf_counter() - start)
+    return 2 * COPY_BYTES / best
+
+
+def instructions(mode: str) -> str:
+    """Instructions per iteration of one ball, from callgrind; or why there are none."""
+    valgrind = shutil.which("valgrind")
+    if valgrind is None:
+        return "not counted: valgrind is not installed"
+    env = environment(threads=1) | {"NOVAPHY_CPU_ISA": "avx2", "PYTHONHASHSEED": "0"}
+    counts = {}
+    for iterations in (2, 52):
+        command = [valgrind, "--tool=callgrind", "--callgrind-out-file=/dev/null", sys.executable]
+        command += [str(BENCH / "novaphy_ball.py"), "--mode", mode, "--n", "1"]
+        command += ["--iterations", str(iterations)]
+        done = subprocess.run(command, env=env, capture_output=True, text=True)
+        found = re.search(r"I\s+refs:\s+([\d,]+)", done.stderr)
+        if done.returncode != 0 or found is None:
+            return f"not counted: valgrind ended with {done.returncode}"
+        counts[iterations] = int(found[1].replace(",", ""))
+    each = (counts[52] - counts[2]) / 50
+    return f"{each:,.0f} ({each / SUBSTEPS:,.0f} per substep)"
 
 
 def cpu_name() -> str:
@@ -158,25 +275,58 @@ def rows(header: list[str], body: list[list[str]]) -> str:
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 
+def bandwidth_rows(results: Results, operations: float) -> list[list[str]]:
+    """Bytes and operations per second of the rollout."""
+    body = []
+    for n, seconds in results.seconds.items():
+        if BEST in seconds:
+            per_second = n * SUBSTEPS / seconds[BEST]
+            moved, done = MOVED_BYTES * per_second / 1e9, operations * per_second / 1e9
+            body.append([f"{n:,}", f"{moved:.3g}", f"{done:.3g}", f"{1e9 / per_second:.3g} ns"])
+    return body
+
+
+def memory_of(record: dict[str, object]) -> tuple[float, float, float]:
+    """Bytes per particle and substep: states, tape and gradients, both."""
+    states, tape = float(record["states_bytes"]), float(record["tape_bytes"])
+    return states, tape, states + tape
+
+
+def bytes_text(count: float) -> str:
+    """A number of bytes with one decimal."""
+    return f"{count:.1f}"
+
+
 def page(
-    table: dict[int, dict[str, float]],
-    same: list[int],
+    results: Results,
     versions: dict[str, str],
     loss: float,
     start: dict[str, object],
-    memory: dict[str, object],
+    memory: list[dict[str, object]],
+    bandwidth: dict[int, float],
+    counted: dict[str, object],
+    callgrind: dict[str, str],
     rounds: int,
 ) -> str:
     """docs/performance.md."""
-    sizes = list(table)
-    times = [[f"{n:,}", *(duration(table[n][c]) for c in COLUMNS)] for n in sizes]
+    sizes = list(results.seconds)
+    by_size = [f"N = {n:,}" for n in sizes]
+    times = [[c, *(results.cell(n, c) for n in sizes)] for c in COLUMNS]
+    firsts = [
+        [c, *(duration(results.first[n][c]) if c in results.first[n] else "–" for n in sizes)]
+        for c in COLUMNS
+    ]
     ratios = [
-        [name, *(f"{table[n][slow] / table[n][fast]:.1f}" for n in sizes)]
+        [name, *(results.ratio(n, slow, fast) for n in sizes)]
         for name, (slow, fast) in RATIOS.items()
     ]
-    facts = [*machine(), *((name, version) for name, version in versions.items())]
-    equal = ", ".join(f"{n:,}" for n in same) or "none"
-    total = float(memory["states_bytes"]) + float(memory["tape_bytes"])
+    names = {"newton": "Newton (Warp 1.19.0)", "jax": "JAX", "drjit": "Dr.Jit"}
+    facts = [*machine(), *((names.get(e, "NovaPhy"), v) for e, v in versions.items())]
+    equal = ", ".join(f"{n:,}" for n in results.same) or "none"
+    operations = float(counted["operations"])
+    used = [[str(m["mode"]), *map(bytes_text, memory_of(m))] for m in memory]
+    copies = ", ".join(f"{b / 1e9:.3g} GB/s with {t} thread(s)" for t, b in bandwidth.items())
+    programs = counted["programs"]
     return f"""# Performance
 
 Written by `tools/bench/run_peers.py`; do not edit. Everything on this page was measured in one
@@ -189,19 +339,56 @@ run.
 One iteration is what the example does: 288 substeps with contacts, the loss, `backward`, the
 update of the initial velocities. Time per iteration: the median within a process, and of that the
 median over {rounds} processes, in which the engines took turns. The loss of the first iteration of
-one ball, {loss!r}, is the same bits in every column. After the last iteration, the positions and
-the gradient have the same bits in both engines for N = {equal}.
+one ball, {loss!r}, is the same bits in every column of Newton and NovaPhy, and within {RELATIVE:g}
+of it in the others. After the last iteration, the positions and the gradient have the same bits in
+Newton and NovaPhy for N = {equal}.
 
-{rows(["N", *COLUMNS], times)}
+{rows(["", *by_size], times)}
 
-How many times faster NovaPhy is:
+How many times faster NovaPhy is (below 1: slower):
 
-{rows(["", *(f"N = {n:,}" for n in sizes)], ratios)}
+{rows(["", *by_size], ratios)}
 
-*eager* and *step*: a Python loop over the substeps, recorded anew in every iteration. *rollout*:
-one call for all substeps. *captured*: recorded once and replayed. *lean*: Newton with a pipeline
-without rigid contacts, which spares it a kernel that does nothing in this scene. Newton's CPU
-device (Warp) runs on one thread; NovaPhy uses all CPUs unless it says 1 thread.
+* Newton: *eager* is a Python loop over the substeps, recorded anew in every iteration; *captured*
+  is recorded once and replayed; *captured, lean* has a pipeline without rigid contacts, which
+  spares it a kernel that does nothing in this scene. Its CPU device (Warp) runs on one thread.
+* JAX: `jit(value_and_grad(scan))`, written for this page (`tools/bench/jax_ball.py`). *full* has
+  every term of the contact law; in *lean*, the terms that are zero in this scene are left out by
+  hand. It does not compute the bits of the others.
+* Dr.Jit: LLVM backend, substeps unrolled, the *lean* law (`tools/bench/drjit_ball.py`). *frozen*
+  replays a recording, otherwise Python traces every iteration.
+* NovaPhy computes the full law. *step*: a Python loop over the substeps, recorded anew in every
+  iteration. *rollout*: one call for all substeps. *captured*: recorded once and replayed. *leaves*:
+  the same on a tape that keeps the gradients of leaves only. All CPUs, unless it says 1 thread.
+
+From the start of building the scene until the first iteration is done, what has to be compiled or
+traced included (Newton's kernels come compiled from its cache; imports are not included):
+
+{rows(["", *by_size], firsts)}
+
+## Bandwidth and operations
+
+Copying {COPY_BYTES >> 20} MiB (bytes read and written): {copies}.
+
+A rollout must move {MOVED_BYTES} bytes per particle and substep: it writes the new position and
+velocity, 24 bytes, which the adjoint reads. What can stay in the caches is not counted: contacts,
+materials, the gradients from one substep to the next. The Programs of a substep and its adjoint
+hold {programs["step_particles"]} and {programs["step_particles.adjoint"]} float32 operations per
+particle with its two contacts (a fused multiply-add is two, a comparison or selection none):
+{operations / MOVED_BYTES:.3g} operations per byte. That is an upper bound, and so are the
+operations per second below: the kernels skip what no lane of a vector takes, friction for one, and
+most balls touch nothing most of the time. *leaves*:
+
+{
+        rows(
+            ["N", "GB/s moved", "10⁹ operations/s, at most", "per particle and substep"],
+            bandwidth_rows(results, operations),
+        )
+    }
+
+Instructions per iteration for N = 1, counted by callgrind with AVX2 kernels (it does not know
+AVX-512), as the difference of two runs of different length: *captured*
+{callgrind["captured"]}, *leaves* {callgrind["leaves"]}.
 
 ## Start-up
 
@@ -211,10 +398,11 @@ From starting `python` until the gradient of the ball is printed, in a fresh pro
 
 ## Memory
 
-The Python loop of `step`, N = {memory["n"]:,}: {float(memory["states_bytes"]):.0f} bytes per
-particle and substep for the states (positions, velocities and forces are 36 of them), and
-{float(memory["tape_bytes"]):.0f} more for what the tape keeps and for all gradients: {total:.0f}
-together.
+Bytes per particle and substep, N = {memory[0]["n"]:,}: what the states take, and what the tape
+keeps and all gradients take on top of it (resident set; {SUBSTEPS} substeps have {SUBSTEPS + 1}
+states, positions and velocities are 24 bytes of each).
+
+{rows(["", "states", "tape and gradients", "together"], used)}
 
 ## Again
 
@@ -229,25 +417,39 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument(
-        "--n", type=int, nargs="+", default=[1, 10, 100, 1000, 10_000, 100_000], help="balls"
-    )
+    sizes = [1, 10, 100, 1000, 10_000, 100_000, 1_000_000]
+    parser.add_argument("--n", type=int, nargs="+", default=sizes, help="balls")
     parser.add_argument("--rounds", type=int, default=3, help="processes per measurement")
+    parser.add_argument(
+        "--slow", type=float, default=60.0, help="leave out iterations expected to take longer (s)"
+    )
     parser.add_argument("--output", type=Path, default=ROOT / "docs" / "performance.md")
     arguments = parser.parse_args()
     if min(arguments.n) < 1 or arguments.rounds < 1:
         parser.error("--n and --rounds must be positive")
 
-    newton = newton_python()
-    loss = check_bits(newton)
-    versions = {
-        "NovaPhy": str(measure("NovaPhy, captured", newton, 1, 1)["version"]),
-        "Newton": "1.8.0, Warp 1.19.0",
-    }
-    table, same = time_all(newton, arguments.n, arguments.rounds)
+    loss, versions = check_losses()
+    bandwidth = {t: copy_bandwidth(t) for t in sorted({1, len(os.sched_getaffinity(0))})}
+    print(json.dumps({"measure": "copy", "bytes_per_s": bandwidth}), flush=True)
+    results = Results(arguments.n, arguments.rounds, arguments.slow)
     start = run(sys.executable, "start_up.py")
-    memory = run(sys.executable, "novaphy_ball.py", "--memory", "--n", 10_000)
-    text = page(table, same, versions, loss, start, memory, arguments.rounds)
+    memory = [
+        run(sys.executable, "novaphy_ball.py", "--memory", "--n", 100_000, "--mode", mode)
+        for mode in ("step", "rollout", "leaves")
+    ]
+    counted = run(sys.executable, "novaphy_ball.py", "--operations", "--mode", "leaves")
+    callgrind = {mode: instructions(mode) for mode in ("captured", "leaves")}
+    text = page(
+        results,
+        versions,
+        loss,
+        start,
+        memory,
+        bandwidth,
+        counted,
+        callgrind,
+        arguments.rounds,
+    )
     temporary = arguments.output.with_suffix(".md.part")
     temporary.write_text(text, encoding="utf-8")
     temporary.replace(arguments.output)

@@ -41,6 +41,11 @@ LANE_FN float uabs(float a) { return __builtin_fabsf(a); }
 LANE_FN float usign(float a) { return a < 0.0f ? -1.0f : 1.0f; }
 LANE_FN float umin(float a, float b) { return a <= b ? a : b; }
 LANE_FN float umax(float a, float b) { return a >= b ? a : b; }
+/* No x up to this has a root above c. */
+LANE_FN float square_below(float c) {
+  const float below = c * c * 0.999f, most = 3.40282347e38f;
+  return !(c >= 1e-18f) ? ubits_f((int32_t)0xFF800000u) : below < most ? below : most;
+}
 LANE_FN float usqrt(float a) { return __builtin_sqrtf(a); }
 LANE_FN float ufma(float a, float b, float c) {
   return __builtin_fmaf(a, b, c);

@@ -334,7 +334,19 @@ class Emitter {
     const Instr& in = p_.instrs[at(v)];
     if (is_leaf(in.op)) return;
     if (is_load(in.op)) return load(v, in);
+    if (plan_.root[at(v)] != kNone) return limited_root(v, in);
     line(declaration(v) + " = " + text_.expression(v) + ";");
+  }
+  // c < sqrt(x) is false wherever x <= 0.999 c c: a group of such lanes needs no root.
+  void limited_root(Value v, const Instr& in) {
+    line((is_declared(v) ? "" : text_.c_type(v) + " ") + text_.name(v) + " = " + zero(v) + ";");
+    if (in.op == Op::SQRT) return;
+    const Value root = plan_.root[at(v)];
+    const std::string x = text_.lanes(p_.instrs[at(root)].a);
+    line("if (any(vlt(splatf(square_below(" + text_.name(in.a) + ")), " + x + "))) {");
+    ++depth_;
+    for (const Value k : {root, v}) line(text_.name(k) + " = " + text_.expression(k) + ";");
+    close();
   }
   std::string declaration(Value v) const {
     return is_declared(v) ? text_.name(v) : "const " + text_.c_type(v) + " " + text_.name(v);

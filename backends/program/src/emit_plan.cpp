@@ -28,12 +28,14 @@ class Planner {
     out_.loop.assign(count, -1);
     out_.region.assign(count, -1);
     out_.group.assign(count, -1);
+    out_.root.assign(count, kNone);
     locate();
     find_uniform();
     find_used();
     group_loads();
     weigh_regions();
     find_escapes();
+    find_limited_roots();
     return std::move(out_);
   }
 
@@ -175,6 +177,43 @@ class Planner {
       out_.regions[at(child)].escape.push_back(static_cast<Value>(v));
       out_.escapes[v] = 1;
     }
+  }
+
+  bool under(int32_t region, Value cond) const {
+    for (; region >= 0; region = out_.regions[at(region)].parent)
+      if (out_.regions[at(region)].cond == cond && out_.regions[at(region)].polarity) return true;
+    return false;
+  }
+
+  void find_limited_roots() {
+    for (size_t v = 0; v < p_.instrs.size(); ++v) {
+      const Instr& in = p_.instrs[v];
+      const bool limit = in.op == Op::LT && p_.instrs[at(in.b)].op == Op::SQRT &&
+                         (out_.once[at(in.a)] || is_constant(p_.instrs[at(in.a)].op)) &&
+                         !out_.uniform[at(in.b)] && out_.loop[v] == out_.loop[at(in.b)] &&
+                         out_.region[v] == out_.region[at(in.b)] && out_.root[at(in.b)] == kNone;
+      if (limit && only_under(in.b, static_cast<Value>(v))) {
+        out_.root[v] = in.b;
+        out_.root[at(in.b)] = static_cast<Value>(v);
+      }
+    }
+  }
+  static bool is_constant(Op op) { return op == Op::CONST_F || op == Op::PARAM_F; }
+  // Whether the value is used by the comparison, and else only where that holds.
+  bool only_under(Value value, Value comparison) const {
+    for (const Output& o : p_.outputs)
+      for (const Value v : o.values)
+        if (v == value) return false;
+    for (const Loop& l : p_.loops)
+      for (const Sum& s : l.sums)
+        if (s.init == value || s.term == value) return false;
+    for (size_t u = 0; u < p_.instrs.size(); ++u) {
+      if (!out_.used[u] || u == at(comparison)) continue;
+      bool uses = false;
+      for_each_operand(p_.instrs[u], [&](Value o) { uses = uses || o == value; });
+      if (uses && !under(out_.region[u], comparison)) return false;
+    }
+    return true;
   }
 
   const Program& p_;

@@ -37,6 +37,9 @@ struct EmitPlan {
   std::vector<int32_t> loop;    // the loop around, or -1
   std::vector<int32_t> region;  // the innermost region around, or -1
   std::vector<int32_t> group;   // loads: the group that this value leads, or -1
+  // LT(c, SQRT(x)) with c known before the rows: the SQRT, where the comparison is its only use but
+  // for what is needed only if it holds. Then lanes far below the limit need no root.
+  std::vector<Value> root;  // of a comparison: that SQRT; of that SQRT: the comparison; or kNone
   std::vector<LoadGroup> groups;
 
   int32_t printed_region(int32_t r) const {

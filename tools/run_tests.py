@@ -25,7 +25,8 @@ JOBS = len(os.sched_getaffinity(0))
 MAX_WHEEL_BYTES = 10_000_000
 TAIL_LINES = 120
 
-# Component -> the components that its consumer's prefix holds.
+# Component -> the components that its consumer's prefix holds. (io has a build of its own, the step io, and
+# nothing but core beside it there.)
 COMPONENTS = {
     "core": ["core"],
     "nova": ["core", "nova"],
@@ -154,12 +155,14 @@ def ctest(what: str, *arguments: str | Path, cwd: Path = ROOT) -> None:
         raise StepError(f"{what}: ctest failed with exit code {code}")
 
 
-def pytest(what: str, python: Path, *arguments: str | Path) -> None:
+def pytest(
+    what: str, python: Path, *arguments: str | Path, env: dict[str, str] | None = None
+) -> None:
     """Run pytest and add its results."""
     junit = LOGS / f"{what}.pytest.xml"
     junit.unlink(missing_ok=True)
     options = ["-q", "-ra", "-p", "no:cacheprovider", f"--junitxml={junit}"]
-    code = run(what, python, "-m", "pytest", *options, *arguments, may_fail=True)
+    code = run(what, python, "-m", "pytest", *options, *arguments, env=env, may_fail=True)
     if not junit.exists():
         raise StepError(f"{what}: pytest wrote no results")
     if totals.add_junit(junit, what) == 0 and code != 0:
@@ -181,7 +184,7 @@ def make_venv(name: str, *requirements: str) -> Path:
 # The steps, in order. A step is named as its function, with - for _.
 
 STEPS: dict[str, Callable[[], None]] = {}
-WITH_TESTS = ("core-only", "cpu", "cpu-diff", "asan", "install", "python")  # fail if none ran
+WITH_TESTS = ("core-only", "io", "cpu", "cpu-diff", "asan", "install", "python")  # fail if none ran
 
 
 def step(function: Callable[[], None]) -> Callable[[], None]:
@@ -206,6 +209,24 @@ def core_only() -> None:
     """novaphy::core alone."""
     build("core-only")
     ctest("core-only", "--preset", "core-only")
+
+
+@step
+def io() -> None:
+    """novaphy::core and novaphy::io with assimp, from C++ and from Python."""
+    build("io")
+    ctest("io", "--preset", "io")
+    # The wheel is built without assimp, so the Python of this slice is tested from its build tree.
+    pybind11 = output_of(sys.executable, "-m", "pybind11", "--cmakedir").strip()
+    interpreter = make_venv("io", "numpy", "pytest")
+    run(
+        "io", "cmake", "--preset", "io", "-DNOVAPHY_BUILD_COLLISION=ON",
+        "-DNOVAPHY_BUILD_DYNAMICS=ON", "-DNOVAPHY_BUILD_PYTHON=ON", f"-Dpybind11_DIR={pybind11}",
+        f"-DPython_EXECUTABLE={interpreter}",
+    )  # fmt: skip
+    run("io", "cmake", "--build", "--preset", "io", f"-j{JOBS}", "--target", "novaphy_python")
+    env = environment(PYTHONPATH=str(BUILD / "io" / "python"))
+    pytest("io-python", interpreter, "tests/python/test_io.py", env=env)
 
 
 @step

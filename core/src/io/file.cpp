@@ -8,9 +8,8 @@
 #include "novaphy/core/error.h"
 
 namespace novaphy {
-namespace {
 
-std::ifstream open(std::string_view function, const std::filesystem::path& path) {
+std::string read_file(std::string_view function, const std::filesystem::path& path) {
   std::error_code ignored;
   // A folder can be opened like a file; only reading it fails.
   require(!std::filesystem::is_directory(path, ignored), ErrorKind::Value, function, ": ",
@@ -19,17 +18,6 @@ std::ifstream open(std::string_view function, const std::filesystem::path& path)
   std::ifstream file(path, std::ios::binary);
   require(file.is_open(), ErrorKind::Value, function, ": ", path.string(),
           ": expected a file that can be read, got: ", std::strerror(errno));
-  return file;
-}
-
-}  // namespace
-
-void check_readable_file(std::string_view function, const std::filesystem::path& path) {
-  open(function, path);
-}
-
-std::string read_file(std::string_view function, const std::filesystem::path& path) {
-  std::ifstream file = open(function, path);
   std::string bytes(std::istreambuf_iterator<char>(file), {});
   require(!file.bad(), ErrorKind::Value, function, ": ", path.string(), ": reading it failed");
   return bytes;

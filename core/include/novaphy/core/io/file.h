@@ -1,4 +1,4 @@
-// What every reader of a file checks first.
+// The one way in which files are opened for reading.
 #pragma once
 
 #include <filesystem>
@@ -9,12 +9,8 @@
 
 namespace novaphy {
 
-// ErrorKind::Value, naming `function`, the path and the reason: there is no such file, it is a
-// folder or cannot be opened.
-NOVAPHY_CORE_API void check_readable_file(std::string_view function,
-                                          const std::filesystem::path& path);
-
-// All bytes of a file, with the same errors.
+// All bytes of a file. ErrorKind::Value, naming `function`, the path and the reason: there is no
+// such file, it is a folder or cannot be read.
 NOVAPHY_CORE_API std::string read_file(std::string_view function,
                                        const std::filesystem::path& path);
 

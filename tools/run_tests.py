@@ -25,8 +25,7 @@ JOBS = len(os.sched_getaffinity(0))
 MAX_WHEEL_BYTES = 10_000_000
 TAIL_LINES = 120
 
-# Component -> the components that its consumer's prefix holds. (io has a build of its own, the step io, and
-# nothing but core beside it there.)
+# Component -> the components that its consumer's prefix holds. (The step io installs its own.)
 COMPONENTS = {
     "core": ["core"],
     "nova": ["core", "nova"],

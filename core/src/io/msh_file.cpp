@@ -62,7 +62,7 @@ class Reader {
                  " (gmsh old.msh -save -format msh41 -o new.msh converts)");
     const int64_t type = words_.integer("0 (ASCII)");
     words_.check(type == 0, "expected 0 (ASCII), got ", type,
-                 ", a binary file (gmsh old.msh -save -format msh41 -bin 0 -o new.msh converts)");
+                 ", a binary file (gmsh old.msh -save -format msh41 -o new.msh converts)");
     words_.integer("the size of a number");
     expect("$EndMeshFormat");
   }

@@ -64,8 +64,7 @@ bool built_with(std::string_view option) {
 }
 
 void bind_build(py::module_& m) {
-  m.def(
-      "version", [] { return std::string(version()); }, "The version of the engine, \"0.1.0\".");
+  m.def("version", [] { return std::string(version()); }, "The version of the engine, \"0.1.0\".");
   m.def(
       "build_info",
       [] {

@@ -148,9 +148,7 @@ def run(
                 print(
                     json.dumps(
                         measure(
-                            lambda s=scene, k=n, m=mode, t=steps: make(
-                                s, k, m, t, arguments.device
-                            ),
+                            lambda s=scene, k=n, m=mode, t=steps: make(s, k, m, t, arguments.device),
                             arguments.iterations,
                             record | facts(),
                         )

@@ -2,8 +2,9 @@
 # own target files come from novaphy_add_library. A component may be installed without the others.
 include(CMakePackageConfigHelpers)
 
-set(NOVAPHY_KNOWN_COMPONENTS core nova collision dynamics diff)
+set(NOVAPHY_KNOWN_COMPONENTS core io nova collision dynamics diff)
 set(dependencies_core)
+set(dependencies_io core)
 set(dependencies_nova core)
 set(dependencies_collision core)
 set(dependencies_dynamics core collision)

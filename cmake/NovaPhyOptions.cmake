@@ -1,6 +1,7 @@
 # The options of the build. An option whose part is not built yet defaults to OFF, and asking for it is an error:
 # never a silent no-op.
 option(NOVAPHY_WITH_DIFF "Build the tensor runtime (nova), the differentiable operators (diff) and their bindings" OFF)
+option(NOVAPHY_WITH_IO "Build novaphy::io, meshes from files (needs assimp)" OFF)
 option(NOVAPHY_BUILD_COLLISION "Build novaphy::collision" ON)
 option(NOVAPHY_BUILD_DYNAMICS "Build novaphy::dynamics (needs collision)" ON)
 option(NOVAPHY_BUILD_PYTHON "Build the Python module" OFF)

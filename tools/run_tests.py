@@ -26,7 +26,7 @@ JOBS = len(os.sched_getaffinity(0))
 MAX_WHEEL_BYTES = 10_000_000
 TAIL_LINES = 120
 
-# Component -> the components that its consumer's prefix holds.
+# Component -> the components that its consumer's prefix holds. (The step io installs its own.)
 COMPONENTS = {
     "core": ["core"],
     "nova": ["core", "nova"],
@@ -158,12 +158,14 @@ def ctest(what: str, *arguments: str | Path, cwd: Path = ROOT) -> None:
         raise StepError(f"{what}: ctest failed with exit code {code}")
 
 
-def pytest(what: str, python: Path, *arguments: str | Path) -> None:
+def pytest(
+    what: str, python: Path, *arguments: str | Path, env: dict[str, str] | None = None
+) -> None:
     """Run pytest and add its results."""
     junit = LOGS / f"{what}.pytest.xml"
     junit.unlink(missing_ok=True)
     options = ["-q", "-ra", "-p", "no:cacheprovider", f"--junitxml={junit}"]
-    code = run(what, python, "-m", "pytest", *options, *arguments, may_fail=True)
+    code = run(what, python, "-m", "pytest", *options, *arguments, env=env, may_fail=True)
     if not junit.exists():
         raise StepError(f"{what}: pytest wrote no results")
     if totals.add_junit(junit, what) == 0 and code != 0:
@@ -187,6 +189,7 @@ def make_venv(name: str, *requirements: str) -> Path:
 STEPS: dict[str, Callable[[], None]] = {}
 WITH_TESTS = (
     "core-only",
+    "io",
     "cpu",
     "cpu-diff",
     "asan",
@@ -218,6 +221,24 @@ def core_only() -> None:
     """novaphy::core alone."""
     build("core-only")
     ctest("core-only", "--preset", "core-only")
+
+
+@step
+def io() -> None:
+    """novaphy::core and novaphy::io with assimp, from C++ and from Python."""
+    build("io")
+    ctest("io", "--preset", "io")
+    # The wheel is built without assimp, so the Python of this slice is tested from its build tree.
+    pybind11 = output_of(sys.executable, "-m", "pybind11", "--cmakedir").strip()
+    interpreter = make_venv("io", "numpy", "pytest")
+    run(
+        "io", "cmake", "--preset", "io", "-DNOVAPHY_BUILD_COLLISION=ON",
+        "-DNOVAPHY_BUILD_DYNAMICS=ON", "-DNOVAPHY_BUILD_PYTHON=ON", f"-Dpybind11_DIR={pybind11}",
+        f"-DPython_EXECUTABLE={interpreter}",
+    )  # fmt: skip
+    run("io", "cmake", "--build", "--preset", "io", f"-j{JOBS}", "--target", "novaphy_python")
+    env = environment(PYTHONPATH=str(BUILD / "io" / "python"))
+    pytest("io-python", interpreter, "tests/python/test_io.py", env=env)
 
 
 @step

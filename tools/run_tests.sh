@@ -11,7 +11,7 @@ set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
 . tools/setup.sh
 
-install_packages "${BUILD_PACKAGES[@]}" binutils libgtest-dev googletest zlib1g-dev
+install_packages "${BUILD_PACKAGES[@]}" binutils libassimp-dev libgtest-dev googletest zlib1g-dev
 find_python
 make_venv build/venv/tools "${WHEEL_REQUIREMENTS[@]}" "ruff==0.17.6"  # a newer one may ask for more
 exec build/venv/tools/bin/python tools/run_tests.py "$@" </dev/null

@@ -64,8 +64,7 @@ bool built_with(std::string_view option) {
 }
 
 void bind_build(py::module_& m) {
-  m.def(
-      "version", [] { return std::string(version()); }, "The version of the engine, \"0.1.0\".");
+  m.def("version", [] { return std::string(version()); }, "The version of the engine, \"0.1.0\".");
   m.def(
       "build_info",
       [] {
@@ -80,6 +79,9 @@ void bind_build(py::module_& m) {
   m.def(
       "has_diff", [] { return built_with("NOVAPHY_WITH_DIFF"); },
       "Whether novaphy.nova and novaphy.diff are built.");
+  m.def(
+      "has_io", [] { return built_with("NOVAPHY_WITH_IO"); },
+      "Whether novaphy.io.load_mesh is built.");
   m.def(
       "has_vbd", [] { return built_with("NOVAPHY_BUILD_VBD"); },
       "Whether the VBD solver is built.");
@@ -122,6 +124,8 @@ PYBIND11_MODULE(_core, m) {
   bind_collision(m);
   py::module_ solvers = m.def_submodule("solvers", "Solvers; import novaphy.solvers.");
   bind_dynamics(m, solvers);
+  py::module_ io = m.def_submodule("io", "Meshes from files; import novaphy.io.");
+  bind_io(io);
 #ifdef NOVAPHY_PYTHON_DIFF
   py::module_ nova = m.def_submodule("nova", "The tensor runtime; import novaphy.nova.");
   bind_nova_tensor(nova);

@@ -48,7 +48,7 @@ def test_every_public_name_is_there_and_documented(name):
 
 
 def test_every_native_function_is_documented():
-    for module in (_core, _core.solvers, _core.nova, _core.diff):
+    for module in (_core, _core.solvers, _core.nova, _core.diff, _core.io):
         for name, value in vars(module).items():
             if name.startswith("__") or inspect.ismodule(value):
                 continue
@@ -138,7 +138,7 @@ def stub_names(path: Path) -> dict[str, set[str]]:
     return names
 
 
-@pytest.mark.parametrize("name", ["", "nova", "diff", "solvers"])
+@pytest.mark.parametrize("name", ["", "nova", "diff", "solvers", "io"])
 def test_the_stubs_name_what_is_there(name):
     module = getattr(_core, name) if name else _core
     stub = stub_names(PACKAGE / "_core" / f"{name or '__init__'}.pyi")

@@ -4,6 +4,7 @@
 The libraries stand in layers, and each may use only the ones below it:
 
     abi <- core <- nova          core <- collision <- dynamics          core, collision <- vbd
+    core <- io
     core, nova, collision, dynamics <- diff          a backend uses abi and the Program reader
 
 Besides the folders, two kinds of file have a layer of their own:
@@ -34,6 +35,7 @@ ALLOWED: dict[str, set[str]] = {
     "cpu": {"abi", "program"},
     "core": {"abi", "math", "cpu"},  # the CPU backend is linked into core
     "nova": {"abi", "math", "core", "program"},
+    "io": {"math", "core"},
     "formula": {"math"},
     "collision": {"math", "core", "formula"},
     "dynamics": {"math", "core", "collision", "formula"},
@@ -53,6 +55,7 @@ FOLDERS = {
     "backends/cpu": "cpu",
     "core/include/novaphy/math": "math",
     "core": "core",
+    "io": "io",
     "nova": "nova",
     "collision": "collision",
     "dynamics": "dynamics",

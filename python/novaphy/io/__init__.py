@@ -1,4 +1,4 @@
-"""Files, written whole or not at all."""
+"""Files: meshes read, arrays written whole or not at all."""
 
 from __future__ import annotations
 
@@ -11,7 +11,9 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["atomic_path", "save_npz"]
+from ._mesh import Mesh, TetMesh, load_mesh, load_tet_mesh
+
+__all__ = ["Mesh", "TetMesh", "atomic_path", "load_mesh", "load_tet_mesh", "save_npz"]
 
 
 @contextlib.contextmanager

@@ -1,0 +1,26 @@
+#include "novaphy/core/io/file.h"
+
+#include <cerrno>
+#include <cstring>
+#include <fstream>
+#include <iterator>
+
+#include "novaphy/core/error.h"
+
+namespace novaphy {
+
+std::string read_file(std::string_view function, const std::filesystem::path& path) {
+  std::error_code ignored;
+  // A folder can be opened like a file; only reading it fails.
+  require(!std::filesystem::is_directory(path, ignored), ErrorKind::Value, function, ": ",
+          path.string(), ": expected a file, got a folder");
+  errno = 0;
+  std::ifstream file(path, std::ios::binary);
+  require(file.is_open(), ErrorKind::Value, function, ": ", path.string(),
+          ": expected a file that can be read, got: ", std::strerror(errno));
+  std::string bytes(std::istreambuf_iterator<char>(file), {});
+  require(!file.bad(), ErrorKind::Value, function, ": ", path.string(), ": reading it failed");
+  return bytes;
+}
+
+}  // namespace novaphy

@@ -1,0 +1,27 @@
+// Gmsh's MSH 4.1 ASCII: the nodes and the 4-node tetrahedra of a file, as they stand there.
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <vector>
+
+#include "novaphy/math/types.h"
+#include "words.h"
+
+namespace novaphy::detail {
+
+struct MshFile {
+  struct Tetrahedron {
+    int64_t tag;
+    size_t line;
+    std::array<int32_t, 4> nodes;  // rows of `positions`
+  };
+  std::vector<Vec3f> positions;  // finite
+  std::vector<int64_t> node_tags;
+  std::vector<Tetrahedron> tetrahedra;
+};
+
+// Errors as in load_tet_mesh, up to unknown nodes; the shape of the mesh is not looked at.
+MshFile read_msh(Words& words);
+
+}  // namespace novaphy::detail

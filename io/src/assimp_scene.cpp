@@ -1,0 +1,70 @@
+#include "assimp_scene.h"
+
+#include <assimp/BaseImporter.h>
+#include <assimp/postprocess.h>
+#include <assimp/scene.h>
+
+#include <assimp/Importer.hpp>
+#include <utility>
+
+#include "novaphy/core/error.h"
+
+namespace novaphy::detail {
+namespace {
+
+// Of the several dozen formats that assimp knows only the wanted one stays: a file is read as what
+// its name says, and never guessed from its bytes.
+void keep_one_importer(Assimp::Importer& importer, std::string_view extension) {
+  const Assimp::BaseImporter* const wanted = importer.GetImporter(std::string(extension).c_str());
+  for (size_t n = importer.GetImporterCount(); n-- > 0;) {
+    Assimp::BaseImporter* const other = importer.GetImporter(n);
+    if (other == wanted) continue;
+    importer.UnregisterLoader(other);
+    delete other;  // with its registration the importer gives it away
+  }
+}
+
+Vec3f to_vec3(const aiVector3D& v) { return {v.x, v.y, v.z}; }
+
+void append_mesh(const aiMesh& mesh, const aiMatrix4x4& to_world, std::vector<Triangle>& out) {
+  const bool mirrored = to_world.Determinant() < 0;
+  for (unsigned f = 0; f < mesh.mNumFaces; ++f) {
+    const aiFace& face = mesh.mFaces[f];
+    if (face.mNumIndices != 3) continue;  // a point or a line
+    Triangle triangle;
+    for (size_t corner = 0; corner < 3; ++corner)
+      triangle[corner] = to_vec3(to_world * mesh.mVertices[face.mIndices[corner]]);
+    if (mirrored) std::swap(triangle[1], triangle[2]);
+    out.push_back(triangle);
+  }
+}
+
+void append_node(const aiScene& scene, const aiNode& node, const aiMatrix4x4& parent,
+                 std::vector<Triangle>& out) {
+  const aiMatrix4x4 to_world = parent * node.mTransformation;
+  for (unsigned m = 0; m < node.mNumMeshes; ++m)
+    append_mesh(*scene.mMeshes[node.mMeshes[m]], to_world, out);
+  for (unsigned c = 0; c < node.mNumChildren; ++c)
+    append_node(scene, *node.mChildren[c], to_world, out);
+}
+
+}  // namespace
+
+std::vector<Triangle> read_triangles(const std::string& where, const std::filesystem::path& path,
+                                     std::string_view extension) {
+  Assimp::Importer importer;
+  keep_one_importer(importer, extension);
+  // The check of the indices comes before the cutting of polygons, which trusts them.
+  const aiScene* const scene =
+      importer.ReadFile(path.string(), aiProcess_ValidateDataStructure | aiProcess_Triangulate);
+  require(scene != nullptr && scene->mRootNode != nullptr, ErrorKind::Value, where,
+          ": expected a whole ", extension, " file; assimp says: ", importer.GetErrorString());
+  // assimp turns COLLADA to y up; NovaPhy has z up.
+  aiMatrix4x4 to_z_up;
+  if (extension == ".dae") to_z_up = aiMatrix4x4(1, 0, 0, 0, 0, 0, -1, 0, 0, 1, 0, 0, 0, 0, 0, 1);
+  std::vector<Triangle> triangles;
+  append_node(*scene, *scene->mRootNode, to_z_up, triangles);
+  return triangles;
+}
+
+}  // namespace novaphy::detail

@@ -1,0 +1,101 @@
+#include "novaphy/io/mesh.h"
+
+#include <algorithm>
+#include <bit>
+#include <cmath>
+#include <limits>
+#include <string>
+#include <unordered_map>
+
+#include "assimp_scene.h"
+#include "novaphy/core/error.h"
+#include "novaphy/core/io/file.h"
+#include "whole_file.h"
+
+namespace novaphy {
+namespace {
+
+using detail::Triangle;
+
+struct HashBits {
+  size_t operator()(const Vec3f& v) const {
+    uint64_t h = 0;
+    for (const float x : {v.x, v.y, v.z}) {  // splitmix64's finaliser after each word
+      h += 0x9E3779B97F4A7C15u + std::bit_cast<uint32_t>(x);
+      h = (h ^ (h >> 30)) * 0xBF58476D1CE4E5B9u;
+      h = (h ^ (h >> 27)) * 0x94D049BB133111EBu;
+      h ^= h >> 31;
+    }
+    return static_cast<size_t>(h);
+  }
+};
+
+std::string format_of(std::string_view function, const std::filesystem::path& path) {
+  std::string extension = path.extension().string();
+  for (char& c : extension)
+    if (c >= 'A' && c <= 'Z') c = static_cast<char>(c - 'A' + 'a');
+  for (const std::string_view known : {".obj", ".stl", ".ply", ".dae"})
+    if (extension == known) return extension;
+  fail(ErrorKind::Value, function, ": ", path.string(),
+       ": expected a name that ends in .obj, .stl, .ply or .dae, got ",
+       extension.empty() ? "one without an ending" : extension);
+}
+
+void check_finite(const std::string& where, const std::vector<Triangle>& triangles) {
+  for (size_t n = 0; n < triangles.size(); ++n)
+    for (const Vec3f& v : triangles[n])
+      require(std::isfinite(v.x) && std::isfinite(v.y) && std::isfinite(v.z), ErrorKind::Value,
+              where, ": triangle ", n, ": expected finite float32 positions, got (", v.x, ", ", v.y,
+              ", ", v.z, ")");
+}
+
+bool has_two_equal_corners(const Triangle& t) {
+  return t[0] == t[1] || t[1] == t[2] || t[2] == t[0];
+}
+
+void check_degenerate(const std::string& where, std::vector<Triangle>& triangles, bool drop) {
+  if (drop) {
+    std::erase_if(triangles, has_two_equal_corners);
+    require(!triangles.empty(), ErrorKind::Value, where,
+            ": expected a triangle with three different corners, got degenerate ones only");
+    return;
+  }
+  const auto first = std::find_if(triangles.begin(), triangles.end(), has_two_equal_corners);
+  if (first == triangles.end()) return;
+  fail(ErrorKind::Value, where, ": triangle ", first - triangles.begin(),
+       ": expected three different corners, got two at one position (",
+       std::count_if(first, triangles.end(), has_two_equal_corners), " of ", triangles.size(),
+       " triangles have; drop_degenerate leaves them out)");
+}
+
+}  // namespace
+
+Mesh load_mesh(const std::filesystem::path& path, const MeshOptions& options) {
+  constexpr std::string_view name = "load_mesh";
+  const std::string extension = format_of(name, path);
+  const std::string where = std::string(name) + ": " + path.string();
+  detail::check_whole(where, extension, read_file(name, path));
+  std::vector<Triangle> triangles = detail::read_triangles(where, path, extension);
+  require(!triangles.empty(), ErrorKind::Value, where,
+          ": expected at least one triangle, got an empty mesh");
+  require(triangles.size() <= std::numeric_limits<int32_t>::max() / 3, ErrorKind::Value, where,
+          ": expected at most ", std::numeric_limits<int32_t>::max() / 3, " triangles, got ",
+          triangles.size());
+  check_finite(where, triangles);
+  check_degenerate(where, triangles, options.drop_degenerate);
+
+  Mesh mesh;
+  mesh.indices.reserve(3 * triangles.size());
+  std::unordered_map<Vec3f, int32_t, HashBits> rows;
+  for (const Triangle& triangle : triangles)
+    for (const Vec3f& corner : triangle) {
+      const Vec3f v = {corner.x + 0.0f, corner.y + 0.0f, corner.z + 0.0f};  // -0 becomes +0
+      auto row = static_cast<int32_t>(mesh.vertices.size());
+      if (options.join_vertices) row = rows.try_emplace(v, row).first->second;
+      if (static_cast<size_t>(row) == mesh.vertices.size()) mesh.vertices.push_back(v);
+      mesh.indices.push_back(row);
+    }
+  return mesh;
+}
+
+}  // namespace novaphy

@@ -1,0 +1,174 @@
+#include "whole_file.h"
+
+#include <algorithm>
+#include <charconv>
+#include <vector>
+
+#include "novaphy/core/error.h"
+
+namespace novaphy::detail {
+namespace {
+
+struct Property {
+  bool is_list = false;
+  size_t count_size = 0;  // bytes of the length of a list
+  size_t size = 0;        // bytes of a value
+};
+struct Element {
+  size_t rows = 0;
+  std::vector<Property> properties;
+};
+struct PlyHeader {
+  std::string format;
+  std::vector<Element> elements;
+  std::string_view body;
+};
+
+// Takes the first line off, without its end.
+std::string_view take_line(std::string_view& text) {
+  const size_t end = std::min(text.find('\n'), text.size());
+  std::string_view line = text.substr(0, end);
+  text.remove_prefix(std::min(end + 1, text.size()));
+  if (line.ends_with('\r')) line.remove_suffix(1);
+  return line;
+}
+
+std::vector<std::string_view> split(std::string_view line) {
+  std::vector<std::string_view> words;
+  while (true) {
+    line.remove_prefix(std::min(line.find_first_not_of(" \t\r"), line.size()));
+    if (line.empty()) return words;
+    const size_t end = std::min(line.find_first_of(" \t\r"), line.size());
+    words.push_back(line.substr(0, end));
+    line.remove_prefix(end);
+  }
+}
+
+size_t size_of_type(std::string_view type) {
+  for (const std::string_view name : {"char", "uchar", "int8", "uint8"})
+    if (type == name) return 1;
+  for (const std::string_view name : {"short", "ushort", "int16", "uint16"})
+    if (type == name) return 2;
+  for (const std::string_view name : {"int", "uint", "int32", "uint32", "float", "float32"})
+    if (type == name) return 4;
+  return type == "double" || type == "float64" ? 8 : 0;
+}
+
+PlyHeader read_ply_header(const std::string& where, std::string_view bytes) {
+  PlyHeader header;
+  for (size_t number = 1; !bytes.empty(); ++number) {
+    const std::vector<std::string_view> words = split(take_line(bytes));
+    const auto check = [&](bool condition, const char* expected) {
+      require(condition, ErrorKind::Value, where, ":", number, ": expected ", expected);
+    };
+    if (number == 1) check(words.size() == 1 && (words[0] == "ply" || words[0] == "PLY"), "ply");
+    if (words.empty()) continue;
+    if (words[0] == "end_header") {
+      header.body = bytes;
+      check(!header.format.empty(), "a line with the format before the end of the header");
+      return header;
+    }
+    if (words[0] == "format") {
+      check(words.size() == 3, "format, its name and 1.0");
+      header.format = words[1];
+      check(header.format == "ascii" || header.format == "binary_little_endian" ||
+                header.format == "binary_big_endian",
+            "format ascii, binary_little_endian or binary_big_endian");
+    } else if (words[0] == "element") {
+      check(words.size() == 3, "element, its name and a number");
+      Element element;
+      const char* const end = words[2].data() + words[2].size();
+      const auto parsed = std::from_chars(words[2].data(), end, element.rows);
+      check(parsed.ec == std::errc() && parsed.ptr == end, "element, its name and a number");
+      header.elements.push_back(element);
+    } else if (words[0] == "property") {
+      const bool is_list = words.size() == 5 && words[1] == "list";
+      check(!header.elements.empty() && (is_list || words.size() == 3),
+            "property, its type and name, or property list, its types and name, in an element");
+      const Property property = {is_list, is_list ? size_of_type(words[2]) : 0,
+                                 size_of_type(words[is_list ? 3 : 1])};
+      check(property.size > 0 && (!is_list || (property.count_size > 0 && property.count_size < 8)),
+            "a type of PLY, char to double");
+      header.elements.back().properties.push_back(property);
+    }
+  }
+  fail(ErrorKind::Value, where, ": expected end_header, got the end of the file");
+}
+
+// A length, of 1, 2 or 4 bytes; a negative one comes out too large for any file.
+size_t read_length(std::string_view bytes, bool big_endian) {
+  size_t value = 0;
+  for (size_t n = 0; n < bytes.size(); ++n)
+    value |= size_t{static_cast<unsigned char>(bytes[big_endian ? bytes.size() - 1 - n : n])}
+             << (8 * n);
+  return value;
+}
+
+// Takes `count` values of `size` bytes off; false where there are fewer.
+bool take(std::string_view& body, size_t count, size_t size) {
+  if (count > body.size() / size) return false;
+  body.remove_prefix(count * size);
+  return true;
+}
+
+// Takes the rows of an element off a binary body; false where there are fewer.
+bool take_rows(std::string_view& body, const Element& element, bool big_endian) {
+  const bool has_list = std::any_of(element.properties.begin(), element.properties.end(),
+                                    [](const Property& p) { return p.is_list; });
+  size_t row_size = 0;
+  for (const Property& p : element.properties) row_size += p.size;
+  if (!has_list) return row_size == 0 || take(body, element.rows, row_size);
+  for (size_t row = 0; row < element.rows; ++row)
+    for (const Property& p : element.properties) {
+      size_t count = 1;
+      if (p.is_list) {
+        if (body.size() < p.count_size) return false;
+        count = read_length(body.substr(0, p.count_size), big_endian);
+        body.remove_prefix(p.count_size);
+      }
+      if (!take(body, count, p.size)) return false;
+    }
+  return true;
+}
+
+// The same of a text, one line each.
+bool take_lines(std::string_view& body, size_t rows) {
+  for (; rows > 0; --rows) {
+    while (!body.empty() && split(body.substr(0, body.find('\n'))).empty()) take_line(body);
+    if (body.empty()) return false;
+    take_line(body);
+  }
+  return true;
+}
+
+void check_ply(const std::string& where, std::string_view bytes) {
+  const PlyHeader header = read_ply_header(where, bytes);
+  std::string_view body = header.body;
+  for (size_t n = 0; n < header.elements.size(); ++n) {
+    const Element& element = header.elements[n];
+    const bool whole = header.format == "ascii"
+                           ? take_lines(body, element.rows)
+                           : take_rows(body, element, header.format == "binary_big_endian");
+    require(whole, ErrorKind::Value, where, ": expected ", element.rows, " rows of element ", n,
+            ", as the header says, got the end of the file");
+  }
+}
+
+void check_stl(const std::string& where, std::string_view bytes) {
+  constexpr size_t kHeader = 84, kTriangle = 50;
+  if (bytes.size() >= kHeader) {
+    const size_t count = read_length(bytes.substr(kHeader - 4, 4), false);
+    if (bytes.size() == kHeader + count * kTriangle) return;  // binary, and whole
+  }
+  require(!bytes.starts_with("solid") || bytes.find("endsolid") != std::string_view::npos,
+          ErrorKind::Value, where, ": expected endsolid, got the end of the file");
+}
+
+}  // namespace
+
+void check_whole(const std::string& where, std::string_view extension, std::string_view bytes) {
+  if (extension == ".ply") check_ply(where, bytes);
+  if (extension == ".stl") check_stl(where, bytes);
+}
+
+}  // namespace novaphy::detail

@@ -145,8 +145,9 @@ Contacts, integration, surface triangles and both passes included.
 
 {growth(newton)}
 
-A recorded rollout keeps 36 bytes per particle and substep (positions, velocities, forces), and
-nothing per element: what the elements write is used again in every substep.
+A recorded rollout keeps 36 bytes per particle and substep (positions, velocities, forces), about
+3 kB of records per substep, and nothing per element: what the elements write is used again in every
+substep.
 
 ## Again
 

@@ -91,6 +91,22 @@ LANE_FN void gather3_inside(const char* s, vi row, vi* a, vi* b, vi* c) {
 }
 #endif
 
+#if defined(__x86_64__)
+/* Rows of which some may be absent (negative), none the last one or past it: those read row 0, and
+ * become 0. */
+LANE_FN int none_past(vi row, int64_t limit) {
+  const int32_t end = limit < 0 ? 0 : limit > INT32_MAX ? INT32_MAX : (int32_t)limit;
+  return end > 0 && !any(vile(splati(end), row));
+}
+LANE_FN void gather3_present(const char* s, vi row, vi* a, vi* b, vi* c) {
+  const vb absent = vilt(row, splati(0));
+  const vi zero = splati(0);
+  gather3_inside(s, vselecti(absent, zero, row), a, b, c);
+  *a = vselecti(absent, zero, *a), *b = vselecti(absent, zero, *b);
+  *c = vselecti(absent, zero, *c);
+}
+#endif
+
 #define GATHER_ARGUMENTS const char *s, int64_t rows, const row_lanes *r
 #define GATHER_ERROR vb need, int32_t source, int64_t i, novaphy_error_sink *sink
 
@@ -132,6 +148,8 @@ LANE_FN void gather3i(GATHER_ARGUMENTS, GATHER_ERROR, vi* a, vi* b, vi* c) {
 #if defined(__x86_64__)
   } else if (all_rows_inside(r->row, rows - 1)) {
     gather3_inside(s, r->row, a, b, c);
+  } else if (none_past(r->row, rows - 1)) {
+    gather3_present(s, r->row, a, b, c);
 #endif
   } else {
     vi target[3];

@@ -4,6 +4,57 @@
 LANE_FN vi load_lanes(const char* p) { return *(const vi_unaligned*)p; }
 LANE_FN void store_lanes(char* p, vi a) { *(vi_unaligned*)p = a; }
 
+#if defined(__x86_64__)
+/* One word of each of four rows, `stride` words apart. Compilers that are given the words one by one
+ * put them together in memory. */
+LANE_FN __m128i load_four(const char* p, int64_t stride) {
+#define LANES_WORD(l) _mm_cvtsi32_si128(word_at(p, (l) * stride))
+  const __m128i low = _mm_unpacklo_epi32(LANES_WORD(0), LANES_WORD(1));
+  const __m128i high = _mm_unpacklo_epi32(LANES_WORD(2), LANES_WORD(3));
+  return _mm_unpacklo_epi64(low, high);
+#undef LANES_WORD
+}
+LANE_FN void store_four(char* p, int64_t stride, __m128i a) {
+  const int32_t w0 = _mm_cvtsi128_si32(a), w1 = _mm_cvtsi128_si32(_mm_shuffle_epi32(a, 0x55)),
+                w2 = _mm_cvtsi128_si32(_mm_unpackhi_epi32(a, a)),
+                w3 = _mm_cvtsi128_si32(_mm_shuffle_epi32(a, 0xFF));
+  memcpy(p, &w0, 4), memcpy(p + 4 * stride, &w1, 4);
+  memcpy(p + 8 * stride, &w2, 4), memcpy(p + 12 * stride, &w3, 4);
+}
+LANE_FN vi load_columni(const char* p, int32_t width) {
+  if (width == 1) return load_lanes(p);
+  const int64_t stride = width;
+#if LANES == 4
+  return (vi)load_four(p, stride);
+#elif LANES == 8
+  return (vi)_mm256_inserti128_si256(_mm256_castsi128_si256(load_four(p, stride)),
+                                     load_four(p + 16 * stride, stride), 1);
+#else
+  const __m512i first = _mm512_castsi128_si512(load_four(p, stride));
+  const __m512i two = _mm512_inserti32x4(first, load_four(p + 16 * stride, stride), 1);
+  const __m512i three = _mm512_inserti32x4(two, load_four(p + 32 * stride, stride), 2);
+  return (vi)_mm512_inserti32x4(three, load_four(p + 48 * stride, stride), 3);
+#endif
+}
+LANE_FN void store_columni(char* p, int32_t width, vi a) {
+  if (width == 1) {
+    store_lanes(p, a);
+    return;
+  }
+  const int64_t stride = width;
+#if LANES == 4
+  store_four(p, stride, (__m128i)a);
+#elif LANES == 8
+  store_four(p, stride, _mm256_castsi256_si128((__m256i)a));
+  store_four(p + 16 * stride, stride, _mm256_extracti128_si256((__m256i)a, 1));
+#else
+  store_four(p, stride, _mm512_castsi512_si128((__m512i)a));
+  store_four(p + 16 * stride, stride, _mm512_extracti32x4_epi32((__m512i)a, 1));
+  store_four(p + 32 * stride, stride, _mm512_extracti32x4_epi32((__m512i)a, 2));
+  store_four(p + 48 * stride, stride, _mm512_extracti32x4_epi32((__m512i)a, 3));
+#endif
+}
+#else
 #define LANES_STRIDED(l) word_at(p, (int64_t)(l)*width)
 LANE_FN vi load_columni(const char* p, int32_t width) {
   if (width == 1) return load_lanes(p);
@@ -19,6 +70,7 @@ LANE_FN void store_columni(char* p, int32_t width, vi a) {
     memcpy(p + 4 * (int64_t)l * width, &w, 4);
   }
 }
+#endif
 
 LANE_FN void load2i(const char* p, vi* a, vi* b) {
 #if LANES == 4
@@ -127,10 +179,28 @@ LANE_FN void store3i(char* p, vi a, vi b, vi c) {
 }
 #endif
 
+#if LANES == 16
+/* Rows of four words are a 4 x 4 transpose in every quarter once the quarters are in place. */
+LANE_FN __m512i quarters(const char* p) { /* rows 0, 4, 8, 12 from p on */
+  const __m512i first = _mm512_castsi128_si512(_mm_loadu_si128((const __m128i*)p));
+  const __m512i two = _mm512_inserti32x4(first, _mm_loadu_si128((const __m128i*)(p + 64)), 1);
+  const __m512i three = _mm512_inserti32x4(two, _mm_loadu_si128((const __m128i*)(p + 128)), 2);
+  return _mm512_inserti32x4(three, _mm_loadu_si128((const __m128i*)(p + 192)), 3);
+}
+LANE_FN void load4i(const char* p, vi* a, vi* b, vi* c, vi* d) {
+  const __m512i r0 = quarters(p), r1 = quarters(p + 16), r2 = quarters(p + 32),
+                r3 = quarters(p + 48);
+  const __m512i low01 = _mm512_unpacklo_epi32(r0, r1), low23 = _mm512_unpacklo_epi32(r2, r3);
+  const __m512i high01 = _mm512_unpackhi_epi32(r0, r1), high23 = _mm512_unpackhi_epi32(r2, r3);
+  *a = (vi)_mm512_unpacklo_epi64(low01, low23), *b = (vi)_mm512_unpackhi_epi64(low01, low23);
+  *c = (vi)_mm512_unpacklo_epi64(high01, high23), *d = (vi)_mm512_unpackhi_epi64(high01, high23);
+}
+#else
 LANE_FN void load4i(const char* p, vi* a, vi* b, vi* c, vi* d) {
   *a = load_columni(p, 4), *b = load_columni(p + 4, 4), *c = load_columni(p + 8, 4),
   *d = load_columni(p + 12, 4);
 }
+#endif
 LANE_FN void store2i(char* p, vi a, vi b) { store_columni(p, 2, a), store_columni(p + 4, 2, b); }
 LANE_FN void store4i(char* p, vi a, vi b, vi c, vi d) {
   store_columni(p, 4, a), store_columni(p + 4, 4, b), store_columni(p + 8, 4, c),

@@ -129,7 +129,7 @@ def main() -> int:
     if args.plot:
         plot(args.plot, losses, rollouts)
     falling = np.diff(losses) < 0.0  # the first steps are long and may go too far
-    ok = ok and max(losses) < 300.0 and (not args.headless or float(np.mean(falling)) >= 0.9)
+    ok = ok and max(losses) < 300.0 and (not args.headless or float(np.mean(falling)) >= 0.8)
     print(
         f"cloth on {cloth.model.device}: {args.headless} iterations, "
         f"loss {losses[0]:.4f} -> {losses[-1]:.4f}, {'ok' if ok else 'CHECK FAILED'}"

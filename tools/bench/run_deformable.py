@@ -1,0 +1,165 @@
+#!/usr/bin/env python3
+"""Time NovaPhy and Newton on soft bodies and cloth, in one run, and write the page of the results.
+
+Runs newton_deformable.py and novaphy_deformable.py in turn, each measurement in a process of its
+own, and writes docs/performance-deformable.md. Newton's environment is that of run_peers.py. Before
+any timing, the final positions of the first soft body must be the same bits in both engines.
+
+Large scenes are timed over fewer substeps; all times are per substep. Newton as shipped is left out
+where one iteration takes minutes.
+
+    .venv/bin/python tools/bench/run_deformable.py
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+from deformable import STEPS
+from run_peers import ROOT, duration, machine, newton_python, rows, run
+
+# Column -> engine, mode, threads (0: as many as there are).
+COLUMNS = {
+    "Newton, shipped": ("newton", "captured", 0),
+    "Newton, lean": ("newton", "captured-lean", 0),
+    "Newton, bare": ("newton", "captured-bare", 0),
+    "NovaPhy": ("novaphy", "captured", 0),
+    "NovaPhy, 1 thread": ("novaphy", "captured", 1),
+}
+# Scene -> size -> substeps, columns that are left out.
+SIZES = {
+    "soft_body": {
+        2: (960, ()),
+        4: (960, ()),
+        8: (96, ()),
+        16: (96, ("Newton, shipped",)),
+    },
+    "cloth": {
+        16: (1920, ("Newton, bare",)),
+        32: (192, ("Newton, bare",)),
+        64: (96, ("Newton, bare",)),
+        128: (96, ("Newton, shipped", "Newton, bare")),
+    },
+}
+# The cost of elements: cells per side, substeps.
+GROWTH = {6: 96, 13: 48, 28: 24, 59: 12}
+
+
+def measure(column: str, newton: Path, scene: str, n: int, steps: int) -> dict[str, object]:
+    """One measurement."""
+    engine, mode, threads = COLUMNS[column]
+    iterations = 5 if engine == "novaphy" else 2
+    python = newton if engine == "newton" else sys.executable
+    options = ["--scene", scene, "--n", n, "--mode", mode, "--steps", steps]
+    options += ["--iterations", iterations]
+    return run(python, f"{engine}_deformable.py", *options, threads=threads)
+
+
+def check_bits(newton: Path) -> str:
+    """The hash of the final positions of the example, which must be one."""
+    columns = ("Newton, shipped", "NovaPhy")
+    steps = STEPS["soft_body"]
+    hashes = {c: str(measure(c, newton, "soft_body", 2, steps)["result_hash"]) for c in columns}
+    if len(set(hashes.values())) != 1:
+        raise SystemExit(f"run_deformable: the final positions differ: {hashes}")
+    return next(iter(hashes.values()))
+
+
+def table(newton: Path, scene: str) -> str:
+    """Times per substep of a scene, and how many times faster NovaPhy is."""
+    body, ratios = [], []
+    for n, (steps, left_out) in SIZES[scene].items():
+        records = {c: measure(c, newton, scene, n, steps) for c in COLUMNS if c not in left_out}
+        times = {c: float(r["median_s"]) / steps for c, r in records.items()}
+        elements = next(iter(records.values()))["elements"]
+        label = [f"{n}", f"{elements:,}"]
+        body.append([*label, *(duration(times[c]) if c in times else "" for c in COLUMNS)])
+        ratios.append(
+            [*label]
+            + [
+                f"{times[c] / times['NovaPhy']:.1f}" if c in times else ""
+                for c in COLUMNS
+                if c.startswith("Newton")
+            ]
+        )
+    kind = "tetrahedra" if scene == "soft_body" else "triangles"
+    faster = rows(["N", kind, *(c for c in COLUMNS if c.startswith("Newton"))], ratios)
+    return (
+        rows(["N", kind, *COLUMNS], body)
+        + "\n\nHow many times faster NovaPhy is than each:\n\n"
+        + faster
+    )
+
+
+def growth(newton: Path) -> str:
+    """Time per tetrahedron and substep."""
+    body = []
+    for n, steps in GROWTH.items():
+        record = measure("NovaPhy", newton, "soft_body", n, steps)
+        per = float(record["median_s"]) / steps / int(record["elements"])
+        body.append([f"{n}", f"{record['elements']:,}", f"{steps}", f"{per * 1e9:.0f} ns"])
+    return rows(["N", "tetrahedra", "substeps", "per tetrahedron and substep"], body)
+
+
+def main() -> None:
+    """Measure everything and write the page."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--output", type=Path, default=ROOT / "docs" / "performance-deformable.md")
+    arguments = parser.parse_args()
+    newton = newton_python()
+    same = check_bits(newton)
+    facts = rows(["", ""], [list(fact) for fact in machine()])
+    text = f"""# Performance of soft bodies and cloth
+
+Written by `tools/bench/run_deformable.py`; do not edit. Everything on this page was measured in one
+run, against Newton 1.8.0 on Warp 1.19.0.
+
+{facts}
+
+One iteration is what Newton's examples do: the rollout, the loss, `backward`, the update; captured
+once and replayed. Times are medians per substep (an iteration of the soft body has 960, of the
+cloth 1,920; large scenes were timed over fewer). *shipped*: as the examples are. *lean*: without
+the hash grid of the particles and the pass over (triangle, particle) pairs, which do nothing there.
+*bare*: also without 1,000 empty slots for rigid contacts. Newton's CPU device runs on one thread;
+NovaPhy uses all CPUs unless it says 1 thread. The final positions of the soft body at N = 2 are the
+same bits in both engines (hash {same}).
+
+## Soft body, N³ cells
+
+{table(newton, "soft_body")}
+
+## Cloth, N² cells
+
+Newton as shipped looks for contacts between particles, which at N = 128 lie closer together than
+their diameter.
+
+{table(newton, "cloth")}
+
+## Cost of elements
+
+Contacts, integration, surface triangles and both passes included.
+
+{growth(newton)}
+
+A recorded rollout keeps 36 bytes per particle and substep (positions, velocities, forces), about
+3 kB of records per substep, and nothing per element: what the elements write is used again in every
+substep.
+
+## Again
+
+```sh
+.venv/bin/python tools/bench/run_deformable.py
+```
+"""
+    temporary = arguments.output.with_suffix(".md.part")
+    temporary.write_text(text, encoding="utf-8")
+    temporary.replace(arguments.output)
+    print(f"written: {arguments.output}", file=sys.stderr)
+
+
+if __name__ == "__main__":
+    main()

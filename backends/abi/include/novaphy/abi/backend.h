@@ -204,7 +204,8 @@ typedef struct novaphy_backend_api {
 
   /* since minor version 3 (optional, all three or none): operations over one domain of n rows, of
    * which each touches memory that the list writes at its own row only, run as one launch. Row i of
-   * all operations may so run before row i + 1 of the first. `ops` is read during the call; the
+   * all operations may so run before row i + 1 of the first. The caller vouches that every item of a
+   * CSR loop is a row of the sources that are read at SLOT. `ops` is read during the call; the
    * kernels outlive the list. NOT_SUPPORTED: it would gain nothing here, launch them one by one. */
   novaphy_status (*list_create)(novaphy_device* device, int64_t n, const novaphy_list_op* ops,
                                 uint32_t count, novaphy_list** list, novaphy_error* error);

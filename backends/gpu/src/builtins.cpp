@@ -199,6 +199,15 @@ novaphy_status incidence(novaphy_stream* stream, const novaphy_kernel& kernel, i
 
 }  // namespace
 
+void forget_builtins(const novaphy_device* device) {
+  const std::lock_guard lock(g_mutex);
+  const auto found = g_functions.find(device);
+  if (found == g_functions.end()) return;
+  if (found->second.module != nullptr && !device->lost)
+    driver().module_unload(found->second.module);
+  g_functions.erase(found);
+}
+
 novaphy_status make_builtin(novaphy_device* device, std::string_view name, novaphy_kernel& kernel,
                             novaphy_error* error) {
   struct Builtin {

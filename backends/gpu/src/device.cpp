@@ -72,6 +72,7 @@ void release(novaphy_device* device) {
   const Driver& d = driver();
   {
     const Use use(device);
+    forget_builtins(device);
     if (device->record != 0) d.free(device->record);
     if (device->flag != nullptr) d.host_free(const_cast<uint32_t*>(device->flag));
   }

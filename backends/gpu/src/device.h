@@ -110,6 +110,8 @@ novaphy_status check(novaphy_device* device, Result result, const char* what, no
 novaphy_status check_lost(novaphy_device* device, const char* what, novaphy_error* error);
 // After the host has waited for a stream: whether a kernel read past the end of a source.
 novaphy_status check_reads(novaphy_device* device, novaphy_stream* stream, novaphy_error* error);
+// What the builtins keep per device; its context is current.
+void forget_builtins(const novaphy_device* device);
 // A number for the kernel, by which a failing read names it.
 uint32_t remember_kernel(novaphy_device* device, KernelNames names);
 void forget_kernel(novaphy_device* device, uint32_t kernel);

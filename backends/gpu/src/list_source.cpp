@@ -118,15 +118,34 @@ class Writer {
       const uint64_t* words = ops_[site.op + k * plan_.period].arguments;
       if (words[2 * s] != ops_[site.op].arguments[2 * s] || words[2 * s + 1] < n_) return false;
     }
-    bool read = false;
+    return rows_read(p, s) == Rows::Own;
+  }
+  // Which rows of a source a Program reads.
+  enum class Rows { None, Own, First, Slots, Others };
+  static Rows rows_read(const nova::ir::Program& p, size_t s) {
+    using nova::ir::Op;
+    Rows rows = Rows::None;
     for (const nova::ir::Instr& in : p.instrs) {
-      if ((in.op != nova::ir::Op::LOAD_F && in.op != nova::ir::Op::LOAD_I) ||
-          in.a != static_cast<int32_t>(s))
-        continue;
-      if (p.instrs[static_cast<size_t>(in.b)].op != nova::ir::Op::INDEX) return false;
-      read = true;
+      if ((in.op != Op::LOAD_F && in.op != Op::LOAD_I) || in.a != static_cast<int32_t>(s)) continue;
+      const nova::ir::Instr& row = p.instrs[static_cast<size_t>(in.b)];
+      const Rows here = row.op == Op::INDEX                   ? Rows::Own
+                        : row.op == Op::SLOT                  ? Rows::Slots
+                        : row.op == Op::CONST_I && row.a == 0 ? Rows::First
+                                                              : Rows::Others;
+      rows = rows == Rows::None || rows == here ? here : Rows::Others;
     }
-    return read;
+    return rows;
+  }
+  // Whether the source has every row that is read, in all iterations. For the items of a CSR loop
+  // the caller of list_create vouches.
+  bool is_trusted(const ListPlan::Site& site, size_t s, bool in_body) const {
+    const Rows rows = rows_read(ops_[site.op].kernel->program, s);
+    if (rows == Rows::Slots) return true;
+    if (rows != Rows::Own && rows != Rows::First) return false;
+    for (uint32_t k = 0; k < (in_body ? plan_.repeats : 1); ++k)
+      if (ops_[site.op + k * plan_.period].arguments[2 * s + 1] < (rows == Rows::Own ? n_ : 1))
+        return false;
+    return true;
   }
   static std::string constant_name(uint32_t op, size_t source) {
     return "c" + str(op) + "_" + str(source);
@@ -174,6 +193,12 @@ class Writer {
       code += ", ";
       if (in_body && is_loaded_once(site, s)) {
         code += "source_registers{" + constant_name(site.op - plan_.first, s) + "}";
+        continue;
+      }
+      if (source.from != ListPlan::Source::From::Registers && is_trusted(site, s, in_body)) {
+        code +=
+            source.from == ListPlan::Source::From::Constant ? "trusted_constants" : "trusted_rows";
+        code += "{(const char*)w[" + str(2 * s) + "]}";
         continue;
       }
       code += source.from == ListPlan::Source::From::Registers

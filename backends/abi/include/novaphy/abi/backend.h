@@ -96,16 +96,14 @@ typedef enum novaphy_copy_kind {
 
 typedef enum novaphy_code_format {
   NOVAPHY_CODE_PROGRAM = 0, /* serialised SSA, see program.h; mandatory; one kernel named "main" */
-  NOVAPHY_CODE_SOURCE = 1,  /* freestanding C++ text (optional, see the capability bits and below) */
-  NOVAPHY_CODE_BINARY = 2,  /* built ahead for this device (optional) */
-  NOVAPHY_CODE_BUILTIN = 3  /* data = the builtin's name, see program.h; mandatory */
+  NOVAPHY_CODE_SOURCE = 1, /* freestanding C++ text (optional, see the capability bits and below) */
+  NOVAPHY_CODE_BINARY = 2, /* built ahead for this device (optional) */
+  NOVAPHY_CODE_BUILTIN = 3 /* data = the builtin's name, see program.h; mandatory */
 } novaphy_code_format;
 
-/* SOURCE modules: C++20 text without includes. A line "// kernel NAME WORDS" names each kernel and its
- * number of argument words; it is written
- *   NOVAPHY_KERNEL NAME(const novaphy_arguments<WORDS> args, const int64_t n, const device_sink) {
- *     const int64_t i = NOVAPHY_ROW;
- *     if (i >= n) return;
+/* SOURCE modules: C++20 text without includes. A line "// kernel NAME WORDS" names each kernel and
+ * its number of argument words; it is written NOVAPHY_KERNEL NAME(const novaphy_arguments<WORDS>
+ * args, const int64_t n, const device_sink) { const int64_t i = NOVAPHY_ROW; if (i >= n) return;
  *     ... args.word[0] ...
  *   }
  * The backend supplies these names, the sized integers of <stdint.h>, and for its own compiler
@@ -120,8 +118,8 @@ typedef struct novaphy_kernel_info {
   char isa[32];   /* the instruction set, as the backend names it */
 } novaphy_kernel_info;
 
-/* One operation of a list. `kernel` null: a copy of row_bytes per row, or without `source` a fill with the
- * 32-bit `pattern`. */
+/* One operation of a list. `kernel` null: a copy of row_bytes per row, or without `source` a fill
+ * with the 32-bit `pattern`. */
 typedef struct novaphy_list_op {
   uint64_t struct_size;
   novaphy_kernel* kernel;
@@ -204,7 +202,8 @@ typedef struct novaphy_backend_api {
 
   /* since minor version 3 (optional, all three or none): operations over one domain of n rows, of
    * which each touches memory that the list writes at its own row only, run as one launch. Row i of
-   * all operations may so run before row i + 1 of the first. `ops` is read during the call; the
+   * all operations may so run before row i + 1 of the first. The caller vouches that every item of
+   * a CSR loop is a row of the sources that are read at SLOT. `ops` is read during the call; the
    * kernels outlive the list. NOT_SUPPORTED: it would gain nothing here, launch them one by one. */
   novaphy_status (*list_create)(novaphy_device* device, int64_t n, const novaphy_list_op* ops,
                                 uint32_t count, novaphy_list** list, novaphy_error* error);

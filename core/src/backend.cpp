@@ -50,7 +50,7 @@ class Registry {
   Entry* active(DeviceType type);
   std::string reasons(DeviceType type);
   const DeviceContext& open(Device device);
-  void say_interpreted();
+  [[maybe_unused]] void say_interpreted();
 
   std::mutex mutex_;
   bool searched_ = false;

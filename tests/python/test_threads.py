@@ -187,8 +187,11 @@ LONG = {
     """,
 }
 SCRIPT = """
+import signal
 from scenes import ball_model, ball_contacts, DT
 from novaphy import diff, nova, solvers
+
+signal.signal(signal.SIGINT, signal.default_int_handler)  # who started us may ignore it
 
 model = ball_model(2000)
 trajectory = diff.Trajectory(model, 4000)
@@ -218,11 +221,14 @@ def test_ctrl_c_interrupts_long_native_work(what):
         env={**os.environ, "PYTHONPATH": os.pathsep.join([HERE, os.environ.get("PYTHONPATH", "")])},
     )
     assert process.stdout is not None and process.stderr is not None
-    assert process.stdout.readline().strip() == "started", process.stderr.read()
-    time.sleep(1.0)
-    begin = time.perf_counter()
-    process.send_signal(signal.SIGINT)
-    out, err = process.communicate(timeout=100)
+    try:
+        assert process.stdout.readline().strip() == "started", process.stderr.read()
+        time.sleep(1.0)
+        begin = time.perf_counter()
+        process.send_signal(signal.SIGINT)
+        out, err = process.communicate(timeout=100)
+    finally:
+        process.kill()
     assert out.strip() == "interrupted" and err == ""
     assert time.perf_counter() - begin < 5
 

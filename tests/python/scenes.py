@@ -43,6 +43,38 @@ def ball_model(balls: int = 1) -> novaphy.Model:
     return model
 
 
+def soft_body_model(device: str = "cpu") -> novaphy.Model:
+    """The block of Newton's diffsim_soft_body."""
+    builder = novaphy.ModelBuilder()
+    builder.default_particle_radius = 0.0005
+    builder.add_soft_grid(
+        pos=(-0.1, -0.5, 1.0),
+        vel=(0.0, 6.0, -6.0),
+        dim_x=2,
+        dim_y=2,
+        dim_z=2,
+        cell_x=0.1,
+        cell_y=0.1,
+        cell_z=0.1,
+        density=0.2 / 27 / 0.1**3,
+        k_mu=0.5 * 1.5e4 / 1.3,
+        k_lambda=1.5e4 * 0.3 / (1.3 * 0.4),
+        k_damp=0.0,
+        tri_ke=1e-4,
+        tri_ka=1e-4,
+        tri_kd=1e-4,
+    )
+    cfg = novaphy.ShapeConfig(ke=1.0e3, kd=1.0, kf=0.0, mu=0.2)
+    builder.add_shape_box(
+        -1, xform=((0.0, 2.0, 1.0), (0.0, 0.0, 0.0, 1.0)), hx=1.0, hy=0.25, hz=1.0, cfg=cfg
+    )
+    builder.add_ground_plane(cfg=cfg)
+    model = builder.finalize(device, requires_grad=True)
+    model.soft_contact_ke, model.soft_contact_kd = 1.0e3, 1.0
+    model.soft_contact_kf, model.soft_contact_mu = 0.0, 0.2
+    return model
+
+
 def ball_contacts(model: novaphy.Model, state: novaphy.SimState) -> novaphy.Contacts:
     """The contacts of the first state, as Newton's example keeps them."""
     pipeline = novaphy.CollisionPipeline(model, soft_contact_margin=10.0)

@@ -4,7 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scenes import DT, LEARNING_RATE, STEPS, TARGET, Ball, ball_builder, ball_contacts, golden
+from scenes import (
+    DT,
+    LEARNING_RATE,
+    STEPS,
+    TARGET,
+    Ball,
+    ball_builder,
+    ball_contacts,
+    golden,
+    soft_body_model,
+)
 
 import novaphy
 from novaphy import diff, nova, solvers
@@ -69,6 +79,26 @@ def gradients(device: str, balls: int, steps: int) -> dict[str, np.ndarray]:
             "grad_qd": ball.velocity.grad.numpy(),
             "grad_q": position.grad.numpy(),
         }
+
+
+def test_a_soft_body_has_the_bits_of_the_cpu():
+    results = []
+    for device in ("cpu", "cuda:0"):
+        model = soft_body_model(device)
+        config = solvers.DiffSolverConfig(
+            enable_tetrahedra=True, enable_triangles=True, enable_static_contacts=True
+        )
+        trajectory = diff.Trajectory(model, 300)  # flight and bounce
+        materials = diff.model_tet_material_tensor(model, requires_grad=True)
+        with nova.Tape() as tape:
+            solver = solvers.DiffSemiImplicitSolver(model, config)
+            solver.rollout(trajectory, None, None, 1.0 / 960)
+            last = diff.particle_centroid_generated(diff.state_particle_q_tensor(trajectory[-1]))
+            tape.backward(diff.vec3_point_loss_generated(last, 0.0, -1.0, 1.5))
+        assert np.abs(materials.grad.numpy()).max() > 0
+        results.append((trajectory.particle_q.numpy(), materials.grad.numpy()))
+    assert_same_bits(results[1][0], results[0][0], "particle_q")
+    assert_same_bits(results[1][1], results[0][1], "gradient of the materials")
 
 
 @pytest.mark.parametrize(("balls", "steps"), [(1, STEPS), (7, 60), (3000, 20)])

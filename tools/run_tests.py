@@ -316,7 +316,8 @@ def make_wheel() -> Path:
     if not make_wheel.made:
         shutil.rmtree(folder, ignore_errors=True)
         tree = BUILD / "wheel-tree"
-        options = ["--no-build-isolation", "--no-deps", "-C", f"build-dir={tree}", "-w", folder]
+        place = f"--config-settings=build-dir={tree}"
+        options = ["--no-build-isolation", "--no-deps", place, "-w", folder]
         pip("wheel", sys.executable, "wheel", *options, ROOT)
         make_wheel.made = True
     wheels = list(folder.glob("novaphy-*.whl"))
@@ -393,8 +394,7 @@ def editable() -> None:
         ".",
         "--no-build-isolation",
         "--no-deps",
-        "-C",
-        f"build-dir={BUILD / 'editable'}",
+        f"--config-settings=build-dir={BUILD / 'editable'}",
         env=environ,
     )
     code = (

@@ -232,9 +232,11 @@ def instructions(mode: str) -> str:
     valgrind = shutil.which("valgrind")
     if valgrind is None:
         return "not counted: valgrind is not installed"
-    env = environment(threads=1) | {"NOVAPHY_CPU_ISA": "avx2", "PYTHONHASHSEED": "0"}
+    # Threads of NumPy's that wait would be counted too.
+    env = environment(threads=1) | {"NOVAPHY_CPU_ISA": "avx2", "OPENBLAS_NUM_THREADS": "1"}
     counts = {}
-    for iterations in (2, 52):
+    few, many = 10, 410
+    for iterations in (few, many):
         command = [valgrind, "--tool=callgrind", "--callgrind-out-file=/dev/null", sys.executable]
         command += [str(BENCH / "novaphy_ball.py"), "--mode", mode, "--n", "1"]
         command += ["--iterations", str(iterations)]
@@ -243,7 +245,7 @@ def instructions(mode: str) -> str:
         if done.returncode != 0 or found is None:
             return f"not counted: valgrind ended with {done.returncode}"
         counts[iterations] = int(found[1].replace(",", ""))
-    each = (counts[52] - counts[2]) / 50
+    each = (counts[many] - counts[few]) / (many - few)
     return f"{each:,.0f} ({each / SUBSTEPS:,.0f} per substep)"
 
 

@@ -92,7 +92,9 @@ TEST(NativeKernels, ATrainingIterationOfBallsRunsNothingElse) {
   }
   int seen = 0;
   for (const nova::KernelInfo& info : nova::kernel_info()) {
-    if (!before.contains(info.hash)) EXPECT_EQ(info.how, "native") << info.name;
+    if (!before.contains(info.hash)) {
+      EXPECT_EQ(info.how, "native") << info.name;
+    }
     seen += info.how == "native" ? 1 : 0;
   }
   EXPECT_GE(seen, 5);

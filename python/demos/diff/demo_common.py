@@ -77,6 +77,41 @@ def check_gradient(
     return error <= tolerance
 
 
+class Recorded:
+    """An iteration, recorded at the first call and replayed from then on."""
+
+    def __init__(self, iterate: Callable[[], nova.Tensor]) -> None:
+        """`iterate` does the work of one iteration and gives the loss."""
+        self.iterate = iterate
+        self.graph = None
+
+    def __call__(self) -> float:
+        """One iteration; returns the loss before it."""
+        if self.graph is None:
+            with nova.ScopedCapture() as capture:
+                self.loss = self.iterate()
+            self.graph = capture.graph
+        self.graph.launch()
+        return self.loss.item()
+
+
+def train(scene, args: argparse.Namespace, substeps: int, plot: Callable) -> list[float]:
+    """Train as asked, then dump and plot the first and the last rollout; the losses.
+
+    A scene has forward() (a rollout; the loss), train() (an iteration) and a trajectory.
+    """
+    scene.forward()
+    rollouts = [scene.trajectory.particle_q.numpy()]
+    losses = [scene.train() for _ in progress(range(args.headless))]
+    losses.append(scene.forward().item())
+    rollouts.append(scene.trajectory.particle_q.numpy())
+    if args.dump_states:
+        dump_states(args.dump_states, rollouts[-1], substeps, losses)
+    if args.plot:
+        plot(args.plot, losses, rollouts)
+    return losses
+
+
 def loss_figure(losses: list[float], loss_label: str):
     """A figure with the loss on the left; gives (figure, right axis)."""
     import matplotlib

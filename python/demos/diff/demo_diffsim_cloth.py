@@ -12,14 +12,14 @@ from __future__ import annotations
 
 import numpy as np
 from demo_common import (
+    Recorded,
     check_gradient,
-    dump_states,
     loss_figure,
     make_parser,
     parse,
-    progress,
     run,
     save_figure,
+    train,
 )
 
 import novaphy
@@ -64,7 +64,7 @@ class Cloth:
         self.solver = novaphy.solvers.DiffSemiImplicitSolver(self.model, config)
         self.trajectory = diff.Trajectory(self.model, STEPS)
         self.velocity = diff.state_particle_qd_tensor(self.trajectory[0], requires_grad=True)
-        self.graph = None
+        self.train = Recorded(self.iterate)
 
     def forward(self) -> nova.Tensor:
         """Run all substeps; the squared distance of the last centroid to the target, {1}."""
@@ -80,19 +80,6 @@ class Cloth:
             nova.sgd_update_f32(self.velocity, LEARNING_RATE)
             tape.zero()
         return loss
-
-    def train(self) -> float:
-        """One iteration; returns the loss before it. Recorded at the first call."""
-        if self.graph is None:
-            with nova.ScopedCapture() as capture:
-                self.loss = self.iterate()
-            self.graph = capture.graph
-        self.graph.launch()
-        return self.loss.item()
-
-    def positions(self) -> np.ndarray:
-        """All positions of the last rollout, {STEPS + 1, n, 3}, m."""
-        return self.trajectory.particle_q.numpy()
 
 
 def plot(path: str, losses: list[float], rollouts: list[np.ndarray]) -> None:
@@ -118,16 +105,7 @@ def main() -> int:
     if args.check_grad:  # some velocities of the first particle and of the middle one
         chosen = [0, 1, 2, 3 * 144, 3 * 144 + 1, 3 * 144 + 2]
         ok = check_gradient(cloth.velocity, cloth.forward, 0.2, 2.0e-2, chosen)
-    cloth.forward()
-    rollouts = [cloth.positions()]
-    losses = [cloth.train() for _ in progress(range(args.headless))]
-    losses.append(cloth.forward().item())
-    rollouts.append(cloth.positions())
-
-    if args.dump_states:
-        dump_states(args.dump_states, rollouts[-1], SUBSTEPS, losses)
-    if args.plot:
-        plot(args.plot, losses, rollouts)
+    losses = train(cloth, args, SUBSTEPS, plot)
     falling = np.diff(losses) < 0.0  # the first steps are long and may go too far
     ok = ok and max(losses) < 300.0 and (not args.headless or float(np.mean(falling)) >= 0.8)
     print(

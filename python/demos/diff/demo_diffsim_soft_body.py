@@ -13,14 +13,14 @@ from __future__ import annotations
 
 import numpy as np
 from demo_common import (
+    Recorded,
     check_gradient,
-    dump_states,
     loss_figure,
     make_parser,
     parse,
-    progress,
     run,
     save_figure,
+    train,
 )
 
 import novaphy
@@ -85,7 +85,7 @@ class SoftBody:
         start = self.materials.numpy()[: 1 if isotropic else None, :2]
         self.params = nova.tensor(start.ravel(), device=device, requires_grad=True)
         self.rate = LEARNING_RATE * (2.0 / self.model.tet_count if isotropic else 1.0)
-        self.graph = None
+        self.train = Recorded(self.iterate)
 
     def forward(self) -> nova.Tensor:
         """Run all substeps; the squared distance of the last centroid to the target, {1}."""
@@ -106,15 +106,6 @@ class SoftBody:
             tape.zero()
         return loss
 
-    def train(self) -> float:
-        """One iteration; returns the loss before it. Recorded at the first call."""
-        if self.graph is None:
-            with nova.ScopedCapture() as capture:
-                self.loss = self.iterate()
-            self.graph = capture.graph
-        self.graph.launch()
-        return self.loss.item()
-
     def check_gradient(self, tolerance: float = 2.0e-2) -> bool:
         """Compare some derivatives with central differences.
 
@@ -123,10 +114,6 @@ class SoftBody:
         isotropic = self.params.size == 2
         step, chosen = (0.001, (0, 1)) if isotropic else (0.02, (0, 1, 40, 41))
         return check_gradient(self.params, self.forward, lambda p: step * p, tolerance, chosen)
-
-    def positions(self) -> np.ndarray:
-        """All positions of the last rollout, {STEPS + 1, n, 3}, m."""
-        return self.trajectory.particle_q.numpy()
 
 
 def plot(path: str, losses: list[float], rollouts: list[np.ndarray]) -> None:
@@ -160,16 +147,7 @@ def main() -> int:
     args = parse(parser)
     body = SoftBody(args.device, args.material_behavior == "isotropic")
     ok = body.check_gradient() if args.check_grad else True
-    body.forward()
-    rollouts = [body.positions()]
-    losses = [body.train() for _ in progress(range(args.headless))]
-    losses.append(body.forward().item())
-    rollouts.append(body.positions())
-
-    if args.dump_states:
-        dump_states(args.dump_states, rollouts[-1], SUBSTEPS, losses)
-    if args.plot:
-        plot(args.plot, losses, rollouts)
+    losses = train(body, args, SUBSTEPS, plot)
     falling = np.diff(losses) < 0.0  # it may jump where a contact opens or closes
     ok = ok and max(losses) < 0.8 and (not args.headless or float(np.mean(falling)) >= 0.8)
     k = body.params.numpy().reshape(-1, 2)

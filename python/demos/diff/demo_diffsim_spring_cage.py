@@ -12,13 +12,12 @@ from __future__ import annotations
 import numpy as np
 from demo_common import (
     check_gradient,
-    dump_states,
     loss_figure,
     make_parser,
     parse,
-    progress,
     run,
     save_figure,
+    train,
 )
 
 import novaphy
@@ -75,10 +74,6 @@ class SpringCage:
             tape.zero()
         return loss.item()
 
-    def positions(self) -> np.ndarray:
-        """All positions of the last rollout, {STEPS + 1, n, 3}, m."""
-        return self.trajectory.particle_q.numpy()
-
 
 def plot(path: str, losses: list[float], rollouts: list[np.ndarray]) -> None:
     """Draw the loss, and the way of the particle in the cage before and after."""
@@ -103,16 +98,7 @@ def main() -> int:
     ok = True
     if args.check_grad:
         ok = check_gradient(cage.lengths, cage.forward, 1.0e-3, 5.0e-3)
-    cage.forward()
-    rollouts = [cage.positions()]
-    losses = [cage.train() for _ in progress(range(args.headless))]
-    losses.append(cage.forward().item())
-    rollouts.append(cage.positions())
-
-    if args.dump_states:
-        dump_states(args.dump_states, rollouts[-1], 1, losses)
-    if args.plot:
-        plot(args.plot, losses, rollouts)
+    losses = train(cage, args, 1, plot)
     ok = ok and max(losses) < 0.3 and (not args.headless or losses[-1] < losses[0])
     print(
         f"spring cage on {cage.model.device}: {args.headless} iterations, "

@@ -82,6 +82,7 @@ SimState& Trajectory::any_state(int32_t t) {
 std::string Trajectory::kept_text() const {
   const std::string last = std::to_string(steps_);
   if (interval_ >= steps_) return "0 and " + last;
+  if (2 * int64_t{interval_} >= steps_) return "0, " + std::to_string(interval_) + " and " + last;
   return "0, " + std::to_string(interval_) + ", " + std::to_string(2 * interval_) + ", ... and " +
          last;
 }

@@ -141,6 +141,9 @@ TEST(Checkpoints, AStateThatIsNotKeptIsRefusedByName) {
   EXPECT_NE(message.find("state 9 is not kept, but those of t = 0, 8, 16, ... and 20 are"),
             std::string::npos)
       << message;
+  Trajectory shorter(model, 20, true, 13);
+  EXPECT_NE(message_of([&] { shorter.state(9); }).find("those of t = 0, 13 and 20 are"),
+            std::string::npos);
   EXPECT_NE(message_of([&] { trajectory.recompute(9); }).find("no rollout yet"), std::string::npos);
   EXPECT_NE(message_of([&] { Trajectory(model, 20, true, 0); }).find("interval >= 1, got 0"),
             std::string::npos);

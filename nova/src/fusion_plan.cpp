@@ -151,15 +151,13 @@ class Planner {
   RunPlan plan() {
     RunPlan made;
     for (size_t k = 0; k < order_.size();) {
-      Segment segment{static_cast<uint32_t>(k), static_cast<uint32_t>(k + 1)};
       const int64_t n = rows_from(k);
       if (n >= std::max<int64_t>(1, limits_.min_rows) && grow(k, n)) {
-        k += before_.size();
-        append_plain(made.segments, segment.first, k);
-        segment = {static_cast<uint32_t>(k), static_cast<uint32_t>(k + fused_.size()), n,
-                   block_rows()};
-        made.segments.push_back(segment);
-        k = segment.last;
+        const size_t first = k + before_.size(), last = first + fused_.size();
+        append_plain(made.segments, k, first);
+        made.segments.push_back(
+            {static_cast<uint32_t>(first), static_cast<uint32_t>(last), n, block_rows()});
+        k = last;
       } else {
         append_plain(made.segments, k, k + 1);
         ++k;
@@ -207,8 +205,7 @@ class Planner {
       touched_.push_back({address(o.target), rows, row_bytes, true});
       return true;
     }
-    own_row = o.layout && o.layout->row_local &&
-              (limits_.multiples ? o.n % n == 0 : o.n == n);
+    own_row = o.layout && o.layout->row_local && (limits_.multiples ? o.n % n == 0 : o.n == n);
     if (!o.layout) {
       const auto known = accesses_.subspan(o.first_access, o.access_count);
       touched_.assign(known.begin(), known.end());

@@ -46,7 +46,7 @@ class Finder {
       if (in(found_.earlier, v)) earlier.emplace(key(i.op, i.a, i.b, i.c), static_cast<Value>(v));
     }
     for (size_t v = 0; v < p_.instrs.size(); ++v) {
-      Instr i = p_.instrs[v];
+      const Instr& i = p_.instrs[v];
       if (i.op == Op::SLOT || i.op == Op::REDUCE_INDEX) {  // of the same item
         if (i.a == found_.loop) equal_[v] = counter(i.op);
         continue;

@@ -20,10 +20,7 @@ const nova::Kernel& detail::bending_kernel() {
     return nova::make_kernel(
         "bending_forces", sources, {{"contribution", 12}}, [](TraceContext& c) {
           Vec3<Real> x[4], v[4];
-          for (int32_t k = 0; k < 4; ++k) {
-            x[k] = load_corner(c, "particle_q", k);
-            v[k] = load_corner(c, "particle_qd", k);
-          }
+          load_corners(c, x, v);
           const Bool complete = both(both(c.i32(0, 0) >= Int(0), c.i32(0, 1) >= Int(0)),
                                      both(c.i32(0, 2) >= Int(0), c.i32(0, 3) >= Int(0)));
           const size_t m = c.source("material");

@@ -18,20 +18,14 @@ namespace {
 
 // particle_f plus what the elements gave to each particle, in the order of the elements.
 const nova::Kernel& sum_kernel() {
-  static const nova::Kernel kernel =
-      nova::make_reduce_kernel("sum_element_forces",
-                               {{"particle_f", DType::F32, 3, Access::Direct},
-                                {"contribution", DType::F32, 3, Access::CsrRow}},
-                               {{"particle_f", 3}},
-                               {.init =
-                                    [](TraceContext& c) {
-                                      return std::vector{c.f32(0, 0), c.f32(0, 1), c.f32(0, 2)};
-                                    },
-                                .body =
-                                    [](TraceContext& c) {
-                                      return std::vector{c.f32(1, 0), c.f32(1, 1), c.f32(1, 2)};
-                                    },
-                                .epilogue = {}});
+  static const nova::Kernel kernel = nova::make_reduce_kernel(
+      "sum_element_forces",
+      {{"particle_f", DType::F32, 3, Access::Direct},
+       {"contribution", DType::F32, 3, Access::CsrRow}},
+      {{"particle_f", 3}},
+      {.init = [](TraceContext& c) { return std::vector{c.f32(0, 0), c.f32(0, 1), c.f32(0, 2)}; },
+       .body = [](TraceContext& c) { return std::vector{c.f32(1, 0), c.f32(1, 1), c.f32(1, 2)}; },
+       .epilogue = {}});
   return kernel;
 }
 
@@ -68,6 +62,13 @@ Vec3<Real> detail::load_corner(TraceContext& c, const char* source, int32_t corn
   const Int particle = c.i32(0, corner);
   const size_t s = c.source(source);
   return {c.f32(s, particle, 0), c.f32(s, particle, 1), c.f32(s, particle, 2)};
+}
+
+void detail::load_corners(TraceContext& c, std::span<Vec3<Real>> x, std::span<Vec3<Real>> v) {
+  for (size_t k = 0; k < x.size(); ++k) {
+    x[k] = load_corner(c, "particle_q", static_cast<int32_t>(k));
+    v[k] = load_corner(c, "particle_qd", static_cast<int32_t>(k));
+  }
 }
 
 std::vector<Real> detail::contributions(std::initializer_list<Vec3<Real>> forces) {

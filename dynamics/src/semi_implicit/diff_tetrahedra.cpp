@@ -20,10 +20,7 @@ const nova::Kernel& detail::tetrahedron_kernel() {
     return nova::make_kernel(
         "tetrahedron_forces", sources, {{"contribution", 12}}, [](TraceContext& c) {
           Vec3<Real> x[4], v[4];
-          for (int32_t k = 0; k < 4; ++k) {
-            x[k] = load_corner(c, "particle_q", k);
-            v[k] = load_corner(c, "particle_qd", k);
-          }
+          load_corners(c, x, v);
           Mat33<Real> pose;
           for (int32_t i = 0; i < 3; ++i)
             for (int32_t j = 0; j < 3; ++j) pose.m[i][j] = c.f32(c.source("pose"), 3 * i + j);

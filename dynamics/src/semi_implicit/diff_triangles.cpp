@@ -19,10 +19,7 @@ const nova::Kernel& detail::triangle_kernel() {
     return nova::make_kernel(
         "triangle_forces", sources, {{"contribution", 9}}, [](TraceContext& c) {
           Vec3<Real> x[3], v[3];
-          for (int32_t k = 0; k < 3; ++k) {
-            x[k] = load_corner(c, "particle_q", k);
-            v[k] = load_corner(c, "particle_qd", k);
-          }
+          load_corners(c, x, v);
           Mat22<Real> pose;
           for (int32_t i = 0; i < 2; ++i)
             for (int32_t j = 0; j < 2; ++j) pose.m[i][j] = c.f32(c.source("pose"), 2 * i + j);

@@ -22,6 +22,7 @@
 // inputs are not changed.
 #pragma once
 
+#include <span>
 #include <vector>
 
 #include "novaphy/core/sim/control.h"
@@ -111,6 +112,9 @@ const nova::Kernel& tetrahedron_kernel();
 std::vector<nova::SourceSpec> element_sources(int32_t corners);
 // Position or velocity of a corner; zero for an absent one (a negative index).
 Vec3<nova::Real> load_corner(nova::TraceContext& c, const char* source, int32_t corner);
+// Positions and velocities of all corners.
+void load_corners(nova::TraceContext& c, std::span<Vec3<nova::Real>> x,
+                  std::span<Vec3<nova::Real>> v);
 // The columns of an element's output, corner by corner.
 std::vector<nova::Real> contributions(std::initializer_list<Vec3<nova::Real>> forces);
 // particle_f, a model array or a tensor of {rows} or {rows, width}.

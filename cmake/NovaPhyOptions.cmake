@@ -2,6 +2,11 @@
 # never a silent no-op.
 option(NOVAPHY_WITH_DIFF "Build the tensor runtime (nova), the differentiable operators (diff) and their bindings" OFF)
 option(NOVAPHY_WITH_IO "Build novaphy::io, meshes from files (needs assimp)" OFF)
+set(NOVAPHY_ASSIMP system CACHE STRING "Where assimp is from: system, or source (fetched, built, and linked in)")
+set_property(CACHE NOVAPHY_ASSIMP PROPERTY STRINGS system source)
+if(NOT NOVAPHY_ASSIMP MATCHES "^(system|source)$")
+  message(FATAL_ERROR "NOVAPHY_ASSIMP: expected system or source, got ${NOVAPHY_ASSIMP}.")
+endif()
 option(NOVAPHY_BUILD_COLLISION "Build novaphy::collision" ON)
 option(NOVAPHY_BUILD_DYNAMICS "Build novaphy::dynamics (needs collision)" ON)
 option(NOVAPHY_BUILD_PYTHON "Build the Python module" OFF)

@@ -16,7 +16,7 @@ find_python
 make_venv .venv "${WHEEL_REQUIREMENTS[@]}"
 
 # Build again only after an edit. A folder's own time tells of files that were removed.
-sources=(CMakeLists.txt pyproject.toml backends cmake collision core diff dynamics nova python/src python/novaphy)
+sources=(CMakeLists.txt pyproject.toml backends cmake collision core diff dynamics io nova python/src python/novaphy)
 installed=.venv/novaphy.stamp
 if [ ! -e "$installed" ] || [ -n "$(find "${sources[@]}" -newer "$installed" -not -name __pycache__ -not -name '*.pyc' -print -quit)" ]; then
   echo "building the Python package (the first time takes a few minutes)"

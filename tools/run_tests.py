@@ -158,14 +158,12 @@ def ctest(what: str, *arguments: str | Path, cwd: Path = ROOT) -> None:
         raise StepError(f"{what}: ctest failed with exit code {code}")
 
 
-def pytest(
-    what: str, python: Path, *arguments: str | Path, env: dict[str, str] | None = None
-) -> None:
+def pytest(what: str, python: Path, *arguments: str | Path) -> None:
     """Run pytest and add its results."""
     junit = LOGS / f"{what}.pytest.xml"
     junit.unlink(missing_ok=True)
     options = ["-q", "-ra", "-p", "no:cacheprovider", f"--junitxml={junit}"]
-    code = run(what, python, "-m", "pytest", *options, *arguments, env=env, may_fail=True)
+    code = run(what, python, "-m", "pytest", *options, *arguments, may_fail=True)
     if not junit.exists():
         raise StepError(f"{what}: pytest wrote no results")
     if totals.add_junit(junit, what) == 0 and code != 0:
@@ -196,6 +194,7 @@ WITH_TESTS = (
     "dev",
     "install",
     "python",
+    "editable",
 )  # fail if none ran
 
 
@@ -225,20 +224,11 @@ def core_only() -> None:
 
 @step
 def io() -> None:
-    """novaphy::core and novaphy::io with assimp, from C++ and from Python."""
+    """novaphy::core and novaphy::io, with the assimp of the system and with that of the wheel."""
     build("io")
     ctest("io", "--preset", "io")
-    # The wheel is built without assimp, so the Python of this slice is tested from its build tree.
-    pybind11 = output_of(sys.executable, "-m", "pybind11", "--cmakedir").strip()
-    interpreter = make_venv("io", "numpy", "pytest")
-    run(
-        "io", "cmake", "--preset", "io", "-DNOVAPHY_BUILD_COLLISION=ON",
-        "-DNOVAPHY_BUILD_DYNAMICS=ON", "-DNOVAPHY_BUILD_PYTHON=ON", f"-Dpybind11_DIR={pybind11}",
-        f"-DPython_EXECUTABLE={interpreter}",
-    )  # fmt: skip
-    run("io", "cmake", "--build", "--preset", "io", f"-j{JOBS}", "--target", "novaphy_python")
-    env = environment(PYTHONPATH=str(BUILD / "io" / "python"))
-    pytest("io-python", interpreter, "tests/python/test_io.py", env=env)
+    build("io-source")
+    ctest("io-source", "--preset", "io-source", "-R", r"^io\.|^install_consumer\.(install|io)$")
 
 
 @step
@@ -344,6 +334,8 @@ def check_wheel(wheel: Path) -> None:
             raise StepError(f"wheel: it requires {', '.join(extra)} besides NumPy")
         libraries = [n for n in names if re.search(r"\.so(\.\d+)*$", n)]
         own = {Path(n).name for n in libraries}
+        if "libnovaphy_io.so" not in own:
+            raise StepError("wheel: it has no libnovaphy_io.so, so it cannot load meshes")
         for name in libraries:
             path = archive.extract(name, folder)
             for needed in re.findall(r"\(NEEDED\).*\[(.+)\]", output_of("readelf", "-d", path)):
@@ -377,12 +369,12 @@ def python() -> None:
 
 @step
 def editable() -> None:
-    """The documented editable install, and the ball from it."""
-    interpreter = make_venv("editable", "scikit-build-core>=0.10", "numpy")
+    """The documented editable install, here without io, and the ball from it."""
+    interpreter = make_venv("editable", "scikit-build-core>=0.10", "numpy", "pytest")
     # The pybind11 that the wheel was built with: the compiler cache then knows the objects.
     pybind11 = output_of(sys.executable, "-m", "pybind11", "--cmakedir").strip()
     options = (
-        "-DNOVAPHY_BUILD_TESTS=OFF -DNOVAPHY_BUILD_VBD=OFF "
+        "-DNOVAPHY_BUILD_TESTS=OFF -DNOVAPHY_BUILD_VBD=OFF -DNOVAPHY_WITH_IO=OFF "
         f"-DCMAKE_PREFIX_PATH=/usr -Dpybind11_DIR={pybind11}"
     )
     environ = environment(CMAKE_ARGS=options)
@@ -400,11 +392,12 @@ def editable() -> None:
     code = (
         "import novaphy, pathlib; p = pathlib.Path(novaphy.__file__).resolve(); print(p); "
         f"assert p.is_relative_to({str(ROOT / 'python')!r}), p; "
-        "assert novaphy.has_diff() and not novaphy.has_vbd()"
+        "assert novaphy.has_diff() and not novaphy.has_vbd() and not novaphy.has_io()"
     )
     with tempfile.TemporaryDirectory() as folder:
         run("editable", interpreter, "-c", code, cwd=Path(folder))
         run("editable", interpreter, DEMO, "--headless", "1", cwd=Path(folder))
+    pytest("editable", interpreter, "tests/python/test_io.py")
 
 
 @step

@@ -13,9 +13,57 @@ from novaphy import io
 
 DATA = Path(__file__).parents[1] / "data"
 NEEDS_IO = pytest.mark.skipif(
-    not novaphy.has_io(), reason="built with NOVAPHY_WITH_IO=OFF, as wheels are; the step io has it"
+    not novaphy.has_io(), reason="built with NOVAPHY_WITH_IO=OFF; the wheel has it"
 )
 SQUARE = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nf 1 2 3 4\n"
+# The same square in the other formats.
+SQUARE_STL = """solid square
+facet normal 0 0 1
+outer loop
+vertex 0 0 0
+vertex 1 0 0
+vertex 1 1 0
+endloop
+endfacet
+facet normal 0 0 1
+outer loop
+vertex 0 0 0
+vertex 1 1 0
+vertex 0 1 0
+endloop
+endfacet
+endsolid square
+"""
+SQUARE_PLY = """ply
+format ascii 1.0
+element vertex 4
+property float x
+property float y
+property float z
+element face 1
+property list uchar int vertex_indices
+end_header
+0 0 0
+1 0 0
+1 1 0
+0 1 0
+4 0 1 2 3
+"""
+SQUARE_DAE = """<?xml version="1.0"?>
+<COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1">
+<asset><unit meter="1"/><up_axis>Z_UP</up_axis></asset>
+<library_geometries><geometry id="square"><mesh>
+<source id="p"><float_array id="a" count="12">0 0 0 1 0 0 1 1 0 0 1 0</float_array>
+<technique_common><accessor source="#a" count="4" stride="3"><param name="X" type="float"/>
+<param name="Y" type="float"/><param name="Z" type="float"/></accessor></technique_common></source>
+<vertices id="v"><input semantic="POSITION" source="#p"/></vertices>
+<polylist count="1"><input semantic="VERTEX" source="#v" offset="0"/>
+<vcount>4</vcount><p>0 1 2 3</p></polylist>
+</mesh></geometry></library_geometries>
+<library_visual_scenes><visual_scene id="s"><node><instance_geometry url="#square"/></node>
+</visual_scene></library_visual_scenes><scene><instance_visual_scene url="#s"/></scene>
+</COLLADA>
+"""
 
 
 def volume(vertices: np.ndarray, tets: np.ndarray) -> float:
@@ -79,7 +127,7 @@ def test_bad_tet_meshes_are_python_errors_with_file_and_line(tmp_path):
 @pytest.mark.skipif(novaphy.has_io(), reason="this build has the mesh reader")
 def test_a_build_without_the_mesh_reader_says_how_to_get_it(tmp_path):
     for path in ("a.obj", tmp_path):
-        with pytest.raises(ImportError, match=r"-DNOVAPHY_WITH_IO=ON.*libassimp-dev"):
+        with pytest.raises(ImportError, match=r"-DNOVAPHY_WITH_IO=ON -DNOVAPHY_ASSIMP=source"):
             io.load_mesh(path)
     assert novaphy.build_info()["NOVAPHY_WITH_IO"] is False
 
@@ -100,6 +148,22 @@ def test_a_mesh_is_arrays_that_the_builder_takes(tmp_path):
     assert model.particle_mass.numpy().sum() == pytest.approx(0.5)
     apart = io.load_mesh(str(path), join_vertices=False)
     assert apart.vertices.shape == (6, 3) and apart.indices.tolist() == [[0, 1, 2], [3, 4, 5]]
+
+
+@NEEDS_IO
+@pytest.mark.parametrize(
+    ("ending", "text"),
+    [(".obj", SQUARE), (".stl", SQUARE_STL), (".ply", SQUARE_PLY), (".dae", SQUARE_DAE)],
+)
+def test_all_formats_give_the_same_mesh(tmp_path, ending, text):
+    path = tmp_path / f"square{ending}"
+    path.write_text(text)
+    vertices, indices = io.load_mesh(path)
+    assert vertices.tolist() == [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]
+    assert indices.tolist() == [[0, 1, 2], [0, 2, 3]]
+    path.write_text(text[: len(text) // 2])
+    with pytest.raises(ValueError, match=rf"load_mesh: .*square\{ending}: expected"):
+        io.load_mesh(path)
 
 
 @NEEDS_IO

@@ -40,7 +40,7 @@ def load_mesh(
 ) -> Mesh:
     """Read the triangles of an ``.obj``, ``.stl``, ``.ply`` or ``.dae`` file.
 
-    Needs a build with ``NOVAPHY_WITH_IO=ON`` (`novaphy.has_io`); wheels have it off.
+    Needs a build with ``NOVAPHY_WITH_IO=ON`` (`novaphy.has_io`), as wheels are.
 
     All meshes of the file come as one, each where the nodes of its scene put it. Polygons are cut
     into triangles; points, lines and vertices that no triangle uses are left out. A ``.dae`` says

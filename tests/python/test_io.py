@@ -16,8 +16,9 @@ NEEDS_IO = pytest.mark.skipif(
     not novaphy.has_io(), reason="built with NOVAPHY_WITH_IO=OFF; the wheel has it"
 )
 SQUARE = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nf 1 2 3 4\n"
-# The same square in the other formats.
-SQUARE_STL = """solid square
+SQUARES = {  # the same square in all formats
+    ".obj": SQUARE,
+    ".stl": """solid square
 facet normal 0 0 1
 outer loop
 vertex 0 0 0
@@ -33,8 +34,8 @@ vertex 0 1 0
 endloop
 endfacet
 endsolid square
-"""
-SQUARE_PLY = """ply
+""",
+    ".ply": """ply
 format ascii 1.0
 element vertex 4
 property float x
@@ -48,8 +49,8 @@ end_header
 1 1 0
 0 1 0
 4 0 1 2 3
-"""
-SQUARE_DAE = """<?xml version="1.0"?>
+""",
+    ".dae": """<?xml version="1.0"?>
 <COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1">
 <asset><unit meter="1"/><up_axis>Z_UP</up_axis></asset>
 <library_geometries><geometry id="square"><mesh>
@@ -63,7 +64,8 @@ SQUARE_DAE = """<?xml version="1.0"?>
 <library_visual_scenes><visual_scene id="s"><node><instance_geometry url="#square"/></node>
 </visual_scene></library_visual_scenes><scene><instance_visual_scene url="#s"/></scene>
 </COLLADA>
-"""
+""",
+}
 
 
 def volume(vertices: np.ndarray, tets: np.ndarray) -> float:
@@ -151,12 +153,9 @@ def test_a_mesh_is_arrays_that_the_builder_takes(tmp_path):
 
 
 @NEEDS_IO
-@pytest.mark.parametrize(
-    ("ending", "text"),
-    [(".obj", SQUARE), (".stl", SQUARE_STL), (".ply", SQUARE_PLY), (".dae", SQUARE_DAE)],
-)
-def test_all_formats_give_the_same_mesh(tmp_path, ending, text):
-    path = tmp_path / f"square{ending}"
+@pytest.mark.parametrize("ending", SQUARES)
+def test_all_formats_give_the_same_mesh(tmp_path, ending):
+    path, text = tmp_path / f"square{ending}", SQUARES[ending]
     path.write_text(text)
     vertices, indices = io.load_mesh(path)
     assert vertices.tolist() == [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]

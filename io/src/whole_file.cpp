@@ -164,11 +164,25 @@ void check_stl(const std::string& where, std::string_view bytes) {
           ErrorKind::Value, where, ": expected endsolid, got the end of the file");
 }
 
+void check_dae(const std::string& where, std::string_view bytes) {
+  for (size_t at = bytes.find("<p"); at != std::string_view::npos; at = bytes.find("<p", at)) {
+    at += 2;
+    if (bytes.substr(at, 1).find_first_of("> \t\r\n") != 0) continue;  // the tag of something else
+    at = std::min(bytes.find('>', at), bytes.size() - 1) + 1;
+    const std::string_view text = bytes.substr(at, bytes.find('<', at) - at);
+    const size_t bad = text.find_first_not_of("+-0123456789 \t\r\n");
+    if (bad == std::string_view::npos) continue;
+    fail(ErrorKind::Value, where, ":", 1 + std::ranges::count(bytes.substr(0, at + bad), '\n'),
+         ": expected whole numbers in <p>");
+  }
+}
+
 }  // namespace
 
 void check_whole(const std::string& where, std::string_view extension, std::string_view bytes) {
   if (extension == ".ply") check_ply(where, bytes);
   if (extension == ".stl") check_stl(where, bytes);
+  if (extension == ".dae") check_dae(where, bytes);
 }
 
 }  // namespace novaphy::detail

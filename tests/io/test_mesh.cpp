@@ -213,6 +213,11 @@ TEST_F(LoadMesh, RefusesBrokenAndEmptyFiles) {
   const std::string text = cube_stl();
   refuse("a.stl", text.substr(0, text.size() / 2), "expected endsolid, got the end of the file");
   refuse("a.dae", dae.substr(0, dae.size() / 2), "whole .dae file; assimp says");
+  for (const char* bad : {"x", "1.5", "\xff", "/"}) {  // assimp would fill the memory
+    std::string broken = dae;
+    broken.replace(broken.find("<p>0") + 3, 1, bad);
+    refuse("a.dae", broken, "a.dae:9: expected whole numbers in <p>");
+  }
 }
 
 TEST_F(LoadMesh, RefusesMeshesWithoutATriangle) {

@@ -19,9 +19,8 @@ std::string read(const std::string& path) {
   return file ? text.str() : std::string();
 }
 
-void expect_golden(const std::string& name, const nova::ir::Program& program) {
+void expect_golden(const std::string& name, const std::string& text) {
   const std::string path = std::string(NOVAPHY_GOLDEN_DIR) + "/emit/" + name + ".c";
-  const std::string text = nova::ir::emit_c(program);
   if (const char* update = std::getenv("NOVAPHY_UPDATE_GOLDEN"); update && *update) {
     std::ofstream(path, std::ios::binary) << text;
     return;
@@ -29,6 +28,10 @@ void expect_golden(const std::string& name, const nova::ir::Program& program) {
   const std::string golden = read(path);
   ASSERT_FALSE(golden.empty()) << path << " is missing; NOVAPHY_UPDATE_GOLDEN=1 writes it";
   EXPECT_EQ(text, golden) << "a wanted change: NOVAPHY_UPDATE_GOLDEN=1 writes " << path;
+}
+
+void expect_golden(const std::string& name, const nova::ir::Program& program) {
+  expect_golden(name, nova::ir::emit_c(program));
 }
 
 nova::Kernel engine_kernel(const std::string& name) {
@@ -84,6 +87,25 @@ TEST(Emit, SumsOverAFixedNumberOfUniformRows) {
            },
        .epilogue = {}});
   expect_golden("weights", kernel.program());
+}
+
+// The state stays in registers, what the walls are is loaded once, and a wall that no row touches
+// costs a comparison.
+TEST(Emit, RunsManyLaunchesOfARowInOne) {
+  const nova::Kernel kernel = nova::make_reduce_kernel(
+      "bounce", {{"x", DType::F32, 1, Access::Direct}, {"wall", DType::F32, 1, Access::CsrRow}},
+      {{"x", 1}},
+      {.init = [](nova::TraceContext& c) { return std::vector{c.f32(0)}; },
+       .body =
+           [](nova::TraceContext& c) {
+             const nova::Real d = c.f32(0) - c.f32(1);
+             const nova::Real push = c.param(0) / d / sqrt(nova::Real(1.0f) + d * d);
+             return std::vector{select(d > nova::Real(0.0f), nova::Real(-0.0f), push)};
+           },
+       .epilogue = {}});
+  const nova::ir::Series series{.carried = {0}, .varying = {}};
+  expect_golden("bounce_series",
+                nova::ir::emit_c_series(kernel.program(), series, "k_bounce_series"));
 }
 
 // Every name that the text uses is declared before: an undeclared one would break a build far from

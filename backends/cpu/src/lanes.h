@@ -17,10 +17,25 @@
 #define LANE_FN static inline __attribute__((always_inline, unused))
 #define COLD_FN static __attribute__((noinline, cold, unused))
 
+/* For the compiler's layout of the code only. */
+#define rarely(a) __builtin_expect((a), 0)
+
 /* A sum over rows of up to so many items keeps what a later sum over the same rows needs again. One
  * row alone has that in less time than it takes to ask. */
 #define KEPT_ITEMS 4
 #define CAN_KEEP(csr) (LANES > 1 && (csr).longest <= KEPT_ITEMS)
+
+/* Fetches the rows of an array that a later launch is going to read or write: the arrays of a
+ * series lie too far apart for the processor to guess. */
+LANE_FN void fetch_early(uint64_t array, int64_t row_bytes, int64_t i, int write) {
+  for (int64_t byte = 0; byte < row_bytes * LANES; byte += 64) {
+    const char* const p = (const char*)array + row_bytes * i + byte;
+    if (write)
+      __builtin_prefetch(p, 1);
+    else
+      __builtin_prefetch(p, 0);
+  }
+}
 
 /* Scalars. */
 

@@ -18,11 +18,27 @@ typedef struct novaphy_error_sink {
 typedef int64_t (*novaphy_native_fn)(const uint64_t* args, int64_t begin, int64_t end,
                                      novaphy_error_sink* sink);
 
+/* The same for `count` launches, one after the other; see <novaphy/program/series.h>. `args` are the
+ * words of the first launch. `launches` has a row for each launch: the arrays of the varying
+ * sources, then those of the outputs, null where nothing has to be written. The arrays of the launch
+ * LAUNCHES_AHEAD later are fetched early, so as many rows follow the last, of any arrays. It also
+ * stops at rows that it cannot do. */
+#define LAUNCHES_AHEAD 8
+typedef int64_t (*novaphy_native_series_fn)(const uint64_t* args, const uint64_t* launches,
+                                            int64_t count, int64_t begin, int64_t end,
+                                            novaphy_error_sink* sink);
+typedef struct novaphy_native_series {
+  novaphy_native_series_fn run;
+  int32_t outputs, varying;
+  const int32_t* sources; /* per output the carried one, then the varying ones */
+} novaphy_native_series;
+
 typedef struct novaphy_native_kernel {
   uint64_t hash;         /* of the Program; tables are sorted by it */
   uint32_t instructions; /* two more facts about the Program, in case two have one hash */
   uint32_t arguments;
   novaphy_native_fn run;
+  const novaphy_native_series* series; /* or null */
 } novaphy_native_kernel;
 
 typedef struct novaphy_native_table {

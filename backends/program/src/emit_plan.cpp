@@ -4,6 +4,8 @@
 #include <map>
 #include <tuple>
 
+#include "emit_sink.h"
+
 namespace nova::ir {
 namespace {
 
@@ -16,10 +18,11 @@ size_t at(int32_t k) { return static_cast<size_t>(k); }
 
 class Planner {
  public:
-  explicit Planner(const Program& program) : p_(program) {}
+  Planner(const Program& program, bool device) : p_(program), device_(device) {}
 
   EmitPlan run() {
     out_.steps = schedule(p_);
+    if (!device_) out_.steps = sunk(p_, std::move(out_.steps));
     const size_t count = p_.instrs.size();
     out_.uniform.assign(count, 0);
     out_.once.assign(count, 0);
@@ -217,6 +220,7 @@ class Planner {
   }
 
   const Program& p_;
+  const bool device_;
   EmitPlan out_;
 };
 
@@ -238,6 +242,8 @@ bool is_leaf(Op op) {
   }
 }
 
-EmitPlan make_emit_plan(const Program& program) { return Planner(program).run(); }
+EmitPlan make_emit_plan(const Program& program, bool device) {
+  return Planner(program, device).run();
+}
 
 }  // namespace nova::ir

@@ -49,7 +49,8 @@ struct EmitPlan {
   }
 };
 
-EmitPlan make_emit_plan(const Program& program);
+// `device`: for a thread that has one row.
+EmitPlan make_emit_plan(const Program& program, bool device);
 
 inline bool is_load(Op op) { return op == Op::LOAD_F || op == Op::LOAD_I; }
 // Values that are written where they are used: constants, parameters, counters, sums.

@@ -23,10 +23,10 @@ class ValueText {
   std::string c_type(Value v) const;
   // What computes it: the right side of its assignment. Not for loads and leaves.
   std::string expression(Value v) const;
-
- private:
+  // A leaf.
   std::string literal(const Instr& in) const;
 
+ private:
   const Program& p_;
   const EmitPlan& plan_;
   const bool device_;

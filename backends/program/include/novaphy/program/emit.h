@@ -15,11 +15,15 @@
 #include <string>
 
 #include "novaphy/program/ir.h"
+#include "novaphy/program/series.h"
 
 namespace nova::ir {
 
 // `function`: the name of the C function; empty: one made of the Program's name and hash.
 std::string emit_c(const Program& program, const std::string& function = {});
+// The function that runs many launches, whose name is `function`.
+std::string emit_c_series(const Program& program, const Series& series,
+                          const std::string& function);
 // The same for a GPU: a C++ function of one row, templated on how each source and output is reached
 // (s0, o0, ...), whose names backends/gpu/src/device_prelude.cuh gives a meaning.
 std::string emit_device(const Program& program, const std::string& function);

@@ -1,0 +1,24 @@
+// Series: launches of one Program, one after the other, in which each reads at its own row what the
+// one before has written. The steps of a rollout are one, and so are their adjoints. A reader can
+// run all launches of a few rows with the state in registers, and load what does not change once.
+#pragma once
+
+#include <optional>
+#include <vector>
+
+#include "novaphy/program/ir.h"
+
+namespace nova::ir {
+
+struct Series {
+  std::vector<int32_t> carried;  // per output: the source that the next launch reads it as
+  std::vector<int32_t> varying;  // sources of which every launch may have another array
+};
+
+// Names tell what belongs together: an output is carried to the source of its name, and beside a
+// gradient grad_x that is carried, x varies. All other sources, tables and parameters have to be
+// the same in every launch. None: an output has no such source, a gradient is not carried, or the
+// Program is so small that nothing is gained.
+std::optional<Series> find_series(const Program& program);
+
+}  // namespace nova::ir

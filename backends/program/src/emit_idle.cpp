@@ -1,0 +1,112 @@
+#include "emit_idle.h"
+
+#include <algorithm>
+#include <bit>
+#include <map>
+#include <optional>
+
+namespace nova::ir {
+namespace {
+
+size_t at(int32_t k) { return static_cast<size_t>(k); }
+
+class Finder {
+ public:
+  Finder(const Program& program, const EmitPlan& plan, int32_t loop)
+      : p_(program), plan_(plan), loop_(loop) {}
+
+  std::optional<IdleItem> run(const std::vector<KeptValues>& kept) {
+    if (!find_region() || !kept_before(kept)) return std::nullopt;
+    IdleItem found{loop_, region_, {}};
+    for (const Sum& sum : p_.loops[at(loop_)].sums) {
+      const auto term = constant(sum.term);
+      if (!term) return std::nullopt;
+      found.terms.push_back(*term);
+    }
+    return found;
+  }
+
+ private:
+  // The region that stands in the loop under no condition, if there is one only.
+  bool find_region() {
+    int32_t loop = -1;
+    for (size_t s = 0; s < plan_.steps.size(); ++s) {
+      const Step& step = plan_.steps[s];
+      if (step.kind == Step::Kind::LoopBegin) loop = step.value;
+      if (step.kind == Step::Kind::LoopEnd) loop = -1;
+      if (step.kind != Step::Kind::SkipIfNone || loop != loop_) continue;
+      const int32_t r = plan_.region_of_step[s];
+      if (!plan_.regions[at(r)].printed || plan_.printed_region(plan_.regions[at(r)].parent) >= 0)
+        continue;
+      if (region_ >= 0) return false;
+      region_ = r;
+      begin_ = s;
+    }
+    return region_ >= 0 && !plan_.uniform[at(plan_.regions[at(region_)].cond)];
+  }
+  // What a later loop reads has to be there whether the region is entered or not.
+  bool kept_before(const std::vector<KeptValues>& all) const {
+    const auto before = [&](Value v) {
+      return std::any_of(
+          plan_.steps.begin(), plan_.steps.begin() + static_cast<ptrdiff_t>(begin_),
+          [v](const Step& s) { return s.kind == Step::Kind::Compute && s.value == v; });
+    };
+    for (const KeptValues& kept : all)
+      for (const auto& [value, equal] : kept.kept)
+        if (kept.earlier == loop_ && !before(equal)) return false;
+    return true;
+  }
+
+  // The value in every lane that has the item, when none of them takes the region.
+  std::optional<float> constant(Value v) {
+    const auto known = known_.find(v);
+    if (known != known_.end()) return known->second;
+    return known_[v] = computed(v);
+  }
+  std::optional<float> computed(Value v) {
+    const Instr& in = p_.instrs[at(v)];
+    const auto both = [&](auto f) -> std::optional<float> {
+      const auto a = constant(in.a), b = a ? constant(in.b) : std::nullopt;
+      return b ? std::optional(f(*a, *b)) : std::nullopt;
+    };
+    switch (in.op) {
+      case Op::CONST_F:
+        return std::bit_cast<float>(in.a);
+      case Op::SELECT_F:
+        if (in.a != plan_.regions[at(region_)].cond) return std::nullopt;
+        return constant(plan_.regions[at(region_)].polarity ? in.c : in.b);
+      case Op::NEG: {
+        const auto a = constant(in.a);
+        return a ? std::optional(-*a) : std::nullopt;
+      }
+      case Op::ADD:
+        return both([](float a, float b) { return a + b; });
+      case Op::MUL:
+        return both([](float a, float b) { return a * b; });
+      default:
+        return std::nullopt;
+    }
+  }
+
+  const Program& p_;
+  const EmitPlan& plan_;
+  const int32_t loop_;
+  int32_t region_ = -1;
+  std::map<Value, std::optional<float>> known_;
+  size_t begin_ = 0;  // its step
+};
+
+}  // namespace
+
+std::vector<IdleItem> find_idle_items(const Program& program, const EmitPlan& plan,
+                                      const std::vector<KeptValues>& kept) {
+  std::vector<IdleItem> all;
+  for (size_t l = 0; l < program.loops.size(); ++l) {
+    if (program.loops[l].kind != LoopKind::Csr) continue;
+    if (auto found = Finder(program, plan, static_cast<int32_t>(l)).run(kept))
+      all.push_back(std::move(*found));
+  }
+  return all;
+}
+
+}  // namespace nova::ir

@@ -1,0 +1,110 @@
+// Internal to the emitter: the writer of one function.
+#pragma once
+
+#include <set>
+#include <string>
+#include <tuple>
+#include <vector>
+
+#include "emit_idle.h"
+#include "emit_kept.h"
+#include "emit_plan.h"
+#include "emit_values.h"
+#include "novaphy/program/series.h"
+
+namespace nova::ir {
+
+inline size_t at(int32_t k) { return static_cast<size_t>(k); }
+inline std::string str(int64_t k) { return std::to_string(k); }
+inline const char* letter(Type t) { return t == Type::F32 ? "f" : "i"; }
+
+class Emitter {
+ public:
+  explicit Emitter(const Program& program, bool device = false, const Series* series = nullptr);
+  std::string run(const std::string& function);
+  // Words that differ from launch to launch come from a table, a row of it for each launch: the
+  // varying sources, then the outputs, null where nobody reads what this launch would write.
+  std::string run_series(const std::string& function);
+  std::string run_device(const std::string& function);
+
+ private:
+  void line(const std::string& s) { out_.append(2 * at(depth_), ' ').append(s).append("\n"); }
+  void close();
+  void head(const std::string& function);
+  // How sources and outputs are reached is a type: memory, or the registers of the thread.
+  void device_signature(const std::string& function);
+  void head_comment();
+  std::string extent_note(int32_t parameter) const;
+  void arguments();
+  void loops_and_parameters();
+  void before_the_rows();
+  bool varies(int32_t source) const;
+  // The output that is carried to a source, or -1.
+  int32_t carrier(int32_t source) const;
+  static std::string state(int32_t source, int32_t column);
+  // What all launches share: values that depend on nothing that changes, and the state at the
+  // beginning.
+  void before_the_launches();
+  void load_state(int32_t source);
+  // The array that a later launch has in column k of the table.
+  void fetch_early(size_t k, int32_t width, const char* write);
+  size_t launch_words() const { return series_->varying.size() + p_.outputs.size(); }
+  void hold(Value v);
+  bool held(Value v) const { return series_ && held_[at(v)]; }
+  void hold_items(int32_t l);
+  // The held values of a loop that its launches read, the item among them.
+  std::vector<Value> held_items(int32_t l) const;
+  void steps();
+  bool in_csr_loop(int32_t l) const { return l >= 0 && p_.loops[at(l)].kind == LoopKind::Csr; }
+  // Whether an `if` was written that ends with the region.
+  bool region_begin(int32_t number);
+  // x + -0 is x; so is x + 0 unless x is -0, which no sum becomes that did not begin with it.
+  bool adds_nothing(const IdleItem& idle, size_t sum) const;
+  // Whether items that do not act in the earlier loop do nothing in the later one.
+  bool follows(const KeptValues& kept) const;
+  const IdleItem* idle_item(int32_t loop) const;
+  std::string zero(Value v) const;
+  void loop_begin(int32_t l);
+  void item_begin(int32_t l);
+  bool is_slot(size_t v, int32_t l) const;
+  void slot(int32_t l);
+  // Where this loop begins.
+  void csr_rows(int32_t l);
+  // Whether a loop that follows reads what this one computes.
+  void kept_rows(int32_t l);
+  // `acting`: for the loops that follow only the items that act, else for the others.
+  void write_kept(int32_t l, bool acting);
+  // What an earlier loop has kept for the item, or else all of it once more.
+  void read_kept(const KeptValues& kept);
+  void loop_end(int32_t l);
+  void compute(Value v);
+  // c < sqrt(x) is false wherever x <= 0.999 c c: a group of such lanes needs no root.
+  void limited_root(Value v, const Instr& in);
+  std::string declaration(Value v) const;
+  bool is_declared(Value v) const { return plan_.escapes[at(v)] || declared_[at(v)]; }
+  // The lanes that need a load: those for which every condition around it holds.
+  std::string need(Value v) const;
+  void load(Value v, const Instr& in);
+  // The variable that says how the rows of a load lie: one that is in sight, else a new one.
+  std::string rows_of(Value row, int32_t region);
+  Value column_owner(Value v, const Instr& in) const;
+  void stores();
+  void store(const Output& output, const std::string& to);
+
+  const Program& original_;
+  const Program p_;
+  const EmitPlan plan_;
+  const ValueText text_;
+  const bool device_;
+  const Series* const series_;    // or null
+  const std::vector<char> held_;  // in a series, per value: the same in every launch
+  std::vector<KeptValues> kept_;
+  std::vector<IdleItem> idle_;
+  std::set<int32_t> followers_;        // loops that leave out what does not act
+  std::vector<char> declared_, done_;  // per value: before its computation; it too
+  std::string out_;
+  int32_t depth_ = 0, loop_ = -1;
+  std::set<std::tuple<Value, int32_t, int32_t>> looked_;  // row, region, loop
+};
+
+}  // namespace nova::ir

@@ -1,0 +1,54 @@
+// The same for `count` launches, one after the other.
+static int64_t k_bounce_series(const uint64_t* args, const uint64_t* launches,
+                  int64_t count, int64_t begin, int64_t end, novaphy_error_sink* sink) {
+  const char* const s0 = (const char*)args[0];
+  const int64_t n0 = (int64_t)args[1];
+  const char* const s1 = (const char*)args[2];
+  const int64_t n1 = (int64_t)args[3];
+  const int32_t* const offsets0 = (const int32_t*)args[5];
+  const int32_t* const items0 = (const int32_t*)args[6];
+  const float pf0 = uparam_f(args[7]);
+  int64_t i = begin, last = end;
+  if (n0 < last) last = n0;
+  for (; i + LANES <= last; i += LANES) {
+    const csr_rows csr0 = csr_begin(offsets0, i);
+    if (csr0.longest > KEPT_ITEMS) return i;
+    vf held4[KEPT_ITEMS];
+    for (int32_t r0 = 0; r0 < csr0.longest; ++r0) {
+      const vb on0 = csr_on(&csr0, r0);
+      const vi slot0 = csr_slot(&csr0, items0, r0, on0);
+      const row_lanes rows3_0 = look_at_rows(slot0);
+      const vf v4 = gather_columnf(s1, n1, &rows3_0, 1, 0, on0, 1, i, sink);
+      held4[r0] = v4;
+    }
+    vf state0_0;
+    state0_0 = load_columnf(s0 + 4 * i, 1);
+    for (const uint64_t *launch = launches, *const stop = launches + 1 * count; launch != stop; launch += 1) {
+      const vf v1 = state0_0;
+      vf sum0_0 = v1;
+      for (int32_t r0 = 0; r0 < csr0.longest; ++r0) {
+        const vb on0 = csr_on(&csr0, r0);
+        const vf v4 = held4[r0];
+        const vf v5 = v1 - v4;
+        const vb v6 = vlt(splatf(0.0f), v5);
+        vf v14 = splatf(0.0f);
+        if (rarely(any(vand(vnot(v6), on0)))) {
+          const vf v9 = pf0 / v5;
+          const vf v11 = v5 * v5;
+          const vf v12 = 1.0f + v11;
+          const vf v13 = vsqrt(v12);
+          v14 = v9 / v13;
+          const vf v15 = vselectf(v6, splatf((-0.0f)), v14);
+          sum0_0 = vselectf(on0, sum0_0 + v15, sum0_0);
+        }
+      }
+      char* const o0 = (char*)launch[0];
+      if (o0 != NULL) {
+        fetch_early(launch[1 * LAUNCHES_AHEAD + 0], 4, i, 1);
+        store_columnf(o0 + 4 * i, 1, sum0_0);
+      }
+      state0_0 = sum0_0;
+    }
+  }
+  return i;
+}

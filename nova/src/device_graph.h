@@ -17,6 +17,8 @@ namespace nova::detail {
 novaphy_status issue(const novaphy::DeviceContext& context, novaphy_stream* stream,
                      const OpList::Op& op, const uint64_t* words, novaphy_error& error);
 
+struct RunPlan;
+
 class DeviceGraph {
  public:
   // Null when the backend captures no streams.

@@ -2,9 +2,11 @@
 
 #include <algorithm>
 #include <atomic>
+#include <cstddef>
 #include <cstring>
 #include <mutex>
 
+#include "device_graph.h"
 #include "novaphy/core/parallel.h"
 
 namespace nova::detail {
@@ -13,9 +15,10 @@ namespace {
 
 struct FusedRun {
   const novaphy::DeviceContext& context;
-  std::span<const OpList::Op> ops;
+  std::span<const OpList::Op> ops;  // of the whole plan
   std::span<const uint64_t> words;
   const Segment& segment;
+  std::span<const HostPlan::Series> series;  // from the segment on
   int64_t first_block;
   std::atomic<bool> failed{false};
   std::mutex mutex = {};
@@ -36,61 +39,147 @@ struct FusedRun {
   }
 };
 
+// The rows [begin, begin + rows) of one operation.
+novaphy_status run_rows(const novaphy::DeviceContext& context, const OpList::Op& op,
+                        const uint64_t* words, int64_t n, int64_t begin, int64_t rows,
+                        novaphy_error& error) {
+  const novaphy_backend_api& api = *context.api;
+  if (op.kind == OpList::Op::Kind::Launch) {
+    uint64_t arguments[kMaxFusedWords];
+    const int64_t factor = op.n / n;
+    const auto skip = static_cast<uint64_t>(begin * factor);
+    std::memcpy(arguments, words + op.first_word, op.word_count * sizeof(uint64_t));
+    for (const auto* list : {&op.layout->inputs, &op.layout->outputs, &op.layout->tables})
+      for (const RowLayout::Word& w : *list) arguments[w.word] += skip * w.row_bytes;
+    return api.launch(context.stream, op.kernel, rows * factor, arguments, op.word_count, &error);
+  }
+  const int64_t row_bytes = op.n / n;
+  const auto skip = static_cast<uint64_t>(begin * row_bytes);
+  auto* target = static_cast<char*>(op.target) + skip;
+  const auto bytes = static_cast<uint64_t>(rows * row_bytes);
+  return op.kind == OpList::Op::Kind::Copy
+             ? api.memory_copy(context.stream, NOVAPHY_COPY_DEVICE_TO_DEVICE, target,
+                               static_cast<const char*>(op.source) + skip, bytes, &error)
+             : api.memory_fill(context.stream, target, op.pattern, 4, bytes, &error);
+}
+
 void run_block(FusedRun& run, int64_t block) {
   const int64_t n = run.segment.n, begin = block * run.segment.block_rows;
   const int64_t rows = std::min(run.segment.block_rows, n - begin);
-  const novaphy_backend_api& api = *run.context.api;
   novaphy_error error = novaphy::make_error();
-  uint64_t arguments[kMaxFusedWords];
-  for (const OpList::Op& op : run.ops) {
-    novaphy_status status = NOVAPHY_OK;
-    if (op.kind == OpList::Op::Kind::Launch) {
-      const int64_t factor = op.n / n;
-      const auto skip = static_cast<uint64_t>(begin * factor);
-      std::memcpy(arguments, run.words.data() + op.first_word, op.word_count * sizeof(uint64_t));
-      for (const auto* list : {&op.layout->inputs, &op.layout->outputs, &op.layout->tables})
-        for (const RowLayout::Word& w : *list) arguments[w.word] += skip * w.row_bytes;
-      status = api.launch(run.context.stream, op.kernel, rows * factor, arguments, op.word_count,
-                          &error);
-    } else {
-      const int64_t row_bytes = op.n / n;
-      const auto skip = static_cast<uint64_t>(begin * row_bytes);
-      auto* target = static_cast<char*>(op.target) + skip;
-      const auto bytes = static_cast<uint64_t>(rows * row_bytes);
-      status = op.kind == OpList::Op::Kind::Copy
-                   ? api.memory_copy(run.context.stream, NOVAPHY_COPY_DEVICE_TO_DEVICE, target,
-                                     static_cast<const char*>(op.source) + skip, bytes, &error)
-                   : api.memory_fill(run.context.stream, target, op.pattern, 4, bytes, &error);
-    }
+  const HostPlan::Series* next = run.series.data();
+  const HostPlan::Series* const end = next + run.series.size();
+  for (uint32_t k = run.segment.first; k < run.segment.last;) {
+    const OpList::Op& op = run.ops[k];
+    const bool many = next != end && next->first == k;
+    const novaphy_status status =
+        many ? run.context.api->series_launch(next->series, begin, begin + rows, &error)
+             : run_rows(run.context, op, run.words.data(), n, begin, rows, error);
     if (status != NOVAPHY_OK) [[unlikely]] {
       run.note(block, status, error, op.name);
       return;
     }
+    k = many ? (next++)->last : k + 1;
   }
 }
 
-}  // namespace
-
-void run_fused(const novaphy::DeviceContext& context, std::span<const OpList::Op> ops,
-               std::span<const uint64_t> words, const Segment& segment) {
+// Runs one segment block by block on the threads.
+void run_fused(FusedRun& run) {
+  const Segment& segment = run.segment;
   const int64_t blocks = (segment.n + segment.block_rows - 1) / segment.block_rows;
   // Between two looks at an interrupt.
   const int64_t per_round = std::max<int64_t>(1, 262144 / segment.block_rows);
-  for (int64_t first = 0; first < blocks; first += per_round) {
+  for (; run.first_block < blocks; run.first_block += per_round) {
     novaphy::check_interrupt();
-    FusedRun run{.context = context,
-                 .ops = ops.subspan(segment.first, segment.last - segment.first),
-                 .words = words,
-                 .segment = segment,
-                 .first_block = first};
     novaphy::parallel_for(
-        std::min(per_round, blocks - first),
+        std::min(per_round, blocks - run.first_block),
         [](void* self, int64_t chunk) {
           FusedRun& r = *static_cast<FusedRun*>(self);
           run_block(r, r.first_block + chunk);
         },
         &run);
     if (run.failed) novaphy::check(run.status, run.error, run.failed_name);
+  }
+}
+
+bool makes_series(const novaphy_backend_api& api) {
+  constexpr size_t end = offsetof(novaphy_backend_api, series_destroy) + sizeof(api.series_destroy);
+  return api.struct_size >= end && api.series_create != nullptr;
+}
+
+// Where launches of the kernel at k, over the rows of the segment, end.
+uint32_t end_of_series(const RunPlan& plan, const Segment& segment, uint32_t k) {
+  const OpList::Op& first = plan.ops[k];
+  uint32_t end = k;
+  while (end < segment.last && plan.ops[end].kind == OpList::Op::Kind::Launch &&
+         plan.ops[end].kernel == first.kernel && plan.ops[end].n == segment.n)
+    ++end;
+  return end;
+}
+
+}  // namespace
+
+HostPlan::HostPlan(const novaphy::DeviceContext& context, RunPlan plan,
+                   std::span<const uint64_t> words)
+    : context_(context), plan_(std::move(plan)) {
+  const novaphy_backend_api& api = *context.api;
+  if (!makes_series(api)) return;
+  std::vector<uint64_t> arguments;
+  for (const Segment& segment : plan_.segments) {
+    if (segment.n == 0) continue;
+    for (uint32_t k = segment.first; k < segment.last;) {
+      const uint32_t end = end_of_series(plan_, segment, k);
+      if (end - k < 2) {
+        ++k;
+        continue;
+      }
+      const OpList::Op& op = plan_.ops[k];
+      arguments.clear();
+      for (uint32_t o = k; o < end; ++o) {
+        const auto own = words.subspan(plan_.ops[o].first_word, op.word_count);
+        arguments.insert(arguments.end(), own.begin(), own.end());
+      }
+      novaphy_series* series = nullptr;
+      novaphy_error error = novaphy::make_error();
+      const novaphy_status status = api.series_create(context.device, op.kernel, arguments.data(),
+                                                      op.word_count, end - k, &series, &error);
+      if (status == NOVAPHY_OK) {
+        series_.push_back({k, end, series});
+      } else if (status != NOVAPHY_NOT_SUPPORTED) {
+        novaphy::check(status, error, op.name);
+      }
+      k = end;
+    }
+  }
+}
+
+HostPlan::~HostPlan() {
+  for (const Series& series : series_) context_.api->series_destroy(series.series);
+}
+
+void HostPlan::run(std::span<const uint64_t> words) const {
+  constexpr uint32_t kOpsPerInterruptCheck = 64;
+  novaphy_error error = novaphy::make_error();
+  std::span<const Series> series = series_;
+  for (const Segment& segment : plan_.segments) {
+    if (segment.n > 0) {
+      while (!series.empty() && series.front().first < segment.first) series = series.subspan(1);
+      FusedRun run{.context = context_,
+                   .ops = plan_.ops,
+                   .words = words,
+                   .segment = segment,
+                   .series = series,
+                   .first_block = 0};
+      run_fused(run);
+      continue;
+    }
+    for (uint32_t k = segment.first; k < segment.last; ++k) {
+      if (k % kOpsPerInterruptCheck == 0) novaphy::check_interrupt();
+      const OpList::Op& op = plan_.ops[k];
+      const novaphy_status status = issue(context_, context_.stream, op, words.data(), error);
+      if (status != NOVAPHY_OK) [[unlikely]]
+        novaphy::check(status, error, op.name);
+    }
   }
 }
 

@@ -45,12 +45,33 @@ inline constexpr uint32_t kMaxFusedWords = 192;  // argument words of a launch t
 struct PlanLimits {
   int64_t min_rows = 2048;
   bool multiples = true;  // operations that have several rows for each row of the segment
+  // Launches of one kernel, one after the other, that make a segment of any number of rows; 0:
+  // none.
+  uint32_t min_series = 0;
 };
 RunPlan plan_run(std::span<const OpList::Op> ops, std::span<const uint64_t> words,
                  std::span<const MemoryAccess> accesses, const PlanLimits& limits = {});
 
-// Runs one segment block by block on the threads. Throws like a launch.
-void run_fused(const novaphy::DeviceContext& context, std::span<const OpList::Op> ops,
-               std::span<const uint64_t> words, const Segment& segment);
+// A plan made ready to run on a device whose memory the host may dereference: launches of one
+// kernel that stand together in a segment become one call, where the backend can do that.
+class HostPlan {
+ public:
+  HostPlan(const novaphy::DeviceContext& context, RunPlan plan, std::span<const uint64_t> words);
+  ~HostPlan();
+  HostPlan(const HostPlan&) = delete;
+  HostPlan& operator=(const HostPlan&) = delete;
+  // Throws like a launch.
+  void run(std::span<const uint64_t> words) const;
+
+  struct Series {
+    uint32_t first, last;  // operations
+    novaphy_series* series;
+  };
+
+ private:
+  const novaphy::DeviceContext& context_;
+  const RunPlan plan_;
+  std::vector<Series> series_;  // in order
+};
 
 }  // namespace nova::detail

@@ -158,6 +158,11 @@ class Planner {
         made.segments.push_back(
             {static_cast<uint32_t>(first), static_cast<uint32_t>(last), n, block_rows()});
         k = last;
+      } else if (const size_t last = end_of_series(k); last > k) {
+        const int64_t rows = op(k).n;
+        made.segments.push_back(
+            {static_cast<uint32_t>(k), static_cast<uint32_t>(last), rows, rows});
+        k = last;
       } else {
         append_plain(made.segments, k, k + 1);
         ++k;
@@ -254,6 +259,23 @@ class Planner {
     for (const auto* part : {&before_, &fused_, &after_})
       to = std::copy(part->begin(), part->end(), to);
     return true;
+  }
+
+  // The end of a series of launches that begins at k, or k: they all run the same kernel, and touch
+  // what they write at their own row only.
+  size_t end_of_series(size_t k) {
+    if (limits_.min_series == 0) return k;
+    segment_.clear();
+    size_t end = k;
+    for (; end < order_.size(); ++end) {
+      const OpList::Op& next = op(end);
+      bool own_row = false;
+      if (next.kind != OpList::Op::Kind::Launch || next.kernel != op(k).kernel ||
+          next.n != op(k).n || !look_at(next, next.n, own_row) || !own_row ||
+          !segment_.add_fused(touched_))
+        break;
+    }
+    return end - k >= limits_.min_series ? end : k;
   }
 
   // So many rows that what one block touches stays in the cache of a core from the first operation

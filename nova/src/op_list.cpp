@@ -23,6 +23,9 @@ thread_local OpList* capture = nullptr;                // of a ScopedCapture
 thread_local OpList* deferred = nullptr;               // of a DeferredScope
 thread_local DeferredScope* deferred_scope = nullptr;  // whose list that is
 
+// Fewer launches of one kernel gain less than it takes to find out.
+constexpr uint32_t kMinSeries = 8;
+
 // Where operations are recorded instead of run, or null.
 OpList* recording() { return capture ? capture : deferred; }
 
@@ -114,22 +117,19 @@ void OpList::run_once() const { run(); }
 
 void OpList::run() const {
   if (ops_.empty()) return;
-  if (!plan_) plan_ = std::make_unique<detail::RunPlan>(detail::plan_run(ops_, words_, accesses_));
+  if (context->host_accessible) {
+    if (!host_plan_)
+      host_plan_ = std::make_unique<detail::HostPlan>(
+          *context, detail::plan_run(ops_, words_, accesses_, {.min_series = kMinSeries}), words_);
+    host_plan_->run(words_);
+    return;
+  }
   novaphy_error error = novaphy::make_error();
-  constexpr uint32_t kOpsPerInterruptCheck = 64;
-  for (const detail::Segment& segment : plan_->segments) {
-    if (segment.n > 0 && context->host_accessible) {
-      detail::run_fused(*context, plan_->ops, words_, segment);
-      continue;
-    }
-    for (uint32_t k = segment.first; k < segment.last; ++k) {
-      if (k % kOpsPerInterruptCheck == 0) novaphy::check_interrupt();
-      const Op& op = plan_->ops[k];
-      const novaphy_status status =
-          detail::issue(*context, context->stream, op, words_.data(), error);
-      if (status != NOVAPHY_OK) [[unlikely]]
-        novaphy::check(status, error, op.name);
-    }
+  for (const Op& op : ops_) {
+    const novaphy_status status =
+        detail::issue(*context, context->stream, op, words_.data(), error);
+    if (status != NOVAPHY_OK) [[unlikely]]
+      novaphy::check(status, error, op.name);
   }
 }
 

@@ -1,42 +1,24 @@
 // The kernels that were compiled ahead: none is missing, what a user runs is native, and every one
 // gives the bits of the interpreter, for few rows and many, on every instruction set that this
 // processor has.
-#include <dlfcn.h>
 #include <gtest/gtest.h>
 
 #include <algorithm>
-#include <cmath>
-#include <cstdlib>
-#include <cstring>
-#include <map>
-#include <random>
 #include <set>
 
 #include "ball_scene.h"
+#include "native_kernels.h"
 #include "novaphy/core/backend.h"
-#include "novaphy/core/parallel.h"
 #include "novaphy/cpu/query.h"
 #include "novaphy/diff/diff_semi_implicit_solver.h"
-#include "novaphy/diff/engine_kernels.h"
 #include "novaphy/diff/losses.h"
 #include "novaphy/diff/tensor_views.h"
 #include "novaphy/diff/trajectory.h"
 #include "novaphy/nova/optim.h"
-#include "novaphy/nova/registry.h"
 #include "novaphy/nova/tape.h"
 
 namespace novaphy::testing {
 namespace {
-
-namespace ir = nova::ir;
-using ir::Access;
-using ir::Op;
-
-std::vector<ir::Program> engine_programs() {
-  std::vector<nova::EngineKernel> kernels = nova::engine_kernels();
-  for (nova::EngineKernel& k : diff::engine_kernels()) kernels.push_back(std::move(k));
-  return nova::programs_of(kernels);
-}
 
 TEST(NativeKernels, NoneOfTheEngineIsMissing) {
   const std::vector<ir::Program> programs = engine_programs();
@@ -146,128 +128,12 @@ class Machine {
   novaphy_stream* stream_ = nullptr;
 };
 
-void host_parallel_for(int64_t chunks, void (*body)(void*, int64_t), void* context) {
-  parallel_for(chunks, body, context);
-}
-
-// Arguments for a launch of n rows: random numbers with edge values among them, rows in range but
-// for negative ones.
-class RandomArguments {
- public:
-  RandomArguments(const ir::Program& p, int64_t n, uint32_t seed) : random_(seed) {
-    const int64_t items = 3 * n + 2;
-    for (const ir::Source& s : p.sources) {
-      const int64_t rows = s.access == Access::Direct    ? n
-                           : s.access == Access::Uniform ? 1
-                           : s.access == Access::CsrRow  ? items
-                                                         : std::max<int64_t>(n, 7);
-      std::vector<uint32_t> words;
-      for (int64_t k = 0; k < rows * s.width; ++k)
-        words.push_back(s.type == ir::Type::F32 ? number() : row());
-      add(std::move(words));
-      arguments.push_back(static_cast<uint64_t>(rows));
-    }
-    arguments.resize(arguments.size() + p.outputs.size());
-    // Rows of one, two and mixed lengths, over consecutive items and not; several sums over the same
-    // rows, as in an adjoint, and over others.
-    const int kind = static_cast<int>(next() % 4);
-    const bool same_rows = next() % 2 == 0;
-    size_t first_rows = 0;
-    for (const ir::Loop& l : p.loops) {
-      if (l.kind != ir::LoopKind::Csr) continue;
-      if (first_rows != 0 && same_rows) {
-        for (size_t k = 0; k < 2; ++k) arguments.push_back(arguments[first_rows + k]);
-        continue;
-      }
-      first_rows = arguments.size();
-      std::vector<uint32_t> offsets = {0}, list;
-      for (int64_t i = 0; i < n; ++i) {
-        const uint32_t length = kind < 3 ? static_cast<uint32_t>(kind) : next() % 7;
-        for (uint32_t k = 0; k < length; ++k)
-          list.push_back(next() % 5 == 0
-                             ? next() % static_cast<uint32_t>(items)
-                             : static_cast<uint32_t>(list.size()) % static_cast<uint32_t>(items));
-        offsets.push_back(static_cast<uint32_t>(list.size()));
-      }
-      add(std::move(offsets));
-      add(std::move(list));
-    }
-    std::vector<char> is_float(static_cast<size_t>(p.param_count), 0);
-    for (const ir::Instr& in : p.instrs)
-      if (in.op == Op::PARAM_F) is_float[static_cast<size_t>(in.a)] = 1;
-    for (const char f : is_float) arguments.push_back(f ? number() : next() % 5);
-  }
-
-  std::vector<uint64_t> arguments;
-
- private:
-  void add(std::vector<uint32_t> words) {
-    memory_.push_back(std::move(words));
-    arguments.push_back(reinterpret_cast<uint64_t>(memory_.back().data()));
-  }
-  uint32_t next() { return static_cast<uint32_t>(random_()); }
-  uint32_t number() {
-    static const float edges[] = {0.0f,  -0.0f,    1.0f,      -1.0f, 1e-40f,
-                                  3e38f, INFINITY, -INFINITY, NAN};
-    const float value = next() % 25 == 0
-                            ? edges[next() % 9]
-                            : std::uniform_real_distribution<float>(-2.0f, 2.0f)(random_);
-    uint32_t word;
-    std::memcpy(&word, &value, 4);
-    return word;
-  }
-  uint32_t row() { return next() % 6 == 0 ? 0xFFFFFFFFu : next() % 7; }
-
-  std::mt19937 random_;
-  std::vector<std::vector<uint32_t>> memory_;
-};
-
-bool same(uint32_t a, uint32_t b, bool is_float) {
-  float x, y;
-  std::memcpy(&x, &a, 4);
-  std::memcpy(&y, &b, 4);
-  return a == b || (is_float && std::isnan(x) && std::isnan(y));
-}
-
-std::vector<std::string> levels() {
-  std::vector<std::string> list = {"baseline"};
-#if defined(__x86_64__)
-  if (__builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma")) {
-    list.push_back("avx2");
-    if (__builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512dq") &&
-        __builtin_cpu_supports("avx512bw") && __builtin_cpu_supports("avx512vl"))
-      list.push_back("avx512");
-  }
-#endif
-  return list;
-}
-
-// The environment variable decides when a device is opened.
-class ForcedIsa {
- public:
-  explicit ForcedIsa(const std::string& level) {
-    if (const char* now = std::getenv("NOVAPHY_CPU_ISA")) before_ = now;
-    setenv("NOVAPHY_CPU_ISA", level.c_str(), 1);
-  }
-  ~ForcedIsa() { setenv("NOVAPHY_CPU_ISA", before_.c_str(), 1); }
-
- private:
-  std::string before_;
-};
-
 TEST(NativeKernels, EveryOneGivesTheBitsOfTheInterpreterOnEveryInstructionSet) {
-  static const novaphy_host_api host = {sizeof(novaphy_host_api), NOVAPHY_ABI_MAJOR,
-                                        NOVAPHY_ABI_MINOR, &host_parallel_for};
   novaphy_error error = make_error();
   // Linked into this test, the backend has no compiled kernels.
-  const Machine interpreter(novaphy_cpu_backend_query(NOVAPHY_ABI_MAJOR, &host, &error));
-  void* library = dlopen(NOVAPHY_CPU_PLUGIN, RTLD_NOW | RTLD_LOCAL);
-  ASSERT_NE(library, nullptr) << dlerror();
-  const auto query =
-      reinterpret_cast<novaphy_backend_query_fn>(dlsym(library, NOVAPHY_BACKEND_QUERY_SYMBOL));
-  ASSERT_NE(query, nullptr);
-  const novaphy_backend_api* api = query(NOVAPHY_ABI_MAJOR, &host, &error);
-  ASSERT_NE(api, nullptr) << error.message;
+  const Machine interpreter(novaphy_cpu_backend_query(NOVAPHY_ABI_MAJOR, &host_api(), &error));
+  const novaphy_backend_api* api = plugin_api();
+  ASSERT_NE(api, nullptr);
   std::vector<std::unique_ptr<Machine>> machines;
   for (const std::string& level : levels()) {
     const ForcedIsa forced(level);

@@ -16,6 +16,7 @@
 
 #include "module.h"
 #include "novaphy/cpu/query.h"
+#include "series.h"
 
 using novaphy::cpu::fail;
 
@@ -360,6 +361,28 @@ novaphy_status kernel_info(novaphy_kernel* kernel, novaphy_kernel_info* info,
   return NOVAPHY_OK;
 }
 
+novaphy_status series_create(novaphy_device*, novaphy_kernel* kernel, const uint64_t* arguments,
+                             uint32_t argument_count, uint32_t count, novaphy_series** series,
+                             novaphy_error* error) {
+  if (argument_count != kernel->argument_count) {
+    return fail(error, NOVAPHY_INVALID_ARGUMENT, "series: expected %u argument words, got %u",
+                kernel->argument_count, argument_count);
+  }
+  return guarded(error, [&] {
+    if (kernel->executable == nullptr) return NOVAPHY_NOT_SUPPORTED;
+    auto made = novaphy_series::make(*kernel->executable,
+                                     {arguments, size_t{argument_count} * count});
+    if (made == nullptr) return NOVAPHY_NOT_SUPPORTED;
+    *series = made.release();
+    return NOVAPHY_OK;
+  });
+}
+novaphy_status series_launch(novaphy_series* series, int64_t begin, int64_t end,
+                             novaphy_error* error) {
+  return guarded(error, [&] { return series->run(begin, end, error); });
+}
+void series_destroy(novaphy_series* series) { delete series; }
+
 constexpr novaphy_backend_api kApi = {
     sizeof(novaphy_backend_api),
     NOVAPHY_ABI_MAJOR,
@@ -396,6 +419,9 @@ constexpr novaphy_backend_api kApi = {
     nullptr,  // no lists: the runtime runs blocks of rows itself
     nullptr,
     nullptr,
+    series_create,
+    series_launch,
+    series_destroy,
 };
 
 }  // namespace

@@ -84,6 +84,12 @@ novaphy_status run_executable(const Executable& executable, const novaphy_host_a
 // The native code, which hands the rows that it cannot do to the interpreter.
 void run_native(const Executable& executable, const novaphy_host_api& host, int64_t n,
                 const uint64_t* arguments, ErrorSink& sink);
+// Some rows of a launch, on the calling thread.
+void run_native_rows(const Executable& executable, const uint64_t* arguments, int64_t begin,
+                     int64_t end, ErrorSink& sink);
+// The message of the read out of range that the sink holds.
+novaphy_status out_of_range(const Executable& executable, const ErrorSink& sink,
+                            const uint64_t* arguments, novaphy_error* error);
 // The interpreter, on the calling thread.
 void interpret_rows(const Executable& executable, int64_t begin, int64_t end,
                     const uint64_t* arguments, ErrorSink& sink);

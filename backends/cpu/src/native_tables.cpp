@@ -16,8 +16,8 @@ const novaphy_native_kernel* find_in(const novaphy_native_table& table, uint64_t
   return found != end && found->hash == hash ? found : nullptr;
 }
 
-novaphy_native_fn find_level(std::string_view level, const nova::ir::Program& program,
-                             uint64_t hash, int32_t& lanes) {
+const novaphy_native_kernel* find_level(std::string_view level, const nova::ir::Program& program,
+                                        uint64_t hash, int32_t& lanes) {
   for (const NativeLevel& candidate : g_levels) {
     if (level != candidate.name) continue;
     for (const novaphy_native_table* part : candidate.parts) {
@@ -26,7 +26,7 @@ novaphy_native_fn find_level(std::string_view level, const nova::ir::Program& pr
           kernel->arguments != program.argument_count())
         continue;
       lanes = part->lanes;
-      return kernel->run;
+      return kernel;
     }
   }
   return nullptr;
@@ -39,11 +39,11 @@ void set_native_levels(std::span<const NativeLevel> levels) { g_levels = levels;
 NativeCode find_native(const nova::ir::Program& program, const char* isa) {
   if (g_levels.empty()) return {};
   const uint64_t hash = nova::ir::hash(program);
-  NativeCode code;
-  int32_t one = 1;
-  code.scalar = find_level("scalar", program, hash, one);
-  code.rows = find_level(isa, program, hash, code.lanes);
-  return code.scalar != nullptr && code.rows != nullptr ? code : NativeCode{};
+  int32_t one = 1, lanes = 1;
+  const novaphy_native_kernel* const scalar = find_level("scalar", program, hash, one);
+  const novaphy_native_kernel* const rows = find_level(isa, program, hash, lanes);
+  if (scalar == nullptr || rows == nullptr) return {};
+  return {rows->run, scalar->run, lanes, rows->series, scalar->series};
 }
 
 }  // namespace novaphy::cpu

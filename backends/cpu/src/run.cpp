@@ -26,16 +26,6 @@ inline void set_leaves(uint32_t* scalars, const std::vector<uint32_t>& constants
   for (const uint32_t word : parameter_words) *next++ = static_cast<uint32_t>(arguments[word]);
 }
 
-novaphy_status out_of_range(const Executable& executable, const ErrorSink& sink,
-                            const uint64_t* arguments, novaphy_error* error) {
-  const auto source = static_cast<size_t>(sink.source);
-  return fail(error, NOVAPHY_INDEX_OUT_OF_RANGE,
-              "kernel '%s': row i = %lld reads row %lld of source '%s', which has %lld rows",
-              executable.program.name.c_str(), static_cast<long long>(sink.index),
-              static_cast<long long>(sink.row), executable.program.sources[source].name.c_str(),
-              static_cast<long long>(arguments[2 * source + 1]));
-}
-
 void run_blocks(BlockContext& context, const BlockInstr* code, int64_t begin, int64_t end) {
   for (int64_t base = begin; base < end; base += kLanes) {
     context.base = base;
@@ -141,6 +131,16 @@ void run_scalar_form(const Executable& executable, int64_t n, const uint64_t* ar
 }
 
 }  // namespace
+
+novaphy_status out_of_range(const Executable& executable, const ErrorSink& sink,
+                            const uint64_t* arguments, novaphy_error* error) {
+  const auto source = static_cast<size_t>(sink.source);
+  return fail(error, NOVAPHY_INDEX_OUT_OF_RANGE,
+              "kernel '%s': row i = %lld reads row %lld of source '%s', which has %lld rows",
+              executable.program.name.c_str(), static_cast<long long>(sink.index),
+              static_cast<long long>(sink.row), executable.program.sources[source].name.c_str(),
+              static_cast<long long>(arguments[2 * source + 1]));
+}
 
 uint32_t* thread_scratch(size_t words) {
   Scratch& scratch = t_scratch;

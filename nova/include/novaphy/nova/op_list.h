@@ -20,7 +20,7 @@ using novaphy::Range;
 enum class GradState : uint8_t;  // tensor.h
 namespace detail {
 struct RowLayout;
-struct RunPlan;
+class HostPlan;
 // Memory that an operation reads or writes. `row_bytes`: of one row of its domain; 0: any row.
 struct MemoryAccess {
   uint64_t begin = 0, bytes = 0;
@@ -86,7 +86,8 @@ class NOVAPHY_NOVA_API OpList {
   std::vector<Op> ops_;
   std::vector<uint64_t> words_;
   std::vector<detail::MemoryAccess> accesses_;
-  mutable std::unique_ptr<detail::RunPlan> plan_;  // made at the first launch
+  // Made at the first launch, on devices whose memory the host may dereference.
+  mutable std::unique_ptr<detail::HostPlan> host_plan_;
   // Made at the first launch, on devices that replay graphs.
   mutable std::unique_ptr<detail::DeviceGraph> device_graph_;
   std::vector<std::shared_ptr<const void>> held_;

@@ -24,7 +24,7 @@ extern "C" {
 #endif
 
 #define NOVAPHY_ABI_MAJOR 0u
-#define NOVAPHY_ABI_MINOR 3u
+#define NOVAPHY_ABI_MINOR 4u
 
 typedef enum novaphy_status {
   NOVAPHY_OK = 0,
@@ -131,6 +131,7 @@ typedef struct novaphy_list_op {
   uint64_t row_bytes;
 } novaphy_list_op;
 typedef struct novaphy_list novaphy_list;
+typedef struct novaphy_series novaphy_series;
 
 typedef struct novaphy_backend_api {
   uint64_t struct_size;
@@ -209,6 +210,19 @@ typedef struct novaphy_backend_api {
                                 uint32_t count, novaphy_list** list, novaphy_error* error);
   novaphy_status (*list_launch)(novaphy_list* list, novaphy_stream* stream, novaphy_error* error);
   void (*list_destroy)(novaphy_list* list);
+
+  /* since minor version 4 (optional, all three or none; for devices whose memory the host may
+   * dereference): `count` launches of one kernel over the same rows, one after the other, whose
+   * argument words stand one after the other in `arguments`. Each touches memory that the series
+   * writes at its own row only, so row i of all launches may run before row i + 1 of the first.
+   * series_launch runs the rows [begin, end) of all of them on the calling thread. NOT_SUPPORTED:
+   * it would gain nothing here, launch them one by one. */
+  novaphy_status (*series_create)(novaphy_device* device, novaphy_kernel* kernel,
+                                  const uint64_t* arguments, uint32_t argument_count,
+                                  uint32_t count, novaphy_series** series, novaphy_error* error);
+  novaphy_status (*series_launch)(novaphy_series* series, int64_t begin, int64_t end,
+                                  novaphy_error* error);
+  void (*series_destroy)(novaphy_series* series);
 } novaphy_backend_api;
 
 /* The one exported symbol. Returns null and fills `error` when the host's major version is not the

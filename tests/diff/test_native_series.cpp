@@ -1,0 +1,228 @@
+// Series of launches of compiled kernels give the bits of the launches one by one, on every
+// instruction set that this processor has, and what is no series is refused.
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <map>
+#include <memory>
+
+#include "native_kernels.h"
+#include "novaphy/core/backend.h"
+#include "novaphy/program/series.h"
+
+namespace novaphy::testing {
+namespace {
+
+// One compiled kernel on a device of its own, so that the instruction set can be forced.
+class CompiledKernel {
+ public:
+  CompiledKernel(const novaphy_backend_api* api, const ir::Program& program)
+      : api_(api), program_(program) {
+    novaphy_error error = make_error();
+    const std::vector<uint32_t> words = ir::serialise(program);
+    EXPECT_EQ(api->device_open(0, &device_, &error), NOVAPHY_OK) << error.message;
+    EXPECT_EQ(api->stream_create(device_, &stream_, &error), NOVAPHY_OK) << error.message;
+    EXPECT_EQ(api->module_create(device_, NOVAPHY_CODE_PROGRAM, words.data(), words.size() * 4,
+                                 &module_, &error),
+              NOVAPHY_OK)
+        << error.message;
+    EXPECT_EQ(api->kernel_get(module_, "main", &kernel_, &error), NOVAPHY_OK) << error.message;
+  }
+  ~CompiledKernel() {
+    api_->module_destroy(module_);
+    api_->stream_destroy(stream_);
+    api_->device_close(device_);
+  }
+  CompiledKernel(const CompiledKernel&) = delete;
+
+  // The message of the first launch that fails, or none.
+  std::string launch(const std::vector<std::vector<uint64_t>>& launches, int64_t n) const {
+    for (const std::vector<uint64_t>& words : launches) {
+      novaphy_error error = make_error();
+      if (api_->launch(stream_, kernel_, n, words.data(), static_cast<uint32_t>(words.size()),
+                       &error) != NOVAPHY_OK)
+        return error.message;
+    }
+    return {};
+  }
+  // Null when the launches are no series.
+  novaphy_series* series(const std::vector<std::vector<uint64_t>>& launches) const {
+    std::vector<uint64_t> all;
+    for (const auto& words : launches) all.insert(all.end(), words.begin(), words.end());
+    novaphy_error error = make_error();
+    novaphy_series* made = nullptr;
+    const novaphy_status status =
+        api_->series_create(device_, kernel_, all.data(), program_.argument_count(),
+                            static_cast<uint32_t>(launches.size()), &made, &error);
+    EXPECT_TRUE(status == NOVAPHY_OK || status == NOVAPHY_NOT_SUPPORTED) << error.message;
+    return status == NOVAPHY_OK ? made : nullptr;
+  }
+  // Runs a series in two stretches of rows.
+  std::string run(novaphy_series* series, int64_t n) const {
+    novaphy_error error = make_error();
+    const int64_t middle = n / 3;
+    novaphy_status status = api_->series_launch(series, 0, middle, &error);
+    if (status == NOVAPHY_OK) status = api_->series_launch(series, middle, n, &error);
+    api_->series_destroy(series);
+    return status == NOVAPHY_OK ? "" : error.message;
+  }
+
+ private:
+  const novaphy_backend_api* api_;
+  const ir::Program& program_;
+  novaphy_device* device_ = nullptr;
+  novaphy_stream* stream_ = nullptr;
+  novaphy_module* module_ = nullptr;
+  novaphy_kernel* kernel_ = nullptr;
+};
+
+constexpr int kLaunches = 11;
+
+// The arguments of launches that hand their outputs on, and the arrays of these outputs. `buffers`:
+// so many arrays for each output take turns.
+class Chain {
+ public:
+  Chain(const ir::Program& p, const ir::Series& series, int64_t n, uint32_t seed, int buffers)
+      : program_(p), series_(series), first_(p, n, seed) {
+    for (int k = 0; k < kLaunches; ++k) {
+      std::vector<uint64_t> words = first_.arguments;
+      // Random words that are numbers of the right type: those of another draw.
+      other_.push_back(
+          std::make_unique<RandomArguments>(p, n, seed + 977u * static_cast<uint32_t>(k + 1)));
+      for (const int32_t s : series.varying)
+        words[p.source_argument(static_cast<size_t>(s))] =
+            other_.back()->arguments[p.source_argument(static_cast<size_t>(s))];
+      for (size_t o = 0; o < p.outputs.size(); ++o) {
+        auto& array = arrays[{o, k % buffers}];
+        array.resize(static_cast<size_t>(n) * p.outputs[o].values.size(), 0xDEADBEEFu);
+        words[p.output_argument(o)] = reinterpret_cast<uint64_t>(array.data());
+        if (k > 0) words[source(o)] = launches.back()[p.output_argument(o)];
+      }
+      launches.push_back(std::move(words));
+    }
+  }
+  uint32_t source(size_t output) const {
+    return program_.source_argument(static_cast<size_t>(series_.carried[output]));
+  }
+
+  std::vector<std::vector<uint64_t>> launches;
+  std::map<std::pair<size_t, int>, std::vector<uint32_t>> arrays;
+
+ private:
+  const ir::Program& program_;
+  const ir::Series& series_;
+  RandomArguments first_;
+  std::vector<std::unique_ptr<RandomArguments>> other_;
+};
+
+TEST(NativeSeries, EveryOneGivesTheBitsOfItsLaunches) {
+  const novaphy_backend_api* api = plugin_api();
+  ASSERT_NE(api, nullptr);
+  int programs = 0, compared = 0;
+  uint32_t seed = 1;
+  for (const ir::Program& p : engine_programs()) {
+    const auto series = ir::find_series(p);
+    if (!series) continue;
+    ++programs;
+    for (const std::string& level : levels()) {
+      const ForcedIsa forced(level);
+      const CompiledKernel kernel(api, p);
+      for (const int64_t n : {1, 3, 19, 70})
+        for (const int buffers : {kLaunches, 3}) {
+          const Chain one_by_one(p, *series, n, ++seed, buffers);
+          const Chain together(p, *series, n, seed, buffers);
+          novaphy_series* made = kernel.series(together.launches);
+          ASSERT_NE(made, nullptr) << p.name;
+          ASSERT_EQ(kernel.run(made, n), kernel.launch(one_by_one.launches, n)) << p.name;
+          for (const auto& [key, expected] : one_by_one.arrays) {
+            const std::vector<uint32_t>& got = together.arrays.at(key);
+            for (size_t k = 0; k < got.size(); ++k)
+              ASSERT_TRUE(same(expected[k], got[k], p.outputs[key.first].type == ir::Type::F32))
+                  << p.name << " at " << level << ", n " << n << ", " << buffers
+                  << " buffers, output " << key.first << " of launch " << key.second << ", word "
+                  << k << std::hex << ": expected " << expected[k] << ", got " << got[k];
+            ++compared;
+          }
+        }
+    }
+  }
+  EXPECT_GE(programs, 5);
+  EXPECT_GT(compared, 500);
+}
+
+// The steps of the ball, which are the reason for all this, and their adjoints are series.
+TEST(NativeSeries, StepsOfParticlesAreSeries) {
+  std::map<std::string, int> found;
+  for (const ir::Program& p : engine_programs())
+    if (ir::find_series(p)) ++found[p.name];
+  EXPECT_EQ(found["step_particles"], 1);
+  EXPECT_GE(found["step_particles.adjoint"], 1);
+  EXPECT_EQ(found["tetrahedron_forces"], 0);
+}
+
+TEST(NativeSeries, LaunchesThatAreNoneAreRefused) {
+  const novaphy_backend_api* api = plugin_api();
+  ASSERT_NE(api, nullptr);
+  const std::vector<ir::Program> programs = engine_programs();
+  const auto step = std::find_if(programs.begin(), programs.end(),
+                                 [](const ir::Program& p) { return p.name == "step_particles"; });
+  ASSERT_NE(step, programs.end());
+  const auto series = ir::find_series(*step);
+  ASSERT_TRUE(series);
+  const CompiledKernel kernel(api, *step);
+  const int64_t n = 5;
+  const Chain chain(*step, *series, n, 7, kLaunches);
+  const auto refused = [&](auto change) {
+    auto launches = chain.launches;
+    change(launches);
+    return kernel.series(launches) == nullptr;
+  };
+  EXPECT_FALSE(refused([](auto&) {}));
+  EXPECT_TRUE(refused([&](auto& l) { l[4][step->param_argument(1)] ^= 1; })) << "another time step";
+  EXPECT_TRUE(refused([&](auto& l) { l[4][chain.source(0)] = l[0][chain.source(0)]; }))
+      << "a state that no launch made";
+  const auto read = [&](const char* name) {
+    for (size_t s = 0; s < step->sources.size(); ++s)
+      if (step->sources[s].name == name) return step->source_argument(s);
+    ADD_FAILURE() << name;
+    return 0u;
+  };
+  EXPECT_TRUE(refused([&](auto& l) { l[4][read("particle_f")] += 12; })) << "another force";
+  EXPECT_TRUE(refused([&](auto& l) {
+    for (auto& words : l) words[read("particle_f")] = l[6][step->output_argument(1)];
+  })) << "a force that a launch writes";
+  EXPECT_TRUE(refused([&](auto& l) { l[4][chain.source(0) + 1] -= 1; })) << "another row count";
+}
+
+// A row of a table that does not exist is reported as by the launches.
+TEST(NativeSeries, AReadPastTheEndIsReported) {
+  const novaphy_backend_api* api = plugin_api();
+  ASSERT_NE(api, nullptr);
+  const std::vector<ir::Program> programs = engine_programs();
+  const auto step = std::find_if(programs.begin(), programs.end(),
+                                 [](const ir::Program& p) { return p.name == "step_particles"; });
+  ASSERT_NE(step, programs.end());
+  const auto series = ir::find_series(*step);
+  ASSERT_TRUE(series);
+  const CompiledKernel kernel(api, *step);
+  const int64_t n = 40;
+  Chain one_by_one(*step, *series, n, 3, kLaunches), together(*step, *series, n, 3, kLaunches);
+  std::vector<uint32_t> offsets, items;
+  for (uint32_t i = 0; i <= n; ++i) {
+    offsets.push_back(i);
+    items.push_back(i == 29 ? 1u << 20 : 0);
+  }
+  for (Chain* chain : {&one_by_one, &together})
+    for (auto& words : chain->launches) {
+      words[step->loop_argument(0)] = reinterpret_cast<uint64_t>(offsets.data());
+      words[step->loop_argument(0) + 1] = reinterpret_cast<uint64_t>(items.data());
+    }
+  novaphy_series* made = kernel.series(together.launches);
+  ASSERT_NE(made, nullptr);
+  const std::string message = kernel.run(made, n);
+  EXPECT_EQ(message, kernel.launch(one_by_one.launches, n));
+  EXPECT_NE(message.find("row i = 29 reads row 1048576"), std::string::npos) << message;
+}
+
+}  // namespace
+}  // namespace novaphy::testing

@@ -39,6 +39,10 @@ RowLayout row_layout(const ir::Program& p) {
 
 namespace {
 
+// A series of launches over few rows is shared out to threads in blocks of kFewRows once it has so
+// many rows in all its launches.
+constexpr int64_t kSharedOut = 32768, kFewRows = 128;
+
 uint64_t address(const void* p) { return reinterpret_cast<uint64_t>(p); }
 
 // The memory that some operations touch: disjoint intervals by their start.
@@ -159,9 +163,9 @@ class Planner {
             {static_cast<uint32_t>(first), static_cast<uint32_t>(last), n, block_rows()});
         k = last;
       } else if (const size_t last = end_of_series(k); last > k) {
-        const int64_t rows = op(k).n;
-        made.segments.push_back(
-            {static_cast<uint32_t>(k), static_cast<uint32_t>(last), rows, rows});
+        const int64_t rows = op(k).n, launches = static_cast<int64_t>(last - k);
+        made.segments.push_back({static_cast<uint32_t>(k), static_cast<uint32_t>(last), rows,
+                                 rows * launches < kSharedOut ? rows : kFewRows});
         k = last;
       } else {
         append_plain(made.segments, k, k + 1);

@@ -79,10 +79,12 @@ class CompiledKernel {
 constexpr int kLaunches = 11;
 
 // The arguments of launches that hand their outputs on, and the arrays of these outputs. `buffers`:
-// so many arrays for each output take turns.
+// so many arrays for each output take turns. `reads_back`: what varies is what the launch before
+// has written, where it has the shape.
 class Chain {
  public:
-  Chain(const ir::Program& p, const ir::Series& series, int64_t n, uint32_t seed, int buffers)
+  Chain(const ir::Program& p, const ir::Series& series, int64_t n, uint32_t seed, int buffers,
+        bool reads_back = false)
       : program_(p), series_(series), first_(p, n, seed) {
     for (int k = 0; k < kLaunches; ++k) {
       std::vector<uint64_t> words = first_.arguments;
@@ -92,6 +94,11 @@ class Chain {
       for (const int32_t s : series.varying)
         words[p.source_argument(static_cast<size_t>(s))] =
             other_.back()->arguments[p.source_argument(static_cast<size_t>(s))];
+      for (const int32_t s : series.varying)
+        if (reads_back && k > 0 &&
+            p.sources[static_cast<size_t>(s)].width ==
+                static_cast<int32_t>(p.outputs[0].values.size()))
+          words[p.source_argument(static_cast<size_t>(s))] = launches.back()[p.output_argument(0)];
       for (size_t o = 0; o < p.outputs.size(); ++o) {
         auto& array = arrays[{o, k % buffers}];
         array.resize(static_cast<size_t>(n) * p.outputs[o].values.size(), 0xDEADBEEFu);
@@ -128,9 +135,10 @@ TEST(NativeSeries, EveryOneGivesTheBitsOfItsLaunches) {
       const ForcedIsa forced(level);
       const CompiledKernel kernel(api, p);
       for (const int64_t n : {1, 3, 19, 70})
-        for (const int buffers : {kLaunches, 3}) {
-          const Chain one_by_one(p, *series, n, ++seed, buffers);
-          const Chain together(p, *series, n, seed, buffers);
+        for (const int way : {0, 1, 2}) {
+          const int buffers = way == 0 ? kLaunches : 3;
+          const Chain one_by_one(p, *series, n, ++seed, buffers, way == 2);
+          const Chain together(p, *series, n, seed, buffers, way == 2);
           novaphy_series* made = kernel.series(together.launches);
           ASSERT_NE(made, nullptr) << p.name;
           ASSERT_EQ(kernel.run(made, n), kernel.launch(one_by_one.launches, n)) << p.name;

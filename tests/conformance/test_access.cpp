@@ -336,6 +336,24 @@ TEST(OutOfRange, DirectUniformAndLoopReadsAreCheckedToo) {
   }
 }
 
+// More than fit into the registers, or the fast memory, of any device.
+TEST(Launch, ManyValuesMayLiveAtTheSameTime) {
+  Builder b;
+  const int32_t source = b.source(Type::F32, 1);
+  const Value x = b.load(source, b.index());
+  std::vector<Value> values;
+  for (int k = 0; k < 500; ++k)
+    values.push_back(b.op(Op::MUL, x, b.f(static_cast<float>(k) - 250.0f)));
+  Value sum = x;
+  for (size_t k = values.size(); k-- > 0;) sum = b.op(Op::SUB, values[k], sum);
+  b.output({sum});
+  for (const int64_t n : kCounts) {
+    Inputs in;
+    in.sources = {floats(static_cast<size_t>(n))};
+    ASSERT_EQ(check(b.p, n, in), "") << n;
+  }
+}
+
 TEST(Launch, AnOutputMayBeTheSourceWhenEachRowOnlyReadsItself) {
   Builder b;
   const int32_t source = b.source(Type::F32, 3);

@@ -1,5 +1,6 @@
-// A stand-in for the CUDA driver: device memory is host memory, copies and fills happen, kernels do
-// not run. For tests of what the backend does around kernels, on machines without a GPU.
+// A stand-in for the CUDA driver: device memory is host memory, copies and fills happen, and of
+// kernels the backend's own run (host_kernels.h), nothing that is compiled for a Program. For tests
+// of what the backend does around kernels, on machines without a GPU.
 // Environment variables choose what goes wrong:
 //   FAKE_DRIVER_VERSION   what cuDriverGetVersion says (13000)
 //   FAKE_DRIVER_DEVICES   how many devices there are (1)
@@ -14,6 +15,8 @@
 #include <cstring>
 #include <map>
 #include <mutex>
+
+#include "host_kernels.h"
 
 #define FAKE extern "C" __attribute__((visibility("default"))) int
 
@@ -201,14 +204,21 @@ FAKE cuEventElapsedTime(float* milliseconds, void*, void*) {
 }
 FAKE cuModuleLoadData(void** module, const void*) { return make(module); }
 FAKE cuModuleUnload(void* module) { return destroy(module); }
-FAKE cuModuleGetFunction(void** function, void* module, const char*) {
-  *function = module;
+FAKE cuModuleGetFunction(void** function, void*, const char* name) {
+  static HostKernel nothing = {"", nullptr};
+  const HostKernel* found = find_host_kernel(name);
+  *function = const_cast<HostKernel*>(found != nullptr ? found : &nothing);
   return result();
 }
-FAKE cuLaunchKernel(void*, unsigned, unsigned, unsigned, unsigned, unsigned, unsigned, unsigned,
-                    void*, void**, void**) {
+FAKE cuLaunchKernel(void* function, unsigned blocks, unsigned, unsigned, unsigned threads, unsigned,
+                    unsigned, unsigned, void*, void** arguments, void**) {
   const int before = result();
   ++g_launches;
+  const auto& kernel = *static_cast<const HostKernel*>(function);
+  if (before == 0 && kernel.call != nullptr) {
+    const std::lock_guard lock(g_mutex);
+    run_host_kernel(kernel, blocks, threads, arguments);
+  }
   return before;  // a kernel that fails is noticed by the call after it
 }
 FAKE cuStreamBeginCapture_v2(void* stream, unsigned) {

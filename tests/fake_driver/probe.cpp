@@ -1,4 +1,5 @@
 // Uses a CUDA device and prints what happens; errors as "error: ...".
+#include <array>
 #include <cstdio>
 #include <string>
 
@@ -6,6 +7,7 @@
 #include "novaphy/core/device_array.h"
 #include "novaphy/core/error.h"
 #include "novaphy/core/stream.h"
+#include "novaphy/nova/ops.h"
 
 namespace {
 
@@ -55,6 +57,15 @@ void lose_the_device() {
   std::printf("the cpu gives %g\n", static_cast<double>(array.to_host()[9]));
 }
 
+// Two kernels; what else is printed is for the test to see.
+void run_kernels() {
+  const std::array<float, 3> values = {1.0f, 2.0f, 3.0f};
+  const nova::Tensor x = nova::Tensor::from_host(values, {3}, Device::cuda());
+  for (const float v : nova::add(nova::mul(x, x), x).to_host())
+    std::printf("%g ", static_cast<double>(v));
+  std::printf("\n");
+}
+
 int run(const std::string& command) {
   if (command == "device") {
     print_device();
@@ -64,6 +75,8 @@ int run(const std::string& command) {
     run_out_of_memory();
   } else if (command == "lose") {
     lose_the_device();
+  } else if (command == "kernels") {
+    run_kernels();
   } else {
     return 2;
   }

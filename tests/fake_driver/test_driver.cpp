@@ -87,4 +87,30 @@ TEST(FakeDriver, ALostDeviceIsReportedFromThenOnAndTheProcessSurvives) {
   EXPECT_NE(outcome.output.find("the cpu gives 3\n"), std::string::npos) << outcome.output;
 }
 
+const std::string kAhead = kFake + "NOVAPHY_BACKEND_PATH=" FAKE_DRIVER_PLUGIN_FOLDER " ";
+const std::string kSaid = "novaphy: kernels that were not built ahead are interpreted";
+
+TEST(FakeDriver, WithoutACompilerKernelsAreInterpretedWhichIsSaidOnce) {
+  const std::string output = probe(kAhead, "kernels").output;
+  EXPECT_NE(output.find("2 6 12 \n"), std::string::npos) << output;
+  const size_t said = output.find(kSaid);
+  ASSERT_NE(said, std::string::npos) << output;
+  EXPECT_NE(output.find("NOVA_ENABLE_NVRTC=OFF", said), std::string::npos) << output;
+  EXPECT_EQ(output.find(kSaid, said + 1), std::string::npos) << output;
+  EXPECT_EQ(probe(kAhead + "NOVAPHY_QUIET=1 ", "kernels").output, "2 6 12 \n");
+}
+
+TEST(FakeDriver, AnInterpreterThatWasAskedForIsNotSaid) {
+  EXPECT_EQ(probe(kAhead + "NOVAPHY_DEVICE_INTERPRETER=1 ", "kernels").output, "2 6 12 \n");
+}
+
+TEST(FakeDriver, WithoutACompilerAndAnInterpreterTheErrorNamesBoth) {
+  const std::string output =
+      probe(kFake + "NOVAPHY_NVRTC=/nowhere/libnvrtc.so NOVAPHY_CACHE_DIR=off ", "kernels").output;
+  EXPECT_NE(output.find("error: "), std::string::npos) << output;
+  EXPECT_NE(output.find("for sm_90 the interpreter was not built ahead"), std::string::npos)
+      << output;
+  EXPECT_NE(output.find("NOVAPHY_NVRTC: /nowhere/libnvrtc.so"), std::string::npos) << output;
+}
+
 }  // namespace

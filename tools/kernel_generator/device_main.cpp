@@ -2,7 +2,7 @@
 //
 //   novaphy_device_compiler OUTPUT_FILE ARCHITECTURES [--programs FILE] [--cache ARCHITECTURE]
 //
-// OUTPUT_FILE gets the builtins and the engine's kernels (with --programs, the serialised Programs
+// OUTPUT_FILE gets the builtins, the interpreter and the engine's kernels (with --programs, the serialised Programs
 // in FILE instead) for every architecture of the comma-separated list, and as assembler text for
 // devices newer than the last one. With --cache they go into the cache on disk instead, as a run on
 // such a device would leave them there.
@@ -38,7 +38,8 @@ const VendorInfo& vendor() {
                                        "NOVAPHY_CUDA_DRIVER",
                                        [] { return static_cast<const char*>(nullptr); },
                                        {nullptr, nullptr, nullptr, nullptr},
-                                       0};
+                                       0,
+                                       true};
   return kNone;
 }
 
@@ -148,6 +149,7 @@ int run(int argc, char** argv) {
     if (cache_arch == 0) jobs.push_back({source, name, dialect, archs.back(), true, {}});
   };
   add(gpu::builtins_source(), "builtins", gpu::Dialect::Program);
+  add(gpu::interpreter_source(), "interpreter", gpu::Dialect::Program);
   const auto programs = programs_file.empty() ? generator::engine_programs()
                                               : generator::read_programs(programs_file);
   for (const nova::ir::Program& p : programs)

@@ -15,6 +15,7 @@ const VendorInfo& vendor() {
       [] { return static_cast<const char*>(std::getenv("NOVAPHY_CUDA_DRIVER")); },
       {"libcuda.so.1", "libcuda.so", nullptr, nullptr},
       12000,
+      NOVAPHY_RUNTIME_COMPILER,
   };
   return kCuda;
 }

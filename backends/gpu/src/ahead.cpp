@@ -20,12 +20,10 @@ AheadCode find_ahead(const CodeKey& key, int arch) {
       });
   const AheadEntry* best = nullptr;
   for (const AheadEntry* entry = first; entry != last && entry->key == key; ++entry) {
-    if (entry->is_text == 0 && entry->arch == arch) {
-      best = entry;
-      break;
-    }
-    if (entry->is_text != 0 && entry->arch <= arch && (best == nullptr || best->arch < entry->arch))
-      best = entry;
+    // An image runs on devices of its major version that are not older.
+    const bool fits = entry->arch <= arch && (entry->is_text != 0 || entry->arch / 10 == arch / 10);
+    if (!fits || (best != nullptr && best->is_text < entry->is_text)) continue;
+    best = entry;
   }
   return best != nullptr ? AheadCode{all.data + best->offset, best->bytes} : AheadCode{};
 }

@@ -13,12 +13,13 @@ struct AheadEntry {
   CodeKey key;  // ahead_key
   int32_t arch = 0;
   int32_t is_text = 0;  // assembler text for this and newer devices; else an image for this one
+                        // and newer ones of its major version
   uint64_t offset = 0;  // of the code, from the start of the whole; 64-byte aligned
   uint64_t bytes = 0;
 };
 struct AheadHeader {
   char magic[8];
-  uint64_t count;  // of the entries that follow, sorted by key
+  uint64_t count;  // of the entries that follow, sorted by key, then images, then texts, by arch
 };
 inline constexpr char kAheadMagic[8] = {'N', 'V', 'P', 'H', 'D', 'E', 'V', '1'};
 
@@ -26,7 +27,7 @@ struct AheadCode {
   const void* data = nullptr;
   uint64_t bytes = 0;
 };
-// An image for the device, else text for an older one, else null.
+// The newest image that runs on the device, else the newest text, else null.
 AheadCode find_ahead(const CodeKey& key, int arch);
 
 // The whole, which the plugin defines; no bytes: nothing was built ahead.

@@ -6,6 +6,8 @@
 #include <cstdlib>
 #include <filesystem>
 
+#include "vendor.h"
+
 namespace novaphy::gpu {
 namespace {
 
@@ -72,6 +74,10 @@ class Search {
   Search(Compiler& found, int driver_version) : found_(found), driver_version_(driver_version) {}
 
   void run() {
+    if (!vendor().runtime_compiler) {
+      found_.problem = "this plugin was built with NOVA_ENABLE_NVRTC=OFF";
+      return;
+    }
     if (const char* path = std::getenv("NOVAPHY_NVRTC"); path != nullptr && *path != '\0') {
       if (!attempt(path, 0)) found_.problem = "NOVAPHY_NVRTC: " + problems_;
       return;

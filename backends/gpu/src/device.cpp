@@ -73,6 +73,7 @@ void release(novaphy_device* device) {
   {
     const Use use(device);
     forget_builtins(device);
+    if (device->interpreter != nullptr && !device->lost) d.module_unload(device->interpreter);
     if (device->record != 0) d.free(device->record);
     if (device->flag != nullptr) d.host_free(const_cast<uint32_t*>(device->flag));
   }

@@ -58,6 +58,7 @@ struct novaphy_device {
   int32_t arch = 0;  // 90 for compute capability 9.0
   int32_t units = 0;
   uint64_t total_memory = 0;
+  novaphy::gpu::Module interpreter = nullptr;  // once a Program needed it
   // Failing reads.
   novaphy::gpu::DevicePointer record = 0, flag_on_device = 0;
   volatile uint32_t* flag = nullptr;

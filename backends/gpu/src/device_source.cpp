@@ -1,5 +1,6 @@
 #include "device_source.h"
 
+#include "interpreter.h"
 #include "novaphy/program/emit.h"
 
 namespace novaphy::gpu {
@@ -45,5 +46,14 @@ std::string module_source(const std::string& text) {
 }
 
 std::string builtins_source() { return std::string(prelude_text()) + builtins_text(); }
+
+std::string interpreter_source() {
+  std::string names = "enum {";
+  for (const char* name : nova::ir::kOpNames) names += std::string(" OP_") + name + ",";
+#define NOVAPHY_INTERPRETER_NAME(name) " OP_" #name ","
+  names += NOVAPHY_INTERPRETER_OPS(NOVAPHY_INTERPRETER_NAME) " };\n";
+#undef NOVAPHY_INTERPRETER_NAME
+  return prelude_text() + names + interpreter_text();
+}
 
 }  // namespace novaphy::gpu

@@ -9,12 +9,11 @@
 #include "ahead.h"
 #include "code_cache.h"
 #include "compiler.h"
+#include "interpreter.h"
 #include "vendor.h"
 
 namespace novaphy::gpu {
 namespace {
-
-constexpr uint32_t kMaxArgumentWords = 500;  // a kernel takes 4 KiB of arguments
 
 novaphy_status create_program(novaphy_device* device, const void* data, uint64_t bytes,
                               novaphy_module& module, novaphy_error* error) {
@@ -38,18 +37,23 @@ novaphy_status create_program(novaphy_device* device, const void* data, uint64_t
                 "kernel '%s': expected at most %u argument words on this device, got %u",
                 kernel.name.c_str(), kMaxArgumentWords, kernel.argument_count);
   const Use use(device);
-  novaphy_status status =
-      load_code(device, kernel_source(program), kernel.name,
-                program.contract ? Dialect::Contracted : Dialect::Program, &module.module, error);
-  if (status != NOVAPHY_OK) return status;
-  status = check(device, driver().module_function(&kernel.function, module.module, kEntry),
-                 kernel.name.c_str(), error);
-  if (status != NOVAPHY_OK) return status;
   KernelNames names{kernel.name, {}};
   for (const nova::ir::Source& source : program.sources) names.sources.push_back(source.name);
   kernel.number = remember_kernel(device, std::move(names));
+  if (interpreter_is_forced()) return make_interpreted(device, program, kernel, error);
+  novaphy_status status =
+      load_code(device, kernel_source(program), kernel.name,
+                program.contract ? Dialect::Contracted : Dialect::Program, &module.module, error);
+  if (status == NOVAPHY_NOT_SUPPORTED) {
+    status = make_interpreted(device, program, kernel, error);
+    if (status == NOVAPHY_OK) say_interpreted(compiler(driver().version).problem.c_str());
+    return status;
+  }
+  if (status == NOVAPHY_OK)
+    status = check(device, driver().module_function(&kernel.function, module.module, kEntry),
+                   kernel.name.c_str(), error);
   kernel.program = std::move(program);
-  return NOVAPHY_OK;
+  return status;
 }
 
 // Text whose kernels are named in lines "// kernel NAME WORDS".
@@ -83,9 +87,11 @@ void destroy(novaphy_module* module) {
   novaphy_device* const device = module->device;
   for (const auto& kernel : module->kernels)
     if (kernel->number != 0) forget_kernel(device, kernel->number);
-  if (module->module != nullptr && !device->lost) {
+  if (!device->lost) {
     const Use use(device);
-    driver().module_unload(module->module);
+    for (const auto& kernel : module->kernels)
+      if (kernel->interpreted.code != 0) driver().free(kernel->interpreted.code);
+    if (module->module != nullptr) driver().module_unload(module->module);
   }
   delete module;
 }
@@ -206,7 +212,7 @@ novaphy_status kernel_info(novaphy_kernel* kernel, novaphy_kernel_info* info,
   *info = {};
   info->struct_size = size;
   info->hash = kernel->hash;
-  info->native = 1;
+  info->native = kernel->interpreted.code == 0;
   info->lanes = 1;
   std::snprintf(info->isa, sizeof(info->isa), "sm_%d", kernel->device->arch);
   return NOVAPHY_OK;

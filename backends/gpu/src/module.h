@@ -11,7 +11,7 @@
 
 struct novaphy_kernel {
   novaphy_device* device = nullptr;
-  // Of a Program: one launch of `function`. Of a builtin: whatever `run` does.
+  // Of a compiled Program: one launch of `function`. Else: whatever `run` does.
   novaphy::gpu::Function function = nullptr;
   novaphy_status (*run)(novaphy_stream* stream, const novaphy_kernel& kernel, int64_t n,
                         const uint64_t* arguments, novaphy_error* error) = nullptr;
@@ -19,7 +19,11 @@ struct novaphy_kernel {
   uint32_t number = 0;  // by which a failing read names the kernel
   uint64_t hash = 0;
   std::string name;
-  nova::ir::Program program;  // of a Program: what a fused list is made of
+  nova::ir::Program program;  // of a compiled Program: what a fused list is made of
+  struct {
+    novaphy::gpu::DevicePointer code = 0;
+    int32_t values = 0;  // words per thread
+  } interpreted;
 };
 struct novaphy_module {
   novaphy_device* device = nullptr;

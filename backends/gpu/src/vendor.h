@@ -13,6 +13,7 @@ struct VendorInfo {
   const char* (*driver_file)();     // its value, or null
   const char* driver_libraries[4];  // tried in order; null ends the list
   int oldest_driver;                // 12000: 12.0
+  bool runtime_compiler;            // NOVA_ENABLE_NVRTC
 };
 const VendorInfo& vendor();
 

@@ -1,0 +1,47 @@
+// Programs for the interpreter on the device (interpreter.cuh): for devices whose code cannot be
+// compiled, because there is no run-time compiler and nobody has built it ahead.
+#pragma once
+
+#include <cstdint>
+#include <vector>
+
+#include "device.h"
+#include "novaphy/program/ir.h"
+
+struct novaphy_kernel;
+
+namespace novaphy::gpu {
+
+inline constexpr uint32_t kMaxArgumentWords = 500;  // a kernel takes 4 KiB of arguments
+
+// The operations of Programs, and those that a flat list needs besides.
+#define NOVAPHY_INTERPRETER_OPS(X) \
+  X(MOVE) X(SELECT) X(LOAD) X(LOAD_OWN) X(STORE) X(SKIP) X(LOOP) X(AGAIN) X(END)
+enum class InterpreterOp : int32_t {
+  kFirst = nova::ir::kOpCount - 1,
+#define NOVAPHY_INTERPRETER_OP(name) name,
+  NOVAPHY_INTERPRETER_OPS(NOVAPHY_INTERPRETER_OP)
+#undef NOVAPHY_INTERPRETER_OP
+};
+
+// interpreter_instruction: operands and result are numbers of values; interpreter.cuh says the rest.
+struct InterpreterInstruction {
+  int32_t op, d = 0, a = 0, b = 0, c = 0, e = 0;
+};
+
+struct InterpreterCode {
+  std::vector<InterpreterInstruction> instructions;
+  int32_t values = 0;  // words per thread
+};
+// In the order of schedule(), with the values that do not live at the same time sharing a word.
+InterpreterCode interpreter_code(const nova::ir::Program& program);
+
+// NOVAPHY_DEVICE_INTERPRETER=1 asks for it even where Programs can be compiled.
+bool interpreter_is_forced();
+// Says once per process that kernels are interpreted, and why.
+void say_interpreted(const char* why);
+// Makes a kernel of the Program that is interpreted.
+novaphy_status make_interpreted(novaphy_device* device, const nova::ir::Program& program,
+                                novaphy_kernel& kernel, novaphy_error* error);
+
+}  // namespace novaphy::gpu

@@ -1,0 +1,194 @@
+// The device's interpreter and builtins, compiled for the host from the text that goes to the
+// device: the fake driver runs them. The threads of a block are fibres that take turns, and wait for
+// each other where the text says so.
+#include "host_kernels.h"
+
+#include <ucontext.h>
+
+#include <algorithm>
+#include <cmath>
+#include <cstdint>
+#include <cstring>
+#include <memory>
+#include <utility>
+#include <vector>
+
+#include "interpreter.h"
+#include "novaphy/cpu/float_mode.h"
+
+namespace {
+
+struct Index {
+  unsigned x;
+};
+Index blockIdx, blockDim, gridDim, threadIdx;
+
+// A block of fibres.
+enum class State { Ready, AtBlockBarrier, AtWarpBarrier, Done };
+struct Fibre {
+  ucontext_t context;
+  std::unique_ptr<char[]> stack;
+  State state = State::Ready;
+};
+std::vector<Fibre> g_fibres;
+ucontext_t g_scheduler;
+void (*g_call)(void* const*);
+void* const* g_arguments;
+
+void wait(State state) {
+  Fibre& mine = g_fibres[threadIdx.x];
+  mine.state = state;
+  swapcontext(&mine.context, &g_scheduler);
+}
+void begin() {
+  g_call(g_arguments);
+  wait(State::Done);
+}
+
+// Lets all fibres of [first, last) go on, if those that are not done wait for each other.
+bool release(size_t first, size_t last, State barrier) {
+  bool any = false;
+  for (size_t t = first; t < last; ++t) {
+    if (g_fibres[t].state == State::Done) continue;
+    if (g_fibres[t].state != barrier) return false;
+    any = true;
+  }
+  for (size_t t = first; any && t < last; ++t)
+    if (g_fibres[t].state == barrier) g_fibres[t].state = State::Ready;
+  return any;
+}
+
+void run_block() {
+  constexpr size_t kStack = 64 << 10;
+  g_fibres.resize(blockDim.x);
+  for (Fibre& fibre : g_fibres) {
+    if (fibre.stack == nullptr) fibre.stack = std::make_unique<char[]>(kStack);
+    fibre.state = State::Ready;
+    getcontext(&fibre.context);
+    fibre.context.uc_stack.ss_sp = fibre.stack.get();
+    fibre.context.uc_stack.ss_size = kStack;
+    fibre.context.uc_link = nullptr;
+    makecontext(&fibre.context, begin, 0);
+  }
+  for (bool more = true; more;) {
+    for (unsigned t = 0; t < blockDim.x; ++t) {
+      if (g_fibres[t].state != State::Ready) continue;
+      threadIdx.x = t;
+      swapcontext(&g_scheduler, &g_fibres[t].context);
+    }
+    more = false;
+    for (size_t t = 0; t < g_fibres.size(); t += 32)
+      more = release(t, std::min(t + 32, g_fibres.size()), State::AtWarpBarrier) || more;
+    more = release(0, g_fibres.size(), State::AtBlockBarrier) || more;
+  }
+}
+
+}  // namespace
+
+// What the text expects of its compiler.
+namespace device {
+namespace {
+
+template <class T>
+T __ldg(const T* p) {
+  return *p;
+}
+float __int_as_float(int a) {
+  float f;
+  std::memcpy(&f, &a, 4);
+  return f;
+}
+int __float_as_int(float f) {
+  int a;
+  std::memcpy(&a, &f, 4);
+  return a;
+}
+float __fsqrt_rn(float a) { return std::sqrt(a); }
+float __fmaf_rn(float a, float b, float c) { return std::fma(a, b, c); }
+int __float2int_rz(float a) { return static_cast<int>(a); }
+float __int2float_rn(int a) { return static_cast<float>(a); }
+float floorf(float a) { return std::floor(a); }
+template <class T>
+T atomicAdd(T* at, T value) {
+  return std::exchange(*at, *at + value);
+}
+template <class T>
+T atomicExch(T* at, T value) {
+  return std::exchange(*at, value);
+}
+void __threadfence() {}
+void __threadfence_system() {}
+void __syncthreads() { wait(State::AtBlockBarrier); }
+unsigned __shfl_up_sync(unsigned, unsigned value, int step) {
+  static unsigned values[1024];
+  const unsigned t = threadIdx.x;
+  values[t] = value;
+  wait(State::AtWarpBarrier);
+  const unsigned other = t % 32 >= static_cast<unsigned>(step) ? values[t - step] : value;
+  wait(State::AtWarpBarrier);
+  return other;
+}
+
+#undef INT32_MAX
+#undef INT32_MIN
+#define __device__
+#define __global__
+#define __forceinline__ inline
+#define __noinline__
+#define __launch_bounds__(...)
+#define __grid_constant__
+#define __shared__ static
+// clang-format off: the second needs the first
+#include "device_prelude.cuh"
+#include "builtins.cuh"
+// clang-format on
+enum {
+#define NOVAPHY_NAME(name, signature) OP_##name,
+  NOVAPHY_PROGRAM_OPS(NOVAPHY_NAME)
+#undef NOVAPHY_NAME
+#define NOVAPHY_NAME(name) OP_##name,
+      NOVAPHY_INTERPRETER_OPS(NOVAPHY_NAME)
+};
+#undef __shared__
+#define __shared__
+extern int32_t shared_values[];
+#include "interpreter.cuh"
+int32_t shared_values[12 << 10];
+
+template <class... P>
+struct Call {
+  template <void (*kernel)(P...)>
+  static void run(void* const* arguments) {
+    [&]<size_t... k>(std::index_sequence<k...>) {
+      kernel(*static_cast<std::remove_cv_t<P>*>(arguments[k])...);
+    }(std::index_sequence_for<P...>());
+  }
+};
+template <auto kernel, class... P>
+HostKernel entry(const char* name, void (*)(P...)) {
+  return {name, &Call<P...>::template run<kernel>};
+}
+#define ENTRY(name) entry<name>(#name, name)
+
+}  // namespace
+}  // namespace device
+
+const HostKernel* find_host_kernel(const char* name) {
+  using namespace device;
+  static const HostKernel kKernels[] = {
+      ENTRY(novaphy_interpreter), ENTRY(row_sum_f32), ENTRY(exclusive_scan_i32), ENTRY(sort_count),
+      ENTRY(sort_place),          ENTRY(incidence_count), ENTRY(incidence_items)};
+  for (const HostKernel& kernel : kKernels)
+    if (std::strcmp(kernel.name, name) == 0) return &kernel;
+  return nullptr;
+}
+
+void run_host_kernel(const HostKernel& kernel, unsigned blocks, unsigned threads,
+                     void* const* arguments) {
+  const novaphy::cpu::FloatMode own;  // whatever the caller's
+  g_call = kernel.call;
+  g_arguments = arguments;
+  gridDim.x = blocks;
+  blockDim.x = threads;
+  for (blockIdx.x = 0; blockIdx.x < blocks; ++blockIdx.x) run_block();
+}

@@ -7,6 +7,7 @@
 #include "novaphy/collision/diff_soft_contacts.h"
 #include "novaphy/core/error.h"
 #include "novaphy/core/parallel.h"
+#include "novaphy/dynamics/device_solver.h"
 #include "novaphy/dynamics/semi_implicit/diff_particles.h"
 #include "novaphy/nova/op_list.h"
 #include "novaphy/nova/tape.h"
@@ -189,5 +190,22 @@ void DiffSemiImplicitSolver::rollout(Trajectory& trajectory, const Control* cont
   deferred.flush();
   trajectory.step_ = [step, alone](const SimState& from, SimState& to) { step(from, to, alone); };
 }
+
+namespace {
+
+// The forward solver's steps, on the devices that only kernels reach.
+const bool g_registered = [] {
+  set_device_solver([](std::shared_ptr<const Model> model) -> std::unique_ptr<SolverBase> {
+    return std::make_unique<DiffSemiImplicitSolver>(std::move(model),
+                                                    DiffSolverConfig{.enable_tetrahedra = true,
+                                                                     .enable_triangles = true,
+                                                                     .enable_springs = true,
+                                                                     .enable_bending = true,
+                                                                     .strict = false});
+  });
+  return true;
+}();
+
+}  // namespace
 
 }  // namespace novaphy::diff

@@ -10,7 +10,7 @@ namespace novaphy::testing {
 
 // A block of one cell, a cloth of two by two cells beside it with springs and bending; soft enough
 // that differences of float32 forces mean something.
-inline std::shared_ptr<Model> make_elements_model() {
+inline std::shared_ptr<Model> make_elements_model(Device device = Device::cpu()) {
   ModelBuilder builder(Axis::Z, 0.0f);
   builder.add_soft_grid({.cell_x = 0.8,
                          .cell_y = 0.9,
@@ -32,7 +32,7 @@ inline std::shared_ptr<Model> make_elements_model() {
                           .add_springs = true,
                           .spring_ke = 5.0f,
                           .spring_kd = 0.5f});
-  auto model = builder.finalize(Device::cpu());
+  auto model = builder.finalize(device);
   std::mt19937 random(11);
   std::uniform_real_distribution<float> u(-1.0f, 1.0f);
   std::vector<Vec3f> q = model->particle_q.to_host(), qd = q;

@@ -1,12 +1,16 @@
 // Uses a CUDA device and prints what happens; errors as "error: ...".
 #include <array>
 #include <cstdio>
+#include <cstring>
 #include <string>
+#include <vector>
 
+#include "diff/elements_scene.h"
 #include "novaphy/core/backend.h"
 #include "novaphy/core/device_array.h"
 #include "novaphy/core/error.h"
 #include "novaphy/core/stream.h"
+#include "novaphy/dynamics/semi_implicit/solver_semi_implicit.h"
 #include "novaphy/nova/ops.h"
 
 namespace {
@@ -66,6 +70,25 @@ void run_kernels() {
   std::printf("\n");
 }
 
+// The forward solver, on elements of all kinds.
+std::vector<novaphy::Vec3f> stepped(Device device) {
+  const auto model = novaphy::testing::make_elements_model(device);
+  novaphy::SolverSemiImplicit solver(model);
+  novaphy::SimState states[2] = {model->state(), model->state()};
+  for (int k = 0; k < 4; ++k) {
+    novaphy::SimState &now = states[k % 2], &next = states[1 - k % 2];
+    now.clear_forces();
+    solver.step(now, next, nullptr, nullptr, 0.01f);
+  }
+  return states[0].particle_q.to_host();
+}
+
+void step_a_model() {
+  const auto cpu = stepped(Device::cpu()), cuda = stepped(Device::cuda());
+  const bool equal = std::memcmp(cpu.data(), cuda.data(), cpu.size() * sizeof(cpu[0])) == 0;
+  std::printf("%zu particles, %s bits\n", cpu.size(), equal ? "the same" : "other");
+}
+
 int run(const std::string& command) {
   if (command == "device") {
     print_device();
@@ -77,6 +100,8 @@ int run(const std::string& command) {
     lose_the_device();
   } else if (command == "kernels") {
     run_kernels();
+  } else if (command == "step") {
+    step_a_model();
   } else {
     return 2;
   }

@@ -100,6 +100,10 @@ TEST(FakeDriver, WithoutACompilerKernelsAreInterpretedWhichIsSaidOnce) {
   EXPECT_EQ(probe(kAhead + "NOVAPHY_QUIET=1 ", "kernels").output, "2 6 12 \n");
 }
 
+TEST(FakeDriver, TheForwardSolverStepsAModelOnTheDeviceWithTheBitsOfTheCpu) {
+  EXPECT_EQ(probe(kAhead + "NOVAPHY_QUIET=1 ", "step").output, "17 particles, the same bits\n");
+}
+
 TEST(FakeDriver, AnInterpreterThatWasAskedForIsNotSaid) {
   EXPECT_EQ(probe(kAhead + "NOVAPHY_DEVICE_INTERPRETER=1 ", "kernels").output, "2 6 12 \n");
 }

@@ -175,10 +175,10 @@ const Compiler& compiler(int driver_version) {
 }
 
 std::string compile_options(Dialect dialect) {
-  return std::string(dialect == Dialect::Source ? "--std=c++20 --device-as-default-execution-space"
-                                                : "--std=c++17") +
-         " --ftz=false --prec-div=true --prec-sqrt=true --fmad=" +
-         (dialect == Dialect::Contracted ? "true" : "false");
+  const bool source = dialect == Dialect::Source || dialect == Dialect::ContractedSource;
+  const bool contract = dialect == Dialect::Contracted || dialect == Dialect::ContractedSource;
+  return std::string(source ? "--std=c++20 --device-as-default-execution-space" : "--std=c++17") +
+         " --ftz=false --prec-div=true --prec-sqrt=true --fmad=" + (contract ? "true" : "false");
 }
 
 CompiledCode compile(const std::string& source, int arch, Dialect dialect, bool as_text) {

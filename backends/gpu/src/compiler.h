@@ -21,8 +21,8 @@ struct CompiledCode {
   std::vector<char> bytes;  // an image for the driver, or text of its assembler with a final zero
   std::string problem;      // not empty: the compiler's own messages
 };
-// What the text is: a Program without or with contraction, or a SOURCE module.
-enum class Dialect { Program, Contracted, Source };
+// What the text is: a Program or a SOURCE module, without or with contraction.
+enum class Dialect { Program, Contracted, Source, ContractedSource };
 // The options that decide about the result.
 std::string compile_options(Dialect dialect);
 // For `arch` (90), or as assembler text: for the nearest older one when the compiler does not know

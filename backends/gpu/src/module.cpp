@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <cstdio>
+#include <cstdlib>
 #include <cstring>
 #include <sstream>
 
@@ -14,6 +15,17 @@
 
 namespace novaphy::gpu {
 namespace {
+
+// NOVAPHY_CUDA_CONTRACT=on: products and sums of all kernels may become one rounding, as other
+// engines have them on GPUs.
+novaphy_status contraction_is_on(bool* on, novaphy_error* error) {
+  const char* text = std::getenv("NOVAPHY_CUDA_CONTRACT");
+  const std::string_view value = text != nullptr ? text : "";
+  *on = value == "on";
+  if (*on || value.empty() || value == "off") return NOVAPHY_OK;
+  return fail(error, NOVAPHY_INVALID_ARGUMENT,
+              "NOVAPHY_CUDA_CONTRACT: expected on or off, got \"%.40s\"", text);
+}
 
 novaphy_status create_program(novaphy_device* device, const void* data, uint64_t bytes,
                               novaphy_module& module, novaphy_error* error) {
@@ -27,6 +39,10 @@ novaphy_status create_program(novaphy_device* device, const void* data, uint64_t
   std::string reason;
   if (!nova::ir::deserialise(words, program, reason))
     return fail(error, NOVAPHY_INVALID_ARGUMENT, "%s", reason.c_str());
+  bool contract = false;
+  novaphy_status status = contraction_is_on(&contract, error);
+  if (status != NOVAPHY_OK) return status;
+  program.contract = program.contract || contract;
   novaphy_kernel& kernel = *module.kernels.emplace_back(std::make_unique<novaphy_kernel>());
   kernel.device = device;
   kernel.name = program.name;
@@ -41,10 +57,10 @@ novaphy_status create_program(novaphy_device* device, const void* data, uint64_t
   for (const nova::ir::Source& source : program.sources) names.sources.push_back(source.name);
   kernel.number = remember_kernel(device, std::move(names));
   if (interpreter_is_forced()) return make_interpreted(device, program, kernel, error);
-  novaphy_status status =
+  status =
       load_code(device, kernel_source(program), kernel.name,
                 program.contract ? Dialect::Contracted : Dialect::Program, &module.module, error);
-  if (status == NOVAPHY_NOT_SUPPORTED) {
+  if (status == NOVAPHY_NOT_SUPPORTED && !contract) {  // the interpreter rounds twice
     status = make_interpreted(device, program, kernel, error);
     if (status == NOVAPHY_OK) say_interpreted(compiler(driver().version).problem.c_str());
     return status;
@@ -60,9 +76,12 @@ novaphy_status create_program(novaphy_device* device, const void* data, uint64_t
 novaphy_status create_source(novaphy_device* device, const void* data, uint64_t bytes,
                              novaphy_module& module, novaphy_error* error) {
   const std::string text(static_cast<const char*>(data), bytes);
+  bool contract = false;
+  novaphy_status status = contraction_is_on(&contract, error);
+  if (status != NOVAPHY_OK) return status;
   const Use use(device);
-  novaphy_status status = load_code(device, module_source(text), "source module", Dialect::Source,
-                                    &module.module, error);
+  status = load_code(device, module_source(text), "source module",
+                     contract ? Dialect::ContractedSource : Dialect::Source, &module.module, error);
   std::istringstream lines(text);
   for (std::string line; status == NOVAPHY_OK && std::getline(lines, line);) {
     char name[64];

@@ -9,6 +9,7 @@
 #include "novaphy/core/error.h"
 #include "novaphy/core/sim/for_chunks.h"
 #include "novaphy/core/storage.h"
+#include "novaphy/dynamics/device_solver.h"
 #include "novaphy/dynamics/semi_implicit/particle_integrator_trace.h"
 #include "particle_contacts.h"
 
@@ -46,9 +47,17 @@ void check_covered(const Model& model) {
   check("body_count", model.body_count());
   check("joint_count", model.joint_count());
   check("articulation_count", model.articulation_count());
-  require(model.device().is_cpu(), ErrorKind::NotImplemented,
-          "SolverSemiImplicit: model: expected one on the cpu, got ", "one on ",
-          model.device().str(), ": other devices are not there yet");
+}
+
+DeviceSolverFactory g_make_device_solver = nullptr;
+
+// Null: the model is on the CPU.
+std::unique_ptr<SolverBase> make_device_solver(const std::shared_ptr<const Model>& model) {
+  if (model->device().is_cpu()) return nullptr;
+  require(g_make_device_solver != nullptr, ErrorKind::NotImplemented,
+          "SolverSemiImplicit: model: expected one on the cpu, got one on ", model->device().str(),
+          ", whose kernels are those of novaphy::diff (NOVAPHY_WITH_DIFF), which is not loaded");
+  return g_make_device_solver(model);
 }
 
 // The contacts of a step, as the force law reads them.
@@ -83,6 +92,8 @@ struct ContactForces {
 
 }  // namespace
 
+void set_device_solver(DeviceSolverFactory make) { g_make_device_solver = make; }
+
 struct SolverSemiImplicit::Cache {
   ParticleContacts contacts;
   ElementForces elements;
@@ -108,11 +119,15 @@ SolverSemiImplicit::SolverSemiImplicit(std::shared_ptr<const Model> model,
   check_option("joint_attach_ke", options.joint_attach_ke);
   check_option("joint_attach_kd", options.joint_attach_kd);
   check_covered(*this->model());
+  on_device_ = make_device_solver(this->model());
 }
 
 SolverSemiImplicit::~SolverSemiImplicit() = default;
 
-void SolverSemiImplicit::notify_model_changed(ModelFlags) { *cache_ = Cache(); }
+void SolverSemiImplicit::notify_model_changed(ModelFlags) {
+  *cache_ = Cache();
+  on_device_ = make_device_solver(model());
+}
 
 void SolverSemiImplicit::step(SimState& state_in, SimState& state_out, const Control* control,
                               const Contacts* contacts, float dt) {
@@ -120,6 +135,7 @@ void SolverSemiImplicit::step(SimState& state_in, SimState& state_out, const Con
   const Model& m = *model();
   check_step(kName, state_in, state_out, control, contacts, dt);
   check_settings(m);
+  if (on_device_ != nullptr) return on_device_->step(state_in, state_out, control, contacts, dt);
   cache_->check_worlds(m);
   if (contacts != nullptr) cache_->contacts.update(m, *contacts);
 

@@ -35,11 +35,12 @@ struct SemiImplicitOptions {
 //      particles without ParticleFlags.ACTIVE keep position and velocity
 // Of contacts that overflowed the slots that exist act; ask Contacts::overflowed().
 // The result has the same bits for any number of threads, and those of Newton 1.8.0 on the cpu as
-// far as the formulas' head comments say.
+// far as the formulas' head comments say. A model on another device is stepped there, by the kernels
+// of novaphy::diff, with the same bits; such a model has one world.
 class NOVAPHY_DYNAMICS_API SolverSemiImplicit : public SolverBase {
  public:
-  // ErrorKind::Value: a bad option; ErrorKind::NotImplemented: a model that is not on the cpu, or
-  // has something that is not covered.
+  // ErrorKind::Value: a bad option; ErrorKind::NotImplemented: a model that has something that is
+  // not covered, or is on another device than the CPU where novaphy::diff is not loaded.
   explicit SolverSemiImplicit(std::shared_ptr<const Model> model,
                               const SemiImplicitOptions& options = {});
   ~SolverSemiImplicit() override;
@@ -59,6 +60,7 @@ class NOVAPHY_DYNAMICS_API SolverSemiImplicit : public SolverBase {
 
   SemiImplicitOptions options_;
   std::unique_ptr<Cache> cache_;
+  std::unique_ptr<SolverBase> on_device_;  // of a model that is not on the CPU
 };
 
 }  // namespace novaphy

@@ -144,6 +144,20 @@ void check_inputs(const detail::KernelImpl& k, int64_t dim, std::span<const Oper
   }
 }
 
+// A device that follows a pointer of another one is lost.
+void check_devices(const detail::KernelImpl& k, std::span<const Operand> inputs,
+                   std::span<const Operand> outputs) {
+  const Device device = outputs[0].range->storage().device();
+  const auto check = [&](const Operand& operand, const std::string& name) {
+    const Device own = operand.range->storage().device();
+    if (own != device) [[unlikely]]
+      fail(ErrorKind::Value, k.name, ", ", name, ": expected memory of ", device.str(), ", got ",
+           own.str());
+  };
+  for (size_t s = 0; s < inputs.size(); ++s) check(inputs[s], k.sources[s].name);
+  for (size_t o = 1; o < outputs.size(); ++o) check(outputs[o], k.outputs[o].name);
+}
+
 void check_params(const detail::KernelImpl& k, const LaunchOptions& options) {
   require(options.params.size() == k.param_types.size(), ErrorKind::Value, k.name, ": expected ",
           k.param_types.size(), " parameters, got ", options.params.size());
@@ -465,6 +479,7 @@ void Kernel::launch(int64_t dim, std::span<const Operand> inputs, std::span<cons
     if (outputs[o].rows != dim || outputs[o].width != k.outputs[o].width) [[unlikely]]
       fail(ErrorKind::Value, k.name, ", output ", k.outputs[o].name, ": expected ",
            expected(dim, k.outputs[o].width, DType::F32), ", got ", found(outputs[o]));
+  check_devices(k, inputs, outputs);
   Tape* tape = Tape::active();
   const bool recorded = tape != nullptr && tape->must_record(inputs);
   check_alias(k, inputs, outputs, recorded);

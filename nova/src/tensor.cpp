@@ -293,6 +293,12 @@ void Tensor::copy_(const Tensor& source) const {
     novaphy::Array(novaphy::DType::uint8, bytes(), 1, source.impl_->range)
         .copy_to_host(bytes_on_host.data(), bytes());
     copy_from_host(bytes_on_host.data(), bytes());
+    if (Tape* tape = Tape::active(); tape != nullptr && dtype() == DType::F32)
+      tape->record_custom("copy between devices", {source}, {*this},
+                          [shape = source.shape(), from = source.device()](
+                              const std::vector<Tensor>& g) {
+                            return std::vector{g[0].to(from).reshape(shape)};
+                          });
   }
 }
 

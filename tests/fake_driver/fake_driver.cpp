@@ -8,13 +8,17 @@
 //   FAKE_DRIVER_MEMORY    bytes of a device (1 GiB)
 //   FAKE_DRIVER_LOSE      the launch or fill, counted from 1, after which the device is lost
 // Built with FAKE_DRIVER_LACKS_SYMBOL it does not export cuMemAllocAsync, as an old driver.
+#include <algorithm>
 #include <atomic>
 #include <cstdint>
 #include <cstdio>
 #include <cstdlib>
 #include <cstring>
+#include <functional>
 #include <map>
 #include <mutex>
+#include <utility>
+#include <vector>
 
 #include "host_kernels.h"
 
@@ -68,20 +72,33 @@ int release(void* pointer) {
 }
 
 void* pointer(uint64_t p) { return reinterpret_cast<void*>(p); }
-template <class T>
-int fill(uint64_t target, T value, size_t count) {
-  if (lost()) return kIllegalAddress;
-  ++g_launches;
-  auto* out = static_cast<T*>(pointer(target));
-  for (size_t k = 0; k < count; ++k) out[k] = value;
-  return 0;
-}
+// A stream, an event, a module or a graph.
 struct Handle {
   bool capturing = false;
+  std::vector<std::function<void()>> work;  // that was captured
 };
 int make(void** handle) {
   *handle = new Handle;
   return result();
+}
+bool capturing(void* stream) { return stream != nullptr && static_cast<Handle*>(stream)->capturing; }
+// Does it, or captures it.
+int submit(void* stream, std::function<void()> work) {
+  if (lost()) return kIllegalAddress;
+  if (capturing(stream)) {
+    static_cast<Handle*>(stream)->work.push_back(std::move(work));
+  } else {
+    work();
+  }
+  return 0;
+}
+template <class T>
+int fill(uint64_t target, T value, size_t count, void* stream) {
+  ++g_launches;
+  return submit(stream, [=] { std::fill_n(static_cast<T*>(pointer(target)), count, value); });
+}
+int copy(void* target, const void* source, size_t bytes, void* stream) {
+  return submit(stream, [=] { std::memmove(target, source, bytes); });
 }
 int destroy(void* handle) {
   delete static_cast<Handle*>(handle);
@@ -155,39 +172,39 @@ FAKE cuMemAllocAsync(uint64_t* target, size_t bytes, void*) {
   return allocate(reinterpret_cast<void**>(target), bytes);
 }
 #endif
-FAKE cuMemFreeAsync(uint64_t target, void*) { return release(pointer(target)); }
+// What a captured graph allocates stays with it.
+FAKE cuMemFreeAsync(uint64_t target, void* stream) {
+  return capturing(stream) ? result() : release(pointer(target));
+}
 FAKE cuMemHostAlloc(void** target, size_t bytes, unsigned) { return allocate(target, bytes); }
 FAKE cuMemFreeHost(void* target) { return release(target); }
 FAKE cuMemHostGetDevicePointer_v2(uint64_t* target, void* source, unsigned) {
   *target = reinterpret_cast<uint64_t>(source);
   return 0;
 }
-FAKE cuMemcpyHtoDAsync_v2(uint64_t target, const void* source, size_t bytes, void*) {
-  if (!lost()) std::memcpy(pointer(target), source, bytes);
-  return result();
+FAKE cuMemcpyHtoDAsync_v2(uint64_t target, const void* source, size_t bytes, void* stream) {
+  return copy(pointer(target), source, bytes, stream);
 }
-FAKE cuMemcpyDtoHAsync_v2(void* target, uint64_t source, size_t bytes, void*) {
-  if (!lost()) std::memcpy(target, pointer(source), bytes);
-  return result();
+FAKE cuMemcpyDtoHAsync_v2(void* target, uint64_t source, size_t bytes, void* stream) {
+  return copy(target, pointer(source), bytes, stream);
 }
-FAKE cuMemcpyDtoDAsync_v2(uint64_t target, uint64_t source, size_t bytes, void*) {
-  if (!lost()) std::memmove(pointer(target), pointer(source), bytes);
-  return result();
+FAKE cuMemcpyDtoDAsync_v2(uint64_t target, uint64_t source, size_t bytes, void* stream) {
+  return copy(pointer(target), pointer(source), bytes, stream);
 }
-FAKE cuMemsetD8Async(uint64_t target, unsigned char value, size_t count, void*) {
-  return fill(target, value, count);
+FAKE cuMemsetD8Async(uint64_t target, unsigned char value, size_t count, void* stream) {
+  return fill(target, value, count, stream);
 }
-FAKE cuMemsetD16Async(uint64_t target, unsigned short value, size_t count, void*) {
-  return fill(target, value, count);
+FAKE cuMemsetD16Async(uint64_t target, unsigned short value, size_t count, void* stream) {
+  return fill(target, value, count, stream);
 }
-FAKE cuMemsetD32Async(uint64_t target, unsigned value, size_t count, void*) {
-  return fill(target, value, count);
+FAKE cuMemsetD32Async(uint64_t target, unsigned value, size_t count, void* stream) {
+  return fill(target, value, count, stream);
 }
 FAKE cuMemsetD2D32Async(uint64_t target, size_t pitch, unsigned value, size_t width, size_t height,
-                        void*) {
+                        void* stream) {
   int status = result();
   for (size_t row = 0; row < height && status == 0; ++row)
-    status = fill(target + row * pitch, value, width);
+    status = fill(target + row * pitch, value, width, stream);
   return status;
 }
 FAKE cuStreamCreate(void** stream, unsigned) { return make(stream); }
@@ -205,20 +222,21 @@ FAKE cuEventElapsedTime(float* milliseconds, void*, void*) {
 FAKE cuModuleLoadData(void** module, const void*) { return make(module); }
 FAKE cuModuleUnload(void* module) { return destroy(module); }
 FAKE cuModuleGetFunction(void** function, void*, const char* name) {
-  static HostKernel nothing = {"", nullptr};
+  static HostKernel nothing = {"", false, nullptr};
   const HostKernel* found = find_host_kernel(name);
   *function = const_cast<HostKernel*>(found != nullptr ? found : &nothing);
   return result();
 }
 FAKE cuLaunchKernel(void* function, unsigned blocks, unsigned, unsigned, unsigned threads, unsigned,
-                    unsigned, unsigned, void*, void** arguments, void**) {
+                    unsigned, unsigned, void* stream, void** arguments, void**) {
   const int before = result();
   ++g_launches;
   const auto& kernel = *static_cast<const HostKernel*>(function);
-  if (before == 0 && kernel.call != nullptr) {
-    const std::lock_guard lock(g_mutex);
-    run_host_kernel(kernel, blocks, threads, arguments);
-  }
+  if (before == 0 && kernel.bind != nullptr)
+    submit(stream, [&kernel, blocks, threads, thread = kernel.bind(arguments)] {
+      const std::lock_guard lock(g_mutex);
+      run_host_kernel(kernel, blocks, threads, thread);
+    });
   return before;  // a kernel that fails is noticed by the call after it
 }
 FAKE cuStreamBeginCapture_v2(void* stream, unsigned) {
@@ -228,12 +246,19 @@ FAKE cuStreamBeginCapture_v2(void* stream, unsigned) {
 FAKE cuStreamEndCapture(void* stream, void** graph) {
   if (!static_cast<Handle*>(stream)->capturing) return kNotCapturing;
   static_cast<Handle*>(stream)->capturing = false;
-  return make(graph);
+  const int status = make(graph);
+  static_cast<Handle*>(*graph)->work.swap(static_cast<Handle*>(stream)->work);
+  return status;
 }
-FAKE cuGraphInstantiateWithFlags(void** exec, void*, unsigned long long) { return make(exec); }
+FAKE cuGraphInstantiateWithFlags(void** exec, void* graph, unsigned long long) {
+  *exec = new Handle(*static_cast<Handle*>(graph));
+  return result();
+}
 FAKE cuGraphDestroy(void* graph) { return destroy(graph); }
 FAKE cuGraphExecDestroy(void* exec) { return destroy(exec); }
-FAKE cuGraphLaunch(void*, void*) {
+FAKE cuGraphLaunch(void* exec, void*) {
   ++g_launches;
+  if (!lost())
+    for (const auto& work : static_cast<Handle*>(exec)->work) work();
   return result();
 }

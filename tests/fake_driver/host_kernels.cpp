@@ -10,6 +10,7 @@
 #include <cstdint>
 #include <cstring>
 #include <memory>
+#include <tuple>
 #include <utility>
 #include <vector>
 
@@ -32,8 +33,7 @@ struct Fibre {
 };
 std::vector<Fibre> g_fibres;
 ucontext_t g_scheduler;
-void (*g_call)(void* const*);
-void* const* g_arguments;
+const std::function<void()>* g_thread;
 
 void wait(State state) {
   Fibre& mine = g_fibres[threadIdx.x];
@@ -41,7 +41,7 @@ void wait(State state) {
   swapcontext(&mine.context, &g_scheduler);
 }
 void begin() {
-  g_call(g_arguments);
+  (*g_thread)();
   wait(State::Done);
 }
 
@@ -158,17 +158,19 @@ int32_t shared_values[12 << 10];
 template <class... P>
 struct Call {
   template <void (*kernel)(P...)>
-  static void run(void* const* arguments) {
-    [&]<size_t... k>(std::index_sequence<k...>) {
-      kernel(*static_cast<std::remove_cv_t<P>*>(arguments[k])...);
+  static std::function<void()> bind(void* const* arguments) {
+    return [&]<size_t... k>(std::index_sequence<k...>) {
+      return [copies = std::tuple<P...>(*static_cast<P*>(arguments[k])...)] {
+        std::apply(kernel, copies);
+      };
     }(std::index_sequence_for<P...>());
   }
 };
 template <auto kernel, class... P>
-HostKernel entry(const char* name, void (*)(P...)) {
-  return {name, &Call<P...>::template run<kernel>};
+HostKernel entry(const char* name, bool waits, void (*)(P...)) {
+  return {name, waits, &Call<P...>::template bind<kernel>};
 }
-#define ENTRY(name) entry<name>(#name, name)
+#define ENTRY(name, waits) entry<name>(#name, waits, name)
 
 }  // namespace
 }  // namespace device
@@ -176,19 +178,26 @@ HostKernel entry(const char* name, void (*)(P...)) {
 const HostKernel* find_host_kernel(const char* name) {
   using namespace device;
   static const HostKernel kKernels[] = {
-      ENTRY(novaphy_interpreter), ENTRY(row_sum_f32), ENTRY(exclusive_scan_i32), ENTRY(sort_count),
-      ENTRY(sort_place),          ENTRY(incidence_count), ENTRY(incidence_items)};
+      ENTRY(novaphy_interpreter, false), ENTRY(row_sum_f32, true),
+      ENTRY(exclusive_scan_i32, true),   ENTRY(sort_count, false),
+      ENTRY(sort_place, false),          ENTRY(incidence_count, false),
+      ENTRY(incidence_items, false)};
   for (const HostKernel& kernel : kKernels)
     if (std::strcmp(kernel.name, name) == 0) return &kernel;
   return nullptr;
 }
 
 void run_host_kernel(const HostKernel& kernel, unsigned blocks, unsigned threads,
-                     void* const* arguments) {
+                     const std::function<void()>& thread) {
   const novaphy::cpu::FloatMode own;  // whatever the caller's
-  g_call = kernel.call;
-  g_arguments = arguments;
+  g_thread = &thread;
   gridDim.x = blocks;
   blockDim.x = threads;
-  for (blockIdx.x = 0; blockIdx.x < blocks; ++blockIdx.x) run_block();
+  for (blockIdx.x = 0; blockIdx.x < blocks; ++blockIdx.x) {
+    if (kernel.waits) {
+      run_block();
+    } else {
+      for (threadIdx.x = 0; threadIdx.x < threads; ++threadIdx.x) thread();
+    }
+  }
 }

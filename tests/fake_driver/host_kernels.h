@@ -1,12 +1,16 @@
 // The backend's own kernels, for the fake driver.
 #pragma once
 
+#include <functional>
+
 struct HostKernel {
   const char* name;
-  void (*call)(void* const* arguments);  // one thread
+  bool waits;  // threads of a block wait for each other
+  // One thread, with a copy of the arguments as the driver gets them.
+  std::function<void()> (*bind)(void* const* arguments);
 };
 // Null: there is none of this name.
 const HostKernel* find_host_kernel(const char* name);
-// One at a time; `arguments` as the driver gets them.
+// One launch at a time.
 void run_host_kernel(const HostKernel& kernel, unsigned blocks, unsigned threads,
-                     void* const* arguments);
+                     const std::function<void()>& thread);

@@ -11,6 +11,7 @@
 #include "novaphy/core/error.h"
 #include "novaphy/core/stream.h"
 #include "novaphy/dynamics/semi_implicit/solver_semi_implicit.h"
+#include "novaphy/nova/kernel.h"
 #include "novaphy/nova/ops.h"
 
 namespace {
@@ -70,6 +71,16 @@ void run_kernels() {
   std::printf("\n");
 }
 
+void mix_devices() {
+  const nova::Kernel copy = nova::make_kernel(
+      "copy_row", {{"x", nova::DType::F32, 1, nova::Access::Direct}}, {{"y", 1}},
+      [](nova::TraceContext& c) { return std::vector{c.f32(0)}; });
+  const nova::Tensor cpu({3}, nova::DType::F32, Device::cpu()),
+      cuda({3}, nova::DType::F32, Device::cuda());
+  const nova::Operand in = cpu.operand(), out = cuda.operand();
+  copy.launch(3, {&in, 1}, {&out, 1});
+}
+
 // The forward solver, on elements of all kinds.
 std::vector<novaphy::Vec3f> stepped(Device device) {
   const auto model = novaphy::testing::make_elements_model(device);
@@ -100,6 +111,8 @@ int run(const std::string& command) {
     lose_the_device();
   } else if (command == "kernels") {
     run_kernels();
+  } else if (command == "mix") {
+    mix_devices();
   } else if (command == "step") {
     step_a_model();
   } else {

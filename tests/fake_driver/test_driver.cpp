@@ -104,6 +104,11 @@ TEST(FakeDriver, TheForwardSolverStepsAModelOnTheDeviceWithTheBitsOfTheCpu) {
   EXPECT_EQ(probe(kAhead + "NOVAPHY_QUIET=1 ", "step").output, "17 particles, the same bits\n");
 }
 
+TEST(FakeDriver, AKernelOverMemoryOfTwoDevicesIsRefused) {
+  EXPECT_EQ(probe(kAhead, "mix").output,
+            "error: copy_row, x: expected memory of cuda:0, got cpu\n");
+}
+
 TEST(FakeDriver, AnInterpreterThatWasAskedForIsNotSaid) {
   EXPECT_EQ(probe(kAhead + "NOVAPHY_DEVICE_INTERPRETER=1 ", "kernels").output, "2 6 12 \n");
 }

@@ -388,7 +388,7 @@ TEST_F(TapeAlias, AnOutputThatIsTheInputIsRefusedBeforeAnythingIsWritten) {
 }
 
 TEST_F(TapeAlias, AnotherViewOfBytesThatCarryAGradientIsRefused) {
-  const auto storage = Storage::allocate(24, Device::cpu());
+  const auto storage = Storage::allocate(24, novaphy::default_device());
   const Tensor whole(storage->range(), {6}, DType::F32),
       half(storage->range(0, 12), {3}, DType::F32);
   half.set_requires_grad(true);
@@ -402,7 +402,7 @@ TEST_F(TapeAlias, AnotherViewOfBytesThatCarryAGradientIsRefused) {
 }
 
 TEST_F(TapeAlias, AWriteThroughALargerViewIsSeen) {
-  const auto storage = Storage::allocate(24, Device::cpu());
+  const auto storage = Storage::allocate(24, novaphy::default_device());
   const Tensor whole(storage->range(), {6}, DType::F32),
       half(storage->range(12, 12), {3}, DType::F32);
   square_into(half, x);
@@ -423,8 +423,16 @@ TEST_F(TapeAlias, ViewsOfTheSameBytesShareOneGradient) {
 
 class TapeExport : public TapeTest {
  protected:
-  static void poke(const Tensor& t, float value) {
-    static_cast<float*>(t.range()->data())[1] = value;
+  static void poke(const Tensor& t, float value) { poke(*t.range(), 1, value); }
+  template <class T>
+  static void poke(const Range& range, size_t at, T value) {
+    const DeviceContext& c = device_context(range.storage().device());
+    novaphy_error error = make_error();
+    ASSERT_EQ(c.api->memory_copy(c.stream, NOVAPHY_COPY_HOST_TO_DEVICE,
+                                 static_cast<char*>(range.data()) + at * sizeof(T), &value,
+                                 sizeof(T), &error),
+              NOVAPHY_OK)
+        << error.message;
   }
 };
 
@@ -478,7 +486,7 @@ TEST_F(TapeExport, AnIndexTableWrittenBehindTheBackIsSortedAnew) {
   at.range()->mark_writable_export();
   tape.backward(sum(gather(2, {at, x})[0]));
   EXPECT_EQ(grad(x), (Floats{1.0f, 0.0f, 1.0f}));
-  static_cast<int32_t*>(at.range()->data())[0] = 1;
+  poke(*at.range(), 0, int32_t{1});
   tape.zero();
   tape.backward(sum(gather(2, {at, x})[0]));
   EXPECT_EQ(grad(x), (Floats{1.0f, 1.0f, 0.0f}));
@@ -496,12 +504,12 @@ TEST_F(TapeExport, MemoryOfSomebodyElseIsGuardedFromTheStart) {
 }
 
 TEST_F(TapeExport, APartOfAnExportedArrayIsGuardedToo) {
-  const auto storage = Storage::allocate(24, Device::cpu());
+  const auto storage = Storage::allocate(24, novaphy::default_device());
   storage->range()->mark_writable_export();
   const Tensor part(storage->range(12, 12), {3}, DType::F32);
   part.set_requires_grad(true);
   const Tensor loss = sum(nova::mul(part, part));
-  static_cast<float*>(storage->data())[4] = 1.0f;
+  poke(*storage->range(), 4, 1.0f);
   EXPECT_ERROR(tape.backward(loss), ErrorKind::Runtime, "was modified after recording");
 }
 
@@ -713,7 +721,7 @@ TEST_F(TapeCopies, CloneAndCopyAndToCarryTheGradient) {
   const Tensor a = x.clone(), b(Shape{3}), c = x.to(Device::cpu());
   b.copy_(a);
   b.copy_(b);  // nothing
-  tape.backward(sum(nova::add(nova::mul(b, 2.0f), c)));
+  tape.backward(sum(nova::add(nova::mul(b, 2.0f), c.to(x.device()))));
   EXPECT_EQ(grad(x), Floats(3, 3.0f));
   EXPECT_EQ(grad(b), Floats(3, 2.0f));
 }
@@ -743,7 +751,7 @@ TEST_F(TapeCopies, BadCopiesAreRefused) {
   const Tensor y(Shape{2});
   EXPECT_ERROR(y.copy_(x), ErrorKind::Value, "expected {2} float32, got {3} float32");
   EXPECT_ERROR(y.copy_(table({1, 2})), ErrorKind::Value, "int32");
-  const auto storage = Storage::allocate(24, Device::cpu());
+  const auto storage = Storage::allocate(24, novaphy::default_device());
   const Tensor a(storage->range(0, 12), {3}, DType::F32), b(storage->range(4, 12), {3}, DType::F32);
   EXPECT_ERROR(a.copy_(b), ErrorKind::Value, "overlaps");
 }

@@ -189,7 +189,12 @@ py::object export_dlpack(const View& view, py::handle stream, py::handle max_ver
   require(stream.is_none() || own.type != kCpu, ErrorKind::Value,
           "__dlpack__, stream: expected None on the cpu");
   if (ArrayObserver* observer = array_observer()) observer->host_read("__dlpack__");
-  synchronize(view.device());
+  // The protocol's streams: -1 asks for no wait, 0 could mean two streams. Once the host has waited,
+  // the memory may be used on every stream.
+  const int64_t consumer = stream.is_none() ? 1 : stream.cast<int64_t>();
+  require(consumer >= -1 && consumer != 0, ErrorKind::Value,
+          "__dlpack__, stream: expected None, -1, 1, 2 or a stream's address, got ", consumer);
+  if (consumer != -1) synchronize(view.device());
 
   const bool copied = !copy.is_none() && copy.cast<bool>();
   View exported = view;
@@ -212,12 +217,18 @@ py::object export_dlpack(const View& view, py::handle stream, py::handle max_ver
 View import_dlpack(py::handle source) {
   require(PyObject_HasAttrString(source.ptr(), "__dlpack__") != 0, ErrorKind::Type,
           "from_dlpack: expected an object with __dlpack__, got ", type_name(source));
+  // The memory will be used on a stream that is ordered with the device's default stream, which the
+  // protocol calls 1: the producer lets that one wait for what it has under way.
+  py::dict stream;
+  if (PyObject_HasAttrString(source.ptr(), "__dlpack_device__") != 0 &&
+      source.attr("__dlpack_device__")().cast<std::pair<int32_t, int32_t>>().first == kCuda)
+    stream["stream"] = 1;
   py::object capsule;
   try {
-    capsule = source.attr("__dlpack__")("max_version"_a = py::make_tuple(1, 0));
+    capsule = source.attr("__dlpack__")("max_version"_a = py::make_tuple(1, 0), **stream);
   } catch (py::error_already_set& error) {
     if (!error.matches(PyExc_TypeError)) throw;
-    capsule = source.attr("__dlpack__")();  // a producer from before version 1.0
+    capsule = source.attr("__dlpack__")(**stream);  // a producer from before version 1.0
   }
   if (PyCapsule_IsValid(capsule.ptr(), kVersionedName))
     return adopt<DLManagedTensorVersioned>(capsule.ptr(), kVersionedName,

@@ -186,7 +186,7 @@ py::dict cuda_array_interface(const View& view) {
   view.range->mark_writable_export();
   return py::dict("version"_a = 3, "shape"_a = shape_tuple(view.shape),
                   "typestr"_a = type_string(view.scalar), "data"_a = py::make_tuple(address, false),
-                  "strides"_a = py::none());
+                  "strides"_a = py::none(), "stream"_a = 1);  // 1: the device's default stream
 }
 
 py::object host_values(py::handle source, Scalar scalar, const char* what) {

@@ -81,6 +81,37 @@ def gradients(device: str, balls: int, steps: int) -> dict[str, np.ndarray]:
         }
 
 
+def test_the_forward_solver_has_newtons_bits():
+    newton = golden("newton_ball_strict")
+    model = ball_builder().finalize("cuda:0")
+    model.soft_contact_ke, model.soft_contact_kd = 1.0e4, 10.0
+    model.soft_contact_kf, model.soft_contact_mu = 0.0, 0.2
+    solver = solvers.SolverSemiImplicit(model)
+    states = [model.state() for _ in range(STEPS + 1)]
+    contacts = ball_contacts(model, states[0])
+    for now, then in zip(states, states[1:]):
+        solver.step(now, then, None, contacts, DT)
+    q = np.stack([state.particle_q.numpy() for state in states])
+    assert_same_bits(q, newton["particle_q"], "particle_q")
+
+
+def test_the_forward_solver_moves_a_soft_body_with_the_bits_of_the_cpu():
+    ends = []
+    for device in ("cpu", "cuda:0"):
+        model = soft_body_model(device)
+        pipeline = novaphy.CollisionPipeline(model, soft_contact_margin=0.01)
+        solver, contacts = solvers.SolverSemiImplicit(model), pipeline.contacts()
+        now, then = model.state(), model.state()
+        for _ in range(300):  # flight and bounce, with new contacts in every step
+            now.clear_forces()
+            pipeline.collide(now, contacts)
+            solver.step(now, then, None, contacts, 1.0 / 960)
+            now, then = then, now
+        ends.append((now.particle_q.numpy(), now.particle_qd.numpy()))
+    assert_same_bits(ends[1][0], ends[0][0], "particle_q")
+    assert_same_bits(ends[1][1], ends[0][1], "particle_qd")
+
+
 def test_a_soft_body_has_the_bits_of_the_cpu():
     results = []
     for device in ("cpu", "cuda:0"):
@@ -278,6 +309,44 @@ def test_memory_is_shared_with_cupy():
     np.testing.assert_array_equal(ours.numpy(), np.float32([0, 2, 4, 6, 8]))
     theirs += 1  # on CuPy's stream, then read on ours
     np.testing.assert_array_equal(ours.numpy(), np.float32([1, 3, 5, 7, 9]))
+
+
+def test_streams_of_exports_are_those_of_the_protocols():
+    array = novaphy.DeviceArray(np.arange(6, dtype=np.float32), device="cuda:0")
+    assert array.__cuda_array_interface__["stream"] == 1
+    assert array.__dlpack_device__() == (2, 0)
+    for stream in (None, -1, 1, 2):
+        assert "dltensor" in repr(array.__dlpack__(stream=stream))
+    with pytest.raises(ValueError, match="expected None, -1, 1, 2 or a stream's address, got 0"):
+        array.__dlpack__(stream=0)
+
+
+def test_an_import_waits_for_the_stream_on_which_the_values_are_made():
+    torch = pytest.importorskip("torch")
+    if not torch.cuda.is_available():
+        pytest.skip("this PyTorch sees no CUDA device")
+    factor = nova.tensor(np.full(1, 2, np.float32), device="cuda:0")
+    busy = torch.rand(4096, 4096, device="cuda")
+    theirs = torch.zeros(1 << 20, device="cuda")
+    torch.cuda.synchronize()
+    with torch.cuda.stream(torch.cuda.Stream()):
+        for _ in range(20):  # some milliseconds
+            busy = busy @ busy * 1e-3
+        theirs += 3
+        ours = nova.from_dlpack(theirs)
+    np.testing.assert_array_equal((ours * factor).numpy(), np.full(1 << 20, 6, np.float32))
+
+
+def test_an_export_is_whole_on_every_stream_of_the_consumer():
+    torch = pytest.importorskip("torch")
+    if not torch.cuda.is_available():
+        pytest.skip("this PyTorch sees no CUDA device")
+    x = nova.tensor(np.full(1 << 22, 1, np.float32), device="cuda:0")
+    for _ in range(50):
+        x = x + x * 0.5
+    with torch.cuda.stream(torch.cuda.Stream()):
+        total = torch.from_dlpack(x).clone()
+    np.testing.assert_array_equal(total.cpu().numpy(), x.numpy())
 
 
 def test_memory_is_shared_with_torch():

@@ -21,6 +21,11 @@ Event::~Event() {
   if (event_ != nullptr) context_->api->event_destroy(event_);
 }
 
+void Event::record() {
+  novaphy_error error = make_error();
+  check(context_->api->event_record(event_, context_->stream, &error), error, "Event.record");
+}
+
 void Event::synchronize() const {
   novaphy_error error = make_error();
   check(context_->api->event_synchronize(event_, &error), error, "Event.synchronize");

@@ -294,11 +294,11 @@ void Tensor::copy_(const Tensor& source) const {
         .copy_to_host(bytes_on_host.data(), bytes());
     copy_from_host(bytes_on_host.data(), bytes());
     if (Tape* tape = Tape::active(); tape != nullptr && dtype() == DType::F32)
-      tape->record_custom("copy between devices", {source}, {*this},
-                          [shape = source.shape(), from = source.device()](
-                              const std::vector<Tensor>& g) {
-                            return std::vector{g[0].to(from).reshape(shape)};
-                          });
+      tape->record_custom(
+          "copy between devices", {source}, {*this},
+          [shape = source.shape(), from = source.device()](const std::vector<Tensor>& g) {
+            return std::vector{g[0].to(from).reshape(shape)};
+          });
   }
 }
 

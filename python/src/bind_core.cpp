@@ -1,6 +1,7 @@
 // Devices and backends.
 #include "convert.h"
 #include "novaphy/core/backend.h"
+#include "novaphy/core/stream.h"
 
 namespace novaphy::python {
 namespace {
@@ -100,6 +101,16 @@ void bind_devices(py::module_& m) {
         synchronize(d);
       },
       "device"_a = py::none(), "Waits until all work of a device is done.");
+  py::class_<Event>(m, "Event", "A mark in the work of a device, for measuring time on it.")
+      .def(py::init([](py::handle device) { return std::make_unique<Event>(to_device(device)); }),
+           "device"_a = py::none())
+      .def_property_readonly("device", &Event::device, "Whose work is marked.")
+      .def("record", &Event::record, "Marks the work that was issued so far.")
+      .def("synchronize", &Event::synchronize, py::call_guard<py::gil_scoped_release>(),
+           "Waits until the device has come to the mark.")
+      .def_static("elapsed", &Event::elapsed, "start"_a, "stop"_a,
+                  py::call_guard<py::gil_scoped_release>(),
+                  "Seconds between two marks of one device; waits for the second.");
   py::class_<ScopedDevice>(m, "ScopedDevice", "Context manager: another default device inside.")
       .def(py::init([](py::handle spec) { return ScopedDevice(to_device(spec)); }), "spec"_a)
       .def("__enter__", &ScopedDevice::enter)

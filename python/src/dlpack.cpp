@@ -189,8 +189,8 @@ py::object export_dlpack(const View& view, py::handle stream, py::handle max_ver
   require(stream.is_none() || own.type != kCpu, ErrorKind::Value,
           "__dlpack__, stream: expected None on the cpu");
   if (ArrayObserver* observer = array_observer()) observer->host_read("__dlpack__");
-  // The protocol's streams: -1 asks for no wait, 0 could mean two streams. Once the host has waited,
-  // the memory may be used on every stream.
+  // The protocol's streams: -1 asks for no wait, 0 could mean two streams. Once the host has
+  // waited, the memory may be used on every stream.
   const int64_t consumer = stream.is_none() ? 1 : stream.cast<int64_t>();
   require(consumer >= -1 && consumer != 0, ErrorKind::Value,
           "__dlpack__, stream: expected None, -1, 1, 2 or a stream's address, got ", consumer);

@@ -81,7 +81,9 @@ int make(void** handle) {
   *handle = new Handle;
   return result();
 }
-bool capturing(void* stream) { return stream != nullptr && static_cast<Handle*>(stream)->capturing; }
+bool capturing(void* stream) {
+  return stream != nullptr && static_cast<Handle*>(stream)->capturing;
+}
 // Does it, or captures it.
 int submit(void* stream, std::function<void()> work) {
   if (lost()) return kIllegalAddress;

@@ -1,6 +1,6 @@
 // The device's interpreter and builtins, compiled for the host from the text that goes to the
-// device: the fake driver runs them. The threads of a block are fibres that take turns, and wait for
-// each other where the text says so.
+// device: the fake driver runs them. The threads of a block are fibres that take turns, and wait
+// for each other where the text says so.
 #include "host_kernels.h"
 
 #include <ucontext.h>
@@ -138,7 +138,8 @@ unsigned __shfl_up_sync(unsigned, unsigned value, int step) {
 #define __launch_bounds__(...)
 #define __grid_constant__
 #define __shared__ static
-// clang-format off: the second needs the first
+// The second needs the first.
+// clang-format off
 #include "device_prelude.cuh"
 #include "builtins.cuh"
 // clang-format on
@@ -163,7 +164,8 @@ struct Call {
       return [copies = std::tuple<P...>(*static_cast<P*>(arguments[k])...)] {
         std::apply(kernel, copies);
       };
-    }(std::index_sequence_for<P...>());
+    }
+    (std::index_sequence_for<P...>());
   }
 };
 template <auto kernel, class... P>
@@ -178,9 +180,8 @@ HostKernel entry(const char* name, bool waits, void (*)(P...)) {
 const HostKernel* find_host_kernel(const char* name) {
   using namespace device;
   static const HostKernel kKernels[] = {
-      ENTRY(novaphy_interpreter, false), ENTRY(row_sum_f32, true),
-      ENTRY(exclusive_scan_i32, true),   ENTRY(sort_count, false),
-      ENTRY(sort_place, false),          ENTRY(incidence_count, false),
+      ENTRY(novaphy_interpreter, false), ENTRY(row_sum_f32, true), ENTRY(exclusive_scan_i32, true),
+      ENTRY(sort_count, false),          ENTRY(sort_place, false), ENTRY(incidence_count, false),
       ENTRY(incidence_items, false)};
   for (const HostKernel& kernel : kKernels)
     if (std::strcmp(kernel.name, name) == 0) return &kernel;

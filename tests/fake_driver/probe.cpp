@@ -72,9 +72,9 @@ void run_kernels() {
 }
 
 void mix_devices() {
-  const nova::Kernel copy = nova::make_kernel(
-      "copy_row", {{"x", nova::DType::F32, 1, nova::Access::Direct}}, {{"y", 1}},
-      [](nova::TraceContext& c) { return std::vector{c.f32(0)}; });
+  const nova::Kernel copy =
+      nova::make_kernel("copy_row", {{"x", nova::DType::F32, 1, nova::Access::Direct}}, {{"y", 1}},
+                        [](nova::TraceContext& c) { return std::vector{c.f32(0)}; });
   const nova::Tensor cpu({3}, nova::DType::F32, Device::cpu()),
       cuda({3}, nova::DType::F32, Device::cuda());
   const nova::Operand in = cpu.operand(), out = cuda.operand();

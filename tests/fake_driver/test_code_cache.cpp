@@ -125,5 +125,15 @@ TEST_F(CodeCacheTest, AFolderThatCannotBeMadeIsNoError) {
   EXPECT_FALSE(cache.find(code_key("a"), found));
 }
 
+TEST(CodeKeyTest, TellsContractionDevicesAndTextsApart) {
+  const std::string text = "a kernel";
+  const CodeKey strict = ahead_key(text, Dialect::Program);
+  EXPECT_EQ(strict, ahead_key(text, Dialect::Program));
+  EXPECT_FALSE(strict == ahead_key(text, Dialect::Contracted));
+  EXPECT_FALSE(strict == ahead_key(text + " ", Dialect::Program));
+  EXPECT_FALSE(ahead_key(text, Dialect::Source) == ahead_key(text, Dialect::ContractedSource));
+  EXPECT_FALSE(disk_key(text, Dialect::Program, 80) == disk_key(text, Dialect::Program, 90));
+}
+
 }  // namespace
 }  // namespace novaphy::gpu

@@ -113,6 +113,18 @@ TEST(FakeDriver, AnInterpreterThatWasAskedForIsNotSaid) {
   EXPECT_EQ(probe(kAhead + "NOVAPHY_DEVICE_INTERPRETER=1 ", "kernels").output, "2 6 12 \n");
 }
 
+TEST(FakeDriver, ContractionIsOnOrOffAndNeedsACompiler) {
+  EXPECT_NE(probe(kAhead + "NOVAPHY_CUDA_CONTRACT=yes ", "kernels")
+                .output.find("NOVAPHY_CUDA_CONTRACT: expected on or off, got \"yes\""),
+            std::string::npos);
+  EXPECT_NE(
+      probe(kAhead + "NOVAPHY_CUDA_CONTRACT=on ", "kernels")
+          .output.find("cannot be compiled: this plugin was built with NOVA_ENABLE_NVRTC=OFF"),
+      std::string::npos);
+  EXPECT_EQ(probe(kAhead + "NOVAPHY_QUIET=1 NOVAPHY_CUDA_CONTRACT=off ", "kernels").output,
+            "2 6 12 \n");
+}
+
 TEST(FakeDriver, WithoutACompilerAndAnInterpreterTheErrorNamesBoth) {
   const std::string output =
       probe(kFake + "NOVAPHY_NVRTC=/nowhere/libnvrtc.so NOVAPHY_CACHE_DIR=off ", "kernels").output;

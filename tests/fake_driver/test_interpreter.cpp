@@ -1,5 +1,5 @@
-// What Programs become for the interpreter on the device. That it gives the bits of the reference is
-// tested by the conformance suite, on the fake driver too.
+// What Programs become for the interpreter on the device. That it gives the bits of the reference
+// is tested by the conformance suite, on the fake driver too.
 #include <gtest/gtest.h>
 
 #include "interpreter.h"
@@ -26,9 +26,8 @@ TEST(InterpreterCodeTest, AValueFromBeforeALoopKeepsItsWordUntilTheLastStep) {
   ir::Program p;  // y = sum over k of (x + k), and k has no right to the word of x
   p.sources.push_back({"x", ir::Type::F32, 1, ir::Access::Direct});
   p.param_count = 1;
-  p.instrs = {{Op::INDEX},        {Op::LOAD_F, 0, 0, 0},    {Op::CONST_F, 0},
-              {Op::REDUCE_INDEX, 0}, {Op::I_TO_F, 3}, {Op::ADD, 1, 4},
-              {Op::SUM, 0, 0}};
+  p.instrs = {{Op::INDEX},     {Op::LOAD_F, 0, 0, 0}, {Op::CONST_F, 0}, {Op::REDUCE_INDEX, 0},
+              {Op::I_TO_F, 3}, {Op::ADD, 1, 4},       {Op::SUM, 0, 0}};
   p.loops.push_back({ir::LoopKind::Fixed, 0, {{2, 5}}});
   p.outputs.push_back({"y", ir::Type::F32, {6}});
   ASSERT_EQ(ir::validate(p), "");

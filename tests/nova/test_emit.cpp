@@ -48,6 +48,15 @@ TEST(Emit, TakesPackedRowsApartAndSkipsWhatNoLaneNeeds) {
   expect_golden("sgd_update_vec3_clipped_f32",
                 engine_kernel("sgd_update_vec3_clipped_f32").program());
 }
+TEST(Emit, SkipsNothingWhereProductsAndSumsMayBeContracted) {
+  nova::ir::Program program = engine_kernel("sgd_update_vec3_clipped_f32").program();
+  const auto asks = [&] {
+    return nova::ir::emit_device(program, "row").find("if (any(") != std::string::npos;
+  };
+  EXPECT_TRUE(asks());
+  program.contract = true;
+  EXPECT_FALSE(asks());
+}
 TEST(Emit, ComputesWhatIsTheSameForAllRowsOnce) {
   const nova::Kernel kernel = nova::make_kernel(
       "uniform", {{"x", DType::F32, 2, Access::Direct}, {"u", DType::F32, 3, Access::Uniform}},

@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
 from scenes import (
@@ -53,6 +58,21 @@ def test_the_device_describes_itself():
     assert device.is_cuda and device.name and device.arch >= 70
     assert 0 < device.free_memory <= device.total_memory
     assert device.supports_graph_capture
+
+
+def test_events_measure_the_time_on_the_device():
+    x = nova.tensor(np.ones(1 << 24, np.float32), device="cuda:0")
+    start, middle, stop = (novaphy.Event("cuda:0") for _ in range(3))
+    for repeats in (1, 10):
+        start.record()
+        for _ in range(repeats):
+            x.fill_(1.0)
+        middle.record()
+        for _ in range(10 * repeats):
+            x.fill_(1.0)
+        stop.record()
+    short, long = novaphy.Event.elapsed(start, middle), novaphy.Event.elapsed(middle, stop)
+    assert 1e-5 < short and 5 * short < long < 20 * short
 
 
 def test_a_loop_of_steps_has_newtons_bits():
@@ -363,3 +383,44 @@ def test_memory_is_shared_with_torch():
     np.testing.assert_array_equal(ours.numpy()[0], np.float32([10, 12, 14]))
     back = torch.as_tensor(ours, device="cuda")
     assert back.data_ptr() == theirs.data_ptr()
+
+
+CONTRACTED = """
+import sys
+import numpy as np
+from scenes import Ball
+import novaphy
+from novaphy import nova
+
+novaphy.set_default_device("cuda:0")
+ball = Ball()
+with nova.Tape() as tape:
+    loss = ball.forward()
+    tape.backward(loss)
+    np.savez(
+        sys.argv[1],
+        particle_q=ball.array("particle_q"),
+        particle_qd=ball.array("particle_qd"),
+        loss=loss.numpy(),
+        grad_ad=ball.velocity.grad.numpy(),
+    )
+"""
+
+
+def test_with_contraction_the_ball_has_newtons_bits_on_a_gpu(tmp_path):
+    newton, strict = golden("newton_ball_contracted"), golden("newton_ball_strict")
+    result = tmp_path / "ball.npz"
+    run = subprocess.run(
+        [sys.executable, "-c", CONTRACTED, str(result)],
+        capture_output=True,
+        text=True,
+        cwd=Path(__file__).parent,
+        env={**os.environ, "NOVAPHY_CUDA_CONTRACT": "on", "NOVAPHY_DEVICE_INTERPRETER": ""},
+    )
+    if "cannot be compiled" in run.stderr:
+        pytest.skip("contraction needs NVRTC")
+    assert run.returncode == 0, run.stderr
+    with np.load(result) as ours:
+        assert not np.array_equal(ours["particle_qd"], strict["particle_qd"])
+        for name in ("particle_q", "particle_qd", "loss", "grad_ad"):
+            assert_same_bits(ours[name].reshape(newton[name].shape), newton[name], name)

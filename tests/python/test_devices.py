@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import time
 
 import pytest
 
@@ -34,6 +35,18 @@ def test_devices_are_named_compared_and_hashed():
     assert cpu in novaphy.get_devices() and novaphy.get_device() == novaphy.get_default_device()
     novaphy.synchronize()
     novaphy.synchronize("cpu")
+
+
+def test_events_measure_the_work_between_them():
+    start, stop = novaphy.Event(), novaphy.Event("cpu")
+    with pytest.raises(novaphy.Error, match="event was not recorded"):
+        novaphy.Event.elapsed(start, stop)
+    start.record()
+    time.sleep(0.02)
+    stop.record()
+    stop.synchronize()
+    assert str(start.device) == "cpu"
+    assert 0.02 <= novaphy.Event.elapsed(start, stop) < 10
 
 
 def test_an_unknown_device_is_a_value_error_and_a_missing_one_an_error():

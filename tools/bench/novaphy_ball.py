@@ -16,6 +16,9 @@ With `--memory` it prints, instead of timings, how much memory `step`, `rollout`
 per particle and substep, without a capture: `states_bytes` is what the states took, `tape_bytes`
 what recording and `backward` added to it (resident set).
 
+On a GPU the clocks are warmed up first, and `device_median_s` is the time between two events of the
+device around an iteration.
+
 With `--operations` it prints how many float32 operations the Programs of one iteration hold per
 particle and substep (see `count_operations`).
 
@@ -43,6 +46,7 @@ STEPS = 36 * 8
 DT = (1.0 / 60) / 8
 TRAIN_RATE = 0.02
 GAP = 10.0
+WARM_UP = 0.3  # s
 MATERIAL = {"ke": 1.0e4, "kd": 1.0e1, "kf": 0.0, "mu": 0.2}
 
 
@@ -154,6 +158,23 @@ def timed(function: Callable[[], None], device: str) -> float:
     return time.perf_counter() - start
 
 
+def timed_on_device(function: Callable[[], None], device: str) -> float:
+    """Seconds between two events of a GPU around one call."""
+    start, stop = novaphy.Event(device), novaphy.Event(device)
+    start.record()
+    function()
+    stop.record()
+    return novaphy.Event.elapsed(start, stop)
+
+
+def warm_up(function: Callable[[], None], device: str) -> None:
+    """Raise the clocks of a GPU, which idles between scenes."""
+    end = time.perf_counter() + WARM_UP
+    while time.perf_counter() < end:
+        function()
+        novaphy.synchronize(device)
+
+
 def measure(n: int, mode: str, iterations: int, device: str) -> dict[str, object]:
     """Build the scene, run it, and return the record to print."""
     start = time.perf_counter()
@@ -161,6 +182,11 @@ def measure(n: int, mode: str, iterations: int, device: str) -> dict[str, object
     balls.iterate()
     first = time.perf_counter() - start
 
+    on_device: dict[str, float] = {}
+    if novaphy.Device(device).is_cuda:
+        warm_up(balls.iterate, device)
+        events = [timed_on_device(balls.iterate, device) for _ in range(iterations)]
+        on_device["device_median_s"] = statistics.median(events)
     balls.reset()
     seconds = [timed(balls.iterate, device) for _ in range(iterations - 1)]
     before = balls.velocity.numpy()  # of the last iteration: its gradient is computed again below
@@ -179,6 +205,7 @@ def measure(n: int, mode: str, iterations: int, device: str) -> dict[str, object
         "iterations": iterations,
         "median_s": statistics.median(seconds),
         "min_s": min(seconds),
+        **on_device,
         "first_s": first,
         "loss": loss,
         "result_hash": digest.hexdigest()[:16],

@@ -10,8 +10,8 @@ namespace novaphy::gpu {
 inline constexpr const char* kEntry = "novaphy_main";
 inline constexpr const char* kInterpreterEntry = "novaphy_interpreter";
 
-const char* prelude_text();   // device_prelude.cuh
-const char* builtins_text();  // builtins.cuh
+const char* prelude_text();      // device_prelude.cuh
+const char* builtins_text();     // builtins.cuh
 const char* interpreter_text();  // interpreter.cuh
 // Equal Programs have equal text, whatever their names.
 nova::ir::Program without_names(nova::ir::Program program);

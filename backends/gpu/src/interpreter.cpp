@@ -13,9 +13,9 @@
 namespace novaphy::gpu {
 namespace {
 
-constexpr unsigned kThreads = 64;               // of a block
-constexpr int64_t kSharedBytes = 48 << 10;      // every device has so much for a block
-constexpr int64_t kBlocksPerUnit = 16;          // more wait, or take the next rows in turn
+constexpr unsigned kThreads = 64;           // of a block
+constexpr int64_t kSharedBytes = 48 << 10;  // every device has so much for a block
+constexpr int64_t kBlocksPerUnit = 16;      // more wait, or take the next rows in turn
 
 // Loaded at the first use on a device and kept until it is closed.
 novaphy_status load_interpreter(novaphy_device* device, Function* function, novaphy_error* error) {
@@ -40,9 +40,8 @@ novaphy_status run(novaphy_stream* stream, const novaphy_kernel& kernel, int64_t
     shared = 0;
     blocks = std::min(blocks, kBlocksPerUnit * stream->device->units);
     const auto bytes = static_cast<size_t>(blocks * kThreads * kernel.interpreted.values * 4);
-    const novaphy_status status =
-        check(stream->device, d.alloc_async(&scratch, bytes, stream->stream), kernel.name.c_str(),
-              error);
+    const novaphy_status status = check(
+        stream->device, d.alloc_async(&scratch, bytes, stream->stream), kernel.name.c_str(), error);
     if (status != NOVAPHY_OK) return status;
   }
   // The driver copies as many words as the kernel declares.
@@ -72,10 +71,11 @@ void say_interpreted(const char* why) {
   std::call_once(once, [&] {
     if (const char* quiet = std::getenv("NOVAPHY_QUIET"); quiet != nullptr && *quiet != '\0')
       return;
-    std::fprintf(stderr,
-                 "novaphy: kernels that were not built ahead are interpreted on the %s device (same "
-                 "results, slower): %s [NOVAPHY_QUIET=1 hides this line]\n",
-                 vendor().toolkit, why);
+    std::fprintf(
+        stderr,
+        "novaphy: kernels that were not built ahead are interpreted on the %s device (same "
+        "results, slower): %s [NOVAPHY_QUIET=1 hides this line]\n",
+        vendor().toolkit, why);
   });
 }
 

@@ -24,7 +24,8 @@ enum class InterpreterOp : int32_t {
 #undef NOVAPHY_INTERPRETER_OP
 };
 
-// interpreter_instruction: operands and result are numbers of values; interpreter.cuh says the rest.
+// interpreter_instruction: operands and result are numbers of values; interpreter.cuh says the
+// rest.
 struct InterpreterInstruction {
   int32_t op, d = 0, a = 0, b = 0, c = 0, e = 0;
 };

@@ -207,8 +207,8 @@ class Encoder {
   int32_t next_;
   std::vector<int32_t> accumulators_;  // per loop: of its first sum
   InterpreterCode out_;
-  std::vector<Operands> operands_;  // per instruction
-  std::vector<Life> lives_;         // per value
+  std::vector<Operands> operands_;                  // per instruction
+  std::vector<Life> lives_;                         // per value
   std::vector<std::pair<int32_t, int32_t>> loops_;  // the instructions LOOP and AGAIN of each
   int32_t begin_ = 0;
 };

@@ -143,7 +143,9 @@ class Planner {
                                       : division    ? kDivisionWeight
                                                     : 1;
     }
-    for (Region& r : out_.regions) r.printed = r.weight >= kMinPrintedRegion;
+    // A compiler contracts a product and a sum that stand in one block: where it may, there are no
+    // others.
+    for (Region& r : out_.regions) r.printed = !p_.contract && r.weight >= kMinPrintedRegion;
   }
 
   bool inside(int32_t region, int32_t ancestor) const {

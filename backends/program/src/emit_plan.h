@@ -14,8 +14,9 @@ struct LoadGroup {
   std::vector<Value> columns;  // per column of the source the value that it becomes, or kNone
 };
 
-// A skippable region of the schedule. One that would skip too little to pay for the question is
-// written without an `if`; its condition still says which lanes need a load.
+// A skippable region of the schedule. One that would skip too little to pay for the question, or is
+// in the way of contraction, is written without an `if`; its condition still says which lanes need
+// a load.
 struct Region {
   int32_t parent = -1;
   Value cond = kNone;

@@ -25,6 +25,7 @@ class NOVAPHY_CORE_API Event {
 
   Device device() const { return context_->id; }
   novaphy_event* native() const { return event_; }
+  void record();             // marks the work issued so far to the device's default stream
   void synchronize() const;  // the host waits for the mark
   // Seconds between two recorded marks of the same device.
   static double elapsed(const Event& start, const Event& stop);

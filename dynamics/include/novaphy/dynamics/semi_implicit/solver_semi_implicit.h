@@ -35,8 +35,8 @@ struct SemiImplicitOptions {
 //      particles without ParticleFlags.ACTIVE keep position and velocity
 // Of contacts that overflowed the slots that exist act; ask Contacts::overflowed().
 // The result has the same bits for any number of threads, and those of Newton 1.8.0 on the cpu as
-// far as the formulas' head comments say. A model on another device is stepped there, by the kernels
-// of novaphy::diff, with the same bits; such a model has one world.
+// far as the formulas' head comments say. A model on another device is stepped there, by the
+// kernels of novaphy::diff, with the same bits; such a model has one world.
 class NOVAPHY_DYNAMICS_API SolverSemiImplicit : public SolverBase {
  public:
   // ErrorKind::Value: a bad option; ErrorKind::NotImplemented: a model that has something that is

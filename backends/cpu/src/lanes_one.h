@@ -1,51 +1,11 @@
 /* One lane: the scalars themselves. For launches of few rows, and for the rows behind the last
  * whole group. */
-typedef float vf;
-typedef int32_t vi;
-typedef int vb;
-
-#define splatf(a) (a)
-#define splati(a) (a)
-#define splatb(a) (a)
-#define any(a) ((a) != 0)
-#define index_lanes(i) ((int32_t)(i))
+#include "novaphy/program/one_lane.h"
 LANE_FN int lane_of(vb b, int l) {
   (void)l;
   return b;
 }
 
-#define vabs uabs
-#define vsign usign
-#define vmin umin
-#define vmax umax
-#define vsqrt usqrt
-#define vfma ufma
-#define vfloor ufloor
-#define vf_to_i uf_to_i
-#define vi_to_f ui_to_f
-#define vf_bits uf_bits
-#define vbits_f ubits_f
-#define vidiv uidiv
-#define vimod uimod
-#define vimin uimin
-#define vimax uimax
-#define vishl uishl
-#define vishr uishr
-#define viushr uiushr
-#define vlt ult
-#define vle ule
-#define veq ueq
-#define vne une
-#define vilt uilt
-#define vile uile
-#define vieq uieq
-#define vine uine
-#define vand uand
-#define vor uor
-#define vnot unot
-#define vselectf uselectf
-#define vselecti uselecti
-#define vselectb uselectb
 
 /* Rows. */
 typedef struct row_lanes {

@@ -1,7 +1,7 @@
 // The prelude of device code: what the names in emitted text mean for the one row of a thread (see
-// <novaphy/program/emit.h>). Needs no header; the arithmetic is that of backends/cpu/src/lanes.h,
-// to the bit. Compiled without contraction, without flush to zero, and with correctly rounded
-// division and square root.
+// <novaphy/program/emit.h>). Needs no header: the build puts the text of those that it includes in
+// their place. The arithmetic is that of backends/cpu/src/lanes.h, to the bit. Compiled without
+// contraction, without flush to zero, and with correctly rounded division and square root.
 typedef signed char int8_t;
 typedef unsigned char uint8_t;
 typedef int int32_t;
@@ -83,17 +83,8 @@ LANE_FN void end_row(const row_failure& f, const device_sink sink, int64_t i) {
 // Scalars.
 LANE_FN float ubits_f(int32_t a) { return __int_as_float(a); }
 LANE_FN int32_t uf_bits(float a) { return __float_as_int(a); }
-LANE_FN int32_t uparam_i(uint64_t word) { return (int32_t)(uint32_t)word; }
-LANE_FN float uparam_f(uint64_t word) { return ubits_f(uparam_i(word)); }
+#include "novaphy/program/scalars.h"
 LANE_FN float uabs(float a) { return ubits_f(uf_bits(a) & 0x7fffffff); }
-LANE_FN float usign(float a) { return a < 0.0f ? -1.0f : 1.0f; }
-LANE_FN float umin(float a, float b) { return a <= b ? a : b; }
-LANE_FN float umax(float a, float b) { return a >= b ? a : b; }
-// No x up to this has a root above c.
-LANE_FN float square_below(float c) {
-  const float below = c * c * 0.999f, most = 3.40282347e38f;
-  return !(c >= 1e-18f) ? ubits_f((int32_t)0xFF800000u) : below < most ? below : most;
-}
 LANE_FN float usqrt(float a) { return __fsqrt_rn(a); }
 LANE_FN float ufma(float a, float b, float c) { return __fmaf_rn(a, b, c); }
 LANE_FN float ufloor(float a) { return floorf(a); }
@@ -103,79 +94,9 @@ LANE_FN int32_t uf_to_i(float a) {
   return fits ? __float2int_rz(a) : outside;
 }
 LANE_FN float ui_to_f(int32_t a) { return __int2float_rn(a); }
-LANE_FN int32_t uiadd(int32_t a, int32_t b) { return (int32_t)((uint32_t)a + (uint32_t)b); }
-LANE_FN int32_t uisub(int32_t a, int32_t b) { return (int32_t)((uint32_t)a - (uint32_t)b); }
-LANE_FN int32_t uimul(int32_t a, int32_t b) { return (int32_t)((uint32_t)a * (uint32_t)b); }
-LANE_FN int32_t uidiv(int32_t a, int32_t b) {
-  if (b == 0) return 0;
-  if (b == -1) return (int32_t)(0u - (uint32_t)a);
-  return a / b;
-}
-LANE_FN int32_t uimod(int32_t a, int32_t b) { return b == 0 || b == -1 ? 0 : a % b; }
-LANE_FN int32_t uimin(int32_t a, int32_t b) { return a <= b ? a : b; }
-LANE_FN int32_t uimax(int32_t a, int32_t b) { return a >= b ? a : b; }
-LANE_FN int32_t uishl(int32_t a, int32_t b) { return (int32_t)((uint32_t)a << (b & 31)); }
-LANE_FN int32_t uishr(int32_t a, int32_t b) { return a >> (b & 31); }
-LANE_FN int32_t uiushr(int32_t a, int32_t b) { return (int32_t)((uint32_t)a >> (b & 31)); }
-LANE_FN int ult(float a, float b) { return a < b; }
-LANE_FN int ule(float a, float b) { return a <= b; }
-LANE_FN int ueq(float a, float b) { return a == b; }
-LANE_FN int une(float a, float b) { return a != b; }
-LANE_FN int uilt(int32_t a, int32_t b) { return a < b; }
-LANE_FN int uile(int32_t a, int32_t b) { return a <= b; }
-LANE_FN int uieq(int32_t a, int32_t b) { return a == b; }
-LANE_FN int uine(int32_t a, int32_t b) { return a != b; }
-LANE_FN int uand(int a, int b) { return a & b; }
-LANE_FN int uor(int a, int b) { return a | b; }
-LANE_FN int unot(int a) { return !a; }
-LANE_FN float uselectf(int c, float a, float b) { return c ? a : b; }
-LANE_FN int32_t uselecti(int c, int32_t a, int32_t b) { return c ? a : b; }
-LANE_FN int uselectb(int c, int a, int b) { return c ? a : b; }
 
 // One lane: the scalars themselves.
-typedef float vf;
-typedef int32_t vi;
-typedef int vb;
-#define splatf(a) (a)
-#define splati(a) (a)
-#define splatb(a) (a)
-#define any(a) ((a) != 0)
-#define index_lanes(i) ((int32_t)(i))
-#define vabs uabs
-#define vsign usign
-#define vmin umin
-#define vmax umax
-#define vsqrt usqrt
-#define vfma ufma
-#define vfloor ufloor
-#define vf_to_i uf_to_i
-#define vi_to_f ui_to_f
-#define vf_bits uf_bits
-#define vbits_f ubits_f
-#define viadd uiadd
-#define visub uisub
-#define vimul uimul
-#define vidiv uidiv
-#define vimod uimod
-#define vimin uimin
-#define vimax uimax
-#define vishl uishl
-#define vishr uishr
-#define viushr uiushr
-#define vlt ult
-#define vle ule
-#define veq ueq
-#define vne une
-#define vilt uilt
-#define vile uile
-#define vieq uieq
-#define vine uine
-#define vand uand
-#define vor uor
-#define vnot unot
-#define vselectf uselectf
-#define vselecti uselecti
-#define vselectb uselectb
+#include "novaphy/program/one_lane.h"
 
 // In place of a number of rows: the host has made sure that every row that is read is there.
 #define kTrustedRows ((int64_t)-1 << 62)

@@ -119,6 +119,7 @@ T atomicExch(T* at, T value) {
 void __threadfence() {}
 void __threadfence_system() {}
 void __syncthreads() { wait(State::AtBlockBarrier); }
+void __syncwarp() { wait(State::AtWarpBarrier); }
 unsigned __shfl_up_sync(unsigned, unsigned value, int step) {
   static unsigned values[1024];
   const unsigned t = threadIdx.x;

@@ -32,11 +32,6 @@ option(NOVAPHY_WITH_CUDA "Build the CUDA backend (a plugin that opens the driver
 option(NOVAPHY_WITH_COLLISION_CUDA "Contacts on CUDA devices; without effect while NOVAPHY_WITH_CUDA is OFF" ON)
 option(NOVA_ENABLE_NVRTC "Compile kernels with NVRTC at run time; without effect while NOVAPHY_WITH_CUDA is OFF" ON)
 
-if(NOVAPHY_WITH_CUDA AND NOT NOVA_ENABLE_NVRTC AND NOT NOVAPHY_CUDA_ARCHITECTURES)
-  message(FATAL_ERROR "NOVA_ENABLE_NVRTC=OFF runs what was built ahead, the device's interpreter included: it needs "
-                      "NOVAPHY_CUDA_ARCHITECTURES, e.g. \"80;90\".")
-endif()
-
 # Parts of the design that are not built yet.
 foreach(entry
     "NOVAPHY_WITH_DLAN;the Denglin backend"

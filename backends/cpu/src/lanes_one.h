@@ -6,7 +6,6 @@ LANE_FN int lane_of(vb b, int l) {
   return b;
 }
 
-
 /* Rows. */
 typedef struct row_lanes {
   int32_t row;

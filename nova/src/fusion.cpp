@@ -121,10 +121,10 @@ uint32_t end_of_series(const RunPlan& plan, const Segment& segment, uint32_t k) 
 
 HostPlan::HostPlan(const novaphy::DeviceContext& context, RunPlan plan,
                    std::span<const uint64_t> words)
-    : context_(context), plan_(std::move(plan)) {
+    : context_(context), plan_(std::move(plan)), words_(words) {
   const novaphy_backend_api& api = *context.api;
   if (!makes_series(api)) return;
-  std::vector<uint64_t> arguments;
+  std::vector<const uint64_t*> arguments;
   for (const Segment& segment : plan_.segments) {
     if (segment.n == 0) continue;
     for (uint32_t k = segment.first; k < segment.last;) {
@@ -135,10 +135,8 @@ HostPlan::HostPlan(const novaphy::DeviceContext& context, RunPlan plan,
       }
       const OpList::Op& op = plan_.ops[k];
       arguments.clear();
-      for (uint32_t o = k; o < end; ++o) {
-        const auto own = words.subspan(plan_.ops[o].first_word, op.word_count);
-        arguments.insert(arguments.end(), own.begin(), own.end());
-      }
+      for (uint32_t o = k; o < end; ++o)
+        arguments.push_back(words.data() + plan_.ops[o].first_word);
       novaphy_series* series = nullptr;
       novaphy_error error = novaphy::make_error();
       const novaphy_status status = api.series_create(context.device, op.kernel, arguments.data(),
@@ -157,7 +155,7 @@ HostPlan::~HostPlan() {
   for (const Series& series : series_) context_.api->series_destroy(series.series);
 }
 
-void HostPlan::run(std::span<const uint64_t> words) const {
+void HostPlan::run() const {
   constexpr uint32_t kOpsPerInterruptCheck = 64;
   novaphy_error error = novaphy::make_error();
   std::span<const Series> series = series_;
@@ -166,7 +164,7 @@ void HostPlan::run(std::span<const uint64_t> words) const {
       while (!series.empty() && series.front().first < segment.first) series = series.subspan(1);
       FusedRun run{.context = context_,
                    .ops = plan_.ops,
-                   .words = words,
+                   .words = words_,
                    .segment = segment,
                    .series = series,
                    .first_block = 0};
@@ -176,7 +174,7 @@ void HostPlan::run(std::span<const uint64_t> words) const {
     for (uint32_t k = segment.first; k < segment.last; ++k) {
       if (k % kOpsPerInterruptCheck == 0) novaphy::check_interrupt();
       const OpList::Op& op = plan_.ops[k];
-      const novaphy_status status = issue(context_, context_.stream, op, words.data(), error);
+      const novaphy_status status = issue(context_, context_.stream, op, words_.data(), error);
       if (status != NOVAPHY_OK) [[unlikely]]
         novaphy::check(status, error, op.name);
     }

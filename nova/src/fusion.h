@@ -56,12 +56,13 @@ RunPlan plan_run(std::span<const OpList::Op> ops, std::span<const uint64_t> word
 // kernel that stand together in a segment become one call, where the backend can do that.
 class HostPlan {
  public:
+  // `words`: of the recorded list; they outlive the plan and stay as they are.
   HostPlan(const novaphy::DeviceContext& context, RunPlan plan, std::span<const uint64_t> words);
   ~HostPlan();
   HostPlan(const HostPlan&) = delete;
   HostPlan& operator=(const HostPlan&) = delete;
   // Throws like a launch.
-  void run(std::span<const uint64_t> words) const;
+  void run() const;
 
   struct Series {
     uint32_t first, last;  // operations
@@ -71,6 +72,7 @@ class HostPlan {
  private:
   const novaphy::DeviceContext& context_;
   const RunPlan plan_;
+  const std::span<const uint64_t> words_;
   std::vector<Series> series_;  // in order
 };
 

@@ -42,6 +42,8 @@ namespace {
 // A series of launches over few rows is shared out to threads in blocks of kFewRows once it has so
 // many rows in all its launches.
 constexpr int64_t kSharedOut = 32768, kFewRows = 128;
+// Between two looks at an interrupt.
+constexpr size_t kMostLaunches = 65536;
 
 uint64_t address(const void* p) { return reinterpret_cast<uint64_t>(p); }
 
@@ -271,7 +273,7 @@ class Planner {
     if (limits_.min_series == 0) return k;
     segment_.clear();
     size_t end = k;
-    for (; end < order_.size(); ++end) {
+    for (; end < order_.size() && end - k < kMostLaunches; ++end) {
       const OpList::Op& next = op(end);
       bool own_row = false;
       if (next.kind != OpList::Op::Kind::Launch || next.kernel != op(k).kernel ||

@@ -121,7 +121,7 @@ void OpList::run() const {
     if (!host_plan_)
       host_plan_ = std::make_unique<detail::HostPlan>(
           *context, detail::plan_run(ops_, words_, accesses_, {.min_series = kMinSeries}), words_);
-    host_plan_->run(words_);
+    host_plan_->run();
     return;
   }
   novaphy_error error = novaphy::make_error();

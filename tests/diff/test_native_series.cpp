@@ -47,8 +47,8 @@ class CompiledKernel {
   }
   // Null when the launches are no series.
   novaphy_series* series(const std::vector<std::vector<uint64_t>>& launches) const {
-    std::vector<uint64_t> all;
-    for (const auto& words : launches) all.insert(all.end(), words.begin(), words.end());
+    std::vector<const uint64_t*> all;
+    for (const auto& words : launches) all.push_back(words.data());
     novaphy_error error = make_error();
     novaphy_series* made = nullptr;
     const novaphy_status status =

@@ -361,17 +361,16 @@ novaphy_status kernel_info(novaphy_kernel* kernel, novaphy_kernel_info* info,
   return NOVAPHY_OK;
 }
 
-novaphy_status series_create(novaphy_device*, novaphy_kernel* kernel, const uint64_t* arguments,
-                             uint32_t argument_count, uint32_t count, novaphy_series** series,
-                             novaphy_error* error) {
+novaphy_status series_create(novaphy_device*, novaphy_kernel* kernel,
+                             const uint64_t* const* arguments, uint32_t argument_count,
+                             uint32_t count, novaphy_series** series, novaphy_error* error) {
   if (argument_count != kernel->argument_count) {
     return fail(error, NOVAPHY_INVALID_ARGUMENT, "series: expected %u argument words, got %u",
                 kernel->argument_count, argument_count);
   }
   return guarded(error, [&] {
     if (kernel->executable == nullptr) return NOVAPHY_NOT_SUPPORTED;
-    auto made = novaphy_series::make(*kernel->executable,
-                                     {arguments, size_t{argument_count} * count});
+    auto made = novaphy_series::make(*kernel->executable, {arguments, count});
     if (made == nullptr) return NOVAPHY_NOT_SUPPORTED;
     *series = made.release();
     return NOVAPHY_OK;

@@ -29,12 +29,11 @@ constexpr size_t kLookAhead = 8;
 }  // namespace
 
 std::unique_ptr<novaphy_series> novaphy_series::make(const novaphy::cpu::Executable& executable,
-                                                     std::span<const uint64_t> arguments) {
+                                                     std::span<const uint64_t* const> launches) {
   if (executable.native.series_rows == nullptr || executable.native.series_scalar == nullptr)
     return nullptr;
   std::unique_ptr<novaphy_series> made(new novaphy_series(executable));
-  made->arguments_.assign(arguments.begin(), arguments.end());
-  made->count_ = arguments.size() / executable.argument_count;
+  made->launches_.assign(launches.begin(), launches.end());
   if (!made->same_but_for_arrays() || made->writes_what_all_read()) return nullptr;
   made->make_table();
   return made;
@@ -56,13 +55,13 @@ bool novaphy_series::same_but_for_arrays() const {
   for (size_t o = 0; o < p.outputs.size(); ++o) free[p.output_argument(o)] = 1;
   for (const auto list : {carried(), varying()})
     for (const int32_t s : list) free[p.source_argument(static_cast<size_t>(s))] = 1;
-  for (size_t k = 1; k < count_; ++k) {
+  for (size_t k = 1; k < launches_.size(); ++k) {
     for (size_t o = 0; o < carried().size(); ++o)
-      if (launch(k)[p.source_argument(static_cast<size_t>(carried()[o]))] !=
-          launch(k - 1)[p.output_argument(o)])
+      if (launches_[k][p.source_argument(static_cast<size_t>(carried()[o]))] !=
+          launches_[k - 1][p.output_argument(o)])
         return false;
     for (uint32_t w = 0; w < executable_->argument_count; ++w)
-      if (free[w] == 0 && launch(k)[w] != launch(0)[w]) return false;
+      if (free[w] == 0 && launches_[k][w] != launches_[0][w]) return false;
   }
   return true;
 }
@@ -87,10 +86,10 @@ bool novaphy_series::writes_what_all_read() const {
   for (size_t s = 0; s < p.sources.size(); ++s) {
     const auto source = static_cast<int32_t>(s);
     if (!once(source)) continue;
-    const Interval read = read_by(p, launch(0), source);
-    for (size_t k = 0; k < count_; ++k)
+    const Interval read = read_by(p, launches_[0], source);
+    for (size_t k = 0; k < launches_.size(); ++k)
       for (size_t o = 0; o < carried().size(); ++o)
-        if (read.overlaps(written_by(p, launch(k), o, carried()[o]))) return true;
+        if (read.overlaps(written_by(p, launches_[k], o, carried()[o]))) return true;
   }
   return false;
 }
@@ -99,12 +98,12 @@ bool novaphy_series::writes_what_all_read() const {
 // after the series, or in it.
 bool novaphy_series::read_again(size_t k, size_t output) const {
   const Program& p = executable_->program;
-  const Interval written = written_by(p, launch(k), output, carried()[output]);
-  for (size_t later = k + 1; later < std::min(count_, k + kLookAhead); ++later) {
+  const Interval written = written_by(p, launches_[k], output, carried()[output]);
+  for (size_t later = k + 1; later < std::min(launches_.size(), k + kLookAhead); ++later) {
     for (const int32_t s : varying())
-      if (written.overlaps(read_by(p, launch(later), s))) return true;
+      if (written.overlaps(read_by(p, launches_[later], s))) return true;
     for (size_t o = 0; o < carried().size(); ++o) {
-      const Interval next = written_by(p, launch(later), o, carried()[o]);
+      const Interval next = written_by(p, launches_[later], o, carried()[o]);
       if (next.begin == written.begin && next.end == written.end) return false;
     }
   }
@@ -113,35 +112,37 @@ bool novaphy_series::read_again(size_t k, size_t output) const {
 
 void novaphy_series::make_table() {
   const Program& p = executable_->program;
-  for (size_t k = 0; k < count_; ++k) {
+  for (size_t k = 0; k < launches_.size(); ++k) {
     for (const int32_t s : varying())
-      table_.push_back(launch(k)[p.source_argument(static_cast<size_t>(s))]);
+      table_.push_back(launches_[k][p.source_argument(static_cast<size_t>(s))]);
     for (size_t o = 0; o < carried().size(); ++o)
-      table_.push_back(read_again(k, o) ? launch(k)[p.output_argument(o)] : 0);
+      table_.push_back(read_again(k, o) ? launches_[k][p.output_argument(o)] : 0);
   }
   const size_t width = varying().size() + carried().size();
-  for (size_t k = 0; k < LAUNCHES_AHEAD * width; ++k) table_.push_back(table_[table_.size() - width]);
+  for (size_t k = 0; k < LAUNCHES_AHEAD * width; ++k)
+    table_.push_back(table_[table_.size() - width]);
 }
 
 novaphy_status novaphy_series::run(int64_t begin, int64_t end, novaphy_error* error) const {
   const novaphy::cpu::FloatMode mode;
   const NativeCode& code = executable_->native;
-  const auto count = static_cast<int64_t>(count_);
+  const auto count = static_cast<int64_t>(launches_.size());
   ErrorSink sink;
   for (int64_t i = begin; i < end;) {
     const novaphy_native_series& form =
         end - i >= code.lanes ? *code.series_rows : *code.series_scalar;
-    const int64_t left = form.run(launch(0), table_.data(), count, i, end, &sink);
+    const int64_t left = form.run(launches_[0], table_.data(), count, i, end, &sink);
     if (left == end || left != i) {
       i = left;
       continue;
     }
     // Rows that this form cannot do, launch by launch.
     const int64_t stop = std::min(end, i + (end - i >= code.lanes ? code.lanes : 1));
-    for (size_t k = 0; k < count_; ++k) run_native_rows(*executable_, launch(k), i, stop, sink);
+    for (size_t k = 0; k < launches_.size(); ++k)
+      run_native_rows(*executable_, launches_[k], i, stop, sink);
     i = stop;
   }
   if (sink.index != INT64_MAX) [[unlikely]]
-    return out_of_range(*executable_, sink, launch(0), error);
+    return out_of_range(*executable_, sink, launches_[0], error);
   return NOVAPHY_OK;
 }

@@ -14,7 +14,7 @@ struct novaphy_series {
   // Null when the kernel has no compiled form for a series, or the launches differ in more than
   // that form allows.
   static std::unique_ptr<novaphy_series> make(const novaphy::cpu::Executable& executable,
-                                              std::span<const uint64_t> arguments);
+                                              std::span<const uint64_t* const> launches);
   // The rows [begin, end) of all launches, on the calling thread.
   novaphy_status run(int64_t begin, int64_t end, novaphy_error* error) const;
 
@@ -26,12 +26,8 @@ struct novaphy_series {
   bool writes_what_all_read() const;
   bool read_again(size_t k, size_t output) const;
   void make_table();
-  const uint64_t* launch(size_t k) const {
-    return arguments_.data() + k * executable_->argument_count;
-  }
 
   const novaphy::cpu::Executable* executable_;
-  std::vector<uint64_t> arguments_;  // of all launches
-  std::vector<uint64_t> table_;      // what the compiled form reads of each launch
-  size_t count_ = 0;
+  std::vector<const uint64_t*> launches_;  // the argument words of each
+  std::vector<uint64_t> table_;            // what the compiled form reads of each launch
 };

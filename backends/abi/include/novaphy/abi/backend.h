@@ -212,13 +212,13 @@ typedef struct novaphy_backend_api {
   void (*list_destroy)(novaphy_list* list);
 
   /* since minor version 4 (optional, all three or none; for devices whose memory the host may
-   * dereference): `count` launches of one kernel over the same rows, one after the other, whose
-   * argument words stand one after the other in `arguments`. Each touches memory that the series
-   * writes at its own row only, so row i of all launches may run before row i + 1 of the first.
-   * series_launch runs the rows [begin, end) of all of them on the calling thread. NOT_SUPPORTED:
-   * it would gain nothing here, launch them one by one. */
+   * dereference): `count` launches of one kernel over the same rows, one after the other;
+   * `arguments` has the address of the words of each, and these live as long as the series. Each
+   * launch touches memory that the series writes at its own row only, so row i of all launches may
+   * run before row i + 1 of the first. series_launch runs the rows [begin, end) of all of them on
+   * the calling thread. NOT_SUPPORTED: it would gain nothing here, launch them one by one. */
   novaphy_status (*series_create)(novaphy_device* device, novaphy_kernel* kernel,
-                                  const uint64_t* arguments, uint32_t argument_count,
+                                  const uint64_t* const* arguments, uint32_t argument_count,
                                   uint32_t count, novaphy_series** series, novaphy_error* error);
   novaphy_status (*series_launch)(novaphy_series* series, int64_t begin, int64_t end,
                                   novaphy_error* error);

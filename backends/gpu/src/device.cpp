@@ -57,10 +57,12 @@ novaphy_status make_sink(novaphy_device& device, novaphy_error* error) {
   status =
       check(&device, d.host_device_pointer(&device.flag_on_device, flag, 0), "device_open", error);
   if (status != NOVAPHY_OK) return status;
-  // The record, and behind it the zeros that a load reads in place of a row that is not there.
-  status = check(&device, d.alloc(&device.record, 256), "device_open", error);
+  // The record, and behind it the zeros that a load reads in place of a row that is not there: of
+  // the widest row that a Program may have.
+  constexpr size_t kBytes = 128 + 4 * 4096;
+  status = check(&device, d.alloc(&device.record, kBytes), "device_open", error);
   if (status != NOVAPHY_OK) return status;
-  status = check(&device, d.fill_8(device.record, 0, 256, nullptr), "device_open", error);
+  status = check(&device, d.fill_8(device.record, 0, kBytes, nullptr), "device_open", error);
   if (status != NOVAPHY_OK) return status;
   status = check(&device, d.copy_to_device(device.record, &kNoError, sizeof(kNoError), nullptr),
                  "device_open", error);

@@ -98,160 +98,213 @@ LANE_FN float ui_to_f(int32_t a) { return __int2float_rn(a); }
 // One lane: the scalars themselves.
 #include "novaphy/program/one_lane.h"
 
-// In place of a number of rows: the host has made sure that every row that is read is there.
-#define kTrustedRows ((int64_t)-1 << 62)
-
-// Rows of a table. No kernel writes what it gathers from, so these loads may use the read-only path.
-typedef int32_t row_lanes;
-#define look_at_rows(row) (row)
-LANE_FN int32_t table_word(const char* p, int64_t rows, int32_t row, int32_t width, int32_t column,
-                           vb need, int32_t source, int64_t i, row_failure& sink) {
-  if (rows == kTrustedRows) return __ldg((const int32_t*)p + ((int64_t)row * width + column));
-  // Without a branch: the last row stands in for one that may not be read, and zeros for a source
-  // without rows. What does not depend on the row is found once by the compiler.
-  const bool empty = rows <= 0;
-  const int32_t* const table = empty ? sink.zeros : (const int32_t*)p;
-  const uint32_t last = empty ? 0u : (rows > INT32_MAX ? (uint32_t)INT32_MAX : (uint32_t)rows) - 1u;
-  const bool outside = empty || (uint32_t)row > last;  // a negative row is a large unsigned one
-  note_read(sink, outside && row >= 0 && need, source, row, rows);
-  const uint32_t at = (uint32_t)row > last ? last : (uint32_t)row;
-  const int32_t value = __ldg(table + ((int64_t)at * width + column));
-  return outside ? 0 : value;
-}
-LANE_FN int32_t uloadi(const char* p, int64_t rows, int32_t row, int32_t width, int32_t column,
-                       vb need, int32_t source, int64_t i, row_failure& sink) {
-  return table_word(p, rows, row, width, column, need, source, i, sink);
-}
-LANE_FN float uloadf(const char* p, int64_t rows, int32_t row, int32_t width, int32_t column,
-                     vb need, int32_t source, int64_t i, row_failure& sink) {
-  return ubits_f(table_word(p, rows, row, width, column, need, source, i, sink));
-}
-LANE_FN vi gather_columni(const char* p, int64_t rows, const row_lanes* r, int32_t width,
-                          int32_t column, vb need, int32_t source, int64_t i,
-                          row_failure& sink) {
-  return table_word(p, rows, *r, width, column, need, source, i, sink);
-}
-LANE_FN vf gather_columnf(const char* p, int64_t rows, const row_lanes* r, int32_t width,
-                          int32_t column, vb need, int32_t source, int64_t i,
-                          row_failure& sink) {
-  return ubits_f(table_word(p, rows, *r, width, column, need, source, i, sink));
-}
-
-// The own row of a source in memory, and of an output. Through pointers that may alias: an output
-// may be the same rows as an input.
+// Where a source lies: its own row, or rows of it as a table. The type says what is known of it.
+//
+// Rows that may be missing. `source_constants` no operation of a fused list writes.
 struct source_rows {
   const char* p;
   int64_t rows;
 };
-struct output_rows {
-  char* p;
-};
-LANE_FN vi own_columni(const source_rows s, int32_t width, int32_t column, vb need, int32_t source,
-                       int64_t i, row_failure& sink) {
-  const bool there = i < s.rows;
-  note_read(sink, !there && need, source, (int32_t)i, s.rows);
-  return *(there ? (const int32_t*)s.p + (i * width + column) : sink.zeros);
-}
-LANE_FN void put_columni(const output_rows o, int32_t width, int32_t column, int64_t i, vi a) {
-  ((int32_t*)o.p)[i * width + column] = a;
-}
-
-// The own row of a source that no operation of a fused list writes: loaded once.
 struct source_constants {
   const char* p;
   int64_t rows;
 };
-LANE_FN vi own_columni(const source_constants s, int32_t width, int32_t column, vb need,
-                       int32_t source, int64_t i, row_failure& sink) {
-  const bool there = i < s.rows;
-  note_read(sink, !there && need, source, (int32_t)i, s.rows);
-  return __ldg(there ? (const int32_t*)s.p + (i * width + column) : sink.zeros);
-}
-
-// Sources of a fused list whose rows are known to be there; `trusted_constants` no operation of the
-// list writes.
-struct trusted_constants {
-  const char* p;
-  static constexpr int64_t rows = kTrustedRows;
-};
-LANE_FN vi own_columni(const trusted_constants s, int32_t width, int32_t column, vb, int32_t,
-                       int64_t i, row_failure&) {
-  return __ldg((const int32_t*)s.p + (i * width + column));
-}
+// Rows that are known to be there.
 struct trusted_rows {
   const char* p;
-  static constexpr int64_t rows = kTrustedRows;
 };
-LANE_FN vi own_columni(const trusted_rows s, int32_t width, int32_t column, vb, int32_t, int64_t i,
-                       row_failure&) {
-  return ((const int32_t*)s.p)[i * width + column];
-}
-
-// The own row in registers: what an earlier operation of a fused list left, and what one leaves.
+struct trusted_constants {
+  const char* p;
+};
+// The own row in registers: what an earlier operation of a fused list left.
 struct source_registers {
   const int32_t* words;
 };
-struct output_registers {
+
+// Rows of a table. No kernel writes what it gathers from, so these loads may use the read-only path;
+// in a sequence, an operation may gather what another one has written.
+#ifdef NOVAPHY_SEQUENCE
+#define load_table(p) (*(p))
+#else
+#define load_table(p) __ldg(p)
+#endif
+typedef int32_t row_lanes;
+#define look_at_rows(row) (row)
+// One row, looked up once for all of its columns. Without a branch: zeros stand in for a row that
+// may not be read. What does not depend on the row is found once by the compiler.
+struct table_row {
+  const int32_t* p;
+};
+template <class S>
+LANE_FN table_row row_of(const S s, int32_t row, int32_t width, vb need, int32_t source,
+                         row_failure& sink) {
+  const uint32_t count = s.rows <= 0         ? 0u
+                         : s.rows > INT32_MAX ? (uint32_t)INT32_MAX
+                                              : (uint32_t)s.rows;
+  const bool outside = (uint32_t)row >= count;  // a negative row is a large unsigned one
+  note_read(sink, outside && row >= 0 && need, source, row, s.rows);
+  table_row r;
+  r.p = outside ? sink.zeros : (const int32_t*)s.p + (int64_t)row * width;
+  return r;
+}
+template <class S>
+LANE_FN table_row trusted_row(const S s, int32_t row, int32_t width) {
+  table_row r;
+  r.p = (const int32_t*)s.p + (int64_t)row * width;
+  return r;
+}
+LANE_FN table_row row_of(const trusted_rows s, int32_t row, int32_t width, vb, int32_t,
+                         row_failure&) {
+  return trusted_row(s, row, width);
+}
+LANE_FN table_row row_of(const trusted_constants s, int32_t row, int32_t width, vb, int32_t,
+                         row_failure&) {
+  return trusted_row(s, row, width);
+}
+LANE_FN int32_t column_of(const table_row r, int32_t column) { return load_table(r.p + column); }
+// A row that a fused list has in registers: of an item of a CSR loop, or the first.
+struct source_item {
+  const int32_t* words;
+};
+LANE_FN source_item row_of(const source_item s, int32_t, int32_t, vb, int32_t, row_failure&) {
+  return s;
+}
+LANE_FN int32_t column_of(const source_item r, int32_t column) { return r.words[column]; }
+
+// The own row. Through pointers that may alias: an output may be the same rows as an input.
+struct own_row {
+  const int32_t* p;
+};
+LANE_FN own_row own_of(const source_rows s, int64_t i, int32_t width, vb need, int32_t source,
+                       row_failure& sink) {
+  const bool there = i < s.rows;
+  note_read(sink, !there && need, source, (int32_t)i, s.rows);
+  own_row r;
+  r.p = there ? (const int32_t*)s.p + i * width : sink.zeros;
+  return r;
+}
+LANE_FN own_row own_of(const trusted_rows s, int64_t i, int32_t width, vb, int32_t, row_failure&) {
+  own_row r;
+  r.p = (const int32_t*)s.p + i * width;
+  return r;
+}
+LANE_FN own_row own_of(const source_registers s, int64_t, int32_t, vb, int32_t, row_failure&) {
+  own_row r;
+  r.p = s.words;
+  return r;
+}
+LANE_FN int32_t own_column_of(const own_row r, int32_t column) { return r.p[column]; }
+// Loaded once, through the read-only path.
+struct own_constant_row {
+  const int32_t* p;
+};
+LANE_FN own_constant_row own_of(const source_constants s, int64_t i, int32_t width, vb need,
+                                int32_t source, row_failure& sink) {
+  const bool there = i < s.rows;
+  note_read(sink, !there && need, source, (int32_t)i, s.rows);
+  own_constant_row r;
+  r.p = there ? (const int32_t*)s.p + i * width : sink.zeros;
+  return r;
+}
+LANE_FN own_constant_row own_of(const trusted_constants s, int64_t i, int32_t width, vb, int32_t,
+                                row_failure&) {
+  own_constant_row r;
+  r.p = (const int32_t*)s.p + i * width;
+  return r;
+}
+LANE_FN int32_t own_column_of(const own_constant_row r, int32_t column) { return __ldg(r.p + column); }
+
+// An output in memory, and one in registers, which is stored later, if at all.
+struct output_rows {
   char* p;
+};
+struct output_registers {
   int32_t* words;
 };
-LANE_FN vi own_columni(const source_registers s, int32_t, int32_t column, vb, int32_t, int64_t,
-                       row_failure&) {
-  return s.words[column];
-}
-LANE_FN void put_columni(const output_registers o, int32_t width, int32_t column, int64_t i, vi a) {
-  o.words[column] = a;
+LANE_FN void put_columni(const output_rows o, int32_t width, int32_t column, int64_t i, vi a) {
   ((int32_t*)o.p)[i * width + column] = a;
 }
-
-#define put_columnf(o, width, column, i, a) put_columni(o, width, column, i, uf_bits(a))
-template <class S>
-LANE_FN vf own_columnf(const S s, int32_t width, int32_t column, vb need, int32_t source, int64_t i,
-                       row_failure& sink) {
-  return ubits_f(own_columni(s, width, column, need, source, i, sink));
+LANE_FN void put_columni(const output_registers o, int32_t, int32_t column, int64_t, vi a) {
+  o.words[column] = a;
 }
-#define LANES_ROWS(t, T)                                                                          \
-  LANE_FN void gather2##t(const char* p, int64_t n, const row_lanes* r, vb need, int32_t source,  \
-                          int64_t i, row_failure& sink, T* a, T* b) {                        \
-    *a = gather_column##t(p, n, r, 2, 0, need, source, i, sink);                                  \
-    *b = gather_column##t(p, n, r, 2, 1, need, source, i, sink);                                  \
-  }                                                                                               \
-  LANE_FN void gather3##t(const char* p, int64_t n, const row_lanes* r, vb need, int32_t source,  \
-                          int64_t i, row_failure& sink, T* a, T* b, T* c) {                  \
-    *a = gather_column##t(p, n, r, 3, 0, need, source, i, sink);                                  \
-    *b = gather_column##t(p, n, r, 3, 1, need, source, i, sink);                                  \
-    *c = gather_column##t(p, n, r, 3, 2, need, source, i, sink);                                  \
-  }                                                                                               \
-  LANE_FN void gather4##t(const char* p, int64_t n, const row_lanes* r, vb need, int32_t source,  \
-                          int64_t i, row_failure& sink, T* a, T* b, T* c, T* d) {            \
-    *a = gather_column##t(p, n, r, 4, 0, need, source, i, sink);                                  \
-    *b = gather_column##t(p, n, r, 4, 1, need, source, i, sink);                                  \
-    *c = gather_column##t(p, n, r, 4, 2, need, source, i, sink);                                  \
-    *d = gather_column##t(p, n, r, 4, 3, need, source, i, sink);                                  \
+template <int width>
+LANE_FN void store_row(char* p, int64_t i, const int32_t* words) {
+#pragma unroll
+  for (int c = 0; c < width; ++c) ((int32_t*)p)[i * width + c] = words[c];
+}
+template <int width>
+LANE_FN void load_row(const char* p, int64_t i, int32_t* words) {
+#pragma unroll
+  for (int c = 0; c < width; ++c) words[c] = __ldg((const int32_t*)p + (i * width + c));
+}
+#define put_columnf(o, width, column, i, a) put_columni(o, width, column, i, uf_bits(a))
+
+#define LANES_ROWS(t, T, bits)                                                                    \
+  template <class S>                                                                              \
+  LANE_FN T uload##t(const S s, int32_t row, int32_t width, int32_t column, vb need,              \
+                     int32_t source, int64_t, row_failure& sink) {                                \
+    return bits(column_of(row_of(s, row, width, need, source, sink), column));                    \
   }                                                                                               \
   template <class S>                                                                              \
-  LANE_FN void own2##t(const S s, vb need, int32_t source, int64_t i, row_failure& sink,     \
-                       T* a, T* b) {                                                              \
-    *a = own_column##t(s, 2, 0, need, source, i, sink);                                           \
-    *b = own_column##t(s, 2, 1, need, source, i, sink);                                           \
+  LANE_FN T gather_column##t(const S s, const row_lanes* r, int32_t width, int32_t column,        \
+                             vb need, int32_t source, int64_t, row_failure& sink) {               \
+    return bits(column_of(row_of(s, *r, width, need, source, sink), column));                     \
   }                                                                                               \
   template <class S>                                                                              \
-  LANE_FN void own3##t(const S s, vb need, int32_t source, int64_t i, row_failure& sink,     \
-                       T* a, T* b, T* c) {                                                        \
-    *a = own_column##t(s, 3, 0, need, source, i, sink);                                           \
-    *b = own_column##t(s, 3, 1, need, source, i, sink);                                           \
-    *c = own_column##t(s, 3, 2, need, source, i, sink);                                           \
+  LANE_FN T own_column##t(const S s, int32_t width, int32_t column, vb need, int32_t source,      \
+                          int64_t i, row_failure& sink) {                                         \
+    return bits(own_column_of(own_of(s, i, width, need, source, sink), column));                  \
   }                                                                                               \
   template <class S>                                                                              \
-  LANE_FN void own4##t(const S s, vb need, int32_t source, int64_t i, row_failure& sink,     \
-                       T* a, T* b, T* c, T* d) {                                                  \
-    *a = own_column##t(s, 4, 0, need, source, i, sink);                                           \
-    *b = own_column##t(s, 4, 1, need, source, i, sink);                                           \
-    *c = own_column##t(s, 4, 2, need, source, i, sink);                                           \
-    *d = own_column##t(s, 4, 3, need, source, i, sink);                                           \
+  LANE_FN void gather2##t(const S s, const row_lanes* r, vb need, int32_t source, int64_t,        \
+                          row_failure& sink, T* a, T* b) {                                        \
+    const auto row = row_of(s, *r, 2, need, source, sink);                                        \
+    *a = bits(column_of(row, 0));                                                                 \
+    *b = bits(column_of(row, 1));                                                                 \
+  }                                                                                               \
+  template <class S>                                                                              \
+  LANE_FN void gather3##t(const S s, const row_lanes* r, vb need, int32_t source, int64_t,        \
+                          row_failure& sink, T* a, T* b, T* c) {                                  \
+    const auto row = row_of(s, *r, 3, need, source, sink);                                        \
+    *a = bits(column_of(row, 0));                                                                 \
+    *b = bits(column_of(row, 1));                                                                 \
+    *c = bits(column_of(row, 2));                                                                 \
+  }                                                                                               \
+  template <class S>                                                                              \
+  LANE_FN void gather4##t(const S s, const row_lanes* r, vb need, int32_t source, int64_t,        \
+                          row_failure& sink, T* a, T* b, T* c, T* d) {                            \
+    const auto row = row_of(s, *r, 4, need, source, sink);                                        \
+    *a = bits(column_of(row, 0));                                                                 \
+    *b = bits(column_of(row, 1));                                                                 \
+    *c = bits(column_of(row, 2));                                                                 \
+    *d = bits(column_of(row, 3));                                                                 \
+  }                                                                                               \
+  template <class S>                                                                              \
+  LANE_FN void own2##t(const S s, vb need, int32_t source, int64_t i, row_failure& sink, T* a,    \
+                       T* b) {                                                                    \
+    const auto row = own_of(s, i, 2, need, source, sink);                                         \
+    *a = bits(own_column_of(row, 0));                                                             \
+    *b = bits(own_column_of(row, 1));                                                             \
+  }                                                                                               \
+  template <class S>                                                                              \
+  LANE_FN void own3##t(const S s, vb need, int32_t source, int64_t i, row_failure& sink, T* a,    \
+                       T* b, T* c) {                                                              \
+    const auto row = own_of(s, i, 3, need, source, sink);                                         \
+    *a = bits(own_column_of(row, 0));                                                             \
+    *b = bits(own_column_of(row, 1));                                                             \
+    *c = bits(own_column_of(row, 2));                                                             \
+  }                                                                                               \
+  template <class S>                                                                              \
+  LANE_FN void own4##t(const S s, vb need, int32_t source, int64_t i, row_failure& sink, T* a,    \
+                       T* b, T* c, T* d) {                                                        \
+    const auto row = own_of(s, i, 4, need, source, sink);                                         \
+    *a = bits(own_column_of(row, 0));                                                             \
+    *b = bits(own_column_of(row, 1));                                                             \
+    *c = bits(own_column_of(row, 2));                                                             \
+    *d = bits(own_column_of(row, 3));                                                             \
   }
-LANES_ROWS(f, vf)
-LANES_ROWS(i, vi)
+LANES_ROWS(f, vf, ubits_f)
+LANES_ROWS(i, vi, )
 #undef LANES_ROWS
 
 // CSR rows.
@@ -264,7 +317,10 @@ LANE_FN csr_rows csr_begin(const int32_t* offsets, int64_t i) {
   c.longest = __ldg(offsets + i + 1) - c.start;
   return c;
 }
-LANE_FN vb csr_on(const csr_rows*, int32_t) { return 1; }
-LANE_FN vi csr_slot(const csr_rows* c, const int32_t* items, int32_t r, vb) {
-  return items != 0 ? __ldg(items + (c->start + r)) : c->start + r;
+// Short sums go over items in batches, the last of which may reach past the end.
+#define CSR_BATCH 8
+LANE_FN vb csr_on(const csr_rows* c, int32_t r) { return r < c->longest; }
+LANE_FN vi csr_slot(const csr_rows* c, const int32_t* items, int32_t r, vb on) {
+  const int32_t k = c->start + (on ? r : c->longest - 1);
+  return items != 0 ? __ldg(items + k) : k;
 }

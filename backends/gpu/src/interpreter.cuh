@@ -83,9 +83,9 @@ extern "C" __global__ void __launch_bounds__(64) novaphy_interpreter(
         RUN(F_TO_I, uf_to_i(FLOAT(in.a)));
         RUN_F(I_TO_F, ui_to_f(VALUE(in.a)));
         case OP_LOAD: {  // column c of row b of source a, which has rows of e words
-          const char* const p = (const char*)args.word[2 * in.a];
-          const int64_t rows = (int64_t)args.word[2 * in.a + 1];
-          VALUE(in.d) = table_word(p, rows, VALUE(in.b), in.e, in.c, 1, in.a, i, failure);
+          const source_rows table = {(const char*)args.word[2 * in.a],
+                                     (int64_t)args.word[2 * in.a + 1]};
+          VALUE(in.d) = uloadi(table, VALUE(in.b), in.e, in.c, 1, in.a, i, failure);
           break;
         }
         case OP_LOAD_OWN: {

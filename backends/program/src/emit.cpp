@@ -26,7 +26,7 @@ std::string one_line(const std::string& s) {
 
 }  // namespace
 
-Emitter::Emitter(const Program& program, bool device, const Series* series)
+Emitter::Emitter(const Program& program, bool device, const Series* series, std::vector<char> items)
     : original_(program),
       p_(device ? program : simplified(program)),
       plan_(make_emit_plan(p_, device)),
@@ -36,8 +36,11 @@ Emitter::Emitter(const Program& program, bool device, const Series* series)
       // A thread of a GPU has one row and few registers: there it is cheaper to compute again.
       held_(series ? find_held_values(p_, plan_, *series) : std::vector<char>{}),
       kept_(device ? std::vector<KeptValues>{} : find_kept_values(p_, plan_)),
+      items_(std::move(items)),
       declared_(program.instrs.size(), 0),
-      done_(program.instrs.size(), 0) {
+      done_(program.instrs.size(), 0),
+      computed_(program.instrs.size(), 0),
+      chosen_(program.instrs.size(), kNone) {
   for (KeptValues& kept : kept_)
     for (auto* values : {&kept.kept, &kept.equal})
       std::erase_if(*values, [this](const auto& pair) { return held(pair.first); });
@@ -91,6 +94,10 @@ void Emitter::device_signature(const std::string& function) {
   };
   for (size_t s = 0; s < p_.sources.size(); ++s) add("S", "s", s);
   for (size_t o = 0; o < p_.outputs.size(); ++o) add("O", "o", o);
+  if (!items_.empty()) {
+    types += ", class Kept";
+    values += ", const Kept& kept";
+  }
   line("// Computes row i.");
   line("template <" + types + ">");
   line("LANE_FN void " + function + "(const uint64_t* args" + values + ", const int64_t i,");
@@ -205,6 +212,7 @@ void Emitter::before_the_rows() {
 
 void Emitter::steps() {
   std::vector<int32_t> closing;  // step at which each open `if` ends
+  size_t begin = 0;              // of the loop that we are in
   for (size_t s = 0; s <= plan_.steps.size(); ++s) {
     while (!closing.empty() && closing.back() <= static_cast<int32_t>(s)) {
       closing.pop_back();
@@ -214,10 +222,16 @@ void Emitter::steps() {
     const Step& step = plan_.steps[s];
     switch (step.kind) {
       case Step::Kind::LoopBegin:
+        begin = s;
         loop_begin(step.value);
         break;
       case Step::Kind::LoopEnd:
         loop_end(step.value);
+        if (!in_items_) break;
+        in_items_ = false;  // once more, for the items that are not in registers
+        looked_ = looked_before_;
+        loop_begin(step.value);
+        s = begin;
         break;
       case Step::Kind::SkipIfNone:
         if (region_begin(plan_.region_of_step[s])) closing.push_back(step.target);
@@ -239,6 +253,11 @@ std::string Emitter::zero(Value v) const {
 void Emitter::compute(Value v) {
   const Instr& in = p_.instrs[at(v)];
   if (is_leaf(in.op)) return;
+  computed_[at(v)] = 1;
+  if (chosen_[at(v)] != kNone) {
+    line(declaration(v) + " = " + text_.name(chosen_[at(v)]) + ";");
+    return;
+  }
   if (is_load(in.op)) return load(v, in);
   if (plan_.root[at(v)] != kNone) return limited_root(v, in);
   line(declaration(v) + " = " + text_.expression(v) + ";");
@@ -292,15 +311,19 @@ void Emitter::load(Value v, const Instr& in) {
   const int32_t width = p_.sources[at(group.source)].width;
   int32_t wanted = 0;
   for (const Value c : group.columns) wanted += c != kNone ? 1 : 0;
-  const std::string s = "s" + str(group.source) + (device_ && !own ? ".p" : "");
-  const std::string n = device_ ? "s" + str(group.source) + ".rows" : "n" + str(group.source);
+  const std::string s = "s" + str(group.source);
+  // On a device a source knows its rows.
+  const std::string table = is_item(group.source) ? "source_item{kept." + s + " + r" + str(loop_) +
+                                                        " * " + str(width) + "}"
+                            : device_ ? s
+                                      : s + ", n" + str(group.source);
   const std::string t = letter(p_.sources[at(group.source)].type);
   const std::string where = ", " + need(v) + ", " + str(group.source) + ", i, sink";
   if (scalar) {
     for (int32_t c = 0; c < width; ++c)
       if (const Value d = group.columns[at(c)]; d != kNone)
-        line(declaration(d) + " = uload" + t + "(" + s + ", " + n + ", " + text_.name(group.row) +
-             ", " + str(width) + ", " + str(c) + where + ");");
+        line(declaration(d) + " = uload" + t + "(" + table + ", " + text_.name(group.row) + ", " +
+             str(width) + ", " + str(c) + where + ");");
     return;
   }
   const std::string rows = own ? "" : rows_of(group.row, plan_.region[at(v)]);
@@ -316,8 +339,7 @@ void Emitter::load(Value v, const Instr& in) {
     line(own && device_ ? "own" + str(width) + t + "(" + s + where + targets + ");"
          : own
              ? "load" + str(width) + t + "(" + s + " + " + str(4 * width) + " * i" + targets + ");"
-             : "gather" + str(width) + t + "(" + s + ", " + n + ", &" + rows + where + targets +
-                   ");");
+             : "gather" + str(width) + t + "(" + table + ", &" + rows + where + targets + ");");
     return;
   }
   for (int32_t c = 0; c < width; ++c) {
@@ -328,8 +350,8 @@ void Emitter::load(Value v, const Instr& in) {
               ? "own_column" + t + "(" + s + ", " + str(width) + ", " + str(c) + where + ");"
           : own ? "load_column" + t + "(" + s + " + " + str(4 * width) + " * i" +
                       (c == 0 ? "" : " + " + str(4 * c)) + ", " + str(width) + ");"
-                : "gather_column" + t + "(" + s + ", " + n + ", &" + rows + ", " + str(width) +
-                      ", " + str(c) + where + ");"));
+                : "gather_column" + t + "(" + table + ", &" + rows + ", " + str(width) + ", " +
+                      str(c) + where + ");"));
   }
 }
 
@@ -420,8 +442,9 @@ std::string emit_c_series(const Program& program, const Series& series,
   return Emitter(program, false, &series).run_series(function);
 }
 
-std::string emit_device(const Program& program, const std::string& function) {
-  return Emitter(program, true).run_device(function);
+std::string emit_device(const Program& program, const std::string& function,
+                        const std::vector<char>& items) {
+  return Emitter(program, true, nullptr, items).run_device(function);
 }
 
 }  // namespace nova::ir

@@ -15,7 +15,7 @@ bool Emitter::region_begin(int32_t number) {
   const bool to_loop_end = idle && idle->region == number;
   if (to_loop_end) write_kept(loop_, false);
   for (const Value v : region.escape)
-    line(text_.c_type(v) + " " + text_.name(v) + " = " + zero(v) + ";");
+    line(text_.c_type(v) + " " + text_.name(v) + " = " + without(v, region) + ";");
   std::string question = text_.name(region.cond);
   if (text_.uniform(region.cond)) {
     line("if (" + std::string(region.polarity ? "" : "!") + question + ") {");
@@ -61,10 +61,14 @@ void Emitter::loop_begin(int32_t l) {
   loop_ = l;
   const std::string k = str(l);
   const Loop& loop = p_.loops[at(l)];
+  const bool csr = loop.kind == LoopKind::Csr;
+  if (csr && items_done_ == l) return device_items(l);
   for (size_t s = 0; s < loop.sums.size(); ++s)
     line("vf sum" + k + "_" + str(static_cast<int64_t>(s)) + " = " +
          text_.lanes(loop.sums[s].init) + ";");
-  if (loop.kind == LoopKind::Csr) {
+  if (csr && device_) {
+    device_items(l);
+  } else if (csr) {
     if (!series_) csr_rows(l);
     kept_rows(l);
     const bool follower = std::any_of(kept_.begin(), kept_.end(), [&](const KeptValues& kept) {
@@ -117,7 +121,7 @@ void Emitter::slot(int32_t l) {
 
 void Emitter::csr_rows(int32_t l) {
   const std::string k = str(l);
-  std::string begin = "csr_begin(offsets" + k + ", i)";
+  std::string begin = items_.empty() ? "csr_begin(offsets" + k + ", i)" : "kept.csr";
   for (const KeptValues& kept : kept_)
     if (kept.loop == l) begin = "same" + k + " ? csr" + str(kept.earlier) + " : " + begin;
   line("const csr_rows csr" + k + " = " + begin + ";");
@@ -199,6 +203,7 @@ void Emitter::loop_end(int32_t l) {
   }
   close();
   if (followers_.count(l) != 0) --depth_;
+  if (loop.kind == LoopKind::Csr && in_batches(l)) close();
   loop_ = -1;
 }
 

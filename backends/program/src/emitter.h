@@ -20,7 +20,8 @@ inline const char* letter(Type t) { return t == Type::F32 ? "f" : "i"; }
 
 class Emitter {
  public:
-  explicit Emitter(const Program& program, bool device = false, const Series* series = nullptr);
+  explicit Emitter(const Program& program, bool device = false, const Series* series = nullptr,
+                   std::vector<char> items = {});
   std::string run(const std::string& function);
   // Words that differ from launch to launch come from a table, a row of it for each launch: the
   // varying sources, then the outputs, null where nobody reads what this launch would write.
@@ -70,6 +71,17 @@ class Emitter {
   void slot(int32_t l);
   // Where this loop begins.
   void csr_rows(int32_t l);
+  // Begins an item of a CSR loop on a device.
+  void device_items(int32_t l);
+  // A sum of little more than what it loads waits for memory: on a device, the loads of several
+  // items are under way at once. Items past the end are loaded, not added.
+  bool in_batches(int32_t l) const;
+  // What a value is where its region is jumped over. When all that reads it is a SELECT by the
+  // region's condition, a device, which has one lane, takes what the SELECT would give, and needs
+  // none.
+  std::string without(Value v, const Region& region);
+  // Whether a source is in registers for the item that we are at.
+  bool is_item(int32_t source) const { return in_items_ && items_[at(source)] != 0; }
   // Whether a loop that follows reads what this one computes.
   void kept_rows(int32_t l);
   // `acting`: for the loops that follow only the items that act, else for the others.
@@ -100,11 +112,18 @@ class Emitter {
   const std::vector<char> held_;  // in a series, per value: the same in every launch
   std::vector<KeptValues> kept_;
   std::vector<IdleItem> idle_;
-  std::set<int32_t> followers_;        // loops that leave out what does not act
+  std::set<int32_t> followers_;  // loops that leave out what does not act
+  // Devices: per source, whether the first items of CSR loops are in registers. The loops are then
+  // written twice, for these items and for the others.
+  const std::vector<char> items_;
+  bool in_items_ = false;
+  int32_t items_done_ = -1;            // the loop that was written for these
   std::vector<char> declared_, done_;  // per value: before its computation; it too
+  std::vector<char> computed_;         // per value: written already
+  std::vector<Value> chosen_;          // of a SELECT that is not needed: the operand that it equals
   std::string out_;
   int32_t depth_ = 0, loop_ = -1;
-  std::set<std::tuple<Value, int32_t, int32_t>> looked_;  // row, region, loop
+  std::set<std::tuple<Value, int32_t, int32_t>> looked_, looked_before_;  // row, region, loop
 };
 
 }  // namespace nova::ir

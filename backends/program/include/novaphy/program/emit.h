@@ -13,6 +13,7 @@
 #pragma once
 
 #include <string>
+#include <vector>
 
 #include "novaphy/program/ir.h"
 #include "novaphy/program/series.h"
@@ -26,7 +27,10 @@ std::string emit_c_series(const Program& program, const Series& series,
                           const std::string& function);
 // The same for a GPU: a C++ function of one row, templated on how each source and output is reached
 // (s0, o0, ...), whose names backends/gpu/src/device_prelude.cuh gives a meaning.
-std::string emit_device(const Program& program, const std::string& function);
+// With `items`, the sources that it names are kept for the first items of each CSR loop in what the
+// function takes as `kept` (see backends/gpu/src/kept_items.h).
+std::string emit_device(const Program& program, const std::string& function,
+                        const std::vector<char>& items = {});
 // "step_particles_0123456789abcdef": a legal C name, the same for equal Programs of one name.
 std::string c_function_name(const Program& program);
 

@@ -1,0 +1,14 @@
+// Which rows of a source a Program reads.
+#pragma once
+
+#include "novaphy/program/ir.h"
+
+namespace novaphy::gpu {
+
+enum class Rows : uint8_t { None, Own, First, Slots, Others };
+Rows rows_read(const nova::ir::Program& program, size_t source);
+// Whether a source of so many rows has all that are read for rows below n. For the items of a CSR
+// loop the caller of list_create vouches.
+bool is_there(const nova::ir::Program& program, size_t source, uint64_t rows, uint64_t n);
+
+}  // namespace novaphy::gpu

@@ -163,6 +163,28 @@ TEST_F(ListPlanTest, CopiesAndFillsAreOperationsToo) {
   EXPECT_TRUE(compiles(list_source(plan, ops, kRows)));
 }
 
+TEST_F(ListPlanTest, WhatTheNextIterationReadsIsLoadedDuringThisOne) {
+  for (uint64_t t = 0; t < 6; ++t)  // the sum so far, and a row of each state
+    push(add, {0x50000, kRows, x + 0x100 * t, kRows, 0x50000});
+  const ListPlan plan = plan_list(ops);
+  EXPECT_EQ(plan.body[0].sources[1].from, From::Constant);
+  const ListSource source = list_source(plan, ops, kRows);
+  EXPECT_NE(source.text.find("source_registers{x0_1}"), std::string::npos);
+  EXPECT_NE(source.text.find("load_row<1>((const char*)(a.word["), std::string::npos);
+  EXPECT_TRUE(compiles(source));
+}
+
+TEST_F(ListPlanTest, WhatIsOverwrittenUnreadIsNotStored) {
+  for (uint64_t t = 0; t < 9; ++t) step(0x100 * (t % 2), 0x100 * ((t + 1) % 2));
+  const ListPlan plan = plan_list(ops);
+  const ListSource source = list_source(plan, ops, kRows);
+  // Two states take turns: the last two iterations leave them.
+  const size_t at = source.text.find("if (k >= (int32_t)a.word[");
+  ASSERT_NE(at, std::string::npos);
+  EXPECT_EQ(source.words[std::stoul(source.text.substr(at + 25))], 7u);
+  EXPECT_TRUE(compiles(source));
+}
+
 TEST_F(ListPlanTest, ALongListWithoutStructureIsLeftAlone) {
   uint32_t random = 1;
   for (uint64_t t = 0; t < 200; ++t) {

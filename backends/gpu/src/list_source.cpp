@@ -1,13 +1,20 @@
 // The text of a list as one kernel: a thread runs all operations of its row.
 #include <map>
+#include <set>
 
+#include "kept_items.h"
 #include "list_plan.h"
 #include "novaphy/program/emit.h"
+#include "row_use.h"
 
 namespace novaphy::gpu {
 namespace {
 
-constexpr size_t kMaxWords = 480;  // a kernel takes 4 KiB of arguments
+constexpr size_t kMaxWords = 480;       // a kernel takes 4 KiB of arguments
+constexpr int32_t kMaxItemWords = 24;   // registers for an item of a CSR loop
+constexpr uint64_t kManyRows = 4096;    // from here on the registers of a thread are limited
+constexpr uint64_t kBlocksPerUnit = 5;  // at a time, where there are many rows
+constexpr uint64_t kMaxRegisters = 16;  // words of a row that is stored after its operation
 
 std::string str(uint64_t k) { return std::to_string(k); }
 
@@ -20,12 +27,15 @@ class Writer {
     std::string code;
     for (const ListPlan::Site& site : plan_.before) code += operation(site, false, "  ");
     if (plan_.period != 0) {
-      code += registers() + constants();
-      std::string body;
-      for (const ListPlan::Site& site : plan_.body) body += operation(site, true, "    ");
+      find_first_stores();
+      code += registers() + constants() + all_items();
       code += "  const int32_t repeats = (int32_t)a.word[" + str(word(plan_.repeats)) + "];\n";
-      code += "#pragma unroll 1\n";
-      code += "  for (int32_t k = 0; k < repeats; ++k) {\n" + body + "  }\n";
+      std::string body;
+      for (const ListPlan::Site& site : plan_.body) body += ahead(site, code);
+      for (const ListPlan::Site& site : plan_.body) body += operation(site, true, "    ");
+      code += starts_ + "  const uint64_t* entry = table;\n#pragma unroll 1\n";
+      code += "  for (int32_t k = 0; k < repeats; ++k) {\n" + body + steps_ +
+              "    entry += TABLE_WIDTH;\n  }\n";
     }
     for (const ListPlan::Site& site : plan_.after) code += operation(site, false, "  ");
     assemble(code);
@@ -46,8 +56,8 @@ class Writer {
     return known->second;
   }
 
-  // Word w of an operation: fixed, growing evenly from iteration to iteration, or listed.
-  std::string word_text(uint32_t op, uint32_t w, bool in_body) {
+  // Word w of an operation, of this iteration or of the next one: fixed, growing evenly, or listed.
+  std::string word_text(uint32_t op, uint32_t w, bool in_body, bool next = false) {
     const uint64_t value = ops_[op].arguments[w];
     const size_t sources = ops_[op].kernel->program.sources.size();
     if (w < 2 * sources && w % 2 == 1) {  // a number of rows
@@ -56,24 +66,27 @@ class Writer {
         fixed = fixed && ops_[op + k * plan_.period].arguments[w] == value;
       if (fixed) return "a.word[" + str(rows_word(value)) + "]";
     }
-    return varying(value, in_body,
-                   [&](uint32_t k) { return ops_[op + k * plan_.period].arguments[w]; });
+    return varying(
+        value, in_body, [&](uint32_t k) { return ops_[op + k * plan_.period].arguments[w]; }, next);
   }
   template <class At>
-  std::string varying(uint64_t value, bool in_body, const At& at) {
+  std::string varying(uint64_t value, bool in_body, const At& at, bool next = false) {
     if (!in_body) return "a.word[" + str(word(value)) + "]";
     const uint64_t step = plan_.repeats > 1 ? at(1) - value : 0;
     bool even = true;
     for (uint32_t k = 1; k < plan_.repeats; ++k) even = even && at(k) == value + k * step;
     if (even && step == 0) return "a.word[" + str(word(value)) + "]";
     if (even) {
-      const uint64_t first = word(value);
-      word(step);
-      return "a.word[" + str(first) + "] + (uint64_t)k * a.word[" + str(first + 1) + "]";
+      const std::string first = "a.word[" + str(word(next ? value + step : value)) + "]";
+      const std::string name = "at" + str(out_.words.size());
+      starts_ += "  uint64_t " + name + " = " + first + ";\n";
+      steps_ += "    " + name + " += a.word[" + str(word(step)) + "];\n";
+      return name;
     }
     std::vector<uint64_t>& column = columns_.emplace_back();
     for (uint32_t k = 0; k < plan_.repeats; ++k) column.push_back(at(k));
-    return "__ldg(table + ((int64_t)k * TABLE_WIDTH + " + str(columns_.size() - 1) + "))";
+    return std::string("__ldg(entry + ") + (next ? "TABLE_WIDTH + " : "") +
+           str(columns_.size() - 1) + ")";
   }
 
   static std::string register_name(uint32_t op, uint32_t output) {
@@ -94,8 +107,8 @@ class Writer {
       const novaphy_list_op& op = ops_[plan_.first + j];
       if (op.kernel == nullptr) continue;
       for (uint32_t o = 0; o < op.kernel->program.outputs.size(); ++o) {
-        if (!is_read(j, o)) continue;
         const uint64_t width = op.kernel->program.outputs[o].values.size();
+        if (width > kMaxRegisters && !is_read(j, o)) continue;
         const std::string name = register_name(j, o);
         code += "  int32_t " + name + "[" + str(width) + "];\n";
         const std::string from = start_of(j, o);
@@ -110,41 +123,20 @@ class Writer {
     return code;
   }
   // A source that is the same rows in every iteration, which no operation writes, and of which only
-  // the own row is read: it is loaded before the loop.
+  // one row is read, the own or the first: it is loaded before the loop.
   bool is_loaded_once(const ListPlan::Site& site, size_t s) const {
-    if (site.sources[s].from != ListPlan::Source::From::Constant) return false;
     const nova::ir::Program& p = ops_[site.op].kernel->program;
-    for (uint32_t k = 0; k < plan_.repeats; ++k) {
-      const uint64_t* words = ops_[site.op + k * plan_.period].arguments;
-      if (words[2 * s] != ops_[site.op].arguments[2 * s] || words[2 * s + 1] < n_) return false;
-    }
-    return rows_read(p, s) == Rows::Own;
+    const Rows rows = rows_read(p, s);
+    return site.sources[s].from == ListPlan::Source::From::Constant &&
+           (rows == Rows::Own || rows == Rows::First) && p.sources[s].width <= kMaxItemWords &&
+           is_fixed(site.op, static_cast<uint32_t>(2 * s)) && is_trusted(site, s, true);
   }
-  // Which rows of a source a Program reads.
-  enum class Rows { None, Own, First, Slots, Others };
-  static Rows rows_read(const nova::ir::Program& p, size_t s) {
-    using nova::ir::Op;
-    Rows rows = Rows::None;
-    for (const nova::ir::Instr& in : p.instrs) {
-      if ((in.op != Op::LOAD_F && in.op != Op::LOAD_I) || in.a != static_cast<int32_t>(s)) continue;
-      const nova::ir::Instr& row = p.instrs[static_cast<size_t>(in.b)];
-      const Rows here = row.op == Op::INDEX                   ? Rows::Own
-                        : row.op == Op::SLOT                  ? Rows::Slots
-                        : row.op == Op::CONST_I && row.a == 0 ? Rows::First
-                                                              : Rows::Others;
-      rows = rows == Rows::None || rows == here ? here : Rows::Others;
-    }
-    return rows;
-  }
-  // Whether the source has every row that is read, in all iterations. For the items of a CSR loop
-  // the caller of list_create vouches.
+  // Whether the source has every row that is read, in all iterations.
   bool is_trusted(const ListPlan::Site& site, size_t s, bool in_body) const {
-    const Rows rows = rows_read(ops_[site.op].kernel->program, s);
-    if (rows == Rows::Slots) return true;
-    if (rows != Rows::Own && rows != Rows::First) return false;
-    for (uint32_t k = 0; k < (in_body ? plan_.repeats : 1); ++k)
-      if (ops_[site.op + k * plan_.period].arguments[2 * s + 1] < (rows == Rows::Own ? n_ : 1))
-        return false;
+    for (uint32_t k = 0; k < (in_body ? plan_.repeats : 1); ++k) {
+      const novaphy_list_op& op = ops_[site.op + k * plan_.period];
+      if (!is_there(op.kernel->program, s, op.arguments[2 * s + 1], n_)) return false;
+    }
     return true;
   }
   static std::string constant_name(uint32_t op, size_t source) {
@@ -159,14 +151,162 @@ class Writer {
         const auto width = static_cast<uint64_t>(ops_[site.op].kernel->program.sources[s].width);
         const std::string name = constant_name(j, s), words = str(width);
         const std::string from = "a.word[" + str(word(ops_[site.op].arguments[2 * s])) + "]";
-        code += "  int32_t " + name + "[" + words + "];\n";
-        for (uint64_t c = 0; c < width; ++c)
-          code += "  " + name + "[" + str(c) + "] = __ldg((const int32_t*)" + from + " + (i * " +
-                  words + " + " + str(c) + "));\n";
+        const bool own = rows_read(ops_[site.op].kernel->program, s) == Rows::Own;
+        code += "  int32_t " + name + "[" + words + "];\n  load_row<" + words + ">((const char*)" +
+                from + (own ? ", i, " : ", 0, ") + name + ");\n";
       }
     }
     return code;
   }
+  // A source whose own row is another one in every iteration, and which no operation writes: the
+  // row of the next iteration is loaded during this one. Adds to `before` the row of the first.
+  bool is_ahead(const ListPlan::Site& site, size_t s) const {
+    return ops_[site.op].kernel != nullptr &&
+           site.sources[s].from == ListPlan::Source::From::Constant && !is_loaded_once(site, s) &&
+           rows_read(ops_[site.op].kernel->program, s) == Rows::Own && is_trusted(site, s, true);
+  }
+  static std::string ahead_name(uint32_t op, size_t source) {
+    return "x" + str(op) + "_" + str(source);
+  }
+  std::string ahead(const ListPlan::Site& site, std::string& before) {
+    std::string code;
+    for (size_t s = 0; s < site.sources.size(); ++s) {
+      if (!is_ahead(site, s)) continue;
+      const std::string width =
+          str(static_cast<uint64_t>(ops_[site.op].kernel->program.sources[s].width));
+      const std::string name = ahead_name(site.op - plan_.first, s);
+      const auto w = static_cast<uint32_t>(2 * s);
+      const auto load = [&](const std::string& at) {
+        return "load_row<" + width + ">((const char*)(" + at + "), i, next_" + name + ");\n";
+      };
+      before += "  int32_t next_" + name + "[" + width + "];\n  " +
+                load("a.word[" + str(word(ops_[site.op].arguments[w])) + "]");
+      code += "    int32_t " + name + "[" + width + "];\n    for (int c = 0; c < " + width +
+              "; ++c) " + name + "[c] = next_" + name + "[c];\n    if (k + 1 < repeats) " +
+              load(word_text(site.op, w, true, true));
+    }
+    return code;
+  }
+
+  // Whether the same memory is bound in all iterations.
+  bool is_fixed(uint32_t op, uint32_t w) const {
+    for (uint32_t k = 1; k < plan_.repeats; ++k)
+      if (ops_[op + k * plan_.period].arguments[w] != ops_[op].arguments[w]) return false;
+    return true;
+  }
+  // Which sources of an operation of the body are kept in registers for the first items of its CSR
+  // loops. All these loops must go over the same items.
+  std::vector<char> items_to_keep(const ListPlan::Site& site) const {
+    if (ops_[site.op].kernel == nullptr) return {};
+    const nova::ir::Program& p = ops_[site.op].kernel->program;
+    const uint64_t* words = ops_[site.op].arguments;
+    const uint64_t* table = nullptr;
+    for (size_t l = 0; l < p.loops.size(); ++l) {
+      if (p.loops[l].kind != nova::ir::LoopKind::Csr) return {};
+      const uint32_t w = p.loop_argument(l);
+      if (!is_fixed(site.op, w) || !is_fixed(site.op, w + 1)) return {};
+      if (table != nullptr && (table[0] != words[w] || table[1] != words[w + 1])) return {};
+      table = words + w;
+    }
+    if (table == nullptr) return {};
+    const std::vector<ItemSource> found = item_sources(p);
+    std::vector<char> kept(p.sources.size(), 0);
+    int32_t total = 0;
+    for (const auto how : {ItemSource::AtSlot, ItemSource::AtIndex})
+      for (size_t s = 0; s < found.size(); ++s) {
+        const auto w = static_cast<uint32_t>(2 * s);
+        if (found[s].how != how || site.sources[s].from != ListPlan::Source::From::Constant ||
+            !is_fixed(site.op, w) || !is_fixed(site.op, w + 1))
+          continue;
+        if (how == ItemSource::AtIndex && kept[static_cast<size_t>(found[s].index)] == 0) continue;
+        kept[s] = 1;
+        total += p.sources[s].width;
+      }
+    return total == 0 || total > kMaxItemWords ? std::vector<char>{} : kept;
+  }
+  // Loads them: item r as far as the row has one and the rows that it names are there.
+  std::string items(const ListPlan::Site& site) {
+    const std::vector<char>& kept = kept_items_[site.op - plan_.first];
+    if (kept.empty()) return {};
+    const nova::ir::Program& p = ops_[site.op].kernel->program;
+    const uint64_t* words = ops_[site.op].arguments;
+    const std::vector<ItemSource> found = item_sources(p);
+    const auto pointer = [&](uint32_t w) { return "a.word[" + str(word(words[w])) + "]"; };
+    const std::string name = "kept" + str(site.op - plan_.first);
+    std::string fields, at_slot, at_index;
+    for (size_t s = 0; s < kept.size(); ++s) {
+      if (kept[s] == 0) continue;
+      const auto w = static_cast<uint32_t>(2 * s);
+      const std::string width = str(static_cast<uint64_t>(p.sources[s].width));
+      fields += "  int32_t s" + str(s) + "[KEPT_ITEMS * " + width + "];\n";
+      const std::string to = name + ".s" + str(s) + " + r * " + width;
+      const std::string load = "load_row<" + width + ">((const char*)" + pointer(w) + ", ";
+      if (found[s].how == ItemSource::AtSlot) {
+        at_slot += "      " + load + "slot, " + to + ");\n";
+      } else {
+        const auto index = static_cast<size_t>(found[s].index);
+        const std::string row = name + ".s" + str(index) + "[r * " +
+                                str(static_cast<uint64_t>(p.sources[index].width)) + " + " +
+                                str(static_cast<uint64_t>(found[s].column)) + "]";
+        at_index += "      fine = fine && " + row + " >= 0 && " + row + " < (int64_t)" +
+                    pointer(w + 1) + ";\n      if (fine) " + load + row + ", " + to + ");\n";
+      }
+    }
+    out_.text +=
+        "struct items_of_" + name + " {\n  csr_rows csr;\n  int32_t count;\n" + fields + "};\n";
+    uint32_t table = 0;
+    for (size_t l = 0; l < p.loops.size(); ++l) table = p.loop_argument(l);
+    return "  items_of_" + name + " " + name + " = {};\n  " + name +
+           ".csr = csr_begin((const int32_t*)" + pointer(table) +
+           ", i);\n#pragma unroll\n  for (int32_t r = 0; r < KEPT_ITEMS; ++r) {\n" +
+           "    bool fine = r < " + name + ".csr.longest && r == " + name +
+           ".count;\n    if (fine) {\n      const int32_t slot = csr_slot(&" + name +
+           ".csr, (const int32_t*)" + pointer(table + 1) + ", r, 1);\n" + at_slot + at_index +
+           "      if (fine) " + name + ".count = r + 1;\n    }\n  }\n";
+  }
+  // Operations of one Program share its function, so they keep the same sources, or nothing.
+  std::string all_items() {
+    std::string code;
+    for (const ListPlan::Site& site : plan_.body) {
+      std::vector<char> kept = items_to_keep(site);
+      if (!kept.empty() && with_items_.emplace(site.function, kept).first->second != kept)
+        kept.clear();
+      kept_items_.push_back(std::move(kept));
+      code += items(site);
+    }
+    return code;
+  }
+
+  // From which iteration on each output of the body has to be stored: what an earlier one leaves is
+  // overwritten before anyone reads it from memory. Looked through from the end.
+  void find_first_stores() {
+    std::map<uint64_t, size_t> overwritten;  // memory, with the words of a row
+    const auto read = [&](uint64_t where) { overwritten.erase(where); };
+    for (const ListPlan::Site& site : plan_.body)
+      first_stores_.emplace_back(
+          ops_[site.op].kernel == nullptr ? 0 : ops_[site.op].kernel->program.outputs.size(),
+          plan_.repeats);
+    for (uint32_t k = plan_.repeats; k-- > 0;)
+      for (uint32_t j = plan_.period; j-- > 0;) {
+        const ListPlan::Site& site = plan_.body[j];
+        const novaphy_list_op& op = ops_[site.op + k * plan_.period];
+        if (op.kernel == nullptr) {
+          read(reinterpret_cast<uint64_t>(op.target));
+          read(reinterpret_cast<uint64_t>(op.source));
+          continue;
+        }
+        const nova::ir::Program& p = op.kernel->program;
+        for (uint32_t o = 0; o < p.outputs.size(); ++o) {
+          const size_t width = p.outputs[o].values.size();
+          size_t& known = overwritten[op.arguments[p.output_argument(o)]];
+          if (known != width) first_stores_[j][o] = k;
+          known = width;
+        }
+        for (size_t s = 0; s < site.sources.size(); ++s)
+          if (site.sources[s].from != ListPlan::Source::From::Registers) read(op.arguments[2 * s]);
+      }
+  }
+
   std::string start_of(uint32_t op, uint32_t output) {
     for (const ListPlan::Site& site : plan_.body)
       for (size_t s = 0; s < site.sources.size(); ++s) {
@@ -185,14 +325,20 @@ class Writer {
     std::string code = indent + "{\n" + indent + "  const uint64_t w[] = {";
     for (uint32_t w = 0; w < op.argument_count; ++w)
       code += (w == 0 ? "" : ", ") + word_text(site.op, w, in_body);
-    code += "};\n" + indent + "  row" + str(site.function) + "(w";
+    const bool kept = in_body && !kept_items_[site.op - plan_.first].empty();
+    code += "};\n" + indent + "  row" + str(site.function) + (kept ? "_kept" : "") + "(w";
     for (size_t s = 0; s < p.sources.size(); ++s) {
       const ListPlan::Source& source = site.sources[s];
       const std::string memory =
           "{(const char*)w[" + str(2 * s) + "], (int64_t)w[" + str(2 * s + 1) + "]}";
       code += ", ";
       if (in_body && is_loaded_once(site, s)) {
-        code += "source_registers{" + constant_name(site.op - plan_.first, s) + "}";
+        code += (rows_read(p, s) == Rows::Own ? "source_registers{" : "source_item{") +
+                constant_name(site.op - plan_.first, s) + "}";
+        continue;
+      }
+      if (in_body && is_ahead(site, s)) {
+        code += "source_registers{" + ahead_name(site.op - plan_.first, s) + "}";
         continue;
       }
       if (source.from != ListPlan::Source::From::Registers && is_trusted(site, s, in_body)) {
@@ -206,14 +352,22 @@ class Writer {
               : source.from == ListPlan::Source::From::Constant ? "source_constants" + memory
                                                                 : "source_rows" + memory;
     }
+    const uint32_t j = site.op - plan_.first;
+    std::string stores;
     for (uint32_t o = 0; o < p.outputs.size(); ++o) {
       const std::string pointer = "(char*)w[" + str(p.output_argument(o)) + "]";
-      const uint32_t j = site.op - plan_.first;
-      code += in_body && is_read(j, o)
-                  ? ", output_registers{" + pointer + ", " + register_name(j, o) + "}"
-                  : ", output_rows{" + pointer + "}";
+      const uint64_t width = p.outputs[o].values.size();
+      const bool apart = in_body && (width <= kMaxRegisters || is_read(j, o));
+      code += apart ? ", output_registers{" + register_name(j, o) + "}"
+                    : ", output_rows{" + pointer + "}";
+      if (!apart) continue;
+      const uint32_t first = first_stores_[j][o];
+      stores += indent + "  ";
+      if (first > 0) stores += "if (k >= (int32_t)a.word[" + str(word(first)) + "]) ";
+      stores += "store_row<" + str(width) + ">(" + pointer + ", i, " + register_name(j, o) + ");\n";
     }
-    return code + ", i, failure);\n" + indent + "  if (failure.source >= 0) {\n" + indent +
+    return code + (kept ? ", kept" + str(j) : "") + ", i, failure);\n" + stores + indent +
+           "  if (failure.source >= 0) {\n" + indent +
            "    end_row(failure, device_sink{sink.record, sink.flag, (uint32_t)a.word[" +
            str(word(op.kernel->number)) + "]}, i);\n" + indent + "    failure.source = -1;\n" +
            indent + "  }\n" + indent + "}\n";
@@ -248,15 +402,24 @@ class Writer {
   }
 
   void assemble(const std::string& code) {
-    out_.text = prelude_text();
-    for (size_t f = 0; f < plan_.programs.size(); ++f)
-      out_.text += nova::ir::emit_device(without_names(*plan_.programs[f]), "row" + str(f));
+    std::string text = prelude_text();
+    text += "#define KEPT_ITEMS 2\n#define LIST_BLOCKS " +
+            str(n_ >= kManyRows ? kBlocksPerUnit : 1) + "\n";
+    for (uint32_t f = 0; f < plan_.programs.size(); ++f) {
+      const nova::ir::Program program = without_names(*plan_.programs[f]);
+      const std::string name = "row" + str(f);
+      text += nova::ir::emit_device(program, name);
+      const auto items = with_items_.find(f);
+      if (items != with_items_.end())
+        text += nova::ir::emit_device(program, name + "_kept", items->second);
+    }
+    out_.text = text + out_.text;  // the kept items' structures
     out_.fits = out_.words.size() <= kMaxWords;
     out_.table_width = static_cast<uint32_t>(columns_.size());
     out_.text += "#define TABLE_WIDTH " + str(columns_.size()) + "\n";
     out_.text += "struct list_arguments {\n  uint64_t word[" + str(out_.words.size()) + "];\n};\n";
     out_.text +=
-        "extern \"C\" __global__ void __launch_bounds__(128) novaphy_main(\n"
+        "extern \"C\" __global__ void __launch_bounds__(128, LIST_BLOCKS) novaphy_main(\n"
         "    const __grid_constant__ list_arguments a, const uint64_t* table, const int64_t n,\n"
         "    const device_sink sink) {\n"
         "  const int64_t i = (int64_t)blockIdx.x * blockDim.x + threadIdx.x;\n"
@@ -276,6 +439,10 @@ class Writer {
   ListSource out_;
   std::vector<std::vector<uint64_t>> columns_;
   std::map<uint64_t, uint64_t> rows_;
+  std::map<uint32_t, std::vector<char>> with_items_;  // per function of the body
+  std::vector<std::vector<char>> kept_items_;         // per operation of the body and source
+  std::string starts_, steps_;                        // of addresses that grow evenly
+  std::vector<std::vector<uint32_t>> first_stores_;   // per operation of the body and output
 };
 
 }  // namespace

@@ -181,8 +181,10 @@ HostKernel entry(const char* name, bool waits, void (*)(P...)) {
 const HostKernel* find_host_kernel(const char* name) {
   using namespace device;
   static const HostKernel kKernels[] = {
-      ENTRY(novaphy_interpreter, false), ENTRY(row_sum_f32, true), ENTRY(exclusive_scan_i32, true),
-      ENTRY(sort_count, false),          ENTRY(sort_place, false), ENTRY(incidence_count, false),
+      ENTRY(novaphy_interpreter, false), ENTRY(row_sum_f32, true),
+      ENTRY(row_sum_chunks, true),       ENTRY(row_sum_last, false),
+      ENTRY(exclusive_scan_i32, true),   ENTRY(sort_count, false),
+      ENTRY(sort_place, false),          ENTRY(incidence_count, false),
       ENTRY(incidence_items, false)};
   for (const HostKernel& kernel : kKernels)
     if (std::strcmp(kernel.name, name) == 0) return &kernel;

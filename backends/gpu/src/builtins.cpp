@@ -11,8 +11,9 @@ namespace {
 
 struct Functions {
   Module module = nullptr;
-  Function row_sum = nullptr, scan = nullptr, sort_count = nullptr, sort_place = nullptr,
-           incidence_count = nullptr, incidence_items = nullptr;
+  Function row_sum = nullptr, sum_chunks = nullptr, sum_last = nullptr, scan = nullptr,
+           sort_count = nullptr, sort_place = nullptr, incidence_count = nullptr,
+           incidence_items = nullptr;
 };
 
 // Compiled at the first use on a device and kept as long as the process.
@@ -31,6 +32,8 @@ novaphy_status load_functions(novaphy_device* device, const Functions** result,
       load_code(device, builtins_source(), "builtins", Dialect::Program, &module, error);
   if (status != NOVAPHY_OK) return status;
   const std::pair<Function*, const char*> entries[] = {{&f.row_sum, "row_sum_f32"},
+                                                       {&f.sum_chunks, "row_sum_chunks"},
+                                                       {&f.sum_last, "row_sum_last"},
                                                        {&f.scan, "exclusive_scan_i32"},
                                                        {&f.sort_count, "sort_count"},
                                                        {&f.sort_place, "sort_place"},
@@ -78,6 +81,33 @@ struct RowSumArguments {
   int64_t width, stride, n;
 };
 
+novaphy_status long_row_sum(novaphy_stream* stream, const RowSumArguments& a,
+                            novaphy_error* error) {
+  constexpr int64_t kChunk = NOVAPHY_ROW_SUM_CHUNK, kThreads = 128;
+  const Functions& f = functions_of(stream->device);
+  const auto chunks_of = [](int64_t count) { return (count + kChunk - 1) / kChunk; };
+  int64_t words = 0;
+  for (int64_t count = a.stride; count > kChunk; count = chunks_of(count))
+    words += chunks_of(count) * a.width;
+  Scratch scratch(stream);
+  novaphy_status status = scratch.allocate(static_cast<uint64_t>(words), "row_sum_f32", error);
+  uint64_t source = a.source, target = scratch.words(0);
+  int64_t count = a.stride, width = a.width;
+  while (status == NOVAPHY_OK && count > kChunk) {
+    void* pointers[] = {&source, &target, &count, &width};
+    const int64_t chunks = chunks_of(count);
+    status = launch_function(stream, f.sum_chunks, (chunks + kThreads - 1) / kThreads * width,
+                             kThreads, pointers, "row_sum_f32", error);
+    source = target;
+    target += 4 * static_cast<uint64_t>(chunks * width);
+    count = chunks;
+  }
+  if (status != NOVAPHY_OK) return status;
+  uint64_t init = a.init, out = a.out;
+  void* pointers[] = {&source, &init, &out, &count, &width};
+  return launch_function(stream, f.sum_last, 1, kThreads, pointers, "row_sum_f32", error);
+}
+
 novaphy_status row_sum(novaphy_stream* stream, const novaphy_kernel& kernel, int64_t n,
                        const uint64_t* a, novaphy_error* error) {
   RowSumArguments arguments = {
@@ -90,6 +120,9 @@ novaphy_status row_sum(novaphy_stream* stream, const novaphy_kernel& kernel, int
     return fail(error, NOVAPHY_INVALID_ARGUMENT,
                 "row_sum_f32: stride: expected at least 0, got %lld",
                 static_cast<long long>(arguments.stride));
+  constexpr int64_t kVeryLong = 16384;
+  if (n == 1 && arguments.offsets == 0 && arguments.items == 0 && arguments.stride >= kVeryLong)
+    return long_row_sum(stream, arguments, error);
   void* pointers[] = {&arguments};
   constexpr int64_t kRows = NOVAPHY_ROW_SUM_CHUNK;
   return launch_function(stream, kernel.function, (n + kRows - 1) / kRows, kRows, pointers,

@@ -88,6 +88,38 @@ BUILTIN __launch_bounds__(kChunk) row_sum_f32(const row_sum_arguments a) {
   }
 }
 
+// One very long row: the sums of its chunks, a thread for each, read by warps in tiles. The sums are
+// a shorter row, of which the same is made until one thread can fold what is left.
+#define kSumThreads 128
+BUILTIN __launch_bounds__(kSumThreads) row_sum_chunks(const float* source, float* sums,
+                                                      const int64_t count, const int64_t width) {
+  __shared__ float tiles[kSumThreads / 32][32][33];
+  float(*const tile)[33] = tiles[threadIdx.x / 32];
+  const int64_t lane = threadIdx.x & 31, column = blockIdx.x % width;
+  const int64_t first = (blockIdx.x / width * kSumThreads + threadIdx.x) / 32 * 32;  // chunk
+  float sum = 0.0f;
+  for (int64_t t = 0; t < kChunk; t += 32) {
+#pragma unroll 8
+    for (int64_t j = 0; j < 32; ++j) {
+      const int64_t k = (first + j) * kChunk + t + lane;
+      tile[j][lane] = k < count ? source[k * width + column] : 0.0f;
+    }
+    __syncwarp();
+    const int64_t left = count - (first + lane) * kChunk - t;
+    for (int64_t q = 0; q < 32 && q < left; ++q) sum += tile[lane][q];
+    __syncwarp();
+  }
+  if ((first + lane) * kChunk < count) sums[(first + lane) * width + column] = sum;
+}
+BUILTIN __launch_bounds__(kSumThreads) row_sum_last(const float* sums, const float* init, float* out,
+                                                    const int64_t count, const int64_t width) {
+  for (int64_t c = threadIdx.x; c < width; c += kSumThreads) {
+    float sum = 0.0f;
+    for (int64_t k = 0; k < count; ++k) sum += sums[k * width + c];
+    out[c] = (init != 0 ? init[c] : 0.0f) + sum;
+  }
+}
+
 // One block; a thread takes kScanItems neighbours at a time. Integers wrap, so the order of
 // additions does not matter.
 #define kScanThreads 1024

@@ -33,6 +33,14 @@ struct Segment {
   int64_t block_rows = 0;
 };
 
+// The rows of an operation: of a copy or fill its 32-bit words.
+inline int64_t rows_of(const OpList::Op& op) {
+  return op.kind == OpList::Op::Kind::Launch ? op.n : op.n / 4;
+}
+// Adds what an operation touches; false: that is not known.
+bool touched_by(const OpList::Op& op, std::span<const uint64_t> words,
+                std::span<const MemoryAccess> accesses, std::vector<MemoryAccess>& touched);
+
 // The operations in an order that gives the same results, cut into segments. What stands in the
 // way of a segment is run before it or after it where no data forbids that: a loss that sums over
 // all rows does not part the forward rollout of a block from its backward one.

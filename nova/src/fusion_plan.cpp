@@ -15,8 +15,9 @@ RowLayout row_layout(const ir::Program& p) {
     const bool load = in.op == ir::Op::LOAD_F || in.op == ir::Op::LOAD_I;
     if (load) {
       const char now = p.instrs[in.b].op == ir::Op::INDEX ? kDirect : kShared;
-      if (how[in.a] != kUnread && how[in.a] != now) layout.row_local = false;
-      how[in.a] = now;
+      const bool both = how[in.a] != kUnread && how[in.a] != now;
+      if (both) layout.row_local = false;
+      how[in.a] = both ? static_cast<char>(kShared) : now;
     } else {
       ir::for_each_operand(in, [&](ir::Value v) {
         if (p.instrs[v].op == ir::Op::INDEX) layout.row_local = false;
@@ -37,6 +38,30 @@ RowLayout row_layout(const ir::Program& p) {
   return layout;
 }
 
+bool touched_by(const OpList::Op& op, std::span<const uint64_t> words,
+                std::span<const MemoryAccess> accesses, std::vector<MemoryAccess>& touched) {
+  const auto address = [](const void* p) { return reinterpret_cast<uint64_t>(p); };
+  const auto rows = static_cast<uint64_t>(op.n);
+  if (op.kind != OpList::Op::Kind::Launch) {
+    if (op.source) touched.push_back({address(op.source), rows, 4, false});
+    touched.push_back({address(op.target), rows, 4, true});
+    return true;
+  }
+  if (!op.layout) {
+    const auto known = accesses.subspan(op.first_access, op.access_count);
+    touched.insert(touched.end(), known.begin(), known.end());
+    return !known.empty();
+  }
+  const uint64_t* arguments = words.data() + op.first_word;
+  for (const RowLayout::Word& w : op.layout->inputs)
+    touched.push_back({arguments[w.word], rows * w.row_bytes, w.row_bytes, false});
+  for (const RowLayout::Word& w : op.layout->shared)
+    touched.push_back({arguments[w.word], arguments[w.word + 1] * w.row_bytes, 0, false});
+  for (const RowLayout::Word& w : op.layout->outputs)
+    touched.push_back({arguments[w.word], rows * w.row_bytes, w.row_bytes, true});
+  return true;
+}
+
 namespace {
 
 // A series of launches over few rows is shared out to threads in blocks of kFewRows once it has so
@@ -44,8 +69,6 @@ namespace {
 constexpr int64_t kSharedOut = 32768, kFewRows = 128;
 // Between two looks at an interrupt.
 constexpr size_t kMostLaunches = 65536;
-
-uint64_t address(const void* p) { return reinterpret_cast<uint64_t>(p); }
 
 // The memory that some operations touch: disjoint intervals by their start.
 class Footprint {
@@ -208,28 +231,14 @@ class Planner {
   // that it writes is touched at its own one of n rows.
   bool look_at(const OpList::Op& o, int64_t n, bool& own_row) {
     touched_.clear();
-    const auto rows = static_cast<uint64_t>(o.n);
-    if (o.kind != OpList::Op::Kind::Launch) {
-      own_row = rows % (4 * static_cast<uint64_t>(n)) == 0;
-      const auto row_bytes = own_row ? static_cast<uint32_t>(o.n / n) : 0;
-      if (o.source) touched_.push_back({address(o.source), rows, row_bytes, false});
-      touched_.push_back({address(o.target), rows, row_bytes, true});
-      return true;
-    }
-    own_row = o.layout && o.layout->row_local && (limits_.multiples ? o.n % n == 0 : o.n == n);
-    if (!o.layout) {
-      const auto known = accesses_.subspan(o.first_access, o.access_count);
-      touched_.assign(known.begin(), known.end());
-      return !known.empty();
-    }
-    const auto factor = own_row ? static_cast<uint32_t>(o.n / n) : 0;
-    const uint64_t* arguments = words_.data() + o.first_word;
-    for (const RowLayout::Word& w : o.layout->inputs)
-      touched_.push_back({arguments[w.word], rows * w.row_bytes, w.row_bytes * factor, false});
-    for (const RowLayout::Word& w : o.layout->shared)
-      touched_.push_back({arguments[w.word], arguments[w.word + 1] * w.row_bytes, 0, false});
-    for (const RowLayout::Word& w : o.layout->outputs)
-      touched_.push_back({arguments[w.word], rows * w.row_bytes, w.row_bytes * factor, true});
+    const bool launch = o.kind == OpList::Op::Kind::Launch;
+    const int64_t rows = rows_of(o);
+    own_row =
+        launch ? o.layout && o.layout->row_local && (limits_.multiples ? rows % n == 0 : rows == n)
+               : rows % n == 0 && o.n % 4 == 0;
+    if (!touched_by(o, words_, accesses_, touched_)) return false;
+    const auto factor = own_row ? static_cast<uint32_t>(rows / n) : 0;
+    for (MemoryAccess& access : touched_) access.row_bytes *= factor;
     return true;
   }
 

@@ -62,8 +62,8 @@ void run_row_sum(const Operand& source, const void* offsets, const void* items, 
   const auto row_count = static_cast<uint64_t>(rows);
   const detail::MemoryAccess accesses[] = {
       {words[0], static_cast<uint64_t>(source.rows) * row_bytes},
-      {words[3], init ? row_count * row_bytes : 0},
-      {words[4], row_count * row_bytes, 0, true}};
+      {words[3], init ? row_count * row_bytes : 0, static_cast<uint32_t>(row_bytes)},
+      {words[4], row_count * row_bytes, static_cast<uint32_t>(row_bytes), true}};
   submit_launch(context, known, "row_sum", rows, words, nullptr, accesses);
   note_write(out.range);
   for (const Operand* operand : {&source, init, &out})

@@ -1,0 +1,227 @@
+#include "phases.h"
+
+#include <algorithm>
+#include <map>
+#include <optional>
+#include <utility>
+
+#include "fusion.h"
+
+namespace nova::detail {
+
+namespace {
+
+// Rows of an operation for each row of its chain, at most: more would leave threads idle.
+constexpr int64_t kMaxRowsEach = 8;
+// What a device keeps at hand of a phase.
+constexpr size_t kMaxWords = 448, kMaxChains = 24;
+
+class PhasePlanner {
+ public:
+  PhasePlanner(std::span<const OpList::Op> ops, std::span<const uint64_t> words,
+               std::span<const MemoryAccess> accesses)
+      : ops_(ops), words_(words), accesses_(accesses) {}
+
+  std::vector<Phased> plan() {
+    std::vector<uint32_t> chain_of;
+    for (uint32_t k = 0; k < ops_.size(); ++k) chain_of.push_back(place(k));
+    std::vector<Phased> placed;
+    for (uint32_t k = 0; k < ops_.size(); ++k) {
+      const uint32_t chain = root(chain_of[k]);
+      placed.push_back({k, chains_[chain].phase, chain, chains_[chain].rows});
+    }
+    std::stable_sort(placed.begin(), placed.end(), [](const Phased& a, const Phased& b) {
+      return std::pair(a.phase, a.chain) < std::pair(b.phase, b.chain);
+    });
+    uint32_t number = 0, phase = 0, chain = 0;
+    for (size_t k = 0; k < placed.size(); ++k) {
+      Phased& p = placed[k];
+      number = k == 0 || p.phase != phase ? 0 : number + (p.chain != chain ? 1 : 0);
+      phase = p.phase;
+      chain = std::exchange(p.chain, number);
+    }
+    return placed;
+  }
+
+ private:
+  struct Chain {
+    uint32_t phase = 0, joined = 0;  // joined: itself, or the chain that it became part of
+    int64_t rows = 0, most = 0;      // most: of one of its operations
+  };
+  struct Phase {
+    size_t words = 0, chains = 0;
+  };
+  struct User {
+    uint32_t chain = 0;
+    bool own = false;  // at the own row only
+  };
+  // Memory that operations touched: the last write, and the reads in the last phase that has any.
+  struct Interval {
+    uint64_t end = 0;
+    std::optional<User> writer;
+    std::vector<User> readers;
+  };
+  // An operation that the next one must come after.
+  struct Before {
+    uint32_t chain = 0;
+    bool own = false;  // only row i of it before row i of the next one
+  };
+
+  uint32_t root(uint32_t chain) const {
+    while (chains_[chain].joined != chain) chain = chains_[chain].joined;
+    return chain;
+  }
+  uint32_t phase_of(uint32_t chain) const { return chains_[root(chain)].phase; }
+
+  auto first_from(uint64_t begin) {
+    auto at = intervals_.upper_bound(begin);
+    if (at != intervals_.begin() && std::prev(at)->second.end > begin) --at;
+    return at;
+  }
+
+  void find_before(const MemoryAccess& access, std::vector<Before>& before) {
+    if (access.bytes == 0) return;
+    const uint64_t end = access.begin + access.bytes;
+    for (auto at = first_from(access.begin); at != intervals_.end() && at->first < end; ++at) {
+      const bool own = access.row_bytes != 0 && at->first == access.begin && at->second.end == end;
+      if (at->second.writer)
+        before.push_back({at->second.writer->chain, own && at->second.writer->own});
+      if (!access.write) continue;
+      for (const User& user : at->second.readers) before.push_back({user.chain, own && user.own});
+    }
+  }
+
+  void add(const MemoryAccess& access, uint32_t chain) {
+    if (access.bytes == 0) return;
+    const uint64_t end = access.begin + access.bytes;
+    const User user{chain, access.row_bytes != 0};
+    auto at = first_from(access.begin);
+    if (at == intervals_.end() || at->first >= end) {
+      at = intervals_.emplace(access.begin, Interval{end, {}, {}}).first;
+    } else if (at->first != access.begin || at->second.end != end) {
+      return merge(at, access, chain);
+    }
+    if (access.write) {
+      at->second.writer = user;
+      at->second.readers.clear();
+    } else {
+      add_reader(at->second, user);
+    }
+  }
+  // Another view of the same bytes: together they are one interval, and whoever comes next comes
+  // after all that touched it.
+  void merge(std::map<uint64_t, Interval>::iterator at, const MemoryAccess& access,
+             uint32_t chain) {
+    uint64_t begin = access.begin, end = access.begin + access.bytes;
+    User last{chain};
+    const auto see = [&](const User& user) {
+      if (phase_of(user.chain) > phase_of(last.chain)) last.chain = user.chain;
+    };
+    while (at != intervals_.end() && at->first < end) {
+      begin = std::min(begin, at->first);
+      end = std::max(end, at->second.end);
+      if (at->second.writer) see(*at->second.writer);
+      for (const User& reader : at->second.readers) see(reader);
+      at = intervals_.erase(at);
+    }
+    intervals_[begin] = {.end = end, .writer = last, .readers = {}};
+  }
+  void add_reader(Interval& interval, const User& user) const {
+    const uint32_t phase = phase_of(user.chain);
+    if (!interval.readers.empty()) {
+      const uint32_t known = phase_of(interval.readers.front().chain);
+      if (phase < known) return;
+      if (phase > known) interval.readers.clear();
+    }
+    for (User& other : interval.readers)
+      if (root(other.chain) == root(user.chain)) {
+        other.own = other.own && user.own;
+        return;
+      }
+    interval.readers.push_back(user);
+  }
+
+  // Memory that an operation touches in two ways counts as touched at any row.
+  void forget_rows_of_mixed_access() {
+    const auto mixed = [](const MemoryAccess& a, const MemoryAccess& b) {
+      const bool apart = a.begin >= b.begin + b.bytes || b.begin >= a.begin + a.bytes;
+      return !apart && (b.row_bytes == 0 || a.begin != b.begin || a.bytes != b.bytes);
+    };
+    for (MemoryAccess& a : touched_)
+      for (const MemoryAccess& b : touched_)
+        if (mixed(a, b)) a.row_bytes = 0;
+  }
+
+  // The chain of an operation that comes after those.
+  uint32_t place(uint32_t k) {
+    touched_.clear();
+    before_.clear();
+    touched_by(ops_[k], words_, accesses_, touched_);
+    forget_rows_of_mixed_access();
+    for (const MemoryAccess& access : touched_) find_before(access, before_);
+    uint32_t phase = 0;
+    for (const Before& b : before_) phase = std::max(phase, phase_of(b.chain));
+    const int64_t rows = rows_of(ops_[k]);
+    std::vector<uint32_t> with;
+    bool joins = true;
+    for (const Before& b : before_) {
+      if (phase_of(b.chain) != phase) continue;
+      joins = joins && b.own;
+      if (std::find(with.begin(), with.end(), root(b.chain)) == with.end())
+        with.push_back(root(b.chain));
+    }
+    const size_t words = 2 + ops_[k].word_count;
+    if (joins && !with.empty() && fits(phase, words, false)) {
+      if (const auto chain = join(with, rows)) return settle(phase, *chain, words);
+    }
+    if (!with.empty()) ++phase;
+    while (!fits(phase, words, true)) ++phase;
+    chains_.push_back({phase, static_cast<uint32_t>(chains_.size()), rows, rows});
+    ++phases_[phase].chains;
+    return settle(phase, static_cast<uint32_t>(chains_.size() - 1), words);
+  }
+  bool fits(uint32_t phase, size_t words, bool new_chain) {
+    if (phases_.size() <= phase) phases_.resize(phase + 1);
+    const Phase& p = phases_[phase];
+    return p.words == 0 || (p.words + words <= kMaxWords && p.chains + new_chain <= kMaxChains);
+  }
+  uint32_t settle(uint32_t phase, uint32_t chain, size_t words) {
+    phases_[phase].words += words;
+    for (const MemoryAccess& access : touched_) add(access, chain);
+    return chain;
+  }
+  // Makes one chain of several that also holds an operation over so many rows.
+  std::optional<uint32_t> join(const std::vector<uint32_t>& with, int64_t rows) {
+    int64_t fewest = rows, most = rows;
+    for (const uint32_t c : with) {
+      fewest = std::min(fewest, chains_[c].rows);
+      most = std::max(most, chains_[c].most);
+    }
+    if (fewest < 1 || rows % fewest != 0 || most / fewest > kMaxRowsEach) return std::nullopt;
+    for (const uint32_t c : with)
+      if (chains_[c].rows % fewest != 0) return std::nullopt;
+    const uint32_t chain = *std::min_element(with.begin(), with.end());
+    for (const uint32_t c : with) chains_[c].joined = chain;
+    chains_[chain].rows = fewest;
+    chains_[chain].most = most;
+    return chain;
+  }
+
+  std::span<const OpList::Op> ops_;
+  std::span<const uint64_t> words_;
+  std::span<const MemoryAccess> accesses_;
+  std::vector<Chain> chains_;
+  std::vector<Phase> phases_;
+  std::map<uint64_t, Interval> intervals_;
+  std::vector<MemoryAccess> touched_;  // by the operation looked at
+  std::vector<Before> before_;
+};
+
+}  // namespace
+
+std::vector<Phased> plan_phases(std::span<const OpList::Op> ops, std::span<const uint64_t> words,
+                                std::span<const MemoryAccess> accesses) {
+  return PhasePlanner(ops, words, accesses).plan();
+}
+
+}  // namespace nova::detail

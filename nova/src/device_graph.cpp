@@ -1,10 +1,13 @@
 #include "device_graph.h"
 
+#include <algorithm>
 #include <cstddef>
 #include <cstdlib>
 #include <cstring>
+#include <map>
 
 #include "fusion.h"
+#include "phases.h"
 
 namespace nova::detail {
 
@@ -31,11 +34,21 @@ namespace {
 // Fewer operations are not worth compiling a kernel for.
 constexpr uint32_t kMinListOps = 8;
 
+constexpr uint32_t kMinSequenceOps = 16;
+// A kernel that occurs less often costs more to compile into a sequence than a launch costs.
+constexpr uint32_t kMinOccurrences = 4;
+
+bool switched_off(const char* value) { return value != nullptr && std::strcmp(value, "0") == 0; }
 bool lists_wanted(const novaphy_backend_api& api) {
   constexpr size_t end = offsetof(novaphy_backend_api, list_destroy) + sizeof(api.list_destroy);
-  if (api.struct_size < end || api.list_create == nullptr) return false;
-  const char* wanted = std::getenv("NOVAPHY_DEVICE_LISTS");
-  return wanted == nullptr || std::strcmp(wanted, "0") != 0;
+  return api.struct_size >= end && api.list_create != nullptr &&
+         !switched_off(std::getenv("NOVAPHY_DEVICE_LISTS"));
+}
+bool sequences_wanted(const novaphy_backend_api& api) {
+  constexpr size_t end =
+      offsetof(novaphy_backend_api, sequence_create) + sizeof(api.sequence_create);
+  return api.struct_size >= end && api.sequence_create != nullptr &&
+         !switched_off(std::getenv("NOVAPHY_DEVICE_PHASES"));
 }
 
 novaphy_list_op list_op(const OpList::Op& op, std::span<const uint64_t> words, int64_t n) {
@@ -75,6 +88,61 @@ void DeviceGraph::make_lists(const RunPlan& plan, std::span<const uint64_t> word
   }
 }
 
+// What no list holds, as far as the backend takes it.
+void DeviceGraph::make_sequences(std::span<const OpList::Op> ops, std::span<const uint64_t> words,
+                                 std::span<const MemoryAccess> accesses) {
+  const novaphy_backend_api& api = *context_.api;
+  if (!sequences_wanted(api)) return;
+  std::map<const novaphy_kernel*, uint32_t> occurrences;
+  for (const OpList::Op& op : ops) ++occurrences[op.kernel];
+  const auto takes = [&](const OpList::Op& op) {
+    if (op.kind != OpList::Op::Kind::Launch ? op.n % 4 != 0
+                                            : occurrences[op.kernel] < kMinOccurrences)
+      return false;
+    const novaphy_list_op one = list_op(op, words, std::max<int64_t>(1, rows_of(op)));
+    std::vector<MemoryAccess> touched;
+    return rows_of(op) > 0 && touched_by(op, words, accesses, touched) &&
+           api.sequence_takes(context_.device, &one) != 0;
+  };
+  const std::vector<List> lists = lists_;
+  auto list = lists.begin();
+  for (uint32_t k = 0; k < ops.size();) {
+    const bool before_list = list != lists.end();
+    const uint32_t bound = before_list ? list->first : static_cast<uint32_t>(ops.size());
+    uint32_t end = k;
+    while (end < bound && takes(ops[end])) ++end;
+    if (end - k >= kMinSequenceOps)
+      if (novaphy_list* sequence = make_sequence(ops.subspan(k, end - k), words, accesses))
+        lists_.push_back({k, end, sequence});
+    k = end < bound ? end + 1 : before_list ? (list++)->last : bound;
+  }
+  std::sort(lists_.begin(), lists_.end(),
+            [](const List& a, const List& b) { return a.first < b.first; });
+}
+
+novaphy_list* DeviceGraph::make_sequence(std::span<const OpList::Op> ops,
+                                         std::span<const uint64_t> words,
+                                         std::span<const MemoryAccess> accesses) const {
+  std::vector<novaphy_sequence_op> sequence_ops;
+  for (const Phased& p : plan_phases(ops, words, accesses)) {
+    novaphy_sequence_op op{};
+    op.struct_size = sizeof(op);
+    op.n = rows_of(ops[p.op]);
+    op.op = list_op(ops[p.op], words, op.n);
+    op.rows = p.rows;
+    op.phase = p.phase;
+    op.chain = p.chain;
+    sequence_ops.push_back(op);
+  }
+  novaphy_list* sequence = nullptr;
+  novaphy_error error = novaphy::make_error();
+  const novaphy_status status =
+      context_.api->sequence_create(context_.device, sequence_ops.data(),
+                                    static_cast<uint32_t>(sequence_ops.size()), &sequence, &error);
+  if (status != NOVAPHY_NOT_SUPPORTED) novaphy::check(status, error, "graph");
+  return sequence;
+}
+
 novaphy_status DeviceGraph::issue_all(novaphy_stream* stream, std::span<const OpList::Op> ops,
                                       std::span<const uint64_t> words, novaphy_error& error,
                                       const char*& name) const {
@@ -99,6 +167,7 @@ std::unique_ptr<DeviceGraph> DeviceGraph::make(const DeviceContext& context,
   std::unique_ptr<DeviceGraph> made(new DeviceGraph(context));
   const RunPlan plan = plan_run(ops, words, accesses, {.min_rows = 1, .multiples = false});
   made->make_lists(plan, words);
+  made->make_sequences(plan.ops, words, accesses);
   novaphy_error error = novaphy::make_error();
   // A stream of its own: other threads may be using the device's.
   novaphy_stream* stream = nullptr;

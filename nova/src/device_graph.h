@@ -1,6 +1,7 @@
 // Internal: a recorded list as a graph of the device, so that a replay is one call. Stretches of
 // operations that touch what the list writes at their own row only become one launch each, where
-// the backend can do that (NOVAPHY_DEVICE_LISTS=0 keeps them apart; the results are the same).
+// the backend can do that (NOVAPHY_DEVICE_LISTS=0 keeps them apart; the results are the same), and
+// what lies between these becomes one launch with barriers (NOVAPHY_DEVICE_PHASES=0: it does not).
 #pragma once
 
 #include <cstdint>
@@ -34,6 +35,10 @@ class DeviceGraph {
  private:
   explicit DeviceGraph(const novaphy::DeviceContext& context) : context_(context) {}
   void make_lists(const RunPlan& plan, std::span<const uint64_t> words);
+  void make_sequences(std::span<const OpList::Op> ops, std::span<const uint64_t> words,
+                      std::span<const MemoryAccess> accesses);
+  novaphy_list* make_sequence(std::span<const OpList::Op> ops, std::span<const uint64_t> words,
+                              std::span<const MemoryAccess> accesses) const;
   novaphy_status issue_all(novaphy_stream* stream, std::span<const OpList::Op> ops,
                            std::span<const uint64_t> words, novaphy_error& error,
                            const char*& name) const;

@@ -241,6 +241,16 @@ FAKE cuLaunchKernel(void* function, unsigned blocks, unsigned, unsigned, unsigne
     });
   return before;  // a kernel that fails is noticed by the call after it
 }
+FAKE cuLaunchCooperativeKernel(void*, unsigned, unsigned, unsigned, unsigned, unsigned, unsigned,
+                               unsigned, void*, void**) {
+  const int before = result();
+  ++g_launches;
+  return before;
+}
+FAKE cuOccupancyMaxActiveBlocksPerMultiprocessor(int* blocks, void*, int, size_t) {
+  *blocks = 1;
+  return result();
+}
 FAKE cuStreamBeginCapture_v2(void* stream, unsigned) {
   static_cast<Handle*>(stream)->capturing = true;
   return result();

@@ -421,6 +421,8 @@ constexpr novaphy_backend_api kApi = {
     series_create,
     series_launch,
     series_destroy,
+    nullptr,  // no sequences either
+    nullptr,
 };
 
 }  // namespace

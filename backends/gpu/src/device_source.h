@@ -13,6 +13,7 @@ inline constexpr const char* kInterpreterEntry = "novaphy_interpreter";
 const char* prelude_text();      // device_prelude.cuh
 const char* builtins_text();     // builtins.cuh
 const char* interpreter_text();  // interpreter.cuh
+const char* sequence_text();     // sequence.cuh
 // Equal Programs have equal text, whatever their names.
 nova::ir::Program without_names(nova::ir::Program program);
 // One kernel: novaphy_main(argument words, n, sink), a thread per row.

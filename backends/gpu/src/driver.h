@@ -91,6 +91,12 @@ enum : unsigned {
     (Function, unsigned, unsigned, unsigned, unsigned, unsigned, unsigned, unsigned, Stream,      \
      void**, void**),                                                                             \
     "cuLaunchKernel")                                                                             \
+  X(launch_together, Result,                                                                      \
+    (Function, unsigned, unsigned, unsigned, unsigned, unsigned, unsigned, unsigned, Stream,      \
+     void**),                                                                                     \
+    "cuLaunchCooperativeKernel")                                                                  \
+  X(blocks_per_unit, Result, (int*, Function, int, size_t),                                       \
+    "cuOccupancyMaxActiveBlocksPerMultiprocessor")                                                \
   X(capture_begin, Result, (Stream, unsigned), "cuStreamBeginCapture_v2")                         \
   X(capture_end, Result, (Stream, Graph*), "cuStreamEndCapture")                                  \
   X(graph_instantiate, Result, (GraphExec*, Graph, unsigned long long),                           \

@@ -1,22 +1,10 @@
 // Lists of operations that run as one kernel; see list_plan.h.
-#include "list_plan.h"
-#include "vendor.h"
+#include "list.h"
 
-struct novaphy_list {
-  novaphy_device* device = nullptr;
-  novaphy::gpu::Module module = nullptr;
-  novaphy::gpu::Function function = nullptr;
-  novaphy::gpu::DevicePointer table = 0;
-  std::vector<uint64_t> words;
-  int64_t n = 0;
-};
+#include "list_plan.h"
 
 namespace novaphy::gpu {
 namespace {
-
-struct Destroy {
-  void operator()(novaphy_list* list) const { list_destroy(list); }
-};
 
 novaphy_status create(novaphy_device* device, int64_t n, std::span<const novaphy_list_op> ops,
                       novaphy_list** list, novaphy_error* error) {
@@ -44,30 +32,39 @@ novaphy_status create(novaphy_device* device, int64_t n, std::span<const novaphy
   if (!plan.worth_it) return refuse("no structure that repeats");
   ListSource source = list_source(plan, ops, n);
   if (!source.fits) return refuse("too many arguments");
-  std::unique_ptr<novaphy_list, Destroy> made(new novaphy_list);
+  OwnList made(new novaphy_list);
   made->device = device;
   made->n = n;
   made->words = std::move(source.words);
-  const Use use(device);
-  const Driver& d = driver();
-  novaphy_status status =
-      load_code(device, source.text, "list", contract ? Dialect::Contracted : Dialect::Program,
-                &made->module, error);
-  if (status == NOVAPHY_OK)
-    status = check(device, d.module_function(&made->function, made->module, kEntry), "list", error);
-  if (status == NOVAPHY_OK && !source.table.empty()) {
-    const size_t bytes = source.table.size() * sizeof(uint64_t);
-    status = check(device, d.alloc(&made->table, bytes), "list", error);
-    if (status == NOVAPHY_OK)
-      status = check(device, d.copy_to_device(made->table, source.table.data(), bytes, nullptr),
-                     "list", error);
-    if (status == NOVAPHY_OK) status = check(device, d.stream_synchronize(nullptr), "list", error);
-  }
+  made->threads = n <= 32 ? 32 : kBlock;
+  made->blocks = (n + made->threads - 1) / made->threads;
+  const novaphy_status status = load_list(*made, source.text, contract, source.table, error);
   if (status == NOVAPHY_OK) *list = made.release();
   return status;
 }
 
 }  // namespace
+
+novaphy_status load_list(novaphy_list& list, const std::string& text, bool contract,
+                         const std::vector<uint64_t>& table, novaphy_error* error) {
+  const Use use(list.device);
+  const Driver& d = driver();
+  novaphy_status status =
+      load_code(list.device, text, "list", contract ? Dialect::Contracted : Dialect::Program,
+                &list.module, error);
+  if (status == NOVAPHY_OK)
+    status =
+        check(list.device, d.module_function(&list.function, list.module, kEntry), "list", error);
+  if (status != NOVAPHY_OK || table.empty()) return status;
+  const size_t bytes = table.size() * sizeof(uint64_t);
+  status = check(list.device, d.alloc(&list.table, bytes), "list", error);
+  if (status == NOVAPHY_OK)
+    status = check(list.device, d.copy_to_device(list.table, table.data(), bytes, nullptr), "list",
+                   error);
+  if (status == NOVAPHY_OK)
+    status = check(list.device, d.stream_synchronize(nullptr), "list", error);
+  return status;
+}
 
 novaphy_status list_create(novaphy_device* device, int64_t n, const novaphy_list_op* ops,
                            uint32_t count, novaphy_list** list, novaphy_error* error) {
@@ -87,9 +84,13 @@ novaphy_status list_launch(novaphy_list* list, novaphy_stream* stream, novaphy_e
   const Use use(stream->device);
   SinkArgument sink = sink_of(stream->device, 0);
   void* pointers[] = {list->words.data(), &list->table, &list->n, &sink};
-  const unsigned threads = list->n <= 32 ? 32 : kBlock;
-  return launch_function(stream, list->function, (list->n + threads - 1) / threads, threads,
-                         pointers, "list", error);
+  if (!list->together)
+    return launch_function(stream, list->function, list->blocks, list->threads, pointers, "list",
+                           error);
+  return check(stream->device,
+               driver().launch_together(list->function, static_cast<unsigned>(list->blocks), 1, 1,
+                                        list->threads, 1, 1, 0, stream->stream, pointers),
+               "list", error);
 }
 
 void list_destroy(novaphy_list* list) {

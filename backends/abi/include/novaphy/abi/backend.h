@@ -24,7 +24,7 @@ extern "C" {
 #endif
 
 #define NOVAPHY_ABI_MAJOR 0u
-#define NOVAPHY_ABI_MINOR 4u
+#define NOVAPHY_ABI_MINOR 5u
 
 typedef enum novaphy_status {
   NOVAPHY_OK = 0,
@@ -133,6 +133,16 @@ typedef struct novaphy_list_op {
 typedef struct novaphy_list novaphy_list;
 typedef struct novaphy_series novaphy_series;
 
+/* One operation of a sequence. `op.row_bytes` of a copy or fill is 4. */
+typedef struct novaphy_sequence_op {
+  uint64_t struct_size;
+  novaphy_list_op op;
+  int64_t n;      /* its rows: a multiple of `rows` */
+  int64_t rows;   /* of its chain */
+  uint32_t phase; /* counted from 0 */
+  uint32_t chain; /* counted from 0 within the phase */
+} novaphy_sequence_op;
+
 typedef struct novaphy_backend_api {
   uint64_t struct_size;
   uint32_t abi_major;
@@ -223,6 +233,16 @@ typedef struct novaphy_backend_api {
   novaphy_status (*series_launch)(novaphy_series* series, int64_t begin, int64_t end,
                                   novaphy_error* error);
   void (*series_destroy)(novaphy_series* series);
+
+  /* since minor version 5 (optional, both or none): operations over several domains, in order of
+   * phases and chains, as one launch. A phase begins when the one before has ended. Its chains are
+   * independent; row i of a chain is done by one thread: of each of its operations, in order, the
+   * rows [i * n / rows, (i + 1) * n / rows). sequence_takes: whether an operation may be part of
+   * one. What sequence_create makes is launched and destroyed as a list; NOT_SUPPORTED, and what the
+   * caller vouches for, as there. */
+  int32_t (*sequence_takes)(novaphy_device* device, const novaphy_list_op* op);
+  novaphy_status (*sequence_create)(novaphy_device* device, const novaphy_sequence_op* ops,
+                                    uint32_t count, novaphy_list** list, novaphy_error* error);
 } novaphy_backend_api;
 
 /* The one exported symbol. Returns null and fills `error` when the host's major version is not the

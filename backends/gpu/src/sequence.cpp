@@ -1,0 +1,123 @@
+// Sequences: which operations they take, in which form they run, and their launch.
+#include <algorithm>
+#include <cstdio>
+#include <cstdlib>
+
+#include "list.h"
+#include "sequence_source.h"
+
+namespace novaphy::gpu {
+namespace {
+
+using Form = SequenceShape::Form;
+
+constexpr unsigned kWarp = 32;
+// Warps of a block: as many as leave a thread the registers that adjoints of elements take.
+constexpr unsigned kFewWarps = 4, kMostWarps = 8, kMostWarpsOfGrid = 12;
+constexpr unsigned kMostInCluster = 8;  // blocks, on every device that has clusters
+constexpr int32_t kClusters = 90;       // the first architecture that has
+// What the builtin, where a block works on such a row, sums faster.
+constexpr uint64_t kLongRow = 1024, kWideRow = 16;
+
+// NOVAPHY_DEVICE_PHASES=BLOCKSxTHREADS.
+bool asked_for(unsigned& blocks, unsigned& threads) {
+  const char* text = std::getenv("NOVAPHY_DEVICE_PHASES");
+  unsigned b = 0, t = 0;
+  if (text == nullptr || std::sscanf(text, "%ux%u", &b, &t) != 2) return false;
+  if (b < 1 || t < kWarp || t > 1024 || t % kWarp != 0) return false;
+  blocks = b;
+  threads = t;
+  return true;
+}
+
+unsigned rounded_up(unsigned a, unsigned b) { return (a + b - 1) / b; }
+
+// Few rows stay on one unit, where a barrier costs next to nothing; more of them spread over a
+// cluster, whose barrier is the hardware's, and many over the device.
+SequenceShape choose(const novaphy_device& device, unsigned warps) {
+  const unsigned in_cluster = device.arch >= kClusters ? kMostInCluster : 1;
+  SequenceShape shape;
+  if (!asked_for(shape.blocks, shape.threads)) {
+    unsigned each = 0;  // warps of a block
+    if (warps <= kMostWarps) {
+      shape.blocks = 1;
+      each = std::max(warps, kFewWarps);
+    } else if (warps <= kMostWarps * in_cluster) {
+      shape.blocks = in_cluster;
+      each = rounded_up(warps, in_cluster);
+    } else {
+      shape.blocks = std::min(warps, static_cast<unsigned>(device.units));
+      each = std::min(rounded_up(warps, shape.blocks), kMostWarpsOfGrid);
+    }
+    shape.threads = each * kWarp;
+  }
+  shape.form = shape.blocks == 1            ? Form::Block
+               : shape.blocks <= in_cluster ? Form::Cluster
+                                            : Form::Grid;
+  return shape;
+}
+
+novaphy_status create(novaphy_device* device, std::span<const novaphy_sequence_op> ops,
+                      novaphy_list** list, novaphy_error* error) {
+  const auto refuse = [&](const char* why) {
+    return fail(error, NOVAPHY_NOT_SUPPORTED, "sequence: %s", why);
+  };
+  bool plain = false, contract = false;
+  for (const novaphy_sequence_op& o : ops) {
+    if (o.n < 1 || o.n > INT32_MAX || o.rows < 1 || o.n % o.rows != 0)
+      return fail(error, NOVAPHY_INVALID_ARGUMENT,
+                  "sequence_create: rows: expected a divisor of the %lld rows, got %lld",
+                  static_cast<long long>(o.n), static_cast<long long>(o.rows));
+    if (o.op.kernel == nullptr || o.op.kernel->run != nullptr) continue;
+    (o.op.kernel->program.contract ? contract : plain) = true;
+  }
+  // One rounding policy for the whole text.
+  if (plain && contract) return refuse("kernels with and without contraction");
+  const SequenceTable table = sequence_table(ops);
+  if (!table.fits) return refuse("too large");
+  const SequenceShape shape = choose(*device, table.most_warps);
+  OwnList made(new novaphy_list);
+  made->device = device;
+  made->words = {table.first_words};
+  made->n = static_cast<int64_t>(table.counters);
+  made->blocks = shape.blocks;
+  made->threads = shape.threads;
+  made->together = shape.form == Form::Grid;
+  const novaphy_status status =
+      load_list(*made, sequence_source(table, shape), contract, table.words, error);
+  if (status != NOVAPHY_OK) return status;
+  if (made->together) {
+    int fit = 0;
+    const Use use(device);
+    const novaphy_status known = check(
+        device, driver().blocks_per_unit(&fit, made->function, static_cast<int>(shape.threads), 0),
+        "sequence", error);
+    if (known != NOVAPHY_OK) return known;
+    made->blocks = std::min<int64_t>(made->blocks, int64_t{fit} * device->units);
+    if (made->blocks == 0) return refuse("the device does not hold a block of it");
+  }
+  *list = made.release();
+  return NOVAPHY_OK;
+}
+
+}  // namespace
+
+int32_t sequence_takes(novaphy_device*, const novaphy_list_op* op) {
+  if (op->kernel == nullptr) return 1;
+  if (!op->kernel->program.instrs.empty()) return 1;
+  if (op->kernel->name != "row_sum_f32" || op->argument_count != 7) return 0;
+  const bool is_long = op->arguments[1] == 0 && op->arguments[6] > kLongRow;
+  return !is_long && op->arguments[5] <= kWideRow ? 1 : 0;
+}
+
+novaphy_status sequence_create(novaphy_device* device, const novaphy_sequence_op* ops,
+                               uint32_t count, novaphy_list** list, novaphy_error* error) {
+  if (const novaphy_status status = check_lost(device, "sequence_create", error);
+      status != NOVAPHY_OK)
+    return status;
+  if (count == 0)
+    return fail(error, NOVAPHY_INVALID_ARGUMENT, "sequence_create: expected operations, got none");
+  return guarded(error, [&] { return create(device, {ops, count}, list, error); });
+}
+
+}  // namespace novaphy::gpu

@@ -1,0 +1,232 @@
+// A sequence: phases of chains as one launch, with a barrier after each. Compiled behind
+// device_prelude.cuh; the Programs and run_chain, which knows the forms of the chains, come after
+// this text. What to run lies in a table, a record for each phase:
+//   words of the next record << 32 | its first word      warps << 32 | chains
+//   per chain: its first warp << 32 | rows               form << 32 | the first word of its arguments
+//   the arguments; before those of a Program, the number of the kernel
+// A warp takes 32 rows of a chain. The record of the next phase is loaded during a phase.
+#define kWordsPerThread ((SEQUENCE_WORDS + SEQUENCE_THREADS - 1) / SEQUENCE_THREADS)
+
+LANE_FN uint32_t low_half(uint64_t word) { return (uint32_t)word; }
+LANE_FN uint32_t high_half(uint64_t word) { return (uint32_t)(word >> 32); }
+
+template <class S, class O>
+LANE_FN void copy_word(const S from, const O to, int64_t row) {
+  row_failure failure;
+  failure.zeros = 0;
+  put_columni(to, 1, 0, row, own_columni(from, 1, 0, 1, 0, row, failure));
+}
+
+// A row of the builtin row_sum_f32.
+struct no_init {};
+LANE_FN float init_of(const no_init, int32_t, int32_t, int64_t) { return 0.0f; }
+template <class S>
+LANE_FN float init_of(const S s, int32_t width, int32_t column, int64_t row) {
+  row_failure failure;
+  failure.zeros = 0;
+  return own_columnf(s, width, column, 1, 0, row, failure);
+}
+// The sum of [begin, end) from `sum`, in batches, the last of which may reach past the end.
+template <int width>
+LANE_FN void fold_items(const float* source, const int32_t* items, int64_t begin, int64_t end,
+                        float* sum) {
+  for (int64_t base = begin; base < end; base += CSR_BATCH) {
+#pragma unroll
+    for (int64_t k = base; k < base + CSR_BATCH; ++k) {
+      const bool on = k < end;
+      const int64_t at = on ? k : end - 1;
+      const float* const row = source + (items != 0 ? (int64_t)__ldg(items + at) : at) * width;
+#pragma unroll
+      for (int c = 0; c < width; ++c) sum[c] = on ? sum[c] + row[c] : sum[c];
+    }
+  }
+}
+// The rule for long rows: the sums of chunks of kChunk from +0, summed by the same rule.
+#define kChunk 256
+template <int width>
+static __device__ __noinline__ void fold_long(const float* source, const int32_t* items,
+                                              int64_t begin, int64_t end, float* total) {
+  const int64_t chunks = (end - begin + kChunk - 1) / kChunk;
+  const bool deep = chunks > (int64_t)kChunk * kChunk;
+  for (int c = 0; c < width; ++c) total[c] = 0.0f;
+  float second[width] = {}, third[width] = {};
+  for (int64_t chunk = 0; chunk < chunks; ++chunk) {
+    const int64_t from = begin + chunk * kChunk;
+    float first[width] = {};
+    fold_items<width>(source, items, from, from + kChunk < end ? from + kChunk : end, first);
+    const bool last = chunk + 1 == chunks;
+    const bool full = last || (chunk + 1) % kChunk == 0;
+    const bool all_full = last || (chunk + 1) % (kChunk * kChunk) == 0;
+    for (int c = 0; c < width; ++c) {
+      second[c] += first[c];
+      if (!full) continue;
+      (deep ? third : total)[c] += second[c];
+      second[c] = 0.0f;
+      if (!deep || !all_full) continue;
+      total[c] += third[c];
+      third[c] = 0.0f;
+    }
+  }
+}
+// Two sums over the same items.
+template <int width, class S, class O, class T, class P>
+LANE_FN void sum_two_rows(const uint64_t* v, const S v_init, const O v_out, const uint64_t* w,
+                          const T w_init, const P w_out, int64_t row) {
+  const float* const sources[2] = {(const float*)v[0], (const float*)w[0]};
+  const int32_t* const items = (const int32_t*)w[2];
+  const int32_t begin = __ldg((const int32_t*)w[1] + row);
+  const int32_t end = __ldg((const int32_t*)w[1] + row + 1);
+  float sums[2][width];
+#pragma unroll
+  for (int c = 0; c < width; ++c) {
+    sums[0][c] = init_of(v_init, width, c, row);
+    sums[1][c] = init_of(w_init, width, c, row);
+  }
+  if (end - begin > kChunk) {
+#pragma unroll
+    for (int s = 0; s < 2; ++s) {
+      float total[width];
+      fold_long<width>(sources[s], items, begin, end, total);
+#pragma unroll
+      for (int c = 0; c < width; ++c) sums[s][c] += total[c];
+    }
+  } else {
+    for (int32_t base = begin; base < end; base += CSR_BATCH) {
+#pragma unroll
+      for (int32_t k = base; k < base + CSR_BATCH; ++k) {
+        const bool on = k < end;
+        const int32_t at = on ? k : end - 1;
+        const int64_t first = (int64_t)(items != 0 ? __ldg(items + at) : at) * width;
+#pragma unroll
+        for (int s = 0; s < 2; ++s)
+#pragma unroll
+          for (int c = 0; c < width; ++c)
+            sums[s][c] = on ? sums[s][c] + sources[s][first + c] : sums[s][c];
+      }
+    }
+  }
+#pragma unroll
+  for (int c = 0; c < width; ++c) {
+    put_columnf(v_out, width, c, row, sums[0][c]);
+    put_columnf(w_out, width, c, row, sums[1][c]);
+  }
+}
+
+// Has the items of a row on the way before they are needed. Where a barrier empties the cache of a
+// unit only: one block finds them there.
+LANE_FN void touch_items(uint64_t offsets, uint64_t items, int64_t row) {
+#if SEQUENCE_FORM != 0
+  const int32_t begin = __ldg((const int32_t*)offsets + row);
+  if (items != 0) asm volatile("prefetch.global.L1 [%0];" ::"l"((const int32_t*)items + begin));
+#endif
+}
+
+template <int width, bool by_offsets, class S, class O>
+LANE_FN void sum_row(const uint64_t* w, const S init, const O out, int64_t row) {
+  const float* const source = (const float*)w[0];
+  const int32_t* const offsets = (const int32_t*)w[1];
+  const int32_t* const items = (const int32_t*)w[2];
+  const int64_t begin = by_offsets ? (int64_t)__ldg(offsets + row) : row * (int64_t)w[6];
+  const int64_t end = by_offsets ? (int64_t)__ldg(offsets + row + 1) : begin + (int64_t)w[6];
+  float sum[width];
+#pragma unroll
+  for (int c = 0; c < width; ++c) sum[c] = init_of(init, width, c, row);
+  if (end - begin <= kChunk) {
+    fold_items<width>(source, items, begin, end, sum);
+  } else {
+    float total[width];
+    fold_long<width>(source, items, begin, end, total);
+#pragma unroll
+    for (int c = 0; c < width; ++c) sum[c] += total[c];
+  }
+#pragma unroll
+  for (int c = 0; c < width; ++c) put_columnf(out, width, c, row, sum[c]);
+}
+
+// Waits until all threads of all blocks are here, and sees what they have written.
+#if SEQUENCE_FORM == 0  // one block
+LANE_FN void phase_barrier(uint32_t*, uint32_t) { __syncthreads(); }
+LANE_FN void last_barrier(uint32_t*) {}
+#elif SEQUENCE_FORM == 1  // one cluster
+LANE_FN void phase_barrier(uint32_t*, uint32_t) {
+  asm volatile("barrier.cluster.arrive.release.aligned;\n\tbarrier.cluster.wait.acquire.aligned;" ::
+                   : "memory");
+}
+LANE_FN void last_barrier(uint32_t*) {}
+#else  // all blocks, which the launch has made sure run at the same time
+LANE_FN void phase_barrier(uint32_t* counter, uint32_t phase) {
+  __syncthreads();
+  if (threadIdx.x == 0) {
+    const uint32_t all = gridDim.x * (phase + 1);
+    uint32_t seen;
+    asm volatile("red.release.gpu.global.add.u32 [%0], 1;" ::"l"(counter) : "memory");
+    do {
+      asm volatile("ld.acquire.gpu.global.u32 %0, [%1];" : "=r"(seen) : "l"(counter) : "memory");
+    } while (seen < all);
+  }
+  __syncthreads();
+}
+// The block that is last to leave makes the counters ready for the next launch.
+LANE_FN void last_barrier(uint32_t* counter) {
+  __syncthreads();
+  if (threadIdx.x != 0 || atomicAdd(counter + 1, 1u) != gridDim.x - 1) return;
+  counter[0] = 0;
+  counter[1] = 0;
+}
+#endif
+
+LANE_FN void run_chain(uint32_t form, const uint64_t* words, const int64_t i,
+                       const device_sink sink);
+
+LANE_FN void run_phase(const uint64_t* record, const device_sink sink) {
+  const uint64_t* const chain = record + 2;
+  const uint32_t chains = low_half(record[1]), warps = high_half(record[1]);
+  const uint32_t all = gridDim.x * (SEQUENCE_THREADS / 32);
+  // Neighbours go to different blocks, so that few warps use many units.
+#pragma unroll 1
+  for (uint32_t warp = threadIdx.x / 32 * gridDim.x + blockIdx.x; warp < warps; warp += all) {
+    uint32_t c = chains - 1;
+    while (high_half(chain[2 * c]) > warp) --c;
+    const uint32_t row = (warp - high_half(chain[2 * c])) * 32 + (threadIdx.x & 31);
+    if (row < low_half(chain[2 * c]))
+      run_chain(high_half(chain[2 * c + 1]), record + low_half(chain[2 * c + 1]), row, sink);
+  }
+}
+
+#if SEQUENCE_FORM == 1
+#define SEQUENCE_CLUSTER __cluster_dims__(SEQUENCE_BLOCKS, 1, 1)
+#else
+#define SEQUENCE_CLUSTER
+#endif
+struct sequence_start {
+  uint64_t words;  // of the first record
+};
+extern "C" __global__ void SEQUENCE_CLUSTER __launch_bounds__(SEQUENCE_THREADS, 1) novaphy_main(
+    const __grid_constant__ sequence_start start, uint64_t* table, const int64_t counters,
+    const device_sink sink) {
+  __shared__ uint64_t records[2][SEQUENCE_WORDS];
+  for (uint32_t k = threadIdx.x; k < start.words; k += SEQUENCE_THREADS)
+    records[0][k] = __ldg(table + k);
+  __syncthreads();
+#pragma unroll 1
+  for (uint32_t phase = 0;; ++phase) {
+    const uint64_t* const record = records[phase & 1];
+    const uint32_t words = high_half(record[0]);
+    const uint64_t* const next = table + low_half(record[0]);
+    uint64_t loaded[kWordsPerThread];
+#pragma unroll
+    for (int k = 0; k < kWordsPerThread; ++k) {
+      const uint32_t at = threadIdx.x + k * SEQUENCE_THREADS;
+      loaded[k] = at < words ? __ldg(next + at) : 0;
+    }
+    run_phase(record, sink);
+    if (words == 0) break;
+#pragma unroll
+    for (int k = 0; k < kWordsPerThread; ++k) {
+      const uint32_t at = threadIdx.x + k * SEQUENCE_THREADS;
+      if (at < words) records[(phase + 1) & 1][at] = loaded[k];
+    }
+    phase_barrier((uint32_t*)(table + counters), phase);
+  }
+  last_barrier((uint32_t*)(table + counters));
+}

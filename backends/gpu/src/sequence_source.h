@@ -1,0 +1,61 @@
+// A sequence as text and table; sequence.cuh says how it runs.
+#pragma once
+
+#include <cstdint>
+#include <span>
+#include <string>
+#include <vector>
+
+#include "module.h"
+
+namespace novaphy::gpu {
+
+// The structure of a chain. Chains of equal structure share their code: only arguments differ.
+struct ChainForm {
+  struct Operation {
+    enum Kind : int32_t { Copy, Fill, RowSum, Program } kind = Program;
+    int32_t each = 1;                    // rows for each of the chain
+    int32_t width = 1;                   // RowSum: of a row
+    bool offsets = false, init = false;  // RowSum: which of its arguments are there
+    bool joins = false;  // RowSum: over the same items as the operation before, and run with it
+    std::vector<int32_t> tables;  // words of CSR offsets that no operation before has
+    int32_t program = 0;          // index into SequenceTable::programs
+    struct Source {
+      enum From : int32_t { Memory, There, Registers } from = Memory;
+      int32_t op = 0, output = 0;  // Registers: what this operation of the chain left
+      auto operator<=>(const Source&) const = default;
+    };
+    std::vector<Source> sources;
+    struct Output {
+      // Now: stored at once. Later: when the chain is done. Never: a later operation writes there
+      // too.
+      enum Store : int32_t { Now, Later, Never } store = Now;
+      int32_t width = 1;
+      auto operator<=>(const Output&) const = default;
+    };
+    std::vector<Output> outputs;
+    int32_t first_word = 0;  // of its arguments in the chain's
+    auto operator<=>(const Operation&) const = default;
+  };
+  std::vector<Operation> operations;
+  auto operator<=>(const ChainForm&) const = default;
+};
+
+struct SequenceTable {
+  std::vector<const nova::ir::Program*> programs;  // each once
+  std::vector<ChainForm> forms;                    // each once
+  std::vector<uint64_t> words;                     // the records, then a word for the barrier
+  uint64_t first_words = 0, most_words = 0;        // of the first and of the largest record
+  uint64_t counters = 0;                           // where the barrier's word lies
+  uint32_t most_warps = 0;                         // of a phase
+  bool fits = true;
+};
+SequenceTable sequence_table(std::span<const novaphy_sequence_op> ops);
+
+struct SequenceShape {
+  enum class Form : uint8_t { Block, Cluster, Grid } form = Form::Block;
+  unsigned blocks = 1, threads = 128;
+};
+std::string sequence_source(const SequenceTable& table, const SequenceShape& shape);
+
+}  // namespace novaphy::gpu

@@ -1,0 +1,136 @@
+// How a sequence becomes a table and a text: forms of chains, and what stays in registers.
+#include <gtest/gtest.h>
+
+#include <memory>
+
+#include "compiler.h"
+#include "novaphy/nova/kernel.h"
+#include "sequence_source.h"
+
+namespace novaphy::gpu {
+namespace {
+
+using nova::Access;
+using nova::DType;
+using nova::TraceContext;
+using Operation = ChainForm::Operation;
+using Form = SequenceShape::Form;
+
+class SequenceTest : public ::testing::Test {
+ protected:
+  SequenceTest() {
+    const nova::Kernel traced = nova::make_kernel(
+        "add", {{"a", DType::F32, 3, Access::Direct}, {"b", DType::F32, 3, Access::Direct}},
+        {{"sum", 3}}, [](TraceContext& t) {
+          return std::vector{t.f32(0, 0) + t.f32(1, 0), t.f32(0, 1) + t.f32(1, 1),
+                             t.f32(0, 2) + t.f32(1, 2)};
+        });
+    add.program = traced.program();
+    add.argument_count = add.program.argument_count();
+    add.number = 7;
+    sum.name = "row_sum_f32";
+    sum.argument_count = 7;
+    sum.run = [](novaphy_stream*, const novaphy_kernel&, int64_t, const uint64_t*, novaphy_error*) {
+      return NOVAPHY_OK;
+    };
+  }
+  void push(novaphy_kernel& kernel, uint32_t phase, uint32_t chain, std::vector<uint64_t> words) {
+    kept.push_back(std::make_unique<std::vector<uint64_t>>(std::move(words)));
+    novaphy_sequence_op o{};
+    o.struct_size = sizeof(o);
+    o.op.struct_size = sizeof(o.op);
+    o.op.kernel = &kernel;
+    o.op.arguments = kept.back()->data();
+    o.op.argument_count = kernel.argument_count;
+    o.n = o.rows = kRows;
+    o.phase = phase;
+    o.chain = chain;
+    ops.push_back(o);
+  }
+  void push_add(uint32_t phase, uint32_t chain, uint64_t a, uint64_t b, uint64_t to) {
+    push(add, phase, chain, {a, kRows, b, kRows, to});
+  }
+  void push_sum(uint32_t phase, uint64_t source, uint64_t init, uint64_t to) {
+    push(sum, phase, 0, {source, 0x8000, 0x9000, init, to, 3, 0});
+  }
+  static void expect_compiles(const SequenceTable& table) {
+    if (!compiler(0).available()) return;
+    for (const Form form : {Form::Block, Form::Cluster, Form::Grid}) {
+      const SequenceShape shape{form, form == Form::Block ? 1u : 4u, 128};
+      EXPECT_EQ(compile(sequence_source(table, shape), 90, Dialect::Program).problem, "");
+    }
+  }
+
+  static constexpr uint64_t kRows = 40;
+  novaphy_kernel add, sum;
+  std::vector<std::unique_ptr<std::vector<uint64_t>>> kept;
+  std::vector<novaphy_sequence_op> ops;
+};
+
+TEST_F(SequenceTest, ChainsOfOneStructureShareTheirForm) {
+  for (uint32_t t = 0; t < 6; ++t) {
+    push_add(t, 0, 0x1000 * t, 0x100, 0x1000 * (t + 1));
+    push_add(t, 1, 0x1000 * t, 0x200, 0x10000 + 0x1000 * t);
+  }
+  const SequenceTable table = sequence_table(ops);
+  ASSERT_TRUE(table.fits);
+  EXPECT_EQ(table.forms.size(), 1u);
+  EXPECT_EQ(table.programs.size(), 1u);
+  EXPECT_EQ(table.most_warps, 4u);  // 40 rows are two warps, of either chain
+  // Records lie one behind another: header, chains, and arguments behind the kernel's number.
+  constexpr uint64_t kRecord = 2 + 2 * 2 + 2 * 6;
+  EXPECT_EQ(table.first_words, kRecord);
+  EXPECT_EQ(table.words.size(), 6 * kRecord + 1);
+  EXPECT_EQ(table.words[0], kRecord << 32 | kRecord);
+  EXPECT_EQ(table.words[1], uint64_t{4} << 32 | 2);
+  EXPECT_EQ(table.words[2], kRows);                      // the first chain begins with warp 0
+  EXPECT_EQ(table.words[4], uint64_t{2} << 32 | kRows);  // the second one with warp 2
+  EXPECT_EQ(table.words[6], 7u);
+  EXPECT_EQ(table.words[5 * kRecord], 0u);  // the last record
+  expect_compiles(table);
+}
+
+TEST_F(SequenceTest, WhatAChainLeavesForItselfStaysInRegisters) {
+  push_add(0, 0, 0x1000, 0x2000, 0x3000);
+  push_add(0, 0, 0x3000, 0x2000, 0x3000);  // in place
+  push_add(0, 0, 0x3000, 0x1000, 0x4000);
+  const SequenceTable table = sequence_table(ops);
+  ASSERT_EQ(table.forms.size(), 1u);
+  const auto& chain = table.forms[0].operations;
+  EXPECT_EQ(chain[0].sources[0].from, Operation::Source::There);
+  EXPECT_EQ(chain[1].sources[0].from, Operation::Source::Registers);
+  EXPECT_EQ(chain[1].sources[0].op, 0);
+  EXPECT_EQ(chain[2].sources[0].op, 1);
+  EXPECT_EQ(chain[2].sources[1].from, Operation::Source::There);
+  EXPECT_EQ(chain[0].outputs[0].store, Operation::Output::Never);  // overwritten
+  EXPECT_EQ(chain[1].outputs[0].store, Operation::Output::Later);
+  EXPECT_EQ(chain[2].outputs[0].store, Operation::Output::Later);
+  expect_compiles(table);
+}
+
+TEST_F(SequenceTest, SumsOverTheSameItemsRunTogether) {
+  push_sum(0, 0x1000, 0, 0x2000);
+  push_sum(0, 0x3000, 0, 0x4000);
+  push_sum(0, 0x5000, 0x2000, 0x2000);
+  push_sum(0, 0x6000, 0x2000, 0x7000);  // needs what the one before gives
+  const SequenceTable table = sequence_table(ops);
+  const auto& chain = table.forms.at(0).operations;
+  EXPECT_FALSE(chain[0].joins);
+  EXPECT_TRUE(chain[1].joins);
+  EXPECT_FALSE(chain[2].joins);
+  EXPECT_FALSE(chain[3].joins);
+  EXPECT_EQ(chain[0].tables.size(), 1u);
+  EXPECT_TRUE(chain[1].tables.empty());  // known from the first
+  expect_compiles(table);
+}
+
+TEST_F(SequenceTest, SourcesThatMayLackRowsAreChecked) {
+  push(add, 0, 0, {0x1000, kRows - 1, 0x2000, kRows, 0x3000});
+  const SequenceTable table = sequence_table(ops);
+  EXPECT_EQ(table.forms[0].operations[0].sources[0].from, Operation::Source::Memory);
+  EXPECT_EQ(table.forms[0].operations[0].sources[1].from, Operation::Source::There);
+  expect_compiles(table);
+}
+
+}  // namespace
+}  // namespace novaphy::gpu

@@ -102,6 +102,7 @@ class Deformable:
             self.graph.launch()
         else:
             self.loss = self.record()
+        novaphy.synchronize(str(self.model.device))
 
     def loss_value(self) -> float:
         """The loss of the last iteration, before its update."""

@@ -160,10 +160,15 @@ def test_states_and_gradients_have_the_bits_of_the_cpu(balls, steps):
         assert_same_bits(cuda[name], expected, name)
 
 
-def trained(device: str, balls: int, captured: bool, iterations: int) -> list[np.ndarray]:
+def trained(
+    device: str, balls: int, captured: bool, iterations: int, spheres: int = 0
+) -> list[np.ndarray]:
     """Trajectory and velocity after some iterations of a rollout, recorded anew or replayed."""
     novaphy.set_default_device(device)
     builder = ball_builder(balls)
+    for k in range(spheres):
+        at = ((0.3 * k - 0.4, 0.9, 0.2 * k), (0.0, 0.0, 0.0, 1.0))
+        builder.add_shape_sphere(-1, xform=at, radius=0.25)
     model = builder.finalize(device, requires_grad=True)
     model.soft_contact_ke, model.soft_contact_kd = 1.0e4, 10.0
     model.soft_contact_kf, model.soft_contact_mu = 0.0, 0.2
@@ -202,6 +207,55 @@ def test_a_captured_iteration_replays_with_the_bits_of_the_cpu(balls):
             ("q", "velocity", "loss"), trained("cuda:0", balls, captured, 3), expected
         ):
             assert_same_bits(a, b, f"{name}, captured {captured}")
+
+
+@pytest.mark.parametrize("spheres", [1, 4])
+def test_contacts_beyond_those_in_registers_count_too(spheres):
+    expected = trained("cpu", 9, False, 2, spheres)
+    for name, a, b in zip(
+        ("q", "velocity", "loss"), trained("cuda:0", 9, True, 2, spheres), expected
+    ):
+        assert_same_bits(a, b, name)
+
+
+def test_a_loss_over_very_many_rows_has_the_bits_of_the_cpu():
+    values = np.random.default_rng(3).standard_normal((70001, 3)).astype(np.float32)
+    losses = []
+    for device in ("cpu", "cuda:0"):
+        x = nova.tensor(values, device=device)
+        losses.append(nova.dot(x, x).numpy())
+    assert_same_bits(losses[1], losses[0], "dot")
+
+
+def trained_body(device: str, leaves: bool) -> list[np.ndarray]:
+    """A soft body in flight and bounce: two captured iterations that change its materials."""
+    model = soft_body_model(device)
+    config = solvers.DiffSolverConfig(
+        enable_tetrahedra=True, enable_triangles=True, enable_static_contacts=True
+    )
+    solver = solvers.DiffSemiImplicitSolver(model, config)
+    trajectory = diff.Trajectory(model, 260)
+    materials = diff.model_tet_material_tensor(model, requires_grad=True)
+    with nova.ScopedCapture() as capture:
+        with nova.Tape(leaf_gradients_only=leaves) as tape:
+            solver.rollout(trajectory, None, None, 1.0 / 960)
+            last = diff.particle_centroid_generated(diff.state_particle_q_tensor(trajectory[-1]))
+            tape.backward(diff.vec3_point_loss_generated(last, 0.0, -1.0, 1.5))
+    for _ in range(2):
+        capture.graph.launch()
+    return [trajectory.particle_q.numpy(), trajectory.particle_qd.numpy(), materials.grad.numpy()]
+
+
+@pytest.mark.parametrize("leaves", [False, True])
+def test_phases_have_the_bits_of_the_cpu_on_one_block_a_cluster_and_the_whole_device(
+    leaves, monkeypatch
+):
+    expected = trained_body("cpu", leaves)
+    assert np.abs(expected[2]).max() > 0
+    for phases in ("0", "", "1x64", "4x32", "20x96"):
+        monkeypatch.setenv("NOVAPHY_DEVICE_PHASES", phases)
+        for name, a, b in zip(("q", "qd", "materials"), trained_body("cuda:0", leaves), expected):
+            assert_same_bits(a, b, f"{name}, phases {phases!r}")
 
 
 CONTACT_FIELDS = [
@@ -291,9 +345,10 @@ def test_a_read_past_the_end_names_the_kernel_the_row_and_the_source():
     np.testing.assert_array_equal(y.numpy(), np.float32([3, 0, 1]))
 
 
-@pytest.mark.parametrize("lists", ["0", "1"])
-def test_a_replay_reports_a_read_past_the_end(lists, monkeypatch):
+@pytest.mark.parametrize(("lists", "phases"), [("0", "0"), ("0", "1x32"), ("1", "0")])
+def test_a_replay_reports_a_read_past_the_end(lists, phases, monkeypatch):
     monkeypatch.setenv("NOVAPHY_DEVICE_LISTS", lists)
+    monkeypatch.setenv("NOVAPHY_DEVICE_PHASES", phases)
     step = nova.make_indexed_kernel(
         "a_step",
         [("x", nova.float32), ("at", nova.int32), ("value", nova.float32, 1, "indexed")],
@@ -305,10 +360,10 @@ def test_a_replay_reports_a_read_past_the_end(lists, monkeypatch):
     x = nova.tensor(np.zeros(4, np.float32), device="cuda:0")
     with nova.ScopedCapture() as capture:
         y = x
-        for _ in range(12):
+        for _ in range(20):
             (y,) = step(4, [y, at, value])
     capture.graph.launch()
-    np.testing.assert_array_equal(y.numpy(), np.float32([12, 24, 36, 12]))
+    np.testing.assert_array_equal(y.numpy(), np.float32([20, 40, 60, 20]))
     at.assign(np.int32([0, 1, 3, 0]))
     capture.graph.launch()
     with pytest.raises(IndexError, match="'a_step': row i = 2 reads row 3 of source 'value'"):

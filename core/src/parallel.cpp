@@ -1,9 +1,5 @@
 #include "novaphy/core/parallel.h"
 
-#include <oneapi/tbb/blocked_range.h>
-#include <oneapi/tbb/global_control.h>
-#include <oneapi/tbb/parallel_for.h>
-#include <oneapi/tbb/task_arena.h>
 #include <pthread.h>
 #include <time.h>
 
@@ -21,6 +17,7 @@
 #include "cpu_limits.h"
 #include "novaphy/core/error.h"
 #include "novaphy/cpu/float_mode.h"
+#include "thread_team.h"
 
 #if defined(__SANITIZE_THREAD__)
 #define NOVAPHY_THREAD_SANITIZER 1
@@ -35,19 +32,9 @@ namespace {
 
 constexpr int kMaxThreads = 1024;
 
-// The threads that run parallel work. The control lifts oneTBB's own limit (the CPUs), so that 7
-// threads can be tested on 2 cores.
-struct Workers {
-  explicit Workers(int count)
-      : control(tbb::global_control::max_allowed_parallelism, static_cast<size_t>(count)),
-        arena(count) {}
-  tbb::global_control control;
-  tbb::task_arena arena;
-};
-
 struct State {
   std::mutex mutex;
-  std::shared_ptr<Workers> workers;  // null until the first parallel work
+  std::shared_ptr<ThreadTeam> workers;  // null until the first parallel work
 };
 
 // Never destroyed: at exit, and in a child process, the threads may be gone before it.
@@ -72,13 +59,13 @@ int threads_from_environment() {
   return count;
 }
 
-std::shared_ptr<Workers> workers(int threads) {
+std::shared_ptr<ThreadTeam> workers(int threads) {
   State& s = state();
   const std::lock_guard lock(s.mutex);
   if (s.workers == nullptr) {
     static const int registered = pthread_atfork(nullptr, nullptr, [] { g_in_child.store(true); });
     static_cast<void>(registered);
-    s.workers = std::make_shared<Workers>(threads);
+    s.workers = std::make_shared<ThreadTeam>(threads);
   }
   return s.workers;
 }
@@ -120,16 +107,18 @@ void run_on_threads(int threads, int64_t chunks, void (*body)(void*, int64_t), v
 }
 #else
 void run_on_threads(int threads, int64_t chunks, void (*body)(void*, int64_t), void* context) {
-  const std::shared_ptr<Workers> team = workers(threads);
-  team->arena.execute([&] {
-    tbb::parallel_for(tbb::blocked_range<int64_t>(0, chunks),
-                      [&](const tbb::blocked_range<int64_t>& range) {
-                        const InsideGuard inside;
-                        const cpu::FloatMode mode;
-                        for (int64_t chunk = range.begin(); chunk != range.end(); ++chunk)
-                          body(context, chunk);
-                      });
-  });
+  struct Work {
+    void (*body)(void*, int64_t);
+    void* context;
+  } work{body, context};
+  const auto run = [](void* opaque, int64_t chunk) {
+    const Work& w = *static_cast<const Work*>(opaque);
+    const InsideGuard inside;
+    const cpu::FloatMode mode;
+    w.body(w.context, chunk);
+  };
+  // Another thread's work has the team: this one does its own.
+  if (!workers(threads)->run(chunks, run, &work)) run_serially(chunks, body, context);
 }
 #endif
 
@@ -156,7 +145,7 @@ void set_num_threads(int count) {
   g_threads.store(count);
   if (g_in_child.load()) return;
   State& s = state();
-  std::shared_ptr<Workers>
+  std::shared_ptr<ThreadTeam>
       old;  // destroyed outside of the lock; work that still runs keeps it alive
   const std::lock_guard lock(s.mutex);
   old.swap(s.workers);

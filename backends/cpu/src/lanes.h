@@ -122,4 +122,11 @@ LANE_FN float uloadf(const char* s, int64_t rows, int32_t row, int32_t width, in
   return ubits_f(uloadi(s, rows, row, width, column, need, source, i, sink));
 }
 
+#include "lanes_csr.h"
+
+/* Of the rows [i, i + LANES) in `room`, those from `done` on. */
+LANE_FN void copy_tail(char* out, const char* room, int64_t bytes, int64_t i, int64_t done) {
+  memcpy(out + bytes * done, room + bytes * (done - i), (size_t)(bytes * (i + LANES - done)));
+}
+
 #endif

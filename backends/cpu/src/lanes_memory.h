@@ -179,33 +179,86 @@ LANE_FN void store3i(char* p, vi a, vi b, vi c) {
 }
 #endif
 
-#if LANES == 16
-/* Rows of four words are a 4 x 4 transpose in every quarter once the quarters are in place. */
-LANE_FN __m512i quarters(const char* p) { /* rows 0, 4, 8, 12 from p on */
-  const __m512i first = _mm512_castsi128_si512(_mm_loadu_si128((const __m128i*)p));
-  const __m512i two = _mm512_inserti32x4(first, _mm_loadu_si128((const __m128i*)(p + 64)), 1);
-  const __m512i three = _mm512_inserti32x4(two, _mm_loadu_si128((const __m128i*)(p + 128)), 2);
-  return _mm512_inserti32x4(three, _mm_loadu_si128((const __m128i*)(p + 192)), 3);
+/* Four neighbouring columns of rows of `width` words. */
+#if defined(__x86_64__)
+/* A 4 x 4 transpose in every quarter. Quarter k of vector r is row 4 k + r. */
+#if LANES == 4
+#define QUARTERS(operation) _mm_##operation
+typedef __m128i quarters;
+#elif LANES == 8
+#define QUARTERS(operation) _mm256_##operation
+typedef __m256i quarters;
+#else
+#define QUARTERS(operation) _mm512_##operation
+typedef __m512i quarters;
+#endif
+LANE_FN void transpose4(quarters r0, quarters r1, quarters r2, quarters r3, vi* a, vi* b, vi* c,
+                        vi* d) {
+  const quarters low01 = QUARTERS(unpacklo_epi32(r0, r1)), low23 = QUARTERS(unpacklo_epi32(r2, r3));
+  const quarters high01 = QUARTERS(unpackhi_epi32(r0, r1)),
+                 high23 = QUARTERS(unpackhi_epi32(r2, r3));
+  *a = (vi)QUARTERS(unpacklo_epi64(low01, low23)), *b = (vi)QUARTERS(unpackhi_epi64(low01, low23));
+  *c = (vi)QUARTERS(unpacklo_epi64(high01, high23)),
+  *d = (vi)QUARTERS(unpackhi_epi64(high01, high23));
 }
-LANE_FN void load4i(const char* p, vi* a, vi* b, vi* c, vi* d) {
-  const __m512i r0 = quarters(p), r1 = quarters(p + 16), r2 = quarters(p + 32),
-                r3 = quarters(p + 48);
-  const __m512i low01 = _mm512_unpacklo_epi32(r0, r1), low23 = _mm512_unpacklo_epi32(r2, r3);
-  const __m512i high01 = _mm512_unpackhi_epi32(r0, r1), high23 = _mm512_unpackhi_epi32(r2, r3);
-  *a = (vi)_mm512_unpacklo_epi64(low01, low23), *b = (vi)_mm512_unpackhi_epi64(low01, low23);
-  *c = (vi)_mm512_unpacklo_epi64(high01, high23), *d = (vi)_mm512_unpackhi_epi64(high01, high23);
+#undef QUARTERS
+LANE_FN __m128i load_quarter(const char* p) { return _mm_loadu_si128((const __m128i*)p); }
+LANE_FN quarters load_quarters(const char* p, int64_t bytes) { /* rows 0, 4, 8, 12 from p on */
+#if LANES == 4
+  (void)bytes;
+  return load_quarter(p);
+#elif LANES == 8
+  return _mm256_inserti128_si256(_mm256_castsi128_si256(load_quarter(p)),
+                                 load_quarter(p + 4 * bytes), 1);
+#else
+  const __m512i first = _mm512_castsi128_si512(load_quarter(p));
+  const __m512i two = _mm512_inserti32x4(first, load_quarter(p + 4 * bytes), 1);
+  const __m512i three = _mm512_inserti32x4(two, load_quarter(p + 8 * bytes), 2);
+  return _mm512_inserti32x4(three, load_quarter(p + 12 * bytes), 3);
+#endif
+}
+LANE_FN void store_quarter(char* p, __m128i a) { _mm_storeu_si128((__m128i*)p, a); }
+LANE_FN void store_quarters(char* p, int64_t bytes, vi a) {
+#if LANES == 4
+  (void)bytes;
+  store_quarter(p, (__m128i)a);
+#elif LANES == 8
+  store_quarter(p, _mm256_castsi256_si128((__m256i)a));
+  store_quarter(p + 4 * bytes, _mm256_extracti128_si256((__m256i)a, 1));
+#else
+  store_quarter(p, _mm512_castsi512_si128((__m512i)a));
+  store_quarter(p + 4 * bytes, _mm512_extracti32x4_epi32((__m512i)a, 1));
+  store_quarter(p + 8 * bytes, _mm512_extracti32x4_epi32((__m512i)a, 2));
+  store_quarter(p + 12 * bytes, _mm512_extracti32x4_epi32((__m512i)a, 3));
+#endif
+}
+LANE_FN void load_columns4i(const char* p, int32_t width, vi* a, vi* b, vi* c, vi* d) {
+  const int64_t bytes = 4 * (int64_t)width;
+  transpose4(load_quarters(p, bytes), load_quarters(p + bytes, bytes),
+             load_quarters(p + 2 * bytes, bytes), load_quarters(p + 3 * bytes, bytes), a, b, c, d);
+}
+LANE_FN void store_columns4i(char* p, int32_t width, vi a, vi b, vi c, vi d) {
+  const int64_t bytes = 4 * (int64_t)width;
+  vi r0, r1, r2, r3;
+  transpose4((quarters)a, (quarters)b, (quarters)c, (quarters)d, &r0, &r1, &r2, &r3);
+  store_quarters(p, bytes, r0), store_quarters(p + bytes, bytes, r1);
+  store_quarters(p + 2 * bytes, bytes, r2), store_quarters(p + 3 * bytes, bytes, r3);
 }
 #else
-LANE_FN void load4i(const char* p, vi* a, vi* b, vi* c, vi* d) {
-  *a = load_columni(p, 4), *b = load_columni(p + 4, 4), *c = load_columni(p + 8, 4),
-  *d = load_columni(p + 12, 4);
+LANE_FN void load_columns4i(const char* p, int32_t width, vi* a, vi* b, vi* c, vi* d) {
+  *a = load_columni(p, width), *b = load_columni(p + 4, width);
+  *c = load_columni(p + 8, width), *d = load_columni(p + 12, width);
+}
+LANE_FN void store_columns4i(char* p, int32_t width, vi a, vi b, vi c, vi d) {
+  store_columni(p, width, a), store_columni(p + 4, width, b);
+  store_columni(p + 8, width, c), store_columni(p + 12, width, d);
 }
 #endif
-LANE_FN void store2i(char* p, vi a, vi b) { store_columni(p, 2, a), store_columni(p + 4, 2, b); }
-LANE_FN void store4i(char* p, vi a, vi b, vi c, vi d) {
-  store_columni(p, 4, a), store_columni(p + 4, 4, b), store_columni(p + 8, 4, c),
-      store_columni(p + 12, 4, d);
+LANE_FN void load4i(const char* p, vi* a, vi* b, vi* c, vi* d) {
+  load_columns4i(p, 4, a, b, c, d);
 }
+LANE_FN void store2i(char* p, vi a, vi b) { store_columni(p, 2, a), store_columni(p + 4, 2, b); }
+LANE_FN void store4i(char* p, vi a, vi b, vi c, vi d) { store_columns4i(p, 4, a, b, c, d); }
 
 LANE_FN vf load_columnf(const char* p, int32_t width) { return (vf)load_columni(p, width); }
 LANE_FN void load2f(const char* p, vf* a, vf* b) { load2i(p, (vi*)a, (vi*)b); }
@@ -213,9 +266,15 @@ LANE_FN void load3f(const char* p, vf* a, vf* b, vf* c) { load3i(p, (vi*)a, (vi*
 LANE_FN void load4f(const char* p, vf* a, vf* b, vf* c, vf* d) {
   load4i(p, (vi*)a, (vi*)b, (vi*)c, (vi*)d);
 }
+LANE_FN void load_columns4f(const char* p, int32_t width, vf* a, vf* b, vf* c, vf* d) {
+  load_columns4i(p, width, (vi*)a, (vi*)b, (vi*)c, (vi*)d);
+}
 LANE_FN void store_columnf(char* p, int32_t width, vf a) { store_columni(p, width, (vi)a); }
 LANE_FN void store2f(char* p, vf a, vf b) { store2i(p, (vi)a, (vi)b); }
 LANE_FN void store3f(char* p, vf a, vf b, vf c) { store3i(p, (vi)a, (vi)b, (vi)c); }
 LANE_FN void store4f(char* p, vf a, vf b, vf c, vf d) { store4i(p, (vi)a, (vi)b, (vi)c, (vi)d); }
+LANE_FN void store_columns4f(char* p, int32_t width, vf a, vf b, vf c, vf d) {
+  store_columns4i(p, width, (vi)a, (vi)b, (vi)c, (vi)d);
+}
 
 #include "lanes_gather.h"

@@ -31,6 +31,14 @@ LANE_FN void load3f(const char* p, vf* a, vf* b, vf* c) {
 LANE_FN void load4f(const char* p, vf* a, vf* b, vf* c, vf* d) {
   load3f(p, a, b, c), *d = ubits_f(word_at(p, 3));
 }
+LANE_FN void load_columns4i(const char* p, int32_t width, vi* a, vi* b, vi* c, vi* d) {
+  (void)width;
+  load4i(p, a, b, c, d);
+}
+LANE_FN void load_columns4f(const char* p, int32_t width, vf* a, vf* b, vf* c, vf* d) {
+  (void)width;
+  load4f(p, a, b, c, d);
+}
 
 LANE_FN void store_columni(char* p, int32_t width, vi a) {
   (void)width;
@@ -46,6 +54,14 @@ LANE_FN void store2f(char* p, vf a, vf b) { memcpy(p, &a, 4), memcpy(p + 4, &b, 
 LANE_FN void store3f(char* p, vf a, vf b, vf c) { store2f(p, a, b), memcpy(p + 8, &c, 4); }
 LANE_FN void store4f(char* p, vf a, vf b, vf c, vf d) {
   store3f(p, a, b, c), memcpy(p + 12, &d, 4);
+}
+LANE_FN void store_columns4i(char* p, int32_t width, vi a, vi b, vi c, vi d) {
+  (void)width;
+  store4i(p, a, b, c, d);
+}
+LANE_FN void store_columns4f(char* p, int32_t width, vf a, vf b, vf c, vf d) {
+  (void)width;
+  store4f(p, a, b, c, d);
 }
 
 /* Rows of a table: the row itself, or zeros. */

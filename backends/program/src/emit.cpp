@@ -51,11 +51,10 @@ std::string Emitter::run(const std::string& function) {
   head(function);
   arguments();
   before_the_rows();
-  line("for (; i + LANES <= last; i += LANES) {");
-  ++depth_;
+  groups_begin();
   steps();
   stores();
-  close();
+  groups_end();
   line("return i;");
   close();
   return std::move(out_);
@@ -154,7 +153,7 @@ void Emitter::arguments() {
     line("const int64_t n" + k + " = (int64_t)args[" + str(p_.source_argument(s) + 1) + "];");
   }
   for (size_t o = 0; o < p_.outputs.size() && !series_; ++o)
-    line("char* const o" + str(static_cast<int64_t>(o)) + " = (char*)args[" +
+    line("char* const out" + str(static_cast<int64_t>(o)) + " = (char*)args[" +
          str(p_.output_argument(o)) + "];");
   loops_and_parameters();
   for (const KeptValues& kept : kept_) {
@@ -222,6 +221,11 @@ void Emitter::steps() {
     const Step& step = plan_.steps[s];
     switch (step.kind) {
       case Step::Kind::LoopBegin:
+        if (const int32_t source = added_source(step.value); source >= 0) {
+          add_rows(step.value, source);
+          while (plan_.steps[s].kind != Step::Kind::LoopEnd) ++s;
+          break;
+        }
         begin = s;
         loop_begin(step.value);
         break;
@@ -328,14 +332,7 @@ void Emitter::load(Value v, const Instr& in) {
   }
   const std::string rows = own ? "" : rows_of(group.row, plan_.region[at(v)]);
   if (width >= 2 && width <= 4 && wanted >= 2) {
-    std::string targets, fresh;
-    for (int32_t c = 0; c < width; ++c) {
-      const Value d = group.columns[at(c)];
-      const std::string name = d != kNone ? text_.name(d) : "x" + str(v) + "_" + str(c);
-      if (d == kNone || !is_declared(d)) fresh += (fresh.empty() ? "" : ", ") + name;
-      targets += ", &" + name;
-    }
-    if (!fresh.empty()) line("v" + t + " " + fresh + ";");
+    const std::string targets = columns(v, group, 0, 0, width);
     line(own && device_ ? "own" + str(width) + t + "(" + s + where + targets + ");"
          : own
              ? "load" + str(width) + t + "(" + s + " + " + str(4 * width) + " * i" + targets + ");"
@@ -345,11 +342,19 @@ void Emitter::load(Value v, const Instr& in) {
   for (int32_t c = 0; c < width; ++c) {
     const Value d = group.columns[at(c)];
     if (d == kNone) continue;
+    if (const int32_t first = four_columns(c, width); own && !device_ && first >= 0) {
+      const auto begin = group.columns.begin();
+      if (std::count(begin + c, begin + first + 4, kNone) <= first + 2 - c) {  // at least two
+        line("load_columns4" + t + "(" + own_column(s, width, first) + ", " + str(width) +
+             columns(v, group, c, first, 4) + ");");
+        c = first + 3;
+        continue;
+      }
+    }
     line(declaration(d) + " = " +
          (own && device_
               ? "own_column" + t + "(" + s + ", " + str(width) + ", " + str(c) + where + ");"
-          : own ? "load_column" + t + "(" + s + " + " + str(4 * width) + " * i" +
-                      (c == 0 ? "" : " + " + str(4 * c)) + ", " + str(width) + ");"
+          : own ? "load_column" + t + "(" + own_column(s, width, c) + ", " + str(width) + ");"
                 : "gather_column" + t + "(" + table + ", &" + rows + ", " + str(width) + ", " +
                       str(c) + where + ");"));
   }
@@ -396,7 +401,7 @@ void Emitter::stores() {
       ++depth_;
       fetch_early(series_->varying.size() + o, width, "1");
     }
-    store(output, "o" + k + " + " + str(4 * width) + " * i");
+    store(output, "o" + k);
     if (series_) close();
   }
   if (!series_) return;
@@ -406,18 +411,25 @@ void Emitter::stores() {
            text_.lanes(p_.outputs[o].values[c]) + ";");
 }
 
-void Emitter::store(const Output& output, const std::string& to) {
+void Emitter::store(const Output& output, const std::string& array) {
   const auto width = static_cast<int32_t>(output.values.size());
   const std::string t = letter(output.type);
+  const auto values = [&](int32_t first, int32_t count) {
+    std::string list;
+    for (int32_t c = first; c < first + count; ++c) list += ", " + text_.lanes(output.values[at(c)]);
+    return list;
+  };
   if (width >= 2 && width <= 4) {
-    std::string values;
-    for (const Value v : output.values) values += ", " + text_.lanes(v);
-    line("store" + str(width) + t + "(" + to + values + ");");
+    line("store" + str(width) + t + "(" + own_column(array, width, 0) + values(0, width) + ");");
     return;
   }
-  for (int32_t c = 0; c < width; ++c)
-    line("store_column" + t + "(" + to + (c == 0 ? "" : " + " + str(4 * c)) + ", " + str(width) +
-         ", " + text_.lanes(output.values[at(c)]) + ");");
+  for (int32_t c = 0; c < width; ++c) {
+    const int32_t first = four_columns(c, width);
+    const std::string to = own_column(array, width, first < 0 ? c : first) + ", " + str(width);
+    line(first < 0 ? "store_column" + t + "(" + to + values(c, 1) + ");"
+                   : "store_columns4" + t + "(" + to + values(first, 4) + ");");
+    if (first >= 0) c = first + 3;
+  }
 }
 
 std::string c_function_name(const Program& program) {

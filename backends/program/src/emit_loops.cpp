@@ -57,15 +57,52 @@ const IdleItem* Emitter::idle_item(int32_t loop) const {
   return nullptr;
 }
 
+int32_t Emitter::added_source(int32_t l) const {
+  const std::vector<Sum>& sums = p_.loops[at(l)].sums;
+  if (device_ || series_ || !in_csr_loop(l) || sums.size() > 4) return -1;
+  const int32_t source = p_.instrs[at(sums[0].term)].a;
+  std::vector<Value> terms;
+  for (const Sum& sum : sums) {
+    const Instr& term = p_.instrs[at(sum.term)];
+    const bool column = term.op == Op::LOAD_F && term.a == source &&
+                        term.c == static_cast<int32_t>(terms.size()) &&
+                        p_.instrs[at(term.b)].op == Op::SLOT;
+    if (!column) return -1;
+    terms.push_back(sum.term);
+  }
+  if (p_.sources[at(source)].width != static_cast<int32_t>(sums.size())) return -1;
+  for (size_t v = 0; v < p_.instrs.size(); ++v) {
+    const bool computed =
+        plan_.used[v] && plan_.loop[v] == l && !plan_.once[v] && !is_leaf(p_.instrs[v].op);
+    if (computed && std::count(terms.begin(), terms.end(), static_cast<Value>(v)) == 0) return -1;
+  }
+  return source;
+}
+
+void Emitter::add_rows(int32_t l, int32_t source) {
+  const std::string k = str(l), s = str(source);
+  begin_sums(l);
+  std::string sums;
+  for (size_t n = 0; n < p_.loops[at(l)].sums.size(); ++n)
+    sums += ", &sum" + k + "_" + str(static_cast<int64_t>(n));
+  line("csr_add" + str(p_.sources[at(source)].width) + "(s" + s + ", n" + s + ", offsets" + k +
+       ", items" + k + ", " + s + ", i, sink" + sums + ");");
+}
+
+void Emitter::begin_sums(int32_t l) {
+  const std::vector<Sum>& sums = p_.loops[at(l)].sums;
+  for (size_t s = 0; s < sums.size(); ++s)
+    line("vf sum" + str(l) + "_" + str(static_cast<int64_t>(s)) + " = " +
+         text_.lanes(sums[s].init) + ";");
+}
+
 void Emitter::loop_begin(int32_t l) {
   loop_ = l;
   const std::string k = str(l);
   const Loop& loop = p_.loops[at(l)];
   const bool csr = loop.kind == LoopKind::Csr;
   if (csr && items_done_ == l) return device_items(l);
-  for (size_t s = 0; s < loop.sums.size(); ++s)
-    line("vf sum" + k + "_" + str(static_cast<int64_t>(s)) + " = " +
-         text_.lanes(loop.sums[s].init) + ";");
+  begin_sums(l);
   if (csr && device_) {
     device_items(l);
   } else if (csr) {

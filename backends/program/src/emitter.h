@@ -39,6 +39,14 @@ class Emitter {
   void arguments();
   void loops_and_parameters();
   void before_the_rows();
+  // The last group, when it is not whole, begins earlier: it computes rows once more, and does not
+  // write them.
+  void groups_begin();
+  void groups_end();
+  std::string output_bytes(size_t o) const;
+  // An output may be the memory of a source, and then holds what the first time wrote: no row of a
+  // table may be taken from there, because it could be past the table's end.
+  bool may_run_again() const;
   bool varies(int32_t source) const;
   // The output that is carried to a source, or -1.
   int32_t carrier(int32_t source) const;
@@ -65,6 +73,11 @@ class Emitter {
   bool follows(const KeptValues& kept) const;
   const IdleItem* idle_item(int32_t loop) const;
   std::string zero(Value v) const;
+  // The source whose rows, all columns of the items and nothing else, a sum over CSR rows adds; -1:
+  // it does something else.
+  int32_t added_source(int32_t l) const;
+  void add_rows(int32_t l, int32_t source);
+  void begin_sums(int32_t l);
   void loop_begin(int32_t l);
   void item_begin(int32_t l);
   bool is_slot(size_t v, int32_t l) const;
@@ -97,11 +110,18 @@ class Emitter {
   // The lanes that need a load: those for which every condition around it holds.
   std::string need(Value v) const;
   void load(Value v, const Instr& in);
+  static std::string own_column(const std::string& array, int32_t width, int32_t column);
+  // Wide rows are read and written four columns at a time: the first of the four that begin with
+  // `column`, or end with the last one. -1: rows are too narrow, or it is the last one alone.
+  static int32_t four_columns(int32_t column, int32_t width);
+  // Declares the columns [first, first + count) of a load, and lists where they go; those before
+  // `fresh` are known already, and go nowhere.
+  std::string columns(Value v, const LoadGroup& group, int32_t fresh, int32_t first, int32_t count);
   // The variable that says how the rows of a load lie: one that is in sight, else a new one.
   std::string rows_of(Value row, int32_t region);
   Value column_owner(Value v, const Instr& in) const;
   void stores();
-  void store(const Output& output, const std::string& to);
+  void store(const Output& output, const std::string& array);
 
   const Program& original_;
   const Program p_;
@@ -124,6 +144,7 @@ class Emitter {
   std::string out_;
   int32_t depth_ = 0, loop_ = -1;
   std::set<std::tuple<Value, int32_t, int32_t>> looked_, looked_before_;  // row, region, loop
+  bool tail_ = false;  // the last group may begin earlier
 };
 
 }  // namespace nova::ir

@@ -14,12 +14,16 @@ static int64_t k_neighbours_de72125e760c893f(const uint64_t* args, int64_t begin
   const int64_t n1 = (int64_t)args[3];
   const char* const s2 = (const char*)args[4];
   const int64_t n2 = (int64_t)args[5];
-  char* const o0 = (char*)args[6];
+  char* const out0 = (char*)args[6];
   const int32_t* const offsets0 = (const int32_t*)args[7];
   const int32_t* const items0 = (const int32_t*)args[8];
   int64_t i = begin, last = end;
   if (n0 < last) last = n0;
-  for (; i + LANES <= last; i += LANES) {
+  for (; i < last && last - begin >= LANES; i += LANES) {
+    const int64_t done = i;
+    if (i + LANES > last) i = last - LANES;
+    char room0[LANES * 4];
+    char* const o0 = i == done ? out0 : room0 - 4 * i;
     vf v5, v8, v12;
     load3f(s0 + 12 * i, &v5, &v8, &v12);
     vf sum0_0 = splatf(0.0f);
@@ -40,6 +44,7 @@ static int64_t k_neighbours_de72125e760c893f(const uint64_t* args, int64_t begin
       sum0_0 = vselectf(on0, sum0_0 + v14, sum0_0);
     }
     store_columnf(o0 + 4 * i, 1, sum0_0);
+    if (i != done) copy_tail(out0, room0, 4, i, done);
   }
   return i;
 }

@@ -13,7 +13,7 @@ static int64_t k_sgd_update_vec3_clipped_f32_7475730fe0934a3c(const uint64_t* ar
   const int64_t n0 = (int64_t)args[1];
   const char* const s1 = (const char*)args[2];
   const int64_t n1 = (int64_t)args[3];
-  char* const o0 = (char*)args[4];
+  char* const out0 = (char*)args[4];
   const float pf1 = uparam_f(args[6]);
   const float pf2 = uparam_f(args[7]);
   const float pf0 = uparam_f(args[5]);
@@ -22,7 +22,11 @@ static int64_t k_sgd_update_vec3_clipped_f32_7475730fe0934a3c(const uint64_t* ar
   if (n1 < last) last = n1;
   const int u14 = ult(0.0f, pf1);
   const int u17 = ult(0.0f, pf2);
-  for (; i + LANES <= last; i += LANES) {
+  for (; i < last && last - begin >= LANES; i += LANES) {
+    const int64_t done = i;
+    if (i + LANES > last) i = last - LANES;
+    char room0[LANES * 12];
+    char* const o0 = i == done ? out0 : room0 - 12 * i;
     vf v1, v5, v8;
     load3f(s1 + 12 * i, &v1, &v5, &v8);
     const vf v3 = v1 * 0.0f;
@@ -90,6 +94,7 @@ static int64_t k_sgd_update_vec3_clipped_f32_7475730fe0934a3c(const uint64_t* ar
     const vf v56 = vselectf(v12, v55, v33);
     const vf v59 = vselectf(v12, v58, v40);
     store3f(o0 + 12 * i, v53, v56, v59);
+    if (i != done) copy_tail(out0, room0, 12, i, done);
   }
   return i;
 }

@@ -11,7 +11,7 @@ static int64_t k_uniform_71bfa791c0d49df7(const uint64_t* args, int64_t begin, i
   const int64_t n0 = (int64_t)args[1];
   const char* const s1 = (const char*)args[2];
   const int64_t n1 = (int64_t)args[3];
-  char* const o0 = (char*)args[4];
+  char* const out0 = (char*)args[4];
   const float pf0 = uparam_f(args[5]);
   int64_t i = begin, last = end;
   if (n0 < last) last = n0;
@@ -20,12 +20,17 @@ static int64_t k_uniform_71bfa791c0d49df7(const uint64_t* args, int64_t begin, i
   const float u5 = u3 * pf0;
   const float u7 = u5 - u6;
   const float u10 = usqrt(u7);
-  for (; i + LANES <= last; i += LANES) {
+  for (; i < last && last - begin >= LANES; i += LANES) {
+    const int64_t done = i;
+    if (i + LANES > last) i = last - LANES;
+    char room0[LANES * 8];
+    char* const o0 = i == done ? out0 : room0 - 8 * i;
     vf v1, v9;
     load2f(s0 + 8 * i, &v1, &v9);
     const vf v8 = v1 * u7;
     const vf v11 = v9 + u10;
     store2f(o0 + 8 * i, v8, v11);
+    if (i != done) copy_tail(out0, room0, 8, i, done);
   }
   return i;
 }

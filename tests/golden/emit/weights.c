@@ -11,11 +11,15 @@ static int64_t k_weights_1e026102c7bf2bff(const uint64_t* args, int64_t begin, i
   const int64_t n0 = (int64_t)args[1];
   const char* const s1 = (const char*)args[2];
   const int64_t n1 = (int64_t)args[3];
-  char* const o0 = (char*)args[4];
+  char* const out0 = (char*)args[4];
   const int32_t extent0 = uparam_i(args[5]);
   int64_t i = begin, last = end;
   if (n0 < last) last = n0;
-  for (; i + LANES <= last; i += LANES) {
+  for (; i < last && last - begin >= LANES; i += LANES) {
+    const int64_t done = i;
+    if (i + LANES > last) i = last - LANES;
+    char room0[LANES * 4];
+    char* const o0 = i == done ? out0 : room0 - 4 * i;
     const vf v2 = load_columnf(s0 + 4 * i, 1);
     vf sum0_0 = splatf(0.0f);
     for (int32_t r0 = 0; r0 < extent0; ++r0) {
@@ -25,6 +29,7 @@ static int64_t k_weights_1e026102c7bf2bff(const uint64_t* args, int64_t begin, i
       sum0_0 = sum0_0 + v7;
     }
     store_columnf(o0 + 4 * i, 1, sum0_0);
+    if (i != done) copy_tail(out0, room0, 4, i, done);
   }
   return i;
 }

@@ -20,7 +20,7 @@ T* pointer(uint64_t word) {
 }
 
 constexpr int64_t kSumChunk = NOVAPHY_ROW_SUM_CHUNK;
-constexpr int64_t kRowsPerChunk = 256;
+constexpr int64_t kMaxRowsPerChunk = 256, kItemsPerChunk = 1024;
 
 struct RowSum {
   const float* source;
@@ -50,6 +50,22 @@ void fold(const RowSum& s, int64_t begin, int64_t end, float* acc) {
   for (int c = 0; c < kWidth; ++c) acc[c] = sum[c];
 }
 
+// Positions, velocities and forces: three floats are read as four, with the one before them.
+void fold_three(const RowSum& s, int64_t begin, int64_t end, float* acc) {
+  using Four = float __attribute__((vector_size(16)));
+  using Unaligned = Four __attribute__((aligned(4), may_alias));
+  Four sum = {0.0f, acc[0], acc[1], acc[2]};
+  for (int64_t k = begin; k < end; ++k) {
+    const float* item = s.item(k);
+    if (item != s.source) [[likely]] {
+      sum += *reinterpret_cast<const Unaligned*>(item - 1);
+    } else {
+      sum += Four{0.0f, item[0], item[1], item[2]};
+    }
+  }
+  for (int c = 0; c < 3; ++c) acc[c] = sum[c + 1];
+}
+
 void fold_any(const RowSum& s, int64_t begin, int64_t end, float* acc) {
   switch (s.width) {
     case 1:
@@ -57,7 +73,7 @@ void fold_any(const RowSum& s, int64_t begin, int64_t end, float* acc) {
     case 2:
       return fold<2>(s, begin, end, acc);
     case 3:
-      return fold<3>(s, begin, end, acc);
+      return fold_three(s, begin, end, acc);
     case 4:
       return fold<4>(s, begin, end, acc);
     case 6:
@@ -133,6 +149,7 @@ void sum_long_row(const novaphy_host_api& host, const RowSum& s, int64_t begin, 
 
 struct RowSumLaunch {
   RowSum sum;
+  int64_t chunk_rows;
   const novaphy_host_api* host;
   std::atomic<bool> out_of_memory{false};
 };
@@ -141,7 +158,8 @@ void sum_rows(void* opaque, int64_t chunk) {
   auto& launch = *static_cast<RowSumLaunch*>(opaque);
   const RowSum& s = launch.sum;
   const FloatMode mode;
-  const int64_t first = chunk * kRowsPerChunk, last = std::min(s.n, first + kRowsPerChunk);
+  const int64_t first = chunk * launch.chunk_rows,
+                last = std::min(s.n, first + launch.chunk_rows);
   for (int64_t row = first; row < last; ++row) {
     float* out = s.out + row * s.width;
     if (s.init == nullptr) {
@@ -180,7 +198,11 @@ novaphy_status row_sum(const novaphy_host_api& host, int64_t n, const uint64_t* 
                 "row_sum_f32: stride: expected at least 0, got %lld",
                 static_cast<long long>(launch.sum.stride));
   }
-  const int64_t chunks = (n + kRowsPerChunk - 1) / kRowsPerChunk;
+  const int64_t items = launch.sum.end(n - 1) - launch.sum.begin(0);
+  const int64_t most = std::clamp<int64_t>(n * kItemsPerChunk / std::max<int64_t>(1, items), 1,
+                                           kMaxRowsPerChunk);
+  const int64_t chunks = (n + most - 1) / most;
+  launch.chunk_rows = (n + chunks - 1) / chunks;
   if (chunks == 1) {
     sum_rows(&launch, 0);
   } else {

@@ -59,6 +59,7 @@ class Executable {
   const uint32_t first_output;
   const IsaTable& isa;
   const NativeCode native;
+  const double operations;  // of one row, but for its sums: a load counts as several
   // Made at once without native code, else when a launch first needs it.
   const Interpreted& interpreted() const;
 
@@ -76,7 +77,7 @@ ScalarForm make_scalar_form(const nova::ir::Program& program,
 // calls.
 uint32_t* thread_scratch(size_t words);
 
-// Rows per chunk of a launch that is shared out to threads: a multiple of every group.
+// Rows per chunk of a launch that is shared out to threads, at most: a multiple of every group.
 constexpr int64_t kChunkRows = 8 * kLanes;
 
 novaphy_status run_executable(const Executable& executable, const novaphy_host_api& host, int64_t n,

@@ -1,4 +1,4 @@
-// Runs native code over the rows of a launch, in the same chunks as the interpreter.
+// Runs native code over the rows of a launch.
 #include <algorithm>
 
 #include "module.h"
@@ -11,15 +11,43 @@ struct Launch {
   const Executable* executable;
   const uint64_t* arguments;
   ErrorSink* sink;
-  int64_t n;
+  int64_t n, chunk_rows;
 };
+
+// What one row costs, in operations: once more for every item of a sum.
+double operations_per_row(const Executable& executable, int64_t n, const uint64_t* arguments) {
+  const nova::ir::Program& p = executable.program;
+  double times = 1.0;
+  for (size_t l = 0; l < p.loops.size(); ++l) {
+    if (p.loops[l].kind == nova::ir::LoopKind::Csr) {
+      const auto* offsets = reinterpret_cast<const int32_t*>(arguments[p.loop_argument(l)]);
+      times += static_cast<double>(offsets[n] - offsets[0]) / static_cast<double>(n);
+    } else {
+      const auto extent = static_cast<size_t>(p.loops[l].extent_param);
+      times += std::max(0, static_cast<int32_t>(arguments[p.param_argument(extent)]));
+    }
+  }
+  return times * executable.operations;
+}
+
+// So many rows that a chunk, about a microsecond of work, is worth handing to another thread; more
+// where there are many chunks, and all about the same.
+int64_t chunk_rows(const Executable& executable, int64_t n, const uint64_t* arguments) {
+  constexpr double kOperations = 1 << 16;
+  constexpr int64_t kStep = 64, kManyChunks = 256;  // the step is a multiple of every group
+  const double rows = kOperations / operations_per_row(executable, n, arguments);
+  const int64_t most =
+      std::clamp(std::max(static_cast<int64_t>(rows), n / kManyChunks), kStep, kChunkRows);
+  const int64_t chunks = (n + most - 1) / most;
+  return ((n + chunks - 1) / chunks + kStep - 1) / kStep * kStep;
+}
 
 void run_chunk(void* opaque, int64_t chunk) {
   const Launch& launch = *static_cast<const Launch*>(opaque);
   const FloatMode mode;
-  const int64_t begin = chunk * kChunkRows;
+  const int64_t begin = chunk * launch.chunk_rows;
   run_native_rows(*launch.executable, launch.arguments, begin,
-                  std::min(launch.n, begin + kChunkRows), *launch.sink);
+                  std::min(launch.n, begin + launch.chunk_rows), *launch.sink);
 }
 
 }  // namespace
@@ -38,11 +66,13 @@ void run_native_rows(const Executable& executable, const uint64_t* arguments, in
 
 void run_native(const Executable& executable, const novaphy_host_api& host, int64_t n,
                 const uint64_t* arguments, ErrorSink& sink) {
-  if (n <= kChunkRows) {
+  constexpr int64_t kFew = 128;  // too few to ask what they cost
+  const int64_t rows = n <= kFew ? n : chunk_rows(executable, n, arguments);
+  if (n <= rows) {
     run_native_rows(executable, arguments, 0, n, sink);
   } else {
-    Launch launch{&executable, arguments, &sink, n};
-    host.parallel_for((n + kChunkRows - 1) / kChunkRows, run_chunk, &launch);
+    Launch launch{&executable, arguments, &sink, n, rows};
+    host.parallel_for((n + rows - 1) / rows, run_chunk, &launch);
   }
 }
 

@@ -143,12 +143,21 @@ ScalarForm make_scalar_form(const nova::ir::Program& program,
   return ScalarBuilder(program, lowered).run();
 }
 
+static double operations_of(const nova::ir::Program& program) {
+  constexpr int kLoad = 8;
+  int count = 0;
+  for (const nova::ir::Instr& in : program.instrs)
+    count += in.op == nova::ir::Op::LOAD_F || in.op == nova::ir::Op::LOAD_I ? kLoad : 1;
+  return count;
+}
+
 Executable::Executable(nova::ir::Program p, const IsaTable& table)
     : program(std::move(p)),
       argument_count(program.argument_count()),
       first_output(program.output_argument(0)),
       isa(table),
-      native(find_native(program, table.name)) {
+      native(find_native(program, table.name)),
+      operations(operations_of(program)) {
   if (native.rows == nullptr) interpreted();
 }
 

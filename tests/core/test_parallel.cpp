@@ -47,6 +47,18 @@ TEST_P(Parallel, RunsEveryChunkOnce) {
   }
 }
 
+// Helpers watch for the next job for a while: jobs that follow at once, and after they have left.
+TEST_P(Parallel, SmallJobsOneAfterAnotherAreDoneBeforeTheyReturn) {
+  std::vector<int64_t> written(40);
+  for (int job = 0; job < 3000; ++job) {
+    const int64_t chunks = 2 + job % 39;
+    for_chunks(chunks, [&](int64_t chunk) { written[static_cast<size_t>(chunk)] = job; });
+    for (int64_t chunk = 0; chunk < chunks; ++chunk)
+      ASSERT_EQ(written[static_cast<size_t>(chunk)], job) << "chunk " << chunk << " of " << chunks;
+    if (job % 300 == 0) std::this_thread::sleep_for(std::chrono::milliseconds(1));
+  }
+}
+
 TEST_P(Parallel, UsesAsManyThreadsAsAsked) {
   std::set<std::thread::id> seen;
   std::mutex mutex;

@@ -185,7 +185,7 @@ class Planner {
         const size_t first = k + before_.size(), last = first + fused_.size();
         append_plain(made.segments, k, first);
         made.segments.push_back(
-            {static_cast<uint32_t>(first), static_cast<uint32_t>(last), n, block_rows()});
+            {static_cast<uint32_t>(first), static_cast<uint32_t>(last), n, block_rows(n)});
         k = last;
       } else if (const size_t last = end_of_series(k); last > k) {
         const int64_t rows = op(k).n, launches = static_cast<int64_t>(last - k);
@@ -294,13 +294,15 @@ class Planner {
   }
 
   // So many rows that what one block touches stays in the cache of a core from the first operation
-  // to the last, unless they get so few that the launches cost more than the memory.
-  int64_t block_rows() const {
+  // to the last, and that some threads get about the same, unless they get so few that the launches
+  // cost more than the memory.
+  int64_t block_rows(int64_t n) const {
     constexpr uint64_t kCacheBytes = 768 << 10;
-    constexpr int64_t kStep = 128, kMost = 1024;
+    constexpr int64_t kStep = 128, kMost = 1024, kBlocks = 8;
     const uint64_t bytes = std::max<uint64_t>(1, segment_.bytes_per_row());
     const auto fit = static_cast<int64_t>(kCacheBytes / bytes) / kStep * kStep;
-    return std::clamp(fit, kStep, kMost);
+    const int64_t share = (n / kBlocks + kStep - 1) / kStep * kStep;
+    return std::clamp(std::min(fit, share), kStep, kMost);
   }
 
   std::span<const OpList::Op> ops_;

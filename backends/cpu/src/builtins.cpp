@@ -50,22 +50,6 @@ void fold(const RowSum& s, int64_t begin, int64_t end, float* acc) {
   for (int c = 0; c < kWidth; ++c) acc[c] = sum[c];
 }
 
-// Positions, velocities and forces: three floats are read as four, with the one before them.
-void fold_three(const RowSum& s, int64_t begin, int64_t end, float* acc) {
-  using Four = float __attribute__((vector_size(16)));
-  using Unaligned = Four __attribute__((aligned(4), may_alias));
-  Four sum = {0.0f, acc[0], acc[1], acc[2]};
-  for (int64_t k = begin; k < end; ++k) {
-    const float* item = s.item(k);
-    if (item != s.source) [[likely]] {
-      sum += *reinterpret_cast<const Unaligned*>(item - 1);
-    } else {
-      sum += Four{0.0f, item[0], item[1], item[2]};
-    }
-  }
-  for (int c = 0; c < 3; ++c) acc[c] = sum[c + 1];
-}
-
 void fold_any(const RowSum& s, int64_t begin, int64_t end, float* acc) {
   switch (s.width) {
     case 1:
@@ -73,7 +57,7 @@ void fold_any(const RowSum& s, int64_t begin, int64_t end, float* acc) {
     case 2:
       return fold<2>(s, begin, end, acc);
     case 3:
-      return fold_three(s, begin, end, acc);
+      return fold<3>(s, begin, end, acc);
     case 4:
       return fold<4>(s, begin, end, acc);
     case 6:
@@ -154,6 +138,29 @@ struct RowSumLaunch {
   std::atomic<bool> out_of_memory{false};
 };
 
+// Positions, velocities and forces: a row of three floats is read as four, with the one before it.
+// False at a long row, which is left with those behind it.
+bool sum_rows_of_three(const RowSum& s, int64_t& row, int64_t last) {
+  using Four = float __attribute__((vector_size(16)));
+  using Unaligned = Four __attribute__((aligned(4), may_alias));
+  const auto load = [&s](const float* at) {
+    return at != s.source ? *reinterpret_cast<const Unaligned*>(at - 1)
+                          : Four{0.0f, at[0], at[1], at[2]};
+  };
+  for (; row < last; ++row) {
+    const int64_t begin = s.begin(row), end = s.end(row);
+    if (end - begin > kSumChunk) return false;
+    Four sum = {};
+    if (s.init != nullptr) {
+      const float* init = s.init + 3 * row;
+      sum = Four{0.0f, init[0], init[1], init[2]};
+    }
+    for (int64_t k = begin; k < end; ++k) sum += load(s.item(k));
+    for (int c = 0; c < 3; ++c) s.out[3 * row + c] = sum[c + 1];
+  }
+  return true;
+}
+
 void sum_rows(void* opaque, int64_t chunk) {
   auto& launch = *static_cast<RowSumLaunch*>(opaque);
   const RowSum& s = launch.sum;
@@ -161,6 +168,7 @@ void sum_rows(void* opaque, int64_t chunk) {
   const int64_t first = chunk * launch.chunk_rows,
                 last = std::min(s.n, first + launch.chunk_rows);
   for (int64_t row = first; row < last; ++row) {
+    if (s.width == 3 && sum_rows_of_three(s, row, last)) return;
     float* out = s.out + row * s.width;
     if (s.init == nullptr) {
       std::fill(out, out + s.width, 0.0f);

@@ -20,6 +20,7 @@ from __future__ import annotations
 import argparse
 import hashlib
 import json
+import resource
 import statistics
 import time
 from collections.abc import Callable
@@ -121,6 +122,7 @@ def measure(
         "first_s": first,
         "first_loss": loss,
         "loss": scene.loss_value(),
+        "peak_bytes": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024,
         "result_hash": digest.hexdigest()[:16],
     }
 

@@ -5,8 +5,8 @@ Runs newton_deformable.py and novaphy_deformable.py in turn, each measurement in
 own, and writes docs/performance-deformable.md. Newton's environment is that of run_peers.py. Before
 any timing, the final positions of the first soft body must be the same bits in both engines.
 
-Large scenes are timed over fewer substeps; all times are per substep. Newton as shipped is left out
-where one iteration takes minutes.
+Large scenes are timed over fewer substeps, and the times are those of as many as the example has.
+Newton as shipped is left out where one iteration takes minutes.
 
     .venv/bin/python tools/bench/run_deformable.py
 """
@@ -33,7 +33,7 @@ SIZES = {
     "soft_body": {
         2: (960, ()),
         4: (960, ()),
-        8: (96, ()),
+        8: (960, ()),
         16: (96, ("Newton, shipped",)),
     },
     "cloth": {
@@ -45,12 +45,14 @@ SIZES = {
 }
 # The cost of elements: cells per side, substeps.
 GROWTH = {6: 96, 13: 48, 28: 24, 59: 12}
+# The memory of elements: cells per side; a short rollout and a long one.
+MEMORY = {8: (96, 1920), 16: (48, 960), 28: (24, 240)}
 
 
 def measure(column: str, newton: Path, scene: str, n: int, steps: int) -> dict[str, object]:
     """One measurement."""
     engine, mode, threads = COLUMNS[column]
-    iterations = 5 if engine == "novaphy" else 2
+    iterations = 9 if engine == "novaphy" else 2
     python = newton if engine == "newton" else sys.executable
     options = ["--scene", scene, "--n", n, "--mode", mode, "--steps", steps]
     options += ["--iterations", iterations]
@@ -68,11 +70,11 @@ def check_bits(newton: Path) -> str:
 
 
 def table(newton: Path, scene: str) -> str:
-    """Times per substep of a scene, and how many times faster NovaPhy is."""
+    """Times per iteration of a scene, and how many times faster NovaPhy is."""
     body, ratios = [], []
     for n, (steps, left_out) in SIZES[scene].items():
         records = {c: measure(c, newton, scene, n, steps) for c in COLUMNS if c not in left_out}
-        times = {c: float(r["median_s"]) / steps for c, r in records.items()}
+        times = {c: float(r["median_s"]) / steps * STEPS[scene] for c, r in records.items()}
         elements = next(iter(records.values()))["elements"]
         label = [f"{n}", f"{elements:,}"]
         body.append([*label, *(duration(times[c]) if c in times else "" for c in COLUMNS)])
@@ -103,6 +105,22 @@ def growth(newton: Path) -> str:
     return rows(["N", "tetrahedra", "substeps", "per tetrahedron and substep"], body)
 
 
+def memory(newton: Path) -> str:
+    """Bytes of a substep: what a longer rollout takes more, by its resident set."""
+    body = []
+    for n, lengths in MEMORY.items():
+        short, long = (measure("NovaPhy", newton, "soft_body", n, steps) for steps in lengths)
+        more = float(long["peak_bytes"]) - float(short["peak_bytes"])
+        per = more / (lengths[1] - lengths[0])
+        tetrahedra, particles = int(long["elements"]), (n + 1) ** 3
+        body.append(
+            [f"{n}", f"{tetrahedra:,}", f"{per / tetrahedra:.1f}"]
+            + [f"{per / particles:.1f}", f"{per / 1e3:.1f} kB"]
+        )
+    head = ["N", "tetrahedra", "bytes per tetrahedron", "bytes per particle", "together"]
+    return rows(head, body)
+
+
 def main() -> None:
     """Measure everything and write the page."""
     parser = argparse.ArgumentParser(
@@ -120,9 +138,9 @@ run, against Newton 1.8.0 on Warp 1.19.0.
 
 {facts}
 
-One iteration is what Newton's examples do: the rollout, the loss, `backward`, the update; captured
-once and replayed. Times are medians per substep (an iteration of the soft body has 960, of the
-cloth 1,920; large scenes were timed over fewer). *shipped*: as the examples are. *lean*: without
+Time of one iteration, which is what Newton's examples do: the rollout (960 substeps of the soft
+body, 1,920 of the cloth), the loss, `backward`, the update; captured once and replayed. Medians;
+from soft bodies of N = 16 and cloths of N = 32 on, fewer substeps were timed, and the times scaled. *shipped*: as the examples are. *lean*: without
 the hash grid of the particles and the pass over (triangle, particle) pairs, which do nothing there.
 *bare*: also without 1,000 empty slots for rigid contacts. Newton's CPU device runs on one thread;
 NovaPhy uses all CPUs unless it says 1 thread. The final positions of the soft body at N = 2 are the
@@ -145,9 +163,15 @@ Contacts, integration, surface triangles and both passes included.
 
 {growth(newton)}
 
-A recorded rollout keeps 36 bytes per particle and substep (positions, velocities, forces), about
-3 kB of records per substep, and nothing per element: what the elements write is used again in every
-substep.
+## Memory
+
+Of a recorded rollout, per substep: the resident set of a long rollout less that of a short one.
+
+{memory(newton)}
+
+These are 36 bytes per particle (positions, velocities, forces) and the records of the launches,
+some kB however many elements there are. Nothing is kept per element: what the elements write is
+used again in every substep, and the adjoint computes it once more.
 
 ## Again
 

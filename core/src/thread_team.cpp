@@ -1,8 +1,12 @@
 #include "thread_team.h"
 
 #include <algorithm>
+#include <atomic>
 #include <chrono>
+#include <exception>
+#include <mutex>
 #include <thread>
+#include <vector>
 
 #if defined(__x86_64__)
 #include <immintrin.h>
@@ -25,8 +29,8 @@ void relax() {
 }  // namespace
 
 struct ThreadTeam::Shared {
-  // Each member begins with a part of its own, the same in every job of as many chunks, so that what it
-  // wrote is still in its cache; then it takes what the others have not come to.
+  // Each member begins with a part of its own, the same in every job of as many chunks, so that
+  // what it wrote is still in its cache; then it takes what the others have not come to.
   struct alignas(64) Part {
     std::atomic<int64_t> next{0};
     int64_t end = 0;
@@ -112,7 +116,12 @@ bool ThreadTeam::run(int64_t chunks, void (*work)(void*, int64_t), void* context
   ++s.number;
   while (s.helpers < static_cast<int>(parts) - 1) {
     const auto member = static_cast<size_t>(++s.helpers);
-    arena_.enqueue([shared = shared_, member] { help(*shared, member); });
+    try {
+      arena_.enqueue([shared = shared_, member] { help(*shared, member); });
+    } catch (...) {  // out of memory: those who are there do it
+      --s.helpers;
+      break;
+    }
   }
   s.do_chunks(0);
   ++s.number;

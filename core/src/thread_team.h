@@ -1,17 +1,14 @@
-// Threads that share the chunks of one job after another. While jobs follow each other closely a hand-over
-// costs a write and a read, no call of the system: the helpers watch for the next job for a while before
-// they give their thread back to oneTBB.
+// Threads that share the chunks of one job after another. While jobs follow each other closely a
+// hand-over costs a write and a read, no call of the system: the helpers watch for the next job for
+// a while before they give their thread back to oneTBB.
 #pragma once
 
 #include <oneapi/tbb/global_control.h>
 #include <oneapi/tbb/task_arena.h>
 
-#include <atomic>
+#include <cstddef>
 #include <cstdint>
-#include <exception>
 #include <memory>
-#include <mutex>
-#include <vector>
 
 namespace novaphy {
 
@@ -20,8 +17,8 @@ class ThreadTeam {
   explicit ThreadTeam(int threads);
   ~ThreadTeam();
 
-  // Calls work(context, chunk) for every chunk and returns when all are done; throws what one of them
-  // threw. False, and nothing done, when another thread has the team.
+  // Calls work(context, chunk) for every chunk and returns when all are done; throws what one of
+  // them threw. False, and nothing done, when another thread has the team.
   bool run(int64_t chunks, void (*work)(void*, int64_t), void* context);
 
  private:
@@ -29,7 +26,7 @@ class ThreadTeam {
   static void help(Shared& shared, size_t member);
 
   const std::shared_ptr<Shared> shared_;  // with the helpers, which may outlive the team
-  tbb::global_control control_;  // lifts oneTBB's own limit (the CPUs): 7 threads can be tested on 2
+  tbb::global_control control_;  // lifts oneTBB's own limit, the CPUs: 7 threads are tested on 2
   tbb::task_arena arena_;
 };
 

@@ -90,22 +90,26 @@ TEST(Emit, AddsPlainRowsOfACsrRowRowByRow) {
       "forces", {{"x", DType::F32, 3, Access::Direct}, {"f", DType::F32, 3, Access::CsrRow}},
       {{"sum", 3}},
       {.init =
-           [](nova::TraceContext& c) { return std::vector{c.f32(0, 0), c.f32(0, 1), c.f32(0, 2)}; },
+           [](nova::TraceContext& c) {
+             return std::vector{c.f32(0, 0), c.f32(0, 1), c.f32(0, 2)};
+           },
        .body =
-           [](nova::TraceContext& c) { return std::vector{c.f32(1, 0), c.f32(1, 1), c.f32(1, 2)}; },
+           [](nova::TraceContext& c) {
+             return std::vector{c.f32(1, 0), c.f32(1, 1), c.f32(1, 2)};
+           },
        .epilogue = {}});
   expect_golden("forces", kernel.program());
 }
 TEST(Emit, TakesFourColumnsOfAWideRowAtATime) {
-  const nova::Kernel kernel =
-      nova::make_kernel("wide", {{"x", DType::F32, 9, Access::Direct}, {"y", DType::F32, 7, Access::Direct}},
-                        {{"z", 6}}, [](nova::TraceContext& c) {
-                          std::vector<nova::Real> z;  // all of x, and of y the columns 0, 4, 5, 6
-                          for (const int32_t k : {0, 4, 5, 6, 0, 4})
-                            z.push_back(c.f32(1, k) * c.f32(0, static_cast<int32_t>(z.size()) + 3) +
-                                        c.f32(0, static_cast<int32_t>(z.size()) % 3));
-                          return z;
-                        });
+  const nova::Kernel kernel = nova::make_kernel(
+      "wide", {{"x", DType::F32, 9, Access::Direct}, {"y", DType::F32, 7, Access::Direct}},
+      {{"z", 6}}, [](nova::TraceContext& c) {
+        std::vector<nova::Real> z;  // all of x, and of y the columns 0, 4, 5, 6
+        for (const int32_t k : {0, 4, 5, 6, 0, 4})
+          z.push_back(c.f32(1, k) * c.f32(0, static_cast<int32_t>(z.size()) + 3) +
+                      c.f32(0, static_cast<int32_t>(z.size()) % 3));
+        return z;
+      });
   expect_golden("wide", kernel.program());
 }
 TEST(Emit, SumsOverAFixedNumberOfUniformRows) {

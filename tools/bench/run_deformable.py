@@ -18,7 +18,7 @@ import sys
 from pathlib import Path
 
 from deformable import STEPS
-from run_peers import ROOT, duration, machine, newton_python, rows, run
+from run_peers import ROOT, duration, machine, python_of, rows, run
 
 # Column -> engine, mode, threads (0: as many as there are).
 COLUMNS = {
@@ -49,31 +49,30 @@ GROWTH = {6: 96, 13: 48, 28: 24, 59: 12}
 MEMORY = {8: (96, 1920), 16: (48, 960), 28: (24, 240)}
 
 
-def measure(column: str, newton: Path, scene: str, n: int, steps: int) -> dict[str, object]:
+def measure(column: str, scene: str, n: int, steps: int) -> dict[str, object]:
     """One measurement."""
     engine, mode, threads = COLUMNS[column]
     iterations = 9 if engine == "novaphy" else 2
-    python = newton if engine == "newton" else sys.executable
     options = ["--scene", scene, "--n", n, "--mode", mode, "--steps", steps]
     options += ["--iterations", iterations]
-    return run(python, f"{engine}_deformable.py", *options, threads=threads)
+    return run(python_of(engine), f"{engine}_deformable.py", *options, threads=threads)
 
 
-def check_bits(newton: Path) -> str:
+def check_bits() -> str:
     """The hash of the final positions of the example, which must be one."""
     columns = ("Newton, shipped", "NovaPhy")
     steps = STEPS["soft_body"]
-    hashes = {c: str(measure(c, newton, "soft_body", 2, steps)["result_hash"]) for c in columns}
+    hashes = {c: str(measure(c, "soft_body", 2, steps)["result_hash"]) for c in columns}
     if len(set(hashes.values())) != 1:
         raise SystemExit(f"run_deformable: the final positions differ: {hashes}")
     return next(iter(hashes.values()))
 
 
-def table(newton: Path, scene: str) -> str:
+def table(scene: str) -> str:
     """Times per iteration of a scene, and how many times faster NovaPhy is."""
     body, ratios = [], []
     for n, (steps, left_out) in SIZES[scene].items():
-        records = {c: measure(c, newton, scene, n, steps) for c in COLUMNS if c not in left_out}
+        records = {c: measure(c, scene, n, steps) for c in COLUMNS if c not in left_out}
         times = {c: float(r["median_s"]) / steps * STEPS[scene] for c, r in records.items()}
         elements = next(iter(records.values()))["elements"]
         label = [f"{n}", f"{elements:,}"]
@@ -95,28 +94,26 @@ def table(newton: Path, scene: str) -> str:
     )
 
 
-def growth(newton: Path) -> str:
+def growth() -> str:
     """Time per tetrahedron and substep."""
     body = []
     for n, steps in GROWTH.items():
-        record = measure("NovaPhy", newton, "soft_body", n, steps)
+        record = measure("NovaPhy", "soft_body", n, steps)
         per = float(record["median_s"]) / steps / int(record["elements"])
         body.append([f"{n}", f"{record['elements']:,}", f"{steps}", f"{per * 1e9:.0f} ns"])
     return rows(["N", "tetrahedra", "substeps", "per tetrahedron and substep"], body)
 
 
-def memory(newton: Path) -> str:
+def memory() -> str:
     """Bytes of a substep: what a longer rollout takes more, by its resident set."""
     body = []
     for n, lengths in MEMORY.items():
-        short, long = (measure("NovaPhy", newton, "soft_body", n, steps) for steps in lengths)
+        short, long = (measure("NovaPhy", "soft_body", n, steps) for steps in lengths)
         more = float(long["peak_bytes"]) - float(short["peak_bytes"])
         per = more / (lengths[1] - lengths[0])
         tetrahedra, particles = int(long["elements"]), (n + 1) ** 3
-        body.append(
-            [f"{n}", f"{tetrahedra:,}", f"{per / tetrahedra:.1f}"]
-            + [f"{per / particles:.1f}", f"{per / 1e3:.1f} kB"]
-        )
+        each = (f"{per / tetrahedra:.1f}", f"{per / particles:.1f}", f"{per / 1e3:.1f} kB")
+        body.append([f"{n}", f"{tetrahedra:,}", *each])
     head = ["N", "tetrahedra", "bytes per tetrahedron", "bytes per particle", "together"]
     return rows(head, body)
 
@@ -128,8 +125,7 @@ def main() -> None:
     )
     parser.add_argument("--output", type=Path, default=ROOT / "docs" / "performance-deformable.md")
     arguments = parser.parse_args()
-    newton = newton_python()
-    same = check_bits(newton)
+    same = check_bits()
     facts = rows(["", ""], [list(fact) for fact in machine()])
     text = f"""# Performance of soft bodies and cloth
 
@@ -140,34 +136,38 @@ run, against Newton 1.8.0 on Warp 1.19.0.
 
 Time of one iteration, which is what Newton's examples do: the rollout (960 substeps of the soft
 body, 1,920 of the cloth), the loss, `backward`, the update; captured once and replayed. Medians;
-from soft bodies of N = 16 and cloths of N = 32 on, fewer substeps were timed, and the times scaled. *shipped*: as the examples are. *lean*: without
-the hash grid of the particles and the pass over (triangle, particle) pairs, which do nothing there.
-*bare*: also without 1,000 empty slots for rigid contacts. Newton's CPU device runs on one thread;
-NovaPhy uses all CPUs unless it says 1 thread. The final positions of the soft body at N = 2 are the
-same bits in both engines (hash {same}).
+from soft bodies of N = 16 and cloths of N = 32 on, fewer substeps were timed, and the times scaled.
+
+* *shipped*: as the examples are.
+* *lean*: without the hash grid of the particles and the pass over (triangle, particle) pairs, which
+  do nothing there.
+* *bare*: also without 1,000 empty slots for rigid contacts.
+
+Newton's CPU device runs on one thread; NovaPhy uses all CPUs unless it says 1 thread. The final
+positions of the soft body at N = 2 are the same bits in both engines (hash {same}).
 
 ## Soft body, N³ cells
 
-{table(newton, "soft_body")}
+{table("soft_body")}
 
 ## Cloth, N² cells
 
 Newton as shipped looks for contacts between particles, which at N = 128 lie closer together than
 their diameter.
 
-{table(newton, "cloth")}
+{table("cloth")}
 
 ## Cost of elements
 
 Contacts, integration, surface triangles and both passes included.
 
-{growth(newton)}
+{growth()}
 
 ## Memory
 
 Of a recorded rollout, per substep: the resident set of a long rollout less that of a short one.
 
-{memory(newton)}
+{memory()}
 
 These are 36 bytes per particle (positions, velocities, forces) and the records of the launches,
 some kB however many elements there are. Nothing is kept per element: what the elements write is

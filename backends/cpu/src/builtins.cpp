@@ -165,8 +165,7 @@ void sum_rows(void* opaque, int64_t chunk) {
   auto& launch = *static_cast<RowSumLaunch*>(opaque);
   const RowSum& s = launch.sum;
   const FloatMode mode;
-  const int64_t first = chunk * launch.chunk_rows,
-                last = std::min(s.n, first + launch.chunk_rows);
+  const int64_t first = chunk * launch.chunk_rows, last = std::min(s.n, first + launch.chunk_rows);
   for (int64_t row = first; row < last; ++row) {
     if (s.width == 3 && sum_rows_of_three(s, row, last)) return;
     float* out = s.out + row * s.width;
@@ -207,8 +206,8 @@ novaphy_status row_sum(const novaphy_host_api& host, int64_t n, const uint64_t* 
                 static_cast<long long>(launch.sum.stride));
   }
   const int64_t items = launch.sum.end(n - 1) - launch.sum.begin(0);
-  const int64_t most = std::clamp<int64_t>(n * kItemsPerChunk / std::max<int64_t>(1, items), 1,
-                                           kMaxRowsPerChunk);
+  const int64_t most =
+      std::clamp<int64_t>(n * kItemsPerChunk / std::max<int64_t>(1, items), 1, kMaxRowsPerChunk);
   const int64_t chunks = (n + most - 1) / most;
   launch.chunk_rows = (n + chunks - 1) / chunks;
   if (chunks == 1) {

@@ -1,6 +1,6 @@
-/* Sums over CSR rows that only add the rows of their items: row by row, all columns at once, so that
- * rows of different length cost no more than they have items. The bits are those of any other way,
- * because the items of a row are added in their order. */
+/* Sums over CSR rows that only add the rows of their items: row by row, all columns at once, so
+ * that rows of different length cost no more than they have items. The bits are those of any other
+ * way, because the items of a row are added in their order. */
 
 typedef float four_floats __attribute__((vector_size(16)));
 typedef four_floats four_floats_unaligned __attribute__((aligned(4), may_alias));
@@ -32,7 +32,7 @@ LANE_FN void csr_add(const char* s, int64_t rows, int32_t width, const int32_t* 
   }
   load4f((const char*)sum, a, b, c, d);
 }
-#define CSR_ARGUMENTS                                                                  \
+#define CSR_ARGUMENTS                                                                        \
   const char *s, int64_t rows, const int32_t *offsets, const int32_t *items, int32_t source, \
       int64_t i, novaphy_error_sink *sink
 LANE_FN void csr_add4(CSR_ARGUMENTS, vf* a, vf* b, vf* c, vf* d) {

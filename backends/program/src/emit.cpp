@@ -416,7 +416,8 @@ void Emitter::store(const Output& output, const std::string& array) {
   const std::string t = letter(output.type);
   const auto values = [&](int32_t first, int32_t count) {
     std::string list;
-    for (int32_t c = first; c < first + count; ++c) list += ", " + text_.lanes(output.values[at(c)]);
+    for (int32_t c = first; c < first + count; ++c)
+      list += ", " + text_.lanes(output.values[at(c)]);
     return list;
   };
   if (width >= 2 && width <= 4) {

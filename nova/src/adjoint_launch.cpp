@@ -117,14 +117,21 @@ void run_adjoint(KernelImpl& kernel, const CompiledPlan& plan, const AdjointCall
   if (call.csr) hold_in_capture(*call.csr);
   const int64_t items = call.csr ? (*call.csr)->table.rows : call.dim * call.extent;
   Scratch scratch;
+  // A capture of many steps needs the memory of one: the adjoints run one after the other.
+  size_t number = 0;
+  const auto memory = [&](int64_t rows, int32_t width) {
+    OpList* capture = current_capture();
+    if (!capture) return temporary(rows, width, device);
+    const auto bytes = static_cast<size_t>(rows) * static_cast<size_t>(width) * sizeof(float);
+    return Operand{capture->scratch(number++, bytes, device), rows, width};
+  };
   for (const AdjointRowSum& r : plan.plan.row_sums) {
     const int32_t table_width = r.table < 0 ? 1 : call.inputs[r.table]->width;
-    scratch.contributions.push_back(
-        temporary((r.per_item ? items : call.dim) * table_width, r.width, device));
+    scratch.contributions.push_back(memory((r.per_item ? items : call.dim) * table_width, r.width));
   }
   if (plan.items)
     scratch.loop_gradient =
-        temporary(call.dim, static_cast<int32_t>(kernel.traced.loops[0].sums.size()), device);
+        memory(call.dim, static_cast<int32_t>(kernel.traced.loops[0].sums.size()));
 
   if (plan.rows) run_stage(kernel, plan.plan.rows[0], *plan.rows, call.dim, call, scratch, context);
   if (plan.items) run_stage(kernel, plan.plan.items[0], *plan.items, items, call, scratch, context);

@@ -240,6 +240,13 @@ void note_write(const std::shared_ptr<Range>& range) {
   range->mark_written();
 }
 
+const std::shared_ptr<Range>& OpList::scratch(size_t number, size_t bytes,
+                                              const novaphy::Device& device) {
+  std::shared_ptr<Range>& range = scratch_[{number, bytes}];
+  if (!range) range = novaphy::Storage::allocate(bytes, device, false)->range();
+  return range;
+}
+
 void hold_in_capture(const std::shared_ptr<const void>& owner, size_t bytes) {
   if (OpList* list = recording()) list->hold(owner, bytes);
 }

@@ -129,8 +129,8 @@ def main() -> None:
     facts = rows(["", ""], [list(fact) for fact in machine()])
     text = f"""# Performance of soft bodies and cloth
 
-Written by `tools/bench/run_deformable.py`; do not edit. Everything on this page was measured in one
-run, against Newton 1.8.0 on Warp 1.19.0.
+Written by `tools/bench/run_deformable.py`; do not edit. Everything on this page was measured on one
+machine, against Newton 1.8.0 on Warp 1.19.0.
 
 {facts}
 
@@ -169,9 +169,9 @@ Of a recorded rollout, per substep: the resident set of a long rollout less that
 
 {memory()}
 
-These are 36 bytes per particle (positions, velocities, forces) and the records of the launches,
-some kB however many elements there are. Nothing is kept per element: what the elements write is
-used again in every substep, and the adjoint computes it once more.
+A substep keeps 36 bytes per particle (positions, velocities, forces) and the records of its
+launches. Nothing is kept per element: what the elements write, forward and backward, is used again
+in every substep, and the adjoint computes it once more.
 
 ## Again
 

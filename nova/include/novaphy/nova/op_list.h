@@ -55,6 +55,9 @@ class NOVAPHY_NOVA_API OpList {
     held_bytes_ += bytes;
   }
   size_t held_bytes() const { return held_bytes_; }
+  // Memory that only a few operations of the list use, one after the other: the same for the same
+  // number and size. The list keeps it.
+  const std::shared_ptr<Range>& scratch(size_t number, size_t bytes, const novaphy::Device& device);
   void writes(const std::shared_ptr<Range>& range);
   // The recording depends on the present value of the range (an index table): launch throws once it
   // was changed.
@@ -92,6 +95,7 @@ class NOVAPHY_NOVA_API OpList {
   mutable std::unique_ptr<detail::DeviceGraph> device_graph_;
   std::vector<std::shared_ptr<const void>> held_;
   size_t held_bytes_ = 0;
+  std::map<std::pair<size_t, size_t>, std::shared_ptr<Range>> scratch_;  // by number and bytes
   std::vector<std::shared_ptr<Range>> written_;
   std::vector<const Range*> written_keys_;                           // sorted, to add each once
   std::vector<std::pair<std::shared_ptr<Range>, uint64_t>> frozen_;  // with the version then

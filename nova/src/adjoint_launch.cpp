@@ -117,11 +117,12 @@ void run_adjoint(KernelImpl& kernel, const CompiledPlan& plan, const AdjointCall
   if (call.csr) hold_in_capture(*call.csr);
   const int64_t items = call.csr ? (*call.csr)->table.rows : call.dim * call.extent;
   Scratch scratch;
-  // A capture of many steps needs the memory of one: the adjoints run one after the other.
+  // A capture of many steps needs the memory of one: the adjoints run one after the other. A device
+  // may run several at once, and each needs its own there.
   size_t number = 0;
   const auto memory = [&](int64_t rows, int32_t width) {
     OpList* capture = current_capture();
-    if (!capture) return temporary(rows, width, device);
+    if (!capture || !context.host_accessible) return temporary(rows, width, device);
     const auto bytes = static_cast<size_t>(rows) * static_cast<size_t>(width) * sizeof(float);
     return Operand{capture->scratch(number++, bytes, device), rows, width};
   };

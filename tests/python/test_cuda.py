@@ -420,8 +420,8 @@ def test_an_export_is_whole_on_every_stream_of_the_consumer():
     for _ in range(50):
         x = x + x * 0.5
     with torch.cuda.stream(torch.cuda.Stream()):
-        total = torch.from_dlpack(x).clone()
-    np.testing.assert_array_equal(total.cpu().numpy(), x.numpy())
+        total = torch.from_dlpack(x).clone().cpu()  # waits for this stream
+    np.testing.assert_array_equal(total.numpy(), x.numpy())
 
 
 def test_memory_is_shared_with_torch():

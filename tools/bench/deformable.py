@@ -149,5 +149,6 @@ def run(
             for n in arguments.n:
                 build = partial(make, scene, n, mode, steps, arguments.device)
                 record = {"engine": engine, "scene": scene, "mode": mode, "n": n, "substeps": steps}
+                record["device"] = arguments.device
                 record = measure(build, arguments.iterations, record | facts())
                 print(json.dumps(record), flush=True)

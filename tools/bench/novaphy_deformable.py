@@ -121,7 +121,6 @@ def facts() -> dict[str, object]:
     """What the record says of the engine."""
     return {
         "version": novaphy.__version__,
-        "device": str(novaphy.get_default_device()),
         "threads": novaphy.num_threads(),
     }
 

@@ -16,7 +16,8 @@ namespace novaphy {
 namespace {
 
 constexpr auto kWatch = std::chrono::microseconds(100);  // for the next job
-constexpr int kSpins = 256;                              // between two looks at the clock
+constexpr auto kLeave = std::chrono::seconds(1);
+constexpr int kSpins = 256;  // between two looks at the clock
 
 void relax() {
 #if defined(__x86_64__)
@@ -78,7 +79,13 @@ ThreadTeam::ThreadTeam(int threads)
     : shared_(std::make_shared<Shared>(threads)),
       control_(tbb::global_control::max_allowed_parallelism, static_cast<size_t>(threads)),
       arena_(threads) {}
-ThreadTeam::~ThreadTeam() { shared_->stop = true; }
+// Helpers that were called and have not come yet hold on to what is shared: they are given time to.
+ThreadTeam::~ThreadTeam() {
+  shared_->stop = true;
+  const auto until = std::chrono::steady_clock::now() + kLeave;
+  while (shared_->helpers != 0 && std::chrono::steady_clock::now() < until)
+    std::this_thread::yield();
+}
 
 void ThreadTeam::help(Shared& s, size_t member) {
   using Clock = std::chrono::steady_clock;
@@ -99,6 +106,7 @@ void ThreadTeam::help(Shared& s, size_t member) {
     if (!s.open(s.number, done)) return;
     ++s.helpers;
   }
+  --s.helpers;
 }
 
 bool ThreadTeam::run(int64_t chunks, void (*work)(void*, int64_t), void* context) {

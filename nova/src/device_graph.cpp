@@ -7,6 +7,7 @@
 #include <map>
 
 #include "fusion.h"
+#include "novaphy/core/parallel.h"
 #include "phases.h"
 
 namespace nova::detail {
@@ -27,6 +28,18 @@ novaphy_status issue(const DeviceContext& context, novaphy_stream* stream, const
       return api.memory_fill(stream, op.target, op.pattern, 4, bytes, &error);
   }
   return NOVAPHY_OK;
+}
+
+void issue_in_order(const DeviceContext& context, std::span<const OpList::Op> ops,
+                    std::span<const uint64_t> words) {
+  constexpr size_t kOpsPerInterruptCheck = 64;
+  novaphy_error error = novaphy::make_error();
+  for (size_t k = 0; k < ops.size(); ++k) {
+    if (k % kOpsPerInterruptCheck == 0) novaphy::check_interrupt();
+    const novaphy_status status = issue(context, context.stream, ops[k], words.data(), error);
+    if (status != NOVAPHY_OK) [[unlikely]]
+      novaphy::check(status, error, ops[k].name);
+  }
 }
 
 namespace {

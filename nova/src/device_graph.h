@@ -18,6 +18,10 @@ namespace nova::detail {
 novaphy_status issue(const novaphy::DeviceContext& context, novaphy_stream* stream,
                      const OpList::Op& op, const uint64_t* words, novaphy_error& error);
 
+// Issues operations to the device's stream, one after the other. Throws like a launch.
+void issue_in_order(const novaphy::DeviceContext& context, std::span<const OpList::Op> ops,
+                    std::span<const uint64_t> words);
+
 struct RunPlan;
 
 class DeviceGraph {

@@ -156,8 +156,6 @@ HostPlan::~HostPlan() {
 }
 
 void HostPlan::run() const {
-  constexpr uint32_t kOpsPerInterruptCheck = 64;
-  novaphy_error error = novaphy::make_error();
   std::span<const Series> series = series_;
   for (const Segment& segment : plan_.segments) {
     if (segment.n > 0) {
@@ -171,13 +169,9 @@ void HostPlan::run() const {
       run_fused(run);
       continue;
     }
-    for (uint32_t k = segment.first; k < segment.last; ++k) {
-      if (k % kOpsPerInterruptCheck == 0) novaphy::check_interrupt();
-      const OpList::Op& op = plan_.ops[k];
-      const novaphy_status status = issue(context_, context_.stream, op, words_.data(), error);
-      if (status != NOVAPHY_OK) [[unlikely]]
-        novaphy::check(status, error, op.name);
-    }
+    issue_in_order(context_,
+                   std::span(plan_.ops).subspan(segment.first, segment.last - segment.first),
+                   words_);
   }
 }
 

@@ -124,13 +124,7 @@ void OpList::run() const {
     host_plan_->run();
     return;
   }
-  novaphy_error error = novaphy::make_error();
-  for (const Op& op : ops_) {
-    const novaphy_status status =
-        detail::issue(*context, context->stream, op, words_.data(), error);
-    if (status != NOVAPHY_OK) [[unlikely]]
-      novaphy::check(status, error, op.name);
-  }
+  detail::issue_in_order(*context, ops_, words_);
 }
 
 DeferredScope::DeferredScope(bool wanted) : wanted_(wanted && !recording()) { resume(); }

@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <map>
 #include <memory>
+#include <optional>
 
 #include "native_kernels.h"
 #include "novaphy/core/backend.h"
@@ -168,22 +169,36 @@ TEST(NativeSeries, StepsOfParticlesAreSeries) {
   EXPECT_EQ(found["tetrahedron_forces"], 0);
 }
 
-TEST(NativeSeries, LaunchesThatAreNoneAreRefused) {
-  const novaphy_backend_api* api = plugin_api();
-  ASSERT_NE(api, nullptr);
-  const std::vector<ir::Program> programs = engine_programs();
-  const auto step = std::find_if(programs.begin(), programs.end(),
-                                 [](const ir::Program& p) { return p.name == "step_particles"; });
-  ASSERT_NE(step, programs.end());
-  const auto series = ir::find_series(*step);
-  ASSERT_TRUE(series);
-  const CompiledKernel kernel(api, *step);
+class NativeSeriesOfSteps : public ::testing::Test {
+ protected:
+  void SetUp() override {
+    const novaphy_backend_api* api = plugin_api();
+    ASSERT_NE(api, nullptr);
+    programs_ = engine_programs();
+    step = std::find_if(programs_.begin(), programs_.end(),
+                        [](const ir::Program& p) { return p.name == "step_particles"; });
+    ASSERT_NE(step, programs_.end());
+    series = ir::find_series(*step);
+    ASSERT_TRUE(series);
+    kernel = std::make_unique<CompiledKernel>(api, *step);
+  }
+
+ private:
+  std::vector<ir::Program> programs_;
+
+ protected:
+  std::vector<ir::Program>::const_iterator step;
+  std::optional<ir::Series> series;
+  std::unique_ptr<CompiledKernel> kernel;
+};
+
+TEST_F(NativeSeriesOfSteps, LaunchesThatAreNoneAreRefused) {
   const int64_t n = 5;
   const Chain chain(*step, *series, n, 7, kLaunches);
   const auto refused = [&](auto change) {
     auto launches = chain.launches;
     change(launches);
-    return kernel.series(launches) == nullptr;
+    return kernel->series(launches) == nullptr;
   };
   EXPECT_FALSE(refused([](auto&) {}));
   EXPECT_TRUE(refused([&](auto& l) { l[4][step->param_argument(1)] ^= 1; })) << "another time step";
@@ -203,16 +218,7 @@ TEST(NativeSeries, LaunchesThatAreNoneAreRefused) {
 }
 
 // A row of a table that does not exist is reported as by the launches.
-TEST(NativeSeries, AReadPastTheEndIsReported) {
-  const novaphy_backend_api* api = plugin_api();
-  ASSERT_NE(api, nullptr);
-  const std::vector<ir::Program> programs = engine_programs();
-  const auto step = std::find_if(programs.begin(), programs.end(),
-                                 [](const ir::Program& p) { return p.name == "step_particles"; });
-  ASSERT_NE(step, programs.end());
-  const auto series = ir::find_series(*step);
-  ASSERT_TRUE(series);
-  const CompiledKernel kernel(api, *step);
+TEST_F(NativeSeriesOfSteps, AReadPastTheEndIsReported) {
   const int64_t n = 40;
   Chain one_by_one(*step, *series, n, 3, kLaunches), together(*step, *series, n, 3, kLaunches);
   std::vector<uint32_t> offsets, items;
@@ -225,10 +231,10 @@ TEST(NativeSeries, AReadPastTheEndIsReported) {
       words[step->loop_argument(0)] = reinterpret_cast<uint64_t>(offsets.data());
       words[step->loop_argument(0) + 1] = reinterpret_cast<uint64_t>(items.data());
     }
-  novaphy_series* made = kernel.series(together.launches);
+  novaphy_series* made = kernel->series(together.launches);
   ASSERT_NE(made, nullptr);
-  const std::string message = kernel.run(made, n);
-  EXPECT_EQ(message, kernel.launch(one_by_one.launches, n));
+  const std::string message = kernel->run(made, n);
+  EXPECT_EQ(message, kernel->launch(one_by_one.launches, n));
   EXPECT_NE(message.find("row i = 29 reads row 1048576"), std::string::npos) << message;
 }
 

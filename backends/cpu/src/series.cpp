@@ -23,7 +23,14 @@ Interval read_by(const Program& p, const uint64_t* arguments, int32_t source) {
   return {begin, begin + rows * static_cast<uint64_t>(p.sources[s].width) * 4};
 }
 
-// The launches of a few rows that another write follows soon enough to be looked for.
+// An output has the rows of the source that it is carried to.
+Interval written_by(const Program& p, const uint64_t* arguments, size_t output, int32_t carried) {
+  const Interval like = read_by(p, arguments, carried);
+  const uint64_t begin = arguments[p.output_argument(output)];
+  return {begin, begin + (like.end - like.begin)};
+}
+
+// A write that follows another to the same array is looked for in so many launches.
 constexpr size_t kLookAhead = 8;
 
 }  // namespace
@@ -64,14 +71,6 @@ bool novaphy_series::same_but_for_arrays() const {
       if (free[w] == 0 && launches_[k][w] != launches_[0][w]) return false;
   }
   return true;
-}
-
-// An output has the rows of the source that it is carried to.
-static Interval written_by(const Program& p, const uint64_t* arguments, size_t output,
-                           int32_t carried) {
-  const Interval like = read_by(p, arguments, carried);
-  const uint64_t begin = arguments[p.output_argument(output)];
-  return {begin, begin + (like.end - like.begin)};
 }
 
 // Whether a launch writes what is read once, before all of them.

@@ -107,6 +107,27 @@ bool makes_series(const novaphy_backend_api& api) {
   return api.struct_size >= end && api.series_create != nullptr;
 }
 
+bool makes_rooms(const novaphy_backend_api& api) {
+  constexpr size_t end = offsetof(novaphy_backend_api, series_follow) + sizeof(api.series_follow);
+  return api.struct_size >= end && api.series_follow != nullptr;
+}
+
+// Whether an operation between a series and `last` may write what those of the series touched.
+bool written_since(const RunPlan& plan, std::span<const uint64_t> words,
+                   const HostPlan::Series& series, uint32_t last) {
+  const auto touched = [&](uint32_t begin, uint32_t end) {
+    std::vector<MemoryAccess> all;
+    for (uint32_t k = begin; k < end; ++k) touched_by(plan.ops[k], words, {}, all);
+    return all;
+  };
+  const std::vector<MemoryAccess> before = touched(series.first, series.last);
+  for (const MemoryAccess& later : touched(series.last, last))
+    for (const MemoryAccess& a : before)
+      if (later.write && later.begin < a.begin + a.bytes && a.begin < later.begin + later.bytes)
+        return true;
+  return false;
+}
+
 // Where launches of the kernel at k, over the rows of the segment, end.
 uint32_t end_of_series(const RunPlan& plan, const Segment& segment, uint32_t k) {
   const OpList::Op& first = plan.ops[k];
@@ -142,6 +163,10 @@ HostPlan::HostPlan(const novaphy::DeviceContext& context, RunPlan plan,
       const novaphy_status status = api.series_create(context.device, op.kernel, arguments.data(),
                                                       op.word_count, end - k, &series, &error);
       if (status == NOVAPHY_OK) {
+        const bool follows = makes_rooms(api) && !series_.empty() &&
+                             series_.back().first >= segment.first &&
+                             !written_since(plan_, words, series_.back(), k);
+        if (follows) api.series_follow(series, series_.back().series);
         series_.push_back({k, end, series});
       } else if (status != NOVAPHY_NOT_SUPPORTED) {
         novaphy::check(status, error, op.name);

@@ -9,6 +9,7 @@
 
 #include "native_kernels.h"
 #include "novaphy/core/backend.h"
+#include "novaphy/program/emit.h"
 #include "novaphy/program/series.h"
 
 namespace novaphy::testing {
@@ -123,6 +124,22 @@ class Chain {
   std::vector<std::unique_ptr<RandomArguments>> other_;
 };
 
+// Gives the launch of an adjoint the sources, rows of items and parameters of its primal's; these
+// perhaps negated.
+void share(const ir::Program& q, const std::vector<uint64_t>& primal, const ir::Program& p,
+           std::vector<uint64_t>& adjoint, bool negated) {
+  for (size_t s = 0; s < p.sources.size(); ++s)
+    for (size_t t = 0; t < q.sources.size(); ++t)
+      if (p.sources[s].name == q.sources[t].name)
+        for (const uint32_t k : {0u, 1u})
+          adjoint[p.source_argument(s) + k] = primal[q.source_argument(t) + k];
+  for (size_t l = 0; l < p.loops.size(); ++l)
+    for (const uint32_t k : {0u, 1u})
+      adjoint[p.loop_argument(l) + k] = primal[q.loop_argument(0) + k];
+  for (size_t k = 0; k < static_cast<size_t>(q.param_count); ++k)
+    adjoint[p.param_argument(k)] = primal[q.param_argument(k)] ^ (negated ? 0x80000000u : 0u);
+}
+
 TEST(NativeSeries, EveryOneGivesTheBitsOfItsLaunches) {
   const novaphy_backend_api* api = plugin_api();
   ASSERT_NE(api, nullptr);
@@ -157,6 +174,74 @@ TEST(NativeSeries, EveryOneGivesTheBitsOfItsLaunches) {
   }
   EXPECT_GE(programs, 5);
   EXPECT_GT(compared, 500);
+}
+
+// What an adjoint takes over from its primal: which launches were quiet. With other
+// parameters, or a state that the primal wrote twice, it asks once more.
+TEST(NativeSeries, AdjointsAfterTheirPrimalsGiveTheBitsOfTheirLaunches) {
+  const novaphy_backend_api* api = plugin_api();
+  ASSERT_NE(api, nullptr);
+  const std::vector<ir::Program> programs = engine_programs();
+  int pairs = 0, followed = 0;
+  uint32_t seed = 1;
+  for (const ir::Program& q : programs)
+    for (const ir::Program& p : programs) {
+      if (!ir::adjoint_of_series(p, q)) continue;
+      ++pairs;
+      for (const std::string& level : levels()) {
+        const ForcedIsa forced(level);
+        const CompiledKernel primal(api, q), adjoint(api, p);
+        for (const int64_t n : {1, 3, 19, 70})
+          for (const bool negated : {false, true})
+            for (const int buffers : {kLaunches, 3}) {
+              ++seed;
+              const auto run = [&](auto how) {
+                Chain forward(q, *ir::find_series(q), n, seed, buffers);
+                Chain backward(p, *ir::find_series(p), n, seed + 100000, kLaunches);
+                for (int k = 0; k < kLaunches; ++k)
+                  share(q, forward.launches[static_cast<size_t>(kLaunches - 1 - k)], p,
+                        backward.launches[static_cast<size_t>(k)], negated);
+                how(forward, backward);
+                return std::make_pair(forward.arrays, backward.arrays);
+              };
+              const auto expected = run([&](Chain& forward, Chain& backward) {
+                primal.launch(forward.launches, n);
+                adjoint.launch(backward.launches, n);
+              });
+              const auto got = run([&](Chain& forward, Chain& backward) {
+                novaphy_series* first = primal.series(forward.launches);
+                novaphy_series* then = adjoint.series(backward.launches);
+                ASSERT_NE(first, nullptr);
+                if (then == nullptr) {  // it reads a state that does not vary in its series
+                  api->series_destroy(first);
+                  primal.launch(forward.launches, n);
+                  adjoint.launch(backward.launches, n);
+                  return;
+                }
+                ++followed;
+                api->series_follow(then, first);
+                for (const auto& [begin, end] : {std::pair{int64_t{0}, n / 3}, {n / 3, n}})
+                  for (novaphy_series* series : {first, then}) {
+                    novaphy_error error = make_error();
+                    api->series_launch(series, begin, end, &error);
+                  }
+                api->series_destroy(then);
+                api->series_destroy(first);
+              });
+              const auto compare = [&](const auto& a, const auto& b) {
+                for (const auto& [key, words] : a)
+                  for (size_t w = 0; w < words.size(); ++w)
+                    ASSERT_TRUE(same(words[w], b.at(key)[w], true))
+                        << p.name << " at " << level << ", n " << n << ", negated parameters "
+                        << negated << ", " << buffers << " buffers, word " << w;
+              };
+              compare(expected.first, got.first);
+              compare(expected.second, got.second);
+            }
+      }
+    }
+  EXPECT_GE(pairs, 3);
+  EXPECT_GE(followed, 32);
 }
 
 // The steps of the ball, which are the reason for all this, and their adjoints are series.

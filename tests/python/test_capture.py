@@ -149,3 +149,57 @@ def test_tensors_may_be_made_inside():
     capture.graph.launch()
     capture.graph.launch()
     assert y.tolist() == [3, 5]
+
+
+class Throws:
+    """Many balls that start close above the ground, some of them beyond the speed limit."""
+
+    def __init__(self, balls: int, steps: int) -> None:
+        """The same balls every time."""
+        random = np.random.default_rng(7)
+        spread = random.uniform([-1, -1, 0.05], [1, 1, 0.6], (balls, 3)).astype(np.float32)
+        speed = random.normal(0, 3, (balls, 3)).astype(np.float32)
+        builder = novaphy.ModelBuilder()
+        builder.add_particles(spread, speed, np.ones(balls, np.float32))
+        builder.add_ground_plane(cfg=novaphy.ShapeConfig(ke=1.0e4, kd=10.0, kf=5.0, mu=0.3))
+        self.model = builder.finalize(requires_grad=True)
+        self.model.particle_max_velocity = 8.0
+        self.trajectory = diff.Trajectory(self.model, steps)
+        self.contacts = ball_contacts(self.model, self.trajectory[0])
+        self.solver = solvers.DiffSemiImplicitSolver(self.model)
+        self.start = diff.state_particle_q_tensor(self.trajectory[0], requires_grad=True)
+        self.velocity = diff.state_particle_qd_tensor(self.trajectory[0], requires_grad=True)
+        self.last = diff.state_particle_q_tensor(self.trajectory[steps])
+
+    def gradients(self, leaves: bool) -> None:
+        """Forward and backward."""
+        with nova.Tape(leaf_gradients_only=leaves) as tape:
+            self.solver.rollout(self.trajectory, None, self.contacts, DT)
+            tape.backward(nova.dot(self.last, self.last))
+
+
+# Enough balls for blocks; a rest that fills no group of lanes; states beyond every cache.
+@pytest.mark.parametrize("balls,steps", [(2051, 24), (4096, 24), (20000, 96)])
+@pytest.mark.parametrize("leaves", [False, True])
+def test_blocks_of_a_large_rollout_have_the_bits_of_single_steps(balls, steps, leaves):
+    captured, stepped = Throws(balls, steps), Throws(balls, steps)
+    with nova.ScopedCapture() as capture:
+        captured.gradients(leaves)
+    for _ in range(2):
+        captured.velocity.zero_grad()
+        captured.start.zero_grad()
+        capture.graph.launch()
+    with nova.Tape() as tape:
+        for t in range(steps):
+            before, after = stepped.trajectory[t], stepped.trajectory[t + 1]
+            before.clear_forces()
+            stepped.solver.step(before, after, None, stepped.contacts, DT)
+        tape.backward(nova.dot(stepped.last, stepped.last))
+    speed = np.linalg.norm(stepped.trajectory[steps].particle_qd.numpy(), axis=1)
+    touched = stepped.trajectory.particle_q.numpy().reshape(steps + 1, balls, 3)[:, :, 2] < 0.1
+    assert speed.max() == pytest.approx(8.0, rel=1e-4)
+    assert 0.02 < touched.mean() < 0.9
+    assert_same_bits(captured.trajectory.particle_q, stepped.trajectory.particle_q, "positions")
+    assert_same_bits(captured.trajectory.particle_qd, stepped.trajectory.particle_qd, "velocities")
+    assert_same_bits(captured.velocity.grad, stepped.velocity.grad, "gradient of the velocities")
+    assert_same_bits(captured.start.grad, stepped.start.grad, "gradient of the positions")

@@ -381,6 +381,7 @@ novaphy_status series_launch(novaphy_series* series, int64_t begin, int64_t end,
   return guarded(error, [&] { return series->run(begin, end, error); });
 }
 void series_destroy(novaphy_series* series) { delete series; }
+void series_follow(novaphy_series* series, novaphy_series* first) { series->follow(*first); }
 
 constexpr novaphy_backend_api kApi = {
     sizeof(novaphy_backend_api),
@@ -423,6 +424,7 @@ constexpr novaphy_backend_api kApi = {
     series_destroy,
     nullptr,  // no sequences either
     nullptr,
+    series_follow,
 };
 
 }  // namespace

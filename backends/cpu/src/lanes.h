@@ -37,6 +37,18 @@ LANE_FN void fetch_early(uint64_t array, int64_t row_bytes, int64_t i, int write
   }
 }
 
+/* The notes on the group of rows from i on, and its part of the room. */
+LANE_FN char* group_notes(const novaphy_native_launches* all, int64_t i) {
+  return all->notes == NULL ? NULL : all->notes + (i - all->first) * all->note_row_bytes;
+}
+LANE_FN char* group_room(const novaphy_native_launches* all, int64_t i) {
+  return all->room == NULL ? NULL : all->room + (i - all->first) * all->room_row_bytes;
+}
+/* What a launch has there, of `row_bytes` for each row. */
+LANE_FN char* launch_room(char* room, uint64_t number, int64_t row_bytes) {
+  return room == NULL ? NULL : room + (int64_t)number * row_bytes * LANES;
+}
+
 /* Scalars. */
 
 LANE_FN float ubits_f(int32_t a) {

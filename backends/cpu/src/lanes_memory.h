@@ -115,10 +115,20 @@ LANE_FN vi give3(vi a, vi b, vi c, vi row, __mmask16 from_c) {
   const __m512i ab = _mm512_permutex2var_epi32((__m512i)a, (__m512i)row, (__m512i)b);
   return (vi)_mm512_mask_permutexvar_epi32(ab, from_c, (__m512i)row, (__m512i)c);
 }
+typedef struct rows3 {
+  vi part[3];
+} rows3;
+LANE_FN rows3 pack3(vi a, vi b, vi c) {
+  return (rows3){{give3(a, b, c, (vi){LANE_LIST(LANES_ROW0)}, 0x4924),
+                  give3(a, b, c, (vi){LANE_LIST(LANES_ROW1)}, 0x2492),
+                  give3(a, b, c, (vi){LANE_LIST(LANES_ROW2)}, 0x9249)}};
+}
+LANE_FN void store_rows3(char* p, const rows3* rows) {
+  for (int k = 0; k < 3; ++k) store_lanes(p + 64 * k, rows->part[k]);
+}
 LANE_FN void store3i(char* p, vi a, vi b, vi c) {
-  store_lanes(p, give3(a, b, c, (vi){LANE_LIST(LANES_ROW0)}, 0x4924));
-  store_lanes(p + 64, give3(a, b, c, (vi){LANE_LIST(LANES_ROW1)}, 0x2492));
-  store_lanes(p + 128, give3(a, b, c, (vi){LANE_LIST(LANES_ROW2)}, 0x9249));
+  const rows3 rows = pack3(a, b, c);
+  store_rows3(p, &rows);
 }
 #elif defined(__x86_64__)
 /* Both halves of a vector of 8 do what a vector of 4 does: rows 0 to 3, and rows 4 to 7. */
@@ -272,6 +282,36 @@ LANE_FN void load_columns4f(const char* p, int32_t width, vf* a, vf* b, vf* c, v
 LANE_FN void store_columnf(char* p, int32_t width, vf a) { store_columni(p, width, (vi)a); }
 LANE_FN void store2f(char* p, vf a, vf b) { store2i(p, (vi)a, (vi)b); }
 LANE_FN void store3f(char* p, vf a, vf b, vf c) { store3i(p, (vi)a, (vi)b, (vi)c); }
+
+/* Rows of three that the primal of a series keeps for its adjoint, one column after the other: at
+ * near + at, if `near` is not null, is the group of rows that begins at `rows`. */
+LANE_FN void keep3f(char* near, vf a, vf b, vf c) {
+  store_lanes(near, (vi)a), store_lanes(near + 4 * LANES, (vi)b);
+  store_lanes(near + 8 * LANES, (vi)c);
+}
+LANE_FN void take3f(const char* rows, const char* near, int64_t at, vf* a, vf* b, vf* c) {
+  if (near == NULL) {
+    load3f(rows, a, b, c);
+    return;
+  }
+  near += at;
+  *a = (vf)load_lanes(near), *b = (vf)load_lanes(near + 4 * LANES);
+  *c = (vf)load_lanes(near + 8 * LANES);
+}
+/* Past the caches, if it streams. */
+LANE_FN void put3f(char* rows, int streams, vf a, vf b, vf c) {
+#if LANES == 16
+  const rows3 packed = pack3((vi)a, (vi)b, (vi)c);
+  if (streams)
+    for (int k = 0; k < 3; ++k)
+      _mm512_stream_si512((__m512i*)(rows + 64 * k), (__m512i)packed.part[k]);
+  else
+    store_rows3(rows, &packed);
+#else
+  (void)streams;
+  store3f(rows, a, b, c);
+#endif
+}
 LANE_FN void store4f(char* p, vf a, vf b, vf c, vf d) { store4i(p, (vi)a, (vi)b, (vi)c, (vi)d); }
 LANE_FN void store_columns4f(char* p, int32_t width, vf a, vf b, vf c, vf d) {
   store_columns4i(p, width, (vi)a, (vi)b, (vi)c, (vi)d);

@@ -52,6 +52,14 @@ LANE_FN void store4i(char* p, vi a, vi b, vi c, vi d) {
 }
 LANE_FN void store2f(char* p, vf a, vf b) { memcpy(p, &a, 4), memcpy(p + 4, &b, 4); }
 LANE_FN void store3f(char* p, vf a, vf b, vf c) { store2f(p, a, b), memcpy(p + 8, &c, 4); }
+LANE_FN void take3f(const char* rows, const char* near, int64_t at, vf* a, vf* b, vf* c) {
+  load3f(near != NULL ? near + at : rows, a, b, c);
+}
+LANE_FN void keep3f(char* near, vf a, vf b, vf c) { store3f(near, a, b, c); }
+LANE_FN void put3f(char* rows, int streams, vf a, vf b, vf c) {
+  (void)streams;
+  store3f(rows, a, b, c);
+}
 LANE_FN void store4f(char* p, vf a, vf b, vf c, vf d) {
   store3f(p, a, b, c), memcpy(p + 12, &d, 4);
 }

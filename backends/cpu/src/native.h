@@ -18,19 +18,38 @@ typedef struct novaphy_error_sink {
 typedef int64_t (*novaphy_native_fn)(const uint64_t* args, int64_t begin, int64_t end,
                                      novaphy_error_sink* sink);
 
-/* The same for `count` launches, one after the other; see <novaphy/program/series.h>. `args` are the
- * words of the first launch. `launches` has a row for each launch: the arrays of the varying
- * sources, then those of the outputs, null where nothing has to be written. The arrays of the launch
- * LAUNCHES_AHEAD later are fetched early, so as many rows follow the last, of any arrays. It also
- * stops at rows that it cannot do. */
+/* Launches of one kernel, one after the other; see <novaphy/program/series.h>. */
+typedef struct novaphy_native_launches {
+  const uint64_t* args;  /* the words of the first launch */
+  const uint64_t* table; /* per launch: see novaphy_native_series */
+  int64_t count;
+  /* Null, or for rows from `first` on and each launch, whether anything acted in its group: a
+   * contact that touches, a limit that is met. Written by the series of a primal, read by its
+   * adjoint's. */
+  char* notes;
+  int64_t note_row_bytes, first;
+  /* The outputs are more than caches hold: they are written past them, which spares the memory the
+   * reading of lines that are overwritten whole. */
+  int32_t streams;
+  /* Null, or where the primal keeps for the adjoint the rows that launches read in which something
+   * acted. */
+  char* room;
+  int64_t room_row_bytes;
+} novaphy_native_launches;
+
+/* Runs the rows [begin, end) of all launches in whole groups of lanes, and returns the first row
+ * that it left: it also stops at rows that it cannot do. A row of the table has the arrays of the
+ * varying sources, then those of the outputs, null where nothing has to be written, and the number
+ * of the launch in notes and room. The arrays of the launch LAUNCHES_AHEAD later are fetched early,
+ * so as many rows follow the last, of any arrays. */
 #define LAUNCHES_AHEAD 8
-typedef int64_t (*novaphy_native_series_fn)(const uint64_t* args, const uint64_t* launches,
-                                            int64_t count, int64_t begin, int64_t end,
-                                            novaphy_error_sink* sink);
+typedef int64_t (*novaphy_native_series_fn)(const novaphy_native_launches* launches, int64_t begin,
+                                            int64_t end, novaphy_error_sink* sink);
 typedef struct novaphy_native_series {
   novaphy_native_series_fn run;
   int32_t outputs, varying;
   const int32_t* sources; /* per output the carried one, then the varying ones */
+  uint64_t primal;        /* the hash of the Program whose notes it reads; 0: it writes notes */
 } novaphy_native_series;
 
 typedef struct novaphy_native_kernel {

@@ -1,8 +1,15 @@
 #include "series.h"
 
 #include <algorithm>
+#include <cstdlib>
+#include <map>
+#include <new>
+#if defined(__x86_64__)
+#include <immintrin.h>
+#endif
 
 #include "novaphy/cpu/float_mode.h"
+#include "novaphy/program/series.h"
 
 namespace {
 
@@ -32,8 +39,50 @@ Interval written_by(const Program& p, const uint64_t* arguments, size_t output, 
 
 // A write that follows another to the same array is looked for in so many launches.
 constexpr size_t kLookAhead = 8;
+// Outputs that take so much are streamed: no cache holds them until they are read.
+constexpr uint64_t kStreamedBytes = 32 << 20;
+constexpr int32_t kLine = 64;
+// Of a room only what launches need in which something acts is ever touched.
+constexpr int64_t kRoomBytes = 4 << 20;
 
 }  // namespace
+
+// What a series has handed over on this thread: notes, and then rows.
+struct novaphy_series::Room {
+  char* bytes = nullptr;
+  const novaphy_series* from = nullptr;
+  int64_t begin = 0, end = 0;
+
+  ~Room() { std::free(bytes); }
+  bool has(const novaphy_series* series, int64_t b, int64_t e) const {
+    return from == series && begin == b && end == e;
+  }
+  void hold(const novaphy_series* series, int64_t b, int64_t e) {
+    from = series;
+    begin = b;
+    end = e;
+  }
+  // What of the room there is for a series that writes it, or the one that follows.
+  void give(const novaphy_series& writer, int64_t rows, novaphy_native_launches& all) {
+    if (bytes == nullptr) [[unlikely]] {
+      bytes = static_cast<char*>(std::aligned_alloc(4096, kRoomBytes));
+      if (bytes == nullptr) throw std::bad_alloc();
+    }
+    const auto count = static_cast<int64_t>(writer.launches_.size());
+    const int64_t noted = (rows * count + kLine - 1) / kLine * kLine;
+    const int64_t row_bytes = writer.large_ ? writer.room_row_bytes_ : 0;
+    if (noted + row_bytes * rows > kRoomBytes) return;
+    all.notes = bytes;
+    all.note_row_bytes = count;
+    if (row_bytes == 0) return;
+    all.room = bytes + noted;
+    all.room_row_bytes = row_bytes;
+  }
+  static Room& of_thread() {
+    thread_local Room room;
+    return room;
+  }
+};
 
 std::unique_ptr<novaphy_series> novaphy_series::make(const novaphy::cpu::Executable& executable,
                                                      std::span<const uint64_t* const> launches) {
@@ -116,21 +165,124 @@ void novaphy_series::make_table() {
       table_.push_back(launches_[k][p.source_argument(static_cast<size_t>(s))]);
     for (size_t o = 0; o < carried().size(); ++o)
       table_.push_back(read_again(k, o) ? launches_[k][p.output_argument(o)] : 0);
+    table_.push_back(k);
   }
-  const size_t width = varying().size() + carried().size();
-  for (size_t k = 0; k < LAUNCHES_AHEAD * width; ++k)
-    table_.push_back(table_[table_.size() - width]);
+  for (size_t k = 0; k < LAUNCHES_AHEAD * launch_words(); ++k)
+    table_.push_back(table_[table_.size() - launch_words()]);
+  large_ = is_large();
+}
+
+// Whether the outputs are too much for the caches, and of the kind that the compiled form streams:
+// rows of three numbers, of which a group is whole lines.
+bool novaphy_series::is_large() const {
+  const Program& p = executable_->program;
+  if (executable_->native.lanes * 12 % kLine != 0) return false;
+  uint64_t bytes = 0;
+  for (size_t k = 0; k < launches_.size(); ++k)
+    for (size_t o = 0; o < carried().size(); ++o) {
+      if (table_[launch_words() * k + varying().size() + o] == 0) continue;
+      const Interval written = written_by(p, launches_[k], o, carried()[o]);
+      const nova::ir::Output& output = p.outputs[o];
+      if (!nova::ir::handed_over(output.type, static_cast<int32_t>(output.values.size())) ||
+          written.begin % kLine != 0)
+        return false;
+      bytes += written.end - written.begin;
+    }
+  return bytes >= kStreamedBytes;
+}
+
+void novaphy_series::follow(novaphy_series& first) {
+  if (first.follows_ != nullptr || overwrites(first) || !asks_like(first)) return;
+  follows_ = &first;
+  first.notes_ = true;
+  const Program& p = first.executable_->program;
+  first.room_row_bytes_ = nova::ir::room_bytes(p, *nova::ir::find_series(p)) *
+                          static_cast<int64_t>(first.launches_.size());
+}
+
+// Whether, when this series begins, anything that a launch of `first` read as carried has been
+// written again, or will be.
+bool novaphy_series::overwrites(const novaphy_series& first) const {
+  std::map<uint64_t, uint64_t> taken;
+  const auto apart = [&](const Interval& i) {
+    const auto next = taken.lower_bound(i.begin);
+    return (next == taken.end() || next->first >= i.end) &&
+           (next == taken.begin() || std::prev(next)->second <= i.begin);
+  };
+  const auto written = [](const novaphy_series& series, const auto& f) {
+    for (const uint64_t* launch : series.launches_)
+      for (size_t o = 0; o < series.carried().size(); ++o)
+        if (!f(written_by(series.executable_->program, launch, o, series.carried()[o])))
+          return false;
+    return true;
+  };
+  const auto take = [&](const Interval& i) {
+    const bool fresh = apart(i);
+    taken[i.begin] = i.end;
+    return fresh;
+  };
+  for (const int32_t source : first.carried())
+    if (!take(read_by(first.executable_->program, first.launches_[0], source))) return true;
+  return !written(first, take) || !written(*this, apart);
+}
+
+// Whether every launch asks what one of `first` has asked, of the same values; and notes which.
+bool novaphy_series::asks_like(const novaphy_series& first) {
+  const Program &asks = executable_->program, &asked = first.executable_->program;
+  const uint64_t primal = executable_->native.series_rows->primal;
+  if (primal == 0 || primal != nova::ir::hash(asked) || asks.param_count < asked.param_count)
+    return false;
+  struct Words {
+    uint32_t here, there;
+  };
+  std::vector<Words> same;
+  for (size_t s = 0; s < asks.sources.size(); ++s)
+    for (size_t t = 0; t < asked.sources.size(); ++t)
+      if (asks.sources[s].name == asked.sources[t].name)
+        for (const uint32_t k : {0u, 1u})
+          same.push_back({asks.source_argument(s) + k, asked.source_argument(t) + k});
+  for (size_t l = 0; l < asks.loops.size(); ++l)
+    for (const uint32_t k : {0u, 1u})
+      same.push_back({asks.loop_argument(l) + k, asked.loop_argument(0) + k});
+  for (size_t k = 0; k < static_cast<size_t>(asked.param_count); ++k)
+    same.push_back({asks.param_argument(k), asked.param_argument(k)});
+
+  const uint32_t state = asked.source_argument(static_cast<size_t>(first.carried()[0]));
+  const auto words =
+      std::find_if(same.begin(), same.end(), [&](const Words& w) { return w.there == state; });
+  if (words == same.end()) return false;
+  std::map<uint64_t, size_t> by_state;
+  for (size_t k = 0; k < first.launches_.size(); ++k) by_state[first.launches_[k][state]] = k;
+  for (size_t k = 0; k < launches_.size(); ++k) {
+    const auto found = by_state.find(launches_[k][words->here]);
+    if (found == by_state.end()) return false;
+    for (const Words& w : same)
+      if (launches_[k][w.here] != first.launches_[found->second][w.there]) return false;
+    table_[launch_words() * k + launch_words() - 1] = found->second;
+  }
+  return true;
 }
 
 novaphy_status novaphy_series::run(int64_t begin, int64_t end, novaphy_error* error) const {
   const novaphy::cpu::FloatMode mode;
   const NativeCode& code = executable_->native;
-  const auto count = static_cast<int64_t>(launches_.size());
+  novaphy_native_launches all = {};
+  all.args = launches_[0];
+  all.table = table_.data();
+  all.count = static_cast<int64_t>(launches_.size());
+  all.first = begin;
+  Room& room = Room::of_thread();
+  const bool writes = follows_ == nullptr;
+  if (writes ? notes_ : room.has(follows_, begin, end))
+    room.give((writes ? *this : *follows_), end - begin, all);
+  all.streams = large_ && all.room != nullptr ? 1 : 0;
+  if (writes) room.from = nullptr;
   ErrorSink sink;
+  bool whole = true;  // all rows were done by the compiled form
   for (int64_t i = begin; i < end;) {
     const novaphy_native_series& form =
         end - i >= code.lanes ? *code.series_rows : *code.series_scalar;
-    const int64_t left = form.run(launches_[0], table_.data(), count, i, end, &sink);
+    const int64_t left = form.run(&all, i, end, &sink);
     if (left == end || left != i) {
       i = left;
       continue;
@@ -140,8 +292,13 @@ novaphy_status novaphy_series::run(int64_t begin, int64_t end, novaphy_error* er
     for (size_t k = 0; k < launches_.size(); ++k)
       run_native_rows(*executable_, launches_[k], i, stop, sink);
     i = stop;
+    whole = false;
   }
+#if defined(__x86_64__)
+  if (all.streams != 0) _mm_sfence();  // other threads see what was streamed
+#endif
   if (sink.index != INT64_MAX) [[unlikely]]
     return out_of_range(*executable_, sink, launches_[0], error);
+  if (writes && whole) room.hold(this, begin, end);
   return NOVAPHY_OK;
 }

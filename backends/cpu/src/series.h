@@ -15,19 +15,33 @@ struct novaphy_series {
   // that form allows.
   static std::unique_ptr<novaphy_series> make(const novaphy::cpu::Executable& executable,
                                               std::span<const uint64_t* const> launches);
+  // From now on this series always runs on rows on which `first` ran just before, on the same
+  // thread, and nothing in between has written what `first` read or wrote. If it asks the same
+  // questions, `first` notes for it which launches were quiet, and keeps near by what the others
+  // read, so that large outputs may be written past the caches.
+  void follow(novaphy_series& first);
   // The rows [begin, end) of all launches, on the calling thread.
   novaphy_status run(int64_t begin, int64_t end, novaphy_error* error) const;
 
  private:
+  struct Room;
   explicit novaphy_series(const novaphy::cpu::Executable& executable) : executable_(&executable) {}
   std::span<const int32_t> carried() const;  // per output: the source
   std::span<const int32_t> varying() const;
   bool same_but_for_arrays() const;
   bool writes_what_all_read() const;
   bool read_again(size_t k, size_t output) const;
+  bool is_large() const;
   void make_table();
+  size_t launch_words() const { return varying().size() + carried().size() + 1; }
+  bool asks_like(const novaphy_series& first);
+  bool overwrites(const novaphy_series& first) const;
 
   const novaphy::cpu::Executable* executable_;
-  std::vector<const uint64_t*> launches_;  // the argument words of each
-  std::vector<uint64_t> table_;            // what the compiled form reads of each launch
+  std::vector<const uint64_t*> launches_;    // the argument words of each
+  std::vector<uint64_t> table_;              // what the compiled form reads of each launch
+  bool large_ = false;                       // the outputs are worth streaming
+  bool notes_ = false;                       // whether it writes notes for a series that follows
+  int64_t room_row_bytes_ = 0;               // what a row takes of the room for that
+  const novaphy_series* follows_ = nullptr;  // whose notes this one reads
 };

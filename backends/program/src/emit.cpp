@@ -221,6 +221,11 @@ void Emitter::steps() {
     const Step& step = plan_.steps[s];
     switch (step.kind) {
       case Step::Kind::LoopBegin:
+        if (quiet_) {  // all items are idle
+          begin_sums(step.value);
+          while (plan_.steps[s].kind != Step::Kind::LoopEnd) ++s;
+          break;
+        }
         if (const int32_t source = added_source(step.value); source >= 0) {
           add_rows(step.value, source);
           while (plan_.steps[s].kind != Step::Kind::LoopEnd) ++s;
@@ -269,13 +274,15 @@ void Emitter::compute(Value v) {
 
 void Emitter::limited_root(Value v, const Instr& in) {
   line((is_declared(v) ? "" : text_.c_type(v) + " ") + text_.name(v) + " = " + zero(v) + ";");
-  if (in.op == Op::SQRT) return;
+  if (in.op == Op::SQRT || quiet_) return;
   const Value root = plan_.root[at(v)];
   const std::string x = text_.lanes(p_.instrs[at(root)].a);
   const std::string question = "any(vlt(splatf(below" + str(in.a) + "), " + x + "))";
+  if (series_) line("acted &= ~" + acted_bit(v) + ";");
   line("if (" + (device_ ? question : "rarely(" + question + ")") + ") {");
   ++depth_;
   for (const Value k : {root, v}) line(text_.name(k) + " = " + text_.expression(k) + ";");
+  if (series_) line("acted |= " + acted_bit(v) + ";");
   close();
 }
 
@@ -322,7 +329,9 @@ void Emitter::load(Value v, const Instr& in) {
                             : device_ ? s
                                       : s + ", n" + str(group.source);
   const std::string t = letter(p_.sources[at(group.source)].type);
-  const std::string where = ", " + need(v) + ", " + str(group.source) + ", i, sink";
+  const std::string where = ", " + (probes_ ? "on" + str(loop_) : need(v)) + ", " +
+                            str(group.source) + ", i, " +
+                            (probes_ ? "&probe" + str(loop_) : "sink");
   if (scalar) {
     for (int32_t c = 0; c < width; ++c)
       if (const Value d = group.columns[at(c)]; d != kNone)
@@ -333,6 +342,10 @@ void Emitter::load(Value v, const Instr& in) {
   const std::string rows = own ? "" : rows_of(group.row, plan_.region[at(v)]);
   if (width >= 2 && width <= 4 && wanted >= 2) {
     const std::string targets = columns(v, group, 0, 0, width);
+    if (const int32_t bytes = near_bytes(group.source); own && bytes >= 0) {
+      line("take3f(" + own_column(s, 3, 0) + ", near, " + str(bytes) + " * LANES" + targets + ");");
+      return;
+    }
     line(own && device_ ? "own" + str(width) + t + "(" + s + where + targets + ");"
          : own
              ? "load" + str(width) + t + "(" + s + " + " + str(4 * width) + " * i" + targets + ");"
@@ -395,14 +408,10 @@ void Emitter::stores() {
       continue;
     }
     if (series_) {
-      line("char* const o" + k + " = (char*)launch[" +
-           str(static_cast<int64_t>(series_->varying.size() + o)) + "];");
-      line("if (o" + k + " != NULL) {");
-      ++depth_;
-      fetch_early(series_->varying.size() + o, width, "1");
+      put(o);
+      continue;
     }
     store(output, "o" + k);
-    if (series_) close();
   }
   if (!series_) return;
   for (size_t o = 0; o < p_.outputs.size(); ++o)
@@ -450,9 +459,9 @@ std::string emit_c(const Program& program, const std::string& function) {
   return Emitter(program).run(function.empty() ? c_function_name(program) : function);
 }
 
-std::string emit_c_series(const Program& program, const Series& series,
-                          const std::string& function) {
-  return Emitter(program, false, &series).run_series(function);
+std::string emit_c_series(const Program& program, const Series& series, const std::string& function,
+                          const Program* primal) {
+  return Emitter(program, false, &series).run_series(function, primal);
 }
 
 std::string emit_device(const Program& program, const std::string& function,

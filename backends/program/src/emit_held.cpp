@@ -24,7 +24,9 @@ std::vector<char> find_held_values(const Program& program, const EmitPlan& plan,
   for (size_t v = 0; v < program.instrs.size(); ++v) {
     const Instr& in = program.instrs[v];
     const int32_t loop = plan.loop[v];
-    if (!plan.used[v] || plan.once[v] || is_leaf(in.op) || plan.region[v] >= 0) continue;
+    if (!plan.used[v] || plan.once[v] || is_leaf(in.op)) continue;
+    // Behind a condition, what items have: the launches in which they act would load it each time.
+    if (plan.region[v] >= 0 && (loop < 0 || plan.escapes[v])) continue;
     if (loop >= 0 && program.loops[static_cast<size_t>(loop)].kind != LoopKind::Csr) continue;
     if (is_load(in.op) && (contains(series.carried, in.a) || contains(series.varying, in.a)))
       continue;

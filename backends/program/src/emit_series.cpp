@@ -5,31 +5,46 @@
 
 namespace nova::ir {
 
-std::string Emitter::run_series(const std::string& function) {
-  line("// The same for `count` launches, one after the other.");
-  line("static int64_t " + function + "(const uint64_t* args, const uint64_t* launches,");
-  line("                  int64_t count, int64_t begin, int64_t end, novaphy_error_sink* sink) {");
+std::string Emitter::run_series(const std::string& function, const Program* primal) {
+  primal_ = primal;
+  const std::string parameters =
+      "(const novaphy_native_launches* all, int64_t begin,\n"
+      "                  int64_t end, novaphy_error_sink* sink";
+  line("// The same for launches that follow each other. `large`: they have a room or notes.");
+  line("LANE_FN int64_t " + function + "_rows" + parameters + ", const int large) {");
   ++depth_;
+  line("const uint64_t* const args = all->args;");
+  line("const int streams = large && all->streams;");
   arguments();
   before_the_rows();
   line("for (; i + LANES <= last; i += LANES) {");
   ++depth_;
   before_the_launches();
-  const std::string width = str(static_cast<int64_t>(launch_words()));
-  line("for (const uint64_t *launch = launches, *const stop = launches + " + width +
-       " * count; launch != stop; launch += " + width + ") {");
+  line("char* const room = large ? group_room(all, i) : NULL;");
+  line("char* const noted = large ? group_notes(all, i) : NULL;");
+  const std::string width = word(launch_words());
+  line("for (const uint64_t *launch = all->table, *const stop = launch + " + width +
+       " * all->count; launch != stop; launch += " + width + ") {");
   ++depth_;
-  for (size_t k = 0; k < series_->varying.size(); ++k) {
-    const int32_t source = series_->varying[k];
-    line("const char* const s" + str(source) + " = (const char*)launch[" +
-         str(static_cast<int64_t>(k)) + "];");
-    fetch_early(k, p_.sources[at(source)].width, "0");
-  }
+  if (primal) quiet_launch();
+  std::string unasked = "0";
+  for (const Value v : limits()) unasked += " | " + acted_bit(v);
+  line("unsigned char acted = " + unasked + ";");
+  launch_sources();
   steps();
+  if (!primal) note();
   stores();
   close();
   close();
   line("return i;");
+  close();
+  line("static int64_t " + function + parameters + ") {");
+  ++depth_;
+  const auto rows = [&](const char* large) {
+    return function + "_rows(all, begin, end, sink, " + large + ")";
+  };
+  line("return all->room != NULL || all->notes != NULL ? " + rows("1"));
+  line("                                               : " + rows("0") + ";");
   close();
   return std::move(out_);
 }
@@ -78,9 +93,41 @@ void Emitter::load_state(int32_t source) {
          ", " + str(width) + ");");
 }
 
-void Emitter::fetch_early(size_t k, int32_t width, const char* write) {
-  line("fetch_early(launch[" + str(static_cast<int64_t>(launch_words())) + " * LAUNCHES_AHEAD + " +
-       str(static_cast<int64_t>(k)) + "], " + str(4 * width) + ", i, " + write + ");");
+void Emitter::launch_sources() {
+  if (primal_)
+    line("const char* const near = " + launch_room(room_bytes(*primal_, *find_series(*primal_))) +
+         ";");
+  for (size_t k = 0; k < series_->varying.size(); ++k) {
+    const int32_t source = series_->varying[k];
+    line("const char* const s" + str(source) + " = (const char*)launch[" + word(k) + "];");
+    if (quiet_) continue;
+    line((near_bytes(source) < 0 ? "" : "if (near == NULL) ") +
+         fetch_early(k, p_.sources[at(source)].width, "0"));
+  }
+}
+
+std::string Emitter::fetch_early(size_t k, int32_t width, const char* write) const {
+  return "fetch_early(launch[" + word(launch_words()) + " * LAUNCHES_AHEAD + " + word(k) + "], " +
+         str(4 * width) + ", i, " + write + ");";
+}
+
+void Emitter::put(size_t o) {
+  const Output& output = p_.outputs[o];
+  const auto width = static_cast<int32_t>(output.values.size());
+  const std::string to = "o" + word(o);
+  const size_t k = series_->varying.size() + o;
+  line("char* const " + to + " = (char*)launch[" + word(k) + "];");
+  line("if (" + to + " != NULL) {");
+  ++depth_;
+  if (handed_over(output.type, width)) {
+    line("if (!streams) " + fetch_early(k, width, "1"));
+    line("put3f(" + own_column(to, 3, 0) + ", streams, " + text_.lanes(output.values[0]) + ", " +
+         text_.lanes(output.values[1]) + ", " + text_.lanes(output.values[2]) + ");");
+  } else {
+    line(fetch_early(k, width, "1"));
+    store(output, to);
+  }
+  close();
 }
 
 void Emitter::hold(Value v) {
@@ -94,7 +141,10 @@ void Emitter::hold_items(int32_t l) {
   line("if (csr" + k + ".longest > KEPT_ITEMS) return i;");
   const std::vector<Value> values = held_items(l);
   for (const Value v : values) line(text_.c_type(v) + " held" + str(v) + "[KEPT_ITEMS];");
+  // A row out of range may stand behind a condition that is never true: such groups are left.
+  line("novaphy_error_sink probe" + k + " = {INT64_MAX, 0, 0, 0};");
   loop_ = l;
+  probes_ = true;
   item_begin(l);
   slot(l);
   for (const Step& step : plan_.steps)
@@ -102,7 +152,9 @@ void Emitter::hold_items(int32_t l) {
       hold(step.value);
   for (const Value v : values) line("held" + str(v) + "[r" + k + "] = " + text_.name(v) + ";");
   close();
+  line("if (probe" + k + ".index != INT64_MAX) return i;");
   loop_ = -1;
+  probes_ = false;
   std::erase_if(looked_, [l](const auto& key) { return std::get<2>(key) == l; });
 }
 

@@ -1,6 +1,7 @@
 // Internal to the emitter: the writer of one function.
 #pragma once
 
+#include <optional>
 #include <set>
 #include <string>
 #include <tuple>
@@ -25,7 +26,9 @@ class Emitter {
   std::string run(const std::string& function);
   // Words that differ from launch to launch come from a table, a row of it for each launch: the
   // varying sources, then the outputs, null where nobody reads what this launch would write.
-  std::string run_series(const std::string& function);
+  std::string run_series(const std::string& function, const Program* primal);
+  // What makes a launch more than a quiet one; none: it cannot be left out.
+  std::optional<std::set<uint64_t>> questions() const;
   std::string run_device(const std::string& function);
 
  private:
@@ -55,9 +58,21 @@ class Emitter {
   // beginning.
   void before_the_launches();
   void load_state(int32_t source);
-  // The array that a later launch has in column k of the table.
-  void fetch_early(size_t k, int32_t width, const char* write);
-  size_t launch_words() const { return series_->varying.size() + p_.outputs.size(); }
+  // Fetches array k of a later launch.
+  std::string fetch_early(size_t k, int32_t width, const char* write) const;
+  // What a launch has in the room, and where a source that varies begins in a row there, or -1.
+  std::string launch_room(int32_t row_bytes) const;
+  int32_t near_bytes(int32_t source) const;
+  void launch_sources();  // where a launch finds what varies
+  void put(size_t o);     // writes an output of a launch
+  void note();            // see emit_quiet.cpp
+  void quiet_launch();
+  // The comparisons that need no root while a limit is far, and the bits of `acted` that say
+  // whether it was not, or not asked. The first bit: whether an item of a loop acted.
+  std::vector<Value> limits() const;
+  std::string acted_bit(Value limit) const;
+  size_t launch_words() const { return series_->varying.size() + p_.outputs.size() + 1; }
+  static std::string word(size_t w) { return std::to_string(w); }
   void hold(Value v);
   bool held(Value v) const { return series_ && held_[at(v)]; }
   void hold_items(int32_t l);
@@ -145,6 +160,9 @@ class Emitter {
   int32_t depth_ = 0, loop_ = -1;
   std::set<std::tuple<Value, int32_t, int32_t>> looked_, looked_before_;  // row, region, loop
   bool tail_ = false;  // the last group may begin earlier
+  bool quiet_ = false;
+  bool probes_ = false;              // loads what launches may need, and not in vain
+  const Program* primal_ = nullptr;  // of a series that reads notes
 };
 
 }  // namespace nova::ir

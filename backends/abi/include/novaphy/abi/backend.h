@@ -24,7 +24,7 @@ extern "C" {
 #endif
 
 #define NOVAPHY_ABI_MAJOR 0u
-#define NOVAPHY_ABI_MINOR 5u
+#define NOVAPHY_ABI_MINOR 6u
 
 typedef enum novaphy_status {
   NOVAPHY_OK = 0,
@@ -243,6 +243,11 @@ typedef struct novaphy_backend_api {
   int32_t (*sequence_takes)(novaphy_device* device, const novaphy_list_op* op);
   novaphy_status (*sequence_create)(novaphy_device* device, const novaphy_sequence_op* ops,
                                     uint32_t count, novaphy_list** list, novaphy_error* error);
+
+  /* since minor version 6 (optional): `series` is from now on launched on rows on which `first` was
+   * launched just before, by the same thread, and nothing in between writes what `first` wrote. So
+   * `first`, which lives as long, may keep what it wrote near by for `series`. */
+  void (*series_follow)(novaphy_series* series, novaphy_series* first);
 } novaphy_backend_api;
 
 /* The one exported symbol. Returns null and fills `error` when the host's major version is not the

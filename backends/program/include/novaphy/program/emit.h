@@ -22,9 +22,14 @@ namespace nova::ir {
 
 // `function`: the name of the C function; empty: one made of the Program's name and hash.
 std::string emit_c(const Program& program, const std::string& function = {});
-// The function that runs many launches, whose name is `function`.
-std::string emit_c_series(const Program& program, const Series& series,
-                          const std::string& function);
+// The function that runs many launches, whose name is `function`. That of a `primal` notes for
+// groups of rows the launches in which no contact touches and no limit is met; that of its adjoint
+// has a short form for these.
+std::string emit_c_series(const Program& program, const Series& series, const std::string& function,
+                          const Program* primal = nullptr);
+// Whether `adjoint` may take the notes of `primal` for its own: what makes its launches more than
+// quiet ones is computed alike there.
+bool adjoint_of_series(const Program& adjoint, const Program& primal);
 // The same for a GPU: a C++ function of one row, templated on how each source and output is reached
 // (s0, o0, ...), whose names backends/gpu/src/device_prelude.cuh gives a meaning.
 // With `items`, the sources that it names are kept for the first items of each CSR loop in what the

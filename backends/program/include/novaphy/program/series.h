@@ -15,6 +15,13 @@ struct Series {
   std::vector<int32_t> varying;  // sources of which every launch may have another array
 };
 
+// Whether rows of such words may be written past the caches, and kept near by where they are
+// needed.
+inline bool handed_over(Type type, int32_t width) { return type == Type::F32 && width == 3; }
+
+// What a row takes in the memory where a series keeps, for each launch, what it read as carried.
+int32_t room_bytes(const Program& program, const Series& series);
+
 // Names tell what belongs together: an output is carried to the source of its name, and beside a
 // gradient grad_x that is carried, x varies. All other sources, tables and parameters have to be
 // the same in every launch. None: an output has no such source, a gradient is not carried, or the

@@ -1,0 +1,146 @@
+// The emitter's launches that do nothing out of the ordinary: no contact touches, no limit is met.
+// A primal notes for each group of rows which launches these are, and keeps near by what the others
+// read. Its adjoint, which would ask the same questions of the same values, has a short form for
+// quiet launches.
+#include <algorithm>
+#include <functional>
+
+#include "emitter.h"
+
+namespace nova::ir {
+namespace {
+
+// Equal for values that are computed alike from sources of the same names. All CSR loops count as
+// loops over the same rows.
+class Alike {
+ public:
+  explicit Alike(const Program& program) : p_(program), known_(program.instrs.size(), 0) {}
+
+  uint64_t operator()(Value v) {
+    uint64_t& known = known_[static_cast<size_t>(v)];
+    return known != 0 ? known : known = computed(p_.instrs[static_cast<size_t>(v)]);
+  }
+
+ private:
+  static uint64_t mixed(uint64_t h, uint64_t with) {
+    h = (h ^ with) * 0x9E3779B97F4A7C15u;
+    return h ^ (h >> 29);
+  }
+  uint64_t computed(const Instr& in) {
+    uint64_t h = mixed(1, static_cast<uint64_t>(in.op));
+    if (in.op == Op::SLOT) return h;
+    if (in.op == Op::SUM) {
+      const Loop& loop = p_.loops[static_cast<size_t>(in.a)];
+      const Sum& sum = loop.sums[static_cast<size_t>(in.b)];
+      const bool csr = loop.kind == LoopKind::Csr;
+      h = mixed(h, csr ? 0 : 1 + static_cast<uint64_t>(loop.extent_param));
+      return mixed(mixed(h, (*this)(sum.init)), (*this)(sum.term));
+    }
+    if (is_load(in.op)) {
+      const std::string& name = p_.sources[static_cast<size_t>(in.a)].name;
+      h = mixed(mixed(h, std::hash<std::string>()(name)), static_cast<uint64_t>(in.c));
+      return mixed(h, (*this)(in.b));
+    }
+    if (is_leaf(in.op)) return mixed(h, static_cast<uint64_t>(static_cast<uint32_t>(in.a)));
+    for_each_operand(in, [&](Value o) { h = mixed(h, (*this)(o)); });
+    return h;
+  }
+
+  const Program& p_;
+  std::vector<uint64_t> known_;
+};
+
+}  // namespace
+
+std::optional<std::set<uint64_t>> Emitter::questions() const {
+  Alike alike(p_);
+  std::set<uint64_t> all;
+  for (size_t l = 0; l < p_.loops.size(); ++l) {
+    const auto loop = static_cast<int32_t>(l);
+    const IdleItem* const idle = idle_item(loop);
+    if (!idle) return std::nullopt;
+    for (size_t s = 0; s < idle->terms.size(); ++s)
+      if (!adds_nothing(*idle, s)) return std::nullopt;
+    const Region& region = plan_.regions[at(idle->region)];
+    all.insert(2 * alike(region.cond) + (region.polarity ? 1 : 0));
+  }
+  for (const Value v : limits()) all.insert(2 * alike(v));
+  return limits().size() < 8 ? std::optional(all) : std::nullopt;
+}
+
+std::vector<Value> Emitter::limits() const {
+  std::vector<Value> all;
+  for (size_t v = 0; v < p_.instrs.size(); ++v)
+    if (plan_.used[v] && plan_.root[v] != kNone && p_.instrs[v].op == Op::LT)
+      all.push_back(static_cast<Value>(v));
+  return all;
+}
+
+std::string Emitter::acted_bit(Value limit) const {
+  const std::vector<Value> all = limits();
+  return str(int64_t{2} << (std::find(all.begin(), all.end(), limit) - all.begin()));
+}
+
+void Emitter::quiet_launch() {
+  line("if (noted != NULL && noted[launch[" + word(launch_words() - 1) + "]] == 0) {");
+  ++depth_;
+  Emitter quiet(*this);
+  quiet.out_.clear();
+  quiet.quiet_ = true;
+  quiet.launch_sources();
+  quiet.steps();
+  quiet.stores();
+  out_ += quiet.out_;
+  line("continue;");
+  close();
+}
+
+void Emitter::note() {
+  line("if (noted != NULL) {");
+  ++depth_;
+  line("noted[launch[" + word(launch_words() - 1) + "]] = (char)acted;");
+  line("char* const near = " + launch_room(room_bytes(p_, *series_)) + ";");
+  int32_t bytes = 0;
+  for (const int32_t source : series_->carried) {
+    const auto& [name, type, width, access] = p_.sources[at(source)];
+    if (handed_over(type, width))
+      line("if (acted && near != NULL) keep3f(near + " + str(bytes) + " * LANES, " +
+           state(source, 0) + ", " + state(source, 1) + ", " + state(source, 2) + ");");
+    bytes += 4 * width;
+  }
+  close();
+}
+
+std::string Emitter::launch_room(int32_t row_bytes) const {
+  return "launch_room(room, launch[" + word(launch_words() - 1) + "], " + str(row_bytes) + ")";
+}
+
+int32_t Emitter::near_bytes(int32_t source) const {
+  const Source& wanted = p_.sources[at(source)];
+  if (!primal_ || !varies(source) || !handed_over(wanted.type, wanted.width)) return -1;
+  int32_t bytes = 0;
+  const Series kept_for = *find_series(*primal_);
+  for (const int32_t carried : kept_for.carried) {
+    const Source& kept = primal_->sources[at(carried)];
+    if (kept.name == wanted.name) return bytes;
+    bytes += 4 * kept.width;
+  }
+  return -1;
+}
+
+int32_t room_bytes(const Program& program, const Series& series) {
+  int32_t bytes = 0;
+  for (const int32_t source : series.carried) bytes += 4 * program.sources[at(source)].width;
+  return bytes;
+}
+
+bool adjoint_of_series(const Program& adjoint, const Program& primal) {
+  const auto later = find_series(adjoint), first = find_series(primal);
+  if (adjoint.name != primal.name + ".adjoint" || !later || !first || primal.loops.size() > 1)
+    return false;
+  const auto asks = Emitter(adjoint, false, &*later).questions(),
+             asked = Emitter(primal, false, &*first).questions();
+  return asks && asked && std::includes(asked->begin(), asked->end(), asks->begin(), asks->end());
+}
+
+}  // namespace nova::ir

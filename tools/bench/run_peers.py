@@ -163,7 +163,7 @@ def check_hashes(records: list[dict[str, object]]) -> bool:
 
 def iterations_for(n: int) -> int:
     """Timed iterations per measurement."""
-    return 30 if n <= 1000 else 5 if n <= 10_000 else 2
+    return 30 if n <= 1000 else 5
 
 
 class Results:

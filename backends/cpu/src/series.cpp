@@ -275,7 +275,7 @@ novaphy_status novaphy_series::run(int64_t begin, int64_t end, novaphy_error* er
   const bool writes = follows_ == nullptr;
   if (writes ? notes_ : room.has(follows_, begin, end))
     room.give((writes ? *this : *follows_), end - begin, all);
-  all.streams = large_ && all.room != nullptr ? 1 : 0;
+  all.streams = large_ && all.room != nullptr && begin * 12 % kLine == 0 ? 1 : 0;
   if (writes) room.from = nullptr;
   ErrorSink sink;
   bool whole = true;  // all rows were done by the compiled form

@@ -372,9 +372,11 @@ traced included (Newton's kernels come compiled from its cache; imports are not 
 
 Copying {COPY_BYTES >> 20} MiB (bytes read and written): {copies}.
 
-A rollout must move {MOVED_BYTES} bytes per particle and substep: it writes the new position and
-velocity, 24 bytes, which the adjoint reads. What can stay in the caches is not counted: contacts,
-materials, the gradients from one substep to the next. The Programs of a substep and its adjoint
+Counted are {MOVED_BYTES} bytes per particle and substep: the new position and velocity, 24 bytes,
+are written, and the adjoint reads them. Where a trajectory exceeds the caches it does so only in
+substeps in which a contact touches (design note 0008), so that more may seem to move there than a
+copy moves. What can stay in the caches is not counted: contacts, materials, the gradients from one
+substep to the next. The Programs of a substep and its adjoint
 hold {programs["step_particles"]} and {programs["step_particles.adjoint"]} float32 operations per
 particle with its two contacts (a fused multiply-add is two, a comparison or selection none):
 {operations / MOVED_BYTES:.3g} operations per byte. That is an upper bound, and so are the

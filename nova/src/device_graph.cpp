@@ -1,13 +1,13 @@
 #include "device_graph.h"
 
 #include <algorithm>
-#include <cstddef>
 #include <cstdlib>
 #include <cstring>
 #include <map>
 
 #include "fusion.h"
 #include "novaphy/core/parallel.h"
+#include "optional_entry.h"
 #include "phases.h"
 
 namespace nova::detail {
@@ -53,14 +53,12 @@ constexpr uint32_t kMinOccurrences = 4;
 
 bool switched_off(const char* value) { return value != nullptr && std::strcmp(value, "0") == 0; }
 bool lists_wanted(const novaphy_backend_api& api) {
-  constexpr size_t end = offsetof(novaphy_backend_api, list_destroy) + sizeof(api.list_destroy);
-  return api.struct_size >= end && api.list_create != nullptr &&
+  return has_entry(api, &novaphy_backend_api::list_create) &&
+         has_entry(api, &novaphy_backend_api::list_destroy) &&
          !switched_off(std::getenv("NOVAPHY_DEVICE_LISTS"));
 }
 bool sequences_wanted(const novaphy_backend_api& api) {
-  constexpr size_t end =
-      offsetof(novaphy_backend_api, sequence_create) + sizeof(api.sequence_create);
-  return api.struct_size >= end && api.sequence_create != nullptr &&
+  return has_entry(api, &novaphy_backend_api::sequence_create) &&
          !switched_off(std::getenv("NOVAPHY_DEVICE_PHASES"));
 }
 

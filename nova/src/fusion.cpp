@@ -2,12 +2,12 @@
 
 #include <algorithm>
 #include <atomic>
-#include <cstddef>
 #include <cstring>
 #include <mutex>
 
 #include "device_graph.h"
 #include "novaphy/core/parallel.h"
+#include "optional_entry.h"
 
 namespace nova::detail {
 
@@ -103,13 +103,8 @@ void run_fused(FusedRun& run) {
 }
 
 bool makes_series(const novaphy_backend_api& api) {
-  constexpr size_t end = offsetof(novaphy_backend_api, series_destroy) + sizeof(api.series_destroy);
-  return api.struct_size >= end && api.series_create != nullptr;
-}
-
-bool makes_rooms(const novaphy_backend_api& api) {
-  constexpr size_t end = offsetof(novaphy_backend_api, series_follow) + sizeof(api.series_follow);
-  return api.struct_size >= end && api.series_follow != nullptr;
+  return has_entry(api, &novaphy_backend_api::series_create) &&
+         has_entry(api, &novaphy_backend_api::series_destroy);
 }
 
 // Whether an operation between a series and `last` may write what those of the series touched.
@@ -163,8 +158,8 @@ HostPlan::HostPlan(const novaphy::DeviceContext& context, RunPlan plan,
       const novaphy_status status = api.series_create(context.device, op.kernel, arguments.data(),
                                                       op.word_count, end - k, &series, &error);
       if (status == NOVAPHY_OK) {
-        const bool follows = makes_rooms(api) && !series_.empty() &&
-                             series_.back().first >= segment.first &&
+        const bool follows = has_entry(api, &novaphy_backend_api::series_follow) &&
+                             !series_.empty() && series_.back().first >= segment.first &&
                              !written_since(plan_, words, series_.back(), k);
         if (follows) api.series_follow(series, series_.back().series);
         series_.push_back({k, end, series});

@@ -1,8 +1,8 @@
 #include <algorithm>
-#include <cstddef>
 
 #include "kernel_impl.h"
 #include "novaphy/core/error.h"
+#include "optional_entry.h"
 
 namespace nova {
 namespace detail {
@@ -22,8 +22,7 @@ KernelInfo ask(const novaphy::DeviceContext& context, novaphy_kernel* kernel,
                const ir::Program& program) {
   KernelInfo out{program.name, ir::hash(program), context.id, "unknown", "", 1};
   const novaphy_backend_api& api = *context.api;
-  constexpr size_t end = offsetof(novaphy_backend_api, kernel_info) + sizeof(api.kernel_info);
-  if (api.struct_size < end || api.kernel_info == nullptr) return out;
+  if (!has_entry(api, &novaphy_backend_api::kernel_info)) return out;
   novaphy_kernel_info info{};
   info.struct_size = sizeof(info);
   novaphy_error error = novaphy::make_error();

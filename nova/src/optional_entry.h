@@ -1,0 +1,18 @@
+// Internal: what a backend may lack.
+#pragma once
+
+#include <cstdint>
+
+#include "novaphy/abi/backend.h"
+
+namespace nova::detail {
+
+// Whether a table, which ends early where the backend is older, has an optional entry.
+template <class Entry>
+bool has_entry(const novaphy_backend_api& api, Entry novaphy_backend_api::*entry) {
+  const auto begin = reinterpret_cast<uintptr_t>(&api);
+  const auto end = reinterpret_cast<uintptr_t>(&(api.*entry)) + sizeof(Entry);
+  return api.struct_size >= end - begin && api.*entry != nullptr;
+}
+
+}  // namespace nova::detail

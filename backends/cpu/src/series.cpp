@@ -195,8 +195,7 @@ void novaphy_series::follow(novaphy_series& first) {
   if (first.follows_ != nullptr || overwrites(first) || !asks_like(first)) return;
   follows_ = &first;
   first.notes_ = true;
-  const Program& p = first.executable_->program;
-  first.room_row_bytes_ = nova::ir::room_bytes(p, *nova::ir::find_series(p)) *
+  first.room_row_bytes_ = nova::ir::room_bytes(first.executable_->program, first.carried()) *
                           static_cast<int64_t>(first.launches_.size());
 }
 

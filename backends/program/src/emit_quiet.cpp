@@ -99,14 +99,14 @@ void Emitter::note() {
   line("if (noted != NULL) {");
   ++depth_;
   line("noted[launch[" + word(launch_words() - 1) + "]] = (char)acted;");
-  line("char* const near = " + launch_room(room_bytes(p_, *series_)) + ";");
-  int32_t bytes = 0;
-  for (const int32_t source : series_->carried) {
-    const auto& [name, type, width, access] = p_.sources[at(source)];
-    if (handed_over(type, width))
-      line("if (acted && near != NULL) keep3f(near + " + str(bytes) + " * LANES, " +
-           state(source, 0) + ", " + state(source, 1) + ", " + state(source, 2) + ");");
-    bytes += 4 * width;
+  line("char* const near = " + launch_room(room_bytes(p_, series_->carried)) + ";");
+  const std::span carried(series_->carried);
+  for (size_t k = 0; k < carried.size(); ++k) {
+    const Source& source = p_.sources[at(carried[k])];
+    if (!handed_over(source.type, source.width)) continue;
+    line("if (acted && near != NULL) keep3f(near + " + str(room_bytes(p_, carried.first(k))) +
+         " * LANES, " + state(carried[k], 0) + ", " + state(carried[k], 1) + ", " +
+         state(carried[k], 2) + ");");
   }
   close();
 }
@@ -118,26 +118,18 @@ std::string Emitter::launch_room(int32_t row_bytes) const {
 int32_t Emitter::near_bytes(int32_t source) const {
   const Source& wanted = p_.sources[at(source)];
   if (!primal_ || !varies(source) || !handed_over(wanted.type, wanted.width)) return -1;
-  int32_t bytes = 0;
-  const Series kept_for = *find_series(*primal_);
-  for (const int32_t carried : kept_for.carried) {
-    const Source& kept = primal_->sources[at(carried)];
-    if (kept.name == wanted.name) return bytes;
-    bytes += 4 * kept.width;
-  }
+  const Series kept = *find_series(*primal_);
+  const std::span carried(kept.carried);
+  for (size_t k = 0; k < carried.size(); ++k)
+    if (primal_->sources[at(carried[k])].name == wanted.name)
+      return room_bytes(*primal_, carried.first(k));
   return -1;
 }
 
-int32_t room_bytes(const Program& program, const Series& series) {
-  int32_t bytes = 0;
-  for (const int32_t source : series.carried) bytes += 4 * program.sources[at(source)].width;
-  return bytes;
-}
-
 bool adjoint_of_series(const Program& adjoint, const Program& primal) {
+  if (adjoint.name != primal.name + ".adjoint" || primal.loops.size() > 1) return false;
   const auto later = find_series(adjoint), first = find_series(primal);
-  if (adjoint.name != primal.name + ".adjoint" || !later || !first || primal.loops.size() > 1)
-    return false;
+  if (!later || !first) return false;
   const auto asks = Emitter(adjoint, false, &*later).questions(),
              asked = Emitter(primal, false, &*first).questions();
   return asks && asked && std::includes(asked->begin(), asked->end(), asks->begin(), asks->end());

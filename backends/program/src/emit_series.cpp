@@ -95,8 +95,8 @@ void Emitter::load_state(int32_t source) {
 
 void Emitter::launch_sources() {
   if (primal_)
-    line("const char* const near = " + launch_room(room_bytes(*primal_, *find_series(*primal_))) +
-         ";");
+    line("const char* const near = " +
+         launch_room(room_bytes(*primal_, find_series(*primal_)->carried)) + ";");
   for (size_t k = 0; k < series_->varying.size(); ++k) {
     const int32_t source = series_->varying[k];
     line("const char* const s" + str(source) + " = (const char*)launch[" + word(k) + "];");

@@ -55,4 +55,11 @@ std::optional<Series> find_series(const Program& program) {
   return series;
 }
 
+int32_t room_bytes(const Program& program, std::span<const int32_t> carried) {
+  int32_t bytes = 0;
+  for (const int32_t source : carried)
+    bytes += 4 * program.sources[static_cast<size_t>(source)].width;
+  return bytes;
+}
+
 }  // namespace nova::ir

@@ -4,6 +4,7 @@
 #pragma once
 
 #include <optional>
+#include <span>
 #include <vector>
 
 #include "novaphy/program/ir.h"
@@ -19,8 +20,9 @@ struct Series {
 // needed.
 inline bool handed_over(Type type, int32_t width) { return type == Type::F32 && width == 3; }
 
-// What a row takes in the memory where a series keeps, for each launch, what it read as carried.
-int32_t room_bytes(const Program& program, const Series& series);
+// What a row of so many carried sources takes in the memory where a series keeps, for each launch,
+// what it read as carried.
+int32_t room_bytes(const Program& program, std::span<const int32_t> carried);
 
 // Names tell what belongs together: an output is carried to the source of its name, and beside a
 // gradient grad_x that is carried, x varies. All other sources, tables and parameters have to be

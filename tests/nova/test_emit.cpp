@@ -57,6 +57,21 @@ TEST(Emit, SkipsNothingWhereProductsAndSumsMayBeContracted) {
   program.contract = true;
   EXPECT_FALSE(asks());
 }
+// The two halves that the adjoint of a select leaves become one, and nothing of them stays outside.
+TEST(Emit, SkipsWhatTheHalvesOfASelectNeedToo) {
+  const nova::Kernel kernel = nova::make_kernel(
+      "halves", {{"x", DType::F32, 4, Access::Direct}}, {{"y", 1}}, [](TraceContext& c) {
+        Real h = c.f32(0, 0);
+        for (int k = 0; k < 4; ++k) h = nova::sqrt(h * h + Real(1.0f));
+        const nova::Bool d = c.f32(0, 1) < c.f32(0, 2);
+        const Real halves = nova::select(d, Real(0.0f), h * Real(2.0f)) +
+                            nova::select(d, h * Real(3.0f), Real(0.0f));
+        return std::vector{nova::select(c.f32(0, 3) < Real(0.0f), halves, Real(0.0f))};
+      });
+  const std::string text = nova::ir::emit_c(kernel.program());
+  ASSERT_NE(text.find("if (any("), std::string::npos) << text;
+  EXPECT_LT(text.find("if (any("), text.find("vsqrt(")) << text;
+}
 TEST(Emit, ComputesWhatIsTheSameForAllRowsOnce) {
   const nova::Kernel kernel = nova::make_kernel(
       "uniform", {{"x", DType::F32, 2, Access::Direct}, {"u", DType::F32, 3, Access::Uniform}},

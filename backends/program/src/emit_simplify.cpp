@@ -22,6 +22,16 @@ std::vector<int32_t> count_uses(const Program& p) {
   return uses;
 }
 
+// What is no longer used would seem to need its operands, whatever the condition.
+void drop_unused(Program& p) {
+  std::vector<int32_t> uses = count_uses(p);
+  for (size_t v = p.instrs.size(); v-- > 0;) {
+    if (uses[v] != 0 || p.instrs[v].op == Op::SUM) continue;
+    for_each_operand(p.instrs[v], [&](Value o) { --uses[at(o)]; });
+    p.instrs[v] = {Op::CONST_F, 0};
+  }
+}
+
 }  // namespace
 
 Program simplified(Program p) {
@@ -45,6 +55,7 @@ Program simplified(Program p) {
       in = {Op::ADD, last, x.b};
     }
   }
+  drop_unused(p);
   return p;
 }
 

@@ -70,9 +70,9 @@ std::shared_ptr<ThreadTeam> workers(int threads) {
   return s.workers;
 }
 
-void run_serially(int64_t chunks, void (*body)(void*, int64_t), void* context) {
+void run_serially(int64_t first, int64_t end, void (*body)(void*, int64_t), void* context) {
   const cpu::FloatMode mode;
-  for (int64_t chunk = 0; chunk < chunks; ++chunk) body(context, chunk);
+  for (int64_t chunk = first; chunk < end; ++chunk) body(context, chunk);
 }
 
 struct InsideGuard {
@@ -84,29 +84,38 @@ struct InsideGuard {
 #if NOVAPHY_THREAD_SANITIZER
 // oneTBB's library is not built with the thread sanitizer, which would take its hand-overs for
 // races. Plain threads let it check the bodies.
-void run_on_threads(int threads, int64_t chunks, void (*body)(void*, int64_t), void* context) {
-  std::atomic<int64_t> next{0};
+void run_phase(int threads, int64_t first, int64_t end, void (*body)(void*, int64_t),
+               void* context) {
+  std::atomic<int64_t> next{first};
   std::mutex mutex;
   std::exception_ptr failure;
   const auto work = [&] {
     const InsideGuard inside;
     const cpu::FloatMode mode;
     try {
-      for (int64_t chunk = next++; chunk < chunks; chunk = next++) body(context, chunk);
+      for (int64_t chunk = next++; chunk < end; chunk = next++) body(context, chunk);
     } catch (...) {
       const std::lock_guard lock(mutex);
       failure = std::current_exception();
     }
   };
-  workers(threads);  // for the handler of fork
   std::vector<std::thread> team;
   for (int k = 1; k < threads; ++k) team.emplace_back(work);
   work();
   for (std::thread& thread : team) thread.join();
   if (failure) std::rethrow_exception(failure);
 }
+void run_on_threads(int threads, int64_t first, std::span<const int64_t> ends,
+                    void (*body)(void*, int64_t), void* context) {
+  workers(threads);  // for the handler of fork
+  for (const int64_t end : ends) {
+    run_phase(threads, first, end, body, context);
+    first = end;
+  }
+}
 #else
-void run_on_threads(int threads, int64_t chunks, void (*body)(void*, int64_t), void* context) {
+void run_on_threads(int threads, int64_t first, std::span<const int64_t> ends,
+                    void (*body)(void*, int64_t), void* context) {
   struct Work {
     void (*body)(void*, int64_t);
     void* context;
@@ -118,7 +127,8 @@ void run_on_threads(int threads, int64_t chunks, void (*body)(void*, int64_t), v
     w.body(w.context, chunk);
   };
   // Another thread's work has the team: this one does its own.
-  if (!workers(threads)->run(chunks, run, &work)) run_serially(chunks, body, context);
+  if (!workers(threads)->run(first, ends, run, &work))
+    run_serially(first, ends.back(), body, context);
 }
 #endif
 
@@ -152,12 +162,17 @@ void set_num_threads(int count) {
 }
 
 void parallel_for(int64_t chunks, void (*body)(void*, int64_t), void* context) {
-  if (chunks <= 1 || t_inside || g_in_child.load(std::memory_order_relaxed)) {
-    return run_serially(chunks, body, context);
-  }
-  const int threads = num_threads();
-  if (threads == 1) return run_serially(chunks, body, context);
-  run_on_threads(threads, chunks, body, context);
+  if (chunks > 0) parallel_phases(0, {&chunks, 1}, body, context);
+}
+
+void parallel_phases(int64_t first, std::span<const int64_t> ends, void (*body)(void*, int64_t),
+                     void* context) {
+  if (ends.empty()) return;
+  const int64_t chunks = ends.back() - first;
+  const bool alone = chunks <= 1 || t_inside || g_in_child.load(std::memory_order_relaxed);
+  const int threads = alone ? 1 : num_threads();
+  if (threads == 1) return run_serially(first, ends.back(), body, context);
+  run_on_threads(threads, first, ends, body, context);
 }
 
 namespace {

@@ -6,6 +6,7 @@
 #include <exception>
 #include <mutex>
 #include <thread>
+#include <utility>
 #include <vector>
 
 #if defined(__x86_64__)
@@ -17,7 +18,8 @@ namespace {
 
 constexpr auto kWatch = std::chrono::microseconds(100);  // for the next job
 constexpr auto kLeave = std::chrono::seconds(1);
-constexpr int kSpins = 256;  // between two looks at the clock
+constexpr int kSpins = 256;    // between two looks at the clock
+constexpr int kPatience = 16;  // spins, some tenths of a microsecond
 
 void relax() {
 #if defined(__x86_64__)
@@ -27,14 +29,32 @@ void relax() {
 #endif
 }
 
+// Of one phase.
+int64_t most_chunks(int64_t first, std::span<const int64_t> ends) {
+  int64_t most = 0;
+  for (const int64_t end : ends) most = std::max(most, end - std::exchange(first, end));
+  return most;
+}
+
 }  // namespace
 
 struct ThreadTeam::Shared {
-  // Each member begins with a part of its own, the same in every job of as many chunks, so that
-  // what it wrote is still in its cache; then it takes what the others have not come to.
+  // Each member begins with a part of its own, the same in every phase of as many chunks, so that
+  // what it wrote is still in its cache; then it takes what the others have not come to. The word
+  // is the phase that the part is in, and how many of its chunks there were taken.
   struct alignas(64) Part {
-    std::atomic<int64_t> next{0};
-    int64_t end = 0;
+    std::atomic<uint64_t> taken{0};
+    // Takes the next of `count` chunks that the part has in the phase, when there is one. Nobody
+    // comes to a phase before the chunks of those before it are done.
+    bool take(uint64_t phase, int64_t count, int64_t& chunk) {
+      uint64_t known = taken.load(std::memory_order_relaxed);
+      do {
+        chunk = known >> 32 == phase ? static_cast<int64_t>(known & 0xFFFFFFFF) : 0;
+        if (known >> 32 > phase || chunk == count) return false;
+      } while (!taken.compare_exchange_weak(known, phase << 32 | static_cast<uint64_t>(chunk + 1),
+                                            std::memory_order_relaxed));
+      return true;
+    }
   };
 
   explicit Shared(int count) : threads(count), parts(static_cast<size_t>(count)) {}
@@ -45,34 +65,66 @@ struct ThreadTeam::Shared {
   alignas(64) std::atomic<uint64_t> number{0};
   void (*work)(void*, int64_t) = nullptr;
   void* context = nullptr;
+  int64_t first = 0;
+  std::span<const int64_t> ends;
   size_t used_parts = 0;
   std::vector<Part> parts;
   std::mutex mutex;
   std::exception_ptr failure;
+  // So many chunks are done; only then do those behind the phase that it is in begin.
+  alignas(64) std::atomic<int64_t> done{0};
+  std::atomic<bool> failed{false};         // what is left is not done
   alignas(64) std::atomic<int> inside{0};  // helpers in the job
   std::atomic<int> helpers{0};             // that watch, or have been called
   std::atomic<bool> stop{false};
 
-  void do_chunks(size_t member) {
+  void do_chunk(int64_t chunk) {
+    if (failed.load(std::memory_order_relaxed)) return;
     try {
-      for (size_t k = 0; k < used_parts; ++k) {
-        Part& part = parts[(member + k) % used_parts];
-        for (int64_t chunk = part.next++; chunk < part.end; chunk = part.next++)
-          work(context, chunk);
-      }
+      work(context, chunk);
     } catch (...) {
       const std::lock_guard lock(mutex);
       failure = std::current_exception();
-      for (Part& part : parts) part.next = part.end;
+      failed = true;
+    }
+  }
+  // What is left of a part of the phase of the chunks [begin, end).
+  void do_part(size_t part, uint64_t phase, int64_t begin, int64_t end) {
+    const auto parts_count = static_cast<int64_t>(used_parts);
+    const auto share = [&](size_t k) {  // the first parts are the larger ones
+      return begin + (static_cast<int64_t>(k) * (end - begin) + parts_count - 1) / parts_count;
+    };
+    const int64_t from = share(part), chunks = share(part + 1) - from;
+    int64_t count = 0, chunk = 0;
+    for (; parts[part].take(phase, chunks, chunk); ++count) do_chunk(from + chunk);
+    if (count != 0) done += count;
+  }
+  // Most phases are as long for one member as for another: who is first waits a little before it
+  // looks for what others have left, which takes their memory from them.
+  void do_phase(size_t member, uint64_t phase, int64_t begin, int64_t end) {
+    do_part(member % used_parts, phase, begin, end);
+    for (int k = 0; done < end; k = std::min(k + 1, kSpins)) {
+      if (k == kPatience)
+        for (size_t p = 1; p < used_parts; ++p)
+          do_part((member + p) % used_parts, phase, begin, end);
+      k < kSpins ? relax() : std::this_thread::yield();
+    }
+  }
+  void do_share(size_t member) {
+    // A helper may come late.
+    for (auto end = std::upper_bound(ends.begin(), ends.end(), done.load()); end != ends.end();
+         ++end) {
+      const auto phase = static_cast<uint64_t>(end - ends.begin());
+      do_phase(member, phase, phase == 0 ? first : end[-1], *end);
     }
   }
   // Does a share of the job of that number, unless it is over.
   void enter(uint64_t job, size_t member) {
     ++inside;
-    if (number == job) do_chunks(member);
+    if (number == job) do_share(member);
     --inside;
   }
-  bool open(uint64_t job, uint64_t done) const { return job % 2 == 1 && job != done; }
+  bool open(uint64_t job, uint64_t last) const { return job % 2 == 1 && job != last; }
 };
 
 ThreadTeam::ThreadTeam(int threads)
@@ -109,20 +161,22 @@ void ThreadTeam::help(Shared& s, size_t member) {
   --s.helpers;
 }
 
-bool ThreadTeam::run(int64_t chunks, void (*work)(void*, int64_t), void* context) {
+bool ThreadTeam::run(int64_t first, std::span<const int64_t> ends, void (*work)(void*, int64_t),
+                     void* context) {
   Shared& s = *shared_;
   if (s.taken.test_and_set()) return false;
   s.work = work;
   s.context = context;
   s.failure = nullptr;
-  s.used_parts = static_cast<size_t>(std::min<int64_t>(s.threads, chunks));
-  const auto parts = static_cast<int64_t>(s.used_parts);
-  for (int64_t k = 0; k < parts; ++k) {
-    s.parts[static_cast<size_t>(k)].next = k * chunks / parts;
-    s.parts[static_cast<size_t>(k)].end = (k + 1) * chunks / parts;
-  }
+  s.failed = false;
+  s.first = first;
+  s.ends = ends;
+  s.done = first;
+  s.used_parts = static_cast<size_t>(std::min<int64_t>(s.threads, most_chunks(first, ends)));
+  const auto parts = static_cast<int>(s.used_parts);
+  for (int k = 0; k < parts; ++k) s.parts[static_cast<size_t>(k)].taken = 0;
   ++s.number;
-  while (s.helpers < static_cast<int>(parts) - 1) {
+  while (s.helpers < parts - 1) {
     const auto member = static_cast<size_t>(++s.helpers);
     try {
       arena_.enqueue([shared = shared_, member] { help(*shared, member); });
@@ -131,9 +185,10 @@ bool ThreadTeam::run(int64_t chunks, void (*work)(void*, int64_t), void* context
       break;
     }
   }
-  s.do_chunks(0);
+  s.do_share(0);
   ++s.number;
-  for (int k = 0; s.inside != 0; ++k) k < kSpins ? relax() : std::this_thread::yield();
+  for (int k = 0; s.inside != 0; k = std::min(k + 1, kSpins))
+    k < kSpins ? relax() : std::this_thread::yield();
   const std::exception_ptr failure = std::move(s.failure);
   s.taken.clear();
   if (failure) std::rethrow_exception(failure);

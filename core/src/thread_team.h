@@ -1,6 +1,7 @@
 // Threads that share the chunks of one job after another. While jobs follow each other closely a
 // hand-over costs a write and a read, no call of the system: the helpers watch for the next job for
-// a while before they give their thread back to oneTBB.
+// a while before they give their thread back to oneTBB. From one phase of a job to the next the
+// threads go by themselves, once the chunks of the phase are done.
 #pragma once
 
 #include <oneapi/tbb/global_control.h>
@@ -9,6 +10,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <memory>
+#include <span>
 
 namespace novaphy {
 
@@ -17,9 +19,11 @@ class ThreadTeam {
   explicit ThreadTeam(int threads);
   ~ThreadTeam();
 
-  // Calls work(context, chunk) for every chunk and returns when all are done; throws what one of
+  // Calls work(context, chunk) for every chunk from `first` on, the phases one after another
+  // (ends[p]: the end of the chunks of phase p), and returns when all are done; throws what one of
   // them threw. False, and nothing done, when another thread has the team.
-  bool run(int64_t chunks, void (*work)(void*, int64_t), void* context);
+  bool run(int64_t first, std::span<const int64_t> ends, void (*work)(void*, int64_t),
+           void* context);
 
  private:
   struct Shared;

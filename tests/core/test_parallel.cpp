@@ -59,6 +59,49 @@ TEST_P(Parallel, SmallJobsOneAfterAnotherAreDoneBeforeTheyReturn) {
   }
 }
 
+TEST_P(Parallel, PhasesBeginWhenAllChunksOfTheOneBeforeAreDone) {
+  for (const int64_t most : {1, 2, 5, 40}) {
+    constexpr int64_t kFirst = 3;
+    std::vector<int64_t> ends, phase_of(kFirst);
+    for (int64_t phase = 0, end = kFirst; phase < 500; ++phase) {
+      end += (phase * 7) % (most + 1);  // some have none
+      ends.push_back(end);
+      phase_of.resize(static_cast<size_t>(end), phase);
+    }
+    struct Run {
+      const std::vector<int64_t>&ends, &phase_of;
+      std::vector<std::atomic<int64_t>> done;
+      std::atomic<int> early{0};
+    } run{ends, phase_of, std::vector<std::atomic<int64_t>>(ends.size() + 1)};
+    parallel_phases(
+        kFirst, ends,
+        [](void* context, int64_t chunk) {
+          Run& r = *static_cast<Run*>(context);
+          const auto phase = static_cast<size_t>(r.phase_of[static_cast<size_t>(chunk)]);
+          for (size_t p = phase < 3 ? 0 : phase - 3; p < phase; ++p) {
+            const int64_t begin = p == 0 ? kFirst : r.ends[p - 1];
+            r.early += r.done[p] != r.ends[p] - begin;
+          }
+          ++r.done[phase];
+        },
+        &run);
+    EXPECT_EQ(run.early, 0);
+    for (size_t p = 0; p < ends.size(); ++p)
+      ASSERT_EQ(run.done[p], ends[p] - (p == 0 ? kFirst : ends[p - 1])) << "phase " << p;
+  }
+}
+
+TEST_P(Parallel, AnExceptionEndsThePhases) {
+  const std::vector<int64_t> ends = {10, 20, 30};
+  std::atomic<int> late{0};
+  const auto body = [](void* context, int64_t chunk) {
+    if (chunk == 13) throw std::runtime_error("chunk 13");
+    if (chunk >= 20) ++*static_cast<std::atomic<int>*>(context);
+  };
+  EXPECT_THROW(parallel_phases(0, ends, body, &late), std::runtime_error);
+  EXPECT_EQ(late, 0);
+}
+
 TEST_P(Parallel, UsesAsManyThreadsAsAsked) {
   std::set<std::thread::id> seen;
   std::mutex mutex;

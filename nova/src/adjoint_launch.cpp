@@ -120,19 +120,21 @@ void run_adjoint(KernelImpl& kernel, const CompiledPlan& plan, const AdjointCall
   // A capture of many steps needs the memory of one: the adjoints run one after the other. A device
   // may run several at once, and each needs its own there.
   size_t number = 0;
-  const auto memory = [&](int64_t rows, int32_t width) {
+  const auto memory = [&](int64_t rows, int32_t width, size_t turns = 1) {
     OpList* capture = current_capture();
     if (!capture || !context.host_accessible) return temporary(rows, width, device);
     const auto bytes = static_cast<size_t>(rows) * static_cast<size_t>(width) * sizeof(float);
-    return Operand{capture->scratch(number++, bytes, device), rows, width};
+    return Operand{capture->scratch(number++, bytes, turns, device), rows, width};
   };
   for (const AdjointRowSum& r : plan.plan.row_sums) {
     const int32_t table_width = r.table < 0 ? 1 : call.inputs[r.table]->width;
     scratch.contributions.push_back(memory((r.per_item ? items : call.dim) * table_width, r.width));
   }
+  // The adjoints of the sums over each kind of element of one step do run at the same time.
+  constexpr size_t kKinds = 4;
   if (plan.items)
     scratch.loop_gradient =
-        memory(call.dim, static_cast<int32_t>(kernel.traced.loops[0].sums.size()));
+        memory(call.dim, static_cast<int32_t>(kernel.traced.loops[0].sums.size()), kKinds);
 
   if (plan.rows) run_stage(kernel, plan.plan.rows[0], *plan.rows, call.dim, call, scratch, context);
   if (plan.items) run_stage(kernel, plan.plan.items[0], *plan.items, items, call, scratch, context);

@@ -8,10 +8,15 @@
 #include "device_graph.h"
 #include "novaphy/core/parallel.h"
 #include "optional_entry.h"
+#include "phased_run.h"
 
 namespace nova::detail {
 
 namespace {
+
+// Fewer operations gain less than it takes to plan phases.
+constexpr uint32_t kMinPhasedOps = 16;
+constexpr uint32_t kShort = 8;  // operations of a segment
 
 struct FusedRun {
   const novaphy::DeviceContext& context;
@@ -25,9 +30,11 @@ struct FusedRun {
   int64_t failed_block = 0;
   novaphy_status status = NOVAPHY_OK;
   novaphy_error error = novaphy::make_error();
-  const char* failed_name = "";
+  const OpList::Op* failed_op = nullptr;
+  bool by_series = false;  // whose messages count from row 0
 
-  void note(int64_t block, novaphy_status s, const novaphy_error& e, const char* name) {
+  void note(int64_t block, novaphy_status s, const novaphy_error& e, const OpList::Op& op,
+            bool many) {
     const std::lock_guard lock(mutex);
     if (failed && failed_block < block)
       return;  // the first block's error, whatever the threads did
@@ -35,33 +42,10 @@ struct FusedRun {
     failed_block = block;
     status = s;
     error = e;
-    failed_name = name;
+    failed_op = &op;
+    by_series = many;
   }
 };
-
-// The rows [begin, begin + rows) of one operation.
-novaphy_status run_rows(const novaphy::DeviceContext& context, const OpList::Op& op,
-                        const uint64_t* words, int64_t n, int64_t begin, int64_t rows,
-                        novaphy_error& error) {
-  const novaphy_backend_api& api = *context.api;
-  if (op.kind == OpList::Op::Kind::Launch) {
-    uint64_t arguments[kMaxFusedWords];
-    const int64_t factor = op.n / n;
-    const auto skip = static_cast<uint64_t>(begin * factor);
-    std::memcpy(arguments, words + op.first_word, op.word_count * sizeof(uint64_t));
-    for (const auto* list : {&op.layout->inputs, &op.layout->outputs, &op.layout->tables})
-      for (const RowLayout::Word& w : *list) arguments[w.word] += skip * w.row_bytes;
-    return api.launch(context.stream, op.kernel, rows * factor, arguments, op.word_count, &error);
-  }
-  const int64_t row_bytes = op.n / n;
-  const auto skip = static_cast<uint64_t>(begin * row_bytes);
-  auto* target = static_cast<char*>(op.target) + skip;
-  const auto bytes = static_cast<uint64_t>(rows * row_bytes);
-  return op.kind == OpList::Op::Kind::Copy
-             ? api.memory_copy(context.stream, NOVAPHY_COPY_DEVICE_TO_DEVICE, target,
-                               static_cast<const char*>(op.source) + skip, bytes, &error)
-             : api.memory_fill(context.stream, target, op.pattern, 4, bytes, &error);
-}
 
 void run_block(FusedRun& run, int64_t block) {
   const int64_t n = run.segment.n, begin = block * run.segment.block_rows;
@@ -76,7 +60,7 @@ void run_block(FusedRun& run, int64_t block) {
         many ? run.context.api->series_launch(next->series, begin, begin + rows, &error)
              : run_rows(run.context, op, run.words.data(), n, begin, rows, error);
     if (status != NOVAPHY_OK) [[unlikely]] {
-      run.note(block, status, error, op.name);
+      run.note(block, status, error, op, many);
       return;
     }
     k = many ? (next++)->last : k + 1;
@@ -98,7 +82,9 @@ void run_fused(FusedRun& run) {
           run_block(r, r.first_block + chunk);
         },
         &run);
-    if (run.failed) novaphy::check(run.status, run.error, run.failed_name);
+    if (!run.failed) continue;
+    if (run.by_series) novaphy::check(run.status, run.error, run.failed_op->name);
+    fail_as_a_whole(run.context, *run.failed_op, run.words.data(), run.status, run.error);
   }
 }
 
@@ -108,11 +94,11 @@ bool makes_series(const novaphy_backend_api& api) {
 }
 
 // Whether an operation between a series and `last` may write what those of the series touched.
-bool written_since(const RunPlan& plan, std::span<const uint64_t> words,
+bool written_since(std::span<const OpList::Op> ops, std::span<const uint64_t> words,
                    const HostPlan::Series& series, uint32_t last) {
   const auto touched = [&](uint32_t begin, uint32_t end) {
     std::vector<MemoryAccess> all;
-    for (uint32_t k = begin; k < end; ++k) touched_by(plan.ops[k], words, {}, all);
+    for (uint32_t k = begin; k < end; ++k) touched_by(ops[k], words, {}, all);
     return all;
   };
   const std::vector<MemoryAccess> before = touched(series.first, series.last);
@@ -124,43 +110,82 @@ bool written_since(const RunPlan& plan, std::span<const uint64_t> words,
 }
 
 // Where launches of the kernel at k, over the rows of the segment, end.
-uint32_t end_of_series(const RunPlan& plan, const Segment& segment, uint32_t k) {
-  const OpList::Op& first = plan.ops[k];
+uint32_t end_of_series(std::span<const OpList::Op> ops, const Segment& segment, uint32_t k) {
+  const OpList::Op& first = ops[k];
   uint32_t end = k;
-  while (end < segment.last && plan.ops[end].kind == OpList::Op::Kind::Launch &&
-         plan.ops[end].kernel == first.kernel && plan.ops[end].n == segment.n)
+  while (end < segment.last && ops[end].kind == OpList::Op::Kind::Launch &&
+         ops[end].kernel == first.kernel && ops[end].n == segment.n)
     ++end;
   return end;
 }
 
 }  // namespace
 
-HostPlan::HostPlan(const novaphy::DeviceContext& context, RunPlan plan,
-                   std::span<const uint64_t> words)
-    : context_(context), plan_(std::move(plan)), words_(words) {
+novaphy_status run_rows(const novaphy::DeviceContext& context, const OpList::Op& op,
+                        const uint64_t* words, int64_t n, int64_t begin, int64_t rows,
+                        novaphy_error& error) {
+  if (rows == n) return issue(context, context.stream, op, words, error);
   const novaphy_backend_api& api = *context.api;
-  if (!makes_series(api)) return;
+  if (op.kind == OpList::Op::Kind::Launch) {
+    uint64_t arguments[kMaxFusedWords];
+    const int64_t factor = op.n / n;
+    const auto skip = static_cast<uint64_t>(begin * factor);
+    std::memcpy(arguments, words + op.first_word, op.word_count * sizeof(uint64_t));
+    for (const auto* list : {&op.layout->inputs, &op.layout->outputs, &op.layout->tables})
+      for (const RowLayout::Word& w : *list) arguments[w.word] += skip * w.row_bytes;
+    return api.launch(context.stream, op.kernel, rows * factor, arguments, op.word_count, &error);
+  }
+  const int64_t row_bytes = op.n / n;
+  const auto skip = static_cast<uint64_t>(begin * row_bytes);
+  auto* target = static_cast<char*>(op.target) + skip;
+  const auto bytes = static_cast<uint64_t>(rows * row_bytes);
+  return op.kind == OpList::Op::Kind::Copy
+             ? api.memory_copy(context.stream, NOVAPHY_COPY_DEVICE_TO_DEVICE, target,
+                               static_cast<const char*>(op.source) + skip, bytes, &error)
+             : api.memory_fill(context.stream, target, op.pattern, 4, bytes, &error);
+}
+
+void fail_as_a_whole(const novaphy::DeviceContext& context, const OpList::Op& op,
+                     const uint64_t* words, novaphy_status status, const novaphy_error& error) {
+  novaphy_error whole = novaphy::make_error();
+  const novaphy_status again = issue(context, context.stream, op, words, whole);
+  if (again == status) novaphy::check(again, whole, op.name);
+  novaphy::check(status, error, op.name);
+}
+
+HostPlan::HostPlan(const novaphy::DeviceContext& context, RunPlan plan,
+                   std::span<const uint64_t> words, std::span<const MemoryAccess> accesses,
+                   bool phases)
+    : context_(context),
+      ops_(std::move(plan.ops)),
+      segments_(std::move(plan.segments)),
+      words_(words) {
+  if (phases) make_phases(accesses);
+  if (makes_series(*context.api)) make_series();
+}
+
+void HostPlan::make_series() {
+  const novaphy_backend_api& api = *context_.api;
   std::vector<const uint64_t*> arguments;
-  for (const Segment& segment : plan_.segments) {
+  for (const Segment& segment : segments_) {
     if (segment.n == 0) continue;
     for (uint32_t k = segment.first; k < segment.last;) {
-      const uint32_t end = end_of_series(plan_, segment, k);
+      const uint32_t end = end_of_series(ops_, segment, k);
       if (end - k < 2) {
         ++k;
         continue;
       }
-      const OpList::Op& op = plan_.ops[k];
+      const OpList::Op& op = ops_[k];
       arguments.clear();
-      for (uint32_t o = k; o < end; ++o)
-        arguments.push_back(words.data() + plan_.ops[o].first_word);
+      for (uint32_t o = k; o < end; ++o) arguments.push_back(words_.data() + ops_[o].first_word);
       novaphy_series* series = nullptr;
       novaphy_error error = novaphy::make_error();
-      const novaphy_status status = api.series_create(context.device, op.kernel, arguments.data(),
+      const novaphy_status status = api.series_create(context_.device, op.kernel, arguments.data(),
                                                       op.word_count, end - k, &series, &error);
       if (status == NOVAPHY_OK) {
         const bool follows = has_entry(api, &novaphy_backend_api::series_follow) &&
                              !series_.empty() && series_.back().first >= segment.first &&
-                             !written_since(plan_, words, series_.back(), k);
+                             !written_since(ops_, words_, series_.back(), k);
         if (follows) api.series_follow(series, series_.back().series);
         series_.push_back({k, end, series});
       } else if (status != NOVAPHY_NOT_SUPPORTED) {
@@ -171,27 +196,65 @@ HostPlan::HostPlan(const novaphy::DeviceContext& context, RunPlan plan,
   }
 }
 
+// Segments of a few operations would part the phases, in which these operations share their rows
+// as well.
+void HostPlan::make_phases(std::span<const MemoryAccess> accesses) {
+  const auto is_short = [](const Segment& s) { return s.n == 0 || s.last - s.first < kShort; };
+  std::vector<Segment> cut;
+  for (size_t k = 0; k < segments_.size();) {
+    size_t end = k;
+    while (end < segments_.size() && is_short(segments_[end])) ++end;
+    if (end == k || segments_[end - 1].last - segments_[k].first < kMinPhasedOps) {
+      cut.insert(cut.end(), segments_.begin() + k, segments_.begin() + std::max(end, k + 1));
+    } else {
+      cut_into_phases(segments_[k].first, segments_[end - 1].last, accesses, cut);
+    }
+    k = std::max(end, k + 1);
+  }
+  segments_ = std::move(cut);
+}
+
+void HostPlan::cut_into_phases(uint32_t first, uint32_t last,
+                               std::span<const MemoryAccess> accesses, std::vector<Segment>& cut) {
+  while (first < last) {
+    uint32_t end = first;
+    while (end < last && fits_phases(ops_[end], words_, accesses)) ++end;
+    if (end - first >= kMinPhasedOps) {
+      cut.push_back({first, end});
+      phases_.emplace(
+          first, std::make_unique<PhasedRun>(context_, std::span(ops_).subspan(first, end - first),
+                                             words_, accesses));
+    } else {
+      end = std::max(end, first + 1);
+      cut.push_back({first, end});
+    }
+    first = end;
+  }
+}
+
 HostPlan::~HostPlan() {
   for (const Series& series : series_) context_.api->series_destroy(series.series);
 }
 
 void HostPlan::run() const {
   std::span<const Series> series = series_;
-  for (const Segment& segment : plan_.segments) {
+  auto phases = phases_.begin();
+  for (const Segment& segment : segments_) {
     if (segment.n > 0) {
       while (!series.empty() && series.front().first < segment.first) series = series.subspan(1);
       FusedRun run{.context = context_,
-                   .ops = plan_.ops,
+                   .ops = ops_,
                    .words = words_,
                    .segment = segment,
                    .series = series,
                    .first_block = 0};
       run_fused(run);
-      continue;
+    } else if (phases != phases_.end() && phases->first == segment.first) {
+      (phases++)->second->run();
+    } else {
+      issue_in_order(context_, std::span(ops_).subspan(segment.first, segment.last - segment.first),
+                     words_);
     }
-    issue_in_order(context_,
-                   std::span(plan_.ops).subspan(segment.first, segment.last - segment.first),
-                   words_);
   }
 }
 

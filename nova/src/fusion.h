@@ -4,6 +4,9 @@
 #pragma once
 
 #include <cstdint>
+#include <map>
+#include <memory>
+#include <span>
 #include <vector>
 
 #include "novaphy/nova/op_list.h"
@@ -60,12 +63,28 @@ struct PlanLimits {
 RunPlan plan_run(std::span<const OpList::Op> ops, std::span<const uint64_t> words,
                  std::span<const MemoryAccess> accesses, const PlanLimits& limits = {});
 
+// Runs the rows [begin, begin + rows) of n that an operation can be cut into; a launch over m * n
+// rows has m there for each. OK, or the backend's status and message.
+novaphy_status run_rows(const novaphy::DeviceContext& context, const OpList::Op& op,
+                        const uint64_t* words, int64_t n, int64_t begin, int64_t rows,
+                        novaphy_error& error);
+
+// Throws what an operation fails with. The message of a part of its rows counts from the first of
+// them, so the operation is asked once more as a whole; `error` is what the part said.
+void fail_as_a_whole(const novaphy::DeviceContext& context, const OpList::Op& op,
+                     const uint64_t* words, novaphy_status status, const novaphy_error& error);
+
+class PhasedRun;
+
 // A plan made ready to run on a device whose memory the host may dereference: launches of one
-// kernel that stand together in a segment become one call, where the backend can do that.
+// kernel that stand together in a segment become one call, where the backend can do that, and what
+// is in no long segment becomes phases.
 class HostPlan {
  public:
-  // `words`: of the recorded list; they outlive the plan and stay as they are.
-  HostPlan(const novaphy::DeviceContext& context, RunPlan plan, std::span<const uint64_t> words);
+  // `words`: of the recorded list; they outlive the plan and stay as they are. `phases`: whether
+  // there are any, which pays for lists that run many times.
+  HostPlan(const novaphy::DeviceContext& context, RunPlan plan, std::span<const uint64_t> words,
+           std::span<const MemoryAccess> accesses, bool phases);
   ~HostPlan();
   HostPlan(const HostPlan&) = delete;
   HostPlan& operator=(const HostPlan&) = delete;
@@ -78,10 +97,17 @@ class HostPlan {
   };
 
  private:
+  void make_series();
+  void make_phases(std::span<const MemoryAccess> accesses);
+  void cut_into_phases(uint32_t first, uint32_t last, std::span<const MemoryAccess> accesses,
+                       std::vector<Segment>& cut);
+
   const novaphy::DeviceContext& context_;
-  const RunPlan plan_;
+  std::vector<OpList::Op> ops_;
+  std::vector<Segment> segments_;
   const std::span<const uint64_t> words_;
-  std::vector<Series> series_;  // in order
+  std::vector<Series> series_;                             // in order
+  std::map<uint32_t, std::unique_ptr<PhasedRun>> phases_;  // by the first operation of a segment
 };
 
 }  // namespace nova::detail

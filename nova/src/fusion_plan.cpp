@@ -47,7 +47,7 @@ bool touched_by(const OpList::Op& op, std::span<const uint64_t> words,
     touched.push_back({address(op.target), rows, 4, true});
     return true;
   }
-  if (!op.layout) {
+  if (!op.layout || op.access_count != 0) {
     const auto known = accesses.subspan(op.first_access, op.access_count);
     touched.insert(touched.end(), known.begin(), known.end());
     return !known.empty();
@@ -233,9 +233,9 @@ class Planner {
     touched_.clear();
     const bool launch = o.kind == OpList::Op::Kind::Launch;
     const int64_t rows = rows_of(o);
-    own_row =
-        launch ? o.layout && o.layout->row_local && (limits_.multiples ? rows % n == 0 : rows == n)
-               : rows % n == 0 && o.n % 4 == 0;
+    own_row = launch ? o.access_count == 0 && o.layout && o.layout->row_local &&
+                           (limits_.multiples ? rows % n == 0 : rows == n)
+                     : rows % n == 0 && o.n % 4 == 0;
     if (!touched_by(o, words_, accesses_, touched_)) return false;
     const auto factor = own_row ? static_cast<uint32_t>(rows / n) : 0;
     for (MemoryAccess& access : touched_) access.row_bytes *= factor;

@@ -3,7 +3,9 @@
 #include <algorithm>
 #include <map>
 #include <mutex>
+#include <tuple>
 
+#include "fusion.h"
 #include "novaphy/core/backend.h"
 #include "novaphy/core/error.h"
 #include "novaphy/nova/op_list.h"
@@ -40,6 +42,26 @@ novaphy_kernel* builtin(const DeviceContext& context, const std::string& name) {
 
 uint64_t word(const void* p) { return reinterpret_cast<uint64_t>(p); }
 
+// How the arguments of a row sum depend on the row. Kept for good: recordings refer to it.
+const detail::RowLayout* row_sum_layout(uint32_t row_bytes, int64_t stride, bool by_offsets,
+                                        bool has_init) {
+  static std::mutex mutex;
+  static std::map<std::tuple<uint32_t, int64_t, bool>, detail::RowLayout> known;
+  const std::lock_guard lock(mutex);
+  const auto [at, is_new] = known.try_emplace({row_bytes, by_offsets ? -1 : stride, has_init});
+  detail::RowLayout& layout = at->second;
+  if (!is_new) return &layout;
+  layout.row_local = true;
+  if (by_offsets) {
+    layout.tables.push_back({1, 4});
+  } else {
+    layout.inputs.push_back({0, static_cast<uint32_t>(stride) * row_bytes});
+  }
+  if (has_init) layout.inputs.push_back({3, row_bytes});
+  layout.outputs.push_back({4, row_bytes});
+  return &layout;
+}
+
 void run_row_sum(const Operand& source, const void* offsets, const void* items, int64_t rows,
                  int64_t stride, const Operand* init, const Operand& out) {
   require(out.width == source.width && out.rows >= rows, ErrorKind::Value, "row_sum: expected ",
@@ -64,7 +86,11 @@ void run_row_sum(const Operand& source, const void* offsets, const void* items, 
       {words[0], static_cast<uint64_t>(source.rows) * row_bytes},
       {words[3], init ? row_count * row_bytes : 0, static_cast<uint32_t>(row_bytes)},
       {words[4], row_count * row_bytes, static_cast<uint32_t>(row_bytes), true}};
-  submit_launch(context, known, "row_sum", rows, words, nullptr, accesses);
+  const detail::RowLayout* layout = current_capture() == nullptr
+                                        ? nullptr
+                                        : row_sum_layout(static_cast<uint32_t>(row_bytes), stride,
+                                                         offsets != nullptr, init != nullptr);
+  submit_launch(context, known, "row_sum", rows, words, layout, accesses);
   note_write(out.range);
   for (const Operand* operand : {&source, init, &out})
     if (operand) hold_in_capture(operand->range);

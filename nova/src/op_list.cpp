@@ -108,19 +108,20 @@ void OpList::launch() const {
   if (device_graph_) {
     device_graph_->launch();
   } else {
-    run();
+    run(true);
   }
   for (const auto& [range, state] : gradients_) grad_info(*range).state = state;
 }
 
-void OpList::run_once() const { run(); }
+void OpList::run_once() const { run(false); }
 
-void OpList::run() const {
+void OpList::run(bool again) const {
   if (ops_.empty()) return;
   if (context->host_accessible) {
     if (!host_plan_)
       host_plan_ = std::make_unique<detail::HostPlan>(
-          *context, detail::plan_run(ops_, words_, accesses_, {.min_series = kMinSeries}), words_);
+          *context, detail::plan_run(ops_, words_, accesses_, {.min_series = kMinSeries}), words_,
+          accesses_, again);
     host_plan_->run();
     return;
   }
@@ -234,9 +235,11 @@ void note_write(const std::shared_ptr<Range>& range) {
   range->mark_written();
 }
 
-const std::shared_ptr<Range>& OpList::scratch(size_t number, size_t bytes,
+const std::shared_ptr<Range>& OpList::scratch(size_t number, size_t bytes, size_t turns,
                                               const novaphy::Device& device) {
-  std::shared_ptr<Range>& range = scratch_[{number, bytes}];
+  Scratch& known = scratch_[{number, bytes}];
+  known.ranges.resize(std::max(known.ranges.size(), turns));
+  std::shared_ptr<Range>& range = known.ranges[known.taken++ % turns];
   if (!range) range = novaphy::Storage::allocate(bytes, device, false)->range();
   return range;
 }

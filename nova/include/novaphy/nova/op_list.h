@@ -56,8 +56,9 @@ class NOVAPHY_NOVA_API OpList {
   }
   size_t held_bytes() const { return held_bytes_; }
   // Memory that only a few operations of the list use, one after the other: the same for the same
-  // number and size. The list keeps it.
-  const std::shared_ptr<Range>& scratch(size_t number, size_t bytes, const novaphy::Device& device);
+  // number and size, or one of so many that take turns. The list keeps it.
+  const std::shared_ptr<Range>& scratch(size_t number, size_t bytes, size_t turns,
+                                        const novaphy::Device& device);
   void writes(const std::shared_ptr<Range>& range);
   // The recording depends on the present value of the range (an index table): launch throws once it
   // was changed.
@@ -84,7 +85,7 @@ class NOVAPHY_NOVA_API OpList {
   const novaphy::DeviceContext* context = nullptr;  // of the first operation; all must agree
 
  private:
-  void run() const;
+  void run(bool again) const;  // again: it is worth a plan
   uint64_t id_;
   std::vector<Op> ops_;
   std::vector<uint64_t> words_;
@@ -95,7 +96,11 @@ class NOVAPHY_NOVA_API OpList {
   mutable std::unique_ptr<detail::DeviceGraph> device_graph_;
   std::vector<std::shared_ptr<const void>> held_;
   size_t held_bytes_ = 0;
-  std::map<std::pair<size_t, size_t>, std::shared_ptr<Range>> scratch_;  // by number and bytes
+  struct Scratch {
+    std::vector<std::shared_ptr<Range>> ranges;
+    size_t taken = 0;
+  };
+  std::map<std::pair<size_t, size_t>, Scratch> scratch_;  // by number and bytes
   std::vector<std::shared_ptr<Range>> written_;
   std::vector<const Range*> written_keys_;                           // sorted, to add each once
   std::vector<std::pair<std::shared_ptr<Range>, uint64_t>> frozen_;  // with the version then

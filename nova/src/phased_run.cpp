@@ -1,0 +1,156 @@
+#include "phased_run.h"
+
+#include <algorithm>
+#include <atomic>
+#include <mutex>
+
+#include "fusion.h"
+#include "novaphy/core/parallel.h"
+#include "phases.h"
+
+namespace nova::detail {
+
+namespace {
+
+// An operation whose rows cannot be shared out may touch so many bytes.
+constexpr uint64_t kSmallBytes = 1 << 15;
+// Fewer rows in every phase are done sooner by one thread than handed to another.
+constexpr int64_t kWorthSharing = 256;
+// Every thread has a part of each chain, the same part in every phase, so that it wrote most of
+// what it reads; many rows are cut further, so that a thread can take over from another.
+constexpr int64_t kFewRows = 256, kMostEach = 32;
+constexpr int64_t kGroup = 16;  // rows that compiled code computes together, at most
+// Between two looks at an interrupt.
+constexpr size_t kPhasesPerRound = 64;
+
+bool can_be_cut(const OpList::Op& op) {
+  return op.kind == OpList::Op::Kind::Launch ? op.layout != nullptr && op.layout->row_local
+                                             : op.n % 4 == 0;
+}
+
+// The threads that stretches of these phases are worth.
+int64_t threads_for(std::span<const Phased> placed) {
+  std::vector<int64_t> rows;  // per phase
+  for (size_t k = 0; k < placed.size(); ++k) {
+    const Phased& p = placed[k];
+    rows.resize(p.phase + 1);
+    const bool same = k > 0 && placed[k - 1].phase == p.phase && placed[k - 1].chain == p.chain;
+    if (!same) rows.back() += p.rows;
+  }
+  return *std::max_element(rows.begin(), rows.end()) < kWorthSharing ? 1 : novaphy::num_threads();
+}
+
+}  // namespace
+
+bool fits_phases(const OpList::Op& op, std::span<const uint64_t> words,
+                 std::span<const MemoryAccess> accesses) {
+  std::vector<MemoryAccess> touched;
+  if (rows_of(op) < 1 || !touched_by(op, words, accesses, touched)) return false;
+  if (can_be_cut(op)) return true;
+  uint64_t bytes = 0;
+  for (const MemoryAccess& access : touched) bytes += access.bytes;
+  return bytes <= kSmallBytes;
+}
+
+int64_t PhasedRun::Chain::begin(uint32_t chunk) const {
+  return chunk == chunks ? rows : rows * chunk / chunks / kGroup * kGroup;
+}
+
+PhasedRun::PhasedRun(const novaphy::DeviceContext& context, std::span<const OpList::Op> ops,
+                     std::span<const uint64_t> words, std::span<const MemoryAccess> accesses)
+    : context_(context), words_(words) {
+  const std::vector<Phased> placed = plan_phases(ops, words, accesses);
+  threads_ = threads_for(placed);
+  for (const Phased& p : placed) {
+    ops_.push_back(ops[p.op]);
+    order_.push_back(p.op);
+  }
+  const auto count = static_cast<uint32_t>(placed.size());
+  for (uint32_t k = 0; k < count;) {
+    const uint32_t phase = placed[k].phase;
+    const auto begin = static_cast<ptrdiff_t>(chunks_.size());
+    while (k < count && placed[k].phase == phase) {
+      const uint32_t first = k, chain = placed[k].chain;
+      while (k < count && placed[k].phase == phase && placed[k].chain == chain) ++k;
+      add_chain(first, k, phase, placed[first].rows);
+    }
+    // The same part of all chains together: a thread gets a part of each, and elements near the
+    // particles that it moves.
+    const auto place = [this](const Chunk& c) {
+      return static_cast<double>(c.number) / static_cast<double>(chains_[c.chain].chunks);
+    };
+    std::stable_sort(chunks_.begin() + begin, chunks_.end(),
+                     [&](const Chunk& a, const Chunk& b) { return place(a) < place(b); });
+    ends_.push_back(static_cast<int64_t>(chunks_.size()));
+  }
+}
+
+void PhasedRun::add_chain(uint32_t first, uint32_t last, uint32_t phase, int64_t rows) {
+  const auto ops = std::span(ops_).subspan(first, last - first);
+  int64_t chunks = 1;
+  if (std::all_of(ops.begin(), ops.end(), can_be_cut)) {
+    const int64_t each = std::clamp<int64_t>(rows / (threads_ * kFewRows), 1, kMostEach);
+    chunks = std::min(threads_ * each, (rows + kGroup - 1) / kGroup);
+  }
+  const auto number = static_cast<uint32_t>(chains_.size());
+  chains_.push_back({first, last, phase, static_cast<uint32_t>(chunks), rows});
+  for (uint32_t c = 0; c < chains_.back().chunks; ++c) chunks_.push_back({number, c});
+}
+
+struct PhasedRun::Failure {
+  std::atomic<bool> any{false};
+  std::mutex mutex = {};
+  uint32_t phase = 0, op = 0;
+  novaphy_status status = NOVAPHY_OK;
+  novaphy_error error = novaphy::make_error();
+};
+
+void PhasedRun::run_chunk(const Chunk& chunk, Failure& failure) const {
+  const Chain& chain = chains_[chunk.chain];
+  if (failure.any && failure.phase < chain.phase) [[unlikely]]
+    return;
+  const int64_t begin = chain.begin(chunk.number), rows = chain.begin(chunk.number + 1) - begin;
+  novaphy_error error = novaphy::make_error();
+  for (uint32_t k = chain.first; k < chain.last; ++k) {
+    const novaphy_status status =
+        run_rows(context_, ops_[k], words_.data(), chain.rows, begin, rows, error);
+    if (status == NOVAPHY_OK) [[likely]]
+      continue;
+    const std::lock_guard lock(failure.mutex);
+    if (!failure.any || order_[k] < order_[failure.op]) {
+      failure.phase = chain.phase;
+      failure.op = k;
+      failure.status = status;
+      failure.error = error;
+    }
+    failure.any = true;
+    return;
+  }
+}
+
+void PhasedRun::run() const {
+  struct Work {
+    const PhasedRun& run;
+    Failure failure = {};
+  } work{*this};
+  const auto body = [](void* self, int64_t chunk) {
+    Work& w = *static_cast<Work*>(self);
+    w.run.run_chunk(w.run.chunks_[static_cast<size_t>(chunk)], w.failure);
+  };
+  int64_t first = 0;
+  for (size_t p = 0; p < ends_.size(); p += kPhasesPerRound) {
+    novaphy::check_interrupt();
+    const auto ends = std::span(ends_).subspan(p, std::min(kPhasesPerRound, ends_.size() - p));
+    if (threads_ > 1) {
+      novaphy::parallel_phases(first, ends, body, &work);
+    } else {
+      for (int64_t chunk = first; chunk < ends.back(); ++chunk) body(&work, chunk);
+    }
+    first = ends.back();
+    if (work.failure.any)
+      fail_as_a_whole(context_, ops_[work.failure.op], words_.data(), work.failure.status,
+                      work.failure.error);
+  }
+}
+
+}  // namespace nova::detail

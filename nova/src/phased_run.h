@@ -1,0 +1,51 @@
+// Internal: a stretch of recorded operations that read one another's rows, run on the host phase by
+// phase: threads share the rows of all operations of a phase and meet once before the next one.
+#pragma once
+
+#include <cstdint>
+#include <span>
+#include <vector>
+
+#include "novaphy/nova/op_list.h"
+
+namespace nova::detail {
+
+// Whether an operation can be one of a phase: what it touches is known, and its rows can be shared
+// out, unless it is small.
+bool fits_phases(const OpList::Op& op, std::span<const uint64_t> words,
+                 std::span<const MemoryAccess> accesses);
+
+class PhasedRun {
+ public:
+  // `words`: of the recorded list; they outlive this and stay as they are.
+  PhasedRun(const novaphy::DeviceContext& context, std::span<const OpList::Op> ops,
+            std::span<const uint64_t> words, std::span<const MemoryAccess> accesses);
+  // Throws like a launch: of the operations that fail in the first phase that has any, the one that
+  // was recorded first is named.
+  void run() const;
+
+ private:
+  struct Chain {
+    uint32_t first, last;  // operations, one after another for each chunk of rows
+    uint32_t phase, chunks;
+    int64_t rows;
+    int64_t begin(uint32_t chunk) const;
+  };
+  struct Chunk {
+    uint32_t chain, number;
+  };
+  struct Failure;
+  void add_chain(uint32_t first, uint32_t last, uint32_t phase, int64_t rows);
+  void run_chunk(const Chunk& chunk, Failure& failure) const;
+
+  const novaphy::DeviceContext& context_;
+  const std::span<const uint64_t> words_;
+  int64_t threads_ = 1;          // that the rows are shared out to
+  std::vector<OpList::Op> ops_;  // by phase and chain
+  std::vector<uint32_t> order_;  // when each was recorded
+  std::vector<Chain> chains_;
+  std::vector<Chunk> chunks_;
+  std::vector<int64_t> ends_;  // of the chunks of each phase
+};
+
+}  // namespace nova::detail

@@ -6,6 +6,7 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -410,6 +411,18 @@ def test_an_import_waits_for_the_stream_on_which_the_values_are_made():
         theirs += 3
         ours = nova.from_dlpack(theirs)
     np.testing.assert_array_equal((ours * factor).numpy(), np.full(1 << 20, 6, np.float32))
+
+
+def test_memory_is_shared_with_an_object_that_has_the_array_interface_only():
+    torch = pytest.importorskip("torch")
+    if not torch.cuda.is_available():
+        pytest.skip("this PyTorch sees no CUDA device")
+    theirs = torch.arange(6, dtype=torch.float32, device="cuda").reshape(2, 3)
+    only = SimpleNamespace(__cuda_array_interface__=theirs.__cuda_array_interface__)
+    ours = nova.from_cuda_array_interface(only)
+    assert ours.shape == (2, 3) and str(ours.device) == "cuda:0"
+    theirs.mul_(2)  # on the default stream
+    np.testing.assert_array_equal((ours + ours).numpy(), 4 * np.arange(6.0).reshape(2, 3))
 
 
 def test_an_export_is_whole_on_every_stream_of_the_consumer():

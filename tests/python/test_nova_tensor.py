@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -255,3 +256,45 @@ def test_gradcheck_finds_a_wrong_gradient():
         nova.gradcheck(lambda t: 3.0, [x])
     with pytest.raises(ZeroDivisionError):
         nova.gradcheck(lambda t: 1 / 0, [x])
+
+
+def described(values, **changes):
+    """An object whose memory is that of a NumPy array, described as CUDA memory is."""
+    interface = {
+        "shape": values.shape,
+        "typestr": values.dtype.str,
+        "data": (values.ctypes.data, False),
+        "strides": values.strides,
+        "version": 3,
+        "stream": 1,
+    }
+    return SimpleNamespace(__cuda_array_interface__=interface | changes, memory=values)
+
+
+def test_memory_that_an_array_interface_describes_is_shared():
+    for values in (
+        np.arange(6, dtype=np.float32).reshape(2, 3),
+        np.arange(4, dtype=np.int32),
+        np.zeros((0, 3), np.float32),
+        np.arange(8, dtype=np.float32).reshape(4, 2)[:, :1][:1],  # strides of one row do not count
+    ):
+        tensor = nova.from_cuda_array_interface(described(values), device="cpu")
+        assert tensor.shape == values.shape
+        values += 1
+        np.testing.assert_array_equal(tensor.numpy(), values)
+
+
+def test_an_array_interface_that_cannot_be_shared_is_refused():
+    values = np.arange(6, dtype=np.float32).reshape(2, 3)
+    read_only = (values.ctypes.data, True)
+    for error, match, obj in (
+        (TypeError, "expected an object with __cuda_array_interface__, got list", [1, 2]),
+        (TypeError, "expected float32 or int32, got <f8", described(values.astype(np.float64))),
+        (ValueError, "expected packed rows, got strides", described(values.T)),
+        (ValueError, "expected version 2 or 3 .*, got 1", described(values, version=1)),
+        (ValueError, "expected no mask", described(values, mask=described(values))),
+        (ValueError, "default stream .None or 1., got stream 2", described(values, stream=2)),
+        (BufferError, "read-only", described(values, data=read_only)),
+    ):
+        with pytest.raises(error, match=match):
+            nova.from_cuda_array_interface(obj, device="cpu")

@@ -94,6 +94,7 @@ from .._core.nova import (  # noqa: E402
     zeros_like,
 )
 from . import optim  # noqa: E402
+from ._cuda_array_interface import from_cuda_array_interface  # noqa: E402
 
 __all__ = [
     "Bool",
@@ -130,6 +131,7 @@ __all__ = [
     "float32",
     "floor",
     "fma",
+    "from_cuda_array_interface",
     "from_device_array",
     "from_dlpack",
     "from_numpy",

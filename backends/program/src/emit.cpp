@@ -210,6 +210,7 @@ void Emitter::before_the_rows() {
 }
 
 void Emitter::steps() {
+  loads_first(-1);
   std::vector<int32_t> closing;  // step at which each open `if` ends
   size_t begin = 0;              // of the loop that we are in
   for (size_t s = 0; s <= plan_.steps.size(); ++s) {
@@ -243,7 +244,10 @@ void Emitter::steps() {
         s = begin;
         break;
       case Step::Kind::SkipIfNone:
-        if (region_begin(plan_.region_of_step[s])) closing.push_back(step.target);
+        if (region_begin(plan_.region_of_step[s])) {
+          closing.push_back(step.target);
+          loads_first(plan_.region_of_step[s]);
+        }
         break;
       case Step::Kind::Compute:
         if (plan_.used[at(step.value)] && !plan_.once[at(step.value)] && !done_[at(step.value)])

@@ -42,6 +42,20 @@ void Emitter::device_items(int32_t l) {
   slot(l);
 }
 
+void Emitter::loads_first(int32_t region) {
+  if (!device_ || loop_ >= 0) return;
+  for (const Step& step : plan_.steps) {
+    const size_t v = at(step.value);
+    if (step.kind != Step::Kind::Compute || !is_load(p_.instrs[v].op)) continue;
+    if (!plan_.used[v] || plan_.once[v] || done_[v]) continue;
+    if (plan_.loop[v] >= 0 || plan_.region[v] != region) continue;
+    const size_t row = at(p_.instrs[v].b);
+    if (p_.instrs[row].op != Op::INDEX && !is_leaf(p_.instrs[row].op) && !computed_[row]) continue;
+    compute(step.value);
+    done_[v] = 1;
+  }
+}
+
 std::string Emitter::without(Value v, const Region& region) {
   if (!device_ || text_.uniform(v)) return zero(v);
   Value select = kNone;

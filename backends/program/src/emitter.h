@@ -82,6 +82,9 @@ class Emitter {
   bool in_csr_loop(int32_t l) const { return l >= 0 && p_.loops[at(l)].kind == LoopKind::Csr; }
   // Whether an `if` was written that ends with the region.
   bool region_begin(int32_t number);
+  // On a device, where a region (-1: the row) begins: its loads of rows that are known there. So a
+  // thread waits for memory once; compilers move no load across a branch.
+  void loads_first(int32_t region);
   // x + -0 is x; so is x + 0 unless x is -0, which no sum becomes that did not begin with it.
   bool adds_nothing(const IdleItem& idle, size_t sum) const;
   // Whether items that do not act in the earlier loop do nothing in the later one.

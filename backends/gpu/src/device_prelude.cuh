@@ -85,6 +85,21 @@ LANE_FN float ubits_f(int32_t a) { return __int_as_float(a); }
 LANE_FN int32_t uf_bits(float a) { return __float_as_int(a); }
 #include "novaphy/program/scalars.h"
 LANE_FN float uabs(float a) { return ubits_f(uf_bits(a) & 0x7fffffff); }
+// The steps of a compiler's division, where the exponents show early that none of them leaves the
+// normal numbers. The compiler's own test comes late, and sends zeros down the slow path, a call.
+LANE_FN bool is_moderate(float a) {  // |a| in [2^-60, 2^60)
+  return ((uint32_t)uf_bits(a) << 1) - (67u << 24) < (120u << 24);
+}
+COLD_FN float divided(float a, float b) { return a / b; }
+LANE_FN float udiv(float a, float b) {
+  float r;
+  asm("rcp.approx.ftz.f32 %0, %1;" : "=f"(r) : "f"(b));
+  r = __fmaf_rn(r, __fmaf_rn(r, -b, 1.0f), r);
+  const float q = a * r;
+  float quotient = a == 0.0f ? q : __fmaf_rn(r, __fmaf_rn(q, -b, a), q);
+  if (!is_moderate(b) || !(is_moderate(a) || a == 0.0f)) quotient = divided(a, b);
+  return quotient;
+}
 LANE_FN float usqrt(float a) { return __fsqrt_rn(a); }
 LANE_FN float ufma(float a, float b, float c) { return __fmaf_rn(a, b, c); }
 LANE_FN float ufloor(float a) { return floorf(a); }
@@ -97,6 +112,7 @@ LANE_FN float ui_to_f(int32_t a) { return __int2float_rn(a); }
 
 // One lane: the scalars themselves.
 #include "novaphy/program/one_lane.h"
+#define vdiv udiv
 
 // Where a source lies: its own row, or rows of it as a table. The type says what is known of it.
 //

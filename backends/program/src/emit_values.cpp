@@ -41,6 +41,8 @@ const char* function(Op op) {
       return "isub";
     case Op::IMUL:
       return "imul";
+    case Op::DIV:
+      return "div";
     case Op::ABS:
       return "abs";
     case Op::SIGN:
@@ -179,8 +181,9 @@ std::string ValueText::expression(Value v) const {
   const Instr& in = p_.instrs[static_cast<size_t>(v)];
   if (in.op == Op::INDEX) return "index_lanes(i)";
   if (in.op == Op::NEG) return "-" + name(in.a);
-  const bool wraps = in.op == Op::IADD || in.op == Op::ISUB || in.op == Op::IMUL;
-  if (const char* sign = infix(in.op); sign != nullptr && !(device_ && wraps))
+  const bool own =  // a device's prelude has a function of its own
+      in.op == Op::IADD || in.op == Op::ISUB || in.op == Op::IMUL || in.op == Op::DIV;
+  if (const char* sign = infix(in.op); sign != nullptr && !(device_ && own))
     return name(in.a) + " " + sign + " " + name(in.b);
   const bool scalar = uniform(v);
   std::string text = (scalar ? "u" : "v") + std::string(function(in.op)) + "(";

@@ -9,7 +9,7 @@ namespace nova::ir {
 
 class ValueText {
  public:
-  // `device`: for compilers that have no option which makes integers wrap.
+  // `device`: for compilers that have no option which makes integers wrap, and divide zero slowly.
   ValueText(const Program& program, const EmitPlan& plan, bool device = false)
       : p_(program), plan_(plan), device_(device) {}
 

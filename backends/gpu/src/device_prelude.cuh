@@ -58,26 +58,29 @@ COLD_FN void report_row(const device_sink sink, int64_t index, int32_t source, i
 #define kZeros 32
 struct row_failure {
   const int32_t* zeros;
-  int32_t source;  // -1: none
+  int32_t source;  // -1: none; of a fused text: kSources times the operation, plus the source
   int32_t row;
   uint32_t rows;
+  int32_t operation;  // of a fused text: which one runs
 };
+#define kSources 256
 LANE_FN row_failure begin_row(const device_sink sink) {
   row_failure f;
   f.zeros = (const int32_t*)sink.record + kZeros;
   f.source = -1;
   f.row = 0;
   f.rows = 0;
+  f.operation = 0;
   return f;
 }
 LANE_FN void note_read(row_failure& f, bool bad, int32_t source, int32_t row, int64_t rows) {
   const bool first = bad && f.source < 0;
-  f.source = first ? source : f.source;
+  f.source = first ? f.operation * kSources + source : f.source;
   f.row = first ? row : f.row;
   f.rows = first ? (uint32_t)rows : f.rows;
 }
 LANE_FN void end_row(const row_failure& f, const device_sink sink, int64_t i) {
-  if (f.source >= 0) report_row(sink, i, f.source, f.row, f.rows);
+  if (f.source >= 0) report_row(sink, i, f.source % kSources, f.row, f.rows);
 }
 
 // Scalars.
@@ -154,19 +157,16 @@ struct table_row {
 template <class S>
 LANE_FN table_row row_of(const S s, int32_t row, int32_t width, vb need, int32_t source,
                          row_failure& sink) {
-  const uint32_t count = s.rows <= 0         ? 0u
-                         : s.rows > INT32_MAX ? (uint32_t)INT32_MAX
-                                              : (uint32_t)s.rows;
-  const bool outside = (uint32_t)row >= count;  // a negative row is a large unsigned one
+  const bool outside = (uint64_t)row >= (uint64_t)s.rows;  // a negative row is a large unsigned one
   note_read(sink, outside && row >= 0 && need, source, row, s.rows);
   table_row r;
-  r.p = outside ? sink.zeros : (const int32_t*)s.p + (int64_t)row * width;
+  r.p = outside ? sink.zeros : (const int32_t*)s.p + (uint64_t)(uint32_t)row * (uint32_t)width;
   return r;
 }
 template <class S>
 LANE_FN table_row trusted_row(const S s, int32_t row, int32_t width) {
   table_row r;
-  r.p = (const int32_t*)s.p + (int64_t)row * width;
+  r.p = (const int32_t*)s.p + (uint64_t)(uint32_t)row * (uint32_t)width;
   return r;
 }
 LANE_FN table_row row_of(const trusted_rows s, int32_t row, int32_t width, vb, int32_t,

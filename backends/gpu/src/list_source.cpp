@@ -322,7 +322,10 @@ class Writer {
     const novaphy_list_op& op = ops_[site.op];
     if (op.kernel == nullptr) return move(site, in_body, indent);
     const nova::ir::Program& p = op.kernel->program;
-    std::string code = indent + "{\n" + indent + "  const uint64_t w[] = {";
+    const std::string number = str(kernels_.size());
+    kernels_.push_back(word(op.kernel->number));
+    std::string code = indent + "{\n" + indent + "  failure.operation = " + number + ";\n" +
+                       indent + "  const uint64_t w[] = {";
     for (uint32_t w = 0; w < op.argument_count; ++w)
       code += (w == 0 ? "" : ", ") + word_text(site.op, w, in_body);
     const bool kept = in_body && !kept_items_[site.op - plan_.first].empty();
@@ -366,11 +369,17 @@ class Writer {
       if (first > 0) stores += "if (k >= (int32_t)a.word[" + str(word(first)) + "]) ";
       stores += "store_row<" + str(width) + ">(" + pointer + ", i, " + register_name(j, o) + ");\n";
     }
-    return code + (kept ? ", kept" + str(j) : "") + ", i, failure);\n" + stores + indent +
-           "  if (failure.source >= 0) {\n" + indent +
-           "    end_row(failure, device_sink{sink.record, sink.flag, (uint32_t)a.word[" +
-           str(word(op.kernel->number)) + "]}, i);\n" + indent + "    failure.source = -1;\n" +
-           indent + "  }\n" + indent + "}\n";
+    return code + (kept ? ", kept" + str(j) : "") + ", i, failure);\n" + stores + indent + "}\n";
+  }
+
+  // Once per thread: a branch after each operation would keep the next one's loads waiting.
+  std::string report() const {
+    std::string code = "  if (failure.source >= 0) {\n    uint64_t kernel = 0;\n";
+    for (size_t k = 0; k < kernels_.size(); ++k)
+      code += "    if (failure.source / kSources == " + str(k) + ") kernel = a.word[" +
+              str(kernels_[k]) + "];\n";
+    return code +
+           "    end_row(failure, device_sink{sink.record, sink.flag, (uint32_t)kernel}, i);\n  }\n";
   }
 
   // A copy or a fill of the own row.
@@ -422,10 +431,10 @@ class Writer {
         "extern \"C\" __global__ void __launch_bounds__(128, LIST_BLOCKS) novaphy_main(\n"
         "    const __grid_constant__ list_arguments a, const uint64_t* table, const int64_t n,\n"
         "    const device_sink sink) {\n"
-        "  const int64_t i = (int64_t)blockIdx.x * blockDim.x + threadIdx.x;\n"
+        "  const int64_t i = blockIdx.x * blockDim.x + threadIdx.x;\n"
         "  if (i >= n) return;\n"
         "  row_failure failure = begin_row(sink);\n" +
-        code + "}\n";
+        code + report() + "}\n";
   }
 
   void fill_table() {
@@ -441,6 +450,7 @@ class Writer {
   std::map<uint64_t, uint64_t> rows_;
   std::map<uint32_t, std::vector<char>> with_items_;  // per function of the body
   std::vector<std::vector<char>> kept_items_;         // per operation of the body and source
+  std::vector<uint64_t> kernels_;                     // words: the number of each operation's kernel
   std::string starts_, steps_;                        // of addresses that grow evenly
   std::vector<std::vector<uint32_t>> first_stores_;   // per operation of the body and output
 };

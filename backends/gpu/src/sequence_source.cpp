@@ -20,8 +20,10 @@ class ChainText {
       for (const int32_t word : op.tables)
         code_ += "  touch_items(words[" + str(op.first_word + word) + "], words[" +
                  str(op.first_word + word + 1) + "], i);\n";
+    code_ += "  row_failure failure = begin_row(sink);\n";
     for (size_t k = 0; k < form_.operations.size(); ++k) operation(static_cast<int32_t>(k));
     for (size_t k = 0; k < form_.operations.size(); ++k) stores(static_cast<int32_t>(k));
+    report();
     return "LANE_FN void chain" + str(static_cast<int64_t>(number)) +
            "(const uint64_t* words, const int64_t i, device_sink sink) {\n" + code_ + "}\n";
   }
@@ -93,8 +95,8 @@ class ChainText {
         break;
     }
     const nova::ir::Program& p = *table_.programs[static_cast<size_t>(op.program)];
-    std::string text =
-        "    row_failure failure = begin_row(sink);\n    row" + str(op.program) + "(w";
+    std::string text = "    failure.operation = " + str(first_row(k)) + (loop ? " + j" : "") +
+                       ";\n    row" + str(op.program) + "(w";
     for (size_t s = 0; s < p.sources.size(); ++s) {
       const int64_t word = p.source_argument(s);
       text += ", " + source(op.sources[s], p.sources[s].width, loop, "w[" + str(word) + "]",
@@ -103,9 +105,29 @@ class ChainText {
     for (size_t o = 0; o < p.outputs.size(); ++o)
       text +=
           ", " + output(k, static_cast<int32_t>(o), loop, "w[" + str(p.output_argument(o)) + "]");
-    return text +
-           ", row, failure);\n    if (failure.source >= 0) {\n"
-           "      sink.kernel = (uint32_t)w[-1];\n      end_row(failure, sink, row);\n    }\n";
+    return text + ", row, failure);\n";
+  }
+
+  // Rows of the operations before, for one of the chain: so a failure names operation and row.
+  int64_t first_row(int32_t k) const {
+    int64_t rows = 0;
+    for (int32_t before = 0; before < k; ++before) rows += at(before).each;
+    return rows;
+  }
+  // Once per chain: a branch after each row would keep the next one's loads waiting.
+  void report() {
+    code_ +=
+        "  if (failure.source >= 0) {\n    const int32_t at = failure.source / kSources;\n"
+        "    int64_t row = i;\n";
+    for (size_t k = 0; k < form_.operations.size(); ++k) {
+      const Operation& op = form_.operations[k];
+      if (op.kind != Operation::Program) continue;
+      const std::string first = str(first_row(static_cast<int32_t>(k)));
+      code_ += "    if (at >= " + first + ") {\n      sink.kernel = (uint32_t)words[" +
+               str(op.first_word - 1) + "];\n      row = i * " + str(op.each) + " + (at - " + first +
+               ");\n    }\n";
+    }
+    code_ += "    end_row(failure, sink, row);\n  }\n";
   }
 
   void stores(int32_t k) {

@@ -253,6 +253,10 @@ LANE_FN void load_row(const char* p, int64_t i, int32_t* words) {
 #pragma unroll
   for (int c = 0; c < width; ++c) words[c] = __ldg((const int32_t*)p + (i * width + c));
 }
+// Sends for a row that will be loaded.
+LANE_FN void prefetch_row(const char* p, int64_t i, int32_t width) {
+  asm volatile("prefetch.global.L2 [%0];" ::"l"((const int32_t*)p + i * width));
+}
 #define put_columnf(o, width, column, i, a) put_columni(o, width, column, i, uf_bits(a))
 
 #define LANES_ROWS(t, T, bits)                                                                    \

@@ -56,8 +56,8 @@ class Writer {
     return known->second;
   }
 
-  // Word w of an operation, of this iteration or of the next one: fixed, growing evenly, or listed.
-  std::string word_text(uint32_t op, uint32_t w, bool in_body, bool next = false) {
+  // Word w of an operation, of this iteration or a later one: fixed, growing evenly, or listed.
+  std::string word_text(uint32_t op, uint32_t w, bool in_body, uint32_t later = 0) {
     const uint64_t value = ops_[op].arguments[w];
     const size_t sources = ops_[op].kernel->program.sources.size();
     if (w < 2 * sources && w % 2 == 1) {  // a number of rows
@@ -67,17 +67,17 @@ class Writer {
       if (fixed) return "a.word[" + str(rows_word(value)) + "]";
     }
     return varying(
-        value, in_body, [&](uint32_t k) { return ops_[op + k * plan_.period].arguments[w]; }, next);
+        value, in_body, [&](uint32_t k) { return ops_[op + k * plan_.period].arguments[w]; }, later);
   }
   template <class At>
-  std::string varying(uint64_t value, bool in_body, const At& at, bool next = false) {
+  std::string varying(uint64_t value, bool in_body, const At& at, uint32_t later = 0) {
     if (!in_body) return "a.word[" + str(word(value)) + "]";
     const uint64_t step = plan_.repeats > 1 ? at(1) - value : 0;
     bool even = true;
     for (uint32_t k = 1; k < plan_.repeats; ++k) even = even && at(k) == value + k * step;
     if (even && step == 0) return "a.word[" + str(word(value)) + "]";
     if (even) {
-      const std::string first = "a.word[" + str(word(next ? value + step : value)) + "]";
+      const std::string first = "a.word[" + str(word(value + later * step)) + "]";
       const std::string name = "at" + str(out_.words.size());
       starts_ += "  uint64_t " + name + " = " + first + ";\n";
       steps_ += "    " + name + " += a.word[" + str(word(step)) + "];\n";
@@ -85,8 +85,7 @@ class Writer {
     }
     std::vector<uint64_t>& column = columns_.emplace_back();
     for (uint32_t k = 0; k < plan_.repeats; ++k) column.push_back(at(k));
-    return std::string("__ldg(entry + ") + (next ? "TABLE_WIDTH + " : "") +
-           str(columns_.size() - 1) + ")";
+    return "__ldg(entry + " + str(later) + " * TABLE_WIDTH + " + str(columns_.size() - 1) + ")";
   }
 
   static std::string register_name(uint32_t op, uint32_t output) {
@@ -159,7 +158,8 @@ class Writer {
     return code;
   }
   // A source whose own row is another one in every iteration, and which no operation writes: the
-  // row of the next iteration is loaded during this one. Adds to `before` the row of the first.
+  // row of the next iteration is loaded during this one, and where rows are so many that they lie
+  // beyond the caches, the one after it is sent for. Adds to `before` the row of the first.
   bool is_ahead(const ListPlan::Site& site, size_t s) const {
     return ops_[site.op].kernel != nullptr &&
            site.sources[s].from == ListPlan::Source::From::Constant && !is_loaded_once(site, s) &&
@@ -183,7 +183,10 @@ class Writer {
                 load("a.word[" + str(word(ops_[site.op].arguments[w])) + "]");
       code += "    int32_t " + name + "[" + width + "];\n    for (int c = 0; c < " + width +
               "; ++c) " + name + "[c] = next_" + name + "[c];\n    if (k + 1 < repeats) " +
-              load(word_text(site.op, w, true, true));
+              load(word_text(site.op, w, true, 1));
+      if (n_ >= kManyRows)
+        code += "    if (k + 2 < repeats) prefetch_row((const char*)(" +
+                word_text(site.op, w, true, 2) + "), i, " + width + ");\n";
     }
     return code;
   }

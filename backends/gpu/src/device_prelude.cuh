@@ -338,7 +338,9 @@ LANE_FN csr_rows csr_begin(const int32_t* offsets, int64_t i) {
   return c;
 }
 // Short sums go over items in batches, the last of which may reach past the end.
+#ifndef CSR_BATCH
 #define CSR_BATCH 8
+#endif
 LANE_FN vb csr_on(const csr_rows* c, int32_t r) { return r < c->longest; }
 LANE_FN vi csr_slot(const csr_rows* c, const int32_t* items, int32_t r, vb on) {
   const int32_t k = c->start + (on ? r : c->longest - 1);

@@ -153,7 +153,8 @@ class ChainText {
 }  // namespace
 
 std::string sequence_source(const SequenceTable& table, const SequenceShape& shape) {
-  constexpr uint64_t kStep = 64;  // tables of about one size share their code
+  constexpr uint64_t kStep = 64;   // tables of about one size share their code
+  constexpr uint64_t kBatch = 12;  // where a barrier waits for the thread with the most items
   std::string text = "#define NOVAPHY_SEQUENCE\n";
   const auto define = [&](const char* name, uint64_t value) {
     text += std::string("#define ") + name + " " + std::to_string(value) + "\n";
@@ -162,6 +163,7 @@ std::string sequence_source(const SequenceTable& table, const SequenceShape& sha
   define("SEQUENCE_THREADS", shape.threads);
   define("SEQUENCE_FORM", static_cast<uint64_t>(shape.form));
   if (shape.form == SequenceShape::Form::Cluster) define("SEQUENCE_BLOCKS", shape.blocks);
+  if (shape.form != SequenceShape::Form::Grid) define("CSR_BATCH", kBatch);
   text += prelude_text();
   text += sequence_text();
   for (size_t k = 0; k < table.programs.size(); ++k)

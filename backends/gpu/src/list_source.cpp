@@ -67,7 +67,8 @@ class Writer {
       if (fixed) return "a.word[" + str(rows_word(value)) + "]";
     }
     return varying(
-        value, in_body, [&](uint32_t k) { return ops_[op + k * plan_.period].arguments[w]; }, later);
+        value, in_body, [&](uint32_t k) { return ops_[op + k * plan_.period].arguments[w]; },
+        later);
   }
   template <class At>
   std::string varying(uint64_t value, bool in_body, const At& at, uint32_t later = 0) {
@@ -453,7 +454,7 @@ class Writer {
   std::map<uint64_t, uint64_t> rows_;
   std::map<uint32_t, std::vector<char>> with_items_;  // per function of the body
   std::vector<std::vector<char>> kept_items_;         // per operation of the body and source
-  std::vector<uint64_t> kernels_;                     // words: the number of each operation's kernel
+  std::vector<uint64_t> kernels_;                     // words: numbers of the operations' kernels
   std::string starts_, steps_;                        // of addresses that grow evenly
   std::vector<std::vector<uint32_t>> first_stores_;   // per operation of the body and output
 };

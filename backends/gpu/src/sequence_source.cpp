@@ -124,8 +124,8 @@ class ChainText {
       if (op.kind != Operation::Program) continue;
       const std::string first = str(first_row(static_cast<int32_t>(k)));
       code_ += "    if (at >= " + first + ") {\n      sink.kernel = (uint32_t)words[" +
-               str(op.first_word - 1) + "];\n      row = i * " + str(op.each) + " + (at - " + first +
-               ");\n    }\n";
+               str(op.first_word - 1) + "];\n      row = i * " + str(op.each) + " + (at - " +
+               first + ");\n    }\n";
     }
     code_ += "    end_row(failure, sink, row);\n  }\n";
   }

@@ -21,6 +21,7 @@ struct RowLayout {
     uint32_t row_bytes;  // bytes per row
   };
   bool row_local = false;     // the row number is used for nothing but direct reads and writes
+  uint32_t operations = 1;    // of a row, about
   std::vector<Word> inputs;   // advanced by the row
   std::vector<Word> outputs;  // advanced by the row
   std::vector<Word> tables;   // advanced by the row; index data that no kernel writes

@@ -9,6 +9,7 @@ namespace nova::detail {
 RowLayout row_layout(const ir::Program& p) {
   RowLayout layout;
   layout.row_local = true;
+  layout.operations = static_cast<uint32_t>(p.instrs.size());
   enum : char { kUnread, kDirect, kShared };
   std::vector<char> how(p.sources.size(), kUnread);
   for (const ir::Instr& in : p.instrs) {

@@ -52,6 +52,7 @@ const detail::RowLayout* row_sum_layout(uint32_t row_bytes, int64_t stride, bool
   detail::RowLayout& layout = at->second;
   if (!is_new) return &layout;
   layout.row_local = true;
+  layout.operations = row_bytes;  // those of a few items
   if (by_offsets) {
     layout.tables.push_back({1, 4});
   } else {

@@ -14,8 +14,9 @@ namespace {
 
 // An operation whose rows cannot be shared out may touch so many bytes.
 constexpr uint64_t kSmallBytes = 1 << 15;
-// Fewer rows in every phase are done sooner by one thread than handed to another.
-constexpr int64_t kWorthSharing = 256;
+// Fewer operations in every phase, rows times those of a row, are done sooner by one thread:
+// compiled code does so many in about a microsecond.
+constexpr int64_t kWorthSharing = 1 << 16;
 // Every thread has a part of each chain, the same part in every phase, so that it wrote most of
 // what it reads; many rows are cut further, so that a thread can take over from another.
 constexpr int64_t kFewRows = 256, kMostEach = 32;
@@ -28,16 +29,16 @@ bool can_be_cut(const OpList::Op& op) {
                                              : op.n % 4 == 0;
 }
 
-// The threads that stretches of these phases are worth.
-int64_t threads_for(std::span<const Phased> placed) {
-  std::vector<int64_t> rows;  // per phase
-  for (size_t k = 0; k < placed.size(); ++k) {
-    const Phased& p = placed[k];
-    rows.resize(p.phase + 1);
-    const bool same = k > 0 && placed[k - 1].phase == p.phase && placed[k - 1].chain == p.chain;
-    if (!same) rows.back() += p.rows;
+// The threads that the rows of these phases are worth.
+int64_t threads_for(std::span<const Phased> placed, std::span<const OpList::Op> ops) {
+  std::vector<int64_t> operations;  // per phase
+  for (const Phased& p : placed) {
+    const OpList::Op& op = ops[p.op];
+    operations.resize(p.phase + 1);
+    operations.back() += rows_of(op) * (op.layout != nullptr ? op.layout->operations : 1);
   }
-  return *std::max_element(rows.begin(), rows.end()) < kWorthSharing ? 1 : novaphy::num_threads();
+  const int64_t most = *std::max_element(operations.begin(), operations.end());
+  return most < kWorthSharing ? 1 : novaphy::num_threads();
 }
 
 }  // namespace
@@ -60,7 +61,7 @@ PhasedRun::PhasedRun(const novaphy::DeviceContext& context, std::span<const OpLi
                      std::span<const uint64_t> words, std::span<const MemoryAccess> accesses)
     : context_(context), words_(words) {
   const std::vector<Phased> placed = plan_phases(ops, words, accesses);
-  threads_ = threads_for(placed);
+  threads_ = threads_for(placed, ops);
   for (const Phased& p : placed) {
     ops_.push_back(ops[p.op]);
     order_.push_back(p.op);

@@ -46,7 +46,7 @@ uint64_t word(const void* p) { return reinterpret_cast<uint64_t>(p); }
 const detail::RowLayout* row_sum_layout(uint32_t row_bytes, int64_t stride, bool by_offsets,
                                         bool has_init) {
   static std::mutex mutex;
-  static std::map<std::tuple<uint32_t, int64_t, bool>, detail::RowLayout> known;
+  static auto& known = *new std::map<std::tuple<uint32_t, int64_t, bool>, detail::RowLayout>;
   const std::lock_guard lock(mutex);
   const auto [at, is_new] = known.try_emplace({row_bytes, by_offsets ? -1 : stride, has_init});
   detail::RowLayout& layout = at->second;

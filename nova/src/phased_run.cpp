@@ -57,14 +57,15 @@ int64_t PhasedRun::Chain::begin(uint32_t chunk) const {
   return chunk == chunks ? rows : rows * chunk / chunks / kGroup * kGroup;
 }
 
-PhasedRun::PhasedRun(const novaphy::DeviceContext& context, std::span<const OpList::Op> ops,
+PhasedRun::PhasedRun(const novaphy::DeviceContext& context, std::span<OpList::Op> ops,
                      std::span<const uint64_t> words, std::span<const MemoryAccess> accesses)
-    : context_(context), words_(words) {
+    : context_(context), words_(words), ops_(ops) {
   const std::vector<Phased> placed = plan_phases(ops, words, accesses);
   threads_ = threads_for(placed, ops);
-  for (const Phased& p : placed) {
-    ops_.push_back(ops[p.op]);
-    order_.push_back(p.op);
+  const std::vector<OpList::Op> recorded(ops.begin(), ops.end());
+  for (size_t k = 0; k < placed.size(); ++k) {
+    ops[k] = recorded[placed[k].op];
+    order_.push_back(placed[k].op);
   }
   const auto count = static_cast<uint32_t>(placed.size());
   for (uint32_t k = 0; k < count;) {
@@ -87,7 +88,7 @@ PhasedRun::PhasedRun(const novaphy::DeviceContext& context, std::span<const OpLi
 }
 
 void PhasedRun::add_chain(uint32_t first, uint32_t last, uint32_t phase, int64_t rows) {
-  const auto ops = std::span(ops_).subspan(first, last - first);
+  const auto ops = ops_.subspan(first, last - first);
   int64_t chunks = 1;
   if (std::all_of(ops.begin(), ops.end(), can_be_cut)) {
     const int64_t each = std::clamp<int64_t>(rows / (threads_ * kFewRows), 1, kMostEach);
@@ -118,8 +119,9 @@ void PhasedRun::run_chunk(const Chunk& chunk, Failure& failure) const {
     if (status == NOVAPHY_OK) [[likely]]
       continue;
     const std::lock_guard lock(failure.mutex);
+    // Others look at the phase without the lock: it is written once, before `any`.
+    if (!failure.any) failure.phase = chain.phase;
     if (!failure.any || order_[k] < order_[failure.op]) {
-      failure.phase = chain.phase;
       failure.op = k;
       failure.status = status;
       failure.error = error;

@@ -17,8 +17,9 @@ bool fits_phases(const OpList::Op& op, std::span<const uint64_t> words,
 
 class PhasedRun {
  public:
-  // `words`: of the recorded list; they outlive this and stay as they are.
-  PhasedRun(const novaphy::DeviceContext& context, std::span<const OpList::Op> ops,
+  // Puts the operations in the order of phases and chains. They and `words`, those of the recorded
+  // list, outlive this and stay as they are then.
+  PhasedRun(const novaphy::DeviceContext& context, std::span<OpList::Op> ops,
             std::span<const uint64_t> words, std::span<const MemoryAccess> accesses);
   // Throws like a launch: of the operations that fail in the first phase that has any, the one that
   // was recorded first is named.
@@ -40,8 +41,8 @@ class PhasedRun {
 
   const novaphy::DeviceContext& context_;
   const std::span<const uint64_t> words_;
+  const std::span<const OpList::Op> ops_;
   int64_t threads_ = 1;          // that the rows are shared out to
-  std::vector<OpList::Op> ops_;  // by phase and chain
   std::vector<uint32_t> order_;  // when each was recorded
   std::vector<Chain> chains_;
   std::vector<Chunk> chunks_;

@@ -127,6 +127,22 @@ TEST(Emit, TakesFourColumnsOfAWideRowAtATime) {
       });
   expect_golden("wide", kernel.program());
 }
+TEST(Emit, GathersTheRowsOfElementsOneGroupAhead) {
+  const nova::Kernel kernel =
+      nova::make_kernel("spring",
+                        {{"indices", DType::I32, 2, Access::Direct},
+                         {"q", DType::F32, 3, Access::Indexed},
+                         {"stiffness", DType::F32, 1, Access::Direct}},
+                        {{"f", 6}}, [](nova::TraceContext& c) {
+                          std::vector<nova::Real> f;
+                          const nova::Real k = c.f32(2);
+                          for (int32_t d = 0; d < 3; ++d)
+                            f.push_back(k * (c.f32(1, c.i32(0, 1), d) - c.f32(1, c.i32(0, 0), d)));
+                          for (int32_t d = 0; d < 3; ++d) f.push_back(-f[static_cast<size_t>(d)]);
+                          return f;
+                        });
+  expect_golden("spring", kernel.program());
+}
 TEST(Emit, SumsOverAFixedNumberOfUniformRows) {
   const nova::Kernel kernel = nova::make_reduce_kernel(
       "weights", {{"x", DType::F32, 1, Access::Direct}, {"w", DType::F32, 1, Access::Reduced}},

@@ -51,20 +51,20 @@ LANE_FN int all_rows_inside(vi row, int64_t limit) {
 
 #if defined(__x86_64__)
 /* Rows of three words, each read with the first word of the next row, four or eight rows at a time.
- */
+ * at: where they are, in units of 4 `unit` bytes. */
 #if LANES == 4
 typedef __m128 row_quads;
-#define QUADS_OF(l) _mm_loadu_ps((const float*)(s + 12 * (int64_t)at[l]))
+#define QUADS_OF(l) _mm_loadu_ps((const float*)s + unit * (int64_t)at[l])
 #define QUADS(operation) _mm_##operation
 #else
 typedef __m256 row_quads;
 #define QUADS_OF(l)                                                                  \
   _mm256_insertf128_ps(                                                              \
-      _mm256_castps128_ps256(_mm_loadu_ps((const float*)(s + 12 * (int64_t)at[l]))), \
-      _mm_loadu_ps((const float*)(s + 12 * (int64_t)at[(l) + 4])), 1)
+      _mm256_castps128_ps256(_mm_loadu_ps((const float*)s + unit * (int64_t)at[l])), \
+      _mm_loadu_ps((const float*)s + unit * (int64_t)at[(l) + 4]), 1)
 #define QUADS(operation) _mm256_##operation
 #endif
-LANE_FN void transpose_rows3(const char* s, const int32_t* at, row_quads* a, row_quads* b,
+LANE_FN void transpose_rows3(const char* s, const int32_t* at, int unit, row_quads* a, row_quads* b,
                              row_quads* c) {
   const row_quads r0 = QUADS_OF(0), r1 = QUADS_OF(1), r2 = QUADS_OF(2), r3 = QUADS_OF(3);
   const row_quads xy01 = QUADS(unpacklo_ps(r0, r1)), xy23 = QUADS(unpacklo_ps(r2, r3));
@@ -80,13 +80,13 @@ LANE_FN void gather3_inside(const char* s, vi row, vi* a, vi* b, vi* c) {
   memcpy(at, &row, sizeof(at));
 #if LANES == 16
   row_quads low[3], high[3];
-  transpose_rows3(s, at, &low[0], &low[1], &low[2]);
-  transpose_rows3(s, at + 8, &high[0], &high[1], &high[2]);
+  transpose_rows3(s, at, 3, &low[0], &low[1], &low[2]);
+  transpose_rows3(s, at + 8, 3, &high[0], &high[1], &high[2]);
   *a = (vi)_mm512_insertf32x8(_mm512_castps256_ps512(low[0]), high[0], 1);
   *b = (vi)_mm512_insertf32x8(_mm512_castps256_ps512(low[1]), high[1], 1);
   *c = (vi)_mm512_insertf32x8(_mm512_castps256_ps512(low[2]), high[2], 1);
 #else
-  transpose_rows3(s, at, (row_quads*)a, (row_quads*)b, (row_quads*)c);
+  transpose_rows3(s, at, 3, (row_quads*)a, (row_quads*)b, (row_quads*)c);
 #endif
 }
 #endif
@@ -106,6 +106,65 @@ LANE_FN void gather3_present(const char* s, vi row, vi* a, vi* b, vi* c) {
   *c = vselecti(absent, zero, *c);
 }
 #endif
+
+/* Rows of three words that are gathered before they are needed: any address that is legal will do,
+ * and what is wrong with a row is put right when its group begins. */
+typedef struct rows_ahead {
+  int32_t word[LANES]; /* where they begin */
+  vb present;
+} rows_ahead;
+/* The last row that is read like the others, or -1. */
+LANE_FN int32_t limit_ahead(int64_t rows) {
+#if defined(__x86_64__)
+  rows -= 1; /* see transpose_rows3 */
+#endif
+  return rows > INT32_MAX / 3 ? INT32_MAX / 3 - 1 : rows < 1 ? -1 : (int32_t)rows - 1;
+}
+/* Whether a row is past the limit. */
+LANE_FN int look_ahead(rows_ahead* r, vi row, int32_t limit) {
+  const vi zero = splati(0), end = splati(limit);
+  const vi word = 3 * vimin(vimax(row, zero), end);
+  memcpy(r->word, &word, sizeof(word));
+  /* Addresses are computed from memory: taken out of a vector, each costs three instructions. */
+  __asm__("" : "+m"(r->word));
+  r->present = vile(zero, row);
+  return any(vilt(end, row));
+}
+#if LANES == 16
+/* The processor stores half a vector in half the time. */
+LANE_FN void gather3_half(const char* s, const int32_t* word, vb present, float* to) {
+  row_quads a, b, c;
+  transpose_rows3(s, word, 1, &a, &b, &c);
+  _mm256_storeu_ps(to, _mm256_maskz_mov_ps((__mmask8)present, a));
+  _mm256_storeu_ps(to + 16, _mm256_maskz_mov_ps((__mmask8)present, b));
+  _mm256_storeu_ps(to + 32, _mm256_maskz_mov_ps((__mmask8)present, c));
+}
+#endif
+LANE_FN void gather3f_ahead(const char* s, const rows_ahead* r, vf* to) {
+#if LANES == 16
+  gather3_half(s, r->word, r->present, (float*)to);
+  gather3_half(s, r->word + 8, (vb)(r->present >> 8), (float*)to + 8);
+#else
+#if defined(__x86_64__)
+  row_quads column[3];
+  transpose_rows3(s, r->word, 1, &column[0], &column[1], &column[2]);
+#else
+  vf column[3];
+  for (int l = 0; l < LANES; ++l)
+    for (int k = 0; k < 3; ++k) column[k][l] = ubits_f(word_at(s, r->word[l] + (int64_t)k));
+#endif
+  for (int k = 0; k < 3; ++k) to[k] = vselectf(r->present, (vf)column[k], splatf(0.0f));
+#endif
+}
+/* Zero: a row is past the end. */
+COLD_FN int gather3f_again(vf* to, const char* s, int64_t rows, vi row) {
+  for (int l = 0; l < LANES; ++l) {
+    const int64_t r = row[l];
+    if (r >= rows) return 0;
+    for (int k = 0; k < 3; ++k) to[k][l] = r < 0 ? 0.0f : ubits_f(word_at(s, 3 * r + k));
+  }
+  return 1;
+}
 
 #define GATHER_ARGUMENTS const char *s, int64_t rows, const row_lanes *r
 #define GATHER_ERROR vb need, int32_t source, int64_t i, novaphy_error_sink *sink

@@ -111,6 +111,28 @@ LANES_GATHER(f, vf)
 LANES_GATHER(i, vi)
 #undef LANES_GATHER
 
+/* Gathered before they are needed; see lanes_gather.h. */
+typedef struct rows_ahead {
+  int32_t row, at;
+} rows_ahead;
+LANE_FN int32_t limit_ahead(int64_t rows) {
+  return rows > INT32_MAX ? INT32_MAX : (int32_t)rows - 1;
+}
+LANE_FN int look_ahead(rows_ahead* r, int32_t row, int32_t limit) {
+  *r = (rows_ahead){row, row < 0 ? 0 : row > limit ? limit : row};
+  return row > limit;
+}
+LANE_FN void gather3f_ahead(const char* s, const rows_ahead* r, float* to) {
+  if (r->row < 0)
+    to[0] = to[1] = to[2] = 0.0f;
+  else
+    memcpy(to, s + 12 * (int64_t)r->at, 12);
+}
+LANE_FN int gather3f_again(float* to, const char* s, int64_t rows, int32_t row) {
+  (void)to, (void)s;
+  return row < rows;
+}
+
 /* CSR rows. */
 typedef struct csr_rows {
   int32_t start, longest;

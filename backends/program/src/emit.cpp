@@ -45,12 +45,15 @@ Emitter::Emitter(const Program& program, bool device, const Series* series, std:
     for (auto* values : {&kept.kept, &kept.equal})
       std::erase_if(*values, [this](const auto& pair) { return held(pair.first); });
   if (!device_) idle_ = find_idle_items(p_, plan_, kept_);
+  // The next group is read before this one is written.
+  if (!device_ && !series_ && may_run_again()) ahead_ = find_ahead_gathers(p_, plan_);
 }
 
 std::string Emitter::run(const std::string& function) {
   head(function);
   arguments();
   before_the_rows();
+  ahead_begin();
   groups_begin();
   steps();
   stores();
@@ -211,10 +214,11 @@ void Emitter::before_the_rows() {
 
 void Emitter::steps() {
   loads_first(-1);
-  std::vector<int32_t> closing;  // step at which each open `if` ends
+  std::vector<std::pair<int32_t, int32_t>> closing;  // step at which each open `if` ends, region
   size_t begin = 0;              // of the loop that we are in
   for (size_t s = 0; s <= plan_.steps.size(); ++s) {
-    while (!closing.empty() && closing.back() <= static_cast<int32_t>(s)) {
+    while (!closing.empty() && closing.back().first <= static_cast<int32_t>(s)) {
+      ahead_end(closing.back().second);
       closing.pop_back();
       close();
     }
@@ -245,16 +249,17 @@ void Emitter::steps() {
         break;
       case Step::Kind::SkipIfNone:
         if (region_begin(plan_.region_of_step[s])) {
-          closing.push_back(step.target);
+          closing.emplace_back(step.target, plan_.region_of_step[s]);
           loads_first(plan_.region_of_step[s]);
         }
         break;
       case Step::Kind::Compute:
         if (plan_.used[at(step.value)] && !plan_.once[at(step.value)] && !done_[at(step.value)])
-          compute(step.value);
+          compute(step.value), ahead_line(step.value);
         break;
     }
   }
+  ahead_end(-1);
 }
 
 std::string Emitter::zero(Value v) const {
@@ -319,6 +324,12 @@ void Emitter::load(Value v, const Instr& in) {
     for (size_t c = 0; c < group.columns.size(); ++c)
       if (const Value d = group.columns[c]; d != kNone)
         line(declaration(d) + " = " + state(group.source, static_cast<int32_t>(c)) + ";");
+    return;
+  }
+  if (const int32_t first = ahead_column(group); first >= 0) {
+    for (size_t c = 0; c < group.columns.size(); ++c)
+      if (const Value d = group.columns[c]; d != kNone)
+        line(declaration(d) + " = here[" + str(first + static_cast<int32_t>(c)) + "];");
     return;
   }
   const bool own = p_.instrs[at(group.row)].op == Op::INDEX;

@@ -26,6 +26,9 @@ struct Region {
   std::vector<Value> escape;  // values made inside and read outside: declared before the `if`
 };
 
+// Values that are written where they are used: constants, parameters, counters, sums.
+bool is_leaf(Op op);
+
 struct EmitPlan {
   std::vector<Step> steps;
   std::vector<Region> regions;
@@ -43,6 +46,9 @@ struct EmitPlan {
   std::vector<Value> root;  // of a comparison: that SQRT; of that SQRT: the comparison; or kNone
   std::vector<LoadGroup> groups;
 
+  // Whether a value is computed, for every row, by a line of its own.
+  bool is_line(size_t v, Op op) const { return used[v] && !once[v] && !is_leaf(op); }
+
   int32_t printed_region(int32_t r) const {
     while (r >= 0 && !regions[static_cast<size_t>(r)].printed)
       r = regions[static_cast<size_t>(r)].parent;
@@ -54,7 +60,5 @@ struct EmitPlan {
 EmitPlan make_emit_plan(const Program& program, bool device);
 
 inline bool is_load(Op op) { return op == Op::LOAD_F || op == Op::LOAD_I; }
-// Values that are written where they are used: constants, parameters, counters, sums.
-bool is_leaf(Op op);
 
 }  // namespace nova::ir

@@ -7,6 +7,7 @@
 #include <tuple>
 #include <vector>
 
+#include "emit_ahead.h"
 #include "emit_idle.h"
 #include "emit_kept.h"
 #include "emit_plan.h"
@@ -46,6 +47,14 @@ class Emitter {
   // write them.
   void groups_begin();
   void groups_end();
+  // What is gathered a group ahead: declared and gathered for the first group, taken over by the
+  // group that begins, gathered for the next between the lines of this one.
+  void ahead_begin();
+  void ahead_group();
+  void ahead_line(Value v);
+  void ahead_end(int32_t scope);
+  // Where a group of loads is among it, or -1.
+  int32_t ahead_column(const LoadGroup& group) const;
   std::string output_bytes(size_t o) const;
   // An output may be the memory of a source, and then holds what the first time wrote: no row of a
   // table may be taken from there, because it could be past the table's end.
@@ -150,6 +159,10 @@ class Emitter {
   const std::vector<char> held_;  // in a series, per value: the same in every launch
   std::vector<KeptValues> kept_;
   std::vector<IdleItem> idle_;
+  AheadGathers ahead_;
+  std::vector<std::string> ahead_text_;  // its statements
+  size_t ahead_written_ = 0;             // of them, in this group
+  int32_t ahead_lines_ = 0;              // of its scope
   std::set<int32_t> followers_;  // loops that leave out what does not act
   // Devices: per source, whether the first items of CSR loops are in registers. The loops are then
   // written twice, for these items and for the others.

@@ -1,5 +1,7 @@
 #include "novaphy/nova/adjoint.h"
 
+#include <algorithm>
+
 #include "adjoint_sweep.h"
 #include "novaphy/core/error.h"
 #include "novaphy/program/ir.h"
@@ -167,13 +169,17 @@ AdjointStage make_rows(const Primal& primal, AdjointPlan& plan, std::vector<bool
   for (size_t o = 0; o < p.outputs.size(); ++o) {
     if (!primal.mask.seeded[o]) continue;
     const auto width = static_cast<int32_t>(p.outputs[o].values.size());
-    const Value source =
-        sweep.add_source("grad_" + p.outputs[o].name, width,
-                         {Kind::OutputGradient, static_cast<int32_t>(o)}, ir::Access::Direct);
+    const int32_t table = primal.mask.table, parts = table < 0 ? 1 : p.sources[table].width;
+    const Value source = sweep.add_source("grad_" + p.outputs[o].name, width / parts,
+                                          {Kind::OutputGradient, static_cast<int32_t>(o)},
+                                          table < 0 ? ir::Access::Direct : ir::Access::Indexed);
     for (int32_t c = 0; c < width; ++c)
       if (p.outputs[o].type == ir::Type::F32) {
         const Value v = p.outputs[o].values[c];
-        if (primal.active[v]) sweep.contribute(v, 0, sweep.load(source, sweep.index(), c));
+        const int32_t part = c * parts / width;
+        const Value row = table < 0 ? sweep.index() : sweep.load_row(table, part);
+        if (primal.active[v])
+          sweep.contribute(v, 0, sweep.load(source, row, c - part * (width / parts)));
       }
   }
   if (!p.loops.empty()) {
@@ -246,6 +252,28 @@ void note_loads(const AdjointStage& stage, std::vector<bool>& loads_value) {
 }
 
 }  // namespace
+
+int32_t summed_source(const ir::Program& p) {
+  if (p.loops.size() != 1 || p.loops[0].kind != ir::LoopKind::Csr || p.outputs.size() != 1)
+    return -1;
+  const std::vector<ir::Sum>& sums = p.loops[0].sums;
+  const std::vector<Value>& out = p.outputs[0].values;
+  if (sums.empty() || sums.size() != out.size()) return -1;
+  const auto reads_item = [&](const Instr& in) {
+    return in.op == Op::LOAD_F && p.instrs[in.b].op == Op::SLOT;
+  };
+  const int32_t source = p.instrs[sums[0].term].a;
+  for (size_t c = 0; c < sums.size(); ++c) {
+    const Instr &term = p.instrs[sums[c].term], &value = p.instrs[out[c]];
+    if (!reads_item(term) || term.a != source || term.c != static_cast<int32_t>(c)) return -1;
+    if (value.op != Op::SUM || value.b != static_cast<int32_t>(c)) return -1;
+  }
+  if (p.sources[source].width != static_cast<int32_t>(sums.size())) return -1;
+  const auto others = std::count_if(p.instrs.begin(), p.instrs.end(), [&](const Instr& in) {
+    return (in.op == Op::LOAD_F && in.a == source) || in.op == Op::SLOT || in.op == Op::SUM;
+  });
+  return others == static_cast<std::ptrdiff_t>(2 * sums.size() + 1) ? source : -1;
+}
 
 AdjointPlan make_adjoint(const ir::Program& program, const AdjointMask& mask) {
   for (size_t s = 0; s < program.sources.size(); ++s)

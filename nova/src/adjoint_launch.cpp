@@ -39,7 +39,7 @@ void run_stage(const KernelImpl& kernel, const AdjointStage& stage, Executable& 
         source(call.inputs[b.index]->range, call.inputs[b.index]->rows);
         break;
       case Kind::OutputGradient:
-        source(*call.output_gradients[b.index], call.dim);
+        source(*call.output_gradients[b.index], call.output_gradient_rows);
         break;
       case Kind::SourceGradient:
         source(*call.input_gradients[b.index], call.inputs[b.index]->rows);

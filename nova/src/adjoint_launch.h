@@ -10,6 +10,7 @@ struct AdjointCall {
   std::span<const Operand* const> inputs = {};
   std::span<const std::shared_ptr<Range>* const> input_gradients = {};   // null: not wanted
   std::span<const std::shared_ptr<Range>* const> output_gradients = {};  // null: none
+  int64_t output_gradient_rows = 0;
   std::span<const Param> params = {};
   const Incidence* csr = nullptr;
   int32_t extent = 0;

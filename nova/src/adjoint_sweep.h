@@ -160,6 +160,9 @@ class Sweep {
   Value load(int32_t source, Value row, int32_t column) {
     return trace_.emit({Op::LOAD_F, source, row, column});
   }
+  Value load_row(int32_t table, int32_t column) {
+    return trace_.emit({Op::LOAD_I, table, index(), column});
+  }
   Value index() { return trace_.emit({Op::INDEX}); }
   Trace& trace() { return trace_; }
 

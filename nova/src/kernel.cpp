@@ -60,6 +60,7 @@ const CompiledPlan& KernelImpl::adjoint(const AdjointKey& key) {
     mask.accumulate.push_back(key.accumulate >> s & 1);
   }
   for (size_t o = 0; o < outputs.size(); ++o) mask.seeded.push_back(key.seeded >> o & 1);
+  mask.table = key.table;
   auto made = std::make_unique<CompiledPlan>();
   made->key = key;
   made->plan = make_adjoint(traced, mask);
@@ -246,6 +247,7 @@ std::shared_ptr<detail::KernelImpl> finish(std::string name, std::vector<SourceS
     if (l.kind == ir::LoopKind::Fixed) l.extent_param = p.param_count - 1;
   check_depth(p, name);
   impl->traced = ir::canonicalise(p, false);
+  impl->summed_source = summed_source(impl->traced);
   ir::Program forward = ir::canonicalise(p, true);
   if (const std::string why = ir::validate(forward); !why.empty())
     fail(ErrorKind::Value, "kernel '", name, "': ", why);
@@ -435,6 +437,7 @@ const AdjointPlan& Kernel::adjoint(const AdjointMask& mask) const {
     key.accumulate |= uint64_t{mask.accumulate[s]} << s;
   }
   for (size_t o = 0; o < mask.seeded.size(); ++o) key.seeded |= uint32_t{mask.seeded[o]} << o;
+  key.table = mask.table;
   return impl_->adjoint(key).plan;
 }
 

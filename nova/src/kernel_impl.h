@@ -44,6 +44,7 @@ void forget_executable(Executable* executable);
 struct AdjointKey {
   uint64_t wrt = 0, accumulate = 0;
   uint32_t seeded = 0;
+  int32_t table = -1;  // see AdjointMask
   auto operator<=>(const AdjointKey&) const = default;
 };
 
@@ -63,6 +64,7 @@ struct KernelImpl {
   std::unique_ptr<Executable> forward;
   uint64_t hash = 0;
   bool has_fixed_loop = false, has_csr_loop = false;
+  int32_t summed_source = -1;  // see adjoint.h
 
   const CompiledPlan& adjoint(const AdjointKey& key);
 

@@ -2,6 +2,7 @@
 // So an overwritten input is reported before any gradient was touched.
 #include <algorithm>
 #include <array>
+#include <utility>
 
 #include "adjoint_launch.h"
 #include "engine_kernels.h"
@@ -141,14 +142,43 @@ void Tape::Impl::run_group(const Group& group) {
   operands.clear();
 }
 
+// Whether operation k only adds up, through a table, what the operation before it wrote for the
+// columns of that table: the source that is the table there, or -1. Then the adjoint before reads
+// the gradient of the sums through its table, and nobody needs that of the terms.
+int32_t Tape::Impl::summed_through(size_t k, uint32_t s) {
+  const Op& sum = ops[k];
+  if (!leaves_only || k == 0 || !sum.kernel || !sum.csr ||
+      sum.kernel->summed_source != static_cast<int32_t>(s) || bound_before(sum, s))
+    return -1;
+  const Op& before = ops[k - 1];
+  if (!before.kernel || before.constant || before.outputs != 1 || before.group != sum.group)
+    return -1;
+  const Operand& terms = output(before, 0);
+  if (input(sum, s).operand.range != terms.range || find(*terms.range)->set) return -1;
+  const Operand& table = sum.csr->table;
+  for (uint32_t t = 0; t < before.inputs; ++t) {
+    const Operand& in = input(before, t).operand;
+    const bool same = in.range == table.range && in.rows * in.width == table.rows &&
+                      before.kernel->sources[t].access == Access::Direct;
+    if (same && in.rows == before.dim && terms.width == in.width * output(sum, 0).width)
+      return static_cast<int32_t>(t);
+  }
+  return -1;
+}
+
 void Tape::Impl::plan_steps() {
   steps.clear();
   places.clear();
   int32_t open_group = -1;
+  // Of the operation that comes next: see summed_through. The rows of the sums.
+  int32_t table = -1;
+  int64_t sums = 0;
   for (size_t k = ops.size(); k-- > 0;) {
     const Op& op = ops[k];
     if (op.constant) continue;
     AdjointKey key;
+    key.table = std::exchange(table, -1);
+    const int64_t gradient_rows = key.table < 0 ? op.dim : sums;
     const size_t first_place = places.size();
     places.resize(first_place + op.outputs + op.inputs);
     const auto output_places = places.begin() + static_cast<ptrdiff_t>(first_place);
@@ -169,8 +199,18 @@ void Tape::Impl::plan_steps() {
     for (uint32_t s = 0; s < op.inputs; ++s) {
       const Use& use = input(op, s);
       if (!use.carries) continue;
-      key.wrt |= bit(s);
       Node& n = *find(*use.operand.range);
+      if (const int32_t through = summed_through(k, s); through >= 0) {
+        check_table(op);
+        table = through;
+        sums = op.dim;
+        n.set = true;
+        n.place = output_places[0];
+        grad_info(*n.range).state = GradState::Dropped;
+        if (OpList* graph = current_capture()) graph->gradient(n.range, GradState::Dropped);
+        continue;
+      }
+      key.wrt |= bit(s);
       if (bound_before(op, s)) {  // its gradient goes apart and is added afterwards
         input_places[s] = n.place;
         continue;
@@ -184,9 +224,13 @@ void Tape::Impl::plan_steps() {
       if (begin_contribution(n)) key.accumulate |= bit(s);
       input_places[s] = n.place;
     }
-    if (leaves_only)
+    if (leaves_only && table < 0)
       for (uint32_t o = 0; o < op.outputs; ++o)
         if (output_places[o]) pool.give_back(output_places[o]);
+    if (op.kernel && key.wrt == 0) {
+      places.resize(first_place);
+      continue;
+    }
     const detail::CompiledPlan* plan = nullptr;
     if (op.kernel) {
       plan = &op.kernel->adjoint(key);
@@ -196,7 +240,7 @@ void Tape::Impl::plan_steps() {
     } else {
       for (uint32_t s = 0; s < op.inputs; ++s) check_value(input(op, s), op, s);
     }
-    steps.push_back({&op, key, plan, first_place});
+    steps.push_back({&op, key, plan, first_place, gradient_rows});
   }
 }
 
@@ -297,6 +341,7 @@ void Tape::Impl::run_kernel(const Step& step) {
                        .inputs = std::span(inputs.data(), op.inputs),
                        .input_gradients = std::span(gradients.data(), op.inputs),
                        .output_gradients = std::span(output_gradients.data(), op.outputs),
+                       .output_gradient_rows = step.gradient_rows,
                        .params = std::span(params).subspan(op.first_param, op.params),
                        .csr = op.csr ? &op.csr : nullptr,
                        .extent = op.extent});

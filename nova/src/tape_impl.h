@@ -107,6 +107,7 @@ struct Tape::Impl {
     detail::AdjointKey key;
     const detail::CompiledPlan* plan;
     size_t first_place;  // in `places`: of the gradients of the outputs, then of the inputs
+    int64_t gradient_rows = 0;  // of the gradients of the outputs
     int32_t group = -1;
   };
   // Memory for gradients that are not kept, used again after they were read. Of one backward: what
@@ -175,6 +176,7 @@ struct Tape::Impl {
   void plan_group(int32_t group);
   void run_group(const Group& group);
   bool begin_contribution(Node& n);
+  int32_t summed_through(size_t k, uint32_t s);
   bool bound_before(const Op& op, uint32_t s) const;
   void run_kernel(const Step& step);
   void run_custom(const Step& step);

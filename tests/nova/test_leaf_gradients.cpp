@@ -1,5 +1,6 @@
 // A tape that keeps the gradients of leaves only: the same bits, and nothing that can be misread.
 #include <array>
+#include <cmath>
 #include <thread>
 
 #include "novaphy/nova/op_list.h"
@@ -46,6 +47,88 @@ TEST(LeafGradients, HaveTheBitsOfATapeThatKeepsAll) {
     const auto leaves = gradients(KeepGradients::Leaves, backwards);
     for (size_t k = 0; k < all.size(); ++k)
       EXPECT_TRUE(same_bits<float>(leaves[k], all[k])) << backwards << " " << k;
+  }
+}
+
+// What elements give to their corners, and the sum of that for each row; the next step reads it.
+// `terms_too`: the loss reads what the elements gave as well. `copied`: the gradient of the sums
+// was written for every corner.
+struct ElementGradients {
+  std::vector<Floats> values;
+  bool copied = false;
+};
+ElementGradients element_gradients(KeepGradients keep, bool terms_too) {
+  const Kernel pull = nova::make_kernel("pull",
+                                        {{"corners", DType::I32, 2, Access::Direct},
+                                         {"x", DType::F32, 3, Access::Indexed},
+                                         {"stiffness", DType::F32, 1, Access::Direct}},
+                                        {{"pulls", 6}}, [](TraceContext& c) {
+                                          std::vector<Real> out;
+                                          for (int32_t k = 0; k < 2; ++k)
+                                            for (int32_t d = 0; d < 3; ++d) {
+                                              const Real a = c.f32(1, c.i32(0, k), d),
+                                                         b = c.f32(1, c.i32(0, 1 - k), d);
+                                              out.push_back(c.f32(2) * (b - a) * a);
+                                            }
+                                          return out;
+                                        });
+  const Kernel add_up = nova::make_reduce_kernel(
+      "add_up", {{"x", DType::F32, 3, Access::Direct}, {"pulls", DType::F32, 3, Access::CsrRow}},
+      {{"y", 3}},
+      {.init =
+           [](TraceContext& c) {
+             return std::vector{c.f32(0, 0), c.f32(0, 1), c.f32(0, 2)};
+           },
+       .body =
+           [](TraceContext& c) {
+             return std::vector{c.f32(1, 0), c.f32(1, 1), c.f32(1, 2)};
+           },
+       .epilogue = {}});
+  constexpr int64_t kElements = 40, kRows = 23;
+  std::vector<int32_t> corners;
+  Floats start, stiffness;
+  for (int64_t e = 0; e < kElements; ++e)
+    for (const int64_t row : {e % kRows, (5 * e + 2) % (kRows + 2) - 2})
+      corners.push_back(static_cast<int32_t>(row));
+  for (int64_t k = 0; k < 3 * kRows; ++k) start.push_back(0.3f * std::sin(static_cast<float>(k)));
+  for (int64_t e = 0; e < kElements; ++e) stiffness.push_back(0.1f * static_cast<float>(e % 7 + 1));
+  const Tensor table = Tensor::from_host(std::span<const int32_t>(corners), {kElements, 2});
+  Tensor first = Tensor::from_host(std::span<const float>(start), {kRows, 3});
+  Tensor k = Tensor::from_host(std::span<const float>(stiffness), {kElements});
+  first.set_requires_grad(true), k.set_requires_grad(true);
+  Tape tape(keep);
+  const TapeScope scope(tape);
+  Tensor x = first, pulls, other;
+  for (int step = 0; step < 3; ++step) {
+    pulls = pull(kElements, {table, x, k})[0];
+    if (terms_too) other = nova::mul(pulls, pulls);
+    nova::Operand terms = pulls.operand();
+    terms.rows = 2 * kElements, terms.width = 3;
+    const Tensor y({kRows, 3});
+    const nova::Operand in[] = {x.operand(), terms}, out = y.operand();
+    const nova::Incidence rows = nova::make_incidence(table.operand(), kRows);
+    add_up.launch(kRows, in, {&out, 1}, {.csr = &rows});
+    x = y;
+  }
+  Tensor loss = nova::dot(x, x);
+  if (terms_too) loss = nova::add(loss, nova::dot(other, pulls));
+  tape.backward(loss);
+  const std::vector<nova::KernelInfo> used = nova::kernel_info();
+  return {{first.grad().to_host(), k.grad().to_host()},
+          std::any_of(used.begin(), used.end(), [](const nova::KernelInfo& info) {
+            return info.name == "add_up.adjoint_items";
+          })};
+}
+
+// The adjoint of the elements then reads the gradient of the sums, without a copy for each corner.
+TEST(LeafGradients, OfElementsAreReadThroughTheirTable) {
+  for (const bool terms_too : {false, true}) {
+    const ElementGradients all = element_gradients(KeepGradients::All, terms_too);
+    const ElementGradients leaves = element_gradients(KeepGradients::Leaves, terms_too);
+    EXPECT_TRUE(all.copied);
+    EXPECT_EQ(leaves.copied, terms_too);
+    for (size_t k = 0; k < all.values.size(); ++k)
+      EXPECT_TRUE(same_bits<float>(leaves.values[k], all.values[k])) << terms_too << " " << k;
   }
 }
 

@@ -113,8 +113,13 @@ std::vector<nova::AdjointMask> detail::element_gradients(
   using Names = std::vector<std::string>;
   const Names seeded = {"contribution"}, state = {"particle_q", "particle_qd"};
   std::vector<nova::AdjointMask> masks;
+  // The gradient of the forces on the particles is read through `indices`, or (by a tape that keeps
+  // all gradients) comes as that of the contributions.
   const auto want = [&](const Names& wrt, const Names& accumulate) {
-    masks.push_back(nova::gradient_mask(kernel, wrt, accumulate, seeded));
+    for (const int32_t table : {0, -1}) {
+      masks.push_back(nova::gradient_mask(kernel, wrt, accumulate, seeded));
+      masks.back().table = table;
+    }
   };
   want(state, {});
   want({"particle_q"}, {});

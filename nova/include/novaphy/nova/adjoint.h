@@ -27,6 +27,9 @@ struct AdjointMask {
   std::vector<bool> wrt;         // per source: its gradient is wanted
   std::vector<bool> accumulate;  // per source: add to the gradient that is there (else store)
   std::vector<bool> seeded;      // per output: has a gradient
+  // Or -1: the source whose columns name the rows that the output was added to, a part of the
+  // output for each column. The gradient given is that of the sums, and read there.
+  int32_t table = -1;
   auto operator<=>(const AdjointMask&) const = default;
 };
 
@@ -68,6 +71,10 @@ struct AdjointPlan {
   std::vector<AdjointRowSum> row_sums;
   std::vector<bool> loads_value;  // per source: the adjoint reads its value
 };
+
+// The source of which a kernel adds up the rows of the items, and does nothing else with them: the
+// gradient at an item is that of the output at the item's row. -1: none.
+int32_t summed_source(const ir::Program& program);
 
 // Makes the plan. `program` still carries PARTIAL and DETACH. Throws novaphy::Error when a wanted
 // source is read in a way that has no gradient (an integer source, a computed row).

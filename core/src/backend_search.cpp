@@ -46,12 +46,13 @@ fs::path own_directory() {
 void host_parallel_for(int64_t chunks, void (*body)(void*, int64_t), void* context) noexcept {
   parallel_for(chunks, body, context);
 }
+int32_t host_in_parallel() noexcept { return in_parallel() ? 1 : 0; }
 
 }  // namespace
 
 const novaphy_host_api* host_api() {
   static const novaphy_host_api api = {sizeof(novaphy_host_api), NOVAPHY_ABI_MAJOR,
-                                       NOVAPHY_ABI_MINOR, &host_parallel_for};
+                                       NOVAPHY_ABI_MINOR, &host_parallel_for, &host_in_parallel};
   return &api;
 }
 

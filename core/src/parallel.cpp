@@ -161,6 +161,10 @@ void set_num_threads(int count) {
   old.swap(s.workers);
 }
 
+bool in_parallel() {
+  return t_inside || g_in_child.load(std::memory_order_relaxed) || num_threads() == 1;
+}
+
 void parallel_for(int64_t chunks, void (*body)(void*, int64_t), void* context) {
   if (chunks > 0) parallel_phases(0, {&chunks, 1}, body, context);
 }

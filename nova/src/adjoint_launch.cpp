@@ -78,34 +78,50 @@ void run_stage(const KernelImpl& kernel, const AdjointStage& stage, Executable& 
 
 void run_row_sums(const CompiledPlan& plan, const AdjointCall& call, const Scratch& scratch,
                   int64_t items) {
+  const std::vector<AdjointRowSum>& sums = plan.plan.row_sums;
   uint64_t stored = plan.key.accumulate;  // sources whose gradient holds a contribution already
-  for (size_t k = 0; k < plan.plan.row_sums.size(); ++k) {
-    const AdjointRowSum& r = plan.plan.row_sums[k];
-    const uint64_t bit = uint64_t{1} << r.source;
+  const auto target = [&](const AdjointRowSum& r) {
     Operand out = *call.inputs[r.source];
     out.range = *call.input_gradients[r.source];
-    bool add = stored & bit;
+    return out;
+  };
+  // Whether what is there is added to. Rows that the sum does not reach are zero.
+  const auto adds = [&](const AdjointRowSum& r, const Operand& out, int64_t rows) {
+    const uint64_t bit = uint64_t{1} << r.source;
+    const bool add = stored & bit, partly = !add && rows < out.rows;
+    if (partly) submit_fill(out.range, 0.0f);
+    stored |= bit;
+    return add || partly;
+  };
+  for (size_t k = 0; k < sums.size(); ++k) {
+    const AdjointRowSum& r = sums[k];
+    const Operand out = target(r);
+    if (r.kind == AdjointRowSum::Kind::Table) {
+      const Operand* init = adds(r, out, out.rows) ? &out : nullptr;
+      const Incidence incidence = cached_incidence(*call.inputs[r.table], out.rows);
+      hold_in_capture(incidence);
+      // Positions and velocities come one after the other.
+      if (k + 1 < sums.size() && sums[k + 1].kind == r.kind && sums[k + 1].table == r.table &&
+          sums[k + 1].source != r.source && sums[k + 1].per_item == r.per_item &&
+          sums[k + 1].width == r.width && call.inputs[sums[k + 1].source]->rows == out.rows) {
+        const Operand second = target(sums[k + 1]);
+        const bool add = adds(sums[k + 1], second, second.rows);
+        row_sums({&scratch.contributions[k], init, &out},
+                 {&scratch.contributions[k + 1], add ? &second : nullptr, &second}, *incidence);
+        ++k;
+        continue;
+      }
+      row_sum(scratch.contributions[k], *incidence, init, out);
+      continue;
+    }
     const int64_t domain = r.per_item ? items : call.dim;
     const int64_t rows = r.kind == AdjointRowSum::Kind::Uniform   ? 1
                          : r.kind == AdjointRowSum::Kind::Reduced ? call.extent
-                         : r.kind == AdjointRowSum::Kind::Row     ? std::min(domain, out.rows)
-                                                                  : out.rows;
-    if (!add && rows < out.rows) {  // rows that the sum does not reach are zero
-      submit_fill(out.range, 0.0f);
-      add = true;
-    }
-    const Operand* init = add ? &out : nullptr;
-    if (r.kind == AdjointRowSum::Kind::Table) {
-      const Incidence incidence = cached_incidence(*call.inputs[r.table], out.rows);
-      hold_in_capture(incidence);
-      row_sum(scratch.contributions[k], *incidence, init, out);
-    } else {
-      const int64_t stride = r.kind == AdjointRowSum::Kind::Row       ? 1
-                             : r.kind == AdjointRowSum::Kind::Reduced ? call.dim
-                                                                      : domain;
-      row_sum(scratch.contributions[k], rows, stride, init, out);
-    }
-    stored |= bit;
+                                                                  : std::min(domain, out.rows);
+    const int64_t stride = r.kind == AdjointRowSum::Kind::Row       ? 1
+                           : r.kind == AdjointRowSum::Kind::Reduced ? call.dim
+                                                                    : domain;
+    row_sum(scratch.contributions[k], rows, stride, adds(r, out, rows) ? &out : nullptr, out);
   }
 }
 

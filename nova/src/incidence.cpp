@@ -1,9 +1,12 @@
 #include "novaphy/nova/incidence.h"
 
 #include <algorithm>
+#include <array>
 #include <map>
 #include <mutex>
+#include <span>
 #include <tuple>
+#include <vector>
 
 #include "fusion.h"
 #include "novaphy/core/backend.h"
@@ -18,22 +21,26 @@ using novaphy::require;
 
 namespace {
 
-// A builtin of the backend, made once per device.
-novaphy_kernel* builtin(const DeviceContext& context, const std::string& name) {
+// A builtin of the backend, made once per device. Null: the device lacks it, which only some may.
+novaphy_kernel* builtin(const DeviceContext& context, const std::string& name,
+                        bool may_lack = false) {
   struct Made {
     novaphy_module* module = nullptr;
     novaphy_kernel* kernel = nullptr;
+    bool lacks = false;
   };
   static std::mutex mutex;
   // Never destroyed: tensors of static lifetime may still use it at exit.
   static auto& all = *new std::map<std::pair<const DeviceContext*, std::string>, Made>;
   std::lock_guard lock(mutex);
   Made& made = all[{&context, name}];
-  if (!made.kernel) {
+  if (!made.kernel && !made.lacks) {
     novaphy_error error = novaphy::make_error();
-    novaphy::check(context.api->module_create(context.device, NOVAPHY_CODE_BUILTIN, name.c_str(),
-                                              name.size(), &made.module, &error),
-                   error, name.c_str());
+    const novaphy_status status = context.api->module_create(
+        context.device, NOVAPHY_CODE_BUILTIN, name.c_str(), name.size(), &made.module, &error);
+    made.lacks = may_lack && status == NOVAPHY_INVALID_ARGUMENT;
+    if (made.lacks) return nullptr;
+    novaphy::check(status, error, name.c_str());
     novaphy::check(context.api->kernel_get(made.module, "main", &made.kernel, &error), error,
                    name.c_str());
   }
@@ -42,59 +49,99 @@ novaphy_kernel* builtin(const DeviceContext& context, const std::string& name) {
 
 uint64_t word(const void* p) { return reinterpret_cast<uint64_t>(p); }
 
-// How the arguments of a row sum depend on the row. Kept for good: recordings refer to it.
+// How the arguments of a row sum depend on the row. Kept for good: recordings refer to it. `init`:
+// whether each of the sums has one.
 const detail::RowLayout* row_sum_layout(uint32_t row_bytes, int64_t stride, bool by_offsets,
-                                        bool has_init) {
+                                        std::span<const bool> init) {
   static std::mutex mutex;
-  static auto& known = *new std::map<std::tuple<uint32_t, int64_t, bool>, detail::RowLayout>;
+  static auto& known =
+      *new std::map<std::tuple<uint32_t, int64_t, std::vector<bool>>, detail::RowLayout>;
   const std::lock_guard lock(mutex);
-  const auto [at, is_new] = known.try_emplace({row_bytes, by_offsets ? -1 : stride, has_init});
+  const auto [at, is_new] = known.try_emplace(
+      {row_bytes, by_offsets ? -1 : stride, std::vector<bool>(init.begin(), init.end())});
   detail::RowLayout& layout = at->second;
   if (!is_new) return &layout;
   layout.row_local = true;
-  layout.operations = row_bytes;  // those of a few items
+  layout.operations = row_bytes * static_cast<uint32_t>(init.size());  // those of a few items
   if (by_offsets) {
     layout.tables.push_back({1, 4});
   } else {
     layout.inputs.push_back({0, static_cast<uint32_t>(stride) * row_bytes});
   }
-  if (has_init) layout.inputs.push_back({3, row_bytes});
-  layout.outputs.push_back({4, row_bytes});
+  constexpr uint32_t kInit[] = {3, 8}, kOut[] = {4, 9};
+  for (size_t k = 0; k < init.size(); ++k) {
+    if (init[k]) layout.inputs.push_back({kInit[k], row_bytes});
+    layout.outputs.push_back({kOut[k], row_bytes});
+  }
   return &layout;
 }
 
-void run_row_sum(const Operand& source, const void* offsets, const void* items, int64_t rows,
-                 int64_t stride, const Operand* init, const Operand& out) {
-  require(out.width == source.width && out.rows >= rows, ErrorKind::Value, "row_sum: expected ",
-          rows, " rows of width ", source.width, ", got ", out.rows, " of width ", out.width);
-  const DeviceContext& context = novaphy::device_context(out.range->storage().device());
-  static thread_local const DeviceContext* known_context = nullptr;
-  static thread_local novaphy_kernel* known = nullptr;
-  if (known_context != &context) {
-    known = builtin(context, "row_sum_f32");
-    known_context = &context;
+// One sum, or two over the same items.
+void run_row_sums(std::span<const RowSumTerm> terms, const void* offsets, const void* items,
+                  int64_t rows, int64_t stride) {
+  const Operand& first = *terms[0].out;
+  for (const RowSumTerm& term : terms)
+    require(term.out->width == term.source->width && term.out->width == first.width &&
+                term.out->rows >= rows,
+            ErrorKind::Value, "row_sum: expected ", rows, " rows of width ", term.source->width,
+            ", got ", term.out->rows, " of width ", term.out->width);
+  const DeviceContext& context = novaphy::device_context(first.range->storage().device());
+  struct Known {
+    const DeviceContext* context = nullptr;
+    novaphy_kernel* one = nullptr;
+    novaphy_kernel* pair = nullptr;  // null: the device has none
+  };
+  static thread_local Known known;
+  if (known.context != &context)
+    known = {&context, builtin(context, "row_sum_f32"), builtin(context, "row_sum_pair_f32", true)};
+  if (terms.size() > 1 && !known.pair) {
+    for (const RowSumTerm& term : terms) run_row_sums({&term, 1}, offsets, items, rows, stride);
+    return;
   }
-  const uint64_t words[] = {word(source.range->data()),
-                            word(offsets),
-                            word(items),
-                            init ? word(init->range->data()) : 0,
-                            word(out.range->data()),
-                            static_cast<uint64_t>(source.width),
-                            static_cast<uint64_t>(stride)};
-  const auto row_bytes = static_cast<uint64_t>(out.width) * 4;
+  const auto row_bytes = static_cast<uint64_t>(first.width) * 4;
   const auto row_count = static_cast<uint64_t>(rows);
-  const detail::MemoryAccess accesses[] = {
-      {words[0], static_cast<uint64_t>(source.rows) * row_bytes},
-      {words[3], init ? row_count * row_bytes : 0, static_cast<uint32_t>(row_bytes)},
-      {words[4], row_count * row_bytes, static_cast<uint32_t>(row_bytes), true}};
-  const detail::RowLayout* layout = current_capture() == nullptr
-                                        ? nullptr
-                                        : row_sum_layout(static_cast<uint32_t>(row_bytes), stride,
-                                                         offsets != nullptr, init != nullptr);
-  submit_launch(context, known, "row_sum", rows, words, layout, accesses);
-  note_write(out.range);
-  for (const Operand* operand : {&source, init, &out})
-    if (operand) hold_in_capture(operand->range);
+  std::array<uint64_t, 10> words = {0,
+                                    word(offsets),
+                                    word(items),
+                                    0,
+                                    0,
+                                    static_cast<uint64_t>(first.width),
+                                    static_cast<uint64_t>(stride)};
+  std::array<detail::MemoryAccess, 6> accesses;
+  std::array<bool, 2> has_init;
+  constexpr size_t kWords[2][3] = {{0, 3, 4}, {7, 8, 9}};  // source, init, out
+  for (size_t k = 0; k < terms.size(); ++k) {
+    const auto& [source, init, out] = terms[k];
+    has_init[k] = init != nullptr;
+    const auto [s, i, o] = kWords[k];
+    words[s] = word(source->range->data());
+    words[i] = init ? word(init->range->data()) : 0;
+    words[o] = word(out->range->data());
+    const auto bytes = static_cast<uint32_t>(row_bytes);
+    accesses[3 * k] = {words[s], static_cast<uint64_t>(source->rows) * row_bytes};
+    accesses[3 * k + 1] = {words[i], init ? row_count * row_bytes : 0, bytes};
+    accesses[3 * k + 2] = {words[o], row_count * row_bytes, bytes, true};
+  }
+  const detail::RowLayout* layout =
+      current_capture() == nullptr
+          ? nullptr
+          : row_sum_layout(static_cast<uint32_t>(row_bytes), stride, offsets != nullptr,
+                           std::span(has_init.data(), terms.size()));
+  const bool pair = terms.size() > 1;
+  submit_launch(context, pair ? known.pair : known.one, "row_sum", rows,
+                std::span(words.data(), pair ? 10 : 7), layout,
+                std::span(accesses.data(), 3 * terms.size()));
+  for (const RowSumTerm& term : terms) {
+    note_write(term.out->range);
+    for (const Operand* operand : {term.source, term.init, term.out})
+      if (operand) hold_in_capture(operand->range);
+  }
+}
+
+void run_row_sums(std::span<const RowSumTerm> terms, const IncidenceData& rows) {
+  run_row_sums(terms, rows.offsets->data(), rows.items->data(), rows.rows, 0);
+  hold_in_capture(rows.offsets);
+  hold_in_capture(rows.items);
 }
 
 }  // namespace
@@ -150,15 +197,19 @@ Incidence cached_incidence(const Operand& table, int64_t rows) {
 
 void row_sum(const Operand& source, const IncidenceData& rows, const Operand* init,
              const Operand& out) {
-  run_row_sum(source, rows.offsets->data(), rows.items->data(), rows.rows, 0, init, out);
-  hold_in_capture(rows.offsets);
-  hold_in_capture(rows.items);
+  const RowSumTerm term{&source, init, &out};
+  run_row_sums({&term, 1}, rows);
+}
+void row_sums(const RowSumTerm& first, const RowSumTerm& second, const IncidenceData& rows) {
+  const RowSumTerm terms[] = {first, second};
+  run_row_sums(terms, rows);
 }
 void row_sum(const Operand& source, int64_t rows, int64_t stride, const Operand* init,
              const Operand& out) {
   require(source.rows >= rows * stride, ErrorKind::Value, "row_sum: ", rows, " rows of ", stride,
           " items need more than ", source.rows);
-  run_row_sum(source, nullptr, nullptr, rows, stride, init, out);
+  const RowSumTerm term{&source, init, &out};
+  run_row_sums({&term, 1}, nullptr, nullptr, rows, stride);
 }
 
 }  // namespace nova

@@ -150,17 +150,16 @@ int32_t Tape::Impl::summed_through(size_t k, uint32_t s) {
   if (!leaves_only || k == 0 || !sum.kernel || !sum.csr ||
       sum.kernel->summed_source != static_cast<int32_t>(s) || bound_before(sum, s))
     return -1;
-  const Op& before = ops[k - 1];
-  if (!before.kernel || before.constant || before.outputs != 1 || before.group != sum.group)
-    return -1;
-  const Operand& terms = output(before, 0);
+  const Op& giver = ops[k - 1];
+  if (!giver.kernel || giver.constant || giver.outputs != 1 || giver.group != sum.group) return -1;
+  const Operand& terms = output(giver, 0);
   if (input(sum, s).operand.range != terms.range || find(*terms.range)->set) return -1;
   const Operand& table = sum.csr->table;
-  for (uint32_t t = 0; t < before.inputs; ++t) {
-    const Operand& in = input(before, t).operand;
+  for (uint32_t t = 0; t < giver.inputs; ++t) {
+    const Operand& in = input(giver, t).operand;
     const bool same = in.range == table.range && in.rows * in.width == table.rows &&
-                      before.kernel->sources[t].access == Access::Direct;
-    if (same && in.rows == before.dim && terms.width == in.width * output(sum, 0).width)
+                      giver.kernel->sources[t].access == Access::Direct;
+    if (same && in.rows == giver.dim && terms.width == in.width * output(sum, 0).width)
       return static_cast<int32_t>(t);
   }
   return -1;

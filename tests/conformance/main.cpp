@@ -28,7 +28,7 @@ void host_parallel_for(int64_t chunks, void (*body)(void*, int64_t), void* conte
 
 const novaphy_backend_api* load(const std::string& path) {
   static const novaphy_host_api host = {sizeof(novaphy_host_api), NOVAPHY_ABI_MAJOR,
-                                        NOVAPHY_ABI_MINOR, &host_parallel_for};
+                                        NOVAPHY_ABI_MINOR, &host_parallel_for, nullptr};
   void* library = dlopen(path.c_str(), RTLD_NOW | RTLD_LOCAL);
   if (library == nullptr) {
     g_reason = dlerror();

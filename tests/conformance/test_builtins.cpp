@@ -120,6 +120,48 @@ TEST(RowSum, FollowsTheRuleOfChunksForEveryLengthAndWidth) {
   novaphy::set_num_threads(before);
 }
 
+// Two sums over the same items; a backend may lack it.
+TEST(RowSum, OfAPairAreThoseOfEach) {
+  novaphy_error error = make_error();
+  novaphy_module* known = nullptr;
+  const char name[] = "row_sum_pair_f32";
+  if (backend().api->module_create(backend().device, NOVAPHY_CODE_BUILTIN, name, sizeof(name),
+                                   &known, &error) != NOVAPHY_OK)
+    GTEST_SKIP() << error.message;
+  backend().api->module_destroy(known);
+  const Module pair(name);
+  std::vector<int64_t> lengths = {0, 1, 257, 3, 600, 2};
+  for (int k = 0; k < 400; ++k) lengths.push_back(k % 9);
+  std::vector<int32_t> offsets = {0};
+  for (const int64_t length : lengths)
+    offsets.push_back(offsets.back() + static_cast<int32_t>(length));
+  const auto total = static_cast<size_t>(offsets.back());
+  std::vector<int32_t> items(total);
+  for (int32_t& item : items) item = static_cast<int32_t>(next_random() % total);
+  items[0] = 0;
+  for (const int64_t width : {1, 3, 4})
+    for (const int with_init : {0, 1, 2, 3}) {
+      const RowSumCase first{lengths, true, (with_init & 1) != 0},
+          second{lengths, true, (with_init & 2) != 0};
+      const auto words = static_cast<size_t>(width);
+      const std::vector<float> a = random_floats(total * words), b = random_floats(total * words),
+                               init_a = random_floats(lengths.size() * words),
+                               init_b = random_floats(lengths.size() * words);
+      const Buffer d_a(words_of(a)), d_b(words_of(b)), d_offsets(words_of(offsets)),
+          d_items(words_of(items)), d_init_a(words_of(init_a)), d_init_b(words_of(init_b)),
+          out_a(std::vector<uint32_t>(init_a.size(), 1)),
+          out_b(std::vector<uint32_t>(init_b.size(), 1));
+      const Result result = pair.launch(
+          static_cast<int64_t>(lengths.size()),
+          {d_a.word(), d_offsets.word(), d_items.word(), first.with_init ? d_init_a.word() : 0,
+           out_a.word(), static_cast<uint64_t>(width), 0, d_b.word(),
+           second.with_init ? d_init_b.word() : 0, out_b.word()});
+      ASSERT_EQ(result.status, NOVAPHY_OK) << result.message;
+      EXPECT_EQ(out_a.read(), expected_sums(first, width, offsets, items, a, init_a)) << width;
+      EXPECT_EQ(out_b.read(), expected_sums(second, width, offsets, items, b, init_b)) << width;
+    }
+}
+
 TEST(RowSum, WithoutOffsetsEveryRowHasTheStrideAsLength) {
   const Module module("row_sum_f32");
   for (const int64_t stride : {0, 1, 4, 300, 100000}) {

@@ -140,7 +140,7 @@ class ForcedIsa {
 
 inline const novaphy_host_api& host_api() {
   static const novaphy_host_api host = {sizeof(novaphy_host_api), NOVAPHY_ABI_MAJOR,
-                                        NOVAPHY_ABI_MINOR, &host_parallel_for};
+                                        NOVAPHY_ABI_MINOR, &host_parallel_for, nullptr};
   return host;
 }
 

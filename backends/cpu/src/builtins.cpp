@@ -132,69 +132,100 @@ void sum_long_row(const novaphy_host_api& host, const RowSum& s, int64_t begin, 
 }
 
 struct RowSumLaunch {
-  RowSum sum;
+  RowSum sum, second;  // without an `out`: there is no second
   int64_t chunk_rows;
   const novaphy_host_api* host;
   std::atomic<bool> out_of_memory{false};
 };
 
 // Positions, velocities and forces: a row of three floats is read as four, with the one before it.
-// False at a long row, which is left with those behind it.
-bool sum_rows_of_three(const RowSum& s, int64_t& row, int64_t last) {
+class RowsOfThree {
+ public:
+  explicit RowsOfThree(const RowSum& sum) : sum_(sum) {}
+  void begin(int64_t row) {
+    const float* init = sum_.init + 3 * row;
+    four_ = sum_.init != nullptr ? Four{0.0f, init[0], init[1], init[2]} : Four{};
+  }
+  void add(int64_t item) {
+    const float* at = sum_.source + 3 * item;
+    four_ +=
+        item != 0 ? *reinterpret_cast<const Unaligned*>(at - 1) : Four{0.0f, at[0], at[1], at[2]};
+  }
+  void end(int64_t row) const {
+    for (int c = 0; c < 3; ++c) sum_.out[3 * row + c] = four_[c + 1];
+  }
+
+ private:
   using Four = float __attribute__((vector_size(16)));
   using Unaligned = Four __attribute__((aligned(4), may_alias));
-  const auto load = [&s](const float* at) {
-    return at != s.source ? *reinterpret_cast<const Unaligned*>(at - 1)
-                          : Four{0.0f, at[0], at[1], at[2]};
-  };
+  const RowSum sum_;
+  Four four_ = {};
+};
+
+// The rows of one or two sums over the same items. False at a long row, which is left with those
+// behind it.
+template <class... Sums>
+bool sum_rows_of_three(const RowSum& items, int64_t& row, int64_t last, Sums... sums) {
   for (; row < last; ++row) {
-    const int64_t begin = s.begin(row), end = s.end(row);
+    const int64_t begin = items.begin(row), end = items.end(row);
     if (end - begin > kSumChunk) return false;
-    Four sum = {};
-    if (s.init != nullptr) {
-      const float* init = s.init + 3 * row;
-      sum = Four{0.0f, init[0], init[1], init[2]};
+    (sums.begin(row), ...);
+    for (int64_t k = begin; k < end; ++k) {
+      const int64_t item = items.items != nullptr ? items.items[k] : k;
+      (sums.add(item), ...);
     }
-    for (int64_t k = begin; k < end; ++k) sum += load(s.item(k));
-    for (int c = 0; c < 3; ++c) s.out[3 * row + c] = sum[c + 1];
+    (sums.end(row), ...);
   }
   return true;
+}
+bool sum_rows_of_three(const RowSumLaunch& launch, int64_t& row, int64_t last) {
+  const RowSum &sum = launch.sum, &second = launch.second;
+  if (sum.width != 3) return false;
+  return second.out == nullptr
+             ? sum_rows_of_three(sum, row, last, RowsOfThree(sum))
+             : sum_rows_of_three(sum, row, last, RowsOfThree(sum), RowsOfThree(second));
+}
+
+void sum_row(RowSumLaunch& launch, const RowSum& s, int64_t row) {
+  float* out = s.out + row * s.width;
+  if (s.init == nullptr) {
+    std::fill(out, out + s.width, 0.0f);
+  } else if (s.init != s.out) {
+    std::memcpy(out, s.init + row * s.width, static_cast<size_t>(s.width) * sizeof(float));
+  }
+  const int64_t begin = s.begin(row), end = s.end(row);
+  if (end - begin <= kSumChunk) return fold_any(s, begin, end, out);
+  try {
+    sum_long_row(*launch.host, s, begin, end, out);
+  } catch (...) {  // only the partial sums allocate
+    launch.out_of_memory = true;
+  }
 }
 
 void sum_rows(void* opaque, int64_t chunk) {
   auto& launch = *static_cast<RowSumLaunch*>(opaque);
-  const RowSum& s = launch.sum;
   const FloatMode mode;
-  const int64_t first = chunk * launch.chunk_rows, last = std::min(s.n, first + launch.chunk_rows);
+  const int64_t first = chunk * launch.chunk_rows,
+                last = std::min(launch.sum.n, first + launch.chunk_rows);
   for (int64_t row = first; row < last; ++row) {
-    if (s.width == 3 && sum_rows_of_three(s, row, last)) return;
-    float* out = s.out + row * s.width;
-    if (s.init == nullptr) {
-      std::fill(out, out + s.width, 0.0f);
-    } else if (s.init != s.out) {
-      std::memcpy(out, s.init + row * s.width, static_cast<size_t>(s.width) * sizeof(float));
-    }
-    const int64_t begin = s.begin(row), end = s.end(row);
-    if (end - begin <= kSumChunk) {
-      fold_any(s, begin, end, out);
-      continue;
-    }
-    try {
-      sum_long_row(*launch.host, s, begin, end, out);
-    } catch (...) {  // only the partial sums allocate
-      launch.out_of_memory = true;
-    }
+    if (sum_rows_of_three(launch, row, last)) return;
+    sum_row(launch, launch.sum, row);
+    if (launch.second.out != nullptr) sum_row(launch, launch.second, row);
   }
 }
 
-novaphy_status row_sum(const novaphy_host_api& host, int64_t n, const uint64_t* a,
-                       novaphy_error* error) {
+novaphy_status row_sums(const novaphy_host_api& host, int64_t n, const uint64_t* a, bool pair,
+                        novaphy_error* error) {
   RowSumLaunch launch;
   launch.host = &host;
   launch.sum = {pointer<const float>(a[0]),   pointer<const int32_t>(a[1]),
                 pointer<const int32_t>(a[2]), pointer<const float>(a[3]),
                 pointer<float>(a[4]),         static_cast<int64_t>(a[5]),
                 static_cast<int64_t>(a[6]),   n};
+  launch.second = launch.sum;
+  launch.second.source = pair ? pointer<const float>(a[7]) : nullptr;
+  launch.second.init = pair ? pointer<const float>(a[8]) : nullptr;
+  launch.second.out = pair ? pointer<float>(a[9]) : nullptr;
   if (launch.sum.width < 1) {
     return fail(error, NOVAPHY_INVALID_ARGUMENT,
                 "row_sum_f32: width: expected at least 1, got %lld",
@@ -218,6 +249,14 @@ novaphy_status row_sum(const novaphy_host_api& host, int64_t n, const uint64_t* 
   if (launch.out_of_memory)
     return fail(error, NOVAPHY_OUT_OF_MEMORY, "row_sum_f32: out of host memory");
   return NOVAPHY_OK;
+}
+novaphy_status row_sum(const novaphy_host_api& host, int64_t n, const uint64_t* a,
+                       novaphy_error* error) {
+  return row_sums(host, n, a, false, error);
+}
+novaphy_status row_sum_pair(const novaphy_host_api& host, int64_t n, const uint64_t* a,
+                            novaphy_error* error) {
+  return row_sums(host, n, a, true, error);
 }
 
 novaphy_status exclusive_scan(const novaphy_host_api&, int64_t n, const uint64_t* a,
@@ -295,6 +334,7 @@ novaphy_status incidence(const novaphy_host_api&, int64_t n, const uint64_t* a,
 
 constexpr Builtin kBuiltins[] = {
     {"row_sum_f32", 7, row_sum},
+    {"row_sum_pair_f32", 10, row_sum_pair},
     {"exclusive_scan_i32", 2, exclusive_scan},
     {"sort_by_key_i32", 2, sort_by_key},
     {"incidence_i32", 4, incidence},

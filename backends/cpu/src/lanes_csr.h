@@ -18,18 +18,26 @@ LANE_FN void csr_add(const char* s, int64_t rows, int32_t width, const int32_t* 
   four_floats sum[LANES];
   store4f((char*)sum, *a, *b, *c, *d);
   const int64_t whole = rows + 1 - (width + 3) / width;
+#define CSR_ADD(k)                                                          \
+  {                                                                         \
+    const int32_t row = items != NULL ? items[k] : (k);                     \
+    if (__builtin_expect(row >= 0 && row < whole, 1))                       \
+      add += *(const four_floats_unaligned*)(s + 4 * (int64_t)row * width); \
+    else                                                                    \
+      add += part_of_row(s, rows, row, width, source, i + l, sink);         \
+  }
   for (int l = 0; l < LANES; ++l) {
     four_floats add = sum[l];
-    for (int32_t k = offsets[i + l]; k < offsets[i + l + 1]; ++k) {
-      const int32_t row = items != NULL ? items[k] : k;
-      if (__builtin_expect(row >= 0 && row < whole, 1)) {
-        add += *(const four_floats_unaligned*)(s + 4 * (int64_t)row * width);
-      } else {
-        add += part_of_row(s, rows, row, width, source, i + l, sink);
-      }
+    const int32_t end = offsets[i + l + 1];
+    int32_t k = offsets[i + l];
+    for (; k + 2 <= end; k += 2) {
+      CSR_ADD(k)
+      CSR_ADD(k + 1)
     }
+    if (k < end) CSR_ADD(k)
     sum[l] = add;
   }
+#undef CSR_ADD
   load4f((const char*)sum, a, b, c, d);
 }
 #define CSR_ARGUMENTS                                                                        \

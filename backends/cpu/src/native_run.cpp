@@ -67,7 +67,8 @@ void run_native_rows(const Executable& executable, const uint64_t* arguments, in
 void run_native(const Executable& executable, const novaphy_host_api& host, int64_t n,
                 const uint64_t* arguments, ErrorSink& sink) {
   constexpr int64_t kFew = 128;  // too few to ask what they cost
-  const int64_t rows = n <= kFew ? n : chunk_rows(executable, n, arguments);
+  const bool whole = n <= kFew || (host.in_parallel != nullptr && host.in_parallel() != 0);
+  const int64_t rows = whole ? n : chunk_rows(executable, n, arguments);
   if (n <= rows) {
     run_native_rows(executable, arguments, 0, n, sink);
   } else {

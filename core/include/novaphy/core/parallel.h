@@ -21,6 +21,8 @@ NOVAPHY_CORE_API int available_cpus();
 // Calls body(context, chunk) for every chunk in [0, chunks) and returns when all are done. Nested
 // calls and calls in a child process after fork run on the calling thread.
 NOVAPHY_CORE_API void parallel_for(int64_t chunks, void (*body)(void*, int64_t), void* context);
+// Whether parallel_for would call all chunks on this thread, as inside of a chunk.
+NOVAPHY_CORE_API bool in_parallel();
 // The same for the chunks of phases that follow one another: those from `first` to ends[0] are done
 // before any of those to ends[1] begins. The threads meet between phases, which costs a fraction of
 // a microsecond, instead of being called anew for each.

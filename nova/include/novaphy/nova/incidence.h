@@ -32,6 +32,14 @@ NOVAPHY_NOVA_API Incidence cached_incidence(const Operand& table, int64_t rows);
 // (see <novaphy/abi/program.h>). Null init: starts from +0. out may be init.
 NOVAPHY_NOVA_API void row_sum(const Operand& source, const IncidenceData& rows, const Operand* init,
                               const Operand& out);
+// Two of them over the same rows; in one launch where the device can.
+struct RowSumTerm {
+  const Operand* source;
+  const Operand* init;
+  const Operand* out;
+};
+NOVAPHY_NOVA_API void row_sums(const RowSumTerm& first, const RowSumTerm& second,
+                               const IncidenceData& rows);
 // The same with rows of `stride` consecutive items.
 NOVAPHY_NOVA_API void row_sum(const Operand& source, int64_t rows, int64_t stride,
                               const Operand* init, const Operand& out);

@@ -24,7 +24,7 @@ extern "C" {
 #endif
 
 #define NOVAPHY_ABI_MAJOR 0u
-#define NOVAPHY_ABI_MINOR 6u
+#define NOVAPHY_ABI_MINOR 7u
 
 typedef enum novaphy_status {
   NOVAPHY_OK = 0,
@@ -45,12 +45,14 @@ typedef struct novaphy_error {
 
 /* What the host lends to a backend. `parallel_for` calls body(context, chunk) once for every chunk
  * in [0, chunks), possibly on several threads and in any order, and returns when all have finished.
- */
+ * `in_parallel`, which may be null: whether that would be on the calling thread alone, as from
+ * within a chunk. There is no use in small chunks then. */
 typedef struct novaphy_host_api {
   uint64_t struct_size;
   uint32_t abi_major;
   uint32_t abi_minor;
   void (*parallel_for)(int64_t chunks, void (*body)(void* context, int64_t chunk), void* context);
+  int32_t (*in_parallel)(void);
 } novaphy_host_api;
 
 typedef struct novaphy_device novaphy_device;

@@ -127,6 +127,31 @@ TEST(Emit, TakesFourColumnsOfAWideRowAtATime) {
       });
   expect_golden("wide", kernel.program());
 }
+// A force that acts within a distance, and its adjoint: the items that did not act in the first sum
+// add nothing to the second.
+TEST(Emit, LeavesOutItemsOfASecondSumThatDidNotActInTheFirst) {
+  const nova::Kernel kernel = nova::make_reduce_kernel(
+      "springs_to_points",
+      {{"x", DType::F32, 3, Access::Direct}, {"point", DType::F32, 3, Access::Reduced}}, {{"f", 1}},
+      {.init = [](TraceContext&) { return std::vector{Real(0.0f)}; },
+       .body =
+           [](TraceContext& c) {
+             Real d = Real(0.0f);
+             for (int32_t k = 0; k < 3; ++k) {
+               const Real e = c.f32(1, k) - c.f32(0, k);
+               d = d + e * e;
+             }
+             Real force = d;
+             for (int k = 0; k < 12; ++k) force = nova::sqrt(force * d + Real(1.0f));
+             return std::vector{nova::select(d < Real(0.25f), force, Real(0.0f))};
+           },
+       .epilogue = [](TraceContext&,
+                      std::span<const Real> sums) { return std::vector{sums[0] * sums[0]}; }});
+  const nova::AdjointPlan& plan = kernel.adjoint(nova::gradient_mask(kernel, {"x"}, {}, {"f"}));
+  const std::string text = nova::ir::emit_c(plan.rows[0].program);
+  EXPECT_NE(text.find("acting1 |= 1u << r0;"), std::string::npos) << text;
+  EXPECT_NE(text.find("(acting1 >> r1 & 1u) == 0) continue;"), std::string::npos) << text;
+}
 TEST(Emit, GathersTheRowsOfElementsOneGroupAhead) {
   const nova::Kernel kernel =
       nova::make_kernel("spring",

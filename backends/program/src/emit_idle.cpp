@@ -16,7 +16,10 @@ class Finder {
       : p_(program), plan_(plan), loop_(loop) {}
 
   std::optional<IdleItem> run(const std::vector<KeptValues>& kept) {
-    if (!find_region() || !kept_before(kept)) return std::nullopt;
+    return find_region() && kept_before(kept) ? in_region(region_) : std::nullopt;
+  }
+  std::optional<IdleItem> in_region(int32_t region) {
+    region_ = region;
     IdleItem found{loop_, region_, {}};
     for (const Sum& sum : p_.loops[at(loop_)].sums) {
       const auto term = constant(sum.term);
@@ -96,7 +99,73 @@ class Finder {
   size_t begin_ = 0;  // its step
 };
 
+// Whether two values are the same function of what lies outside of their loops and of the step.
+class SameValue {
+ public:
+  SameValue(const Program& program, int32_t loop, int32_t earlier)
+      : p_(program), loop_(loop), earlier_(earlier) {}
+
+  bool operator()(Value a, Value b) {
+    const Instr &x = p_.instrs[at(a)], &y = p_.instrs[at(b)];
+    if (x.op == Op::REDUCE_INDEX && y.op == x.op && x.a == loop_ && y.a == earlier_) return true;
+    if (a == b) return true;
+    if (x.op != y.op || x.op == Op::SUM || x.op == Op::REDUCE_INDEX) return false;
+    const auto known = known_.find({a, b});
+    if (known != known_.end()) return known->second;
+    const char* kinds = kOpSignatures[static_cast<int>(x.op)];
+    const auto same = [&](char kind, int32_t c, int32_t d) {
+      return kind == '#' || kind == '-' ? c == d : (*this)(c, d);
+    };
+    return known_[{a, b}] =
+               same(kinds[1], x.a, y.a) && same(kinds[2], x.b, y.b) && same(kinds[3], x.c, y.c);
+  }
+
+ private:
+  const Program& p_;
+  const int32_t loop_, earlier_;
+  std::map<std::pair<Value, Value>, bool> known_;
+};
+
 }  // namespace
+
+std::vector<FollowedItem> find_followed_items(const Program& program, const EmitPlan& plan) {
+  // Regions of a loop that stand there under no condition, and that lanes take or not.
+  std::vector<std::vector<int32_t>> regions(program.loops.size());
+  int32_t loop = -1;
+  for (size_t s = 0; s < plan.steps.size(); ++s) {
+    const Step& step = plan.steps[s];
+    if (step.kind == Step::Kind::LoopBegin) loop = step.value;
+    if (step.kind == Step::Kind::LoopEnd) loop = -1;
+    if (step.kind != Step::Kind::SkipIfNone || loop < 0) continue;
+    const int32_t r = plan.region_of_step[s];
+    const Region& region = plan.regions[at(r)];
+    if (region.printed && plan.printed_region(region.parent) < 0 && !plan.uniform[at(region.cond)])
+      regions[at(loop)].push_back(r);
+  }
+  const auto fixed = [&](size_t l) { return program.loops[l].kind == LoopKind::Fixed; };
+  std::vector<FollowedItem> all;
+  for (size_t later = 1; later < program.loops.size(); ++later) {
+    if (!fixed(later) || regions[later].size() != 1) continue;
+    const Region& region = plan.regions[at(regions[later][0])];
+    const auto idle =
+        Finder(program, plan, static_cast<int32_t>(later)).in_region(regions[later][0]);
+    for (size_t earlier = 0; idle && earlier < later; ++earlier) {
+      if (!fixed(earlier) ||
+          program.loops[earlier].extent_param != program.loops[later].extent_param)
+        continue;
+      SameValue same(program, static_cast<int32_t>(later), static_cast<int32_t>(earlier));
+      const auto found =
+          std::find_if(regions[earlier].begin(), regions[earlier].end(), [&](int32_t r) {
+            const Region& before = plan.regions[at(r)];
+            return before.polarity == region.polarity && same(region.cond, before.cond);
+          });
+      if (found == regions[earlier].end()) continue;
+      all.push_back({*idle, static_cast<int32_t>(earlier), *found});
+      break;
+    }
+  }
+  return all;
+}
 
 std::vector<IdleItem> find_idle_items(const Program& program, const EmitPlan& plan,
                                       const std::vector<KeptValues>& kept) {

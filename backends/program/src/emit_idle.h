@@ -19,4 +19,12 @@ struct IdleItem {
 std::vector<IdleItem> find_idle_items(const Program& program, const EmitPlan& plan,
                                       const std::vector<KeptValues>& kept);
 
+// A loop of as many steps as an earlier one, whose items are idle where those of the earlier one
+// take no part in a region: the second sum of an adjoint, where a contact does not touch.
+struct FollowedItem {
+  IdleItem idle;
+  int32_t earlier = -1, earlier_region = -1;
+};
+std::vector<FollowedItem> find_followed_items(const Program& program, const EmitPlan& plan);
+
 }  // namespace nova::ir

@@ -30,6 +30,10 @@ bool Emitter::region_begin(int32_t number) {
   ++depth_;
   if (to_loop_end && series_) line("acted |= 1;");
   if (to_loop_end) write_kept(loop_, true);
+  for (const FollowedItem& f : followed_)
+    if (f.earlier_region == number)
+      line("if (r" + str(loop_) + " < 32) acting" + str(f.idle.loop) + " |= 1u << r" + str(loop_) +
+           ";");
   return !to_loop_end;
 }
 
@@ -131,8 +135,18 @@ void Emitter::loop_begin(int32_t l) {
     for (const KeptValues& kept : kept_)
       if (kept.loop == l) read_kept(kept);
   } else {
+    const auto item = [&](bool earlier) {
+      return std::find_if(followed_.begin(), followed_.end(), [&](const FollowedItem& f) {
+        return (earlier ? f.earlier : f.idle.loop) == l;
+      });
+    };
+    const auto followed = item(true);
+    if (followed != followed_.end())
+      line("uint32_t acting" + str(followed->idle.loop) + " = 0;  // a bit for each step");
     line("for (int32_t r" + k + " = 0; r" + k + " < extent" + k + "; ++r" + k + ") {");
     ++depth_;
+    if (item(false) != followed_.end())
+      line("if (r" + k + " < 32 && (acting" + k + " >> r" + k + " & 1u) == 0) continue;");
   }
 }
 

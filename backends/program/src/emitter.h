@@ -159,6 +159,7 @@ class Emitter {
   const std::vector<char> held_;  // in a series, per value: the same in every launch
   std::vector<KeptValues> kept_;
   std::vector<IdleItem> idle_;
+  std::vector<FollowedItem> followed_;
   AheadGathers ahead_;
   std::vector<std::string> ahead_text_;  // its statements
   size_t ahead_written_ = 0;             // of them, in this group

@@ -108,7 +108,7 @@ void run_row_sums(std::span<const RowSumTerm> terms, const void* offsets, const 
                                     static_cast<uint64_t>(first.width),
                                     static_cast<uint64_t>(stride)};
   std::array<detail::MemoryAccess, 6> accesses;
-  std::array<bool, 2> has_init;
+  std::array<bool, 2> has_init{};
   constexpr size_t kWords[2][3] = {{0, 3, 4}, {7, 8, 9}};  // source, init, out
   for (size_t k = 0; k < terms.size(); ++k) {
     const auto& [source, init, out] = terms[k];

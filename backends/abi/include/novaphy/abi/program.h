@@ -81,17 +81,17 @@ enum {
  *
  * row_sum_f32          n = rows; source, offsets, items, init, out, width, stride
  *   out[r, :] = init[r, :] (or +0 when init is null) + the sum of source[items[k], :] for k in
- *   [offsets[r], offsets[r + 1]). Null items: item = k. Null offsets: row r is [r * stride, (r + 1)
- * * stride). Order of additions, part of the contract on every device: a row of up to 256 items is
- * a left fold that starts from init; a longer row is cut into consecutive chunks of 256, each
- * folded from +0, the chunk sums are folded by the same rule from +0, and the result is added to
- * init. out may equal init. row_sum_pair_f32     n = rows; the words of row_sum_f32, then source,
- * init, out of a second sum of the same items, width and rule. A backend may lack it: then two sums
- * are launched. exclusive_scan_i32   n = length; in, out (out may equal in) sort_by_key_i32      n
- * = length; keys, order: the permutation that sorts keys ascending, stable incidence_i32        n =
- * rows; table, slots, offsets[n + 1], items[slots] The inverse of an index table: row r lists,
- * ascending, the slots s with table[s] == r. Negative entries belong to no row; an entry >= n fails
- * with INDEX_OUT_OF_RANGE.
+ *   [offsets[r], offsets[r + 1]). Null items: item = k. Null offsets: row r is [r * stride, (r + 1) * stride).
+ *   Order of additions, part of the contract on every device: a row of up to 256 items is a left fold that
+ *   starts from init; a longer row is cut into consecutive chunks of 256, each folded from +0, the chunk sums
+ *   are folded by the same rule from +0, and the result is added to init. out may equal init.
+ * row_sum_pair_f32     n = rows; the words of row_sum_f32, then source, init, out of a second sum of the same
+ *   items, width and rule. A backend may lack it: then two sums are launched.
+ * exclusive_scan_i32   n = length; in, out (out may equal in)
+ * sort_by_key_i32      n = length; keys, order: the permutation that sorts keys ascending, stable
+ * incidence_i32        n = rows; table, slots, offsets[n + 1], items[slots]
+ *   The inverse of an index table: row r lists, ascending, the slots s with table[s] == r. Negative entries
+ *   belong to no row; an entry >= n fails with INDEX_OUT_OF_RANGE.
  */
 #define NOVAPHY_ROW_SUM_CHUNK 256
 

@@ -76,16 +76,18 @@ TEST_F(SequenceTest, ChainsOfOneStructureShareTheirForm) {
   ASSERT_TRUE(table.fits);
   EXPECT_EQ(table.forms.size(), 1u);
   EXPECT_EQ(table.programs.size(), 1u);
-  EXPECT_EQ(table.most_warps, 4u);  // 40 rows are two warps, of either chain
-  // Records lie one behind another: header, chains, and arguments behind the kernel's number.
-  constexpr uint64_t kRecord = 2 + 2 * 2 + 2 * 6;
+  EXPECT_EQ(most_warps(ops), 4u);  // 40 rows are two warps, of either chain
+  // Records lie one behind another: header, chains, and of each chain where its threads keep words,
+  // the kernel's number and the arguments.
+  constexpr uint64_t kRecord = 2 + 2 * 2 + 2 * 7;
   EXPECT_EQ(table.first_words, kRecord);
   EXPECT_EQ(table.words.size(), 6 * kRecord + 1);
   EXPECT_EQ(table.words[0], kRecord << 32 | kRecord);
   EXPECT_EQ(table.words[1], uint64_t{4} << 32 | 2);
   EXPECT_EQ(table.words[2], kRows);                      // the first chain begins with warp 0
   EXPECT_EQ(table.words[4], uint64_t{2} << 32 | kRows);  // the second one with warp 2
-  EXPECT_EQ(table.words[6], 7u);
+  EXPECT_EQ(table.words[6], 0u);  // nothing
+  EXPECT_EQ(table.words[7], 7u);
   EXPECT_EQ(table.words[5 * kRecord], 0u);  // the last record
   expect_compiles(table);
 }
@@ -97,11 +99,11 @@ TEST_F(SequenceTest, WhatAChainLeavesForItselfStaysInRegisters) {
   const SequenceTable table = sequence_table(ops);
   ASSERT_EQ(table.forms.size(), 1u);
   const auto& chain = table.forms[0].operations;
-  EXPECT_EQ(chain[0].sources[0].from, Operation::Source::There);
+  EXPECT_EQ(chain[0].sources[0].from, Operation::Source::Own);
   EXPECT_EQ(chain[1].sources[0].from, Operation::Source::Registers);
   EXPECT_EQ(chain[1].sources[0].op, 0);
   EXPECT_EQ(chain[2].sources[0].op, 1);
-  EXPECT_EQ(chain[2].sources[1].from, Operation::Source::There);
+  EXPECT_EQ(chain[2].sources[1].from, Operation::Source::Own);
   EXPECT_EQ(chain[0].outputs[0].store, Operation::Output::Never);  // overwritten
   EXPECT_EQ(chain[1].outputs[0].store, Operation::Output::Later);
   EXPECT_EQ(chain[2].outputs[0].store, Operation::Output::Later);
@@ -119,16 +121,67 @@ TEST_F(SequenceTest, SumsOverTheSameItemsRunTogether) {
   EXPECT_TRUE(chain[1].joins);
   EXPECT_FALSE(chain[2].joins);
   EXPECT_FALSE(chain[3].joins);
-  EXPECT_EQ(chain[0].tables.size(), 1u);
-  EXPECT_TRUE(chain[1].tables.empty());  // known from the first
+  EXPECT_EQ(table.forms.at(0).tables, std::vector<int32_t>{2});  // loaded once, for all
+  for (const Operation& op : chain) EXPECT_EQ(op.tables, std::vector<int32_t>{0});
   expect_compiles(table);
+}
+
+// Phase t adds what is fixed to what the phase before left; another chain does the like elsewhere.
+TEST_F(SequenceTest, WhatNothingWritesIsKeptByItsThreads) {
+  constexpr uint32_t kPhases = 6;
+  constexpr uint64_t kFixed = 0x100000, kState = 0x200000, kOther = 0x300000, kBytes = kRows * 12;
+  const uint64_t almost = kState + kPhases * kBytes - 4;  // the last state ends in it
+  for (uint32_t t = 0; t < kPhases; ++t) {
+    push_add(t, 0, kState + t * kBytes, kFixed, kState + (t + 1) * kBytes);
+    push_add(t, 1, kOther + t * kBytes, almost, kOther + (t + 1) * kBytes);
+  }
+  const SequenceTable table = sequence_table(ops, 100);
+  ASSERT_EQ(table.forms.size(), 2u);
+  int32_t fixed = 0;
+  for (const ChainForm& form : table.forms) {
+    EXPECT_FALSE(form.operations[0].sources[0].fixed);  // a state
+    fixed += form.operations[0].sources[1].fixed ? 1 : 0;
+  }
+  EXPECT_EQ(fixed, 1);
+  EXPECT_EQ(table.kept_words, 3u);
+  for (uint32_t t = 0, at = 0; t < kPhases; ++t) {
+    EXPECT_EQ(table.words[at + 6], t == 0 ? 3u : 2u) << t;  // the first time they are filled
+    EXPECT_EQ(table.words[at + 13], 0u) << t;
+    at = static_cast<uint32_t>(table.words[at]);
+  }
+  expect_compiles(table);
+  EXPECT_EQ(sequence_table(ops, 2).kept_words, 0u);  // no room
+}
+
+TEST_F(SequenceTest, ChainsOfDifferentThreadsShareWhereTheyKeepWords) {
+  for (uint32_t t = 0; t < 4; ++t)
+    for (uint32_t c = 0; c < 3; ++c)
+      push_add(t, c, 0x10000 * (c + 1), 0x100000 * (c + 1), 0x1000000 * (4 * c + t + 1));
+  const SequenceTable table = sequence_table(ops, 100);
+  EXPECT_EQ(table.kept_words, 6u);
+  for (const uint64_t at : {8u, 15u, 22u}) EXPECT_EQ(table.words[at], 3u);
+  expect_compiles(table);
+}
+
+TEST_F(SequenceTest, RowsOfWholeQuartersMoveFourWordsAtOnce) {
+  for (const uint64_t at : {0x1000, 0x1004}) {
+    ops.clear();
+    push_add(0, 0, at, 0x2000, 0x3000);
+    ops[0].rows = kRows / 4;  // four rows of three words for each of the chain
+    const Operation op = sequence_table(ops).forms.at(0).operations.at(0);
+    EXPECT_EQ(op.sources[0].from, Operation::Source::Own);
+    EXPECT_EQ(op.sources[0].aligned, at == 0x1000);
+    EXPECT_TRUE(op.sources[1].aligned);
+    EXPECT_TRUE(op.outputs[0].aligned);
+  }
+  expect_compiles(sequence_table(ops));
 }
 
 TEST_F(SequenceTest, SourcesThatMayLackRowsAreChecked) {
   push(add, 0, 0, {0x1000, kRows - 1, 0x2000, kRows, 0x3000});
   const SequenceTable table = sequence_table(ops);
   EXPECT_EQ(table.forms[0].operations[0].sources[0].from, Operation::Source::Memory);
-  EXPECT_EQ(table.forms[0].operations[0].sources[1].from, Operation::Source::There);
+  EXPECT_EQ(table.forms[0].operations[0].sources[1].from, Operation::Source::Own);
   expect_compiles(table);
 }
 

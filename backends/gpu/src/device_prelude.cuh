@@ -243,10 +243,21 @@ LANE_FN void put_columni(const output_rows o, int32_t width, int32_t column, int
 LANE_FN void put_columni(const output_registers o, int32_t, int32_t column, int64_t, vi a) {
   o.words[column] = a;
 }
-template <int width>
+struct alignas(16) four_words {
+  int32_t word[4];
+};
+// Aligned: rows begin at multiples of four words.
+template <int width, bool aligned = false>
 LANE_FN void store_row(char* p, int64_t i, const int32_t* words) {
+  int32_t* const row = (int32_t*)p + i * width;
 #pragma unroll
-  for (int c = 0; c < width; ++c) ((int32_t*)p)[i * width + c] = words[c];
+  for (int c = 0; c < width; c += aligned ? 4 : 1) {
+    if (aligned) {
+      *(four_words*)(row + c) = {{words[c], words[c + 1], words[c + 2], words[c + 3]}};
+    } else {
+      row[c] = words[c];
+    }
+  }
 }
 template <int width>
 LANE_FN void load_row(const char* p, int64_t i, int32_t* words) {
@@ -346,3 +357,35 @@ LANE_FN vi csr_slot(const csr_rows* c, const int32_t* items, int32_t r, vb on) {
   const int32_t k = c->start + (on ? r : c->longest - 1);
   return items != 0 ? __ldg(items + k) : k;
 }
+// The slots of a batch, loaded together: those of the next one wait for none of its sums. Past the
+// end of a row slot 0 stands in, which all lanes share.
+struct csr_batch : csr_rows {
+  int32_t slots[CSR_BATCH];
+};
+LANE_FN void csr_load(csr_batch* c, const int32_t* items, int32_t from) {
+  if (from >= c->longest) return;
+  int32_t loaded[CSR_BATCH];
+#pragma unroll
+  for (int32_t r = 0; r < CSR_BATCH; ++r) {
+    const int32_t last = c->longest - 1;
+    loaded[r] = c->start + (from + r < last ? from + r : last);
+  }
+  if (items != 0) {
+#pragma unroll
+    for (int32_t r = 0; r < CSR_BATCH; ++r) loaded[r] = __ldg(items + loaded[r]);
+  }
+#pragma unroll
+  for (int32_t r = 0; r < CSR_BATCH; ++r) c->slots[r] = from + r < c->longest ? loaded[r] : 0;
+}
+LANE_FN csr_batch csr_begin_batch(const int32_t* offsets, int64_t i) {
+  csr_batch c = {};
+  (csr_rows&)c = csr_begin(offsets, i);
+  return c;
+}
+// The first batch of a loop: the table is two words of the arguments.
+LANE_FN csr_batch csr_first(const uint64_t* args, int32_t word, int32_t, int64_t i) {
+  csr_batch c = csr_begin_batch((const int32_t*)args[word], i);
+  csr_load(&c, (const int32_t*)args[word + 1], 0);
+  return c;
+}
+LANE_FN vi csr_slot(const csr_batch* c, const int32_t*, int32_t r, vb) { return c->slots[r]; }

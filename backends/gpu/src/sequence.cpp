@@ -16,6 +16,7 @@ constexpr unsigned kWarp = 32;
 constexpr unsigned kFewWarps = 4, kMostWarps = 8, kMostWarpsOfGrid = 12;
 constexpr unsigned kMostInCluster = 8;  // blocks, on every device that has clusters
 constexpr int32_t kClusters = 90;       // the first architecture that has
+constexpr unsigned kKeptBytes = 38 << 10;  // of the 48 KiB of a block, beside two records
 // What the builtin, where a block works on such a row, sums faster.
 constexpr uint64_t kLongRow = 1024, kWideRow = 16;
 
@@ -73,9 +74,11 @@ novaphy_status create(novaphy_device* device, std::span<const novaphy_sequence_o
   }
   // One rounding policy for the whole text.
   if (plain && contract) return refuse("kernels with and without contraction");
-  const SequenceTable table = sequence_table(ops);
+  const uint32_t warps = most_warps(ops);
+  const SequenceShape shape = choose(*device, warps);
+  const bool one_row = shape.form != Form::Grid && warps * kWarp <= shape.blocks * shape.threads;
+  const SequenceTable table = sequence_table(ops, one_row ? kKeptBytes / 4 / shape.threads : 0);
   if (!table.fits) return refuse("too large");
-  const SequenceShape shape = choose(*device, table.most_warps);
   OwnList made(new novaphy_list);
   made->device = device;
   made->words = {table.first_words};

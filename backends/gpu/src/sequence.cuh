@@ -68,66 +68,74 @@ static __device__ __noinline__ void fold_long(const float* source, const int32_t
     }
   }
 }
-// Two sums over the same items.
-template <int width, class S, class O, class T, class P>
-LANE_FN void sum_two_rows(const uint64_t* v, const S v_init, const O v_out, const uint64_t* w,
-                          const T w_init, const P w_out, int64_t row) {
-  const float* const sources[2] = {(const float*)v[0], (const float*)w[0]};
-  const int32_t* const items = (const int32_t*)w[2];
-  const int32_t begin = __ldg((const int32_t*)w[1] + row);
-  const int32_t end = __ldg((const int32_t*)w[1] + row + 1);
-  float sums[2][width];
+// Sums over the same items, as many as there are sources: all rows of a batch are loaded before
+// the first one is added.
+template <int width, int sums>
+LANE_FN void fold_batches(const float* const* sources, const int32_t* items, csr_batch csr,
+                          float (*sum)[width]) {
+  if (csr.longest > kChunk) {
 #pragma unroll
-  for (int c = 0; c < width; ++c) {
-    sums[0][c] = init_of(v_init, width, c, row);
-    sums[1][c] = init_of(w_init, width, c, row);
-  }
-  if (end - begin > kChunk) {
-#pragma unroll
-    for (int s = 0; s < 2; ++s) {
+    for (int s = 0; s < sums; ++s) {
       float total[width];
-      fold_long<width>(sources[s], items, begin, end, total);
+      fold_long<width>(sources[s], items, csr.start, (int64_t)csr.start + csr.longest, total);
 #pragma unroll
-      for (int c = 0; c < width; ++c) sums[s][c] += total[c];
+      for (int c = 0; c < width; ++c) sum[s][c] += total[c];
     }
-  } else {
-    for (int32_t base = begin; base < end; base += CSR_BATCH) {
-#pragma unroll
-      for (int32_t k = base; k < base + CSR_BATCH; ++k) {
-        const bool on = k < end;
-        const int32_t at = on ? k : end - 1;
-        const int64_t first = (int64_t)(items != 0 ? __ldg(items + at) : at) * width;
-#pragma unroll
-        for (int s = 0; s < 2; ++s)
-#pragma unroll
-          for (int c = 0; c < width; ++c)
-            sums[s][c] = on ? sums[s][c] + sources[s][first + c] : sums[s][c];
-      }
-    }
+    return;
   }
+  for (int32_t base = 0; base < csr.longest; base += CSR_BATCH) {
+    if (base > 0) csr_load(&csr, items, base);
+    float rows[CSR_BATCH][sums][width];
+#pragma unroll
+    for (int32_t r = 0; r < CSR_BATCH; ++r)
+#pragma unroll
+      for (int s = 0; s < sums; ++s)
+#pragma unroll
+        for (int c = 0; c < width; ++c)
+          rows[r][s][c] = sources[s][(int64_t)csr.slots[r] * width + c];
+#pragma unroll
+    for (int32_t r = 0; r < CSR_BATCH; ++r)
+#pragma unroll
+      for (int s = 0; s < sums; ++s)
+#pragma unroll
+        for (int c = 0; c < width; ++c)
+          sum[s][c] = csr_on(&csr, base + r) ? sum[s][c] + rows[r][s][c] : sum[s][c];
+  }
+}
+template <int width, class S, class O, class T, class P>
+LANE_FN void sum_two_rows(const csr_batch csr, const uint64_t* v, const S v_init, const O v_out,
+                          const uint64_t* w, const T w_init, const P w_out, int64_t row) {
+  const float* const sources[2] = {(const float*)v[0], (const float*)w[0]};
+  float sum[2][width];
 #pragma unroll
   for (int c = 0; c < width; ++c) {
-    put_columnf(v_out, width, c, row, sums[0][c]);
-    put_columnf(w_out, width, c, row, sums[1][c]);
+    sum[0][c] = init_of(v_init, width, c, row);
+    sum[1][c] = init_of(w_init, width, c, row);
+  }
+  fold_batches<width, 2>(sources, (const int32_t*)w[2], csr, sum);
+#pragma unroll
+  for (int c = 0; c < width; ++c) {
+    put_columnf(v_out, width, c, row, sum[0][c]);
+    put_columnf(w_out, width, c, row, sum[1][c]);
   }
 }
-
-// Has the items of a row on the way before they are needed. Where a barrier empties the cache of a
-// unit only: one block finds them there.
-LANE_FN void touch_items(uint64_t offsets, uint64_t items, int64_t row) {
-#if SEQUENCE_FORM != 0
-  const int32_t begin = __ldg((const int32_t*)offsets + row);
-  if (items != 0) asm volatile("prefetch.global.L1 [%0];" ::"l"((const int32_t*)items + begin));
-#endif
-}
-
-template <int width, bool by_offsets, class S, class O>
-LANE_FN void sum_row(const uint64_t* w, const S init, const O out, int64_t row) {
+template <int width, class S, class O>
+LANE_FN void sum_row(const csr_batch csr, const uint64_t* w, const S init, const O out,
+                     int64_t row) {
   const float* const source = (const float*)w[0];
-  const int32_t* const offsets = (const int32_t*)w[1];
+  float sum[1][width];
+#pragma unroll
+  for (int c = 0; c < width; ++c) sum[0][c] = init_of(init, width, c, row);
+  fold_batches<width, 1>(&source, (const int32_t*)w[2], csr, sum);
+#pragma unroll
+  for (int c = 0; c < width; ++c) put_columnf(out, width, c, row, sum[0][c]);
+}
+// Without offsets: all rows have as many items.
+template <int width, class S, class O>
+LANE_FN void sum_even_row(const uint64_t* w, const S init, const O out, int64_t row) {
+  const float* const source = (const float*)w[0];
   const int32_t* const items = (const int32_t*)w[2];
-  const int64_t begin = by_offsets ? (int64_t)__ldg(offsets + row) : row * (int64_t)w[6];
-  const int64_t end = by_offsets ? (int64_t)__ldg(offsets + row + 1) : begin + (int64_t)w[6];
+  const int64_t begin = row * (int64_t)w[6], end = begin + (int64_t)w[6];
   float sum[width];
 #pragma unroll
   for (int c = 0; c < width; ++c) sum[c] = init_of(init, width, c, row);
@@ -141,6 +149,64 @@ LANE_FN void sum_row(const uint64_t* w, const S init, const O out, int64_t row) 
   }
 #pragma unroll
   for (int c = 0; c < width; ++c) put_columnf(out, width, c, row, sum[c]);
+}
+
+// Arguments of an operation with the tables of its loops, which the chain has loaded.
+template <int loops>
+struct words_and_tables {
+  const uint64_t* words;
+  const csr_batch* tables[loops];
+  __device__ __forceinline__ uint64_t operator[](int32_t k) const { return words[k]; }
+};
+template <int loops>
+LANE_FN csr_batch csr_first(const words_and_tables<loops> args, int32_t, int32_t loop, int64_t) {
+  return *args.tables[loop];
+}
+// What a thread keeps in shared memory until its chain comes again.
+#if SEQUENCE_KEPT != 0
+__shared__ int32_t g_kept[SEQUENCE_KEPT * SEQUENCE_THREADS];
+LANE_FN bool is_kept(uint32_t kept) { return kept != 0 && (kept & 1) == 0; }
+LANE_FN int32_t* begin_kept(uint32_t kept) {
+  return g_kept + (kept / 2 - 1) * SEQUENCE_THREADS + threadIdx.x;
+}
+LANE_FN void fill_kept(int32_t*& at, int32_t word) {
+  *at = word;
+  at += SEQUENCE_THREADS;
+}
+LANE_FN void take_kept(int32_t*& at, int32_t& word) {
+  word = *at;
+  at += SEQUENCE_THREADS;
+}
+#else
+LANE_FN bool is_kept(uint32_t) { return false; }
+LANE_FN int32_t* begin_kept(uint32_t) { return 0; }
+LANE_FN void fill_kept(int32_t*&, int32_t) {}
+LANE_FN void take_kept(int32_t*&, int32_t&) {}
+#endif
+template <int count>
+LANE_FN void fill_kept(int32_t*& at, const int32_t (&words)[count]) {
+#pragma unroll
+  for (int c = 0; c < count; ++c) fill_kept(at, words[c]);
+}
+template <int count>
+LANE_FN void take_kept(int32_t*& at, int32_t (&words)[count]) {
+#pragma unroll
+  for (int c = 0; c < count; ++c) take_kept(at, words[c]);
+}
+// The own rows of a chain, before they are needed.
+template <int width, bool aligned>
+LANE_FN void own_words(uint64_t p, int64_t i, int32_t* words) {
+  const int32_t* const row = (const int32_t*)p + i * width;
+#pragma unroll
+  for (int c = 0; c < width; c += aligned ? 4 : 1) {
+    if (aligned) {
+      const four_words four = *(const four_words*)(row + c);
+#pragma unroll
+      for (int k = 0; k < 4; ++k) words[c + k] = four.word[k];
+    } else {
+      words[c] = row[c];
+    }
+  }
 }
 
 // Waits until all threads of all blocks are here, and sees what they have written.

@@ -16,10 +16,7 @@ class ChainText {
   ChainText(const SequenceTable& table, const ChainForm& form) : table_(table), form_(form) {}
 
   std::string run(size_t number) {
-    for (const Operation& op : form_.operations)
-      for (const int32_t word : op.tables)
-        code_ += "  touch_items(words[" + str(op.first_word + word) + "], words[" +
-                 str(op.first_word + word + 1) + "], i);\n";
+    loads();
     code_ += "  row_failure failure = begin_row(sink);\n";
     for (size_t k = 0; k < form_.operations.size(); ++k) operation(static_cast<int32_t>(k));
     for (size_t k = 0; k < form_.operations.size(); ++k) stores(static_cast<int32_t>(k));
@@ -30,6 +27,55 @@ class ChainText {
 
  private:
   const Operation& at(int32_t k) const { return form_.operations[static_cast<size_t>(k)]; }
+  static std::string table(int32_t t) { return "table" + str(t); }
+  static std::string own(int32_t op, size_t source) {
+    return "own" + str(op) + "_" + str(static_cast<int64_t>(source));
+  }
+  // What the chain reads at its own row, and the first items of its sums, are loaded at once when it
+  // begins: a thread then waits once, and not for each operation anew. What nothing in the sequence
+  // writes a thread keeps for the next time.
+  void loads() {
+    std::string fixed, filled, kept;
+    const auto keep = [&](const std::string& words) {
+      filled += "    fill_kept(at, " + words + ");\n";
+      kept += "    take_kept(at, " + words + ");\n";
+    };
+    for (int32_t k = 0; k < static_cast<int32_t>(form_.operations.size()); ++k)
+      for (size_t s = 0; s < at(k).sources.size(); ++s) {
+        const Operation::Source& source = at(k).sources[s];
+        if (source.from != Operation::Source::Own) continue;
+        const std::string name = own(k, s), width = str(at(k).each * table_.source_width(at(k), s));
+        const std::string load = "own_words<" + width + (source.aligned ? ", true" : ", false") +
+                                 ">(words[" + str(word(at(k), s)) + "], i, " + name + ");\n";
+        code_ += "  int32_t " + name + "[" + width + "];\n";
+        (source.fixed ? fixed : code_) += (source.fixed ? "    " : "  ") + load;
+        if (source.fixed) keep(name);
+      }
+    std::string items;
+    for (size_t t = 0; t < form_.tables.size(); ++t) {
+      const std::string name = table(static_cast<int32_t>(t));
+      const auto pointer = [&](int32_t word) {
+        return "(const int32_t*)words[" + str(form_.tables[t] + word) + "]";
+      };
+      code_ += "  csr_batch " + name + ";\n";
+      fixed += "    " + name + " = csr_begin_batch(" + pointer(0) + ", i);\n";
+      items += "    csr_load(&" + name + ", " + pointer(1) + ", 0);\n";
+      keep(name + ".start");
+      keep(name + ".longest");
+      keep(name + ".slots");
+    }
+    if (fixed.empty()) return;
+    code_ += "  const uint32_t kept = (uint32_t)words[0];\n  if (is_kept(kept)) {\n" +
+             begin_kept() + kept + "  } else {\n" + fixed + items +
+             "    if (kept != 0) {\n" + begin_kept() + filled + "    }\n  }\n";
+  }
+  static std::string begin_kept() { return "    int32_t* at = begin_kept(kept);\n"; }
+  int64_t word(const Operation& op, size_t source) const {
+    return op.first_word + table_.source_word(op, source);
+  }
+  const nova::ir::Program& program(const Operation& op) const {
+    return *table_.programs[static_cast<size_t>(op.program)];
+  }
 
   void operation(int32_t k) {
     const Operation& op = at(k);
@@ -51,13 +97,22 @@ class ChainText {
   static std::string of_row(const std::string& name, int32_t width, bool loop) {
     return loop ? name + " + j * " + str(width) : name;
   }
-  std::string source(const Operation::Source& s, int32_t width, bool loop, const std::string& p,
-                     const std::string& rows) const {
-    if (s.from == Operation::Source::Registers)
-      return "source_registers{" + of_row(registers(s.op, s.output), width, loop) + "}";
-    return s.from == Operation::Source::There
-               ? "trusted_rows{(const char*)" + p + "}"
-               : "source_rows{(const char*)" + p + ", (int64_t)" + rows + "}";
+  std::string source(int32_t k, size_t number, bool loop) const {
+    const Operation& op = at(k);
+    const Operation::Source& s = op.sources[number];
+    const std::string p = "(const char*)words[" + str(word(op, number)) + "]";
+    switch (s.from) {
+      case Operation::Source::Registers:
+        return "source_registers{" + of_row(registers(s.op, s.output), table_.source_width(op, number), loop) +
+               "}";
+      case Operation::Source::Own:
+        return "source_registers{" + of_row(own(k, number), table_.source_width(op, number), loop) + "}";
+      case Operation::Source::There:
+        return "trusted_rows{" + p + "}";
+      case Operation::Source::Memory:
+        break;
+    }
+    return "source_rows{" + p + ", (int64_t)words[" + str(word(op, number) + 1) + "]}";
   }
   std::string output(int32_t k, int32_t o, bool loop, const std::string& p) const {
     const Operation::Output& out = at(k).outputs[static_cast<size_t>(o)];
@@ -69,43 +124,51 @@ class ChainText {
   std::string call(int32_t k, bool loop) const {
     const Operation& op = at(k);
     const std::string out0 = output(k, 0, loop, op.kind == Operation::RowSum ? "w[4]" : "w[0]");
-    const std::string in0 = op.sources.empty()
-                                ? ""
-                                : source(op.sources[0], op.width, loop,
-                                         op.kind == Operation::RowSum ? "w[3]" : "w[1]", {});
     switch (op.kind) {
       case Operation::Copy:
-        return "    copy_word(" + in0 + ", " + out0 + ", row);\n";
+        return "    copy_word(" + source(k, 0, loop) + ", " + out0 + ", row);\n";
       case Operation::Fill:
         return "    put_columni(" + out0 + ", 1, 0, row, (int32_t)w[1]);\n";
       case Operation::RowSum:
-        if (op.joins) {
-          const Operation& other = at(k - 1);
-          const std::string words = "words + " + str(other.first_word);
-          return "    sum_two_rows<" + str(op.width) + ">(" + words + ", " +
-                 (other.init
-                      ? source(other.sources[0], op.width, loop, "(" + words + ")[3]", {}) + ", "
-                      : "no_init{}, ") +
-                 output(k - 1, 0, loop, "(" + words + ")[4]") + ", w, " +
-                 (op.init ? in0 : "no_init{}") + ", " + out0 + ", row);\n";
-        }
-        return "    sum_row<" + str(op.width) + ", " + (op.offsets ? "true" : "false") + ">(w, " +
-               (op.init ? in0 : "no_init{}") + ", " + out0 + ", row);\n";
+        return row_sum(k, loop, out0);
       case Operation::Program:
         break;
     }
-    const nova::ir::Program& p = *table_.programs[static_cast<size_t>(op.program)];
+    const nova::ir::Program& p = program(op);
     std::string text = "    failure.operation = " + str(first_row(k)) + (loop ? " + j" : "") +
-                       ";\n    row" + str(op.program) + "(w";
-    for (size_t s = 0; s < p.sources.size(); ++s) {
-      const int64_t word = p.source_argument(s);
-      text += ", " + source(op.sources[s], p.sources[s].width, loop, "w[" + str(word) + "]",
-                            "w[" + str(word + 1) + "]");
-    }
+                       ";\n    row" + str(op.program) + "(" + arguments(op);
+    for (size_t s = 0; s < p.sources.size(); ++s) text += ", " + source(k, s, loop);
     for (size_t o = 0; o < p.outputs.size(); ++o)
       text +=
           ", " + output(k, static_cast<int32_t>(o), loop, "w[" + str(p.output_argument(o)) + "]");
     return text + ", row, failure);\n";
+  }
+  // Its words, with its tables where the chain has loaded them all.
+  std::string arguments(const Operation& op) const {
+    std::string tables;
+    for (const int32_t t : op.tables) {
+      if (t < 0) return "w";
+      tables += (tables.empty() ? "&" : ", &") + table(t);
+    }
+    if (tables.empty()) return "w";
+    return "words_and_tables<" + str(static_cast<int64_t>(op.tables.size())) + ">{w, {" + tables +
+           "}}";
+  }
+  std::string row_sum(int32_t k, bool loop, const std::string& out) const {
+    const Operation& op = at(k);
+    const auto init = [&](int32_t sum) {
+      return at(sum).init ? source(sum, 0, loop) : std::string("no_init{}");
+    };
+    const std::string width = "<" + str(op.width) + ">(";
+    if (!op.offsets)
+      return "    sum_even_row" + width + "w, " + init(k) + ", " + out + ", row);\n";
+    const std::string csr = op.tables[0] < 0 ? "csr_first(w, 1, 0, row)" : table(op.tables[0]);
+    if (!op.joins)
+      return "    sum_row" + width + csr + ", w, " + init(k) + ", " + out + ", row);\n";
+    const std::string words = "words + " + str(at(k - 1).first_word);
+    return "    sum_two_rows" + width + csr + ", " + words + ", " + init(k - 1) + ", " +
+           output(k - 1, 0, loop, "(" + words + ")[4]") + ", w, " + init(k) + ", " + out +
+           ", row);\n";
   }
 
   // Rows of the operations before, for one of the chain: so a failure names operation and row.
@@ -139,7 +202,8 @@ class ChainText {
           : op.kind == Operation::Program
               ? table_.programs[static_cast<size_t>(op.program)]->output_argument(o)
               : 0;
-      code_ += "  store_row<" + str(op.each * op.outputs[o].width) + ">((char*)words[" +
+      code_ += "  store_row<" + str(op.each * op.outputs[o].width) +
+               (op.outputs[o].aligned ? ", true" : "") + ">((char*)words[" +
                str(op.first_word + word) + "], i, " + registers(k, static_cast<int32_t>(o)) +
                ");\n";
     }
@@ -154,7 +218,6 @@ class ChainText {
 
 std::string sequence_source(const SequenceTable& table, const SequenceShape& shape) {
   constexpr uint64_t kStep = 64;   // tables of about one size share their code
-  constexpr uint64_t kBatch = 12;  // where a barrier waits for the thread with the most items
   std::string text = "#define NOVAPHY_SEQUENCE\n";
   const auto define = [&](const char* name, uint64_t value) {
     text += std::string("#define ") + name + " " + std::to_string(value) + "\n";
@@ -164,6 +227,7 @@ std::string sequence_source(const SequenceTable& table, const SequenceShape& sha
   define("SEQUENCE_FORM", static_cast<uint64_t>(shape.form));
   if (shape.form == SequenceShape::Form::Cluster) define("SEQUENCE_BLOCKS", shape.blocks);
   if (shape.form != SequenceShape::Form::Grid) define("CSR_BATCH", kBatch);
+  define("SEQUENCE_KEPT", table.kept_words);
   text += prelude_text();
   text += sequence_text();
   for (size_t k = 0; k < table.programs.size(); ++k)

@@ -18,11 +18,15 @@ struct ChainForm {
     int32_t width = 1;                   // RowSum: of a row
     bool offsets = false, init = false;  // RowSum: which of its arguments are there
     bool joins = false;  // RowSum: over the same items as the operation before, and run with it
-    std::vector<int32_t> tables;  // words of CSR offsets that no operation before has
+    // Per loop, which of the chain's CSR tables it goes over (-1: the chain does not load it).
+    std::vector<int32_t> tables;
     int32_t program = 0;          // index into SequenceTable::programs
     struct Source {
-      enum From : int32_t { Memory, There, Registers } from = Memory;
+      // There: in memory, with all rows that are read. Own: and only the own one is.
+      enum From : int32_t { Memory, There, Own, Registers } from = Memory;
       int32_t op = 0, output = 0;  // Registers: what this operation of the chain left
+      bool aligned = false;        // Own: its words lie at a multiple of 16 bytes
+      bool fixed = false;          // Own: nothing in the sequence writes them
       auto operator<=>(const Source&) const = default;
     };
     std::vector<Source> sources;
@@ -31,6 +35,7 @@ struct ChainForm {
       // too.
       enum Store : int32_t { Now, Later, Never } store = Now;
       int32_t width = 1;
+      bool aligned = false;  // as of a source
       auto operator<=>(const Output&) const = default;
     };
     std::vector<Output> outputs;
@@ -38,6 +43,7 @@ struct ChainForm {
     auto operator<=>(const Operation&) const = default;
   };
   std::vector<Operation> operations;
+  std::vector<int32_t> tables;  // the chain's word of each CSR table's offsets; items come next
   auto operator<=>(const ChainForm&) const = default;
 };
 
@@ -47,10 +53,17 @@ struct SequenceTable {
   std::vector<uint64_t> words;                     // the records, then a word for the barrier
   uint64_t first_words = 0, most_words = 0;        // of the first and of the largest record
   uint64_t counters = 0;                           // where the barrier's word lies
-  uint32_t most_warps = 0;                         // of a phase
+  uint32_t kept_words = 0;                         // what threads keep between phases, each
   bool fits = true;
+  // Of a source: words of a row, and which argument word has its address.
+  int32_t source_width(const ChainForm::Operation& op, size_t source) const;
+  int64_t source_word(const ChainForm::Operation& op, size_t source) const;
 };
-SequenceTable sequence_table(std::span<const novaphy_sequence_op> ops);
+// `kept_words`: how many a thread may keep. Not 0: it has at most one row of a phase.
+SequenceTable sequence_table(std::span<const novaphy_sequence_op> ops, uint32_t kept_words = 0);
+// Warps of the phase that has most.
+uint32_t most_warps(std::span<const novaphy_sequence_op> ops);
+constexpr uint64_t kBatch = 12;  // CSR items at once, where a barrier waits for the longest row
 
 struct SequenceShape {
   enum class Form : uint8_t { Block, Cluster, Grid } form = Form::Block;

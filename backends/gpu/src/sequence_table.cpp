@@ -1,6 +1,7 @@
 // From operations to records and forms of chains.
 #include <algorithm>
 #include <map>
+#include <tuple>
 
 #include "row_use.h"
 #include "sequence_source.h"
@@ -12,6 +13,10 @@ using Operation = ChainForm::Operation;
 
 constexpr int64_t kWarp = 32;
 constexpr int32_t kMaxRegisters = 24;  // words of an output that stays in registers
+constexpr int32_t kMaxOwn = 12;        // words of a source that are loaded when a chain begins
+constexpr int32_t kMaxTables = 3;      // CSR tables likewise
+constexpr uint64_t kAlignment = 16;
+constexpr uint32_t kMinUses = 4;  // of what is worth keeping
 
 uint64_t address(const void* p) { return reinterpret_cast<uint64_t>(p); }
 
@@ -22,9 +27,71 @@ struct Touch {
   int32_t slot = 0;   // which source or output; of a row_sum source 0 is `init`
 };
 
+// The memory that the sequence writes.
+class Written {
+ public:
+  void add(uint64_t begin, uint64_t bytes) {
+    uint64_t& end = ends_[begin];
+    end = std::max(end, begin + bytes);
+    longest_ = std::max(longest_, bytes);
+  }
+  bool touches(uint64_t begin, uint64_t bytes) const {
+    for (auto at = ends_.lower_bound(begin + bytes); at != ends_.begin();) {
+      --at;
+      if (at->second > begin) return true;
+      if (at->first + longest_ <= begin) break;
+    }
+    return false;
+  }
+
+ private:
+  std::map<uint64_t, uint64_t> ends_;
+  uint64_t longest_ = 0;
+};
+
+// The words of threads that keep what chains load anew in every substep. Chains of different warps
+// share them.
+class Kept {
+ public:
+  explicit Kept(uint32_t most) : most_(most) {}
+  uint32_t words() const { return words_; }
+  // The position, counted from 1, or 0 where there is no room.
+  uint32_t place(uint32_t words, uint64_t first_warp, uint64_t last_warp) {
+    for (Region& region : regions_) {
+      bool free = words <= region.words;
+      for (const auto& [first, last] : region.warps)
+        free = free && (last_warp <= first || last <= first_warp);
+      if (!free) continue;
+      region.warps.emplace_back(first_warp, last_warp);
+      return region.position;
+    }
+    if (words_ + words > most_) return 0;
+    regions_.push_back({words_ + 1, words, {{first_warp, last_warp}}});
+    words_ += words;
+    return regions_.back().position;
+  }
+
+ private:
+  struct Region {
+    uint32_t position, words;
+    std::vector<std::pair<uint64_t, uint64_t>> warps;
+  };
+  std::vector<Region> regions_;
+  uint32_t words_ = 0;
+  const uint32_t most_;
+};
+
+uint64_t warps_of(int64_t rows) { return static_cast<uint64_t>((rows + kWarp - 1) / kWarp); }
+
 class Writer {
  public:
+  explicit Writer(uint32_t kept_words) : kept_(kept_words) {}
+
   SequenceTable run(std::span<const novaphy_sequence_op> ops) {
+    for (const novaphy_sequence_op& o : ops) {
+      add_uses(o);
+      add_written(o);
+    }
     uint64_t before = 0;  // where the header of the record before lies
     for (size_t first = 0, last = 0; first < ops.size(); first = last) {
       while (last < ops.size() && ops[last].phase == ops[first].phase) ++last;
@@ -43,11 +110,20 @@ class Writer {
     out_.words.push_back(0);
     for (const auto& [form, number] : forms_) out_.forms.push_back(form);
     for (const auto& [form, number] : forms_) out_.forms[number] = form;
+    place_kept();
+    out_.kept_words = kept_.words();
     out_.fits = out_.words.size() < UINT32_MAX;
     return std::move(out_);
   }
 
  private:
+  struct User {
+    uint32_t words;
+    uint64_t first_warp, last_warp;
+    std::vector<uint64_t> chains;  // where the word of each lies
+  };
+  using SourceUse = std::tuple<const novaphy_kernel*, int32_t, uint64_t>;  // kernel, source, rows
+
   void add_record(std::span<const novaphy_sequence_op> ops) {
     std::vector<uint64_t> chains, body;
     const uint64_t number = ops.back().chain + uint64_t{1};
@@ -58,10 +134,10 @@ class Writer {
       const int64_t rows = chain[0].rows;
       chains.push_back(warps << 32 | static_cast<uint64_t>(rows));
       const uint64_t at = 2 + 2 * number + body.size();
-      chains.push_back(uint64_t{add_chain(chain, body)} << 32 | at);
-      warps += static_cast<uint64_t>((rows + kWarp - 1) / kWarp);
+      const uint64_t form = add_chain(chain, warps, out_.words.size() + at, body);
+      chains.push_back(form << 32 | at);
+      warps += warps_of(rows);
     }
-    out_.most_warps = std::max(out_.most_warps, static_cast<uint32_t>(warps));
     out_.words.push_back(0);
     out_.words.push_back(warps << 32 | number);
     out_.words.insert(out_.words.end(), chains.begin(), chains.end());
@@ -69,9 +145,12 @@ class Writer {
   }
 
   // Adds the arguments to the record; which form the chain has.
-  uint32_t add_chain(std::span<const novaphy_sequence_op> chain, std::vector<uint64_t>& body) {
+  // `at`: where they will lie.
+  uint32_t add_chain(std::span<const novaphy_sequence_op> chain, uint64_t first_warp, uint64_t at,
+                     std::vector<uint64_t>& body) {
     ChainForm form;
     const size_t start = body.size();
+    body.push_back(0);
     for (const novaphy_sequence_op& o : chain) {
       Operation& op = form.operations.emplace_back(operation(o));
       if (op.kind == Operation::Program) body.push_back(o.op.kernel->number);
@@ -86,7 +165,45 @@ class Writer {
     find_tables(chain, form);
     link(chain, form);
     const auto next = static_cast<uint32_t>(forms_.size());
-    return forms_.emplace(std::move(form), next).first->second;
+    const uint32_t number = forms_.emplace(form, next).first->second;
+    note_kept(form, number, chain[0].rows, first_warp, body.data() + start, at);
+    return number;
+  }
+
+  // Notes what a chain loads of memory that nothing in the sequence writes. Chains that load the same
+  // for the same threads are one user of it.
+  void note_kept(const ChainForm& form, uint32_t number, int64_t rows, uint64_t first_warp,
+                 const uint64_t* words, uint64_t at) {
+    User user{0, first_warp, first_warp + warps_of(rows), {at}};
+    std::vector<uint64_t> key = {number, first_warp, static_cast<uint64_t>(rows)};
+    for (const int32_t word : form.tables) {
+      user.words += 2 + kBatch;
+      key.insert(key.end(), {words[word], words[word + 1]});
+    }
+    for (const Operation& op : form.operations)
+      for (size_t s = 0; s < op.sources.size(); ++s) {
+        if (!op.sources[s].fixed) continue;
+        user.words += static_cast<uint32_t>(op.each * out_.source_width(op, s));
+        key.push_back(words[op.first_word + out_.source_word(op, s)]);
+      }
+    if (user.words == 0) return;
+    const auto [known, fresh] = user_of_.emplace(std::move(key), users_.size());
+    if (fresh) {
+      users_.push_back(std::move(user));
+    } else {
+      users_[known->second].chains.push_back(at);
+    }
+  }
+  // In the words of its chains: twice the position, and one more where it is to be filled.
+  void place_kept() {
+    std::stable_sort(users_.begin(), users_.end(),
+                     [](const User& a, const User& b) { return a.words > b.words; });
+    for (const User& user : users_) {
+      if (user.chains.size() < kMinUses) continue;
+      const uint64_t position = kept_.place(user.words, user.first_warp, user.last_warp);
+      for (const uint64_t at : user.chains)
+        if (position != 0) out_.words[at] = 2 * position + (at == user.chains[0] ? 1 : 0);
+    }
   }
 
   Operation operation(const novaphy_sequence_op& o) {
@@ -122,6 +239,8 @@ class Writer {
     return op;
   }
 
+  static bool is_aligned(const Touch& t) { return t.where % kAlignment == 0 && t.words % 4 == 0; }
+
   static void touches(const novaphy_sequence_op& o, const Operation& op, std::vector<Touch>& reads,
                       std::vector<Touch>& writes) {
     reads.clear();
@@ -151,20 +270,26 @@ class Writer {
           {words[p.output_argument(k)], op.each * op.outputs[k].width, static_cast<int32_t>(k)});
   }
 
+  // The CSR tables of the chain, each once, as far as a row of it is a row of theirs.
   static void find_tables(std::span<const novaphy_sequence_op> chain, ChainForm& form) {
-    std::vector<uint64_t> known;
+    std::vector<const uint64_t*> known;
     for (size_t k = 0; k < chain.size(); ++k) {
       Operation& op = form.operations[k];
-      const uint64_t* words = chain[k].op.arguments;
+      const uint64_t* const words = chain[k].op.arguments;
       const auto add = [&](uint32_t word) {
-        if (std::find(known.begin(), known.end(), words[word]) != known.end()) return;
-        known.push_back(words[word]);
-        op.tables.push_back(static_cast<int32_t>(word));
+        const auto same = [&](const uint64_t* table) {
+          return table[0] == words[word] && table[1] == words[word + 1];
+        };
+        const auto found = std::find_if(known.begin(), known.end(), same);
+        const auto number = static_cast<int32_t>(found - known.begin());
+        op.tables.push_back(op.each == 1 && number < kMaxTables ? number : -1);
+        if (op.tables.back() < 0 || found != known.end()) return;
+        known.push_back(words + word);
+        form.tables.push_back(op.first_word + static_cast<int32_t>(word));
       };
-      if (op.each != 1) continue;
       if (op.kind == Operation::RowSum && op.offsets) {
         add(1);
-        if (k == 0) continue;
+        if (k == 0 || op.each != 1) continue;
         const Operation& before = form.operations[k - 1];
         const uint64_t* other = chain[k - 1].op.arguments;
         op.joins = before.kind == Operation::RowSum && before.offsets && before.each == 1 &&
@@ -172,18 +297,23 @@ class Writer {
                    words[2] == other[2] && words[3] != other[4];
       } else if (op.kind == Operation::Program) {
         const nova::ir::Program& p = chain[k].op.kernel->program;
-        for (size_t l = 0; l < p.loops.size(); ++l)
-          if (p.loops[l].kind == nova::ir::LoopKind::Csr) add(p.loop_argument(l));
+        for (size_t l = 0; l < p.loops.size(); ++l) {
+          if (p.loops[l].kind == nova::ir::LoopKind::Csr) {
+            add(p.loop_argument(l));
+          } else {
+            op.tables.push_back(-1);
+          }
+        }
       }
     }
   }
 
   // What one operation leaves for a later one goes through registers, and is stored at the end, so
   // that no store stands between the loads of the chain.
-  static void link(std::span<const novaphy_sequence_op> chain, ChainForm& form) {
+  void link(std::span<const novaphy_sequence_op> chain, ChainForm& form) const {
     struct Place {
       int32_t words = 0, op = -1, output = 0;
-      bool fits = true;
+      bool fits = true, written = false;
     };
     std::map<uint64_t, Place> places;
     std::vector<Touch> reads, writes;
@@ -201,31 +331,91 @@ class Writer {
       touches(chain[k], op, reads, writes);
       for (const Touch& t : reads) {
         const Place& place = places[t.where];
-        if (place.fits && place.op >= 0)
-          op.sources[static_cast<size_t>(t.slot)] = {Operation::Source::Registers, place.op,
-                                                     place.output};
+        Operation::Source& source = op.sources[static_cast<size_t>(t.slot)];
+        if (place.fits && place.op >= 0) {
+          source = {Operation::Source::Registers, place.op, place.output};
+        } else if (source.from == Operation::Source::There && t.words <= kMaxOwn &&
+                   !place.written) {
+          const uint64_t bytes = static_cast<uint64_t>(t.words) * chain[k].rows * sizeof(int32_t);
+          const auto uses = uses_.find({chain[k].op.kernel, t.slot, t.where});
+          const bool again = uses != uses_.end() && uses->second >= kMinUses;
+          source = {Operation::Source::Own, 0, 0, is_aligned(t),
+                    again && !written_.touches(t.where, bytes)};
+        }
       }
       for (const Touch& t : writes) {
         Place& place = places[t.where];
+        place.written = true;
         if (!place.fits) continue;
         if (place.op >= 0)
           form.operations[static_cast<size_t>(place.op)]
               .outputs[static_cast<size_t>(place.output)]
               .store = Operation::Output::Never;
         op.outputs[static_cast<size_t>(t.slot)].store = Operation::Output::Later;
+        op.outputs[static_cast<size_t>(t.slot)].aligned = is_aligned(t);
         place.op = static_cast<int32_t>(k);
         place.output = t.slot;
       }
     }
   }
 
+  void add_uses(const novaphy_sequence_op& o) {
+    if (o.op.kernel == nullptr) return;
+    if (o.op.kernel->run != nullptr) {
+      ++uses_[{o.op.kernel, 0, o.op.arguments[3]}];
+      return;
+    }
+    const nova::ir::Program& p = o.op.kernel->program;
+    for (size_t s = 0; s < p.sources.size(); ++s)
+      ++uses_[{o.op.kernel, static_cast<int32_t>(s), o.op.arguments[p.source_argument(s)]}];
+  }
+  void add_written(const novaphy_sequence_op& o) {
+    const auto rows = static_cast<uint64_t>(o.n) * sizeof(int32_t);
+    if (o.op.kernel == nullptr) {
+      written_.add(address(o.op.target), rows);
+    } else if (o.op.kernel->run != nullptr) {
+      written_.add(o.op.arguments[4], rows * o.op.arguments[5]);
+    } else {
+      const nova::ir::Program& p = o.op.kernel->program;
+      for (size_t k = 0; k < p.outputs.size(); ++k)
+        written_.add(o.op.arguments[p.output_argument(k)], rows * p.outputs[k].values.size());
+    }
+  }
+
   SequenceTable out_;
+  Written written_;
+  Kept kept_;
+  std::map<SourceUse, uint32_t> uses_;
+  std::vector<User> users_;
+  std::map<std::vector<uint64_t>, size_t> user_of_;
   std::map<const novaphy_kernel*, int32_t> programs_;
   std::map<ChainForm, uint32_t> forms_;
 };
 
 }  // namespace
 
-SequenceTable sequence_table(std::span<const novaphy_sequence_op> ops) { return Writer().run(ops); }
+int32_t SequenceTable::source_width(const Operation& op, size_t source) const {
+  if (op.kind != Operation::Program) return op.width;
+  return programs[static_cast<size_t>(op.program)]->sources[source].width;
+}
+int64_t SequenceTable::source_word(const Operation& op, size_t source) const {
+  if (op.kind != Operation::Program) return op.kind == Operation::RowSum ? 3 : 1;
+  return programs[static_cast<size_t>(op.program)]->source_argument(source);
+}
+
+SequenceTable sequence_table(std::span<const novaphy_sequence_op> ops, uint32_t kept_words) {
+  return Writer(kept_words).run(ops);
+}
+
+uint32_t most_warps(std::span<const novaphy_sequence_op> ops) {
+  uint64_t most = 0, warps = 0;
+  for (size_t k = 0; k < ops.size(); ++k) {
+    const bool same_phase = k > 0 && ops[k].phase == ops[k - 1].phase;
+    if (!same_phase) warps = 0;
+    if (!same_phase || ops[k].chain != ops[k - 1].chain) warps += warps_of(ops[k].rows);
+    most = std::max(most, warps);
+  }
+  return static_cast<uint32_t>(most);
+}
 
 }  // namespace novaphy::gpu

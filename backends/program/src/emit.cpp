@@ -95,10 +95,10 @@ void Emitter::head(const std::string& function) {
 }
 
 void Emitter::device_signature(const std::string& function) {
-  std::string types, values;
+  std::string types = "class Args", values;
   const auto add = [&](const char* type, const char* value, size_t k) {
     const std::string number = str(static_cast<int64_t>(k));
-    types += (types.empty() ? "class " : ", class ") + (type + number);
+    types += ", class " + (type + number);
     values += ", const " + (type + number) + " " + (value + number);
   };
   for (size_t s = 0; s < p_.sources.size(); ++s) add("S", "s", s);
@@ -109,7 +109,7 @@ void Emitter::device_signature(const std::string& function) {
   }
   line("// Computes row i.");
   line("template <" + types + ">");
-  line("LANE_FN void " + function + "(const uint64_t* args" + values + ", const int64_t i,");
+  line("LANE_FN void " + function + "(const Args args" + values + ", const int64_t i,");
   line("                  row_failure& sink) {");
   ++depth_;
 }

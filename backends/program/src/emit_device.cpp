@@ -14,8 +14,13 @@ bool Emitter::in_batches(int32_t l) const {
 
 void Emitter::device_items(int32_t l) {
   const std::string k = str(l), r = "r" + k, batch = "b" + k;
-  const bool again = items_done_ == l;
-  if (!again) csr_rows(l);
+  const bool again = items_done_ == l, batches = !again && in_batches(l);
+  if (batches) {
+    line("csr_batch csr" + k + " = csr_first(args, " + str(p_.loop_argument(at(l))) + ", " + k +
+         ", i);");
+  } else if (!again) {
+    csr_rows(l);
+  }
   std::string on = "splatb(1)";  // a lane that is off has left
   if (again) {
     line("for (int32_t " + r + " = kept.count; " + r + " < csr" + k + ".longest; ++" + r + ") {");
@@ -26,14 +31,14 @@ void Emitter::device_items(int32_t l) {
     out_ += "#pragma unroll\n";
     line("for (int32_t " + r + " = 0; " + r + " < KEPT_ITEMS; ++" + r + ") {");
     on = r + " < kept.count";
-  } else if (in_batches(l)) {
+  } else if (batches) {
     line("for (int32_t " + batch + " = 0; " + batch + " < csr" + k + ".longest; " + batch +
          " += CSR_BATCH) {");
     ++depth_;
+    line("if (" + batch + " > 0) csr_load(&csr" + k + ", items" + k + ", " + batch + ");");
     out_ += "#pragma unroll\n";
-    line("for (int32_t " + r + " = " + batch + "; " + r + " < " + batch + " + CSR_BATCH; ++" + r +
-         ") {");
-    on = "csr_on(&csr" + k + ", " + r + ")";
+    line("for (int32_t " + r + " = 0; " + r + " < CSR_BATCH; ++" + r + ") {");
+    on = "csr_on(&csr" + k + ", " + batch + " + " + r + ")";
   } else {
     line("for (int32_t " + r + " = 0; " + r + " < csr" + k + ".longest; ++" + r + ") {");
   }

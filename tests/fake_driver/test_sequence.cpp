@@ -83,7 +83,7 @@ TEST_F(SequenceTest, ChainsOfOneStructureShareTheirForm) {
   EXPECT_EQ(table.first_words, kRecord);
   EXPECT_EQ(table.words.size(), 6 * kRecord + 1);
   EXPECT_EQ(table.words[0], kRecord << 32 | kRecord);
-  EXPECT_EQ(table.words[1], uint64_t{4} << 32 | 2);
+  EXPECT_EQ(table.words[1], uint64_t{4} << 32 | 32 << 16 | 2);
   EXPECT_EQ(table.words[2], kRows);                      // the first chain begins with warp 0
   EXPECT_EQ(table.words[4], uint64_t{2} << 32 | kRows);  // the second one with warp 2
   EXPECT_EQ(table.words[6], 0u);  // nothing
@@ -135,7 +135,7 @@ TEST_F(SequenceTest, WhatNothingWritesIsKeptByItsThreads) {
     push_add(t, 0, kState + t * kBytes, kFixed, kState + (t + 1) * kBytes);
     push_add(t, 1, kOther + t * kBytes, almost, kOther + (t + 1) * kBytes);
   }
-  const SequenceTable table = sequence_table(ops, 100);
+  const SequenceTable table = sequence_table(ops, {0, 100});
   ASSERT_EQ(table.forms.size(), 2u);
   int32_t fixed = 0;
   for (const ChainForm& form : table.forms) {
@@ -150,14 +150,24 @@ TEST_F(SequenceTest, WhatNothingWritesIsKeptByItsThreads) {
     at = static_cast<uint32_t>(table.words[at]);
   }
   expect_compiles(table);
-  EXPECT_EQ(sequence_table(ops, 2).kept_words, 0u);  // no room
+  EXPECT_EQ(sequence_table(ops, {0, 2}).kept_words, 0u);  // no room
+}
+
+TEST_F(SequenceTest, WarpsThatWouldIdleShareTheRows) {
+  push_add(0, 0, 0x1000, 0x100, 0x2000);
+  push_add(0, 1, 0x1000, 0x200, 0x3000);
+  EXPECT_EQ(sequence_table(ops, {9, 0}).words[1], uint64_t{6} << 32 | 16 << 16 | 2);
+  const SequenceTable table = sequence_table(ops, {10, 0});
+  EXPECT_EQ(table.words[1], uint64_t{10} << 32 | 8 << 16 | 2);
+  EXPECT_EQ(table.words[4], uint64_t{5} << 32 | kRows);  // the second chain begins with warp 5
+  expect_compiles(table);
 }
 
 TEST_F(SequenceTest, ChainsOfDifferentThreadsShareWhereTheyKeepWords) {
   for (uint32_t t = 0; t < 4; ++t)
     for (uint32_t c = 0; c < 3; ++c)
       push_add(t, c, 0x10000 * (c + 1), 0x100000 * (c + 1), 0x1000000 * (4 * c + t + 1));
-  const SequenceTable table = sequence_table(ops, 100);
+  const SequenceTable table = sequence_table(ops, {0, 100});
   EXPECT_EQ(table.kept_words, 6u);
   for (const uint64_t at : {8u, 15u, 22u}) EXPECT_EQ(table.words[at], 3u);
   expect_compiles(table);

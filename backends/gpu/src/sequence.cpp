@@ -76,8 +76,9 @@ novaphy_status create(novaphy_device* device, std::span<const novaphy_sequence_o
   if (plain && contract) return refuse("kernels with and without contraction");
   const uint32_t warps = most_warps(ops);
   const SequenceShape shape = choose(*device, warps);
-  const bool one_row = shape.form != Form::Grid && warps * kWarp <= shape.blocks * shape.threads;
-  const SequenceTable table = sequence_table(ops, one_row ? kKeptBytes / 4 / shape.threads : 0);
+  const SequenceRoom room{shape.blocks * shape.threads / kWarp, kKeptBytes / 4 / shape.threads};
+  const bool one_row = shape.form != Form::Grid && warps <= room.warps;
+  const SequenceTable table = sequence_table(ops, one_row ? room : SequenceRoom{});
   if (!table.fits) return refuse("too large");
   OwnList made(new novaphy_list);
   made->device = device;

@@ -1,10 +1,10 @@
 // A sequence: phases of chains as one launch, with a barrier after each. Compiled behind
 // device_prelude.cuh; the Programs and run_chain, which knows the forms of the chains, come after
 // this text. What to run lies in a table, a record for each phase:
-//   words of the next record << 32 | its first word      warps << 32 | chains
+//   words of the next record << 32 | its first word      warps << 32 | rows of a warp << 16 | chains
 //   per chain: its first warp << 32 | rows               form << 32 | the first word of its arguments
 //   the arguments; before those of a Program, the number of the kernel
-// A warp takes 32 rows of a chain. The record of the next phase is loaded during a phase.
+// A warp takes rows of one chain. The record of the next phase is loaded during a phase.
 #define kWordsPerThread ((SEQUENCE_WORDS + SEQUENCE_THREADS - 1) / SEQUENCE_THREADS)
 
 LANE_FN uint32_t low_half(uint64_t word) { return (uint32_t)word; }
@@ -246,15 +246,16 @@ LANE_FN void run_chain(uint32_t form, const uint64_t* words, const int64_t i,
 
 LANE_FN void run_phase(const uint64_t* record, const device_sink sink) {
   const uint64_t* const chain = record + 2;
-  const uint32_t chains = low_half(record[1]), warps = high_half(record[1]);
+  const uint32_t chains = low_half(record[1]) & 0xffff, lanes = low_half(record[1]) >> 16;
+  const uint32_t warps = high_half(record[1]), lane = threadIdx.x & 31;
   const uint32_t all = gridDim.x * (SEQUENCE_THREADS / 32);
   // Neighbours go to different blocks, so that few warps use many units.
 #pragma unroll 1
   for (uint32_t warp = threadIdx.x / 32 * gridDim.x + blockIdx.x; warp < warps; warp += all) {
     uint32_t c = chains - 1;
     while (high_half(chain[2 * c]) > warp) --c;
-    const uint32_t row = (warp - high_half(chain[2 * c])) * 32 + (threadIdx.x & 31);
-    if (row < low_half(chain[2 * c]))
+    const uint32_t row = (warp - high_half(chain[2 * c])) * lanes + lane;
+    if (lane < lanes && row < low_half(chain[2 * c]))
       run_chain(high_half(chain[2 * c + 1]), record + low_half(chain[2 * c + 1]), row, sink);
   }
 }

@@ -59,9 +59,14 @@ struct SequenceTable {
   int32_t source_width(const ChainForm::Operation& op, size_t source) const;
   int64_t source_word(const ChainForm::Operation& op, size_t source) const;
 };
-// `kept_words`: how many a thread may keep. Not 0: it has at most one row of a phase.
-SequenceTable sequence_table(std::span<const novaphy_sequence_op> ops, uint32_t kept_words = 0);
-// Warps of the phase that has most.
+// What a table may count on where no thread has more than one row of a phase.
+struct SequenceRoom {
+  uint32_t warps = 0;
+  uint32_t kept_words = 0;  // how many a thread may keep
+};
+SequenceTable sequence_table(std::span<const novaphy_sequence_op> ops,
+                             const SequenceRoom& room = {});
+// Warps of the phase that has most, with 32 rows each.
 uint32_t most_warps(std::span<const novaphy_sequence_op> ops);
 constexpr uint64_t kBatch = 12;  // CSR items at once, where a barrier waits for the longest row
 

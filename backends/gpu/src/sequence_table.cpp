@@ -49,6 +49,8 @@ class Written {
   uint64_t longest_ = 0;
 };
 
+using Warps = std::pair<uint64_t, uint64_t>;  // from the first to before the second
+
 // The words of threads that keep what chains load anew in every substep. Chains of different warps
 // share them.
 class Kept {
@@ -56,17 +58,17 @@ class Kept {
   explicit Kept(uint32_t most) : most_(most) {}
   uint32_t words() const { return words_; }
   // The position, counted from 1, or 0 where there is no room.
-  uint32_t place(uint32_t words, uint64_t first_warp, uint64_t last_warp) {
+  uint32_t place(uint32_t words, Warps warps) {
     for (Region& region : regions_) {
       bool free = words <= region.words;
-      for (const auto& [first, last] : region.warps)
-        free = free && (last_warp <= first || last <= first_warp);
+      for (const auto& [first, last] : region.users)
+        free = free && (warps.second <= first || last <= warps.first);
       if (!free) continue;
-      region.warps.emplace_back(first_warp, last_warp);
+      region.users.push_back(warps);
       return region.position;
     }
     if (words_ + words > most_) return 0;
-    regions_.push_back({words_ + 1, words, {{first_warp, last_warp}}});
+    regions_.push_back({words_ + 1, words, {warps}});
     words_ += words;
     return regions_.back().position;
   }
@@ -74,18 +76,35 @@ class Kept {
  private:
   struct Region {
     uint32_t position, words;
-    std::vector<std::pair<uint64_t, uint64_t>> warps;
+    std::vector<Warps> users;
   };
   std::vector<Region> regions_;
   uint32_t words_ = 0;
   const uint32_t most_;
 };
 
-uint64_t warps_of(int64_t rows) { return static_cast<uint64_t>((rows + kWarp - 1) / kWarp); }
+uint64_t warps_of(int64_t rows, int64_t lanes) {
+  return static_cast<uint64_t>((rows + lanes - 1) / lanes);
+}
+
+// Warps of a phase, with so many rows each.
+uint64_t warps_of(std::span<const novaphy_sequence_op> phase, int64_t lanes) {
+  uint64_t warps = 0;
+  for (size_t k = 0; k < phase.size(); ++k)
+    if (k == 0 || phase[k].chain != phase[k - 1].chain) warps += warps_of(phase[k].rows, lanes);
+  return warps;
+}
+
+std::span<const novaphy_sequence_op> phase_at(std::span<const novaphy_sequence_op> ops,
+                                              size_t first) {
+  size_t last = first;
+  while (last < ops.size() && ops[last].phase == ops[first].phase) ++last;
+  return ops.subspan(first, last - first);
+}
 
 class Writer {
  public:
-  explicit Writer(uint32_t kept_words) : kept_(kept_words) {}
+  explicit Writer(const SequenceRoom& room) : kept_(room.kept_words), room_warps_(room.warps) {}
 
   SequenceTable run(std::span<const novaphy_sequence_op> ops) {
     for (const novaphy_sequence_op& o : ops) {
@@ -93,10 +112,10 @@ class Writer {
       add_written(o);
     }
     uint64_t before = 0;  // where the header of the record before lies
-    for (size_t first = 0, last = 0; first < ops.size(); first = last) {
-      while (last < ops.size() && ops[last].phase == ops[first].phase) ++last;
+    for (size_t first = 0; first < ops.size();) {
+      const std::span<const novaphy_sequence_op> phase = phase_at(ops, first);
       const uint64_t start = out_.words.size();
-      add_record(ops.subspan(first, last - first));
+      add_record(phase);
       const uint64_t size = out_.words.size() - start;
       out_.most_words = std::max(out_.most_words, size);
       if (first == 0) {
@@ -105,6 +124,7 @@ class Writer {
         out_.words[before] = size << 32 | start;
       }
       before = start;
+      first += phase.size();
     }
     out_.counters = out_.words.size();
     out_.words.push_back(0);
@@ -119,7 +139,7 @@ class Writer {
  private:
   struct User {
     uint32_t words;
-    uint64_t first_warp, last_warp;
+    Warps warps;
     std::vector<uint64_t> chains;  // where the word of each lies
   };
   using SourceUse = std::tuple<const novaphy_kernel*, int32_t, uint64_t>;  // kernel, source, rows
@@ -127,6 +147,7 @@ class Writer {
   void add_record(std::span<const novaphy_sequence_op> ops) {
     std::vector<uint64_t> chains, body;
     const uint64_t number = ops.back().chain + uint64_t{1};
+    const int64_t lanes = lanes_of(ops);
     uint64_t warps = 0;
     for (size_t first = 0, last = 0; first < ops.size(); first = last) {
       while (last < ops.size() && ops[last].chain == ops[first].chain) ++last;
@@ -134,19 +155,28 @@ class Writer {
       const int64_t rows = chain[0].rows;
       chains.push_back(warps << 32 | static_cast<uint64_t>(rows));
       const uint64_t at = 2 + 2 * number + body.size();
-      const uint64_t form = add_chain(chain, warps, out_.words.size() + at, body);
+      const uint64_t end = warps + warps_of(rows, lanes);
+      const uint64_t form = add_chain(chain, {warps, end}, out_.words.size() + at, body);
       chains.push_back(form << 32 | at);
-      warps += warps_of(rows);
+      warps = end;
     }
     out_.words.push_back(0);
-    out_.words.push_back(warps << 32 | number);
+    out_.words.push_back(warps << 32 | static_cast<uint64_t>(lanes) << 16 | number);
     out_.words.insert(out_.words.end(), chains.begin(), chains.end());
     out_.words.insert(out_.words.end(), body.begin(), body.end());
   }
 
+  // Rows of a warp: fewer where warps would idle, because a load waits for all the lines that its
+  // lanes touch.
+  int64_t lanes_of(std::span<const novaphy_sequence_op> phase) const {
+    int64_t lanes = kWarp;
+    while (lanes > 1 && warps_of(phase, lanes / 2) <= room_warps_) lanes /= 2;
+    return lanes;
+  }
+
   // Adds the arguments to the record; which form the chain has.
   // `at`: where they will lie.
-  uint32_t add_chain(std::span<const novaphy_sequence_op> chain, uint64_t first_warp, uint64_t at,
+  uint32_t add_chain(std::span<const novaphy_sequence_op> chain, Warps warps, uint64_t at,
                      std::vector<uint64_t>& body) {
     ChainForm form;
     const size_t start = body.size();
@@ -166,16 +196,16 @@ class Writer {
     link(chain, form);
     const auto next = static_cast<uint32_t>(forms_.size());
     const uint32_t number = forms_.emplace(form, next).first->second;
-    note_kept(form, number, chain[0].rows, first_warp, body.data() + start, at);
+    note_kept(form, number, chain[0].rows, warps, body.data() + start, at);
     return number;
   }
 
   // Notes what a chain loads of memory that nothing in the sequence writes. Chains that load the same
   // for the same threads are one user of it.
-  void note_kept(const ChainForm& form, uint32_t number, int64_t rows, uint64_t first_warp,
+  void note_kept(const ChainForm& form, uint32_t number, int64_t rows, Warps warps,
                  const uint64_t* words, uint64_t at) {
-    User user{0, first_warp, first_warp + warps_of(rows), {at}};
-    std::vector<uint64_t> key = {number, first_warp, static_cast<uint64_t>(rows)};
+    User user{0, warps, {at}};
+    std::vector<uint64_t> key = {number, warps.first, warps.second, static_cast<uint64_t>(rows)};
     for (const int32_t word : form.tables) {
       user.words += 2 + kBatch;
       key.insert(key.end(), {words[word], words[word + 1]});
@@ -200,7 +230,7 @@ class Writer {
                      [](const User& a, const User& b) { return a.words > b.words; });
     for (const User& user : users_) {
       if (user.chains.size() < kMinUses) continue;
-      const uint64_t position = kept_.place(user.words, user.first_warp, user.last_warp);
+      const uint64_t position = kept_.place(user.words, user.warps);
       for (const uint64_t at : user.chains)
         if (position != 0) out_.words[at] = 2 * position + (at == user.chains[0] ? 1 : 0);
     }
@@ -385,6 +415,7 @@ class Writer {
   SequenceTable out_;
   Written written_;
   Kept kept_;
+  const uint32_t room_warps_;
   std::map<SourceUse, uint32_t> uses_;
   std::vector<User> users_;
   std::map<std::vector<uint64_t>, size_t> user_of_;
@@ -403,17 +434,16 @@ int64_t SequenceTable::source_word(const Operation& op, size_t source) const {
   return programs[static_cast<size_t>(op.program)]->source_argument(source);
 }
 
-SequenceTable sequence_table(std::span<const novaphy_sequence_op> ops, uint32_t kept_words) {
-  return Writer(kept_words).run(ops);
+SequenceTable sequence_table(std::span<const novaphy_sequence_op> ops, const SequenceRoom& room) {
+  return Writer(room).run(ops);
 }
 
 uint32_t most_warps(std::span<const novaphy_sequence_op> ops) {
-  uint64_t most = 0, warps = 0;
-  for (size_t k = 0; k < ops.size(); ++k) {
-    const bool same_phase = k > 0 && ops[k].phase == ops[k - 1].phase;
-    if (!same_phase) warps = 0;
-    if (!same_phase || ops[k].chain != ops[k - 1].chain) warps += warps_of(ops[k].rows);
-    most = std::max(most, warps);
+  uint64_t most = 0;
+  for (size_t first = 0; first < ops.size();) {
+    const std::span<const novaphy_sequence_op> phase = phase_at(ops, first);
+    most = std::max(most, warps_of(phase, kWarp));
+    first += phase.size();
   }
   return static_cast<uint32_t>(most);
 }

@@ -251,6 +251,11 @@ FAKE cuOccupancyMaxActiveBlocksPerMultiprocessor(int* blocks, void*, int, size_t
   *blocks = 1;
   return result();
 }
+FAKE cuFuncSetAttribute(void*, int, int) { return result(); }
+FAKE cuOccupancyMaxActiveClusters(int* clusters, void*, const void*) {
+  *clusters = static_cast<int>(setting("FAKE_DRIVER_CLUSTERS", 1));
+  return result();
+}
 FAKE cuStreamBeginCapture_v2(void* stream, unsigned) {
   static_cast<Handle*>(stream)->capturing = true;
   return result();

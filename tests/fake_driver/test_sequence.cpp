@@ -86,7 +86,7 @@ TEST_F(SequenceTest, ChainsOfOneStructureShareTheirForm) {
   EXPECT_EQ(table.words[1], uint64_t{4} << 32 | 32 << 16 | 2);
   EXPECT_EQ(table.words[2], kRows);                      // the first chain begins with warp 0
   EXPECT_EQ(table.words[4], uint64_t{2} << 32 | kRows);  // the second one with warp 2
-  EXPECT_EQ(table.words[6], 0u);  // nothing
+  EXPECT_EQ(table.words[6], 0u);                         // nothing
   EXPECT_EQ(table.words[7], 7u);
   EXPECT_EQ(table.words[5 * kRecord], 0u);  // the last record
   expect_compiles(table);

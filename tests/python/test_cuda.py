@@ -253,7 +253,7 @@ def test_phases_have_the_bits_of_the_cpu_on_one_block_a_cluster_and_the_whole_de
 ):
     expected = trained_body("cpu", leaves)
     assert np.abs(expected[2]).max() > 0
-    for phases in ("0", "", "1x64", "4x32", "20x96"):
+    for phases in ("0", "", "1x64", "4x32", "16x64", "20x96"):
         monkeypatch.setenv("NOVAPHY_DEVICE_PHASES", phases)
         for name, a, b in zip(("q", "qd", "materials"), trained_body("cuda:0", leaves), expected):
             assert_same_bits(a, b, f"{name}, phases {phases!r}")

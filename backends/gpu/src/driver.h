@@ -32,12 +32,23 @@ enum DeviceAttribute : int {
   kComputeMajor = 75,
   kComputeMinor = 76,
 };
+enum FunctionAttribute : int {
+  kLargeClusters = 14,  // of sizes that not every device takes
+};
 enum : unsigned {
   kStreamDefault = 0,
   kStreamNonBlocking = 1,
   kHostPortable = 1,
   kHostMapped = 2,
   kCaptureRelaxed = 2,
+};
+
+// A launch, to ask about.
+struct LaunchShape {
+  unsigned blocks[3], threads[3], shared_bytes;
+  Stream stream;
+  const void* attributes;
+  unsigned attribute_count;
 };
 
 // X(member, result, arguments, symbol). A vendor with other names for the same functions adds a
@@ -97,6 +108,9 @@ enum : unsigned {
     "cuLaunchCooperativeKernel")                                                                  \
   X(blocks_per_unit, Result, (int*, Function, int, size_t),                                       \
     "cuOccupancyMaxActiveBlocksPerMultiprocessor")                                                \
+  X(function_set, Result, (Function, int, int), "cuFuncSetAttribute")                             \
+  X(clusters_at_once, Result, (int*, Function, const LaunchShape*),                               \
+    "cuOccupancyMaxActiveClusters")                                                               \
   X(capture_begin, Result, (Stream, unsigned), "cuStreamBeginCapture_v2")                         \
   X(capture_end, Result, (Stream, Graph*), "cuStreamEndCapture")                                  \
   X(graph_instantiate, Result, (GraphExec*, Graph, unsigned long long),                           \

@@ -14,8 +14,10 @@ using Form = SequenceShape::Form;
 constexpr unsigned kWarp = 32;
 // Warps of a block: as many as leave a thread the registers that adjoints of elements take.
 constexpr unsigned kFewWarps = 4, kMostWarps = 8, kMostWarpsOfGrid = 12;
-constexpr unsigned kMostInCluster = 8;  // blocks, on every device that has clusters
-constexpr int32_t kClusters = 90;       // the first architecture that has
+// Blocks of a large cluster, where the driver finds the units for it, and for how many warps it is
+// not worth it.
+constexpr unsigned kMostInLargeCluster = 16, kFewForLarge = 32;
+constexpr int32_t kClusters = 90;          // the first architecture that has
 constexpr unsigned kKeptBytes = 38 << 10;  // of the 48 KiB of a block, beside two records
 // What the builtin, where a block works on such a row, sums faster.
 constexpr uint64_t kLongRow = 1024, kWideRow = 16;
@@ -35,27 +37,49 @@ unsigned rounded_up(unsigned a, unsigned b) { return (a + b - 1) / b; }
 
 // Few rows stay on one unit, where a barrier costs next to nothing; more of them spread over a
 // cluster, whose barrier is the hardware's, and many over the device.
-SequenceShape choose(const novaphy_device& device, unsigned warps) {
-  const unsigned in_cluster = device.arch >= kClusters ? kMostInCluster : 1;
+SequenceShape choose(const novaphy_device& device, unsigned warps, unsigned in_cluster) {
+  const bool clusters = device.arch >= kClusters;
   SequenceShape shape;
   if (!asked_for(shape.blocks, shape.threads)) {
     unsigned each = 0;  // warps of a block
     if (warps <= kMostWarps) {
       shape.blocks = 1;
       each = std::max(warps, kFewWarps);
-    } else if (warps <= kMostWarps * in_cluster) {
-      shape.blocks = in_cluster;
-      each = rounded_up(warps, in_cluster);
+    } else if (clusters && warps <= kMostWarps * kMostInCluster) {
+      shape.blocks = std::min(warps > kFewForLarge ? in_cluster : kMostInCluster, warps);
+      each = rounded_up(warps, shape.blocks);
     } else {
       shape.blocks = std::min(warps, static_cast<unsigned>(device.units));
       each = std::min(rounded_up(warps, shape.blocks), kMostWarpsOfGrid);
     }
     shape.threads = each * kWarp;
   }
-  shape.form = shape.blocks == 1            ? Form::Block
-               : shape.blocks <= in_cluster ? Form::Cluster
-                                            : Form::Grid;
+  shape.form = shape.blocks == 1                        ? Form::Block
+               : clusters && shape.blocks <= in_cluster ? Form::Cluster
+                                                        : Form::Grid;
   return shape;
+}
+
+// Whether the device has the units of a large cluster side by side.
+bool runs_as_cluster(const novaphy_list& list) {
+  const Use use(list.device);
+  const Driver& d = driver();
+  const LaunchShape launch{
+      {static_cast<unsigned>(list.blocks), 1, 1}, {list.threads, 1, 1}, 0, nullptr, nullptr, 0};
+  int clusters = 0;
+  return d.function_set(list.function, kLargeClusters, 1) == kSuccess &&
+         d.clusters_at_once(&clusters, list.function, &launch) == kSuccess && clusters > 0;
+}
+
+// Limits the blocks to those that run at the same time.
+novaphy_status fit_together(novaphy_list& list, novaphy_error* error) {
+  int fit = 0;
+  const Use use(list.device);
+  const novaphy_status status = check(
+      list.device, driver().blocks_per_unit(&fit, list.function, static_cast<int>(list.threads), 0),
+      "sequence", error);
+  list.blocks = std::min<int64_t>(list.blocks, int64_t{fit} * list.device->units);
+  return status;
 }
 
 novaphy_status create(novaphy_device* device, std::span<const novaphy_sequence_op> ops,
@@ -75,33 +99,29 @@ novaphy_status create(novaphy_device* device, std::span<const novaphy_sequence_o
   // One rounding policy for the whole text.
   if (plain && contract) return refuse("kernels with and without contraction");
   const uint32_t warps = most_warps(ops);
-  const SequenceShape shape = choose(*device, warps);
-  const SequenceRoom room{shape.blocks * shape.threads / kWarp, kKeptBytes / 4 / shape.threads};
-  const bool one_row = shape.form != Form::Grid && warps <= room.warps;
-  const SequenceTable table = sequence_table(ops, one_row ? room : SequenceRoom{});
-  if (!table.fits) return refuse("too large");
-  OwnList made(new novaphy_list);
-  made->device = device;
-  made->words = {table.first_words};
-  made->n = static_cast<int64_t>(table.counters);
-  made->blocks = shape.blocks;
-  made->threads = shape.threads;
-  made->together = shape.form == Form::Grid;
-  const novaphy_status status =
-      load_list(*made, sequence_source(table, shape), contract, table.words, error);
-  if (status != NOVAPHY_OK) return status;
-  if (made->together) {
-    int fit = 0;
-    const Use use(device);
-    const novaphy_status known = check(
-        device, driver().blocks_per_unit(&fit, made->function, static_cast<int>(shape.threads), 0),
-        "sequence", error);
-    if (known != NOVAPHY_OK) return known;
-    made->blocks = std::min<int64_t>(made->blocks, int64_t{fit} * device->units);
+  for (const unsigned in_cluster : {kMostInLargeCluster, kMostInCluster}) {
+    const SequenceShape shape = choose(*device, warps, in_cluster);
+    const SequenceRoom room{shape.blocks * shape.threads / kWarp, kKeptBytes / 4 / shape.threads};
+    const bool one_row = shape.form != Form::Grid && warps <= room.warps;
+    const SequenceTable table = sequence_table(ops, one_row ? room : SequenceRoom{});
+    if (!table.fits) return refuse("too large");
+    OwnList made(new novaphy_list);
+    made->device = device;
+    made->words = {table.first_words};
+    made->n = static_cast<int64_t>(table.counters);
+    made->blocks = shape.blocks;
+    made->threads = shape.threads;
+    made->together = shape.form == Form::Grid;
+    novaphy_status status =
+        load_list(*made, sequence_source(table, shape), contract, table.words, error);
+    if (status == NOVAPHY_OK && made->together) status = fit_together(*made, error);
+    if (status != NOVAPHY_OK) return status;
     if (made->blocks == 0) return refuse("the device does not hold a block of it");
+    if (shape.is_large() && !runs_as_cluster(*made)) continue;
+    *list = made.release();
+    return NOVAPHY_OK;
   }
-  *list = made.release();
-  return NOVAPHY_OK;
+  return refuse("no room for it");
 }
 
 }  // namespace

@@ -248,10 +248,15 @@ LANE_FN void run_phase(const uint64_t* record, const device_sink sink) {
   const uint64_t* const chain = record + 2;
   const uint32_t chains = low_half(record[1]) & 0xffff, lanes = low_half(record[1]) >> 16;
   const uint32_t warps = high_half(record[1]), lane = threadIdx.x & 31;
-  const uint32_t all = gridDim.x * (SEQUENCE_THREADS / 32);
-  // Neighbours go to different blocks, so that few warps use many units.
+  constexpr uint32_t kWarps = SEQUENCE_THREADS / 32;
+  const uint32_t all = gridDim.x * kWarps;
+  // Neighbours go to different blocks, so that few warps use many units. In a large cluster, they
+  // share a block where all are used: its code is then that of few chains, and fits its cache.
+  const bool together = SEQUENCE_LARGE && lanes == 32;
+  uint32_t warp = threadIdx.x / 32;
+  warp = together ? blockIdx.x * kWarps + warp : warp * gridDim.x + blockIdx.x;
 #pragma unroll 1
-  for (uint32_t warp = threadIdx.x / 32 * gridDim.x + blockIdx.x; warp < warps; warp += all) {
+  for (; warp < warps; warp += all) {
     uint32_t c = chains - 1;
     while (high_half(chain[2 * c]) > warp) --c;
     const uint32_t row = (warp - high_half(chain[2 * c])) * lanes + lane;

@@ -31,9 +31,9 @@ class ChainText {
   static std::string own(int32_t op, size_t source) {
     return "own" + str(op) + "_" + str(static_cast<int64_t>(source));
   }
-  // What the chain reads at its own row, and the first items of its sums, are loaded at once when it
-  // begins: a thread then waits once, and not for each operation anew. What nothing in the sequence
-  // writes a thread keeps for the next time.
+  // What the chain reads at its own row, and the first items of its sums, are loaded at once when
+  // it begins: a thread then waits once, and not for each operation anew. What nothing in the
+  // sequence writes a thread keeps for the next time.
   void loads() {
     std::string fixed, filled, kept;
     const auto keep = [&](const std::string& words) {
@@ -66,8 +66,8 @@ class ChainText {
     }
     if (fixed.empty()) return;
     code_ += "  const uint32_t kept = (uint32_t)words[0];\n  if (is_kept(kept)) {\n" +
-             begin_kept() + kept + "  } else {\n" + fixed + items +
-             "    if (kept != 0) {\n" + begin_kept() + filled + "    }\n  }\n";
+             begin_kept() + kept + "  } else {\n" + fixed + items + "    if (kept != 0) {\n" +
+             begin_kept() + filled + "    }\n  }\n";
   }
   static std::string begin_kept() { return "    int32_t* at = begin_kept(kept);\n"; }
   int64_t word(const Operation& op, size_t source) const {
@@ -103,10 +103,11 @@ class ChainText {
     const std::string p = "(const char*)words[" + str(word(op, number)) + "]";
     switch (s.from) {
       case Operation::Source::Registers:
-        return "source_registers{" + of_row(registers(s.op, s.output), table_.source_width(op, number), loop) +
-               "}";
+        return "source_registers{" +
+               of_row(registers(s.op, s.output), table_.source_width(op, number), loop) + "}";
       case Operation::Source::Own:
-        return "source_registers{" + of_row(own(k, number), table_.source_width(op, number), loop) + "}";
+        return "source_registers{" + of_row(own(k, number), table_.source_width(op, number), loop) +
+               "}";
       case Operation::Source::There:
         return "trusted_rows{" + p + "}";
       case Operation::Source::Memory:
@@ -160,8 +161,7 @@ class ChainText {
       return at(sum).init ? source(sum, 0, loop) : std::string("no_init{}");
     };
     const std::string width = "<" + str(op.width) + ">(";
-    if (!op.offsets)
-      return "    sum_even_row" + width + "w, " + init(k) + ", " + out + ", row);\n";
+    if (!op.offsets) return "    sum_even_row" + width + "w, " + init(k) + ", " + out + ", row);\n";
     const std::string csr = op.tables[0] < 0 ? "csr_first(w, 1, 0, row)" : table(op.tables[0]);
     if (!op.joins)
       return "    sum_row" + width + csr + ", w, " + init(k) + ", " + out + ", row);\n";
@@ -217,7 +217,7 @@ class ChainText {
 }  // namespace
 
 std::string sequence_source(const SequenceTable& table, const SequenceShape& shape) {
-  constexpr uint64_t kStep = 64;   // tables of about one size share their code
+  constexpr uint64_t kStep = 64;  // tables of about one size share their code
   std::string text = "#define NOVAPHY_SEQUENCE\n";
   const auto define = [&](const char* name, uint64_t value) {
     text += std::string("#define ") + name + " " + std::to_string(value) + "\n";
@@ -228,6 +228,7 @@ std::string sequence_source(const SequenceTable& table, const SequenceShape& sha
   if (shape.form == SequenceShape::Form::Cluster) define("SEQUENCE_BLOCKS", shape.blocks);
   if (shape.form != SequenceShape::Form::Grid) define("CSR_BATCH", kBatch);
   define("SEQUENCE_KEPT", table.kept_words);
+  define("SEQUENCE_LARGE", shape.is_large() ? 1 : 0);
   text += prelude_text();
   text += sequence_text();
   for (size_t k = 0; k < table.programs.size(); ++k)

@@ -20,7 +20,7 @@ struct ChainForm {
     bool joins = false;  // RowSum: over the same items as the operation before, and run with it
     // Per loop, which of the chain's CSR tables it goes over (-1: the chain does not load it).
     std::vector<int32_t> tables;
-    int32_t program = 0;          // index into SequenceTable::programs
+    int32_t program = 0;  // index into SequenceTable::programs
     struct Source {
       // There: in memory, with all rows that are read. Own: and only the own one is.
       enum From : int32_t { Memory, There, Own, Registers } from = Memory;
@@ -70,9 +70,11 @@ SequenceTable sequence_table(std::span<const novaphy_sequence_op> ops,
 uint32_t most_warps(std::span<const novaphy_sequence_op> ops);
 constexpr uint64_t kBatch = 12;  // CSR items at once, where a barrier waits for the longest row
 
+constexpr unsigned kMostInCluster = 8;  // blocks, on every device that has clusters
 struct SequenceShape {
   enum class Form : uint8_t { Block, Cluster, Grid } form = Form::Block;
   unsigned blocks = 1, threads = 128;
+  bool is_large() const { return form == Form::Cluster && blocks > kMostInCluster; }
 };
 std::string sequence_source(const SequenceTable& table, const SequenceShape& shape);
 

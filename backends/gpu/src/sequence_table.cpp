@@ -200,8 +200,8 @@ class Writer {
     return number;
   }
 
-  // Notes what a chain loads of memory that nothing in the sequence writes. Chains that load the same
-  // for the same threads are one user of it.
+  // Notes what a chain loads of memory that nothing in the sequence writes. Chains that load the
+  // same for the same threads are one user of it.
   void note_kept(const ChainForm& form, uint32_t number, int64_t rows, Warps warps,
                  const uint64_t* words, uint64_t at) {
     User user{0, warps, {at}};

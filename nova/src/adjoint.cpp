@@ -254,25 +254,20 @@ void note_loads(const AdjointStage& stage, std::vector<bool>& loads_value) {
 }  // namespace
 
 int32_t summed_source(const ir::Program& p) {
-  if (p.loops.size() != 1 || p.loops[0].kind != ir::LoopKind::Csr || p.outputs.size() != 1)
-    return -1;
-  const std::vector<ir::Sum>& sums = p.loops[0].sums;
+  if (p.loops.size() != 1 || p.outputs.size() != 1) return -1;
   const std::vector<Value>& out = p.outputs[0].values;
-  if (sums.empty() || sums.size() != out.size()) return -1;
-  const auto reads_item = [&](const Instr& in) {
-    return in.op == Op::LOAD_F && p.instrs[in.b].op == Op::SLOT;
-  };
-  const int32_t source = p.instrs[sums[0].term].a;
-  for (size_t c = 0; c < sums.size(); ++c) {
-    const Instr &term = p.instrs[sums[c].term], &value = p.instrs[out[c]];
-    if (!reads_item(term) || term.a != source || term.c != static_cast<int32_t>(c)) return -1;
+  const size_t columns = p.loops[0].sums.size();
+  const int32_t source = ir::added_source(p, p.loops[0]);
+  if (source < 0 || out.size() != columns) return -1;
+  for (size_t c = 0; c < columns; ++c) {
+    const Instr& value = p.instrs[out[c]];
     if (value.op != Op::SUM || value.b != static_cast<int32_t>(c)) return -1;
   }
-  if (p.sources[source].width != static_cast<int32_t>(sums.size())) return -1;
-  const auto others = std::count_if(p.instrs.begin(), p.instrs.end(), [&](const Instr& in) {
+  // One slot, and a load and a sum for each column.
+  const auto uses = std::count_if(p.instrs.begin(), p.instrs.end(), [&](const Instr& in) {
     return (in.op == Op::LOAD_F && in.a == source) || in.op == Op::SLOT || in.op == Op::SUM;
   });
-  return others == static_cast<std::ptrdiff_t>(2 * sums.size() + 1) ? source : -1;
+  return uses == static_cast<std::ptrdiff_t>(2 * columns + 1) ? source : -1;
 }
 
 AdjointPlan make_adjoint(const ir::Program& program, const AdjointMask& mask) {

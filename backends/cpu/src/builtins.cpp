@@ -34,7 +34,8 @@ struct RowSum {
   int64_t end(int64_t row) const {
     return offsets != nullptr ? offsets[row + 1] : (row + 1) * stride;
   }
-  const float* item(int64_t k) const { return source + (items != nullptr ? items[k] : k) * width; }
+  int64_t number(int64_t k) const { return items != nullptr ? items[k] : k; }
+  const float* item(int64_t k) const { return source + number(k) * width; }
 };
 
 // acc[0..width) += the items [begin, end), in order. With the width known the sums stay in machine
@@ -171,7 +172,7 @@ bool sum_rows_of_three(const RowSum& items, int64_t& row, int64_t last, Sums... 
     if (end - begin > kSumChunk) return false;
     (sums.begin(row), ...);
     for (int64_t k = begin; k < end; ++k) {
-      const int64_t item = items.items != nullptr ? items.items[k] : k;
+      const int64_t item = items.number(k);
       (sums.add(item), ...);
     }
     (sums.end(row), ...);

@@ -43,6 +43,11 @@ static __attribute__((noinline, unused)) void gather_lanes(vi* target, const cha
   for (int32_t k = 0; k < columns; ++k) memcpy(&target[k], word[k], sizeof(vi));
 }
 
+/* Whether no row lies at the limit or past it, where there is a row. */
+LANE_FN int none_past(vi row, int64_t limit) {
+  const int32_t end = limit < 0 ? 0 : limit > INT32_MAX ? INT32_MAX : (int32_t)limit;
+  return end > 0 && !any(vile(splati(end), row));
+}
 /* Whether every row lies in [0, limit). */
 LANE_FN int all_rows_inside(vi row, int64_t limit) {
   const int32_t end = limit < 0 ? 0 : limit > INT32_MAX ? INT32_MAX : (int32_t)limit;
@@ -92,12 +97,7 @@ LANE_FN void gather3_inside(const char* s, vi row, vi* a, vi* b, vi* c) {
 #endif
 
 #if defined(__x86_64__)
-/* Rows of which some may be absent (negative), none the last one or past it: those read row 0, and
- * become 0. */
-LANE_FN int none_past(vi row, int64_t limit) {
-  const int32_t end = limit < 0 ? 0 : limit > INT32_MAX ? INT32_MAX : (int32_t)limit;
-  return end > 0 && !any(vile(splati(end), row));
-}
+/* Rows of which some may be absent (negative): those read row 0, and become 0. */
 LANE_FN void gather3_present(const char* s, vi row, vi* a, vi* b, vi* c) {
   const vb absent = vilt(row, splati(0));
   const vi zero = splati(0);
@@ -158,11 +158,8 @@ LANE_FN void gather3f_ahead(const char* s, const rows_ahead* r, vf* to) {
 }
 /* Zero: a row is past the end. */
 COLD_FN int gather3f_again(vf* to, const char* s, int64_t rows, vi row) {
-  for (int l = 0; l < LANES; ++l) {
-    const int64_t r = row[l];
-    if (r >= rows) return 0;
-    for (int k = 0; k < 3; ++k) to[k][l] = r < 0 ? 0.0f : ubits_f(word_at(s, 3 * r + k));
-  }
+  if (!none_past(row, rows)) return 0;
+  gather_lanes((vi*)to, s, rows, &row, 3, 3, splatb(0), 0, 0, NULL);
   return 1;
 }
 

@@ -46,12 +46,8 @@ Emitter::Emitter(const Program& program, bool device, const Series* series, std:
       std::erase_if(*values, [this](const auto& pair) { return held(pair.first); });
   if (!device_) idle_ = find_idle_items(p_, plan_, kept_);
   if (!device_ && !series_)
-    for (FollowedItem& item : find_followed_items(p_, plan_)) {
-      bool nothing = true;
-      for (size_t s = 0; s < item.idle.terms.size(); ++s)
-        nothing = nothing && adds_nothing(item.idle, s);
-      if (nothing) followed_.push_back(std::move(item));
-    }
+    for (FollowedItem& item : find_followed_items(p_, plan_))
+      if (adds_nothing(item.idle)) followed_.push_back(std::move(item));
   // The next group is read before this one is written.
   if (!device_ && !series_ && may_run_again()) ahead_ = find_ahead_gathers(p_, plan_);
 }

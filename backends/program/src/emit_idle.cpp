@@ -10,6 +10,21 @@ namespace {
 
 size_t at(int32_t k) { return static_cast<size_t>(k); }
 
+// The steps that open the regions which stand in a loop under no condition.
+std::vector<size_t> top_regions(const EmitPlan& plan, int32_t wanted) {
+  std::vector<size_t> found;
+  int32_t loop = -1;
+  for (size_t s = 0; s < plan.steps.size(); ++s) {
+    const Step& step = plan.steps[s];
+    if (step.kind == Step::Kind::LoopBegin) loop = step.value;
+    if (step.kind == Step::Kind::LoopEnd) loop = -1;
+    if (step.kind != Step::Kind::SkipIfNone || loop != wanted) continue;
+    const Region& region = plan.regions[at(plan.region_of_step[s])];
+    if (region.printed && plan.printed_region(region.parent) < 0) found.push_back(s);
+  }
+  return found;
+}
+
 class Finder {
  public:
   Finder(const Program& program, const EmitPlan& plan, int32_t loop)
@@ -32,20 +47,11 @@ class Finder {
  private:
   // The region that stands in the loop under no condition, if there is one only.
   bool find_region() {
-    int32_t loop = -1;
-    for (size_t s = 0; s < plan_.steps.size(); ++s) {
-      const Step& step = plan_.steps[s];
-      if (step.kind == Step::Kind::LoopBegin) loop = step.value;
-      if (step.kind == Step::Kind::LoopEnd) loop = -1;
-      if (step.kind != Step::Kind::SkipIfNone || loop != loop_) continue;
-      const int32_t r = plan_.region_of_step[s];
-      if (!plan_.regions[at(r)].printed || plan_.printed_region(plan_.regions[at(r)].parent) >= 0)
-        continue;
-      if (region_ >= 0) return false;
-      region_ = r;
-      begin_ = s;
-    }
-    return region_ >= 0 && !plan_.uniform[at(plan_.regions[at(region_)].cond)];
+    const std::vector<size_t> steps = top_regions(plan_, loop_);
+    if (steps.size() != 1) return false;
+    begin_ = steps[0];
+    region_ = plan_.region_of_step[begin_];
+    return !plan_.uniform[at(plan_.regions[at(region_)].cond)];
   }
   // What a later loop reads has to be there whether the region is entered or not.
   bool kept_before(const std::vector<KeptValues>& all) const {
@@ -129,19 +135,12 @@ class SameValue {
 }  // namespace
 
 std::vector<FollowedItem> find_followed_items(const Program& program, const EmitPlan& plan) {
-  // Regions of a loop that stand there under no condition, and that lanes take or not.
+  // Those that lanes take or not.
   std::vector<std::vector<int32_t>> regions(program.loops.size());
-  int32_t loop = -1;
-  for (size_t s = 0; s < plan.steps.size(); ++s) {
-    const Step& step = plan.steps[s];
-    if (step.kind == Step::Kind::LoopBegin) loop = step.value;
-    if (step.kind == Step::Kind::LoopEnd) loop = -1;
-    if (step.kind != Step::Kind::SkipIfNone || loop < 0) continue;
-    const int32_t r = plan.region_of_step[s];
-    const Region& region = plan.regions[at(r)];
-    if (region.printed && plan.printed_region(region.parent) < 0 && !plan.uniform[at(region.cond)])
-      regions[at(loop)].push_back(r);
-  }
+  for (size_t l = 0; l < regions.size(); ++l)
+    for (const size_t s : top_regions(plan, static_cast<int32_t>(l)))
+      if (const int32_t r = plan.region_of_step[s]; !plan.uniform[at(plan.regions[at(r)].cond)])
+        regions[l].push_back(r);
   const auto fixed = [&](size_t l) { return program.loops[l].kind == LoopKind::Fixed; };
   std::vector<FollowedItem> all;
   for (size_t later = 1; later < program.loops.size(); ++later) {

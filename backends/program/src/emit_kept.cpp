@@ -33,8 +33,7 @@ class Finder {
  private:
   // Computed for every item of the loop, whatever the conditions in it.
   bool in(int32_t loop, size_t v) const {
-    return plan_.used[v] && plan_.loop[v] == loop && plan_.region[v] == -1 && !plan_.once[v] &&
-           !is_leaf(p_.instrs[v].op);
+    return plan_.is_line(v, p_.instrs[v].op) && plan_.loop[v] == loop && plan_.region[v] == -1;
   }
   static auto key(Op op, Value a, Value b, Value c) { return std::make_tuple(op, a, b, c); }
 

@@ -43,6 +43,12 @@ bool Emitter::adds_nothing(const IdleItem& idle, size_t sum) const {
          (std::signbit(term) || is_no_negative_zero(p_, p_.loops[at(idle.loop)].sums[sum].init));
 }
 
+bool Emitter::adds_nothing(const IdleItem& idle) const {
+  for (size_t s = 0; s < idle.terms.size(); ++s)
+    if (!adds_nothing(idle, s)) return false;
+  return true;
+}
+
 bool Emitter::follows(const KeptValues& kept) const {
   const IdleItem *const earlier = idle_item(kept.earlier), *const later = idle_item(kept.loop);
   if (!earlier || !later) return false;
@@ -50,10 +56,7 @@ bool Emitter::follows(const KeptValues& kept) const {
   const bool same = std::any_of(kept.equal.begin(), kept.equal.end(), [&](const auto& pair) {
     return pair.first == b.cond && pair.second == a.cond;
   });
-  if (!same || a.polarity != b.polarity) return false;
-  for (size_t s = 0; s < later->terms.size(); ++s)
-    if (!adds_nothing(*later, s)) return false;
-  return true;
+  return same && a.polarity == b.polarity && adds_nothing(*later);
 }
 
 const IdleItem* Emitter::idle_item(int32_t loop) const {
@@ -64,22 +67,13 @@ const IdleItem* Emitter::idle_item(int32_t loop) const {
 
 int32_t Emitter::added_source(int32_t l) const {
   const std::vector<Sum>& sums = p_.loops[at(l)].sums;
-  if (device_ || series_ || !in_csr_loop(l) || sums.size() > 4) return -1;
-  const int32_t source = p_.instrs[at(sums[0].term)].a;
-  std::vector<Value> terms;
-  for (const Sum& sum : sums) {
-    const Instr& term = p_.instrs[at(sum.term)];
-    const bool column = term.op == Op::LOAD_F && term.a == source &&
-                        term.c == static_cast<int32_t>(terms.size()) &&
-                        p_.instrs[at(term.b)].op == Op::SLOT;
-    if (!column) return -1;
-    terms.push_back(sum.term);
-  }
-  if (p_.sources[at(source)].width != static_cast<int32_t>(sums.size())) return -1;
-  for (size_t v = 0; v < p_.instrs.size(); ++v) {
-    const bool computed =
-        plan_.used[v] && plan_.loop[v] == l && !plan_.once[v] && !is_leaf(p_.instrs[v].op);
-    if (computed && std::count(terms.begin(), terms.end(), static_cast<Value>(v)) == 0) return -1;
+  if (device_ || series_ || sums.size() > 4) return -1;
+  const int32_t source = nova::ir::added_source(p_, p_.loops[at(l)]);
+  for (size_t v = 0; v < p_.instrs.size() && source >= 0; ++v) {
+    const auto is_term = [v](const Sum& sum) { return sum.term == static_cast<Value>(v); };
+    if (plan_.is_line(v, p_.instrs[v].op) && plan_.loop[v] == l &&
+        std::none_of(sums.begin(), sums.end(), is_term))
+      return -1;
   }
   return source;
 }
@@ -135,18 +129,14 @@ void Emitter::loop_begin(int32_t l) {
     for (const KeptValues& kept : kept_)
       if (kept.loop == l) read_kept(kept);
   } else {
-    const auto item = [&](bool earlier) {
-      return std::find_if(followed_.begin(), followed_.end(), [&](const FollowedItem& f) {
-        return (earlier ? f.earlier : f.idle.loop) == l;
-      });
-    };
-    const auto followed = item(true);
-    if (followed != followed_.end())
-      line("uint32_t acting" + str(followed->idle.loop) + " = 0;  // a bit for each step");
+    for (const FollowedItem& f : followed_)
+      if (f.earlier == l)
+        line("uint32_t acting" + str(f.idle.loop) + " = 0;  // a bit for each step");
     line("for (int32_t r" + k + " = 0; r" + k + " < extent" + k + "; ++r" + k + ") {");
     ++depth_;
-    if (item(false) != followed_.end())
-      line("if (r" + k + " < 32 && (acting" + k + " >> r" + k + " & 1u) == 0) continue;");
+    for (const FollowedItem& f : followed_)
+      if (f.idle.loop == l)
+        line("if (r" + k + " < 32 && (acting" + k + " >> r" + k + " & 1u) == 0) continue;");
   }
 }
 

@@ -135,7 +135,7 @@ class Planner {
   void weigh_regions() {
     for (size_t v = 0; v < p_.instrs.size(); ++v) {
       const Op op = p_.instrs[v].op;
-      if (!out_.used[v] || out_.once[v] || is_leaf(op)) continue;
+      if (!out_.is_line(v, op)) continue;
       const bool through_table = is_load(op) && p_.instrs[at(p_.instrs[v].b)].op != Op::INDEX;
       const bool division = op == Op::DIV || op == Op::SQRT || op == Op::IDIV || op == Op::IMOD;
       for (int32_t r = out_.region[v]; r >= 0; r = out_.regions[at(r)].parent)

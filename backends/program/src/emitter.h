@@ -96,6 +96,7 @@ class Emitter {
   void loads_first(int32_t region);
   // x + -0 is x; so is x + 0 unless x is -0, which no sum becomes that did not begin with it.
   bool adds_nothing(const IdleItem& idle, size_t sum) const;
+  bool adds_nothing(const IdleItem& idle) const;  // to any of its sums
   // Whether items that do not act in the earlier loop do nothing in the later one.
   bool follows(const KeptValues& kept) const;
   const IdleItem* idle_item(int32_t loop) const;

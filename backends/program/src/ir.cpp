@@ -189,6 +189,18 @@ std::string validate(const Program& p, bool allow_trace_ops) {
   return {};
 }
 
+int32_t added_source(const Program& p, const Loop& loop) {
+  if (loop.kind != LoopKind::Csr || loop.sums.empty()) return -1;
+  const int32_t source = p.instrs[loop.sums[0].term].a;
+  for (size_t c = 0; c < loop.sums.size(); ++c) {
+    const Instr& term = p.instrs[loop.sums[c].term];
+    if (term.op != Op::LOAD_F || term.a != source || term.c != static_cast<int32_t>(c) ||
+        p.instrs[term.b].op != Op::SLOT)
+      return -1;
+  }
+  return p.sources[source].width == static_cast<int32_t>(loop.sums.size()) ? source : -1;
+}
+
 std::vector<int32_t> sections(const Program& p) {
   std::vector<int32_t> section(p.instrs.size(), 0);
   for (size_t v = 0; v < p.instrs.size(); ++v) {

@@ -312,6 +312,12 @@ class Sweep {
   Value add(Value a, Value b) { return trace_.emit({Op::ADD, a, b}); }
   Value mul(Value a, Value b) { return trace_.emit({Op::MUL, a, b}); }
   Value neg(Value a) { return trace_.emit({Op::NEG, a}); }
+  // A vector's components are divided by its length, and so are their gradients and that of the
+  // length: the reciprocal is one division for all. That of a root is never infinite or denormal.
+  Value quotient(Value a, Value b) {
+    if (trace_.program().instrs[b].op != Op::SQRT) return trace_.emit({Op::DIV, a, b});
+    return mul(a, trace_.emit({Op::DIV, trace_.constant(1.0f), b}));
+  }
   Value choose(Value c, Value a, Value b) { return trace_.emit({Op::SELECT_F, c, a, b}); }
   // value, but exactly 0 where the incoming gradient is 0: 0 * inf and 0 / 0 stay 0.
   Value zero_safe(Value gradient, Value value) {
@@ -361,7 +367,7 @@ class Sweep {
         if (primal_.active[in.b]) give(in.b, guard, times(at(in.a)));
         break;
       case Op::DIV: {
-        Value ga = trace_.emit({Op::DIV, g, at(in.b)});
+        Value ga = quotient(g, at(in.b));
         if (p_.instrs[in.b].op != Op::CONST_F) ga = zero_safe(g, ga);
         give(in.a, guard, ga);
         if (primal_.active[in.b]) give(in.b, guard, zero_safe(g, neg(mul(ga, at(v)))));
@@ -384,8 +390,7 @@ class Sweep {
       case Op::SQRT: {
         const Value half = mul(g, trace_.constant(0.5f));
         give(in.a, guard,
-             choose(trace_.emit({Op::LT, zero, at(in.a)}), trace_.emit({Op::DIV, half, at(v)}),
-                    zero));
+             choose(trace_.emit({Op::LT, zero, at(in.a)}), quotient(half, at(v)), zero));
         break;
       }
       case Op::FMA:

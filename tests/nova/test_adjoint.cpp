@@ -232,6 +232,34 @@ TEST(AdjointKink, SqrtLengthAndUnitVectorPassNothingAtZero) {
   EXPECT_EQ(at[2], 0.0f);
 }
 
+// One reciprocal serves all quotients by a length. It has all its digits for the smallest and
+// largest lengths too.
+TEST(AdjointRule, OfAUnitVectorHoldsForTheSmallestAndLargestLengths) {
+  const Formula unit = [](const Real& a, const Real& b, const Real& c) {
+    return math::normalize(Vec3<Real>{a, b, c}).x;
+  };
+  for (const float length : {1e-18f, 1e-10f, 1.0f, 1e10f, 1.6e19f}) {
+    const auto at = gradients_at(unit, 0.6f * length, 0.8f * length, 0.0f);
+    const double scale = 1.0 / static_cast<double>(length);
+    EXPECT_NEAR(at[0], 0.64 * scale, 2e-6 * scale) << length;
+    EXPECT_NEAR(at[1], -0.48 * scale, 2e-6 * scale) << length;
+    EXPECT_EQ(at[2], 0.0f) << length;
+  }
+}
+
+TEST(AdjointKink, AnOptionalProductIsZeroWithItsCoefficientAndHasTheDerivativesOfAProduct) {
+  const Formula f = [](const Real& a, const Real& b, const Real& c) {
+    return math::optional_product(a, b * b) + c;
+  };
+  EXPECT_EQ(gradients_at(f, 2.0f, 3.0f), three(9.0f, 12.0f, 1.0f));
+  EXPECT_EQ(gradients_at(f, 0.0f, 3.0f), three(9.0f, 0.0f, 1.0f));
+  EXPECT_EQ(gradients_at(f, -0.0f, 3.0f), three(9.0f, 0.0f, 1.0f));
+  for (const float bad : {kInf, kNan}) {
+    EXPECT_EQ(pointwise(f)(1, {tensor({0.0f}), tensor({bad}), tensor({5.0f})})[0].item(), 5.0f);
+    EXPECT_EQ(gradients_at(f, 0.0f, bad)[1], 0.0f);
+  }
+}
+
 TEST(AdjointKink, BitPatternsAndIntegersPassNothing) {
   EXPECT_EQ(gradients_at([](const Real& a, const Real& b,
                             const Real&) { return bits_float(float_bits(a)) * b; },

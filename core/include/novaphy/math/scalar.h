@@ -44,6 +44,13 @@ inline float bits_float(int32_t a) { return __builtin_bit_cast(float, a); }
 inline float detach(float a) { return a; }
 inline float with_derivative(float y, float, float) { return y; }
 
+// c x, of a coefficient that often is 0, as a damping: it is 0 there whatever x is, and traced code
+// skips what only x needs. The derivatives are the product's, with respect to c too.
+template <class T>
+T optional_product(const T& c, const T& x) {
+  return with_derivative(select(c == T(0.0f), T(0.0f), detach(c) * x), c, detach(x));
+}
+
 template <class T>
 T clamp(const T& x, const T& lo, const T& hi) {
   return min(max(x, lo), hi);

@@ -168,6 +168,27 @@ TEST(Emit, GathersTheRowsOfElementsOneGroupAhead) {
                         });
   expect_golden("spring", kernel.program());
 }
+// Rows behind a condition that may hold in no lane wait for it.
+TEST(Emit, GathersNothingAheadThatPerhapsNoLaneNeeds) {
+  const nova::Kernel kernel = nova::make_kernel(
+      "damper",
+      {{"indices", DType::I32, 2, Access::Direct},
+       {"q", DType::F32, 3, Access::Indexed},
+       {"qd", DType::F32, 3, Access::Indexed},
+       {"damping", DType::F32, 1, Access::Direct}},
+      {{"f", 3}}, [](nova::TraceContext& c) {
+        std::vector<nova::Real> f;
+        for (int32_t d = 0; d < 3; ++d)
+          f.push_back(c.f32(1, c.i32(0, 1), d) - c.f32(1, c.i32(0, 0), d) +
+                      novaphy::math::optional_product(
+                          c.f32(3), c.f32(2, c.i32(0, 1), d) - c.f32(2, c.i32(0, 0), d)));
+        return f;
+      });
+  const std::string text = nova::ir::emit_c(kernel.program());
+  EXPECT_NE(text.find("gather3f_ahead(s1"), std::string::npos) << text;
+  EXPECT_EQ(text.find("gather3f_ahead(s2"), std::string::npos) << text;
+  EXPECT_LT(text.find("if (any("), text.find("gather3f(s2")) << text;
+}
 TEST(Emit, SumsOverAFixedNumberOfUniformRows) {
   const nova::Kernel kernel = nova::make_reduce_kernel(
       "weights", {{"x", DType::F32, 1, Access::Direct}, {"w", DType::F32, 1, Access::Reduced}},

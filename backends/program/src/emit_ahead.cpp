@@ -27,30 +27,45 @@ int32_t table_of(const Program& p, const EmitPlan& plan, Value v) {
   return -1;
 }
 
+// Where most of the arithmetic is: a printed region, or -1, and its weight.
+void find_scope(const Program& p, const EmitPlan& plan, AheadGathers& out) {
+  std::map<int32_t, int32_t> weights;
+  for (size_t v = 0; v < p.instrs.size(); ++v)
+    if (const int32_t region = plan.printed_region(plan.region[v]);
+        plan.is_line(v, p.instrs[v].op) &&
+        (region < 0 || plan.printed_region(plan.regions[at(region)].parent) < 0))
+      weights[region] += weight(p.instrs[v].op);
+  for (const auto& [region, total] : weights)
+    if (total > out.weight) out.scope = region, out.weight = total;
+}
+
+// Whether the group is loaded wherever the scope is computed. Others wait for their own condition,
+// as velocities do that only a damping needs.
+bool in_scope(const EmitPlan& plan, const LoadGroup& group, int32_t scope) {
+  const Value first =
+      *std::find_if(group.columns.begin(), group.columns.end(), [](Value v) { return v != kNone; });
+  const int32_t region = plan.printed_region(plan.region[at(first)]);
+  return region < 0 || region == scope;
+}
+
 }  // namespace
 
 AheadGathers find_ahead_gathers(const Program& p, const EmitPlan& plan) {
   AheadGathers out;
   if (!p.loops.empty()) return out;
+  find_scope(p, plan, out);
   for (const LoadGroup& group : plan.groups) {
     const Source& source = p.sources[at(group.source)];
     if (source.type != Type::F32 || source.width != 3) continue;
     const int32_t table = table_of(p, plan, group.row);
     if (table < 0 || (out.table >= 0 && out.table != table)) continue;
+    if (!in_scope(plan, group, out.scope)) continue;
     out.table = table;
     if (!has(out.rows, group.row)) out.rows.push_back(group.row);
     if (const std::pair gather{group.source, group.row}; !has(out.gathers, gather))
       out.gathers.push_back(gather);
   }
   if (out.gathers.size() < kFewestGathers) return {};
-  std::map<int32_t, int32_t> lines;
-  for (size_t v = 0; v < p.instrs.size(); ++v)
-    if (const int32_t region = plan.printed_region(plan.region[v]);
-        plan.is_line(v, p.instrs[v].op) &&
-        (region < 0 || plan.printed_region(plan.regions[at(region)].parent) < 0))
-      ++lines[region];
-  for (const auto& [region, count] : lines)
-    if (count > out.lines) out.scope = region, out.lines = count;
   return out;
 }
 
@@ -128,8 +143,8 @@ void Emitter::ahead_group() {
 
 void Emitter::ahead_line(Value v) {
   if (ahead_.table < 0 || plan_.printed_region(plan_.region[at(v)]) != ahead_.scope) return;
-  ++ahead_lines_;
-  const auto due = at(ahead_lines_) * ahead_text_.size() / at(ahead_.lines);
+  ahead_weight_ += weight(p_.instrs[at(v)].op);
+  const auto due = at(ahead_weight_) * ahead_text_.size() / at(ahead_.weight);
   while (ahead_written_ < due) line(ahead_text_[ahead_written_++]);
 }
 

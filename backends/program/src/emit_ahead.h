@@ -17,7 +17,7 @@ struct AheadGathers {
   std::vector<std::pair<int32_t, Value>> gathers;  // sources of three columns, and their row
   // Where most of the arithmetic is: a printed region, or -1. The gathers stand between its lines.
   int32_t scope = -1;
-  int32_t lines = 0;  // of the scope
+  int32_t weight = 0;  // of the scope
 };
 AheadGathers find_ahead_gathers(const Program& program, const EmitPlan& plan);
 

@@ -9,10 +9,9 @@
 namespace nova::ir {
 namespace {
 
-// A region that weighs less costs less than asking whether any lane needs it. Weights are about
-// cycles per vector.
+// A region that weighs less costs less than asking whether any lane needs it.
 constexpr int32_t kMinPrintedRegion = 12;
-constexpr int32_t kDivisionWeight = 12, kTableLoadWeight = 8;
+constexpr int32_t kTableLoadWeight = 8;
 
 size_t at(int32_t k) { return static_cast<size_t>(k); }
 
@@ -137,11 +136,8 @@ class Planner {
       const Op op = p_.instrs[v].op;
       if (!out_.is_line(v, op)) continue;
       const bool through_table = is_load(op) && p_.instrs[at(p_.instrs[v].b)].op != Op::INDEX;
-      const bool division = op == Op::DIV || op == Op::SQRT || op == Op::IDIV || op == Op::IMOD;
       for (int32_t r = out_.region[v]; r >= 0; r = out_.regions[at(r)].parent)
-        out_.regions[at(r)].weight += through_table ? kTableLoadWeight
-                                      : division    ? kDivisionWeight
-                                                    : 1;
+        out_.regions[at(r)].weight += through_table ? kTableLoadWeight : weight(op);
     }
     // A compiler contracts a product and a sum that stand in one block: where it may, there are no
     // others.
@@ -242,6 +238,11 @@ bool is_leaf(Op op) {
     default:
       return false;
   }
+}
+
+int32_t weight(Op op) {
+  const bool division = op == Op::DIV || op == Op::SQRT || op == Op::IDIV || op == Op::IMOD;
+  return division ? 12 : 1;
 }
 
 EmitPlan make_emit_plan(const Program& program, bool device) {

@@ -28,6 +28,8 @@ struct Region {
 
 // Values that are written where they are used: constants, parameters, counters, sums.
 bool is_leaf(Op op);
+// How long an operation takes, in about cycles per vector.
+int32_t weight(Op op);
 
 struct EmitPlan {
   std::vector<Step> steps;

@@ -164,7 +164,7 @@ class Emitter {
   AheadGathers ahead_;
   std::vector<std::string> ahead_text_;  // its statements
   size_t ahead_written_ = 0;             // of them, in this group
-  int32_t ahead_lines_ = 0;              // of its scope
+  int32_t ahead_weight_ = 0;             // of its scope
   std::set<int32_t> followers_;  // loops that leave out what does not act
   // Devices: per source, whether the first items of CSR loops are in registers. The loops are then
   // written twice, for these items and for the others.

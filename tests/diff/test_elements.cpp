@@ -326,6 +326,38 @@ TEST(Spring, EndsInOnePointHaveNoForce) {
   one.gradients();
 }
 
+// Where the damping is 0 no velocity is looked at; its own gradient is there all the same.
+TEST(Damping, OfZeroNeedsNoVelocitiesAndHasAGradient) {
+  struct Case {
+    const Operator& op;
+    std::function<void(ModelBuilder&)> add;
+    std::vector<Vec3f> rest, q;
+    size_t input, column;  // of the damping
+  };
+  std::vector<Vec3f> stretched = kTetrahedron;
+  stretched[3].z = 1.4f;
+  const Case cases[] = {
+      {kSprings, [](ModelBuilder& b) { b.add_spring(0, 1, 3.0f, 0.0f); }, kTetrahedron, stretched,
+       4, 0},
+      {kEdges,
+       [](ModelBuilder& b) {
+         b.add_edge(0, 1, 2, 3, 0.2f, EdgeMaterial{1.5f, 0.0f});
+       },
+       hinge(0.0f), hinge(0.7f), 3, 1},
+      {kTetrahedra, tetrahedron(3.0f, 5.0f, 0.0f), kTetrahedron, stretched, 4, 2}};
+  for (const Case& c : cases) {
+    SCOPED_TRACE(c.op.name);
+    const One one(c.op, c.add, c.rest, c.q, kSlow);
+    one.expect_differences(8e-3f);
+    const auto gradients = one.gradients();
+    EXPECT_GT(std::fabs(gradients[c.input][c.column]), 1e-2f);
+    for (const float g : gradients[1]) EXPECT_EQ(g, 0.0f);
+    const float nan = std::nanf("");
+    const One lost(c.op, c.add, c.rest, c.q, std::vector<Vec3f>(4, Vec3f{nan, nan, nan}));
+    EXPECT_EQ(lost.forces(), one.forces());
+  }
+}
+
 TEST(TetMaterials, AreAssignedWithTheirGradients) {
   const Tensor base = random_tensor({3, 3}, 1);
   const std::vector<float> b = base.to_host();

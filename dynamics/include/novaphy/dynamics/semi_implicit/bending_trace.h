@@ -12,11 +12,14 @@
 //   rest       angle without a force (rad)
 //   results    N, world frame
 // Source: the bending element of Bridson, Marino, Fedkiw, "Simulation of Clothing with Folds and
-// Wrinkles" (2003), section 4, in the simplified form of Newton 1.8.0, SolverSemiImplicit. Where ke = 0 its output on the cpu is the
-// same bits; otherwise atan2 differs by up to 1.6 ulp.
+// Wrinkles" (2003), section 4, in the simplified form of Newton 1.8.0, SolverSemiImplicit. Where ke
+// = 0 its output on the cpu is the same bits; otherwise atan2 differs by up to 1.6 ulp.
 //
-// The forces of a hinge sum to zero. Their moment does only where both triangles have the same height
-// over the edge: the directions d are not divided by the heights, as the gradient of theta would be.
+// Where kd = 0 no velocity is looked at.
+//
+// The forces of a hinge sum to zero. Their moment does only where both triangles have the same
+// height over the edge: the directions d are not divided by the heights, as the gradient of theta
+// would be.
 //
 // A border (an opposite vertex is absent) and a hinge with a triangle or edge smaller than 1e-6
 // (|n| in m^2, |e| in m) have no force and pass nothing. At a full fold theta jumps by 2 pi, and
@@ -49,7 +52,8 @@ BendingForces<T> bending_forces(const B& complete, const Vec3<T> (&x)[4], const 
   const Vec3<T> d3 = (-h.n1) * dot(x[0] - x[3], h.e) - h.n2 * dot(x[1] - x[3], h.e);
   const Vec3<T> d4 = (-h.n1) * dot(x[2] - x[0], h.e) - h.n2 * dot(x[2] - x[1], h.e);
   const T elastic = stiffness * (h.angle - rest_angle);
-  const T viscous = damping * (((dot(d1, v[0]) + dot(d2, v[1])) + dot(d3, v[2])) + dot(d4, v[3]));
+  const T viscous =
+      optional_product(damping, ((dot(d1, v[0]) + dot(d2, v[1])) + dot(d3, v[2])) + dot(d4, v[3]));
   const T t = (-h.e_length) * (elastic + viscous);
   const auto acts = both(complete, negate(degenerate));
   const T none = T(-0.0f);  // adding it changes no bit

@@ -10,6 +10,8 @@
 //   f          N, world frame
 // Source: Newton 1.8.0, SolverSemiImplicit; its output on the cpu is the same bits.
 //
+// Where kd = 0 no velocity is looked at.
+//
 // Ends in one point: u = 0, so there is no force, and nothing is passed (Newton gives NaN). There
 // the force jumps. Gradient: exact in x, v, ke, kd, rest elsewhere.
 //
@@ -36,7 +38,7 @@ SpringForces<T> spring_forces(const Vec3<T>& x_i, const Vec3<T>& x_j, const Vec3
   const T zero = T(0.0f);
   // Asked as l == 0, so that a NaN reaches the force.
   const Vec3<T> u = x * select(l == zero, zero, T(1.0f) / l);
-  const Vec3<T> f = u * (stiffness * (l - rest_length) + damping * dot(u, v));
+  const Vec3<T> f = u * (stiffness * (l - rest_length) + optional_product(damping, dot(u, v)));
   return {-f, f};
 }
 

@@ -21,6 +21,8 @@
 // to lam are exactly 0 (alpha is not asked); deviatoric part and damping stay. Newton divides 0 by
 // 0 there. mu = lam = damp = 0 is no force.
 //
+// Where damp = 0 no velocity is looked at.
+//
 // The velocities in the volumetric damping are those of the corners in the world, not relative to
 // corner 0, as in Newton: with damp > 0 a tetrahedron that only translates feels a drag.
 //
@@ -65,10 +67,12 @@ TetrahedronForces<T> tetrahedron_forces(const Vec3<T> (&x)[4], const Vec3<T> (&v
   const T damping = material.damping * volume;
 
   const Mat33<T> f = multiply(from_columns(x10, x20, x30), pose);
-  const Mat33<T> rate = multiply(from_columns(v10, v20, v30), pose);
+  Mat33<T> damped = multiply(from_columns(v10, v20, v30), pose);
+  for (auto& row : damped.m)
+    for (T& rate : row) rate = optional_product(damping, rate);
   const Vec3<T> c1 = column(f, 0), c2 = column(f, 1), c3 = column(f, 2);
   const T trace = (dot(c1, c1) + dot(c2, c2)) + dot(c3, c3);
-  const Mat33<T> stress = add(scale(scale(f, mu), one - one / (trace + one)), scale(rate, damping));
+  const Mat33<T> stress = add(scale(scale(f, mu), one - one / (trace + one)), damped);
   const Mat33<T> h = multiply(stress, transpose(pose));
 
   const T s = inverse_volume / six;
@@ -77,7 +81,7 @@ TetrahedronForces<T> tetrahedron_forces(const Vec3<T> (&x)[4], const Vec3<T> (&v
   const Vec3<T> d3 = cross(x10, x20) * s;
   const T elastic =
       select(material.lambda == zero, zero, ((determinant(f) - alpha) + activation) * lambda);
-  const T viscous = ((dot(d1, v[1]) + dot(d2, v[2])) + dot(d3, v[3])) * damping;
+  const T viscous = optional_product(damping, (dot(d1, v[1]) + dot(d2, v[2])) + dot(d3, v[3]));
   const T t = elastic + viscous;
 
   const Vec3<T> f1 = column(h, 0) + d1 * t;

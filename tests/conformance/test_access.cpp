@@ -66,22 +66,25 @@ TEST(Access, IndexedReadsTheRowOfATableAndZeroForANegativeRow) {
 }
 
 // Elements: the columns of a table name the rows of two sources; what is computed from them is long
-// enough to be skipped where the own value is not below the parameter.
+// enough to be skipped where the first own value is not below the parameter, and the part of the
+// second source where the second own value is 0.
 ir::Program elements(int32_t corners) {
   Builder b;
-  const int32_t table = b.source(Type::I32, corners), own = b.source(Type::F32, 1),
+  const int32_t table = b.source(Type::I32, corners), own = b.source(Type::F32, 2),
                 q = b.source(Type::F32, 3, Access::Indexed),
                 v = b.source(Type::F32, 3, Access::Indexed);
   b.p.sources[static_cast<size_t>(q)].name = "particle_q";
   b.p.param_count = 1;
-  const Value i = b.index(), mine = b.load(own, i);
+  const Value i = b.index(), mine = b.load(own, i), damping = b.load(own, i, 1);
   const Value takes = b.op(Op::LT, mine, b.op(Op::PARAM_F, 0));
+  const Value undamped = b.op(Op::EQ, damping, b.f(0.0f));
   std::vector<Value> out;
   for (int32_t k = 0; k < corners; ++k)
     for (int32_t c = 0; c < 3; ++c) {
       const Value row = b.load(table, i, k);
       Value x = b.op(Op::SUB, b.load(q, row, c), b.load(q, b.load(table, i, 0), c));
-      x = b.op(Op::FMA, b.load(v, row, c), mine, x);
+      const Value damped = b.op(Op::FMA, b.load(v, row, c), damping, x);
+      x = b.op(Op::SELECT_F, undamped, x, damped);
       for (int t = 0; t < 3; ++t) x = b.op(Op::ADD, b.op(Op::MUL, x, mine), b.f(0.25f));
       out.push_back(b.op(Op::SELECT_F, takes, x, mine));
     }
@@ -89,14 +92,21 @@ ir::Program elements(int32_t corners) {
   return b.p;
 }
 
-Inputs element_inputs(int32_t corners, int64_t n, int64_t rows, int32_t first) {
+// Which elements have a damping: some neighbours none, others all, or a few.
+enum class Damped : uint8_t { None, Some, All };
+
+Inputs element_inputs(int32_t corners, int64_t n, int64_t rows, int32_t first, Damped damped) {
   Inputs in;
-  std::vector<uint32_t> table;
-  for (int64_t i = 0; i < n; ++i)
+  std::vector<uint32_t> table, own = floats(static_cast<size_t>(2 * n), 3);
+  for (int64_t i = 0; i < n; ++i) {
     for (int32_t k = 0; k < corners; ++k)
       table.push_back(bits(static_cast<int32_t>((i * 7 + k * k) % (rows - first)) + first));
+    const bool some = i / 40 % 2 == 1 && i / 80 % 4 != i % 4;
+    if (damped == Damped::None || (damped == Damped::Some && !some))
+      own[static_cast<size_t>(2 * i + 1)] = bits(i % 3 == 0 ? -0.0f : 0.0f);
+  }
   const auto words = static_cast<size_t>(3 * rows);
-  in.sources = {table, floats(static_cast<size_t>(n), 3), floats(words, 7), floats(words, 9)};
+  in.sources = {table, own, floats(words, 7), floats(words, 9)};
   in.parameters = {bits(0.5f)};
   return in;
 }
@@ -104,11 +114,12 @@ Inputs element_inputs(int32_t corners, int64_t n, int64_t rows, int32_t first) {
 TEST(Access, TheColumnsOfATableNameRowsTheLastOneAndAbsentOnesToo) {
   for (int32_t corners = 2; corners <= 4; ++corners) {
     const ir::Program p = elements(corners);
-    for (const int64_t rows : {1, 2, 23})
-      for (const int32_t first : {0, -2})
-        for (const int64_t n : kCounts)
-          ASSERT_EQ(check(p, n, element_inputs(corners, n, rows, first)), "")
-              << corners << " corners, " << n << " elements, rows " << first << " to " << rows;
+    for (const Damped damped : {Damped::None, Damped::Some, Damped::All})
+      for (const int64_t rows : {1, 2, 23})
+        for (const int32_t first : {0, -2})
+          for (const int64_t n : kCounts)
+            ASSERT_EQ(check(p, n, element_inputs(corners, n, rows, first, damped)), "")
+                << corners << " corners, " << n << " elements, rows " << first << " to " << rows;
   }
 }
 
@@ -313,11 +324,11 @@ TEST(OutOfRange, RowsThatATableNamesAreReadAheadAndFailWhereTheyAreNeeded) {
   const ir::Program p = elements(4);
   for (const int64_t n : {1, 16, 17, 50, 300, 9000})
     for (const int64_t wrong : {int64_t{0}, n / 2, n - 1}) {
-      Inputs in = element_inputs(4, n, 23, 0);
+      Inputs in = element_inputs(4, n, 23, 0, Damped::Some);
       in.sources[0][static_cast<size_t>(4 * wrong + 2)] = 1000;
-      in.sources[1][static_cast<size_t>(wrong)] = bits(100.0f);
+      in.sources[1][static_cast<size_t>(2 * wrong)] = bits(100.0f);
       ASSERT_EQ(check(p, n, in), "") << "not needed, n " << n << ", row " << wrong;
-      in.sources[1][static_cast<size_t>(wrong)] = bits(-100.0f);
+      in.sources[1][static_cast<size_t>(2 * wrong)] = bits(-100.0f);
       const Result result = run(p, n, in);
       ASSERT_EQ(result.status, NOVAPHY_INDEX_OUT_OF_RANGE) << n;
       for (const std::string& part :

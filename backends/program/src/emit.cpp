@@ -329,12 +329,6 @@ void Emitter::load(Value v, const Instr& in) {
         line(declaration(d) + " = " + state(group.source, static_cast<int32_t>(c)) + ";");
     return;
   }
-  if (const int32_t first = ahead_column(group); first >= 0) {
-    for (size_t c = 0; c < group.columns.size(); ++c)
-      if (const Value d = group.columns[c]; d != kNone)
-        line(declaration(d) + " = here[" + str(first + static_cast<int32_t>(c)) + "];");
-    return;
-  }
   const bool own = p_.instrs[at(group.row)].op == Op::INDEX;
   const bool scalar = text_.uniform(v);
   const int32_t width = p_.sources[at(group.source)].width;
@@ -350,6 +344,8 @@ void Emitter::load(Value v, const Instr& in) {
   const std::string where = ", " + (probes_ ? "on" + str(loop_) : need(v)) + ", " +
                             str(group.source) + ", i, " +
                             (probes_ ? "&probe" + str(loop_) : "sink");
+  if (const int32_t first = ahead_column(group); first >= 0)
+    return ahead_load(v, group, first, where);
   if (scalar) {
     for (int32_t c = 0; c < width; ++c)
       if (const Value d = group.columns[at(c)]; d != kNone)

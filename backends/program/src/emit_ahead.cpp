@@ -9,7 +9,7 @@ namespace nova::ir {
 namespace {
 
 // One gather alone is not worth the room that it takes.
-constexpr size_t kFewestGathers = 2;
+constexpr int64_t kFewestGathers = 2;
 
 bool has(const auto& list, const auto& item) {
   return std::find(list.begin(), list.end(), item) != list.end();
@@ -39,13 +39,19 @@ void find_scope(const Program& p, const EmitPlan& plan, AheadGathers& out) {
     if (total > out.weight) out.scope = region, out.weight = total;
 }
 
-// Whether the group is loaded wherever the scope is computed. Others wait for their own condition,
-// as velocities do that only a damping needs.
-bool in_scope(const EmitPlan& plan, const LoadGroup& group, int32_t scope) {
+// The printed region that alone needs the group, or -1: it is loaded wherever the scope is
+// computed.
+int32_t only_region(const EmitPlan& plan, const LoadGroup& group, int32_t scope) {
   const Value first =
       *std::find_if(group.columns.begin(), group.columns.end(), [](Value v) { return v != kNone; });
   const int32_t region = plan.printed_region(plan.region[at(first)]);
-  return region < 0 || region == scope;
+  return region == scope ? -1 : region;
+}
+
+auto find_gather(auto& gathers, const LoadGroup& group) {
+  return std::find_if(gathers.begin(), gathers.end(), [&group](const AheadGather& g) {
+    return g.source == group.source && g.row == group.row;
+  });
 }
 
 }  // namespace
@@ -59,20 +65,36 @@ AheadGathers find_ahead_gathers(const Program& p, const EmitPlan& plan) {
     if (source.type != Type::F32 || source.width != 3) continue;
     const int32_t table = table_of(p, plan, group.row);
     if (table < 0 || (out.table >= 0 && out.table != table)) continue;
-    if (!in_scope(plan, group, out.scope)) continue;
     out.table = table;
     if (!has(out.rows, group.row)) out.rows.push_back(group.row);
-    if (const std::pair gather{group.source, group.row}; !has(out.gathers, gather))
-      out.gathers.push_back(gather);
+    const int32_t region = only_region(plan, group, out.scope);
+    if (const auto known = find_gather(out.gathers, group); known == out.gathers.end())
+      out.gathers.push_back({group.source, group.row, region});
+    else if (region < 0)
+      known->region = -1;
   }
-  if (out.gathers.size() < kFewestGathers) return {};
-  return out;
+  const auto sure = std::count_if(out.gathers.begin(), out.gathers.end(),
+                                  [](const AheadGather& g) { return g.region < 0; });
+  return sure < kFewestGathers ? AheadGathers() : out;
 }
 
 int32_t Emitter::ahead_column(const LoadGroup& group) const {
-  const auto& gathers = ahead_.gathers;
-  const auto found = std::find(gathers.begin(), gathers.end(), std::pair{group.source, group.row});
-  return found == gathers.end() ? -1 : 3 * static_cast<int32_t>(found - gathers.begin());
+  const auto found = find_gather(ahead_.gathers, group);
+  if (found == ahead_.gathers.end()) return -1;
+  if (found->region >= 0 && found->region != only_region(plan_, group, ahead_.scope)) return -1;
+  return 3 * static_cast<int32_t>(found - ahead_.gathers.begin());
+}
+
+std::vector<int32_t> Emitter::ahead_regions() const {
+  std::vector<int32_t> regions;
+  for (const AheadGather& g : ahead_.gathers)
+    if (g.region >= 0 && !has(regions, g.region)) regions.push_back(g.region);
+  return regions;
+}
+
+std::string Emitter::ahead_gather(const AheadGather& g, int32_t column) const {
+  return "gather3f_ahead(s" + str(g.source) + ", &ahead" + str(g.row) + ", next + " + str(column) +
+         ");";
 }
 
 // Row k is where the next group begins.
@@ -96,11 +118,11 @@ void Emitter::ahead_begin() {
   std::string rows = "rows_ahead ", separator, sources;
   for (const Value row : ahead_.rows) rows += separator + "ahead" + str(row), separator = ", ";
   std::vector<int32_t> gathered;
-  for (const auto& [source, row] : ahead_.gathers) {
-    const std::string c = str(ahead_column({source, row, {}}));
-    ahead_text_.push_back("gather3f_ahead(s" + str(source) + ", &ahead" + str(row) + ", next + " +
-                          c + ");");
-    if (!has(gathered, source)) gathered.push_back(source);
+  int32_t column = 0;
+  for (const AheadGather& g : ahead_.gathers) {
+    if (g.region < 0) ahead_text_.push_back(ahead_gather(g, column));
+    column += 3;
+    if (!has(gathered, g.source)) gathered.push_back(g.source);
   }
   const std::string count = str(static_cast<int64_t>(3 * ahead_.gathers.size()));
   line(
@@ -116,6 +138,10 @@ void Emitter::ahead_begin() {
   line("vi " + names + ";");
   line(rows + ";");
   line("int odd = 0;");
+  for (const int32_t region : ahead_regions()) {
+    const std::string r = str(region);
+    line("int took" + r + " = 0, fetch" + r + " = 0, ready" + r + " = 0;");
+  }
   line("int64_t k = i;");
   line("if (last - begin >= LANES) {");
   ++depth_;
@@ -129,13 +155,20 @@ void Emitter::ahead_group() {
   line("next = here, here = now;");
   for (const Value d : plan_.groups[at(ahead_.table)].columns)
     if (d != kNone) line(declaration(d) + " = next" + str(d) + ";");
+  for (const int32_t region : ahead_regions()) {
+    const std::string r = str(region);
+    line("ready" + r + " = fetch" + r + ", fetch" + r + " = took" + r + ", took" + r + " = 0;");
+  }
   line("if (rarely(odd)) {");
   ++depth_;
   line("odd = 0;");
-  for (const auto& [source, row] : ahead_.gathers) {
-    const std::string s = str(source);
-    line("if (!gather3f_again(here + " + str(ahead_column({source, row, {}})) + ", s" + s + ", n" +
-         s + ", " + text_.name(row) + ")) return done;");
+  int32_t column = 0;
+  for (const AheadGather& g : ahead_.gathers) {
+    const std::string s = str(g.source);
+    line("if (" + (g.region < 0 ? "" : "ready" + str(g.region) + " && ") +
+         "!gather3f_again(here + " + str(column) + ", s" + s + ", n" + s + ", " +
+         text_.name(g.row) + ")) return done;");
+    column += 3;
   }
   close();
   line("k = i + 2 * LANES <= last ? i + LANES : last - LANES;");
@@ -148,14 +181,49 @@ void Emitter::ahead_line(Value v) {
   while (ahead_written_ < due) line(ahead_text_[ahead_written_++]);
 }
 
+void Emitter::ahead_region(int32_t region) {
+  if (has(ahead_regions(), region)) line("took" + str(region) + " = 1;");
+}
+
+// Columns of a group that was gathered ahead, or would have been, had its region been foreseen.
+void Emitter::ahead_load(Value v, const LoadGroup& group, int32_t first, const std::string& where) {
+  const AheadGather& g = ahead_.gathers[at(first / 3)];
+  const std::string targets = g.region < 0 ? "" : columns(v, group, 0, 0, 3);
+  const auto take = [&] {
+    for (int32_t c = 0; c < 3; ++c)
+      if (const Value d = group.columns[at(c)]; d != kNone)
+        line((g.region < 0 ? declaration(d) : text_.name(d)) + " = here[" + str(first + c) + "];");
+  };
+  if (g.region < 0) return take();
+  line("if (ready" + str(g.region) + ") {");
+  ++depth_;
+  take();
+  --depth_;
+  line("} else {");
+  ++depth_;
+  line("const row_lanes rows = look_at_rows(" + text_.lanes(group.row) + ");");
+  line("gather3f(s" + str(g.source) + ", n" + str(g.source) + ", &rows" + where + targets + ");");
+  close();
+}
+
 // Where the scope ends. A region that no lane takes must not keep the next group waiting.
 void Emitter::ahead_end(int32_t scope) {
   if (ahead_.table < 0 || scope != ahead_.scope) return;
   while (ahead_written_ < ahead_text_.size()) line(ahead_text_[ahead_written_++]);
+  // In one place: a branch between the lines would part them for the compiler.
+  for (const int32_t region : ahead_regions()) {
+    line("if (fetch" + str(region) + ") {");
+    ++depth_;
+    for (size_t g = 0; g < ahead_.gathers.size(); ++g)
+      if (ahead_.gathers[g].region == region)
+        line(ahead_gather(ahead_.gathers[g], 3 * static_cast<int32_t>(g)));
+    close();
+  }
   if (scope < 0) return;
   --depth_;
   line("} else {");
   ++depth_;
+  for (const int32_t region : ahead_regions()) line("fetch" + str(region) + " = 0;");
   for (const std::string& s : ahead_text_) line(s);
 }
 

@@ -53,8 +53,12 @@ class Emitter {
   void ahead_group();
   void ahead_line(Value v);
   void ahead_end(int32_t scope);
+  void ahead_region(int32_t region);
+  std::vector<int32_t> ahead_regions() const;
   // Where a group of loads is among it, or -1.
   int32_t ahead_column(const LoadGroup& group) const;
+  std::string ahead_gather(const AheadGather& gather, int32_t column) const;
+  void ahead_load(Value v, const LoadGroup& group, int32_t first, const std::string& where);
   std::string output_bytes(size_t o) const;
   // An output may be the memory of a source, and then holds what the first time wrote: no row of a
   // table may be taken from there, because it could be past the table's end.

@@ -5,6 +5,9 @@ Runs newton_deformable.py and novaphy_deformable.py in turn, each measurement in
 own, and writes docs/performance-deformable.md. Newton's environment is that of run_peers.py. Before
 any timing, the final positions of the first soft body must be the same bits in both engines.
 
+Machines that are shared have phases, seconds to minutes long, in which everything is slower, and a
+measurement may fall into one. So all are measured in turns, and the fastest median counts.
+
 Large scenes are timed over fewer substeps, and the times are those of as many as the example has.
 Newton as shipped is left out where one iteration takes minutes.
 
@@ -43,6 +46,8 @@ SIZES = {
         128: (96, ("Newton, shipped", "Newton, bare")),
     },
 }
+# How often each is measured; Newton as shipped once, because it takes minutes.
+TURNS = 3
 # The cost of elements: cells per side, substeps.
 GROWTH = {6: 96, 13: 48, 28: 24, 59: 12}
 # The memory of elements: cells per side; a short rollout and a long one.
@@ -56,6 +61,19 @@ def measure(column: str, scene: str, n: int, steps: int) -> dict[str, object]:
     options = ["--scene", scene, "--n", n, "--mode", mode, "--steps", steps]
     options += ["--iterations", iterations]
     return run(python_of(engine), f"{engine}_deformable.py", *options, threads=threads)
+
+
+def fastest(columns: list[str], scene: str, n: int, steps: int) -> dict[str, dict[str, object]]:
+    """Of each column, the record with the smallest median."""
+    best: dict[str, dict[str, object]] = {}
+    for turn in range(TURNS):
+        for column in columns:
+            if turn > 0 and column == "Newton, shipped":
+                continue
+            record = measure(column, scene, n, steps)
+            if column not in best or record["median_s"] < best[column]["median_s"]:
+                best[column] = record
+    return best
 
 
 def check_bits() -> str:
@@ -72,7 +90,7 @@ def table(scene: str) -> str:
     """Times per iteration of a scene, and how many times faster NovaPhy is."""
     body, ratios = [], []
     for n, (steps, left_out) in SIZES[scene].items():
-        records = {c: measure(c, scene, n, steps) for c in COLUMNS if c not in left_out}
+        records = fastest([c for c in COLUMNS if c not in left_out], scene, n, steps)
         times = {c: float(r["median_s"]) / steps * STEPS[scene] for c, r in records.items()}
         elements = next(iter(records.values()))["elements"]
         label = [f"{n}", f"{elements:,}"]
@@ -98,7 +116,7 @@ def growth() -> str:
     """Time per tetrahedron and substep."""
     body = []
     for n, steps in GROWTH.items():
-        record = measure("NovaPhy", "soft_body", n, steps)
+        record = fastest(["NovaPhy"], "soft_body", n, steps)["NovaPhy"]
         per = float(record["median_s"]) / steps / int(record["elements"])
         body.append([f"{n}", f"{record['elements']:,}", f"{steps}", f"{per * 1e9:.0f} ns"])
     return rows(["N", "tetrahedra", "substeps", "per tetrahedron and substep"], body)
@@ -135,8 +153,10 @@ machine, against Newton 1.8.0 on Warp 1.19.0.
 {facts}
 
 Time of one iteration, which is what Newton's examples do: the rollout (960 substeps of the soft
-body, 1,920 of the cloth), the loss, `backward`, the update; captured once and replayed. Medians;
-from soft bodies of N = 16 and cloths of N = 32 on, fewer substeps were timed, and the times scaled.
+body, 1,920 of the cloth), the loss, `backward`, the update; captured once and replayed. Medians,
+and of {TURNS} turns the fastest (Newton as shipped had one), because the machine has phases in
+which everything is slower; from soft bodies of N = 16 and cloths of N = 32 on, fewer substeps were
+timed, and the times scaled.
 
 * *shipped*: as the examples are.
 * *lean*: without the hash grid of the particles and the pass over (triangle, particle) pairs, which

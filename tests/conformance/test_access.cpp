@@ -1,6 +1,7 @@
 // Loads of every access kind, loops, skipped sides of a select, and rows out of range.
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <cstring>
 
 #include "harness.h"
@@ -67,7 +68,7 @@ TEST(Access, IndexedReadsTheRowOfATableAndZeroForANegativeRow) {
 
 // Elements: the columns of a table name the rows of two sources; what is computed from them is long
 // enough to be skipped where the first own value is not below the parameter, and the part of the
-// second source where the second own value is 0.
+// second source where the second own value is 0. The table itself is read in any case.
 ir::Program elements(int32_t corners) {
   Builder b;
   const int32_t table = b.source(Type::I32, corners), own = b.source(Type::F32, 2),
@@ -78,11 +79,12 @@ ir::Program elements(int32_t corners) {
   const Value i = b.index(), mine = b.load(own, i), damping = b.load(own, i, 1);
   const Value takes = b.op(Op::LT, mine, b.op(Op::PARAM_F, 0));
   const Value undamped = b.op(Op::EQ, damping, b.f(0.0f));
-  std::vector<Value> out;
-  for (int32_t k = 0; k < corners; ++k)
+  std::vector<Value> out, rows;
+  for (int32_t k = 0; k < corners; ++k) rows.push_back(b.load(table, i, k));
+  for (const Value row : rows) out.push_back(b.op(Op::I_TO_F, row));
+  for (const Value row : rows)
     for (int32_t c = 0; c < 3; ++c) {
-      const Value row = b.load(table, i, k);
-      Value x = b.op(Op::SUB, b.load(q, row, c), b.load(q, b.load(table, i, 0), c));
+      Value x = b.op(Op::SUB, b.load(q, row, c), b.load(q, rows[0], c));
       const Value damped = b.op(Op::FMA, b.load(v, row, c), damping, x);
       x = b.op(Op::SELECT_F, undamped, x, damped);
       for (int t = 0; t < 3; ++t) x = b.op(Op::ADD, b.op(Op::MUL, x, mine), b.f(0.25f));
@@ -121,6 +123,29 @@ TEST(Access, TheColumnsOfATableNameRowsTheLastOneAndAbsentOnesToo) {
             ASSERT_EQ(check(p, n, element_inputs(corners, n, rows, first, damped)), "")
                 << corners << " corners, " << n << " elements, rows " << first << " to " << rows;
   }
+}
+
+// The first column names rows of a source that is longer than the one that the second column names.
+TEST(Access, TheColumnsOfATableNameRowsOfSourcesOfUnequalLength) {
+  Builder b;
+  const int32_t table = b.source(Type::I32, 2), q = b.source(Type::F32, 3, Access::Indexed),
+                v = b.source(Type::F32, 3, Access::Indexed);
+  const Value i = b.index(), long_row = b.load(table, i, 0), short_row = b.load(table, i, 1);
+  std::vector<Value> out;
+  for (int32_t c = 0; c < 3; ++c)
+    out.push_back(b.op(Op::SUB, b.load(q, long_row, c), b.load(v, short_row, c)));
+  b.output(out);
+  for (const int32_t rows : {5, 6, 23})
+    for (const int64_t n : kCounts) {
+      Inputs in;
+      std::vector<uint32_t> of_both;
+      for (int64_t i = 0; i < n; ++i) {
+        of_both.push_back(bits(static_cast<int32_t>(i * 7 % rows)));
+        of_both.push_back(bits(static_cast<int32_t>(i * 3 % 5)));
+      }
+      in.sources = {of_both, floats(static_cast<size_t>(3 * rows), 7), floats(15, 9)};
+      ASSERT_EQ(check(b.p, n, in), "") << rows << " rows and 5, " << n << " elements";
+    }
 }
 
 TEST(Access, ANegativeRowOfAnEmptySourceReadsZero) {
@@ -198,25 +223,62 @@ ir::Program csr_loop() {
   return b.p;
 }
 
+// Own rows, and up to six items each of 11 rows, or of as many as there are items.
+Inputs csr_inputs(int64_t n, size_t width, bool null_items) {
+  Inputs in;
+  in.null_items = null_items;
+  std::vector<uint32_t> offsets = {0}, items;
+  for (int64_t i = 0; i < n; ++i) {
+    const int64_t length = i % 5 == 0 ? 0 : i % 7;
+    for (int64_t k = 0; k < length; ++k) items.push_back(static_cast<uint32_t>((i * 3 + k) % 11));
+    offsets.push_back(static_cast<uint32_t>(items.size()));
+  }
+  in.sources = {floats(width * static_cast<size_t>(n)),
+                floats(width * (null_items ? items.size() : 11), 9)};
+  in.offsets = {offsets};
+  in.items = {items};
+  return in;
+}
+
 TEST(Loops, CsrRowsOfDifferentLengthsFoldTheirOwnItems) {
   const ir::Program p = csr_loop();
-  for (const bool null_items : {false, true}) {
-    for (const int64_t n : kCounts) {
-      Inputs in;
-      in.null_items = null_items;
-      std::vector<uint32_t> offsets = {0}, items;
-      for (int64_t i = 0; i < n; ++i) {
-        const int64_t length = i % 5 == 0 ? 0 : i % 7;
-        for (int64_t k = 0; k < length; ++k)
-          items.push_back(static_cast<uint32_t>((i * 3 + k) % 11));
-        offsets.push_back(static_cast<uint32_t>(items.size()));
-      }
-      in.sources = {floats(static_cast<size_t>(3 * n)),
-                    floats(null_items ? 3 * items.size() : 33, 9)};
-      in.offsets = {offsets};
-      in.items = {items};
-      ASSERT_EQ(check(p, n, in), "") << "n " << n << ", null items " << null_items;
-    }
+  for (const bool null_items : {false, true})
+    for (const int64_t n : kCounts)
+      ASSERT_EQ(check(p, n, csr_inputs(n, 3, null_items)), "")
+          << "n " << n << ", null items " << null_items;
+}
+
+// Nothing but the own row and those of the items.
+ir::Program row_sums(int32_t width) {
+  Builder b;
+  const int32_t own = b.source(Type::F32, width),
+                other = b.source(Type::F32, width, Access::CsrRow);
+  b.p.loops.push_back({LoopKind::Csr, 0, {}});
+  const Value row = b.index(), slot = b.op(Op::SLOT, 0);
+  std::vector<Value> out;
+  for (int32_t c = 0; c < width; ++c)
+    b.p.loops[0].sums.push_back({b.load(own, row, c), b.load(other, slot, c)});
+  for (int32_t c = 0; c < width; ++c) out.push_back(b.op(Op::SUM, 0, c));
+  b.output(out);
+  return b.p;
+}
+
+TEST(Loops, RowsOfEveryWidthAreAddedToTheOwnRow) {
+  for (int32_t width = 1; width <= 5; ++width) {
+    const ir::Program p = row_sums(width);
+    for (const bool null_items : {false, true})
+      for (const int64_t n : kCounts)
+        ASSERT_EQ(check(p, n, csr_inputs(n, static_cast<size_t>(width), null_items)), "")
+            << "width " << width << ", n " << n << ", null items " << null_items;
+    Inputs in = csr_inputs(300, static_cast<size_t>(width), false);
+    in.items[0][100] = 11;
+    const auto row = std::upper_bound(in.offsets[0].begin(), in.offsets[0].end(), 100u) - 1;
+    const Result result = run(p, 300, in);
+    ASSERT_EQ(result.status, NOVAPHY_INDEX_OUT_OF_RANGE) << width;
+    const std::string i = "i = " + std::to_string(row - in.offsets[0].begin()) + " ";
+    for (const std::string& part : {i, std::string("row 11 ")})
+      EXPECT_NE(result.message.find(part), std::string::npos)
+          << part << "is not in: " << result.message;
   }
 }
 
@@ -329,6 +391,7 @@ TEST(OutOfRange, RowsThatATableNamesAreReadAheadAndFailWhereTheyAreNeeded) {
       in.sources[1][static_cast<size_t>(2 * wrong)] = bits(100.0f);
       ASSERT_EQ(check(p, n, in), "") << "not needed, n " << n << ", row " << wrong;
       in.sources[1][static_cast<size_t>(2 * wrong)] = bits(-100.0f);
+      in.sources[1][static_cast<size_t>(2 * wrong + 1)] = 0;  // only one source needs the row
       const Result result = run(p, n, in);
       ASSERT_EQ(result.status, NOVAPHY_INDEX_OUT_OF_RANGE) << n;
       for (const std::string& part :

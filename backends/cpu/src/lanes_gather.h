@@ -105,6 +105,15 @@ LANE_FN void gather3_present(const char* s, vi row, vi* a, vi* b, vi* c) {
   *a = vselecti(absent, zero, *a), *b = vselecti(absent, zero, *b);
   *c = vselecti(absent, zero, *c);
 }
+/* Some are the last row, which has no next one. */
+COLD_FN void gather3_last(const char* s, int64_t rows, vi row, vi* a, vi* b, vi* c) {
+  const vi end = splati((int32_t)(rows - 1));
+  const vb last = vieq(row, end);
+  gather3_present(s, vselecti(last, splati(0), row), a, b, c);
+  s += 12 * (rows - 1);
+  *a = vselecti(last, splati(word_at(s, 0)), *a), *b = vselecti(last, splati(word_at(s, 1)), *b);
+  *c = vselecti(last, splati(word_at(s, 2)), *c);
+}
 #endif
 
 /* Rows of three words that are gathered before they are needed: any address that is legal will do,
@@ -156,10 +165,16 @@ LANE_FN void gather3f_ahead(const char* s, const rows_ahead* r, vf* to) {
   for (int k = 0; k < 3; ++k) to[k] = vselectf(r->present, (vf)column[k], splatf(0.0f));
 #endif
 }
-/* Zero: a row is past the end. */
-COLD_FN int gather3f_again(vf* to, const char* s, int64_t rows, vi row) {
+/* Puts right the rows past the limit. Zero: a row is past the end. */
+COLD_FN int gather3f_again(vf* to, const char* s, int64_t rows, int32_t limit, vi row) {
   if (!none_past(row, rows)) return 0;
-  gather_lanes((vi*)to, s, rows, &row, 3, 3, splatb(0), 0, 0, NULL);
+  const vb past = vilt(splati(limit), row);
+  if (any(vilt(splati(limit + 1), row))) {
+    gather_lanes((vi*)to, s, rows, &row, 3, 3, splatb(0), 0, 0, NULL);
+  } else if (any(past)) { /* mostly it is the last row, which has no next one */
+    for (int k = 0; k < 3; ++k)
+      to[k] = vselectf(past, splatf(ubits_f(word_at(s, 3 * ((int64_t)limit + 1) + k))), to[k]);
+  }
   return 1;
 }
 
@@ -206,6 +221,8 @@ LANE_FN void gather3i(GATHER_ARGUMENTS, GATHER_ERROR, vi* a, vi* b, vi* c) {
     gather3_inside(s, r->row, a, b, c);
   } else if (none_past(r->row, rows - 1)) {
     gather3_present(s, r->row, a, b, c);
+  } else if (rows > 1 && none_past(r->row, rows)) {
+    gather3_last(s, rows, r->row, a, b, c);
 #endif
   } else {
     vi target[3];

@@ -128,9 +128,10 @@ LANE_FN void gather3f_ahead(const char* s, const rows_ahead* r, float* to) {
   else
     memcpy(to, s + 12 * (int64_t)r->at, 12);
 }
-LANE_FN int gather3f_again(float* to, const char* s, int64_t rows, int32_t row) {
-  (void)to, (void)s;
-  return row < rows;
+LANE_FN int gather3f_again(float* to, const char* s, int64_t rows, int32_t limit, int32_t row) {
+  if (row >= rows) return 0;
+  if (row > limit) memcpy(to, s + 12 * (int64_t)row, 12);
+  return 1;
 }
 
 /* CSR rows. */

@@ -166,7 +166,7 @@ void Emitter::ahead_group() {
   for (const AheadGather& g : ahead_.gathers) {
     const std::string s = str(g.source);
     line("if (" + (g.region < 0 ? "" : "ready" + str(g.region) + " && ") +
-         "!gather3f_again(here + " + str(column) + ", s" + s + ", n" + s + ", " +
+         "!gather3f_again(here + " + str(column) + ", s" + s + ", n" + s + ", limit, " +
          text_.name(g.row) + ")) return done;");
     column += 3;
   }

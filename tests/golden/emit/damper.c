@@ -50,10 +50,10 @@ static int64_t k_damper_c746a5d53578d207(const uint64_t* args, int64_t begin, in
     ready0 = fetch0, fetch0 = took0, took0 = 0;
     if (rarely(odd)) {
       odd = 0;
-      if (!gather3f_again(here + 0, s1, n1, v1)) return done;
-      if (!gather3f_again(here + 3, s1, n1, v3)) return done;
-      if (ready0 && !gather3f_again(here + 6, s2, n2, v1)) return done;
-      if (ready0 && !gather3f_again(here + 9, s2, n2, v3)) return done;
+      if (!gather3f_again(here + 0, s1, n1, limit, v1)) return done;
+      if (!gather3f_again(here + 3, s1, n1, limit, v3)) return done;
+      if (ready0 && !gather3f_again(here + 6, s2, n2, limit, v1)) return done;
+      if (ready0 && !gather3f_again(here + 9, s2, n2, limit, v3)) return done;
     }
     k = i + 2 * LANES <= last ? i + LANES : last - LANES;
     const vf v2 = here[0];

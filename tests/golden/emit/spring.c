@@ -44,8 +44,8 @@ static int64_t k_spring_9c9fe5a42c2f4f8b(const uint64_t* args, int64_t begin, in
     const vi v2 = next2;
     if (rarely(odd)) {
       odd = 0;
-      if (!gather3f_again(here + 0, s1, n1, v2)) return done;
-      if (!gather3f_again(here + 3, s1, n1, v4)) return done;
+      if (!gather3f_again(here + 0, s1, n1, limit, v2)) return done;
+      if (!gather3f_again(here + 3, s1, n1, limit, v4)) return done;
     }
     k = i + 2 * LANES <= last ? i + LANES : last - LANES;
     const vf v1 = load_columnf(s2 + 4 * i, 1);

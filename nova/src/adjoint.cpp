@@ -253,23 +253,6 @@ void note_loads(const AdjointStage& stage, std::vector<bool>& loads_value) {
 
 }  // namespace
 
-int32_t summed_source(const ir::Program& p) {
-  if (p.loops.size() != 1 || p.outputs.size() != 1) return -1;
-  const std::vector<Value>& out = p.outputs[0].values;
-  const size_t columns = p.loops[0].sums.size();
-  const int32_t source = ir::added_source(p, p.loops[0]);
-  if (source < 0 || out.size() != columns) return -1;
-  for (size_t c = 0; c < columns; ++c) {
-    const Instr& value = p.instrs[out[c]];
-    if (value.op != Op::SUM || value.b != static_cast<int32_t>(c)) return -1;
-  }
-  // One slot, and a load and a sum for each column.
-  const auto uses = std::count_if(p.instrs.begin(), p.instrs.end(), [&](const Instr& in) {
-    return (in.op == Op::LOAD_F && in.a == source) || in.op == Op::SLOT || in.op == Op::SUM;
-  });
-  return uses == static_cast<std::ptrdiff_t>(2 * columns + 1) ? source : -1;
-}
-
 AdjointPlan make_adjoint(const ir::Program& program, const AdjointMask& mask) {
   for (size_t s = 0; s < program.sources.size(); ++s)
     novaphy::require(!mask.wrt[s] || program.sources[s].type == ir::Type::F32,

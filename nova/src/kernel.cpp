@@ -247,7 +247,7 @@ std::shared_ptr<detail::KernelImpl> finish(std::string name, std::vector<SourceS
     if (l.kind == ir::LoopKind::Fixed) l.extent_param = p.param_count - 1;
   check_depth(p, name);
   impl->traced = ir::canonicalise(p, false);
-  impl->summed_source = summed_source(impl->traced);
+  impl->summed_source = ir::summed_source(impl->traced);
   ir::Program forward = ir::canonicalise(p, true);
   if (const std::string why = ir::validate(forward); !why.empty())
     fail(ErrorKind::Value, "kernel '", name, "': ", why);

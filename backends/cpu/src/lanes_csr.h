@@ -1,61 +1,50 @@
-/* Sums over CSR rows that only add the rows of their items: row by row, all columns at once, so
- * that rows of different length cost no more than they have items. The bits are those of any other
- * way, because the items of a row are added in their order. */
+/* A row of one source and then rows of another, those of its items in their order: row by row, all
+ * columns at once, so that rows of different length cost no more than they have items. */
 
 typedef float four_floats __attribute__((vector_size(16)));
 typedef four_floats four_floats_unaligned __attribute__((aligned(4), may_alias));
-/* The last rows of a source have no four words. */
-COLD_FN four_floats part_of_row(const char* s, int64_t rows, int32_t row, int32_t width,
-                                int32_t source, int64_t i, novaphy_error_sink* sink) {
+/* A source of rows of up to four words. */
+typedef struct narrow_rows {
+  const char* s;
+  int64_t rows;
+  uint64_t whole; /* rows that have four words from their first one on */
+  int32_t width, source;
+} narrow_rows;
+LANE_FN narrow_rows narrow(const char* s, int64_t rows, int32_t width, int32_t source) {
+  const int64_t whole = rows + 1 - (width + 3) / width;
+  return (narrow_rows){s, rows, whole > 0 ? (uint64_t)whole : 0, width, source};
+}
+/* The last rows have no four words, absent ones (negative) none. */
+COLD_FN four_floats part_of_row(const narrow_rows* r, int64_t row, int64_t i,
+                                novaphy_error_sink* sink) {
   float words[4] = {0.0f, 0.0f, 0.0f, 0.0f};
-  if (row >= 0 && row < rows) memcpy(words, s + 4 * (int64_t)row * width, 4 * (size_t)width);
-  if (row >= rows) report_row(sink, i, source, row);
+  if (row >= r->rows)
+    report_row(sink, i, r->source, row);
+  else if (row >= 0)
+    memcpy(words, r->s + 4 * row * r->width, 4 * (size_t)r->width);
   return (four_floats){words[0], words[1], words[2], words[3]};
 }
-LANE_FN void csr_add(const char* s, int64_t rows, int32_t width, const int32_t* offsets,
-                     const int32_t* items, int32_t source, int64_t i, novaphy_error_sink* sink,
-                     vf* a, vf* b, vf* c, vf* d) {
-  four_floats sum[LANES];
-  store4f((char*)sum, *a, *b, *c, *d);
-  const int64_t whole = rows + 1 - (width + 3) / width;
-#define CSR_ADD(k)                                                          \
-  {                                                                         \
-    const int32_t row = items != NULL ? items[k] : (k);                     \
-    if (__builtin_expect(row >= 0 && row < whole, 1))                       \
-      add += *(const four_floats_unaligned*)(s + 4 * (int64_t)row * width); \
-    else                                                                    \
-      add += part_of_row(s, rows, row, width, source, i + l, sink);         \
-  }
-  for (int l = 0; l < LANES; ++l) {
-    four_floats add = sum[l];
-    const int32_t end = offsets[i + l + 1];
-    int32_t k = offsets[i + l];
-    for (; k + 2 <= end; k += 2) {
-      CSR_ADD(k)
-      CSR_ADD(k + 1)
+LANE_FN four_floats row_of_four(const narrow_rows* r, int64_t row, int64_t i,
+                                novaphy_error_sink* sink) {
+  if (__builtin_expect((uint64_t)row < r->whole, 1))
+    return *(const four_floats_unaligned*)(r->s + 4 * row * r->width);
+  return part_of_row(r, row, i, sink);
+}
+/* The rows [i, last) of `out`; returns last. */
+LANE_FN int64_t csr_sums(narrow_rows init, narrow_rows terms, const int32_t* offsets,
+                         const int32_t* items, int64_t i, int64_t last, novaphy_error_sink* sink,
+                         char* out) {
+  for (; i < last; ++i) {
+    four_floats add = row_of_four(&init, i, i, sink);
+    const int32_t end = offsets[i + 1];
+    int32_t k = offsets[i];
+    if (items == NULL) {
+      for (; k < end; ++k) add += row_of_four(&terms, k, i, sink);
+    } else {
+      for (; k < end; ++k) add += row_of_four(&terms, items[k], i, sink);
     }
-    if (k < end) CSR_ADD(k)
-    sum[l] = add;
+    const four_floats sum = add; /* `add` itself stays in a register */
+    memcpy(out + 4 * i * init.width, &sum, 4 * (size_t)init.width);
   }
-#undef CSR_ADD
-  load4f((const char*)sum, a, b, c, d);
+  return i;
 }
-#define CSR_ARGUMENTS                                                                        \
-  const char *s, int64_t rows, const int32_t *offsets, const int32_t *items, int32_t source, \
-      int64_t i, novaphy_error_sink *sink
-LANE_FN void csr_add4(CSR_ARGUMENTS, vf* a, vf* b, vf* c, vf* d) {
-  csr_add(s, rows, 4, offsets, items, source, i, sink, a, b, c, d);
-}
-LANE_FN void csr_add3(CSR_ARGUMENTS, vf* a, vf* b, vf* c) {
-  vf none = *a;
-  csr_add(s, rows, 3, offsets, items, source, i, sink, a, b, c, &none);
-}
-LANE_FN void csr_add2(CSR_ARGUMENTS, vf* a, vf* b) {
-  vf none[2] = {*a, *a};
-  csr_add(s, rows, 2, offsets, items, source, i, sink, a, b, &none[0], &none[1]);
-}
-LANE_FN void csr_add1(CSR_ARGUMENTS, vf* a) {
-  vf none[3] = {*a, *a, *a};
-  csr_add(s, rows, 1, offsets, items, source, i, sink, a, &none[0], &none[1], &none[2]);
-}
-#undef CSR_ARGUMENTS

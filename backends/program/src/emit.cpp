@@ -55,13 +55,17 @@ Emitter::Emitter(const Program& program, bool device, const Series* series, std:
 std::string Emitter::run(const std::string& function) {
   head(function);
   arguments();
-  before_the_rows();
-  ahead_begin();
-  groups_begin();
-  steps();
-  stores();
-  groups_end();
-  line("return i;");
+  if (adds_rows_only()) {
+    sums_of_rows();
+  } else {
+    before_the_rows();
+    ahead_begin();
+    groups_begin();
+    steps();
+    stores();
+    groups_end();
+    line("return i;");
+  }
   close();
   return std::move(out_);
 }
@@ -231,11 +235,6 @@ void Emitter::steps() {
       case Step::Kind::LoopBegin:
         if (quiet_) {  // all items are idle
           begin_sums(step.value);
-          while (plan_.steps[s].kind != Step::Kind::LoopEnd) ++s;
-          break;
-        }
-        if (const int32_t source = added_source(step.value); source >= 0) {
-          add_rows(step.value, source);
           while (plan_.steps[s].kind != Step::Kind::LoopEnd) ++s;
           break;
         }

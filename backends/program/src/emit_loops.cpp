@@ -66,27 +66,27 @@ const IdleItem* Emitter::idle_item(int32_t loop) const {
   return nullptr;
 }
 
-int32_t Emitter::added_source(int32_t l) const {
-  const std::vector<Sum>& sums = p_.loops[at(l)].sums;
-  if (device_ || series_ || sums.size() > 4) return -1;
-  const int32_t source = nova::ir::added_source(p_, p_.loops[at(l)]);
-  for (size_t v = 0; v < p_.instrs.size() && source >= 0; ++v) {
-    const auto is_term = [v](const Sum& sum) { return sum.term == static_cast<Value>(v); };
-    if (plan_.is_line(v, p_.instrs[v].op) && plan_.loop[v] == l &&
-        std::none_of(sums.begin(), sums.end(), is_term))
-      return -1;
+bool Emitter::adds_rows_only() const {
+  if (summed_source(p_) < 0) return false;
+  const std::vector<Sum>& sums = p_.loops[0].sums;
+  const Instr& first = p_.instrs[at(sums[0].init)];
+  for (size_t c = 0; c < sums.size(); ++c) {
+    const Instr& in = p_.instrs[at(sums[c].init)];
+    if (in.op != Op::LOAD_F || in.a != first.a || in.c != static_cast<int32_t>(c) ||
+        p_.instrs[at(in.b)].op != Op::INDEX)
+      return false;
   }
-  return source;
+  return sums.size() <= 4 && p_.sources[at(first.a)].width == static_cast<int32_t>(sums.size());
 }
 
-void Emitter::add_rows(int32_t l, int32_t source) {
-  const std::string k = str(l), s = str(source);
-  begin_sums(l);
-  std::string sums;
-  for (size_t n = 0; n < p_.loops[at(l)].sums.size(); ++n)
-    sums += ", &sum" + k + "_" + str(static_cast<int64_t>(n));
-  line("csr_add" + str(p_.sources[at(source)].width) + "(s" + s + ", n" + s + ", offsets" + k +
-       ", items" + k + ", " + s + ", i, sink" + sums + ");");
+void Emitter::sums_of_rows() {
+  const auto rows = [&](int32_t source) {
+    const std::string k = str(source);
+    return "narrow(s" + k + ", n" + k + ", " + str(p_.sources[at(source)].width) + ", " + k + ")";
+  };
+  const int32_t init = p_.instrs[at(p_.loops[0].sums[0].init)].a;
+  line("return csr_sums(" + rows(init) + ", " + rows(summed_source(p_)) +
+       ", offsets0, items0, i, last, sink, out0);");
 }
 
 void Emitter::begin_sums(int32_t l) {

@@ -105,10 +105,9 @@ class Emitter {
   bool follows(const KeptValues& kept) const;
   const IdleItem* idle_item(int32_t loop) const;
   std::string zero(Value v) const;
-  // The source whose rows, all columns of the items and nothing else, a sum over CSR rows adds; -1:
-  // it does something else.
-  int32_t added_source(int32_t l) const;
-  void add_rows(int32_t l, int32_t source);
+  // Whether every row is the own one of a source and the rows of CSR items: no lanes are needed.
+  bool adds_rows_only() const;
+  void sums_of_rows();
   void begin_sums(int32_t l);
   void loop_begin(int32_t l);
   void item_begin(int32_t l);

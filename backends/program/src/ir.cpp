@@ -189,6 +189,9 @@ std::string validate(const Program& p, bool allow_trace_ops) {
   return {};
 }
 
+namespace {
+
+// The source whose rows, all columns of the items in their order, the sums of a CSR loop add.
 int32_t added_source(const Program& p, const Loop& loop) {
   if (loop.kind != LoopKind::Csr || loop.sums.empty()) return -1;
   const int32_t source = p.instrs[loop.sums[0].term].a;
@@ -199,6 +202,25 @@ int32_t added_source(const Program& p, const Loop& loop) {
       return -1;
   }
   return p.sources[source].width == static_cast<int32_t>(loop.sums.size()) ? source : -1;
+}
+
+}  // namespace
+
+int32_t summed_source(const Program& p) {
+  if (p.loops.size() != 1 || p.outputs.size() != 1) return -1;
+  const std::vector<Value>& out = p.outputs[0].values;
+  const size_t columns = p.loops[0].sums.size();
+  const int32_t source = added_source(p, p.loops[0]);
+  if (source < 0 || out.size() != columns) return -1;
+  for (size_t c = 0; c < columns; ++c) {
+    const Instr& value = p.instrs[out[c]];
+    if (value.op != Op::SUM || value.b != static_cast<int32_t>(c)) return -1;
+  }
+  // One slot, and a load and a sum for each column.
+  const auto uses = std::count_if(p.instrs.begin(), p.instrs.end(), [&](const Instr& in) {
+    return (in.op == Op::LOAD_F && in.a == source) || in.op == Op::SLOT || in.op == Op::SUM;
+  });
+  return uses == static_cast<std::ptrdiff_t>(2 * columns + 1) ? source : -1;
 }
 
 std::vector<int32_t> sections(const Program& p) {

@@ -16,19 +16,5 @@ static int64_t k_forces_26af7b50d3722cfe(const uint64_t* args, int64_t begin, in
   const int32_t* const items0 = (const int32_t*)args[6];
   int64_t i = begin, last = end;
   if (n0 < last) last = n0;
-  for (; i < last && last - begin >= LANES; i += LANES) {
-    const int64_t done = i;
-    if (i + LANES > last) i = last - LANES;
-    char room0[LANES * 12];
-    char* const o0 = i == done ? out0 : room0 - 12 * i;
-    vf v1, v5, v8;
-    load3f(s0 + 12 * i, &v1, &v5, &v8);
-    vf sum0_0 = v1;
-    vf sum0_1 = v5;
-    vf sum0_2 = v8;
-    csr_add3(s1, n1, offsets0, items0, 1, i, sink, &sum0_0, &sum0_1, &sum0_2);
-    store3f(o0 + 12 * i, sum0_0, sum0_1, sum0_2);
-    if (i != done) copy_tail(out0, room0, 12, i, done);
-  }
-  return i;
+  return csr_sums(narrow(s0, n0, 3, 0), narrow(s1, n1, 3, 1), offsets0, items0, i, last, sink, out0);
 }

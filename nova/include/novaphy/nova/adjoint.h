@@ -72,10 +72,6 @@ struct AdjointPlan {
   std::vector<bool> loads_value;  // per source: the adjoint reads its value
 };
 
-// The source of which a kernel adds up the rows of the items, and does nothing else with them: the
-// gradient at an item is that of the output at the item's row. -1: none.
-int32_t summed_source(const ir::Program& program);
-
 // Makes the plan. `program` still carries PARTIAL and DETACH. Throws novaphy::Error when a wanted
 // source is read in a way that has no gradient (an integer source, a computed row).
 NOVAPHY_NOVA_API AdjointPlan make_adjoint(const ir::Program& program, const AdjointMask& mask);

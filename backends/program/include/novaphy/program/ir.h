@@ -114,9 +114,9 @@ Program canonicalise(const Program& program, bool strip_trace_ops);
 
 // Where each value lives: 2l outside of loops and after loop l-1, 2l+1 inside of loop l.
 std::vector<int32_t> sections(const Program& program);
-// The source whose rows, all columns of the items in their order, the sums of a CSR loop add; -1:
-// they add something else.
-int32_t added_source(const Program& program, const Loop& loop);
+// The source of which a Program adds up the rows of CSR items, and does nothing else with them: the
+// gradient at an item is that of the output at the item's row. -1: none.
+int32_t summed_source(const Program& program);
 
 // Guards: a value whose every use sits on one side of the same select need not be computed for
 // lanes that take the other side. Guard 0 is "always"; guard g holds when its parent holds and cond

@@ -284,4 +284,15 @@ AdjointPlan make_adjoint(const ir::Program& program, const AdjointMask& mask) {
   return plan;
 }
 
+uint32_t unread_columns(const ir::Program& program, size_t output, const AdjointMask& mask) {
+  const std::vector<Value>& values = program.outputs[output].values;
+  constexpr size_t kMostColumns = 32;
+  if (values.size() > kMostColumns) return 0;
+  const Primal primal(program, mask);
+  uint32_t unread = 0;
+  for (size_t c = 0; c < values.size(); ++c)
+    if (!primal.active[values[c]]) unread |= uint32_t{1} << c;
+  return unread;
+}
+
 }  // namespace nova

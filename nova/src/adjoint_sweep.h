@@ -79,7 +79,8 @@ struct Primal {
   }
 
   bool is_active(const Instr& in) const {
-    if (in.op == Op::LOAD_F) return mask.wrt[in.a];
+    if (in.op == Op::LOAD_F)
+      return mask.wrt[in.a] && !(mask.narrowed == in.a && (mask.unread >> in.c & 1) != 0);
     bool on = false;
     const auto look = [&](Value v) { on = on || active[v] != 0; };
     if (in.op == Op::SUM) {

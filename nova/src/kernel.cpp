@@ -45,6 +45,26 @@ novaphy_kernel* Executable::get(const novaphy::DeviceContext& context) {
   return kernel;
 }
 
+AdjointMask KernelImpl::mask_of(const AdjointKey& key) const {
+  AdjointMask mask;
+  for (size_t s = 0; s < sources.size(); ++s) {
+    mask.wrt.push_back(key.wrt >> s & 1);
+    mask.accumulate.push_back(key.accumulate >> s & 1);
+  }
+  for (size_t o = 0; o < outputs.size(); ++o) mask.seeded.push_back(key.seeded >> o & 1);
+  mask.table = key.table;
+  mask.narrowed = key.narrowed;
+  mask.unread = key.unread;
+  return mask;
+}
+
+uint32_t KernelImpl::unread_columns(uint32_t output, uint64_t wrt) {
+  const std::lock_guard lock(mutex_);
+  const auto [known, fresh] = unread_.try_emplace({wrt, output}, 0);
+  if (fresh) known->second = nova::unread_columns(traced, output, mask_of({.wrt = wrt}));
+  return known->second;
+}
+
 const CompiledPlan& KernelImpl::adjoint(const AdjointKey& key) {
   if (const CompiledPlan* last = last_.load(std::memory_order_acquire); last && last->key == key)
     return *last;
@@ -54,16 +74,9 @@ const CompiledPlan& KernelImpl::adjoint(const AdjointKey& key) {
     last_.store(slot.get(), std::memory_order_release);
     return *slot;
   }
-  AdjointMask mask;
-  for (size_t s = 0; s < sources.size(); ++s) {
-    mask.wrt.push_back(key.wrt >> s & 1);
-    mask.accumulate.push_back(key.accumulate >> s & 1);
-  }
-  for (size_t o = 0; o < outputs.size(); ++o) mask.seeded.push_back(key.seeded >> o & 1);
-  mask.table = key.table;
   auto made = std::make_unique<CompiledPlan>();
   made->key = key;
-  made->plan = make_adjoint(traced, mask);
+  made->plan = make_adjoint(traced, mask_of(key));
   if (!made->plan.rows.empty())
     made->rows = std::make_unique<Executable>(made->plan.rows[0].program);
   if (!made->plan.items.empty())
@@ -103,6 +116,13 @@ void run_forward(KernelImpl& kernel, int64_t dim, std::span<const Operand> input
 }  // namespace detail
 
 namespace {
+
+bool is_copy(const ir::Program& p) {
+  if (p.sources.size() != 1 || p.outputs.size() != 1 || p.sources[0].width != 1) return false;
+  if (p.outputs[0].values.size() != 1) return false;
+  const ir::Instr& value = p.instrs[static_cast<size_t>(p.outputs[0].values[0])];
+  return value.op == ir::Op::LOAD_F && p.instrs[static_cast<size_t>(value.b)].op == ir::Op::INDEX;
+}
 
 ir::Type ir_type(DType dtype) { return dtype == DType::F32 ? ir::Type::F32 : ir::Type::I32; }
 
@@ -248,6 +268,7 @@ std::shared_ptr<detail::KernelImpl> finish(std::string name, std::vector<SourceS
   check_depth(p, name);
   impl->traced = ir::canonicalise(p, false);
   impl->summed_source = ir::summed_source(impl->traced);
+  impl->is_copy = is_copy(impl->traced);
   ir::Program forward = ir::canonicalise(p, true);
   if (const std::string why = ir::validate(forward); !why.empty())
     fail(ErrorKind::Value, "kernel '", name, "': ", why);
@@ -438,6 +459,8 @@ const AdjointPlan& Kernel::adjoint(const AdjointMask& mask) const {
   }
   for (size_t o = 0; o < mask.seeded.size(); ++o) key.seeded |= uint32_t{mask.seeded[o]} << o;
   key.table = mask.table;
+  key.narrowed = mask.narrowed;
+  key.unread = mask.unread;
   return impl_->adjoint(key).plan;
 }
 

@@ -44,7 +44,9 @@ void forget_executable(Executable* executable);
 struct AdjointKey {
   uint64_t wrt = 0, accumulate = 0;
   uint32_t seeded = 0;
-  int32_t table = -1;  // see AdjointMask
+  int32_t table = -1;  // from here on see AdjointMask
+  int32_t narrowed = -1;
+  uint32_t unread = 0;
   auto operator<=>(const AdjointKey&) const = default;
 };
 
@@ -64,13 +66,19 @@ struct KernelImpl {
   std::unique_ptr<Executable> forward;
   uint64_t hash = 0;
   bool has_fixed_loop = false, has_csr_loop = false;
-  int32_t summed_source = -1;  // see adjoint.h
+  int32_t summed_source = -1;  // see ir.h
+  bool is_copy = false;        // of the values of its source, nothing else
 
   const CompiledPlan& adjoint(const AdjointKey& key);
+  // Of the gradient of an output, where gradients are wanted with respect to these sources.
+  uint32_t unread_columns(uint32_t output, uint64_t wrt);
 
  private:
+  AdjointMask mask_of(const AdjointKey& key) const;
+
   std::mutex mutex_;
   std::map<AdjointKey, std::unique_ptr<CompiledPlan>> plans_;
+  std::map<std::pair<uint64_t, uint32_t>, uint32_t> unread_;  // per wrt and output
   std::atomic<const CompiledPlan*> last_{nullptr};  // rollouts ask for the same one again and again
 };
 

@@ -165,6 +165,30 @@ int32_t Tape::Impl::summed_through(size_t k, uint32_t s) {
   return -1;
 }
 
+// The columns, as bits, of the gradient of an input of operation k that the adjoint of the
+// operation that wrote it does not read. A tape that keeps the gradients of leaves only shows it to
+// nobody else.
+uint32_t Tape::Impl::unread_columns(size_t k, const Operand& in) const {
+  const Range* range = in.range.get();
+  while (k-- > 0) {
+    const Op& op = ops[k];
+    for (uint32_t o = 0; o < op.outputs; ++o) {
+      const Operand& out = output(op, o);
+      if (out.range.get() != range) continue;
+      if (!op.kernel || op.constant || out.rows * out.width != in.rows * in.width) return 0;
+      if (op.kernel->is_copy) {  // hands on what it gets
+        range = input(op, 0).operand.range.get();
+        break;
+      }
+      if (out.width != in.width) return 0;
+      uint64_t wrt = 0;
+      for (uint32_t s = 0; s < op.inputs; ++s) wrt |= input(op, s).carries ? bit(s) : 0;
+      return op.kernel->unread_columns(o, wrt);
+    }
+  }
+  return 0;
+}
+
 void Tape::Impl::plan_steps() {
   steps.clear();
   places.clear();
@@ -204,6 +228,7 @@ void Tape::Impl::plan_steps() {
         table = through;
         sums = op.dim;
         n.set = true;
+        n.unread = 0;
         n.place = output_places[0];
         grad_info(*n.range).state = GradState::Dropped;
         if (OpList* graph = current_capture()) graph->gradient(n.range, GradState::Dropped);
@@ -220,8 +245,16 @@ void Tape::Impl::plan_steps() {
                       "' was modified after recording: a later operation read other values of it, "
                       "and one gradient "
                       "cannot be of both");
+      if (!n.set) {
+        n.unread = leaves_only && n.ever_written ? unread_columns(k, use.operand) : 0;
+        n.unread_width = use.operand.width;
+      }
       if (begin_contribution(n)) key.accumulate |= bit(s);
       input_places[s] = n.place;
+      if (n.unread != 0 && op.kernel && key.narrowed < 0 && n.unread_width == use.operand.width) {
+        key.narrowed = static_cast<int32_t>(s);
+        key.unread = n.unread;
+      }
     }
     if (leaves_only && table < 0)
       for (uint32_t o = 0; o < op.outputs; ++o)
@@ -249,6 +282,7 @@ void Tape::Impl::backward(Node& loss, const Tensor& seed) {
     GradInfo& info = grad_info(*n.range);
     before.push_back(info.state);
     n.set = false;
+    n.unread = 0;
     if (n.ever_written) info.state = GradState::Zero;
   }
   std::vector<std::pair<std::shared_ptr<Range>, std::shared_ptr<Range>>>

@@ -56,6 +56,8 @@ struct Tape::Impl {
     const char* copied_name = nullptr;
     bool set = false;  // during backward: its gradient has a contribution
     const std::shared_ptr<Range>* place = nullptr;  // during backward: where that is
+    uint32_t unread = 0;       // during backward: columns of it that nobody reads, as bits,
+    int32_t unread_width = 0;  // of so many
     uint64_t read_version =
         0;  // during backward: of a leaf's value, where the first contribution came from
   };
@@ -177,6 +179,7 @@ struct Tape::Impl {
   void run_group(const Group& group);
   bool begin_contribution(Node& n);
   int32_t summed_through(size_t k, uint32_t s);
+  uint32_t unread_columns(size_t k, const Operand& in) const;
   bool bound_before(const Op& op, uint32_t s) const;
   void run_kernel(const Step& step);
   void run_custom(const Step& step);

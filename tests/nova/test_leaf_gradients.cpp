@@ -4,6 +4,7 @@
 #include <thread>
 
 #include "novaphy/nova/op_list.h"
+#include "novaphy/nova/registry.h"
 #include "support.h"
 
 namespace novaphy::testing {
@@ -130,6 +131,80 @@ TEST(LeafGradients, OfElementsAreReadThroughTheirTable) {
     for (size_t k = 0; k < all.values.size(); ++k)
       EXPECT_TRUE(same_bits<float>(leaves.values[k], all.values[k])) << terms_too << " " << k;
   }
+}
+
+// A row of three columns, of which two come from parameters, and what is computed from it, twice.
+struct Materials {
+  const Kernel assign = nova::make_kernel(
+      "assign_row",
+      {{"base", DType::F32, 1, Access::Direct}, {"parameters", DType::F32, 2, Access::Direct}},
+      {{"row", 3}}, [](TraceContext& c) {
+        return std::vector{c.f32(1, 0) * 2.0f, c.f32(1, 1) * c.f32(1, 1), c.f32(0, 0)};
+      });
+  const Kernel respond = nova::make_kernel(
+      "respond", {{"row", DType::F32, 3, Access::Direct}, {"x", DType::F32, 1, Access::Direct}},
+      {{"y", 1}}, [](TraceContext& c) {
+        const Real at = c.f32(1);
+        return std::vector{c.f32(0, 0) * at + c.f32(0, 1) * sin(at) + cos(c.f32(0, 2) * at)};
+      });
+  Tensor base = tensor({0.5f, -1.0f, 2.0f, 0.25f}), x = tensor({1.0f, 0.5f, -2.0f, 3.0f}, true),
+         parameters = Tensor::from_host(
+             std::span<const float>(Floats{1.0f, 2.0f, -3.0f, 0.5f, 0.1f, 4.0f, -0.7f, 1.5f}),
+             {4, 2});
+  Materials() { parameters.set_requires_grad(true); }
+  // `flat`: something else reads all columns, one after the other. `copied`: into other memory,
+  // before it is read.
+  std::vector<Floats> gradients(KeepGradients keep, bool flat, bool copied) {
+    for (Tensor* leaf : {&parameters, &x, &base}) leaf->zero_grad();
+    Tape tape(keep);
+    const TapeScope scope(tape);
+    Tensor row = assign(4, {base, parameters})[0];
+    if (copied) {
+      const Tensor other(row.shape());
+      other.copy_(row);
+      row = other;
+    }
+    const Tensor y = respond(4, {row, x})[0], z = respond(4, {row, y})[0];
+    Tensor loss = nova::dot(z, y);
+    if (flat) loss = nova::add(loss, nova::dot(row, row));
+    tape.backward(loss);
+    std::vector<Floats> all = {parameters.grad().to_host(), x.grad().to_host()};
+    if (base.requires_grad()) all.push_back(base.grad().to_host());
+    return all;
+  }
+  // The adjoint of `respond` that leaves out the last column, and adds to the gradient of the row.
+  uint64_t hash_of_narrow() const {
+    nova::AdjointMask mask = nova::gradient_mask(respond, {"row", "x"}, {"row"}, {"y"});
+    const size_t whole = respond.adjoint(mask).rows[0].program.instrs.size();
+    mask.narrowed = 0;
+    mask.unread = 4;
+    const ir::Program& narrow = respond.adjoint(mask).rows[0].program;
+    EXPECT_LT(narrow.instrs.size(), whole);
+    return ir::hash(narrow);
+  }
+  static bool was_used(uint64_t hash) {
+    const std::vector<nova::KernelInfo> used = nova::kernel_info();
+    return std::any_of(used.begin(), used.end(),
+                       [hash](const nova::KernelInfo& info) { return info.hash == hash; });
+  }
+};
+
+TEST(LeafGradients, LeaveOutColumnsThatNobodyReads) {
+  for (const bool base_too : {true, false})
+    for (const bool flat : {false, true})
+      for (const bool copied : {false, true}) {
+        Materials materials;
+        materials.base.set_requires_grad(base_too);
+        const std::vector<Floats> all = materials.gradients(KeepGradients::All, flat, copied);
+        EXPECT_FALSE(Materials::was_used(materials.hash_of_narrow()));
+        const std::vector<Floats> leaves = materials.gradients(KeepGradients::Leaves, flat, copied);
+        if (!flat) {
+          EXPECT_EQ(Materials::was_used(materials.hash_of_narrow()), !base_too);
+        }
+        for (size_t k = 0; k < all.size(); ++k)
+          EXPECT_TRUE(same_bits<float>(leaves[k], all[k]))
+              << base_too << " " << flat << " " << copied << " " << k;
+      }
 }
 
 TEST(LeafGradients, ReadingAnotherGradientIsRefusedUntilItIsZeroOrKept) {

@@ -133,6 +133,24 @@ std::vector<nova::AdjointMask> detail::element_gradients(
   return masks;
 }
 
+namespace {
+
+// Materials that assign_tet_materials has written: the adjoint of that does not read the gradient
+// of the damping.
+void add_narrow_gradients(nova::EngineKernel& tetrahedra) {
+  constexpr int32_t kDamping = 2;
+  const auto material = static_cast<int32_t>(tetrahedra.kernel.sources().size()) - 1;
+  for (size_t k = 0, count = tetrahedra.gradients.size(); k < count; ++k) {
+    nova::AdjointMask mask = tetrahedra.gradients[k];
+    if (!mask.wrt[static_cast<size_t>(material)]) continue;
+    mask.narrowed = material;
+    mask.unread = uint32_t{1} << kDamping;
+    tetrahedra.gradients.push_back(std::move(mask));
+  }
+}
+
+}  // namespace
+
 void detail::add_element_kernels(std::vector<nova::EngineKernel>& list) {
   using Names = std::vector<std::string>;
   const auto add = [&](const nova::Kernel& kernel, const Names& parameters) {
@@ -142,6 +160,7 @@ void detail::add_element_kernels(std::vector<nova::EngineKernel>& list) {
   add(triangle_kernel(), {"activation", "material"});
   add(bending_kernel(), {"material", "rest_angle"});
   add(tetrahedron_kernel(), {"activation", "material"});
+  add_narrow_gradients(list.back());
   const Names out = {"particle_f"};
   std::vector<nova::AdjointMask> sums;
   for (const Names& wrt :

@@ -30,6 +30,10 @@ struct AdjointMask {
   // Or -1: the source whose columns name the rows that the output was added to, a part of the
   // output for each column. The gradient given is that of the sums, and read there.
   int32_t table = -1;
+  // Or -1: the source of whose gradient nobody reads these columns, as bits. They are stored as 0,
+  // or left as they are.
+  int32_t narrowed = -1;
+  uint32_t unread = 0;
   auto operator<=>(const AdjointMask&) const = default;
 };
 
@@ -75,5 +79,8 @@ struct AdjointPlan {
 // Makes the plan. `program` still carries PARTIAL and DETACH. Throws novaphy::Error when a wanted
 // source is read in a way that has no gradient (an integer source, a computed row).
 NOVAPHY_NOVA_API AdjointPlan make_adjoint(const ir::Program& program, const AdjointMask& mask);
+
+// The columns, as bits, of an output's gradient from which nothing flows to the wanted sources.
+uint32_t unread_columns(const ir::Program& program, size_t output, const AdjointMask& mask);
 
 }  // namespace nova

@@ -73,14 +73,20 @@ struct Primal {
 
   Primal(const ir::Program& program, const AdjointMask& m)
       : p(program), mask(m), section(ir::sections(program)) {
-    active.assign(p.instrs.size(), 0);
-    for (size_t v = 0; v < p.instrs.size(); ++v) active[v] = is_active(p.instrs[v]);
+    // The guards are those of the whole adjoint: contributions are added in their order.
+    find_active(-1);
     find_guards();
+    if (mask.narrowed >= 0) find_active(mask.narrowed);
   }
 
-  bool is_active(const Instr& in) const {
+  void find_active(int32_t narrowed) {
+    active.assign(p.instrs.size(), 0);
+    for (size_t v = 0; v < p.instrs.size(); ++v) active[v] = is_active(p.instrs[v], narrowed);
+  }
+
+  bool is_active(const Instr& in, int32_t narrowed) const {
     if (in.op == Op::LOAD_F)
-      return mask.wrt[in.a] && !(mask.narrowed == in.a && (mask.unread >> in.c & 1) != 0);
+      return mask.wrt[in.a] && !(narrowed == in.a && (mask.unread >> in.c & 1) != 0);
     bool on = false;
     const auto look = [&](Value v) { on = on || active[v] != 0; };
     if (in.op == Op::SUM) {

@@ -49,6 +49,11 @@ void fill_zero_now(Range& range) {
 
 uint64_t bit(uint32_t k) { return uint64_t{1} << k; }
 
+// The gradients of other sources are sums over rows, with the order of all columns.
+bool is_stored_at_its_row(Access access) {
+  return access == Access::Direct || access == Access::CsrRow;
+}
+
 }  // namespace
 
 void detail::add_tape_kernels(EngineKernels& list) { list.push_back({accumulate_kernel(), {}}); }
@@ -148,8 +153,10 @@ void Tape::Impl::run_group(const Group& group) {
 int32_t Tape::Impl::summed_through(size_t k, uint32_t s) {
   const Op& sum = ops[k];
   if (!leaves_only || k == 0 || !sum.kernel || !sum.csr ||
-      sum.kernel->summed_source != static_cast<int32_t>(s) || bound_before(sum, s))
+      sum.kernel->summed_source != static_cast<int32_t>(s))
     return -1;
+  for (uint32_t other = 0; other < sum.inputs; ++other)
+    if (other != s && input(sum, other).operand.range == input(sum, s).operand.range) return -1;
   const Op& giver = ops[k - 1];
   if (!giver.kernel || giver.constant || giver.outputs != 1 || giver.group != sum.group) return -1;
   const Operand& terms = output(giver, 0);
@@ -168,9 +175,14 @@ int32_t Tape::Impl::summed_through(size_t k, uint32_t s) {
 // The columns, as bits, of the gradient of an input of operation k that the adjoint of the
 // operation that wrote it does not read. A tape that keeps the gradients of leaves only shows it to
 // nobody else.
-uint32_t Tape::Impl::unread_columns(size_t k, const Operand& in) const {
+uint32_t Tape::Impl::unread_columns(size_t k, const Operand& in) {
   const Range* range = in.range.get();
   while (k-- > 0) {
+    // Mostly nobody has written the range since.
+    if (const int32_t writer = find(*range)->writer; writer < static_cast<int32_t>(k)) {
+      if (writer < 0) return 0;
+      k = static_cast<size_t>(writer);
+    }
     const Op& op = ops[k];
     for (uint32_t o = 0; o < op.outputs; ++o) {
       const Operand& out = output(op, o);
@@ -251,7 +263,8 @@ void Tape::Impl::plan_steps() {
       }
       if (begin_contribution(n)) key.accumulate |= bit(s);
       input_places[s] = n.place;
-      if (n.unread != 0 && op.kernel && key.narrowed < 0 && n.unread_width == use.operand.width) {
+      if (n.unread != 0 && op.kernel && key.narrowed < 0 && n.unread_width == use.operand.width &&
+          is_stored_at_its_row(op.kernel->sources[s].access)) {
         key.narrowed = static_cast<int32_t>(s);
         key.unread = n.unread;
       }

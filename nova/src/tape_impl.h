@@ -179,7 +179,7 @@ struct Tape::Impl {
   void run_group(const Group& group);
   bool begin_contribution(Node& n);
   int32_t summed_through(size_t k, uint32_t s);
-  uint32_t unread_columns(size_t k, const Operand& in) const;
+  uint32_t unread_columns(size_t k, const Operand& in);
   bool bound_before(const Op& op, uint32_t s) const;
   void run_kernel(const Step& step);
   void run_custom(const Step& step);

@@ -61,8 +61,8 @@ struct SoftBody {
     return diff::vec3_point_loss_generated(diff::particle_centroid_generated(last),
                                            kSoftBodyTarget.x, kSoftBodyTarget.y, kSoftBodyTarget.z);
   }
-  Tensor iterate() {
-    nova::Tape tape;
+  Tensor iterate(nova::KeepGradients keep = nova::KeepGradients::All) {
+    nova::Tape tape(keep);
     const nova::TapeScope scope(tape);
     const Tensor loss = forward();
     tape.backward(loss);
@@ -116,6 +116,20 @@ TEST(SoftBodyDiff, TheGradientIsThatOfDifferences) {
     const float quotient = (loss[0] - loss[1]) / (0.04f * start[k]);
     EXPECT_NEAR(gradient[k], quotient, 2e-2f * std::fabs(quotient)) << k;
   }
+}
+
+// Which leaves out the gradient of the damping, as no parameter gives it.
+TEST(SoftBodyDiff, ATapeThatKeepsLeavesOnlyGivesTheSameGradient) {
+  SoftBody all(60), leaves(60);
+  all.iterate();
+  leaves.iterate(nova::KeepGradients::Leaves);
+  const std::vector<float> expected = all.params.grad().to_host();
+  EXPECT_TRUE(same_bits<float>(leaves.params.grad().to_host(), expected));
+  const std::vector<nova::KernelInfo> used = nova::kernel_info();
+  const auto adjoints = std::count_if(used.begin(), used.end(), [](const nova::KernelInfo& info) {
+    return info.name == "tetrahedron_forces.adjoint";
+  });
+  EXPECT_GE(adjoints, 6);  // of the last, first and other substeps, with and without the damping
 }
 
 TEST(SoftBodyDiff, ThreadsAndReplayChangeNoBit) {

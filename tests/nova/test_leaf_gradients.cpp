@@ -207,6 +207,95 @@ TEST(LeafGradients, LeaveOutColumnsThatNobodyReads) {
       }
 }
 
+// What `read` makes of rows of Materials and of numbers, through tables where it has some.
+void expect_the_bits_of_all(const char* what, const Kernel& read,
+                            const std::vector<std::vector<int32_t>>& tables, int64_t rows) {
+  const Kernel assign = Materials().assign;
+  const int64_t n = tables.empty() ? rows : static_cast<int64_t>(tables[0].size());
+  const auto numbers = [](int64_t count, float step) {
+    Floats values;
+    for (int64_t k = 0; k < count; ++k)
+      values.push_back(std::sin(step * static_cast<float>(k + 1)));
+    return values;
+  };
+  std::vector<Floats> found;
+  for (const KeepGradients keep : {KeepGradients::All, KeepGradients::Leaves}) {
+    const Tensor base = tensor(numbers(rows, 1.7f)), weights = tensor(numbers(n, 2.3f));
+    const Tensor parameters =
+        Tensor::from_host(std::span<const float>(numbers(2 * rows, 0.9f)), {rows, 2});
+    parameters.set_requires_grad(true);
+    Tape tape(keep);
+    const TapeScope scope(tape);
+    std::vector<Tensor> in;
+    for (const std::vector<int32_t>& table : tables)
+      in.push_back(Tensor::from_host(std::span<const int32_t>(table), {n}));
+    in.push_back(assign(rows, {base, parameters})[0]);
+    in.push_back(weights);
+    const Tensor y = read(n, in)[0];
+    tape.backward(nova::dot(y, y));
+    found.push_back(parameters.grad().to_host());
+  }
+  EXPECT_TRUE(same_bits<float>(found[1], found[0])) << what;
+}
+
+// Adding in another order would round elsewhere.
+TEST(LeafGradients, LeavingOutColumnsKeepsTheOrderOfAdditions) {
+  const Kernel choices = nova::make_kernel(
+      "choices", {{"row", DType::F32, 3, Access::Direct}, {"w", DType::F32, 1, Access::Direct}},
+      {{"y", 4}}, [](TraceContext& c) {
+        const Real w = c.f32(1), v = c.f32(0, 0) * w;
+        const nova::Bool first = w < Real(5.0f), second = w < Real(6.0f);
+        const Real a = select(first, v * 0.3f, Real(0.7f)),
+                   b = select(second, v * 0.7f, Real(0.2f)),
+                   other = select(first, c.f32(0, 2) * 0.9f, Real(0.1f));
+        return std::vector{v * 0.1f, a, b, other};
+      });
+  expect_the_bits_of_all("choices", choices, {}, 64);
+  const Kernel through = nova::make_kernel(
+      "through_tables",
+      {{"t", DType::I32, 1, Access::Direct},
+       {"u", DType::I32, 1, Access::Direct},
+       {"row", DType::F32, 3, Access::Indexed},
+       {"w", DType::F32, 1, Access::Direct}},
+      {{"y", 1}}, [](TraceContext& c) {
+        const Real w = c.f32(3);
+        const Real a = c.f32(2, c.i32(0), 2), b = c.f32(2, c.i32(1), 0), d = c.f32(2, c.i32(0), 0);
+        return std::vector{a * w + b * w * w + d * cos(w)};
+      });
+  std::vector<std::vector<int32_t>> tables(2);
+  for (int32_t k = 0; k < 64; ++k) {
+    tables[0].push_back(k * 7 % 11 % 4);
+    tables[1].push_back(k * 5 % 13 % 4);
+  }
+  expect_the_bits_of_all("tables", through, tables, 4);
+}
+
+// Terms that the sum of them reads at its own row too.
+TEST(LeafGradients, OfTermsThatTheSumReadsTwiceAreWhole) {
+  const Kernel give = nova::make_kernel(
+      "give", {{"t", DType::I32, 1, Access::Direct}, {"x", DType::F32, 1, Access::Direct}},
+      {{"terms", 1}}, [](TraceContext& c) { return std::vector{c.f32(1) * 2.0f}; });
+  const Kernel sum = nova::make_reduce_kernel(
+      "sum_and_own",
+      {{"terms", DType::F32, 1, Access::CsrRow}, {"own", DType::F32, 1, Access::Direct}},
+      {{"y", 1}},
+      {.init = [](TraceContext& c) { return std::vector{c.f32(1)}; },
+       .body = [](TraceContext& c) { return std::vector{c.f32(0)}; },
+       .epilogue = {}});
+  for (const KeepGradients keep : {KeepGradients::All, KeepGradients::Leaves}) {
+    const Tensor x = tensor({1.0f, 2.0f, 3.0f, 4.0f}, true);
+    const Tensor table =
+        Tensor::from_host(std::span<const int32_t>(std::vector<int32_t>{1, 2, 0, 0}), {4});
+    Tape tape(keep);
+    const TapeScope scope(tape);
+    const Tensor terms = give(4, {table, x})[0];
+    const nova::Incidence rows = nova::make_incidence(table.operand(), 4);
+    const Tensor y = sum(4, {terms, terms}, {.csr = &rows})[0];
+    tape.backward(nova::dot(y, tensor({1.0f, 10.0f, 100.0f, 1000.0f})));
+    EXPECT_EQ(x.grad().to_host(), (Floats{22.0f, 220.0f, 202.0f, 2002.0f}));
+  }
+}
+
 TEST(LeafGradients, ReadingAnotherGradientIsRefusedUntilItIsZeroOrKept) {
   Chain chain;
   Tape tape(KeepGradients::Leaves);

@@ -130,7 +130,8 @@ TEST(Access, TheColumnsOfATableNameRowsOfSourcesOfUnequalLength) {
   Builder b;
   const int32_t table = b.source(Type::I32, 2), q = b.source(Type::F32, 3, Access::Indexed),
                 v = b.source(Type::F32, 3, Access::Indexed);
-  const Value i = b.index(), long_row = b.load(table, i, 0), short_row = b.load(table, i, 1);
+  const Value own = b.index(), long_row = b.load(table, own, 0),
+              short_row = b.load(table, own, 1);
   std::vector<Value> out;
   for (int32_t c = 0; c < 3; ++c)
     out.push_back(b.op(Op::SUB, b.load(q, long_row, c), b.load(v, short_row, c)));

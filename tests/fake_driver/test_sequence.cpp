@@ -163,6 +163,79 @@ TEST_F(SequenceTest, WarpsThatWouldIdleShareTheRows) {
   expect_compiles(table);
 }
 
+// Words of a task: form << 48 | first word of the arguments << 32 | rows << 24 | first row.
+struct Task {
+  uint64_t form, at, rows, first;
+};
+Task task_at(const SequenceTable& table, uint64_t number) {
+  const uint64_t word = table.words.at(table.tasks + number);
+  return {word >> 48, word >> 32 & 0xffff, word >> 24 & 0xff, word & 0xffffff};
+}
+
+TEST_F(SequenceTest, EachWarpHasItsTask) {
+  push_add(0, 0, 0x1000, 0x100, 0x2000);
+  push_add(0, 1, 0x1000, 0x200, 0x3000);
+  push_add(1, 0, 0x2000, 0x100, 0x4000);
+  EXPECT_EQ(sequence_table(ops, {10, 0}).tasks, 0u);  // for blocks that are not known
+  const SequenceTable table = sequence_table(ops, {10, 0, 2});
+  ASSERT_NE(table.tasks, 0u);
+  EXPECT_EQ(table.counters, table.tasks + 2 * 10);
+  for (uint64_t warp = 0; warp < 10; ++warp) {  // neighbours lie in different blocks
+    const Task task = task_at(table, warp % 2 * 5 + warp / 2);
+    EXPECT_EQ(task.rows, 8u);
+    EXPECT_EQ(task.first, warp % 5 * 8) << warp;
+    EXPECT_EQ(task.at, table.words[warp < 5 ? 3 : 5] & UINT32_MAX) << warp;
+  }
+  const uint64_t second = table.words[0] & UINT32_MAX;
+  EXPECT_EQ(table.words[second + 1] >> 16 & 0xffff, 4u);  // rows of a warp
+  for (uint64_t warp = 0; warp < 10; ++warp)
+    EXPECT_EQ(task_at(table, 10 + warp % 2 * 5 + warp / 2).first, warp * 4);
+  expect_compiles(table);
+}
+
+TEST_F(SequenceTest, WarpsWithoutRowsHaveNothingToDo) {
+  push_add(0, 0, 0x1000, 0x100, 0x2000);
+  ops[0].n = ops[0].rows = 5;
+  const SequenceTable table = sequence_table(ops, {8, 0, 4});
+  for (uint64_t block = 0; block < 4; ++block)
+    for (uint64_t warp = 0; warp < 2; ++warp) {
+      const uint64_t number = warp * 4 + block;
+      EXPECT_EQ(task_at(table, block * 2 + warp).rows, number < 5 ? 1u : 0u) << number;
+    }
+}
+
+TEST_F(SequenceTest, InALargeClusterFullWarpsOfAChainShareABlock) {
+  push_add(0, 0, 0x1000, 0x100, 0x2000);
+  ops[0].n = ops[0].rows = 32 * 32;
+  const SequenceTable table = sequence_table(ops, {32, 0, 16});
+  for (uint64_t number = 0; number < 32; ++number)
+    EXPECT_EQ(task_at(table, number).first, number * 32);
+}
+
+TEST_F(SequenceTest, ARowForAllIsLoadedWhenTheChainBegins) {
+  const nova::Kernel traced = nova::make_kernel(
+      "fall", {{"v", DType::F32, 1, Access::Direct}, {"g", DType::F32, 1, Access::Uniform}},
+      {{"sum", 1}}, [](TraceContext& t) { return std::vector{t.f32(0, 0) + t.f32(1, 0)}; });
+  novaphy_kernel fall;
+  fall.program = traced.program();
+  fall.argument_count = fall.program.argument_count();
+  for (uint32_t t = 0; t < 4; ++t)
+    push(fall, t, 0, {0x1000 * (t + 1), kRows, 0x100, 1, 0x1000 * (t + 2)});
+  const SequenceTable table = sequence_table(ops, {0, 100});
+  const Operation& op = table.forms.at(0).operations.at(0);
+  EXPECT_EQ(op.sources[1].from, Operation::Source::First);
+  EXPECT_TRUE(op.sources[1].fixed);
+  EXPECT_EQ(table.kept_words, 1u);
+  expect_compiles(table);
+
+  // Not where the sequence writes it.
+  push(fall, 4, 0, {0x9000, kRows, 0x100, 1, 0x100});
+  const SequenceTable written = sequence_table(ops, {0, 100});
+  for (const ChainForm& form : written.forms)
+    EXPECT_EQ(form.operations[0].sources[1].from, Operation::Source::There);
+  EXPECT_EQ(written.kept_words, 0u);
+}
+
 TEST_F(SequenceTest, ChainsOfDifferentThreadsShareWhereTheyKeepWords) {
   for (uint32_t t = 0; t < 4; ++t)
     for (uint32_t c = 0; c < 3; ++c)

@@ -143,8 +143,16 @@ struct source_registers {
 // Rows of a table. No kernel writes what it gathers from, so these loads may use the read-only path;
 // in a sequence, an operation may gather what another one has written.
 #ifdef NOVAPHY_SEQUENCE
-#define load_table(p) (*(p))
+// Addresses come from a table. Without this the device asks of each whether it is one of shared
+// memory.
+template <class T>
+LANE_FN T* in_memory(T* p) {
+  __builtin_assume(__isGlobal(p));
+  return p;
+}
+#define load_table(p) (*in_memory(p))
 #else
+#define in_memory(p) (p)
 #define load_table(p) __ldg(p)
 #endif
 typedef int32_t row_lanes;
@@ -249,7 +257,7 @@ struct alignas(16) four_words {
 // Aligned: rows begin at multiples of four words.
 template <int width, bool aligned = false>
 LANE_FN void store_row(char* p, int64_t i, const int32_t* words) {
-  int32_t* const row = (int32_t*)p + i * width;
+  int32_t* const row = in_memory((int32_t*)p + i * width);
 #pragma unroll
   for (int c = 0; c < width; c += aligned ? 4 : 1) {
     if (aligned) {

@@ -101,13 +101,14 @@ novaphy_status create(novaphy_device* device, std::span<const novaphy_sequence_o
   const uint32_t warps = most_warps(ops);
   for (const unsigned in_cluster : {kMostInLargeCluster, kMostInCluster}) {
     const SequenceShape shape = choose(*device, warps, in_cluster);
-    const SequenceRoom room{shape.blocks * shape.threads / kWarp, kKeptBytes / 4 / shape.threads};
+    const SequenceRoom room{shape.blocks * shape.threads / kWarp, kKeptBytes / 4 / shape.threads,
+                            shape.blocks};
     const bool one_row = shape.form != Form::Grid && warps <= room.warps;
     const SequenceTable table = sequence_table(ops, one_row ? room : SequenceRoom{});
     if (!table.fits) return refuse("too large");
     OwnList made(new novaphy_list);
     made->device = device;
-    made->words = {table.first_words};
+    made->words = {table.first_words, table.tasks};
     made->n = static_cast<int64_t>(table.counters);
     made->blocks = shape.blocks;
     made->threads = shape.threads;

@@ -5,6 +5,9 @@
 //   per chain: its first warp << 32 | rows               form << 32 | the first word of its arguments
 //   the arguments; before those of a Program, the number of the kernel
 // A warp takes rows of one chain. The record of the next phase is loaded during a phase.
+// Where no warp has two chains of a phase, the table says for each warp what it does, so that
+// nothing is looked for after a barrier:
+//   form << 48 | the first word of the arguments << 32 | rows << 24 | the first row
 #define kWordsPerThread ((SEQUENCE_WORDS + SEQUENCE_THREADS - 1) / SEQUENCE_THREADS)
 
 LANE_FN uint32_t low_half(uint64_t word) { return (uint32_t)word; }
@@ -35,7 +38,8 @@ LANE_FN void fold_items(const float* source, const int32_t* items, int64_t begin
     for (int64_t k = base; k < base + CSR_BATCH; ++k) {
       const bool on = k < end;
       const int64_t at = on ? k : end - 1;
-      const float* const row = source + (items != 0 ? (int64_t)__ldg(items + at) : at) * width;
+      const int64_t slot = items != 0 ? (int64_t)__ldg(items + at) : at;
+      const float* const row = in_memory(source + slot * width);
 #pragma unroll
       for (int c = 0; c < width; ++c) sum[c] = on ? sum[c] + row[c] : sum[c];
     }
@@ -92,7 +96,7 @@ LANE_FN void fold_batches(const float* const* sources, const int32_t* items, csr
       for (int s = 0; s < sums; ++s)
 #pragma unroll
         for (int c = 0; c < width; ++c)
-          rows[r][s][c] = sources[s][(int64_t)csr.slots[r] * width + c];
+          rows[r][s][c] = *in_memory(sources[s] + (int64_t)csr.slots[r] * width + c);
 #pragma unroll
     for (int32_t r = 0; r < CSR_BATCH; ++r)
 #pragma unroll
@@ -196,7 +200,7 @@ LANE_FN void take_kept(int32_t*& at, int32_t (&words)[count]) {
 // The own rows of a chain, before they are needed.
 template <int width, bool aligned>
 LANE_FN void own_words(uint64_t p, int64_t i, int32_t* words) {
-  const int32_t* const row = (const int32_t*)p + i * width;
+  const int32_t* const row = in_memory((const int32_t*)p + i * width);
 #pragma unroll
   for (int c = 0; c < width; c += aligned ? 4 : 1) {
     if (aligned) {
@@ -244,19 +248,23 @@ LANE_FN void last_barrier(uint32_t* counter) {
 LANE_FN void run_chain(uint32_t form, const uint64_t* words, const int64_t i,
                        const device_sink sink);
 
+constexpr uint32_t kWarps = SEQUENCE_THREADS / 32;
+#if SEQUENCE_TASKS != 0
+LANE_FN void run_task(const uint64_t* record, uint64_t task, const device_sink sink) {
+  const uint32_t lane = threadIdx.x & 31;
+  if (lane < low_half(task) >> 24)
+    run_chain(high_half(task) >> 16, record + (high_half(task) & 0xffff),
+              (low_half(task) & 0xffffff) + lane, sink);
+}
+#else
 LANE_FN void run_phase(const uint64_t* record, const device_sink sink) {
   const uint64_t* const chain = record + 2;
   const uint32_t chains = low_half(record[1]) & 0xffff, lanes = low_half(record[1]) >> 16;
   const uint32_t warps = high_half(record[1]), lane = threadIdx.x & 31;
-  constexpr uint32_t kWarps = SEQUENCE_THREADS / 32;
-  const uint32_t all = gridDim.x * kWarps;
-  // Neighbours go to different blocks, so that few warps use many units. In a large cluster, they
-  // share a block where all are used: its code is then that of few chains, and fits its cache.
-  const bool together = SEQUENCE_LARGE && lanes == 32;
-  uint32_t warp = threadIdx.x / 32;
-  warp = together ? blockIdx.x * kWarps + warp : warp * gridDim.x + blockIdx.x;
+  // Neighbours go to different blocks, so that few warps use many units.
 #pragma unroll 1
-  for (; warp < warps; warp += all) {
+  for (uint32_t warp = threadIdx.x / 32 * gridDim.x + blockIdx.x; warp < warps;
+       warp += gridDim.x * kWarps) {
     uint32_t c = chains - 1;
     while (high_half(chain[2 * c]) > warp) --c;
     const uint32_t row = (warp - high_half(chain[2 * c])) * lanes + lane;
@@ -264,40 +272,67 @@ LANE_FN void run_phase(const uint64_t* record, const device_sink sink) {
       run_chain(high_half(chain[2 * c + 1]), record + low_half(chain[2 * c + 1]), row, sink);
   }
 }
+#endif
 
 #if SEQUENCE_FORM == 1
 #define SEQUENCE_CLUSTER __cluster_dims__(SEQUENCE_BLOCKS, 1, 1)
 #else
 #define SEQUENCE_CLUSTER
 #endif
+// An address in shared memory that stays in a register. Compilers find it anew for each use, which
+// takes longer in a cluster: the number of the block is part of it.
+LANE_FN uint64_t* stay(uint64_t* p) {
+  uint32_t address = (uint32_t)__cvta_generic_to_shared(p);
+  asm volatile("" : "+r"(address));
+  return (uint64_t*)__cvta_shared_to_generic(address);
+}
 struct sequence_start {
   uint64_t words;  // of the first record
+  uint64_t tasks;  // where those of the warps lie
 };
 extern "C" __global__ void SEQUENCE_CLUSTER __launch_bounds__(SEQUENCE_THREADS, 1) novaphy_main(
     const __grid_constant__ sequence_start start, uint64_t* table, const int64_t counters,
     const device_sink sink) {
   __shared__ uint64_t records[2][SEQUENCE_WORDS];
+  uint64_t *record = stay(records[0]), *next = stay(records[1]);
+  uint64_t head = __ldg(table);  // of the record
   for (uint32_t k = threadIdx.x; k < start.words; k += SEQUENCE_THREADS)
-    records[0][k] = __ldg(table + k);
+    record[k] = __ldg(table + k);
+#if SEQUENCE_TASKS != 0
+  const uint64_t* tasks = table + start.tasks + blockIdx.x * kWarps + threadIdx.x / 32;
+  uint64_t task = __ldg(tasks);
+#endif
   __syncthreads();
 #pragma unroll 1
   for (uint32_t phase = 0;; ++phase) {
-    const uint64_t* const record = records[phase & 1];
-    const uint32_t words = high_half(record[0]);
-    const uint64_t* const next = table + low_half(record[0]);
+    // What the next phase needs is loaded during this one.
+    const uint32_t words = high_half(head);
+    const uint64_t* const from = table + low_half(head);
+    const uint64_t next_head = words != 0 ? __ldg(from) : 0;
     uint64_t loaded[kWordsPerThread];
 #pragma unroll
     for (int k = 0; k < kWordsPerThread; ++k) {
       const uint32_t at = threadIdx.x + k * SEQUENCE_THREADS;
-      loaded[k] = at < words ? __ldg(next + at) : 0;
+      loaded[k] = at < words ? __ldg(from + at) : 0;
     }
+#if SEQUENCE_TASKS != 0
+    tasks += gridDim.x * kWarps;
+    const uint64_t next_task = words != 0 ? __ldg(tasks) : 0;
+    run_task(record, task, sink);
+    task = next_task;
+#else
     run_phase(record, sink);
+#endif
     if (words == 0) break;
 #pragma unroll
     for (int k = 0; k < kWordsPerThread; ++k) {
       const uint32_t at = threadIdx.x + k * SEQUENCE_THREADS;
-      if (at < words) records[(phase + 1) & 1][at] = loaded[k];
+      if (at < words) next[at] = loaded[k];
     }
+    head = next_head;
+    uint64_t* const done = record;
+    record = next;
+    next = done;
     phase_barrier((uint32_t*)(table + counters), phase);
   }
   last_barrier((uint32_t*)(table + counters));

@@ -43,10 +43,13 @@ class ChainText {
     for (int32_t k = 0; k < static_cast<int32_t>(form_.operations.size()); ++k)
       for (size_t s = 0; s < at(k).sources.size(); ++s) {
         const Operation::Source& source = at(k).sources[s];
-        if (source.from != Operation::Source::Own) continue;
-        const std::string name = own(k, s), width = str(at(k).each * table_.source_width(at(k), s));
+        const int32_t words = table_.loaded_words(at(k), s);
+        if (words == 0) continue;
+        const std::string name = own(k, s), width = str(words);
+        const char* const row = source.from == Operation::Source::First ? "0" : "i";
         const std::string load = "own_words<" + width + (source.aligned ? ", true" : ", false") +
-                                 ">(words[" + str(word(at(k), s)) + "], i, " + name + ");\n";
+                                 ">(words[" + str(word(at(k), s)) + "], " + row + ", " + name +
+                                 ");\n";
         code_ += "  int32_t " + name + "[" + width + "];\n";
         (source.fixed ? fixed : code_) += (source.fixed ? "    " : "  ") + load;
         if (source.fixed) keep(name);
@@ -108,6 +111,8 @@ class ChainText {
       case Operation::Source::Own:
         return "source_registers{" + of_row(own(k, number), table_.source_width(op, number), loop) +
                "}";
+      case Operation::Source::First:
+        return "source_item{" + own(k, number) + "}";
       case Operation::Source::There:
         return "trusted_rows{" + p + "}";
       case Operation::Source::Memory:
@@ -228,7 +233,7 @@ std::string sequence_source(const SequenceTable& table, const SequenceShape& sha
   if (shape.form == SequenceShape::Form::Cluster) define("SEQUENCE_BLOCKS", shape.blocks);
   if (shape.form != SequenceShape::Form::Grid) define("CSR_BATCH", kBatch);
   define("SEQUENCE_KEPT", table.kept_words);
-  define("SEQUENCE_LARGE", shape.is_large() ? 1 : 0);
+  define("SEQUENCE_TASKS", table.tasks != 0 ? 1 : 0);
   text += prelude_text();
   text += sequence_text();
   for (size_t k = 0; k < table.programs.size(); ++k)

@@ -22,11 +22,12 @@ struct ChainForm {
     std::vector<int32_t> tables;
     int32_t program = 0;  // index into SequenceTable::programs
     struct Source {
-      // There: in memory, with all rows that are read. Own: and only the own one is.
-      enum From : int32_t { Memory, There, Own, Registers } from = Memory;
+      // There: in memory, with all rows that are read. Own: and only the own one is. First: only
+      // row 0 is, and nothing in the sequence writes it.
+      enum From : int32_t { Memory, There, Own, First, Registers } from = Memory;
       int32_t op = 0, output = 0;  // Registers: what this operation of the chain left
       bool aligned = false;        // Own: its words lie at a multiple of 16 bytes
-      bool fixed = false;          // Own: nothing in the sequence writes them
+      bool fixed = false;  // Own, First: worth keeping, as nothing in the sequence writes them
       auto operator<=>(const Source&) const = default;
     };
     std::vector<Source> sources;
@@ -54,15 +55,19 @@ struct SequenceTable {
   uint64_t first_words = 0, most_words = 0;        // of the first and of the largest record
   uint64_t counters = 0;                           // where the barrier's word lies
   uint32_t kept_words = 0;                         // what threads keep between phases, each
+  uint64_t tasks = 0;  // where those of the warps lie; 0: there are none
   bool fits = true;
   // Of a source: words of a row, and which argument word has its address.
   int32_t source_width(const ChainForm::Operation& op, size_t source) const;
   int64_t source_word(const ChainForm::Operation& op, size_t source) const;
+  // Words that a chain loads of a source when it begins; 0: it does not.
+  int32_t loaded_words(const ChainForm::Operation& op, size_t source) const;
 };
 // What a table may count on where no thread has more than one row of a phase.
 struct SequenceRoom {
   uint32_t warps = 0;
   uint32_t kept_words = 0;  // how many a thread may keep
+  uint32_t blocks = 0;      // 0: warps have no tasks
 };
 SequenceTable sequence_table(std::span<const novaphy_sequence_op> ops,
                              const SequenceRoom& room = {});

@@ -104,7 +104,7 @@ std::span<const novaphy_sequence_op> phase_at(std::span<const novaphy_sequence_o
 
 class Writer {
  public:
-  explicit Writer(const SequenceRoom& room) : kept_(room.kept_words), room_warps_(room.warps) {}
+  explicit Writer(const SequenceRoom& room) : kept_(room.kept_words), room_(room) {}
 
   SequenceTable run(std::span<const novaphy_sequence_op> ops) {
     for (const novaphy_sequence_op& o : ops) {
@@ -125,6 +125,10 @@ class Writer {
       }
       before = start;
       first += phase.size();
+    }
+    if (!tasks_.empty()) {
+      out_.tasks = out_.words.size();
+      out_.words.insert(out_.words.end(), tasks_.begin(), tasks_.end());
     }
     out_.counters = out_.words.size();
     out_.words.push_back(0);
@@ -164,13 +168,33 @@ class Writer {
     out_.words.push_back(warps << 32 | static_cast<uint64_t>(lanes) << 16 | number);
     out_.words.insert(out_.words.end(), chains.begin(), chains.end());
     out_.words.insert(out_.words.end(), body.begin(), body.end());
+    if (room_.blocks != 0) add_tasks(chains, lanes);
+  }
+  // What each warp of each block does in a phase. Neighbours go to different blocks, so that few
+  // warps use many units. In a large cluster, they share a block where all are used: its code is
+  // then that of few chains, and fits its cache.
+  void add_tasks(std::span<const uint64_t> chains, int64_t lanes) {
+    const size_t first = tasks_.size(), of_block = room_.warps / room_.blocks;
+    const bool together = room_.blocks > kMostInCluster && lanes == kWarp;
+    tasks_.resize(first + room_.warps, 0);
+    uint64_t warp = 0;
+    for (size_t c = 0; c < chains.size(); c += 2) {
+      const uint64_t form = chains[c + 1] >> 32, at = chains[c + 1] & UINT32_MAX;
+      const auto rows = static_cast<int64_t>(chains[c] & UINT32_MAX);
+      for (int64_t row = 0; row < rows; row += lanes, ++warp) {
+        const uint64_t here =
+            together ? warp : warp % room_.blocks * of_block + warp / room_.blocks;
+        const auto count = static_cast<uint64_t>(std::min(lanes, rows - row));
+        tasks_[first + here] = form << 48 | at << 32 | count << 24 | static_cast<uint64_t>(row);
+      }
+    }
   }
 
   // Rows of a warp: fewer where warps would idle, because a load waits for all the lines that its
   // lanes touch.
   int64_t lanes_of(std::span<const novaphy_sequence_op> phase) const {
     int64_t lanes = kWarp;
-    while (lanes > 1 && warps_of(phase, lanes / 2) <= room_warps_) lanes /= 2;
+    while (lanes > 1 && warps_of(phase, lanes / 2) <= room_.warps) lanes /= 2;
     return lanes;
   }
 
@@ -213,7 +237,7 @@ class Writer {
     for (const Operation& op : form.operations)
       for (size_t s = 0; s < op.sources.size(); ++s) {
         if (!op.sources[s].fixed) continue;
-        user.words += static_cast<uint32_t>(op.each * out_.source_width(op, s));
+        user.words += static_cast<uint32_t>(out_.loaded_words(op, s));
         key.push_back(words[op.first_word + out_.source_word(op, s)]);
       }
     if (user.words == 0) return;
@@ -367,12 +391,11 @@ class Writer {
         } else if (source.from == Operation::Source::There && t.words <= kMaxOwn &&
                    !place.written) {
           const uint64_t bytes = static_cast<uint64_t>(t.words) * chain[k].rows * sizeof(int32_t);
-          const auto uses = uses_.find({chain[k].op.kernel, t.slot, t.where});
-          const bool again = uses != uses_.end() && uses->second >= kMinUses;
           source = {Operation::Source::Own, 0, 0, is_aligned(t),
-                    again && !written_.touches(t.where, bytes)};
+                    comes_again(chain[k], t) && !written_.touches(t.where, bytes)};
         }
       }
+      link_first_rows(chain[k], op);
       for (const Touch& t : writes) {
         Place& place = places[t.where];
         place.written = true;
@@ -387,6 +410,24 @@ class Writer {
         place.output = t.slot;
       }
     }
+  }
+
+  void link_first_rows(const novaphy_sequence_op& o, Operation& op) const {
+    if (op.kind != Operation::Program) return;
+    const nova::ir::Program& p = o.op.kernel->program;
+    for (size_t s = 0; s < p.sources.size(); ++s) {
+      const Touch t{o.op.arguments[p.source_argument(s)], p.sources[s].width,
+                    static_cast<int32_t>(s)};
+      if (rows_read(p, s) != Rows::First || op.sources[s].from != Operation::Source::There ||
+          t.words > kMaxOwn ||
+          written_.touches(t.where, static_cast<uint64_t>(t.words) * sizeof(int32_t)))
+        continue;
+      op.sources[s] = {Operation::Source::First, 0, 0, is_aligned(t), comes_again(o, t)};
+    }
+  }
+  bool comes_again(const novaphy_sequence_op& o, const Touch& t) const {
+    const auto uses = uses_.find({o.op.kernel, t.slot, t.where});
+    return uses != uses_.end() && uses->second >= kMinUses;
   }
 
   void add_uses(const novaphy_sequence_op& o) {
@@ -415,7 +456,8 @@ class Writer {
   SequenceTable out_;
   Written written_;
   Kept kept_;
-  const uint32_t room_warps_;
+  const SequenceRoom room_;
+  std::vector<uint64_t> tasks_;
   std::map<SourceUse, uint32_t> uses_;
   std::vector<User> users_;
   std::map<std::vector<uint64_t>, size_t> user_of_;
@@ -428,6 +470,16 @@ class Writer {
 int32_t SequenceTable::source_width(const Operation& op, size_t source) const {
   if (op.kind != Operation::Program) return op.width;
   return programs[static_cast<size_t>(op.program)]->sources[source].width;
+}
+int32_t SequenceTable::loaded_words(const Operation& op, size_t source) const {
+  switch (op.sources[source].from) {
+    case Operation::Source::Own:
+      return op.each * source_width(op, source);
+    case Operation::Source::First:
+      return source_width(op, source);
+    default:
+      return 0;
+  }
 }
 int64_t SequenceTable::source_word(const Operation& op, size_t source) const {
   if (op.kind != Operation::Program) return op.kind == Operation::RowSum ? 3 : 1;

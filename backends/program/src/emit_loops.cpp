@@ -5,6 +5,7 @@
 
 #include "emit_simplify.h"
 #include "emitter.h"
+#include "row_source.h"
 
 namespace nova::ir {
 
@@ -67,16 +68,9 @@ const IdleItem* Emitter::idle_item(int32_t loop) const {
 }
 
 bool Emitter::adds_rows_only() const {
-  if (summed_source(p_) < 0) return false;
-  const std::vector<Sum>& sums = p_.loops[0].sums;
-  const Instr& first = p_.instrs[at(sums[0].init)];
-  for (size_t c = 0; c < sums.size(); ++c) {
-    const Instr& in = p_.instrs[at(sums[c].init)];
-    if (in.op != Op::LOAD_F || in.a != first.a || in.c != static_cast<int32_t>(c) ||
-        p_.instrs[at(in.b)].op != Op::INDEX)
-      return false;
-  }
-  return sums.size() <= 4 && p_.sources[at(first.a)].width == static_cast<int32_t>(sums.size());
+  constexpr size_t kMaxColumns = 4;
+  return summed_source(p_) >= 0 && p_.loops[0].sums.size() <= kMaxColumns &&
+         row_source(p_, p_.loops[0], &Sum::init, Op::INDEX) >= 0;
 }
 
 void Emitter::sums_of_rows() {
@@ -84,7 +78,7 @@ void Emitter::sums_of_rows() {
     const std::string k = str(source);
     return "narrow(s" + k + ", n" + k + ", " + str(p_.sources[at(source)].width) + ", " + k + ")";
   };
-  const int32_t init = p_.instrs[at(p_.loops[0].sums[0].init)].a;
+  const int32_t init = row_source(p_, p_.loops[0], &Sum::init, Op::INDEX);
   line("return csr_sums(" + rows(init) + ", " + rows(summed_source(p_)) +
        ", offsets0, items0, i, last, sink, out0);");
 }

@@ -4,6 +4,8 @@
 #include <cstring>
 #include <sstream>
 
+#include "row_source.h"
+
 namespace nova::ir {
 namespace {
 
@@ -189,29 +191,13 @@ std::string validate(const Program& p, bool allow_trace_ops) {
   return {};
 }
 
-namespace {
-
-// The source whose rows, all columns of the items in their order, the sums of a CSR loop add.
-int32_t added_source(const Program& p, const Loop& loop) {
-  if (loop.kind != LoopKind::Csr || loop.sums.empty()) return -1;
-  const int32_t source = p.instrs[loop.sums[0].term].a;
-  for (size_t c = 0; c < loop.sums.size(); ++c) {
-    const Instr& term = p.instrs[loop.sums[c].term];
-    if (term.op != Op::LOAD_F || term.a != source || term.c != static_cast<int32_t>(c) ||
-        p.instrs[term.b].op != Op::SLOT)
-      return -1;
-  }
-  return p.sources[source].width == static_cast<int32_t>(loop.sums.size()) ? source : -1;
-}
-
-}  // namespace
-
 int32_t summed_source(const Program& p) {
   if (p.loops.size() != 1 || p.outputs.size() != 1) return -1;
   const std::vector<Value>& out = p.outputs[0].values;
   const size_t columns = p.loops[0].sums.size();
-  const int32_t source = added_source(p, p.loops[0]);
-  if (source < 0 || out.size() != columns) return -1;
+  if (p.loops[0].kind != LoopKind::Csr || out.size() != columns) return -1;
+  const int32_t source = row_source(p, p.loops[0], &Sum::term, Op::SLOT);
+  if (source < 0) return -1;
   for (size_t c = 0; c < columns; ++c) {
     const Instr& value = p.instrs[out[c]];
     if (value.op != Op::SUM || value.b != static_cast<int32_t>(c)) return -1;

@@ -153,6 +153,7 @@ class Writer {
     const uint64_t number = ops.back().chain + uint64_t{1};
     const int64_t lanes = lanes_of(ops);
     uint64_t warps = 0;
+    if (room_.blocks != 0) tasks_.resize(tasks_.size() + room_.warps, 0);
     for (size_t first = 0, last = 0; first < ops.size(); first = last) {
       while (last < ops.size() && ops[last].chain == ops[first].chain) ++last;
       const std::span<const novaphy_sequence_op> chain = ops.subspan(first, last - first);
@@ -162,31 +163,25 @@ class Writer {
       const uint64_t end = warps + warps_of(rows, lanes);
       const uint64_t form = add_chain(chain, {warps, end}, out_.words.size() + at, body);
       chains.push_back(form << 32 | at);
+      if (room_.blocks != 0) add_tasks(form << 48 | at << 32, rows, lanes, warps);
       warps = end;
     }
     out_.words.push_back(0);
     out_.words.push_back(warps << 32 | static_cast<uint64_t>(lanes) << 16 | number);
     out_.words.insert(out_.words.end(), chains.begin(), chains.end());
     out_.words.insert(out_.words.end(), body.begin(), body.end());
-    if (room_.blocks != 0) add_tasks(chains, lanes);
   }
-  // What each warp of each block does in a phase. Neighbours go to different blocks, so that few
-  // warps use many units. In a large cluster, they share a block where all are used: its code is
-  // then that of few chains, and fits its cache.
-  void add_tasks(std::span<const uint64_t> chains, int64_t lanes) {
-    const size_t first = tasks_.size(), of_block = room_.warps / room_.blocks;
+  // What the warps from `warp` on do in the phase: rows of a chain. Neighbours go to different
+  // blocks, so that few warps use many units. In a large cluster, they share a block where all are
+  // used: its code is then that of few chains, and fits its cache.
+  void add_tasks(uint64_t chain, int64_t rows, int64_t lanes, uint64_t warp) {
+    uint64_t* const phase = tasks_.data() + tasks_.size() - room_.warps;
+    const uint64_t of_block = room_.warps / room_.blocks;
     const bool together = room_.blocks > kMostInCluster && lanes == kWarp;
-    tasks_.resize(first + room_.warps, 0);
-    uint64_t warp = 0;
-    for (size_t c = 0; c < chains.size(); c += 2) {
-      const uint64_t form = chains[c + 1] >> 32, at = chains[c + 1] & UINT32_MAX;
-      const auto rows = static_cast<int64_t>(chains[c] & UINT32_MAX);
-      for (int64_t row = 0; row < rows; row += lanes, ++warp) {
-        const uint64_t here =
-            together ? warp : warp % room_.blocks * of_block + warp / room_.blocks;
-        const auto count = static_cast<uint64_t>(std::min(lanes, rows - row));
-        tasks_[first + here] = form << 48 | at << 32 | count << 24 | static_cast<uint64_t>(row);
-      }
+    for (int64_t row = 0; row < rows; row += lanes, ++warp) {
+      const uint64_t here = together ? warp : warp % room_.blocks * of_block + warp / room_.blocks;
+      const auto count = static_cast<uint64_t>(std::min(lanes, rows - row));
+      phase[here] = chain | count << 24 | static_cast<uint64_t>(row);
     }
   }
 

@@ -5,6 +5,7 @@
 #include "adjoint_sweep.h"
 #include "novaphy/core/error.h"
 #include "novaphy/program/ir.h"
+#include "unread_columns.h"
 
 namespace nova {
 namespace {

@@ -7,6 +7,7 @@
 #include "novaphy/nova/op_list.h"
 #include "novaphy/nova/tape.h"
 #include "novaphy/program/emit.h"
+#include "unread_columns.h"
 
 namespace nova {
 

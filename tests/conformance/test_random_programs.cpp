@@ -9,6 +9,7 @@
 
 #include "harness.h"
 #include "novaphy/core/parallel.h"
+#include "novaphy/program/cut.h"
 
 namespace conformance {
 namespace {
@@ -231,6 +232,41 @@ TEST_P(RandomPrograms, GiveTheSameBitsRowByRowAsTogether) {
     // Rows whose value contains the row number differ only past the first four.
     ASSERT_EQ(difference(p, few.outputs, all.outputs), "") << "seed " << seed;
   }
+}
+
+// What needs no late source first, then the rest.
+TEST_P(RandomPrograms, GiveTheSameBitsInTwoHalves) {
+  constexpr int64_t kRows = 17;
+  int halves = 0;
+  for (uint32_t seed = 3001; seed <= 3040; ++seed) {
+    Generator g(seed);
+    const ir::Program p = g.program(GetParam());
+    Inputs in = g.inputs(p, kRows);
+    const auto expected = reference(p, kRows, in);
+    std::vector<char> is_late(p.sources.size());
+    for (char& late : is_late) late = g.chance(40) ? 1 : 0;
+    const ir::Cut cut = ir::cut(p, is_late);
+    ASSERT_EQ(ir::validate(cut.late), "") << "seed " << seed;
+    for (const ir::Instr& instr : cut.early.instrs) {
+      if (instr.op != Op::LOAD_F && instr.op != Op::LOAD_I) continue;
+      EXPECT_FALSE(is_late[static_cast<size_t>(instr.a)]) << "seed " << seed;
+    }
+    if (!cut.early.outputs.empty()) {
+      ++halves;
+      ASSERT_EQ(ir::validate(cut.early), "") << "seed " << seed;
+      Inputs early = in;
+      early.offsets.clear();
+      early.items.clear();
+      Result first = run(cut.early, kRows, early);
+      ASSERT_EQ(first.status, NOVAPHY_OK) << first.message;
+      for (std::vector<uint32_t>& words : first.outputs) in.sources.push_back(std::move(words));
+    }
+    const Result rest = run(cut.late, kRows, in);
+    ASSERT_EQ(rest.status, NOVAPHY_OK) << rest.message;
+    ASSERT_EQ(difference(p, expected, rest.outputs), "") << "seed " << seed << "\n"
+                                                         << ir::to_string(p);
+  }
+  EXPECT_GT(halves, 30);
 }
 
 INSTANTIATE_TEST_SUITE_P(Conformance, RandomPrograms, testing::Bool(),

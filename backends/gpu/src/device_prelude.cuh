@@ -185,7 +185,13 @@ LANE_FN table_row row_of(const trusted_constants s, int32_t row, int32_t width, 
                          row_failure&) {
   return trusted_row(s, row, width);
 }
-LANE_FN int32_t column_of(const table_row r, int32_t column) { return load_table(r.p + column); }
+LANE_FN int32_t column_of(const table_row r, int32_t column) {
+  int32_t word = load_table(r.p + column);
+#ifdef NOVAPHY_SEQUENCE
+  asm volatile("" : "+r"(word));  // loaded here: compilers move loads behind the next branch
+#endif
+  return word;
+}
 // A row that a fused list has in registers: of an item of a CSR loop, or the first.
 struct source_item {
   const int32_t* words;

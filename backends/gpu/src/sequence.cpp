@@ -12,13 +12,15 @@ namespace {
 using Form = SequenceShape::Form;
 
 constexpr unsigned kWarp = 32;
-// Warps of a block: as many as leave a thread the registers that adjoints of elements take.
-constexpr unsigned kFewWarps = 4, kMostWarps = 8, kMostWarpsOfGrid = 12;
+// Warps of a block that have rows of a phase, and all of them: as many as leave a thread the
+// registers that adjoints of elements take.
+constexpr unsigned kFewWarps = 4, kMostWarps = 8, kMostWarpsAtAll = 12;
 // Blocks of a large cluster, where the driver finds the units for it, and for how many warps it is
 // not worth it.
 constexpr unsigned kMostInLargeCluster = 16, kFewForLarge = 32;
-constexpr int32_t kClusters = 90;          // the first architecture that has
-constexpr unsigned kKeptBytes = 38 << 10;  // of the 48 KiB of a block, beside two records
+constexpr int32_t kClusters = 90;  // the first architecture that has
+// Of the shared memory of a block, and what threads may keep of it beside the records.
+constexpr unsigned kSharedBytes = 48 << 10, kKeptBytes = 38 << 10;
 // What the builtin, where a block works on such a row, sums faster.
 constexpr uint64_t kLongRow = 1024, kWideRow = 16;
 
@@ -50,13 +52,17 @@ SequenceShape choose(const novaphy_device& device, unsigned warps, unsigned in_c
       each = rounded_up(warps, shape.blocks);
     } else {
       shape.blocks = std::min(warps, static_cast<unsigned>(device.units));
-      each = std::min(rounded_up(warps, shape.blocks), kMostWarpsOfGrid);
+      each = std::min(rounded_up(warps, shape.blocks), kMostWarpsAtAll);
     }
     shape.threads = each * kWarp;
   }
   shape.form = shape.blocks == 1                        ? Form::Block
                : clusters && shape.blocks <= in_cluster ? Form::Cluster
                                                         : Form::Grid;
+  if (shape.form != Form::Grid && 2 * shape.threads <= kMostWarpsAtAll * kWarp) {
+    shape.groups = 2;
+    shape.threads *= 2;
+  }
   return shape;
 }
 
@@ -101,11 +107,15 @@ novaphy_status create(novaphy_device* device, std::span<const novaphy_sequence_o
   const uint32_t warps = most_warps(ops);
   for (const unsigned in_cluster : {kMostInLargeCluster, kMostInCluster}) {
     const SequenceShape shape = choose(*device, warps, in_cluster);
-    const SequenceRoom room{shape.blocks * shape.threads / kWarp, kKeptBytes / 4 / shape.threads,
-                            shape.blocks};
+    SequenceRoom room{shape.blocks * shape.threads / kWarp / shape.groups,
+                      kKeptBytes / 4 / shape.threads, shape.blocks, shape.groups};
     const bool one_row = shape.form != Form::Grid && warps <= room.warps;
-    const SequenceTable table = sequence_table(ops, one_row ? room : SequenceRoom{});
-    if (!table.fits) return refuse("too large");
+    SequenceTable table = sequence_table(ops, one_row ? room : SequenceRoom{});
+    if (shared_bytes(table, shape) > kSharedBytes) {
+      room.kept_words = 0;
+      table = sequence_table(ops, one_row ? room : SequenceRoom{});
+    }
+    if (!table.fits || shared_bytes(table, shape) > kSharedBytes) return refuse("too large");
     OwnList made(new novaphy_list);
     made->device = device;
     made->words = {table.first_words, table.tasks};

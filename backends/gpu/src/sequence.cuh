@@ -4,7 +4,7 @@
 //   words of the next record << 32 | its first word      warps << 32 | rows of a warp << 16 | chains
 //   per chain: its first warp << 32 | rows               form << 32 | the first word of its arguments
 //   the arguments; before those of a Program, the number of the kernel
-// A warp takes rows of one chain. The record of the next phase is loaded during a phase.
+// A warp takes rows of one chain. Records are loaded two phases ahead.
 // Where no warp has two chains of a phase, the table says for each warp what it does, so that
 // nothing is looked for after a barrier:
 //   form << 48 | the first word of the arguments << 32 | rows << 24 | the first row
@@ -19,6 +19,8 @@ LANE_FN void copy_word(const S from, const O to, int64_t row) {
   failure.zeros = 0;
   put_columni(to, 1, 0, row, own_columni(from, 1, 0, 1, 0, row, failure));
 }
+
+struct no_source {};  // what is not read
 
 // A row of the builtin row_sum_f32.
 struct no_init {};
@@ -72,12 +74,33 @@ static __device__ __noinline__ void fold_long(const float* source, const int32_t
     }
   }
 }
+// Rows of a batch of items, loaded together. (With a condition on those that short rows lack,
+// compilers run out of registers.)
+template <int width>
+struct batch_rows {
+  float columns[CSR_BATCH][width];
+};
+template <int width>
+LANE_FN void load_rows(batch_rows<width>* rows, const float* source, const csr_batch& csr) {
+#pragma unroll
+  for (int32_t r = 0; r < CSR_BATCH; ++r)
+#pragma unroll
+    for (int c = 0; c < width; ++c)
+      rows->columns[r][c] = *in_memory(source + (int64_t)csr.slots[r] * width + c);
+}
+// Of the first batch, where there may be no item: then zeros, without a branch.
+template <int width>
+LANE_FN void load_first_rows(batch_rows<width>* rows, uint64_t source, const csr_batch& csr,
+                             const row_failure& failure) {
+  load_rows(rows, csr.longest > 0 ? (const float*)source : (const float*)failure.zeros, csr);
+}
 // Sums over the same items, as many as there are sources: all rows of a batch are loaded before
-// the first one is added.
-template <int width, int sums>
+// the first one is added. `loaded`: those of the first batch are there. `chunks`: by the rule for
+// long rows.
+template <bool loaded, bool chunks, int width, int sums>
 LANE_FN void fold_batches(const float* const* sources, const int32_t* items, csr_batch csr,
-                          float (*sum)[width]) {
-  if (csr.longest > kChunk) {
+                          batch_rows<width>* rows, float (*sum)[width]) {
+  if (chunks && csr.longest > kChunk) {
 #pragma unroll
     for (int s = 0; s < sums; ++s) {
       float total[width];
@@ -89,48 +112,45 @@ LANE_FN void fold_batches(const float* const* sources, const int32_t* items, csr
   }
   for (int32_t base = 0; base < csr.longest; base += CSR_BATCH) {
     if (base > 0) csr_load(&csr, items, base);
-    float rows[CSR_BATCH][sums][width];
+    if (base > 0 || !loaded) {
+#pragma unroll
+      for (int s = 0; s < sums; ++s) load_rows(&rows[s], sources[s], csr);
+    }
 #pragma unroll
     for (int32_t r = 0; r < CSR_BATCH; ++r)
 #pragma unroll
       for (int s = 0; s < sums; ++s)
 #pragma unroll
         for (int c = 0; c < width; ++c)
-          rows[r][s][c] = *in_memory(sources[s] + (int64_t)csr.slots[r] * width + c);
-#pragma unroll
-    for (int32_t r = 0; r < CSR_BATCH; ++r)
-#pragma unroll
-      for (int s = 0; s < sums; ++s)
-#pragma unroll
-        for (int c = 0; c < width; ++c)
-          sum[s][c] = csr_on(&csr, base + r) ? sum[s][c] + rows[r][s][c] : sum[s][c];
+          sum[s][c] = csr_on(&csr, base + r) ? sum[s][c] + rows[s].columns[r][c] : sum[s][c];
   }
 }
-template <int width, class S, class O, class T, class P>
-LANE_FN void sum_two_rows(const csr_batch csr, const uint64_t* v, const S v_init, const O v_out,
-                          const uint64_t* w, const T w_init, const P w_out, int64_t row) {
-  const float* const sources[2] = {(const float*)v[0], (const float*)w[0]};
+template <bool loaded, bool chunks, int width, class S, class O, class T, class P>
+LANE_FN void sum_two_rows(const csr_batch& csr, uint64_t items, batch_rows<width>* rows, uint64_t v,
+                          const S v_init, const O v_out, uint64_t w, const T w_init, const P w_out,
+                          int64_t row) {
+  const float* const sources[2] = {(const float*)v, (const float*)w};
   float sum[2][width];
 #pragma unroll
   for (int c = 0; c < width; ++c) {
     sum[0][c] = init_of(v_init, width, c, row);
     sum[1][c] = init_of(w_init, width, c, row);
   }
-  fold_batches<width, 2>(sources, (const int32_t*)w[2], csr, sum);
+  fold_batches<loaded, chunks, width, 2>(sources, (const int32_t*)items, csr, rows, sum);
 #pragma unroll
   for (int c = 0; c < width; ++c) {
     put_columnf(v_out, width, c, row, sum[0][c]);
     put_columnf(w_out, width, c, row, sum[1][c]);
   }
 }
-template <int width, class S, class O>
-LANE_FN void sum_row(const csr_batch csr, const uint64_t* w, const S init, const O out,
-                     int64_t row) {
-  const float* const source = (const float*)w[0];
+template <bool loaded, bool chunks, int width, class S, class O>
+LANE_FN void sum_row(const csr_batch& csr, uint64_t items, batch_rows<width>* rows, uint64_t source,
+                     const S init, const O out, int64_t row) {
+  const float* const sources[1] = {(const float*)source};
   float sum[1][width];
 #pragma unroll
   for (int c = 0; c < width; ++c) sum[0][c] = init_of(init, width, c, row);
-  fold_batches<width, 1>(&source, (const int32_t*)w[2], csr, sum);
+  fold_batches<loaded, chunks, width, 1>(sources, (const int32_t*)items, csr, rows, sum);
 #pragma unroll
   for (int c = 0; c < width; ++c) put_columnf(out, width, c, row, sum[0][c]);
 }
@@ -213,21 +233,35 @@ LANE_FN void own_words(uint64_t p, int64_t i, int32_t* words) {
   }
 }
 
-// Waits until all threads of all blocks are here, and sees what they have written.
+// A barrier in two halves. A thread that has arrived is done with its phase; one that has waited
+// sees what all threads of all blocks wrote before they arrived. Between the two it may do what does
+// not depend on that. `wrote`: whether its warp wrote to memory, for which a fence is needed that
+// takes hundreds of cycles. `count`: of the barriers before.
 #if SEQUENCE_FORM == 0  // one block
-LANE_FN void phase_barrier(uint32_t*, uint32_t) { __syncthreads(); }
+LANE_FN void phase_arrive(bool) {}
+LANE_FN void phase_wait(uint32_t* = 0, uint32_t = 0) {
+  asm volatile("barrier.sync 0;" ::: "memory");
+}
 LANE_FN void last_barrier(uint32_t*) {}
 #elif SEQUENCE_FORM == 1  // one cluster
-LANE_FN void phase_barrier(uint32_t*, uint32_t) {
-  asm volatile("barrier.cluster.arrive.release.aligned;\n\tbarrier.cluster.wait.acquire.aligned;" ::
-                   : "memory");
+LANE_FN void phase_arrive(bool wrote) {
+  if (wrote) {
+    asm volatile("barrier.cluster.arrive.release;" ::: "memory");
+  } else {
+    __threadfence_block();  // for its part of a record, which only the block reads
+    asm volatile("barrier.cluster.arrive.relaxed;" ::: "memory");
+  }
+}
+LANE_FN void phase_wait(uint32_t* = 0, uint32_t = 0) {
+  asm volatile("barrier.cluster.wait.acquire;" ::: "memory");
 }
 LANE_FN void last_barrier(uint32_t*) {}
 #else  // all blocks, which the launch has made sure run at the same time
-LANE_FN void phase_barrier(uint32_t* counter, uint32_t phase) {
+LANE_FN void phase_arrive(bool) {}
+LANE_FN void phase_wait(uint32_t* counter, uint32_t count) {
   __syncthreads();
   if (threadIdx.x == 0) {
-    const uint32_t all = gridDim.x * (phase + 1);
+    const uint32_t all = gridDim.x * (count + 1);
     uint32_t seen;
     asm volatile("red.release.gpu.global.add.u32 [%0], 1;" ::"l"(counter) : "memory");
     do {
@@ -245,16 +279,22 @@ LANE_FN void last_barrier(uint32_t* counter) {
 }
 #endif
 
-LANE_FN void run_chain(uint32_t form, const uint64_t* words, const int64_t i,
+// `on`: whether the thread has the row, or only goes along with those that have.
+LANE_FN void run_chain(uint32_t form, const uint64_t* words, const int64_t i, const bool on,
                        const device_sink sink);
 
 constexpr uint32_t kWarps = SEQUENCE_THREADS / 32;
 #if SEQUENCE_TASKS != 0
+// Waits for the phase before, too, after what the chain may do early.
 LANE_FN void run_task(const uint64_t* record, uint64_t task, const device_sink sink) {
-  const uint32_t lane = threadIdx.x & 31;
-  if (lane < low_half(task) >> 24)
-    run_chain(high_half(task) >> 16, record + (high_half(task) & 0xffff),
-              (low_half(task) & 0xffffff) + lane, sink);
+  const uint32_t lane = threadIdx.x & 31, rows = low_half(task) >> 24;
+  if (rows == 0) {
+    phase_wait();
+    return;
+  }
+  const bool on = lane < rows;
+  run_chain(high_half(task) >> 16, record + (high_half(task) & 0xffff),
+            (low_half(task) & 0xffffff) + (on ? lane : 0), on, sink);
 }
 #else
 LANE_FN void run_phase(const uint64_t* record, const device_sink sink) {
@@ -269,7 +309,7 @@ LANE_FN void run_phase(const uint64_t* record, const device_sink sink) {
     while (high_half(chain[2 * c]) > warp) --c;
     const uint32_t row = (warp - high_half(chain[2 * c])) * lanes + lane;
     if (lane < lanes && row < low_half(chain[2 * c]))
-      run_chain(high_half(chain[2 * c + 1]), record + low_half(chain[2 * c + 1]), row, sink);
+      run_chain(high_half(chain[2 * c + 1]), record + low_half(chain[2 * c + 1]), row, true, sink);
   }
 }
 #endif
@@ -293,19 +333,26 @@ struct sequence_start {
 extern "C" __global__ void SEQUENCE_CLUSTER __launch_bounds__(SEQUENCE_THREADS, 1) novaphy_main(
     const __grid_constant__ sequence_start start, uint64_t* table, const int64_t counters,
     const device_sink sink) {
-  __shared__ uint64_t records[2][SEQUENCE_WORDS];
-  uint64_t *record = stay(records[0]), *next = stay(records[1]);
-  uint64_t head = __ldg(table);  // of the record
+  // Of this phase, of the next one, and of the one after it, which is loaded during this one.
+  __shared__ uint64_t records[3][SEQUENCE_WORDS];
+  uint64_t *record = stay(records[0]), *next = stay(records[1]), *later = stay(records[2]);
+  uint64_t head = __ldg(table);  // of the record after `record`, then of the one after that
+  bool is_last = high_half(head) == 0;
   for (uint32_t k = threadIdx.x; k < start.words; k += SEQUENCE_THREADS)
     record[k] = __ldg(table + k);
+  for (uint32_t k = threadIdx.x; k < high_half(head); k += SEQUENCE_THREADS)
+    next[k] = __ldg(table + low_half(head) + k);
+  head = is_last ? 0 : __ldg(table + low_half(head));
 #if SEQUENCE_TASKS != 0
   const uint64_t* tasks = table + start.tasks + blockIdx.x * kWarps + threadIdx.x / 32;
   uint64_t task = __ldg(tasks);
 #endif
   __syncthreads();
+#if SEQUENCE_TASKS != 0
+  phase_arrive(false);
+#endif
 #pragma unroll 1
   for (uint32_t phase = 0;; ++phase) {
-    // What the next phase needs is loaded during this one.
     const uint32_t words = high_half(head);
     const uint64_t* const from = table + low_half(head);
     const uint64_t next_head = words != 0 ? __ldg(from) : 0;
@@ -317,23 +364,29 @@ extern "C" __global__ void SEQUENCE_CLUSTER __launch_bounds__(SEQUENCE_THREADS, 
     }
 #if SEQUENCE_TASKS != 0
     tasks += gridDim.x * kWarps;
-    const uint64_t next_task = words != 0 ? __ldg(tasks) : 0;
+    const uint64_t next_task = is_last ? 0 : __ldg(tasks);
     run_task(record, task, sink);
+    const bool wrote = low_half(task) >> 24 != 0;
     task = next_task;
 #else
+    if (phase != 0) phase_wait((uint32_t*)(table + counters), phase - 1);
     run_phase(record, sink);
+    const bool wrote = true;
 #endif
-    if (words == 0) break;
+    if (is_last) break;
+    is_last = words == 0;
+    head = next_head;
+    // The record of the phase before is no longer read: all have waited for each other since.
 #pragma unroll
     for (int k = 0; k < kWordsPerThread; ++k) {
       const uint32_t at = threadIdx.x + k * SEQUENCE_THREADS;
-      if (at < words) next[at] = loaded[k];
+      if (at < words) later[at] = loaded[k];
     }
-    head = next_head;
     uint64_t* const done = record;
     record = next;
-    next = done;
-    phase_barrier((uint32_t*)(table + counters), phase);
+    next = later;
+    later = done;
+    phase_arrive(wrote);
   }
   last_barrier((uint32_t*)(table + counters));
 }

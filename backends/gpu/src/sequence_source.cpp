@@ -1,6 +1,10 @@
 // The text of a sequence: a function for each form of a chain, and the choice among them.
 #include "sequence_source.h"
 
+#include <map>
+#include <set>
+
+#include "novaphy/program/cut.h"
 #include "novaphy/program/emit.h"
 
 namespace novaphy::gpu {
@@ -8,21 +12,89 @@ namespace {
 
 using Operation = ChainForm::Operation;
 
+constexpr int32_t kMostItemWords = 72;  // of rows of items, which a thread has before it adds them
 std::string str(int64_t k) { return std::to_string(k); }
 std::string registers(int32_t op, int32_t output) { return "r" + str(op) + "_" + str(output); }
 
+// The functions of the Programs in a sequence, each once: whole, or what can be done early and what
+// is left.
+class RowFunctions {
+ public:
+  explicit RowFunctions(const SequenceTable& table) : table_(table) {}
+
+  struct Function {
+    std::string name;
+    nova::ir::Cut halves{};  // without outputs of `early`: the function is whole
+    bool is_cut() const { return !halves.early.outputs.empty(); }
+    // By how many words its arguments begin before those of the whole Program: parameters lie
+    // behind what differs.
+    int64_t shift = 0, early_shift = 0;
+  };
+  const Function& of(const Operation& op) {
+    std::vector<char> is_late;
+    for (const Operation::Source& source : op.sources) is_late.push_back(source.early ? 0 : 1);
+    const auto [known, fresh] = known_.try_emplace({op.program, is_late});
+    if (fresh) known->second = make(op, is_late);
+    return known->second;
+  }
+  std::string text;
+
+ private:
+  Function make(const Operation& op, const std::vector<char>& is_late) {
+    const nova::ir::Program p = without_names(table_.program(op));
+    Function f{"row" + str(static_cast<int64_t>(known_.size()) - 1)};
+    if (op.each == 1 && !p.contract) f.halves = nova::ir::cut(p, is_late);
+    if (!is_work(f.halves.early)) f.halves = {};
+    if (!f.is_cut()) {
+      text += nova::ir::emit_device(p, f.name);
+      return f;
+    }
+    const auto& [early, late] = f.halves;
+    f.early_shift = int64_t{early.param_argument(0)} - p.param_argument(0);
+    f.shift = int64_t{late.param_argument(0)} - p.param_argument(0);
+    text += nova::ir::emit_device(early, "early_" + f.name);
+    text += nova::ir::emit_device(late, f.name);
+    return f;
+  }
+
+  // More than loads of own rows, which the chain has done already.
+  static bool is_work(const nova::ir::Program& p) {
+    using nova::ir::Op;
+    for (const nova::ir::Instr& in : p.instrs) {
+      if (in.op == Op::CONST_F || in.op == Op::CONST_I || in.op == Op::INDEX) continue;
+      const bool is_load = in.op == Op::LOAD_F || in.op == Op::LOAD_I;
+      if (!is_load || p.instrs[static_cast<size_t>(in.b)].op != Op::INDEX) return true;
+    }
+    return false;
+  }
+
+  const SequenceTable& table_;
+  std::map<std::pair<int32_t, std::vector<char>>, Function> known_;
+};
+
 class ChainText {
  public:
-  ChainText(const SequenceTable& table, const ChainForm& form) : table_(table), form_(form) {}
+  ChainText(const SequenceTable& table, const ChainForm& form, RowFunctions& rows)
+      : table_(table), form_(form), rows_(rows) {}
 
   std::string run(size_t number) {
-    loads();
+    const bool waits = table_.tasks != 0;
+    loads(waits);
+    kept_loads();
     code_ += "  row_failure failure = begin_row(sink);\n";
+    if (waits) {
+      for (size_t k = 0; k < form_.operations.size(); ++k) early(static_cast<int32_t>(k));
+      code_ += "  phase_wait();\n";
+      loads(false);
+    }
+    item_loads();
     for (size_t k = 0; k < form_.operations.size(); ++k) operation(static_cast<int32_t>(k));
+    if (waits) code_ += "  if (!on) return;\n";
     for (size_t k = 0; k < form_.operations.size(); ++k) stores(static_cast<int32_t>(k));
     report();
     return "LANE_FN void chain" + str(static_cast<int64_t>(number)) +
-           "(const uint64_t* words, const int64_t i, device_sink sink) {\n" + code_ + "}\n";
+           "(const uint64_t* words, const int64_t i, const bool on, device_sink sink) {\n" + code_ +
+           "}\n";
   }
 
  private:
@@ -31,29 +103,43 @@ class ChainText {
   static std::string own(int32_t op, size_t source) {
     return "own" + str(op) + "_" + str(static_cast<int64_t>(source));
   }
+  static std::string crossing(int32_t op, size_t output) {
+    return "early" + str(op) + "_" + str(static_cast<int64_t>(output));
+  }
   // What the chain reads at its own row, and the first items of its sums, are loaded at once when
-  // it begins: a thread then waits once, and not for each operation anew. What nothing in the
-  // sequence writes a thread keeps for the next time.
-  void loads() {
+  // it begins, or as soon as the phase before is over: a thread then waits once, and not for each
+  // operation anew.
+  std::string own_load(int32_t k, size_t s, int32_t words) {
+    const Operation::Source& source = at(k).sources[s];
+    code_ += "  int32_t " + own(k, s) + "[" + str(words) + "];\n";
+    return "own_words<" + str(words) + (source.aligned ? ", true" : ", false") + ">(words[" +
+           str(word(at(k), s)) + "], " + (source.from == Operation::Source::First ? "0" : "i") +
+           ", " + own(k, s) + ");\n";
+  }
+  template <class F>
+  void for_each_loaded(const F& f) const {
+    for (int32_t k = 0; k < static_cast<int32_t>(form_.operations.size()); ++k)
+      for (size_t s = 0; s < at(k).sources.size(); ++s)
+        if (const int32_t words = table_.loaded_words(at(k), s); words != 0)
+          f(k, s, words, at(k).sources[s]);
+  }
+  void loads(bool early) {
+    for_each_loaded([&](int32_t k, size_t s, int32_t words, const Operation::Source& source) {
+      if (!source.fixed && source.early == early) code_ += "  " + own_load(k, s, words);
+    });
+  }
+  // What nothing in the sequence writes a thread keeps for the next time.
+  void kept_loads() {
     std::string fixed, filled, kept;
     const auto keep = [&](const std::string& words) {
       filled += "    fill_kept(at, " + words + ");\n";
       kept += "    take_kept(at, " + words + ");\n";
     };
-    for (int32_t k = 0; k < static_cast<int32_t>(form_.operations.size()); ++k)
-      for (size_t s = 0; s < at(k).sources.size(); ++s) {
-        const Operation::Source& source = at(k).sources[s];
-        const int32_t words = table_.loaded_words(at(k), s);
-        if (words == 0) continue;
-        const std::string name = own(k, s), width = str(words);
-        const char* const row = source.from == Operation::Source::First ? "0" : "i";
-        const std::string load = "own_words<" + width + (source.aligned ? ", true" : ", false") +
-                                 ">(words[" + str(word(at(k), s)) + "], " + row + ", " + name +
-                                 ");\n";
-        code_ += "  int32_t " + name + "[" + width + "];\n";
-        (source.fixed ? fixed : code_) += (source.fixed ? "    " : "  ") + load;
-        if (source.fixed) keep(name);
-      }
+    for_each_loaded([&](int32_t k, size_t s, int32_t words, const Operation::Source& source) {
+      if (!source.fixed) return;
+      fixed += "    " + own_load(k, s, words);
+      keep(own(k, s));
+    });
     std::string items;
     for (size_t t = 0; t < form_.tables.size(); ++t) {
       const std::string name = table(static_cast<int32_t>(t));
@@ -72,12 +158,50 @@ class ChainText {
              begin_kept() + kept + "  } else {\n" + fixed + items + "    if (kept != 0) {\n" +
              begin_kept() + filled + "    }\n  }\n";
   }
+  // The rows of the first items of its sums, as many as registers hold.
+  void item_loads() {
+    int32_t words = 0;
+    for (int32_t k = 0; k < static_cast<int32_t>(form_.operations.size()); ++k) {
+      const Operation& op = at(k);
+      if (op.kind != Operation::RowSum || !op.sum.offsets || op.tables[0] < 0) continue;
+      const bool joined = is_joined(k);
+      if (op.sum.joins) continue;  // with the one before
+      words += (joined ? 2 : 1) * op.sum.width * static_cast<int32_t>(kBatch);
+      if (words > kMostItemWords) return;
+      has_items_.insert(k);
+      code_ += "  batch_rows<" + str(op.sum.width) + "> " + items(k) + "[2];\n";
+      for (int32_t sum = 0; sum < (joined ? 2 : 1); ++sum)
+        code_ += "  load_first_rows(&" + items(k) + "[" + str(sum) + "], words[" +
+                 str(at(k + sum).first_word + at(k + sum).sum.source_word) + "], " +
+                 table(op.tables[0]) + ", failure);\n";
+    }
+  }
+  static std::string items(int32_t op) { return "items" + str(op); }
+  // Whether the operation runs with the next one.
+  bool is_joined(int32_t k) const {
+    return static_cast<size_t>(k) + 1 < form_.operations.size() && at(k + 1).sum.joins;
+  }
   static std::string begin_kept() { return "    int32_t* at = begin_kept(kept);\n"; }
   int64_t word(const Operation& op, size_t source) const {
     return op.first_word + table_.source_word(op, source);
   }
-  const nova::ir::Program& program(const Operation& op) const {
-    return *table_.programs[static_cast<size_t>(op.program)];
+
+  // What an operation can do before the phase before is over; what it leaves stays in registers.
+  void early(int32_t k) {
+    const Operation& op = at(k);
+    if (op.kind != Operation::Program || !rows_.of(op).is_cut()) return;
+    const RowFunctions::Function& f = rows_.of(op);
+    const nova::ir::Program& p = f.halves.early;
+    for (size_t o = 0; o < p.outputs.size(); ++o)
+      code_ += "  int32_t " + crossing(k, o) + "[" +
+               str(static_cast<int64_t>(p.outputs[o].values.size())) + "];\n";
+    code_ += "  {\n    const uint64_t* const w = words + " + str(op.first_word - f.early_shift) +
+             ";\n    failure.operation = " + str(first_row(k)) + ";\n    early_" + f.name + "(w";
+    for (size_t s = 0; s < op.sources.size(); ++s)
+      code_ += ", " + (op.sources[s].early ? source(k, s, false) : std::string("no_source{}"));
+    for (size_t o = 0; o < p.outputs.size(); ++o)
+      code_ += ", output_registers{" + crossing(k, o) + "}";
+    code_ += ", i, failure);\n  }\n";
   }
 
   void operation(int32_t k) {
@@ -86,8 +210,7 @@ class ChainText {
       if (op.outputs[o].store != Operation::Output::Now)
         code_ += "  int32_t " + registers(k, static_cast<int32_t>(o)) + "[" +
                  str(op.each * op.outputs[o].width) + "];\n";
-    const bool is_joined = static_cast<size_t>(k) + 1 < form_.operations.size() && at(k + 1).joins;
-    if (is_joined) return;  // with the next one
+    if (is_joined(k)) return;
     code_ += "  {\n    const uint64_t* const w = words + " + str(op.first_word) + ";\n";
     const bool loop = op.each > 1;
     if (loop) code_ += "#pragma unroll\n    for (int32_t j = 0; j < " + str(op.each) + "; ++j) {\n";
@@ -129,7 +252,8 @@ class ChainText {
 
   std::string call(int32_t k, bool loop) const {
     const Operation& op = at(k);
-    const std::string out0 = output(k, 0, loop, op.kind == Operation::RowSum ? "w[4]" : "w[0]");
+    const std::string out0 =
+        output(k, 0, loop, "w[" + str(op.kind == Operation::RowSum ? op.sum.out_word : 0) + "]");
     switch (op.kind) {
       case Operation::Copy:
         return "    copy_word(" + source(k, 0, loop) + ", " + out0 + ", row);\n";
@@ -140,40 +264,55 @@ class ChainText {
       case Operation::Program:
         break;
     }
-    const nova::ir::Program& p = program(op);
+    const nova::ir::Program& p = table_.program(op);
+    const RowFunctions::Function& f = rows_.of(op);
     std::string text = "    failure.operation = " + str(first_row(k)) + (loop ? " + j" : "") +
-                       ";\n    row" + str(op.program) + "(" + arguments(op);
+                       ";\n    " + f.name + "(" + arguments(op, f.shift);
     for (size_t s = 0; s < p.sources.size(); ++s) text += ", " + source(k, s, loop);
+    if (f.is_cut())
+      for (size_t o = 0; o < f.halves.early.outputs.size(); ++o)
+        text += ", source_registers{" + crossing(k, o) + "}";
     for (size_t o = 0; o < p.outputs.size(); ++o)
       text +=
           ", " + output(k, static_cast<int32_t>(o), loop, "w[" + str(p.output_argument(o)) + "]");
     return text + ", row, failure);\n";
   }
   // Its words, with its tables where the chain has loaded them all.
-  std::string arguments(const Operation& op) const {
+  std::string arguments(const Operation& op, int64_t shift) const {
+    const std::string words = shift == 0 ? "w" : "w - " + str(shift);
     std::string tables;
     for (const int32_t t : op.tables) {
-      if (t < 0) return "w";
+      if (t < 0) return words;
       tables += (tables.empty() ? "&" : ", &") + table(t);
     }
-    if (tables.empty()) return "w";
-    return "words_and_tables<" + str(static_cast<int64_t>(op.tables.size())) + ">{w, {" + tables +
-           "}}";
+    if (tables.empty()) return words;
+    return "words_and_tables<" + str(static_cast<int64_t>(op.tables.size())) + ">{" + words +
+           ", {" + tables + "}}";
   }
   std::string row_sum(int32_t k, bool loop, const std::string& out) const {
     const Operation& op = at(k);
+    const std::string width = str(op.sum.width);
     const auto init = [&](int32_t sum) {
-      return at(sum).init ? source(sum, 0, loop) : std::string("no_init{}");
+      return at(sum).sum.init ? source(sum, 0, loop) : std::string("no_init{}");
     };
-    const std::string width = "<" + str(op.width) + ">(";
-    if (!op.offsets) return "    sum_even_row" + width + "w, " + init(k) + ", " + out + ", row);\n";
-    const std::string csr = op.tables[0] < 0 ? "csr_first(w, 1, 0, row)" : table(op.tables[0]);
-    if (!op.joins)
-      return "    sum_row" + width + csr + ", w, " + init(k) + ", " + out + ", row);\n";
-    const std::string words = "words + " + str(at(k - 1).first_word);
-    return "    sum_two_rows" + width + csr + ", " + words + ", " + init(k - 1) + ", " +
-           output(k - 1, 0, loop, "(" + words + ")[4]") + ", w, " + init(k) + ", " + out +
-           ", row);\n";
+    if (!op.sum.offsets)
+      return "    sum_even_row<" + width + ">(w, " + init(k) + ", " + out + ", row);\n";
+    const auto argument = [&](int32_t sum, int32_t number) {
+      return "words[" + str(at(sum).first_word + number) + "]";
+    };
+    const int32_t first = op.sum.joins ? k - 1 : k;
+    const bool loaded = has_items_.contains(first);
+    std::string text = loaded ? "" : "    batch_rows<" + width + "> " + items(first) + "[2];\n";
+    text += op.sum.joins ? "    sum_two_rows<" : "    sum_row<";
+    text += std::string(loaded ? "true, " : "false, ") + (op.sum.chunks ? "true, " : "false, ") +
+            width + ">(" +
+            (op.tables[0] < 0 ? "csr_first(w, " + str(op.sum.offsets_word) + ", 0, row)"
+                              : table(op.tables[0])) +
+            ", " + argument(k, op.sum.offsets_word + 1) + ", " + items(first);
+    for (int32_t sum = first; sum <= k; ++sum)
+      text += ", " + argument(sum, at(sum).sum.source_word) + ", " + init(sum) + ", " +
+              (sum == k ? out : output(sum, 0, loop, argument(sum, at(sum).sum.out_word)));
+    return text + ", row);\n";
   }
 
   // Rows of the operations before, for one of the chain: so a failure names operation and row.
@@ -203,7 +342,7 @@ class ChainText {
     for (size_t o = 0; o < op.outputs.size(); ++o) {
       if (op.outputs[o].store != Operation::Output::Later) continue;
       const int64_t word =
-          op.kind == Operation::RowSum ? 4
+          op.kind == Operation::RowSum ? op.sum.out_word
           : op.kind == Operation::Program
               ? table_.programs[static_cast<size_t>(op.program)]->output_argument(o)
               : 0;
@@ -216,18 +355,30 @@ class ChainText {
 
   const SequenceTable& table_;
   const ChainForm& form_;
+  RowFunctions& rows_;
   std::string code_;
+  std::set<int32_t> has_items_;  // sums whose first items are loaded before any is added
 };
+
+uint64_t record_words(const SequenceTable& table) {
+  constexpr uint64_t kStep = 64;  // tables of about one size share their code
+  return (table.most_words + kStep - 1) / kStep * kStep;
+}
 
 }  // namespace
 
+uint64_t shared_bytes(const SequenceTable& table, const SequenceShape& shape) {
+  constexpr uint64_t kRecords = 3;
+  return kRecords * record_words(table) * sizeof(uint64_t) +
+         uint64_t{table.kept_words} * shape.threads * sizeof(int32_t);
+}
+
 std::string sequence_source(const SequenceTable& table, const SequenceShape& shape) {
-  constexpr uint64_t kStep = 64;  // tables of about one size share their code
   std::string text = "#define NOVAPHY_SEQUENCE\n";
   const auto define = [&](const char* name, uint64_t value) {
     text += std::string("#define ") + name + " " + std::to_string(value) + "\n";
   };
-  define("SEQUENCE_WORDS", (table.most_words + kStep - 1) / kStep * kStep);
+  define("SEQUENCE_WORDS", record_words(table));
   define("SEQUENCE_THREADS", shape.threads);
   define("SEQUENCE_FORM", static_cast<uint64_t>(shape.form));
   if (shape.form == SequenceShape::Form::Cluster) define("SEQUENCE_BLOCKS", shape.blocks);
@@ -236,17 +387,17 @@ std::string sequence_source(const SequenceTable& table, const SequenceShape& sha
   define("SEQUENCE_TASKS", table.tasks != 0 ? 1 : 0);
   text += prelude_text();
   text += sequence_text();
-  for (size_t k = 0; k < table.programs.size(); ++k)
-    text += nova::ir::emit_device(without_names(*table.programs[k]), "row" + std::to_string(k));
-  std::string cases;
+  RowFunctions rows(table);
+  std::string chains, cases;
   for (size_t k = 0; k < table.forms.size(); ++k) {
-    text += ChainText(table, table.forms[k]).run(k);
+    chains += ChainText(table, table.forms[k], rows).run(k);
     const std::string number = std::to_string(k);
-    cases += "    case " + number + ":\n      chain" + number + "(words, i, sink);\n      break;\n";
+    cases +=
+        "    case " + number + ":\n      chain" + number + "(words, i, on, sink);\n      break;\n";
   }
-  return text +
+  return text + rows.text + chains +
          "LANE_FN void run_chain(uint32_t form, const uint64_t* words, const int64_t i,\n"
-         "                       const device_sink sink) {\n  switch (form) {\n" +
+         "                       const bool on, const device_sink sink) {\n  switch (form) {\n" +
          cases + "  }\n}\n";
 }
 

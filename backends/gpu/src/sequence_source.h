@@ -14,10 +14,17 @@ namespace novaphy::gpu {
 struct ChainForm {
   struct Operation {
     enum Kind : int32_t { Copy, Fill, RowSum, Program } kind = Program;
-    int32_t each = 1;                    // rows for each of the chain
-    int32_t width = 1;                   // RowSum: of a row
-    bool offsets = false, init = false;  // RowSum: which of its arguments are there
-    bool joins = false;  // RowSum: over the same items as the operation before, and run with it
+    int32_t each = 1;  // rows for each of the chain
+    // RowSum: the builtin, or a Program that does the same (see added_rows in ir.h).
+    struct Sum {
+      int32_t width = 1;
+      bool offsets = false, init = false;  // which of its arguments are there
+      bool chunks = false;                 // long rows are summed by the builtin's rule
+      bool joins = false;  // over the same items as the operation before, and run with it
+      // Which argument words they are; items come after offsets.
+      int32_t source_word = 0, offsets_word = 1, init_word = 3, out_word = 4;
+      auto operator<=>(const Sum&) const = default;
+    } sum;
     // Per loop, which of the chain's CSR tables it goes over (-1: the chain does not load it).
     std::vector<int32_t> tables;
     int32_t program = 0;  // index into SequenceTable::programs
@@ -28,6 +35,9 @@ struct ChainForm {
       int32_t op = 0, output = 0;  // Registers: what this operation of the chain left
       bool aligned = false;        // Own: its words lie at a multiple of 16 bytes
       bool fixed = false;  // Own, First: worth keeping, as nothing in the sequence writes them
+      // Nothing in the phase before writes it, wherever the form occurs, nor does the chain: so it
+      // may be read before that phase is over.
+      bool early = false;
       auto operator<=>(const Source&) const = default;
     };
     std::vector<Source> sources;
@@ -62,12 +72,18 @@ struct SequenceTable {
   int64_t source_word(const ChainForm::Operation& op, size_t source) const;
   // Words that a chain loads of a source when it begins; 0: it does not.
   int32_t loaded_words(const ChainForm::Operation& op, size_t source) const;
+  const nova::ir::Program& program(const ChainForm::Operation& op) const {
+    return *programs[static_cast<size_t>(op.program)];
+  }
 };
 // What a table may count on where no thread has more than one row of a phase.
 struct SequenceRoom {
-  uint32_t warps = 0;
+  uint32_t warps = 0;       // for a phase
   uint32_t kept_words = 0;  // how many a thread may keep
   uint32_t blocks = 0;      // 0: warps have no tasks
+  // Phases take turns among so many groups of warps: while those of one work, those of the next do
+  // what they can before it is over.
+  uint32_t groups = 1;
 };
 SequenceTable sequence_table(std::span<const novaphy_sequence_op> ops,
                              const SequenceRoom& room = {});
@@ -79,8 +95,11 @@ constexpr unsigned kMostInCluster = 8;  // blocks, on every device that has clus
 struct SequenceShape {
   enum class Form : uint8_t { Block, Cluster, Grid } form = Form::Block;
   unsigned blocks = 1, threads = 128;
+  unsigned groups = 1;  // of warps, among which phases take turns
   bool is_large() const { return form == Form::Cluster && blocks > kMostInCluster; }
 };
 std::string sequence_source(const SequenceTable& table, const SequenceShape& shape);
+// The shared memory that a block of it takes.
+uint64_t shared_bytes(const SequenceTable& table, const SequenceShape& shape);
 
 }  // namespace novaphy::gpu

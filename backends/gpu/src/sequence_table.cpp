@@ -109,13 +109,18 @@ class Writer {
   SequenceTable run(std::span<const novaphy_sequence_op> ops) {
     for (const novaphy_sequence_op& o : ops) {
       add_uses(o);
-      add_written(o);
+      add_written(written_, o);
     }
     uint64_t before = 0;  // where the header of the record before lies
+    std::span<const novaphy_sequence_op> phase_before;
     for (size_t first = 0; first < ops.size();) {
       const std::span<const novaphy_sequence_op> phase = phase_at(ops, first);
       const uint64_t start = out_.words.size();
+      phase_written_ = Written();
+      for (const novaphy_sequence_op& o : phase_before) add_written(phase_written_, o);
+      phase_before = phase;
       add_record(phase);
+      ++phase_;
       const uint64_t size = out_.words.size() - start;
       out_.most_words = std::max(out_.most_words, size);
       if (first == 0) {
@@ -132,8 +137,13 @@ class Writer {
     }
     out_.counters = out_.words.size();
     out_.words.push_back(0);
-    for (const auto& [form, number] : forms_) out_.forms.push_back(form);
-    for (const auto& [form, number] : forms_) out_.forms[number] = form;
+    out_.forms.resize(forms_.size());
+    for (const auto& [form, number] : forms_) {
+      out_.forms[number] = form;
+      size_t at = 0;
+      for (Operation& op : out_.forms[number].operations)
+        for (Operation::Source& source : op.sources) source.early = early_[number][at++];
+    }
     place_kept();
     out_.kept_words = kept_.words();
     out_.fits = out_.words.size() < UINT32_MAX;
@@ -153,7 +163,7 @@ class Writer {
     const uint64_t number = ops.back().chain + uint64_t{1};
     const int64_t lanes = lanes_of(ops);
     uint64_t warps = 0;
-    if (room_.blocks != 0) tasks_.resize(tasks_.size() + room_.warps, 0);
+    if (room_.blocks != 0) tasks_.resize(tasks_.size() + room_.warps * room_.groups, 0);
     for (size_t first = 0, last = 0; first < ops.size(); first = last) {
       while (last < ops.size() && ops[last].chain == ops[first].chain) ++last;
       const std::span<const novaphy_sequence_op> chain = ops.subspan(first, last - first);
@@ -161,7 +171,9 @@ class Writer {
       chains.push_back(warps << 32 | static_cast<uint64_t>(rows));
       const uint64_t at = 2 + 2 * number + body.size();
       const uint64_t end = warps + warps_of(rows, lanes);
-      const uint64_t form = add_chain(chain, {warps, end}, out_.words.size() + at, body);
+      const uint64_t group = room_.warps * (phase_ % room_.groups);
+      const uint64_t form =
+          add_chain(chain, {group + warps, group + end}, out_.words.size() + at, body);
       chains.push_back(form << 32 | at);
       if (room_.blocks != 0) add_tasks(form << 48 | at << 32, rows, lanes, warps);
       warps = end;
@@ -175,13 +187,15 @@ class Writer {
   // blocks, so that few warps use many units. In a large cluster, they share a block where all are
   // used: its code is then that of few chains, and fits its cache.
   void add_tasks(uint64_t chain, int64_t rows, int64_t lanes, uint64_t warp) {
-    uint64_t* const phase = tasks_.data() + tasks_.size() - room_.warps;
-    const uint64_t of_block = room_.warps / room_.blocks;
+    const uint64_t of_block = room_.warps / room_.blocks, group = phase_ % room_.groups;
+    uint64_t* const phase = tasks_.data() + tasks_.size() - room_.warps * room_.groups;
     const bool together = room_.blocks > kMostInCluster && lanes == kWarp;
     for (int64_t row = 0; row < rows; row += lanes, ++warp) {
-      const uint64_t here = together ? warp : warp % room_.blocks * of_block + warp / room_.blocks;
+      const uint64_t block = together ? warp / of_block : warp % room_.blocks;
+      const uint64_t in_group = together ? warp % of_block : warp / room_.blocks;
       const auto count = static_cast<uint64_t>(std::min(lanes, rows - row));
-      phase[here] = chain | count << 24 | static_cast<uint64_t>(row);
+      phase[(block * room_.groups + group) * of_block + in_group] =
+          chain | count << 24 | static_cast<uint64_t>(row);
     }
   }
 
@@ -215,8 +229,39 @@ class Writer {
     link(chain, form);
     const auto next = static_cast<uint32_t>(forms_.size());
     const uint32_t number = forms_.emplace(form, next).first->second;
+    note_early(chain, form, number);
     note_kept(form, number, chain[0].rows, warps, body.data() + start, at);
     return number;
+  }
+
+  // Notes which sources the chain may read before the phase before it is over.
+  void note_early(std::span<const novaphy_sequence_op> chain, const ChainForm& form,
+                  uint32_t number) {
+    Written own;
+    for (const novaphy_sequence_op& o : chain) add_written(own, o);
+    std::vector<char> early;
+    for (size_t k = 0; k < chain.size(); ++k)
+      for (size_t s = 0; s < form.operations[k].sources.size(); ++s) {
+        const auto [begin, bytes] = memory_of(chain[k], form.operations[k], s);
+        const bool is_own = form.operations[k].sources[s].from == Operation::Source::Own;
+        early.push_back(room_.blocks != 0 && !phase_written_.touches(begin, bytes) &&
+                        (is_own || !own.touches(begin, bytes)));
+      }
+    if (number == early_.size()) {
+      early_.push_back(std::move(early));
+    } else {
+      for (size_t k = 0; k < early.size(); ++k) early_[number][k] &= early[k];
+    }
+  }
+  // What an operation may read of a source: where it begins, and how many bytes.
+  std::pair<uint64_t, uint64_t> memory_of(const novaphy_sequence_op& o, const Operation& op,
+                                          size_t source) const {
+    const uint64_t row = static_cast<uint64_t>(out_.source_width(op, source)) * sizeof(int32_t);
+    const auto n = static_cast<uint64_t>(o.n);
+    if (op.kind == Operation::Copy) return {address(o.op.source), n * row};
+    const int64_t word = out_.source_word(op, source);
+    const uint64_t rows = op.kind == Operation::Program ? o.op.arguments[word + 1] : n;
+    return {o.op.arguments[word], rows * row};
   }
 
   // Notes what a chain loads of memory that nothing in the sequence writes. Chains that load the
@@ -265,13 +310,14 @@ class Writer {
       op.outputs.resize(1);
     } else if (kernel->run != nullptr) {
       op.kind = Operation::RowSum;
-      op.width = static_cast<int32_t>(o.op.arguments[5]);
-      op.offsets = o.op.arguments[1] != 0;
-      op.init = o.op.arguments[3] != 0;
-      if (op.init) op.sources.push_back({Operation::Source::There});
+      op.sum.width = static_cast<int32_t>(o.op.arguments[5]);
+      op.sum.offsets = o.op.arguments[1] != 0;
+      op.sum.init = o.op.arguments[3] != 0;
+      op.sum.chunks = true;
+      if (op.sum.init) op.sources.push_back({Operation::Source::There});
       op.outputs.resize(1);
-      op.outputs[0].width = op.width;
-    } else {
+      op.outputs[0].width = op.sum.width;
+    } else if (!become_sum(o, op)) {
       const nova::ir::Program& p = kernel->program;
       const auto [known, fresh] =
           programs_.emplace(kernel, static_cast<int32_t>(out_.programs.size()));
@@ -286,6 +332,29 @@ class Writer {
         op.outputs.push_back({Operation::Output::Now, static_cast<int32_t>(output.values.size())});
     }
     return op;
+  }
+
+  // A Program that adds rows of CSR items to the own row, and that row is there.
+  static bool become_sum(const novaphy_sequence_op& o, Operation& op) {
+    const nova::ir::Program& p = o.op.kernel->program;
+    const auto [init, source] = nova::ir::added_rows(p);
+    if (source < 0) return false;
+    const auto word = [&](int32_t s) {
+      return static_cast<int32_t>(p.source_argument(static_cast<size_t>(s)));
+    };
+    if (!is_there(p, static_cast<size_t>(init), o.op.arguments[word(init) + 1],
+                  static_cast<uint64_t>(o.n)))
+      return false;
+    op.kind = Operation::RowSum;
+    op.sum.width = p.sources[static_cast<size_t>(source)].width;
+    op.sum.offsets = op.sum.init = true;
+    op.sum.source_word = word(source);
+    op.sum.offsets_word = static_cast<int32_t>(p.loop_argument(0));
+    op.sum.init_word = word(init);
+    op.sum.out_word = static_cast<int32_t>(p.output_argument(0));
+    op.sources.push_back({Operation::Source::There});
+    op.outputs.push_back({Operation::Output::Now, op.sum.width});
+    return true;
   }
 
   static bool is_aligned(const Touch& t) { return t.where % kAlignment == 0 && t.words % 4 == 0; }
@@ -303,8 +372,8 @@ class Writer {
         writes.push_back({address(o.op.target), op.each, 0});
         return;
       case Operation::RowSum:
-        if (op.init) reads.push_back({words[3], op.each * op.width, 0});
-        writes.push_back({words[4], op.each * op.width, 0});
+        if (op.sum.init) reads.push_back({words[op.sum.init_word], op.each * op.sum.width, 0});
+        writes.push_back({words[op.sum.out_word], op.each * op.sum.width, 0});
         return;
       case Operation::Program:
         break;
@@ -336,14 +405,18 @@ class Writer {
         known.push_back(words + word);
         form.tables.push_back(op.first_word + static_cast<int32_t>(word));
       };
-      if (op.kind == Operation::RowSum && op.offsets) {
-        add(1);
+      if (op.kind == Operation::RowSum && op.sum.offsets) {
+        Operation::Sum& sum = op.sum;
+        add(static_cast<uint32_t>(sum.offsets_word));
         if (k == 0 || op.each != 1) continue;
         const Operation& before = form.operations[k - 1];
+        const Operation::Sum& first = before.sum;
         const uint64_t* other = chain[k - 1].op.arguments;
-        op.joins = before.kind == Operation::RowSum && before.offsets && before.each == 1 &&
-                   !before.joins && before.width == op.width && words[1] == other[1] &&
-                   words[2] == other[2] && words[3] != other[4];
+        sum.joins = before.kind == Operation::RowSum && first.offsets && before.each == 1 &&
+                    !first.joins && first.width == sum.width && first.chunks == sum.chunks &&
+                    words[sum.offsets_word] == other[first.offsets_word] &&
+                    words[sum.offsets_word + 1] == other[first.offsets_word + 1] &&
+                    (!sum.init || words[sum.init_word] != other[first.out_word]);
       } else if (op.kind == Operation::Program) {
         const nova::ir::Program& p = chain[k].op.kernel->program;
         for (size_t l = 0; l < p.loops.size(); ++l) {
@@ -435,21 +508,22 @@ class Writer {
     for (size_t s = 0; s < p.sources.size(); ++s)
       ++uses_[{o.op.kernel, static_cast<int32_t>(s), o.op.arguments[p.source_argument(s)]}];
   }
-  void add_written(const novaphy_sequence_op& o) {
+  static void add_written(Written& written, const novaphy_sequence_op& o) {
     const auto rows = static_cast<uint64_t>(o.n) * sizeof(int32_t);
     if (o.op.kernel == nullptr) {
-      written_.add(address(o.op.target), rows);
+      written.add(address(o.op.target), rows);
     } else if (o.op.kernel->run != nullptr) {
-      written_.add(o.op.arguments[4], rows * o.op.arguments[5]);
+      written.add(o.op.arguments[4], rows * o.op.arguments[5]);
     } else {
       const nova::ir::Program& p = o.op.kernel->program;
       for (size_t k = 0; k < p.outputs.size(); ++k)
-        written_.add(o.op.arguments[p.output_argument(k)], rows * p.outputs[k].values.size());
+        written.add(o.op.arguments[p.output_argument(k)], rows * p.outputs[k].values.size());
     }
   }
 
   SequenceTable out_;
-  Written written_;
+  Written written_, phase_written_;  // by the sequence, by the phase before
+  uint64_t phase_ = 0;
   Kept kept_;
   const SequenceRoom room_;
   std::vector<uint64_t> tasks_;
@@ -458,12 +532,13 @@ class Writer {
   std::map<std::vector<uint64_t>, size_t> user_of_;
   std::map<const novaphy_kernel*, int32_t> programs_;
   std::map<ChainForm, uint32_t> forms_;
+  std::vector<std::vector<char>> early_;  // per form and source of its operations
 };
 
 }  // namespace
 
 int32_t SequenceTable::source_width(const Operation& op, size_t source) const {
-  if (op.kind != Operation::Program) return op.width;
+  if (op.kind != Operation::Program) return op.sum.width;
   return programs[static_cast<size_t>(op.program)]->sources[source].width;
 }
 int32_t SequenceTable::loaded_words(const Operation& op, size_t source) const {
@@ -477,7 +552,7 @@ int32_t SequenceTable::loaded_words(const Operation& op, size_t source) const {
   }
 }
 int64_t SequenceTable::source_word(const Operation& op, size_t source) const {
-  if (op.kind != Operation::Program) return op.kind == Operation::RowSum ? 3 : 1;
+  if (op.kind != Operation::Program) return op.kind == Operation::RowSum ? op.sum.init_word : 1;
   return programs[static_cast<size_t>(op.program)]->source_argument(source);
 }
 

@@ -69,8 +69,7 @@ const IdleItem* Emitter::idle_item(int32_t loop) const {
 
 bool Emitter::adds_rows_only() const {
   constexpr size_t kMaxColumns = 4;
-  return summed_source(p_) >= 0 && p_.loops[0].sums.size() <= kMaxColumns &&
-         row_source(p_, p_.loops[0], &Sum::init, Op::INDEX) >= 0;
+  return added_rows(p_).source >= 0 && p_.loops[0].sums.size() <= kMaxColumns;
 }
 
 void Emitter::sums_of_rows() {
@@ -78,8 +77,8 @@ void Emitter::sums_of_rows() {
     const std::string k = str(source);
     return "narrow(s" + k + ", n" + k + ", " + str(p_.sources[at(source)].width) + ", " + k + ")";
   };
-  const int32_t init = row_source(p_, p_.loops[0], &Sum::init, Op::INDEX);
-  line("return csr_sums(" + rows(init) + ", " + rows(summed_source(p_)) +
+  const auto [init, source] = added_rows(p_);
+  line("return csr_sums(" + rows(init) + ", " + rows(source) +
        ", offsets0, items0, i, last, sink, out0);");
 }
 

@@ -209,6 +209,13 @@ int32_t summed_source(const Program& p) {
   return uses == static_cast<std::ptrdiff_t>(2 * columns + 1) ? source : -1;
 }
 
+AddedRows added_rows(const Program& p) {
+  const int32_t source = summed_source(p);
+  if (source < 0) return {};
+  const int32_t init = row_source(p, p.loops[0], &Sum::init, Op::INDEX);
+  return init < 0 ? AddedRows{} : AddedRows{init, source};
+}
+
 std::vector<int32_t> sections(const Program& p) {
   std::vector<int32_t> section(p.instrs.size(), 0);
   for (size_t v = 0; v < p.instrs.size(); ++v) {

@@ -80,7 +80,4 @@ struct AdjointPlan {
 // source is read in a way that has no gradient (an integer source, a computed row).
 NOVAPHY_NOVA_API AdjointPlan make_adjoint(const ir::Program& program, const AdjointMask& mask);
 
-// The columns, as bits, of an output's gradient from which nothing flows to the wanted sources.
-uint32_t unread_columns(const ir::Program& program, size_t output, const AdjointMask& mask);
-
 }  // namespace nova

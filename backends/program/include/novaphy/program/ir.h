@@ -117,6 +117,12 @@ std::vector<int32_t> sections(const Program& program);
 // The source of which a Program adds up the rows of CSR items, and does nothing else with them: the
 // gradient at an item is that of the output at the item's row. -1: none.
 int32_t summed_source(const Program& program);
+// Where a Program does no more than add rows of CSR items to its own row of a source: that source,
+// and the one of the items. {-1, -1}: it does something else.
+struct AddedRows {
+  int32_t init = -1, source = -1;
+};
+AddedRows added_rows(const Program& program);
 
 // Guards: a value whose every use sits on one side of the same select need not be computed for
 // lanes that take the other side. Guard 0 is "always"; guard g holds when its parent holds and cond

@@ -259,6 +259,50 @@ TEST_F(SequenceTest, WhatNeedsOnlyEarlyRowsIsDoneBeforeTheWait) {
   expect_compiles(table);
 }
 
+// The same Program with one row and with four for each of the chain: the four are computed late.
+TEST_F(SequenceTest, OnlyOneRowOfAChainIsComputedEarly) {
+  for (uint32_t t = 0; t < 2; ++t) {
+    push_add(t, 0, 0x10000, 0x20000, 0x30000 + 0x1000 * t);
+    push_add(t, 1, 0x10000, 0x20000, 0x40000 + 0x1000 * t);
+    ops.back().rows = kRows / 4;
+  }
+  const SequenceTable table = sequence_table(ops, {8, 0, 2});
+  ASSERT_EQ(table.forms.size(), 2u);
+  const std::string text = sequence_source(table, {Form::Cluster, 2, 128});
+  for (size_t form = 0; form < 2; ++form) {
+    const Operation& op = table.forms[form].operations[0];
+    EXPECT_TRUE(op.sources[0].early);
+    const size_t begin = text.find("void chain" + std::to_string(form) + "(");
+    const std::string chain = text.substr(begin, text.find("\n}\n", begin) - begin);
+    EXPECT_EQ(chain.find("    early_row") != std::string::npos, op.each == 1) << chain;
+    EXPECT_EQ(chain.find("early0_0") != std::string::npos, op.each == 1) << chain;
+  }
+  expect_compiles(table);
+}
+
+// Threads that have no row go along to the end, unless something is stored before.
+TEST_F(SequenceTest, ThreadsWithoutARowStoreNothing) {
+  const auto text_of = [&] {
+    const SequenceTable table = sequence_table(ops, {8, 0, 2});
+    expect_compiles(table);
+    const std::string text = sequence_source(table, {Form::Cluster, 2, 128});
+    return text.substr(text.find("void chain0("));
+  };
+  push_add(0, 0, 0x10000, 0x20000, 0x30000);
+  std::string text = text_of();
+  EXPECT_LT(text.find("    row0("), text.find("  if (!on) return;"));
+  EXPECT_LT(text.find("  if (!on) return;"), text.find("  store_row<"));
+
+  ops.clear();  // more words than stay in registers
+  push_add(0, 0, 0x10000, 0x20000, 0x30000);
+  push_add(0, 0, 0x30000, 0x20000, 0x30000);
+  for (novaphy_sequence_op& o : ops) o.rows = kRows / 10;
+  text = text_of();
+  EXPECT_NE(text.find("output_rows{"), std::string::npos);
+  EXPECT_LT(text.find("  phase_wait();"), text.find("  if (!on) return;"));
+  EXPECT_LT(text.find("  if (!on) return;"), text.find("    row0("));
+}
+
 TEST_F(SequenceTest, ProgramsThatAddItemsAreSums) {
   const nova::Kernel traced = nova::make_reduce_kernel(
       "collect", {{"own", DType::F32, 3, Access::Direct}, {"item", DType::F32, 3, Access::CsrRow}},

@@ -13,6 +13,7 @@ namespace {
 using Operation = ChainForm::Operation;
 
 constexpr int32_t kMostItemWords = 72;  // of rows of items, which a thread has before it adds them
+
 std::string str(int64_t k) { return std::to_string(k); }
 std::string registers(int32_t op, int32_t output) { return "r" + str(op) + "_" + str(output); }
 
@@ -31,8 +32,10 @@ class RowFunctions {
     int64_t shift = 0, early_shift = 0;
   };
   const Function& of(const Operation& op) {
+    // Several rows for each of the chain come one after another: not early.
     std::vector<char> is_late;
-    for (const Operation::Source& source : op.sources) is_late.push_back(source.early ? 0 : 1);
+    for (const Operation::Source& source : op.sources)
+      is_late.push_back(source.early && op.each == 1 ? 0 : 1);
     const auto [known, fresh] = known_.try_emplace({op.program, is_late});
     if (fresh) known->second = make(op, is_late);
     return known->second;
@@ -43,7 +46,7 @@ class RowFunctions {
   Function make(const Operation& op, const std::vector<char>& is_late) {
     const nova::ir::Program p = without_names(table_.program(op));
     Function f{"row" + str(static_cast<int64_t>(known_.size()) - 1)};
-    if (op.each == 1 && !p.contract) f.halves = nova::ir::cut(p, is_late);
+    if (!p.contract) f.halves = nova::ir::cut(p, is_late);
     if (!is_work(f.halves.early)) f.halves = {};
     if (!f.is_cut()) {
       text += nova::ir::emit_device(p, f.name);
@@ -79,17 +82,19 @@ class ChainText {
 
   std::string run(size_t number) {
     const bool waits = table_.tasks != 0;
+    const std::string leave = waits ? "  if (!on) return;\n" : "";
     loads(waits);
     kept_loads();
     code_ += "  row_failure failure = begin_row(sink);\n";
     if (waits) {
       for (size_t k = 0; k < form_.operations.size(); ++k) early(static_cast<int32_t>(k));
       code_ += "  phase_wait();\n";
+      if (stores_at_once()) code_ += leave;
       loads(false);
     }
     item_loads();
     for (size_t k = 0; k < form_.operations.size(); ++k) operation(static_cast<int32_t>(k));
-    if (waits) code_ += "  if (!on) return;\n";
+    if (!stores_at_once()) code_ += leave;
     for (size_t k = 0; k < form_.operations.size(); ++k) stores(static_cast<int32_t>(k));
     report();
     return "LANE_FN void chain" + str(static_cast<int64_t>(number)) +
@@ -98,6 +103,12 @@ class ChainText {
   }
 
  private:
+  bool stores_at_once() const {
+    for (const Operation& op : form_.operations)
+      for (const Operation::Output& output : op.outputs)
+        if (output.store == Operation::Output::Now) return true;
+    return false;
+  }
   const Operation& at(int32_t k) const { return form_.operations[static_cast<size_t>(k)]; }
   static std::string table(int32_t t) { return "table" + str(t); }
   static std::string own(int32_t op, size_t source) {

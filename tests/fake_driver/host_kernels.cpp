@@ -89,35 +89,8 @@ void run_block() {
 namespace device {
 namespace {
 
-template <class T>
-T __ldg(const T* p) {
-  return *p;
-}
-float __int_as_float(int a) {
-  float f;
-  std::memcpy(&f, &a, 4);
-  return f;
-}
-int __float_as_int(float f) {
-  int a;
-  std::memcpy(&a, &f, 4);
-  return a;
-}
-float __fsqrt_rn(float a) { return std::sqrt(a); }
-float __fmaf_rn(float a, float b, float c) { return std::fma(a, b, c); }
-int __float2int_rz(float a) { return static_cast<int>(a); }
-float __int2float_rn(int a) { return static_cast<float>(a); }
-float floorf(float a) { return std::floor(a); }
-template <class T>
-T atomicAdd(T* at, T value) {
-  return std::exchange(*at, *at + value);
-}
-template <class T>
-T atomicExch(T* at, T value) {
-  return std::exchange(*at, value);
-}
-void __threadfence() {}
-void __threadfence_system() {}
+#include "host_intrinsics.h"
+
 void __syncthreads() { wait(State::AtBlockBarrier); }
 void __syncwarp() { wait(State::AtWarpBarrier); }
 unsigned __shfl_up_sync(unsigned, unsigned value, int step) {
@@ -130,14 +103,6 @@ unsigned __shfl_up_sync(unsigned, unsigned value, int step) {
   return other;
 }
 
-#undef INT32_MAX
-#undef INT32_MIN
-#define __device__
-#define __global__
-#define __forceinline__ inline
-#define __noinline__
-#define __launch_bounds__(...)
-#define __grid_constant__
 #define __shared__ static
 // The second needs the first.
 // clang-format off

@@ -1,0 +1,98 @@
+// What the text of a sequence expects of its compiler and its device, on the host:
+// test_sequence_run.cpp puts this before the text. The threads of all blocks are fibres of one
+// thread, which run in a random order until each waits for others.
+#include <ucontext.h>
+
+#include <algorithm>
+#include <cmath>
+#include <cstdint>
+#include <cstring>
+#include <functional>
+#include <map>
+#include <memory>
+#include <numeric>
+#include <random>
+#include <utility>
+#include <vector>
+
+namespace {
+
+struct Index {
+  unsigned x;
+};
+Index blockIdx, blockDim, gridDim, threadIdx;
+
+struct Fibre {
+  ucontext_t context;
+  std::unique_ptr<char[]> stack;
+  bool done = false;
+  // How often it has come to a barrier of its block, arrived at one of all blocks, and waited
+  // there.
+  size_t at_block = 0, arrived = 0, waited = 0;
+};
+std::vector<Fibre> g_fibres;
+Fibre* g_running;
+ucontext_t g_scheduler;
+std::function<void()> g_thread;
+std::map<std::pair<unsigned, size_t>, size_t> g_at_block;  // block, how often: threads there
+std::map<size_t, size_t> g_arrived;
+
+void give_way() { swapcontext(&g_running->context, &g_scheduler); }
+void begin() {
+  g_thread();
+  g_running->done = true;
+  give_way();
+}
+void sync_block() {
+  size_t& here = g_at_block[{blockIdx.x, g_running->at_block++}];
+  ++here;
+  while (here < blockDim.x) give_way();
+}
+void arrive_all() { ++g_arrived[g_running->arrived++]; }
+void wait_all() {
+  const size_t& here = g_arrived[g_running->waited++];
+  while (here < g_fibres.size()) give_way();
+}
+
+void run_all(unsigned seed) {
+  constexpr size_t kStack = 128 << 10;
+  g_at_block.clear();
+  g_arrived.clear();
+  g_fibres.clear();
+  g_fibres.resize(size_t{gridDim.x} * blockDim.x);
+  for (Fibre& fibre : g_fibres) {
+    fibre.stack = std::make_unique<char[]>(kStack);
+    getcontext(&fibre.context);
+    fibre.context.uc_stack.ss_sp = fibre.stack.get();
+    fibre.context.uc_stack.ss_size = kStack;
+    fibre.context.uc_link = nullptr;
+    makecontext(&fibre.context, begin, 0);
+  }
+  std::vector<unsigned> order(g_fibres.size());
+  std::iota(order.begin(), order.end(), 0u);
+  std::mt19937 random(seed);
+  for (size_t left = g_fibres.size(); left > 0;) {
+    std::shuffle(order.begin(), order.end(), random);
+    for (const unsigned k : order) {
+      g_running = &g_fibres[k];
+      if (g_running->done) continue;
+      blockIdx.x = k / blockDim.x;
+      threadIdx.x = k % blockDim.x;
+      swapcontext(&g_scheduler, &g_running->context);
+      left -= g_running->done ? 1 : 0;
+    }
+  }
+}
+
+}  // namespace
+
+namespace device {
+namespace {
+
+#include "host_intrinsics.h"
+
+void __threadfence_block() {}
+void __syncthreads() { sync_block(); }
+
+#define __cluster_dims__(...)
+#define __builtin_assume(...)

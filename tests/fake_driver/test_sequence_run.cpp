@@ -1,0 +1,386 @@
+// Sequences, run on the host: their text is compiled by the compiler of this build, and its threads
+// are fibres that take turns in a random order. What a barrier does not hold back happens early.
+#include <dlfcn.h>
+#include <gtest/gtest.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <array>
+#include <cstdlib>
+#include <cstring>
+#include <filesystem>
+#include <fstream>
+#include <limits>
+#include <memory>
+#include <random>
+
+#include "novaphy/nova/kernel.h"
+#include "sequence_source.h"
+
+namespace novaphy::gpu {
+namespace {
+
+using nova::Access;
+using nova::DType;
+using nova::Real;
+using nova::TraceContext;
+using Form = SequenceShape::Form;
+
+constexpr int32_t kRows = 40, kArrays = 5, kScalars = 2;
+
+// Products that no compiler contracts with the sum around them.
+float times(float a, float b) {
+  const volatile float product = a * b;
+  return product;
+}
+
+novaphy_kernel traced(const nova::Kernel& kernel) {
+  novaphy_kernel made;
+  made.program = kernel.program();
+  made.argument_count = made.program.argument_count();
+  return made;
+}
+
+// Arrays of rows of three, scalars, and who is whose neighbour.
+struct Memory {
+  std::array<std::vector<float>, kArrays> arrays;
+  std::array<float, kScalars> scalars{};
+  std::vector<int32_t> neighbour, offsets, items;
+
+  explicit Memory(uint32_t seed) : neighbour(kRows), offsets(kRows + 1) {
+    std::mt19937 random(seed);
+    std::uniform_real_distribution<float> value(-1.0f, 1.0f);
+    for (auto& array : arrays) {
+      array.resize(3 * kRows);
+      for (float& x : array) x = value(random);
+    }
+    for (float& x : scalars) x = value(random);
+    // Some rows have no items, and one has more than a batch.
+    for (int32_t i = 0; i < kRows; ++i)
+      neighbour[i] = i % 2 == 0 ? 3 : static_cast<int32_t>(random() % kRows);
+    for (int32_t row = 0; row < kRows; ++row) {
+      for (int32_t i = 0; i < kRows; ++i)
+        if (neighbour[i] == row) items.push_back(i);
+      offsets[row + 1] = static_cast<int32_t>(items.size());
+    }
+  }
+};
+
+// Operations by phases and chains: an array is written by one chain of a phase, which touches it at
+// its own row only; arrays that nobody writes are read at any row. Each is recorded, and done.
+class Recorder {
+ public:
+  Recorder(uint32_t seed, Memory& device, Memory& host)
+      : random_(seed), device_(device), host_(host) {
+    row_ = traced(nova::make_kernel(
+        "row", {{"a", DType::F32, 3, Access::Direct}, {"b", DType::F32, 3, Access::Direct}},
+        {{"y", 3}}, [](TraceContext& t) {
+          std::vector<Real> y;
+          for (int32_t k = 0; k < 3; ++k)
+            y.push_back(t.f32(0, k) * Real(0.5f) - t.f32(1, (k + 1) % 3) * Real(0.25f));
+          return y;
+        }));
+    value_ = traced(nova::make_kernel(
+        "value", {{"a", DType::F32, 1, Access::Direct}, {"b", DType::F32, 1, Access::Direct}},
+        {{"y", 1}}, [](TraceContext& t) {
+          return std::vector{t.f32(0) * Real(0.75f) + t.f32(1) * Real(0.125f)};
+        }));
+    gather_ = traced(nova::make_kernel("gather",
+                                       {{"row", DType::I32, 1, Access::Direct},
+                                        {"a", DType::F32, 3, Access::Indexed},
+                                        {"b", DType::F32, 3, Access::Direct}},
+                                       {{"y", 3}}, [](TraceContext& t) {
+                                         std::vector<Real> y;
+                                         for (int32_t k = 0; k < 3; ++k)
+                                           y.push_back(t.f32(1, t.i32(0), k) * Real(0.5f) -
+                                                       t.f32(2, k) * Real(0.25f));
+                                         return y;
+                                       }));
+    scale_ = traced(nova::make_kernel(
+        "scale", {{"a", DType::F32, 3, Access::Direct}, {"s", DType::F32, 1, Access::Uniform}},
+        {{"y", 3}}, [](TraceContext& t) {
+          const Real factor = t.f32(1) * t.f32(1);
+          return std::vector{t.f32(0, 0) * factor, t.f32(0, 1) * factor, t.f32(0, 2) * factor};
+        }));
+    collect_ = traced(nova::make_reduce_kernel(
+        "collect",
+        {{"own", DType::F32, 3, Access::Direct}, {"item", DType::F32, 3, Access::CsrRow}},
+        {{"y", 3}},
+        {.init =
+             [](TraceContext& t) {
+               return std::vector{t.f32(0, 0), t.f32(0, 1), t.f32(0, 2)};
+             },
+         .body =
+             [](TraceContext& t) {
+               return std::vector{t.f32(1, 0), t.f32(1, 1), t.f32(1, 2)};
+             },
+         .epilogue = {}}));
+    sum_.name = "row_sum_f32";
+    sum_.argument_count = 7;
+    sum_.run = [](novaphy_stream*, const novaphy_kernel&, int64_t, const uint64_t*,
+                  novaphy_error*) { return NOVAPHY_OK; };
+  }
+
+  const std::vector<novaphy_sequence_op>& record(uint32_t phases) {
+    for (uint32_t phase = 0; phase < phases; ++phase) record_phase(phase);
+    return ops_;
+  }
+
+ private:
+  int32_t below(size_t n) { return static_cast<int32_t>(random_() % n); }
+  int32_t one_of(const std::vector<int32_t>& list) { return list[below(list.size())]; }
+  static uint64_t word(const void* p) { return reinterpret_cast<uint64_t>(p); }
+  uint64_t array(int32_t a) { return word(device_.arrays[a].data()); }
+
+  void record_phase(uint32_t phase) {
+    std::vector<int32_t> order(kArrays);
+    for (int32_t a = 0; a < kArrays; ++a) order[a] = a;
+    std::shuffle(order.begin(), order.end(), random_);
+    const int32_t free_scalar = below(kScalars);  // the other one may be written
+    size_t next = 0;
+    uint32_t chain = 0;
+    const std::vector<int32_t> shared(order.end() - 2, order.end());  // nobody writes these
+    while (next < order.size() - shared.size()) {
+      const size_t size = std::min<size_t>(1 + below(2), order.size() - shared.size() - next);
+      std::vector<int32_t> own(order.begin() + next, order.begin() + next + size);
+      next += size;
+      if (below(4) == 0) continue;
+      std::vector<int32_t> readable = own;
+      readable.insert(readable.end(), shared.begin(), shared.end());
+      const bool flat = below(4) == 0;  // three rows of values where others have one of three
+      const int32_t count = 1 + below(3);
+      for (int32_t k = 0; k < count; ++k)
+        record_operation(phase, chain, flat, own, readable, shared, free_scalar);
+      ++chain;
+    }
+    if (chain == 0 || below(3) == 0) {
+      const int32_t s = 1 - free_scalar;
+      const auto value = 0.25f * static_cast<float>(1 + below(4));
+      novaphy_sequence_op& o = push(phase, chain, 1, 1);
+      o.op.target = &device_.scalars[s];
+      std::memcpy(&o.op.pattern, &value, sizeof(value));
+      host_.scalars[s] = value;
+    }
+  }
+
+  void record_operation(uint32_t phase, uint32_t chain, bool flat, const std::vector<int32_t>& own,
+                        const std::vector<int32_t>& readable, const std::vector<int32_t>& shared,
+                        int32_t scalar) {
+    const int32_t y = one_of(own), a = one_of(readable), b = one_of(readable);
+    const int32_t any = one_of(shared);
+    auto& out = host_.arrays[y];
+    const auto &x = host_.arrays[a], &z = host_.arrays[b], &other = host_.arrays[any];
+    std::vector<float> result(out.size());
+    constexpr int64_t kValues = 3 * kRows;
+    const auto rows = uint64_t{kRows};
+    if (flat) {
+      launch(push(phase, chain, kValues, kValues), value_,
+             {array(a), kValues, array(b), kValues, array(y)});
+      for (size_t k = 0; k < result.size(); ++k)
+        result[k] = times(x[k], 0.75f) + times(z[k], 0.125f);
+      out = result;
+      return;
+    }
+    const auto each_row = [&](const auto& f) {
+      for (int32_t i = 0; i < kRows; ++i)
+        for (int32_t c = 0; c < 3; ++c) result[3 * i + c] = f(i, c);
+    };
+    switch (below(8)) {
+      case 0:
+        launch(push(phase, chain, kValues, kRows), value_,
+               {array(a), kValues, array(b), kValues, array(y)});
+        for (size_t k = 0; k < result.size(); ++k)
+          result[k] = times(x[k], 0.75f) + times(z[k], 0.125f);
+        break;
+      case 1:
+        launch(push(phase, chain, kRows, kRows), gather_,
+               {word(device_.neighbour.data()), rows, array(any), rows, array(b), rows, array(y)});
+        each_row([&](int32_t i, int32_t c) {
+          return times(other[3 * host_.neighbour[i] + c], 0.5f) - times(z[3 * i + c], 0.25f);
+        });
+        break;
+      case 2: {
+        launch(push(phase, chain, kRows, kRows), scale_,
+               {array(a), rows, word(&device_.scalars[scalar]), 1, array(y)});
+        const float s = host_.scalars[scalar];
+        each_row([&](int32_t i, int32_t c) { return times(x[3 * i + c], times(s, s)); });
+        break;
+      }
+      case 3:
+        launch(push(phase, chain, kRows, kRows), collect_,
+               {array(b), rows, array(any), rows, array(y), word(device_.offsets.data()),
+                word(device_.items.data())});
+        each_row([&](int32_t i, int32_t c) { return summed(z[3 * i + c], other, i, c); });
+        break;
+      case 4: {
+        const bool init = below(2) == 0;
+        launch(push(phase, chain, kRows, kRows), sum_,
+               {array(any), word(device_.offsets.data()), word(device_.items.data()),
+                init ? array(b) : 0, array(y), 3, 0});
+        each_row(
+            [&](int32_t i, int32_t c) { return summed(init ? z[3 * i + c] : 0.0f, other, i, c); });
+        break;
+      }
+      case 5: {
+        novaphy_sequence_op& o = push(phase, chain, kValues, kRows);
+        o.op.target = device_.arrays[y].data();
+        if (a != y) o.op.source = device_.arrays[a].data();
+        result = a != y ? x : std::vector<float>(out.size(), 0.0f);
+        break;
+      }
+      default:
+        launch(push(phase, chain, kRows, kRows), row_, {array(a), rows, array(b), rows, array(y)});
+        each_row([&](int32_t i, int32_t c) {
+          return times(x[3 * i + c], 0.5f) - times(z[3 * i + (c + 1) % 3], 0.25f);
+        });
+    }
+    out = result;
+  }
+  float summed(float sum, const std::vector<float>& from, int32_t i, int32_t c) const {
+    for (int32_t k = host_.offsets[i]; k < host_.offsets[i + 1]; ++k)
+      sum += from[3 * host_.items[k] + c];
+    return sum;
+  }
+
+  novaphy_sequence_op& push(uint32_t phase, uint32_t chain, int64_t n, int64_t rows) {
+    novaphy_sequence_op o{};
+    o.struct_size = sizeof(o);
+    o.op.struct_size = sizeof(o.op);
+    o.n = n;
+    o.rows = rows;
+    o.phase = phase;
+    o.chain = chain;
+    return ops_.emplace_back(o);
+  }
+  void launch(novaphy_sequence_op& o, const novaphy_kernel& kernel, std::vector<uint64_t> words) {
+    kept_.push_back(std::make_unique<std::vector<uint64_t>>(std::move(words)));
+    o.op.kernel = &const_cast<novaphy_kernel&>(kernel);
+    o.op.arguments = kept_.back()->data();
+    o.op.argument_count = kernel.argument_count;
+  }
+
+  std::mt19937 random_;
+  Memory &device_, &host_;
+  novaphy_kernel row_, value_, gather_, scale_, collect_, sum_;
+  std::vector<novaphy_sequence_op> ops_;
+  std::vector<std::unique_ptr<std::vector<uint64_t>>> kept_;
+};
+
+// The device's words for what fibres do otherwise.
+void replace(std::string& text, const std::string& from, const std::string& to) {
+  const size_t at = text.find(from);
+  ASSERT_NE(at, std::string::npos) << from;
+  text.replace(at, from.size(), to);
+}
+std::string for_host(std::string text) {
+  const auto barrier = [](const char* name) {
+    return std::string("asm volatile(\"barrier.") + name + ";\" ::: \"memory\");";
+  };
+  replace(text, barrier("sync 0"), "sync_block();");
+  replace(text, barrier("cluster.arrive.release"), "arrive_all();");
+  replace(text, barrier("cluster.arrive.relaxed"), "arrive_all();");
+  replace(text, barrier("cluster.wait.acquire"), "wait_all();");
+  const size_t begin = text.find("LANE_FN void phase_wait(uint32_t* counter, uint32_t count) {");
+  const size_t end = text.find("#endif", begin);
+  text.replace(begin, end - begin,
+               "LANE_FN void phase_wait(uint32_t*, uint32_t) { arrive_all(); wait_all(); }\n"
+               "LANE_FN void last_barrier(uint32_t*) {}\n");
+  replace(text, "(uint32_t)__cvta_generic_to_shared(p)", "0");
+  replace(text, "(uint64_t*)__cvta_shared_to_generic(address)", "p");
+  replace(text, "__shared__ int32_t g_kept[SEQUENCE_KEPT * SEQUENCE_THREADS];",
+          "static int32_t g_kept_of[64][SEQUENCE_KEPT * SEQUENCE_THREADS];\n"
+          "#define g_kept g_kept_of[blockIdx.x]");
+  replace(text, "__shared__ uint64_t records[3][SEQUENCE_WORDS];",
+          "static uint64_t records_of[64][3][SEQUENCE_WORDS];\n"
+          "  uint64_t(&records)[3][SEQUENCE_WORDS] = records_of[blockIdx.x];");
+  replace(text, "asm(\"rcp.approx.ftz.f32 %0, %1;\" : \"=f\"(r) : \"f\"(b));", "r = 1.0f / b;");
+  replace(text,
+          "asm volatile(\"prefetch.global.L2 [%0];\" ::\"l\"((const int32_t*)p + i * width));", "");
+  replace(text, "extern \"C\" __global__", "");
+  return "#include \"host_sequence.h\"\n" + text + "#include \"host_sequence_end.h\"\n";
+}
+
+using RunSequence = void (*)(const uint64_t*, uint64_t*, void*, uint32_t*, unsigned, unsigned,
+                             unsigned);
+
+struct Case {
+  uint32_t seed;
+  SequenceShape shape;
+};
+class RandomSequences : public testing::TestWithParam<Case> {
+ protected:
+  void SetUp() override {
+    folder_ =
+        std::filesystem::temp_directory_path() / ("novaphy_sequence_" + std::to_string(getpid()));
+    std::filesystem::create_directories(folder_);
+  }
+  void TearDown() override {
+    if (library_ != nullptr) dlclose(library_);
+    std::filesystem::remove_all(folder_);
+  }
+  RunSequence compiled(const std::string& text) {
+    const std::string from = folder_ / "sequence.cpp", to = folder_ / "sequence.so";
+    std::ofstream(from) << text;
+    const std::string command =
+        HOST_COMPILER
+        " -std=c++20 -O1 -w -ffp-contract=off -fno-strict-aliasing -shared -fPIC "
+        "-I\"" HOST_SEQUENCE_FOLDER "\" -o " +
+        to + " " + from;
+    if (std::system(command.c_str()) != 0) return nullptr;
+    library_ = dlopen(to.c_str(), RTLD_NOW | RTLD_LOCAL);
+    return library_ == nullptr ? nullptr
+                               : reinterpret_cast<RunSequence>(dlsym(library_, "run_sequence"));
+  }
+
+ private:
+  std::filesystem::path folder_;
+  void* library_ = nullptr;
+};
+
+TEST_P(RandomSequences, HaveTheBitsOfOneOperationAfterTheOther) {
+  const auto& [seed, shape] = GetParam();
+  Memory device(seed), host(seed);
+  Recorder recorder(seed, device, host);
+  const auto& ops = recorder.record(16);
+  SequenceRoom room;
+  if (shape.form != Form::Grid)
+    room = {shape.blocks * shape.threads / 32 / shape.groups, 40, shape.blocks, shape.groups};
+  SequenceTable table = sequence_table(ops, room);
+  ASSERT_EQ(table.tasks != 0, shape.form != Form::Grid);
+  ASSERT_TRUE(shape.form == Form::Grid || most_warps(ops) <= room.warps);
+  const RunSequence run = compiled(for_host(sequence_source(table, shape)));
+  ASSERT_NE(run, nullptr);
+
+  struct Record {  // as device_error, and the zeros behind it
+    int64_t index = std::numeric_limits<int64_t>::max();
+    std::array<int64_t, 63> rest{};
+  } record;
+  uint32_t flag = 0;
+  const uint64_t start[] = {table.first_words, table.tasks};
+  run(start, table.words.data(), &record, &flag, shape.blocks, shape.threads, seed);
+  EXPECT_EQ(flag, 0u);
+  for (int32_t a = 0; a < kArrays; ++a)
+    EXPECT_EQ(0, std::memcmp(device.arrays[a].data(), host.arrays[a].data(),
+                             host.arrays[a].size() * sizeof(float)))
+        << "array " << a;
+}
+
+std::vector<Case> cases() {
+  std::vector<Case> all;
+  for (uint32_t seed = 1; seed <= 3; ++seed) {
+    all.push_back({seed, {Form::Block, 1, 32 * 32, 2}});
+    all.push_back({seed + 10, {Form::Cluster, 4, 32 * 8, 2}});
+    all.push_back({seed + 20, {Form::Grid, 3, 64, 1}});
+  }
+  return all;
+}
+INSTANTIATE_TEST_SUITE_P(Seeds, RandomSequences, testing::ValuesIn(cases()), [](const auto& test) {
+  const Form form = test.param.shape.form;
+  return std::string(form == Form::Block     ? "Block"
+                     : form == Form::Cluster ? "Cluster"
+                                             : "Grid") +
+         std::to_string(test.param.seed);
+});
+
+}  // namespace
+}  // namespace novaphy::gpu

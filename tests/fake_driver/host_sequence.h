@@ -61,7 +61,7 @@ void run_all(unsigned seed) {
   g_fibres.clear();
   g_fibres.resize(size_t{gridDim.x} * blockDim.x);
   for (Fibre& fibre : g_fibres) {
-    fibre.stack = std::make_unique<char[]>(kStack);
+    fibre.stack = std::make_unique_for_overwrite<char[]>(kStack);
     getcontext(&fibre.context);
     fibre.context.uc_stack.ss_sp = fibre.stack.get();
     fibre.context.uc_stack.ss_size = kStack;

@@ -324,8 +324,8 @@ class RandomSequences : public testing::TestWithParam<Case> {
     const std::string command =
         HOST_COMPILER
         " -std=c++20 -O1 -w -ffp-contract=off -fno-strict-aliasing -shared -fPIC "
-        "-I\"" HOST_SEQUENCE_FOLDER "\" -o " +
-        to + " " + from;
+        "-I\"" HOST_SEQUENCE_FOLDER "\" -o \"" +
+        to + "\" \"" + from + "\"";
     if (std::system(command.c_str()) != 0) return nullptr;
     library_ = dlopen(to.c_str(), RTLD_NOW | RTLD_LOCAL);
     return library_ == nullptr ? nullptr

@@ -5,6 +5,7 @@
 
 #include "compiler.h"
 #include "novaphy/nova/kernel.h"
+#include "sequence_kernels.h"
 #include "sequence_source.h"
 
 namespace novaphy::gpu {
@@ -19,20 +20,14 @@ using Form = SequenceShape::Form;
 class SequenceTest : public ::testing::Test {
  protected:
   SequenceTest() {
-    const nova::Kernel traced = nova::make_kernel(
+    add = traced(nova::make_kernel(
         "add", {{"a", DType::F32, 3, Access::Direct}, {"b", DType::F32, 3, Access::Direct}},
         {{"sum", 3}}, [](TraceContext& t) {
           return std::vector{t.f32(0, 0) + t.f32(1, 0), t.f32(0, 1) + t.f32(1, 1),
                              t.f32(0, 2) + t.f32(1, 2)};
-        });
-    add.program = traced.program();
-    add.argument_count = add.program.argument_count();
+        }));
     add.number = 7;
-    sum.name = "row_sum_f32";
-    sum.argument_count = 7;
-    sum.run = [](novaphy_stream*, const novaphy_kernel&, int64_t, const uint64_t*, novaphy_error*) {
-      return NOVAPHY_OK;
-    };
+    sum = row_sum_kernel();
   }
   void push(novaphy_kernel& kernel, uint32_t phase, uint32_t chain, std::vector<uint64_t> words) {
     kept.push_back(std::make_unique<std::vector<uint64_t>>(std::move(words)));
@@ -231,17 +226,14 @@ TEST_F(SequenceTest, WhatThePhaseBeforeDoesNotWriteIsReadEarly) {
 }
 
 TEST_F(SequenceTest, WhatNeedsOnlyEarlyRowsIsDoneBeforeTheWait) {
-  const nova::Kernel traced = nova::make_kernel("late_and_early",
-                                                {{"state", DType::F32, 1, Access::Direct},
-                                                 {"row", DType::I32, 1, Access::Direct},
-                                                 {"fixed", DType::F32, 1, Access::Indexed}},
-                                                {{"sum", 1}}, [](TraceContext& t) {
-                                                  const nova::Real x = t.f32(2, t.i32(1), 0);
-                                                  return std::vector{t.f32(0, 0) + x * x};
-                                                });
-  novaphy_kernel kernel;
-  kernel.program = traced.program();
-  kernel.argument_count = kernel.program.argument_count();
+  novaphy_kernel kernel = traced(nova::make_kernel("late_and_early",
+                                                   {{"state", DType::F32, 1, Access::Direct},
+                                                    {"row", DType::I32, 1, Access::Direct},
+                                                    {"fixed", DType::F32, 1, Access::Indexed}},
+                                                   {{"sum", 1}}, [](TraceContext& t) {
+                                                     const nova::Real x = t.f32(2, t.i32(1), 0);
+                                                     return std::vector{t.f32(0, 0) + x * x};
+                                                   }));
   for (uint32_t t = 0; t < 4; ++t)
     push(kernel, t, 0, {0x1000 * (t + 1), kRows, 0x100, kRows, 0x200, 4, 0x1000 * (t + 2)});
   const SequenceTable table = sequence_table(ops, {4, 100, 2});
@@ -304,21 +296,7 @@ TEST_F(SequenceTest, ThreadsWithoutARowStoreNothing) {
 }
 
 TEST_F(SequenceTest, ProgramsThatAddItemsAreSums) {
-  const nova::Kernel traced = nova::make_reduce_kernel(
-      "collect", {{"own", DType::F32, 3, Access::Direct}, {"item", DType::F32, 3, Access::CsrRow}},
-      {{"sum", 3}},
-      {.init =
-           [](TraceContext& t) {
-             return std::vector{t.f32(0, 0), t.f32(0, 1), t.f32(0, 2)};
-           },
-       .body =
-           [](TraceContext& t) {
-             return std::vector{t.f32(1, 0), t.f32(1, 1), t.f32(1, 2)};
-           },
-       .epilogue = {}});
-  novaphy_kernel collect;
-  collect.program = traced.program();
-  collect.argument_count = collect.program.argument_count();
+  novaphy_kernel collect = collect_kernel();
   const uint64_t many = 4 * kRows;
   push(collect, 0, 0, {0x1000, kRows, 0x2000, many, 0x3000, 0x8000, 0x9000});
   push(collect, 0, 0, {0x3000, kRows, 0x4000, many, 0x5000, 0xa000, 0xb000});
@@ -364,12 +342,9 @@ TEST_F(SequenceTest, InALargeClusterFullWarpsOfAChainShareABlock) {
 }
 
 TEST_F(SequenceTest, ARowForAllIsLoadedWhenTheChainBegins) {
-  const nova::Kernel traced = nova::make_kernel(
+  novaphy_kernel fall = traced(nova::make_kernel(
       "fall", {{"v", DType::F32, 1, Access::Direct}, {"g", DType::F32, 1, Access::Uniform}},
-      {{"sum", 1}}, [](TraceContext& t) { return std::vector{t.f32(0, 0) + t.f32(1, 0)}; });
-  novaphy_kernel fall;
-  fall.program = traced.program();
-  fall.argument_count = fall.program.argument_count();
+      {{"sum", 1}}, [](TraceContext& t) { return std::vector{t.f32(0, 0) + t.f32(1, 0)}; }));
   for (uint32_t t = 0; t < 4; ++t)
     push(fall, t, 0, {0x1000 * (t + 1), kRows, 0x100, 1, 0x1000 * (t + 2)});
   const SequenceTable table = sequence_table(ops, {0, 100});

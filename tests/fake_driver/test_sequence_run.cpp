@@ -15,6 +15,7 @@
 #include <random>
 
 #include "novaphy/nova/kernel.h"
+#include "sequence_kernels.h"
 #include "sequence_source.h"
 
 namespace novaphy::gpu {
@@ -32,13 +33,6 @@ constexpr int32_t kRows = 40, kArrays = 5, kScalars = 2;
 float times(float a, float b) {
   const volatile float product = a * b;
   return product;
-}
-
-novaphy_kernel traced(const nova::Kernel& kernel) {
-  novaphy_kernel made;
-  made.program = kernel.program();
-  made.argument_count = made.program.argument_count();
-  return made;
 }
 
 // Arrays of rows of three, scalars, and who is whose neighbour.
@@ -102,23 +96,8 @@ class Recorder {
           const Real factor = t.f32(1) * t.f32(1);
           return std::vector{t.f32(0, 0) * factor, t.f32(0, 1) * factor, t.f32(0, 2) * factor};
         }));
-    collect_ = traced(nova::make_reduce_kernel(
-        "collect",
-        {{"own", DType::F32, 3, Access::Direct}, {"item", DType::F32, 3, Access::CsrRow}},
-        {{"y", 3}},
-        {.init =
-             [](TraceContext& t) {
-               return std::vector{t.f32(0, 0), t.f32(0, 1), t.f32(0, 2)};
-             },
-         .body =
-             [](TraceContext& t) {
-               return std::vector{t.f32(1, 0), t.f32(1, 1), t.f32(1, 2)};
-             },
-         .epilogue = {}}));
-    sum_.name = "row_sum_f32";
-    sum_.argument_count = 7;
-    sum_.run = [](novaphy_stream*, const novaphy_kernel&, int64_t, const uint64_t*,
-                  novaphy_error*) { return NOVAPHY_OK; };
+    collect_ = collect_kernel();
+    sum_ = row_sum_kernel();
   }
 
   const std::vector<novaphy_sequence_op>& record(uint32_t phases) {
@@ -173,21 +152,13 @@ class Recorder {
     std::vector<float> result(out.size());
     constexpr int64_t kValues = 3 * kRows;
     const auto rows = uint64_t{kRows};
-    if (flat) {
-      launch(push(phase, chain, kValues, kValues), value_,
-             {array(a), kValues, array(b), kValues, array(y)});
-      for (size_t k = 0; k < result.size(); ++k)
-        result[k] = times(x[k], 0.75f) + times(z[k], 0.125f);
-      out = result;
-      return;
-    }
     const auto each_row = [&](const auto& f) {
       for (int32_t i = 0; i < kRows; ++i)
         for (int32_t c = 0; c < 3; ++c) result[3 * i + c] = f(i, c);
     };
-    switch (below(8)) {
+    switch (flat ? 0 : below(8)) {
       case 0:
-        launch(push(phase, chain, kValues, kRows), value_,
+        launch(push(phase, chain, kValues, flat ? kValues : kRows), value_,
                {array(a), kValues, array(b), kValues, array(y)});
         for (size_t k = 0; k < result.size(); ++k)
           result[k] = times(x[k], 0.75f) + times(z[k], 0.125f);

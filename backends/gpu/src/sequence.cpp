@@ -110,10 +110,11 @@ novaphy_status create(novaphy_device* device, std::span<const novaphy_sequence_o
     SequenceRoom room{shape.blocks * shape.threads / kWarp / shape.groups,
                       kKeptBytes / 4 / shape.threads, shape.blocks, shape.groups};
     const bool one_row = shape.form != Form::Grid && warps <= room.warps;
-    SequenceTable table = sequence_table(ops, one_row ? room : SequenceRoom{});
+    if (!one_row) room = {};
+    SequenceTable table = sequence_table(ops, room);
     if (shared_bytes(table, shape) > kSharedBytes) {
       room.kept_words = 0;
-      table = sequence_table(ops, one_row ? room : SequenceRoom{});
+      table = sequence_table(ops, room);
     }
     if (!table.fits || shared_bytes(table, shape) > kSharedBytes) return refuse("too large");
     OwnList made(new novaphy_list);

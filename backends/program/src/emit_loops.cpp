@@ -5,7 +5,6 @@
 
 #include "emit_simplify.h"
 #include "emitter.h"
-#include "row_source.h"
 
 namespace nova::ir {
 

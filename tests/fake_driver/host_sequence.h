@@ -48,7 +48,11 @@ void sync_block() {
   ++here;
   while (here < blockDim.x) give_way();
 }
-void arrive_all() { ++g_arrived[g_running->arrived++]; }
+// Others go on at once, before what comes next in this thread.
+void arrive_all() {
+  ++g_arrived[g_running->arrived++];
+  give_way();
+}
 void wait_all() {
   const size_t& here = g_arrived[g_running->waited++];
   while (here < g_fibres.size()) give_way();

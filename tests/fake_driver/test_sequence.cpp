@@ -1,7 +1,7 @@
 // How a sequence becomes a table and a text: forms of chains, and what stays in registers.
 #include <gtest/gtest.h>
 
-#include <memory>
+#include <utility>
 
 #include "compiler.h"
 #include "novaphy/nova/kernel.h"
@@ -30,17 +30,7 @@ class SequenceTest : public ::testing::Test {
     sum = row_sum_kernel();
   }
   void push(novaphy_kernel& kernel, uint32_t phase, uint32_t chain, std::vector<uint64_t> words) {
-    kept.push_back(std::make_unique<std::vector<uint64_t>>(std::move(words)));
-    novaphy_sequence_op o{};
-    o.struct_size = sizeof(o);
-    o.op.struct_size = sizeof(o.op);
-    o.op.kernel = &kernel;
-    o.op.arguments = kept.back()->data();
-    o.op.argument_count = kernel.argument_count;
-    o.n = o.rows = kRows;
-    o.phase = phase;
-    o.chain = chain;
-    ops.push_back(o);
+    recorded.launch(recorded.add(phase, chain, kRows, kRows), kernel, std::move(words));
   }
   void push_add(uint32_t phase, uint32_t chain, uint64_t a, uint64_t b, uint64_t to) {
     push(add, phase, chain, {a, kRows, b, kRows, to});
@@ -59,8 +49,8 @@ class SequenceTest : public ::testing::Test {
 
   static constexpr uint64_t kRows = 40;
   novaphy_kernel add, sum;
-  std::vector<std::unique_ptr<std::vector<uint64_t>>> kept;
-  std::vector<novaphy_sequence_op> ops;
+  RecordedSequence recorded;
+  std::vector<novaphy_sequence_op>& ops = recorded.ops;
 };
 
 TEST_F(SequenceTest, ChainsOfOneStructureShareTheirForm) {
@@ -221,7 +211,7 @@ TEST_F(SequenceTest, WhatThePhaseBeforeDoesNotWriteIsReadEarly) {
   EXPECT_EQ(early({4, 0, 0}), (std::vector{false, false}));  // without tasks: nothing
 
   // One chain of the form decides for all: the second state of phase 5 ends in what phase 4 wrote.
-  (*kept.back())[2] = 0x40000 - kRows * 12 + 4;
+  (*recorded.words.back())[2] = 0x40000 - kRows * 12 + 4;
   EXPECT_EQ(early({4, 0, 2}), (std::vector{false, false}));
 }
 

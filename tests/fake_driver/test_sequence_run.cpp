@@ -11,7 +11,6 @@
 #include <filesystem>
 #include <fstream>
 #include <limits>
-#include <memory>
 #include <random>
 
 #include "novaphy/nova/kernel.h"
@@ -102,7 +101,7 @@ class Recorder {
 
   const std::vector<novaphy_sequence_op>& record(uint32_t phases) {
     for (uint32_t phase = 0; phase < phases; ++phase) record_phase(phase);
-    return ops_;
+    return recorded_.ops;
   }
 
  private:
@@ -135,7 +134,7 @@ class Recorder {
     if (chain == 0 || below(3) == 0) {
       const int32_t s = 1 - free_scalar;
       const auto value = 0.25f * static_cast<float>(1 + below(4));
-      novaphy_sequence_op& o = push(phase, chain, 1, 1);
+      novaphy_sequence_op& o = recorded_.add(phase, chain, 1, 1);
       o.op.target = &device_.scalars[s];
       std::memcpy(&o.op.pattern, &value, sizeof(value));
       host_.scalars[s] = value;
@@ -158,49 +157,51 @@ class Recorder {
     };
     switch (flat ? 0 : below(8)) {
       case 0:
-        launch(push(phase, chain, kValues, flat ? kValues : kRows), value_,
-               {array(a), kValues, array(b), kValues, array(y)});
+        recorded_.launch(recorded_.add(phase, chain, kValues, flat ? kValues : kRows), value_,
+                         {array(a), kValues, array(b), kValues, array(y)});
         for (size_t k = 0; k < result.size(); ++k)
           result[k] = times(x[k], 0.75f) + times(z[k], 0.125f);
         break;
       case 1:
-        launch(push(phase, chain, kRows, kRows), gather_,
-               {word(device_.neighbour.data()), rows, array(any), rows, array(b), rows, array(y)});
+        recorded_.launch(
+            recorded_.add(phase, chain, kRows, kRows), gather_,
+            {word(device_.neighbour.data()), rows, array(any), rows, array(b), rows, array(y)});
         each_row([&](int32_t i, int32_t c) {
           return times(other[3 * host_.neighbour[i] + c], 0.5f) - times(z[3 * i + c], 0.25f);
         });
         break;
       case 2: {
-        launch(push(phase, chain, kRows, kRows), scale_,
-               {array(a), rows, word(&device_.scalars[scalar]), 1, array(y)});
+        recorded_.launch(recorded_.add(phase, chain, kRows, kRows), scale_,
+                         {array(a), rows, word(&device_.scalars[scalar]), 1, array(y)});
         const float s = host_.scalars[scalar];
         each_row([&](int32_t i, int32_t c) { return times(x[3 * i + c], times(s, s)); });
         break;
       }
       case 3:
-        launch(push(phase, chain, kRows, kRows), collect_,
-               {array(b), rows, array(any), rows, array(y), word(device_.offsets.data()),
-                word(device_.items.data())});
+        recorded_.launch(recorded_.add(phase, chain, kRows, kRows), collect_,
+                         {array(b), rows, array(any), rows, array(y), word(device_.offsets.data()),
+                          word(device_.items.data())});
         each_row([&](int32_t i, int32_t c) { return summed(z[3 * i + c], other, i, c); });
         break;
       case 4: {
         const bool init = below(2) == 0;
-        launch(push(phase, chain, kRows, kRows), sum_,
-               {array(any), word(device_.offsets.data()), word(device_.items.data()),
-                init ? array(b) : 0, array(y), 3, 0});
+        recorded_.launch(recorded_.add(phase, chain, kRows, kRows), sum_,
+                         {array(any), word(device_.offsets.data()), word(device_.items.data()),
+                          init ? array(b) : 0, array(y), 3, 0});
         each_row(
             [&](int32_t i, int32_t c) { return summed(init ? z[3 * i + c] : 0.0f, other, i, c); });
         break;
       }
       case 5: {
-        novaphy_sequence_op& o = push(phase, chain, kValues, kRows);
+        novaphy_sequence_op& o = recorded_.add(phase, chain, kValues, kRows);
         o.op.target = device_.arrays[y].data();
         if (a != y) o.op.source = device_.arrays[a].data();
         result = a != y ? x : std::vector<float>(out.size(), 0.0f);
         break;
       }
       default:
-        launch(push(phase, chain, kRows, kRows), row_, {array(a), rows, array(b), rows, array(y)});
+        recorded_.launch(recorded_.add(phase, chain, kRows, kRows), row_,
+                         {array(a), rows, array(b), rows, array(y)});
         each_row([&](int32_t i, int32_t c) {
           return times(x[3 * i + c], 0.5f) - times(z[3 * i + (c + 1) % 3], 0.25f);
         });
@@ -213,28 +214,10 @@ class Recorder {
     return sum;
   }
 
-  novaphy_sequence_op& push(uint32_t phase, uint32_t chain, int64_t n, int64_t rows) {
-    novaphy_sequence_op o{};
-    o.struct_size = sizeof(o);
-    o.op.struct_size = sizeof(o.op);
-    o.n = n;
-    o.rows = rows;
-    o.phase = phase;
-    o.chain = chain;
-    return ops_.emplace_back(o);
-  }
-  void launch(novaphy_sequence_op& o, const novaphy_kernel& kernel, std::vector<uint64_t> words) {
-    kept_.push_back(std::make_unique<std::vector<uint64_t>>(std::move(words)));
-    o.op.kernel = &const_cast<novaphy_kernel&>(kernel);
-    o.op.arguments = kept_.back()->data();
-    o.op.argument_count = kernel.argument_count;
-  }
-
   std::mt19937 random_;
   Memory &device_, &host_;
   novaphy_kernel row_, value_, gather_, scale_, collect_, sum_;
-  std::vector<novaphy_sequence_op> ops_;
-  std::vector<std::unique_ptr<std::vector<uint64_t>>> kept_;
+  RecordedSequence recorded_;
 };
 
 // The device's words for what fibres do otherwise.

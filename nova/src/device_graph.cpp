@@ -169,27 +169,19 @@ novaphy_status DeviceGraph::issue_all(novaphy_stream* stream, std::span<const Op
   return NOVAPHY_OK;
 }
 
-std::unique_ptr<DeviceGraph> DeviceGraph::make(const DeviceContext& context,
-                                               std::span<const OpList::Op> ops,
-                                               std::span<const uint64_t> words,
-                                               std::span<const MemoryAccess> accesses) {
-  const novaphy_backend_api& api = *context.api;
-  if (api.capture_begin == nullptr) return nullptr;
-  std::unique_ptr<DeviceGraph> made(new DeviceGraph(context));
-  const RunPlan plan = plan_run(ops, words, accesses, {.min_rows = 1, .multiples = false});
-  made->make_lists(plan, words);
-  made->make_sequences(plan.ops, words, accesses);
+void DeviceGraph::capture(std::span<const OpList::Op> ops, std::span<const uint64_t> words) {
+  const novaphy_backend_api& api = *context_.api;
   novaphy_error error = novaphy::make_error();
   // A stream of its own: other threads may be using the device's.
   novaphy_stream* stream = nullptr;
-  novaphy::check(api.stream_create(context.device, &stream, &error), error, "graph");
+  novaphy::check(api.stream_create(context_.device, &stream, &error), error, "graph");
   const char* name = "graph";
   novaphy_status status = api.capture_begin(stream, &error);
   if (status == NOVAPHY_OK) {
-    status = made->issue_all(stream, plan.ops, words, error, name);
+    status = issue_all(stream, ops, words, error, name);
     // Also after an error: the stream must leave the capture.
     novaphy_error end_error = novaphy::make_error();
-    const novaphy_status ended = api.capture_end(stream, &made->graph_, &end_error);
+    const novaphy_status ended = api.capture_end(stream, &graph_, &end_error);
     if (status == NOVAPHY_OK && ended != NOVAPHY_OK) {
       status = ended;
       error = end_error;
@@ -198,6 +190,27 @@ std::unique_ptr<DeviceGraph> DeviceGraph::make(const DeviceContext& context,
   }
   api.stream_destroy(stream);
   novaphy::check(status, error, name);
+}
+
+std::unique_ptr<DeviceGraph> DeviceGraph::plain(const DeviceContext& context,
+                                                std::span<const OpList::Op> ops,
+                                                std::span<const uint64_t> words) {
+  std::unique_ptr<DeviceGraph> made(new DeviceGraph(context));
+  made->capture(ops, words);
+  return made;
+}
+
+std::unique_ptr<DeviceGraph> DeviceGraph::fused(const DeviceContext& context,
+                                                std::span<const OpList::Op> ops,
+                                                std::span<const uint64_t> words,
+                                                std::span<const MemoryAccess> accesses) {
+  if (!lists_wanted(*context.api) && !sequences_wanted(*context.api)) return nullptr;
+  std::unique_ptr<DeviceGraph> made(new DeviceGraph(context));
+  const RunPlan plan = plan_run(ops, words, accesses, {.min_rows = 1, .multiples = false});
+  made->make_lists(plan, words);
+  made->make_sequences(plan.ops, words, accesses);
+  if (made->lists_.empty()) return nullptr;
+  made->capture(plan.ops, words);
   return made;
 }
 

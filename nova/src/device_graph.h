@@ -1,7 +1,8 @@
-// Internal: a recorded list as a graph of the device, so that a replay is one call. Stretches of
-// operations that touch what the list writes at their own row only become one launch each, where
-// the backend can do that (NOVAPHY_DEVICE_LISTS=0 keeps them apart; the results are the same), and
-// what lies between these becomes one launch with barriers (NOVAPHY_DEVICE_PHASES=0: it does not).
+// Internal: a recorded list as a graph of the device, so that a replay is one call: plain, a launch
+// for each operation, or fused. Then stretches of operations that touch what the list writes at
+// their own row only become one launch each, where the backend can do that (NOVAPHY_DEVICE_LISTS=0
+// keeps them apart), and what lies between these becomes one launch with barriers
+// (NOVAPHY_DEVICE_PHASES=0: it does not). The results are the same.
 #pragma once
 
 #include <cstdint>
@@ -26,11 +27,15 @@ struct RunPlan;
 
 class DeviceGraph {
  public:
-  // Null when the backend captures no streams.
-  static std::unique_ptr<DeviceGraph> make(const novaphy::DeviceContext& context,
-                                           std::span<const OpList::Op> ops,
-                                           std::span<const uint64_t> words,
-                                           std::span<const MemoryAccess> accesses);
+  // The backend captures streams.
+  static std::unique_ptr<DeviceGraph> plain(const novaphy::DeviceContext& context,
+                                            std::span<const OpList::Op> ops,
+                                            std::span<const uint64_t> words);
+  // Null when nothing can be fused. Compiles, which takes seconds where the code is not at hand.
+  static std::unique_ptr<DeviceGraph> fused(const novaphy::DeviceContext& context,
+                                            std::span<const OpList::Op> ops,
+                                            std::span<const uint64_t> words,
+                                            std::span<const MemoryAccess> accesses);
   ~DeviceGraph();
   DeviceGraph(const DeviceGraph&) = delete;
   DeviceGraph& operator=(const DeviceGraph&) = delete;
@@ -43,6 +48,7 @@ class DeviceGraph {
                       std::span<const MemoryAccess> accesses);
   novaphy_list* make_sequence(std::span<const OpList::Op> ops, std::span<const uint64_t> words,
                               std::span<const MemoryAccess> accesses) const;
+  void capture(std::span<const OpList::Op> ops, std::span<const uint64_t> words);
   novaphy_status issue_all(novaphy_stream* stream, std::span<const OpList::Op> ops,
                            std::span<const uint64_t> words, novaphy_error& error,
                            const char*& name) const;

@@ -5,6 +5,7 @@
 #include <cstring>
 
 #include "device_graph.h"
+#include "device_replay.h"
 #include "fusion.h"
 #include "novaphy/core/error.h"
 #include "novaphy/core/parallel.h"
@@ -103,26 +104,43 @@ void OpList::launch() const {
       for (const auto& range : ranges) range->mark_written();
     }
   } mark_written{written_};
-  if (!ops_.empty() && !context->host_accessible && !device_graph_)
-    device_graph_ = detail::DeviceGraph::make(*context, ops_, words_, accesses_);
-  if (device_graph_) {
-    device_graph_->launch();
+  if (detail::DeviceReplay* replay = device_replay()) {
+    replay->launch();
   } else {
     run(true);
   }
   for (const auto& [range, state] : gradients_) grad_info(*range).state = state;
 }
 
+void OpList::prepare() const {
+  if (detail::DeviceReplay* replay = device_replay()) {
+    replay->finish();
+  } else if (!ops_.empty() && context->host_accessible) {
+    host_plan(true);
+  }
+}
+
 void OpList::run_once() const { run(false); }
+
+detail::DeviceReplay* OpList::device_replay() const {
+  if (!device_replay_ && !ops_.empty() && !context->host_accessible &&
+      context->api->capture_begin != nullptr)
+    device_replay_ = std::make_unique<detail::DeviceReplay>(*context, ops_, words_, accesses_);
+  return device_replay_.get();
+}
+
+detail::HostPlan& OpList::host_plan(bool again) const {
+  if (!host_plan_)
+    host_plan_ = std::make_unique<detail::HostPlan>(
+        *context, detail::plan_run(ops_, words_, accesses_, {.min_series = kMinSeries}), words_,
+        accesses_, again);
+  return *host_plan_;
+}
 
 void OpList::run(bool again) const {
   if (ops_.empty()) return;
   if (context->host_accessible) {
-    if (!host_plan_)
-      host_plan_ = std::make_unique<detail::HostPlan>(
-          *context, detail::plan_run(ops_, words_, accesses_, {.min_series = kMinSeries}), words_,
-          accesses_, again);
-    host_plan_->run();
+    host_plan(again).run();
     return;
   }
   detail::issue_in_order(*context, ops_, words_);

@@ -121,7 +121,14 @@ void bind_capture(py::module_& m) {
                                                           "Captured work on fixed memory.")
       .def("launch", &nova::OpList::launch, release_gil(),
            "Runs all of it. novaphy.Error when an index table (the contacts) changed since the "
-           "capture.")
+           "capture. On a GPU the first launches run kernel by kernel until a kernel that fuses "
+           "them "
+           "has been compiled in the background, which takes some seconds where it is not on disk: "
+           "the same bits, then faster. Destroying the graph, and leaving Python, waits for that.")
+      .def(
+          "prepare", &nova::OpList::prepare, release_gil(),
+          "Waits until launches are as fast as they get: plans, compiles what is not compiled yet, "
+          "and runs nothing. For measurements.")
       .def("__len__", &nova::OpList::size)
       .def_property_readonly("size", &nova::OpList::size, "Operations.");
   py::class_<CaptureContext>(m, "ScopedCapture",

@@ -133,6 +133,7 @@ TEST_F(Ball, RolloutAndReplayHaveTheBitsOfTheStepLoop) {
     loss = iteration();
     graph = capture.graph();
   }
+  graph->prepare();
   const auto train_loss = reference["train_loss"].as<float>();
   for (size_t k = 0; k < train_loss.size(); ++k) {
     graph->launch();

@@ -55,6 +55,7 @@ Result run(const std::shared_ptr<Model>& model, diff::DiffSemiImplicitSolver& so
     nova::ScopedCapture capture;
     iteration();
     capture.end();
+    capture.graph()->prepare();
     capture.graph()->launch();
   } else {
     iteration();

@@ -61,6 +61,7 @@ Result run(int balls, Way way, int steps = 60,
     nova::ScopedCapture capture;
     iteration();
     capture.end();
+    capture.graph()->prepare();
     capture.graph()->launch();
   } else {
     iteration();

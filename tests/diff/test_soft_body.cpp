@@ -144,6 +144,7 @@ TEST(SoftBodyDiff, ThreadsAndReplayChangeNoBit) {
         body.iterate();
         graph = capture.graph();
       }
+      graph->prepare();
       graph->launch();
     } else {
       body.iterate();

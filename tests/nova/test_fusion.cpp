@@ -145,8 +145,9 @@ class RandomLists : public ::testing::TestWithParam<uint32_t> {
       graph = capture.graph();
     }
     set_num_threads(first_threads);
-    graph->launch();
+    graph->launch();  // on a GPU this may be the plain graph still
     set_num_threads(second_threads);
+    graph->prepare();
     graph->launch();
     const auto expected = direct.values(), got = replayed.values();
     for (size_t k = 0; k < expected.size(); ++k)

@@ -192,6 +192,7 @@ def trained(
     if captured:
         with nova.ScopedCapture() as capture:
             loss = iterate()
+        capture.graph.prepare()
         for _ in range(iterations):
             capture.graph.launch()
     else:
@@ -242,6 +243,7 @@ def trained_body(device: str, leaves: bool) -> list[np.ndarray]:
             solver.rollout(trajectory, None, None, 1.0 / 960)
             last = diff.particle_centroid_generated(diff.state_particle_q_tensor(trajectory[-1]))
             tape.backward(diff.vec3_point_loss_generated(last, 0.0, -1.0, 1.5))
+    capture.graph.prepare()
     for _ in range(2):
         capture.graph.launch()
     return [trajectory.particle_q.numpy(), trajectory.particle_qd.numpy(), materials.grad.numpy()]
@@ -257,6 +259,52 @@ def test_phases_have_the_bits_of_the_cpu_on_one_block_a_cluster_and_the_whole_de
         monkeypatch.setenv("NOVAPHY_DEVICE_PHASES", phases)
         for name, a, b in zip(("q", "qd", "materials"), trained_body("cuda:0", leaves), expected):
             assert_same_bits(a, b, f"{name}, phases {phases!r}")
+
+
+AT_ONCE = """
+import ctypes, sys
+from novaphy import diff, nova, solvers
+from scenes import soft_body_model
+
+device, steps = sys.argv[1], int(sys.argv[2])
+model = soft_body_model(device)
+config = solvers.DiffSolverConfig(enable_tetrahedra=True, enable_static_contacts=True)
+solver = solvers.DiffSemiImplicitSolver(model, config)
+trajectory = diff.Trajectory(model, steps)
+with nova.ScopedCapture() as capture:
+    solver.rollout(trajectory, None, None, 1.0 / 960)
+graph = capture.graph
+ctypes.pythonapi.Py_IncRef(ctypes.py_object(graph))  # nobody destroys it
+graph.launch()
+print(trajectory.particle_q.numpy().tobytes().hex())
+"""
+
+
+def test_a_launch_does_not_wait_for_the_compiler_and_the_exit_does():
+    def run(device: str) -> str:
+        child = subprocess.run(
+            [sys.executable, "-c", AT_ONCE, device, "40"],
+            capture_output=True,
+            text=True,
+            cwd=Path(__file__).parent,
+            env={**os.environ, "NOVAPHY_CACHE_DIR": "off"},
+        )
+        assert child.returncode == 0, child.stderr
+        return child.stdout
+
+    assert run("cuda:0") == run("cpu")
+
+
+def test_replays_have_the_same_bits_before_and_after_their_kernels_are_fused():
+    ball = on("cuda:0", 5)
+    with nova.ScopedCapture() as capture:
+        ball.forward()
+    results = []
+    for _ in range(2):
+        capture.graph.launch()
+        results.append(ball.array("particle_q"))
+        capture.graph.prepare()
+    assert_same_bits(results[1], results[0], "particle_q")
 
 
 CONTACT_FIELDS = [
@@ -363,6 +411,7 @@ def test_a_replay_reports_a_read_past_the_end(lists, phases, monkeypatch):
         y = x
         for _ in range(20):
             (y,) = step(4, [y, at, value])
+    capture.graph.prepare()
     capture.graph.launch()
     np.testing.assert_array_equal(y.numpy(), np.float32([20, 40, 60, 20]))
     at.assign(np.int32([0, 1, 3, 0]))

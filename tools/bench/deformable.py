@@ -89,6 +89,9 @@ class Scene(Protocol):
     def iterate(self) -> None:
         """One training iteration, finished when it returns."""
 
+    def prepare(self) -> None:
+        """Wait for what the engine does beside the first iterations, e.g. compiling."""
+
     def loss_value(self) -> float:
         """The loss of the last iteration, before its update."""
 
@@ -109,6 +112,7 @@ def measure(
     first = time.perf_counter() - start
     loss = scene.loss_value()
     digest = hashlib.sha256(np.ascontiguousarray(scene.positions(), np.float32).tobytes())
+    scene.prepare()
     seconds = []
     for _ in range(iterations):
         start = time.perf_counter()

@@ -155,6 +155,9 @@ class Deformable:
         wp.launch(descend_kernel, dim=len(x), inputs=inputs)
         wp.synchronize_device()
 
+    def prepare(self) -> None:
+        """Nothing is left to do."""
+
     def loss_value(self) -> float:
         """The loss of the last iteration, before its update."""
         return float(self.loss.numpy()[0])

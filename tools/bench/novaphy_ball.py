@@ -181,6 +181,8 @@ def measure(n: int, mode: str, iterations: int, device: str) -> dict[str, object
     balls = Balls(n, mode, device)
     balls.iterate()
     first = time.perf_counter() - start
+    if balls.graph is not None:
+        balls.graph.prepare()
 
     on_device: dict[str, float] = {}
     if novaphy.Device(device).is_cuda:

@@ -104,6 +104,11 @@ class Deformable:
             self.loss = self.record()
         novaphy.synchronize(str(self.model.device))
 
+    def prepare(self) -> None:
+        """Wait until replays are as fast as they get."""
+        if self.graph is not None:
+            self.graph.prepare()
+
     def loss_value(self) -> float:
         """The loss of the last iteration, before its update."""
         return self.loss.item()

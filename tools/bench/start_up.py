@@ -2,11 +2,14 @@
 """Time a fresh process from its start to the first gradient.
 
 Starts `python` anew, imports NovaPhy, builds the ball, runs its 288 substeps in a Python loop of
-`step` on a tape, runs `backward` and prints the gradient. The clock runs from just before the
-process is started until its line has arrived. Prints one JSON line; the gradient that it holds is
-the same in every run, or the program fails.
+`step` on a tape, runs `backward` and prints the gradient. The soft body and the cloth
+(deformable.py beside this file) are captured, and launched once; what they print is the loss and
+the first parameters after their update. The clock runs from just before the process is started
+until its line has arrived. Prints one JSON line; the values that it holds are the same in every
+run, or the program fails. With an empty cache: NOVAPHY_CACHE_DIR=off.
 
     python tools/bench/start_up.py --runs 10
+    python tools/bench/start_up.py --scene cloth --n 16 --device cuda:0
 """
 
 from __future__ import annotations
@@ -17,8 +20,11 @@ import statistics
 import subprocess
 import sys
 import time
+from functools import partial
+from pathlib import Path
 
-CHILD = """
+BALL = """
+import sys
 import novaphy
 from novaphy import diff, nova
 
@@ -27,7 +33,7 @@ builder.add_particle(pos=(0, -0.5, 1), vel=(0, 5, -5), mass=1.0)
 cfg = novaphy.ShapeConfig(ke=1e4, kd=10, kf=0, mu=0.2)
 builder.add_shape_box(-1, xform=((0, 2, 1), (0, 0, 0, 1)), hx=1, hy=0.25, hz=1, cfg=cfg)
 builder.add_ground_plane(cfg=cfg)
-model = builder.finalize(requires_grad=True)
+model = builder.finalize(sys.argv[1], requires_grad=True)
 model.soft_contact_ke, model.soft_contact_kd = 1e4, 10.0
 model.soft_contact_kf, model.soft_contact_mu = 0.0, 0.2
 solver = novaphy.solvers.DiffSemiImplicitSolver(model)
@@ -44,12 +50,25 @@ with nova.Tape() as tape:
     tape.backward(diff.particle_point_loss_generated(last, 0, 0.0, -2.0, 1.5))
 print(velocity.grad.tolist(), flush=True)
 """
+CAPTURED = """
+import sys
+device, name, n, folder = sys.argv[1:]
+sys.path.insert(0, folder)
+from deformable import STEPS
+from novaphy_deformable import Deformable
+
+scene = Deformable(name, int(n), "captured", STEPS[name], device)
+scene.iterate()
+print([scene.loss_value(), *scene.params.numpy().ravel()[:3].tolist()], flush=True)
+"""
 
 
-def run_once() -> tuple[float, str]:
+def run_once(scene: str, n: int, device: str) -> tuple[float, str]:
     """Seconds until the gradient was printed, and the line."""
+    code = BALL if scene == "ball" else CAPTURED
+    folder = str(Path(__file__).resolve().parent)
     start = time.perf_counter()
-    command = [sys.executable, "-c", CHILD]
+    command = [sys.executable, "-c", code, device, scene, str(n), folder]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as child:
         assert child.stdout is not None
         line = child.stdout.readline().strip()
@@ -65,18 +84,24 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--runs", type=int, default=10, help="fresh processes")
+    parser.add_argument("--scene", choices=("ball", "soft_body", "cloth"), default="ball")
+    parser.add_argument("--n", type=int, default=2, help="cells per side, but for the ball")
+    parser.add_argument("--device", default="cpu")
     arguments = parser.parse_args()
-    if arguments.runs < 1:
-        parser.error("--runs must be positive")
+    if min(arguments.runs, arguments.n) < 1:
+        parser.error("--runs and --n must be positive")
 
-    first, line = run_once()  # file caches; reported, not part of the median
-    results = [run_once() for _ in range(arguments.runs)]
+    once = partial(run_once, arguments.scene, arguments.n, arguments.device)
+    first, line = once()  # file caches; reported, not part of the median
+    results = [once() for _ in range(arguments.runs)]
     if any(other != line for _, other in results):
         raise SystemExit("start_up: the gradients of two runs differ")
     seconds = [s for s, _ in results]
     record = {
         "engine": "novaphy",
         "measure": "start_up",
+        "scene": arguments.scene,
+        "device": arguments.device,
         "runs": arguments.runs,
         "median_s": statistics.median(seconds),
         "min_s": min(seconds),

@@ -5,6 +5,8 @@
 #include <algorithm>
 #include <cstdlib>
 #include <filesystem>
+#include <mutex>
+#include <shared_mutex>
 
 #include "vendor.h"
 
@@ -163,6 +165,24 @@ std::string architecture_option(int arch, bool& is_text) {
   return "--gpu-architecture=compute_" + std::to_string(nearest);
 }
 
+// The exit of the process waits for compilations of other threads, which hold this: it destroys
+// static objects of the compiler, and they would crash or hang. It must do so before that, so the
+// objects have to be there before this is: the compiler makes most of them when it compiles.
+std::shared_mutex& before_exit() {
+  static std::shared_mutex& mutex = [&]() -> std::shared_mutex& {
+    Program program = nullptr;
+    if (g_functions.create(&program, "__global__ void f() {}", "f.cu", 0, nullptr, nullptr) == 0) {
+      g_functions.compile(program, 0, nullptr);
+      g_functions.destroy(&program);
+    }
+    return *new std::shared_mutex;
+  }();
+  static const struct Exit {
+    ~Exit() { mutex.lock(); }
+  } exit;
+  return mutex;
+}
+
 }  // namespace
 
 const Compiler& compiler(int driver_version) {
@@ -183,6 +203,11 @@ std::string compile_options(Dialect dialect) {
 
 CompiledCode compile(const std::string& source, int arch, Dialect dialect, bool as_text) {
   CompiledCode code;
+  const std::shared_lock lock(before_exit(), std::try_to_lock);
+  if (!lock) {
+    code.problem = "the process exits";
+    return code;
+  }
   const Functions& f = g_functions;
   bool is_text = as_text;
   std::vector<std::string> options = {architecture_option(arch, is_text)};

@@ -231,7 +231,7 @@ novaphy_status kernel_info(novaphy_kernel* kernel, novaphy_kernel_info* info,
   *info = {};
   info->struct_size = size;
   info->hash = kernel->hash;
-  info->native = kernel->interpreted.code == 0;
+  info->native = kernel->interpreted.code != 0 ? 0 : kernel->program.contract ? 2 : 1;
   info->lanes = 1;
   std::snprintf(info->isa, sizeof(info->isa), "sm_%d", kernel->device->arch);
   return NOVAPHY_OK;

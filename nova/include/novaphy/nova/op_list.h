@@ -27,7 +27,7 @@ struct MemoryAccess {
   uint32_t row_bytes = 0;
   bool write = false;
 };
-class DeviceGraph;
+class DeviceReplay;
 }  // namespace detail
 
 class NOVAPHY_NOVA_API OpList {
@@ -73,7 +73,14 @@ class NOVAPHY_NOVA_API OpList {
   // written ranges are raised once at the end. Operations that touch written memory at their own
   // row only run block by block of rows, so that a block stays in the cache: the same results, less
   // memory traffic.
+  //
+  // On a device that compiles, the first launches run the kernels of the operations, and one that
+  // fuses them takes over when a thread has compiled it: the same bits, faster. The destructor
+  // waits for that thread.
   void launch() const;
+  // Does now, and waits for, what else the first launches do or start: plans and compiles. Throws
+  // what they would. For whoever measures; nothing that a launch writes is touched.
+  void prepare() const;
   // The same for a list that is run once, by the code that recorded it: the versions were raised
   // then.
   void run_once() const;
@@ -86,14 +93,14 @@ class NOVAPHY_NOVA_API OpList {
 
  private:
   void run(bool again) const;  // again: it is worth a plan
+  detail::HostPlan& host_plan(bool again) const;
+  detail::DeviceReplay* device_replay() const;  // null: the device replays no graphs
   uint64_t id_;
   std::vector<Op> ops_;
   std::vector<uint64_t> words_;
   std::vector<detail::MemoryAccess> accesses_;
   // Made at the first launch, on devices whose memory the host may dereference.
   mutable std::unique_ptr<detail::HostPlan> host_plan_;
-  // Made at the first launch, on devices that replay graphs.
-  mutable std::unique_ptr<detail::DeviceGraph> device_graph_;
   std::vector<std::shared_ptr<const void>> held_;
   size_t held_bytes_ = 0;
   struct Scratch {
@@ -105,6 +112,9 @@ class NOVAPHY_NOVA_API OpList {
   std::vector<const Range*> written_keys_;                           // sorted, to add each once
   std::vector<std::pair<std::shared_ptr<Range>, uint64_t>> frozen_;  // with the version then
   std::map<std::shared_ptr<Range>, GradState> gradients_;            // after a launch
+  // Made at the first launch, on devices that replay graphs. Last, because its thread reads what is
+  // above.
+  mutable std::unique_ptr<detail::DeviceReplay> device_replay_;
 };
 
 // While one is alive, launches, copies and fills of this thread are recorded and not run. Host

@@ -24,7 +24,7 @@ extern "C" {
 #endif
 
 #define NOVAPHY_ABI_MAJOR 0u
-#define NOVAPHY_ABI_MINOR 7u
+#define NOVAPHY_ABI_MINOR 8u
 
 typedef enum novaphy_status {
   NOVAPHY_OK = 0,
@@ -115,7 +115,9 @@ typedef enum novaphy_code_format {
 typedef struct novaphy_kernel_info {
   uint64_t struct_size;
   uint64_t hash;  /* of the Program; 0: the kernel is no Program */
-  int32_t native; /* 1: compiled code; 0: an interpreter of the Program */
+  int32_t native; /* 1: compiled code; 0: an interpreter of the Program; 2 (since minor version 8):
+                     compiled code that is contracted, across the Programs of a list or sequence too,
+                     so that its bits depend on what they are */
   int32_t lanes;  /* rows that one vector of the processor holds; 1 where that has no meaning */
   char isa[32];   /* the instruction set, as the backend names it */
 } novaphy_kernel_info;

@@ -1,10 +1,10 @@
 #include "device_replay.h"
 
 #include <algorithm>
+#include <atomic>
 #include <chrono>
-#include <mutex>
+#include <memory>
 #include <set>
-#include <shared_mutex>
 
 #include "optional_entry.h"
 
@@ -13,15 +13,24 @@ namespace {
 
 using std::chrono::seconds;
 
-// A list that is never destroyed leaves its thread running when the process exits. The exit waits
-// for those that hold this, because they use what it destroys.
-std::shared_mutex& before_exit() {
-  static auto& mutex = *new std::shared_mutex;
+// Threads at work, or about to be. A list that is never destroyed leaves its thread running when
+// the process exits, and uses what the exit destroys: so that waits, too.
+std::atomic<int>& working() {
+  static std::atomic<int> count{0};
   static const struct Exit {
-    ~Exit() { mutex.lock(); }
+    ~Exit() { wait_for_compilers(); }
   } exit;
-  return mutex;
+  return count;
 }
+struct Work {
+  Work() { ++working(); }
+  ~Work() {
+    --working();
+    working().notify_all();
+  }
+  Work(const Work&) = delete;
+  Work& operator=(const Work&) = delete;
+};
 
 // Whether the bits may depend on what is fused. They must not depend on when it is there.
 bool contracted(const novaphy::DeviceContext& context, std::span<const OpList::Op> ops) {
@@ -44,11 +53,11 @@ bool contracted(const novaphy::DeviceContext& context, std::span<const OpList::O
 DeviceReplay::DeviceReplay(const novaphy::DeviceContext& context, std::span<const OpList::Op> ops,
                            std::span<const uint64_t> words, std::span<const MemoryAccess> accesses)
     : context_(context), ops_(ops), words_(words) {
-  const auto make = [=, &context, &mutex = before_exit()]() -> std::unique_ptr<DeviceGraph> {
-    const std::shared_lock lock(mutex, std::try_to_lock);
-    return lock ? DeviceGraph::fused(context, ops, words, accesses) : nullptr;
+  auto make = [=, &context, work = std::make_shared<Work>()]() mutable {
+    const std::shared_ptr<Work> until_done = std::move(work);  // the future may live longer
+    return DeviceGraph::fused(context, ops, words, accesses);
   };
-  fused_ = std::async(std::launch::async | std::launch::deferred, make);
+  fused_ = std::async(std::launch::async | std::launch::deferred, std::move(make));
   const bool no_thread_left = fused_.wait_for(seconds(0)) == std::future_status::deferred;
   if (no_thread_left || contracted(context, ops)) finish();
 }
@@ -65,3 +74,12 @@ void DeviceReplay::finish() {
 }
 
 }  // namespace nova::detail
+
+namespace nova {
+
+void wait_for_compilers() {
+  std::atomic<int>& count = detail::working();
+  for (int n = 0; (n = count) != 0;) count.wait(n);
+}
+
+}  // namespace nova

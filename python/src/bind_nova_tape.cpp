@@ -146,6 +146,8 @@ void bind_capture(py::module_& m) {
   m.def(
       "capture_launch", [](const nova::OpList& graph) { graph.launch(); }, "graph"_a, release_gil(),
       "graph.launch()");
+  const py::cpp_function wait(&nova::wait_for_compilers, release_gil());
+  py::module_::import("atexit").attr("register")(wait);
 }
 
 void bind_gradcheck(py::module_& m) {

@@ -2,6 +2,7 @@
 // real ones are tested on devices.
 #include <gtest/gtest.h>
 
+#include <atomic>
 #include <functional>
 #include <future>
 #include <stdexcept>
@@ -144,6 +145,18 @@ TEST_F(DeviceReplayTest, TheDestructorWaitsForTheThread) {
   };
   { const DeviceReplay replay(context_, {}, {}, {}); }
   EXPECT_TRUE(done);
+}
+
+TEST_F(DeviceReplayTest, WaitingForCompilersWaitsForTheThreadsOfAll) {
+  static std::atomic<int> done;
+  done = 0;
+  g_something_fuses = [] {
+    std::this_thread::sleep_for(std::chrono::milliseconds(20));
+    return ++done > 0;
+  };
+  DeviceReplay one(context_, {}, {}, {}), other(context_, {}, {}, {});
+  nova::wait_for_compilers();
+  EXPECT_EQ(done, 2);
 }
 
 // A list that nobody destroys.

@@ -166,8 +166,9 @@ std::string architecture_option(int arch, bool& is_text) {
 }
 
 // The exit of the process waits for compilations of other threads, which hold this: it destroys
-// static objects of the compiler, and they would crash or hang. It must do so before that, so the
-// objects have to be there before this is: the compiler makes most of them when it compiles.
+// static objects of the compiler, and they would crash or hang. It must wait before that, so this
+// comes after those objects; the compiler makes most of them when it compiles for the first time.
+// (An exit meanwhile is the host's to prevent: wait_for_compilers in <novaphy/nova/op_list.h>.)
 std::shared_mutex& before_exit() {
   static std::shared_mutex& mutex = [&]() -> std::shared_mutex& {
     Program program = nullptr;

@@ -117,6 +117,11 @@ class NOVAPHY_NOVA_API OpList {
   mutable std::unique_ptr<detail::DeviceReplay> device_replay_;
 };
 
+// Waits for what launches have started on other threads. Lists wait when they are destroyed; this is
+// for those that a process leaves behind: the exit destroys static objects of compilers, so a
+// compilation must not be under way then. Python calls it at its exit.
+NOVAPHY_NOVA_API void wait_for_compilers();
+
 // While one is alive, launches, copies and fills of this thread are recorded and not run. Host
 // reads and other work that cannot be recorded raise, naming the call.
 class NOVAPHY_NOVA_API ScopedCapture {

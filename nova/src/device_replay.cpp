@@ -59,18 +59,27 @@ DeviceReplay::DeviceReplay(const novaphy::DeviceContext& context, std::span<cons
   };
   fused_ = std::async(std::launch::async | std::launch::deferred, std::move(make));
   const bool no_thread_left = fused_.wait_for(seconds(0)) == std::future_status::deferred;
-  if (no_thread_left || contracted(context, ops)) finish();
+  if (no_thread_left || contracted(context, ops)) take();
+}
+
+void DeviceReplay::take() {
+  if (!fused_.valid()) return;
+  if (std::unique_ptr<DeviceGraph> fused = fused_.get()) graph_ = std::move(fused);
+}
+
+void DeviceReplay::have_graph() {
+  if (!graph_) graph_ = DeviceGraph::plain(context_, ops_, words_);
 }
 
 void DeviceReplay::launch() {
-  if (fused_.valid() && fused_.wait_for(seconds(0)) == std::future_status::ready) finish();
-  if (!graph_) graph_ = DeviceGraph::plain(context_, ops_, words_);
+  if (fused_.valid() && fused_.wait_for(seconds(0)) == std::future_status::ready) take();
+  have_graph();
   graph_->launch();
 }
 
-void DeviceReplay::finish() {
-  if (!fused_.valid()) return;
-  if (std::unique_ptr<DeviceGraph> fused = fused_.get()) graph_ = std::move(fused);
+void DeviceReplay::prepare() {
+  take();
+  have_graph();
 }
 
 }  // namespace nova::detail

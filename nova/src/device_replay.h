@@ -18,9 +18,11 @@ class DeviceReplay {
                std::span<const uint64_t> words, std::span<const MemoryAccess> accesses);
   // Throws, once, what went wrong on the other thread; the plain graph runs from then on.
   void launch();
-  void finish();  // waits for the fused graph
+  void prepare();  // waits for the other thread, and throws likewise
 
  private:
+  void take();  // what the other thread has made, once it has
+  void have_graph();
   const novaphy::DeviceContext& context_;
   std::span<const OpList::Op> ops_;
   std::span<const uint64_t> words_;

@@ -114,7 +114,7 @@ void OpList::launch() const {
 
 void OpList::prepare() const {
   if (detail::DeviceReplay* replay = device_replay()) {
-    replay->finish();
+    replay->prepare();
   } else if (!ops_.empty() && context->host_accessible) {
     host_plan(true);
   }

@@ -93,14 +93,14 @@ TEST_F(DeviceReplayTest, LaunchesRunThePlainGraphUntilTheFusedOneIsThere) {
   EXPECT_EQ(g_launched.substr(g_launched.find('f')), "ff");
 }
 
-TEST_F(DeviceReplayTest, AFinishedOneLaunchesTheFusedGraphAtOnce) {
+TEST_F(DeviceReplayTest, APreparedOneLaunchesTheFusedGraphAtOnce) {
   g_something_fuses = [] {
     std::this_thread::sleep_for(std::chrono::milliseconds(20));
     return true;
   };
   DeviceReplay replay(context_, {}, {}, {});
-  replay.finish();
-  replay.finish();
+  replay.prepare();
+  replay.prepare();
   replay.launch();
   EXPECT_EQ(g_launched, "f");
 }
@@ -109,7 +109,7 @@ TEST_F(DeviceReplayTest, WhatFusesNothingStaysPlain) {
   g_something_fuses = [] { return false; };
   DeviceReplay replay(context_, {}, {}, {});
   replay.launch();
-  replay.finish();
+  replay.prepare();
   replay.launch();
   EXPECT_EQ(g_launched, "pp");
 }
@@ -120,7 +120,7 @@ TEST_F(DeviceReplayTest, AFailureIsThrownOnceAndThePlainGraphRunsOn) {
   EXPECT_EQ(launch_until_ready(replay), "no memory for the table");
   g_launched.clear();
   replay.launch();
-  replay.finish();
+  replay.prepare();
   EXPECT_EQ(g_launched, "p");
 }
 

@@ -113,6 +113,7 @@ void OpList::launch() const {
 }
 
 void OpList::prepare() const {
+  require(capture == nullptr, ErrorKind::Runtime, "graph.prepare() inside a ScopedCapture");
   if (detail::DeviceReplay* replay = device_replay()) {
     replay->prepare();
   } else if (!ops_.empty() && context->host_accessible) {

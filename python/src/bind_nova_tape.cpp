@@ -121,14 +121,13 @@ void bind_capture(py::module_& m) {
                                                           "Captured work on fixed memory.")
       .def("launch", &nova::OpList::launch, release_gil(),
            "Runs all of it. novaphy.Error when an index table (the contacts) changed since the "
-           "capture. On a GPU the first launches run kernel by kernel until a kernel that fuses "
-           "them "
-           "has been compiled in the background, which takes some seconds where it is not on disk: "
-           "the same bits, then faster. Destroying the graph, and leaving Python, waits for that.")
-      .def(
-          "prepare", &nova::OpList::prepare, release_gil(),
-          "Waits until launches are as fast as they get: plans, compiles what is not compiled yet, "
-          "and runs nothing. For measurements.")
+           "capture. On a GPU the first launches run kernel by kernel, until a kernel that fuses "
+           "these has been compiled in the background, which takes some seconds where it is not on "
+           "disk: the same bits, then faster. Destroying the graph waits for that, and so does the "
+           "exit of Python.")
+      .def("prepare", &nova::OpList::prepare, release_gil(),
+           "Plans and compiles what launches need to be as fast as they get, and runs nothing. For "
+           "measurements. novaphy.Error inside a ScopedCapture.")
       .def("__len__", &nova::OpList::size)
       .def_property_readonly("size", &nova::OpList::size, "Operations.");
   py::class_<CaptureContext>(m, "ScopedCapture",

@@ -388,7 +388,20 @@ TEST_F(CaptureRefuses, AnotherCaptureAndALaunchInside) {
   const ScopedCapture capture;
   EXPECT_ERROR(ScopedCapture(), ErrorKind::Runtime, "another capture is active");
   EXPECT_ERROR(graph->launch(), ErrorKind::Runtime, "cannot be recorded into another capture");
+  EXPECT_ERROR(graph->prepare(), ErrorKind::Runtime, "graph.prepare() inside a ScopedCapture");
   EXPECT_NE(nova::current_capture(), nullptr);
+}
+
+TEST_F(CaptureRefuses, ToRunWhileItIsPrepared) {
+  const auto graph = record([&] { x.fill_(1.0f); });
+  const std::vector<float> before = x.to_host();
+  const uint64_t version = x.range()->version();
+  graph->prepare();
+  EXPECT_EQ(x.to_host(), before);
+  EXPECT_EQ(x.range()->version(), version);
+  graph->launch();
+  EXPECT_EQ(x.to_host()[0], 1.0f);
+  record([] {})->prepare();  // nothing is captured
 }
 
 TEST_F(CaptureRefuses, ALaunchInsideAnActiveTape) {

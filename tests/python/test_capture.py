@@ -142,6 +142,19 @@ def test_a_capture_ends_with_its_block():
         assert tape.size == 0 and x.is_leaf
 
 
+def test_a_prepared_graph_has_not_run():
+    y = nova.zeros(2)
+    with nova.ScopedCapture() as capture:
+        y.copy_(y + nova.full(2, 0.5))
+        with pytest.raises(novaphy.Error, match="prepare\\(\\) inside a ScopedCapture"):
+            capture.graph.prepare()
+    capture.graph.prepare()
+    assert y.tolist() == [0.0, 0.0]
+    capture.graph.launch()
+    capture.graph.prepare()
+    assert y.tolist() == [0.5, 0.5]
+
+
 def test_tensors_may_be_made_inside():
     y = nova.zeros(2)
     with nova.ScopedCapture() as capture:

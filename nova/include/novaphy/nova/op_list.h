@@ -79,7 +79,7 @@ class NOVAPHY_NOVA_API OpList {
   // waits for that thread.
   void launch() const;
   // Does now, and waits for, what else the first launches do or start: plans and compiles. Throws
-  // what they would. For whoever measures; nothing that a launch writes is touched.
+  // what they would, and while this thread captures. Nothing that a launch writes is touched.
   void prepare() const;
   // The same for a list that is run once, by the code that recorded it: the versions were raised
   // then.

@@ -172,7 +172,8 @@ TEST(DeviceReplayDeathTest, TheExitOfTheProcessWaitsForTheThread) {
           std::fputs("made", stderr);
           return true;
         };
-        new DeviceReplay(context, {}, {}, {});
+        static DeviceReplay* left;
+        left = new DeviceReplay(context, {}, {}, {});
         started.get_future().wait();
         std::exit(0);
       },

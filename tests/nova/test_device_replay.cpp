@@ -172,7 +172,8 @@ TEST(DeviceReplayDeathTest, TheExitOfTheProcessWaitsForTheThread) {
           std::fputs("made", stderr);
           return true;
         };
-        static DeviceReplay* volatile left;  // in sight of leak checkers
+        // In sight of leak checkers.
+        [[maybe_unused]] static DeviceReplay* volatile left;
         left = new DeviceReplay(context, {}, {}, {});
         started.get_future().wait();
         std::exit(0);

@@ -266,13 +266,12 @@ import ctypes, sys
 from novaphy import diff, nova, solvers
 from scenes import soft_body_model
 
-device, steps = sys.argv[1], int(sys.argv[2])
-model = soft_body_model(device)
+model = soft_body_model(sys.argv[1])
 config = solvers.DiffSolverConfig(
     enable_tetrahedra=True, enable_triangles=True, enable_static_contacts=True
 )
 solver = solvers.DiffSemiImplicitSolver(model, config)
-trajectory = diff.Trajectory(model, steps)
+trajectory = diff.Trajectory(model, 40)
 with nova.ScopedCapture() as capture:
     solver.rollout(trajectory, None, None, 1.0 / 960)
 graph = capture.graph
@@ -285,7 +284,7 @@ print(trajectory.particle_q.numpy().tobytes().hex())
 def test_a_launch_does_not_wait_for_the_compiler_and_the_exit_does():
     def run(device: str) -> str:
         child = subprocess.run(
-            [sys.executable, "-c", AT_ONCE, device, "40"],
+            [sys.executable, "-c", AT_ONCE, device],
             capture_output=True,
             text=True,
             cwd=Path(__file__).parent,

@@ -248,6 +248,8 @@ std::string for_host(std::string text) {
           "static uint64_t records_of[64][3][SEQUENCE_WORDS];\n"
           "  uint64_t(&records)[3][SEQUENCE_WORDS] = records_of[blockIdx.x];");
   replace(text, "asm(\"rcp.approx.ftz.f32 %0, %1;\" : \"=f\"(r) : \"f\"(b));", "r = 1.0f / b;");
+  replace(text, "asm(\"rsqrt.approx.ftz.f32 %0, %1;\" : \"=f\"(r) : \"f\"(a));",
+          "r = 1.0f / sqrtf(a);");
   replace(text,
           "asm volatile(\"prefetch.global.L2 [%0];\" ::\"l\"((const int32_t*)p + i * width));", "");
   replace(text, "extern \"C\" __global__", "");

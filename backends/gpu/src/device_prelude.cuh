@@ -94,14 +94,28 @@ LANE_FN bool is_moderate(float a) {  // |a| in [2^-60, 2^60)
   return ((uint32_t)uf_bits(a) << 1) - (67u << 24) < (120u << 24);
 }
 COLD_FN float divided(float a, float b) { return a / b; }
-LANE_FN float udiv(float a, float b) {
+LANE_FN float quick_div(float a, float b, bool& slow) {
   float r;
   asm("rcp.approx.ftz.f32 %0, %1;" : "=f"(r) : "f"(b));
   r = __fmaf_rn(r, __fmaf_rn(r, -b, 1.0f), r);
   const float q = a * r;
-  float quotient = a == 0.0f ? q : __fmaf_rn(r, __fmaf_rn(q, -b, a), q);
-  if (!is_moderate(b) || !(is_moderate(a) || a == 0.0f)) quotient = divided(a, b);
-  return quotient;
+  slow = slow || !is_moderate(b) || !(is_moderate(a) || a == 0.0f);
+  return a == 0.0f ? q : __fmaf_rn(r, __fmaf_rn(q, -b, a), q);
+}
+LANE_FN float udiv(float a, float b) {
+  bool slow = false;
+  const float quotient = quick_div(a, b, slow);
+  return slow ? divided(a, b) : quotient;
+}
+// A root likewise. Several quotients and roots that do not depend on one another ask once for all:
+// a thread then computes them side by side, where a branch after each would keep the next waiting.
+COLD_FN float rooted(float a) { return __fsqrt_rn(a); }
+LANE_FN float quick_sqrt(float a, bool& slow) {
+  float r;
+  asm("rsqrt.approx.ftz.f32 %0, %1;" : "=f"(r) : "f"(a));
+  const float s = a * r;
+  slow = slow || !((is_moderate(a) && a > 0.0f) || a == 0.0f);
+  return a == 0.0f ? a : __fmaf_rn(__fmaf_rn(-s, s, a), r * 0.5f, s);
 }
 LANE_FN float usqrt(float a) { return __fsqrt_rn(a); }
 LANE_FN float ufma(float a, float b, float c) { return __fmaf_rn(a, b, c); }
@@ -165,7 +179,12 @@ struct table_row {
 template <class S>
 LANE_FN table_row row_of(const S s, int32_t row, int32_t width, vb need, int32_t source,
                          row_failure& sink) {
-  const bool outside = (uint64_t)row >= (uint64_t)s.rows;  // a negative row is a large unsigned one
+  // A negative row is a large unsigned one.
+#ifdef NOVAPHY_SEQUENCE
+  const bool outside = (uint32_t)row >= (uint32_t)s.rows;  // sequences take no more rows
+#else
+  const bool outside = (uint64_t)row >= (uint64_t)s.rows;
+#endif
   note_read(sink, outside && row >= 0 && need, source, row, s.rows);
   table_row r;
   r.p = outside ? sink.zeros : (const int32_t*)s.p + (uint64_t)(uint32_t)row * (uint32_t)width;

@@ -222,7 +222,7 @@ void Emitter::before_the_rows() {
 void Emitter::steps() {
   loads_first(-1);
   std::vector<std::pair<int32_t, int32_t>> closing;  // step at which each open `if` ends, region
-  size_t begin = 0;              // of the loop that we are in
+  size_t begin = 0;                                  // of the loop that we are in
   for (size_t s = 0; s <= plan_.steps.size(); ++s) {
     while (!closing.empty() && closing.back().first <= static_cast<int32_t>(s)) {
       ahead_end(closing.back().second);
@@ -256,6 +256,8 @@ void Emitter::steps() {
         }
         break;
       case Step::Kind::Compute:
+        if (plan_.used[at(step.value)] && !plan_.once[at(step.value)] && !done_[at(step.value)])
+          quotients_together(step.value);
         if (plan_.used[at(step.value)] && !plan_.once[at(step.value)] && !done_[at(step.value)])
           compute(step.value), ahead_line(step.value);
         break;

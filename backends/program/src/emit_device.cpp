@@ -61,6 +61,69 @@ void Emitter::loads_first(int32_t region) {
   }
 }
 
+bool Emitter::is_quotient(Value v) const {
+  const Op op = p_.instrs[at(v)].op;
+  return (op == Op::DIV || op == Op::SQRT) && plan_.root[at(v)] == kNone && chosen_[at(v)] == kNone;
+}
+
+bool Emitter::can_be_there(Value v, int32_t region) const {
+  const Instr& in = p_.instrs[at(v)];
+  if (in.op == Op::SUM) return false;  // its loop may come later
+  if (is_leaf(in.op) || computed_[at(v)]) return true;
+  if (is_load(in.op) || is_quotient(v) || plan_.root[at(v)] != kNone || chosen_[at(v)] != kNone ||
+      plan_.once[at(v)] || plan_.loop[at(v)] >= 0 ||
+      plan_.printed_region(plan_.region[at(v)]) != region)
+    return false;
+  bool all = true;
+  for_each_operand(in, [&](Value o) { all = all && can_be_there(o, region); });
+  return all;
+}
+
+void Emitter::make_it_there(Value v) {
+  if (is_leaf(p_.instrs[at(v)].op) || computed_[at(v)]) return;
+  for_each_operand(p_.instrs[at(v)], [&](Value o) { make_it_there(o); });
+  compute(v);
+  done_[at(v)] = 1;
+}
+
+void Emitter::quotients_together(Value v) {
+  constexpr size_t kMost = 12;  // more would need registers that other values have
+  if (!device_ || loop_ >= 0 || p_.contract || !is_quotient(v)) return;
+  const int32_t region = plan_.printed_region(plan_.region[at(v)]);
+  std::vector<Value> together = {v};
+  for (const Step& step : plan_.steps) {
+    const Value u = step.value;
+    if (step.kind != Step::Kind::Compute || u == v || !is_quotient(u)) continue;
+    if (!plan_.used[at(u)] || computed_[at(u)] || plan_.once[at(u)] || plan_.loop[at(u)] >= 0 ||
+        plan_.printed_region(plan_.region[at(u)]) != region)
+      continue;
+    bool ready = together.size() < kMost;
+    for_each_operand(p_.instrs[at(u)], [&](Value o) { ready = ready && can_be_there(o, region); });
+    if (ready) together.push_back(u);
+  }
+  if (together.size() < 2) return;
+  for (const Value u : together)
+    for_each_operand(p_.instrs[at(u)], [&](Value o) { make_it_there(o); });
+  const auto call = [&](Value u, const char* div, const char* sqrt, const std::string& last) {
+    const Instr& in = p_.instrs[at(u)];
+    line(text_.name(u) + " = " +
+         (in.op == Op::DIV ? std::string(div) + "(" + text_.lanes(in.a) + ", " + text_.lanes(in.b)
+                           : std::string(sqrt) + "(" + text_.lanes(in.a)) +
+         last + ");");
+  };
+  const std::string slow = "slow" + str(v);
+  line("bool " + slow + " = false;");
+  for (const Value u : together) {
+    if (!is_declared(u)) line(text_.c_type(u) + " " + text_.name(u) + ";");
+    call(u, "quick_div", "quick_sqrt", ", " + slow);
+    computed_[at(u)] = done_[at(u)] = 1;
+  }
+  line("if (" + slow + ") {");
+  ++depth_;
+  for (const Value u : together) call(u, "divided", "rooted", "");
+  close();
+}
+
 std::string Emitter::without(Value v, const Region& region) {
   if (!device_ || text_.uniform(v)) return zero(v);
   Value select = kNone;

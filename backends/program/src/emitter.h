@@ -98,6 +98,13 @@ class Emitter {
   // On a device, where a region (-1: the row) begins: its loads of rows that are known there. So a
   // thread waits for memory once; compilers move no load across a branch.
   void loads_first(int32_t region);
+  // Quotients and roots branch on a device. Those that can be computed where one is due come with
+  // it, behind one branch for all.
+  void quotients_together(Value v);
+  bool is_quotient(Value v) const;
+  // Whether a value is there, or can be computed now, without a load, a quotient or a root.
+  bool can_be_there(Value v, int32_t region) const;
+  void make_it_there(Value v);
   // x + -0 is x; so is x + 0 unless x is -0, which no sum becomes that did not begin with it.
   bool adds_nothing(const IdleItem& idle, size_t sum) const;
   bool adds_nothing(const IdleItem& idle) const;  // to any of its sums
@@ -168,7 +175,7 @@ class Emitter {
   std::vector<std::string> ahead_text_;  // its statements
   size_t ahead_written_ = 0;             // of them, in this group
   int32_t ahead_weight_ = 0;             // of its scope
-  std::set<int32_t> followers_;  // loops that leave out what does not act
+  std::set<int32_t> followers_;          // loops that leave out what does not act
   // Devices: per source, whether the first items of CSR loops are in registers. The loops are then
   // written twice, for these items and for the others.
   const std::vector<char> items_;

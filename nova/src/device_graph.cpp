@@ -78,6 +78,17 @@ novaphy_list_op list_op(const OpList::Op& op, std::span<const uint64_t> words, i
   return out;
 }
 
+// What a launch may read from its first argument on.
+uint64_t source_bytes(const OpList::Op& op, std::span<const uint64_t> words,
+                      std::span<const MemoryAccess> accesses) {
+  uint64_t bytes = 0;
+  if (op.kind != OpList::Op::Kind::Launch) return bytes;
+  for (const MemoryAccess& access : accesses.subspan(op.first_access, op.access_count))
+    if (!access.write && access.begin == words[op.first_word])
+      bytes = std::max(bytes, access.bytes);
+  return bytes;
+}
+
 }  // namespace
 
 void DeviceGraph::make_lists(const RunPlan& plan, std::span<const uint64_t> words) {
@@ -143,6 +154,7 @@ novaphy_list* DeviceGraph::make_sequence(std::span<const OpList::Op> ops,
     op.rows = p.rows;
     op.phase = p.phase;
     op.chain = p.chain;
+    op.source_bytes = source_bytes(ops[p.op], words, accesses);
     sequence_ops.push_back(op);
   }
   novaphy_list* sequence = nullptr;

@@ -29,6 +29,7 @@ struct Fibre {
   // How often it has come to a barrier of its block, arrived at one of all blocks, and waited
   // there.
   size_t at_block = 0, arrived = 0, waited = 0;
+  size_t handed_over = 0;  // how often it has handed something over to its block, or taken over
 };
 std::vector<Fibre> g_fibres;
 Fibre* g_running;
@@ -36,6 +37,7 @@ ucontext_t g_scheduler;
 std::function<void()> g_thread;
 std::map<std::pair<unsigned, size_t>, size_t> g_at_block;  // block, how often: threads there
 std::map<size_t, size_t> g_arrived;
+std::map<std::pair<unsigned, size_t>, size_t> g_handed_over;  // as g_at_block
 
 void give_way() { swapcontext(&g_running->context, &g_scheduler); }
 void begin() {
@@ -46,6 +48,15 @@ void begin() {
 void sync_block() {
   size_t& here = g_at_block[{blockIdx.x, g_running->at_block++}];
   ++here;
+  while (here < blockDim.x) give_way();
+}
+size_t& hand_over_block() {
+  size_t& here = g_handed_over[{blockIdx.x, g_running->handed_over++}];
+  ++here;
+  return here;
+}
+void take_over_block() {
+  const size_t& here = hand_over_block();
   while (here < blockDim.x) give_way();
 }
 // Others go on at once, before what comes next in this thread.
@@ -62,6 +73,7 @@ void run_all(unsigned seed) {
   constexpr size_t kStack = 128 << 10;
   g_at_block.clear();
   g_arrived.clear();
+  g_handed_over.clear();
   g_fibres.clear();
   g_fibres.resize(size_t{gridDim.x} * blockDim.x);
   for (Fibre& fibre : g_fibres) {

@@ -307,7 +307,7 @@ TEST_F(SequenceTest, ProgramsThatAddItemsAreSums) {
   const size_t first = text.find("    sum_row<true, false, 3>(");
   ASSERT_NE(first, std::string::npos);
   for (const char* load :
-       {"load_first_rows(&items0[0], words[", "load_first_rows(&items1[0], words["})
+       {"load_first_rows(&items0[0], memory_items{", "load_first_rows(&items1[0], memory_items{"})
     EXPECT_LT(text.find(load), first);  // rows of both are on their way before any is added
   expect_compiles(table);
 }

@@ -1,21 +1,15 @@
 // Sequences, run on the host: their text is compiled by the compiler of this build, and its threads
 // are fibres that take turns in a random order. What a barrier does not hold back happens early.
-#include <dlfcn.h>
 #include <gtest/gtest.h>
-#include <unistd.h>
 
 #include <algorithm>
 #include <array>
-#include <cstdlib>
 #include <cstring>
-#include <filesystem>
-#include <fstream>
-#include <limits>
 #include <random>
 
 #include "novaphy/nova/kernel.h"
 #include "sequence_kernels.h"
-#include "sequence_source.h"
+#include "sequence_on_host.h"
 
 namespace novaphy::gpu {
 namespace {
@@ -220,78 +214,11 @@ class Recorder {
   RecordedSequence recorded_;
 };
 
-// The device's words for what fibres do otherwise.
-void replace(std::string& text, const std::string& from, const std::string& to) {
-  const size_t at = text.find(from);
-  ASSERT_NE(at, std::string::npos) << from;
-  text.replace(at, from.size(), to);
-}
-std::string for_host(std::string text) {
-  const auto barrier = [](const char* name) {
-    return std::string("asm volatile(\"barrier.") + name + ";\" ::: \"memory\");";
-  };
-  replace(text, barrier("sync 0"), "sync_block();");
-  replace(text, barrier("cluster.arrive.release"), "arrive_all();");
-  replace(text, barrier("cluster.arrive.relaxed"), "arrive_all();");
-  replace(text, barrier("cluster.wait.acquire"), "wait_all();");
-  const size_t begin = text.find("LANE_FN void phase_wait(uint32_t* counter, uint32_t count) {");
-  const size_t end = text.find("#endif", begin);
-  text.replace(begin, end - begin,
-               "LANE_FN void phase_wait(uint32_t*, uint32_t) { arrive_all(); wait_all(); }\n"
-               "LANE_FN void last_barrier(uint32_t*) {}\n");
-  replace(text, "(uint32_t)__cvta_generic_to_shared(p)", "0");
-  replace(text, "(uint64_t*)__cvta_shared_to_generic(address)", "p");
-  replace(text, "__shared__ int32_t g_kept[SEQUENCE_KEPT * SEQUENCE_THREADS];",
-          "static int32_t g_kept_of[64][SEQUENCE_KEPT * SEQUENCE_THREADS];\n"
-          "#define g_kept g_kept_of[blockIdx.x]");
-  replace(text, "__shared__ uint64_t records[3][SEQUENCE_WORDS];",
-          "static uint64_t records_of[64][3][SEQUENCE_WORDS];\n"
-          "  uint64_t(&records)[3][SEQUENCE_WORDS] = records_of[blockIdx.x];");
-  replace(text, "asm(\"rcp.approx.ftz.f32 %0, %1;\" : \"=f\"(r) : \"f\"(b));", "r = 1.0f / b;");
-  replace(text, "asm(\"rsqrt.approx.ftz.f32 %0, %1;\" : \"=f\"(r) : \"f\"(a));",
-          "r = 1.0f / sqrtf(a);");
-  replace(text,
-          "asm volatile(\"prefetch.global.L2 [%0];\" ::\"l\"((const int32_t*)p + i * width));", "");
-  replace(text, "extern \"C\" __global__", "");
-  return "#include \"host_sequence.h\"\n" + text + "#include \"host_sequence_end.h\"\n";
-}
-
-using RunSequence = void (*)(const uint64_t*, uint64_t*, void*, uint32_t*, unsigned, unsigned,
-                             unsigned);
-
 struct Case {
   uint32_t seed;
   SequenceShape shape;
 };
-class RandomSequences : public testing::TestWithParam<Case> {
- protected:
-  void SetUp() override {
-    folder_ =
-        std::filesystem::temp_directory_path() / ("novaphy_sequence_" + std::to_string(getpid()));
-    std::filesystem::create_directories(folder_);
-  }
-  void TearDown() override {
-    if (library_ != nullptr) dlclose(library_);
-    std::filesystem::remove_all(folder_);
-  }
-  RunSequence compiled(const std::string& text) {
-    const std::string from = folder_ / "sequence.cpp", to = folder_ / "sequence.so";
-    std::ofstream(from) << text;
-    const std::string command =
-        HOST_COMPILER
-        " -std=c++20 -O1 -w -ffp-contract=off -fno-strict-aliasing -shared -fPIC "
-        "-I\"" HOST_SEQUENCE_FOLDER "\" -o \"" +
-        to + "\" \"" + from + "\"";
-    if (std::system(command.c_str()) != 0) return nullptr;
-    library_ = dlopen(to.c_str(), RTLD_NOW | RTLD_LOCAL);
-    return library_ == nullptr ? nullptr
-                               : reinterpret_cast<RunSequence>(dlsym(library_, "run_sequence"));
-  }
-
- private:
-  std::filesystem::path folder_;
-  void* library_ = nullptr;
-};
+class RandomSequences : public testing::TestWithParam<Case> {};
 
 TEST_P(RandomSequences, HaveTheBitsOfOneOperationAfterTheOther) {
   const auto& [seed, shape] = GetParam();
@@ -304,17 +231,8 @@ TEST_P(RandomSequences, HaveTheBitsOfOneOperationAfterTheOther) {
   SequenceTable table = sequence_table(ops, room);
   ASSERT_EQ(table.tasks != 0, shape.form != Form::Grid);
   ASSERT_TRUE(shape.form == Form::Grid || most_warps(ops) <= room.warps);
-  const RunSequence run = compiled(for_host(sequence_source(table, shape)));
-  ASSERT_NE(run, nullptr);
-
-  struct Record {  // as device_error, and the zeros behind it
-    int64_t index = std::numeric_limits<int64_t>::max();
-    std::array<int64_t, 63> rest{};
-  } record;
-  uint32_t flag = 0;
-  const uint64_t start[] = {table.first_words, table.tasks};
-  run(start, table.words.data(), &record, &flag, shape.blocks, shape.threads, seed);
-  EXPECT_EQ(flag, 0u);
+  HostSequence sequence(table, shape);
+  EXPECT_TRUE(sequence.run(seed));
   for (int32_t a = 0; a < kArrays; ++a)
     EXPECT_EQ(0, std::memcmp(device.arrays[a].data(), host.arrays[a].data(),
                              host.arrays[a].size() * sizeof(float)))

@@ -33,6 +33,7 @@ enum DeviceAttribute : int {
   kComputeMinor = 76,
 };
 enum FunctionAttribute : int {
+  kSharedBytes = 8,     // that a launch may add
   kLargeClusters = 14,  // of sizes that not every device takes
 };
 enum : unsigned {

@@ -38,7 +38,7 @@ novaphy_status create(novaphy_device* device, int64_t n, std::span<const novaphy
   made->words = std::move(source.words);
   made->threads = n <= 32 ? 32 : kBlock;
   made->blocks = (n + made->threads - 1) / made->threads;
-  const novaphy_status status = load_list(*made, source.text, contract, source.table, error);
+  const novaphy_status status = load_list(*made, source.text, contract, source.table, {}, error);
   if (status == NOVAPHY_OK) *list = made.release();
   return status;
 }
@@ -46,7 +46,8 @@ novaphy_status create(novaphy_device* device, int64_t n, std::span<const novaphy
 }  // namespace
 
 novaphy_status load_list(novaphy_list& list, const std::string& text, bool contract,
-                         const std::vector<uint64_t>& table, novaphy_error* error) {
+                         std::vector<uint64_t>& table, std::span<const uint64_t> relative,
+                         novaphy_error* error) {
   const Use use(list.device);
   const Driver& d = driver();
   novaphy_status status =
@@ -58,6 +59,7 @@ novaphy_status load_list(novaphy_list& list, const std::string& text, bool contr
   if (status != NOVAPHY_OK || table.empty()) return status;
   const size_t bytes = table.size() * sizeof(uint64_t);
   status = check(list.device, d.alloc(&list.table, bytes), "list", error);
+  for (const uint64_t word : relative) table[word] += list.table;
   if (status == NOVAPHY_OK)
     status = check(list.device, d.copy_to_device(list.table, table.data(), bytes, nullptr), "list",
                    error);
@@ -84,12 +86,20 @@ novaphy_status list_launch(novaphy_list* list, novaphy_stream* stream, novaphy_e
   const Use use(stream->device);
   SinkArgument sink = sink_of(stream->device, 0);
   void* pointers[] = {list->words.data(), &list->table, &list->n, &sink};
-  if (!list->together)
-    return launch_function(stream, list->function, list->blocks, list->threads, pointers, "list",
-                           error);
+  const Driver& d = driver();
+  if (list->ahead != nullptr) {
+    void* arguments[] = {&list->table, &list->jobs, &list->blocks_of_job, &sink};
+    const novaphy_status status =
+        launch_function(stream, list->ahead, int64_t{list->blocks_of_job} * list->job_count,
+                        novaphy_list::kAheadThreads, arguments, "list", error);
+    if (status != NOVAPHY_OK) return status;
+  }
+  const auto blocks = static_cast<unsigned>(list->blocks);
   return check(stream->device,
-               driver().launch_together(list->function, static_cast<unsigned>(list->blocks), 1, 1,
-                                        list->threads, 1, 1, 0, stream->stream, pointers),
+               list->together ? d.launch_together(list->function, blocks, 1, 1, list->threads, 1, 1,
+                                                  list->shared_bytes, stream->stream, pointers)
+                              : d.launch(list->function, blocks, 1, 1, list->threads, 1, 1,
+                                         list->shared_bytes, stream->stream, pointers, nullptr),
                "list", error);
 }
 
@@ -98,6 +108,7 @@ void list_destroy(novaphy_list* list) {
     const Use use(list->device);
     if (list->module != nullptr) driver().module_unload(list->module);
     if (list->table != 0) driver().free(list->table);
+    if (list->ahead_memory != 0) driver().free(list->ahead_memory);
   }
   delete list;
 }

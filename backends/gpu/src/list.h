@@ -2,6 +2,7 @@
 #pragma once
 
 #include <memory>
+#include <span>
 #include <string>
 #include <vector>
 
@@ -17,6 +18,13 @@ struct novaphy_list {
   int64_t n = 0;
   int64_t blocks = 1;
   unsigned threads = 0;
+  unsigned shared_bytes = 0;  // of a block, beside those that the text names
+  // A kernel that runs before it, of so many blocks of kAheadThreads, and the memory for what it
+  // leaves.
+  static constexpr unsigned kAheadThreads = 128;
+  novaphy::gpu::Function ahead = nullptr;
+  novaphy::gpu::DevicePointer ahead_memory = 0, jobs = 0;
+  uint32_t blocks_of_job = 0, job_count = 0;
   bool together = false;  // the blocks wait for one another
 };
 
@@ -27,8 +35,10 @@ struct DestroyList {
 };
 using OwnList = std::unique_ptr<novaphy_list, DestroyList>;
 
-// Compiles the text, and copies the table to the device.
+// Compiles the text, and copies the table to the device. `relative`: words of the table that count
+// bytes from its first, and become addresses.
 novaphy_status load_list(novaphy_list& list, const std::string& text, bool contract,
-                         const std::vector<uint64_t>& table, novaphy_error* error);
+                         std::vector<uint64_t>& table, std::span<const uint64_t> relative,
+                         novaphy_error* error);
 
 }  // namespace novaphy::gpu

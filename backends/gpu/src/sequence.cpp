@@ -4,6 +4,8 @@
 #include <cstdlib>
 
 #include "list.h"
+#include "sequence_blocks.h"
+#include "sequence_memory.h"
 #include "sequence_source.h"
 
 namespace novaphy::gpu {
@@ -20,7 +22,11 @@ constexpr unsigned kFewWarps = 4, kMostWarps = 8, kMostWarpsAtAll = 12;
 constexpr unsigned kMostInLargeCluster = 16, kFewForLarge = 32;
 constexpr int32_t kClusters = 90;  // the first architecture that has
 // Of the shared memory of a block, and what threads may keep of it beside the records.
-constexpr unsigned kSharedBytes = 48 << 10, kKeptBytes = 38 << 10;
+constexpr unsigned kSharedOfText = 48 << 10, kKeptBytes = 38 << 10;
+// Where blocks have a plan, which asks for more: devices that have clusters have 227 KB.
+// Of memory, for what is computed ahead, and which part of what is free.
+constexpr uint64_t kAheadBytes = 1 << 30, kAheadPart = 4;
+constexpr unsigned kSharedOfLaunch = 160 << 10, kKeptWithPlan = 100 << 10;
 // What the builtin, where a block works on such a row, sums faster.
 constexpr uint64_t kLongRow = 1024, kWideRow = 16;
 
@@ -70,8 +76,12 @@ SequenceShape choose(const novaphy_device& device, unsigned warps, unsigned in_c
 bool runs_as_cluster(const novaphy_list& list) {
   const Use use(list.device);
   const Driver& d = driver();
-  const LaunchShape launch{
-      {static_cast<unsigned>(list.blocks), 1, 1}, {list.threads, 1, 1}, 0, nullptr, nullptr, 0};
+  const LaunchShape launch{{static_cast<unsigned>(list.blocks), 1, 1},
+                           {list.threads, 1, 1},
+                           list.shared_bytes,
+                           nullptr,
+                           nullptr,
+                           0};
   int clusters = 0;
   return d.function_set(list.function, kLargeClusters, 1) == kSuccess &&
          d.clusters_at_once(&clusters, list.function, &launch) == kSuccess && clusters > 0;
@@ -88,6 +98,24 @@ novaphy_status fit_together(novaphy_list& list, novaphy_error* error) {
   return status;
 }
 
+// What lies in the memory of the device, once all work that was launched there is done.
+std::vector<int32_t> words_at(const novaphy_device* device, uint64_t where, size_t count) {
+  std::vector<int32_t> words(count);
+  const Use use(device);
+  const Driver& d = driver();
+  const bool read =
+      d.copy_to_host(words.data(), where, count * sizeof(int32_t), nullptr) == kSuccess &&
+      d.stream_synchronize(nullptr) == kSuccess;
+  return read ? words : std::vector<int32_t>();
+}
+
+uint64_t ahead_bytes(const novaphy_device* device) {
+  const Use use(device);
+  size_t free = 0, total = 0;
+  if (driver().memory_info(&free, &total) != kSuccess) return 0;
+  return std::min<uint64_t>(kAheadBytes, free / kAheadPart);
+}
+
 novaphy_status create(novaphy_device* device, std::span<const novaphy_sequence_op> ops,
                       novaphy_list** list, novaphy_error* error) {
   const auto refuse = [&](const char* why) {
@@ -99,34 +127,82 @@ novaphy_status create(novaphy_device* device, std::span<const novaphy_sequence_o
       return fail(error, NOVAPHY_INVALID_ARGUMENT,
                   "sequence_create: rows: expected a divisor of the %lld rows, got %lld",
                   static_cast<long long>(o.n), static_cast<long long>(o.rows));
-    if (o.op.kernel == nullptr || o.op.kernel->run != nullptr) continue;
-    (o.op.kernel->program.contract ? contract : plain) = true;
+    if (o.op.kernel == nullptr || is_builtin(o)) continue;
+    const nova::ir::Program& p = o.op.kernel->program;
+    (p.contract ? contract : plain) = true;
+    for (size_t s = 0; s < p.sources.size(); ++s)
+      if (o.op.arguments[p.source_argument(s) + 1] > INT32_MAX) return refuse("too many rows");
   }
   // One rounding policy for the whole text.
   if (plain && contract) return refuse("kernels with and without contraction");
   const uint32_t warps = most_warps(ops);
   for (const unsigned in_cluster : {kMostInLargeCluster, kMostInCluster}) {
-    const SequenceShape shape = choose(*device, warps, in_cluster);
+    SequenceShape shape = choose(*device, warps, in_cluster);
     SequenceRoom room{shape.blocks * shape.threads / kWarp / shape.groups,
                       kKeptBytes / 4 / shape.threads, shape.blocks, shape.groups};
     const bool one_row = shape.form != Form::Grid && warps <= room.warps;
     if (!one_row) room = {};
-    SequenceTable table = sequence_table(ops, room);
-    if (shared_bytes(table, shape) > kSharedBytes) {
+    std::optional<BlockPlan> plan;
+    if (one_row && shape.form == Form::Cluster)
+      plan = plan_blocks(ops, shape.blocks, kMostWarpsAtAll, [&](uint64_t where, size_t count) {
+        return words_at(device, where, count);
+      });
+    const auto fits = [&](const SequenceTable& made) {
+      return made.fits && shared_bytes(made, shape) <= kSharedOfText &&
+             launch_bytes(made, shape) <= kSharedOfLaunch;
+    };
+    SequenceTable table;
+    if (plan) {
+      const SequenceShape unplanned = shape;
+      shape.threads = plan->threads;
+      table = sequence_table(
+          ops, {shape.blocks * shape.threads / kWarp, kKeptWithPlan / 4 / shape.threads,
+                shape.blocks, 1, &*plan, ahead_bytes(device)});
+      if (!fits(table)) {
+        plan.reset();
+        shape = unplanned;
+      }
+    }
+    if (!plan) table = sequence_table(ops, room);
+    if (!fits(table)) {
       room.kept_words = 0;
       table = sequence_table(ops, room);
     }
-    if (!table.fits || shared_bytes(table, shape) > kSharedBytes) return refuse("too large");
+    if (!fits(table)) return refuse("too large");
     OwnList made(new novaphy_list);
     made->device = device;
-    made->words = {table.first_words, table.tasks};
+    made->words = {table.first_words, table.tasks, table.rows, table.jobs, table.job_count};
     made->n = static_cast<int64_t>(table.counters);
     made->blocks = shape.blocks;
     made->threads = shape.threads;
+    made->shared_bytes = static_cast<unsigned>(launch_bytes(table, shape));
     made->together = shape.form == Form::Grid;
-    novaphy_status status =
-        load_list(*made, sequence_source(table, shape), contract, table.words, error);
+    novaphy_status status = NOVAPHY_OK;
+    if (table.ahead_bytes != 0) {
+      const Use use(device);
+      status =
+          check(device, driver().alloc(&made->ahead_memory, table.ahead_bytes), "sequence", error);
+      for (const uint64_t word : table.ahead) table.words[word] += made->ahead_memory;
+    }
+    if (status == NOVAPHY_OK)
+      status = load_list(*made, sequence_source(table, shape), contract, table.words,
+                         table.relative, error);
+    if (status == NOVAPHY_OK && table.job_count != 0) {
+      const Use use(device);
+      status = check(device, driver().module_function(&made->ahead, made->module, "novaphy_ahead"),
+                     "sequence", error);
+      made->jobs = made->table + table.jobs * sizeof(uint64_t);
+      made->job_count = static_cast<uint32_t>(table.job_count);
+      made->blocks_of_job = rounded_up(static_cast<unsigned>(table.job_rows), made->kAheadThreads);
+    }
     if (status == NOVAPHY_OK && made->together) status = fit_together(*made, error);
+    if (status == NOVAPHY_OK && made->shared_bytes != 0) {
+      const Use use(device);
+      status = check(
+          device,
+          driver().function_set(made->function, kSharedBytes, static_cast<int>(made->shared_bytes)),
+          "sequence", error);
+    }
     if (status != NOVAPHY_OK) return status;
     if (made->blocks == 0) return refuse("the device does not hold a block of it");
     if (shape.is_large() && !runs_as_cluster(*made)) continue;
@@ -153,6 +229,8 @@ novaphy_status sequence_create(novaphy_device* device, const novaphy_sequence_op
     return status;
   if (count == 0)
     return fail(error, NOVAPHY_INVALID_ARGUMENT, "sequence_create: expected operations, got none");
+  if (ops[0].struct_size < sizeof(novaphy_sequence_op))
+    return fail(error, NOVAPHY_NOT_SUPPORTED, "sequence: the host is older than the backend");
   return guarded(error, [&] { return create(device, {ops, count}, list, error); });
 }
 

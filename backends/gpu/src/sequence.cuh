@@ -22,6 +22,37 @@ LANE_FN void copy_word(const S from, const O to, int64_t row) {
 
 struct no_source {};  // what is not read
 
+// Items that sums of the next phase add, in the memory of the block that has these sums: rows of four
+// words, SEQUENCE_CORNERS of them for each thread, from `base` on; behind them one of zeros, for sums
+// of few items. What threads keep lies behind the last array.
+#if SEQUENCE_LAYOUTS != 0
+extern __shared__ four_words g_items[];
+constexpr uint32_t kNoItem = SEQUENCE_CORNERS * SEQUENCE_THREADS;
+// Adding -0 changes no number, -0 included.
+LANE_FN void begin_items() {
+  constexpr int32_t kMinusZero = INT32_MIN;
+  for (uint32_t base = 0; base < SEQUENCE_ITEMS; base += kNoItem + 1)
+    g_items[base + kNoItem] = {{kMinusZero, kMinusZero, kMinusZero, kMinusZero}};
+}
+template <int width, int count>
+LANE_FN void put_items(uint32_t base, const int32_t* words) {
+  four_words* const rows = g_items + base + threadIdx.x * SEQUENCE_CORNERS;
+#pragma unroll
+  for (int k = 0; k < count; ++k) {
+    four_words row;
+#pragma unroll
+    for (int c = 0; c < 4; ++c) row.word[c] = c < width ? words[k * width + c] : 0;
+    rows[k] = row;
+  }
+}
+#endif
+struct block_items {
+  uint32_t base;
+};
+struct memory_items {
+  uint64_t source;
+};
+
 // A row of the builtin row_sum_f32.
 struct no_init {};
 LANE_FN float init_of(const no_init, int32_t, int32_t, int64_t) { return 0.0f; }
@@ -81,7 +112,8 @@ struct batch_rows {
   float columns[CSR_BATCH][width];
 };
 template <int width>
-LANE_FN void load_rows(batch_rows<width>* rows, const float* source, const csr_batch& csr) {
+LANE_FN void load_rows(batch_rows<width>* rows, const memory_items from, const csr_batch& csr) {
+  const float* const source = (const float*)from.source;
 #pragma unroll
   for (int32_t r = 0; r < CSR_BATCH; ++r)
 #pragma unroll
@@ -90,21 +122,43 @@ LANE_FN void load_rows(batch_rows<width>* rows, const float* source, const csr_b
 }
 // Of the first batch, where there may be no item: then zeros, without a branch.
 template <int width>
-LANE_FN void load_first_rows(batch_rows<width>* rows, uint64_t source, const csr_batch& csr,
+LANE_FN void load_first_rows(batch_rows<width>* rows, const memory_items from, const csr_batch& csr,
                              const row_failure& failure) {
-  load_rows(rows, csr.longest > 0 ? (const float*)source : (const float*)failure.zeros, csr);
+  load_rows(rows, memory_items{csr.longest > 0 ? from.source : (uint64_t)failure.zeros}, csr);
 }
+#if SEQUENCE_LAYOUTS != 0
+template <int width>
+LANE_FN void load_rows(batch_rows<width>* rows, const block_items from, const csr_batch& csr) {
+#pragma unroll
+  for (int32_t r = 0; r < CSR_BATCH; ++r) {
+    const four_words row = g_items[from.base + csr.slots[r]];
+#pragma unroll
+    for (int c = 0; c < width; ++c) rows->columns[r][c] = ubits_f(row.word[c]);
+  }
+}
+template <int width>
+LANE_FN void load_first_rows(batch_rows<width>* rows, const block_items from, const csr_batch& csr,
+                             const row_failure&) {
+  load_rows(rows, from, csr);
+}
+LANE_FN void csr_load_items(csr_batch* c, const int32_t* items) {
+  csr_load(c, items, 0);
+#pragma unroll
+  for (int32_t r = 0; r < CSR_BATCH; ++r) c->slots[r] = csr_on(c, r) ? c->slots[r] : kNoItem;
+}
+#endif
 // Sums over the same items, as many as there are sources: all rows of a batch are loaded before
 // the first one is added. `loaded`: those of the first batch are there. `chunks`: by the rule for
 // long rows.
 template <bool loaded, bool chunks, int width, int sums>
-LANE_FN void fold_batches(const float* const* sources, const int32_t* items, csr_batch csr,
+LANE_FN void fold_batches(const memory_items* sources, const int32_t* items, csr_batch csr,
                           batch_rows<width>* rows, float (*sum)[width]) {
   if (chunks && csr.longest > kChunk) {
 #pragma unroll
     for (int s = 0; s < sums; ++s) {
       float total[width];
-      fold_long<width>(sources[s], items, csr.start, (int64_t)csr.start + csr.longest, total);
+      fold_long<width>((const float*)sources[s].source, items, csr.start,
+                       (int64_t)csr.start + csr.longest, total);
 #pragma unroll
       for (int c = 0; c < width; ++c) sum[s][c] += total[c];
     }
@@ -125,11 +179,38 @@ LANE_FN void fold_batches(const float* const* sources, const int32_t* items, csr
           sum[s][c] = csr_on(&csr, base + r) ? sum[s][c] + rows[s].columns[r][c] : sum[s][c];
   }
 }
-template <bool loaded, bool chunks, int width, class S, class O, class T, class P>
-LANE_FN void sum_two_rows(const csr_batch& csr, uint64_t items, batch_rows<width>* rows, uint64_t v,
-                          const S v_init, const O v_out, uint64_t w, const T w_init, const P w_out,
+#if SEQUENCE_LAYOUTS != 0
+// Few rows have more items than a batch: these come one by one, in little code.
+template <bool loaded, bool chunks, int width, int sums>
+LANE_FN void fold_batches(const block_items* sources, const int32_t* items, const csr_batch& csr,
+                          batch_rows<width>* rows, float (*sum)[width]) {
+  if (!loaded) {
+#pragma unroll
+    for (int s = 0; s < sums; ++s) load_rows(&rows[s], sources[s], csr);
+  }
+#pragma unroll
+  for (int32_t r = 0; r < CSR_BATCH; ++r)
+#pragma unroll
+    for (int s = 0; s < sums; ++s)
+#pragma unroll
+      for (int c = 0; c < width; ++c) sum[s][c] += rows[s].columns[r][c];
+#pragma unroll 1
+  for (int32_t k = CSR_BATCH; k < csr.longest; ++k) {
+    const uint32_t slot = __ldg(items + csr.start + k);
+#pragma unroll
+    for (int s = 0; s < sums; ++s) {
+      const four_words row = g_items[sources[s].base + slot];
+#pragma unroll
+      for (int c = 0; c < width; ++c) sum[s][c] += ubits_f(row.word[c]);
+    }
+  }
+}
+#endif
+template <bool loaded, bool chunks, int width, class M, class S, class O, class T, class P>
+LANE_FN void sum_two_rows(const csr_batch& csr, uint64_t items, batch_rows<width>* rows, const M v,
+                          const S v_init, const O v_out, const M w, const T w_init, const P w_out,
                           int64_t row) {
-  const float* const sources[2] = {(const float*)v, (const float*)w};
+  const M sources[2] = {v, w};
   float sum[2][width];
 #pragma unroll
   for (int c = 0; c < width; ++c) {
@@ -143,10 +224,10 @@ LANE_FN void sum_two_rows(const csr_batch& csr, uint64_t items, batch_rows<width
     put_columnf(w_out, width, c, row, sum[1][c]);
   }
 }
-template <bool loaded, bool chunks, int width, class S, class O>
-LANE_FN void sum_row(const csr_batch& csr, uint64_t items, batch_rows<width>* rows, uint64_t source,
+template <bool loaded, bool chunks, int width, class M, class S, class O>
+LANE_FN void sum_row(const csr_batch& csr, uint64_t items, batch_rows<width>* rows, const M source,
                      const S init, const O out, int64_t row) {
-  const float* const sources[1] = {(const float*)source};
+  const M sources[1] = {source};
   float sum[1][width];
 #pragma unroll
   for (int c = 0; c < width; ++c) sum[0][c] = init_of(init, width, c, row);
@@ -188,8 +269,13 @@ LANE_FN csr_batch csr_first(const words_and_tables<loops> args, int32_t, int32_t
 }
 // What a thread keeps in shared memory until its chain comes again.
 #if SEQUENCE_KEPT != 0
+#if SEQUENCE_LAYOUTS != 0
+#define g_kept ((int32_t*)(g_items + SEQUENCE_ITEMS))
+#else
 __shared__ int32_t g_kept[SEQUENCE_KEPT * SEQUENCE_THREADS];
+#endif
 LANE_FN bool is_kept(uint32_t kept) { return kept != 0 && (kept & 1) == 0; }
+LANE_FN bool is_to_be_filled(uint32_t kept) { return (kept & 1) != 0; }
 LANE_FN int32_t* begin_kept(uint32_t kept) {
   return g_kept + (kept / 2 - 1) * SEQUENCE_THREADS + threadIdx.x;
 }
@@ -230,6 +316,25 @@ LANE_FN void own_words(uint64_t p, int64_t i, int32_t* words) {
     } else {
       words[c] = row[c];
     }
+  }
+}
+
+// What an early half leaves in memory: the first four words of all rows, then the next four.
+template <int width>
+LANE_FN void store_ahead(uint64_t p, uint64_t rows, int64_t i, const int32_t* words) {
+  four_words* at = in_memory((four_words*)p + i);
+#pragma unroll
+  for (int c = 0; c < width; c += 4, at += rows)
+    *at = {{words[c], words[c + 1], words[c + 2], words[c + 3]}};
+}
+template <int width>
+LANE_FN void load_ahead(uint64_t p, uint64_t rows, int64_t i, int32_t* words) {
+  const four_words* at = in_memory((const four_words*)p + i);
+#pragma unroll
+  for (int c = 0; c < width; c += 4, at += rows) {
+    const four_words four = *at;
+#pragma unroll
+    for (int k = 0; k < 4; ++k) words[c + k] = four.word[k];
   }
 }
 
@@ -279,12 +384,63 @@ LANE_FN void last_barrier(uint32_t* counter) {
 }
 #endif
 
-// `on`: whether the thread has the row, or only goes along with those that have.
+// Where sums add what the block has made in the phase before, the warps that make it hand it over to
+// those that sum it, which wait for that alone, and for the other blocks before they store.
+#if SEQUENCE_LAYOUTS != 0
+LANE_FN void hand_over() {
+  __threadfence_block();
+  asm volatile("barrier.arrive 1, %0;" ::"n"(SEQUENCE_THREADS) : "memory");
+}
+LANE_FN void take_over() {
+  asm volatile("barrier.sync 1, %0;" ::"n"(SEQUENCE_THREADS) : "memory");
+}
+#endif
+
+// `on`: whether the thread has the row, or only goes along with those that have. `owns`: whether it
+// stores the row, which other blocks may compute, too.
 LANE_FN void run_chain(uint32_t form, const uint64_t* words, const int64_t i, const bool on,
+                       const bool owns, const device_sink sink);
+
+// Early halves of all phases, as a launch of its own. Job after job, kAheadThreads rows for a block.
+#if SEQUENCE_AHEAD != 0
+constexpr uint32_t kAheadThreads = 128;
+LANE_FN void run_ahead(uint32_t form, const uint64_t* words, const int64_t i,
                        const device_sink sink);
+extern "C" __global__ void __launch_bounds__(kAheadThreads) novaphy_ahead(
+    const uint64_t* table, const uint64_t* jobs, const uint32_t blocks_of_job,
+    const device_sink sink) {
+  const uint64_t* const job = jobs + 2 * (blockIdx.x / blocks_of_job);
+  const uint32_t row = blockIdx.x % blocks_of_job * kAheadThreads + threadIdx.x;
+  if (row < high_half(job[0])) run_ahead(low_half(job[0]), table + job[1], row, sink);
+}
+#endif
 
 constexpr uint32_t kWarps = SEQUENCE_THREADS / 32;
-#if SEQUENCE_TASKS != 0
+#if SEQUENCE_LAYOUTS != 0
+// Which row a thread has is said by the layout of the phase: see BlockPlan. A task is
+//   form << 48 | the first word of the arguments << 32 | layout << 8 | what the warp does
+constexpr uint32_t kWorks = 1, kStores = 2, kHandsOver = 4, kTakesOver = 8, kKeeps = 16;
+constexpr uint32_t kOn = 1u << 30, kOwns = 1u << 31;
+__shared__ uint32_t g_rows[SEQUENCE_LAYOUTS * SEQUENCE_THREADS];
+LANE_FN void load_layouts(const uint64_t* rows) {
+  const uint32_t* const from = (const uint32_t*)rows + blockIdx.x * SEQUENCE_THREADS + threadIdx.x;
+  for (uint32_t k = 0; k < SEQUENCE_LAYOUTS; ++k)
+    g_rows[k * SEQUENCE_THREADS + threadIdx.x] = __ldg(from + k * gridDim.x * SEQUENCE_THREADS);
+}
+LANE_FN void run_task(const uint64_t* record, uint64_t task, const device_sink sink) {
+  const uint32_t how = low_half(task);
+  if ((how & kWorks) == 0) {
+    if ((how & kHandsOver) != 0) hand_over();
+    if ((how & kTakesOver) != 0) take_over();
+    phase_wait();
+    return;
+  }
+  const uint32_t row = g_rows[(how >> 8) * SEQUENCE_THREADS + threadIdx.x];
+  run_chain(high_half(task) >> 16, record + (high_half(task) & 0xffff), row & (kOn - 1),
+            (row & kOn) != 0, (row & kOwns) != 0 && (how & (kStores | kKeeps)) != 0, sink);
+}
+LANE_FN bool stores(uint64_t task) { return (low_half(task) & kStores) != 0; }
+#elif SEQUENCE_TASKS != 0
 // Waits for the phase before, too, after what the chain may do early.
 LANE_FN void run_task(const uint64_t* record, uint64_t task, const device_sink sink) {
   const uint32_t lane = threadIdx.x & 31, rows = low_half(task) >> 24;
@@ -294,8 +450,9 @@ LANE_FN void run_task(const uint64_t* record, uint64_t task, const device_sink s
   }
   const bool on = lane < rows;
   run_chain(high_half(task) >> 16, record + (high_half(task) & 0xffff),
-            (low_half(task) & 0xffffff) + (on ? lane : 0), on, sink);
+            (low_half(task) & 0xffffff) + (on ? lane : 0), on, on, sink);
 }
+LANE_FN bool stores(uint64_t task) { return low_half(task) >> 24 != 0; }
 #else
 LANE_FN void run_phase(const uint64_t* record, const device_sink sink) {
   const uint64_t* const chain = record + 2;
@@ -309,7 +466,8 @@ LANE_FN void run_phase(const uint64_t* record, const device_sink sink) {
     while (high_half(chain[2 * c]) > warp) --c;
     const uint32_t row = (warp - high_half(chain[2 * c])) * lanes + lane;
     if (lane < lanes && row < low_half(chain[2 * c]))
-      run_chain(high_half(chain[2 * c + 1]), record + low_half(chain[2 * c + 1]), row, true, sink);
+      run_chain(high_half(chain[2 * c + 1]), record + low_half(chain[2 * c + 1]), row, true, true,
+                sink);
   }
 }
 #endif
@@ -329,6 +487,7 @@ LANE_FN uint64_t* stay(uint64_t* p) {
 struct sequence_start {
   uint64_t words;  // of the first record
   uint64_t tasks;  // where those of the warps lie
+  uint64_t rows;   // where those of the threads lie
 };
 extern "C" __global__ void SEQUENCE_CLUSTER __launch_bounds__(SEQUENCE_THREADS, 1) novaphy_main(
     const __grid_constant__ sequence_start start, uint64_t* table, const int64_t counters,
@@ -346,6 +505,10 @@ extern "C" __global__ void SEQUENCE_CLUSTER __launch_bounds__(SEQUENCE_THREADS, 
 #if SEQUENCE_TASKS != 0
   const uint64_t* tasks = table + start.tasks + blockIdx.x * kWarps + threadIdx.x / 32;
   uint64_t task = __ldg(tasks);
+#endif
+#if SEQUENCE_LAYOUTS != 0
+  load_layouts(table + start.rows);
+  if (threadIdx.x == 0) begin_items();
 #endif
   __syncthreads();
 #if SEQUENCE_TASKS != 0
@@ -366,7 +529,7 @@ extern "C" __global__ void SEQUENCE_CLUSTER __launch_bounds__(SEQUENCE_THREADS, 
     tasks += gridDim.x * kWarps;
     const uint64_t next_task = is_last ? 0 : __ldg(tasks);
     run_task(record, task, sink);
-    const bool wrote = low_half(task) >> 24 != 0;
+    const bool wrote = stores(task);
     task = next_task;
 #else
     if (phase != 0) phase_wait((uint32_t*)(table + counters), phase - 1);

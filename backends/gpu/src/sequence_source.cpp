@@ -1,6 +1,7 @@
 // The text of a sequence: a function for each form of a chain, and the choice among them.
 #include "sequence_source.h"
 
+#include <algorithm>
 #include <map>
 #include <set>
 
@@ -17,6 +18,25 @@ constexpr int32_t kMostItemWords = 72;  // of rows of items, which a thread has 
 std::string str(int64_t k) { return std::to_string(k); }
 std::string registers(int32_t op, int32_t output) { return "r" + str(op) + "_" + str(output); }
 
+// Several rows for each of the chain come one after another: not early.
+std::vector<char> late_sources(const Operation& op) {
+  std::vector<char> is_late;
+  for (const Operation::Source& source : op.sources)
+    is_late.push_back(source.early && op.each == 1 ? 0 : 1);
+  return is_late;
+}
+
+// More than loads of own rows, which the chain has done already.
+bool is_work(const nova::ir::Program& p) {
+  using nova::ir::Op;
+  for (const nova::ir::Instr& in : p.instrs) {
+    if (in.op == Op::CONST_F || in.op == Op::CONST_I || in.op == Op::INDEX) continue;
+    const bool is_load = in.op == Op::LOAD_F || in.op == Op::LOAD_I;
+    if (!is_load || p.instrs[static_cast<size_t>(in.b)].op != Op::INDEX) return true;
+  }
+  return false;
+}
+
 // The functions of the Programs in a sequence, each once: whole, or what can be done early and what
 // is left.
 class RowFunctions {
@@ -32,22 +52,17 @@ class RowFunctions {
     int64_t shift = 0, early_shift = 0;
   };
   const Function& of(const Operation& op) {
-    // Several rows for each of the chain come one after another: not early.
-    std::vector<char> is_late;
-    for (const Operation::Source& source : op.sources)
-      is_late.push_back(source.early && op.each == 1 ? 0 : 1);
-    const auto [known, fresh] = known_.try_emplace({op.program, is_late});
-    if (fresh) known->second = make(op, is_late);
+    const auto [known, fresh] = known_.try_emplace({op.program, late_sources(op)});
+    if (fresh) known->second = make(op);
     return known->second;
   }
   std::string text;
 
  private:
-  Function make(const Operation& op, const std::vector<char>& is_late) {
+  Function make(const Operation& op) {
     const nova::ir::Program p = without_names(table_.program(op));
     Function f{"row" + str(static_cast<int64_t>(known_.size()) - 1)};
-    if (!p.contract) f.halves = nova::ir::cut(p, is_late);
-    if (!is_work(f.halves.early)) f.halves = {};
+    f.halves = halves_of(table_, op);
     if (!f.is_cut()) {
       text += nova::ir::emit_device(p, f.name);
       return f;
@@ -60,17 +75,6 @@ class RowFunctions {
     return f;
   }
 
-  // More than loads of own rows, which the chain has done already.
-  static bool is_work(const nova::ir::Program& p) {
-    using nova::ir::Op;
-    for (const nova::ir::Instr& in : p.instrs) {
-      if (in.op == Op::CONST_F || in.op == Op::CONST_I || in.op == Op::INDEX) continue;
-      const bool is_load = in.op == Op::LOAD_F || in.op == Op::LOAD_I;
-      if (!is_load || p.instrs[static_cast<size_t>(in.b)].op != Op::INDEX) return true;
-    }
-    return false;
-  }
-
   const SequenceTable& table_;
   std::map<std::pair<int32_t, std::vector<char>>, Function> known_;
 };
@@ -81,25 +85,42 @@ class ChainText {
       : table_(table), form_(form), rows_(rows) {}
 
   std::string run(size_t number) {
+    number_ = str(static_cast<int64_t>(number));
     const bool waits = table_.tasks != 0;
     const std::string leave = waits ? "  if (!on) return;\n" : "";
+    const std::string wait = "  phase_wait();\n";
     loads(waits);
     kept_loads();
     code_ += "  row_failure failure = begin_row(sink);\n";
     if (waits) {
       for (size_t k = 0; k < form_.operations.size(); ++k) early(static_cast<int32_t>(k));
-      code_ += "  phase_wait();\n";
-      if (stores_at_once()) code_ += leave;
+      code_ += form_.sums_items ? "  take_over();\n" : wait;
+      if (stores_at_once()) code_ += (form_.sums_items ? wait : "") + leave;
       loads(false);
     }
     item_loads();
     for (size_t k = 0; k < form_.operations.size(); ++k) operation(static_cast<int32_t>(k));
-    if (!stores_at_once()) code_ += leave;
+    // Others may still read what the phase before has read.
+    if (!stores_at_once()) {
+      if (form_.sums_items) code_ += wait;
+      hand_over();
+      code_ += leave;
+    }
+    if (table_.layouts != 0) code_ += "  if (!owns) return;\n";
     for (size_t k = 0; k < form_.operations.size(); ++k) stores(static_cast<int32_t>(k));
     report();
-    return "LANE_FN void chain" + str(static_cast<int64_t>(number)) +
-           "(const uint64_t* words, const int64_t i, const bool on, device_sink sink) {\n" + code_ +
-           "}\n";
+    return filling_ + "LANE_FN void chain" + number_ +
+           "(const uint64_t* words, const int64_t i, const bool on, const bool owns,\n"
+           "                    device_sink sink) {\n" +
+           code_ + "}\n";
+  }
+
+  // The early halves that are computed ahead, as a function of their own; none: empty.
+  std::string run_ahead(size_t number) {
+    for (size_t k = 0; k < form_.operations.size(); ++k) ahead(static_cast<int32_t>(k));
+    if (code_.empty()) return code_;
+    return "LANE_FN void ahead" + str(static_cast<int64_t>(number)) +
+           "(const uint64_t* words, const int64_t i, device_sink sink) {\n" + code_ + "}\n";
   }
 
  private:
@@ -117,12 +138,23 @@ class ChainText {
   static std::string crossing(int32_t op, size_t output) {
     return "early" + str(op) + "_" + str(static_cast<int64_t>(output));
   }
+  static std::string own_words(int32_t op, size_t source, int32_t words) {
+    return "  int32_t " + own(op, source) + "[" + str(words) + "];\n";
+  }
+  // Whether the items of a table lie in the memory of the block.
+  bool in_block(int32_t t) const {
+    return std::any_of(form_.operations.begin(), form_.operations.end(),
+                       [&](const Operation& op) { return op.sum.items >= 0 && op.tables[0] == t; });
+  }
+  static std::string crossing_count(const nova::ir::Output& output) {
+    return str(static_cast<int64_t>(crossing_words(output)));
+  }
   // What the chain reads at its own row, and the first items of its sums, are loaded at once when
   // it begins, or as soon as the phase before is over: a thread then waits once, and not for each
   // operation anew.
   std::string own_load(int32_t k, size_t s, int32_t words) {
     const Operation::Source& source = at(k).sources[s];
-    code_ += "  int32_t " + own(k, s) + "[" + str(words) + "];\n";
+    code_ += own_words(k, s, words);
     return "own_words<" + str(words) + (source.aligned ? ", true" : ", false") + ">(words[" +
            str(word(at(k), s)) + "], " + (source.from == Operation::Source::First ? "0" : "i") +
            ", " + own(k, s) + ");\n";
@@ -141,7 +173,7 @@ class ChainText {
   }
   // What nothing in the sequence writes a thread keeps for the next time.
   void kept_loads() {
-    std::string fixed, filled, kept;
+    std::string declared, fixed, filled, kept;
     const auto keep = [&](const std::string& words) {
       filled += "    fill_kept(at, " + words + ");\n";
       kept += "    take_kept(at, " + words + ");\n";
@@ -149,6 +181,7 @@ class ChainText {
     for_each_loaded([&](int32_t k, size_t s, int32_t words, const Operation::Source& source) {
       if (!source.fixed) return;
       fixed += "    " + own_load(k, s, words);
+      declared += own_words(k, s, words);
       keep(own(k, s));
     });
     std::string items;
@@ -158,16 +191,28 @@ class ChainText {
         return "(const int32_t*)words[" + str(form_.tables[t] + word) + "]";
       };
       code_ += "  csr_batch " + name + ";\n";
+      declared += "  csr_batch " + name + ";\n";
       fixed += "    " + name + " = csr_begin_batch(" + pointer(0) + ", i);\n";
-      items += "    csr_load(&" + name + ", " + pointer(1) + ", 0);\n";
+      items += in_block(static_cast<int32_t>(t))
+                   ? "    csr_load_items(&" + name + ", " + pointer(1) + ");\n"
+                   : "    csr_load(&" + name + ", " + pointer(1) + ", 0);\n";
       keep(name + ".start");
       keep(name + ".longest");
       keep(name + ".slots");
     }
     if (fixed.empty()) return;
-    code_ += "  const uint32_t kept = (uint32_t)words[0];\n  if (is_kept(kept)) {\n" +
-             begin_kept() + kept + "  } else {\n" + fixed + items + "    if (kept != 0) {\n" +
-             begin_kept() + filled + "    }\n  }\n";
+    code_ += "  const uint32_t kept = (uint32_t)words[0];\n";
+    if (table_.layouts == 0) {
+      code_ += "  if (is_kept(kept)) {\n" + begin_kept() + kept + "  } else {\n" + fixed + items +
+               "    if (kept != 0) {\n" + begin_kept() + filled + "    }\n  }\n";
+      return;
+    }
+    // All is kept: what fills is far from what runs each time, which so stays short.
+    filling_ = "COLD_FN void fill" + number_ +
+               "(const uint64_t* words, const int64_t i, int32_t* at) {\n" + declared + fixed +
+               items + filled + "}\n";
+    code_ += "  if (is_to_be_filled(kept)) fill" + number_ +
+             "(words, i, begin_kept(kept));\n  {\n" + begin_kept() + kept + "  }\n";
   }
   // The rows of the first items of its sums, as many as registers hold.
   void item_loads() {
@@ -182,10 +227,27 @@ class ChainText {
       has_items_.insert(k);
       code_ += "  batch_rows<" + str(op.sum.width) + "> " + items(k) + "[2];\n";
       for (int32_t sum = 0; sum < (joined ? 2 : 1); ++sum)
-        code_ += "  load_first_rows(&" + items(k) + "[" + str(sum) + "], words[" +
-                 str(at(k + sum).first_word + at(k + sum).sum.source_word) + "], " +
-                 table(op.tables[0]) + ", failure);\n";
+        code_ += "  load_first_rows(&" + items(k) + "[" + str(sum) + "], " + summed(at(k + sum)) +
+                 ", " + table(op.tables[0]) + ", failure);\n";
     }
+  }
+  // Where the items of a sum lie.
+  static std::string summed(const Operation& op) {
+    return op.sum.items >= 0
+               ? "block_items{" + str(op.sum.items) + "}"
+               : "memory_items{words[" + str(op.first_word + op.sum.source_word) + "]}";
+  }
+  // What goes to the memory of the block, before what goes to memory.
+  void hand_over() {
+    std::string puts;
+    for (int32_t k = 0; k < static_cast<int32_t>(form_.operations.size()); ++k)
+      for (size_t o = 0; o < at(k).outputs.size(); ++o) {
+        const Operation::Output& out = at(k).outputs[o];
+        if (out.items >= 0)
+          puts += "    put_items<" + str(out.item_width) + ", " + str(out.width / out.item_width) +
+                  ">(" + str(out.items) + ", " + registers(k, static_cast<int32_t>(o)) + ");\n";
+      }
+    if (!puts.empty()) code_ += "  if (on) {\n" + puts + "  }\n  hand_over();\n";
   }
   static std::string items(int32_t op) { return "items" + str(op); }
   // Whether the operation runs with the next one.
@@ -203,9 +265,13 @@ class ChainText {
     if (op.kind != Operation::Program || !rows_.of(op).is_cut()) return;
     const RowFunctions::Function& f = rows_.of(op);
     const nova::ir::Program& p = f.halves.early;
-    for (size_t o = 0; o < p.outputs.size(); ++o)
-      code_ += "  int32_t " + crossing(k, o) + "[" +
-               str(static_cast<int64_t>(p.outputs[o].values.size())) + "];\n";
+    for (size_t o = 0; o < p.outputs.size(); ++o) {
+      const std::string words = crossing_count(p.outputs[o]);
+      code_ += "  int32_t " + crossing(k, o) + "[" + words + "];\n";
+      if (op.ahead_word >= 0)
+        code_ += "  load_ahead<" + words + ">" + ahead_memory(op, p, o) + crossing(k, o) + ");\n";
+    }
+    if (op.ahead_word >= 0) return;
     code_ += "  {\n    const uint64_t* const w = words + " + str(op.first_word - f.early_shift) +
              ";\n    failure.operation = " + str(first_row(k)) + ";\n    early_" + f.name + "(w";
     for (size_t s = 0; s < op.sources.size(); ++s)
@@ -213,6 +279,36 @@ class ChainText {
     for (size_t o = 0; o < p.outputs.size(); ++o)
       code_ += ", output_registers{" + crossing(k, o) + "}";
     code_ += ", i, failure);\n  }\n";
+  }
+
+  static std::string ahead_memory(const Operation& op, const nova::ir::Program& early, size_t o) {
+    const auto rows = static_cast<int64_t>(early.outputs.size());
+    return "(words[" + str(op.ahead_word + static_cast<int64_t>(o)) + "], words[" +
+           str(op.ahead_word + rows) + "], i, ";
+  }
+  void ahead(int32_t k) {
+    const Operation& op = at(k);
+    if (op.ahead_word < 0) return;
+    const RowFunctions::Function& f = rows_.of(op);
+    const std::vector<nova::ir::Output>& outputs = f.halves.early.outputs;
+    code_ += "  {\n  row_failure failure = begin_row(sink);\n";
+    for (size_t s = 0; s < op.sources.size(); ++s)
+      if (const int32_t words = table_.loaded_words(op, s); words != 0 && op.sources[s].early)
+        code_ += "  " + own_load(k, s, words);
+    for (size_t o = 0; o < outputs.size(); ++o)
+      code_ += "  int32_t " + crossing(k, o) + "[" + crossing_count(outputs[o]) + "] = {};\n";
+    code_ += "  const uint64_t* const w = words + " + str(op.first_word - f.early_shift) +
+             ";\n  early_" + f.name + "(w";
+    for (size_t s = 0; s < op.sources.size(); ++s)
+      code_ += ", " + (op.sources[s].early ? source(k, s, false) : std::string("no_source{}"));
+    for (size_t o = 0; o < outputs.size(); ++o)
+      code_ += ", output_registers{" + crossing(k, o) + "}";
+    code_ += ", i, failure);\n";
+    for (size_t o = 0; o < outputs.size(); ++o)
+      code_ += "  store_ahead<" + crossing_count(outputs[o]) + ">" +
+               ahead_memory(op, f.halves.early, o) + crossing(k, o) + ");\n";
+    code_ += "  if (failure.source >= 0) {\n    sink.kernel = (uint32_t)words[" +
+             str(op.first_word - 1) + "];\n    end_row(failure, sink, i);\n  }\n  }\n";
   }
 
   void operation(int32_t k) {
@@ -321,7 +417,7 @@ class ChainText {
                               : table(op.tables[0])) +
             ", " + argument(k, op.sum.offsets_word + 1) + ", " + items(first);
     for (int32_t sum = first; sum <= k; ++sum)
-      text += ", " + argument(sum, at(sum).sum.source_word) + ", " + init(sum) + ", " +
+      text += ", " + summed(at(sum)) + ", " + init(sum) + ", " +
               (sum == k ? out : output(sum, 0, loop, argument(sum, at(sum).sum.out_word)));
     return text + ", row);\n";
   }
@@ -367,9 +463,26 @@ class ChainText {
   const SequenceTable& table_;
   const ChainForm& form_;
   RowFunctions& rows_;
-  std::string code_;
+  std::string number_, code_;
+  std::string filling_;          // a function of its own
   std::set<int32_t> has_items_;  // sums whose first items are loaded before any is added
 };
+
+// The kernel that computes early halves ahead.
+std::string ahead_source(const SequenceTable& table, RowFunctions& rows) {
+  std::string functions, cases;
+  for (size_t k = 0; k < table.forms.size(); ++k) {
+    const std::string one = ChainText(table, table.forms[k], rows).run_ahead(k);
+    if (one.empty()) continue;
+    functions += one;
+    const std::string number = std::to_string(k);
+    cases += "    case " + number + ":\n      ahead" + number + "(words, i, sink);\n      break;\n";
+  }
+  return functions +
+         "LANE_FN void run_ahead(uint32_t form, const uint64_t* words, const int64_t i,\n"
+         "                       const device_sink sink) {\n  switch (form) {\n" +
+         cases + "  }\n}\n";
+}
 
 uint64_t record_words(const SequenceTable& table) {
   constexpr uint64_t kStep = 64;  // tables of about one size share their code
@@ -378,9 +491,24 @@ uint64_t record_words(const SequenceTable& table) {
 
 }  // namespace
 
+nova::ir::Cut halves_of(const SequenceTable& table, const Operation& op) {
+  const nova::ir::Program p = without_names(table.program(op));
+  if (p.contract) return {};
+  nova::ir::Cut halves = nova::ir::cut(p, late_sources(op));
+  return is_work(halves.early) ? halves : nova::ir::Cut{};
+}
+
 uint64_t shared_bytes(const SequenceTable& table, const SequenceShape& shape) {
   constexpr uint64_t kRecords = 3;
+  const uint64_t words = table.layouts != 0 ? table.layouts : table.kept_words;
   return kRecords * record_words(table) * sizeof(uint64_t) +
+         words * shape.threads * sizeof(int32_t);
+}
+
+uint64_t launch_bytes(const SequenceTable& table, const SequenceShape& shape) {
+  if (table.layouts == 0) return 0;
+  constexpr uint64_t kItemBytes = 16;
+  return table.item_rows * kItemBytes +
          uint64_t{table.kept_words} * shape.threads * sizeof(int32_t);
 }
 
@@ -396,6 +524,12 @@ std::string sequence_source(const SequenceTable& table, const SequenceShape& sha
   if (shape.form != SequenceShape::Form::Grid) define("CSR_BATCH", kBatch);
   define("SEQUENCE_KEPT", table.kept_words);
   define("SEQUENCE_TASKS", table.tasks != 0 ? 1 : 0);
+  define("SEQUENCE_LAYOUTS", table.layouts);
+  if (table.layouts != 0) {
+    define("SEQUENCE_CORNERS", table.corners);
+    define("SEQUENCE_ITEMS", table.item_rows);
+  }
+  define("SEQUENCE_AHEAD", table.job_count != 0 ? 1 : 0);
   text += prelude_text();
   text += sequence_text();
   RowFunctions rows(table);
@@ -403,12 +537,14 @@ std::string sequence_source(const SequenceTable& table, const SequenceShape& sha
   for (size_t k = 0; k < table.forms.size(); ++k) {
     chains += ChainText(table, table.forms[k], rows).run(k);
     const std::string number = std::to_string(k);
-    cases +=
-        "    case " + number + ":\n      chain" + number + "(words, i, on, sink);\n      break;\n";
+    cases += "    case " + number + ":\n      chain" + number +
+             "(words, i, on, owns, sink);\n      break;\n";
   }
+  if (table.job_count != 0) chains += ahead_source(table, rows);
   return text + rows.text + chains +
          "LANE_FN void run_chain(uint32_t form, const uint64_t* words, const int64_t i,\n"
-         "                       const bool on, const device_sink sink) {\n  switch (form) {\n" +
+         "                       const bool on, const bool owns, const device_sink sink) {\n"
+         "  switch (form) {\n" +
          cases + "  }\n}\n";
 }
 

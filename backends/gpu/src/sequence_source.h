@@ -7,8 +7,11 @@
 #include <vector>
 
 #include "module.h"
+#include "novaphy/program/cut.h"
 
 namespace novaphy::gpu {
+
+struct BlockPlan;
 
 // The structure of a chain. Chains of equal structure share their code: only arguments differ.
 struct ChainForm {
@@ -20,6 +23,7 @@ struct ChainForm {
       int32_t width = 1;
       bool offsets = false, init = false;  // which of its arguments are there
       bool chunks = false;                 // long rows are summed by the builtin's rule
+      int32_t items = -1;  // where they lie in the memory of the block; -1: in memory
       bool joins = false;  // over the same items as the operation before, and run with it
       // Which argument words they are; items come after offsets.
       int32_t source_word = 0, offsets_word = 1, init_word = 3, out_word = 4;
@@ -38,6 +42,7 @@ struct ChainForm {
       // Nothing in the phase before writes it, wherever the form occurs, nor does the chain: so it
       // may be read before that phase is over.
       bool early = false;
+      bool fixed_rows = false;  // early, and nothing in the sequence writes it
       auto operator<=>(const Source&) const = default;
     };
     std::vector<Source> sources;
@@ -46,15 +51,20 @@ struct ChainForm {
       // too.
       enum Store : int32_t { Now, Later, Never } store = Now;
       int32_t width = 1;
-      bool aligned = false;  // as of a source
+      bool aligned = false;                // as of a source
+      int32_t items = -1, item_width = 0;  // its items go to the memory of the block, too
       auto operator<=>(const Output&) const = default;
     };
     std::vector<Output> outputs;
     int32_t first_word = 0;  // of its arguments in the chain's
+    // Where the chain's words name the memory of what its early half leaves, which a launch of its
+    // own computes for all phases at once; -1: it is computed in its phase.
+    int32_t ahead_word = -1;
     auto operator<=>(const Operation&) const = default;
   };
   std::vector<Operation> operations;
   std::vector<int32_t> tables;  // the chain's word of each CSR table's offsets; items come next
+  bool sums_items = false;      // the phase adds items that the block has made in the one before
   auto operator<=>(const ChainForm&) const = default;
 };
 
@@ -66,6 +76,14 @@ struct SequenceTable {
   uint64_t counters = 0;                           // where the barrier's word lies
   uint32_t kept_words = 0;                         // what threads keep between phases, each
   uint64_t tasks = 0;  // where those of the warps lie; 0: there are none
+  uint64_t rows = 0;   // where the rows of threads lie, by layout and block
+  uint32_t layouts = 0, corners = 0, item_rows = 0;  // see BlockPlan
+  std::vector<uint64_t> relative;                    // words that count bytes from the first one
+  // Early halves that are computed ahead: a word for each, rows << 32 | form, and one that says
+  // where the words of its chain begin.
+  uint64_t jobs = 0, job_count = 0, job_rows = 0;  // where they lie, how many, the most rows
+  uint64_t ahead_bytes = 0;                        // what they leave
+  std::vector<uint64_t> ahead;                     // words that count bytes from its first one
   bool fits = true;
   // Of a source: words of a row, and which argument word has its address.
   int32_t source_width(const ChainForm::Operation& op, size_t source) const;
@@ -76,6 +94,13 @@ struct SequenceTable {
     return *programs[static_cast<size_t>(op.program)];
   }
 };
+// The two halves of a Program in a chain; without outputs of `early`: it stays whole.
+nova::ir::Cut halves_of(const SequenceTable& table, const ChainForm::Operation& op);
+// Words of a row of what an early half leaves, which is loaded by fours.
+inline uint64_t crossing_words(const nova::ir::Output& output) {
+  return (output.values.size() + 3) / 4 * 4;
+}
+
 // What a table may count on where no thread has more than one row of a phase.
 struct SequenceRoom {
   uint32_t warps = 0;       // for a phase
@@ -84,6 +109,8 @@ struct SequenceRoom {
   // Phases take turns among so many groups of warps: while those of one work, those of the next do
   // what they can before it is over.
   uint32_t groups = 1;
+  const BlockPlan* plan = nullptr;
+  uint64_t ahead_bytes = 0;  // of memory, for what is computed ahead
 };
 SequenceTable sequence_table(std::span<const novaphy_sequence_op> ops,
                              const SequenceRoom& room = {});
@@ -99,7 +126,8 @@ struct SequenceShape {
   bool is_large() const { return form == Form::Cluster && blocks > kMostInCluster; }
 };
 std::string sequence_source(const SequenceTable& table, const SequenceShape& shape);
-// The shared memory that a block of it takes.
+// The shared memory that a block of it takes: what the text says, and what a launch adds.
 uint64_t shared_bytes(const SequenceTable& table, const SequenceShape& shape);
+uint64_t launch_bytes(const SequenceTable& table, const SequenceShape& shape);
 
 }  // namespace novaphy::gpu

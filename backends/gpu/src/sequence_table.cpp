@@ -1,9 +1,12 @@
 // From operations to records and forms of chains.
 #include <algorithm>
+#include <cstring>
 #include <map>
 #include <tuple>
 
 #include "row_use.h"
+#include "sequence_blocks.h"
+#include "sequence_memory.h"
 #include "sequence_source.h"
 
 namespace novaphy::gpu {
@@ -17,36 +20,14 @@ constexpr int32_t kMaxOwn = 12;        // words of a source that are loaded when
 constexpr int32_t kMaxTables = 3;      // CSR tables likewise
 constexpr uint64_t kAlignment = 16;
 constexpr uint32_t kMinUses = 4;  // of what is worth keeping
-
-uint64_t address(const void* p) { return reinterpret_cast<uint64_t>(p); }
+// Of a task, where a plan says which rows a thread has; as in sequence.cuh.
+constexpr uint64_t kWorks = 1, kStores = 2, kHandsOver = 4, kTakesOver = 8, kKeeps = 16;
 
 // The memory that an operation of a chain touches at its own row.
 struct Touch {
   uint64_t where = 0;
   int32_t words = 0;  // for each row of the chain
   int32_t slot = 0;   // which source or output; of a row_sum source 0 is `init`
-};
-
-// The memory that the sequence writes.
-class Written {
- public:
-  void add(uint64_t begin, uint64_t bytes) {
-    uint64_t& end = ends_[begin];
-    end = std::max(end, begin + bytes);
-    longest_ = std::max(longest_, bytes);
-  }
-  bool touches(uint64_t begin, uint64_t bytes) const {
-    for (auto at = ends_.lower_bound(begin + bytes); at != ends_.begin();) {
-      --at;
-      if (at->second > begin) return true;
-      if (at->first + longest_ <= begin) break;
-    }
-    return false;
-  }
-
- private:
-  std::map<uint64_t, uint64_t> ends_;
-  uint64_t longest_ = 0;
 };
 
 using Warps = std::pair<uint64_t, uint64_t>;  // from the first to before the second
@@ -104,7 +85,11 @@ std::span<const novaphy_sequence_op> phase_at(std::span<const novaphy_sequence_o
 
 class Writer {
  public:
-  explicit Writer(const SequenceRoom& room) : kept_(room.kept_words), room_(room) {}
+  // Of each operation, the bytes of a row of what its early half leaves, per output, if that is
+  // computed ahead. Empty: none is.
+  using Ahead = std::vector<std::vector<uint64_t>>;
+  Writer(const SequenceRoom& room, Ahead ahead)
+      : kept_(room.kept_words), room_(room), ahead_(std::move(ahead)) {}
 
   SequenceTable run(std::span<const novaphy_sequence_op> ops) {
     for (const novaphy_sequence_op& o : ops) {
@@ -116,9 +101,10 @@ class Writer {
     for (size_t first = 0; first < ops.size();) {
       const std::span<const novaphy_sequence_op> phase = phase_at(ops, first);
       const uint64_t start = out_.words.size();
-      phase_written_ = Written();
+      first_op_ = first;
+      phase_written_ = Pieces();
       for (const novaphy_sequence_op& o : phase_before) add_written(phase_written_, o);
-      phase_before = phase;
+      phase_before = phase_ops_ = phase;
       add_record(phase);
       ++phase_;
       const uint64_t size = out_.words.size() - start;
@@ -135,6 +121,7 @@ class Writer {
       out_.tasks = out_.words.size();
       out_.words.insert(out_.words.end(), tasks_.begin(), tasks_.end());
     }
+    if (room_.plan != nullptr) add_plan();
     out_.counters = out_.words.size();
     out_.words.push_back(0);
     out_.forms.resize(forms_.size());
@@ -142,13 +129,23 @@ class Writer {
       out_.forms[number] = form;
       size_t at = 0;
       for (Operation& op : out_.forms[number].operations)
-        for (Operation::Source& source : op.sources) source.early = early_[number][at++];
+        for (Operation::Source& source : op.sources) {
+          source.early = (early_[number][at] & kEarly) != 0;
+          source.fixed_rows = (early_[number][at++] & kUnwritten) != 0;
+        }
+    }
+    if (!jobs_.empty()) {
+      out_.jobs = out_.words.size();
+      out_.job_count = jobs_.size() / 2;
+      out_.words.insert(out_.words.end(), jobs_.begin(), jobs_.end());
     }
     place_kept();
     out_.kept_words = kept_.words();
-    out_.fits = out_.words.size() < UINT32_MAX;
+    out_.fits = out_.fits && out_.words.size() < UINT32_MAX;
     return std::move(out_);
   }
+  // Of each operation: its form, and which one it is there.
+  const std::vector<std::pair<uint32_t, uint32_t>>& form_of() const { return form_of_; }
 
  private:
   struct User {
@@ -163,7 +160,12 @@ class Writer {
     const uint64_t number = ops.back().chain + uint64_t{1};
     const int64_t lanes = lanes_of(ops);
     uint64_t warps = 0;
-    if (room_.blocks != 0) tasks_.resize(tasks_.size() + room_.warps * room_.groups, 0);
+    const BlockPlan::Phase* planned = room_.plan ? &room_.plan->phases[phase_] : nullptr;
+    if (planned != nullptr) {
+      add_idle_tasks(*planned);
+    } else if (room_.blocks != 0) {
+      tasks_.resize(tasks_.size() + room_.warps * room_.groups, 0);
+    }
     for (size_t first = 0, last = 0; first < ops.size(); first = last) {
       while (last < ops.size() && ops[last].chain == ops[first].chain) ++last;
       const std::span<const novaphy_sequence_op> chain = ops.subspan(first, last - first);
@@ -172,10 +174,16 @@ class Writer {
       const uint64_t at = 2 + 2 * number + body.size();
       const uint64_t end = warps + warps_of(rows, lanes);
       const uint64_t group = room_.warps * (phase_ % room_.groups);
-      const uint64_t form =
-          add_chain(chain, {group + warps, group + end}, out_.words.size() + at, body);
+      const BlockPlan::Chain* mine = planned ? &planned->chains[chain[0].chain] : nullptr;
+      const Warps of_chain = mine ? Warps{mine->first_warp, mine->first_warp + mine->warps}
+                                  : Warps{group + warps, group + end};
+      const uint64_t form = add_chain(chain, of_chain, out_.words.size() + at, body);
       chains.push_back(form << 32 | at);
-      if (room_.blocks != 0) add_tasks(form << 48 | at << 32, rows, lanes, warps);
+      if (mine != nullptr) {
+        add_planned_tasks(form << 48 | at << 32, *planned, *mine);
+      } else if (room_.blocks != 0) {
+        add_tasks(form << 48 | at << 32, rows, lanes, warps);
+      }
       warps = end;
     }
     out_.words.push_back(0);
@@ -197,6 +205,51 @@ class Writer {
       phase[(block * room_.groups + group) * of_block + in_group] =
           chain | count << 24 | static_cast<uint64_t>(row);
     }
+  }
+
+  // Of warps without rows.
+  void add_idle_tasks(const BlockPlan::Phase& phase) {
+    const uint64_t of_block = room_.warps / room_.blocks;
+    for (uint64_t warp = 0; warp < room_.warps; ++warp) {
+      const bool makes = warp % of_block < room_.plan->maker_warps;
+      tasks_.push_back(makes && phase.makes_items   ? kHandsOver
+                       : !makes && phase.sums_items ? kTakesOver
+                                                    : 0);
+    }
+  }
+  // The same, where a plan says which rows a thread has.
+  void add_planned_tasks(uint64_t chain, const BlockPlan::Phase& phase,
+                         const BlockPlan::Chain& warps) {
+    constexpr uint64_t kLayoutShift = 8;
+    const BlockPlan& plan = *room_.plan;
+    const uint64_t of_block = room_.warps / room_.blocks;
+    uint64_t* const tasks = tasks_.data() + tasks_.size() - room_.warps;
+    for (uint64_t block = 0; block < room_.blocks; ++block)
+      for (uint64_t warp = warps.first_warp; warp < warps.first_warp + warps.warps; ++warp) {
+        const uint64_t at = block * of_block + warp;
+        if ((plan.layouts[phase.layout][at * kWarp] & BlockPlan::kOn) == 0) continue;
+        tasks[at] = chain | uint64_t{phase.layout} << kLayoutShift | kWorks |
+                    (warps.stores ? kStores : 0) | (warps.keeps ? kKeeps : 0);
+      }
+  }
+  // The rows of threads, and the items of sums, behind the records.
+  void add_plan() {
+    const BlockPlan& plan = *room_.plan;
+    out_.layouts = static_cast<uint32_t>(plan.layouts.size());
+    out_.corners = plan.corners;
+    out_.item_rows = plan.item_rows;
+    out_.rows = out_.words.size();
+    std::vector<int32_t> words;
+    for (const auto& layout : plan.layouts) words.insert(words.end(), layout.begin(), layout.end());
+    std::vector<uint64_t> first;  // of the items of a table
+    for (const auto& items : plan.items) {
+      first.push_back(out_.rows * sizeof(uint64_t) + words.size() * sizeof(int32_t));
+      words.insert(words.end(), items.begin(), items.end());
+    }
+    words.resize((words.size() + 1) / 2 * 2, 0);
+    out_.words.resize(out_.rows + words.size() / 2);
+    std::memcpy(out_.words.data() + out_.rows, words.data(), words.size() * sizeof(int32_t));
+    for (const uint64_t at : out_.relative) out_.words[at] = first[out_.words[at]];
   }
 
   // Rows of a warp: fewer where warps would idle, because a load waits for all the lines that its
@@ -223,29 +276,82 @@ class Writer {
         body.push_back(o.op.source ? address(o.op.source) : o.op.pattern);
       } else {
         body.insert(body.end(), o.op.arguments, o.op.arguments + o.op.argument_count);
+        if (op.kind == Operation::Program) add_ahead(o, op, start, at, body);
       }
     }
     find_tables(chain, form);
     link(chain, form);
+    if (room_.plan != nullptr) plan_items(chain, form, body.data() + start, at);
     const auto next = static_cast<uint32_t>(forms_.size());
     const uint32_t number = forms_.emplace(form, next).first->second;
+    for (uint32_t k = 0; k < chain.size(); ++k) form_of_.push_back({number, k});
+    const bool is_ahead = std::any_of(form.operations.begin(), form.operations.end(),
+                                      [](const Operation& op) { return op.ahead_word >= 0; });
+    if (is_ahead) {
+      const auto rows = static_cast<uint64_t>(chain[0].rows);
+      jobs_.insert(jobs_.end(), {rows << 32 | number, at});
+      out_.job_rows = std::max(out_.job_rows, rows);
+    }
     note_early(chain, form, number);
     note_kept(form, number, chain[0].rows, warps, body.data() + start, at);
     return number;
   }
 
+  size_t number_of(const novaphy_sequence_op& o) const {
+    return first_op_ + static_cast<size_t>(&o - phase_ops_.data());
+  }
+
+  // Where the early half of an operation leaves what it computes ahead.
+  void add_ahead(const novaphy_sequence_op& o, Operation& op, size_t start, uint64_t at,
+                 std::vector<uint64_t>& body) {
+    const std::vector<uint64_t>* const row_bytes = ahead_.empty() ? nullptr : &ahead_[number_of(o)];
+    if (row_bytes == nullptr || row_bytes->empty()) return;
+    op.ahead_word = static_cast<int32_t>(body.size() - start);
+    for (const uint64_t bytes : *row_bytes) {
+      out_.ahead.push_back(at + body.size() - start);
+      body.push_back(out_.ahead_bytes);
+      out_.ahead_bytes += bytes * static_cast<uint64_t>(o.n);
+    }
+    body.push_back(static_cast<uint64_t>(o.n));
+  }
+
+  // Which items of a chain lie in the memory of its block.
+  void plan_items(std::span<const novaphy_sequence_op> chain, ChainForm& form, uint64_t* words,
+                  uint64_t at) {
+    form.sums_items = room_.plan->phases[phase_].sums_items;
+    for (size_t k = 0; k < chain.size(); ++k) {
+      const BlockPlan::Operation& planned = room_.plan->operations[number_of(chain[k])];
+      Operation& op = form.operations[k];
+      for (const auto& [output, items] : planned.outputs) {
+        out_.fits = out_.fits && op.outputs[output].store == Operation::Output::Later;
+        op.outputs[output].items = static_cast<int32_t>(items.base);
+        op.outputs[output].item_width = items.width;
+      }
+      if (!planned.sum) continue;
+      op.sum.items = static_cast<int32_t>(planned.sum->base);
+      op.sum.chunks = false;  // none is that long
+      const int32_t word = op.first_word + op.sum.offsets_word + 1;
+      const auto own = static_cast<uint64_t>(word);
+      words[own] = planned.sum->items;
+      out_.relative.push_back(at + own);
+    }
+  }
+
   // Notes which sources the chain may read before the phase before it is over.
   void note_early(std::span<const novaphy_sequence_op> chain, const ChainForm& form,
                   uint32_t number) {
-    Written own;
+    Pieces own;
     for (const novaphy_sequence_op& o : chain) add_written(own, o);
     std::vector<char> early;
     for (size_t k = 0; k < chain.size(); ++k)
       for (size_t s = 0; s < form.operations[k].sources.size(); ++s) {
         const auto [begin, bytes] = memory_of(chain[k], form.operations[k], s);
         const bool is_own = form.operations[k].sources[s].from == Operation::Source::Own;
-        early.push_back(room_.blocks != 0 && !phase_written_.touches(begin, bytes) &&
-                        (is_own || !own.touches(begin, bytes)));
+        const bool is_early = room_.blocks != 0 && !phase_written_.touch(begin, bytes) &&
+                              (is_own || !own.touch(begin, bytes));
+        const bool is_unwritten = is_early && !written_.touch(begin, bytes);
+        early.push_back(
+            static_cast<char>((is_early ? kEarly : 0) | (is_unwritten ? kUnwritten : 0)));
       }
     if (number == early_.size()) {
       early_.push_back(std::move(early));
@@ -295,9 +401,25 @@ class Writer {
     for (const User& user : users_) {
       if (user.chains.size() < kMinUses) continue;
       const uint64_t position = kept_.place(user.words, user.warps);
+      out_.fits = out_.fits && (position != 0 || room_.plan == nullptr);
       for (const uint64_t at : user.chains)
         if (position != 0) out_.words[at] = 2 * position + (at == user.chains[0] ? 1 : 0);
     }
+    if (room_.plan != nullptr) place_rare();
+  }
+
+  // With a plan all is kept. What is not worth it is filled each time, at one place.
+  void place_rare() {
+    User all{0, {0, UINT64_MAX}, {}};
+    for (const User& user : users_) {
+      if (user.chains.size() >= kMinUses) continue;
+      all.words = std::max(all.words, user.words);
+      all.chains.insert(all.chains.end(), user.chains.begin(), user.chains.end());
+    }
+    if (all.chains.empty()) return;
+    const uint64_t position = kept_.place(all.words, all.warps);
+    out_.fits = out_.fits && position != 0;
+    for (const uint64_t at : all.chains) out_.words[at] = 2 * position + 1;
   }
 
   Operation operation(const novaphy_sequence_op& o) {
@@ -308,16 +430,22 @@ class Writer {
       op.kind = o.op.source ? Operation::Copy : Operation::Fill;
       if (o.op.source) op.sources.push_back({Operation::Source::There});
       op.outputs.resize(1);
-    } else if (kernel->run != nullptr) {
+    } else if (const CsrSum sum = csr_sum(o); sum.is_there() || is_builtin(o)) {
       op.kind = Operation::RowSum;
-      op.sum.width = static_cast<int32_t>(o.op.arguments[5]);
-      op.sum.offsets = o.op.arguments[1] != 0;
-      op.sum.init = o.op.arguments[3] != 0;
-      op.sum.chunks = true;
+      op.sum.width = sum.is_there() ? sum.width : static_cast<int32_t>(o.op.arguments[5]);
+      op.sum.offsets = sum.is_there();
+      op.sum.init = sum.is_there() ? sum.has_init : o.op.arguments[3] != 0;
+      op.sum.chunks = is_builtin(o);
+      if (sum.is_there()) {
+        op.sum.source_word = sum.source;
+        op.sum.offsets_word = sum.offsets;
+        op.sum.init_word = sum.init;
+        op.sum.out_word = sum.out;
+      }
       if (op.sum.init) op.sources.push_back({Operation::Source::There});
       op.outputs.resize(1);
       op.outputs[0].width = op.sum.width;
-    } else if (!become_sum(o, op)) {
+    } else {
       const nova::ir::Program& p = kernel->program;
       const auto [known, fresh] =
           programs_.emplace(kernel, static_cast<int32_t>(out_.programs.size()));
@@ -332,29 +460,6 @@ class Writer {
         op.outputs.push_back({Operation::Output::Now, static_cast<int32_t>(output.values.size())});
     }
     return op;
-  }
-
-  // A Program that adds rows of CSR items to the own row, and that row is there.
-  static bool become_sum(const novaphy_sequence_op& o, Operation& op) {
-    const nova::ir::Program& p = o.op.kernel->program;
-    const auto [init, source] = nova::ir::added_rows(p);
-    if (source < 0) return false;
-    const auto word = [&](int32_t s) {
-      return static_cast<int32_t>(p.source_argument(static_cast<size_t>(s)));
-    };
-    if (!is_there(p, static_cast<size_t>(init), o.op.arguments[word(init) + 1],
-                  static_cast<uint64_t>(o.n)))
-      return false;
-    op.kind = Operation::RowSum;
-    op.sum.width = p.sources[static_cast<size_t>(source)].width;
-    op.sum.offsets = op.sum.init = true;
-    op.sum.source_word = word(source);
-    op.sum.offsets_word = static_cast<int32_t>(p.loop_argument(0));
-    op.sum.init_word = word(init);
-    op.sum.out_word = static_cast<int32_t>(p.output_argument(0));
-    op.sources.push_back({Operation::Source::There});
-    op.outputs.push_back({Operation::Output::Now, op.sum.width});
-    return true;
   }
 
   static bool is_aligned(const Touch& t) { return t.where % kAlignment == 0 && t.words % 4 == 0; }
@@ -460,7 +565,7 @@ class Writer {
                    !place.written) {
           const uint64_t bytes = static_cast<uint64_t>(t.words) * chain[k].rows * sizeof(int32_t);
           source = {Operation::Source::Own, 0, 0, is_aligned(t),
-                    comes_again(chain[k], t) && !written_.touches(t.where, bytes)};
+                    comes_again(chain[k], t) && !written_.touch(t.where, bytes)};
         }
       }
       link_first_rows(chain[k], op);
@@ -488,7 +593,7 @@ class Writer {
                     static_cast<int32_t>(s)};
       if (rows_read(p, s) != Rows::First || op.sources[s].from != Operation::Source::There ||
           t.words > kMaxOwn ||
-          written_.touches(t.where, static_cast<uint64_t>(t.words) * sizeof(int32_t)))
+          written_.touch(t.where, static_cast<uint64_t>(t.words) * sizeof(int32_t)))
         continue;
       op.sources[s] = {Operation::Source::First, 0, 0, is_aligned(t), comes_again(o, t)};
     }
@@ -500,7 +605,7 @@ class Writer {
 
   void add_uses(const novaphy_sequence_op& o) {
     if (o.op.kernel == nullptr) return;
-    if (o.op.kernel->run != nullptr) {
+    if (is_builtin(o)) {
       ++uses_[{o.op.kernel, 0, o.op.arguments[3]}];
       return;
     }
@@ -508,22 +613,15 @@ class Writer {
     for (size_t s = 0; s < p.sources.size(); ++s)
       ++uses_[{o.op.kernel, static_cast<int32_t>(s), o.op.arguments[p.source_argument(s)]}];
   }
-  static void add_written(Written& written, const novaphy_sequence_op& o) {
-    const auto rows = static_cast<uint64_t>(o.n) * sizeof(int32_t);
-    if (o.op.kernel == nullptr) {
-      written.add(address(o.op.target), rows);
-    } else if (o.op.kernel->run != nullptr) {
-      written.add(o.op.arguments[4], rows * o.op.arguments[5]);
-    } else {
-      const nova::ir::Program& p = o.op.kernel->program;
-      for (size_t k = 0; k < p.outputs.size(); ++k)
-        written.add(o.op.arguments[p.output_argument(k)], rows * p.outputs[k].values.size());
-    }
+  static void add_written(Pieces& written, const novaphy_sequence_op& o) {
+    for_each_written(o, [&](uint64_t begin, uint64_t bytes, size_t) { written.add(begin, bytes); });
   }
 
   SequenceTable out_;
-  Written written_, phase_written_;  // by the sequence, by the phase before
+  Pieces written_, phase_written_;  // by the sequence, by the phase before
   uint64_t phase_ = 0;
+  size_t first_op_ = 0;  // of the phase
+  std::span<const novaphy_sequence_op> phase_ops_;
   Kept kept_;
   const SequenceRoom room_;
   std::vector<uint64_t> tasks_;
@@ -532,7 +630,11 @@ class Writer {
   std::map<std::vector<uint64_t>, size_t> user_of_;
   std::map<const novaphy_kernel*, int32_t> programs_;
   std::map<ChainForm, uint32_t> forms_;
-  std::vector<std::vector<char>> early_;  // per form and source of its operations
+  static constexpr char kEarly = 1, kUnwritten = 2;
+  std::vector<std::vector<char>> early_;                // per form and source of its operations
+  std::vector<std::pair<uint32_t, uint32_t>> form_of_;  // of an operation, and which it is there
+  const Ahead ahead_;
+  std::vector<uint64_t> jobs_;
 };
 
 }  // namespace
@@ -556,8 +658,46 @@ int64_t SequenceTable::source_word(const Operation& op, size_t source) const {
   return programs[static_cast<size_t>(op.program)]->source_argument(source);
 }
 
+namespace {
+
+// Of an operation whose early half is worth a launch of its own, the bytes of a row of what that
+// leaves: it reads only what nobody writes in the sequence, and computes much more than it leaves.
+std::vector<uint64_t> worth_ahead(const SequenceTable& table, const Operation& op) {
+  constexpr size_t kInstructionsOfWord = 3;
+  if (op.kind != Operation::Program) return {};
+  for (const Operation::Source& source : op.sources)
+    if (source.early && !source.fixed_rows) return {};
+  const nova::ir::Cut halves = halves_of(table, op);
+  std::vector<uint64_t> bytes;
+  uint64_t words = 0;
+  for (const nova::ir::Output& output : halves.early.outputs) {
+    words += crossing_words(output);
+    bytes.push_back(crossing_words(output) * sizeof(int32_t));
+  }
+  if (halves.early.instrs.size() <= kInstructionsOfWord * words) bytes.clear();
+  return bytes;
+}
+
+}  // namespace
+
 SequenceTable sequence_table(std::span<const novaphy_sequence_op> ops, const SequenceRoom& room) {
-  return Writer(room).run(ops);
+  Writer plain(room, {});
+  SequenceTable table = plain.run(ops);
+  if (room.ahead_bytes == 0) return table;
+  std::vector<std::vector<std::vector<uint64_t>>> of_forms;
+  bool any = false;
+  for (const ChainForm& form : table.forms) {
+    of_forms.emplace_back();
+    for (const Operation& op : form.operations) {
+      of_forms.back().push_back(worth_ahead(table, op));
+      any = any || !of_forms.back().back().empty();
+    }
+  }
+  if (!any) return table;
+  Writer::Ahead ahead;
+  for (const auto& [form, number] : plain.form_of()) ahead.push_back(of_forms[form][number]);
+  SequenceTable with = Writer(room, ahead).run(ops);
+  return with.fits && with.ahead_bytes <= room.ahead_bytes ? with : table;
 }
 
 uint32_t most_warps(std::span<const novaphy_sequence_op> ops) {

@@ -24,7 +24,7 @@ extern "C" {
 #endif
 
 #define NOVAPHY_ABI_MAJOR 0u
-#define NOVAPHY_ABI_MINOR 8u
+#define NOVAPHY_ABI_MINOR 9u
 
 typedef enum novaphy_status {
   NOVAPHY_OK = 0,
@@ -145,6 +145,8 @@ typedef struct novaphy_sequence_op {
   int64_t rows;   /* of its chain */
   uint32_t phase; /* counted from 0 */
   uint32_t chain; /* counted from 0 within the phase */
+  /* since minor version 9: of a builtin, the bytes that it may read from its first argument on */
+  uint64_t source_bytes;
 } novaphy_sequence_op;
 
 typedef struct novaphy_backend_api {
@@ -243,7 +245,7 @@ typedef struct novaphy_backend_api {
    * independent; row i of a chain is done by one thread: of each of its operations, in order, the
    * rows [i * n / rows, (i + 1) * n / rows). sequence_takes: whether an operation may be part of
    * one. What sequence_create makes is launched and destroyed as a list; NOT_SUPPORTED, and what the
-   * caller vouches for, as there. */
+   * caller vouches for, as there. Besides, CSR tables hold what they will hold at every launch. */
   int32_t (*sequence_takes)(novaphy_device* device, const novaphy_list_op* op);
   novaphy_status (*sequence_create)(novaphy_device* device, const novaphy_sequence_op* ops,
                                     uint32_t count, novaphy_list** list, novaphy_error* error);

@@ -1,0 +1,120 @@
+// What the operations of a sequence read and write.
+#pragma once
+
+#include <algorithm>
+#include <cstdint>
+#include <map>
+
+#include "module.h"
+#include "row_use.h"
+
+namespace novaphy::gpu {
+
+// Pieces of memory.
+class Pieces {
+ public:
+  void add(uint64_t begin, uint64_t bytes) {
+    uint64_t& end = ends_[begin];
+    end = std::max(end, begin + bytes);
+    longest_ = std::max(longest_, bytes);
+  }
+  bool touch(uint64_t begin, uint64_t bytes) const {
+    for (auto at = ends_.lower_bound(begin + bytes); at != ends_.begin();) {
+      --at;
+      if (at->second > begin) return true;
+      if (at->first + longest_ <= begin) break;
+    }
+    return false;
+  }
+
+ private:
+  std::map<uint64_t, uint64_t> ends_;
+  uint64_t longest_ = 0;
+};
+
+inline uint64_t address(const void* p) { return reinterpret_cast<uint64_t>(p); }
+// Of a launch; the others are copies and fills.
+inline bool is_builtin(const novaphy_sequence_op& o) { return o.op.kernel->program.instrs.empty(); }
+
+// A sum of rows of CSR items: the builtin, or a Program that adds them to its own row, which is
+// there. Its argument words; items come after offsets.
+struct CsrSum {
+  int32_t source = -1;  // -1: the operation is none
+  int32_t offsets = 1, init = 3, out = 4;
+  int32_t width = 1;
+  bool has_init = false;
+  bool is_there() const { return source >= 0; }
+};
+inline CsrSum csr_sum(const novaphy_sequence_op& o) {
+  if (o.op.kernel == nullptr) return {};
+  if (is_builtin(o)) {
+    CsrSum sum;
+    if (o.op.arguments[sum.offsets] == 0) return {};
+    sum.source = 0;
+    sum.width = static_cast<int32_t>(o.op.arguments[5]);
+    sum.has_init = o.op.arguments[sum.init] != 0;
+    return sum;
+  }
+  const nova::ir::Program& p = o.op.kernel->program;
+  const auto [init, source] = nova::ir::added_rows(p);
+  if (source < 0) return {};
+  const auto word = [&](int32_t s) { return p.source_argument(static_cast<size_t>(s)); };
+  if (!is_there(p, static_cast<size_t>(init), o.op.arguments[word(init) + 1],
+                static_cast<uint64_t>(o.n)))
+    return {};
+  return {static_cast<int32_t>(word(source)),
+          static_cast<int32_t>(p.loop_argument(0)),
+          static_cast<int32_t>(word(init)),
+          static_cast<int32_t>(p.output_argument(0)),
+          p.sources[static_cast<size_t>(source)].width,
+          true};
+}
+
+// f(offsets), of each CSR table
+template <class F>
+void for_each_table(const novaphy_sequence_op& o, const F& f) {
+  if (o.op.kernel == nullptr) return;
+  if (is_builtin(o)) {
+    if (o.op.arguments[1] != 0) f(o.op.arguments[1]);
+    return;
+  }
+  const nova::ir::Program& p = o.op.kernel->program;
+  for (size_t l = 0; l < p.loops.size(); ++l)
+    if (p.loops[l].kind == nova::ir::LoopKind::Csr) f(o.op.arguments[p.loop_argument(l)]);
+}
+
+// f(begin, bytes, output)
+template <class F>
+void for_each_written(const novaphy_sequence_op& o, const F& f) {
+  const auto rows = static_cast<uint64_t>(o.n) * sizeof(int32_t);
+  if (o.op.kernel == nullptr) {
+    f(address(o.op.target), rows, size_t{0});
+  } else if (is_builtin(o)) {
+    f(o.op.arguments[4], rows * o.op.arguments[5], size_t{0});
+  } else {
+    const nova::ir::Program& p = o.op.kernel->program;
+    for (size_t k = 0; k < p.outputs.size(); ++k)
+      f(o.op.arguments[p.output_argument(k)], rows * p.outputs[k].values.size(), k);
+  }
+}
+// f(begin, bytes, argument word)
+template <class F>
+void for_each_read(const novaphy_sequence_op& o, const F& f) {
+  const auto rows = static_cast<uint64_t>(o.n) * sizeof(int32_t);
+  if (o.op.kernel == nullptr) {
+    if (o.op.source != nullptr) f(address(o.op.source), rows, -1);
+  } else if (is_builtin(o)) {
+    f(o.op.arguments[0], o.source_bytes, 0);
+    if (o.op.arguments[3] != 0) f(o.op.arguments[3], rows * o.op.arguments[5], 3);
+  } else {
+    const nova::ir::Program& p = o.op.kernel->program;
+    for (size_t s = 0; s < p.sources.size(); ++s) {
+      const auto word = static_cast<int32_t>(p.source_argument(s));
+      f(o.op.arguments[word],
+        o.op.arguments[word + 1] * static_cast<uint64_t>(p.sources[s].width) * sizeof(int32_t),
+        word);
+    }
+  }
+}
+
+}  // namespace novaphy::gpu

@@ -1,0 +1,133 @@
+// Runs a sequence on the host: its text is compiled by the compiler of this build, and its threads
+// are fibres that take turns in a random order (host_sequence.h).
+#pragma once
+
+#include <dlfcn.h>
+#include <gtest/gtest.h>
+#include <unistd.h>
+
+#include <array>
+#include <cstdlib>
+#include <cstring>
+#include <filesystem>
+#include <fstream>
+#include <limits>
+#include <string>
+
+#include "sequence_source.h"
+
+namespace novaphy::gpu {
+
+// The device's words for what fibres do otherwise.
+inline void replace(std::string& text, const std::string& from, const std::string& to) {
+  const size_t at = text.find(from);
+  ASSERT_NE(at, std::string::npos) << from;
+  text.replace(at, from.size(), to);
+}
+inline std::string for_host(std::string text) {
+  const auto barrier = [](const char* name) {
+    return std::string("asm volatile(\"barrier.") + name + ";\" ::: \"memory\");";
+  };
+  replace(text, barrier("sync 0"), "sync_block();");
+  replace(text, barrier("cluster.arrive.release"), "arrive_all();");
+  replace(text, barrier("cluster.arrive.relaxed"), "arrive_all();");
+  replace(text, barrier("cluster.wait.acquire"), "wait_all();");
+  if (text.find("barrier.arrive 1") != std::string::npos) {
+    const auto between = [](const char* name) {
+      return std::string("asm volatile(\"barrier.") + name +
+             " 1, %0;\" ::\"n\"(SEQUENCE_THREADS) : \"memory\");";
+    };
+    replace(text, between("arrive"), "hand_over_block();");
+    replace(text, between("sync"), "take_over_block();");
+    replace(text, "extern __shared__ four_words g_items[];",
+            "static four_words g_items_of[64][1 << 15];\n#define g_items g_items_of[blockIdx.x]");
+    replace(text, "__shared__ uint32_t g_rows[SEQUENCE_LAYOUTS * SEQUENCE_THREADS];",
+            "static uint32_t g_rows_of[64][SEQUENCE_LAYOUTS * SEQUENCE_THREADS];\n"
+            "#define g_rows g_rows_of[blockIdx.x]");
+  }
+  const size_t begin = text.find("LANE_FN void phase_wait(uint32_t* counter, uint32_t count) {");
+  const size_t end = text.find("#endif", begin);
+  text.replace(begin, end - begin,
+               "LANE_FN void phase_wait(uint32_t*, uint32_t) { arrive_all(); wait_all(); }\n"
+               "LANE_FN void last_barrier(uint32_t*) {}\n");
+  replace(text, "(uint32_t)__cvta_generic_to_shared(p)", "0");
+  replace(text, "(uint64_t*)__cvta_shared_to_generic(address)", "p");
+  replace(text, "__shared__ int32_t g_kept[SEQUENCE_KEPT * SEQUENCE_THREADS];",
+          "static int32_t g_kept_of[64][SEQUENCE_KEPT * SEQUENCE_THREADS];\n"
+          "#define g_kept g_kept_of[blockIdx.x]");
+  replace(text, "__shared__ uint64_t records[3][SEQUENCE_WORDS];",
+          "static uint64_t records_of[64][3][SEQUENCE_WORDS];\n"
+          "  uint64_t(&records)[3][SEQUENCE_WORDS] = records_of[blockIdx.x];");
+  replace(text, "asm(\"rcp.approx.ftz.f32 %0, %1;\" : \"=f\"(r) : \"f\"(b));", "r = 1.0f / b;");
+  replace(text, "asm(\"rsqrt.approx.ftz.f32 %0, %1;\" : \"=f\"(r) : \"f\"(a));",
+          "r = 1.0f / sqrtf(a);");
+  replace(text,
+          "asm volatile(\"prefetch.global.L2 [%0];\" ::\"l\"((const int32_t*)p + i * width));", "");
+  for (const char* kernel : {"novaphy_main", "novaphy_ahead"})
+    if (const size_t at = text.rfind("extern \"C\" __global__", text.find(kernel));
+        at < text.size())
+      text.erase(at, std::strlen("extern \"C\" __global__"));
+  return "#include \"host_sequence.h\"\n" + text + "#include \"host_sequence_end.h\"\n";
+}
+
+class HostSequence {
+ public:
+  // The table's addresses are the host's.
+  HostSequence(SequenceTable& table, const SequenceShape& shape)
+      : table_(table), shape_(shape), ahead_(table.ahead_bytes + kAlignment) {
+    folder_ =
+        std::filesystem::temp_directory_path() / ("novaphy_sequence_" + std::to_string(getpid()));
+    std::filesystem::create_directories(folder_);
+    for (const uint64_t word : table.relative)
+      table.words[word] += reinterpret_cast<uint64_t>(table.words.data());
+    const uint64_t memory = reinterpret_cast<uint64_t>(ahead_.data()) + kAlignment - 1;
+    for (const uint64_t word : table.ahead) table.words[word] += memory & ~(kAlignment - 1);
+  }
+  ~HostSequence() {
+    if (library_ != nullptr) dlclose(library_);
+    std::filesystem::remove_all(folder_);
+  }
+  HostSequence(const HostSequence&) = delete;
+  HostSequence& operator=(const HostSequence&) = delete;
+
+  // False: it does not compile, or a read failed.
+  bool run(unsigned seed) {
+    using Run =
+        void (*)(const uint64_t*, uint64_t*, void*, uint32_t*, unsigned, unsigned, unsigned);
+    const auto run = reinterpret_cast<Run>(compiled());
+    if (run == nullptr) return false;
+    struct Record {  // as device_error, and the zeros behind it
+      int64_t index = std::numeric_limits<int64_t>::max();
+      std::array<int64_t, 63> rest{};
+    } record;
+    uint32_t flag = 0;
+    const uint64_t start[] = {table_.first_words, table_.tasks, table_.rows, table_.jobs,
+                              table_.job_count};
+    run(start, table_.words.data(), &record, &flag, shape_.blocks, shape_.threads, seed);
+    return flag == 0;
+  }
+
+ private:
+  static constexpr uint64_t kAlignment = 16;
+
+  void* compiled() {
+    const std::string from = folder_ / "sequence.cpp", to = folder_ / "sequence.so";
+    std::ofstream(from) << for_host(sequence_source(table_, shape_));
+    const std::string command =
+        HOST_COMPILER
+        " -std=c++20 -O1 -w -ffp-contract=off -fno-strict-aliasing -shared -fPIC "
+        "-I\"" HOST_SEQUENCE_FOLDER "\" -o \"" +
+        to + "\" \"" + from + "\"";
+    if (std::system(command.c_str()) != 0) return nullptr;
+    library_ = dlopen(to.c_str(), RTLD_NOW | RTLD_LOCAL);
+    return library_ == nullptr ? nullptr : dlsym(library_, "run_sequence");
+  }
+
+  SequenceTable& table_;
+  const SequenceShape shape_;
+  std::vector<char> ahead_;
+  std::filesystem::path folder_;
+  void* library_ = nullptr;
+};
+
+}  // namespace novaphy::gpu

@@ -90,6 +90,7 @@ class HostSequence {
   HostSequence(const HostSequence&) = delete;
   HostSequence& operator=(const HostSequence&) = delete;
 
+  bool compiles() const { return library_ != nullptr; }
   // False: it does not compile, or a read failed.
   bool run(unsigned seed) {
     using Run =

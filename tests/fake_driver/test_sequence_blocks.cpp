@@ -231,6 +231,21 @@ TEST_F(SequenceBlocks, HaveTheBitsOfOneExchangePerPhase) {
   }
 }
 
+TEST_F(SequenceBlocks, AFailingReadIsReportedWhereverNobodyStores) {
+  // In a phase whose items are overwritten, a point is missing.
+  Mesh mesh;
+  RecordedSequence failing = forward(mesh);
+  constexpr size_t kInAPhasePair = 5, kRowsOfState = 3;
+  (*failing.words[kInAPhasePair])[kRowsOfState] = kPoints - 1;
+  ASSERT_EQ(failing.ops[kInAPhasePair].phase, 2u);
+  const std::optional<BlockPlan> made = plan(failing);
+  ASSERT_TRUE(made);
+  SequenceTable table = planned(failing, *made);
+  HostSequence planned_sequence(table, {Form::Cluster, kBlocks, made->threads, 1});
+  EXPECT_FALSE(planned_sequence.run(1));
+  EXPECT_TRUE(planned_sequence.compiles());
+}
+
 TEST_F(SequenceBlocks, ABlockHasAllRowsThatItsSumsNeed) {
   Mesh mesh;
   const std::optional<BlockPlan> made = plan(forward(mesh));

@@ -177,16 +177,14 @@ novaphy_status create(novaphy_device* device, std::span<const novaphy_sequence_o
     made->threads = shape.threads;
     made->shared_bytes = static_cast<unsigned>(launch_bytes(table, shape));
     made->together = shape.form == Form::Grid;
-    novaphy_status status = NOVAPHY_OK;
     if (table.ahead_bytes != 0) {
       const Use use(device);
-      status =
-          check(device, driver().alloc(&made->ahead_memory, table.ahead_bytes), "sequence", error);
+      if (driver().alloc(&made->ahead_memory, table.ahead_bytes) != kSuccess)
+        return refuse("no memory for what is computed ahead");
       for (const uint64_t word : table.ahead) table.words[word] += made->ahead_memory;
     }
-    if (status == NOVAPHY_OK)
-      status = load_list(*made, sequence_source(table, shape), contract, table.words,
-                         table.relative, error);
+    novaphy_status status = load_list(*made, sequence_source(table, shape), contract, table.words,
+                                      table.relative, error);
     if (status == NOVAPHY_OK && table.job_count != 0) {
       const Use use(device);
       status = check(device, driver().module_function(&made->ahead, made->module, "novaphy_ahead"),

@@ -106,9 +106,13 @@ class ChainText {
       hand_over();
       code_ += leave;
     }
-    if (table_.layouts != 0) code_ += "  if (!owns) return;\n";
+    // With a plan a row that nobody stores may have failed, too.
+    if (table_.layouts != 0) {
+      report();
+      code_ += "  if (!owns) return;\n";
+    }
     for (size_t k = 0; k < form_.operations.size(); ++k) stores(static_cast<int32_t>(k));
-    report();
+    if (table_.layouts == 0) report();
     return filling_ + "LANE_FN void chain" + number_ +
            "(const uint64_t* words, const int64_t i, const bool on, const bool owns,\n"
            "                    device_sink sink) {\n" +

@@ -323,6 +323,10 @@ class Writer {
       const BlockPlan::Operation& planned = room_.plan->operations[number_of(chain[k])];
       Operation& op = form.operations[k];
       for (const auto& [output, items] : planned.outputs) {
+        // Rows are handed over when the chain is done, which those stored at once do not wait for.
+        for (const Operation& any : form.operations)
+          for (const Operation::Output& stored : any.outputs)
+            out_.fits = out_.fits && stored.store != Operation::Output::Now;
         out_.fits = out_.fits && op.outputs[output].store == Operation::Output::Later;
         op.outputs[output].items = static_cast<int32_t>(items.base);
         op.outputs[output].item_width = items.width;

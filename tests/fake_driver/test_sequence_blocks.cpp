@@ -231,6 +231,35 @@ TEST_F(SequenceBlocks, HaveTheBitsOfOneExchangePerPhase) {
   }
 }
 
+TEST_F(SequenceBlocks, ThreadsKeepWordsOfTheRowsThatTheyHaveInAPhase) {
+  // Points, and their mirror images in turns, add what the same elements leave: who has which
+  // element changes.
+  const auto recorded = [&](Mesh& mesh, std::array<Kind, 2>& mirrored) {
+    RecordedSequence to = forward(mesh);
+    for (size_t k = 0; k < to.ops.size(); ++k) {
+      if (to.ops[k].phase / 2 % 2 == 0) continue;
+      std::vector<uint64_t>& words = *to.words[k];
+      for (uint32_t kind = 0; kind < 2; ++kind)
+        for (uint64_t& at : words) {
+          if (at == word(mesh.kinds[kind].made.data())) at = word(mirrored[kind].made.data());
+          if (at == word(mesh.kinds[kind].offsets.data())) at = word(mirrored[kind].offsets.data());
+          if (at == word(mesh.kinds[kind].items.data())) at = word(mirrored[kind].items.data());
+        }
+    }
+    return to;
+  };
+  const auto mirror = [](const Kind& kind) {
+    std::vector<int32_t> index;
+    for (const int32_t point : kind.index) index.push_back(kPoints - 1 - point);
+    return Kind(kind.corners, index);
+  };
+  Mesh plain, mesh;
+  std::array<Kind, 2> other = {mirror(plain.kinds[0]), mirror(plain.kinds[1])}, mine = other;
+  run_plain(recorded(plain, other));
+  run_planned(recorded(mesh, mine), 4, false);
+  for (uint32_t s = 0; s <= Mesh::kSubsteps; ++s) expect_same(mesh.states[s], plain.states[s]);
+}
+
 TEST_F(SequenceBlocks, AFailingReadIsReportedWhereverNobodyStores) {
   // In a phase whose items are overwritten, a point is missing.
   Mesh mesh;

@@ -380,6 +380,7 @@ class Writer {
                  const uint64_t* words, uint64_t at) {
     User user{0, warps, {at}};
     std::vector<uint64_t> key = {number, warps.first, warps.second, static_cast<uint64_t>(rows)};
+    if (room_.plan != nullptr) key.push_back(room_.plan->phases[phase_].layout);
     for (const int32_t word : form.tables) {
       user.words += 2 + kBatch;
       key.insert(key.end(), {words[word], words[word + 1]});

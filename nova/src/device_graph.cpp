@@ -58,7 +58,9 @@ bool lists_wanted(const novaphy_backend_api& api) {
          !switched_off(std::getenv("NOVAPHY_DEVICE_LISTS"));
 }
 bool sequences_wanted(const novaphy_backend_api& api) {
+  constexpr uint32_t kOperationsHaveBytes = 9;  // the minor version
   return has_entry(api, &novaphy_backend_api::sequence_create) &&
+         api.abi_minor >= kOperationsHaveBytes &&
          !switched_off(std::getenv("NOVAPHY_DEVICE_PHASES"));
 }
 

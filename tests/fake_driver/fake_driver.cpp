@@ -140,7 +140,8 @@ FAKE cuDeviceGetName(char* name, int size, int) {
   return 0;
 }
 FAKE cuDeviceGetAttribute(int* value, int attribute, int) {
-  *value = attribute == 75 ? 9 : attribute == 76 ? 0 : 4;  // compute capability 9.0, 4 units
+  // Compute capability 9.0, 4 units, and the shared memory of such a device.
+  *value = attribute == 75 ? 9 : attribute == 76 ? 0 : attribute == 97 ? 227 << 10 : 4;
   return 0;
 }
 FAKE cuDeviceTotalMem_v2(size_t* bytes, int) {

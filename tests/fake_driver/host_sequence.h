@@ -29,7 +29,6 @@ struct Fibre {
   // How often it has come to a barrier of its block, arrived at one of all blocks, and waited
   // there.
   size_t at_block = 0, arrived = 0, waited = 0;
-  size_t handed_over = 0;  // how often it has handed something over to its block, or taken over
 };
 std::vector<Fibre> g_fibres;
 Fibre* g_running;
@@ -37,7 +36,7 @@ ucontext_t g_scheduler;
 std::function<void()> g_thread;
 std::map<std::pair<unsigned, size_t>, size_t> g_at_block;  // block, how often: threads there
 std::map<size_t, size_t> g_arrived;
-std::map<std::pair<unsigned, size_t>, size_t> g_handed_over;  // as g_at_block
+std::map<unsigned, size_t> g_handed_over;  // block: arrivals, of whichever threads
 
 void give_way() { swapcontext(&g_running->context, &g_scheduler); }
 void begin() {
@@ -50,14 +49,12 @@ void sync_block() {
   ++here;
   while (here < blockDim.x) give_way();
 }
-size_t& hand_over_block() {
-  size_t& here = g_handed_over[{blockIdx.x, g_running->handed_over++}];
-  ++here;
-  return here;
-}
+void hand_over_block() { ++g_handed_over[blockIdx.x]; }
 void take_over_block() {
-  const size_t& here = hand_over_block();
-  while (here < blockDim.x) give_way();
+  const size_t& here = g_handed_over[blockIdx.x];
+  const size_t complete = (here / blockDim.x + 1) * blockDim.x;
+  hand_over_block();
+  while (here < complete) give_way();
 }
 // Others go on at once, before what comes next in this thread.
 void arrive_all() {

@@ -341,6 +341,27 @@ TEST_F(SequenceBlocks, ItemsThatOthersNeedStayInMemory) {
   EXPECT_FALSE(plan(own));
 }
 
+TEST_F(SequenceBlocks, AChainLoadsOneListOfItemsForEachTable) {
+  // Triangles twice, over the same table: their threads, and so their items, are others.
+  Mesh mesh;
+  std::vector<float> again(mesh.kinds[1].made.size());
+  RecordedSequence twice;
+  Kind& kind = mesh.kinds[1];
+  const auto rows = static_cast<uint64_t>(kind.rows());
+  for (uint32_t k = 0; k < 2; ++k)
+    twice.launch(twice.add(0, k, kind.rows(), kind.rows()), pulls_[1],
+                 {word(kind.index.data()), rows, word(mesh.states[0].data()), kPoints,
+                  word(kind.rest.data()), rows, word(k == 0 ? kind.made.data() : again.data())});
+  for (uint32_t k = 0; k < 2; ++k) {
+    twice.launch(twice.add(1, 0, kPoints, kPoints), sum_,
+                 {word(k == 0 ? kind.made.data() : again.data()), word(kind.offsets.data()),
+                  word(kind.items.data()), word(k == 0 ? mesh.start.data() : mesh.forces.data()),
+                  word(mesh.forces.data()), 3, 0});
+    twice.ops.back().source_bytes = again.size() * sizeof(float);
+  }
+  EXPECT_FALSE(plan(twice));
+}
+
 TEST_F(SequenceBlocks, NobodyComputesMostRowsTwice) {
   // Elements of far corners: a block would need nearly all of them.
   Mesh mesh;

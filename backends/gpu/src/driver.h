@@ -31,6 +31,7 @@ enum DeviceAttribute : int {
   kMultiprocessors = 16,
   kComputeMajor = 75,
   kComputeMinor = 76,
+  kMostSharedBytes = 97,  // of a block whose function asks for them
 };
 enum FunctionAttribute : int {
   kSharedBytes = 8,     // that a launch may add

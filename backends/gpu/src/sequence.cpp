@@ -23,10 +23,10 @@ constexpr unsigned kMostInLargeCluster = 16, kFewForLarge = 32;
 constexpr int32_t kClusters = 90;  // the first architecture that has
 // Of the shared memory of a block, and what threads may keep of it beside the records.
 constexpr unsigned kSharedOfText = 48 << 10, kKeptBytes = 38 << 10;
-// Where blocks have a plan, which asks for more: devices that have clusters have 227 KB.
+// What they may keep where blocks have a plan, which asks for more shared memory.
+constexpr unsigned kKeptWithPlan = 100 << 10;
 // Of memory, for what is computed ahead, and which part of what is free.
 constexpr uint64_t kAheadBytes = 1 << 30, kAheadPart = 4;
-constexpr unsigned kSharedOfLaunch = 160 << 10, kKeptWithPlan = 100 << 10;
 // What the builtin, where a block works on such a row, sums faster.
 constexpr uint64_t kLongRow = 1024, kWideRow = 16;
 
@@ -116,6 +116,13 @@ uint64_t ahead_bytes(const novaphy_device* device) {
   return std::min<uint64_t>(kAheadBytes, free / kAheadPart);
 }
 
+// Of a block of a launch that asks for it.
+uint64_t most_shared_bytes(const novaphy_device* device) {
+  int most = 0;
+  const bool known = driver().device_attribute(&most, kMostSharedBytes, device->id) == kSuccess;
+  return known && most > 0 ? static_cast<uint64_t>(most) : 0;
+}
+
 novaphy_status create(novaphy_device* device, std::span<const novaphy_sequence_op> ops,
                       novaphy_list** list, novaphy_error* error) {
   const auto refuse = [&](const char* why) {
@@ -147,17 +154,31 @@ novaphy_status create(novaphy_device* device, std::span<const novaphy_sequence_o
       plan = plan_blocks(ops, shape.blocks, kMostWarpsAtAll, [&](uint64_t where, size_t count) {
         return words_at(device, where, count);
       });
-    const auto fits = [&](const SequenceTable& made) {
-      return made.fits && shared_bytes(made, shape) <= kSharedOfText &&
-             launch_bytes(made, shape) <= kSharedOfLaunch;
+    OwnList made(new novaphy_list);
+    made->device = device;
+    const auto fits = [&](const SequenceTable& of) {
+      return of.fits && shared_bytes(of, shape) <= kSharedOfText &&
+             (launch_bytes(of, shape) == 0 ||
+              shared_bytes(of, shape) + launch_bytes(of, shape) <= most_shared_bytes(device));
     };
     SequenceTable table;
     if (plan) {
       const SequenceShape unplanned = shape;
       shape.threads = plan->threads;
-      table = sequence_table(
-          ops, {shape.blocks * shape.threads / kWarp, kKeptWithPlan / 4 / shape.threads,
-                shape.blocks, 1, &*plan, ahead_bytes(device)});
+      SequenceRoom planned{shape.blocks * shape.threads / kWarp,
+                           kKeptWithPlan / 4 / shape.threads,
+                           shape.blocks,
+                           1,
+                           &*plan,
+                           ahead_bytes(device)};
+      table = sequence_table(ops, planned);
+      if (fits(table) && table.ahead_bytes != 0) {
+        const Use use(device);
+        if (driver().alloc(&made->ahead_memory, table.ahead_bytes) != kSuccess) {
+          planned.ahead_bytes = 0;
+          table = sequence_table(ops, planned);
+        }
+      }
       if (!fits(table)) {
         plan.reset();
         shape = unplanned;
@@ -169,20 +190,13 @@ novaphy_status create(novaphy_device* device, std::span<const novaphy_sequence_o
       table = sequence_table(ops, room);
     }
     if (!fits(table)) return refuse("too large");
-    OwnList made(new novaphy_list);
-    made->device = device;
     made->words = {table.first_words, table.tasks, table.rows, table.jobs, table.job_count};
     made->n = static_cast<int64_t>(table.counters);
     made->blocks = shape.blocks;
     made->threads = shape.threads;
     made->shared_bytes = static_cast<unsigned>(launch_bytes(table, shape));
     made->together = shape.form == Form::Grid;
-    if (table.ahead_bytes != 0) {
-      const Use use(device);
-      if (driver().alloc(&made->ahead_memory, table.ahead_bytes) != kSuccess)
-        return refuse("no memory for what is computed ahead");
-      for (const uint64_t word : table.ahead) table.words[word] += made->ahead_memory;
-    }
+    for (const uint64_t word : table.ahead) table.words[word] += made->ahead_memory;
     novaphy_status status = load_list(*made, sequence_source(table, shape), contract, table.words,
                                       table.relative, error);
     if (status == NOVAPHY_OK && table.job_count != 0) {
@@ -227,8 +241,8 @@ novaphy_status sequence_create(novaphy_device* device, const novaphy_sequence_op
     return status;
   if (count == 0)
     return fail(error, NOVAPHY_INVALID_ARGUMENT, "sequence_create: expected operations, got none");
-  if (ops[0].struct_size < sizeof(novaphy_sequence_op))
-    return fail(error, NOVAPHY_NOT_SUPPORTED, "sequence: the host is older than the backend");
+  if (ops[0].struct_size != sizeof(novaphy_sequence_op))
+    return fail(error, NOVAPHY_NOT_SUPPORTED, "sequence: the host's operations have other members");
   return guarded(error, [&] { return create(device, {ops, count}, list, error); });
 }
 

@@ -430,9 +430,10 @@ LANE_FN void load_layouts(const uint64_t* rows) {
 LANE_FN void run_task(const uint64_t* record, uint64_t task, const device_sink sink) {
   const uint32_t how = low_half(task);
   if ((how & kWorks) == 0) {
-    if ((how & kHandsOver) != 0) hand_over();
+    // As those that work: whoever hands over before the wait might do so twice within one phase.
     if ((how & kTakesOver) != 0) take_over();
     phase_wait();
+    if ((how & kHandsOver) != 0) hand_over();
     return;
   }
   const uint32_t row = g_rows[(how >> 8) * SEQUENCE_THREADS + threadIdx.x];

@@ -116,9 +116,14 @@ class Planner {
   // A chain loads the items of a table once: then all find the same.
   bool alone_on_tables(const Phase& sums, const std::vector<Link>& links) const {
     std::map<uint64_t, size_t> linked, all;  // uses, by where the offsets are
+    std::map<uint64_t, std::pair<uint32_t, int32_t>> makers;
     for (const Link& link : links) {
       const novaphy_sequence_op& o = ops_[link.sum];
-      ++linked[o.op.arguments[csr_sum(o).offsets]];
+      const uint64_t offsets = o.op.arguments[csr_sum(o).offsets];
+      ++linked[offsets];
+      // Where items lie depends on the threads that make them.
+      const std::pair maker{ops_[link.maker].chain, link.corners};
+      if (makers.try_emplace(offsets, maker).first->second != maker) return false;
     }
     for (size_t k = sums.first; k < sums.last; ++k)
       for_each_table(ops_[k], [&](uint64_t offsets) { ++all[offsets]; });
@@ -135,6 +140,9 @@ class Planner {
       return false;
     if (!links.empty() && ops_[links[0].sum].rows != o.rows) return false;
     link.corners = words / link.width;
+    for (const Link& other : links)
+      if (other.maker == link.maker && other.output == link.output && other.width != link.width)
+        return false;
     link.table = table_of(o, sum, maker.n * link.corners);
     links.push_back(link);
     return link.table != nullptr;
@@ -147,8 +155,8 @@ class Planner {
     Table& table = known->second;
     if (fresh) {
       table.offsets = read_(offsets, static_cast<size_t>(o.n) + 1);
-      if (table.offsets.empty()) return nullptr;
-      const auto count = static_cast<size_t>(std::max(table.offsets.back(), 0));
+      if (!are_short(table.offsets)) return nullptr;
+      const auto count = static_cast<size_t>(table.offsets.back());
       if (items != 0) {
         table.items = read_(items, count);
       } else {
@@ -157,13 +165,16 @@ class Planner {
       }
       if (table.items.size() != count) table.offsets.clear();
     }
-    if (table.offsets.empty() || table.offsets[0] != 0) return nullptr;
-    for (size_t r = 0; r + 1 < table.offsets.size(); ++r) {
-      const int32_t length = table.offsets[r + 1] - table.offsets[r];
-      if (length < 0 || length > kLongSum) return nullptr;
-    }
+    if (!are_short(table.offsets)) return nullptr;
     const auto is_item = [&](int32_t k) { return k >= 0 && k < item_count; };
     return std::all_of(table.items.begin(), table.items.end(), is_item) ? &table : nullptr;
+  }
+
+  static bool are_short(const std::vector<int32_t>& offsets) {
+    if (offsets.empty() || offsets[0] != 0) return false;
+    for (size_t r = 0; r + 1 < offsets.size(); ++r)
+      if (offsets[r + 1] < offsets[r] || offsets[r + 1] - offsets[r] > kLongSum) return false;
+    return true;
   }
 
   // Items of one phase are neither read nor written by anything but its makers and sums.

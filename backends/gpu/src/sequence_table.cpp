@@ -332,6 +332,7 @@ class Writer {
         op.outputs[output].item_width = items.width;
       }
       if (!planned.sum) continue;
+      out_.fits = out_.fits && op.tables[0] >= 0;  // else items that lack would be no zeros
       op.sum.items = static_cast<int32_t>(planned.sum->base);
       op.sum.chunks = false;  // none is that long
       const int32_t word = op.first_word + op.sum.offsets_word + 1;

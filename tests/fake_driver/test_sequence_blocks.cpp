@@ -136,6 +136,19 @@ class SequenceBlocks : public testing::Test {
       backs_.push_back(back_kernel(corners));
     }
   }
+  // Elements read a state, and forces on points or, without them, rest values of their own.
+  static void record_elements(RecordedSequence& to, uint32_t phase, Mesh& mesh,
+                              std::vector<novaphy_kernel>& kernels, uint64_t at,
+                              const float* forces) {
+    for (uint32_t k = 0; k < 2; ++k) {
+      Kind& kind = mesh.kinds[k];
+      const auto rows = static_cast<uint64_t>(kind.rows());
+      to.launch(
+          to.add(phase, k, kind.rows(), kind.rows()), kernels[k],
+          {word(kind.index.data()), rows, at, kPoints, word(forces ? forces : kind.rest.data()),
+           forces ? kPoints : rows, word(kind.made.data())});
+    }
+  }
   // Forces of one kind are added by the builtin, those of the other by a Program.
   void record_sums(RecordedSequence& to, uint32_t phase, Mesh& mesh) {
     Kind &springs = mesh.kinds[0], &triangles = mesh.kinds[1];
@@ -152,13 +165,7 @@ class SequenceBlocks : public testing::Test {
     RecordedSequence to;
     for (uint32_t s = 0; s < Mesh::kSubsteps; ++s) {
       const uint64_t at = word(mesh.states[s].data());
-      for (uint32_t k = 0; k < 2; ++k) {
-        Kind& kind = mesh.kinds[k];
-        const auto rows = static_cast<uint64_t>(kind.rows());
-        to.launch(to.add(2 * s, k, kind.rows(), kind.rows()), pulls_[k],
-                  {word(kind.index.data()), rows, at, kPoints, word(kind.rest.data()), rows,
-                   word(kind.made.data())});
-      }
+      record_elements(to, 2 * s, mesh, pulls_, at, nullptr);
       record_sums(to, 2 * s + 1, mesh);
       to.launch(to.add(2 * s + 1, 0, kPoints, kPoints), move_,
                 {at, kPoints, word(mesh.forces.data()), kPoints, word(mesh.states[s + 1].data())});
@@ -168,14 +175,8 @@ class SequenceBlocks : public testing::Test {
   RecordedSequence backward(Mesh& mesh) {
     RecordedSequence to;
     for (uint32_t s = 0; s < Mesh::kSubsteps; ++s) {
-      const uint64_t at = word(mesh.states[Mesh::kSubsteps - s].data());
-      for (uint32_t k = 0; k < 2; ++k) {
-        Kind& kind = mesh.kinds[k];
-        const auto rows = static_cast<uint64_t>(kind.rows());
-        to.launch(to.add(2 * s, k, kind.rows(), kind.rows()), backs_[k],
-                  {word(kind.index.data()), rows, at, kPoints, word(mesh.forces.data()), kPoints,
-                   word(kind.made.data())});
-      }
+      record_elements(to, 2 * s, mesh, backs_, word(mesh.states[Mesh::kSubsteps - s].data()),
+                      mesh.forces.data());
       record_sums(to, 2 * s + 1, mesh);
     }
     return to;

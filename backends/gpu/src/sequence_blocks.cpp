@@ -36,12 +36,8 @@ class Planner {
   Planner(std::span<const novaphy_sequence_op> ops, uint32_t blocks, uint32_t most_warps,
           const ReadWords& read)
       : ops_(ops), blocks_(blocks), most_warps_(most_warps), read_(read) {
-    for (size_t first = 0; first < ops.size();) {
-      size_t last = first;
-      while (last < ops.size() && ops[last].phase == ops[first].phase) ++last;
-      phases_.push_back({first, last});
-      first = last;
-    }
+    for (size_t first = 0; first < ops.size(); first = phases_.back().last)
+      phases_.push_back({first, first + phase_at(ops, first).size()});
   }
 
   std::optional<BlockPlan> run() {
@@ -312,7 +308,7 @@ class Planner {
     return true;
   }
 
-  // RowList that any block may have.
+  // Rows that any block may have.
   Shares spread(const Phase& phase) const {
     Shares shares(chains_of(phase), std::vector<RowList>(blocks_));
     for (size_t o = phase.first; o < phase.last; ++o) {

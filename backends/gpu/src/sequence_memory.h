@@ -1,14 +1,23 @@
-// What the operations of a sequence read and write.
+// The operations of a sequence: their phases, and what they read and write.
 #pragma once
 
 #include <algorithm>
 #include <cstdint>
 #include <map>
+#include <span>
 
 #include "module.h"
 #include "row_use.h"
 
 namespace novaphy::gpu {
+
+// The operations of the phase that begins with the first of them.
+inline std::span<const novaphy_sequence_op> phase_at(std::span<const novaphy_sequence_op> ops,
+                                                     size_t first) {
+  size_t last = first;
+  while (last < ops.size() && ops[last].phase == ops[first].phase) ++last;
+  return ops.subspan(first, last - first);
+}
 
 // Pieces of memory.
 class Pieces {

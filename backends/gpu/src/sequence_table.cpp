@@ -76,13 +76,6 @@ uint64_t warps_of(std::span<const novaphy_sequence_op> phase, int64_t lanes) {
   return warps;
 }
 
-std::span<const novaphy_sequence_op> phase_at(std::span<const novaphy_sequence_op> ops,
-                                              size_t first) {
-  size_t last = first;
-  while (last < ops.size() && ops[last].phase == ops[first].phase) ++last;
-  return ops.subspan(first, last - first);
-}
-
 class Writer {
  public:
   // Of each operation, the bytes of a row of what its early half leaves, per output, if that is

@@ -243,14 +243,24 @@ TEST_P(RandomPrograms, GiveTheSameBitsInTwoHalves) {
     const ir::Program p = g.program(GetParam());
     Inputs in = g.inputs(p, kRows);
     const auto expected = reference(p, kRows, in);
-    std::vector<char> is_late(p.sources.size());
-    for (char& late : is_late) late = g.chance(40) ? 1 : 0;
-    const ir::Cut cut = ir::cut(p, is_late);
+    std::vector<ir::Available> sources(p.sources.size());
+    for (ir::Available& source : sources)
+      source = g.chance(40)   ? ir::Available::Late
+               : g.chance(50) ? ir::Available::Early
+                              : ir::Available::Both;
+    const ir::Cut cut = ir::cut(p, sources);
     ASSERT_EQ(ir::validate(cut.late), "") << "seed " << seed;
     for (const ir::Instr& instr : cut.early.instrs) {
       if (instr.op != Op::LOAD_F && instr.op != Op::LOAD_I) continue;
-      EXPECT_FALSE(is_late[static_cast<size_t>(instr.a)]) << "seed " << seed;
+      EXPECT_NE(sources[static_cast<size_t>(instr.a)], ir::Available::Late) << "seed " << seed;
     }
+    for (const ir::Output& output : cut.early.outputs)
+      for (const ir::Value v : output.values) {
+        const ir::Instr& instr = cut.early.instrs[static_cast<size_t>(v)];
+        if (instr.op != Op::LOAD_F && instr.op != Op::LOAD_I) continue;
+        if (cut.early.instrs[static_cast<size_t>(instr.b)].op != Op::INDEX) continue;
+        EXPECT_NE(sources[static_cast<size_t>(instr.a)], ir::Available::Both) << "seed " << seed;
+      }
     if (!cut.early.outputs.empty()) {
       ++halves;
       ASSERT_EQ(ir::validate(cut.early), "") << "seed " << seed;

@@ -28,7 +28,7 @@ struct Fibre {
   bool done = false;
   // How often it has come to a barrier of its block, arrived at one of all blocks, and waited
   // there.
-  size_t at_block = 0, arrived = 0, waited = 0;
+  size_t at_block = 0, arrived = 0, waited = 0, shown = 0;
 };
 std::vector<Fibre> g_fibres;
 Fibre* g_running;
@@ -37,6 +37,20 @@ std::function<void()> g_thread;
 std::map<std::pair<unsigned, size_t>, size_t> g_at_block;  // block, how often: threads there
 std::map<size_t, size_t> g_arrived;
 std::map<unsigned, size_t> g_handed_over;  // block: arrivals, of whichever threads
+// Of a block: turns that are over, bytes that lack, and whether they are known.
+struct Came {
+  size_t turns = 0;
+  int64_t lack = 0;
+  bool expected = false;
+};
+std::map<std::pair<unsigned, unsigned>, Came> g_came_of;  // block, odd or even
+std::vector<std::function<void()>> g_under_way;           // rows that have not come yet
+// Of a warp: what its lanes show one another.
+struct Shown {
+  std::vector<int32_t> words;
+  size_t taken = 0;
+};
+std::map<std::pair<unsigned, size_t>, Shown> g_shown;
 
 void give_way() { swapcontext(&g_running->context, &g_scheduler); }
 void begin() {
@@ -66,11 +80,46 @@ void wait_all() {
   while (here < g_fibres.size()) give_way();
 }
 
+void came(unsigned block, unsigned turn, int64_t bytes, bool expected) {
+  Came& here = g_came_of[{block, turn % 2}];
+  here.lack += bytes;
+  here.expected = here.expected || expected;
+  if (!here.expected || here.lack != 0) return;
+  here.expected = false;
+  ++here.turns;
+}
+void expect_bytes(unsigned turn, int64_t bytes) { came(blockIdx.x, turn, bytes, true); }
+// As for an mbarrier: the turn of this parity is the one that is under way, or the one before.
+void wait_turn(unsigned turn) {
+  const Came& here = g_came_of[{blockIdx.x, turn % 2}];
+  while (here.turns % 2 == turn / 2 % 2) give_way();
+}
+void send_later(unsigned block, unsigned turn, int64_t bytes, const std::function<void()>& write) {
+  g_under_way.push_back([=] {
+    write();
+    came(block, turn, -bytes, false);
+  });
+}
+int32_t show(int32_t word, uint32_t lane) {
+  constexpr unsigned kWarp = 32;
+  const unsigned first = threadIdx.x / kWarp * kWarp, mine = threadIdx.x - first;
+  const std::pair key{blockIdx.x * blockDim.x + first, g_running->shown++};
+  Shown& shown = g_shown[key];
+  shown.words.resize(kWarp);
+  shown.words[mine] = word;
+  ++shown.taken;
+  while (shown.taken < kWarp) give_way();
+  return shown.words[lane];
+}
+
 void run_all(unsigned seed) {
   constexpr size_t kStack = 128 << 10;
   g_at_block.clear();
   g_arrived.clear();
   g_handed_over.clear();
+  g_came_of.clear();
+  g_under_way.clear();
+  g_shown.clear();
   g_fibres.clear();
   g_fibres.resize(size_t{gridDim.x} * blockDim.x);
   for (Fibre& fibre : g_fibres) {
@@ -94,6 +143,11 @@ void run_all(unsigned seed) {
       swapcontext(&g_scheduler, &g_running->context);
       left -= g_running->done ? 1 : 0;
     }
+    // Some of what was sent comes, in any order.
+    std::shuffle(g_under_way.begin(), g_under_way.end(), random);
+    const size_t stay = g_under_way.size() / 2;
+    for (size_t k = stay; k < g_under_way.size(); ++k) g_under_way[k]();
+    g_under_way.resize(stay);
   }
 }
 
@@ -104,6 +158,7 @@ namespace {
 
 #include "host_intrinsics.h"
 
+uint32_t __cvta_generic_to_shared(const void*) { return 0; }
 void __threadfence_block() {}
 void __syncthreads() { sync_block(); }
 

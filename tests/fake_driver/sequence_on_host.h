@@ -24,6 +24,36 @@ inline void replace(std::string& text, const std::string& from, const std::strin
   ASSERT_NE(at, std::string::npos) << from;
   text.replace(at, from.size(), to);
 }
+inline void replace_body(std::string& text, const std::string& function, const std::string& body) {
+  const size_t at = text.find(function);
+  ASSERT_NE(at, std::string::npos) << function;
+  const size_t begin = text.find("{\n", at), end = text.find("\n}\n", at);
+  text.replace(begin, end + 2 - begin, "{ " + body + " }");
+}
+// What goes from block to block.
+inline void halo_for_host(std::string& text) {
+  for (const std::string name : {"uint64_t g_came[2]", "uint32_t g_halo_bytes",
+                                 "uint32_t g_sends[SEQUENCE_ROUNDS * kSenders]"}) {
+    const size_t type = name.find(' ') + 1, size = std::min(name.find('['), name.size());
+    const std::string variable = name.substr(type, size - type);
+    replace(text, "__shared__ " + name + ";",
+            "static " + name.substr(0, size) + "_of[64]" + name.substr(size) + ";\n#define " +
+                variable + " " + variable + "_of[blockIdx.x]\n");
+  }
+  replace_body(text, "LANE_FN uint32_t in_block(", "return address | block << 20;");
+  // Rows by their number, and barriers as odd or even.
+  replace_body(text, "LANE_FN uint32_t in_shared(",
+               "return p >= g_came && p < g_came + 2 ? (const uint64_t*)p - g_came"
+               " : (const four_words*)p - g_items;");
+  replace_body(text, "LANE_FN void begin_barrier(", "");
+  replace_body(text, "LANE_FN void expect_rows(", "expect_bytes(turn, g_halo_bytes);");
+  replace_body(text, "LANE_FN void wait_halo(", "wait_turn(turn);");
+  replace_body(text, "LANE_FN void send_row(",
+               "if (send.on == 0) return;"
+               "four_words* const there = g_items_of[send.to >> 20] + (send.to & 0xfffff) + base;"
+               "send_later(send.to >> 20, send.came, sizeof(row), [=] { *there = row; });");
+  replace_body(text, "LANE_FN int32_t of_lane(", "return show(word, lane);");
+}
 inline std::string for_host(std::string text) {
   const auto barrier = [](const char* name) {
     return std::string("asm volatile(\"barrier.") + name + ";\" ::: \"memory\");";
@@ -45,13 +75,14 @@ inline std::string for_host(std::string text) {
             "static uint32_t g_rows_of[64][SEQUENCE_LAYOUTS * SEQUENCE_THREADS];\n"
             "#define g_rows g_rows_of[blockIdx.x]");
   }
+  if (text.find("#define SEQUENCE_HALO 0\n") == std::string::npos) halo_for_host(text);
+  replace_body(text, "LANE_FN void fetch_ahead(", "");
   const size_t begin = text.find("LANE_FN void phase_wait(uint32_t* counter, uint32_t count) {");
   const size_t end = text.find("#endif", begin);
   text.replace(begin, end - begin,
                "LANE_FN void phase_wait(uint32_t*, uint32_t) { arrive_all(); wait_all(); }\n"
                "LANE_FN void last_barrier(uint32_t*) {}\n");
-  replace(text, "(uint32_t)__cvta_generic_to_shared(p)", "0");
-  replace(text, "(uint64_t*)__cvta_shared_to_generic(address)", "p");
+  replace(text, "(T*)__cvta_shared_to_generic(address)", "p");
   replace(text, "__shared__ int32_t g_kept[SEQUENCE_KEPT * SEQUENCE_THREADS];",
           "static int32_t g_kept_of[64][SEQUENCE_KEPT * SEQUENCE_THREADS];\n"
           "#define g_kept g_kept_of[blockIdx.x]");
@@ -102,8 +133,8 @@ class HostSequence {
       std::array<int64_t, 63> rest{};
     } record;
     uint32_t flag = 0;
-    const uint64_t start[] = {table_.first_words, table_.tasks, table_.rows, table_.jobs,
-                              table_.job_count};
+    const uint64_t start[] = {table_.first_words, table_.tasks, table_.rows,
+                              table_.halo_turns,  table_.jobs,  table_.job_count};
     run(start, table_.words.data(), &record, &flag, shape_.blocks, shape_.threads, seed);
     return flag == 0;
   }

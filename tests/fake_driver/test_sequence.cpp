@@ -304,7 +304,7 @@ TEST_F(SequenceTest, ProgramsThatAddItemsAreSums) {
   EXPECT_EQ(chain[1].sources[0].from, Operation::Source::Registers);
   EXPECT_EQ(chain[2].kind, Operation::Program);  // its own row may lack
   const std::string text = sequence_source(table, {Form::Block, 1, 128});
-  const size_t first = text.find("    sum_row<true, false, 3>(");
+  const size_t first = text.find("    sum_row<true, false, 3, CSR_BATCH>(");
   ASSERT_NE(first, std::string::npos);
   for (const char* load :
        {"load_first_rows(&items0[0], memory_items{", "load_first_rows(&items1[0], memory_items{"})

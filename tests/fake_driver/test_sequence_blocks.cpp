@@ -5,6 +5,7 @@
 #include <array>
 #include <cmath>
 #include <cstring>
+#include <map>
 #include <numeric>
 #include <random>
 #include <set>
@@ -181,11 +182,17 @@ class SequenceBlocks : public testing::Test {
     }
     return to;
   }
+  static std::vector<int32_t> read(uint64_t where, size_t count) {
+    const auto* const words = reinterpret_cast<const int32_t*>(where);
+    return {words, words + count};
+  }
   static std::optional<BlockPlan> plan(const RecordedSequence& sequence) {
-    return plan_blocks(sequence.ops, kBlocks, kMostWarps, [](uint64_t where, size_t count) {
-      const auto* const words = reinterpret_cast<const int32_t*>(where);
-      return std::vector<int32_t>(words, words + count);
-    });
+    return plan_blocks(sequence.ops, kBlocks, kMostWarps, read);
+  }
+  static std::optional<BlockPlan> plan_with_halo(const RecordedSequence& sequence) {
+    std::optional<BlockPlan> made = plan(sequence);
+    if (made && !plan_halo(sequence.ops, kBlocks, read, *made)) made.reset();
+    return made;
   }
   static void run_plain(const RecordedSequence& sequence) {
     const SequenceShape shape{Form::Grid, 3, 64};
@@ -196,12 +203,13 @@ class SequenceBlocks : public testing::Test {
     return sequence_table(sequence.ops,
                           {kBlocks * plan.threads / 32, 200, kBlocks, 1, &plan, 1 << 20});
   }
-  static void run_planned(const RecordedSequence& sequence, uint32_t seed, bool ahead) {
-    const std::optional<BlockPlan> made = plan(sequence);
+  static void run_planned(const RecordedSequence& sequence, uint32_t seed, bool ahead, bool halo) {
+    const std::optional<BlockPlan> made = halo ? plan_with_halo(sequence) : plan(sequence);
     ASSERT_TRUE(made);
     SequenceTable table = planned(sequence, *made);
     ASSERT_TRUE(table.fits);
     EXPECT_NE(table.layouts, 0u);
+    EXPECT_EQ(table.halo_rows != 0, halo);
     EXPECT_EQ(table.job_count != 0, ahead);
     EXPECT_TRUE(HostSequence(table, {Form::Cluster, kBlocks, made->threads, 1}).run(seed));
   }
@@ -219,13 +227,14 @@ TEST_F(SequenceBlocks, HaveTheBitsOfOneExchangePerPhase) {
   run_plain(forth);
   const std::vector<float> moved = plain.forces;
   run_plain(back);
-  for (uint32_t seed = 1; seed <= 3; ++seed) {
+  for (uint32_t seed = 1; seed <= 4; ++seed) {
+    const bool halo = seed > 2;
     Mesh mesh;
-    run_planned(forward(mesh), seed, false);
+    run_planned(forward(mesh), seed, false, halo);
     for (uint32_t s = 0; s <= Mesh::kSubsteps; ++s) expect_same(mesh.states[s], plain.states[s]);
     expect_same(mesh.forces, moved);
     // The early halves of the way back are computed ahead.
-    run_planned(backward(mesh), seed, true);
+    run_planned(backward(mesh), seed, true, halo);
     expect_same(mesh.forces, plain.forces);
     for (uint32_t k = 0; k < 2; ++k) expect_same(mesh.kinds[k].made, plain.kinds[k].made);
     EXPECT_TRUE(std::isfinite(std::accumulate(mesh.forces.begin(), mesh.forces.end(), 0.0f)));
@@ -257,7 +266,7 @@ TEST_F(SequenceBlocks, ThreadsKeepWordsOfTheRowsThatTheyHaveInAPhase) {
   Mesh plain, mesh;
   std::array<Kind, 2> other = {mirror(plain.kinds[0]), mirror(plain.kinds[1])}, mine = other;
   run_plain(recorded(plain, other));
-  run_planned(recorded(mesh, mine), 4, false);
+  run_planned(recorded(mesh, mine), 4, false, false);
   for (uint32_t s = 0; s <= Mesh::kSubsteps; ++s) expect_same(mesh.states[s], plain.states[s]);
 }
 
@@ -268,6 +277,7 @@ TEST_F(SequenceBlocks, AFailingReadIsReportedWhereverNobodyStores) {
   constexpr size_t kInAPhasePair = 5, kRowsOfState = 3;
   (*failing.words[kInAPhasePair])[kRowsOfState] = kPoints - 1;
   ASSERT_EQ(failing.ops[kInAPhasePair].phase, 2u);
+  EXPECT_FALSE(plan_with_halo(failing));
   const std::optional<BlockPlan> made = plan(failing);
   ASSERT_TRUE(made);
   SequenceTable table = planned(failing, *made);
@@ -318,6 +328,93 @@ TEST_F(SequenceBlocks, ABlockHasAllRowsThatItsSumsNeed) {
   // All write to the same memory: only the last ones have to.
   EXPECT_FALSE(made->phases[0].chains[0].keeps);
   EXPECT_TRUE(made->phases[2 * Mesh::kSubsteps - 2].chains[0].keeps);
+}
+
+TEST_F(SequenceBlocks, RowsGoToTheBlocksThatReadThem) {
+  Mesh mesh;
+  const std::optional<BlockPlan> made = plan_with_halo(forward(mesh));
+  ASSERT_TRUE(made);
+  const auto for_each = [&](uint32_t phase, uint32_t chain, const auto& f) {
+    const BlockPlan::Phase& p = made->phases[phase];
+    const BlockPlan::Chain& c = p.chains[chain];
+    for (uint32_t block = 0; block < kBlocks; ++block)
+      for (uint32_t t = 32 * c.first_warp; t < 32 * (c.first_warp + c.warps); ++t) {
+        const uint32_t w = made->layouts[p.layout][block * made->threads + t];
+        if ((w & BlockPlan::kOn) != 0) f(block, t, static_cast<int32_t>(w & (BlockPlan::kOn - 1)));
+      }
+  };
+  // Blocks with elements at a point.
+  std::set<std::pair<int32_t, uint32_t>> needed, sent;
+  for (uint32_t k = 0; k < 2; ++k) {
+    const Kind& kind = mesh.kinds[k];
+    for_each(2, k, [&](uint32_t block, uint32_t, int32_t row) {
+      for (int32_t c = 0; c < kind.corners; ++c)
+        needed.insert({kind.index[static_cast<size_t>(row * kind.corners + c)], block});
+    });
+  }
+  std::map<std::pair<uint32_t, uint32_t>, int32_t> row_of;  // block, thread
+  for_each(1, 0, [&](uint32_t block, uint32_t t, int32_t row) { row_of[{block, t}] = row; });
+  const BlockPlan::Halo& halo = made->halo;
+  const uint32_t first = made->maker_warps * 32, threads = made->threads - first;
+  ASSERT_EQ(halo.sends.size(), size_t{kBlocks} * halo.rounds * threads);
+  std::vector<uint32_t> bytes(kBlocks, 0);
+  for (uint32_t k = 0; k < halo.sends.size(); ++k) {
+    if ((halo.sends[k] & BlockPlan::Halo::kSends) == 0) continue;
+    const uint32_t block = k / threads / halo.rounds, lane = halo.sends[k] >> 24 & 31;
+    const uint32_t to = halo.sends[k] >> 16 & 31, thread = first + k % threads / 32 * 32 + lane;
+    const auto row = static_cast<int32_t>(halo.sends[k] & 0xffff);
+    EXPECT_EQ((row_of.at({block, thread})), row);
+    EXPECT_TRUE(sent.insert({row, to}).second);
+    bytes[to] += 16;
+  }
+  EXPECT_EQ(sent, needed);
+  EXPECT_EQ(halo.bytes, bytes);
+  EXPECT_EQ(halo.rows, kPoints + 1u);
+  EXPECT_EQ(halo.turns, Mesh::kSubsteps);
+  // The first state comes from memory; no other is read there by another block.
+  for (uint32_t s = 0; s < Mesh::kSubsteps; ++s) {
+    EXPECT_EQ(made->phases[2 * s].fills.size(), s == 0 ? 1u : 0u);
+    EXPECT_EQ(made->phases[2 * s].turns, s);
+    EXPECT_TRUE(made->phases[2 * s].joined);
+    EXPECT_FALSE(made->phases[2 * s + 1].joined);
+    EXPECT_TRUE(made->phases[2 * s + 1].sends);
+    EXPECT_FALSE(made->phases[2 * s + 1].fences);
+  }
+}
+
+TEST_F(SequenceBlocks, WhatOthersReadFromMemoryIsThereBeforeTheyDo) {
+  // A copy of a state, word by word, which no plan gives to the blocks of the points.
+  Mesh plain, mesh;
+  std::vector<float> copy(3 * kPoints);
+  constexpr uint32_t kState = 3;
+  const auto recorded = [&](Mesh& of) {
+    RecordedSequence to = forward(of);
+    novaphy_sequence_op& o = to.add(2 * Mesh::kSubsteps, 0, 3 * kPoints, 3 * kPoints);
+    o.op.target = copy.data();
+    o.op.source = of.states[kState].data();
+    return to;
+  };
+  const std::optional<BlockPlan> made = plan_with_halo(recorded(mesh));
+  ASSERT_TRUE(made);
+  for (uint32_t s = 0; s < Mesh::kSubsteps; ++s)
+    EXPECT_EQ(made->phases[2 * s + 1].fences, s + 1 == kState) << s;
+  run_plain(recorded(plain));
+  run_planned(recorded(mesh), 5, false, true);
+  expect_same(copy, plain.states[kState]);
+}
+
+TEST_F(SequenceBlocks, AHaloNeedsToKnowWhoReadsWhat) {
+  Mesh mesh;
+  ASSERT_TRUE(plan_with_halo(forward(mesh)));
+  // An index outside would have to be reported.
+  mesh.kinds[0].index[7] = kPoints;
+  EXPECT_FALSE(plan_with_halo(forward(mesh)));
+  mesh.kinds[0].index[7] = -1;  // reads zeros
+  EXPECT_TRUE(plan_with_halo(forward(mesh)));
+  // Somebody writes indices.
+  RecordedSequence written = forward(mesh);
+  written.add(2 * Mesh::kSubsteps - 1, 1, 1, 1).op.target = mesh.kinds[1].index.data();
+  EXPECT_FALSE(plan_with_halo(written));
 }
 
 TEST_F(SequenceBlocks, ItemsThatOthersNeedStayInMemory) {

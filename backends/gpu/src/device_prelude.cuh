@@ -90,31 +90,46 @@ LANE_FN int32_t uf_bits(float a) { return __float_as_int(a); }
 LANE_FN float uabs(float a) { return ubits_f(uf_bits(a) & 0x7fffffff); }
 // The steps of a compiler's division, where the exponents show early that none of them leaves the
 // normal numbers. The compiler's own test comes late, and sends zeros down the slow path, a call.
-LANE_FN bool is_moderate(float a) {  // |a| in [2^-60, 2^60)
-  return ((uint32_t)uf_bits(a) << 1) - (67u << 24) < (120u << 24);
+// Which these are is gathered without branches, for all quotients and roots that a thread computes
+// side by side: twice the bits of numbers, without their signs.
+struct magnitudes {
+  uint32_t most, least;
+};
+LANE_FN void note(magnitudes& m, uint32_t most, uint32_t least) {
+  m.most = m.most > most ? m.most : most;
+  m.least = m.least < least ? m.least : least;
 }
+LANE_FN uint32_t magnitude(float a) { return (uint32_t)uf_bits(a) << 1; }
+// |a| in [2^-60, 2^60) for all, and 0 where there was 1 less than twice its bits, which are even.
+LANE_FN bool are_moderate(const magnitudes m) {
+  return m.most < 187u << 24 && m.least >= (67u << 24) - 1;
+}
+constexpr magnitudes kNoMagnitudes = {0, ~0u};
 COLD_FN float divided(float a, float b) { return a / b; }
-LANE_FN float quick_div(float a, float b, bool& slow) {
+LANE_FN float quick_div(float a, float b, magnitudes& m) {
+  const uint32_t above = magnitude(a), below = magnitude(b);
+  note(m, above, above - 1);
+  note(m, below, below);
   float r;
   asm("rcp.approx.ftz.f32 %0, %1;" : "=f"(r) : "f"(b));
   r = __fmaf_rn(r, __fmaf_rn(r, -b, 1.0f), r);
   const float q = a * r;
-  slow = slow || !is_moderate(b) || !(is_moderate(a) || a == 0.0f);
   return a == 0.0f ? q : __fmaf_rn(r, __fmaf_rn(q, -b, a), q);
 }
 LANE_FN float udiv(float a, float b) {
-  bool slow = false;
-  const float quotient = quick_div(a, b, slow);
-  return slow ? divided(a, b) : quotient;
+  magnitudes m = kNoMagnitudes;
+  const float quotient = quick_div(a, b, m);
+  return are_moderate(m) ? quotient : divided(a, b);
 }
 // A root likewise. Several quotients and roots that do not depend on one another ask once for all:
 // a thread then computes them side by side, where a branch after each would keep the next waiting.
 COLD_FN float rooted(float a) { return __fsqrt_rn(a); }
-LANE_FN float quick_sqrt(float a, bool& slow) {
+LANE_FN float quick_sqrt(float a, magnitudes& m) {
+  const uint32_t bits = (uint32_t)uf_bits(a);
+  note(m, bits >> 31 != 0 ? ~0u : bits << 1, (bits << 1) - 1);
   float r;
   asm("rsqrt.approx.ftz.f32 %0, %1;" : "=f"(r) : "f"(a));
   const float s = a * r;
-  slow = slow || !((is_moderate(a) && a > 0.0f) || a == 0.0f);
   return a == 0.0f ? a : __fmaf_rn(__fmaf_rn(-s, s, a), r * 0.5f, s);
 }
 LANE_FN float usqrt(float a) { return __fsqrt_rn(a); }

@@ -2,7 +2,9 @@
 #include <algorithm>
 #include <cstdio>
 #include <cstdlib>
+#include <utility>
 
+#include "compiler.h"
 #include "list.h"
 #include "sequence_blocks.h"
 #include "sequence_memory.h"
@@ -26,7 +28,7 @@ constexpr unsigned kSharedOfText = 48 << 10, kKeptBytes = 38 << 10;
 // What they may keep where blocks have a plan, which asks for more shared memory.
 constexpr unsigned kKeptWithPlan = 100 << 10;
 // Of memory, for what is computed ahead, and which part of what is free.
-constexpr uint64_t kAheadBytes = 1 << 30, kAheadPart = 4;
+constexpr uint64_t kAheadBytes = uint64_t{4} << 30, kAheadPart = 4;
 // What the builtin, where a block works on such a row, sums faster.
 constexpr uint64_t kLongRow = 1024, kWideRow = 16;
 
@@ -116,6 +118,12 @@ uint64_t ahead_bytes(const novaphy_device* device) {
   return std::min<uint64_t>(kAheadBytes, free / kAheadPart);
 }
 
+// Whether the compiler knows how blocks of a cluster send rows to one another.
+bool knows_sends() {
+  const Compiler& c = compiler(driver().version);
+  return c.major > 12 || (c.major == 12 && c.minor >= 1);
+}
+
 // Of a block of a launch that asks for it.
 uint64_t most_shared_bytes(const novaphy_device* device) {
   int most = 0;
@@ -149,11 +157,6 @@ novaphy_status create(novaphy_device* device, std::span<const novaphy_sequence_o
                       kKeptBytes / 4 / shape.threads, shape.blocks, shape.groups};
     const bool one_row = shape.form != Form::Grid && warps <= room.warps;
     if (!one_row) room = {};
-    std::optional<BlockPlan> plan;
-    if (one_row && shape.form == Form::Cluster)
-      plan = plan_blocks(ops, shape.blocks, kMostWarpsAtAll, [&](uint64_t where, size_t count) {
-        return words_at(device, where, count);
-      });
     OwnList made(new novaphy_list);
     made->device = device;
     const auto fits = [&](const SequenceTable& of) {
@@ -162,14 +165,13 @@ novaphy_status create(novaphy_device* device, std::span<const novaphy_sequence_o
               shared_bytes(of, shape) + launch_bytes(of, shape) <= most_shared_bytes(device));
     };
     SequenceTable table;
-    if (plan) {
-      const SequenceShape unplanned = shape;
-      shape.threads = plan->threads;
+    const auto runs_planned = [&](const BlockPlan& plan) {
+      const unsigned threads = std::exchange(shape.threads, plan.threads);
       SequenceRoom planned{shape.blocks * shape.threads / kWarp,
                            kKeptWithPlan / 4 / shape.threads,
                            shape.blocks,
                            1,
-                           &*plan,
+                           &plan,
                            ahead_bytes(device)};
       table = sequence_table(ops, planned);
       if (fits(table) && table.ahead_bytes != 0) {
@@ -179,18 +181,29 @@ novaphy_status create(novaphy_device* device, std::span<const novaphy_sequence_o
           table = sequence_table(ops, planned);
         }
       }
-      if (!fits(table)) {
-        plan.reset();
-        shape = unplanned;
+      if (!fits(table)) shape.threads = threads;
+      return fits(table);
+    };
+    bool is_planned = false;
+    if (one_row && shape.form == Form::Cluster) {
+      const ReadWords read = [&](uint64_t where, size_t count) {
+        return words_at(device, where, count);
+      };
+      if (const auto plan = plan_blocks(ops, shape.blocks, kMostWarpsAtAll, read)) {
+        BlockPlan with_halo = *plan;
+        is_planned = (knows_sends() && plan_halo(ops, shape.blocks, read, with_halo) &&
+                      runs_planned(with_halo)) ||
+                     runs_planned(*plan);
       }
     }
-    if (!plan) table = sequence_table(ops, room);
+    if (!is_planned) table = sequence_table(ops, room);
     if (!fits(table)) {
       room.kept_words = 0;
       table = sequence_table(ops, room);
     }
     if (!fits(table)) return refuse("too large");
-    made->words = {table.first_words, table.tasks, table.rows, table.jobs, table.job_count};
+    made->words = {table.first_words, table.tasks, table.rows,
+                   table.halo_turns,  table.jobs,  table.job_count};
     made->n = static_cast<int64_t>(table.counters);
     made->blocks = shape.blocks;
     made->threads = shape.threads;
@@ -205,7 +218,7 @@ novaphy_status create(novaphy_device* device, std::span<const novaphy_sequence_o
                      "sequence", error);
       made->jobs = made->table + table.jobs * sizeof(uint64_t);
       made->job_count = static_cast<uint32_t>(table.job_count);
-      made->blocks_of_job = rounded_up(static_cast<unsigned>(table.job_rows), made->kAheadThreads);
+      made->blocks_of_job = rounded_up(static_cast<unsigned>(table.job_slots), made->kAheadThreads);
     }
     if (status == NOVAPHY_OK && made->together) status = fit_together(*made, error);
     if (status == NOVAPHY_OK && made->shared_bytes != 0) {

@@ -22,9 +22,17 @@ LANE_FN void copy_word(const S from, const O to, int64_t row) {
 
 struct no_source {};  // what is not read
 
-// Items that sums of the next phase add, in the memory of the block that has these sums: rows of four
-// words, SEQUENCE_CORNERS of them for each thread, from `base` on; behind them one of zeros, for sums
-// of few items. What threads keep lies behind the last array.
+// Items that sums of the next phase add, in the memory of the block that has these sums: rows of
+// four words, SEQUENCE_CORNERS of them for each thread, from `base` on; behind them one of zeros,
+// for sums of few items. The rows of the halo lie behind the last array, and then what threads keep.
+//
+// Where this memory begins stays in a register. In a cluster compilers ask for the number of the
+// block each time that they need an address, which takes dozens of cycles. `turn`: the last one of
+// the halo.
+struct block_memory {
+  four_words* rows;
+  uint32_t turn;
+};
 #if SEQUENCE_LAYOUTS != 0
 extern __shared__ four_words g_items[];
 constexpr uint32_t kNoItem = SEQUENCE_CORNERS * SEQUENCE_THREADS;
@@ -35,8 +43,8 @@ LANE_FN void begin_items() {
     g_items[base + kNoItem] = {{kMinusZero, kMinusZero, kMinusZero, kMinusZero}};
 }
 template <int width, int count>
-LANE_FN void put_items(uint32_t base, const int32_t* words) {
-  four_words* const rows = g_items + base + threadIdx.x * SEQUENCE_CORNERS;
+LANE_FN void put_items(const block_memory memory, uint32_t base, const int32_t* words) {
+  four_words* const rows = memory.rows + base + threadIdx.x * SEQUENCE_CORNERS;
 #pragma unroll
   for (int k = 0; k < count; ++k) {
     four_words row;
@@ -47,7 +55,7 @@ LANE_FN void put_items(uint32_t base, const int32_t* words) {
 }
 #endif
 struct block_items {
-  uint32_t base;
+  const four_words* rows;
 };
 struct memory_items {
   uint64_t source;
@@ -107,38 +115,40 @@ static __device__ __noinline__ void fold_long(const float* source, const int32_t
 }
 // Rows of a batch of items, loaded together. (With a condition on those that short rows lack,
 // compilers run out of registers.)
-template <int width>
+template <int width, int count = CSR_BATCH>
 struct batch_rows {
-  float columns[CSR_BATCH][width];
+  float columns[count][width];
 };
-template <int width>
-LANE_FN void load_rows(batch_rows<width>* rows, const memory_items from, const csr_batch& csr) {
+template <int width, int count>
+LANE_FN void load_rows(batch_rows<width, count>* rows, const memory_items from,
+                       const csr_batch& csr) {
   const float* const source = (const float*)from.source;
 #pragma unroll
-  for (int32_t r = 0; r < CSR_BATCH; ++r)
+  for (int32_t r = 0; r < count; ++r)
 #pragma unroll
     for (int c = 0; c < width; ++c)
       rows->columns[r][c] = *in_memory(source + (int64_t)csr.slots[r] * width + c);
 }
 // Of the first batch, where there may be no item: then zeros, without a branch.
-template <int width>
-LANE_FN void load_first_rows(batch_rows<width>* rows, const memory_items from, const csr_batch& csr,
-                             const row_failure& failure) {
+template <int width, int count>
+LANE_FN void load_first_rows(batch_rows<width, count>* rows, const memory_items from,
+                             const csr_batch& csr, const row_failure& failure) {
   load_rows(rows, memory_items{csr.longest > 0 ? from.source : (uint64_t)failure.zeros}, csr);
 }
 #if SEQUENCE_LAYOUTS != 0
-template <int width>
-LANE_FN void load_rows(batch_rows<width>* rows, const block_items from, const csr_batch& csr) {
+template <int width, int count>
+LANE_FN void load_rows(batch_rows<width, count>* rows, const block_items from,
+                       const csr_batch& csr) {
 #pragma unroll
-  for (int32_t r = 0; r < CSR_BATCH; ++r) {
-    const four_words row = g_items[from.base + csr.slots[r]];
+  for (int32_t r = 0; r < count; ++r) {
+    const four_words row = from.rows[csr.slots[r]];
 #pragma unroll
     for (int c = 0; c < width; ++c) rows->columns[r][c] = ubits_f(row.word[c]);
   }
 }
-template <int width>
-LANE_FN void load_first_rows(batch_rows<width>* rows, const block_items from, const csr_batch& csr,
-                             const row_failure&) {
+template <int width, int count>
+LANE_FN void load_first_rows(batch_rows<width, count>* rows, const block_items from,
+                             const csr_batch& csr, const row_failure&) {
   load_rows(rows, from, csr);
 }
 LANE_FN void csr_load_items(csr_batch* c, const int32_t* items) {
@@ -150,9 +160,9 @@ LANE_FN void csr_load_items(csr_batch* c, const int32_t* items) {
 // Sums over the same items, as many as there are sources: all rows of a batch are loaded before
 // the first one is added. `loaded`: those of the first batch are there. `chunks`: by the rule for
 // long rows.
-template <bool loaded, bool chunks, int width, int sums>
+template <bool loaded, bool chunks, int width, int count, int sums>
 LANE_FN void fold_batches(const memory_items* sources, const int32_t* items, csr_batch csr,
-                          batch_rows<width>* rows, float (*sum)[width]) {
+                          batch_rows<width, count>* rows, float (*sum)[width]) {
   if (chunks && csr.longest > kChunk) {
 #pragma unroll
     for (int s = 0; s < sums; ++s) {
@@ -180,36 +190,39 @@ LANE_FN void fold_batches(const memory_items* sources, const int32_t* items, csr
   }
 }
 #if SEQUENCE_LAYOUTS != 0
-// Few rows have more items than a batch: these come one by one, in little code.
-template <bool loaded, bool chunks, int width, int sums>
+// No row has more items than `count`, if that is less than a batch. Few have more than a batch:
+// these come one by one, in little code.
+template <bool loaded, bool chunks, int width, int count, int sums>
 LANE_FN void fold_batches(const block_items* sources, const int32_t* items, const csr_batch& csr,
-                          batch_rows<width>* rows, float (*sum)[width]) {
+                          batch_rows<width, count>* rows, float (*sum)[width]) {
   if (!loaded) {
 #pragma unroll
     for (int s = 0; s < sums; ++s) load_rows(&rows[s], sources[s], csr);
   }
 #pragma unroll
-  for (int32_t r = 0; r < CSR_BATCH; ++r)
+  for (int32_t r = 0; r < count; ++r)
 #pragma unroll
     for (int s = 0; s < sums; ++s)
 #pragma unroll
       for (int c = 0; c < width; ++c) sum[s][c] += rows[s].columns[r][c];
+  if (count < CSR_BATCH) return;
 #pragma unroll 1
   for (int32_t k = CSR_BATCH; k < csr.longest; ++k) {
     const uint32_t slot = __ldg(items + csr.start + k);
 #pragma unroll
     for (int s = 0; s < sums; ++s) {
-      const four_words row = g_items[sources[s].base + slot];
+      const four_words row = sources[s].rows[slot];
 #pragma unroll
       for (int c = 0; c < width; ++c) sum[s][c] += ubits_f(row.word[c]);
     }
   }
 }
 #endif
-template <bool loaded, bool chunks, int width, class M, class S, class O, class T, class P>
-LANE_FN void sum_two_rows(const csr_batch& csr, uint64_t items, batch_rows<width>* rows, const M v,
-                          const S v_init, const O v_out, const M w, const T w_init, const P w_out,
-                          int64_t row) {
+template <bool loaded, bool chunks, int width, int count, class M, class S, class O, class T,
+          class P>
+LANE_FN void sum_two_rows(const csr_batch& csr, uint64_t items, batch_rows<width, count>* rows,
+                          const M v, const S v_init, const O v_out, const M w, const T w_init,
+                          const P w_out, int64_t row) {
   const M sources[2] = {v, w};
   float sum[2][width];
 #pragma unroll
@@ -217,21 +230,21 @@ LANE_FN void sum_two_rows(const csr_batch& csr, uint64_t items, batch_rows<width
     sum[0][c] = init_of(v_init, width, c, row);
     sum[1][c] = init_of(w_init, width, c, row);
   }
-  fold_batches<loaded, chunks, width, 2>(sources, (const int32_t*)items, csr, rows, sum);
+  fold_batches<loaded, chunks, width, count, 2>(sources, (const int32_t*)items, csr, rows, sum);
 #pragma unroll
   for (int c = 0; c < width; ++c) {
     put_columnf(v_out, width, c, row, sum[0][c]);
     put_columnf(w_out, width, c, row, sum[1][c]);
   }
 }
-template <bool loaded, bool chunks, int width, class M, class S, class O>
-LANE_FN void sum_row(const csr_batch& csr, uint64_t items, batch_rows<width>* rows, const M source,
-                     const S init, const O out, int64_t row) {
+template <bool loaded, bool chunks, int width, int count, class M, class S, class O>
+LANE_FN void sum_row(const csr_batch& csr, uint64_t items, batch_rows<width, count>* rows,
+                     const M source, const S init, const O out, int64_t row) {
   const M sources[1] = {source};
   float sum[1][width];
 #pragma unroll
   for (int c = 0; c < width; ++c) sum[0][c] = init_of(init, width, c, row);
-  fold_batches<loaded, chunks, width, 1>(sources, (const int32_t*)items, csr, rows, sum);
+  fold_batches<loaded, chunks, width, count, 1>(sources, (const int32_t*)items, csr, rows, sum);
 #pragma unroll
   for (int c = 0; c < width; ++c) put_columnf(out, width, c, row, sum[0][c]);
 }
@@ -270,13 +283,13 @@ LANE_FN csr_batch csr_first(const words_and_tables<loops> args, int32_t, int32_t
 // What a thread keeps in shared memory until its chain comes again.
 #if SEQUENCE_KEPT != 0
 #if SEQUENCE_LAYOUTS != 0
-#define g_kept ((int32_t*)(g_items + SEQUENCE_ITEMS))
+#define g_kept ((int32_t*)(memory.rows + SEQUENCE_ITEMS + 2 * SEQUENCE_HALO))
 #else
 __shared__ int32_t g_kept[SEQUENCE_KEPT * SEQUENCE_THREADS];
 #endif
 LANE_FN bool is_kept(uint32_t kept) { return kept != 0 && (kept & 1) == 0; }
 LANE_FN bool is_to_be_filled(uint32_t kept) { return (kept & 1) != 0; }
-LANE_FN int32_t* begin_kept(uint32_t kept) {
+LANE_FN int32_t* begin_kept(const block_memory memory, uint32_t kept) {
   return g_kept + (kept / 2 - 1) * SEQUENCE_THREADS + threadIdx.x;
 }
 LANE_FN void fill_kept(int32_t*& at, int32_t word) {
@@ -289,7 +302,7 @@ LANE_FN void take_kept(int32_t*& at, int32_t& word) {
 }
 #else
 LANE_FN bool is_kept(uint32_t) { return false; }
-LANE_FN int32_t* begin_kept(uint32_t) { return 0; }
+LANE_FN int32_t* begin_kept(const block_memory, uint32_t) { return 0; }
 LANE_FN void fill_kept(int32_t*&, int32_t) {}
 LANE_FN void take_kept(int32_t*&, int32_t&) {}
 #endif
@@ -319,19 +332,38 @@ LANE_FN void own_words(uint64_t p, int64_t i, int32_t* words) {
   }
 }
 
-// What an early half leaves in memory: the first four words of all rows, then the next four.
+// Where a plan says who has which row, nobody looks for chains: instead the header of a record says
+// what will be loaded two records on, which all blocks bring near: an address, and bytes.
+constexpr uint32_t kHeader = 4;
+#if SEQUENCE_AHEAD != 0 && SEQUENCE_HALO != 0
+LANE_FN void fetch_ahead(const uint64_t* record) {
+  const uint64_t part = (record[3] / gridDim.x + 15) / 16 * 16, first = part * blockIdx.x;
+  if (first >= record[3]) return;
+  const uint64_t rest = record[3] - first;
+  asm volatile("cp.async.bulk.prefetch.L2.global [%0], %1;" ::"l"(record[2] + first),
+               "r"((uint32_t)(rest < part ? rest : part)));
+}
+#endif
+// What an early half leaves in memory: the first four words for all threads that load it, block
+// after block, then the next four. So a warp loads whole lines, whichever rows it has.
 template <int width>
-LANE_FN void store_ahead(uint64_t p, uint64_t rows, int64_t i, const int32_t* words) {
-  four_words* at = in_memory((four_words*)p + i);
+LANE_FN void store_ahead(uint64_t p, uint64_t slots, uint32_t slot, const int32_t* words) {
+  four_words* at = in_memory((four_words*)p + slot);
 #pragma unroll
-  for (int c = 0; c < width; c += 4, at += rows)
+  for (int c = 0; c < width; c += 4, at += (uint32_t)slots)
     *at = {{words[c], words[c + 1], words[c + 2], words[c + 3]}};
 }
+// `slots`: its first thread of a block << 48 | threads of a block << 32 | threads
+// Lanes that go along have none, and take that of the first.
+LANE_FN uint32_t own_slot(uint64_t slots, bool on) {
+  const uint32_t thread = on ? threadIdx.x : threadIdx.x / 32 * 32;
+  return blockIdx.x * (high_half(slots) & 0xffff) + thread - (high_half(slots) >> 16);
+}
 template <int width>
-LANE_FN void load_ahead(uint64_t p, uint64_t rows, int64_t i, int32_t* words) {
-  const four_words* at = in_memory((const four_words*)p + i);
+LANE_FN void load_ahead(uint64_t p, uint64_t slots, uint32_t slot, int32_t* words) {
+  const four_words* at = in_memory((const four_words*)p + slot);
 #pragma unroll
-  for (int c = 0; c < width; c += 4, at += rows) {
+  for (int c = 0; c < width; c += 4, at += (uint32_t)slots) {
     const four_words four = *at;
 #pragma unroll
     for (int k = 0; k < 4; ++k) words[c + k] = four.word[k];
@@ -387,8 +419,7 @@ LANE_FN void last_barrier(uint32_t* counter) {
 // Where sums add what the block has made in the phase before, the warps that make it hand it over to
 // those that sum it, which wait for that alone, and for the other blocks before they store.
 #if SEQUENCE_LAYOUTS != 0
-LANE_FN void hand_over() {
-  __threadfence_block();
+LANE_FN void hand_over() {  // orders what was stored before, as a barrier does
   asm volatile("barrier.arrive 1, %0;" ::"n"(SEQUENCE_THREADS) : "memory");
 }
 LANE_FN void take_over() {
@@ -396,39 +427,197 @@ LANE_FN void take_over() {
 }
 #endif
 
-// `on`: whether the thread has the row, or only goes along with those that have. `owns`: whether it
-// stores the row, which other blocks may compute, too.
-LANE_FN void run_chain(uint32_t form, const uint64_t* words, const int64_t i, const bool on,
-                       const bool owns, const device_sink sink);
-
-// Early halves of all phases, as a launch of its own. Job after job, kAheadThreads rows for a block.
-#if SEQUENCE_AHEAD != 0
-constexpr uint32_t kAheadThreads = 128;
-LANE_FN void run_ahead(uint32_t form, const uint64_t* words, const int64_t i,
-                       const device_sink sink);
-extern "C" __global__ void __launch_bounds__(kAheadThreads) novaphy_ahead(
-    const uint64_t* table, const uint64_t* jobs, const uint32_t blocks_of_job,
-    const device_sink sink) {
-  const uint64_t* const job = jobs + 2 * (blockIdx.x / blocks_of_job);
-  const uint32_t row = blockIdx.x % blocks_of_job * kAheadThreads + threadIdx.x;
-  if (row < high_half(job[0])) run_ahead(low_half(job[0]), table + job[1], row, sink);
+// The halo: rows that sums leave, where elements of this block read them. Whoever has such a row sends
+// it to the memory of each block that needs it, whose barrier counts the bytes that have come: no fence
+// stands between, and what is stored for others, later, is not waited for.
+#if SEQUENCE_HALO != 0
+constexpr uint32_t kSenders = SEQUENCE_THREADS - 32 * SEQUENCE_MAKERS;
+__shared__ uint64_t g_came[2];  // the barriers
+__shared__ uint32_t g_halo_bytes;
+__shared__ uint32_t g_sends[SEQUENCE_ROUNDS * kSenders];
+LANE_FN uint32_t in_shared(const void* p) {
+  return (uint32_t)__cvta_generic_to_shared(p);
+}
+LANE_FN uint32_t in_block(uint32_t address, uint32_t block) {
+  uint32_t there;
+  asm("mapa.shared::cluster.u32 %0, %1, %2;" : "=r"(there) : "r"(address), "r"(block));
+  return there;
+}
+LANE_FN void begin_barrier() {
+  asm volatile(
+      "mbarrier.init.shared::cta.b64 [%0], 1;\n"
+      "mbarrier.init.shared::cta.b64 [%0 + 8], 1;\n"
+      "fence.mbarrier_init.release.cluster;" ::"r"(in_shared(g_came))
+      : "memory");
+}
+// Turns are counted from 0, modulo four: odd ones have a barrier and rows of their own, and each
+// second one of these has the other parity.
+LANE_FN void expect_rows(const uint32_t turn) {
+  asm volatile("mbarrier.arrive.expect_tx.shared::cta.b64 _, [%0], %1;" ::"r"(
+                   in_shared(g_came + turn % 2)),
+               "r"(g_halo_bytes)
+               : "memory");
+}
+LANE_FN void wait_halo(const uint32_t turn) {
+  uint32_t came;
+  do {
+    asm volatile(
+        "{\n"
+        ".reg .pred p;\n"
+        "mbarrier.try_wait.parity.shared::cta.b64 p, [%1], %2;\n"
+        "selp.u32 %0, 1, 0, p;\n"
+        "}"
+        : "=r"(came)
+        : "r"(in_shared(g_came + turn % 2)), "r"(turn / 2 % 2)
+        : "memory");
+  } while (came == 0);
+}
+// Where a thread sends a row, whose lane has it, and whether it sends one.
+struct halo_send {
+  uint32_t to, came, lane, on;
+};
+LANE_FN void send_row(const halo_send& send, uint32_t base, const four_words& row) {
+  asm volatile(
+      "{\n"
+      ".reg .pred p;\n"
+      "setp.ne.u32 p, %0, 0;\n"
+      "@p st.async.shared::cluster.mbarrier::complete_tx::bytes.v4.b32 [%1], {%2, %3, %4, %5}, [%6];\n"
+      "}" ::"r"(send.on),
+      "r"(send.to + base * (uint32_t)sizeof(row)), "r"(row.word[0]), "r"(row.word[1]),
+      "r"(row.word[2]), "r"(row.word[3]), "r"(send.came)
+      : "memory");
+}
+LANE_FN int32_t of_lane(int32_t word, uint32_t lane) {
+  return __shfl_sync(0xffffffffu, word, lane);
+}
+// A send is lane << 24 | block << 16 | row, and whether it is one. Few lanes have a row, which go to
+// several blocks: all lanes of the warp send.
+LANE_FN four_words* halo_of(const block_memory memory, const uint32_t turn) {
+  return memory.rows + SEQUENCE_ITEMS + turn % 2 * SEQUENCE_HALO;
+}
+struct halo_sends {
+  halo_send rounds[SEQUENCE_ROUNDS];
+};
+LANE_FN halo_sends begin_sends(const block_memory memory) {
+  const uint32_t turn = memory.turn + 1;
+  halo_sends sends;
+#pragma unroll
+  for (uint32_t k = 0; k < SEQUENCE_ROUNDS; ++k) {
+    const uint32_t send = g_sends[k * kSenders + threadIdx.x - 32 * SEQUENCE_MAKERS];
+    const uint32_t block = send >> 16 & 31;
+    sends.rounds[k] = {in_block(in_shared(halo_of(memory, turn) + (send & 0xffff)), block),
+                       in_block(in_shared(g_came + turn % 2), block), send >> 24 & 31, send >> 31};
+  }
+  return sends;
+}
+template <int width>
+LANE_FN void send_rows(const halo_sends& sends, uint32_t base, const int32_t* words) {
+#pragma unroll
+  for (const halo_send& send : sends.rounds) {
+    four_words row;
+#pragma unroll
+    for (int c = 0; c < 4; ++c) row.word[c] = c < width ? of_lane(words[c], send.lane) : 0;
+    send_row(send, base, row);
+  }
+}
+struct halo_rows {
+  const four_words* array;
+  uint32_t rows;
+};
+struct halo_row {
+  four_words words;
+};
+// Behind the last row of an array comes one of zeros. No element names a row behind that: see
+// plan_halo.
+LANE_FN halo_row row_of(const halo_rows s, int32_t row, int32_t, vb, int32_t, row_failure&) {
+  const uint32_t at = (uint32_t)row < s.rows ? (uint32_t)row : s.rows;
+  return {s.array[at]};
+}
+LANE_FN int32_t column_of(const halo_row r, int32_t column) { return r.words.word[column]; }
+// `sends`: those of all blocks, then the bytes that each of them gets.
+LANE_FN void begin_halo(const block_memory memory, const uint32_t* sends) {
+  for (uint32_t k = threadIdx.x; k < 2 * SEQUENCE_HALO; k += SEQUENCE_THREADS)
+    memory.rows[SEQUENCE_ITEMS + k] = {};
+  const uint32_t words = SEQUENCE_ROUNDS * kSenders;
+  for (uint32_t k = threadIdx.x; k < words; k += SEQUENCE_THREADS)
+    g_sends[k] = __ldg(sends + blockIdx.x * words + k);
+  if (threadIdx.x != 0) return;
+  g_halo_bytes = __ldg(sends + gridDim.x * words + blockIdx.x);
+  begin_barrier();
+}
+// Rows that come from memory: of a record of from, base << 32 | rows, width for each array.
+LANE_FN void fill_halo(const block_memory memory, const uint64_t* record) {
+  four_words* const halo = halo_of(memory, memory.turn);
+  for (uint32_t k = 0; k < (uint32_t)record[1]; ++k) {
+    const uint64_t* const fill = record + kHeader + 3 * k;
+    const int32_t* const from = in_memory((const int32_t*)fill[0]);
+    const uint32_t width = (uint32_t)fill[2];
+    for (uint32_t row = threadIdx.x; row < low_half(fill[1]); row += SEQUENCE_THREADS)
+      for (uint32_t c = 0; c < width; ++c)
+        halo[high_half(fill[1]) + row].word[c] = from[row * width + c];
+  }
+  __syncthreads();
 }
 #endif
+
+// `on`: whether the thread has the row, or only goes along with those that have. `owns`: whether it
+// stores the row, which other blocks may compute, too. `memory.turn`: the last
+// one of the halo.
+LANE_FN void run_chain(uint32_t form, const uint64_t* words, const int64_t i, const bool on,
+                       const bool owns, const block_memory memory, const device_sink sink);
 
 constexpr uint32_t kWarps = SEQUENCE_THREADS / 32;
 #if SEQUENCE_LAYOUTS != 0
 // Which row a thread has is said by the layout of the phase: see BlockPlan. A task is
-//   form << 48 | the first word of the arguments << 32 | layout << 8 | what the warp does
+//   form << 48 | the first word of the arguments << 32 | layout << 16 | what the warp does
 constexpr uint32_t kWorks = 1, kStores = 2, kHandsOver = 4, kTakesOver = 8, kKeeps = 16;
+constexpr uint32_t kSends = 32, kTurnShift = 6, kFills = 256, kLayoutShift = 16;
 constexpr uint32_t kOn = 1u << 30, kOwns = 1u << 31;
+// Early halves of all phases, as a launch of its own: job after job, kAheadThreads slots for a block.
+// A job is the early half of a chain in a phase:
+//   slots << 32 | form      the first word of its arguments      bytes before the layout of its phase
+//   its first thread of a block << 32 | threads of a block
+#if SEQUENCE_AHEAD != 0
+constexpr uint32_t kAheadThreads = 128, kJobWords = 4;
+LANE_FN void run_ahead(uint32_t form, const uint64_t* words, const int64_t i, const uint32_t slot,
+                       const device_sink sink);
+LANE_FN void run_job(const uint64_t* table, const uint64_t* job, const uint32_t slot,
+                     const device_sink sink) {
+  if (slot >= high_half(job[0])) return;
+  const uint32_t threads = low_half(job[3]), thread = high_half(job[3]) + slot % threads;
+  const uint32_t* const rows = (const uint32_t*)((const char*)table + job[2]);
+  const uint32_t row = rows[slot / threads * SEQUENCE_THREADS + thread];
+  if ((row & kOn) != 0) run_ahead(low_half(job[0]), table + job[1], row & (kOn - 1), slot, sink);
+}
+extern "C" __global__ void __launch_bounds__(kAheadThreads) novaphy_ahead(
+    const uint64_t* table, const uint64_t* jobs, const uint32_t blocks_of_job,
+    const device_sink sink) {
+  run_job(table, jobs + kJobWords * (blockIdx.x / blocks_of_job),
+          blockIdx.x % blocks_of_job * kAheadThreads + threadIdx.x, sink);
+}
+#endif
 __shared__ uint32_t g_rows[SEQUENCE_LAYOUTS * SEQUENCE_THREADS];
 LANE_FN void load_layouts(const uint64_t* rows) {
   const uint32_t* const from = (const uint32_t*)rows + blockIdx.x * SEQUENCE_THREADS + threadIdx.x;
   for (uint32_t k = 0; k < SEQUENCE_LAYOUTS; ++k)
     g_rows[k * SEQUENCE_THREADS + threadIdx.x] = __ldg(from + k * gridDim.x * SEQUENCE_THREADS);
 }
-LANE_FN void run_task(const uint64_t* record, uint64_t task, const device_sink sink) {
+LANE_FN void run_task(const uint64_t* record, uint64_t task, block_memory memory,
+                      const device_sink sink) {
   const uint32_t how = low_half(task);
+  memory.turn = how >> kTurnShift & 3;
+#if SEQUENCE_HALO != 0
+  if ((how & kSends) != 0 && threadIdx.x == 32 * SEQUENCE_MAKERS) {
+    wait_halo(memory.turn - 1);
+    expect_rows(memory.turn + 1);
+  }
+  if ((how & kFills) != 0) {
+    phase_wait();
+    wait_halo(memory.turn);
+    fill_halo(memory, record);
+    return;
+  }
+#endif
   if ((how & kWorks) == 0) {
     // As those that work: whoever hands over before the wait might do so twice within one phase.
     if ((how & kTakesOver) != 0) take_over();
@@ -436,14 +625,16 @@ LANE_FN void run_task(const uint64_t* record, uint64_t task, const device_sink s
     if ((how & kHandsOver) != 0) hand_over();
     return;
   }
-  const uint32_t row = g_rows[(how >> 8) * SEQUENCE_THREADS + threadIdx.x];
+  const uint32_t row = g_rows[(how >> kLayoutShift) * SEQUENCE_THREADS + threadIdx.x];
   run_chain(high_half(task) >> 16, record + (high_half(task) & 0xffff), row & (kOn - 1),
-            (row & kOn) != 0, (row & kOwns) != 0 && (how & (kStores | kKeeps)) != 0, sink);
+            (row & kOn) != 0, (row & kOwns) != 0 && (how & (kStores | kKeeps)) != 0,
+            memory, sink);
 }
 LANE_FN bool stores(uint64_t task) { return (low_half(task) & kStores) != 0; }
 #elif SEQUENCE_TASKS != 0
 // Waits for the phase before, too, after what the chain may do early.
-LANE_FN void run_task(const uint64_t* record, uint64_t task, const device_sink sink) {
+LANE_FN void run_task(const uint64_t* record, uint64_t task, const block_memory memory,
+                      const device_sink sink) {
   const uint32_t lane = threadIdx.x & 31, rows = low_half(task) >> 24;
   if (rows == 0) {
     phase_wait();
@@ -451,7 +642,7 @@ LANE_FN void run_task(const uint64_t* record, uint64_t task, const device_sink s
   }
   const bool on = lane < rows;
   run_chain(high_half(task) >> 16, record + (high_half(task) & 0xffff),
-            (low_half(task) & 0xffffff) + (on ? lane : 0), on, on, sink);
+            (low_half(task) & 0xffffff) + (on ? lane : 0), on, on, memory, sink);
 }
 LANE_FN bool stores(uint64_t task) { return low_half(task) >> 24 != 0; }
 #else
@@ -468,7 +659,7 @@ LANE_FN void run_phase(const uint64_t* record, const device_sink sink) {
     const uint32_t row = (warp - high_half(chain[2 * c])) * lanes + lane;
     if (lane < lanes && row < low_half(chain[2 * c]))
       run_chain(high_half(chain[2 * c + 1]), record + low_half(chain[2 * c + 1]), row, true, true,
-                sink);
+                {}, sink);
   }
 }
 #endif
@@ -480,15 +671,17 @@ LANE_FN void run_phase(const uint64_t* record, const device_sink sink) {
 #endif
 // An address in shared memory that stays in a register. Compilers find it anew for each use, which
 // takes longer in a cluster: the number of the block is part of it.
-LANE_FN uint64_t* stay(uint64_t* p) {
+template <class T>
+LANE_FN T* stay(T* p) {
   uint32_t address = (uint32_t)__cvta_generic_to_shared(p);
   asm volatile("" : "+r"(address));
-  return (uint64_t*)__cvta_shared_to_generic(address);
+  return (T*)__cvta_shared_to_generic(address);
 }
 struct sequence_start {
   uint64_t words;  // of the first record
   uint64_t tasks;  // where those of the warps lie
   uint64_t rows;   // where those of the threads lie
+  uint64_t turns;  // of the halo
 };
 extern "C" __global__ void SEQUENCE_CLUSTER __launch_bounds__(SEQUENCE_THREADS, 1) novaphy_main(
     const __grid_constant__ sequence_start start, uint64_t* table, const int64_t counters,
@@ -496,6 +689,11 @@ extern "C" __global__ void SEQUENCE_CLUSTER __launch_bounds__(SEQUENCE_THREADS, 
   // Of this phase, of the next one, and of the one after it, which is loaded during this one.
   __shared__ uint64_t records[3][SEQUENCE_WORDS];
   uint64_t *record = stay(records[0]), *next = stay(records[1]), *later = stay(records[2]);
+#if SEQUENCE_LAYOUTS != 0
+  const block_memory memory = {stay(g_items), 0};
+#else
+  const block_memory memory = {0, 0};
+#endif
   uint64_t head = __ldg(table);  // of the record after `record`, then of the one after that
   bool is_last = high_half(head) == 0;
   for (uint32_t k = threadIdx.x; k < start.words; k += SEQUENCE_THREADS)
@@ -510,6 +708,10 @@ extern "C" __global__ void SEQUENCE_CLUSTER __launch_bounds__(SEQUENCE_THREADS, 
 #if SEQUENCE_LAYOUTS != 0
   load_layouts(table + start.rows);
   if (threadIdx.x == 0) begin_items();
+#endif
+#if SEQUENCE_HALO != 0
+  begin_halo(memory, (const uint32_t*)(table + start.rows) +
+             SEQUENCE_LAYOUTS * gridDim.x * SEQUENCE_THREADS);
 #endif
   __syncthreads();
 #if SEQUENCE_TASKS != 0
@@ -529,7 +731,10 @@ extern "C" __global__ void SEQUENCE_CLUSTER __launch_bounds__(SEQUENCE_THREADS, 
 #if SEQUENCE_TASKS != 0
     tasks += gridDim.x * kWarps;
     const uint64_t next_task = is_last ? 0 : __ldg(tasks);
-    run_task(record, task, sink);
+#if SEQUENCE_AHEAD != 0 && SEQUENCE_HALO != 0
+    if (threadIdx.x == SEQUENCE_THREADS - 1) fetch_ahead(record);
+#endif
+    run_task(record, task, memory, sink);
     const bool wrote = stores(task);
     task = next_task;
 #else
@@ -552,5 +757,10 @@ extern "C" __global__ void SEQUENCE_CLUSTER __launch_bounds__(SEQUENCE_THREADS, 
     later = done;
     phase_arrive(wrote);
   }
+#if SEQUENCE_HALO != 0
+  // Nobody leaves before all has come that others send.
+  wait_halo((uint32_t)start.turns + 2);
+  wait_halo((uint32_t)start.turns + 3);
+#endif
   last_barrier((uint32_t*)(table + counters));
 }

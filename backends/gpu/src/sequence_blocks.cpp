@@ -415,7 +415,8 @@ class Planner {
       if (fresh) at->second = arrays[ops_[link.maker].chain]++ * rows_of_array;
       plan_.item_rows = std::max(plan_.item_rows, at->second + rows_of_array);
       plan_.operations[link.maker].outputs[link.output] = {at->second, link.width};
-      plan_.operations[link.sum].sum = BlockPlan::Sum{at->second, items_of(link, phase)};
+      plan_.operations[link.sum].sum =
+          BlockPlan::Sum{at->second, items_of(link, phase), longest(*link.table)};
     }
     for (BlockPlan::Chain& chain : plan_.phases[k].chains) chain.stores = false;
     for (size_t o = phases_[k].first; o < phases_[k].last; ++o)
@@ -423,6 +424,12 @@ class Planner {
         if (!plan_.operations[o].outputs.contains(output))
           plan_.phases[k].chains[ops_[o].chain].stores = true;
       });
+  }
+  static int32_t longest(const Table& table) {
+    int32_t most = 0;
+    for (size_t row = 0; row + 1 < table.offsets.size(); ++row)
+      most = std::max(most, table.offsets[row + 1] - table.offsets[row]);
+    return most;
   }
   uint32_t items_of(const Link& link, const BlockPlan::Phase& makers) {
     const uint32_t chain = ops_[link.maker].chain, layout = makers.layout;

@@ -19,11 +19,14 @@ std::string str(int64_t k) { return std::to_string(k); }
 std::string registers(int32_t op, int32_t output) { return "r" + str(op) + "_" + str(output); }
 
 // Several rows for each of the chain come one after another: not early.
-std::vector<char> late_sources(const Operation& op) {
-  std::vector<char> is_late;
+std::vector<nova::ir::Available> available(const Operation& op) {
+  using nova::ir::Available;
+  std::vector<Available> sources;
   for (const Operation::Source& source : op.sources)
-    is_late.push_back(source.early && op.each == 1 ? 0 : 1);
-  return is_late;
+    sources.push_back(!source.early || op.each != 1 ? Available::Late
+                      : source.fixed                ? Available::Both  // in registers
+                                                    : Available::Early);
+  return sources;
 }
 
 // More than loads of own rows, which the chain has done already.
@@ -52,7 +55,7 @@ class RowFunctions {
     int64_t shift = 0, early_shift = 0;
   };
   const Function& of(const Operation& op) {
-    const auto [known, fresh] = known_.try_emplace({op.program, late_sources(op)});
+    const auto [known, fresh] = known_.try_emplace({op.program, available(op)});
     if (fresh) known->second = make(op);
     return known->second;
   }
@@ -76,7 +79,7 @@ class RowFunctions {
   }
 
   const SequenceTable& table_;
-  std::map<std::pair<int32_t, std::vector<char>>, Function> known_;
+  std::map<std::pair<int32_t, std::vector<nova::ir::Available>>, Function> known_;
 };
 
 class ChainText {
@@ -89,20 +92,32 @@ class ChainText {
     const bool waits = table_.tasks != 0;
     const std::string leave = waits ? "  if (!on) return;\n" : "";
     const std::string wait = "  phase_wait();\n";
+    const bool waits_late = waits && reads_halo_alone();
     loads(waits);
     kept_loads();
     code_ += "  row_failure failure = begin_row(sink);\n";
     if (waits) {
       for (size_t k = 0; k < form_.operations.size(); ++k) early(static_cast<int32_t>(k));
-      code_ += form_.sums_items ? "  take_over();\n" : wait;
+      if (sends_rows()) code_ += "  const halo_sends sends = begin_sends(memory);\n";
+      code_ += form_.sums_items ? "  take_over();\n" : waits_late ? "" : wait;
+      if (reads_halo()) code_ += "  wait_halo(memory.turn);\n";
       if (stores_at_once()) code_ += (form_.sums_items ? wait : "") + leave;
       loads(false);
     }
+    const size_t sums = sums_of_block();
+    if (sums > 0) {  // lanes that only go along would load rows, too
+      for (size_t k = 0; k < sums; ++k) declare_registers(static_cast<int32_t>(k), " = {}");
+      code_ += "  if (on) {\n";
+    }
     item_loads();
-    for (size_t k = 0; k < form_.operations.size(); ++k) operation(static_cast<int32_t>(k));
+    for (size_t k = 0; k < form_.operations.size(); ++k) {
+      operation(static_cast<int32_t>(k), k < sums);
+      if (k + 1 == sums) code_ += "  }\n";
+    }
     // Others may still read what the phase before has read.
     if (!stores_at_once()) {
-      if (form_.sums_items) code_ += wait;
+      if (form_.sums_items || waits_late) code_ += wait;
+      sends();
       hand_over();
       code_ += leave;
     }
@@ -115,7 +130,7 @@ class ChainText {
     if (table_.layouts == 0) report();
     return filling_ + "LANE_FN void chain" + number_ +
            "(const uint64_t* words, const int64_t i, const bool on, const bool owns,\n"
-           "                    device_sink sink) {\n" +
+           "                    const block_memory memory, device_sink sink) {\n" +
            code_ + "}\n";
   }
 
@@ -124,7 +139,8 @@ class ChainText {
     for (size_t k = 0; k < form_.operations.size(); ++k) ahead(static_cast<int32_t>(k));
     if (code_.empty()) return code_;
     return "LANE_FN void ahead" + str(static_cast<int64_t>(number)) +
-           "(const uint64_t* words, const int64_t i, device_sink sink) {\n" + code_ + "}\n";
+           "(const uint64_t* words, const int64_t i, const uint32_t slot, device_sink sink) {\n" +
+           code_ + "}\n";
   }
 
  private:
@@ -133,6 +149,30 @@ class ChainText {
       for (const Operation::Output& output : op.outputs)
         if (output.store == Operation::Output::Now) return true;
     return false;
+  }
+  bool reads_halo() const {
+    for (const Operation& op : form_.operations)
+      for (const Operation::Source& source : op.sources)
+        if (source.halo >= 0) return true;
+    return false;
+  }
+  bool sends_rows() const {
+    for (const Operation& op : form_.operations)
+      for (const Operation::Output& output : op.outputs)
+        if (output.halo >= 0) return true;
+    return false;
+  }
+  // Whether nothing that it reads is there only when the phase before is over.
+  bool reads_halo_alone() const {
+    if (!reads_halo() || form_.sums_items || stores_at_once()) return false;
+    for (const Operation& op : form_.operations) {
+      if (op.kind == Operation::RowSum) return false;
+      for (const Operation::Source& source : op.sources)
+        if (source.halo < 0 && !source.early && !source.fixed &&
+            source.from != Operation::Source::Registers)
+          return false;
+    }
+    return true;
   }
   const Operation& at(int32_t k) const { return form_.operations[static_cast<size_t>(k)]; }
   static std::string table(int32_t t) { return "table" + str(t); }
@@ -216,7 +256,7 @@ class ChainText {
                "(const uint64_t* words, const int64_t i, int32_t* at) {\n" + declared + fixed +
                items + filled + "}\n";
     code_ += "  if (is_to_be_filled(kept)) fill" + number_ +
-             "(words, i, begin_kept(kept));\n  {\n" + begin_kept() + kept + "  }\n";
+             "(words, i, begin_kept(memory, kept));\n  {\n" + begin_kept() + kept + "  }\n";
   }
   // The rows of the first items of its sums, as many as registers hold.
   void item_loads() {
@@ -226,20 +266,36 @@ class ChainText {
       if (op.kind != Operation::RowSum || !op.sum.offsets || op.tables[0] < 0) continue;
       const bool joined = is_joined(k);
       if (op.sum.joins) continue;  // with the one before
-      words += (joined ? 2 : 1) * op.sum.width * static_cast<int32_t>(kBatch);
+      words += (joined ? 2 : 1) * op.sum.width * (op.sum.batch != 0 ? op.sum.batch : kBatch);
       if (words > kMostItemWords) return;
       has_items_.insert(k);
-      code_ += "  batch_rows<" + str(op.sum.width) + "> " + items(k) + "[2];\n";
+      code_ += "  " + batch(op) + " " + items(k) + "[2];\n";
       for (int32_t sum = 0; sum < (joined ? 2 : 1); ++sum)
         code_ += "  load_first_rows(&" + items(k) + "[" + str(sum) + "], " + summed(at(k + sum)) +
                  ", " + table(op.tables[0]) + ", failure);\n";
     }
   }
+  static std::string batch_size(const Operation& op) {
+    return op.sum.batch != 0 ? str(op.sum.batch) : "CSR_BATCH";
+  }
+  static std::string batch(const Operation& op) {
+    return "batch_rows<" + str(op.sum.width) + ", " + batch_size(op) + ">";
+  }
   // Where the items of a sum lie.
   static std::string summed(const Operation& op) {
     return op.sum.items >= 0
-               ? "block_items{" + str(op.sum.items) + "}"
+               ? "block_items{memory.rows + " + str(op.sum.items) + "}"
                : "memory_items{words[" + str(op.first_word + op.sum.source_word) + "]}";
+  }
+  // What goes to the memory of other blocks. All lanes of a warp share this work.
+  void sends() {
+    for (int32_t k = 0; k < static_cast<int32_t>(form_.operations.size()); ++k)
+      for (size_t o = 0; o < at(k).outputs.size(); ++o) {
+        const Operation::Output& out = at(k).outputs[o];
+        if (out.halo >= 0)
+          code_ += "  send_rows<" + str(out.width) + ">(sends, " + str(out.halo) + ", " +
+                   registers(k, static_cast<int32_t>(o)) + ");\n";
+      }
   }
   // What goes to the memory of the block, before what goes to memory.
   void hand_over() {
@@ -249,7 +305,8 @@ class ChainText {
         const Operation::Output& out = at(k).outputs[o];
         if (out.items >= 0)
           puts += "    put_items<" + str(out.item_width) + ", " + str(out.width / out.item_width) +
-                  ">(" + str(out.items) + ", " + registers(k, static_cast<int32_t>(o)) + ");\n";
+                  ">(memory, " + str(out.items) + ", " + registers(k, static_cast<int32_t>(o)) +
+                  ");\n";
       }
     if (!puts.empty()) code_ += "  if (on) {\n" + puts + "  }\n  hand_over();\n";
   }
@@ -258,7 +315,7 @@ class ChainText {
   bool is_joined(int32_t k) const {
     return static_cast<size_t>(k) + 1 < form_.operations.size() && at(k + 1).sum.joins;
   }
-  static std::string begin_kept() { return "    int32_t* at = begin_kept(kept);\n"; }
+  static std::string begin_kept() { return "    int32_t* at = begin_kept(memory, kept);\n"; }
   int64_t word(const Operation& op, size_t source) const {
     return op.first_word + table_.source_word(op, source);
   }
@@ -269,11 +326,13 @@ class ChainText {
     if (op.kind != Operation::Program || !rows_.of(op).is_cut()) return;
     const RowFunctions::Function& f = rows_.of(op);
     const nova::ir::Program& p = f.halves.early;
+    const std::string slots = op.ahead_word >= 0 ? ahead_slots(op, p) : std::string();
     for (size_t o = 0; o < p.outputs.size(); ++o) {
       const std::string words = crossing_count(p.outputs[o]);
       code_ += "  int32_t " + crossing(k, o) + "[" + words + "];\n";
       if (op.ahead_word >= 0)
-        code_ += "  load_ahead<" + words + ">" + ahead_memory(op, p, o) + crossing(k, o) + ");\n";
+        code_ += "  load_ahead<" + words + ">" +
+                 ahead_memory(op, p, o, "own_slot(" + slots + ", on)") + crossing(k, o) + ");\n";
     }
     if (op.ahead_word >= 0) return;
     code_ += "  {\n    const uint64_t* const w = words + " + str(op.first_word - f.early_shift) +
@@ -285,10 +344,13 @@ class ChainText {
     code_ += ", i, failure);\n  }\n";
   }
 
-  static std::string ahead_memory(const Operation& op, const nova::ir::Program& early, size_t o) {
-    const auto rows = static_cast<int64_t>(early.outputs.size());
-    return "(words[" + str(op.ahead_word + static_cast<int64_t>(o)) + "], words[" +
-           str(op.ahead_word + rows) + "], i, ";
+  static std::string ahead_slots(const Operation& op, const nova::ir::Program& early) {
+    return "words[" + str(op.ahead_word + static_cast<int64_t>(early.outputs.size())) + "]";
+  }
+  static std::string ahead_memory(const Operation& op, const nova::ir::Program& early, size_t o,
+                                  const std::string& slot) {
+    return "(words[" + str(op.ahead_word + static_cast<int64_t>(o)) + "], " +
+           ahead_slots(op, early) + ", " + slot + ", ";
   }
   void ahead(int32_t k) {
     const Operation& op = at(k);
@@ -310,17 +372,29 @@ class ChainText {
     code_ += ", i, failure);\n";
     for (size_t o = 0; o < outputs.size(); ++o)
       code_ += "  store_ahead<" + crossing_count(outputs[o]) + ">" +
-               ahead_memory(op, f.halves.early, o) + crossing(k, o) + ");\n";
+               ahead_memory(op, f.halves.early, o, "slot") + crossing(k, o) + ");\n";
     code_ += "  if (failure.source >= 0) {\n    sink.kernel = (uint32_t)words[" +
              str(op.first_word - 1) + "];\n    end_row(failure, sink, i);\n  }\n  }\n";
   }
 
-  void operation(int32_t k) {
+  // How many operations at the beginning add items of the block.
+  size_t sums_of_block() const {
+    size_t k = 0;
+    while (k < form_.operations.size() && form_.operations[k].sum.items >= 0 &&
+           form_.operations[k].outputs[0].store != Operation::Output::Now)
+      ++k;
+    return k;
+  }
+  void declare_registers(int32_t k, const std::string& value = "") {
     const Operation& op = at(k);
     for (size_t o = 0; o < op.outputs.size(); ++o)
       if (op.outputs[o].store != Operation::Output::Now)
         code_ += "  int32_t " + registers(k, static_cast<int32_t>(o)) + "[" +
-                 str(op.each * op.outputs[o].width) + "];\n";
+                 str(op.each * op.outputs[o].width) + "]" + value + ";\n";
+  }
+  void operation(int32_t k, bool is_declared) {
+    const Operation& op = at(k);
+    if (!is_declared) declare_registers(k);
     if (is_joined(k)) return;
     code_ += "  {\n    const uint64_t* const w = words + " + str(op.first_word) + ";\n";
     const bool loop = op.each > 1;
@@ -337,6 +411,9 @@ class ChainText {
   std::string source(int32_t k, size_t number, bool loop) const {
     const Operation& op = at(k);
     const Operation::Source& s = op.sources[number];
+    if (s.halo >= 0)
+      return "halo_rows{halo_of(memory, memory.turn) + " + str(s.halo) + ", " + str(s.halo_rows) +
+             "}";
     const std::string p = "(const char*)words[" + str(word(op, number)) + "]";
     switch (s.from) {
       case Operation::Source::Registers:
@@ -413,10 +490,10 @@ class ChainText {
     };
     const int32_t first = op.sum.joins ? k - 1 : k;
     const bool loaded = has_items_.contains(first);
-    std::string text = loaded ? "" : "    batch_rows<" + width + "> " + items(first) + "[2];\n";
+    std::string text = loaded ? "" : "    " + batch(op) + " " + items(first) + "[2];\n";
     text += op.sum.joins ? "    sum_two_rows<" : "    sum_row<";
     text += std::string(loaded ? "true, " : "false, ") + (op.sum.chunks ? "true, " : "false, ") +
-            width + ">(" +
+            width + ", " + batch_size(op) + ">(" +
             (op.tables[0] < 0 ? "csr_first(w, " + str(op.sum.offsets_word) + ", 0, row)"
                               : table(op.tables[0])) +
             ", " + argument(k, op.sum.offsets_word + 1) + ", " + items(first);
@@ -480,11 +557,13 @@ std::string ahead_source(const SequenceTable& table, RowFunctions& rows) {
     if (one.empty()) continue;
     functions += one;
     const std::string number = std::to_string(k);
-    cases += "    case " + number + ":\n      ahead" + number + "(words, i, sink);\n      break;\n";
+    cases += "    case " + number + ":\n      ahead" + number +
+             "(words, i, slot, sink);\n      break;\n";
   }
   return functions +
          "LANE_FN void run_ahead(uint32_t form, const uint64_t* words, const int64_t i,\n"
-         "                       const device_sink sink) {\n  switch (form) {\n" +
+         "                       const uint32_t slot, const device_sink sink) {\n  switch (form) "
+         "{\n" +
          cases + "  }\n}\n";
 }
 
@@ -498,21 +577,23 @@ uint64_t record_words(const SequenceTable& table) {
 nova::ir::Cut halves_of(const SequenceTable& table, const Operation& op) {
   const nova::ir::Program p = without_names(table.program(op));
   if (p.contract) return {};
-  nova::ir::Cut halves = nova::ir::cut(p, late_sources(op));
+  nova::ir::Cut halves = nova::ir::cut(p, available(op));
   return is_work(halves.early) ? halves : nova::ir::Cut{};
 }
 
 uint64_t shared_bytes(const SequenceTable& table, const SequenceShape& shape) {
   constexpr uint64_t kRecords = 3;
   const uint64_t words = table.layouts != 0 ? table.layouts : table.kept_words;
+  constexpr uint64_t kHaloBytes = 16;  // beside the sends
   return kRecords * record_words(table) * sizeof(uint64_t) +
-         words * shape.threads * sizeof(int32_t);
+         words * shape.threads * sizeof(int32_t) +
+         uint64_t{table.halo_rounds} * shape.threads * sizeof(int32_t) + kHaloBytes;
 }
 
 uint64_t launch_bytes(const SequenceTable& table, const SequenceShape& shape) {
   if (table.layouts == 0) return 0;
   constexpr uint64_t kItemBytes = 16;
-  return table.item_rows * kItemBytes +
+  return (table.item_rows + 2 * table.halo_rows) * kItemBytes +
          uint64_t{table.kept_words} * shape.threads * sizeof(int32_t);
 }
 
@@ -533,6 +614,11 @@ std::string sequence_source(const SequenceTable& table, const SequenceShape& sha
     define("SEQUENCE_CORNERS", table.corners);
     define("SEQUENCE_ITEMS", table.item_rows);
   }
+  define("SEQUENCE_HALO", table.halo_rows);
+  if (table.halo_rows != 0) {
+    define("SEQUENCE_MAKERS", table.maker_warps);
+    define("SEQUENCE_ROUNDS", table.halo_rounds);
+  }
   define("SEQUENCE_AHEAD", table.job_count != 0 ? 1 : 0);
   text += prelude_text();
   text += sequence_text();
@@ -542,12 +628,13 @@ std::string sequence_source(const SequenceTable& table, const SequenceShape& sha
     chains += ChainText(table, table.forms[k], rows).run(k);
     const std::string number = std::to_string(k);
     cases += "    case " + number + ":\n      chain" + number +
-             "(words, i, on, owns, sink);\n      break;\n";
+             "(words, i, on, owns, memory, sink);\n      break;\n";
   }
   if (table.job_count != 0) chains += ahead_source(table, rows);
   return text + rows.text + chains +
          "LANE_FN void run_chain(uint32_t form, const uint64_t* words, const int64_t i,\n"
-         "                       const bool on, const bool owns, const device_sink sink) {\n"
+         "                       const bool on, const bool owns, const block_memory memory,\n"
+         "                       const device_sink sink) {\n"
          "  switch (form) {\n" +
          cases + "  }\n}\n";
 }

@@ -12,6 +12,7 @@
 namespace novaphy::gpu {
 
 struct BlockPlan;
+constexpr int32_t kBatch = 12;  // CSR items at once, where a barrier waits for the longest row
 
 // The structure of a chain. Chains of equal structure share their code: only arguments differ.
 struct ChainForm {
@@ -24,6 +25,7 @@ struct ChainForm {
       bool offsets = false, init = false;  // which of its arguments are there
       bool chunks = false;                 // long rows are summed by the builtin's rule
       int32_t items = -1;  // where they lie in the memory of the block; -1: in memory
+      int32_t batch = 0;   // no row has more items, which come at once; 0: kBatch of them do
       bool joins = false;  // over the same items as the operation before, and run with it
       // Which argument words they are; items come after offsets.
       int32_t source_word = 0, offsets_word = 1, init_word = 3, out_word = 4;
@@ -43,6 +45,8 @@ struct ChainForm {
       // may be read before that phase is over.
       bool early = false;
       bool fixed_rows = false;  // early, and nothing in the sequence writes it
+      // Where its rows lie in the memory of the block, and how many; -1: in memory.
+      int32_t halo = -1, halo_rows = 0;
       auto operator<=>(const Source&) const = default;
     };
     std::vector<Source> sources;
@@ -53,6 +57,7 @@ struct ChainForm {
       int32_t width = 1;
       bool aligned = false;                // as of a source
       int32_t items = -1, item_width = 0;  // its items go to the memory of the block, too
+      int32_t halo = -1;                   // and its row to that of other blocks
       auto operator<=>(const Output&) const = default;
     };
     std::vector<Output> outputs;
@@ -78,12 +83,12 @@ struct SequenceTable {
   uint64_t tasks = 0;  // where those of the warps lie; 0: there are none
   uint64_t rows = 0;   // where the rows of threads lie, by layout and block
   uint32_t layouts = 0, corners = 0, item_rows = 0;  // see BlockPlan
-  std::vector<uint64_t> relative;                    // words that count bytes from the first one
-  // Early halves that are computed ahead: a word for each, rows << 32 | form, and one that says
-  // where the words of its chain begin.
-  uint64_t jobs = 0, job_count = 0, job_rows = 0;  // where they lie, how many, the most rows
-  uint64_t ahead_bytes = 0;                        // what they leave
-  std::vector<uint64_t> ahead;                     // words that count bytes from its first one
+  uint32_t halo_rows = 0, halo_rounds = 0, halo_turns = 0, maker_warps = 0;
+  std::vector<uint64_t> relative;  // words that count bytes from the first one
+  // Early halves that are computed ahead: see run_job in sequence.cuh.
+  uint64_t jobs = 0, job_count = 0, job_slots = 0;  // where they lie, how many, the most threads
+  uint64_t ahead_bytes = 0;                         // what they leave
+  std::vector<uint64_t> ahead;                      // words that count bytes from its first one
   bool fits = true;
   // Of a source: words of a row, and which argument word has its address.
   int32_t source_width(const ChainForm::Operation& op, size_t source) const;
@@ -116,7 +121,6 @@ SequenceTable sequence_table(std::span<const novaphy_sequence_op> ops,
                              const SequenceRoom& room = {});
 // Warps of the phase that has most, with 32 rows each.
 uint32_t most_warps(std::span<const novaphy_sequence_op> ops);
-constexpr uint64_t kBatch = 12;  // CSR items at once, where a barrier waits for the longest row
 
 constexpr unsigned kMostInCluster = 8;  // blocks, on every device that has clusters
 struct SequenceShape {

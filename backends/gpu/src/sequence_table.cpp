@@ -3,6 +3,7 @@
 #include <cstring>
 #include <map>
 #include <tuple>
+#include <utility>
 
 #include "row_use.h"
 #include "sequence_blocks.h"
@@ -21,7 +22,12 @@ constexpr int32_t kMaxTables = 3;      // CSR tables likewise
 constexpr uint64_t kAlignment = 16;
 constexpr uint32_t kMinUses = 4;  // of what is worth keeping
 // Of a task, where a plan says which rows a thread has; as in sequence.cuh.
-constexpr uint64_t kWorks = 1, kStores = 2, kHandsOver = 4, kTakesOver = 8, kKeeps = 16;
+constexpr uint64_t kWorks = 1, kStores = 2, kHandsOver = 4, kTakesOver = 8, kKeeps = 16,
+                   kSends = 32, kFills = 256;
+constexpr uint64_t kTurnShift = 6, kLayoutShift = 16;
+constexpr uint64_t kHeader = 4;       // words of a record, there
+constexpr uint64_t kJobWords = 4;     // as in sequence.cuh
+constexpr size_t kFetchedBefore = 2;  // records: what is loaded is near by then
 
 // The memory that an operation of a chain touches at its own row.
 struct Touch {
@@ -89,25 +95,23 @@ class Writer {
       add_uses(o);
       add_written(written_, o);
     }
-    uint64_t before = 0;  // where the header of the record before lies
     std::span<const novaphy_sequence_op> phase_before;
     for (size_t first = 0; first < ops.size();) {
-      const std::span<const novaphy_sequence_op> phase = phase_at(ops, first);
-      const uint64_t start = out_.words.size();
+      std::span<const novaphy_sequence_op> phase = phase_at(ops, first);
+      if (planned() != nullptr && planned()->joined)
+        phase = ops.subspan(first, phase.size() + phase_at(ops, first + phase.size()).size());
+      if (planned() != nullptr && !planned()->fills.empty()) {
+        add_fills(*planned());
+        end_record();
+        phase_before = {};
+      }
       first_op_ = first;
       phase_written_ = Pieces();
       for (const novaphy_sequence_op& o : phase_before) add_written(phase_written_, o);
       phase_before = phase_ops_ = phase;
       add_record(phase);
+      end_record();
       ++phase_;
-      const uint64_t size = out_.words.size() - start;
-      out_.most_words = std::max(out_.most_words, size);
-      if (first == 0) {
-        out_.first_words = size;
-      } else {
-        out_.words[before] = size << 32 | start;
-      }
-      before = start;
       first += phase.size();
     }
     if (!tasks_.empty()) {
@@ -129,8 +133,17 @@ class Writer {
     }
     if (!jobs_.empty()) {
       out_.jobs = out_.words.size();
-      out_.job_count = jobs_.size() / 2;
+      out_.job_count = jobs_.size() / kJobWords;
+      for (size_t job = 0; job < jobs_.size(); job += kJobWords)
+        jobs_[job + 2] += out_.rows * sizeof(uint64_t);
       out_.words.insert(out_.words.end(), jobs_.begin(), jobs_.end());
+    }
+    for (size_t k = 0; k + kFetchedBefore < ahead_of_.size(); ++k) {
+      const AheadOf& later = ahead_of_[k + kFetchedBefore];
+      if (later.bytes == 0) continue;
+      out_.words[ahead_of_[k].header] = later.first;
+      out_.words[ahead_of_[k].header + 1] = later.bytes;
+      out_.ahead.push_back(ahead_of_[k].header);
     }
     place_kept();
     out_.kept_words = kept_.words();
@@ -148,23 +161,42 @@ class Writer {
   };
   using SourceUse = std::tuple<const novaphy_kernel*, int32_t, uint64_t>;  // kernel, source, rows
 
+  // The words since the record before are one, of which the header of that one tells.
+  void end_record() {
+    const uint64_t size = out_.words.size() - record_;
+    out_.most_words = std::max(out_.most_words, size);
+    if (record_ == 0) {
+      out_.first_words = size;
+    } else {
+      out_.words[record_before_] = size << 32 | record_;
+    }
+    record_before_ = std::exchange(record_, out_.words.size());
+  }
+
   void add_record(std::span<const novaphy_sequence_op> ops) {
     std::vector<uint64_t> chains, body;
-    const uint64_t number = ops.back().chain + uint64_t{1};
+    const uint64_t ahead = out_.ahead_bytes;
+    uint64_t number = 0;  // of chains
+    for (size_t k = 0; k < ops.size(); ++k) number += k == 0 || begins_chain(ops, k) ? 1 : 0;
     const int64_t lanes = lanes_of(ops);
     uint64_t warps = 0;
-    const BlockPlan::Phase* planned = room_.plan ? &room_.plan->phases[phase_] : nullptr;
+    const BlockPlan::Phase* planned = this->planned();
     if (planned != nullptr) {
-      add_idle_tasks(*planned);
+      add_idle_tasks();
     } else if (room_.blocks != 0) {
       tasks_.resize(tasks_.size() + room_.warps * room_.groups, 0);
     }
     for (size_t first = 0, last = 0; first < ops.size(); first = last) {
-      while (last < ops.size() && ops[last].chain == ops[first].chain) ++last;
+      last = first + 1;
+      while (last < ops.size() && !begins_chain(ops, last)) ++last;
+      if (first > 0 && ops[first].phase != ops[first - 1].phase) {
+        ++phase_;
+        planned = this->planned();
+      }
       const std::span<const novaphy_sequence_op> chain = ops.subspan(first, last - first);
       const int64_t rows = chain[0].rows;
       chains.push_back(warps << 32 | static_cast<uint64_t>(rows));
-      const uint64_t at = 2 + 2 * number + body.size();
+      const uint64_t at = (planned ? kHeader : 2 + 2 * number) + body.size();
       const uint64_t end = warps + warps_of(rows, lanes);
       const uint64_t group = room_.warps * (phase_ % room_.groups);
       const BlockPlan::Chain* mine = planned ? &planned->chains[chain[0].chain] : nullptr;
@@ -181,8 +213,16 @@ class Writer {
     }
     out_.words.push_back(0);
     out_.words.push_back(warps << 32 | static_cast<uint64_t>(lanes) << 16 | number);
-    out_.words.insert(out_.words.end(), chains.begin(), chains.end());
+    if (planned != nullptr) {
+      out_.words.insert(out_.words.end(), kHeader - 2, 0);
+      ahead_of_.push_back({out_.words.size() - (kHeader - 2), ahead, out_.ahead_bytes - ahead});
+    } else {
+      out_.words.insert(out_.words.end(), chains.begin(), chains.end());
+    }
     out_.words.insert(out_.words.end(), body.begin(), body.end());
+  }
+  static bool begins_chain(std::span<const novaphy_sequence_op> ops, size_t k) {
+    return ops[k].chain != ops[k - 1].chain || ops[k].phase != ops[k - 1].phase;
   }
   // What the warps from `warp` on do in the phase: rows of a chain. Neighbours go to different
   // blocks, so that few warps use many units. In a large cluster, they share a block where all are
@@ -200,20 +240,36 @@ class Writer {
     }
   }
 
+  const BlockPlan::Phase* planned() const {
+    return room_.plan ? &room_.plan->phases[phase_] : nullptr;
+  }
+  // Of all warps in a phase: the turn of the halo before, modulo four.
+  static uint64_t halo_task(const BlockPlan::Phase& phase) {
+    return (phase.sends ? kSends : 0) | uint64_t{(phase.turns + 3) % 4} << kTurnShift;
+  }
   // Of warps without rows.
-  void add_idle_tasks(const BlockPlan::Phase& phase) {
+  void add_idle_tasks() {
     const uint64_t of_block = room_.warps / room_.blocks;
     for (uint64_t warp = 0; warp < room_.warps; ++warp) {
       const bool makes = warp % of_block < room_.plan->maker_warps;
-      tasks_.push_back(makes && phase.makes_items   ? kHandsOver
-                       : !makes && phase.sums_items ? kTakesOver
-                                                    : 0);
+      const BlockPlan::Phase& phase = *(&*planned() + (planned()->joined && !makes ? 1 : 0));
+      const uint64_t hands = makes && phase.makes_items   ? kHandsOver
+                             : !makes && phase.sums_items ? kTakesOver
+                                                          : 0;
+      tasks_.push_back(hands | halo_task(phase));
     }
+  }
+  // A phase of its own: all blocks load rows of the halo from memory.
+  void add_fills(const BlockPlan::Phase& phase) {
+    out_.words.insert(out_.words.end(), {0, phase.fills.size(), 0, 0});
+    for (const BlockPlan::Fill& fill : phase.fills)
+      out_.words.insert(out_.words.end(), {fill.from, uint64_t{fill.base} << 32 | fill.rows,
+                                           static_cast<uint64_t>(fill.width)});
+    tasks_.resize(tasks_.size() + room_.warps, kFills | halo_task(phase));
   }
   // The same, where a plan says which rows a thread has.
   void add_planned_tasks(uint64_t chain, const BlockPlan::Phase& phase,
                          const BlockPlan::Chain& warps) {
-    constexpr uint64_t kLayoutShift = 8;
     const BlockPlan& plan = *room_.plan;
     const uint64_t of_block = room_.warps / room_.blocks;
     uint64_t* const tasks = tasks_.data() + tasks_.size() - room_.warps;
@@ -221,8 +277,9 @@ class Writer {
       for (uint64_t warp = warps.first_warp; warp < warps.first_warp + warps.warps; ++warp) {
         const uint64_t at = block * of_block + warp;
         if ((plan.layouts[phase.layout][at * kWarp] & BlockPlan::kOn) == 0) continue;
-        tasks[at] = chain | uint64_t{phase.layout} << kLayoutShift | kWorks |
-                    (warps.stores ? kStores : 0) | (warps.keeps ? kKeeps : 0);
+        tasks[at] = chain | uint64_t{phase.layout} << kLayoutShift | kWorks | halo_task(phase) |
+                    (warps.stores && phase.fences ? kStores : 0) |
+                    (warps.keeps || !phase.fences ? kKeeps : 0);
       }
   }
   // The rows of threads, and the items of sums, behind the records.
@@ -232,8 +289,14 @@ class Writer {
     out_.corners = plan.corners;
     out_.item_rows = plan.item_rows;
     out_.rows = out_.words.size();
+    out_.halo_rows = plan.halo.rows;
+    out_.halo_rounds = plan.halo.rounds;
+    out_.halo_turns = plan.halo.turns;
+    out_.maker_warps = plan.maker_warps;
     std::vector<int32_t> words;
     for (const auto& layout : plan.layouts) words.insert(words.end(), layout.begin(), layout.end());
+    for (const auto* halo : {&plan.halo.sends, &plan.halo.bytes})
+      words.insert(words.end(), halo->begin(), halo->end());
     std::vector<uint64_t> first;  // of the items of a table
     for (const auto& items : plan.items) {
       first.push_back(out_.rows * sizeof(uint64_t) + words.size() * sizeof(int32_t));
@@ -269,7 +332,7 @@ class Writer {
         body.push_back(o.op.source ? address(o.op.source) : o.op.pattern);
       } else {
         body.insert(body.end(), o.op.arguments, o.op.arguments + o.op.argument_count);
-        if (op.kind == Operation::Program) add_ahead(o, op, start, at, body);
+        if (op.kind == Operation::Program) add_ahead(o, op, warps, start, at, body);
       }
     }
     find_tables(chain, form);
@@ -281,9 +344,12 @@ class Writer {
     const bool is_ahead = std::any_of(form.operations.begin(), form.operations.end(),
                                       [](const Operation& op) { return op.ahead_word >= 0; });
     if (is_ahead) {
-      const auto rows = static_cast<uint64_t>(chain[0].rows);
-      jobs_.insert(jobs_.end(), {rows << 32 | number, at});
-      out_.job_rows = std::max(out_.job_rows, rows);
+      const Slots slots = slots_of(warps);
+      const uint64_t layout =
+          uint64_t{room_.plan->phases[phase_].layout} * room_.warps * kWarp * sizeof(uint32_t);
+      jobs_.insert(jobs_.end(),
+                   {slots.all << 32 | number, at, layout, slots.first << 32 | slots.of_block});
+      out_.job_slots = std::max(out_.job_slots, slots.all);
     }
     note_early(chain, form, number);
     note_kept(form, number, chain[0].rows, warps, body.data() + start, at);
@@ -294,18 +360,27 @@ class Writer {
     return first_op_ + static_cast<size_t>(&o - phase_ops_.data());
   }
 
+  // The threads of a chain in all blocks.
+  struct Slots {
+    uint64_t all, of_block, first;
+  };
+  Slots slots_of(Warps warps) const {
+    const uint64_t of_block = (warps.second - warps.first) * kWarp;
+    return {of_block * room_.blocks, of_block, warps.first * kWarp};
+  }
   // Where the early half of an operation leaves what it computes ahead.
-  void add_ahead(const novaphy_sequence_op& o, Operation& op, size_t start, uint64_t at,
-                 std::vector<uint64_t>& body) {
+  void add_ahead(const novaphy_sequence_op& o, Operation& op, Warps warps, size_t start,
+                 uint64_t at, std::vector<uint64_t>& body) {
     const std::vector<uint64_t>* const row_bytes = ahead_.empty() ? nullptr : &ahead_[number_of(o)];
     if (row_bytes == nullptr || row_bytes->empty()) return;
     op.ahead_word = static_cast<int32_t>(body.size() - start);
+    const Slots slots = slots_of(warps);
     for (const uint64_t bytes : *row_bytes) {
       out_.ahead.push_back(at + body.size() - start);
       body.push_back(out_.ahead_bytes);
-      out_.ahead_bytes += bytes * static_cast<uint64_t>(o.n);
+      out_.ahead_bytes += bytes * slots.all;
     }
-    body.push_back(static_cast<uint64_t>(o.n));
+    body.push_back(slots.first << 48 | slots.of_block << 32 | slots.all);
   }
 
   // Which items of a chain lie in the memory of its block.
@@ -324,10 +399,24 @@ class Writer {
         op.outputs[output].items = static_cast<int32_t>(items.base);
         op.outputs[output].item_width = items.width;
       }
+      const auto goes = [&](size_t output) {
+        return op.each == 1 && op.outputs[output].store == Operation::Output::Later;
+      };
+      for (const auto& [output, base] : planned.sends) {
+        out_.fits = out_.fits && goes(output);
+        op.outputs[output].halo = static_cast<int32_t>(base);
+      }
+      for (const auto& [source, base] : planned.receives) {
+        out_.fits = out_.fits && op.sources[source].from == Operation::Source::Memory;
+        op.sources[source].halo = static_cast<int32_t>(base);
+        const uint64_t rows = chain[k].op.arguments[out_.source_word(op, source) + 1];
+        op.sources[source].halo_rows = static_cast<int32_t>(rows);
+      }
       if (!planned.sum) continue;
       out_.fits = out_.fits && op.tables[0] >= 0;  // else items that lack would be no zeros
       op.sum.items = static_cast<int32_t>(planned.sum->base);
       op.sum.chunks = false;  // none is that long
+      if (planned.sum->longest < kBatch) op.sum.batch = std::max(planned.sum->longest, 1);
       const int32_t word = op.first_word + op.sum.offsets_word + 1;
       const auto own = static_cast<uint64_t>(word);
       words[own] = planned.sum->items;
@@ -345,8 +434,10 @@ class Writer {
       for (size_t s = 0; s < form.operations[k].sources.size(); ++s) {
         const auto [begin, bytes] = memory_of(chain[k], form.operations[k], s);
         const bool is_own = form.operations[k].sources[s].from == Operation::Source::Own;
-        const bool is_early = room_.blocks != 0 && !phase_written_.touch(begin, bytes) &&
-                              (is_own || !own.touch(begin, bytes));
+        const bool is_early =
+            room_.blocks != 0 && form.operations[k].sources[s].halo < 0 &&
+            (is_mine(chain[k], form.operations[k], s) || !phase_written_.touch(begin, bytes)) &&
+            (is_own || !own.touch(begin, bytes));
         const bool is_unwritten = is_early && !written_.touch(begin, bytes);
         early.push_back(
             static_cast<char>((is_early ? kEarly : 0) | (is_unwritten ? kUnwritten : 0)));
@@ -356,6 +447,13 @@ class Writer {
     } else {
       for (size_t k = 0; k < early.size(); ++k) early_[number][k] &= early[k];
     }
+  }
+  // Whether the same thread has left the rows that it reads.
+  bool is_mine(const novaphy_sequence_op& o, const Operation& op, size_t source) const {
+    return room_.plan != nullptr && op.kind != Operation::Copy &&
+           op.sources[source].from == Operation::Source::Own &&
+           room_.plan->operations[number_of(o)].mine.contains(
+               static_cast<int32_t>(out_.source_word(op, source)));
   }
   // What an operation may read of a source: where it begins, and how many bytes.
   std::pair<uint64_t, uint64_t> memory_of(const novaphy_sequence_op& o, const Operation& op,
@@ -619,7 +717,8 @@ class Writer {
   SequenceTable out_;
   Pieces written_, phase_written_;  // by the sequence, by the phase before
   uint64_t phase_ = 0;
-  size_t first_op_ = 0;  // of the phase
+  uint64_t record_ = 0, record_before_ = 0;  // where they begin
+  size_t first_op_ = 0;                      // of the phase
   std::span<const novaphy_sequence_op> phase_ops_;
   Kept kept_;
   const SequenceRoom room_;
@@ -633,6 +732,11 @@ class Writer {
   std::vector<std::vector<char>> early_;                // per form and source of its operations
   std::vector<std::pair<uint32_t, uint32_t>> form_of_;  // of an operation, and which it is there
   const Ahead ahead_;
+  // What a record loads of what is computed ahead, and where its header says what to fetch.
+  struct AheadOf {
+    uint64_t header, first, bytes;
+  };
+  std::vector<AheadOf> ahead_of_;
   std::vector<uint64_t> jobs_;
 };
 

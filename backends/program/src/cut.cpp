@@ -9,10 +9,10 @@ size_t at(int32_t k) { return static_cast<size_t>(k); }
 
 class Cutter {
  public:
-  Cutter(const Program& p, const std::vector<char>& is_late)
-      : p_(p), guards_(guards(p)), column_(p.instrs.size(), -1) {
+  Cutter(const Program& p, const std::vector<Available>& sources)
+      : p_(p), sources_(sources), guards_(guards(p)), column_(p.instrs.size(), -1) {
     find_needed();
-    find_early(is_late);
+    find_early();
     for (Program* half : {&halves_.early, &halves_.late}) {
       half->name = p.name;
       half->sources = p.sources;
@@ -68,14 +68,15 @@ class Cutter {
 
   // Early is what comes of early sources, where each condition that it is needed under is early
   // too: who asks for a row before he knows whether he may have it could read past the end.
-  void find_early(const std::vector<char>& is_late) {
+  void find_early() {
     const std::vector<int32_t> section = sections(p_);
     early_.assign(p_.instrs.size(), 1);
     reads_.assign(p_.instrs.size(), 0);
     for (size_t k = 0; k < p_.instrs.size(); ++k) {
       const Instr& in = p_.instrs[k];
       const bool load = in.op == Op::LOAD_F || in.op == Op::LOAD_I;
-      if (section[k] != 0 || in.op == Op::SUM || (load && is_late[at(in.a)])) early_[k] = 0;
+      if (section[k] != 0 || in.op == Op::SUM || (load && sources_[at(in.a)] == Available::Late))
+        early_[k] = 0;
       reads_[k] = load ? 1 : 0;
       for_each_operand(in, [&](Value v) { reads_[k] |= reads_[at(v)]; });
     }
@@ -96,7 +97,7 @@ class Cutter {
   void find_crossing() {
     Output floats{"floats", Type::F32, {}}, ints{"ints", Type::I32, {}};
     const auto use = [&](Value v) {
-      if (!early_[at(v)] || !reads_[at(v)] || column_[at(v)] >= 0) return;
+      if (!early_[at(v)] || !reads_[at(v)] || column_[at(v)] >= 0 || is_at_hand(v)) return;
       Output& output = type_of(v) == Type::F32 ? floats : ints;
       column_[at(v)] = static_cast<int32_t>(output.values.size());
       output.values.push_back(where_needed(v));
@@ -112,6 +113,12 @@ class Cutter {
                                       static_cast<int32_t>(output->values.size()), Access::Direct});
       halves_.early.outputs.push_back(std::move(*output));
     }
+  }
+  // Whether the late half loads it as well.
+  bool is_at_hand(Value v) const {
+    const Instr& in = p_.instrs[at(v)];
+    return (in.op == Op::LOAD_F || in.op == Op::LOAD_I) && sources_[at(in.a)] == Available::Both &&
+           p_.instrs[at(in.b)].op == Op::INDEX;
   }
   Type type_of(Value v) const { return result_type(p_.instrs[at(v)].op); }
 
@@ -159,6 +166,7 @@ class Cutter {
   }
 
   const Program& p_;
+  const std::vector<Available>& sources_;
   const Guards guards_;
   std::vector<char> needed_, early_;  // per value
   std::vector<char> reads_;           // per value: some row
@@ -170,8 +178,8 @@ class Cutter {
 
 }  // namespace
 
-Cut cut(const Program& program, const std::vector<char>& is_late) {
-  return Cutter(program, is_late).run();
+Cut cut(const Program& program, const std::vector<Available>& sources) {
+  return Cutter(program, sources).run();
 }
 
 }  // namespace nova::ir

@@ -111,14 +111,14 @@ void Emitter::quotients_together(Value v) {
                            : std::string(sqrt) + "(" + text_.lanes(in.a)) +
          last + ");");
   };
-  const std::string slow = "slow" + str(v);
-  line("bool " + slow + " = false;");
+  const std::string magnitudes = "magnitudes" + str(v);
+  line("magnitudes " + magnitudes + " = kNoMagnitudes;");
   for (const Value u : together) {
     if (!is_declared(u)) line(text_.c_type(u) + " " + text_.name(u) + ";");
-    call(u, "quick_div", "quick_sqrt", ", " + slow);
+    call(u, "quick_div", "quick_sqrt", ", " + magnitudes);
     computed_[at(u)] = done_[at(u)] = 1;
   }
-  line("if (" + slow + ") {");
+  line("if (!are_moderate(" + magnitudes + ")) {");
   ++depth_;
   for (const Value u : together) call(u, "divided", "rooted", "");
   close();

@@ -1,6 +1,7 @@
 // A Program in two, for a thread that waits for some of its sources only.
 #pragma once
 
+#include <cstdint>
 #include <vector>
 
 #include "novaphy/program/ir.h"
@@ -15,8 +16,10 @@ struct Cut {
   // itself.
   Program late;
 };
-// `is_late`: per source. One after the other the two give the Program's bits, and read no row that
-// it would not read. Loops are all in `late`.
-Cut cut(const Program& program, const std::vector<char>& is_late);
+// When a source is there. What both halves have, both read at the row itself.
+enum class Available : uint8_t { Early, Late, Both };
+// `sources`: of each. One after the other the two give the Program's bits, and read no row that it
+// would not read. Loops are all in `late`.
+Cut cut(const Program& program, const std::vector<Available>& sources);
 
 }  // namespace nova::ir

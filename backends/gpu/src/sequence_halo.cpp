@@ -1,0 +1,452 @@
+// Which rows of sums go to which blocks, and what need not be in memory before others go on.
+#include <algorithm>
+#include <array>
+#include <set>
+#include <tuple>
+
+#include "sequence_blocks.h"
+#include "sequence_memory.h"
+
+namespace novaphy::gpu {
+namespace {
+
+constexpr uint32_t kWarp = 32;
+constexpr int32_t kRowWords = 4;  // of the halo
+constexpr size_t kRowBytes = 16;
+constexpr uint64_t kMostRows = 1 << 16;  // which a send can name
+constexpr uint32_t kMostBlocks = 32;
+
+class HaloPlanner {
+ public:
+  HaloPlanner(std::span<const novaphy_sequence_op> ops, uint32_t blocks, const ReadWords& read,
+              const BlockPlan& plan)
+      : ops_(ops), blocks_(blocks), read_(read), plan_(plan) {
+    for (size_t first = 0; first < ops.size(); first = spans_.back().last)
+      spans_.push_back({first, first + phase_at(ops, first).size()});
+    for (const novaphy_sequence_op& o : ops)
+      for_each_written(o,
+                       [&](uint64_t begin, uint64_t bytes, size_t) { written_.add(begin, bytes); });
+  }
+
+  std::optional<BlockPlan> run() {
+    for (size_t k = 1; k < spans_.size(); ++k)
+      if (is_pair(k) && !find_arrays(k)) return std::nullopt;
+    if (arrays_.empty() || blocks_ > kMostBlocks) return std::nullopt;
+    for (Array& array : arrays_) {
+      array.base = plan_.halo.rows;
+      plan_.halo.rows += array.rows + 1;
+    }
+    receivers_.assign(spans_.size(), 0);
+    for (size_t k = 0; k < spans_.size(); ++k) {
+      plan_.phases[k].turns = plan_.halo.turns;
+      if (plan_.phases[k].makes_items && !receive(k)) return std::nullopt;
+      if (plan_.phases[k].sums_items && !send(k)) return std::nullopt;
+    }
+    if (!find_readers() || !make_sends()) return std::nullopt;
+    find_fences();
+    for (size_t k = 0; k + 1 < spans_.size(); ++k)
+      plan_.phases[k].joined = (k == 0 || !plan_.phases[k - 1].joined) && may_join(k);
+    return std::move(plan_);
+  }
+
+ private:
+  struct Span {
+    size_t first, last;  // operations
+  };
+  struct Array {
+    int32_t width;
+    uint32_t rows, base = 0;
+  };
+  // A source or an output, wherever the same operation occurs: chain, place in it, kernel, slot.
+  using Slot = std::tuple<uint32_t, size_t, const novaphy_kernel*, size_t>;
+  struct Written {
+    size_t op, output;
+    uint64_t bytes;
+  };
+
+  static Slot slot_of(const novaphy_sequence_op& o, size_t place, size_t slot) {
+    return {o.chain, place, o.op.kernel, slot};
+  }
+  // f(operation, its place in its chain)
+  template <class F>
+  void for_each_op(size_t phase, const F& f) const {
+    size_t first = spans_[phase].first;
+    for (size_t k = first; k < spans_[phase].last; ++k) {
+      if (ops_[k].chain != ops_[first].chain) first = k;
+      f(k, k - first);
+    }
+  }
+  // f(source, where its rows lie, their count), of sources that are read at rows which others name
+  template <class F>
+  static void for_each_gathered(const novaphy_sequence_op& o, const F& f) {
+    if (o.op.kernel == nullptr || is_builtin(o)) return;
+    const nova::ir::Program& p = o.op.kernel->program;
+    for (size_t s = 0; s < p.sources.size(); ++s) {
+      const auto word = p.source_argument(s);
+      if (rows_read(p, s) == Rows::Others) f(s, o.op.arguments[word], o.op.arguments[word + 1]);
+    }
+  }
+  bool is_pair(size_t k) const {
+    return plan_.phases[k].makes_items && plan_.phases[k - 1].sums_items;
+  }
+  std::map<uint64_t, Written> written_in(size_t phase) const {
+    std::map<uint64_t, Written> written;
+    for (size_t k = spans_[phase].first; k < spans_[phase].last; ++k)
+      for_each_written(ops_[k], [&](uint64_t begin, uint64_t bytes, size_t output) {
+        written[begin] = {k, output, bytes};
+      });
+    return written;
+  }
+
+  // What elements of a phase read of what the sums before have left.
+  bool find_arrays(size_t k) {
+    const std::map<uint64_t, Written> written = written_in(k - 1);
+    std::map<uint64_t, size_t> here;
+    bool fits = true;
+    for_each_op(k, [&](size_t o, size_t place) {
+      for_each_gathered(ops_[o], [&](size_t s, uint64_t begin, uint64_t rows) {
+        const auto from = written.find(begin);
+        if (from == written.end()) return;
+        const int32_t width = ops_[o].op.kernel->program.sources[s].width;
+        const novaphy_sequence_op& sum = ops_[from->second.op];
+        if (width > kRowWords || rows >= kMostRows || sum.n != sum.rows ||
+            static_cast<uint64_t>(sum.n) != rows ||
+            from->second.bytes != rows * static_cast<uint64_t>(width) * sizeof(int32_t)) {
+          fits = false;
+          return;
+        }
+        const Slot source = slot_of(ops_[o], place, s);
+        const auto known = sources_.find(source);
+        const size_t next = known != sources_.end() ? known->second : arrays_.size();
+        const size_t array = here.try_emplace(begin, next).first->second;
+        if (array == arrays_.size()) arrays_.push_back({width, static_cast<uint32_t>(rows)});
+        fits = fits && sources_.try_emplace(source, array).first->second == array &&
+               arrays_[array].width == width && arrays_[array].rows == rows;
+      });
+    });
+    std::set<size_t> different;
+    for (const auto& [begin, array] : here) fits = fits && different.insert(array).second;
+    for_each_op(k - 1, [&](size_t o, size_t place) {
+      for_each_written(ops_[o], [&](uint64_t begin, uint64_t, size_t output) {
+        const auto array = here.find(begin);
+        if (array == here.end() || written.at(begin).op != o) return;
+        const Slot slot = slot_of(ops_[o], place, output);
+        fits = fits && outputs_.try_emplace(slot, array->second).first->second == array->second;
+      });
+    });
+    return fits;
+  }
+
+  // Where elements find the rows that they read. What the sums before have not left comes from
+  // memory.
+  bool receive(size_t k) {
+    const std::map<uint64_t, Written> written =
+        k > 0 && plan_.phases[k - 1].sends ? written_in(k - 1) : std::map<uint64_t, Written>{};
+    std::map<size_t, uint64_t> memory;  // of an array
+    bool fits = true;
+    for_each_op(k, [&](size_t o, size_t place) {
+      for_each_gathered(ops_[o], [&](size_t s, uint64_t begin, uint64_t rows) {
+        const auto source = sources_.find(slot_of(ops_[o], place, s));
+        if (source == sources_.end()) return;
+        const Array& array = arrays_[source->second];
+        const bool fresh = memory.try_emplace(source->second, begin).second;
+        fits = fits && memory.at(source->second) == begin && rows == array.rows;
+        plan_.operations[o].receives[s] = array.base;
+        if (!fresh || written.contains(begin)) return;
+        plan_.phases[k].fills.push_back({begin, array.base, array.rows, array.width});
+      });
+    });
+    receivers_[k] = memory.empty() ? 0 : 1;
+    return fits;
+  }
+
+  bool send(size_t k) {
+    std::set<size_t> sent;
+    for_each_op(k, [&](size_t o, size_t place) {
+      for_each_written(ops_[o], [&](uint64_t, uint64_t, size_t output) {
+        const auto array = outputs_.find(slot_of(ops_[o], place, output));
+        if (array == outputs_.end()) return;
+        plan_.operations[o].sends[output] = arrays_[array->second].base;
+        sent.insert(array->second);
+        senders_.insert({plan_.phases[k].layout, ops_[o].chain});
+      });
+    });
+    if (sent.empty()) return true;
+    plan_.phases[k].sends = true;
+    ++plan_.halo.turns;
+    // All at once, and from the same threads each time. Before, each block waits for what others
+    // sent.
+    return sent.size() == arrays_.size() &&
+           std::all_of(senders_.begin(), senders_.end(),
+                       [&](const auto& s) { return s.first == senders_.begin()->first; }) &&
+           (plan_.phases[k].turns == 0 || receivers_[k - 1] != 0);
+  }
+
+  // f(block, thread, row) of a chain
+  template <class F>
+  void for_each_row(size_t phase, uint32_t chain, const F& f) const {
+    const BlockPlan::Phase& p = plan_.phases[phase];
+    const BlockPlan::Chain& warps = p.chains[chain];
+    for (uint32_t block = 0; block < blocks_; ++block)
+      for (uint32_t k = 0; k < warps.warps * kWarp; ++k) {
+        const uint32_t thread = warps.first_warp * kWarp + k;
+        const uint32_t word = plan_.layouts[p.layout][size_t{block} * plan_.threads + thread];
+        if ((word & BlockPlan::kOn) != 0)
+          f(block, thread, word & ~(BlockPlan::kOn | BlockPlan::kOwns));
+      }
+  }
+
+  // The blocks that read each row, which are the same after each turn.
+  bool find_readers() {
+    using Named = std::vector<std::pair<uint64_t, int32_t>>;  // tables of indices, and columns
+    std::set<std::vector<uint64_t>> known;
+    for (size_t k = 1; k < spans_.size(); ++k) {
+      if (receivers_[k] == 0 || !plan_.phases[k - 1].sends) continue;
+      std::vector<uint64_t> key = {plan_.phases[k].layout};
+      std::vector<std::pair<size_t, Named>> named;
+      for (size_t o = spans_[k].first; o < spans_[k].last; ++o) {
+        for (const auto& [source, base] : plan_.operations[o].receives) {
+          Named by;
+          if (!find_indices(ops_[o], source, by)) return false;
+          key.push_back(ops_[o].chain);
+          for (const auto& [table, column] : by)
+            key.insert(key.end(), {table, static_cast<uint64_t>(column)});
+          named.push_back({o, std::move(by)});
+        }
+      }
+      if (!known.insert(std::move(key)).second) continue;
+      std::vector<std::set<uint32_t>> readers(arrays_[0].rows);
+      bool inside = true;  // reads of other rows would have to be reported
+      for (const auto& [o, by] : named)
+        for (const auto& [table, column] : by) {
+          const int32_t width = table_width_.at(table);
+          const std::vector<int32_t>& indices = tables_.at(table);
+          for_each_row(k, ops_[o].chain, [&](uint32_t block, uint32_t, uint32_t row) {
+            const size_t at =
+                size_t{row} * static_cast<size_t>(width) + static_cast<size_t>(column);
+            const int32_t index = indices[at];
+            inside = inside && index < static_cast<int32_t>(readers.size());
+            if (inside && index >= 0) readers[static_cast<size_t>(index)].insert(block);
+          });
+        }
+      if (!inside) return false;
+      if (readers_.empty()) readers_ = readers;
+      if (readers_ != readers) return false;
+    }
+    return !readers_.empty();
+  }
+  // Which tables name the rows of a source that a Program reads: at its own row, and nobody writes
+  // them.
+  bool find_indices(const novaphy_sequence_op& o, size_t source,
+                    std::vector<std::pair<uint64_t, int32_t>>& by) {
+    using nova::ir::Op;
+    const nova::ir::Program& p = o.op.kernel->program;
+    if (o.n != o.rows) return false;
+    for (const nova::ir::Instr& in : p.instrs) {
+      if ((in.op != Op::LOAD_F && in.op != Op::LOAD_I) || in.a != static_cast<int32_t>(source))
+        continue;
+      const nova::ir::Instr& index = p.instrs[static_cast<size_t>(in.b)];
+      if (index.op != Op::LOAD_I || p.instrs[static_cast<size_t>(index.b)].op != Op::INDEX)
+        return false;
+      const auto table = static_cast<size_t>(index.a);
+      const auto word = p.source_argument(table);
+      const uint64_t begin = o.op.arguments[word], rows = o.op.arguments[word + 1];
+      const int32_t width = p.sources[table].width;
+      const uint64_t words = rows * static_cast<uint64_t>(width);
+      if (rows < static_cast<uint64_t>(o.n) || written_.touch(begin, words * sizeof(int32_t)))
+        return false;
+      const auto [known, fresh] = tables_.try_emplace(begin);
+      if (fresh) {
+        table_width_[begin] = width;
+        known->second = read_(begin, words);
+      }
+      if (known->second.size() != words || table_width_.at(begin) != width) return false;
+      by.push_back({begin, index.c});
+    }
+    return true;
+  }
+
+  bool make_sends() {
+    BlockPlan::Halo& halo = plan_.halo;
+    const uint32_t first = plan_.maker_warps * kWarp, threads = plan_.threads - first;
+    const size_t sender =
+        static_cast<size_t>(std::find_if(plan_.phases.begin(), plan_.phases.end(),
+                                         [](const BlockPlan::Phase& p) { return p.sends; }) -
+                            plan_.phases.begin());
+    if (plan_.phases[sender].layout != senders_.begin()->first) return false;
+    std::map<uint32_t, std::vector<uint32_t>> of_warp;  // sends
+    bool fits = true;
+    halo.bytes.assign(blocks_, 0);
+    for (const auto& [layout, chain] : senders_) {
+      std::vector<int> sent(readers_.size(), 0);
+      for_each_row(sender, chain, [&](uint32_t block, uint32_t thread, uint32_t row) {
+        fits = fits && thread >= first && row < sent.size();
+        if (!fits) return;
+        ++sent[row];
+        for (const uint32_t to : readers_[row])
+          of_warp[(block * threads + thread - first) / kWarp].push_back(
+              row | to << BlockPlan::Halo::kBlockShift | BlockPlan::Halo::kSends |
+              thread % kWarp << BlockPlan::Halo::kLaneShift);
+      });
+      fits = fits && std::all_of(sent.begin(), sent.end(), [](int count) { return count == 1; });
+    }
+    for (const std::set<uint32_t>& blocks : readers_)
+      for (const uint32_t block : blocks)
+        halo.bytes[block] += static_cast<uint32_t>(arrays_.size() * kRowBytes);
+    for (const auto& [warp, sends] : of_warp)
+      halo.rounds =
+          std::max(halo.rounds, static_cast<uint32_t>((sends.size() + kWarp - 1) / kWarp));
+    halo.sends.assign(size_t{blocks_} * halo.rounds * threads, 0);
+    for (const auto& [warp, sends] : of_warp)
+      for (size_t k = 0; k < sends.size(); ++k) {
+        const size_t block = warp / (threads / kWarp), in_block = warp % (threads / kWarp);
+        halo.sends[(block * halo.rounds + k / kWarp) * threads + in_block * kWarp + k % kWarp] =
+            sends[k];
+      }
+    return fits && std::all_of(arrays_.begin(), arrays_.end(),
+                               [&](const Array& a) { return a.rows == readers_.size(); });
+  }
+
+  // Which phases leave nothing in memory that another block reads there.
+  void find_fences() {
+    struct Left {
+      uint64_t bytes;
+      size_t phase;
+      uint32_t chain;
+    };
+    std::map<uint64_t, Left> left;
+    uint64_t longest = 0;
+    for (BlockPlan::Phase& phase : plan_.phases) phase.fences = !phase.sends;
+    // Whether all that others have left there is safe, and so needs no fence.
+    const auto read = [&](uint64_t begin, uint64_t bytes, const auto& is_safe) {
+      for (auto at = left.lower_bound(begin + bytes); at != left.begin();) {
+        --at;
+        if (at->first + longest <= begin) break;
+        if (at->first + at->second.bytes > begin && !is_safe(at->first, at->second))
+          plan_.phases[at->second.phase].fences = true;
+      }
+    };
+    for (size_t k = 0; k < spans_.size(); ++k) {
+      for (const BlockPlan::Fill& fill : plan_.phases[k].fills)
+        read(fill.from, uint64_t{fill.rows} * static_cast<uint64_t>(fill.width) * sizeof(int32_t),
+             [](uint64_t, const Left&) { return false; });
+      for (size_t o = spans_[k].first; o < spans_[k].last; ++o) {
+        for_each_read(ops_[o], [&](uint64_t begin, uint64_t bytes, int32_t word) {
+          if (is_received(o, word)) return;
+          const bool own = reads_own(ops_[o], word);
+          bool mine = own;
+          read(begin, bytes, [&](uint64_t at, const Left& l) {
+            const bool same = own && at == begin && l.bytes == bytes;
+            mine = mine && same && same_threads(l.phase, l.chain, k, ops_[o].chain);
+            return same && same_blocks(l.phase, l.chain, k, ops_[o].chain);
+          });
+          if (mine) plan_.operations[o].mine.insert(word);
+        });
+      }
+      for (size_t o = spans_[k].first; o < spans_[k].last; ++o)
+        for_each_written(ops_[o], [&](uint64_t begin, uint64_t bytes, size_t) {
+          left.insert_or_assign(begin, Left{bytes, k, ops_[o].chain});
+          longest = std::max(longest, bytes);
+        });
+    }
+  }
+  bool is_received(size_t o, int32_t word) const {
+    const int32_t source = source_at(ops_[o], word);
+    return source >= 0 && plan_.operations[o].receives.contains(static_cast<size_t>(source));
+  }
+  // Whether blocks may add what they have made while others still make items: nothing that elements
+  // read or write is touched by sums, and sums find all else without waiting for the phase before.
+  bool may_join(size_t k) const {
+    if (!plan_.phases[k].makes_items || !plan_.phases[k + 1].sums_items) return false;
+    for (const BlockPlan::Chain& chain : plan_.phases[k].chains)
+      if (chain.first_warp >= plan_.maker_warps) return false;
+    Pieces read, made, added, before;
+    for (size_t o = spans_[k].first; o < spans_[k].last; ++o) {
+      for_each_read(ops_[o], [&](uint64_t begin, uint64_t bytes, int32_t word) {
+        if (!is_received(o, word)) read.add(begin, bytes);
+      });
+      for_each_written(ops_[o],
+                       [&](uint64_t begin, uint64_t bytes, size_t) { made.add(begin, bytes); });
+    }
+    if (k > 0 && plan_.phases[k].fills.empty())
+      for (size_t p = k > 1 && plan_.phases[k - 2].joined ? k - 2 : k - 1; p < k; ++p)
+        for (size_t o = spans_[p].first; o < spans_[p].last; ++o)
+          for_each_written(
+              ops_[o], [&](uint64_t begin, uint64_t bytes, size_t) { before.add(begin, bytes); });
+    bool fits = true;
+    for (size_t o = spans_[k + 1].first; o < spans_[k + 1].last; ++o) {
+      const int32_t items = plan_.operations[o].sum ? csr_sum(ops_[o]).source : -1;
+      for_each_read(ops_[o], [&](uint64_t begin, uint64_t bytes, int32_t word) {
+        const bool known = word >= 0 && (word == items || added.touch(begin, bytes) ||
+                                         plan_.operations[o].mine.contains(word));
+        fits = fits && (word == items || !made.touch(begin, bytes)) &&
+               (known || !before.touch(begin, bytes));
+      });
+      for_each_written(ops_[o], [&](uint64_t begin, uint64_t bytes, size_t) {
+        fits = fits && !read.touch(begin, bytes) && !made.touch(begin, bytes);
+        added.add(begin, bytes);
+      });
+    }
+    return fits;
+  }
+  // The source of a Program that an argument word names; -1: none.
+  static int32_t source_at(const novaphy_sequence_op& o, int32_t word) {
+    if (o.op.kernel == nullptr || is_builtin(o)) return -1;
+    const nova::ir::Program& p = o.op.kernel->program;
+    for (size_t s = 0; s < p.sources.size(); ++s)
+      if (static_cast<int32_t>(p.source_argument(s)) == word) return static_cast<int32_t>(s);
+    return -1;
+  }
+  // Whether an operation reads a source at its own row alone, which is one for each of the chain.
+  static bool reads_own(const novaphy_sequence_op& o, int32_t word) {
+    if (o.n != o.rows || o.op.kernel == nullptr) return false;
+    if (is_builtin(o)) return word == CsrSum{}.init;
+    const int32_t source = source_at(o, word);
+    return source >= 0 && rows_read(o.op.kernel->program, static_cast<size_t>(source)) == Rows::Own;
+  }
+  bool same_blocks(size_t a, uint32_t a_chain, size_t b, uint32_t b_chain) {
+    const auto [known, fresh] =
+        same_.try_emplace({plan_.phases[a].layout, a_chain, plan_.phases[b].layout, b_chain}, true);
+    if (!fresh) return known->second;
+    std::map<uint32_t, uint32_t> block_of;
+    for_each_row(a, a_chain,
+                 [&](uint32_t block, uint32_t, uint32_t row) { block_of[row] = block; });
+    for_each_row(b, b_chain, [&](uint32_t block, uint32_t, uint32_t row) {
+      const auto writer = block_of.find(row);
+      known->second = known->second && writer != block_of.end() && writer->second == block;
+    });
+    return known->second;
+  }
+
+  bool same_threads(size_t a, uint32_t a_chain, size_t b, uint32_t b_chain) const {
+    const BlockPlan::Phase &p = plan_.phases[a], &q = plan_.phases[b];
+    return p.layout == q.layout && p.sums_items && q.sums_items &&
+           p.chains[a_chain].first_warp == q.chains[b_chain].first_warp;
+  }
+
+  const std::span<const novaphy_sequence_op> ops_;
+  const uint32_t blocks_;
+  const ReadWords& read_;
+  BlockPlan plan_;
+  std::vector<Span> spans_;
+  Pieces written_;
+  std::vector<Array> arrays_;
+  std::map<Slot, size_t> sources_, outputs_;         // which array
+  std::vector<char> receivers_;                      // phases
+  std::set<std::pair<uint32_t, uint32_t>> senders_;  // layouts and chains
+  std::map<uint64_t, std::vector<int32_t>> tables_;
+  std::map<uint64_t, int32_t> table_width_;
+  std::vector<std::set<uint32_t>> readers_;  // of each row
+  std::map<std::tuple<uint32_t, uint32_t, uint32_t, uint32_t>, bool> same_;
+};
+
+}  // namespace
+
+bool plan_halo(std::span<const novaphy_sequence_op> ops, uint32_t blocks, const ReadWords& read,
+               BlockPlan& plan) {
+  std::optional<BlockPlan> made = HaloPlanner(ops, blocks, read, plan).run();
+  if (made) plan = std::move(*made);
+  return made.has_value();
+}
+
+}  // namespace novaphy::gpu

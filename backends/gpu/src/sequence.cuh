@@ -354,10 +354,8 @@ LANE_FN void store_ahead(uint64_t p, uint64_t slots, uint32_t slot, const int32_
     *at = {{words[c], words[c + 1], words[c + 2], words[c + 3]}};
 }
 // `slots`: its first thread of a block << 48 | threads of a block << 32 | threads
-// Lanes that go along have none, and take that of the first.
-LANE_FN uint32_t own_slot(uint64_t slots, bool on) {
-  const uint32_t thread = on ? threadIdx.x : threadIdx.x / 32 * 32;
-  return blockIdx.x * (high_half(slots) & 0xffff) + thread - (high_half(slots) >> 16);
+LANE_FN uint32_t own_slot(uint64_t slots) {
+  return blockIdx.x * (high_half(slots) & 0xffff) + threadIdx.x - (high_half(slots) >> 16);
 }
 template <int width>
 LANE_FN void load_ahead(uint64_t p, uint64_t slots, uint32_t slot, int32_t* words) {
@@ -586,8 +584,9 @@ LANE_FN void run_job(const uint64_t* table, const uint64_t* job, const uint32_t 
   if (slot >= high_half(job[0])) return;
   const uint32_t threads = low_half(job[3]), thread = high_half(job[3]) + slot % threads;
   const uint32_t* const rows = (const uint32_t*)((const char*)table + job[2]);
-  const uint32_t row = rows[slot / threads * SEQUENCE_THREADS + thread];
-  if ((row & kOn) != 0) run_ahead(low_half(job[0]), table + job[1], row & (kOn - 1), slot, sink);
+  // Lanes that go along, too: lines that have gaps take longer to write.
+  const uint32_t row = rows[slot / threads * SEQUENCE_THREADS + thread] & (kOn - 1);
+  run_ahead(low_half(job[0]), table + job[1], row, slot, sink);
 }
 extern "C" __global__ void __launch_bounds__(kAheadThreads) novaphy_ahead(
     const uint64_t* table, const uint64_t* jobs, const uint32_t blocks_of_job,

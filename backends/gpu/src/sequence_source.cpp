@@ -22,10 +22,12 @@ std::string registers(int32_t op, int32_t output) { return "r" + str(op) + "_" +
 std::vector<nova::ir::Available> available(const Operation& op) {
   using nova::ir::Available;
   std::vector<Available> sources;
-  for (const Operation::Source& source : op.sources)
-    sources.push_back(!source.early || op.each != 1 ? Available::Late
-                      : source.fixed                ? Available::Both  // in registers
-                                                    : Available::Early);
+  for (const Operation::Source& source : op.sources) {
+    const bool early = source.early && op.each == 1;
+    // What a thread keeps need not come from memory once more.
+    const bool both = source.fixed && op.ahead_word >= 0;
+    sources.push_back(!early ? Available::Late : both ? Available::Both : Available::Early);
+  }
   return sources;
 }
 
@@ -332,7 +334,7 @@ class ChainText {
       code_ += "  int32_t " + crossing(k, o) + "[" + words + "];\n";
       if (op.ahead_word >= 0)
         code_ += "  load_ahead<" + words + ">" +
-                 ahead_memory(op, p, o, "own_slot(" + slots + ", on)") + crossing(k, o) + ");\n";
+                 ahead_memory(op, p, o, "own_slot(" + slots + ")") + crossing(k, o) + ");\n";
     }
     if (op.ahead_word >= 0) return;
     code_ += "  {\n    const uint64_t* const w = words + " + str(op.first_word - f.early_shift) +

@@ -765,19 +765,19 @@ namespace {
 
 // Of an operation whose early half is worth a launch of its own, the bytes of a row of what that
 // leaves: it reads only what nobody writes in the sequence, and computes much more than it leaves.
-std::vector<uint64_t> worth_ahead(const SequenceTable& table, const Operation& op) {
+std::vector<uint64_t> worth_ahead(const SequenceTable& table, Operation op) {
   constexpr size_t kInstructionsOfWord = 3;
   if (op.kind != Operation::Program) return {};
   for (const Operation::Source& source : op.sources)
     if (source.early && !source.fixed_rows) return {};
-  const nova::ir::Cut halves = halves_of(table, op);
-  std::vector<uint64_t> bytes;
+  const nova::ir::Program early = halves_of(table, op).early;
   uint64_t words = 0;
-  for (const nova::ir::Output& output : halves.early.outputs) {
-    words += crossing_words(output);
+  for (const nova::ir::Output& output : early.outputs) words += crossing_words(output);
+  if (early.instrs.size() <= kInstructionsOfWord * words) return {};
+  op.ahead_word = 0;
+  std::vector<uint64_t> bytes;
+  for (const nova::ir::Output& output : halves_of(table, op).early.outputs)
     bytes.push_back(crossing_words(output) * sizeof(int32_t));
-  }
-  if (halves.early.instrs.size() <= kInstructionsOfWord * words) bytes.clear();
   return bytes;
 }
 

@@ -462,7 +462,7 @@ LANE_FN void wait_halo(const uint32_t turn) {
     asm volatile(
         "{\n"
         ".reg .pred p;\n"
-        "mbarrier.try_wait.parity.shared::cta.b64 p, [%1], %2;\n"
+        "mbarrier.try_wait.parity.acquire.cluster.shared::cta.b64 p, [%1], %2;\n"
         "selp.u32 %0, 1, 0, p;\n"
         "}"
         : "=r"(came)
@@ -714,7 +714,7 @@ extern "C" __global__ void SEQUENCE_CLUSTER __launch_bounds__(SEQUENCE_THREADS, 
 #endif
   __syncthreads();
 #if SEQUENCE_TASKS != 0
-  phase_arrive(false);
+  phase_arrive(SEQUENCE_HALO != 0);  // others send rows to where zeros are now
 #endif
 #pragma unroll 1
   for (uint32_t phase = 0;; ++phase) {

@@ -162,12 +162,13 @@ class HaloPlanner {
 
   bool send(size_t k) {
     std::set<size_t> sent;
+    bool once = true;
     for_each_op(k, [&](size_t o, size_t place) {
       for_each_written(ops_[o], [&](uint64_t, uint64_t, size_t output) {
         const auto array = outputs_.find(slot_of(ops_[o], place, output));
         if (array == outputs_.end()) return;
         plan_.operations[o].sends[output] = arrays_[array->second].base;
-        sent.insert(array->second);
+        once = once && sent.insert(array->second).second;
         senders_.insert({plan_.phases[k].layout, ops_[o].chain});
       });
     });
@@ -176,7 +177,7 @@ class HaloPlanner {
     ++plan_.halo.turns;
     // All at once, and from the same threads each time. Before, each block waits for what others
     // sent.
-    return sent.size() == arrays_.size() &&
+    return once && sent.size() == arrays_.size() &&
            std::all_of(senders_.begin(), senders_.end(),
                        [&](const auto& s) { return s.first == senders_.begin()->first; }) &&
            (plan_.phases[k].turns == 0 || receivers_[k - 1] != 0);
@@ -196,13 +197,16 @@ class HaloPlanner {
       }
   }
 
-  // The blocks that read each row, which are the same after each turn.
+  // The blocks that read each row, which are the same after each turn. Who writes indices between
+  // two runs would not be noticed. So they have to be those of the elements at each point that the
+  // sums know, which stay: see sequence_create.
   bool find_readers() {
     using Named = std::vector<std::pair<uint64_t, int32_t>>;  // tables of indices, and columns
     std::set<std::vector<uint64_t>> known;
-    for (size_t k = 1; k < spans_.size(); ++k) {
-      if (receivers_[k] == 0 || !plan_.phases[k - 1].sends) continue;
-      std::vector<uint64_t> key = {plan_.phases[k].layout};
+    for (size_t k = 0; k < spans_.size(); ++k) {
+      if (receivers_[k] == 0) continue;
+      const bool after_turn = k > 0 && plan_.phases[k - 1].sends;
+      std::vector<uint64_t> key = {plan_.phases[k].layout, after_turn ? uint64_t{1} : 0};
       std::vector<std::pair<size_t, Named>> named;
       for (size_t o = spans_[k].first; o < spans_[k].last; ++o) {
         for (const auto& [source, base] : plan_.operations[o].receives) {
@@ -214,7 +218,10 @@ class HaloPlanner {
           named.push_back({o, std::move(by)});
         }
       }
+      for (size_t o = spans_[k + 1].first; o < spans_[k + 1].last; ++o)
+        if (plan_.operations[o].sum) key.push_back(ops_[o].op.arguments[csr_sum(ops_[o]).offsets]);
       if (!known.insert(std::move(key)).second) continue;
+      const Touching touching = elements_at_points(k);
       std::vector<std::set<uint32_t>> readers(arrays_[0].rows);
       bool inside = true;  // reads of other rows would have to be reported
       for (const auto& [o, by] : named)
@@ -225,15 +232,49 @@ class HaloPlanner {
             const size_t at =
                 size_t{row} * static_cast<size_t>(width) + static_cast<size_t>(column);
             const int32_t index = indices[at];
-            inside = inside && index < static_cast<int32_t>(readers.size());
-            if (inside && index >= 0) readers[static_cast<size_t>(index)].insert(block);
+            if (index < 0) return;
+            const auto point = static_cast<uint32_t>(index);
+            inside = inside && touching.contains({ops_[o].chain, row, point});
+            if (inside) readers[point].insert(block);
           });
         }
       if (!inside) return false;
+      if (!after_turn) continue;
       if (readers_.empty()) readers_ = readers;
       if (readers_ != readers) return false;
     }
     return !readers_.empty();
+  }
+  using Touching = std::set<std::tuple<uint32_t, uint32_t, uint32_t>>;  // chain, element, point
+  Touching elements_at_points(size_t makers) {
+    const std::map<uint64_t, Written> made = written_in(makers);
+    Touching touching;
+    for (size_t o = spans_[makers + 1].first; o < spans_[makers + 1].last; ++o) {
+      if (!plan_.operations[o].sum) continue;
+      const CsrSum sum = csr_sum(ops_[o]);
+      const uint64_t* const words = ops_[o].op.arguments;
+      const Written& from = made.at(words[sum.source]);
+      const novaphy_sequence_op& maker = ops_[from.op];
+      const auto corners =
+          static_cast<uint32_t>(from.bytes / (static_cast<uint64_t>(maker.n) * sizeof(int32_t)) /
+                                static_cast<uint64_t>(sum.width));
+      const auto& offsets = words_at(words[sum.offsets], static_cast<size_t>(ops_[o].n) + 1);
+      const auto count = static_cast<size_t>(offsets.empty() ? 0 : offsets.back());
+      const uint64_t items = words[sum.offsets + 1];
+      for (uint32_t point = 0; point + 1 < offsets.size(); ++point)
+        for (auto k = static_cast<size_t>(offsets[point]);
+             k < static_cast<size_t>(offsets[point + 1]); ++k) {
+          const uint32_t item = items == 0 ? static_cast<uint32_t>(k)
+                                           : static_cast<uint32_t>(words_at(items, count).at(k));
+          touching.insert({maker.chain, item / corners, point});
+        }
+    }
+    return touching;
+  }
+  const std::vector<int32_t>& words_at(uint64_t begin, size_t words) {
+    const auto [known, fresh] = tables_.try_emplace(begin);
+    if (fresh) known->second = read_(begin, words);
+    return known->second;
   }
   // Which tables name the rows of a source that a Program reads: at its own row, and nobody writes
   // them.
@@ -255,12 +296,9 @@ class HaloPlanner {
       const uint64_t words = rows * static_cast<uint64_t>(width);
       if (rows < static_cast<uint64_t>(o.n) || written_.touch(begin, words * sizeof(int32_t)))
         return false;
-      const auto [known, fresh] = tables_.try_emplace(begin);
-      if (fresh) {
-        table_width_[begin] = width;
-        known->second = read_(begin, words);
-      }
-      if (known->second.size() != words || table_width_.at(begin) != width) return false;
+      if (words_at(begin, words).size() != words ||
+          table_width_.try_emplace(begin, width).first->second != width)
+        return false;
       by.push_back({begin, index.c});
     }
     return true;
@@ -311,6 +349,7 @@ class HaloPlanner {
   void find_fences() {
     struct Left {
       uint64_t bytes;
+      int64_t rows;
       size_t phase;
       uint32_t chain;
     };
@@ -318,7 +357,7 @@ class HaloPlanner {
     uint64_t longest = 0;
     for (BlockPlan::Phase& phase : plan_.phases) phase.fences = !phase.sends;
     // Whether all that others have left there is safe, and so needs no fence.
-    const auto read = [&](uint64_t begin, uint64_t bytes, const auto& is_safe) {
+    const auto touch = [&](uint64_t begin, uint64_t bytes, const auto& is_safe) {
       for (auto at = left.lower_bound(begin + bytes); at != left.begin();) {
         --at;
         if (at->first + longest <= begin) break;
@@ -328,15 +367,15 @@ class HaloPlanner {
     };
     for (size_t k = 0; k < spans_.size(); ++k) {
       for (const BlockPlan::Fill& fill : plan_.phases[k].fills)
-        read(fill.from, uint64_t{fill.rows} * static_cast<uint64_t>(fill.width) * sizeof(int32_t),
-             [](uint64_t, const Left&) { return false; });
+        touch(fill.from, uint64_t{fill.rows} * static_cast<uint64_t>(fill.width) * sizeof(int32_t),
+              [](uint64_t, const Left&) { return false; });
       for (size_t o = spans_[k].first; o < spans_[k].last; ++o) {
         for_each_read(ops_[o], [&](uint64_t begin, uint64_t bytes, int32_t word) {
           if (is_received(o, word)) return;
           const bool own = reads_own(ops_[o], word);
           bool mine = own;
-          read(begin, bytes, [&](uint64_t at, const Left& l) {
-            const bool same = own && at == begin && l.bytes == bytes;
+          touch(begin, bytes, [&](uint64_t at, const Left& l) {
+            const bool same = own && at == begin && l.bytes == bytes && l.rows == ops_[o].n;
             mine = mine && same && same_threads(l.phase, l.chain, k, ops_[o].chain);
             return same && same_blocks(l.phase, l.chain, k, ops_[o].chain);
           });
@@ -345,7 +384,13 @@ class HaloPlanner {
       }
       for (size_t o = spans_[k].first; o < spans_[k].last; ++o)
         for_each_written(ops_[o], [&](uint64_t begin, uint64_t bytes, size_t) {
-          left.insert_or_assign(begin, Left{bytes, k, ops_[o].chain});
+          const Left here{bytes, ops_[o].n, k, ops_[o].chain};
+          // What others store comes in order, too.
+          touch(begin, bytes, [&](uint64_t at, const Left& l) {
+            return at == begin && l.bytes == bytes && l.rows == here.rows &&
+                   ops_[o].n == ops_[o].rows && same_blocks(l.phase, l.chain, k, here.chain);
+          });
+          left.insert_or_assign(begin, here);
           longest = std::max(longest, bytes);
         });
     }
@@ -355,12 +400,13 @@ class HaloPlanner {
     return source >= 0 && plan_.operations[o].receives.contains(static_cast<size_t>(source));
   }
   // Whether blocks may add what they have made while others still make items: nothing that elements
-  // read or write is touched by sums, and sums find all else without waiting for the phase before.
+  // read or write is touched by sums. (They begin when the elements of their block are done, which
+  // have waited for the phase before.)
   bool may_join(size_t k) const {
     if (!plan_.phases[k].makes_items || !plan_.phases[k + 1].sums_items) return false;
     for (const BlockPlan::Chain& chain : plan_.phases[k].chains)
       if (chain.first_warp >= plan_.maker_warps) return false;
-    Pieces read, made, added, before;
+    Pieces read, made;
     for (size_t o = spans_[k].first; o < spans_[k].last; ++o) {
       for_each_read(ops_[o], [&](uint64_t begin, uint64_t bytes, int32_t word) {
         if (!is_received(o, word)) read.add(begin, bytes);
@@ -368,23 +414,14 @@ class HaloPlanner {
       for_each_written(ops_[o],
                        [&](uint64_t begin, uint64_t bytes, size_t) { made.add(begin, bytes); });
     }
-    if (k > 0 && plan_.phases[k].fills.empty())
-      for (size_t p = k > 1 && plan_.phases[k - 2].joined ? k - 2 : k - 1; p < k; ++p)
-        for (size_t o = spans_[p].first; o < spans_[p].last; ++o)
-          for_each_written(
-              ops_[o], [&](uint64_t begin, uint64_t bytes, size_t) { before.add(begin, bytes); });
     bool fits = true;
     for (size_t o = spans_[k + 1].first; o < spans_[k + 1].last; ++o) {
       const int32_t items = plan_.operations[o].sum ? csr_sum(ops_[o]).source : -1;
       for_each_read(ops_[o], [&](uint64_t begin, uint64_t bytes, int32_t word) {
-        const bool known = word >= 0 && (word == items || added.touch(begin, bytes) ||
-                                         plan_.operations[o].mine.contains(word));
-        fits = fits && (word == items || !made.touch(begin, bytes)) &&
-               (known || !before.touch(begin, bytes));
+        fits = fits && ((items >= 0 && word == items) || !made.touch(begin, bytes));
       });
       for_each_written(ops_[o], [&](uint64_t begin, uint64_t bytes, size_t) {
         fits = fits && !read.touch(begin, bytes) && !made.touch(begin, bytes);
-        added.add(begin, bytes);
       });
     }
     return fits;

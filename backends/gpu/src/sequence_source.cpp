@@ -111,11 +111,15 @@ class ChainText {
       for (size_t k = 0; k < sums; ++k) declare_registers(static_cast<int32_t>(k), " = {}");
       code_ += "  if (on) {\n";
     }
-    item_loads();
+    item_loads(0, sums);
     for (size_t k = 0; k < form_.operations.size(); ++k) {
+      if (k == sums) {
+        if (sums > 0) code_ += "  }\n";
+        item_loads(sums, form_.operations.size());
+      }
       operation(static_cast<int32_t>(k), k < sums);
-      if (k + 1 == sums) code_ += "  }\n";
     }
+    if (sums == form_.operations.size()) code_ += "  }\n";
     // Others may still read what the phase before has read.
     if (!stores_at_once()) {
       if (form_.sums_items || waits_late) code_ += wait;
@@ -261,9 +265,9 @@ class ChainText {
              "(words, i, begin_kept(memory, kept));\n  {\n" + begin_kept() + kept + "  }\n";
   }
   // The rows of the first items of its sums, as many as registers hold.
-  void item_loads() {
+  void item_loads(size_t first, size_t last) {
     int32_t words = 0;
-    for (int32_t k = 0; k < static_cast<int32_t>(form_.operations.size()); ++k) {
+    for (auto k = static_cast<int32_t>(first); k < static_cast<int32_t>(last); ++k) {
       const Operation& op = at(k);
       if (op.kind != Operation::RowSum || !op.sum.offsets || op.tables[0] < 0) continue;
       const bool joined = is_joined(k);
@@ -333,8 +337,8 @@ class ChainText {
       const std::string words = crossing_count(p.outputs[o]);
       code_ += "  int32_t " + crossing(k, o) + "[" + words + "];\n";
       if (op.ahead_word >= 0)
-        code_ += "  load_ahead<" + words + ">" +
-                 ahead_memory(op, p, o, "own_slot(" + slots + ")") + crossing(k, o) + ");\n";
+        code_ += "  load_ahead<" + words + ">" + ahead_memory(op, p, o, "own_slot(" + slots + ")") +
+                 crossing(k, o) + ");\n";
     }
     if (op.ahead_word >= 0) return;
     code_ += "  {\n    const uint64_t* const w = words + " + str(op.first_word - f.early_shift) +
@@ -385,6 +389,7 @@ class ChainText {
     while (k < form_.operations.size() && form_.operations[k].sum.items >= 0 &&
            form_.operations[k].outputs[0].store != Operation::Output::Now)
       ++k;
+    if (k > 0 && is_joined(static_cast<int32_t>(k) - 1)) --k;  // both or none
     return k;
   }
   void declare_registers(int32_t k, const std::string& value = "") {

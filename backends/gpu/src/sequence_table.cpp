@@ -390,11 +390,13 @@ class Writer {
     for (size_t k = 0; k < chain.size(); ++k) {
       const BlockPlan::Operation& planned = room_.plan->operations[number_of(chain[k])];
       Operation& op = form.operations[k];
-      for (const auto& [output, items] : planned.outputs) {
-        // Rows are handed over when the chain is done, which those stored at once do not wait for.
+      // Rows are handed over or sent when the chain is done, which those stored at once do not wait
+      // for.
+      if (!planned.outputs.empty() || !planned.sends.empty())
         for (const Operation& any : form.operations)
           for (const Operation::Output& stored : any.outputs)
             out_.fits = out_.fits && stored.store != Operation::Output::Now;
+      for (const auto& [output, items] : planned.outputs) {
         out_.fits = out_.fits && op.outputs[output].store == Operation::Output::Later;
         op.outputs[output].items = static_cast<int32_t>(items.base);
         op.outputs[output].item_width = items.width;

@@ -245,7 +245,8 @@ typedef struct novaphy_backend_api {
    * independent; row i of a chain is done by one thread: of each of its operations, in order, the
    * rows [i * n / rows, (i + 1) * n / rows). sequence_takes: whether an operation may be part of
    * one. What sequence_create makes is launched and destroyed as a list; NOT_SUPPORTED, and what the
-   * caller vouches for, as there. Besides, CSR tables hold what they will hold at every launch. */
+   * caller vouches for, as there. Besides, CSR tables hold what they will hold at every launch, and
+   * so do indices of the rows to which they add. */
   int32_t (*sequence_takes)(novaphy_device* device, const novaphy_list_op* op);
   novaphy_status (*sequence_create)(novaphy_device* device, const novaphy_sequence_op* ops,
                                     uint32_t count, novaphy_list** list, novaphy_error* error);

@@ -1,6 +1,5 @@
 // Which rows of sums go to which blocks, and what need not be in memory before others go on.
 #include <algorithm>
-#include <array>
 #include <set>
 #include <tuple>
 
@@ -356,7 +355,7 @@ class HaloPlanner {
     std::map<uint64_t, Left> left;
     uint64_t longest = 0;
     for (BlockPlan::Phase& phase : plan_.phases) phase.fences = !phase.sends;
-    // Whether all that others have left there is safe, and so needs no fence.
+    // What others have left there needs a fence, unless it is safe.
     const auto touch = [&](uint64_t begin, uint64_t bytes, const auto& is_safe) {
       for (auto at = left.lower_bound(begin + bytes); at != left.begin();) {
         --at;

@@ -252,7 +252,7 @@ class Writer {
     const uint64_t of_block = room_.warps / room_.blocks;
     for (uint64_t warp = 0; warp < room_.warps; ++warp) {
       const bool makes = warp % of_block < room_.plan->maker_warps;
-      const BlockPlan::Phase& phase = *(&*planned() + (planned()->joined && !makes ? 1 : 0));
+      const BlockPlan::Phase& phase = planned()[planned()->joined && !makes ? 1 : 0];
       const uint64_t hands = makes && phase.makes_items   ? kHandsOver
                              : !makes && phase.sums_items ? kTakesOver
                                                           : 0;

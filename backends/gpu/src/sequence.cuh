@@ -488,14 +488,14 @@ LANE_FN void send_row(const halo_send& send, uint32_t base, const four_words& ro
 LANE_FN int32_t of_lane(int32_t word, uint32_t lane) {
   return __shfl_sync(0xffffffffu, word, lane);
 }
-// A send is lane << 24 | block << 16 | row, and whether it is one. Few lanes have a row, which go to
-// several blocks: all lanes of the warp send.
 LANE_FN four_words* halo_of(const block_memory memory, const uint32_t turn) {
   return memory.rows + SEQUENCE_ITEMS + turn % 2 * SEQUENCE_HALO;
 }
 struct halo_sends {
   halo_send rounds[SEQUENCE_ROUNDS];
 };
+// A send is lane << 24 | block << 16 | row, and whether it is one. Few lanes have a row, which go to
+// several blocks: all lanes of the warp send.
 LANE_FN halo_sends begin_sends(const block_memory memory) {
   const uint32_t turn = memory.turn + 1;
   halo_sends sends;
@@ -559,8 +559,7 @@ LANE_FN void fill_halo(const block_memory memory, const uint64_t* record) {
 #endif
 
 // `on`: whether the thread has the row, or only goes along with those that have. `owns`: whether it
-// stores the row, which other blocks may compute, too. `memory.turn`: the last
-// one of the halo.
+// stores the row, which other blocks may compute, too.
 LANE_FN void run_chain(uint32_t form, const uint64_t* words, const int64_t i, const bool on,
                        const bool owns, const block_memory memory, const device_sink sink);
 

@@ -35,10 +35,7 @@ class Planner {
  public:
   Planner(std::span<const novaphy_sequence_op> ops, uint32_t blocks, uint32_t most_warps,
           const ReadWords& read)
-      : ops_(ops), blocks_(blocks), most_warps_(most_warps), read_(read) {
-    for (size_t first = 0; first < ops.size(); first = phases_.back().last)
-      phases_.push_back({first, first + phase_at(ops, first).size()});
-  }
+      : ops_(ops), blocks_(blocks), most_warps_(most_warps), read_(read), phases_(phases_of(ops)) {}
 
   std::optional<BlockPlan> run() {
     links_.resize(phases_.size());
@@ -68,15 +65,12 @@ class Planner {
   }
 
  private:
-  struct Phase {
-    size_t first, last;  // operations
-  };
   using Shares = std::vector<std::vector<RowList>>;  // rows of a chain in a block
   using Key = std::vector<uint64_t>;
 
-  uint32_t chains_of(const Phase& phase) const { return ops_[phase.last - 1].chain + 1; }
+  uint32_t chains_of(const PhaseSpan& phase) const { return ops_[phase.last - 1].chain + 1; }
 
-  std::vector<Link> links_between(const Phase& makers, const Phase& sums) {
+  std::vector<Link> links_between(const PhaseSpan& makers, const PhaseSpan& sums) {
     struct Made {
       size_t op, output;
     };
@@ -110,7 +104,7 @@ class Planner {
     return links;
   }
   // A chain loads the items of a table once: then all find the same.
-  bool alone_on_tables(const Phase& sums, const std::vector<Link>& links) const {
+  bool alone_on_tables(const PhaseSpan& sums, const std::vector<Link>& links) const {
     std::map<uint64_t, size_t> linked, all;  // uses, by where the offsets are
     std::map<uint64_t, std::pair<uint32_t, int32_t>> makers;
     for (const Link& link : links) {
@@ -309,7 +303,7 @@ class Planner {
   }
 
   // Rows that any block may have.
-  Shares spread(const Phase& phase) const {
+  Shares spread(const PhaseSpan& phase) const {
     Shares shares(chains_of(phase), std::vector<RowList>(blocks_));
     for (size_t o = phase.first; o < phase.last; ++o) {
       auto& rows = shares[ops_[o].chain];
@@ -515,7 +509,7 @@ class Planner {
   const std::span<const novaphy_sequence_op> ops_;
   const uint32_t blocks_, most_warps_;
   const ReadWords& read_;
-  std::vector<Phase> phases_;
+  const std::vector<PhaseSpan> phases_;
   std::vector<std::vector<Link>> links_;  // of a phase's items to the sums of the next one
   std::map<std::tuple<uint64_t, uint64_t, int64_t>, Table> tables_;
   std::vector<uint32_t> part_;  // the block of each row of sums

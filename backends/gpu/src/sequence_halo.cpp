@@ -19,12 +19,8 @@ class HaloPlanner {
  public:
   HaloPlanner(std::span<const novaphy_sequence_op> ops, uint32_t blocks, const ReadWords& read,
               const BlockPlan& plan)
-      : ops_(ops), blocks_(blocks), read_(read), plan_(plan) {
-    for (size_t first = 0; first < ops.size(); first = spans_.back().last)
-      spans_.push_back({first, first + phase_at(ops, first).size()});
-    for (const novaphy_sequence_op& o : ops)
-      for_each_written(o,
-                       [&](uint64_t begin, uint64_t bytes, size_t) { written_.add(begin, bytes); });
+      : ops_(ops), blocks_(blocks), read_(read), plan_(plan), spans_(phases_of(ops)) {
+    for (const novaphy_sequence_op& o : ops) add_written(written_, o);
   }
 
   std::optional<BlockPlan> run() {
@@ -49,9 +45,6 @@ class HaloPlanner {
   }
 
  private:
-  struct Span {
-    size_t first, last;  // operations
-  };
   struct Array {
     int32_t width;
     uint32_t rows, base = 0;
@@ -59,7 +52,7 @@ class HaloPlanner {
   // A source or an output, wherever the same operation occurs: chain, place in it, kernel, slot.
   using Slot = std::tuple<uint32_t, size_t, const novaphy_kernel*, size_t>;
   struct Written {
-    size_t op, output;
+    size_t op;
     uint64_t bytes;
   };
 
@@ -91,8 +84,8 @@ class HaloPlanner {
   std::map<uint64_t, Written> written_in(size_t phase) const {
     std::map<uint64_t, Written> written;
     for (size_t k = spans_[phase].first; k < spans_[phase].last; ++k)
-      for_each_written(ops_[k], [&](uint64_t begin, uint64_t bytes, size_t output) {
-        written[begin] = {k, output, bytes};
+      for_each_written(ops_[k], [&](uint64_t begin, uint64_t bytes, size_t) {
+        written[begin] = {k, bytes};
       });
     return written;
   }
@@ -410,8 +403,7 @@ class HaloPlanner {
       for_each_read(ops_[o], [&](uint64_t begin, uint64_t bytes, int32_t word) {
         if (!is_received(o, word)) read.add(begin, bytes);
       });
-      for_each_written(ops_[o],
-                       [&](uint64_t begin, uint64_t bytes, size_t) { made.add(begin, bytes); });
+      add_written(made, ops_[o]);
     }
     bool fits = true;
     for (size_t o = spans_[k + 1].first; o < spans_[k + 1].last; ++o) {
@@ -464,7 +456,7 @@ class HaloPlanner {
   const uint32_t blocks_;
   const ReadWords& read_;
   BlockPlan plan_;
-  std::vector<Span> spans_;
+  const std::vector<PhaseSpan> spans_;
   Pieces written_;
   std::vector<Array> arrays_;
   std::map<Slot, size_t> sources_, outputs_;         // which array

@@ -5,6 +5,7 @@
 #include <cstdint>
 #include <map>
 #include <span>
+#include <vector>
 
 #include "module.h"
 #include "row_use.h"
@@ -17,6 +18,17 @@ inline std::span<const novaphy_sequence_op> phase_at(std::span<const novaphy_seq
   size_t last = first;
   while (last < ops.size() && ops[last].phase == ops[first].phase) ++last;
   return ops.subspan(first, last - first);
+}
+
+// All of them, as numbers of operations.
+struct PhaseSpan {
+  size_t first, last;
+};
+inline std::vector<PhaseSpan> phases_of(std::span<const novaphy_sequence_op> ops) {
+  std::vector<PhaseSpan> phases;
+  for (size_t first = 0; first < ops.size(); first = phases.back().last)
+    phases.push_back({first, first + phase_at(ops, first).size()});
+  return phases;
 }
 
 // Pieces of memory.
@@ -105,6 +117,9 @@ void for_each_written(const novaphy_sequence_op& o, const F& f) {
     for (size_t k = 0; k < p.outputs.size(); ++k)
       f(o.op.arguments[p.output_argument(k)], rows * p.outputs[k].values.size(), k);
   }
+}
+inline void add_written(Pieces& written, const novaphy_sequence_op& o) {
+  for_each_written(o, [&](uint64_t begin, uint64_t bytes, size_t) { written.add(begin, bytes); });
 }
 // f(begin, bytes, argument word)
 template <class F>

@@ -591,7 +591,7 @@ nova::ir::Cut halves_of(const SequenceTable& table, const Operation& op) {
 uint64_t shared_bytes(const SequenceTable& table, const SequenceShape& shape) {
   constexpr uint64_t kRecords = 3;
   const uint64_t words = table.layouts != 0 ? table.layouts : table.kept_words;
-  constexpr uint64_t kHaloBytes = 16;  // beside the sends
+  constexpr uint64_t kHaloBytes = 24;  // its barriers, and how much they wait for
   return kRecords * record_words(table) * sizeof(uint64_t) +
          words * shape.threads * sizeof(int32_t) +
          uint64_t{table.halo_rounds} * shape.threads * sizeof(int32_t) + kHaloBytes;

@@ -712,9 +712,6 @@ class Writer {
     for (size_t s = 0; s < p.sources.size(); ++s)
       ++uses_[{o.op.kernel, static_cast<int32_t>(s), o.op.arguments[p.source_argument(s)]}];
   }
-  static void add_written(Pieces& written, const novaphy_sequence_op& o) {
-    for_each_written(o, [&](uint64_t begin, uint64_t bytes, size_t) { written.add(begin, bytes); });
-  }
 
   SequenceTable out_;
   Pieces written_, phase_written_;  // by the sequence, by the phase before

@@ -31,6 +31,7 @@ struct novaphy_event {
   bool recorded = false;
 };
 struct novaphy_kernel {
+  const novaphy::cpu::IsaTable* isa = nullptr;
   const novaphy::cpu::Builtin* builtin = nullptr;
   std::unique_ptr<const novaphy::cpu::Executable> executable;  // without a builtin
   uint32_t argument_count = 0;
@@ -285,6 +286,7 @@ novaphy_status module_create(novaphy_device* device, int32_t format, const void*
                              uint64_t bytes, novaphy_module** module, novaphy_error* error) {
   return guarded(error, [&] {
     auto made = std::make_unique<novaphy_module>();
+    made->kernel.isa = device->isa;
     if (format == NOVAPHY_CODE_PROGRAM) {
       const novaphy_status status = create_program(*device->isa, data, bytes, made->kernel, error);
       if (status != NOVAPHY_OK) return status;
@@ -332,7 +334,8 @@ novaphy_status launch(novaphy_stream*, novaphy_kernel* kernel, int64_t n, const 
                 static_cast<long long>(n));
   }
   return guarded(error, [&] {
-    if (kernel->builtin != nullptr) return kernel->builtin->run(*g_host, n, arguments, error);
+    if (kernel->builtin != nullptr)
+      return kernel->builtin->run(*g_host, *kernel->isa, n, arguments, error);
     return run_executable(*kernel->executable, *g_host, n, arguments, error);
   });
 }

@@ -134,58 +134,12 @@ void sum_long_row(const novaphy_host_api& host, const RowSum& s, int64_t begin, 
 
 struct RowSumLaunch {
   RowSum sum, second;  // without an `out`: there is no second
+  ThreeSums threes;    // the same, for a width of 3
   int64_t chunk_rows;
   const novaphy_host_api* host;
+  const IsaTable* isa;
   std::atomic<bool> out_of_memory{false};
 };
-
-// Positions, velocities and forces: a row of three floats is read as four, with the one before it.
-class RowsOfThree {
- public:
-  explicit RowsOfThree(const RowSum& sum) : sum_(sum) {}
-  void begin(int64_t row) {
-    const float* init = sum_.init + 3 * row;
-    four_ = sum_.init != nullptr ? Four{0.0f, init[0], init[1], init[2]} : Four{};
-  }
-  void add(int64_t item) {
-    const float* at = sum_.source + 3 * item;
-    four_ +=
-        item != 0 ? *reinterpret_cast<const Unaligned*>(at - 1) : Four{0.0f, at[0], at[1], at[2]};
-  }
-  void end(int64_t row) const {
-    for (int c = 0; c < 3; ++c) sum_.out[3 * row + c] = four_[c + 1];
-  }
-
- private:
-  using Four = float __attribute__((vector_size(16)));
-  using Unaligned = Four __attribute__((aligned(4), may_alias));
-  const RowSum sum_;
-  Four four_ = {};
-};
-
-// The rows of one or two sums over the same items. False at a long row, which is left with those
-// behind it.
-template <class... Sums>
-bool sum_rows_of_three(const RowSum& items, int64_t& row, int64_t last, Sums... sums) {
-  for (; row < last; ++row) {
-    const int64_t begin = items.begin(row), end = items.end(row);
-    if (end - begin > kSumChunk) return false;
-    (sums.begin(row), ...);
-    for (int64_t k = begin; k < end; ++k) {
-      const int64_t item = items.number(k);
-      (sums.add(item), ...);
-    }
-    (sums.end(row), ...);
-  }
-  return true;
-}
-bool sum_rows_of_three(const RowSumLaunch& launch, int64_t& row, int64_t last) {
-  const RowSum &sum = launch.sum, &second = launch.second;
-  if (sum.width != 3) return false;
-  return second.out == nullptr
-             ? sum_rows_of_three(sum, row, last, RowsOfThree(sum))
-             : sum_rows_of_three(sum, row, last, RowsOfThree(sum), RowsOfThree(second));
-}
 
 void sum_row(RowSumLaunch& launch, const RowSum& s, int64_t row) {
   float* out = s.out + row * s.width;
@@ -209,16 +163,18 @@ void sum_rows(void* opaque, int64_t chunk) {
   const int64_t first = chunk * launch.chunk_rows,
                 last = std::min(launch.sum.n, first + launch.chunk_rows);
   for (int64_t row = first; row < last; ++row) {
-    if (sum_rows_of_three(launch, row, last)) return;
+    if (launch.sum.width == 3) row = launch.isa->sum_threes(launch.threes, row, last);
+    if (row == last) return;
     sum_row(launch, launch.sum, row);
     if (launch.second.out != nullptr) sum_row(launch, launch.second, row);
   }
 }
 
-novaphy_status row_sums(const novaphy_host_api& host, int64_t n, const uint64_t* a, bool pair,
-                        novaphy_error* error) {
+novaphy_status row_sums(const novaphy_host_api& host, const IsaTable& isa, int64_t n,
+                        const uint64_t* a, bool pair, novaphy_error* error) {
   RowSumLaunch launch;
   launch.host = &host;
+  launch.isa = &isa;
   launch.sum = {pointer<const float>(a[0]),   pointer<const int32_t>(a[1]),
                 pointer<const int32_t>(a[2]), pointer<const float>(a[3]),
                 pointer<float>(a[4]),         static_cast<int64_t>(a[5]),
@@ -227,6 +183,12 @@ novaphy_status row_sums(const novaphy_host_api& host, int64_t n, const uint64_t*
   launch.second.source = pair ? pointer<const float>(a[7]) : nullptr;
   launch.second.init = pair ? pointer<const float>(a[8]) : nullptr;
   launch.second.out = pair ? pointer<float>(a[9]) : nullptr;
+  const auto three = [](const RowSum& s) { return ThreeSum{s.source, s.init, s.out}; };
+  launch.threes = {{three(launch.sum), three(launch.second)},
+                   launch.sum.offsets,
+                   launch.sum.items,
+                   launch.sum.stride,
+                   kSumChunk};
   if (launch.sum.width < 1) {
     return fail(error, NOVAPHY_INVALID_ARGUMENT,
                 "row_sum_f32: width: expected at least 1, got %lld",
@@ -251,17 +213,17 @@ novaphy_status row_sums(const novaphy_host_api& host, int64_t n, const uint64_t*
     return fail(error, NOVAPHY_OUT_OF_MEMORY, "row_sum_f32: out of host memory");
   return NOVAPHY_OK;
 }
-novaphy_status row_sum(const novaphy_host_api& host, int64_t n, const uint64_t* a,
-                       novaphy_error* error) {
-  return row_sums(host, n, a, false, error);
+novaphy_status row_sum(const novaphy_host_api& host, const IsaTable& isa, int64_t n,
+                       const uint64_t* a, novaphy_error* error) {
+  return row_sums(host, isa, n, a, false, error);
 }
-novaphy_status row_sum_pair(const novaphy_host_api& host, int64_t n, const uint64_t* a,
-                            novaphy_error* error) {
-  return row_sums(host, n, a, true, error);
+novaphy_status row_sum_pair(const novaphy_host_api& host, const IsaTable& isa, int64_t n,
+                            const uint64_t* a, novaphy_error* error) {
+  return row_sums(host, isa, n, a, true, error);
 }
 
-novaphy_status exclusive_scan(const novaphy_host_api&, int64_t n, const uint64_t* a,
-                              novaphy_error*) {
+novaphy_status exclusive_scan(const novaphy_host_api&, const IsaTable&, int64_t n,
+                              const uint64_t* a, novaphy_error*) {
   const auto* in = pointer<const uint32_t>(a[0]);
   auto* out = pointer<uint32_t>(a[1]);
   uint32_t sum = 0;  // i32 arithmetic wraps
@@ -274,7 +236,8 @@ novaphy_status exclusive_scan(const novaphy_host_api&, int64_t n, const uint64_t
 }
 
 // Least significant digit first, 11 bits at a time: each pass is stable.
-novaphy_status sort_by_key(const novaphy_host_api&, int64_t n, const uint64_t* a, novaphy_error*) {
+novaphy_status sort_by_key(const novaphy_host_api&, const IsaTable&, int64_t n, const uint64_t* a,
+                           novaphy_error*) {
   const auto* keys = pointer<const int32_t>(a[0]);
   auto* order = pointer<int32_t>(a[1]);
   if (n <= 64) {
@@ -305,7 +268,7 @@ novaphy_status sort_by_key(const novaphy_host_api&, int64_t n, const uint64_t* a
   return NOVAPHY_OK;
 }
 
-novaphy_status incidence(const novaphy_host_api&, int64_t n, const uint64_t* a,
+novaphy_status incidence(const novaphy_host_api&, const IsaTable&, int64_t n, const uint64_t* a,
                          novaphy_error* error) {
   const auto* table = pointer<const int32_t>(a[0]);
   const auto slots = static_cast<int64_t>(a[1]);

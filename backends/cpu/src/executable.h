@@ -131,6 +131,19 @@ struct ScalarCode {
   int32_t index;         // the scalar that holds the row number
 };
 
+// Rows of three floats, each its `init` (null: +0) and then the rows of its items in their order,
+// of one array or of two over the same items: without offsets a row has `stride` items, without
+// items they are in order.
+struct ThreeSum {
+  const float *source, *init;
+  float* out;  // null: there is no second sum
+};
+struct ThreeSums {
+  ThreeSum sum[2];
+  const int32_t *offsets, *items;
+  int64_t stride, longest;
+};
+
 // The functions of one instruction set. `ops` is indexed by op and by the set of operands that are
 // scalars (bit k: operand k); with all operands scalar the result is a scalar.
 struct IsaTable {
@@ -143,6 +156,8 @@ struct IsaTable {
   BlockFn skip[2];  // by: the condition is a scalar
   void (*run_scalar)(const ScalarCode& code, const uint64_t* arguments, int64_t begin, int64_t end,
                      uint32_t* scalars, ErrorSink* sink);
+  // Returns the first row that it left: one of more items than the longest.
+  int64_t (*sum_threes)(const ThreeSums& sums, int64_t row, int64_t last);
 };
 
 const IsaTable* isa_baseline();

@@ -11,7 +11,11 @@ typedef struct narrow_rows {
   int32_t width, source;
 } narrow_rows;
 LANE_FN narrow_rows narrow(const char* s, int64_t rows, int32_t width, int32_t source) {
+#if LANES == 16 /* words that a mask leaves out may lie anywhere */
+  const int64_t whole = rows;
+#else
   const int64_t whole = rows + 1 - (width + 3) / width;
+#endif
   return (narrow_rows){s, rows, whole > 0 ? (uint64_t)whole : 0, width, source};
 }
 /* The last rows have no four words, absent ones (negative) none. */
@@ -26,25 +30,59 @@ COLD_FN four_floats part_of_row(const narrow_rows* r, int64_t row, int64_t i,
 }
 LANE_FN four_floats row_of_four(const narrow_rows* r, int64_t row, int64_t i,
                                 novaphy_error_sink* sink) {
-  if (__builtin_expect((uint64_t)row < r->whole, 1))
-    return *(const four_floats_unaligned*)(r->s + 4 * row * r->width);
+  if (__builtin_expect((uint64_t)row < r->whole, 1)) {
+    const char* const p = r->s + 4 * row * r->width;
+#if LANES == 16
+    return (four_floats)_mm_maskz_loadu_ps((__mmask8)((1 << r->width) - 1), p);
+#else
+    return *(const four_floats_unaligned*)p;
+#endif
+  }
   return part_of_row(r, row, i, sink);
 }
-/* The rows [i, last) of `out`; returns last. */
+LANE_FN void store_row_of_four(char* out, int32_t width, four_floats sum) {
+#if LANES == 16
+  _mm_mask_storeu_ps(out, (__mmask8)((1 << width) - 1), (__m128)sum);
+#else
+  const four_floats stored = sum; /* the sum itself stays in a register */
+  memcpy(out, &stored, 4 * (size_t)width);
+#endif
+}
+
+/* Rows [i, last) of `out`, two side by side: an addition waits for the one before it. */
+#define CSR_ITEM(k, i) row_of_four(&terms, listed ? items[k] : (k), i, sink)
+LANE_FN int64_t csr_sums_of(narrow_rows init, narrow_rows terms, const int32_t* offsets, int listed,
+                            const int32_t* items, int64_t i, int64_t last, novaphy_error_sink* sink,
+                            char* out) {
+  const int32_t bytes = 4 * init.width;
+  int64_t k = offsets[i];
+  for (; i + 2 <= last; i += 2) {
+    four_floats add = row_of_four(&init, i, i, sink), next = row_of_four(&init, i + 1, i + 1, sink);
+    const int64_t middle = offsets[i + 1], end = offsets[i + 2];
+    int64_t l = middle;
+    for (; k < middle && l < end; ++k, ++l) {
+      add += CSR_ITEM(k, i);
+      next += CSR_ITEM(l, i + 1);
+    }
+    for (; k < middle; ++k) add += CSR_ITEM(k, i);
+    for (; l < end; ++l) next += CSR_ITEM(l, i + 1);
+    store_row_of_four(out + bytes * i, init.width, add);
+    store_row_of_four(out + bytes * (i + 1), init.width, next);
+    k = end;
+  }
+  for (; i < last; ++i) {
+    four_floats add = row_of_four(&init, i, i, sink);
+    for (const int64_t end = offsets[i + 1]; k < end; ++k) add += CSR_ITEM(k, i);
+    store_row_of_four(out + bytes * i, init.width, add);
+  }
+  return i;
+}
+#undef CSR_ITEM
+/* Returns last, or i behind it. */
 LANE_FN int64_t csr_sums(narrow_rows init, narrow_rows terms, const int32_t* offsets,
                          const int32_t* items, int64_t i, int64_t last, novaphy_error_sink* sink,
                          char* out) {
-  for (; i < last; ++i) {
-    four_floats add = row_of_four(&init, i, i, sink);
-    const int32_t end = offsets[i + 1];
-    int32_t k = offsets[i];
-    if (items == NULL) {
-      for (; k < end; ++k) add += row_of_four(&terms, k, i, sink);
-    } else {
-      for (; k < end; ++k) add += row_of_four(&terms, items[k], i, sink);
-    }
-    const four_floats sum = add; /* `add` itself stays in a register */
-    memcpy(out + 4 * i * init.width, &sum, 4 * (size_t)init.width);
-  }
-  return i;
+  if (i >= last) return i;
+  return items == NULL ? csr_sums_of(init, terms, offsets, 0, items, i, last, sink, out)
+                       : csr_sums_of(init, terms, offsets, 1, items, i, last, sink, out);
 }

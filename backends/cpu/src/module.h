@@ -99,8 +99,8 @@ void interpret_rows(const Executable& executable, int64_t begin, int64_t end,
 struct Builtin {
   const char* name;
   uint32_t argument_count;
-  novaphy_status (*run)(const novaphy_host_api& host, int64_t n, const uint64_t* arguments,
-                        novaphy_error* error);
+  novaphy_status (*run)(const novaphy_host_api& host, const IsaTable& isa, int64_t n,
+                        const uint64_t* arguments, novaphy_error* error);
 };
 const Builtin* find_builtin(std::string_view name);
 

@@ -32,9 +32,78 @@ void drop_unused(Program& p) {
   }
 }
 
+// The sign of a factor goes to what the product is added to: c + (-a) b is c - a b.
+class NegationFolder {
+ public:
+  explicit NegationFolder(Program& p) : p_(p), users_(p.instrs.size()), kept_(p.instrs.size(), 0) {
+    for (size_t v = 0; v < p.instrs.size(); ++v)
+      for_each_operand(p.instrs[v],
+                       [&](Value o) { users_[at(o)].push_back(static_cast<Value>(v)); });
+    for (const Output& o : p.outputs)
+      for (const Value v : o.values) kept_[at(v)] = 1;
+  }
+  void run() {
+    for (size_t v = 0; v < p_.instrs.size(); ++v) {
+      if (p_.instrs[v].op != Op::NEG) continue;
+      const Value positive = p_.instrs[v].a;
+      const std::vector<Value> users = users_[v];
+      for (const Value user : users) take_sign(user, static_cast<Value>(v), positive);
+    }
+  }
+
+ private:
+  static bool is_product(const Instr& in) { return in.op == Op::MUL || in.op == Op::DIV; }
+  // Whether all that read the value can take its negative for it, without an operation more. Of
+  // products only one may read it: two could meet in one sum.
+  bool flips(Value v) const {
+    const std::vector<Value>& users = users_[at(v)];
+    return kept_[at(v)] == 0 && std::all_of(users.begin(), users.end(), [&](Value user) {
+             return (users.size() == 1 || !is_product(p_.instrs[at(user)])) &&
+                    takes_negative(user, v);
+           });
+  }
+  bool takes_negative(Value user, Value v) const {
+    const Instr& in = p_.instrs[at(user)];
+    const bool once = (in.a == v) != (in.b == v);
+    if (is_product(in)) return once && flips(user);
+    return once && (in.op == Op::ADD || (in.op == Op::SUB && in.b == v));
+  }
+  void flip(Value v) {
+    for (const Value user : users_[at(v)]) {
+      Instr& in = p_.instrs[at(user)];
+      if (is_product(in)) {
+        flip(user);
+      } else if (in.op == Op::SUB) {
+        in.op = Op::ADD;
+      } else {
+        in = {Op::SUB, in.a == v ? in.b : in.a, v};
+      }
+    }
+  }
+  // `user` reads `positive` instead of `negative`, where that takes no operation more.
+  void take_sign(Value user, Value negative, Value positive) {
+    if (!takes_negative(user, negative)) return;
+    Instr& in = p_.instrs[at(user)];
+    if (is_product(in)) {
+      flip(user);
+      (in.a == negative ? in.a : in.b) = positive;
+    } else {
+      in = in.op == Op::SUB ? Instr{Op::ADD, in.a, positive}
+                            : Instr{Op::SUB, in.a == negative ? in.b : in.a, positive};
+    }
+    std::erase(users_[at(negative)], user);
+    users_[at(positive)].push_back(user);
+  }
+
+  Program& p_;
+  std::vector<std::vector<Value>> users_;
+  std::vector<char> kept_;  // read by an output
+};
+
 }  // namespace
 
 Program simplified(Program p) {
+  if (p.loops.empty()) NegationFolder(p).run();
   const std::vector<int32_t> uses = count_uses(p);
   for (Instr& in : p.instrs) {
     if (in.op != Op::ADD) continue;

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <atomic>
+#include <map>
 #include <mutex>
 
 #include "fusion.h"
@@ -23,6 +24,11 @@ constexpr int64_t kFewRows = 256, kMostEach = 32;
 constexpr int64_t kGroup = 16;  // rows that compiled code computes together, at most
 // Between two looks at an interrupt.
 constexpr size_t kPhasesPerRound = 64;
+// What was touched so many phases ago is not near any more. It is fetched some phases early, unless
+// it is so much that it would drive out what is needed before; pages are asked for still earlier,
+// since processors forget a fetch from a page that they have not at hand.
+constexpr uint32_t kRecent = 4, kPageEarly = 4, kEarly = 2;
+constexpr uint64_t kMostEarly = 1 << 16, kLine = 64;
 
 bool can_be_cut(const OpList::Op& op) {
   return op.kind == OpList::Op::Kind::Launch ? op.layout != nullptr && op.layout->row_local
@@ -74,7 +80,7 @@ PhasedRun::PhasedRun(const novaphy::DeviceContext& context, std::span<OpList::Op
     while (k < count && placed[k].phase == phase) {
       const uint32_t first = k, chain = placed[k].chain;
       while (k < count && placed[k].phase == phase && placed[k].chain == chain) ++k;
-      add_chain(first, k, phase, placed[first].rows);
+      add_chain(first, k, static_cast<uint32_t>(ends_.size()), placed[first].rows);
     }
     // The same part of all chains together: a thread gets a part of each, and elements near the
     // particles that it moves.
@@ -84,6 +90,52 @@ PhasedRun::PhasedRun(const novaphy::DeviceContext& context, std::span<OpList::Op
     std::stable_sort(chunks_.begin() + begin, chunks_.end(),
                      [&](const Chunk& a, const Chunk& b) { return place(a) < place(b); });
     ends_.push_back(static_cast<int64_t>(chunks_.size()));
+  }
+  find_cold(accesses);
+}
+
+void PhasedRun::find_cold(std::span<const MemoryAccess> accesses) {
+  std::map<uint64_t, uint32_t> last;  // the phase that touched what begins there
+  std::vector<MemoryAccess> touched;
+  auto chain = chains_.begin();
+  for (uint32_t phase = 0; phase < ends_.size(); ++phase) {
+    touched.clear();
+    for (; chain != chains_.end() && chain->phase == phase; ++chain)
+      for (uint32_t k = chain->first; k < chain->last; ++k)
+        touched_by(ops_[k], words_, accesses, touched);
+    const size_t first = cold_.size();
+    uint64_t bytes = 0;
+    for (const MemoryAccess& access : touched) {
+      const auto [known, fresh] = last.try_emplace(access.begin, phase);
+      const bool recent = !fresh && known->second + kRecent >= phase;
+      known->second = phase;
+      if (recent || access.bytes == 0) continue;
+      cold_.push_back({access.begin, access.bytes});
+      bytes += access.bytes;
+    }
+    if (bytes > kMostEarly) cold_.resize(first);
+    cold_ends_.push_back(static_cast<uint32_t>(cold_.size()));
+  }
+}
+
+// Of what later phases touch, one of so many parts of what is where this chunk is in its own phase.
+void PhasedRun::fetch_early(int64_t chunk, uint32_t part, uint32_t parts) const {
+  const uint32_t phase = chains_[chunks_[static_cast<size_t>(chunk)].chain].phase;
+  const int64_t first = phase == 0 ? 0 : ends_[phase - 1];
+  const auto all = static_cast<uint64_t>(ends_[phase] - first) * parts,
+             place = static_cast<uint64_t>(chunk - first) * parts + part;
+  const auto cold = [&](uint32_t later) {
+    if (later >= cold_ends_.size()) return std::span<const Bytes>();
+    return std::span(cold_).subspan(cold_ends_[later - 1],
+                                    cold_ends_[later] - cold_ends_[later - 1]);
+  };
+  if (part == 0)
+    for (const Bytes& bytes : cold(phase + kPageEarly))
+      (void)*reinterpret_cast<const volatile char*>(bytes.begin + bytes.count * place / all);
+  for (const Bytes& bytes : cold(phase + kEarly)) {
+    const uint64_t end = bytes.begin + bytes.count * (place + 1) / all;
+    for (uint64_t at = bytes.begin + bytes.count * place / all; at < end; at += kLine)
+      __builtin_prefetch(reinterpret_cast<const void*>(at), 0, 2);
   }
 }
 
@@ -107,13 +159,15 @@ struct PhasedRun::Failure {
   novaphy_error error = novaphy::make_error();
 };
 
-void PhasedRun::run_chunk(const Chunk& chunk, Failure& failure) const {
+void PhasedRun::run_chunk(int64_t number, Failure& failure) const {
+  const Chunk& chunk = chunks_[static_cast<size_t>(number)];
   const Chain& chain = chains_[chunk.chain];
   if (failure.any && failure.phase < chain.phase) [[unlikely]]
     return;
   const int64_t begin = chain.begin(chunk.number), rows = chain.begin(chunk.number + 1) - begin;
   novaphy_error error = novaphy::make_error();
   for (uint32_t k = chain.first; k < chain.last; ++k) {
+    fetch_early(number, k - chain.first, chain.last - chain.first);
     const novaphy_status status =
         run_rows(context_, ops_[k], words_.data(), chain.rows, begin, rows, error);
     if (status == NOVAPHY_OK) [[likely]]
@@ -138,7 +192,7 @@ void PhasedRun::run() const {
   } work{*this};
   const auto body = [](void* self, int64_t chunk) {
     Work& w = *static_cast<Work*>(self);
-    w.run.run_chunk(w.run.chunks_[static_cast<size_t>(chunk)], w.failure);
+    w.run.run_chunk(chunk, w.failure);
   };
   int64_t first = 0;
   for (size_t p = 0; p < ends_.size(); p += kPhasesPerRound) {

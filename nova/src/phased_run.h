@@ -35,9 +35,14 @@ class PhasedRun {
   struct Chunk {
     uint32_t chain, number;
   };
+  struct Bytes {
+    uint64_t begin, count;
+  };
   struct Failure;
   void add_chain(uint32_t first, uint32_t last, uint32_t phase, int64_t rows);
-  void run_chunk(const Chunk& chunk, Failure& failure) const;
+  void find_cold(std::span<const MemoryAccess> accesses);
+  void fetch_early(int64_t chunk, uint32_t part, uint32_t parts) const;
+  void run_chunk(int64_t number, Failure& failure) const;
 
   const novaphy::DeviceContext& context_;
   const std::span<const uint64_t> words_;
@@ -47,6 +52,10 @@ class PhasedRun {
   std::vector<Chain> chains_;
   std::vector<Chunk> chunks_;
   std::vector<int64_t> ends_;  // of the chunks of each phase
+  // What each phase touches that none shortly before it did, as the backward pass of a rollout its
+  // states: the processor cannot guess where the next ones lie.
+  std::vector<Bytes> cold_;
+  std::vector<uint32_t> cold_ends_;  // of those of each phase
 };
 
 }  // namespace nova::detail

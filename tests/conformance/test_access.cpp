@@ -125,13 +125,56 @@ TEST(Access, TheColumnsOfATableNameRowsTheLastOneAndAbsentOnesToo) {
   }
 }
 
+// What elements write for their corners: forces, and what is 0 without a damping. The signs of
+// factors can be those of products, and of what these are added to.
+ir::Program corner_rows(int32_t corners) {
+  Builder b;
+  const int32_t table = b.source(Type::I32, corners), own = b.source(Type::F32, 2),
+                q = b.source(Type::F32, 3, Access::Indexed),
+                v = b.source(Type::F32, 3, Access::Indexed);
+  const Value i = b.index(), mine = b.load(own, i), damping = b.load(own, i, 1);
+  const Value undamped = b.op(Op::EQ, damping, b.f(0.0f)), back = b.op(Op::NEG, mine);
+  std::vector<Value> forces, slowed, rows;
+  for (int32_t k = 0; k < corners; ++k) rows.push_back(b.load(table, i, k));
+  for (const Value row : rows)
+    for (int32_t c = 0; c < 3; ++c) {
+      const Value d = b.op(Op::SUB, b.load(q, row, c), b.load(q, rows[0], c));
+      const Value pulled = b.op(Op::MUL, back, d), half = b.op(Op::MUL, pulled, b.f(0.5f));
+      Value x = b.op(Op::ADD, b.op(Op::ADD, d, pulled), half);
+      x = b.op(Op::SUB, x, b.op(Op::MUL, x, b.op(Op::DIV, back, b.f(3.0f))));
+      x = b.op(Op::ADD, b.op(Op::MUL, b.op(Op::MUL, back, x), x), b.op(Op::MUL, d, back));
+      forces.push_back(b.op(Op::SUB, b.op(Op::NEG, b.op(Op::MUL, back, x)), back));
+    }
+  for (const Value row : rows)
+    for (int32_t c = 0; c < 3; ++c) {
+      const Value y = b.op(Op::MUL, b.load(v, row, c), damping);
+      slowed.push_back(
+          b.op(Op::SELECT_F, undamped, b.f(0.0f), b.op(Op::ADD, b.op(Op::MUL, y, y), y)));
+    }
+  b.output(forces);
+  b.output(slowed);
+  return b.p;
+}
+TEST(Access, RowsOfAllCornersAreWrittenAtOnce) {
+  for (int32_t corners = 2; corners <= 4; ++corners) {
+    const ir::Program p = corner_rows(corners);
+    for (const Damped damped : {Damped::None, Damped::Some, Damped::All})
+      for (const int32_t first : {0, -2})
+        for (const int64_t n : kCounts) {
+          Inputs in = element_inputs(corners, n, 23, first, damped);
+          in.parameters.clear();
+          ASSERT_EQ(check(p, n, in), "")
+              << corners << " corners, " << n << " elements, rows from " << first;
+        }
+  }
+}
+
 // The first column names rows of a source that is longer than the one that the second column names.
 TEST(Access, TheColumnsOfATableNameRowsOfSourcesOfUnequalLength) {
   Builder b;
   const int32_t table = b.source(Type::I32, 2), q = b.source(Type::F32, 3, Access::Indexed),
                 v = b.source(Type::F32, 3, Access::Indexed);
-  const Value own = b.index(), long_row = b.load(table, own, 0),
-              short_row = b.load(table, own, 1);
+  const Value own = b.index(), long_row = b.load(table, own, 0), short_row = b.load(table, own, 1);
   std::vector<Value> out;
   for (int32_t c = 0; c < 3; ++c)
     out.push_back(b.op(Op::SUB, b.load(q, long_row, c), b.load(v, short_row, c)));

@@ -5,10 +5,10 @@ LANE_FN vi load_lanes(const char* p) { return *(const vi_unaligned*)p; }
 LANE_FN void store_lanes(char* p, vi a) { *(vi_unaligned*)p = a; }
 
 #if defined(__x86_64__)
-/* One word of each of four rows, `stride` words apart. Compilers that are given the words one by one
- * put them together in memory. */
+/* One word of each of four rows, `stride` words apart. Compilers that are given the words one by
+ * one put them together in memory. */
 LANE_FN __m128i load_four(const char* p, int64_t stride) {
-#define LANES_WORD(l) _mm_cvtsi32_si128(word_at(p, (l) * stride))
+#define LANES_WORD(l) _mm_cvtsi32_si128(word_at(p, (l)*stride))
   const __m128i low = _mm_unpacklo_epi32(LANES_WORD(0), LANES_WORD(1));
   const __m128i high = _mm_unpacklo_epi32(LANES_WORD(2), LANES_WORD(3));
   return _mm_unpacklo_epi64(low, high);
@@ -264,10 +264,92 @@ LANE_FN void store_columns4i(char* p, int32_t width, vi a, vi b, vi c, vi d) {
   store_columni(p + 8, width, c), store_columni(p + 12, width, d);
 }
 #endif
-LANE_FN void load4i(const char* p, vi* a, vi* b, vi* c, vi* d) {
-  load_columns4i(p, 4, a, b, c, d);
-}
+LANE_FN void load4i(const char* p, vi* a, vi* b, vi* c, vi* d) { load_columns4i(p, 4, a, b, c, d); }
 LANE_FN void store2i(char* p, vi a, vi b) { store_columni(p, 2, a), store_columni(p + 4, 2, b); }
+
+/* Rows of nine and of twelve words, which elements write for three and for four corners. */
+#if LANES == 16
+/* Word w of the row-major store is of the packed rows of column block w % 9 / 3: word 3 (w / 9) +
+ * w % 3 there. From the parts `z` of all blocks; words in other parts are put over them. */
+#define LANES_NINE(w) (3 * ((w) / 9) + (w) % 3)
+#define LANES_NINE_BLOCK(w) ((w) % 9 / 3)
+#define LANES_NINE_WORD(l) \
+  (LANES_NINE(16 * j + (l)) % 16 + (LANES_NINE_BLOCK(16 * j + (l)) == 1 ? 16 : 0))
+LANE_FN __mmask16 nine_from(int j, int block, int z) {
+  unsigned mask = 0;
+  for (int l = 0; l < 16; ++l)
+    mask |= (unsigned)(LANES_NINE_BLOCK(16 * j + l) == block && LANES_NINE(16 * j + l) / 16 == z)
+            << l;
+  return (__mmask16)mask;
+}
+LANE_FN __m512i nine_over(__m512i words, int j, const rows3* blocks, int block, int z) {
+  const vi word = {LANE_LIST(LANES_NINE_WORD)};
+  return _mm512_mask_permutexvar_epi32(words, nine_from(j, block, z), (__m512i)word,
+                                       (__m512i)blocks[block].part[z]);
+}
+LANE_FN __m512i nine(int j, const rows3* blocks, int z) {
+  const vi word = {LANE_LIST(LANES_NINE_WORD)};
+  const __m512i two = _mm512_permutex2var_epi32((__m512i)blocks[0].part[z], (__m512i)word,
+                                                (__m512i)blocks[1].part[z]);
+  return nine_over(two, j, blocks, 2, z);
+}
+LANE_FN void store9i(char* p, vi a, vi b, vi c, vi d, vi e, vi f, vi g, vi h, vi i) {
+  const rows3 blocks[3] = {pack3(a, b, c), pack3(d, e, f), pack3(g, h, i)};
+  store_lanes(p, (vi)nine(0, blocks, 0)), store_lanes(p + 64, (vi)nine(1, blocks, 0));
+  store_lanes(p + 128, (vi)nine_over(nine(2, blocks, 0), 2, blocks, 0, 1));
+  store_lanes(p + 192,
+              (vi)nine_over(nine_over(nine(3, blocks, 1), 3, blocks, 1, 0), 3, blocks, 2, 0));
+  store_lanes(p + 256, (vi)nine(4, blocks, 1));
+  store_lanes(p + 320,
+              (vi)nine_over(nine_over(nine(5, blocks, 1), 5, blocks, 0, 2), 5, blocks, 1, 2));
+  store_lanes(p + 384, (vi)nine_over(nine(6, blocks, 2), 6, blocks, 2, 1));
+  store_lanes(p + 448, (vi)nine(7, blocks, 2)), store_lanes(p + 512, (vi)nine(8, blocks, 2));
+}
+/* Quarter k of a, b, c and d side by side, for each k: every third vector of the store. */
+LANE_FN void store_quarter_rows(char* p, vi a, vi b, vi c, vi d) {
+  const __m512i ab0 = _mm512_shuffle_i32x4((__m512i)a, (__m512i)b, 0x44),
+                ab2 = _mm512_shuffle_i32x4((__m512i)a, (__m512i)b, 0xEE),
+                cd0 = _mm512_shuffle_i32x4((__m512i)c, (__m512i)d, 0x44),
+                cd2 = _mm512_shuffle_i32x4((__m512i)c, (__m512i)d, 0xEE);
+  store_lanes(p, (vi)_mm512_shuffle_i32x4(ab0, cd0, 0x88));
+  store_lanes(p + 192, (vi)_mm512_shuffle_i32x4(ab0, cd0, 0xDD));
+  store_lanes(p + 384, (vi)_mm512_shuffle_i32x4(ab2, cd2, 0x88));
+  store_lanes(p + 576, (vi)_mm512_shuffle_i32x4(ab2, cd2, 0xDD));
+}
+LANE_FN void store12i(char* p, vi a, vi b, vi c, vi d, vi e, vi f, vi g, vi h, vi i, vi j, vi k,
+                      vi l) {
+  vi x[4], y[4], z[4]; /* quarter q of number r: row 4 q + r */
+  transpose4((quarters)a, (quarters)b, (quarters)c, (quarters)d, &x[0], &x[1], &x[2], &x[3]);
+  transpose4((quarters)e, (quarters)f, (quarters)g, (quarters)h, &y[0], &y[1], &y[2], &y[3]);
+  transpose4((quarters)i, (quarters)j, (quarters)k, (quarters)l, &z[0], &z[1], &z[2], &z[3]);
+  store_quarter_rows(p, x[0], y[0], z[0], x[1]);
+  store_quarter_rows(p + 64, y[1], z[1], x[2], y[2]);
+  store_quarter_rows(p + 128, z[2], x[3], y[3], z[3]);
+}
+#else
+LANE_FN void store9i(char* p, vi a, vi b, vi c, vi d, vi e, vi f, vi g, vi h, vi i) {
+  store_columns4i(p, 9, a, b, c, d), store_columns4i(p + 16, 9, e, f, g, h);
+  store_columni(p + 32, 9, i);
+}
+LANE_FN void store12i(char* p, vi a, vi b, vi c, vi d, vi e, vi f, vi g, vi h, vi i, vi j, vi k,
+                      vi l) {
+  store_columns4i(p, 12, a, b, c, d), store_columns4i(p + 16, 12, e, f, g, h);
+  store_columns4i(p + 32, 12, i, j, k, l);
+}
+#endif
+/* A group of rows of so many words. */
+LANE_FN void store_zeros(char* p, int32_t words) {
+  vi zero = splati(0);
+  __asm__("" : LANES_IN_REGISTER(zero)); /* compilers would fill the memory word by word */
+  for (int32_t k = 0; k < words; ++k) store_lanes(p + 4 * LANES * k, zero);
+}
+LANE_FN void store9f(char* p, vf a, vf b, vf c, vf d, vf e, vf f, vf g, vf h, vf i) {
+  store9i(p, (vi)a, (vi)b, (vi)c, (vi)d, (vi)e, (vi)f, (vi)g, (vi)h, (vi)i);
+}
+LANE_FN void store12f(char* p, vf a, vf b, vf c, vf d, vf e, vf f, vf g, vf h, vf i, vf j, vf k,
+                      vf l) {
+  store12i(p, (vi)a, (vi)b, (vi)c, (vi)d, (vi)e, (vi)f, (vi)g, (vi)h, (vi)i, (vi)j, (vi)k, (vi)l);
+}
 LANE_FN void store4i(char* p, vi a, vi b, vi c, vi d) { store_columns4i(p, 4, a, b, c, d); }
 
 LANE_FN vf load_columnf(const char* p, int32_t width) { return (vf)load_columni(p, width); }

@@ -71,6 +71,15 @@ LANE_FN void store_columns4f(char* p, int32_t width, vf a, vf b, vf c, vf d) {
   (void)width;
   store4f(p, a, b, c, d);
 }
+/* A group of rows of so many words. */
+LANE_FN void store_zeros(char* p, int32_t words) { memset(p, 0, 4 * (size_t)words); }
+LANE_FN void store9f(char* p, vf a, vf b, vf c, vf d, vf e, vf f, vf g, vf h, vf i) {
+  store4f(p, a, b, c, d), store4f(p + 16, e, f, g, h), memcpy(p + 32, &i, 4);
+}
+LANE_FN void store12f(char* p, vf a, vf b, vf c, vf d, vf e, vf f, vf g, vf h, vf i, vf j, vf k,
+                      vf l) {
+  store4f(p, a, b, c, d), store4f(p + 16, e, f, g, h), store4f(p + 32, i, j, k, l);
+}
 
 /* Rows of a table: the row itself, or zeros. */
 static const int32_t kZeroRow[4] = {0, 0, 0, 0};

@@ -444,8 +444,17 @@ void Emitter::store(const Output& output, const std::string& array) {
       list += ", " + text_.lanes(output.values[at(c)]);
     return list;
   };
-  if (width >= 2 && width <= 4) {
-    line("store" + str(width) + t + "(" + own_column(array, width, 0) + values(0, width) + ");");
+  const bool corners = output.type == Type::F32 && (width == 9 || width == 12);
+  if ((width >= 2 && width <= 4) || corners) {
+    const std::string text =
+        "store" + str(width) + t + "(" + own_column(array, width, 0) + values(0, width) + ");";
+    const int32_t region = zero_without(output);
+    if (region < 0) return line(text);
+    line("if (took" + str(region) + ") {");
+    line("  " + text);
+    line("} else {");
+    line("  store_zeros(" + own_column(array, width, 0) + ", " + str(width) + ");");
+    line("}");
     return;
   }
   for (int32_t c = 0; c < width; ++c) {

@@ -1,6 +1,7 @@
 #include "emit_ahead.h"
 
 #include <algorithm>
+#include <functional>
 #include <map>
 
 #include "emitter.h"
@@ -179,6 +180,27 @@ void Emitter::ahead_line(Value v) {
   ahead_weight_ += weight(p_.instrs[at(v)].op);
   const auto due = at(ahead_weight_) * ahead_text_.size() / at(ahead_.weight);
   while (ahead_written_ < due) line(ahead_text_[ahead_written_++]);
+}
+
+// Gradients with respect to velocities, where nothing is damped.
+int32_t Emitter::zero_without(const Output& output) const {
+  for (const int32_t taken : ahead_regions()) {
+    const Region& region = plan_.regions[at(taken)];
+    const auto inside = [&](Value v) {
+      int32_t r = plan_.printed_region(plan_.region[at(v)]);
+      while (r >= 0 && (plan_.regions[at(r)].cond != region.cond ||
+                        plan_.regions[at(r)].polarity != region.polarity))
+        r = plan_.printed_region(plan_.regions[at(r)].parent);
+      return r >= 0;
+    };
+    const std::function<bool(Value)> zero = [&](Value v) {
+      const Instr& in = p_.instrs[at(v)];
+      if (in.op == Op::CONST_F) return in.a == 0;
+      return inside(v) || (in.op == Op::SELECT_F && zero(in.b) && zero(in.c));
+    };
+    if (std::all_of(output.values.begin(), output.values.end(), zero)) return taken;
+  }
+  return -1;
 }
 
 void Emitter::ahead_region(int32_t region) {

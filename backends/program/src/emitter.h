@@ -54,6 +54,9 @@ class Emitter {
   void ahead_line(Value v);
   void ahead_end(int32_t scope);
   void ahead_region(int32_t region);
+  // Where all columns of an output are 0 unless a group takes that region, whether it does being
+  // known; -1: nowhere.
+  int32_t zero_without(const Output& output) const;
   std::vector<int32_t> ahead_regions() const;
   // Where a group of loads is among it, or -1.
   int32_t ahead_column(const LoadGroup& group) const;

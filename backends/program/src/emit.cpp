@@ -4,6 +4,7 @@
 #include <cstdio>
 
 #include "emit_held.h"
+#include "emit_order.h"
 #include "emit_simplify.h"
 #include "emitter.h"
 
@@ -24,12 +25,21 @@ std::string one_line(const std::string& s) {
   return out;
 }
 
+// Elements: long formulas of rows that are gathered ahead. Regions part their lines, and most are
+// taken anyway.
+constexpr int32_t kMinElementRegion = 20;
+EmitPlan plan_for(const Program& p, bool device, bool series) {
+  EmitPlan plan = make_emit_plan(p, device);
+  const bool elements = !device && !series && find_ahead_gathers(p, plan).table >= 0;
+  return elements ? ordered(p, make_emit_plan(p, device, kMinElementRegion)) : std::move(plan);
+}
+
 }  // namespace
 
 Emitter::Emitter(const Program& program, bool device, const Series* series, std::vector<char> items)
     : original_(program),
       p_(device ? program : simplified(program)),
-      plan_(make_emit_plan(p_, device)),
+      plan_(plan_for(p_, device, series != nullptr)),
       text_(p_, plan_, device),
       device_(device),
       series_(series),

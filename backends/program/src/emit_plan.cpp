@@ -9,15 +9,14 @@
 namespace nova::ir {
 namespace {
 
-// A region that weighs less costs less than asking whether any lane needs it.
-constexpr int32_t kMinPrintedRegion = 12;
 constexpr int32_t kTableLoadWeight = 8;
 
 size_t at(int32_t k) { return static_cast<size_t>(k); }
 
 class Planner {
  public:
-  Planner(const Program& program, bool device) : p_(program), device_(device) {}
+  Planner(const Program& program, bool device, int32_t min_printed)
+      : p_(program), device_(device), min_printed_(min_printed) {}
 
   EmitPlan run() {
     out_.steps = schedule(p_);
@@ -141,7 +140,7 @@ class Planner {
     }
     // A compiler contracts a product and a sum that stand in one block: where it may, there are no
     // others.
-    for (Region& r : out_.regions) r.printed = !p_.contract && r.weight >= kMinPrintedRegion;
+    for (Region& r : out_.regions) r.printed = !p_.contract && r.weight >= min_printed_;
   }
 
   bool inside(int32_t region, int32_t ancestor) const {
@@ -219,6 +218,7 @@ class Planner {
 
   const Program& p_;
   const bool device_;
+  const int32_t min_printed_;
   EmitPlan out_;
 };
 
@@ -245,8 +245,8 @@ int32_t weight(Op op) {
   return division ? 12 : 1;
 }
 
-EmitPlan make_emit_plan(const Program& program, bool device) {
-  return Planner(program, device).run();
+EmitPlan make_emit_plan(const Program& program, bool device, int32_t min_printed) {
+  return Planner(program, device, min_printed).run();
 }
 
 }  // namespace nova::ir

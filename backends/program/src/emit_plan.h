@@ -58,8 +58,11 @@ struct EmitPlan {
   }
 };
 
+// A region that weighs less costs less than asking whether any lane needs it.
+inline constexpr int32_t kMinPrintedRegion = 12;
 // `device`: for a thread that has one row.
-EmitPlan make_emit_plan(const Program& program, bool device);
+EmitPlan make_emit_plan(const Program& program, bool device,
+                        int32_t min_printed = kMinPrintedRegion);
 
 inline bool is_load(Op op) { return op == Op::LOAD_F || op == Op::LOAD_I; }
 

@@ -109,7 +109,7 @@ void PhasedRun::find_cold(std::span<const MemoryAccess> accesses) {
       const auto [known, fresh] = last.try_emplace(access.begin, phase);
       const bool recent = !fresh && known->second + kRecent >= phase;
       known->second = phase;
-      if (recent || access.bytes == 0) continue;
+      if (recent || access.write || access.bytes == 0) continue;  // nobody waits for a write
       cold_.push_back({access.begin, access.bytes});
       bytes += access.bytes;
     }

@@ -52,7 +52,7 @@ class PhasedRun {
   std::vector<Chain> chains_;
   std::vector<Chunk> chunks_;
   std::vector<int64_t> ends_;  // of the chunks of each phase
-  // What each phase touches that none shortly before it did, as the backward pass of a rollout its
+  // What each phase reads that none shortly before it touched, as the backward pass of a rollout its
   // states: the processor cannot guess where the next ones lie.
   std::vector<Bytes> cold_;
   std::vector<uint32_t> cold_ends_;  // of those of each phase

@@ -54,8 +54,9 @@ bool touched_by(const OpList::Op& op, std::span<const uint64_t> words,
     return !known.empty();
   }
   const uint64_t* arguments = words.data() + op.first_word;
-  for (const RowLayout::Word& w : op.layout->inputs)
-    touched.push_back({arguments[w.word], rows * w.row_bytes, w.row_bytes, false});
+  for (const RowLayout::Word& w : op.layout->inputs)  // the rows may be fewer: no lane needs more
+    touched.push_back({arguments[w.word], std::min(rows, arguments[w.word + 1]) * w.row_bytes,
+                       w.row_bytes, false});
   for (const RowLayout::Word& w : op.layout->shared)
     touched.push_back({arguments[w.word], arguments[w.word + 1] * w.row_bytes, 0, false});
   for (const RowLayout::Word& w : op.layout->outputs)

@@ -169,6 +169,66 @@ TEST(Access, RowsOfAllCornersAreWrittenAtOnce) {
   }
 }
 
+// A length that is needed where it is above a limit, which is where it is divided by.
+TEST(Access, ElementsDivideByALengthWhereItIsAboveALimit) {
+  Builder b;
+  const int32_t table = b.source(Type::I32, 2), own = b.source(Type::F32, 2),
+                q = b.source(Type::F32, 3, Access::Indexed),
+                v = b.source(Type::F32, 3, Access::Indexed);
+  b.p.param_count = 1;
+  const Value i = b.index(), limit = b.op(Op::PARAM_F, 0);
+  std::vector<Value> d, out = {b.load(own, i), b.load(v, b.load(table, i, 0))};
+  for (int32_t c = 0; c < 3; ++c)
+    d.push_back(
+        b.op(Op::SUB, b.load(q, b.load(table, i, 0), c), b.load(q, b.load(table, i, 1), c)));
+  Value square = b.op(Op::MUL, d[0], d[0]);
+  for (const Value x : {d[1], d[2]}) square = b.op(Op::ADD, square, b.op(Op::MUL, x, x));
+  const Value length = b.op(Op::SQRT, square), above = b.op(Op::LT, limit, length),
+              k = b.op(Op::DIV, limit, length);
+  for (const Value x : d) out.push_back(b.op(Op::SELECT_F, above, b.op(Op::MUL, x, k), x));
+  b.output(out);
+  for (const int64_t n : kCounts)
+    for (const float most : {0.0f, 0.5f, 2.0f, 1e9f}) {
+      Inputs in = element_inputs(2, n, 23, 0, Damped::All);
+      in.parameters = {bits(most)};
+      ASSERT_EQ(check(b.p, n, in), "") << n << " elements, limit " << most;
+    }
+}
+// Rows of velocities that are needed where two conditions hold, and an output that is not 0 where
+// the inner one does.
+TEST(Access, WhatIsZeroWithoutDampingMayBeNestedElsewhere) {
+  Builder b;
+  const int32_t table = b.source(Type::I32, 2), own = b.source(Type::F32, 2),
+                q = b.source(Type::F32, 3, Access::Indexed),
+                v = b.source(Type::F32, 3, Access::Indexed);
+  b.p.param_count = 1;
+  const Value i = b.index(), zero = b.f(0.0f), first = b.load(table, i, 0),
+              second = b.load(table, i, 1),
+              outer = b.op(Op::LT, b.load(own, i), b.op(Op::PARAM_F, 0)),
+              damped = b.op(Op::LT, zero, b.load(own, i, 1));
+  std::vector<Value> d, nested, other;
+  for (int32_t c = 0; c < 3; ++c)
+    d.push_back(b.op(Op::SUB, b.load(q, first, c), b.load(q, second, c)));
+  for (int32_t c = 0; c < 3; ++c) {
+    const Value y = b.op(Op::SUB, b.load(v, first, c), b.load(v, second, c));
+    nested.push_back(
+        b.op(Op::SELECT_F, outer, b.op(Op::SELECT_F, damped, b.op(Op::MUL, y, y), zero), zero));
+    const Value ratio = b.op(Op::DIV, b.op(Op::MUL, d[static_cast<size_t>(c)], d[0]),
+                             d[static_cast<size_t>(2 - c)]);
+    other.push_back(
+        b.op(Op::SELECT_F, damped, b.op(Op::DIV, ratio, b.op(Op::ADD, ratio, d[1])), zero));
+  }
+  b.output(nested);
+  b.output(other);
+  for (const int64_t n : kCounts)
+    for (const Damped some : {Damped::None, Damped::Some, Damped::All})
+      for (const float limit : {-1e9f, 0.5f, 1e9f}) {
+        Inputs in = element_inputs(2, n, 23, 0, some);
+        in.parameters = {bits(limit)};
+        ASSERT_EQ(check(b.p, n, in), "") << n << " elements, limit " << limit;
+      }
+}
+
 // The first column names rows of a source that is longer than the one that the second column names.
 TEST(Access, TheColumnsOfATableNameRowsOfSourcesOfUnequalLength) {
   Builder b;

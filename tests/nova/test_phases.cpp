@@ -43,6 +43,25 @@ MemoryAccess any(uint64_t at, int64_t n, uint32_t width, bool write) {
 
 uint32_t phases(const std::vector<Phased>& plan) { return plan.back().phase + 1; }
 
+// A source may have fewer rows than the launch, as long as no lane needs more.
+TEST(Phases, ASourceIsReadAsFarAsItGoes) {
+  nova::detail::RowLayout layout;
+  layout.inputs = {{0, 12}};
+  layout.outputs = {{2, 4}};
+  OpList::Op op{OpList::Op::Kind::Launch};
+  op.layout = &layout;
+  op.n = 100;
+  op.word_count = 3;
+  for (const uint64_t rows : {0, 7, 100, 200}) {
+    const uint64_t words[] = {0x1000, rows, 0x9000};
+    std::vector<MemoryAccess> touched;
+    ASSERT_TRUE(nova::detail::touched_by(op, words, {}, touched));
+    ASSERT_EQ(touched.size(), 2u);
+    EXPECT_EQ(touched[0].bytes, 12 * std::min<uint64_t>(rows, 100)) << rows;
+    EXPECT_EQ(touched[1].bytes, 400u);
+  }
+}
+
 TEST(Phases, ASubstepOfASoftBodyIsTwo) {
   constexpr int64_t kParticles = 27, kTets = 40, kTriangles = 48;
   constexpr uint64_t q = 0x10000, tet = 0x40000, tri = 0x50000, f = 0x60000, sum = 0x70000;

@@ -65,9 +65,13 @@ LANE_FN int32_t uf_bits(float a) {
 
 LANE_FN float uabs(float a) { return __builtin_fabsf(a); }
 LANE_FN float usqrt(float a) { return __builtin_sqrtf(a); }
-LANE_FN float ufma(float a, float b, float c) {
-  return __builtin_fmaf(a, b, c);
-} /* exact everywhere */
+LANE_FN float ufma(float a, float b, float c) { /* exact everywhere */
+  float d = __builtin_fmaf(a, b, c);
+#if defined(__aarch64__)
+  __asm__("" : "+w"(d)); /* GCC makes one operation of its negative, whose zeros have another sign */
+#endif
+  return d;
+}
 LANE_FN float ufloor(float a) {
 #if defined(__SSE4_1__) || defined(__aarch64__)
   return __builtin_floorf(a);

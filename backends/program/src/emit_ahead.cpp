@@ -184,13 +184,18 @@ void Emitter::ahead_line(Value v) {
 
 // Gradients with respect to velocities, where nothing is damped.
 int32_t Emitter::zero_without(const Output& output) const {
+  const auto scope_of = [&](int32_t r) {
+    return plan_.printed_region(plan_.regions[at(r)].parent);
+  };
   for (const int32_t taken : ahead_regions()) {
-    const Region& region = plan_.regions[at(taken)];
+    // Groups take regions of one scope by one condition together.
+    const auto taken_too = [&](int32_t r) {
+      const Region &a = plan_.regions[at(r)], &b = plan_.regions[at(taken)];
+      return a.cond == b.cond && a.polarity == b.polarity && scope_of(r) == scope_of(taken);
+    };
     const auto inside = [&](Value v) {
       int32_t r = plan_.printed_region(plan_.region[at(v)]);
-      while (r >= 0 && (plan_.regions[at(r)].cond != region.cond ||
-                        plan_.regions[at(r)].polarity != region.polarity))
-        r = plan_.printed_region(plan_.regions[at(r)].parent);
+      while (r >= 0 && !taken_too(r)) r = scope_of(r);
       return r >= 0;
     };
     const std::function<bool(Value)> zero = [&](Value v) {

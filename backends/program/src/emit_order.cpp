@@ -107,12 +107,17 @@ class Orderer {
     }
   }
 
-  // The values that a line reads: its operands, the load that it is a column of, and the conditions
-  // that say which lanes need a load.
+  // The values that a line reads: its operands, the comparison that computes a root which mostly is
+  // not needed, the load that it is a column of, and the conditions that say which lanes need a
+  // load.
   template <class F>
   void for_each_read(Value v, const F& f) const {
     const Instr& in = p_.instrs[at(v)];
-    for_each_operand(in, f);
+    for_each_operand(in, [&](Value o) {
+      f(o);
+      const bool root = p_.instrs[at(o)].op == Op::SQRT && plan_.root[at(o)] != kNone;
+      if (root && plan_.root[at(o)] != v) f(plan_.root[at(o)]);
+    });
     if (!is_load(in.op)) return;
     for (const LoadGroup& group : plan_.groups)
       if (group.source == in.a && group.row == in.b)

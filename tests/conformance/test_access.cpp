@@ -66,26 +66,30 @@ TEST(Access, IndexedReadsTheRowOfATableAndZeroForANegativeRow) {
   }
 }
 
+// What elements read: a table whose columns name the rows of two sources, and two own values.
+struct ElementBuilder : Builder {
+  explicit ElementBuilder(int32_t corners) : table(source(Type::I32, corners)) {}
+  const int32_t table, own = source(Type::F32, 2), q = source(Type::F32, 3, Access::Indexed),
+                       v = source(Type::F32, 3, Access::Indexed);
+};
+
 // Elements: the columns of a table name the rows of two sources; what is computed from them is long
 // enough to be skipped where the first own value is not below the parameter, and the part of the
 // second source where the second own value is 0. The table itself is read in any case.
 ir::Program elements(int32_t corners) {
-  Builder b;
-  const int32_t table = b.source(Type::I32, corners), own = b.source(Type::F32, 2),
-                q = b.source(Type::F32, 3, Access::Indexed),
-                v = b.source(Type::F32, 3, Access::Indexed);
-  b.p.sources[static_cast<size_t>(q)].name = "particle_q";
+  ElementBuilder b(corners);
+  b.p.sources[static_cast<size_t>(b.q)].name = "particle_q";
   b.p.param_count = 1;
-  const Value i = b.index(), mine = b.load(own, i), damping = b.load(own, i, 1);
+  const Value i = b.index(), mine = b.load(b.own, i), damping = b.load(b.own, i, 1);
   const Value takes = b.op(Op::LT, mine, b.op(Op::PARAM_F, 0));
   const Value undamped = b.op(Op::EQ, damping, b.f(0.0f));
   std::vector<Value> out, rows;
-  for (int32_t k = 0; k < corners; ++k) rows.push_back(b.load(table, i, k));
+  for (int32_t k = 0; k < corners; ++k) rows.push_back(b.load(b.table, i, k));
   for (const Value row : rows) out.push_back(b.op(Op::I_TO_F, row));
   for (const Value row : rows)
     for (int32_t c = 0; c < 3; ++c) {
-      Value x = b.op(Op::SUB, b.load(q, row, c), b.load(q, rows[0], c));
-      const Value damped = b.op(Op::FMA, b.load(v, row, c), damping, x);
+      Value x = b.op(Op::SUB, b.load(b.q, row, c), b.load(b.q, rows[0], c));
+      const Value damped = b.op(Op::FMA, b.load(b.v, row, c), damping, x);
       x = b.op(Op::SELECT_F, undamped, x, damped);
       for (int t = 0; t < 3; ++t) x = b.op(Op::ADD, b.op(Op::MUL, x, mine), b.f(0.25f));
       out.push_back(b.op(Op::SELECT_F, takes, x, mine));
@@ -128,17 +132,14 @@ TEST(Access, TheColumnsOfATableNameRowsTheLastOneAndAbsentOnesToo) {
 // What elements write for their corners: forces, and what is 0 without a damping. The signs of
 // factors can be those of products, and of what these are added to.
 ir::Program corner_rows(int32_t corners) {
-  Builder b;
-  const int32_t table = b.source(Type::I32, corners), own = b.source(Type::F32, 2),
-                q = b.source(Type::F32, 3, Access::Indexed),
-                v = b.source(Type::F32, 3, Access::Indexed);
-  const Value i = b.index(), mine = b.load(own, i), damping = b.load(own, i, 1);
+  ElementBuilder b(corners);
+  const Value i = b.index(), mine = b.load(b.own, i), damping = b.load(b.own, i, 1);
   const Value undamped = b.op(Op::EQ, damping, b.f(0.0f)), back = b.op(Op::NEG, mine);
   std::vector<Value> forces, slowed, rows;
-  for (int32_t k = 0; k < corners; ++k) rows.push_back(b.load(table, i, k));
+  for (int32_t k = 0; k < corners; ++k) rows.push_back(b.load(b.table, i, k));
   for (const Value row : rows)
     for (int32_t c = 0; c < 3; ++c) {
-      const Value d = b.op(Op::SUB, b.load(q, row, c), b.load(q, rows[0], c));
+      const Value d = b.op(Op::SUB, b.load(b.q, row, c), b.load(b.q, rows[0], c));
       const Value pulled = b.op(Op::MUL, back, d), half = b.op(Op::MUL, pulled, b.f(0.5f));
       Value x = b.op(Op::ADD, b.op(Op::ADD, d, pulled), half);
       x = b.op(Op::SUB, x, b.op(Op::MUL, x, b.op(Op::DIV, back, b.f(3.0f))));
@@ -147,7 +148,7 @@ ir::Program corner_rows(int32_t corners) {
     }
   for (const Value row : rows)
     for (int32_t c = 0; c < 3; ++c) {
-      const Value y = b.op(Op::MUL, b.load(v, row, c), damping);
+      const Value y = b.op(Op::MUL, b.load(b.v, row, c), damping);
       slowed.push_back(
           b.op(Op::SELECT_F, undamped, b.f(0.0f), b.op(Op::ADD, b.op(Op::MUL, y, y), y)));
     }
@@ -171,16 +172,13 @@ TEST(Access, RowsOfAllCornersAreWrittenAtOnce) {
 
 // A length that is needed where it is above a limit, which is where it is divided by.
 TEST(Access, ElementsDivideByALengthWhereItIsAboveALimit) {
-  Builder b;
-  const int32_t table = b.source(Type::I32, 2), own = b.source(Type::F32, 2),
-                q = b.source(Type::F32, 3, Access::Indexed),
-                v = b.source(Type::F32, 3, Access::Indexed);
+  ElementBuilder b(2);
   b.p.param_count = 1;
   const Value i = b.index(), limit = b.op(Op::PARAM_F, 0);
-  std::vector<Value> d, out = {b.load(own, i), b.load(v, b.load(table, i, 0))};
+  std::vector<Value> d, out = {b.load(b.own, i), b.load(b.v, b.load(b.table, i, 0))};
   for (int32_t c = 0; c < 3; ++c)
-    d.push_back(
-        b.op(Op::SUB, b.load(q, b.load(table, i, 0), c), b.load(q, b.load(table, i, 1), c)));
+    d.push_back(b.op(Op::SUB, b.load(b.q, b.load(b.table, i, 0), c),
+                     b.load(b.q, b.load(b.table, i, 1), c)));
   Value square = b.op(Op::MUL, d[0], d[0]);
   for (const Value x : {d[1], d[2]}) square = b.op(Op::ADD, square, b.op(Op::MUL, x, x));
   const Value length = b.op(Op::SQRT, square), above = b.op(Op::LT, limit, length),
@@ -197,20 +195,17 @@ TEST(Access, ElementsDivideByALengthWhereItIsAboveALimit) {
 // Rows of velocities that are needed where two conditions hold, and an output that is not 0 where
 // the inner one does.
 TEST(Access, WhatIsZeroWithoutDampingMayBeNestedElsewhere) {
-  Builder b;
-  const int32_t table = b.source(Type::I32, 2), own = b.source(Type::F32, 2),
-                q = b.source(Type::F32, 3, Access::Indexed),
-                v = b.source(Type::F32, 3, Access::Indexed);
+  ElementBuilder b(2);
   b.p.param_count = 1;
-  const Value i = b.index(), zero = b.f(0.0f), first = b.load(table, i, 0),
-              second = b.load(table, i, 1),
-              outer = b.op(Op::LT, b.load(own, i), b.op(Op::PARAM_F, 0)),
-              damped = b.op(Op::LT, zero, b.load(own, i, 1));
+  const Value i = b.index(), zero = b.f(0.0f), first = b.load(b.table, i, 0),
+              second = b.load(b.table, i, 1),
+              outer = b.op(Op::LT, b.load(b.own, i), b.op(Op::PARAM_F, 0)),
+              damped = b.op(Op::LT, zero, b.load(b.own, i, 1));
   std::vector<Value> d, nested, other;
   for (int32_t c = 0; c < 3; ++c)
-    d.push_back(b.op(Op::SUB, b.load(q, first, c), b.load(q, second, c)));
+    d.push_back(b.op(Op::SUB, b.load(b.q, first, c), b.load(b.q, second, c)));
   for (int32_t c = 0; c < 3; ++c) {
-    const Value y = b.op(Op::SUB, b.load(v, first, c), b.load(v, second, c));
+    const Value y = b.op(Op::SUB, b.load(b.v, first, c), b.load(b.v, second, c));
     nested.push_back(
         b.op(Op::SELECT_F, outer, b.op(Op::SELECT_F, damped, b.op(Op::MUL, y, y), zero), zero));
     const Value ratio = b.op(Op::DIV, b.op(Op::MUL, d[static_cast<size_t>(c)], d[0]),

@@ -61,7 +61,7 @@ constexpr int32_t kRegionLatency = 15;
 
 // What is moved as a whole: a value, or a printed region with all that is in it.
 struct Item {
-  std::vector<Step> steps;  // first the one that opens the region
+  Step step;  // that computes the value, or opens the region
   std::vector<Item> inside;
   int32_t region = -1;
   bool is_region() const { return region >= 0; }
@@ -88,9 +88,9 @@ class Orderer {
       const Step& step = plan_.steps[s];
       const int32_t region = plan_.region_of_step[s++];
       if (step.kind == Step::Kind::Compute) {
-        items.push_back({{step}, {}, -1});
+        items.push_back({step, {}, -1});
       } else if (plan_.regions[at(region)].printed) {
-        items.push_back({{step}, items_until(s, at(step.target)), region});
+        items.push_back({step, items_until(s, at(step.target)), region});
       }  // what is not printed needs no step
     }
     return items;
@@ -99,7 +99,7 @@ class Orderer {
                     std::vector<int32_t>& regions) {
     for (const Item& item : items) {
       const size_t first = steps.size();
-      steps.push_back(item.steps[0]);
+      steps.push_back(item.step);
       regions.push_back(item.region);
       if (!item.is_region()) continue;
       write(item.inside, steps, regions);
@@ -128,7 +128,7 @@ class Orderer {
   }
   template <class F>
   void for_each_value(const Item& item, const F& f) const {
-    if (!item.is_region()) return f(item.steps[0].value);
+    if (!item.is_region()) return f(item.step.value);
     for (const Item& inner : item.inside) for_each_value(inner, f);
   }
 
@@ -154,10 +154,9 @@ class Orderer {
   }
 
   bool is_line(const Item& item) const {
-    return !item.is_region() &&
-           plan_.is_line(at(item.steps[0].value), p_.instrs[at(item.steps[0].value)].op);
+    return !item.is_region() && plan_.is_line(at(item.step.value), op_of(item));
   }
-  Op op_of(const Item& item) const { return p_.instrs[at(item.steps[0].value)].op; }
+  Op op_of(const Item& item) const { return p_.instrs[at(item.step.value)].op; }
   int32_t latency_of(const Item& item) const {
     return item.is_region() ? kRegionLatency : is_line(item) ? latency(op_of(item)) : 0;
   }

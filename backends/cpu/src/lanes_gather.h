@@ -149,7 +149,9 @@ LANE_FN void gather3_half(const char* s, const int32_t* word, vb present, float*
   _mm256_storeu_ps(to + 32, _mm256_maskz_mov_ps((__mmask8)present, c));
 }
 #endif
-LANE_FN void gather3f_ahead(const char* s, const rows_ahead* r, vf* to) {
+LANE_FN void gather3f_ahead(const char* s, rows_ahead* r, vf* to) {
+  /* Read again by each gather: kept for the next one, they would be written to memory once more. */
+  __asm__("" : "+m"(r->word));
 #if LANES == 16
   gather3_half(s, r->word, r->present, (float*)to);
   gather3_half(s, r->word + 8, (vb)(r->present >> 8), (float*)to + 8);

@@ -15,9 +15,9 @@ namespace {
 
 // An operation whose rows cannot be shared out may touch so many bytes.
 constexpr uint64_t kSmallBytes = 1 << 15;
-// Fewer operations in every phase, rows times those of a row, are done sooner by one thread:
-// compiled code does so many in about a microsecond.
-constexpr int64_t kWorthSharing = 1 << 16;
+// Fewer operations between two meetings of the threads, rows times those of a row, are done sooner
+// by one thread: compiled code does so many in about three microseconds.
+constexpr int64_t kWorthSharing = 1 << 17;
 // Every thread has a part of each chain, the same part in every phase, so that it wrote most of
 // what it reads; many rows are cut further, so that a thread can take over from another.
 constexpr int64_t kFewRows = 256, kMostEach = 32;
@@ -37,14 +37,13 @@ bool can_be_cut(const OpList::Op& op) {
 
 // The threads that the rows of these phases are worth.
 int64_t threads_for(std::span<const Phased> placed, std::span<const OpList::Op> ops) {
-  std::vector<int64_t> operations;  // per phase
+  int64_t operations = 0;
   for (const Phased& p : placed) {
     const OpList::Op& op = ops[p.op];
-    operations.resize(p.phase + 1);
-    operations.back() += rows_of(op) * (op.layout != nullptr ? op.layout->operations : 1);
+    operations += rows_of(op) * (op.layout != nullptr ? op.layout->operations : 1);
   }
-  const int64_t most = *std::max_element(operations.begin(), operations.end());
-  return most < kWorthSharing ? 1 : novaphy::num_threads();
+  const int64_t phases = placed.back().phase + 1;
+  return operations / phases < kWorthSharing ? 1 : novaphy::num_threads();
 }
 
 }  // namespace

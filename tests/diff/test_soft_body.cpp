@@ -3,6 +3,7 @@
 #include <gtest/gtest.h>
 
 #include <cmath>
+#include <utility>
 
 #include "elements_scene.h"
 #include "novaphy/collision/collision_pipeline.h"
@@ -134,10 +135,10 @@ TEST(SoftBodyDiff, ATapeThatKeepsLeavesOnlyGivesTheSameGradient) {
 }
 
 TEST(SoftBodyDiff, ThreadsAndReplayChangeNoBit) {
-  const auto run = [](int threads, bool replay) {
+  const auto run = [](int steps, int cells, int threads, bool replay) {
     const int before = num_threads();
     set_num_threads(threads);
-    SoftBody body(60, 4);  // so many elements that threads share them in a replay
+    SoftBody body(steps, cells);
     if (replay) {
       std::shared_ptr<nova::OpList> graph;
       {
@@ -151,19 +152,23 @@ TEST(SoftBodyDiff, ThreadsAndReplayChangeNoBit) {
       body.iterate();
     }
     std::vector<float> result = body.params.grad().to_host();
-    const std::vector<Vec3f> q = body.trajectory.state(60).particle_q.to_host();
+    const std::vector<Vec3f> q = body.trajectory.state(steps).particle_q.to_host();
     const auto* values = reinterpret_cast<const float*>(q.data());
     result.insert(result.end(), values, values + q.size() * 3);
     set_num_threads(before);
     return result;
   };
-  const std::vector<float> one = run(1, false);
-  double norm = 0.0;
-  for (size_t k = 0; k < 80; ++k) norm += std::fabs(static_cast<double>(one[k]));
-  EXPECT_GT(norm, 0.0);
-  for (const int threads : {1, 2, 7})
-    for (const bool replay : {false, true})
-      EXPECT_TRUE(same_bits<float>(run(threads, replay), one)) << threads << " " << replay;
+  // A block that reaches the ground, and one of so many elements that threads share its replay.
+  for (const auto& [steps, cells] : {std::pair{200, 2}, std::pair{60, 4}}) {
+    const std::vector<float> one = run(steps, cells, 1, false);
+    double norm = 0.0;
+    for (size_t k = 0; k < 80; ++k) norm += std::fabs(static_cast<double>(one[k]));
+    EXPECT_GT(norm, 0.0);
+    for (const int threads : {1, 2, 7})
+      for (const bool replay : {false, true})
+        EXPECT_TRUE(same_bits<float>(run(steps, cells, threads, replay), one))
+            << cells << " cells, " << threads << " " << replay;
+  }
 }
 
 // Every way through a step of a scene with elements of all kinds and recorded contacts.

@@ -20,7 +20,7 @@ constexpr uint64_t kSmallBytes = 1 << 15;
 constexpr int64_t kWorthSharing = 1 << 17;
 // Every thread has a part of each chain, the same part in every phase, so that it wrote most of
 // what it reads; many rows are cut further, so that a thread can take over from another.
-constexpr int64_t kFewRows = 256, kMostEach = 32;
+constexpr int64_t kFewRows = 1024, kMostEach = 32;
 constexpr int64_t kGroup = 16;  // rows that compiled code computes together, at most
 // Between two looks at an interrupt.
 constexpr size_t kPhasesPerRound = 64;

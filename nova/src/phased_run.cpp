@@ -19,7 +19,8 @@ constexpr uint64_t kSmallBytes = 1 << 15;
 // by one thread: compiled code does so many in about three microseconds.
 constexpr int64_t kWorthSharing = 1 << 17;
 // Every thread has a part of each chain, the same part in every phase, so that it wrote most of
-// what it reads; many rows are cut further, so that a thread can take over from another.
+// what it reads; many rows are cut further, so that a thread can take over from another. A call for
+// a quarter of these rows costs up to a tenth more: compiled code is slow to begin.
 constexpr int64_t kFewRows = 1024, kMostEach = 32;
 constexpr int64_t kGroup = 16;  // rows that compiled code computes together, at most
 // Between two looks at an interrupt.

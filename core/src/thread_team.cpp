@@ -18,8 +18,9 @@ namespace {
 
 constexpr auto kWatch = std::chrono::microseconds(100);  // for the next job
 constexpr auto kLeave = std::chrono::seconds(1);
-constexpr int kSpins = 256;    // between two looks at the clock
-constexpr int kPatience = 16;  // spins, some tenths of a microsecond
+constexpr int kSpins = 256;     // between two looks at the clock
+constexpr int kPatience = 16;   // spins, some tenths of a microsecond
+constexpr size_t kApart = 128;  // bytes: processors fetch lines by two
 
 void relax() {
 #if defined(__x86_64__)
@@ -42,7 +43,7 @@ struct ThreadTeam::Shared {
   // Each member begins with a part of its own, the same in every phase of as many chunks, so that
   // what it wrote is still in its cache; then it takes what the others have not come to. The word
   // is the phase that the part is in, and how many of its chunks there were taken.
-  struct alignas(64) Part {
+  struct alignas(kApart) Part {
     std::atomic<uint64_t> taken{0};
     // Takes the next of `count` chunks that the part has in the phase, when there is one. Nobody
     // comes to a phase before the chunks of those before it are done.
@@ -57,7 +58,15 @@ struct ThreadTeam::Shared {
     }
   };
 
-  explicit Shared(int count) : threads(count), parts(static_cast<size_t>(count)) {}
+  // Every member of the team has one, the caller the first. How many chunks of the job are done is
+  // the sum over all: a count that all write would go from one to the other at the end of a phase.
+  struct alignas(kApart) Seat {
+    std::atomic<int64_t> done{0};  // written by its member alone
+    std::atomic<bool> held{false};
+  };
+
+  explicit Shared(int count)
+      : threads(count), parts(static_cast<size_t>(count)), seats(static_cast<size_t>(count)) {}
 
   const int threads;
   std::atomic_flag taken = ATOMIC_FLAG_INIT;  // by the thread whose job it is
@@ -69,15 +78,20 @@ struct ThreadTeam::Shared {
   std::span<const int64_t> ends;
   size_t used_parts = 0;
   std::vector<Part> parts;
+  std::vector<Seat> seats;
   std::mutex mutex;
   std::exception_ptr failure;
-  // So many chunks are done; only then do those behind the phase that it is in begin.
-  alignas(64) std::atomic<int64_t> done{0};
   std::atomic<bool> failed{false};         // what is left is not done
   alignas(64) std::atomic<int> inside{0};  // helpers in the job
   std::atomic<int> helpers{0};             // that watch, or have been called
   std::atomic<bool> stop{false};
 
+  // The chunks before this one are done, when a phase ends there; those behind it begin only then.
+  int64_t done() const {
+    int64_t sum = first;
+    for (const Seat& seat : seats) sum += seat.done.load(std::memory_order_acquire);
+    return sum;
+  }
   void do_chunk(int64_t chunk) {
     if (failed.load(std::memory_order_relaxed)) return;
     try {
@@ -89,7 +103,7 @@ struct ThreadTeam::Shared {
     }
   }
   // What is left of a part of the phase of the chunks [begin, end).
-  void do_part(size_t part, uint64_t phase, int64_t begin, int64_t end) {
+  void do_part(size_t member, size_t part, uint64_t phase, int64_t begin, int64_t end) {
     const auto parts_count = static_cast<int64_t>(used_parts);
     const auto share = [&](size_t k) {  // the first parts are the larger ones
       return begin + (static_cast<int64_t>(k) * (end - begin) + parts_count - 1) / parts_count;
@@ -97,23 +111,24 @@ struct ThreadTeam::Shared {
     const int64_t from = share(part), chunks = share(part + 1) - from;
     int64_t count = 0, chunk = 0;
     for (; parts[part].take(phase, chunks, chunk); ++count) do_chunk(from + chunk);
-    if (count != 0) done += count;
+    std::atomic<int64_t>& mine = seats[member].done;
+    if (count != 0)
+      mine.store(mine.load(std::memory_order_relaxed) + count, std::memory_order_release);
   }
   // Most phases are as long for one member as for another: who is first waits a little before it
   // looks for what others have left, which takes their memory from them.
   void do_phase(size_t member, uint64_t phase, int64_t begin, int64_t end) {
-    do_part(member % used_parts, phase, begin, end);
-    for (int k = 0; done < end; k = std::min(k + 1, kSpins)) {
+    do_part(member, member % used_parts, phase, begin, end);
+    for (int k = 0; done() < end; k = std::min(k + 1, kSpins)) {
       if (k == kPatience)
         for (size_t p = 1; p < used_parts; ++p)
-          do_part((member + p) % used_parts, phase, begin, end);
+          do_part(member, (member + p) % used_parts, phase, begin, end);
       k < kSpins ? relax() : std::this_thread::yield();
     }
   }
   void do_share(size_t member) {
     // A helper may come late.
-    for (auto end = std::upper_bound(ends.begin(), ends.end(), done.load()); end != ends.end();
-         ++end) {
+    for (auto end = std::upper_bound(ends.begin(), ends.end(), done()); end != ends.end(); ++end) {
       const auto phase = static_cast<uint64_t>(end - ends.begin());
       do_phase(member, phase, phase == 0 ? first : end[-1], *end);
     }
@@ -123,6 +138,12 @@ struct ThreadTeam::Shared {
     ++inside;
     if (number == job) do_share(member);
     --inside;
+  }
+  // A seat that nobody holds, which is held from now on; as many as there are if there is none.
+  size_t take_seat() {
+    size_t k = 1;
+    while (k < seats.size() && seats[k].held.exchange(true)) ++k;
+    return k;
   }
   bool open(uint64_t job, uint64_t last) const { return job % 2 == 1 && job != last; }
 };
@@ -137,6 +158,16 @@ ThreadTeam::~ThreadTeam() {
   const auto until = std::chrono::steady_clock::now() + kLeave;
   while (shared_->helpers != 0 && std::chrono::steady_clock::now() < until)
     std::this_thread::yield();
+}
+
+void ThreadTeam::come(Shared& s) {
+  const size_t member = s.take_seat();
+  if (member < s.seats.size()) {
+    help(s, member);
+    s.seats[member].held = false;
+  } else {  // a helper that was about to leave, and is not counted on, has not left yet
+    --s.helpers;
+  }
 }
 
 void ThreadTeam::help(Shared& s, size_t member) {
@@ -171,15 +202,15 @@ bool ThreadTeam::run(int64_t first, std::span<const int64_t> ends, void (*work)(
   s.failed = false;
   s.first = first;
   s.ends = ends;
-  s.done = first;
+  for (Shared::Seat& seat : s.seats) seat.done.store(0, std::memory_order_relaxed);
   s.used_parts = static_cast<size_t>(std::min<int64_t>(s.threads, most_chunks(first, ends)));
   const auto parts = static_cast<int>(s.used_parts);
   for (int k = 0; k < parts; ++k) s.parts[static_cast<size_t>(k)].taken = 0;
   ++s.number;
   while (s.helpers < parts - 1) {
-    const auto member = static_cast<size_t>(++s.helpers);
+    ++s.helpers;
     try {
-      arena_.enqueue([shared = shared_, member] { help(*shared, member); });
+      arena_.enqueue([shared = shared_] { come(*shared); });
     } catch (...) {  // out of memory: those who are there do it
       --s.helpers;
       break;

@@ -27,6 +27,7 @@ class ThreadTeam {
 
  private:
   struct Shared;
+  static void come(Shared& shared);
   static void help(Shared& shared, size_t member);
 
   const std::shared_ptr<Shared> shared_;  // with the helpers, which may outlive the team

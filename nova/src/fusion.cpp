@@ -123,14 +123,15 @@ uint32_t end_of_series(std::span<const OpList::Op> ops, const Segment& segment, 
 
 novaphy_status run_rows(const novaphy::DeviceContext& context, const OpList::Op& op,
                         const uint64_t* words, int64_t n, int64_t begin, int64_t rows,
-                        novaphy_error& error) {
-  if (rows == n) return issue(context, context.stream, op, words, error);
+                        novaphy_error& error, const MovedWords& moved) {
+  if (rows == n && moved.words.empty()) return issue(context, context.stream, op, words, error);
   const novaphy_backend_api& api = *context.api;
   if (op.kind == OpList::Op::Kind::Launch) {
     uint64_t arguments[kMaxFusedWords];
     const int64_t factor = op.n / n;
     const auto skip = static_cast<uint64_t>(begin * factor);
     std::memcpy(arguments, words + op.first_word, op.word_count * sizeof(uint64_t));
+    for (const MovedWord& m : moved.words) arguments[m.word] = moved.bases[m.memory];
     for (const auto* list : {&op.layout->inputs, &op.layout->outputs, &op.layout->tables})
       for (const RowLayout::Word& w : *list) arguments[w.word] += skip * w.row_bytes;
     return api.launch(context.stream, op.kernel, rows * factor, arguments, op.word_count, &error);

@@ -20,12 +20,19 @@ struct RowLayout {
     uint32_t word;       // argument word that holds a pointer
     uint32_t row_bytes;  // bytes per row
   };
+  // A source of which the rows items[k] are read, for k from offsets[row] to offsets[row + 1], and
+  // no other.
+  struct Gathered {
+    uint32_t source, offsets, items;  // argument words
+    uint32_t row_bytes;
+  };
   bool row_local = false;     // the row number is used for nothing but direct reads and writes
   uint32_t operations = 1;    // of a row, about
   std::vector<Word> inputs;   // advanced by the row
   std::vector<Word> outputs;  // advanced by the row
   std::vector<Word> tables;   // advanced by the row; index data that no kernel writes
   std::vector<Word> shared;   // read at other rows; the word after it is the number of rows
+  std::vector<Gathered> gathered;
 };
 RowLayout row_layout(const ir::Program& program);
 
@@ -64,11 +71,20 @@ struct PlanLimits {
 RunPlan plan_run(std::span<const OpList::Op> ops, std::span<const uint64_t> words,
                  std::span<const MemoryAccess> accesses, const PlanLimits& limits = {});
 
+// Arguments that point elsewhere than was recorded: to bases[memory], as if row 0 were there.
+struct MovedWord {
+  uint32_t word, memory;
+};
+struct MovedWords {
+  std::span<const MovedWord> words = {};
+  const uint64_t* bases = nullptr;
+};
+
 // Runs the rows [begin, begin + rows) of n that an operation can be cut into; a launch over m * n
 // rows has m there for each. OK, or the backend's status and message.
 novaphy_status run_rows(const novaphy::DeviceContext& context, const OpList::Op& op,
                         const uint64_t* words, int64_t n, int64_t begin, int64_t rows,
-                        novaphy_error& error);
+                        novaphy_error& error, const MovedWords& moved = {});
 
 // Throws what an operation fails with. The message of a part of its rows counts from the first of
 // them, so the operation is asked once more as a whole; `error` is what the part said.

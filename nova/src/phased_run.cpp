@@ -22,7 +22,6 @@ constexpr int64_t kWorthSharing = 1 << 17;
 // what it reads; many rows are cut further, so that a thread can take over from another. A call for
 // a quarter of these rows costs up to a tenth more: compiled code is slow to begin.
 constexpr int64_t kFewRows = 1024, kMostEach = 32;
-constexpr int64_t kGroup = 16;  // rows that compiled code computes together, at most
 // Between two looks at an interrupt.
 constexpr size_t kPhasesPerRound = 64;
 // What was touched so many phases ago is not near any more. It is fetched some phases early, unless
@@ -59,39 +58,58 @@ bool fits_phases(const OpList::Op& op, std::span<const uint64_t> words,
   return bytes <= kSmallBytes;
 }
 
-int64_t PhasedRun::Chain::begin(uint32_t chunk) const {
-  return chunk == chunks ? rows : rows * chunk / chunks / kGroup * kGroup;
-}
-
 PhasedRun::PhasedRun(const novaphy::DeviceContext& context, std::span<OpList::Op> ops,
                      std::span<const uint64_t> words, std::span<const MemoryAccess> accesses)
     : context_(context), words_(words), ops_(ops) {
   const std::vector<Phased> placed = plan_phases(ops, words, accesses);
   threads_ = threads_for(placed, ops);
   const std::vector<OpList::Op> recorded(ops.begin(), ops.end());
-  for (size_t k = 0; k < placed.size(); ++k) {
+  const auto count = static_cast<uint32_t>(placed.size());
+  for (uint32_t k = 0; k < count; ++k) {
     ops[k] = recorded[placed[k].op];
     order_.push_back(placed[k].op);
   }
-  const auto count = static_cast<uint32_t>(placed.size());
   for (uint32_t k = 0; k < count;) {
-    const uint32_t phase = placed[k].phase;
+    const Phased& p = placed[k];
+    const uint32_t first = k;
+    while (k < count && placed[k].phase == p.phase && placed[k].chain == p.chain) ++k;
+    chains_.push_back(
+        {first, k, p.phase, parts_of(ops_.subspan(first, k - first), p.rows), p.rows});
+  }
+  overlap_ = std::make_unique<const Overlap>(ops_, words_, accesses, chains_,
+                                             static_cast<uint32_t>(threads_));
+  make_chunks();
+  find_cold(accesses);
+}
+
+uint32_t PhasedRun::parts_of(std::span<const OpList::Op> chain, int64_t rows) const {
+  if (!std::all_of(chain.begin(), chain.end(), can_be_cut)) return 1;
+  const int64_t each = std::clamp<int64_t>(rows / (threads_ * kFewRows), 1, kMostEach);
+  return static_cast<uint32_t>(std::min(threads_ * each, (rows + kGroupRows - 1) / kGroupRows));
+}
+
+void PhasedRun::make_chunks() {
+  const auto count = static_cast<uint32_t>(chains_.size());
+  for (uint32_t c = 0; c < count;) {
+    const uint32_t phase = chains_[c].phase;
+    uint32_t end = c;
+    while (end < count && chains_[end].phase == phase) ++end;
     const auto begin = static_cast<ptrdiff_t>(chunks_.size());
-    while (k < count && placed[k].phase == phase) {
-      const uint32_t first = k, chain = placed[k].chain;
-      while (k < count && placed[k].phase == phase && placed[k].chain == chain) ++k;
-      add_chain(first, k, static_cast<uint32_t>(ends_.size()), placed[first].rows);
+    while (c < end) {
+      const uint32_t first = c, last = overlap_->joint(phase) ? end : c + 1;
+      for (uint32_t part = 0; part < chains_[c].parts; ++part)
+        chunks_.push_back({first, last, part});
+      c = last;
     }
     // The same part of all chains together: a thread gets a part of each, and elements near the
     // particles that it moves.
-    const auto place = [this](const Chunk& c) {
-      return static_cast<double>(c.number) / static_cast<double>(chains_[c.chain].chunks);
+    const auto place = [this](const Chunk& chunk) {
+      return static_cast<double>(chunk.part) / static_cast<double>(chains_[chunk.first].parts);
     };
     std::stable_sort(chunks_.begin() + begin, chunks_.end(),
                      [&](const Chunk& a, const Chunk& b) { return place(a) < place(b); });
     ends_.push_back(static_cast<int64_t>(chunks_.size()));
   }
-  find_cold(accesses);
 }
 
 void PhasedRun::find_cold(std::span<const MemoryAccess> accesses) {
@@ -120,7 +138,7 @@ void PhasedRun::find_cold(std::span<const MemoryAccess> accesses) {
 
 // Of what later phases touch, one of so many parts of what is where this chunk is in its own phase.
 void PhasedRun::fetch_early(int64_t chunk, uint32_t part, uint32_t parts) const {
-  const uint32_t phase = chains_[chunks_[static_cast<size_t>(chunk)].chain].phase;
+  const uint32_t phase = chains_[chunks_[static_cast<size_t>(chunk)].first].phase;
   const int64_t first = phase == 0 ? 0 : ends_[phase - 1];
   const auto all = static_cast<uint64_t>(ends_[phase] - first) * parts,
              place = static_cast<uint64_t>(chunk - first) * parts + part;
@@ -139,18 +157,6 @@ void PhasedRun::fetch_early(int64_t chunk, uint32_t part, uint32_t parts) const 
   }
 }
 
-void PhasedRun::add_chain(uint32_t first, uint32_t last, uint32_t phase, int64_t rows) {
-  const auto ops = ops_.subspan(first, last - first);
-  int64_t chunks = 1;
-  if (std::all_of(ops.begin(), ops.end(), can_be_cut)) {
-    const int64_t each = std::clamp<int64_t>(rows / (threads_ * kFewRows), 1, kMostEach);
-    chunks = std::min(threads_ * each, (rows + kGroup - 1) / kGroup);
-  }
-  const auto number = static_cast<uint32_t>(chains_.size());
-  chains_.push_back({first, last, phase, static_cast<uint32_t>(chunks), rows});
-  for (uint32_t c = 0; c < chains_.back().chunks; ++c) chunks_.push_back({number, c});
-}
-
 struct PhasedRun::Failure {
   std::atomic<bool> any{false};
   std::mutex mutex = {};
@@ -161,20 +167,22 @@ struct PhasedRun::Failure {
 
 void PhasedRun::run_chunk(int64_t number, Failure& failure) const {
   const Chunk& chunk = chunks_[static_cast<size_t>(number)];
-  const Chain& chain = chains_[chunk.chain];
-  if (failure.any && failure.phase < chain.phase) [[unlikely]]
+  const Chain* chain = &chains_[chunk.first];
+  const uint32_t first = chain->first, last = chains_[chunk.last - 1].last;
+  if (failure.any && failure.phase < chain->phase) [[unlikely]]
     return;
-  const int64_t begin = chain.begin(chunk.number), rows = chain.begin(chunk.number + 1) - begin;
   novaphy_error error = novaphy::make_error();
-  for (uint32_t k = chain.first; k < chain.last; ++k) {
-    fetch_early(number, k - chain.first, chain.last - chain.first);
-    const novaphy_status status =
-        run_rows(context_, ops_[k], words_.data(), chain.rows, begin, rows, error);
+  for (uint32_t k = first; k < last; ++k) {
+    if (k == chain->last) ++chain;
+    fetch_early(number, k - first, last - first);
+    const auto [begin, end] = overlap_->rows(k, *chain, chunk.part);
+    const novaphy_status status = run_rows(context_, ops_[k], words_.data(), chain->rows, begin,
+                                           end - begin, error, overlap_->moved(k, chunk.part));
     if (status == NOVAPHY_OK) [[likely]]
       continue;
     const std::lock_guard lock(failure.mutex);
     // Others look at the phase without the lock: it is written once, before `any`.
-    if (!failure.any) failure.phase = chain.phase;
+    if (!failure.any) failure.phase = chain->phase;
     if (!failure.any || order_[k] < order_[failure.op]) {
       failure.op = k;
       failure.status = status;

@@ -171,6 +171,59 @@ TEST(SoftBodyDiff, ThreadsAndReplayChangeNoBit) {
   }
 }
 
+// Threads share the phases of its replay, and compute the elements at their borders both.
+TEST(ClothDiff, ThreadsAndReplayChangeNoBit) {
+  constexpr int kSteps = 30;
+  ModelBuilder builder;
+  builder.add_cloth_grid({.placement = {.vel = {0.0f, 0.4f, -1.5f}},
+                          .dim_x = 14,
+                          .dim_y = 13,
+                          .cell_x = 0.07f,
+                          .cell_y = 0.08f,
+                          .mass = 1.0f,
+                          .fix_left = true,
+                          .tri = {1e3f, 1e3f, 10.0f, 10.0f, 5.0f},
+                          .edge = {10.0f, 0.1f}});
+  const auto model = builder.finalize(Device::cpu());
+  const auto run = [&model](int threads, bool replay) {
+    const int before = num_threads();
+    set_num_threads(threads);
+    DiffSemiImplicitSolver solver(model, kAll);
+    Trajectory trajectory(model, kSteps);
+    const Tensor qd = diff::state_particle_qd_tensor(trajectory.state(0), true);
+    const auto iterate = [&] {
+      nova::Tape tape(nova::KeepGradients::Leaves);
+      const nova::TapeScope scope(tape);
+      solver.rollout(trajectory, nullptr, nullptr, 5e-4f);
+      const Tensor last = diff::state_particle_q_tensor(trajectory.state(kSteps));
+      tape.backward(diff::vec3_point_loss_generated(diff::particle_centroid_generated(last), 0.1f,
+                                                    0.2f, 0.3f));
+    };
+    std::shared_ptr<nova::OpList> graph;
+    if (replay) {
+      nova::ScopedCapture capture;
+      iterate();
+      graph = capture.graph();
+    } else {
+      iterate();
+    }
+    if (replay) graph->launch();
+    std::vector<float> result = qd.grad().to_host();
+    const std::vector<Vec3f> q = trajectory.state(kSteps).particle_q.to_host();
+    const auto* values = reinterpret_cast<const float*>(q.data());
+    result.insert(result.end(), values, values + q.size() * 3);
+    set_num_threads(before);
+    return result;
+  };
+  const std::vector<float> one = run(1, false);
+  EXPECT_GT(std::count_if(one.begin(), one.end(), [](float v) { return v != 0.0f; }), 1000);
+  EXPECT_TRUE(std::all_of(one.begin(), one.end(), [](float v) { return std::isfinite(v); }));
+  for (const int threads : {1, 2, 7, 13}) {
+    EXPECT_TRUE(same_bits<float>(run(threads, true), one)) << threads;
+    EXPECT_TRUE(same_bits<float>(run(threads, false), one)) << threads;
+  }
+}
+
 // Every way through a step of a scene with elements of all kinds and recorded contacts.
 TEST(SoftBodyDiff, StepAndRolloutHaveTheBitsOfTheForwardSolver) {
   ModelBuilder builder;

@@ -1,0 +1,78 @@
+// Internal: phases that need no meeting of the threads between them, because each part of the rows
+// computes all that its own sums need. Elements near a border are computed by both sides.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <memory>
+#include <span>
+#include <vector>
+
+#include "fusion.h"
+#include "novaphy/nova/op_list.h"
+
+namespace nova::detail {
+
+inline constexpr int64_t kGroupRows = 16;  // that compiled code computes together, at most
+
+// Where a part of so many rows begins: at a multiple of `whole`.
+inline int64_t part_begin(int64_t rows, uint32_t part, uint32_t parts, int64_t whole) {
+  return part == parts ? rows : rows * part / parts / whole * whole;
+}
+
+// Operations [first, last), one after another for each part of the rows.
+struct Chain {
+  uint32_t first, last;
+  uint32_t phase, parts;
+  int64_t rows;
+  int64_t whole = kGroupRows;
+};
+
+// What elements write and sums gather, as forces, goes to memory of the part; and what a phase
+// writes while another part may still read the value before it, to a second place. Then the phases
+// of elements and of their sums can be joined: one thread does a part of both. What is written last
+// is where it was recorded, for others to see.
+class Overlap {
+ public:
+  struct Rows {
+    int64_t begin, end;
+  };
+
+  // For operations in the order of chains, and chains in the order of phases, whose numbers change
+  // when phases are joined. Chains of another number of parts stay as they are. Index tables are
+  // read now.
+  Overlap(std::span<const OpList::Op> ops, std::span<const uint64_t> words,
+          std::span<const MemoryAccess> accesses, std::span<Chain> chains, uint32_t parts);
+
+  // Whether a part of all chains of a phase is done as one.
+  bool joint(uint32_t phase) const { return joint_[phase]; }
+  // The rows of an operation of this chain that a part does.
+  Rows rows(uint32_t op, const Chain& chain, uint32_t part) const {
+    const uint32_t set = changes_[op].rows;
+    if (set != 0) return rows_[size_t{set - 1} * parts_ + part];
+    return {part_begin(chain.rows, part, chain.parts, chain.whole),
+            part_begin(chain.rows, part + 1, chain.parts, chain.whole)};
+  }
+  // The arguments that point elsewhere than was recorded.
+  MovedWords moved(uint32_t op, uint32_t part) const {
+    const Change& c = changes_[op];
+    return {std::span(moved_).subspan(c.first, c.words), bases_.data() + part * memory_.size()};
+  }
+
+ private:
+  struct Change {
+    uint32_t rows = 0;              // the set of rows, from 1 on; 0: parts do their own
+    uint32_t first = 0, words = 0;  // moved
+  };
+  class Planner;
+
+  const uint32_t parts_;
+  std::vector<bool> joint_;
+  std::vector<Change> changes_;  // by operation
+  std::vector<MovedWord> moved_;
+  std::vector<Rows> rows_;       // of each part, set by set
+  std::vector<uint64_t> bases_;  // of each memory, part by part: where row 0 would be
+  std::vector<std::unique_ptr<std::byte[]>> memory_;
+};
+
+}  // namespace nova::detail

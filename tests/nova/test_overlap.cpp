@@ -1,0 +1,314 @@
+// Phases that are joined because parts of elements overlap: when they are, what each part does
+// then, and that it changes no bit.
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <array>
+
+#include "novaphy/core/parallel.h"
+#include "novaphy/nova/incidence.h"
+#include "novaphy/nova/op_list.h"
+#include "overlap.h"
+#include "support.h"
+
+namespace novaphy::testing {
+namespace {
+
+using nova::Operand;
+using nova::OpList;
+using nova::detail::Chain;
+using nova::detail::MovedWords;
+using nova::detail::Overlap;
+using nova::detail::RowLayout;
+
+// Steps over nodes on a line: element i pulls at the two nodes that it names, the forces are
+// summed, the nodes move. Nothing but the index tables is memory.
+class Line {
+ public:
+  static constexpr int64_t kNodes = 160, kElements = 159;
+  static constexpr uint64_t kForces = 0x100000, kSums = 0x200000, kStates = 0x300000;
+
+  // The other node of an element, and how many arrays of positions take turns.
+  explicit Line(int steps, int32_t (*other)(int32_t), uint64_t arrays, uint32_t parts) {
+    std::vector<std::vector<int32_t>> of(kNodes);
+    for (int32_t i = 0; i < kElements; ++i) {
+      of[static_cast<size_t>(i)].push_back(2 * i);
+      of[static_cast<size_t>(other(i))].push_back(2 * i + 1);
+    }
+    for (const auto& slots : of) {
+      offsets.push_back(static_cast<int32_t>(items.size()));
+      items.insert(items.end(), slots.begin(), slots.end());
+    }
+    offsets.push_back(static_cast<int32_t>(items.size()));
+    const auto state = [&](int step) {
+      return kStates + 0x1000 * (static_cast<uint64_t>(step) % arrays);
+    };
+    for (int t = 0; t < steps; ++t) {
+      const auto phase = static_cast<uint32_t>(2 * t);
+      launch(elements_, kElements, {state(t), kNodes, kForces});
+      launch(sums_, kNodes, {kForces, 2 * kElements, word(offsets), word(items), kSums});
+      launch(move_, kNodes, {kSums, kNodes, state(t + 1)});
+      const auto op = static_cast<uint32_t>(ops.size());
+      chains.push_back({op - 3, op - 2, phase, parts, kElements});
+      chains.push_back({op - 2, op, phase + 1, parts, kNodes});
+    }
+  }
+  Overlap plan() { return {ops, words, {}, chains, chains[0].parts}; }
+  // Something that wants it where it is looks at the memory after the third step.
+  void look_at(uint64_t begin, int64_t bytes) {
+    OpList::Op copy{OpList::Op::Kind::Copy};
+    copy.source = reinterpret_cast<const void*>(begin);
+    copy.target = reinterpret_cast<void*>(0x900000);
+    copy.n = bytes;
+    ops.insert(ops.begin() + 9, copy);
+    for (size_t c = 6; c < chains.size(); ++c) {
+      ++chains[c].first;
+      ++chains[c].last;
+    }
+    chains.insert(chains.begin() + 6, {9, 10, 5, 1, bytes / 4});
+  }
+  uint32_t phases() const { return chains.back().phase + 1; }
+
+  std::vector<OpList::Op> ops;
+  std::vector<uint64_t> words;
+  std::vector<Chain> chains;
+  std::vector<int32_t> offsets, items;
+
+ private:
+  static uint64_t word(const std::vector<int32_t>& values) {
+    return reinterpret_cast<uint64_t>(values.data());
+  }
+  static RowLayout local() {
+    RowLayout layout;
+    layout.row_local = true;
+    return layout;
+  }
+  void launch(const RowLayout& layout, int64_t n, const std::vector<uint64_t>& arguments) {
+    OpList::Op op{OpList::Op::Kind::Launch};
+    op.n = n;
+    op.layout = &layout;
+    op.first_word = static_cast<uint32_t>(words.size());
+    op.word_count = static_cast<uint32_t>(arguments.size());
+    words.insert(words.end(), arguments.begin(), arguments.end());
+    ops.push_back(op);
+  }
+
+  const RowLayout elements_ = [] {
+    RowLayout layout = local();
+    layout.shared = {{0, 12}};
+    layout.outputs = {{2, 24}};
+    return layout;
+  }();
+  const RowLayout sums_ = [] {
+    RowLayout layout = local();
+    layout.shared = {{0, 12}};
+    layout.gathered = {{0, 2, 3, 12}};
+    layout.outputs = {{4, 12}};
+    return layout;
+  }();
+  const RowLayout move_ = [] {
+    RowLayout layout = local();
+    layout.inputs = {{0, 12}};
+    layout.outputs = {{2, 12}};
+    return layout;
+  }();
+};
+
+int32_t next(int32_t i) { return i + 1; }
+// Where that word of that operation points for the part.
+uint64_t pointer(const Line& line, const Overlap& plan, uint32_t op, uint32_t word, uint32_t part) {
+  const MovedWords moved = plan.moved(op, part);
+  for (const auto& m : moved.words)
+    if (m.word == word) return moved.bases[m.memory];
+  return line.words[line.ops[op].first_word + word];
+}
+
+TEST(Overlap, ElementsAndTheirSumsBecomeOnePhase) {
+  Line line(5, next, 10, 4);
+  const Overlap plan = line.plan();
+  EXPECT_EQ(line.phases(), 6u);  // the last forces stay for others to see, and their sums wait
+  for (uint32_t p = 0; p < 6; ++p) EXPECT_EQ(plan.joint(p), p < 4) << p;
+  // Nodes 40 to 79 need the elements 39 to 79, in whole groups of sixteen.
+  const std::array<std::array<int64_t, 2>, 4> rows = {{{0, 48}, {32, 80}, {64, 128}, {112, 159}}};
+  for (uint32_t part = 0; part < 4; ++part) {
+    const auto elements = plan.rows(3, line.chains[2], part);
+    EXPECT_EQ(elements.begin, rows[part][0]);
+    EXPECT_EQ(elements.end, rows[part][1]);
+    const auto sums = plan.rows(4, line.chains[3], part);
+    EXPECT_EQ(sums.begin, 40 * part);
+    EXPECT_EQ(sums.end, 40 * part + 40);
+    // What the part writes is what it sums, and no other part touches it.
+    const uint64_t forces = pointer(line, plan, 3, 2, part);
+    EXPECT_EQ(pointer(line, plan, 4, 0, part), forces);
+    for (uint32_t other = 0; other < part; ++other) {
+      const auto before = plan.rows(3, line.chains[2], other);
+      const uint64_t a = forces + 24 * static_cast<uint64_t>(elements.begin),
+                     b = pointer(line, plan, 3, 2, other) + 24 * static_cast<uint64_t>(before.end);
+      EXPECT_TRUE(a >= b) << part << " " << other;
+    }
+  }
+  const auto last = plan.rows(12, line.chains[8], 1);
+  EXPECT_EQ(last.begin, 32);
+  EXPECT_EQ(last.end, 64);
+  EXPECT_EQ(pointer(line, plan, 12, 2, 1), Line::kForces);
+}
+
+TEST(Overlap, WhatAnotherPartStillReadsIsWrittenElsewhere) {
+  Line line(6, next, 1, 4);  // nodes move in place, while other parts read where they were
+  const Overlap plan = line.plan();
+  EXPECT_EQ(line.phases(), 7u);
+  for (uint32_t t = 0; t < 6; ++t) {
+    const uint64_t written = pointer(line, plan, 3 * t + 2, 2, 1);
+    if (t != 0) {
+      EXPECT_NE(written, pointer(line, plan, 3 * t, 0, 1)) << t;
+    }
+    if (t < 5) {
+      EXPECT_EQ(written, pointer(line, plan, 3 * t + 3, 0, 2)) << t;
+    }
+  }
+  EXPECT_EQ(pointer(line, plan, 17, 2, 1), Line::kStates);
+}
+
+TEST(Overlap, StaysAsRecordedWhereItGainsNothing) {
+  {
+    SCOPED_TRACE("elements of far nodes");  // every part would compute all of them
+    Line line(
+        5, [](int32_t i) { return (i * 67 + 80) % 160; }, 10, 8);
+    const Overlap plan = line.plan();
+    EXPECT_EQ(line.phases(), 10u);
+    for (uint32_t k = 0; k < line.ops.size(); ++k) EXPECT_TRUE(plan.moved(k, 0).words.empty());
+  }
+  {
+    SCOPED_TRACE("an item of another array");
+    Line line(5, next, 10, 4);
+    line.items[7] = 2 * Line::kElements;
+    line.plan();
+    EXPECT_EQ(line.phases(), 10u);
+  }
+  {
+    SCOPED_TRACE("other parts than threads");
+    Line line(5, next, 10, 4);
+    for (Chain& chain : line.chains) chain.parts = chain.rows == Line::kNodes ? 2 : 4;
+    line.plan();
+    EXPECT_EQ(line.phases(), 10u);
+  }
+}
+
+TEST(Overlap, WhoElseLooksFindsWhatWasRecorded) {
+  Line forces(5, next, 10, 4);
+  forces.look_at(Line::kForces, 24 * Line::kElements);
+  const Overlap plan = forces.plan();
+  EXPECT_EQ(forces.phases(), 7u);
+  EXPECT_NE(pointer(forces, plan, 3, 2, 1), Line::kForces);
+  EXPECT_EQ(pointer(forces, plan, 6, 2, 1), Line::kForces);
+  EXPECT_EQ(pointer(forces, plan, 7, 0, 1), Line::kForces);
+
+  Line states(6, next, 1, 4);
+  states.look_at(Line::kStates, 12 * Line::kNodes);
+  const Overlap other = states.plan();
+  EXPECT_NE(pointer(states, other, 5, 2, 1), Line::kStates);
+  EXPECT_EQ(pointer(states, other, 8, 2, 1), Line::kStates);
+  EXPECT_EQ(pointer(states, other, 10, 0, 1), Line::kStates);
+}
+
+// The same on a device: nodes near one another in three arrays that take turns, and forces that are
+// looked at once in the middle.
+class Net {
+ public:
+  static constexpr int64_t kNodes = 1100, kElements = 1500;
+  static constexpr int32_t kCorners = 3;
+
+  Net() {
+    Random random(5);
+    for (Tensor& t : x_) t = tensor(random.values(kNodes * 3), {kNodes, 3});
+    std::vector<int32_t> corners;
+    for (int32_t i = 0; i < kElements; ++i)
+      for (int32_t c = 0; c < kCorners; ++c)
+        corners.push_back(static_cast<int32_t>(i * (kNodes - 12) / kElements) + random.below(12));
+    corners_ = table(corners, kCorners);
+    incidence_ = nova::make_incidence(corners_.operand(), kNodes);
+  }
+  void run(int steps) const {
+    Operand gathered = forces_.operand();
+    gathered.rows = kElements * kCorners;
+    gathered.width = 3;
+    for (int t = 0; t < steps; ++t) {
+      const Tensor &now = x_[static_cast<size_t>(t % 3)],
+                   &then = x_[static_cast<size_t>((t + 1) % 3)];
+      launch(element(), kElements, {corners_.operand(), now.operand()}, forces_.operand());
+      nova::row_sum(gathered, *incidence_, nullptr, sums_.operand());
+      launch(move(), kNodes, {now.operand(), sums_.operand()}, then.operand());
+      if (t == steps / 2) nova::submit_copy(seen_.range(), forces_.range());
+    }
+  }
+  std::vector<std::vector<float>> values() const {
+    return {x_[0].to_host(),   x_[1].to_host(), x_[2].to_host(),
+            forces_.to_host(), sums_.to_host(), seen_.to_host()};
+  }
+
+ private:
+  static void launch(const Kernel& kernel, int64_t n, std::vector<Operand> in, Operand out) {
+    kernel.launch(n, in, {&out, 1});
+  }
+  static const Kernel& element() {
+    static const Kernel kernel = nova::make_kernel(
+        "net_element",
+        {{"corners", DType::I32, kCorners, Access::Direct}, {"x", DType::F32, 3, Access::Indexed}},
+        {{"f", 3 * kCorners}}, [](TraceContext& c) {
+          std::vector<Real> f;
+          for (int32_t a = 0; a < kCorners; ++a)
+            for (int32_t k = 0; k < 3; ++k) {
+              Real d = c.f32(1, c.i32(0, (a + 1) % kCorners), k) - c.f32(1, c.i32(0, a), k);
+              for (int n = 0; n < 12; ++n) d = d * Real(0.75f) + nova::sin(d) * Real(0.25f);
+              f.push_back(d);
+            }
+          return f;
+        });
+    return kernel;
+  }
+  static const Kernel& move() {
+    static const Kernel kernel = nova::make_kernel(
+        "net_move", {{"x", DType::F32, 3, Access::Direct}, {"f", DType::F32, 3, Access::Direct}},
+        {{"y", 3}}, [](TraceContext& c) {
+          std::vector<Real> y;
+          for (int32_t k = 0; k < 3; ++k) y.push_back(c.f32(0, k) + c.f32(1, k) * Real(0.05f));
+          return y;
+        });
+    return kernel;
+  }
+
+  std::array<Tensor, 3> x_;
+  Tensor corners_;
+  nova::Incidence incidence_;
+  Tensor forces_ = tensor(std::vector<float>(kElements * 9), {kElements, 9});
+  Tensor sums_ = tensor(std::vector<float>(kNodes * 3), {kNodes, 3});
+  Tensor seen_ = tensor(std::vector<float>(kElements * 9), {kElements, 9});
+};
+
+TEST(Overlap, AReplayHasTheBitsOfRunningAsWritten) {
+  constexpr int kSteps = 20;
+  const int before = num_threads();
+  for (const int threads : {2, 5, 7, 16}) {
+    set_num_threads(threads);
+    const Net direct, replayed;
+    direct.run(kSteps);
+    direct.run(kSteps);
+    std::shared_ptr<OpList> graph;
+    {
+      const nova::ScopedCapture capture;
+      replayed.run(kSteps);
+      graph = capture.graph();
+    }
+    graph->prepare();
+    graph->launch();
+    graph->launch();
+    const auto expected = direct.values(), got = replayed.values();
+    EXPECT_NE(expected[0], Net().values()[0]);
+    for (size_t k = 0; k < expected.size(); ++k)
+      EXPECT_TRUE(same_bits<float>(got[k], expected[k])) << threads << " threads, array " << k;
+  }
+  set_num_threads(before);
+}
+
+}  // namespace
+}  // namespace novaphy::testing

@@ -147,9 +147,11 @@ novaphy_status run_rows(const novaphy::DeviceContext& context, const OpList::Op&
 }
 
 void fail_as_a_whole(const novaphy::DeviceContext& context, const OpList::Op& op,
-                     const uint64_t* words, novaphy_status status, const novaphy_error& error) {
+                     const uint64_t* words, novaphy_status status, const novaphy_error& error,
+                     const MovedWords& moved) {
   novaphy_error whole = novaphy::make_error();
-  const novaphy_status again = issue(context, context.stream, op, words, whole);
+  const int64_t rows = rows_of(op);
+  const novaphy_status again = run_rows(context, op, words, rows, 0, rows, whole, moved);
   if (again == status) novaphy::check(again, whole, op.name);
   novaphy::check(status, error, op.name);
 }

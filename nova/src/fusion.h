@@ -89,7 +89,8 @@ novaphy_status run_rows(const novaphy::DeviceContext& context, const OpList::Op&
 // Throws what an operation fails with. The message of a part of its rows counts from the first of
 // them, so the operation is asked once more as a whole; `error` is what the part said.
 void fail_as_a_whole(const novaphy::DeviceContext& context, const OpList::Op& op,
-                     const uint64_t* words, novaphy_status status, const novaphy_error& error);
+                     const uint64_t* words, novaphy_status status, const novaphy_error& error,
+                     const MovedWords& moved = {});
 
 class PhasedRun;
 

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <map>
+#include <set>
 #include <tuple>
 #include <utility>
 
@@ -174,6 +175,7 @@ class Overlap::Planner {
   // Where no operation needs a value in the first place, it goes to another one than the next
   // value. The last of all stays in the first.
   void give_second_place(uint64_t end, const std::vector<Value>& values) {
+    if (std::all_of(values.begin(), values.end(), fixed)) return;
     const uint64_t begin = values[0].begin;
     const uint32_t place = allocate(std::vector(plan_.parts_, Rows{0, 1}), end - begin, true);
     bool second = false;
@@ -186,11 +188,13 @@ class Overlap::Planner {
   }
 
   void give_parts(uint32_t op, const std::vector<Value>& values) {
-    if (values.size() != ops_[op].layout->outputs.size()) return;
+    // A sum does its own rows, so it cannot be the elements of another one as well.
+    if (values.size() != ops_[op].layout->outputs.size() || sums_.contains(op)) return;
     Elements elements{op, 0, {}};
     std::vector<Needed> needed;
     for (const Value& value : values)
       for (const Use& use : value.uses.subspan(1)) {
+        if (value.uses[0].row_bytes % use.row_bytes != 0) return;  // items of several rows
         elements.sums.push_back(use.op);
         needed.emplace_back(arguments(use.op)[use.gathered->offsets],
                             arguments(use.op)[use.gathered->items], ops_[use.op].n, use.row_bytes,
@@ -210,6 +214,7 @@ class Overlap::Planner {
       for (const Use& use : value.uses)
         moves_[use.op].push_back({value.begin, use.word, known->second, number});
     }
+    sums_.insert(elements.sums.begin(), elements.sums.end());
     elements_.push_back(std::move(elements));
   }
   // The rows that each part needs, as a number from 1 on; 0: it is not worth it, or not known.
@@ -336,9 +341,13 @@ class Overlap::Planner {
     for (const auto& [op, moves] : moves_) {
       Change& change = plan_.changes_[op];
       change.first = static_cast<uint32_t>(plan_.moved_.size());
-      for (const Move& move : moves)
-        if (active(move)) plan_.moved_.push_back({move.word, move.memory});
-      change.words = static_cast<uint32_t>(plan_.moved_.size()) - change.first;
+      for (const bool shared : {true, false}) {
+        for (const Move& move : moves)
+          if (active(move) && (move.elements == kSecondPlace) == shared)
+            plan_.moved_.push_back({move.word, move.memory});
+        (shared ? change.shared : change.words) =
+            static_cast<uint32_t>(plan_.moved_.size()) - change.first;
+      }
     }
     for (uint32_t part = 0; part < plan_.parts_; ++part)
       for (size_t memory = 0; memory < plan_.memory_.size(); ++memory)
@@ -360,6 +369,7 @@ class Overlap::Planner {
   std::map<uint32_t, std::vector<Value>> gathered_;  // by nothing but sums; by who wrote them
   std::vector<std::pair<uint64_t, std::vector<Value>>> others_;  // and where their memory ends
   std::vector<Elements> elements_;
+  std::set<uint32_t> sums_;                      // of elements
   std::map<uint32_t, std::vector<Move>> moves_;  // by operation
   std::map<std::pair<std::vector<Needed>, int64_t>, uint32_t> sets_;
   std::map<std::pair<uint64_t, uint32_t>, uint32_t> own_;  // memory, by its begin and the rows

@@ -58,11 +58,17 @@ class Overlap {
     const Change& c = changes_[op];
     return {std::span(moved_).subspan(c.first, c.words), bases_.data() + part * memory_.size()};
   }
+  // Those of them that are the same for all parts.
+  MovedWords moved_for_all(uint32_t op) const {
+    const Change& c = changes_[op];
+    return {std::span(moved_).subspan(c.first, c.shared), bases_.data()};
+  }
 
  private:
   struct Change {
     uint32_t rows = 0;              // the set of rows, from 1 on; 0: parts do their own
-    uint32_t first = 0, words = 0;  // moved
+    uint32_t first = 0, words = 0;  // moved; those for all parts come first
+    uint32_t shared = 0;            // so many are for all parts
   };
   class Planner;
 

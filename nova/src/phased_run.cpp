@@ -214,7 +214,7 @@ void PhasedRun::run() const {
     first = ends.back();
     if (work.failure.any)
       fail_as_a_whole(context_, ops_[work.failure.op], words_.data(), work.failure.status,
-                      work.failure.error);
+                      work.failure.error, overlap_->moved_for_all(work.failure.op));
   }
 }
 

@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <array>
+#include <utility>
 
 #include "novaphy/core/parallel.h"
 #include "novaphy/nova/incidence.h"
@@ -29,7 +30,10 @@ class Line {
   static constexpr uint64_t kForces = 0x100000, kSums = 0x200000, kStates = 0x300000;
 
   // The other node of an element, and how many arrays of positions take turns.
-  explicit Line(int steps, int32_t (*other)(int32_t), uint64_t arrays, uint32_t parts) {
+  // `bytes`: of a row of what elements write.
+  Line(int steps, int32_t (*other)(int32_t), uint64_t arrays, uint32_t parts, uint32_t bytes = 24) {
+    elements_.outputs[0].row_bytes = bytes;
+    const int64_t rows = kElements * 24 / bytes;
     std::vector<std::vector<int32_t>> of(kNodes);
     for (int32_t i = 0; i < kElements; ++i) {
       of[static_cast<size_t>(i)].push_back(2 * i);
@@ -45,11 +49,11 @@ class Line {
     };
     for (int t = 0; t < steps; ++t) {
       const auto phase = static_cast<uint32_t>(2 * t);
-      launch(elements_, kElements, {state(t), kNodes, kForces});
+      launch(elements_, rows, {state(t), kNodes, kForces});
       launch(sums_, kNodes, {kForces, 2 * kElements, word(offsets), word(items), kSums});
       launch(move_, kNodes, {kSums, kNodes, state(t + 1)});
       const auto op = static_cast<uint32_t>(ops.size());
-      chains.push_back({op - 3, op - 2, phase, parts, kElements});
+      chains.push_back({op - 3, op - 2, phase, parts, rows});
       chains.push_back({op - 2, op, phase + 1, parts, kNodes});
     }
   }
@@ -93,7 +97,7 @@ class Line {
     ops.push_back(op);
   }
 
-  const RowLayout elements_ = [] {
+  RowLayout elements_ = [] {
     RowLayout layout = local();
     layout.shared = {{0, 12}};
     layout.outputs = {{2, 24}};
@@ -147,6 +151,7 @@ TEST(Overlap, ElementsAndTheirSumsBecomeOnePhase) {
       EXPECT_TRUE(a >= b) << part << " " << other;
     }
   }
+  EXPECT_TRUE(plan.moved_for_all(3).words.empty());
   const auto last = plan.rows(12, line.chains[8], 1);
   EXPECT_EQ(last.begin, 32);
   EXPECT_EQ(last.end, 64);
@@ -167,6 +172,14 @@ TEST(Overlap, WhatAnotherPartStillReadsIsWrittenElsewhere) {
     }
   }
   EXPECT_EQ(pointer(line, plan, 17, 2, 1), Line::kStates);
+  for (uint32_t op = 0; op < line.ops.size(); ++op) {
+    const MovedWords moved = plan.moved(op, 0), other = plan.moved(op, 3);
+    const size_t shared = plan.moved_for_all(op).words.size();
+    for (size_t w = 0; w < moved.words.size(); ++w) {
+      const uint32_t memory = moved.words[w].memory;
+      EXPECT_EQ(moved.bases[memory] == other.bases[memory], w < shared) << op;
+    }
+  }
 }
 
 TEST(Overlap, StaysAsRecordedWhereItGainsNothing) {
@@ -182,6 +195,12 @@ TEST(Overlap, StaysAsRecordedWhereItGainsNothing) {
     SCOPED_TRACE("an item of another array");
     Line line(5, next, 10, 4);
     line.items[7] = 2 * Line::kElements;
+    line.plan();
+    EXPECT_EQ(line.phases(), 10u);
+  }
+  {
+    SCOPED_TRACE("items of several rows");
+    Line line(5, next, 10, 4, 4);
     line.plan();
     EXPECT_EQ(line.phases(), 10u);
   }
@@ -227,8 +246,13 @@ class Net {
         corners.push_back(static_cast<int32_t>(i * (kNodes - 12) / kElements) + random.below(12));
     corners_ = table(corners, kCorners);
     incidence_ = nova::make_incidence(corners_.operand(), kNodes);
+    std::vector<int32_t> near;
+    for (int32_t i = 0; i < kNodes; ++i) near.push_back((i + random.below(50)) % kNodes);
+    near_ = table(near);
+    neighbours_ = nova::make_incidence(near_.operand(), kNodes);
   }
-  void run(int steps) const {
+  // `twice`: the sums are summed once more, over neighbours.
+  void run(int steps, bool twice) const {
     Operand gathered = forces_.operand();
     gathered.rows = kElements * kCorners;
     gathered.width = 3;
@@ -237,7 +261,8 @@ class Net {
                    &then = x_[static_cast<size_t>((t + 1) % 3)];
       launch(element(), kElements, {corners_.operand(), now.operand()}, forces_.operand());
       nova::row_sum(gathered, *incidence_, nullptr, sums_.operand());
-      launch(move(), kNodes, {now.operand(), sums_.operand()}, then.operand());
+      if (twice) nova::row_sum(sums_.operand(), *neighbours_, nullptr, again_.operand());
+      launch(move(), kNodes, {now.operand(), (twice ? again_ : sums_).operand()}, then.operand());
       if (t == steps / 2) nova::submit_copy(seen_.range(), forces_.range());
     }
   }
@@ -278,25 +303,27 @@ class Net {
   }
 
   std::array<Tensor, 3> x_;
-  Tensor corners_;
-  nova::Incidence incidence_;
+  Tensor corners_, near_;
+  nova::Incidence incidence_, neighbours_;
   Tensor forces_ = tensor(std::vector<float>(kElements * 9), {kElements, 9});
   Tensor sums_ = tensor(std::vector<float>(kNodes * 3), {kNodes, 3});
+  Tensor again_ = tensor(std::vector<float>(kNodes * 3), {kNodes, 3});
   Tensor seen_ = tensor(std::vector<float>(kElements * 9), {kElements, 9});
 };
 
 TEST(Overlap, AReplayHasTheBitsOfRunningAsWritten) {
   constexpr int kSteps = 20;
   const int before = num_threads();
-  for (const int threads : {2, 5, 7, 16}) {
+  for (const auto& [threads, twice] :
+       {std::pair{2, false}, {5, false}, {7, false}, {16, false}, {5, true}, {16, true}}) {
     set_num_threads(threads);
     const Net direct, replayed;
-    direct.run(kSteps);
-    direct.run(kSteps);
+    direct.run(kSteps, twice);
+    direct.run(kSteps, twice);
     std::shared_ptr<OpList> graph;
     {
       const nova::ScopedCapture capture;
-      replayed.run(kSteps);
+      replayed.run(kSteps, twice);
       graph = capture.graph();
     }
     graph->prepare();

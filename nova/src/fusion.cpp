@@ -6,6 +6,7 @@
 #include <mutex>
 
 #include "device_graph.h"
+#include "intervals.h"
 #include "novaphy/core/parallel.h"
 #include "optional_entry.h"
 #include "phased_run.h"
@@ -104,8 +105,7 @@ bool written_since(std::span<const OpList::Op> ops, std::span<const uint64_t> wo
   const std::vector<MemoryAccess> before = touched(series.first, series.last);
   for (const MemoryAccess& later : touched(series.last, last))
     for (const MemoryAccess& a : before)
-      if (later.write && later.begin < a.begin + a.bytes && a.begin < later.begin + later.bytes)
-        return true;
+      if (later.write && share_bytes(later, a)) return true;
   return false;
 }
 

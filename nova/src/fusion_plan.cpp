@@ -3,6 +3,7 @@
 #include <map>
 
 #include "fusion.h"
+#include "intervals.h"
 
 namespace nova::detail {
 
@@ -85,13 +86,6 @@ class Footprint {
     bool written;
   };
   using Intervals = std::map<uint64_t, Interval>;
-
-  // The first interval that ends behind `begin`.
-  static auto first_from(auto& intervals, uint64_t begin) {
-    auto at = intervals.upper_bound(begin);
-    if (at != intervals.begin() && std::prev(at)->second.end > begin) --at;
-    return at;
-  }
 
  public:
   // Whether running before what was added, instead of after it, could change a result.

@@ -6,6 +6,8 @@
 #include <tuple>
 #include <utility>
 
+#include "intervals.h"
+
 namespace nova::detail {
 
 namespace {
@@ -123,8 +125,7 @@ class Overlap::Planner {
   }
   Memory& memory_of(const MemoryAccess& access) {
     const uint64_t end = access.begin + access.bytes;
-    auto at = memory_.upper_bound(access.begin);
-    if (at != memory_.begin() && std::prev(at)->second.end > access.begin) --at;
+    auto at = first_from(memory_, access.begin);
     if (at == memory_.end() || at->first >= end) return memory_[access.begin] = {end};
     if (at->first == access.begin && at->second.end == end) return at->second;
     Memory all{end, true};  // another view of the same bytes
@@ -297,8 +298,7 @@ class Overlap::Planner {
     }
     for (const MemoryAccess& b : before_)
       for (const MemoryAccess& a : after_)
-        if ((a.write || b.write) && a.begin < b.begin + b.bytes && b.begin < a.begin + a.bytes)
-          return false;
+        if ((a.write || b.write) && share_bytes(a, b)) return false;
     return true;
   }
   // Groups phases: each goes to the one before it when it can.

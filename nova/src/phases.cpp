@@ -6,6 +6,7 @@
 #include <utility>
 
 #include "fusion.h"
+#include "intervals.h"
 
 namespace nova::detail {
 
@@ -73,16 +74,11 @@ class PhasePlanner {
   }
   uint32_t phase_of(uint32_t chain) const { return chains_[root(chain)].phase; }
 
-  auto first_from(uint64_t begin) {
-    auto at = intervals_.upper_bound(begin);
-    if (at != intervals_.begin() && std::prev(at)->second.end > begin) --at;
-    return at;
-  }
-
   void find_before(const MemoryAccess& access, std::vector<Before>& before) {
     if (access.bytes == 0) return;
     const uint64_t end = access.begin + access.bytes;
-    for (auto at = first_from(access.begin); at != intervals_.end() && at->first < end; ++at) {
+    for (auto at = first_from(intervals_, access.begin); at != intervals_.end() && at->first < end;
+         ++at) {
       const bool own = access.row_bytes != 0 && at->first == access.begin && at->second.end == end;
       if (at->second.writer)
         before.push_back({at->second.writer->chain, own && at->second.writer->own});
@@ -95,7 +91,7 @@ class PhasePlanner {
     if (access.bytes == 0) return;
     const uint64_t end = access.begin + access.bytes;
     const User user{chain, access.row_bytes != 0};
-    auto at = first_from(access.begin);
+    auto at = first_from(intervals_, access.begin);
     if (at == intervals_.end() || at->first >= end) {
       at = intervals_.emplace(access.begin, Interval{end, {}, {}}).first;
     } else if (at->first != access.begin || at->second.end != end) {
@@ -144,8 +140,7 @@ class PhasePlanner {
   // Memory that an operation touches in two ways counts as touched at any row.
   void forget_rows_of_mixed_access() {
     const auto mixed = [](const MemoryAccess& a, const MemoryAccess& b) {
-      const bool apart = a.begin >= b.begin + b.bytes || b.begin >= a.begin + a.bytes;
-      return !apart && (b.row_bytes == 0 || a.begin != b.begin || a.bytes != b.bytes);
+      return share_bytes(a, b) && (b.row_bytes == 0 || a.begin != b.begin || a.bytes != b.bytes);
     };
     for (MemoryAccess& a : touched_)
       for (const MemoryAccess& b : touched_)

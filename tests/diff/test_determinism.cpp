@@ -6,13 +6,13 @@
 #include <thread>
 
 #include "diff/ball_scene.h"
-#include "novaphy/core/parallel.h"
 #include "novaphy/diff/diff_semi_implicit_solver.h"
 #include "novaphy/diff/tensor_views.h"
 #include "novaphy/nova/op_list.h"
 #include "novaphy/nova/ops.h"
 #include "novaphy/nova/tape.h"
 #include "support/bits.h"
+#include "support/threads.h"
 
 namespace novaphy::testing {
 namespace {
@@ -88,15 +88,6 @@ void expect_same(const Result& actual, const Result& expected) {
   EXPECT_EQ(actual.loss, expected.loss);
 }
 
-class Threads {
- public:
-  explicit Threads(int count) : before_(num_threads()) { set_num_threads(count); }
-  ~Threads() { set_num_threads(before_); }
-
- private:
-  int before_;
-};
-
 // Sizes on both sides of what runs lane by lane, in one block, and in several blocks.
 class Determinism : public ::testing::TestWithParam<int> {};
 
@@ -117,8 +108,8 @@ TEST_P(Determinism, EveryWayOfRunningGivesTheSameBits) {
   expect_same(run(GetParam(), Way::Captured), rollout);
   for (const Way way : {Way::Rollout, Way::Captured})
     expect_same(run(GetParam(), way, 60, nova::KeepGradients::Leaves), rollout);
-  // Where a particle meets several shapes at once, the gradients of the loop are the sum of the same
-  // terms in another order; here none does.
+  // Where a particle meets several shapes at once, the gradients of the loop are the sum of the
+  // same terms in another order; here none does.
   expect_same(run(GetParam(), Way::StepLoop), rollout);
 }
 

@@ -7,7 +7,6 @@
 
 #include "elements_scene.h"
 #include "novaphy/collision/collision_pipeline.h"
-#include "novaphy/core/parallel.h"
 #include "novaphy/diff/diff_semi_implicit_solver.h"
 #include "novaphy/diff/losses.h"
 #include "novaphy/diff/tensor_views.h"
@@ -19,6 +18,7 @@
 #include "support/bits.h"
 #include "support/npz.h"
 #include "support/soft_body_scene.h"
+#include "support/threads.h"
 
 namespace novaphy::testing {
 namespace {
@@ -134,94 +134,85 @@ TEST(SoftBodyDiff, ATapeThatKeepsLeavesOnlyGivesTheSameGradient) {
   EXPECT_GE(adjoints, 6);  // of the last, first and other substeps, with and without the damping
 }
 
-TEST(SoftBodyDiff, ThreadsAndReplayChangeNoBit) {
-  const auto run = [](int steps, int cells, int threads, bool replay) {
-    const int before = num_threads();
-    set_num_threads(threads);
-    SoftBody body(steps, cells);
-    if (replay) {
-      std::shared_ptr<nova::OpList> graph;
-      {
-        nova::ScopedCapture capture;
-        body.iterate();
-        graph = capture.graph();
-      }
-      graph->prepare();
-      graph->launch();
-    } else {
-      body.iterate();
+// The gradient and the final positions of a scene that so many threads make and run.
+template <class Make>
+std::vector<float> outcome(const Make& make, int threads, bool replay) {
+  const Threads scope(threads);
+  auto scene = make();
+  if (replay) {
+    std::shared_ptr<nova::OpList> graph;
+    {
+      nova::ScopedCapture capture;
+      scene.iterate();
+      graph = capture.graph();
     }
-    std::vector<float> result = body.params.grad().to_host();
-    const std::vector<Vec3f> q = body.trajectory.state(steps).particle_q.to_host();
-    const auto* values = reinterpret_cast<const float*>(q.data());
-    result.insert(result.end(), values, values + q.size() * 3);
-    set_num_threads(before);
-    return result;
-  };
+    graph->prepare();
+    graph->launch();
+  } else {
+    scene.iterate();
+  }
+  std::vector<float> result = scene.params.grad().to_host();
+  const std::vector<Vec3f> q =
+      scene.trajectory.state(scene.trajectory.steps()).particle_q.to_host();
+  const auto* values = reinterpret_cast<const float*>(q.data());
+  result.insert(result.end(), values, values + q.size() * 3);
+  return result;
+}
+
+TEST(SoftBodyDiff, ThreadsAndReplayChangeNoBit) {
   // A block that reaches the ground, and one of so many elements that threads share its replay.
   for (const auto& [steps, cells] : {std::pair{200, 2}, std::pair{60, 4}}) {
-    const std::vector<float> one = run(steps, cells, 1, false);
+    const auto make = [steps = steps, cells = cells] { return SoftBody(steps, cells); };
+    const std::vector<float> one = outcome(make, 1, false);
     double norm = 0.0;
     for (size_t k = 0; k < 80; ++k) norm += std::fabs(static_cast<double>(one[k]));
     EXPECT_GT(norm, 0.0);
     for (const int threads : {1, 2, 7})
       for (const bool replay : {false, true})
-        EXPECT_TRUE(same_bits<float>(run(steps, cells, threads, replay), one))
+        EXPECT_TRUE(same_bits<float>(outcome(make, threads, replay), one))
             << cells << " cells, " << threads << " " << replay;
   }
 }
 
+// A cloth that is thrown; its gradient is that of the first velocities.
+struct Cloth {
+  std::shared_ptr<Model> model = [] {
+    ModelBuilder builder;
+    builder.add_cloth_grid({.placement = {.vel = {0.0f, 0.4f, -1.5f}},
+                            .dim_x = 14,
+                            .dim_y = 13,
+                            .cell_x = 0.07f,
+                            .cell_y = 0.08f,
+                            .mass = 1.0f,
+                            .fix_left = true,
+                            .tri = {1e3f, 1e3f, 10.0f, 10.0f, 5.0f},
+                            .edge = {10.0f, 0.1f}});
+    return builder.finalize(Device::cpu());
+  }();
+  DiffSemiImplicitSolver solver{model, kAll};
+  Trajectory trajectory{model, 30};
+  Tensor params = diff::state_particle_qd_tensor(trajectory.state(0), true);
+
+  void iterate() {
+    nova::Tape tape(nova::KeepGradients::Leaves);
+    const nova::TapeScope scope(tape);
+    solver.rollout(trajectory, nullptr, nullptr, 5e-4f);
+    const Tensor last = diff::state_particle_q_tensor(trajectory.state(trajectory.steps()));
+    tape.backward(
+        diff::vec3_point_loss_generated(diff::particle_centroid_generated(last), 0.1f, 0.2f, 0.3f));
+  }
+};
+
 // Threads share the phases of its replay, and compute the elements at their borders both.
 TEST(ClothDiff, ThreadsAndReplayChangeNoBit) {
-  constexpr int kSteps = 30;
-  ModelBuilder builder;
-  builder.add_cloth_grid({.placement = {.vel = {0.0f, 0.4f, -1.5f}},
-                          .dim_x = 14,
-                          .dim_y = 13,
-                          .cell_x = 0.07f,
-                          .cell_y = 0.08f,
-                          .mass = 1.0f,
-                          .fix_left = true,
-                          .tri = {1e3f, 1e3f, 10.0f, 10.0f, 5.0f},
-                          .edge = {10.0f, 0.1f}});
-  const auto model = builder.finalize(Device::cpu());
-  const auto run = [&model](int threads, bool replay) {
-    const int before = num_threads();
-    set_num_threads(threads);
-    DiffSemiImplicitSolver solver(model, kAll);
-    Trajectory trajectory(model, kSteps);
-    const Tensor qd = diff::state_particle_qd_tensor(trajectory.state(0), true);
-    const auto iterate = [&] {
-      nova::Tape tape(nova::KeepGradients::Leaves);
-      const nova::TapeScope scope(tape);
-      solver.rollout(trajectory, nullptr, nullptr, 5e-4f);
-      const Tensor last = diff::state_particle_q_tensor(trajectory.state(kSteps));
-      tape.backward(diff::vec3_point_loss_generated(diff::particle_centroid_generated(last), 0.1f,
-                                                    0.2f, 0.3f));
-    };
-    std::shared_ptr<nova::OpList> graph;
-    if (replay) {
-      nova::ScopedCapture capture;
-      iterate();
-      graph = capture.graph();
-    } else {
-      iterate();
-    }
-    if (replay) graph->launch();
-    std::vector<float> result = qd.grad().to_host();
-    const std::vector<Vec3f> q = trajectory.state(kSteps).particle_q.to_host();
-    const auto* values = reinterpret_cast<const float*>(q.data());
-    result.insert(result.end(), values, values + q.size() * 3);
-    set_num_threads(before);
-    return result;
-  };
-  const std::vector<float> one = run(1, false);
+  const auto make = [] { return Cloth(); };
+  const std::vector<float> one = outcome(make, 1, false);
   EXPECT_GT(std::count_if(one.begin(), one.end(), [](float v) { return v != 0.0f; }), 1000);
   EXPECT_TRUE(std::all_of(one.begin(), one.end(), [](float v) { return std::isfinite(v); }));
-  for (const int threads : {1, 2, 7, 13}) {
-    EXPECT_TRUE(same_bits<float>(run(threads, true), one)) << threads;
-    EXPECT_TRUE(same_bits<float>(run(threads, false), one)) << threads;
-  }
+  for (const int threads : {1, 2, 7, 13})
+    for (const bool replay : {false, true})
+      EXPECT_TRUE(same_bits<float>(outcome(make, threads, replay), one))
+          << threads << " " << replay;
 }
 
 // Every way through a step of a scene with elements of all kinds and recorded contacts.

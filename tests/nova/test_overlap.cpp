@@ -6,11 +6,11 @@
 #include <array>
 #include <utility>
 
-#include "novaphy/core/parallel.h"
 #include "novaphy/nova/incidence.h"
 #include "novaphy/nova/op_list.h"
 #include "overlap.h"
 #include "support.h"
+#include "support/threads.h"
 
 namespace novaphy::testing {
 namespace {
@@ -313,10 +313,9 @@ class Net {
 
 TEST(Overlap, AReplayHasTheBitsOfRunningAsWritten) {
   constexpr int kSteps = 20;
-  const int before = num_threads();
   for (const auto& [threads, twice] :
        {std::pair{2, false}, {5, false}, {7, false}, {16, false}, {5, true}, {16, true}}) {
-    set_num_threads(threads);
+    const Threads scope(threads);
     const Net direct, replayed;
     direct.run(kSteps, twice);
     direct.run(kSteps, twice);
@@ -334,7 +333,6 @@ TEST(Overlap, AReplayHasTheBitsOfRunningAsWritten) {
     for (size_t k = 0; k < expected.size(); ++k)
       EXPECT_TRUE(same_bits<float>(got[k], expected[k])) << threads << " threads, array " << k;
   }
-  set_num_threads(before);
 }
 
 }  // namespace

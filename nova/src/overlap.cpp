@@ -1,9 +1,9 @@
 #include "overlap.h"
 
 #include <algorithm>
+#include <cstring>
 #include <map>
 #include <set>
-#include <tuple>
 #include <utility>
 
 #include "intervals.h"
@@ -12,16 +12,7 @@ namespace nova::detail {
 
 namespace {
 
-// All parts together may compute so many times the elements. Three times was still faster than to
-// meet, with sixteen threads.
-constexpr int64_t kMostTimes = 4;
 constexpr uint64_t kApart = 128;  // bytes: processors fetch lines by two
-
-// Sums that join their elements are shared out evenly, not by whole groups: a few rows more are
-// many elements more. A part has a group at least, for less would be slow.
-int64_t whole_sums(int64_t rows, uint32_t parts) {
-  return rows < kGroupRows * parts ? kGroupRows : 1;
-}
 
 }  // namespace
 
@@ -37,7 +28,9 @@ class Overlap::Planner {
     for (uint32_t k = 0; k < ops_.size(); ++k) see(k);
     for (const auto& [begin, memory] : memory_)
       if (!memory.mixed) find_values(begin, memory);
-    for (const auto& [op, values] : gathered_) give_parts(op, values);
+    for (const auto& [op, values] : gathered_) consider(op, values);
+    share_out();
+    for (const Elements& e : candidates_) give_parts(e);
     if (elements_.empty()) return;
     for (const auto& [end, values] : others_) give_second_place(end, values);
     do {
@@ -71,8 +64,10 @@ class Overlap::Planner {
   };
   // Elements whose values only sums gather, so that each part may have its own.
   struct Elements {
-    uint32_t op, rows;
-    std::vector<uint32_t> sums;
+    uint32_t op;
+    std::vector<Value> values;
+    std::vector<Gathering> gatherings;  // each once
+    uint32_t lists = 0;
     bool active = true;
   };
   // An argument word that goes elsewhere: to memory of parts while these elements are active, or
@@ -82,9 +77,13 @@ class Overlap::Planner {
     uint32_t word, memory, elements;
   };
   static constexpr uint32_t kSecondPlace = UINT32_MAX;
-  // Which rows of the elements a sum needs: offsets, items, rows of the sum, bytes of an item and
-  // of a row of the elements.
-  using Needed = std::tuple<uint64_t, uint64_t, int64_t, uint32_t, uint32_t>;
+  static constexpr uint64_t kNowhere = 0;  // where it was recorded, it is read still
+  // What elements read at their own rows.
+  struct Input {
+    uint64_t begin;
+    uint32_t row_bytes, rows;  // rows: the lists
+    auto operator<=>(const Input&) const = default;
+  };
 
   const uint64_t* arguments(uint32_t op) const { return words_.data() + ops_[op].first_word; }
 
@@ -94,7 +93,7 @@ class Overlap::Planner {
     const RowLayout* layout = ops_[op].layout;
     const Chain& chain = chains_[chain_of_[op]];
     std::vector<Use> uses;
-    if (layout == nullptr || !layout->row_local || chain.parts != plan_.parts_ ||
+    if (layout == nullptr || !layout->row_local || chain.shares.parts != plan_.parts_ ||
         ops_[op].n != chain.rows)
       return uses;
     const auto at = [&](uint32_t word) { return arguments(op)[word] == begin; };
@@ -178,7 +177,9 @@ class Overlap::Planner {
   void give_second_place(uint64_t end, const std::vector<Value>& values) {
     if (std::all_of(values.begin(), values.end(), fixed)) return;
     const uint64_t begin = values[0].begin;
-    const uint32_t place = allocate(std::vector(plan_.parts_, Rows{0, 1}), end - begin, true);
+    // The last row of three words is read as four.
+    const uint64_t bytes = end - begin + 4;
+    const uint32_t place = allocate({&bytes, 1});
     bool second = false;
     for (size_t v = values.size(); v-- > 0;) {
       second = !second && !fixed(values[v]);
@@ -188,83 +189,140 @@ class Overlap::Planner {
     }
   }
 
-  void give_parts(uint32_t op, const std::vector<Value>& values) {
-    // A sum does its own rows, so it cannot be the elements of another one as well.
-    if (values.size() != ops_[op].layout->outputs.size() || sums_.contains(op)) return;
-    Elements elements{op, 0, {}};
-    std::vector<Needed> needed;
+  const RowLayout& layout(uint32_t op) const { return *ops_[op].layout; }
+  Gathering gathering(const Use& use, const Value& value) const {
+    const auto table = [&](uint32_t word) {
+      return reinterpret_cast<const int32_t*>(arguments(use.op)[word]);
+    };
+    return {table(use.gathered->offsets), table(use.gathered->items), ops_[use.op].n,
+            static_cast<int32_t>(value.uses[0].row_bytes / use.row_bytes)};
+  }
+  // Whether a copy can stand for what an operation reads at its own row there from now on.
+  bool is_settled(uint32_t op, const RowLayout::Word& input) const {
+    const auto memory = memory_.find(arguments(op)[input.word]);
+    if (memory == memory_.end() || memory->second.mixed ||
+        arguments(op)[input.word + 1] < static_cast<uint64_t>(ops_[op].n))
+      return false;
+    return std::none_of(memory->second.uses.begin(), memory->second.uses.end(),
+                        [&](const Use& use) { return use.write && use.op >= op; });
+  }
+  void consider(uint32_t op, const std::vector<Value>& values) {
+    const RowLayout& own = layout(op);
+    if (values.size() != own.outputs.size() || !own.tables.empty() || !own.gathered.empty() ||
+        !std::all_of(own.inputs.begin(), own.inputs.end(),
+                     [&](const RowLayout::Word& w) { return is_settled(op, w); }))
+      return;
+    Elements elements{op, values, {}};
+    std::map<uint32_t, std::vector<Gathering>> sums;  // by operation
     for (const Value& value : values)
       for (const Use& use : value.uses.subspan(1)) {
         if (value.uses[0].row_bytes % use.row_bytes != 0) return;  // items of several rows
-        elements.sums.push_back(use.op);
-        needed.emplace_back(arguments(use.op)[use.gathered->offsets],
-                            arguments(use.op)[use.gathered->items], ops_[use.op].n, use.row_bytes,
-                            value.uses[0].row_bytes);
+        sums[use.op].push_back(gathering(use, value));
       }
-    std::sort(needed.begin(), needed.end());
-    needed.erase(std::unique(needed.begin(), needed.end()), needed.end());
-    elements.rows = set_of(needed, ops_[op].n);
-    if (elements.rows == 0) return;
-    const auto number = static_cast<uint32_t>(elements_.size());
-    for (const Value& value : values) {
-      const auto [known, is_new] = own_.try_emplace({value.begin, elements.rows}, 0);
-      if (is_new)
-        known->second = allocate(
-            std::span(plan_.rows_).subspan((elements.rows - 1) * plan_.parts_, plan_.parts_),
-            value.uses[0].row_bytes, false);
-      for (const Use& use : value.uses)
-        moves_[use.op].push_back({value.begin, use.word, known->second, number});
+    for (const auto& [sum, all] : sums) {
+      // Its items get other numbers: those of all that it gathers, in the same way.
+      if (all.size() != layout(sum).gathered.size() || all[0].items == nullptr ||
+          std::any_of(all.begin(), all.end(), [&](const Gathering& g) { return g != all[0]; }))
+        return;
+      elements.gatherings.push_back(all[0]);
     }
-    sums_.insert(elements.sums.begin(), elements.sums.end());
+    std::sort(elements.gatherings.begin(), elements.gatherings.end());
+    const auto end = std::unique(elements.gatherings.begin(), elements.gatherings.end());
+    elements.gatherings.erase(end, elements.gatherings.end());
+    if (!elements.gatherings.empty()) candidates_.push_back(std::move(elements));
+  }
+  // Sums that join their elements are shared out evenly, not by whole groups: a few rows more are
+  // many elements more. A part has a group at least, for less would be slow.
+  void share_out() {
+    std::map<std::pair<Gathering, int64_t>, int64_t> weights;
+    for (const Elements& e : candidates_)
+      for (const Gathering& g : e.gatherings) weights[{g, ops_[e.op].n}] += layout(e.op).operations;
+    std::map<int64_t, std::vector<Demand>> demands;
+    for (const auto& [key, weight] : weights)
+      demands[key.first.sums].push_back({key.first, key.second, weight});
+    for (const auto& [sums, all] : demands) {
+      const int64_t whole = sums < kGroupRows * plan_.parts_ ? kGroupRows : 1;
+      shares_[sums] = even_shares(all, {plan_.parts_, whole});
+    }
+  }
+  void give_parts(Elements elements) {
+    elements.lists = lists_of(elements.gatherings, ops_[elements.op].n);
+    if (elements.lists == 0) return;
+    const auto number = static_cast<uint32_t>(elements_.size());
+    const Lists& lists = plan_.lists_[elements.lists - 1];
+    const auto move = [&](uint32_t op, uint64_t begin, uint32_t word, uint32_t memory) {
+      std::vector<Move>& moves = moves_[op];
+      const auto same = [&](const Move& m) { return m.word == word; };  // items of two sums
+      if (std::none_of(moves.begin(), moves.end(), same))
+        moves.push_back({begin, word, memory, number});
+    };
+    for (const Value& value : elements.values) {
+      const uint32_t memory =
+          rows_in({value.begin, value.uses[0].row_bytes, elements.lists}, lists);
+      for (const Use& use : value.uses) {
+        move(use.op, value.begin, use.word, memory);
+        if (use.gathered != nullptr)
+          move(use.op, kNowhere, use.gathered->items,
+               items_in(gathering(use, value), elements.lists, lists));
+      }
+    }
+    for (const RowLayout::Word& w : layout(elements.op).inputs) {
+      const Input input{arguments(elements.op)[w.word], w.row_bytes, elements.lists};
+      move(elements.op, kNowhere, w.word, rows_in(input, lists));
+    }
     elements_.push_back(std::move(elements));
   }
   // The rows that each part needs, as a number from 1 on; 0: it is not worth it, or not known.
-  uint32_t set_of(const std::vector<Needed>& needed, int64_t n) {
-    const auto [known, is_new] = sets_.try_emplace({needed, n}, 0);
-    if (!is_new || needed.empty()) return known->second;
-    std::vector<Rows> rows;
-    std::vector<bool> covered(static_cast<size_t>(n));
-    int64_t all = 0;
+  uint32_t lists_of(const std::vector<Gathering>& gatherings, int64_t n) {
+    const auto [known, is_new] = sets_.try_emplace({gatherings, n}, 0);
+    if (!is_new) return known->second;
+    std::vector<Shares> shares;
+    for (const Gathering& g : gatherings) shares.push_back(shares_[g.sums]);
+    Lists lists = rows_needed(gatherings, shares, n);
+    if (lists.empty()) return 0;
+    plan_.lists_.push_back(std::move(lists));
+    return known->second = static_cast<uint32_t>(plan_.lists_.size());
+  }
+  // Memory for what stands in these rows. Compiled code reads a group ahead.
+  uint32_t rows_in(const Input& input, const Lists& lists) {
+    const auto [known, is_new] = own_.try_emplace(input, 0);
+    if (!is_new) return known->second;
+    std::vector<uint64_t> bytes;
+    for (const auto& list : lists) bytes.push_back((list.size() + kGroupRows) * input.row_bytes);
+    return known->second = allocate(bytes);
+  }
+  // The items of the sums of each part.
+  uint32_t items_in(const Gathering& gathering, uint32_t rows, const Lists& lists) {
+    const auto [known, is_new] = items_.try_emplace({gathering, rows}, 0);
+    if (!is_new) return known->second;
+    const Shares& shares = shares_[gathering.sums];
+    std::vector<std::vector<int32_t>> items;
+    std::vector<uint64_t> bytes;
     for (uint32_t part = 0; part < plan_.parts_; ++part) {
-      Rows r{n, 0};
-      for (const auto& [offsets, items, sums, item_bytes, row_bytes] : needed) {
-        const auto* const offset = reinterpret_cast<const int32_t*>(offsets);
-        const auto* const item = reinterpret_cast<const int32_t*>(items);
-        const int64_t whole = whole_sums(sums, plan_.parts_);
-        const int32_t end = offset[part_begin(sums, part + 1, plan_.parts_, whole)];
-        for (int32_t k = offset[part_begin(sums, part, plan_.parts_, whole)]; k < end; ++k) {
-          const int64_t row = int64_t{item[k]} * item_bytes / row_bytes;
-          if (item[k] < 0 || row >= n) return 0;
-          r = {std::min(r.begin, row), std::max(r.end, row + 1)};
-        }
-      }
-      if (r.begin >= r.end) return 0;
-      r = {r.begin / kGroupRows * kGroupRows,
-           std::min(n, (r.end + kGroupRows - 1) / kGroupRows * kGroupRows)};
-      std::fill(covered.begin() + r.begin, covered.begin() + r.end, true);
-      all += r.end - r.begin;
-      rows.push_back(r);
+      items.push_back(items_among(gathering, shares.begin(gathering.sums, part),
+                                  shares.begin(gathering.sums, part + 1), lists[part]));
+      bytes.push_back(items.back().size() * sizeof(int32_t));
     }
-    // An element that no sum needs may still be one that fails.
-    if (all > kMostTimes * n || std::find(covered.begin(), covered.end(), false) != covered.end())
-      return 0;
-    plan_.rows_.insert(plan_.rows_.end(), rows.begin(), rows.end());
-    return known->second = static_cast<uint32_t>(plan_.rows_.size() / plan_.parts_);
+    known->second = allocate(bytes);
+    for (uint32_t part = 0; part < plan_.parts_; ++part) {
+      uint64_t& base = bases_[size_t{known->second} * plan_.parts_ + part];
+      std::memcpy(reinterpret_cast<void*>(base), items[part].data(), bytes[part]);
+      const int32_t first = gathering.offsets[shares.begin(gathering.sums, part)];
+      base -= static_cast<uint64_t>(first) * sizeof(int32_t);
+    }
+    return known->second;
   }
 
-  // Memory for the rows of each part, or the same for all.
-  uint32_t allocate(std::span<const Rows> rows, uint64_t row_bytes, bool shared) {
-    const auto up = [](uint64_t bytes) { return (bytes + kApart - 1) / kApart * kApart; };
-    const auto bytes = [&](const Rows& r) {  // the last row of three words is read as four
-      return up(static_cast<uint64_t>(r.end - r.begin) * row_bytes + 4);
-    };
+  // Memory of so many bytes for each part, or the same for all.
+  uint32_t allocate(std::span<const uint64_t> bytes) {
+    const auto up = [](uint64_t b) { return (b + kApart - 1) / kApart * kApart; };
     uint64_t all = kApart;
-    for (const Rows& r : shared ? rows.first(1) : rows) all += bytes(r);
+    for (const uint64_t b : bytes) all += up(b);
     plan_.memory_.push_back(std::make_unique<std::byte[]>(all));
     uint64_t at = up(reinterpret_cast<uint64_t>(plan_.memory_.back().get()));
-    for (const Rows& r : rows) {
-      bases_.push_back(at - static_cast<uint64_t>(r.begin) * row_bytes);
-      if (!shared) at += bytes(r);
+    for (uint32_t part = 0; part < plan_.parts_; ++part) {
+      bases_.push_back(at);
+      if (bytes.size() > 1) at += up(bytes[part]);
     }
     return static_cast<uint32_t>(plan_.memory_.size() - 1);
   }
@@ -292,7 +350,7 @@ class Overlap::Planner {
     before_.clear();
     after_.clear();
     for (uint32_t c = first; c < end; ++c) {
-      if (chains_[c].parts != plan_.parts_) return false;
+      if (chains_[c].shares.parts != plan_.parts_) return false;
       for (uint32_t k = chains_[c].first; k < chains_[c].last; ++k)
         outside(k, c < last ? before_ : after_);
     }
@@ -320,23 +378,38 @@ class Overlap::Planner {
   bool withdraw() {
     bool any = false;
     for (Elements& e : elements_) {
-      const auto joined = [&](uint32_t sum) {
-        return group_[chain_of_[sum]] == group_[chain_of_[e.op]];
+      const auto joined = [&](const Value& value) {
+        return std::all_of(value.uses.begin(), value.uses.end(), [&](const Use& use) {
+          return group_[chain_of_[use.op]] == group_[chain_of_[e.op]];
+        });
       };
-      if (!e.active || std::all_of(e.sums.begin(), e.sums.end(), joined)) continue;
+      if (!e.active || std::all_of(e.values.begin(), e.values.end(), joined)) continue;
       e.active = false;
       any = true;
     }
     return any;
   }
+  // Of what these elements are the first to read.
+  void add_copies(const Elements& e) {
+    Change& change = plan_.changes_[e.op];
+    change.first_copy = static_cast<uint32_t>(plan_.copies_.size());
+    for (const RowLayout::Word& w : layout(e.op).inputs) {
+      const Input input{arguments(e.op)[w.word], w.row_bytes, e.lists};
+      if (copied_.insert(input).second)
+        plan_.copies_.push_back({input.begin, input.row_bytes, input.rows, own_.at(input)});
+    }
+    change.copies = static_cast<uint32_t>(plan_.copies_.size()) - change.first_copy;
+  }
   void commit() {
     for (const Elements& e : elements_)
       if (e.active) {
-        plan_.changes_[e.op].rows = e.rows;
-        for (const uint32_t sum : e.sums) {
-          Chain& chain = chains_[chain_of_[sum]];
-          chain.whole = whole_sums(chain.rows, chain.parts);
-        }
+        plan_.changes_[e.op].rows = e.lists;
+        add_copies(e);
+        for (const Value& value : e.values)
+          for (const Use& use : value.uses.subspan(1)) {
+            Chain& chain = chains_[chain_of_[use.op]];
+            chain.shares = shares_[chain.rows];
+          }
       }
     for (const auto& [op, moves] : moves_) {
       Change& change = plan_.changes_[op];
@@ -368,13 +441,15 @@ class Overlap::Planner {
   std::map<uint64_t, Memory> memory_;                // by its begin
   std::map<uint32_t, std::vector<Value>> gathered_;  // by nothing but sums; by who wrote them
   std::vector<std::pair<uint64_t, std::vector<Value>>> others_;  // and where their memory ends
-  std::vector<Elements> elements_;
-  std::set<uint32_t> sums_;                      // of elements
+  std::vector<Elements> candidates_, elements_;
+  std::map<int64_t, Shares> shares_;             // of the rows of sums, by their number
   std::map<uint32_t, std::vector<Move>> moves_;  // by operation
-  std::map<std::pair<std::vector<Needed>, int64_t>, uint32_t> sets_;
-  std::map<std::pair<uint64_t, uint32_t>, uint32_t> own_;  // memory, by its begin and the rows
-  std::vector<uint64_t> bases_;                            // of each part, memory by memory
-  std::vector<uint32_t> group_;                            // by chain
+  std::map<std::pair<std::vector<Gathering>, int64_t>, uint32_t> sets_;
+  std::map<Input, uint32_t> own_;  // memory
+  std::map<std::pair<Gathering, uint32_t>, uint32_t> items_;
+  std::set<Input> copied_;
+  std::vector<uint64_t> bases_;  // of each part, memory by memory
+  std::vector<uint32_t> group_;  // by chain
   std::vector<MemoryAccess> before_, after_;
 };
 
@@ -382,6 +457,17 @@ Overlap::Overlap(std::span<const OpList::Op> ops, std::span<const uint64_t> word
                  std::span<const MemoryAccess> accesses, std::span<Chain> chains, uint32_t parts)
     : parts_(parts), joint_(chains.size()), changes_(ops.size()) {
   if (parts > 1) Planner(*this, ops, words, accesses, chains).run();
+}
+
+void Overlap::copy_rows(std::span<const Copy> copies, uint32_t part) const {
+  for (const auto& [from, row_bytes, rows, memory] : copies) {
+    auto* to = reinterpret_cast<std::byte*>(bases_[part * memory_.size() + memory]);
+    for (const int32_t row : lists_[rows - 1][part]) {
+      std::memcpy(to, reinterpret_cast<const std::byte*>(from) + int64_t{row} * row_bytes,
+                  row_bytes);
+      to += row_bytes;
+    }
+  }
 }
 
 }  // namespace nova::detail

@@ -9,29 +9,24 @@
 #include <vector>
 
 #include "fusion.h"
+#include "needed_rows.h"
 #include "novaphy/nova/op_list.h"
 
 namespace nova::detail {
 
-inline constexpr int64_t kGroupRows = 16;  // that compiled code computes together, at most
-
-// Where a part of so many rows begins: at a multiple of `whole`.
-inline int64_t part_begin(int64_t rows, uint32_t part, uint32_t parts, int64_t whole) {
-  return part == parts ? rows : rows * part / parts / whole * whole;
-}
-
 // Operations [first, last), one after another for each part of the rows.
 struct Chain {
   uint32_t first, last;
-  uint32_t phase, parts;
+  uint32_t phase;
   int64_t rows;
-  int64_t whole = kGroupRows;
+  Shares shares;
 };
 
 // What elements write and sums gather, as forces, goes to memory of the part; and what a phase
 // writes while another part may still read the value before it, to a second place. Then the phases
-// of elements and of their sums can be joined: one thread does a part of both. What is written last
-// is where it was recorded, for others to see.
+// of elements and of their sums can be joined: one thread does a part of both. A part has its
+// elements close together, with a copy of what they read at their own rows. What is written last is
+// where it was recorded, for others to see.
 class Overlap {
  public:
   struct Rows {
@@ -49,9 +44,20 @@ class Overlap {
   // The rows of an operation of this chain that a part does.
   Rows rows(uint32_t op, const Chain& chain, uint32_t part) const {
     const uint32_t set = changes_[op].rows;
-    if (set != 0) return rows_[size_t{set - 1} * parts_ + part];
-    return {part_begin(chain.rows, part, chain.parts, chain.whole),
-            part_begin(chain.rows, part + 1, chain.parts, chain.whole)};
+    if (set != 0) return {0, static_cast<int64_t>(lists_[set - 1][part].size())};
+    return {chain.shares.begin(chain.rows, part), chain.shares.begin(chain.rows, part + 1)};
+  }
+  // Which rows of the recorded elements those are; empty: they are what they were.
+  std::span<const int32_t> recorded_rows(uint32_t op, uint32_t part) const {
+    const uint32_t set = changes_[op].rows;
+    return set == 0 ? std::span<const int32_t>() : lists_[set - 1][part];
+  }
+  // Copies what elements of the part read at their own rows, before the first operation that finds
+  // it there.
+  void copy_rows(uint32_t op, uint32_t part) const {
+    const Change& c = changes_[op];
+    if (c.copies != 0) [[unlikely]]
+      copy_rows(std::span(copies_).subspan(c.first_copy, c.copies), part);
   }
   // The arguments that point elsewhere than was recorded.
   MovedWords moved(uint32_t op, uint32_t part) const {
@@ -66,17 +72,26 @@ class Overlap {
 
  private:
   struct Change {
-    uint32_t rows = 0;              // the set of rows, from 1 on; 0: parts do their own
+    uint32_t rows = 0;              // the lists, from 1 on, of rows; 0: parts do their own
     uint32_t first = 0, words = 0;  // moved; those for all parts come first
     uint32_t shared = 0;            // so many are for all parts
+    uint32_t first_copy = 0, copies = 0;
   };
+  // Of the rows in the lists.
+  struct Copy {
+    uint64_t from;
+    uint32_t row_bytes, rows, memory;
+  };
+  using Lists = std::vector<std::vector<int32_t>>;  // a list for each part
   class Planner;
+  void copy_rows(std::span<const Copy> copies, uint32_t part) const;
 
   const uint32_t parts_;
   std::vector<bool> joint_;
   std::vector<Change> changes_;  // by operation
   std::vector<MovedWord> moved_;
-  std::vector<Rows> rows_;       // of each part, set by set
+  std::vector<Lists> lists_;
+  std::vector<Copy> copies_;
   std::vector<uint64_t> bases_;  // of each memory, part by part: where row 0 would be
   std::vector<std::unique_ptr<std::byte[]>> memory_;
 };

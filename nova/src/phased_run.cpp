@@ -74,7 +74,7 @@ PhasedRun::PhasedRun(const novaphy::DeviceContext& context, std::span<OpList::Op
     const uint32_t first = k;
     while (k < count && placed[k].phase == p.phase && placed[k].chain == p.chain) ++k;
     chains_.push_back(
-        {first, k, p.phase, parts_of(ops_.subspan(first, k - first), p.rows), p.rows});
+        {first, k, p.phase, p.rows, {parts_of(ops_.subspan(first, k - first), p.rows)}});
   }
   overlap_ = std::make_unique<const Overlap>(ops_, words_, accesses, chains_,
                                              static_cast<uint32_t>(threads_));
@@ -97,14 +97,15 @@ void PhasedRun::make_chunks() {
     const auto begin = static_cast<ptrdiff_t>(chunks_.size());
     while (c < end) {
       const uint32_t first = c, last = overlap_->joint(phase) ? end : c + 1;
-      for (uint32_t part = 0; part < chains_[c].parts; ++part)
+      for (uint32_t part = 0; part < chains_[c].shares.parts; ++part)
         chunks_.push_back({first, last, part});
       c = last;
     }
     // The same part of all chains together: a thread gets a part of each, and elements near the
     // particles that it moves.
     const auto place = [this](const Chunk& chunk) {
-      return static_cast<double>(chunk.part) / static_cast<double>(chains_[chunk.first].parts);
+      return static_cast<double>(chunk.part) /
+             static_cast<double>(chains_[chunk.first].shares.parts);
     };
     std::stable_sort(chunks_.begin() + begin, chunks_.end(),
                      [&](const Chunk& a, const Chunk& b) { return place(a) < place(b); });
@@ -175,6 +176,7 @@ void PhasedRun::run_chunk(int64_t number, Failure& failure) const {
   for (uint32_t k = first; k < last; ++k) {
     if (k == chain->last) ++chain;
     fetch_early(number, k - first, last - first);
+    overlap_->copy_rows(k, chunk.part);
     const auto [begin, end] = overlap_->rows(k, *chain, chunk.part);
     const novaphy_status status = run_rows(context_, ops_[k], words_.data(), chain->rows, begin,
                                            end - begin, error, overlap_->moved(k, chunk.part));

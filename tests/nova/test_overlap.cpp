@@ -27,7 +27,8 @@ using nova::detail::RowLayout;
 class Line {
  public:
   static constexpr int64_t kNodes = 160, kElements = 159;
-  static constexpr uint64_t kForces = 0x100000, kSums = 0x200000, kStates = 0x300000;
+  static constexpr uint64_t kForces = 0x100000, kSums = 0x200000, kStates = 0x300000,
+                            kScale = 0x400000, kMore = 0x500000;
 
   // The other node of an element, and how many arrays of positions take turns.
   // `bytes`: of a row of what elements write.
@@ -49,15 +50,15 @@ class Line {
     };
     for (int t = 0; t < steps; ++t) {
       const auto phase = static_cast<uint32_t>(2 * t);
-      launch(elements_, rows, {state(t), kNodes, kForces});
+      launch(elements_, rows, {state(t), kNodes, kForces, kScale, static_cast<uint64_t>(rows)});
       launch(sums_, kNodes, {kForces, 2 * kElements, word(offsets), word(items), kSums});
       launch(move_, kNodes, {kSums, kNodes, state(t + 1)});
       const auto op = static_cast<uint32_t>(ops.size());
-      chains.push_back({op - 3, op - 2, phase, parts, rows});
-      chains.push_back({op - 2, op, phase + 1, parts, kNodes});
+      chains.push_back({op - 3, op - 2, phase, rows, {parts}});
+      chains.push_back({op - 2, op, phase + 1, kNodes, {parts}});
     }
   }
-  Overlap plan() { return {ops, words, {}, chains, chains[0].parts}; }
+  Overlap plan() { return {ops, words, {}, chains, chains[0].shares.parts}; }
   // Something that wants it where it is looks at the memory after the third step.
   void look_at(uint64_t begin, int64_t bytes) {
     OpList::Op copy{OpList::Op::Kind::Copy};
@@ -69,7 +70,32 @@ class Line {
       ++chains[c].first;
       ++chains[c].last;
     }
-    chains.insert(chains.begin() + 6, {9, 10, 5, 1, bytes / 4});
+    chains.insert(chains.begin() + 6, {9, 10, 5, bytes / 4, {1}});
+  }
+  // Another operation writes what elements read at their own rows, before all else.
+  void scale_first() {
+    launch(scale_, kElements, {kScale});
+    ops.insert(ops.begin(), ops.back());
+    ops.pop_back();
+    for (Chain& chain : chains) {
+      ++chain.first;
+      ++chain.last;
+      ++chain.phase;
+    }
+    chains.insert(chains.begin(), {0, 1, 0, kElements, chains[0].shares});
+  }
+  // The sums gather from one more memory, that no elements write.
+  void gather_more() {
+    sums_.gathered.push_back({5, 2, 3, 12});
+    for (OpList::Op& op : ops)
+      if (op.layout == &sums_) {
+        const std::vector<uint64_t> arguments(words.begin() + op.first_word,
+                                              words.begin() + op.first_word + op.word_count);
+        op.first_word = static_cast<uint32_t>(words.size());
+        words.insert(words.end(), arguments.begin(), arguments.end());
+        words.push_back(kMore);
+        op.word_count += 1;
+      }
   }
   uint32_t phases() const { return chains.back().phase + 1; }
 
@@ -100,14 +126,20 @@ class Line {
   RowLayout elements_ = [] {
     RowLayout layout = local();
     layout.shared = {{0, 12}};
+    layout.inputs = {{3, 4}};
     layout.outputs = {{2, 24}};
     return layout;
   }();
-  const RowLayout sums_ = [] {
+  RowLayout sums_ = [] {
     RowLayout layout = local();
     layout.shared = {{0, 12}};
     layout.gathered = {{0, 2, 3, 12}};
     layout.outputs = {{4, 12}};
+    return layout;
+  }();
+  const RowLayout scale_ = [] {
+    RowLayout layout = local();
+    layout.outputs = {{0, 4}};
     return layout;
   }();
   const RowLayout move_ = [] {
@@ -127,29 +159,42 @@ uint64_t pointer(const Line& line, const Overlap& plan, uint32_t op, uint32_t wo
   return line.words[line.ops[op].first_word + word];
 }
 
+// The items of the part's sums, in its own numbers, are those that were recorded.
+void expect_items_name_recorded_rows(const Line& line, const Overlap& plan, uint32_t part) {
+  const auto* const items = reinterpret_cast<const int32_t*>(pointer(line, plan, 4, 3, part));
+  const auto recorded = plan.recorded_rows(3, part);
+  const auto sums = plan.rows(4, line.chains[3], part);
+  for (int32_t k = line.offsets[static_cast<size_t>(sums.begin)];
+       k < line.offsets[static_cast<size_t>(sums.end)]; ++k)
+    EXPECT_EQ(2 * recorded[static_cast<size_t>(items[k] / 2)] + items[k] % 2,
+              line.items[static_cast<size_t>(k)])
+        << k;
+}
+
 TEST(Overlap, ElementsAndTheirSumsBecomeOnePhase) {
   Line line(5, next, 10, 4);
   const Overlap plan = line.plan();
   EXPECT_EQ(line.phases(), 6u);  // the last forces stay for others to see, and their sums wait
   for (uint32_t p = 0; p < 6; ++p) EXPECT_EQ(plan.joint(p), p < 4) << p;
-  // Nodes 40 to 79 need the elements 39 to 79, in whole groups of sixteen.
-  const std::array<std::array<int64_t, 2>, 4> rows = {{{0, 48}, {32, 80}, {64, 128}, {112, 159}}};
+  // Nodes 40 to 79 need the elements 39 to 79; they stand together, in whole groups of sixteen.
+  const std::array<std::array<int32_t, 2>, 4> named = {{{0, 39}, {39, 79}, {79, 119}, {119, 158}}};
   for (uint32_t part = 0; part < 4; ++part) {
     const auto elements = plan.rows(3, line.chains[2], part);
-    EXPECT_EQ(elements.begin, rows[part][0]);
-    EXPECT_EQ(elements.end, rows[part][1]);
+    EXPECT_EQ(elements.begin, 0);
+    EXPECT_EQ(elements.end, 48);
+    const auto recorded = plan.recorded_rows(3, part);
+    ASSERT_EQ(recorded.size(), 48u);
+    for (int32_t k = 0; k < 48; ++k)
+      EXPECT_EQ(recorded[static_cast<size_t>(k)], std::min(named[part][0] + k, named[part][1]));
     const auto sums = plan.rows(4, line.chains[3], part);
     EXPECT_EQ(sums.begin, 40 * part);
     EXPECT_EQ(sums.end, 40 * part + 40);
     // What the part writes is what it sums, and no other part touches it.
     const uint64_t forces = pointer(line, plan, 3, 2, part);
     EXPECT_EQ(pointer(line, plan, 4, 0, part), forces);
-    for (uint32_t other = 0; other < part; ++other) {
-      const auto before = plan.rows(3, line.chains[2], other);
-      const uint64_t a = forces + 24 * static_cast<uint64_t>(elements.begin),
-                     b = pointer(line, plan, 3, 2, other) + 24 * static_cast<uint64_t>(before.end);
-      EXPECT_TRUE(a >= b) << part << " " << other;
-    }
+    for (uint32_t other = 0; other < part; ++other)
+      EXPECT_TRUE(forces >= pointer(line, plan, 3, 2, other) + 48 * 24) << part << " " << other;
+    expect_items_name_recorded_rows(line, plan, part);
   }
   EXPECT_TRUE(plan.moved_for_all(3).words.empty());
   const auto last = plan.rows(12, line.chains[8], 1);
@@ -182,19 +227,29 @@ TEST(Overlap, WhatAnotherPartStillReadsIsWrittenElsewhere) {
   }
 }
 
-TEST(Overlap, StaysAsRecordedWhereItGainsNothing) {
-  {
-    SCOPED_TRACE("elements of far nodes");  // every part would compute all of them
-    Line line(
-        5, [](int32_t i) { return (i * 67 + 80) % 160; }, 10, 8);
-    const Overlap plan = line.plan();
-    EXPECT_EQ(line.phases(), 10u);
-    for (uint32_t k = 0; k < line.ops.size(); ++k) EXPECT_TRUE(plan.moved(k, 0).words.empty());
+TEST(Overlap, ElementsNeedNotStandNearTheirNodes) {
+  Line line(
+      5, [](int32_t i) { return (i * 67 + 80) % 160; }, 10, 8);
+  const Overlap plan = line.plan();
+  EXPECT_EQ(line.phases(), 6u);
+  for (uint32_t part = 0; part < 8; ++part) {
+    EXPECT_LE(plan.recorded_rows(3, part).size(), 48u);  // two for each of twenty nodes
+    expect_items_name_recorded_rows(line, plan, part);
   }
+}
+
+TEST(Overlap, StaysAsRecordedWhereItGainsNothing) {
   {
     SCOPED_TRACE("an item of another array");
     Line line(5, next, 10, 4);
     line.items[7] = 2 * Line::kElements;
+    line.plan();
+    EXPECT_EQ(line.phases(), 10u);
+  }
+  {
+    SCOPED_TRACE("items of something else as well");
+    Line line(5, next, 10, 4);
+    line.gather_more();
     line.plan();
     EXPECT_EQ(line.phases(), 10u);
   }
@@ -207,10 +262,21 @@ TEST(Overlap, StaysAsRecordedWhereItGainsNothing) {
   {
     SCOPED_TRACE("other parts than threads");
     Line line(5, next, 10, 4);
-    for (Chain& chain : line.chains) chain.parts = chain.rows == Line::kNodes ? 2 : 4;
+    for (Chain& chain : line.chains) chain.shares.parts = chain.rows == Line::kNodes ? 2 : 4;
     line.plan();
     EXPECT_EQ(line.phases(), 10u);
   }
+}
+
+TEST(Overlap, WhatElementsReadIsWrittenBeforeAnyPartCopiesIt) {
+  Line line(5, next, 10, 4);
+  line.scale_first();
+  const Overlap plan = line.plan();
+  EXPECT_EQ(line.phases(), 7u);
+  EXPECT_FALSE(plan.joint(0));
+  EXPECT_TRUE(plan.joint(1));
+  EXPECT_NE(pointer(line, plan, 1, 3, 2), Line::kScale);
+  EXPECT_EQ(pointer(line, plan, 1, 3, 2), pointer(line, plan, 4, 3, 2)) << "copied once";
 }
 
 TEST(Overlap, WhoElseLooksFindsWhatWasRecorded) {
@@ -249,22 +315,37 @@ class Net {
     std::vector<int32_t> near;
     for (int32_t i = 0; i < kNodes; ++i) near.push_back((i + random.below(50)) % kNodes);
     near_ = table(near);
+    scale_ = tensor(random.values(kElements));
+    other_scale_ = tensor(random.values(kElements));
     neighbours_ = nova::make_incidence(near_.operand(), kNodes);
   }
-  // `twice`: the sums are summed once more, over neighbours.
-  void run(int steps, bool twice) const {
+  struct Variant {
+    bool sum_twice = false;      // once more, over neighbours
+    bool stiffen_again = false;  // in the middle
+  };
+  void run(int steps, const Variant& variant) const {
+    const bool twice = variant.sum_twice;
     Operand gathered = forces_.operand();
     gathered.rows = kElements * kCorners;
     gathered.width = 3;
+    launch(stiffen(), kElements, {scale_.operand()}, stiffness_.operand());
     for (int t = 0; t < steps; ++t) {
       const Tensor &now = x_[static_cast<size_t>(t % 3)],
                    &then = x_[static_cast<size_t>((t + 1) % 3)];
-      launch(element(), kElements, {corners_.operand(), now.operand()}, forces_.operand());
+      launch(element(), kElements, {corners_.operand(), now.operand(), stiffness_.operand()},
+             forces_.operand());
       nova::row_sum(gathered, *incidence_, nullptr, sums_.operand());
       if (twice) nova::row_sum(sums_.operand(), *neighbours_, nullptr, again_.operand());
       launch(move(), kNodes, {now.operand(), (twice ? again_ : sums_).operand()}, then.operand());
       if (t == steps / 2) nova::submit_copy(seen_.range(), forces_.range());
+      if (t == steps / 2 && variant.stiffen_again)
+        launch(stiffen(), kElements, {other_scale_.operand()}, stiffness_.operand());
     }
+  }
+  // What elements read at their own rows is something else from now on.
+  void change_scale() {
+    Random random(6);
+    write(scale_, random.values(kElements));
   }
   std::vector<std::vector<float>> values() const {
     return {x_[0].to_host(),   x_[1].to_host(), x_[2].to_host(),
@@ -278,17 +359,25 @@ class Net {
   static const Kernel& element() {
     static const Kernel kernel = nova::make_kernel(
         "net_element",
-        {{"corners", DType::I32, kCorners, Access::Direct}, {"x", DType::F32, 3, Access::Indexed}},
+        {{"corners", DType::I32, kCorners, Access::Direct},
+         {"x", DType::F32, 3, Access::Indexed},
+         {"stiffness", DType::F32, 1, Access::Direct}},
         {{"f", 3 * kCorners}}, [](TraceContext& c) {
           std::vector<Real> f;
           for (int32_t a = 0; a < kCorners; ++a)
             for (int32_t k = 0; k < 3; ++k) {
               Real d = c.f32(1, c.i32(0, (a + 1) % kCorners), k) - c.f32(1, c.i32(0, a), k);
               for (int n = 0; n < 12; ++n) d = d * Real(0.75f) + nova::sin(d) * Real(0.25f);
-              f.push_back(d);
+              f.push_back(d * c.f32(2, 0));
             }
           return f;
         });
+    return kernel;
+  }
+  static const Kernel& stiffen() {
+    static const Kernel kernel = nova::make_kernel(
+        "net_stiffen", {{"scale", DType::F32, 1, Access::Direct}}, {{"stiffness", 1}},
+        [](TraceContext& c) { return std::vector<Real>{c.f32(0, 0) * Real(2.0f)}; });
     return kernel;
   }
   static const Kernel& move() {
@@ -303,30 +392,38 @@ class Net {
   }
 
   std::array<Tensor, 3> x_;
-  Tensor corners_, near_;
+  Tensor corners_, near_, scale_, other_scale_;
   nova::Incidence incidence_, neighbours_;
   Tensor forces_ = tensor(std::vector<float>(kElements * 9), {kElements, 9});
   Tensor sums_ = tensor(std::vector<float>(kNodes * 3), {kNodes, 3});
   Tensor again_ = tensor(std::vector<float>(kNodes * 3), {kNodes, 3});
+  Tensor stiffness_ = tensor(std::vector<float>(kElements));
   Tensor seen_ = tensor(std::vector<float>(kElements * 9), {kElements, 9});
 };
 
 TEST(Overlap, AReplayHasTheBitsOfRunningAsWritten) {
   constexpr int kSteps = 20;
-  for (const auto& [threads, twice] :
-       {std::pair{2, false}, {5, false}, {7, false}, {16, false}, {5, true}, {16, true}}) {
+  struct Case {
+    int threads;
+    Net::Variant variant = {};
+  };
+  for (const auto& [threads, variant] :
+       {Case{2}, Case{5}, Case{7}, Case{16}, Case{5, {.sum_twice = true}},
+        Case{16, {.sum_twice = true}}, Case{5, {.stiffen_again = true}}}) {
     const Threads scope(threads);
-    const Net direct, replayed;
-    direct.run(kSteps, twice);
-    direct.run(kSteps, twice);
+    Net direct, replayed;
+    direct.run(kSteps, variant);
+    direct.change_scale();
+    direct.run(kSteps, variant);
     std::shared_ptr<OpList> graph;
     {
       const nova::ScopedCapture capture;
-      replayed.run(kSteps, twice);
+      replayed.run(kSteps, variant);
       graph = capture.graph();
     }
     graph->prepare();
     graph->launch();
+    replayed.change_scale();
     graph->launch();
     const auto expected = direct.values(), got = replayed.values();
     EXPECT_NE(expected[0], Net().values()[0]);

@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <array>
+#include <string>
 #include <utility>
 
 #include "novaphy/nova/incidence.h"
@@ -322,6 +323,7 @@ class Net {
   struct Variant {
     bool sum_twice = false;      // once more, over neighbours
     bool stiffen_again = false;  // in the middle
+    bool lost_nodes = false;     // elements name nodes that there are none of
   };
   void run(int steps, const Variant& variant) const {
     const bool twice = variant.sum_twice;
@@ -332,7 +334,9 @@ class Net {
     for (int t = 0; t < steps; ++t) {
       const Tensor &now = x_[static_cast<size_t>(t % 3)],
                    &then = x_[static_cast<size_t>((t + 1) % 3)];
-      launch(element(), kElements, {corners_.operand(), now.operand(), stiffness_.operand()},
+      Operand nodes = now.operand();
+      if (variant.lost_nodes) nodes.rows -= 4;
+      launch(element(), kElements, {corners_.operand(), nodes, stiffness_.operand()},
              forces_.operand());
       nova::row_sum(gathered, *incidence_, nullptr, sums_.operand());
       if (twice) nova::row_sum(sums_.operand(), *neighbours_, nullptr, again_.operand());
@@ -430,6 +434,30 @@ TEST(Overlap, AReplayHasTheBitsOfRunningAsWritten) {
     for (size_t k = 0; k < expected.size(); ++k)
       EXPECT_TRUE(same_bits<float>(got[k], expected[k])) << threads << " threads, array " << k;
   }
+}
+
+TEST(Overlap, AnErrorNamesTheElementThatWasRecorded) {
+  const Threads scope(5);
+  const Net direct, replayed;
+  const Net::Variant lost{.lost_nodes = true};
+  const auto message = [](const auto& call) {
+    try {
+      call();
+    } catch (const Error& error) {
+      return std::string(error.what());
+    }
+    return std::string("nothing");
+  };
+  const std::string expected = message([&] { direct.run(20, lost); });
+  EXPECT_NE(expected.find("row 1096"), std::string::npos) << expected;
+  std::shared_ptr<OpList> graph;
+  {
+    const nova::ScopedCapture capture;
+    replayed.run(20, lost);
+    graph = capture.graph();
+  }
+  graph->prepare();
+  EXPECT_EQ(message([&] { graph->launch(); }), expected);
 }
 
 }  // namespace

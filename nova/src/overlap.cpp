@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cstring>
+#include <functional>
 #include <map>
 #include <set>
 #include <utility>
@@ -55,6 +56,7 @@ class Overlap::Planner {
   struct Memory {
     uint64_t end = 0;
     bool mixed = false;          // there are several views of its bytes
+    uint32_t settled = 0;        // no operation from this one on writes there
     std::vector<Use> uses = {};  // in the order of phases
   };
   // What was written there before something else was: the uses from its first write on.
@@ -114,6 +116,7 @@ class Overlap::Planner {
     for (const MemoryAccess& access : touched_.back()) {
       if (access.bytes == 0) continue;
       Memory& memory = memory_of(access);
+      if (access.write) memory.settled = op + 1;
       const std::vector<Use> uses = uses_at(op, access.begin);
       if (uses.empty()) {
         memory.uses.push_back({op, access.write});
@@ -200,11 +203,8 @@ class Overlap::Planner {
   // Whether a copy can stand for what an operation reads at its own row there from now on.
   bool is_settled(uint32_t op, const RowLayout::Word& input) const {
     const auto memory = memory_.find(arguments(op)[input.word]);
-    if (memory == memory_.end() || memory->second.mixed ||
-        arguments(op)[input.word + 1] < static_cast<uint64_t>(ops_[op].n))
-      return false;
-    return std::none_of(memory->second.uses.begin(), memory->second.uses.end(),
-                        [&](const Use& use) { return use.write && use.op >= op; });
+    return memory != memory_.end() && !memory->second.mixed && memory->second.settled <= op &&
+           arguments(op)[input.word + 1] >= static_cast<uint64_t>(ops_[op].n);
   }
   void consider(uint32_t op, const std::vector<Value>& values) {
     const RowLayout& own = layout(op);
@@ -222,14 +222,16 @@ class Overlap::Planner {
     for (const auto& [sum, all] : sums) {
       // Its items get other numbers: those of all that it gathers, in the same way.
       if (all.size() != layout(sum).gathered.size() || all[0].items == nullptr ||
-          std::any_of(all.begin(), all.end(), [&](const Gathering& g) { return g != all[0]; }))
+          std::adjacent_find(all.begin(), all.end(), std::not_equal_to<>()) != all.end())
         return;
       elements.gatherings.push_back(all[0]);
     }
     std::sort(elements.gatherings.begin(), elements.gatherings.end());
     const auto end = std::unique(elements.gatherings.begin(), elements.gatherings.end());
     elements.gatherings.erase(end, elements.gatherings.end());
-    if (!elements.gatherings.empty()) candidates_.push_back(std::move(elements));
+    if (elements.gatherings.empty()) return;
+    for (const RowLayout::Word& w : own.inputs) ++readers_[arguments(op)[w.word]];
+    candidates_.push_back(std::move(elements));
   }
   // Sums that join their elements are shared out evenly, not by whole groups: a few rows more are
   // many elements more. A part has a group at least, for less would be slow.
@@ -266,10 +268,8 @@ class Overlap::Planner {
                items_in(gathering(use, value), elements.lists, lists));
       }
     }
-    for (const RowLayout::Word& w : layout(elements.op).inputs) {
-      const Input input{arguments(elements.op)[w.word], w.row_bytes, elements.lists};
-      move(elements.op, kNowhere, w.word, rows_in(input, lists));
-    }
+    for (const RowLayout::Word& w : layout(elements.op).inputs)
+      move(elements.op, kNowhere, w.word, rows_in(place_of(elements, w), lists));
     elements_.push_back(std::move(elements));
   }
   // The rows that each part needs, as a number from 1 on; 0: it is not worth it, or not known.
@@ -282,6 +282,13 @@ class Overlap::Planner {
     if (lists.empty()) return 0;
     plan_.lists_.push_back(std::move(lists));
     return known->second = static_cast<uint32_t>(plan_.lists_.size());
+  }
+  // Where the copy of an input stands. What only one operation reads, as the activations of a step,
+  // stands where that of another step did: `begin` is then no address, but the number of the input.
+  Input place_of(const Elements& elements, const RowLayout::Word& input) const {
+    const uint64_t begin = arguments(elements.op)[input.word];
+    const bool once = readers_.at(begin) == 1;
+    return {once ? 1 + input.word : begin, input.row_bytes, elements.lists};
   }
   // Memory for what stands in these rows. Compiled code reads a group ahead.
   uint32_t rows_in(const Input& input, const Lists& lists) {
@@ -306,7 +313,7 @@ class Overlap::Planner {
     known->second = allocate(bytes);
     for (uint32_t part = 0; part < plan_.parts_; ++part) {
       uint64_t& base = bases_[size_t{known->second} * plan_.parts_ + part];
-      std::memcpy(reinterpret_cast<void*>(base), items[part].data(), bytes[part]);
+      std::copy(items[part].begin(), items[part].end(), reinterpret_cast<int32_t*>(base));
       const int32_t first = gathering.offsets[shares.begin(gathering.sums, part)];
       base -= static_cast<uint64_t>(first) * sizeof(int32_t);
     }
@@ -394,9 +401,10 @@ class Overlap::Planner {
     Change& change = plan_.changes_[e.op];
     change.first_copy = static_cast<uint32_t>(plan_.copies_.size());
     for (const RowLayout::Word& w : layout(e.op).inputs) {
-      const Input input{arguments(e.op)[w.word], w.row_bytes, e.lists};
-      if (copied_.insert(input).second)
-        plan_.copies_.push_back({input.begin, input.row_bytes, input.rows, own_.at(input)});
+      const uint64_t begin = arguments(e.op)[w.word];
+      const uint32_t memory = own_.at(place_of(e, w));
+      if (copied_.insert({begin, w.row_bytes, e.lists}).second)
+        plan_.copies_.push_back({begin, w.row_bytes, e.lists, memory});
     }
     change.copies = static_cast<uint32_t>(plan_.copies_.size()) - change.first_copy;
   }
@@ -448,8 +456,9 @@ class Overlap::Planner {
   std::map<Input, uint32_t> own_;  // memory
   std::map<std::pair<Gathering, uint32_t>, uint32_t> items_;
   std::set<Input> copied_;
-  std::vector<uint64_t> bases_;  // of each part, memory by memory
-  std::vector<uint32_t> group_;  // by chain
+  std::map<uint64_t, uint32_t> readers_;  // elements that read there at their own rows
+  std::vector<uint64_t> bases_;           // of each part, memory by memory
+  std::vector<uint32_t> group_;           // by chain
   std::vector<MemoryAccess> before_, after_;
 };
 

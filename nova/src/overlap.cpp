@@ -83,7 +83,7 @@ class Overlap::Planner {
   // What elements read at their own rows.
   struct Input {
     uint64_t begin;
-    uint32_t row_bytes, rows;  // rows: the lists
+    uint32_t row_bytes, lists;
     auto operator<=>(const Input&) const = default;
   };
 
@@ -299,8 +299,8 @@ class Overlap::Planner {
     return known->second = allocate(bytes);
   }
   // The items of the sums of each part.
-  uint32_t items_in(const Gathering& gathering, uint32_t rows, const Lists& lists) {
-    const auto [known, is_new] = items_.try_emplace({gathering, rows}, 0);
+  uint32_t items_in(const Gathering& gathering, uint32_t number, const Lists& lists) {
+    const auto [known, is_new] = items_.try_emplace({gathering, number}, 0);
     if (!is_new) return known->second;
     const Shares& shares = shares_[gathering.sums];
     std::vector<std::vector<int32_t>> items;
@@ -411,7 +411,7 @@ class Overlap::Planner {
   void commit() {
     for (const Elements& e : elements_)
       if (e.active) {
-        plan_.changes_[e.op].rows = e.lists;
+        plan_.changes_[e.op].lists = e.lists;
         add_copies(e);
         for (const Value& value : e.values)
           for (const Use& use : value.uses.subspan(1)) {
@@ -469,9 +469,9 @@ Overlap::Overlap(std::span<const OpList::Op> ops, std::span<const uint64_t> word
 }
 
 void Overlap::copy_rows(std::span<const Copy> copies, uint32_t part) const {
-  for (const auto& [from, row_bytes, rows, memory] : copies) {
+  for (const auto& [from, row_bytes, lists, memory] : copies) {
     auto* to = reinterpret_cast<std::byte*>(bases_[part * memory_.size() + memory]);
-    for (const int32_t row : lists_[rows - 1][part]) {
+    for (const int32_t row : lists_[lists - 1][part]) {
       std::memcpy(to, reinterpret_cast<const std::byte*>(from) + int64_t{row} * row_bytes,
                   row_bytes);
       to += row_bytes;

@@ -41,16 +41,17 @@ class Overlap {
 
   // Whether a part of all chains of a phase is done as one.
   bool joint(uint32_t phase) const { return joint_[phase]; }
+  // Which rows of the elements that were recorded a part has, close together; empty: it does rows
+  // of its own, where they are.
+  std::span<const int32_t> listed(uint32_t op, uint32_t part) const {
+    const uint32_t lists = changes_[op].lists;
+    return lists == 0 ? std::span<const int32_t>() : lists_[lists - 1][part];
+  }
   // The rows of an operation of this chain that a part does.
   Rows rows(uint32_t op, const Chain& chain, uint32_t part) const {
-    const uint32_t set = changes_[op].rows;
-    if (set != 0) return {0, static_cast<int64_t>(lists_[set - 1][part].size())};
+    const auto list = listed(op, part);
+    if (!list.empty()) return {0, static_cast<int64_t>(list.size())};
     return {chain.shares.begin(chain.rows, part), chain.shares.begin(chain.rows, part + 1)};
-  }
-  // Which rows of the recorded elements those are; empty: they are what they were.
-  std::span<const int32_t> recorded_rows(uint32_t op, uint32_t part) const {
-    const uint32_t set = changes_[op].rows;
-    return set == 0 ? std::span<const int32_t>() : lists_[set - 1][part];
   }
   // Copies what elements of the part read at their own rows, before the first operation that finds
   // it there.
@@ -72,7 +73,7 @@ class Overlap {
 
  private:
   struct Change {
-    uint32_t rows = 0;              // the lists, from 1 on, of rows; 0: parts do their own
+    uint32_t lists = 0;             // of rows, from 1 on; 0: parts do rows of their own
     uint32_t first = 0, words = 0;  // moved; those for all parts come first
     uint32_t shared = 0;            // so many are for all parts
     uint32_t first_copy = 0, copies = 0;
@@ -80,7 +81,7 @@ class Overlap {
   // Of the rows in the lists.
   struct Copy {
     uint64_t from;
-    uint32_t row_bytes, rows, memory;
+    uint32_t row_bytes, lists, memory;
   };
   using Lists = std::vector<std::vector<int32_t>>;  // a list for each part
   class Planner;

@@ -164,7 +164,7 @@ uint64_t pointer(const Line& line, const Overlap& plan, uint32_t op, uint32_t wo
 // The items of the part's sums, in its own numbers, are those that were recorded.
 void expect_items_name_recorded_rows(const Line& line, const Overlap& plan, uint32_t part) {
   const auto* const items = reinterpret_cast<const int32_t*>(pointer(line, plan, 4, 3, part));
-  const auto recorded = plan.recorded_rows(3, part);
+  const auto recorded = plan.listed(3, part);
   const auto sums = plan.rows(4, line.chains[3], part);
   for (int32_t k = line.offsets[static_cast<size_t>(sums.begin)];
        k < line.offsets[static_cast<size_t>(sums.end)]; ++k)
@@ -184,7 +184,7 @@ TEST(Overlap, ElementsAndTheirSumsBecomeOnePhase) {
     const auto elements = plan.rows(3, line.chains[2], part);
     EXPECT_EQ(elements.begin, 0);
     EXPECT_EQ(elements.end, 48);
-    const auto recorded = plan.recorded_rows(3, part);
+    const auto recorded = plan.listed(3, part);
     ASSERT_EQ(recorded.size(), 48u);
     for (int32_t k = 0; k < 48; ++k)
       EXPECT_EQ(recorded[static_cast<size_t>(k)], std::min(named[part][0] + k, named[part][1]));
@@ -235,7 +235,7 @@ TEST(Overlap, ElementsNeedNotStandNearTheirNodes) {
   const Overlap plan = line.plan();
   EXPECT_EQ(line.phases(), 6u);
   for (uint32_t part = 0; part < 8; ++part) {
-    EXPECT_LE(plan.recorded_rows(3, part).size(), 48u);  // two for each of twenty nodes
+    EXPECT_LE(plan.listed(3, part).size(), 48u);  // two for each of twenty nodes
     expect_items_name_recorded_rows(line, plan, part);
   }
 }

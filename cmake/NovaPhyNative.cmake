@@ -21,6 +21,31 @@ if(CMAKE_SYSTEM_PROCESSOR MATCHES "^(x86_64|AMD64)$")
   set(NOVAPHY_NATIVE_OPTIONS_avx512 -mavx2 -mfma -mavx512f -mavx512dq -mavx512bw -mavx512vl
                                     -mprefer-vector-width=512)
 endif()
+# A build for this machine needs two levels only, and compiles the kernels in half the time.
+set(NOVAPHY_CPU_LEVELS "" CACHE STRING
+    "Instruction sets of the compiled kernels: ${NOVAPHY_NATIVE_LEVELS}; host: the best of this machine; empty: all")
+if(NOVAPHY_CPU_LEVELS)
+  set(levels scalar ${NOVAPHY_CPU_LEVELS})
+  if("host" IN_LIST levels)
+    execute_process(COMMAND ${CMAKE_C_COMPILER} -march=native -dM -E -x c /dev/null OUTPUT_VARIABLE macros ERROR_QUIET)
+    if("avx512" IN_LIST NOVAPHY_NATIVE_LEVELS AND macros MATCHES "__AVX512DQ__" AND macros MATCHES "__AVX512BW__"
+       AND macros MATCHES "__AVX512VL__")
+      set(host avx512)
+    elseif("avx2" IN_LIST NOVAPHY_NATIVE_LEVELS AND macros MATCHES "__AVX2__" AND macros MATCHES "__FMA__")
+      set(host avx2)
+    else()
+      set(host baseline)
+    endif()
+    list(TRANSFORM levels REPLACE "^host$" ${host})
+  endif()
+  list(REMOVE_DUPLICATES levels)
+  foreach(level ${levels})
+    if(NOT level IN_LIST NOVAPHY_NATIVE_LEVELS)
+      message(FATAL_ERROR "NOVAPHY_CPU_LEVELS: expected some of ${NOVAPHY_NATIVE_LEVELS}, host, got ${level}.")
+    endif()
+  endforeach()
+  set(NOVAPHY_NATIVE_LEVELS ${levels})
+endif()
 
 # The arithmetic contract, wrapping integers, and words that are read as float or int. The text is generated, so it is
 # not held to the warnings of written code.

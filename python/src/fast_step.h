@@ -11,7 +11,7 @@
 #include "novaphy/core/sim/contacts.h"
 #include "novaphy/core/sim/control.h"
 #include "novaphy/core/sim/sim_state.h"
-#include "novaphy/dynamics/solver_base.h"
+#include "novaphy/core/sim/solver_base.h"
 
 namespace novaphy::python {
 

@@ -44,7 +44,7 @@ BAD = {
     ),
     "collision includes dynamics": (
         "collision/src/a.cpp",
-        "\n  #  include <novaphy/dynamics/solver_base.h>\n",
+        "\n  #  include <novaphy/dynamics/semi_implicit/solver_semi_implicit.h>\n",
         "collision/src/a.cpp:2: collision may not include",
     ),
     "forward code includes the operator beside it": (

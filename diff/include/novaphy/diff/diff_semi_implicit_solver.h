@@ -3,10 +3,10 @@
 
 #include <memory>
 
+#include "novaphy/core/sim/solver_base.h"
 #include "novaphy/diff/export.h"
 #include "novaphy/diff/trajectory.h"
 #include "novaphy/dynamics/semi_implicit/diff_elements.h"
-#include "novaphy/dynamics/solver_base.h"
 #include "novaphy/nova/incidence.h"
 
 namespace novaphy::diff {

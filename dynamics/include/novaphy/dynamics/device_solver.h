@@ -4,7 +4,8 @@
 
 #include <memory>
 
-#include "novaphy/dynamics/solver_base.h"
+#include "novaphy/core/sim/solver_base.h"
+#include "novaphy/dynamics/export.h"
 
 namespace novaphy {
 

@@ -3,8 +3,8 @@
 
 #include <memory>
 
+#include "novaphy/core/sim/solver_base.h"
 #include "novaphy/dynamics/export.h"
-#include "novaphy/dynamics/solver_base.h"
 
 namespace novaphy {
 

@@ -3,18 +3,18 @@
 
 #include <memory>
 
+#include "novaphy/core/export.h"
 #include "novaphy/core/sim/contacts.h"
 #include "novaphy/core/sim/control.h"
 #include "novaphy/core/sim/enums.h"
 #include "novaphy/core/sim/model.h"
 #include "novaphy/core/sim/sim_state.h"
-#include "novaphy/dynamics/export.h"
 
 namespace novaphy {
 
 // A solver reads the model's arrays and settings at every step, so edited values act at the next
 // one. One thread at a time may use a solver.
-class NOVAPHY_DYNAMICS_API SolverBase {
+class NOVAPHY_CORE_API SolverBase {
  public:
   explicit SolverBase(std::shared_ptr<const Model> model);  // ErrorKind::Value: null
   virtual ~SolverBase();

@@ -1,4 +1,4 @@
-#include "novaphy/dynamics/solver_base.h"
+#include "novaphy/core/sim/solver_base.h"
 
 #include <cmath>
 #include <utility>

@@ -68,6 +68,7 @@ from ._core import (
     vec4i,
     version,
 )
+from ._planned import getattr_of_class, missing_from_module
 
 if TYPE_CHECKING:
     from . import diff, io, nova, solvers, testing, viewer
@@ -75,6 +76,7 @@ if TYPE_CHECKING:
 
 State = SimState
 __version__ = version()
+ModelBuilder.__getattr__ = getattr_of_class("ModelBuilder")  # type: ignore[attr-defined]
 
 _SUBPACKAGES = ("diff", "io", "nova", "solvers", "testing", "viewer")
 _FROM_VIEWER = ("ViewerFile", "ViewerNull", "create_viewer")
@@ -149,14 +151,14 @@ __all__ = [
 
 
 def __getattr__(name: str) -> object:
-    """Import a subpackage, or a viewer, at its first use."""
+    """Import a subpackage, or a viewer, at its first use; say of a planned name that it is one."""
     import importlib
 
     if name in _SUBPACKAGES:
         return importlib.import_module("." + name, __name__)
     if name in _FROM_VIEWER:
         return getattr(importlib.import_module(".viewer", __name__), name)
-    raise AttributeError(f"module 'novaphy' has no attribute '{name}'")
+    raise missing_from_module("novaphy", name)
 
 
 def __dir__() -> list[str]:

@@ -15,6 +15,7 @@ import pytest
 
 import novaphy
 from novaphy import _core
+from novaphy._planned import PLANNED
 from novaphy.testing import assert_allclose, assert_same_bits, assert_same_state
 
 PACKAGE = Path(novaphy.__file__).parent
@@ -64,6 +65,24 @@ def test_an_unknown_name_is_an_attribute_error():
         _ = novaphy.nothing
     with pytest.raises(ImportError):
         from novaphy import nothing  # noqa: F401
+
+
+@pytest.mark.parametrize("owner", PLANNED)
+def test_a_planned_name_says_that_it_is_not_built(owner):
+    asked = novaphy.ModelBuilder() if owner == "ModelBuilder" else importlib.import_module(owner)
+    for name in (name for names in PLANNED[owner].values() for name in names):
+        with pytest.raises(NotImplementedError, match=rf"{owner}\.{name} is planned, not built"):
+            getattr(asked, name)
+        assert name not in dir(asked), f"{name} is built: take it out of PLANNED"
+
+
+def test_what_is_planned_can_be_asked_about():
+    builder = novaphy.ModelBuilder()
+    assert not hasattr(builder, "add_body") and getattr(builder, "add_urdf", None) is None
+    with pytest.raises(AttributeError, match="'ModelBuilder' object has no attribute 'add_bodi'"):
+        builder.add_bodi()
+    with pytest.raises(NotImplementedError, match="SolverVBD is planned"):
+        from novaphy.solvers import SolverVBD  # noqa: F401
 
 
 def test_import_is_lean():

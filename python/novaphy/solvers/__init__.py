@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from .._core import has_diff
 from .._core.solvers import SolverBase, SolverSemiImplicit
+from .._planned import missing_from_module
+from .._require import require_diff
 
 __all__ = ["SolverBase", "SolverSemiImplicit"]
 
@@ -11,12 +13,10 @@ if has_diff():
     from .._core.solvers import DiffSemiImplicitSolver, DiffSolverConfig
 
     __all__ += ["DiffSemiImplicitSolver", "DiffSolverConfig"]
-else:
 
-    def __getattr__(name: str) -> object:
-        """Say why a differentiable solver is not there."""
-        if name in ("DiffSemiImplicitSolver", "DiffSolverConfig"):
-            from .._require import require_diff
 
-            require_diff(f"novaphy.solvers.{name}")
-        raise AttributeError(f"module 'novaphy.solvers' has no attribute '{name}'")
+def __getattr__(name: str) -> object:
+    """Say why a solver is not there: not in this build, or not built yet."""
+    if name in ("DiffSemiImplicitSolver", "DiffSolverConfig"):
+        require_diff(f"novaphy.solvers.{name}")
+    raise missing_from_module("novaphy.solvers", name)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from .._planned import missing_from_module
 from ._base import Viewer
 from ._file import ViewerFile
 from ._null import ViewerNull
@@ -30,3 +31,8 @@ def create_viewer(kind: str, **options: Any) -> Viewer:
     if kind in _NOT_BUILT:
         raise NotImplementedError(f"create_viewer: this version has no {kind!r} viewer")
     raise ValueError(f"create_viewer, kind: expected 'null' or 'file', got {kind!r}")
+
+
+def __getattr__(name: str) -> object:
+    """Say of a planned viewer that it is not built."""
+    raise missing_from_module("novaphy.viewer", name)

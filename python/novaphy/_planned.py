@@ -1,0 +1,77 @@
+"""Names that are agreed and not built yet: asking for one raises an error that says so.
+
+A name leaves the table when it is built; a test fails while it is in both places.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+_JOINT_KINDS = ("revolute", "prismatic", "ball", "fixed", "free", "distance", "d6")
+_EVALUATIONS = ("fk", "ik", "mass_matrix", "jacobian", "inverse_dynamics")
+_SHAPE_KINDS = ("cylinder", "cone", "ellipsoid", "mesh", "convex_hull")
+
+# Owner -> what its missing names belong to -> the names.
+PLANNED: dict[str, dict[str, tuple[str, ...]]] = {
+    "novaphy": {
+        "articulations": tuple(f"eval_{kind}" for kind in _EVALUATIONS),
+        "streams": ("Stream", "ScopedStream", "get_stream"),
+        "viewers with a window or a web page": ("ViewerGL", "ViewerViser", "ViewerRerun"),
+        "surface meshes as objects": ("geometry",),
+        "helpers for poses and colours": ("utils",),
+    },
+    "novaphy.solvers": {
+        "rigid bodies": ("SolverXPBD", "SolverSequentialImpulse"),
+        "articulations": ("SolverFeatherstone", "SolverMuJoCo"),
+        "VBD": ("SolverVBD",),
+    },
+    "novaphy.viewer": {
+        "viewers with a window or a web page": ("ViewerGL", "ViewerViser", "ViewerRerun"),
+    },
+    "ModelBuilder": {
+        "rigid bodies": ("add_link", "add_body"),
+        "joints": ("add_joint", *(f"add_joint_{kind}" for kind in _JOINT_KINDS)),
+        "articulations": ("add_articulation",),
+        "robots from files": ("add_urdf", "add_mjcf", "add_usd"),
+        "shapes besides planes, spheres, boxes and capsules": tuple(
+            f"add_shape_{kind}" for kind in _SHAPE_KINDS
+        ),
+        "VBD": ("color", "set_coloring"),
+    },
+}
+
+
+class PlannedError(NotImplementedError, AttributeError):
+    """A planned member of an object was asked for: hasattr(builder, "add_body") stays False."""
+
+
+def missing_from_module(module: str, name: str) -> Exception:
+    """Return what a module raises for a name that it does not have.
+
+    For a planned one not an AttributeError, which ``from module import name`` would replace by
+    "cannot import name".
+    """
+    planned = _sentence(module, name)
+    if planned:
+        return NotImplementedError(planned)
+    return AttributeError(f"module {module!r} has no attribute {name!r}")
+
+
+def getattr_of_class(owner: str) -> Callable[[object, str], object]:
+    """Make the __getattr__ of a class, which Python asks for what it did not find."""
+
+    def get(self: object, name: str) -> object:
+        planned = _sentence(owner, name)
+        if planned:
+            raise PlannedError(planned)
+        raise AttributeError(f"{owner!r} object has no attribute {name!r}")
+
+    return get
+
+
+def _sentence(owner: str, name: str) -> str | None:
+    """Say of a name what it belongs to; None when it is not planned."""
+    for part, names in PLANNED[owner].items():
+        if name in names:
+            return f"{owner}.{name} is planned, not built: it belongs to {part}"
+    return None

@@ -100,8 +100,9 @@ Entry Registry::open_file(const BackendCandidate& candidate) {
   Entry entry;
   entry.info.name = candidate.name;
   entry.info.path = candidate.path.string();
-  entry.info.error = candidate.problem;
-  if (!candidate.problem.empty()) return entry;
+  entry.info.error =
+      candidate.problem.empty() ? plugin_file_problem(candidate.path) : candidate.problem;
+  if (!entry.info.error.empty()) return entry;
   void* library = dlopen(candidate.path.c_str(), RTLD_NOW | RTLD_LOCAL);
   if (library == nullptr) {
     const char* why = dlerror();

@@ -30,6 +30,9 @@ std::vector<std::filesystem::path> backend_search_path(std::vector<BackendCandid
 std::vector<BackendCandidate> find_backends();
 std::string backend_name_of(const std::filesystem::path& path);
 
+// Empty when dlopen may look at the file, else why it may not.
+std::string plugin_file_problem(const std::filesystem::path& path);
+
 // Empty when the table keeps the rules of the ABI, else the rule that it breaks.
 std::string check_backend_table(const novaphy_backend_api* api);
 

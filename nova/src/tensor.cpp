@@ -1,5 +1,6 @@
 #include "novaphy/nova/tensor.h"
 
+#include <limits>
 #include <mutex>
 
 #include "engine_kernels.h"
@@ -28,13 +29,18 @@ std::string shape_str(const Shape& shape) {
 
 namespace {
 
+// Dimensions of 0 are left out of the limit, so that the other sizes of an empty tensor stay true.
 int64_t scalar_count(const Shape& shape) {
+  constexpr int64_t kMost = std::numeric_limits<int64_t>::max() / 8;  // as many bytes fit as well
   int64_t n = 1;
+  bool empty = false;
   for (int64_t d : shape) {
     if (d < 0) fail(ErrorKind::Value, "shape: expected dimensions >= 0, got ", shape_str(shape));
-    n *= d;
+    empty = empty || d == 0;
+    if (d != 0 && (__builtin_mul_overflow(n, d, &n) || n > kMost))
+      fail(ErrorKind::Value, "shape: ", shape_str(shape), " is too large");
   }
-  return n;
+  return empty ? 0 : n;
 }
 
 void host_read(const char* what) {
@@ -161,20 +167,23 @@ int64_t Tensor::size() const {
 int32_t Tensor::row_width() const {
   int64_t w = 1;
   for (size_t k = 1; k < impl_->shape.size(); ++k) w *= impl_->shape[k];
+  if (w > std::numeric_limits<int32_t>::max()) [[unlikely]]
+    fail(ErrorKind::Value, "tensor: expected rows of less than 2^31 values, got shape ",
+         shape_str(impl_->shape));
   return static_cast<int32_t>(w);
 }
 Device Tensor::device() const { return impl_->range->storage().device(); }
 bool Tensor::is_external() const { return impl_->range->storage().is_external(); }
 Operand Tensor::operand() const {
-  require(dtype() != DType::U8, ErrorKind::Type,
-          "tensor: kernels read float32 and int32, got uint8");
-  return {impl_->range, rows(), row_width(), dtype() == DType::F32 ? ir::Type::F32 : ir::Type::I32};
+  Operand o = flat_operand();
+  o.rows = rows();
+  o.width = row_width();
+  return o;
 }
 Operand Tensor::flat_operand() const {
-  Operand o = operand();
-  o.rows = size();
-  o.width = 1;
-  return o;
+  require(dtype() != DType::U8, ErrorKind::Type,
+          "tensor: kernels read float32 and int32, got uint8");
+  return {impl_->range, size(), 1, dtype() == DType::F32 ? ir::Type::F32 : ir::Type::I32};
 }
 
 bool Tensor::requires_grad() const {

@@ -34,8 +34,8 @@ Tensor reshape(const Tensor& self, const py::args& args) {
   for (size_t k = 0; k < shape.size(); ++k) {
     if (shape[k] == -1 && free_at < 0) {
       free_at = static_cast<int64_t>(k);
-    } else {
-      known *= shape[k];
+    } else if (__builtin_mul_overflow(known, shape[k], &known)) {
+      known = 0;
     }
   }
   if (free_at >= 0 && known > 0 && self.size() % known == 0)

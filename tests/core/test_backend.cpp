@@ -1,4 +1,5 @@
 #include <gtest/gtest.h>
+#include <sys/stat.h>
 
 #include <filesystem>
 #include <fstream>
@@ -86,6 +87,38 @@ TEST(BackendRegistry, RefusesAFileThatIsNoLibraryAndIgnoresOtherNames) {
                                           "/libnovaphy_backend_text.so|refused|idle|0|"))
       << result.output;
   EXPECT_FALSE(contains(result.output, "libother")) << result.output;
+}
+
+TEST(BackendRegistry, RefusesATruncatedFileWithBothLengths) {
+  const TemporaryFolder folder;
+  const auto file = folder.path() / "libnovaphy_backend_cut.so";
+  const auto whole = std::filesystem::file_size(plugin_file("second_cpu"));
+  for (const auto bytes : {whole / 50, whole / 5, whole / 2, whole * 9 / 10, whole - 1}) {
+    std::filesystem::copy_file(plugin_file("second_cpu"), file,
+                               std::filesystem::copy_options::overwrite_existing);
+    std::filesystem::resize_file(file, bytes);
+    const ProbeResult result = probe("NOVAPHY_BACKEND_PATH=" + folder.path().string(), "backends");
+    EXPECT_EQ(result.code, 0) << bytes << " of " << whole;
+    EXPECT_TRUE(contains(result.output,
+                         "cut|" + file.string() + "|refused|idle|0|truncated: the file has " +
+                             std::to_string(bytes) + " bytes, its headers describe "))
+        << bytes << " of " << whole << ": " << result.output;
+  }
+}
+
+TEST(BackendRegistry, RefusesWhatIsNoRegularFileWithoutWaitingForIt) {
+  const TemporaryFolder folder;
+  const auto fifo = folder.path() / "libnovaphy_backend_fifo.so";
+  ASSERT_EQ(mkfifo(fifo.c_str(), 0600), 0);
+  std::filesystem::create_directory(folder.path() / "libnovaphy_backend_folder.so");
+  std::filesystem::create_symlink("/nowhere", folder.path() / "libnovaphy_backend_dangling.so");
+  const ProbeResult result = probe("NOVAPHY_BACKEND_PATH=" + folder.path().string(), "backends");
+  EXPECT_EQ(result.code, 0) << result.output;
+  for (const char* name : {"fifo", "folder"})
+    EXPECT_TRUE(contains(result.output, std::string("libnovaphy_backend_") + name +
+                                            ".so|refused|idle|0|not a regular file"))
+        << result.output;
+  EXPECT_TRUE(contains(result.output, "dangling.so|refused|idle|0|No such file")) << result.output;
 }
 
 TEST(BackendRegistry, NeverLooksIntoTheCurrentDirectory) {

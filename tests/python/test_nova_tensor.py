@@ -77,6 +77,28 @@ def test_reshape_looks_at_the_same_memory():
         t.reshape("a")
 
 
+@pytest.mark.parametrize(
+    "shape",
+    [(2**62 + 1, 4), (2**33, 2**33), (2**61,), (2**32, 2**31, 0), (0, 2**62, 2)],
+)
+def test_a_shape_whose_bytes_overflow_is_refused(shape):
+    for make in (nova.ones, nova.zeros, nova.tensor([]).reshape):
+        with pytest.raises(ValueError, match="shape: .* is too large"):
+            make(shape)
+
+
+def test_a_free_size_beside_sizes_that_overflow_is_refused():
+    with pytest.raises(ValueError, match="shape: .* is too large"):
+        nova.tensor([1.0, 2.0]).reshape(2**62, 2**62, -1)
+
+
+def test_a_kernel_refuses_rows_wider_than_it_can_count():
+    wide = nova.zeros((0, 2**32 + 3))
+    assert wide.shape == (0, 2**32 + 3)
+    with pytest.raises(ValueError, match=r"less than 2\^31 values, got shape \{0, 4294967299\}"):
+        nova.sum_rows(wide)
+
+
 def test_values_are_copied_and_filled():
     t = nova.zeros((2, 2))
     version = t.version

@@ -70,7 +70,7 @@ class NOVAPHY_NOVA_API Tensor {
   size_t ndim() const { return impl_->shape.size(); }
   int64_t size() const;  // scalars
   int64_t rows() const { return impl_->shape.empty() ? 1 : impl_->shape[0]; }
-  int32_t row_width() const;  // scalars per row
+  int32_t row_width() const;  // scalars per row; ErrorKind::Value from 2^31 on
   DType dtype() const { return impl_->dtype; }
   Device device() const;
   size_t bytes() const { return static_cast<size_t>(size()) * dtype_bytes(dtype()); }

@@ -10,6 +10,12 @@ if(NOVAPHY_WERROR)
   list(APPEND NOVAPHY_WARNINGS -Werror)
 endif()
 
+# novaphy_limit_exports(<target> <version script>): the dynamic symbol table holds what the script names, nothing else.
+function(novaphy_limit_exports target script)
+  target_link_options(${target} PRIVATE -Wl,--version-script=${script})
+  set_property(TARGET ${target} APPEND PROPERTY LINK_DEPENDS ${script})
+endfunction()
+
 function(novaphy_add_library name)
   cmake_parse_arguments(ARG "" "" "SOURCES;PUBLIC;PRIVATE" ${ARGN})
   set(target novaphy_${name})
@@ -23,6 +29,7 @@ function(novaphy_add_library name)
   target_include_directories(${target} PUBLIC $<BUILD_INTERFACE:${CMAKE_CURRENT_SOURCE_DIR}/include>
                                               $<INSTALL_INTERFACE:${CMAKE_INSTALL_INCLUDEDIR}>)
   target_link_libraries(${target} PUBLIC ${ARG_PUBLIC} PRIVATE ${ARG_PRIVATE})
+  novaphy_limit_exports(${target} ${PROJECT_SOURCE_DIR}/cmake/exports.map)
   # A missing symbol is found here, not by the user who loads the library.
   if(NOT NOVAPHY_SANITIZE)
     target_link_options(${target} PRIVATE -Wl,--no-undefined)

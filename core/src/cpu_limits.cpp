@@ -4,10 +4,12 @@
 #include <unistd.h>
 
 #include <algorithm>
+#include <charconv>
 #include <cmath>
 #include <fstream>
-#include <sstream>
+#include <iterator>
 #include <string>
+#include <string_view>
 #include <vector>
 
 namespace novaphy {
@@ -20,20 +22,32 @@ int to_cpus(double quota, double period) {
   return static_cast<int>(std::clamp(std::ceil(quota / period), 1.0, 1.0e6));
 }
 
-int read_v2(const fs::path& folder) {
-  std::ifstream file(folder / "cpu.max");
-  std::string quota;
-  double period = 0.0;
-  if (!(file >> quota >> period) || quota == "max") return 0;
-  std::istringstream number(quota);
+std::string text_of(const fs::path& path) {
+  std::ifstream file(path);
+  return {std::istreambuf_iterator<char>(file), {}};
+}
+
+// Takes the next word off a text as a number: 0 when it is none ("max").
+double take_number(std::string_view& text) {
+  text.remove_prefix(std::min(text.find_first_not_of(" \t\n"), text.size()));
   double value = 0.0;
-  return (number >> value) ? to_cpus(value, period) : 0;
+  const char* end = std::from_chars(text.data(), text.data() + text.size(), value).ptr;
+  text.remove_prefix(static_cast<size_t>(end - text.data()));
+  return value;
+}
+
+int read_v2(const fs::path& folder) {
+  const std::string text = text_of(folder / "cpu.max");
+  std::string_view rest = text;
+  const double quota = take_number(rest);
+  return to_cpus(quota, take_number(rest));
 }
 
 int read_v1(const fs::path& folder) {
-  double quota = 0.0, period = 0.0;
-  std::ifstream quota_file(folder / "cpu.cfs_quota_us"), period_file(folder / "cpu.cfs_period_us");
-  return (quota_file >> quota && period_file >> period) ? to_cpus(quota, period) : 0;
+  const std::string quota = text_of(folder / "cpu.cfs_quota_us");
+  const std::string period = text_of(folder / "cpu.cfs_period_us");
+  std::string_view first = quota, second = period;
+  return to_cpus(take_number(first), take_number(second));
 }
 
 // The smallest limit of `group` and of the groups above it. In a container the group's own path may
@@ -50,11 +64,7 @@ int smallest(const fs::path& mount, fs::path group, int (*read)(const fs::path&)
 }
 
 bool names_cpu(const std::string& controllers) {
-  std::istringstream list(controllers);
-  for (std::string name; std::getline(list, name, ',');) {
-    if (name == "cpu") return true;
-  }
-  return false;
+  return ("," + controllers + ",").find(",cpu,") != std::string::npos;
 }
 
 }  // namespace
@@ -75,9 +85,11 @@ int affinity_cpus() {
 
 int cgroup_cpu_limit(const fs::path& root) {
   const fs::path mount = root / "sys/fs/cgroup";
-  std::ifstream file(root / "proc/self/cgroup");
+  const std::string text = text_of(root / "proc/self/cgroup");
   int limit = 0;
-  for (std::string line; std::getline(file, line);) {
+  for (size_t begin = 0, end; begin < text.size(); begin = end + 1) {
+    end = std::min(text.find('\n', begin), text.size());
+    const std::string line = text.substr(begin, end - begin);
     // "0::/path" for v2, "4:cpu,cpuacct:/path" for v1
     const size_t first = line.find(':');
     const size_t second = first == std::string::npos ? first : line.find(':', first + 1);

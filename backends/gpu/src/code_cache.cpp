@@ -6,6 +6,7 @@
 
 #include <algorithm>
 #include <atomic>
+#include <charconv>
 #include <cstdio>
 #include <cstdlib>
 #include <cstring>
@@ -60,9 +61,10 @@ std::string default_folder() {
 
 uint64_t default_limit() {
   if (const char* text = std::getenv("NOVAPHY_CACHE_MB"); text != nullptr && *text != '\0') {
-    char* end = nullptr;
-    const unsigned long long megabytes = std::strtoull(text, &end, 10);
-    if (end != text && *end == '\0' && megabytes < (1u << 20)) return megabytes << 20;
+    const char* const end = text + std::strlen(text);
+    uint64_t megabytes = 0;
+    const auto [stop, code] = std::from_chars(text, end, megabytes);
+    if (code == std::errc() && stop == end && megabytes < (1u << 20)) return megabytes << 20;
   }
   return kDefaultLimit << 20;
 }

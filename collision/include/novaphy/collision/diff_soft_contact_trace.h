@@ -21,7 +21,8 @@
 // Not smooth, and what is returned there (the derivative follows the same choice):
 //   c = a    the force acts. It jumps by the damping kd*vn at touch-down.
 //   vn = 0   min takes the constant 0: damping passes nothing.
-//   vt = 0   unit and length are 0 and pass nothing.
+//   |vt| = 0 (underflow included)   the force is 0. It is the smooth kf*vt below the Coulomb limit,
+//            whose derivative is returned: kf by vt where |(mu*c)*ke| > 0, else nothing.
 //   kf*|vt| = |(mu*c)*ke|   the Coulomb side; |.| has derivative +1 at 0.
 //   The normal jumps on a box's faces, edges and symmetry planes (box_distance), at the centre of
 //   a sphere and on the axis of a capsule (sphere_distance, capsule_distance).
@@ -65,8 +66,11 @@ Vec3<T> soft_contact_force_term(const Vec3<T>& x, const Vec3<T>& v_p, const T& r
   const Vec3<T> vt = v - normal * vn;
   const Vec3<T> fn = (normal * c) * material.ke;
   const Vec3<T> fd = (normal * min(vn, T(0.0f))) * material.kd;
-  const Vec3<T> ft =
-      normalize(vt) * min(material.kf * length(vt), abs((material.mu * c) * material.ke));
+  const T speed = length(vt), limit = abs((material.mu * c) * material.ke);
+  const Vec3<T> friction = normalize(vt) * min(material.kf * speed, limit);
+  // Neither unit nor length passes anything at rest, so this is the whole derivative there.
+  const T at_rest = select(both(speed == T(0.0f), limit > T(0.0f)), material.kf, T(0.0f));
+  const Vec3<T> ft = with_derivative(friction, vt, at_rest);
   const Vec3<T> f = fn + (fd + ft);
   // Asked as c > a, so that a NaN reaches the force instead of switching the contact off.
   const T none = T(-0.0f);

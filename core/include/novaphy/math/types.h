@@ -116,6 +116,12 @@ Vec3<T> normalize(const Vec3<T>& a) {
   return {select(positive, a.x / l, zero), select(positive, a.y / l, zero),
           select(positive, a.z / l, zero)};
 }
+// Each component of y with the declared derivative by the same component of x.
+template <class T>
+Vec3<T> with_derivative(const Vec3<T>& y, const Vec3<T>& x, const T& dy_dx) {
+  return {with_derivative(y.x, x.x, dy_dx), with_derivative(y.y, x.y, dy_dx),
+          with_derivative(y.z, x.z, dy_dx)};
+}
 template <class B, class T>
 Vec3<T> select(const B& c, const Vec3<T>& a, const Vec3<T>& b) {
   return {select(c, a.x, b.x), select(c, a.y, b.y), select(c, a.z, b.z)};

@@ -48,23 +48,20 @@ RowPattern row_pattern(const ir::Program& p, const Instr& load) {
   return {RowPattern::Kind::Computed};
 }
 
-// Collects the columns of each output of a stage.
+// Collects the columns of each output of a stage. A column is the sum of its values, in order.
 class Outputs {
  public:
+  using Column = std::vector<Value>;
   explicit Outputs(Sweep& sweep) : sweep_(sweep) {}
-  std::vector<Value>& columns(AdjointBinding binding, const std::string& name, int32_t width) {
+  std::vector<Column>& columns(AdjointBinding binding, const std::string& name, int32_t width) {
     for (size_t k = 0; k < sweep_.stage.outputs.size(); ++k)
       if (sweep_.stage.outputs[k].kind == binding.kind &&
           sweep_.stage.outputs[k].index == binding.index)
         return columns_[k];
     sweep_.stage.outputs.push_back(binding);
     names_.push_back(name);
-    columns_.emplace_back(static_cast<size_t>(width), kNone);
+    columns_.emplace_back(static_cast<size_t>(width));
     return columns_.back();
-  }
-  void add(std::vector<Value>& column_values, int32_t column, Value value) {
-    Value& at = column_values[column];
-    at = at == kNone ? value : sweep_.trace().emit({Op::ADD, at, value});
   }
   // Writes the outputs into the Program; missing columns are 0, accumulated gradients start from
   // what is there.
@@ -78,15 +75,14 @@ class Outputs {
       Value previous = kNone;
       if (accumulate)
         previous = sweep_.add_source(names_[k] + "_before", width, binding, ir::Access::Direct);
+      std::vector<Value> totals;
       for (int32_t c = 0; c < width; ++c) {
-        Value& at = columns_[k][c];
-        if (at == kNone) at = accumulate ? kNone : t.constant(0.0f);
-        if (accumulate) {
-          const Value before = sweep_.load(previous, sweep_.index(), c);
-          at = at == kNone ? before : t.emit({Op::ADD, before, at});
-        }
+        Value total = accumulate ? sweep_.load(previous, sweep_.index(), c) : kNone;
+        for (const Value value : columns_[k][c])
+          total = total == kNone ? value : t.emit({Op::ADD, total, value});
+        totals.push_back(total == kNone ? t.constant(0.0f) : total);
       }
-      t.program().outputs.push_back({names_[k], ir::Type::F32, columns_[k]});
+      t.program().outputs.push_back({names_[k], ir::Type::F32, std::move(totals)});
     }
     sweep_.stage.program = ir::canonicalise(t.program(), true);
     return std::move(sweep_.stage);
@@ -96,7 +92,7 @@ class Outputs {
  private:
   Sweep& sweep_;
   std::vector<std::string> names_;
-  std::vector<std::vector<Value>> columns_;
+  std::vector<std::vector<Column>> columns_;
 };
 
 int32_t row_sum_entry(AdjointPlan& plan, const AdjointRowSum& wanted) {
@@ -110,7 +106,7 @@ int32_t row_sum_entry(AdjointPlan& plan, const AdjointRowSum& wanted) {
   return static_cast<int32_t>(plan.row_sums.size()) - 1;
 }
 
-// Sends the adjoint of one load to the output that it belongs to.
+// Sends an adjoint of one load to the output that it belongs to.
 void route(const ir::Program& p, AdjointPlan& plan, Outputs& outputs, const Instr& load,
            Value value, bool at_item) {
   const int32_t s = load.a, width = p.sources[s].width;
@@ -118,11 +114,11 @@ void route(const ir::Program& p, AdjointPlan& plan, Outputs& outputs, const Inst
   const RowPattern pattern = row_pattern(p, load);
   auto add_to_sum = [&](AdjointRowSum::Kind kind) {
     const int32_t entry = row_sum_entry(plan, {kind, s, -1, at_item, width});
-    outputs.add(outputs.columns({Kind::Contribution, entry}, name, width), load.c, value);
+    outputs.columns({Kind::Contribution, entry}, name, width)[load.c].push_back(value);
   };
   auto add_to_row = [&] {
     if (p.sources[s].access == ir::Access::Indexed) return add_to_sum(AdjointRowSum::Kind::Row);
-    outputs.add(outputs.columns({Kind::SourceGradient, s}, name, width), load.c, value);
+    outputs.columns({Kind::SourceGradient, s}, name, width)[load.c].push_back(value);
   };
   switch (pattern.kind) {
     case RowPattern::Kind::Row:
@@ -147,8 +143,10 @@ void route(const ir::Program& p, AdjointPlan& plan, Outputs& outputs, const Inst
       const int32_t table_width = p.sources[pattern.table].width;
       const int32_t entry =
           row_sum_entry(plan, {AdjointRowSum::Kind::Table, s, pattern.table, at_item, width});
-      outputs.add(outputs.columns({Kind::Contribution, entry}, name, table_width * width),
-                  pattern.column * width + load.c, value);
+      outputs
+          .columns({Kind::Contribution, entry}, name,
+                   table_width * width)[pattern.column * width + load.c]
+          .push_back(value);
       break;
     }
     case RowPattern::Kind::Computed:
@@ -194,14 +192,16 @@ AdjointStage make_rows(const Primal& primal, AdjointPlan& plan, std::vector<bool
   sweep.sweep(0, 0);
 
   Outputs outputs(sweep);
-  for (const auto& [v, value] : sweep.load_adjoints)
-    if (primal.section[v] != 1) route(p, plan, outputs, p.instrs[v], value, false);
+  for (const auto& [v, adjoint] : sweep.load_adjoints)
+    for (const Value value : {adjoint.outside, adjoint.loop})
+      if (value != kNone && primal.section[v] != 1)
+        route(p, plan, outputs, p.instrs[v], value, false);
   if (summed) {
     const auto count = static_cast<int32_t>(p.loops[0].sums.size());
     summed->assign(p.loops[0].sums.size(), false);
     auto& columns = outputs.columns({Kind::LoopGradient, 0}, "grad_sums", count);
     for (const auto& [key, value] : sweep.sum_adjoints) {
-      columns[key.second] = value;
+      columns[key.second] = {value};
       (*summed)[key.second] = true;
     }
   }
@@ -223,7 +223,8 @@ AdjointStage make_items(const Primal& primal, AdjointPlan& plan, const std::vect
 
   Outputs outputs(sweep);
   Trace& t = sweep.trace();
-  for (auto [v, value] : sweep.load_adjoints) {
+  for (const auto& [v, adjoint] : sweep.load_adjoints) {
+    Value value = adjoint.outside;
     if (csr) {  // an unused item belongs to no row
       const Value used = t.emit({Op::ILE, t.constant(int32_t{0}), row});
       value = t.emit({Op::SELECT_F, used, value, t.constant(0.0f)});

@@ -255,19 +255,29 @@ class Sweep {
     return kNone;
   }
 
-  // Adjoint of every load, resolved to "always": (load value in the primal) -> adjoint.
-  std::map<Value, Value> load_adjoints;
+  // The adjoint of a load, resolved to "always": kNone where there is none. They stay two, because
+  // they are added to a gradient one after the other, as the loop of a kernel of its own would.
+  struct LoadAdjoint {
+    Value outside = kNone, loop = kNone;
+  };
+  std::map<Value, LoadAdjoint> load_adjoints;  // of load values in the primal
 
   // After the sweep over the loop's section: turns what the body contributed to outer values into
-  // sums of a new loop, each starting from the adjoint that the value has so far.
+  // sums of a new loop. That of a load starts from 0, others from the adjoint so far.
   void close_adjoint_loop() {
     ir::Program& out = trace_.program();
     for (auto& [v, value] : from_body_) {
-      const Value so_far = gather_adjoint(v, 0, 0);
+      const bool is_load = p_.instrs[v].op == Op::LOAD_F;
+      const Value so_far = is_load ? kNone : gather_adjoint(v, 0, 0);
       out.loops[adjoint_loop_].sums.push_back(
           {so_far == kNone ? trace_.constant(0.0f) : so_far, value});
       const auto number = static_cast<int32_t>(out.loops[adjoint_loop_].sums.size()) - 1;
-      adjoints_[v][0] = trace_.emit({Op::SUM, adjoint_loop_, number});
+      const Value sum = trace_.emit({Op::SUM, adjoint_loop_, number});
+      if (is_load) {
+        load_adjoints[v].loop = sum;
+      } else {
+        adjoints_[v][0] = sum;
+      }
     }
     from_body_.clear();
     in_body_ = false;
@@ -336,7 +346,7 @@ class Sweep {
     const int32_t guard = primal_.guards.guard[v];
     const Instr& in = p_.instrs[v];
     if (in.op == Op::LOAD_F) {
-      if (const Value g = gather_adjoint(v, 0, copy); g != kNone) load_adjoints[v] = g;
+      if (const Value g = gather_adjoint(v, 0, copy); g != kNone) load_adjoints[v].outside = g;
       return;
     }
     const Value g = gather_adjoint(v, guard, copy);

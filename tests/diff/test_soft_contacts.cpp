@@ -204,5 +204,78 @@ TEST_F(Slide, FromRestHasTheGradientOfDifferencesOnEveryPath) {
   }
 }
 
+// Many particles at rest between two shapes, so that every sum of the gradient has several terms.
+std::vector<float> corner_gradient(bool rollout, bool static_contacts, bool read_midway) {
+  constexpr int32_t kSteps = 12, kParticles = 3000;
+  constexpr float kStep = 1e-3f;
+  ModelBuilder builder;
+  for (int32_t k = 0; k < kParticles; ++k) {
+    const float x = 0.09f + 1e-5f * static_cast<float>(k % 97);
+    const float v = k % 3 == 0 ? 0.0f : 0.3f * std::sin(static_cast<float>(k));
+    builder.add_particle({x, 0.07f * std::cos(static_cast<float>(k)), 0.085f}, {v, -v, 0.5f * v},
+                         1.0f, kRadius);
+  }
+  const ShapeConfig cfg{.ke = kKe, .kd = kKd, .kf = kKf, .mu = kMu};
+  builder.add_ground_plane({.cfg = cfg});
+  Transformf wall;
+  wall.p = {-0.5f, 0.0f, 0.0f};
+  builder.add_shape_box(-1, {.xform = wall, .hx = 0.5f, .hy = 1.0f, .hz = 1.0f, .cfg = cfg});
+  const auto model = builder.finalize(Device::cpu());
+  diff::DiffSemiImplicitSolver solver(model, {.enable_static_contacts = static_contacts});
+  CollisionPipeline pipeline(model);
+  Contacts found = pipeline.contacts();
+  std::vector<SimState> states;
+  for (int32_t t = 0; t <= kSteps; ++t) states.push_back(model->state());
+  pipeline.collide(states[0], found);
+  const Contacts* contacts = static_contacts ? nullptr : &found;
+  diff::Trajectory trajectory(model, kSteps);
+  const auto state = [&](int32_t t) -> SimState& {
+    return rollout ? trajectory.state(t) : states[static_cast<size_t>(t)];
+  };
+  const Tensor leaves[] = {diff::state_particle_q_tensor(state(0), true),
+                           diff::state_particle_qd_tensor(state(0), true)};
+  nova::Tape tape;
+  const nova::TapeScope scope(tape);
+  if (rollout) {
+    solver.rollout(trajectory, nullptr, contacts, kStep);
+  } else {
+    for (int32_t t = 0; t < kSteps; ++t)
+      solver.step(state(t), state(t + 1), nullptr, contacts, kStep);
+  }
+  const Tensor q = diff::state_particle_q_tensor(state(kSteps)),
+               qd = diff::state_particle_qd_tensor(state(kSteps));
+  Tensor loss = nova::add(nova::dot(q, q), nova::dot(qd, qd));
+  if (read_midway) {
+    const Tensor v = diff::state_particle_qd_tensor(state(kSteps / 2));
+    loss = nova::add(loss, nova::dot(v, v));
+  }
+  tape.backward(loss);
+  std::vector<float> all;
+  for (const Tensor& leaf : leaves) {
+    const std::vector<float> g = leaf.grad().to_host();
+    all.insert(all.end(), g.begin(), g.end());
+  }
+  return all;
+}
+
+TEST(TwoContactsAtOnce, StepAndRolloutHaveOneGradient) {
+  for (const bool static_contacts : {true, false}) {
+    for (const bool midway : {true, false}) {
+      const std::vector<float> step = corner_gradient(false, static_contacts, midway);
+      EXPECT_TRUE(same_bits<float>(corner_gradient(true, static_contacts, midway), step))
+          << static_contacts << midway;
+    }
+  }
+}
+
+TEST(TwoContactsAtOnce, ThreadsChangeNoBit) {
+  const Threads first(1);
+  const std::vector<float> one = corner_gradient(true, true, true);
+  for (const int count : {2, 7}) {
+    const Threads threads(count);
+    EXPECT_TRUE(same_bits<float>(corner_gradient(true, true, true), one)) << count;
+  }
+}
+
 }  // namespace
 }  // namespace novaphy::testing

@@ -201,8 +201,10 @@ Vec3<Real> static_shape_term(TraceContext& c, const Vec3<Real>& x, const Vec3<Re
   const Bool collides =
       (flags & Int(static_cast<int32_t>(ShapeFlags::COLLIDE_PARTICLES))) != Int(0);
   const Bool world_owned = c.i32(c.source("shape_body")) < Int(0);
-  const Bool detected =
-      contact.distance < (c.param(first_param + 5) + of_shape("shape_margin")) + radius;
+  // A NaN position is no distance away from anything: it reaches the force, as in the law.
+  const Bool lost = contact.point.x != contact.point.x;
+  const Bool detected = either(
+      lost, contact.distance < (c.param(first_param + 5) + of_shape("shape_margin")) + radius);
   const Real none = -0.0f;
   return math::select(both(both(collides, world_owned), detected), term,
                       Vec3<Real>{none, none, none});

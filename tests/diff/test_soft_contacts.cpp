@@ -277,5 +277,24 @@ TEST(TwoContactsAtOnce, ThreadsChangeNoBit) {
   }
 }
 
+TEST(StaticContacts, AParticleThatIsNowhereIsNotTakenForAFreeOne) {
+  const float nan = std::numeric_limits<float>::quiet_NaN();
+  for (const float radius : {0.0f, kRadius}) {
+    ModelBuilder builder;
+    builder.add_particle({0.0f, 0.0f, 0.0f}, {}, 1.0f, radius);
+    builder.add_shape_box(-1);
+    builder.add_shape_sphere(-1);
+    builder.add_ground_plane();
+    const auto model = builder.finalize(Device::cpu());
+    for (const Vec3f& x : {Vec3f{nan, 0, 0}, Vec3f{0, nan, 0}, Vec3f{0, 0, nan}}) {
+      model->particle_q.fill(x);
+      const Tensor f = diff::eval_static_particle_shape_contact_forces_generated(
+          *model, Tensor::view(model->particle_q), Tensor::view(model->particle_qd),
+          Tensor({1, 3}));
+      for (const float component : f.to_host()) EXPECT_TRUE(std::isnan(component));
+    }
+  }
+}
+
 }  // namespace
 }  // namespace novaphy::testing

@@ -34,6 +34,33 @@ Tape::Impl::Use Tape::Impl::make_use(const Operand& operand) {
   return use;
 }
 
+Tape::Impl::Use& Tape::Impl::add_input(const Op& op, const Operand& operand) {
+  uses.push_back(make_use(operand));
+  Use& use = uses.back();
+  if (use.carries) node(operand.range);
+  const Node* n = op.group >= 0 ? find(*operand.range) : nullptr;
+  if (n && n->group == op.group) {
+    use.recomputed = true;
+    ops[static_cast<size_t>(n->writer)].replayed = true;
+  }
+  return use;
+}
+
+// The uses of the operation are the last ones.
+void Tape::Impl::append(Op op, bool recorded) {
+  ops.push_back(std::move(op));
+  const auto number = static_cast<int32_t>(ops.size()) - 1;
+  for (uint32_t o = 0; o < ops.back().outputs; ++o) {
+    const std::shared_ptr<Range>& range = output(ops.back(), o).range;
+    if (recorded) mark_output(range, number);
+    if (!in_group) continue;
+    Node& n = node(range);
+    n.writer = number;
+    n.group = ops.back().group;
+  }
+  if (in_group) groups.back().last = static_cast<uint32_t>(ops.size());
+}
+
 void Tape::Impl::refuse_export_in_capture() {
   require(!current_capture(), ErrorKind::Runtime,
           "tape: an array with a writable export cannot be followed inside a ScopedCapture");
@@ -197,28 +224,10 @@ void Tape::record_launch(const std::shared_ptr<KernelImpl>& kernel, int64_t dim,
   op.params = static_cast<uint32_t>(options.params.size());
   op.extent = options.extent;
   if (options.csr) op.csr = *options.csr;
-  for (const Operand& in : inputs) {
-    t.uses.push_back(t.make_use(in));
-    Impl::Use& use = t.uses.back();
-    if (use.carries) t.node(in.range);
-    const Impl::Node* n = op.group >= 0 ? t.find(*in.range) : nullptr;
-    if (n && n->group == op.group) {
-      use.recomputed = true;
-      t.ops[static_cast<size_t>(n->writer)].replayed = true;
-    }
-  }
+  for (const Operand& in : inputs) t.add_input(op, in);
   for (const Operand& out : outputs) t.uses.push_back({out, out.range->version(), 0, false, true});
   t.params.insert(t.params.end(), options.params.begin(), options.params.end());
-  t.ops.push_back(std::move(op));
-  const auto number = static_cast<int32_t>(t.ops.size()) - 1;
-  for (const Operand& out : outputs) {
-    if (recorded) t.mark_output(out.range, number);
-    if (!t.in_group) continue;
-    Impl::Node& n = t.node(out.range);
-    n.writer = number;
-    n.group = t.ops.back().group;
-  }
-  if (t.in_group) t.groups.back().last = static_cast<uint32_t>(t.ops.size());
+  t.append(std::move(op), recorded);
 }
 
 void Tape::begin_recomputed() {
@@ -228,52 +237,6 @@ void Tape::begin_recomputed() {
   impl_->groups.push_back({first, first});
 }
 void Tape::end_recomputed() { impl_->in_group = false; }
-
-void Tape::record_custom(std::string name, std::vector<Tensor> inputs, std::vector<Tensor> outputs,
-                         BackwardFn backward) {
-  Impl& t = *impl_;
-  require(static_cast<bool>(backward), ErrorKind::Value,
-          "record_custom, backward: expected a function");
-  require(!outputs.empty(), ErrorKind::Value, "record_custom, outputs: expected at least one");
-  require(inputs.size() <= 64 && outputs.size() <= 32, ErrorKind::Value,
-          "record_custom: expected at most 64 inputs and 32 outputs, got ", inputs.size(), " and ",
-          outputs.size());
-  for (const auto* list : {&inputs, &outputs})
-    for (const Tensor& tensor : *list)
-      require(tensor.defined() && tensor.dtype() == DType::F32, ErrorKind::Type,
-              "record_custom: expected float32 tensors");
-  for (const Tensor& out : outputs)
-    for (const Tensor& in : inputs)
-      require(!out.range()->overlaps(*in.range()), ErrorKind::Value, "record_custom '", name,
-              "': an output overlaps an input");
-  bool any = false;
-  for (size_t k = 0; k < inputs.size(); ++k) {
-    t.check_not_overwritten(inputs[k].operand(), name, "input " + std::to_string(k));
-    any = any || t.carries(*inputs[k].range());
-  }
-  if (!any || !grad_enabled()) {
-    for (const Tensor& out : outputs) t.mark_constant(*out.range());
-    return;
-  }
-  require(!t.in_group, ErrorKind::NotImplemented, "record_custom '", name,
-          "': not between checkpoints, where operations are run once more");
-  Impl::Op op;
-  op.first_use = static_cast<uint32_t>(t.uses.size());
-  op.inputs = static_cast<uint32_t>(inputs.size());
-  op.outputs = static_cast<uint32_t>(outputs.size());
-  op.custom = static_cast<int32_t>(t.customs.size());
-  for (const Tensor& in : inputs) {
-    t.uses.push_back(t.make_use(in.operand()));
-    if (t.uses.back().carries) t.node(in.range());
-  }
-  for (const Tensor& out : outputs)
-    t.uses.push_back({out.operand(), out.version(), 0, false, true});
-  t.ops.push_back(std::move(op));
-  for (const Tensor& out : outputs)
-    t.mark_output(out.range(), static_cast<int32_t>(t.ops.size()) - 1);
-  t.customs.push_back(
-      {std::move(name), std::move(inputs), std::move(outputs), std::move(backward)});
-}
 
 void Tape::backward(const Tensor& loss, const Tensor& seed) {
   require(loss.defined(), ErrorKind::Value, "backward, loss: the tensor is undefined");

@@ -29,17 +29,6 @@ const Kernel& accumulate_kernel() {
   return kernel;
 }
 
-// a += b over all values, in place.
-void accumulate(const Operand& into, const Operand& from) {
-  auto flat = [](Operand o) {
-    o.rows *= o.width;
-    o.width = 1;
-    return o;
-  };
-  const Operand in[] = {flat(into), flat(from)};
-  accumulate_kernel().launch(in[0].rows, in, {&in[0], 1});
-}
-
 void fill_zero_now(Range& range) {
   const novaphy::DeviceContext& c = novaphy::device_context(range.storage().device());
   novaphy_error error = novaphy::make_error();
@@ -55,6 +44,16 @@ bool is_stored_at_its_row(Access access) {
 }
 
 }  // namespace
+
+void detail::accumulate(const Operand& into, const Operand& from) {
+  auto flat = [](Operand o) {
+    o.rows *= o.width;
+    o.width = 1;
+    return o;
+  };
+  const Operand in[] = {flat(into), flat(from)};
+  accumulate_kernel().launch(in[0].rows, in, {&in[0], 1});
+}
 
 void detail::add_tape_kernels(EngineKernels& list) { list.push_back({accumulate_kernel(), {}}); }
 
@@ -129,10 +128,14 @@ void Tape::Impl::plan_group(int32_t number) {
   steps.push_back(step);
 }
 
-void Tape::Impl::run_group(const Group& group) {
+void Tape::Impl::run_group(const Group& group, DeferredScope& deferred) {
   for (uint32_t k = group.first; k < group.last; ++k) {
     const Op& op = ops[k];
     if (!op.replayed) continue;
+    if (!op.kernel) {
+      run_custom_forward(customs[static_cast<size_t>(op.custom)], deferred);
+      continue;
+    }
     operands.clear();
     for (uint32_t u = 0; u < op.inputs + op.outputs; ++u)
       operands.push_back(uses[op.first_use + u].operand);
@@ -283,7 +286,7 @@ void Tape::Impl::plan_steps() {
         if (plan->plan.loads_value[s] && !input(op, s).recomputed) check_value(input(op, s), op, s);
       if (plan->items) check_table(op);
     } else {
-      for (uint32_t s = 0; s < op.inputs; ++s) check_value(input(op, s), op, s);
+      check_read_values(op);
     }
     steps.push_back({&op, key, plan, first_place, gradient_rows});
   }
@@ -345,14 +348,13 @@ void Tape::Impl::run_steps(const std::shared_ptr<Range>& loss_gradient, const Te
   for (size_t k = 0; k < steps.size(); ++k) {
     if (k % kStepsPerInterruptCheck == 0) novaphy::check_interrupt();
     if (!steps[k].op) {
-      run_group(groups[static_cast<size_t>(steps[k].group)]);
+      run_group(groups[static_cast<size_t>(steps[k].group)], deferred);
     } else if (steps[k].op->kernel) {
       run_kernel(steps[k]);
       if (deferred.held_bytes() > kMaxHeldBytes) deferred.flush();
     } else {
-      deferred.pause();
-      run_custom(steps[k]);
-      deferred.resume();
+      run_custom(steps[k], deferred);
+      if (deferred.held_bytes() > kMaxHeldBytes) deferred.flush();
     }
   }
   deferred.flush();
@@ -395,39 +397,7 @@ void Tape::Impl::run_kernel(const Step& step) {
   for (const auto& [s, from] : added_later) {
     Operand into = input(op, s).operand;
     into.range = *input_place(step, s);
-    accumulate(into, from);
-  }
-}
-
-void Tape::Impl::run_custom(const Step& step) {
-  const Op& op = *step.op;
-  const Custom& custom = customs[op.custom];
-  std::vector<Tensor> grad_outputs;
-  for (uint32_t o = 0; o < op.outputs; ++o) {
-    const std::shared_ptr<Range>* place = output_place(step, o);
-    grad_outputs.push_back(place ? Tensor(*place, custom.outputs[o].shape(), DType::F32)
-                                 : Tensor());
-  }
-  const std::vector<Tensor> grads = custom.backward(grad_outputs);
-  require(grads.size() == custom.inputs.size(), ErrorKind::Value, "op '", custom.name,
-          "': backward gave ", grads.size(), " gradients for ", custom.inputs.size(), " inputs");
-  for (uint32_t s = 0; s < op.inputs; ++s) {
-    if (!(step.key.wrt & bit(s))) continue;
-    const Tensor& in = custom.inputs[s];
-    const Tensor grad(*input_place(step, s), in.shape(), DType::F32);
-    const bool add = (step.key.accumulate & bit(s)) || bound_before(op, s);
-    if (!grads[s].defined()) {
-      if (!add) submit_fill(grad.range(), 0.0f);
-      continue;
-    }
-    require(grads[s].dtype() == DType::F32 && grads[s].size() == in.size(), ErrorKind::Value,
-            "op '", custom.name, "', gradient of input ", s, ": expected ", shape_str(in.shape()),
-            " float32, got ", shape_str(grads[s].shape()));
-    if (add) {
-      accumulate(grad.operand(), grads[s].operand());
-    } else {
-      submit_copy(grad.range(), grads[s].range());
-    }
+    detail::accumulate(into, from);
   }
 }
 

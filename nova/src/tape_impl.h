@@ -7,9 +7,15 @@
 #include <vector>
 
 #include "kernel_impl.h"
+#include "novaphy/nova/op_list.h"
 #include "novaphy/nova/tape.h"
 
 namespace nova {
+
+namespace detail {
+// into += from, over all values.
+void accumulate(const Operand& into, const Operand& from);
+}  // namespace detail
 
 struct Tape::Impl {
   // One input or output of an operation.
@@ -20,6 +26,7 @@ struct Tape::Impl {
     bool has_checksum = false;
     bool carries = false;     // a gradient flows through it
     bool recomputed = false;  // an operation of the same group writes it
+    bool read = false;        // by the adjoint of a custom operation
   };
   struct Op {
     std::shared_ptr<detail::KernelImpl> kernel;  // null: custom
@@ -35,11 +42,6 @@ struct Tape::Impl {
   };
   struct Group {
     uint32_t first = 0, last = 0;  // operations
-  };
-  struct Custom {
-    std::string name;
-    std::vector<Tensor> inputs, outputs;
-    BackwardFn backward;
   };
   // What the tape knows about a range.
   struct Node {
@@ -108,7 +110,7 @@ struct Tape::Impl {
     const Op* op;  // null: run a group once more
     detail::AdjointKey key;
     const detail::CompiledPlan* plan;
-    size_t first_place;  // in `places`: of the gradients of the outputs, then of the inputs
+    size_t first_place;         // in `places`: of the gradients of the outputs, then of the inputs
     int64_t gradient_rows = 0;  // of the gradients of the outputs
     int32_t group = -1;
   };
@@ -128,7 +130,7 @@ struct Tape::Impl {
   std::vector<Op> ops;
   std::vector<Use> uses;
   std::vector<Param> params;
-  std::vector<Custom> customs;
+  std::vector<CustomOp> customs;
   std::vector<Group> groups;
   bool in_group = false;  // the last of them is still growing
   NodeTable nodes;
@@ -149,12 +151,13 @@ struct Tape::Impl {
   const std::string& op_name(const Op& op) const {
     return op.kernel ? op.kernel->name : customs[op.custom].name;
   }
-  std::string input_name(const Op& op, uint32_t k) const {
-    return op.kernel ? op.kernel->sources[k].name : "input " + std::to_string(k);
-  }
+  std::string input_name(const Op& op, uint32_t k) const;
 
   bool carries(const Range& range);
   Use make_use(const Operand& operand);
+  // Appends an input to an operation that is being recorded; append() ends it.
+  Use& add_input(const Op& op, const Operand& operand);
+  void append(Op op, bool recorded);
   static void refuse_export_in_capture();
   static uint64_t checksum_now(const Range& range);
   static bool was_written_outside(const Node& n);
@@ -176,13 +179,17 @@ struct Tape::Impl {
   }
   void check_table(const Op& op) const;
   void plan_group(int32_t group);
-  void run_group(const Group& group);
+  void run_group(const Group& group, DeferredScope& deferred);
   bool begin_contribution(Node& n);
   int32_t summed_through(size_t k, uint32_t s);
   uint32_t unread_columns(size_t k, const Operand& in);
   bool bound_before(const Op& op, uint32_t s) const;
   void run_kernel(const Step& step);
-  void run_custom(const Step& step);
+
+  // custom_op.cpp
+  void check_read_values(const Op& op);
+  void run_custom(const Step& step, DeferredScope& deferred);
+  void run_custom_forward(const CustomOp& op, DeferredScope& deferred);
 };
 
 }  // namespace nova

@@ -19,14 +19,11 @@
 #include <string>
 #include <vector>
 
+#include "novaphy/nova/custom_op.h"
 #include "novaphy/nova/kernel.h"
 #include "novaphy/nova/tensor.h"
 
 namespace nova {
-
-// Gradients of the outputs in (undefined where there is none), gradients of the inputs out
-// (likewise).
-using BackwardFn = std::function<std::vector<Tensor>(const std::vector<Tensor>&)>;
 
 // Which gradients can be read after backward. Those of intermediate values take as much memory as
 // the values do; a tape that keeps leaves only uses that memory again as soon as it can.
@@ -55,8 +52,15 @@ class NOVAPHY_NOVA_API Tape {
   size_t memory_bytes() const;  // of the records themselves (not of states and gradients)
 
   // A differentiable operation that is no kernel: call it after the outputs were computed.
+  // ErrorKind::Type, ErrorKind::Value: see CustomOp; ErrorKind::NotImplemented: between checkpoints
+  // without `forward`; ErrorKind::Runtime: it reads a value that carries a gradient and is no
+  // input.
+  void record_custom(CustomOp op);
   void record_custom(std::string name, std::vector<Tensor> inputs, std::vector<Tensor> outputs,
-                     BackwardFn backward);
+                     BackwardFn backward) {
+    record_custom(make_custom_op(std::move(name), std::move(inputs), std::move(outputs),
+                                 std::move(backward)));
+  }
 
   // Says that the range now holds a copy of a recorded value which the tape does not follow. Using
   // it as an input before it is written again throws, because the gradient would stop there. `name`
@@ -66,8 +70,7 @@ class NOVAPHY_NOVA_API Tape {
   // What is recorded in between may be overwritten afterwards, but for what it reads from before
   // and for what is read of it later: backward runs these operations once more, ahead of their
   // adjoints. So a rollout needs memory for some of its states only (Griewank and Walther,
-  // "Algorithm 799: revolve", with a fixed interval). Kernels only: ErrorKind::NotImplemented for
-  // custom operations.
+  // "Algorithm 799: revolve", with a fixed interval). Custom operations need their `forward` there.
   void begin_recomputed();  // ErrorKind::Runtime inside another
   void end_recomputed();
 

@@ -42,9 +42,22 @@ def parse(parser: argparse.ArgumentParser) -> argparse.Namespace:
     for path in filter(None, (args.dump_states, args.plot)):
         if not Path(path).parent.is_dir():
             parser.error(f"the folder of {path} does not exist")
+    if args.plot:
+        check_figure_format(parser, args.plot)
     if args.device == "auto":
         args.device = "cuda" if novaphy.is_device_available("cuda") else "cpu"
     return args
+
+
+def check_figure_format(parser: argparse.ArgumentParser, path: str) -> None:
+    """End with a message now, not after the training, when the picture cannot be written."""
+    try:
+        from matplotlib.figure import Figure
+    except ImportError:
+        parser.error("--plot needs matplotlib")
+    formats = Figure().canvas.get_supported_filetypes()
+    if Path(path).suffix.removeprefix(".").lower() not in formats:
+        parser.error(f"--plot: expected a name that ends in {', '.join(formats)}, got {path}")
 
 
 def check_gradient(
@@ -112,15 +125,15 @@ def train(scene, args: argparse.Namespace, substeps: int, plot: Callable) -> lis
     return losses
 
 
-def loss_figure(losses: list[float], loss_label: str):
-    """A figure with the loss on the left; gives (figure, right axis)."""
+def loss_figure(losses: list[float], loss_label: str, widths: tuple[float, float] = (4.4, 6.6)):
+    """A figure with the loss on the left, widths in inches; gives (figure, right axis)."""
     import matplotlib
 
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
 
     figure, (left, right) = plt.subplots(
-        1, 2, figsize=(11, 4.2), width_ratios=(2, 3), layout="constrained"
+        1, 2, figsize=(sum(widths), 4.2), width_ratios=widths, layout="constrained"
     )
     left.semilogy(losses, color="#2a6f97", marker="o", markersize=3)
     left.set(xlabel="iteration", ylabel=loss_label, title="Loss")
@@ -153,6 +166,17 @@ def progress(iterations: range):
     except ImportError:
         return iterations
     return tqdm(iterations, desc="training", unit="it", leave=False)
+
+
+def verdict(checks: dict[str, bool]) -> str:
+    """Say "ok", or which of the checks (what should be -> whether it is) failed."""
+    failed = [name for name, passed in checks.items() if not passed]
+    return "CHECK FAILED: expected " + "; ".join(failed) if failed else "ok"
+
+
+def mostly_falls(losses: list[float]) -> bool:
+    """Whether the loss falls in at least 80 % of the iterations; without any, it does."""
+    return len(losses) < 2 or float(np.mean(np.diff(losses) < 0.0)) >= 0.8
 
 
 def run(main: Callable[[], int]) -> None:

@@ -21,6 +21,7 @@ from demo_common import (
     progress,
     run,
     save_figure,
+    verdict,
 )
 
 import novaphy
@@ -119,9 +120,11 @@ def main() -> int:
     """Train, check, dump and plot as asked; 0 when every check passed."""
     args = parse(make_parser(__doc__, iterations=150))
     ball = Ball(args.device)
-    ok = True
+    checks = {}
     if args.check_grad:
-        ok = check_gradient(ball.velocity, ball.forward, eps=1.0e-3, tolerance=3.0e-3)
+        checks["a gradient within the tolerance"] = check_gradient(
+            ball.velocity, ball.forward, eps=1.0e-3, tolerance=3.0e-3
+        )
     losses, trajectories = [], []
     for _ in progress(range(args.headless)):
         losses.append(ball.train())
@@ -135,13 +138,14 @@ def main() -> int:
     if args.plot:
         plot(args.plot, losses, trajectories)
     drops = -np.diff(losses[:31])  # later on the loss may jump where a contact opens or closes
-    ok = ok and bool(np.all(drops > 1.0e-3)) and (final < losses[0] or not args.headless)
+    checks["a loss that falls by 1e-3 m² in each of 30 iterations"] = bool(np.all(drops > 1.0e-3))
+    checks["a loss that falls"] = final < losses[0] or not args.headless
     print(
         f"ball on {ball.model.device}: {args.headless} iterations, "
         f"loss {losses[0]:.4f} -> {final:.4f}, "
-        f"v0 = {ball.velocity.numpy().ravel()}, {'ok' if ok else 'CHECK FAILED'}"
+        f"v0 = {ball.velocity.numpy().ravel()}, {verdict(checks)}"
     )
-    return 0 if ok else 1
+    return 0 if all(checks.values()) else 1
 
 
 if __name__ == "__main__":

@@ -18,6 +18,7 @@ from demo_common import (
     run,
     save_figure,
     train,
+    verdict,
 )
 
 import novaphy
@@ -95,17 +96,20 @@ def main() -> int:
     """Train, check, dump and plot as asked; 0 when every check passed."""
     args = parse(make_parser(__doc__, iterations=60))
     cage = SpringCage(args.device)
-    ok = True
+    checks = {}
     if args.check_grad:
-        ok = check_gradient(cage.lengths, cage.forward, 1.0e-3, 5.0e-3)
+        checks["a gradient within the tolerance"] = check_gradient(
+            cage.lengths, cage.forward, 1.0e-3, 5.0e-3
+        )
     losses = train(cage, args, 1, plot)
-    ok = ok and max(losses) < 0.3 and (not args.headless or losses[-1] < losses[0])
+    checks["a loss below 0.3 m²"] = max(losses) < 0.3
+    checks["a loss that falls"] = not args.headless or losses[-1] < losses[0]
     print(
         f"spring cage on {cage.model.device}: {args.headless} iterations, "
         f"loss {losses[0]:.5f} -> {losses[-1]:.2e}, rest lengths {cage.lengths.numpy()} m, "
-        f"{'ok' if ok else 'CHECK FAILED'}"
+        f"{verdict(checks)}"
     )
-    return 0 if ok else 1
+    return 0 if all(checks.values()) else 1
 
 
 if __name__ == "__main__":

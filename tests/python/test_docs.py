@@ -9,15 +9,21 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 PAGES = sorted([ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").rglob("*.md")])
-BLOCK = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+# "```python jax": a language, and a library that the block needs.
+BLOCK = re.compile(r"^```(\w*)(?: (\w+))?\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 LINK = re.compile(r"\]\(([^)\s]+)\)")
 
 
-def blocks(page: Path, language: str) -> list[str]:
-    """The code blocks of a language in a page."""
-    return [
-        code for tag, code in BLOCK.findall(page.read_text(encoding="utf-8")) if tag == language
-    ]
+def blocks(page: Path, language: str, library: str = "") -> list[str]:
+    """The code blocks of a language in a page: those that need no library, or only that one."""
+    found = BLOCK.findall(page.read_text(encoding="utf-8"))
+    return [code for tag, needs, code in found if tag == language and needs in ("", library)]
+
+
+def libraries(page: Path) -> list[str]:
+    """The libraries that Python blocks of a page need."""
+    found = BLOCK.findall(page.read_text(encoding="utf-8"))
+    return sorted({needs for tag, needs, _ in found if tag == "python" and needs})
 
 
 def name(page: Path) -> str:
@@ -31,15 +37,30 @@ def sources(*folders: str) -> list[Path]:
     return [p for f in folders for p in sorted((ROOT / f).rglob("*")) if p.suffix in suffixes]
 
 
+def run(page: Path, code_blocks: list[str]) -> None:
+    """Run blocks one after the other, as one program."""
+    namespace: dict[str, object] = {"__name__": "__page__"}
+    for number, code in enumerate(code_blocks):
+        exec(compile(code, f"{name(page)}, block {number}", "exec"), namespace)
+
+
 @pytest.mark.parametrize("page", [p for p in PAGES if blocks(p, "python")], ids=name)
 def test_the_python_of_a_page_runs_from_top_to_bottom(
     page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pytest.importorskip("novaphy.diff")
     monkeypatch.chdir(tmp_path)
-    namespace: dict[str, object] = {"__name__": "__page__"}
-    for number, code in enumerate(blocks(page, "python")):
-        exec(compile(code, f"{name(page)}, block {number}", "exec"), namespace)
+    run(page, blocks(page, "python"))
+
+
+@pytest.mark.parametrize(("page", "library"), [(p, lib) for p in PAGES for lib in libraries(p)])
+def test_the_python_of_a_page_runs_with_a_library_that_it_speaks_of(
+    page: Path, library: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("novaphy.diff")
+    pytest.importorskip(library, reason=f"{library} is not installed")
+    monkeypatch.chdir(tmp_path)
+    run(page, blocks(page, "python", library))
 
 
 @pytest.mark.parametrize(

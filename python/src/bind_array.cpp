@@ -1,7 +1,7 @@
 // DeviceArray and the element types.
 #include <cstring>
 
-#include "fields.h"
+#include "pickle.h"
 
 namespace novaphy::python {
 namespace {
@@ -296,6 +296,7 @@ void bind_array(py::module_& m) {
           throw py::attribute_error("__cuda_array_interface__: the array is not on a CUDA device");
         return cuda_array_interface(view_of(a));
       });
+  add_array_pickle(c);
 }
 
 }  // namespace novaphy::python

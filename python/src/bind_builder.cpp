@@ -1,6 +1,6 @@
 // ModelBuilder and ShapeConfig.
-#include "convert.h"
 #include "novaphy/core/sim/model_builder.h"
+#include "pickle.h"
 
 namespace novaphy::python {
 namespace {
@@ -205,9 +205,8 @@ void bind_shape_config(py::module_& m) {
 #undef NOVAPHY_MEMBER
   c.def_property_readonly("flags", &ShapeConfig::flags, "The bits of Model.shape_flags.")
       .def(
-          "copy", [](const ShapeConfig& self) { return self; }, "A copy.")
-      .def("__copy__", [](const ShapeConfig& self) { return self; })
-      .def("__deepcopy__", [](const ShapeConfig& self, const py::dict&) { return self; });
+          "copy", [](const ShapeConfig& self) { return self; }, "A copy.");
+  add_settings_pickle(c);
 }
 
 void bind_shapes(py::class_<ModelBuilder>& c) {

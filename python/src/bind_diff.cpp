@@ -11,6 +11,7 @@
 #include "novaphy/diff/trajectory.h"
 #include "novaphy/dynamics/semi_implicit/diff_elements.h"
 #include "novaphy/dynamics/semi_implicit/diff_particles.h"
+#include "pickle.h"
 
 namespace novaphy::python {
 
@@ -250,6 +251,7 @@ void bind_solver(py::module_& solvers) {
   NOVAPHY_MEMBER(friction_smoothing, "m/s")
   NOVAPHY_MEMBER(strict, "Refuse what is not covered instead of leaving it out.")
 #undef NOVAPHY_MEMBER
+  add_settings_pickle(config);
 
   py::class_<DiffSemiImplicitSolver, SolverBase> solver(
       solvers, "DiffSemiImplicitSolver",

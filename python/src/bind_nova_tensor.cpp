@@ -55,6 +55,24 @@ std::string repr(const Tensor& t) {
          ")";
 }
 
+// The values, in memory of their own after unpickling. A recorded result has no copy: it would look
+// like one that carries the gradient.
+py::tuple keep(const Tensor& t) {
+  require(t.is_leaf(), ErrorKind::Runtime,
+          "pickle, copy: the tensor is the result of a recorded operation; take t.detach()");
+  return py::make_tuple(view_of(t).flat(), shape_tuple(t.shape()), nova::dtype_name(t.dtype()),
+                        t.requires_grad());
+}
+std::shared_ptr<nova::TensorImpl> unkept(const py::tuple& kept) {
+  const auto values = kept[0].cast<Array>();
+  const auto shape = kept[1].cast<nova::Shape>();
+  const nova::DType dtype = to_nova_dtype(kept[2]);
+  const Tensor t = values.rows() == 0 ? Tensor(shape, dtype, values.device())
+                                      : Tensor(values.range(), shape, dtype);
+  if (kept[3].cast<bool>()) t.set_requires_grad(true);
+  return t.impl();
+}
+
 using TensorClass = py::class_<nova::TensorImpl, std::shared_ptr<nova::TensorImpl>>;
 
 void bind_properties(TensorClass& c) {
@@ -237,6 +255,7 @@ void bind_nova_tensor(py::module_& m) {
   bind_properties(c);
   bind_methods(c);
   bind_operators(c);
+  c.def(py::pickle(&keep, &unkept));
 }
 
 }  // namespace novaphy::python

@@ -1,8 +1,8 @@
 // Enumerations, Model, SimState, Control and Contacts.
-#include "fields.h"
 #include "novaphy/collision/collision_pipeline.h"
 #include "novaphy/core/sim/contacts.h"
 #include "novaphy/core/sim/model.h"
+#include "pickle.h"
 
 namespace novaphy::python {
 namespace {
@@ -41,6 +41,48 @@ py::object soft_contact_rows(const Contacts& contacts) {
 
 [[noreturn]] void removed_name(const char* name, const char* other) {
   throw py::attribute_error(std::string("Control has no ") + name + "; its name is " + other);
+}
+
+// X(name, doc): the numbers of a model that may be set.
+// clang-format off
+#define NOVAPHY_MODEL_NUMBERS(X)                                                                  \
+  X(soft_contact_ke, "N/m; a contact uses the mean of this and of the shape's material.")         \
+  X(soft_contact_kd, "N*s/m, contact damping.")                                                   \
+  X(soft_contact_kf, "N*s/m, friction below the Coulomb limit.")                                  \
+  X(soft_contact_mu, "Coulomb friction.")                                                         \
+  X(soft_contact_restitution, "No force uses it.")                                                \
+  X(particle_adhesion, "m: a soft contact acts up to this distance between the surfaces.")        \
+  X(particle_max_velocity, "m/s: faster particles are slowed down to it.")                        \
+  X(particle_max_radius, "m: the largest particle_radius when the model was made.")
+// clang-format on
+
+void add_model_pickle(py::class_<Model, std::shared_ptr<Model>>& c) {
+  c.def(py::pickle(
+      [](const Model& model) {
+        py::dict kept = keep_fields(model);
+        kept["model_id"] = model.id();
+        kept["up_axis"] = value_of(model.up_axis());
+#define NOVAPHY_KEEP(name, doc) kept[#name] = model.name;
+        NOVAPHY_MODEL_NUMBERS(NOVAPHY_KEEP)
+#undef NOVAPHY_KEEP
+        kept["shape_label"] = model.shape_label;
+        kept["shape_collision_filter_pairs"] = model.shape_collision_filter_pairs;
+        return kept;
+      },
+      [](const py::dict& kept) {
+        const std::shared_ptr<Model> model = Model::restore(
+            kept_counts(kept), to_device(kept_value(kept, "device")),
+            to_axis(kept_value(kept, "up_axis")), kept_value(kept, "model_id").cast<uint64_t>());
+        take_fields(*model, kept);
+#define NOVAPHY_TAKE(name, doc) model->name = kept_value(kept, #name).cast<float>();
+        NOVAPHY_MODEL_NUMBERS(NOVAPHY_TAKE)
+#undef NOVAPHY_TAKE
+        model->shape_label = kept_value(kept, "shape_label").cast<decltype(model->shape_label)>();
+        model->shape_collision_filter_pairs =
+            kept_value(kept, "shape_collision_filter_pairs")
+                .cast<decltype(model->shape_collision_filter_pairs)>();
+        return model;
+      }));
 }
 
 void bind_model(py::module_& m) {
@@ -84,16 +126,7 @@ void bind_model(py::module_& m) {
   NOVAPHY_ALIAS(tet_materials, particle_tet_material)
 #undef NOVAPHY_ALIAS
 #define NOVAPHY_SETTING(name, doc) c.def_readwrite(#name, &Model::name, doc);
-  NOVAPHY_SETTING(soft_contact_ke,
-                  "N/m; a contact uses the mean of this and of the shape's material.")
-  NOVAPHY_SETTING(soft_contact_kd, "N*s/m, contact damping.")
-  NOVAPHY_SETTING(soft_contact_kf, "N*s/m, friction below the Coulomb limit.")
-  NOVAPHY_SETTING(soft_contact_mu, "Coulomb friction.")
-  NOVAPHY_SETTING(soft_contact_restitution, "No force uses it.")
-  NOVAPHY_SETTING(particle_adhesion,
-                  "m: a soft contact acts up to this distance between the surfaces.")
-  NOVAPHY_SETTING(particle_max_velocity, "m/s: faster particles are slowed down to it.")
-  NOVAPHY_SETTING(particle_max_radius, "m: the largest particle_radius when the model was made.")
+  NOVAPHY_MODEL_NUMBERS(NOVAPHY_SETTING)
 #undef NOVAPHY_SETTING
   c.def_readonly("shape_label", &Model::shape_label, "One name per shape.")
       .def_readonly("shape_collision_filter_pairs", &Model::shape_collision_filter_pairs,
@@ -142,6 +175,7 @@ void bind_model(py::module_& m) {
       .def(
           "to", [](const Model& self, py::handle device) { return self.to(to_device(device)); },
           "device"_a, "A copy on a device.");
+  add_model_pickle(c);
 }
 
 void bind_state(py::module_& m) {
@@ -157,6 +191,7 @@ void bind_state(py::module_& m) {
       .def("assign", &SimState::assign, "source"_a, py::call_guard<py::gil_scoped_release>(),
            "Copies all values. ValueError when sizes or devices differ; nothing is copied then.")
       .def("clone", &SimState::clone, "A copy.");
+  add_field_pickle(c);
 }
 
 void bind_control(py::module_& m) {
@@ -185,6 +220,7 @@ void bind_control(py::module_& m) {
           "joint_target_vel",
           [](const Control&) { removed_name("joint_target_vel", "joint_target_qd"); },
           "Removed: joint_target_qd.");
+  add_field_pickle(c);
 }
 
 void bind_contacts(py::module_& m) {

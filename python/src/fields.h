@@ -36,11 +36,22 @@ void bind_field(Class& c, const FieldInfo& info, DeviceArray<T> Owner::*member,
   bind_field(c, FieldInfo{#name, DTypeOf<type>::value, width, #count, unit, frame, doc}, \
              &Fields::name);
 
-// Counts, device, requires_grad: what all objects of a model have.
+// Counts, device, requires_grad, repr: what all objects of a model have.
 #define NOVAPHY_BIND_COUNT(name, doc) c.def_property_readonly(#name, &Object::name, doc);
 template <class Object, class... Options>
 void bind_counts(py::class_<Object, Options...>& c) {
   NOVAPHY_MODEL_COUNTS(NOVAPHY_BIND_COUNT)
+  const std::string name = py::str(c.attr("__name__"));
+  c.def("__repr__", [name](const Object& self) {
+    std::string text = name + "(";
+    const ModelCounts& counts = self.counts();
+#define NOVAPHY_COUNT_TEXT(count, doc) \
+  if (counts.count != 0) text += #count "=" + std::to_string(counts.count) + ", ";
+    NOVAPHY_MODEL_COUNTS(NOVAPHY_COUNT_TEXT)
+#undef NOVAPHY_COUNT_TEXT
+    return text + "device='" + self.device().str() + "'" +
+           (self.requires_grad ? ", requires_grad=True)" : ")");
+  });
   c.def_property_readonly("device", &Object::device, "Where the arrays are.");
   c.def_property(
       "requires_grad", [](const Object& self) { return self.requires_grad; },

@@ -111,6 +111,23 @@ TEST(SimState, AssignRefusesOtherSizesAndCopiesNothing) {
   EXPECT_EQ(a.particle_q.to_host(), before);
 }
 
+TEST(SimState, AModelThatIsRestoredFitsTheStatesOfTheOneThatWasKept) {
+  const auto kept = two_particles();
+  const auto restored = Model::restore(kept->counts(), kept->device(), kept->up_axis(), kept->id());
+  EXPECT_EQ(restored->id(), kept->id());
+  EXPECT_EQ(restored->counts(), kept->counts());
+  for_each_field(*restored, [](const FieldInfo& info, const Array& array) {
+    EXPECT_TRUE(array.range() != nullptr || array.rows() == 0) << info.name;
+  });
+  EXPECT_EQ(restored->particle_q.rows(), 2u);
+  EXPECT_TRUE(restored->particle_q.to_host()[0] == Vec3f{});
+  const SimState state(kept->counts(), kept->device(), kept->id());
+  EXPECT_EQ(state.model_id(), restored->id());
+  EXPECT_EQ(state.particle_qd.rows(), 2u);
+  EXPECT_NE(two_particles()->id(), kept->id());
+  EXPECT_NE(kept->clone()->id(), kept->id());
+}
+
 TEST(SimState, CanLieInALongerAllocation) {
   const auto model = two_particles();
   constexpr size_t kStates = 3, kBytes = 2 * sizeof(Vec3f);

@@ -6,11 +6,12 @@
 
 namespace novaphy {
 
-Control::Control(const Model& model)
-    : requires_grad(model.requires_grad),
-      counts_(model.counts()),
-      device_(model.device()),
-      model_id_(model.id()) {
+Control::Control(const Model& model) : Control(model.counts(), model.device(), model.id()) {
+  requires_grad = model.requires_grad;
+}
+
+Control::Control(const ModelCounts& counts, Device device, uint64_t model_id)
+    : counts_(counts), device_(device), model_id_(model_id) {
   allocate(counts_, device_);
 }
 

@@ -2,14 +2,19 @@
 
 #include <atomic>
 #include <cmath>
+#include <random>
 
 #include "novaphy/core/error.h"
 
 namespace novaphy {
 namespace {
 
+// Counted from a random start, because a model may come from another process.
 uint64_t next_model_id() {
-  static std::atomic<uint64_t> next{1};
+  static std::atomic<uint64_t> next{[] {
+    std::random_device device;
+    return uint64_t{device()} << 32 | device();
+  }()};
   return next.fetch_add(1, std::memory_order_relaxed);
 }
 
@@ -47,6 +52,14 @@ void Model::set_gravity(const Vec3f& value, std::optional<int32_t> world) {
   std::vector<Vec3f> values = gravity.to_host();
   values[static_cast<size_t>(*world)] = value;
   gravity.copy_from_host(std::span<const Vec3f>(values));
+}
+
+std::shared_ptr<Model> Model::restore(const ModelCounts& counts, Device device, Axis up_axis,
+                                      uint64_t id) {
+  std::shared_ptr<Model> model(new Model(counts, device, up_axis));
+  model->allocate(counts, device);
+  model->id_ = id;
+  return model;
 }
 
 std::shared_ptr<Model> Model::to(Device device) const {

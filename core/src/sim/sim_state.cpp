@@ -6,11 +6,12 @@
 
 namespace novaphy {
 
-SimState::SimState(const Model& model)
-    : requires_grad(model.requires_grad),
-      counts_(model.counts()),
-      device_(model.device()),
-      model_id_(model.id()) {
+SimState::SimState(const Model& model) : SimState(model.counts(), model.device(), model.id()) {
+  requires_grad = model.requires_grad;
+}
+
+SimState::SimState(const ModelCounts& counts, Device device, uint64_t model_id)
+    : counts_(counts), device_(device), model_id_(model_id) {
   allocate(counts_, device_);
   // A pose of zeros is no pose.
   body_q.fill(Transformf::identity());

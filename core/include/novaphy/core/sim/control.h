@@ -34,6 +34,8 @@ class NOVAPHY_CORE_API Control : public ControlFields {
   using Fields = ControlFields;
 
   explicit Control(const Model& model);  // zero filled
+  // The same without the model itself; model_id is its id().
+  Control(const ModelCounts& counts, Device device, uint64_t model_id);
   Control(Control&&) = default;
   Control& operator=(Control&&) = default;
 

@@ -130,8 +130,12 @@ class NOVAPHY_CORE_API Model : public ModelFields, public ModelSettings {
   const ModelCounts& counts() const { return counts_; }
   Device device() const { return device_; }
   Axis up_axis() const { return up_axis_; }
-  // A number that no other model of this process has; states, controls and contacts carry it.
+  // A number that no other model of any process has; states, controls and contacts carry it.
   uint64_t id() const { return id_; }
+  // Zero filled, to take the values of a model that was kept outside of the process. It takes that
+  // model's id as well, so that the states that were kept with it fit.
+  static std::shared_ptr<Model> restore(const ModelCounts& counts, Device device, Axis up_axis,
+                                        uint64_t id);
 
   // A state with the initial values. `requires_grad`: the model's when empty.
   SimState state(std::optional<bool> requires_grad = {}) const;

@@ -39,6 +39,8 @@ class NOVAPHY_CORE_API SimState : public StateFields {
 
   // Zero filled, on the model's device. Model::state() also copies the initial values.
   explicit SimState(const Model& model);
+  // The same without the model itself; model_id is its id().
+  SimState(const ModelCounts& counts, Device device, uint64_t model_id);
   // A state over existing arrays, e.g. ranges of one long allocation. ErrorKind::Value names the
   // array whose rows or device are not the model's.
   SimState(const Model& model, StateFields fields);

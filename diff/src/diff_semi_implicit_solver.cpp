@@ -7,6 +7,7 @@
 #include "novaphy/collision/diff_soft_contacts.h"
 #include "novaphy/core/error.h"
 #include "novaphy/core/parallel.h"
+#include "novaphy/diff/tensor_views.h"
 #include "novaphy/dynamics/device_solver.h"
 #include "novaphy/dynamics/semi_implicit/diff_particles.h"
 #include "novaphy/nova/op_list.h"
@@ -127,6 +128,7 @@ void DiffSemiImplicitSolver::step(SimState& state_in, SimState& state_out, const
     } else {
       eval_soft_contact_forces(*model(), *contacts, *contacts_of, q, qd, f, total);
     }
+  if (recording) make_leaves(state_in);
     f = total;
   }
   if (f.range != applied.range) {
@@ -172,6 +174,7 @@ void DiffSemiImplicitSolver::rollout(Trajectory& trajectory, const Control* cont
                                           q_out, qd_out);
     } else if (contacts_of) {
       step_particles(*model(), *contacts, *contacts_of, q, qd, f, dt, q_out, qd_out);
+  if (recording) make_leaves(trajectory.state(0));
     } else {
       integrate_particles(*model(), q, qd, f, dt, q_out, qd_out);
     }

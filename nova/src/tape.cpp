@@ -241,8 +241,11 @@ void Tape::end_recomputed() { impl_->in_group = false; }
 void Tape::backward(const Tensor& loss, const Tensor& seed) {
   require(loss.defined(), ErrorKind::Value, "backward, loss: the tensor is undefined");
   Impl::Node* n = impl_->find(*loss.range());
-  require(n && n->ever_written && n->carries, ErrorKind::Value,
-          "backward, loss: no operation of this tape wrote it from an input with a gradient");
+  require(
+      n && n->ever_written && n->carries, ErrorKind::Value,
+      "backward, loss: no operation of this tape wrote it from an input with a gradient; make a "
+      "leaf before recording, with requires_grad=True of a tensor, of a view of an array, or of "
+      "the state that a solver starts from");
   require(n->written_version == loss.version(), ErrorKind::Runtime,
           "backward, loss: it was overwritten after recording");
   if (seed.defined() && (seed.dtype() != DType::F32 || seed.size() != loss.size()))

@@ -297,6 +297,9 @@ void bind_array(py::module_& m) {
         return cuda_array_interface(view_of(a));
       });
   add_array_pickle(c);
+#ifdef NOVAPHY_PYTHON_DIFF
+  bind_array_gradient(c);
+#endif
 }
 
 }  // namespace novaphy::python

@@ -32,6 +32,11 @@
 
 namespace novaphy::diff {
 
+// Makes leaves of positions and velocities where the state's requires_grad is set. Its views below
+// do so, and the solvers with the state that a recorded step or rollout starts from. Forces are
+// leaves on request only (state_particle_f_tensor(state, true)), because a leaf costs.
+NOVAPHY_DIFF_API void make_leaves(const SimState& state);
+
 // state_particle_q_tensor(state): {n, 3}, m; and so on, with the shapes of the state's fields.
 #define NOVAPHY_DECLARE_STATE_VIEW(field)                                     \
   NOVAPHY_DIFF_API nova::Tensor state_##field##_tensor(const SimState& state, \

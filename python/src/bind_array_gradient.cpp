@@ -1,0 +1,45 @@
+// Gradients at the arrays themselves: state.particle_q.grad.
+#include "nova_types.h"
+
+namespace novaphy::python {
+
+using nova::Tensor;
+
+namespace {
+
+// Only these are seen by the tensor runtime, and empty arrays have no memory to attach a gradient
+// to.
+bool has_gradients(const Array& array) {
+  return dtype_info(array.dtype()).scalar == Scalar::F32 && array.rows() != 0;
+}
+
+py::object grad_of(const Array& array) {
+  if (!has_gradients(array)) return py::none();
+  const Tensor tensor = Tensor::view(array);
+  if (!(tensor.requires_grad() || tensor.has_grad())) return py::none();
+  return py::cast(Array(array.dtype(), array.rows(), array.width(), tensor.grad().range()));
+}
+
+}  // namespace
+
+void bind_array_gradient(py::class_<Array>& array) {
+  array.def_property_readonly(
+      "grad", &grad_of,
+      "The gradient of the values: a DeviceArray of the same shape, zero until a backward; None "
+      "for an array without. The same memory as the grad of a Tensor over the array.");
+  array.def_property(
+      "requires_grad",
+      [](const Array& a) { return has_gradients(a) && Tensor::view(a).requires_grad(); },
+      [](const Array& a, bool on) {
+        require(dtype_info(a.dtype()).scalar == Scalar::F32, ErrorKind::Value,
+                "requires_grad: only float32 values have gradients, these are ",
+                dtype_info(a.dtype()).name);
+        if (has_gradients(a)) Tensor::view(a).set_requires_grad(on);
+      },
+      "Whether the values are a leaf: an input for which backward computes a gradient. A state "
+      "whose requires_grad is set makes leaves of its positions and velocities when it is "
+      "recorded; "
+      "here any array can be one, such as forces.");
+}
+
+}  // namespace novaphy::python

@@ -17,6 +17,15 @@ namespace novaphy::diff {
 
 using nova::Operand;
 
+namespace {
+int32_t shapes_for_particles(const Model& model) {
+  const std::vector<int32_t> flags = model.shape_flags.to_host();
+  return static_cast<int32_t>(std::count_if(flags.begin(), flags.end(), [](int32_t f) {
+    return has_flag(f, ShapeFlags::COLLIDE_PARTICLES);
+  }));
+}
+}  // namespace
+
 DiffSemiImplicitSolver::DiffSemiImplicitSolver(std::shared_ptr<const Model> model,
                                                const DiffSolverConfig& config)
     : SolverBase(std::move(model)), config_(config) {
@@ -31,6 +40,8 @@ DiffSemiImplicitSolver::DiffSemiImplicitSolver(std::shared_ptr<const Model> mode
           ">= 0, got ",
           config.static_contact_margin);
   if (config.strict) check_elements();
+  if (config.strict && config.enable_particle_contacts && !config.enable_static_contacts)
+    uncovered_shapes_ = shapes_for_particles(*this->model());
   if (config.enable_static_contacts) detail::check_static_shapes(*this->model());
   elements_ = ElementOperators(*this->model(), {.springs = config.enable_springs,
                                                 .triangles = config.enable_triangles,
@@ -66,6 +77,10 @@ void DiffSemiImplicitSolver::check_elements() const {
 void DiffSemiImplicitSolver::check_contacts(const char* function, const Contacts* contacts) const {
   require(!config_.enable_static_contacts || contacts == nullptr, ErrorKind::Value, function,
           ", contacts: expected none, because enable_static_contacts is true");
+  require(contacts != nullptr || uncovered_shapes_ == 0, ErrorKind::Value, function,
+          ", contacts: expected a Contacts, because particles collide with ", uncovered_shapes_,
+          " shape(s) of the model: pass one, set enable_static_contacts, or leave them out with "
+          "enable_particle_contacts = false");
 }
 
 Operand DiffSemiImplicitSolver::add_elements(const Control* control, const Operand& q,
@@ -113,6 +128,7 @@ void DiffSemiImplicitSolver::step(SimState& state_in, SimState& state_out, const
   // Recorded forces live in memory of the tape, so that the state's own array can be cleared and
   // reused; what a user reads there is a copy.
   const bool recording = nova::Tape::active() != nullptr;
+  if (recording) make_leaves(state_in);
   const auto target = [&] {
     if (!recording) return applied;
     Operand total = applied;
@@ -128,7 +144,6 @@ void DiffSemiImplicitSolver::step(SimState& state_in, SimState& state_out, const
     } else {
       eval_soft_contact_forces(*model(), *contacts, *contacts_of, q, qd, f, total);
     }
-  if (recording) make_leaves(state_in);
     f = total;
   }
   if (f.range != applied.range) {
@@ -159,6 +174,7 @@ void DiffSemiImplicitSolver::rollout(Trajectory& trajectory, const Control* cont
   const bool static_contacts = config_.enable_static_contacts && config_.enable_particle_contacts;
   const Operand applied = nova::operand_of(trajectory.particle_f());
   const bool recording = nova::Tape::active() != nullptr;
+  if (recording) make_leaves(trajectory.state(0));
   constexpr int32_t kStepsPerInterruptCheck = 32;
   constexpr int32_t kLargeParticleCount =
       2048;  // from here on the steps share the cache block by block
@@ -174,7 +190,6 @@ void DiffSemiImplicitSolver::rollout(Trajectory& trajectory, const Control* cont
                                           q_out, qd_out);
     } else if (contacts_of) {
       step_particles(*model(), *contacts, *contacts_of, q, qd, f, dt, q_out, qd_out);
-  if (recording) make_leaves(trajectory.state(0));
     } else {
       integrate_particles(*model(), q, qd, f, dt, q_out, qd_out);
     }

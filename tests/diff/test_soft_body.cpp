@@ -355,5 +355,31 @@ TEST(SoftBodyDiff, WhatWouldBeLeftOutIsRefused) {
                "enable_static_contacts");
 }
 
+TEST(SoftBodyDiff, ShapesThatNothingCoversAreRefused) {
+  ModelBuilder builder;
+  builder.add_particle({0.0f, 0.0f, 0.1f}, {}, 1.0f);
+  builder.add_ground_plane();
+  ShapeConfig ghost;
+  ghost.has_particle_collision = false;
+  builder.add_shape_box(-1, {.cfg = ghost});
+  const auto model = builder.finalize(Device::cpu());
+  SimState a = model->state(), b = model->state();
+  Trajectory trajectory(model, 2);
+  const char* message = "contacts: expected a Contacts, because particles collide with 1 shape";
+  DiffSemiImplicitSolver strict(model);
+  EXPECT_ERROR(strict.step(a, b, nullptr, nullptr, 0.01f), ErrorKind::Value, message);
+  EXPECT_ERROR(strict.rollout(trajectory, nullptr, nullptr, 0.01f), ErrorKind::Value, message);
+  for (const DiffSolverConfig& config :
+       {DiffSolverConfig{.enable_static_contacts = true},
+        DiffSolverConfig{.enable_particle_contacts = false}, DiffSolverConfig{.strict = false}}) {
+    DiffSemiImplicitSolver solver(model, config);
+    solver.step(a, b, nullptr, nullptr, 0.01f);
+    solver.rollout(trajectory, nullptr, nullptr, 0.01f);
+  }
+  CollisionPipeline pipeline(model);
+  const Contacts contacts = pipeline.contacts();
+  strict.step(a, b, nullptr, &contacts, 0.01f);
+}
+
 }  // namespace
 }  // namespace novaphy::testing

@@ -43,7 +43,9 @@ struct DiffSolverConfig {
 //
 // Under `strict` a model whose elements would be left out is refused: the element kind must be
 // enabled, unless it exerts no force (all its stiffness, damping, drag and lift are 0 when the
-// solver is made; so it is with the bending edges that add_soft_grid makes).
+// solver is made; so it is with the bending edges that add_soft_grid makes). So is a step without
+// contacts of a model with shapes that particles collide with when the solver is made: it needs a
+// Contacts, enable_static_contacts, or enable_particle_contacts = false.
 //
 // The forces that a step leaves in state_in.particle_f are for reading. Using them as input of
 // another recorded step raises: clear_forces() first.
@@ -80,6 +82,7 @@ class NOVAPHY_DIFF_API DiffSemiImplicitSolver : public SolverBase {
   const nova::Incidence* contacts_of_particles(const Contacts* contacts);
 
   DiffSolverConfig config_;
+  int32_t uncovered_shapes_ = 0;  // under strict: those that need a Contacts to act
   nova::Incidence contacts_of_;  // of the last contacts
   ElementOperators elements_;
   DeviceArray<Vec3f> forces_;  // {n}: of a rollout that is not recorded

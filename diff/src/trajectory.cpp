@@ -1,6 +1,7 @@
 #include "novaphy/diff/trajectory.h"
 
 #include <algorithm>
+#include <cstdint>
 #include <cstring>
 
 #include "novaphy/core/error.h"
@@ -30,13 +31,19 @@ Trajectory::Trajectory(std::shared_ptr<const Model> model, int32_t steps, bool r
                        int32_t checkpoint_interval)
     : model_(std::move(model)), steps_(steps), interval_(checkpoint_interval) {
   require(model_ != nullptr, ErrorKind::Value, "Trajectory, model: expected a model, got none");
-  require(steps >= 0, ErrorKind::Value, "Trajectory, steps: expected >= 0, got ", steps);
+  require(steps >= 0 && steps < INT32_MAX, ErrorKind::Value,
+          "Trajectory, steps: expected 0 to 2147483646, got ", steps);
   require(interval_ >= 1, ErrorKind::Value,
           "Trajectory, checkpoint: expected an interval >= 1, got ", interval_);
   const auto n = static_cast<size_t>(model_->particle_count());
   const auto kept = static_cast<size_t>(kept_states(steps, interval_));
-  particle_q_ = DeviceArray<Vec3f>(kept * n, model_->device());
-  particle_qd_ = DeviceArray<Vec3f>(kept * n, model_->device());
+  try {
+    particle_q_ = DeviceArray<Vec3f>(kept * n, model_->device());
+    particle_qd_ = DeviceArray<Vec3f>(kept * n, model_->device());
+  } catch (const Error& error) {
+    fail(error.kind(), "Trajectory, steps: no memory for ", kept, " states of ", n, " particles (",
+         error.what(), "); a checkpoint interval keeps fewer states");
+  }
   particle_f_ = DeviceArray<Vec3f>(n, model_->device());
   for (size_t k = 0; k < kept; ++k)
     kept_.push_back(make_state(part(particle_q_, k, n), part(particle_qd_, k, n)));

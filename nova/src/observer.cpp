@@ -31,7 +31,7 @@ class Observer : public novaphy::ArrayObserver {
   }
 
   void untracked_operation(const char* what) override {
-    refuse_in_capture(what);
+    refuse_in_capture(what, "; capture the differentiable operation, of a solver its rollout");
     if (Tape::active())
       novaphy::fail(ErrorKind::Runtime, what,
                     " inside an active Tape: it would not be recorded, and gradients would "
@@ -40,9 +40,10 @@ class Observer : public novaphy::ArrayObserver {
   }
 
  private:
-  static void refuse_in_capture(const char* what) {
+  static void refuse_in_capture(const char* what, const char* instead = "") {
     if (current_capture())
-      novaphy::fail(ErrorKind::Runtime, what, " inside a ScopedCapture: it cannot be recorded");
+      novaphy::fail(ErrorKind::Runtime, what, " inside a ScopedCapture: it cannot be recorded",
+                    instead);
   }
 };
 

@@ -136,7 +136,7 @@ int32_t checkpoint_interval(const Model& model, int32_t steps, const py::object&
   if (checkpoint.is_none()) return 1;
   if (py::isinstance<py::str>(checkpoint))
     return diff::checkpoint_interval_for(model, steps, byte_count(checkpoint.cast<std::string>()));
-  return checkpoint.cast<int32_t>();
+  return to_int32(checkpoint, "Trajectory, checkpoint");
 }
 
 void bind_trajectory(py::module_& m) {

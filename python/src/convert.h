@@ -43,6 +43,9 @@ void bind_nova_trace(py::module_& nova);
 void bind_nova_kernel(py::module_& nova);
 void bind_diff(py::module_& diff, py::module_& solvers);
 
+// After everything is bound: a wrong argument is named, see argument_errors.cpp.
+void explain_argument_errors(py::module_& m);
+
 // "str", "numpy.ndarray", ...
 std::string type_name(py::handle value);
 

@@ -137,6 +137,7 @@ PYBIND11_MODULE(_core, m) {
   py::module_ diff = m.def_submodule("diff", "Differentiable operators; import novaphy.diff.");
   bind_diff(diff, solvers);
 #endif
+  explain_argument_errors(m);
   set_interrupt_check(&check_signals);
 }
 

@@ -1,0 +1,116 @@
+// Messages for arguments of a wrong type. pybind11 answers with the C++ signature and the arguments
+// that it got; here the answer goes through novaphy._arguments, which names the argument.
+//
+// pybind11 has one entry point for all its functions, in each function's PyMethodDef. Putting
+// another one in front of it costs an indirect jump per call, and nothing is said twice in the
+// bindings.
+#include <string>
+#include <unordered_map>
+
+#include "convert.h"
+
+namespace novaphy::python {
+namespace {
+
+// By the object that pybind11 hangs on a function: "diff.Trajectory", "Model.soft_contact_ke".
+std::unordered_map<PyObject*, std::string>& labels() {
+  static auto* const names = new std::unordered_map<PyObject*, std::string>;  // outlives the module
+  return *names;
+}
+
+// Replaces the TypeError that is set, when it is the one about arguments.
+void explain(PyObject* function, const py::object& args, const py::object& keywords) {
+  py::error_already_set error;
+  const std::string message = py::str(error.value());
+  if (message.find("(): incompatible ") == std::string::npos) return error.restore();
+  try {
+    const py::object better = py::module_::import("novaphy._arguments")
+                                  .attr("explain")(labels()[function], message, args, keywords);
+    PyErr_SetObject(PyExc_TypeError, better.ptr());
+  } catch (py::error_already_set& failed) {
+    failed.discard_as_unraisable("novaphy._arguments.explain");
+    error.restore();
+  }
+}
+
+bool wrong_arguments(const PyObject* result) {
+  return result == nullptr && PyErr_ExceptionMatches(PyExc_TypeError) != 0;
+}
+
+// pybind11's entry point, of the call convention that its version uses.
+using Vector = PyObject* (*)(PyObject*, PyObject* const*, Py_ssize_t, PyObject*);
+Vector vector_entry = nullptr;
+PyCFunctionWithKeywords tuple_entry = nullptr;
+
+PyObject* call_vector(PyObject* self, PyObject* const* args, Py_ssize_t count, PyObject* names) {
+  PyObject* const result = vector_entry(self, args, count, names);
+  if (wrong_arguments(result)) [[unlikely]] {
+    py::list positional;
+    for (Py_ssize_t k = 0; k < count; ++k) positional.append(py::handle(args[k]));
+    py::dict keywords;
+    for (Py_ssize_t k = 0; names != nullptr && k < PyTuple_GET_SIZE(names); ++k)
+      keywords[py::handle(PyTuple_GET_ITEM(names, k))] = py::handle(args[count + k]);
+    explain(self, positional, keywords);
+  }
+  return result;
+}
+
+PyObject* call_tuple(PyObject* self, PyObject* args, PyObject* keywords) {
+  PyObject* const result = tuple_entry(self, args, keywords);
+  if (wrong_arguments(result)) [[unlikely]]
+    explain(self, py::list(py::reinterpret_borrow<py::tuple>(args)),
+            keywords != nullptr ? py::reinterpret_borrow<py::dict>(keywords) : py::dict());
+  return result;
+}
+
+template <class Function>
+PyCFunction as_method(Function* function) {
+  return reinterpret_cast<PyCFunction>(reinterpret_cast<void (*)()>(function));
+}
+
+void put_in_front(py::handle member, const std::string& label) {
+  if (PyInstanceMethod_Check(member.ptr())) member = PyInstanceMethod_GET_FUNCTION(member.ptr());
+  if (PyObject_TypeCheck(member.ptr(), &PyStaticMethod_Type))
+    return put_in_front(member.attr("__func__"), label);
+  if (PyObject_TypeCheck(member.ptr(), &PyProperty_Type)) {
+    if (const py::object set = member.attr("fset"); !set.is_none()) put_in_front(set, label);
+    return;
+  }
+  if (!PyCFunction_Check(member.ptr())) return;
+  PyMethodDef& method = *reinterpret_cast<PyCFunctionObject*>(member.ptr())->m_ml;
+  if (method.ml_flags == (METH_FASTCALL | METH_KEYWORDS)) {
+    const auto entry = reinterpret_cast<Vector>(reinterpret_cast<void (*)()>(method.ml_meth));
+    if (entry == &call_vector) return;  // the same function under two names
+    vector_entry = entry;
+    method.ml_meth = as_method(&call_vector);
+  } else if (method.ml_flags == (METH_VARARGS | METH_KEYWORDS)) {
+    const auto entry =
+        reinterpret_cast<PyCFunctionWithKeywords>(reinterpret_cast<void (*)()>(method.ml_meth));
+    if (entry == &call_tuple) return;
+    tuple_entry = entry;
+    method.ml_meth = as_method(&call_tuple);
+  }
+  labels()[PyCFunction_GET_SELF(member.ptr())] = label;
+}
+
+// `prefix`: "" for the module, "nova." for a submodule, "nova.Tensor." for a class.
+void walk(py::handle owner, const std::string& prefix) {
+  for (const auto& [key, value] : py::dict(owner.attr("__dict__").attr("copy")())) {
+    const std::string name = py::str(key);
+    if (PyModule_Check(value.ptr())) {
+      walk(value, prefix + name + ".");
+    } else if (PyType_Check(value.ptr())) {
+      const std::string metaclass = py::str(py::type::of(value).attr("__name__"));
+      if (metaclass == "pybind11_type") walk(value, prefix + name + ".");
+    } else {
+      const bool constructs = name == "__init__";
+      put_in_front(value, constructs ? prefix.substr(0, prefix.size() - 1) : prefix + name);
+    }
+  }
+}
+
+}  // namespace
+
+void explain_argument_errors(py::module_& m) { walk(m, ""); }
+
+}  // namespace novaphy::python

@@ -334,3 +334,51 @@ def test_a_kernel_made_while_another_one_is_traced():
         return c.f32("x") * 2
 
     assert make(outer)(1, [nova.ones(1)])[0].tolist() == [2]
+
+
+INF, NAN = float("inf"), float("nan")
+# As docs/coverage.md lists them: x, value, derivative.
+EDGES = {
+    "sqrt": (nova.sqrt, [(0, 0, 0), (-1, NAN, 0)]),
+    "rsqrt": (nova.rsqrt, [(0, INF, 0), (-1, NAN, 0)]),
+    "log": (nova.log, [(0, -INF, INF), (-2, NAN, -0.5)]),
+    "asin": (nova.asin, [(1, np.pi / 2, 0), (1.5, np.pi / 2, 0), (-1.5, -np.pi / 2, 0)]),
+    "acos": (nova.acos, [(1, 0, 0), (1.5, 0, 0), (-1.5, np.pi, 0)]),
+    "abs": (nova.abs, [(0, 0, 1)]),
+    "sign": (nova.sign, [(0, 1, 0), (-2, -1, 0)]),
+    "floor": (nova.floor, [(1, 1, 0), (1.5, 1, 0)]),
+    "x ** 2": (lambda x: x**2, [(-3, 9, -6), (0, 0, 0)]),
+    "x ** 0.5": (lambda x: x**0.5, [(0, 0, INF), (-1, NAN, NAN)]),
+    "pow(x, 2)": (lambda x: nova.pow(x, 2.0 + 0.0 * x), [(0, 0, 0), (-3, 9, NAN)]),
+    "pow(x, 2.5)": (lambda x: nova.pow(x, 2.5 + 0.0 * x), [(0, 0, 0), (-1, NAN, NAN)]),
+    "select": (lambda x: nova.select(x > 0.0, nova.log(x), x), [(-1, -1, 1), (0, 0, 1)]),
+}
+
+
+@pytest.mark.parametrize("function", EDGES)
+def test_functions_at_kinks_and_outside_of_their_domains_are_as_the_table_says(function):
+    trace, rows = EDGES[function]
+    kernel = nova.make_indexed_kernel("edge", [("x", nova.float32)], 1, lambda c: trace(c.f32("x")))
+    x = nova.tensor(np.float32([row[0] for row in rows]), requires_grad=True)
+    with nova.Tape() as tape:
+        (y,) = kernel(len(rows), [x])
+        tape.backward(y, nova.ones(y.shape))
+    assert np.allclose(y.numpy().ravel(), [row[1] for row in rows], equal_nan=True)
+    assert np.allclose(x.grad.numpy(), [row[2] for row in rows], equal_nan=True)
+
+
+def test_a_negative_row_reads_0_and_passes_no_gradient():
+    kernel = nova.make_indexed_kernel(
+        "gather",
+        [("row", nova.int32), ("value", nova.float32, 1, "indexed")],
+        1,
+        lambda c: c.f32("value", c.i32("row"), 0),
+    )
+    value = nova.tensor([5.0, 7.0], requires_grad=True)
+    with nova.Tape() as tape:
+        (out,) = kernel(3, [nova.tensor([1, -1, -7]), value])
+        tape.backward(nova.sum(out))
+    assert out.numpy().ravel().tolist() == [7.0, 0.0, 0.0]
+    assert value.grad.numpy().tolist() == [0.0, 1.0]
+    with pytest.raises(IndexError, match="row i = 1 reads row 5 of source .value., which has 2"):
+        kernel(2, [nova.tensor([-1, 5]), value])[0].numpy()

@@ -183,6 +183,9 @@ timed, and the times scaled.
 Newton's CPU device runs on one thread; NovaPhy uses all CPUs unless it says 1 thread. The final
 positions of the soft body at N = 2 are the same bits in both engines (hash {same}).
 
+Gradients that have no compiled kernel ([which](design/0008-kernels-compiled-ahead.md#known-gaps))
+take about twice as long; none of them is timed here.
+
 ## Soft body, N³ cells
 
 {table(best, "soft_body")}

@@ -1,0 +1,51 @@
+"""The demos as a user starts them: what they say when something is wrong."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+DEMOS = Path(__file__).parents[2] / "python" / "demos" / "diff"
+
+
+def demo(name: str, *flags: str) -> subprocess.CompletedProcess[str]:
+    """A demo in a process of its own."""
+    return subprocess.run(
+        [sys.executable, str(DEMOS / f"demo_diffsim_{name}.py"), *flags],
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
+
+
+@pytest.fixture
+def common(monkeypatch):
+    pytest.importorskip("novaphy.diff")
+    monkeypatch.syspath_prepend(str(DEMOS))
+    import demo_common
+
+    return demo_common
+
+
+def test_a_picture_that_cannot_be_written_is_refused_before_the_training(tmp_path):
+    pytest.importorskip("novaphy.diff")
+    pytest.importorskip("matplotlib")
+    done = demo("cloth", "--headless", "1000000", "--plot", str(tmp_path / "x.txt"))
+    assert done.returncode == 2 and "--plot: expected a name that ends in" in done.stderr
+
+
+def test_the_verdict_names_the_checks_that_failed(common):
+    assert common.verdict({}) == "ok" and common.verdict({"a": True}) == "ok"
+    checks = {"a gradient within the tolerance": True, "a loss that falls": False, "b": False}
+    assert common.verdict(checks) == "CHECK FAILED: expected a loss that falls; b"
+    assert common.mostly_falls([1.0]) and common.mostly_falls([5.0, 4.0, 3.0, 2.0, 1.0, 1.5])
+    assert not common.mostly_falls([5.0, 4.0, 4.5])
+
+
+def test_a_demo_trains_and_says_ok():
+    pytest.importorskip("novaphy.diff")
+    done = demo("spring_cage", "--headless", "5", "--check-grad")
+    assert done.returncode == 0 and done.stdout.rstrip().endswith("ok"), done.stdout + done.stderr

@@ -1,15 +1,14 @@
 #include "novaphy/collision/device_modules.h"
 
-#include "device_soft_contacts.h"
+#include "soft_contacts.h"
 
 namespace novaphy {
 
 std::vector<std::string> collision_device_modules() {
-#ifdef NOVAPHY_WITH_DEVICE_COLLISION
-  return {detail::soft_contacts_module()};
-#else
-  return {};
-#endif
+  std::vector<std::string> modules;
+  for (const char* text : {detail::soft_contact_kernels_text()})
+    if (text != nullptr) modules.emplace_back(text);
+  return modules;
 }
 
 }  // namespace novaphy

@@ -6,6 +6,7 @@
 #include "novaphy/nova/op_list.h"
 #include "novaphy/nova/tape.h"
 #include "novaphy/nova/tensor.h"
+#include "recorder.h"
 
 namespace nova::detail {
 namespace {
@@ -54,10 +55,12 @@ thread_local novaphy::ArrayObserver* before = nullptr;
 }  // namespace
 
 void enter_observation() {
+  enter_recording();
   if (depth++ == 0) before = novaphy::set_array_observer(&observer);
 }
 void leave_observation() {
   if (--depth == 0) novaphy::set_array_observer(before);
+  leave_recording();
 }
 
 }  // namespace nova::detail

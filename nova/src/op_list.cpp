@@ -11,6 +11,7 @@
 #include "novaphy/core/parallel.h"
 #include "novaphy/nova/tensor.h"
 #include "observer.h"
+#include "recorder.h"
 
 namespace nova {
 
@@ -147,8 +148,12 @@ void OpList::run(bool again) const {
   detail::issue_in_order(*context, ops_, words_);
 }
 
-DeferredScope::DeferredScope(bool wanted) : wanted_(wanted && !recording()) { resume(); }
+DeferredScope::DeferredScope(bool wanted) : wanted_(wanted && !recording()) {
+  if (wanted_) detail::enter_recording();
+  resume();
+}
 DeferredScope::~DeferredScope() {
+  if (wanted_) detail::leave_recording();
   if (list_ && deferred == list_.get()) deferred = nullptr;
 }
 void DeferredScope::flush() {
@@ -202,15 +207,6 @@ void submit_launch(const DeviceContext& context, novaphy_kernel* kernel, const c
     return;
   }
   launch_now(context, kernel, name, n, words);
-}
-
-void launch_now(const DeviceContext& context, novaphy_kernel* kernel, const char* name, int64_t n,
-                std::span<const uint64_t> words) {
-  novaphy_error error = novaphy::make_error();
-  const novaphy_status status = context.api->launch(context.stream, kernel, n, words.data(),
-                                                    static_cast<uint32_t>(words.size()), &error);
-  if (status != NOVAPHY_OK) [[unlikely]]
-    novaphy::check(status, error, name);
 }
 
 void submit_copy(const std::shared_ptr<Range>& target, const std::shared_ptr<Range>& source) {

@@ -199,6 +199,14 @@ bool Tape::must_record(std::span<const Operand> inputs) const {
   return false;
 }
 
+bool Tape::carries_gradient(const Range& range) const {
+  const auto carries = [](const Range& other, void* self) {
+    return static_cast<Impl*>(self)->carries(other);
+  };
+  return impl_->carries(range) || range.find_overlap(carries, impl_.get()) != nullptr;
+}
+void Tape::mark_constant(const Range& range) { impl_->mark_constant(range); }
+
 void Tape::check_launch(const KernelImpl& kernel, std::span<const Operand> inputs) const {
   for (size_t s = 0; s < inputs.size(); ++s)
     impl_->check_not_overwritten(inputs[s], kernel.name, kernel.sources[s].name);

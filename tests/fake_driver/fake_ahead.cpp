@@ -1,5 +1,6 @@
-// What a plugin that was built with NOVA_ENABLE_NVRTC=OFF has ahead: the builtins and the
-// interpreter. Their code is nothing here; the fake driver knows kernels by their names.
+// What a plugin that was built with NOVA_ENABLE_NVRTC=OFF has ahead: the builtins, the interpreter
+// and the hand-written kernels. Their code is nothing here; the fake driver knows kernels by their
+// names.
 #include <algorithm>
 #include <cstring>
 #include <vector>
@@ -7,17 +8,23 @@
 #include "ahead.h"
 #include "device_source.h"
 
+namespace novaphy::detail {
+const char* soft_contact_kernels_text();
+}
+
 namespace novaphy::gpu {
 
 AheadData ahead_data() {
   static const std::vector<unsigned char> bytes = [] {
-    AheadEntry entries[2];
+    AheadEntry entries[3];
     entries[0].key = ahead_key(builtins_source(), Dialect::Program);
     entries[1].key = ahead_key(interpreter_source(), Dialect::Program);
-    if (entries[1].key.a < entries[0].key.a) std::swap(entries[0], entries[1]);
+    entries[2].key = ahead_key(module_source(detail::soft_contact_kernels_text()), Dialect::Source);
+    std::sort(std::begin(entries), std::end(entries),
+              [](const AheadEntry& x, const AheadEntry& y) { return x.key.a < y.key.a; });
     AheadHeader header{};
     std::memcpy(header.magic, kAheadMagic, sizeof(header.magic));
-    header.count = 2;
+    header.count = std::size(entries);
     std::vector<unsigned char> all(sizeof(header) + sizeof(entries) + 1);
     for (AheadEntry& entry : entries) {
       entry.arch = 90;

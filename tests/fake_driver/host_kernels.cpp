@@ -122,6 +122,11 @@ extern int32_t shared_values[];
 #include "interpreter.cuh"
 int32_t shared_values[12 << 10];
 
+// Hand-written kernels.
+#define NOVAPHY_KERNEL static void
+#define NOVAPHY_ROW (static_cast<int64_t>(blockIdx.x) * blockDim.x + threadIdx.x)
+#include "soft_contact_kernels.cuh"
+
 template <class... P>
 struct Call {
   template <void (*kernel)(P...)>
@@ -139,6 +144,7 @@ HostKernel entry(const char* name, bool waits, void (*)(P...)) {
   return {name, waits, &Call<P...>::template bind<kernel>};
 }
 #define ENTRY(name, waits) entry<name>(#name, waits, name)
+#define HAND_WRITTEN(name) entry<device::novaphy::name>(#name, false, device::novaphy::name)
 
 }  // namespace
 }  // namespace device
@@ -150,7 +156,9 @@ const HostKernel* find_host_kernel(const char* name) {
       ENTRY(row_sum_chunks, true),       ENTRY(row_sum_last, false),
       ENTRY(exclusive_scan_i32, true),   ENTRY(sort_count, false),
       ENTRY(sort_place, false),          ENTRY(incidence_count, false),
-      ENTRY(incidence_items, false)};
+      ENTRY(incidence_items, false),     HAND_WRITTEN(soft_contact_shape),
+      HAND_WRITTEN(soft_contact_touch),  HAND_WRITTEN(soft_contact_write),
+      HAND_WRITTEN(soft_contact_clear)};
   for (const HostKernel& kernel : kKernels)
     if (std::strcmp(kernel.name, name) == 0) return &kernel;
   return nullptr;

@@ -6,12 +6,15 @@
 #include <vector>
 
 #include "diff/elements_scene.h"
+#include "novaphy/collision/collision_pipeline.h"
 #include "novaphy/core/backend.h"
 #include "novaphy/core/device_array.h"
 #include "novaphy/core/error.h"
+#include "novaphy/core/sim/model_builder.h"
 #include "novaphy/core/stream.h"
 #include "novaphy/dynamics/semi_implicit/solver_semi_implicit.h"
 #include "novaphy/nova/kernel.h"
+#include "novaphy/nova/op_list.h"
 #include "novaphy/nova/ops.h"
 
 namespace {
@@ -100,6 +103,46 @@ void step_a_model() {
   std::printf("%zu particles, %s bits\n", cpu.size(), equal ? "the same" : "other");
 }
 
+// The search for contacts, direct and as a replay after the particles moved.
+std::vector<novaphy::SoftContact> contacts_of(Device device, bool capture) {
+  novaphy::ModelBuilder builder;
+  for (int k = 0; k < 1000; ++k)
+    builder.add_particle({0.01f * static_cast<float>(k % 37), 0.3f * static_cast<float>(k % 11),
+                          0.002f * static_cast<float>(k)},
+                         {}, 1.0f, {}, k % 7 == 3 ? 0 : 1);
+  builder.add_ground_plane();
+  builder.add_shape_box(-1, {.xform = {{0.1f, 1.0f, 0.5f}, {0.5f, 0.5f, 0.5f, 0.5f}}});
+  builder.add_shape_capsule(-1, {.radius = 0.2f});
+  builder.add_shape_sphere(-1, {.radius = 0.4f});
+  const auto model = builder.finalize(device);
+  novaphy::CollisionPipeline pipeline(model,
+                                      {.soft_contact_max = 500, .soft_contact_margin = 0.2f});
+  novaphy::SimState state = model->state();
+  novaphy::Contacts contacts = pipeline.contacts();
+  nova::ScopedCapture scope;
+  if (!capture) scope.end();
+  pipeline.collide(state, contacts);
+  scope.end();
+  if (capture) scope.graph()->launch();
+  std::vector<novaphy::Vec3f> q = state.particle_q.to_host();
+  for (novaphy::Vec3f& x : q) x.z -= 0.1f;
+  state.particle_q.copy_from_host(q);
+  if (capture) {
+    scope.graph()->launch();
+  } else {
+    pipeline.collide(state, contacts);
+  }
+  return contacts.soft_contacts();
+}
+
+void collide() {
+  const auto expected = contacts_of(Device::cpu(), false);
+  const bool direct = contacts_of(Device::cuda(), false) == expected,
+             replayed = contacts_of(Device::cuda(), true) == expected;
+  std::printf("%zu contacts, %s direct, %s replayed\n", expected.size(),
+              direct ? "the same" : "others", replayed ? "the same" : "others");
+}
+
 int run(const std::string& command) {
   if (command == "device") {
     print_device();
@@ -115,6 +158,8 @@ int run(const std::string& command) {
     mix_devices();
   } else if (command == "step") {
     step_a_model();
+  } else if (command == "collide") {
+    collide();
   } else {
     return 2;
   }

@@ -104,6 +104,12 @@ TEST(FakeDriver, TheForwardSolverStepsAModelOnTheDeviceWithTheBitsOfTheCpu) {
   EXPECT_EQ(probe(kAhead + "NOVAPHY_QUIET=1 ", "step").output, "17 particles, the same bits\n");
 }
 
+// One header text, read by the compiler of the engine and as the device's.
+TEST(FakeDriver, TheSearchForContactsGivesTheBitsOfTheCpuDirectAndReplayed) {
+  EXPECT_EQ(probe(kAhead + "NOVAPHY_QUIET=1 ", "collide").output,
+            "500 contacts, the same direct, the same replayed\n");
+}
+
 TEST(FakeDriver, AKernelOverMemoryOfTwoDevicesIsRefused) {
   EXPECT_EQ(probe(kAhead, "mix").output,
             "error: copy_row, x: expected memory of cuda:0, got cpu\n");

@@ -22,6 +22,14 @@ GOOD = {
         '#include "novaphy/math/types.h"\n'
     ),
     "collision/src/pipeline.cpp": '#include "novaphy/collision/diff_soft_contact_trace.h"\n',
+    "collision/src/soft_contact_kernels.h": (
+        '#include "novaphy/collision/diff_soft_contact_trace.h"\n'
+        '#include "novaphy/core/row_kernel.h"\n'
+    ),
+    "collision/src/soft_contacts.cpp": (
+        '#include "soft_contact_kernels.h"\n#include "novaphy/core/device_kernel.h"\n'
+    ),
+    "core/include/novaphy/core/row_kernel.h": '#include "novaphy/abi/backend.h"\n',
     "collision/src/diff_soft_contacts.cpp": '#include "novaphy/nova/kernel.h"\n',
     "dynamics/src/solver.cpp": '#include "novaphy/collision/collision_pipeline.h"\n',
     "dynamics/src/diff_particles.cpp": '#include "novaphy/collision/diff_soft_contacts.h"\n',
@@ -61,6 +69,11 @@ BAD = {
         "dynamics/include/novaphy/dynamics/integrator_trace.h",
         "#include <vector>\n",
         "formula may not include <vector>",
+    ),
+    "hand-written kernels include the engine": (
+        "collision/src/soft_contact_kernels.h",
+        '#include "novaphy/core/device_kernel.h"\n',
+        "kernels may not include",
     ),
     "the abi includes a C++ header": (
         "backends/abi/include/novaphy/abi/backend.h",

@@ -7,12 +7,14 @@ The libraries stand in layers, and each may use only the ones below it:
     core <- io
     core, nova, collision, dynamics <- diff          a backend uses abi and the Program reader
 
-Besides the folders, two kinds of file have a layer of their own:
+Besides the folders, three kinds of file have a layer of their own:
 
 * `diff_*` in collision/ and dynamics/ stand beside the forward code but compile into
   novaphy::diff, so they belong to diff: the forward code of those folders may not include them;
 * `*_trace.h` are the formulas, shared by the forward engine and the traced kernels: they may
-  include the math headers and other formulas, and nothing else.
+  include the math headers and other formulas, and nothing else;
+* `*_kernels.h` in collision/, dynamics/ and vbd/ are hand-written kernels, which compilers of
+  devices read too: formulas, the math headers, and those of core that need no library.
 
 The abi headers are C and may include <stdint.h> only; the math headers <cstdint> and <cmath>.
 
@@ -33,15 +35,23 @@ ALLOWED: dict[str, set[str]] = {
     "math": set(),
     "program": {"abi"},
     "cpu": {"abi", "program"},
+    "text": {"abi", "math"},
     "core": {"abi", "math", "cpu"},  # the CPU backend is linked into core
     "nova": {"abi", "math", "core", "program"},
     "io": {"math", "core"},
     "formula": {"math"},
-    "collision": {"math", "core", "formula"},
-    "dynamics": {"math", "core", "collision", "formula"},
-    "vbd": {"math", "core", "collision", "formula"},
+    "kernels": {"math", "formula", "text"},
+    "collision": {"math", "core", "formula", "kernels"},
+    "dynamics": {"math", "core", "collision", "formula", "kernels"},
+    "vbd": {"math", "core", "collision", "formula", "kernels"},
     "diff": {"abi", "math", "core", "program", "nova", "formula", "collision", "dynamics"},
 }
+# These headers of core are open to whoever may use core, and to device text besides.
+TEXT_HEADERS = {"row_kernel.h", "enums.h", "export.h"}
+for allowed in ALLOWED.values():
+    if "core" in allowed:
+        allowed.add("text")
+ALLOWED["core"].add("text")
 # Layers that may use these system headers only.
 SYSTEM_HEADERS: dict[str, set[str]] = {
     "abi": {"stdint.h"},
@@ -70,6 +80,10 @@ def by_name(layer: str, name: str) -> str:
     """The layer of a file of a library, by the name of the file."""
     if layer in ("collision", "dynamics", "vbd") and name.endswith("_trace.h"):
         return "formula"
+    if layer in ("collision", "dynamics", "vbd") and name.endswith("_kernels.h"):
+        return "kernels"
+    if layer == "core" and name in TEXT_HEADERS:
+        return "text"
     if layer in ("collision", "dynamics") and name.startswith("diff_"):
         return "diff"
     return layer

@@ -16,6 +16,7 @@
 
 #include "module.h"
 #include "novaphy/cpu/query.h"
+#include "row_function.h"
 #include "series.h"
 
 using novaphy::cpu::fail;
@@ -30,11 +31,18 @@ struct novaphy_event {
   std::chrono::steady_clock::time_point time;
   bool recorded = false;
 };
+// One of the three: a builtin, a function over rows, or a Program.
 struct novaphy_kernel {
   const novaphy::cpu::IsaTable* isa = nullptr;
   const novaphy::cpu::Builtin* builtin = nullptr;
-  std::unique_ptr<const novaphy::cpu::Executable> executable;  // without a builtin
+  novaphy_row_function function = {};  // of rows null: none
+  std::unique_ptr<const novaphy::cpu::Executable> executable;
   uint32_t argument_count = 0;
+
+  const char* name() const {
+    if (builtin != nullptr) return builtin->name;
+    return executable != nullptr ? executable->program.name.c_str() : function.name;
+  }
 };
 struct novaphy_module {
   novaphy_kernel kernel;
@@ -151,7 +159,7 @@ novaphy_status device_info(int32_t ordinal, novaphy_device_info* info, novaphy_e
   const auto page = static_cast<uint64_t>(sysconf(_SC_PAGESIZE));
   info->total_memory = page * static_cast<uint64_t>(sysconf(_SC_PHYS_PAGES));
   info->free_memory = page * static_cast<uint64_t>(sysconf(_SC_AVPHYS_PAGES));
-  info->capabilities = NOVAPHY_CAP_HOST_ACCESSIBLE;
+  info->capabilities = NOVAPHY_CAP_HOST_ACCESSIBLE | NOVAPHY_CAP_BINARY_MODULES;
   return NOVAPHY_OK;
 }
 
@@ -299,6 +307,10 @@ novaphy_status module_create(novaphy_device* device, int32_t format, const void*
                     static_cast<int>(std::min<size_t>(name.size(), 64)), name.data());
       }
       made->kernel.argument_count = made->kernel.builtin->argument_count;
+    } else if (format == NOVAPHY_CODE_BINARY) {
+      const novaphy_status status = read_row_function(data, bytes, made->kernel.function, error);
+      if (status != NOVAPHY_OK) return status;
+      made->kernel.argument_count = made->kernel.function.argument_count;
     } else {
       return fail(error, NOVAPHY_NOT_SUPPORTED,
                   "the cpu backend takes no modules of code format %d", format);
@@ -312,9 +324,11 @@ void module_destroy(novaphy_module* module) { delete module; }
 
 novaphy_status kernel_get(novaphy_module* module, const char* name, novaphy_kernel** kernel,
                           novaphy_error* error) {
-  if (std::strcmp(name, "main") != 0) {
-    return fail(error, NOVAPHY_INVALID_ARGUMENT, "kernel_get: expected \"main\", got \"%.64s\"",
-                name);
+  const novaphy_row_function& function = module->kernel.function;
+  const char* const own = function.rows != nullptr ? function.name : "main";
+  if (std::strcmp(name, own) != 0) {
+    return fail(error, NOVAPHY_INVALID_ARGUMENT, "kernel_get: expected \"%.64s\", got \"%.64s\"",
+                own, name);
   }
   *kernel = &module->kernel;
   return NOVAPHY_OK;
@@ -323,10 +337,8 @@ novaphy_status kernel_get(novaphy_module* module, const char* name, novaphy_kern
 novaphy_status launch(novaphy_stream*, novaphy_kernel* kernel, int64_t n, const uint64_t* arguments,
                       uint32_t argument_count, novaphy_error* error) {
   if (argument_count != kernel->argument_count) [[unlikely]] {
-    const char* name = kernel->builtin != nullptr ? kernel->builtin->name
-                                                  : kernel->executable->program.name.c_str();
     return fail(error, NOVAPHY_INVALID_ARGUMENT, "kernel '%s': expected %u argument words, got %u",
-                name, kernel->argument_count, argument_count);
+                kernel->name(), kernel->argument_count, argument_count);
   }
   if (n <= 0 || n > INT32_MAX) [[unlikely]] {
     if (n == 0) return NOVAPHY_OK;
@@ -336,6 +348,10 @@ novaphy_status launch(novaphy_stream*, novaphy_kernel* kernel, int64_t n, const 
   return guarded(error, [&] {
     if (kernel->builtin != nullptr)
       return kernel->builtin->run(*g_host, *kernel->isa, n, arguments, error);
+    if (kernel->function.rows != nullptr) {
+      run_row_function(kernel->function, *g_host, n, arguments);
+      return NOVAPHY_OK;
+    }
     return run_executable(*kernel->executable, *g_host, n, arguments, error);
   });
 }
@@ -351,7 +367,7 @@ novaphy_status kernel_info(novaphy_kernel* kernel, novaphy_kernel_info* info,
   *info = {};
   info->struct_size = size;
   info->lanes = 1;
-  if (kernel->builtin != nullptr) {
+  if (kernel->executable == nullptr) {
     info->native = 1;
     std::snprintf(info->isa, sizeof(info->isa), "baseline");
     return NOVAPHY_OK;

@@ -4,7 +4,6 @@
 #include <cstdint>
 #include <memory>
 #include <optional>
-#include <vector>
 
 #include "novaphy/collision/broad_phase.h"
 #include "novaphy/collision/export.h"
@@ -14,7 +13,7 @@
 namespace novaphy {
 
 namespace detail {
-class DeviceSoftContacts;
+class SoftContacts;
 }
 
 struct CollisionOptions {
@@ -62,7 +61,9 @@ class NOVAPHY_COLLISION_API CollisionPipeline {
   // Empty contacts that collide takes.
   Contacts contacts() const;
 
-  // Replaces the contacts by those of the state and raises contact_generation.
+  // Replaces the contacts by those of the state and raises contact_generation. May stand in a
+  // capture: a replay finds the contacts of what the state then holds, and refuses once the flags,
+  // types or bodies of shapes were written.
   // `soft_contact_margin` replaces the pipeline's for this call. Nothing is written after an error:
   //   ErrorKind::Value  a state or contacts of another model or device; contacts for another number
   //                     of candidate pairs (shape flags were edited: call contacts() again); a bad
@@ -74,8 +75,7 @@ class NOVAPHY_COLLISION_API CollisionPipeline {
  private:
   std::shared_ptr<const Model> model_;
   CollisionOptions options_;
-  std::vector<int64_t> chunk_offsets_;                  // of collide, kept from call to call
-  std::shared_ptr<detail::DeviceSoftContacts> device_;  // of a model that is not on the cpu
+  std::shared_ptr<detail::SoftContacts> soft_contacts_;
 };
 
 }  // namespace novaphy

@@ -10,6 +10,7 @@
 #include <vector>
 
 #include "novaphy/core/backend.h"
+#include "novaphy/core/recorder.h"
 #include "novaphy/core/storage.h"
 #include "novaphy/nova/export.h"
 
@@ -117,8 +118,8 @@ class NOVAPHY_NOVA_API OpList {
   mutable std::unique_ptr<detail::DeviceReplay> device_replay_;
 };
 
-// Waits for what launches have started on other threads. Lists wait when they are destroyed; this is
-// for those that a process leaves behind: the exit destroys static objects of compilers, so a
+// Waits for what launches have started on other threads. Lists wait when they are destroyed; this
+// is for those that a process leaves behind: the exit destroys static objects of compilers, so a
 // compilation must not be under way then. Python calls it at its exit.
 NOVAPHY_NOVA_API void wait_for_compilers();
 
@@ -162,8 +163,8 @@ class NOVAPHY_NOVA_API DeferredScope {
 // memory.
 NOVAPHY_NOVA_API void flush_deferred();
 
-// Launches over the domain n. `words` are the argument words; `name` is for messages and must
-// outlive the list.
+// Launches of this library's own kernels over the domain n; novaphy::submit_launch is for those of
+// others. `words` are the argument words; `name` is for messages and must outlive the list.
 NOVAPHY_NOVA_API void submit_launch(const novaphy::DeviceContext& context, novaphy_kernel* kernel,
                                     const char* name, int64_t n, std::span<const uint64_t> words,
                                     const detail::RowLayout* layout = nullptr,
@@ -175,8 +176,7 @@ NOVAPHY_NOVA_API void submit_fill(const std::shared_ptr<Range>& target, float va
 NOVAPHY_NOVA_API void note_write(const std::shared_ptr<Range>& range);
 // Runs now even while a capture records: for what is derived from index tables, which a capture
 // freezes.
-NOVAPHY_NOVA_API void launch_now(const novaphy::DeviceContext& context, novaphy_kernel* kernel,
-                                 const char* name, int64_t n, std::span<const uint64_t> words);
+using novaphy::launch_now;
 // Keeps the owner alive while the capture or deferred list of this thread (if any) lives. `bytes`:
 // memory that only the list needs.
 NOVAPHY_NOVA_API void hold_in_capture(const std::shared_ptr<const void>& owner, size_t bytes = 0);

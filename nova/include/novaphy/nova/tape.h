@@ -82,6 +82,11 @@ class NOVAPHY_NOVA_API Tape {
                      std::span<const Operand> inputs, std::span<const Operand> outputs,
                      const LaunchOptions& options, bool recorded);
 
+  // For launches that are no Kernels: whether the range, or one that shares bytes with it, carries
+  // a gradient; and that it now holds a constant.
+  bool carries_gradient(const Range& range) const;
+  void mark_constant(const Range& range);
+
  private:
   struct Impl;
   static std::unique_ptr<Impl>& spare();

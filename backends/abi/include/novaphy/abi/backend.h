@@ -24,7 +24,7 @@ extern "C" {
 #endif
 
 #define NOVAPHY_ABI_MAJOR 0u
-#define NOVAPHY_ABI_MINOR 9u
+#define NOVAPHY_ABI_MINOR 10u
 
 typedef enum novaphy_status {
   NOVAPHY_OK = 0,
@@ -99,7 +99,7 @@ typedef enum novaphy_copy_kind {
 typedef enum novaphy_code_format {
   NOVAPHY_CODE_PROGRAM = 0, /* serialised SSA, see program.h; mandatory; one kernel named "main" */
   NOVAPHY_CODE_SOURCE = 1, /* freestanding C++ text (optional, see the capability bits and below) */
-  NOVAPHY_CODE_BINARY = 2, /* built ahead for this device (optional) */
+  NOVAPHY_CODE_BINARY = 2, /* built ahead for this device (optional); on a CPU see below */
   NOVAPHY_CODE_BUILTIN = 3 /* data = the builtin's name, see program.h; mandatory */
 } novaphy_code_format;
 
@@ -108,16 +108,29 @@ typedef enum novaphy_code_format {
  * args, const int64_t n, const device_sink) { const int64_t i = NOVAPHY_ROW; if (i >= n) return;
  *     ... args.word[0] ...
  *   }
+ * A struct of WORDS members of 8 bytes may stand for novaphy_arguments<WORDS>.
  * The backend supplies these names, the sized integers of <stdint.h>, and for its own compiler
  * usqrt, ufma, ufloor, ubits_f and uf_bits, with the rounding that program.h states. */
+
+/* BINARY modules of a CPU backend, since minor version 10: `data` is one of these, and the module
+ * has the one kernel `name`. `rows` does the rows [begin, end) of n; which rows one call gets
+ * depends on nothing but n, and calls for other rows may run at the same time. The function and
+ * what the struct points to outlive the module. */
+typedef struct novaphy_row_function {
+  uint64_t struct_size;
+  const char* name;
+  uint32_t argument_count; /* 8-byte words */
+  uint32_t reserved;       /* 0 */
+  void (*rows)(const uint64_t* arguments, int64_t n, int64_t begin, int64_t end);
+} novaphy_row_function;
 
 /* How a kernel runs. */
 typedef struct novaphy_kernel_info {
   uint64_t struct_size;
   uint64_t hash;  /* of the Program; 0: the kernel is no Program */
   int32_t native; /* 1: compiled code; 0: an interpreter of the Program; 2 (since minor version 8):
-                     compiled code that is contracted, across the Programs of a list or sequence too,
-                     so that its bits depend on what they are */
+                     compiled code that is contracted, across the Programs of a list or sequence
+                     too, so that its bits depend on what they are */
   int32_t lanes;  /* rows that one vector of the processor holds; 1 where that has no meaning */
   char isa[32];   /* the instruction set, as the backend names it */
 } novaphy_kernel_info;
@@ -244,9 +257,9 @@ typedef struct novaphy_backend_api {
    * phases and chains, as one launch. A phase begins when the one before has ended. Its chains are
    * independent; row i of a chain is done by one thread: of each of its operations, in order, the
    * rows [i * n / rows, (i + 1) * n / rows). sequence_takes: whether an operation may be part of
-   * one. What sequence_create makes is launched and destroyed as a list; NOT_SUPPORTED, and what the
-   * caller vouches for, as there. Besides, CSR tables hold what they will hold at every launch, and
-   * so do indices of the rows to which they add. */
+   * one. What sequence_create makes is launched and destroyed as a list; NOT_SUPPORTED, and what
+   * the caller vouches for, as there. Besides, CSR tables hold what they will hold at every launch,
+   * and so do indices of the rows to which they add. */
   int32_t (*sequence_takes)(novaphy_device* device, const novaphy_list_op* op);
   novaphy_status (*sequence_create)(novaphy_device* device, const novaphy_sequence_op* ops,
                                     uint32_t count, novaphy_list** list, novaphy_error* error);

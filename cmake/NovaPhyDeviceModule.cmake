@@ -1,0 +1,64 @@
+# novaphy_add_device_module(<target> <path>/<name>_kernels.h [WHEN <condition>])
+# The hand-written kernels of a header (NOVAPHY_ROW_KERNEL) for devices: makes the text that their compilers get, and
+# compiles it into the target as
+#   const char* novaphy::detail::<name>_kernels_text();
+# which gives null with NOVAPHY_WITH_CUDA=OFF or where the condition is false. Headers take the place of their includes,
+# each once. core/device/ holds the twins of those that devices read otherwise; system headers are left out. The lines
+# "// kernel NAME WORDS" that backends look for are made from the declarations.
+set(NOVAPHY_DEVICE_INCLUDES core/device core/include collision/include dynamics/include)
+
+# Appends a file to the global property NOVAPHY_DEVICE_TEXT, behind the headers that it includes.
+function(novaphy_append_device_text path)
+  get_property(seen GLOBAL PROPERTY NOVAPHY_DEVICE_TEXT_FILES)
+  if(path IN_LIST seen)
+    return()
+  endif()
+  set_property(GLOBAL APPEND PROPERTY NOVAPHY_DEVICE_TEXT_FILES ${path})
+  set_property(DIRECTORY APPEND PROPERTY CMAKE_CONFIGURE_DEPENDS ${path})
+  file(STRINGS ${path} includes REGEX "^#include \"novaphy/")
+  foreach(include IN LISTS includes)
+    string(REGEX REPLACE "^#include \"([^\"]+)\".*" "\\1" include "${include}")
+    unset(included)  # find_file keeps what is set, also by the caller
+    find_file(included NAMES ${include} HINTS ${NOVAPHY_DEVICE_INCLUDES} NO_CACHE NO_DEFAULT_PATH REQUIRED)
+    novaphy_append_device_text(${included})
+  endforeach()
+  file(READ ${path} text)
+  string(REGEX REPLACE "#(include|pragma once)[^\n]*\n" "" text "${text}")
+  set_property(GLOBAL APPEND_STRING PROPERTY NOVAPHY_DEVICE_TEXT "${text}")
+endfunction()
+
+function(novaphy_add_device_module target header)
+  cmake_parse_arguments(PARSE_ARGV 2 arg "" "" "WHEN")
+  cmake_path(GET header STEM name)
+  set(result nullptr)
+  if(NOVAPHY_WITH_CUDA AND (NOT DEFINED arg_WHEN OR (${arg_WHEN})))
+    list(TRANSFORM NOVAPHY_DEVICE_INCLUDES PREPEND ${PROJECT_SOURCE_DIR}/)
+    set_property(GLOBAL PROPERTY NOVAPHY_DEVICE_TEXT_FILES "")
+    set_property(GLOBAL PROPERTY NOVAPHY_DEVICE_TEXT "")
+    cmake_path(ABSOLUTE_PATH header)
+    novaphy_append_device_text(${header})
+    get_property(text GLOBAL PROPERTY NOVAPHY_DEVICE_TEXT)
+    string(REGEX MATCHALL "\nNOVAPHY_ROW_KERNEL\\([a-z0-9_]+, [0-9]+" kernels "${text}")
+    if(NOT kernels)
+      message(FATAL_ERROR "novaphy_add_device_module: no NOVAPHY_ROW_KERNEL(name, words, ...) in ${header}.")
+    endif()
+    list(TRANSFORM kernels REPLACE "\nNOVAPHY_ROW_KERNEL.([a-z0-9_]+), ([0-9]+)" "// kernel \\1 \\2\n")
+    string(JOIN "" kernels ${kernels})
+    file(CONFIGURE OUTPUT ${CMAKE_CURRENT_BINARY_DIR}/${name}.cuh CONTENT "${kernels}${text}" @ONLY)
+    # A string literal has a length that every compiler takes; the pieces are joined by the compiler.
+    string(REPLACE "\n\n" "\n)==\"\n    R\"==(\n" text "${kernels}${text}")
+    set(result "R\"==(${text})==\"")
+  endif()
+  file(CONFIGURE OUTPUT ${CMAKE_CURRENT_BINARY_DIR}/${name}_text.cpp @ONLY CONTENT
+"// Written by cmake/NovaPhyDeviceModule.cmake.
+namespace novaphy::detail {
+const char* ${name}_text();
+const char* ${name}_text() {
+  return ${result};
+}
+}  // namespace novaphy::detail
+")
+  target_sources(${target} PRIVATE ${CMAKE_CURRENT_BINARY_DIR}/${name}_text.cpp)
+  set_source_files_properties(${CMAKE_CURRENT_BINARY_DIR}/${name}_text.cpp PROPERTIES
+                              COMPILE_OPTIONS -Wno-overlength-strings)
+endfunction()

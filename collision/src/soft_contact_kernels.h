@@ -1,0 +1,142 @@
+// The search for soft contacts as kernels: the shapes are made ready, every candidate pair (shape
+// times particle) is asked whether it touches, a scan of the answers gives the slots before each
+// pair, and those that touch write their record. What a contact is: collision_pipeline.h.
+#pragma once
+
+#include "novaphy/collision/diff_soft_contact_trace.h"
+#include "novaphy/core/row_kernel.h"
+#include "novaphy/core/sim/enums.h"
+
+namespace novaphy {
+
+// What the search needs of a shape that particles may meet.
+struct SoftContactShape {
+  int32_t index;
+  GeoType type;
+  int32_t world;
+  float reach;  // m: gap + margin
+  Vec3f scale;
+  Transformf xform, pose, to_local;
+  Vec3f
+      velocity;  // of the surface in the body's frame: zero, with the signs that rotating it gives
+};
+
+inline SurfaceDistance<float> surface_distance(const SoftContactShape& shape, const Vec3f& x) {
+  if (shape.type == GeoType::BOX) return box_distance(x, shape.scale);
+  if (shape.type == GeoType::SPHERE) return sphere_distance(x, shape.scale.x);
+  if (shape.type == GeoType::CAPSULE) return capsule_distance(x, shape.scale.x, shape.scale.y);
+  return plane_distance(x, shape.scale.x, shape.scale.y);
+}
+
+struct SoftContactShapeArguments {
+  const int32_t* candidates;  // shapes that particles may meet
+  const int32_t* type;
+  const int32_t* world;
+  const Vec3f* scale;
+  const Transformf* xform;
+  const float* margin;
+  FloatWord gap;
+  SoftContactShape* shapes;  // a row per candidate
+};
+// Makes the candidate shape `row` ready.
+NOVAPHY_ROW_KERNEL(soft_contact_shape, 8, SoftContactShapeArguments) {
+  const int32_t s = a.candidates[row];
+  SoftContactShape& shape = a.shapes[row];
+  shape.index = s;
+  shape.type = static_cast<GeoType>(a.type[s]);
+  shape.world = a.world[s];
+  shape.reach = a.gap.value + a.margin[s];
+  shape.scale = a.scale[s];
+  shape.xform = a.xform[s];
+  shape.pose = static_shape_pose(shape.xform);
+  shape.to_local = math::inverse(shape.pose);
+  shape.velocity = math::rotate(shape.xform.q, Vec3f{});
+}
+
+struct SoftContactTouchArguments {
+  const SoftContactShape* shapes;
+  int64_t particles;
+  const Vec3f* q;
+  const float* radius;
+  const int32_t* flags;
+  const int32_t* world;
+  int32_t* touches;  // a row per pair
+};
+// touches = 1 where the pair `row` touches, else 0.
+NOVAPHY_ROW_KERNEL(soft_contact_touch, 7, SoftContactTouchArguments) {
+  const uint32_t pair = static_cast<uint32_t>(row), particles = static_cast<uint32_t>(a.particles);
+  const SoftContactShape& shape = a.shapes[pair / particles];
+  const uint32_t p = pair % particles;
+  bool touches = has_flag(a.flags[p], ParticleFlags::ACTIVE);
+  if (a.world[p] != shape.world && a.world[p] >= 0 && shape.world >= 0) touches = false;
+  if (touches) {
+    const Vec3f x = math::transform_point(shape.to_local, a.q[p]);
+    touches = surface_distance(shape, x).distance < shape.reach + a.radius[p];
+  }
+  a.touches[row] = touches ? 1 : 0;
+}
+
+struct SoftContactWriteArguments {
+  const SoftContactShape* shapes;
+  int64_t particles;
+  const Vec3f* q;
+  const int32_t* before;  // the slots before each pair: a scan of what soft_contact_touch wrote
+  int64_t slots;
+  int32_t* tids;  // of the pairs: in, whether they touch; out, their slot, or -1
+  int32_t* count;
+  int32_t* particle;  // the rest: a row per slot
+  int32_t* shape;
+  Vec3f* body_pos;
+  Vec3f* body_vel;
+  Vec3f* normal;
+};
+// Writes the record of the pair `row`, if it touches, into its slot.
+NOVAPHY_ROW_KERNEL(soft_contact_write, 12, SoftContactWriteArguments) {
+  const int32_t slot = a.before[row];
+  const bool touches = a.tids[row] != 0;
+  if (row == n - 1) *a.count = slot + (touches ? 1 : 0);
+  if (!touches || slot >= a.slots) {
+    a.tids[row] = -1;
+    return;
+  }
+  const uint32_t pair = static_cast<uint32_t>(row), particles = static_cast<uint32_t>(a.particles);
+  const SoftContactShape& shape = a.shapes[pair / particles];
+  const uint32_t p = pair % particles;
+  const Vec3f x = math::transform_point(shape.to_local, a.q[p]);
+  const StaticContact<float> contact =
+      static_contact_record(shape.xform, shape.pose, x, surface_distance(shape, x));
+  a.tids[row] = slot;
+  a.particle[slot] = static_cast<int32_t>(p);
+  a.shape[slot] = shape.index;
+  a.body_pos[slot] = contact.point;
+  a.body_vel[slot] = shape.velocity;
+  a.normal[slot] = contact.normal;
+}
+
+struct SoftContactClearArguments {
+  int64_t pairs;
+  int32_t* count;
+  int32_t* generation;
+  int32_t* particle;  // the rest: a row per slot
+  int32_t* shape;
+  Vec3f* body_pos;
+  Vec3f* body_vel;
+  Vec3f* normal;
+};
+// Empties the slot `row` if it lies behind the last contact; the row behind all slots raises the
+// generation, and sets the count where no pair has done it.
+NOVAPHY_ROW_KERNEL(soft_contact_clear, 8, SoftContactClearArguments) {
+  if (row == n - 1) {
+    ++*a.generation;
+    if (a.pairs == 0) *a.count = 0;
+    return;
+  }
+  if (a.pairs != 0 && row < *a.count) return;
+  a.particle[row] = -1;
+  a.shape[row] = -1;
+  a.body_pos[row] = Vec3f{};
+  a.body_vel[row] = Vec3f{};
+  a.normal[row] = Vec3f{};
+}
+
+}  // namespace novaphy

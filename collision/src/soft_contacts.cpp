@@ -1,0 +1,148 @@
+#include "soft_contacts.h"
+
+#include <array>
+#include <vector>
+
+#include "novaphy/core/device_kernel.h"
+#include "novaphy/core/error.h"
+#include "soft_contact_kernels.h"
+
+namespace novaphy::detail {
+namespace {
+
+// Never destroyed: recordings refer to them.
+struct Kernels {
+  DeviceKernel shape{soft_contact_shape, soft_contact_kernels_text};
+  DeviceKernel touch{soft_contact_touch, soft_contact_kernels_text};
+  DeviceKernel scan{"exclusive_scan_i32"};
+  DeviceKernel write{soft_contact_write, soft_contact_kernels_text};
+  DeviceKernel clear{soft_contact_clear, soft_contact_kernels_text};
+};
+const Kernels& kernels() {
+  static const auto& all = *new Kernels;
+  return all;
+}
+
+void check_covered_shape(int32_t index, int32_t body, GeoType type) {
+  require(body < 0, ErrorKind::NotImplemented, "CollisionPipeline: shape ", index,
+          " is owned by body ", body, "; only world-owned shapes (body -1) are there yet");
+  const bool covered = type == GeoType::PLANE || type == GeoType::BOX || type == GeoType::SPHERE ||
+                       type == GeoType::CAPSULE;
+  require(covered, ErrorKind::NotImplemented, "CollisionPipeline: shape ", index, " has type ",
+          geo_type_name(type), " (", static_cast<int32_t>(type),
+          "); only PLANE, BOX, SPHERE and CAPSULE are there yet");
+}
+
+}  // namespace
+
+struct SoftContacts::Impl {
+  std::shared_ptr<const Model> model;
+  // Which shapes may be met, and the versions of the arrays that say so.
+  bool known = false;
+  uint64_t versions[3] = {};
+  DeviceArray<int32_t> candidates;
+  // Scratch, kept from call to call.
+  std::shared_ptr<Storage> shapes;  // a SoftContactShape per candidate
+  DeviceArray<int32_t> before;      // the slots before each pair
+
+  std::array<const DeviceArray<int32_t>*, 3> choosing() const {
+    return {&model->shape_flags, &model->shape_body, &model->shape_type};
+  }
+  bool up_to_date() const {
+    const auto arrays = choosing();
+    for (size_t k = 0; k < arrays.size(); ++k) {
+      const auto& range = arrays[k]->range();
+      if (versions[k] != arrays[k]->version() || (range && range->writable_export())) return false;
+    }
+    return known;
+  }
+  void find_candidates() {
+    if (up_to_date()) return;
+    const auto arrays = choosing();
+    const std::vector<int32_t> flags = arrays[0]->to_host(), body = arrays[1]->to_host(),
+                               type = arrays[2]->to_host();
+    std::vector<int32_t> found;
+    for (int32_t s = 0; s < model->shape_count(); ++s) {
+      const auto at = static_cast<size_t>(s);
+      if (!has_flag(flags[at], ShapeFlags::COLLIDE_PARTICLES)) continue;
+      check_covered_shape(s, body[at], static_cast<GeoType>(type[at]));
+      found.push_back(s);
+    }
+    candidates = DeviceArray<int32_t>::from_host(found, model->device());
+    shapes = Storage::allocate(found.size() * sizeof(SoftContactShape), model->device());
+    for (size_t k = 0; k < arrays.size(); ++k) versions[k] = arrays[k]->version();
+    known = true;
+  }
+  // The pairs follow from what the host has read.
+  void depend_on_candidates() const {
+    LaunchRecorder* const recorder = launch_recorder();
+    if (recorder == nullptr) return;
+    for (const DeviceArray<int32_t>* array : choosing())
+      if (array->range()) recorder->depends_on(array->range());
+  }
+};
+
+SoftContacts::SoftContacts(std::shared_ptr<const Model> model) : impl_(std::make_unique<Impl>()) {
+  impl_->model = std::move(model);
+}
+SoftContacts::~SoftContacts() = default;
+
+int32_t SoftContacts::candidate_count() {
+  impl_->find_candidates();
+  return static_cast<int32_t>(impl_->candidates.rows());
+}
+
+void SoftContacts::collide(const SimState& state, Contacts& contacts, float gap) {
+  const Model& m = *impl_->model;
+  const Device device = m.device();
+  impl_->find_candidates();
+  impl_->depend_on_candidates();
+  const int64_t particles = m.particle_count(), pairs = contacts.soft_contact_pair_count(),
+                slots = contacts.soft_contact_max();
+  const auto shape_count = static_cast<int64_t>(impl_->candidates.rows());
+  const Array shapes(DType::uint8, impl_->shapes->bytes(), 1, impl_->shapes->range());
+  if (impl_->before.rows() < static_cast<size_t>(pairs))
+    impl_->before = DeviceArray<int32_t>(static_cast<size_t>(pairs), device);
+  // What a record holds carries no gradient, so nothing that the search reads needs one.
+  const auto constant = [](const char* name, const Array& array) {
+    return reads(name, array).detached();
+  };
+  if (pairs > 0) {
+    kernels().shape.launch(
+        device, shape_count,
+        {reads_row("candidates", impl_->candidates), reads("shape_type", m.shape_type),
+         reads("shape_world", m.shape_world), constant("shape_scale", m.shape_scale),
+         constant("shape_transform", m.shape_transform), constant("shape_margin", m.shape_margin),
+         number(gap), writes("shapes", shapes)});
+    kernels().touch.launch(
+        device, pairs,
+        {reads("shapes", shapes), number(particles), constant("particle_q", state.particle_q),
+         constant("particle_radius", m.particle_radius), reads("particle_flags", m.particle_flags),
+         reads("particle_world", m.particle_world),
+         writes_row("soft_contact_tids", contacts.soft_contact_tids)});
+    kernels().scan.launch(
+        device, pairs,
+        {reads("soft_contact_tids", contacts.soft_contact_tids), writes("before", impl_->before)});
+    kernels().write.launch(
+        device, pairs,
+        {reads("shapes", shapes), number(particles), constant("particle_q", state.particle_q),
+         reads_row("before", impl_->before), number(slots),
+         updates_row("soft_contact_tids", contacts.soft_contact_tids),
+         writes("soft_contact_count", contacts.soft_contact_count),
+         writes("soft_contact_particle", contacts.soft_contact_particle),
+         writes("soft_contact_shape", contacts.soft_contact_shape),
+         writes("soft_contact_body_pos", contacts.soft_contact_body_pos),
+         writes("soft_contact_body_vel", contacts.soft_contact_body_vel),
+         writes("soft_contact_normal", contacts.soft_contact_normal)});
+  }
+  kernels().clear.launch(device, slots + 1,
+                         {number(pairs), updates("soft_contact_count", contacts.soft_contact_count),
+                          updates("contact_generation", contacts.contact_generation),
+                          writes("soft_contact_particle", contacts.soft_contact_particle),
+                          writes("soft_contact_shape", contacts.soft_contact_shape),
+                          writes("soft_contact_body_pos", contacts.soft_contact_body_pos),
+                          writes("soft_contact_body_vel", contacts.soft_contact_body_vel),
+                          writes("soft_contact_normal", contacts.soft_contact_normal)});
+}
+
+}  // namespace novaphy::detail

@@ -1,0 +1,32 @@
+// Internal: the soft contacts of a model's states, found on its device. The kernels are those of
+// soft_contact_kernels.h.
+#pragma once
+
+#include <cstdint>
+#include <memory>
+
+#include "novaphy/core/sim/contacts.h"
+#include "novaphy/core/sim/model.h"
+
+namespace novaphy::detail {
+
+class SoftContacts {
+ public:
+  explicit SoftContacts(std::shared_ptr<const Model> model);
+  ~SoftContacts();
+
+  // The shapes that particles may meet. The model's arrays are read when they were written since
+  // the last call. ErrorKind::NotImplemented: a colliding shape that is not covered.
+  int32_t candidate_count();
+  // The contacts have as many candidate pairs as there are. Recorded where the thread records.
+  void collide(const SimState& state, Contacts& contacts, float gap);
+
+ private:
+  struct Impl;
+  std::unique_ptr<Impl> impl_;
+};
+
+// The text of the kernels for devices; null: the build has none.
+const char* soft_contact_kernels_text();
+
+}  // namespace novaphy::detail

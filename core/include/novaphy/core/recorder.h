@@ -1,0 +1,66 @@
+// Launches, and who may record them instead of running them. Whatever a library does to arrays of a
+// device goes through submit_launch: so it is ordered, raises versions, and can stand in a capture,
+// without the library knowing what a capture is.
+#pragma once
+
+#include <cstdint>
+#include <memory>
+#include <span>
+
+#include "novaphy/core/backend.h"
+#include "novaphy/core/storage.h"
+
+namespace novaphy {
+
+// One argument word of a launch: a number, or the address of a range with what the launch does to
+// it.
+struct LaunchArgument {
+  uint64_t word = 0;
+  const char* name = "";         // for messages
+  std::shared_ptr<Range> range;  // null: a number, or an array of no rows
+  uint32_t row_bytes = 0;        // row i touches the bytes [i, i + 1) * row_bytes only; 0: any
+  bool read = false, write = false;
+  // Float values whose derivative counts: reading them raises where they carry a gradient, because
+  // it would stop here.
+  bool differentiable = false;
+
+  // The same, of values through which no gradient is meant to flow.
+  LaunchArgument detached() && {
+    differentiable = false;
+    return std::move(*this);
+  }
+};
+
+// A launch over the rows [0, n). `name`, and the kernel, live as long as the process.
+struct Launch {
+  const DeviceContext& context;
+  novaphy_kernel* kernel;
+  const char* name;
+  int64_t n;
+  std::span<const uint64_t> words;
+  std::span<const LaunchArgument> arguments;
+};
+
+// Takes what one thread submits. The tensor runtime installs one while a tape or a capture of its
+// is active on the thread.
+class NOVAPHY_CORE_API LaunchRecorder {
+ public:
+  virtual ~LaunchRecorder();
+  // Runs or records it, and raises the versions of what it writes. Throws before anything is
+  // written: ErrorKind::Runtime for a differentiable argument that carries a gradient.
+  virtual void launch(const Launch& launch) = 0;
+  // What is submitted next holds for the present values of the range only, which the host has read.
+  // A replay throws once they were written.
+  virtual void depends_on(const std::shared_ptr<Range>& range) = 0;
+};
+NOVAPHY_CORE_API LaunchRecorder* launch_recorder();  // of this thread, or null
+NOVAPHY_CORE_API LaunchRecorder* set_launch_recorder(
+    LaunchRecorder* recorder);  // returns the one before
+
+// By the recorder of this thread, or at once.
+NOVAPHY_CORE_API void submit_launch(const Launch& launch);
+// At once, whoever records. Versions are the caller's. The error names `name`.
+NOVAPHY_CORE_API void launch_now(const DeviceContext& context, novaphy_kernel* kernel,
+                                 const char* name, int64_t n, std::span<const uint64_t> words);
+
+}  // namespace novaphy

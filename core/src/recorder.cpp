@@ -1,0 +1,34 @@
+#include "novaphy/core/recorder.h"
+
+#include <utility>
+
+namespace novaphy {
+
+namespace {
+thread_local LaunchRecorder* t_recorder = nullptr;
+}  // namespace
+
+LaunchRecorder::~LaunchRecorder() = default;
+
+LaunchRecorder* launch_recorder() { return t_recorder; }
+LaunchRecorder* set_launch_recorder(LaunchRecorder* recorder) {
+  return std::exchange(t_recorder, recorder);
+}
+
+void submit_launch(const Launch& launch) {
+  if (t_recorder != nullptr) return t_recorder->launch(launch);
+  launch_now(launch.context, launch.kernel, launch.name, launch.n, launch.words);
+  for (const LaunchArgument& argument : launch.arguments)
+    if (argument.write && argument.range) argument.range->mark_written();
+}
+
+void launch_now(const DeviceContext& context, novaphy_kernel* kernel, const char* name, int64_t n,
+                std::span<const uint64_t> words) {
+  novaphy_error error = make_error();
+  const novaphy_status status = context.api->launch(context.stream, kernel, n, words.data(),
+                                                    static_cast<uint32_t>(words.size()), &error);
+  if (status != NOVAPHY_OK) [[unlikely]]
+    check(status, error, name);
+}
+
+}  // namespace novaphy

@@ -1,0 +1,69 @@
+// What the runtime does about launches of libraries that do not know it.
+#include "recorder.h"
+
+#include <vector>
+
+#include "novaphy/core/error.h"
+#include "novaphy/core/recorder.h"
+#include "novaphy/nova/op_list.h"
+#include "novaphy/nova/tape.h"
+
+namespace nova::detail {
+namespace {
+
+using novaphy::Launch;
+using novaphy::LaunchArgument;
+
+// No adjoint is known of such a launch.
+void refuse_gradients(const Tape& tape, const Launch& launch) {
+  for (const LaunchArgument& a : launch.arguments)
+    if (a.read && a.differentiable && a.range && tape.carries_gradient(*a.range))
+      novaphy::fail(novaphy::ErrorKind::Runtime, launch.name, ", ", a.name,
+                    ": it carries a gradient of the active Tape, which would silently stop in a "
+                    "hand-written kernel. Launch it under nova.no_grad() and give its derivative "
+                    "with Tape.record_custom");
+}
+
+class Recorder : public novaphy::LaunchRecorder {
+ public:
+  void launch(const Launch& launch) override {
+    Tape* const tape = Tape::active();
+    if (tape != nullptr) refuse_gradients(*tape, launch);
+    accesses_.clear();
+    for (const LaunchArgument& a : launch.arguments) {
+      if (!a.range) continue;
+      const uint64_t bytes =
+          a.row_bytes != 0 ? static_cast<uint64_t>(launch.n) * a.row_bytes : a.range->bytes();
+      accesses_.push_back({a.word, bytes, a.row_bytes, a.write});
+      hold_in_capture(a.range);
+    }
+    submit_launch(launch.context, launch.kernel, launch.name, launch.n, launch.words, nullptr,
+                  accesses_);
+    for (const LaunchArgument& a : launch.arguments) {
+      if (!a.write || !a.range) continue;
+      note_write(a.range);
+      if (tape != nullptr) tape->mark_constant(*a.range);
+    }
+  }
+  void depends_on(const std::shared_ptr<Range>& range) override {
+    if (OpList* graph = current_capture()) graph->freeze(range);
+  }
+
+ private:
+  std::vector<MemoryAccess> accesses_;  // of the launch at hand; kept for its memory
+};
+
+thread_local Recorder recorder;
+thread_local int depth = 0;
+thread_local novaphy::LaunchRecorder* before = nullptr;
+
+}  // namespace
+
+void enter_recording() {
+  if (depth++ == 0) before = novaphy::set_launch_recorder(&recorder);
+}
+void leave_recording() {
+  if (--depth == 0) novaphy::set_launch_recorder(before);
+}
+
+}  // namespace nova::detail

@@ -1,0 +1,170 @@
+// Hand-written kernels of libraries that do not know the tensor runtime, recorded by it.
+#include <numeric>
+
+#include "novaphy/core/device_kernel.h"
+#include "novaphy/core/parallel.h"
+#include "novaphy/nova/op_list.h"
+#include "support.h"
+#include "support/scale_kernels.h"
+
+namespace novaphy::testing {
+namespace {
+
+using nova::ScopedCapture;
+
+const DeviceKernel kScale(test_scale, nullptr), kReverse(test_reverse, nullptr);
+
+DeviceArray<float> array_of(const Tensor& t) {
+  return DeviceArray<float>(
+      Array(novaphy::DType::float32, static_cast<size_t>(t.size()), 1, t.range()));
+}
+void scale(const Tensor& x, const Tensor& y, float factor, bool detached = false) {
+  const DeviceArray<float> from = array_of(x), to = array_of(y);
+  LaunchArgument in = reads_row("x", from);
+  if (detached) in = std::move(in).detached();
+  kScale.launch(Device::cpu(), x.size(), {in, writes_row("y", to), number(factor)});
+}
+void reverse(const Tensor& x, const Tensor& y) {
+  const DeviceArray<float> from = array_of(x), to = array_of(y);
+  kReverse.launch(Device::cpu(), x.size(), {reads("x", from), writes_row("y", to)});
+}
+
+class HandWritten : public ::testing::Test {
+ protected:
+  void SetUp() override {
+    if (!default_device().is_cpu()) GTEST_SKIP() << "these kernels are for the CPU";
+  }
+};
+
+// Between row-local kernels that may be run block by block, kernels that read other rows.
+TEST_F(HandWritten, ACaptureReplaysThemInOrder) {
+  const int before = num_threads();
+  for (const int64_t n : {5, 300, 5000}) {
+    Random random(3);
+    const Tensor x = tensor(random.values(n)), a({n}, DType::F32), b({n}, DType::F32),
+                 c({n}, DType::F32);
+    const auto work = [&] {
+      Tensor y = nova::mul(x, x);
+      for (int k = 0; k < 3; ++k) {
+        scale(y, a, 0.5f);
+        reverse(a, b);
+        y = nova::add(b, a);
+        reverse(y, c);
+        y = nova::mul(nova::add(c, y), x);
+      }
+      return y;
+    };
+    std::vector<std::vector<float>> expected;
+    const std::vector<float> first = x.to_host(), second = random.values(n);
+    for (const auto& values : {first, second}) {
+      write(x, values);
+      expected.push_back(work().to_host());
+    }
+    std::optional<ScopedCapture> scope(std::in_place);
+    const Tensor out = work();
+    scope->end();
+    const uint64_t version = c.version();
+    for (const int threads : {1, 2, 7}) {
+      set_num_threads(threads);
+      for (const auto& values : {first, second}) {
+        write(x, values);
+        scope->graph()->launch();
+        EXPECT_TRUE(same_bits<float>(out.to_host(), expected[values == second]))
+            << n << " rows, " << threads << " threads";
+      }
+    }
+    EXPECT_GT(c.version(), version) << "a replay writes";
+    set_num_threads(before);
+  }
+}
+
+TEST_F(HandWritten, ACaptureRunsNothingAndKeepsTheMemoryAlive) {
+  std::weak_ptr<nova::Range> kept;
+  const Tensor x = tensor({1.0f, 2.0f}), out({2}, DType::F32);
+  std::optional<ScopedCapture> scope(std::in_place);
+  {
+    const Tensor between({2}, DType::F32);
+    kept = between.range();
+    scale(x, between, 3.0f);
+    reverse(between, out);
+  }
+  scope->end();
+  EXPECT_FALSE(kept.expired());
+  EXPECT_EQ(out.to_host(), (std::vector<float>{0.0f, 0.0f}));
+  scope->graph()->launch();
+  EXPECT_EQ(out.to_host(), (std::vector<float>{6.0f, 3.0f}));
+}
+
+TEST_F(HandWritten, ADeferredListRunsThemAtItsPlace) {
+  const int64_t n = 4096;
+  Random random(5);
+  const Tensor x = tensor(random.values(n)), a({n}, DType::F32), b({n}, DType::F32);
+  const auto work = [&] {
+    const Tensor y = nova::mul(x, x);
+    reverse(y, a);
+    scale(nova::add(a, x), b, 2.0f);
+    return nova::add(b, y);
+  };
+  const std::vector<float> expected = work().to_host();
+  nova::DeferredScope deferred(true);
+  const Tensor out = work();
+  deferred.flush();
+  EXPECT_TRUE(same_bits<float>(out.to_host(), expected));
+}
+
+TEST_F(HandWritten, UnderATapeReadingAGradientRaises) {
+  const Tensor x = tensor({1.0f, 2.0f}, true), y({2}, DType::F32);
+  Tape tape;
+  const TapeScope scope(tape);
+  EXPECT_ERROR(scale(x, y, 2.0f), ErrorKind::Runtime,
+               "test_scale, x: it carries a gradient of the active Tape");
+  EXPECT_EQ(y.to_host(), (std::vector<float>{0.0f, 0.0f})) << "nothing was written";
+  const Tensor computed = nova::mul(x, x);
+  EXPECT_ERROR(scale(computed, y, 2.0f), ErrorKind::Runtime, "test_scale, x: it carries");
+  const Tensor constant = tensor({4.0f, 5.0f});
+  scale(constant, y, 2.0f);
+  EXPECT_EQ(y.to_host(), (std::vector<float>{8.0f, 10.0f}));
+}
+
+TEST_F(HandWritten, WhatIsDeclaredDetachedIsAConstant) {
+  const Tensor x = tensor({1.0f, 2.0f}, true), y({2}, DType::F32);
+  Tape tape;
+  const TapeScope scope(tape);
+  scale(x, y, 2.0f, true);
+  const Tensor loss = nova::sum(nova::mul(y, x));
+  tape.backward(loss);
+  EXPECT_EQ(x.grad().to_host(), (std::vector<float>{2.0f, 4.0f}));
+}
+
+// The tape does not take what it wrote before for the gradient of what stands there now.
+TEST_F(HandWritten, WhatTheyOverwriteIsAConstant) {
+  const Tensor x = tensor({3.0f, 4.0f}, true), constant = tensor({1.0f, 2.0f});
+  Tape tape;
+  const TapeScope scope(tape);
+  const Tensor y = nova::mul(x, x);
+  scale(constant, y, 10.0f);
+  const Tensor loss = nova::sum(nova::mul(y, x));
+  tape.backward(loss);
+  EXPECT_EQ(x.grad().to_host(), (std::vector<float>{10.0f, 20.0f}));
+}
+
+TEST_F(HandWritten, ACustomOperationGivesTheirDerivative) {
+  const Tensor x = tensor({1.0f, 2.0f}, true), y({2}, DType::F32);
+  Tape tape;
+  const TapeScope scope(tape);
+  {
+    const NoGrad no_grad;
+    scale(x, y, 3.0f);
+  }
+  tape.record_custom("scale", {x}, {y}, [](const std::vector<Tensor>& grads) {
+    const Tensor gx(grads[0].shape(), DType::F32);
+    scale(grads[0], gx, 3.0f);
+    return std::vector<Tensor>{gx};
+  });
+  const Tensor loss = nova::sum(nova::mul(y, y));
+  tape.backward(loss);
+  EXPECT_EQ(x.grad().to_host(), (std::vector<float>{18.0f, 36.0f}));
+}
+
+}  // namespace
+}  // namespace novaphy::testing

@@ -7,6 +7,7 @@
 #include <utility>
 #include <vector>
 
+#include "derivative_rules.h"
 #include "novaphy/core/error.h"
 #include "novaphy/nova/adjoint.h"
 #include "novaphy/nova/trace.h"
@@ -21,43 +22,6 @@ using ir::Value;
 using Kind = AdjointBinding::Kind;
 
 inline bool is_item(const Instr& in) { return in.op == Op::SLOT || in.op == Op::REDUCE_INDEX; }
-
-// Calls f for the operands that a gradient of the result passes to. Integers, comparisons, SIGN,
-// FLOOR, DETACH: none.
-template <class F>
-void for_each_differentiable(const Instr& in, const F& f) {
-  switch (in.op) {
-    case Op::ADD:
-    case Op::SUB:
-    case Op::MUL:
-    case Op::DIV:
-    case Op::MIN:
-    case Op::MAX:
-      f(in.a);
-      f(in.b);
-      break;
-    case Op::NEG:
-    case Op::ABS:
-    case Op::SQRT:
-      f(in.a);
-      break;
-    case Op::FMA:
-      f(in.a);
-      f(in.b);
-      f(in.c);
-      break;
-    case Op::SELECT_F:
-      f(in.b);
-      f(in.c);
-      break;
-    case Op::PARTIAL:
-      f(in.a);
-      f(in.b);
-      break;
-    default:
-      break;
-  }
-}
 
 // Facts about the primal that both stages use.
 struct Primal {
@@ -88,7 +52,7 @@ struct Primal {
     if (in.op == Op::LOAD_F)
       return mask.wrt[in.a] && !(narrowed == in.a && (mask.unread >> in.c & 1) != 0);
     bool on = false;
-    const auto look = [&](Value v) { on = on || active[v] != 0; };
+    const auto look = [&](Value v, int = 0) { on = on || active[v] != 0; };
     if (in.op == Op::SUM) {
       look(p.loops[in.a].sums[in.b].init);
       look(p.loops[in.a].sums[in.b].term);
@@ -132,7 +96,7 @@ struct Primal {
         use_here(in.b, guards.find_or_add(guard, in.a, true));
         use_here(in.c, guards.find_or_add(guard, in.a, false));
       } else {
-        for_each_differentiable(in, [&](Value v) { use_here(v, guard); });
+        for_each_differentiable(in, [&](Value v, int) { use_here(v, guard); });
       }
     }
   }
@@ -326,21 +290,7 @@ class Sweep {
     return trace_.emit({Op::SUM, primal_loop_, static_cast<int32_t>(sums.size()) - 1});
   }
 
-  Value add(Value a, Value b) { return trace_.emit({Op::ADD, a, b}); }
-  Value mul(Value a, Value b) { return trace_.emit({Op::MUL, a, b}); }
-  Value neg(Value a) { return trace_.emit({Op::NEG, a}); }
-  // A vector's components are divided by its length, and so are their gradients and that of the
-  // length: the reciprocal is one division for all. That of a root is never infinite or denormal.
-  Value quotient(Value a, Value b) {
-    if (trace_.program().instrs[b].op != Op::SQRT) return trace_.emit({Op::DIV, a, b});
-    return mul(a, trace_.emit({Op::DIV, trace_.constant(1.0f), b}));
-  }
-  Value choose(Value c, Value a, Value b) { return trace_.emit({Op::SELECT_F, c, a, b}); }
-  // value, but exactly 0 where the incoming gradient is 0: 0 * inf and 0 / 0 stay 0.
-  Value zero_safe(Value gradient, Value value) {
-    const Value zero = trace_.constant(0.0f);
-    return choose(trace_.emit({Op::EQ, gradient, zero}), zero, value);
-  }
+  Value add(Value a, Value b) { return rules_.add(a, b); }
 
   void reverse(Value v, int32_t section, int copy) {
     const int32_t guard = primal_.guards.guard[v];
@@ -364,75 +314,25 @@ class Sweep {
 
   template <class Give>
   void differentiate(Value v, const Instr& in, Value g, int32_t guard, int copy, const Give& give) {
-    auto at = [&](Value operand) { return clone(operand, copy); };
-    const Value zero = trace_.constant(0.0f);
-    auto times = [&](Value partial) {
-      const Value product = mul(g, partial);
-      return primal_.perhaps_unneeded[v] ? zero_safe(g, product) : product;
-    };
     switch (in.op) {
-      case Op::ADD:
-        give(in.a, guard, g);
-        give(in.b, guard, g);
-        break;
-      case Op::SUB:
-        give(in.a, guard, g);
-        if (primal_.active[in.b]) give(in.b, guard, neg(g));
-        break;
-      case Op::MUL:
-        if (primal_.active[in.a]) give(in.a, guard, times(at(in.b)));
-        if (primal_.active[in.b]) give(in.b, guard, times(at(in.a)));
-        break;
-      case Op::DIV: {
-        Value ga = quotient(g, at(in.b));
-        if (p_.instrs[in.b].op != Op::CONST_F) ga = zero_safe(g, ga);
-        give(in.a, guard, ga);
-        if (primal_.active[in.b]) give(in.b, guard, zero_safe(g, neg(mul(ga, at(v)))));
-        break;
-      }
-      case Op::NEG:
-        give(in.a, guard, neg(g));
-        break;
-      case Op::ABS:
-        give(in.a, guard, choose(trace_.emit({Op::LT, at(in.a), zero}), neg(g), g));
-        break;
-      case Op::MIN:
-      case Op::MAX: {
-        const Value first = in.op == Op::MIN ? trace_.emit({Op::LT, at(in.a), at(in.b)})
-                                             : trace_.emit({Op::LT, at(in.b), at(in.a)});
-        if (primal_.active[in.a]) give(in.a, guard, choose(first, g, zero));
-        if (primal_.active[in.b]) give(in.b, guard, choose(first, zero, g));
-        break;
-      }
-      case Op::SQRT: {
-        const Value half = mul(g, trace_.constant(0.5f));
-        give(in.a, guard,
-             choose(trace_.emit({Op::LT, zero, at(in.a)}), quotient(half, at(v)), zero));
-        break;
-      }
-      case Op::FMA:
-        if (primal_.active[in.a]) give(in.a, guard, times(at(in.b)));
-        if (primal_.active[in.b]) give(in.b, guard, times(at(in.a)));
-        give(in.c, guard, g);
-        break;
-      case Op::SELECT_F: {
+      case Op::SELECT_F:
         // Under the guard of its own side; gather_adjoint turns it into a select where the side is
         // left.
         give(in.b, primal_.guards.find_or_add(guard, in.a, true), g);
         give(in.c, primal_.guards.find_or_add(guard, in.a, false), g);
         break;
-      }
-      case Op::PARTIAL:
-        give(in.a, guard, g);
-        if (primal_.active[in.b]) give(in.b, guard, zero_safe(g, mul(g, at(in.c))));
-        break;
-      case Op::SUM: {  // passes to the initial value here; to the terms by the caller
+      case Op::SUM:  // passes to the initial value here; to the terms by the caller
         sum_adjoints[{in.a, in.b}] = gather_adjoint(v, 0, copy);
         give(p_.loops[in.a].sums[in.b].init, 0, sum_adjoints[{in.a, in.b}]);
         break;
+      default: {
+        const auto at = [&](Value operand) { return clone(operand, copy); };
+        for_each_differentiable(in, [&](Value operand, int position) {
+          if (primal_.active[operand])
+            give(operand, guard,
+                 rules_.apply(p_, v, position, g, at, primal_.perhaps_unneeded[v] != 0));
+        });
       }
-      default:
-        break;
     }
   }
 
@@ -446,8 +346,8 @@ class Sweep {
   }
   Value wrap(int32_t g, Value value, int copy) {
     const ir::Guard& guard = primal_.guards.nodes[g];
-    const Value cond = clone(guard.cond, copy), zero = trace_.constant(0.0f);
-    return guard.polarity ? choose(cond, value, zero) : choose(cond, zero, value);
+    const Value cond = clone(guard.cond, copy), zero = rules_.zero();
+    return guard.polarity ? rules_.choose(cond, value, zero) : rules_.choose(cond, zero, value);
   }
 
  public:
@@ -459,6 +359,7 @@ class Sweep {
   const ir::Program& p_;
   Domain domain_;
   Trace trace_;
+  DerivativeRules rules_{trace_};
   std::vector<Value> clones_[2];
   std::map<Value, std::map<int32_t, Value>> adjoints_;  // value -> guard -> adjoint
   std::map<Value, Value> from_body_;

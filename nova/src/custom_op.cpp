@@ -183,4 +183,16 @@ void Tape::Impl::run_custom_forward(const CustomOp& op, DeferredScope& deferred)
   });
 }
 
+void Tape::Impl::run_custom_tangent(const CustomOp& op, std::span<const Tensor> inputs,
+                                    std::span<const Tensor> outputs) {
+  DeferredScope direct(false);
+  run_functions(op, direct, [&] {
+    op.jvp(inputs, outputs);
+    for (const Tensor& out : outputs) note_write(out.range());
+  });
+  for (const auto list : {inputs, outputs})
+    for (const Tensor& tensor : list)
+      if (tensor.defined()) hold_in_capture(tensor.range());
+}
+
 }  // namespace nova

@@ -8,6 +8,42 @@
 #include "novaphy/nova/tape.h"
 
 namespace nova {
+namespace {
+
+// Numbers in [-1, 1) that are the same everywhere.
+std::vector<float> direction(int64_t n, uint32_t& state) {
+  std::vector<float> u(static_cast<size_t>(n));
+  for (float& x : u) {
+    state = state * 1664525u + 1013904223u;
+    x = static_cast<float>(state >> 8) * 0x1p-23f - 1.0f;
+  }
+  return u;
+}
+
+void check_direction(Tape& tape, const Tensor& loss, const std::vector<Tensor>& inputs,
+                     const GradcheckOptions& options, GradcheckResult& result) {
+  uint32_t state = 1;
+  double reverse = 0.0, size = 1e-30;
+  std::vector<Tensor> moved, tangents;
+  for (const Tensor& x : inputs) {
+    if (!tape.has_leaf(x)) continue;  // fn does not read it
+    const std::vector<float> u = direction(x.size(), state), g = x.grad().to_host();
+    for (size_t i = 0; i < u.size(); ++i) {
+      const double term = static_cast<double>(u[i]) * static_cast<double>(g[i]);
+      reverse += term;
+      size += std::fabs(term);
+    }
+    moved.push_back(x);
+    tangents.push_back(Tensor::from_host(u, x.shape(), x.device()));
+  }
+  result.has_tangent = tape.has_tangents();
+  if (!result.has_tangent) return;
+  const double forward = static_cast<double>(tape.jvp({loss}, moved, tangents)[0].item());
+  result.dot_product_error = static_cast<float>(std::fabs(forward - reverse) / size);
+  if (!(result.dot_product_error <= options.dot_product_tolerance)) result.ok = false;
+}
+
+}  // namespace
 
 GradcheckResult gradcheck(const std::function<Tensor(const std::vector<Tensor>&)>& fn,
                           const std::vector<Tensor>& inputs, const GradcheckOptions& options) {
@@ -15,17 +51,18 @@ GradcheckResult gradcheck(const std::function<Tensor(const std::vector<Tensor>&)
     x.set_requires_grad(true);
     x.zero_grad();
   }
-  Tape tape;
+  GradcheckResult result;
   {
+    Tape tape;
     TapeScope scope(tape);
     const Tensor loss = fn(inputs);
     tape.backward(loss);
+    check_direction(tape, loss, inputs, options, result);
   }
   auto evaluate = [&] {
     NoGrad no_grad;
     return static_cast<double>(fn(inputs).item());
   };
-  GradcheckResult result;
   for (size_t k = 0; k < inputs.size(); ++k) {
     const std::vector<float> ad = inputs[k].grad().to_host();
     std::vector<float> x = inputs[k].to_host();

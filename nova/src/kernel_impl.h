@@ -7,6 +7,7 @@
 
 #include "fusion.h"
 #include "novaphy/nova/kernel.h"
+#include "novaphy/nova/tangent.h"
 
 namespace nova::detail {
 
@@ -57,6 +58,12 @@ struct CompiledPlan {
   uint64_t reached = 0;  // sources that get a gradient; the others' is zero
 };
 
+struct CompiledTangent {
+  explicit CompiledTangent(TangentPlan made) : plan(std::move(made)), code(plan.program) {}
+  TangentPlan plan;
+  Executable code;
+};
+
 struct KernelImpl {
   std::string name;
   std::vector<SourceSpec> sources;
@@ -70,6 +77,7 @@ struct KernelImpl {
   bool is_copy = false;        // of the values of its source, nothing else
 
   const CompiledPlan& adjoint(const AdjointKey& key);
+  CompiledTangent& tangent(uint64_t wrt);  // the sources that have one, as bits
   // Of the gradient of an output, where gradients are wanted with respect to these sources.
   uint32_t unread_columns(uint32_t output, uint64_t wrt);
 
@@ -78,6 +86,7 @@ struct KernelImpl {
 
   std::mutex mutex_;
   std::map<AdjointKey, std::unique_ptr<CompiledPlan>> plans_;
+  std::map<uint64_t, std::unique_ptr<CompiledTangent>> tangents_;
   std::map<std::pair<uint64_t, uint32_t>, uint32_t> unread_;  // per wrt and output
   std::atomic<const CompiledPlan*> last_{nullptr};  // rollouts ask for the same one again and again
 };

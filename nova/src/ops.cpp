@@ -219,8 +219,8 @@ namespace {
 Tensor sum_of_rows(const Operand& x, Shape shape, const Tensor& source) {
   const Tensor out(std::move(shape), DType::F32, source.device());
   row_sum(x, 1, x.rows, nullptr, {out.range(), 1, x.width});
-  if (Tape* tape = Tape::active())
-    tape->record_custom("sum", {source}, {out}, [x](const std::vector<Tensor>& g) {
+  if (Tape* tape = Tape::active()) {
+    CustomOp op = make_custom_op("sum", {source}, {out}, [x](const std::vector<Tensor>& g) {
       const Tensor spread(Shape{x.rows, x.width}, DType::F32, g[0].device());
       const Operand in = g[0].flat_operand(), to = spread.flat_operand();
       const Param width[] = {x.width};
@@ -231,6 +231,11 @@ Tensor sum_of_rows(const Operand& x, Shape shape, const Tensor& source) {
                   {.params = std::span<const Param>(width, one ? 0 : 1)});
       return std::vector<Tensor>{spread};
     });
+    op.jvp = [x](std::span<const Tensor> in, std::span<const Tensor> sums) {
+      row_sum({in[0].range(), x.rows, x.width}, 1, x.rows, nullptr, {sums[0].range(), 1, x.width});
+    };
+    tape->record_custom(std::move(op));
+  }
   return out;
 }
 

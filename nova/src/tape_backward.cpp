@@ -115,14 +115,17 @@ void Tape::Impl::check_table(const Op& op) const {
 
 // A group is run once more before the first of its adjoints: then all that it reads from outside
 // must still be there.
-void Tape::Impl::plan_group(int32_t number) {
-  const Group& group = groups[static_cast<size_t>(number)];
+void Tape::Impl::check_group(const Group& group) {
   for (uint32_t k = group.first; k < group.last; ++k) {
     if (!ops[k].replayed) continue;
     for (uint32_t s = 0; s < ops[k].inputs; ++s)
       if (!input(ops[k], s).recomputed) check_value(input(ops[k], s), ops[k], s);
     check_table(ops[k]);
   }
+}
+
+void Tape::Impl::plan_group(int32_t number) {
+  check_group(groups[static_cast<size_t>(number)]);
   Step step{};
   step.group = number;
   steps.push_back(step);

@@ -178,6 +178,7 @@ struct Tape::Impl {
     return places[step.first_place + step.op->outputs + s];
   }
   void check_table(const Op& op) const;
+  void check_group(const Group& group);
   void plan_group(int32_t group);
   void run_group(const Group& group, DeferredScope& deferred);
   bool begin_contribution(Node& n);
@@ -190,6 +191,10 @@ struct Tape::Impl {
   void check_read_values(const Op& op);
   void run_custom(const Step& step, DeferredScope& deferred);
   void run_custom_forward(const CustomOp& op, DeferredScope& deferred);
+  void run_custom_tangent(const CustomOp& op, std::span<const Tensor> inputs,
+                          std::span<const Tensor> outputs);
+
+  class Forward;  // tape_jvp.cpp
 };
 
 }  // namespace nova

@@ -95,6 +95,12 @@ void bind_tape(py::module_& m) {
           "Pulls the gradient of `loss` back: leaves accumulate over calls, everything else starts "
           "anew. Without `grad` "
           "the loss must hold one value (ValueError, also for a loss that is not on the tape).")
+      .def("jvp", &nova::Tape::jvp, "outputs"_a, "inputs"_a, "tangents"_a, release_gil(),
+           "Pushes tangents of leaves forward (forward mode): for each of `outputs` its derivative "
+           "in the direction of `tangents`, one per input and shaped like it, as new tensors. The "
+           "values that this reads must be as recorded (novaphy.Error). ValueError: an input that "
+           "is no leaf with a gradient, an output that is not on the tape; NotImplementedError: a "
+           "custom operation that was recorded without a tangent.")
       .def("zero", &nova::Tape::zero, release_gil(),
            "All gradients that the tape touched are zero.")
       .def("reset", &nova::Tape::reset, "Forgets all operations.")
@@ -159,29 +165,42 @@ void bind_gradcheck(py::module_& m) {
                     "Relative to the largest difference quotient of the input.")
       .def_readonly("worst", &nova::GradcheckResult::worst,
                     "Where: \"input 1, value 4: ad 0.5, fd 0.4\".")
+      .def_readonly("has_tangent", &nova::GradcheckResult::has_tangent,
+                    "Whether every operation has a tangent, so that the dot product was compared.")
+      .def_readonly("dot_product_error", &nova::GradcheckResult::dot_product_error,
+                    "The derivative in one random direction u as J u (Tape.jvp) and as <u, "
+                    "gradient>: their difference, relative to the sum of |u_i gradient_i|.")
       .def("__bool__", [](const nova::GradcheckResult& r) { return r.ok; })
       .def("__repr__", [](const nova::GradcheckResult& r) {
         return std::string("GradcheckResult(ok=") + (r.ok ? "True" : "False") +
-               ", max_rel_error=" + std::to_string(r.max_rel_error) + ", worst='" + r.worst + "')";
+               ", max_rel_error=" + std::to_string(r.max_rel_error) + ", dot_product_error=" +
+               (r.has_tangent ? std::to_string(r.dot_product_error) : "None") + ", worst='" +
+               r.worst + "')";
       });
   m.def(
       "gradcheck",
       [](const py::function& fn, const std::vector<Tensor>& inputs, float epsilon, float rtol,
-         float atol) {
+         float atol, float dot_product_tolerance) {
         const auto call = [&fn](const std::vector<Tensor>& tensors) {
           const py::object loss = fn(*py::tuple(py::cast(tensors)));
           require(py::isinstance<nova::TensorImpl>(loss), ErrorKind::Type,
                   "gradcheck, fn: expected it to return a Tensor, got ", type_name(loss));
           return loss.cast<Tensor>();
         };
-        return nova::gradcheck(call, inputs, {.epsilon = epsilon, .rtol = rtol, .atol = atol});
+        return nova::gradcheck(call, inputs,
+                               {.epsilon = epsilon,
+                                .rtol = rtol,
+                                .atol = atol,
+                                .dot_product_tolerance = dot_product_tolerance});
       },
       "fn"_a, "inputs"_a, py::kw_only(), "epsilon"_a = d.epsilon, "rtol"_a = d.rtol,
-      "atol"_a = d.atol,
+      "atol"_a = d.atol, "dot_product_tolerance"_a = d.dot_product_tolerance,
       "Compares the tape's gradient of the one-value fn(*inputs) with central differences of every "
       "input value. epsilon: "
-      "step relative to max(1, |x|); |ad - fd| <= atol + rtol * max|fd|. The inputs keep their "
-      "values.");
+      "step relative to max(1, |x|); |ad - fd| <= atol + rtol * max|fd|. Besides, the derivative "
+      "in "
+      "one random direction is compared with that of forward mode (Tape.jvp), to "
+      "dot_product_tolerance: no step, so rounding alone. The inputs keep their values.");
 }
 
 }  // namespace

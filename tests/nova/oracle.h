@@ -187,6 +187,12 @@ class OracleRow {
         return of(a.i | b.i);
       case Op::IXOR:
         return of(a.i ^ b.i);
+      case Op::ISHL:
+        return of(wrap(static_cast<int64_t>(static_cast<uint32_t>(a.i) << (b.i & 31))));
+      case Op::ISHR:
+        return of(a.i >> (b.i & 31));
+      case Op::IUSHR:
+        return of(wrap(static_cast<int64_t>(static_cast<uint32_t>(a.i) >> (b.i & 31))));
       case Op::ILT:
         return of(a.i < b.i);
       case Op::ILE:

@@ -213,9 +213,67 @@ inline Seeds random_seeds(const Call& call, Random& random) {
   return seeds;
 }
 
+// The dot-product identity <J u, w> = <u, J^T w> of a tape's two directions at random u and w, and
+// J u against the oracle's. Sums of products are compared with the sum of their absolute values.
+inline ::testing::AssertionResult directions_agree(const Call& call, Random& random, double rtol) {
+  std::vector<Tensor> leaves, directions;
+  OracleInputs in = oracle_inputs(call);
+  for (size_t s = 0; s < call.inputs.size(); ++s) {
+    const Tensor& t = call.inputs[s];
+    if (!t.requires_grad()) continue;
+    const auto same_range = [&](const Tensor& leaf) { return leaf.range() == t.range(); };
+    auto known = std::find_if(leaves.begin(), leaves.end(), same_range);
+    if (known == leaves.end()) {
+      leaves.push_back(t);
+      t.zero_grad();
+      directions.push_back(tensor(random.values(t.size(), -1.0f, 1.0f), t.shape()));
+      known = leaves.end() - 1;
+    }
+    const auto u = directions[static_cast<size_t>(known - leaves.begin())].to_host();
+    for (size_t k = 0; k < u.size(); ++k) in.f32[s][k].t = static_cast<double>(u[k]);
+  }
+  const Seeds seeds = random_seeds(call, random);
+  Tape tape;
+  std::vector<Tensor> outputs, tangents;
+  {
+    const TapeScope scope(tape);
+    outputs = call();
+    tangents = tape.jvp(outputs, leaves, directions);
+    for (size_t o = 0; o < outputs.size(); ++o)
+      tape.backward(outputs[o], tensor(seeds[o], outputs[o].shape()));
+  }
+  const auto expected = oracle(call.kernel.traced(), in);
+  double forward = 0.0, reverse = 0.0, size = 1e-6;
+  const auto add = [&size](double& sum, double term) {
+    sum += term;
+    size += std::fabs(term);
+  };
+  for (size_t o = 0; o < outputs.size(); ++o) {
+    const std::vector<float> t = tangents[o].to_host();
+    double scale = 1e-3;
+    for (const Dual& d : expected[o]) scale = std::max(scale, std::fabs(d.t));
+    for (size_t k = 0; k < t.size(); ++k) {
+      if (!(std::fabs(static_cast<double>(t[k]) - expected[o][k].t) <= rtol * scale))
+        return ::testing::AssertionFailure()
+               << "tangent of output " << o << ", value " << k << ": got " << t[k] << ", expected "
+               << expected[o][k].t << " (largest " << scale << ")";
+      add(forward, static_cast<double>(t[k]) * static_cast<double>(seeds[o][k]));
+    }
+  }
+  for (size_t s = 0; s < leaves.size(); ++s) {
+    const std::vector<float> g = leaves[s].grad().to_host(), u = directions[s].to_host();
+    for (size_t k = 0; k < g.size(); ++k)
+      add(reverse, static_cast<double>(g[k]) * static_cast<double>(u[k]));
+  }
+  if (std::fabs(forward - reverse) <= rtol * size) return ::testing::AssertionSuccess();
+  return ::testing::AssertionFailure() << "<J u, w> is " << forward << ", <u, J^T w> is " << reverse
+                                       << " (sum of sizes " << size << ")";
+}
+
 // <J u, w> = <u, J^T w> for every unit vector u and random seeds w, with J from forward mode and
-// (fd) from differences.
+// (fd) from differences; and for a random u, with J u from the tape's forward mode.
 inline void expect_gradients(const Call& call, Random& random, double rtol = 2e-5, bool fd = true) {
+  EXPECT_TRUE(directions_agree(call, random, rtol));
   const Seeds seeds = random_seeds(call, random);
   const Gradients expected = oracle_gradients(call, seeds);
   for (const Backward how : {Backward::Each, Backward::Together}) {

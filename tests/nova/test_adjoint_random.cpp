@@ -1,4 +1,4 @@
-// Adjoints of random kernels against the oracle.
+// Adjoints and tangents of random kernels against the oracle.
 #include "random_kernel.h"
 
 namespace novaphy::testing {
@@ -33,6 +33,7 @@ TEST_P(RandomAdjoints, AgreeWithForwardMode) {
         << "seed " << seed;
     EXPECT_TRUE(close(tape_gradients(call, seeds, Backward::Together), gradients, 2e-4))
         << "seed " << seed;
+    EXPECT_TRUE(directions_agree(call, maker.random(), 2e-4)) << "seed " << seed;
     if (HasFailure()) {
       ADD_FAILURE() << nova::ir::to_string(call.kernel.traced());
       return;

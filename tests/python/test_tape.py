@@ -516,3 +516,21 @@ def test_contacts_made_anew_need_a_new_record():
         ball.contacts.assign(ball_contacts(ball.model, ball.states[0]))
         with pytest.raises(novaphy.Error, match="modified|contacts|overwritten"):
             tape.backward(loss)
+
+
+def test_jvp_gives_the_derivative_along_a_direction():
+    x = nova.tensor([1.0, 2.0, 3.0], requires_grad=True)
+    with nova.Tape() as tape:
+        y = x * x * x
+        (t,) = tape.jvp([y], [x], [nova.tensor([1.0, 0.5, 0.0])])
+        tape.backward(y, nova.tensor([1.0, 1.0, 1.0]))
+    np.testing.assert_array_equal(t.numpy(), [3.0, 6.0, 0.0])
+    np.testing.assert_array_equal(x.grad.numpy(), [3.0, 12.0, 27.0])
+    with pytest.raises(ValueError, match="jvp, input 0: expected a leaf"):
+        tape.jvp([y], [y], [nova.tensor([1.0, 1.0, 1.0])])
+
+
+def test_gradcheck_compares_the_two_directions():
+    result = nova.gradcheck(lambda v: nova.sum(v * v), [nova.tensor([1.0, -2.0])])
+    assert result.ok and result.has_tangent
+    assert result.dot_product_error < 1e-6

@@ -45,8 +45,17 @@ class NOVAPHY_NOVA_API Tape {
   // tape. Without `seed` it must hold one value. Throws ErrorKind::Value or Runtime, or what a
   // custom operation threw; the gradients of leaves are then as before the call.
   void backward(const Tensor& loss, const Tensor& seed = {});
-  void zero();   // all gradients that this tape touched are zero
-  void reset();  // forgets all operations
+  // Pushes tangents of leaves forward: for each of `outputs` its derivative in the direction of
+  // `tangents`, one per input, in new memory. The tape may be used for backward before and after.
+  // Every operation is reread as backward would: values that a tangent needs must be as recorded.
+  // ErrorKind::Value: an input that is no leaf with a gradient, an output that this tape did not
+  // write; ErrorKind::NotImplemented: a custom operation that was recorded without a tangent.
+  std::vector<Tensor> jvp(const std::vector<Tensor>& outputs, const std::vector<Tensor>& inputs,
+                          const std::vector<Tensor>& tangents);
+  bool has_leaf(const Tensor& tensor) const;  // that this tape read, and that carries a gradient
+  bool has_tangents() const;                  // jvp works for every operation
+  void zero();                                // all gradients that this tape touched are zero
+  void reset();                               // forgets all operations
   size_t size() const;
   std::vector<std::string> op_names() const;
   size_t memory_bytes() const;  // of the records themselves (not of states and gradients)

@@ -112,14 +112,20 @@ inline bool same(uint32_t a, uint32_t b, bool is_float) {
   return a == b || (is_float && std::isnan(x) && std::isnan(y));
 }
 
+// The instruction sets that were built (NOVAPHY_CPU_LEVELS) and that this processor has.
 inline std::vector<std::string> levels() {
-  std::vector<std::string> list = {"baseline"};
+  std::vector<std::string> list;
+  const auto add = [&list](const std::string& name) {
+    if (std::string(" " NOVAPHY_NATIVE_LEVELS " ").find(" " + name + " ") != std::string::npos)
+      list.push_back(name);
+  };
+  add("baseline");
 #if defined(__x86_64__)
   if (__builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma")) {
-    list.push_back("avx2");
+    add("avx2");
     if (__builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512dq") &&
         __builtin_cpu_supports("avx512bw") && __builtin_cpu_supports("avx512vl"))
-      list.push_back("avx512");
+      add("avx512");
   }
 #endif
   return list;

@@ -5,6 +5,7 @@
 #include <utility>
 
 #include "novaphy/core/error.h"
+#include "novaphy/core/recorder.h"
 #include "soft_contacts.h"
 
 namespace novaphy {
@@ -45,6 +46,11 @@ CollisionPipeline::CollisionPipeline(std::shared_ptr<const Model> model,
 }
 
 int32_t CollisionPipeline::soft_contact_pair_count() const {
+  const ExclusiveUse::Scope scope(*in_use_, "soft_contact_pair_count", "the pipeline");
+  return count_pairs();
+}
+
+int32_t CollisionPipeline::count_pairs() const {
   const int32_t shapes = soft_contacts_->candidate_count();
   const int64_t pairs = int64_t{model_->particle_count()} * shapes;
   require(pairs <= std::numeric_limits<int32_t>::max(), ErrorKind::Value,
@@ -68,6 +74,7 @@ Contacts CollisionPipeline::contacts() const {
 void CollisionPipeline::collide(const SimState& state, Contacts& contacts,
                                 std::optional<float> soft_contact_margin) {
   constexpr const char* name = "collide";
+  const ExclusiveUse::Scope scope(*in_use_, name, "the pipeline");
   const float gap = soft_contact_margin.value_or(options_.soft_contact_margin);
   check_margin(name, gap);
   require(state.model_id() == model_->id(), ErrorKind::Value, name,
@@ -81,7 +88,7 @@ void CollisionPipeline::collide(const SimState& state, Contacts& contacts,
           ErrorKind::Value, name, ": state.particle_q: expected ", particles, " rows on ",
           model_->device().str(), ", got ", state.particle_q.rows(), " rows on ",
           state.particle_q.device().str());
-  const int64_t pairs = soft_contact_pair_count();
+  const int64_t pairs = count_pairs();
   require(pairs == contacts.soft_contact_pair_count(), ErrorKind::Value, name,
           ": contacts: expected ", pairs, " candidate pairs, got ",
           contacts.soft_contact_pair_count(),
@@ -89,6 +96,7 @@ void CollisionPipeline::collide(const SimState& state, Contacts& contacts,
   detail::check_fields(detail::const_fields<ContactFields>(contacts),
                        ContactFields::expected_rows(contacts.counts()), model_->device(),
                        "collide: contacts");
+  if (LaunchRecorder* recorder = launch_recorder()) recorder->uses(in_use_);
   soft_contacts_->collide(state, contacts, gap);
 }
 

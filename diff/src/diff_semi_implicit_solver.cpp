@@ -117,6 +117,7 @@ void DiffSemiImplicitSolver::step(SimState& state_in, SimState& state_out, const
   require(!nova::current_capture(), ErrorKind::Runtime,
           "DiffSemiImplicitSolver.step inside a ScopedCapture: capture rollout instead "
           "(supports_graph_capture is False)");
+  const ExclusiveUse::Scope scope = use("DiffSemiImplicitSolver.step");
   check_step("DiffSemiImplicitSolver.step", state_in, state_out, control, contacts, dt);
   if (!config_.enable_particles || model()->particle_count() == 0) return;
   check_contacts("DiffSemiImplicitSolver.step", contacts);
@@ -170,6 +171,7 @@ void DiffSemiImplicitSolver::rollout(Trajectory& trajectory, const Control* cont
   require(!contacts || contacts->model_id() == model()->id(), ErrorKind::Value,
           "DiffSemiImplicitSolver.rollout, contacts: they belong to another model");
   check_contacts("DiffSemiImplicitSolver.rollout", contacts);
+  const ExclusiveUse::Scope scope = use("DiffSemiImplicitSolver.rollout");
   const nova::Incidence* contacts_of = contacts_of_particles(contacts);
   const bool static_contacts = config_.enable_static_contacts && config_.enable_particle_contacts;
   const Operand applied = nova::operand_of(trajectory.particle_f());
@@ -195,10 +197,14 @@ void DiffSemiImplicitSolver::rollout(Trajectory& trajectory, const Control* cont
     }
   };
   const bool between = !elements_.empty() && recording;
+  // What runs later writes the memory of the elements then.
+  const std::shared_ptr<ExclusiveUse> later = elements_.empty() ? nullptr : in_use();
+  if (nova::OpList* graph = nova::current_capture(); graph != nullptr && later != nullptr)
+    graph->uses(later);
   const Operand alone = elements_.empty() ? applied : nova::operand_of(forces_);
   const int32_t steps = trajectory.steps(), interval = trajectory.checkpoint_interval();
   for (int32_t first = 0; first < steps; first += interval) {
-    const nova::RecomputedScope once_more(interval > 1);
+    const nova::RecomputedScope once_more(interval > 1, later);
     for (int32_t t = first; t < std::min(first + interval, steps); ++t) {
       if (t % kStepsPerInterruptCheck == 0) check_interrupt();
       step(trajectory.any_state(t), trajectory.any_state(t + 1),
@@ -206,7 +212,10 @@ void DiffSemiImplicitSolver::rollout(Trajectory& trajectory, const Control* cont
     }
   }
   deferred.flush();
-  trajectory.step_ = [step, alone](const SimState& from, SimState& to) { step(from, to, alone); };
+  trajectory.step_ = [this, step, alone](const SimState& from, SimState& to) {
+    const ExclusiveUse::Scope again = use("Trajectory.recompute");
+    step(from, to, alone);
+  };
 }
 
 namespace {

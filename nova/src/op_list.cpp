@@ -95,6 +95,8 @@ void OpList::launch() const {
   require(capture == nullptr, ErrorKind::Runtime,
           "graph.launch() cannot be recorded into another capture");
   if (auto* observer = novaphy::array_observer()) observer->untracked_operation("graph.launch()");
+  const std::lock_guard lock(launching_);
+  const auto memory = memory_.take("graph.launch()", "what it was captured from");
   for (const auto& [range, version] : frozen_)
     require(range->version() == version, ErrorKind::Runtime,
             "graph.launch(): an index table (e.g. the contacts) was modified after the capture");
@@ -115,6 +117,7 @@ void OpList::launch() const {
 
 void OpList::prepare() const {
   require(capture == nullptr, ErrorKind::Runtime, "graph.prepare() inside a ScopedCapture");
+  const std::lock_guard lock(launching_);
   if (detail::DeviceReplay* replay = device_replay()) {
     replay->prepare();
   } else if (!ops_.empty() && context->host_accessible) {

@@ -48,6 +48,9 @@ class Recorder : public novaphy::LaunchRecorder {
   void depends_on(const std::shared_ptr<Range>& range) override {
     if (OpList* graph = current_capture()) graph->freeze(range);
   }
+  void uses(const std::shared_ptr<novaphy::ExclusiveUse>& memory) override {
+    if (OpList* graph = current_capture()) graph->uses(memory);
+  }
 
  private:
   std::vector<MemoryAccess> accesses_;  // of the launch at hand; kept for its memory

@@ -145,6 +145,7 @@ void Tape::Impl::forget() {
   }
   ops.clear();
   groups.clear();
+  group_memory.clear();
   in_group = false;
   uses.clear();
   params.clear();
@@ -238,8 +239,9 @@ void Tape::record_launch(const std::shared_ptr<KernelImpl>& kernel, int64_t dim,
   t.append(std::move(op), recorded);
 }
 
-void Tape::begin_recomputed() {
+void Tape::begin_recomputed(const std::shared_ptr<novaphy::ExclusiveUse>& memory) {
   require(!impl_->in_group, ErrorKind::Runtime, "begin_recomputed: inside another");
+  if (memory) impl_->group_memory.add(memory);
   impl_->in_group = true;
   const auto first = static_cast<uint32_t>(impl_->ops.size());
   impl_->groups.push_back({first, first});

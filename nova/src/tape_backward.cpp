@@ -336,6 +336,12 @@ void Tape::Impl::backward(Node& loss, const Tensor& seed) {
 }
 
 void Tape::Impl::run_steps(const std::shared_ptr<Range>& loss_gradient, const Tensor& seed) {
+  std::vector<novaphy::ExclusiveUse::Scope> memory;
+  if (OpList* graph = current_capture()) {
+    for (const auto& use : group_memory.all()) graph->uses(use);
+  } else {
+    memory = group_memory.take("backward", "the solver of the rollout");
+  }
   if (seed.defined()) {
     submit_copy(loss_gradient, seed.range());
   } else {

@@ -133,6 +133,7 @@ struct Tape::Impl {
   std::vector<CustomOp> customs;
   std::vector<Group> groups;
   bool in_group = false;  // the last of them is still growing
+  novaphy::ExclusiveUses group_memory;
   NodeTable nodes;
   bool leaves_only = false;  // KeepGradients::Leaves
   // Of the last backward; kept for their memory.

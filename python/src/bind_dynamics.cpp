@@ -9,7 +9,8 @@ void bind_dynamics(py::module_& m, py::module_& solvers) {
   BoundClass<Control>::remember(m.attr("Control"));
   BoundClass<Contacts>::remember(m.attr("Contacts"));
   py::class_<SolverBase> base(solvers, "SolverBase",
-                              "What every solver is. One thread at a time may use a solver.");
+                              "What every solver is. One thread at a time may use a solver, and what was "
+                              "captured of it; another one gets novaphy.Error.");
   base.def_property_readonly(
           "model", [](const SolverBase& s) { return std::const_pointer_cast<Model>(s.model()); },
           "The model; its arrays and settings are read at every step.")

@@ -2,10 +2,12 @@
 
 #include <algorithm>
 #include <cstring>
+#include <optional>
 #include <thread>
 #include <vector>
 
 #include "novaphy/core/error.h"
+#include "novaphy/core/exclusive_use.h"
 #include "novaphy/core/storage.h"
 
 namespace novaphy {
@@ -123,6 +125,37 @@ TEST(Range, AWritableExportMarksOverlappingRangesAndTheChecksumSeesTheWrite) {
   static_cast<char*>(storage->data())[99] = 1;
   EXPECT_NE(a->exported_checksum(), a->checksum());
   EXPECT_NE(b->exported_checksum(), b->checksum());
+}
+
+TEST(ExclusiveUse, ASecondCallIsRefusedUntilTheFirstEnds) {
+  ExclusiveUse use;
+  std::optional<ExclusiveUse::Scope> first(std::in_place, use, "solver.step", "the solver");
+  try {
+    const ExclusiveUse::Scope second(use, "solver.step", "the solver");
+    FAIL();
+  } catch (const Error& error) {
+    EXPECT_EQ(error.kind(), ErrorKind::Runtime);
+    EXPECT_STREQ(error.what(),
+                 "solver.step: the solver is in use by another call; give every thread one of its "
+                 "own");
+  }
+  first.reset();
+  EXPECT_NO_THROW(ExclusiveUse::Scope(use, "solver.step", "the solver"));
+  EXPECT_NO_THROW(ExclusiveUse::Scope(use, "solver.step", "the solver")) << "given back";
+}
+
+TEST(ExclusiveUse, OfSeveralAllAreTakenOrNone) {
+  const auto a = std::make_shared<ExclusiveUse>(), b = std::make_shared<ExclusiveUse>();
+  ExclusiveUses both;
+  both.add(a);
+  both.add(b);
+  both.add(a);
+  {
+    const ExclusiveUse::Scope taken(*b, "first", "b");
+    EXPECT_THROW(both.take("second", "a and b"), Error);
+    EXPECT_NO_THROW(ExclusiveUse::Scope(*a, "third", "a")) << "given back";
+  }
+  EXPECT_EQ(both.take("fourth", "a and b").size(), 2u);
 }
 
 TEST(Range, TheChecksumSeesEveryBitAndTheirOrder) {

@@ -40,6 +40,35 @@ std::shared_ptr<Model> one_particle(const Vec3f& q = {}, const Vec3f& qd = {}) {
   return builder.finalize(Device::cpu());
 }
 
+// Says that a call is under way, as one of another thread would.
+class BusySolver : public SolverSemiImplicit {
+ public:
+  using SolverSemiImplicit::SolverSemiImplicit;
+  using SolverBase::use;
+};
+
+TEST(SolverSemiImplicit, ASecondCallAtTheSameTimeIsRefusedAndWritesNothing) {
+  const auto model = one_particle({0.0f, 0.0f, 1.0f});
+  BusySolver solver(model);
+  SimState a = model->state(), b = model->state();
+  const uint64_t version = b.particle_q.version();
+  {
+    const ExclusiveUse::Scope other = solver.use("step");
+    try {
+      solver.step(a, b, nullptr, nullptr, 0.01f);
+      FAIL();
+    } catch (const Error& error) {
+      EXPECT_EQ(error.kind(), ErrorKind::Runtime);
+      EXPECT_STREQ(error.what(),
+                   "SolverSemiImplicit.step: the solver is in use by another call; give every "
+                   "thread one of its own");
+    }
+    EXPECT_THROW(solver.notify_model_changed({}), Error);
+  }
+  EXPECT_EQ(b.particle_q.version(), version);
+  EXPECT_NO_THROW(solver.step(a, b, nullptr, nullptr, 0.01f));
+}
+
 // Symplectic Euler from rest: v = g*n*dt, x = g*dt^2*n*(n + 1)/2.
 TEST(SolverSemiImplicit, FreeFallIsSymplecticEuler) {
   const auto model = one_particle({1.0f, 2.0f, 100.0f});

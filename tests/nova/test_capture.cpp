@@ -421,6 +421,21 @@ TEST_F(CaptureRefuses, ToFollowAnArrayThatSomebodyElseCanWrite) {
   EXPECT_ERROR(nova::mul(x, 2.0f), ErrorKind::Runtime, "writable export cannot be followed inside a ScopedCapture");
 }
 
+TEST_F(CaptureRefuses, ALaunchWhileAnotherCallUsesTheSameMemory) {
+  const auto memory = std::make_shared<ExclusiveUse>();
+  const auto graph = record([&] {
+    x.fill_(4.0f);
+    nova::current_capture()->uses(memory);
+  });
+  {
+    const ExclusiveUse::Scope taken(*memory, "step", "the solver");
+    EXPECT_ERROR(graph->launch(), ErrorKind::Runtime, "graph.launch(): what it was captured from is in use");
+    EXPECT_EQ(x.to_host()[0], 1.0f);
+  }
+  graph->launch();
+  EXPECT_EQ(x.to_host()[0], 4.0f);
+}
+
 TEST_F(CaptureRefuses, AReplayAfterAnIndexTableWasModified) {
   const Kernel gather = make_kernel("gather", {{"at", DType::I32, 1, Access::Direct}, {"x", DType::F32, 1, Access::Indexed}}, {{"y", 1}},
                                     [](TraceContext& c) { return std::vector{c.f32(1, c.i32(0), 0)}; });

@@ -478,6 +478,23 @@ TEST_F(TapeExport, ARecordedValueThatWasWrittenBehindTheBackIsRefusedWhenItIsUse
   EXPECT_ERROR(nova::mul(exported_after, 2.0f), ErrorKind::Runtime, "overwritten outside");
 }
 
+TEST_F(TapeTest, BackwardTakesTheMemoryOfWhatItRunsOnceMore) {
+  const auto memory = std::make_shared<ExclusiveUse>();
+  const Tensor y(Shape{3});
+  {
+    const nova::RecomputedScope once_more(true, memory);
+    square_into(y, x);
+  }
+  const Tensor loss = sum(nova::mul(y, y));
+  {
+    const ExclusiveUse::Scope other(*memory, "step", "the solver");
+    EXPECT_ERROR(tape.backward(loss), ErrorKind::Runtime,
+                 "backward: the solver of the rollout is in use by another call");
+  }
+  EXPECT_NO_THROW(tape.backward(loss));
+  EXPECT_NO_THROW(ExclusiveUse::Scope(*memory, "step", "the solver")) << "given back";
+}
+
 TEST_F(TapeExport, AnIndexTableWrittenBehindTheBackIsSortedAnew) {
   const Kernel gather = make_kernel(
       "gather", {{"at", DType::I32, 1, Access::Direct}, {"x", DType::F32, 1, Access::Indexed}},

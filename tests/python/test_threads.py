@@ -52,6 +52,60 @@ def test_any_number_of_threads_gives_the_same_bits(threads):
             assert_same_bits(one, two)
 
 
+def cloth_rollout(model, solver, seed):
+    rng = np.random.default_rng(seed)
+    state, after = model.state(), model.state()
+    state.particle_qd.assign(rng.normal(size=(model.particle_count, 3)).astype(np.float32))
+    for _ in range(50):
+        state.clear_forces()
+        solver.step(state, after, None, None, 5e-4)
+        state, after = after, state
+    return state.particle_q.numpy()
+
+
+def diff_rollout(model, solver, seed):
+    rng = np.random.default_rng(seed)
+    trajectory = diff.Trajectory(model, 50)
+    qd = rng.normal(size=(model.particle_count, 3)).astype(np.float32)
+    trajectory[0].particle_qd.assign(qd)
+    solver.rollout(trajectory, None, None, 5e-4)
+    return trajectory[50].particle_q.numpy()
+
+
+@pytest.mark.parametrize("rollout", [cloth_rollout, diff_rollout])
+def test_one_solver_in_two_threads_gives_the_right_states_or_raises(rollout):
+    builder = novaphy.ModelBuilder()
+    builder.add_cloth_grid(
+        dim_x=20, dim_y=20, cell_x=0.1, cell_y=0.1, mass=0.1, tri_ke=500, tri_ka=500, tri_kd=1.0
+    )
+    model = builder.finalize()
+    if rollout is cloth_rollout:
+        solver = solvers.SolverSemiImplicit(model)
+    else:
+        config = solvers.DiffSolverConfig(enable_triangles=True, strict=False)
+        solver = solvers.DiffSemiImplicitSolver(model, config)
+    expected = [rollout(model, solver, seed) for seed in range(4)]
+    got, refused = {}, []
+
+    def work(seed):
+        try:
+            got[seed] = rollout(model, solver, seed)
+        except novaphy.Error as error:
+            refused.append(str(error))
+
+    for _ in range(5):
+        workers = [threading.Thread(target=work, args=(seed,)) for seed in range(4)]
+        for worker in workers:
+            worker.start()
+        for worker in workers:
+            worker.join()
+        for seed, positions in got.items():
+            assert_same_bits(positions, expected[seed])
+        got.clear()
+    assert all("the solver is in use by another call" in message for message in refused)
+    assert_same_bits(rollout(model, solver, 0), expected[0])
+
+
 def test_two_threads_with_two_tapes_do_not_meet():
     alone = Ball()
     with nova.Tape() as tape:

@@ -125,6 +125,7 @@ SolverSemiImplicit::SolverSemiImplicit(std::shared_ptr<const Model> model,
 SolverSemiImplicit::~SolverSemiImplicit() = default;
 
 void SolverSemiImplicit::notify_model_changed(ModelFlags) {
+  const ExclusiveUse::Scope scope = use("SolverSemiImplicit.notify_model_changed");
   *cache_ = Cache();
   on_device_ = make_device_solver(model());
 }
@@ -132,6 +133,7 @@ void SolverSemiImplicit::notify_model_changed(ModelFlags) {
 void SolverSemiImplicit::step(SimState& state_in, SimState& state_out, const Control* control,
                               const Contacts* contacts, float dt) {
   if (ArrayObserver* observer = array_observer()) observer->untracked_operation(kName);
+  const ExclusiveUse::Scope scope = use(kName);
   const Model& m = *model();
   check_step(kName, state_in, state_out, control, contacts, dt);
   check_settings(m);

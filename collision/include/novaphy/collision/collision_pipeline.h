@@ -7,6 +7,7 @@
 
 #include "novaphy/collision/broad_phase.h"
 #include "novaphy/collision/export.h"
+#include "novaphy/core/exclusive_use.h"
 #include "novaphy/core/sim/contacts.h"
 #include "novaphy/core/sim/model.h"
 
@@ -42,7 +43,7 @@ struct CollisionOptions {
 // slots, the first ones are kept, soft_contact_count keeps the full number and
 // Contacts::overflowed() is true.
 //
-// One thread at a time may use a pipeline.
+// One thread at a time may use a pipeline: another one gets ErrorKind::Runtime.
 class NOVAPHY_COLLISION_API CollisionPipeline {
  public:
   // ErrorKind::Value: no model, a bad margin, a negative maximum, too many pairs for int32;
@@ -73,9 +74,12 @@ class NOVAPHY_COLLISION_API CollisionPipeline {
                std::optional<float> soft_contact_margin = {});
 
  private:
+  int32_t count_pairs() const;  // within a use
+
   std::shared_ptr<const Model> model_;
   CollisionOptions options_;
   std::shared_ptr<detail::SoftContacts> soft_contacts_;
+  std::shared_ptr<ExclusiveUse> in_use_ = std::make_shared<ExclusiveUse>();  // of soft_contacts_
 };
 
 }  // namespace novaphy

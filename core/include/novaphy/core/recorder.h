@@ -8,6 +8,7 @@
 #include <span>
 
 #include "novaphy/core/backend.h"
+#include "novaphy/core/exclusive_use.h"
 #include "novaphy/core/storage.h"
 
 namespace novaphy {
@@ -52,6 +53,8 @@ class NOVAPHY_CORE_API LaunchRecorder {
   // What is submitted next holds for the present values of the range only, which the host has read.
   // A replay throws once they were written.
   virtual void depends_on(const std::shared_ptr<Range>& range) = 0;
+  // What is submitted uses this memory beside its arguments: a replay takes it.
+  virtual void uses(const std::shared_ptr<ExclusiveUse>& memory) = 0;
 };
 NOVAPHY_CORE_API LaunchRecorder* launch_recorder();  // of this thread, or null
 NOVAPHY_CORE_API LaunchRecorder* set_launch_recorder(

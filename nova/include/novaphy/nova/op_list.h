@@ -6,10 +6,12 @@
 #include <cstdint>
 #include <map>
 #include <memory>
+#include <mutex>
 #include <span>
 #include <vector>
 
 #include "novaphy/core/backend.h"
+#include "novaphy/core/exclusive_use.h"
 #include "novaphy/core/recorder.h"
 #include "novaphy/core/storage.h"
 #include "novaphy/nova/export.h"
@@ -66,6 +68,8 @@ class NOVAPHY_NOVA_API OpList {
   void freeze(const std::shared_ptr<Range>& range);
   // What the gradient of the range is after this point of the recording.
   void gradient(const std::shared_ptr<Range>& range, GradState state) { gradients_[range] = state; }
+  // Memory that the operations use beside what they were given: a launch takes it.
+  void uses(const std::shared_ptr<novaphy::ExclusiveUse>& memory) { memory_.add(memory); }
   size_t size() const { return ops_.size(); }
   const std::vector<Op>& ops() const { return ops_; }
   uint64_t id() const { return id_; }
@@ -73,7 +77,8 @@ class NOVAPHY_NOVA_API OpList {
   // Runs all operations in order. No allocation, lock or check per operation; the versions of all
   // written ranges are raised once at the end. Operations that touch written memory at their own
   // row only run block by block of rows, so that a block stays in the cache: the same results, less
-  // memory traffic.
+  // memory traffic. Threads that launch one list take turns; while somebody else uses what it
+  // `uses`, it throws.
   //
   // On a device that compiles, the first launches run the kernels of the operations, and one that
   // fuses them takes over when a thread has compiled it: the same bits, faster. The destructor
@@ -102,6 +107,8 @@ class NOVAPHY_NOVA_API OpList {
   std::vector<detail::MemoryAccess> accesses_;
   // Made at the first launch, on devices whose memory the host may dereference.
   mutable std::unique_ptr<detail::HostPlan> host_plan_;
+  mutable std::mutex launching_;
+  novaphy::ExclusiveUses memory_;
   std::vector<std::shared_ptr<const void>> held_;
   size_t held_bytes_ = 0;
   struct Scratch {

@@ -19,6 +19,7 @@
 #include <string>
 #include <vector>
 
+#include "novaphy/core/exclusive_use.h"
 #include "novaphy/nova/custom_op.h"
 #include "novaphy/nova/kernel.h"
 #include "novaphy/nova/tensor.h"
@@ -80,7 +81,9 @@ class NOVAPHY_NOVA_API Tape {
   // and for what is read of it later: backward runs these operations once more, ahead of their
   // adjoints. So a rollout needs memory for some of its states only (Griewank and Walther,
   // "Algorithm 799: revolve", with a fixed interval). Custom operations need their `forward` there.
-  void begin_recomputed();  // ErrorKind::Runtime inside another
+  // `memory`, if any, is what they use apart from their operands; backward takes it.
+  // ErrorKind::Runtime inside another.
+  void begin_recomputed(const std::shared_ptr<novaphy::ExclusiveUse>& memory = {});
   void end_recomputed();
 
   // For Kernel::launch: whether an input carries a gradient; refusals before anything is written;
@@ -105,8 +108,9 @@ class NOVAPHY_NOVA_API Tape {
 // begin_recomputed and end_recomputed of the active tape, if there is one and it is wanted.
 class NOVAPHY_NOVA_API RecomputedScope {
  public:
-  explicit RecomputedScope(bool wanted) : tape_(wanted ? Tape::active() : nullptr) {
-    if (tape_) tape_->begin_recomputed();
+  explicit RecomputedScope(bool wanted, const std::shared_ptr<novaphy::ExclusiveUse>& memory = {})
+      : tape_(wanted ? Tape::active() : nullptr) {
+    if (tape_) tape_->begin_recomputed(memory);
   }
   ~RecomputedScope() {
     if (tape_) tape_->end_recomputed();

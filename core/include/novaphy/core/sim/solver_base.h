@@ -3,6 +3,7 @@
 
 #include <memory>
 
+#include "novaphy/core/exclusive_use.h"
 #include "novaphy/core/export.h"
 #include "novaphy/core/sim/contacts.h"
 #include "novaphy/core/sim/control.h"
@@ -13,7 +14,8 @@
 namespace novaphy {
 
 // A solver reads the model's arrays and settings at every step, so edited values act at the next
-// one. One thread at a time may use a solver.
+// one. One thread at a time may use a solver, and what was recorded with it: another one gets
+// ErrorKind::Runtime.
 class NOVAPHY_CORE_API SolverBase {
  public:
   explicit SolverBase(std::shared_ptr<const Model> model);  // ErrorKind::Value: null
@@ -39,9 +41,13 @@ class NOVAPHY_CORE_API SolverBase {
   // The checks that every step makes; `name` starts the messages.
   void check_step(const char* name, const SimState& state_in, const SimState& state_out,
                   const Control* control, const Contacts* contacts, float dt) const;
+  // The use of the memory that the solver keeps from call to call.
+  ExclusiveUse::Scope use(const char* call) const { return {*in_use_, call, "the solver"}; }
+  const std::shared_ptr<ExclusiveUse>& in_use() const { return in_use_; }
 
  private:
   std::shared_ptr<const Model> model_;
+  std::shared_ptr<ExclusiveUse> in_use_ = std::make_shared<ExclusiveUse>();
 };
 
 }  // namespace novaphy

@@ -53,7 +53,7 @@ void bind_collision(py::module_& m) {
                              "Candidate pairs: particles times colliding shapes.")
       .def("contacts", &CollisionPipeline::contacts, "Empty contacts that collide takes.")
       .def("collide", &CollisionPipeline::collide, "state"_a, "contacts"_a, py::kw_only(),
-           "soft_contact_margin"_a = py::none(), py::call_guard<py::gil_scoped_release>(),
+           "soft_contact_margin"_a = py::none(), release_gil(),
            "Replaces the contacts by those of the state. soft_contact_margin (m) holds for this "
            "call. ValueError: a state "
            "or contacts of another model or device, a bad margin; nothing is written then.");

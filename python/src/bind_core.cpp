@@ -97,7 +97,7 @@ void bind_devices(py::module_& m) {
       "synchronize",
       [](py::handle device) {
         const Device d = to_device(device);
-        const py::gil_scoped_release release;
+        const ReleasedGil release;
         synchronize(d);
       },
       "device"_a = py::none(), "Waits until all work of a device is done.");
@@ -106,10 +106,9 @@ void bind_devices(py::module_& m) {
            "device"_a = py::none())
       .def_property_readonly("device", &Event::device, "Whose work is marked.")
       .def("record", &Event::record, "Marks the work that was issued so far.")
-      .def("synchronize", &Event::synchronize, py::call_guard<py::gil_scoped_release>(),
+      .def("synchronize", &Event::synchronize, release_gil(),
            "Waits until the device has come to the mark.")
-      .def_static("elapsed", &Event::elapsed, "start"_a, "stop"_a,
-                  py::call_guard<py::gil_scoped_release>(),
+      .def_static("elapsed", &Event::elapsed, "start"_a, "stop"_a, release_gil(),
                   "Seconds between two marks of one device; waits for the second.");
   py::class_<ScopedDevice>(m, "ScopedDevice", "Context manager: another default device inside.")
       .def(py::init([](py::handle spec) { return ScopedDevice(to_device(spec)); }), "spec"_a)

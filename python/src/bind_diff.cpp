@@ -278,7 +278,7 @@ void bind_solver(py::module_& solvers) {
           [](DiffSemiImplicitSolver& self, Trajectory& trajectory, const Control* control,
              const Contacts* contacts, float dt) {
             {
-              const py::gil_scoped_release no_gil;
+              const ReleasedGil no_gil;
               self.rollout(trajectory, control, contacts, dt);
             }
             // recompute needs them again.

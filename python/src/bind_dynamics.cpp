@@ -8,9 +8,10 @@ void bind_dynamics(py::module_& m, py::module_& solvers) {
   BoundClass<SimState>::remember(m.attr("SimState"));
   BoundClass<Control>::remember(m.attr("Control"));
   BoundClass<Contacts>::remember(m.attr("Contacts"));
-  py::class_<SolverBase> base(solvers, "SolverBase",
-                              "What every solver is. One thread at a time may use a solver, and what was "
-                              "captured of it; another one gets novaphy.Error.");
+  py::class_<SolverBase> base(
+      solvers, "SolverBase",
+      "What every solver is. One thread at a time may use a solver, and what was "
+      "captured of it; another one gets novaphy.Error.");
   base.def_property_readonly(
           "model", [](const SolverBase& s) { return std::const_pointer_cast<Model>(s.model()); },
           "The model; its arrays and settings are read at every step.")
@@ -18,7 +19,7 @@ void bind_dynamics(py::module_& m, py::module_& solvers) {
       .def_property_readonly("supports_graph_capture", &SolverBase::supports_graph_capture,
                              "False: step may not be called in a capture.")
       .def("step", &SolverBase::step, "state_in"_a, "state_out"_a, "control"_a.none(true),
-           "contacts"_a.none(true), "dt"_a, py::call_guard<py::gil_scoped_release>(),
+           "contacts"_a.none(true), "dt"_a, release_gil(),
            "Advances state_in by dt (s) into state_out. Forces in state_in act; afterwards it "
            "holds also those that the "
            "solver added. control None: the model's; contacts None: no contact. ValueError: one "

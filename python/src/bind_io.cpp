@@ -32,7 +32,7 @@ py::tuple load_mesh_arrays(const std::filesystem::path& path, bool join, bool dr
 #ifdef NOVAPHY_PYTHON_IO
   Mesh mesh;
   {
-    const py::gil_scoped_release release;
+    const ReleasedGil release;
     mesh = load_mesh(path, {.join_vertices = join, .drop_degenerate = drop});
   }
   return to_arrays(mesh, 3);
@@ -48,7 +48,7 @@ py::tuple load_mesh_arrays(const std::filesystem::path& path, bool join, bool dr
 py::tuple load_tet_mesh_arrays(const std::filesystem::path& path, bool drop) {
   TetMesh mesh;
   {
-    const py::gil_scoped_release release;
+    const ReleasedGil release;
     mesh = load_tet_mesh(path, {.drop_loose_vertices = drop});
   }
   return to_arrays(mesh, 4);

@@ -202,7 +202,7 @@ std::vector<Tensor> call(const PyKernel& k, int64_t dim, const std::vector<Tenso
     }
   }
   const nova::Incidence incidence = csr;
-  const py::gil_scoped_release release;
+  const ReleasedGil release;
   return k.kernel(dim, inputs,
                   {.params = words, .extent = extent, .csr = csr ? &incidence : nullptr});
 }

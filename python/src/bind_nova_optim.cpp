@@ -55,7 +55,7 @@ void bind_clipping(py::module_& m) {
       "clip_grad_norm_",
       [](py::handle params, float max_norm) {
         const std::vector<Tensor> list = to_params(params, "clip_grad_norm_");
-        const py::gil_scoped_release release;
+        const ReleasedGil release;
         return nova::clip_grad_norm_(list, max_norm);
       },
       "params"_a, "max_norm"_a,
@@ -69,7 +69,7 @@ void bind_clipping(py::module_& m) {
       "clip_grad_value_",
       [](py::handle params, float v) {
         const std::vector<Tensor> list = to_params(params, "clip_grad_value_");
-        const py::gil_scoped_release release;
+        const ReleasedGil release;
         nova::clip_grad_value_(list, v);
       },
       "params"_a, "v"_a,

@@ -12,7 +12,7 @@ void assign_tensor(const Tensor& self, py::handle source) {
   if (py::isinstance<nova::TensorImpl>(source)) {
     const auto other = source.cast<Tensor>();
     check_assignable(self.shape(), other.shape(), "assign");
-    const py::gil_scoped_release release;
+    const ReleasedGil release;
     self.copy_(other);
     return;
   }
@@ -142,7 +142,7 @@ void bind_methods(TensorClass& c) {
           [](const py::object& self, const Tensor& source) {
             const auto t = self.cast<Tensor>();
             {
-              const py::gil_scoped_release release;
+              const ReleasedGil release;
               t.copy_(source);
             }
             return self;

@@ -158,7 +158,7 @@ void bind_model(py::module_& m) {
             CollisionPipeline& pipeline = given != nullptr ? *given : made.emplace(self);
             if (contacts.is_none()) contacts = py::cast(pipeline.contacts());
             auto& target = contacts.cast<Contacts&>();
-            const py::gil_scoped_release release;
+            const ReleasedGil release;
             pipeline.collide(state, target);
             return contacts;
           },
@@ -186,9 +186,8 @@ void bind_state(py::module_& m) {
   using Fields = StateFields;
   NOVAPHY_STATE_FIELDS(NOVAPHY_BIND_FIELD)
   bind_counts(c);
-  c.def("clear_forces", &SimState::clear_forces, py::call_guard<py::gil_scoped_release>(),
-        "particle_f and body_f to zero.")
-      .def("assign", &SimState::assign, "source"_a, py::call_guard<py::gil_scoped_release>(),
+  c.def("clear_forces", &SimState::clear_forces, release_gil(), "particle_f and body_f to zero.")
+      .def("assign", &SimState::assign, "source"_a, release_gil(),
            "Copies all values. ValueError when sizes or devices differ; nothing is copied then.")
       .def("clone", &SimState::clone, "A copy.");
   add_field_pickle(c);

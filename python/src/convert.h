@@ -12,6 +12,7 @@
 #include <string_view>
 #include <vector>
 
+#include "gil.h"
 #include "novaphy/core/device.h"
 #include "novaphy/core/device_array.h"
 #include "novaphy/core/error.h"

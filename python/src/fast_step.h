@@ -60,13 +60,14 @@ PyObject* fast_step(PyObject* self, PyObject* const* args, Py_ssize_t count, PyO
   }
   const auto dt = static_cast<float>(PyFloat_AS_DOUBLE(args[4]));
   std::exception_ptr error;
-  PyThreadState* thread = PyEval_SaveThread();
-  try {
-    solver->step(*in, *out, control, contacts, dt);
-  } catch (...) {
-    error = std::current_exception();
+  {
+    const ReleasedGil released;
+    try {
+      solver->step(*in, *out, control, contacts, dt);
+    } catch (...) {
+      error = std::current_exception();
+    }
   }
-  PyEval_RestoreThread(thread);
   if (error) {
     set_python_error(error);
     return nullptr;

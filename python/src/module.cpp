@@ -45,12 +45,16 @@ void bind_errors(py::module_& m) {
   });
 }
 
-// Ctrl-C in a long native loop: Python's handlers run on its main thread only, elsewhere this does
-// nothing.
+// Ctrl-C in a long native loop: Python's handlers run on its main thread only. Elsewhere this ends
+// what the exit of the interpreter waits for.
 void check_signals() {
   if (!Py_IsInitialized()) return;
   const py::gil_scoped_acquire gil;
   if (PyErr_CheckSignals() != 0) throw py::error_already_set();
+  if (exit_waits_for_me()) {  // threads end without a word on this one
+    PyErr_SetNone(PyExc_SystemExit);
+    throw py::error_already_set();
+  }
 }
 
 constexpr std::pair<const char*, bool> kBuildInfo[] = {
@@ -64,7 +68,8 @@ bool built_with(std::string_view option) {
 }
 
 void bind_build(py::module_& m) {
-  m.def("version", [] { return std::string(version()); }, "The version of the engine, \"0.1.0\".");
+  m.def(
+      "version", [] { return std::string(version()); }, "The version of the engine, \"0.1.0\".");
   m.def(
       "build_info",
       [] {
@@ -89,7 +94,7 @@ void bind_build(py::module_& m) {
       "has_nvrtc", [] { return built_with("NOVA_ENABLE_NVRTC"); },
       "Whether run-time compilation is built.");
   m.def("num_threads", &num_threads, "The number of threads that parallel work uses.");
-  m.def("set_num_threads", &set_num_threads, "count"_a, py::call_guard<py::gil_scoped_release>(),
+  m.def("set_num_threads", &set_num_threads, "count"_a, release_gil(),
         "Sets the number of threads, 1 to 1024 (else ValueError). Results do not depend on it.");
 }
 
@@ -139,6 +144,7 @@ PYBIND11_MODULE(_core, m) {
 #endif
   explain_argument_errors(m);
   set_interrupt_check(&check_signals);
+  wait_at_exit();
 }
 
 }  // namespace novaphy::python

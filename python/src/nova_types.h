@@ -31,8 +31,6 @@ struct type_caster<nova::Tensor> {
 
 namespace novaphy::python {
 
-using release_gil = py::call_guard<py::gil_scoped_release>;
-
 // A const method of Tensor as a function, because the bound class is TensorImpl.
 template <auto F>
 struct Method;

@@ -328,6 +328,33 @@ except Stop:
     assert result.stdout.strip() == "stopped", result.stderr
 
 
+@pytest.mark.parametrize("begin, end", [("if True:", ""), ("try:", "except BaseException: pass")])
+def test_the_interpreter_ends_cleanly_while_daemon_threads_compute(begin, end):
+    result = run(
+        f"""
+import threading
+import time
+from scenes import DT, ball_contacts, ball_model
+from novaphy import diff, solvers
+
+def work():
+    model = ball_model(200)
+    trajectory = diff.Trajectory(model, 20000)
+    contacts = ball_contacts(model, trajectory[0])
+    solver = solvers.DiffSemiImplicitSolver(model)
+    while True:
+        {begin}
+            solver.rollout(trajectory, None, contacts, DT)
+        {end}
+
+for _ in range(3):
+    threading.Thread(target=work, daemon=True).start()
+time.sleep(0.5)
+"""
+    )
+    assert result.returncode == 0 and result.stderr == "", result.stderr
+
+
 def test_the_interpreter_ends_cleanly_whatever_is_alive():
     result = run(
         f"""

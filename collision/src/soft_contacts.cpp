@@ -52,7 +52,7 @@ struct SoftContacts::Impl {
     const auto arrays = choosing();
     for (size_t k = 0; k < arrays.size(); ++k) {
       const auto& range = arrays[k]->range();
-      if (versions[k] != arrays[k]->version() || (range && range->writable_export())) return false;
+      if (versions[k] != arrays[k]->version() || (range && range->was_exported())) return false;
     }
     return known;
   }

@@ -1,8 +1,6 @@
 #include "novaphy/core/storage.h"
 
 #include <algorithm>
-#include <array>
-#include <cstring>
 #include <utility>
 
 #include "allocator.h"
@@ -13,42 +11,6 @@ namespace novaphy {
 namespace {
 
 thread_local ArrayObserver* t_observer = nullptr;
-
-uint64_t mix(uint64_t h) {
-  h ^= h >> 32;
-  h *= 0xD6E8FEB86659FD93ull;
-  h ^= h >> 32;
-  return h;
-}
-
-// Four independent lanes of multiply-and-rotate over 8-byte words (the rounds of xxHash64), so that
-// the multiplications overlap. A word is multiplied before it enters, or a flipped top bit would
-// look like a flipped bit of the word that follows.
-uint64_t hash_bytes(const void* data, size_t bytes) {
-  constexpr uint64_t kPrime = 0x9E3779B185EBCA87ull, kWordPrime = 0xC2B2AE3D27D4EB4Full;
-  std::array<uint64_t, 4> lanes = {kPrime, ~kPrime, kPrime << 1, bytes};
-  const auto* p = static_cast<const unsigned char*>(data);
-  size_t left = bytes;
-  std::array<uint64_t, 4> words;
-  const auto round = [&] {
-    for (size_t k = 0; k < 4; ++k) {
-      lanes[k] += words[k] * kWordPrime;
-      lanes[k] = ((lanes[k] << 31) | (lanes[k] >> 33)) * kPrime;
-    }
-  };
-  for (; left >= sizeof(words); left -= sizeof(words), p += sizeof(words)) {
-    std::memcpy(words.data(), p, sizeof(words));
-    round();
-  }
-  if (left != 0) {
-    words = {};
-    std::memcpy(words.data(), p, left);
-    round();
-  }
-  uint64_t h = bytes;
-  for (const uint64_t lane : lanes) h = mix(h ^ lane) + kPrime;
-  return mix(h);
-}
 
 bool overlap(size_t offset_a, size_t bytes_a, size_t offset_b, size_t bytes_b) {
   return offset_a < offset_b + bytes_b && offset_b < offset_a + bytes_a && bytes_a != 0 &&
@@ -76,33 +38,42 @@ const Range* Range::find_overlap(bool (*test)(const Range&, void*), void* contex
   return nullptr;
 }
 
-void Range::mark_writable_export() {
-  const std::lock_guard lock(storage_->mutex_);
-  storage_->mark_exported(*this);
-  for (Range* other : overlaps_) storage_->mark_exported(*other);
+void Range::mark_writable_export() { storage_->begin_export(*this); }
+
+std::shared_ptr<void> Range::writable_export_scope() {
+  storage_->begin_export(*this);
+  return {this,
+          [storage = storage_->shared_from_this()](Range* range) { storage->end_export(*range); }};
 }
 
-uint64_t Range::checksum() const {
-  if (bytes_ == 0) return hash_bytes(nullptr, 0);
-  const DeviceContext& context = device_context(storage_->device());
-  novaphy_error error = make_error();
-  if (context.host_accessible) {
-    check(context.api->stream_synchronize(context.stream, &error), error, "checksum");
-    return hash_bytes(data_, bytes_);
+void Range::export_begins() {
+  // The first export of a version notes its value: when a later one comes, the bytes may have been
+  // written already.
+  if (!was_exported()) {
+    exported_checksum_ = checksum();
+    exported_version_.store(version(), std::memory_order_release);
   }
-  std::vector<unsigned char> host(bytes_);
-  check(context.api->memory_copy(context.stream, NOVAPHY_COPY_DEVICE_TO_HOST, host.data(), data_,
-                                 bytes_, &error),
-        error, "checksum");
-  return hash_bytes(host.data(), bytes_);
+  exports_.fetch_add(1, std::memory_order_relaxed);
+  living_exports_.fetch_add(1, std::memory_order_release);
 }
 
-void Storage::mark_exported(Range& range) {
-  if (range.writable_export())
-    return;  // what the first export saw counts: a later one may come after a hidden write
-  range.exported_version_ = range.version();
-  range.exported_checksum_ = range.checksum();
-  range.writable_export_.store(true, std::memory_order_release);
+void Range::export_ends() {
+  export_end_.store(version(), std::memory_order_release);
+  living_exports_.fetch_sub(1, std::memory_order_release);
+}
+
+void Storage::begin_export(Range& range) {
+  const std::lock_guard lock(mutex_);
+  range.export_begins();
+  ++range.own_exports_;
+  for (Range* other : range.overlaps_) other->export_begins();
+}
+
+void Storage::end_export(Range& range) {
+  const std::lock_guard lock(mutex_);
+  --range.own_exports_;
+  range.export_ends();
+  for (Range* other : range.overlaps_) other->export_ends();
 }
 
 std::shared_ptr<Storage> Storage::allocate(size_t bytes, Device device, bool zeroed) {
@@ -157,16 +128,16 @@ std::shared_ptr<Range> Storage::range(size_t offset, size_t bytes) {
     made->data_ = static_cast<unsigned char*>(data_) + offset;
     made->offset_ = offset;
     made->bytes_ = bytes;
-    bool exported = external_;  // its owner can write it at any time
+    int64_t exports = external_ ? 1 : 0;  // its owner can write it at any time
     for (const auto& other : ranges_) {
       if (!made->overlaps(*other)) continue;
       made->overlaps_.push_back(other.get());
       other->overlaps_.push_back(made.get());
       other->has_overlaps_.store(true, std::memory_order_release);
-      exported = exported || other->writable_export();
+      exports += other->own_exports_;
     }
     made->has_overlaps_.store(!made->overlaps_.empty(), std::memory_order_release);
-    if (exported) mark_exported(*made);
+    for (; exports > 0; --exports) made->export_begins();
     at = ranges_.insert(at, std::move(made));
   }
   return std::shared_ptr<Range>(shared_from_this(), at->get());

@@ -158,7 +158,7 @@ Incidence make_incidence(const Operand& table, int64_t rows) {
   made->table.rows = table.rows * table.width;
   made->table.width = 1;
   made->version = table.range->version();
-  made->has_checksum = table.range->writable_export();
+  made->has_checksum = table.range->was_exported();
   made->checksum = made->has_checksum ? table.range->checksum() : 0;
   made->rows = rows;
   const auto slots = made->table.rows;
@@ -172,7 +172,7 @@ Incidence make_incidence(const Operand& table, int64_t rows) {
 
 bool is_current(const IncidenceData& incidence, const Range& table) {
   if (incidence.version != table.version()) return false;
-  if (!table.writable_export()) return true;
+  if (!table.was_exported()) return true;
   return table.checksum() ==
          (incidence.has_checksum ? incidence.checksum : table.exported_checksum());
 }

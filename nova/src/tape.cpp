@@ -23,14 +23,21 @@ bool Tape::Impl::carries(const Range& range) {
   return n && n->ever_written ? n->carries : info->requires_grad;
 }
 
+// The checksum of a value that somebody outside can write, computed once for a version. What a
+// capture records runs when it is launched: then all of it reads the value of that moment.
+bool Tape::Impl::note_value(const Range& range, uint64_t& checksum) {
+  if (!range.was_exported() || current_capture()) return false;
+  Value& value = values[&range];
+  if (value.version != range.version()) value = {range.version(), checksum_now(range)};
+  checksum = value.checksum;
+  return true;
+}
+
 Tape::Impl::Use Tape::Impl::make_use(const Operand& operand) {
-  Use use{operand, operand.range->version(), 0, false, false};
+  Use use{.operand = operand, .version = operand.range->version()};
+  if (const OpList* graph = current_capture()) use.capture = graph->id();
   use.carries = operand.type == ir::Type::F32 && carries(*operand.range);
-  if (operand.range->writable_export()) {  // somebody outside can write it: remember the value
-    refuse_export_in_capture();
-    use.checksum = checksum_now(*operand.range);
-    use.has_checksum = true;
-  }
+  use.has_checksum = note_value(*operand.range, use.checksum);
   return use;
 }
 
@@ -61,9 +68,11 @@ void Tape::Impl::append(Op op, bool recorded) {
   if (in_group) groups.back().last = static_cast<uint32_t>(ops.size());
 }
 
+// Of a value that is read by a capture and comes from outside of it.
 void Tape::Impl::refuse_export_in_capture() {
-  require(!current_capture(), ErrorKind::Runtime,
-          "tape: an array with a writable export cannot be followed inside a ScopedCapture");
+  fail(ErrorKind::Runtime,
+       "tape: an array with a writable export cannot be followed into, or out of, a ScopedCapture; "
+       "capture forward and backward together");
 }
 
 uint64_t Tape::Impl::checksum_now(const Range& range) {
@@ -74,10 +83,11 @@ uint64_t Tape::Impl::checksum_now(const Range& range) {
 // Whether the recorded value of the node is no longer there.
 bool Tape::Impl::was_written_outside(const Node& n) {
   if (n.written_version != n.range->version()) return true;
-  if (!n.range->writable_export()) return false;
-  refuse_export_in_capture();
-  return checksum_now(*n.range) !=
-         (n.has_checksum ? n.written_checksum : n.range->exported_checksum());
+  if (!n.has_checksum && !n.range->was_exported()) return false;
+  const OpList* graph = current_capture();
+  if (n.capture != (graph ? graph->id() : 0)) refuse_export_in_capture();
+  return !graph && checksum_now(*n.range) !=
+                       (n.has_checksum ? n.written_checksum : n.range->exported_checksum());
 }
 
 // A value that the tape produced and that was then overwritten behind it would carry a wrong
@@ -107,10 +117,14 @@ void Tape::Impl::check_not_overwritten(const Operand& in, const std::string& op,
 void Tape::Impl::check_value(const Use& use, const Op& op, uint32_t input) {
   const Range& range = *use.operand.range;
   bool modified = range.version() != use.version;
-  if (!modified && range.writable_export()) {
-    refuse_export_in_capture();
-    const uint64_t recorded = use.has_checksum ? use.checksum : range.exported_checksum();
-    modified = checksum_now(range) != recorded;
+  if (!modified && (use.has_checksum || range.was_exported())) {
+    const OpList* graph = current_capture();
+    if (use.capture != (graph ? graph->id() : 0)) refuse_export_in_capture();
+    if (!graph) {
+      const auto [at, first] = present.try_emplace(&range);
+      if (first) at->second = checksum_now(range);
+      modified = at->second != (use.has_checksum ? use.checksum : range.exported_checksum());
+    }
   }
   if (modified) [[unlikely]]
     fail(ErrorKind::Runtime, "input '", input_name(op, input), "' of op '", op_name(op),
@@ -123,8 +137,8 @@ void Tape::Impl::mark_output(const std::shared_ptr<Range>& range, int32_t op) {
   n.writer = op;
   n.group = -1;
   n.written_version = range->version();
-  n.has_checksum = range->writable_export() && !current_capture();
-  if (n.has_checksum) n.written_checksum = checksum_now(*range);
+  n.capture = current_capture() ? current_capture()->id() : 0;
+  n.has_checksum = note_value(*range, n.written_checksum);
   n.ever_written = true;
   n.carries = true;
   ++info.producers;
@@ -151,6 +165,7 @@ void Tape::Impl::forget() {
   params.clear();
   customs.clear();
   nodes.clear();
+  values.clear();
 }
 
 void Tape::mark_copied(const std::shared_ptr<Range>& range, const char* name) {
@@ -234,7 +249,8 @@ void Tape::record_launch(const std::shared_ptr<KernelImpl>& kernel, int64_t dim,
   op.extent = options.extent;
   if (options.csr) op.csr = *options.csr;
   for (const Operand& in : inputs) t.add_input(op, in);
-  for (const Operand& out : outputs) t.uses.push_back({out, out.range->version(), 0, false, true});
+  for (const Operand& out : outputs)
+    t.uses.push_back({.operand = out, .version = out.range->version(), .carries = true});
   t.params.insert(t.params.end(), options.params.begin(), options.params.end());
   t.append(std::move(op), recorded);
 }

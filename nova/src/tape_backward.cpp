@@ -297,6 +297,8 @@ void Tape::Impl::plan_steps() {
 
 void Tape::Impl::backward(Node& loss, const Tensor& seed) {
   before.clear();
+  values.clear();
+  present.clear();
   for (Node& n : nodes) {
     GradInfo& info = grad_info(*n.range);
     before.push_back(info.state);

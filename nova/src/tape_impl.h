@@ -4,6 +4,7 @@
 #include <bit>
 #include <deque>
 #include <string>
+#include <unordered_map>
 #include <vector>
 
 #include "kernel_impl.h"
@@ -22,11 +23,12 @@ struct Tape::Impl {
   struct Use {
     Operand operand;
     uint64_t version = 0;
+    uint64_t capture = 0;  // that recorded it, or 0
     uint64_t checksum = 0;
-    bool has_checksum = false;
-    bool carries = false;     // a gradient flows through it
-    bool recomputed = false;  // an operation of the same group writes it
-    bool read = false;        // by the adjoint of a custom operation
+    bool has_checksum = false;  // where somebody outside can write it
+    bool carries = false;       // a gradient flows through it
+    bool recomputed = false;    // an operation of the same group writes it
+    bool read = false;          // by the adjoint of a custom operation
   };
   struct Op {
     std::shared_ptr<detail::KernelImpl> kernel;  // null: custom
@@ -49,6 +51,7 @@ struct Tape::Impl {
     int32_t writer = -1;            // the last operation that wrote it
     int32_t group = -1;             // the group of that operation
     uint64_t written_version = 0;   // its version after that
+    uint64_t capture = 0;           // that recorded the write, or 0
     uint64_t written_checksum = 0;  // of its value after that, where somebody outside can write it
     bool has_checksum = false;
     bool ever_written = false;  // by an operation of this tape: not a leaf
@@ -105,6 +108,9 @@ struct Tape::Impl {
     std::vector<Node> nodes_;
     std::vector<uint32_t> index_;  // position + 1; 0 is free
   };
+  struct Value {
+    uint64_t version = UINT64_MAX, checksum = 0;
+  };
   // One operation to be reversed, decided before anything runs.
   struct Step {
     const Op* op;  // null: run a group once more
@@ -135,6 +141,10 @@ struct Tape::Impl {
   bool in_group = false;  // the last of them is still growing
   novaphy::ExclusiveUses group_memory;
   NodeTable nodes;
+  // Checksums of what somebody outside can write: of the versions that were recorded since the last
+  // backward, and during backward those of now.
+  std::unordered_map<const Range*, Value> values;
+  std::unordered_map<const Range*, uint64_t> present;
   bool leaves_only = false;  // KeepGradients::Leaves
   // Of the last backward; kept for their memory.
   std::vector<Step> steps;
@@ -161,7 +171,8 @@ struct Tape::Impl {
   void append(Op op, bool recorded);
   static void refuse_export_in_capture();
   static uint64_t checksum_now(const Range& range);
-  static bool was_written_outside(const Node& n);
+  bool note_value(const Range& range, uint64_t& checksum);
+  bool was_written_outside(const Node& n);
   void check_not_overwritten(const Operand& in, const std::string& op, const std::string& input);
   void check_value(const Use& use, const Op& op, uint32_t input);
   void mark_output(const std::shared_ptr<Range>& range, int32_t op);

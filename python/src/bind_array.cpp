@@ -86,7 +86,7 @@ void assign_array(Array& array, py::handle source) {
   require(target.scalar == from.scalar, ErrorKind::Type, "assign: expected ",
           dtype_info(array.dtype()).name, ", got ", dtype_info(other.dtype()).name);
   check_assignable(target.shape, from.shape, "assign");
-  const py::gil_scoped_release release;
+  const ReleasedGil release;
   Array flat = target.flat();
   if (flat.rows() != 0) flat.assign(from.flat());
 }
@@ -187,15 +187,15 @@ void bind_array(py::module_& m) {
           "Filled with a number or an element.")
       .def_static(
           "from_dlpack",
-          [](py::handle obj, py::handle dtype) {
-            if (py::isinstance<Array>(obj))
-              return from_view(view_of(obj.cast<const Array&>()), dtype);
-            return from_view(import_dlpack(obj), dtype);
+          [](py::handle obj, py::handle dtype, bool copy) {
+            if (!py::isinstance<Array>(obj)) return from_view(import_dlpack(obj, copy), dtype);
+            const auto& own = obj.cast<const Array&>();
+            return from_view(view_of(copy ? own.clone() : own), dtype);
           },
-          "obj"_a, "dtype"_a = py::none(),
-          "Looks at the memory of an array of another library, without a copy. BufferError: it is "
-          "read-only; ValueError: "
-          "it is not tightly packed.")
+          "obj"_a, "dtype"_a = py::none(), "copy"_a = false,
+          "Looks at the memory of an array of another library, without a copy unless copy=True. "
+          "BufferError: it may not be written, or its producer does not say that it may (JAX); "
+          "copy=True takes such memory too. ValueError: it is not tightly packed.")
       .def_property_readonly(
           "shape", [](const Array& a) { return shape_tuple(a.shape()); }, "As NumPy sees it.")
       .def_property_readonly(

@@ -137,14 +137,17 @@ void bind_creation(py::module_& m) {
           "A copy of a NumPy array. (from_dlpack shares memory.)")
       .def(
           "from_dlpack",
-          [](py::handle obj) {
-            if (py::isinstance<nova::TensorImpl>(obj)) return obj.cast<Tensor>();
-            if (py::isinstance<Array>(obj)) return Tensor::view(obj.cast<const Array&>());
-            return tensor_of(import_dlpack(obj));
+          [](py::handle obj, bool copy) {
+            Tensor own;
+            if (py::isinstance<nova::TensorImpl>(obj)) own = obj.cast<Tensor>();
+            if (py::isinstance<Array>(obj)) own = Tensor::view(obj.cast<const Array&>());
+            if (own.defined()) return copy ? own.detach() : own;
+            return tensor_of(import_dlpack(obj, copy));
           },
-          "obj"_a,
-          "Looks at the memory of an array of another library, without a copy. BufferError: it is "
-          "read-only.")
+          "obj"_a, "copy"_a = false,
+          "Looks at the memory of an array of another library, without a copy unless copy=True. "
+          "BufferError: it may not be written, or its producer does not say that it may (JAX); "
+          "copy=True takes such memory too.")
       .def(
           "from_device_array",
           [](const Array& a, bool requires_grad) { return Tensor::view(a, requires_grad); },

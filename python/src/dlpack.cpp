@@ -67,6 +67,7 @@ DLDataType dl_type_of(Scalar scalar) {
 // What an exported tensor points to, and what keeps it alive.
 struct Exported {
   std::shared_ptr<Range> range;
+  std::shared_ptr<void> writable;  // the protocol's read-only flag stops NumPy, but not PyTorch
   std::vector<int64_t> shape, strides;
 };
 
@@ -94,8 +95,9 @@ void destroy_capsule(PyObject* capsule) {
 }
 
 template <class Managed>
-Managed* make_managed(const View& view) {
+Managed* make_managed(const View& view, bool shared) {
   auto owner = std::make_unique<Exported>();
+  if (shared && view.bytes() != 0) owner->writable = view.range->writable_export_scope();
   auto managed = std::make_unique<Managed>();
   managed->tensor = describe(view, *owner);
   managed->manager = owner.release();
@@ -134,14 +136,14 @@ Device device_of(const DLDevice& device) {
 
 // Takes a managed tensor out of its capsule: its deleter runs when the storage goes.
 template <class Managed>
-View adopt(PyObject* capsule, const char* name, const char* used_name) {
+View adopt(PyObject* capsule, const char* name, const char* used_name, bool copy) {
   auto* managed = static_cast<Managed*>(PyCapsule_GetPointer(capsule, name));
   if (managed == nullptr) throw py::error_already_set();
   if constexpr (std::is_same_v<Managed, DLManagedTensorVersioned>) {
     require(managed->version.major == 1, ErrorKind::Value,
             "from_dlpack: expected DLPack version 1, got ", managed->version.major);
-    if (managed->flags & kReadOnly)
-      buffer_error("from_dlpack: the memory is read-only; pass a copy");
+    if ((managed->flags & kReadOnly) && !copy)
+      buffer_error("from_dlpack: the memory is read-only; pass copy=True");
   }
   const DLTensor& t = managed->tensor;
   View view;
@@ -167,7 +169,11 @@ View adopt(PyObject* capsule, const char* name, const char* used_name) {
     if (self->deleter != nullptr) self->deleter(self);
   });
   view.range = Storage::external(data, view.bytes(), device, std::move(owner))->range();
-  if (view.bytes() != 0) view.range->mark_writable_export();
+  if (copy) {
+    view.range = view.flat().clone().range();
+  } else if (view.bytes() != 0) {
+    view.range->mark_writable_export();
+  }
   return view;
 }
 
@@ -202,19 +208,16 @@ py::object export_dlpack(const View& view, py::handle stream, py::handle max_ver
   bool versioned = false;
   if (!max_version.is_none()) versioned = max_version.cast<std::pair<int, int>>().first >= 1;
   if (versioned) {
-    auto* managed = make_managed<DLManagedTensorVersioned>(exported);
+    auto* managed = make_managed<DLManagedTensorVersioned>(exported, !copied);
     managed->version = {1, 0};
     managed->flags = copied ? kIsCopied : kReadOnly;
     return steal_capsule(managed, kVersionedName, &destroy_capsule<DLManagedTensorVersioned>);
   }
-  // The old form cannot say that it is read-only.
-  if (!copied && exported.range != nullptr && exported.bytes() != 0)
-    exported.range->mark_writable_export();
-  return steal_capsule(make_managed<DLManagedTensor>(exported), kName,
+  return steal_capsule(make_managed<DLManagedTensor>(exported, !copied), kName,
                        &destroy_capsule<DLManagedTensor>);
 }
 
-View import_dlpack(py::handle source) {
+View import_dlpack(py::handle source, bool copy) {
   require(PyObject_HasAttrString(source.ptr(), "__dlpack__") != 0, ErrorKind::Type,
           "from_dlpack: expected an object with __dlpack__, got ", type_name(source));
   // The memory will be used on a stream that is ordered with the device's default stream, which the
@@ -224,18 +227,28 @@ View import_dlpack(py::handle source) {
       source.attr("__dlpack_device__")().cast<std::pair<int32_t, int32_t>>().first == kCuda)
     stream["stream"] = 1;
   py::object capsule;
+  bool knows_version_1 = true;
   try {
     capsule = source.attr("__dlpack__")("max_version"_a = py::make_tuple(1, 0), **stream);
   } catch (py::error_already_set& error) {
     if (!error.matches(PyExc_TypeError)) throw;
-    capsule = source.attr("__dlpack__")(**stream);  // a producer from before version 1.0
+    // A producer from before version 1.0, which hands out only what may be written: NumPy 1,
+    // PyTorch.
+    capsule = source.attr("__dlpack__")(**stream);
+    knows_version_1 = false;
   }
   if (PyCapsule_IsValid(capsule.ptr(), kVersionedName))
-    return adopt<DLManagedTensorVersioned>(capsule.ptr(), kVersionedName,
-                                           "used_dltensor_versioned");
+    return adopt<DLManagedTensorVersioned>(capsule.ptr(), kVersionedName, "used_dltensor_versioned",
+                                           copy);
   require(PyCapsule_IsValid(capsule.ptr(), kName) != 0, ErrorKind::Type,
           "from_dlpack: __dlpack__ gave no DLPack capsule");
-  return adopt<DLManagedTensor>(capsule.ptr(), kName, "used_dltensor");
+  // One that knows it, and still answers in a form without flags, as JAX does for its immutable
+  // arrays, cannot say so. NumPy too takes such memory for read-only.
+  if (knows_version_1 && !copy)
+    buffer_error(
+        "from_dlpack: the producer does not say whether the memory may be written (a DLPack "
+        "capsule without flags); pass copy=True");
+  return adopt<DLManagedTensor>(capsule.ptr(), kName, "used_dltensor", copy);
 }
 
 }  // namespace novaphy::python

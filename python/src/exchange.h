@@ -65,7 +65,8 @@ void set_rows(const View& view, py::handle index, py::handle values);
 py::object export_dlpack(const View& view, py::handle stream, py::handle max_version,
                          py::handle dl_device, py::handle copy);
 py::tuple dlpack_device(const View& view);
-// Zero-copy; the producer's memory stays alive. It counts as a writable export.
-View import_dlpack(py::handle source);
+// Zero-copy; the producer's memory stays alive. It counts as a writable export. BufferError for
+// memory that may not be written, which `copy` copies.
+View import_dlpack(py::handle source, bool copy);
 
 }  // namespace novaphy::python

@@ -1,4 +1,4 @@
-// The builtin modules: row sums by the stated order, scan, stable sort, incidence.
+// The builtin modules: row sums by the stated order, scan, stable sort, incidence, checksum.
 #include <gtest/gtest.h>
 
 #include <algorithm>
@@ -120,16 +120,21 @@ TEST(RowSum, FollowsTheRuleOfChunksForEveryLengthAndWidth) {
   novaphy::set_num_threads(before);
 }
 
-// Two sums over the same items; a backend may lack it.
-TEST(RowSum, OfAPairAreThoseOfEach) {
+// Whether the backend has a builtin that it may lack.
+bool has_builtin(const char* name) {
   novaphy_error error = make_error();
   novaphy_module* known = nullptr;
-  const char name[] = "row_sum_pair_f32";
-  if (backend().api->module_create(backend().device, NOVAPHY_CODE_BUILTIN, name, sizeof(name),
+  if (backend().api->module_create(backend().device, NOVAPHY_CODE_BUILTIN, name, std::strlen(name),
                                    &known, &error) != NOVAPHY_OK)
-    GTEST_SKIP() << error.message;
+    return false;
   backend().api->module_destroy(known);
-  const Module pair(name);
+  return true;
+}
+
+// Two sums over the same items.
+TEST(RowSum, OfAPairAreThoseOfEach) {
+  if (!has_builtin("row_sum_pair_f32")) GTEST_SKIP() << "the backend lacks row_sum_pair_f32";
+  const Module pair("row_sum_pair_f32");
   std::vector<int64_t> lengths = {0, 1, 257, 3, 600, 2};
   for (int k = 0; k < 400; ++k) lengths.push_back(k % 9);
   std::vector<int32_t> offsets = {0};
@@ -248,6 +253,45 @@ TEST(Incidence, ATableEntryPastTheLastRowFails) {
   const Result result = module.launch(4, {table.word(), 5, offsets.word(), items.word()});
   EXPECT_EQ(result.status, NOVAPHY_INDEX_OUT_OF_RANGE);
   EXPECT_FALSE(result.message.empty());
+}
+
+// The rule of program.h.
+uint64_t expected_checksum(const unsigned char* data, size_t bytes) {
+  const auto mix = [](uint64_t x) {
+    x = (x ^ (x >> 32)) * 0xD6E8FEB86659FD93ull;
+    return x ^ (x >> 32);
+  };
+  uint64_t sum = 0;
+  for (size_t k = 0; k * 8 < bytes; ++k) {
+    uint64_t word = 0;
+    std::memcpy(&word, data + 8 * k, std::min<size_t>(8, bytes - 8 * k));
+    sum += mix(mix(word + k * 0x9E3779B97F4A7C15ull));
+  }
+  return sum;
+}
+
+TEST(Checksum, IsThatOfTheRuleForEveryLengthAndAddressAndNumberOfThreads) {
+  if (!has_builtin("checksum_u64")) GTEST_SKIP() << "the backend lacks checksum_u64";
+  const Module module("checksum_u64");
+  std::vector<uint32_t> words(200000);
+  for (uint32_t& word : words) word = next_random() * 2654435761u;
+  const Buffer data(words), out({0, 0});
+  const int before = novaphy::num_threads();
+  for (const size_t offset : {0u, 1u, 4u, 7u})
+    for (const size_t bytes : {1u, 7u, 8u, 9u, 64u, 2047u, 70001u, 799992u})
+      for (const int threads : {1, 2, 7}) {
+        novaphy::set_num_threads(threads);
+        const Result result = module.launch(static_cast<int64_t>((bytes + 7) / 8),
+                                            {data.word() + offset, bytes, out.word()});
+        ASSERT_EQ(result.status, NOVAPHY_OK) << result.message;
+        const std::vector<uint32_t> got = out.read();
+        ASSERT_EQ(got[0] | uint64_t{got[1]} << 32,
+                  expected_checksum(reinterpret_cast<const unsigned char*>(words.data()) + offset,
+                                    bytes))
+            << bytes << " bytes at " << offset;
+      }
+  novaphy::set_num_threads(before);
+  EXPECT_EQ(module.launch(2, {data.word(), 8, out.word()}).status, NOVAPHY_INVALID_ARGUMENT);
 }
 
 TEST(Builtins, AnUnknownNameAndAWrongArgumentCountAreRefused) {

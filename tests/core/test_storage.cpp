@@ -127,6 +127,50 @@ TEST(Range, AWritableExportMarksOverlappingRangesAndTheChecksumSeesTheWrite) {
   EXPECT_NE(b->exported_checksum(), b->checksum());
 }
 
+TEST(Range, AnExportThatEndedCountsUntilTheNextWrite) {
+  const auto storage = Storage::allocate(1000, Device::cpu());
+  const auto a = storage->range(0, 100), b = storage->range(50, 100);
+  auto first = a->writable_export_scope(), second = b->writable_export_scope();
+  EXPECT_EQ(a->exports(), 2u);
+  first.reset();
+  for (const auto& range : {a, b, storage->range(90, 20)}) EXPECT_TRUE(range->writable_export());
+  a->mark_written();
+  second.reset();
+  for (const auto& range : {a, b}) {
+    EXPECT_FALSE(range->writable_export());
+    EXPECT_TRUE(range->was_exported()) << "the present version could be written";
+  }
+  EXPECT_FALSE(storage->range(95, 10)->was_exported()) << "nobody saw its value before";
+  a->mark_written();
+  for (const auto& range : {a, b}) EXPECT_FALSE(range->was_exported());
+}
+
+TEST(Range, AnExportKeepsTheChecksumOfTheFirstOfItsVersion) {
+  const auto range = Storage::allocate(64, Device::cpu())->range();
+  const uint64_t zero = range->checksum();
+  range->writable_export_scope().reset();
+  static_cast<char*>(range->data())[5] = 1;
+  range->writable_export_scope().reset();
+  EXPECT_EQ(range->exported_checksum(), zero);
+  range->mark_written();
+  range->writable_export_scope().reset();
+  EXPECT_EQ(range->exported_checksum(), range->checksum());
+  EXPECT_EQ(range->exported_version(), 1u);
+}
+
+TEST(Range, AnExportKeepsTheMemory) {
+  std::shared_ptr<void> handle;
+  std::weak_ptr<Storage> watch;
+  {
+    const auto storage = Storage::allocate(64, Device::cpu());
+    watch = storage;
+    handle = storage->range()->writable_export_scope();
+  }
+  EXPECT_FALSE(watch.expired());
+  handle.reset();
+  EXPECT_TRUE(watch.expired());
+}
+
 TEST(ExclusiveUse, ASecondCallIsRefusedUntilTheFirstEnds) {
   ExclusiveUse use;
   std::optional<ExclusiveUse::Scope> first(std::in_place, use, "solver.step", "the solver");

@@ -156,9 +156,9 @@ const HostKernel* find_host_kernel(const char* name) {
       ENTRY(row_sum_chunks, true),       ENTRY(row_sum_last, false),
       ENTRY(exclusive_scan_i32, true),   ENTRY(sort_count, false),
       ENTRY(sort_place, false),          ENTRY(incidence_count, false),
-      ENTRY(incidence_items, false),     HAND_WRITTEN(soft_contact_shape),
-      HAND_WRITTEN(soft_contact_touch),  HAND_WRITTEN(soft_contact_write),
-      HAND_WRITTEN(soft_contact_clear)};
+      ENTRY(incidence_items, false),     ENTRY(checksum_u64, true),
+      HAND_WRITTEN(soft_contact_shape),  HAND_WRITTEN(soft_contact_touch),
+      HAND_WRITTEN(soft_contact_write),  HAND_WRITTEN(soft_contact_clear)};
   for (const HostKernel& kernel : kKernels)
     if (std::strcmp(kernel.name, name) == 0) return &kernel;
   return nullptr;

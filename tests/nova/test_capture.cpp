@@ -413,12 +413,33 @@ TEST_F(CaptureRefuses, ALaunchInsideAnActiveTape) {
   EXPECT_NO_THROW(graph->launch());
 }
 
-TEST_F(CaptureRefuses, ToFollowAnArrayThatSomebodyElseCanWrite) {
+TEST_F(CaptureRefuses, ToFollowAnArrayThatSomebodyElseCanWriteAcrossItsBorder) {
   x.range()->mark_writable_export();
-  const ScopedCapture capture;
   Tape tape;
   const TapeScope scope(tape);
-  EXPECT_ERROR(nova::mul(x, 2.0f), ErrorKind::Runtime, "writable export cannot be followed inside a ScopedCapture");
+  const char* message = "writable export cannot be followed into, or out of, a ScopedCapture";
+  const Tensor outside = nova::sum(nova::mul(x, x));
+  EXPECT_ERROR(record([&] { tape.backward(outside); }), ErrorKind::Runtime, message);
+  Tensor inside;
+  record([&] { inside = nova::sum(nova::mul(x, x)); });
+  EXPECT_ERROR(tape.backward(inside), ErrorKind::Runtime, message);
+}
+
+TEST_F(CaptureRefuses, NothingOfAnExportedArrayWhoseForwardAndBackwardAreCapturedTogether) {
+  const std::shared_ptr<void> living = x.range()->writable_export_scope();
+  const auto graph = record([&] {
+    Tape tape;
+    const TapeScope scope(tape);
+    x.zero_grad();
+    tape.backward(nova::sum(nova::mul(x, x)));
+  });
+  for (const float value : {3.0f, -7.0f}) {  // every launch reads what was written before it
+    DeviceContext const& c = device_context(x.device());
+    novaphy_error error = make_error();
+    ASSERT_EQ(c.api->memory_copy(c.stream, NOVAPHY_COPY_HOST_TO_DEVICE, x.range()->data(), &value, 4, &error), NOVAPHY_OK);
+    graph->launch();
+    EXPECT_EQ(grad(x)[0], 2.0f * value);
+  }
 }
 
 TEST_F(CaptureRefuses, ALaunchWhileAnotherCallUsesTheSameMemory) {

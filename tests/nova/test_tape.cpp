@@ -478,6 +478,41 @@ TEST_F(TapeExport, ARecordedValueThatWasWrittenBehindTheBackIsRefusedWhenItIsUse
   EXPECT_ERROR(nova::mul(exported_after, 2.0f), ErrorKind::Runtime, "overwritten outside");
 }
 
+TEST_F(TapeExport, AWriteOfAnExportThatEndedIsCaughtToo) {
+  std::shared_ptr<void> before = x.range()->writable_export_scope();
+  const Tensor loss = sum(nova::mul(x, x));
+  poke(x, 5.0f);
+  before.reset();
+  EXPECT_ERROR(tape.backward(loss), ErrorKind::Runtime, "was modified after recording");
+  x.copy_from_host(Floats{1.0f, 2.0f, 3.0f}.data(), 12);
+  const Tensor again = sum(nova::mul(x, x));
+  std::shared_ptr<void> after = x.range()->writable_export_scope();
+  poke(x, 5.0f);
+  after.reset();
+  EXPECT_ERROR(tape.backward(again), ErrorKind::Runtime, "was modified after recording");
+}
+
+TEST_F(TapeExport, ANewTapeReadsWhatAnExportHasWrittenMeanwhile) {
+  const std::shared_ptr<void> living = x.range()->writable_export_scope();
+  tape.backward(sum(nova::mul(x, x)));
+  tape.reset();
+  tape.zero();
+  poke(x, 5.0f);  // an optimiser of somebody else
+  const Tensor loss = sum(nova::mul(x, x));
+  x.zero_grad();
+  tape.backward(loss);
+  EXPECT_EQ(grad(x), (Floats{2.0f, 10.0f, 6.0f}));
+}
+
+TEST_F(TapeExport, TheEndOfAnExportThatWroteNothingChangesNothing) {
+  std::shared_ptr<void> living = x.range()->writable_export_scope();
+  const Tensor y = nova::mul(x, x), loss = sum(nova::mul(y, y));
+  std::shared_ptr<void> between = y.range()->writable_export_scope();
+  living.reset();
+  between.reset();
+  EXPECT_NO_THROW(tape.backward(loss));
+}
+
 TEST_F(TapeTest, BackwardTakesTheMemoryOfWhatItRunsOnceMore) {
   const auto memory = std::make_shared<ExclusiveUse>();
   const Tensor y(Shape{3});

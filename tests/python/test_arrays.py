@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import novaphy
-from novaphy import DeviceArray
+from novaphy import DeviceArray, nova
 
 NUMPY = tuple(int(part) for part in np.__version__.split(".")[:2])
 
@@ -297,6 +297,44 @@ def test_from_dlpack_takes_element_types_and_refuses_what_it_cannot_share():
     read_only.flags.writeable = False
     with pytest.raises((BufferError, TypeError)):
         DeviceArray.from_dlpack(read_only)
+
+
+class WithoutFlags:
+    """Knows version 1 of DLPack and answers in the older form, as JAX does."""
+
+    def __init__(self, array):
+        self.array = array
+
+    def __dlpack__(self, **version):
+        return self.array.__dlpack__()
+
+
+def test_memory_whose_producer_cannot_say_that_it_may_be_written_is_copied_or_refused():
+    immutable = WithoutFlags(DeviceArray([1.0, 2.0]))
+    for take in (DeviceArray.from_dlpack, nova.from_dlpack):
+        with pytest.raises(BufferError, match="does not say whether the memory may be written"):
+            take(immutable)
+        mine = take(immutable, copy=True)
+        mine.fill_(5.0)
+        assert mine.numpy().tolist() == [5.0, 5.0]
+    assert immutable.array.numpy().tolist() == [1.0, 2.0]
+
+
+def test_a_jax_array_stays_as_it_is():
+    jnp = pytest.importorskip("jax.numpy")
+    immutable = jnp.ones((2, 3))
+    with pytest.raises(BufferError, match="copy=True"):
+        nova.from_dlpack(immutable)
+    nova.from_dlpack(immutable, copy=True).fill_(5.0)
+    assert immutable.tolist() == [[1.0] * 3] * 2
+
+
+def test_a_copy_of_own_or_foreign_memory_is_apart_from_it():
+    own, foreign = DeviceArray([1.0]), np.float32([1.0])
+    for source in (own, foreign):
+        DeviceArray.from_dlpack(source, copy=True)[0] = 2.0
+        nova.from_dlpack(source, copy=True).fill_(2.0)
+        assert source[0] == 1.0
 
 
 def test_exports_and_imports_keep_memory_alive():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import gc
 
 import numpy as np
@@ -149,6 +150,67 @@ def test_a_write_through_an_old_dlpack_capsule_is_noticed():
         other.fill_(3.0)
         with pytest.raises(novaphy.Error, match="was modified"):
             tape.backward(loss)
+
+
+def write_at(tensor, row, value):
+    """Write as a consumer of DLPack does that ignores the read-only flag."""
+    ctypes.c_float.from_address(tensor.data_ptr + 4 * row).value = value
+
+
+def test_a_write_through_a_read_only_dlpack_export_is_noticed_also_when_it_has_ended():
+    for end_first in (False, True):
+        x = nova.tensor([1.0, 2.0], requires_grad=True)
+        capsule = x.__dlpack__(max_version=(1, 0))
+        with nova.Tape() as tape:
+            loss = square_of(x)
+            write_at(x, 1, 5.0)
+            if end_first:
+                del capsule
+            with pytest.raises(novaphy.Error, match="was modified after recording"):
+                tape.backward(loss)
+            write_at(x, 1, 2.0)
+            tape.backward(loss)
+        assert x.grad.tolist() == [2, 4]
+
+
+def test_a_write_through_dlpack_into_the_middle_of_a_rollout_is_noticed():
+    ball = Ball()
+    with nova.Tape() as tape:
+        loss = ball.forward()
+        middle = ball.states[5].particle_qd
+        capsule = middle.__dlpack__(max_version=(1, 0))
+        ctypes.c_float.from_address(middle.ptr).value += 1.0
+        with pytest.raises(novaphy.Error, match="was modified after recording"):
+            tape.backward(loss)
+    del capsule
+
+
+def test_a_training_iteration_over_exported_memory_can_be_captured():
+    x = nova.tensor([1.0, 2.0], requires_grad=True)
+    capsule = x.__dlpack__(max_version=(1, 0))
+    with nova.ScopedCapture() as capture:
+        x.zero_grad()
+        with nova.Tape() as tape:
+            tape.backward(square_of(x))
+    for value in (3.0, -7.0):
+        write_at(x, 0, value)
+        capture.graph.launch()
+        assert x.grad.tolist() == [2 * value, 4]
+    del capsule
+
+
+def test_a_write_of_torch_is_noticed():
+    torch = pytest.importorskip("torch")
+    x = nova.tensor([1.0, 2.0, 3.0], requires_grad=True)
+    theirs = torch.from_dlpack(x)
+    with nova.Tape() as tape:
+        loss = square_of(x)
+        theirs.mul_(5)
+        with pytest.raises(novaphy.Error, match="was modified after recording"):
+            tape.backward(loss)
+        theirs.div_(5)
+        tape.backward(loss)
+    assert x.grad.tolist() == [2, 4, 6]
 
 
 def test_a_read_only_export_costs_nothing_and_cannot_write():

@@ -1,4 +1,5 @@
-// The builtins of the CPU: ordered row sums, scan, stable sort, the inverse of an index table.
+// The builtins of the CPU: ordered row sums, scan, stable sort, the inverse of an index table, and
+// the checksum.
 #include <algorithm>
 #include <atomic>
 #include <cstring>
@@ -296,12 +297,55 @@ novaphy_status incidence(const novaphy_host_api&, const IsaTable&, int64_t n, co
   return NOVAPHY_OK;
 }
 
+struct Checksum {
+  const unsigned char* data;
+  int64_t bytes;
+  std::atomic<uint64_t> sum{0};  // in any order: it wraps
+};
+constexpr int64_t kChecksumChunk = 8192;  // words
+
+uint64_t mix(uint64_t x) {
+  x = (x ^ (x >> 32)) * 0xD6E8FEB86659FD93ull;
+  return x ^ (x >> 32);
+}
+
+void checksum_chunk(void* opaque, int64_t chunk) {
+  auto& c = *static_cast<Checksum*>(opaque);
+  const int64_t words = (c.bytes + 7) / 8, first = chunk * kChecksumChunk,
+                last = std::min(words, first + kChecksumChunk);
+  uint64_t sum = 0;
+  const auto add = [&](int64_t k, size_t bytes) {
+    uint64_t word = 0;
+    std::memcpy(&word, c.data + 8 * k, bytes);
+    sum += mix(mix(word + static_cast<uint64_t>(k) * 0x9E3779B97F4A7C15ull));
+  };
+  const int64_t whole = std::min(last, c.bytes / 8);
+  for (int64_t k = first; k < whole; ++k) add(k, 8);
+  if (whole < last) add(whole, static_cast<size_t>(c.bytes % 8));
+  c.sum.fetch_add(sum, std::memory_order_relaxed);
+}
+
+novaphy_status checksum(const novaphy_host_api& host, const IsaTable&, int64_t n, const uint64_t* a,
+                        novaphy_error* error) {
+  const auto bytes = static_cast<int64_t>(a[1]);
+  if (bytes < 1 || n != (bytes - 1) / 8 + 1) {
+    return fail(error, NOVAPHY_INVALID_ARGUMENT,
+                "checksum_u64: bytes: expected 1 to 8 for each of %lld words, got %lld",
+                static_cast<long long>(n), static_cast<long long>(bytes));
+  }
+  Checksum launch{pointer<const unsigned char>(a[0]), bytes};
+  host.parallel_for((n + kChecksumChunk - 1) / kChecksumChunk, checksum_chunk, &launch);
+  *pointer<uint64_t>(a[2]) = launch.sum;
+  return NOVAPHY_OK;
+}
+
 constexpr Builtin kBuiltins[] = {
     {"row_sum_f32", 7, row_sum},
     {"row_sum_pair_f32", 10, row_sum_pair},
     {"exclusive_scan_i32", 2, exclusive_scan},
     {"sort_by_key_i32", 2, sort_by_key},
     {"incidence_i32", 4, incidence},
+    {"checksum_u64", 3, checksum},
 };
 
 }  // namespace

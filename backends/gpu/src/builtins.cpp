@@ -13,7 +13,7 @@ struct Functions {
   Module module = nullptr;
   Function row_sum = nullptr, sum_chunks = nullptr, sum_last = nullptr, scan = nullptr,
            sort_count = nullptr, sort_place = nullptr, incidence_count = nullptr,
-           incidence_items = nullptr;
+           incidence_items = nullptr, checksum = nullptr;
 };
 
 // Compiled at the first use on a device and kept as long as the process.
@@ -38,7 +38,8 @@ novaphy_status load_functions(novaphy_device* device, const Functions** result,
                                                        {&f.sort_count, "sort_count"},
                                                        {&f.sort_place, "sort_place"},
                                                        {&f.incidence_count, "incidence_count"},
-                                                       {&f.incidence_items, "incidence_items"}};
+                                                       {&f.incidence_items, "incidence_items"},
+                                                       {&f.checksum, "checksum_u64"}};
   for (const auto& [function, name] : entries) {
     status = check(device, driver().module_function(function, module, name), name, error);
     if (status != NOVAPHY_OK) {
@@ -230,6 +231,24 @@ novaphy_status incidence(novaphy_stream* stream, const novaphy_kernel& kernel, i
                          error);
 }
 
+novaphy_status checksum(novaphy_stream* stream, const novaphy_kernel& kernel, int64_t n,
+                        const uint64_t* a, novaphy_error* error) {
+  uint64_t data = a[0], out = a[2];
+  auto bytes = static_cast<int64_t>(a[1]);
+  if (bytes < 1 || n != (bytes - 1) / 8 + 1)
+    return fail(error, NOVAPHY_INVALID_ARGUMENT,
+                "checksum_u64: bytes: expected 1 to 8 for each of %lld words, got %lld",
+                static_cast<long long>(n), static_cast<long long>(bytes));
+  const novaphy_status status =
+      check(stream->device, driver().fill_32(out, 0, 2, stream->stream), "checksum_u64", error);
+  if (status != NOVAPHY_OK) return status;
+  constexpr int64_t kThreads = 256, kMaxBlocks = 1024;
+  void* pointers[] = {&data, &bytes, &out};
+  return launch_function(stream, kernel.function,
+                         std::min((n + kThreads - 1) / kThreads, kMaxBlocks), kThreads, pointers,
+                         "checksum_u64", error);
+}
+
 }  // namespace
 
 void forget_builtins(const novaphy_device* device) {
@@ -255,6 +274,7 @@ novaphy_status make_builtin(novaphy_device* device, std::string_view name, novap
       {"exclusive_scan_i32", 2, exclusive_scan, &Functions::scan},
       {"sort_by_key_i32", 2, sort_by_key, &Functions::sort_count},
       {"incidence_i32", 4, incidence, &Functions::incidence_count},
+      {"checksum_u64", 3, checksum, &Functions::checksum},
   };
   for (const Builtin& builtin : kBuiltins) {
     if (name != builtin.name) continue;

@@ -225,3 +225,40 @@ BUILTIN __launch_bounds__(128) incidence_items(const int32_t* order, const int64
   const int64_t total = offsets[n];
   if (k < total) items[k] = order[slots - total + k];
 }
+
+// Two words of one range never change places unseen, because the number of a word is mixed in. The
+// sums of the blocks are added in any order: they wrap. `out` is zero before.
+#define kChecksumThreads 256
+LANE_FN uint64_t checksum_mix(uint64_t x) {
+  x = (x ^ (x >> 32)) * 0xD6E8FEB86659FD93ull;
+  return x ^ (x >> 32);
+}
+LANE_FN uint64_t checksum_word(const unsigned char* data, const int64_t bytes, const int64_t k) {
+  if (bytes - 8 * k >= 8) {
+    if (((uint64_t)data & 7) == 0) return ((const uint64_t*)data)[k];
+    if (((uint64_t)data & 3) == 0)
+      return ((const uint32_t*)data)[2 * k] | (uint64_t)((const uint32_t*)data)[2 * k + 1] << 32;
+  }
+  uint64_t word = 0;
+  for (int64_t b = 8 * k; b < bytes && b < 8 * k + 8; ++b)
+    word |= (uint64_t)data[b] << (8 * (b - 8 * k));
+  return word;
+}
+BUILTIN __launch_bounds__(kChecksumThreads) checksum_u64(const unsigned char* data,
+                                                         const int64_t bytes,
+                                                         unsigned long long* out) {
+  __shared__ uint64_t sums[kChecksumThreads];
+  const int64_t words = (bytes + 7) / 8;
+  uint64_t sum = 0;
+  for (int64_t k = (int64_t)blockIdx.x * kChecksumThreads + threadIdx.x; k < words;
+       k += (int64_t)gridDim.x * kChecksumThreads)
+    sum += checksum_mix(
+        checksum_mix(checksum_word(data, bytes, k) + (uint64_t)k * 0x9E3779B97F4A7C15ull));
+  sums[threadIdx.x] = sum;
+  __syncthreads();
+  for (unsigned step = kChecksumThreads / 2; step != 0; step /= 2) {
+    if (threadIdx.x < step) sums[threadIdx.x] += sums[threadIdx.x + step];
+    __syncthreads();
+  }
+  if (threadIdx.x == 0) atomicAdd(out, (unsigned long long)sums[0]);
+}

@@ -11,21 +11,24 @@ namespace novaphy {
 class ArrayStamp {
  public:
   // True if the array is the one that was stamped and was not written since. False for an array
-  // that was exported writable: it can change unseen.
+  // that is exported writable, or was meanwhile: it can change unseen.
   bool matches(const Array& array) const {
     const std::shared_ptr<Range> range = range_.lock();
     return range != nullptr && range == array.range() && version_ == array.version() &&
-           !range->writable_export();
+           exports_ == range->exports() && !range->writable_export();
   }
   void set(const Array& array) {
+    range_.reset();
+    if (!array.range() || array.range()->writable_export()) return;
     range_ = array.range();
     version_ = array.version();
+    exports_ = array.range()->exports();
   }
   void reset() { range_.reset(); }
 
  private:
   std::weak_ptr<Range> range_;
-  uint64_t version_ = 0;
+  uint64_t version_ = 0, exports_ = 0;
 };
 
 }  // namespace novaphy

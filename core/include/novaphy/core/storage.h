@@ -36,15 +36,26 @@ class NOVAPHY_CORE_API Range {
   // inside).
   std::shared_ptr<void> attachment;
 
-  // A writable export (NumPy, DLPack) can change the bytes behind the engine's back: from then on
-  // readers that depend on the value compare checksums. `exported_version` and `exported_checksum`
-  // describe the moment of export. Every overlapping range, also one that is made later, is marked
-  // with it.
+  // A writable export (NumPy, DLPack) can change the bytes behind the engine's back for as long as
+  // it lives: readers that depend on the value compare checksums. It counts for every overlapping
+  // range, also for one that is made later. The first lasts for ever, the second as long as the
+  // handle, which keeps the memory alive.
   void mark_writable_export();
-  bool writable_export() const { return writable_export_.load(std::memory_order_acquire); }
-  uint64_t exported_version() const { return exported_version_; }
+  std::shared_ptr<void> writable_export_scope();
+  // Whether one lives.
+  bool writable_export() const { return living_exports_.load(std::memory_order_acquire) != 0; }
+  // Whether one lives, or lived while the range had its present version.
+  bool was_exported() const {
+    const uint64_t now = version();
+    return writable_export() || exported_version() == now ||
+           export_end_.load(std::memory_order_acquire) == now;
+  }
+  uint64_t exports() const { return exports_.load(std::memory_order_relaxed); }  // so far
+  // Of the value with which the first export of that version began.
+  uint64_t exported_version() const { return exported_version_.load(std::memory_order_acquire); }
   uint64_t exported_checksum() const { return exported_checksum_; }
-  uint64_t checksum() const;  // of the bytes now; copies to the host where they are not
+  // Of the bytes now; computed on their device.
+  uint64_t checksum() const;
 
  private:
   friend class Storage;
@@ -52,8 +63,14 @@ class NOVAPHY_CORE_API Range {
   void* data_ = nullptr;
   size_t offset_ = 0, bytes_ = 0;
   std::atomic<uint64_t> version_{0};
-  std::atomic<bool> writable_export_{false};
-  uint64_t exported_version_ = 0, exported_checksum_ = 0;
+  void export_begins();  // this and what follows: under the storage's mutex
+  void export_ends();
+  int64_t own_exports_ = 0;                 // living ones of exactly this range
+  std::atomic<int64_t> living_exports_{0};  // of this and of overlapping ranges
+  std::atomic<uint64_t> exports_{0};
+  std::atomic<uint64_t> exported_version_{UINT64_MAX};
+  std::atomic<uint64_t> export_end_{UINT64_MAX};  // the version when the last one ended
+  uint64_t exported_checksum_ = 0;
   std::atomic<bool> has_overlaps_{false};
   std::vector<Range*>
       overlaps_;  // the other ranges that share bytes with this one; guarded by the storage's mutex
@@ -84,7 +101,8 @@ class NOVAPHY_CORE_API Storage : public std::enable_shared_from_this<Storage> {
  private:
   Storage() = default;
   friend class Range;
-  void mark_exported(Range& range);  // needs the lock
+  void begin_export(Range& range);
+  void end_export(Range& range);
 
   Device device_;
   void* data_ = nullptr;

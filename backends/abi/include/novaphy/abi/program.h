@@ -92,6 +92,10 @@ enum {
  * incidence_i32        n = rows; table, slots, offsets[n + 1], items[slots]
  *   The inverse of an index table: row r lists, ascending, the slots s with table[s] == r. Negative entries
  *   belong to no row; an entry >= n fails with INDEX_OUT_OF_RANGE.
+ * checksum_u64         n = ceil(bytes / 8), at least 1; data (at any address), bytes, out (8 bytes)
+ *   The sum modulo 2^64 of mix(mix(w[k] + k * 0x9E3779B97F4A7C15)) over k < n, where w[k] are the bytes as
+ *   little-endian words, the last one filled up with zeros, and mix(x) = y ^ (y >> 32) of
+ *   y = (x ^ (x >> 32)) * 0xD6E8FEB86659FD93. A backend may lack it: then the bytes are copied to the host.
  */
 #define NOVAPHY_ROW_SUM_CHUNK 256
 

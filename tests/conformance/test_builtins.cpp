@@ -285,9 +285,9 @@ TEST(Checksum, IsThatOfTheRuleForEveryLengthAndAddressAndNumberOfThreads) {
                                             {data.word() + offset, bytes, out.word()});
         ASSERT_EQ(result.status, NOVAPHY_OK) << result.message;
         const std::vector<uint32_t> got = out.read();
-        ASSERT_EQ(got[0] | uint64_t{got[1]} << 32,
-                  expected_checksum(reinterpret_cast<const unsigned char*>(words.data()) + offset,
-                                    bytes))
+        ASSERT_EQ(
+            got[0] | uint64_t{got[1]} << 32,
+            expected_checksum(reinterpret_cast<const unsigned char*>(words.data()) + offset, bytes))
             << bytes << " bytes at " << offset;
       }
   novaphy::set_num_threads(before);

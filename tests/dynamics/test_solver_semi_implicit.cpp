@@ -43,8 +43,8 @@ std::shared_ptr<Model> one_particle(const Vec3f& q = {}, const Vec3f& qd = {}) {
 // Says that a call is under way, as one of another thread would.
 class BusySolver : public SolverSemiImplicit {
  public:
-  using SolverSemiImplicit::SolverSemiImplicit;
   using SolverBase::use;
+  using SolverSemiImplicit::SolverSemiImplicit;
 };
 
 TEST(SolverSemiImplicit, ASecondCallAtTheSameTimeIsRefusedAndWritesNothing) {

@@ -18,17 +18,28 @@ std::unordered_map<PyObject*, std::string>& labels() {
   return *names;
 }
 
-// Replaces the TypeError that is set, when it is the one about arguments.
-void explain(PyObject* function, const py::object& args, const py::object& keywords) {
+struct Arguments {
+  py::list positional;
+  py::dict by_name;
+};
+
+// Replaces the TypeError that is set, when it is the one about arguments. Nothing may be thrown
+// here: Python calls.
+template <class Given>
+void explain(PyObject* function, const Given& given) {
   py::error_already_set error;
-  const std::string message = py::str(error.value());
-  if (message.find("(): incompatible ") == std::string::npos) return error.restore();
   try {
-    const py::object better = py::module_::import("novaphy._arguments")
-                                  .attr("explain")(labels()[function], message, args, keywords);
+    const std::string message = py::str(error.value());
+    if (message.find("(): incompatible ") == std::string::npos) return error.restore();
+    const Arguments arguments = given();
+    const py::object better =
+        py::module_::import("novaphy._arguments")
+            .attr("explain")(labels()[function], message, arguments.positional, arguments.by_name);
     PyErr_SetObject(PyExc_TypeError, better.ptr());
   } catch (py::error_already_set& failed) {
     failed.discard_as_unraisable("novaphy._arguments.explain");
+    error.restore();
+  } catch (const std::exception&) {
     error.restore();
   }
 }
@@ -44,22 +55,25 @@ PyCFunctionWithKeywords tuple_entry = nullptr;
 
 PyObject* call_vector(PyObject* self, PyObject* const* args, Py_ssize_t count, PyObject* names) {
   PyObject* const result = vector_entry(self, args, count, names);
-  if (wrong_arguments(result)) [[unlikely]] {
-    py::list positional;
-    for (Py_ssize_t k = 0; k < count; ++k) positional.append(py::handle(args[k]));
-    py::dict keywords;
-    for (Py_ssize_t k = 0; names != nullptr && k < PyTuple_GET_SIZE(names); ++k)
-      keywords[py::handle(PyTuple_GET_ITEM(names, k))] = py::handle(args[count + k]);
-    explain(self, positional, keywords);
-  }
+  if (wrong_arguments(result)) [[unlikely]]
+    explain(self, [&] {
+      Arguments given;
+      for (Py_ssize_t k = 0; k < count; ++k) given.positional.append(py::handle(args[k]));
+      for (Py_ssize_t k = 0; names != nullptr && k < PyTuple_GET_SIZE(names); ++k)
+        given.by_name[py::handle(PyTuple_GET_ITEM(names, k))] = py::handle(args[count + k]);
+      return given;
+    });
   return result;
 }
 
 PyObject* call_tuple(PyObject* self, PyObject* args, PyObject* keywords) {
   PyObject* const result = tuple_entry(self, args, keywords);
   if (wrong_arguments(result)) [[unlikely]]
-    explain(self, py::list(py::reinterpret_borrow<py::tuple>(args)),
-            keywords != nullptr ? py::reinterpret_borrow<py::dict>(keywords) : py::dict());
+    explain(self, [&] {
+      return Arguments{
+          py::list(py::reinterpret_borrow<py::tuple>(args)),
+          keywords != nullptr ? py::reinterpret_borrow<py::dict>(keywords) : py::dict()};
+    });
   return result;
 }
 

@@ -6,6 +6,7 @@
 
 #include "novaphy/collision/collision_pipeline.h"
 #include "novaphy/core/parallel.h"
+#include "novaphy/core/recorder.h"
 #include "novaphy/core/sim/model_builder.h"
 #include "support/bits.h"
 
@@ -255,6 +256,60 @@ TEST(CollisionPipeline, RefusesShapesThatItDoesNotCover) {
   model->shape_type.copy_from_host(type);
   EXPECT_ERROR(pipeline.collide(state, contacts), ErrorKind::NotImplemented,
                "shape 3 has type CONE");
+}
+
+// Asks for the contacts once more while they are being searched, as another thread would.
+class AsksAgain : public LaunchRecorder {
+ public:
+  AsksAgain(CollisionPipeline& pipeline, const SimState& state, Contacts& contacts)
+      : pipeline_(pipeline),
+        state_(state),
+        contacts_(contacts),
+        before_(set_launch_recorder(this)) {}
+  ~AsksAgain() override { set_launch_recorder(before_); }
+  void launch(const Launch&) override { pipeline_.collide(state_, contacts_); }
+  void depends_on(const std::shared_ptr<Range>&) override {}
+  void uses(const std::shared_ptr<ExclusiveUse>& memory) override { memory_ = memory; }
+  const std::shared_ptr<ExclusiveUse>& memory() const { return memory_; }
+
+ private:
+  CollisionPipeline& pipeline_;
+  const SimState& state_;
+  Contacts& contacts_;
+  LaunchRecorder* before_;
+  std::shared_ptr<ExclusiveUse> memory_;
+};
+
+TEST(CollisionPipeline, ASecondCallAtTheSameTimeIsRefused) {
+  ModelBuilder builder;
+  builder.add_particle({0.0f, 0.0f, 0.05f}, {}, 1.0f);
+  builder.add_ground_plane();
+  const auto model = builder.finalize(Device::cpu());
+  CollisionPipeline pipeline(model);
+  const SimState state = model->state();
+  Contacts contacts = pipeline.contacts();
+  std::shared_ptr<ExclusiveUse> memory;
+  {
+    const AsksAgain recorder(pipeline, state, contacts);
+    try {
+      pipeline.collide(state, contacts);
+      FAIL();
+    } catch (const Error& error) {
+      EXPECT_EQ(error.kind(), ErrorKind::Runtime);
+      EXPECT_STREQ(error.what(),
+                   "collide: the pipeline is in use by another call; give every thread one of its "
+                   "own");
+    }
+    memory = recorder.memory();
+  }
+  ASSERT_NE(memory, nullptr) << "a replay must take it too";
+  {
+    const ExclusiveUse::Scope replay(*memory, "graph.launch()", "the pipeline");
+    EXPECT_THROW(pipeline.collide(state, contacts), Error);
+    EXPECT_THROW(pipeline.soft_contact_pair_count(), Error);
+  }
+  pipeline.collide(state, contacts);
+  EXPECT_EQ(contacts.soft_contact_count.to_host()[0], 1);
 }
 
 }  // namespace

@@ -48,7 +48,8 @@ struct SoftBody {
   Tensor base = materials.clone(), params;
 
   explicit SoftBody(int steps = kSoftBodySteps, int cells = 2)
-      : model(make_soft_body_model(cells)), trajectory(model, steps) {
+      : model(make_soft_body_model(cells)),
+        trajectory(model, steps, false) {  // the materials alone are leaves
     std::vector<float> values;
     const std::vector<float> table = materials.to_host();
     for (size_t t = 0; t < table.size(); t += 3)

@@ -32,20 +32,26 @@ struct Binary {
   }
 };
 
+void check_devices(const char* call, const Tensor& a, const Tensor& b) {
+  require(a.device() == b.device(), ErrorKind::Value, call, ": a is on ", a.device().str(),
+          ", b on ", b.device().str());
+}
+
 template <class F>
 Tensor binary(Binary<F>& op, const Tensor& a, const Tensor& b) {
   check_f32(a, {op.name, "a"});
   check_f32(b, {op.name, "b"});
-  require(a.device() == b.device(), ErrorKind::Value, op.name, ": a is on ", a.device().str(),
-          ", b on ", b.device().str());
-  const bool one_a = a.size() == 1 && b.size() != 1, one_b = b.size() == 1 && a.size() != 1;
-  require(one_a || one_b || a.shape() == b.shape() || (a.size() == 1 && b.size() == 1),
-          ErrorKind::Value, op.name, ": shapes ", shape_str(a.shape()), " and ",
-          shape_str(b.shape()), " differ");
-  const Tensor out(one_a ? b.shape() : a.shape(), DType::F32, a.device());
+  check_devices(op.name, a, b);
+  const Shape shape = broadcast_shape(op.name, a.shape(), b.shape());
+  const bool one_a = a.size() == 1, one_b = b.size() == 1;
+  if (!(one_a || a.shape() == shape) || !(one_b || b.shape() == shape))
+    return binary(op, broadcast_to(a, shape), broadcast_to(b, shape));
+  const Tensor out(shape, DType::F32, a.device());
   const Operand in[] = {a.flat_operand(), b.flat_operand()};
   const Operand to = out.flat_operand();
-  op.kernel(one_a ? Access::Uniform : Access::Direct, one_b ? Access::Uniform : Access::Direct)
+  const bool one = out.size() == 1;
+  op.kernel(one_a && !one ? Access::Uniform : Access::Direct,
+            one_b && !one ? Access::Uniform : Access::Direct)
       .launch(out.size(), in, {&to, 1});
   return out;
 }
@@ -105,6 +111,8 @@ NOVA_SCALAR_OP(mul_scalar, "mul_scalar", v* s)
 NOVA_SCALAR_OP(div_scalar, "div_scalar", v / s)
 NOVA_SCALAR_OP(scalar_sub, "scalar_sub", s - v)
 NOVA_SCALAR_OP(scalar_div, "scalar_div", s / v)
+NOVA_SCALAR_OP(pow_scalar, "pow_scalar", pow(v, s))
+NOVA_SCALAR_OP(scalar_pow, "scalar_pow", pow(s, v))
 NOVA_UNARY_OP(neg, -v)
 NOVA_UNARY_OP(abs, abs(v))
 NOVA_UNARY_OP(sqrt, sqrt(v))
@@ -114,29 +122,51 @@ NOVA_UNARY_OP(sin, sin(v))
 NOVA_UNARY_OP(cos, cos(v))
 NOVA_UNARY_OP(tanh, tanh(v))
 
+const Kernel& pow_kernel() {
+  static const Kernel kernel = make_kernel(
+      "pow", {{"a", DType::F32, 1, Access::Direct}, {"b", DType::F32, 1, Access::Direct}},
+      {{"out", 1}}, [](TraceContext& c) { return std::vector{pow(c.f32(0), c.f32(1))}; });
+  return kernel;
+}
+
+// Which of the four ways in which two numbers can compare make a 1: bits of a launch parameter.
+enum Holds : int32_t { kLess = 1, kEqual = 2, kGreater = 4, kUnordered = 8 };
+int32_t holds(Comparison what) {
+  constexpr int32_t kHolds[] = {
+      kLess, kLess | kEqual, kEqual, kLess | kGreater | kUnordered, kGreater | kEqual, kGreater};
+  return kHolds[static_cast<size_t>(what)];
+}
+Real compared(TraceContext& c, const Real& a, const Real& b) {
+  const Int wanted = c.param_i32(0);
+  const Int found =
+      select(a < b, Int(kLess),
+             select(a == b, Int(kEqual), select(b < a, Int(kGreater), Int(kUnordered))));
+  return select((wanted & found) != Int(0), Real(1.0f), Real(0.0f));
+}
+const Kernel& compare_kernel() {
+  static const Kernel kernel = make_kernel(
+      "compare", {{"a", DType::F32, 1, Access::Direct}, {"b", DType::F32, 1, Access::Direct}},
+      {{"out", 1}}, [](TraceContext& c) { return std::vector{compared(c, c.f32(0), c.f32(1))}; });
+  return kernel;
+}
+const Kernel& compare_scalar_kernel() {
+  static const Kernel kernel = unary_kernel(
+      "compare_scalar", [](TraceContext& c, const Real& v) { return compared(c, v, c.param(1)); });
+  return kernel;
+}
+
+// A float is 0 when all bits but the sign are, so parameter 0, the bits that count, serves
+// conditions of both types.
 const Kernel& where_kernel() {
-  static const Kernel kernel = make_kernel(
-      "where",
-      {{"condition", DType::I32, 1, Access::Direct},
-       {"a", DType::F32, 1, Access::Direct},
-       {"b", DType::F32, 1, Access::Direct}},
-      {{"out", 1}},
-      [](TraceContext& c) { return std::vector{select(c.i32(0) != Int(0), c.f32(1), c.f32(2))}; });
-  return kernel;
-}
-
-// The adjoint of a sum of rows: every row gets the gradient of the sum.
-const Kernel& broadcast_kernel() {
-  static const Kernel kernel = make_kernel(
-      "broadcast", {{"row", DType::F32, 1, Access::Indexed}}, {{"out", 1}},
-      [](TraceContext& c) { return std::vector{c.f32(0, c.index() % c.param_i32(0), 0)}; });
-  return kernel;
-}
-
-const Kernel& broadcast_value_kernel() {
-  static const Kernel kernel =
-      make_kernel("broadcast_value", {{"value", DType::F32, 1, Access::Uniform}}, {{"out", 1}},
-                  [](TraceContext& c) { return std::vector{c.f32(0)}; });
+  static const Kernel kernel = make_kernel("where",
+                                           {{"condition", DType::I32, 1, Access::Direct},
+                                            {"a", DType::F32, 1, Access::Direct},
+                                            {"b", DType::F32, 1, Access::Direct}},
+                                           {{"out", 1}}, [](TraceContext& c) {
+                                             const Bool holds =
+                                                 (c.i32(0) & c.param_i32(0)) != Int(0);
+                                             return std::vector{select(holds, c.f32(1), c.f32(2))};
+                                           });
   return kernel;
 }
 
@@ -154,7 +184,8 @@ Tensor with_parameter(const Kernel& kernel, const Tensor& x, float value) {
 #define NOVA_BINARY_OPS(X) X(add) X(sub) X(mul) X(div) X(minimum) X(maximum)
 #define NOVA_UNARY_OPS(X) X(neg) X(abs) X(sqrt) X(exp) X(log) X(sin) X(cos) X(tanh)
 #define NOVA_SCALAR_OPS(X) \
-  X(add_scalar) X(sub_scalar) X(mul_scalar) X(div_scalar) X(scalar_sub) X(scalar_div)
+  X(add_scalar)            \
+  X(sub_scalar) X(mul_scalar) X(div_scalar) X(scalar_sub) X(scalar_div) X(pow_scalar) X(scalar_pow)
 
 NOVA_BINARY_OPS(NOVA_DEFINE_BINARY)
 NOVA_UNARY_OPS(NOVA_DEFINE_UNARY)
@@ -164,6 +195,10 @@ Tensor mul(const Tensor& x, float b) { return with_parameter(mul_scalar_kernel()
 Tensor div(const Tensor& x, float b) { return with_parameter(div_scalar_kernel(), x, b); }
 Tensor sub(float a, const Tensor& x) { return with_parameter(scalar_sub_kernel(), x, a); }
 Tensor div(float a, const Tensor& x) { return with_parameter(scalar_div_kernel(), x, a); }
+Tensor pow(float a, const Tensor& x) { return with_parameter(scalar_pow_kernel(), x, a); }
+Tensor pow(const Tensor& x, float b) {
+  return b == 2.0f ? mul(x, x) : with_parameter(pow_scalar_kernel(), x, b);
+}
 
 void detail::add_op_kernels(EngineKernels& list) {
   const auto add_one = [&](const Kernel& k) { list.push_back({k, every_gradient(k)}); };
@@ -177,8 +212,12 @@ void detail::add_op_kernels(EngineKernels& list) {
   NOVA_SCALAR_OPS(NOVA_LIST_UNARY)
   add_one(detail::clamp_kernel());
   add_one(where_kernel());
-  list.push_back({broadcast_kernel(), {}});  // these two are only ever part of a backward
-  list.push_back({broadcast_value_kernel(), {}});
+  list.push_back({pow_kernel(),
+                  {gradient_mask(pow_kernel(), {"a"}, {}, {"out"}),
+                   gradient_mask(pow_kernel(), {"b"}, {}, {"out"}),
+                   gradient_mask(pow_kernel(), {"a", "b"}, {}, {"out"})}});
+  list.push_back({compare_kernel(), {}});
+  list.push_back({compare_scalar_kernel(), {}});
 }
 
 const Kernel& detail::clamp_kernel() {
@@ -198,64 +237,57 @@ Tensor clamp(const Tensor& x, float lower, float upper) {
   return unary(detail::clamp_kernel(), x, params);
 }
 
-Tensor where(const Tensor& condition, const Tensor& a, const Tensor& b) {
-  require(condition.defined() && condition.dtype() == DType::I32, ErrorKind::Type,
-          "where, condition: expected int32");
-  check_f32(a, {"where", "a"});
-  check_f32(b, {"where", "b"});
-  require(condition.shape() == a.shape() && a.shape() == b.shape(), ErrorKind::Value,
-          "where: shapes ", shape_str(condition.shape()), ", ", shape_str(a.shape()), " and ",
-          shape_str(b.shape()), " differ");
-  const Tensor out(a.shape(), DType::F32, a.device());
-  const Operand in[] = {condition.flat_operand(), a.flat_operand(), b.flat_operand()};
-  const Operand to = out.flat_operand();
-  where_kernel().launch(out.size(), in, {&to, 1});
-  return out;
-}
-
 namespace {
 
-// Sums of all rows: {1, w} as `shape`. Its adjoint gives every row the gradient of the sum.
-Tensor sum_of_rows(const Operand& x, Shape shape, const Tensor& source) {
-  const Tensor out(std::move(shape), DType::F32, source.device());
-  row_sum(x, 1, x.rows, nullptr, {out.range(), 1, x.width});
-  if (Tape* tape = Tape::active()) {
-    CustomOp op = make_custom_op("sum", {source}, {out}, [x](const std::vector<Tensor>& g) {
-      const Tensor spread(Shape{x.rows, x.width}, DType::F32, g[0].device());
-      const Operand in = g[0].flat_operand(), to = spread.flat_operand();
-      const Param width[] = {x.width};
-      // A single value goes without the row number, and so block by block with its neighbours.
-      const bool one = x.width == 1;
-      (one ? broadcast_value_kernel() : broadcast_kernel())
-          .launch(spread.size(), {&in, 1}, {&to, 1},
-                  {.params = std::span<const Param>(width, one ? 0 : 1)});
-      return std::vector<Tensor>{spread};
-    });
-    op.jvp = [x](std::span<const Tensor> in, std::span<const Tensor> sums) {
-      row_sum({in[0].range(), x.rows, x.width}, 1, x.rows, nullptr, {sums[0].range(), 1, x.width});
-    };
-    tape->record_custom(std::move(op));
-  }
+// Both operands in full, in one shape.
+Tensor launch_pair(const Kernel& kernel, const Tensor& a, const Tensor& b,
+                   std::span<const Param> params = {}) {
+  const char* call = kernel.name().c_str();
+  check_f32(a, {call, "a"});
+  check_f32(b, {call, "b"});
+  check_devices(call, a, b);
+  const Shape shape = broadcast_shape(call, a.shape(), b.shape());
+  const Tensor out(shape, DType::F32, a.device());
+  const Operand in[] = {broadcast_to(a, shape).flat_operand(),
+                        broadcast_to(b, shape).flat_operand()};
+  const Operand to = out.flat_operand();
+  kernel.launch(out.size(), in, {&to, 1}, {.params = params});
   return out;
 }
 
 }  // namespace
 
-Tensor sum(const Tensor& x) {
-  check_f32(x, {"sum", "x"});
-  return sum_of_rows(x.flat_operand(), {1}, x);
+Tensor pow(const Tensor& a, const Tensor& b) { return launch_pair(pow_kernel(), a, b); }
+
+Tensor compare(Comparison what, const Tensor& a, const Tensor& b) {
+  const NoGrad no_grad;
+  const Param params[] = {holds(what)};
+  return launch_pair(compare_kernel(), a, b, params);
 }
-Tensor sum_rows(const Tensor& x) {
-  check_f32(x, {"sum_rows", "x"});
-  require(x.ndim() == 2, ErrorKind::Value, "sum_rows, x: expected {n, w}, got ",
-          shape_str(x.shape()));
-  return sum_of_rows(x.operand(), {1, x.row_width()}, x);
+Tensor compare(Comparison what, const Tensor& a, float b) {
+  const NoGrad no_grad;
+  const Param params[] = {holds(what), b};
+  return unary(compare_scalar_kernel(), a, params);
 }
-Tensor mean(const Tensor& x) {
-  require(x.defined() && x.size() > 0, ErrorKind::Value, "mean, x: expected at least one value");
-  return div(sum(x), static_cast<float>(x.size()));
+
+Tensor where(const Tensor& condition, const Tensor& a, const Tensor& b) {
+  require(condition.defined() && condition.dtype() != DType::U8, ErrorKind::Type,
+          "where, condition: expected int32 or float32, got ",
+          condition.defined() ? dtype_name(condition.dtype()) : "an undefined tensor");
+  check_f32(a, {"where", "a"});
+  check_f32(b, {"where", "b"});
+  check_devices("where", a, b);
+  const Shape shape =
+      broadcast_shape("where", condition.shape(), broadcast_shape("where", a.shape(), b.shape()));
+  const Tensor out(shape, DType::F32, a.device());
+  const Tensor words(condition.range(), condition.shape(), DType::F32);
+  Operand in[] = {broadcast_to(words, shape).flat_operand(), broadcast_to(a, shape).flat_operand(),
+                  broadcast_to(b, shape).flat_operand()};
+  in[0].type = ir::Type::I32;
+  const Operand to = out.flat_operand();
+  const Param params[] = {condition.dtype() == DType::F32 ? INT32_MAX : int32_t{-1}};
+  where_kernel().launch(out.size(), in, {&to, 1}, {.params = params});
+  return out;
 }
-Tensor dot(const Tensor& a, const Tensor& b) { return sum(mul(a, b)); }
-Tensor norm(const Tensor& x) { return sqrt(dot(x, x)); }
 
 }  // namespace nova

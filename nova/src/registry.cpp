@@ -11,6 +11,9 @@ namespace nova {
 std::vector<EngineKernel> engine_kernels() {
   std::vector<EngineKernel> list;
   detail::add_op_kernels(list);
+  detail::add_sum_kernels(list);
+  detail::add_row_kernels(list);
+  detail::add_matmul_kernels(list);
   detail::add_optim_kernels(list);
   detail::add_tape_kernels(list);
   detail::add_tensor_kernels(list);

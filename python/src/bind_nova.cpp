@@ -203,11 +203,22 @@ void bind_creation(py::module_& m) {
   m.def(                         \
       #name, [](const Tensor& x) { return nova::name(x); }, "x"_a, release_gil(), doc);
 
+// Not a tensor: its value would be taken and its gradient dropped.
+float to_number(py::handle value, const char* name) {
+  require(!py::isinstance<nova::TensorImpl>(value), ErrorKind::Type, name,
+          ": expected a number, got a Tensor");
+  return to_float(value, name);
+}
+
+void check_keepdims(const char* call, std::optional<int64_t> axis, bool keepdims) {
+  require(axis || !keepdims, ErrorKind::Value, call, ", keepdims: expected an axis with it");
+}
+
 void bind_functions(py::module_& m) {
-  NOVAPHY_BINARY(add, "a + b; one of them may hold a single value.")
-  NOVAPHY_BINARY(sub, "a - b; one of them may hold a single value.")
-  NOVAPHY_BINARY(mul, "a * b; one of them may hold a single value.")
-  NOVAPHY_BINARY(div, "a / b; one of them may hold a single value.")
+  NOVAPHY_BINARY(add, "a + b, broadcast as in NumPy.")
+  NOVAPHY_BINARY(sub, "a - b, broadcast as in NumPy.")
+  NOVAPHY_BINARY(mul, "a * b, broadcast as in NumPy.")
+  NOVAPHY_BINARY(div, "a / b, broadcast as in NumPy.")
   NOVAPHY_BINARY(minimum, "The smaller value; the gradient goes to a where a < b, else to b.")
   NOVAPHY_BINARY(maximum, "The larger value; the gradient goes to a where a > b, else to b.")
   m.def(
@@ -238,15 +249,29 @@ void bind_functions(py::module_& m) {
   NOVAPHY_UNARY(tanh, "Hyperbolic tangent.")
   m.def(
       "clamp",
-      [](const Tensor& x, float lower, float upper) { return nova::clamp(x, lower, upper); }, "x"_a,
-      "lower"_a, "upper"_a, release_gil(),
+      [](const Tensor& x, py::handle lower, py::handle upper) {
+        const float limits[] = {to_number(lower, "lower"), to_number(upper, "upper")};
+        const py::gil_scoped_release release;
+        return nova::clamp(x, limits[0], limits[1]);
+      },
+      "x"_a, "lower"_a, "upper"_a,
       "x limited to [lower, upper]; gradient 1 inside and at the bounds, 0 outside.");
+  NOVAPHY_BINARY(pow, "a to the power of b, broadcast as in NumPy; an exponent 2 gives a * a.")
+  m.def(
+      "pow", [](const Tensor& a, float b) { return nova::pow(a, b); }, "a"_a, "b"_a, release_gil());
+  m.def(
+      "pow", [](float a, const Tensor& b) { return nova::pow(a, b); }, "a"_a, "b"_a, release_gil());
   m.def(
       "where",
-      [](const Tensor& c, const Tensor& a, const Tensor& b) { return nova::where(c, a, b); },
-      "condition"_a, "a"_a, "b"_a, release_gil(), "a where the int32 condition is not 0, else b.");
-  NOVAPHY_UNARY(sum, "Sum of all values, {1}, in a fixed order.")
-  NOVAPHY_UNARY(mean, "Mean of all values, {1}.")
+      [](const Tensor& condition, py::handle a, py::handle b) {
+        const Tensor x = to_operand(a, "a", condition.device());
+        const Tensor y = to_operand(b, "b", condition.device());
+        const py::gil_scoped_release release;
+        return nova::where(condition, x, y);
+      },
+      "condition"_a, "a"_a, "b"_a,
+      "a where the condition (int32 or float32) is not 0, else b; tensors or numbers, broadcast "
+      "as in NumPy. No gradient flows to the condition.");
   NOVAPHY_UNARY(norm, "Euclidean norm of all values, {1}; no gradient at 0.")
   NOVAPHY_UNARY(sum_rows, "Sum of the rows of {n, w}: {1, w}.")
   m.def(
@@ -254,13 +279,56 @@ void bind_functions(py::module_& m) {
       release_gil(), "Sum of a * b, {1}.");
 }
 
+void bind_shapes(py::module_& m) {
+  m.def(
+       "sum",
+       [](const Tensor& x, std::optional<int64_t> axis, bool keepdims) {
+         check_keepdims("sum", axis, keepdims);
+         return axis ? nova::sum(x, *axis, keepdims) : nova::sum(x);
+       },
+       "x"_a, "axis"_a = py::none(), "keepdims"_a = false, release_gil(),
+       "Sum of all values, {1}, or over one dimension, in a fixed order.")
+      .def(
+          "mean",
+          [](const Tensor& x, std::optional<int64_t> axis, bool keepdims) {
+            check_keepdims("mean", axis, keepdims);
+            return axis ? nova::mean(x, *axis, keepdims) : nova::mean(x);
+          },
+          "x"_a, "axis"_a = py::none(), "keepdims"_a = false, release_gil(),
+          "Mean of all values, {1}, or over one dimension.")
+      .def(
+          "broadcast_to",
+          [](const Tensor& x, py::handle shape) { return nova::broadcast_to(x, to_shape(shape)); },
+          "x"_a, "shape"_a, "x repeated to a shape, as in NumPy.")
+      .def(
+          "gather", [](const Tensor& x, const Tensor& index) { return nova::gather(x, index); },
+          "x"_a, "index"_a, release_gil(),
+          "Rows of x by an int32 tensor of any shape: index.shape + x.shape[1:]. A row may be "
+          "named several times: its gradient is the sum, in the order of the index. IndexError "
+          "for an entry outside of 0 to len(x) - 1.")
+      .def(
+          "concat",
+          [](const std::vector<Tensor>& parts, int64_t axis) { return nova::concat(parts, axis); },
+          "parts"_a, "axis"_a = 0, release_gil(),
+          "Tensors one after the other along a dimension; their other dimensions are equal.");
+  NOVAPHY_BINARY(matmul,
+                 "Matrix product of {n, k} or {k} by {k, m} or {k}: each value is a left fold in "
+                 "ascending k.")
+}
+
 }  // namespace
+
+Tensor to_operand(py::handle value, const char* name, const Device& device) {
+  if (py::isinstance<nova::TensorImpl>(value)) return value.cast<Tensor>();
+  return Tensor::full({1}, to_float(value, name), device);
+}
 
 void bind_nova(py::module_& m) {
   for (const DType dtype : {DType::float32, DType::int32, DType::uint8})
     m.attr(dtype_info(dtype).name) = dtype_object(dtype);
   bind_creation(m);
   bind_functions(m);
+  bind_shapes(m);
 }
 
 }  // namespace novaphy::python

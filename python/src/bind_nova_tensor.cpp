@@ -49,10 +49,30 @@ py::object grad_of(const Tensor& self) {
   return py::cast(self.grad());
 }
 
+// Large tensors are shortened, and a capture, in which no value is there yet, shows none.
 std::string repr(const Tensor& t) {
-  return "Tensor(shape=" + shape_text(t.shape()) + ", dtype=" + nova::dtype_name(t.dtype()) +
-         ", device='" + t.device().str() + "'" + (t.requires_grad() ? ", requires_grad=True" : "") +
-         ")";
+  std::string values;
+  if (nova::current_capture() == nullptr)
+    values = std::string(py::str(py::module_::import("numpy").attr("array2string")(
+                 copy_to_numpy(view_of(t)), "separator"_a = ", ", "threshold"_a = 60,
+                 "prefix"_a = "Tensor("))) +
+             ", ";
+  return "Tensor(" + values + "shape=" + shape_text(t.shape()) +
+         ", dtype=" + nova::dtype_name(t.dtype()) + ", device='" + t.device().str() + "'" +
+         (t.requires_grad() ? ", requires_grad=True" : "") + ")";
+}
+
+// The value of a tensor that holds one, as a Python number.
+py::object item(const Tensor& t) {
+  require(t.size() == 1, ErrorKind::Value, "item: expected one value, got shape ",
+          nova::shape_str(t.shape()));
+  return copy_to_numpy(view_of(t)).attr("item")();
+}
+
+bool truth(const Tensor& t) {
+  require(t.size() == 1, ErrorKind::Value, "bool: a tensor of shape ", nova::shape_str(t.shape()),
+          " has no single truth value; compare its numpy()");
+  return py::bool_(item(t));
 }
 
 // The values, in memory of their own after unpickling. A recorded result has no copy: it would look
@@ -119,14 +139,7 @@ void bind_methods(TensorClass& c) {
        "A NumPy array: a copy, or with copy=False the memory itself, read-only unless "
        "writable=True. novaphy.Error in a "
        "capture.")
-      .def(
-          "item",
-          [](const Tensor& t) {
-            require(t.size() == 1, ErrorKind::Value, "item: expected one value, got shape ",
-                    nova::shape_str(t.shape()));
-            return py::object(copy_to_numpy(view_of(t)).attr("item")());
-          },
-          "The value of a tensor that holds one, as a Python number.")
+      .def("item", &item, "The value of a tensor that holds one, as a Python number.")
       .def(
           "tolist",
           [](const Tensor& t) { return py::object(copy_to_numpy(view_of(t)).attr("tolist")()); },
@@ -177,11 +190,22 @@ void bind_methods(TensorClass& c) {
              require(t.ndim() != 0, ErrorKind::Type, "len: the tensor has no dimension");
              return t.dim(0);
            })
-      .def(
-          "__getitem__",
-          [](const Tensor& t, py::handle index) { return get_rows(view_of(t), index); }, "index"_a,
-          "Rows as a NumPy copy.")
-      .def("__iter__", [](const Tensor& t) { return py::iter(copy_to_numpy(view_of(t))); })
+      .def("__getitem__", &get_item, "index"_a,
+           "Entries by NumPy's indices: integers, slices, ..., and first a table of rows (an int32 "
+           "tensor, a list, an array of integers or truth values). A copy, recorded on an active "
+           "tape; a single value is {1}. IndexError.")
+      .def("__iter__",
+           [](const py::object& self) {
+             return py::reinterpret_steal<py::object>(PySeqIter_New(self.ptr()));
+           })
+      .def("__float__", [](const Tensor& t) { return py::float_(item(t)); })
+      .def("__int__", [](const Tensor& t) { return py::int_(item(t)); })
+      .def("__bool__", &truth)
+      .def("__format__",
+           [](const Tensor& t, const py::str& spec) -> py::str {
+             if (py::len(spec) == 0) return repr(t);
+             return item(t).attr("__format__")(spec);
+           })
       .def(
           "__array__",
           [](const Tensor& t, py::handle dtype, py::handle copy) {
@@ -230,6 +254,18 @@ void bind_methods(TensorClass& c) {
       "__" #name "__", [](const Tensor& a, float b) { return expression; }, py::is_operator(), \
       release_gil())
 
+#define NOVAPHY_COMPARISON(name, what)                                                          \
+  c.def(                                                                                        \
+       "__" #name "__",                                                                         \
+       [](const Tensor& a, const Tensor& b) {                                                   \
+         return nova::compare(nova::Comparison::what, a, b);                                    \
+       },                                                                                       \
+       py::is_operator(), release_gil())                                                        \
+      .def(                                                                                     \
+          "__" #name "__",                                                                      \
+          [](const Tensor& a, float b) { return nova::compare(nova::Comparison::what, a, b); }, \
+          py::is_operator(), release_gil())
+
 void bind_operators(TensorClass& c) {
   NOVAPHY_OPERATOR(add, add);
   NOVAPHY_OPERATOR(sub, sub);
@@ -239,6 +275,26 @@ void bind_operators(TensorClass& c) {
   NOVAPHY_REVERSED(rsub, nova::sub(b, a));
   NOVAPHY_REVERSED(rmul, nova::mul(a, b));
   NOVAPHY_REVERSED(rtruediv, nova::div(b, a));
+  NOVAPHY_OPERATOR(pow, pow);
+  NOVAPHY_REVERSED(rpow, nova::pow(b, a));
+  NOVAPHY_COMPARISON(lt, Lt);
+  NOVAPHY_COMPARISON(le, Le);
+  NOVAPHY_COMPARISON(eq, Eq);
+  NOVAPHY_COMPARISON(ne, Ne);
+  NOVAPHY_COMPARISON(ge, Ge);
+  NOVAPHY_COMPARISON(gt, Gt);
+  // Python would answer False, and True, for what is comparable with no one.
+  for (const char* name : {"__eq__", "__ne__"})
+    c.def(name, [name](const Tensor&, const py::object& other) -> py::object {
+      require(!PyList_Check(other.ptr()) && !py::hasattr(other, "__array__"), ErrorKind::Type, name,
+              ": expected a Tensor or a number, got ", type_name(other),
+              "; make it a tensor with nova.tensor");
+      return py::reinterpret_borrow<py::object>(Py_NotImplemented);
+    });
+  c.attr("__hash__") = py::module_::import("builtins").attr("object").attr("__hash__");
+  c.def(
+      "__matmul__", [](const Tensor& a, const Tensor& b) { return nova::matmul(a, b); },
+      py::is_operator(), release_gil());
   c.def(
       "__neg__", [](const Tensor& t) { return nova::neg(t); }, release_gil());
   c.def(

@@ -45,6 +45,10 @@ nova::DType to_nova_dtype(py::handle value);
 DType dtype_of(nova::DType dtype);
 View view_of(const nova::Tensor& tensor);
 nova::Tensor tensor_of(const View& view);
+// A Tensor, or a number as a tensor of one value on the device. TypeError names the argument.
+nova::Tensor to_operand(py::handle value, const char* name, const Device& device);
+// x[key]: a recorded read. IndexError, or TypeError for what is no index.
+nova::Tensor get_item(const nova::Tensor& x, py::handle key);
 
 // A Python callable that native code may call and drop on any thread.
 class Callback {

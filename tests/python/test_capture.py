@@ -73,7 +73,7 @@ def test_a_replay_sees_new_values():
         lambda s: s.velocity.numpy(),
         lambda s: s.velocity.numpy(copy=False),
         lambda s: s.velocity.numpy(copy=False, writable=True),
-        lambda s: s.last[0],
+        lambda s: float(s.last[0, 0]),
         lambda s: s.last.tolist(),
         lambda s: np.asarray(s.velocity),
         lambda s: np.from_dlpack(s.velocity),

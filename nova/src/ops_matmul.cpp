@@ -1,0 +1,94 @@
+// The matrix product. Its two gradients are products with transposed matrices, so that one kernel,
+// which takes the strides as parameters, is all three.
+#include "checks.h"
+#include "engine_kernels.h"
+#include "novaphy/nova/kernel.h"
+#include "novaphy/nova/ops.h"
+#include "novaphy/nova/tape.h"
+#include "ops_impl.h"
+
+namespace nova {
+
+using detail::check_f32;
+using detail::int_param;
+using novaphy::require;
+
+namespace {
+
+// Parameters: columns of the result; strides of the rows and columns of a, then of b.
+const Kernel& matmul_kernel() {
+  static const Kernel kernel = make_reduce_kernel(
+      "matmul", {{"a", DType::F32, 1, Access::Indexed}, {"b", DType::F32, 1, Access::Indexed}},
+      {{"out", 1}},
+      {.init = {},
+       .body =
+           [](TraceContext& c) {
+             const Int columns = c.param_i32(0), i = c.index(), k = c.reduce_index();
+             const Int of_a = i / columns * c.param_i32(1) + k * c.param_i32(2);
+             const Int of_b = k * c.param_i32(3) + i % columns * c.param_i32(4);
+             return std::vector{c.f32(0, of_a, 0) * c.f32(1, of_b, 0)};
+           },
+       .epilogue = {}});
+  return kernel;
+}
+
+// A matrix in memory: entry (r, c) at r * row + c * column.
+struct Matrix {
+  const Tensor& tensor;
+  int64_t rows, columns;
+  int64_t row = columns, column = 1;
+  Matrix transposed() const { return {tensor, columns, rows, column, row}; }
+};
+
+Tensor product(const Matrix& a, const Matrix& b, const Shape& shape) {
+  const Tensor out(shape, DType::F32, a.tensor.device());
+  const auto param = [](int64_t value) { return int_param("matmul", value); };
+  const Param params[] = {param(b.columns), param(a.row), param(a.column), param(b.row),
+                          param(b.column)};
+  param(a.columns);
+  const Operand in[] = {a.tensor.flat_operand(), b.tensor.flat_operand()};
+  const Operand to = out.flat_operand();
+  const NoGrad no_grad;
+  matmul_kernel().launch(out.size(), in, {&to, 1},
+                         {.params = params, .extent = static_cast<int32_t>(a.columns)});
+  return out;
+}
+
+}  // namespace
+
+void detail::add_matmul_kernels(EngineKernels& list) { list.push_back({matmul_kernel(), {}}); }
+
+Tensor matmul(const Tensor& a, const Tensor& b) {
+  check_f32(a, {"matmul", "a"});
+  check_f32(b, {"matmul", "b"});
+  require(a.device() == b.device(), ErrorKind::Value, "matmul: a is on ", a.device().str(),
+          ", b on ", b.device().str());
+  const auto is_matrix = [](const Tensor& x) { return x.ndim() == 2; };
+  const auto fits = [&](const Tensor& x) { return x.ndim() == 1 || is_matrix(x); };
+  const int64_t shared = a.ndim() == 0 ? 1 : a.shape().back();
+  require(fits(a) && fits(b) && b.dim(0) == shared, ErrorKind::Value,
+          "matmul: expected {n, k} or {k} by {k, m} or {k}, got ", shape_str(a.shape()), " by ",
+          shape_str(b.shape()));
+  const int64_t n = is_matrix(a) ? a.dim(0) : 1, m = is_matrix(b) ? b.dim(1) : 1;
+  Shape shape;
+  if (is_matrix(a)) shape.push_back(n);
+  if (is_matrix(b)) shape.push_back(m);
+  if (shape.empty()) shape.push_back(1);
+  const Tensor out = product({a, n, shared}, {b, shared, m}, shape);
+  const auto vjp = [=](detail::Gradients g, detail::InputGradients to) {
+    const Matrix left{a, n, shared}, right{b, shared, m}, grad{g[0], n, m};
+    if (to[0].wanted()) to[0].put(product(grad, right.transposed(), a.shape()));
+    if (to[1].wanted()) to[1].put(product(left.transposed(), grad, b.shape()));
+  };
+  const auto tangent = [=](std::span<const Tensor> t) {
+    Tensor total;
+    if (t[0].defined()) total = product({t[0], n, shared}, {b, shared, m}, shape);
+    if (!t[1].defined()) return total;
+    const Tensor second = product({a, n, shared}, {t[1], shared, m}, shape);
+    return total.defined() ? add(total, second) : second;
+  };
+  detail::record("matmul", {a, b}, out, vjp, tangent, {a, b});
+  return out;
+}
+
+}  // namespace nova

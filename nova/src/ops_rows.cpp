@@ -1,0 +1,226 @@
+// Reads of parts of a tensor, and their assembly: slice, gather, concat. They move 32-bit words, so
+// int32 tensors go the same way as float32, without a gradient.
+#include <algorithm>
+#include <string>
+
+#include "checks.h"
+#include "engine_kernels.h"
+#include "novaphy/nova/incidence.h"
+#include "novaphy/nova/kernel.h"
+#include "novaphy/nova/op_list.h"
+#include "novaphy/nova/ops.h"
+#include "novaphy/nova/tape.h"
+#include "ops_impl.h"
+
+namespace nova {
+
+using detail::Along;
+using detail::Gradients;
+using detail::InputGradients;
+using detail::int_param;
+using novaphy::fail;
+using novaphy::require;
+
+namespace {
+
+// Entry k of a dimension of the target takes entry (k * times + plus) / over of the source, where
+// that is whole and there. This is a slice, and with the inverse map its adjoint.
+struct EntryMap {
+  int64_t times = 1, plus = 0, over = 1;
+};
+
+// Parameters: the words of the inner dimensions; of all from the mapped one on, in the target and
+// in the source; entries of the source; the map. What is not taken stays.
+const Kernel& copy_entries_kernel() {
+  static const Kernel kernel = make_kernel(
+      "copy_entries",
+      {{"source", DType::F32, 1, Access::Indexed}, {"before", DType::F32, 1, Access::Direct}},
+      {{"out", 1}}, [](TraceContext& c) {
+        const Int inner = c.param_i32(0), block = c.param_i32(1), source_block = c.param_i32(2);
+        const Int i = c.index(), mapped = i % block / inner * c.param_i32(4) + c.param_i32(5);
+        const Int entry = mapped / c.param_i32(6);
+        const Bool there =
+            both(both(Int(0) <= mapped, entry < c.param_i32(3)), entry * c.param_i32(6) == mapped);
+        const Int row = i / block * source_block + entry * inner + i % inner;
+        return std::vector{select(there, c.f32(0, select(there, row, Int(-1)), 0), c.f32(1))};
+      });
+  return kernel;
+}
+
+const Kernel& gather_kernel() {
+  static const Kernel kernel = make_kernel(
+      "gather", {{"index", DType::I32, 1, Access::Indexed}, {"x", DType::F32, 1, Access::Indexed}},
+      {{"out", 1}}, [](TraceContext& c) {
+        const Int width = c.param_i32(0), i = c.index(), row = c.i32(0, i / width, 0);
+        const Bool there = both(Int(0) <= row, row < c.param_i32(1));
+        const Int past_the_end = INT32_MAX;  // fails the launch
+        return std::vector{c.f32(1, select(there, row * width + i % width, past_the_end), 0)};
+      });
+  return kernel;
+}
+
+Operand words_of(const Tensor& x) {
+  Operand words = x.flat_operand();
+  words.type = ir::Type::F32;
+  return words;
+}
+
+// The two have the same shape but for the dimension that is mapped.
+void copy_entries(const char* call, const Tensor& source, const Tensor& target, const Along& along,
+                  const EntryMap& map) {
+  const int64_t entries = source.dim(along.axis);
+  const Param params[] = {int_param(call, along.inner),
+                          int_param(call, target.dim(along.axis) * along.inner),
+                          int_param(call, entries * along.inner),
+                          int_param(call, entries),
+                          int_param(call, map.times),
+                          int_param(call, map.plus),
+                          int_param(call, map.over)};
+  const Operand in[] = {words_of(source), words_of(target)};
+  const NoGrad no_grad;
+  copy_entries_kernel().launch(target.size(), in, {&in[1], 1}, {.params = params});
+}
+
+void check_words(const char* call, const char* name, const Tensor& x) {
+  require(x.defined() && x.dtype() != DType::U8, ErrorKind::Type, call, ", ", name,
+          ": expected float32 or int32, got ",
+          x.defined() ? dtype_name(x.dtype()) : "an undefined tensor");
+}
+
+}  // namespace
+
+void detail::add_row_kernels(EngineKernels& list) {
+  list.push_back({copy_entries_kernel(), {}});
+  list.push_back({gather_kernel(), {}});
+}
+
+Tensor slice(const Tensor& x, int64_t axis, int64_t start, int64_t count, int64_t step) {
+  check_words("slice", "x", x);
+  const Along along = detail::along("slice", x.shape(), axis);
+  require(count >= 0 && step != 0, ErrorKind::Value,
+          "slice: expected count >= 0 and step != 0, got ", count, " and ", step);
+  const auto there = [&](int64_t entry) { return entry >= 0 && entry < along.count; };
+  require(count == 0 || (there(start) && there(start + (count - 1) * step)), ErrorKind::Index,
+          "slice: expected entries 0 to ", along.count - 1, " along axis ", along.axis, ", got ",
+          start, " to ", start + (count - 1) * step);
+  Shape shape = x.shape();
+  shape[along.axis] = count;
+  const Tensor out(shape, x.dtype(), x.device());
+  copy_entries("slice", x, out, along, {.times = step, .plus = start});
+  if (x.dtype() != DType::F32) return out;
+  const EntryMap inverse = step > 0 ? EntryMap{1, -start, step} : EntryMap{-1, start, -step};
+  detail::record(
+      "slice", {x}, out,
+      [=, shape = x.shape()](Gradients g, InputGradients to) {
+        const Tensor back(shape, DType::F32, g[0].device());
+        copy_entries("slice", g[0], back, along, inverse);
+        to[0].put(back);
+      },
+      [=](std::span<const Tensor> t) { return slice(t[0], axis, start, count, step); });
+  return out;
+}
+
+namespace {
+
+// The first entry that names no row, for the message; there is none where the host may not look.
+std::string wrong_entry(const Tensor& index, int64_t rows) {
+  if (current_capture()) return "";
+  const std::vector<int32_t> entries = index.to_host_i32();
+  for (size_t k = 0; k < entries.size(); ++k)
+    if (entries[k] < 0 || entries[k] >= rows)
+      return ", got " + std::to_string(entries[k]) + " at entry " + std::to_string(k);
+  return "";
+}
+
+}  // namespace
+
+Tensor gather(const Tensor& x, const Tensor& index) {
+  check_words("gather", "x", x);
+  require(index.defined() && index.dtype() == DType::I32, ErrorKind::Type,
+          "gather, index: expected int32, got ",
+          index.defined() ? dtype_name(index.dtype()) : "an undefined tensor");
+  require(x.ndim() > 0, ErrorKind::Value, "gather, x: expected at least one dimension");
+  Shape shape = index.shape();
+  shape.insert(shape.end(), x.shape().begin() + 1, x.shape().end());
+  const Tensor out(shape, x.dtype(), x.device());
+  const int32_t width = x.row_width();
+  const Param params[] = {Param(width), int_param("gather", x.rows())};
+  const Operand in[] = {index.flat_operand(), words_of(x)};
+  const Operand words = words_of(out);
+  const Tape* tape = Tape::active();
+  const bool followed =
+      tape != nullptr && x.dtype() == DType::F32 && tape->must_record({&in[1], 1});
+  Incidence incidence;
+  try {
+    const NoGrad no_grad;
+    gather_kernel().launch(out.size(), in, {&words, 1}, {.params = params});
+    if (followed) incidence = cached_incidence(in[0], x.rows());
+  } catch (const novaphy::Error& error) {
+    if (error.kind() != ErrorKind::Index) throw;
+    fail(ErrorKind::Index, "gather, index: expected rows 0 to ", x.rows() - 1, " of x",
+         wrong_entry(index, x.rows()));
+  }
+  if (OpList* graph = current_capture()) graph->freeze(index.range());
+  if (x.dtype() != DType::F32) return out;
+  detail::record(
+      "gather", {x}, out,
+      [=, entries = in[0].rows, shape = x.shape()](Gradients g, InputGradients to) {
+        const Tensor back(shape, DType::F32, g[0].device());
+        row_sum({g[0].range(), entries, width}, *incidence, nullptr, back.operand());
+        to[0].put(back);
+      },
+      [index](std::span<const Tensor> t) { return gather(t[0], index); }, {index});
+  return out;
+}
+
+Tensor concat(std::span<const Tensor> parts, int64_t axis) {
+  require(!parts.empty(), ErrorKind::Value, "concat, parts: expected at least one tensor");
+  check_words("concat", "parts[0]", parts[0]);
+  Along along = detail::along("concat", parts[0].shape(), axis);
+  constexpr size_t kMost = 64;  // inputs of one operation of a tape
+  if (parts.size() > kMost) {
+    std::vector<Tensor> joined;
+    for (size_t k = 0; k < parts.size(); k += kMost)
+      joined.push_back(concat(parts.subspan(k, std::min(kMost, parts.size() - k)), axis));
+    return concat(joined, axis);
+  }
+  Shape shape = parts[0].shape();
+  shape[along.axis] = 0;
+  for (size_t k = 0; k < parts.size(); ++k) {
+    const Tensor& part = parts[k];
+    const std::string name = "parts[" + std::to_string(k) + "]";
+    check_words("concat", name.c_str(), part);
+    Shape other = part.shape();
+    if (other.size() == shape.size()) other[along.axis] = shape[along.axis];
+    require(
+        other == shape && part.dtype() == parts[0].dtype() && part.device() == parts[0].device(),
+        ErrorKind::Value, "concat, ", name, ": expected ", shape_str(parts[0].shape()),
+        " but for axis ", along.axis, ", ", dtype_name(parts[0].dtype()), " on ",
+        parts[0].device().str(), ", got ", shape_str(part.shape()), " ", dtype_name(part.dtype()),
+        " on ", part.device().str());
+    shape[along.axis] += part.dim(along.axis);
+  }
+  const Tensor out(shape, parts[0].dtype(), parts[0].device());
+  std::vector<int64_t> first{0};  // entry of each part, and the end
+  for (const Tensor& part : parts) {
+    copy_entries("concat", part, out, along, {.plus = -first.back()});
+    first.push_back(first.back() + part.dim(along.axis));
+  }
+  if (out.dtype() != DType::F32) return out;
+  const auto vjp = [along, first](Gradients g, InputGradients to) {
+    for (size_t k = 0; k < to.size(); ++k)
+      if (to[k].wanted())
+        to[k].put(slice(g[0], static_cast<int64_t>(along.axis), first[k], first[k + 1] - first[k]));
+  };
+  const auto tangent =
+      [axis, inputs = std::vector<Tensor>(parts.begin(), parts.end())](std::span<const Tensor> t) {
+        std::vector<Tensor> all(t.begin(), t.end());
+        for (size_t k = 0; k < all.size(); ++k)
+          if (!all[k].defined()) all[k] = Tensor(inputs[k].shape(), DType::F32, inputs[k].device());
+        return concat(all, axis);
+      };
+  detail::record("concat", {parts.begin(), parts.end()}, out, vjp, tangent);
+  return out;
+}
+
+}  // namespace nova

@@ -106,8 +106,8 @@ void detail::record(const char* name, std::vector<Tensor> inputs, const Tensor& 
   Tape* tape = Tape::active();
   if (tape == nullptr) return;
   CustomOp op{.name = name, .inputs = std::move(inputs), .outputs = {out}, .vjp = std::move(vjp)};
-  op.jvp = [tangent = std::move(tangent)](std::span<const Tensor> in, std::span<const Tensor> out) {
-    out[0].copy_(tangent(in));
+  op.jvp = [tangent = std::move(tangent)](std::span<const Tensor> in, std::span<const Tensor> to) {
+    to[0].copy_(tangent(in));
   };
   op.reads = std::move(reads);
   tape->record_custom(std::move(op));

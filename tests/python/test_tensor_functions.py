@@ -350,7 +350,7 @@ def test_numbers_and_text_of_tensors():
     )
     assert repr(nova.tensor([1, 2])) == "Tensor([1, 2], shape=(2,), dtype=int32, device='cpu')"
     assert f"{t}" == str(t) == "Tensor([2.5], shape=(1,), dtype=float32, device='cpu')"
-    assert "..., 998, 999], shape=(1000,)" in repr(nova.arange(1000))
+    assert "..., 997, 998, 999], shape=(1000,)" in repr(nova.arange(1000))
     with nova.ScopedCapture():
         assert repr(t) == "Tensor(shape=(1,), dtype=float32, device='cpu')"
     with pytest.raises(TypeError, match="lower: expected a number, got a Tensor"):

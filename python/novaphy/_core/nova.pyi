@@ -4,6 +4,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from types import EllipsisType
 from typing import Any, Final, Literal, NoReturn, SupportsFloat, SupportsIndex, TypeAlias, overload
 
+import numpy as np
 from numpy.typing import NDArray
 
 from . import (
@@ -155,7 +156,7 @@ def arange(
 # ------------------------------------------------------------------------------------ functions
 
 # Of tensors, or of the values that a traced function computes with.
-_Real: TypeAlias = Real | SupportsFloat
+_Real: TypeAlias = Real | float | np.number[Any]  # a Tensor supports float too
 _Int: TypeAlias = Int | SupportsIndex
 
 @overload

@@ -5,12 +5,15 @@
 
 #include <cmath>
 #include <functional>
+#include <utility>
 
 #include "elements_scene.h"
+#include "novaphy/diff/diff_semi_implicit_solver.h"
 #include "novaphy/diff/tensor_views.h"
 #include "novaphy/dynamics/semi_implicit/diff_elements.h"
 #include "novaphy/dynamics/semi_implicit/solver_semi_implicit.h"
 #include "novaphy/nova/gradcheck.h"
+#include "novaphy/nova/op_list.h"
 #include "novaphy/nova/ops.h"
 #include "novaphy/nova/tape.h"
 #include "support/bits.h"
@@ -400,6 +403,48 @@ TEST(Elements, BadInputNamesTheArgument) {
       EXPECT_ERROR(op.eval(*model, in), ErrorKind::Type, "float32");
     }
   }
+}
+
+// A kernel reads a row that is not there as zeros: a particle at the origin.
+TEST(Elements, OfAParticleThatIsNotThereAreRefusedByNameAndEntry) {
+  const auto spoil = [](Array& indices, int32_t value) {
+    std::vector<int32_t> entries(indices.bytes() / sizeof(int32_t));
+    indices.copy_to_host(entries.data(), indices.bytes());
+    const int32_t before = std::exchange(entries[1], value);
+    indices.copy_from_host(entries.data(), indices.bytes());
+    return before;
+  };
+  const auto model = make_elements_model();
+  diff::DiffSemiImplicitSolver solver(model, {.enable_tetrahedra = true,
+                                              .enable_triangles = true,
+                                              .enable_springs = true,
+                                              .enable_bending = true});
+  SimState a = model->state(), b = model->state();
+  diff::Trajectory trajectory(model, 2);
+  solver.step(a, b, nullptr, nullptr, 0.01f);
+  const std::pair<Array*, const char*> tables[] = {
+      {&model->particle_spring_indices, "model.particle_spring_indices: entry 1"},
+      {&model->particle_tri_indices, "model.particle_tri_indices: entry 1"},
+      {&model->particle_edge_indices, "model.particle_edge_indices: entry 1"},
+      {&model->particle_tet_indices, "model.particle_tet_indices: entry 1"}};
+  for (const auto& [table, text] : tables) {
+    for (const int32_t bad : {-7, 9999}) {
+      const int32_t good = spoil(*table, bad);
+      EXPECT_ERROR(solver.step(a, b, nullptr, nullptr, 0.01f), ErrorKind::Index, text);
+      EXPECT_ERROR(solver.rollout(trajectory, nullptr, nullptr, 0.01f), ErrorKind::Index, text);
+      {
+        nova::ScopedCapture capture;
+        EXPECT_ERROR(solver.rollout(trajectory, nullptr, nullptr, 0.01f), ErrorKind::Index, text);
+      }
+      spoil(*table, good);
+    }
+  }
+  const Operator& springs = kOperators[0];
+  const std::vector<Tensor> in = inputs_of(springs, *model);
+  springs.eval(*model, in);
+  spoil(model->particle_spring_indices, -7);
+  EXPECT_ERROR(springs.eval(*model, in), ErrorKind::Index,
+               "model.particle_spring_indices: entry 1");
 }
 
 }  // namespace

@@ -1,8 +1,11 @@
 #include "novaphy/dynamics/semi_implicit/diff_elements.h"
 
+#include <algorithm>
+
 #include "novaphy/collision/diff_soft_contacts.h"
 #include "novaphy/core/error.h"
 #include "novaphy/diff/engine_kernels.h"
+#include "particle_indices.h"
 
 namespace novaphy::diff {
 
@@ -18,14 +21,20 @@ namespace {
 
 // particle_f plus what the elements gave to each particle, in the order of the elements.
 const nova::Kernel& sum_kernel() {
-  static const nova::Kernel kernel = nova::make_reduce_kernel(
-      "sum_element_forces",
-      {{"particle_f", DType::F32, 3, Access::Direct},
-       {"contribution", DType::F32, 3, Access::CsrRow}},
-      {{"particle_f", 3}},
-      {.init = [](TraceContext& c) { return std::vector{c.f32(0, 0), c.f32(0, 1), c.f32(0, 2)}; },
-       .body = [](TraceContext& c) { return std::vector{c.f32(1, 0), c.f32(1, 1), c.f32(1, 2)}; },
-       .epilogue = {}});
+  static const nova::Kernel kernel =
+      nova::make_reduce_kernel("sum_element_forces",
+                               {{"particle_f", DType::F32, 3, Access::Direct},
+                                {"contribution", DType::F32, 3, Access::CsrRow}},
+                               {{"particle_f", 3}},
+                               {.init =
+                                    [](TraceContext& c) {
+                                      return std::vector{c.f32(0, 0), c.f32(0, 1), c.f32(0, 2)};
+                                    },
+                                .body =
+                                    [](TraceContext& c) {
+                                      return std::vector{c.f32(1, 0), c.f32(1, 1), c.f32(1, 2)};
+                                    },
+                                .epilogue = {}});
   return kernel;
 }
 
@@ -39,6 +48,33 @@ Operand per_corner(Operand contributions, int32_t corners) {
 Operand allocate(int64_t rows, int32_t width, Device device) {
   const auto bytes = static_cast<size_t>(rows) * static_cast<size_t>(width) * sizeof(float);
   return {Storage::allocate(bytes, device)->range(), rows, width};
+}
+
+// For a table that is about to be sorted anew. It does not change while a capture records, so the
+// host may read it there too.
+void check_table(const Model& model, const Array& indices) {
+  struct Unobserved {
+    ArrayObserver* const before = set_array_observer(nullptr);
+    ~Unobserved() { set_array_observer(before); }
+  } unobserved;
+  const Array on_host = indices.to(Device::cpu());
+  const std::span entries(static_cast<const int32_t*>(on_host.raw()),
+                          on_host.bytes() / sizeof(int32_t));
+  for_each_field(model, [&](const FieldInfo& info, const Array& array) {
+    if (&array == &indices)
+      check_corners(entries, model.particle_count(), info.name,
+                    &array == &model.particle_edge_indices);
+  });
+}
+
+// The slots of every particle in a table of the model, sorted once for all operators.
+nova::Incidence rows_of(const Model& model, const Array& indices) {
+  const nova::GradInfo* info = nova::find_grad_info(*indices.range());
+  const auto is_known = [&](const nova::Incidence& rows) {
+    return rows->rows == model.particle_count() && nova::is_current(*rows, *indices.range());
+  };
+  if (!info || !std::ranges::any_of(info->incidences, is_known)) check_table(model, indices);
+  return nova::cached_incidence(nova::operand_of(indices), model.particle_count());
 }
 
 void launch_elements(const nova::Kernel& kernel, const std::vector<Operand>& in,
@@ -103,8 +139,8 @@ Tensor detail::eval_elements(const Model& model, const char* op, const nova::Ker
   in.insert(in.end(), parameters.begin(), parameters.end());
   const Tensor forces(particle_f.shape(), DType::F32, model.device());
   launch_elements(kernel, in, particle_f.operand(),
-                  allocate(in[0].rows, 3 * in[0].width, model.device()),
-                  nova::cached_incidence(in[0], model.particle_count()), forces.operand());
+                  allocate(in[0].rows, 3 * in[0].width, model.device()), rows_of(model, indices),
+                  forces.operand());
   return forces;
 }
 
@@ -226,7 +262,7 @@ void ElementOperators::eval(const Model& m, const Control* control, const Operan
     for (size_t k = 1; k < arrays.size(); ++k) in.push_back(nova::operand_of(*arrays[k]));
     if (!term.rows || term.rows->table.range != in[0].range ||
         !nova::is_current(*term.rows, *in[0].range))
-      term.rows = nova::make_incidence(in[0], m.particle_count());
+      term.rows = rows_of(m, *arrays[0]);
     const Operand& to = &term == &terms_.back() ? forces : term.sum;
     launch_elements(kernel_of(term.kind), in, f, term.contributions, term.rows, to);
     f = to;

@@ -1,6 +1,6 @@
 #include "particle_rows.h"
 
-#include "novaphy/core/error.h"
+#include "particle_indices.h"
 
 namespace novaphy {
 
@@ -15,14 +15,11 @@ void ParticleRows::update(const Array& table, int32_t particle_count, const char
   reset();
   const auto* entries = static_cast<const int32_t*>(table.raw());
   const size_t count = table.bytes() / sizeof(int32_t);
+  check_corners({entries, count}, particle_count, name, may_be_absent);
   // A stable counting sort by particle.
   row_begin_.assign(static_cast<size_t>(particle_count) + 1, 0);
   size_t present = 0;
   for (size_t k = 0; k < count; ++k) {
-    require((entries[k] >= 0 && entries[k] < particle_count) || (may_be_absent && entries[k] == -1),
-            ErrorKind::Index, "step: model.", name, ": entry ", k,
-            ": expected a particle from 0 to ", particle_count - 1, may_be_absent ? ", or -1" : "",
-            ", got ", entries[k]);
     if (entries[k] < 0) continue;
     ++row_begin_[static_cast<size_t>(entries[k]) + 1];
     ++present;

@@ -1,0 +1,26 @@
+// The check of the corners of elements, for the forward engine and for kernels, which read a row
+// that is not there as zeros.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <span>
+#include <string_view>
+
+#include "novaphy/core/error.h"
+
+namespace novaphy {
+
+// ErrorKind::Index, naming the array of the model and the entry: a particle that is not there (-1
+// is allowed where `may_be_absent`).
+inline void check_corners(std::span<const int32_t> entries, int32_t particle_count,
+                          std::string_view name, bool may_be_absent) {
+  for (size_t k = 0; k < entries.size(); ++k) {
+    const bool there = entries[k] >= 0 && entries[k] < particle_count;
+    require(there || (may_be_absent && entries[k] == -1), ErrorKind::Index, "model.", name,
+            ": entry ", k, ": expected a particle from 0 to ", particle_count - 1,
+            may_be_absent ? ", or -1" : "", ", got ", entries[k]);
+  }
+}
+
+}  // namespace novaphy

@@ -6,6 +6,7 @@
 #include "novaphy/core/error.h"
 #include "novaphy/core/sim/enums.h"
 #include "novaphy/diff/engine_kernels.h"
+#include "novaphy/diff/model_reads.h"
 
 namespace novaphy::diff {
 
@@ -276,6 +277,7 @@ Tensor eval_static_particle_shape_contact_forces_generated(const Model& model,
   detail::check_particle_tensor(model, particle_qd, op, "particle_qd");
   detail::check_particle_tensor(model, particle_f, op, "particle_f");
   detail::check_static_shapes(model);
+  begin_model_reads(model, op);
   const Tensor out(particle_f.shape(), DType::F32, model.device());
   eval_static_contact_forces(model, particle_q.operand(), particle_qd.operand(),
                              particle_f.operand(), soft_contact_margin, out.operand());

@@ -7,6 +7,7 @@
 #include "novaphy/collision/diff_soft_contacts.h"
 #include "novaphy/core/error.h"
 #include "novaphy/core/parallel.h"
+#include "novaphy/diff/model_reads.h"
 #include "novaphy/diff/tensor_views.h"
 #include "novaphy/dynamics/device_solver.h"
 #include "novaphy/dynamics/semi_implicit/diff_particles.h"
@@ -107,8 +108,12 @@ const nova::Incidence* DiffSemiImplicitSolver::contacts_of_particles(const Conta
             contacts->soft_contact_max(),
             " slots hold; make the pipeline with a larger soft_contact_max");
   }
-  contacts_of_ = nova::make_incidence({range, contacts->soft_contact_max(), 1, nova::ir::Type::I32},
-                                      model()->particle_count());
+  try {
+    contacts_of_ = nova::make_incidence(nova::operand_of(contacts->soft_contact_particle),
+                                        model()->particle_count());
+  } catch (const Error& error) {
+    fail(error.kind(), "contacts.soft_contact_particle: ", error.what());
+  }
   return &contacts_of_;
 }
 
@@ -121,6 +126,7 @@ void DiffSemiImplicitSolver::step(SimState& state_in, SimState& state_out, const
   check_step("DiffSemiImplicitSolver.step", state_in, state_out, control, contacts, dt);
   if (!config_.enable_particles || model()->particle_count() == 0) return;
   check_contacts("DiffSemiImplicitSolver.step", contacts);
+  begin_model_reads(*model(), "DiffSemiImplicitSolver.step");
   const Operand q = nova::operand_of(state_in.particle_q),
                 qd = nova::operand_of(state_in.particle_qd);
   const Operand applied = nova::operand_of(state_in.particle_f);
@@ -172,6 +178,7 @@ void DiffSemiImplicitSolver::rollout(Trajectory& trajectory, const Control* cont
           "DiffSemiImplicitSolver.rollout, contacts: they belong to another model");
   check_contacts("DiffSemiImplicitSolver.rollout", contacts);
   const ExclusiveUse::Scope scope = use("DiffSemiImplicitSolver.rollout");
+  begin_model_reads(*model(), "DiffSemiImplicitSolver.rollout");
   const nova::Incidence* contacts_of = contacts_of_particles(contacts);
   const bool static_contacts = config_.enable_static_contacts && config_.enable_particle_contacts;
   const Operand applied = nova::operand_of(trajectory.particle_f());

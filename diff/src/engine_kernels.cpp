@@ -5,10 +5,10 @@ namespace novaphy::diff {
 std::vector<nova::EngineKernel> engine_kernels() {
   std::vector<nova::EngineKernel> list;
   detail::add_contact_kernels(list);
+  detail::add_derived_kernels(list);
   detail::add_element_kernels(list);
   detail::add_loss_kernels(list);
   detail::add_particle_kernels(list);
-  detail::add_view_kernels(list);
   return list;
 }
 

@@ -2,10 +2,6 @@
 
 #include <initializer_list>
 
-#include "novaphy/diff/engine_kernels.h"
-#include "novaphy/nova/kernel.h"
-#include "novaphy/nova/tape.h"
-
 namespace novaphy::diff {
 
 void make_leaves(const SimState& state) {
@@ -40,28 +36,5 @@ NOVAPHY_ELEMENT_VIEWS(NOVAPHY_DEFINE_ELEMENT_VIEW)
     return nova::Tensor::view(control.field, requires_grad);                         \
   }
 NOVAPHY_CONTROL_VIEWS(NOVAPHY_DEFINE_CONTROL_VIEW)
-
-namespace {
-const nova::Kernel& inverse_mass_kernel() {
-  static const nova::Kernel kernel = nova::make_kernel(
-      "inverse_mass", {{"particle_mass", nova::DType::F32, 1, nova::Access::Direct}},
-      {{"particle_inv_mass", 1}}, [](nova::TraceContext& c) {
-        const nova::Real m = c.f32(0), zero = 0.0f;
-        return std::vector{select(m == zero, zero, nova::Real(1.0f) / m)};
-      });
-  return kernel;
-}
-}  // namespace
-
-void detail::add_view_kernels(std::vector<nova::EngineKernel>& list) {
-  list.push_back({inverse_mass_kernel(), {}});  // never recorded
-}
-
-void update_inverse_mass(Model& model) {
-  nova::NoGrad no_grad;
-  const nova::Operand in = nova::Tensor::view(model.particle_mass).operand();
-  const nova::Operand out = nova::Tensor::view(model.particle_inv_mass).operand();
-  inverse_mass_kernel().launch(in.rows, {&in, 1}, {&out, 1});
-}
 
 }  // namespace novaphy::diff

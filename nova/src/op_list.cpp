@@ -91,6 +91,24 @@ void OpList::freeze(const std::shared_ptr<Range>& range) {
   frozen_.emplace_back(range, range->version());
 }
 
+void OpList::freeze(const std::shared_ptr<const float>& number, std::string_view name) {
+  for (const FrozenNumber& known : frozen_numbers_) {
+    if (known.number != number) continue;
+    require(std::bit_cast<uint32_t>(known.recorded) == std::bit_cast<uint32_t>(*number),
+            ErrorKind::Runtime, "capture: model.", name, ": recorded as ", known.recorded,
+            ", then as ", *number, "; a capture holds one value");
+    return;
+  }
+  frozen_numbers_.push_back({number, *number, name});
+}
+
+void OpList::before_launch(const std::shared_ptr<const void>& owner,
+                           std::function<void()> prepare) {
+  for (const auto& [known, _] : before_launch_)
+    if (known == owner) return;
+  before_launch_.emplace_back(owner, std::move(prepare));
+}
+
 void OpList::launch() const {
   require(capture == nullptr, ErrorKind::Runtime,
           "graph.launch() cannot be recorded into another capture");
@@ -100,6 +118,11 @@ void OpList::launch() const {
   for (const auto& [range, version] : frozen_)
     require(range->version() == version, ErrorKind::Runtime,
             "graph.launch(): an index table (e.g. the contacts) was modified after the capture");
+  for (const FrozenNumber& n : frozen_numbers_)
+    if (std::bit_cast<uint32_t>(n.recorded) != std::bit_cast<uint32_t>(*n.number)) [[unlikely]]
+      novaphy::fail(ErrorKind::Runtime, "graph.launch(): model.", n.name, ": recorded as ",
+                    n.recorded, ", and now ", *n.number, "; record anew, or set it back");
+  for (const auto& [owner, prepare] : before_launch_) prepare();
   // Also when an operation fails or is interrupted in between: the ranges may have been written.
   struct MarkWritten {
     const std::vector<std::shared_ptr<Range>>& ranges;

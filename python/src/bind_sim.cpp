@@ -43,26 +43,16 @@ py::object soft_contact_rows(const Contacts& contacts) {
   throw py::attribute_error(std::string("Control has no ") + name + "; its name is " + other);
 }
 
-// X(name, doc): the numbers of a model that may be set.
-// clang-format off
-#define NOVAPHY_MODEL_NUMBERS(X)                                                                  \
-  X(soft_contact_ke, "N/m; a contact uses the mean of this and of the shape's material.")         \
-  X(soft_contact_kd, "N*s/m, contact damping.")                                                   \
-  X(soft_contact_kf, "N*s/m, friction below the Coulomb limit.")                                  \
-  X(soft_contact_mu, "Coulomb friction.")                                                         \
-  X(soft_contact_restitution, "No force uses it.")                                                \
-  X(particle_adhesion, "m: a soft contact acts up to this distance between the surfaces.")        \
-  X(particle_max_velocity, "m/s: faster particles are slowed down to it.")                        \
-  X(particle_max_radius, "m: the largest particle_radius when the model was made.")
-// clang-format on
+using ModelClass = py::class_<Model, std::shared_ptr<Model>>;
 
-void add_model_pickle(py::class_<Model, std::shared_ptr<Model>>& c) {
+void add_model_pickle(ModelClass& c) {
   c.def(py::pickle(
       [](const Model& model) {
+        model.update_derived();
         py::dict kept = keep_fields(model);
         kept["model_id"] = model.id();
         kept["up_axis"] = value_of(model.up_axis());
-#define NOVAPHY_KEEP(name, doc) kept[#name] = model.name;
+#define NOVAPHY_KEEP(name, by_default, infinite, unit, doc) kept[#name] = model.name;
         NOVAPHY_MODEL_NUMBERS(NOVAPHY_KEEP)
 #undef NOVAPHY_KEEP
         kept["shape_label"] = model.shape_label;
@@ -74,7 +64,9 @@ void add_model_pickle(py::class_<Model, std::shared_ptr<Model>>& c) {
             kept_counts(kept), to_device(kept_value(kept, "device")),
             to_axis(kept_value(kept, "up_axis")), kept_value(kept, "model_id").cast<uint64_t>());
         take_fields(*model, kept);
-#define NOVAPHY_TAKE(name, doc) model->name = kept_value(kept, #name).cast<float>();
+        model->accept_derived();
+#define NOVAPHY_TAKE(name, by_default, infinite, unit, doc) \
+  model->name = kept_value(kept, #name).cast<float>();
         NOVAPHY_MODEL_NUMBERS(NOVAPHY_TAKE)
 #undef NOVAPHY_TAKE
         model->shape_label = kept_value(kept, "shape_label").cast<decltype(model->shape_label)>();
@@ -85,6 +77,42 @@ void add_model_pickle(py::class_<Model, std::shared_ptr<Model>>& c) {
       }));
 }
 
+// The numbers of a model, checked where they are set.
+void bind_numbers(ModelClass& c) {
+#define NOVAPHY_BIND_NUMBER(name, by_default, infinite, unit, doc)                 \
+  c.def_property(                                                                  \
+      #name, [](const Model& self) { return self.name; },                          \
+      [](Model& self, float value) {                                               \
+        check_number("Model", ".", NumberInfo{#name, infinite, unit, doc}, value); \
+        self.name = value;                                                         \
+      },                                                                           \
+      unit ", >= 0: " doc                                                          \
+           ". A captured graph holds the value it was recorded with and "          \
+           "refuses another.");
+  NOVAPHY_MODEL_NUMBERS(NOVAPHY_BIND_NUMBER)
+#undef NOVAPHY_BIND_NUMBER
+}
+
+// As any field, but what is read or assigned is up to date with the source first. Not while a tape
+// or a capture watches this thread: operations see to it there.
+template <class T>
+void bind_derived(ModelClass& c, const char* name, DeviceArray<T> ModelFields::*member) {
+  const auto array = [member](const Model& self) {
+    if (array_observer() == nullptr) self.update_derived();
+    return static_cast<Array>(self.*member);
+  };
+  const auto doc = c.attr(name).attr("__doc__").cast<std::string>() +
+                   " It follows the array that it is computed from; what is assigned here stays "
+                   "until that is written.";
+  c.def_property(
+      name, array,
+      [array](Model& self, py::handle source) {
+        Array target = array(self);
+        assign_array(target, source);
+      },
+      doc.c_str());
+}
+
 void bind_model(py::module_& m) {
   py::class_<Model, std::shared_ptr<Model>> c(
       m, "Model",
@@ -93,6 +121,9 @@ void bind_model(py::module_& m) {
       "may be edited at any time and act at the next step.");
   using Fields = ModelFields;
   NOVAPHY_MODEL_FIELDS(NOVAPHY_BIND_FIELD)
+#define NOVAPHY_BIND_DERIVED(derived, source, rule) bind_derived(c, #derived, &Fields::derived);
+  NOVAPHY_DERIVED_MODEL_FIELDS(NOVAPHY_BIND_DERIVED)
+#undef NOVAPHY_BIND_DERIVED
   bind_counts(c);
   // The same arrays under Newton's names.
   bind_field(
@@ -125,9 +156,7 @@ void bind_model(py::module_& m) {
   NOVAPHY_ALIAS(tet_activations, particle_tet_activation)
   NOVAPHY_ALIAS(tet_materials, particle_tet_material)
 #undef NOVAPHY_ALIAS
-#define NOVAPHY_SETTING(name, doc) c.def_readwrite(#name, &Model::name, doc);
-  NOVAPHY_MODEL_NUMBERS(NOVAPHY_SETTING)
-#undef NOVAPHY_SETTING
+  bind_numbers(c);
   c.def_readonly("shape_label", &Model::shape_label, "One name per shape.")
       .def_readonly("shape_collision_filter_pairs", &Model::shape_collision_filter_pairs,
                     "Shape pairs (i < j) that never meet.")

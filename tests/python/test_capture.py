@@ -164,6 +164,34 @@ def test_tensors_may_be_made_inside():
     assert y.tolist() == [3, 5]
 
 
+def test_a_captured_rollout_refuses_other_numbers_of_its_model_and_follows_its_arrays():
+    builder = novaphy.ModelBuilder()
+    builder.add_particle((0, 0, 0.05), (0, 0, 0), 1.0)
+    builder.add_ground_plane()
+    model = builder.finalize()
+    config = solvers.DiffSolverConfig(enable_static_contacts=True)
+    solver = solvers.DiffSemiImplicitSolver(model, config)
+    trajectory = diff.Trajectory(model, 20)
+
+    def height() -> float:
+        return trajectory[20].particle_q.numpy()[0, 2]
+
+    with nova.ScopedCapture() as capture:
+        solver.rollout(trajectory, None, None, 1e-3)
+    capture.graph.launch()
+    before = height()
+    model.soft_contact_ke = 1e5
+    with pytest.raises(novaphy.Error, match=r"model\.soft_contact_ke: recorded as 1000, and now"):
+        capture.graph.launch()
+    model.soft_contact_ke = 1e3
+    model.particle_mass.assign(np.array([4.0], np.float32))
+    capture.graph.launch()
+    assert height() != before
+    replayed = trajectory[20].particle_q.numpy()
+    solver.rollout(trajectory, None, None, 1e-3)
+    np.testing.assert_array_equal(trajectory[20].particle_q.numpy(), replayed)
+
+
 class Throws:
     """Many balls that start close above the ground, some of them beyond the speed limit."""
 

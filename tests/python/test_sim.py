@@ -77,6 +77,29 @@ def test_settings_are_plain_numbers():
         model.soft_contact_ke = "stiff"
     with pytest.raises(AttributeError):
         model.particle_count = 3
+    for name, bad in [
+        ("soft_contact_ke", float("nan")),
+        ("soft_contact_mu", -3.0),
+        ("particle_max_velocity", -1.0),
+        ("particle_adhesion", float("inf")),
+    ]:
+        before = getattr(model, name)
+        with pytest.raises(ValueError, match=rf"Model\.{name}: expected a .*number >= 0, got"):
+            setattr(model, name, bad)
+        assert getattr(model, name) == before
+    model.particle_max_velocity = float("inf")
+
+
+def test_inverse_masses_follow_the_masses():
+    model = ball_model(2)
+    model.particle_mass.assign(np.array([4.0, 0.0], np.float32))
+    np.testing.assert_array_equal(model.particle_inv_mass.numpy(), [0.25, 0.0])
+    # What is assigned last stays: both here, and the masses there.
+    model.particle_mass.assign(np.array([2.0, 5.0], np.float32))
+    model.particle_inv_mass = np.zeros(2, np.float32)
+    assert not model.particle_inv_mass.numpy().any()
+    model.particle_mass = np.array([1.0, 2.0], np.float32)
+    np.testing.assert_array_equal(model.particle_inv_mass.numpy(), [1.0, 0.5])
 
 
 def test_gravity_can_be_set():

@@ -62,10 +62,44 @@ std::shared_ptr<Model> Model::restore(const ModelCounts& counts, Device device, 
   return model;
 }
 
+void Model::accept_derived() const {
+#define NOVAPHY_ACCEPT_DERIVED(derived, source, rule) derived_stamps_.derived.set(source);
+  NOVAPHY_DERIVED_MODEL_FIELDS(NOVAPHY_ACCEPT_DERIVED)
+#undef NOVAPHY_ACCEPT_DERIVED
+}
+
+void Model::update_derived() const {
+  update_derived([](const auto& rule, const Array& source, Array derived) {
+    const size_t from = rule.source_width, to = rule.derived_width;
+    std::vector<float> in(source.rows() * from), out(derived.rows() * to);
+    source.copy_to_host(in.data(), in.size() * sizeof(float));
+    for (size_t row = 0; row < source.rows(); ++row) rule(&in[row * from], &out[row * to]);
+    derived.copy_from_host(out.data(), out.size() * sizeof(float));
+    return true;
+  });
+}
+
+void check_number(std::string_view function, std::string_view object, const NumberInfo& info,
+                  float value) {
+  const bool good = value >= 0.0f && (info.may_be_infinite || std::isfinite(value));
+  require(good, ErrorKind::Value, function, object, info.name, ": expected a ",
+          info.may_be_infinite ? "" : "finite ", "number >= 0, got ", value);
+}
+
+void Model::check_numbers(std::string_view function) const {
+  visit_numbers([&](const NumberInfo& info, const float& value) {
+    check_number(function, ": model.", info, value);
+  });
+}
+
 std::shared_ptr<Model> Model::to(Device device) const {
   std::shared_ptr<Model> copy(new Model(counts_, device, up_axis_));
   static_cast<ModelFields&>(*copy) = detail::copy_fields<ModelFields>(*this, device);
   static_cast<ModelSettings&>(*copy) = *this;
+#define NOVAPHY_COPY_STAMP(derived, source, rule) \
+  if (derived_stamps_.derived.matches(source)) copy->derived_stamps_.derived.set(copy->source);
+  NOVAPHY_DERIVED_MODEL_FIELDS(NOVAPHY_COPY_STAMP)
+#undef NOVAPHY_COPY_STAMP
   return copy;
 }
 

@@ -70,10 +70,6 @@ std::shared_ptr<Model> ModelBuilder::finalize(Device device, const FinalizeOptio
   upload(m.particle_q, particle_q);
   upload(m.particle_qd, particle_qd);
   upload(m.particle_mass, particle_mass);
-  std::vector<float> inv_mass(particle_mass.size());
-  std::transform(particle_mass.begin(), particle_mass.end(), inv_mass.begin(),
-                 [](float mass) { return mass == 0.0f ? 0.0f : 1.0f / mass; });
-  upload(m.particle_inv_mass, inv_mass);
   upload(m.particle_radius, particle_radius);
   upload(m.particle_flags, particle_flags);
   upload(m.particle_world, particle_world);
@@ -116,6 +112,7 @@ std::shared_ptr<Model> ModelBuilder::finalize(Device device, const FinalizeOptio
   m.shape_collision_filter_pairs = filter_pairs_;
 
   m.gravity.fill(gravity);
+  m.update_derived();
   return model;
 }
 

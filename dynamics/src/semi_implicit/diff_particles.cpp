@@ -5,6 +5,7 @@
 #include "novaphy/collision/diff_soft_contacts.h"
 #include "novaphy/core/error.h"
 #include "novaphy/diff/engine_kernels.h"
+#include "novaphy/diff/model_reads.h"
 #include "novaphy/dynamics/semi_implicit/particle_integrator_trace.h"
 
 namespace novaphy::diff {
@@ -191,6 +192,7 @@ std::pair<Tensor, Tensor> integrate_particles_generated(const Model& model,
   detail::check_particle_tensor(model, particle_qd, op, "particle_qd");
   detail::check_particle_tensor(model, particle_f, op, "particle_f");
   check_model(model, dt, op);
+  begin_model_reads(model, op);
   const Tensor q(particle_q.shape(), DType::F32, model.device()),
       qd(particle_q.shape(), DType::F32, model.device());
   integrate_particles(model, particle_q.operand(), particle_qd.operand(), particle_f.operand(), dt,
@@ -207,6 +209,7 @@ std::pair<Tensor, Tensor> integrate_particles_with_static_contacts_generated(
   detail::check_particle_tensor(model, particle_f, op, "particle_f");
   check_model(model, dt, op);
   detail::check_static_shapes(model);
+  begin_model_reads(model, op);
   const Tensor q(particle_q.shape(), DType::F32, model.device()),
       qd(particle_q.shape(), DType::F32, model.device());
   step_particles_with_static_contacts(model, particle_q.operand(), particle_qd.operand(),

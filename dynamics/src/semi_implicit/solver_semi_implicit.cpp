@@ -24,21 +24,6 @@ void check_option(const char* name, float value) {
           ": expected a finite number >= 0, got ", value);
 }
 
-// The model's settings are plain numbers that anybody may set. Infinity switches a limit off; a NaN
-// is a mistake.
-void check_settings(const Model& model) {
-  const auto check = [](const char* name, float value) {
-    require(!std::isnan(value), ErrorKind::Value, kName, ": model.", name,
-            ": expected a number, got NaN");
-  };
-  check("soft_contact_ke", model.soft_contact_ke);
-  check("soft_contact_kd", model.soft_contact_kd);
-  check("soft_contact_kf", model.soft_contact_kf);
-  check("soft_contact_mu", model.soft_contact_mu);
-  check("particle_adhesion", model.particle_adhesion);
-  check("particle_max_velocity", model.particle_max_velocity);
-}
-
 void check_covered(const Model& model) {
   const auto check = [](const char* name, int32_t count) {
     require(count == 0, ErrorKind::NotImplemented, "SolverSemiImplicit: model: expected ", name,
@@ -136,8 +121,9 @@ void SolverSemiImplicit::step(SimState& state_in, SimState& state_out, const Con
   const ExclusiveUse::Scope scope = use(kName);
   const Model& m = *model();
   check_step(kName, state_in, state_out, control, contacts, dt);
-  check_settings(m);
+  m.check_numbers(kName);
   if (on_device_ != nullptr) return on_device_->step(state_in, state_out, control, contacts, dt);
+  m.update_derived();
   cache_->check_worlds(m);
   if (contacts != nullptr) cache_->contacts.update(m, *contacts);
 

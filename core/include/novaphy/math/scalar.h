@@ -60,6 +60,10 @@ T step(const T& x) {  // 1 if x < 0, else 0
   return select(x < T(0.0f), T(1.0f), T(0.0f));
 }
 template <class T>
+T inverse_or_zero(const T& x) {  // 1/x, and 0 where x == 0
+  return select(x == T(0.0f), T(0.0f), T(1.0f) / x);
+}
+template <class T>
 T nonzero(const T& x) {  // 0 if x == 0, else 1
   return select(x == T(0.0f), T(0.0f), T(1.0f));
 }

@@ -18,7 +18,7 @@ void add_element_kernels(std::vector<nova::EngineKernel>& list);       // diff_e
 void add_tet_material_kernels(std::vector<nova::EngineKernel>& list);  // diff_tetrahedra.cpp
 void add_loss_kernels(std::vector<nova::EngineKernel>& list);          // losses.cpp
 void add_particle_kernels(std::vector<nova::EngineKernel>& list);      // diff_particles.cpp
-void add_view_kernels(std::vector<nova::EngineKernel>& list);          // tensor_views.cpp
+void add_derived_kernels(std::vector<nova::EngineKernel>& list);       // model_reads.cpp
 
 // The gradients that are built ahead for an operator on particles: of its state (those of `state`
 // that it has), of each of `others`, of both, and of all of `materials` together. What all steps of

@@ -45,7 +45,7 @@ NOVAPHY_STATE_VIEWS(NOVAPHY_DECLARE_STATE_VIEW)
 #undef NOVAPHY_DECLARE_STATE_VIEW
 
 // model_particle_mass_tensor(model): {n}, kg; and so on. Gradients reach the masses, although the
-// integrator reads particle_inv_mass: after changing masses call update_inverse_mass.
+// integrator reads particle_inv_mass, which follows them (Model::update_derived).
 #define NOVAPHY_DECLARE_MODEL_VIEW(field)                                  \
   NOVAPHY_DIFF_API nova::Tensor model_##field##_tensor(const Model& model, \
                                                        bool requires_grad = false);
@@ -67,7 +67,8 @@ NOVAPHY_ELEMENT_VIEWS(NOVAPHY_DECLARE_ELEMENT_VIEW)
 NOVAPHY_CONTROL_VIEWS(NOVAPHY_DECLARE_CONTROL_VIEW)
 #undef NOVAPHY_DECLARE_CONTROL_VIEW
 
-// particle_inv_mass = 1/particle_mass, 0 where the mass is 0. Not recorded on a tape.
+// particle_inv_mass = 1/particle_mass, 0 where the mass is 0, also where something else was
+// assigned to it. Not recorded on a tape. Solvers do so themselves where masses were written.
 NOVAPHY_DIFF_API void update_inverse_mass(Model& model);
 
 }  // namespace novaphy::diff

@@ -4,10 +4,13 @@
 #pragma once
 
 #include <cstdint>
+#include <functional>
 #include <map>
 #include <memory>
 #include <mutex>
 #include <span>
+#include <string_view>
+#include <utility>
 #include <vector>
 
 #include "novaphy/core/backend.h"
@@ -66,6 +69,12 @@ class NOVAPHY_NOVA_API OpList {
   // The recording depends on the present value of the range (an index table): launch throws once it
   // was changed.
   void freeze(const std::shared_ptr<Range>& range);
+  // The same of a number of a model, which launches have as an argument. The list keeps its owner;
+  // `name`, a field of the model, must outlive the list.
+  void freeze(const std::shared_ptr<const float>& number, std::string_view name);
+  // Every launch begins with this, once per owner: it brings up to date what the list only reads.
+  // The list keeps the owner.
+  void before_launch(const std::shared_ptr<const void>& owner, std::function<void()> prepare);
   // What the gradient of the range is after this point of the recording.
   void gradient(const std::shared_ptr<Range>& range, GradState state) { gradients_[range] = state; }
   // Memory that the operations use beside what they were given: a launch takes it.
@@ -119,7 +128,14 @@ class NOVAPHY_NOVA_API OpList {
   std::vector<std::shared_ptr<Range>> written_;
   std::vector<const Range*> written_keys_;                           // sorted, to add each once
   std::vector<std::pair<std::shared_ptr<Range>, uint64_t>> frozen_;  // with the version then
-  std::map<std::shared_ptr<Range>, GradState> gradients_;            // after a launch
+  struct FrozenNumber {
+    std::shared_ptr<const float> number;
+    float recorded;
+    std::string_view name;
+  };
+  std::vector<FrozenNumber> frozen_numbers_;
+  std::vector<std::pair<std::shared_ptr<const void>, std::function<void()>>> before_launch_;
+  std::map<std::shared_ptr<Range>, GradState> gradients_;  // after a launch
   // Made at the first launch, on devices that replay graphs. Last, because its thread reads what is
   // above.
   mutable std::unique_ptr<detail::DeviceReplay> device_replay_;

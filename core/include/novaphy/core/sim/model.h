@@ -4,14 +4,17 @@
 
 #include <cstdint>
 #include <memory>
+#include <mutex>
 #include <optional>
 #include <set>
 #include <string>
+#include <string_view>
 #include <utility>
 #include <vector>
 
 #include "novaphy/core/sim/control.h"
 #include "novaphy/core/sim/counts.h"
+#include "novaphy/core/sim/derived_fields.h"
 #include "novaphy/core/sim/enums.h"
 #include "novaphy/core/sim/fields.h"
 #include "novaphy/core/sim/sim_state.h"
@@ -99,27 +102,60 @@ namespace novaphy {
 
 NOVAPHY_DECLARE_FIELDS(ModelFields, NOVAPHY_MODEL_FIELDS, ModelCounts)
 
+// X(derived, source, rule): see derived_fields.h.
+#define NOVAPHY_DERIVED_MODEL_FIELDS(X) X(particle_inv_mass, particle_mass, InverseOrZero)
+
+// X(name, default, may be infinite, unit, doc). Numbers >= 0. Every coefficient of a soft contact
+// is the mean of the one here and of the shape's material.
+// clang-format off
+#define NOVAPHY_MODEL_NUMBERS(X)                                                                  \
+  X(soft_contact_ke, 1.0e3f, false, "N/m", "contact stiffness")                                   \
+  X(soft_contact_kd, 10.0f, false, "N*s/m", "contact damping")                                    \
+  X(soft_contact_kf, 1.0e3f, false, "N*s/m", "friction below the Coulomb limit")                  \
+  X(soft_contact_mu, 0.5f, false, "1", "Coulomb friction")                                        \
+  X(soft_contact_restitution, 0.0f, false, "1", "stored for Newton's sake; no force uses it")     \
+  X(particle_adhesion, 0.0f, false, "m",                                                          \
+    "a soft contact acts up to this distance between the surfaces")                               \
+  X(particle_max_velocity, 1.0e5f, true, "m/s", "faster particles are slowed down to it")         \
+  X(particle_max_radius, 0.0f, false, "m", "the largest particle_radius when the model was made")
+// clang-format on
+
+// What is known about such a number without an object.
+struct NumberInfo {
+  std::string_view name;
+  bool may_be_infinite = false;
+  std::string_view unit, doc;
+};
+
+struct ModelNumbers {
+#define NOVAPHY_NUMBER_MEMBER(name, by_default, infinite, unit, doc) float name = by_default;
+  NOVAPHY_MODEL_NUMBERS(NOVAPHY_NUMBER_MEMBER)
+#undef NOVAPHY_NUMBER_MEMBER
+  // Calls visitor(NumberInfo, number) for each.
+  template <class Visitor>
+  void visit_numbers(Visitor&& visitor) const {
+#define NOVAPHY_VISIT_NUMBER(name, by_default, infinite, unit, doc) \
+  visitor(NumberInfo{#name, infinite, unit, doc}, this->name);
+    NOVAPHY_MODEL_NUMBERS(NOVAPHY_VISIT_NUMBER)
+#undef NOVAPHY_VISIT_NUMBER
+  }
+};
+// ErrorKind::Value: NaN, negative, or infinite where that has no meaning. `function` and `object`
+// start the message.
+NOVAPHY_CORE_API void check_number(std::string_view function, std::string_view object,
+                                   const NumberInfo& info, float value);
+
 // What a model holds besides its arrays; all of it may be edited.
-struct ModelSettings {
-  bool requires_grad = false;  // what state() and control() hand on
-
-  // Soft contacts: every coefficient of a contact is the mean of this one and of the shape's
-  // material.
-  float soft_contact_ke = 1.0e3f;         // N/m
-  float soft_contact_kd = 10.0f;          // N*s/m
-  float soft_contact_kf = 1.0e3f;         // N*s/m
-  float soft_contact_mu = 0.5f;           // 1
-  float soft_contact_restitution = 0.0f;  // stored for Newton's sake; no force uses it
-  float particle_adhesion = 0.0f;         // m: soft contacts act up to this gap
-  float particle_max_velocity = 1.0e5f;   // m/s: faster particles are slowed down to it
-  float particle_max_radius = 0.0f;       // m: the largest particle_radius when the model was made
-
+struct ModelSettings : ModelNumbers {
+  bool requires_grad = false;            // what state() and control() hand on
   std::vector<std::string> shape_label;  // one per shape
   std::set<std::pair<int32_t, int32_t>>
       shape_collision_filter_pairs;  // (i < j): never in shape_contact_pairs
 };
 
-class NOVAPHY_CORE_API Model : public ModelFields, public ModelSettings {
+class NOVAPHY_CORE_API Model : public ModelFields,
+                               public ModelSettings,
+                               public std::enable_shared_from_this<Model> {
  public:
   using Fields = ModelFields;
 
@@ -145,6 +181,30 @@ class NOVAPHY_CORE_API Model : public ModelFields, public ModelSettings {
   // such world.
   void set_gravity(const Vec3f& value, std::optional<int32_t> world = {});
 
+  // Computes the derived arrays whose source was written since. Solvers do so at the start of a
+  // step. What somebody assigns to a derived array stays until its source is written.
+  void update_derived() const;
+  // The same by derive(rule, source, derived), which returns whether the values are there now: a
+  // capture only records. Several threads may call it.
+  template <class Derive>
+  void update_derived(const Derive& derive) const {
+    const auto update = [&](const auto& rule, const Array& source, const Array& derived,
+                            DerivedStamp& stamp) {
+      if (stamp.matches(source)) [[likely]]
+        return;
+      const std::lock_guard lock(derived_mutex_);
+      if (!stamp.matches(source) && derive(rule, source, derived)) stamp.set(source);
+    };
+#define NOVAPHY_UPDATE_DERIVED(derived, source, rule) \
+  update(rule{}, source, derived, derived_stamps_.derived);
+    NOVAPHY_DERIVED_MODEL_FIELDS(NOVAPHY_UPDATE_DERIVED)
+#undef NOVAPHY_UPDATE_DERIVED
+  }
+  // Says that what the derived arrays hold now stays until their source is written.
+  void accept_derived() const;
+  // check_number of all of them; `function` starts the messages.
+  void check_numbers(std::string_view function) const;
+
   std::shared_ptr<Model> clone() const { return to(device_); }
   std::shared_ptr<Model> to(Device device) const;  // a copy on a device; it has its own id
 
@@ -152,10 +212,18 @@ class NOVAPHY_CORE_API Model : public ModelFields, public ModelSettings {
   friend class ModelBuilder;
   Model(const ModelCounts& counts, Device device, Axis up_axis);
 
+  struct DerivedStamps {
+#define NOVAPHY_DERIVED_STAMP(derived, source, rule) DerivedStamp derived;
+    NOVAPHY_DERIVED_MODEL_FIELDS(NOVAPHY_DERIVED_STAMP)
+#undef NOVAPHY_DERIVED_STAMP
+  };
+
   ModelCounts counts_;
   Device device_;
   Axis up_axis_ = Axis::Z;
   uint64_t id_ = 0;
+  mutable DerivedStamps derived_stamps_;
+  mutable std::mutex derived_mutex_;
 };
 
 }  // namespace novaphy

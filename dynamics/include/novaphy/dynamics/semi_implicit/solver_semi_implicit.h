@@ -49,7 +49,8 @@ class NOVAPHY_DYNAMICS_API SolverSemiImplicit : public SolverBase {
 
   // Besides the errors of SolverBase::step: ErrorKind::Index for a contact of a particle or shape,
   // or an element of a particle, that is not there; ErrorKind::NotImplemented for a contact with a
-  // shape of a body; ErrorKind::Value for a model setting that is NaN. On a tape it raises:
+  // shape of a body; ErrorKind::Value for a number of the model
+  // that makes no sense (Model::check_numbers). On a tape it raises:
   // DiffSemiImplicitSolver is the differentiable one.
   void step(SimState& state_in, SimState& state_out, const Control* control,
             const Contacts* contacts, float dt) override;

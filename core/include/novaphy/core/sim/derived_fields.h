@@ -1,0 +1,44 @@
+// Derived arrays of a model: each is computed from another one, when the model is made and again
+// when that one was written since. They are listed once, in an X-macro
+//
+//   #define NOVAPHY_DERIVED_MODEL_FIELDS(X)  X(derived, source, rule) ...
+//
+// from which Model::update_derived and the kernels that a capture records follow. Adding one is one
+// line in the list and one rule here. A rule reads one row of the source and writes one row of the
+// derived array, as packed scalars: float on the host, nova::Real in a kernel.
+#pragma once
+
+#include <atomic>
+#include <cstdint>
+
+#include "novaphy/core/device_array.h"
+#include "novaphy/core/export.h"
+#include "novaphy/math/scalar.h"
+
+namespace novaphy {
+
+// 1/x, and 0 where x is 0.
+struct InverseOrZero {
+  static constexpr const char* name = "inverse_or_zero";
+  static constexpr int32_t source_width = 1, derived_width = 1;  // scalars per row
+  template <class T>
+  void operator()(const T* source, T* derived) const {
+    derived[0] = math::inverse_or_zero(source[0]);
+  }
+};
+
+// What a derived array was computed from: which bytes, in which version.
+class NOVAPHY_CORE_API DerivedStamp {
+ public:
+  // Whether the source is what it was at `set`. Where somebody outside can write it, its checksum
+  // tells. No lock: a stamp that is being set matches nothing new.
+  bool matches(const Array& source) const;
+  void set(const Array& source);
+
+ private:
+  std::atomic<const Range*> range_{nullptr};
+  std::atomic<uint64_t> version_{0}, checksum_{0};
+  std::atomic<bool> has_checksum_{false};
+};
+
+}  // namespace novaphy

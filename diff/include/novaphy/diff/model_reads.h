@@ -1,0 +1,17 @@
+// What an operation does before it reads a model: checks its numbers, makes its derived arrays
+// current, and tells a capture what it holds of it.
+#pragma once
+
+#include "novaphy/core/sim/model.h"
+#include "novaphy/diff/export.h"
+
+namespace novaphy::diff {
+
+// `function` starts the messages. ErrorKind::Value: a number of the model that makes no sense.
+// While a capture records, a derived array whose source was written (by the capture, say) is
+// computed by a recorded launch; every launch of the list begins with the others, and throws
+// ErrorKind::Runtime where a number of the model (soft_contact_ke, ...) is another than the one
+// recorded.
+NOVAPHY_DIFF_API void begin_model_reads(const Model& model, const char* function);
+
+}  // namespace novaphy::diff

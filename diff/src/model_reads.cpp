@@ -1,0 +1,64 @@
+#include "novaphy/diff/model_reads.h"
+
+#include "novaphy/diff/engine_kernels.h"
+#include "novaphy/diff/tensor_views.h"
+#include "novaphy/nova/kernel.h"
+#include "novaphy/nova/op_list.h"
+#include "novaphy/nova/tape.h"
+
+namespace novaphy::diff {
+namespace {
+
+template <class Rule>
+const nova::Kernel& rule_kernel() {
+  static const nova::Kernel kernel = nova::make_kernel(
+      Rule::name, {{"source", nova::DType::F32, Rule::source_width, nova::Access::Direct}},
+      {{"derived", Rule::derived_width}}, [](nova::TraceContext& c) {
+        std::vector<nova::Real> source, derived(static_cast<size_t>(Rule::derived_width));
+        for (int32_t k = 0; k < Rule::source_width; ++k) source.push_back(c.f32(0, k));
+        Rule{}(source.data(), derived.data());
+        return derived;
+      });
+  return kernel;
+}
+
+// No tape records it: the kernels that read a derived array give its gradient to the source.
+template <class Rule>
+void launch(const Rule&, const Array& source, const Array& derived) {
+  const nova::NoGrad no_grad;
+  const nova::Operand in = nova::operand_of(source), out = nova::operand_of(derived);
+  rule_kernel<Rule>().launch(in.rows, {&in, 1}, {&out, 1});
+}
+
+void update_derived(const Model& model) {
+  model.update_derived([](const auto& rule, const Array& source, const Array& derived) {
+    launch(rule, source, derived);
+    return nova::current_capture() == nullptr;
+  });
+}
+
+}  // namespace
+
+void detail::add_derived_kernels(std::vector<nova::EngineKernel>& list) {
+#define NOVAPHY_ADD_RULE(derived, source, rule) list.push_back({rule_kernel<rule>(), {}});
+  NOVAPHY_DERIVED_MODEL_FIELDS(NOVAPHY_ADD_RULE)
+#undef NOVAPHY_ADD_RULE
+}
+
+void begin_model_reads(const Model& model, const char* function) {
+  model.check_numbers(function);
+  update_derived(model);
+  nova::OpList* const list = nova::current_capture();
+  if (list == nullptr) return;
+  const std::shared_ptr<const Model> owner = model.shared_from_this();
+  model.visit_numbers([&](const NumberInfo& info, const float& number) {
+    list->freeze(std::shared_ptr<const float>(owner, &number), info.name);
+  });
+  list->before_launch(owner, [&model] { update_derived(model); });
+}
+
+void update_inverse_mass(Model& model) {
+  launch(InverseOrZero{}, model.particle_mass, model.particle_inv_mass);
+}
+
+}  // namespace novaphy::diff

@@ -1,7 +1,6 @@
 #include "novaphy/collision/collision_pipeline.h"
 
 #include <cmath>
-#include <limits>
 #include <utility>
 
 #include "novaphy/core/error.h"
@@ -50,14 +49,7 @@ int32_t CollisionPipeline::soft_contact_pair_count() const {
   return count_pairs();
 }
 
-int32_t CollisionPipeline::count_pairs() const {
-  const int32_t shapes = soft_contacts_->candidate_count();
-  const int64_t pairs = int64_t{model_->particle_count()} * shapes;
-  require(pairs <= std::numeric_limits<int32_t>::max(), ErrorKind::Value,
-          "CollisionPipeline: expected at most ", std::numeric_limits<int32_t>::max(),
-          " candidate pairs, got ", pairs, " (", model_->particle_count(), " particles)");
-  return static_cast<int32_t>(pairs);
-}
+int32_t CollisionPipeline::count_pairs() const { return soft_contacts_->pair_count(); }
 
 int32_t CollisionPipeline::soft_contact_max() const {
   return options_.soft_contact_max ? *options_.soft_contact_max : soft_contact_pair_count();
@@ -92,7 +84,8 @@ void CollisionPipeline::collide(const SimState& state, Contacts& contacts,
   require(pairs == contacts.soft_contact_pair_count(), ErrorKind::Value, name,
           ": contacts: expected ", pairs, " candidate pairs, got ",
           contacts.soft_contact_pair_count(),
-          "; the flags of shapes were edited, use CollisionPipeline.contacts() again");
+          "; the flags or worlds of shapes or particles were edited, use "
+          "CollisionPipeline.contacts() again");
   detail::check_fields(detail::const_fields<ContactFields>(contacts),
                        ContactFields::expected_rows(contacts.counts()), model_->device(),
                        "collide: contacts");

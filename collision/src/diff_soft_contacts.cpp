@@ -2,6 +2,7 @@
 
 #include <cmath>
 
+#include "novaphy/collision/candidate_pairs.h"
 #include "novaphy/collision/diff_soft_contact_trace.h"
 #include "novaphy/core/error.h"
 #include "novaphy/core/sim/enums.h"
@@ -133,27 +134,65 @@ void eval_soft_contact_forces(const Model& model, const Contacts& contacts,
                                {.params = params, .csr = &contacts_of});
 }
 
-namespace detail {
-
-std::vector<nova::SourceSpec> static_shape_sources() {
-  return {{"shape_type", DType::I32, 1, Access::Reduced},
-          {"shape_flags", DType::I32, 1, Access::Reduced},
-          {"shape_body", DType::I32, 1, Access::Reduced},
-          {"shape_transform", DType::F32, 7, Access::Reduced},
-          {"shape_scale", DType::F32, 3, Access::Reduced},
-          {"shape_margin", DType::F32, 1, Access::Reduced},
-          {"shape_material_ke", DType::F32, 1, Access::Reduced},
-          {"shape_material_kd", DType::F32, 1, Access::Reduced},
-          {"shape_material_kf", DType::F32, 1, Access::Reduced},
-          {"shape_material_mu", DType::F32, 1, Access::Reduced}};
+void WorldRows::update(const Model& model, bool with_shapes) {
+  if (model.world_count() == 1) return;
+  const bool same_particles = particle_world_.matches(model.particle_world);
+  if (same_particles && (!with_shapes || (shape_world_.matches(model.shape_world) &&
+                                          shape_flags_.matches(model.shape_flags))))
+    return;
+  // The model is no part of what a capture records, so these host reads are legal there too.
+  ArrayObserver* const observer = set_array_observer(nullptr);
+  const std::vector<int32_t> world = model.particle_world.to_host();
+  CandidatePairs pairs;
+  if (with_shapes) pairs = make_candidate_pairs(model);
+  set_array_observer(observer);
+  for (size_t p = 0; p < world.size(); ++p) {
+    require(world[p] >= -1 && world[p] < model.world_count(), ErrorKind::Index,
+            "model.particle_world[", p, "]: expected 0 to ", model.world_count() - 1, ", got ",
+            world[p]);
+    require(world[p] >= 0, ErrorKind::NotImplemented, "model.particle_world[", p,
+            "]: particles of all worlds (-1) are not covered in models of several worlds");
+  }
+  particle_world_.set(model.particle_world);
+  if (!with_shapes) return;
+  shape_ = nova::operand_of(DeviceArray<int32_t>::from_host(pairs.shape, model.device()));
+  const auto particle = DeviceArray<int32_t>::from_host(pairs.particle, model.device());
+  pairs_of_particles_ = nova::make_incidence(nova::operand_of(particle), model.particle_count());
+  shape_world_.set(model.shape_world);
+  shape_flags_.set(model.shape_flags);
 }
 
-std::vector<Operand> static_shape_operands(const Model& model) {
-  return {nova::operand_of(model.shape_type),        nova::operand_of(model.shape_flags),
-          nova::operand_of(model.shape_body),        nova::operand_of(model.shape_transform),
-          nova::operand_of(model.shape_scale),       nova::operand_of(model.shape_margin),
-          nova::operand_of(model.shape_material_ke), nova::operand_of(model.shape_material_kd),
-          nova::operand_of(model.shape_material_kf), nova::operand_of(model.shape_material_mu)};
+namespace detail {
+
+std::vector<nova::SourceSpec> static_shape_sources(Worlds worlds) {
+  const bool several = worlds == Worlds::Several;
+  const Access access = several ? Access::Indexed : Access::Reduced;
+  std::vector<nova::SourceSpec> sources = {
+      {"shape_type", DType::I32, 1, access},        {"shape_flags", DType::I32, 1, access},
+      {"shape_body", DType::I32, 1, access},        {"shape_transform", DType::F32, 7, access},
+      {"shape_scale", DType::F32, 3, access},       {"shape_margin", DType::F32, 1, access},
+      {"shape_material_ke", DType::F32, 1, access}, {"shape_material_kd", DType::F32, 1, access},
+      {"shape_material_kf", DType::F32, 1, access}, {"shape_material_mu", DType::F32, 1, access}};
+  if (several) sources.push_back({"pair_shape", DType::I32, 1, Access::CsrRow});
+  return sources;
+}
+
+std::vector<Operand> static_shape_operands(const Model& model, const WorldRows& rows) {
+  std::vector<Operand> operands = {
+      nova::operand_of(model.shape_type),        nova::operand_of(model.shape_flags),
+      nova::operand_of(model.shape_body),        nova::operand_of(model.shape_transform),
+      nova::operand_of(model.shape_scale),       nova::operand_of(model.shape_margin),
+      nova::operand_of(model.shape_material_ke), nova::operand_of(model.shape_material_kd),
+      nova::operand_of(model.shape_material_kf), nova::operand_of(model.shape_material_mu)};
+  if (worlds_of(model) == Worlds::Several) operands.push_back(rows.shape());
+  return operands;
+}
+
+nova::LaunchOptions static_shape_options(const Model& model, const WorldRows& rows,
+                                         std::span<const nova::Param> params) {
+  if (worlds_of(model) == Worlds::Several)
+    return {.params = params, .csr = &rows.pairs_of_particles()};
+  return {.params = params, .extent = model.shape_count()};
 }
 
 std::vector<nova::Param> static_shape_params(const Model& model, float soft_contact_margin) {
@@ -178,19 +217,22 @@ void check_static_shapes(const Model& model) {
   }
 }
 
-Vec3<Real> static_shape_term(TraceContext& c, const Vec3<Real>& x, const Vec3<Real>& v,
-                             const Real& radius, int32_t first_param) {
-  const Int type = c.i32(c.source("shape_type"));
-  const Int flags = c.i32(c.source("shape_flags"));
-  const size_t t = c.source("shape_transform");
-  const Transform<Real> xform{{c.f32(t, 0), c.f32(t, 1), c.f32(t, 2)},
-                              {c.f32(t, 3), c.f32(t, 4), c.f32(t, 5), c.f32(t, 6)}};
+Vec3<Real> static_shape_term(TraceContext& c, Worlds worlds, const Vec3<Real>& x,
+                             const Vec3<Real>& v, const Real& radius, int32_t first_param) {
+  const Int shape = worlds == Worlds::Several ? c.i32(c.source("pair_shape")) : c.reduce_index();
+  auto of_shape = [&](const char* name, int32_t column = 0) {
+    return c.f32(c.source(name), shape, column);
+  };
+  const Int type = c.i32(c.source("shape_type"), shape, 0);
+  const Int flags = c.i32(c.source("shape_flags"), shape, 0);
+  auto at = [&](int32_t column) { return of_shape("shape_transform", column); };
+  const Transform<Real> xform{{at(0), at(1), at(2)}, {at(3), at(4), at(5), at(6)}};
+  const Vec3<Real> scale{of_shape("shape_scale", 0), of_shape("shape_scale", 1),
+                         of_shape("shape_scale", 2)};
   auto is = [&](GeoType wanted) { return type == Int(static_cast<int32_t>(wanted)); };
   const StaticShapeType<Bool> shape_type{is(GeoType::BOX), is(GeoType::SPHERE),
                                          is(GeoType::CAPSULE)};
-  const StaticContact<Real> contact =
-      static_shape_contact(shape_type, xform, load_vec3(c, "shape_scale"), x);
-  auto of_shape = [&](const char* name) { return c.f32(c.source(name)); };
+  const StaticContact<Real> contact = static_shape_contact(shape_type, xform, scale, x);
   const SoftContactMaterial<Real> shape_material{
       of_shape("shape_material_ke"), of_shape("shape_material_kd"), of_shape("shape_material_kf"),
       of_shape("shape_material_mu")};
@@ -201,7 +243,7 @@ Vec3<Real> static_shape_term(TraceContext& c, const Vec3<Real>& x, const Vec3<Re
       c.param(first_param + 4));
   const Bool collides =
       (flags & Int(static_cast<int32_t>(ShapeFlags::COLLIDE_PARTICLES))) != Int(0);
-  const Bool world_owned = c.i32(c.source("shape_body")) < Int(0);
+  const Bool world_owned = c.i32(c.source("shape_body"), shape, 0) < Int(0);
   // A NaN position is no distance away from anything: it reaches the force, as in the law.
   const Bool lost = contact.point.x != contact.point.x;
   const Bool detected = either(
@@ -215,34 +257,40 @@ Vec3<Real> static_shape_term(TraceContext& c, const Vec3<Real>& x, const Vec3<Re
 
 namespace {
 
-const nova::Kernel& static_contact_kernel() {
-  static const nova::Kernel kernel = [] {
-    std::vector<nova::SourceSpec> sources = {{"particle_q", DType::F32, 3, Access::Direct},
-                                             {"particle_qd", DType::F32, 3, Access::Direct},
-                                             {"particle_f", DType::F32, 3, Access::Direct},
-                                             {"particle_radius", DType::F32, 1, Access::Direct},
-                                             {"particle_flags", DType::I32, 1, Access::Direct}};
-    for (const nova::SourceSpec& s : detail::static_shape_sources()) sources.push_back(s);
-    return nova::make_reduce_kernel(
-        "static_particle_shape_contact_forces", sources, {{"particle_f", 3}},
-        {.init =
-             [](TraceContext& c) {
-               const Vec3<Real> f = detail::load_vec3(c, "particle_f");
-               return std::vector{f.x, f.y, f.z};
-             },
-         .body =
-             [](TraceContext& c) {
-               const Vec3<Real> term = detail::static_shape_term(
-                   c, detail::load_vec3(c, "particle_q"), detail::load_vec3(c, "particle_qd"),
-                   c.f32(c.source("particle_radius")), 0);
-               const Bool active = (c.i32(c.source("particle_flags")) & Int(1)) != Int(0);
-               const Real none = -0.0f;
-               const Vec3<Real> acting = math::select(active, term, Vec3<Real>{none, none, none});
-               return std::vector{acting.x, acting.y, acting.z};
-             },
-         .epilogue = {}});
-  }();
-  return kernel;
+nova::Kernel make_static_contact_kernel(const char* name, detail::Worlds worlds) {
+  std::vector<nova::SourceSpec> sources = {{"particle_q", DType::F32, 3, Access::Direct},
+                                           {"particle_qd", DType::F32, 3, Access::Direct},
+                                           {"particle_f", DType::F32, 3, Access::Direct},
+                                           {"particle_radius", DType::F32, 1, Access::Direct},
+                                           {"particle_flags", DType::I32, 1, Access::Direct}};
+  for (const nova::SourceSpec& s : detail::static_shape_sources(worlds)) sources.push_back(s);
+  return nova::make_reduce_kernel(
+      name, sources, {{"particle_f", 3}},
+      {.init =
+           [](TraceContext& c) {
+             const Vec3<Real> f = detail::load_vec3(c, "particle_f");
+             return std::vector{f.x, f.y, f.z};
+           },
+       .body =
+           [worlds](TraceContext& c) {
+             const Vec3<Real> term = detail::static_shape_term(
+                 c, worlds, detail::load_vec3(c, "particle_q"), detail::load_vec3(c, "particle_qd"),
+                 c.f32(c.source("particle_radius")), 0);
+             const Bool active = (c.i32(c.source("particle_flags")) & Int(1)) != Int(0);
+             const Real none = -0.0f;
+             const Vec3<Real> acting = math::select(active, term, Vec3<Real>{none, none, none});
+             return std::vector{acting.x, acting.y, acting.z};
+           },
+       .epilogue = {}});
+}
+
+const nova::Kernel& static_contact_kernel(detail::Worlds worlds) {
+  static const nova::Kernel one = make_static_contact_kernel("static_particle_shape_contact_forces",
+                                                             detail::Worlds::One),
+                            several = make_static_contact_kernel(
+                                "static_particle_shape_contact_forces_of_worlds",
+                                detail::Worlds::Several);
+  return worlds == detail::Worlds::Several ? several : one;
 }
 
 }  // namespace
@@ -250,21 +298,23 @@ const nova::Kernel& static_contact_kernel() {
 void detail::add_contact_kernels(std::vector<nova::EngineKernel>& list) {
   const std::vector<std::string> materials = {"shape_material_ke", "shape_material_kd",
                                               "shape_material_kf", "shape_material_mu"};
-  for (const nova::Kernel& k : {soft_contact_kernel(), static_contact_kernel()})
+  for (const nova::Kernel& k : {soft_contact_kernel(), static_contact_kernel(Worlds::One),
+                                static_contact_kernel(Worlds::Several)})
     list.push_back({k, rollout_gradients(k, {"particle_q", "particle_qd", "particle_f"},
                                          {"particle_radius"}, materials)});
 }
 
-void eval_static_contact_forces(const Model& model, const Operand& particle_q,
-                                const Operand& particle_qd, const Operand& particle_f,
-                                float soft_contact_margin, const Operand& forces) {
+void eval_static_contact_forces(const Model& model, const WorldRows& rows,
+                                const Operand& particle_q, const Operand& particle_qd,
+                                const Operand& particle_f, float soft_contact_margin,
+                                const Operand& forces) {
   const std::vector<nova::Param> params = detail::static_shape_params(model, soft_contact_margin);
   std::vector<Operand> in = {particle_q, particle_qd, particle_f,
                              nova::operand_of(model.particle_radius),
                              nova::operand_of(model.particle_flags)};
-  for (const Operand& o : detail::static_shape_operands(model)) in.push_back(o);
-  static_contact_kernel().launch(particle_q.rows, in, {&forces, 1},
-                                 {.params = params, .extent = model.shape_count()});
+  for (const Operand& o : detail::static_shape_operands(model, rows)) in.push_back(o);
+  static_contact_kernel(detail::worlds_of(model))
+      .launch(particle_q.rows, in, {&forces, 1}, detail::static_shape_options(model, rows, params));
 }
 
 Tensor eval_static_particle_shape_contact_forces_generated(const Model& model,
@@ -279,7 +329,9 @@ Tensor eval_static_particle_shape_contact_forces_generated(const Model& model,
   detail::check_static_shapes(model);
   begin_model_reads(model, op);
   const Tensor out(particle_f.shape(), DType::F32, model.device());
-  eval_static_contact_forces(model, particle_q.operand(), particle_qd.operand(),
+  WorldRows rows;
+  rows.update(model, true);
+  eval_static_contact_forces(model, rows, particle_q.operand(), particle_qd.operand(),
                              particle_f.operand(), soft_contact_margin, out.operand());
   return out;
 }

@@ -1,6 +1,7 @@
-// The search for soft contacts as kernels: the shapes are made ready, every candidate pair (shape
-// times particle) is asked whether it touches, a scan of the answers gives the slots before each
-// pair, and those that touch write their record. What a contact is: collision_pipeline.h.
+// The search for soft contacts as kernels: the shapes are made ready, every candidate pair (a
+// particle and a shape, candidate_pairs.h) is asked whether it touches, a scan of the answers gives
+// the slots before each pair, and those that touch write their record. What a contact is:
+// collision_pipeline.h.
 #pragma once
 
 #include "novaphy/collision/diff_soft_contact_trace.h"
@@ -11,9 +12,7 @@ namespace novaphy {
 
 // What the search needs of a shape that particles may meet.
 struct SoftContactShape {
-  int32_t index;
   GeoType type;
-  int32_t world;
   float reach;  // m: gap + margin
   Vec3f scale;
   Transformf xform, pose, to_local;
@@ -31,20 +30,17 @@ inline SurfaceDistance<float> surface_distance(const SoftContactShape& shape, co
 struct SoftContactShapeArguments {
   const int32_t* candidates;  // shapes that particles may meet
   const int32_t* type;
-  const int32_t* world;
   const Vec3f* scale;
   const Transformf* xform;
   const float* margin;
   FloatWord gap;
-  SoftContactShape* shapes;  // a row per candidate
+  SoftContactShape* shapes;  // a row per shape of the model
 };
 // Makes the candidate shape `row` ready.
-NOVAPHY_ROW_KERNEL(soft_contact_shape, 8, SoftContactShapeArguments) {
+NOVAPHY_ROW_KERNEL(soft_contact_shape, 7, SoftContactShapeArguments) {
   const int32_t s = a.candidates[row];
-  SoftContactShape& shape = a.shapes[row];
-  shape.index = s;
+  SoftContactShape& shape = a.shapes[s];
   shape.type = static_cast<GeoType>(a.type[s]);
-  shape.world = a.world[s];
   shape.reach = a.gap.value + a.margin[s];
   shape.scale = a.scale[s];
   shape.xform = a.xform[s];
@@ -54,21 +50,19 @@ NOVAPHY_ROW_KERNEL(soft_contact_shape, 8, SoftContactShapeArguments) {
 }
 
 struct SoftContactTouchArguments {
+  const int32_t* pair_particle;  // these two: a row per pair
+  const int32_t* pair_shape;
   const SoftContactShape* shapes;
-  int64_t particles;
   const Vec3f* q;
   const float* radius;
   const int32_t* flags;
-  const int32_t* world;
   int32_t* touches;  // a row per pair
 };
 // touches = 1 where the pair `row` touches, else 0.
 NOVAPHY_ROW_KERNEL(soft_contact_touch, 7, SoftContactTouchArguments) {
-  const uint32_t pair = static_cast<uint32_t>(row), particles = static_cast<uint32_t>(a.particles);
-  const SoftContactShape& shape = a.shapes[pair / particles];
-  const uint32_t p = pair % particles;
+  const int32_t p = a.pair_particle[row];
+  const SoftContactShape& shape = a.shapes[a.pair_shape[row]];
   bool touches = has_flag(a.flags[p], ParticleFlags::ACTIVE);
-  if (a.world[p] != shape.world && a.world[p] >= 0 && shape.world >= 0) touches = false;
   if (touches) {
     const Vec3f x = math::transform_point(shape.to_local, a.q[p]);
     touches = surface_distance(shape, x).distance < shape.reach + a.radius[p];
@@ -77,8 +71,9 @@ NOVAPHY_ROW_KERNEL(soft_contact_touch, 7, SoftContactTouchArguments) {
 }
 
 struct SoftContactWriteArguments {
+  const int32_t* pair_particle;  // these two: a row per pair
+  const int32_t* pair_shape;
   const SoftContactShape* shapes;
-  int64_t particles;
   const Vec3f* q;
   const int32_t* before;  // the slots before each pair: a scan of what soft_contact_touch wrote
   int64_t slots;
@@ -91,7 +86,7 @@ struct SoftContactWriteArguments {
   Vec3f* normal;
 };
 // Writes the record of the pair `row`, if it touches, into its slot.
-NOVAPHY_ROW_KERNEL(soft_contact_write, 12, SoftContactWriteArguments) {
+NOVAPHY_ROW_KERNEL(soft_contact_write, 13, SoftContactWriteArguments) {
   const int32_t slot = a.before[row];
   const bool touches = a.tids[row] != 0;
   if (row == n - 1) *a.count = slot + (touches ? 1 : 0);
@@ -99,15 +94,14 @@ NOVAPHY_ROW_KERNEL(soft_contact_write, 12, SoftContactWriteArguments) {
     a.tids[row] = -1;
     return;
   }
-  const uint32_t pair = static_cast<uint32_t>(row), particles = static_cast<uint32_t>(a.particles);
-  const SoftContactShape& shape = a.shapes[pair / particles];
-  const uint32_t p = pair % particles;
+  const int32_t p = a.pair_particle[row], s = a.pair_shape[row];
+  const SoftContactShape& shape = a.shapes[s];
   const Vec3f x = math::transform_point(shape.to_local, a.q[p]);
   const StaticContact<float> contact =
       static_contact_record(shape.xform, shape.pose, x, surface_distance(shape, x));
   a.tids[row] = slot;
-  a.particle[slot] = static_cast<int32_t>(p);
-  a.shape[slot] = shape.index;
+  a.particle[slot] = p;
+  a.shape[slot] = s;
   a.body_pos[slot] = contact.point;
   a.body_vel[slot] = shape.velocity;
   a.normal[slot] = contact.normal;

@@ -3,6 +3,7 @@
 #include <array>
 #include <vector>
 
+#include "novaphy/collision/candidate_pairs.h"
 #include "novaphy/core/device_kernel.h"
 #include "novaphy/core/error.h"
 #include "soft_contact_kernels.h"
@@ -37,16 +38,18 @@ void check_covered_shape(int32_t index, int32_t body, GeoType type) {
 
 struct SoftContacts::Impl {
   std::shared_ptr<const Model> model;
-  // Which shapes may be met, and the versions of the arrays that say so.
+  // Which shapes may be met and by whom, and the versions of the arrays that say so.
   bool known = false;
-  uint64_t versions[3] = {};
+  uint64_t versions[5] = {};
   DeviceArray<int32_t> candidates;
+  DeviceArray<int32_t> pair_particle, pair_shape;  // candidate_pairs.h
   // Scratch, kept from call to call.
-  std::shared_ptr<Storage> shapes;  // a SoftContactShape per candidate
+  std::shared_ptr<Storage> shapes;  // a SoftContactShape per shape
   DeviceArray<int32_t> before;      // the slots before each pair
 
-  std::array<const DeviceArray<int32_t>*, 3> choosing() const {
-    return {&model->shape_flags, &model->shape_body, &model->shape_type};
+  std::array<const DeviceArray<int32_t>*, 5> choosing() const {
+    return {&model->shape_flags, &model->shape_body, &model->shape_type, &model->shape_world,
+            &model->particle_world};
   }
   bool up_to_date() const {
     const auto arrays = choosing();
@@ -69,7 +72,10 @@ struct SoftContacts::Impl {
       found.push_back(s);
     }
     candidates = DeviceArray<int32_t>::from_host(found, model->device());
-    shapes = Storage::allocate(found.size() * sizeof(SoftContactShape), model->device());
+    const CandidatePairs pairs = make_candidate_pairs(*model);
+    pair_particle = DeviceArray<int32_t>::from_host(pairs.particle, model->device());
+    pair_shape = DeviceArray<int32_t>::from_host(pairs.shape, model->device());
+    shapes = Storage::allocate(flags.size() * sizeof(SoftContactShape), model->device());
     for (size_t k = 0; k < arrays.size(); ++k) versions[k] = arrays[k]->version();
     known = true;
   }
@@ -87,9 +93,9 @@ SoftContacts::SoftContacts(std::shared_ptr<const Model> model) : impl_(std::make
 }
 SoftContacts::~SoftContacts() = default;
 
-int32_t SoftContacts::candidate_count() {
+int32_t SoftContacts::pair_count() {
   impl_->find_candidates();
-  return static_cast<int32_t>(impl_->candidates.rows());
+  return static_cast<int32_t>(impl_->pair_shape.rows());
 }
 
 void SoftContacts::collide(const SimState& state, Contacts& contacts, float gap) {
@@ -97,8 +103,7 @@ void SoftContacts::collide(const SimState& state, Contacts& contacts, float gap)
   const Device device = m.device();
   impl_->find_candidates();
   impl_->depend_on_candidates();
-  const int64_t particles = m.particle_count(), pairs = contacts.soft_contact_pair_count(),
-                slots = contacts.soft_contact_max();
+  const int64_t pairs = contacts.soft_contact_pair_count(), slots = contacts.soft_contact_max();
   const auto shape_count = static_cast<int64_t>(impl_->candidates.rows());
   const Array shapes(DType::uint8, impl_->shapes->bytes(), 1, impl_->shapes->range());
   if (impl_->before.rows() < static_cast<size_t>(pairs))
@@ -111,23 +116,24 @@ void SoftContacts::collide(const SimState& state, Contacts& contacts, float gap)
     kernels().shape.launch(
         device, shape_count,
         {reads_row("candidates", impl_->candidates), reads("shape_type", m.shape_type),
-         reads("shape_world", m.shape_world), constant("shape_scale", m.shape_scale),
-         constant("shape_transform", m.shape_transform), constant("shape_margin", m.shape_margin),
-         number(gap), writes("shapes", shapes)});
+         constant("shape_scale", m.shape_scale), constant("shape_transform", m.shape_transform),
+         constant("shape_margin", m.shape_margin), number(gap), writes("shapes", shapes)});
     kernels().touch.launch(
         device, pairs,
-        {reads("shapes", shapes), number(particles), constant("particle_q", state.particle_q),
-         constant("particle_radius", m.particle_radius), reads("particle_flags", m.particle_flags),
-         reads("particle_world", m.particle_world),
+        {reads_row("pair_particle", impl_->pair_particle),
+         reads_row("pair_shape", impl_->pair_shape), reads("shapes", shapes),
+         constant("particle_q", state.particle_q), constant("particle_radius", m.particle_radius),
+         reads("particle_flags", m.particle_flags),
          writes_row("soft_contact_tids", contacts.soft_contact_tids)});
     kernels().scan.launch(
         device, pairs,
         {reads("soft_contact_tids", contacts.soft_contact_tids), writes("before", impl_->before)});
     kernels().write.launch(
         device, pairs,
-        {reads("shapes", shapes), number(particles), constant("particle_q", state.particle_q),
-         reads_row("before", impl_->before), number(slots),
-         updates_row("soft_contact_tids", contacts.soft_contact_tids),
+        {reads_row("pair_particle", impl_->pair_particle),
+         reads_row("pair_shape", impl_->pair_shape), reads("shapes", shapes),
+         constant("particle_q", state.particle_q), reads_row("before", impl_->before),
+         number(slots), updates_row("soft_contact_tids", contacts.soft_contact_tids),
          writes("soft_contact_count", contacts.soft_contact_count),
          writes("soft_contact_particle", contacts.soft_contact_particle),
          writes("soft_contact_shape", contacts.soft_contact_shape),

@@ -15,9 +15,9 @@ class SoftContacts {
   explicit SoftContacts(std::shared_ptr<const Model> model);
   ~SoftContacts();
 
-  // The shapes that particles may meet. The model's arrays are read when they were written since
+  // Candidate pairs. The model's arrays are read when they were written since
   // the last call. ErrorKind::NotImplemented: a colliding shape that is not covered.
-  int32_t candidate_count();
+  int32_t pair_count();
   // The contacts have as many candidate pairs as there are. Recorded where the thread records.
   void collide(const SimState& state, Contacts& contacts, float gap);
 

@@ -33,8 +33,7 @@ DiffSemiImplicitSolver::DiffSemiImplicitSolver(std::shared_ptr<const Model> mode
   const ModelCounts& counts = this->model()->counts();
   require(!config.strict || counts.body_count == 0, ErrorKind::NotImplemented,
           "DiffSemiImplicitSolver: rigid bodies are not covered yet");
-  require(this->model()->gravity.rows() == 1, ErrorKind::NotImplemented,
-          "DiffSemiImplicitSolver: models of several worlds are not covered");
+  rows_.update(*this->model(), config.enable_static_contacts);
   require(std::isfinite(config.static_contact_margin) && config.static_contact_margin >= 0.0f,
           ErrorKind::Value,
           "DiffSolverConfig, static_contact_margin: expected a finite distance "
@@ -127,6 +126,7 @@ void DiffSemiImplicitSolver::step(SimState& state_in, SimState& state_out, const
   if (!config_.enable_particles || model()->particle_count() == 0) return;
   check_contacts("DiffSemiImplicitSolver.step", contacts);
   begin_model_reads(*model(), "DiffSemiImplicitSolver.step");
+  rows_.update(*model(), config_.enable_static_contacts);
   const Operand q = nova::operand_of(state_in.particle_q),
                 qd = nova::operand_of(state_in.particle_qd);
   const Operand applied = nova::operand_of(state_in.particle_f);
@@ -147,7 +147,7 @@ void DiffSemiImplicitSolver::step(SimState& state_in, SimState& state_out, const
   if (contacts_of || static_contacts) {
     const Operand total = target();
     if (static_contacts) {
-      eval_static_contact_forces(*model(), q, qd, f, config_.static_contact_margin, total);
+      eval_static_contact_forces(*model(), rows_, q, qd, f, config_.static_contact_margin, total);
     } else {
       eval_soft_contact_forces(*model(), *contacts, *contacts_of, q, qd, f, total);
     }
@@ -179,6 +179,7 @@ void DiffSemiImplicitSolver::rollout(Trajectory& trajectory, const Control* cont
   check_contacts("DiffSemiImplicitSolver.rollout", contacts);
   const ExclusiveUse::Scope scope = use("DiffSemiImplicitSolver.rollout");
   begin_model_reads(*model(), "DiffSemiImplicitSolver.rollout");
+  rows_.update(*model(), config_.enable_static_contacts);
   const nova::Incidence* contacts_of = contacts_of_particles(contacts);
   const bool static_contacts = config_.enable_static_contacts && config_.enable_particle_contacts;
   const Operand applied = nova::operand_of(trajectory.particle_f());
@@ -195,8 +196,8 @@ void DiffSemiImplicitSolver::rollout(Trajectory& trajectory, const Control* cont
                   qd_out = nova::operand_of(next.particle_qd);
     const Operand f = add_elements(control, q, qd, applied, total);
     if (static_contacts) {
-      step_particles_with_static_contacts(*model(), q, qd, f, config_.static_contact_margin, dt,
-                                          q_out, qd_out);
+      step_particles_with_static_contacts(*model(), rows_, q, qd, f, config_.static_contact_margin,
+                                          dt, q_out, qd_out);
     } else if (contacts_of) {
       step_particles(*model(), *contacts, *contacts_of, q, qd, f, dt, q_out, qd_out);
     } else {

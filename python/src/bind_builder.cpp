@@ -209,6 +209,48 @@ void bind_shape_config(py::module_& m) {
   add_settings_pickle(c);
 }
 
+void bind_worlds(py::class_<ModelBuilder>& c) {
+  c.def_property_readonly("world_count", &ModelBuilder::world_count,
+                          "Worlds so far; a model without worlds has one.")
+      .def_property_readonly("current_world", &ModelBuilder::current_world,
+                             "The open world; -1 outside of begin_world and end_world.")
+      .def(
+          "begin_world",
+          [](ModelBuilder& b, py::handle gravity) {
+            return gravity.is_none() ? b.begin_world() : b.begin_world(to_vec3(gravity, "gravity"));
+          },
+          py::kw_only(), "gravity"_a = py::none(),
+          "Opens a world: what is added until end_world meets only what belongs to it or to all "
+          "worlds (-1), which is what is added outside. gravity (m/s^2, world frame) None: the "
+          "builder's. Returns the number of the world. novaphy.Error: a world is open.")
+      .def("end_world", &ModelBuilder::end_world, "novaphy.Error: no world is open.")
+      .def(
+          "add_builder",
+          [](ModelBuilder& b, const ModelBuilder& builder, py::handle xform) {
+            b.add_builder(builder, to_transform(xform, "xform"));
+          },
+          "builder"_a, "xform"_a = py::none(),
+          "All of another builder, moved by `xform` (m, xyzw), in the current world, which takes "
+          "that builder's gravity (outside of worlds: this builder does). ValueError: another up "
+          "axis, this builder itself, a bad pose.")
+      .def(
+          "add_world",
+          [](ModelBuilder& b, const ModelBuilder& builder, py::handle xform) {
+            return b.add_world(builder, to_transform(xform, "xform"));
+          },
+          "builder"_a, "xform"_a = py::none(),
+          "begin_world, add_builder, end_world. Returns the number of the world.")
+      .def(
+          "replicate",
+          [](ModelBuilder& b, const ModelBuilder& builder, int32_t world_count,
+             py::handle spacing) {
+            b.replicate(builder, world_count, to_vec3(spacing, "spacing"));
+          },
+          "builder"_a, "world_count"_a, "spacing"_a = py::make_tuple(0.0, 0.0, 0.0),
+          "add_world `world_count` times on a grid of `spacing` (m) over the axes where it is not "
+          "0, centred at the origin but for the up axis, which starts at 0.");
+}
+
 void bind_shapes(py::class_<ModelBuilder>& c) {
   c.def(
        "add_shape",
@@ -376,6 +418,7 @@ void bind_builder(py::module_& m) {
           "Many particles; the lists have one length (ValueError).");
   bind_builder_elements(c);
   bind_shapes(c);
+  bind_worlds(c);
   c.def(
       "finalize",
       [](const ModelBuilder& b, py::handle device, bool requires_grad, bool skip_validation) {

@@ -1,5 +1,6 @@
 #include "novaphy/core/sim/model_builder.h"
 
+#include <algorithm>
 #include <limits>
 
 #include "builder_checks.h"
@@ -56,7 +57,7 @@ int32_t ModelBuilder::add_particle(const Vec3f& pos, const Vec3f& vel, float mas
   particle_mass.push_back(mass);
   particle_radius.push_back(r);
   particle_flags.push_back(flags);
-  particle_world.push_back(-1);
+  particle_world.push_back(current_world_);
   return particle_count() - 1;
 }
 
@@ -89,7 +90,7 @@ void ModelBuilder::add_particles(std::span<const Vec3f> pos, std::span<const Vec
   const size_t total = particle_q.size();
   particle_radius.resize(total, default_particle_radius);
   particle_flags.resize(total, static_cast<int32_t>(ParticleFlags::ACTIVE));
-  particle_world.resize(total, -1);
+  particle_world.resize(total, current_world_);
 }
 
 int32_t ModelBuilder::append_shape(std::string_view name, const ShapeArgs& args) {
@@ -108,6 +109,7 @@ int32_t ModelBuilder::append_shape(std::string_view name, const ShapeArgs& args)
                      .scale = scale,
                      .cfg = cfg,
                      .gap = cfg.gap.value_or(rigid_gap),
+                     .world = current_world_,
                      .label = args.label.empty() ? "shape_" + std::to_string(index) : args.label});
   return index;
 }
@@ -190,15 +192,21 @@ void ModelBuilder::check_sizes() const {
 void ModelBuilder::check_values() const {
   constexpr std::string_view name = "finalize";
   detail::check_finite({name, "gravity"}, gravity);
+  const int32_t worlds = std::max(world_count(), 1);
   for (size_t i = 0; i < particle_q.size(); ++i) {
     detail::check_finite({name, "particle_q", i}, particle_q[i]);
     detail::check_finite({name, "particle_qd", i}, particle_qd[i]);
     detail::check_mass({name, "particle_mass", i}, particle_mass[i]);
     detail::check_not_negative({name, "particle_radius", i}, particle_radius[i]);
     detail::check_particle_flags({name, "particle_flags", i}, particle_flags[i]);
-    require(particle_world[i] >= -1 && particle_world[i] < 1, ErrorKind::Value,
-            Where{name, "particle_world", i}, ": expected -1 (all worlds) or 0, got ",
-            particle_world[i]);
+    require(particle_world[i] >= -1 && particle_world[i] < worlds, ErrorKind::Value,
+            Where{name, "particle_world", i}, ": expected -1 (all worlds) to ", worlds - 1,
+            ", got ", particle_world[i]);
+    // A particle of all worlds has the gravity of the last one (see Model::gravity).
+    require(particle_world[i] >= 0 || world_gravity_.empty() || gravity == world_gravity_.back(),
+            ErrorKind::Value, Where{name, "particle_world", i},
+            ": expected a world from 0: a particle of all worlds (-1) needs a gravity of the "
+            "builder that the last world has too");
   }
 }
 

@@ -36,6 +36,8 @@ void ModelBuilder::upload_elements(Model& m) const {
 
 std::shared_ptr<Model> ModelBuilder::finalize(Device device, const FinalizeOptions& options) const {
   require_device(device);
+  require(current_world_ < 0, ErrorKind::Runtime, "finalize: world ", current_world_,
+          " is open; call end_world() first");
   check_sizes();
   if (!options.skip_validation) check_values();
 
@@ -49,7 +51,7 @@ std::shared_ptr<Model> ModelBuilder::finalize(Device device, const FinalizeOptio
   const auto body = column([](const Shape& s) { return s.body; });
   const auto flags = column([](const Shape& s) { return s.cfg.flags(); });
   const auto group = column([](const Shape& s) { return s.cfg.collision_group; });
-  const std::vector<int32_t> world(shapes, -1);
+  const auto world = column([](const Shape& s) { return s.world; });
   const std::vector<Vec2i> pairs =
       make_shape_contact_pairs(body, flags, group, world, filter_pairs_);
 
@@ -60,7 +62,7 @@ std::shared_ptr<Model> ModelBuilder::finalize(Device device, const FinalizeOptio
   counts.tri_count = tri_count();
   counts.edge_count = edge_count();
   counts.tet_count = tet_count();
-  counts.world_count = 1;
+  counts.world_count = std::max(world_count(), 1);
   counts.shape_contact_pair_count = static_cast<int32_t>(pairs.size());
   std::shared_ptr<Model> model(new Model(counts, device, up_axis_));
   Model& m = *model;
@@ -111,7 +113,11 @@ std::shared_ptr<Model> ModelBuilder::finalize(Device device, const FinalizeOptio
   m.shape_label = column([](const Shape& s) { return s.label; });
   m.shape_collision_filter_pairs = filter_pairs_;
 
-  m.gravity.fill(gravity);
+  if (world_gravity_.empty()) {
+    m.gravity.fill(gravity);
+  } else {
+    upload(m.gravity, world_gravity_);
+  }
   m.update_derived();
   return model;
 }

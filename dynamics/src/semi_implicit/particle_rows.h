@@ -6,7 +6,7 @@
 #include <span>
 #include <vector>
 
-#include "array_stamp.h"
+#include "novaphy/core/array_stamp.h"
 
 namespace novaphy {
 

@@ -38,10 +38,10 @@ struct CollisionOptions {
 // World-owned planes, boxes, spheres and capsules; others throw ErrorKind::NotImplemented. The
 // geometry of a record carries no gradient. A particle whose position is NaN meets nothing.
 //
-// Candidate pairs are ordered shape-major: all particles with the first colliding shape, then with
-// the second, ... The contacts have that order for any number of threads. If there are more than
-// slots, the first ones are kept, soft_contact_count keeps the full number and
-// Contacts::overflowed() is true.
+// Candidate pairs (candidate_pairs.h) are ordered shape-major: the particles that may meet the
+// first colliding shape, then those of the second, ... The contacts have that order for any number
+// of threads. If there are more than slots, the first ones are kept, soft_contact_count keeps the
+// full number and Contacts::overflowed() is true.
 //
 // One thread at a time may use a pipeline: another one gets ErrorKind::Runtime.
 class NOVAPHY_COLLISION_API CollisionPipeline {
@@ -57,7 +57,7 @@ class NOVAPHY_COLLISION_API CollisionPipeline {
   float soft_contact_margin() const { return options_.soft_contact_margin; }
   int32_t rigid_contact_max() const { return 0; }
   int32_t soft_contact_max() const;         // slots of contacts()
-  int32_t soft_contact_pair_count() const;  // candidate pairs: particles times colliding shapes
+  int32_t soft_contact_pair_count() const;  // candidate_pairs.h
 
   // Empty contacts that collide takes.
   Contacts contacts() const;

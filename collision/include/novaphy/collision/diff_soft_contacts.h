@@ -13,13 +13,32 @@
 #pragma once
 
 #include <array>
+#include <span>
 
+#include "novaphy/core/array_stamp.h"
 #include "novaphy/core/sim/contacts.h"
 #include "novaphy/core/sim/model.h"
 #include "novaphy/diff/export.h"
 #include "novaphy/nova/kernel.h"
 
 namespace novaphy::diff {
+
+// Of a model of several worlds: the shapes that each particle may meet (candidate_pairs.h), as rows
+// of a table. A model of one world needs none: each particle may meet each shape.
+class NOVAPHY_DIFF_API WorldRows {
+ public:
+  // Made anew when the arrays that they are made from were written; `with_shapes` false checks the
+  // particles only. ErrorKind::NotImplemented: a particle of all worlds (-1), whose gravity is that
+  // of none; ErrorKind::Index: no such world.
+  void update(const Model& model, bool with_shapes);
+  const nova::Operand& shape() const { return shape_; }  // of each pair
+  const nova::Incidence& pairs_of_particles() const { return pairs_of_particles_; }
+
+ private:
+  ArrayStamp particle_world_, shape_world_, shape_flags_;
+  nova::Operand shape_;
+  nova::Incidence pairs_of_particles_;
+};
 
 // particle_f {n, 3} plus the forces of all world-owned plane, box, sphere and capsule shapes,
 // evaluated at the true distance: {n, 3}, N. A shape acts where a contact would be detected within
@@ -29,11 +48,15 @@ NOVAPHY_DIFF_API nova::Tensor eval_static_particle_shape_contact_forces_generate
     const Model& model, const nova::Tensor& particle_q, const nova::Tensor& particle_qd,
     const nova::Tensor& particle_f, float soft_contact_margin = 0.0f);
 
-// The same into given memory: what the solver calls. ErrorKind::Value for a bad margin; whether the
-// shapes are covered is the caller's to check (detail::check_static_shapes).
-NOVAPHY_DIFF_API void eval_static_contact_forces(
-    const Model& model, const nova::Operand& particle_q, const nova::Operand& particle_qd,
-    const nova::Operand& particle_f, float soft_contact_margin, const nova::Operand& forces);
+// The same into given memory: what the solver calls, with `rows` that are up to date.
+// ErrorKind::Value for a bad margin; whether the shapes are covered is the caller's to check
+// (detail::check_static_shapes).
+NOVAPHY_DIFF_API void eval_static_contact_forces(const Model& model, const WorldRows& rows,
+                                                 const nova::Operand& particle_q,
+                                                 const nova::Operand& particle_qd,
+                                                 const nova::Operand& particle_f,
+                                                 float soft_contact_margin,
+                                                 const nova::Operand& forces);
 
 // The forces of recorded contacts, in slot order: `forces` = `particle_f` + the terms of the
 // contacts. `contacts_of` lists the slots of every particle (nova::make_incidence of
@@ -55,10 +78,18 @@ std::array<nova::Param, kSoftContactParams> soft_contact_params(const Model& mod
 Vec3<nova::Real> soft_contact_term(nova::TraceContext& c, const Vec3<nova::Real>& x,
                                    const Vec3<nova::Real>& v, const nova::Real& radius,
                                    int32_t first_param);
-// Sources, in order, of the static shapes inside a sum over shapes; and the term of one shape.
-std::vector<nova::SourceSpec> static_shape_sources();
-std::vector<nova::Operand> static_shape_operands(const Model& model);
-Vec3<nova::Real> static_shape_term(nova::TraceContext& c, const Vec3<nova::Real>& x,
+// Whether a kernel serves models of one world or of several.
+enum class Worlds { One, Several };
+inline Worlds worlds_of(const Model& model) {
+  return model.world_count() > 1 ? Worlds::Several : Worlds::One;
+}
+// Sources, in order, of the static shapes inside a sum over all shapes, or over the WorldRows of a
+// particle; the options of such a launch; and the term of one shape.
+std::vector<nova::SourceSpec> static_shape_sources(Worlds worlds);
+std::vector<nova::Operand> static_shape_operands(const Model& model, const WorldRows& rows);
+nova::LaunchOptions static_shape_options(const Model& model, const WorldRows& rows,
+                                         std::span<const nova::Param> params);
+Vec3<nova::Real> static_shape_term(nova::TraceContext& c, Worlds worlds, const Vec3<nova::Real>& x,
                                    const Vec3<nova::Real>& v, const nova::Real& radius,
                                    int32_t first_param);
 // The parameters that static_shape_term reads: contact material of the model, adhesion, margin.

@@ -3,6 +3,7 @@
 
 #include <memory>
 
+#include "novaphy/collision/diff_soft_contacts.h"
 #include "novaphy/core/sim/solver_base.h"
 #include "novaphy/diff/export.h"
 #include "novaphy/diff/trajectory.h"
@@ -84,6 +85,7 @@ class NOVAPHY_DIFF_API DiffSemiImplicitSolver : public SolverBase {
   DiffSolverConfig config_;
   int32_t uncovered_shapes_ = 0;  // under strict: those that need a Contacts to act
   nova::Incidence contacts_of_;  // of the last contacts
+  WorldRows rows_;               // of a model of several worlds
   ElementOperators elements_;
   DeviceArray<Vec3f> forces_;  // {n}: of a rollout that is not recorded
 };

@@ -91,7 +91,9 @@ class NOVAPHY_CORE_API ModelBuilder {
   Vec3f up_vector() const { return axis_vector(up_axis_); }
 
   // Settings; they act on what is added after they were changed.
-  Vec3f gravity;                         // m/s^2, world; read by finalize
+  // m/s^2, world frame; of worlds that begin_world is given none for, read by begin_world, and of a
+  // builder without worlds, read by finalize.
+  Vec3f gravity;
   float default_particle_radius = 0.1f;  // m
   ShapeConfig default_shape_cfg;
   float rigid_gap = 0.1f;  // m: the gap of shapes whose ShapeConfig has none
@@ -110,6 +112,8 @@ class NOVAPHY_CORE_API ModelBuilder {
   std::vector<int32_t> particle_flags;         // ParticleFlags
   std::vector<int32_t> particle_world;         // -1: all worlds
 
+  int32_t world_count() const { return static_cast<int32_t>(world_gravity_.size()); }
+  int32_t current_world() const { return current_world_; }  // -1: outside of begin_world, end_world
   int32_t particle_count() const { return static_cast<int32_t>(particle_q.size()); }
   int32_t body_count() const { return 0; }
   int32_t shape_count() const { return static_cast<int32_t>(shapes_.size()); }
@@ -176,6 +180,22 @@ class NOVAPHY_CORE_API ModelBuilder {
   // The two shapes never meet. ErrorKind::Index: no such shape; ErrorKind::Value: a == b.
   void add_shape_collision_filter_pair(int32_t a, int32_t b);
 
+  // Worlds: what is added between begin_world and end_world belongs to one world and meets only
+  // what belongs to it or to all worlds (-1), which is what is added outside. A model without
+  // worlds has one. begin_world returns the number of the world; `gravity` is the builder's when
+  // empty. ErrorKind::Runtime: a world is open already, or none is; ErrorKind::Value: not finite.
+  int32_t begin_world(std::optional<Vec3f> gravity = {});
+  void end_world();
+  // Adds all of another builder, moved by `xform`, to the current world, whatever world it had
+  // there, and takes that builder's gravity for this world (outside of worlds: for this builder).
+  // ErrorKind::Value: another up axis, this builder itself, a bad pose, or too many particles.
+  void add_builder(const ModelBuilder& builder, const Transformf& xform = Transformf::identity());
+  // begin_world, add_builder, end_world. Returns the number of the world.
+  int32_t add_world(const ModelBuilder& builder, const Transformf& xform = Transformf::identity());
+  // add_world `world_count` times, on a grid of `spacing` (m, world frame) that spans the axes
+  // where it is not 0 and is centred at the origin, but for the up axis, which it starts at 0.
+  void replicate(const ModelBuilder& builder, int32_t world_count, const Vec3f& spacing = {});
+
   // Checks everything and makes a model; the builder stays as it is and may be used again. `device`
   // must be there (ErrorKind::Runtime).
   std::shared_ptr<Model> finalize(Device device = default_device(),
@@ -189,6 +209,7 @@ class NOVAPHY_CORE_API ModelBuilder {
     Vec3f scale;
     ShapeConfig cfg;
     float gap;
+    int32_t world;
     std::string label = {};
   };
 
@@ -227,11 +248,15 @@ class NOVAPHY_CORE_API ModelBuilder {
   void append_cloth(std::string_view function, const ClothMeshArgs& args);
   void append_surface(std::string_view function, std::span<const Vec4i> tetrahedra,
                       const TriMaterial& tri, bool add_edges, const EdgeMaterial& edge);
+  void append_elements(const ModelBuilder& builder);
+  void check_addable(std::string_view function, const ModelBuilder& builder, int64_t copies) const;
   void upload_elements(Model& model) const;
   void check_sizes() const;
   void check_values() const;
 
   Axis up_axis_;
+  int32_t current_world_ = -1;
+  std::vector<Vec3f> world_gravity_;  // one per world
   std::vector<Shape> shapes_;
   Springs springs_;
   Triangles triangles_;

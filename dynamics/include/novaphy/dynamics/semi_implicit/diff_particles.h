@@ -2,7 +2,7 @@
 //
 // What each input's gradient is:
 //   particle_q, particle_qd, particle_f   exact
-//   gravity, particle_mass                exact (the mass through particle_inv_mass = 1/mass; 0 for
+//   gravity of each world, particle_mass  exact (the mass through particle_inv_mass = 1/mass; 0 for
 //   mass 0) particle_radius, shape_material_*     exact, where static contacts are part of the
 //   operator particle_flags, particle_max_velocity, dt   none (they choose, or are constants of the
 //   launch)
@@ -10,6 +10,7 @@
 
 #include <utility>
 
+#include "novaphy/collision/diff_soft_contacts.h"
 #include "novaphy/core/sim/contacts.h"
 #include "novaphy/core/sim/model.h"
 #include "novaphy/diff/export.h"
@@ -33,7 +34,8 @@ integrate_particles_with_static_contacts_generated(const Model& model,
                                                    const nova::Tensor& particle_f,
                                                    float soft_contact_margin, float dt);
 
-// Into given memory: what the solver calls.
+// Into given memory: what the solver calls. Whether the particles' worlds are covered is the
+// caller's to check (WorldRows).
 NOVAPHY_DIFF_API void integrate_particles(const Model& model, const nova::Operand& particle_q,
                                           const nova::Operand& particle_qd,
                                           const nova::Operand& particle_f, float dt,
@@ -41,9 +43,9 @@ NOVAPHY_DIFF_API void integrate_particles(const Model& model, const nova::Operan
 
 // The forces of all static shapes and the integration, into given memory.
 NOVAPHY_DIFF_API void step_particles_with_static_contacts(
-    const Model& model, const nova::Operand& particle_q, const nova::Operand& particle_qd,
-    const nova::Operand& particle_f, float soft_contact_margin, float dt,
-    const nova::Operand& q_out, const nova::Operand& qd_out);
+    const Model& model, const WorldRows& rows, const nova::Operand& particle_q,
+    const nova::Operand& particle_qd, const nova::Operand& particle_f, float soft_contact_margin,
+    float dt, const nova::Operand& q_out, const nova::Operand& qd_out);
 
 // The forces of recorded contacts (eval_soft_contact_forces) and the integration in one kernel: the
 // same bits as one after the other. `particle_f` is only read.

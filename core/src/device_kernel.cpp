@@ -69,8 +69,12 @@ LaunchArgument number(float value) {
 }
 
 DeviceKernel::DeviceKernel(const novaphy_row_function& function, DeviceText text)
-    : name_(function.name), function_(&function), text_(text) {}
-DeviceKernel::DeviceKernel(const char* builtin) : name_(builtin) {}
+    : name_(function.name),
+      function_(&function),
+      text_(text),
+      all_(*new std::vector<std::unique_ptr<const Made>>) {}
+DeviceKernel::DeviceKernel(const char* builtin)
+    : name_(builtin), all_(*new std::vector<std::unique_ptr<const Made>>) {}
 DeviceKernel::~DeviceKernel() = default;
 
 novaphy_kernel* DeviceKernel::get(const DeviceContext& context) const {
@@ -80,12 +84,12 @@ novaphy_kernel* DeviceKernel::get(const DeviceContext& context) const {
   const std::lock_guard lock(mutex_);
   for (const auto& made : all_)
     if (made->context == &context) return made->kernel;
-  all_.push_back(std::make_unique<const Made>(Made{&context, make(context)}));
+  all_.push_back(std::make_unique<const Made>(make(context)));
   if (all_.size() == 1) first_.store(all_.front().get(), std::memory_order_release);
   return all_.back()->kernel;
 }
 
-novaphy_kernel* DeviceKernel::make(const DeviceContext& context) const {
+DeviceKernel::Made DeviceKernel::make(const DeviceContext& context) const {
   const novaphy_backend_api& api = *context.api;
   novaphy_error error = make_error();
   novaphy_module* module = nullptr;
@@ -104,7 +108,7 @@ novaphy_kernel* DeviceKernel::make(const DeviceContext& context) const {
   novaphy_kernel* kernel = nullptr;
   check(api.kernel_get(module, function_ == nullptr ? "main" : name_, &kernel, &error), error,
         name_);
-  return kernel;
+  return {&context, module, kernel};
 }
 
 void DeviceKernel::launch(Device device, int64_t n,

@@ -59,17 +59,18 @@ class NOVAPHY_CORE_API DeviceKernel {
  private:
   struct Made {
     const DeviceContext* context;
+    novaphy_module* module;
     novaphy_kernel* kernel;
   };
   novaphy_kernel* get(const DeviceContext& context) const;
-  novaphy_kernel* make(const DeviceContext& context) const;
+  Made make(const DeviceContext& context) const;
 
   const char* name_;
   const novaphy_row_function* function_ = nullptr;  // null: a builtin
   DeviceText text_ = nullptr;
   mutable std::atomic<const Made*> first_{nullptr};  // found without the lock
   mutable std::mutex mutex_;
-  mutable std::vector<std::unique_ptr<const Made>> all_;
+  std::vector<std::unique_ptr<const Made>>& all_;  // never destroyed, like the devices
 };
 
 }  // namespace novaphy

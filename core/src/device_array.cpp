@@ -103,6 +103,7 @@ std::vector<int64_t> Array::shape() const {
 
 void* Array::raw_mutable() {
   if (!range_) return nullptr;
+  require_writable("mutable data");
   notify_write(*range_, "mutable data");
   range_->mark_written();
   return range_->data();
@@ -111,6 +112,7 @@ void* Array::raw_mutable() {
 void Array::copy_from_host(const void* source, size_t bytes) {
   require_bytes(*this, "copy_from_host", bytes);
   if (bytes == 0) return;
+  require_writable("copy_from_host");
   notify_write(*range_, "copy_from_host");
   copy_bytes(device_context(device()), NOVAPHY_COPY_HOST_TO_DEVICE, range_->data(), source, bytes,
              "copy_from_host");
@@ -127,6 +129,7 @@ void Array::copy_to_host(void* target, size_t bytes) const {
 
 void Array::zero() {
   if (bytes() == 0) return;
+  require_writable("zero");
   notify_write(*range_, "zero");
   const DeviceContext& context = device_context(device());
   novaphy_error error = make_error();
@@ -140,6 +143,7 @@ void Array::fill_bytes(const void* element, size_t element_bytes) {
   require(element_bytes == expected, ErrorKind::Value, "fill: expected an element of ", expected,
           " bytes, got ", element_bytes);
   if (bytes() == 0) return;
+  require_writable("fill");
   notify_write(*range_, "fill");
   const DeviceContext& context = device_context(device());
   if (element_bytes <= 8 && (element_bytes & (element_bytes - 1)) == 0) {
@@ -163,6 +167,7 @@ void Array::assign(const Array& source) {
   require(source.dtype_ == dtype_ && source.rows_ == rows_ && source.width_ == width_,
           ErrorKind::Value, "assign: expected ", describe(*this), ", got ", describe(source));
   if (bytes() == 0 || source.range_ == range_) return;
+  require_writable("assign");
   require(!range_->overlaps(*source.range_), ErrorKind::Value,
           "assign: source overlaps the target");
   if (source.device() != device()) {
@@ -177,6 +182,17 @@ void Array::assign(const Array& source) {
   copy_bytes(device_context(device()), NOVAPHY_COPY_DEVICE_TO_DEVICE, range_->data(),
              source.range_->data(), bytes(), "assign");
   range_->mark_written();
+}
+
+Array Array::read_only(const char* reason) const {
+  Array handle = *this;
+  handle.read_only_ = reason;
+  return handle;
+}
+
+void Array::require_writable(const char* what) const {
+  if (read_only_ != nullptr && bytes() != 0) [[unlikely]]
+    fail(ErrorKind::Runtime, what, ": ", read_only_);
 }
 
 Array Array::clone() const { return to(device()); }

@@ -29,7 +29,7 @@ int32_t shapes_for_particles(const Model& model) {
 
 DiffSemiImplicitSolver::DiffSemiImplicitSolver(std::shared_ptr<const Model> model,
                                                const DiffSolverConfig& config)
-    : SolverBase(std::move(model)), config_(config) {
+    : DiffSolverBase(std::move(model)), config_(config) {
   const ModelCounts& counts = this->model()->counts();
   require(!config.strict || counts.body_count == 0, ErrorKind::NotImplemented,
           "DiffSemiImplicitSolver: rigid bodies are not covered yet");
@@ -47,9 +47,6 @@ DiffSemiImplicitSolver::DiffSemiImplicitSolver(std::shared_ptr<const Model> mode
                                                 .triangles = config.enable_triangles,
                                                 .edges = config.enable_bending,
                                                 .tetrahedra = config.enable_tetrahedra});
-  if (!elements_.empty())
-    forces_ =
-        DeviceArray<Vec3f>(static_cast<size_t>(counts.particle_count), this->model()->device());
 }
 
 // Elements that exert a force but are not enabled would be left out without a word.
@@ -163,67 +160,37 @@ void DiffSemiImplicitSolver::step(SimState& state_in, SimState& state_out, const
                       nova::operand_of(state_out.particle_qd));
 }
 
-void DiffSemiImplicitSolver::rollout(Trajectory& trajectory, const Control* control,
-                                     const Contacts* contacts, float dt) {
-  if (trajectory.steps() == 0 || !config_.enable_particles || model()->particle_count() == 0)
-    return;
-  require(trajectory.model() == model(), ErrorKind::Value,
-          "DiffSemiImplicitSolver.rollout, trajectory: it belongs to "
-          "another model");
-  require(std::isfinite(dt) && dt > 0.0f, ErrorKind::Value,
-          "DiffSemiImplicitSolver.rollout, dt: expected a finite time step > 0, got ", dt);
-  require(!control || control->model_id() == model()->id(), ErrorKind::Value,
-          "DiffSemiImplicitSolver.rollout, control: it belongs to another model");
-  require(!contacts || contacts->model_id() == model()->id(), ErrorKind::Value,
-          "DiffSemiImplicitSolver.rollout, contacts: they belong to another model");
-  check_contacts("DiffSemiImplicitSolver.rollout", contacts);
-  const ExclusiveUse::Scope scope = use("DiffSemiImplicitSolver.rollout");
+std::vector<ScratchSpec> DiffSemiImplicitSolver::step_scratch() const {
+  if (elements_.empty()) return {};
+  // The forces on the particles with those of the elements.
+  return {{DType::vec3, static_cast<size_t>(model()->particle_count()), 1}};
+}
+
+bool DiffSemiImplicitSolver::begin_rollout(const RolloutInputs& inputs) {
+  if (!config_.enable_particles || model()->particle_count() == 0) return false;
+  check_contacts("DiffSemiImplicitSolver.rollout", inputs.contacts());
   begin_model_reads(*model(), "DiffSemiImplicitSolver.rollout");
   rows_.update(*model(), config_.enable_static_contacts);
-  const nova::Incidence* contacts_of = contacts_of_particles(contacts);
-  const bool static_contacts = config_.enable_static_contacts && config_.enable_particle_contacts;
-  const Operand applied = nova::operand_of(trajectory.particle_f());
-  const bool recording = nova::Tape::active() != nullptr;
-  if (recording) make_leaves(trajectory.state(0));
-  constexpr int32_t kStepsPerInterruptCheck = 32;
-  constexpr int32_t kLargeParticleCount =
-      2048;  // from here on the steps share the cache block by block
-  nova::DeferredScope deferred(model()->particle_count() >= kLargeParticleCount);
-  const auto step = [this, control, contacts, contacts_of, static_contacts, applied, dt](
-                        const SimState& now, const SimState& next, const Operand& total) {
-    const Operand q = nova::operand_of(now.particle_q), qd = nova::operand_of(now.particle_qd);
-    const Operand q_out = nova::operand_of(next.particle_q),
-                  qd_out = nova::operand_of(next.particle_qd);
-    const Operand f = add_elements(control, q, qd, applied, total);
-    if (static_contacts) {
-      step_particles_with_static_contacts(*model(), rows_, q, qd, f, config_.static_contact_margin,
-                                          dt, q_out, qd_out);
-    } else if (contacts_of) {
-      step_particles(*model(), *contacts, *contacts_of, q, qd, f, dt, q_out, qd_out);
-    } else {
-      integrate_particles(*model(), q, qd, f, dt, q_out, qd_out);
-    }
-  };
-  const bool between = !elements_.empty() && recording;
-  // What runs later writes the memory of the elements then.
-  const std::shared_ptr<ExclusiveUse> later = elements_.empty() ? nullptr : in_use();
-  if (nova::OpList* graph = nova::current_capture(); graph != nullptr && later != nullptr)
-    graph->uses(later);
-  const Operand alone = elements_.empty() ? applied : nova::operand_of(forces_);
-  const int32_t steps = trajectory.steps(), interval = trajectory.checkpoint_interval();
-  for (int32_t first = 0; first < steps; first += interval) {
-    const nova::RecomputedScope once_more(interval > 1, later);
-    for (int32_t t = first; t < std::min(first + interval, steps); ++t) {
-      if (t % kStepsPerInterruptCheck == 0) check_interrupt();
-      step(trajectory.any_state(t), trajectory.any_state(t + 1),
-           between ? nova::operand_of(trajectory.total_force(t)) : alone);
-    }
+  contacts_of_particles(inputs.contacts());  // reads on the host: before anything is deferred
+  return true;
+}
+
+void DiffSemiImplicitSolver::record_step(const SimState& in, SimState& out,
+                                         const StepInputs& inputs, StepScratch scratch) {
+  const Operand q = nova::operand_of(in.particle_q), qd = nova::operand_of(in.particle_qd);
+  const Operand q_out = nova::operand_of(out.particle_q),
+                qd_out = nova::operand_of(out.particle_qd);
+  const Operand f = elements_.empty() ? inputs.forces
+                                      : add_elements(inputs.control, q, qd, inputs.forces,
+                                                     nova::operand_of(scratch[0]));
+  if (config_.enable_static_contacts && config_.enable_particle_contacts) {
+    step_particles_with_static_contacts(*model(), rows_, q, qd, f, config_.static_contact_margin,
+                                        inputs.dt, q_out, qd_out);
+  } else if (const nova::Incidence* contacts_of = contacts_of_particles(inputs.contacts)) {
+    step_particles(*model(), *inputs.contacts, *contacts_of, q, qd, f, inputs.dt, q_out, qd_out);
+  } else {
+    integrate_particles(*model(), q, qd, f, inputs.dt, q_out, qd_out);
   }
-  deferred.flush();
-  trajectory.step_ = [this, step, alone](const SimState& from, SimState& to) {
-    const ExclusiveUse::Scope again = use("Trajectory.recompute");
-    step(from, to, alone);
-  };
 }
 
 namespace {

@@ -9,6 +9,7 @@ std::vector<nova::EngineKernel> engine_kernels() {
   detail::add_element_kernels(list);
   detail::add_loss_kernels(list);
   detail::add_particle_kernels(list);
+  detail::add_solver_kernels(list);
   return list;
 }
 

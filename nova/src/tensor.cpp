@@ -131,6 +131,7 @@ Tensor Tensor::full(Shape shape, float value, Device device) {
 }
 
 Tensor Tensor::view(const novaphy::Array& array, bool requires_grad) {
+  array.require_writable("tensor view");  // a tensor can be written
   const novaphy::DTypeInfo& info = novaphy::dtype_info(array.dtype());
   require(info.scalar != novaphy::Scalar::U32 && info.scalar != novaphy::Scalar::U64,
           ErrorKind::Type, "array: expected float32, int32 or uint8 scalars, got ", info.name);

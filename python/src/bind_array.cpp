@@ -80,6 +80,7 @@ Array construct(py::handle data, py::handle dtype, py::handle device) {
 }  // namespace
 
 void assign_array(Array& array, py::handle source) {
+  array.require_writable("assign");
   if (!py::isinstance<Array>(source)) return assign_host_values(view_of(array), source, "assign");
   const auto& other = source.cast<const Array&>();
   const View target = view_of(array), from = view_of(other);
@@ -224,6 +225,7 @@ void bind_array(py::module_& m) {
       .def(
           "numpy",
           [](const Array& a, bool copy, bool writable) {
+            if (!copy && writable) a.require_writable("numpy");
             return view_to_numpy(view_of(a), copy, writable);
           },
           "copy"_a = true, "writable"_a = false,
@@ -266,6 +268,7 @@ void bind_array(py::module_& m) {
       .def(
           "__setitem__",
           [](Array& a, py::handle index, py::handle values) {
+            a.require_writable("[]");
             set_rows(view_of(a), index, values);
           },
           "index"_a, "values"_a)
@@ -279,6 +282,7 @@ void bind_array(py::module_& m) {
           "__dlpack__",
           [](const Array& a, py::handle stream, py::handle max_version, py::handle dl_device,
              py::handle copy) {
+            a.require_writable("__dlpack__");
             return export_dlpack(view_of(a), stream, max_version, dl_device, copy);
           },
           py::kw_only(), "stream"_a = py::none(), "max_version"_a = py::none(),
@@ -294,6 +298,7 @@ void bind_array(py::module_& m) {
       .def_property_readonly("__cuda_array_interface__", [](const Array& a) {
         if (a.device().type != DeviceType::CUDA)
           throw py::attribute_error("__cuda_array_interface__: the array is not on a CUDA device");
+        a.require_writable("__cuda_array_interface__");
         return cuda_array_interface(view_of(a));
       });
   add_array_pickle(c);

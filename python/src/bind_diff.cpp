@@ -1,5 +1,6 @@
 // Views, differentiable operators, losses, Trajectory and the differentiable solver.
 #include <charconv>
+#include <optional>
 
 #include "fast_step.h"
 #include "nova_types.h"
@@ -113,9 +114,13 @@ void bind_operators(py::module_& m) {
         "x limited to [lower, upper]; gradient 1 inside and at the bounds, 0 outside.");
 }
 
-// {kept, n, 3}: the whole of a field as one tensor.
-Tensor whole(const Trajectory& t, const DeviceArray<Vec3f>& array) {
-  return {array.range(), {t.kept_count(), t.model()->particle_count(), 3}, nova::DType::F32};
+// The whole of a field as one tensor: {kept, n, 3} for carried vectors, {n, 3} for applied ones.
+Tensor whole(const Trajectory& t, FieldRole role, const Array& array) {
+  if (role == FieldRole::Applied) return Tensor::view(array);
+  nova::Shape shape = array.shape();
+  shape[0] /= t.kept_count();
+  shape.insert(shape.begin(), t.kept_count());
+  return {array.range(), std::move(shape), nova::DType::F32};
 }
 
 // "64MiB" as bytes.
@@ -140,20 +145,23 @@ int32_t checkpoint_interval(const Model& model, int32_t steps, const py::object&
 }
 
 void bind_trajectory(py::module_& m) {
-  py::class_<Trajectory>(m, "Trajectory", py::dynamic_attr(),
-                         "steps + 1 states of a model, contiguous in time: len() states, [t] is a "
-                         "regular SimState. State 0 starts with the model's initial values.")
-      .def(py::init([](const std::shared_ptr<Model>& model, int32_t steps, bool requires_grad,
-                       const py::object& checkpoint) {
-             return std::make_unique<Trajectory>(model, steps, requires_grad,
-                                                 checkpoint_interval(*model, steps, checkpoint));
-           }),
-           py::arg("model").none(false), "steps"_a, "requires_grad"_a = true,
-           "checkpoint"_a = py::none(),
-           "checkpoint: None keeps all states; an interval k keeps every k-th and the last one; "
-           "\"64MiB\" chooses the smallest interval whose states take no more. backward then runs "
-           "each stretch between two kept states once more: the same bits for more time. "
-           "ValueError unless steps >= 0 and the interval >= 1, and where no interval is enough.")
+  py::class_<Trajectory> c(
+      m, "Trajectory", py::dynamic_attr(),
+      "steps + 1 states of a model, contiguous in time: len() states, [t] is a "
+      "regular SimState. State 0 starts with the model's initial values. The states share their "
+      "force "
+      "arrays, which act in every step and are written through state 0 only.");
+  c.def(py::init([](const std::shared_ptr<Model>& model, int32_t steps, bool requires_grad,
+                    const py::object& checkpoint) {
+          return std::make_unique<Trajectory>(model, steps, requires_grad,
+                                              checkpoint_interval(*model, steps, checkpoint));
+        }),
+        py::arg("model").none(false), "steps"_a, "requires_grad"_a = true,
+        "checkpoint"_a = py::none(),
+        "checkpoint: None keeps all states; an interval k keeps every k-th and the last one; "
+        "\"64MiB\" chooses the smallest interval whose states take no more. backward then runs "
+        "each stretch between two kept states once more: the same bits for more time. "
+        "ValueError unless steps >= 0 and the interval >= 1, and where no interval is enough.")
       .def("__len__", [](const Trajectory& t) { return t.steps() + 1; })
       .def("__iter__",
            [](const py::object& self) {
@@ -188,17 +196,88 @@ void bind_trajectory(py::module_& m) {
       .def_property_readonly("steps", &Trajectory::steps, "Steps: one less than states.")
       .def_property_readonly(
           "model", [](const Trajectory& t) { return std::const_pointer_cast<Model>(t.model()); },
-          "The model.")
-      .def_property_readonly(
-          "particle_q", [](const Trajectory& t) { return whole(t, t.particle_q()); },
-          "Tensor {kept, n, 3}, m, world frame; {steps + 1, n, 3} without a checkpoint.")
-      .def_property_readonly(
-          "particle_qd", [](const Trajectory& t) { return whole(t, t.particle_qd()); },
-          "Tensor {kept, n, 3}, m/s, world frame; {steps + 1, n, 3} without a checkpoint.")
-      .def_property_readonly(
-          "particle_f", [](const Trajectory& t) { return Tensor::view(t.particle_f()); },
-          "Tensor {n, 3}, N, world frame: the force that is applied in every step; all states "
-          "share it.");
+          "The model.");
+#define NOVAPHY_BIND_WHOLE(name, ...)                                                        \
+  {                                                                                          \
+    const FieldInfo info = NOVAPHY_FIELD_INFO(name, __VA_ARGS__);                            \
+    const std::string doc =                                                                  \
+        "Tensor over the " + std::string(info.doc) + " of all kept states, " +               \
+        std::string(info.unit) +                                                             \
+        (info.role == FieldRole::Applied ? ": one for all, acting in every step."            \
+                                         : ": {kept, ...}, in time order.");                 \
+    c.def_property_readonly(                                                                 \
+        #name,                                                                               \
+        [role = info.role](const Trajectory& t) { return whole(t, role, t.fields().name); }, \
+        doc.c_str());                                                                        \
+  }
+  NOVAPHY_STATE_FIELDS(NOVAPHY_BIND_WHOLE)
+#undef NOVAPHY_BIND_WHOLE
+}
+
+// A Tensor {n, 3} or {steps, n, 3}, or a DeviceArray of vec3, as rows of three.
+DeviceArray<Vec3f> force_rows(const py::object& forces) {
+  if (py::isinstance<Array>(forces)) return DeviceArray<Vec3f>(forces.cast<Array>());
+  require(py::isinstance<nova::TensorImpl>(forces), ErrorKind::Type,
+          "rollout, forces: expected a Tensor or a DeviceArray, got ", type_name(forces));
+  const auto tensor = forces.cast<Tensor>();
+  const nova::Shape& shape = tensor.shape();
+  require(tensor.dtype() == nova::DType::F32 && (shape.size() == 2 || shape.size() == 3) &&
+              shape.back() == 3,
+          ErrorKind::Value, "rollout, forces: expected float32 {n, 3} or {steps, n, 3}, got ",
+          nova::dtype_name(tensor.dtype()), " ", nova::shape_str(shape));
+  return DeviceArray<Vec3f>(
+      Array(DType::vec3, static_cast<size_t>(tensor.size()) / 3, 1, tensor.range()));
+}
+
+void rollout(SolverBase& solver, Trajectory& trajectory, const py::object& control,
+             const Contacts* contacts, float dt, const py::object& forces, int32_t start,
+             const std::optional<int32_t>& stop) {
+  RolloutOptions options{.start = start, .stop = stop.value_or(trajectory.steps())};
+  DeviceArray<Vec3f> rows;
+  if (!forces.is_none()) {
+    rows = force_rows(forces);
+    options.forces = &rows;
+  }
+  const Control* one = nullptr;
+  if (py::isinstance<Control>(control)) {
+    one = control.cast<const Control*>();
+  } else if (!control.is_none()) {
+    require(py::isinstance<py::sequence>(control), ErrorKind::Type,
+            "rollout, control: expected a Control, a sequence of them or None, got ",
+            type_name(control));
+    for (const py::handle each : control) {
+      require(each.is_none() || py::isinstance<Control>(each), ErrorKind::Type,
+              "rollout, control: expected Controls or None, got ", type_name(each));
+      options.controls.push_back(each.is_none() ? nullptr : each.cast<const Control*>());
+    }
+    require(!options.controls.empty(), ErrorKind::Value,
+            "rollout, control: expected at least one Control, got an empty sequence");
+  }
+  {
+    const ReleasedGil no_gil;
+    solver.rollout(trajectory, one, contacts, dt, options);
+  }
+  // recompute needs them again.
+  const py::object kept = py::isinstance<py::sequence>(control) ? py::tuple(control) : control;
+  py::cast(trajectory).attr("_rollout_of") =
+      py::make_tuple(py::cast(&solver), kept, py::cast(contacts), forces);
+}
+
+void bind_rollout(py::module_& solvers) {
+  const py::object base = solvers.attr("SolverBase");
+  base.attr("rollout") = py::cpp_function(
+      &rollout, py::name("rollout"), py::is_method(base), py::arg("trajectory"),
+      py::arg("control").none(true), py::arg("contacts").none(true), py::arg("dt"), py::kw_only(),
+      "forces"_a = py::none(), "start"_a = 0, "stop"_a = py::none(),
+      "The steps of a trajectory from its state `start` (kept) to `stop` (None: the last), with "
+      "the "
+      "bits of a loop of step in which every step starts from the force in trajectory.particle_f. "
+      "forces {n, 3} or {steps, n, 3} (N, world frame) act besides it, in every step or each in "
+      "its "
+      "own. control: one for all steps, or a sequence of m, each for a m-th of them. What acts is "
+      "only read. A differentiable solver records on an active tape, with gradients for the forces "
+      "and the controls, and may be captured; others raise there. ValueError: an argument of "
+      "another model or size.");
 }
 
 void bind_solver(py::module_& solvers) {
@@ -272,25 +351,7 @@ void bind_solver(py::module_& solvers) {
            "NotImplementedError for what is not covered.")
       .def_property_readonly(
           "config", [](const DiffSemiImplicitSolver& s) { return s.config(); },
-          "A copy of the settings.")
-      .def(
-          "rollout",
-          [](DiffSemiImplicitSolver& self, Trajectory& trajectory, const Control* control,
-             const Contacts* contacts, float dt) {
-            {
-              const ReleasedGil no_gil;
-              self.rollout(trajectory, control, contacts, dt);
-            }
-            // recompute needs them again.
-            py::cast(trajectory).attr("_rollout_of") =
-                py::make_tuple(py::cast(self), py::cast(control), py::cast(contacts));
-          },
-          "trajectory"_a, "control"_a.none(true), "contacts"_a.none(true), "dt"_a,
-          "All steps of a trajectory from its state 0, contacts and integration in one kernel per "
-          "step, recorded on an "
-          "active tape. The bits of a loop of step in which every step starts from the force in "
-          "trajectory.particle_f, "
-          "which is only read. May be captured.");
+          "A copy of the settings.");
   add_fast_step(solver);
 }
 
@@ -317,6 +378,7 @@ void bind_diff(py::module_& m, py::module_& solvers) {
   bind_views(m);
   bind_operators(m);
   bind_trajectory(m);
+  bind_rollout(solvers);
   bind_solver(solvers);
 }
 

@@ -251,7 +251,7 @@ void bind_functions(py::module_& m) {
       "clamp",
       [](const Tensor& x, py::handle lower, py::handle upper) {
         const float limits[] = {to_number(lower, "lower"), to_number(upper, "upper")};
-        const py::gil_scoped_release release;
+        const ReleasedGil release;
         return nova::clamp(x, limits[0], limits[1]);
       },
       "x"_a, "lower"_a, "upper"_a,
@@ -266,7 +266,7 @@ void bind_functions(py::module_& m) {
       [](const Tensor& condition, py::handle a, py::handle b) {
         const Tensor x = to_operand(a, "a", condition.device());
         const Tensor y = to_operand(b, "b", condition.device());
-        const py::gil_scoped_release release;
+        const ReleasedGil release;
         return nova::where(condition, x, y);
       },
       "condition"_a, "a"_a, "b"_a,

@@ -41,28 +41,36 @@ class CaptureContext {
 };
 
 void record_custom(nova::Tape& tape, const std::string& name, const std::vector<Tensor>& inputs,
-                   const std::vector<Tensor>& outputs, const py::function& backward) {
+                   const std::vector<Tensor>& outputs, const py::function& backward,
+                   const std::optional<py::function>& forward) {
   const Callback callback{backward};
-  tape.record_custom(name, inputs, outputs, [callback](const std::vector<Tensor>& grad_outputs) {
-    const py::gil_scoped_acquire gil;
-    py::list given;
-    for (const Tensor& grad : grad_outputs) given.append(py::cast(grad));
-    const py::object result = callback.get()(given);
-    std::vector<Tensor> grads;
-    if (py::isinstance<nova::TensorImpl>(result)) {
-      grads.push_back(result.cast<Tensor>());
-      return grads;
-    }
-    require(py::isinstance<py::sequence>(result), ErrorKind::Type,
-            "record_custom, backward: expected it to return a list of gradients, got ",
-            type_name(result));
-    for (const py::handle grad : result) {
-      require(grad.is_none() || py::isinstance<nova::TensorImpl>(grad), ErrorKind::Type,
-              "record_custom, backward: expected Tensors or None, got ", type_name(grad));
-      grads.push_back(grad.is_none() ? Tensor() : grad.cast<Tensor>());
-    }
-    return grads;
-  });
+  nova::CustomOp op = nova::make_custom_op(
+      name, inputs, outputs, [callback](const std::vector<Tensor>& grad_outputs) {
+        const py::gil_scoped_acquire gil;
+        py::list given;
+        for (const Tensor& grad : grad_outputs) given.append(py::cast(grad));
+        const py::object result = callback.get()(given);
+        std::vector<Tensor> grads;
+        if (py::isinstance<nova::TensorImpl>(result)) {
+          grads.push_back(result.cast<Tensor>());
+          return grads;
+        }
+        require(py::isinstance<py::sequence>(result), ErrorKind::Type,
+                "record_custom, backward: expected it to return a list of gradients, got ",
+                type_name(result));
+        for (const py::handle grad : result) {
+          require(grad.is_none() || py::isinstance<nova::TensorImpl>(grad), ErrorKind::Type,
+                  "record_custom, backward: expected Tensors or None, got ", type_name(grad));
+          grads.push_back(grad.is_none() ? Tensor() : grad.cast<Tensor>());
+        }
+        return grads;
+      });
+  if (forward)
+    op.forward = [again = Callback{*forward}] {
+      const py::gil_scoped_acquire gil;
+      again.get()();
+    };
+  tape.record_custom(std::move(op));
 }
 
 void bind_tape(py::module_& m) {
@@ -110,9 +118,11 @@ void bind_tape(py::module_& m) {
       .def_property_readonly("memory_bytes", &nova::Tape::memory_bytes,
                              "Bytes of the records themselves.")
       .def("record_custom", &record_custom, "name"_a, "inputs"_a, "outputs"_a, "backward"_a,
+           "forward"_a = py::none(),
            "A differentiable operation that is no kernel; call it after the outputs were computed. "
            "backward(grad_outputs) gets and returns a list with a Tensor or None for each output "
-           "and input.");
+           "and input. forward() computes the outputs again, in their memory; between checkpoints "
+           "it is needed.");
 
   py::class_<NoGradContext>(m, "no_grad",
                             "Context manager: nothing of this thread is recorded on a tape.")

@@ -32,9 +32,8 @@ void bind_field(Class& c, const FieldInfo& info, DeviceArray<T> Owner::*member,
       field_doc(info).c_str());
 }
 
-#define NOVAPHY_BIND_FIELD(name, type, width, count, unit, frame, doc)                   \
-  bind_field(c, FieldInfo{#name, DTypeOf<type>::value, width, #count, unit, frame, doc}, \
-             &Fields::name);
+#define NOVAPHY_BIND_FIELD(name, ...) \
+  bind_field(c, NOVAPHY_FIELD_INFO(name, __VA_ARGS__), &Fields::name);
 
 // Counts, device, requires_grad, repr: what all objects of a model have.
 #define NOVAPHY_BIND_COUNT(name, doc) c.def_property_readonly(#name, &Object::name, doc);

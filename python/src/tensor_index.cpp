@@ -63,7 +63,7 @@ class Indexing {
   void table(py::handle key) {
     require(axis_ == 0, ErrorKind::Index, "index: a table of rows comes first, and there is one");
     const Tensor table = to_row_table(key, now_.dim(0), now_.device());
-    const py::gil_scoped_release release;
+    const ReleasedGil release;
     now_ = nova::gather(now_, table);
     axis_ = table.ndim();
     dropped_.assign(now_.ndim(), false);
@@ -98,7 +98,7 @@ class Indexing {
 
  private:
   void read(int64_t start, int64_t count, int64_t step) {
-    const py::gil_scoped_release release;
+    const ReleasedGil release;
     now_ = nova::slice(now_, static_cast<int64_t>(axis_), start, count, step);
   }
 

@@ -350,7 +350,7 @@ def test_what_an_object_refers_to_stays_alive():
     gc.collect()
     a, b = solver.model.state(), solver.model.state()
     solver.step(a, b, None, pipeline.contacts(), 0.01)
-    state = novaphy.diff.Trajectory(ball_model(), 3)[2]
+    state = novaphy.diff.Trajectory(ball_model(), 3)[0]
     gc.collect()
     state.clear_forces()
     assert state.particle_q.shape == (1, 3)

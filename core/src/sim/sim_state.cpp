@@ -35,8 +35,9 @@ SimState::SimState(const SimState& source, StateFields fields)
       model_id_(source.model_id_) {}
 
 void SimState::clear_forces() {
-  particle_f.zero();
-  body_f.zero();
+  visit(*this, [](const FieldInfo& info, Array& array) {
+    if (info.role == FieldRole::Applied) array.zero();
+  });
 }
 
 void SimState::assign(const SimState& source) {

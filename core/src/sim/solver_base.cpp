@@ -1,9 +1,12 @@
 #include "novaphy/core/sim/solver_base.h"
 
+#include <array>
 #include <cmath>
+#include <span>
 #include <utility>
 
 #include "novaphy/core/error.h"
+#include "novaphy/core/sim/for_chunks.h"
 
 namespace novaphy {
 namespace {
@@ -15,11 +18,95 @@ void check_array(const char* name, const char* which, const Array& array, int32_
           ", got ", array.rows(), " rows on ", array.device().str());
 }
 
-void check_apart(const char* name, const char* which, const Array& a, const Array& b) {
-  const bool shared = a.range() && b.range() && a.range()->overlaps(*b.range());
-  require(!shared, ErrorKind::Value, name, ": state_out.", which,
-          ": expected memory of its own, got memory of state_in");
+// The arrays of a state that hold something.
+struct StateArrays {
+  struct Item {
+    std::string_view name;
+    const Array* array;
+  };
+  std::array<Item, StateFields::kFieldCount> items;
+  size_t count = 0;
+
+  void add(const FieldInfo& info, const Array& array) {
+    if (array.bytes() != 0) items[count++] = {info.name, &array};
+  }
+  std::span<const Item> all() const { return std::span(items).first(count); }
+};
+
+void check_rows(const char* name, const char* which, const SimState& state, const Model& model) {
+  StateFields::visit_rows(
+      state, model.counts(), [&](const FieldInfo& info, const Array& array, size_t rows) {
+        if (array.rows() != rows || (rows != 0 && array.device() != model.device())) [[unlikely]]
+          fail(ErrorKind::Value, name, ": ", which, ".", info.name, ": expected ", rows,
+               " rows on ", model.device().str(), ", got ", array.rows(), " rows on ",
+               array.device().str());
+      });
 }
+
+void check_apart(const char* name, const SimState& state_in, const SimState& state_out) {
+  StateArrays in, out;
+  StateFields::visit(state_in, [&](const FieldInfo& info, const Array& array) {
+    in.add(info, array);
+    if (info.role == FieldRole::Applied) array.require_writable(name);
+  });
+  StateFields::visit(state_out, [&](const FieldInfo& info, const Array& array) {
+    if (info.role == FieldRole::Carried) out.add(info, array);
+  });
+  const auto check = [&](const StateArrays::Item& target, const Array& other, const char* whose) {
+    if (target.array->range()->overlaps(*other.range())) [[unlikely]]
+      fail(ErrorKind::Value, name, ": state_out.", target.name,
+           ": expected memory of its own, got memory of ", whose);
+  };
+  for (size_t k = 0; k < out.count; ++k) {
+    for (const StateArrays::Item& source : in.all()) check(out.items[k], *source.array, "state_in");
+    for (size_t other = 0; other < k; ++other)
+      check(out.items[k], *out.items[other].array, "another array of it");
+  }
+}
+
+// step for the states of a trajectory, on copies of its forces, which step adds to.
+class ForwardSteps {
+ public:
+  ForwardSteps(SolverBase& solver, const Trajectory& trajectory, const RolloutInputs& inputs)
+      : solver_(solver),
+        inputs_(inputs),
+        shared_(trajectory.fields()),
+        now_(*solver.model()),
+        own_(static_cast<const StateFields&>(now_)),
+        fields_(detail::mutable_fields<StateFields>(now_)),
+        shared_fields_(detail::const_fields(shared_)),
+        own_fields_(detail::mutable_fields(own_)) {}
+  ForwardSteps(const ForwardSteps&) = delete;  // the fields point into it
+  ForwardSteps& operator=(const ForwardSteps&) = delete;
+
+  void run(int32_t t, const SimState& from, SimState& to) {
+    static_cast<StateFields&>(now_) = from;  // handles
+    for (size_t k = 0; k < fields_.size(); ++k) {
+      if (fields_[k].info.role != FieldRole::Applied) continue;
+      own_fields_[k].array->assign(*shared_fields_[k].array);
+      *fields_[k].array = *own_fields_[k].array;
+    }
+    if (inputs_.forces().rows() != 0) {
+      const Vec3f* const forces = inputs_.forces().data() + inputs_.first_force(t);
+      Vec3f* const f = now_.particle_f.mutable_data();
+      for_chunks(static_cast<int64_t>(now_.particle_f.rows()), 4096,
+                 [&](int64_t begin, int64_t end, int64_t) {
+                   for (int64_t p = begin; p < end; ++p) f[p] = f[p] + forces[p];
+                 });
+    }
+    solver_.step(now_, to, inputs_.control(t), inputs_.contacts(), inputs_.dt());
+  }
+
+ private:
+  SolverBase& solver_;
+  RolloutInputs inputs_;
+  StateFields shared_;  // the trajectory's
+  SimState now_;
+  StateFields own_;  // the arrays that were made with now_
+  std::vector<detail::MutableField> fields_;
+  std::vector<detail::ConstField> shared_fields_;
+  std::vector<detail::MutableField> own_fields_;
+};
 
 }  // namespace
 
@@ -46,19 +133,9 @@ void SolverBase::check_step(const char* name, const SimState& state_in, const Si
   if (control != nullptr) check_model("control", control->model_id());
   if (contacts != nullptr) check_model("contacts", contacts->model_id());
 
-  const int32_t n = model_->particle_count();
-  check_array(name, "state_in.particle_q", state_in.particle_q, n, device());
-  check_array(name, "state_in.particle_qd", state_in.particle_qd, n, device());
-  check_array(name, "state_in.particle_f", state_in.particle_f, n, device());
-  check_array(name, "state_out.particle_q", state_out.particle_q, n, device());
-  check_array(name, "state_out.particle_qd", state_out.particle_qd, n, device());
-  for (const Array* in : {static_cast<const Array*>(&state_in.particle_q),
-                          static_cast<const Array*>(&state_in.particle_qd),
-                          static_cast<const Array*>(&state_in.particle_f)}) {
-    check_apart(name, "particle_q", *in, state_out.particle_q);
-    check_apart(name, "particle_qd", *in, state_out.particle_qd);
-  }
-  check_apart(name, "particle_qd", state_out.particle_q, state_out.particle_qd);
+  check_rows(name, "state_in", state_in, *model_);
+  check_rows(name, "state_out", state_out, *model_);
+  check_apart(name, state_in, state_out);
   if (contacts == nullptr) return;
   const int32_t slots = contacts->soft_contact_max();
   check_array(name, "contacts.soft_contact_count", contacts->soft_contact_count, 1, device());
@@ -70,6 +147,23 @@ void SolverBase::check_step(const char* name, const SimState& state_in, const Si
   check_array(name, "contacts.soft_contact_body_vel", contacts->soft_contact_body_vel, slots,
               device());
   check_array(name, "contacts.soft_contact_normal", contacts->soft_contact_normal, slots, device());
+}
+
+void SolverBase::rollout(Trajectory& trajectory, const Control* control, const Contacts* contacts,
+                         float dt, const RolloutOptions& options) {
+  if (ArrayObserver* observer = array_observer()) observer->untracked_operation("rollout");
+  const RolloutInputs inputs(*model_, trajectory, control, contacts, dt, options);
+  require(inputs.forces().rows() == 0 || device().is_cpu(), ErrorKind::NotImplemented,
+          "rollout, forces: this solver covers them on the cpu");
+  const auto steps = std::make_shared<ForwardSteps>(*this, trajectory, inputs);
+  constexpr int32_t kStepsPerInterruptCheck = 32;
+  for (int32_t t = inputs.start(); t < inputs.stop(); ++t) {
+    if (t % kStepsPerInterruptCheck == 0) check_interrupt();
+    steps->run(t, trajectory.any_state(t), trajectory.any_state(t + 1));
+  }
+  trajectory.set_last_rollout(
+      inputs.start(), inputs.stop(),
+      [steps](int32_t t, const SimState& from, SimState& to) { steps->run(t, from, to); });
 }
 
 }  // namespace novaphy

@@ -115,6 +115,15 @@ void SolverSemiImplicit::notify_model_changed(ModelFlags) {
   on_device_ = make_device_solver(model());
 }
 
+void SolverSemiImplicit::rollout(Trajectory& trajectory, const Control* control,
+                                 const Contacts* contacts, float dt,
+                                 const RolloutOptions& options) {
+  if (on_device_ == nullptr) return SolverBase::rollout(trajectory, control, contacts, dt, options);
+  if (ArrayObserver* observer = array_observer())
+    observer->untracked_operation("SolverSemiImplicit.rollout");
+  on_device_->rollout(trajectory, control, contacts, dt, options);
+}
+
 void SolverSemiImplicit::step(SimState& state_in, SimState& state_out, const Control* control,
                               const Contacts* contacts, float dt) {
   if (ArrayObserver* observer = array_observer()) observer->untracked_operation(kName);

@@ -270,6 +270,7 @@ class Tape(_Native):
         inputs: Sequence[Tensor],
         outputs: Sequence[Tensor],
         backward: Callable[[list[Tensor | None]], Sequence[Tensor | None] | Tensor],
+        forward: Callable[[], object] | None = None,
     ) -> None: ...
 
 class no_grad(_Native):

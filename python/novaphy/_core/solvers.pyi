@@ -1,9 +1,11 @@
 """Types of novaphy.solvers."""
 
-from typing import SupportsFloat
+from collections.abc import Sequence
+from typing import SupportsFloat, SupportsIndex
 
-from . import Contacts, Control, Device, Model, ModelFlags, SimState, _Native
+from . import Contacts, Control, Device, DeviceArray, Model, ModelFlags, SimState, _Native
 from .diff import Trajectory
+from .nova import Tensor
 
 class SolverBase(_Native):
     @property
@@ -19,6 +21,17 @@ class SolverBase(_Native):
         control: Control | None,
         contacts: Contacts | None,
         dt: SupportsFloat,
+    ) -> None: ...
+    def rollout(
+        self,
+        trajectory: Trajectory,
+        control: Control | Sequence[Control | None] | None,
+        contacts: Contacts | None,
+        dt: SupportsFloat,
+        *,
+        forces: Tensor | DeviceArray | None = None,
+        start: SupportsIndex = 0,
+        stop: SupportsIndex | None = None,
     ) -> None: ...
     def notify_model_changed(self, flags: ModelFlags | int) -> None: ...
 
@@ -92,13 +105,6 @@ class DiffSemiImplicitSolver(SolverBase):
         self,
         state_in: SimState,
         state_out: SimState,
-        control: Control | None,
-        contacts: Contacts | None,
-        dt: SupportsFloat,
-    ) -> None: ...
-    def rollout(
-        self,
-        trajectory: Trajectory,
         control: Control | None,
         contacts: Contacts | None,
         dt: SupportsFloat,

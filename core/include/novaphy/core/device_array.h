@@ -59,7 +59,8 @@ struct DTypeOf;
     static constexpr DType value = DType::D; \
   };
 NOVAPHY_DTYPE_OF(float, float32)
-NOVAPHY_DTYPE_OF(int32_t, int32) NOVAPHY_DTYPE_OF(uint32_t, uint32) NOVAPHY_DTYPE_OF(uint8_t, uint8)
+NOVAPHY_DTYPE_OF(int32_t, int32)
+NOVAPHY_DTYPE_OF(uint32_t, uint32) NOVAPHY_DTYPE_OF(uint8_t, uint8)
     NOVAPHY_DTYPE_OF(uint64_t, uint64) NOVAPHY_DTYPE_OF(Vec2f, vec2) NOVAPHY_DTYPE_OF(Vec3f, vec3)
         NOVAPHY_DTYPE_OF(Vec4f, vec4) NOVAPHY_DTYPE_OF(Quatf, quat)
             NOVAPHY_DTYPE_OF(Transformf, transform) NOVAPHY_DTYPE_OF(SpatialVectorf, spatial_vector)
@@ -101,10 +102,17 @@ NOVAPHY_DTYPE_OF(int32_t, int32) NOVAPHY_DTYPE_OF(uint32_t, uint32) NOVAPHY_DTYP
   Array clone() const;
   Array to(Device device) const;  // a copy, also when the device is the same
 
+  // A handle through which nothing is written: that raises (ErrorKind::Runtime), with the reason.
+  // `reason` must outlive the handle, e.g. a literal.
+  Array read_only(const char* reason) const;
+  // For whoever writes by other ways: raises where the handle is read-only.
+  void require_writable(const char* what) const;
+
  protected:
   DType dtype_ = DType::float32;
   size_t rows_ = 0, width_ = 1;
   std::shared_ptr<Range> range_;
+  const char* read_only_ = nullptr;
 };
 
 template <class T>

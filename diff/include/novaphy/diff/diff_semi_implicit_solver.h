@@ -4,7 +4,7 @@
 #include <memory>
 
 #include "novaphy/collision/diff_soft_contacts.h"
-#include "novaphy/core/sim/solver_base.h"
+#include "novaphy/diff/diff_solver_base.h"
 #include "novaphy/diff/export.h"
 #include "novaphy/diff/trajectory.h"
 #include "novaphy/dynamics/semi_implicit/diff_elements.h"
@@ -50,7 +50,7 @@ struct DiffSolverConfig {
 //
 // The forces that a step leaves in state_in.particle_f are for reading. Using them as input of
 // another recorded step raises: clear_forces() first.
-class NOVAPHY_DIFF_API DiffSemiImplicitSolver : public SolverBase {
+class NOVAPHY_DIFF_API DiffSemiImplicitSolver : public DiffSolverBase {
  public:
   explicit DiffSemiImplicitSolver(std::shared_ptr<const Model> model,
                                   const DiffSolverConfig& config = {});
@@ -66,11 +66,13 @@ class NOVAPHY_DIFF_API DiffSemiImplicitSolver : public SolverBase {
     return false;
   }  // of step; rollout may be captured
 
-  // All steps of a trajectory from state 0, contacts and integration in one kernel per step after
-  // those of the elements, recorded on an active tape. The states have the bits of a loop of `step`
-  // in which every step starts from the force in trajectory.particle_f; that force is only read.
-  // May be captured.
-  void rollout(Trajectory& trajectory, const Control* control, const Contacts* contacts, float dt);
+  // rollout: contacts and integration in one kernel per step, after those of the elements.
+
+ protected:
+  std::vector<ScratchSpec> step_scratch() const override;
+  bool begin_rollout(const RolloutInputs& inputs) override;
+  void record_step(const SimState& in, SimState& out, const StepInputs& inputs,
+                   StepScratch scratch) override;
 
  private:
   void check_elements() const;
@@ -87,7 +89,6 @@ class NOVAPHY_DIFF_API DiffSemiImplicitSolver : public SolverBase {
   nova::Incidence contacts_of_;  // of the last contacts
   WorldRows rows_;               // of a model of several worlds
   ElementOperators elements_;
-  DeviceArray<Vec3f> forces_;  // {n}: of a rollout that is not recorded
 };
 
 }  // namespace novaphy::diff

@@ -19,6 +19,7 @@ void add_tet_material_kernels(std::vector<nova::EngineKernel>& list);  // diff_t
 void add_loss_kernels(std::vector<nova::EngineKernel>& list);          // losses.cpp
 void add_particle_kernels(std::vector<nova::EngineKernel>& list);      // diff_particles.cpp
 void add_derived_kernels(std::vector<nova::EngineKernel>& list);       // model_reads.cpp
+void add_solver_kernels(std::vector<nova::EngineKernel>& list);        // diff_solver_base.cpp
 
 // The gradients that are built ahead for an operator on particles: of its state (those of `state`
 // that it has), of each of `others`, of both, and of all of `materials` together. What all steps of

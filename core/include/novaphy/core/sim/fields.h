@@ -4,7 +4,8 @@
 //
 // from which the members, their allocation, clone, assign and every walk over them (views, dumps,
 // the documentation table) follow. `count` names a member of the class's counts structure: the
-// number of rows. Adding an array is one line in its list.
+// number of rows. Adding an array is one line in its list. A line of SimState also says the role of
+// its array.
 #pragma once
 
 #include <cstddef>
@@ -18,6 +19,10 @@
 
 namespace novaphy {
 
+// What an array of a state is for a step: carried from state to state, or applied in the step from
+// the state that holds it. Arrays of other classes have none.
+enum class FieldRole : uint8_t { None, Carried, Applied };
+
 // What is known about a field without an object.
 struct FieldInfo {
   std::string_view name;  // "particle_q"
@@ -27,24 +32,39 @@ struct FieldInfo {
   std::string_view unit;        // "m/s"; "1" is dimensionless, "" has no unit (indices, flags)
   std::string_view frame;       // "world", "shape", ...; "" where no frame applies
   std::string_view doc;
+  FieldRole role = FieldRole::None;
 };
 
-#define NOVAPHY_FIELD_MEMBER(name, type, width, count, unit, frame, doc) DeviceArray<type> name;
-#define NOVAPHY_FIELD_VISIT(name, type, width, count, unit, frame, doc) \
-  visitor(FieldInfo{#name, DTypeOf<type>::value, width, #count, unit, frame, doc}, self.name);
-#define NOVAPHY_FIELD_ALLOCATE(name, type, width, count, unit, frame, doc) \
+#define NOVAPHY_FIELD_INFO(name, type, width, count, unit, frame, doc, ...) \
+  ::novaphy::FieldInfo {                                                    \
+#name, ::novaphy::DTypeOf < type> ::value, width, #count, unit, frame,  \
+        doc __VA_OPT__(, ::novaphy::FieldRole::) __VA_ARGS__                \
+  }
+#define NOVAPHY_FIELD_MEMBER(name, type, ...) DeviceArray<type> name;
+#define NOVAPHY_FIELD_VISIT(name, ...) visitor(NOVAPHY_FIELD_INFO(name, __VA_ARGS__), self.name);
+#define NOVAPHY_FIELD_VISIT_ROWS(name, type, width, count, ...)                 \
+  visitor(NOVAPHY_FIELD_INFO(name, type, width, count, __VA_ARGS__), self.name, \
+          static_cast<size_t>(counts.count));
+#define NOVAPHY_FIELD_ALLOCATE(name, type, width, count, ...) \
   name = DeviceArray<type>(static_cast<size_t>(counts.count), device, width);
-#define NOVAPHY_FIELD_ROWS(name, type, width, count, unit, frame, doc) \
+#define NOVAPHY_FIELD_ROWS(name, type, width, count, ...) \
   rows.push_back(static_cast<size_t>(counts.count));
+#define NOVAPHY_FIELD_COUNT(name, ...) +1
 
-// Declares the aggregate `Name` of the arrays in a list: `visit` walks them, `allocate` makes them
-// zero filled, `rows` lists their expected rows in order.
+// Declares the aggregate `Name` of the arrays in a list: `visit` walks them, `visit_rows` with the
+// rows that they should have, `allocate` makes them zero filled, `expected_rows` lists their rows
+// in order.
 #define NOVAPHY_DECLARE_FIELDS(Name, LIST, Counts)                                      \
   struct Name {                                                                         \
+    static constexpr size_t kFieldCount = 0 LIST(NOVAPHY_FIELD_COUNT);                  \
     LIST(NOVAPHY_FIELD_MEMBER)                                                          \
     template <class Self, class Visitor>                                                \
     static void visit(Self& self, Visitor&& visitor) {                                  \
       LIST(NOVAPHY_FIELD_VISIT)                                                         \
+    }                                                                                   \
+    template <class Self, class Visitor>                                                \
+    static void visit_rows(Self& self, const Counts& counts, Visitor&& visitor) {       \
+      LIST(NOVAPHY_FIELD_VISIT_ROWS)                                                    \
     }                                                                                   \
     void allocate(const Counts& counts, Device device) { LIST(NOVAPHY_FIELD_ALLOCATE) } \
     static std::vector<size_t> expected_rows(const Counts& counts) {                    \

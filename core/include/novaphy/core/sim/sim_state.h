@@ -10,22 +10,25 @@ namespace novaphy {
 
 class Model;
 
-// X(name, element type, width, count, unit, frame, doc)
+// X(name, element type, width, count, unit, frame, doc, role)
 // clang-format off
 #define NOVAPHY_STATE_FIELDS(X)                                                                   \
-  X(particle_q, Vec3f, 1, particle_count, "m", "world", "particle positions")                     \
-  X(particle_qd, Vec3f, 1, particle_count, "m/s", "world", "particle velocities")                 \
+  X(particle_q, Vec3f, 1, particle_count, "m", "world", "particle positions",                     \
+    Carried)                                                                                      \
+  X(particle_qd, Vec3f, 1, particle_count, "m/s", "world", "particle velocities",                 \
+    Carried)                                                                                      \
   X(particle_f, Vec3f, 1, particle_count, "N", "world",                                           \
     "particle forces: what the user applies before a step; after it also the forces that the "    \
-    "solver added")                                                                               \
+    "solver added", Applied)                                                                      \
   X(body_q, Transformf, 1, body_count, "m, 1", "world",                                           \
-    "poses of the body origins: position, quaternion xyzw")                                       \
+    "poses of the body origins: position, quaternion xyzw", Carried)                              \
   X(body_qd, SpatialVectorf, 1, body_count, "m/s, rad/s", "world",                                \
-    "velocity of the centre of mass, then angular velocity")                                      \
+    "velocity of the centre of mass, then angular velocity", Carried)                             \
   X(body_f, SpatialVectorf, 1, body_count, "N, N*m", "world",                                     \
-    "force, then moment about the centre of mass")                                                \
-  X(joint_q, float, 1, joint_coord_count, "m or rad", "joint", "joint coordinates")               \
-  X(joint_qd, float, 1, joint_dof_count, "m/s or rad/s", "joint", "joint velocities")
+    "force, then moment about the centre of mass", Applied)                                       \
+  X(joint_q, float, 1, joint_coord_count, "m or rad", "joint", "joint coordinates",               \
+    Carried)                                                                                      \
+  X(joint_qd, float, 1, joint_dof_count, "m/s or rad/s", "joint", "joint velocities", Carried)
 // clang-format on
 
 NOVAPHY_DECLARE_FIELDS(StateFields, NOVAPHY_STATE_FIELDS, ModelCounts)
@@ -53,7 +56,7 @@ class NOVAPHY_CORE_API SimState : public StateFields {
   uint64_t model_id() const { return model_id_; }  // Model::id() of the model it belongs to
   bool requires_grad = false;
 
-  // particle_f and body_f to zero.
+  // The applied arrays, particle_f and body_f, to zero.
   void clear_forces();
   // Copies all values. ErrorKind::Value when an array's rows or the device differ.
   void assign(const SimState& source);

@@ -9,6 +9,7 @@
 #include "novaphy/core/sim/control.h"
 #include "novaphy/core/sim/enums.h"
 #include "novaphy/core/sim/model.h"
+#include "novaphy/core/sim/rollout.h"
 #include "novaphy/core/sim/sim_state.h"
 
 namespace novaphy {
@@ -30,8 +31,15 @@ class NOVAPHY_CORE_API SolverBase {
   // those that the solver added; clear them before the next use. `control` null: the model's
   // defaults; `contacts` null: no contact. ErrorKind::Value: state_in and state_out are one, or
   // share memory; dt not finite or <= 0; a state, control or contacts of another model or device.
+  // ErrorKind::Runtime: the forces in state_in may not be written (a Trajectory's, but for state
+  // 0).
   virtual void step(SimState& state_in, SimState& state_out, const Control* control,
                     const Contacts* contacts, float dt) = 0;
+  // The steps of a trajectory: the bits of a loop of step in which every step starts from the
+  // forces in trajectory.particle_f, plus those of the options. They are only read. Errors as
+  // RolloutInputs, and those of step.
+  virtual void rollout(Trajectory& trajectory, const Control* control, const Contacts* contacts,
+                       float dt, const RolloutOptions& options = {});
   // False: step may not be called while a capture records.
   virtual bool supports_graph_capture() const { return false; }
   // Says that values of the model were edited behind its arrays' back.

@@ -54,6 +54,9 @@ class NOVAPHY_DYNAMICS_API SolverSemiImplicit : public SolverBase {
   // DiffSemiImplicitSolver is the differentiable one.
   void step(SimState& state_in, SimState& state_out, const Control* control,
             const Contacts* contacts, float dt) override;
+  // On another device than the CPU by its kernels.
+  void rollout(Trajectory& trajectory, const Control* control, const Contacts* contacts, float dt,
+               const RolloutOptions& options = {}) override;
   void notify_model_changed(ModelFlags flags) override;
 
  private:

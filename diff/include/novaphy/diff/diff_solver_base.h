@@ -1,0 +1,49 @@
+// DiffSolverBase: what every differentiable solver is. It gives one step; the rollout is here.
+#pragma once
+
+#include <vector>
+
+#include "novaphy/core/sim/solver_base.h"
+#include "novaphy/diff/export.h"
+#include "novaphy/nova/tensor.h"
+
+namespace novaphy::diff {
+
+// What acts in a recorded step, besides the model.
+struct StepInputs {
+  const Control* control = nullptr;    // null: the model's defaults
+  const Contacts* contacts = nullptr;  // null: none
+  nova::Operand forces;                // {n, 3}: on the particles; only read
+  float dt = 0.0f;
+};
+
+class NOVAPHY_DIFF_API DiffSolverBase : public SolverBase {
+ public:
+  using SolverBase::SolverBase;
+
+  // One record_step for each step, recorded on an active tape; between two kept states the steps
+  // are run once more by backward. The forces of the options have gradients, and so have the
+  // controls as far as the solver says. May be captured.
+  void rollout(Trajectory& trajectory, const Control* control, const Contacts* contacts, float dt,
+               const RolloutOptions& options = {}) override;
+
+ protected:
+  // The arrays that a step writes besides its state and that its gradient may read.
+  virtual std::vector<ScratchSpec> step_scratch() const { return {}; }
+  // Checks, and what the steps of a rollout have in common. False: no step does anything.
+  virtual bool begin_rollout(const RolloutInputs& inputs) = 0;
+  // Submits the launches of one step from `in` to `out`, the carried arrays of which it writes in
+  // full. It reads the forces of the inputs instead of those in `in`. Custom operations need their
+  // `forward`, or trajectories with checkpoints are refused.
+  virtual void record_step(const SimState& in, SimState& out, const StepInputs& inputs,
+                           StepScratch scratch) = 0;
+};
+
+namespace detail {
+// {n, 3}: particle_f plus those of `forces` that begin at a row of it: into `sum`. On a tape, exact
+// gradients for both.
+void add_forces(const nova::Operand& particle_f, const nova::Operand& forces, size_t first_row,
+                const nova::Operand& sum);
+}  // namespace detail
+
+}  // namespace novaphy::diff

@@ -1,0 +1,158 @@
+#include "novaphy/diff/diff_solver_base.h"
+
+#include <algorithm>
+
+#include "novaphy/core/parallel.h"
+#include "novaphy/diff/engine_kernels.h"
+#include "novaphy/diff/tensor_views.h"
+#include "novaphy/nova/kernel.h"
+#include "novaphy/nova/op_list.h"
+#include "novaphy/nova/tape.h"
+
+namespace novaphy::diff {
+
+using nova::Access;
+using nova::DType;
+using nova::Operand;
+using nova::Tensor;
+
+namespace {
+
+const nova::Kernel& add_kernel() {
+  static const nova::Kernel kernel = nova::make_kernel(
+      "apply_forces",
+      {{"particle_f", DType::F32, 3, Access::Direct}, {"forces", DType::F32, 3, Access::Direct}},
+      {{"sum", 3}}, [](nova::TraceContext& c) {
+        return std::vector{c.f32(0, 0) + c.f32(1, 0), c.f32(0, 1) + c.f32(1, 1),
+                           c.f32(0, 2) + c.f32(1, 2)};
+      });
+  return kernel;
+}
+
+// sum = a + b, row by row; sum may be one of them where nothing is recorded.
+void add(const Operand& a, const Operand& b, const Operand& sum) {
+  const Operand in[] = {a, b};
+  add_kernel().launch(sum.rows, in, {&sum, 1});
+}
+
+// `rows` rows of an operand, as an operand of its own.
+Operand rows_of(const Operand& all, size_t first, int64_t rows) {
+  const size_t row = static_cast<size_t>(all.width) * sizeof(float);
+  Operand part = all;
+  part.rows = rows;
+  part.range = all.range->storage().range(all.range->offset() + first * row,
+                                          static_cast<size_t>(rows) * row);
+  return part;
+}
+
+Tensor tensor_of(const Operand& operand) {
+  return {operand.range, {operand.rows, operand.width}, DType::F32};
+}
+
+// The gradient of `forces` belongs to all of it, so a step adds to its rows of that.
+nova::CustomOp add_forces_op(const Operand& f, const Operand& forces, size_t first_row,
+                             const Operand& sum) {
+  const int64_t rows = sum.rows;
+  return {.name = "apply_forces_of_step",
+          .inputs = {tensor_of(f), tensor_of(forces)},
+          .outputs = {tensor_of(sum)},
+          .vjp =
+              [=](std::span<const Tensor> g, std::span<const nova::InputGradient> gradients) {
+                if (gradients[0].wanted()) gradients[0].put(g[0]);
+                if (!gradients[1].wanted()) return;
+                const Operand all = gradients[1].grad.operand();
+                if (!gradients[1].add) nova::submit_fill(all.range, 0.0f);
+                const Operand mine = rows_of(all, first_row, rows);
+                add(mine, g[0].operand(), mine);
+              },
+          .forward = [=] { add(f, rows_of(forces, first_row, rows), sum); },
+          .jvp =
+              [=](std::span<const Tensor> t, std::span<const Tensor> tangents) {
+                const Operand to = tangents[0].operand();
+                if (t[0].defined()) {
+                  nova::submit_copy(to.range, t[0].range());
+                } else {
+                  nova::submit_fill(to.range, 0.0f);
+                }
+                if (t[1].defined()) add(to, rows_of(t[1].operand(), first_row, rows), to);
+              }};
+}
+
+}  // namespace
+
+void detail::add_forces(const Operand& particle_f, const Operand& forces, size_t first_row,
+                        const Operand& sum) {
+  nova::Tape* tape = nova::Tape::active();
+  if (forces.rows == sum.rows) return add(particle_f, forces, sum);
+  if (!tape || !tape->must_record({&forces, 1}))
+    return add(particle_f, rows_of(forces, first_row, sum.rows), sum);
+  const nova::CustomOp op = add_forces_op(particle_f, forces, first_row, sum);
+  {
+    const nova::NoGrad no_grad;
+    op.forward();
+  }
+  tape->record_custom(op);
+}
+
+void detail::add_solver_kernels(std::vector<nova::EngineKernel>& list) {
+  const nova::Kernel& kernel = add_kernel();
+  std::vector<nova::AdjointMask> masks;
+  for (const char* wrt : {"particle_f", "forces"})
+    masks.push_back(nova::gradient_mask(kernel, {wrt}, {}, {"sum"}));
+  list.push_back({kernel, std::move(masks)});
+}
+
+void DiffSolverBase::rollout(Trajectory& trajectory, const Control* control,
+                             const Contacts* contacts, float dt, const RolloutOptions& options) {
+  const RolloutInputs inputs(*model(), trajectory, control, contacts, dt, options);
+  const ExclusiveUse::Scope scope = use("rollout");
+  if (inputs.steps() == 0 || !begin_rollout(inputs)) return;
+  const bool recording = nova::Tape::active() != nullptr;
+  if (recording) make_leaves(trajectory.any_state(inputs.start()));
+  std::vector<ScratchSpec> specs = step_scratch();
+  const size_t own = specs.size();  // behind them: the sum of the forces of a step
+  const auto n = static_cast<size_t>(model()->particle_count());
+  if (inputs.forces_change()) specs.push_back({novaphy::DType::vec3, n, 1});
+  const auto alone = make_scratch(specs, 1, device());
+  if (recording) trajectory.reserve_scratch(specs);
+
+  constexpr int32_t kStepsPerInterruptCheck = 32;
+  // From here on the steps share the cache block by block.
+  constexpr int32_t kLargeParticleCount = 2048;
+  nova::DeferredScope deferred(model()->particle_count() >= kLargeParticleCount);
+  Operand applied = nova::operand_of(trajectory.particle_f());
+  const bool forced = inputs.forces().rows() != 0;
+  const Operand forces = forced ? nova::operand_of(inputs.forces()) : Operand{};
+  if (forced && !inputs.forces_change()) {
+    const Operand sum = nova::operand_of(DeviceArray<Vec3f>(n, device()));
+    detail::add_forces(applied, forces, 0, sum);
+    applied = sum;
+  }
+  const auto step = [this, inputs, own, applied, forces](int32_t t, const SimState& from,
+                                                         SimState& to, StepScratch scratch) {
+    StepInputs now{inputs.control(t), inputs.contacts(), applied, inputs.dt()};
+    if (inputs.forces_change()) {
+      now.forces = nova::operand_of(scratch[own]);
+      detail::add_forces(applied, forces, inputs.first_force(t), now.forces);
+    }
+    record_step(from, to, now, scratch.first(own));
+  };
+  const int32_t interval = trajectory.checkpoint_interval();
+  for (int32_t first = inputs.start(); first < inputs.stop(); first += interval) {
+    const nova::RecomputedScope once_more(interval > 1);
+    for (int32_t t = first; t < std::min(first + interval, inputs.stop()); ++t) {
+      if (t % kStepsPerInterruptCheck == 0) check_interrupt();
+      step(t, trajectory.any_state(t), trajectory.any_state(t + 1),
+           recording ? trajectory.scratch(t) : StepScratch(alone[0]));
+    }
+  }
+  deferred.flush();
+  trajectory.set_last_rollout(inputs.start(), inputs.stop(),
+                              [this, step, alone](int32_t t, const SimState& from, SimState& to) {
+                                const ExclusiveUse::Scope again = use("Trajectory.recompute");
+                                const nova::NoGrad no_grad;
+                                step(t, from, to, alone[0]);
+                              });
+}
+
+}  // namespace novaphy::diff

@@ -298,10 +298,11 @@ const nova::Kernel& static_contact_kernel(detail::Worlds worlds) {
 void detail::add_contact_kernels(std::vector<nova::EngineKernel>& list) {
   const std::vector<std::string> materials = {"shape_material_ke", "shape_material_kd",
                                               "shape_material_kf", "shape_material_mu"};
-  for (const nova::Kernel& k : {soft_contact_kernel(), static_contact_kernel(Worlds::One),
-                                static_contact_kernel(Worlds::Several)})
-    list.push_back({k, rollout_gradients(k, {"particle_q", "particle_qd", "particle_f"},
-                                         {"particle_radius"}, materials)});
+  const std::vector<std::string> state = {"particle_q", "particle_qd", "particle_f"};
+  for (const nova::Kernel& k : {soft_contact_kernel(), static_contact_kernel(Worlds::One)})
+    list.push_back({k, rollout_gradients(k, state, {"particle_radius"}, materials)});
+  const nova::Kernel& several = static_contact_kernel(Worlds::Several);
+  list.push_back({several, state_gradients(several, state)});
 }
 
 void eval_static_contact_forces(const Model& model, const WorldRows& rows,

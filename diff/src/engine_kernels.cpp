@@ -13,6 +13,17 @@ std::vector<nova::EngineKernel> engine_kernels() {
   return list;
 }
 
+std::vector<nova::AdjointMask> detail::state_gradients(const nova::Kernel& kernel,
+                                                       const std::vector<std::string>& state) {
+  std::vector<std::string> all;
+  for (const nova::OutputSpec& o : kernel.outputs()) all.push_back(o.name);
+  std::vector<nova::AdjointMask> masks = {nova::gradient_mask(kernel, state, {}, all)};
+  if (all.size() > 1)
+    for (const std::string& name : all)
+      masks.push_back(nova::gradient_mask(kernel, state, {}, {name}));
+  return masks;
+}
+
 std::vector<nova::AdjointMask> detail::rollout_gradients(
     const nova::Kernel& kernel, const std::vector<std::string>& state,
     const std::vector<std::string>& others, const std::vector<std::string>& materials) {

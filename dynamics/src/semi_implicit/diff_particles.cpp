@@ -138,12 +138,13 @@ void detail::add_particle_kernels(std::vector<nova::EngineKernel>& list) {
       "shape_material_ke", "shape_material_kd", "shape_material_mu"};
   const std::vector<std::string> materials = {"shape_material_ke", "shape_material_kd",
                                               "shape_material_kf", "shape_material_mu"};
-  for (const Worlds worlds : {Worlds::One, Worlds::Several}) {
-    const auto& [integrate, fused, step] = kernels(worlds);
-    list.push_back({integrate, rollout_gradients(integrate, state, others, {})});
-    list.push_back({fused, rollout_gradients(fused, state, others, materials)});
-    list.push_back({step, rollout_gradients(step, state, with_contacts, materials)});
-  }
+  const auto& [integrate, fused, step] = kernels(Worlds::One);
+  list.push_back({integrate, rollout_gradients(integrate, state, others, {})});
+  list.push_back({fused, rollout_gradients(fused, state, others, materials)});
+  list.push_back({step, rollout_gradients(step, state, with_contacts, materials)});
+  const auto& several = kernels(Worlds::Several);
+  for (const nova::Kernel& k : {several.integrate, several.fused, several.step})
+    list.push_back({k, state_gradients(k, state)});
 }
 
 namespace {

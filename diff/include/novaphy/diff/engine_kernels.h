@@ -28,6 +28,10 @@ std::vector<nova::AdjointMask> rollout_gradients(const nova::Kernel& kernel,
                                                  const std::vector<std::string>& state,
                                                  const std::vector<std::string>& others,
                                                  const std::vector<std::string>& materials);
+// Only those of the whole state, given the gradients of all outputs or of one: for variants of a
+// kernel that are used less.
+std::vector<nova::AdjointMask> state_gradients(const nova::Kernel& kernel,
+                                               const std::vector<std::string>& state);
 }  // namespace detail
 
 }  // namespace novaphy::diff

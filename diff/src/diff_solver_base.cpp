@@ -137,9 +137,12 @@ void DiffSolverBase::rollout(Trajectory& trajectory, const Control* control,
     }
     record_step(from, to, now, scratch.first(own));
   };
+  const std::shared_ptr<ExclusiveUse> later = step_writes_kept_memory() ? in_use() : nullptr;
+  if (nova::OpList* graph = nova::current_capture(); graph != nullptr && later != nullptr)
+    graph->uses(later);
   const int32_t interval = trajectory.checkpoint_interval();
   for (int32_t first = inputs.start(); first < inputs.stop(); first += interval) {
-    const nova::RecomputedScope once_more(interval > 1);
+    const nova::RecomputedScope once_more(interval > 1, later);
     for (int32_t t = first; t < std::min(first + interval, inputs.stop()); ++t) {
       if (t % kStepsPerInterruptCheck == 0) check_interrupt();
       step(t, trajectory.any_state(t), trajectory.any_state(t + 1),

@@ -256,6 +256,44 @@ TEST(Rollout, ATrajectoryHoldsEveryFieldOfAState) {
   EXPECT_EQ(applied, (std::set<std::string_view>{"particle_f", "body_f"}));
 }
 
+// Says that a call is under way, as one of another thread would.
+class BusySolver : public DiffSemiImplicitSolver {
+ public:
+  using DiffSemiImplicitSolver::DiffSemiImplicitSolver;
+  using SolverBase::use;
+};
+
+TEST(Rollout, WhatRunsLaterTakesTheMemoryThatTheSolverKeeps) {
+  for (const bool soft : {true, false}) {
+    const auto model = soft ? make_soft_body_model() : make_ball_model(2);
+    BusySolver solver(model, soft ? kSoft : diff::DiffSolverConfig{.enable_static_contacts = true});
+    Trajectory trajectory(model, kSteps, true, 5);
+    nova::ScopedCapture capture;
+    solver.rollout(trajectory, nullptr, nullptr, kDt);
+    capture.end();
+    const Tensor q = diff::state_particle_q_tensor(trajectory.state(0), true);
+    nova::Tape tape;
+    Tensor loss;
+    {
+      const nova::TapeScope scope(tape);
+      solver.rollout(trajectory, nullptr, nullptr, kDt);
+      const Tensor last = diff::state_particle_q_tensor(trajectory.state(kSteps));
+      loss = nova::dot(last, last);
+    }
+    {
+      const ExclusiveUse::Scope other = solver.use("step");
+      if (soft) {
+        EXPECT_ERROR(tape.backward(loss), ErrorKind::Runtime, "in use by another call");
+        EXPECT_ERROR(capture.graph()->launch(), ErrorKind::Runtime, "in use by another call");
+      } else {  // a step of balls writes only its states
+        EXPECT_NO_THROW(tape.backward(loss));
+        EXPECT_NO_THROW(capture.graph()->launch());
+      }
+    }
+    EXPECT_NO_THROW(capture.graph()->launch());
+  }
+}
+
 // A solver of one step, whose derivative is written by hand: qd' = c qd + dt f, q' = q + dt qd'.
 class Drag : public diff::DiffSolverBase {
  public:

@@ -70,6 +70,7 @@ class NOVAPHY_DIFF_API DiffSemiImplicitSolver : public DiffSolverBase {
 
  protected:
   std::vector<ScratchSpec> step_scratch() const override;
+  bool step_writes_kept_memory() const override { return !elements_.empty(); }
   bool begin_rollout(const RolloutInputs& inputs) override;
   void record_step(const SimState& in, SimState& out, const StepInputs& inputs,
                    StepScratch scratch) override;

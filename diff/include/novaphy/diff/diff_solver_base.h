@@ -30,6 +30,9 @@ class NOVAPHY_DIFF_API DiffSolverBase : public SolverBase {
  protected:
   // The arrays that a step writes besides its state and that its gradient may read.
   virtual std::vector<ScratchSpec> step_scratch() const { return {}; }
+  // Whether a step writes memory that the solver keeps from call to call. Then graphs and backward,
+  // which run steps later, are refused while another call uses the solver.
+  virtual bool step_writes_kept_memory() const { return true; }
   // Checks, and what the steps of a rollout have in common. False: no step does anything.
   virtual bool begin_rollout(const RolloutInputs& inputs) = 0;
   // Submits the launches of one step from `in` to `out`, the carried arrays of which it writes in

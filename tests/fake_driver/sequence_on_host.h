@@ -143,7 +143,10 @@ class HostSequence {
   static constexpr uint64_t kAlignment = 16;
 
   void* compiled() {
-    const std::string from = folder_ / "sequence.cpp", to = folder_ / "sequence.so";
+    // A name of its own: the loader may keep a library that was closed, and gives it out again.
+    static int number = 0;
+    const std::string name = "sequence" + std::to_string(number++);
+    const std::string from = folder_ / (name + ".cpp"), to = folder_ / (name + ".so");
     std::ofstream(from) << for_host(sequence_source(table_, shape_));
     const std::string command =
         HOST_COMPILER

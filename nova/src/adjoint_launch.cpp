@@ -25,7 +25,7 @@ struct Scratch {
 };
 
 void run_stage(const KernelImpl& kernel, const AdjointStage& stage, Executable& code, int64_t n,
-               const AdjointCall& call, const Scratch& scratch,
+               const AdjointCall& call, uint64_t accumulate, const Scratch& scratch,
                const novaphy::DeviceContext& context) {
   Words words(code.argument_count);
   auto source = [&](const std::shared_ptr<Range>& range, int64_t rows) {
@@ -60,16 +60,25 @@ void run_stage(const KernelImpl& kernel, const AdjointStage& stage, Executable& 
                                           : scratch.loop_gradient.range;
   };
   for (const AdjointBinding& b : stage.outputs) words.pointer(target(b)->data());
+  ExtraReads reads;
   for (const ir::Loop& loop : code.program.loops)
     if (loop.kind == ir::LoopKind::Csr) {
       words.pointer((*call.csr)->offsets->data());
       words.pointer((*call.csr)->items->data());
+      if (reads.span().empty()) reads.add(**call.csr);  // once for all loops
     }
   for (const Param& p : call.params) words.word(p.bits);
   if (kernel.has_fixed_loop) words.word(static_cast<uint32_t>(call.extent));
   if (stage.takes_row_count) words.word(static_cast<uint32_t>(call.dim));
+  reads.add(active_count(call.active));
+  // Rows that were not computed give nothing.
+  if (call.active)
+    for (const AdjointBinding& b : stage.outputs)
+      if (b.kind == Kind::Contribution || !(accumulate >> b.index & 1))
+        submit_fill(target(b), 0.0f);
   submit_launch(context, code.get(context), code.program.name.c_str(), n, words.span(),
-                &code.layout);
+                &code.layout, reads.span(), active_count(call.active));
+  if (call.active) hold_in_capture(call.active->range);
   for (const AdjointBinding& b : stage.outputs) {
     note_write(target(b));
     hold_in_capture(target(b));
@@ -152,8 +161,12 @@ void run_adjoint(KernelImpl& kernel, const CompiledPlan& plan, const AdjointCall
     scratch.loop_gradient =
         memory(call.dim, static_cast<int32_t>(kernel.traced.loops[0].sums.size()), kKinds);
 
-  if (plan.rows) run_stage(kernel, plan.plan.rows[0], *plan.rows, call.dim, call, scratch, context);
-  if (plan.items) run_stage(kernel, plan.plan.items[0], *plan.items, items, call, scratch, context);
+  if (plan.rows)
+    run_stage(kernel, plan.plan.rows[0], *plan.rows, call.dim, call, plan.key.accumulate, scratch,
+              context);
+  if (plan.items)
+    run_stage(kernel, plan.plan.items[0], *plan.items, items, call, plan.key.accumulate, scratch,
+              context);
   run_row_sums(plan, call, scratch, items);
 
   const uint64_t unreached = plan.key.wrt & ~plan.key.accumulate & ~plan.reached;

@@ -14,6 +14,7 @@ struct AdjointCall {
   std::span<const Param> params = {};
   const Incidence* csr = nullptr;
   int32_t extent = 0;
+  const Operand* active = nullptr;
 };
 
 // Runs (or captures) the stages and row-sums of a plan. Stores into or adds to the gradients as the

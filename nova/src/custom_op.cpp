@@ -132,8 +132,10 @@ void Tape::record_custom(CustomOp op) {
     Impl::Use use = t.make_use(out.operand());
     use.carries = true;
     use.read = holds(op.reads, out.range());
-    use.recomputed = use.read && t.in_group;
-    record.replayed = record.replayed || use.recomputed;
+    if (use.read && t.in_group) {
+      use.producer = static_cast<int32_t>(t.uses.size());
+      record.replayed = true;
+    }
     t.uses.push_back(use);
   }
   t.customs.push_back(std::move(op));
@@ -141,7 +143,8 @@ void Tape::record_custom(CustomOp op) {
 }
 
 std::string Tape::Impl::input_name(const Op& op, uint32_t k) const {
-  if (op.kernel) return op.kernel->sources[k].name;
+  if (op.kernel) return k < op.inputs ? op.kernel->sources[k].name : "active";
+  if (op.custom < 0) return "input " + std::to_string(k);
   const size_t inputs = customs[static_cast<size_t>(op.custom)].inputs.size();
   if (k < inputs) return "input " + std::to_string(k);
   return k < op.inputs ? "value " + std::to_string(k - inputs) + " that it reads"
@@ -151,7 +154,7 @@ std::string Tape::Impl::input_name(const Op& op, uint32_t k) const {
 void Tape::Impl::check_read_values(const Op& op) {
   for (uint32_t u = 0; u < op.inputs + op.outputs; ++u) {
     const Use& use = uses[op.first_use + u];
-    if (use.read && !use.recomputed) check_value(use, op, u);
+    if (use.read) check_needed(use, op, u);
   }
 }
 

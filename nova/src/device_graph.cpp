@@ -14,13 +14,21 @@ namespace nova::detail {
 
 using novaphy::DeviceContext;
 
+int64_t active_rows(const OpList::Op& op, int64_t begin, int64_t rows) {
+  return op.active ? std::clamp<int64_t>(*op.active - begin, 0, rows) : rows;
+}
+
 novaphy_status issue(const DeviceContext& context, novaphy_stream* stream, const OpList::Op& op,
                      const uint64_t* words, novaphy_error& error) {
   const novaphy_backend_api& api = *context.api;
   const auto bytes = static_cast<uint64_t>(op.n);
   switch (op.kind) {
     case OpList::Op::Kind::Launch:
-      return api.launch(stream, op.kernel, op.n, words + op.first_word, op.word_count, &error);
+      if (op.active && !context.host_accessible)
+        return api.launch_active(stream, op.kernel, op.n, op.active, words + op.first_word,
+                                 op.word_count, &error);
+      return api.launch(stream, op.kernel, active_rows(op, 0, op.n), words + op.first_word,
+                        op.word_count, &error);
     case OpList::Op::Kind::Copy:
       return api.memory_copy(stream, NOVAPHY_COPY_DEVICE_TO_DEVICE, op.target, op.source, bytes,
                              &error);
@@ -125,7 +133,9 @@ void DeviceGraph::make_sequences(std::span<const OpList::Op> ops, std::span<cons
       return false;
     const novaphy_list_op one = list_op(op, words, std::max<int64_t>(1, rows_of(op)));
     std::vector<MemoryAccess> touched;
-    return rows_of(op) > 0 && touched_by(op, words, accesses, touched) &&
+    // The backend looks at the tables of a sequence when it makes it.
+    return rows_of(op) > 0 && !op.tables_change && !op.active &&
+           touched_by(op, words, accesses, touched) &&
            api.sequence_takes(context_.device, &one) != 0;
   };
   const std::vector<List> lists = lists_;
@@ -220,7 +230,8 @@ std::unique_ptr<DeviceGraph> DeviceGraph::fused(const DeviceContext& context,
                                                 std::span<const MemoryAccess> accesses) {
   if (!lists_wanted(*context.api) && !sequences_wanted(*context.api)) return nullptr;
   std::unique_ptr<DeviceGraph> made(new DeviceGraph(context));
-  const RunPlan plan = plan_run(ops, words, accesses, {.min_rows = 1, .multiples = false});
+  RunPlan plan = plan_run(ops, words, accesses, {.min_rows = 1, .multiples = false});
+  mark_changing_tables(plan.ops, words, accesses);
   made->make_lists(plan, words);
   made->make_sequences(plan.ops, words, accesses);
   if (made->lists_.empty()) return nullptr;

@@ -19,6 +19,10 @@ namespace nova::detail {
 novaphy_status issue(const novaphy::DeviceContext& context, novaphy_stream* stream,
                      const OpList::Op& op, const uint64_t* words, novaphy_error& error);
 
+// Of the rows [begin, begin + rows) of a launch, on a device whose memory the host may dereference,
+// how many are to be computed now.
+int64_t active_rows(const OpList::Op& op, int64_t begin, int64_t rows);
+
 // Issues operations to the device's stream, one after the other. Throws like a launch.
 void issue_in_order(const novaphy::DeviceContext& context, std::span<const OpList::Op> ops,
                     std::span<const uint64_t> words);

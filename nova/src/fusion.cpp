@@ -96,10 +96,11 @@ bool makes_series(const novaphy_backend_api& api) {
 
 // Whether an operation between a series and `last` may write what those of the series touched.
 bool written_since(std::span<const OpList::Op> ops, std::span<const uint64_t> words,
-                   const HostPlan::Series& series, uint32_t last) {
+                   std::span<const MemoryAccess> accesses, const HostPlan::Series& series,
+                   uint32_t last) {
   const auto touched = [&](uint32_t begin, uint32_t end) {
     std::vector<MemoryAccess> all;
-    for (uint32_t k = begin; k < end; ++k) touched_by(ops[k], words, {}, all);
+    for (uint32_t k = begin; k < end; ++k) touched_by(ops[k], words, accesses, all);
     return all;
   };
   const std::vector<MemoryAccess> before = touched(series.first, series.last);
@@ -134,7 +135,8 @@ novaphy_status run_rows(const novaphy::DeviceContext& context, const OpList::Op&
     for (const MovedWord& m : moved.words) arguments[m.word] = moved.bases[m.memory];
     for (const auto* list : {&op.layout->inputs, &op.layout->outputs, &op.layout->tables})
       for (const RowLayout::Word& w : *list) arguments[w.word] += skip * w.row_bytes;
-    return api.launch(context.stream, op.kernel, rows * factor, arguments, op.word_count, &error);
+    return api.launch(context.stream, op.kernel, active_rows(op, begin * factor, rows * factor),
+                      arguments, op.word_count, &error);
   }
   const int64_t row_bytes = op.n / n;
   const auto skip = static_cast<uint64_t>(begin * row_bytes);
@@ -164,10 +166,10 @@ HostPlan::HostPlan(const novaphy::DeviceContext& context, RunPlan plan,
       segments_(std::move(plan.segments)),
       words_(words) {
   if (phases) make_phases(accesses);
-  if (makes_series(*context.api)) make_series();
+  if (makes_series(*context.api)) make_series(accesses);
 }
 
-void HostPlan::make_series() {
+void HostPlan::make_series(std::span<const MemoryAccess> accesses) {
   const novaphy_backend_api& api = *context_.api;
   std::vector<const uint64_t*> arguments;
   for (const Segment& segment : segments_) {
@@ -188,7 +190,7 @@ void HostPlan::make_series() {
       if (status == NOVAPHY_OK) {
         const bool follows = has_entry(api, &novaphy_backend_api::series_follow) &&
                              !series_.empty() && series_.back().first >= segment.first &&
-                             !written_since(ops_, words_, series_.back(), k);
+                             !written_since(ops_, words_, accesses, series_.back(), k);
         if (follows) api.series_follow(series, series_.back().series);
         series_.push_back({k, end, series});
       } else if (status != NOVAPHY_NOT_SUPPORTED) {
@@ -202,6 +204,7 @@ void HostPlan::make_series() {
 // Segments of a few operations would part the phases, in which these operations share their rows
 // as well.
 void HostPlan::make_phases(std::span<const MemoryAccess> accesses) {
+  mark_changing_tables(ops_, words_, accesses);
   const auto is_short = [](const Segment& s) { return s.n == 0 || s.last - s.first < kShort; };
   std::vector<Segment> cut;
   for (size_t k = 0; k < segments_.size();) {

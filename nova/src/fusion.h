@@ -27,10 +27,12 @@ struct RowLayout {
     uint32_t row_bytes;
   };
   bool row_local = false;     // the row number is used for nothing but direct reads and writes
+  bool of_builtin = false;    // whose launches declare all that they touch; else a Program
   uint32_t operations = 1;    // of a row, about
   std::vector<Word> inputs;   // advanced by the row
   std::vector<Word> outputs;  // advanced by the row
-  std::vector<Word> tables;   // advanced by the row; index data that no kernel writes
+  std::vector<Word> tables;   // advanced by the row; offsets of CSR rows, items in the word after
+  std::vector<Word> indices;  // i32 sources
   std::vector<Word> shared;   // read at other rows; the word after it is the number of rows
   std::vector<Gathered> gathered;
 };
@@ -48,6 +50,8 @@ struct Segment {
 inline int64_t rows_of(const OpList::Op& op) {
   return op.kind == OpList::Op::Kind::Launch ? op.n : op.n / 4;
 }
+// Whether the operation finds CSR rows by what is at this address.
+bool is_table(const OpList::Op& op, std::span<const uint64_t> words, uint64_t address);
 // Adds what an operation touches; false: that is not known.
 bool touched_by(const OpList::Op& op, std::span<const uint64_t> words,
                 std::span<const MemoryAccess> accesses, std::vector<MemoryAccess>& touched);
@@ -68,6 +72,10 @@ struct PlanLimits {
   // none.
   uint32_t min_series = 0;
 };
+// Sets tables_change. Whoever plans by what tables hold needs it: a launch may find something else
+// there.
+void mark_changing_tables(std::span<OpList::Op> ops, std::span<const uint64_t> words,
+                          std::span<const MemoryAccess> accesses);
 RunPlan plan_run(std::span<const OpList::Op> ops, std::span<const uint64_t> words,
                  std::span<const MemoryAccess> accesses, const PlanLimits& limits = {});
 
@@ -115,7 +123,7 @@ class HostPlan {
   };
 
  private:
-  void make_series();
+  void make_series(std::span<const MemoryAccess> accesses);
   void make_phases(std::span<const MemoryAccess> accesses);
   void cut_into_phases(uint32_t first, uint32_t last, std::span<const MemoryAccess> accesses,
                        std::vector<Segment>& cut);

@@ -30,6 +30,7 @@ RowLayout row_layout(const ir::Program& p) {
     const auto bytes = static_cast<uint32_t>(p.sources[s].width) * 4;
     if (how[s] == kDirect) layout.inputs.push_back({p.source_argument(s), bytes});
     if (how[s] == kShared) layout.shared.push_back({p.source_argument(s), bytes});
+    if (p.sources[s].type == ir::Type::I32) layout.indices.push_back({p.source_argument(s), bytes});
   }
   for (size_t o = 0; o < p.outputs.size(); ++o)
     layout.outputs.push_back(
@@ -45,6 +46,14 @@ RowLayout row_layout(const ir::Program& p) {
   return layout;
 }
 
+bool is_table(const OpList::Op& op, std::span<const uint64_t> words, uint64_t address) {
+  if (op.layout == nullptr) return false;
+  const uint64_t* arguments = words.data() + op.first_word;
+  return std::any_of(op.layout->tables.begin(), op.layout->tables.end(), [&](const auto& table) {
+    return arguments[table.word] == address || arguments[table.word + 1] == address;
+  });
+}
+
 bool touched_by(const OpList::Op& op, std::span<const uint64_t> words,
                 std::span<const MemoryAccess> accesses, std::vector<MemoryAccess>& touched) {
   const auto address = [](const void* p) { return reinterpret_cast<uint64_t>(p); };
@@ -54,11 +63,9 @@ bool touched_by(const OpList::Op& op, std::span<const uint64_t> words,
     touched.push_back({address(op.target), rows, 4, true});
     return true;
   }
-  if (!op.layout || op.access_count != 0) {
-    const auto known = accesses.subspan(op.first_access, op.access_count);
-    touched.insert(touched.end(), known.begin(), known.end());
-    return !known.empty();
-  }
+  const auto known = accesses.subspan(op.first_access, op.access_count);
+  touched.insert(touched.end(), known.begin(), known.end());
+  if (!op.layout || op.layout->of_builtin) return !known.empty();
   const uint64_t* arguments = words.data() + op.first_word;
   for (const RowLayout::Word& w : op.layout->inputs)  // the rows may be fewer: no lane needs more
     touched.push_back({arguments[w.word], std::min(rows, arguments[w.word + 1]) * w.row_bytes,
@@ -234,7 +241,7 @@ class Planner {
     touched_.clear();
     const bool launch = o.kind == OpList::Op::Kind::Launch;
     const int64_t rows = rows_of(o);
-    own_row = launch ? o.access_count == 0 && o.layout && o.layout->row_local &&
+    own_row = launch ? !o.active && o.layout && !o.layout->of_builtin && o.layout->row_local &&
                            (limits_.multiples ? rows % n == 0 : rows == n)
                      : rows % n == 0 && o.n % 4 == 0;
     if (!touched_by(o, words_, accesses_, touched_)) return false;
@@ -317,6 +324,29 @@ class Planner {
 };
 
 }  // namespace
+
+void mark_changing_tables(std::span<OpList::Op> ops, std::span<const uint64_t> words,
+                          std::span<const MemoryAccess> accesses) {
+  Footprint written;
+  bool all_known = true;
+  std::vector<MemoryAccess> touched;
+  for (const OpList::Op& op : ops) {
+    touched.clear();
+    all_known = touched_by(op, words, accesses, touched) && all_known;
+    std::erase_if(touched, [](const MemoryAccess& a) { return !a.write; });
+    written.add(touched);
+  }
+  for (OpList::Op& op : ops) {
+    if (op.layout == nullptr) continue;
+    touched.clear();
+    for (const MemoryAccess& access : accesses.subspan(op.first_access, op.access_count))
+      if (is_table(op, words, access.begin)) touched.push_back(access);
+    const uint64_t* arguments = words.data() + op.first_word;
+    for (const RowLayout::Word& w : op.layout->indices)
+      touched.push_back({arguments[w.word], arguments[w.word + 1] * w.row_bytes});
+    op.tables_change = !touched.empty() && (!all_known || written.conflicts(touched));
+  }
+}
 
 RunPlan plan_run(std::span<const OpList::Op> ops, std::span<const uint64_t> words,
                  std::span<const MemoryAccess> accesses, const PlanLimits& limits) {

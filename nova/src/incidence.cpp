@@ -9,9 +9,11 @@
 #include <vector>
 
 #include "fusion.h"
+#include "kernel_impl.h"
 #include "novaphy/core/backend.h"
 #include "novaphy/core/error.h"
 #include "novaphy/nova/op_list.h"
+#include "novaphy/nova/tape.h"
 
 namespace nova {
 
@@ -61,7 +63,7 @@ const detail::RowLayout* row_sum_layout(uint32_t row_bytes, int64_t stride, bool
       {row_bytes, by_offsets ? -1 : stride, std::vector<bool>(init.begin(), init.end())});
   detail::RowLayout& layout = at->second;
   if (!is_new) return &layout;
-  layout.row_local = true;
+  layout.row_local = layout.of_builtin = true;
   layout.operations = row_bytes * static_cast<uint32_t>(init.size());  // those of a few items
   if (by_offsets) {
     layout.tables.push_back({1, 4});
@@ -78,8 +80,8 @@ const detail::RowLayout* row_sum_layout(uint32_t row_bytes, int64_t stride, bool
 }
 
 // One sum, or two over the same items.
-void run_row_sums(std::span<const RowSumTerm> terms, const void* offsets, const void* items,
-                  int64_t rows, int64_t stride) {
+void run_row_sums(std::span<const RowSumTerm> terms, const IncidenceData* csr, int64_t rows,
+                  int64_t stride) {
   const Operand& first = *terms[0].out;
   for (const RowSumTerm& term : terms)
     require(term.out->width == term.source->width && term.out->width == first.width &&
@@ -96,19 +98,15 @@ void run_row_sums(std::span<const RowSumTerm> terms, const void* offsets, const 
   if (known.context != &context)
     known = {&context, builtin(context, "row_sum_f32"), builtin(context, "row_sum_pair_f32", true)};
   if (terms.size() > 1 && !known.pair) {
-    for (const RowSumTerm& term : terms) run_row_sums({&term, 1}, offsets, items, rows, stride);
+    for (const RowSumTerm& term : terms) run_row_sums({&term, 1}, csr, rows, stride);
     return;
   }
   const auto row_bytes = static_cast<uint64_t>(first.width) * 4;
   const auto row_count = static_cast<uint64_t>(rows);
-  std::array<uint64_t, 10> words = {0,
-                                    word(offsets),
-                                    word(items),
-                                    0,
-                                    0,
-                                    static_cast<uint64_t>(first.width),
-                                    static_cast<uint64_t>(stride)};
-  std::array<detail::MemoryAccess, 6> accesses;
+  std::array<uint64_t, 10> words = {
+      0, csr ? word(csr->offsets->data()) : 0, csr ? word(csr->items->data()) : 0, 0,
+      0, static_cast<uint64_t>(first.width),   static_cast<uint64_t>(stride)};
+  std::array<detail::MemoryAccess, 8> accesses;
   std::array<bool, 2> has_init{};
   constexpr size_t kWords[2][3] = {{0, 3, 4}, {7, 8, 9}};  // source, init, out
   for (size_t k = 0; k < terms.size(); ++k) {
@@ -123,15 +121,17 @@ void run_row_sums(std::span<const RowSumTerm> terms, const void* offsets, const 
     accesses[3 * k + 1] = {words[i], init ? row_count * row_bytes : 0, bytes};
     accesses[3 * k + 2] = {words[o], row_count * row_bytes, bytes, true};
   }
+  const auto tables = std::span(accesses).subspan(3 * terms.size(), csr ? 2 : 0);
+  if (csr) std::ranges::copy(detail::table_accesses(*csr), tables.begin());
   const detail::RowLayout* layout =
       current_capture() == nullptr
           ? nullptr
-          : row_sum_layout(static_cast<uint32_t>(row_bytes), stride, offsets != nullptr,
+          : row_sum_layout(static_cast<uint32_t>(row_bytes), stride, csr != nullptr,
                            std::span(has_init.data(), terms.size()));
   const bool pair = terms.size() > 1;
   submit_launch(context, pair ? known.pair : known.one, "row_sum", rows,
                 std::span(words.data(), pair ? 10 : 7), layout,
-                std::span(accesses.data(), 3 * terms.size()));
+                std::span(accesses.data(), 3 * terms.size() + tables.size()));
   for (const RowSumTerm& term : terms) {
     note_write(term.out->range);
     for (const Operand* operand : {term.source, term.init, term.out})
@@ -139,10 +139,56 @@ void run_row_sums(std::span<const RowSumTerm> terms, const void* offsets, const 
   }
 }
 
-void run_row_sums(std::span<const RowSumTerm> terms, const IncidenceData& rows) {
-  run_row_sums(terms, rows.offsets->data(), rows.items->data(), rows.rows, 0);
-  hold_in_capture(rows.offsets);
-  hold_in_capture(rows.items);
+void run_row_sums(std::span<const RowSumTerm> terms, const IncidenceData& csr) {
+  run_row_sums(terms, &csr, csr.rows, 0);
+  hold_in_capture(csr.offsets);
+  hold_in_capture(csr.items);
+}
+
+}  // namespace
+
+std::array<detail::MemoryAccess, 2> detail::table_accesses(const IncidenceData& csr) {
+  return {{{word(csr.offsets->data()), csr.offsets->bytes()},
+           {word(csr.items->data()), csr.items->bytes()}}};
+}
+
+namespace {
+
+// Which value of the table its arrays hold.
+void note_value(IncidenceData& made, const Range& table, uint64_t capture) {
+  made.version = table.version();
+  made.capture = capture;
+  made.has_checksum = capture == 0 && table.was_exported();
+  made.checksum = made.has_checksum ? table.checksum() : 0;
+}
+
+struct Build {
+  explicit Build(const IncidenceData& i)
+      : context(novaphy::device_context(i.table.range->storage().device())),
+        kernel(builtin(context, "incidence_i32")),
+        words{word(i.table.range->data()), static_cast<uint64_t>(i.table.rows),
+              word(i.offsets->data()), word(i.items->data())} {}
+  const DeviceContext& context;
+  novaphy_kernel* kernel;
+  std::array<uint64_t, 4> words;
+};
+
+void submit_build(IncidenceData& made) {
+  const Build build(made);
+  const auto [offsets, items] = detail::table_accesses(made);
+  const detail::MemoryAccess accesses[] = {
+      {build.words[0], static_cast<uint64_t>(made.table.rows) * 4},
+      {offsets.begin, offsets.bytes, 0, true},
+      {items.begin, items.bytes, 0, true}};
+  submit_launch(build.context, build.kernel, "incidence", made.rows, build.words, nullptr,
+                accesses);
+  for (const auto* range : {&made.offsets, &made.items}) {
+    note_write(*range);
+    hold_in_capture(*range);
+  }
+  hold_in_capture(made.table.range);
+  const OpList* graph = current_capture();
+  note_value(made, *made.table.range, graph ? graph->id() : 0);
 }
 
 }  // namespace
@@ -150,28 +196,36 @@ void run_row_sums(std::span<const RowSumTerm> terms, const IncidenceData& rows) 
 Incidence make_incidence(const Operand& table, int64_t rows) {
   require(table.type == ir::Type::I32, ErrorKind::Type,
           "incidence: expected an int32 table, got float32");
-  if (OpList* graph = current_capture()) graph->freeze(table.range);
   const novaphy::Device device = table.range->storage().device();
-  const DeviceContext& context = novaphy::device_context(device);
   auto made = std::make_shared<IncidenceData>();
   made->table = table;
   made->table.rows = table.rows * table.width;
   made->table.width = 1;
-  made->version = table.range->version();
-  made->has_checksum = table.range->was_exported();
-  made->checksum = made->has_checksum ? table.range->checksum() : 0;
   made->rows = rows;
   const auto slots = made->table.rows;
   made->offsets = novaphy::Storage::allocate(static_cast<size_t>(rows + 1) * 4, device)->range();
   made->items = novaphy::Storage::allocate(static_cast<size_t>(slots) * 4, device)->range();
-  const uint64_t words[] = {word(table.range->data()), static_cast<uint64_t>(slots),
-                            word(made->offsets->data()), word(made->items->data())};
-  launch_now(context, builtin(context, "incidence_i32"), "incidence", rows, words);
+  OpList* graph = current_capture();
+  if (graph == nullptr || graph->writes_to(*table.range)) {
+    submit_build(*made);
+    return made;
+  }
+  graph->freeze(table.range);
+  const Build build(*made);
+  launch_now(build.context, build.kernel, "incidence", rows, build.words);
+  note_value(*made, *table.range, 0);
   return made;
+}
+
+void rebuild(const Incidence& incidence) {
+  submit_build(*incidence);
+  if (Tape* tape = Tape::active()) tape->record_rebuild(incidence);
 }
 
 bool is_current(const IncidenceData& incidence, const Range& table) {
   if (incidence.version != table.version()) return false;
+  const OpList* graph = current_capture();
+  if (incidence.capture != 0) return graph != nullptr && incidence.capture == graph->id();
   if (!table.was_exported()) return true;
   return table.checksum() ==
          (incidence.has_checksum ? incidence.checksum : table.exported_checksum());
@@ -181,19 +235,19 @@ Incidence cached_incidence(const Operand& table, int64_t rows) {
   static std::mutex mutex;
   std::lock_guard lock(mutex);
   auto& known = grad_info(*table.range).incidences;
-  std::erase_if(known, [&](const Incidence& i) { return !is_current(*i, *table.range); });
+  std::erase_if(known, [&](const auto& i) { return !is_current(*i, *table.range); });
   auto found =
-      std::find_if(known.begin(), known.end(), [&](const Incidence& i) { return i->rows == rows; });
+      std::find_if(known.begin(), known.end(), [&](const auto& i) { return i->rows == rows; });
   if (found == known.end()) {
     IncidenceData data = *make_incidence(table, rows);
     data.table.range = nullptr;  // the table owns this entry; the other way round would be a cycle
     known.push_back(std::make_shared<const IncidenceData>(std::move(data)));
     found = known.end() - 1;
   }
-  if (OpList* graph = current_capture()) graph->freeze(table.range);
   IncidenceData result = **found;
   result.table.range = table.range;
-  return std::make_shared<const IncidenceData>(std::move(result));
+  if (OpList* graph = current_capture(); graph && result.capture == 0) graph->freeze(table.range);
+  return std::make_shared<IncidenceData>(std::move(result));
 }
 
 void row_sum(const Operand& source, const IncidenceData& rows, const Operand* init,
@@ -210,7 +264,7 @@ void row_sum(const Operand& source, int64_t rows, int64_t stride, const Operand*
   require(source.rows >= rows * stride, ErrorKind::Value, "row_sum: ", rows, " rows of ", stride,
           " items need more than ", source.rows);
   const RowSumTerm term{&source, init, &out};
-  run_row_sums({&term, 1}, nullptr, nullptr, rows, stride);
+  run_row_sums({&term, 1}, nullptr, rows, stride);
 }
 
 }  // namespace nova

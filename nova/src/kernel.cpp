@@ -7,6 +7,7 @@
 #include "novaphy/nova/op_list.h"
 #include "novaphy/nova/tape.h"
 #include "novaphy/program/emit.h"
+#include "optional_entry.h"
 #include "unread_columns.h"
 
 namespace nova {
@@ -93,7 +94,7 @@ const CompiledPlan& KernelImpl::adjoint(const AdjointKey& key) {
 
 void run_forward(KernelImpl& kernel, int64_t dim, std::span<const Operand> inputs,
                  std::span<const Operand> outputs, std::span<const Param> params,
-                 const IncidenceData* csr, int32_t extent) {
+                 const IncidenceData* csr, int32_t extent, const Operand* active) {
   const novaphy::DeviceContext& context =
       novaphy::device_context(outputs[0].range->storage().device());
   Executable& code = *kernel.forward;
@@ -104,13 +105,18 @@ void run_forward(KernelImpl& kernel, int64_t dim, std::span<const Operand> input
     words.word(static_cast<uint64_t>(in.rows));
   }
   for (const Operand& out : outputs) words.pointer(out.range->data());
+  ExtraReads reads;
   if (kernel.has_csr_loop && !code.program.loops.empty()) {
     words.pointer(csr->offsets->data());
     words.pointer(csr->items->data());
+    reads.add(*csr);
   }
+  reads.add(active_count(active));
   for (const Param& p : params) words.word(p.bits);
   if (kernel.has_fixed_loop) words.word(static_cast<uint32_t>(extent));
-  submit_launch(context, compiled, kernel.name.c_str(), dim, words.span(), &code.layout);
+  submit_launch(context, compiled, kernel.name.c_str(), dim, words.span(), &code.layout,
+                reads.span(), active_count(active));
+  if (active) hold_in_capture(active->range);
   for (const Operand& out : outputs) note_write(out.range);
 }
 
@@ -189,6 +195,27 @@ void check_params(const detail::KernelImpl& k, const LaunchOptions& options) {
             k.param_types[p] == 1 ? "float" : "int");
   require(!k.has_fixed_loop || options.extent >= 0, ErrorKind::Value, k.name,
           ", extent: expected >= 0, got ", options.extent);
+}
+
+void check_active(const detail::KernelImpl& k, const Operand& active,
+                  std::span<const Operand> outputs) {
+  const Device device = outputs[0].range->storage().device();
+  require(active.range != nullptr && active.type == ir::Type::I32 && active.rows == 1 &&
+              active.width == 1,
+          ErrorKind::Value, k.name, ", active: expected {1} int32, got ", found(active));
+  require(!k.has_csr_loop && !k.has_fixed_loop, ErrorKind::Value, k.name,
+          ", active: expected a kernel without a sum");
+  const Device own = active.range->storage().device();
+  require(own == device, ErrorKind::Value, k.name, ", active: expected memory of ", device.str(),
+          ", got ", own.str());
+  for (size_t o = 0; o < outputs.size(); ++o)
+    require(!active.range->overlaps(*outputs[o].range), ErrorKind::Value, k.name, ": output '",
+            k.outputs[o].name, "' overlaps active");
+  const novaphy::DeviceContext& context = novaphy::device_context(device);
+  require(context.host_accessible ||
+              detail::has_entry(*context.api, &novaphy_backend_api::launch_active),
+          ErrorKind::NotImplemented, k.name, ", active: the backend of ", device.str(),
+          " launches all rows only");
 }
 
 // An output may equal an input only as exactly the same view, read direct; every other overlap is
@@ -507,18 +534,19 @@ void Kernel::launch(int64_t dim, std::span<const Operand> inputs, std::span<cons
       fail(ErrorKind::Value, k.name, ", output ", k.outputs[o].name, ": expected ",
            expected(dim, k.outputs[o].width, DType::F32), ", got ", found(outputs[o]));
   check_devices(k, inputs, outputs);
+  if (options.active) check_active(k, *options.active, outputs);
   Tape* tape = Tape::active();
   const bool recorded = tape != nullptr && tape->must_record(inputs);
   check_alias(k, inputs, outputs, recorded);
   const IncidenceData* csr = options.csr ? options.csr->get() : nullptr;
-  if (tape) tape->check_launch(k, inputs);
-  detail::run_forward(k, dim, inputs, outputs, options.params, csr, options.extent);
+  if (tape) tape->check_launch(k, inputs, options.active ? outputs : std::span<const Operand>());
+  detail::run_forward(k, dim, inputs, outputs, options.params, csr, options.extent, options.active);
   if (tape) tape->record_launch(impl_, dim, inputs, outputs, options, recorded);
   hold_in_capture(impl_);
   if (csr) hold_in_capture(*options.csr);
   for (const auto* list : {&inputs, &outputs})
     for (const Operand& operand : *list) hold_in_capture(operand.range);
-  if (csr && current_capture()) current_capture()->freeze(csr->table.range);
+  if (csr && current_capture()) current_capture()->freeze(csr->table.range, csr->offsets);
 }
 
 }  // namespace nova

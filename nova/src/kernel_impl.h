@@ -1,6 +1,7 @@
 // Internal: compiled Programs and the record of a kernel.
 #pragma once
 
+#include <array>
 #include <atomic>
 #include <map>
 #include <mutex>
@@ -110,9 +111,32 @@ class Words {
   std::vector<uint64_t> heap_;
 };
 
+// What a launch with a CSR loop reads besides its sources.
+std::array<MemoryAccess, 2> table_accesses(const IncidenceData& csr);
+
 // Runs (or captures) a kernel whose operands were checked; raises the versions of the outputs.
 void run_forward(KernelImpl& kernel, int64_t dim, std::span<const Operand> inputs,
                  std::span<const Operand> outputs, std::span<const Param> params,
-                 const IncidenceData* csr, int32_t extent);
+                 const IncidenceData* csr, int32_t extent, const Operand* active = nullptr);
+
+// The number of rows that a launch with `active` computes.
+inline const int32_t* active_count(const Operand* active) {
+  return active ? static_cast<const int32_t*>(active->range->data()) : nullptr;
+}
+// What a launch reads besides its sources: CSR rows, and that number.
+class ExtraReads {
+ public:
+  void add(const IncidenceData& csr) {
+    for (const MemoryAccess& access : table_accesses(csr)) reads_[count_++] = access;
+  }
+  void add(const int32_t* active) {
+    if (active) reads_[count_++] = {reinterpret_cast<uint64_t>(active), sizeof(int32_t)};
+  }
+  std::span<const MemoryAccess> span() const { return {reads_.data(), count_}; }
+
+ private:
+  std::array<MemoryAccess, 3> reads_;
+  size_t count_ = 0;
+};
 
 }  // namespace nova::detail

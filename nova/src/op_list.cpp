@@ -82,13 +82,31 @@ void OpList::writes(const std::shared_ptr<Range>& range) {
   written_.push_back(range);
 }
 
-void OpList::freeze(const std::shared_ptr<Range>& range) {
-  require(!std::binary_search(written_keys_.begin(), written_keys_.end(), range.get()),
-          ErrorKind::Runtime, "capture: an index table that the capture itself writes");
+bool OpList::writes_to(const Range& range) const {
+  const auto written = [](const Range& r, void* keys) {
+    const auto& known = *static_cast<const std::vector<const Range*>*>(keys);
+    return std::binary_search(known.begin(), known.end(), &r);
+  };
+  void* keys = const_cast<std::vector<const Range*>*>(&written_keys_);
+  return written(range, keys) || range.find_overlap(written, keys) != nullptr;
+}
+
+void OpList::freeze(const std::shared_ptr<Range>& range, const std::shared_ptr<Range>& arrays) {
+  if (arrays && writes_to(*arrays)) return;
+  require(
+      !writes_to(*range), ErrorKind::Runtime,
+      "capture: an index table that the capture itself writes; an Incidence of it must be rebuilt "
+      "after that");
   require(
       !range->writable_export(), ErrorKind::Runtime,
       "capture: an index table with a writable export; a replay could not tell that it changed");
-  frozen_.emplace_back(range, range->version());
+  frozen_.push_back({range, range->version(), arrays});
+}
+
+void OpList::end_recording() {
+  std::sort(frozen_.begin(), frozen_.end());
+  frozen_.erase(std::unique(frozen_.begin(), frozen_.end()), frozen_.end());
+  std::erase_if(frozen_, [this](const Frozen& f) { return f.arrays && writes_to(*f.arrays); });
 }
 
 void OpList::freeze(const std::shared_ptr<const float>& number, std::string_view name) {
@@ -115,8 +133,8 @@ void OpList::launch() const {
   if (auto* observer = novaphy::array_observer()) observer->untracked_operation("graph.launch()");
   const std::lock_guard lock(launching_);
   const auto memory = memory_.take("graph.launch()", "what it was captured from");
-  for (const auto& [range, version] : frozen_)
-    require(range->version() == version, ErrorKind::Runtime,
+  for (const Frozen& f : frozen_)
+    require(f.table->version() == f.version, ErrorKind::Runtime,
             "graph.launch(): an index table (e.g. the contacts) was modified after the capture");
   for (const FrozenNumber& n : frozen_numbers_)
     if (std::bit_cast<uint32_t>(n.recorded) != std::bit_cast<uint32_t>(*n.number)) [[unlikely]]
@@ -214,6 +232,7 @@ void ScopedCapture::end() {
   if (!active_) return;
   active_ = false;
   capture = nullptr;
+  graph_->end_recording();
   detail::leave_observation();
 }
 ScopedCapture::~ScopedCapture() { end(); }
@@ -222,15 +241,19 @@ OpList* current_capture() { return capture; }
 
 void submit_launch(const DeviceContext& context, novaphy_kernel* kernel, const char* name,
                    int64_t n, std::span<const uint64_t> words, const detail::RowLayout* layout,
-                   std::span<const detail::MemoryAccess> accesses) {
-  if (recording()) {
+                   std::span<const detail::MemoryAccess> accesses, const int32_t* active) {
+  if (recording() || active) {
     OpList::Op op{OpList::Op::Kind::Launch};
     op.layout = layout;
     op.n = n;
     op.kernel = kernel;
     op.name = name;
-    record(context, op, words, accesses);
-    return;
+    op.active = active;
+    if (recording()) return record(context, op, words, accesses);
+    op.word_count = static_cast<uint32_t>(words.size());
+    novaphy_error error = novaphy::make_error();
+    return novaphy::check(detail::issue(context, context.stream, op, words.data(), error), error,
+                          name);
   }
   launch_now(context, kernel, name, n, words);
 }

@@ -95,8 +95,8 @@ class Overlap::Planner {
     const RowLayout* layout = ops_[op].layout;
     const Chain& chain = chains_[chain_of_[op]];
     std::vector<Use> uses;
-    if (layout == nullptr || !layout->row_local || chain.shares.parts != plan_.parts_ ||
-        ops_[op].n != chain.rows)
+    if (layout == nullptr || !layout->row_local || ops_[op].active ||
+        chain.shares.parts != plan_.parts_ || ops_[op].n != chain.rows)
       return uses;
     const auto at = [&](uint32_t word) { return arguments(op)[word] == begin; };
     for (const RowLayout::Word& w : layout->outputs)
@@ -217,6 +217,7 @@ class Overlap::Planner {
     for (const Value& value : values)
       for (const Use& use : value.uses.subspan(1)) {
         if (value.uses[0].row_bytes % use.row_bytes != 0) return;  // items of several rows
+        if (ops_[use.op].tables_change) return;
         sums[use.op].push_back(gathering(use, value));
       }
     for (const auto& [sum, all] : sums) {

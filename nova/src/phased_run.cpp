@@ -120,8 +120,14 @@ void PhasedRun::find_cold(std::span<const MemoryAccess> accesses) {
   for (uint32_t phase = 0; phase < ends_.size(); ++phase) {
     touched.clear();
     for (; chain != chains_.end() && chain->phase == phase; ++chain)
-      for (uint32_t k = chain->first; k < chain->last; ++k)
+      for (uint32_t k = chain->first; k < chain->last; ++k) {
+        const auto first = static_cast<ptrdiff_t>(touched.size());
         touched_by(ops_[k], words_, accesses, touched);
+        const auto table = [&](const MemoryAccess& a) {
+          return is_table(ops_[k], words_, a.begin);
+        };
+        touched.erase(std::remove_if(touched.begin() + first, touched.end(), table), touched.end());
+      }
     const size_t first = cold_.size();
     uint64_t bytes = 0;
     for (const MemoryAccess& access : touched) {

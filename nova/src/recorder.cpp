@@ -39,11 +39,12 @@ class Recorder : public novaphy::LaunchRecorder {
     }
     submit_launch(launch.context, launch.kernel, launch.name, launch.n, launch.words, nullptr,
                   accesses_);
-    for (const LaunchArgument& a : launch.arguments) {
-      if (!a.write || !a.range) continue;
-      note_write(a.range);
-      if (tape != nullptr) tape->mark_constant(*a.range);
-    }
+    if (tape != nullptr) tape->record_launch(launch, accesses_);
+    for (const LaunchArgument& a : launch.arguments)
+      if (a.write && a.range) note_write(a.range);
+    if (tape == nullptr) return;
+    for (const LaunchArgument& a : launch.arguments)
+      if (a.write && a.range) tape->mark_constant(*a.range);
   }
   void depends_on(const std::shared_ptr<Range>& range) override {
     if (OpList* graph = current_capture()) graph->freeze(range);

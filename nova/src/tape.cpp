@@ -47,7 +47,7 @@ Tape::Impl::Use& Tape::Impl::add_input(const Op& op, const Operand& operand) {
   if (use.carries) node(operand.range);
   const Node* n = op.group >= 0 ? find(*operand.range) : nullptr;
   if (n && n->group == op.group) {
-    use.recomputed = true;
+    use.producer = n->written_use;
     ops[static_cast<size_t>(n->writer)].replayed = true;
   }
   return use;
@@ -62,8 +62,10 @@ void Tape::Impl::append(Op op, bool recorded) {
     if (recorded) mark_output(range, number);
     if (!in_group) continue;
     Node& n = node(range);
+    if (n.group == ops.back().group) uses[static_cast<size_t>(n.written_use)].overwritten = true;
     n.writer = number;
     n.group = ops.back().group;
+    n.written_use = static_cast<int32_t>(ops.back().first_use + ops.back().inputs + o);
   }
   if (in_group) groups.back().last = static_cast<uint32_t>(ops.size());
 }
@@ -114,19 +116,21 @@ void Tape::Impl::check_not_overwritten(const Operand& in, const std::string& op,
          "' of this tape and then overwritten outside of it; its gradient would be wrong");
 }
 
-void Tape::Impl::check_value(const Use& use, const Op& op, uint32_t input) {
+// Whether the value of an input is not the recorded one any more.
+bool Tape::Impl::was_modified(const Use& use) {
   const Range& range = *use.operand.range;
-  bool modified = range.version() != use.version;
-  if (!modified && (use.has_checksum || range.was_exported())) {
-    const OpList* graph = current_capture();
-    if (use.capture != (graph ? graph->id() : 0)) refuse_export_in_capture();
-    if (!graph) {
-      const auto [at, first] = present.try_emplace(&range);
-      if (first) at->second = checksum_now(range);
-      modified = at->second != (use.has_checksum ? use.checksum : range.exported_checksum());
-    }
-  }
-  if (modified) [[unlikely]]
+  if (range.version() != use.version) return true;
+  if (!use.has_checksum && !range.was_exported()) return false;
+  const OpList* graph = current_capture();
+  if (use.capture != (graph ? graph->id() : 0)) refuse_export_in_capture();
+  if (graph) return false;
+  const auto [at, first] = present.try_emplace(&range);
+  if (first) at->second = checksum_now(range);
+  return at->second != (use.has_checksum ? use.checksum : range.exported_checksum());
+}
+
+void Tape::Impl::check_value(const Use& use, const Op& op, uint32_t input) {
+  if (was_modified(use)) [[unlikely]]
     fail(ErrorKind::Runtime, "input '", input_name(op, input), "' of op '", op_name(op),
          "' was modified after recording");
 }
@@ -135,7 +139,7 @@ void Tape::Impl::mark_output(const std::shared_ptr<Range>& range, int32_t op) {
   GradInfo& info = grad_info(*range);
   Node& n = node(range);
   n.writer = op;
-  n.group = -1;
+  if (!in_group) n.group = -1;
   n.written_version = range->version();
   n.capture = current_capture() ? current_capture()->id() : 0;
   n.has_checksum = note_value(*range, n.written_checksum);
@@ -164,6 +168,7 @@ void Tape::Impl::forget() {
   uses.clear();
   params.clear();
   customs.clear();
+  hand_written.clear();
   nodes.clear();
   values.clear();
 }
@@ -223,7 +228,15 @@ bool Tape::carries_gradient(const Range& range) const {
 }
 void Tape::mark_constant(const Range& range) { impl_->mark_constant(range); }
 
-void Tape::check_launch(const KernelImpl& kernel, std::span<const Operand> inputs) const {
+void Tape::check_launch(const KernelImpl& kernel, std::span<const Operand> inputs,
+                        std::span<const Operand> partly) const {
+  for (size_t o = 0; o < partly.size(); ++o) {
+    const Impl::Node* n = impl_->find(*partly[o].range);
+    require(!impl_->carries(*partly[o].range) && (!n || n->writer < 0), ErrorKind::Runtime,
+            kernel.name, ", output '", kernel.outputs[o].name,
+            "': only the active rows are written, and the tape knows the memory already; its other "
+            "rows would keep values without their gradient. Give it memory of its own");
+  }
   for (size_t s = 0; s < inputs.size(); ++s)
     impl_->check_not_overwritten(inputs[s], kernel.name, kernel.sources[s].name);
 }
@@ -251,8 +264,69 @@ void Tape::record_launch(const std::shared_ptr<KernelImpl>& kernel, int64_t dim,
   for (const Operand& in : inputs) t.add_input(op, in);
   for (const Operand& out : outputs)
     t.uses.push_back({.operand = out, .version = out.range->version(), .carries = true});
+  if (op.csr) t.add_csr(op);
+  if (options.active) {
+    op.has_active = true;
+    t.add_input(op, *options.active);
+  }
   t.params.insert(t.params.end(), options.params.begin(), options.params.end());
   t.append(std::move(op), recorded);
+}
+
+// A group that is run once more needs the rows again that it had.
+void Tape::record_rebuild(const Incidence& incidence) {
+  Impl& t = *impl_;
+  if (!t.in_group) return;
+  Impl::Op op;
+  op.constant = true;
+  op.group = static_cast<int32_t>(t.groups.size()) - 1;
+  op.first_use = static_cast<uint32_t>(t.uses.size());
+  op.inputs = 1;
+  op.outputs = 2;
+  op.csr = incidence;
+  t.add_input(op, incidence->table);
+  for (const auto& range : {incidence->offsets, incidence->items})
+    t.uses.push_back({.operand = Impl::words_of(range), .version = range->version()});
+  t.append(std::move(op), false);
+}
+
+void Tape::record_launch(const novaphy::Launch& launch,
+                         std::span<const detail::MemoryAccess> accesses) {
+  Impl& t = *impl_;
+  if (!t.in_group) return;
+  Impl::Op op;
+  op.constant = true;
+  op.group = static_cast<int32_t>(t.groups.size()) - 1;
+  op.first_use = static_cast<uint32_t>(t.uses.size());
+  op.hand_written = static_cast<int32_t>(t.hand_written.size());
+  for (const novaphy::LaunchArgument& a : launch.arguments)
+    if (a.read && a.range) {
+      t.add_input(op, Impl::words_of(a.range));
+      ++op.inputs;
+    }
+  for (const novaphy::LaunchArgument& a : launch.arguments)
+    if (a.write && a.range) {
+      t.uses.push_back({.operand = Impl::words_of(a.range), .version = a.range->version()});
+      ++op.outputs;
+    }
+  t.hand_written.push_back({&launch.context,
+                            launch.kernel,
+                            launch.name,
+                            launch.n,
+                            {launch.words.begin(), launch.words.end()},
+                            {accesses.begin(), accesses.end()}});
+  t.append(std::move(op), false);
+}
+
+// The rows as the operation found them, and the table that they were made of.
+void Tape::Impl::add_csr(const Op& op) {
+  const IncidenceData& csr = *op.csr;
+  const bool current = is_current(csr, *csr.table.range);
+  for (const auto& range : {csr.offsets, csr.items}) add_input(op, words_of(range));
+  add_input(op, csr.table);
+  Use& table = uses.back();
+  if (!current) table.version = kOutdated;  // no adjoint can find the row of an item
+  if (table.has_checksum && csr.has_checksum) table.checksum = csr.checksum;
 }
 
 void Tape::begin_recomputed(const std::shared_ptr<novaphy::ExclusiveUse>& memory) {

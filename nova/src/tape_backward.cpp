@@ -106,11 +106,40 @@ void Tape::Impl::GradientPool::clear() {
   free_.clear();
 }
 
-// The items of a CSR sum find their row in the table that the Incidence was built from.
-void Tape::Impl::check_table(const Op& op) const {
-  if (op.csr && !is_current(*op.csr, *op.csr->table.range))
-    novaphy::fail(ErrorKind::Runtime, "the index table of op '", op_name(op),
-                  "' was modified after recording");
+// The rows of a CSR sum are still those that it added up; the items find their row in the table
+// that these were made of.
+void Tape::Impl::check_csr(const Op& op, std::initializer_list<CsrUse> needed) {
+  for (const CsrUse which : needed) {
+    const Use& use = csr_use(op, which);
+    const bool never = use.version == kOutdated;
+    if (use.producer >= 0 && !never ? overwritten_in_group(use) : never || was_modified(use))
+      novaphy::fail(ErrorKind::Runtime, "the index table of op '", op_name(op),
+                    which == kTable
+                        ? "' was modified after recording"
+                        : "' was rebuilt after recording; its adjoint needs the rows as "
+                          "they were: give each step an Incidence of its own, or rebuild "
+                          "it in the step between two checkpoints");
+  }
+}
+
+// What an adjoint reads must be what was recorded, or will be once its group was run.
+void Tape::Impl::check_needed(const Use& use, const Op& op, uint32_t input) {
+  if (use.producer < 0) {
+    check_value(use, op, input);
+  } else if (overwritten_in_group(use)) {
+    novaphy::fail(ErrorKind::Runtime, "input '", input_name(op, input), "' of op '", op_name(op),
+                  "' was overwritten before the next checkpoint; its adjoint would read the later "
+                  "value: give each step memory of its own, or make a checkpoint of each step");
+  }
+}
+
+void Tape::Impl::check_needed(const Op& op, const detail::CompiledPlan& plan) {
+  for (uint32_t s = 0; s < op.inputs; ++s)
+    if (plan.plan.loads_value[s]) check_needed(input(op, s), op, s);
+  if (op.has_active) check_needed(active_use(op), op, op.inputs);
+  if (!op.csr) return;
+  if (plan.items) check_csr(op, {kTable});
+  if (plan.rows && !plan.rows->program.loops.empty()) check_csr(op, {kOffsets, kItems});
 }
 
 // A group is run once more before the first of its adjoints: then all that it reads from outside
@@ -119,8 +148,12 @@ void Tape::Impl::check_group(const Group& group) {
   for (uint32_t k = group.first; k < group.last; ++k) {
     if (!ops[k].replayed) continue;
     for (uint32_t s = 0; s < ops[k].inputs; ++s)
-      if (!input(ops[k], s).recomputed) check_value(input(ops[k], s), ops[k], s);
-    check_table(ops[k]);
+      if (input(ops[k], s).producer < 0) check_value(input(ops[k], s), ops[k], s);
+    if (ops[k].has_active && active_use(ops[k]).producer < 0)
+      check_value(active_use(ops[k]), ops[k], ops[k].inputs);
+    if (!ops[k].csr || !ops[k].kernel) continue;
+    for (const CsrUse which : {kOffsets, kItems})
+      if (csr_use(ops[k], which).producer < 0) check_csr(ops[k], {which});
   }
 }
 
@@ -131,12 +164,24 @@ void Tape::Impl::plan_group(int32_t number) {
   steps.push_back(step);
 }
 
+void Tape::Impl::run_again(const Op& op, DeferredScope& deferred) {
+  if (op.custom >= 0) return run_custom_forward(customs[static_cast<size_t>(op.custom)], deferred);
+  if (op.csr) return rebuild(op.csr);
+  const HandWritten& h = hand_written[static_cast<size_t>(op.hand_written)];
+  submit_launch(*h.context, h.kernel, h.name, h.n, h.words, nullptr, h.accesses);
+  for (uint32_t u = 0; u < op.inputs + op.outputs; ++u) {
+    const std::shared_ptr<Range>& range = uses[op.first_use + u].operand.range;
+    hold_in_capture(range);
+    if (u >= op.inputs) note_write(range);
+  }
+}
+
 void Tape::Impl::run_group(const Group& group, DeferredScope& deferred) {
   for (uint32_t k = group.first; k < group.last; ++k) {
     const Op& op = ops[k];
     if (!op.replayed) continue;
     if (!op.kernel) {
-      run_custom_forward(customs[static_cast<size_t>(op.custom)], deferred);
+      run_again(op, deferred);
       continue;
     }
     operands.clear();
@@ -145,7 +190,7 @@ void Tape::Impl::run_group(const Group& group, DeferredScope& deferred) {
     const std::span<const Operand> all = operands;
     detail::run_forward(*op.kernel, op.dim, all.first(op.inputs), all.subspan(op.inputs),
                         std::span(params).subspan(op.first_param, op.params), op.csr.get(),
-                        op.extent);
+                        op.extent, active(op));
     hold_in_capture(op.kernel);
     if (op.csr) hold_in_capture(op.csr);
     for (const Operand& operand : all) hold_in_capture(operand.range);
@@ -242,7 +287,7 @@ void Tape::Impl::plan_steps() {
       if (!use.carries) continue;
       Node& n = *find(*use.operand.range);
       if (const int32_t through = summed_through(k, s); through >= 0) {
-        check_table(op);
+        check_csr(op, {kTable});
         table = through;
         sums = op.dim;
         n.set = true;
@@ -285,9 +330,7 @@ void Tape::Impl::plan_steps() {
     const detail::CompiledPlan* plan = nullptr;
     if (op.kernel) {
       plan = &op.kernel->adjoint(key);
-      for (uint32_t s = 0; s < op.inputs; ++s)
-        if (plan->plan.loads_value[s] && !input(op, s).recomputed) check_value(input(op, s), op, s);
-      if (plan->items) check_table(op);
+      check_needed(op, *plan);
     } else {
       check_read_values(op);
     }
@@ -403,7 +446,8 @@ void Tape::Impl::run_kernel(const Step& step) {
                        .output_gradient_rows = step.gradient_rows,
                        .params = std::span(params).subspan(op.first_param, op.params),
                        .csr = op.csr ? &op.csr : nullptr,
-                       .extent = op.extent});
+                       .extent = op.extent,
+                       .active = active(op)});
   hold_in_capture(op.kernel);
   for (const auto& [s, from] : added_later) {
     Operand into = input(op, s).operand;

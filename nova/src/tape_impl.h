@@ -27,20 +27,35 @@ struct Tape::Impl {
     uint64_t checksum = 0;
     bool has_checksum = false;  // where somebody outside can write it
     bool carries = false;       // a gradient flows through it
-    bool recomputed = false;    // an operation of the same group writes it
+    int32_t producer = -1;      // the use by which an operation of the same group writes it
+    bool overwritten = false;   // what it writes, by a later operation of the same group
     bool read = false;          // by the adjoint of a custom operation
   };
   struct Op {
-    std::shared_ptr<detail::KernelImpl> kernel;  // null: custom
+    std::shared_ptr<detail::KernelImpl>
+        kernel;  // null: custom, hand-written, or the rebuilding of `csr`
     int64_t dim = 0;
     uint32_t first_use = 0, inputs = 0, outputs = 0;
     uint32_t first_param = 0, params = 0;
     int32_t extent = 0;
     int32_t custom = -1;
-    int32_t group = -1;     // of operations that backward runs once more
-    bool replayed = false;  // in a group: another operation of it reads what this one writes
-    bool constant = false;  // in a group: no gradient flows through it
-    Incidence csr;
+    int32_t hand_written = -1;
+    int32_t group = -1;       // of operations that backward runs once more
+    bool replayed = false;    // in a group: another operation of it reads what this one writes
+    bool constant = false;    // in a group: no gradient flows through it
+    bool has_active = false;  // its use comes after those of the outputs: see active_use
+    Incidence csr;            // its uses come after those of the outputs: see csr_use
+  };
+  enum CsrUse : uint32_t { kOffsets, kItems, kTable };
+  static constexpr uint64_t kOutdated = UINT64_MAX;  // version of a table that the rows are not of
+  // A launch of a kernel that is no Kernel.
+  struct HandWritten {
+    const novaphy::DeviceContext* context;
+    novaphy_kernel* kernel;
+    const char* name;
+    int64_t n;
+    std::vector<uint64_t> words;
+    std::vector<detail::MemoryAccess> accesses;
   };
   struct Group {
     uint32_t first = 0, last = 0;  // operations
@@ -50,6 +65,7 @@ struct Tape::Impl {
     std::shared_ptr<Range> range;
     int32_t writer = -1;            // the last operation that wrote it
     int32_t group = -1;             // the group of that operation
+    int32_t written_use = -1;       // in a group: the use by which it wrote it
     uint64_t written_version = 0;   // its version after that
     uint64_t capture = 0;           // that recorded the write, or 0
     uint64_t written_checksum = 0;  // of its value after that, where somebody outside can write it
@@ -137,6 +153,7 @@ struct Tape::Impl {
   std::vector<Use> uses;
   std::vector<Param> params;
   std::vector<CustomOp> customs;
+  std::vector<HandWritten> hand_written;
   std::vector<Group> groups;
   bool in_group = false;  // the last of them is still growing
   novaphy::ExclusiveUses group_memory;
@@ -159,8 +176,17 @@ struct Tape::Impl {
   const Operand& output(const Op& op, uint32_t k) const {
     return uses[op.first_use + op.inputs + k].operand;
   }
-  const std::string& op_name(const Op& op) const {
-    return op.kernel ? op.kernel->name : customs[op.custom].name;
+  const Use& csr_use(const Op& op, CsrUse k) const {
+    return uses[op.first_use + op.inputs + op.outputs + k];
+  }
+  const Use& active_use(const Op& op) const { return uses[op.first_use + op.inputs + op.outputs]; }
+  const Operand* active(const Op& op) const {
+    return op.has_active ? &active_use(op).operand : nullptr;
+  }
+  std::string op_name(const Op& op) const {
+    if (op.kernel) return op.kernel->name;
+    if (op.custom >= 0) return customs[static_cast<size_t>(op.custom)].name;
+    return op.csr ? "rebuild" : hand_written[static_cast<size_t>(op.hand_written)].name;
   }
   std::string input_name(const Op& op, uint32_t k) const;
 
@@ -174,7 +200,12 @@ struct Tape::Impl {
   bool note_value(const Range& range, uint64_t& checksum);
   bool was_written_outside(const Node& n);
   void check_not_overwritten(const Operand& in, const std::string& op, const std::string& input);
+  bool was_modified(const Use& use);
   void check_value(const Use& use, const Op& op, uint32_t input);
+  void add_csr(const Op& op);
+  static Operand words_of(const std::shared_ptr<Range>& range) {
+    return {range, static_cast<int64_t>(range->bytes() / 4), 1, ir::Type::I32};
+  }
   void mark_output(const std::shared_ptr<Range>& range, int32_t op);
   void mark_constant(const Range& range);
   void forget();
@@ -189,10 +220,16 @@ struct Tape::Impl {
   const std::shared_ptr<Range>* input_place(const Step& step, uint32_t s) const {
     return places[step.first_place + step.op->outputs + s];
   }
-  void check_table(const Op& op) const;
+  bool overwritten_in_group(const Use& use) const {
+    return uses[static_cast<size_t>(use.producer)].overwritten;
+  }
+  void check_csr(const Op& op, std::initializer_list<CsrUse> needed);
+  void check_needed(const Use& use, const Op& op, uint32_t input);
+  void check_needed(const Op& op, const detail::CompiledPlan& plan);
   void check_group(const Group& group);
   void plan_group(int32_t group);
   void run_group(const Group& group, DeferredScope& deferred);
+  void run_again(const Op& op, DeferredScope& deferred);
   bool begin_contribution(Node& n);
   int32_t summed_through(size_t k, uint32_t s);
   uint32_t unread_columns(size_t k, const Operand& in);

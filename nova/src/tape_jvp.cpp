@@ -91,9 +91,9 @@ class Tape::Impl::Forward {
     if (!op.kernel) return push_custom(op, t_.customs[static_cast<size_t>(op.custom)]);
     CompiledTangent& compiled = op.kernel->tangent(wrt);
     for (uint32_t s = 0; s < op.inputs; ++s)
-      if (compiled.plan.loads_value[s] && !t_.input(op, s).recomputed)
-        t_.check_value(t_.input(op, s), op, s);
-    t_.check_table(op);
+      if (compiled.plan.loads_value[s]) t_.check_needed(t_.input(op, s), op, s);
+    if (op.has_active) t_.check_needed(t_.active_use(op), op, op.inputs);
+    if (op.csr && !compiled.code.program.loops.empty()) t_.check_csr(op, {kOffsets, kItems});
     launch(op, wrt, compiled.code);
   }
 
@@ -119,6 +119,8 @@ class Tape::Impl::Forward {
       const Range& like = *t_.output(op, o).range;
       made.push_back(Storage::allocate(like.bytes(), like.storage().device(), false)->range());
     }
+    if (op.has_active)  // rows that were not computed do not move
+      for (const auto& range : made) submit_fill(range, 0.0f);
     Words words(code.argument_count);
     const auto source = [&](const std::shared_ptr<Range>& range, int64_t rows) {
       words.pointer(range->data());
@@ -132,15 +134,20 @@ class Tape::Impl::Forward {
         source(moving_.at(t_.input(op, s).operand.range.get()).tangent,
                t_.input(op, s).operand.rows);
     for (const auto& range : made) words.pointer(range->data());
+    detail::ExtraReads reads;
     if (op.kernel->has_csr_loop && !code.program.loops.empty()) {
       words.pointer(op.csr->offsets->data());
       words.pointer(op.csr->items->data());
+      reads.add(*op.csr);
     }
+    const int32_t* const active = detail::active_count(t_.active(op));
+    reads.add(active);
     for (uint32_t k = 0; k < op.params; ++k) words.word(t_.params[op.first_param + k].bits);
     if (op.kernel->has_fixed_loop) words.word(static_cast<uint32_t>(op.extent));
     const novaphy::DeviceContext& context = novaphy::device_context(made[0]->storage().device());
     submit_launch(context, code.get(context), code.program.name.c_str(), op.dim, words.span(),
-                  &code.layout);
+                  &code.layout, reads.span(), active);
+    if (active) hold_in_capture(t_.active(op)->range);
     hold_in_capture(op.kernel);
     if (op.csr) hold_in_capture(op.csr);
     for (uint32_t o = 0; o < op.outputs; ++o) {

@@ -191,7 +191,8 @@ PyKernel make_reduce(const std::string& name, const py::sequence& sources, py::h
 
 std::vector<Tensor> call(const PyKernel& k, int64_t dim, const std::vector<Tensor>& inputs,
                          const py::sequence& params, int32_t extent,
-                         const std::shared_ptr<nova::IncidenceData>& csr) {
+                         const std::shared_ptr<nova::IncidenceData>& csr,
+                         const std::optional<Tensor>& active) {
   std::vector<nova::Param> words;
   for (size_t p = 0; p < params.size(); ++p) {
     const py::object value = params[p];
@@ -202,9 +203,13 @@ std::vector<Tensor> call(const PyKernel& k, int64_t dim, const std::vector<Tenso
     }
   }
   const nova::Incidence incidence = csr;
+  const nova::Operand count = active ? active->flat_operand() : nova::Operand();
   const ReleasedGil release;
   return k.kernel(dim, inputs,
-                  {.params = words, .extent = extent, .csr = csr ? &incidence : nullptr});
+                  {.params = words,
+                   .extent = extent,
+                   .csr = csr ? &incidence : nullptr,
+                   .active = active ? &count : nullptr});
 }
 
 py::object items_to_numpy(const std::shared_ptr<Range>& range) {
@@ -227,14 +232,20 @@ void bind_nova_kernel(py::module_& m) {
           "int32 {rows + 1}: where the items of a row begin.")
       .def_property_readonly(
           "items", [](const nova::IncidenceData& i) { return items_to_numpy(i.items); },
-          "int32 {slots}: the slots, row by row.");
+          "int32 {slots}: the slots, row by row.")
+      .def(
+          "rebuild", [](const nova::Incidence& i) { nova::rebuild(i); }, release_gil(),
+          "Builds the rows again, into the same arrays, from what the table holds now. A capture "
+          "records it, so that a replay finds the rows of its own table; a checkpoint runs it once "
+          "more. backward() raises RuntimeError where it would need the rows of before. "
+          "IndexError: "
+          "an entry >= rows; on the CPU the rows are then as before.");
   m.def(
       "make_incidence",
       [](const Tensor& table, int64_t rows) {
         require(table.dtype() == nova::DType::I32, ErrorKind::Type,
                 "make_incidence, table: expected int32, got ", nova::dtype_name(table.dtype()));
-        return std::const_pointer_cast<nova::IncidenceData>(
-            nova::make_incidence(table.flat_operand(), rows));
+        return nova::make_incidence(table.flat_operand(), rows);
       },
       "table"_a, "rows"_a, release_gil(),
       "Inverts an int32 table of row numbers; negative entries belong to no row. IndexError: an "
@@ -242,13 +253,15 @@ void bind_nova_kernel(py::module_& m) {
 
   py::class_<PyKernel>(m, "IndexedKernel",
                        "A kernel with generated adjoints: call it with tensors.")
-      .def("__call__", &call, "dim"_a, "inputs"_a, "params"_a = py::tuple(), "extent"_a = 0,
-           "csr"_a = py::none(),
-           "Runs over `dim` output rows; returns a list with one new Tensor per output, {dim, "
-           "width} ({dim} for width 1). "
-           "Recorded on an active tape when an input carries a gradient. extent: items of a fixed "
-           "sum; csr: the Incidence "
-           "of a CSR sum. ValueError: a shape that is not exactly the declared one.")
+      .def(
+          "__call__", &call, "dim"_a, "inputs"_a, "params"_a = py::tuple(), "extent"_a = 0,
+          "csr"_a = py::none(), "active"_a = py::none(),
+          "Runs over `dim` output rows; returns a list with one new Tensor per output, {dim, "
+          "width} ({dim} for width 1). Recorded on an active tape when an input carries a "
+          "gradient. extent: items of a fixed sum; csr: the Incidence of a CSR sum; active: int32 "
+          "{1} in the device's memory, read when the launch runs: so "
+          "many of the first rows are computed, the others stay zero and have no gradient (kernels "
+          "without a sum). ValueError: a shape that is not exactly the declared one.")
       .def_property_readonly(
           "name", [](const PyKernel& k) { return k.kernel.name(); }, "Its name.")
       .def_property_readonly(

@@ -33,10 +33,11 @@ class Workspace {
 
   void run_random(uint32_t seed, int count) const {
     Random random(seed);
+    nova::rebuild(incidence_);
     for (int k = 0; k < count; ++k) {
       const Tensor &a = array(random), &b = array(random), &y = array(random);
       const Tensor& scalar = scalars_[static_cast<size_t>(random.below(kScalars))];
-      switch (random.below(10)) {
+      switch (random.below(13)) {
         case 0:
           launch(per_value(), rows_ * 3, {a.flat_operand(), b.flat_operand()}, y.flat_operand());
           break;
@@ -59,6 +60,16 @@ class Workspace {
         case 6:
           if (&a != &y) nova::row_sum(a.operand(), *incidence_, nullptr, y.operand());
           break;
+        case 7:
+          launch(find(), rows_, {a.operand()},
+                 Tensor(table_.range(), {rows_}, DType::F32).operand());
+          break;
+        case 8:
+          nova::rebuild(incidence_);
+          break;
+        case 9:
+          if (&a != &y) launch(add(), rows_, {b.operand(), a.operand()}, y.operand(), &incidence_);
+          break;
         default:
           launch(per_row(), rows_, {a.operand(), b.operand()}, y.operand());
       }
@@ -69,12 +80,14 @@ class Workspace {
     std::vector<std::vector<float>> all;
     for (const Tensor& t : arrays_) all.push_back(t.to_host());
     for (const Tensor& t : scalars_) all.push_back(t.to_host());
+    all.push_back(Tensor(table_.range(), {rows_}, DType::F32).to_host());
     return all;
   }
 
  private:
-  static void launch(const Kernel& kernel, int64_t n, std::vector<Operand> in, Operand out) {
-    kernel.launch(n, in, {&out, 1});
+  static void launch(const Kernel& kernel, int64_t n, std::vector<Operand> in, Operand out,
+                     const nova::Incidence* csr = nullptr) {
+    kernel.launch(n, in, {&out, 1}, {.csr = csr});
   }
   const Tensor& array(Random& random) const {
     return arrays_[static_cast<size_t>(random.below(kArrays))];
@@ -110,6 +123,35 @@ class Workspace {
                                                  y.push_back(c.f32(1, c.i32(0), k) - c.f32(2, k));
                                                return y;
                                              });
+    return kernel;
+  }
+  // Rows for the table, as the bits of floats; some of them none.
+  const Kernel& find() const {
+    static std::map<int64_t, Kernel> kernels;
+    const auto [known, fresh] = kernels.try_emplace(rows_);
+    const auto rows = static_cast<int32_t>(rows_);
+    if (fresh)
+      known->second = make_kernel(
+          "find", {{"a", DType::F32, 3, Access::Direct}}, {{"row", 1}}, [rows](TraceContext& c) {
+            const Int row = nova::to_int(nova::abs(c.f32(0, 1)) * Real(977.0f)) % Int(rows);
+            return std::vector{
+                nova::bits_float(nova::select(row % Int(5) == Int(0), Int(-1), row))};
+          });
+    return known->second;
+  }
+  static const Kernel& add() {
+    static const Kernel kernel = nova::make_reduce_kernel(
+        "add", {{"init", DType::F32, 3, Access::Direct}, {"item", DType::F32, 3, Access::CsrRow}},
+        {{"y", 3}},
+        {.init =
+             [](TraceContext& c) {
+               return std::vector{c.f32(0, 0), c.f32(0, 1), c.f32(0, 2)};
+             },
+         .body =
+             [](TraceContext& c) {
+               return std::vector{c.f32(1, 0), c.f32(1, 1), c.f32(1, 2)};
+             },
+         .epilogue = {}});
     return kernel;
   }
   static const Kernel& scale() {

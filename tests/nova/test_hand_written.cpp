@@ -166,5 +166,37 @@ TEST_F(HandWritten, ACustomOperationGivesTheirDerivative) {
   EXPECT_EQ(x.grad().to_host(), (std::vector<float>{18.0f, 36.0f}));
 }
 
+// Each step has the same memory for what the kernel leaves, which the gradient needs.
+TEST_F(HandWritten, BetweenCheckpointsTheyRunOnceMore) {
+  const Tensor x = tensor({1.0f, 2.0f, 3.0f}, true), left({3}, DType::F32);
+  const auto iterate = [&](bool checkpoints) {
+    x.zero_grad();
+    Tape tape;
+    const TapeScope scope(tape);
+    Tensor y = x;
+    for (int k = 0; k < 3; ++k) {
+      const nova::RecomputedScope group(checkpoints);
+      reverse(y.detach(), left);
+      y = nova::mul(y, left);
+    }
+    tape.backward(nova::sum(y));
+  };
+  // y is (3, 4, 3) and (9, 16, 9); what it is multiplied by counts as constant.
+  const std::vector<float> expected = {3 * 3 * 9, 2 * 4 * 16, 1 * 3 * 9};
+  EXPECT_ERROR(iterate(false), ErrorKind::Runtime, "was modified after recording");
+  iterate(true);
+  EXPECT_EQ(x.grad().to_host(), expected);
+  std::shared_ptr<nova::OpList> graph;
+  {
+    const ScopedCapture capture;
+    iterate(true);
+    graph = capture.graph();
+  }
+  for (int k = 0; k < 2; ++k) {
+    graph->launch();
+    EXPECT_EQ(x.grad().to_host(), expected);
+  }
+}
+
 }  // namespace
 }  // namespace novaphy::testing

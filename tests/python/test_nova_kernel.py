@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import re
 
 import numpy as np
 import pytest
@@ -147,6 +148,33 @@ def test_a_sum_over_the_rows_of_an_incidence():
         nova.make_incidence(nova.tensor([0, 3]), 3)
     with pytest.raises(TypeError, match="int32"):
         nova.make_incidence(nova.tensor([0.0]), 3)
+
+
+def test_an_incidence_is_rebuilt_in_place_and_inside_of_a_capture():
+    table, v = nova.tensor([1, 0, 1]), nova.tensor([1.0, 2, 4])
+    rows = nova.make_incidence(table, 2)
+    total = nova.make_reduce_kernel("rows", [("v", F32, 1, "csr_row")], 1, lambda c: c.f32("v"))
+    with nova.ScopedCapture() as capture:
+        rows.rebuild()
+        (y,) = total(2, [v], csr=rows)
+    for slots, expected in (([0, 0, -1], [3, 0]), ([-1, 1, 0], [4, 2])):
+        table.copy_(nova.tensor(slots))
+        capture.graph.launch()
+        assert y.tolist() == expected
+    table.copy_(nova.tensor([0, 2, 1]))
+    with pytest.raises(IndexError, match="slot 1 holds row 2 of 2 rows"):
+        rows.rebuild()
+
+
+def test_a_launch_reads_how_many_of_its_rows_are_active():
+    square = make(lambda c: c.f32("x") * c.f32("x"), [("x", F32)], 1)
+    x, count = nova.tensor([1.0, 2, 3, 4], requires_grad=True), nova.tensor([2])
+    with nova.Tape() as tape:
+        (y,) = square(4, [x], active=count)
+        tape.backward(nova.sum(y))
+    assert y.tolist() == [1, 4, 0, 0] and x.grad.tolist() == [2, 4, 0, 0]
+    with pytest.raises(ValueError, match=re.escape("active: expected {1} int32, got {2} int32")):
+        square(4, [x], active=nova.tensor([1, 2]))
 
 
 def test_numbers_of_integers_and_truth_values():

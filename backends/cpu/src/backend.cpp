@@ -444,6 +444,7 @@ constexpr novaphy_backend_api kApi = {
     nullptr,  // no sequences either
     nullptr,
     series_follow,
+    nullptr,  // launch_active: the host reads the number
 };
 
 }  // namespace

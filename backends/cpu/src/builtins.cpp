@@ -280,13 +280,15 @@ novaphy_status incidence(const novaphy_host_api&, const IsaTable&, int64_t n, co
                 "incidence_i32: slots: expected 0 to 2^31 - 1, got %lld",
                 static_cast<long long>(slots));
   }
-  std::fill(offsets, offsets + n + 1, 0);
-  for (int64_t s = 0; s < slots; ++s) {
+  for (int64_t s = 0; s < slots; ++s) {  // before anything is written
     if (table[s] >= n) {
       return fail(error, NOVAPHY_INDEX_OUT_OF_RANGE,
                   "incidence_i32: slot %lld holds row %d of %lld rows", static_cast<long long>(s),
                   table[s], static_cast<long long>(n));
     }
+  }
+  std::fill(offsets, offsets + n + 1, 0);
+  for (int64_t s = 0; s < slots; ++s) {
     if (table[s] >= 0) ++offsets[table[s] + 1];
   }
   std::partial_sum(offsets, offsets + n + 1, offsets);

@@ -48,6 +48,7 @@ novaphy_backend_api make_table() {
   api.list_destroy = list_destroy;
   api.sequence_takes = sequence_takes;
   api.sequence_create = sequence_create;
+  api.launch_active = launch_active;
   return api;
 }
 

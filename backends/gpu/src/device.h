@@ -32,8 +32,9 @@ struct SinkArgument {
   DevicePointer flag;
   uint32_t kernel;
   uint32_t unused;
+  DevicePointer active;
 };
-static_assert(sizeof(SinkArgument) == 24);
+static_assert(sizeof(SinkArgument) == 32);
 
 // What the message about a failing read says; kept for as long as the kernel lives.
 struct KernelNames {
@@ -116,8 +117,9 @@ void forget_builtins(const novaphy_device* device);
 // A number for the kernel, by which a failing read names it.
 uint32_t remember_kernel(novaphy_device* device, KernelNames names);
 void forget_kernel(novaphy_device* device, uint32_t kernel);
-inline SinkArgument sink_of(const novaphy_device* device, uint32_t kernel) {
-  return {device->record, device->flag_on_device, kernel, 0};
+inline SinkArgument sink_of(const novaphy_device* device, uint32_t kernel,
+                            DevicePointer active = 0) {
+  return {device->record, device->flag_on_device, kernel, 0, active};
 }
 
 // The functions of the ABI's table, by file.
@@ -152,6 +154,9 @@ novaphy_status kernel_get(novaphy_module* module, const char* name, novaphy_kern
                           novaphy_error* error);
 novaphy_status launch(novaphy_stream* stream, novaphy_kernel* kernel, int64_t n,
                       const uint64_t* arguments, uint32_t argument_count, novaphy_error* error);
+novaphy_status launch_active(novaphy_stream* stream, novaphy_kernel* kernel, int64_t n,
+                             const int32_t* active, const uint64_t* arguments,
+                             uint32_t argument_count, novaphy_error* error);
 novaphy_status kernel_info(novaphy_kernel* kernel, novaphy_kernel_info* info, novaphy_error* error);
 
 novaphy_status list_create(novaphy_device* device, int64_t n, const novaphy_list_op* ops,

@@ -29,7 +29,13 @@ struct device_sink {
   device_error* record;  // device memory; zeros lie kZeros words behind its start
   uint32_t* flag;        // host memory: 1 once there is a record
   uint32_t kernel;
+  const int32_t* active;  // null: all rows of a launch are computed; else the first so many
 };
+LANE_FN int64_t active_rows(const device_sink sink, const int64_t n) {
+  if (sink.active == 0) return n;
+  const int64_t rows = *sink.active;
+  return rows < n ? rows : n;
+}
 COLD_FN void report_row(const device_sink sink, int64_t index, int32_t source, int64_t row,
                         int64_t rows) {
   volatile device_error* const e = sink.record;

@@ -22,7 +22,7 @@ std::string kernel_source(const nova::ir::Program& program) {
       "    const __grid_constant__ kernel_arguments args, const int64_t n, const device_sink sink) "
       "{\n"
       "  const int64_t i = (int64_t)blockIdx.x * blockDim.x + threadIdx.x;\n"
-      "  if (i >= n) return;\n"
+      "  if (i >= active_rows(sink, n)) return;\n"
       "  const uint64_t* const w = args.word;\n"
       "  row_failure failure = begin_row(sink);\n"
       "  row(w";

@@ -13,9 +13,9 @@
 namespace novaphy::gpu {
 namespace {
 
-constexpr unsigned kThreads = 64;           // of a block
-constexpr int64_t kSharedBytes = 48 << 10;  // every device has so much for a block
-constexpr int64_t kBlocksPerUnit = 16;      // more wait, or take the next rows in turn
+constexpr unsigned kThreads = 64;             // of a block
+constexpr int64_t kSharedOfBlock = 48 << 10;  // every device has so much for a block
+constexpr int64_t kBlocksPerUnit = 16;        // more wait, or take the next rows in turn
 
 // Loaded at the first use on a device and kept until it is closed.
 novaphy_status load_interpreter(novaphy_device* device, Function* function, novaphy_error* error) {
@@ -30,13 +30,16 @@ novaphy_status load_interpreter(novaphy_device* device, Function* function, nova
                kInterpreterEntry, error);
 }
 
-novaphy_status run(novaphy_stream* stream, const novaphy_kernel& kernel, int64_t n,
-                   const uint64_t* arguments, novaphy_error* error) {
+}  // namespace
+
+novaphy_status run_interpreted(novaphy_stream* stream, const novaphy_kernel& kernel, int64_t n,
+                               DevicePointer active, const uint64_t* arguments,
+                               novaphy_error* error) {
   const Driver& d = driver();
   int64_t blocks = (n + kThreads - 1) / kThreads;
   int64_t shared = int64_t{4} * kThreads * kernel.interpreted.values;
   DevicePointer scratch = 0;
-  if (shared > kSharedBytes) {
+  if (shared > kSharedOfBlock) {
     shared = 0;
     blocks = std::min(blocks, kBlocksPerUnit * stream->device->units);
     const auto bytes = static_cast<size_t>(blocks * kThreads * kernel.interpreted.values * 4);
@@ -48,7 +51,7 @@ novaphy_status run(novaphy_stream* stream, const novaphy_kernel& kernel, int64_t
   uint64_t words[kMaxArgumentWords];
   std::memcpy(words, arguments, kernel.argument_count * sizeof(uint64_t));
   DevicePointer code = kernel.interpreted.code;
-  SinkArgument sink = sink_of(stream->device, kernel.number);
+  SinkArgument sink = sink_of(stream->device, kernel.number, active);
   void* pointers[] = {words, &code, &scratch, &n, &sink};
   const novaphy_status status =
       check(stream->device,
@@ -58,8 +61,6 @@ novaphy_status run(novaphy_stream* stream, const novaphy_kernel& kernel, int64_t
   if (scratch != 0) d.free_async(scratch, stream->stream);
   return status;
 }
-
-}  // namespace
 
 bool interpreter_is_forced() {
   const char* text = std::getenv("NOVAPHY_DEVICE_INTERPRETER");
@@ -99,7 +100,6 @@ novaphy_status make_interpreted(novaphy_device* device, const nova::ir::Program&
       kernel.name.c_str(), error);
   if (status == NOVAPHY_OK)
     status = check(device, d.stream_synchronize(nullptr), kernel.name.c_str(), error);
-  kernel.run = run;
   return status;
 }
 

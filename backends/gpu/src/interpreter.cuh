@@ -27,7 +27,8 @@ extern "C" __global__ void __launch_bounds__(64) novaphy_interpreter(
   const int64_t first = (int64_t)blockIdx.x * blockDim.x + threadIdx.x;
   const int64_t threads = scratch != 0 ? all : blockDim.x;
   int32_t* const values = scratch != 0 ? scratch + first : shared_values + threadIdx.x;
-  for (int64_t i = first; i < n; i += all) {
+  const int64_t rows = active_rows(sink, n);
+  for (int64_t i = first; i < rows; i += all) {
     row_failure failure = begin_row(sink);
     int32_t counter = 0, extent = 0, start = 0;  // of the loop that runs: loops do not nest
     const int32_t* items = 0;

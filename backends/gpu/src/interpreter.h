@@ -44,5 +44,9 @@ void say_interpreted(const char* why);
 // Makes a kernel of the Program that is interpreted.
 novaphy_status make_interpreted(novaphy_device* device, const nova::ir::Program& program,
                                 novaphy_kernel& kernel, novaphy_error* error);
+// Launches one; `active`: see novaphy_backend_api::launch_active, or 0.
+novaphy_status run_interpreted(novaphy_stream* stream, const novaphy_kernel& kernel, int64_t n,
+                               DevicePointer active, const uint64_t* arguments,
+                               novaphy_error* error);
 
 }  // namespace novaphy::gpu

@@ -199,6 +199,12 @@ novaphy_status kernel_get(novaphy_module* module, const char* name, novaphy_kern
 
 novaphy_status launch(novaphy_stream* stream, novaphy_kernel* kernel, int64_t n,
                       const uint64_t* arguments, uint32_t argument_count, novaphy_error* error) {
+  return launch_active(stream, kernel, n, nullptr, arguments, argument_count, error);
+}
+
+novaphy_status launch_active(novaphy_stream* stream, novaphy_kernel* kernel, int64_t n,
+                             const int32_t* active, const uint64_t* arguments,
+                             uint32_t argument_count, novaphy_error* error) {
   if (argument_count != kernel->argument_count) [[unlikely]]
     return fail(error, NOVAPHY_INVALID_ARGUMENT, "kernel '%s': expected %u argument words, got %u",
                 kernel->name.c_str(), kernel->argument_count, argument_count);
@@ -212,8 +218,14 @@ novaphy_status launch(novaphy_stream* stream, novaphy_kernel* kernel, int64_t n,
       status != NOVAPHY_OK) [[unlikely]]
     return status;
   const Use use(device);
+  const auto count = reinterpret_cast<DevicePointer>(active);
+  if (active != nullptr && kernel->hash == 0)
+    return fail(error, NOVAPHY_NOT_SUPPORTED, "launch_active: '%s' is no Program",
+                kernel->name.c_str());
+  if (kernel->interpreted.code != 0)
+    return run_interpreted(stream, *kernel, n, count, arguments, error);
   if (kernel->run != nullptr) return kernel->run(stream, *kernel, n, arguments, error);
-  SinkArgument sink = sink_of(device, kernel->number);
+  SinkArgument sink = sink_of(device, kernel->number, count);
   // The driver copies the arguments during the call.
   void* pointers[] = {const_cast<uint64_t*>(arguments), &n, &sink};
   const unsigned threads = n <= 32 ? 32 : kBlock;

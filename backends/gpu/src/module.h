@@ -11,7 +11,7 @@
 
 struct novaphy_kernel {
   novaphy_device* device = nullptr;
-  // Of a compiled Program: one launch of `function`. Else: whatever `run` does.
+  // Of a Program: one launch of `function`, or of the interpreter. Else: whatever `run` does.
   novaphy::gpu::Function function = nullptr;
   novaphy_status (*run)(novaphy_stream* stream, const novaphy_kernel& kernel, int64_t n,
                         const uint64_t* arguments, novaphy_error* error) = nullptr;

@@ -70,7 +70,7 @@ void check_table(const Model& model, const Array& indices) {
 // The slots of every particle in a table of the model, sorted once for all operators.
 nova::Incidence rows_of(const Model& model, const Array& indices) {
   const nova::GradInfo* info = nova::find_grad_info(*indices.range());
-  const auto is_known = [&](const nova::Incidence& rows) {
+  const auto is_known = [&](const auto& rows) {
     return rows->rows == model.particle_count() && nova::is_current(*rows, *indices.range());
   };
   if (!info || !std::ranges::any_of(info->incidences, is_known)) check_table(model, indices);

@@ -9,20 +9,28 @@
 namespace nova {
 
 struct IncidenceData {
-  Operand table;      // {slots, 1} as built from
-  uint64_t version;   // of the table then
-  uint64_t checksum;  // of the table then, where somebody outside can write it
+  Operand table;          // {slots, 1} as built from
+  uint64_t version = 0;   // of the table then
+  uint64_t checksum = 0;  // of the table then, where somebody outside can write it
   bool has_checksum = false;
+  uint64_t capture = 0;  // that recorded the building, and whose launches do it; 0: it is done
   int64_t rows = 0;
   std::shared_ptr<Range> offsets;  // i32 {rows + 1}
   std::shared_ptr<Range> items;    // i32 {slots}
 };
-using Incidence = std::shared_ptr<const IncidenceData>;
+using Incidence = std::shared_ptr<IncidenceData>;
 
 // Built by a stable counting sort on the table's device; throws ErrorKind::Index for an entry >=
-// rows.
+// rows. Inside a capture that writes the table, each replay builds it; of any other table the
+// capture needs the present value (see OpList::freeze).
 NOVAPHY_NOVA_API Incidence make_incidence(const Operand& table, int64_t rows);
-// Whether the table, which may be given apart, still holds what the Incidence was built from.
+// Builds it again, into the same arrays, from what the table holds now. A launch like any other:
+// captured, and run once more with a group of recomputed operations. An adjoint that needs the
+// rows as they were before throws. On the CPU, the arrays are as before after an error. Outside of
+// a capture that rebuilt it, it counts as outdated until the next call.
+NOVAPHY_NOVA_API void rebuild(const Incidence& incidence);
+// Whether the table, which may be given apart, still holds what the Incidence was built from, for
+// who runs or records on this thread.
 NOVAPHY_NOVA_API bool is_current(const IncidenceData& incidence, const Range& table);
 // The same as make_incidence; the sorted form is remembered with the table while the table does not
 // change.

@@ -105,6 +105,10 @@ struct LaunchOptions {
   std::span<const Param> params = {};
   int32_t extent = 0;              // of a fixed sum
   const Incidence* csr = nullptr;  // of a CSR sum: one row per output row
+  // int32 {1}, read when the launch runs: so many of the first rows are computed, and the others
+  // stay as they are. Of kernels without a sum. On a tape, outputs are memory that the tape has
+  // not written before.
+  const Operand* active = nullptr;
 };
 
 // A Program with its adjoints and compiled modules. Cheap to copy.

@@ -49,7 +49,10 @@ class NOVAPHY_NOVA_API OpList {
     uint32_t pattern = 0;
     const detail::RowLayout* layout =
         nullptr;  // Launch: how the arguments depend on the row; null: unknown
-    uint32_t first_access = 0, access_count = 0;  // Launch without a layout: what it touches
+    // Launch: what it touches, and the layout does not tell.
+    uint32_t first_access = 0, access_count = 0;
+    const int32_t* active = nullptr;  // Launch: so many of the first rows; null: all
+    bool tables_change = false;  // in a plan: the list writes index tables that the launch reads
   };
 
   // No accesses and no layout: what a launch touches is not known, and it keeps its place.
@@ -66,15 +69,19 @@ class NOVAPHY_NOVA_API OpList {
   const std::shared_ptr<Range>& scratch(size_t number, size_t bytes, size_t turns,
                                         const novaphy::Device& device);
   void writes(const std::shared_ptr<Range>& range);
+  // Whether an operation so far writes bytes of the range.
+  bool writes_to(const Range& range) const;
   // The recording depends on the present value of the range (an index table): launch throws once it
-  // was changed.
-  void freeze(const std::shared_ptr<Range>& range);
+  // was changed. `arrays`: it depends on them, which were made of the range; no matter where the
+  // list makes them itself.
+  void freeze(const std::shared_ptr<Range>& range, const std::shared_ptr<Range>& arrays = nullptr);
   // The same of a number of a model, which launches have as an argument. The list keeps its owner;
   // `name`, a field of the model, must outlive the list.
   void freeze(const std::shared_ptr<const float>& number, std::string_view name);
   // Every launch begins with this, once per owner: it brings up to date what the list only reads.
   // The list keeps the owner.
   void before_launch(const std::shared_ptr<const void>& owner, std::function<void()> prepare);
+  void end_recording();
   // What the gradient of the range is after this point of the recording.
   void gradient(const std::shared_ptr<Range>& range, GradState state) { gradients_[range] = state; }
   // Memory that the operations use beside what they were given: a launch takes it.
@@ -126,8 +133,14 @@ class NOVAPHY_NOVA_API OpList {
   };
   std::map<std::pair<size_t, size_t>, Scratch> scratch_;  // by number and bytes
   std::vector<std::shared_ptr<Range>> written_;
-  std::vector<const Range*> written_keys_;                           // sorted, to add each once
-  std::vector<std::pair<std::shared_ptr<Range>, uint64_t>> frozen_;  // with the version then
+  std::vector<const Range*> written_keys_;  // sorted, to add each once
+  struct Frozen {
+    std::shared_ptr<Range> table;
+    uint64_t version;
+    std::shared_ptr<Range> arrays;
+    auto operator<=>(const Frozen&) const = default;
+  };
+  std::vector<Frozen> frozen_;
   struct FrozenNumber {
     std::shared_ptr<const float> number;
     float recorded;
@@ -191,7 +204,8 @@ NOVAPHY_NOVA_API void flush_deferred();
 NOVAPHY_NOVA_API void submit_launch(const novaphy::DeviceContext& context, novaphy_kernel* kernel,
                                     const char* name, int64_t n, std::span<const uint64_t> words,
                                     const detail::RowLayout* layout = nullptr,
-                                    std::span<const detail::MemoryAccess> accesses = {});
+                                    std::span<const detail::MemoryAccess> accesses = {},
+                                    const int32_t* active = nullptr);
 NOVAPHY_NOVA_API void submit_copy(const std::shared_ptr<Range>& target,
                                   const std::shared_ptr<Range>& source);
 NOVAPHY_NOVA_API void submit_fill(const std::shared_ptr<Range>& target, float value);

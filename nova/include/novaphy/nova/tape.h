@@ -20,11 +20,16 @@
 #include <vector>
 
 #include "novaphy/core/exclusive_use.h"
+#include "novaphy/core/recorder.h"
 #include "novaphy/nova/custom_op.h"
 #include "novaphy/nova/kernel.h"
 #include "novaphy/nova/tensor.h"
 
 namespace nova {
+
+namespace detail {
+struct MemoryAccess;
+}
 
 // Which gradients can be read after backward. Those of intermediate values take as much memory as
 // the values do; a tape that keeps leaves only uses that memory again as soon as it can.
@@ -89,10 +94,16 @@ class NOVAPHY_NOVA_API Tape {
   // For Kernel::launch: whether an input carries a gradient; refusals before anything is written;
   // the record.
   bool must_record(std::span<const Operand> inputs) const;
-  void check_launch(const detail::KernelImpl& kernel, std::span<const Operand> inputs) const;
+  // `partly`: outputs that are written in part.
+  void check_launch(const detail::KernelImpl& kernel, std::span<const Operand> inputs,
+                    std::span<const Operand> partly) const;
   void record_launch(const std::shared_ptr<detail::KernelImpl>& kernel, int64_t dim,
                      std::span<const Operand> inputs, std::span<const Operand> outputs,
                      const LaunchOptions& options, bool recorded);
+  void record_rebuild(const Incidence& incidence);  // for rebuild()
+  // For launches that are no Kernels, before they are noted as writes: a group of recomputed
+  // operations runs them once more.
+  void record_launch(const novaphy::Launch& launch, std::span<const detail::MemoryAccess> accesses);
 
   // For launches that are no Kernels: whether the range, or one that shares bytes with it, carries
   // a gradient; and that it now holds a constant.

@@ -268,6 +268,13 @@ typedef struct novaphy_backend_api {
    * launched just before, by the same thread, and nothing in between writes what `first` wrote. So
    * `first`, which lives as long, may keep what it wrote near by for `series`. */
   void (*series_follow)(novaphy_series* series, novaphy_series* first);
+
+  /* since minor version 10 (optional): `launch` of a Program over the first *active of n rows: none
+   * when that is negative, all when it is n or more. `active` is an i32 in the device's memory,
+   * read when the launch runs; what lies beyond is not touched. */
+  novaphy_status (*launch_active)(novaphy_stream* stream, novaphy_kernel* kernel, int64_t n,
+                                  const int32_t* active, const uint64_t* arguments,
+                                  uint32_t argument_count, novaphy_error* error);
 } novaphy_backend_api;
 
 /* The one exported symbol. Returns null and fills `error` when the host's major version is not the

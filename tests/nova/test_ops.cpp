@@ -66,6 +66,8 @@ TEST(Ops, TheGradientOfAGatherAddsInTheOrderOfTheIndex) {
 
 TEST(Ops, AGatherRefusesEntriesThatNameNoRow) {
   const Tensor x = Random(2).leaf({3, 2});
+  if (!device_context(default_device()).host_accessible)
+    GTEST_SKIP() << "a device reports failures when the host waits for it next";
   EXPECT_ERROR(nova::gather(x, table({0, -1})), ErrorKind::Index,
                "gather, index: expected rows 0 to 2 of x, got -1 at entry 1");
   // 2^31 / 2 rows of two values: the product of row and width would wrap to a row that is there.

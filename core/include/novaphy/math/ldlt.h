@@ -1,0 +1,48 @@
+// A = L D L^T of small symmetric matrices whose size is known to the compiler, templated on the
+// scalar like types.h: no branch, no allocation, no pivoting. For positive definite A, which every
+// inertia is, no pivoting is needed (Golub and Van Loan, Matrix Computations, section 4.2).
+#pragma once
+
+#include "novaphy/math/scalar.h"
+
+namespace novaphy::math {
+
+template <class T, int N>
+struct Ldlt {
+  T l[N][N]{};  // below the diagonal: L, whose diagonal is 1
+  T d[N]{};     // all > 0 exactly when A is positive definite (else what follows is no solution)
+  T reciprocal[N]{};  // 1 / d
+};
+
+// Reads A on and below its diagonal. Row by row, each entry minus its terms in ascending order.
+template <int N, class T>
+Ldlt<T, N> ldlt(const T (&a)[N][N]) {
+  Ldlt<T, N> f;
+  for (int i = 0; i < N; ++i) {
+    T d = a[i][i];
+    for (int j = 0; j < i; ++j) {
+      T scaled = a[i][j];  // L_ij d_j
+      for (int k = 0; k < j; ++k) scaled = scaled - (f.l[i][k] * f.d[k]) * f.l[j][k];
+      f.l[i][j] = scaled * f.reciprocal[j];
+      d = d - f.l[i][j] * scaled;
+    }
+    f.d[i] = d;
+    f.reciprocal[i] = T(1.0f) / d;
+  }
+  return f;
+}
+
+// x of A x = b: forward through L, over D, back through L^T.
+template <int N, class T>
+void solve(const Ldlt<T, N>& f, const T (&b)[N], T (&x)[N]) {
+  for (int i = 0; i < N; ++i) {
+    x[i] = b[i];
+    for (int k = 0; k < i; ++k) x[i] = x[i] - f.l[i][k] * x[k];
+  }
+  for (int i = N; i-- > 0;) {
+    x[i] = x[i] * f.reciprocal[i];
+    for (int k = i + 1; k < N; ++k) x[i] = x[i] - f.l[k][i] * x[k];
+  }
+}
+
+}  // namespace novaphy::math

@@ -26,12 +26,15 @@ const Kernels& kernels() {
 
 void check_covered_shape(int32_t index, int32_t body, GeoType type) {
   require(body < 0, ErrorKind::NotImplemented, "CollisionPipeline: shape ", index,
-          " is owned by body ", body, "; only world-owned shapes (body -1) are there yet");
+          " is owned by body ", body,
+          "; particles meet only world-owned shapes (body -1) yet "
+          "(ShapeConfig.has_particle_collision)");
   const bool covered = type == GeoType::PLANE || type == GeoType::BOX || type == GeoType::SPHERE ||
                        type == GeoType::CAPSULE;
   require(covered, ErrorKind::NotImplemented, "CollisionPipeline: shape ", index, " has type ",
           geo_type_name(type), " (", static_cast<int32_t>(type),
-          "); only PLANE, BOX, SPHERE and CAPSULE are there yet");
+          "); particles meet only PLANE, BOX, SPHERE and CAPSULE yet "
+          "(ShapeConfig.has_particle_collision)");
 }
 
 }  // namespace
@@ -62,20 +65,19 @@ struct SoftContacts::Impl {
   void find_candidates() {
     if (up_to_date()) return;
     const auto arrays = choosing();
-    const std::vector<int32_t> flags = arrays[0]->to_host(), body = arrays[1]->to_host(),
-                               type = arrays[2]->to_host();
-    std::vector<int32_t> found;
-    for (int32_t s = 0; s < model->shape_count(); ++s) {
-      const auto at = static_cast<size_t>(s);
-      if (!has_flag(flags[at], ShapeFlags::COLLIDE_PARTICLES)) continue;
-      check_covered_shape(s, body[at], static_cast<GeoType>(type[at]));
+    const std::vector<int32_t> body = arrays[1]->to_host(), type = arrays[2]->to_host();
+    const CandidatePairs pairs = make_candidate_pairs(*model);
+    std::vector<int32_t> found;  // the shapes of the pairs, which are shape-major
+    for (const int32_t s : pairs.shape) {
+      if (!found.empty() && found.back() == s) continue;
+      check_covered_shape(s, body[static_cast<size_t>(s)],
+                          static_cast<GeoType>(type[static_cast<size_t>(s)]));
       found.push_back(s);
     }
     candidates = DeviceArray<int32_t>::from_host(found, model->device());
-    const CandidatePairs pairs = make_candidate_pairs(*model);
     pair_particle = DeviceArray<int32_t>::from_host(pairs.particle, model->device());
     pair_shape = DeviceArray<int32_t>::from_host(pairs.shape, model->device());
-    shapes = Storage::allocate(flags.size() * sizeof(SoftContactShape), model->device());
+    shapes = Storage::allocate(body.size() * sizeof(SoftContactShape), model->device());
     for (size_t k = 0; k < arrays.size(); ++k) versions[k] = arrays[k]->version();
     known = true;
   }

@@ -9,7 +9,7 @@ from collections.abc import Callable
 
 _JOINT_KINDS = ("revolute", "prismatic", "ball", "fixed", "free", "distance", "d6")
 _EVALUATIONS = ("fk", "ik", "mass_matrix", "jacobian", "inverse_dynamics")
-_SHAPE_KINDS = ("cylinder", "cone", "ellipsoid", "mesh", "convex_hull")
+_SHAPE_KINDS = ("mesh", "convex_hull")
 
 # Owner -> what its missing names belong to -> the names.
 PLANNED: dict[str, dict[str, tuple[str, ...]]] = {
@@ -29,20 +29,17 @@ PLANNED: dict[str, dict[str, tuple[str, ...]]] = {
         "viewers with a window or a web page": ("ViewerGL", "ViewerViser", "ViewerRerun"),
     },
     "ModelBuilder": {
-        "rigid bodies": ("add_link", "add_body"),
-        "joints": ("add_joint", *(f"add_joint_{kind}" for kind in _JOINT_KINDS)),
+        "joints": ("add_link", "add_joint", *(f"add_joint_{kind}" for kind in _JOINT_KINDS)),
         "articulations": ("add_articulation",),
         "robots from files": ("add_urdf", "add_mjcf", "add_usd"),
-        "shapes besides planes, spheres, boxes and capsules": tuple(
-            f"add_shape_{kind}" for kind in _SHAPE_KINDS
-        ),
+        "shapes of meshes": tuple(f"add_shape_{kind}" for kind in _SHAPE_KINDS),
         "VBD": ("color", "set_coloring"),
     },
 }
 
 
 class PlannedError(NotImplementedError, AttributeError):
-    """A planned member of an object was asked for: hasattr(builder, "add_body") stays False."""
+    """A planned member of an object was asked for: hasattr(builder, "add_link") stays False."""
 
 
 def missing_from_module(module: str, name: str) -> Exception:

@@ -21,12 +21,25 @@ py::object to_python(const Vec3f& value) { return to_tuple(value); }
 py::object to_python(float value) { return py::float_(static_cast<double>(value)); }
 py::object to_python(int32_t value) { return py::int_(value); }
 
+py::object to_python(const Transformf& x) {
+  return py::make_tuple(x.p.x, x.p.y, x.p.z, x.q.x, x.q.y, x.q.z, x.q.w);
+}
+py::object to_python(const SpatialVectorf& v) {
+  return py::make_tuple(v.linear.x, v.linear.y, v.linear.z, v.angular.x, v.angular.y, v.angular.z);
+}
+
 template <class T>
 T element_from(py::handle value, const char* name) {
   if constexpr (std::is_same_v<T, Vec3f>) {
     return to_vec3(value, name);
   } else if constexpr (std::is_same_v<T, float>) {
     return to_float(value, name);
+  } else if constexpr (std::is_same_v<T, Transformf>) {
+    return to_transform(value, name);
+  } else if constexpr (std::is_same_v<T, SpatialVectorf>) {
+    float v[6];
+    to_floats(value, name, v);
+    return {{v[0], v[1], v[2]}, {v[3], v[4], v[5]}};
   } else {
     return to_int32(value, name);
   }
@@ -37,6 +50,10 @@ std::vector<T> list_from(py::handle value, const char* name) {
     return to_vec3_list(value, name);
   } else if constexpr (std::is_same_v<T, float>) {
     return to_float_list(value, name);
+  } else if constexpr (!std::is_same_v<T, int32_t>) {
+    std::vector<T> rows;
+    for (const py::handle row : py::iter(value)) rows.push_back(element_from<T>(row, name));
+    return rows;
   } else {
     return to_int_list(value, name);
   }
@@ -182,18 +199,20 @@ void bind_shape_config(py::module_& m) {
         "has_shape_collision"_a = d.has_shape_collision,
         "has_particle_collision"_a = d.has_particle_collision, "is_visible"_a = d.is_visible);
 #define NOVAPHY_MEMBER(name, doc) c.def_readwrite(#name, &ShapeConfig::name, doc);
-  NOVAPHY_MEMBER(density, "kg/m^3; of no effect on a world-owned shape.")
+  NOVAPHY_MEMBER(density, "kg/m^3, of the mass that the shape adds to its body.")
   NOVAPHY_MEMBER(ke, "N/m, contact stiffness.")
   NOVAPHY_MEMBER(kd, "N*s/m, contact damping.")
   NOVAPHY_MEMBER(kf, "N*s/m, friction below the Coulomb limit.")
   NOVAPHY_MEMBER(ka, "m, adhesion distance of rigid contacts.")
   NOVAPHY_MEMBER(mu, "Coulomb friction.")
-  NOVAPHY_MEMBER(restitution, "Restitution; soft contacts do not use it.")
-  NOVAPHY_MEMBER(mu_torsional, "Torsional friction; soft contacts do not use it.")
-  NOVAPHY_MEMBER(mu_rolling, "Rolling friction; soft contacts do not use it.")
-  NOVAPHY_MEMBER(margin, "m, widens the detection of soft contacts; their force does not use it.")
+  NOVAPHY_MEMBER(restitution, "Stored; no force uses it.")
+  NOVAPHY_MEMBER(mu_torsional, "Stored; no force uses it.")
+  NOVAPHY_MEMBER(mu_rolling, "Stored; no force uses it.")
+  NOVAPHY_MEMBER(margin,
+                 "m, moves the surface outwards for other shapes; for particles it only widens the "
+                 "detection. The wall of a shell.")
   NOVAPHY_MEMBER(gap, "m, detection distance of rigid contacts; None: ModelBuilder.rigid_gap.")
-  NOVAPHY_MEMBER(is_solid, "False: a shell.")
+  NOVAPHY_MEMBER(is_solid, "False: a shell, for the mass.")
   NOVAPHY_MEMBER(collision_group,
                  "0 collides with no shape; a positive group meets itself and negative ones; a "
                  "negative group meets all "
@@ -249,6 +268,47 @@ void bind_worlds(py::class_<ModelBuilder>& c) {
           "builder"_a, "world_count"_a, "spacing"_a = py::make_tuple(0.0, 0.0, 0.0),
           "add_world `world_count` times on a grid of `spacing` (m) over the axes where it is not "
           "0, centred at the origin but for the up axis, which starts at 0.");
+}
+
+std::optional<Mat33f> to_inertia(py::handle value) {
+  if (value.is_none()) return std::nullopt;
+  Mat33f inertia;
+  size_t count = 0;
+  for (const py::handle row : py::iter(value)) {
+    if (count < 3) to_floats(row, "inertia", inertia.m[count]);
+    ++count;
+  }
+  require(count == 3, ErrorKind::Value, "inertia: expected 3 rows of 3 numbers, got ", count,
+          " rows");
+  return inertia;
+}
+
+void bind_bodies(py::class_<ModelBuilder>& c) {
+  bind_builder_list(c, "body_q", &ModelBuilder::body_q,
+                    "Initial poses of the body origins: m, quaternion xyzw, world frame.");
+  bind_builder_list(c, "body_qd", &ModelBuilder::body_qd,
+                    "Initial velocities: of the centre of mass, m/s, then angular, rad/s; world "
+                    "frame.");
+  c.def(
+      "add_body",
+      [](ModelBuilder& b, py::handle xform, py::handle com, py::handle inertia, float mass,
+         bool lock_inertia, bool is_kinematic, const std::optional<std::string>& label) {
+        BodyArgs args{.xform = to_transform(xform, "xform"),
+                      .mass = mass,
+                      .inertia = to_inertia(inertia),
+                      .lock_inertia = lock_inertia,
+                      .is_kinematic = is_kinematic,
+                      .label = text(label)};
+        if (!com.is_none()) args.com = to_vec3(com, "com");
+        return b.add_body(args);
+      },
+      py::kw_only(), "xform"_a = py::none(), "com"_a = py::none(), "inertia"_a = py::none(),
+      "mass"_a = 0.0f, "lock_inertia"_a = false, "is_kinematic"_a = false, "label"_a = py::none(),
+      "A rigid body that moves freely, at rest at `xform` (m, xyzw). `mass` (kg), `com` (m, body "
+      "frame) and `inertia` (3x3, kg*m^2 about com; None: a point mass) are the base, to which "
+      "shapes with a density add theirs unless lock_inertia. is_kinematic: it follows its "
+      "velocity, no force moves it. Returns the index. ValueError: a mass or inertia that no body "
+      "has, also from finalize.");
 }
 
 void bind_shapes(py::class_<ModelBuilder>& c) {
@@ -334,6 +394,46 @@ void bind_shapes(py::class_<ModelBuilder>& c) {
           "body"_a, py::kw_only(), "xform"_a = py::none(), "radius"_a = 1.0f,
           "half_height"_a = 0.5f, "cfg"_a = py::none(), "label"_a = py::none(),
           "Capsule along local z; half_height (m) leaves out the caps. Returns the index.")
+      .def(
+          "add_shape_cylinder",
+          [](ModelBuilder& b, int32_t body, py::handle xform, float radius, float half_height,
+             const ShapeConfig* cfg, const std::optional<std::string>& label) {
+            return b.add_shape_cylinder(body, {.xform = to_transform(xform, "xform"),
+                                               .radius = radius,
+                                               .half_height = half_height,
+                                               .cfg = config(cfg),
+                                               .label = text(label)});
+          },
+          "body"_a, py::kw_only(), "xform"_a = py::none(), "radius"_a = 1.0f,
+          "half_height"_a = 0.5f, "cfg"_a = py::none(), "label"_a = py::none(),
+          "Cylinder along local z (m). Returns the index.")
+      .def(
+          "add_shape_cone",
+          [](ModelBuilder& b, int32_t body, py::handle xform, float radius, float half_height,
+             const ShapeConfig* cfg, const std::optional<std::string>& label) {
+            return b.add_shape_cone(body, {.xform = to_transform(xform, "xform"),
+                                           .radius = radius,
+                                           .half_height = half_height,
+                                           .cfg = config(cfg),
+                                           .label = text(label)});
+          },
+          "body"_a, py::kw_only(), "xform"_a = py::none(), "radius"_a = 1.0f,
+          "half_height"_a = 0.5f, "cfg"_a = py::none(), "label"_a = py::none(),
+          "Cone along local z (m), apex at +half_height. Returns the index.")
+      .def(
+          "add_shape_ellipsoid",
+          [](ModelBuilder& b, int32_t body, py::handle xform, float rx, float ry, float rz,
+             const ShapeConfig* cfg, const std::optional<std::string>& label) {
+            return b.add_shape_ellipsoid(body, {.xform = to_transform(xform, "xform"),
+                                                .rx = rx,
+                                                .ry = ry,
+                                                .rz = rz,
+                                                .cfg = config(cfg),
+                                                .label = text(label)});
+          },
+          "body"_a, py::kw_only(), "xform"_a = py::none(), "rx"_a = 1.0f, "ry"_a = 0.75f,
+          "rz"_a = 0.5f, "cfg"_a = py::none(), "label"_a = py::none(),
+          "Ellipsoid of half axes (m). Returns the index.")
       .def("add_shape_collision_filter_pair", &ModelBuilder::add_shape_collision_filter_pair, "a"_a,
            "b"_a, "The two shapes never meet. IndexError: no such shape.");
 }
@@ -345,10 +445,12 @@ void bind_builder(py::module_& m) {
   bind_list<Vec3f>(m, "_Vec3List");
   bind_list<float>(m, "_FloatList");
   bind_list<int32_t>(m, "_IntList");
+  bind_list<Transformf>(m, "_TransformList");
+  bind_list<SpatialVectorf>(m, "_SpatialVectorList");
 
   py::class_<ModelBuilder> c(
       m, "ModelBuilder",
-      "Collects particles, elements over them and shapes, and makes Models. A bad argument "
+      "Collects particles, elements over them, bodies and shapes, and makes Models. A bad argument "
       "raises and leaves the builder as it was: ValueError "
       "(not finite, negative, not of unit length, ...), IndexError (no such "
       "body or shape), NotImplementedError (a shape "
@@ -417,6 +519,7 @@ void bind_builder(py::module_& m) {
           "pos"_a, "vel"_a, "mass"_a, "radius"_a = py::none(), "flags"_a = py::none(),
           "Many particles; the lists have one length (ValueError).");
   bind_builder_elements(c);
+  bind_bodies(c);
   bind_shapes(c);
   bind_worlds(c);
   c.def(

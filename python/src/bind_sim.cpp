@@ -1,4 +1,6 @@
 // Enumerations, Model, SimState, Control and Contacts.
+#include <map>
+
 #include "novaphy/collision/collision_pipeline.h"
 #include "novaphy/core/sim/contacts.h"
 #include "novaphy/core/sim/model.h"
@@ -22,6 +24,23 @@ void add_enum(py::module_& m, const char* base, const char* name, const char* do
 template <class E>
 constexpr int value_of(E e) {
   return static_cast<int>(e);
+}
+
+py::object rigid_contact_rows(const Contacts& contacts) {
+  const std::vector<RigidContact> rows = contacts.rigid_contacts();
+  static_assert(sizeof(RigidContact) == 92);
+  py::list fields;
+  for (const char* name : {"shape0", "shape1"}) fields.append(py::make_tuple(name, "<i4"));
+  for (const char* name : {"point0", "point1", "offset0", "offset1", "normal"})
+    fields.append(py::make_tuple(name, "<f4", 3));
+  for (const char* name : {"margin0", "margin1"}) fields.append(py::make_tuple(name, "<f4"));
+  fields.append(py::make_tuple("point_id", "<i4"));
+  fields.append(py::make_tuple("force", "<f4", 3));
+  const py::bytes data(reinterpret_cast<const char*>(rows.data()),
+                       rows.size() * sizeof(RigidContact));
+  return py::module_::import("numpy")
+      .attr("frombuffer")(data, numpy().dtype(fields))
+      .attr("copy")();
 }
 
 py::object soft_contact_rows(const Contacts& contacts) {
@@ -55,6 +74,7 @@ void add_model_pickle(ModelClass& c) {
 #define NOVAPHY_KEEP(name, by_default, infinite, unit, doc) kept[#name] = model.name;
         NOVAPHY_MODEL_NUMBERS(NOVAPHY_KEEP)
 #undef NOVAPHY_KEEP
+        kept["body_label"] = model.body_label;
         kept["shape_label"] = model.shape_label;
         kept["shape_collision_filter_pairs"] = model.shape_collision_filter_pairs;
         return kept;
@@ -69,6 +89,7 @@ void add_model_pickle(ModelClass& c) {
   model->name = kept_value(kept, #name).cast<float>();
         NOVAPHY_MODEL_NUMBERS(NOVAPHY_TAKE)
 #undef NOVAPHY_TAKE
+        model->body_label = kept_value(kept, "body_label").cast<decltype(model->body_label)>();
         model->shape_label = kept_value(kept, "shape_label").cast<decltype(model->shape_label)>();
         model->shape_collision_filter_pairs =
             kept_value(kept, "shape_collision_filter_pairs")
@@ -116,7 +137,8 @@ void bind_derived(ModelClass& c, const char* name, DeviceArray<T> ModelFields::*
 void bind_model(py::module_& m) {
   py::class_<Model, std::shared_ptr<Model>> c(
       m, "Model",
-      "What stays the same over time: particles, shapes, materials. Made by ModelBuilder.finalize; "
+      "What stays the same over time: particles, bodies, shapes, materials. Made by "
+      "ModelBuilder.finalize; "
       "sizes are fixed, values "
       "may be edited at any time and act at the next step.");
   using Fields = ModelFields;
@@ -157,7 +179,19 @@ void bind_model(py::module_& m) {
   NOVAPHY_ALIAS(tet_materials, particle_tet_material)
 #undef NOVAPHY_ALIAS
   bind_numbers(c);
-  c.def_readonly("shape_label", &Model::shape_label, "One name per shape.")
+  c.def_readonly("body_label", &Model::body_label, "One name per body.")
+      .def_property_readonly(
+          "body_shapes",
+          [](const Model& self) {
+            std::map<int32_t, std::vector<int32_t>> shapes;
+            for (int32_t b = -1; b < self.body_count(); ++b) shapes[b];
+            const std::vector<int32_t> body = self.shape_body.to_host();
+            for (size_t s = 0; s < body.size(); ++s)
+              shapes[body[s]].push_back(static_cast<int32_t>(s));
+            return shapes;
+          },
+          "The shapes of every body, and of the world (-1), in ascending order.")
+      .def_readonly("shape_label", &Model::shape_label, "One name per shape.")
       .def_readonly("shape_collision_filter_pairs", &Model::shape_collision_filter_pairs,
                     "Shape pairs (i < j) that never meet.")
       .def_property_readonly(
@@ -254,17 +288,15 @@ void bind_control(py::module_& m) {
 void bind_contacts(py::module_& m) {
   py::class_<Contacts> c(
       m, "Contacts",
-      "Contacts of particles with shapes. Made by CollisionPipeline.contacts(). The capacity is "
-      "fixed: "
-      "when more are found, the first soft_contact_max are kept and overflowed is True.");
+      "Contacts of particles with shapes (soft) and of shapes with each other (rigid). Made by "
+      "CollisionPipeline.contacts(). The capacities are fixed: when more are found, the first "
+      "soft_contact_max (rigid_contact_max) are kept and overflowed is True.");
   using Fields = ContactFields;
   c.def(py::init([](int32_t rigid_contact_max, int32_t soft_contact_max, py::handle device,
                     bool requires_grad) {
-          require(rigid_contact_max >= 0, ErrorKind::Value,
-                  "rigid_contact_max: expected >= 0, got ", rigid_contact_max);
-          require(rigid_contact_max == 0, ErrorKind::NotImplemented,
-                  "rigid_contact_max: contacts of rigid bodies are not built yet");
-          return Contacts({.soft_contact_max = soft_contact_max, .requires_grad = requires_grad},
+          return Contacts({.soft_contact_max = soft_contact_max,
+                           .rigid_contact_max = rigid_contact_max,
+                           .requires_grad = requires_grad},
                           to_device(device));
         }),
         "rigid_contact_max"_a = 0, "soft_contact_max"_a = 0, py::kw_only(), "device"_a = py::none(),
@@ -272,6 +304,12 @@ void bind_contacts(py::module_& m) {
         "Empty contacts of no model; pipelines take only those that they made.");
   NOVAPHY_CONTACT_FIELDS(NOVAPHY_BIND_FIELD)
   c.def_property_readonly("soft_contact_max", &Contacts::soft_contact_max, "Slots.")
+      .def_property_readonly("rigid_contact_max", &Contacts::rigid_contact_max, "Rows.")
+      .def_property_readonly("active_rigid_contact_count", &Contacts::active_rigid_contact_count,
+                             "min(rigid_contact_count, rigid_contact_max). Reads from the device.")
+      .def("rigid_contacts", &rigid_contact_rows,
+           "The rigid contacts in order, as a NumPy copy with the columns shape0, shape1, point0, "
+           "point1, offset0, offset1, normal, margin0, margin1, point_id, force.")
       .def_property_readonly("soft_contact_pair_count", &Contacts::soft_contact_pair_count,
                              "Candidate (particle, shape) pairs.")
       .def_property_readonly("device", &Contacts::device, "Where the arrays are.")

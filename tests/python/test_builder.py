@@ -223,7 +223,7 @@ def test_shapes_get_their_values():
         1,
     ]
     assert model.shape_collision_aabb_upper.ptr == model.shape_aabb_upper.ptr
-    for bad in (GeoType.MESH, GeoType.CONE):
+    for bad in (GeoType.MESH, GeoType.CONVEX_MESH):
         with pytest.raises(NotImplementedError, match=bad.name):
             builder.add_shape(body=-1, type=bad)
     with pytest.raises(ValueError):

@@ -224,8 +224,6 @@ def test_states_and_contacts_of_another_model_are_refused():
     with pytest.raises(ValueError, match="margin"):
         pipeline.collide(model.state(), contacts, soft_contact_margin=float("inf"))
     assert contacts.soft_contact_particle.version == before
-    with pytest.raises(NotImplementedError):
-        Contacts(3, 2)
     with pytest.raises(ValueError):
         Contacts(0, -1)
     with pytest.raises(ValueError):

@@ -23,15 +23,16 @@ void check_shape_config(std::string_view function, const ShapeConfig& cfg) {
   if (cfg.gap) check_not_negative({function, "cfg.gap"}, *cfg.gap);
 }
 
-Transformf checked_pose(std::string_view function, const Transformf& xform) {
-  check_finite({function, "xform.p"}, xform.p);
+Transformf checked_pose(const Where& where, const Transformf& xform) {
+  require(is_finite(xform.p), ErrorKind::Value, where, ".p: expected finite numbers, got (",
+          xform.p.x, ", ", xform.p.y, ", ", xform.p.z, ")");
   const Quatf& q = xform.q;
   const double x = q.x, y = q.y, z = q.z, w = q.w;
   const double norm = std::sqrt(x * x + y * y + z * z + w * w);
   // Written so that a NaN is refused.
-  require(std::abs(norm - 1.0) <= 1e-3, ErrorKind::Value, function,
-          ": xform.q: expected a quaternion of length 1 (to 1e-3), got (", q.x, ", ", q.y, ", ",
-          q.z, ", ", q.w, ") of length ", norm);
+  require(std::abs(norm - 1.0) <= 1e-3, ErrorKind::Value, where,
+          ".q: expected a quaternion of length 1 (to 1e-3), got (", q.x, ", ", q.y, ", ", q.z, ", ",
+          q.w, ") of length ", norm);
   constexpr double kFloatRounding = 0x1p-22;
   if (std::abs(norm - 1.0) <= kFloatRounding) return xform;
   return {xform.p,
@@ -50,6 +51,8 @@ Vec3f checked_scale(std::string_view function, GeoType type, const Vec3f& scale)
       check_positive({function, "scale.x (radius)"}, scale.x);
       return {scale.x, 0.0f, 0.0f};
     case GeoType::CAPSULE:
+    case GeoType::CYLINDER:
+    case GeoType::CONE:
       check_positive({function, "scale.x (radius)"}, scale.x);
       check_positive({function, "scale.y (half_height)"}, scale.y);
       return {scale.x, scale.y, 0.0f};
@@ -58,17 +61,19 @@ Vec3f checked_scale(std::string_view function, GeoType type, const Vec3f& scale)
       check_positive({function, "scale.y (hy)"}, scale.y);
       check_positive({function, "scale.z (hz)"}, scale.z);
       return scale;
+    case GeoType::ELLIPSOID:
+      check_positive({function, "scale.x (rx)"}, scale.x);
+      check_positive({function, "scale.y (ry)"}, scale.y);
+      check_positive({function, "scale.z (rz)"}, scale.z);
+      return scale;
     case GeoType::NONE:
       fail(ErrorKind::Value, function, ": type: expected a shape type, got NONE");
     case GeoType::HFIELD:
-    case GeoType::ELLIPSOID:
-    case GeoType::CYLINDER:
     case GeoType::MESH:
-    case GeoType::CONE:
     case GeoType::CONVEX_MESH:
       fail(ErrorKind::NotImplemented, function,
-           ": type: expected PLANE, SPHERE, CAPSULE or BOX, got ", geo_type_name(type),
-           ", which is not there yet");
+           ": type: expected PLANE, SPHERE, CAPSULE, ELLIPSOID, CYLINDER, BOX or CONE, got ",
+           geo_type_name(type), ", which is not there yet");
   }
   fail(ErrorKind::Value, function, ": type: expected a GeoType, got ", static_cast<int32_t>(type));
 }
@@ -114,6 +119,13 @@ ShapeBounds shape_bounds(GeoType type, const Vec3f& scale) {
       const float r = scale.x, end = scale.x + scale.y;
       return {end, {-r, -r, -end}, {r, r, end}};
     }
+    case GeoType::CYLINDER:
+    case GeoType::CONE: {
+      const Vec3f upper = {scale.x, scale.x, scale.y};
+      return {math::sqrt(scale.x * scale.x + scale.y * scale.y), -upper, upper};
+    }
+    case GeoType::ELLIPSOID:
+      return {math::max(scale.x, math::max(scale.y, scale.z)), -scale, scale};
     case GeoType::BOX:
       return {math::length(scale), -scale, scale};
     default:

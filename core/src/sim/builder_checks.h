@@ -59,6 +59,16 @@ inline void check_particle_flags(const Where& where, int32_t flags) {
           ": expected 0 or ParticleFlags.ACTIVE (1), got ", flags);
 }
 
+// What is in all worlds (-1) has the gravity of the last one (see Model::gravity), so that must be
+// the builder's.
+inline void check_world_gravity(const Where& where, int32_t world, const Vec3f& gravity,
+                                std::span<const Vec3f> world_gravity) {
+  require(world >= 0 || world_gravity.empty() || gravity == world_gravity.back(), ErrorKind::Value,
+          where,
+          ": expected a world from 0: what is in all worlds (-1) needs a gravity of the builder "
+          "that the last world has too");
+}
+
 // A list that may hold none (the default), one value for all elements, or one each.
 inline void check_one_or_each(std::string_view function, std::string_view argument, size_t size,
                               size_t elements) {
@@ -75,7 +85,10 @@ void check_shape_config(std::string_view function, const ShapeConfig& cfg);
 // Checks a pose and returns it with a unit quaternion. A quaternion that is of unit length to float
 // rounding keeps its bits, so that normalising twice changes nothing; one that misses by more than
 // 1e-3 is refused.
-Transformf checked_pose(std::string_view function, const Transformf& xform);
+Transformf checked_pose(const Where& where, const Transformf& xform);
+inline Transformf checked_pose(std::string_view function, const Transformf& xform) {
+  return checked_pose({function, "xform"}, xform);
+}
 // Checks the size of a shape and returns it with unused components zero. ErrorKind::NotImplemented:
 // a type that is not there yet.
 Vec3f checked_scale(std::string_view function, GeoType type, const Vec3f& scale);

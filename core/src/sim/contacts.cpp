@@ -14,8 +14,11 @@ ContactCounts checked_counts(const ContactsOptions& options) {
   require(options.soft_contact_pair_count >= 0, ErrorKind::Value,
           "Contacts: soft_contact_pair_count: expected >= 0, got ",
           options.soft_contact_pair_count);
+  require(options.rigid_contact_max >= 0, ErrorKind::Value,
+          "Contacts: rigid_contact_max: expected >= 0, got ", options.rigid_contact_max);
   return {.soft_contact_max = options.soft_contact_max,
-          .soft_contact_pair_count = options.soft_contact_pair_count};
+          .soft_contact_pair_count = options.soft_contact_pair_count,
+          .rigid_contact_max = options.rigid_contact_max};
 }
 
 }  // namespace
@@ -29,6 +32,9 @@ Contacts::Contacts(const ContactsOptions& options, Device device)
   soft_contact_particle.fill(-1);
   soft_contact_shape.fill(-1);
   soft_contact_tids.fill(-1);
+  rigid_contact_shape0.fill(-1);
+  rigid_contact_shape1.fill(-1);
+  rigid_contact_point_id.fill(-1);
 }
 
 Contacts::Contacts(const Contacts& source, ContactFields fields)
@@ -46,6 +52,16 @@ void Contacts::clear() {
   soft_contact_body_vel.zero();
   soft_contact_normal.zero();
   soft_contact_tids.fill(-1);
+  rigid_contact_count.zero();
+  rigid_contact_shape0.fill(-1);
+  rigid_contact_shape1.fill(-1);
+  for (DeviceArray<Vec3f>* array :
+       {&rigid_contact_point0, &rigid_contact_point1, &rigid_contact_offset0,
+        &rigid_contact_offset1, &rigid_contact_normal, &rigid_contact_force})
+    array->zero();
+  rigid_contact_margin0.zero();
+  rigid_contact_margin1.zero();
+  rigid_contact_point_id.fill(-1);
   contact_generation.fill(contact_generation.to_host()[0] + 1);
 }
 
@@ -53,8 +69,13 @@ int32_t Contacts::active_soft_contact_count() const {
   return std::clamp(soft_contact_count.to_host()[0], 0, counts_.soft_contact_max);
 }
 
+int32_t Contacts::active_rigid_contact_count() const {
+  return std::clamp(rigid_contact_count.to_host()[0], 0, counts_.rigid_contact_max);
+}
+
 bool Contacts::overflowed() const {
-  return soft_contact_count.to_host()[0] > counts_.soft_contact_max;
+  return soft_contact_count.to_host()[0] > counts_.soft_contact_max ||
+         rigid_contact_count.to_host()[0] > counts_.rigid_contact_max;
 }
 
 std::vector<SoftContact> Contacts::soft_contacts() const {
@@ -66,6 +87,20 @@ std::vector<SoftContact> Contacts::soft_contacts() const {
   std::vector<SoftContact> contacts(static_cast<size_t>(active_soft_contact_count()));
   for (size_t i = 0; i < contacts.size(); ++i)
     contacts[i] = {particle[i], shape[i], body_pos[i], body_vel[i], normal[i]};
+  return contacts;
+}
+
+std::vector<RigidContact> Contacts::rigid_contacts() const {
+  const auto shape0 = rigid_contact_shape0.to_host(), shape1 = rigid_contact_shape1.to_host();
+  const auto point0 = rigid_contact_point0.to_host(), point1 = rigid_contact_point1.to_host();
+  const auto offset0 = rigid_contact_offset0.to_host(), offset1 = rigid_contact_offset1.to_host();
+  const auto normal = rigid_contact_normal.to_host(), force = rigid_contact_force.to_host();
+  const auto margin0 = rigid_contact_margin0.to_host(), margin1 = rigid_contact_margin1.to_host();
+  const auto point_id = rigid_contact_point_id.to_host();
+  std::vector<RigidContact> contacts(static_cast<size_t>(active_rigid_contact_count()));
+  for (size_t i = 0; i < contacts.size(); ++i)
+    contacts[i] = {shape0[i], shape1[i],  point0[i],  point1[i],   offset0[i], offset1[i],
+                   normal[i], margin0[i], margin1[i], point_id[i], force[i]};
   return contacts;
 }
 

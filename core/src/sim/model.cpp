@@ -28,6 +28,8 @@ SimState Model::state(std::optional<bool> grad) const {
   state.requires_grad = grad.value_or(requires_grad);
   state.particle_q.assign(particle_q);
   state.particle_qd.assign(particle_qd);
+  state.body_q.assign(body_q);
+  state.body_qd.assign(body_qd);
   return state;
 }
 

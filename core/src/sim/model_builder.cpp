@@ -25,13 +25,6 @@ void check_one_length(std::string_view function, std::string_view argument, size
           may_be_empty ? " (or none)" : "", ", got ", size);
 }
 
-// The number of a shape that is about to be added to the world.
-void check_body(std::string_view function, int32_t body) {
-  require(body == -1, ErrorKind::Index, function,
-          ": body: expected -1 (the world; body_count is 0), got ", body,
-          ", which is out of range");
-}
-
 }  // namespace
 
 ModelBuilder::ModelBuilder(Axis up_axis, const GravitySpec& gravity_spec) : up_axis_(up_axis) {
@@ -93,87 +86,6 @@ void ModelBuilder::add_particles(std::span<const Vec3f> pos, std::span<const Vec
   particle_world.resize(total, current_world_);
 }
 
-int32_t ModelBuilder::append_shape(std::string_view name, const ShapeArgs& args) {
-  check_body(name, args.body);
-  const Vec3f scale = detail::checked_scale(name, args.type, args.scale);
-  const Transformf xform = detail::checked_pose(name, args.xform);
-  const ShapeConfig& cfg = args.cfg ? *args.cfg : default_shape_cfg;
-  detail::check_shape_config(name, cfg);
-  if (!cfg.gap) detail::check_not_negative({name, "rigid_gap"}, rigid_gap);
-  require(shapes_.size() < kMaxCount, ErrorKind::Value, name, ": expected at most ", kMaxCount,
-          " shapes");
-  const int32_t index = shape_count();
-  shapes_.push_back({.body = args.body,
-                     .type = args.type,
-                     .xform = xform,
-                     .scale = scale,
-                     .cfg = cfg,
-                     .gap = cfg.gap.value_or(rigid_gap),
-                     .world = current_world_,
-                     .label = args.label.empty() ? "shape_" + std::to_string(index) : args.label});
-  return index;
-}
-
-int32_t ModelBuilder::add_shape(const ShapeArgs& args) { return append_shape("add_shape", args); }
-
-int32_t ModelBuilder::add_shape_plane(const ShapePlaneArgs& args) {
-  return append_shape(
-      "add_shape_plane",
-      {.body = args.body,
-       .type = GeoType::PLANE,
-       .xform = args.xform ? *args.xform : detail::plane_pose("add_shape_plane", args.plane),
-       .scale = {args.width, args.length, 0.0f},
-       .cfg = args.cfg,
-       .label = args.label});
-}
-
-int32_t ModelBuilder::add_ground_plane(const GroundArgs& args) {
-  const Vec3f up = up_vector();
-  return add_shape_plane({.plane = {up.x, up.y, up.z, -args.height},
-                          .width = 0.0f,
-                          .length = 0.0f,
-                          .cfg = args.cfg,
-                          .label = args.label});
-}
-
-int32_t ModelBuilder::add_shape_sphere(int32_t body, const ShapeSphereArgs& args) {
-  return append_shape("add_shape_sphere", {.body = body,
-                                           .type = GeoType::SPHERE,
-                                           .xform = args.xform,
-                                           .scale = {args.radius, 0.0f, 0.0f},
-                                           .cfg = args.cfg,
-                                           .label = args.label});
-}
-
-int32_t ModelBuilder::add_shape_box(int32_t body, const ShapeBoxArgs& args) {
-  return append_shape("add_shape_box", {.body = body,
-                                        .type = GeoType::BOX,
-                                        .xform = args.xform,
-                                        .scale = {args.hx, args.hy, args.hz},
-                                        .cfg = args.cfg,
-                                        .label = args.label});
-}
-
-int32_t ModelBuilder::add_shape_capsule(int32_t body, const ShapeCapsuleArgs& args) {
-  return append_shape("add_shape_capsule", {.body = body,
-                                            .type = GeoType::CAPSULE,
-                                            .xform = args.xform,
-                                            .scale = {args.radius, args.half_height, 0.0f},
-                                            .cfg = args.cfg,
-                                            .label = args.label});
-}
-
-void ModelBuilder::add_shape_collision_filter_pair(int32_t a, int32_t b) {
-  for (const int32_t shape : {a, b}) {
-    require(shape >= 0 && shape < shape_count(), ErrorKind::Index,
-            "add_shape_collision_filter_pair: expected shapes from 0 to ", shape_count() - 1,
-            ", got ", shape);
-  }
-  require(a != b, ErrorKind::Value,
-          "add_shape_collision_filter_pair: expected two different shapes, got ", a, " twice");
-  filter_pairs_.insert(std::minmax(a, b));
-}
-
 void ModelBuilder::check_sizes() const {
   const size_t count = particle_q.size();
   const auto check = [&](std::string_view name, size_t size) {
@@ -185,6 +97,11 @@ void ModelBuilder::check_sizes() const {
   check("particle_radius", particle_radius.size());
   check("particle_flags", particle_flags.size());
   check("particle_world", particle_world.size());
+  for (const auto& [name, size] : {std::pair<std::string_view, size_t>{"body_q", body_q.size()},
+                                   {"body_qd", body_qd.size()}}) {
+    require(size == bodies_.size(), ErrorKind::Value, "finalize: ", name, ": expected ",
+            bodies_.size(), " elements, one for each body, got ", size);
+  }
   require(count <= kMaxCount, ErrorKind::Value, "finalize: particle_q: expected at most ",
           kMaxCount, " elements, got ", count);
 }
@@ -202,11 +119,8 @@ void ModelBuilder::check_values() const {
     require(particle_world[i] >= -1 && particle_world[i] < worlds, ErrorKind::Value,
             Where{name, "particle_world", i}, ": expected -1 (all worlds) to ", worlds - 1,
             ", got ", particle_world[i]);
-    // A particle of all worlds has the gravity of the last one (see Model::gravity).
-    require(particle_world[i] >= 0 || world_gravity_.empty() || gravity == world_gravity_.back(),
-            ErrorKind::Value, Where{name, "particle_world", i},
-            ": expected a world from 0: a particle of all worlds (-1) needs a gravity of the "
-            "builder that the last world has too");
+    detail::check_world_gravity({name, "particle_world", i}, particle_world[i], gravity,
+                                world_gravity_);
   }
 }
 

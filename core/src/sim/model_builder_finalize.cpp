@@ -40,6 +40,8 @@ std::shared_ptr<Model> ModelBuilder::finalize(Device device, const FinalizeOptio
           " is open; call end_world() first");
   check_sizes();
   if (!options.skip_validation) check_values();
+  const BodyMasses masses = body_masses();
+  if (!options.skip_validation) check_bodies(masses);
 
   const size_t shapes = shapes_.size();
   // One host column of the shapes.
@@ -57,6 +59,7 @@ std::shared_ptr<Model> ModelBuilder::finalize(Device device, const FinalizeOptio
 
   ModelCounts counts;
   counts.particle_count = particle_count();
+  counts.body_count = body_count();
   counts.shape_count = shape_count();
   counts.spring_count = spring_count();
   counts.tri_count = tri_count();
@@ -79,6 +82,7 @@ std::shared_ptr<Model> ModelBuilder::finalize(Device device, const FinalizeOptio
     m.particle_max_radius = std::max(m.particle_max_radius, radius);
 
   upload_elements(m);
+  upload_bodies(m, masses);
   upload(m.shape_body, body);
   upload(m.shape_flags, flags);
   upload(m.shape_collision_group, group);

@@ -95,6 +95,7 @@ void ModelBuilder::check_addable(std::string_view function, const ModelBuilder& 
             ": expected at most ", std::numeric_limits<int32_t>::max(), " ", what, ", got ", total);
   };
   check("particles", particle_q.size(), builder.particle_q.size());
+  check("bodies", bodies_.size(), builder.bodies_.size());
   check("shapes", shapes_.size(), builder.shapes_.size());
   check("springs", springs_.indices.size(), builder.springs_.indices.size());
   check("triangles", triangles_.indices.size(), builder.triangles_.indices.size());
@@ -141,9 +142,11 @@ void ModelBuilder::add_builder(const ModelBuilder& b, const Transformf& given) {
   append(particle_flags, b.particle_flags);
   particle_world.resize(particle_q.size(), current_world_);
 
-  const int32_t first_shape = shape_count();
+  const int32_t first_shape = shape_count(), first_body = body_count();
+  append_bodies(b, xform);
   for (Shape shape : b.shapes_) {
     if (moves && shape.body < 0) shape.xform = math::multiply(xform, shape.xform);
+    if (shape.body >= 0) shape.body += first_body;
     shape.world = current_world_;
     shapes_.push_back(std::move(shape));
   }

@@ -341,6 +341,15 @@ class Model(_Counts):
     tet_poses: _Field
     tet_activations: _Field
     tet_materials: _Field
+    body_q: _Field
+    body_qd: _Field
+    body_com: _Field
+    body_mass: _Field
+    body_inv_mass: _Field
+    body_inertia: _Field
+    body_inv_inertia: _Field
+    body_flags: _Field
+    body_world: _Field
     shape_body: _Field
     shape_transform: _Field
     shape_type: _Field
@@ -374,6 +383,10 @@ class Model(_Counts):
     particle_adhesion: float
     particle_max_velocity: float
     particle_max_radius: float
+    @property
+    def body_label(self) -> list[str]: ...
+    @property
+    def body_shapes(self) -> dict[int, list[int]]: ...
     @property
     def shape_label(self) -> list[str]: ...
     @property
@@ -442,10 +455,26 @@ class Contacts(_Native):
     soft_contact_body_vel: _Field
     soft_contact_normal: _Field
     soft_contact_tids: _Field
+    rigid_contact_count: _Field
+    rigid_contact_shape0: _Field
+    rigid_contact_shape1: _Field
+    rigid_contact_point0: _Field
+    rigid_contact_point1: _Field
+    rigid_contact_offset0: _Field
+    rigid_contact_offset1: _Field
+    rigid_contact_normal: _Field
+    rigid_contact_margin0: _Field
+    rigid_contact_margin1: _Field
+    rigid_contact_point_id: _Field
+    rigid_contact_force: _Field
     contact_generation: _Field
     requires_grad: bool
     @property
     def soft_contact_max(self) -> int: ...
+    @property
+    def rigid_contact_max(self) -> int: ...
+    @property
+    def active_rigid_contact_count(self) -> int: ...
     @property
     def soft_contact_pair_count(self) -> int: ...
     @property
@@ -456,6 +485,7 @@ class Contacts(_Native):
     def active_soft_contact_count(self) -> int: ...
     def clear(self) -> None: ...
     def soft_contacts(self) -> NDArray[Any]: ...
+    def rigid_contacts(self) -> NDArray[Any]: ...
     def assign(self, source: Contacts) -> None: ...
     def clone(self) -> Contacts: ...
 
@@ -561,6 +591,38 @@ class _FloatList(_Native):
     def __setitem__(self, index: slice, value: _Vector) -> None: ...
     def __iter__(self) -> Iterator[float]: ...
 
+class _TransformList(_Native):
+    def __len__(self) -> int: ...
+    @overload
+    def __getitem__(
+        self, index: SupportsIndex
+    ) -> tuple[float, float, float, float, float, float, float]: ...
+    @overload
+    def __getitem__(
+        self, index: slice
+    ) -> list[tuple[float, float, float, float, float, float, float]]: ...
+    @overload
+    def __setitem__(self, index: SupportsIndex, value: _Transform) -> None: ...
+    @overload
+    def __setitem__(self, index: slice, value: Sequence[_Transform]) -> None: ...
+    def __iter__(self) -> Iterator[tuple[float, float, float, float, float, float, float]]: ...
+
+class _SpatialVectorList(_Native):
+    def __len__(self) -> int: ...
+    @overload
+    def __getitem__(
+        self, index: SupportsIndex
+    ) -> tuple[float, float, float, float, float, float]: ...
+    @overload
+    def __getitem__(
+        self, index: slice
+    ) -> list[tuple[float, float, float, float, float, float]]: ...
+    @overload
+    def __setitem__(self, index: SupportsIndex, value: _Vector) -> None: ...
+    @overload
+    def __setitem__(self, index: slice, value: Sequence[_Vector]) -> None: ...
+    def __iter__(self) -> Iterator[tuple[float, float, float, float, float, float]]: ...
+
 class _IntList(_Native):
     def __len__(self) -> int: ...
     @overload
@@ -636,6 +698,25 @@ class ModelBuilder(_Native):
     def particle_radius(self) -> _FloatList: ...
     @particle_radius.setter
     def particle_radius(self, values: _Vector) -> None: ...
+    @property
+    def body_q(self) -> _TransformList: ...
+    @body_q.setter
+    def body_q(self, values: Sequence[_Transform]) -> None: ...
+    @property
+    def body_qd(self) -> _SpatialVectorList: ...
+    @body_qd.setter
+    def body_qd(self, values: Sequence[_Vector]) -> None: ...
+    def add_body(
+        self,
+        *,
+        xform: _Transform | None = None,
+        com: _Vector | None = None,
+        inertia: Sequence[_Vector] | NDArray[Any] | None = None,
+        mass: SupportsFloat = 0.0,
+        lock_inertia: bool = False,
+        is_kinematic: bool = False,
+        label: str | None = None,
+    ) -> int: ...
     @property
     def particle_flags(self) -> _IntList: ...
     @particle_flags.setter
@@ -912,6 +993,37 @@ class ModelBuilder(_Native):
         xform: _Transform | None = None,
         radius: SupportsFloat = 1.0,
         half_height: SupportsFloat = 0.5,
+        cfg: _ShapeConfig | None = None,
+        label: str | None = None,
+    ) -> int: ...
+    def add_shape_cylinder(
+        self,
+        body: SupportsIndex,
+        *,
+        xform: _Transform | None = None,
+        radius: SupportsFloat = 1.0,
+        half_height: SupportsFloat = 0.5,
+        cfg: _ShapeConfig | None = None,
+        label: str | None = None,
+    ) -> int: ...
+    def add_shape_cone(
+        self,
+        body: SupportsIndex,
+        *,
+        xform: _Transform | None = None,
+        radius: SupportsFloat = 1.0,
+        half_height: SupportsFloat = 0.5,
+        cfg: _ShapeConfig | None = None,
+        label: str | None = None,
+    ) -> int: ...
+    def add_shape_ellipsoid(
+        self,
+        body: SupportsIndex,
+        *,
+        xform: _Transform | None = None,
+        rx: SupportsFloat = 1.0,
+        ry: SupportsFloat = 0.75,
+        rz: SupportsFloat = 0.5,
         cfg: _ShapeConfig | None = None,
         label: str | None = None,
     ) -> int: ...

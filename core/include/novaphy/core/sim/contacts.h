@@ -12,6 +12,7 @@ namespace novaphy {
 struct ContactCounts {
   int32_t soft_contact_max = 0;         // slots
   int32_t soft_contact_pair_count = 0;  // candidate (particle, shape) pairs
+  int32_t rigid_contact_max = 0;        // rows
   int32_t one = 1;
   bool operator==(const ContactCounts&) const = default;
 };
@@ -34,6 +35,26 @@ struct ContactCounts {
   X(soft_contact_tids, int32_t, 1, soft_contact_pair_count, "", "",                               \
     "slot of every candidate pair, shape-major; -1 where there is no contact or no slot was "     \
     "left")                                                                                       \
+  X(rigid_contact_count, int32_t, 1, one, "", "",                                                 \
+    "rigid contacts found; may exceed rigid_contact_max, consumers use min(count, max)")          \
+  X(rigid_contact_shape0, int32_t, 1, rigid_contact_max, "", "",                                  \
+    "shape A, of the smaller GeoType (of two alike: the smaller index); -1 in an unused row")     \
+  X(rigid_contact_shape1, int32_t, 1, rigid_contact_max, "", "", "shape B; -1 in an unused row")  \
+  X(rigid_contact_point0, Vec3f, 1, rigid_contact_max, "m", "body, or world",                     \
+    "point of A's core: the surface of A, or the centre of a sphere, the axis of a capsule")      \
+  X(rigid_contact_point1, Vec3f, 1, rigid_contact_max, "m", "body, or world", "the same of B")    \
+  X(rigid_contact_offset0, Vec3f, 1, rigid_contact_max, "m", "body, or world",                    \
+    "from point0 to A's surface with its margin: normal * margin0")                               \
+  X(rigid_contact_offset1, Vec3f, 1, rigid_contact_max, "m", "body, or world",                    \
+    "the same of B: -normal * margin1")                                                           \
+  X(rigid_contact_normal, Vec3f, 1, rigid_contact_max, "1", "world", "unit normal, from A to B")  \
+  X(rigid_contact_margin0, float, 1, rigid_contact_max, "m", "",                                  \
+    "radius of A (sphere, capsule) plus its shape_margin")                                        \
+  X(rigid_contact_margin1, float, 1, rigid_contact_max, "m", "", "the same of B")                 \
+  X(rigid_contact_point_id, int32_t, 1, rigid_contact_max, "", "",                                \
+    "feature of the pair that touches; -1 in an unused row")                                      \
+  X(rigid_contact_force, Vec3f, 1, rigid_contact_max, "N", "world",                               \
+    "force on B, written by solvers; A gets the opposite")                                        \
   X(contact_generation, int32_t, 1, one, "", "", "raised by clear() and by every collide")
 // clang-format on
 
@@ -46,17 +67,28 @@ struct SoftContact {
   bool operator==(const SoftContact&) const = default;
 };
 
+// One rigid contact, on the host.
+struct RigidContact {
+  int32_t shape0 = -1, shape1 = -1;
+  Vec3f point0{}, point1{}, offset0{}, offset1{}, normal{};
+  float margin0 = 0.0f, margin1 = 0.0f;
+  int32_t point_id = -1;
+  Vec3f force{};
+  bool operator==(const RigidContact&) const = default;
+};
+
 struct ContactsOptions {
   int32_t soft_contact_max = 0;
   int32_t soft_contact_pair_count = 0;
+  int32_t rigid_contact_max = 0;
   uint64_t model_id = 0;  // Model::id() of their model; 0: none, and no pipeline takes them
   bool requires_grad = false;
 };
 
-// Contacts of particles with shapes ("soft contacts"). The capacity is fixed: when more contacts
-// are found than there are slots, the first soft_contact_max in candidate order are kept,
-// soft_contact_count still says how many there are, and overflowed() is true. Move-only, as
-// SimState.
+// Contacts of particles with shapes ("soft contacts") and of shapes with each other ("rigid
+// contacts"). Both capacities are fixed: when more contacts are found than there are slots, the
+// first soft_contact_max (rigid_contact_max) in their order are kept, the count still says how many
+// there are, and overflowed() is true. Move-only, as SimState.
 class NOVAPHY_CORE_API Contacts : public ContactFields {
  public:
   using Fields = ContactFields;
@@ -69,18 +101,21 @@ class NOVAPHY_CORE_API Contacts : public ContactFields {
   const ContactCounts& counts() const { return counts_; }
   int32_t soft_contact_max() const { return counts_.soft_contact_max; }
   int32_t soft_contact_pair_count() const { return counts_.soft_contact_pair_count; }
+  int32_t rigid_contact_max() const { return counts_.rigid_contact_max; }
   Device device() const { return device_; }
   uint64_t model_id() const { return model_id_; }
   bool requires_grad = false;
 
   // No contacts: the count 0, every slot unused; raises contact_generation.
   void clear();
-  // min(count, max) on the host: the slots that hold a contact. Reads from the device.
+  // min(count, max) on the host: the slots that hold a contact. Read from the device.
   int32_t active_soft_contact_count() const;
+  int32_t active_rigid_contact_count() const;
   // True if contacts were found that no slot was left for. Reads from the device.
   bool overflowed() const;
   // The contacts, in slot order. Reads from the device.
   std::vector<SoftContact> soft_contacts() const;
+  std::vector<RigidContact> rigid_contacts() const;
   void assign(
       const Contacts& source);  // ErrorKind::Value when an array's rows or the device differ
   Contacts clone() const;

@@ -13,6 +13,7 @@
 
 #include "novaphy/core/device_array.h"
 #include "novaphy/core/export.h"
+#include "novaphy/math/ldlt.h"
 #include "novaphy/math/scalar.h"
 
 namespace novaphy {
@@ -24,6 +25,30 @@ struct InverseOrZero {
   template <class T>
   void operator()(const T* source, T* derived) const {
     derived[0] = math::inverse_or_zero(source[0]);
+  }
+};
+
+// The inverse of a symmetric positive definite 3x3 matrix, of which the part on and below the
+// diagonal is read; 0 for a matrix whose diagonal is 0.
+struct InverseInertia {
+  static constexpr const char* name = "inverse_inertia";
+  static constexpr int32_t source_width = 9, derived_width = 9;
+  template <class T>
+  void operator()(const T* source, T* derived) const {
+    const T zero = T(0.0f);
+    const T matrix[3][3] = {{source[0], source[1], source[2]},
+                            {source[3], source[4], source[5]},
+                            {source[6], source[7], source[8]}};
+    const auto factors = math::ldlt(matrix);
+    using math::select;
+    const auto nothing = (source[0] + source[4]) + source[8] == zero;
+    for (int j = 0; j < 3; ++j) {
+      const T unit[3] = {T(j == 0 ? 1.0f : 0.0f), T(j == 1 ? 1.0f : 0.0f), T(j == 2 ? 1.0f : 0.0f)};
+      T column[3];
+      math::solve(factors, unit, column);
+      for (int i = j; i < 3; ++i)
+        derived[3 * i + j] = derived[3 * j + i] = select(nothing, zero, column[i]);
+    }
   }
 };
 

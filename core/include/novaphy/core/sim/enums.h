@@ -15,7 +15,10 @@ enum class Axis : int32_t { X = 0, Y = 1, Z = 2 };
 //   PLANE    (width, length, 0): local +z is the normal; infinite unless both are > 0
 //   SPHERE   (radius, 0, 0)
 //   CAPSULE  (radius, half_height, 0): along local z, half_height excludes the caps
+//   ELLIPSOID (rx, ry, rz): half axes
+//   CYLINDER (radius, half_height, 0): along local z
 //   BOX      (hx, hy, hz): half extents
+//   CONE     (radius, half_height, 0): along local z, apex at +half_height
 // The other types are reserved: adding one raises ErrorKind::NotImplemented.
 enum class GeoType : int32_t {
   NONE = 0,
@@ -41,6 +44,7 @@ enum class ShapeFlags : int32_t {
   COLLIDE_PARTICLES = 4,
   SITE = 8
 };
+// KINEMATIC: the body follows its velocity; no force moves it.
 enum class BodyFlags : int32_t { DYNAMIC = 1, KINEMATIC = 2 };
 
 // What SolverBase::notify_model_changed is told. Combine with |.

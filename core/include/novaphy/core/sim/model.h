@@ -62,6 +62,20 @@ namespace novaphy {
     "added to the relative volume; where a step has a Control, the Control's acts")               \
   X(particle_tet_material, float, 3, tet_count, "Pa, Pa, Pa*s", "",                               \
     "k_mu, k_lambda (Lame), k_damp (damping)")                                                    \
+  X(body_q, Transformf, 1, body_count, "m, 1", "world",                                           \
+    "initial poses of the body origins: position, quaternion xyzw")                               \
+  X(body_qd, SpatialVectorf, 1, body_count, "m/s, rad/s", "world",                                \
+    "initial velocity of the centre of mass, then angular velocity")                              \
+  X(body_com, Vec3f, 1, body_count, "m", "body", "centre of mass")                                \
+  X(body_mass, float, 1, body_count, "kg", "", "masses")                                          \
+  X(body_inv_mass, float, 1, body_count, "1/kg", "", "1/mass; 0 where the mass is 0")             \
+  X(body_inertia, Mat33f, 1, body_count, "kg*m^2", "body",                                        \
+    "rotational inertia about the centre of mass")                                                \
+  X(body_inv_inertia, Mat33f, 1, body_count, "1/(kg*m^2)", "body",                                \
+    "inverse of the inertia; 0 where that is 0")                                                  \
+  X(body_flags, int32_t, 1, body_count, "", "",                                                   \
+    "BodyFlags; a KINEMATIC body follows its velocity, no force moves it")                        \
+  X(body_world, int32_t, 1, body_count, "", "", "world of the body; -1: all worlds")              \
   X(shape_body, int32_t, 1, shape_count, "", "",                                                  \
     "body of the shape; -1: world-owned, it does not move")                                       \
   X(shape_transform, Transformf, 1, shape_count, "m, 1", "body, or world",                        \
@@ -74,7 +88,8 @@ namespace novaphy {
   X(shape_collision_group, int32_t, 1, shape_count, "", "", "collision group, see ShapeConfig")   \
   X(shape_is_solid, uint8_t, 1, shape_count, "", "", "1 if solid, 0 if a shell")                  \
   X(shape_margin, float, 1, shape_count, "m", "",                                                 \
-    "widens the detection of soft contacts; the soft contact force does not use it")              \
+    "moves the surface outwards for other shapes; for particles it only widens the detection: "   \
+    "the soft contact force does not use it")                                                     \
   X(shape_gap, float, 1, shape_count, "m", "", "detection distance of rigid contacts")            \
   X(shape_material_ke, float, 1, shape_count, "N/m", "", "contact stiffness")                     \
   X(shape_material_kd, float, 1, shape_count, "N*s/m", "", "contact damping")                     \
@@ -82,11 +97,11 @@ namespace novaphy {
   X(shape_material_ka, float, 1, shape_count, "m", "", "adhesion distance of rigid contacts")     \
   X(shape_material_mu, float, 1, shape_count, "1", "", "Coulomb friction")                        \
   X(shape_material_restitution, float, 1, shape_count, "1", "",                                   \
-    "restitution; soft contacts do not use it")                                                   \
+    "stored; no force uses it")                                                   \
   X(shape_material_mu_torsional, float, 1, shape_count, "1", "",                                  \
-    "torsional friction; soft contacts do not use it")                                            \
+    "stored; no force uses it")                                            \
   X(shape_material_mu_rolling, float, 1, shape_count, "1", "",                                    \
-    "rolling friction; soft contacts do not use it")                                              \
+    "stored; no force uses it")                                              \
   X(shape_collision_radius, float, 1, shape_count, "m", "shape",                                  \
     "radius of a sphere about the shape's origin that holds the shape; 1e6 for an infinite "      \
     "plane")                                                                                      \
@@ -103,7 +118,10 @@ namespace novaphy {
 NOVAPHY_DECLARE_FIELDS(ModelFields, NOVAPHY_MODEL_FIELDS, ModelCounts)
 
 // X(derived, source, rule): see derived_fields.h.
-#define NOVAPHY_DERIVED_MODEL_FIELDS(X) X(particle_inv_mass, particle_mass, InverseOrZero)
+#define NOVAPHY_DERIVED_MODEL_FIELDS(X)              \
+  X(particle_inv_mass, particle_mass, InverseOrZero) \
+  X(body_inv_mass, body_mass, InverseOrZero)         \
+  X(body_inv_inertia, body_inertia, InverseInertia)
 
 // X(name, default, may be infinite, unit, doc). Numbers >= 0. Every coefficient of a soft contact
 // is the mean of the one here and of the shape's material.
@@ -148,6 +166,7 @@ NOVAPHY_CORE_API void check_number(std::string_view function, std::string_view o
 // What a model holds besides its arrays; all of it may be edited.
 struct ModelSettings : ModelNumbers {
   bool requires_grad = false;            // what state() and control() hand on
+  std::vector<std::string> body_label;   // one per body
   std::vector<std::string> shape_label;  // one per shape
   std::set<std::pair<int32_t, int32_t>>
       shape_collision_filter_pairs;  // (i < j): never in shape_contact_pairs

@@ -1,4 +1,5 @@
-// ModelBuilder: collects particles, elements over them and shapes, checks them, and makes Models.
+// ModelBuilder: collects particles, elements over them, bodies and shapes, checks them, and makes
+// Models.
 #pragma once
 
 #include <cstdint>
@@ -26,6 +27,19 @@ struct GravitySpec {
   GravitySpec() = default;
   GravitySpec(float value) : along_up(value) {}
   GravitySpec(const Vec3f& value) : along_up(), vector(value) {}
+};
+
+// A rigid body. Mass and inertia given here are the base, without shapes: each shape with a density
+// adds its own, in the order in which they are added, and moves the centre of mass.
+struct BodyArgs {
+  Transformf xform = Transformf::identity();  // pose of the body's origin in the world
+  Vec3f com{};                                // m, body frame: centre of the base mass
+  float mass = 0.0f;                          // kg
+  // kg m^2, about `com`, along the axes of the body; a point mass has none.
+  std::optional<Mat33f> inertia = {};
+  bool lock_inertia = false;  // shapes add nothing
+  bool is_kinematic = false;  // follows its velocity, no force moves it; needs no mass
+  std::string label = {};     // "body_<index>" when empty
 };
 
 // The options of the add_shape_* functions. An empty `cfg` means ModelBuilder::default_shape_cfg;
@@ -72,6 +86,25 @@ struct ShapeCapsuleArgs {
   std::string label = {};
 };
 
+struct ShapeCylinderArgs {
+  Transformf xform = Transformf::identity();
+  float radius = 1.0f, half_height = 0.5f;  // m; along local z
+  std::optional<ShapeConfig> cfg = {};
+  std::string label = {};
+};
+struct ShapeConeArgs {
+  Transformf xform = Transformf::identity();
+  float radius = 1.0f, half_height = 0.5f;  // m; along local z, apex at +half_height
+  std::optional<ShapeConfig> cfg = {};
+  std::string label = {};
+};
+struct ShapeEllipsoidArgs {
+  Transformf xform = Transformf::identity();
+  float rx = 1.0f, ry = 0.75f, rz = 0.5f;  // m, half axes
+  std::optional<ShapeConfig> cfg = {};
+  std::string label = {};
+};
+
 struct FinalizeOptions {
   bool requires_grad = false;
   bool skip_validation = false;  // no second check of values; the lists' sizes are checked
@@ -112,10 +145,15 @@ class NOVAPHY_CORE_API ModelBuilder {
   std::vector<int32_t> particle_flags;         // ParticleFlags
   std::vector<int32_t> particle_world;         // -1: all worlds
 
+  // The bodies' initial poses and velocities, see Model::body_q, body_qd; editable as the
+  // particles.
+  std::vector<Transformf> body_q;
+  std::vector<SpatialVectorf> body_qd;
+
   int32_t world_count() const { return static_cast<int32_t>(world_gravity_.size()); }
   int32_t current_world() const { return current_world_; }  // -1: outside of begin_world, end_world
   int32_t particle_count() const { return static_cast<int32_t>(particle_q.size()); }
-  int32_t body_count() const { return 0; }
+  int32_t body_count() const { return static_cast<int32_t>(bodies_.size()); }
   int32_t shape_count() const { return static_cast<int32_t>(shapes_.size()); }
   int32_t spring_count() const { return static_cast<int32_t>(springs_.indices.size()); }
   int32_t tri_count() const { return static_cast<int32_t>(triangles_.indices.size()); }
@@ -169,13 +207,21 @@ class NOVAPHY_CORE_API ModelBuilder {
   void add_soft_grid(const SoftGridArgs& args);
   void add_soft_mesh(const SoftMeshArgs& args);
 
-  // All return the index of the shape. `body` -1 is the world; there are no rigid bodies yet.
+  // A rigid body that moves freely, at rest. Returns the index. ErrorKind::Value: a mass or inertia
+  // that no body has; also from finalize, of what the body and its shapes come to.
+  int32_t add_body(const BodyArgs& args = {});
+
+  // All return the index of the shape. `body` -1 is the world. A plane belongs to the world or to a
+  // kinematic body.
   int32_t add_shape(const ShapeArgs& args);
   int32_t add_shape_plane(const ShapePlaneArgs& args = {});
   int32_t add_ground_plane(const GroundArgs& args = {});  // infinite, its normal is the up axis
   int32_t add_shape_sphere(int32_t body, const ShapeSphereArgs& args = {});
   int32_t add_shape_box(int32_t body, const ShapeBoxArgs& args = {});
   int32_t add_shape_capsule(int32_t body, const ShapeCapsuleArgs& args = {});
+  int32_t add_shape_cylinder(int32_t body, const ShapeCylinderArgs& args = {});
+  int32_t add_shape_cone(int32_t body, const ShapeConeArgs& args = {});
+  int32_t add_shape_ellipsoid(int32_t body, const ShapeEllipsoidArgs& args = {});
 
   // The two shapes never meet. ErrorKind::Index: no such shape; ErrorKind::Value: a == b.
   void add_shape_collision_filter_pair(int32_t a, int32_t b);
@@ -202,6 +248,16 @@ class NOVAPHY_CORE_API ModelBuilder {
                                   const FinalizeOptions& options = {}) const;
 
  private:
+  // What a body is without its shapes, but for its pose and velocity.
+  struct Body {
+    Vec3f com;
+    float mass;
+    Mat33f inertia;  // zero: a point mass
+    bool lock_inertia;
+    bool is_kinematic;
+    int32_t world;
+    std::string label = {};
+  };
   struct Shape {
     int32_t body;
     GeoType type;
@@ -233,6 +289,12 @@ class NOVAPHY_CORE_API ModelBuilder {
     std::vector<float> volume, material;  // material: 3 per tetrahedron
   };
   class Transaction;
+  // The arrays of the bodies with their shapes, a row per body.
+  struct BodyMasses {
+    std::vector<float> mass;
+    std::vector<Vec3f> com;
+    std::vector<Mat33f> inertia;
+  };
 
   int32_t append_shape(std::string_view function, const ShapeArgs& args);
   void append_spring(std::string_view function, const Vec2i& spring, float ke, float kd,
@@ -250,13 +312,18 @@ class NOVAPHY_CORE_API ModelBuilder {
                       const TriMaterial& tri, bool add_edges, const EdgeMaterial& edge);
   void append_elements(const ModelBuilder& builder);
   void check_addable(std::string_view function, const ModelBuilder& builder, int64_t copies) const;
+  void append_bodies(const ModelBuilder& builder, const Transformf& xform);
+  BodyMasses body_masses() const;
   void upload_elements(Model& model) const;
+  void upload_bodies(Model& model, const BodyMasses& masses) const;
   void check_sizes() const;
   void check_values() const;
+  void check_bodies(const BodyMasses& masses) const;
 
   Axis up_axis_;
   int32_t current_world_ = -1;
   std::vector<Vec3f> world_gravity_;  // one per world
+  std::vector<Body> bodies_;
   std::vector<Shape> shapes_;
   Springs springs_;
   Triangles triangles_;

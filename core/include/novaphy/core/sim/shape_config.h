@@ -10,19 +10,20 @@ namespace novaphy {
 
 // All numbers must be finite, and all but `margin` and `collision_group` must be >= 0.
 struct ShapeConfig {
-  float density = 1000.0f;  // kg/m^3; of no effect on a world-owned shape
-  float ke = 2500.0f;       // N/m, contact stiffness
-  float kd = 100.0f;        // N*s/m, contact damping
-  float kf = 1000.0f;       // N*s/m, friction below the Coulomb limit
-  float ka = 0.0f;          // m, adhesion distance (rigid contacts)
-  float mu = 1.0f;          // 1, Coulomb friction
-  float restitution = 0.0f;
-  float mu_torsional = 0.005f, mu_rolling = 1e-4f;
-  // m, widens the detection of soft contacts; the soft contact force does not use it.
+  float density = 1000.0f;   // kg/m^3, of the mass that the shape adds to its body
+  float ke = 2500.0f;        // N/m, contact stiffness
+  float kd = 100.0f;         // N*s/m, contact damping
+  float kf = 1000.0f;        // N*s/m, friction below the Coulomb limit
+  float ka = 0.0f;           // m, adhesion distance (rigid contacts)
+  float mu = 1.0f;           // 1, Coulomb friction
+  float restitution = 0.0f;  // stored; no force uses it
+  float mu_torsional = 0.005f, mu_rolling = 1e-4f;  // stored; no force uses them
+  // m, moves the surface outwards for other shapes. For particles it only widens the detection: the
+  // soft contact force does not use it. A shell (is_solid false) has walls of this thickness.
   float margin = 0.0f;
   // m, detection distance of rigid contacts; ModelBuilder::rigid_gap when empty.
   std::optional<float> gap = {};
-  bool is_solid = true;
+  bool is_solid = true;  // false: a shell, for the mass
   // 1 by default; 0 collides with nothing; a positive group meets itself and every negative group;
   // a negative group meets everything but the same negative number. For shapes among each other;
   // particles do not look at it.

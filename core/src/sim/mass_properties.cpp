@@ -1,0 +1,176 @@
+#include "mass_properties.h"
+
+#include <algorithm>
+#include <cmath>
+#include <numbers>
+
+#include "novaphy/math/ldlt.h"
+
+namespace novaphy::detail {
+namespace {
+
+using Vec3d = Vec3<double>;
+using Mat33d = Mat33<double>;
+constexpr double kPi = std::numbers::pi;
+
+Mat33d diagonal(double x, double y, double z) {
+  return {{{x, 0.0, 0.0}, {0.0, y, 0.0}, {0.0, 0.0, z}}};
+}
+
+// What moving a mass by p away from its centre adds to its inertia.
+Mat33d parallel_axis(double mass, const Vec3d& p) {
+  const double xx = p.x * p.x, yy = p.y * p.y, zz = p.z * p.z;
+  const double xy = -p.x * p.y * mass, xz = -p.x * p.z * mass, yz = -p.y * p.z * mass;
+  return {{{(yy + zz) * mass, xy, xz}, {xy, (xx + zz) * mass, yz}, {xz, yz, (xx + yy) * mass}}};
+}
+
+Mat33d sum(const Mat33d& a, const Mat33d& b, double factor_b = 1.0) {
+  Mat33d result;
+  for (int i = 0; i < 3; ++i)
+    for (int j = 0; j < 3; ++j) result.m[i][j] = a.m[i][j] + factor_b * b.m[i][j];
+  return result;
+}
+
+// Standard closed forms, h the full height.
+MassProperties solid_mass(GeoType type, const Vec3d& s, double density) {
+  const double r = s.x, h = 2.0 * s.y;
+  switch (type) {
+    case GeoType::SPHERE: {
+      const double m = density * (4.0 / 3.0) * kPi * r * r * r, i = 0.4 * m * r * r;
+      return {m, {}, diagonal(i, i, i)};
+    }
+    case GeoType::BOX: {
+      const double m = density * 8.0 * s.x * s.y * s.z;
+      const double xx = s.x * s.x, yy = s.y * s.y, zz = s.z * s.z;
+      return {m, {}, diagonal(m / 3.0 * (yy + zz), m / 3.0 * (xx + zz), m / 3.0 * (xx + yy))};
+    }
+    case GeoType::ELLIPSOID: {
+      const double m = density * (4.0 / 3.0) * kPi * s.x * s.y * s.z;
+      const double xx = s.x * s.x, yy = s.y * s.y, zz = s.z * s.z;
+      return {m, {}, diagonal(m / 5.0 * (yy + zz), m / 5.0 * (xx + zz), m / 5.0 * (xx + yy))};
+    }
+    case GeoType::CYLINDER: {
+      const double m = density * kPi * r * r * h, i = m * (3.0 * r * r + h * h) / 12.0;
+      return {m, {}, diagonal(i, i, m * r * r / 2.0)};
+    }
+    case GeoType::CAPSULE: {
+      const double caps = density * (4.0 / 3.0) * kPi * r * r * r;
+      const double middle = density * kPi * r * r * h;
+      const double i = middle * (r * r / 4.0 + h * h / 12.0) +
+                       caps * (0.4 * r * r + 0.375 * r * h + 0.25 * h * h);
+      return {caps + middle, {}, diagonal(i, i, (0.5 * middle + 0.4 * caps) * r * r)};
+    }
+    case GeoType::CONE: {
+      const double m = density * kPi * r * r * h / 3.0;
+      const double i = m * (0.15 * r * r + 0.0375 * h * h);
+      return {m, {0.0, 0.0, -h / 4.0}, diagonal(i, i, 0.3 * m * r * r)};
+    }
+    default:
+      return {};
+  }
+}
+
+// The hollow of a shell whose wall is t thick.
+Vec3d hollow(GeoType type, const Vec3d& s, double t) {
+  if (type == GeoType::BOX || type == GeoType::ELLIPSOID) return {s.x - t, s.y - t, s.z - t};
+  if (type == GeoType::CYLINDER || type == GeoType::CONE) return {s.x - t, s.y - t, 0.0};
+  return {s.x - t, s.y, 0.0};
+}
+
+double trace(const Mat33d& a) { return a.m[0][0] + a.m[1][1] + a.m[2][2]; }
+
+// Whether a + shift 1 is positive definite.
+bool is_positive(const Mat33d& a, double shift) {
+  const auto factors = math::ldlt(sum(a, diagonal(1.0, 1.0, 1.0), shift).m);
+  return factors.d[0] > 0.0 && factors.d[1] > 0.0 && factors.d[2] > 0.0;
+}
+
+}  // namespace
+
+MassProperties shape_mass(std::string_view function, GeoType type, const Vec3f& scale,
+                          const ShapeConfig& cfg) {
+  if (type == GeoType::PLANE || cfg.density == 0.0f) return {};
+  const Vec3d size = {scale.x, scale.y, scale.z};
+  const double density = cfg.density;
+  MassProperties mass = solid_mass(type, size, density);
+  if (cfg.is_solid) return mass;
+  const Vec3d inside = hollow(type, size, cfg.margin);
+  const bool has_hollow = inside.x > 0.0 && (type == GeoType::SPHERE || inside.y > 0.0) &&
+                          (scale.z == 0.0f || inside.z > 0.0);
+  require(cfg.margin > 0.0f && has_hollow, ErrorKind::Value, function,
+          ": cfg.margin: expected the wall of a shell (cfg.is_solid false), > 0 m and thinner than "
+          "the shape, got ",
+          cfg.margin, "; a shell without mass has cfg.density 0");
+  const MassProperties taken = solid_mass(type, inside, density);
+  const double m = mass.mass - taken.mass;
+  const Vec3d com = (mass.com * mass.mass - taken.com * taken.mass) / m;
+  // Both moved to the centre of the shell.
+  Mat33d inertia = sum(mass.inertia, parallel_axis(mass.mass, mass.com - com));
+  inertia = sum(inertia, taken.inertia, -1.0);
+  inertia = sum(inertia, parallel_axis(taken.mass, taken.com - com), -1.0);
+  return {m, com, inertia};
+}
+
+MassProperties moved(const MassProperties& body, const Transformf& xform) {
+  const Quat<double> q = {xform.q.x, xform.q.y, xform.q.z, xform.q.w};
+  const Vec3d p = {xform.p.x, xform.p.y, xform.p.z};
+  // R I R^T: the columns of I turned, then the rows of that.
+  Mat33d half, turned;
+  for (int j = 0; j < 3; ++j) {
+    const auto& m = body.inertia.m;
+    const Vec3d c = math::rotate(q, Vec3d{m[0][j], m[1][j], m[2][j]});
+    half.m[0][j] = c.x;
+    half.m[1][j] = c.y;
+    half.m[2][j] = c.z;
+  }
+  for (int i = 0; i < 3; ++i) {
+    const Vec3d r = math::rotate(q, Vec3d{half.m[i][0], half.m[i][1], half.m[i][2]});
+    turned.m[i][0] = r.x;
+    turned.m[i][1] = r.y;
+    turned.m[i][2] = r.z;
+  }
+  return {body.mass, p + math::rotate(q, body.com), turned};
+}
+
+MassProperties combined(const MassProperties& a, const MassProperties& b) {
+  if (a.mass == 0.0) return b;
+  if (b.mass == 0.0) return a;
+  const double mass = a.mass + b.mass;
+  const Vec3d com = (a.com * a.mass + b.com * b.mass) / mass;
+  return {mass, com,
+          sum(sum(a.inertia, parallel_axis(a.mass, a.com - com)),
+              sum(b.inertia, parallel_axis(b.mass, b.com - com)))};
+}
+
+void check_inertia(const Where& where, const Mat33f& inertia) {
+  Mat33d a;
+  double largest = 0.0;
+  bool finite = true;
+  for (int i = 0; i < 3; ++i) {
+    for (int j = 0; j < 3; ++j) {
+      a.m[i][j] = inertia.m[i][j];
+      finite = finite && std::isfinite(a.m[i][j]);
+      largest = std::max(largest, std::abs(a.m[i][j]));
+    }
+  }
+  const auto check = [&](bool good, const char* expected) {
+    const auto& m = inertia.m;
+    require(good, ErrorKind::Value, where, ": expected ", expected, ", got ((", m[0][0], ", ",
+            m[0][1], ", ", m[0][2], "), (", m[1][0], ", ", m[1][1], ", ", m[1][2], "), (", m[2][0],
+            ", ", m[2][1], ", ", m[2][2], "))");
+  };
+  check(finite, "finite numbers");
+  const double rounding = 1e-5 * largest;
+  check(std::abs(a.m[0][1] - a.m[1][0]) <= rounding &&
+            std::abs(a.m[0][2] - a.m[2][0]) <= rounding &&
+            std::abs(a.m[1][2] - a.m[2][1]) <= rounding,
+        "a symmetric matrix");
+  check(is_positive(a, -1e-7 * largest), "a positive definite matrix");
+  // The second moments of the mass, tr(I)/2 1 - I, are >= 0 exactly where the moments of inertia
+  // meet the triangle inequality; a flat body has one of 0.
+  const double half = trace(a) / 2.0;
+  check(is_positive(sum(diagonal(half, half, half), a, -1.0), rounding),
+        "principal moments none of which exceeds the sum of the other two");
+}
+
+}  // namespace novaphy::detail

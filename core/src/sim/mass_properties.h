@@ -1,0 +1,33 @@
+// Mass, centre of mass and inertia of shapes and bodies, in double precision.
+#pragma once
+
+#include <string_view>
+
+#include "builder_checks.h"
+#include "novaphy/core/sim/enums.h"
+#include "novaphy/core/sim/shape_config.h"
+#include "novaphy/math/types.h"
+
+namespace novaphy::detail {
+
+struct MassProperties {
+  double mass = 0.0;      // kg
+  Vec3<double> com{};     // m
+  Mat33<double> inertia;  // kg m^2, about com
+};
+
+// Of a shape in its own frame, of cfg.density; a shell (is_solid false) has walls of cfg.margin
+// inside of its surface. Nothing for a plane. ErrorKind::Value: a shell without a wall, or one
+// thicker than the shape.
+MassProperties shape_mass(std::string_view function, GeoType type, const Vec3f& scale,
+                          const ShapeConfig& cfg);
+// The same body, in the frame in which its own has the pose `xform`.
+MassProperties moved(const MassProperties& body, const Transformf& xform);
+// Both together, in one frame.
+MassProperties combined(const MassProperties& a, const MassProperties& b);
+
+// ErrorKind::Value unless the matrix is finite, symmetric and positive definite, and no principal
+// moment exceeds the sum of the other two: what the inertia of a body with an extent is.
+void check_inertia(const Where& where, const Mat33f& inertia);
+
+}  // namespace novaphy::detail

@@ -1,0 +1,124 @@
+// Rigid bodies of a ModelBuilder.
+#include <cmath>
+#include <limits>
+
+#include "builder_checks.h"
+#include "mass_properties.h"
+#include "novaphy/core/error.h"
+#include "novaphy/core/sim/model_builder.h"
+#include "novaphy/math/functions.h"
+
+namespace novaphy {
+namespace {
+
+Vec3f to_float(const Vec3<double>& v) {
+  return {static_cast<float>(v.x), static_cast<float>(v.y), static_cast<float>(v.z)};
+}
+
+}  // namespace
+
+int32_t ModelBuilder::add_body(const BodyArgs& args) {
+  constexpr std::string_view name = "add_body";
+  const Transformf pose = detail::checked_pose(name, args.xform);
+  detail::check_finite({name, "com"}, args.com);
+  detail::check_mass({name, "mass"}, args.mass);
+  if (args.inertia) {
+    detail::check_inertia({name, "inertia"}, *args.inertia);
+    require(args.mass > 0.0f, ErrorKind::Value, name,
+            ": mass: expected a number > 0 with an inertia, got ", args.mass);
+  }
+  require(body_count() < std::numeric_limits<int32_t>::max(), ErrorKind::Value, name,
+          ": expected at most ", std::numeric_limits<int32_t>::max(), " bodies");
+  const int32_t index = body_count();
+  body_q.push_back(pose);
+  body_qd.push_back({});
+  bodies_.push_back({.com = args.com,
+                     .mass = args.mass,
+                     .inertia = args.inertia.value_or(Mat33f{}),
+                     .lock_inertia = args.lock_inertia,
+                     .is_kinematic = args.is_kinematic,
+                     .world = current_world_,
+                     .label = args.label.empty() ? "body_" + std::to_string(index) : args.label});
+  return index;
+}
+
+ModelBuilder::BodyMasses ModelBuilder::body_masses() const {
+  std::vector<detail::MassProperties> bodies;
+  for (const Body& body : bodies_) {
+    detail::MassProperties base{body.mass, {body.com.x, body.com.y, body.com.z}, {}};
+    for (int i = 0; i < 3; ++i)
+      for (int j = 0; j < 3; ++j) base.inertia.m[i][j] = body.inertia.m[i][j];
+    bodies.push_back(base);
+  }
+  for (const Shape& shape : shapes_) {
+    if (shape.body < 0 || bodies_[static_cast<size_t>(shape.body)].lock_inertia) continue;
+    detail::MassProperties& body = bodies[static_cast<size_t>(shape.body)];
+    body = detail::combined(
+        body, detail::moved(detail::shape_mass("finalize", shape.type, shape.scale, shape.cfg),
+                            shape.xform));
+  }
+  BodyMasses masses;
+  for (const detail::MassProperties& body : bodies) {
+    masses.mass.push_back(static_cast<float>(body.mass));
+    masses.com.push_back(to_float(body.com));
+    Mat33f inertia;
+    for (int i = 0; i < 3; ++i)
+      for (int j = 0; j < 3; ++j) inertia.m[i][j] = static_cast<float>(body.inertia.m[i][j]);
+    masses.inertia.push_back(inertia);
+  }
+  return masses;
+}
+
+void ModelBuilder::check_bodies(const BodyMasses& masses) const {
+  constexpr std::string_view name = "finalize";
+  for (size_t b = 0; b < bodies_.size(); ++b) {
+    detail::checked_pose({name, "body_q", b}, body_q[b]);
+    detail::check_finite({name, "body_qd", b}, body_qd[b].linear);
+    detail::check_finite({name, "body_qd", b}, body_qd[b].angular);
+    detail::check_world_gravity({name, "body_world", b}, bodies_[b].world, gravity, world_gravity_);
+    if (bodies_[b].is_kinematic) continue;
+    require(masses.mass[b] > 0.0f, ErrorKind::Value, detail::Where{name, "body_mass", b},
+            ": expected a number > 0 for a dynamic body (give it a mass, or a shape with a "
+            "density, or make it kinematic), got ",
+            masses.mass[b]);
+    detail::check_mass({name, "body_mass", b}, masses.mass[b]);
+    detail::check_finite({name, "body_com", b}, masses.com[b]);
+    detail::check_inertia({name, "body_inertia", b}, masses.inertia[b]);
+  }
+}
+
+void ModelBuilder::append_bodies(const ModelBuilder& b, const Transformf& xform) {
+  // What does not move keeps its bits.
+  const Transformf identity = Transformf::identity();
+  const bool moves = xform != identity, turns = xform.q != identity.q;
+  for (size_t i = 0; i < b.bodies_.size(); ++i) {
+    const SpatialVectorf& qd = b.body_qd[i];
+    body_q.push_back(moves ? math::multiply(xform, b.body_q[i]) : b.body_q[i]);
+    body_qd.push_back(
+        turns ? SpatialVectorf{math::rotate(xform.q, qd.linear), math::rotate(xform.q, qd.angular)}
+              : qd);
+    bodies_.push_back(b.bodies_[i]);
+    bodies_.back().world = current_world_;
+  }
+}
+
+void ModelBuilder::upload_bodies(Model& m, const BodyMasses& masses) const {
+  std::vector<Transformf> pose;
+  std::vector<int32_t> flags, world;
+  for (size_t b = 0; b < bodies_.size(); ++b) {
+    pose.push_back(detail::checked_pose({"finalize", "body_q", b}, body_q[b]));
+    flags.push_back(
+        static_cast<int32_t>(bodies_[b].is_kinematic ? BodyFlags::KINEMATIC : BodyFlags::DYNAMIC));
+    world.push_back(bodies_[b].world);
+    m.body_label.push_back(bodies_[b].label);
+  }
+  m.body_q.copy_from_host(std::span<const Transformf>(pose));
+  m.body_qd.copy_from_host(std::span<const SpatialVectorf>(body_qd));
+  m.body_com.copy_from_host(std::span<const Vec3f>(masses.com));
+  m.body_mass.copy_from_host(std::span<const float>(masses.mass));
+  m.body_inertia.copy_from_host(std::span<const Mat33f>(masses.inertia));
+  m.body_flags.copy_from_host(std::span<const int32_t>(flags));
+  m.body_world.copy_from_host(std::span<const int32_t>(world));
+}
+
+}  // namespace novaphy

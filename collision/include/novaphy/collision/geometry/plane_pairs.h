@@ -1,0 +1,151 @@
+// Contacts of an infinite plane (A) with the other primitives (B), in closed form.
+//
+// A plane is its pose: local +z is the normal n, p its origin. Distances are those of points of B
+// to the plane, so they are exact for every point that is named. The midpoint of a contact is the
+// point of B moved back by half its distance: x - (n/2) d. Sizes as in GeoType.
+// Source: plane with sphere, capsule and box: Newton 1.8.0, the same bits on the cpu.
+//
+// Freestanding: read by device compilers.
+#pragma once
+
+#include "novaphy/collision/geometry/manifold.h"
+
+namespace novaphy::geometry {
+
+struct Plane {
+  Vec3f point, normal;
+};
+inline Plane plane_of(const Transformf& pose) {
+  return {pose.p, math::rotate(pose.q, Vec3f{0.0f, 0.0f, 1.0f})};
+}
+
+// The contact of a point x of B.
+inline ContactPoint plane_point(const Plane& plane, const Vec3f& x, int32_t feature) {
+  const Vec3f& n = plane.normal;
+  const float d = math::dot(n, x - plane.point);
+  return {x - (n * 0.5f) * d, n, d, feature};
+}
+
+// One contact; `feature` names the sphere.
+inline ContactPoint plane_sphere_point(const Plane& plane, const Vec3f& centre, float radius,
+                                       int32_t feature = 0) {
+  const Vec3f& n = plane.normal;
+  const float d = math::dot(centre - plane.point, n) - radius;
+  return {centre - n * (radius + 0.5f * d), n, d, feature};
+}
+
+inline Manifold plane_sphere(const Plane& plane, const Transformf& sphere, float radius) {
+  Manifold manifold;
+  manifold.add(plane_sphere_point(plane, sphere.p, radius));
+  return manifold;
+}
+
+// Both ends, +z (feature 0) first.
+inline Manifold plane_capsule(const Plane& plane, const Transformf& capsule, float radius,
+                              float half_height) {
+  const Vec3f half = math::rotate(capsule.q, Vec3f{0.0f, 0.0f, 1.0f}) * half_height;
+  Manifold manifold;
+  manifold.add(plane_sphere_point(plane, capsule.p + half, radius, 0));
+  manifold.add(plane_sphere_point(plane, capsule.p - half, radius, 1));
+  return manifold;
+}
+
+// The four deepest corners of those within `reach`, in the slots in which they were found: a corner
+// that is deeper than the highest of four takes its slot, of equal ones the earlier corner stays.
+// Features are the corners, bit k set for the + side of axis k.
+inline Manifold plane_box(const Plane& plane, const Transformf& box, const Vec3f& half,
+                          float reach) {
+  const Vec3f& n = plane.normal;
+  const Vec3f ex = math::rotate(box.q, Vec3f{1.0f, 0.0f, 0.0f});
+  const Vec3f ey = math::rotate(box.q, Vec3f{0.0f, 1.0f, 0.0f});
+  const Vec3f ez = math::rotate(box.q, Vec3f{0.0f, 0.0f, 1.0f});
+  const float centre = math::dot(box.p - plane.point, n);
+  Manifold manifold;
+  int highest = 0;
+  for (int32_t k = 0; k < 8; ++k) {
+    const Vec3f sign = {(k & 1) != 0 ? half.x : -half.x, (k & 2) != 0 ? half.y : -half.y,
+                        (k & 4) != 0 ? half.z : -half.z};
+    const Vec3f corner = (ex * sign.x + ey * sign.y) + ez * sign.z;
+    const float d = centre + math::dot(n, corner);
+    if (d > reach) continue;
+    const ContactPoint point = {(corner + box.p) - (n * 0.5f) * d, n, d, k};
+    if (manifold.count < 4) {
+      const int slot = manifold.count;
+      manifold.add(point);
+      if (slot == 0 || d > manifold.points[highest].distance) highest = slot;
+    } else if (d < manifold.points[highest].distance) {
+      manifold.points[highest] = point;
+      highest = 0;
+      for (int slot = 1; slot < 4; ++slot)
+        if (manifold.points[slot].distance > manifold.points[highest].distance) highest = slot;
+    }
+  }
+  return manifold;
+}
+
+// The point of the rim of a disc that is deepest below the plane, relative to its centre. u and v
+// span the disc; for a disc parallel to the plane it is u.
+inline Vec3f deepest_of_rim(const Vec3f& n, const Vec3f& u, const Vec3f& v, float radius) {
+  const float x = -math::dot(n, u), y = -math::dot(n, v);
+  const float length = math::sqrt(x * x + y * y);
+  if (!(length > 1e-6f)) return u * radius;
+  return u * (x / length * radius) + v * (y / length * radius);
+}
+
+// A disc, feature 0 its deepest point and 1 to 3 three points of the rim, 120 degrees apart from u
+// on, without those that lie within 1 % of the radius of the deepest.
+inline void add_plane_disc(Manifold& manifold, const Plane& plane, const Vec3f& centre,
+                           const Vec3f& u, const Vec3f& v, float radius) {
+  const Vec3f deepest = deepest_of_rim(plane.normal, u, v, radius);
+  manifold.add(plane_point(plane, centre + deepest, 0));
+  constexpr float kSine = 0.8660254f;  // of 120 degrees
+  const Vec3f rim[3] = {u * radius, (u * -0.5f + v * kSine) * radius,
+                        (u * -0.5f - v * kSine) * radius};
+  for (int32_t k = 0; k < 3; ++k) {
+    if (math::length(rim[k] - deepest) > 0.01f * radius)
+      manifold.add(plane_point(plane, centre + rim[k], k + 1));
+  }
+}
+
+// The cap that is lower, and the deepest point of the other one (feature 4): the second end of the
+// generator on which the cylinder rolls.
+inline Manifold plane_cylinder(const Plane& plane, const Transformf& cylinder, float radius,
+                               float half_height) {
+  const Vec3f u = math::rotate(cylinder.q, Vec3f{1.0f, 0.0f, 0.0f});
+  const Vec3f v = math::rotate(cylinder.q, Vec3f{0.0f, 1.0f, 0.0f});
+  const Vec3f axis = math::rotate(cylinder.q, Vec3f{0.0f, 0.0f, 1.0f});
+  const bool top_is_lower = math::dot(plane.normal, axis) < 0.0f;
+  const Vec3f lower = axis * (top_is_lower ? half_height : -half_height);
+  Manifold manifold;
+  add_plane_disc(manifold, plane, cylinder.p + lower, u, v, radius);
+  manifold.add(
+      plane_point(plane, (cylinder.p - lower) + deepest_of_rim(plane.normal, u, v, radius), 4));
+  return manifold;
+}
+
+// The base (features 0 to 3) and the apex (4).
+inline Manifold plane_cone(const Plane& plane, const Transformf& cone, float radius,
+                           float half_height) {
+  const Vec3f u = math::rotate(cone.q, Vec3f{1.0f, 0.0f, 0.0f});
+  const Vec3f v = math::rotate(cone.q, Vec3f{0.0f, 1.0f, 0.0f});
+  const Vec3f half = math::rotate(cone.q, Vec3f{0.0f, 0.0f, 1.0f}) * half_height;
+  Manifold manifold;
+  add_plane_disc(manifold, plane, cone.p - half, u, v, radius);
+  manifold.add(plane_point(plane, cone.p + half, 4));
+  return manifold;
+}
+
+// The deepest point.
+inline Manifold plane_ellipsoid(const Plane& plane, const Transformf& ellipsoid,
+                                const Vec3f& half_axes) {
+  const Vec3f n = math::rotate_inverse(ellipsoid.q, plane.normal);
+  const Vec3f scaled = {half_axes.x * n.x, half_axes.y * n.y, half_axes.z * n.z};
+  const Vec3f towards = math::normalize(scaled);
+  const Vec3f deepest = {-half_axes.x * towards.x, -half_axes.y * towards.y,
+                         -half_axes.z * towards.z};
+  Manifold manifold;
+  manifold.add(plane_point(plane, math::transform_point(ellipsoid, deepest), 0));
+  return manifold;
+}
+
+}  // namespace novaphy::geometry

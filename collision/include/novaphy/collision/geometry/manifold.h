@@ -1,28 +1,37 @@
-// What a pair of shapes A, B gives: up to eight contact points, without margins.
+// The contact points of a pair of shapes: at most 8, with one normal.
 //
-// Freestanding: read by device compilers.
+// `normal` is a unit vector from A to B. A point lies midway between the two surfaces; `distance`
+// (m) is signed along the normal, < 0 where the shapes overlap, and the surface points are
+//   on A: position - normal (distance / 2),    on B: position + normal (distance / 2).
+// `feature` names what of A meets what of B. It is unique within a manifold and stays the same
+// while the same features touch, so contacts can be followed from step to step.
 #pragma once
 
 #include "novaphy/math/types.h"
 
 namespace novaphy::geometry {
 
+inline constexpr int32_t kManifoldCapacity = 8;
+
 struct ContactPoint {
-  Vec3f position{};       // m, world: midway between the two surfaces
-  Vec3f normal{};         // unit, from A to B
-  float distance = 0.0f;  // m, between the surfaces along the normal; < 0 is penetration
-  int32_t feature = 0;    // what of the pair touches, in the numbering of the pair's types
+  Vec3f position{};      // m
+  float distance{};      // m
+  int32_t feature = -1;  // -1: none
 };
 
-inline constexpr int kMaxContactPoints = 8;
-
-struct Manifold {
+template <int32_t Capacity>
+struct ContactSet {
+  Vec3f normal{};
   int32_t count = 0;
-  ContactPoint points[kMaxContactPoints];
-
-  void add(const ContactPoint& point) {
-    if (count < kMaxContactPoints) points[count++] = point;
-  }
+  ContactPoint points[Capacity];
 };
+using Manifold = ContactSet<kManifoldCapacity>;
+
+// Adds a point where there is room; a full set stays as it is.
+template <int32_t Capacity>
+void add_contact(ContactSet<Capacity>& set, const Vec3f& position, float distance,
+                 int32_t feature) {
+  if (set.count < Capacity) set.points[set.count++] = {position, distance, feature};
+}
 
 }  // namespace novaphy::geometry

@@ -19,24 +19,27 @@ inline Plane plane_of(const Transformf& pose) {
   return {pose.p, math::rotate(pose.q, Vec3f{0.0f, 0.0f, 1.0f})};
 }
 
+inline Manifold plane_manifold(const Plane& plane) { return {.normal = plane.normal}; }
+
 // The contact of a point x of B.
-inline ContactPoint plane_point(const Plane& plane, const Vec3f& x, int32_t feature) {
+inline void add_plane_point(Manifold& manifold, const Plane& plane, const Vec3f& x,
+                            int32_t feature) {
   const Vec3f& n = plane.normal;
   const float d = math::dot(n, x - plane.point);
-  return {x - (n * 0.5f) * d, n, d, feature};
+  add_contact(manifold, x - (n * 0.5f) * d, d, feature);
 }
 
-// One contact; `feature` names the sphere.
-inline ContactPoint plane_sphere_point(const Plane& plane, const Vec3f& centre, float radius,
-                                       int32_t feature = 0) {
+// The contact of a sphere of B.
+inline void add_plane_sphere(Manifold& manifold, const Plane& plane, const Vec3f& centre,
+                             float radius, int32_t feature) {
   const Vec3f& n = plane.normal;
   const float d = math::dot(centre - plane.point, n) - radius;
-  return {centre - n * (radius + 0.5f * d), n, d, feature};
+  add_contact(manifold, centre - n * (radius + 0.5f * d), d, feature);
 }
 
 inline Manifold plane_sphere(const Plane& plane, const Transformf& sphere, float radius) {
-  Manifold manifold;
-  manifold.add(plane_sphere_point(plane, sphere.p, radius));
+  Manifold manifold = plane_manifold(plane);
+  add_plane_sphere(manifold, plane, sphere.p, radius, 0);
   return manifold;
 }
 
@@ -44,9 +47,9 @@ inline Manifold plane_sphere(const Plane& plane, const Transformf& sphere, float
 inline Manifold plane_capsule(const Plane& plane, const Transformf& capsule, float radius,
                               float half_height) {
   const Vec3f half = math::rotate(capsule.q, Vec3f{0.0f, 0.0f, 1.0f}) * half_height;
-  Manifold manifold;
-  manifold.add(plane_sphere_point(plane, capsule.p + half, radius, 0));
-  manifold.add(plane_sphere_point(plane, capsule.p - half, radius, 1));
+  Manifold manifold = plane_manifold(plane);
+  add_plane_sphere(manifold, plane, capsule.p + half, radius, 0);
+  add_plane_sphere(manifold, plane, capsule.p - half, radius, 1);
   return manifold;
 }
 
@@ -60,7 +63,7 @@ inline Manifold plane_box(const Plane& plane, const Transformf& box, const Vec3f
   const Vec3f ey = math::rotate(box.q, Vec3f{0.0f, 1.0f, 0.0f});
   const Vec3f ez = math::rotate(box.q, Vec3f{0.0f, 0.0f, 1.0f});
   const float centre = math::dot(box.p - plane.point, n);
-  Manifold manifold;
+  Manifold manifold = plane_manifold(plane);
   int highest = 0;
   for (int32_t k = 0; k < 8; ++k) {
     const Vec3f sign = {(k & 1) != 0 ? half.x : -half.x, (k & 2) != 0 ? half.y : -half.y,
@@ -68,10 +71,10 @@ inline Manifold plane_box(const Plane& plane, const Transformf& box, const Vec3f
     const Vec3f corner = (ex * sign.x + ey * sign.y) + ez * sign.z;
     const float d = centre + math::dot(n, corner);
     if (d > reach) continue;
-    const ContactPoint point = {(corner + box.p) - (n * 0.5f) * d, n, d, k};
+    const ContactPoint point = {(corner + box.p) - (n * 0.5f) * d, d, k};
     if (manifold.count < 4) {
-      const int slot = manifold.count;
-      manifold.add(point);
+      const int slot = manifold.count++;
+      manifold.points[slot] = point;
       if (slot == 0 || d > manifold.points[highest].distance) highest = slot;
     } else if (d < manifold.points[highest].distance) {
       manifold.points[highest] = point;
@@ -97,13 +100,13 @@ inline Vec3f deepest_of_rim(const Vec3f& n, const Vec3f& u, const Vec3f& v, floa
 inline void add_plane_disc(Manifold& manifold, const Plane& plane, const Vec3f& centre,
                            const Vec3f& u, const Vec3f& v, float radius) {
   const Vec3f deepest = deepest_of_rim(plane.normal, u, v, radius);
-  manifold.add(plane_point(plane, centre + deepest, 0));
+  add_plane_point(manifold, plane, centre + deepest, 0);
   constexpr float kSine = 0.8660254f;  // of 120 degrees
   const Vec3f rim[3] = {u * radius, (u * -0.5f + v * kSine) * radius,
                         (u * -0.5f - v * kSine) * radius};
   for (int32_t k = 0; k < 3; ++k) {
     if (math::length(rim[k] - deepest) > 0.01f * radius)
-      manifold.add(plane_point(plane, centre + rim[k], k + 1));
+      add_plane_point(manifold, plane, centre + rim[k], k + 1);
   }
 }
 
@@ -116,10 +119,10 @@ inline Manifold plane_cylinder(const Plane& plane, const Transformf& cylinder, f
   const Vec3f axis = math::rotate(cylinder.q, Vec3f{0.0f, 0.0f, 1.0f});
   const bool top_is_lower = math::dot(plane.normal, axis) < 0.0f;
   const Vec3f lower = axis * (top_is_lower ? half_height : -half_height);
-  Manifold manifold;
+  Manifold manifold = plane_manifold(plane);
   add_plane_disc(manifold, plane, cylinder.p + lower, u, v, radius);
   manifold.add(
-      plane_point(plane, (cylinder.p - lower) + deepest_of_rim(plane.normal, u, v, radius), 4));
+      plane_point(plane, (cylinder.p - lower) + deepest_of_rim(plane.normal, u, v, radius), 4);
   return manifold;
 }
 
@@ -129,9 +132,9 @@ inline Manifold plane_cone(const Plane& plane, const Transformf& cone, float rad
   const Vec3f u = math::rotate(cone.q, Vec3f{1.0f, 0.0f, 0.0f});
   const Vec3f v = math::rotate(cone.q, Vec3f{0.0f, 1.0f, 0.0f});
   const Vec3f half = math::rotate(cone.q, Vec3f{0.0f, 0.0f, 1.0f}) * half_height;
-  Manifold manifold;
+  Manifold manifold = plane_manifold(plane);
   add_plane_disc(manifold, plane, cone.p - half, u, v, radius);
-  manifold.add(plane_point(plane, cone.p + half, 4));
+  add_plane_point(manifold, plane, cone.p + half, 4);
   return manifold;
 }
 
@@ -143,8 +146,8 @@ inline Manifold plane_ellipsoid(const Plane& plane, const Transformf& ellipsoid,
   const Vec3f towards = math::normalize(scaled);
   const Vec3f deepest = {-half_axes.x * towards.x, -half_axes.y * towards.y,
                          -half_axes.z * towards.z};
-  Manifold manifold;
-  manifold.add(plane_point(plane, math::transform_point(ellipsoid, deepest), 0));
+  Manifold manifold = plane_manifold(plane);
+  add_plane_point(manifold, plane, math::transform_point(ellipsoid, deepest), 0);
   return manifold;
 }
 

@@ -19,7 +19,11 @@ inline Plane plane_of(const Transformf& pose) {
   return {pose.p, math::rotate(pose.q, Vec3f{0.0f, 0.0f, 1.0f})};
 }
 
-inline Manifold plane_manifold(const Plane& plane) { return {.normal = plane.normal}; }
+inline Manifold plane_manifold(const Plane& plane) {
+  Manifold manifold;
+  manifold.normal = plane.normal;
+  return manifold;
+}
 
 // The contact of a point x of B.
 inline void add_plane_point(Manifold& manifold, const Plane& plane, const Vec3f& x,
@@ -121,8 +125,8 @@ inline Manifold plane_cylinder(const Plane& plane, const Transformf& cylinder, f
   const Vec3f lower = axis * (top_is_lower ? half_height : -half_height);
   Manifold manifold = plane_manifold(plane);
   add_plane_disc(manifold, plane, cylinder.p + lower, u, v, radius);
-  manifold.add(
-      plane_point(plane, (cylinder.p - lower) + deepest_of_rim(plane.normal, u, v, radius), 4);
+  add_plane_point(manifold, plane,
+                  (cylinder.p - lower) + deepest_of_rim(plane.normal, u, v, radius), 4);
   return manifold;
 }
 

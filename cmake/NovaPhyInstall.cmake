@@ -8,6 +8,9 @@ set(dependencies_io core)
 set(dependencies_nova core)
 set(dependencies_collision core)
 set(dependencies_dynamics core collision)
+if(NOVAPHY_WITH_NOVA)
+  list(APPEND dependencies_dynamics nova)  # not in its headers, but its library loads that one
+endif()
 set(dependencies_diff core nova collision dynamics)
 
 set(NOVAPHY_COMPONENT_DEPENDENCIES "")

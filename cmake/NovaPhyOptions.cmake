@@ -1,6 +1,10 @@
 # The options of the build. An option whose part is not built yet defaults to OFF, and asking for it is an error:
 # never a silent no-op.
-option(NOVAPHY_WITH_DIFF "Build the tensor runtime (nova), the differentiable operators (diff) and their bindings" OFF)
+option(NOVAPHY_WITH_DIFF "Build the tensor runtime (nova), the differentiable solvers (diff) and their bindings" OFF)
+option(NOVAPHY_WITH_NOVA "Build the tensor runtime (nova), with which solvers step models on devices; ON with NOVAPHY_WITH_DIFF" OFF)
+if(NOVAPHY_WITH_DIFF)
+  set(NOVAPHY_WITH_NOVA ON)
+endif()
 option(NOVAPHY_WITH_IO "Build novaphy::io, meshes from files (needs assimp)" OFF)
 set(NOVAPHY_ASSIMP system CACHE STRING "Where assimp is from: system, or source (fetched, built, and linked in)")
 set_property(CACHE NOVAPHY_ASSIMP PROPERTY STRINGS system source)

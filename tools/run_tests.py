@@ -31,7 +31,7 @@ COMPONENTS = {
     "core": ["core"],
     "nova": ["core", "nova"],
     "collision": ["core", "collision"],
-    "dynamics": ["core", "collision", "dynamics"],
+    "dynamics": ["core", "nova", "collision", "dynamics"],  # the release has device code in it
     "diff": ["core", "nova", "collision", "dynamics", "diff"],
 }
 # What a library of the wheel may need besides the wheel's own: all of it is on every Linux.
@@ -191,7 +191,9 @@ WITH_TESTS = (
     "cpu",
     "cpu-diff",
     "asan",
+    "tsan",
     "dev",
+    "cuda",
     "install",
     "python",
     "editable",
@@ -272,10 +274,30 @@ def asan() -> None:
 
 
 @step
+def tsan() -> None:
+    """What starts threads, under ThreadSanitizer."""
+    build("tsan")
+    ctest("tsan", "--preset", "tsan")
+
+
+@step
 def dev() -> None:
     """Everything builds without a warning; the CUDA backend against a fake driver."""
     build("dev")
     ctest("dev", "--preset", "dev", "-R", r"^gpu\.|^conformance\.cuda")
+
+
+@step
+def cuda() -> None:
+    """The forward engine without diff steps models on a fake CUDA device."""
+    tree = build("cuda")
+    if found := list(tree.rglob("libnovaphy_diff*")):
+        raise StepError(f"cuda: the slice cuda built {found[0].name}")
+    if "libnovaphy_nova" in output_of("readelf", "-d", tree / "lib" / "libnovaphy_collision.so"):
+        raise StepError("cuda: libnovaphy_collision.so links libnovaphy_nova")
+    ctest(
+        "cuda", "--preset", "cuda", "-R", r"^gpu\.Driver|^dynamics\.|^exports\.|^install_consumer"
+    )
 
 
 @step

@@ -6,8 +6,8 @@
 #include "novaphy/collision/diff_soft_contact_trace.h"
 #include "novaphy/core/error.h"
 #include "novaphy/core/sim/enums.h"
-#include "novaphy/diff/engine_kernels.h"
-#include "novaphy/diff/model_reads.h"
+#include "novaphy/dynamics/diff_model_reads.h"
+#include "novaphy/dynamics/diff_operators.h"
 
 namespace novaphy::diff {
 

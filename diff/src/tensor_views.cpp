@@ -1,16 +1,6 @@
 #include "novaphy/diff/tensor_views.h"
 
-#include <initializer_list>
-
 namespace novaphy::diff {
-
-void make_leaves(const SimState& state) {
-  if (!state.requires_grad) return;
-  for (const Array* array :
-       std::initializer_list<const Array*>{&state.particle_q, &state.particle_qd, &state.body_q,
-                                           &state.body_qd, &state.joint_q, &state.joint_qd})
-    if (array->rows() != 0) nova::grad_info(*array->range()).requires_grad = true;
-}
 
 #define NOVAPHY_DEFINE_STATE_VIEW(field)                                           \
   nova::Tensor state_##field##_tensor(const SimState& state, bool requires_grad) { \

@@ -58,7 +58,7 @@ BAD = {
     "forward code includes the operator beside it": (
         "collision/src/a.cpp",
         '#include "novaphy/collision/diff_soft_contacts.h"\n',
-        "(layer diff)",
+        "(layer operators)",
     ),
     "a formula includes the engine": (
         "dynamics/include/novaphy/dynamics/integrator_trace.h",

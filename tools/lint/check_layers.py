@@ -5,12 +5,14 @@ The libraries stand in layers, and each may use only the ones below it:
 
     abi <- core <- nova          core <- collision <- dynamics          core, collision <- vbd
     core <- io
-    core, nova, collision, dynamics <- diff          a backend uses abi and the Program reader
+    core, nova, collision, dynamics <- operators <- diff
+    a backend uses abi and the Program reader
 
 Besides the folders, three kinds of file have a layer of their own:
 
-* `diff_*` in collision/ and dynamics/ stand beside the forward code but compile into
-  novaphy::diff, so they belong to diff: the forward code of those folders may not include them;
+* `diff_*` in collision/ and dynamics/ are operators, kernels of the tensor runtime, and compile
+  into novaphy::dynamics where nova is built: the forward code of those folders may not include
+  them;
 * `*_trace.h` are the formulas, shared by the forward engine and the traced kernels: they may
   include the math headers and other formulas, and nothing else;
 * `*_kernels.h` in collision/, dynamics/ and vbd/ are hand-written kernels, which compilers of
@@ -44,7 +46,8 @@ ALLOWED: dict[str, set[str]] = {
     "collision": {"math", "core", "formula", "kernels"},
     "dynamics": {"math", "core", "collision", "formula", "kernels"},
     "vbd": {"math", "core", "collision", "formula", "kernels"},
-    "diff": {"abi", "math", "core", "program", "nova", "formula", "collision", "dynamics"},
+    "operators": {"math", "core", "nova", "formula", "collision", "dynamics"},
+    "diff": {"math", "core", "nova", "formula", "collision", "dynamics", "operators"},
 }
 # These headers of core are open to whoever may use core, and to device text besides.
 TEXT_HEADERS = {"row_kernel.h", "enums.h", "export.h"}
@@ -85,7 +88,7 @@ def by_name(layer: str, name: str) -> str:
     if layer == "core" and name in TEXT_HEADERS:
         return "text"
     if layer in ("collision", "dynamics") and name.startswith("diff_"):
-        return "diff"
+        return "operators"
     return layer
 
 

@@ -4,7 +4,7 @@
 
 #include "novaphy/collision/diff_soft_contacts.h"
 #include "novaphy/core/error.h"
-#include "novaphy/diff/engine_kernels.h"
+#include "novaphy/dynamics/diff_operators.h"
 #include "particle_indices.h"
 
 namespace novaphy::diff {
@@ -208,7 +208,8 @@ void detail::add_element_kernels(std::vector<nova::EngineKernel>& list) {
   add_tet_material_kernels(list);
 }
 
-ElementOperators::ElementOperators(const Model& model, const ElementSet& set) {
+ElementOperators::ElementOperators(const Model& model, const ElementSet& set)
+    : particle_count_(static_cast<size_t>(model.particle_count())) {
   const auto add = [&](Kind kind, bool wanted, const Array& indices) {
     if (!wanted || indices.rows() == 0) return;
     const Operand table = nova::operand_of(indices);

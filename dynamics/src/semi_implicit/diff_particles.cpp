@@ -4,8 +4,8 @@
 
 #include "novaphy/collision/diff_soft_contacts.h"
 #include "novaphy/core/error.h"
-#include "novaphy/diff/engine_kernels.h"
-#include "novaphy/diff/model_reads.h"
+#include "novaphy/dynamics/diff_model_reads.h"
+#include "novaphy/dynamics/diff_operators.h"
 #include "novaphy/dynamics/semi_implicit/particle_integrator_trace.h"
 
 namespace novaphy::diff {

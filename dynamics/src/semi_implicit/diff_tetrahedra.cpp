@@ -1,5 +1,5 @@
 #include "novaphy/core/error.h"
-#include "novaphy/diff/engine_kernels.h"
+#include "novaphy/dynamics/diff_operators.h"
 #include "novaphy/dynamics/semi_implicit/diff_elements.h"
 #include "novaphy/dynamics/semi_implicit/tetrahedron_trace.h"
 

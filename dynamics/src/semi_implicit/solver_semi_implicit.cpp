@@ -4,12 +4,12 @@
 #include <optional>
 #include <utility>
 
+#include "device_steps.h"
 #include "element_forces.h"
 #include "novaphy/collision/diff_soft_contact_trace.h"
 #include "novaphy/core/error.h"
 #include "novaphy/core/sim/for_chunks.h"
 #include "novaphy/core/storage.h"
-#include "novaphy/dynamics/device_solver.h"
 #include "novaphy/dynamics/semi_implicit/particle_integrator_trace.h"
 #include "particle_contacts.h"
 
@@ -32,17 +32,6 @@ void check_covered(const Model& model) {
   check("body_count", model.body_count());
   check("joint_count", model.joint_count());
   check("articulation_count", model.articulation_count());
-}
-
-DeviceSolverFactory g_make_device_solver = nullptr;
-
-// Null: the model is on the CPU.
-std::unique_ptr<SolverBase> make_device_solver(const std::shared_ptr<const Model>& model) {
-  if (model->device().is_cpu()) return nullptr;
-  require(g_make_device_solver != nullptr, ErrorKind::NotImplemented,
-          "SolverSemiImplicit: model: expected one on the cpu, got one on ", model->device().str(),
-          ", whose kernels are those of novaphy::diff (NOVAPHY_WITH_DIFF), which is not loaded");
-  return g_make_device_solver(model);
 }
 
 // The contacts of a step, as the force law reads them.
@@ -77,8 +66,6 @@ struct ContactForces {
 
 }  // namespace
 
-void set_device_solver(DeviceSolverFactory make) { g_make_device_solver = make; }
-
 struct SolverSemiImplicit::Cache {
   ParticleContacts contacts;
   ElementForces elements;
@@ -104,7 +91,7 @@ SolverSemiImplicit::SolverSemiImplicit(std::shared_ptr<const Model> model,
   check_option("joint_attach_ke", options.joint_attach_ke);
   check_option("joint_attach_kd", options.joint_attach_kd);
   check_covered(*this->model());
-  on_device_ = make_device_solver(this->model());
+  on_device_ = detail::make_device_steps(this->model());
 }
 
 SolverSemiImplicit::~SolverSemiImplicit() = default;
@@ -112,7 +99,7 @@ SolverSemiImplicit::~SolverSemiImplicit() = default;
 void SolverSemiImplicit::notify_model_changed(ModelFlags) {
   const ExclusiveUse::Scope scope = use("SolverSemiImplicit.notify_model_changed");
   *cache_ = Cache();
-  on_device_ = make_device_solver(model());
+  on_device_ = detail::make_device_steps(model());
 }
 
 void SolverSemiImplicit::rollout(Trajectory& trajectory, const Control* control,

@@ -1,4 +1,5 @@
-// Differentiable contact forces of particles. Compiled into novaphy::diff.
+// Differentiable contact forces of particles. Compiled into
+// novaphy::dynamics where nova is built.
 //
 // What each input's gradient is:
 //   input                               recorded contacts    static shapes
@@ -18,14 +19,14 @@
 #include "novaphy/core/array_stamp.h"
 #include "novaphy/core/sim/contacts.h"
 #include "novaphy/core/sim/model.h"
-#include "novaphy/diff/export.h"
+#include "novaphy/dynamics/export.h"
 #include "novaphy/nova/kernel.h"
 
 namespace novaphy::diff {
 
 // Of a model of several worlds: the shapes that each particle may meet (candidate_pairs.h), as rows
 // of a table. A model of one world needs none: each particle may meet each shape.
-class NOVAPHY_DIFF_API WorldRows {
+class NOVAPHY_DYNAMICS_API WorldRows {
  public:
   // Made anew when the arrays that they are made from were written; `with_shapes` false checks the
   // particles only. ErrorKind::NotImplemented: a particle of all worlds (-1), whose gravity is that
@@ -44,29 +45,29 @@ class NOVAPHY_DIFF_API WorldRows {
 // evaluated at the true distance: {n, 3}, N. A shape acts where a contact would be detected within
 // soft_contact_margin (m) and the law says so. Tensors of the model's particle count, tightly
 // packed float32 (ErrorKind::Type, ErrorKind::Value).
-NOVAPHY_DIFF_API nova::Tensor eval_static_particle_shape_contact_forces_generated(
+NOVAPHY_DYNAMICS_API nova::Tensor eval_static_particle_shape_contact_forces_generated(
     const Model& model, const nova::Tensor& particle_q, const nova::Tensor& particle_qd,
     const nova::Tensor& particle_f, float soft_contact_margin = 0.0f);
 
 // The same into given memory: what the solver calls, with `rows` that are up to date.
 // ErrorKind::Value for a bad margin; whether the shapes are covered is the caller's to check
 // (detail::check_static_shapes).
-NOVAPHY_DIFF_API void eval_static_contact_forces(const Model& model, const WorldRows& rows,
-                                                 const nova::Operand& particle_q,
-                                                 const nova::Operand& particle_qd,
-                                                 const nova::Operand& particle_f,
-                                                 float soft_contact_margin,
-                                                 const nova::Operand& forces);
+NOVAPHY_DYNAMICS_API void eval_static_contact_forces(const Model& model, const WorldRows& rows,
+                                                     const nova::Operand& particle_q,
+                                                     const nova::Operand& particle_qd,
+                                                     const nova::Operand& particle_f,
+                                                     float soft_contact_margin,
+                                                     const nova::Operand& forces);
 
 // The forces of recorded contacts, in slot order: `forces` = `particle_f` + the terms of the
 // contacts. `contacts_of` lists the slots of every particle (nova::make_incidence of
 // soft_contact_particle).
-NOVAPHY_DIFF_API void eval_soft_contact_forces(const Model& model, const Contacts& contacts,
-                                               const nova::Incidence& contacts_of,
-                                               const nova::Operand& particle_q,
-                                               const nova::Operand& particle_qd,
-                                               const nova::Operand& particle_f,
-                                               const nova::Operand& forces);
+NOVAPHY_DYNAMICS_API void eval_soft_contact_forces(const Model& model, const Contacts& contacts,
+                                                   const nova::Incidence& contacts_of,
+                                                   const nova::Operand& particle_q,
+                                                   const nova::Operand& particle_qd,
+                                                   const nova::Operand& particle_f,
+                                                   const nova::Operand& forces);
 
 namespace detail {
 // Sources, in order, of recorded contacts inside a sum over a particle's slots; their operands, the

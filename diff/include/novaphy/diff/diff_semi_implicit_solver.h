@@ -3,12 +3,10 @@
 
 #include <memory>
 
-#include "novaphy/collision/diff_soft_contacts.h"
-#include "novaphy/diff/diff_solver_base.h"
 #include "novaphy/diff/export.h"
 #include "novaphy/diff/trajectory.h"
-#include "novaphy/dynamics/semi_implicit/diff_elements.h"
-#include "novaphy/nova/incidence.h"
+#include "novaphy/dynamics/diff_solver_base.h"
+#include "novaphy/dynamics/semi_implicit/diff_particle_step.h"
 
 namespace novaphy::diff {
 
@@ -70,7 +68,7 @@ class NOVAPHY_DIFF_API DiffSemiImplicitSolver : public DiffSolverBase {
 
  protected:
   std::vector<ScratchSpec> step_scratch() const override;
-  bool step_writes_kept_memory() const override { return !elements_.empty(); }
+  bool step_writes_kept_memory() const override { return particles_.has_elements(); }
   bool begin_rollout(const RolloutInputs& inputs) override;
   void record_step(const SimState& in, SimState& out, const StepInputs& inputs,
                    StepScratch scratch) override;
@@ -78,18 +76,9 @@ class NOVAPHY_DIFF_API DiffSemiImplicitSolver : public DiffSolverBase {
  private:
   void check_elements() const;
   void check_contacts(const char* function, const Contacts* contacts) const;
-  // f plus the forces of the elements: in `to`, which is returned; f itself without elements.
-  nova::Operand add_elements(const Control* control, const nova::Operand& q,
-                             const nova::Operand& qd, const nova::Operand& f,
-                             const nova::Operand& to);
-  // The slots of every particle, or null when no contact acts.
-  const nova::Incidence* contacts_of_particles(const Contacts* contacts);
-
   DiffSolverConfig config_;
   int32_t uncovered_shapes_ = 0;  // under strict: those that need a Contacts to act
-  nova::Incidence contacts_of_;  // of the last contacts
-  WorldRows rows_;               // of a model of several worlds
-  ElementOperators elements_;
+  ParticleStep particles_;
 };
 
 }  // namespace novaphy::diff

@@ -6,6 +6,8 @@
 #include "novaphy/core/sim/model.h"
 #include "novaphy/core/sim/sim_state.h"
 #include "novaphy/diff/export.h"
+#include "novaphy/dynamics/diff_model_reads.h"
+#include "novaphy/dynamics/diff_solver_base.h"
 #include "novaphy/nova/tensor.h"
 
 // X(field): the views that exist, one function per row.
@@ -31,11 +33,6 @@
   X(tri_activation, particle_tri_activation)
 
 namespace novaphy::diff {
-
-// Makes leaves of positions and velocities where the state's requires_grad is set. Its views below
-// do so, and the solvers with the state that a recorded step or rollout starts from. Forces are
-// leaves on request only (state_particle_f_tensor(state, true)), because a leaf costs.
-NOVAPHY_DIFF_API void make_leaves(const SimState& state);
 
 // state_particle_q_tensor(state): {n, 3}, m; and so on, with the shapes of the state's fields.
 #define NOVAPHY_DECLARE_STATE_VIEW(field)                                     \
@@ -66,9 +63,5 @@ NOVAPHY_ELEMENT_VIEWS(NOVAPHY_DECLARE_ELEMENT_VIEW)
                                                         bool requires_grad = false);
 NOVAPHY_CONTROL_VIEWS(NOVAPHY_DECLARE_CONTROL_VIEW)
 #undef NOVAPHY_DECLARE_CONTROL_VIEW
-
-// particle_inv_mass = 1/particle_mass, 0 where the mass is 0, also where something else was
-// assigned to it. Not recorded on a tape. Solvers do so themselves where masses were written.
-NOVAPHY_DIFF_API void update_inverse_mass(Model& model);
 
 }  // namespace novaphy::diff

@@ -27,7 +27,7 @@
 
 #include "novaphy/core/sim/control.h"
 #include "novaphy/core/sim/model.h"
-#include "novaphy/diff/export.h"
+#include "novaphy/dynamics/export.h"
 #include "novaphy/nova/incidence.h"
 #include "novaphy/nova/kernel.h"
 
@@ -36,37 +36,30 @@ namespace novaphy::diff {
 // Materials {tet_count, 3} from parameters: k_mu and k_lambda (Pa) for all ({2} or {1, 2}) or for
 // each tetrahedron ({2 * tet_count} or {tet_count, 2}), k_damp from `base_tet_materials`
 // {tet_count, 3}. Exact gradients for both; columns 0 and 1 of the base have none to give.
-NOVAPHY_DIFF_API nova::Tensor assign_tet_materials_generated(const nova::Tensor& material_params,
-                                                             const nova::Tensor& base_tet_materials,
-                                                             int64_t tet_count);
+NOVAPHY_DYNAMICS_API nova::Tensor assign_tet_materials_generated(
+    const nova::Tensor& material_params, const nova::Tensor& base_tet_materials, int64_t tet_count);
 
 // particle_f {n, 3} (N) plus the forces of all tetrahedra; activations {tet_count}, materials
 // {tet_count, 3}.
-NOVAPHY_DIFF_API nova::Tensor eval_tetrahedra_forces_generated(const Model& model,
-                                                               const nova::Tensor& particle_q,
-                                                               const nova::Tensor& particle_qd,
-                                                               const nova::Tensor& particle_f,
-                                                               const nova::Tensor& tet_activations,
-                                                               const nova::Tensor& tet_materials);
+NOVAPHY_DYNAMICS_API nova::Tensor eval_tetrahedra_forces_generated(
+    const Model& model, const nova::Tensor& particle_q, const nova::Tensor& particle_qd,
+    const nova::Tensor& particle_f, const nova::Tensor& tet_activations,
+    const nova::Tensor& tet_materials);
 // Of all triangles; activations {tri_count}, materials {tri_count, 5}.
-NOVAPHY_DIFF_API nova::Tensor eval_triangle_forces_generated(const Model& model,
-                                                             const nova::Tensor& particle_q,
-                                                             const nova::Tensor& particle_qd,
-                                                             const nova::Tensor& particle_f,
-                                                             const nova::Tensor& tri_activations,
-                                                             const nova::Tensor& tri_materials);
+NOVAPHY_DYNAMICS_API nova::Tensor eval_triangle_forces_generated(
+    const Model& model, const nova::Tensor& particle_q, const nova::Tensor& particle_qd,
+    const nova::Tensor& particle_f, const nova::Tensor& tri_activations,
+    const nova::Tensor& tri_materials);
 // Of all springs; stiffness (N/m), damping (N*s/m) and rest lengths (m) {spring_count} each.
-NOVAPHY_DIFF_API nova::Tensor eval_spring_forces_generated(
+NOVAPHY_DYNAMICS_API nova::Tensor eval_spring_forces_generated(
     const Model& model, const nova::Tensor& particle_q, const nova::Tensor& particle_qd,
     const nova::Tensor& particle_f, const nova::Tensor& spring_stiffness,
     const nova::Tensor& spring_damping, const nova::Tensor& spring_rest_length);
 // Of all bending edges; materials {edge_count, 2}, rest angles (rad) {edge_count}.
-NOVAPHY_DIFF_API nova::Tensor eval_bending_forces_generated(const Model& model,
-                                                            const nova::Tensor& particle_q,
-                                                            const nova::Tensor& particle_qd,
-                                                            const nova::Tensor& particle_f,
-                                                            const nova::Tensor& edge_materials,
-                                                            const nova::Tensor& edge_rest_angle);
+NOVAPHY_DYNAMICS_API nova::Tensor eval_bending_forces_generated(
+    const Model& model, const nova::Tensor& particle_q, const nova::Tensor& particle_qd,
+    const nova::Tensor& particle_f, const nova::Tensor& edge_materials,
+    const nova::Tensor& edge_rest_angle);
 
 // Which elements act.
 struct ElementSet {
@@ -75,13 +68,14 @@ struct ElementSet {
 
 // The forces of a model's elements into given memory: what the solver calls. Keeps the memory that
 // the elements write to, which no adjoint reads, from step to step.
-class NOVAPHY_DIFF_API ElementOperators {
+class NOVAPHY_DYNAMICS_API ElementOperators {
  public:
   ElementOperators() = default;  // none
   // Elements that the model does not have are left out.
   ElementOperators(const Model& model, const ElementSet& set);
 
   bool empty() const { return terms_.empty(); }
+  size_t particle_count() const { return particle_count_; }
   // forces = particle_f + what the elements add, from the model's own materials; activations are
   // the control's, or the model's without one. Recorded on an active tape; `forces` may be
   // particle_f where nothing is recorded.
@@ -98,6 +92,7 @@ class NOVAPHY_DIFF_API ElementOperators {
     nova::Incidence rows;         // which contributions a particle gets
   };
   std::vector<Term> terms_;
+  size_t particle_count_ = 0;
 };
 
 namespace detail {

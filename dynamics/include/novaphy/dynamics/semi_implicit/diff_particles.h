@@ -1,4 +1,5 @@
-// Differentiable particle integration. Compiled into novaphy::diff.
+// Differentiable particle integration. Compiled into
+// novaphy::dynamics where nova is built.
 //
 // What each input's gradient is:
 //   particle_q, particle_qd, particle_f   exact
@@ -13,7 +14,7 @@
 #include "novaphy/collision/diff_soft_contacts.h"
 #include "novaphy/core/sim/contacts.h"
 #include "novaphy/core/sim/model.h"
-#include "novaphy/diff/export.h"
+#include "novaphy/dynamics/export.h"
 #include "novaphy/nova/kernel.h"
 
 namespace novaphy::diff {
@@ -21,13 +22,13 @@ namespace novaphy::diff {
 // Symplectic Euler (particle_integrator_trace.h): positions {n, 3} (m) and velocities {n, 3} (m/s)
 // after dt (s). Inputs {n, 3} tightly packed float32 on the model's device; dt finite and > 0
 // (ErrorKind::Type, ErrorKind::Value).
-NOVAPHY_DIFF_API std::pair<nova::Tensor, nova::Tensor> integrate_particles_generated(
+NOVAPHY_DYNAMICS_API std::pair<nova::Tensor, nova::Tensor> integrate_particles_generated(
     const Model& model, const nova::Tensor& particle_q, const nova::Tensor& particle_qd,
     const nova::Tensor& particle_f, float dt);
 
 // The forces of all static shapes (eval_static_particle_shape_contact_forces_generated) and the
 // integration in one kernel: the same bits as one after the other.
-NOVAPHY_DIFF_API std::pair<nova::Tensor, nova::Tensor>
+NOVAPHY_DYNAMICS_API std::pair<nova::Tensor, nova::Tensor>
 integrate_particles_with_static_contacts_generated(const Model& model,
                                                    const nova::Tensor& particle_q,
                                                    const nova::Tensor& particle_qd,
@@ -36,24 +37,25 @@ integrate_particles_with_static_contacts_generated(const Model& model,
 
 // Into given memory: what the solver calls. Whether the particles' worlds are covered is the
 // caller's to check (WorldRows).
-NOVAPHY_DIFF_API void integrate_particles(const Model& model, const nova::Operand& particle_q,
-                                          const nova::Operand& particle_qd,
-                                          const nova::Operand& particle_f, float dt,
-                                          const nova::Operand& q_out, const nova::Operand& qd_out);
+NOVAPHY_DYNAMICS_API void integrate_particles(const Model& model, const nova::Operand& particle_q,
+                                              const nova::Operand& particle_qd,
+                                              const nova::Operand& particle_f, float dt,
+                                              const nova::Operand& q_out,
+                                              const nova::Operand& qd_out);
 
 // The forces of all static shapes and the integration, into given memory.
-NOVAPHY_DIFF_API void step_particles_with_static_contacts(
+NOVAPHY_DYNAMICS_API void step_particles_with_static_contacts(
     const Model& model, const WorldRows& rows, const nova::Operand& particle_q,
     const nova::Operand& particle_qd, const nova::Operand& particle_f, float soft_contact_margin,
     float dt, const nova::Operand& q_out, const nova::Operand& qd_out);
 
 // The forces of recorded contacts (eval_soft_contact_forces) and the integration in one kernel: the
 // same bits as one after the other. `particle_f` is only read.
-NOVAPHY_DIFF_API void step_particles(const Model& model, const Contacts& contacts,
-                                     const nova::Incidence& contacts_of,
-                                     const nova::Operand& particle_q,
-                                     const nova::Operand& particle_qd,
-                                     const nova::Operand& particle_f, float dt,
-                                     const nova::Operand& q_out, const nova::Operand& qd_out);
+NOVAPHY_DYNAMICS_API void step_particles(const Model& model, const Contacts& contacts,
+                                         const nova::Incidence& contacts_of,
+                                         const nova::Operand& particle_q,
+                                         const nova::Operand& particle_qd,
+                                         const nova::Operand& particle_f, float dt,
+                                         const nova::Operand& q_out, const nova::Operand& qd_out);
 
 }  // namespace novaphy::diff

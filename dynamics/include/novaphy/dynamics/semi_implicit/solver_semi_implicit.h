@@ -40,7 +40,7 @@ struct SemiImplicitOptions {
 class NOVAPHY_DYNAMICS_API SolverSemiImplicit : public SolverBase {
  public:
   // ErrorKind::Value: a bad option; ErrorKind::NotImplemented: a model that has something that is
-  // not covered, or is on another device than the CPU where novaphy::diff is not loaded.
+  // not covered, or is on another device than the CPU in a build without NOVAPHY_WITH_NOVA.
   explicit SolverSemiImplicit(std::shared_ptr<const Model> model,
                               const SemiImplicitOptions& options = {});
   ~SolverSemiImplicit() override;

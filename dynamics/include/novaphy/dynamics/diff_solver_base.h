@@ -1,10 +1,11 @@
-// DiffSolverBase: what every differentiable solver is. It gives one step; the rollout is here.
+// DiffSolverBase: what every solver is whose steps are kernels of the tensor runtime, recorded or
+// not. It gives one step; the rollout is here. Compiled into novaphy::dynamics where nova is built.
 #pragma once
 
 #include <vector>
 
 #include "novaphy/core/sim/solver_base.h"
-#include "novaphy/diff/export.h"
+#include "novaphy/dynamics/export.h"
 #include "novaphy/nova/tensor.h"
 
 namespace novaphy::diff {
@@ -17,7 +18,7 @@ struct StepInputs {
   float dt = 0.0f;
 };
 
-class NOVAPHY_DIFF_API DiffSolverBase : public SolverBase {
+class NOVAPHY_DYNAMICS_API DiffSolverBase : public SolverBase {
  public:
   using SolverBase::SolverBase;
 
@@ -41,6 +42,12 @@ class NOVAPHY_DIFF_API DiffSolverBase : public SolverBase {
   virtual void record_step(const SimState& in, SimState& out, const StepInputs& inputs,
                            StepScratch scratch) = 0;
 };
+
+// Makes leaves of positions and velocities where the state's requires_grad is set. Its views
+// (diff/tensor_views.h) do so, and the solvers with the state that a recorded step or rollout
+// starts from. Forces are leaves on request only (state_particle_f_tensor(state, true)), because a
+// leaf costs.
+NOVAPHY_DYNAMICS_API void make_leaves(const SimState& state);
 
 namespace detail {
 // {n, 3}: particle_f plus those of `forces` that begin at a row of it: into `sum`. On a tape, exact

@@ -3,7 +3,7 @@
 #pragma once
 
 #include "novaphy/core/sim/model.h"
-#include "novaphy/diff/export.h"
+#include "novaphy/dynamics/export.h"
 
 namespace novaphy::diff {
 
@@ -12,6 +12,10 @@ namespace novaphy::diff {
 // computed by a recorded launch; every launch of the list begins with the others, and throws
 // ErrorKind::Runtime where a number of the model (soft_contact_ke, ...) is another than the one
 // recorded.
-NOVAPHY_DIFF_API void begin_model_reads(const Model& model, const char* function);
+NOVAPHY_DYNAMICS_API void begin_model_reads(const Model& model, const char* function);
+
+// particle_inv_mass = 1/particle_mass, 0 where the mass is 0, also where something else was
+// assigned to it. Not recorded on a tape. Solvers do so themselves where masses were written.
+NOVAPHY_DYNAMICS_API void update_inverse_mass(Model& model);
 
 }  // namespace novaphy::diff

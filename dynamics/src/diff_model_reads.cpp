@@ -1,7 +1,6 @@
-#include "novaphy/diff/model_reads.h"
+#include "novaphy/dynamics/diff_model_reads.h"
 
-#include "novaphy/diff/engine_kernels.h"
-#include "novaphy/diff/tensor_views.h"
+#include "novaphy/dynamics/diff_operators.h"
 #include "novaphy/nova/kernel.h"
 #include "novaphy/nova/op_list.h"
 #include "novaphy/nova/tape.h"

@@ -1,10 +1,10 @@
-#include "novaphy/diff/diff_solver_base.h"
+#include "novaphy/dynamics/diff_solver_base.h"
 
 #include <algorithm>
+#include <initializer_list>
 
 #include "novaphy/core/parallel.h"
-#include "novaphy/diff/engine_kernels.h"
-#include "novaphy/diff/tensor_views.h"
+#include "novaphy/dynamics/diff_operators.h"
 #include "novaphy/nova/kernel.h"
 #include "novaphy/nova/op_list.h"
 #include "novaphy/nova/tape.h"
@@ -100,6 +100,14 @@ void detail::add_solver_kernels(std::vector<nova::EngineKernel>& list) {
   for (const char* wrt : {"particle_f", "forces"})
     masks.push_back(nova::gradient_mask(kernel, {wrt}, {}, {"sum"}));
   list.push_back({kernel, std::move(masks)});
+}
+
+void make_leaves(const SimState& state) {
+  if (!state.requires_grad) return;
+  for (const Array* array :
+       std::initializer_list<const Array*>{&state.particle_q, &state.particle_qd, &state.body_q,
+                                           &state.body_qd, &state.joint_q, &state.joint_qd})
+    if (array->rows() != 0) nova::grad_info(*array->range()).requires_grad = true;
 }
 
 void DiffSolverBase::rollout(Trajectory& trajectory, const Control* control,

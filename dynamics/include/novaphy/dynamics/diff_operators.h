@@ -1,0 +1,36 @@
+// The kernels of the operators, with the gradients that are built ahead for them; see
+// <novaphy/nova/registry.h>.
+#pragma once
+
+#include <vector>
+
+#include "novaphy/dynamics/export.h"
+#include "novaphy/nova/registry.h"
+
+namespace novaphy::diff {
+
+NOVAPHY_DYNAMICS_API std::vector<nova::EngineKernel> operator_kernels();
+
+namespace detail {
+// Each file that defines kernels adds them to the list.
+void add_contact_kernels(std::vector<nova::EngineKernel>& list);       // diff_soft_contacts.cpp
+void add_element_kernels(std::vector<nova::EngineKernel>& list);       // diff_elements.cpp
+void add_tet_material_kernels(std::vector<nova::EngineKernel>& list);  // diff_tetrahedra.cpp
+void add_particle_kernels(std::vector<nova::EngineKernel>& list);      // diff_particles.cpp
+void add_derived_kernels(std::vector<nova::EngineKernel>& list);       // diff_model_reads.cpp
+void add_solver_kernels(std::vector<nova::EngineKernel>& list);        // diff_solver_base.cpp
+
+// The gradients that are built ahead for an operator on particles: of its state (those of `state`
+// that it has), of each of `others`, of both, and of all of `materials` together. What all steps of
+// a rollout share is stored at the last one and added to at the others.
+std::vector<nova::AdjointMask> rollout_gradients(const nova::Kernel& kernel,
+                                                 const std::vector<std::string>& state,
+                                                 const std::vector<std::string>& others,
+                                                 const std::vector<std::string>& materials);
+// Only those of the whole state, given the gradients of all outputs or of one: for variants of a
+// kernel that are used less.
+std::vector<nova::AdjointMask> state_gradients(const nova::Kernel& kernel,
+                                               const std::vector<std::string>& state);
+}  // namespace detail
+
+}  // namespace novaphy::diff

@@ -6,9 +6,13 @@
 #include "ball_scene.h"
 #include "novaphy/core/parallel.h"
 #include "novaphy/diff/diff_semi_implicit_solver.h"
+#include "novaphy/diff/losses.h"
+#include "novaphy/diff/tensor_views.h"
+#include "novaphy/dynamics/semi_implicit/diff_particles.h"
 #include "novaphy/nova/op_list.h"
 #include "novaphy/nova/tape.h"
 #include "support/bits.h"
+#include "support/threads.h"
 
 namespace novaphy::testing {
 namespace {
@@ -90,6 +94,91 @@ TEST(CapturedCollide, StandsOnATapeBesideLeaves) {
   nova::Tape tape;
   const nova::TapeScope scope(tape);
   EXPECT_NO_THROW(scene.advance());
+}
+
+// Training on a rollout that finds its contacts anew in each substep.
+struct Training {
+  static constexpr int kSteps = 60;
+
+  explicit Training(int balls) : model(make_ball_model(balls)), pipeline(model) {
+    for (int t = 0; t <= kSteps; ++t) states.push_back(model->state());
+    for (int t = 0; t < kSteps; ++t) contacts.push_back(pipeline.contacts());
+    std::vector<Vec3f> q = states[0].particle_q.to_host();
+    // Some rest on the ground, some hit it, some the wall, some both at once.
+    for (size_t k = 0; k < q.size(); ++k)
+      q[k] = {0.01f * static_cast<float>(k % 50), 1.4f + 0.03f * static_cast<float>(k % 9),
+              0.05f + 0.04f * static_cast<float>(k % 13)};
+    states[0].particle_q.copy_from_host(q);
+    for (const Array* leaf : {static_cast<const Array*>(&states[0].particle_q),
+                              static_cast<const Array*>(&states[0].particle_qd)})
+      nova::grad_info(*leaf->range()).requires_grad = true;
+    diff::model_shape_material_ke_tensor(*model, true);
+  }
+  nova::Tensor iterate() {
+    nova::Tape tape;
+    const nova::TapeScope scope(tape);
+    const nova::Operand forces = nova::operand_of(states[0].particle_f);
+    for (size_t t = 0; t < kSteps; ++t) {
+      pipeline.collide(states[t], contacts[t]);
+      const nova::Incidence of_particles = nova::make_incidence(
+          nova::operand_of(contacts[t].soft_contact_particle), model->particle_count());
+      diff::step_particles(
+          *model, contacts[t], of_particles, nova::operand_of(states[t].particle_q),
+          nova::operand_of(states[t].particle_qd), forces, kBallDt,
+          nova::operand_of(states[t + 1].particle_q), nova::operand_of(states[t + 1].particle_qd));
+    }
+    const nova::Tensor centroid =
+        diff::particle_centroid_generated(diff::state_particle_q_tensor(states.back()));
+    const nova::Tensor loss = diff::vec3_point_loss_generated(centroid, 0.0f, -2.0f, 1.5f);
+    tape.backward(loss);
+    return loss;
+  }
+  std::vector<float> gradients() const {
+    std::vector<float> all;
+    for (const nova::Tensor& leaf :
+         {diff::state_particle_q_tensor(states[0]), diff::state_particle_qd_tensor(states[0]),
+          diff::model_shape_material_ke_tensor(*model)}) {
+      const std::vector<float> g = leaf.grad().to_host();
+      all.insert(all.end(), g.begin(), g.end());
+    }
+    return all;
+  }
+  void zero() const {
+    diff::state_particle_q_tensor(states[0]).zero_grad();
+    diff::state_particle_qd_tensor(states[0]).zero_grad();
+    diff::model_shape_material_ke_tensor(*model).zero_grad();
+  }
+
+  std::shared_ptr<Model> model;
+  CollisionPipeline pipeline;
+  std::vector<SimState> states;
+  std::vector<Contacts> contacts;
+};
+
+TEST(CapturedCollide, InEverySubstepOfTrainingGivesTheGradientsOfStepByStep) {
+  for (const int balls : {1, 300}) {
+    Training direct(balls), captured(balls);
+    std::optional<ScopedCapture> scope(std::in_place);
+    const nova::Tensor loss = captured.iterate();
+    scope->end();
+    for (const int threads : {1, 2, 7}) {
+      const Threads guard(threads);
+      // Other velocities, so other contacts than those that the capture saw.
+      const std::vector<Vec3f> qd(static_cast<size_t>(balls),
+                                  {0.0f, 1.0f + static_cast<float>(threads), -2.0f});
+      for (Training* scene : {&direct, &captured}) {
+        scene->states[0].particle_qd.copy_from_host(qd);
+        scene->zero();
+      }
+      const nova::Tensor expected = direct.iterate();
+      scope->graph()->launch();
+      EXPECT_NE(direct.contacts.front().soft_contacts(), direct.contacts.back().soft_contacts());
+      EXPECT_EQ(loss.item(), expected.item());
+      const std::vector<float> g = direct.gradients();
+      EXPECT_TRUE(same_bits<float>(captured.gradients(), g)) << threads << " threads";
+      EXPECT_NE(g.back(), 0.0f) << "the stiffness acts";
+    }
+  }
 }
 
 }  // namespace

@@ -296,6 +296,23 @@ TEST(ChangingTables, BackwardRefusesRowsThatWereRebuiltSince) {
   EXPECT_EQ(scene.gradients()[0], Floats(40, 0.0f));
 }
 
+TEST(ChangingTables, TangentsAreThoseOfTheTouchesOfEachSubstepAndRefusedForRebuiltRows) {
+  for (const Touches::Tables tables : {Touches::Tables::Own, Touches::Tables::Rebuilt}) {
+    Touches scene(40, {tables});
+    Tape tape;
+    const TapeScope scope(tape);
+    const Tensor loss = scene.loss(kSteps);
+    Floats along(40, 0.0f);
+    along[3] = 1.0f;
+    const auto slope = [&] { return tape.jvp({loss}, {scene.x0}, {tensor(along)})[0].item(); };
+    if (tables == Touches::Tables::Own) {
+      EXPECT_NEAR(slope(), scene.difference(3, kSteps), 1e-3);
+    } else {
+      EXPECT_ERROR(slope(), ErrorKind::Runtime, "modified after recording");
+    }
+  }
+}
+
 TEST(ChangingTables, BackwardRefusesATableThatIsWrittenTwiceBetweenCheckpoints) {
   const Touches scene(40, {Touches::Tables::Rebuilt, 2});
   EXPECT_ERROR(scene.iterate(kSteps), ErrorKind::Runtime, "the index table of op 'add'");

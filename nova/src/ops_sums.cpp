@@ -45,8 +45,9 @@ Tensor sum_along(const Tensor& x, const Along& along, const Shape& shape) {
           "sum: expected rows of less than 2^31 values, got shape ", shape_str(x.shape()));
   const Tensor out(shape, DType::F32, x.device());
   const auto width = static_cast<int32_t>(along.inner);
-  row_sum({x.range(), along.outer * along.count, width}, along.outer, along.count, nullptr,
-          {out.range(), along.outer, width});
+  if (width != 0)  // rows of nothing have no sum
+    row_sum({x.range(), along.outer * along.count, width}, along.outer, along.count, nullptr,
+            {out.range(), along.outer, width});
   detail::record(
       "sum", {x}, out,
       [along, shape = x.shape()](Gradients g, InputGradients to) {

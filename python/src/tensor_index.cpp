@@ -31,13 +31,13 @@ Tensor to_row_table(py::handle key, int64_t rows, const Device& device) {
             shape_text(shape_of(entries)));
     entries = np.attr("flatnonzero")(entries);
   }
-  entries = entries.attr("astype")("int64");
   const py::object outside = np.attr("flatnonzero")(np.attr("logical_or")(
       np.attr("less")(entries, -rows), np.attr("greater_equal")(entries, rows)));
   if (py::len(outside) != 0)
     fail(ErrorKind::Index, "index: expected ", -rows, " to ", rows - 1, " along axis 0, got ",
          std::string(py::str(entries.attr("flat")[outside[py::int_(0)]])), " at entry ",
          std::string(py::str(outside[py::int_(0)])));
+  entries = entries.attr("astype")("int64");
   entries = np.attr("where")(np.attr("less")(entries, 0), np.attr("add")(entries, rows), entries);
   const Tensor table(shape_of(entries), nova::DType::I32, device);
   if (table.size() != 0) assign_host_values(view_of(table), entries, "index");

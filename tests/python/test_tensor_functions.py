@@ -114,6 +114,11 @@ def test_a_row_that_was_cut_out_no_longer_loses_the_gradient():
         (True, TypeError, "got bool"),
         (None, TypeError, "got NoneType"),
         ([0.5], TypeError, "integers or truth values, got float64"),
+        (
+            np.array([2**64 - 1], np.uint64),
+            IndexError,
+            "expected -4 to 3 .* got 18446744073709551615",
+        ),
         (slice(0, 2, 0), ValueError, "zero"),
     ],
     ids=str,
@@ -167,6 +172,18 @@ def test_operands_are_broadcast_as_in_numpy(shapes, swapped):
 
     np.testing.assert_allclose(ga, reduced(weights * b, a.shape), rtol=1e-5, atol=1e-5)
     np.testing.assert_allclose(gb, reduced(weights * a, b.shape), rtol=1e-5, atol=1e-5)
+
+
+@pytest.mark.parametrize("shape", [(0,), (0, 3), (3, 0)])
+def test_nothing_is_broadcast_and_summed_with_a_gradient_of_its_shape(shape):
+    x = nova.zeros(shape)
+    y, (grad,) = gradient(lambda x: nova.broadcast_to(x, (2, *shape)), x)
+    assert y.shape == (2, *shape) and grad.shape == shape
+    if shape[0] == 0:
+        return
+    row = nova.ones((1, 1))
+    _, grads = gradient(lambda x, row: x * row, x, row)
+    assert grads[1].tolist() == [[0.0]]
 
 
 def test_shapes_that_do_not_fit_are_refused():

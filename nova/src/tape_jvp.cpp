@@ -32,8 +32,9 @@ class Tape::Impl::Forward {
  public:
   explicit Forward(Impl& tape) : t_(tape) {}
 
-  void seed(const Tensor& input, const Tensor& tangent) {
-    moving_[input.range().get()] = {tangent.range(), 0, true};
+  // False where that input has a tangent already.
+  bool seed(const Tensor& input, const Tensor& tangent) {
+    return moving_.try_emplace(input.range().get(), Moving{tangent.range(), 0, true}).second;
   }
 
   void run() {
@@ -188,7 +189,8 @@ std::vector<Tensor> Tape::jvp(const std::vector<Tensor>& outputs, const std::vec
             ErrorKind::Value, "jvp, tangent ", k, ": expected ", shape_str(input.shape()),
             " float32 on ", input.device().str(), ", got ", shape_str(tangent.shape()), " ",
             dtype_name(tangent.dtype()), " on ", tangent.device().str());
-    forward.seed(input, tangent);
+    require(forward.seed(input, tangent), ErrorKind::Value, "jvp, input ", k,
+            ": expected each input once, got the same memory again");
   }
   for (size_t k = 0; k < outputs.size(); ++k) {
     require(outputs[k].defined(), ErrorKind::Value, "jvp, output ", k, ": the tensor is undefined");

@@ -589,6 +589,8 @@ def test_jvp_gives_the_derivative_along_a_direction():
     np.testing.assert_array_equal(x.grad.numpy(), [3.0, 12.0, 27.0])
     with pytest.raises(ValueError, match="jvp, input 0: expected a leaf"):
         tape.jvp([y], [y], [nova.tensor([1.0, 1.0, 1.0])])
+    with pytest.raises(ValueError, match="jvp, input 1: expected each input once"):
+        tape.jvp([y], [x, x.reshape(3, 1)], [nova.ones(3), nova.ones(3)])
 
 
 def test_gradcheck_compares_the_two_directions():

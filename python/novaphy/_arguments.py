@@ -13,6 +13,7 @@ from typing import Any
 from . import _core
 
 _INT32 = range(-(2**31), 2**31)
+_OURS = "novaphy._core."
 _OPENING, _CLOSING = "([{<", ")]}>"
 
 
@@ -32,6 +33,7 @@ _KINDS: dict[str, tuple[str, Callable[[Any], bool]]] = {
     "float": ("a number", _is_number),
     "bool": ("True or False", lambda value: value is None or hasattr(value, "__bool__")),
     "str": ("a string", lambda value: isinstance(value, str | bytes)),
+    "collections.abc.Callable": ("a function", callable),
 }
 
 
@@ -98,7 +100,9 @@ def _complaint(
         if name in given:
             return _Complaint(0, f"argument {name!r} was given twice")
     given |= kwargs
-    none_given: _Complaint | None = None  # many arguments may be None, and signatures do not say so
+    none_given: _Complaint | None = (
+        None  # objects of ours may be None, and signatures do not say so
+    )
     for place, parameter in enumerate(parameters):
         if parameter.name not in given:
             if not parameter.has_default:
@@ -109,7 +113,7 @@ def _complaint(
         if expected is None:
             continue
         complaint = _Complaint(place, expected, parameter.name, value)
-        if value is not None:
+        if value is not None or not parameter.annotation.startswith(_OURS):
             return complaint
         none_given = none_given or complaint
     return none_given
@@ -120,8 +124,15 @@ def _mismatch(annotation: str, value: Any) -> str | None:
     annotation, optional = re.subn(r" \| None$", "", annotation)
     if optional and value is None:
         return None
-    if annotation.startswith("novaphy._core."):
-        path = annotation.removeprefix("novaphy._core.")
+    if many := re.fullmatch(r"collections\.abc\.Sequence\[(.*)\]", annotation):
+        if not isinstance(value, Sequence):
+            return "a sequence"
+        wrong = [_mismatch(many[1], each) for each in value]
+        return next((f"a sequence with {each} in each place" for each in wrong if each), None)
+    # A class that was bound after the function that takes it.
+    annotation = annotation.replace("novaphy::", _OURS)
+    if annotation.startswith(_OURS):
+        path = annotation.removeprefix(_OURS)
         cls: Any = _core
         for name in path.split("."):
             cls = getattr(cls, name)

@@ -57,6 +57,9 @@ CALLS = {
     "solvers.SolverBase.step, dt: expected a number, got str": lambda m, s: s.step(
         m.state(), m.state(), None, None, "0.1"
     ),
+    "solvers.SolverBase.step, dt: expected a number, got None": lambda m, s: s.step(
+        m.state(), m.state(), None, None, None
+    ),
     "rollout, trajectory: expected a novaphy.diff.Trajectory, got novaphy.SimState": (
         lambda m, s: s.rollout(m.state(), None, None, 0.1)
     ),
@@ -66,6 +69,12 @@ CALLS = {
     "nova.Tape.backward, loss: expected a novaphy.nova.Tensor, got 3": (
         lambda m, s: nova.Tape().backward(3)
     ),
+    "nova.gradcheck, fn: expected a function, got None": lambda m, s: nova.gradcheck(None, []),
+    "nova.concat, parts: expected a sequence with a novaphy.nova.Tensor in each place, got list": (
+        lambda m, s: nova.concat([nova.ones(1), None])
+    ),
+    "nova.Tape.jvp, tangents: expected a sequence, got 3": lambda m, s: nova.Tape().jvp([], [], 3),
+    "Model.collide, state: expected a novaphy.SimState, got None": lambda m, s: m.collide(None),
     "set_num_threads, count: expected an integer, got None": (
         lambda m, s: novaphy.set_num_threads(None)
     ),

@@ -215,16 +215,16 @@ void bind_trajectory(py::module_& m) {
 }
 
 // A Tensor {n, 3} or {steps, n, 3}, or a DeviceArray of vec3, as rows of three.
-DeviceArray<Vec3f> force_rows(const py::object& forces) {
+DeviceArray<Vec3f> force_rows(const py::object& forces, int32_t particles) {
   if (py::isinstance<Array>(forces)) return DeviceArray<Vec3f>(forces.cast<Array>());
   require(py::isinstance<nova::TensorImpl>(forces), ErrorKind::Type,
           "rollout, forces: expected a Tensor or a DeviceArray, got ", type_name(forces));
   const auto tensor = forces.cast<Tensor>();
   const nova::Shape& shape = tensor.shape();
   require(tensor.dtype() == nova::DType::F32 && (shape.size() == 2 || shape.size() == 3) &&
-              shape.back() == 3,
-          ErrorKind::Value, "rollout, forces: expected float32 {n, 3} or {steps, n, 3}, got ",
-          nova::dtype_name(tensor.dtype()), " ", nova::shape_str(shape));
+              shape.back() == 3 && shape[shape.size() - 2] == particles,
+          ErrorKind::Value, "rollout, forces: expected float32 {", particles, ", 3} or {steps, ",
+          particles, ", 3}, got ", nova::dtype_name(tensor.dtype()), " ", nova::shape_str(shape));
   return DeviceArray<Vec3f>(
       Array(DType::vec3, static_cast<size_t>(tensor.size()) / 3, 1, tensor.range()));
 }
@@ -232,10 +232,12 @@ DeviceArray<Vec3f> force_rows(const py::object& forces) {
 void rollout(SolverBase& solver, Trajectory& trajectory, const py::object& control,
              const Contacts* contacts, float dt, const py::object& forces, int32_t start,
              const std::optional<int32_t>& stop) {
+  require(stop.value_or(0) >= 0, ErrorKind::Value, "rollout, stop: expected a state from 0 to ",
+          trajectory.steps(), " or None, got ", stop.value_or(0));
   RolloutOptions options{.start = start, .stop = stop.value_or(trajectory.steps())};
   DeviceArray<Vec3f> rows;
   if (!forces.is_none()) {
-    rows = force_rows(forces);
+    rows = force_rows(forces, trajectory.model()->particle_count());
     options.forces = &rows;
   }
   const Control* one = nullptr;

@@ -1,4 +1,7 @@
 // Tensors: their creation, and functions of them.
+#include <cmath>
+#include <limits>
+
 #include "nova_types.h"
 #include "novaphy/nova/ops.h"
 
@@ -91,23 +94,31 @@ Tensor make_tensor(py::handle data, py::handle dtype, py::handle device, bool re
   return with_grad(tensor, requires_grad);
 }
 
-Tensor filled(py::handle shape, float value, py::handle dtype, py::handle device,
+// The value as a T that holds it exactly.
+template <class T>
+T whole_number(double value) {
+  constexpr double low = std::numeric_limits<T>::min(), high = std::numeric_limits<T>::max();
+  require(value >= low && value <= high && value == std::trunc(value), ErrorKind::Value,
+          "value: expected a whole number from ", low, " to ", high, ", got ", value);
+  return static_cast<T>(value);
+}
+
+Tensor filled(py::handle shape, double value, py::handle dtype, py::handle device,
               bool requires_grad) {
   const Tensor tensor(to_shape(shape), to_nova_dtype(dtype), to_device(device));
-  if (value != 0.0f && tensor.size() != 0) {
+  if (value != 0.0 && tensor.size() != 0) {
     const Unobserved fresh;
     Array flat = view_of(tensor).flat();
-    const auto as_int = static_cast<int32_t>(value);
-    const auto as_byte = static_cast<uint8_t>(as_int);
+    const auto fill = [&flat](auto number) { flat.fill_bytes(&number, sizeof(number)); };
     switch (tensor.dtype()) {
       case nova::DType::F32:
-        flat.fill_bytes(&value, sizeof(value));
+        fill(static_cast<float>(value));
         break;
       case nova::DType::I32:
-        flat.fill_bytes(&as_int, sizeof(as_int));
+        fill(whole_number<int32_t>(value));
         break;
       case nova::DType::U8:
-        flat.fill_bytes(&as_byte, sizeof(as_byte));
+        fill(whole_number<uint8_t>(value));
         break;
     }
   }
@@ -169,24 +180,26 @@ void bind_creation(py::module_& m) {
       .def(
           "zeros",
           [](py::handle shape, py::handle dtype, py::handle device, bool grad) {
-            return filled(shape, 0.0f, dtype, device, grad);
+            return filled(shape, 0.0, dtype, device, grad);
           },
           "shape"_a, "dtype"_a = f32, "device"_a = py::none(), "requires_grad"_a = false, "Zeros.")
       .def(
           "empty",
           [](py::handle shape, py::handle dtype, py::handle device, bool grad) {
-            return filled(shape, 0.0f, dtype, device, grad);
+            return filled(shape, 0.0, dtype, device, grad);
           },
           "shape"_a, "dtype"_a = f32, "device"_a = py::none(), "requires_grad"_a = false,
           "As zeros: memory is always cleared.")
       .def(
           "ones",
           [](py::handle shape, py::handle dtype, py::handle device, bool grad) {
-            return filled(shape, 1.0f, dtype, device, grad);
+            return filled(shape, 1.0, dtype, device, grad);
           },
           "shape"_a, "dtype"_a = f32, "device"_a = py::none(), "requires_grad"_a = false, "Ones.")
       .def("full", &filled, "shape"_a, "value"_a, "dtype"_a = f32, "device"_a = py::none(),
-           "requires_grad"_a = false, "One value.")
+           "requires_grad"_a = false,
+           "One value, rounded to float32. ValueError: the dtype holds integers, and it is none of "
+           "them.")
       .def(
           "zeros_like", [](const Tensor& t) { return Tensor(t.shape(), t.dtype(), t.device()); },
           "tensor"_a, "Zeros of the same shape, dtype and device.")

@@ -102,3 +102,13 @@ def test_backward_without_a_leaf_says_how_one_is_made():
     x = nova.tensor([1.0, 2.0])
     with nova.Tape() as tape, pytest.raises(ValueError, match="requires_grad=True"):
         tape.backward(nova.sum(x * x))
+
+
+def test_a_rollout_refuses_forces_and_an_end_of_another_meaning():
+    model = particle()
+    trajectory = diff.Trajectory(model, 3)
+    solver = novaphy.solvers.DiffSemiImplicitSolver(model)
+    with pytest.raises(ValueError, match="forces: expected float32 {1, 3} or {steps, 1, 3}, got"):
+        solver.rollout(trajectory, None, None, DT, forces=nova.zeros((3, 3)))
+    with pytest.raises(ValueError, match="stop: expected a state from 0 to 3 or None, got -1"):
+        solver.rollout(trajectory, None, None, DT, stop=-1)

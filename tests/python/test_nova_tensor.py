@@ -28,6 +28,22 @@ def test_tensors_are_made_from_numbers_lists_and_arrays():
     assert nova.float32 is novaphy.float32
 
 
+@pytest.mark.parametrize(
+    ("value", "dtype"),
+    [
+        (1.5, nova.int32),
+        (2**31, nova.int32),
+        (np.nan, nova.int32),
+        (-1, nova.uint8),
+        (256, nova.uint8),
+    ],
+)
+def test_integers_are_filled_with_what_they_can_hold_only(value, dtype):
+    with pytest.raises(ValueError, match=r"value: expected a whole number from .* got"):
+        nova.full(2, value, dtype=dtype)
+    assert nova.full(1, 2**24 + 1, dtype=nova.int32).tolist() == [2**24 + 1]
+
+
 def test_bad_data_is_refused():
     for data in (np.zeros(2), np.float64(1) * np.ones(1), np.uint32([1]), np.array(["a"])):
         with pytest.raises(TypeError):

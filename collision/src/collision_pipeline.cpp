@@ -1,10 +1,12 @@
 #include "novaphy/collision/collision_pipeline.h"
 
+#include <algorithm>
 #include <cmath>
 #include <utility>
 
 #include "novaphy/core/error.h"
 #include "novaphy/core/recorder.h"
+#include "rigid_contacts.h"
 #include "soft_contacts.h"
 
 namespace novaphy {
@@ -38,10 +40,10 @@ CollisionPipeline::CollisionPipeline(std::shared_ptr<const Model> model,
   const int32_t rigid_max = options.rigid_contact_max.value_or(0);
   require(rigid_max >= 0, ErrorKind::Value, name, ": rigid_contact_max: expected >= 0, got ",
           rigid_max);
-  require(rigid_max == 0, ErrorKind::NotImplemented, name,
-          ": rigid_contact_max: expected 0 (rigid contacts are not there yet), got ", rigid_max);
   soft_contacts_ = std::make_shared<detail::SoftContacts>(model_);
+  rigid_contacts_ = std::make_shared<detail::RigidContacts>(model_, options.broad_phase);
   soft_contact_pair_count();
+  rigid_contact_max();
 }
 
 int32_t CollisionPipeline::soft_contact_pair_count() const {
@@ -55,9 +57,18 @@ int32_t CollisionPipeline::soft_contact_max() const {
   return options_.soft_contact_max ? *options_.soft_contact_max : soft_contact_pair_count();
 }
 
+int32_t CollisionPipeline::rigid_contact_max() const {
+  const ExclusiveUse::Scope scope(*in_use_, "rigid_contact_max", "the pipeline");
+  const int64_t most = rigid_contacts_->most_rows();
+  if (options_.rigid_contact_max) return *options_.rigid_contact_max;
+  constexpr int64_t kFew = 1000, kPerShape = 64;
+  return static_cast<int32_t>(std::min(most, std::max(kFew, kPerShape * model_->shape_count())));
+}
+
 Contacts CollisionPipeline::contacts() const {
   return Contacts({.soft_contact_max = soft_contact_max(),
                    .soft_contact_pair_count = soft_contact_pair_count(),
+                   .rigid_contact_max = rigid_contact_max(),
                    .model_id = model_->id(),
                    .requires_grad = options_.requires_grad.value_or(model_->requires_grad)},
                   model_->device());
@@ -74,12 +85,14 @@ void CollisionPipeline::collide(const SimState& state, Contacts& contacts,
   require(contacts.model_id() == model_->id(), ErrorKind::Value, name,
           ": contacts: expected contacts of the pipeline's model, got others; use "
           "CollisionPipeline.contacts()");
-  const int64_t particles = model_->particle_count();
-  require(static_cast<int64_t>(state.particle_q.rows()) == particles &&
-              state.particle_q.device() == model_->device(),
-          ErrorKind::Value, name, ": state.particle_q: expected ", particles, " rows on ",
-          model_->device().str(), ", got ", state.particle_q.rows(), " rows on ",
-          state.particle_q.device().str());
+  const auto check_rows = [&](const char* array_name, const Array& array, int32_t rows) {
+    require(static_cast<int32_t>(array.rows()) == rows &&
+                (rows == 0 || array.device() == model_->device()),
+            ErrorKind::Value, name, ": state.", array_name, ": expected ", rows, " rows on ",
+            model_->device().str(), ", got ", array.rows(), " rows on ", array.device().str());
+  };
+  check_rows("particle_q", state.particle_q, model_->particle_count());
+  check_rows("body_q", state.body_q, model_->body_count());
   const int64_t pairs = count_pairs();
   require(pairs == contacts.soft_contact_pair_count(), ErrorKind::Value, name,
           ": contacts: expected ", pairs, " candidate pairs, got ",
@@ -91,6 +104,7 @@ void CollisionPipeline::collide(const SimState& state, Contacts& contacts,
                        "collide: contacts");
   if (LaunchRecorder* recorder = launch_recorder()) recorder->uses(in_use_);
   soft_contacts_->collide(state, contacts, gap);
+  rigid_contacts_->collide(state, contacts);
 }
 
 }  // namespace novaphy

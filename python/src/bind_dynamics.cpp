@@ -3,6 +3,24 @@
 #include "novaphy/dynamics/semi_implicit/solver_semi_implicit.h"
 
 namespace novaphy::python {
+namespace {
+
+struct NamedLaw {
+  const char* name;
+  FrictionLaw law;
+};
+constexpr NamedLaw kFrictionLaws[] = {{"viscous", FrictionLaw::Viscous},
+                                      {"huber", FrictionLaw::Huber},
+                                      {"newton17", FrictionLaw::Newton17}};
+
+FrictionLaw to_friction_law(const std::string& name) {
+  for (const NamedLaw& known : kFrictionLaws)
+    if (name == known.name) return known.law;
+  fail(ErrorKind::Value, "friction_law: expected \"viscous\", \"huber\" or \"newton17\", got \"",
+       name, "\"");
+}
+
+}  // namespace
 
 void bind_dynamics(py::module_& m, py::module_& solvers) {
   BoundClass<SimState>::remember(m.attr("SimState"));
@@ -39,33 +57,50 @@ void bind_dynamics(py::module_& m, py::module_& solvers) {
       solvers, "SolverSemiImplicit",
       "Forces as springs and dampers, then symplectic Euler. Covers particles and elements over "
       "them: external forces, springs, triangles, bending edges, tetrahedra, contacts with "
-      "world-owned shapes, gravity, the velocity limit. Same bits for any number of threads. "
+      "world-owned shapes, gravity, the velocity limit; and rigid bodies: external forces, "
+      "contacts, gravity, the gyroscopic term, angular damping. Same bits for any number of "
+      "threads. "
       "Raises on a tape: "
       "DiffSemiImplicitSolver is the differentiable one.");
   semi_implicit
       .def(py::init([](const std::shared_ptr<Model>& model, float angular_damping,
-                       float friction_smoothing, float joint_attach_ke, float joint_attach_kd,
-                       bool enable_tri_contact) {
+                       const std::string& friction_law, std::optional<float> friction_smoothing,
+                       float joint_attach_ke, float joint_attach_kd, bool enable_tri_contact) {
              return std::make_unique<SolverSemiImplicit>(
                  model, SemiImplicitOptions{.angular_damping = angular_damping,
+                                            .friction_law = to_friction_law(friction_law),
                                             .friction_smoothing = friction_smoothing,
                                             .joint_attach_ke = joint_attach_ke,
                                             .joint_attach_kd = joint_attach_kd,
                                             .enable_tri_contact = enable_tri_contact});
            }),
            py::arg("model").none(false), py::kw_only(), "angular_damping"_a = d.angular_damping,
-           "friction_smoothing"_a = d.friction_smoothing, "joint_attach_ke"_a = d.joint_attach_ke,
-           "joint_attach_kd"_a = d.joint_attach_kd, "enable_tri_contact"_a = d.enable_tri_contact,
-           "Options act on bodies and joints, which no model has yet, and on contacts of particles "
-           "with triangles, of which there are none yet. "
+           "friction_law"_a = "viscous", "friction_smoothing"_a = py::none(),
+           "joint_attach_ke"_a = d.joint_attach_ke, "joint_attach_kd"_a = d.joint_attach_kd,
+           "enable_tri_contact"_a = d.enable_tri_contact,
+           "angular_damping (1/s) of bodies. friction_law of rigid contacts: \"viscous\" (kf times "
+           "the slip, cut off at the Coulomb cone), \"huber\" (the same, smooth for slips below "
+           "friction_smoothing, m/s), or \"newton17\" (leaves the cone; for comparison). "
+           "friction_smoothing None: 0.1; ValueError with \"viscous\", which has none. The other "
+           "options act on joints and on contacts of particles with triangles, of which there are "
+           "none yet. "
            "NotImplementedError for parts of a model "
            "that are not covered.")
       .def_property_readonly(
           "angular_damping",
           [](const SolverSemiImplicit& s) { return s.options().angular_damping; }, "1/s")
       .def_property_readonly(
+          "friction_law",
+          [](const SolverSemiImplicit& s) {
+            for (const NamedLaw& known : kFrictionLaws)
+              if (s.options().friction_law == known.law) return known.name;
+            return "";
+          },
+          "\"viscous\", \"huber\" or \"newton17\".")
+      .def_property_readonly(
           "friction_smoothing",
-          [](const SolverSemiImplicit& s) { return s.options().friction_smoothing; }, "m/s")
+          [](const SolverSemiImplicit& s) { return s.options().friction_smoothing; },
+          "m/s; \"viscous\" does not read it.")
       .def_property_readonly(
           "joint_attach_ke",
           [](const SolverSemiImplicit& s) { return s.options().joint_attach_ke; }, "N/m")

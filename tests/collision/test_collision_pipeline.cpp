@@ -200,8 +200,6 @@ TEST(CollisionPipeline, RefusesBadOptions) {
                ErrorKind::NotImplemented, "sap");
   EXPECT_ERROR(CollisionPipeline(model, {.soft_contact_max = -1}), ErrorKind::Value,
                "soft_contact_max: expected >= 0");
-  EXPECT_ERROR(CollisionPipeline(model, {.rigid_contact_max = 8}), ErrorKind::NotImplemented,
-               "rigid_contact_max");
   EXPECT_ERROR(CollisionPipeline(model, {.rigid_contact_max = -8}), ErrorKind::Value,
                "rigid_contact_max");
   for (const float margin : {kNan, std::numeric_limits<float>::infinity(), -0.1f}) {

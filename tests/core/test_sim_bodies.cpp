@@ -10,21 +10,13 @@
 #include "novaphy/core/error.h"
 #include "novaphy/core/sim/model_builder.h"
 #include "novaphy/math/functions.h"
+#include "support/bits.h"
 
 namespace novaphy {
 namespace {
 
 constexpr float kNan = std::numeric_limits<float>::quiet_NaN();
 constexpr double kPi = std::numbers::pi;
-
-#define EXPECT_ERROR(statement, error_kind, part)                                       \
-  try {                                                                                 \
-    statement;                                                                          \
-    ADD_FAILURE() << "no error";                                                        \
-  } catch (const Error& error) {                                                        \
-    EXPECT_EQ(error.kind(), error_kind) << error.what();                                \
-    EXPECT_NE(std::string(error.what()).find(part), std::string::npos) << error.what(); \
-  }
 
 Mat33f diagonal(float x, float y, float z) {
   return {{{x, 0.0f, 0.0f}, {0.0f, y, 0.0f}, {0.0f, 0.0f, z}}};

@@ -24,7 +24,11 @@ GOOD = {
     "collision/src/pipeline.cpp": '#include "novaphy/collision/diff_soft_contact_trace.h"\n',
     "collision/src/soft_contact_kernels.h": (
         '#include "novaphy/collision/diff_soft_contact_trace.h"\n'
+        '#include "novaphy/collision/geometry/plane_pairs.h"\n'
         '#include "novaphy/core/row_kernel.h"\n'
+    ),
+    "collision/include/novaphy/collision/geometry/plane_pairs.h": (
+        '#include "novaphy/math/types.h"\n#include "novaphy/core/sim/enums.h"\n'
     ),
     "collision/src/soft_contacts.cpp": (
         '#include "soft_contact_kernels.h"\n#include "novaphy/core/device_kernel.h"\n'
@@ -40,6 +44,11 @@ GOOD = {
 
 # name -> (file, content, what the lint says)
 BAD = {
+    "geometry, which kernels include, includes a model": (
+        "collision/include/novaphy/collision/geometry/shape.h",
+        '#include "novaphy/core/sim/model.h"\n',
+        "geometry/shape.h:1: kernels may not include",
+    ),
     "core includes io": (
         "core/src/io/tet_mesh.cpp",
         '#include "novaphy/io/mesh.h"\n',

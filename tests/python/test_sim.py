@@ -194,7 +194,7 @@ def test_the_pipeline_says_what_it_does_not_take():
         ({"soft_contact_margin": float("nan")}, ValueError, "margin"),
         ({"soft_contact_margin": 1.0, "soft_contact_gap": 1.0}, ValueError, "soft_contact_gap"),
         ({"soft_contact_max": -1}, ValueError, "soft_contact_max"),
-        ({"rigid_contact_max": 5}, NotImplementedError, "rigid"),
+        ({"rigid_contact_max": -5}, ValueError, "rigid_contact_max"),
         ({"margin": 1.0}, TypeError, "margin"),
     ]:
         with pytest.raises(error, match=message):
@@ -324,11 +324,8 @@ def test_solver_options_are_checked():
     model = ball_model()
     solver = novaphy.solvers.SolverSemiImplicit(model, angular_damping=0.5)
     assert solver.angular_damping == 0.5 and solver.enable_tri_contact
-    assert (solver.friction_smoothing, solver.joint_attach_ke, solver.joint_attach_kd) == (
-        1,
-        1e4,
-        1e2,
-    )
+    assert solver.friction_law == "viscous"
+    assert (solver.joint_attach_ke, solver.joint_attach_kd) == (1e4, 1e2)
     with pytest.raises(ValueError, match="angular_damping"):
         novaphy.solvers.SolverSemiImplicit(model, angular_damping=-1.0)
     config = novaphy.solvers.DiffSolverConfig(enable_particle_contacts=False)

@@ -16,7 +16,8 @@ Besides the folders, three kinds of file have a layer of their own:
 * `*_trace.h` are the formulas, shared by the forward engine and the traced kernels: they may
   include the math headers and other formulas, and nothing else;
 * `*_kernels.h` in collision/, dynamics/ and vbd/ are hand-written kernels, which compilers of
-  devices read too: formulas, the math headers, and those of core that need no library.
+  devices read too: formulas, the math headers, and those of core that need no library. So are all
+  headers of collision/geometry, which kernels include.
 
 The abi headers are C and may include <stdint.h> only; the math headers <cstdint> and <cmath>.
 
@@ -70,6 +71,7 @@ FOLDERS = {
     "core": "core",
     "io": "io",
     "nova": "nova",
+    "collision/include/novaphy/collision/geometry": "kernels",
     "collision": "collision",
     "dynamics": "dynamics",
     "vbd": "vbd",
@@ -105,6 +107,8 @@ def layer_of_include(text: str, quoted: bool, path: Path, root: Path) -> str | N
     """The layer an include leads to; None: a system header or a private file of the library."""
     parts = text.split("/")
     if parts[0] == "novaphy" and len(parts) > 2:
+        if parts[1:3] == ["collision", "geometry"]:
+            return "kernels"
         return by_name(parts[1], parts[-1])
     if quoted:
         target = (path.parent / text).resolve()

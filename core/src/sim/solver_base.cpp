@@ -11,13 +11,6 @@
 namespace novaphy {
 namespace {
 
-void check_array(const char* name, const char* which, const Array& array, int32_t rows,
-                 Device device) {
-  require(array.rows() == static_cast<size_t>(rows) && (rows == 0 || array.device() == device),
-          ErrorKind::Value, name, ": ", which, ": expected ", rows, " rows on ", device.str(),
-          ", got ", array.rows(), " rows on ", array.device().str());
-}
-
 // The arrays of a state that hold something.
 struct StateArrays {
   struct Item {
@@ -137,16 +130,13 @@ void SolverBase::check_step(const char* name, const SimState& state_in, const Si
   check_rows(name, "state_out", state_out, *model_);
   check_apart(name, state_in, state_out);
   if (contacts == nullptr) return;
-  const int32_t slots = contacts->soft_contact_max();
-  check_array(name, "contacts.soft_contact_count", contacts->soft_contact_count, 1, device());
-  check_array(name, "contacts.soft_contact_particle", contacts->soft_contact_particle, slots,
-              device());
-  check_array(name, "contacts.soft_contact_shape", contacts->soft_contact_shape, slots, device());
-  check_array(name, "contacts.soft_contact_body_pos", contacts->soft_contact_body_pos, slots,
-              device());
-  check_array(name, "contacts.soft_contact_body_vel", contacts->soft_contact_body_vel, slots,
-              device());
-  check_array(name, "contacts.soft_contact_normal", contacts->soft_contact_normal, slots, device());
+  ContactFields::visit_rows(
+      static_cast<const ContactFields&>(*contacts), contacts->counts(),
+      [&](const FieldInfo& info, const Array& array, size_t rows) {
+        if (array.rows() != rows || (rows != 0 && array.device() != device())) [[unlikely]]
+          fail(ErrorKind::Value, name, ": contacts.", info.name, ": expected ", rows, " rows on ",
+               device().str(), ", got ", array.rows(), " rows on ", array.device().str());
+      });
 }
 
 void SolverBase::rollout(Trajectory& trajectory, const Control* control, const Contacts* contacts,

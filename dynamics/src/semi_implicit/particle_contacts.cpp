@@ -8,7 +8,7 @@ namespace novaphy {
 
 void ParticleContacts::reset() {
   count_.reset();
-  slots_.clear();
+  rows_.clear();
 }
 
 void ParticleContacts::update(const Model& model, const Contacts& contacts) {
@@ -35,19 +35,7 @@ void ParticleContacts::update(const Model& model, const Contacts& contacts) {
             "; contacts with bodies are not there yet");
   }
 
-  // A stable counting sort by particle.
-  row_begin_.assign(static_cast<size_t>(model.particle_count()) + 1, 0);
-  for (int32_t slot = 0; slot < active; ++slot)
-    ++row_begin_[static_cast<size_t>(particle[slot]) + 1];
-  for (size_t p = 1; p < row_begin_.size(); ++p) row_begin_[p] += row_begin_[p - 1];
-  slots_.resize(static_cast<size_t>(active));
-  for (int32_t slot = 0; slot < active; ++slot) {
-    // row_begin_[p] runs ahead to the row's end and is put back below.
-    slots_[static_cast<size_t>(row_begin_[static_cast<size_t>(particle[slot])]++)] = slot;
-  }
-  for (size_t p = row_begin_.size() - 1; p > 0; --p) row_begin_[p] = row_begin_[p - 1];
-  row_begin_[0] = 0;
-
+  rows_.build({particle, static_cast<size_t>(active)}, model.particle_count());
   count_.set(contacts.soft_contact_count);
   particle_.set(contacts.soft_contact_particle);
   shape_.set(contacts.soft_contact_shape);

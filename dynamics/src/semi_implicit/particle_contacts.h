@@ -4,8 +4,8 @@
 
 #include <cstdint>
 #include <span>
-#include <vector>
 
+#include "index_rows.h"
 #include "novaphy/core/array_stamp.h"
 #include "novaphy/core/sim/contacts.h"
 #include "novaphy/core/sim/model.h"
@@ -20,16 +20,11 @@ class ParticleContacts {
   void update(const Model& model, const Contacts& contacts);
   void reset();
 
-  bool empty() const { return slots_.empty(); }
-  std::span<const int32_t> slots(int64_t particle) const {
-    const int32_t begin = row_begin_[static_cast<size_t>(particle)];
-    const int32_t end = row_begin_[static_cast<size_t>(particle) + 1];
-    return {slots_.data() + begin, static_cast<size_t>(end - begin)};
-  }
+  bool empty() const { return rows_.empty(); }
+  std::span<const int32_t> slots(int64_t particle) const { return rows_.items(particle); }
 
  private:
-  std::vector<int32_t> row_begin_;  // particle_count + 1
-  std::vector<int32_t> slots_;
+  IndexRows rows_;
   ArrayStamp count_, particle_, shape_, shape_body_;
 };
 

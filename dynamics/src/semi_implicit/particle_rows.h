@@ -4,8 +4,8 @@
 
 #include <cstdint>
 #include <span>
-#include <vector>
 
+#include "index_rows.h"
 #include "novaphy/core/array_stamp.h"
 
 namespace novaphy {
@@ -18,16 +18,11 @@ class ParticleRows {
   void update(const Array& table, int32_t particle_count, const char* name, bool may_be_absent);
   void reset();
 
-  bool empty() const { return items_.empty(); }
-  std::span<const int32_t> items(int64_t particle) const {
-    const int32_t begin = row_begin_[static_cast<size_t>(particle)];
-    const int32_t end = row_begin_[static_cast<size_t>(particle) + 1];
-    return {items_.data() + begin, static_cast<size_t>(end - begin)};
-  }
+  bool empty() const { return rows_.empty(); }
+  std::span<const int32_t> items(int64_t particle) const { return rows_.items(particle); }
 
  private:
-  std::vector<int32_t> row_begin_;  // particle_count + 1
-  std::vector<int32_t> items_;
+  IndexRows rows_;
   ArrayStamp table_;
 };
 

@@ -12,6 +12,7 @@
 #include "novaphy/core/storage.h"
 #include "novaphy/dynamics/semi_implicit/particle_integrator_trace.h"
 #include "particle_contacts.h"
+#include "rigid_bodies.h"
 
 namespace novaphy {
 namespace {
@@ -29,9 +30,32 @@ void check_covered(const Model& model) {
     require(count == 0, ErrorKind::NotImplemented, "SolverSemiImplicit: model: expected ", name,
             " 0 (they are not there yet), got ", count);
   };
-  check("body_count", model.body_count());
+  require(model.body_count() == 0 || model.device().is_cpu(), ErrorKind::NotImplemented,
+          "SolverSemiImplicit: model: expected one on the cpu, as it has bodies, got one on ",
+          model.device().str());
   check("joint_count", model.joint_count());
   check("articulation_count", model.articulation_count());
+}
+
+// In m/s; only the huber and newton17 laws read it.
+float checked_smoothing(const SemiImplicitOptions& options) {
+  constexpr float kDefault = 0.1f;
+  const bool known = options.friction_law == FrictionLaw::Viscous ||
+                     options.friction_law == FrictionLaw::Huber ||
+                     options.friction_law == FrictionLaw::Newton17;
+  require(known, ErrorKind::Value, "SolverSemiImplicit: friction_law: expected a FrictionLaw, got ",
+          static_cast<int>(options.friction_law));
+  if (!options.friction_smoothing) return kDefault;
+  require(
+      options.friction_law != FrictionLaw::Viscous, ErrorKind::Value,
+      "SolverSemiImplicit: friction_smoothing: expected none with the friction law \"viscous\", "
+      "which does not read it, got ",
+      *options.friction_smoothing);
+  check_option("friction_smoothing", *options.friction_smoothing);
+  require(options.friction_law != FrictionLaw::Newton17 || *options.friction_smoothing > 0.0f,
+          ErrorKind::Value,
+          "SolverSemiImplicit: friction_smoothing: expected > 0 with \"newton17\", got 0");
+  return *options.friction_smoothing;
 }
 
 // The contacts of a step, as the force law reads them.
@@ -69,6 +93,7 @@ struct ContactForces {
 struct SolverSemiImplicit::Cache {
   ParticleContacts contacts;
   ElementForces elements;
+  RigidBodies bodies;
   ArrayStamp particle_world;  // its values were checked
 
   void check_worlds(const Model& model) {
@@ -87,7 +112,7 @@ SolverSemiImplicit::SolverSemiImplicit(std::shared_ptr<const Model> model,
                                        const SemiImplicitOptions& options)
     : SolverBase(std::move(model)), options_(options), cache_(std::make_unique<Cache>()) {
   check_option("angular_damping", options.angular_damping);
-  check_option("friction_smoothing", options.friction_smoothing);
+  options_.friction_smoothing = checked_smoothing(options);
   check_option("joint_attach_ke", options.joint_attach_ke);
   check_option("joint_attach_kd", options.joint_attach_kd);
   check_covered(*this->model());
@@ -122,6 +147,7 @@ void SolverSemiImplicit::step(SimState& state_in, SimState& state_out, const Con
   m.update_derived();
   cache_->check_worlds(m);
   if (contacts != nullptr) cache_->contacts.update(m, *contacts);
+  cache_->bodies.prepare(m, contacts);
 
   const Vec3f* q = state_in.particle_q.data();
   const Vec3f* qd = state_in.particle_qd.data();
@@ -144,6 +170,12 @@ void SolverSemiImplicit::step(SimState& state_in, SimState& state_out, const Con
 
   const bool touching = contacts != nullptr && !cache_->contacts.empty();
   const bool deformable = ElementForces::any(m);
+  if (deformable) cache_->elements.evaluate(m, control, q, qd);
+  cache_->bodies.step(m, state_in, state_out, contacts,
+                      {.friction_law = options_.friction_law,
+                       .friction_smoothing = *options_.friction_smoothing,
+                       .angular_damping = options_.angular_damping,
+                       .dt = dt});
   if (!touching && !deformable) {
     const Vec3f* f = state_in.particle_f.data();
     for_chunks(m.particle_count(), kChunk, [&](int64_t begin, int64_t end, int64_t) {
@@ -151,7 +183,6 @@ void SolverSemiImplicit::step(SimState& state_in, SimState& state_out, const Con
     });
     return;
   }
-  if (deformable) cache_->elements.evaluate(m, control, q, qd);
   std::optional<ContactForces> contact_forces;
   if (touching) contact_forces.emplace(cache_->contacts, *contacts, m);
   Vec3f* const f = state_in.particle_f.mutable_data();

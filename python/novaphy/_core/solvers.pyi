@@ -1,7 +1,7 @@
 """Types of novaphy.solvers."""
 
 from collections.abc import Sequence
-from typing import SupportsFloat, SupportsIndex
+from typing import Literal, SupportsFloat, SupportsIndex
 
 from . import Contacts, Control, Device, DeviceArray, Model, ModelFlags, SimState, _Native
 from .diff import Trajectory
@@ -41,13 +41,16 @@ class SolverSemiImplicit(SolverBase):
         model: Model,
         *,
         angular_damping: SupportsFloat = 0.05,
-        friction_smoothing: SupportsFloat = 1.0,
+        friction_law: Literal["viscous", "huber", "newton17"] = "viscous",
+        friction_smoothing: SupportsFloat | None = None,
         joint_attach_ke: SupportsFloat = 1.0e4,
         joint_attach_kd: SupportsFloat = 1.0e2,
         enable_tri_contact: bool = True,
     ) -> None: ...
     @property
     def angular_damping(self) -> float: ...
+    @property
+    def friction_law(self) -> str: ...
     @property
     def friction_smoothing(self) -> float: ...
     @property

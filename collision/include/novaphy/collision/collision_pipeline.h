@@ -14,12 +14,14 @@
 namespace novaphy {
 
 namespace detail {
+class RigidContacts;
 class SoftContacts;
-}
+}  // namespace detail
 
 struct CollisionOptions {
   BroadPhase broad_phase = BroadPhase::Explicit;
-  // Only 0 until there are rigid bodies: anything else throws ErrorKind::NotImplemented.
+  // Rows of the rigid contacts. When empty, as many as the candidate pairs can have, so that
+  // nothing can overflow; but no more than 1000 or 64 per shape, whichever is larger.
   std::optional<int32_t> rigid_contact_max = {};
   // Slots of the contacts; as many as candidate pairs when empty, so that nothing can overflow.
   std::optional<int32_t> soft_contact_max = {};
@@ -38,24 +40,37 @@ struct CollisionOptions {
 // World-owned planes, boxes, spheres and capsules; others throw ErrorKind::NotImplemented. The
 // geometry of a record carries no gradient. A particle whose position is NaN meets nothing.
 //
-// Candidate pairs (candidate_pairs.h) are ordered shape-major: the particles that may meet the
-// first colliding shape, then those of the second, ... The contacts have that order for any number
-// of threads. If there are more than slots, the first ones are kept, soft_contact_count keeps the
-// full number and Contacts::overflowed() is true.
+// Rigid contacts: the points where two shapes touch or nearly do, of pairs of which at least one is
+// on a body. Shape A is the one of the smaller GeoType; of two alike the one of the smaller index.
+// The narrow phase gives a normal n from A to B and points with a signed distance (geometry/); a
+// point is a row where
+//   dot(b - a, n) - (radius_A + radius_B + margin_A + margin_B) <= gap_A + gap_B
+// with the core points a, b of Contacts::rigid_contact_point0, point1. Covered are infinite planes
+// with spheres, capsules, ellipsoids, cylinders, boxes (their four deepest corners) and cones.
+// Candidates are Model::shape_contact_pairs (BroadPhase::Explicit), or the pairs that flags, groups
+// and worlds of shapes now allow (NxN), of both those whose boxes meet. Rows are in the order of
+// (shape A, shape B, point of the manifold) for any number of threads; overflow as for soft
+// contacts. Source: Newton 1.8.0; its rows on the cpu are the same bits for the pairs that are
+// there, but the order of pairs where shape A has the larger index.
+//
+// Candidate pairs (candidate_pairs.h) of soft contacts are ordered shape-major: the particles that
+// may meet the first colliding shape, then those of the second, ... The contacts have that order
+// for any number of threads. If there are more than slots, the first ones are kept,
+// soft_contact_count keeps the full number and Contacts::overflowed() is true.
 //
 // One thread at a time may use a pipeline: another one gets ErrorKind::Runtime.
 class NOVAPHY_COLLISION_API CollisionPipeline {
  public:
   // ErrorKind::Value: no model, a bad margin, a negative maximum, too many pairs for int32;
-  // ErrorKind::NotImplemented: sweep and prune, rigid contacts, a model on a device whose collision
-  // was not built, a colliding shape that is not covered.
+  // ErrorKind::NotImplemented: sweep and prune, two shapes that may meet and are not covered, a
+  // model on a device whose collision was not built, a colliding shape that is not covered.
   explicit CollisionPipeline(std::shared_ptr<const Model> model,
                              const CollisionOptions& options = {});
 
   const std::shared_ptr<const Model>& model() const { return model_; }
   BroadPhase broad_phase() const { return options_.broad_phase; }
   float soft_contact_margin() const { return options_.soft_contact_margin; }
-  int32_t rigid_contact_max() const { return 0; }
+  int32_t rigid_contact_max() const;        // rows of contacts()
   int32_t soft_contact_max() const;         // slots of contacts()
   int32_t soft_contact_pair_count() const;  // candidate_pairs.h
 
@@ -79,7 +94,8 @@ class NOVAPHY_COLLISION_API CollisionPipeline {
   std::shared_ptr<const Model> model_;
   CollisionOptions options_;
   std::shared_ptr<detail::SoftContacts> soft_contacts_;
-  std::shared_ptr<ExclusiveUse> in_use_ = std::make_shared<ExclusiveUse>();  // of soft_contacts_
+  std::shared_ptr<detail::RigidContacts> rigid_contacts_;
+  std::shared_ptr<ExclusiveUse> in_use_ = std::make_shared<ExclusiveUse>();  // of both
 };
 
 }  // namespace novaphy

@@ -49,6 +49,14 @@ Mat33<T> multiply(const Mat33<T>& a, const Mat33<T>& b) {
   return product;
 }
 
+// (column 0 * x + column 1 * y) + column 2 * z
+template <class T>
+Vec3<T> multiply(const Mat33<T>& a, const Vec3<T>& v) {
+  return {(a.m[0][0] * v.x + a.m[0][1] * v.y) + a.m[0][2] * v.z,
+          (a.m[1][0] * v.x + a.m[1][1] * v.y) + a.m[1][2] * v.z,
+          (a.m[2][0] * v.x + a.m[2][1] * v.y) + a.m[2][2] * v.z};
+}
+
 template <class T>
 T determinant(const Mat22<T>& a) {
   return a.m[0][0] * a.m[1][1] - a.m[0][1] * a.m[1][0];

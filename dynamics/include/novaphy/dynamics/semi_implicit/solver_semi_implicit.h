@@ -2,26 +2,31 @@
 #pragma once
 
 #include <memory>
+#include <optional>
 
 #include "novaphy/core/sim/solver_base.h"
 #include "novaphy/dynamics/export.h"
+#include "novaphy/dynamics/semi_implicit/rigid_contact_trace.h"
 
 namespace novaphy {
 
-// All finite; the first four >= 0. The first four act on bodies and joints, which no model has yet;
+// All numbers finite and >= 0. The joint options act on joints, which no model has yet;
 // enable_tri_contact on contacts of particles with triangles, of which there are none yet.
 struct SemiImplicitOptions {
-  float angular_damping = 0.05f;    // 1/s
-  float friction_smoothing = 1.0f;  // m/s
-  float joint_attach_ke = 1.0e4f;   // N/m
-  float joint_attach_kd = 1.0e2f;   // N*s/m
+  float angular_damping = 0.05f;                    // 1/s, of rigid bodies
+  FrictionLaw friction_law = FrictionLaw::Viscous;  // of rigid contacts
+  // m/s, of the laws huber and newton17: 0.1 when empty. ErrorKind::Value with viscous.
+  std::optional<float> friction_smoothing = {};
+  float joint_attach_ke = 1.0e4f;  // N/m
+  float joint_attach_kd = 1.0e2f;  // N*s/m
   bool enable_tri_contact = true;
 };
 
 // Covers particles and elements over them: external forces, springs, triangles, bending edges,
-// tetrahedra, soft contacts with world-owned shapes, gravity, the velocity limit. Other parts of a
-// model throw ErrorKind::NotImplemented; there is no contact between particles, or of particles
-// with triangles.
+// tetrahedra, soft contacts with world-owned shapes, gravity, the velocity limit; and rigid bodies:
+// external forces, rigid contacts, gravity, the gyroscopic term, angular damping. Other parts of a
+// model throw ErrorKind::NotImplemented; there is no contact between particles, of particles with
+// triangles, or of particles with bodies.
 //
 // One step, in this order:
 //   1. every spring, then triangle, bending edge and tetrahedron adds its forces (spring_trace.h,
@@ -33,6 +38,12 @@ struct SemiImplicitOptions {
 //      slot order
 //   3. state_out.particle_q and particle_qd from symplectic Euler (particle_integrator_trace.h);
 //      particles without ParticleFlags.ACTIVE keep position and velocity
+// and for bodies:
+//   1. every rigid contact has a force (rigid_contact_trace.h), which is added, after
+//      state_in.body_f, to its bodies in the order of the rows, shape A before shape B; body_f
+//      itself stays as it is, and Contacts::rigid_contact_force holds the forces
+//   2. state_out.body_q and body_qd from symplectic Euler (rigid_integrator_trace.h); a kinematic
+//      body follows its velocity
 // Of contacts that overflowed the slots that exist act; ask Contacts::overflowed().
 // The result has the same bits for any number of threads, and those of Newton 1.8.0 on the cpu as
 // far as the formulas' head comments say. A model on another device is stepped there, by the

@@ -1,0 +1,33 @@
+// Internal: the rigid contacts of a model's states, found on its device. The kernels are those of
+// rigid_contact_kernels.h.
+#pragma once
+
+#include <cstdint>
+#include <memory>
+
+#include "novaphy/collision/broad_phase.h"
+#include "novaphy/core/sim/contacts.h"
+#include "novaphy/core/sim/model.h"
+
+namespace novaphy::detail {
+
+class RigidContacts {
+ public:
+  RigidContacts(std::shared_ptr<const Model> model, BroadPhase broad_phase);
+  ~RigidContacts();
+
+  // Rows that no state can exceed. The model's arrays are read when they were written since the
+  // last call. ErrorKind::NotImplemented: two shapes that may meet and are not covered.
+  int64_t most_rows();
+  // Recorded where the thread records.
+  void collide(const SimState& state, Contacts& contacts);
+
+ private:
+  struct Impl;
+  std::unique_ptr<Impl> impl_;
+};
+
+// The text of the kernels for devices; null: the build has none.
+const char* rigid_contact_kernels_text();
+
+}  // namespace novaphy::detail

@@ -1,0 +1,129 @@
+// The force of a rigid contact: penalty spring, one-sided damper, friction.
+//
+// Law, for the shapes A and B, N = -normal (from B to A):
+//   P_A = X_A(p_A) - N m_A,  P_B = X_B(p_B) + N m_B     points of the surfaces with their margins
+//   d  = dot(N, P_A - P_B)                              < 0 is penetration; no force where d >= ka
+//   u  = v_A - v_B at the points,  un = dot(N, u),  ut = u - N un
+//   fn = ke d,  fd = kd min(un, 0) where d < 0, else 0
+//   F  = N (fn + fd) + friction(ut, c),  c = -mu (fn + fd) the Coulomb limit, 0 where d >= 0
+//   B gets F at P_B, A gets -F at P_A; moments are about the centres of mass
+// Friction (c > 0, s = |ut|):
+//   viscous   kf ut, cut off at the cone: ut c/s where kf s > c
+//   huber     ut min(kf, c/h),  h = (s^2 + e^2)/(2 e) where s <= e, else s. Never leaves the cone,
+//             smooth for s < e; e -> 0 gives viscous
+//   newton17  ut/h min(kf h, c),  h = s^2/2 where s <= e, else e (s - e/2). Leaves the cone, for
+//             comparison only
+// None of them sticks: under a load below the cone a contact creeps.
+// Symbols:
+//   X, v, w, c   pose, velocity, angular velocity and centre of mass of a body (Model::body_q,
+//   ...);
+//                the world: identity, 0
+//   p, m, normal Contacts::rigid_contact_point0, margin0, ...
+//   ke, kd, kf   N/m, N*s/m, N*s/m; mu 1; ka m: each the mean of the two shapes'
+//   e            friction_smoothing (m/s), e > 0 for newton17
+//   F            N, world frame
+// Source: Newton 1.8.0 for viscous, the same bits on the cpu but that margins act on world-owned
+// shapes too; Newton 1.7 for newton17; huber is the Huber norm scaled to bound the cone.
+//
+// Not smooth, and what is returned there (the derivative follows the same choice):
+//   d = ka, d = 0   no force, no damping. At touch-down the force jumps by kd un.
+//   un = 0          min takes the constant 0: damping passes nothing.
+//   at the cone     viscous: kf ut.
+// Gradient: exact in poses, velocities, centres of mass, p, m, normal, ke, kd, kf, mu away from
+// these, at rest too. `ka` only chooses and passes nothing.
+//
+// Freestanding: T = float runs in the forward solver, T = nova::Real is traced.
+#pragma once
+
+#include "novaphy/math/types.h"
+
+namespace novaphy {
+
+enum class FrictionLaw { Viscous, Huber, Newton17 };
+
+template <class T>
+struct RigidContactMaterial {
+  T ke{}, kd{}, kf{}, ka{}, mu{};
+};
+template <class T>
+RigidContactMaterial<T> mean_rigid_contact_material(const RigidContactMaterial<T>& a,
+                                                    const RigidContactMaterial<T>& b) {
+  const T half = T(0.5f);
+  return {(a.ke + b.ke) * half, (a.kd + b.kd) * half, (a.kf + b.kf) * half, (a.ka + b.ka) * half,
+          (a.mu + b.mu) * half};
+}
+
+// One side of a contact.
+template <class T>
+struct RigidContactSide {
+  Transform<T> pose{};  // of the body; the world's by default
+  SpatialVector<T> twist{};
+  Vec3<T> com{};
+  Vec3<T> point{};  // of the core, body frame
+  T margin{};
+};
+
+// The force on B, and the arms of the two points from the centres of mass.
+template <class T>
+struct RigidContactForce {
+  Vec3<T> force{}, arm_a{}, arm_b{};
+};
+
+// friction(ut, c) for c > 0, else 0.
+template <class T>
+Vec3<T> rigid_friction(FrictionLaw law, const Vec3<T>& ut, const T& limit, const T& kf,
+                       const T& smoothing) {
+  using namespace math;
+  const T zero = T(0.0f), one = T(1.0f);
+  const auto acts = both(limit > zero, kf > zero);
+  const T cap = select(acts, limit, one), k = select(acts, kf, one);  // never divide by 0
+  const T s2 = dot(ut, ut);
+  T slope;  // friction per slip
+  if (law == FrictionLaw::Viscous) {
+    const T at_cap = cap / k;
+    const auto slides = s2 > at_cap * at_cap;
+    slope = select(slides, cap / sqrt(select(slides, s2, one)), k);
+  } else {
+    const T s = sqrt(s2);
+    const auto small = s < smoothing;
+    const T e = select(smoothing > zero, smoothing, one);
+    if (law == FrictionLaw::Huber) {
+      const T h = select(small, (s2 + e * e) / (e + e), s);
+      const auto slides = h * k > cap;
+      slope = select(slides, cap / select(slides, h, one), k);
+    } else {
+      const T h = select(small, s2 * T(0.5f), e * (s - e * T(0.5f)));
+      const auto slips = h > zero;
+      slope = select(slips, min(k * h, cap) / select(slips, h, one), k);
+    }
+  }
+  return ut * select(acts, slope, zero);
+}
+
+template <class T>
+RigidContactForce<T> rigid_contact_force(FrictionLaw law, const RigidContactSide<T>& a,
+                                         const RigidContactSide<T>& b, const Vec3<T>& normal,
+                                         const RigidContactMaterial<T>& material,
+                                         const T& smoothing) {
+  using namespace math;
+  const T zero = T(0.0f);
+  const Vec3<T> n = -normal;
+  const Vec3<T> p_a = transform_point(a.pose, a.point) - n * a.margin;
+  const Vec3<T> p_b = transform_point(b.pose, b.point) + n * b.margin;
+  const Vec3<T> arm_a = p_a - transform_point(a.pose, a.com);
+  const Vec3<T> arm_b = p_b - transform_point(b.pose, b.com);
+  const T d = dot(n, p_a - p_b);
+  const Vec3<T> u = (a.twist.linear + cross(a.twist.angular, arm_a)) -
+                    (b.twist.linear + cross(b.twist.angular, arm_b));
+  const T un = dot(n, u);
+  const Vec3<T> ut = u - n * un;
+  const auto touches = d < zero;
+  const T fn = d * material.ke;
+  const T fd = (min(un, zero) * material.kd) * step(d);
+  const T limit = select(touches, (-material.mu) * (fn + fd), zero);
+  const Vec3<T> force = n * (fn + fd) + rigid_friction(law, ut, limit, material.kf, smoothing);
+  // Asked as d >= ka, so that a NaN reaches the force instead of switching the contact off.
+  return {select(d >= material.ka, Vec3<T>{zero, zero, zero}, force), arm_a, arm_b};
+}
+
+}  // namespace novaphy

@@ -1,0 +1,47 @@
+// The inverse of a list of numbers, as rows: items(k) are the places of the list that hold k, in
+// ascending order. Negative entries belong to no row.
+#pragma once
+
+#include <cstdint>
+#include <span>
+#include <vector>
+
+namespace novaphy {
+
+class IndexRows {
+ public:
+  // By a stable counting sort. Entries are less than `rows`. Keeps its memory.
+  void build(std::span<const int32_t> entries, int32_t rows) {
+    begin_.assign(static_cast<size_t>(rows) + 1, 0);
+    size_t present = 0;
+    for (const int32_t entry : entries) {
+      if (entry < 0) continue;
+      ++begin_[static_cast<size_t>(entry) + 1];
+      ++present;
+    }
+    for (size_t k = 1; k < begin_.size(); ++k) begin_[k] += begin_[k - 1];
+    items_.resize(present);
+    for (size_t place = 0; place < entries.size(); ++place) {
+      if (entries[place] < 0) continue;
+      // begin_[k] runs ahead to the row's end and is put back below.
+      items_[static_cast<size_t>(begin_[static_cast<size_t>(entries[place])]++)] =
+          static_cast<int32_t>(place);
+    }
+    for (size_t k = begin_.size() - 1; k > 0; --k) begin_[k] = begin_[k - 1];
+    begin_[0] = 0;
+  }
+  void clear() { items_.clear(); }
+
+  bool empty() const { return items_.empty(); }
+  std::span<const int32_t> items(int64_t row) const {
+    const int32_t begin = begin_[static_cast<size_t>(row)];
+    const int32_t end = begin_[static_cast<size_t>(row) + 1];
+    return {items_.data() + begin, static_cast<size_t>(end - begin)};
+  }
+
+ private:
+  std::vector<int32_t> begin_;  // rows + 1
+  std::vector<int32_t> items_;
+};
+
+}  // namespace novaphy

@@ -1,0 +1,146 @@
+#include "rigid_bodies.h"
+
+#include <algorithm>
+
+#include "novaphy/core/error.h"
+#include "novaphy/core/sim/for_chunks.h"
+#include "novaphy/dynamics/semi_implicit/rigid_integrator_trace.h"
+#include "novaphy/math/spatial.h"
+
+namespace novaphy {
+namespace {
+
+constexpr int64_t kRowChunk = 128, kBodyChunk = 128;
+
+void check_worlds(const Model& m) {
+  const int32_t* world = m.body_world.data();
+  for (int32_t b = 0; b < m.body_count(); ++b) {
+    require(world[b] >= -1 && world[b] < m.world_count(), ErrorKind::Index,
+            "step: model.body_world[", b, "]: expected -1 to ", m.world_count() - 1, ", got ",
+            world[b]);
+  }
+}
+
+}  // namespace
+
+void RigidBodies::prepare(const Model& m, const Contacts* contacts) {
+  if (!body_world_.matches(m.body_world)) {
+    check_worlds(m);
+    body_world_.set(m.body_world);
+  }
+  if (contacts == nullptr) return;
+  const Contacts& c = *contacts;
+  if (count_.matches(c.rigid_contact_count) && shape0_.matches(c.rigid_contact_shape0) &&
+      shape1_.matches(c.rigid_contact_shape1) && shape_body_.matches(m.shape_body)) {
+    return;
+  }
+  count_.reset();
+  rows_ = std::clamp(*c.rigid_contact_count.data(), 0, c.rigid_contact_max());
+  bodies_.resize(2 * static_cast<size_t>(rows_));
+  const int32_t* const body = m.shape_body.data();
+  const int32_t* const shapes[2] = {c.rigid_contact_shape0.data(), c.rigid_contact_shape1.data()};
+  for (int32_t row = 0; row < rows_; ++row) {
+    for (int side = 0; side < 2; ++side) {
+      const int32_t shape = shapes[side][row];
+      require(shape >= 0 && shape < m.shape_count(), ErrorKind::Index,
+              "step: contacts: rigid_contact_shape", side, "[", row, "]: expected 0 to ",
+              m.shape_count() - 1, ", got ", shape);
+      require(body[shape] >= -1 && body[shape] < m.body_count(), ErrorKind::Index,
+              "step: model.shape_body[", shape, "]: expected -1 to ", m.body_count() - 1, ", got ",
+              body[shape]);
+      bodies_[2 * static_cast<size_t>(row) + static_cast<size_t>(side)] = body[shape];
+    }
+  }
+  sides_.build(bodies_, m.body_count());
+  wrenches_.resize(bodies_.size());
+  count_.set(c.rigid_contact_count);
+  shape0_.set(c.rigid_contact_shape0);
+  shape1_.set(c.rigid_contact_shape1);
+  shape_body_.set(m.shape_body);
+}
+
+void RigidBodies::evaluate(const Model& m, const SimState& state, const Contacts& c,
+                           const RigidStep& how) {
+  const Transformf* const q = state.body_q.data();
+  const SpatialVectorf* const qd = state.body_qd.data();
+  const Vec3f* const com = m.body_com.data();
+  const int32_t* const shape0 = c.rigid_contact_shape0.data();
+  const int32_t* const shape1 = c.rigid_contact_shape1.data();
+  const Vec3f* const point0 = c.rigid_contact_point0.data();
+  const Vec3f* const point1 = c.rigid_contact_point1.data();
+  const float* const margin0 = c.rigid_contact_margin0.data();
+  const float* const margin1 = c.rigid_contact_margin1.data();
+  const Vec3f* const normal = c.rigid_contact_normal.data();
+  const float *const ke = m.shape_material_ke.data(), *const kd = m.shape_material_kd.data(),
+                     *const kf = m.shape_material_kf.data(), *const ka = m.shape_material_ka.data(),
+                     *const mu = m.shape_material_mu.data();
+  DeviceArray<Vec3f> forces = c.rigid_contact_force;
+  Vec3f* const force = forces.mutable_data();
+
+  const auto side = [&](int32_t body, const Vec3f& point, float margin) {
+    RigidContactSide<float> s;
+    if (body >= 0) s = {q[body], qd[body], com[body]};
+    s.point = point;
+    s.margin = margin;
+    return s;
+  };
+  const auto material = [&](int32_t s) {
+    return RigidContactMaterial<float>{ke[s], kd[s], kf[s], ka[s], mu[s]};
+  };
+  for_chunks(rows_, kRowChunk, [&](int64_t begin, int64_t end, int64_t) {
+    for (int64_t row = begin; row < end; ++row) {
+      const size_t first = 2 * static_cast<size_t>(row);
+      const RigidContactForce<float> f = rigid_contact_force(
+          how.friction_law, side(bodies_[first], point0[row], margin0[row]),
+          side(bodies_[first + 1], point1[row], margin1[row]), normal[row],
+          mean_rigid_contact_material(material(shape0[row]), material(shape1[row])),
+          how.friction_smoothing);
+      // acc + (-f) has the bits of acc - f.
+      wrenches_[first] = {-f.force, -math::cross(f.arm_a, f.force)};
+      wrenches_[first + 1] = {f.force, math::cross(f.arm_b, f.force)};
+      force[row] = f.force;
+    }
+  });
+}
+
+void RigidBodies::step(const Model& m, const SimState& in, SimState& out, const Contacts* contacts,
+                       const RigidStep& how) {
+  if (m.body_count() == 0) return;
+  const bool touching = contacts != nullptr && rows_ > 0;
+  if (touching) evaluate(m, in, *contacts, how);
+
+  const Transformf* const q = in.body_q.data();
+  const SpatialVectorf* const qd = in.body_qd.data();
+  const SpatialVectorf* const applied = in.body_f.data();
+  const Vec3f* const com = m.body_com.data();
+  const float* const inv_mass = m.body_inv_mass.data();
+  const Mat33f* const inertia = m.body_inertia.data();
+  const Mat33f* const inv_inertia = m.body_inv_inertia.data();
+  const int32_t* const flags = m.body_flags.data();
+  const int32_t* const world = m.body_world.data();
+  const Vec3f* const gravity = m.gravity.data();
+  const int32_t last_world = m.world_count() - 1;
+  Transformf* const q_out = out.body_q.mutable_data();
+  SpatialVectorf* const qd_out = out.body_qd.mutable_data();
+  for_chunks(m.body_count(), kBodyChunk, [&](int64_t begin, int64_t end, int64_t) {
+    for (int64_t b = begin; b < end; ++b) {
+      const RigidBodyState<float> now = {q[b], qd[b]};
+      RigidBodyState<float> next;
+      if (has_flag(flags[b], BodyFlags::KINEMATIC)) {
+        next = move_kinematic_body(now, com[b], how.dt);
+      } else {
+        SpatialVectorf wrench = applied[b];
+        if (touching)
+          for (const int32_t item : sides_.items(b))
+            wrench = wrench + wrenches_[static_cast<size_t>(item)];
+        next = integrate_rigid_body(now, wrench, {com[b], inv_mass[b], inertia[b], inv_inertia[b]},
+                                    gravity[world[b] < 0 ? last_world : world[b]],
+                                    how.angular_damping, how.dt);
+      }
+      q_out[b] = next.q;
+      qd_out[b] = next.qd;
+    }
+  });
+}
+
+}  // namespace novaphy

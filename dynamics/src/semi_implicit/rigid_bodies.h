@@ -1,0 +1,44 @@
+// The rigid bodies of a step: contact forces row by row, their sum on each body in the order of the
+// rows, then the integration of each body. So nothing depends on the number of threads.
+#pragma once
+
+#include <vector>
+
+#include "index_rows.h"
+#include "novaphy/core/array_stamp.h"
+#include "novaphy/core/sim/contacts.h"
+#include "novaphy/core/sim/model.h"
+#include "novaphy/core/sim/sim_state.h"
+#include "novaphy/dynamics/semi_implicit/rigid_contact_trace.h"
+
+namespace novaphy {
+
+struct RigidStep {
+  FrictionLaw friction_law;
+  float friction_smoothing;  // m/s
+  float angular_damping;     // 1/s
+  float dt;                  // s
+};
+
+class RigidBodies {
+ public:
+  // Checks what step reads, and finds the rows of every body if the contacts are others than at the
+  // last call. Keeps its memory. ErrorKind::Index: a contact of a shape, a shape of a body, or a
+  // body of a world that is not there.
+  void prepare(const Model& model, const Contacts* contacts);
+  // Writes the bodies of `out`, and rigid_contact_force of the contacts that were prepared.
+  void step(const Model& model, const SimState& in, SimState& out, const Contacts* contacts,
+            const RigidStep& how);
+
+ private:
+  void evaluate(const Model& model, const SimState& state, const Contacts& contacts,
+                const RigidStep& how);
+
+  int32_t rows_ = 0;  // contacts that act
+  ArrayStamp count_, shape0_, shape1_, shape_body_, body_world_;
+  std::vector<int32_t> bodies_;           // of the two sides of every row; -1: the world
+  IndexRows sides_;                       // of every body
+  std::vector<SpatialVectorf> wrenches_;  // what every side adds to its body
+};
+
+}  // namespace novaphy

@@ -1,0 +1,185 @@
+// Rigid contacts of CollisionPipeline: which pairs, which rows, their order, overflow.
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <cmath>
+#include <string>
+#include <vector>
+
+#include "novaphy/collision/collision_pipeline.h"
+#include "novaphy/core/error.h"
+#include "novaphy/core/sim/model_builder.h"
+#include "support/bits.h"
+#include "support/threads.h"
+
+namespace novaphy {
+namespace {
+
+Transformf at(float x, float y, float z) { return {{x, y, z}, Quatf::identity()}; }
+
+std::vector<RigidContact> rows(const std::shared_ptr<Model>& model,
+                               const CollisionOptions& options = {}) {
+  CollisionPipeline pipeline(model, options);
+  Contacts contacts = pipeline.contacts();
+  pipeline.collide(model->state(), contacts);
+  return contacts.rigid_contacts();
+}
+
+TEST(RigidContacts, ASphereOnAPlaneIsOneRowOfCorePoints) {
+  ModelBuilder builder;
+  builder.add_body({.xform = at(1.0f, 2.0f, 0.45f)});
+  builder.add_shape_sphere(0, {.radius = 0.5f, .cfg = ShapeConfig{.margin = 0.01f}});
+  builder.add_shape_plane({.width = 0.0f, .length = 0.0f, .cfg = ShapeConfig{.margin = 0.02f}});
+  const auto contacts = rows(builder.finalize(Device::cpu()));
+  ASSERT_EQ(contacts.size(), 1u);
+  const RigidContact& c = contacts[0];
+  EXPECT_EQ(c.shape0, 1) << "the plane, of the smaller type";
+  EXPECT_EQ(c.shape1, 0);
+  EXPECT_EQ(c.normal, (Vec3f{0.0f, 0.0f, 1.0f}));
+  EXPECT_NEAR(c.point0.z, 0.0f, 1e-6f);
+  EXPECT_NEAR(c.point0.x, 1.0f, 1e-6f);
+  EXPECT_NEAR(math::length(c.point1), 0.0f, 1e-6f) << "the centre, in the frame of the body";
+  EXPECT_FLOAT_EQ(c.margin0, 0.02f);
+  EXPECT_FLOAT_EQ(c.margin1, 0.51f);
+  EXPECT_FLOAT_EQ(c.offset0.z, 0.02f);
+  EXPECT_FLOAT_EQ(c.offset1.z, -0.51f);
+  EXPECT_EQ(c.force, Vec3f{});
+}
+
+TEST(RigidContacts, RowsAreThoseWithinBothGaps) {
+  const auto found = [](float height) {
+    ModelBuilder builder;
+    builder.add_ground_plane({.cfg = ShapeConfig{.gap = 0.1f}});
+    builder.add_body({.xform = at(0.0f, 0.0f, height)});
+    builder.add_shape_sphere(0, {.radius = 0.5f, .cfg = ShapeConfig{.margin = 0.05f, .gap = 0.2f}});
+    return rows(builder.finalize(Device::cpu())).size();
+  };
+  EXPECT_EQ(found(0.849f), 1u);
+  EXPECT_EQ(found(0.851f), 0u);
+}
+
+TEST(RigidContacts, RowsAreOrderedByShape0AndShape1) {
+  ModelBuilder builder;
+  for (int b = 0; b < 4; ++b)
+    builder.add_body({.xform = at(2.0f * static_cast<float>(b), 0.0f, 0.1f)});
+  builder.add_shape_box(0, {.hx = 0.1f, .hy = 0.1f, .hz = 0.1f});
+  builder.add_ground_plane();
+  builder.add_shape_capsule(1, {.radius = 0.1f, .half_height = 0.3f});
+  builder.add_ground_plane({.height = -0.05f});
+  builder.add_shape_cylinder(2, {.radius = 0.1f, .half_height = 0.15f});
+  builder.add_shape_ellipsoid(3, {.rx = 0.1f, .ry = 0.1f, .rz = 0.1f});
+  for (const int32_t a : {0, 2, 4, 5})
+    for (const int32_t b : {0, 2, 4, 5})
+      if (a < b) builder.add_shape_collision_filter_pair(a, b);
+  const auto model = builder.finalize(Device::cpu());
+  const auto contacts = rows(model);
+  ASSERT_EQ(contacts.size(), 2u * (4 + 1 + 3 + 1));
+  EXPECT_TRUE(std::is_sorted(contacts.begin(), contacts.end(), [](const auto& x, const auto& y) {
+    return std::pair(x.shape0, x.shape1) < std::pair(y.shape0, y.shape1);
+  }));
+  EXPECT_EQ(contacts, rows(model, {.broad_phase = BroadPhase::NxN}));
+  for (const int threads : {2, 7}) {
+    const testing::Threads set(threads);
+    EXPECT_EQ(contacts, rows(model)) << threads;
+  }
+}
+
+TEST(RigidContacts, OverflowKeepsTheFirstRowsAndTheTrueCount) {
+  ModelBuilder builder;
+  builder.add_ground_plane();
+  builder.add_body({.xform = at(0.0f, 0.0f, 0.1f)});
+  builder.add_shape_box(0, {.hx = 0.1f, .hy = 0.1f, .hz = 0.1f});
+  const auto model = builder.finalize(Device::cpu());
+  const auto all = rows(model);
+  ASSERT_EQ(all.size(), 4u);
+  CollisionPipeline pipeline(model, {.rigid_contact_max = 3});
+  EXPECT_EQ(pipeline.rigid_contact_max(), 3);
+  EXPECT_EQ(CollisionPipeline(model).rigid_contact_max(), 4);
+  Contacts contacts = pipeline.contacts();
+  pipeline.collide(model->state(), contacts);
+  EXPECT_EQ(contacts.rigid_contact_count.to_host()[0], 4);
+  EXPECT_EQ(contacts.active_rigid_contact_count(), 3);
+  EXPECT_TRUE(contacts.overflowed());
+  EXPECT_EQ(contacts.rigid_contacts(), std::vector<RigidContact>(all.begin(), all.begin() + 3));
+}
+
+TEST(RigidContacts, UnusedRowsAreEmptyAgainWhenTheBodyHasLeft) {
+  ModelBuilder builder;
+  builder.add_ground_plane();
+  builder.add_body({.xform = at(0.0f, 0.0f, 0.1f)});
+  builder.add_shape_box(0, {.hx = 0.1f, .hy = 0.1f, .hz = 0.1f});
+  const auto model = builder.finalize(Device::cpu());
+  CollisionPipeline pipeline(model);
+  Contacts contacts = pipeline.contacts();
+  SimState state = model->state();
+  pipeline.collide(state, contacts);
+  EXPECT_EQ(contacts.active_rigid_contact_count(), 4);
+  contacts.rigid_contact_force.fill({1.0f, 2.0f, 3.0f});
+  for (const float height : {10.0f, NAN}) {
+    state.body_q.fill(at(0.0f, 0.0f, height));
+    pipeline.collide(state, contacts);
+    EXPECT_EQ(contacts.active_rigid_contact_count(), 0) << height;
+    EXPECT_EQ(contacts.rigid_contact_shape1.to_host(), std::vector<int32_t>(4, -1));
+    EXPECT_EQ(contacts.rigid_contact_point_id.to_host(), std::vector<int32_t>(4, -1));
+    EXPECT_EQ(contacts.rigid_contact_force.to_host(), std::vector<Vec3f>(4));
+  }
+}
+
+TEST(RigidContacts, FollowGroupsFlagsFiltersAndWorlds) {
+  const auto found = [](const ShapeConfig& cfg, bool filter) {
+    ModelBuilder builder;
+    builder.add_ground_plane();
+    builder.add_body({.xform = at(0.0f, 0.0f, 0.1f)});
+    builder.add_shape_sphere(0, {.radius = 0.1f, .cfg = cfg});
+    if (filter) builder.add_shape_collision_filter_pair(0, 1);
+    return rows(builder.finalize(Device::cpu())).size();
+  };
+  EXPECT_EQ(found({}, false), 1u);
+  EXPECT_EQ(found({}, true), 0u);
+  EXPECT_EQ(found({.collision_group = 2}, false), 0u);
+  EXPECT_EQ(found({.collision_group = -2}, false), 1u);
+  EXPECT_EQ(found({.has_shape_collision = false}, false), 0u);
+  ModelBuilder one, worlds;
+  one.add_ground_plane();
+  one.add_body({.xform = at(0.0f, 0.0f, 0.1f)});
+  one.add_shape_sphere(0, {.radius = 0.1f});
+  worlds.replicate(one, 3);
+  const auto contacts = rows(worlds.finalize(Device::cpu()));
+  ASSERT_EQ(contacts.size(), 3u);
+  for (int32_t w = 0; w < 3; ++w) {
+    EXPECT_EQ(contacts[static_cast<size_t>(w)].shape0, 2 * w);
+    EXPECT_EQ(contacts[static_cast<size_t>(w)].shape1, 2 * w + 1);
+  }
+}
+
+TEST(RigidContacts, APlaneOfAKinematicBodyMovesWithIt) {
+  ModelBuilder builder;
+  const float s = std::sqrt(0.5f);
+  builder.add_body({.xform = {{1.0f, 0.0f, 0.0f}, {0.0f, s, 0.0f, s}}, .is_kinematic = true});
+  builder.add_shape_plane({.width = 0.0f, .length = 0.0f, .body = 0});
+  builder.add_body({.xform = at(1.05f, 0.0f, 3.0f)});
+  builder.add_shape_sphere(1, {.radius = 0.1f});
+  const auto contacts = rows(builder.finalize(Device::cpu()));
+  ASSERT_EQ(contacts.size(), 1u);
+  EXPECT_NEAR(contacts[0].normal.x, 1.0f, 1e-6f);
+  EXPECT_NEAR(contacts[0].point0.x, -3.0f, 1e-5f) << "in the frame of the plane's body";
+  EXPECT_NEAR(contacts[0].point0.z, 0.0f, 1e-5f);
+}
+
+TEST(RigidContacts, PairsThatAreNotCoveredAreNamed) {
+  ModelBuilder builder;
+  const Mat33f inertia = {{{1.0f, 0.0f, 0.0f}, {0.0f, 1.0f, 0.0f}, {0.0f, 0.0f, 1.0f}}};
+  for (int b = 0; b < 2; ++b) builder.add_body({.mass = 1.0f, .inertia = inertia});
+  builder.add_shape_cone(0);
+  builder.add_shape_plane();
+  EXPECT_ERROR(CollisionPipeline(builder.finalize(Device::cpu())), ErrorKind::NotImplemented,
+               "shape 1: expected an infinite plane");
+  builder.add_shape_cone(1);
+  builder.add_shape_collision_filter_pair(0, 1);
+  builder.add_shape_collision_filter_pair(1, 2);
+  EXPECT_ERROR(CollisionPipeline(builder.finalize(Device::cpu())), ErrorKind::NotImplemented,
+               "shapes 0 (CONE) and 2 (CONE)");
+}
+
+}  // namespace
+}  // namespace novaphy

@@ -1,0 +1,165 @@
+// Rigid scenes of Newton 1.8.0 (cpu, dt 1/960, 480 substeps): every bit of rows, poses and twists.
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "novaphy/collision/collision_pipeline.h"
+#include "novaphy/core/sim/model_builder.h"
+#include "novaphy/dynamics/semi_implicit/solver_semi_implicit.h"
+#include "support/bits.h"
+#include "support/npz.h"
+
+namespace novaphy {
+namespace {
+
+using testing::golden;
+using testing::Npz;
+using testing::same_bits;
+
+class Scene {
+ public:
+  explicit Scene(std::string name) : name_(std::move(name)) {}
+
+  const testing::NpyArray& operator[](const std::string& array) const {
+    return file_[name_ + "_" + array];
+  }
+  float dt() const { return static_cast<float>((*this)["dt"].scalar<double>()); }
+
+  // Mass and inertia as the file has them: Newton adds in float32.
+  std::shared_ptr<Model> model() const {
+    ModelBuilder builder(Axis::Z, (*this)["model_gravity"].as<Vec3f>()[0]);
+    const size_t bodies = (*this)["model_body_mass"].size();
+    for (size_t b = 0; b < bodies; ++b)
+      builder.add_body({.xform = (*this)["model_body_q"].as<Transformf>()[b],
+                        .com = (*this)["model_body_com"].as<Vec3f>()[b],
+                        .mass = (*this)["model_body_mass"].as<float>()[b],
+                        .inertia = (*this)["model_body_inertia"].as<Mat33f>()[b],
+                        .lock_inertia = true});
+    const auto number = [&](const char* array, size_t s) {
+      return (*this)[std::string("model_shape_") + array].as<float>()[s];
+    };
+    for (size_t s = 0; s < (*this)["model_shape_type"].size(); ++s)
+      builder.add_shape({.body = (*this)["model_shape_body"].as<int32_t>()[s],
+                         .type = static_cast<GeoType>((*this)["model_shape_type"].as<int32_t>()[s]),
+                         .xform = (*this)["model_shape_transform"].as<Transformf>()[s],
+                         .scale = (*this)["model_shape_scale"].as<Vec3f>()[s],
+                         .cfg = ShapeConfig{.ke = number("material_ke", s),
+                                            .kd = number("material_kd", s),
+                                            .kf = number("material_kf", s),
+                                            .ka = number("material_ka", s),
+                                            .mu = number("material_mu", s),
+                                            .margin = number("margin", s),
+                                            .gap = number("gap", s)}});
+    return builder.finalize(Device::cpu());
+  }
+  // The state before substep t.
+  void load(size_t t, SimState& state) const {
+    const size_t n = state.body_q.rows();
+    state.body_q.copy_from_host((*this)["body_q"].as<Transformf>().subspan(t * n, n));
+    state.body_qd.copy_from_host((*this)["body_qd"].as<SpatialVectorf>().subspan(t * n, n));
+  }
+  ::testing::AssertionResult is_at(size_t t, const SimState& state) const {
+    const size_t n = state.body_q.rows();
+    const auto q = state.body_q.to_host();
+    const auto qd = state.body_qd.to_host();
+    return same_bits(std::span(q), (*this)["body_q"].as<Transformf>().subspan(t * n, n)) &&
+                   same_bits(std::span(qd),
+                             (*this)["body_qd"].as<SpatialVectorf>().subspan(t * n, n))
+               ? ::testing::AssertionSuccess()
+               : ::testing::AssertionFailure() << name_ << ", after substep " << t;
+  }
+
+ private:
+  std::string name_;
+  Npz file_ = golden("newton_rigid_scenes.npz");
+};
+
+template <class T>
+std::vector<T> first(const DeviceArray<T>& array, size_t count) {
+  std::vector<T> values = array.to_host();
+  values.resize(count);
+  return values;
+}
+
+// Zeros may differ in sign.
+template <class T>
+void expect_rows(const DeviceArray<T>& array, const testing::NpyArray& expected, const char* name) {
+  const auto values = expected.as<T>();
+  EXPECT_EQ(first(array, values.size()), std::vector<T>(values.begin(), values.end())) << name;
+}
+
+void expect_contacts(const Contacts& c, const Scene& scene, size_t t) {
+  const std::string at = "contact" + std::to_string(t) + "_";
+  expect_rows(c.rigid_contact_shape0, scene[at + "shape0"], "shape0");
+  expect_rows(c.rigid_contact_shape1, scene[at + "shape1"], "shape1");
+  expect_rows(c.rigid_contact_point0, scene[at + "point0"], "point0");
+  expect_rows(c.rigid_contact_point1, scene[at + "point1"], "point1");
+  expect_rows(c.rigid_contact_offset0, scene[at + "offset0"], "offset0");
+  expect_rows(c.rigid_contact_offset1, scene[at + "offset1"], "offset1");
+  expect_rows(c.rigid_contact_normal, scene[at + "normal"], "normal");
+  expect_rows(c.rigid_contact_margin0, scene[at + "margin0"], "margin0");
+  expect_rows(c.rigid_contact_margin1, scene[at + "margin1"], "margin1");
+}
+
+class NewtonRigid : public ::testing::TestWithParam<const char*> {};
+
+TEST_P(NewtonRigid, TheRolloutAndItsRowsAreNewtonsInAllBits) {
+  const Scene scene(GetParam());
+  const auto model = scene.model();
+  EXPECT_TRUE(same_bits(std::span<const Mat33f>(model->body_inv_inertia.to_host()),
+                        scene["model_body_inv_inertia"].as<Mat33f>()));
+  CollisionPipeline pipeline(model);
+  SolverSemiImplicit solver(model);
+  Contacts contacts = pipeline.contacts();
+  SimState now = model->state(), next = model->state();
+  scene.load(0, now);
+  const auto counts = scene["contact_count"].as<int32_t>();
+  const auto stored = scene["contact_steps"].as<int32_t>();
+  size_t most = 0;
+  for (size_t t = 0; t < 480; ++t) {
+    pipeline.collide(now, contacts);
+    ASSERT_EQ(contacts.rigid_contact_count.to_host()[0], counts[t]) << t;
+    most = std::max(most, static_cast<size_t>(counts[t]));
+    if (std::find(stored.begin(), stored.end(), static_cast<int32_t>(t)) != stored.end())
+      expect_contacts(contacts, scene, t);
+    solver.step(now, next, nullptr, &contacts, scene.dt());
+    ASSERT_TRUE(scene.is_at(t + 1, next));
+    std::swap(now, next);
+  }
+  EXPECT_GE(most, 1u);
+}
+
+INSTANTIATE_TEST_SUITE_P(Scenes, NewtonRigid,
+                         ::testing::Values("box_drop", "box_slope", "sphere_roll",
+                                           "capsule_tumble"),
+                         [](const auto& scene) { return std::string(scene.param); });
+
+// With Newton's rows: pose and twist after the substeps for which the file has them.
+TEST(NewtonRigidRows, TwoStackedBoxesMoveAsNewtonsOnItsRows) {
+  const Scene scene("stack2");
+  const auto model = scene.model();
+  SolverSemiImplicit solver(model);
+  SimState now = model->state(), next = model->state();
+  for (const int32_t t : scene["contact_steps"].as<int32_t>()) {
+    const std::string at = "contact" + std::to_string(t) + "_";
+    const auto rows = static_cast<int32_t>(scene[at + "shape0"].size());
+    Contacts contacts({.rigid_contact_max = rows, .model_id = model->id()}, Device::cpu());
+    contacts.rigid_contact_count.fill(rows);
+    contacts.rigid_contact_shape0.copy_from_host(scene[at + "shape0"].as<int32_t>());
+    contacts.rigid_contact_shape1.copy_from_host(scene[at + "shape1"].as<int32_t>());
+    contacts.rigid_contact_point0.copy_from_host(scene[at + "point0"].as<Vec3f>());
+    contacts.rigid_contact_point1.copy_from_host(scene[at + "point1"].as<Vec3f>());
+    contacts.rigid_contact_normal.copy_from_host(scene[at + "normal"].as<Vec3f>());
+    contacts.rigid_contact_margin0.copy_from_host(scene[at + "margin0"].as<float>());
+    contacts.rigid_contact_margin1.copy_from_host(scene[at + "margin1"].as<float>());
+    scene.load(static_cast<size_t>(t), now);
+    solver.step(now, next, nullptr, &contacts, scene.dt());
+    EXPECT_TRUE(scene.is_at(static_cast<size_t>(t) + 1, next));
+  }
+}
+
+}  // namespace
+}  // namespace novaphy

@@ -29,6 +29,19 @@ void launch(const Rule&, const Array& source, const Array& derived) {
   rule_kernel<Rule>().launch(in.rows, {&in, 1}, {&out, 1});
 }
 
+// A derived array that is made a leaf would stay at a gradient of 0.
+void check_leaves(const Model& model) {
+  const auto check = [](const Array& derived, const char* name, const char* source) {
+    const nova::GradInfo* info =
+        derived.rows() != 0 ? nova::find_grad_info(*derived.range()) : nullptr;
+    require(info == nullptr || !info->requires_grad, ErrorKind::NotImplemented, "model.", name,
+            ": it follows model.", source, ", and so does its gradient; set requires_grad there");
+  };
+#define NOVAPHY_CHECK_LEAF(derived, source, rule) check(model.derived, #derived, #source);
+  NOVAPHY_DERIVED_MODEL_FIELDS(NOVAPHY_CHECK_LEAF)
+#undef NOVAPHY_CHECK_LEAF
+}
+
 void update_derived(const Model& model) {
   model.update_derived([](const auto& rule, const Array& source, const Array& derived) {
     launch(rule, source, derived);
@@ -46,6 +59,7 @@ void detail::add_derived_kernels(std::vector<nova::EngineKernel>& list) {
 
 void begin_model_reads(const Model& model, const char* function) {
   model.check_numbers(function);
+  if (nova::Tape::active() != nullptr) check_leaves(model);
   update_derived(model);
   nova::OpList* const list = nova::current_capture();
   if (list == nullptr) return;

@@ -107,8 +107,8 @@ void bind_tape(py::module_& m) {
            "Pushes tangents of leaves forward (forward mode): for each of `outputs` its derivative "
            "in the direction of `tangents`, one per input and shaped like it, as new tensors. The "
            "values that this reads must be as recorded (novaphy.Error). ValueError: an input that "
-           "is no leaf with a gradient, an output that is not on the tape; NotImplementedError: a "
-           "custom operation that was recorded without a tangent.")
+           "is no leaf with a gradient or given twice, an output that is not on the tape; "
+           "NotImplementedError: a custom operation that was recorded without a tangent.")
       .def("zero", &nova::Tape::zero, release_gil(),
            "All gradients that the tape touched are zero.")
       .def("reset", &nova::Tape::reset, "Forgets all operations.")

@@ -112,3 +112,20 @@ def test_a_rollout_refuses_forces_and_an_end_of_another_meaning():
         solver.rollout(trajectory, None, None, DT, forces=nova.zeros((3, 3)))
     with pytest.raises(ValueError, match="stop: expected a state from 0 to 3 or None, got -1"):
         solver.rollout(trajectory, None, None, DT, stop=-1)
+
+
+def test_an_array_that_follows_another_is_refused_as_a_leaf():
+    model = particle()
+    model.particle_inv_mass.requires_grad = True
+    trajectory = diff.Trajectory(model, STEPS)
+    rollout(model, trajectory)
+    with (
+        nova.Tape(),
+        pytest.raises(
+            NotImplementedError, match="particle_inv_mass: it follows model.particle_mass"
+        ),
+    ):
+        rollout(model, trajectory)
+    model.particle_inv_mass.requires_grad = False
+    with nova.Tape() as tape:
+        tape.backward(rollout(model, trajectory))

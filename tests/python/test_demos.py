@@ -49,3 +49,19 @@ def test_a_demo_trains_and_says_ok():
     pytest.importorskip("novaphy.diff")
     done = demo("spring_cage", "--headless", "5", "--check-grad")
     assert done.returncode == 0 and done.stdout.rstrip().endswith("ok"), done.stdout + done.stderr
+
+
+def test_the_dropped_dice_come_to_rest(tmp_path):
+    flags = ["--headless", "180"]
+    try:
+        import matplotlib  # noqa: F401
+
+        flags += ["--plot", str(tmp_path / "drop.png")]
+    except ImportError:
+        pass
+    script = DEMOS.parent / "demo_rigid_drop.py"
+    done = subprocess.run(
+        [sys.executable, str(script), *flags], capture_output=True, text=True, timeout=300
+    )
+    assert done.returncode == 0 and done.stdout.rstrip().endswith("ok"), done.stdout + done.stderr
+    assert len(flags) == 2 or (tmp_path / "drop.png").stat().st_size > 10_000

@@ -1,10 +1,17 @@
 // The contact points of a pair of shapes: at most 8, with one normal.
 //
-// `normal` is a unit vector from A to B. A point lies midway between the two surfaces; `distance`
-// (m) is signed along the normal, < 0 where the shapes overlap, and the surface points are
+// Frame: that of shape A within collide.h, else the world. `normal` is a unit vector
+// from A to B. A point lies midway between the two surfaces; `distance` (m) is signed along the
+// normal, < 0 where the shapes overlap, and the surface points are
 //   on A: position - normal (distance / 2),    on B: position + normal (distance / 2).
-// `feature` names what of A meets what of B. It is unique within a manifold and stays the same
-// while the same features touch, so contacts can be followed from step to step.
+// `feature` names what of A meets what of B (contact_feature). It is unique within a manifold and
+// stays the same while the same features touch, so contacts can be followed from step to step.
+// collide() sorts points by it, so that nothing depends on the order in which they were found;
+// those of planes keep the order of plane_pairs.h.
+//
+// Reduction (reduce_contacts): the deepest point, the farthest from it, the largest triangle, the
+// largest triangle on the other side of the longest edge, then always the point that is farthest
+// from those taken. Ties go to the smaller feature.
 #pragma once
 
 #include "novaphy/math/types.h"
@@ -12,6 +19,7 @@
 namespace novaphy::geometry {
 
 inline constexpr int32_t kManifoldCapacity = 8;
+inline constexpr int32_t kCandidateCapacity = 40;  // what clipping and a witness point can yield
 
 struct ContactPoint {
   Vec3f position{};      // m
@@ -26,12 +34,113 @@ struct ContactSet {
   ContactPoint points[Capacity];
 };
 using Manifold = ContactSet<kManifoldCapacity>;
+using ContactCandidates = ContactSet<kCandidateCapacity>;
+
+// Face of A, face (or edge, or 0) of B, and a code of the point within them: 11, 11 and 7 bits.
+inline constexpr int32_t kWitnessCode = 127;
+inline int32_t contact_feature(int32_t face_a, int32_t face_b, int32_t code) {
+  return ((face_a & 2047) << 18) | ((face_b & 2047) << 7) | code;
+}
 
 // Adds a point where there is room; a full set stays as it is.
 template <int32_t Capacity>
 void add_contact(ContactSet<Capacity>& set, const Vec3f& position, float distance,
                  int32_t feature) {
   if (set.count < Capacity) set.points[set.count++] = {position, distance, feature};
+}
+
+template <int32_t Capacity>
+void sort_contacts(ContactSet<Capacity>& set) {  // by feature
+  for (int32_t i = 1; i < set.count; ++i) {
+    const ContactPoint point = set.points[i];
+    int32_t j = i;
+    for (; j > 0 && set.points[j - 1].feature > point.feature; --j)
+      set.points[j] = set.points[j - 1];
+    set.points[j] = point;
+  }
+}
+
+// The set with A and B exchanged, still in the frame of the same shape.
+template <int32_t Capacity>
+ContactSet<Capacity> exchanged(ContactSet<Capacity> set) {
+  set.normal = -set.normal;
+  return set;
+}
+// The set in the frame in which the shape's pose is `pose`.
+template <int32_t Capacity>
+ContactSet<Capacity> in_frame(ContactSet<Capacity> set, const Transformf& pose) {
+  set.normal = math::rotate(pose.q, set.normal);
+  for (int32_t i = 0; i < set.count; ++i)
+    set.points[i].position = math::transform_point(pose, set.points[i].position);
+  return set;
+}
+
+// The index of the point with the largest score, the earliest among equals; points that are taken
+// do not count. -1 if none is left.
+template <int32_t Capacity, class Score>
+int32_t best_contact(const ContactSet<Capacity>& set, const bool* taken, Score score) {
+  int32_t best = -1;
+  float best_score = 0.0f;
+  for (int32_t i = 0; i < set.count; ++i) {
+    if (taken[i]) continue;
+    const float s = score(set.points[i]);
+    if (best < 0 || s > best_score) {
+      best = i;
+      best_score = s;
+    }
+  }
+  return best;
+}
+
+// At most `limit` (1 .. Kept) of the points, sorted by feature.
+template <int32_t Kept, int32_t Capacity>
+ContactSet<Kept> reduce_contacts(ContactSet<Capacity> set, int32_t limit = Kept) {
+  sort_contacts(set);
+  bool taken[Capacity] = {};
+  const Vec3f n = set.normal;
+  Vec3f corner[4];
+  int32_t count = 0;
+  auto take = [&](int32_t i) {
+    if (i < 0) return;
+    taken[i] = true;
+    if (count < 4) corner[count] = set.points[i].position;
+    ++count;
+  };
+  if (set.count > limit) {
+    take(best_contact(set, taken, [](const ContactPoint& p) { return -p.distance; }));
+    if (count < limit)
+      take(best_contact(set, taken, [&](const ContactPoint& p) {
+        const Vec3f d = p.position - corner[0];
+        return math::dot(d, d);
+      }));
+    // Twice the signed area of the triangle on the first edge, seen along the normal.
+    auto area = [&](const ContactPoint& p) {
+      return math::dot(n, math::cross(corner[1] - corner[0], p.position - corner[0]));
+    };
+    if (count < limit)
+      take(best_contact(set, taken, [&](const ContactPoint& p) { return math::abs(area(p)); }));
+    if (count < limit) {
+      const float side = math::dot(n, math::cross(corner[1] - corner[0], corner[2] - corner[0]));
+      take(best_contact(set, taken,
+                        [&](const ContactPoint& p) { return side > 0.0f ? -area(p) : area(p); }));
+    }
+    while (count < limit)
+      take(best_contact(set, taken, [&](const ContactPoint& p) {
+        float nearest = -1.0f;
+        for (int32_t i = 0; i < set.count; ++i) {
+          if (!taken[i]) continue;
+          const Vec3f d = p.position - set.points[i].position;
+          const float square = math::dot(d, d);
+          if (nearest < 0.0f || square < nearest) nearest = square;
+        }
+        return nearest;
+      }));
+  }
+  ContactSet<Kept> kept;
+  kept.normal = n;
+  for (int32_t i = 0; i < set.count; ++i)
+    if (set.count <= limit || taken[i]) kept.points[kept.count++] = set.points[i];
+  return kept;
 }
 
 }  // namespace novaphy::geometry

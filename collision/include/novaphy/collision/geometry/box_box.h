@@ -1,0 +1,91 @@
+// Box against box: the 15 separating axes, then the clipped faces (clip_manifold.h). Frame of A, m.
+//
+// The axis with the largest separation wins; a cross axis of two edges must win by kEdgeBias of the
+// size of the boxes, so that rounding does not turn a face contact into one of edges. The normal
+// and depth of overlapping boxes are exact to that bias. Boxes that are apart are as far apart as
+// a face axis says only if the clipped faces overlap there; else GJK finds the distance.
+// Source: Gottschalk, Lin, Manocha, OBBTree (1996), for the axes.
+#pragma once
+
+#include "novaphy/collision/geometry/convex_pair.h"
+#include "novaphy/collision/geometry/segment.h"
+
+namespace novaphy::geometry {
+
+inline constexpr float kEdgeBias = 2e-6f;      // of the sum of the half extents
+inline constexpr float kEdgeAxisSine = 1e-4f;  // edges more parallel than this have no axis
+
+struct BoxAxis {
+  Vec3f normal{};  // from A to B
+  float separation{};
+  int32_t edge_a = -1, edge_b = -1;  // of a cross axis: the directions of the edges
+};
+
+// The separation along the unit axis n, which is turned from A to B.
+inline BoxAxis box_axis(const ShapePair& pair, const Vec3f& n) {
+  const Vec3f m = apply_transposed(pair.rotation, n);
+  const float side = math::dot(n, pair.offset);
+  const Vec3f a = {math::abs(n.x), math::abs(n.y), math::abs(n.z)};
+  const Vec3f b = {math::abs(m.x), math::abs(m.y), math::abs(m.z)};
+  return {side < 0.0f ? -n : n,
+          (math::abs(side) - math::dot(a, pair.a->scale)) - math::dot(b, pair.b->scale)};
+}
+
+inline BoxAxis best_box_axis(const ShapePair& pair) {
+  BoxAxis best = box_axis(pair, unit_axis(0, 1.0f));
+  for (int32_t i = 1; i < 6; ++i) {
+    const BoxAxis axis =
+        box_axis(pair, i < 3 ? unit_axis(i, 1.0f) : math::column(pair.rotation, i - 3));
+    if (axis.separation > best.separation) best = axis;
+  }
+  const Vec3f ha = pair.a->scale, hb = pair.b->scale;
+  const float size = ((ha.x + ha.y) + ha.z) + ((hb.x + hb.y) + hb.z);
+  const float to_beat = best.separation + kEdgeBias * size;
+  for (int32_t i = 0; i < 9; ++i) {
+    const Vec3f n = math::cross(unit_axis(i / 3, 1.0f), math::column(pair.rotation, i % 3));
+    const float sine = math::length(n);
+    if (!(sine > kEdgeAxisSine)) continue;
+    BoxAxis axis = box_axis(pair, n / sine);
+    if (!(axis.separation > to_beat) || !(axis.separation > best.separation)) continue;
+    axis.edge_a = i / 3;
+    axis.edge_b = i % 3;
+    best = axis;
+  }
+  return best;
+}
+
+// The nearest points: of the two edges of a cross axis, or a corner and its foot on the face.
+inline Proximity box_proximity(const ShapePair& pair, const BoxAxis& axis) {
+  const Vec3f n = axis.normal;
+  const SupportPoint corner = support_point(pair, n);
+  Proximity proximity{n, axis.separation, corner.a, corner.b};
+  if (axis.edge_a >= 0) {
+    const float ha = component(pair.a->scale, axis.edge_a);
+    const float hb = component(pair.b->scale, axis.edge_b);
+    const Vec3f u = unit_axis(axis.edge_a, 1.0f), v = math::column(pair.rotation, axis.edge_b);
+    const Vec3f a = corner.a - u * math::dot(u, corner.a);  // middles of the edges
+    const Vec3f b = corner.b - v * math::dot(v, corner.b - pair.offset);
+    const SegmentPoints p = nearest_of_segments(a - u * ha, a + u * ha, b - v * hb, b + v * hb);
+    proximity.on_a = p.a;
+    proximity.on_b = p.b;
+  } else if (math::max(math::max(math::abs(n.x), math::abs(n.y)), math::abs(n.z)) == 1.0f) {
+    proximity.on_a = corner.b - n * axis.separation;
+  } else {
+    proximity.on_b = corner.a + n * axis.separation;
+  }
+  return proximity;
+}
+
+inline Manifold collide_boxes(const ShapePair& pair, float gap) {
+  const BoxAxis axis = best_box_axis(pair);
+  if (!(axis.separation <= gap)) return {};
+  const Proximity proximity = box_proximity(pair, axis);
+  const ContactCandidates found = clip_candidates(pair, proximity, gap);
+  bool witness_only = false;
+  for (int32_t i = 0; i < found.count; ++i)
+    witness_only = witness_only || (found.points[i].feature & kWitnessCode) == kWitnessCode;
+  if (axis.separation > 0.0f && witness_only) return collide_convex(pair, gap);
+  return reduce_contacts<kManifoldCapacity>(found);
+}
+
+}  // namespace novaphy::geometry

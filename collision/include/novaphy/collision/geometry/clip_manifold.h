@@ -1,0 +1,162 @@
+// The manifold of two shapes of which normal, distance and nearest points are known: the supporting
+// feature of one is clipped against that of the other.
+//
+// The reference is the face that the normal is best aligned with, if within kFaceCosine; the other
+// feature, a face or an edge, is cut by the planes through the reference's edges (Sutherland,
+// Hodgman 1974), and each corner's distance is measured along the normal to the reference's plane.
+// Two nearly parallel edges (kParallelSine) are clipped likewise, by the planes through the ends of
+// the first. Everything else touches in one point. No corner counts as deeper than the known
+// distance; where none is as deep (round rims, edges on edges), the nearest points are added, so
+// the deepest point of the manifold always has the distance of the pair.
+//
+// The normal need not be a face's: it may be an edge axis that is a hair better than the face it
+// nearly lies along. The manifold is then still that of the faces, which keeps stacks steady.
+// Frame of A, m.
+#pragma once
+
+#include "novaphy/collision/geometry/feature.h"
+#include "novaphy/collision/geometry/manifold.h"
+
+namespace novaphy::geometry {
+
+inline constexpr float kFaceCosine = 0.99863f;   // 3 deg
+inline constexpr float kParallelSine = 0.0349f;  // 2 deg
+inline constexpr float kFacePreference = 1e-4f;  // of the cosine: A's face among equals
+inline constexpr float kDeepestShare = 4e-6f;    // of the features' size: as deep as the distance
+inline constexpr int32_t kClipCapacity = 2 * kFeatureCapacity;
+
+// Signed distance, normal from A to B and nearest points of a pair, of the surfaces.
+struct Proximity {
+  Vec3f normal{};
+  float distance{};
+  Vec3f on_a{}, on_b{};
+};
+
+struct ClippedFeature {
+  Vec3f points[kClipCapacity];
+  int32_t codes[kClipCapacity];  // corner i: i; made by plane k: 16 + 2 k, + 1 where it enters
+  int32_t count = 0;
+  bool open = false;  // an edge, not a polygon
+};
+
+inline void add_clipped(ClippedFeature& out, const Vec3f& point, int32_t code) {
+  if (out.count == kClipCapacity) return;
+  out.points[out.count] = point;
+  out.codes[out.count++] = code;
+}
+
+// Keeps what has dot(normal, x) <= offset.
+inline ClippedFeature clip_by_plane(const ClippedFeature& in, const Vec3f& normal, float offset,
+                                    int32_t plane) {
+  ClippedFeature out;
+  out.open = in.open;
+  for (int32_t i = 0; i < in.count; ++i) {
+    const float d = math::dot(normal, in.points[i]) - offset;
+    if (d <= 0.0f) add_clipped(out, in.points[i], in.codes[i]);
+    if (in.open && i + 1 == in.count) break;
+    const int32_t j = i + 1 == in.count ? 0 : i + 1;
+    const float e = math::dot(normal, in.points[j]) - offset;
+    if ((d <= 0.0f) == (e <= 0.0f)) continue;
+    const Vec3f cut = in.points[i] + (in.points[j] - in.points[i]) * (d / (d - e));
+    add_clipped(out, cut, 16 + 2 * plane + (d > 0.0f ? 1 : 0));
+  }
+  return out;
+}
+
+inline ClippedFeature unclipped(const Feature& feature) {
+  ClippedFeature out;
+  out.open = feature.count == 2;
+  for (int32_t i = 0; i < feature.count; ++i) add_clipped(out, feature.points[i], i);
+  return out;
+}
+
+inline float extent(const Feature& feature) {
+  float square = 0.0f;
+  for (int32_t i = 1; i < feature.count; ++i) {
+    const Vec3f d = feature.points[i] - feature.points[0];
+    square = math::max(square, math::dot(d, d));
+  }
+  return math::sqrt(square);
+}
+
+inline ClippedFeature clip_to_face(const Feature& face, const Feature& incident) {
+  ClippedFeature clipped = unclipped(incident);
+  for (int32_t k = 0; k < face.count; ++k) {
+    const Vec3f a = face.points[k], b = face.points[k + 1 == face.count ? 0 : k + 1];
+    const Vec3f side = math::normalize(math::cross(b - a, face.normal));
+    clipped = clip_by_plane(clipped, side, math::dot(side, a), k);
+  }
+  return clipped;
+}
+inline ClippedFeature clip_to_edge(const Feature& edge, const Feature& incident) {
+  const Vec3f d = math::normalize(edge.points[1] - edge.points[0]);
+  ClippedFeature clipped = clip_by_plane(unclipped(incident), d, math::dot(d, edge.points[1]), 1);
+  return clip_by_plane(clipped, -d, -math::dot(d, edge.points[0]), 0);
+}
+
+// The plane that corners are measured to: through a face, or through the edge nearest across n.
+inline Vec3f reference_normal(const Feature& reference, const Vec3f& n) {
+  if (reference.count > 2) return reference.normal;
+  const Vec3f d = math::normalize(reference.points[1] - reference.points[0]);
+  return math::normalize(n - d * math::dot(n, d));
+}
+
+// Both are edges, nearly parallel and nearly across n.
+inline bool edges_run_along(const Feature& a, const Feature& b, const Vec3f& n) {
+  if (a.count != 2 || b.count != 2) return false;
+  const Vec3f u = math::normalize(a.points[1] - a.points[0]);
+  const Vec3f v = math::normalize(b.points[1] - b.points[0]);
+  return math::length(math::cross(u, v)) < kParallelSine &&
+         math::abs(math::dot(u, n)) < kParallelSine && math::abs(math::dot(v, n)) < kParallelSine;
+}
+
+// Points with a distance of at most `gap`, not yet reduced.
+inline ContactCandidates clip_candidates(const ShapePair& pair, const Proximity& proximity,
+                                         float gap) {
+  const Vec3f n = proximity.normal;
+  const Feature a = supporting_feature(*pair.a, n);
+  Feature b = supporting_feature(*pair.b, apply_transposed(pair.rotation, -n));
+  for (int32_t i = 0; i < b.count; ++i) b.points[i] = from_b(pair, b.points[i]);
+  b.normal = apply(pair.rotation, b.normal);
+  const float along_a = a.count > 2 ? math::dot(a.normal, n) : -1.0f;
+  const float along_b = b.count > 2 ? -math::dot(b.normal, n) : -1.0f;
+  const bool a_leads = a.count > 2 ? !(along_b > along_a + kFacePreference) : b.count == 2;
+  const Feature& reference = a_leads ? a : b;
+  const Feature& incident = a_leads ? b : a;
+
+  ContactCandidates found;
+  found.normal = n;
+  const bool faces = math::max(along_a, along_b) >= kFaceCosine && incident.count > 1;
+  const float tolerance = kDeepestShare * math::max(extent(a), extent(b));
+  bool as_deep = false;
+  if (faces || edges_run_along(a, b, n)) {
+    const ClippedFeature clipped =
+        faces ? clip_to_face(reference, incident) : clip_to_edge(reference, incident);
+    // Seen from the reference, the incident shape lies along `away`.
+    const Vec3f away = a_leads ? n : -n, plane = reference_normal(reference, away);
+    const float cosine = math::dot(plane, away);
+    const float radius = core_radius(*pair.a) + core_radius(*pair.b);
+    const float shift = core_radius(a_leads ? *pair.b : *pair.a);
+    for (int32_t i = 0; i < clipped.count; ++i) {
+      const Vec3f p = clipped.points[i];
+      const float core = math::dot(plane, p - reference.points[0]) / cosine;
+      const float distance = math::max(core - radius, proximity.distance);
+      if (!(distance <= gap)) continue;
+      as_deep = as_deep || distance <= proximity.distance + tolerance;
+      // The incident surface lies `shift` before its core; the middle half a distance further.
+      add_contact(found, p - away * (shift + 0.5f * distance), distance,
+                  contact_feature(a.face, b.face, clipped.codes[i]));
+    }
+  }
+  if (!as_deep)
+    add_contact(found, (proximity.on_a + proximity.on_b) * 0.5f, proximity.distance,
+                contact_feature(a.face, b.face, kWitnessCode));
+  return found;
+}
+
+inline Manifold clip_manifold(const ShapePair& pair, const Proximity& proximity, float gap) {
+  if (!(proximity.distance <= gap)) return {};
+  return reduce_contacts<kManifoldCapacity>(clip_candidates(pair, proximity, gap));
+}
+
+}  // namespace novaphy::geometry

@@ -1,0 +1,55 @@
+// The contacts of two convex shapes: which method serves which pair.
+//
+//              sphere    capsule   ellipsoid cylinder  box       cone      hull
+//   sphere     closed    closed    GJK/EPA   closed    closed    closed    GJK/EPA
+//   capsule              closed    GJK/EPA   GJK/EPA   closed    GJK/EPA   GJK/EPA
+//   box                                                SAT, clip
+//   all others: GJK distance, EPA penetration, clipped features
+//
+// The shape with the smaller type is A within, so both orders of a pair of unlike types give the
+// same bits. A pair that holds a number that is not finite has no contacts.
+#pragma once
+
+#include "novaphy/collision/geometry/box_box.h"
+#include "novaphy/collision/geometry/capsule_pairs.h"
+#include "novaphy/collision/geometry/sphere_pairs.h"
+
+namespace novaphy::geometry {
+
+inline bool is_convex_type(GeoType type) {
+  return has_closed_point_distance(type) || type == GeoType::ELLIPSOID ||
+         type == GeoType::CONVEX_MESH;
+}
+
+inline bool is_finite(float x) { return math::abs(x) < 1e30f; }
+inline bool is_finite(const Vec3f& v) { return is_finite(v.x) && is_finite(v.y) && is_finite(v.z); }
+inline bool is_finite(const ShapePair& pair) {
+  return is_finite(pair.offset) && is_finite(math::column(pair.rotation, 0)) &&
+         is_finite(math::column(pair.rotation, 1)) && is_finite(math::column(pair.rotation, 2)) &&
+         is_finite(pair.a->scale) && is_finite(pair.b->scale);
+}
+
+// type(a) <= type(b). Frame of A.
+inline Manifold collide_ordered(const ShapePair& pair, float gap) {
+  const GeoType a = pair.a->type, b = pair.b->type;
+  if (a == GeoType::SPHERE && has_closed_point_distance(b)) return collide_sphere(pair, gap);
+  if (a == GeoType::CAPSULE && b == GeoType::CAPSULE) return collide_capsules(pair, gap);
+  if (a == GeoType::CAPSULE && b == GeoType::BOX) return collide_capsule_box(pair, gap);
+  if (a == GeoType::BOX && b == GeoType::BOX) return collide_boxes(pair, gap);
+  return collide_convex(pair, gap);
+}
+
+// Points with a distance of at most `gap` (m), in the world, with the normal from a to b.
+inline Manifold collide(const Shape& a, const Transformf& pose_a, const Shape& b,
+                        const Transformf& pose_b, float gap) {
+  if (!is_convex_type(a.type) || !is_convex_type(b.type)) return {};
+  const bool swap = b.type < a.type;
+  const Transformf& first = swap ? pose_b : pose_a;
+  const Transformf relative = relative_pose(first, swap ? pose_a : pose_b);
+  const ShapePair pair = swap ? shape_pair(b, a, relative) : shape_pair(a, b, relative);
+  if (!is_finite(pair)) return {};
+  const Manifold manifold = in_frame(collide_ordered(pair, gap), first);
+  return swap ? exchanged(manifold) : manifold;
+}
+
+}  // namespace novaphy::geometry

@@ -1,0 +1,29 @@
+// Any two convex shapes: distance by GJK, penetration by EPA, manifold by clipping. Closed forms
+// (collide.h) are used where there are some. Frame of A, m.
+#pragma once
+
+#include "novaphy/collision/geometry/clip_manifold.h"
+#include "novaphy/collision/geometry/epa.h"
+
+namespace novaphy::geometry {
+
+// Distances above `limit` come back as some lower bound of them, which is above `limit` too.
+inline Proximity convex_proximity(const ShapePair& pair, float limit) {
+  const float ra = core_radius(*pair.a), rb = core_radius(*pair.b);
+  GjkResult gjk_result = gjk(pair, (limit + ra) + rb);
+  Proximity proximity{gjk_result.normal, gjk_result.distance, gjk_result.on_a, gjk_result.on_b};
+  if (gjk_result.status == GjkStatus::TOUCHING) {
+    const Penetration p = epa(pair, gjk_result.simplex);
+    proximity = {p.normal, -p.depth, p.on_a, p.on_b};
+  }
+  proximity.distance = (proximity.distance - ra) - rb;
+  proximity.on_a = proximity.on_a + proximity.normal * ra;
+  proximity.on_b = proximity.on_b - proximity.normal * rb;
+  return proximity;
+}
+
+inline Manifold collide_convex(const ShapePair& pair, float gap) {
+  return clip_manifold(pair, convex_proximity(pair, gap), gap);
+}
+
+}  // namespace novaphy::geometry

@@ -1,0 +1,82 @@
+// A convex shape as its core and a radius, and the pose of one shape in the frame of another.
+//
+// Sphere and capsule are a point and a segment, grown by their radius; all others are their own
+// core, with radius 0. Distances of grown shapes are those of the cores less the radii, exactly,
+// for penetration too. `scale` is that of Model::shape_scale (core/sim/enums.h): half extents,
+// radius and half height along z, half axes; m. A convex hull has its scale in its vertices.
+#pragma once
+
+#include "novaphy/core/sim/enums.h"
+#include "novaphy/math/matrix.h"
+
+namespace novaphy::geometry {
+
+// The tables of a convex polytope. Faces are polygons with the vertices counter-clockwise seen
+// from outside; neighbours of a vertex are those it shares an edge with.
+struct HullView {
+  const Vec3f* vertices{};
+  const Vec3f* face_normals{};   // unit, outward
+  const int32_t* face_starts{};  // faces + 1 into face_vertices
+  const int32_t* face_vertices{};
+  const int32_t* neighbour_starts{};  // vertices + 1 into neighbours; null: not known
+  const int32_t* neighbours{};
+  int32_t vertex_count = 0;
+  int32_t face_count = 0;
+};
+
+struct Shape {
+  GeoType type = GeoType::NONE;
+  Vec3f scale{};
+  HullView hull{};  // CONVEX_MESH only
+};
+
+inline float core_radius(const Shape& shape) {
+  return shape.type == GeoType::SPHERE || shape.type == GeoType::CAPSULE ? shape.scale.x : 0.0f;
+}
+
+// The pose of B in the frame of A. The difference of the positions is taken first, so that a pair
+// far from the origin loses no more than its own coordinates have lost.
+inline Transformf relative_pose(const Transformf& a, const Transformf& b) {
+  return {math::rotate_inverse(a.q, b.p - a.p), math::multiply(math::conjugate(a.q), b.q)};
+}
+
+inline Mat33f rotation_matrix(const Quatf& q) {
+  return math::from_columns(math::rotate(q, Vec3f{1.0f, 0.0f, 0.0f}),
+                            math::rotate(q, Vec3f{0.0f, 1.0f, 0.0f}),
+                            math::rotate(q, Vec3f{0.0f, 0.0f, 1.0f}));
+}
+inline Vec3f apply(const Mat33f& r, const Vec3f& v) {
+  return {math::dot(math::row(r, 0), v), math::dot(math::row(r, 1), v),
+          math::dot(math::row(r, 2), v)};
+}
+inline Vec3f apply_transposed(const Mat33f& r, const Vec3f& v) {
+  return (math::row(r, 0) * v.x + math::row(r, 1) * v.y) + math::row(r, 2) * v.z;
+}
+
+// Two shapes in the frame of the first.
+struct ShapePair {
+  const Shape* a;
+  const Shape* b;
+  Mat33f rotation;  // of B in A
+  Vec3f offset;     // of B in A
+};
+inline ShapePair shape_pair(const Shape& a, const Shape& b, const Transformf& b_in_a) {
+  return {&a, &b, rotation_matrix(b_in_a.q), b_in_a.p};
+}
+inline Vec3f from_b(const ShapePair& pair, const Vec3f& point) {
+  return apply(pair.rotation, point) + pair.offset;
+}
+
+// The i-th coordinate and unit vector.
+inline float component(const Vec3f& v, int32_t i) { return i == 0 ? v.x : i == 1 ? v.y : v.z; }
+inline Vec3f unit_axis(int32_t i, float length) {
+  return {i == 0 ? length : 0.0f, i == 1 ? length : 0.0f, i == 2 ? length : 0.0f};
+}
+// A unit vector across v, which need not be of unit length: v x the axis that v has least of.
+inline Vec3f any_orthogonal(const Vec3f& v) {
+  const float x = math::abs(v.x), y = math::abs(v.y), z = math::abs(v.z);
+  const int32_t least = x <= y && x <= z ? 0 : y <= z ? 1 : 2;
+  return math::normalize(math::cross(v, unit_axis(least, 1.0f)));
+}
+
+}  // namespace novaphy::geometry

@@ -1,0 +1,119 @@
+// A sphere against sphere, capsule, box, cylinder and cone, in closed form: the signed distance of
+// the centre to the solid, less the radius. One contact.
+//
+// Solids of revolution are cut by the half plane through the centre (rho, z): a rectangle, a
+// triangle. Inside, the nearest face counts. Where the nearest point is not unique: of centres in
+// one point, and of one on the segment of a capsule, the normal is +x; inside a box the face of the
+// lowest axis, + at 0; on the axis of a cylinder or cone the side towards +x; of side and cap the
+// cap.
+// Frame of the solid, which is B; the sphere is A and the normal points from A to B. m.
+#pragma once
+
+#include "novaphy/collision/geometry/clip_manifold.h"
+
+namespace novaphy::geometry {
+
+struct SolidPoint {
+  float distance{};  // of x, < 0 inside
+  Vec3f normal{};    // unit, outward
+};
+
+inline SolidPoint point_to_centre(const Vec3f& x) {
+  const float l = math::length(x);
+  if (!(l > 0.0f)) return {0.0f, {-1.0f, 0.0f, 0.0f}};
+  return {l, x / l};
+}
+
+inline SolidPoint point_to_box(const Vec3f& x, const Vec3f& h) {
+  const Vec3f nearest = {math::clamp(x.x, -h.x, h.x), math::clamp(x.y, -h.y, h.y),
+                         math::clamp(x.z, -h.z, h.z)};
+  const Vec3f d = x - nearest;
+  const float l = math::length(d);
+  if (l > 0.0f) return {l, d / l};
+  int32_t axis = 0;
+  for (int32_t i = 1; i < 3; ++i)
+    if (math::abs(component(x, i)) - component(h, i) >
+        math::abs(component(x, axis)) - component(h, axis))
+      axis = i;
+  return {math::abs(component(x, axis)) - component(h, axis),
+          unit_axis(axis, math::sign(component(x, axis)))};
+}
+
+// From the half plane back to space: radial direction of x, or +x on the axis.
+inline Vec3f meridian_vector(const Vec3f& x, float rho, float z) {
+  const float l = math::sqrt(x.x * x.x + x.y * x.y);
+  if (!(l > 0.0f)) return {rho, 0.0f, z};
+  return {rho * (x.x / l), rho * (x.y / l), z};
+}
+
+inline SolidPoint point_to_cylinder(const Vec3f& x, float radius, float half_height) {
+  const float side = math::sqrt(x.x * x.x + x.y * x.y) - radius;
+  const float cap = math::abs(x.z) - half_height, up = math::sign(x.z);
+  if (side <= 0.0f && cap <= 0.0f) {
+    if (side > cap) return {side, meridian_vector(x, 1.0f, 0.0f)};
+    return {cap, {0.0f, 0.0f, up}};
+  }
+  const float rho = math::max(side, 0.0f), z = math::max(cap, 0.0f);
+  const float l = math::sqrt(rho * rho + z * z);
+  return {l, meridian_vector(x, rho / l, (z / l) * up)};
+}
+
+inline SolidPoint point_to_cone(const Vec3f& x, float radius, float half_height) {
+  const float rho = math::sqrt(x.x * x.x + x.y * x.y), height = 2.0f * half_height;
+  const float slant = math::sqrt(radius * radius + height * height);
+  // Along and across the generator from the rim (radius, -half_height) to the apex (0, half_height)
+  const float r = rho - radius, z = x.z + half_height;
+  const float across = (r * height + z * radius) / slant;
+  const float along = (z * height - r * radius) / slant;
+  if (across <= 0.0f && z >= 0.0f) {
+    if (across > -z) return {across, meridian_vector(x, height / slant, radius / slant)};
+    return {-z, {0.0f, 0.0f, -1.0f}};
+  }
+  if (along >= 0.0f && along <= slant && across > 0.0f)
+    return {across, meridian_vector(x, height / slant, radius / slant)};
+  if (along > slant) {
+    const SolidPoint apex = point_to_centre(x - Vec3f{0.0f, 0.0f, half_height});
+    return apex;
+  }
+  const float out = math::max(r, 0.0f);  // the rim, or below the base
+  const float l = math::sqrt(out * out + z * z);
+  if (!(l > 0.0f)) return {0.0f, {0.0f, 0.0f, -1.0f}};
+  return {l, meridian_vector(x, out / l, z / l)};
+}
+
+inline bool has_closed_point_distance(GeoType type) {
+  return type == GeoType::SPHERE || type == GeoType::CAPSULE || type == GeoType::BOX ||
+         type == GeoType::CYLINDER || type == GeoType::CONE;
+}
+
+// The point x against the core of a solid.
+inline SolidPoint point_to_core(const Vec3f& x, const Shape& solid) {
+  const Vec3f s = solid.scale;
+  switch (solid.type) {
+    case GeoType::BOX:
+      return point_to_box(x, s);
+    case GeoType::CYLINDER:
+      return point_to_cylinder(x, s.x, s.y);
+    case GeoType::CONE:
+      return point_to_cone(x, s.x, s.y);
+    case GeoType::CAPSULE:
+      return point_to_centre(x - Vec3f{0.0f, 0.0f, math::clamp(x.z, -s.y, s.y)});
+    default:
+      return point_to_centre(x);
+  }
+}
+
+// A is a sphere, B has a closed distance. Frame of A.
+inline Manifold collide_sphere(const ShapePair& pair, float gap) {
+  const Vec3f centre = apply_transposed(pair.rotation, -pair.offset);
+  const SolidPoint p = point_to_core(centre, *pair.b);
+  const float ra = core_radius(*pair.a), distance = (p.distance - ra) - core_radius(*pair.b);
+  Manifold manifold;
+  if (!(distance <= gap)) return manifold;
+  manifold.normal = apply(pair.rotation, -p.normal);
+  add_contact(manifold, manifold.normal * (ra + 0.5f * distance), distance,
+              contact_feature(0, 0, kWitnessCode));
+  return manifold;
+}
+
+}  // namespace novaphy::geometry

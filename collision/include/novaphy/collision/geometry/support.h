@@ -1,0 +1,99 @@
+// Support functions: the point of a convex core (shape.h) that lies farthest in a direction, and
+// that of a pair's Minkowski difference A - B, which contains the origin when the cores overlap.
+//
+// Directions need not be of unit length; where several points are farthest, the same one comes for
+// the same direction. Polytopes with more than 32 vertices climb from neighbour to neighbour: a
+// vertex of a convex polytope without a higher neighbour is the highest.
+// Source: C. Ericson, Real-Time Collision Detection (2005), 9.5.
+#pragma once
+
+#include "novaphy/collision/geometry/shape.h"
+
+namespace novaphy::geometry {
+
+inline constexpr int32_t kClimbAbove = 32;  // vertices
+
+inline int32_t hull_support_vertex(const HullView& hull, const Vec3f& d) {
+  int32_t best = 0;
+  float height = math::dot(hull.vertices[0], d);
+  if (hull.vertex_count > kClimbAbove && hull.neighbour_starts != nullptr) {
+    for (int32_t from = -1; from != best;) {
+      from = best;
+      for (int32_t k = hull.neighbour_starts[from]; k < hull.neighbour_starts[from + 1]; ++k) {
+        const float h = math::dot(hull.vertices[hull.neighbours[k]], d);
+        if (h > height) {
+          height = h;
+          best = hull.neighbours[k];
+        }
+      }
+    }
+    return best;
+  }
+  for (int32_t i = 1; i < hull.vertex_count; ++i) {
+    const float h = math::dot(hull.vertices[i], d);
+    if (h > height) {
+      height = h;
+      best = i;
+    }
+  }
+  return best;
+}
+
+// The horizontal part of d with a length; zero on the axis.
+inline Vec3f radial(const Vec3f& d, float length) {
+  const float rho = math::sqrt(d.x * d.x + d.y * d.y);
+  if (!(rho > 0.0f)) return {};
+  return {d.x * (length / rho), d.y * (length / rho), 0.0f};
+}
+
+inline Vec3f cone_support(float radius, float half_height, const Vec3f& d) {
+  const Vec3f rim = radial(d, radius) + Vec3f{0.0f, 0.0f, -half_height};
+  const Vec3f apex = {0.0f, 0.0f, half_height};
+  return math::dot(apex, d) > math::dot(rim, d) ? apex : rim;
+}
+
+inline Vec3f ellipsoid_support(const Vec3f& axes, const Vec3f& d) {
+  const Vec3f s = {axes.x * d.x, axes.y * d.y, axes.z * d.z};
+  const float l = math::length(s);
+  if (!(l > 0.0f)) return {axes.x, 0.0f, 0.0f};
+  return {axes.x * (s.x / l), axes.y * (s.y / l), axes.z * (s.z / l)};
+}
+
+// In the frame of the shape.
+inline Vec3f core_support(const Shape& shape, const Vec3f& d) {
+  const Vec3f s = shape.scale;
+  switch (shape.type) {
+    case GeoType::CAPSULE:
+      return {0.0f, 0.0f, d.z < 0.0f ? -s.y : s.y};
+    case GeoType::BOX:
+      return {d.x < 0.0f ? -s.x : s.x, d.y < 0.0f ? -s.y : s.y, d.z < 0.0f ? -s.z : s.z};
+    case GeoType::CYLINDER:
+      return radial(d, s.x) + Vec3f{0.0f, 0.0f, d.z < 0.0f ? -s.y : s.y};
+    case GeoType::CONE:
+      return cone_support(s.x, s.y, d);
+    case GeoType::ELLIPSOID:
+      return ellipsoid_support(s, d);
+    case GeoType::CONVEX_MESH:
+      return shape.hull.vertices[hull_support_vertex(shape.hull, d)];
+    default:
+      return {};  // a sphere's centre
+  }
+}
+
+// A point of the Minkowski difference and the points of A and B that make it, in the frame of A.
+struct SupportPoint {
+  Vec3f w, a, b;  // w = a - b
+};
+inline SupportPoint support_point(const ShapePair& pair, const Vec3f& d) {
+  const Vec3f a = core_support(*pair.a, d);
+  const Vec3f b = from_b(pair, core_support(*pair.b, apply_transposed(pair.rotation, -d)));
+  return {a - b, a, b};
+}
+
+// How far apart the grown shapes are along the unit vector n from A to B (m): a lower bound of
+// their signed distance for every n, and equal to it for the best.
+inline float separation_along(const ShapePair& pair, const Vec3f& n) {
+  return (-math::dot(support_point(pair, n).w, n) - core_radius(*pair.a)) - core_radius(*pair.b);
+}
+
+}  // namespace novaphy::geometry

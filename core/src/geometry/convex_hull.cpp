@@ -1,0 +1,342 @@
+#include "novaphy/core/geometry/convex_hull.h"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <map>
+#include <numeric>
+#include <set>
+#include <utility>
+
+#include "geometry/vector_double.h"
+#include "novaphy/core/error.h"
+
+namespace novaphy {
+namespace {
+
+using detail::Vec3d;
+
+constexpr double kFlat = 1e-6;                    // of the extent: no height above a face
+constexpr double kVisible = 1e-9;                 // of the extent: a face sees a point
+constexpr double kCoplanarCosine = 1 - 1.523e-6;  // 0.1 deg
+
+struct Triangle {
+  std::array<int32_t, 3> v;
+  Vec3d normal;
+  double offset = 0.0;
+  std::vector<int32_t> outside;  // points above it, ascending
+  int32_t farthest = -1;
+  double height = 0.0;
+};
+using Edge = std::pair<int32_t, int32_t>;
+
+class Quickhull {
+ public:
+  Quickhull(std::span<const Vec3f> points, int32_t max_vertices);
+  std::vector<Triangle> triangles;
+  std::vector<Vec3d> points;  // about the middle of their box
+  double extent = 0.0;
+
+ private:
+  void start();
+  bool grow();  // by a point; false if no point is outside
+  void add_triangle(int32_t i, int32_t j, int32_t k);
+  void distribute(const std::vector<int32_t>& candidates, size_t first);
+  std::vector<bool> seen_by(const Triangle& start, const Vec3d& p) const;
+};
+
+Quickhull::Quickhull(std::span<const Vec3f> input, int32_t max_vertices) {
+  Vec3d lo = detail::to_double(input[0]), hi = lo;
+  for (const Vec3f& p : input) {
+    const Vec3d x = detail::to_double(p);
+    lo = {std::min(lo.x, x.x), std::min(lo.y, x.y), std::min(lo.z, x.z)};
+    hi = {std::max(hi.x, x.x), std::max(hi.y, x.y), std::max(hi.z, x.z)};
+  }
+  const Vec3d middle = (lo + hi) * 0.5;
+  points.reserve(input.size());
+  for (const Vec3f& p : input) points.push_back(detail::to_double(p) - middle);
+  extent = std::max({hi.x - lo.x, hi.y - lo.y, hi.z - lo.z});
+  start();
+  for (int32_t vertices = 4; vertices < max_vertices && grow();) ++vertices;
+}
+
+// The index of the largest score, the smallest among equals.
+template <class Score>
+int32_t largest(const std::vector<Vec3d>& points, Score score) {
+  int32_t best = 0;
+  double best_score = score(points[0]);
+  for (size_t i = 1; i < points.size(); ++i) {
+    const double s = score(points[i]);
+    if (s > best_score) {
+      best = static_cast<int32_t>(i);
+      best_score = s;
+    }
+  }
+  return best;
+}
+
+// A tetrahedron: the farthest pair of extreme points, the point farthest from its line, and the
+// point farthest from their plane.
+void Quickhull::start() {
+  std::vector<int32_t> extreme;
+  for (const Vec3d d : {Vec3d{1, 0, 0}, Vec3d{0, 1, 0}, Vec3d{0, 0, 1}})
+    for (const double sign : {-1.0, 1.0})
+      extreme.push_back(largest(points, [&](const Vec3d& p) { return sign * math::dot(d, p); }));
+  int32_t a = 0, b = 0;
+  double longest = 0.0;
+  for (const int32_t i : extreme)
+    for (const int32_t j : extreme)
+      if (const double l = detail::norm(points[j] - points[i]); l > longest) {
+        longest = l;
+        a = i;
+        b = j;
+      }
+  const double flat = kFlat * extent;
+  constexpr const char* kExpected = "convex_hull: points: expected 4 that span a volume, got ";
+  require(longest > 0.0, ErrorKind::Value, kExpected, points.size(), " in one place");
+  const Vec3d o = points[a], u = detail::unit(points[b] - o);
+  const int32_t c =
+      largest(points, [&](const Vec3d& p) { return detail::norm(math::cross(p - o, u)); });
+  require(detail::norm(math::cross(points[c] - o, u)) > flat, ErrorKind::Value, kExpected,
+          points.size(), " on one line, to 1e-6 of their extent");
+  const Vec3d n = detail::unit(math::cross(u, points[c] - o));
+  const int32_t d = largest(points, [&](const Vec3d& p) { return std::abs(math::dot(n, p - o)); });
+  const double height = math::dot(n, points[d] - o);
+  require(std::abs(height) > flat, ErrorKind::Value, kExpected, points.size(),
+          " in one plane, to 1e-6 of their extent");
+  const bool above = height > 0.0;
+  add_triangle(a, above ? c : b, above ? b : c);
+  add_triangle(a, above ? b : c, d);
+  add_triangle(above ? b : c, above ? c : b, d);
+  add_triangle(above ? c : b, a, d);
+  std::vector<int32_t> all(points.size());
+  std::iota(all.begin(), all.end(), 0);
+  distribute(all, 0);
+}
+
+void Quickhull::add_triangle(int32_t i, int32_t j, int32_t k) {
+  Triangle t;
+  t.v = {i, j, k};
+  t.normal = detail::unit(math::cross(points[j] - points[i], points[k] - points[i]));
+  t.offset = math::dot(t.normal, points[i]);
+  triangles.push_back(std::move(t));
+}
+
+// Gives each point to the triangle, from `first` on, that it lies highest above.
+void Quickhull::distribute(const std::vector<int32_t>& candidates, size_t first) {
+  for (const int32_t i : candidates) {
+    double height = kFlat * extent;
+    size_t owner = triangles.size();
+    for (size_t t = first; t < triangles.size(); ++t) {
+      const double h = math::dot(triangles[t].normal, points[i]) - triangles[t].offset;
+      if (h > height) {
+        height = h;
+        owner = t;
+      }
+    }
+    if (owner == triangles.size()) continue;
+    Triangle& t = triangles[owner];
+    t.outside.push_back(i);
+    if (height > t.height) {
+      t.height = height;
+      t.farthest = i;
+    }
+  }
+}
+
+// The triangles that see p and hang together with `start`, which does.
+std::vector<bool> Quickhull::seen_by(const Triangle& start, const Vec3d& p) const {
+  std::map<Edge, size_t> owner;
+  for (size_t t = 0; t < triangles.size(); ++t)
+    for (int k = 0; k < 3; ++k) owner[{triangles[t].v[k], triangles[t].v[(k + 1) % 3]}] = t;
+  std::vector<bool> seen(triangles.size());
+  std::vector<size_t> open = {static_cast<size_t>(&start - triangles.data())};
+  seen[open[0]] = true;
+  while (!open.empty()) {
+    const Triangle& t = triangles[open.back()];
+    open.pop_back();
+    for (int k = 0; k < 3; ++k) {
+      const size_t next = owner.at({t.v[(k + 1) % 3], t.v[k]});
+      const Triangle& n = triangles[next];
+      if (seen[next] || !(math::dot(n.normal, p) - n.offset > kVisible * extent)) continue;
+      seen[next] = true;
+      open.push_back(next);
+    }
+  }
+  return seen;
+}
+
+bool Quickhull::grow() {
+  const Triangle* from = nullptr;
+  for (const Triangle& t : triangles)
+    if (t.farthest >= 0 && (from == nullptr || t.height > from->height ||
+                            (t.height == from->height && t.farthest < from->farthest)))
+      from = &t;
+  if (from == nullptr) return false;
+  const int32_t vertex = from->farthest;
+  const std::vector<bool> seen = seen_by(*from, points[vertex]);
+  std::set<Edge> horizon;
+  std::vector<int32_t> orphans;
+  std::vector<Triangle> kept;
+  for (size_t i = 0; i < triangles.size(); ++i) {
+    Triangle& t = triangles[i];
+    if (!seen[i]) {
+      kept.push_back(std::move(t));
+      continue;
+    }
+    orphans.insert(orphans.end(), t.outside.begin(), t.outside.end());
+    for (int k = 0; k < 3; ++k) {
+      const Edge edge = {t.v[k], t.v[(k + 1) % 3]};
+      if (horizon.erase({edge.second, edge.first}) == 0) horizon.insert(edge);
+    }
+  }
+  triangles = std::move(kept);
+  const size_t first = triangles.size();
+  for (const auto& [i, j] : horizon) add_triangle(i, j, vertex);
+  std::sort(orphans.begin(), orphans.end());
+  distribute(orphans, first);
+  return true;
+}
+
+struct Polygon {
+  std::vector<int32_t> v;
+  Vec3d normal;
+};
+
+// The outline of some triangles, from its smallest vertex; empty unless it is a single loop.
+std::vector<int32_t> outline(const std::vector<Triangle>& triangles,
+                             const std::vector<size_t>& group) {
+  std::set<Edge> edges;
+  for (const size_t t : group)
+    for (int k = 0; k < 3; ++k) {
+      const Edge e = {triangles[t].v[k], triangles[t].v[(k + 1) % 3]};
+      if (edges.erase({e.second, e.first}) == 0) edges.insert(e);
+    }
+  std::map<int32_t, int32_t> next;
+  for (const auto& [i, j] : edges)
+    if (!next.emplace(i, j).second) return {};
+  std::vector<int32_t> loop;
+  for (int32_t i = next.begin()->first; loop.empty() || i != loop[0]; i = next.at(i)) {
+    if (loop.size() == next.size()) return {};
+    loop.push_back(i);
+  }
+  if (loop.size() != next.size()) return {};
+  return loop;
+}
+
+// Twice the vector area (Newell), which is the normal that fits all corners.
+Vec3d vector_area(const std::vector<Vec3d>& points, const std::vector<int32_t>& v) {
+  Vec3d sum{};
+  for (size_t k = 1; k + 1 < v.size(); ++k)
+    sum = sum + math::cross(points[v[k]] - points[v[0]], points[v[k + 1]] - points[v[0]]);
+  return sum;
+}
+
+// Larger triangles first take the neighbours that lie in their plane.
+std::vector<Polygon> merge_coplanar(const Quickhull& hull) {
+  const std::vector<Triangle>& triangles = hull.triangles;
+  std::map<Edge, size_t> owner;
+  std::vector<double> area(triangles.size());
+  for (size_t t = 0; t < triangles.size(); ++t) {
+    const auto& v = triangles[t].v;
+    area[t] = detail::norm(vector_area(hull.points, {v[0], v[1], v[2]}));
+    for (int k = 0; k < 3; ++k) owner[{v[k], v[(k + 1) % 3]}] = t;
+  }
+  std::vector<size_t> order(triangles.size());
+  std::iota(order.begin(), order.end(), size_t{0});
+  std::stable_sort(order.begin(), order.end(),
+                   [&](size_t a, size_t b) { return area[a] > area[b]; });
+  std::vector<bool> taken(triangles.size());
+  std::vector<Polygon> polygons;
+  for (const size_t seed : order) {
+    if (taken[seed]) continue;
+    taken[seed] = true;
+    const Triangle& s = triangles[seed];
+    auto in_plane = [&](const Triangle& t) {
+      if (math::dot(t.normal, s.normal) >= kCoplanarCosine) return true;
+      return std::all_of(t.v.begin(), t.v.end(), [&](int32_t i) {
+        return std::abs(math::dot(s.normal, hull.points[i]) - s.offset) <= kFlat * hull.extent;
+      });
+    };
+    std::vector<size_t> group = {seed};
+    for (size_t g = 0; g < group.size(); ++g)
+      for (int k = 0; k < 3; ++k) {
+        const auto& v = triangles[group[g]].v;
+        const size_t other = owner.at({v[(k + 1) % 3], v[k]});
+        if (taken[other] || !in_plane(triangles[other])) continue;
+        group.push_back(other);
+        if (outline(triangles, group).empty()) {
+          group.pop_back();
+          continue;
+        }
+        taken[other] = true;
+      }
+    Polygon polygon{outline(triangles, group), {}};
+    polygon.normal = detail::unit(vector_area(hull.points, polygon.v));
+    polygons.push_back(std::move(polygon));
+  }
+  return polygons;
+}
+
+// The edges of the triangles stay neighbours within a merged face, which is flat to 0.1 degrees
+// only: climbing from neighbour to neighbour would stop on its low side.
+ConvexHull tables(std::span<const Vec3f> points, const std::vector<Triangle>& triangles,
+                  std::vector<Polygon> polygons) {
+  std::set<int32_t> used;
+  for (const Polygon& polygon : polygons) used.insert(polygon.v.begin(), polygon.v.end());
+  ConvexHull hull;
+  std::map<int32_t, int32_t> number;
+  for (const int32_t i : used) {
+    number[i] = static_cast<int32_t>(hull.vertices.size());
+    hull.vertices.push_back(points[static_cast<size_t>(i)]);
+    hull.input_index.push_back(i);
+  }
+  std::sort(polygons.begin(), polygons.end(),
+            [](const Polygon& a, const Polygon& b) { return a.v < b.v; });
+  std::set<Edge> edges;
+  hull.face_starts.push_back(0);
+  for (const Polygon& polygon : polygons) {
+    for (const int32_t i : polygon.v) hull.face_vertices.push_back(number.at(i));
+    hull.face_starts.push_back(static_cast<int32_t>(hull.face_vertices.size()));
+    hull.face_normals.push_back(detail::to_float(polygon.normal));
+  }
+  for (const Triangle& t : triangles)
+    for (int k = 0; k < 3; ++k) {
+      const int32_t i = t.v[k], j = t.v[(k + 1) % 3];
+      if (used.contains(i) && used.contains(j)) edges.insert({number[i], number[j]});
+    }
+  hull.neighbour_starts.push_back(0);
+  for (auto edge = edges.begin(); edge != edges.end(); ++edge) {
+    while (static_cast<int32_t>(hull.neighbour_starts.size()) <= edge->first)
+      hull.neighbour_starts.push_back(static_cast<int32_t>(hull.neighbours.size()));
+    hull.neighbours.push_back(edge->second);
+  }
+  hull.neighbour_starts.push_back(static_cast<int32_t>(hull.neighbours.size()));
+  return hull;
+}
+
+}  // namespace
+
+ConvexHull convex_hull(std::span<const Vec3f> points, int32_t max_vertices) {
+  require(max_vertices >= 4 && max_vertices <= kMaxHullVertices, ErrorKind::Value,
+          "convex_hull: max_vertices: expected 4 to ", kMaxHullVertices, ", got ", max_vertices);
+  require(points.size() >= 4, ErrorKind::Value, "convex_hull: points: expected at least 4, got ",
+          points.size());
+  for (size_t i = 0; i < points.size(); ++i)
+    require(std::isfinite(points[i].x) && std::isfinite(points[i].y) && std::isfinite(points[i].z),
+            ErrorKind::Value, "convex_hull: points[", i, "]: expected finite numbers, got (",
+            points[i].x, ", ", points[i].y, ", ", points[i].z, ")");
+  const Quickhull hull(points, max_vertices);
+  return tables(points, hull.triangles, merge_coplanar(hull));
+}
+
+std::vector<int32_t> hull_triangles(const ConvexHull& hull) {
+  std::vector<int32_t> out;
+  auto corner = [&](int32_t k) { return hull.face_vertices[static_cast<size_t>(k)]; };
+  for (size_t f = 0; f + 1 < hull.face_starts.size(); ++f)
+    for (int32_t k = hull.face_starts[f] + 1; k + 1 < hull.face_starts[f + 1]; ++k)
+      out.insert(out.end(), {corner(hull.face_starts[f]), corner(k), corner(k + 1)});
+  return out;
+}
+
+}  // namespace novaphy

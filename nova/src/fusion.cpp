@@ -124,15 +124,14 @@ uint32_t end_of_series(std::span<const OpList::Op> ops, const Segment& segment, 
 
 novaphy_status run_rows(const novaphy::DeviceContext& context, const OpList::Op& op,
                         const uint64_t* words, int64_t n, int64_t begin, int64_t rows,
-                        novaphy_error& error, const MovedWords& moved) {
-  if (rows == n && moved.words.empty()) return issue(context, context.stream, op, words, error);
+                        novaphy_error& error) {
+  if (rows == n) return issue(context, context.stream, op, words, error);
   const novaphy_backend_api& api = *context.api;
   if (op.kind == OpList::Op::Kind::Launch) {
     uint64_t arguments[kMaxFusedWords];
     const int64_t factor = op.n / n;
     const auto skip = static_cast<uint64_t>(begin * factor);
     std::memcpy(arguments, words + op.first_word, op.word_count * sizeof(uint64_t));
-    for (const MovedWord& m : moved.words) arguments[m.word] = moved.bases[m.memory];
     for (const auto* list : {&op.layout->inputs, &op.layout->outputs, &op.layout->tables})
       for (const RowLayout::Word& w : *list) arguments[w.word] += skip * w.row_bytes;
     return api.launch(context.stream, op.kernel, active_rows(op, begin * factor, rows * factor),
@@ -149,11 +148,10 @@ novaphy_status run_rows(const novaphy::DeviceContext& context, const OpList::Op&
 }
 
 void fail_as_a_whole(const novaphy::DeviceContext& context, const OpList::Op& op,
-                     const uint64_t* words, novaphy_status status, const novaphy_error& error,
-                     const MovedWords& moved) {
+                     const uint64_t* words, novaphy_status status, const novaphy_error& error) {
   novaphy_error whole = novaphy::make_error();
   const int64_t rows = rows_of(op);
-  const novaphy_status again = run_rows(context, op, words, rows, 0, rows, whole, moved);
+  const novaphy_status again = run_rows(context, op, words, rows, 0, rows, whole);
   if (again == status) novaphy::check(again, whole, op.name);
   novaphy::check(status, error, op.name);
 }
@@ -204,7 +202,6 @@ void HostPlan::make_series(std::span<const MemoryAccess> accesses) {
 // Segments of a few operations would part the phases, in which these operations share their rows
 // as well.
 void HostPlan::make_phases(std::span<const MemoryAccess> accesses) {
-  mark_changing_tables(ops_, words_, accesses);
   const auto is_short = [](const Segment& s) { return s.n == 0 || s.last - s.first < kShort; };
   std::vector<Segment> cut;
   for (size_t k = 0; k < segments_.size();) {

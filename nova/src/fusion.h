@@ -20,12 +20,6 @@ struct RowLayout {
     uint32_t word;       // argument word that holds a pointer
     uint32_t row_bytes;  // bytes per row
   };
-  // A source of which the rows items[k] are read, for k from offsets[row] to offsets[row + 1], and
-  // no other.
-  struct Gathered {
-    uint32_t source, offsets, items;  // argument words
-    uint32_t row_bytes;
-  };
   bool row_local = false;     // the row number is used for nothing but direct reads and writes
   bool of_builtin = false;    // whose launches declare all that they touch; else a Program
   uint32_t operations = 1;    // of a row, about
@@ -34,7 +28,6 @@ struct RowLayout {
   std::vector<Word> tables;   // advanced by the row; offsets of CSR rows, items in the word after
   std::vector<Word> indices;  // i32 sources
   std::vector<Word> shared;   // read at other rows; the word after it is the number of rows
-  std::vector<Gathered> gathered;
 };
 RowLayout row_layout(const ir::Program& program);
 
@@ -79,26 +72,16 @@ void mark_changing_tables(std::span<OpList::Op> ops, std::span<const uint64_t> w
 RunPlan plan_run(std::span<const OpList::Op> ops, std::span<const uint64_t> words,
                  std::span<const MemoryAccess> accesses, const PlanLimits& limits = {});
 
-// Arguments that point elsewhere than was recorded: to bases[memory], as if row 0 were there.
-struct MovedWord {
-  uint32_t word, memory;
-};
-struct MovedWords {
-  std::span<const MovedWord> words = {};
-  const uint64_t* bases = nullptr;
-};
-
 // Runs the rows [begin, begin + rows) of n that an operation can be cut into; a launch over m * n
 // rows has m there for each. OK, or the backend's status and message.
 novaphy_status run_rows(const novaphy::DeviceContext& context, const OpList::Op& op,
                         const uint64_t* words, int64_t n, int64_t begin, int64_t rows,
-                        novaphy_error& error, const MovedWords& moved = {});
+                        novaphy_error& error);
 
 // Throws what an operation fails with. The message of a part of its rows counts from the first of
 // them, so the operation is asked once more as a whole; `error` is what the part said.
 void fail_as_a_whole(const novaphy::DeviceContext& context, const OpList::Op& op,
-                     const uint64_t* words, novaphy_status status, const novaphy_error& error,
-                     const MovedWords& moved = {});
+                     const uint64_t* words, novaphy_status status, const novaphy_error& error);
 
 class PhasedRun;
 

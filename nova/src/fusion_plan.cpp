@@ -37,11 +37,6 @@ RowLayout row_layout(const ir::Program& p) {
         {p.output_argument(o), static_cast<uint32_t>(p.outputs[o].values.size()) * 4});
   for (size_t l = 0; l < p.loops.size(); ++l)
     if (p.loops[l].kind == ir::LoopKind::Csr) layout.tables.push_back({p.loop_argument(l), 4});
-  if (const int32_t added = ir::added_rows(p).source; added >= 0) {
-    const auto s = static_cast<size_t>(added);
-    layout.gathered.push_back({p.source_argument(s), p.loop_argument(0), p.loop_argument(0) + 1,
-                               static_cast<uint32_t>(p.sources[s].width) * 4});
-  }
   if (p.argument_count() > kMaxFusedWords) layout.row_local = false;
   return layout;
 }

@@ -70,9 +70,8 @@ const detail::RowLayout* row_sum_layout(uint32_t row_bytes, int64_t stride, bool
   } else {
     layout.inputs.push_back({0, static_cast<uint32_t>(stride) * row_bytes});
   }
-  constexpr uint32_t kSource[] = {0, 7}, kInit[] = {3, 8}, kOut[] = {4, 9};
+  constexpr uint32_t kInit[] = {3, 8}, kOut[] = {4, 9};
   for (size_t k = 0; k < init.size(); ++k) {
-    if (by_offsets) layout.gathered.push_back({kSource[k], 1, 2, row_bytes});
     if (init[k]) layout.inputs.push_back({kInit[k], row_bytes});
     layout.outputs.push_back({kOut[k], row_bytes});
   }

@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <atomic>
-#include <map>
 #include <mutex>
 
 #include "fusion.h"
@@ -22,14 +21,9 @@ constexpr int64_t kWorthSharing = 1 << 17;
 // what it reads; many rows are cut further, so that a thread can take over from another. A call for
 // a quarter of these rows costs up to a tenth more: compiled code is slow to begin.
 constexpr int64_t kFewRows = 1024, kMostEach = 32;
+constexpr int64_t kGroupRows = 16;  // that compiled code computes together, at most
 // Between two looks at an interrupt.
 constexpr size_t kPhasesPerRound = 64;
-// What was touched so many phases ago is not near any more. It is fetched some phases early, unless
-// it is so much that it would drive out what is needed before; pages are asked for still earlier,
-// since processors forget a fetch from a page that they have not at hand.
-constexpr uint32_t kRecent = 4, kPageEarly = 4, kEarly = 2;
-constexpr uint64_t kMostEarly = 1 << 16, kLine = 64;
-
 bool can_be_cut(const OpList::Op& op) {
   return op.kind == OpList::Op::Kind::Launch ? op.layout != nullptr && op.layout->row_local
                                              : op.n % 4 == 0;
@@ -74,12 +68,14 @@ PhasedRun::PhasedRun(const novaphy::DeviceContext& context, std::span<OpList::Op
     const uint32_t first = k;
     while (k < count && placed[k].phase == p.phase && placed[k].chain == p.chain) ++k;
     chains_.push_back(
-        {first, k, p.phase, p.rows, {parts_of(ops_.subspan(first, k - first), p.rows)}});
+        {first, k, p.phase, p.rows, parts_of(ops_.subspan(first, k - first), p.rows)});
   }
-  overlap_ = std::make_unique<const Overlap>(ops_, words_, accesses, chains_,
-                                             static_cast<uint32_t>(threads_));
   make_chunks();
-  find_cold(accesses);
+}
+
+// In whole groups of rows.
+int64_t PhasedRun::Chain::begin(uint32_t part) const {
+  return part == parts ? rows : rows * part / parts / kGroupRows * kGroupRows;
 }
 
 uint32_t PhasedRun::parts_of(std::span<const OpList::Op> chain, int64_t rows) const {
@@ -95,72 +91,16 @@ void PhasedRun::make_chunks() {
     uint32_t end = c;
     while (end < count && chains_[end].phase == phase) ++end;
     const auto begin = static_cast<ptrdiff_t>(chunks_.size());
-    while (c < end) {
-      const uint32_t first = c, last = overlap_->joint(phase) ? end : c + 1;
-      for (uint32_t part = 0; part < chains_[c].shares.parts; ++part)
-        chunks_.push_back({first, last, part});
-      c = last;
-    }
+    for (; c < end; ++c)
+      for (uint32_t part = 0; part < chains_[c].parts; ++part) chunks_.push_back({c, part});
     // The same part of all chains together: a thread gets a part of each, and elements near the
     // particles that it moves.
     const auto place = [this](const Chunk& chunk) {
-      return static_cast<double>(chunk.part) /
-             static_cast<double>(chains_[chunk.first].shares.parts);
+      return static_cast<double>(chunk.part) / static_cast<double>(chains_[chunk.chain].parts);
     };
     std::stable_sort(chunks_.begin() + begin, chunks_.end(),
                      [&](const Chunk& a, const Chunk& b) { return place(a) < place(b); });
     ends_.push_back(static_cast<int64_t>(chunks_.size()));
-  }
-}
-
-void PhasedRun::find_cold(std::span<const MemoryAccess> accesses) {
-  std::map<uint64_t, uint32_t> last;  // the phase that touched what begins there
-  std::vector<MemoryAccess> touched;
-  auto chain = chains_.begin();
-  for (uint32_t phase = 0; phase < ends_.size(); ++phase) {
-    touched.clear();
-    for (; chain != chains_.end() && chain->phase == phase; ++chain)
-      for (uint32_t k = chain->first; k < chain->last; ++k) {
-        const auto first = static_cast<ptrdiff_t>(touched.size());
-        touched_by(ops_[k], words_, accesses, touched);
-        const auto table = [&](const MemoryAccess& a) {
-          return is_table(ops_[k], words_, a.begin);
-        };
-        touched.erase(std::remove_if(touched.begin() + first, touched.end(), table), touched.end());
-      }
-    const size_t first = cold_.size();
-    uint64_t bytes = 0;
-    for (const MemoryAccess& access : touched) {
-      const auto [known, fresh] = last.try_emplace(access.begin, phase);
-      const bool recent = !fresh && known->second + kRecent >= phase;
-      known->second = phase;
-      if (recent || access.write || access.bytes == 0) continue;  // nobody waits for a write
-      cold_.push_back({access.begin, access.bytes});
-      bytes += access.bytes;
-    }
-    if (bytes > kMostEarly) cold_.resize(first);
-    cold_ends_.push_back(static_cast<uint32_t>(cold_.size()));
-  }
-}
-
-// Of what later phases touch, one of so many parts of what is where this chunk is in its own phase.
-void PhasedRun::fetch_early(int64_t chunk, uint32_t part, uint32_t parts) const {
-  const uint32_t phase = chains_[chunks_[static_cast<size_t>(chunk)].first].phase;
-  const int64_t first = phase == 0 ? 0 : ends_[phase - 1];
-  const auto all = static_cast<uint64_t>(ends_[phase] - first) * parts,
-             place = static_cast<uint64_t>(chunk - first) * parts + part;
-  const auto cold = [&](uint32_t later) {
-    if (later >= cold_ends_.size()) return std::span<const Bytes>();
-    return std::span(cold_).subspan(cold_ends_[later - 1],
-                                    cold_ends_[later] - cold_ends_[later - 1]);
-  };
-  if (part == 0)
-    for (const Bytes& bytes : cold(phase + kPageEarly))
-      (void)*reinterpret_cast<const volatile char*>(bytes.begin + bytes.count * place / all);
-  for (const Bytes& bytes : cold(phase + kEarly)) {
-    const uint64_t end = bytes.begin + bytes.count * (place + 1) / all;
-    for (uint64_t at = bytes.begin + bytes.count * place / all; at < end; at += kLine)
-      __builtin_prefetch(reinterpret_cast<const void*>(at), 0, 2);
   }
 }
 
@@ -174,23 +114,19 @@ struct PhasedRun::Failure {
 
 void PhasedRun::run_chunk(int64_t number, Failure& failure) const {
   const Chunk& chunk = chunks_[static_cast<size_t>(number)];
-  const Chain* chain = &chains_[chunk.first];
-  const uint32_t first = chain->first, last = chains_[chunk.last - 1].last;
-  if (failure.any && failure.phase < chain->phase) [[unlikely]]
+  const Chain& chain = chains_[chunk.chain];
+  if (failure.any && failure.phase < chain.phase) [[unlikely]]
     return;
+  const int64_t begin = chain.begin(chunk.part), end = chain.begin(chunk.part + 1);
   novaphy_error error = novaphy::make_error();
-  for (uint32_t k = first; k < last; ++k) {
-    if (k == chain->last) ++chain;
-    fetch_early(number, k - first, last - first);
-    overlap_->copy_rows(k, chunk.part);
-    const auto [begin, end] = overlap_->rows(k, *chain, chunk.part);
-    const novaphy_status status = run_rows(context_, ops_[k], words_.data(), chain->rows, begin,
-                                           end - begin, error, overlap_->moved(k, chunk.part));
+  for (uint32_t k = chain.first; k < chain.last; ++k) {
+    const novaphy_status status =
+        run_rows(context_, ops_[k], words_.data(), chain.rows, begin, end - begin, error);
     if (status == NOVAPHY_OK) [[likely]]
       continue;
     const std::lock_guard lock(failure.mutex);
     // Others look at the phase without the lock: it is written once, before `any`.
-    if (!failure.any) failure.phase = chain->phase;
+    if (!failure.any) failure.phase = chain.phase;
     if (!failure.any || order_[k] < order_[failure.op]) {
       failure.op = k;
       failure.status = status;
@@ -222,7 +158,7 @@ void PhasedRun::run() const {
     first = ends.back();
     if (work.failure.any)
       fail_as_a_whole(context_, ops_[work.failure.op], words_.data(), work.failure.status,
-                      work.failure.error, overlap_->moved_for_all(work.failure.op));
+                      work.failure.error);
   }
 }
 

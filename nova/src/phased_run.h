@@ -3,12 +3,10 @@
 #pragma once
 
 #include <cstdint>
-#include <memory>
 #include <span>
 #include <vector>
 
 #include "novaphy/nova/op_list.h"
-#include "overlap.h"
 
 namespace nova::detail {
 
@@ -28,18 +26,21 @@ class PhasedRun {
   void run() const;
 
  private:
-  struct Chunk {
-    uint32_t first, last;  // chains
-    uint32_t part;         // of each of them
+  // Operations [first, last), one after another for each part of the rows.
+  struct Chain {
+    uint32_t first, last;
+    uint32_t phase;
+    int64_t rows;
+    uint32_t parts;
+
+    int64_t begin(uint32_t part) const;
   };
-  struct Bytes {
-    uint64_t begin, count;
+  struct Chunk {
+    uint32_t chain, part;
   };
   struct Failure;
   uint32_t parts_of(std::span<const OpList::Op> chain, int64_t rows) const;
   void make_chunks();
-  void find_cold(std::span<const MemoryAccess> accesses);
-  void fetch_early(int64_t chunk, uint32_t part, uint32_t parts) const;
   void run_chunk(int64_t number, Failure& failure) const;
 
   const novaphy::DeviceContext& context_;
@@ -48,13 +49,8 @@ class PhasedRun {
   int64_t threads_ = 1;          // that the rows are shared out to
   std::vector<uint32_t> order_;  // when each was recorded
   std::vector<Chain> chains_;
-  std::unique_ptr<const Overlap> overlap_;
   std::vector<Chunk> chunks_;
   std::vector<int64_t> ends_;  // of the chunks of each phase
-  // What each phase reads that none shortly before it touched, as the backward pass of a rollout
-  // its states: the processor cannot guess where the next ones lie.
-  std::vector<Bytes> cold_;
-  std::vector<uint32_t> cold_ends_;  // of those of each phase
 };
 
 }  // namespace nova::detail

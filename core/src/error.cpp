@@ -1,8 +1,24 @@
 #include "novaphy/core/error.h"
 
+#include <cstdio>
+
 namespace novaphy {
 
 // Out of line, so that every library that throws or catches an Error shares one type description.
 Error::~Error() = default;
+
+MessagePart::MessagePart(int64_t number) : own_(std::to_string(number)), text_(own_) {}
+MessagePart::MessagePart(uint64_t number) : own_(std::to_string(number)), text_(own_) {}
+MessagePart::MessagePart(double number) {
+  char digits[32];
+  own_.assign(digits, static_cast<size_t>(std::snprintf(digits, sizeof(digits), "%g", number)));
+  text_ = own_;
+}
+
+void throw_error(ErrorKind kind, std::span<const MessagePart> parts) {
+  std::string message;
+  for (const MessagePart& part : parts) message += part.text();
+  throw Error(kind, message);
+}
 
 }  // namespace novaphy

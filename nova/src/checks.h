@@ -1,7 +1,7 @@
 // Internal: checks of arguments whose messages are put together only when something is wrong.
 #pragma once
 
-#include <ostream>
+#include <string>
 
 #include "novaphy/core/error.h"
 #include "novaphy/nova/tensor.h"
@@ -14,10 +14,10 @@ struct Argument {
   const char* name;
   int64_t index = -1;
 };
-inline std::ostream& operator<<(std::ostream& out, const Argument& a) {
-  out << a.call << ", " << a.name;
-  if (a.index >= 0) out << '[' << a.index << ']';
-  return out << ": ";
+inline std::string message_text(const Argument& a) {
+  std::string text = std::string(a.call) + ", " + a.name;
+  if (a.index >= 0) text += "[" + std::to_string(a.index) + "]";
+  return text + ": ";
 }
 
 inline void check_f32(const Tensor& x, const Argument& argument) {

@@ -6,7 +6,6 @@
 #include <cstddef>
 #include <optional>
 #include <span>
-#include <sstream>
 #include <string>
 #include <string_view>
 
@@ -22,10 +21,11 @@ struct Where {
   std::string_view function, argument;
   std::optional<size_t> element = {};
 };
-inline std::ostream& operator<<(std::ostream& out, const Where& where) {
-  out << where.function << ": " << where.argument;
-  if (where.element) out << '[' << *where.element << ']';
-  return out;
+inline std::string message_text(const Where& where) {
+  std::string text(where.function);
+  text.append(": ").append(where.argument);
+  if (where.element) text.append("[").append(std::to_string(*where.element)).append("]");
+  return text;
 }
 
 inline bool is_finite(const Vec3f& v) {

@@ -19,14 +19,15 @@ struct Element {
   size_t number;
   std::initializer_list<int32_t> particles;
 };
-std::ostream& operator<<(std::ostream& out, const Element& e) {
-  out << e.function << ": " << e.kind << " " << e.number << " (particles ";
-  const char* separator = "";
+std::string message_text(const Element& e) {
+  std::string text(e.function);
+  text.append(": ").append(e.kind).append(" ").append(std::to_string(e.number));
+  const char* separator = " (particles ";
   for (const int32_t p : e.particles) {
-    out << separator << p;
+    text.append(separator).append(std::to_string(p));
     separator = ", ";
   }
-  return out << ")";
+  return text + ")";
 }
 
 void check_particle(const Element& e, int32_t particle, int32_t count, bool may_be_absent = false) {

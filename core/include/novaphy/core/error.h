@@ -2,9 +2,12 @@
 // and what came.
 #pragma once
 
-#include <sstream>
+#include <concepts>
+#include <cstdint>
+#include <span>
 #include <stdexcept>
 #include <string>
+#include <string_view>
 
 #include "novaphy/core/export.h"
 
@@ -31,12 +34,41 @@ class NOVAPHY_CORE_API Error : public std::runtime_error {
   ErrorKind kind_;
 };
 
-// Throws an Error whose message is the streamed parts joined.
+// One part of a message: text, or a number as a stream prints it. A type of its own becomes one by
+// a function message_text(const T&) beside it.
+class NOVAPHY_CORE_API MessagePart {
+ public:
+  MessagePart(std::string_view text) : text_(text) {}
+  MessagePart(const std::string& text) : text_(text) {}
+  MessagePart(const char* text) : text_(text) {}
+  MessagePart(char letter) : own_(1, letter), text_(own_) {}
+  template <std::signed_integral T>
+  MessagePart(T number) : MessagePart(static_cast<int64_t>(number)) {}
+  template <std::unsigned_integral T>
+  MessagePart(T number) : MessagePart(static_cast<uint64_t>(number)) {}
+  MessagePart(int64_t number);
+  MessagePart(uint64_t number);
+  MessagePart(double number);  // six significant digits
+  template <class T>
+  requires requires(const T& value) { message_text(value); }
+  MessagePart(const T& value) : own_(message_text(value)), text_(own_) {}
+  MessagePart(const MessagePart&) = delete;
+  MessagePart& operator=(const MessagePart&) = delete;
+
+  std::string_view text() const { return text_; }
+
+ private:
+  std::string own_;
+  std::string_view text_;
+};
+
+// Throws an Error whose message is the parts joined.
+[[noreturn]] NOVAPHY_CORE_API void throw_error(ErrorKind kind, std::span<const MessagePart> parts);
+
 template <class... Parts>
-[[noreturn]] void fail(ErrorKind kind, const Parts&... parts) {
-  std::ostringstream message;
-  (message << ... << parts);
-  throw Error(kind, message.str());
+[[noreturn]] [[gnu::cold, gnu::noinline]] void fail(ErrorKind kind, const Parts&... parts) {
+  const MessagePart message[] = {MessagePart(parts)...};
+  throw_error(kind, message);
 }
 
 template <class... Parts>

@@ -13,7 +13,7 @@ bool has_gradients(const Array& array) {
   return dtype_info(array.dtype()).scalar == Scalar::F32 && array.rows() != 0;
 }
 
-py::object grad_of(const Array& array) {
+py::object array_grad(const Array& array) {
   if (!has_gradients(array)) return py::none();
   const Tensor tensor = Tensor::view(array);
   if (!(tensor.requires_grad() || tensor.has_grad())) return py::none();
@@ -24,7 +24,7 @@ py::object grad_of(const Array& array) {
 
 void bind_array_gradient(py::class_<Array>& array) {
   array.def_property_readonly(
-      "grad", &grad_of,
+      "grad", &array_grad,
       "The gradient of the values: a DeviceArray of the same shape, zero until a backward; None "
       "for an array without. The same memory as the grad of a Tensor over the array.");
   array.def_property(

@@ -25,6 +25,7 @@ DEMO = DEMOS / "demo_diffsim_ball.py"
 JOBS = len(os.sched_getaffinity(0))
 MAX_WHEEL_BYTES = 10_000_000
 TAIL_LINES = 120
+BINDING_REQUIREMENTS = ("pybind11>=2.13",)
 
 # Component -> the components that its consumer's prefix holds. (The step io installs its own.)
 COMPONENTS = {
@@ -138,9 +139,9 @@ def pip(log: str, python: str | Path, *arguments: str | Path, **options: object)
     run(log, python, "-m", "pip", "--disable-pip-version-check", *arguments, **options)
 
 
-def build(preset: str) -> Path:
+def build(preset: str, *options: str) -> Path:
     """Configure and build a preset; returns its build tree."""
-    run(preset, "cmake", "--preset", preset)
+    run(preset, "cmake", "--preset", preset, *options)
     run(preset, "cmake", "--build", "--preset", preset, f"-j{JOBS}")
     return BUILD / preset
 
@@ -158,12 +159,14 @@ def ctest(what: str, *arguments: str | Path, cwd: Path = ROOT) -> None:
         raise StepError(f"{what}: ctest failed with exit code {code}")
 
 
-def pytest(what: str, python: Path, *arguments: str | Path) -> None:
+def pytest(
+    what: str, python: Path, *arguments: str | Path, env: dict[str, str] | None = None
+) -> None:
     """Run pytest and add its results."""
     junit = LOGS / f"{what}.pytest.xml"
     junit.unlink(missing_ok=True)
     options = ["-q", "-ra", "-p", "no:cacheprovider", f"--junitxml={junit}"]
-    code = run(what, python, "-m", "pytest", *options, *arguments, may_fail=True)
+    code = run(what, python, "-m", "pytest", *options, *arguments, env=env, may_fail=True)
     if not junit.exists():
         raise StepError(f"{what}: pytest wrote no results")
     if totals.add_junit(junit, what) == 0 and code != 0:
@@ -185,7 +188,9 @@ def make_venv(name: str, *requirements: str) -> Path:
 # The steps, in order. A step is named as its function, with - for _.
 
 STEPS: dict[str, Callable[[], None]] = {}
+DEFAULT = ("lint", "tests")  # what runs without --all
 WITH_TESTS = (
+    "tests",
     "core-only",
     "io",
     "cpu",
@@ -215,6 +220,22 @@ def lint() -> None:
     run("lint", ruff, "format", "--no-cache", "--check")
     for script in ("tools/setup.sh", "tools/run_ball.sh", "tools/run_tests.sh", ".ci/run"):
         run("lint", "bash", "-n", script)
+
+
+@step
+def tests() -> None:
+    """One tree with everything but devices: CTest, pytest and the ball."""
+    python = make_venv("tests", *BINDING_REQUIREMENTS, "numpy", "pytest", "matplotlib", "tqdm")
+    pybind11 = output_of(python, "-m", "pybind11", "--cmakedir").strip()
+    tree = build("tests", f"-DPython_EXECUTABLE={python}", f"-Dpybind11_DIR={pybind11}")
+    ctest("tests", "--preset", "tests")
+    package = environment(PYTHONPATH=str(tree / "python"))
+    pytest("tests", python, "tests/python", env=package)
+    with tempfile.TemporaryDirectory() as folder:
+        picture = Path(folder) / "ball.png"
+        run("ball", python, DEMO, "--headless", "5", "--plot", picture, env=package)
+        if not picture.exists():
+            raise StepError("tests: the ball drew no picture")
 
 
 @step
@@ -456,25 +477,30 @@ def run_step(name: str) -> None:
 
 
 def main() -> int:
-    """Run the steps asked for, or all."""
-    parser = argparse.ArgumentParser(prog="tools/run_tests.sh", description="Run all tests.")
+    """Run the steps asked for, the default ones, or all."""
+    parser = argparse.ArgumentParser(prog="tools/run_tests.sh", description="Run the tests.")
     parser.add_argument("steps", nargs="*", metavar="STEP", help="only these steps, in this order")
+    parser.add_argument("--all", action="store_true", help="all steps, as CI runs them")
     parser.add_argument("--list", action="store_true", help="list the steps")
     arguments = parser.parse_args()
     if arguments.list:
         for name, function in STEPS.items():
             print(f"{name:10} {function.__doc__.splitlines()[0]}")
         return 0
+    if arguments.all and arguments.steps:
+        parser.error(f"--all runs every step: expected no step besides, got {arguments.steps[0]!r}")
     if unknown := [name for name in arguments.steps if name not in STEPS]:
         parser.error(f"unknown step {unknown[0]!r}; there are: {', '.join(STEPS)}")
 
     shutil.rmtree(LOGS, ignore_errors=True)
     start = time.monotonic()
-    for name in arguments.steps or STEPS:
+    # The slice of the step tests is also cpu-diff's, with the kernels of every instruction set.
+    every = [name for name in STEPS if name != "tests"]
+    for name in every if arguments.all else arguments.steps or DEFAULT:
         run_step(name)
     for problem in totals.problems:
         print(f"failed: {problem}")
-    print(f"all steps: {time.monotonic() - start:.0f} s")
+    print(f"{'all ' if arguments.all else ''}steps: {time.monotonic() - start:.0f} s")
     print(f"tests: {totals.passed} passed, {totals.failed} failed, {totals.skipped} skipped")
     return 1 if totals.failed else 0
 

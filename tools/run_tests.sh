@@ -1,6 +1,8 @@
 #!/usr/bin/env bash
-# Set up what the tests need on a bare Debian 12 or Ubuntu 24.04 machine and run them all.
+# Set up what the tests need on a bare Debian 12 or Ubuntu 24.04 machine and run them: one build with the Python
+# module, its tests, and the ball.
 #
+#   tools/run_tests.sh --all                        every slice, the wheel, sanitizers, the fake GPU: what CI runs
 #   tools/run_tests.sh [STEP]...                    for example: tools/run_tests.sh cpu-diff python
 #   tools/run_tests.sh --list                       the steps
 #

@@ -205,6 +205,7 @@ std::vector<nova::Param> static_shape_params(const Model& model, float soft_cont
 }
 
 void check_static_shapes(const Model& model) {
+  if (model.particle_count() == 0) return;
   const std::vector<int32_t> type = model.shape_type.to_host(), flags = model.shape_flags.to_host(),
                              body = model.shape_body.to_host();
   for (size_t s = 0; s < type.size(); ++s) {

@@ -5,6 +5,7 @@
 #include <initializer_list>
 
 #include "novaphy/core/error.h"
+#include "novaphy/dynamics/diff_model_reads.h"
 #include "novaphy/nova/op_list.h"
 #include "novaphy/nova/tape.h"
 
@@ -36,15 +37,14 @@ DiffSemiImplicitSolver::DiffSemiImplicitSolver(std::shared_ptr<const Model> mode
     : DiffSolverBase(std::move(model)),
       config_(config),
       particles_(*this->model(), step_options(config)) {
-  const ModelCounts& counts = this->model()->counts();
-  require(!config.strict || counts.body_count == 0, ErrorKind::NotImplemented,
-          "DiffSemiImplicitSolver: rigid bodies are not covered yet");
   require(std::isfinite(config.static_contact_margin) && config.static_contact_margin >= 0.0f,
           ErrorKind::Value,
           "DiffSolverConfig, static_contact_margin: expected a finite distance "
           ">= 0, got ",
           config.static_contact_margin);
   if (config.strict) check_elements();
+  if (config.strict) check_bodies();
+  if (moves_bodies()) plane_pairs_.update(*this->model(), has_rigid_contacts());
   if (config.strict && config.enable_particle_contacts && !config.enable_static_contacts)
     uncovered_shapes_ = shapes_for_particles(*this->model());
 }
@@ -71,6 +71,41 @@ void DiffSemiImplicitSolver::check_elements() const {
   check(config_.enable_tetrahedra, "enable_tetrahedra", "tetrahedra", {&m.particle_tet_material});
 }
 
+bool DiffSemiImplicitSolver::moves_particles() const {
+  return config_.enable_particles && model()->particle_count() > 0;
+}
+bool DiffSemiImplicitSolver::moves_bodies() const {
+  return config_.enable_rigid && model()->body_count() > 0;
+}
+bool DiffSemiImplicitSolver::has_rigid_contacts() const {
+  return config_.enable_rigid_contacts && config_.enable_static_contacts;
+}
+
+void DiffSemiImplicitSolver::check_bodies() const {
+  const Model& m = *model();
+  require(
+      config_.enable_rigid || m.body_count() == 0, ErrorKind::NotImplemented,
+      "DiffSemiImplicitSolver: the model has bodies, and enable_rigid is false: enable them, or "
+      "leave them out with strict = false");
+  require(!config_.enable_rigid_contacts || config_.enable_static_contacts ||
+              m.shape_contact_pair_count() == 0,
+          ErrorKind::NotImplemented,
+          "DiffSemiImplicitSolver: shapes of bodies may meet, and their contacts are covered with "
+          "enable_static_contacts only: set it, or leave them out with enable_rigid_contacts = "
+          "false");
+}
+
+void DiffSemiImplicitSolver::step_bodies(const SimState& in, SimState& out, float dt) {
+  plane_pairs_.update(*model(), has_rigid_contacts());
+  step_rigid_bodies_with_static_contacts(*model(), plane_pairs_, nova::operand_of(in.body_q),
+                                         nova::operand_of(in.body_qd), nova::operand_of(in.body_f),
+                                         {.angular_damping = config_.angular_damping,
+                                          .friction_smoothing = config_.friction_smoothing,
+                                          .dt = dt},
+                                         nova::operand_of(out.body_q),
+                                         nova::operand_of(out.body_qd));
+}
+
 void DiffSemiImplicitSolver::check_contacts(const char* function, const Contacts* contacts) const {
   require(!config_.enable_static_contacts || contacts == nullptr, ErrorKind::Value, function,
           ", contacts: expected none, because enable_static_contacts is true");
@@ -87,11 +122,16 @@ void DiffSemiImplicitSolver::step(SimState& state_in, SimState& state_out, const
           "(supports_graph_capture is False)");
   const ExclusiveUse::Scope scope = use("DiffSemiImplicitSolver.step");
   check_step("DiffSemiImplicitSolver.step", state_in, state_out, control, contacts, dt);
-  if (!config_.enable_particles || model()->particle_count() == 0) return;
-  check_contacts("DiffSemiImplicitSolver.step", contacts);
-  particles_.begin(*model(), contacts, "DiffSemiImplicitSolver.step");
+  constexpr const char* name = "DiffSemiImplicitSolver.step";
+  if (moves_particles()) {
+    check_contacts(name, contacts);
+    particles_.begin(*model(), contacts, name);
+  } else if (moves_bodies()) {
+    begin_model_reads(*model(), name);
+  }
   if (nova::Tape::active() != nullptr) make_leaves(state_in);
-  particles_.run(*model(), state_in, state_out, control, contacts, dt);
+  if (moves_particles()) particles_.run(*model(), state_in, state_out, control, contacts, dt);
+  if (moves_bodies()) step_bodies(state_in, state_out, dt);
 }
 
 std::vector<ScratchSpec> DiffSemiImplicitSolver::step_scratch() const {
@@ -99,15 +139,20 @@ std::vector<ScratchSpec> DiffSemiImplicitSolver::step_scratch() const {
 }
 
 bool DiffSemiImplicitSolver::begin_rollout(const RolloutInputs& inputs) {
-  if (!config_.enable_particles || model()->particle_count() == 0) return false;
-  check_contacts("DiffSemiImplicitSolver.rollout", inputs.contacts());
-  particles_.begin(*model(), inputs.contacts(), "DiffSemiImplicitSolver.rollout");
-  return true;
+  constexpr const char* name = "DiffSemiImplicitSolver.rollout";
+  if (moves_particles()) {
+    check_contacts(name, inputs.contacts());
+    particles_.begin(*model(), inputs.contacts(), name);
+  } else if (moves_bodies()) {
+    begin_model_reads(*model(), name);
+  }
+  return moves_particles() || moves_bodies();
 }
 
 void DiffSemiImplicitSolver::record_step(const SimState& in, SimState& out,
                                          const StepInputs& inputs, StepScratch scratch) {
-  particles_.record(*model(), in, out, inputs, scratch);
+  if (moves_particles()) particles_.record(*model(), in, out, inputs, scratch);
+  if (moves_bodies()) step_bodies(in, out, inputs.dt);
 }
 
 }  // namespace novaphy::diff

@@ -8,6 +8,7 @@ std::vector<nova::EngineKernel> operator_kernels() {
   detail::add_derived_kernels(list);
   detail::add_element_kernels(list);
   detail::add_particle_kernels(list);
+  detail::add_rigid_kernels(list);
   detail::add_solver_kernels(list);
   return list;
 }

@@ -8,10 +8,12 @@
 #include "novaphy/diff/diff_semi_implicit_solver.h"
 #include "novaphy/diff/engine_kernels.h"
 #include "novaphy/diff/losses.h"
+#include "novaphy/diff/rigid_losses.h"
 #include "novaphy/diff/tensor_views.h"
 #include "novaphy/diff/trajectory.h"
 #include "novaphy/dynamics/semi_implicit/diff_elements.h"
 #include "novaphy/dynamics/semi_implicit/diff_particles.h"
+#include "novaphy/dynamics/semi_implicit/diff_rigid_bodies.h"
 #include "pickle.h"
 
 namespace novaphy::python {
@@ -77,6 +79,40 @@ void bind_operators(py::module_& m) {
         "particle_qd"_a, "particle_f"_a, "soft_contact_margin"_a, "dt"_a, release_gil(),
         "Forces of static shapes and integration in one kernel, with the bits of one after the "
         "other: (q, qd).");
+  m.def("integrate_rigid_bodies_with_static_contacts_generated",
+        &diff::integrate_rigid_bodies_with_static_contacts_generated, "model"_a, "body_q"_a,
+        "body_qd"_a, "body_f"_a, "angular_damping"_a, "friction_smoothing"_a, "dt"_a, release_gil(),
+        "Poses {b, 7} and twists {b, 6} after dt (s): contacts of boxes, spheres and capsules with "
+        "infinite planes of the world, with the friction law \"huber\", then symplectic Euler; one "
+        "kernel. Exact gradients, for masses, inertias and contact materials too. "
+        "NotImplementedError names two shapes that may meet and are not covered.");
+  m.def("body_twist_from_omega_generated", &diff::body_twist_from_omega_generated, "omega"_a,
+        "linear_x"_a, "linear_y"_a, "linear_z"_a, release_gil(),
+        "Rows (linear_x, linear_y, linear_z, omega), {b, 6}; omega {b, 3}, rad/s.");
+  m.def(
+      "rigid_orientation_velocity_loss_generated",
+      [](const Tensor& body_q, const Tensor& body_qd, int64_t body_index, py::handle local_axis_a,
+         py::handle target_axis_a, py::handle local_axis_b, py::handle target_axis_b,
+         float axis_weight_a, float axis_weight_b, float target_height, float height_weight,
+         float linear_velocity_weight, float angular_velocity_weight) {
+        return diff::rigid_orientation_velocity_loss_generated(
+            body_q, body_qd, body_index, to_vec3(local_axis_a, "local_axis_a"),
+            to_vec3(target_axis_a, "target_axis_a"), to_vec3(local_axis_b, "local_axis_b"),
+            to_vec3(target_axis_b, "target_axis_b"),
+            {.axis_weight_a = axis_weight_a,
+             .axis_weight_b = axis_weight_b,
+             .target_height = target_height,
+             .height_weight = height_weight,
+             .linear_velocity_weight = linear_velocity_weight,
+             .angular_velocity_weight = angular_velocity_weight});
+      },
+      "body_q"_a, "body_qd"_a, "body_index"_a, "local_axis_a"_a, "target_axis_a"_a,
+      "local_axis_b"_a, "target_axis_b"_a, py::kw_only(), "axis_weight_a"_a = 1.0f,
+      "axis_weight_b"_a = 1.0f, "target_height"_a = 0.0f, "height_weight"_a = 0.0f,
+      "linear_velocity_weight"_a = 0.0f, "angular_velocity_weight"_a = 0.0f,
+      "wa (1 - R a . ta) + wb (1 - R b . tb) + wh (z - h)^2 + wv |v|^2 + ww |w|^2 of one body, "
+      "{1}; axes are made unit vectors. IndexError: no such body; ValueError: an axis of length "
+      "0.");
   m.def("assign_tet_materials_generated", &diff::assign_tet_materials_generated,
         "material_params"_a, "base_tet_materials"_a, "tet_count"_a, release_gil(),
         "Materials {tet_count, 3}: k_mu and k_lambda (Pa) from parameters for all {2} or for each "
@@ -326,10 +362,13 @@ void bind_solver(py::module_& solvers) {
       "Contacts with world-owned shapes at their true distance in every substep, instead "
       "of those of a Contacts, which must then be None.")
   NOVAPHY_MEMBER(static_contact_margin, "m: how far a static contact is looked for.")
-  NOVAPHY_MEMBER(enable_rigid, "Acts on bodies, which no model has yet.")
-  NOVAPHY_MEMBER(enable_rigid_contacts, "Acts on bodies, which no model has yet.")
-  NOVAPHY_MEMBER(angular_damping, "1/s")
-  NOVAPHY_MEMBER(friction_smoothing, "m/s")
+  NOVAPHY_MEMBER(enable_rigid, "Bodies move.")
+  NOVAPHY_MEMBER(enable_rigid_contacts,
+                 "Contacts of bodies act; so far those of enable_static_contacts, with infinite "
+                 "planes of the world.")
+  NOVAPHY_MEMBER(angular_damping, "1/s, of bodies.")
+  NOVAPHY_MEMBER(friction_smoothing,
+                 "m/s, of the friction law \"huber\" of bodies; 0: \"viscous\".")
   NOVAPHY_MEMBER(strict, "Refuse what is not covered instead of leaving it out.")
 #undef NOVAPHY_MEMBER
   add_settings_pickle(config);

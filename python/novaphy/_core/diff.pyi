@@ -1,7 +1,9 @@
 """Types of novaphy.diff."""
 
-from collections.abc import Iterator
-from typing import SupportsFloat, SupportsIndex
+from collections.abc import Iterator, Sequence
+from typing import Any, SupportsFloat, SupportsIndex
+
+from numpy.typing import NDArray
 
 from . import Control, Model, SimState, _Native
 from .nova import Tensor
@@ -16,6 +18,9 @@ def state_joint_q_tensor(state: SimState, requires_grad: bool = False) -> Tensor
 def state_joint_qd_tensor(state: SimState, requires_grad: bool = False) -> Tensor: ...
 def model_particle_mass_tensor(model: Model, requires_grad: bool = False) -> Tensor: ...
 def model_particle_radius_tensor(model: Model, requires_grad: bool = False) -> Tensor: ...
+def model_body_mass_tensor(model: Model, requires_grad: bool = False) -> Tensor: ...
+def model_body_inertia_tensor(model: Model, requires_grad: bool = False) -> Tensor: ...
+def model_body_com_tensor(model: Model, requires_grad: bool = False) -> Tensor: ...
 def model_gravity_tensor(model: Model, requires_grad: bool = False) -> Tensor: ...
 def model_shape_material_ke_tensor(model: Model, requires_grad: bool = False) -> Tensor: ...
 def model_shape_material_kd_tensor(model: Model, requires_grad: bool = False) -> Tensor: ...
@@ -94,6 +99,34 @@ def particle_point_loss_generated(
     target_x: SupportsFloat,
     target_y: SupportsFloat,
     target_z: SupportsFloat,
+) -> Tensor: ...
+def integrate_rigid_bodies_with_static_contacts_generated(
+    model: Model,
+    body_q: Tensor,
+    body_qd: Tensor,
+    body_f: Tensor,
+    angular_damping: SupportsFloat,
+    friction_smoothing: SupportsFloat,
+    dt: SupportsFloat,
+) -> tuple[Tensor, Tensor]: ...
+def body_twist_from_omega_generated(
+    omega: Tensor, linear_x: SupportsFloat, linear_y: SupportsFloat, linear_z: SupportsFloat
+) -> Tensor: ...
+def rigid_orientation_velocity_loss_generated(
+    body_q: Tensor,
+    body_qd: Tensor,
+    body_index: SupportsIndex,
+    local_axis_a: Sequence[SupportsFloat] | NDArray[Any],
+    target_axis_a: Sequence[SupportsFloat] | NDArray[Any],
+    local_axis_b: Sequence[SupportsFloat] | NDArray[Any],
+    target_axis_b: Sequence[SupportsFloat] | NDArray[Any],
+    *,
+    axis_weight_a: SupportsFloat = 1.0,
+    axis_weight_b: SupportsFloat = 1.0,
+    target_height: SupportsFloat = 0.0,
+    height_weight: SupportsFloat = 0.0,
+    linear_velocity_weight: SupportsFloat = 0.0,
+    angular_velocity_weight: SupportsFloat = 0.0,
 ) -> Tensor: ...
 def particle_centroid_generated(particle_q: Tensor) -> Tensor: ...
 def vec3_point_loss_generated(

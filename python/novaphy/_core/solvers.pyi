@@ -83,7 +83,7 @@ class DiffSolverConfig(_Native):
         enable_rigid: bool = True,
         enable_rigid_contacts: bool = True,
         angular_damping: SupportsFloat = 0.05,
-        friction_smoothing: SupportsFloat = 1.0,
+        friction_smoothing: SupportsFloat = 0.1,
         strict: bool = True,
     ) -> None: ...
     enable_particles: bool

@@ -7,6 +7,7 @@
 #include "novaphy/diff/trajectory.h"
 #include "novaphy/dynamics/diff_solver_base.h"
 #include "novaphy/dynamics/semi_implicit/diff_particle_step.h"
+#include "novaphy/dynamics/semi_implicit/diff_rigid_bodies.h"
 
 namespace novaphy::diff {
 
@@ -19,14 +20,15 @@ struct DiffSolverConfig {
   bool enable_bending = false;
   // Contacts of particles with world-owned planes, boxes, spheres and capsules at their true
   // distance in every substep, instead of those of a Contacts (which must then be null). Their
-  // gradient follows the closest point and the normal.
+  // gradient follows the closest point and the normal. Likewise of bodies with infinite planes of
+  // the world (diff_rigid_bodies.h).
   bool enable_static_contacts = false;
   float static_contact_margin = 0.0f;  // m, >= 0: how far a static contact is looked for
-  bool enable_rigid = true;            // acts on bodies, which no model has yet
-  bool enable_rigid_contacts = true;
-  float angular_damping = 0.05f;
-  float friction_smoothing = 1.0f;
-  bool strict = true;  // refuse what is not covered instead of leaving it out
+  bool enable_rigid = true;            // bodies move
+  bool enable_rigid_contacts = true;   // their contacts act; so far those of enable_static_contacts
+  float angular_damping = 0.05f;       // 1/s, of bodies
+  float friction_smoothing = 0.1f;     // m/s, of their friction law huber; 0: viscous
+  bool strict = true;                  // refuse what is not covered instead of leaving it out
 };
 
 // One step runs generated kernels: the forces of springs, triangles, bending edges and tetrahedra
@@ -35,16 +37,22 @@ struct DiffSolverConfig {
 // Inside an active nova::Tape the kernels are recorded on the states' own arrays; outside they just
 // run.
 //
+// Bodies move by one kernel more (step_rigid_bodies_with_static_contacts), which does not write
+// body_f; particles and bodies do not meet.
+//
 // Gradients: positions, velocities, applied forces, masses, radii, gravity, contact materials,
 // activations and all materials, rest lengths and rest angles of elements are exact. Points and
 // normals of recorded contacts are frozen (collision is not differentiated here); those of static
-// contacts are exact. See diff_elements.h, diff_soft_contacts.h and diff_particles.h.
+// contacts are exact. See diff_elements.h, diff_soft_contacts.h, diff_particles.h and,
+// for bodies, diff_rigid_bodies.h.
 //
 // Under `strict` a model whose elements would be left out is refused: the element kind must be
 // enabled, unless it exerts no force (all its stiffness, damping, drag and lift are 0 when the
 // solver is made; so it is with the bending edges that add_soft_grid makes). So is a step without
 // contacts of a model with shapes that particles collide with when the solver is made: it needs a
-// Contacts, enable_static_contacts, or enable_particle_contacts = false.
+// Contacts, enable_static_contacts, or enable_particle_contacts = false. So is a model with bodies
+// that would not move (enable_rigid false), or whose shapes may meet while enable_static_contacts
+// is false, unless enable_rigid_contacts is false too.
 //
 // The forces that a step leaves in state_in.particle_f are for reading. Using them as input of
 // another recorded step raises: clear_forces() first.
@@ -76,9 +84,15 @@ class NOVAPHY_DIFF_API DiffSemiImplicitSolver : public DiffSolverBase {
  private:
   void check_elements() const;
   void check_contacts(const char* function, const Contacts* contacts) const;
+  void check_bodies() const;
+  bool moves_particles() const;
+  bool moves_bodies() const;
+  bool has_rigid_contacts() const;
+  void step_bodies(const SimState& in, SimState& out, float dt);
   DiffSolverConfig config_;
   int32_t uncovered_shapes_ = 0;  // under strict: those that need a Contacts to act
   ParticleStep particles_;
+  PlanePairs plane_pairs_;  // of bodies
 };
 
 }  // namespace novaphy::diff

@@ -12,7 +12,8 @@ namespace novaphy::diff {
 NOVAPHY_DIFF_API std::vector<nova::EngineKernel> engine_kernels();
 
 namespace detail {
-void add_loss_kernels(std::vector<nova::EngineKernel>& list);  // losses.cpp
-}
+void add_loss_kernels(std::vector<nova::EngineKernel>& list);        // losses.cpp
+void add_rigid_loss_kernels(std::vector<nova::EngineKernel>& list);  // rigid_losses.cpp
+}  // namespace detail
 
 }  // namespace novaphy::diff

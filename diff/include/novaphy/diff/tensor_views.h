@@ -16,6 +16,9 @@
 #define NOVAPHY_MODEL_VIEWS(X) \
   X(particle_mass)             \
   X(particle_radius)           \
+  X(body_mass)                 \
+  X(body_inertia)              \
+  X(body_com)                  \
   X(gravity) X(shape_material_ke) X(shape_material_kd) X(shape_material_kf) X(shape_material_mu)
 // X(name, field): views of arrays over elements, without the prefix of the field.
 #define NOVAPHY_ELEMENT_VIEWS(X)                     \
@@ -41,8 +44,8 @@ namespace novaphy::diff {
 NOVAPHY_STATE_VIEWS(NOVAPHY_DECLARE_STATE_VIEW)
 #undef NOVAPHY_DECLARE_STATE_VIEW
 
-// model_particle_mass_tensor(model): {n}, kg; and so on. Gradients reach the masses, although the
-// integrator reads particle_inv_mass, which follows them (Model::update_derived).
+// model_particle_mass_tensor(model): {n}, kg; and so on. Gradients reach masses and inertias,
+// although the integrators read the inverses, which follow them (Model::update_derived).
 #define NOVAPHY_DECLARE_MODEL_VIEW(field)                                  \
   NOVAPHY_DIFF_API nova::Tensor model_##field##_tensor(const Model& model, \
                                                        bool requires_grad = false);

@@ -17,6 +17,7 @@ void add_contact_kernels(std::vector<nova::EngineKernel>& list);       // diff_s
 void add_element_kernels(std::vector<nova::EngineKernel>& list);       // diff_elements.cpp
 void add_tet_material_kernels(std::vector<nova::EngineKernel>& list);  // diff_tetrahedra.cpp
 void add_particle_kernels(std::vector<nova::EngineKernel>& list);      // diff_particles.cpp
+void add_rigid_kernels(std::vector<nova::EngineKernel>& list);         // diff_rigid_bodies.cpp
 void add_derived_kernels(std::vector<nova::EngineKernel>& list);       // diff_model_reads.cpp
 void add_solver_kernels(std::vector<nova::EngineKernel>& list);        // diff_solver_base.cpp
 

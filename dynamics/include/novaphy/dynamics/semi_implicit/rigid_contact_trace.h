@@ -100,30 +100,38 @@ Vec3<T> rigid_friction(FrictionLaw law, const Vec3<T>& ut, const T& limit, const
   return ut * select(acts, slope, zero);
 }
 
+// The force on B at two points p_a, p_b of the surfaces with their margins, n = N, u = v_A - v_B.
+template <class T>
+Vec3<T> rigid_contact_law(FrictionLaw law, const Vec3<T>& n, const Vec3<T>& p_a, const Vec3<T>& p_b,
+                          const Vec3<T>& u, const RigidContactMaterial<T>& material,
+                          const T& smoothing) {
+  using namespace math;
+  const T zero = T(0.0f);
+  const T d = dot(n, p_a - p_b);
+  const T un = dot(n, u);
+  const Vec3<T> ut = u - n * un;
+  const T fn = d * material.ke;
+  const T fd = (min(un, zero) * material.kd) * step(d);
+  const T limit = select(d < zero, (-material.mu) * (fn + fd), zero);
+  const Vec3<T> force = n * (fn + fd) + rigid_friction(law, ut, limit, material.kf, smoothing);
+  // Asked as d >= ka, so that a NaN reaches the force instead of switching the contact off.
+  return select(d >= material.ka, Vec3<T>{zero, zero, zero}, force);
+}
+
 template <class T>
 RigidContactForce<T> rigid_contact_force(FrictionLaw law, const RigidContactSide<T>& a,
                                          const RigidContactSide<T>& b, const Vec3<T>& normal,
                                          const RigidContactMaterial<T>& material,
                                          const T& smoothing) {
   using namespace math;
-  const T zero = T(0.0f);
   const Vec3<T> n = -normal;
   const Vec3<T> p_a = transform_point(a.pose, a.point) - n * a.margin;
   const Vec3<T> p_b = transform_point(b.pose, b.point) + n * b.margin;
   const Vec3<T> arm_a = p_a - transform_point(a.pose, a.com);
   const Vec3<T> arm_b = p_b - transform_point(b.pose, b.com);
-  const T d = dot(n, p_a - p_b);
   const Vec3<T> u = (a.twist.linear + cross(a.twist.angular, arm_a)) -
                     (b.twist.linear + cross(b.twist.angular, arm_b));
-  const T un = dot(n, u);
-  const Vec3<T> ut = u - n * un;
-  const auto touches = d < zero;
-  const T fn = d * material.ke;
-  const T fd = (min(un, zero) * material.kd) * step(d);
-  const T limit = select(touches, (-material.mu) * (fn + fd), zero);
-  const Vec3<T> force = n * (fn + fd) + rigid_friction(law, ut, limit, material.kf, smoothing);
-  // Asked as d >= ka, so that a NaN reaches the force instead of switching the contact off.
-  return {select(d >= material.ka, Vec3<T>{zero, zero, zero}, force), arm_a, arm_b};
+  return {rigid_contact_law(law, n, p_a, p_b, u, material, smoothing), arm_a, arm_b};
 }
 
 }  // namespace novaphy

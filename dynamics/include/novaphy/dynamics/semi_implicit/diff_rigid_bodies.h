@@ -1,0 +1,64 @@
+// Differentiable rigid bodies on planes of the world. Compiled into novaphy::dynamics where nova is
+// built.
+//
+// What each input's gradient is:
+//   body_q, body_qd, body_f    exact for the corners of boxes that are kept (rigid_plane_trace.h);
+//                              body_q as seven free numbers
+//   model: body_mass, body_inertia (by way of their stored inverses, which follow them), body_com,
+//   gravity, shape_material_ke, _kd, _kf, _mu    exact
+//   shape_transform, shape_scale, shape_margin, shape_gap, shape_material_ka, flags, angular
+//   damping, smoothing, dt     none
+#pragma once
+
+#include <utility>
+
+#include "novaphy/core/array_stamp.h"
+#include "novaphy/core/sim/model.h"
+#include "novaphy/dynamics/export.h"
+#include "novaphy/nova/kernel.h"
+
+namespace novaphy::diff {
+
+// The shape pairs that the operators below cover, as rows of bodies: an infinite plane of the world
+// with a box, sphere or capsule of a body.
+class NOVAPHY_DYNAMICS_API PlanePairs {
+ public:
+  // Made anew when the arrays that they are made from were written; `with_contacts` false: no
+  // pairs. ErrorKind::NotImplemented: a pair of shape_contact_pairs that is not covered, by its
+  // shapes, or a body of all worlds (-1) in a model of several; ErrorKind::Index: no such world.
+  void update(const Model& model, bool with_contacts);
+  const nova::Operand& pairs() const { return pairs_; }  // {n, 2}: plane, shape
+  const nova::Incidence& pairs_of_bodies() const { return pairs_of_bodies_; }
+
+ private:
+  void find_pairs(const Model& model);
+  ArrayStamp contact_pairs_, shape_body_, shape_type_, shape_scale_, body_world_;
+  bool known_ = false, with_contacts_ = false;
+  nova::Operand pairs_;
+  nova::Incidence pairs_of_bodies_;
+};
+
+// One step of dt (s) of SolverSemiImplicit with the friction law huber: contacts of the pairs of
+// shape_contact_pairs at the poses of body_q, found inside of the kernel, then
+// rigid_integrator_trace.h. body_q {b, 7}, body_qd {b, 6}, body_f {b, 6} tightly packed float32 on
+// the model's device (ErrorKind::Type, ErrorKind::Value); angular_damping (1/s) and
+// friction_smoothing (m/s) >= 0: 0 is the viscous law; pairs that are not covered:
+// ErrorKind::NotImplemented. The contacts of a pair are added up first, then the pairs on body_f in
+// their order.
+NOVAPHY_DYNAMICS_API std::pair<nova::Tensor, nova::Tensor>
+integrate_rigid_bodies_with_static_contacts_generated(
+    const Model& model, const nova::Tensor& body_q, const nova::Tensor& body_qd,
+    const nova::Tensor& body_f, float angular_damping, float friction_smoothing, float dt);
+
+// The same into given memory: what the solver calls, with pairs that are up to date.
+struct RigidStepNumbers {
+  float angular_damping = 0.05f;    // 1/s
+  float friction_smoothing = 0.1f;  // m/s
+  float dt = 0.0f;                  // s
+};
+NOVAPHY_DYNAMICS_API void step_rigid_bodies_with_static_contacts(
+    const Model& model, const PlanePairs& pairs, const nova::Operand& body_q,
+    const nova::Operand& body_qd, const nova::Operand& body_f, const RigidStepNumbers& numbers,
+    const nova::Operand& q_out, const nova::Operand& qd_out);
+
+}  // namespace novaphy::diff

@@ -76,7 +76,7 @@ inline Proximity box_proximity(const ShapePair& pair, const BoxAxis& axis) {
   return proximity;
 }
 
-inline Manifold collide_boxes(const ShapePair& pair, float gap) {
+NOVAPHY_OUT_OF_LINE Manifold collide_boxes(const ShapePair& pair, float gap) {
   const BoxAxis axis = best_box_axis(pair);
   if (!(axis.separation <= gap)) return {};
   const Proximity proximity = box_proximity(pair, axis);

@@ -30,7 +30,7 @@ inline bool proximity_of_points(const Vec3f& a, const Vec3f& b, float ra, float 
   return true;
 }
 
-inline Manifold collide_capsules(const ShapePair& pair, float gap) {
+NOVAPHY_OUT_OF_LINE Manifold collide_capsules(const ShapePair& pair, float gap) {
   const float ra = pair.a->scale.x, rb = pair.b->scale.x;
   const Vec3f u = {0.0f, 0.0f, pair.a->scale.y};
   const Vec3f v = math::column(pair.rotation, 2) * pair.b->scale.y;
@@ -115,7 +115,7 @@ inline bool segment_meets_box(const Vec3f& s0, const Vec3f& s1, const Vec3f& h) 
 }
 
 // A is a capsule, B a box.
-inline Manifold collide_capsule_box(const ShapePair& pair, float gap) {
+NOVAPHY_OUT_OF_LINE Manifold collide_capsule_box(const ShapePair& pair, float gap) {
   const Vec3f h = pair.b->scale;
   const float r = pair.a->scale.x;
   const Vec3f c = apply_transposed(pair.rotation, -pair.offset);

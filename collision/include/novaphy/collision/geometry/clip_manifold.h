@@ -46,8 +46,8 @@ inline void add_clipped(ClippedFeature& out, const Vec3f& point, int32_t code) {
 }
 
 // Keeps what has dot(normal, x) <= offset.
-inline ClippedFeature clip_by_plane(const ClippedFeature& in, const Vec3f& normal, float offset,
-                                    int32_t plane) {
+NOVAPHY_OUT_OF_LINE ClippedFeature clip_by_plane(const ClippedFeature& in, const Vec3f& normal,
+                                                 float offset, int32_t plane) {
   ClippedFeature out;
   out.open = in.open;
   for (int32_t i = 0; i < in.count; ++i) {
@@ -110,51 +110,72 @@ inline bool edges_run_along(const Feature& a, const Feature& b, const Vec3f& n) 
          math::abs(math::dot(u, n)) < kParallelSine && math::abs(math::dot(v, n)) < kParallelSine;
 }
 
-// Points with a distance of at most `gap`, not yet reduced.
-inline ContactCandidates clip_candidates(const ShapePair& pair, const Proximity& proximity,
-                                         float gap) {
-  const Vec3f n = proximity.normal;
-  const Feature a = supporting_feature(*pair.a, n);
-  Feature b = supporting_feature(*pair.b, apply_transposed(pair.rotation, -n));
+// The features of both shapes that face each other along n.
+inline void facing_features(const ShapePair& pair, const Vec3f& n, Feature& a, Feature& b) {
+  a = supporting_feature(*pair.a, n);
+  b = supporting_feature(*pair.b, apply_transposed(pair.rotation, -n));
   for (int32_t i = 0; i < b.count; ++i) b.points[i] = from_b(pair, b.points[i]);
   b.normal = apply(pair.rotation, b.normal);
+}
+
+// Adds what of one feature lies over the other, the reference (A's if a_leads), within the gap.
+// True if a point is as deep as the pair.
+NOVAPHY_OUT_OF_LINE bool clip_features(const ShapePair& pair, const Proximity& proximity,
+                                       const Feature& a, const Feature& b, bool a_leads, float gap,
+                                       ContactCandidates& found) {
+  const Feature& reference = a_leads ? a : b;
+  const Feature& incident = a_leads ? b : a;
+  const ClippedFeature clipped =
+      reference.count > 2 ? clip_to_face(reference, incident) : clip_to_edge(reference, incident);
+  // Seen from the reference, the incident shape lies along `away`.
+  const Vec3f away = a_leads ? proximity.normal : -proximity.normal;
+  const Vec3f plane = reference_normal(reference, away);
+  const float cosine = math::dot(plane, away);
+  const float radius = core_radius(*pair.a) + core_radius(*pair.b);
+  const float shift = core_radius(a_leads ? *pair.b : *pair.a);
+  const float tolerance = kDeepestShare * math::max(extent(a), extent(b));
+  bool as_deep = false;
+  for (int32_t i = 0; i < clipped.count; ++i) {
+    const Vec3f p = clipped.points[i];
+    const float core = math::dot(plane, p - reference.points[0]) / cosine;
+    const float distance = math::max(core - radius, proximity.distance);
+    if (!(distance <= gap)) continue;
+    as_deep = as_deep || distance <= proximity.distance + tolerance;
+    // The incident surface lies `shift` before its core; the middle half a distance further.
+    add_contact(found, p - away * (shift + 0.5f * distance), distance,
+                contact_feature(a.face, b.face, clipped.codes[i]));
+  }
+  return as_deep;
+}
+
+// The points of two features with a distance of at most `gap`, not yet reduced.
+NOVAPHY_OUT_OF_LINE ContactCandidates clip_candidates(const ShapePair& pair,
+                                                      const Proximity& proximity, const Feature& a,
+                                                      const Feature& b, float gap) {
+  const Vec3f n = proximity.normal;
   const float along_a = a.count > 2 ? math::dot(a.normal, n) : -1.0f;
   const float along_b = b.count > 2 ? -math::dot(b.normal, n) : -1.0f;
   const bool a_leads = a.count > 2 ? !(along_b > along_a + kFacePreference) : b.count == 2;
-  const Feature& reference = a_leads ? a : b;
-  const Feature& incident = a_leads ? b : a;
-
+  const bool faces =
+      math::max(along_a, along_b) >= kFaceCosine && (a_leads ? b.count : a.count) > 1;
   ContactCandidates found;
   found.normal = n;
-  const bool faces = math::max(along_a, along_b) >= kFaceCosine && incident.count > 1;
-  const float tolerance = kDeepestShare * math::max(extent(a), extent(b));
-  bool as_deep = false;
-  if (faces || edges_run_along(a, b, n)) {
-    const ClippedFeature clipped =
-        faces ? clip_to_face(reference, incident) : clip_to_edge(reference, incident);
-    // Seen from the reference, the incident shape lies along `away`.
-    const Vec3f away = a_leads ? n : -n, plane = reference_normal(reference, away);
-    const float cosine = math::dot(plane, away);
-    const float radius = core_radius(*pair.a) + core_radius(*pair.b);
-    const float shift = core_radius(a_leads ? *pair.b : *pair.a);
-    for (int32_t i = 0; i < clipped.count; ++i) {
-      const Vec3f p = clipped.points[i];
-      const float core = math::dot(plane, p - reference.points[0]) / cosine;
-      const float distance = math::max(core - radius, proximity.distance);
-      if (!(distance <= gap)) continue;
-      as_deep = as_deep || distance <= proximity.distance + tolerance;
-      // The incident surface lies `shift` before its core; the middle half a distance further.
-      add_contact(found, p - away * (shift + 0.5f * distance), distance,
-                  contact_feature(a.face, b.face, clipped.codes[i]));
-    }
-  }
+  const bool as_deep = (faces || edges_run_along(a, b, n)) &&
+                       clip_features(pair, proximity, a, b, a_leads, gap, found);
   if (!as_deep)
     add_contact(found, (proximity.on_a + proximity.on_b) * 0.5f, proximity.distance,
                 contact_feature(a.face, b.face, kWitnessCode));
   return found;
 }
+inline ContactCandidates clip_candidates(const ShapePair& pair, const Proximity& proximity,
+                                         float gap) {
+  Feature a, b;
+  facing_features(pair, proximity.normal, a, b);
+  return clip_candidates(pair, proximity, a, b, gap);
+}
 
-inline Manifold clip_manifold(const ShapePair& pair, const Proximity& proximity, float gap) {
+NOVAPHY_OUT_OF_LINE Manifold clip_manifold(const ShapePair& pair, const Proximity& proximity,
+                                           float gap) {
   if (!(proximity.distance <= gap)) return {};
   return reduce_contacts<kManifoldCapacity>(clip_candidates(pair, proximity, gap));
 }

@@ -21,14 +21,6 @@ inline bool is_convex_type(GeoType type) {
          type == GeoType::CONVEX_MESH;
 }
 
-inline bool is_finite(float x) { return math::abs(x) < 1e30f; }
-inline bool is_finite(const Vec3f& v) { return is_finite(v.x) && is_finite(v.y) && is_finite(v.z); }
-inline bool is_finite(const ShapePair& pair) {
-  return is_finite(pair.offset) && is_finite(math::column(pair.rotation, 0)) &&
-         is_finite(math::column(pair.rotation, 1)) && is_finite(math::column(pair.rotation, 2)) &&
-         is_finite(pair.a->scale) && is_finite(pair.b->scale);
-}
-
 // type(a) <= type(b). Frame of A.
 inline Manifold collide_ordered(const ShapePair& pair, float gap) {
   const GeoType a = pair.a->type, b = pair.b->type;

@@ -8,7 +8,7 @@
 namespace novaphy::geometry {
 
 // Distances above `limit` come back as some lower bound of them, which is above `limit` too.
-inline Proximity convex_proximity(const ShapePair& pair, float limit) {
+NOVAPHY_OUT_OF_LINE Proximity convex_proximity(const ShapePair& pair, float limit) {
   const float ra = core_radius(*pair.a), rb = core_radius(*pair.b);
   GjkResult gjk_result = gjk(pair, (limit + ra) + rb);
   Proximity proximity{gjk_result.normal, gjk_result.distance, gjk_result.on_a, gjk_result.on_b};

@@ -108,7 +108,8 @@ inline SupportPoint ask_direction(const ShapePair& pair, const Vec3f& n, Penetra
 
 // Grows a simplex to a tetrahedron with volume. False if there is none: `best` then holds the
 // direction across the flat difference.
-inline bool grow_tetrahedron(const ShapePair& pair, Simplex& s, float& size, Penetration& best) {
+NOVAPHY_OUT_OF_LINE bool grow_tetrahedron(const ShapePair& pair, Simplex& s, float& size,
+                                          Penetration& best) {
   bool better = false;
   auto farthest = [&](const Vec3f& n, auto distance) {
     SupportPoint p = support_point(pair, n);
@@ -178,7 +179,8 @@ inline void start_polytope(EpaPolytope& poly, const Simplex& s) {
 
 // Puts a vertex outside of the face `from`: all faces that see it give way. False if there is no
 // room.
-inline bool add_vertex(EpaPolytope& poly, const SupportPoint& p, int32_t from, float tolerance) {
+NOVAPHY_OUT_OF_LINE bool add_vertex(EpaPolytope& poly, const SupportPoint& p, int32_t from,
+                                    float tolerance) {
   EpaEdges edges;
   int32_t kept = 0;
   const int32_t count = poly.face_count, vertex = poly.vertex_count;
@@ -199,7 +201,7 @@ inline bool add_vertex(EpaPolytope& poly, const SupportPoint& p, int32_t from, f
   return true;
 }
 
-inline Penetration epa(const ShapePair& pair, Simplex simplex) {
+NOVAPHY_OUT_OF_LINE Penetration epa(const ShapePair& pair, Simplex simplex) {
   Penetration best;
   float size = 0.0f;
   if (!grow_tetrahedron(pair, simplex, size, best)) return best;

@@ -98,7 +98,7 @@ inline Feature hull_feature(const HullView& hull, const Vec3f& d) {
 }
 
 // d is a unit vector.
-inline Feature supporting_feature(const Shape& shape, const Vec3f& d) {
+NOVAPHY_OUT_OF_LINE Feature supporting_feature(const Shape& shape, const Vec3f& d) {
   const Vec3f s = shape.scale;
   Feature feature;
   switch (shape.type) {

@@ -125,7 +125,7 @@ inline bool nearest_of_tetrahedron(Simplex& s) {
 }
 
 // True if the simplex holds the origin.
-inline bool cut_to_nearest(Simplex& s) {
+NOVAPHY_OUT_OF_LINE bool cut_to_nearest(Simplex& s) {
   if (s.count == 1) s.weight[0] = 1.0f;
   if (s.count == 2) nearest_of_segment(s);
   if (s.count == 3) nearest_of_triangle(s);
@@ -139,7 +139,7 @@ inline bool has_vertex(const Simplex& s, const Vec3f& w) {
 }
 
 // Distances above `limit` are not looked at more closely.
-inline GjkResult gjk(const ShapePair& pair, float limit) {
+NOVAPHY_OUT_OF_LINE GjkResult gjk(const ShapePair& pair, float limit) {
   GjkResult result;
   Simplex& s = result.simplex;
   const Vec3f start = pair.offset == Vec3f{} ? Vec3f{1.0f, 0.0f, 0.0f} : pair.offset;

@@ -16,6 +16,10 @@
 
 #include "novaphy/math/types.h"
 
+// Compilers of devices put everything inline: the large functions stay functions, which cuts the
+// time they take over a kernel of all pairs by seven.
+#define NOVAPHY_OUT_OF_LINE __attribute__((noinline)) inline
+
 namespace novaphy::geometry {
 
 inline constexpr int32_t kManifoldCapacity = 8;
@@ -75,71 +79,79 @@ ContactSet<Capacity> in_frame(ContactSet<Capacity> set, const Transformf& pose) 
   return set;
 }
 
-// The index of the point with the largest score, the earliest among equals; points that are taken
-// do not count. -1 if none is left.
-template <int32_t Capacity, class Score>
-int32_t best_contact(const ContactSet<Capacity>& set, const bool* taken, Score score) {
-  int32_t best = -1;
-  float best_score = 0.0f;
-  for (int32_t i = 0; i < set.count; ++i) {
-    if (taken[i]) continue;
-    const float s = score(set.points[i]);
-    if (best < 0 || s > best_score) {
+// Takes up to `limit` points of a set by the rule above: set.point(i) of set.size() points in the
+// order that breaks ties, set.open(i) while one may be taken, set.take(i). Stops at points that are
+// within `least` (m) of one that is taken.
+template <class Set>
+void take_extremes(Set& set, const Vec3f& n, int32_t limit, float least) {
+  Vec3f corner[4];
+  int32_t count = 0;
+  auto take_best = [&](auto score, bool bounded, float bound) {
+    int32_t best = -1;
+    float best_score = 0.0f;
+    for (int32_t i = 0; i < set.size(); ++i) {
+      if (!set.open(i)) continue;
+      const float s = score(set.point(i));
+      if (best >= 0 && !(s > best_score)) continue;
       best = i;
       best_score = s;
     }
+    if (best < 0 || (bounded && !(best_score > bound))) return false;
+    if (count < 4) corner[count] = set.point(best).position;
+    ++count;
+    set.take(best);
+    return true;
+  };
+  auto square = [](const Vec3f& d) { return math::dot(d, d); };
+  // Twice the signed area of the triangle on the first edge, seen along the normal.
+  auto area = [&](const Vec3f& p) {
+    return math::dot(n, math::cross(corner[1] - corner[0], p - corner[0]));
+  };
+  using Point = ContactPoint;
+  if (!take_best([](const Point& p) { return -p.distance; }, false, 0.0f)) return;
+  if (count == limit || !take_best([&](const Point& p) { return square(p.position - corner[0]); },
+                                   true, least * least))
+    return;
+  const float thin = least * math::length(corner[1] - corner[0]);
+  if (count == limit ||
+      !take_best([&](const Point& p) { return math::abs(area(p.position)); }, true, thin))
+    return;
+  const float side = area(corner[2]) > 0.0f ? -1.0f : 1.0f;
+  if (count < limit) take_best([&](const Point& p) { return side * area(p.position); }, true, thin);
+  while (count < limit && take_best(
+                              [&](const Point& p) {
+                                float nearest = -1.0f;
+                                for (int32_t i = 0; i < set.size(); ++i) {
+                                  if (!set.taken(i)) continue;
+                                  const float d = square(p.position - set.point(i).position);
+                                  if (nearest < 0.0f || d < nearest) nearest = d;
+                                }
+                                return nearest;
+                              },
+                              true, least * least)) {
   }
-  return best;
 }
 
 // At most `limit` (1 .. Kept) of the points, sorted by feature.
 template <int32_t Kept, int32_t Capacity>
-ContactSet<Kept> reduce_contacts(ContactSet<Capacity> set, int32_t limit = Kept) {
+__attribute__((noinline)) ContactSet<Kept> reduce_contacts(ContactSet<Capacity> set,
+                                                           int32_t limit = Kept) {
   sort_contacts(set);
-  bool taken[Capacity] = {};
-  const Vec3f n = set.normal;
-  Vec3f corner[4];
-  int32_t count = 0;
-  auto take = [&](int32_t i) {
-    if (i < 0) return;
-    taken[i] = true;
-    if (count < 4) corner[count] = set.points[i].position;
-    ++count;
-  };
-  if (set.count > limit) {
-    take(best_contact(set, taken, [](const ContactPoint& p) { return -p.distance; }));
-    if (count < limit)
-      take(best_contact(set, taken, [&](const ContactPoint& p) {
-        const Vec3f d = p.position - corner[0];
-        return math::dot(d, d);
-      }));
-    // Twice the signed area of the triangle on the first edge, seen along the normal.
-    auto area = [&](const ContactPoint& p) {
-      return math::dot(n, math::cross(corner[1] - corner[0], p.position - corner[0]));
-    };
-    if (count < limit)
-      take(best_contact(set, taken, [&](const ContactPoint& p) { return math::abs(area(p)); }));
-    if (count < limit) {
-      const float side = math::dot(n, math::cross(corner[1] - corner[0], corner[2] - corner[0]));
-      take(best_contact(set, taken,
-                        [&](const ContactPoint& p) { return side > 0.0f ? -area(p) : area(p); }));
-    }
-    while (count < limit)
-      take(best_contact(set, taken, [&](const ContactPoint& p) {
-        float nearest = -1.0f;
-        for (int32_t i = 0; i < set.count; ++i) {
-          if (!taken[i]) continue;
-          const Vec3f d = p.position - set.points[i].position;
-          const float square = math::dot(d, d);
-          if (nearest < 0.0f || square < nearest) nearest = square;
-        }
-        return nearest;
-      }));
-  }
+  struct Points {
+    const ContactSet<Capacity>& set;
+    bool chosen[Capacity];
+    int32_t size() const { return set.count; }
+    const ContactPoint& point(int32_t i) const { return set.points[i]; }
+    bool open(int32_t i) const { return !chosen[i]; }
+    bool taken(int32_t i) const { return chosen[i]; }
+    void take(int32_t i) { chosen[i] = true; }
+  } points{set, {}};
+  const bool all = set.count <= limit;
+  if (!all) take_extremes(points, set.normal, limit, 0.0f);
   ContactSet<Kept> kept;
-  kept.normal = n;
+  kept.normal = set.normal;
   for (int32_t i = 0; i < set.count; ++i)
-    if (set.count <= limit || taken[i]) kept.points[kept.count++] = set.points[i];
+    if (all || points.chosen[i]) kept.points[kept.count++] = set.points[i];
   return kept;
 }
 

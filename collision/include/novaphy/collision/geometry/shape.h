@@ -6,6 +6,7 @@
 // radius and half height along z, half axes; m. A convex hull has its scale in its vertices.
 #pragma once
 
+#include "novaphy/collision/geometry/manifold.h"
 #include "novaphy/core/sim/enums.h"
 #include "novaphy/math/matrix.h"
 
@@ -65,6 +66,15 @@ inline ShapePair shape_pair(const Shape& a, const Shape& b, const Transformf& b_
 }
 inline Vec3f from_b(const ShapePair& pair, const Vec3f& point) {
   return apply(pair.rotation, point) + pair.offset;
+}
+
+// Numbers beyond 1e30 count as not finite: their squares are not.
+inline bool is_finite(float x) { return math::abs(x) < 1e30f; }
+inline bool is_finite(const Vec3f& v) { return is_finite(v.x) && is_finite(v.y) && is_finite(v.z); }
+inline bool is_finite(const ShapePair& pair) {
+  return is_finite(pair.offset) && is_finite(math::column(pair.rotation, 0)) &&
+         is_finite(math::column(pair.rotation, 1)) && is_finite(math::column(pair.rotation, 2)) &&
+         is_finite(pair.a->scale) && is_finite(pair.b->scale);
 }
 
 // The i-th coordinate and unit vector.

@@ -60,7 +60,7 @@ inline Vec3f ellipsoid_support(const Vec3f& axes, const Vec3f& d) {
 }
 
 // In the frame of the shape.
-inline Vec3f core_support(const Shape& shape, const Vec3f& d) {
+NOVAPHY_OUT_OF_LINE Vec3f core_support(const Shape& shape, const Vec3f& d) {
   const Vec3f s = shape.scale;
   switch (shape.type) {
     case GeoType::CAPSULE:

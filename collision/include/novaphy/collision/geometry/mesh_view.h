@@ -1,0 +1,51 @@
+// A triangle mesh as collision reads it: flat tables, made once by build_mesh_tree (mesh_tree.h),
+// and the walk over the triangles whose boxes meet a box. Frame of the mesh, m.
+#pragma once
+
+#include "novaphy/collision/geometry/shape.h"
+
+namespace novaphy::geometry {
+
+struct Box3 {
+  Vec3f lo{}, hi{};
+};
+inline bool boxes_meet(const Box3& a, const Box3& b) {  // touching counts; NaN does not meet
+  return a.lo.x <= b.hi.x && b.lo.x <= a.hi.x && a.lo.y <= b.hi.y && b.lo.y <= a.hi.y &&
+         a.lo.z <= b.hi.z && b.lo.z <= a.hi.z;
+}
+
+// Nodes stand in the order of a walk that goes down first: what is below node i follows it, and the
+// walk goes on at `skip` where nothing of it is wanted. So no stack is needed.
+struct MeshNode {
+  Box3 box;
+  int32_t skip;   // the node behind all that is below
+  int32_t first;  // of a leaf: its triangles are first .. first + count - 1 of `order`
+  int32_t count;  // 0: not a leaf
+};
+
+struct MeshView {
+  const Vec3f* vertices{};
+  const Vec3i* triangles{};      // counter-clockwise seen from outside
+  const Vec3f* normals{};        // of the triangles, unit; zero without area
+  const int32_t* ring_starts{};  // vertices + 1 into ring
+  const int32_t* ring{};         // of a vertex: those it shares an edge with
+  const MeshNode* nodes{};
+  const int32_t* order{};
+  int32_t node_count = 0;
+};
+
+// Calls visit(triangle) for each triangle of the leaves that meet the box.
+template <class Visit>
+void for_triangles_in(const MeshView& mesh, const Box3& box, Visit visit) {
+  for (int32_t i = 0; i < mesh.node_count;) {
+    const MeshNode& node = mesh.nodes[i];
+    if (!boxes_meet(node.box, box)) {
+      i = node.skip;
+      continue;
+    }
+    for (int32_t k = node.first; k < node.first + node.count; ++k) visit(mesh.order[k]);
+    ++i;
+  }
+}
+
+}  // namespace novaphy::geometry

@@ -1,0 +1,182 @@
+#include "novaphy/collision/mesh_tree.h"
+
+#include <algorithm>
+#include <cmath>
+#include <numeric>
+#include <tuple>
+#include <utility>
+
+#include "novaphy/core/error.h"
+
+namespace novaphy {
+namespace {
+
+using geometry::Box3;
+using geometry::MeshNode;
+using Vec3d = Vec3<double>;
+
+constexpr int32_t kLeafTriangles = 4;
+
+Vec3d widen(const Vec3f& v) { return {v.x, v.y, v.z}; }
+Vec3d unit(const Vec3d& v) {
+  const double l = std::sqrt(math::dot(v, v));
+  return l > 0.0 ? v * (1.0 / l) : Vec3d{};
+}
+
+void check(std::span<const Vec3f> vertices, std::span<const int32_t> indices) {
+  require(!indices.empty() && indices.size() % 3 == 0, ErrorKind::Value,
+          "build_mesh_tree: indices: expected 3 per triangle, got ", indices.size());
+  for (size_t i = 0; i < vertices.size(); ++i)
+    require(geometry::is_finite(vertices[i]), ErrorKind::Value, "build_mesh_tree: vertices[", i,
+            "]: expected finite numbers, got (", vertices[i].x, ", ", vertices[i].y, ", ",
+            vertices[i].z, ")");
+  for (size_t i = 0; i < indices.size(); ++i)
+    require(indices[i] >= 0 && static_cast<size_t>(indices[i]) < vertices.size(), ErrorKind::Value,
+            "build_mesh_tree: indices[", i, "]: expected 0 to ", vertices.size(),
+            " (exclusive), got ", indices[i]);
+}
+
+// For each vertex the first one in the same place.
+std::vector<int32_t> places(const std::vector<Vec3f>& vertices) {
+  std::vector<int32_t> order(vertices.size()), place(vertices.size());
+  std::iota(order.begin(), order.end(), 0);
+  auto key = [&](int32_t i) {
+    const Vec3f& v = vertices[static_cast<size_t>(i)];
+    return std::tuple(v.x, v.y, v.z);
+  };
+  std::sort(order.begin(), order.end(),
+            [&](int32_t a, int32_t b) { return key(a) != key(b) ? key(a) < key(b) : a < b; });
+  for (size_t i = 0; i < order.size(); ++i) {
+    const bool same = i > 0 && key(order[i]) == key(order[i - 1]);
+    place[static_cast<size_t>(order[i])] =
+        same ? place[static_cast<size_t>(order[i - 1])] : order[i];
+  }
+  return place;
+}
+
+void set_rings(MeshTree& tree) {
+  std::vector<std::pair<int32_t, int32_t>> edges;
+  edges.reserve(6 * tree.triangles.size());
+  for (const Vec3i& t : tree.triangles)
+    for (const auto& [i, j] : {std::pair{t.x, t.y}, std::pair{t.y, t.z}, std::pair{t.z, t.x}}) {
+      edges.push_back({i, j});
+      edges.push_back({j, i});
+    }
+  std::sort(edges.begin(), edges.end());
+  edges.erase(std::unique(edges.begin(), edges.end()), edges.end());
+  tree.ring_starts.assign(tree.vertices.size() + 1, 0);
+  for (const auto& [i, j] : edges) {
+    ++tree.ring_starts[static_cast<size_t>(i) + 1];
+    tree.ring.push_back(j);
+  }
+  std::partial_sum(tree.ring_starts.begin(), tree.ring_starts.end(), tree.ring_starts.begin());
+}
+
+class Builder {
+ public:
+  explicit Builder(MeshTree& tree) : tree_(tree) {
+    for (const Vec3i& t : tree.triangles) {
+      Box3 box{vertex(t.x), vertex(t.x)};
+      for (const int32_t i : {t.y, t.z}) grow(box, {vertex(i), vertex(i)});
+      boxes_.push_back(box);
+      centres_.push_back((widen(box.lo) + widen(box.hi)) * 0.5);
+    }
+    tree_.order.resize(tree.triangles.size());
+    std::iota(tree_.order.begin(), tree_.order.end(), 0);
+    add(0, tree_.order.size());
+  }
+
+ private:
+  const Vec3f& vertex(int32_t i) const { return tree_.vertices[static_cast<size_t>(i)]; }
+  static void grow(Box3& box, const Box3& other) {
+    box.lo = {std::min(box.lo.x, other.lo.x), std::min(box.lo.y, other.lo.y),
+              std::min(box.lo.z, other.lo.z)};
+    box.hi = {std::max(box.hi.x, other.hi.x), std::max(box.hi.y, other.hi.y),
+              std::max(box.hi.z, other.hi.z)};
+  }
+  double centre(int32_t triangle, int axis) const {
+    const Vec3d& c = centres_[static_cast<size_t>(triangle)];
+    return axis == 0 ? c.x : axis == 1 ? c.y : c.z;
+  }
+  int longest_axis(size_t begin, size_t end) const {
+    int best = 0;
+    double longest = -1.0;
+    for (int axis = 0; axis < 3; ++axis) {
+      double lo = centre(tree_.order[begin], axis), hi = lo;
+      for (size_t i = begin; i < end; ++i) {
+        lo = std::min(lo, centre(tree_.order[i], axis));
+        hi = std::max(hi, centre(tree_.order[i], axis));
+      }
+      if (hi - lo > longest) {
+        longest = hi - lo;
+        best = axis;
+      }
+    }
+    return best;
+  }
+  // The node of order[begin .. end), and all below it: depth is the logarithm of the triangles.
+  void add(size_t begin, size_t end) {
+    const size_t node = tree_.nodes.size();
+    Box3 box = boxes_[static_cast<size_t>(tree_.order[begin])];
+    for (size_t i = begin; i < end; ++i) grow(box, boxes_[static_cast<size_t>(tree_.order[i])]);
+    const bool leaf = end - begin <= kLeafTriangles;
+    tree_.nodes.push_back(
+        {box, 0, static_cast<int32_t>(begin), leaf ? static_cast<int32_t>(end - begin) : 0});
+    if (!leaf) {
+      const int axis = longest_axis(begin, end);
+      const size_t middle = begin + (end - begin) / 2;
+      const auto first = tree_.order.begin();
+      std::nth_element(first + static_cast<int64_t>(begin), first + static_cast<int64_t>(middle),
+                       first + static_cast<int64_t>(end), [&](int32_t a, int32_t b) {
+                         const double x = centre(a, axis), y = centre(b, axis);
+                         return x != y ? x < y : a < b;
+                       });
+      // Which half a triangle is in is determined; within it, by index.
+      std::sort(first + static_cast<int64_t>(begin), first + static_cast<int64_t>(middle));
+      std::sort(first + static_cast<int64_t>(middle), first + static_cast<int64_t>(end));
+      add(begin, middle);
+      add(middle, end);
+    }
+    tree_.nodes[node].skip = static_cast<int32_t>(tree_.nodes.size());
+  }
+
+  MeshTree& tree_;
+  std::vector<Box3> boxes_;
+  std::vector<Vec3d> centres_;
+};
+
+}  // namespace
+
+geometry::MeshView mesh_view(const MeshTree& tree) {
+  geometry::MeshView view;
+  view.vertices = tree.vertices.data();
+  view.triangles = tree.triangles.data();
+  view.normals = tree.normals.data();
+  view.ring_starts = tree.ring_starts.data();
+  view.ring = tree.ring.data();
+  view.nodes = tree.nodes.data();
+  view.order = tree.order.data();
+  view.node_count = static_cast<int32_t>(tree.nodes.size());
+  return view;
+}
+
+MeshTree build_mesh_tree(std::span<const Vec3f> vertices, std::span<const int32_t> indices) {
+  check(vertices, indices);
+  MeshTree tree;
+  tree.vertices.assign(vertices.begin(), vertices.end());
+  const std::vector<int32_t> place = places(tree.vertices);
+  auto joined = [&](size_t i) { return place[static_cast<size_t>(indices[i])]; };
+  for (size_t i = 0; i + 2 < indices.size(); i += 3)
+    tree.triangles.push_back({joined(i), joined(i + 1), joined(i + 2)});
+  auto at = [&](int32_t i) { return widen(tree.vertices[static_cast<size_t>(i)]); };
+  for (const Vec3i& t : tree.triangles) {
+    const Vec3d n = unit(math::cross(at(t.y) - at(t.x), at(t.z) - at(t.x)));
+    tree.normals.push_back(
+        {static_cast<float>(n.x), static_cast<float>(n.y), static_cast<float>(n.z)});
+  }
+  set_rings(tree);
+  Builder{tree};
+  return tree;
+}
+
+}  // namespace novaphy

@@ -1,0 +1,296 @@
+// Convex shapes on triangle meshes.
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <cmath>
+#include <map>
+#include <random>
+#include <set>
+#include <string>
+
+#include "collision/geometry_reference.h"
+#include "novaphy/collision/geometry/mesh_pair.h"
+#include "novaphy/collision/mesh_tree.h"
+#include "novaphy/core/error.h"
+
+namespace geometry_test {
+namespace {
+
+using geometry::MeshContact;
+
+struct Triangles {
+  std::vector<Vec3f> vertices;
+  std::vector<int32_t> indices;
+};
+Triangles cube(float h) {
+  Triangles t;
+  for (int i = 0; i < 8; ++i)
+    t.vertices.push_back({i & 1 ? h : -h, i & 2 ? h : -h, i & 4 ? h : -h});
+  t.indices = {0, 2, 1, 1, 2, 3, 4, 5, 6, 5, 7, 6, 0, 1, 4, 1, 5, 4,
+               2, 6, 3, 3, 6, 7, 0, 4, 2, 2, 4, 6, 1, 3, 5, 3, 7, 5};
+  return t;
+}
+// n x n squares of side `cell` about the origin, cut along alternating diagonals.
+template <class Height>
+Triangles terrain(int n, float cell, Height height) {
+  Triangles t;
+  for (int j = 0; j <= n; ++j)
+    for (int i = 0; i <= n; ++i) {
+      const float x = cell * (float(i) - 0.5f * float(n)), y = cell * (float(j) - 0.5f * float(n));
+      t.vertices.push_back({x, y, height(x, y)});
+    }
+  for (int j = 0; j < n; ++j)
+    for (int i = 0; i < n; ++i) {
+      const int a = j * (n + 1) + i, b = a + 1, c = a + n + 1, d = c + 1;
+      if ((i + j) % 2 == 0)
+        t.indices.insert(t.indices.end(), {a, b, d, a, d, c});
+      else
+        t.indices.insert(t.indices.end(), {a, b, c, b, d, c});
+    }
+  return t;
+}
+float flat(float, float) { return 0.0f; }
+
+std::vector<MeshContact> all_contacts(const MeshTree& tree, const Solid& b, float gap) {
+  std::vector<MeshContact> c(4096);
+  const int32_t n = geometry::collide_mesh(mesh_view(tree), b.shape, b.pose, gap, c.data(), 4096);
+  EXPECT_LE(n, 4096);
+  c.resize(size_t(n));
+  return c;
+}
+std::vector<MeshContact> contacts(const MeshTree& tree, const Solid& b, float gap = 0.02f) {
+  std::vector<MeshContact> c = all_contacts(tree, b, gap);
+  c.resize(size_t(geometry::reduce_mesh_contacts(c.data(), int32_t(c.size()))));
+  return c;
+}
+Solid solid(GeoType type, Vec3f scale, Vec3f p, Quatf q = {0, 0, 0, 1}) {
+  return {{type, scale, {}}, {p, q}, nullptr};
+}
+Quatf about_z(double degrees) {
+  const double half = degrees * 0.008726646259971648;
+  return {0, 0, float(std::sin(half)), float(std::cos(half))};
+}
+
+TEST(MeshTree, FindsTheTrianglesThatAScanOfAllFinds) {
+  std::mt19937 random(3);
+  std::uniform_real_distribution<float> u(-1, 1);
+  Triangles t;
+  for (int i = 0; i < 900; ++i) {
+    const Vec3f c = {u(random), u(random), u(random)};
+    for (int k = 0; k < 3; ++k) {
+      t.vertices.push_back(c + Vec3f{u(random), u(random), u(random)} * 0.1f);
+      t.indices.push_back(3 * i + k);
+    }
+  }
+  const MeshTree tree = build_mesh_tree(t.vertices, t.indices);
+  for (int run = 0; run < 100; ++run) {
+    const Vec3f c = {u(random), u(random), u(random)};
+    const geometry::Box3 box{c - Vec3f{0.1f, 0.2f, 0.05f}, c + Vec3f{0.1f, 0.2f, 0.05f}};
+    std::set<int32_t> found, expected;
+    for_triangles_in(mesh_view(tree), box, [&](int32_t i) { EXPECT_TRUE(found.insert(i).second); });
+    for (size_t i = 0; i < 900; ++i) {
+      geometry::Box3 b{t.vertices[3 * i], t.vertices[3 * i]};
+      for (size_t k = 1; k < 3; ++k) {
+        const Vec3f& v = t.vertices[3 * i + k];
+        b.lo = {std::min(b.lo.x, v.x), std::min(b.lo.y, v.y), std::min(b.lo.z, v.z)};
+        b.hi = {std::max(b.hi.x, v.x), std::max(b.hi.y, v.y), std::max(b.hi.z, v.z)};
+      }
+      if (boxes_meet(b, box)) expected.insert(int32_t(i));
+    }
+    EXPECT_TRUE(std::includes(found.begin(), found.end(), expected.begin(), expected.end()));
+    EXPECT_LT(found.size(), 450u);
+  }
+}
+
+TEST(MeshTree, JoinsCornersInOnePlace) {
+  const Triangles t = terrain(3, 1.0f, flat);
+  const MeshTree joined = build_mesh_tree(t.vertices, t.indices);
+  std::vector<Vec3f> corners;
+  std::vector<int32_t> own;
+  for (const int32_t i : t.indices) {
+    own.push_back(int32_t(corners.size()));
+    corners.push_back(t.vertices[size_t(i)]);
+  }
+  const MeshTree apart = build_mesh_tree(corners, own);
+  EXPECT_EQ(joined.ring.size(), 2 * 33u);  // 33 edges
+  EXPECT_EQ(apart.ring.size(), joined.ring.size());
+  EXPECT_EQ(apart.normals, joined.normals);
+}
+
+TEST(MeshTree, RefusesBadMeshes) {
+  auto error_of = [](const Triangles& t) -> std::string {
+    try {
+      build_mesh_tree(t.vertices, t.indices);
+    } catch (const Error& e) {
+      return e.what();
+    }
+    return "no error";
+  };
+  Triangles t = cube(1.0f);
+  t.indices[4] = 8;
+  EXPECT_NE(error_of(t).find("indices[4]"), std::string::npos);
+  t = cube(1.0f);
+  t.vertices[2].x = NAN;
+  EXPECT_NE(error_of(t).find("vertices[2]"), std::string::npos);
+  t.indices.resize(4);
+  EXPECT_NE(error_of(t).find("3 per triangle, got 4"), std::string::npos);
+}
+
+// FCL gave depths from 0.1 to 0.9 and two normals here.
+TEST(MeshPairs, ABoxOnAMeshOfABoxRestsAsOnTheBox) {
+  const Triangles t = cube(0.5f);
+  const MeshTree tree = build_mesh_tree(t.vertices, t.indices);
+  const Solid ground = solid(GeoType::BOX, {0.5f, 0.5f, 0.5f}, {});
+  for (const double degrees : {0.0, 20.0, 45.0})
+    for (const float depth : {0.1f, 0.01f, 0.0f, -0.01f})
+      for (const Vec3f at : {Vec3f{0, 0, 0}, Vec3f{0.1f, 0.2f, 0}, Vec3f{0.45f, 0, 0}}) {
+        const Solid box = solid(GeoType::BOX, {0.5f, 0.5f, 0.5f}, at + Vec3f{0, 0, 1.0f - depth},
+                                about_z(degrees));
+        const auto c = contacts(tree, box);
+        const geometry::Manifold m =
+            geometry::collide(ground.shape, ground.pose, box.shape, box.pose, 0.02f);
+        SCOPED_TRACE(std::to_string(degrees) + " " + std::to_string(depth) + " " +
+                     std::to_string(at.x));
+        ASSERT_GE(c.size(), 3u);
+        EXPECT_LE(c.size(), 8u);
+        for (const MeshContact& p : c) {
+          EXPECT_NEAR(p.normal.z, 1.0f, 1e-4f);
+          EXPECT_NEAR(p.point.distance, -depth, 1e-4f);
+        }
+        for (int32_t i = 0; i < m.count && degrees == 0.0; ++i) {  // the same corners
+          float nearest = 1.0f;
+          for (const MeshContact& p : c)
+            nearest = std::min(nearest, math::length(p.point.position - m.points[i].position));
+          EXPECT_LT(nearest, 1e-3f);
+        }
+      }
+}
+
+TEST(MeshPairs, ABallOnAMeshIsAsFarAsFromItsFaces) {
+  const Triangles t = terrain(8, 0.25f, flat);
+  const MeshTree tree = build_mesh_tree(t.vertices, t.indices);
+  Scenes scenes(4);
+  for (int i = 0; i < 500; ++i) {
+    const float depth = float(scenes.uniform(-0.01, 0.15));  // the centre may be below
+    const Vec3f p = {float(scenes.uniform(-0.9, 0.9)), float(scenes.uniform(-0.9, 0.9)),
+                     0.1f - depth};
+    const auto c = contacts(tree, solid(GeoType::SPHERE, {0.1f, 0, 0}, p));
+    ASSERT_EQ(c.size(), 1u) << depth;
+    EXPECT_NEAR(c[0].normal.z, 1.0f, 1e-6f);
+    EXPECT_NEAR(c[0].point.distance, -depth, 1e-6f);
+    EXPECT_NEAR(c[0].point.position.x, p.x, 1e-5f);
+  }
+}
+
+// What slides feels no inner edge: the normals stay up, the depth that of the plane.
+TEST(MeshPairs, ShapesSlideOverATerrainWithoutBumping) {
+  const Triangles t = terrain(22, 0.1f, flat);  // 968 triangles
+  const MeshTree tree = build_mesh_tree(t.vertices, t.indices);
+  Scenes scenes(8);
+  for (const GeoType type : kConvexTypes) {
+    Solid s = scenes.solid(type, 0.6);
+    s.pose.p = {};
+    const Rigid r = rigid(s.pose);
+    const double bottom = math::dot(r.point(support(s.shape, r.in({0, 0, -1}))), Vec3d{0, 0, 1});
+    const double depth = 0.003;
+    for (int i = 0; i < 120; ++i) {
+      s.pose.p = {float(-0.6 + 0.01 * i), float(0.3 - 0.004 * i), float(-bottom - depth)};
+      const auto c = contacts(tree, s);
+      ASSERT_GE(c.size(), 1u) << geo_type_name(type) << " " << i;
+      float deepest = 1.0f;
+      for (const MeshContact& p : c) {
+        EXPECT_NEAR(p.normal.z, 1.0f, 1e-6f) << geo_type_name(type) << " " << i;
+        deepest = std::min(deepest, p.point.distance);
+      }
+      EXPECT_NEAR(deepest, -depth, 2e-6) << geo_type_name(type) << " " << i;
+    }
+  }
+}
+
+TEST(MeshPairs, AValleyKeepsTheNormalsOfItsSides) {
+  const Triangles t = terrain(4, 0.5f, [](float x, float) { return std::abs(x); });
+  const MeshTree tree = build_mesh_tree(t.vertices, t.indices);
+  const float k = std::sqrt(0.5f);
+  const auto c = contacts(tree, solid(GeoType::SPHERE, {0.2f, 0, 0}, {0, 0.1f, 0.2f / k - 0.01f}));
+  ASSERT_EQ(c.size(), 2u);
+  for (const MeshContact& p : c) {
+    EXPECT_NEAR(std::abs(p.normal.x), k, 1e-5f);
+    EXPECT_NEAR(p.normal.z, k, 1e-5f);
+    EXPECT_NEAR(p.point.distance, -0.01f * k, 1e-5f);
+  }
+}
+
+TEST(MeshPairs, ARidgeCarriesABoxOnItsEdge) {
+  const Triangles t = terrain(4, 0.5f, [](float x, float) { return -std::abs(x); });
+  const MeshTree tree = build_mesh_tree(t.vertices, t.indices);
+  const auto c = contacts(tree, solid(GeoType::BOX, {0.2f, 0.2f, 0.1f}, {0, 0.1f, 0.095f}));
+  ASSERT_GE(c.size(), 2u);
+  for (const MeshContact& p : c) {
+    EXPECT_NEAR(p.normal.z, 1.0f, 1e-4f);
+    EXPECT_NEAR(p.point.distance, -0.005f, 1e-5f);
+    EXPECT_NEAR(p.point.position.x, 0.0f, 0.01f);
+  }
+}
+
+TEST(MeshPairs, ReduceToTheSameContactsInWhateverOrderTheyCome) {
+  const Triangles t =
+      terrain(22, 0.1f, [](float x, float y) { return 0.05f * std::sin(9 * x) * y; });
+  const MeshTree tree = build_mesh_tree(t.vertices, t.indices);
+  std::vector<MeshContact> c =
+      all_contacts(tree, solid(GeoType::BOX, {0.6f, 0.5f, 0.1f}, {0, 0, 0.09f}), 0.05f);
+  ASSERT_GT(c.size(), 40u);
+  std::vector<MeshContact> first;
+  std::mt19937 random(1);
+  for (int run = 0; run < 20; ++run) {
+    std::shuffle(c.begin(), c.end(), random);
+    std::vector<MeshContact> r = c;
+    r.resize(size_t(geometry::reduce_mesh_contacts(r.data(), int32_t(r.size()))));
+    EXPECT_LE(r.size(), size_t(geometry::kMeshContacts));
+    if (run == 0) first = r;
+    ASSERT_EQ(r.size(), first.size());
+    for (size_t i = 0; i < r.size(); ++i) {
+      EXPECT_EQ(r[i].triangle, first[i].triangle);
+      EXPECT_EQ(r[i].point.feature, first[i].point.feature);
+    }
+  }
+  const auto deepest = std::min_element(
+      c.begin(), c.end(), [](auto& a, auto& b) { return a.point.distance < b.point.distance; });
+  EXPECT_EQ(first[0].point.distance, deepest->point.distance);
+}
+
+TEST(MeshPairs, CountWhatFindsNoRoom) {
+  const Triangles t = terrain(22, 0.1f, flat);
+  const MeshTree tree = build_mesh_tree(t.vertices, t.indices);
+  const Solid box = solid(GeoType::BOX, {0.5f, 0.5f, 0.1f}, {0, 0, 0.1f});
+  const size_t all = all_contacts(tree, box, 0.01f).size();
+  std::vector<MeshContact> few(11);
+  few[10].triangle = -7;
+  const int32_t n =
+      geometry::collide_mesh(mesh_view(tree), box.shape, box.pose, 0.01f, few.data(), 10);
+  EXPECT_EQ(size_t(n), all);
+  EXPECT_EQ(few[10].triangle, -7);
+}
+
+TEST(MeshPairs, StaySoundForRandomTriangles) {
+  Scenes scenes(6);
+  Triangles t;
+  for (int i = 0; i < 60; ++i)
+    for (int k = 0; k < 3; ++k) {
+      const double size = i % 3 == 0 ? 1e-4 : i % 3 == 1 ? 1 : 0;  // specks and points too
+      t.vertices.push_back(narrow(scenes.direction() * size));
+      t.indices.push_back(3 * i + k);
+    }
+  const MeshTree tree = build_mesh_tree(t.vertices, t.indices);
+  for (int i = 0; i < 300; ++i) {
+    Solid s = scenes.solid(kConvexTypes[i % 7]);
+    s.pose.p = narrow(scenes.direction() * scenes.uniform(0, 1));
+    for (const MeshContact& c : contacts(tree, s, 0.05f)) {
+      EXPECT_TRUE(std::isfinite(c.point.distance));
+      EXPECT_NEAR(math::length(c.normal), 1.0f, 1e-3f);
+      EXPECT_LE(c.point.distance, 0.05f);
+    }
+  }
+}
+
+}  // namespace
+}  // namespace geometry_test

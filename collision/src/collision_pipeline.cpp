@@ -40,8 +40,11 @@ CollisionPipeline::CollisionPipeline(std::shared_ptr<const Model> model,
   const int32_t rigid_max = options.rigid_contact_max.value_or(0);
   require(rigid_max >= 0, ErrorKind::Value, name, ": rigid_contact_max: expected >= 0, got ",
           rigid_max);
+  require(options.contacts_per_pair == 8 || options.contacts_per_pair == 4, ErrorKind::Value, name,
+          ": contacts_per_pair: expected 8 or 4, got ", options.contacts_per_pair);
   soft_contacts_ = std::make_shared<detail::SoftContacts>(model_);
-  rigid_contacts_ = std::make_shared<detail::RigidContacts>(model_, options.broad_phase);
+  rigid_contacts_ = std::make_shared<detail::RigidContacts>(model_, options.broad_phase,
+                                                            options.contacts_per_pair);
   soft_contact_pair_count();
   rigid_contact_max();
 }

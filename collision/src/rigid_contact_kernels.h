@@ -3,6 +3,7 @@
 // their rows. What a contact is: collision_pipeline.h.
 #pragma once
 
+#include "novaphy/collision/geometry/collide.h"
 #include "novaphy/collision/geometry/plane_pairs.h"
 #include "novaphy/core/row_kernel.h"
 #include "novaphy/core/sim/enums.h"
@@ -22,7 +23,7 @@ struct RigidShape {
 
 // The radius by which a shape exceeds its core, the points that rows store.
 inline float core_radius(const RigidShape& shape) {
-  return shape.type == GeoType::SPHERE || shape.type == GeoType::CAPSULE ? shape.scale.x : 0.0f;
+  return geometry::core_radius({shape.type, shape.scale});
 }
 
 // How far the shape reaches from its origin along a unit vector of its own frame, at most.
@@ -76,6 +77,8 @@ inline bool boxes_meet(const RigidShape& a, const RigidShape& b) {
 // come.
 inline geometry::Manifold rigid_manifold(const RigidShape& a, const RigidShape& b, float reach) {
   using namespace geometry;
+  if (a.type != GeoType::PLANE)
+    return collide(Shape{a.type, a.scale}, a.pose, Shape{b.type, b.scale}, b.pose, reach);
   const Plane plane = plane_of(a.pose);
   if (b.type == GeoType::SPHERE) return plane_sphere(plane, b.pose, b.scale.x);
   if (b.type == GeoType::CAPSULE) return plane_capsule(plane, b.pose, b.scale.x, b.scale.y);
@@ -99,17 +102,22 @@ inline CorePoints core_points(const RigidShape& a, const RigidShape& b, const Ve
 struct RigidContactFindArguments {
   const Vec2i* pairs;
   const RigidShape* shapes;
+  int64_t per_pair;               // rows of a pair without a plane, at most
   geometry::Manifold* manifolds;  // a row per pair: the contacts that are rows
   int32_t* counts;                // of these
 };
-NOVAPHY_ROW_KERNEL(rigid_contact_find, 4, RigidContactFindArguments) {
+NOVAPHY_ROW_KERNEL(rigid_contact_find, 5, RigidContactFindArguments) {
   const Vec2i pair = a.pairs[row];
   const RigidShape& s0 = a.shapes[pair.x];
   const RigidShape& s1 = a.shapes[pair.y];
   a.counts[row] = 0;
   if (!boxes_meet(s0, s1)) return;
   const float gap = s0.gap + s1.gap;
-  const geometry::Manifold found = rigid_manifold(s0, s1, (gap + s0.margin) + s1.margin);
+  const geometry::Manifold all = rigid_manifold(s0, s1, (gap + s0.margin) + s1.margin);
+  const bool reduces = s0.type != GeoType::PLANE && all.count > a.per_pair;
+  const geometry::Manifold found = reduces ? geometry::reduce_contacts<geometry::kManifoldCapacity>(
+                                                 all, static_cast<int32_t>(a.per_pair))
+                                           : all;
   const float inside = ((core_radius(s0) + core_radius(s1)) + s0.margin) + s1.margin;
   geometry::Manifold& kept = a.manifolds[row];
   kept.normal = math::normalize(found.normal);

@@ -27,8 +27,12 @@ const Kernels& kernels() {
 }
 
 // The most contacts of a pair of types, in their order; 0 if the pair is not covered.
-int32_t most_contacts(GeoType a, GeoType b) {
-  if (a != GeoType::PLANE) return 0;
+int32_t most_contacts(GeoType a, GeoType b, int32_t per_pair) {
+  const auto is_convex = [](GeoType type) {
+    return geometry::is_convex_type(type) && type != GeoType::CONVEX_MESH;
+  };
+  if (a != GeoType::PLANE)
+    return !is_convex(a) || !is_convex(b) ? 0 : a == GeoType::SPHERE ? 1 : per_pair;
   switch (b) {
     case GeoType::SPHERE:
     case GeoType::ELLIPSOID:
@@ -50,6 +54,7 @@ int32_t most_contacts(GeoType a, GeoType b) {
 struct RigidContacts::Impl {
   std::shared_ptr<const Model> model;
   BroadPhase broad_phase;
+  int32_t contacts_per_pair = 0;
   // The candidate pairs follow from arrays of the model in these versions.
   bool known = false;
   uint64_t versions[7] = {};
@@ -94,7 +99,7 @@ struct RigidContacts::Impl {
       };
       if (type_of(pair.x) > type_of(pair.y)) std::swap(pair.x, pair.y);
       const GeoType a = type_of(pair.x), b = type_of(pair.y);
-      const int32_t most = most_contacts(a, b);
+      const int32_t most = most_contacts(a, b, contacts_per_pair);
       require(most > 0, ErrorKind::NotImplemented, "CollisionPipeline: shapes ", pair.x, " (",
               geo_type_name(a), ") and ", pair.y, " (", geo_type_name(b),
               ") may meet, and this pair of types is not there yet; "
@@ -129,10 +134,12 @@ struct RigidContacts::Impl {
   }
 };
 
-RigidContacts::RigidContacts(std::shared_ptr<const Model> model, BroadPhase broad_phase)
+RigidContacts::RigidContacts(std::shared_ptr<const Model> model, BroadPhase broad_phase,
+                             int32_t contacts_per_pair)
     : impl_(std::make_unique<Impl>()) {
   impl_->model = std::move(model);
   impl_->broad_phase = broad_phase;
+  impl_->contacts_per_pair = contacts_per_pair;
 }
 RigidContacts::~RigidContacts() = default;
 
@@ -165,6 +172,7 @@ void RigidContacts::collide(const SimState& state, Contacts& c) {
          constant("body_q", state.body_q), writes("shapes", shapes)});
     kernels().find.launch(device, pairs,
                           {reads_row("pairs", impl_->pairs), reads("shapes", shapes),
+                           number(int64_t{impl_->contacts_per_pair}),
                            writes("manifolds", manifolds), writes_row("counts", impl_->counts)});
     kernels().scan.launch(device, pairs,
                           {reads("counts", impl_->counts), writes("before", impl_->before)});

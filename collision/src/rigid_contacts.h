@@ -13,7 +13,8 @@ namespace novaphy::detail {
 
 class RigidContacts {
  public:
-  RigidContacts(std::shared_ptr<const Model> model, BroadPhase broad_phase);
+  RigidContacts(std::shared_ptr<const Model> model, BroadPhase broad_phase,
+                int32_t contacts_per_pair);
   ~RigidContacts();
 
   // Rows that no state can exceed. The model's arrays are read when they were written since the

@@ -168,17 +168,81 @@ TEST(RigidContacts, APlaneOfAKinematicBodyMovesWithIt) {
 
 TEST(RigidContacts, PairsThatAreNotCoveredAreNamed) {
   ModelBuilder builder;
-  const Mat33f inertia = {{{1.0f, 0.0f, 0.0f}, {0.0f, 1.0f, 0.0f}, {0.0f, 0.0f, 1.0f}}};
-  for (int b = 0; b < 2; ++b) builder.add_body({.mass = 1.0f, .inertia = inertia});
+  builder.add_body();
   builder.add_shape_cone(0);
   builder.add_shape_plane();
   EXPECT_ERROR(CollisionPipeline(builder.finalize(Device::cpu())), ErrorKind::NotImplemented,
                "shape 1: expected an infinite plane");
-  builder.add_shape_cone(1);
   builder.add_shape_collision_filter_pair(0, 1);
-  builder.add_shape_collision_filter_pair(1, 2);
+  builder.add_body({.is_kinematic = true});
+  builder.add_shape_plane({.width = 0.0f, .length = 0.0f, .body = 1});
   EXPECT_ERROR(CollisionPipeline(builder.finalize(Device::cpu())), ErrorKind::NotImplemented,
-               "shapes 0 (CONE) and 2 (CONE)");
+               "shapes 1 (PLANE) and 2 (PLANE)");
+}
+
+TEST(RigidContacts, ABoxOnABoxTouchesInTheCornersOfTheSmaller) {
+  ModelBuilder builder;
+  builder.add_body({.xform = at(0.0f, 0.0f, 0.5f)});
+  builder.add_shape_box(0, {.cfg = ShapeConfig{.margin = 0.01f}});
+  builder.add_body({.xform = at(0.1f, 0.0f, 1.19f)});
+  builder.add_shape_box(1, {.hx = 0.2f, .hy = 0.2f, .hz = 0.2f});
+  const auto contacts = rows(builder.finalize(Device::cpu()));
+  ASSERT_EQ(contacts.size(), 4u);
+  for (const RigidContact& c : contacts) {
+    EXPECT_EQ(c.shape0, 0);
+    EXPECT_NEAR(c.normal.z, 1.0f, 1e-6f);
+    EXPECT_NEAR(c.point0.z, 0.5f, 1e-6f) << "on the upper face of the first, in its frame";
+    EXPECT_NEAR(std::abs(c.point1.x), 0.2f, 1e-6f);
+    EXPECT_NEAR(std::abs(c.point1.y), 0.2f, 1e-6f);
+    EXPECT_NEAR(c.point1.z, -0.2f, 1e-6f);
+    EXPECT_EQ(c.margin0, 0.01f);
+  }
+}
+
+TEST(RigidContacts, APairHasAsManyRowsAsAskedFor) {
+  ModelBuilder builder;
+  const float s = std::sin(0.3f), c = std::cos(0.3f);
+  builder.add_body({.xform = at(0.0f, 0.0f, 0.5f)});
+  builder.add_shape_box(0);
+  builder.add_body({.xform = {{0.0f, 0.0f, 1.49f}, {0.0f, 0.0f, s, c}}});
+  builder.add_shape_box(1);
+  const auto model = builder.finalize(Device::cpu());
+  EXPECT_EQ(rows(model).size(), 8u);
+  const auto four = rows(model, {.contacts_per_pair = 4});
+  EXPECT_EQ(four.size(), 4u);
+  EXPECT_EQ(CollisionPipeline(model, {.contacts_per_pair = 4}).rigid_contact_max(), 4);
+  EXPECT_ERROR(CollisionPipeline(model, {.contacts_per_pair = 5}), ErrorKind::Value,
+               "contacts_per_pair");
+}
+
+TEST(RigidContacts, EveryPairOfTypesTouchesAlongTheLineOfCentres) {
+  const GeoType types[] = {GeoType::SPHERE,   GeoType::CAPSULE, GeoType::ELLIPSOID,
+                           GeoType::CYLINDER, GeoType::BOX,     GeoType::CONE};
+  for (const GeoType a : types)
+    for (const GeoType b : types) {
+      ModelBuilder builder;
+      const auto add = [&](GeoType type, float x) {
+        const int32_t body = builder.add_body({.xform = at(x, 0.0f, 0.0f)});
+        const Vec3f scale = {0.5f, 0.5f, 0.5f};
+        builder.add_shape({.body = body, .type = type, .scale = scale});
+        // A cone is narrower halfway up.
+        return type == GeoType::CONE ? 0.25f : 0.5f;
+      };
+      const float reach = add(a, 0.0f) + add(b, 0.95f);
+      const auto contacts = rows(builder.finalize(Device::cpu()));
+      ASSERT_GE(contacts.size(), 1u) << geo_type_name(a) << geo_type_name(b);
+      float deepest = 1.0f;
+      for (const RigidContact& c : contacts) {
+        const float sign = c.shape0 == 0 ? 1.0f : -1.0f;
+        EXPECT_GT(sign * c.normal.x, 0.5f) << geo_type_name(a) << " " << geo_type_name(b);
+        const float x0 = c.shape0 == 0 ? 0.0f : 0.95f, x1 = c.shape1 == 0 ? 0.0f : 0.95f;
+        const Vec3f p0 = c.point0 + Vec3f{x0, 0.0f, 0.0f}, p1 = c.point1 + Vec3f{x1, 0.0f, 0.0f};
+        deepest = std::min(deepest, math::dot(p1 - p0, c.normal) - c.margin0 - c.margin1);
+      }
+      if (a != GeoType::CONE && b != GeoType::CONE) {
+        EXPECT_NEAR(deepest, 0.95f - reach, 1e-4f) << geo_type_name(a) << geo_type_name(b);
+      }
+    }
 }
 
 }  // namespace

@@ -161,5 +161,25 @@ TEST(NewtonRigidRows, TwoStackedBoxesMoveAsNewtonsOnItsRows) {
   }
 }
 
+// With our rows, four a pair as Newton keeps, which are other points of the same faces.
+TEST(NewtonRigidRows, TwoStackedBoxesStayAtNewtonsHeights) {
+  const Scene scene("stack2");
+  const auto model = scene.model();
+  CollisionPipeline pipeline(model, {.contacts_per_pair = 4});
+  SolverSemiImplicit solver(model);
+  Contacts contacts = pipeline.contacts();
+  SimState now = model->state(), next = model->state();
+  scene.load(0, now);
+  const auto poses = scene["body_q"].as<Transformf>();
+  for (size_t t = 0; t < 480; ++t) {
+    pipeline.collide(now, contacts);
+    solver.step(now, next, nullptr, &contacts, scene.dt());
+    std::swap(now, next);
+    const auto q = now.body_q.to_host();
+    for (size_t b = 0; b < 2; ++b)
+      ASSERT_NEAR(q[b].p.z, poses[2 * (t + 1) + b].p.z, 3e-4f) << t;
+  }
+}
+
 }  // namespace
 }  // namespace novaphy

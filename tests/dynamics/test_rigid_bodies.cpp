@@ -273,21 +273,65 @@ TEST(RigidBodies, WorldsHaveTheirOwnGravity) {
   EXPECT_LT(run.body(1).qd.linear.z, -0.1f);
 }
 
+// The force on one body is the opposite of that on the other, at points that agree to the depth.
+TEST(RigidBodies, ACollisionKeepsTheMomentum) {
+  const ShapeConfig cfg = {.ke = 1e4f, .kd = 10.0f, .kf = 100.0f, .mu = 0.5f};
+  ModelBuilder builder(Axis::Z, kNone);
+  builder.add_body({.xform = {{-0.6f, 0.0f, 0.0f}, Quatf::identity()}});
+  builder.add_shape_box(0, {.hx = 0.3f, .hy = 0.2f, .hz = 0.2f, .cfg = cfg});
+  builder.body_qd[0] = {{2.0f, 0.0f, 0.0f}, {0.3f, 0.0f, 1.0f}};
+  builder.add_body({.xform = {{0.4f, 0.1f, 0.05f}, Quatf::identity()}});
+  builder.add_shape_sphere(1, {.radius = 0.3f, .cfg = cfg});
+  Simulation run(builder.finalize(Device::cpu()), {.angular_damping = 0.0f});
+  const std::vector<float> mass = run.model->body_mass.to_host();
+  const auto momentum = [&] {
+    Vec3f sum;
+    for (size_t b = 0; b < 2; ++b) sum = sum + run.body(b).qd.linear * mass[b];
+    return sum;
+  };
+  const Vec3f before = momentum();
+  float largest = 0.0f;
+  run.steps(480, kDt, [&](int) {
+    for (const RigidContact& c : run.contacts.rigid_contacts())
+      largest = std::max(largest, math::length(c.force));
+  });
+  EXPECT_GT(largest, 100.0f);
+  EXPECT_LT(run.body(0).qd.linear.x, 1.9f);
+  EXPECT_NEAR(math::length(momentum() - before), 0.0f, 1e-4f * math::length(before));
+}
+
+// Every interface carries the weight above it on four corners.
+TEST(RigidBodies, FiveAlignedCubesStand) {
+  const ShapeConfig cfg = {.ke = 2e5f, .kd = 300.0f, .kf = 200.0f, .mu = 0.5f};
+  ModelBuilder builder;
+  builder.add_ground_plane({.cfg = cfg});
+  for (int b = 0; b < 5; ++b) {
+    builder.add_body(
+        {.xform = {{0.0f, 0.0f, 0.1f + 0.2f * static_cast<float>(b)}, Quatf::identity()}});
+    builder.add_shape_box(b, {.hx = 0.1f, .hy = 0.1f, .hz = 0.1f, .cfg = cfg});
+  }
+  Simulation run(builder.finalize(Device::cpu()));
+  run.steps(1920);
+  double depth = 0.0;
+  for (size_t b = 0; b < 5; ++b) {
+    depth += static_cast<double>(5 - b) * 8.0 * kGravity / (4 * 2e5);
+    EXPECT_NEAR(run.body(b).q.p.z, 0.1 + 0.2 * static_cast<double>(b) - depth, 2e-5) << b;
+    EXPECT_NEAR(run.body(b).q.p.x, 0.0f, 1e-5f);
+  }
+}
+
 ModelBuilder many_bodies(int count) {
   ModelBuilder builder;
   builder.add_ground_plane({.cfg = kSurface});
   for (int b = 0; b < count; ++b) {
-    const float x = static_cast<float>(b % 30), y = static_cast<float>(b / 30);
+    const float x = 0.25f * static_cast<float>(b % 30), y = 0.25f * static_cast<float>(b / 30);
     builder.add_body({.xform = {{x, y, 0.15f}, Quatf::identity()}});
     builder.body_qd.back() = {{0.1f * x, 0.0f, 0.0f}, {0.3f * y, 0.2f * x, 1.0f}};
-    ShapeConfig cfg = kSurface;
-    cfg.collision_group = -1 - b;
+    const ShapeConfig& cfg = kSurface;
     if (b % 3 == 0) builder.add_shape_box(b, {.hx = 0.1f, .hy = 0.12f, .hz = 0.1f, .cfg = cfg});
     if (b % 3 == 1) builder.add_shape_capsule(b, {.radius = 0.1f, .half_height = 0.1f, .cfg = cfg});
     if (b % 3 == 2)
       builder.add_shape_cylinder(b, {.radius = 0.1f, .half_height = 0.1f, .cfg = cfg});
-    for (int other = 0; other < b; ++other)
-      builder.add_shape_collision_filter_pair(other + 1, b + 1);
   }
   return builder;
 }

@@ -496,6 +496,7 @@ class CollisionPipeline(_Native):
         *,
         broad_phase: str = "explicit",
         rigid_contact_max: SupportsIndex | None = None,
+        contacts_per_pair: SupportsIndex = 8,
         soft_contact_max: SupportsIndex | None = None,
         soft_contact_margin: SupportsFloat | None = None,
         soft_contact_gap: SupportsFloat | None = None,

@@ -23,6 +23,9 @@ struct CollisionOptions {
   // Rows of the rigid contacts. When empty, as many as the candidate pairs can have, so that
   // nothing can overflow; but no more than 1000 or 64 per shape, whichever is larger.
   std::optional<int32_t> rigid_contact_max = {};
+  // Rows of a pair of shapes, 8 or 4: the penalty stiffness of a face is that of its rows. Planes
+  // with shapes have their own number, four for a box.
+  int32_t contacts_per_pair = 8;
   // Slots of the contacts; as many as candidate pairs when empty, so that nothing can overflow.
   std::optional<int32_t> soft_contact_max = {};
   // m, finite and >= 0: contacts are made up to this distance between the surfaces. Newton 1.8
@@ -46,7 +49,8 @@ struct CollisionOptions {
 // point is a row where
 //   dot(b - a, n) - (radius_A + radius_B + margin_A + margin_B) <= gap_A + gap_B
 // with the core points a, b of Contacts::rigid_contact_point0, point1. Covered are infinite planes
-// with spheres, capsules, ellipsoids, cylinders, boxes (their four deepest corners) and cones.
+// with spheres, capsules, ellipsoids, cylinders, boxes (their four deepest corners) and cones, and
+// these with each other (geometry/collide.h), up to eight points.
 // Candidates are Model::shape_contact_pairs (BroadPhase::Explicit), or the pairs that flags, groups
 // and worlds of shapes now allow (NxN), of both those whose boxes meet. Rows are in the order of
 // (shape A, shape B, point of the manifold) for any number of threads; overflow as for soft

@@ -1,5 +1,9 @@
+#include <algorithm>
+
 #include "novaphy/core/error.h"
+#include "novaphy/core/sim/enums.h"
 #include "novaphy/core/sim/model_builder.h"
+#include "novaphy/core/sim/shape_pair_rules.h"
 
 namespace novaphy {
 namespace {
@@ -13,33 +17,42 @@ bool worlds_meet(int32_t a, int32_t b) { return a == b || a < 0 || b < 0; }
 
 }  // namespace
 
+void check_rules(const char* function, const ShapePairRules& rules) {
+  const size_t count = rules.body.size();
+  require(rules.flags.size() == count && rules.collision_group.size() == count &&
+              rules.world.size() == count,
+          ErrorKind::Value, function, ": expected ", count, " rows of each, got ",
+          rules.flags.size(), " flags, ", rules.collision_group.size(), " groups and ",
+          rules.world.size(), " worlds");
+}
+
+bool may_touch(const ShapePairRules& rules, int32_t first, int32_t second) {
+  const auto i = static_cast<size_t>(first), j = static_cast<size_t>(second);
+  // On one body, or both owned by the world (-1).
+  if (rules.body[i] == rules.body[j] || (rules.body[i] < 0 && rules.body[j] < 0)) return false;
+  if (!has_flag(rules.flags[i], ShapeFlags::COLLIDE_SHAPES) ||
+      !has_flag(rules.flags[j], ShapeFlags::COLLIDE_SHAPES) ||
+      !worlds_meet(rules.world[i], rules.world[j]) ||
+      !groups_meet(rules.collision_group[i], rules.collision_group[j]))
+    return false;
+  return rules.filter_pairs == nullptr ||
+         !rules.filter_pairs->contains({std::min(first, second), std::max(first, second)});
+}
+
 std::vector<Vec2i> make_shape_contact_pairs(
     std::span<const int32_t> body, std::span<const int32_t> flags,
     std::span<const int32_t> collision_group, std::span<const int32_t> world,
     const std::set<std::pair<int32_t, int32_t>>& filter_pairs) {
-  const size_t count = body.size();
-  require(flags.size() == count && collision_group.size() == count && world.size() == count,
-          ErrorKind::Value, "make_shape_contact_pairs: expected ", count, " rows of each, got ",
-          flags.size(), " flags, ", collision_group.size(), " groups and ", world.size(),
-          " worlds");
+  const ShapePairRules rules{body, flags, collision_group, world, &filter_pairs};
+  check_rules("make_shape_contact_pairs", rules);
   std::vector<Vec2i> pairs;
   // Without a moving shape there is no pair; this spares large static scenes the search.
-  bool all_static = true;
-  for (const int32_t b : body) all_static = all_static && b < 0;
-  if (all_static) return pairs;
-
-  for (size_t i = 0; i < count; ++i) {
-    if (!has_flag(flags[i], ShapeFlags::COLLIDE_SHAPES)) continue;
-    for (size_t j = i + 1; j < count; ++j) {
-      // On one body, or both owned by the world (-1).
-      if (body[i] == body[j] || (body[i] < 0 && body[j] < 0)) continue;
-      if (!has_flag(flags[j], ShapeFlags::COLLIDE_SHAPES) || !worlds_meet(world[i], world[j]) ||
-          !groups_meet(collision_group[i], collision_group[j])) {
-        continue;
-      }
-      const std::pair<int32_t, int32_t> pair(static_cast<int32_t>(i), static_cast<int32_t>(j));
-      if (!filter_pairs.contains(pair)) pairs.push_back({pair.first, pair.second});
-    }
+  if (std::all_of(body.begin(), body.end(), [](int32_t b) { return b < 0; })) return pairs;
+  const auto count = static_cast<int32_t>(body.size());
+  for (int32_t i = 0; i < count; ++i) {
+    if (!has_flag(flags[static_cast<size_t>(i)], ShapeFlags::COLLIDE_SHAPES)) continue;
+    for (int32_t j = i + 1; j < count; ++j)
+      if (may_touch(rules, i, j)) pairs.push_back({i, j});
   }
   return pairs;
 }

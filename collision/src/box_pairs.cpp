@@ -1,0 +1,188 @@
+#include "novaphy/collision/box_pairs.h"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <iterator>
+#include <numeric>
+
+#include "novaphy/core/error.h"
+
+namespace novaphy {
+namespace {
+
+using geometry::Box3;
+
+// Counts the pairs that `visit_all` names, then writes them: those of each smaller shape together,
+// in the order of the larger.
+template <class VisitAll>
+std::vector<Vec2i> counted_pairs(const char* function, size_t shapes, int64_t limit,
+                                 VisitAll visit_all) {
+  std::vector<int64_t> start(shapes + 1, 0);
+  visit_all([&](int32_t i, int32_t) { ++start[static_cast<size_t>(i) + 1]; });
+  std::partial_sum(start.begin(), start.end(), start.begin());
+  require(start.back() <= limit, ErrorKind::Value, function, ": limit: expected at most ", limit,
+          " pairs, got ", start.back());
+  std::vector<Vec2i> pairs(static_cast<size_t>(start.back()));
+  std::vector<int64_t> next(start.begin(), start.end() - 1);
+  visit_all([&](int32_t i, int32_t j) {
+    pairs[static_cast<size_t>(next[static_cast<size_t>(i)]++)] = {i, j};
+  });
+  for (size_t i = 0; i < shapes; ++i)
+    std::sort(pairs.begin() + start[i], pairs.begin() + start[i + 1],
+              [](const Vec2i& a, const Vec2i& b) { return a.y < b.y; });
+  return pairs;
+}
+
+void check_boxes(const char* function, std::span<const Box3> boxes, const ShapePairRules& rules) {
+  check_rules(function, rules);
+  require(boxes.size() == rules.body.size(), ErrorKind::Value, function,
+          ": boxes: expected one per shape (", rules.body.size(), "), got ", boxes.size());
+}
+
+bool meets_itself(const Box3& box) { return boxes_meet(box, box); }  // no NaN, and lo <= hi
+
+// The axis on which the centres vary most, the first among equals.
+int sweep_axis(std::span<const Box3> boxes, const std::vector<int32_t>& shapes) {
+  std::array<double, 3> sum{}, square{};
+  double count = 0.0;
+  for (const int32_t i : shapes) {
+    const Box3& box = boxes[static_cast<size_t>(i)];
+    for (int k = 0; k < 3; ++k) {
+      const double c = 0.5 * (static_cast<double>(geometry::component(box.lo, k)) +
+                              static_cast<double>(geometry::component(box.hi, k)));
+      if (!std::isfinite(c)) continue;  // unbounded
+      sum[static_cast<size_t>(k)] += c;
+      square[static_cast<size_t>(k)] += c * c;
+    }
+    count += 1.0;
+  }
+  int best = 0;
+  double most = -1.0;
+  for (int k = 0; k < 3; ++k) {
+    const auto a = static_cast<size_t>(k);
+    const double variance = count > 0.0 ? square[a] / count - sum[a] / count * (sum[a] / count) : 0;
+    if (variance > most) {
+      most = variance;
+      best = k;
+    }
+  }
+  return best;
+}
+
+// Insertion sort for what is nearly sorted; std::sort takes over after a few moves per item. The
+// order is total, so both give the same.
+template <class Before>
+void sort_again(std::vector<int32_t>& order, Before before) {
+  size_t moves = 8 * order.size();
+  for (size_t i = 1; i < order.size(); ++i) {
+    const int32_t item = order[i];
+    size_t k = i;
+    for (; k > 0 && before(item, order[k - 1]); --k) {
+      order[k] = order[k - 1];
+      if (--moves == 0) {
+        order[k - 1] = item;
+        std::sort(order.begin(), order.end(), before);
+        return;
+      }
+    }
+    order[k] = item;
+  }
+}
+
+}  // namespace
+
+std::vector<Vec2i> explicit_box_pairs(std::span<const Box3> boxes,
+                                      std::span<const Vec2i> candidates, int64_t limit) {
+  const auto count = static_cast<int32_t>(boxes.size());
+  for (size_t k = 0; k < candidates.size(); ++k) {
+    const Vec2i& c = candidates[k];
+    require(c.x >= 0 && c.x < c.y && c.y < count, ErrorKind::Value,
+            "explicit_box_pairs: candidates[", k, "]: expected 0 <= i < j < ", count, ", got (",
+            c.x, ", ", c.y, ")");
+  }
+  return counted_pairs("explicit_box_pairs", boxes.size(), limit, [&](auto visit) {
+    for (const Vec2i& c : candidates)
+      if (boxes_meet(boxes[static_cast<size_t>(c.x)], boxes[static_cast<size_t>(c.y)]))
+        visit(c.x, c.y);
+  });
+}
+
+std::vector<Vec2i> nxn_box_pairs(std::span<const Box3> boxes, const ShapePairRules& rules,
+                                 int64_t limit) {
+  check_boxes("nxn_box_pairs", boxes, rules);
+  const auto count = static_cast<int32_t>(boxes.size());
+  return counted_pairs("nxn_box_pairs", boxes.size(), limit, [&](auto visit) {
+    for (int32_t i = 0; i < count; ++i)
+      for (int32_t j = i + 1; j < count; ++j)
+        if (boxes_meet(boxes[static_cast<size_t>(i)], boxes[static_cast<size_t>(j)]) &&
+            may_touch(rules, i, j))
+          visit(i, j);
+  });
+}
+
+std::vector<Vec2i> SweepAndPrune::box_pairs(std::span<const Box3> boxes,
+                                            const ShapePairRules& rules, int64_t limit) {
+  check_boxes("SweepAndPrune.box_pairs", boxes, rules);
+  const size_t count = boxes.size();
+  if (order_.size() != count) {
+    order_.resize(count);
+    std::iota(order_.begin(), order_.end(), 0);
+  }
+  const int axis = sweep_axis(boxes, order_);
+  auto box = [&](int32_t i) -> const Box3& { return boxes[static_cast<size_t>(i)]; };
+  auto lower = [&](int32_t i) {  // what meets nothing comes last
+    return meets_itself(box(i)) ? geometry::component(box(i).lo, axis)
+                                : std::numeric_limits<float>::infinity();
+  };
+  sort_again(order_, [&](int32_t a, int32_t b) {
+    const float x = lower(a), y = lower(b);
+    return x != y ? x < y : a < b;
+  });
+
+  // The sorted shapes of each world, and of all worlds.
+  std::vector<int32_t> worlds(rules.world.begin(), rules.world.end());
+  for (int32_t& w : worlds) w = std::max(w, -1);
+  std::vector<int32_t> by_world;
+  for (const int32_t i : order_)
+    if (meets_itself(box(i))) by_world.push_back(i);
+  std::stable_sort(by_world.begin(), by_world.end(), [&](int32_t a, int32_t b) {
+    return worlds[static_cast<size_t>(a)] < worlds[static_cast<size_t>(b)];
+  });
+  const auto in_world = [&](int32_t i) { return worlds[static_cast<size_t>(i)]; };
+  const auto own_begin =
+      std::find_if(by_world.begin(), by_world.end(), [&](int32_t i) { return in_world(i) >= 0; });
+  const std::vector<int32_t> shared(by_world.begin(), own_begin);
+
+  const auto sweep = [&](const std::vector<int32_t>& sorted, bool with_shared_pairs, auto visit) {
+    for (size_t k = 0; k < sorted.size(); ++k) {
+      const int32_t i = sorted[k];
+      const float end = geometry::component(box(i).hi, axis);
+      for (size_t m = k + 1; m < sorted.size() && lower(sorted[m]) <= end; ++m) {
+        const int32_t j = sorted[m];
+        if (!with_shared_pairs && in_world(i) < 0 && in_world(j) < 0) continue;
+        if (boxes_meet(box(i), box(j)) && may_touch(rules, i, j))
+          visit(std::min(i, j), std::max(i, j));
+      }
+    }
+  };
+  return counted_pairs("SweepAndPrune.box_pairs", count, limit, [&](auto visit) {
+    sweep(shared, true, visit);
+    std::vector<int32_t> together;
+    for (auto begin = own_begin; begin != by_world.end();) {
+      const int32_t world = in_world(*begin);
+      const auto end =
+          std::find_if(begin, by_world.end(), [&](int32_t i) { return in_world(i) != world; });
+      together.clear();
+      std::merge(begin, end, shared.begin(), shared.end(), std::back_inserter(together),
+                 [&](int32_t a, int32_t b) {
+                   const float x = lower(a), y = lower(b);
+                   return x != y ? x < y : a < b;
+                 });
+      sweep(together, false, visit);
+      begin = end;
+    }
+  });
+}
+
+}  // namespace novaphy

@@ -65,3 +65,10 @@ def test_the_dropped_dice_come_to_rest(tmp_path):
     )
     assert done.returncode == 0 and done.stdout.rstrip().endswith("ok"), done.stdout + done.stderr
     assert len(flags) == 2 or (tmp_path / "drop.png").stat().st_size > 10_000
+
+
+def test_the_die_is_trained_to_land_on_its_face():
+    pytest.importorskip("novaphy.diff")
+    done = demo("dice", "--headless", "4", "--starts", "1", "--check-grad")
+    assert done.returncode == 0 and done.stdout.rstrip().endswith("ok"), done.stdout + done.stderr
+    assert "of 1 random spins" in done.stdout

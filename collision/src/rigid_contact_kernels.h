@@ -4,6 +4,7 @@
 #pragma once
 
 #include "novaphy/collision/geometry/collide.h"
+#include "novaphy/collision/geometry/mesh_view.h"
 #include "novaphy/collision/geometry/plane_pairs.h"
 #include "novaphy/core/row_kernel.h"
 #include "novaphy/core/sim/enums.h"
@@ -18,7 +19,7 @@ struct RigidShape {
   float margin, gap;   // m
   Transformf pose;     // in the world
   Transformf owner;    // of its body in the world, the identity for a world-owned shape
-  Vec3f lower, upper;  // m, world: its box, grown by margin and gap
+  geometry::Box3 box;  // in the world, grown by margin and gap
 };
 
 // The radius by which a shape exceeds its core, the points that rows store.
@@ -64,13 +65,7 @@ NOVAPHY_ROW_KERNEL(rigid_contact_shape, 8, RigidContactShapeArguments) {
       beyond + reach_along(shape, math::rotate_inverse(shape.pose.q, Vec3f{1.0f, 0.0f, 0.0f})),
       beyond + reach_along(shape, math::rotate_inverse(shape.pose.q, Vec3f{0.0f, 1.0f, 0.0f})),
       beyond + reach_along(shape, math::rotate_inverse(shape.pose.q, Vec3f{0.0f, 0.0f, 1.0f}))};
-  shape.lower = shape.pose.p - grow;
-  shape.upper = shape.pose.p + grow;
-}
-
-inline bool boxes_meet(const RigidShape& a, const RigidShape& b) {
-  return a.lower.x <= b.upper.x && b.lower.x <= a.upper.x && a.lower.y <= b.upper.y &&
-         b.lower.y <= a.upper.y && a.lower.z <= b.upper.z && b.lower.z <= a.upper.z;
+  shape.box = {shape.pose.p - grow, shape.pose.p + grow};
 }
 
 // The manifold of a pair, a.type <= b.type, in the world. `reach` (m): farther points need not
@@ -111,7 +106,7 @@ NOVAPHY_ROW_KERNEL(rigid_contact_find, 5, RigidContactFindArguments) {
   const RigidShape& s0 = a.shapes[pair.x];
   const RigidShape& s1 = a.shapes[pair.y];
   a.counts[row] = 0;
-  if (!boxes_meet(s0, s1)) return;
+  if (!geometry::boxes_meet(s0.box, s1.box)) return;
   const float gap = s0.gap + s1.gap;
   const geometry::Manifold all = rigid_manifold(s0, s1, (gap + s0.margin) + s1.margin);
   const bool reduces = s0.type != GeoType::PLANE && all.count > a.per_pair;

@@ -2,9 +2,11 @@
 
 #include <algorithm>
 #include <array>
+#include <limits>
 #include <utility>
 #include <vector>
 
+#include "novaphy/collision/box_pairs.h"
 #include "novaphy/core/device_kernel.h"
 #include "novaphy/core/error.h"
 #include "novaphy/core/sim/model_builder.h"
@@ -58,7 +60,12 @@ struct RigidContacts::Impl {
   // The candidate pairs follow from arrays of the model in these versions.
   bool known = false;
   uint64_t versions[7] = {};
+  std::vector<int32_t> body, type, flags, group, world;  // of the shapes
+  std::vector<Vec3f> scale;
+  SweepAndPrune sweep;
+  std::vector<geometry::Box3> boxes;
   int64_t most_rows = 0;
+  int64_t pair_count = 0;
   DeviceArray<Vec2i> pairs;  // (shape0, shape1) of the contacts, in ascending order
   // Scratch, kept from call to call.
   std::shared_ptr<Storage> shapes, manifolds;
@@ -77,53 +84,83 @@ struct RigidContacts::Impl {
     }
     return known;
   }
+  ShapePairRules rules() const {
+    return {body, flags, group, world, &model->shape_collision_filter_pairs};
+  }
+
+  // Puts a pair in its order. Returns the most rows that it can have.
+  int32_t orient(Vec2i& pair) const {
+    const int32_t last = model->shape_count() - 1;
+    require(pair.x >= 0 && pair.y >= 0 && pair.x <= last && pair.y <= last, ErrorKind::Index,
+            "CollisionPipeline: model.shape_contact_pairs: expected shapes from 0 to ", last,
+            ", got (", pair.x, ", ", pair.y, ")");
+    const auto type_of = [&](int32_t s) {
+      return static_cast<GeoType>(type[static_cast<size_t>(s)]);
+    };
+    if (type_of(pair.x) > type_of(pair.y)) std::swap(pair.x, pair.y);
+    const GeoType a = type_of(pair.x), b = type_of(pair.y);
+    const int32_t most = most_contacts(a, b, contacts_per_pair);
+    require(most > 0, ErrorKind::NotImplemented, "CollisionPipeline: shapes ", pair.x, " (",
+            geo_type_name(a), ") and ", pair.y, " (", geo_type_name(b),
+            ") may meet, and this pair of types is not there yet; "
+            "ModelBuilder.add_shape_collision_filter_pair or collision groups part them");
+    const Vec3f& size = scale[static_cast<size_t>(pair.x)];
+    require(a != GeoType::PLANE || !(size.x > 0.0f && size.y > 0.0f), ErrorKind::NotImplemented,
+            "CollisionPipeline: shape ", pair.x,
+            ": expected an infinite plane (width and length 0) for contacts with shapes, got one "
+            "of ",
+            size.x, " by ", size.y);
+    return most;
+  }
+  // Takes pairs (i < j) as those to look at. Returns the most rows that they can have.
+  int64_t take(std::vector<Vec2i> found) {
+    int64_t rows = 0;
+    for (Vec2i& pair : found) rows += orient(pair);
+    std::sort(found.begin(), found.end(),
+              [](const Vec2i& a, const Vec2i& b) { return a.x != b.x ? a.x < b.x : a.y < b.y; });
+    const Device device = model->device();
+    if (found.size() > pairs.rows() || pairs.rows() == 0) {
+      pairs = DeviceArray<Vec2i>(found.size(), device);
+      manifolds = Storage::allocate(found.size() * sizeof(geometry::Manifold), device);
+      counts = DeviceArray<int32_t>(found.size(), device);
+      before = DeviceArray<int32_t>(found.size(), device);
+    }
+    pair_count = static_cast<int64_t>(found.size());
+    found.resize(pairs.rows());
+    pairs.copy_from_host(std::span<const Vec2i>(found));
+    return rows;
+  }
 
   void find_candidates() {
     if (up_to_date()) return;
+    known = false;
     const Model& m = *model;
-    const std::vector<int32_t> body = m.shape_body.to_host(), type = m.shape_type.to_host();
-    const std::vector<Vec3f> scale = m.shape_scale.to_host();
-    std::vector<Vec2i> found =
-        broad_phase == BroadPhase::Explicit
-            ? m.shape_contact_pairs.to_host()
-            : make_shape_contact_pairs(body, m.shape_flags.to_host(),
-                                       m.shape_collision_group.to_host(), m.shape_world.to_host(),
-                                       m.shape_collision_filter_pairs);
-    int64_t rows = 0;
-    for (Vec2i& pair : found) {
-      require(pair.x >= 0 && pair.y >= 0 && pair.x < m.shape_count() && pair.y < m.shape_count(),
-              ErrorKind::Index, "CollisionPipeline: model.shape_contact_pairs: expected shapes ",
-              "from 0 to ", m.shape_count() - 1, ", got (", pair.x, ", ", pair.y, ")");
-      const auto type_of = [&](int32_t s) {
-        return static_cast<GeoType>(type[static_cast<size_t>(s)]);
-      };
-      if (type_of(pair.x) > type_of(pair.y)) std::swap(pair.x, pair.y);
-      const GeoType a = type_of(pair.x), b = type_of(pair.y);
-      const int32_t most = most_contacts(a, b, contacts_per_pair);
-      require(most > 0, ErrorKind::NotImplemented, "CollisionPipeline: shapes ", pair.x, " (",
-              geo_type_name(a), ") and ", pair.y, " (", geo_type_name(b),
-              ") may meet, and this pair of types is not there yet; "
-              "ModelBuilder.add_shape_collision_filter_pair or collision groups part them");
-      const Vec3f& size = scale[static_cast<size_t>(pair.x)];
-      require(a != GeoType::PLANE || !(size.x > 0.0f && size.y > 0.0f), ErrorKind::NotImplemented,
-              "CollisionPipeline: shape ", pair.x,
-              ": expected an infinite plane (width and length "
-              "0) for contacts with shapes, got one of ",
-              size.x, " by ", size.y);
-      rows += most;
+    body = m.shape_body.to_host();
+    type = m.shape_type.to_host();
+    flags = m.shape_flags.to_host();
+    group = m.shape_collision_group.to_host();
+    world = m.shape_world.to_host();
+    scale = m.shape_scale.to_host();
+    shapes = Storage::allocate(body.size() * sizeof(RigidShape), m.device());
+    if (broad_phase == BroadPhase::Sap) {
+      most_rows = std::numeric_limits<int64_t>::max();
+    } else {
+      pairs = {};
+      most_rows = take(broad_phase == BroadPhase::Explicit
+                           ? m.shape_contact_pairs.to_host()
+                           : make_shape_contact_pairs(body, flags, group, world,
+                                                      m.shape_collision_filter_pairs));
     }
-    std::sort(found.begin(), found.end(),
-              [](const Vec2i& a, const Vec2i& b) { return a.x != b.x ? a.x < b.x : a.y < b.y; });
-    const Device device = m.device();
-    pairs = DeviceArray<Vec2i>::from_host(found, device);
-    shapes = Storage::allocate(body.size() * sizeof(RigidShape), device);
-    manifolds = Storage::allocate(found.size() * sizeof(geometry::Manifold), device);
-    counts = DeviceArray<int32_t>(found.size(), device);
-    before = DeviceArray<int32_t>(found.size(), device);
-    most_rows = rows;
     const auto arrays = choosing();
     for (size_t k = 0; k < arrays.size(); ++k) versions[k] = arrays[k]->version();
     known = true;
+  }
+  // The pairs whose boxes meet now, of shapes that were moved to the world.
+  void sweep_shapes() {
+    const auto* const moved = static_cast<const RigidShape*>(shapes->range()->data());
+    boxes.resize(body.size());
+    for (size_t s = 0; s < boxes.size(); ++s) boxes[s] = moved[s].box;
+    take(sweep.box_pairs(boxes, rules()));
   }
   // The pairs follow from what the host has read.
   void depend_on_candidates() const {
@@ -153,23 +190,31 @@ void RigidContacts::collide(const SimState& state, Contacts& c) {
   const Device device = m.device();
   impl_->find_candidates();
   impl_->depend_on_candidates();
-  const auto pairs = static_cast<int64_t>(impl_->pairs.rows());
+  const bool sweeps = impl_->broad_phase == BroadPhase::Sap;
+  require(!sweeps || launch_recorder() == nullptr, ErrorKind::Runtime,
+          "collide: the broad phase \"sap\" finds its pairs on the host, so it cannot be recorded; "
+          "use \"explicit\" or \"nxn\"");
   const int64_t rows = c.rigid_contact_max();
   // What a row holds carries no gradient, so nothing that the search reads needs one.
   const auto constant = [](const char* name, const Array& array) {
     return reads(name, array).detached();
   };
-  if (pairs > 0) {
-    const auto bytes = [](const std::shared_ptr<Storage>& storage) {
-      return Array(DType::uint8, storage->bytes(), 1, storage->range());
-    };
-    const Array shapes = bytes(impl_->shapes), manifolds = bytes(impl_->manifolds);
+  const auto bytes = [](const std::shared_ptr<Storage>& storage) {
+    return Array(DType::uint8, storage->bytes(), 1, storage->range());
+  };
+  const Array shapes = bytes(impl_->shapes);
+  if (sweeps || impl_->pair_count > 0) {
     kernels().shape.launch(
         device, m.shape_count(),
         {reads_row("shape_body", m.shape_body), reads_row("shape_type", m.shape_type),
          constant("shape_scale", m.shape_scale), constant("shape_transform", m.shape_transform),
          constant("shape_margin", m.shape_margin), constant("shape_gap", m.shape_gap),
          constant("body_q", state.body_q), writes("shapes", shapes)});
+  }
+  if (sweeps) impl_->sweep_shapes();
+  const int64_t pairs = impl_->pair_count;
+  if (pairs > 0) {
+    const Array manifolds = bytes(impl_->manifolds);
     kernels().find.launch(device, pairs,
                           {reads_row("pairs", impl_->pairs), reads("shapes", shapes),
                            number(int64_t{impl_->contacts_per_pair}),

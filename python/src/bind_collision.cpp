@@ -14,38 +14,39 @@ void bind_collision(py::module_& m) {
       "least one on a body, that are closer than both gaps: infinite planes, spheres, capsules, "
       "ellipsoids, cylinders, boxes, cones; ordered by shape0, shape1, "
       "point. The geometry of both carries no gradient.")
-      .def(
-          py::init([](const std::shared_ptr<Model>& model, const std::string& broad_phase,
-                      std::optional<int32_t> rigid_contact_max, int32_t contacts_per_pair,
-                      std::optional<int32_t> soft_contact_max,
-                      std::optional<float> soft_contact_margin,
-                      std::optional<float> soft_contact_gap, std::optional<bool> requires_grad,
-                      bool deterministic) {
-            require(!soft_contact_margin || !soft_contact_gap, ErrorKind::Value,
-                    "soft_contact_gap: another name of soft_contact_margin; give one of them");
-            CollisionOptions options;
-            options.broad_phase = parse_broad_phase(broad_phase);
-            options.rigid_contact_max = rigid_contact_max;
-            options.contacts_per_pair = contacts_per_pair;
-            options.soft_contact_max = soft_contact_max;
-            if (soft_contact_margin) options.soft_contact_margin = *soft_contact_margin;
-            if (soft_contact_gap) options.soft_contact_margin = *soft_contact_gap;
-            options.deterministic = deterministic;
-            options.requires_grad = requires_grad;
-            return std::make_unique<CollisionPipeline>(model, options);
-          }),
-          py::arg("model").none(false), py::kw_only(), "broad_phase"_a = "explicit",
-          "rigid_contact_max"_a = py::none(), "contacts_per_pair"_a = 8,
-          "soft_contact_max"_a = py::none(), "soft_contact_margin"_a = py::none(),
-          "soft_contact_gap"_a = py::none(), "requires_grad"_a = py::none(),
-          "deterministic"_a = true,
-          "broad_phase: \"explicit\" (model.shape_contact_pairs) or \"nxn\" (the pairs that flags, "
-          "groups and worlds of shapes now allow); rigid_contact_max None: as many rows as the "
-          "pairs can have, but no more than 1000 or 64 per shape; contacts_per_pair: 8 or 4, of "
-          "shapes that are no planes; soft_contact_max None: as many "
-          "slots as candidate pairs; soft_contact_margin, "
-          "m, 0.01 by default "
-          "(soft_contact_gap is another name for it).")
+      .def(py::init([](const std::shared_ptr<Model>& model, const std::string& broad_phase,
+                       std::optional<int32_t> rigid_contact_max, int32_t contacts_per_pair,
+                       std::optional<int32_t> soft_contact_max,
+                       std::optional<float> soft_contact_margin,
+                       std::optional<float> soft_contact_gap, std::optional<bool> requires_grad,
+                       bool deterministic) {
+             require(!soft_contact_margin || !soft_contact_gap, ErrorKind::Value,
+                     "soft_contact_gap: another name of soft_contact_margin; give one of them");
+             CollisionOptions options;
+             options.broad_phase = parse_broad_phase(broad_phase);
+             options.rigid_contact_max = rigid_contact_max;
+             options.contacts_per_pair = contacts_per_pair;
+             options.soft_contact_max = soft_contact_max;
+             if (soft_contact_margin) options.soft_contact_margin = *soft_contact_margin;
+             if (soft_contact_gap) options.soft_contact_margin = *soft_contact_gap;
+             options.deterministic = deterministic;
+             options.requires_grad = requires_grad;
+             return std::make_unique<CollisionPipeline>(model, options);
+           }),
+           py::arg("model").none(false), py::kw_only(), "broad_phase"_a = "explicit",
+           "rigid_contact_max"_a = py::none(), "contacts_per_pair"_a = 8,
+           "soft_contact_max"_a = py::none(), "soft_contact_margin"_a = py::none(),
+           "soft_contact_gap"_a = py::none(), "requires_grad"_a = py::none(),
+           "deterministic"_a = true,
+           "broad_phase: \"explicit\" (model.shape_contact_pairs), \"nxn\" (the pairs that flags, "
+           "groups and worlds of shapes now allow) or \"sap\" (the same by sweep and prune; not in "
+           "a capture or on a tape), all with the same rows; rigid_contact_max None: as many rows "
+           "as the "
+           "pairs can have, but no more than 1000 or 64 per shape; contacts_per_pair: 8 or 4, of "
+           "shapes that are no planes; soft_contact_max None: as many "
+           "slots as candidate pairs; soft_contact_margin, "
+           "m, 0.01 by default "
+           "(soft_contact_gap is another name for it).")
       .def_property_readonly(
           "model",
           [](const CollisionPipeline& p) { return std::const_pointer_cast<Model>(p.model()); },
@@ -53,7 +54,7 @@ void bind_collision(py::module_& m) {
       .def_property_readonly(
           "broad_phase",
           [](const CollisionPipeline& p) { return broad_phase_name(p.broad_phase()); },
-          "\"explicit\" or \"nxn\"")
+          "\"explicit\", \"nxn\" or \"sap\".")
       .def_property_readonly("soft_contact_margin", &CollisionPipeline::soft_contact_margin, "m")
       .def_property_readonly("rigid_contact_max", &CollisionPipeline::rigid_contact_max,
                              "Rows of contacts().")

@@ -196,8 +196,8 @@ TEST(CollisionPipeline, HandlesNothing) {
 TEST(CollisionPipeline, RefusesBadOptions) {
   const auto model = random_scene(1);
   EXPECT_ERROR(CollisionPipeline(nullptr), ErrorKind::Value, "model: expected a model, got null");
-  EXPECT_ERROR(CollisionPipeline(model, {.broad_phase = BroadPhase::Sap}),
-               ErrorKind::NotImplemented, "sap");
+  EXPECT_ERROR(CollisionPipeline(model, {.broad_phase = static_cast<BroadPhase>(7)}),
+               ErrorKind::Value, "broad_phase");
   EXPECT_ERROR(CollisionPipeline(model, {.soft_contact_max = -1}), ErrorKind::Value,
                "soft_contact_max: expected >= 0");
   EXPECT_ERROR(CollisionPipeline(model, {.rigid_contact_max = -8}), ErrorKind::Value,

@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <random>
 #include <string>
 #include <vector>
 
@@ -81,6 +82,52 @@ TEST(RigidContacts, RowsAreOrderedByShape0AndShape1) {
   for (const int threads : {2, 7}) {
     const testing::Threads set(threads);
     EXPECT_EQ(contacts, rows(model)) << threads;
+  }
+}
+
+// Shapes of all types, some far, some in one place, some in worlds.
+std::shared_ptr<Model> pile(int count) {
+  ModelBuilder builder;
+  builder.add_ground_plane();
+  std::mt19937 random(3);
+  std::uniform_real_distribution<float> uniform(-1.0f, 1.0f);
+  const GeoType types[] = {GeoType::SPHERE,   GeoType::CAPSULE, GeoType::ELLIPSOID,
+                           GeoType::CYLINDER, GeoType::BOX,     GeoType::CONE};
+  for (int k = 0; k < count; ++k) {
+    if (k % 40 == 20) builder.begin_world();
+    const Vec3f p = {4.0f * uniform(random), 2.0f * uniform(random), 1.0f + uniform(random)};
+    Quatf q = {uniform(random), uniform(random), uniform(random), uniform(random)};
+    const float l = std::sqrt(q.x * q.x + q.y * q.y + q.z * q.z + q.w * q.w);
+    q = {q.x / l, q.y / l, q.z / l, q.w / l};
+    const int32_t body = builder.add_body({.xform = {p, q}});
+    builder.add_shape({.body = body,
+                       .type = types[k % 6],
+                       .scale = {0.3f, 0.2f, 0.25f},
+                       .cfg = ShapeConfig{.collision_group = k % 7 == 0 ? -1 - k : 1}});
+    if (k % 40 == 39) builder.end_world();
+  }
+  return builder.finalize(Device::cpu());
+}
+
+TEST(RigidContacts, EveryBroadPhaseFindsTheSameRows) {
+  const auto model = pile(200);
+  const auto contacts = rows(model, {.rigid_contact_max = 20000});
+  EXPECT_GT(contacts.size(), 500u);
+  EXPECT_EQ(contacts, rows(model, {.broad_phase = BroadPhase::NxN, .rigid_contact_max = 20000}));
+  // Again and again, as the sweep starts from its last order.
+  CollisionPipeline pipeline(model, {.broad_phase = BroadPhase::Sap, .rigid_contact_max = 20000});
+  CollisionPipeline other(model, {.rigid_contact_max = 20000});
+  Contacts swept = pipeline.contacts(), expected = other.contacts();
+  SimState state = model->state();
+  for (int t = 0; t < 5; ++t) {
+    std::vector<Transformf> poses = state.body_q.to_host();
+    for (size_t b = 0; b < poses.size(); ++b)
+      poses[b].p.x += 0.3f * std::sin(static_cast<float>(b + 3 * static_cast<size_t>(t)));
+    state.body_q.copy_from_host(std::span<const Transformf>(poses));
+    pipeline.collide(state, swept);
+    other.collide(state, expected);
+    EXPECT_EQ(swept.rigid_contacts(), expected.rigid_contacts()) << t;
+    EXPECT_EQ(swept.rigid_contact_count.to_host(), expected.rigid_contact_count.to_host());
   }
 }
 

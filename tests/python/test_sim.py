@@ -189,7 +189,6 @@ def test_the_pipeline_says_what_it_does_not_take():
     model = ball_model()
     for options, error, message in [
         ({"broad_phase": "grid"}, ValueError, "broad_phase"),
-        ({"broad_phase": "sap"}, NotImplementedError, "sap|sweep"),
         ({"soft_contact_margin": -1.0}, ValueError, "margin"),
         ({"soft_contact_margin": float("nan")}, ValueError, "margin"),
         ({"soft_contact_margin": 1.0, "soft_contact_gap": 1.0}, ValueError, "soft_contact_gap"),

@@ -52,7 +52,8 @@ struct CollisionOptions {
 // with spheres, capsules, ellipsoids, cylinders, boxes (their four deepest corners) and cones, and
 // these with each other (geometry/collide.h), up to eight points.
 // Candidates are Model::shape_contact_pairs (BroadPhase::Explicit), or the pairs that flags, groups
-// and worlds of shapes now allow (NxN), of both those whose boxes meet. Rows are in the order of
+// and worlds of shapes now allow (NxN; Sap, by sweep and prune on the host: not within a capture or
+// on a tape), of all three those whose boxes meet: the same rows. Rows are in the order of
 // (shape A, shape B, point of the manifold) for any number of threads; overflow as for soft
 // contacts. Source: Newton 1.8.0; its rows on the cpu are the same bits for the pairs that are
 // there, but the order of pairs where shape A has the larger index.
@@ -66,7 +67,7 @@ struct CollisionOptions {
 class NOVAPHY_COLLISION_API CollisionPipeline {
  public:
   // ErrorKind::Value: no model, a bad margin, a negative maximum, too many pairs for int32;
-  // ErrorKind::NotImplemented: sweep and prune, two shapes that may meet and are not covered, a
+  // ErrorKind::NotImplemented: two shapes that may meet and are not covered, a
   // model on a device whose collision was not built, a colliding shape that is not covered.
   explicit CollisionPipeline(std::shared_ptr<const Model> model,
                              const CollisionOptions& options = {});

@@ -55,8 +55,8 @@ struct CollisionOptions {
 // and worlds of shapes now allow (NxN; Sap, by sweep and prune on the host: not within a capture or
 // on a tape), of all three those whose boxes meet: the same rows. Rows are in the order of
 // (shape A, shape B, point of the manifold) for any number of threads; overflow as for soft
-// contacts. Source: Newton 1.8.0; its rows on the cpu are the same bits for the pairs that are
-// there, but the order of pairs where shape A has the larger index.
+// contacts. Source: Newton 1.8.0; its rows on the cpu are the same bits for planes with spheres,
+// capsules and boxes, but the order of pairs where shape A has the larger index.
 //
 // Candidate pairs (candidate_pairs.h) of soft contacts are ordered shape-major: the particles that
 // may meet the first colliding shape, then those of the second, ... The contacts have that order

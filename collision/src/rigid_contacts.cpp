@@ -195,6 +195,8 @@ void RigidContacts::collide(const SimState& state, Contacts& c) {
           "collide: the broad phase \"sap\" finds its pairs on the host, so it cannot be recorded; "
           "use \"explicit\" or \"nxn\"");
   const int64_t rows = c.rigid_contact_max();
+  // Nothing to find and nowhere to write: a model without bodies needs no kernel on its device.
+  if (!sweeps && impl_->pair_count == 0 && rows == 0) return;
   // What a row holds carries no gradient, so nothing that the search reads needs one.
   const auto constant = [](const char* name, const Array& array) {
     return reads(name, array).detached();

@@ -96,3 +96,50 @@ def test_particles_do_not_meet_the_shape_of_a_body_yet() -> None:
     builder.add_particle((0, 0, 1), (0, 0, 0), 1.0)
     with pytest.raises(NotImplementedError, match="has_particle_collision"):
         novaphy.CollisionPipeline(builder.finalize())
+
+
+def test_a_captured_search_follows_the_state() -> None:
+    nova = pytest.importorskip("novaphy.nova")
+    builder = die()
+    other = builder.add_body(xform=((0.05, 0, 0.79), (0, 0, 0, 1)))
+    builder.add_shape_sphere(other, radius=0.1)
+    model = builder.finalize()
+    pipeline = novaphy.CollisionPipeline(model)
+    contacts, expected = pipeline.contacts(), pipeline.contacts()
+    state = model.state()
+    with nova.ScopedCapture() as capture:
+        pipeline.collide(state, contacts)
+    for height in (0.1, 0.6, 5.0):
+        poses = model.body_q.numpy()
+        poses[:, 2] += height - 0.6
+        state.body_q = poses
+        capture.graph.launch()
+        pipeline.collide(state, expected)
+        np.testing.assert_array_equal(contacts.rigid_contacts(), expected.rigid_contacts())
+        assert (height > 0.5) == (contacts.rigid_contact_count[0] == 1)
+    model.shape_flags = np.zeros(3, np.int32)
+    with pytest.raises(novaphy.Error):
+        capture.graph.launch()
+    swept = novaphy.CollisionPipeline(model, broad_phase="sap")
+    into = swept.contacts()
+    with pytest.raises(novaphy.Error, match="sap"), nova.ScopedCapture():
+        swept.collide(state, into)
+
+
+def test_every_broad_phase_gives_the_same_motion() -> None:
+    ends = []
+    for broad_phase in ("explicit", "nxn", "sap"):
+        scene = novaphy.ModelBuilder()
+        scene.replicate(die(), 3, spacing=(1, 0, 0))
+        model = scene.finalize()
+        pipeline = novaphy.CollisionPipeline(model, broad_phase=broad_phase)
+        contacts = pipeline.contacts()
+        solver = novaphy.solvers.SolverSemiImplicit(model)
+        state, after = model.state(), model.state()
+        for _ in range(480):
+            pipeline.collide(state, contacts)
+            solver.step(state, after, None, contacts, 1 / 960)
+            state, after = after, state
+        ends.append(state.body_q.numpy())
+    np.testing.assert_array_equal(ends[0], ends[1])
+    np.testing.assert_array_equal(ends[0], ends[2])

@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+import novaphy
+
 ROOT = Path(__file__).parents[2]
 PAGES = sorted([ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").rglob("*.md")])
 # "```python jax": a language, and a library that the block needs.
@@ -49,8 +51,11 @@ def test_the_python_of_a_page_runs_from_top_to_bottom(
     page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pytest.importorskip("novaphy.diff")
+    code = blocks(page, "python")
+    if not novaphy.has_io() and any("io.load_" in block for block in code):
+        pytest.skip("the page reads meshes, and this build has no reader of them")
     monkeypatch.chdir(tmp_path)
-    run(page, blocks(page, "python"))
+    run(page, code)
 
 
 @pytest.mark.parametrize(("page", "library"), [(p, lib) for p in PAGES for lib in libraries(p)])

@@ -13,21 +13,25 @@ namespace {
 
 using geometry::Box3;
 
-// Counts the pairs that `visit_all` names, then writes them: those of each smaller shape together,
-// in the order of the larger.
+// The pairs that `visit_all` names: those of each smaller shape together, in the order of the
+// larger.
 template <class VisitAll>
-std::vector<Vec2i> counted_pairs(const char* function, size_t shapes, int64_t limit,
-                                 VisitAll visit_all) {
+std::vector<Vec2i> sorted_pairs(const char* function, size_t shapes, int64_t limit,
+                                VisitAll visit_all) {
+  std::vector<Vec2i> found;
   std::vector<int64_t> start(shapes + 1, 0);
-  visit_all([&](int32_t i, int32_t) { ++start[static_cast<size_t>(i) + 1]; });
-  std::partial_sum(start.begin(), start.end(), start.begin());
-  require(start.back() <= limit, ErrorKind::Value, function, ": limit: expected at most ", limit,
-          " pairs, got ", start.back());
-  std::vector<Vec2i> pairs(static_cast<size_t>(start.back()));
-  std::vector<int64_t> next(start.begin(), start.end() - 1);
+  int64_t count = 0;
   visit_all([&](int32_t i, int32_t j) {
-    pairs[static_cast<size_t>(next[static_cast<size_t>(i)]++)] = {i, j};
+    if (++count <= limit) found.push_back({i, j});
+    ++start[static_cast<size_t>(i) + 1];
   });
+  require(count <= limit, ErrorKind::Value, function, ": limit: expected at most ", limit,
+          " pairs, got ", count);
+  std::partial_sum(start.begin(), start.end(), start.begin());
+  std::vector<Vec2i> pairs(found.size());
+  std::vector<int64_t> next(start.begin(), start.end() - 1);
+  for (const Vec2i& pair : found)
+    pairs[static_cast<size_t>(next[static_cast<size_t>(pair.x)]++)] = pair;
   for (size_t i = 0; i < shapes; ++i)
     std::sort(pairs.begin() + start[i], pairs.begin() + start[i + 1],
               [](const Vec2i& a, const Vec2i& b) { return a.y < b.y; });
@@ -101,7 +105,7 @@ std::vector<Vec2i> explicit_box_pairs(std::span<const Box3> boxes,
             "explicit_box_pairs: candidates[", k, "]: expected 0 <= i < j < ", count, ", got (",
             c.x, ", ", c.y, ")");
   }
-  return counted_pairs("explicit_box_pairs", boxes.size(), limit, [&](auto visit) {
+  return sorted_pairs("explicit_box_pairs", boxes.size(), limit, [&](auto visit) {
     for (const Vec2i& c : candidates)
       if (boxes_meet(boxes[static_cast<size_t>(c.x)], boxes[static_cast<size_t>(c.y)]))
         visit(c.x, c.y);
@@ -112,7 +116,7 @@ std::vector<Vec2i> nxn_box_pairs(std::span<const Box3> boxes, const ShapePairRul
                                  int64_t limit) {
   check_boxes("nxn_box_pairs", boxes, rules);
   const auto count = static_cast<int32_t>(boxes.size());
-  return counted_pairs("nxn_box_pairs", boxes.size(), limit, [&](auto visit) {
+  return sorted_pairs("nxn_box_pairs", boxes.size(), limit, [&](auto visit) {
     for (int32_t i = 0; i < count; ++i)
       for (int32_t j = i + 1; j < count; ++j)
         if (boxes_meet(boxes[static_cast<size_t>(i)], boxes[static_cast<size_t>(j)]) &&
@@ -166,7 +170,7 @@ std::vector<Vec2i> SweepAndPrune::box_pairs(std::span<const Box3> boxes,
       }
     }
   };
-  return counted_pairs("SweepAndPrune.box_pairs", count, limit, [&](auto visit) {
+  return sorted_pairs("SweepAndPrune.box_pairs", count, limit, [&](auto visit) {
     sweep(shared, true, visit);
     std::vector<int32_t> together;
     for (auto begin = own_begin; begin != by_world.end();) {

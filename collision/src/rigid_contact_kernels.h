@@ -188,15 +188,17 @@ struct RigidContactClearArguments {
   int32_t* point_id;
   Vec3f* force;
 };
-// Empties the row if it lies behind the last contact, and every force; the row behind all sets the
+// Empties the row if it lies behind the last contact, else its force; the row behind all sets the
 // count where no pair has done it.
 NOVAPHY_ROW_KERNEL(rigid_contact_clear, 13, RigidContactClearArguments) {
   if (row == n - 1) {
     if (a.pairs == 0) *a.count = 0;
     return;
   }
+  const bool touches = a.pairs != 0 && row < *a.count;
+  if (!touches && a.shape0[row] < 0) return;  // empty already
   a.force[row] = Vec3f{};
-  if (a.pairs != 0 && row < *a.count) return;
+  if (touches) return;
   a.shape0[row] = -1;
   a.shape1[row] = -1;
   a.point0[row] = Vec3f{};

@@ -241,7 +241,7 @@ void RigidContacts::collide(const SimState& state, Contacts& c) {
   }
   kernels().clear.launch(device, rows + 1,
                          {number(pairs), updates("rigid_contact_count", c.rigid_contact_count),
-                          writes("rigid_contact_shape0", c.rigid_contact_shape0),
+                          updates("rigid_contact_shape0", c.rigid_contact_shape0),
                           writes("rigid_contact_shape1", c.rigid_contact_shape1),
                           writes("rigid_contact_point0", c.rigid_contact_point0),
                           writes("rigid_contact_point1", c.rigid_contact_point1),

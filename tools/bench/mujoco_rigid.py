@@ -1,0 +1,52 @@
+#!/usr/bin/env python3
+"""Time MuJoCo on rigid bodies. Scenes and records: see rigid.py beside this file.
+
+MuJoCo's own defaults, but for friction. Its contacts are constraints: a time constant (`solref`),
+not a stiffness, says how deep bodies sink.
+
+    pip install mujoco==4.0.0
+    python tools/bench/mujoco_rigid.py --scene columns --n 1000
+"""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+from rigid import DENSITY, GRAVITY, HALF, SURFACE, box_poses, run
+
+
+class Boxes:
+    """Boxes under gravity on the ground."""
+
+    dt = 1.0 / 500
+
+    def __init__(self, scene: str, n: int, turn: float, device: str) -> None:
+        """Build the model; MuJoCo runs on the CPU."""
+        if device != "cpu":
+            raise SystemExit(f"mujoco_rigid: --device: expected cpu, got {device}")
+        bodies = []
+        for pose in box_poses(scene, n, turn):
+            place = " ".join(map(str, pose[:3]))
+            turned = " ".join(map(str, (pose[6], *pose[3:6])))
+            bodies.append(
+                f'<body pos="{place}" quat="{turned}"><freejoint/>'
+                f'<geom type="box" size="{HALF} {HALF} {HALF}" density="{DENSITY}"/></body>'
+            )
+        text = f"""<mujoco><option timestep="{self.dt}" gravity="0 0 {-GRAVITY}"/>
+            <default><geom friction="{SURFACE["mu"]} 0.005 0.0001"/></default>
+            <size memory="2G"/>
+            <worldbody><geom type="plane" size="0 0 1"/>{"".join(bodies)}</worldbody></mujoco>"""
+        self.model = mujoco.MjModel.from_xml_string(text)
+        self.data = mujoco.MjData(self.model)
+
+    def step(self) -> None:
+        """One step."""
+        mujoco.mj_step(self.model, self.data)
+
+    def contacts(self) -> np.ndarray:
+        """Depths of the last step."""
+        return -np.array(self.data.contact.dist)
+
+
+if __name__ == "__main__":
+    run(__doc__, "mujoco", Boxes, ("columns", "pile"))

@@ -1,0 +1,143 @@
+#!/usr/bin/env python3
+"""Time Newton on rigid bodies. Scenes and records: see rigid.py beside this file.
+
+Boxes are stepped by `SolverSemiImplicit` with contacts found in every step, by sweep and prune;
+dice by the same solver under `wp.Tape`, launched step by step, as its differentiable examples do.
+
+    pip install newton==1.8.0 warp-lang==1.19.0
+    python tools/bench/newton_rigid.py --scene columns --n 1000
+"""
+
+from __future__ import annotations
+
+import newton
+import numpy as np
+import warp as wp
+from rigid import (
+    DENSITY,
+    DIE,
+    DIE_DT,
+    DIE_HEIGHT,
+    DIE_MASS,
+    DIE_SPIN,
+    DIE_SUBSTEPS,
+    HALF,
+    SCENES,
+    SURFACE,
+    box_poses,
+    run,
+)
+
+
+@wp.kernel
+def squares_kernel(twist: wp.array[wp.spatial_vector], loss: wp.array[float]):
+    """Add the squared norm of a twist."""
+    v = twist[wp.tid()]
+    wp.atomic_add(loss, 0, wp.dot(v, v))
+
+
+class Boxes:
+    """Boxes under gravity on the ground."""
+
+    dt = 1.0 / 960
+
+    def __init__(self, scene: str, n: int, turn: float, device: str) -> None:
+        """Build the model."""
+        wp.set_device(device)
+        builder = newton.ModelBuilder()
+        surface = newton.ModelBuilder.ShapeConfig(density=DENSITY, **SURFACE)
+        builder.add_ground_plane(cfg=surface)
+        for pose in box_poses(scene, n, turn):
+            body = builder.add_body(xform=wp.transform(pose[:3], wp.quat(*pose[3:])))
+            builder.add_shape_box(body, hx=HALF, hy=HALF, hz=HALF, cfg=surface)
+        self.model = builder.finalize()
+        self.solver = newton.solvers.SolverSemiImplicit(self.model)
+        self.pipeline = newton.CollisionPipeline(self.model, broad_phase="sap")
+        self.found = self.pipeline.contacts()
+        self.now, self.next = self.model.state(), self.model.state()
+
+    def step(self) -> None:
+        """Find contacts, step."""
+        self.now.clear_forces()
+        self.pipeline.collide(self.now, self.found)
+        self.solver.step(self.now, self.next, None, self.found, self.dt)
+        self.now, self.next = self.next, self.now
+        wp.synchronize()
+
+    def contacts(self) -> np.ndarray:
+        """Depths, from the rows of the last step."""
+        self.pipeline.collide(self.now, self.found)
+        count = int(self.found.rigid_contact_count.numpy()[0])
+        rows = {
+            name: getattr(self.found, f"rigid_contact_{name}").numpy()[:count]
+            for name in ("shape0", "shape1", "point0", "point1", "normal", "margin0", "margin1")
+        }
+        bodies, poses = self.model.shape_body.numpy(), self.now.body_q.numpy()
+        ends = [in_world(poses, bodies[rows[f"shape{k}"]], rows[f"point{k}"]) for k in (0, 1)]
+        apart = np.einsum("ij,ij->i", ends[1] - ends[0], rows["normal"])
+        return rows["margin0"] + rows["margin1"] - apart
+
+
+def in_world(poses: np.ndarray, bodies: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Points of bodies in world coordinates; body -1 is the world."""
+    result = points.astype(np.float64)
+    own = bodies >= 0
+    q = poses[bodies[own]].astype(np.float64)
+    v, w, p = q[:, 3:6], q[:, 6:], result[own]
+    result[own] = q[:, :3] + p + 2 * np.cross(v, np.cross(v, p) + w * p)
+    return result
+
+
+class Dice:
+    """Dice that fall, far apart, and the gradient of how they land."""
+
+    dt = DIE_DT * DIE_SUBSTEPS
+
+    def __init__(self, n: int, device: str) -> None:
+        """Build the model and its states."""
+        wp.set_device(device)
+        surface = newton.ModelBuilder.ShapeConfig(**DIE)
+        builder = newton.ModelBuilder()
+        builder.add_ground_plane(cfg=surface)
+        for i in range(n):
+            place = wp.transform((1.0 * i, 0.0, DIE_HEIGHT), wp.quat_identity())
+            die = builder.add_body(xform=place, mass=DIE_MASS)
+            builder.add_shape_box(die, hx=HALF, hy=HALF, hz=HALF, cfg=surface)
+        self.model = builder.finalize(requires_grad=True)
+        self.solver = newton.solvers.SolverSemiImplicit(self.model)
+        self.pipeline = newton.CollisionPipeline(
+            self.model, broad_phase="explicit", requires_grad=True
+        )
+        self.states = [self.model.state() for _ in range(DIE_SUBSTEPS + 1)]
+        start = np.tile(np.float32([(1.0, 0.0, 0.0, *DIE_SPIN)]), (n, 1))
+        self.states[0].body_qd.assign(start)
+        self.loss = wp.zeros(1, dtype=wp.float32, requires_grad=True)
+
+    def step(self) -> None:
+        """One training iteration."""
+        self.loss.zero_()
+        tape = wp.Tape()
+        with tape:
+            for before, after in zip(self.states, self.states[1:], strict=False):
+                before.clear_forces()
+                found = self.pipeline.contacts()
+                self.pipeline.collide(before, found)
+                self.solver.step(before, after, None, found, DIE_DT)
+            last = self.states[-1].body_qd
+            wp.launch(squares_kernel, dim=len(last), inputs=[last, self.loss])
+        tape.backward(self.loss)
+        tape.zero()
+        wp.synchronize()
+
+    def contacts(self) -> np.ndarray:
+        """None are counted in this scene."""
+        return np.zeros(0)
+
+
+def make(scene: str, n: int, turn: float, device: str) -> Boxes | Dice:
+    """The scene of a name."""
+    return Dice(n, device) if scene == "dice" else Boxes(scene, n, turn, device)
+
+
+if __name__ == "__main__":
+    run(__doc__, "newton", make, SCENES)

@@ -1,0 +1,134 @@
+#!/usr/bin/env python3
+"""Time NovaPhy on rigid bodies. Scenes and records: see rigid.py beside this file.
+
+Boxes are stepped by `SolverSemiImplicit` with contacts found in every step, four rows a pair; dice
+by `DiffSemiImplicitSolver`, their training iteration captured once and replayed.
+
+    python tools/bench/novaphy_rigid.py --scene columns --n 1000
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from rigid import (
+    DENSITY,
+    DIE,
+    DIE_DT,
+    DIE_HEIGHT,
+    DIE_MASS,
+    DIE_SPIN,
+    DIE_SUBSTEPS,
+    HALF,
+    SCENES,
+    SURFACE,
+    box_poses,
+    run,
+)
+
+import novaphy
+
+
+class Boxes:
+    """Boxes under gravity on the ground."""
+
+    dt = 1.0 / 960
+
+    def __init__(self, scene: str, n: int, turn: float, device: str) -> None:
+        """Build the model."""
+        builder = novaphy.ModelBuilder()
+        surface = novaphy.ShapeConfig(density=DENSITY, **SURFACE)
+        builder.add_ground_plane(cfg=surface)
+        for pose in box_poses(scene, n, turn):
+            body = builder.add_body(xform=tuple(map(float, pose)))
+            builder.add_shape_box(body, hx=HALF, hy=HALF, hz=HALF, cfg=surface)
+        self.model = builder.finalize(device)
+        self.solver = novaphy.solvers.SolverSemiImplicit(self.model)
+        self.pipeline = novaphy.CollisionPipeline(
+            self.model, broad_phase="sap", contacts_per_pair=4
+        )
+        self.found = self.pipeline.contacts()
+        self.now, self.next = self.model.state(), self.model.state()
+
+    def step(self) -> None:
+        """Find contacts, step."""
+        self.now.clear_forces()
+        self.pipeline.collide(self.now, self.found)
+        self.solver.step(self.now, self.next, None, self.found, self.dt)
+        self.now, self.next = self.next, self.now
+
+    def contacts(self) -> np.ndarray:
+        """Depths, from the rows of the last step."""
+        self.pipeline.collide(self.now, self.found)
+        count = int(self.found.rigid_contact_count.numpy()[0])
+        rows = {
+            name: getattr(self.found, f"rigid_contact_{name}").numpy()[:count]
+            for name in ("shape0", "shape1", "point0", "point1", "normal", "margin0", "margin1")
+        }
+        bodies, poses = self.model.shape_body.numpy(), self.now.body_q.numpy()
+        ends = [in_world(poses, bodies[rows[f"shape{k}"]], rows[f"point{k}"]) for k in (0, 1)]
+        apart = np.einsum("ij,ij->i", ends[1] - ends[0], rows["normal"])
+        return rows["margin0"] + rows["margin1"] - apart
+
+
+def in_world(poses: np.ndarray, bodies: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Points of bodies in world coordinates; body -1 is the world."""
+    result = points.astype(np.float64)
+    own = bodies >= 0
+    q = poses[bodies[own]].astype(np.float64)
+    v, w, p = q[:, 3:6], q[:, 6:], result[own]
+    result[own] = q[:, :3] + p + 2 * np.cross(v, np.cross(v, p) + w * p)
+    return result
+
+
+class Dice:
+    """Dice that fall alone, and the gradient of how they land."""
+
+    dt = DIE_DT * DIE_SUBSTEPS
+
+    def __init__(self, n: int, device: str) -> None:
+        """Build the model, capture an iteration."""
+        from novaphy import diff, nova
+
+        surface = novaphy.ShapeConfig(**DIE)
+        one = novaphy.ModelBuilder()
+        one.add_ground_plane(cfg=surface)
+        die = one.add_body(xform=(0.0, 0.0, DIE_HEIGHT, 0.0, 0.0, 0.0, 1.0), mass=DIE_MASS)
+        one.add_shape_box(die, hx=HALF, hy=HALF, hz=HALF, cfg=surface)
+        builder = one
+        if n > 1:
+            builder = novaphy.ModelBuilder()
+            builder.replicate(one, n, (1.0, 0.0, 0.0))
+        self.model = builder.finalize(device, requires_grad=True)
+        config = novaphy.solvers.DiffSolverConfig(
+            enable_static_contacts=True, friction_smoothing=0.1
+        )
+        self.solver = novaphy.solvers.DiffSemiImplicitSolver(self.model, config)
+        self.trajectory = diff.Trajectory(self.model, DIE_SUBSTEPS)
+        self.spin = nova.tensor(np.tile(np.float32([DIE_SPIN]), (n, 1)), device=device)
+        self.spin.requires_grad = True
+        with nova.ScopedCapture() as capture:
+            with nova.Tape() as tape:
+                twist = diff.body_twist_from_omega_generated(self.spin, 1.0, 0.0, 0.0)
+                diff.state_body_qd_tensor(self.trajectory[0]).copy_(twist)
+                self.solver.rollout(self.trajectory, None, None, DIE_DT)
+                end = diff.state_body_qd_tensor(self.trajectory[DIE_SUBSTEPS])
+                tape.backward(nova.sum(end * end))
+        self.graph = capture.graph
+
+    def step(self) -> None:
+        """One training iteration."""
+        self.graph.launch()
+        novaphy.synchronize(self.model.device)
+
+    def contacts(self) -> np.ndarray:
+        """None: the solver finds them inside of its kernel."""
+        return np.zeros(0)
+
+
+def make(scene: str, n: int, turn: float, device: str) -> Boxes | Dice:
+    """The scene of a name."""
+    return Dice(n, device) if scene == "dice" else Boxes(scene, n, turn, device)
+
+
+if __name__ == "__main__":
+    run(__doc__, "novaphy", make, SCENES)

@@ -1,0 +1,149 @@
+#!/usr/bin/env python3
+"""Time NovaPhy, Newton and MuJoCo on rigid bodies, in one run, and write the page of the results.
+
+Runs novaphy_rigid.py, newton_rigid.py and mujoco_rigid.py, each measurement in a process of its own
+on one thread, and writes docs/performance-rigid.md. Of each measurement the turn with the least
+time counts. The environments of the peers are made as run_peers.py does.
+
+    .venv/bin/python tools/bench/run_rigid.py
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+import run_peers
+from run_peers import ROOT, duration, machine, python_of, rows, run
+
+run_peers.REQUIREMENTS["mujoco"] = ("mujoco==4.0.0", "numpy")
+ENGINES = {"NovaPhy": "novaphy", "Newton": "newton", "MuJoCo": "mujoco"}
+TURNS = 3
+# Scene -> its arguments.
+FORWARD = {
+    "100 boxes in 10 columns": ["--scene", "columns", "--n", 100],
+    "1,000 boxes in 100 columns": ["--scene", "columns", "--n", 1000],
+    "the same, turned by 10°": ["--scene", "columns", "--n", 1000, "--turn", 10],
+    "one pile of 100": ["--scene", "pile", "--n", 100],
+    "one pile of 1,000": ["--scene", "pile", "--n", 1000, "--steps", 10, "--warm", 20],
+}
+DICE = {
+    1: ["--scene", "dice", "--n", 1, "--warm", 2, "--steps", 20],
+    1024: ["--scene", "dice", "--n", 1024, "--warm", 1, "--steps", 5],
+}
+GROWTH = (10, 100, 1000, 10_000)
+
+Record = dict[str, object]
+
+
+def best(engine: str, arguments: list[object], turns: int = TURNS) -> Record:
+    """Of several turns, the record with the least time."""
+    script = f"{engine}_rigid.py"
+    records = [run(python_of(engine), script, *arguments, threads=1) for _ in range(turns)]
+    return min(records, key=lambda record: float(record["cpu_median_s"]))
+
+
+def forward() -> str:
+    """Steps per second of boxes, with what each engine makes of their contacts."""
+    body = []
+    for scene, arguments in FORWARD.items():
+        for name, engine in ENGINES.items():
+            record = best(engine, arguments)
+            step = float(record["cpu_median_s"])
+            body.append(
+                [
+                    scene if name == "NovaPhy" else "",
+                    name,
+                    f"{1.0 / step:,.0f}",
+                    f"{float(record['dt_s']) / step:.3g}",
+                    f"{record['contacts']:,}",
+                    f"{record['touching']:,}",
+                    f"{float(record['mean_depth_m']) * 1e3:.3f} mm",
+                ]
+            )
+    head = ["scene", "engine", "steps/s", "simulated s per s", "contacts", "touching", "mean depth"]
+    return rows(head, body)
+
+
+def dice() -> str:
+    """Training iterations of dice."""
+    body = []
+    for n, arguments in DICE.items():
+        record = best("novaphy", arguments)
+        cells = [f"{n:,}", duration(float(record["cpu_median_s"])), ""]
+        if n == 1:
+            newton = best("newton", [*arguments[:4], "--warm", 1, "--steps", 2], 1)
+            cells[2] = duration(float(newton["cpu_median_s"]))
+        body.append(cells)
+    return rows(["dice", "NovaPhy, captured", "Newton, recorded anew"], body)
+
+
+def growth() -> str:
+    """Time of a step over the number of contacts."""
+    body = []
+    for n in GROWTH:
+        record = best("novaphy", ["--scene", "columns", "--n", n, "--steps", 50])
+        each = float(record["cpu_median_s"]) / int(record["contacts"])
+        cells = [f"{n:,}", f"{record['contacts']:,}", duration(float(record["cpu_median_s"]))]
+        body.append([*cells, f"{each * 1e9:.0f} ns", f"{1e-6 / each:.2f} million/s"])
+    return rows(["boxes", "contacts", "a step", "a contact", "contacts found and applied"], body)
+
+
+def main() -> None:
+    """Measure everything and write the page."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--output", type=Path, default=ROOT / "docs" / "performance-rigid.md")
+    arguments = parser.parse_args()
+    facts = rows(["", ""], [list(fact) for fact in machine()])
+    text = f"""# Performance of rigid bodies
+
+Written by `tools/bench/run_rigid.py`; do not edit. Everything on this page was measured in one run
+on one machine, on one thread of each engine: CPU time of the process, which a machine that others
+use too does not stretch as it stretches wall time. Medians over the steps, and of {TURNS} turns the
+fastest.
+
+{facts}
+
+## Boxes that rest
+
+Boxes of 8 kg with a side of 0.2 m. NovaPhy and Newton step at 1/960 s by penalty forces (ke
+200 kN/m, kd 300, kf 200, four rows a pair) and find contacts in every step, by sweep and prune;
+their rows include those within the gap of 0.2 m, *touching* are those with a force. MuJoCo 4.0
+steps at 1/500 s with its own defaults; it solves for contacts as constraints, island by island, so
+one connected pile costs it more. Penalty forces need the smaller step, so simulated seconds per
+second stand beside the steps, and how deep the boxes sit in each other beside both: a smaller depth
+needs a larger stiffness, and with it a smaller step.
+
+{forward()}
+
+## Dice, with gradient
+
+One training iteration: 768 substeps of a die of 12 kg that falls on the ground, loss, backward
+pass. NovaPhy's iteration is captured once and replayed; Newton's tape is recorded in every
+iteration, as its examples with contacts do.
+
+{dice()}
+
+## Cost of a contact
+
+Boxes in columns of ten; `contacts` are rows, touching or not; the time is that of the whole step.
+
+{growth()}
+
+## Again
+
+```sh
+.venv/bin/python tools/bench/run_rigid.py
+```
+"""
+    temporary = arguments.output.with_suffix(".md.part")
+    temporary.write_text(text, encoding="utf-8")
+    temporary.replace(arguments.output)
+    print(f"written: {arguments.output}", file=sys.stderr)
+
+
+if __name__ == "__main__":
+    main()

@@ -17,7 +17,7 @@ Besides the folders, three kinds of file have a layer of their own:
   include the math headers and other formulas, and nothing else;
 * `*_kernels.h` in collision/, dynamics/ and vbd/ are hand-written kernels, which compilers of
   devices read too: formulas, the math headers, and those of core that need no library. So are all
-  headers of collision/geometry, which kernels include.
+  headers of collision/geometry and dynamics/articulation, which kernels include.
 
 The abi headers are C and may include <stdint.h> only; the math headers <cstdint> and <cmath>.
 
@@ -73,6 +73,7 @@ FOLDERS = {
     "nova": "nova",
     "collision/include/novaphy/collision/geometry": "kernels",
     "collision": "collision",
+    "dynamics/include/novaphy/dynamics/articulation": "kernels",
     "dynamics": "dynamics",
     "vbd": "vbd",
     "diff": "diff",
@@ -107,7 +108,7 @@ def layer_of_include(text: str, quoted: bool, path: Path, root: Path) -> str | N
     """The layer an include leads to; None: a system header or a private file of the library."""
     parts = text.split("/")
     if parts[0] == "novaphy" and len(parts) > 2:
-        if parts[1:3] == ["collision", "geometry"]:
+        if parts[1:3] in (["collision", "geometry"], ["dynamics", "articulation"]):
             return "kernels"
         return by_name(parts[1], parts[-1])
     if quoted:

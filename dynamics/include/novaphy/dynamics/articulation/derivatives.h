@@ -1,0 +1,188 @@
+// The derivative matrices of inverse and forward dynamics, analytic.
+//
+// About O, world axes, with Y, B and F summed over what hangs on a link, v and a of link i, v_p of
+// its parent, and for a dof k of joint i
+//   psi = v x S_k,   psi' = a x S_k + v x psi,   sigma = v_p x S_k + v x S_k
+// (a FREE joint's sigma has (R e_k x omega, 0) more for linear dofs, (v_rel x R e_k, 0) for angular
+// ones):
+//   d tau_r / d q_k  = S_r . (Y psi' + B psi + S_k x* F)   for r of joint i or nearer to the root
+//                    = S_r . (Y_j psi' + B_j psi)          for r of a joint j that hangs on it
+//   d tau_r / d qd_k = S_r . (Y sigma + B S_k), and with Y_j, B_j likewise.
+// B m = v x* Y m - Y (v x m) + m x* Y v has no part from m's linear half: it is
+//   (-2 P x m_w,  (2 (v.h) 1 - 2 v h^T + 2 [w] I - tr(I) [w]) m_w)
+// with P = m v + w x h of the link, so it takes 12 numbers and adds up.
+// Source: Carpentier and Mansard, Analytical derivatives of rigid body dynamics algorithms (RSS
+// 2018), for columns of S that stay in the parent.
+#pragma once
+
+#include "novaphy/dynamics/articulation/factor.h"
+#include "novaphy/dynamics/articulation/inverse_dynamics.h"
+#include "novaphy/math/matrix.h"
+
+namespace novaphy::articulation {
+
+template <class T>
+struct MotionBias {
+  Vec3<T> momentum{};  // P
+  Mat33<T> angular{};
+};
+template <class T>
+MotionBias<T> motion_bias(const SpatialInertia<T>& y, const SpatialVector<T>& v) {
+  const Vec3<T>&l = v.linear, w = v.angular, h = y.moment;
+  const T two = T(2.0f);
+  const T trace = (y.xx + y.yy) + y.zz, d = two * math::dot(l, h);
+  // [w] I by its columns w x (column of I).
+  const Vec3<T> cx = math::cross(w, {y.xx, y.xy, y.xz}), cy = math::cross(w, {y.xy, y.yy, y.yz}),
+                cz = math::cross(w, {y.xz, y.yz, y.zz});
+  return {l * y.mass + math::cross(w, h),
+          {{{d + two * (cx.x - l.x * h.x), two * (cy.x - l.x * h.y) + trace * w.z,
+             two * (cz.x - l.x * h.z) - trace * w.y},
+            {two * (cx.y - l.y * h.x) - trace * w.z, d + two * (cy.y - l.y * h.y),
+             two * (cz.y - l.y * h.z) + trace * w.x},
+            {two * (cx.z - l.z * h.x) + trace * w.y, two * (cy.z - l.z * h.y) - trace * w.x,
+             d + two * (cz.z - l.z * h.z)}}}};
+}
+template <class T>
+MotionBias<T> operator+(const MotionBias<T>& a, const MotionBias<T>& b) {
+  MotionBias<T> sum{a.momentum + b.momentum, {}};
+  for (int i = 0; i < 3; ++i)
+    for (int j = 0; j < 3; ++j) sum.angular.m[i][j] = a.angular.m[i][j] + b.angular.m[i][j];
+  return sum;
+}
+template <class T>
+SpatialVector<T> apply(const MotionBias<T>& b, const SpatialVector<T>& m) {
+  return {math::cross(b.momentum, m.angular) * T(-2.0f), math::multiply(b.angular, m.angular)};
+}
+
+// Of dof k: psi, psi' and sigma, and what a FREE joint below a body has more.
+template <class T>
+struct DofMotion {
+  SpatialVector<T> psi{}, psi_rate{}, sigma{};
+  SpatialVector<T> dv{}, da{};  // of its linear dofs
+};
+
+// Memory: `motions` {dofs}, `biases` {links}.
+template <class T>
+struct DerivativeWorkspace {
+  DofMotion<T>* motions = nullptr;
+  MotionBias<T>* biases = nullptr;
+};
+
+template <class T>
+DofMotion<T> dof_motion(const Tree<T>& tree, const Link& link, int32_t k, const T* qd, const T* qdd,
+                        const Workspace<T>& ws, const LinkState<T>& s) {
+  const SpatialVector<T> v_parent = link.parent < 0 ? zero_spatial<T>() : ws.links[link.parent].v;
+  const SpatialVector<T>& axis = ws.axes[k];
+  DofMotion<T> m;
+  m.psi = math::cross_motion(s.v, axis);
+  m.psi_rate = math::cross_motion(s.a, axis) + math::cross_motion(s.v, m.psi);
+  m.sigma = math::cross_motion(v_parent, axis) + m.psi;
+  if (!is_free(link)) return m;
+  const int32_t first = local_dof(tree, link);
+  const Vec3<T> omega = turned(s.anchor_q, qd + first + 3);
+  if (k >= first + 3) {
+    m.sigma.linear = m.sigma.linear + math::cross(turned(s.anchor_q, qd + first), axis.angular);
+    return m;
+  }
+  m.sigma.linear = m.sigma.linear + math::cross(axis.linear, omega);
+  m.dv = {math::cross(axis.linear, omega), {T(0.0f), T(0.0f), T(0.0f)}};
+  const Vec3<T> alpha = turned(s.anchor_q, qdd + first + 3);
+  m.da = SpatialVector<T>{math::cross(axis.linear, alpha), {T(0.0f), T(0.0f), T(0.0f)}} +
+         math::cross_motion(v_parent, m.dv);
+  return m;
+}
+
+// The force that a unit of the tangent of q_k of `link` makes in what hangs on link j, which hangs
+// on it or is it: without S_k x* F.
+template <class T>
+SpatialVector<T> force_by_position(const DofMotion<T>& m, bool free_linear, bool root,
+                                   const LinkState<T>& s, const LinkState<T>& on,
+                                   const MotionBias<T>& b) {
+  if (free_linear && root) return zero_spatial<T>();
+  SpatialVector<T> f = math::apply(on.composite, m.psi_rate) + apply(b, m.psi);
+  if (free_linear)
+    f = f + (math::apply(on.composite, m.da - math::cross_motion(m.dv, s.v)) + apply(b, m.dv));
+  return f;
+}
+
+// {dofs, dofs} each, row-major, stored in full: d tau / d q (tangent columns of q) and d tau / d qd
+// of tau = ID(q, qd, qdd), behind inverse_dynamics at (q, qd, qdd) without wrenches, and
+// composite_inertias.
+template <class T>
+void inverse_dynamics_derivatives(const Tree<T>& tree, const T* qd, const T* qdd, Workspace<T>& ws,
+                                  DerivativeWorkspace<T>& memory, T* dq, T* dqd) {
+  const int64_t n = tree.dof_count;
+  for (int64_t i = 0; i < n * n; ++i) dq[i] = dqd[i] = T(0.0f);
+  for (int32_t i = 0; i < tree.link_count; ++i) {
+    const Link& link = tree.links[i];
+    const LinkState<T>& s = ws.links[i];
+    memory.biases[i] = motion_bias(s.inertia, s.v);
+    const int32_t first = local_dof(tree, link);
+    for (int32_t k = first; k < first + link.dofs; ++k)
+      memory.motions[k] = dof_motion(tree, link, k, qd, qdd, ws, s);
+  }
+  for (int32_t i = tree.link_count; i-- > 0;) {
+    const Link& link = tree.links[i];
+    const LinkState<T>& s = ws.links[i];
+    const MotionBias<T>& b = memory.biases[i];
+    const int32_t first = local_dof(tree, link);
+    for (int32_t k = first; k < first + link.dofs; ++k) {
+      const SpatialVector<T>& axis = ws.axes[k];
+      const DofMotion<T>& m = memory.motions[k];
+      const bool free_linear = is_free(link) && k < first + 3;
+      const bool still = free_linear && link.parent < 0;
+      SpatialVector<T> fq = force_by_position(m, free_linear, link.parent < 0, s, s, b);
+      if (!still) fq = fq + math::cross_force(axis, s.f);
+      const SpatialVector<T> fv = math::apply(s.composite, m.sigma) + apply(b, axis);
+      // Rows of the joint itself and towards the root.
+      for (int32_t r = first + link.dofs - 1; r >= 0; r = tree.dof_parent[r]) {
+        dq[r * n + k] = math::dot(ws.axes[r], fq);
+        dqd[r * n + k] = math::dot(ws.axes[r], fv);
+      }
+      if (free_linear && !still)
+        for (int32_t r = first + 3; r < first + 6; ++r)
+          dq[r * n + k] =
+              dq[r * n + k] + math::dot(math::cross(axis.linear, ws.axes[r].angular), s.f.linear);
+    }
+    // Columns of the joints towards the root.
+    for (int32_t j = link.parent; j >= 0; j = tree.links[j].parent) {
+      const Link& above = tree.links[j];
+      const int32_t first_above = local_dof(tree, above);
+      for (int32_t k = first_above; k < first_above + above.dofs; ++k) {
+        const DofMotion<T>& m = memory.motions[k];
+        const bool free_linear = is_free(above) && k < first_above + 3;
+        const SpatialVector<T> fq =
+            force_by_position(m, free_linear, above.parent < 0, ws.links[j], s, b);
+        const SpatialVector<T> fv = math::apply(s.composite, m.sigma) + apply(b, ws.axes[k]);
+        for (int32_t r = first; r < first + link.dofs; ++r) {
+          dq[r * n + k] = math::dot(ws.axes[r], fq);
+          dqd[r * n + k] = math::dot(ws.axes[r], fv);
+        }
+      }
+    }
+    if (link.parent >= 0) memory.biases[link.parent] = memory.biases[link.parent] + b;
+  }
+}
+
+// From those of inverse dynamics at the accelerations qdd = M^-1 (tau - ID(q, qd, 0)), and the
+// factor of M: d qdd / d q and d qdd / d qd in place of them, and M^-1 = d qdd / d tau. `column`:
+// n numbers.
+template <class T>
+void forward_dynamics_derivatives(const Tree<T>& tree, const T* factored, T* dq, T* dqd, T* inverse,
+                                  T* column) {
+  const int64_t n = tree.dof_count;
+  const auto solve_column = [&](T* m, int64_t k, const T& sign) {
+    for (int64_t r = 0; r < n; ++r) column[r] = sign * m[r * n + k];
+    solve(tree, factored, column);
+    for (int64_t r = 0; r < n; ++r) m[r * n + k] = column[r];
+  };
+  for (int64_t i = 0; i < n * n; ++i) inverse[i] = T(0.0f);
+  for (int64_t k = 0; k < n; ++k) {
+    inverse[k * n + k] = T(1.0f);
+    solve_column(inverse, k, T(1.0f));
+    solve_column(dq, k, T(-1.0f));
+    solve_column(dqd, k, T(-1.0f));
+  }
+}
+
+}  // namespace novaphy::articulation

@@ -1,0 +1,62 @@
+// Dual numbers: a value and its derivative along one direction. The algorithms of trees (tree.h)
+// with them as scalar give forward derivatives; comparisons look at values, so branches are those
+// of the values.
+#pragma once
+
+#include "novaphy/dynamics/articulation/scalar.h"
+
+namespace novaphy::articulation {
+
+template <class T>
+struct Dual {
+  T value{}, tangent{};
+  Dual() = default;
+  constexpr Dual(T v) : value(v) {}  // a constant
+  constexpr Dual(T v, T t) : value(v), tangent(t) {}
+};
+
+template <class T>
+Dual<T> operator+(const Dual<T>& a, const Dual<T>& b) {
+  return {a.value + b.value, a.tangent + b.tangent};
+}
+template <class T>
+Dual<T> operator-(const Dual<T>& a, const Dual<T>& b) {
+  return {a.value - b.value, a.tangent - b.tangent};
+}
+template <class T>
+Dual<T> operator-(const Dual<T>& a) {
+  return {-a.value, -a.tangent};
+}
+template <class T>
+Dual<T> operator*(const Dual<T>& a, const Dual<T>& b) {
+  return {a.value * b.value, a.tangent * b.value + a.value * b.tangent};
+}
+template <class T>
+Dual<T> operator/(const Dual<T>& a, const Dual<T>& b) {
+  const T q = a.value / b.value;
+  return {q, (a.tangent - q * b.tangent) / b.value};
+}
+template <class T>
+bool operator<(const Dual<T>& a, const Dual<T>& b) {
+  return a.value < b.value;
+}
+template <class T>
+bool operator>(const Dual<T>& a, const Dual<T>& b) {
+  return a.value > b.value;
+}
+template <class T>
+Dual<T> square_root(const Dual<T>& a) {
+  const T r = square_root(a.value);
+  return {r, a.tangent / (r + r)};
+}
+template <class T>
+SinCos<Dual<T>> sin_cos(const Dual<T>& a) {
+  const SinCos<T> v = sin_cos(a.value);
+  return {{v.sin, v.cos * a.tangent}, {v.cos, -(v.sin * a.tangent)}};
+}
+template <class T>
+bool is_finite(const Dual<T>& a) {
+  return is_finite(a.value);
+}
+
+}  // namespace novaphy::articulation

@@ -1,0 +1,124 @@
+// Inverse dynamics, the mass matrix, the centre of mass and the energy of a tree (tree.h), all
+// behind kinematics().
+//   tau = ID(q, qd, qdd) = H(q) qdd + bias(q, qd), without armature; wrenches on bodies act.
+// Source: Featherstone (2008), section 5.3 (recursive Newton-Euler) and 6.2 (composite bodies).
+#pragma once
+
+#include "novaphy/dynamics/articulation/kinematics.h"
+
+namespace novaphy::articulation {
+
+// What S's change adds to a FREE joint's acceleration in its public coordinates: (v x w, 0) of the
+// joint's own motion in world axes.
+template <class T>
+SpatialVector<T> free_joint_acceleration(const Quat<T>& anchor_q, const T* qd) {
+  SpatialVector<T> a = zero_spatial<T>();
+  a.linear = math::cross(turned(anchor_q, qd), turned(anchor_q, qd + 3));
+  return a;
+}
+
+// The moment about O of a wrench (force, torque about the centre of mass).
+template <class T>
+SpatialVector<T> wrench_at_origin(const SpatialVector<T>& wrench, const Vec3<T>& com) {
+  return {wrench.linear, wrench.angular + math::cross(com, wrench.linear)};
+}
+
+template <class T>
+void clear_wrenches(const Tree<T>& tree, Workspace<T>& ws) {
+  for (int32_t i = 0; i < tree.link_count; ++i) ws.links[i].wrench = zero_spatial<T>();
+}
+
+// tau (rows of the tree), and in the workspace v, a and f. qdd null: 0. The links' wrenches act.
+template <class T>
+void inverse_dynamics(const Tree<T>& tree, const T* qd, const T* qdd, Workspace<T>& ws, T* tau) {
+  for (int32_t i = 0; i < tree.link_count; ++i) {
+    const Link& link = tree.links[i];
+    LinkState<T>& s = ws.links[i];
+    const SpatialVector<T> moved = joint_motion(tree, link, ws.axes, qd);
+    if (link.parent < 0) {
+      s.v = moved;
+      s.a = {-tree.gravity, {T(0.0f), T(0.0f), T(0.0f)}};
+    } else {
+      const LinkState<T>& parent = ws.links[link.parent];
+      s.v = parent.v + moved;
+      s.a = parent.a + math::cross_motion(parent.v, moved);
+    }
+    if (qdd != nullptr) s.a = s.a + joint_motion(tree, link, ws.axes, qdd);
+    if (is_free(link)) s.a = s.a + free_joint_acceleration(s.anchor_q, qd + local_dof(tree, link));
+    s.f = (math::apply(s.inertia, s.a) + math::bias_force(s.inertia, s.v)) -
+          wrench_at_origin(s.wrench, s.com);
+  }
+  for (int32_t i = tree.link_count; i-- > 0;) {
+    const Link& link = tree.links[i];
+    const int32_t first = local_dof(tree, link);
+    for (int32_t k = first; k < first + link.dofs; ++k)
+      tau[k] = math::dot(ws.axes[k], ws.links[i].f);
+    if (link.parent >= 0) ws.links[link.parent].f = ws.links[link.parent].f + ws.links[i].f;
+  }
+}
+
+template <class T>
+void composite_inertias(const Tree<T>& tree, Workspace<T>& ws) {
+  for (int32_t i = 0; i < tree.link_count; ++i) ws.links[i].composite = ws.links[i].inertia;
+  for (int32_t i = tree.link_count; i-- > 0;) {
+    const int32_t parent = tree.links[i].parent;
+    if (parent >= 0)
+      ws.links[parent].composite = ws.links[parent].composite + ws.links[i].composite;
+  }
+}
+
+// H in the workspace's matrix, on and below the diagonal: H[k n + j] for j an ancestor of k.
+// Entries of dofs of which none hangs on the other are not written; they are 0.
+template <class T>
+void mass_matrix(const Tree<T>& tree, Workspace<T>& ws) {
+  composite_inertias(tree, ws);
+  const int64_t n = tree.dof_count;
+  for (int32_t i = 0; i < tree.link_count; ++i) {
+    const Link& link = tree.links[i];
+    const int32_t first = local_dof(tree, link);
+    for (int32_t k = first; k < first + link.dofs; ++k) {
+      const SpatialVector<T> force = math::apply(ws.links[i].composite, ws.axes[k]);
+      for (int32_t j = k; j >= 0; j = tree.dof_parent[j])
+        ws.matrix[k * n + j] = math::dot(ws.axes[j], force);
+    }
+  }
+}
+
+template <class T>
+struct TreeMass {
+  T mass{};
+  Vec3<T> com{};  // m, world
+};
+// Of all links. Without mass, com is 0.
+template <class T>
+TreeMass<T> center_of_mass(const Tree<T>& tree, const Workspace<T>& ws) {
+  TreeMass<T> sum{T(0.0f), {T(0.0f), T(0.0f), T(0.0f)}};
+  Vec3<T> first = {T(0.0f), T(0.0f), T(0.0f)};
+  for (int32_t i = 0; i < tree.link_count; ++i) {
+    const LinkState<T>& s = ws.links[i];
+    if (i == 0) first = s.origin;
+    sum.mass = sum.mass + s.inertia.mass;
+    sum.com = sum.com + (s.com + (s.origin - first)) * s.inertia.mass;
+  }
+  if (!(sum.mass > T(0.0f))) return sum;
+  sum.com = first + sum.com / sum.mass;
+  return sum;
+}
+
+template <class T>
+struct TreeEnergy {
+  T kinetic{}, potential{};  // J; the potential against the world's origin
+};
+// Behind link_motions. Armature is not in it.
+template <class T>
+TreeEnergy<T> energy(const Tree<T>& tree, const Workspace<T>& ws) {
+  TreeEnergy<T> sum{T(0.0f), T(0.0f)};
+  for (int32_t i = 0; i < tree.link_count; ++i) {
+    const LinkState<T>& s = ws.links[i];
+    sum.kinetic = sum.kinetic + T(0.5f) * math::dot(s.v, math::apply(s.inertia, s.v));
+    sum.potential = sum.potential - s.inertia.mass * math::dot(tree.gravity, s.origin + s.com);
+  }
+  return sum;
+}
+
+}  // namespace novaphy::articulation

@@ -1,0 +1,169 @@
+// One step of a tree without contact.
+//
+//   M = H(q) + diag(armature + what drives add),  M qdd = f - bias(q, qd) + drives (drives.h)
+//   v  = qd + dt qdd, clamped to the velocity limits of joints with one dof
+//   q' = q moved by v over dt (quaternions by the Cayley map), then qd' = v, of angular dofs
+//   times 1 - angular_damping dt
+//   body_q, body_qd of (q', qd')
+// Wrenches on bodies, and joint_f of FREE joints, are world wrenches about the centre of mass. All
+// but where the roots are has the same bits wherever the roots are.
+#pragma once
+
+#include "novaphy/dynamics/articulation/drives.h"
+#include "novaphy/dynamics/articulation/factor.h"
+#include "novaphy/dynamics/articulation/inverse_dynamics.h"
+
+namespace novaphy::articulation {
+
+template <class T>
+struct StepOptions {
+  T dt{};               // s
+  T angular_damping{};  // 1/s
+  bool implicit_drives = true;
+};
+
+// What acts and moves; rows of the arrays.
+template <class T>
+struct StepInputs {
+  const T *q = nullptr, *qd = nullptr;
+  const T* joint_f = nullptr;
+  const SpatialVector<T>* body_f = nullptr;
+  Drives<T> drives = {};
+};
+
+template <class T>
+void set_wrenches(const Tree<T>& tree, const StepInputs<T>& in, Workspace<T>& ws) {
+  for (int32_t i = 0; i < tree.link_count; ++i) {
+    const Link& link = tree.links[i];
+    SpatialVector<T>& wrench = ws.links[i].wrench;
+    wrench = link.body < 0 ? zero_spatial<T>() : in.body_f[link.body];
+    if (!is_free(link)) continue;
+    const T* f = in.joint_f + link.dof;
+    wrench = wrench + SpatialVector<T>{{f[0], f[1], f[2]}, {f[3], f[4], f[5]}};
+  }
+}
+
+// rhs = joint_f - bias + drives, and the drives' part of M's diagonal.
+template <class T>
+void add_drives(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<T>& options,
+                Workspace<T>& ws) {
+  const int64_t n = tree.dof_count;
+  const Drives<T>& d = in.drives;
+  for (int32_t i = 0; i < tree.link_count; ++i) {
+    const Link& link = tree.links[i];
+    for (int32_t j = 0; j < link.dofs; ++j) {
+      const int32_t row = link.dof + j;
+      const int64_t k = row - tree.first_dof;
+      DriveTerm<T> term{T(0.0f), T(0.0f)};
+      if (has_one_dof(link)) {
+        term = dof_term(d, row, link.coord, ws.branch[k], in.q[link.coord], in.qd[row], options.dt,
+                        options.implicit_drives);
+      } else if (link.joint == LinkJoint::Ball) {
+        term.force = -(d.damping[row] * in.qd[row]);
+        if (options.implicit_drives) term.diagonal = options.dt * d.damping[row];
+      }
+      const T applied = is_free(link) ? T(0.0f) : in.joint_f[row];
+      ws.rhs[k] = (applied - ws.bias[k]) + term.force;
+      ws.matrix[k * n + k] = ws.matrix[k * n + k] + (d.armature[row] + term.diagonal);
+    }
+  }
+}
+
+template <class T>
+int32_t solve_accelerations(const Tree<T>& tree, const StepInputs<T>& in,
+                            const StepOptions<T>& options, Workspace<T>& ws) {
+  mass_matrix(tree, ws);
+  add_drives(tree, in, options, ws);
+  const int32_t failed = factor(tree, ws.matrix);
+  if (failed >= 0) return failed;
+  for (int32_t k = 0; k < tree.dof_count; ++k) ws.qdd[k] = ws.rhs[k];
+  solve(tree, ws.matrix, ws.qdd);
+  return -1;
+}
+
+// The branches that follow from a first solve; false: none has changed.
+template <class T>
+bool clamp_branches(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<T>& options,
+                    Workspace<T>& ws) {
+  bool changed = false;
+  for (int32_t i = 0; i < tree.link_count; ++i) {
+    const Link& link = tree.links[i];
+    if (!has_one_dof(link)) continue;
+    const int32_t k = local_dof(tree, link);
+    const int32_t branch =
+        clamped_branch(in.drives, link.dof, link.coord, ws.branch[k], in.q[link.coord],
+                       in.qd[link.dof], ws.qdd[k], options.dt, options.implicit_drives);
+    changed = changed || branch != ws.branch[k];
+    ws.branch[k] = branch;
+  }
+  return changed;
+}
+
+// v = qd + dt qdd, clamped.
+template <class T>
+void new_rates(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<T>& options,
+               Workspace<T>& ws) {
+  for (int32_t k = 0; k < tree.dof_count; ++k)
+    ws.qd_next[k] = in.qd[tree.first_dof + k] + options.dt * ws.qdd[k];
+  for (int32_t i = 0; i < tree.link_count; ++i) {
+    const Link& link = tree.links[i];
+    if (!has_one_dof(link)) continue;
+    const int32_t k = local_dof(tree, link);
+    const T limit = in.drives.velocity_limit[link.dof];
+    if (ws.qd_next[k] > limit) {
+      ws.qd_next[k] = limit;
+      ws.branch[k] |= kVelocityAtUpper;
+    } else if (ws.qd_next[k] < -limit) {
+      ws.qd_next[k] = -limit;
+      ws.branch[k] |= kVelocityAtLower;
+    }
+  }
+}
+
+// qdd, the undamped new rates and the branches in the workspace. The result is the dof whose pivot
+// is not positive or whose acceleration is not finite, counted from the tree's first; -1: none.
+template <class T>
+int32_t forward_step(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<T>& options,
+                     Workspace<T>& ws) {
+  kinematics(tree, in.q, ws);
+  set_wrenches(tree, in, ws);
+  inverse_dynamics<T>(tree, in.qd + tree.first_dof, nullptr, ws, ws.bias);
+  for (int32_t k = 0; k < tree.dof_count; ++k) ws.branch[k] = 0;
+  for (int32_t i = 0; i < tree.link_count; ++i) {
+    const Link& link = tree.links[i];
+    if (has_one_dof(link))
+      ws.branch[local_dof(tree, link)] = limit_branch(in.drives, link.dof, in.q[link.coord]);
+  }
+  int32_t failed = solve_accelerations(tree, in, options, ws);
+  if (failed < 0 && clamp_branches(tree, in, options, ws))
+    failed = solve_accelerations(tree, in, options, ws);
+  if (failed >= 0) return failed;
+  for (int32_t k = 0; k < tree.dof_count; ++k)
+    if (!is_finite(ws.qdd[k])) return k;
+  new_rates(tree, in, options, ws);
+  return -1;
+}
+
+template <class T>
+T damping_factor(const Link& link, int32_t dof_of_link, const StepOptions<T>& options) {
+  return is_angular(link, dof_of_link) ? T(1.0f) - options.angular_damping * options.dt : T(1.0f);
+}
+
+// The new state, behind forward_step; rows of the arrays. Overwrites the links' states.
+template <class T>
+void finish_step(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<T>& options,
+                 Workspace<T>& ws, T* q_next, T* qd_next, Transform<T>* body_q,
+                 SpatialVector<T>* body_qd) {
+  integrate_coordinates(tree, in.q, ws.qd_next, options.dt, q_next);
+  for (int32_t i = 0; i < tree.link_count; ++i) {
+    const Link& link = tree.links[i];
+    for (int32_t j = 0; j < link.dofs; ++j)
+      qd_next[link.dof + j] =
+          ws.qd_next[local_dof(tree, link) + j] * damping_factor(link, j, options);
+  }
+  kinematics(tree, q_next, ws);
+  link_motions(tree, qd_next + tree.first_dof, ws);
+  write_bodies(tree, ws, body_q, body_qd);
+}
+
+}  // namespace novaphy::articulation

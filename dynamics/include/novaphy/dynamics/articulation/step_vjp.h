@@ -1,0 +1,290 @@
+// The exact adjoint of a step (step.h), from its start, its accelerations and its branches.
+//
+// With the gradients h of q' (tangents) and g of qd', and u = qd + dt qdd:
+//   gu = dt h (BALL and FREE: through the Cayley map) + g (1 - angular_damping dt), 0 where the
+//   velocity clamp acted;  lambda = M^-1 dt gu
+//   gradient of joint_f = lambda, of q = h - dPhi/dq - K lambda, of qd = gu - dPhi/dqd - (D + dt K)
+//   lambda, with Phi of inverse_dynamics_vjp.h at (q, qd, qdd)
+// and those of drives and masses likewise. So a step needs no more memory than (q, qd, qdd,
+// branches). The branches stay as they are: the gradient is exact where none changes.
+#pragma once
+
+#include "novaphy/dynamics/articulation/inverse_dynamics_vjp.h"
+#include "novaphy/dynamics/articulation/kinematics_vjp.h"
+#include "novaphy/dynamics/articulation/step.h"
+#include "novaphy/math/matrix.h"
+
+namespace novaphy::articulation {
+
+// Where gradients go; null: nobody wants it. `add`: bit i for the i-th member, to what is there;
+// else they are stored. Rows of the arrays.
+template <class T>
+struct StepGradient {
+  enum Member : int32_t {
+    kQ,
+    kQd,
+    kJointF,
+    kBodyF,
+    kTargetQ,
+    kTargetQd,
+    kTargetKe,
+    kTargetKd,
+    kDamping,
+    kArmature,
+    kLimitLower,
+    kLimitUpper,
+    kLimitKe,
+    kLimitKd,
+    kEffortLimit,
+    kVelocityLimit,
+    kMass,
+    kCom,
+    kInertia,
+    kMembers
+  };
+  T *q = nullptr, *qd = nullptr, *joint_f = nullptr;
+  SpatialVector<T>* body_f = nullptr;
+  T *target_q = nullptr, *target_qd = nullptr, *target_ke = nullptr, *target_kd = nullptr,
+    *damping = nullptr, *armature = nullptr, *limit_lower = nullptr, *limit_upper = nullptr,
+    *limit_ke = nullptr, *limit_kd = nullptr, *effort_limit = nullptr, *velocity_limit = nullptr,
+    *mass = nullptr;
+  Vec3<T>* com = nullptr;
+  Mat33<T>* inertia = nullptr;
+  int32_t add = 0;
+};
+
+// Gradients of what a step gives; null: zero.
+template <class T>
+struct StepOutputGradient {
+  const T *q = nullptr, *qd = nullptr;
+  const Transform<T>* body_q = nullptr;
+  const SpatialVector<T>* body_qd = nullptr;
+};
+
+// Memory besides the workspace: `tangent` and `rate` {dofs}, `scratch` {3 dofs}; the others have a
+// row per link.
+template <class T>
+struct AdjointMemory {
+  T *tangent = nullptr, *rate = nullptr, *scratch = nullptr;
+  SpatialVector<T>* wrench = nullptr;
+  T* mass = nullptr;
+  Vec3<T>*com = nullptr, *moved_com = nullptr;
+  Mat33<T>* inertia = nullptr;
+};
+template <class T>
+int64_t adjoint_bytes(int32_t links, int32_t dofs) {
+  const int64_t per_link =
+      sizeof(SpatialVector<T>) + sizeof(T) + 2 * sizeof(Vec3<T>) + sizeof(Mat33<T>);
+  return (5 * dofs * static_cast<int64_t>(sizeof(T)) + links * per_link + 7) / 8 * 8;
+}
+template <class T>
+AdjointMemory<T> make_adjoint_memory(void* memory, int32_t links, int32_t dofs) {
+  AdjointMemory<T> m;
+  m.tangent = static_cast<T*>(memory);
+  m.rate = m.tangent + dofs;
+  m.scratch = m.rate + dofs;
+  m.wrench = reinterpret_cast<SpatialVector<T>*>(m.scratch + 3 * dofs);
+  m.mass = reinterpret_cast<T*>(m.wrench + links);
+  m.com = reinterpret_cast<Vec3<T>*>(m.mass + links);
+  m.moved_com = m.com + links;
+  m.inertia = reinterpret_cast<Mat33<T>*>(m.moved_com + links);
+  return m;
+}
+
+template <class T>
+Mat33<T> operator+(const Mat33<T>& a, const Mat33<T>& b) {
+  return math::add(a, b);
+}
+template <class T, class Value>
+void put(const StepGradient<T>& g, Value* to, int32_t member, int32_t row, const Value& value) {
+  if (to == nullptr) return;
+  to[row] = g.add >> member & 1 ? to[row] + value : value;
+}
+
+// What the gradient g of p' of a FREE joint gives to its centre of mass: p' = x_com' - R(r') rc.
+template <class T>
+Vec3<T> free_com_gradient(const Tree<T>& tree, const Link& link, const T* q, const T* q_next,
+                          const Vec3<T>& g) {
+  const T *const a = q + link.coord + 3, *const b = q_next + link.coord + 3;
+  const Quat<T> raw = {a[0], a[1], a[2], a[3]};
+  const Quat<T> r = scaled(raw, T(1.0f) / quat_length(raw)), next = {b[0], b[1], b[2], b[3]};
+  const Vec3<T> in_joint = math::rotate_inverse(r, g) - math::rotate_inverse(next, g);
+  return link.frame_c < 0 ? in_joint : math::rotate(tree.X_c[link.frame_c].q, in_joint);
+}
+
+// Out of the gradients of the new state those of u (`rate`) and of q (`tangent`), by the update of
+// the coordinates.
+template <class T>
+void integrate_coordinates_vjp(const Tree<T>& tree, const T* qd, const T& dt, T* tangent, T* rate) {
+  for (int32_t i = 0; i < tree.link_count; ++i) {
+    const Link& link = tree.links[i];
+    T* const h = tangent + local_dof(tree, link);
+    T* const g = rate + local_dof(tree, link);
+    const T* const u = qd + local_dof(tree, link);
+    const int32_t o = is_free(link) ? 3 : 0;
+    if (link.dofs == 1 || is_free(link))
+      for (int k = 0; k < (link.dofs == 1 ? 1 : 3); ++k) g[k] = g[k] + dt * h[k];
+    if (link.dofs < 3) continue;
+    const T half = T(0.5f) * dt;
+    const Vec3<T> y = {half * u[o], half * u[o + 1], half * u[o + 2]};
+    const Vec3<T> ha = {h[o], h[o + 1], h[o + 2]};
+    const Vec3<T> gu = (ha - math::cross(y, ha)) * (dt / (T(1.0f) + math::dot(y, y)));
+    const Vec3<T> back = math::rotate_inverse(cayley(y), ha);
+    const T add[3] = {gu.x, gu.y, gu.z}, store[3] = {back.x, back.y, back.z};
+    for (int k = 0; k < 3; ++k) {
+      g[o + k] = g[o + k] + add[k];
+      h[o + k] = store[k];
+    }
+  }
+}
+
+// The gradients of a dof's drive, limits and damping, and what they give to q and qd.
+template <class T>
+void drive_gradient(const Link& link, int32_t dof_of_link, const StepInputs<T>& in,
+                    const StepOptions<T>& options, int32_t branch, const T& qdd, const T& lambda,
+                    T& q_gradient, T& qd_gradient, const StepGradient<T>& g) {
+  using G = StepGradient<T>;
+  const Drives<T>& d = in.drives;
+  const int32_t row = link.dof + dof_of_link;
+  const T o = T(0.0f), v = in.qd[row], dt = options.implicit_drives ? options.dt : o;
+  const bool one = has_one_dof(link), inside = one && (branch & kOutside) == 0;
+  const bool clamped = (branch & kEffortClamped) != 0;
+  const bool drives = inside && !clamped;
+  const bool limits = one && !inside && (branch & kLimitReleased) == 0;
+  const T q = one ? in.q[link.coord] : o;
+  const DriveLaw<T> law =
+      drives || limits ? drive_law(d, row, link.coord, branch) : DriveLaw<T>{o, o, o, o};
+  const T damping = one || link.joint == LinkJoint::Ball ? d.damping[row] : o;
+  const T v_end = v + dt * qdd, q_end = q + dt * v_end;
+  q_gradient = q_gradient - law.stiffness * lambda;
+  qd_gradient = qd_gradient - ((law.rate + damping) + dt * law.stiffness) * lambda;
+  const bool position = drives && has_position_drive(d.target_mode[row]);
+  const bool velocity = drives && has_velocity_drive(d.target_mode[row]);
+  const T by_stiffness = (law.target - q_end) * lambda,
+          by_rate = (law.target_rate - v_end) * lambda;
+  if (one) put(g, g.target_q, G::kTargetQ, link.coord, position ? law.stiffness * lambda : o);
+  put(g, g.target_qd, G::kTargetQd, row,
+      velocity && d.target_mode[row] != 1 ? law.rate * lambda : o);
+  put(g, g.target_ke, G::kTargetKe, row, position ? by_stiffness : o);
+  put(g, g.target_kd, G::kTargetKd, row, velocity ? by_rate : o);
+  const bool damps = one || link.joint == LinkJoint::Ball;
+  put(g, g.damping, G::kDamping, row, damps ? -(v_end * lambda) : o);
+  put(g, g.armature, G::kArmature, row, -(lambda * qdd));
+  const T by_limit = limits ? law.stiffness * lambda : o;
+  put(g, g.limit_lower, G::kLimitLower, row, branch & kBelowLimit ? by_limit : o);
+  put(g, g.limit_upper, G::kLimitUpper, row, branch & kAboveLimit ? by_limit : o);
+  put(g, g.limit_ke, G::kLimitKe, row, limits ? by_stiffness : o);
+  put(g, g.limit_kd, G::kLimitKd, row, limits ? by_rate : o);
+  put(g, g.effort_limit, G::kEffortLimit, row,
+      inside && clamped ? (branch & kEffortAtUpper ? lambda : -lambda) : o);
+}
+
+template <class T>
+void add_mass_gradients(const Tree<T>& tree, const StepGradient<T>& g,
+                        const AdjointMemory<T>& memory) {
+  using G = StepGradient<T>;
+  for (int32_t i = 0; i < tree.link_count; ++i) {
+    const int32_t body = tree.links[i].body;
+    if (body < 0) continue;
+    put(g, g.body_f, G::kBodyF, body, -memory.wrench[i]);
+    put(g, g.mass, G::kMass, body, -memory.mass[i]);
+    put(g, g.com, G::kCom, body, memory.moved_com[i] - memory.com[i]);
+    put(g, g.inertia, G::kInertia, body, math::scale(memory.inertia[i], T(-1.0f)));
+  }
+}
+
+// `qdd`, `branch`, `q_next` and `qd_next` are those of the step; rows of the arrays.
+template <class T>
+void step_vjp(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<T>& options,
+              const T* qdd, const int32_t* branch, const T* q_next, const T* qd_next,
+              const StepOutputGradient<T>& out, const StepGradient<T>& g, Workspace<T>& ws,
+              AdjointMemory<T>& memory) {
+  using G = StepGradient<T>;
+  const T o = T(0.0f);
+  const int32_t n = tree.dof_count, row0 = tree.first_dof;
+  T *const tangent = memory.tangent, *const rate = memory.rate;
+  T *const lambda = memory.scratch, *const phi_q = lambda + n, *const phi_qd = phi_q + n;
+
+  // Of the poses, then of the numbers.
+  for (int32_t i = 0; i < tree.link_count; ++i) memory.moved_com[i] = {o, o, o};
+  for (int32_t k = 0; k < n; ++k) tangent[k] = rate[k] = o;
+  if (out.body_q || out.body_qd) {
+    kinematics(tree, q_next, ws);
+    link_motions(tree, qd_next + row0, ws);
+    KinematicsGradient<T> of_poses{tangent, rate, memory.moved_com};
+    kinematics_vjp(tree, qd_next + row0, out.body_q, out.body_qd, ws, of_poses);
+  }
+  if (out.q) {
+    gradient_to_tangent(tree, q_next, out.q, lambda);
+    for (int32_t k = 0; k < n; ++k) tangent[k] = tangent[k] + lambda[k];
+  }
+  for (int32_t i = 0; i < tree.link_count; ++i) {
+    const Link& link = tree.links[i];
+    const int32_t first = local_dof(tree, link);
+    if (is_free(link)) {
+      const Vec3<T> moved = {tangent[first], tangent[first + 1], tangent[first + 2]};
+      memory.moved_com[i] =
+          memory.moved_com[i] + free_com_gradient(tree, link, in.q, q_next, moved);
+    }
+    for (int32_t j = 0; j < link.dofs; ++j) {
+      const int32_t k = first + j;
+      if (out.qd) rate[k] = rate[k] + out.qd[link.dof + j];
+      rate[k] = rate[k] * damping_factor(link, j, options);
+    }
+  }
+
+  // Of the coordinates' update and the velocity clamp.
+  for (int32_t k = 0; k < n; ++k) {
+    ws.branch[k] = branch[row0 + k];
+    ws.qdd[k] = qdd[row0 + k];
+  }
+  new_rates(tree, in, options, ws);
+  integrate_coordinates_vjp(tree, ws.qd_next, options.dt, tangent, rate);
+  for (int32_t k = 0; k < n; ++k) {
+    const bool clamped = (ws.branch[k] & kVelocityClamped) != 0;
+    put(g, g.velocity_limit, G::kVelocityLimit, row0 + k,
+        clamped ? (ws.branch[k] & kVelocityAtUpper ? rate[k] : -rate[k]) : o);
+    if (clamped) rate[k] = o;
+  }
+
+  // Of the dynamics.
+  kinematics(tree, in.q, ws);
+  set_wrenches(tree, in, ws);
+  inverse_dynamics(tree, in.qd + row0, ws.qdd, ws, ws.bias);
+  mass_matrix(tree, ws);
+  add_drives(tree, in, options, ws);
+  factor(tree, ws.matrix);
+  for (int32_t k = 0; k < n; ++k) lambda[k] = options.dt * rate[k];
+  solve(tree, ws.matrix, lambda);
+  InverseDynamicsGradient<T> phi{phi_q,       phi_qd,     nullptr,        memory.wrench,
+                                 memory.mass, memory.com, memory.inertia, {}};
+  inverse_dynamics_vjp(tree, in.qd + row0, ws.qdd, lambda, ws, phi);
+  for (int32_t i = 0; i < tree.link_count; ++i) {
+    const Link& link = tree.links[i];
+    for (int32_t j = 0; j < link.dofs; ++j) {
+      const int32_t k = local_dof(tree, link) + j;
+      tangent[k] = tangent[k] - phi_q[k];
+      rate[k] = rate[k] - phi_qd[k];
+      drive_gradient(link, j, in, options, ws.branch[k], ws.qdd[k], lambda[k], tangent[k], rate[k],
+                     g);
+      put(g, g.qd, G::kQd, row0 + k, rate[k]);
+      T applied = lambda[k];
+      if (is_free(link)) {  // a world wrench
+        const SpatialVector<T> w = -memory.wrench[i];
+        const T parts[6] = {w.linear.x,  w.linear.y,  w.linear.z,
+                            w.angular.x, w.angular.y, w.angular.z};
+        applied = parts[j];
+      }
+      put(g, g.joint_f, G::kJointF, row0 + k, applied);
+    }
+    if (link.dofs > 1)
+      for (int32_t c = 0; c < link.dofs + 1; ++c)
+        put(g, g.target_q, G::kTargetQ, link.coord + c, o);
+  }
+  add_mass_gradients(tree, g, memory);
+  if (g.q)
+    tangent_to_gradient(tree, in.q, tangent,
+                        [&](int32_t row, const T& value) { put(g, g.q, G::kQ, row, value); });
+}
+
+}  // namespace novaphy::articulation

@@ -1,0 +1,150 @@
+// Articulated trees: what a tree is made of, and the memory that its algorithms work in. Templated
+// on the scalar (float, double, Dual<float>), freestanding, without allocation.
+//
+// A tree has links; link i is moved by one joint against its parent link, which stands before it
+// (parent -1: the world). A joint of type D6 is a chain of links, all but the last of them without
+// mass: prismatic along its linear axes, then revolute about its angular ones. Several links may
+// have the parent -1.
+//
+// Frames. X_wpj = X_parent X_p is the joint's frame in the parent (its anchor), X = X_wpj X_j(q)
+// X_c^-1 the body's. Every root has an origin O of its own: its anchor, or the centre of mass of a
+// FREE root. All positions, motions (v, w) and forces (f, t) of what hangs on it are about O, in
+// world axes; so nothing but O depends on where the world's origin is.
+//
+// Velocities. The joint's motion is S qd. The columns of S do not turn with the joint's own q:
+//   PRISMATIC  (R a, 0)                REVOLUTE  (p x R a, R a)        BALL  (p x R e_k, R e_k)
+//   FREE       (R e_k, 0), then (c x R e_k, R e_k)
+// with the anchor's rotation R and position p and the body's centre of mass c. So qd of a BALL is
+// the angular velocity in the anchor's axes, and qd of a FREE joint the velocity of the centre of
+// mass and the angular velocity, relative to the anchor, in its axes.
+// Tangents of q are per dof: BALL turns by exp(e) on the left, FREE moves the centre of mass by
+// e_linear and turns the body by exp(e_angular) about it. dX = S e holds for all.
+// Source: Featherstone, Rigid Body Dynamics Algorithms (2008), chapters 4 to 6.
+#pragma once
+
+#include "novaphy/dynamics/articulation/scalar.h"
+#include "novaphy/math/spatial.h"
+
+namespace novaphy::articulation {
+
+// The numbers are those of JointType.
+enum class LinkJoint : int32_t { Prismatic = 0, Revolute = 1, Ball = 2, Fixed = 3, Free = 4 };
+
+struct Link {
+  LinkJoint joint = LinkJoint::Fixed;
+  int32_t parent = -1;   // link
+  int32_t frame_p = -1;  // row of X_p; -1: identity
+  int32_t frame_c = -1;  // row of X_c; -1: identity
+  int32_t body = -1;     // row of mass, com, inertia, wrenches, body_q and body_qd; -1: no mass
+  int32_t coord = 0;     // first row of q
+  int32_t dof = 0;       // first row of qd, and of the axis
+  int32_t dofs = 0;
+  bool operator==(const Link&) const = default;
+};
+
+// Rows are those of the arrays, which may belong to many trees. Quaternions of X_p and X_c are
+// unit.
+template <class T>
+struct Tree {
+  int32_t link_count = 0, dof_count = 0;
+  const Link* links = nullptr;          // {link_count}
+  const int32_t* dof_parent = nullptr;  // {dof_count}: the next dof towards the root; -1: none.
+                                        // Both are counted from the tree's first dof.
+  int32_t first_dof = 0;                // the row of dof 0
+  const Transform<T>*X_p = nullptr, *X_c = nullptr;
+  const Vec3<T>* axis = nullptr;      // unit
+  const T* mass = nullptr;            // kg
+  const Vec3<T>* com = nullptr;       // m, body frame
+  const Mat33<T>* inertia = nullptr;  // kg m^2 about the centre of mass, body axes; (I + I^T) / 2
+                                      // is what acts
+  Vec3<T> gravity = {};               // m/s^2
+};
+
+// What kinematics, inverse_dynamics and mass_matrix leave of a link.
+template <class T>
+struct LinkState {
+  Quat<T> anchor_q{};             // of X_wpj
+  Vec3<T> anchor_p{};             // m, about O
+  Quat<T> q{};                    // of the body
+  Vec3<T> p{};                    // of the body's origin, m, about O
+  Vec3<T> com{};                  // m, about O
+  Vec3<T> origin{};               // O in the world
+  T quat_length = T(1.0f);        // of the joint's coordinates; BALL and FREE
+  SpatialInertia<T> inertia{};    // about O
+  SpatialInertia<T> composite{};  // of the link and all that hangs on it
+  SpatialVector<T> v{};           // its motion
+  SpatialVector<T> a{};           // and acceleration, with that of the world against gravity
+  SpatialVector<T> f{};           // force through the joint
+  SpatialVector<T> wrench{};      // that acts on it: about its centre of mass, world axes
+  // Of the adjoint sweeps: virtual motion, adjoints of acceleration and motion, torque of wrenches.
+  SpatialVector<T> w{}, a_adjoint{}, v_adjoint{};
+  Vec3<T> wrench_torque{};
+};
+
+// Memory of a tree with n dofs; `links` has link_count rows, the rest n rows. matrix: {n, n}.
+template <class T>
+struct Workspace {
+  LinkState<T>* links = nullptr;
+  SpatialVector<T>* axes = nullptr;  // S
+  T* matrix = nullptr;               // lower: H, or L and D
+  T *bias = nullptr, *qdd = nullptr, *qd_next = nullptr, *rhs = nullptr;
+  int32_t* branch = nullptr;  // Branch bits of drives.h
+};
+
+// In multiples of 8 bytes; memory is aligned to 8.
+template <class T>
+int64_t workspace_bytes(int32_t links, int32_t dofs) {
+  const int64_t n = dofs, ints = (n + 1) / 2 * 8;
+  return links * static_cast<int64_t>(sizeof(LinkState<T>)) +
+         n * static_cast<int64_t>(sizeof(SpatialVector<T>)) +
+         ((n * n + 4 * n) * static_cast<int64_t>(sizeof(T)) + 7) / 8 * 8 + ints + 8;
+}
+template <class T>
+Workspace<T> make_workspace(void* memory, int32_t links, int32_t dofs) {
+  Workspace<T> ws;
+  const int64_t n = dofs;
+  ws.links = static_cast<LinkState<T>*>(memory);
+  ws.axes = reinterpret_cast<SpatialVector<T>*>(ws.links + links);
+  ws.matrix = reinterpret_cast<T*>(ws.axes + n);
+  ws.bias = ws.matrix + n * n;
+  ws.qdd = ws.bias + n;
+  ws.qd_next = ws.qdd + n;
+  ws.rhs = ws.qd_next + n;
+  ws.branch = reinterpret_cast<int32_t*>(ws.rhs + n);
+  return ws;
+}
+
+inline bool is_free(const Link& link) { return link.joint == LinkJoint::Free; }
+// The rows of a link among the tree's dofs.
+template <class T>
+int32_t local_dof(const Tree<T>& tree, const Link& link) {
+  return link.dof - tree.first_dof;
+}
+template <class T>
+SpatialVector<T> zero_spatial() {
+  return {{T(0.0f), T(0.0f), T(0.0f)}, {T(0.0f), T(0.0f), T(0.0f)}};
+}
+template <class T>
+Vec3<T> unit_vector(int k) {
+  return {T(k == 0 ? 1.0f : 0.0f), T(k == 1 ? 1.0f : 0.0f), T(k == 2 ? 1.0f : 0.0f)};
+}
+template <class T>
+SpatialVector<T> operator-(const SpatialVector<T>& a) {
+  return {-a.linear, -a.angular};
+}
+// What a link contributes of joint velocities: the sum of S_k x_k.
+template <class T>
+SpatialVector<T> joint_motion(const Tree<T>& tree, const Link& link, const SpatialVector<T>* axes,
+                              const T* x) {
+  const int32_t first = local_dof(tree, link);
+  SpatialVector<T> sum = zero_spatial<T>();
+  for (int32_t k = first; k < first + link.dofs; ++k) sum = sum + axes[k] * x[k];
+  return sum;
+}
+// Three numbers of a tree's dofs as a vector, in world axes: those of an anchor turned.
+template <class T>
+Vec3<T> turned(const Quat<T>& q, const T* x) {
+  return math::rotate(q, Vec3<T>{x[0], x[1], x[2]});
+}
+
+}  // namespace novaphy::articulation

@@ -94,6 +94,14 @@ Vec3<Real> soft_contact_term(TraceContext& c, const Vec3<Real>& x, const Vec3<Re
 
 namespace {
 
+const std::vector<std::string> kState = {"particle_q", "particle_qd", "particle_f"};
+
+nova::Kernel with_contact_gradients(const nova::Kernel& kernel) {
+  return detail::with_rollout_gradients(
+      kernel, kState, {"particle_radius"},
+      {"shape_material_ke", "shape_material_kd", "shape_material_kf", "shape_material_mu"});
+}
+
 const nova::Kernel& soft_contact_kernel() {
   static const nova::Kernel kernel = [] {
     std::vector<nova::SourceSpec> sources = {{"particle_q", DType::F32, 3, Access::Direct},
@@ -101,21 +109,21 @@ const nova::Kernel& soft_contact_kernel() {
                                              {"particle_f", DType::F32, 3, Access::Direct},
                                              {"particle_radius", DType::F32, 1, Access::Direct}};
     for (const nova::SourceSpec& s : detail::soft_contact_sources()) sources.push_back(s);
-    return nova::make_reduce_kernel("soft_contact_forces", sources, {{"particle_f", 3}},
-                                    {.init =
-                                         [](TraceContext& c) {
-                                           const Vec3<Real> f = detail::load_vec3(c, "particle_f");
-                                           return std::vector{f.x, f.y, f.z};
-                                         },
-                                     .body =
-                                         [](TraceContext& c) {
-                                           const Vec3<Real> term = detail::soft_contact_term(
-                                               c, detail::load_vec3(c, "particle_q"),
-                                               detail::load_vec3(c, "particle_qd"),
-                                               c.f32(c.source("particle_radius")), 0);
-                                           return std::vector{term.x, term.y, term.z};
-                                         },
-                                     .epilogue = {}});
+    return with_contact_gradients(nova::make_reduce_kernel(
+        "soft_contact_forces", sources, {{"particle_f", 3}},
+        {.init =
+             [](TraceContext& c) {
+               const Vec3<Real> f = detail::load_vec3(c, "particle_f");
+               return std::vector{f.x, f.y, f.z};
+             },
+         .body =
+             [](TraceContext& c) {
+               const Vec3<Real> term = detail::soft_contact_term(
+                   c, detail::load_vec3(c, "particle_q"), detail::load_vec3(c, "particle_qd"),
+                   c.f32(c.source("particle_radius")), 0);
+               return std::vector{term.x, term.y, term.z};
+             },
+         .epilogue = {}}));
   }();
   return kernel;
 }
@@ -286,24 +294,23 @@ nova::Kernel make_static_contact_kernel(const char* name, detail::Worlds worlds)
 }
 
 const nova::Kernel& static_contact_kernel(detail::Worlds worlds) {
-  static const nova::Kernel one = make_static_contact_kernel("static_particle_shape_contact_forces",
-                                                             detail::Worlds::One),
-                            several = make_static_contact_kernel(
-                                "static_particle_shape_contact_forces_of_worlds",
-                                detail::Worlds::Several);
+  using detail::Worlds;
+  static const nova::Kernel one = with_contact_gradients(make_static_contact_kernel(
+                                "static_particle_shape_contact_forces", Worlds::One)),
+                            several = detail::with_state_gradients(
+                                make_static_contact_kernel(
+                                    "static_particle_shape_contact_forces_of_worlds",
+                                    Worlds::Several),
+                                kState);
   return worlds == detail::Worlds::Several ? several : one;
 }
 
 }  // namespace
 
 void detail::add_contact_kernels(std::vector<nova::EngineKernel>& list) {
-  const std::vector<std::string> materials = {"shape_material_ke", "shape_material_kd",
-                                              "shape_material_kf", "shape_material_mu"};
-  const std::vector<std::string> state = {"particle_q", "particle_qd", "particle_f"};
-  for (const nova::Kernel& k : {soft_contact_kernel(), static_contact_kernel(Worlds::One)})
-    list.push_back({k, rollout_gradients(k, state, {"particle_radius"}, materials)});
-  const nova::Kernel& several = static_contact_kernel(Worlds::Several);
-  list.push_back({several, state_gradients(several, state)});
+  for (const nova::Kernel& k : {soft_contact_kernel(), static_contact_kernel(Worlds::One),
+                                static_contact_kernel(Worlds::Several)})
+    list.push_back({k, k.gradients()});
 }
 
 void eval_static_contact_forces(const Model& model, const WorldRows& rows,

@@ -22,7 +22,21 @@ namespace {
 struct Scratch {
   std::vector<Operand> contributions;  // one per row-sum of the plan
   Operand loop_gradient;
+  // What the plan has and the call has not: per output, zeros as its gradient; per source, where
+  // its gradient goes.
+  std::vector<Operand> zeros, unwanted;
 };
+
+bool is_wanted(const CompiledPlan& plan, const AdjointCall& call, const AdjointBinding& output) {
+  const int32_t source = output.kind == Kind::Contribution
+                             ? plan.plan.row_sums[static_cast<size_t>(output.index)].source
+                             : output.index;
+  return output.kind != Kind::LoopGradient && (call.wrt >> source & 1) != 0;
+}
+bool is_wanted(const CompiledPlan& plan, const AdjointCall& call, const AdjointStage& stage) {
+  return std::ranges::any_of(
+      stage.outputs, [&](const AdjointBinding& output) { return is_wanted(plan, call, output); });
+}
 
 void run_stage(const KernelImpl& kernel, const AdjointStage& stage, Executable& code, int64_t n,
                const AdjointCall& call, uint64_t accumulate, const Scratch& scratch,
@@ -39,7 +53,9 @@ void run_stage(const KernelImpl& kernel, const AdjointStage& stage, Executable& 
         source(call.inputs[b.index]->range, call.inputs[b.index]->rows);
         break;
       case Kind::OutputGradient:
-        source(*call.output_gradients[b.index], call.output_gradient_rows);
+        source(call.output_gradients[b.index] ? *call.output_gradients[b.index]
+                                              : scratch.zeros[b.index].range,
+               call.output_gradient_rows);
         break;
       case Kind::SourceGradient:
         source(*call.input_gradients[b.index], call.inputs[b.index]->rows);
@@ -55,9 +71,10 @@ void run_stage(const KernelImpl& kernel, const AdjointStage& stage, Executable& 
     }
   }
   auto target = [&](const AdjointBinding& b) -> const std::shared_ptr<Range>& {
-    return b.kind == Kind::SourceGradient ? *call.input_gradients[b.index]
-           : b.kind == Kind::Contribution ? scratch.contributions[b.index].range
-                                          : scratch.loop_gradient.range;
+    if (b.kind == Kind::Contribution) return scratch.contributions[b.index].range;
+    if (b.kind == Kind::LoopGradient) return scratch.loop_gradient.range;
+    return call.wrt >> b.index & 1 ? *call.input_gradients[b.index]
+                                   : scratch.unwanted[b.index].range;
   };
   for (const AdjointBinding& b : stage.outputs) words.pointer(target(b)->data());
   ExtraReads reads;
@@ -88,6 +105,7 @@ void run_stage(const KernelImpl& kernel, const AdjointStage& stage, Executable& 
 void run_row_sums(const CompiledPlan& plan, const AdjointCall& call, const Scratch& scratch,
                   int64_t items) {
   const std::vector<AdjointRowSum>& sums = plan.plan.row_sums;
+  const auto wanted = [&](const AdjointRowSum& r) { return (call.wrt >> r.source & 1) != 0; };
   uint64_t stored = plan.key.accumulate;  // sources whose gradient holds a contribution already
   const auto target = [&](const AdjointRowSum& r) {
     Operand out = *call.inputs[r.source];
@@ -104,15 +122,17 @@ void run_row_sums(const CompiledPlan& plan, const AdjointCall& call, const Scrat
   };
   for (size_t k = 0; k < sums.size(); ++k) {
     const AdjointRowSum& r = sums[k];
+    if (!wanted(r)) continue;
     const Operand out = target(r);
     if (r.kind == AdjointRowSum::Kind::Table) {
       const Operand* init = adds(r, out, out.rows) ? &out : nullptr;
       const Incidence incidence = cached_incidence(*call.inputs[r.table], out.rows);
       hold_in_capture(incidence);
       // Positions and velocities come one after the other.
-      if (k + 1 < sums.size() && sums[k + 1].kind == r.kind && sums[k + 1].table == r.table &&
-          sums[k + 1].source != r.source && sums[k + 1].per_item == r.per_item &&
-          sums[k + 1].width == r.width && call.inputs[sums[k + 1].source]->rows == out.rows) {
+      if (k + 1 < sums.size() && wanted(sums[k + 1]) && sums[k + 1].kind == r.kind &&
+          sums[k + 1].table == r.table && sums[k + 1].source != r.source &&
+          sums[k + 1].per_item == r.per_item && sums[k + 1].width == r.width &&
+          call.inputs[sums[k + 1].source]->rows == out.rows) {
         const Operand second = target(sums[k + 1]);
         const bool add = adds(sums[k + 1], second, second.rows);
         row_sums({&scratch.contributions[k], init, &out},
@@ -132,6 +152,22 @@ void run_row_sums(const CompiledPlan& plan, const AdjointCall& call, const Scrat
                                                                     : domain;
     row_sum(scratch.contributions[k], rows, stride, adds(r, out, rows) ? &out : nullptr, out);
   }
+}
+
+// Zeros and memory for what the call has not.
+template <class Memory>
+void make_up(const KernelImpl& kernel, const CompiledPlan& plan, const AdjointCall& call,
+             const Memory& memory, Scratch& scratch) {
+  scratch.zeros.resize(kernel.outputs.size());
+  for (size_t o = 0; o < kernel.outputs.size(); ++o) {
+    if (!(plan.key.seeded >> o & 1) || call.output_gradients[o]) continue;
+    scratch.zeros[o] = memory(call.output_gradient_rows, kernel.outputs[o].width);
+    submit_fill(scratch.zeros[o].range, 0.0f);
+  }
+  scratch.unwanted.resize(call.inputs.size());
+  for (size_t s = 0; s < call.inputs.size(); ++s)
+    if ((plan.key.wrt & ~call.wrt) >> s & 1)
+      scratch.unwanted[s] = memory(call.inputs[s]->rows, call.inputs[s]->width);
 }
 
 }  // namespace
@@ -161,15 +197,17 @@ void run_adjoint(KernelImpl& kernel, const CompiledPlan& plan, const AdjointCall
     scratch.loop_gradient =
         memory(call.dim, static_cast<int32_t>(kernel.traced.loops[0].sums.size()), kKinds);
 
-  if (plan.rows)
+  const bool with_items = plan.items && is_wanted(plan, call, plan.plan.items[0]);
+  make_up(kernel, plan, call, memory, scratch);
+  if (plan.rows && (with_items || is_wanted(plan, call, plan.plan.rows[0])))
     run_stage(kernel, plan.plan.rows[0], *plan.rows, call.dim, call, plan.key.accumulate, scratch,
               context);
-  if (plan.items)
+  if (with_items)
     run_stage(kernel, plan.plan.items[0], *plan.items, items, call, plan.key.accumulate, scratch,
               context);
   run_row_sums(plan, call, scratch, items);
 
-  const uint64_t unreached = plan.key.wrt & ~plan.key.accumulate & ~plan.reached;
+  const uint64_t unreached = call.wrt & ~plan.key.accumulate & ~plan.reached;
   for (size_t s = 0; s < call.inputs.size(); ++s)
     if (unreached >> s & 1) submit_fill(*call.input_gradients[s], 0.0f);
 }

@@ -7,9 +7,10 @@ namespace nova::detail {
 
 struct AdjointCall {
   int64_t dim = 0;
+  uint64_t wrt = 0;  // wanted, as bits: some of the plan's
   std::span<const Operand* const> inputs = {};
-  std::span<const std::shared_ptr<Range>* const> input_gradients = {};   // null: not wanted
-  std::span<const std::shared_ptr<Range>* const> output_gradients = {};  // null: none
+  std::span<const std::shared_ptr<Range>* const> input_gradients = {};   // those of `wrt`
+  std::span<const std::shared_ptr<Range>* const> output_gradients = {};  // null: zeros
   int64_t output_gradient_rows = 0;
   std::span<const Param> params = {};
   const Incidence* csr = nullptr;

@@ -67,15 +67,50 @@ uint32_t KernelImpl::unread_columns(uint32_t output, uint64_t wrt) {
   return known->second;
 }
 
-const CompiledPlan& KernelImpl::adjoint(const AdjointKey& key) {
-  if (const CompiledPlan* last = last_.load(std::memory_order_acquire); last && last->key == key)
-    return *last;
-  std::lock_guard lock(mutex_);
-  auto& slot = plans_[key];
-  if (slot) {
-    last_.store(slot.get(), std::memory_order_release);
-    return *slot;
+AdjointKey key_of(const AdjointMask& mask) {
+  AdjointKey key;
+  for (size_t s = 0; s < mask.wrt.size(); ++s) {
+    key.wrt |= uint64_t{mask.wrt[s]} << s;
+    key.accumulate |= uint64_t{mask.accumulate[s]} << s;
   }
+  for (size_t o = 0; o < mask.seeded.size(); ++o) key.seeded |= uint32_t{mask.seeded[o]} << o;
+  key.table = mask.table;
+  key.narrowed = mask.narrowed;
+  key.unread = mask.unread;
+  return key;
+}
+
+AdjointKey KernelImpl::declared_key(const AdjointKey& asked) const {
+  const AdjointKey* best = nullptr;
+  const auto has_all = [&](const AdjointKey& key) {
+    const bool narrow = key.narrowed == asked.narrowed && key.unread == asked.unread;
+    // A gradient that nobody asked for is stored: there is nothing to add to.
+    return (asked.wrt & ~key.wrt) == 0 && key.accumulate == asked.accumulate &&
+           (asked.seeded & ~key.seeded) == 0 && key.table == asked.table &&
+           (narrow || key.narrowed < 0);
+  };
+  const auto size = [](const AdjointKey& key) {
+    return 2 * (std::popcount(key.wrt) + std::popcount(key.seeded)) + (key.narrowed < 0 ? 1 : 0);
+  };
+  for (const AdjointKey& key : gradient_keys)
+    if (has_all(key) && (!best || size(key) < size(*best))) best = &key;
+  return best ? *best : asked;
+}
+
+const CompiledPlan& KernelImpl::declared_adjoint(const AdjointKey& asked) {
+  if (const Declared* last = last_.load(std::memory_order_acquire); last && last->asked == asked)
+    return *last->plan;
+  const CompiledPlan& plan = adjoint(declared_key(asked));
+  const std::lock_guard lock(mutex_);
+  const auto known = declared_.try_emplace(asked, Declared{asked, &plan}).first;
+  last_.store(&known->second, std::memory_order_release);
+  return plan;
+}
+
+const CompiledPlan& KernelImpl::adjoint(const AdjointKey& key) {
+  const std::lock_guard lock(mutex_);
+  auto& slot = plans_[key];
+  if (slot) return *slot;
   auto made = std::make_unique<CompiledPlan>();
   made->key = key;
   made->plan = make_adjoint(traced, mask_of(key));
@@ -468,6 +503,7 @@ Kernel make_indexed_fixed_reduce_expr_kernel_typed_access_n(std::string name,
 
 const std::string& Kernel::name() const { return impl_->name; }
 const std::vector<SourceSpec>& Kernel::sources() const { return impl_->sources; }
+const std::vector<AdjointMask>& Kernel::gradients() const { return impl_->gradients; }
 const std::vector<OutputSpec>& Kernel::outputs() const { return impl_->outputs; }
 const ir::Program& Kernel::program() const { return impl_->forward->program; }
 const ir::Program& Kernel::traced() const { return impl_->traced; }
@@ -480,16 +516,7 @@ std::string Kernel::source(const std::string& form) const {
 }
 
 const AdjointPlan& Kernel::adjoint(const AdjointMask& mask) const {
-  detail::AdjointKey key;
-  for (size_t s = 0; s < mask.wrt.size(); ++s) {
-    key.wrt |= uint64_t{mask.wrt[s]} << s;
-    key.accumulate |= uint64_t{mask.accumulate[s]} << s;
-  }
-  for (size_t o = 0; o < mask.seeded.size(); ++o) key.seeded |= uint32_t{mask.seeded[o]} << o;
-  key.table = mask.table;
-  key.narrowed = mask.narrowed;
-  key.unread = mask.unread;
-  return impl_->adjoint(key).plan;
+  return impl_->adjoint(detail::key_of(mask)).plan;
 }
 
 std::vector<Tensor> Kernel::operator()(int64_t dim, std::span<const Tensor> inputs,

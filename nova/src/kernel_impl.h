@@ -51,6 +51,7 @@ struct AdjointKey {
   uint32_t unread = 0;
   auto operator<=>(const AdjointKey&) const = default;
 };
+AdjointKey key_of(const AdjointMask& mask);
 
 struct CompiledPlan {
   AdjointKey key;
@@ -76,20 +77,32 @@ struct KernelImpl {
   bool has_fixed_loop = false, has_csr_loop = false;
   int32_t summed_source = -1;  // see ir.h
   bool is_copy = false;        // of the values of its source, nothing else
+  // Those that are built ahead; see with_gradients.
+  std::vector<AdjointMask> gradients;
+  std::vector<AdjointKey> gradient_keys;
 
   const CompiledPlan& adjoint(const AdjointKey& key);
+  // The same of the smallest declared set that has all that is asked for, if there is one. What
+  // the plan has beyond that, the caller gives zeros and scratch.
+  const CompiledPlan& declared_adjoint(const AdjointKey& asked);
   CompiledTangent& tangent(uint64_t wrt);  // the sources that have one, as bits
   // Of the gradient of an output, where gradients are wanted with respect to these sources.
   uint32_t unread_columns(uint32_t output, uint64_t wrt);
 
  private:
   AdjointMask mask_of(const AdjointKey& key) const;
+  AdjointKey declared_key(const AdjointKey& asked) const;
 
   std::mutex mutex_;
   std::map<AdjointKey, std::unique_ptr<CompiledPlan>> plans_;
+  struct Declared {
+    AdjointKey asked;
+    const CompiledPlan* plan = nullptr;
+  };
+  std::map<AdjointKey, Declared> declared_;  // per key that was asked for
   std::map<uint64_t, std::unique_ptr<CompiledTangent>> tangents_;
   std::map<std::pair<uint64_t, uint32_t>, uint32_t> unread_;  // per wrt and output
-  std::atomic<const CompiledPlan*> last_{nullptr};  // rollouts ask for the same one again and again
+  std::atomic<const Declared*> last_{nullptr};  // rollouts ask for the same one again and again
 };
 
 // The argument words of one launch, in the order of <novaphy/abi/program.h>.

@@ -4,6 +4,7 @@
 #include <map>
 
 #include "engine_kernels.h"
+#include "kernel_impl.h"
 #include "novaphy/core/error.h"
 
 namespace nova {
@@ -39,6 +40,14 @@ std::vector<ir::Program> programs_of(const std::vector<EngineKernel>& kernels) {
   std::vector<ir::Program> list;
   for (auto& [hash, program] : programs) list.push_back(std::move(program));
   return list;
+}
+
+Kernel with_gradients(Kernel kernel, std::vector<AdjointMask> gradients) {
+  detail::KernelImpl& impl = *kernel.impl();
+  impl.gradient_keys.clear();
+  for (const AdjointMask& mask : gradients) impl.gradient_keys.push_back(detail::key_of(mask));
+  impl.gradients = std::move(gradients);
+  return kernel;
 }
 
 AdjointMask gradient_mask(const Kernel& kernel, const std::vector<std::string>& wrt,

@@ -200,11 +200,11 @@ void Tape::Impl::run_group(const Group& group, DeferredScope& deferred) {
 
 // Whether operation k only adds up, through a table, what the operation before it wrote for the
 // columns of that table: the source that is the table there, or -1. Then the adjoint before reads
-// the gradient of the sums through its table, and nobody needs that of the terms.
+// the gradient of the sums through its table, and only a tape that keeps all gradients needs that
+// of the terms.
 int32_t Tape::Impl::summed_through(size_t k, uint32_t s) {
   const Op& sum = ops[k];
-  if (!leaves_only || k == 0 || !sum.kernel || !sum.csr ||
-      sum.kernel->summed_source != static_cast<int32_t>(s))
+  if (k == 0 || !sum.kernel || !sum.csr || sum.kernel->summed_source != static_cast<int32_t>(s))
     return -1;
   for (uint32_t other = 0; other < sum.inputs; ++other)
     if (other != s && input(sum, other).operand.range == input(sum, s).operand.range) return -1;
@@ -213,6 +213,8 @@ int32_t Tape::Impl::summed_through(size_t k, uint32_t s) {
   const Operand& terms = output(giver, 0);
   if (input(sum, s).operand.range != terms.range || find(*terms.range)->set) return -1;
   const Operand& table = sum.csr->table;
+  for (uint32_t t = 0; t < giver.inputs; ++t)
+    if (input(giver, t).operand.range == output(sum, 0).range) return -1;  // one gradient for both
   for (uint32_t t = 0; t < giver.inputs; ++t) {
     const Operand& in = input(giver, t).operand;
     const bool same = in.range == table.range && in.rows * in.width == table.rows &&
@@ -256,9 +258,11 @@ void Tape::Impl::plan_steps() {
   steps.clear();
   places.clear();
   int32_t open_group = -1;
-  // Of the operation that comes next: see summed_through. The rows of the sums.
+  // Of the operation that comes next: see summed_through. The rows of the sums, and where their
+  // gradient is.
   int32_t table = -1;
   int64_t sums = 0;
+  const std::shared_ptr<Range>* of_sums = nullptr;
   for (size_t k = ops.size(); k-- > 0;) {
     const Op& op = ops[k];
     if (op.constant) continue;
@@ -273,7 +277,7 @@ void Tape::Impl::plan_steps() {
       Node& n = *find(*output(op, o).range);
       if (!n.set) continue;
       key.seeded |= uint32_t{1} << o;
-      output_places[o] = n.place;
+      output_places[o] = key.table < 0 ? n.place : of_sums;
       n.set = false;  // consumed: an earlier value of the same range starts anew
     }
     if (!key.seeded) {
@@ -290,12 +294,15 @@ void Tape::Impl::plan_steps() {
         check_csr(op, {kTable});
         table = through;
         sums = op.dim;
-        n.set = true;
-        n.unread = 0;
-        n.place = output_places[0];
-        grad_info(*n.range).state = GradState::Dropped;
-        if (OpList* graph = current_capture()) graph->gradient(n.range, GradState::Dropped);
-        continue;
+        of_sums = output_places[0];
+        if (leaves_only) {
+          n.set = true;
+          n.unread = 0;
+          n.place = of_sums;
+          grad_info(*n.range).state = GradState::Dropped;
+          if (OpList* graph = current_capture()) graph->gradient(n.range, GradState::Dropped);
+          continue;
+        }
       }
       key.wrt |= bit(s);
       if (bound_before(op, s)) {  // its gradient goes apart and is added afterwards
@@ -329,7 +336,7 @@ void Tape::Impl::plan_steps() {
     }
     const detail::CompiledPlan* plan = nullptr;
     if (op.kernel) {
-      plan = &op.kernel->adjoint(key);
+      plan = &op.kernel->declared_adjoint(key);
       check_needed(op, *plan);
     } else {
       check_read_values(op);
@@ -440,6 +447,7 @@ void Tape::Impl::run_kernel(const Step& step) {
   for (uint32_t s = 0; s < op.inputs; ++s) inputs[s] = &input(op, s).operand;
   detail::run_adjoint(*op.kernel, *step.plan,
                       {.dim = op.dim,
+                       .wrt = step.key.wrt,
                        .inputs = std::span(inputs.data(), op.inputs),
                        .input_gradients = std::span(gradients.data(), op.inputs),
                        .output_gradients = std::span(output_gradients.data(), op.outputs),

@@ -1,5 +1,6 @@
 // The adjoint dot-product identity <J u, w> = <u, J^T w> for every kernel of the engine, at random
 // inputs: what a new operator gets without a line of its own.
+#include <map>
 #include <set>
 
 #include "nova/support.h"
@@ -79,6 +80,59 @@ TEST(EngineKernels, KeepTheDotProductIdentity) {
     EXPECT_GT(compared, 0) << k.kernel.name();
   }
   EXPECT_TRUE(names.contains("integrate_particles"));
+}
+
+// The gradients of those inputs that carry one, given weights of some of the outputs.
+std::map<size_t, std::vector<float>> gradients(const Call& call, const std::vector<bool>& carries,
+                                               uint32_t seeded, nova::KeepGradients keep) {
+  for (size_t s = 0; s < call.inputs.size(); ++s) {
+    if (call.inputs[s].dtype() != DType::F32) continue;
+    call.inputs[s].zero_grad();
+    call.inputs[s].set_requires_grad(carries[s]);
+  }
+  Tape tape(keep);
+  const TapeScope scope(tape);
+  const std::vector<Tensor> out = call();
+  Tensor loss;
+  Random random(7);
+  for (size_t o = 0; o < out.size(); ++o) {
+    const Tensor weights = tensor(random.values(out[o].size()), out[o].shape());
+    if ((seeded >> o & 1) == 0) continue;
+    const Tensor part = nova::dot(out[o], weights);
+    loss = loss.defined() ? nova::add(loss, part) : part;
+  }
+  tape.backward(loss);
+  std::map<size_t, std::vector<float>> found;
+  for (size_t s = 0; s < call.inputs.size(); ++s)
+    if (call.inputs[s].dtype() == DType::F32 && carries[s])
+      found[s] = call.inputs[s].grad().to_host();
+  return found;
+}
+
+// A part of what is built ahead takes the adjoint of the whole. Zeros may differ in their signs.
+TEST(EngineKernels, GiveTheSameGradientsWhateverElseIsAskedFor) {
+  int parts = 0;
+  for (const nova::EngineKernel& k : all_kernels()) {
+    if (k.gradients.empty()) continue;
+    const Call call = random_call(k.kernel, 3);
+    if (!finite(call())) continue;
+    const std::vector<bool> all(call.inputs.size(), true);
+    Random random(11);
+    for (uint32_t seeded = 1; seeded < uint32_t{1} << k.kernel.outputs().size(); ++seeded)
+      for (const nova::AdjointMask& mask : k.gradients) {
+        std::vector<bool> some = mask.wrt;
+        for (size_t s = 0; s < some.size(); ++s) some[s] = some[s] && random.chance(60);
+        if (std::count(some.begin(), some.end(), true) == 0) continue;
+        const auto expected = gradients(call, all, seeded, nova::KeepGradients::All);
+        for (const auto keep : {nova::KeepGradients::All, nova::KeepGradients::Leaves})
+          for (const auto& [s, values] : gradients(call, some, seeded, keep)) {
+            ASSERT_EQ(values, expected.at(s))
+                << k.kernel.name() << ", " << k.kernel.sources()[s].name << ", outputs " << seeded;
+            ++parts;
+          }
+      }
+  }
+  EXPECT_GT(parts, 300);
 }
 
 }  // namespace

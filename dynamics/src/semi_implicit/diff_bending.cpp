@@ -17,8 +17,8 @@ const nova::Kernel& detail::bending_kernel() {
     std::vector<nova::SourceSpec> sources = element_sources(4);
     sources.push_back({"material", DType::F32, 2, Access::Direct});
     sources.push_back({"rest_angle", DType::F32, 1, Access::Direct});
-    return nova::make_kernel(
-        "bending_forces", sources, {{"contribution", 12}}, [](TraceContext& c) {
+    return element_kernel(
+        "bending_forces", sources, 4, {"material", "rest_angle"}, [](TraceContext& c) {
           Vec3<Real> x[4], v[4];
           load_corners(c, x, v);
           const Bool complete = both(both(c.i32(0, 0) >= Int(0), c.i32(0, 1) >= Int(0)),

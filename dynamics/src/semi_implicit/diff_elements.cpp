@@ -144,59 +144,31 @@ Tensor detail::eval_elements(const Model& model, const char* op, const nova::Ker
   return forces;
 }
 
-std::vector<nova::AdjointMask> detail::element_gradients(
-    const nova::Kernel& kernel, const std::vector<std::string>& parameters) {
+nova::Kernel detail::element_kernel(const char* name, const std::vector<nova::SourceSpec>& sources,
+                                    int32_t corners, const std::vector<std::string>& parameters,
+                                    const nova::TraceFn& law) {
   using Names = std::vector<std::string>;
-  const Names seeded = {"contribution"}, state = {"particle_q", "particle_qd"};
+  const nova::Kernel kernel =
+      nova::make_kernel(name, sources, {{"contribution", 3 * corners}}, law);
   std::vector<nova::AdjointMask> masks;
-  // The gradient of the forces on the particles is read through `indices`, or (by a tape that keeps
-  // all gradients) comes as that of the contributions.
+  // The gradient of the forces on the particles is read through `indices`.
   const auto want = [&](const Names& wrt, const Names& accumulate) {
-    for (const int32_t table : {0, -1}) {
-      masks.push_back(nova::gradient_mask(kernel, wrt, accumulate, seeded));
-      masks.back().table = table;
-    }
+    masks.push_back(nova::gradient_mask(kernel, wrt, accumulate, {"contribution"}));
+    masks.back().table = 0;
   };
-  want(state, {});
-  want({"particle_q"}, {});
-  want({"particle_qd"}, {});
+  want({"particle_q", "particle_qd"}, {});
   // What all substeps share is stored at the last one and added to at the others.
   for (const std::string& parameter : parameters)
-    for (const Names& accumulate : {Names{}, Names{parameter}}) {
-      want({parameter}, accumulate);
-      want({state[0], state[1], parameter}, accumulate);
-    }
-  return masks;
+    for (const Names& accumulate : {Names{}, Names{parameter}})
+      want({"particle_q", "particle_qd", parameter}, accumulate);
+  return nova::with_gradients(kernel, std::move(masks));
 }
-
-namespace {
-
-// Materials that assign_tet_materials has written: the adjoint of that does not read the gradient
-// of the damping.
-void add_narrow_gradients(nova::EngineKernel& tetrahedra) {
-  constexpr int32_t kDamping = 2;
-  const auto material = static_cast<int32_t>(tetrahedra.kernel.sources().size()) - 1;
-  for (size_t k = 0, count = tetrahedra.gradients.size(); k < count; ++k) {
-    nova::AdjointMask mask = tetrahedra.gradients[k];
-    if (!mask.wrt[static_cast<size_t>(material)]) continue;
-    mask.narrowed = material;
-    mask.unread = uint32_t{1} << kDamping;
-    tetrahedra.gradients.push_back(std::move(mask));
-  }
-}
-
-}  // namespace
 
 void detail::add_element_kernels(std::vector<nova::EngineKernel>& list) {
   using Names = std::vector<std::string>;
-  const auto add = [&](const nova::Kernel& kernel, const Names& parameters) {
-    list.push_back({kernel, element_gradients(kernel, parameters)});
-  };
-  add(spring_kernel(), {"stiffness", "damping", "rest_length"});
-  add(triangle_kernel(), {"activation", "material"});
-  add(bending_kernel(), {"material", "rest_angle"});
-  add(tetrahedron_kernel(), {"activation", "material"});
-  add_narrow_gradients(list.back());
+  for (const nova::Kernel& k :
+       {spring_kernel(), triangle_kernel(), bending_kernel(), tetrahedron_kernel()})
+    list.push_back({k, k.gradients()});
   const Names out = {"particle_f"};
   std::vector<nova::AdjointMask> sums;
   for (const Names& wrt :

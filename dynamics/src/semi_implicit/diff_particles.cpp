@@ -117,34 +117,40 @@ struct Kernels {
   nova::Kernel integrate, fused, step;
 };
 const Kernels& kernels(Worlds worlds) {
+  using detail::with_rollout_gradients, detail::with_state_gradients;
+  static const std::vector<std::string> state = {"particle_q", "particle_qd"},
+                                        others = {"particle_f", "particle_mass", "gravity"},
+                                        with_contacts = {"particle_f",        "particle_mass",
+                                                         "gravity",           "particle_radius",
+                                                         "shape_material_ke", "shape_material_kd",
+                                                         "shape_material_mu"},
+                                        materials = {"shape_material_ke", "shape_material_kd",
+                                                     "shape_material_kf", "shape_material_mu"};
   static const Kernels one = {
-      make_integrate_kernel("integrate_particles", Worlds::One),
-      make_fused_kernel("integrate_particles_with_static_contacts", Worlds::One),
-      make_step_kernel("step_particles", Worlds::One)};
+      with_rollout_gradients(make_integrate_kernel("integrate_particles", Worlds::One), state,
+                             others, {}),
+      with_rollout_gradients(
+          make_fused_kernel("integrate_particles_with_static_contacts", Worlds::One), state, others,
+          materials),
+      with_rollout_gradients(make_step_kernel("step_particles", Worlds::One), state, with_contacts,
+                             materials)};
   static const Kernels several = {
-      make_integrate_kernel("integrate_particles_of_worlds", Worlds::Several),
-      make_fused_kernel("integrate_particles_with_static_contacts_of_worlds", Worlds::Several),
-      make_step_kernel("step_particles_of_worlds", Worlds::Several)};
+      with_state_gradients(make_integrate_kernel("integrate_particles_of_worlds", Worlds::Several),
+                           state),
+      with_state_gradients(
+          make_fused_kernel("integrate_particles_with_static_contacts_of_worlds", Worlds::Several),
+          state),
+      with_state_gradients(make_step_kernel("step_particles_of_worlds", Worlds::Several), state)};
   return worlds == Worlds::Several ? several : one;
 }
 
 }  // namespace
 
 void detail::add_particle_kernels(std::vector<nova::EngineKernel>& list) {
-  const std::vector<std::string> state = {"particle_q", "particle_qd"};
-  const std::vector<std::string> others = {"particle_f", "particle_mass", "gravity"};
-  const std::vector<std::string> with_contacts = {
-      "particle_f",        "particle_mass",     "gravity",          "particle_radius",
-      "shape_material_ke", "shape_material_kd", "shape_material_mu"};
-  const std::vector<std::string> materials = {"shape_material_ke", "shape_material_kd",
-                                              "shape_material_kf", "shape_material_mu"};
-  const auto& [integrate, fused, step] = kernels(Worlds::One);
-  list.push_back({integrate, rollout_gradients(integrate, state, others, {})});
-  list.push_back({fused, rollout_gradients(fused, state, others, materials)});
-  list.push_back({step, rollout_gradients(step, state, with_contacts, materials)});
-  const auto& several = kernels(Worlds::Several);
-  for (const nova::Kernel& k : {several.integrate, several.fused, several.step})
-    list.push_back({k, state_gradients(k, state)});
+  for (const Worlds worlds : {Worlds::One, Worlds::Several}) {
+    const auto& [integrate, fused, step] = kernels(worlds);
+    for (const nova::Kernel& k : {integrate, fused, step}) list.push_back({k, k.gradients()});
+  }
 }
 
 namespace {

@@ -178,7 +178,7 @@ std::vector<Real> integrate(TraceContext& c, Worlds worlds, std::span<const Real
 }
 
 nova::Kernel make_kernel(const char* name, Worlds worlds) {
-  return nova::make_reduce_kernel(
+  const nova::Kernel kernel = nova::make_reduce_kernel(
       name, sources(worlds), {{"body_q", 7}, {"body_qd", 6}},
       {.init =
            [](TraceContext& c) {
@@ -188,6 +188,7 @@ nova::Kernel make_kernel(const char* name, Worlds worlds) {
        .body = pair_wrench,
        .epilogue = [worlds](TraceContext& c,
                             std::span<const Real> sums) { return integrate(c, worlds, sums); }});
+  return detail::with_state_gradients(kernel, {"body_q", "body_qd"});
 }
 
 const nova::Kernel& kernel(Worlds worlds) {
@@ -328,9 +329,8 @@ std::pair<Tensor, Tensor> integrate_rigid_bodies_with_static_contacts_generated(
 }
 
 void detail::add_rigid_kernels(std::vector<nova::EngineKernel>& list) {
-  const std::vector<std::string> state = {"body_q", "body_qd"};
   for (const Worlds worlds : {Worlds::One, Worlds::Several})
-    list.push_back({kernel(worlds), state_gradients(kernel(worlds), state)});
+    list.push_back({kernel(worlds), kernel(worlds).gradients()});
 }
 
 }  // namespace novaphy::diff

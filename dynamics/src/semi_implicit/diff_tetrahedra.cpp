@@ -11,14 +11,34 @@ using nova::Real;
 using nova::Tensor;
 using nova::TraceContext;
 
+namespace {
+
+// And for materials that assign_tet_materials has written: the adjoint of that does not read the
+// gradient of the damping.
+nova::Kernel with_narrow_gradients(const nova::Kernel& kernel) {
+  constexpr int32_t kDamping = 2;
+  const auto material = static_cast<int32_t>(kernel.sources().size()) - 1;
+  std::vector<nova::AdjointMask> masks = kernel.gradients();
+  for (const nova::AdjointMask& whole : kernel.gradients()) {
+    if (!whole.wrt[static_cast<size_t>(material)]) continue;
+    nova::AdjointMask mask = whole;
+    mask.narrowed = material;
+    mask.unread = uint32_t{1} << kDamping;
+    masks.push_back(std::move(mask));
+  }
+  return nova::with_gradients(kernel, std::move(masks));
+}
+
+}  // namespace
+
 const nova::Kernel& detail::tetrahedron_kernel() {
   static const nova::Kernel kernel = [] {
     std::vector<nova::SourceSpec> sources = element_sources(4);
     sources.push_back({"pose", DType::F32, 9, Access::Direct});
     sources.push_back({"activation", DType::F32, 1, Access::Direct});
     sources.push_back({"material", DType::F32, 3, Access::Direct});
-    return nova::make_kernel(
-        "tetrahedron_forces", sources, {{"contribution", 12}}, [](TraceContext& c) {
+    return with_narrow_gradients(element_kernel(
+        "tetrahedron_forces", sources, 4, {"activation", "material"}, [](TraceContext& c) {
           Vec3<Real> x[4], v[4];
           load_corners(c, x, v);
           Mat33<Real> pose;
@@ -28,7 +48,7 @@ const nova::Kernel& detail::tetrahedron_kernel() {
           const TetrahedronForces<Real> f = tetrahedron_forces<Real>(
               x, v, pose, c.f32(c.source("activation")), {c.f32(m, 0), c.f32(m, 1), c.f32(m, 2)});
           return contributions({f.f0, f.f1, f.f2, f.f3});
-        });
+        }));
   }();
   return kernel;
 }

@@ -21,17 +21,16 @@ void add_rigid_kernels(std::vector<nova::EngineKernel>& list);         // diff_r
 void add_derived_kernels(std::vector<nova::EngineKernel>& list);       // diff_model_reads.cpp
 void add_solver_kernels(std::vector<nova::EngineKernel>& list);        // diff_solver_base.cpp
 
-// The gradients that are built ahead for an operator on particles: of its state (those of `state`
-// that it has), of each of `others`, of both, and of all of `materials` together. What all steps of
-// a rollout share is stored at the last one and added to at the others.
-std::vector<nova::AdjointMask> rollout_gradients(const nova::Kernel& kernel,
-                                                 const std::vector<std::string>& state,
-                                                 const std::vector<std::string>& others,
-                                                 const std::vector<std::string>& materials);
-// Only those of the whole state, given the gradients of all outputs or of one: for variants of a
-// kernel that are used less.
-std::vector<nova::AdjointMask> state_gradients(const nova::Kernel& kernel,
-                                               const std::vector<std::string>& state);
+// An operator on particles, whose gradients are built ahead: of its state, of that and each of
+// `others`, and of that and all of `materials` together. What all steps of a rollout share is
+// stored at the last one and added to at the others.
+nova::Kernel with_rollout_gradients(const nova::Kernel& kernel,
+                                    const std::vector<std::string>& state,
+                                    const std::vector<std::string>& others,
+                                    const std::vector<std::string>& materials);
+// Only that of the state.
+nova::Kernel with_state_gradients(const nova::Kernel& kernel,
+                                  const std::vector<std::string>& state);
 }  // namespace detail
 
 }  // namespace novaphy::diff

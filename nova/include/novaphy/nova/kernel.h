@@ -137,6 +137,8 @@ class NOVAPHY_NOVA_API Kernel {
   std::string source(const std::string& form = "c") const;
   // The plan for a set of gradients, made once and kept.
   const AdjointPlan& adjoint(const AdjointMask& mask) const;
+  // The sets of gradients that are built ahead: see with_gradients.
+  const std::vector<AdjointMask>& gradients() const;
   const std::shared_ptr<detail::KernelImpl>& impl() const { return impl_; }
   explicit Kernel(std::shared_ptr<detail::KernelImpl> impl) : impl_(std::move(impl)) {}
 

@@ -22,6 +22,12 @@ NOVAPHY_NOVA_API std::vector<EngineKernel> engine_kernels();
 // The Programs of a list, every one once, in the order of their hashes.
 NOVAPHY_NOVA_API std::vector<ir::Program> programs_of(const std::vector<EngineKernel>& kernels);
 
+// The kernel, with the sets of gradients that are built ahead. A backward that asks for a part of
+// one takes its adjoint, with zeros for the gradients of outputs that have none, and memory that
+// nobody reads for what nobody asked for. So the sign of a zero may differ from that of an adjoint
+// of exactly what is asked.
+NOVAPHY_NOVA_API Kernel with_gradients(Kernel kernel, std::vector<AdjointMask> gradients);
+
 // A mask from the names of sources and outputs. `accumulate`: those of `wrt` whose gradient is
 // added to.
 NOVAPHY_NOVA_API AdjointMask gradient_mask(const Kernel& kernel,

@@ -105,6 +105,11 @@ const nova::Kernel& bending_kernel();
 const nova::Kernel& tetrahedron_kernel();
 // The first three sources, for elements of `corners` particles.
 std::vector<nova::SourceSpec> element_sources(int32_t corners);
+// The kernel of elements of `corners` particles. Built ahead are the gradients of the state, and of
+// the state and one of the parameters.
+nova::Kernel element_kernel(const char* name, const std::vector<nova::SourceSpec>& sources,
+                            int32_t corners, const std::vector<std::string>& parameters,
+                            const nova::TraceFn& law);
 // Position or velocity of a corner; zero for an absent one (a negative index).
 Vec3<nova::Real> load_corner(nova::TraceContext& c, const char* source, int32_t corner);
 // Positions and velocities of all corners.
@@ -121,10 +126,6 @@ nova::Tensor eval_elements(const Model& model, const char* op, const nova::Kerne
                            const Array& indices, const nova::Tensor& particle_q,
                            const nova::Tensor& particle_qd, const nova::Tensor& particle_f,
                            std::vector<nova::Operand> parameters);
-// Adjoints that are built ahead for a kernel over elements: of the state, of each parameter, of
-// both.
-std::vector<nova::AdjointMask> element_gradients(const nova::Kernel& kernel,
-                                                 const std::vector<std::string>& parameters);
 }  // namespace detail
 
 }  // namespace novaphy::diff

@@ -26,6 +26,7 @@ JOBS = len(os.sched_getaffinity(0))
 MAX_WHEEL_BYTES = 10_000_000
 TAIL_LINES = 120
 BINDING_REQUIREMENTS = ("pybind11>=2.13",)
+VIEWER_REQUIREMENTS = ("moderngl>=5.10", "pyglet>=2.0.10", "pillow", "websockets>=13")
 
 # Component -> the components that its consumer's prefix holds. (The step io installs its own.)
 COMPONENTS = {
@@ -389,7 +390,8 @@ def check_wheel(wheel: Path) -> None:
 def wheel_python() -> Path:
     """The Python of an environment with the wheel of this run."""
     wheel = make_wheel()
-    python = make_venv("wheel", "numpy", "pytest", "mypy", "matplotlib", "tqdm")
+    packages = ("numpy", "pytest", "mypy", "matplotlib", "tqdm", *VIEWER_REQUIREMENTS)
+    python = make_venv("wheel", *packages)
     if not wheel_python.installed:
         pip("wheel", python, "install", "--no-deps", "--force-reinstall", wheel)
         wheel_python.installed = True

@@ -14,6 +14,9 @@ cd "$(dirname "${BASH_SOURCE[0]}")/.."
 . tools/setup.sh
 
 install_packages "${BUILD_PACKAGES[@]}" binutils libassimp-dev libgtest-dev googletest zlib1g-dev
+case " $* " in
+  *" --all "* | *" python "*) install_packages "${VIEWER_PACKAGES[@]}" ;;
+esac
 find_python
 make_venv build/venv/tools "${WHEEL_REQUIREMENTS[@]}" "ruff==0.17.6"  # a newer one may ask for more
 exec build/venv/tools/bin/python tools/run_tests.py "$@" </dev/null

@@ -3,7 +3,8 @@
 Each is a box of 12 kg with its own velocity and spin. 16 substeps a frame, 60 frames a second;
 contacts are found anew in every substep.
 
-    python demo_rigid_drop.py --headless 180 --plot rigid_drop.png
+    python demo_rigid_drop.py
+    python demo_rigid_drop.py --headless 180 --plot rigid_drop.png --record rigid_drop.html
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from pathlib import Path
 import numpy as np
 
 import novaphy
+from novaphy import viewer
 
 FPS, SUBSTEPS = 60, 16
 DT = 1.0 / (FPS * SUBSTEPS)
@@ -38,19 +40,22 @@ def build_model() -> novaphy.Model:
     return builder.finalize()
 
 
-def simulate(model: novaphy.Model, frames: int) -> tuple[np.ndarray, novaphy.SimState]:
+def simulate(
+    model: novaphy.Model, frames: int, stage: viewer.Stage
+) -> tuple[np.ndarray, novaphy.SimState]:
     """Poses {frames + 1, dice, 7} and the last state."""
     pipeline = novaphy.CollisionPipeline(model)
     contacts = pipeline.contacts()
     solver = novaphy.solvers.SolverSemiImplicit(model)
     state, after = model.state(), model.state()
     poses = [state.body_q.numpy()]
-    for _ in range(frames):
+    for frame in stage.frames(frames):
         for _ in range(SUBSTEPS):
             pipeline.collide(state, contacts)
             solver.step(state, after, None, contacts, DT)
             state, after = after, state
         poses.append(state.body_q.numpy())
+        stage.show(frame / FPS, state)
     return np.array(poses), state
 
 
@@ -92,16 +97,17 @@ def plot(path: str, poses: np.ndarray) -> None:
 def main() -> int:
     """Simulate, draw, and check that the dice rest."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--headless", type=int, default=180, metavar="N", help="frames of 1/60 s")
+    viewer.add_arguments(parser, 180, "frames of 1/60 s")
     parser.add_argument("--plot", metavar="PATH.png", help="draw heights and dice")
     args = parser.parse_args()
-    if args.headless < 0:
-        parser.error(f"--headless: expected a number of frames >= 0, got {args.headless}")
+    viewer.check_arguments(parser, args)
     if args.plot and not Path(args.plot).parent.is_dir():
         parser.error(f"the folder of {args.plot} does not exist")
 
     model = build_model()
-    poses, end = simulate(model, args.headless)
+    look = ((0.8, -2.7, 1.1), (0.1, 0.0, 0.2))
+    with viewer.Stage(args, model, fps=FPS, look=look) as stage:
+        poses, end = simulate(model, args.headless, stage)
     if args.plot:
         plot(args.plot, poses)
     weight = float(model.body_mass.numpy()[0]) * 9.81

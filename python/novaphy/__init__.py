@@ -72,14 +72,14 @@ from ._planned import getattr_of_class, missing_from_module
 
 if TYPE_CHECKING:
     from . import diff, io, nova, solvers, testing, viewer
-    from .viewer import ViewerFile, ViewerNull, create_viewer
+    from .viewer import ViewerFile, ViewerGL, ViewerHTML, ViewerNull, create_viewer
 
 State = SimState
 __version__ = version()
 ModelBuilder.__getattr__ = getattr_of_class("ModelBuilder")  # type: ignore[attr-defined]
 
 _SUBPACKAGES = ("diff", "io", "nova", "solvers", "testing", "viewer")
-_FROM_VIEWER = ("ViewerFile", "ViewerNull", "create_viewer")
+_FROM_VIEWER = ("ViewerFile", "ViewerGL", "ViewerHTML", "ViewerNull", "create_viewer")
 
 __all__ = [
     "Axis",
@@ -104,6 +104,8 @@ __all__ = [
     "SimState",
     "State",
     "ViewerFile",
+    "ViewerGL",
+    "ViewerHTML",
     "ViewerNull",
     "__version__",
     "backends",

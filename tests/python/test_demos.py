@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -72,3 +73,25 @@ def test_the_die_is_trained_to_land_on_its_face():
     done = demo("dice", "--headless", "4", "--starts", "1", "--check-grad")
     assert done.returncode == 0 and done.stdout.rstrip().endswith("ok"), done.stdout + done.stderr
     assert "of 1 random spins" in done.stdout
+
+
+def test_demos_write_a_page_of_the_run(tmp_path):
+    pytest.importorskip("novaphy.diff")
+    page = tmp_path / "run.html"
+    done = demo("ball", "--headless", "32", "--record", str(page))
+    assert done.returncode == 0 and done.stdout.rstrip().endswith("ok"), done.stdout + done.stderr
+    text = page.read_text("utf-8")
+    assert '"takes":[0,37,74]' in text and '"path/earlier"' in text
+    done = demo("ball", "--headless", "1", "--record", str(tmp_path / "run.txt"))
+    assert done.returncode == 2 and "--record: expected an ending of .html" in done.stderr
+
+
+def test_a_demo_without_a_display_says_so_and_goes_on(tmp_path):
+    pytest.importorskip("novaphy.diff")
+    script = DEMOS / "demo_diffsim_spring_cage.py"
+    environ = {k: v for k, v in os.environ.items() if k != "DISPLAY"}
+    done = subprocess.run(
+        [sys.executable, str(script)], capture_output=True, text=True, timeout=300, env=environ
+    )
+    assert done.returncode == 0 and done.stdout.rstrip().endswith("ok"), done.stdout + done.stderr
+    assert done.stderr.count("\n") == 1 and done.stderr.endswith("; going on without a window\n")

@@ -10,19 +10,13 @@ from pathlib import Path
 import numpy as np
 
 import novaphy
-from novaphy import nova
+from novaphy import nova, viewer
 
 
 def make_parser(doc: str, iterations: int) -> argparse.ArgumentParser:
-    """Flags of every demo; `iterations` is the default of --headless."""
+    """Flags of every demo; `iterations` is what is trained without --headless."""
     parser = argparse.ArgumentParser(description=doc.splitlines()[0])
-    parser.add_argument(
-        "--headless",
-        type=int,
-        default=iterations,
-        metavar="N",
-        help=f"training iterations (default {iterations})",
-    )
+    viewer.add_arguments(parser, iterations, "training iterations")
     parser.add_argument("--device", default="cpu", help="cpu, cuda, cuda:1, ... or auto")
     parser.add_argument(
         "--check-grad", action="store_true", help="compare the gradient with central differences"
@@ -37,8 +31,7 @@ def make_parser(doc: str, iterations: int) -> argparse.ArgumentParser:
 def parse(parser: argparse.ArgumentParser) -> argparse.Namespace:
     """Parse and check the flags; `device` is then the name of a device."""
     args = parser.parse_args()
-    if args.headless < 0:
-        parser.error(f"--headless: expected a number of iterations >= 0, got {args.headless}")
+    viewer.check_arguments(parser, args)
     for path in filter(None, (args.dump_states, args.plot)):
         if not Path(path).parent.is_dir():
             parser.error(f"the folder of {path} does not exist")
@@ -108,15 +101,35 @@ class Recorded:
         return self.loss.item()
 
 
-def train(scene, args: argparse.Namespace, substeps: int, plot: Callable) -> list[float]:
-    """Train as asked, then dump and plot the first and the last rollout; the losses.
+def train(
+    scene,
+    args: argparse.Namespace,
+    substeps: int,
+    plot: Callable,
+    stage: viewer.Stage,
+    path: Callable[[np.ndarray], np.ndarray] = lambda q: q.mean(axis=1),
+) -> list[float]:
+    """Train as asked and show it, then dump and plot the first and the last rollout; the losses.
 
-    A scene has forward() (a rollout; the loss), train() (an iteration) and a trajectory.
+    A scene has forward() (a rollout; the loss), train() (an iteration) and a trajectory. `path`
+    gives the points to draw, {n, 3}, of the positions of a rollout; without it the centroid's.
     """
+
+    def paths() -> dict[str, np.ndarray]:
+        return {"path": path(scene.trajectory.particle_q.numpy())}
+
+    def frames() -> Iterable[tuple[float, novaphy.SimState]]:
+        for k in range(0, scene.trajectory.steps + 1, substeps):
+            yield k / substeps / stage.fps, scene.trajectory[k]
+
     scene.forward()
     rollouts = [scene.trajectory.particle_q.numpy()]
-    losses = [scene.train() for _ in progress(range(args.headless))]
+    losses = []
+    for k in progress(range(args.headless)):
+        losses.append(scene.train())
+        stage.iteration(k, losses[-1], frames, paths)
     losses.append(scene.forward().item())
+    stage.iteration(args.headless, losses[-1], frames, paths, last=True)
     rollouts.append(scene.trajectory.particle_q.numpy())
     if args.dump_states:
         dump_states(args.dump_states, rollouts[-1], substeps, losses)
@@ -183,5 +196,7 @@ def run(main: Callable[[], int]) -> None:
     """Leave with main's code; errors of the user in one line."""
     try:
         sys.exit(main())
+    except KeyboardInterrupt:
+        sys.exit(130)
     except (ValueError, OSError, novaphy.Error) as error:
         sys.exit(f"error: {error}")

@@ -5,11 +5,14 @@ arrays of a ``SimState`` and is recorded by a ``nova.Tape``; ``tape.backward(los
 gradient of the landing error back through 288 substeps with two contacts. Contacts are found once,
 from the first state, so the wall is the half-space behind its face.
 
-    python demo_diffsim_ball.py --headless 150 --plot ball.png
+    python demo_diffsim_ball.py
+    python demo_diffsim_ball.py --headless 150 --plot ball.png --record ball.html
     python demo_diffsim_ball.py --check-grad
 """
 
 from __future__ import annotations
+
+from collections.abc import Iterator
 
 import numpy as np
 from demo_common import (
@@ -25,7 +28,7 @@ from demo_common import (
 )
 
 import novaphy
-from novaphy import diff, nova
+from novaphy import diff, nova, viewer
 
 FPS, FRAMES, SUBSTEPS = 60, 36, 8
 STEPS = FRAMES * SUBSTEPS
@@ -86,6 +89,10 @@ class Ball:
         """All positions of the last rollout, {STEPS + 1, n, 3}, m."""
         return np.stack([state.particle_q.numpy() for state in self.states])
 
+    def frames(self) -> Iterator[tuple[float, novaphy.SimState]]:
+        """Times and states of the last rollout's frames."""
+        return ((k / FPS, self.states[k * SUBSTEPS]) for k in range(FRAMES + 1))
+
 
 def plot(path: str, losses: list[float], trajectories: list[np.ndarray]) -> None:
     """Draw the loss and the trajectories over the iterations, in the plane of the throw."""
@@ -126,12 +133,18 @@ def main() -> int:
             ball.velocity, ball.forward, eps=1.0e-3, tolerance=3.0e-3
         )
     losses, trajectories = [], []
-    for _ in progress(range(args.headless)):
-        losses.append(ball.train())
+    look = ((5.6, -1.5, 1.9), (0.0, 0.1, 0.8))
+    with viewer.Stage(args, ball.model, fps=FPS, refresh=16, look=look) as stage:
+        stage.mark(TARGET, 0.06)
+        for k in progress(range(args.headless)):
+            losses.append(ball.train())
+            trajectories.append(ball.positions())
+            stage.iteration(k, losses[-1], ball.frames, {"path": trajectories[-1][:, 0]})
+        final = ball.forward().item()
+        losses.append(final)
         trajectories.append(ball.positions())
-    final = ball.forward().item()
-    losses.append(final)
-    trajectories.append(ball.positions())
+        path = {"path": trajectories[-1][:, 0]}
+        stage.iteration(args.headless, final, ball.frames, path, last=True)
 
     if args.dump_states:
         dump_states(args.dump_states, trajectories[-1], SUBSTEPS, losses)

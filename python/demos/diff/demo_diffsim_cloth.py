@@ -4,7 +4,8 @@ A square metre of cloth with drag and lift is thrown into the air, 1,920 substep
 initial velocities of all its 289 particles, so that the centroid is at the target after two
 seconds. An iteration (rollout, gradient, update) is recorded once and replayed.
 
-    python demo_diffsim_cloth.py --headless 40 --plot cloth.png
+    python demo_diffsim_cloth.py
+    python demo_diffsim_cloth.py --headless 40 --plot cloth.png --record cloth.html
     python demo_diffsim_cloth.py --headless 0 --check-grad
 """
 
@@ -25,7 +26,7 @@ from demo_common import (
 )
 
 import novaphy
-from novaphy import diff, nova
+from novaphy import diff, nova, viewer
 
 FPS, FRAMES, SUBSTEPS = 60, 120, 16
 STEPS = FRAMES * SUBSTEPS
@@ -109,7 +110,10 @@ def main() -> int:
         checks["a gradient within the tolerance"] = check_gradient(
             cloth.velocity, cloth.forward, 0.2, 2.0e-2, chosen
         )
-    losses = train(cloth, args, SUBSTEPS, plot)
+    look = ((15.0, 1.0, 1.5), (0.0, 4.2, -1.0))
+    with viewer.Stage(args, cloth.model, fps=FPS, refresh=5, look=look, path_width=0.04) as stage:
+        stage.mark(TARGET, 0.12)
+        losses = train(cloth, args, SUBSTEPS, plot, stage)
     checks["a loss below 300 m²"] = max(losses) < 300.0
     # The first steps are long and may go too far.
     checks["a loss that falls in 80 % of the iterations"] = mostly_falls(losses)

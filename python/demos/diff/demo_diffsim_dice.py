@@ -6,11 +6,14 @@ which the corners that touch the ground are found anew. The loss is a landscape 
 each face, so every update is a clipped gradient step whose length is halved until the loss falls.
 The same is then tried from seeded random spins.
 
-    python demo_diffsim_dice.py --headless 8 --plot dice.png
+    python demo_diffsim_dice.py
+    python demo_diffsim_dice.py --headless 8 --plot dice.png --record dice.html
     python demo_diffsim_dice.py --headless 0 --starts 0 --check-grad
 """
 
 from __future__ import annotations
+
+from collections.abc import Iterator
 
 import numpy as np
 from demo_common import (
@@ -25,7 +28,7 @@ from demo_common import (
 )
 
 import novaphy
-from novaphy import diff, nova
+from novaphy import diff, nova, viewer
 
 FPS, SUBSTEPS, FRAMES = 60, 16, 48
 STEPS, DT = SUBSTEPS * FRAMES, 1.0 / (FPS * SUBSTEPS)
@@ -107,15 +110,25 @@ class Die:
         self.spin.assign(start)
         return before, False
 
-    def train(self, iterations: range) -> list[float]:
-        """Iterate until nothing lowers the loss any more; the losses."""
+    def train(self, iterations: range, stage: viewer.Stage | None = None) -> list[float]:
+        """Iterate until nothing lowers the loss any more, and show it; the losses."""
         losses = []
-        for _ in iterations:
+        for k in iterations:
             loss, moved = self.iterate()
             losses.append(loss)
             if not moved:
                 return losses
+            if stage is not None:
+                stage.iteration(k, loss, self.frames, self.paths)
         return [*losses, self.forward().item()]
+
+    def frames(self) -> Iterator[tuple[float, novaphy.SimState]]:
+        """Times and states of the last rollout's frames."""
+        return ((k / FPS, self.trajectory[k * SUBSTEPS]) for k in range(FRAMES + 1))
+
+    def paths(self) -> dict[str, np.ndarray]:
+        """The way of the centre in the last rollout."""
+        return {"path": poses(self)[:, :3]}
 
     def landed(self) -> bool:
         """Whether the last rollout ends with the face up, at rest."""
@@ -166,8 +179,11 @@ def main() -> int:
     die = Die(args.device)
     die.forward()
     rollouts = [poses(die)]
-    losses = die.train(progress(range(args.headless))) or [die.forward().item()]
-    die.forward()
+    look = ((0.4, -1.9, 0.7), (0.4, 0.0, 0.25))
+    with viewer.Stage(args, die.model, fps=FPS, look=look, path_width=0.006) as stage:
+        losses = die.train(progress(range(args.headless)), stage) or [die.forward().item()]
+        die.forward()
+        stage.iteration(args.headless, losses[-1], die.frames, die.paths, last=True)
     rollouts.append(poses(die))
     if args.dump_states:
         novaphy.io.save_npz(args.dump_states, body_q=rollouts[-1], loss=np.float32(losses))

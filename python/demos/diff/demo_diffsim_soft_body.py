@@ -5,7 +5,8 @@ Optimised are the two Lamé parameters of every tetrahedron (80), or of all toge
 after a second the centroid is at the target. Contacts are evaluated in every substep at the true
 distance. An iteration (rollout, gradient, update) is recorded once and replayed.
 
-    python demo_diffsim_soft_body.py --headless 60 --plot soft_body.png
+    python demo_diffsim_soft_body.py
+    python demo_diffsim_soft_body.py --headless 60 --plot soft_body.png --record soft_body.html
     python demo_diffsim_soft_body.py --material-behavior isotropic --check-grad
 """
 
@@ -26,7 +27,7 @@ from demo_common import (
 )
 
 import novaphy
-from novaphy import diff, nova
+from novaphy import diff, nova, viewer
 
 FPS, FRAMES, SUBSTEPS = 60, 60, 16
 STEPS = FRAMES * SUBSTEPS
@@ -149,7 +150,10 @@ def main() -> int:
     args = parse(parser)
     body = SoftBody(args.device, args.material_behavior == "isotropic")
     checks = {"a gradient within the tolerance": body.check_gradient()} if args.check_grad else {}
-    losses = train(body, args, SUBSTEPS, plot)
+    look = ((5.6, -1.5, 1.9), (0.0, 0.3, 0.85))
+    with viewer.Stage(args, body.model, fps=FPS, refresh=10, look=look) as stage:
+        stage.mark(TARGET, 0.06)
+        losses = train(body, args, SUBSTEPS, plot, stage)
     checks["a loss below 0.8 m²"] = max(losses) < 0.8
     # It may jump where a contact opens or closes.
     checks["a loss that falls in 80 % of the iterations"] = mostly_falls(losses)

@@ -3,7 +3,8 @@
 A particle hangs in a cage of eight fixed points, a spring to each. Optimised are the rest lengths
 of the springs, so that the particle is at the target after a second, 30 steps.
 
-    python demo_diffsim_spring_cage.py --headless 60 --plot spring_cage.png
+    python demo_diffsim_spring_cage.py
+    python demo_diffsim_spring_cage.py --headless 60 --record spring_cage.html
     python demo_diffsim_spring_cage.py --headless 0 --check-grad
 """
 
@@ -22,7 +23,7 @@ from demo_common import (
 )
 
 import novaphy
-from novaphy import diff, nova
+from novaphy import diff, nova, viewer
 
 FPS, STEPS = 30, 30
 DT = 1.0 / FPS
@@ -101,7 +102,10 @@ def main() -> int:
         checks["a gradient within the tolerance"] = check_gradient(
             cage.lengths, cage.forward, 1.0e-3, 5.0e-3
         )
-    losses = train(cage, args, 1, plot)
+    look = ((3.0, -2.9, 1.5), (0.0, 0.0, -0.1))
+    with viewer.Stage(args, cage.model, fps=FPS, refresh=6, look=look, path_width=0.02) as stage:
+        stage.mark(TARGET)
+        losses = train(cage, args, 1, plot, stage, lambda q: q[:, 0])
     checks["a loss below 0.3 m²"] = max(losses) < 0.3
     checks["a loss that falls"] = not args.headless or losses[-1] < losses[0]
     print(

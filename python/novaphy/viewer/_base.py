@@ -33,6 +33,9 @@ class Viewer:
     ) -> None:
         """Place the camera at `pos` (m), looking along pitch and yaw (degrees)."""
 
+    def look_at(self, pos: ArrayLike, target: ArrayLike) -> None:
+        """Place the camera at `pos`, looking at `target` (m)."""
+
     def set_world_offsets(self, spacing: ArrayLike) -> None:
         """Show the worlds of a model apart by `spacing` (m)."""
 

@@ -1,0 +1,187 @@
+"""ViewerGL: pictures by OpenGL, in a window or without any display."""
+
+from __future__ import annotations
+
+import os
+import time
+from typing import Any
+
+import numpy as np
+
+from .._core import SimState
+from ..io import atomic_path
+from ._gl_renderer import Renderer
+from ._needs import MissingPackageError, needs
+from ._overlay import overlay, texts_of
+from ._png import write_png
+from ._scene_viewer import SceneViewer
+from ._video import Video
+
+DISPLAY_RATE = 60.0  # pictures per second that a window shows at most
+
+
+class ViewerGL(SceneViewer):
+    """Draws the scene on the GPU; headless through EGL, otherwise in a window.
+
+    The window: drag to turn, with the right button to move, wheel to zoom; control and drag pulls
+    a body or particle (see apply_forces); space pauses, N steps, R resets, F follows, H hides the
+    text, P saves a picture, escape closes.
+
+    Attributes:
+        show_text: whether the box with time and scalars is drawn.
+        curve: the scalar whose curve is drawn below it.
+        reset_requested: set by R, until the caller sets it to False.
+        draw_calls: draw calls of the last picture.
+    """
+
+    def __init__(
+        self,
+        width: int = 1280,
+        height: int = 720,
+        vsync: bool = False,
+        headless: bool = False,
+        paused: bool = False,
+        title: str = "NovaPhy",
+    ) -> None:
+        """Open a window of width x height pixels, or with headless a picture of that size.
+
+        ImportError names the package that is missing; RuntimeError says why there is no context.
+        """
+        super().__init__()
+        if width < 1 or height < 1:
+            raise ValueError(f"ViewerGL, width and height: expected >= 1, got {width} x {height}")
+        self.show_text = True
+        self.curve = "loss"
+        self.reset_requested = False
+        self._paused = paused
+        self._steps_wanted = 0
+        self._window: Any = None
+        self._video: Video | None = None
+        self._drawn_at = self._frame_at = 0.0
+        self._frame_ms: float | None = None
+        self._stale = True
+        if headless:
+            self._context, samples = _headless_context(), 4
+        else:
+            from ._gl_window import Window
+
+            self._window = Window(self, width, height, vsync, title)
+            self._context, samples = self._window.context, 4
+        self._renderer = Renderer(self._context, samples)
+        self._renderer.resize(width, height)
+
+    @property
+    def draw_calls(self) -> int:
+        """Draw calls of the last picture."""
+        return self._renderer.draw_calls
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height of the picture in pixels."""
+        width, height = self._renderer.target.size
+        return int(width), int(height)
+
+    def end_frame(self) -> None:
+        """Show the frame: at once without a window, else at most at the rate of a display."""
+        now = time.perf_counter()
+        if self._frame_at:
+            self._frame_ms = 1e3 * (now - self._frame_at)
+        self._frame_at = now
+        self._stale = True
+        if self._window is not None:
+            if now - self._drawn_at >= 1.0 / DISPLAY_RATE:
+                self._drawn_at = now
+                self.draw()
+                self._window.show(self._renderer)
+            if self._paused:
+                time.sleep(1.0 / DISPLAY_RATE)
+        if self._video is not None:
+            self._video.add(self.get_frame())
+
+    def draw(self) -> None:
+        """Draw the scene as it is now."""
+        self._place_camera()
+        box = None
+        if self.show_text:
+            frame_ms = self._frame_ms if self._window is not None else None
+            lines = texts_of(self.scene, frame_ms, self._paused)
+            box = overlay(self.scene, lines, self.curve)
+        self._renderer.draw(self.scene, self.camera, box)
+        self._stale = False
+
+    def get_frame(self) -> np.ndarray:
+        """Return the picture {h, w, 3}, uint8."""
+        if not self._running:
+            raise RuntimeError("get_frame: the viewer is closed")
+        if self._stale:
+            self.draw()
+        return self._renderer.read()
+
+    def save_picture(self, path: str | os.PathLike[str]) -> None:
+        """Write the picture to a .png file: all of it, or nothing."""
+        with atomic_path(os.path.abspath(os.fspath(path))) as temporary:
+            write_png(temporary, self.get_frame())
+
+    def start_video(self, path: str | os.PathLike[str], fps: float = 60.0) -> None:
+        """Write every frame from now on to a video (.mp4, .webm, .gif, .webp) by ffmpeg.
+
+        RuntimeError without ffmpeg.
+        """
+        self.stop_video()
+        self._video = Video(path, *self.size, fps)
+
+    def stop_video(self) -> None:
+        """Finish the video. RuntimeError when ffmpeg failed."""
+        video, self._video = self._video, None
+        if video is not None:
+            video.close()
+
+    def should_step(self) -> bool:
+        """Whether the simulation should advance: not paused, or a single step was asked for."""
+        if not self._paused:
+            return True
+        if self._steps_wanted:
+            self._steps_wanted -= 1
+            return True
+        return False
+
+    def step_once(self) -> None:
+        """Let one more step happen while paused."""
+        self._steps_wanted += 1
+
+    def pause(self, paused: bool = True) -> None:
+        """Pause, or go on."""
+        self._paused = paused
+
+    def is_key_down(self, key: str | int) -> bool:
+        """Whether a key is held: its name ("space", "a"), or pyglet's number."""
+        return self._window is not None and self._window.is_key_down(key)
+
+    def apply_forces(self, state: SimState) -> None:
+        """Add the pull of the pointer to a state's particle_f or body_f."""
+        if self._window is not None:
+            self._window.drag.apply(state)
+
+    def close(self) -> None:
+        """Close the window and give the context back."""
+        if not self._running:
+            return
+        super().close()
+        try:
+            self.stop_video()
+        finally:
+            self._renderer.release()
+            if self._window is not None:
+                self._window.close()
+            self._context.release()
+
+
+def _headless_context() -> Any:
+    moderngl = needs("moderngl", "gl", "ViewerGL")
+    try:
+        return moderngl.create_standalone_context(backend="egl", require=330)
+    except Exception as error:
+        raise MissingPackageError(
+            "ViewerGL: there is no OpenGL 3.3 without a display. Install its libraries: "
+            f"apt-get install libegl1 libgl1-mesa-dri ({error})"
+        ) from error

@@ -1,0 +1,302 @@
+"""Draws a scene with moderngl: one draw call for all copies of a mesh."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from . import _shaders
+from ._camera import FIELD_OF_VIEW, Camera
+from ._scene import Instances, Lines, Mesh, Part, Scene
+
+HAZE = (0.93, 0.945, 0.96)
+LIGHT = (0.35, -0.45, 1.0)  # towards it; x, y around the upward axis
+SHADOW_SIZE = 2048
+REACH = 9.0  # camera distances until a plane is lost in the haze
+
+
+class Renderer:
+    """The programs, and buffers that follow the revisions of a scene's objects."""
+
+    def __init__(self, context: Any, samples: int) -> None:
+        """Compile the programs."""
+        self.context = context
+        self.samples = samples
+        self.draw_calls = 0
+        self._meshes: dict[str, _Buffers] = {}
+        self._items: dict[str, _Drawable] = {}
+        self._lines: dict[str, _Drawable] = {}
+        header = _shaders.GL_HEADER
+        program = context.program
+        vertex = header + _shaders.MESH_VERTEX
+        self.mesh_program = program(vertex, header + _shaders.MESH_FRAGMENT)
+        self.depth_program = program(vertex, header + _shaders.DEPTH_FRAGMENT)
+        self.line_program = program(header + _shaders.LINE_VERTEX, header + _shaders.LINE_FRAGMENT)
+        self.overlay_program = program(
+            header + _shaders.OVERLAY_VERTEX, header + _shaders.OVERLAY_FRAGMENT
+        )
+        quad = np.float32([(0, -1), (0, 1), (1, -1), (1, 1)])
+        self.line_quad = context.buffer(quad.tobytes())
+        square = context.buffer(np.float32([(0, 0), (1, 0), (0, 1), (1, 1)]).tobytes())
+        self.overlay_array = context.vertex_array(self.overlay_program, square, "corner")
+        self.overlay_texture: Any = None
+        self.shadow = context.depth_texture((SHADOW_SIZE, SHADOW_SIZE))
+        self.shadow.compare_func, self.shadow.repeat_x, self.shadow.repeat_y = "<=", False, False
+        self.shadow_target = context.framebuffer(depth_attachment=self.shadow)
+        self.target: Any = None
+        self.resolved: Any = None
+
+    def resize(self, width: int, height: int) -> None:
+        """Draw pictures of this size from now on."""
+        if self.target is not None and self.target.size == (width, height):
+            return
+        for old in (self.target, self.resolved):
+            if old is not None:
+                for attachment in (*old.color_attachments, old.depth_attachment):
+                    if attachment is not None:
+                        attachment.release()
+                old.release()
+        make, size = self.context.renderbuffer, (width, height)
+        self.target = self.context.framebuffer(
+            [make(size, 4, samples=self.samples)],
+            self.context.depth_renderbuffer(size, samples=self.samples),
+        )
+        self.resolved = self.context.framebuffer([make(size, 4)])
+
+    def draw(self, scene: Scene, camera: Camera, box: np.ndarray | None) -> None:
+        """Draw the scene, and a box of text over it, into `resolved`."""
+        self.draw_calls = 0
+        self._follow(scene)
+        light = _light(camera.up_axis)
+        shadow = _shadow_projection(camera, light)
+        context = self.context
+        context.enable(context.DEPTH_TEST)
+        self.shadow_target.use()
+        self.shadow_target.clear(depth=1.0)
+        _set(self.depth_program, view_projection=_columns(shadow))
+        for name, item in scene.instances.items():
+            if _is_drawn(item) and item.mesh != "plane":
+                self._render(self._items[name].shadow, item.count)
+        self.target.use()
+        self.target.clear(*HAZE, 1.0, depth=1.0)
+        width, height = self.target.size
+        view = _columns(camera.view_projection(width / height))
+        self.shadow.use(0)
+        _set(
+            self.mesh_program,
+            view_projection=view, light_projection=_columns(shadow),
+            eye=camera.pos, target=camera.target, light=light, up=camera.up, haze=HAZE,
+            cell=cell_size(camera.distance), reach=REACH * camera.distance, shadow_map=0,
+        )  # fmt: skip
+        for name, item in scene.instances.items():
+            if _is_drawn(item):
+                (context.enable if item.culled else context.disable)(context.CULL_FACE)
+                self._render(self._items[name].array, item.count)
+        context.disable(context.CULL_FACE)
+        angle = 2.0 * np.tan(np.radians(FIELD_OF_VIEW / 2)) / height
+        _set(self.line_program, view_projection=view, eye=camera.pos, pixel_angle=angle)
+        for name, lines in scene.lines.items():
+            if _is_drawn(lines):
+                _set(self.line_program, width=lines.width)
+                self._render(self._lines[name].array, lines.count)
+        if box is not None:
+            self._draw_overlay(box)
+        context.copy_framebuffer(self.resolved, self.target)
+
+    def read(self) -> np.ndarray:
+        """The picture {h, w, 3}, uint8, first row on top."""
+        width, height = self.resolved.size
+        data = self.resolved.read(components=3, alignment=1)
+        rows = np.frombuffer(data, np.uint8).reshape(height, width, 3)
+        return np.ascontiguousarray(rows[::-1])
+
+    def release(self) -> None:
+        """Give the buffers back."""
+        for group in (self._items, self._lines, self._meshes):
+            for drawable in group.values():
+                drawable.release()
+            group.clear()
+
+    def _render(self, array: Any, count: int) -> None:
+        array.render(self._mode(array), instances=count)
+        self.draw_calls += 1
+
+    def _mode(self, array: Any) -> int:
+        lines = array.program is self.line_program
+        return int(self.context.TRIANGLE_STRIP if lines else self.context.TRIANGLES)
+
+    def _draw_overlay(self, box: np.ndarray) -> None:
+        context, (height, width) = self.context, box.shape[:2]
+        if self.overlay_texture is None or self.overlay_texture.size != (width, height):
+            if self.overlay_texture is not None:
+                self.overlay_texture.release()
+            self.overlay_texture = context.texture((width, height), 4)
+            self.overlay_texture.filter = (context.NEAREST, context.NEAREST)
+        self.overlay_texture.write(box)
+        self.overlay_texture.use(0)
+        full_width, full_height = self.target.size
+        w, h = 2.0 * width / full_width, 2.0 * height / full_height
+        x, y = -1.0 + 20.0 / full_width, 1.0 - 20.0 / full_height - h
+        _set(self.overlay_program, place=(x, y, w, h), image=0)
+        context.disable(context.DEPTH_TEST)
+        context.enable(context.BLEND)
+        self.overlay_array.render(context.TRIANGLE_STRIP)
+        context.disable(context.BLEND)
+        self.draw_calls += 1
+
+    def _follow(self, scene: Scene) -> None:
+        """Bring the buffers up to the scene's revisions."""
+        for group, items in (
+            (self._items, scene.instances),
+            (self._lines, scene.lines),
+            (self._meshes, scene.meshes),
+        ):
+            for name in [name for name in group if name not in items]:
+                group.pop(name).release()
+        for name, item in scene.instances.items():
+            if _is_drawn(item):
+                self._follow_instances(name, item, scene.meshes[item.mesh])
+        for name, lines in scene.lines.items():
+            if _is_drawn(lines):
+                self._follow_lines(name, lines)
+
+    def _follow_instances(self, name: str, item: Instances, mesh: Mesh) -> None:
+        shape = self._meshes.setdefault(item.mesh, _Buffers(self.context, Mesh.fields))
+        drawable = self._items.setdefault(name, _Drawable(self.context, Instances.fields))
+        remade = shape.follow(mesh) | drawable.buffers.follow(item)
+        if not remade and drawable.array is not None and drawable.of is shape:
+            return
+        drawable.forget_arrays()
+        drawable.of = shape
+        content = [
+            (shape["points"], "3f", "position"),
+            (shape["normals"], "3f", "normal"),
+            (shape["shift"], "1f", "shift"),
+            (drawable.buffers["poses"], "3f 4f/i", "body_p", "body_q"),
+            (drawable.buffers["local"], "3f 4f/i", "local_p", "local_q"),
+            (drawable.buffers["scales"], "4f/i", "scale"),
+            (drawable.buffers["colors"], "4f/i", "color"),
+        ]
+        make = self.context.vertex_array
+        drawable.array = make(self.mesh_program, content, shape["indices"], skip_errors=True)
+        drawable.shadow = make(self.depth_program, content, shape["indices"], skip_errors=True)
+
+    def _follow_lines(self, name: str, lines: Lines) -> None:
+        drawable = self._lines.setdefault(name, _Drawable(self.context, Lines.fields))
+        if not drawable.buffers.follow(lines) and drawable.array is not None:
+            return
+        drawable.forget_arrays()
+        content = [
+            (self.line_quad, "2f", "corner"),
+            (drawable.buffers["starts"], "3f/i", "start"),
+            (drawable.buffers["ends"], "3f/i", "end"),
+            (drawable.buffers["colors"], "3f/i", "color"),
+        ]
+        drawable.array = self.context.vertex_array(self.line_program, content)
+
+
+class _Buffers:
+    """The arrays of an object on the GPU."""
+
+    def __init__(self, context: Any, fields: tuple[str, ...]) -> None:
+        self.context = context
+        self.fields = fields
+        self.buffers: dict[str, Any] = {}
+        self.revisions: dict[str, tuple[int, int]] = {}
+
+    def __getitem__(self, field: str) -> Any:
+        return self.buffers[field]
+
+    def follow(self, item: object) -> bool:
+        """Write what changed; whether a buffer was made anew."""
+        remade = False
+        for field in self.fields:
+            part: Part = getattr(item, field)
+            seen = (id(part), part.revision)
+            if self.revisions.get(field) == seen:
+                continue
+            self.revisions[field] = seen
+            buffer = self.buffers.get(field)
+            if buffer is None or buffer.size != part.values.nbytes:
+                if buffer is not None:
+                    buffer.release()
+                self.buffers[field] = self.context.buffer(part.values)
+                remade = True
+            else:
+                buffer.write(part.values)
+        return remade
+
+    def release(self) -> None:
+        """Give the buffers back."""
+        for buffer in self.buffers.values():
+            buffer.release()
+
+
+class _Drawable:
+    """Buffers and the arrays that draw from them."""
+
+    def __init__(self, context: Any, fields: tuple[str, ...]) -> None:
+        self.buffers = _Buffers(context, fields)
+        self.of: _Buffers | None = None
+        self.array: Any = None
+        self.shadow: Any = None
+
+    def forget_arrays(self) -> None:
+        """Give the arrays back."""
+        for array in (self.array, self.shadow):
+            if array is not None:
+                array.release()
+        self.array = self.shadow = None
+
+    def release(self) -> None:
+        """Give everything back."""
+        self.forget_arrays()
+        self.buffers.release()
+
+
+def cell_size(distance: float) -> float:
+    """The side of a checker's field (m) for a camera at this distance: 1, or a power of ten."""
+    return float(10.0 ** np.floor(np.log10(distance / 2.0)))
+
+
+def _is_drawn(item: Instances | Lines) -> bool:
+    return not item.hidden and item.count > 0
+
+
+def _set(program: Any, **values: Any) -> None:
+    """Set uniforms, those that the compiler took out left alone."""
+    for name, value in values.items():
+        if name in program:
+            if isinstance(value, bytes):
+                program[name].write(value)
+            else:
+                program[name].value = (
+                    value if np.isscalar(value) else tuple(float(v) for v in value)
+                )
+
+
+def _columns(matrix: np.ndarray) -> bytes:
+    return np.ascontiguousarray(matrix.T, np.float32).tobytes()
+
+
+def _light(up_axis: int) -> np.ndarray:
+    light = np.zeros(3)
+    light[(up_axis + 1) % 3], light[(up_axis + 2) % 3], light[up_axis] = LIGHT
+    return light / np.linalg.norm(light)
+
+
+def _shadow_projection(camera: Camera, light: np.ndarray) -> np.ndarray:
+    """World to the clip coordinates of the light, around what the camera looks at."""
+    side = np.cross(camera.up, light)
+    side /= np.linalg.norm(side)
+    axes = np.stack([side, np.cross(light, side), light])
+    reach = camera.distance
+    # The centre moves in whole texels, so that shadows do not flicker.
+    texel = 2.0 * reach / SHADOW_SIZE
+    centre = np.round(axes @ camera.target / texel) * texel
+    matrix = np.eye(4)
+    matrix[:3, :3] = axes / reach
+    matrix[:3, 3] = -centre / reach
+    matrix[2] *= -0.25  # four times as deep as wide; nearer to the light is less
+    return matrix

@@ -1,0 +1,174 @@
+"""ViewerHTML: one page that replays a run in any browser, without a server or a library."""
+
+from __future__ import annotations
+
+import base64
+import json
+import os
+import zlib
+from importlib import resources
+from typing import Any
+
+import numpy as np
+
+from ..io import atomic_path
+from . import _shaders
+from ._camera import FIELD_OF_VIEW
+from ._gl_renderer import HAZE, LIGHT, REACH
+from ._scene import Instances, Lines
+from ._scene_viewer import SceneViewer
+
+MESH_FIELDS = ("points", "shift", "indices")
+
+
+class ViewerHTML(SceneViewer):
+    """Collects frames, and writes a self-contained page when it is closed.
+
+    A frame whose time is not after that of the one before begins a new take: another iteration of
+    a training, say. The page plays the takes one after the other, and has a slider for them. What
+    does not change from frame to frame is stored once.
+    """
+
+    def __init__(self, output_path: str | os.PathLike[str], title: str = "NovaPhy") -> None:
+        """Write to `output_path`. ValueError: a folder that is not there."""
+        super().__init__()
+        self.output_path = os.path.abspath(os.fspath(output_path))
+        self.title = title
+        if not os.path.isdir(os.path.dirname(self.output_path)):
+            raise ValueError(f"ViewerHTML, output_path: there is no folder for {output_path}")
+        self._times: list[float] = []
+        self._takes: list[int] = []
+        self._scalars: dict[str, list[float | None]] = {}
+        self._tracks: dict[tuple[str, str, str], _Track] = {}
+        self._data = bytearray()
+        self._known: dict[bytes, int] = {}
+
+    @property
+    def frame_count(self) -> int:
+        """Frames that are held."""
+        return len(self._times)
+
+    def end_frame(self) -> None:
+        """Keep what changed since the last frame."""
+        frame = len(self._times)
+        if not frame or self.time <= self._times[-1]:
+            self._takes.append(frame)
+        self._times.append(self.time)
+        for name, mesh in self.scene.meshes.items():
+            for field in MESH_FIELDS:
+                self._keep(frame, ("mesh", name, field), getattr(mesh, field))
+        for name, item in self.scene.instances.items():
+            for field in Instances.fields:
+                self._keep(frame, ("instances", name, field), getattr(item, field))
+            self._keep_value(frame, ("instances", name, "hidden"), float(item.hidden))
+        for name, lines in self.scene.lines.items():
+            for field in Lines.fields:
+                self._keep(frame, ("lines", name, field), getattr(lines, field))
+            self._keep_value(frame, ("lines", name, "hidden"), float(lines.hidden))
+        for kind, items in (("instances", self.scene.instances), ("lines", self.scene.lines)):
+            for key in [key for key in self._tracks if key[0] == kind and key[2] == "hidden"]:
+                if key[1] not in items:
+                    self._keep_value(frame, key, 1.0)
+        for name, values in self.scene.scalars.items():
+            if values:
+                known = self._scalars.setdefault(name, [])
+                known += [None] * (frame - len(known)) + [values[-1]]
+
+    def _keep(self, frame: int, key: tuple[str, str, str], part: Any) -> None:
+        track = self._tracks.setdefault(key, _Track())
+        seen = (id(part), part.revision)
+        if track.seen != seen:
+            track.seen = seen
+            self._store(frame, track, part.values)
+
+    def _keep_value(self, frame: int, key: tuple[str, str, str], value: float) -> None:
+        track = self._tracks.setdefault(key, _Track())
+        if track.seen != value:
+            track.seen = value
+            self._store(frame, track, np.float32([value]))
+
+    def _store(self, frame: int, track: _Track, values: np.ndarray) -> None:
+        data = np.ascontiguousarray(values).tobytes()
+        offset = self._known.get(data)
+        if offset is None:
+            offset = self._known[data] = len(self._data) // 4
+            self._data += data
+        track.frames.append(frame)
+        track.offsets.append(offset)
+        track.sizes.append(values.size)
+
+    def page(self) -> str:
+        """Return the page with what is held so far."""
+        if not self.camera.is_set:
+            self._place_camera()
+        names: dict[str, Any] = {
+            name: {"mesh": item.mesh, "culled": item.culled}
+            for name, item in self.scene.instances.items()
+        }
+        names |= {name: {"width": lines.width} for name, lines in self.scene.lines.items()}
+        camera = self.camera
+        content = {
+            "title": self.title,
+            "times": [round(t, 6) for t in self._times],
+            "takes": self._takes,
+            "scalars": self._scalars,
+            "objects": names,
+            "tracks": [
+                [*key, track.frames, track.offsets, track.sizes]
+                for key, track in self._tracks.items()
+                if key[1] in names or key[0] == "mesh"
+            ],
+            "camera": {
+                "up": camera.up_axis,
+                "target": [float(v) for v in camera.target],
+                "distance": camera.distance,
+                "yaw": camera.yaw,
+                "pitch": camera.pitch,
+                "fov": FIELD_OF_VIEW,
+            },
+            "look": {"haze": HAZE, "light": LIGHT, "reach": REACH},
+            "shaders": {
+                name.lower(): _shaders.WEB_HEADER + getattr(_shaders, name)
+                for name in (
+                    "MESH_VERTEX", "MESH_FRAGMENT", "DEPTH_FRAGMENT", "LINE_VERTEX", "LINE_FRAGMENT"
+                )
+            },
+        }  # fmt: skip
+        text = json.dumps(content, separators=(",", ":")).replace("</", "<\\/")
+        blob = base64.b64encode(zlib.compress(bytes(self._data), 9)).decode()
+        template = resources.files(__package__).joinpath("assets/page.html").read_text("utf-8")
+        head, _, rest = template.partition("/*CONTENT*/")
+        middle, _, tail = rest.partition("/*DATA*/")
+        return f"{head}{text}{middle}{blob}{tail}"
+
+    def _repr_html_(self) -> str:
+        """The page in a frame, for notebooks."""
+        import html
+
+        return (
+            f'<iframe srcdoc="{html.escape(self.page())}" width="100%" height="480" '
+            'style="border:0"></iframe>'
+        )
+
+    def save(self, path: str | os.PathLike[str] | None = None) -> str:
+        """Write the page (None: to output_path), all of it or nothing, and return the path."""
+        target = self.output_path if path is None else os.path.abspath(os.fspath(path))
+        with atomic_path(target) as temporary, open(temporary, "w", encoding="utf-8") as file:
+            file.write(self.page())
+        return target
+
+    def close(self) -> None:
+        """Write the page, and end."""
+        if self._running and self._times:
+            self.save()
+        super().close()
+
+
+class _Track:
+    """The values of one array over the frames: where each begins in the data, in words."""
+
+    def __init__(self) -> None:
+        self.seen: Any = None
+        self.frames: list[int] = []
+        self.offsets: list[int] = []
+        self.sizes: list[int] = []

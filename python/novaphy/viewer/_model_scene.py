@@ -1,0 +1,239 @@
+"""A model and its states as objects of a scene: the one file here that knows physics.
+
+It works on arrays, not on a Model, so that a recording can be shown without the model.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from .._core import Contacts, GeoType, Model, ParticleFlags, ShapeFlags
+from ._primitives import add_primitive
+from ._scene import CHECKER, IDENTITY, Instances, Scene, compose
+
+MODEL_FIELDS = (
+    "particle_radius",
+    "particle_inv_mass",
+    "particle_flags",
+    "particle_world",
+    "spring_indices",
+    "tri_indices",
+    "tet_indices",
+    "body_world",
+    "shape_type",
+    "shape_scale",
+    "shape_transform",
+    "shape_body",
+    "shape_flags",
+)
+PALETTE = np.float32(
+    [
+        (0.16, 0.44, 0.72),
+        (0.90, 0.45, 0.13),
+        (0.30, 0.60, 0.30),
+        (0.76, 0.27, 0.35),
+        (0.52, 0.40, 0.72),
+        (0.10, 0.62, 0.64),
+        (0.85, 0.65, 0.13),
+        (0.55, 0.42, 0.35),
+    ]
+)
+STATIC_COLOR, GROUND_COLOR = (0.70, 0.72, 0.75), (0.83, 0.84, 0.85)
+PARTICLE_COLOR, SURFACE_COLOR = (0.86, 0.33, 0.18), (0.27, 0.53, 0.78)
+SPRING_COLOR, CONTACT_COLOR = (0.45, 0.48, 0.52), (0.80, 0.10, 0.30)
+INFINITE = 400.0  # m: how far an infinite plane is drawn
+NORMAL_LENGTH = 0.1  # m: of a contact without a force
+FORCE_SCALE = 1.0e-3  # m/N
+
+_SHAPES = {
+    GeoType.PLANE: "plane",
+    GeoType.SPHERE: "sphere",
+    GeoType.CAPSULE: "capsule",
+    GeoType.ELLIPSOID: "sphere",
+    GeoType.CYLINDER: "cylinder",
+    GeoType.BOX: "box",
+    GeoType.CONE: "cone",
+}
+
+
+def model_arrays(model: Model) -> dict[str, np.ndarray]:
+    """What of a model is shown, by field."""
+    arrays = {name: getattr(model, name).numpy() for name in MODEL_FIELDS}
+    return {name: values for name, values in arrays.items() if values.size}
+
+
+def shape_name(geo_type: int) -> str:
+    """The mesh that shows a type of shape; NotImplementedError where there is none."""
+    if geo_type not in _SHAPES:
+        kind = GeoType(geo_type).name if geo_type in set(GeoType) else geo_type
+        raise NotImplementedError(f"viewer: shapes of the type {kind} are not drawn")
+    return _SHAPES[GeoType(geo_type)]
+
+
+def shape_scales(geo_type: int, scale: np.ndarray) -> np.ndarray:
+    """Scales {n, 4} of instances for the shape_scale {n, 3} of a type (core/sim/enums.h)."""
+    out = np.zeros((len(scale), 4), np.float32)
+    a, b = scale[:, 0], scale[:, 1]
+    if geo_type == GeoType.PLANE:
+        finite = (a > 0.0) & (b > 0.0)
+        out[:, 0], out[:, 1], out[:, 2] = (
+            np.where(finite, a, INFINITE),
+            np.where(finite, b, INFINITE),
+            1,
+        )
+    elif geo_type in (GeoType.SPHERE, GeoType.CAPSULE):
+        out[:, :3] = a[:, None]
+        out[:, 3] = b if geo_type == GeoType.CAPSULE else 0.0
+    elif geo_type in (GeoType.CYLINDER, GeoType.CONE):
+        out[:, 0], out[:, 1], out[:, 2] = a, a, b
+    else:
+        out[:, :3] = scale
+    return out
+
+
+def boundary_triangles(tets: np.ndarray) -> np.ndarray:
+    """Faces {m, 3} that only one tetrahedron has, seen from outside."""
+    faces = np.concatenate([tets[:, f] for f in ((0, 2, 1), (0, 1, 3), (0, 3, 2), (1, 2, 3))])
+    key = np.sort(faces, axis=1)
+    _, first, count = np.unique(key, axis=0, return_index=True, return_counts=True)
+    return np.ascontiguousarray(faces[np.sort(first[count == 1])])
+
+
+class ModelScene:
+    """Keeps the objects named model/... of a scene in step with states."""
+
+    def __init__(self, scene: Scene, arrays: Mapping[str, np.ndarray]) -> None:
+        """Put the shapes, particles, surfaces and springs of a model into a scene."""
+        for name in [n for n in scene.instances if n.startswith("model/")]:
+            scene.remove(name)
+        self.scene = scene
+        self.arrays = arrays
+        self.offsets = np.zeros(3, np.float32)
+        self._bodies: list[tuple[Instances, np.ndarray]] = []  # and the body of each first row
+        self._add_shapes()
+        self._add_particles()
+
+    def get(self, name: str, width: int) -> np.ndarray:
+        """A field of the model, empty where the model has no rows of it."""
+        dtype = np.float32 if name in ("particle_radius", "particle_inv_mass") else np.int32
+        return self.arrays.get(name, np.zeros((0, width) if width else 0, dtype))
+
+    def _add_shapes(self) -> None:
+        if "shape_type" not in self.arrays:
+            return
+        types, bodies = self.arrays["shape_type"], self.arrays["shape_body"]
+        visible = (self.arrays["shape_flags"] & int(ShapeFlags.VISIBLE)) != 0
+        for geo_type in np.unique(types[visible]):
+            rows = np.flatnonzero(visible & (types == geo_type))
+            rows = rows[np.argsort(bodies[rows] < 0, kind="stable")]  # those on bodies come first
+            mesh = shape_name(int(geo_type))
+            add_primitive(self.scene, mesh)
+            item = Instances(mesh, len(rows))
+            item.local.set(np.ascontiguousarray(self.arrays["shape_transform"][rows]))
+            item.scales.set(shape_scales(int(geo_type), self.arrays["shape_scale"][rows]))
+            item.colors.set(_shape_colors(bodies[rows], geo_type == GeoType.PLANE))
+            self.scene.instances[f"model/{GeoType(geo_type).name.lower()}"] = item
+            moving = bodies[rows]
+            self._bodies.append((item, np.ascontiguousarray(moving[moving >= 0])))
+
+    def _add_particles(self) -> None:
+        radius = self.get("particle_radius", 0)
+        triangles, tets = self.get("tri_indices", 3), self.get("tet_indices", 4)
+        if len(tets):
+            inside = np.isin(np.sort(triangles, axis=1), np.unique(tets)).all(axis=1)
+            triangles = np.concatenate([boundary_triangles(tets), triangles[~inside]])
+        self.triangles = np.ascontiguousarray(triangles, np.int32)
+        active = (self.get("particle_flags", 0) & int(ParticleFlags.ACTIVE)) != 0
+        used = np.union1d(triangles, tets).astype(np.int64)
+        active[used] = False
+        self.shown = np.flatnonzero(active)
+        if len(self.shown):
+            add_primitive(self.scene, "sphere")
+            item = Instances("sphere", len(self.shown))
+            scales = np.zeros((len(self.shown), 4), np.float32)
+            scales[:, :3] = radius[self.shown, None]
+            item.scales.set(scales)
+            held = self.get("particle_inv_mass", 0)[self.shown, None] == 0.0
+            colors = np.where(held, np.float32(STATIC_COLOR), np.float32(PARTICLE_COLOR))
+            item.colors.set(np.pad(colors, ((0, 0), (0, 1))))
+            self.scene.instances["model/particles"] = item
+
+    def update(self, state: Mapping[str, np.ndarray]) -> None:
+        """Show a state: its body_q {n, 7} and particle_q {n, 3}."""
+        if "body_q" in state:
+            body_q = state["body_q"]
+            for item, bodies in self._bodies:
+                if len(bodies):
+                    poses = item.poses.values[: len(bodies)]
+                    np.take(body_q, bodies, axis=0, out=poses, mode="clip")
+                    if self.offsets.any():
+                        poses[:, :3] += self._shift("body_world", bodies)
+                    item.poses.touch()
+        if "particle_q" in state:
+            self._update_particles(state["particle_q"])
+
+    def _update_particles(self, q: np.ndarray) -> None:
+        if self.offsets.any():
+            q = q + self._shift("particle_world", slice(None))
+        if len(self.shown):
+            item = self.scene.instances["model/particles"]
+            np.take(q, self.shown, axis=0, out=item.poses.values[:, :3], mode="clip")
+            item.poses.touch()
+        if len(self.triangles):
+            self.scene.put_mesh("model/surface", q.copy(), self.triangles)
+            if "model/surface" not in self.scene.instances:
+                color = np.float32([[*SURFACE_COLOR, 0]])
+                item = self.scene.put_instances(
+                    "model/surface", "model/surface", IDENTITY[None], None, color
+                )
+                item.culled = False
+        springs = self.get("spring_indices", 2).reshape(-1, 2)
+        if len(springs):
+            colors = np.tile(np.float32(SPRING_COLOR), (len(springs), 1))
+            width = 0.004 * float(np.ptp(q, axis=0).max())
+            self.scene.put_lines("model/springs", q[springs[:, 0]], q[springs[:, 1]], colors, width)
+
+    def _shift(self, field: str, rows: np.ndarray | slice) -> np.ndarray:
+        world = np.maximum(self.get(field, 0)[rows], 0)
+        return world[:, None] * self.offsets
+
+
+def contact_segments(
+    arrays: Mapping[str, np.ndarray],
+    contacts: Contacts,
+    body_q: np.ndarray,
+    particle_q: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Points {n, 3} of contacts, and their ends: the force, or the normal where there is none."""
+    points, arrows = [np.zeros((0, 3), np.float32)], [np.zeros((0, 3), np.float32)]
+    count = min(contacts.active_rigid_contact_count, contacts.rigid_contact_max)
+    if count:
+        body = arrays["shape_body"][contacts.rigid_contact_shape0.numpy()[:count]]
+        pose = np.tile(IDENTITY, (count, 1))
+        pose[body >= 0] = body_q[body[body >= 0]]
+        local = np.tile(IDENTITY, (count, 1))
+        local[:, :3] = contacts.rigid_contact_point0.numpy()[:count]
+        local[:, :3] += contacts.rigid_contact_offset0.numpy()[:count]
+        points.append(compose(pose, local)[:, :3])
+        normal = contacts.rigid_contact_normal.numpy()[:count] * np.float32(NORMAL_LENGTH)
+        force = contacts.rigid_contact_force.numpy()
+        if len(force) >= count and np.any(force[:count]):
+            normal = force[:count, :3] * np.float32(FORCE_SCALE)
+        arrows.append(normal)
+    count = min(contacts.active_soft_contact_count, contacts.soft_contact_max)
+    if count:
+        particle = contacts.soft_contact_particle.numpy()[:count]
+        points.append(particle_q[particle])
+        arrows.append(contacts.soft_contact_normal.numpy()[:count] * np.float32(NORMAL_LENGTH))
+    starts = np.concatenate(points)
+    return starts, starts + np.concatenate(arrows)
+
+
+def _shape_colors(bodies: np.ndarray, is_plane: bool) -> np.ndarray:
+    colors = np.zeros((len(bodies), 4), np.float32)
+    colors[:, :3] = PALETTE[np.maximum(bodies, 0) % len(PALETTE)]
+    colors[bodies < 0, :3] = GROUND_COLOR if is_plane else STATIC_COLOR
+    colors[:, 3] = CHECKER if is_plane else 0.0
+    return colors

@@ -1,0 +1,87 @@
+"""Text and a curve over the picture, drawn with NumPy: no window system, no font library."""
+
+from __future__ import annotations
+
+import functools
+import struct
+import zlib
+from collections.abc import Sequence
+from importlib import resources
+
+import numpy as np
+
+from ._scene import Scene
+
+INK, CURVE = (0.13, 0.15, 0.19), (0.16, 0.44, 0.72)
+PAPER = (1.0, 1.0, 1.0, 0.72)
+MARGIN = 8  # pixels
+CURVE_SIZE = (72, 216)  # pixels: height, width
+SHOWN_SCALARS = 6
+
+
+@functools.cache
+def glyphs() -> np.ndarray:
+    """Grey values {95, height, width} of the printable ASCII characters."""
+    data = resources.files(__package__).joinpath("assets/font.bin").read_bytes()
+    height, width = struct.unpack_from("<II", data)
+    values = np.frombuffer(zlib.decompress(data[8:]), np.uint8).reshape(-1, height, width)
+    return values.astype(np.float32) / 255.0
+
+
+def text_coverage(lines: Sequence[str]) -> np.ndarray:
+    """How much {h, w} of each pixel a text covers; other characters show as a question mark."""
+    font = glyphs()
+    _, height, width = font.shape
+    columns = max(map(len, lines), default=0)
+    out = np.zeros((len(lines) * height, columns * width), np.float32)
+    for row, line in enumerate(lines):
+        for column, letter in enumerate(line):
+            code = ord(letter) - 32
+            glyph = font[code if 0 <= code < len(font) else ord("?") - 32]
+            y, x = row * height, column * width
+            out[y : y + height, x : x + width] = glyph
+    return out
+
+
+def curve_coverage(values: Sequence[float]) -> np.ndarray:
+    """A curve of values, on a logarithmic scale where all are positive, as coverage {h, w}."""
+    height, width = CURVE_SIZE
+    y = np.asarray(values, np.float64)
+    y = np.log(y) if np.all(y > 0.0) else y
+    low, high = float(y.min()), float(y.max())
+    y = 3.0 + (height - 7.0) * (high - y) / (high - low if high > low else 1.0)
+    at = np.interp(np.linspace(0.0, len(y) - 1.0, width + 1), np.arange(len(y)), y)
+    top, bottom = np.minimum(at[:-1], at[1:]), np.maximum(at[:-1], at[1:])
+    rows = np.arange(height)[:, None]
+    away = np.maximum(np.maximum(top - rows, rows - bottom), 0.0)
+    return np.clip(1.6 - away, 0.0, 1.0).astype(np.float32)
+
+
+def texts_of(scene: Scene, frame_ms: float | None, paused: bool) -> list[str]:
+    """What the overlay says of a scene."""
+    lines = [f"time {scene.time:8.3f} s" + ("   paused" if paused else "")]
+    if frame_ms is not None:
+        lines.append(f"frame {frame_ms:7.1f} ms")
+    for name, values in list(scene.scalars.items())[:SHOWN_SCALARS]:
+        lines.append(f"{name} {values[-1]:.6g}")
+    return lines
+
+
+def overlay(scene: Scene, lines: Sequence[str], curve: str | None) -> np.ndarray:
+    """A box {h, w, 4}, uint8, with lines of text and a curve of one of the scene's scalars."""
+    blocks = [(text_coverage(lines), INK)]
+    if curve is not None and len(scene.scalars.get(curve, ())) > 1:
+        blocks.append((curve_coverage(scene.scalars[curve]), CURVE))
+    width = max(block.shape[1] for block, _ in blocks)
+    height = sum(block.shape[0] for block, _ in blocks) + MARGIN * (len(blocks) + 1)
+    box = np.empty((height, width + 2 * MARGIN, 4), np.float32)
+    box[:] = PAPER
+    y = MARGIN
+    for coverage, color in blocks:
+        h, w = coverage.shape
+        part = box[y : y + h, MARGIN : MARGIN + w]
+        a = coverage[..., None]
+        part[..., :3] = part[..., :3] * (1.0 - a) + np.float32(color) * a
+        part[..., 3:] = part[..., 3:] * (1.0 - a) + a
+        y += h + MARGIN
+    return np.ascontiguousarray(np.round(255.0 * box).astype(np.uint8))

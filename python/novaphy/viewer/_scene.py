@@ -1,0 +1,264 @@
+"""What a picture is made of: named objects that stay until they are replaced or taken out.
+
+Nothing here knows physics or a graphics library. Every part of an object has a revision, so that a
+back end uploads, sends or writes only what changed.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+IDENTITY = np.array([0, 0, 0, 0, 0, 0, 1], np.float32)
+GREY = (0.62, 0.64, 0.67)
+CHECKER = 1.0  # the fourth number of a colour: the surface has a checker pattern
+
+
+def as_array(value: Any, width: int, name: str, dtype: Any = np.float32) -> np.ndarray:
+    """Rows {n, width} of a DeviceArray, Tensor, array or sequence; ValueError for another shape."""
+    numbers = value.numpy() if hasattr(value, "numpy") else np.asarray(value)
+    rows = np.ascontiguousarray(numbers, dtype)
+    if rows.size == 0:
+        return np.zeros((0, width), dtype)
+    if rows.ndim == 1 and rows.size % width == 0:
+        rows = rows.reshape(-1, width)
+    if rows.ndim != 2 or rows.shape[1] != width:
+        raise ValueError(f"{name}: expected rows of {width}, got the shape {np.shape(numbers)}")
+    return rows
+
+
+def per_row(value: Any, rows: int, width: int, default: Any, name: str) -> np.ndarray:
+    """One value for all rows, or one each, as {rows, width}."""
+    if value is None:
+        value = default
+    numbers = np.atleast_1d(value.numpy() if hasattr(value, "numpy") else np.asarray(value))
+    numbers = numbers.astype(np.float32)
+    if width == 1 and numbers.ndim == 1 and numbers.size == rows:
+        numbers = numbers[:, None]
+    if numbers.shape[-1] != width or numbers.size not in (width, rows * width):
+        raise ValueError(
+            f"{name}: expected {width} numbers or the shape ({rows}, {width}), "
+            f"got the shape {numbers.shape}"
+        )
+    return np.ascontiguousarray(np.broadcast_to(numbers.reshape(-1, width), (rows, width)))
+
+
+def rotate(q: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """Vectors {..., 3} turned by quaternions {..., 4}, xyzw."""
+    t = 2.0 * np.cross(q[..., :3], v)
+    return v + q[..., 3:] * t + np.cross(q[..., :3], t)
+
+
+def compose(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Transforms {n, 7}: first b, then a."""
+    ax, ay, az, aw = a[:, 3], a[:, 4], a[:, 5], a[:, 6]
+    bx, by, bz, bw = b[:, 3], b[:, 4], b[:, 5], b[:, 6]
+    out = np.empty((len(a), 7), np.float32)
+    out[:, :3] = a[:, :3] + rotate(a[:, 3:], b[:, :3])
+    out[:, 3] = aw * bx + bw * ax + ay * bz - by * az
+    out[:, 4] = aw * by + bw * ay + az * bx - bz * ax
+    out[:, 5] = aw * bz + bw * az + ax * by - bx * ay
+    out[:, 6] = aw * bw - ax * bx - ay * by - az * bz
+    return out
+
+
+def smooth_normals(points: np.ndarray, indices: np.ndarray) -> np.ndarray:
+    """Normals {n, 3} of vertices: those of their triangles, weighted by area."""
+    a, b, c = (points[indices[:, k]] for k in range(3))
+    faces = np.cross(b - a, c - a)
+    corners = indices.ravel()
+    normals = np.empty((len(points), 3), np.float32)
+    for axis in range(3):
+        weights = np.repeat(faces[:, axis], 3)
+        normals[:, axis] = np.bincount(corners, weights, len(points))
+    length = np.linalg.norm(normals, axis=1, keepdims=True)
+    return normals / np.where(length > 0.0, length, 1.0)
+
+
+class Part:
+    """An array of an object and how often it changed."""
+
+    def __init__(self, values: np.ndarray) -> None:
+        """Start at revision 1."""
+        self.values = values
+        self.revision = 1
+
+    def set(self, values: np.ndarray) -> None:
+        """Take new values, unless they are the old ones."""
+        same = values.shape == self.values.shape and np.array_equal(values, self.values)
+        if not same:
+            self.values = values
+            self.revision += 1
+
+    def touch(self) -> None:
+        """Say that the values were written in place."""
+        self.revision += 1
+
+
+class Mesh:
+    """Triangles. Vertices with a shift move along local z by it times the instance's fourth scale.
+
+    That is how one capsule serves all proportions: its halves shift by +1 and -1.
+    """
+
+    fields = ("points", "normals", "shift", "indices")
+
+    def __init__(self, points: np.ndarray, indices: np.ndarray) -> None:
+        """Points {n, 3}, indices {m, 3}."""
+        self.points = Part(points)
+        self.indices = Part(indices)
+        self.shift = Part(np.zeros((len(points), 1), np.float32))
+        self.normals = Part(np.zeros((0, 3), np.float32))
+
+    def update(self, points: np.ndarray, indices: np.ndarray, normals: np.ndarray | None) -> None:
+        """Take new points and triangles; normals are computed where none are given."""
+        if len(points) != len(self.shift.values):
+            self.shift.set(np.zeros((len(points), 1), np.float32))
+        before = self.points.revision, self.indices.revision
+        self.points.set(points)
+        self.indices.set(indices)
+        if normals is not None:
+            self.normals.set(normals)
+        elif before != (self.points.revision, self.indices.revision) or not len(
+            self.normals.values
+        ):
+            self.normals.set(smooth_normals(points, indices))
+
+
+class Instances:
+    """Copies of a mesh: poses {n, 7} of bodies, and on them local poses, scales {n, 4}, colours.
+
+    A colour is red, green, blue and whether the surface is a CHECKER.
+    """
+
+    fields = ("poses", "local", "scales", "colors")
+
+    def __init__(self, mesh: str, count: int) -> None:
+        """Start at the origin, in grey."""
+        self.mesh = mesh
+        self.hidden = False
+        self.culled = True
+        self.poses = Part(np.tile(IDENTITY, (count, 1)))
+        self.local = Part(np.tile(IDENTITY, (count, 1)))
+        self.scales = Part(np.tile(np.float32([1, 1, 1, 0]), (count, 1)))
+        self.colors = Part(np.tile(np.float32([*GREY, 0]), (count, 1)))
+
+    @property
+    def count(self) -> int:
+        """How many copies there are."""
+        return len(self.poses.values)
+
+    def world(self) -> np.ndarray:
+        """Poses {n, 7} in the world."""
+        return compose(self.poses.values, self.local.values)
+
+
+class Lines:
+    """Segments {n, 3} to {n, 3} with colours {n, 3} and one width in m."""
+
+    fields = ("starts", "ends", "colors")
+
+    def __init__(self) -> None:
+        """Start without a segment."""
+        empty = np.zeros((0, 3), np.float32)
+        self.starts, self.ends, self.colors = Part(empty), Part(empty), Part(empty)
+        self.width = 0.01
+        self.hidden = False
+
+    @property
+    def count(self) -> int:
+        """How many segments there are."""
+        return len(self.starts.values)
+
+
+class Scene:
+    """All objects by name, the numbers that are plotted, and the time."""
+
+    def __init__(self) -> None:
+        """Start empty, z up."""
+        self.meshes: dict[str, Mesh] = {}
+        self.instances: dict[str, Instances] = {}
+        self.lines: dict[str, Lines] = {}
+        self.scalars: dict[str, list[float]] = {}
+        self.arrays: dict[str, np.ndarray] = {}
+        self.images: dict[str, np.ndarray] = {}
+        self.time = 0.0
+        self.up_axis = 2
+
+    def put_mesh(
+        self, name: str, points: np.ndarray, indices: np.ndarray, normals: np.ndarray | None = None
+    ) -> Mesh:
+        """Add or replace a mesh. ValueError for an index that is no point."""
+        if indices.size and (indices.min() < 0 or indices.max() >= len(points)):
+            raise ValueError(f"log_mesh, indices: expected numbers of {len(points)} points")
+        mesh = self.meshes.get(name)
+        if mesh is None:
+            mesh = self.meshes[name] = Mesh(points, indices)
+        mesh.update(points, indices, normals)
+        return mesh
+
+    def put_instances(
+        self,
+        name: str,
+        mesh: str,
+        poses: np.ndarray,
+        scales: np.ndarray | None = None,
+        colors: np.ndarray | None = None,
+        hidden: bool = False,
+    ) -> Instances:
+        """Add or replace copies of a mesh."""
+        item = self.instances.get(name)
+        if item is None or item.mesh != mesh or item.count != len(poses):
+            item = self.instances[name] = Instances(mesh, len(poses))
+        item.poses.set(poses)
+        if scales is not None:
+            item.scales.set(scales)
+        if colors is not None:
+            item.colors.set(np.pad(colors, ((0, 0), (0, 4 - colors.shape[1]))))
+        item.hidden = hidden
+        return item
+
+    def put_lines(
+        self,
+        name: str,
+        starts: np.ndarray,
+        ends: np.ndarray,
+        colors: np.ndarray,
+        width: float,
+        hidden: bool = False,
+    ) -> None:
+        """Add or replace segments."""
+        item = self.lines.setdefault(name, Lines())
+        item.starts.set(starts)
+        item.ends.set(ends)
+        item.colors.set(colors)
+        item.width, item.hidden = float(width), hidden
+
+    def remove(self, name: str) -> None:
+        """Take out what has this name."""
+        for kind in (self.meshes, self.instances, self.lines):
+            kind.pop(name, None)
+
+    def bounds(self) -> tuple[np.ndarray, np.ndarray] | None:
+        """Lower and upper corner of what is shown, planes left out; None when nothing is."""
+        lower, upper = np.full(3, np.inf), np.full(3, -np.inf)
+        for item in self.instances.values():
+            if item.hidden or not item.count or item.mesh == "plane":
+                continue
+            corner = np.abs(self.meshes[item.mesh].points.values).max(axis=0, initial=0.0)
+            half = np.abs(item.scales.values[:, :3]) * corner
+            half[:, 2] += item.scales.values[:, 3]
+            world = item.world()
+            axes = rotate(world[:, None, 3:], np.eye(3, dtype=np.float32))
+            size = (np.abs(axes) * half[:, :, None]).sum(axis=1)
+            lower = np.minimum(lower, (world[:, :3] - size).min(axis=0))
+            upper = np.maximum(upper, (world[:, :3] + size).max(axis=0))
+        for lines in self.lines.values():
+            if not lines.hidden and lines.count:
+                ends = np.concatenate([lines.starts.values, lines.ends.values])
+                lower, upper = (
+                    np.minimum(lower, ends.min(axis=0)),
+                    np.maximum(upper, ends.max(axis=0)),
+                )
+        return (lower, upper) if np.isfinite([lower, upper]).all() else None

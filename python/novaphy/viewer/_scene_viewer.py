@@ -1,0 +1,294 @@
+"""What the viewers that show something share: their calls become objects of a scene."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from .._core import Contacts, Model, SimState
+from ._base import ArrayLike, Viewer
+from ._camera import Camera
+from ._model_scene import (
+    CONTACT_COLOR,
+    ModelScene,
+    contact_segments,
+    model_arrays,
+    shape_name,
+    shape_scales,
+)
+from ._primitives import add_primitive
+from ._scene import GREY, IDENTITY, Scene, as_array, per_row
+
+HISTORY = 2000  # values of a scalar that are kept
+ARROW_HEAD = 4.0  # widths of the line
+
+
+class SceneViewer(Viewer):
+    """Keeps a scene and a camera; a back end shows them in end_frame."""
+
+    def __init__(self) -> None:
+        """Start with an empty scene."""
+        super().__init__()
+        self.scene = Scene()
+        self.camera = Camera()
+        self._model_scene: ModelScene | None = None
+        self._offsets = np.zeros(3, np.float32)
+        self.latest_state: Mapping[str, np.ndarray] = {}
+
+    def set_model(self, model: Model) -> None:
+        """Show the shapes, particles, surfaces and springs of a model from now on."""
+        super().set_model(model)
+        self.set_model_arrays(model_arrays(model), model.up_axis)
+        self._log_arrays({"body_q": model.body_q.numpy(), "particle_q": model.particle_q.numpy()})
+
+    def set_model_arrays(self, arrays: Mapping[str, np.ndarray], up_axis: int) -> None:
+        """Show a model of which only the arrays are there, as in a recording."""
+        self.scene.up_axis = self.camera.up_axis = int(up_axis)
+        self._model_scene = ModelScene(self.scene, arrays)
+        self._model_scene.offsets = self._offsets
+
+    def set_camera(
+        self, pos: ArrayLike, pitch: float | None = None, yaw: float | None = None
+    ) -> None:
+        """Place the camera at `pos` (m), looking along pitch and yaw (degrees).
+
+        Without angles it looks at what it looked at before.
+        """
+        self.camera.place(np.asarray(pos, np.float64), pitch, yaw)
+
+    def look_at(self, pos: ArrayLike, target: ArrayLike) -> None:
+        """Place the camera at `pos`, looking at `target` (m)."""
+        self.camera.target = np.asarray(target, np.float64)
+        self.camera.place(np.asarray(pos, np.float64), None, None)
+
+    def set_world_offsets(self, spacing: ArrayLike) -> None:
+        """Show world k of a model moved by k times `spacing` (m)."""
+        self._offsets = as_array(spacing, 3, "set_world_offsets, spacing")[0]
+        if self._model_scene is not None:
+            self._model_scene.offsets = self._offsets
+
+    def begin_frame(self, t: float) -> None:
+        """Start a frame at time `t` (s)."""
+        super().begin_frame(t)
+        self.scene.time = self.time
+
+    def log_state(self, state: SimState) -> None:
+        """Show a state of the model. ValueError without a model."""
+        if self._model_scene is None:
+            raise ValueError("log_state: expected a model before, got none: call set_model")
+        self._log_arrays(
+            {
+                "body_q": state.body_q.numpy(copy=False),
+                "particle_q": state.particle_q.numpy(copy=False),
+            }
+        )
+
+    def _log_arrays(self, state: Mapping[str, np.ndarray]) -> None:
+        assert self._model_scene is not None
+        self.latest_state = {name: rows for name, rows in state.items() if len(rows)}
+        self._model_scene.update(self.latest_state)
+
+    def log_contacts(self, contacts: Contacts, state: SimState) -> None:
+        """Show the contacts of a state: a point each, and its force, or its normal."""
+        if self._model_scene is None:
+            raise ValueError("log_contacts: expected a model before, got none: call set_model")
+        q, p = state.body_q.numpy(), state.particle_q.numpy()
+        starts, ends = contact_segments(self._model_scene.arrays, contacts, q, p)
+        self.log_points("contacts/points", starts, 0.012, CONTACT_COLOR)
+        self.log_arrows("contacts/arrows", starts, ends, CONTACT_COLOR, 0.006)
+
+    def log_mesh(
+        self,
+        name: str,
+        points: ArrayLike,
+        indices: ArrayLike,
+        normals: ArrayLike | None = None,
+        uvs: ArrayLike | None = None,
+        texture: ArrayLike | None = None,
+        hidden: bool = False,
+        backface_culling: bool = True,
+        color: Sequence[float] | None = None,
+    ) -> None:
+        """Show triangles: points {n, 3} (m), indices {m, 3}.
+
+        Without normals they are smooth. NotImplementedError for a texture.
+        """
+        if texture is not None:
+            raise NotImplementedError("log_mesh: textures are not drawn")
+        mesh = self.scene.put_mesh(
+            name,
+            as_array(points, 3, "log_mesh, points"),
+            as_array(indices, 3, "log_mesh, indices", np.int32),
+            None if normals is None else as_array(normals, 3, "log_mesh, normals"),
+        )
+        if len(mesh.normals.values) != len(mesh.points.values):
+            raise ValueError("log_mesh, normals: expected one for each point")
+        colors = per_row(color, 1, 3, GREY, "log_mesh, color")
+        item = self.scene.put_instances(name, name, IDENTITY[None], None, colors, hidden)
+        item.culled = backface_culling
+
+    def log_instances(
+        self,
+        name: str,
+        mesh: str,
+        xforms: ArrayLike,
+        scales: ArrayLike | None = None,
+        colors: ArrayLike | None = None,
+        materials: ArrayLike | None = None,
+        hidden: bool = False,
+    ) -> None:
+        """Show copies of a mesh at transforms {n, 7}; scales and colours are {3} or {n, 3}.
+
+        ValueError when no mesh has this name, NotImplementedError for materials.
+        """
+        if mesh not in self.scene.meshes:
+            known = ", ".join(sorted(self.scene.meshes)) or "none"
+            raise ValueError(f"log_instances, mesh: there is no {mesh!r}; there are: {known}")
+        if materials is not None:
+            raise NotImplementedError("log_instances: materials are not drawn")
+        poses = as_array(xforms, 7, "log_instances, xforms")
+        n = len(poses)
+        sizes = per_row(scales, n, 3, (1, 1, 1), "log_instances, scales")
+        sizes = np.pad(sizes, ((0, 0), (0, 1)))
+        shades = per_row(colors, n, 3, GREY, "log_instances, colors")
+        self.scene.put_instances(name, mesh, poses, sizes, shades, hidden)
+
+    def log_shapes(
+        self,
+        name: str,
+        geo_type: int,
+        geo_scale: ArrayLike,
+        xforms: ArrayLike,
+        colors: ArrayLike | None = None,
+        materials: ArrayLike | None = None,
+    ) -> None:
+        """Show copies of a shape (GeoType and its scale {3} or {n, 3}) at transforms {n, 7}."""
+        if materials is not None:
+            raise NotImplementedError("log_shapes: materials are not drawn")
+        mesh = shape_name(int(geo_type))
+        add_primitive(self.scene, mesh)
+        poses = as_array(xforms, 7, "log_shapes, xforms")
+        n = len(poses)
+        sizes = per_row(geo_scale, n, 3, (1, 1, 1), "log_shapes, geo_scale")
+        shades = per_row(colors, n, 3, GREY, "log_shapes, colors")
+        self.scene.put_instances(name, mesh, poses, shape_scales(int(geo_type), sizes), shades)
+
+    def log_lines(
+        self,
+        name: str,
+        starts: ArrayLike | None,
+        ends: ArrayLike | None,
+        colors: ArrayLike | None,
+        width: float = 0.01,
+        hidden: bool = False,
+    ) -> None:
+        """Show segments from starts to ends {n, 3} (m), `width` m thick; None: take them out."""
+        self._put_lines("log_lines", name, starts, ends, colors, width, hidden)
+
+    def log_arrows(
+        self,
+        name: str,
+        starts: ArrayLike | None,
+        ends: ArrayLike | None,
+        colors: ArrayLike | None,
+        width: float = 0.01,
+        hidden: bool = False,
+    ) -> None:
+        """Show arrows from starts to ends {n, 3} (m); None: take them out."""
+        drawn = self._put_lines("log_arrows", name, starts, ends, colors, width, hidden)
+        heads = f"{name}/heads"
+        if drawn is None:
+            self.scene.remove(heads)
+            return
+        first, last, shades = drawn
+        axis = last - first
+        length = np.linalg.norm(axis, axis=1, keepdims=True)
+        size = np.minimum(0.5 * ARROW_HEAD * width, 0.25 * length)
+        axis = axis / np.where(length > 0.0, length, 1.0)
+        poses = np.concatenate([last - axis * size, _turns_of_z(axis)], axis=1)
+        add_primitive(self.scene, "cone")
+        scales = np.concatenate([0.5 * size, 0.5 * size, size, 0.0 * size], axis=1)
+        self.scene.put_instances(heads, "cone", np.float32(poses), scales, shades, hidden)
+
+    def _put_lines(
+        self,
+        call: str,
+        name: str,
+        starts: ArrayLike | None,
+        ends: ArrayLike | None,
+        colors: ArrayLike | None,
+        width: float,
+        hidden: bool,
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+        if starts is None or ends is None:
+            self.scene.remove(name)
+            return None
+        first, last = as_array(starts, 3, f"{call}, starts"), as_array(ends, 3, f"{call}, ends")
+        if len(first) != len(last):
+            raise ValueError(f"{call}, ends: expected {len(first)} rows as starts, got {len(last)}")
+        shades = per_row(colors, len(first), 3, GREY, f"{call}, colors")
+        self.scene.put_lines(name, first.copy(), last.copy(), shades, width, hidden)
+        return first, last, shades
+
+    def log_points(
+        self,
+        name: str,
+        points: ArrayLike | None,
+        radii: ArrayLike | float | None = None,
+        colors: ArrayLike | None = None,
+        hidden: bool = False,
+    ) -> None:
+        """Show points {n, 3} as spheres of radii {n} (m; 0.01 without); None: take them out."""
+        if points is None:
+            self.scene.remove(name)
+            return
+        centres = as_array(points, 3, "log_points, points")
+        n = len(centres)
+        poses = np.tile(IDENTITY, (n, 1))
+        poses[:, :3] = centres
+        sizes = np.zeros((n, 4), np.float32)
+        sizes[:, :3] = per_row(radii, n, 1, 0.01, "log_points, radii")
+        shades = per_row(colors, n, 3, GREY, "log_points, colors")
+        add_primitive(self.scene, "sphere")
+        self.scene.put_instances(name, "sphere", poses, sizes, shades, hidden)
+
+    def log_array(self, name: str, array: ArrayLike) -> None:
+        """Keep an array as a curve that may be shown."""
+        values = np.asarray(array.numpy() if hasattr(array, "numpy") else array)
+        self.scene.scalars[name] = [float(v) for v in values.ravel()[-HISTORY:]]
+
+    def log_scalar(self, name: str, value: float) -> None:
+        """Show a number, and keep it for its curve."""
+        values = self.scene.scalars.setdefault(name, [])
+        values.append(float(value))
+        del values[:-HISTORY]
+
+    def log_image(self, name: str, image: ArrayLike) -> None:
+        """Show an image {h, w, 3}, uint8, in the corner of the picture."""
+        pixels = np.ascontiguousarray(np.asarray(image))
+        if pixels.dtype != np.uint8 or pixels.ndim != 3 or pixels.shape[2] != 3:
+            raise ValueError(
+                f"log_image, image: expected uint8 of the shape (h, w, 3), got {pixels.dtype} of "
+                f"the shape {pixels.shape}"
+            )
+        self.scene.images[name] = pixels
+
+    def _place_camera(self) -> None:
+        """See the whole scene, unless the camera was placed."""
+        if self.camera.is_set:
+            return
+        bounds = self.scene.bounds()
+        if bounds is not None:
+            self.camera.frame(*bounds)
+            self.camera.is_set = True
+
+
+def _turns_of_z(axis: np.ndarray) -> np.ndarray:
+    """Quaternions {n, 4} that turn z into unit vectors {n, 3}."""
+    q = np.concatenate([-axis[:, 1:2], axis[:, :1], 0.0 * axis[:, :1], 1.0 + axis[:, 2:]], axis=1)
+    length = np.linalg.norm(q, axis=1, keepdims=True)
+    down = length[:, 0] < 1e-6
+    q[down] = (1.0, 0.0, 0.0, 0.0)
+    length[down] = 1.0
+    return q / length

@@ -1,0 +1,283 @@
+"""Stage: what a program's flags --viewer, --headless and --record ask for, in a few calls."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import time
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+
+from .._core import Contacts, Model, SimState
+from ._base import ArrayLike, Viewer
+from ._needs import MissingPackageError
+from ._video import CODECS
+
+EARLIER = 32  # paths of earlier iterations that stay
+PATH_POINTS = 241  # of a path that are drawn
+OLDEST, RECENT = np.float32([0.80, 0.84, 0.89]), np.float32([0.33, 0.53, 0.78])
+PRESENT, TARGET = (0.84, 0.25, 0.10), (0.80, 0.08, 0.15)
+RECORDED_SIZE = (960, 540)
+ENDINGS = (".html", ".nprec", ".png", *CODECS)
+
+# Gives the frames of a rollout: times (s) and states.
+Frames = Callable[[], Iterable[tuple[float, SimState]]]
+
+
+def add_arguments(parser: argparse.ArgumentParser, default: int, what: str) -> None:
+    """Add --viewer, --headless, --record and --refresh to a parser.
+
+    Args:
+        parser: the parser of a program.
+        default: the number for --headless, and of what happens in a window.
+        what: what --headless counts: "training iterations", "frames".
+    """
+    parser.add_argument(
+        "--headless",
+        type=int,
+        metavar="N",
+        help=f"no window: this many {what} (in a window {default})",
+    )
+    parser.add_argument(
+        "--viewer",
+        choices=("gl", "html", "file", "null"),
+        help="what shows the run (default gl; null with --headless)",
+    )
+    parser.add_argument(
+        "--record",
+        metavar="PATH",
+        help=f"write the run to a file that ends in {', '.join(ENDINGS)}",
+    )
+    parser.add_argument(
+        "--refresh", type=int, metavar="N", help="show every N-th training iteration"
+    )
+    parser.set_defaults(default_count=default)
+
+
+def check_arguments(parser: argparse.ArgumentParser, args: argparse.Namespace) -> None:
+    """End the program with a message when a flag makes no sense.
+
+    Afterwards `headless` is a number, and `window` says whether a window was asked for.
+    """
+    args.window = args.headless is None and args.viewer in (None, "gl")
+    if args.headless is None:
+        args.headless = args.default_count
+    if args.headless < 0:
+        parser.error(f"--headless: expected a number >= 0, got {args.headless}")
+    if args.refresh is not None and args.refresh < 1:
+        parser.error(f"--refresh: expected a number >= 1, got {args.refresh}")
+    name = os.path.splitext(os.path.basename(sys.argv[0]))[0]
+    if args.viewer in ("html", "file") and not args.record:
+        args.record = f"{name}{'.html' if args.viewer == 'html' else '.nprec'}"
+    if args.record:
+        ending = os.path.splitext(args.record)[1].lower()
+        if ending not in ENDINGS:
+            parser.error(f"--record: expected an ending of {', '.join(ENDINGS)}: {args.record}")
+        if not os.path.isdir(os.path.dirname(os.path.abspath(args.record))):
+            parser.error(f"--record: the folder of {args.record} does not exist")
+
+
+class Stage:
+    """Shows a simulation, or the iterations of a training, in the viewers that flags ask for.
+
+    In a window frames come at the rate of the film, space pauses and N steps; without one nothing
+    waits. Closing the window ends the showing, not the program.
+
+        with Stage(args, model) as stage:
+            for frame in stage.frames(args.headless):
+                ...                                             # one frame of simulation
+                stage.show(frame / 60, state)
+    """
+
+    def __init__(
+        self,
+        args: argparse.Namespace,
+        model: Model,
+        *,
+        fps: float = 60.0,
+        refresh: int = 1,
+        look: tuple[ArrayLike, ArrayLike] | None = None,
+        path_width: float = 0.015,
+        viewers: Sequence[Viewer] | None = None,
+    ) -> None:
+        """Make the viewers.
+
+        Args:
+            args: what parse_args gave, after check_arguments.
+            model: what is simulated.
+            fps: frames per second of simulated time.
+            refresh: show every N-th training iteration, unless --refresh says something else.
+            look: where the camera stands, and what it looks at (m).
+            path_width: how thick paths are drawn (m).
+            viewers: these, instead of those of the flags.
+        """
+        self.fps = fps
+        self.refresh = args.refresh or refresh
+        self.path_width = path_width
+        self._gl: Any = None
+        self._window = False
+        self._picture: str | None = None
+        self._earlier: dict[str, deque[np.ndarray]] = {}
+        self._paths: dict[str, np.ndarray] = {}
+        self._last: Frames | None = None
+        self._due = 0.0
+        self.viewers = list(viewers) if viewers is not None else self._make(args)
+        for viewer in self.viewers:
+            viewer.set_model(model)
+            if look is not None:
+                viewer.look_at(*look)
+
+    def _make(self, args: argparse.Namespace) -> list[Viewer]:
+        from . import create_viewer
+
+        made: list[Viewer] = []
+        ending = os.path.splitext(args.record or "")[1].lower()
+        if ending in (".html", ".nprec"):
+            kind = "html" if ending == ".html" else "file"
+            made.append(create_viewer(kind, output_path=args.record))
+        if args.window:
+            try:
+                self._gl = create_viewer("gl")
+                self._window = True
+            except MissingPackageError as error:
+                print(f"{error}; going on without a window", file=sys.stderr)
+        drawn = ending == ".png" or ending in CODECS
+        if self._gl is None and drawn:
+            width, height = RECORDED_SIZE
+            self._gl = create_viewer("gl", headless=True, width=width, height=height)
+        if self._gl is not None:
+            made.append(self._gl)
+            if ending == ".png":
+                self._picture = args.record
+            elif drawn:
+                self._gl.start_video(args.record, self.fps)
+        return made
+
+    def mark(self, point: ArrayLike, radius: float = 0.05, name: str = "target") -> None:
+        """Show a point that something should reach (m)."""
+        for viewer in self.viewers:
+            viewer.log_points(name, [point], radius, TARGET)
+
+    def frames(self, count: int) -> Iterator[int]:
+        """The numbers of frames 1, 2, ..., each when the simulation should advance."""
+        for frame in range(1, count + 1):
+            self._wait_while_paused()
+            yield frame
+
+    def show(self, t: float, state: SimState, contacts: Contacts | None = None) -> None:
+        """Show a state at time `t` (s), and its contacts."""
+        for viewer in self._open():
+            viewer.begin_frame(t)
+            viewer.log_state(state)
+            if contacts is not None:
+                viewer.log_contacts(contacts, state)
+            viewer.end_frame()
+        if self._window and self._gl.is_running():
+            self._due = max(self._due + 1.0 / self.fps, time.perf_counter() - 1.0 / self.fps)
+            time.sleep(max(0.0, self._due - time.perf_counter()))
+
+    def iteration(
+        self,
+        number: int,
+        loss: float,
+        frames: Frames,
+        paths: Mapping[str, np.ndarray] | Callable[[], Mapping[str, np.ndarray]],
+        last: bool = False,
+    ) -> None:
+        """Show an iteration of a training, if it is one that should be shown.
+
+        Its rollout is played, its paths are drawn, and those of the iterations shown before stay,
+        fading.
+
+        Args:
+            number: of the iteration.
+            loss: of its rollout.
+            frames: gives times and states of the rollout.
+            paths: points {n, 3} (m) by name, or what gives them.
+            last: show it in any case.
+        """
+        for viewer in self.viewers:
+            viewer.log_scalar("iteration", number)
+            viewer.log_scalar("loss", loss)
+        if not self.viewers or (number % self.refresh and not last):
+            return
+        for name, points in (paths() if callable(paths) else paths).items():
+            self._draw_path(name, np.asarray(points, np.float32))
+        self._last = frames
+        self._play(frames)
+
+    def _draw_path(self, name: str, points: np.ndarray) -> None:
+        earlier = self._earlier.setdefault(name, deque(maxlen=EARLIER))
+        if name in self._paths:
+            earlier.append(self._paths[name])
+        if len(points) > PATH_POINTS:
+            points = points[np.round(np.linspace(0, len(points) - 1, PATH_POINTS)).astype(int)]
+        self._paths[name] = points.copy()
+        for viewer in self._open():
+            if earlier:
+                ages = np.linspace(0.0, 1.0, len(earlier) + 1)[1:, None]
+                shades = (1.0 - ages) * OLDEST + ages * RECENT
+                viewer.log_lines(
+                    f"{name}/earlier",
+                    np.concatenate([p[:-1] for p in earlier]),
+                    np.concatenate([p[1:] for p in earlier]),
+                    np.repeat(shades, [len(p) - 1 for p in earlier], axis=0),
+                    0.5 * self.path_width,
+                )
+            viewer.log_lines(name, points[:-1], points[1:], PRESENT, self.path_width)
+
+    def _play(self, frames: Frames) -> None:
+        for t, state in frames():
+            self._wait_while_paused()
+            self.show(t, state)
+
+    def replay(self) -> None:
+        """In a window, play the last rollout until it is closed; elsewhere nothing."""
+        while self._window and self._gl.is_running():
+            if self._last is not None:
+                self._play(self._last)
+                self._linger(0.6)
+            else:
+                self._linger(0.1)
+
+    def _linger(self, seconds: float) -> None:
+        end = time.perf_counter() + seconds
+        while self._gl.is_running() and time.perf_counter() < end:
+            self._gl.end_frame()
+            time.sleep(1.0 / self.fps)
+
+    def _wait_while_paused(self) -> None:
+        while self._window and self._gl.is_running() and not self._gl.should_step():
+            self._gl.end_frame()
+
+    def _open(self) -> list[Viewer]:
+        return [viewer for viewer in self.viewers if viewer.is_running()]
+
+    def close(self) -> None:
+        """Write what was recorded, and close all viewers."""
+        if self._picture is not None and self._gl.is_running():
+            self._gl.save_picture(self._picture)
+        for viewer in self.viewers:
+            viewer.close()
+
+    def __enter__(self) -> Stage:
+        """Return itself; it is closed when the block ends."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        value: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        """Replay in a window until it is closed, unless there was an error; then close."""
+        try:
+            if kind is None:
+                self.replay()
+        finally:
+            self.close()

@@ -1,0 +1,357 @@
+"""ViewerGL: pictures through a real EGL context, and a real window where there is an X server."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import struct
+import subprocess
+import sys
+import time
+import zlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import novaphy
+from novaphy import viewer as viewers
+
+SIZE = {"width": 320, "height": 240}
+BLUE = np.float32([0.16, 0.44, 0.72])
+
+
+@pytest.fixture(scope="module")
+def egl():
+    """ViewerGL without a display, where there is one."""
+    try:
+        novaphy.ViewerGL(headless=True, **SIZE).close()
+    except ImportError as error:
+        pytest.skip(str(error))
+
+
+def bodies(count: int, ground: bool = True) -> novaphy.Model:
+    """Boxes of 0.2 m in rows of 100 over the ground."""
+    builder = novaphy.ModelBuilder()
+    if ground:
+        builder.add_ground_plane()
+    for k in range(count):
+        place = (0.3 * (k % 100), 0.3 * (k // 100), 0.5)
+        body = builder.add_body(xform=(place, (0.0, 0.0, 0.0, 1.0)), mass=1.0)
+        builder.add_shape_box(body, hx=0.1, hy=0.1, hz=0.1)
+    return builder.finalize()
+
+
+def show(viewer: novaphy.ViewerGL, state: novaphy.SimState, t: float = 0.0) -> np.ndarray:
+    """The picture of a state."""
+    viewer.begin_frame(t)
+    viewer.log_state(state)
+    viewer.end_frame()
+    return viewer.get_frame()
+
+
+def like(picture: np.ndarray, color) -> np.ndarray:
+    """Which pixels have the hue of a colour, in light or shade."""
+    rgb = picture.astype(np.float32) + 1.0
+    direction = np.float32(color) / np.linalg.norm(color)
+    return (rgb @ direction) / np.linalg.norm(rgb, axis=2) > 0.985
+
+
+def test_a_picture_shows_something_and_the_text_over_it(egl):
+    with novaphy.ViewerGL(headless=True, **SIZE) as viewer:
+        model = bodies(1)
+        viewer.set_model(model)
+        picture = show(viewer, model.state())
+        assert picture.shape == (240, 320, 3) and picture.dtype == np.uint8
+        background = picture[0, -1].astype(int)
+        assert np.mean(np.abs(picture - background).max(axis=2) > 8) > 0.05
+        assert np.count_nonzero(like(picture, BLUE)) > 100
+        viewer.show_text = False
+        without = show(viewer, model.state())
+        assert np.any(picture[:60, :120] != without[:60, :120])
+        assert np.array_equal(picture[120:], without[120:])
+
+
+def test_a_body_moves_in_the_picture_as_projected(egl):
+    model = bodies(1, ground=False)
+    with novaphy.ViewerGL(headless=True, **SIZE) as viewer:
+        viewer.show_text = False
+        viewer.set_model(model)
+        viewer.look_at((1.0, -3.0, 1.5), (0.0, 0.0, 0.5))
+        state = model.state()
+        centres, projected = [], []
+        for x in (0.0, 0.4):
+            pose = np.float32([[x, 0.2 * x, 0.5 + x, 0.0, 0.0, 0.0, 1.0]])
+            state.body_q.assign(pose)
+            rows, columns = np.nonzero(like(show(viewer, state), BLUE))
+            centres.append((columns.mean() + 0.5, rows.mean() + 0.5))
+            projected.append(viewer.camera.project(pose[:, :3], 320, 240)[0])
+        moved = np.subtract(centres[1], centres[0])
+        expected = np.subtract(projected[1], projected[0])
+        assert np.linalg.norm(expected) > 40
+        np.testing.assert_allclose(moved, expected, atol=2.0)
+        np.testing.assert_allclose(centres, projected, atol=3.0)
+
+
+def test_a_thousand_bodies_are_three_draw_calls(egl):
+    model = bodies(1000)
+    with novaphy.ViewerGL(headless=True, **SIZE) as viewer:
+        viewer.show_text = False
+        viewer.set_model(model)
+        show(viewer, model.state())
+        assert viewer.draw_calls == 3  # the shadow of the boxes, the boxes, the ground
+
+
+def test_ten_thousand_bodies_take_less_than_two_milliseconds_of_python(egl):
+    model = bodies(10_000)
+    state = model.state()
+    with novaphy.ViewerGL(headless=True, **SIZE) as viewer:
+        viewer.set_model(model)
+        show(viewer, state)
+        before = [id(item.poses.values) for item in viewer.scene.instances.values()]
+        seconds = []
+        for k in range(20):
+            start = time.thread_time()
+            viewer.begin_frame(0.1 * k)
+            viewer.log_state(state)
+            viewer.end_frame()
+            viewer._renderer._follow(viewer.scene)  # the upload, without the rasteriser
+            seconds.append(time.thread_time() - start)
+        assert min(seconds) < 2e-3
+        assert before == [id(item.poses.values) for item in viewer.scene.instances.values()]
+
+
+def test_every_shape_is_drawn(egl):
+    builder = novaphy.ModelBuilder()
+    shapes = {
+        "sphere": {"radius": 0.2},
+        "box": {"hx": 0.2, "hy": 0.1, "hz": 0.2},
+        "capsule": {"radius": 0.1, "half_height": 0.2},
+        "cylinder": {"radius": 0.1, "half_height": 0.2},
+        "cone": {"radius": 0.2, "half_height": 0.2},
+        "ellipsoid": {"rx": 0.3, "ry": 0.2, "rz": 0.1},
+    }
+    for k, (kind, sizes) in enumerate(shapes.items()):
+        body = builder.add_body(xform=((k - 2.5, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0)), mass=1.0)
+        getattr(builder, f"add_shape_{kind}")(body, **sizes)
+    model = builder.finalize()
+    with novaphy.ViewerGL(headless=True, width=900, height=300) as viewer:
+        viewer.show_text = False
+        viewer.set_model(model)
+        viewer.look_at((0.0, -8.5, 0.0), (0.0, 0.0, 0.0))
+        picture = show(viewer, model.state())
+        drawn = np.abs(picture - picture[0, 0].astype(int)).max(axis=2) > 20
+        poses = model.state().body_q.numpy()
+        for pose, (kind, sizes) in zip(poses, shapes.items(), strict=True):
+            half = {
+                "sphere": (0.2, 0.2), "box": (0.2, 0.2), "capsule": (0.1, 0.3),
+                "cylinder": (0.1, 0.2), "cone": (0.2, 0.2), "ellipsoid": (0.3, 0.1),
+            }[kind]  # fmt: skip
+            corner = pose[:3] + np.float32([half[0], 0.0, half[1]])
+            (x, y), (right, top) = viewer.camera.project(np.stack([pose[:3], corner]), 900, 300)
+            around = drawn[:, round(x) - 22 : round(x) + 22]
+            width, height = np.count_nonzero(around.any(axis=0)), np.count_nonzero(around.any(1))
+            assert width == pytest.approx(2 * (right - x), abs=3), (kind, sizes)
+            assert height == pytest.approx(2 * (y - top), abs=3), (kind, sizes)
+
+
+def test_drawings_appear_and_disappear(egl):
+    with novaphy.ViewerGL(headless=True, **SIZE) as viewer:
+        viewer.show_text = False
+        viewer.look_at((0.0, -4.0, 0.0), (0.0, 0.0, 0.0))
+        red, green, gold = (0.9, 0.1, 0.1), (0.1, 0.8, 0.1), (0.9, 0.7, 0.1)
+
+        def pixels(color):
+            viewer.begin_frame(0.0)
+            viewer.end_frame()
+            return np.count_nonzero(like(viewer.get_frame(), color))
+
+        assert pixels(red) == pixels(green) == 0
+        viewer.log_lines("a", [[-1, 0, 0.5]], [[1, 0, 0.5]], red, 0.1)
+        viewer.log_lines("b", [[-1, 0, -0.5]], [[1, 0, -0.5]], green, 0.1)
+        viewer.log_arrows("c", [[0, 0, -0.3]], [[0, 0, 0.3]], gold, 0.03)
+        length, thick = 2.0 / (8.0 * np.tan(np.radians(20.0))) * 240, 0.1 / 2.912 * 240
+        assert pixels(red) == pytest.approx(length * thick, rel=0.25)
+        assert pixels(green) == pytest.approx(length * thick, rel=0.25)
+        assert pixels(gold) > 100
+        viewer.log_lines("a", None, None, None)
+        viewer.log_lines("b", [[-1, 0, -0.5]], [[1, 0, -0.5]], green, 0.05, hidden=True)
+        viewer.log_arrows("c", None, None, None)
+        assert pixels(red) == pixels(green) == pixels(gold) == 0
+        viewer.log_mesh("m", [[-1, 0, -1], [1, 0, -1], [0, 0, 1]], [[0, 1, 2]], color=green)
+        viewer.log_points("p", [[0, -0.5, 0]], 0.2, red)
+        assert pixels(green) > 3000 and pixels(red) > 300
+        for call, error in (
+            (lambda: viewer.log_lines("a", [[0, 0, 0]], [[0, 0]], red), ValueError),
+            (lambda: viewer.log_mesh("m", [[0, 0, 0]], [[0, 1, 2]]), ValueError),
+            (lambda: viewer.log_instances("i", "none", np.zeros((1, 7))), ValueError),
+            (lambda: viewer.log_shapes("s", novaphy.GeoType.HFIELD, (1, 1, 1), np.zeros((1, 7))),
+             NotImplementedError),
+            (lambda: viewer.log_state(bodies(1).state()), ValueError),
+        ):  # fmt: skip
+            with pytest.raises(error):
+                call()
+
+
+def test_opening_and_closing_leaves_nothing_behind(egl):
+    model = bodies(100)
+    seen = []
+    for k in range(24):
+        with novaphy.ViewerGL(headless=True, **SIZE) as viewer:
+            viewer.set_model(model)
+            show(viewer, model.state())
+        if k % 4 == 3:
+            pages = int(Path("/proc/self/statm").read_text().split()[1])
+            seen.append((len(os.listdir("/proc/self/fd")), pages * os.sysconf("SC_PAGE_SIZE")))
+    descriptors, memory = zip(*seen, strict=True)
+    assert descriptors[-1] <= descriptors[0]
+    assert memory[-1] - memory[1] < 16e6, memory
+    with pytest.raises(RuntimeError, match="closed"):
+        viewer.get_frame()
+
+
+def test_pictures_and_videos_are_written(egl, tmp_path):
+    model = bodies(1)
+    with novaphy.ViewerGL(headless=True, **SIZE) as viewer:
+        viewer.set_model(model)
+        picture = show(viewer, model.state())
+        viewer.save_picture(tmp_path / "a.png")
+        data = (tmp_path / "a.png").read_bytes()
+        assert struct.unpack(">II", data[16:24]) == (320, 240)
+        length = struct.unpack(">I", data[33:37])[0]
+        rows = np.frombuffer(zlib.decompress(data[41 : 41 + length]), np.uint8)
+        assert np.array_equal(rows.reshape(240, 961)[:, 1:].reshape(240, 320, 3), picture)
+        with pytest.raises(ValueError, match=r"\.mp4"):
+            viewer.start_video(tmp_path / "a.avi")
+        if shutil.which("ffmpeg") is None:
+            with pytest.raises(RuntimeError, match="apt-get install ffmpeg"):
+                viewer.start_video(tmp_path / "a.gif")
+            return
+        viewer.start_video(tmp_path / "a.gif", fps=25.0)
+        for k in range(5):
+            show(viewer, model.state(), 0.1 * k)
+        viewer.stop_video()
+    assert (tmp_path / "a.gif").read_bytes()[:6] == b"GIF89a"
+
+
+@pytest.mark.parametrize(
+    ("blocked", "options", "expected"),
+    [
+        ("moderngl", "headless=True", "pip install 'novaphy[gl]'"),
+        ("pyglet", "", "pip install 'novaphy[gl]'"),
+        ("none", "", "DISPLAY is not set"),
+    ],
+)
+def test_what_is_missing_is_named(egl, blocked, options, expected):
+    code = (
+        f"import sys; sys.modules[{blocked!r}] = None; import novaphy\n"
+        f"try: novaphy.ViewerGL({options})\nexcept ImportError as error: print(error)"
+    )
+    environ = {k: v for k, v in os.environ.items() if k != "DISPLAY"}
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environ)
+    assert expected in done.stdout, done.stdout + done.stderr
+
+
+def test_nothing_is_imported_before_it_is_needed():
+    code = (
+        "import sys, novaphy, novaphy.viewer; novaphy.ViewerNull(); "
+        "print([m for m in ('moderngl', 'pyglet', 'viser', 'PIL') if m in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.stdout.strip() == "[]", done.stderr
+
+
+WINDOW = """
+import numpy as np, novaphy
+from test_viewer_gl import bodies, show
+model = bodies(1)
+viewer = novaphy.ViewerGL(width=320, height=240)
+viewer.set_model(model)
+state = model.state()
+frame = show(viewer, state)
+assert frame.shape == (240, 320, 3) and len(np.unique(frame.reshape(-1, 3), axis=0)) > 50
+window, key = viewer._window, viewer._window.key
+window.on_key_press(key.SPACE, 0)
+assert viewer.is_paused() and not viewer.should_step() and viewer.is_key_down("space")
+window.on_key_press(key.N, 0)
+assert viewer.should_step() and not viewer.should_step()
+window.on_key_press(key.R, 0)
+assert viewer.reset_requested
+window.on_key_press(key.SPACE, 0)
+distance = viewer.camera.distance
+window.on_mouse_scroll(10, 10, 0, 1)
+assert viewer.camera.distance < distance
+x, y = viewer.camera.project(state.body_q.numpy()[:, :3], 320, 240)[0]
+window.on_mouse_press(int(x), 240 - int(y), window.mouse.LEFT, key.MOD_CTRL)
+window.on_mouse_drag(int(x) + 40, 240 - int(y), 40, 0, window.mouse.LEFT, key.MOD_CTRL)
+viewer.apply_forces(state)
+side, above, _ = viewer.camera.axes()
+pull = state.body_f.numpy()[0, :3]
+assert pull @ side > 1.0 and abs(pull @ above) < 0.05 * (pull @ side), pull
+window.on_mouse_release(0, 0, window.mouse.LEFT, 0)
+window.on_key_press(key.ESCAPE, 0)
+assert not viewer.is_running()
+viewer.close()
+print("done")
+"""
+
+
+def test_a_real_window_takes_keys_and_the_pointer(egl):
+    pytest.importorskip("pyglet")
+    if shutil.which("Xvfb") is None:
+        pytest.skip("no X server: apt-get install xvfb")
+    read, write = os.pipe()
+    server = subprocess.Popen(
+        ["Xvfb", "-displayfd", str(write), "-screen", "0", "800x600x24"],
+        pass_fds=(write,), stderr=subprocess.DEVNULL,
+    )  # fmt: skip
+    os.close(write)
+    try:
+        with os.fdopen(read) as pipe:
+            display = pipe.readline().strip()
+        environ = os.environ | {"DISPLAY": f":{display}", "LIBGL_ALWAYS_SOFTWARE": "1"}
+        done = subprocess.run(
+            [sys.executable, "-c", WINDOW], capture_output=True, text=True, timeout=120,
+            env=environ, cwd=Path(__file__).parent,
+        )  # fmt: skip
+    finally:
+        server.terminate()
+        server.wait()
+    assert done.stdout.strip() == "done", done.stdout + done.stderr
+
+
+def test_a_stage_draws_iterations_as_asked():
+    import argparse
+
+    calls = []
+
+    class Recorder(viewers.Viewer):
+        """Keeps what it was told."""
+
+        def log_lines(self, name, starts, ends, colors, width=0.01, hidden=False):
+            """Keep the lines."""
+            calls.append((name, np.array(starts), np.broadcast_to(colors, np.shape(starts))))
+
+        def log_state(self, state):
+            """Keep the time."""
+            calls.append(("state", self.time))
+
+    args = argparse.Namespace(refresh=None, record=None, window=False)
+    model = bodies(1)
+    state = model.state()
+    with viewers.Stage(args, model, refresh=2, viewers=[Recorder()]) as stage:
+        for k in range(80):
+            points = np.float32([[0, 0, k], [1, 0, k], [2, 0, k]])
+            stage.iteration(
+                k, 1.0 / (k + 1), lambda: [(0.0, state), (0.5, state)], {"path": points}
+            )
+    assert [t for name, t, *_ in (c for c in calls if c[0] == "state")] == [0.0, 0.5] * 40
+    present = [c for c in calls if c[0] == "path"]
+    assert [int(c[1][0, 2]) for c in present] == list(range(0, 80, 2))
+    earlier = [c for c in calls if c[0] == "path/earlier"]
+    assert len(earlier) == 39 and len(earlier[-1][1]) == 32 * 2
+    heights, shades = earlier[-1][1][:, 2], earlier[-1][2]
+    assert heights[0] == 14 and heights[-1] == 76  # the last 32, the oldest first
+    brightness = shades.sum(axis=1)
+    assert np.all(np.diff(brightness) <= 0) and brightness[0] > brightness[-1] + 0.4
+    assert not np.allclose(present[-1][2][0], shades[-1], atol=0.2)

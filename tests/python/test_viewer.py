@@ -213,3 +213,92 @@ def test_viewers_are_made_by_name(tmp_path):
             create_viewer(kind)
     with pytest.raises(ValueError, match="kind"):
         create_viewer("canvas")
+
+
+def draw_and_record(ball, path, frames=21, **options):
+    """Record states and drawings; the viewer is left open."""
+    viewer = ViewerFile(path, **options)
+    viewer.set_model(ball.model)
+    viewer.look_at((3.0, 0.0, 1.0), (0.0, 0.0, 0.5))
+    for k, state in enumerate(ball.states[:frames]):
+        viewer.begin_frame(k * DT)
+        viewer.log_state(state)
+        viewer.log_points("still", [[0.0, 0.0, 0.0]], 0.1)
+        viewer.log_lines("way", [[0, 0, 0]], [[0, 0, 1 + k]], (1.0, 0.0, 0.0), width=0.02)
+        viewer.log_scalar("height", float(k))
+        viewer.end_frame()
+    return viewer
+
+
+class Calls(Viewer):
+    """Keeps the calls that a recording makes."""
+
+    def __init__(self):
+        """Start without any."""
+        super().__init__()
+        self.calls = []
+
+    def log_points(self, name, points, radii=None, colors=None, hidden=False):
+        """Keep it."""
+        self.calls.append((self.time, name))
+
+    def log_lines(self, name, starts, ends, colors, width=0.01, hidden=False):
+        """Keep it."""
+        self.calls.append((self.time, name, float(ends[0][2]), list(colors), width))
+
+    def log_state_arrays(self, arrays):
+        """Keep it."""
+        self.calls.append((self.time, arrays["particle_q"].tobytes()))
+
+
+def test_drawings_are_recorded_and_shown_again(ball, tmp_path):
+    path = tmp_path / "run.nprec"
+    draw_and_record(ball, path, save_interval=8).close()
+    viewer = ViewerFile(tmp_path / "other.nprec", auto_save=False)
+    viewer.load_recording(path)
+    shown = Calls()
+    viewer.show(shown)
+    assert [c[1:] for c in shown.calls if c[1] == "way"] == [
+        ("way", 1.0 + k, [1.0, 0.0, 0.0], 0.02) for k in range(21)
+    ]
+    assert [c for c in shown.calls if c[1] == "still"] == [(0.0, "still")]  # it never changed
+    states = [c[1] for c in shown.calls if isinstance(c[1], bytes)]
+    assert states == [state.particle_q.numpy().tobytes() for state in ball.states]
+    shown.calls.clear()
+    viewer.show_frame(shown, 7, from_start=True)
+    assert [c[1] for c in shown.calls[:2]] == ["still", "way"] and shown.calls[1][2] == 8.0
+    viewer.save_recording(tmp_path / "again.nprec")
+    assert (tmp_path / "again.nprec").stat().st_size < 1.1 * path.stat().st_size
+    state = ball.model.state()
+    assert viewer.playback(state, 20) == 20 * DT
+    novaphy.testing.assert_same_bits(state.particle_q, ball.states[20].particle_q)
+
+
+def test_a_killed_program_loses_the_last_chunk_at_most(ball, tmp_path):
+    path = tmp_path / "run.nprec"
+    viewer = draw_and_record(ball, path, save_interval=8)  # neither closed nor saved
+    other = ViewerFile(tmp_path / "other.nprec", auto_save=False)
+    other.load_recording(path)
+    assert other.frame_count == 16
+    whole = path.read_bytes()
+    for cut in (len(whole) - 1, len(whole) - 5000):
+        path.write_bytes(whole[:cut])
+        other.load_recording(path)
+        assert other.frame_count == 8
+    path.write_bytes(whole[:-100] + bytes([whole[-100] ^ 1]) + whole[-99:])
+    other.load_recording(path)
+    assert other.frame_count == 8
+    path.write_bytes(whole[:30])
+    with pytest.raises(ValueError, match="incomplete"):
+        other.load_recording(path)
+    assert other.frame_count == 8
+    viewer.save_recording()
+    other.load_recording(path)
+    assert other.frame_count == 21
+
+
+def test_a_recording_shows_itself_in_a_notebook(ball, tmp_path):
+    viewer = draw_and_record(ball, tmp_path / "run.nprec", auto_save=False)
+    inline = viewer._repr_html_()
+    assert inline.startswith("<iframe") and "&quot;way&quot;" in inline
+    assert not list(tmp_path.iterdir())

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from types import TracebackType
 from typing import Any
 
@@ -28,6 +28,9 @@ class Viewer:
         """Show the shapes and particles of a model from now on."""
         self.model = model
 
+    def set_model_arrays(self, arrays: Mapping[str, np.ndarray], up_axis: int) -> None:
+        """Show a model of which only the arrays are there, by field, as in a recording."""
+
     def set_camera(
         self, pos: ArrayLike, pitch: float | None = None, yaw: float | None = None
     ) -> None:
@@ -48,6 +51,9 @@ class Viewer:
 
     def log_state(self, state: SimState) -> None:
         """Show a state of the model."""
+
+    def log_state_arrays(self, arrays: Mapping[str, np.ndarray]) -> None:
+        """Show a state of which only the arrays are there, by field, as in a recording."""
 
     def log_contacts(self, contacts: Contacts, state: SimState) -> None:
         """Show the contacts of a state."""
@@ -132,6 +138,9 @@ class Viewer:
 
     def apply_forces(self, state: SimState) -> None:
         """Add the forces of the user's pointer to a state."""
+
+    def clear(self) -> None:
+        """Take out the model and all that was drawn."""
 
     def is_running(self) -> bool:
         """Return False once the viewer was closed."""

@@ -1,43 +1,50 @@
-"""ViewerFile: records states to a file, and plays them back.
-
-The file is an .npz archive. Its entry `header` is a JSON text (as uint8) that says what the other
-entries are: `time` {frames} in s, `state/<field>` {frames, ...} for the state's fields that have
-rows, `model/<field>` for the model's.
-"""
+"""ViewerFile: records states and drawings to a file, and plays them back."""
 
 from __future__ import annotations
 
-import json
 import os
-import zipfile
 from collections import deque
-from typing import Any
+from collections.abc import Callable, Mapping
+from typing import Any, BinaryIO
 
 import numpy as np
 
-from .. import _core
-from .._core import Model, SimState
+from .._core import Contacts, Model, SimState
 from ..io import atomic_path
+from . import _recording
 from ._base import Viewer
+from ._model_scene import (
+    CONTACT_COLOR,
+    CONTACT_POINT,
+    CONTACT_WIDTH,
+    contact_segments,
+    model_arrays,
+)
+from ._recording import Call, Frame
 
-FORMAT = "novaphy-recording"
-FORMAT_VERSION = 1
 STATE_FIELDS = ("particle_q", "particle_qd", "body_q", "body_qd", "joint_q", "joint_qd")
-MODEL_FIELDS = (
-    "particle_radius",
-    "particle_flags",
-    "shape_type",
-    "shape_scale",
-    "shape_transform",
-    "shape_body",
-    "shape_flags",
+# Calls that are recorded as they are. The last one of a name holds until the next.
+DRAWINGS = (
+    "set_camera",
+    "look_at",
+    "set_world_offsets",
+    "log_mesh",
+    "log_instances",
+    "log_shapes",
+    "log_lines",
+    "log_arrows",
+    "log_points",
+    "log_array",
+    "log_scalar",
+    "log_image",
 )
 
 
 class ViewerFile(Viewer):
-    """Records every state that is logged.
+    """Records every frame: its state, and what is drawn.
 
-    A recording may also be loaded and played back into states of the same sizes.
+    A recording may also be loaded, played back into states of the same sizes, and shown by another
+    viewer. In a notebook it shows itself.
     """
 
     def __init__(
@@ -49,9 +56,11 @@ class ViewerFile(Viewer):
     ) -> None:
         """Record to `output_path`.
 
-        With auto_save the file is written every `save_interval` frames and when the viewer is
-        closed. Only the last `max_history_size` frames are kept (None: all). ValueError: a number
-        below 1, or a folder that is not there.
+        With auto_save the frames are written in chunks of `save_interval`, and when the viewer is
+        closed: a program that is killed loses those since the last chunk. Only the last
+        `max_history_size` frames are kept (None: all). A name that ends in .npz asks for one
+        archive that NumPy opens, which has no drawings and is written anew at every save.
+        ValueError: a number below 1, or a folder that is not there.
         """
         super().__init__()
         self.output_path = os.path.abspath(os.fspath(output_path))
@@ -64,10 +73,13 @@ class ViewerFile(Viewer):
             raise ValueError(f"ViewerFile, output_path: there is no folder {folder!r}")
         self.auto_save = auto_save
         self.save_interval = save_interval
-        self._times: deque[float] = deque(maxlen=max_history_size)
-        self._frames: deque[dict[str, np.ndarray]] = deque(maxlen=max_history_size)
+        self._frames: deque[Frame] = deque(maxlen=max_history_size)
         self._model_arrays: dict[str, np.ndarray] = {}
-        self._header: dict[str, Any] = {}
+        self._up_axis = 2
+        self._state: dict[str, np.ndarray] | None = None
+        self._calls: list[Call] = []
+        self._latest: dict[tuple[str, str], dict[str, Any]] = {}
+        self._file: BinaryIO | None = None
         self._recorded = 0
         self._saved = 0
 
@@ -79,31 +91,79 @@ class ViewerFile(Viewer):
     @property
     def times(self) -> np.ndarray:
         """The time of every held frame {frames}, s."""
-        return np.array(self._times, np.float64)
+        return np.array([frame.time for frame in self._frames], np.float64)
 
     def set_model(self, model: Model) -> None:
-        """Put the model's shapes and radii into the recording."""
+        """Put what is shown of a model into the recording."""
         super().set_model(model)
-        self._model_arrays = {name: getattr(model, name).numpy() for name in MODEL_FIELDS}
+        self.set_model_arrays(model_arrays(model), model.up_axis)
+
+    def set_model_arrays(self, arrays: Mapping[str, np.ndarray], up_axis: int) -> None:
+        """Put a model of which only the arrays are there into the recording."""
+        self._model_arrays = dict(arrays)
+        self._up_axis = int(up_axis)
 
     def log_state(self, state: SimState) -> None:
-        """Record the state at the time of the frame."""
-        self.record(state)
+        """Record the state with the frame. ValueError when its sizes differ from the others'."""
+        fields = {name: getattr(state, name) for name in STATE_FIELDS}
+        self.log_state_arrays({name: rows.numpy() for name, rows in fields.items()})
+
+    def log_state_arrays(self, arrays: Mapping[str, np.ndarray]) -> None:
+        """Record a state of which only the arrays are there."""
+        state = {name: np.array(rows) for name, rows in arrays.items() if len(rows)}
+        with_states = next((frame for frame in self._frames if frame.state), None)
+        if with_states is not None:
+            _check_sizes(with_states.state, state)
+        self._state = state
+
+    def log_contacts(self, contacts: Contacts, state: SimState) -> None:
+        """Record the contacts of a state as points and arrows. ValueError without a model."""
+        if not self._model_arrays:
+            raise ValueError("log_contacts: expected a model before, got none: call set_model")
+        q, p = state.body_q.numpy(), state.particle_q.numpy()
+        starts, ends = contact_segments(self._model_arrays, contacts, q, p)
+        self.log_points("contacts/points", starts, CONTACT_POINT, CONTACT_COLOR)
+        self.log_arrows("contacts/arrows", starts, ends, CONTACT_COLOR, CONTACT_WIDTH)
+
+    def end_frame(self) -> None:
+        """Add the frame to the recording."""
+        if self._state is not None or self._calls:
+            self._add(self._state or {})
 
     def record(self, state: SimState) -> None:
-        """Add a copy of a state. ValueError when its sizes differ from the recording's."""
-        frame = {}
-        for name in STATE_FIELDS:
-            values = getattr(state, name).numpy()
-            if len(values):
-                frame[name] = values
-        if self._frames:
-            _check_sizes(self._frames[0], frame)
-        self._times.append(self.time)
-        self._frames.append(frame)
+        """Add a copy of a state as a frame. ValueError when its sizes differ from the others'."""
+        self.log_state(state)
+        self.end_frame()
+
+    def _add(self, state: dict[str, np.ndarray]) -> None:
+        self._frames.append(Frame(self.time, state, self._calls))
+        self._state, self._calls = None, []
         self._recorded += 1
         if self.auto_save and self._recorded - self._saved >= self.save_interval:
+            self._save_new()
+
+    def _draw(self, call: str, arguments: dict[str, Any]) -> None:
+        """Keep a call, unless it says what the last one of this name said."""
+        plain = {name: _plain(value) for name, value in arguments.items()}
+        key = (call, str(plain.get("name", "")))
+        known = self._latest.get(key)
+        if known is not None and call != "log_scalar" and _same(known, plain):
+            return
+        self._latest[key] = plain
+        self._calls.append((call, plain))
+
+    def _save_new(self) -> None:
+        """Write what was not written yet to output_path."""
+        new = self._recorded - self._saved
+        if self._is_archive(self.output_path) or self._frames.maxlen is not None:
             self.save_recording()
+            return
+        if self._file is None:
+            self._file = open(self.output_path, "wb")  # noqa: SIM115, closed with the viewer
+            _recording.write_start(self._file, self._model_arrays, self._up_axis)
+            new = len(self._frames)
+        _write_runs(self._file, list(self._frames)[len(self._frames) - new :])
+        self._saved = self._recorded
 
     def save_recording(self, path: str | os.PathLike[str] | None = None) -> str:
         """Write the recording (None: to output_path) and return the path.
@@ -111,26 +171,17 @@ class ViewerFile(Viewer):
         The file appears complete or not at all. OSError when it cannot be written.
         """
         target = self.output_path if path is None else os.path.abspath(os.fspath(path))
-        names = list(self._frames[0]) if self._frames else []
-        arrays: dict[str, Any] = {"time": self.times}
-        for name in names:
-            arrays[f"state/{name}"] = np.stack([frame[name] for frame in self._frames])
-        for name, values in self._model_arrays.items():
-            arrays[f"model/{name}"] = values
-        header = {
-            "format": FORMAT,
-            "version": FORMAT_VERSION,
-            "novaphy": _core.version(),
-            "frames": self.frame_count,
-            "state": names,
-            "model": list(self._model_arrays),
-            "up_axis": self._up_axis(),
-        }
-        arrays["header"] = np.frombuffer(json.dumps(header).encode(), np.uint8)
-        # Not compressed: with auto_save this runs in between frames.
+        frames = list(self._frames)
         with atomic_path(target) as temporary, open(temporary, "wb") as file:
-            np.savez(file, **arrays)
-        self._saved = self._recorded
+            if self._is_archive(target):
+                with_states = [frame for frame in frames if frame.state]
+                _recording.write_archive(file, self._model_arrays, self._up_axis, with_states)
+            else:
+                _recording.write_start(file, self._model_arrays, self._up_axis)
+                _write_runs(file, frames)
+        if target == self.output_path:
+            self._close_file()
+            self._saved = self._recorded
         return target
 
     def load_recording(self, path: str | os.PathLike[str] | None = None) -> None:
@@ -138,29 +189,10 @@ class ViewerFile(Viewer):
 
         ValueError when the file is no recording that this version reads; what was held stays then.
         """
-        source = self.output_path if path is None else os.fspath(path)
-        try:
-            with np.load(source, allow_pickle=False) as archive:
-                entries = {name: archive[name] for name in archive.files}
-        except (ValueError, EOFError, zipfile.BadZipFile) as error:
-            raise ValueError(f"load_recording: {source!r} is no recording ({error})") from error
-        header = _read_header(source, entries)
-        missing = [f"state/{name}" for name in header["state"] if f"state/{name}" not in entries]
-        if missing or "time" not in entries or len(entries["time"]) != header["frames"]:
-            raise ValueError(f"load_recording: {source!r} is incomplete")
-        frames = [
-            {name: entries[f"state/{name}"][k] for name in header["state"]}
-            for k in range(header["frames"])
-        ]
-        limit = self._frames.maxlen
-        self._times = deque((float(t) for t in entries["time"]), maxlen=limit)
-        self._frames = deque(frames, maxlen=limit)
-        self._model_arrays = {
-            name.removeprefix("model/"): values
-            for name, values in entries.items()
-            if name.startswith("model/")
-        }
-        self._header = header
+        recording = _recording.read(self.output_path if path is None else os.fspath(path))
+        self._frames = deque(recording.frames, maxlen=self._frames.maxlen)
+        self._model_arrays, self._up_axis = recording.model, recording.up_axis
+        self._close_file()
         self._recorded = self._saved = self.frame_count
 
     def playback(self, state: SimState, frame: int) -> float:
@@ -168,49 +200,127 @@ class ViewerFile(Viewer):
 
         IndexError: no such frame; ValueError: the state's sizes differ from the recording's.
         """
-        if not -self.frame_count <= frame < self.frame_count:
-            raise IndexError(f"playback, frame: expected one of {self.frame_count}, got {frame}")
-        values = self._frames[frame]
+        held = self._frame(frame, "playback")
         sizes = {
             name: np.empty(getattr(state, name).shape, np.float32)
             for name in STATE_FIELDS
             if len(getattr(state, name))
         }
-        _check_sizes(values, sizes)
-        for name, array in values.items():
+        _check_sizes(held.state, sizes)
+        for name, array in held.state.items():
             getattr(state, name).assign(array)
-        self.time = self._times[frame]
+        self.time = held.time
         return self.time
+
+    def show_start(self, viewer: Viewer) -> None:
+        """Give another viewer the model of the recording, and nothing drawn."""
+        viewer.clear()
+        viewer.set_model_arrays(self._model_arrays, self._up_axis)
+
+    def show_frame(self, viewer: Viewer, frame: int, from_start: bool = False) -> float:
+        """Show a held frame in another viewer and return its time (s).
+
+        Args:
+            viewer: that has shown the frame before, or none yet (show_start).
+            frame: its number. IndexError: there is none.
+            from_start: show also what was drawn for all frames before.
+        """
+        held = self._frame(frame, "show_frame")
+        calls = held.calls
+        if from_start:
+            last = frame % self.frame_count
+            latest = {}
+            for k in range(last + 1):
+                for call, arguments in self._frames[k].calls:
+                    latest[call, arguments.get("name")] = (call, arguments)
+            calls = list(latest.values())
+        viewer.begin_frame(held.time)
+        for call, arguments in calls:
+            getattr(viewer, call)(**arguments)
+        if held.state:
+            viewer.log_state_arrays(held.state)
+        viewer.end_frame()
+        return held.time
+
+    def show(self, viewer: Viewer) -> None:
+        """Show the whole recording in another viewer, without waiting."""
+        self.show_start(viewer)
+        for frame in range(self.frame_count):
+            self.show_frame(viewer, frame)
+
+    def _frame(self, frame: int, call: str) -> Frame:
+        if not -self.frame_count <= frame < self.frame_count:
+            raise IndexError(f"{call}, frame: expected one of {self.frame_count}, got {frame}")
+        return self._frames[frame]
+
+    def _repr_html_(self) -> str:
+        """A page that replays the recording, in a frame."""
+        from ._html import ViewerHTML
+
+        page = ViewerHTML(None)
+        self.show(page)
+        return page._repr_html_()
 
     def close(self) -> None:
         """End the viewer; with auto_save, write what was not written yet."""
-        if self.is_running() and self.auto_save and self._recorded != self._saved:
-            self.save_recording()
+        if self.is_running() and self.auto_save:
+            self.end_frame()
+            if self._recorded != self._saved:
+                self._save_new()
+        self._close_file()
         super().close()
 
-    def _up_axis(self) -> int:
-        if self.model is not None:
-            return self.model.up_axis
-        return int(self._header.get("up_axis", 2))
+    def _close_file(self) -> None:
+        if self._file is not None:
+            self._file.close()
+            self._file = None
+
+    @staticmethod
+    def _is_archive(path: str) -> bool:
+        return path.lower().endswith(".npz")
 
 
-def _check_sizes(expected: dict[str, np.ndarray], found: dict[str, np.ndarray]) -> None:
+def _drawing(call: str) -> Callable[..., None]:
+    """Make the method that records a call, with the signature and text of Viewer's."""
+    import functools
+    import inspect
+
+    signature = inspect.signature(getattr(Viewer, call))
+
+    @functools.wraps(getattr(Viewer, call))
+    def record(self: ViewerFile, *args: Any, **kwargs: Any) -> None:
+        bound = signature.bind(self, *args, **kwargs).arguments
+        self._draw(call, {name: value for name, value in bound.items() if name != "self"})
+
+    return record
+
+
+for _call in DRAWINGS:
+    setattr(ViewerFile, _call, _drawing(_call))
+
+
+def _plain(value: Any) -> Any:
+    """A number, text, None or an array of its own."""
+    if value is None or isinstance(value, (bool, int, float, str)):
+        return value
+    return np.array(value.numpy() if hasattr(value, "numpy") else value)
+
+
+def _same(a: Mapping[str, Any], b: Mapping[str, Any]) -> bool:
+    return a.keys() == b.keys() and all(np.array_equal(a[name], b[name]) for name in a)
+
+
+def _write_runs(file: BinaryIO, frames: list[Frame]) -> None:
+    """Write frames, with and without a state, as chunks."""
+    start = 0
+    for k in range(1, len(frames) + 1):
+        if k == len(frames) or bool(frames[k].state) != bool(frames[start].state):
+            _recording.write_frames(file, frames[start:k])
+            start = k
+
+
+def _check_sizes(expected: Mapping[str, np.ndarray], found: Mapping[str, np.ndarray]) -> None:
     sizes = {name: values.shape for name, values in expected.items()}
     other = {name: values.shape for name, values in found.items()}
     if sizes != other:
         raise ValueError(f"state: expected the recording's sizes {sizes}, got {other}")
-
-
-def _read_header(source: str, entries: dict[str, np.ndarray]) -> dict[str, Any]:
-    try:
-        header: dict[str, Any] = json.loads(entries["header"].tobytes().decode())
-        name, version = header["format"], header["version"]
-        header["frames"], header["state"]
-    except (KeyError, TypeError, UnicodeDecodeError, json.JSONDecodeError) as error:
-        raise ValueError(f"load_recording: {source!r} has no header of a recording") from error
-    if name != FORMAT or version != FORMAT_VERSION:
-        raise ValueError(
-            f"load_recording: {source!r}: expected {FORMAT} version {FORMAT_VERSION}, "
-            f"got {name} version {version}"
-        )
-    return header

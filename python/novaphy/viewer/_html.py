@@ -29,12 +29,15 @@ class ViewerHTML(SceneViewer):
     does not change from frame to frame is stored once.
     """
 
-    def __init__(self, output_path: str | os.PathLike[str], title: str = "NovaPhy") -> None:
-        """Write to `output_path`. ValueError: a folder that is not there."""
+    def __init__(self, output_path: str | os.PathLike[str] | None, title: str = "NovaPhy") -> None:
+        """Write to `output_path`; None: only show itself in a notebook, or give its page().
+
+        ValueError: a folder that is not there.
+        """
         super().__init__()
-        self.output_path = os.path.abspath(os.fspath(output_path))
+        self.output_path = None if output_path is None else os.path.abspath(os.fspath(output_path))
         self.title = title
-        if not os.path.isdir(os.path.dirname(self.output_path)):
+        if self.output_path and not os.path.isdir(os.path.dirname(self.output_path)):
             raise ValueError(f"ViewerHTML, output_path: there is no folder for {output_path}")
         self._times: list[float] = []
         self._takes: list[int] = []
@@ -153,13 +156,15 @@ class ViewerHTML(SceneViewer):
     def save(self, path: str | os.PathLike[str] | None = None) -> str:
         """Write the page (None: to output_path), all of it or nothing, and return the path."""
         target = self.output_path if path is None else os.path.abspath(os.fspath(path))
+        if target is None:
+            raise ValueError("save, path: expected one, since the viewer has no output_path")
         with atomic_path(target) as temporary, open(temporary, "w", encoding="utf-8") as file:
             file.write(self.page())
         return target
 
     def close(self) -> None:
         """Write the page, and end."""
-        if self._running and self._times:
+        if self._running and self._times and self.output_path:
             self.save()
         super().close()
 

@@ -44,6 +44,7 @@ STATIC_COLOR, GROUND_COLOR = (0.70, 0.72, 0.75), (0.83, 0.84, 0.85)
 PARTICLE_COLOR, SURFACE_COLOR = (0.86, 0.33, 0.18), (0.27, 0.53, 0.78)
 SPRING_COLOR, CONTACT_COLOR = (0.45, 0.48, 0.52), (0.80, 0.10, 0.30)
 INFINITE = 400.0  # m: how far an infinite plane is drawn
+CONTACT_POINT, CONTACT_WIDTH = 0.012, 0.006  # m: the radius of its point, and its arrow
 NORMAL_LENGTH = 0.1  # m: of a contact without a force
 FORCE_SCALE = 1.0e-3  # m/N
 

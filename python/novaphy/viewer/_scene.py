@@ -181,7 +181,6 @@ class Scene:
         self.instances: dict[str, Instances] = {}
         self.lines: dict[str, Lines] = {}
         self.scalars: dict[str, list[float]] = {}
-        self.arrays: dict[str, np.ndarray] = {}
         self.images: dict[str, np.ndarray] = {}
         self.time = 0.0
         self.up_axis = 2

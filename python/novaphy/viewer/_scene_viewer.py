@@ -11,6 +11,8 @@ from ._base import ArrayLike, Viewer
 from ._camera import Camera
 from ._model_scene import (
     CONTACT_COLOR,
+    CONTACT_POINT,
+    CONTACT_WIDTH,
     ModelScene,
     contact_segments,
     model_arrays,
@@ -40,10 +42,12 @@ class SceneViewer(Viewer):
         """Show the shapes, particles, surfaces and springs of a model from now on."""
         super().set_model(model)
         self.set_model_arrays(model_arrays(model), model.up_axis)
-        self._log_arrays({"body_q": model.body_q.numpy(), "particle_q": model.particle_q.numpy()})
+        self.log_state_arrays(
+            {"body_q": model.body_q.numpy(), "particle_q": model.particle_q.numpy()}
+        )
 
     def set_model_arrays(self, arrays: Mapping[str, np.ndarray], up_axis: int) -> None:
-        """Show a model of which only the arrays are there, as in a recording."""
+        """Show a model of which only the arrays are there, by field, as in a recording."""
         self.scene.up_axis = self.camera.up_axis = int(up_axis)
         self._model_scene = ModelScene(self.scene, arrays)
         self._model_scene.offsets = self._offsets
@@ -75,18 +79,18 @@ class SceneViewer(Viewer):
 
     def log_state(self, state: SimState) -> None:
         """Show a state of the model. ValueError without a model."""
-        if self._model_scene is None:
-            raise ValueError("log_state: expected a model before, got none: call set_model")
-        self._log_arrays(
+        self.log_state_arrays(
             {
                 "body_q": state.body_q.numpy(copy=False),
                 "particle_q": state.particle_q.numpy(copy=False),
             }
         )
 
-    def _log_arrays(self, state: Mapping[str, np.ndarray]) -> None:
-        assert self._model_scene is not None
-        self.latest_state = {name: rows for name, rows in state.items() if len(rows)}
+    def log_state_arrays(self, arrays: Mapping[str, np.ndarray]) -> None:
+        """Show a state of which only the arrays are there, by field, as in a recording."""
+        if self._model_scene is None:
+            raise ValueError("log_state: expected a model before, got none: call set_model")
+        self.latest_state = {name: rows for name, rows in arrays.items() if len(rows)}
         self._model_scene.update(self.latest_state)
 
     def log_contacts(self, contacts: Contacts, state: SimState) -> None:
@@ -95,8 +99,8 @@ class SceneViewer(Viewer):
             raise ValueError("log_contacts: expected a model before, got none: call set_model")
         q, p = state.body_q.numpy(), state.particle_q.numpy()
         starts, ends = contact_segments(self._model_scene.arrays, contacts, q, p)
-        self.log_points("contacts/points", starts, 0.012, CONTACT_COLOR)
-        self.log_arrows("contacts/arrows", starts, ends, CONTACT_COLOR, 0.006)
+        self.log_points("contacts/points", starts, CONTACT_POINT, CONTACT_COLOR)
+        self.log_arrows("contacts/arrows", starts, ends, CONTACT_COLOR, CONTACT_WIDTH)
 
     def log_mesh(
         self,
@@ -273,6 +277,14 @@ class SceneViewer(Viewer):
                 f"the shape {pixels.shape}"
             )
         self.scene.images[name] = pixels
+
+    def clear(self) -> None:
+        """Take out the model and all that was drawn."""
+        self._model_scene = None
+        self.latest_state = {}
+        scene = self.scene
+        for group in (scene.meshes, scene.instances, scene.lines, scene.scalars, scene.images):
+            group.clear()
 
     def _place_camera(self) -> None:
         """See the whole scene, unless the camera was placed."""

@@ -8,8 +8,9 @@ import sys
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from functools import partial
 from types import TracebackType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -17,6 +18,9 @@ from .._core import Contacts, Model, SimState
 from ._base import ArrayLike, Viewer
 from ._needs import MissingPackageError
 from ._video import CODECS
+
+if TYPE_CHECKING:
+    from ._file import ViewerFile
 
 EARLIER = 32  # paths of earlier iterations that stay
 PATH_POINTS = 241  # of a path that are drawn
@@ -97,7 +101,7 @@ class Stage:
     def __init__(
         self,
         args: argparse.Namespace,
-        model: Model,
+        model: Model | None,
         *,
         fps: float = 60.0,
         refresh: int = 1,
@@ -109,7 +113,7 @@ class Stage:
 
         Args:
             args: what parse_args gave, after check_arguments.
-            model: what is simulated.
+            model: what is simulated; None where a recording is shown.
             fps: frames per second of simulated time.
             refresh: show every N-th training iteration, unless --refresh says something else.
             look: where the camera stands, and what it looks at (m).
@@ -124,11 +128,12 @@ class Stage:
         self._picture: str | None = None
         self._earlier: dict[str, deque[np.ndarray]] = {}
         self._paths: dict[str, np.ndarray] = {}
-        self._last: Frames | None = None
+        self._again: Callable[[], None] | None = None
         self._due = 0.0
         self.viewers = list(viewers) if viewers is not None else self._make(args)
         for viewer in self.viewers:
-            viewer.set_model(model)
+            if model is not None:
+                viewer.set_model(model)
             if look is not None:
                 viewer.look_at(*look)
 
@@ -177,6 +182,24 @@ class Stage:
             if contacts is not None:
                 viewer.log_contacts(contacts, state)
             viewer.end_frame()
+        self._pace()
+
+    def show_recording(self, recording: ViewerFile) -> None:
+        """Show a recording: what it drew, and its states."""
+        self._again = partial(self._play_recording, recording)
+        self._again()
+
+    def _play_recording(self, recording: ViewerFile) -> None:
+        for viewer in self._open():
+            recording.show_start(viewer)
+        for frame in range(recording.frame_count):
+            self._wait_while_paused()
+            for viewer in self._open():
+                recording.show_frame(viewer, frame)
+            self._pace()
+
+    def _pace(self) -> None:
+        """In a window, wait until the next frame is due."""
         if self._window and self._gl.is_running():
             self._due = max(self._due + 1.0 / self.fps, time.perf_counter() - 1.0 / self.fps)
             time.sleep(max(0.0, self._due - time.perf_counter()))
@@ -208,8 +231,8 @@ class Stage:
             return
         for name, points in (paths() if callable(paths) else paths).items():
             self._draw_path(name, np.asarray(points, np.float32))
-        self._last = frames
-        self._play(frames)
+        self._again = partial(self._play, frames)
+        self._again()
 
     def _draw_path(self, name: str, points: np.ndarray) -> None:
         earlier = self._earlier.setdefault(name, deque(maxlen=EARLIER))
@@ -237,10 +260,10 @@ class Stage:
             self.show(t, state)
 
     def replay(self) -> None:
-        """In a window, play the last rollout until it is closed; elsewhere nothing."""
+        """In a window, play the last rollout or recording until it is closed."""
         while self._window and self._gl.is_running():
-            if self._last is not None:
-                self._play(self._last)
+            if self._again is not None:
+                self._again()
                 self._linger(0.6)
             else:
                 self._linger(0.1)

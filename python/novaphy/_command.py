@@ -1,0 +1,296 @@
+"""The command `novaphy`: demos, what is installed, recordings and meshes."""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import contextlib
+import importlib.metadata
+import io
+import json
+import os
+import platform
+import re
+import runpy
+import shutil
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import novaphy
+
+COMPLETION = """_novaphy() {
+  local current=${COMP_WORDS[COMP_CWORD]}
+  local commands="demos run info check bench replay view completion"
+  if [ "$COMP_CWORD" -eq 1 ]; then
+    COMPREPLY=($(compgen -W "$commands" -- "$current"))
+  elif [ "$COMP_CWORD" -eq 2 ] && [[ " run check bench " == *" ${COMP_WORDS[1]} "* ]]; then
+    COMPREPLY=($(compgen -W "$(novaphy demos --names)" -- "$current"))
+  else
+    COMPREPLY=($(compgen -f -- "$current"))
+  fi
+}
+complete -o filenames -F _novaphy novaphy
+"""
+# Package -> the extra of novaphy that brings it, and what for.
+OPTIONAL = {
+    "moderngl": ("gl", "ViewerGL"),
+    "pyglet": ("gl", "the window of ViewerGL"),
+    "matplotlib": ("demos", "--plot of the demos"),
+    "tqdm": ("demos", "progress bars"),
+}
+
+
+def demos_folder() -> Path | None:
+    """Where the demos are: in the package, or beside it in a checkout."""
+    package = Path(novaphy.__file__).resolve().parent
+    for folder in (package / "demos", package.parent / "demos"):
+        if folder.is_dir():
+            return folder
+    return None
+
+
+def demos() -> dict[str, Path]:
+    """The demos by name."""
+    folder = demos_folder()
+    files = sorted(folder.rglob("demo_*.py")) if folder is not None else []
+    named = {re.sub("^demo_(diffsim_)?", "", file.stem): file for file in files}
+    named.pop("common", None)
+    return named
+
+
+def find_demo(name: str) -> Path:
+    """The file of a demo. ValueError names those that there are."""
+    found = demos()
+    if name not in found:
+        known = ", ".join(found) or "none: this installation has no demos"
+        raise ValueError(f"there is no demo {name!r}; there are: {known}")
+    return found[name]
+
+
+def start_demo(path: Path, options: list[str]) -> int:
+    """Run a demo in this process as if it had been started; returns its exit code."""
+    argv, folders = sys.argv, list(sys.path)
+    sys.argv = [str(path), *options]
+    sys.path[:0] = [str(path.parent)]
+    try:
+        runpy.run_path(str(path), run_name="__main__")
+    except SystemExit as end:
+        if isinstance(end.code, str):
+            print(end.code, file=sys.stderr)
+            return 1
+        return int(end.code or 0)
+    finally:
+        sys.argv, sys.path[:] = argv, folders
+    return 0
+
+
+def list_demos(args: argparse.Namespace) -> int:
+    """List the demos."""
+    found = demos()
+    if args.names:
+        print("\n".join(found))
+        return 0
+    for name, path in found.items():
+        text = ast.get_docstring(ast.parse(path.read_text("utf-8"))) or ""
+        print(f"{name:16} {text.splitlines()[0] if text else ''}")
+    return 0
+
+
+def run_demo(args: argparse.Namespace) -> int:
+    """Run a demo."""
+    return start_demo(find_demo(args.demo), args.options)
+
+
+def check(args: argparse.Namespace) -> int:
+    """Compare the gradient of a demo with central differences."""
+    path = find_demo(args.demo)
+    if "check_grad" not in path.read_text("utf-8"):
+        raise ValueError(f"check, demo: {args.demo!r} has no gradient")
+    return start_demo(path, ["--headless", "0", "--check-grad", *args.options])
+
+
+def bench(args: argparse.Namespace) -> int:
+    """Measure an iteration of a demo, or a frame of one without iterations."""
+    from . import viewer
+
+    path = find_demo(args.demo)
+    if args.count < 4:
+        raise ValueError(f"bench, --count: expected a number >= 4, got {args.count}")
+    times: list[float] = []
+
+    class Timed(viewer.Stage):
+        """Notes when an iteration or a frame ends, and shows nothing."""
+
+        def iteration(self, *_: object, **__: object) -> None:
+            times.append(time.perf_counter())
+
+        def show(self, *_: object, **__: object) -> None:
+            times.append(time.perf_counter())
+
+    stage, viewer.Stage = viewer.Stage, Timed  # type: ignore[misc]
+    said = io.StringIO()
+    try:
+        with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
+            start_demo(path, ["--headless", str(args.count), *args.options])
+    finally:
+        viewer.Stage = stage  # type: ignore[misc]
+    if len(times) < 4:
+        raise ValueError(f"bench: the demo stopped early: {said.getvalue().strip()}")
+    each = np.diff(times)[1:]  # the first may record a capture, and the second make kernels
+    result = {
+        "demo": args.demo,
+        "iterations": len(times),
+        "median_ms": round(1e3 * float(np.median(each)), 4),
+        "fastest_ms": round(1e3 * float(each.min()), 4),
+        "threads": novaphy.num_threads(),
+        "machine": platform.machine(),
+        "novaphy": novaphy.__version__,
+    }
+    print(json.dumps(result))
+    return 0
+
+
+def info(args: argparse.Namespace) -> int:
+    """Say what is installed, what is missing, and how to get it."""
+    built = [name for name, on in novaphy.build_info().items() if on]
+    print(f"novaphy {novaphy.__version__} in {Path(novaphy.__file__).parent}")
+    print(f"Python {platform.python_version()}, NumPy {np.__version__}, {platform.platform()}")
+    print(f"built with: {', '.join(built)}")
+    print("backends:")
+    for backend in novaphy.backends():
+        state = "in use" if backend.active else backend.error or "not in use"
+        print(f"  {backend.name} {backend.version}: {state} {backend.path}".rstrip())
+    print("devices:")
+    for device in novaphy.get_devices():
+        print(f"  {device}: {device.name}")
+    print(f"threads: {novaphy.num_threads()}")
+    cache = os.environ.get("NOVAPHY_CACHE_DIR") or os.path.join(
+        os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache"), "novaphy"
+    )
+    print(f"cache of device code: {cache}{'' if os.path.isdir(cache) else ' (not there yet)'}")
+    print(f"demos: {demos_folder() or 'none'}")
+    print("optional:")
+    for package, (extra, what) in OPTIONAL.items():
+        try:
+            state = importlib.metadata.version(package)
+        except importlib.metadata.PackageNotFoundError:
+            state = f"missing: pip install 'novaphy[{extra}]'"
+        print(f"  {package} ({what}): {state}")
+    for program, what in {"ffmpeg": "videos"}.items():
+        found = shutil.which(program) or f"missing: apt-get install {program}"
+        print(f"  {program} ({what}): {found}")
+    print(f"  display (windows): {os.environ.get('DISPLAY') or 'none: DISPLAY is not set'}")
+    return 0
+
+
+def replay(args: argparse.Namespace) -> int:
+    """Show a recording."""
+    from .viewer import Stage, ViewerFile
+
+    recording = ViewerFile(os.path.join(os.getcwd(), "unused.nprec"), auto_save=False)
+    recording.load_recording(args.file)
+    if not recording.frame_count:
+        raise ValueError(f"replay, file: {args.file} has no frame")
+    steps = np.diff(recording.times)
+    steps = steps[steps > 0.0]
+    fps = 1.0 / float(np.median(steps)) if steps.size else 60.0
+    with Stage(args, None, fps=min(fps, 60.0)) as stage:
+        stage.show_recording(recording)
+    print(f"{args.file}: {recording.frame_count} frames, {recording.times[-1]:.3f} s")
+    return 0
+
+
+def view(args: argparse.Namespace) -> int:
+    """Show a mesh, or a robot."""
+    from .viewer import Stage
+    from .viewer._model_scene import SURFACE_COLOR, boundary_triangles
+
+    ending = Path(args.file).suffix.lower()
+    if ending == ".urdf":
+        builder = novaphy.ModelBuilder()
+        builder.add_urdf(args.file)
+        model = builder.finalize()
+        with Stage(args, model) as stage:
+            stage.show(0.0, model.state())
+        print(f"{args.file}: {model.body_count} bodies, {model.shape_count} shapes")
+        return 0
+    if ending == ".msh":
+        tets = novaphy.io.load_tet_mesh(args.file)
+        points, triangles = tets.vertices, boundary_triangles(np.asarray(tets.indices))
+        what = f"{len(tets.indices)} tetrahedra"
+    else:
+        mesh = novaphy.io.load_mesh(args.file)
+        points, triangles = mesh.vertices, np.asarray(mesh.indices)
+        what = f"{len(triangles)} triangles"
+    with Stage(args, None) as stage:
+        for viewer in stage.viewers:
+            viewer.begin_frame(0.0)
+            viewer.log_mesh("mesh", points, triangles, color=SURFACE_COLOR, backface_culling=False)
+            viewer.end_frame()
+    lower, upper = np.min(points, axis=0), np.max(points, axis=0)
+    print(f"{args.file}: {len(points)} points, {what}, from {lower} to {upper}")
+    return 0
+
+
+def completion(args: argparse.Namespace) -> int:
+    """Print the tab completion for bash: eval "$(novaphy completion)"."""
+    print(COMPLETION, end="")
+    return 0
+
+
+def make_parser() -> argparse.ArgumentParser:
+    """The command and its parts."""
+    from .viewer import add_arguments
+
+    parser = argparse.ArgumentParser(prog="novaphy", description="A differentiable physics engine.")
+    parser.add_argument("--version", action="version", version=novaphy.__version__)
+    parts = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+
+    def add(name: str, function: Callable[[argparse.Namespace], int]) -> Any:
+        text = (function.__doc__ or "").splitlines()[0]
+        part = parts.add_parser(name, help=text, description=text)
+        part.set_defaults(function=function)
+        return part
+
+    add("demos", list_demos).add_argument("--names", action="store_true", help="names only")
+    for name, function in (("run", run_demo), ("check", check), ("bench", bench)):
+        part = add(name, function)
+        if name == "bench":
+            part.add_argument("--count", type=int, default=20, help="iterations (default 20)")
+        needs_one = {"nargs": "?", "default": "ball"} if name != "run" else {}
+        part.add_argument("demo", help="a name that `novaphy demos` lists", **needs_one)
+        part.add_argument("options", nargs=argparse.REMAINDER, help="options of the demo")
+    add("info", info)
+    for name, function, what in (
+        ("replay", replay, "a recording: .nprec, or .npz"),
+        ("view", view, "a mesh: .msh, .obj, .stl, .ply, .dae; a robot: .urdf"),
+    ):
+        part = add(name, function)
+        part.add_argument("file", help=what)
+        add_arguments(part, 1, "passes")
+    add("completion", completion)
+    return parser
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the command; returns its exit code. Errors of the user are one line."""
+    from .viewer import check_arguments
+
+    parser = make_parser()
+    args = parser.parse_args(arguments)
+    if args.command in ("replay", "view"):
+        check_arguments(parser, args)
+    try:
+        return int(args.function(args))
+    except KeyboardInterrupt:
+        return 130
+    except BrokenPipeError:
+        return 0
+    except (ValueError, OSError, ImportError, NotImplementedError, novaphy.Error) as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 1

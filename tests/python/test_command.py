@@ -1,0 +1,101 @@
+"""The command `novaphy`, as a user types it."""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import novaphy
+from novaphy import _command
+
+DATA = Path(__file__).parents[1] / "data"
+
+
+def command(*words: str, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
+    """`python -m novaphy` with these words."""
+    return subprocess.run(
+        [sys.executable, "-m", "novaphy", *words],
+        capture_output=True, text=True, timeout=300, cwd=cwd,
+    )  # fmt: skip
+
+
+@pytest.fixture(autouse=True)
+def with_demos():
+    """The demos, which an editable install and a wheel have."""
+    pytest.importorskip("novaphy.diff")
+    if not _command.demos():
+        pytest.skip("this installation has no demos")
+
+
+def test_demos_are_listed_and_run_from_anywhere(tmp_path):
+    listed = command("demos", cwd=tmp_path)
+    assert listed.returncode == 0
+    lines = {line.split()[0]: line for line in listed.stdout.splitlines()}
+    assert {"ball", "soft_body", "cloth", "dice", "spring_cage", "rigid_drop"} <= set(lines)
+    assert "common" not in lines and all(len(line.split()) > 5 for line in lines.values())
+    names = command("demos", "--names").stdout.split()
+    assert names == list(lines)
+    done = command("run", "spring_cage", "--headless", "3", cwd=tmp_path)
+    assert done.returncode == 0 and done.stdout.rstrip().endswith("ok"), done.stderr
+    wrong = command("run", "nothing")
+    assert wrong.returncode == 1 and "there is no demo 'nothing'" in wrong.stderr
+    assert "spring_cage" in wrong.stderr and wrong.stderr.count("\n") == 1
+
+
+def test_a_gradient_is_checked_and_an_iteration_measured():
+    done = command("check", "spring_cage")
+    assert done.returncode == 0 and "relative error" in done.stdout
+    refused = command("check", "rigid_drop")
+    assert refused.returncode == 1 and "has no gradient" in refused.stderr
+    result = json.loads(command("bench", "--count", "5", "spring_cage").stdout)
+    assert result["iterations"] == 6  # and the last rollout
+    assert 0.0 < result["fastest_ms"] <= result["median_ms"] < 1000.0
+
+
+def test_info_names_what_is_there_and_what_is_missing():
+    done = command("info")
+    assert done.returncode == 0
+    assert novaphy.__version__ in done.stdout and "cpu" in done.stdout
+    code = (
+        "import importlib.metadata as m, sys; real = m.version\n"
+        "def version(name):\n"
+        "    if name == 'moderngl': raise m.PackageNotFoundError(name)\n"
+        "    return real(name)\n"
+        "m.version = version\n"
+        "from novaphy._command import main; sys.exit(main(['info']))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert "moderngl (ViewerGL): missing: pip install 'novaphy[gl]'" in done.stdout
+
+
+def test_a_recording_is_replayed_as_a_page(tmp_path):
+    done = command("run", "ball", "--headless", "4", "--record", "run.nprec", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    done = command("replay", "run.nprec", "--headless", "1", "--record", "r.html", cwd=tmp_path)
+    assert done.returncode == 0 and "74 frames" in done.stdout, done.stderr
+    assert '"takes":[0,37]' in (tmp_path / "r.html").read_text("utf-8")
+    wrong = command("replay", str(DATA / "cube.msh"), "--headless", "1")
+    assert wrong.returncode == 1 and "is no recording" in wrong.stderr
+
+
+def test_a_mesh_is_viewed(tmp_path):
+    path = tmp_path / "cube.html"
+    done = command("view", str(DATA / "cube.msh"), "--headless", "1", "--record", str(path))
+    assert done.returncode == 0 and "tetrahedra" in done.stdout, done.stderr
+    assert '["mesh","mesh","points"' in path.read_text("utf-8")
+    robot = command("view", "robot.urdf", "--headless", "1")
+    assert robot.returncode == 1 and re.search("robot.urdf|planned", robot.stderr)
+
+
+def test_the_completion_is_bash():
+    text = command("completion").stdout
+    done = subprocess.run(
+        ["bash", "-c", f"{text}\nCOMP_WORDS=(novaphy re) COMP_CWORD=1; _novaphy; echo $COMPREPLY"],
+        capture_output=True, text=True,
+    )  # fmt: skip
+    assert done.stdout.strip() == "replay", done.stderr

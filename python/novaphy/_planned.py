@@ -16,7 +16,7 @@ PLANNED: dict[str, dict[str, tuple[str, ...]]] = {
     "novaphy": {
         "articulations": tuple(f"eval_{kind}" for kind in _EVALUATIONS),
         "streams": ("Stream", "ScopedStream", "get_stream"),
-        "viewers on a server": ("ViewerViser", "ViewerRerun"),
+        "viewers on a server": ("ViewerRerun",),
         "surface meshes as objects": ("geometry",),
         "helpers for poses and colours": ("utils",),
     },
@@ -26,7 +26,7 @@ PLANNED: dict[str, dict[str, tuple[str, ...]]] = {
         "VBD": ("SolverVBD",),
     },
     "novaphy.viewer": {
-        "viewers on a server": ("ViewerViser", "ViewerRerun"),
+        "viewers on a server": ("ViewerRerun",),
     },
     "ModelBuilder": {
         "joints": ("add_link", "add_joint", *(f"add_joint_{kind}" for kind in _JOINT_KINDS)),

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <deque>
 #include <sstream>
 
 #include "novaphy/core/error.h"
@@ -43,14 +44,61 @@ void check_direction(Tape& tape, const Tensor& loss, const std::vector<Tensor>& 
   if (!(result.dot_product_error <= options.dot_product_tolerance)) result.ok = false;
 }
 
+// An input that gets its values, its gradient and its flag back, however the check ends.
+class Borrowed {
+ public:
+  explicit Borrowed(const Tensor& x)
+      : x_(x), values_(x.to_host()), requires_grad_(x.requires_grad()) {
+    const GradInfo* const info = find_grad_info(*x.range());
+    if (info != nullptr && info->state == GradState::Held) gradient_ = x.grad().to_host();
+    x.set_requires_grad(true);
+    x.zero_grad();
+  }
+  Borrowed(const Borrowed&) = delete;
+  Borrowed& operator=(const Borrowed&) = delete;
+  ~Borrowed() {
+    try {
+      set(values_);
+      x_.set_requires_grad(requires_grad_);
+      x_.zero_grad();
+      if (!gradient_.empty())
+        x_.grad().copy_from_host(gradient_.data(), gradient_.size() * sizeof(float));
+    } catch (...) {  // a device that is lost: the check has failed already
+    }
+  }
+  const std::vector<float>& values() const { return values_; }
+  void set(const std::vector<float>& values) const {
+    x_.copy_from_host(values.data(), values.size() * sizeof(float));
+  }
+
+ private:
+  Tensor x_;
+  std::vector<float> values_, gradient_;
+  bool requires_grad_;
+};
+
+void check_arguments(const std::vector<Tensor>& inputs, const GradcheckOptions& o) {
+  require(std::isfinite(o.epsilon) && o.epsilon > 0.0f, ErrorKind::Value,
+          "gradcheck, epsilon: expected a finite number > 0, got ", o.epsilon);
+  require(o.rtol >= 0.0f && o.atol >= 0.0f && o.dot_product_tolerance >= 0.0f, ErrorKind::Value,
+          "gradcheck: expected rtol, atol and dot_product_tolerance >= 0, got ", o.rtol, ", ",
+          o.atol, " and ", o.dot_product_tolerance);
+  for (size_t k = 0; k < inputs.size(); ++k) {
+    require(inputs[k].defined(), ErrorKind::Value, "gradcheck, inputs[", k,
+            "]: the tensor is undefined");
+    for (size_t other = 0; other < k; ++other)
+      require(inputs[k].range() != inputs[other].range(), ErrorKind::Value, "gradcheck, inputs[", k,
+              "]: expected each input once, got the memory of inputs[", other, "]");
+  }
+}
+
 }  // namespace
 
 GradcheckResult gradcheck(const std::function<Tensor(const std::vector<Tensor>&)>& fn,
                           const std::vector<Tensor>& inputs, const GradcheckOptions& options) {
-  for (const Tensor& x : inputs) {
-    x.set_requires_grad(true);
-    x.zero_grad();
-  }
+  check_arguments(inputs, options);
+  std::deque<Borrowed> borrowed;
+  for (const Tensor& x : inputs) borrowed.emplace_back(x);
   GradcheckResult result;
   {
     Tape tape;
@@ -65,22 +113,22 @@ GradcheckResult gradcheck(const std::function<Tensor(const std::vector<Tensor>&)
   };
   for (size_t k = 0; k < inputs.size(); ++k) {
     const std::vector<float> ad = inputs[k].grad().to_host();
-    std::vector<float> x = inputs[k].to_host();
-    const std::vector<float> before = x;
+    const std::vector<float>& before = borrowed[k].values();
+    std::vector<float> x = before;
     std::vector<double> fd(x.size());
     for (size_t i = 0; i < x.size(); ++i) {
       const float h = options.epsilon * std::max(1.0f, std::fabs(before[i]));
       const float up = before[i] + h, down = before[i] - h;
       x[i] = up;
-      inputs[k].copy_from_host(x.data(), x.size() * sizeof(float));
+      borrowed[k].set(x);
       const double f_up = evaluate();
       x[i] = down;
-      inputs[k].copy_from_host(x.data(), x.size() * sizeof(float));
+      borrowed[k].set(x);
       const double f_down = evaluate();
       x[i] = before[i];
       fd[i] = (f_up - f_down) / (static_cast<double>(up) - static_cast<double>(down));
     }
-    inputs[k].copy_from_host(before.data(), before.size() * sizeof(float));
+    borrowed[k].set(before);
     double scale = 0.0;
     for (double d : fd) scale = std::max(scale, std::fabs(d));
     for (size_t i = 0; i < fd.size(); ++i) {

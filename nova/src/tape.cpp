@@ -340,6 +340,7 @@ void Tape::end_recomputed() { impl_->in_group = false; }
 
 void Tape::backward(const Tensor& loss, const Tensor& seed) {
   require(loss.defined(), ErrorKind::Value, "backward, loss: the tensor is undefined");
+  const novaphy::ExclusiveUse::Scope use(impl_->in_use, "backward", "the tape");
   Impl::Node* n = impl_->find(*loss.range());
   require(
       n && n->ever_written && n->carries, ErrorKind::Value,

@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "kernel_impl.h"
+#include "novaphy/core/exclusive_use.h"
 #include "novaphy/nova/op_list.h"
 #include "novaphy/nova/tape.h"
 
@@ -244,6 +245,8 @@ struct Tape::Impl {
                           std::span<const Tensor> outputs);
 
   class Forward;  // tape_jvp.cpp
+
+  novaphy::ExclusiveUse in_use;  // of what a pass keeps here
 };
 
 }  // namespace nova

@@ -177,6 +177,7 @@ std::vector<Tensor> Tape::jvp(const std::vector<Tensor>& outputs, const std::vec
                               const std::vector<Tensor>& tangents) {
   require(inputs.size() == tangents.size(), ErrorKind::Value, "jvp, tangents: expected ",
           inputs.size(), ", one per input, got ", tangents.size());
+  const novaphy::ExclusiveUse::Scope use(impl_->in_use, "jvp", "the tape");
   Impl::Forward forward(*impl_);
   for (size_t k = 0; k < inputs.size(); ++k) {
     const Tensor &input = inputs[k], &tangent = tangents[k];

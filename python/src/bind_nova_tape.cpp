@@ -210,7 +210,9 @@ void bind_gradcheck(py::module_& m) {
       "step relative to max(1, |x|); |ad - fd| <= atol + rtol * max|fd|. Besides, the derivative "
       "in "
       "one random direction is compared with that of forward mode (Tape.jvp), to "
-      "dot_product_tolerance: no step, so rounding alone. The inputs keep their values.");
+      "dot_product_tolerance: no step, so rounding alone. The inputs keep their values, gradients "
+      "and requires_grad, "
+      "also where fn raises.");
 }
 
 }  // namespace

@@ -71,6 +71,9 @@ TEST(Mass, OfAParticleHasTheGradientOfDifferences) {
       nova::gradcheck([&](const std::vector<Tensor>&) { return pull.loss(); }, {pull.mass},
                       {.epsilon = 1e-2f, .rtol = 1e-2f, .atol = 1e-4f});
   EXPECT_TRUE(result.ok) << result.worst << ", relative " << result.max_rel_error;
+  nova::Tape tape;
+  const nova::TapeScope scope(tape);
+  tape.backward(pull.loss());
   EXPECT_NE(pull.mass.grad().to_host()[0], 0.0f);
 }
 

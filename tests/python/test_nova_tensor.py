@@ -296,6 +296,30 @@ def test_gradcheck_finds_a_wrong_gradient():
         nova.gradcheck(lambda t: 1 / 0, [x])
 
 
+def test_gradcheck_leaves_its_inputs_as_they_were():
+    x = nova.tensor([1.0, 2.0], requires_grad=True)
+    y = nova.tensor([3.0])
+    with nova.Tape() as tape:
+        tape.backward(nova.sum(x * x))
+    calls = []
+
+    def breaks(a, b):
+        calls.append(None)
+        if len(calls) == 3:
+            raise ArithmeticError
+        return nova.sum(a * a) * b
+
+    with pytest.raises(ArithmeticError):
+        nova.gradcheck(breaks, [x, y])
+    assert nova.gradcheck(lambda a, b: nova.sum(a * a) * b, [x, y])
+    assert x.tolist() == [1, 2] and x.grad.tolist() == [2, 4] and x.requires_grad
+    assert y.tolist() == [3] and not y.requires_grad
+    with pytest.raises(ValueError, match="epsilon: expected a finite number > 0, got 0"):
+        nova.gradcheck(lambda a: nova.sum(a), [x], epsilon=0.0)
+    with pytest.raises(ValueError, match=r"inputs\[1\]: expected each input once"):
+        nova.gradcheck(lambda a, b: nova.sum(a * b), [x, x])
+
+
 def described(values, **changes):
     """An object whose memory is that of a NumPy array, described as CUDA memory is."""
     interface = {

@@ -106,6 +106,36 @@ def test_one_solver_in_two_threads_gives_the_right_states_or_raises(rollout):
     assert_same_bits(rollout(model, solver, 0), expected[0])
 
 
+def test_one_tape_in_two_threads_gives_the_right_gradient_or_raises():
+    x = nova.tensor(np.ones(100_000, np.float32), requires_grad=True)
+    with nova.Tape() as tape:
+        y = x
+        for _ in range(20):
+            y = y * x
+        loss = nova.sum(y)
+    tape.backward(loss)
+    once = x.grad.numpy()
+    x.zero_grad()
+    passes, refused = [], []
+
+    def go():
+        for _ in range(20):
+            try:
+                tape.backward(loss)
+                passes.append(None)
+            except RuntimeError as error:
+                refused.append(str(error))
+
+    threads = [threading.Thread(target=go) for _ in range(2)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert len(passes) + len(refused) == 40 and passes
+    assert all("the tape is in use by another call" in text for text in refused)
+    np.testing.assert_array_equal(x.grad.numpy(), len(passes) * once)
+
+
 def test_two_threads_with_two_tapes_do_not_meet():
     alone = Ball()
     with nova.Tape() as tape:

@@ -29,8 +29,10 @@ struct GradcheckResult {
 };
 
 // Compares Tape::backward of the scalar fn(inputs) with central differences, value by value of
-// every input, and with Tape::jvp in one random direction. The inputs' values are as before when it
-// returns.
+// every input, and with Tape::jvp in one random direction. The inputs' values, gradients and
+// requires_grad are as before when it returns, or throws what fn threw.
+// Errors: ErrorKind::Value for an epsilon that is not positive, a negative tolerance, or one memory
+// given twice.
 NOVAPHY_NOVA_API GradcheckResult
 gradcheck(const std::function<Tensor(const std::vector<Tensor>&)>& fn,
           const std::vector<Tensor>& inputs, const GradcheckOptions& options = {});

@@ -136,6 +136,10 @@ struct RigidContacts::Impl {
     known = false;
     const Model& m = *model;
     body = m.shape_body.to_host();
+    for (size_t s = 0; s < body.size(); ++s)
+      require(body[s] >= -1 && body[s] < m.body_count(), ErrorKind::Index,
+              "CollisionPipeline: model.shape_body[", s, "]: expected -1 to ", m.body_count() - 1,
+              ", got ", body[s]);
     type = m.shape_type.to_host();
     flags = m.shape_flags.to_host();
     group = m.shape_collision_group.to_host();

@@ -227,6 +227,29 @@ TEST(RigidContacts, PairsThatAreNotCoveredAreNamed) {
                "shapes 1 (PLANE) and 2 (PLANE)");
 }
 
+TEST(RigidContacts, ABodyThatIsNotThereIsNamed) {
+  for (const BroadPhase phase : {BroadPhase::Explicit, BroadPhase::NxN, BroadPhase::Sap}) {
+    ModelBuilder builder;
+    builder.add_ground_plane({});
+    builder.add_body({.xform = at(0.0f, 0.0f, 0.5f)});
+    builder.add_shape_sphere(0, {.radius = 0.5f});
+    const auto model = builder.finalize(Device::cpu());
+    CollisionPipeline pipeline(model, {.broad_phase = phase});
+    Contacts contacts = pipeline.contacts();
+    model->shape_body.copy_from_host(std::vector<int32_t>{-1, 2000000});
+    try {
+      pipeline.collide(model->state(), contacts);
+      FAIL() << "expected an error";
+    } catch (const Error& error) {
+      EXPECT_EQ(error.kind(), ErrorKind::Index);
+      EXPECT_NE(
+          std::string(error.what()).find("model.shape_body[1]: expected -1 to 0, got 2000000"),
+          std::string::npos)
+          << error.what();
+    }
+  }
+}
+
 TEST(RigidContacts, ABoxOnABoxTouchesInTheCornersOfTheSmaller) {
   ModelBuilder builder;
   builder.add_body({.xform = at(0.0f, 0.0f, 0.5f)});

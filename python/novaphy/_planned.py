@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-_JOINT_KINDS = ("revolute", "prismatic", "ball", "fixed", "free", "distance", "d6")
 _EVALUATIONS = ("fk", "ik", "mass_matrix", "jacobian", "inverse_dynamics")
 _SHAPE_KINDS = ("mesh", "convex_hull")
 
@@ -16,7 +15,7 @@ PLANNED: dict[str, dict[str, tuple[str, ...]]] = {
     "novaphy": {
         "articulations": tuple(f"eval_{kind}" for kind in _EVALUATIONS),
         "streams": ("Stream", "ScopedStream", "get_stream"),
-        "viewers on a server": ("ViewerRerun",),
+        "viewers on a server": ("ViewerViser", "ViewerRerun"),
         "surface meshes as objects": ("geometry",),
         "helpers for poses and colours": ("utils",),
     },
@@ -26,11 +25,9 @@ PLANNED: dict[str, dict[str, tuple[str, ...]]] = {
         "VBD": ("SolverVBD",),
     },
     "novaphy.viewer": {
-        "viewers on a server": ("ViewerRerun",),
+        "viewers on a server": ("ViewerViser", "ViewerRerun"),
     },
     "ModelBuilder": {
-        "joints": ("add_link", "add_joint", *(f"add_joint_{kind}" for kind in _JOINT_KINDS)),
-        "articulations": ("add_articulation",),
         "robots from files": ("add_urdf", "add_mjcf", "add_usd"),
         "shapes of meshes": tuple(f"add_shape_{kind}" for kind in _SHAPE_KINDS),
         "VBD": ("color", "set_coloring"),
@@ -39,7 +36,7 @@ PLANNED: dict[str, dict[str, tuple[str, ...]]] = {
 
 
 class PlannedError(NotImplementedError, AttributeError):
-    """A planned member of an object was asked for: hasattr(builder, "add_link") stays False."""
+    """A planned member of an object was asked for: hasattr(builder, "add_urdf") stays False."""
 
 
 def missing_from_module(module: str, name: str) -> Exception:

@@ -289,26 +289,34 @@ void bind_bodies(py::class_<ModelBuilder>& c) {
   bind_builder_list(c, "body_qd", &ModelBuilder::body_qd,
                     "Initial velocities: of the centre of mass, m/s, then angular, rad/s; world "
                     "frame.");
-  c.def(
-      "add_body",
-      [](ModelBuilder& b, py::handle xform, py::handle com, py::handle inertia, float mass,
-         bool lock_inertia, bool is_kinematic, const std::optional<std::string>& label) {
-        BodyArgs args{.xform = to_transform(xform, "xform"),
-                      .mass = mass,
-                      .inertia = to_inertia(inertia),
-                      .lock_inertia = lock_inertia,
-                      .is_kinematic = is_kinematic,
-                      .label = text(label)};
-        if (!com.is_none()) args.com = to_vec3(com, "com");
-        return b.add_body(args);
-      },
-      py::kw_only(), "xform"_a = py::none(), "com"_a = py::none(), "inertia"_a = py::none(),
-      "mass"_a = 0.0f, "lock_inertia"_a = false, "is_kinematic"_a = false, "label"_a = py::none(),
-      "A rigid body that moves freely, at rest at `xform` (m, xyzw). `mass` (kg), `com` (m, body "
-      "frame) and `inertia` (3x3, kg*m^2 about com; None: a point mass) are the base, to which "
-      "shapes with a density add theirs unless lock_inertia. is_kinematic: it follows its "
-      "velocity, no force moves it. Returns the index. ValueError: a mass or inertia that no body "
-      "has, also from finalize.");
+  const auto bind = [&](const char* name, int32_t (ModelBuilder::*add)(const BodyArgs&),
+                        const char* doc) {
+    c.def(
+        name,
+        [add](ModelBuilder& b, py::handle xform, py::handle com, py::handle inertia, float mass,
+              bool lock_inertia, bool is_kinematic, const std::optional<std::string>& label) {
+          BodyArgs args{.xform = to_transform(xform, "xform"),
+                        .mass = mass,
+                        .inertia = to_inertia(inertia),
+                        .lock_inertia = lock_inertia,
+                        .is_kinematic = is_kinematic,
+                        .label = text(label)};
+          if (!com.is_none()) args.com = to_vec3(com, "com");
+          return (b.*add)(args);
+        },
+        py::kw_only(), "xform"_a = py::none(), "com"_a = py::none(), "inertia"_a = py::none(),
+        "mass"_a = 0.0f, "lock_inertia"_a = false, "is_kinematic"_a = false,
+        "label"_a = py::none(), doc);
+  };
+  bind("add_body", &ModelBuilder::add_body,
+       "A rigid body that moves freely, at rest at `xform` (m, xyzw): a link, its FREE joint to the "
+       "world, and an articulation of that. `mass` (kg), `com` (m, body frame) and `inertia` (3x3, "
+       "kg*m^2 about com; None: a point mass) are the base, to which shapes with a density add "
+       "theirs unless lock_inertia. is_kinematic: it follows its velocity, no force moves it. "
+       "Returns the index. ValueError: a mass or inertia that no body has, also from finalize.");
+  bind("add_link", &ModelBuilder::add_link,
+       "As add_body, without a joint: finalize refuses a link that is the child of none. It may "
+       "have no mass.");
 }
 
 void bind_shapes(py::class_<ModelBuilder>& c) {
@@ -442,6 +450,7 @@ void bind_shapes(py::class_<ModelBuilder>& c) {
 
 void bind_builder(py::module_& m) {
   bind_shape_config(m);
+  bind_joint_dof_config(m);
   bind_list<Vec3f>(m, "_Vec3List");
   bind_list<float>(m, "_FloatList");
   bind_list<int32_t>(m, "_IntList");
@@ -520,6 +529,17 @@ void bind_builder(py::module_& m) {
           "Many particles; the lists have one length (ValueError).");
   bind_builder_elements(c);
   bind_bodies(c);
+  bind_builder_joints(c);
+  bind_builder_list(c, "joint_q", &ModelBuilder::joint_q,
+                    "Initial coordinates, see JointType. Those of a body of add_body follow body_q "
+                    "until they are set here.");
+  bind_builder_list(c, "joint_target_q", &ModelBuilder::joint_target_q,
+                    "Position targets of the drives, m or rad.");
+  bind_builder_list(c, "joint_target_mode", &ModelBuilder::joint_target_mode, "JointTargetMode.");
+#define NOVAPHY_JOINT_LIST(name, type, width, count, unit, frame, doc) \
+  bind_builder_list(c, #name, &ModelBuilder::name, unit ": " doc ".");
+  NOVAPHY_MODEL_JOINT_DOF_FIELDS(NOVAPHY_JOINT_LIST)
+#undef NOVAPHY_JOINT_LIST
   bind_shapes(c);
   bind_worlds(c);
   c.def(

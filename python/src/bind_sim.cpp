@@ -76,6 +76,10 @@ void add_model_pickle(ModelClass& c) {
 #undef NOVAPHY_KEEP
         kept["body_label"] = model.body_label;
         kept["shape_label"] = model.shape_label;
+        kept["joint_label"] = model.joint_label;
+        kept["articulation_label"] = model.articulation_label;
+        kept["max_joints_per_articulation"] = model.max_joints_per_articulation;
+        kept["max_dofs_per_articulation"] = model.max_dofs_per_articulation;
         kept["shape_collision_filter_pairs"] = model.shape_collision_filter_pairs;
         return kept;
       },
@@ -91,6 +95,13 @@ void add_model_pickle(ModelClass& c) {
 #undef NOVAPHY_TAKE
         model->body_label = kept_value(kept, "body_label").cast<decltype(model->body_label)>();
         model->shape_label = kept_value(kept, "shape_label").cast<decltype(model->shape_label)>();
+        model->joint_label = kept_value(kept, "joint_label").cast<decltype(model->joint_label)>();
+        model->articulation_label =
+            kept_value(kept, "articulation_label").cast<decltype(model->articulation_label)>();
+        model->max_joints_per_articulation =
+            kept_value(kept, "max_joints_per_articulation").cast<int32_t>();
+        model->max_dofs_per_articulation =
+            kept_value(kept, "max_dofs_per_articulation").cast<int32_t>();
         model->shape_collision_filter_pairs =
             kept_value(kept, "shape_collision_filter_pairs")
                 .cast<decltype(model->shape_collision_filter_pairs)>();
@@ -192,6 +203,12 @@ void bind_model(py::module_& m) {
           },
           "The shapes of every body, and of the world (-1), in ascending order.")
       .def_readonly("shape_label", &Model::shape_label, "One name per shape.")
+      .def_readonly("joint_label", &Model::joint_label, "One name per joint.")
+      .def_readonly("articulation_label", &Model::articulation_label, "One name per articulation.")
+      .def_readonly("max_joints_per_articulation", &Model::max_joints_per_articulation,
+                    "Joints of the largest articulation.")
+      .def_readonly("max_dofs_per_articulation", &Model::max_dofs_per_articulation,
+                    "The most degrees of freedom of an articulation.")
       .def_readonly("shape_collision_filter_pairs", &Model::shape_collision_filter_pairs,
                     "Shape pairs (i < j) that never meet.")
       .def_property_readonly(
@@ -206,7 +223,7 @@ void bind_model(py::module_& m) {
             return self.control(grad);
           },
           "clone_variables"_a = true, "requires_grad"_a = py::none(),
-          "A new control: the model's activations, the rest zero.")
+          "A new control: the model's joint forces, targets and activations.")
       .def(
           "contacts",
           [](const std::shared_ptr<Model>& self, CollisionPipeline* pipeline) {
@@ -269,8 +286,12 @@ void bind_control(py::module_& m) {
       &Fields::particle_tet_activation, "tet_activations");
   bind_counts(c);
   c.def(
-       "clear", [](Control& self, const Model*) { self.clear(); }, "model"_a = py::none(),
-       "Everything to zero. (With a model: joint targets to its own; no model has joints yet.)")
+       "clear",
+       [](Control& self, const Model* model) {
+         self.clear();
+         if (model != nullptr) self.joint_target_q.assign(model->joint_target_q);
+       },
+       "model"_a = py::none(), "Everything to zero; with a model joint_target_q to its own.")
       .def("assign", &Control::assign, "source"_a,
            "Copies all values. ValueError when sizes or devices differ.")
       .def("clone", &Control::clone, "A copy.")
@@ -343,6 +364,20 @@ void bind_enums(py::module_& m) {
             {"MESH", value_of(GeoType::MESH)},
             {"CONE", value_of(GeoType::CONE)},
             {"CONVEX_MESH", value_of(GeoType::CONVEX_MESH)}});
+  add_enum(m, "IntEnum", "JointType", "What a joint is, see Model.joint_type.",
+           {{"PRISMATIC", value_of(JointType::PRISMATIC)},
+            {"REVOLUTE", value_of(JointType::REVOLUTE)},
+            {"BALL", value_of(JointType::BALL)},
+            {"FIXED", value_of(JointType::FIXED)},
+            {"FREE", value_of(JointType::FREE)},
+            {"DISTANCE", value_of(JointType::DISTANCE)},
+            {"D6", value_of(JointType::D6)}});
+  add_enum(m, "IntEnum", "JointTargetMode", "What the drive of a degree of freedom has.",
+           {{"NONE", value_of(JointTargetMode::NONE)},
+            {"POSITION", value_of(JointTargetMode::POSITION)},
+            {"VELOCITY", value_of(JointTargetMode::VELOCITY)},
+            {"POSITION_VELOCITY", value_of(JointTargetMode::POSITION_VELOCITY)},
+            {"EFFORT", value_of(JointTargetMode::EFFORT)}});
   add_enum(m, "IntFlag", "ParticleFlags", "Bits of Model.particle_flags.",
            {{"ACTIVE", value_of(ParticleFlags::ACTIVE)}});
   add_enum(

@@ -32,6 +32,8 @@ void bind_enums(py::module_& m);
 void bind_sim(py::module_& m);
 void bind_builder(py::module_& m);
 void bind_builder_elements(py::class_<ModelBuilder>& builder);
+void bind_joint_dof_config(py::module_& m);
+void bind_builder_joints(py::class_<ModelBuilder>& builder);
 void bind_collision(py::module_& m);
 void bind_dynamics(py::module_& m, py::module_& solvers);
 void bind_io(py::module_& io);

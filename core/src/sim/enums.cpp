@@ -30,4 +30,24 @@ const char* geo_type_name(GeoType type) {
   return "unknown";
 }
 
+const char* joint_type_name(JointType type) {
+  switch (type) {
+    case JointType::PRISMATIC:
+      return "PRISMATIC";
+    case JointType::REVOLUTE:
+      return "REVOLUTE";
+    case JointType::BALL:
+      return "BALL";
+    case JointType::FIXED:
+      return "FIXED";
+    case JointType::FREE:
+      return "FREE";
+    case JointType::DISTANCE:
+      return "DISTANCE";
+    case JointType::D6:
+      return "D6";
+  }
+  return "unknown";
+}
+
 }  // namespace novaphy

@@ -30,12 +30,18 @@ SimState Model::state(std::optional<bool> grad) const {
   state.particle_qd.assign(particle_qd);
   state.body_q.assign(body_q);
   state.body_qd.assign(body_qd);
+  state.joint_q.assign(joint_q);
+  state.joint_qd.assign(joint_qd);
   return state;
 }
 
 Control Model::control(std::optional<bool> grad) const {
   Control control(*this);
   control.requires_grad = grad.value_or(requires_grad);
+  control.joint_f.assign(joint_f);
+  control.joint_target_q.assign(joint_target_q);
+  control.joint_target_qd.assign(joint_target_qd);
+  control.joint_act.assign(joint_act);
   control.particle_tri_activation.assign(particle_tri_activation);
   control.particle_tet_activation.assign(particle_tet_activation);
   return control;

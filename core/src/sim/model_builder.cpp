@@ -102,6 +102,17 @@ void ModelBuilder::check_sizes() const {
     require(size == bodies_.size(), ErrorKind::Value, "finalize: ", name, ": expected ",
             bodies_.size(), " elements, one for each body, got ", size);
   }
+  const auto check_joint_list = [&](std::string_view name, size_t size, size_t expected) {
+    require(size == expected, ErrorKind::Value, "finalize: ", name, ": expected ", expected,
+            " elements, the coordinates or degrees of freedom of the joints, got ", size);
+  };
+  const auto coords = static_cast<size_t>(next_coord()), dofs = static_cast<size_t>(next_dof());
+  check_joint_list("joint_q", joint_q.size(), coords);
+  check_joint_list("joint_target_q", joint_target_q.size(), coords);
+  check_joint_list("joint_target_mode", joint_target_mode.size(), dofs);
+#define NOVAPHY_CHECK_LIST(list, ...) check_joint_list(#list, list.size(), dofs);
+  NOVAPHY_MODEL_JOINT_DOF_FIELDS(NOVAPHY_CHECK_LIST)
+#undef NOVAPHY_CHECK_LIST
   require(count <= kMaxCount, ErrorKind::Value, "finalize: particle_q: expected at most ",
           kMaxCount, " elements, got ", count);
 }

@@ -18,7 +18,19 @@ Vec3f to_float(const Vec3<double>& v) {
 }  // namespace
 
 int32_t ModelBuilder::add_body(const BodyArgs& args) {
-  constexpr std::string_view name = "add_body";
+  check_sizes();
+  const int32_t body = append_body("add_body", args, false);
+  const std::string& label = bodies_.back().label;
+  const int32_t joint =
+      append_joint("add_body", JointType::FREE, -1, body, {.label = label + "_free_joint"});
+  add_articulation(std::span(&joint, 1), label);
+  bodies_.back().added_at = body_q.back();
+  return body;
+}
+
+int32_t ModelBuilder::add_link(const BodyArgs& args) { return append_body("add_link", args, true); }
+
+int32_t ModelBuilder::append_body(std::string_view name, const BodyArgs& args, bool is_link) {
   const Transformf pose = detail::checked_pose(name, args.xform);
   detail::check_finite({name, "com"}, args.com);
   detail::check_mass({name, "mass"}, args.mass);
@@ -37,19 +49,22 @@ int32_t ModelBuilder::add_body(const BodyArgs& args) {
                      .inertia = args.inertia.value_or(Mat33f{}),
                      .lock_inertia = args.lock_inertia,
                      .is_kinematic = args.is_kinematic,
+                     .is_link = is_link,
                      .world = current_world_,
                      .label = args.label.empty() ? "body_" + std::to_string(index) : args.label});
   return index;
 }
 
-ModelBuilder::BodyMasses ModelBuilder::body_masses() const {
+detail::MassProperties ModelBuilder::base_mass(const Body& body) {
+  detail::MassProperties base{body.mass, {body.com.x, body.com.y, body.com.z}, {}};
+  for (int i = 0; i < 3; ++i)
+    for (int j = 0; j < 3; ++j) base.inertia.m[i][j] = body.inertia.m[i][j];
+  return base;
+}
+
+std::vector<detail::MassProperties> ModelBuilder::exact_body_masses() const {
   std::vector<detail::MassProperties> bodies;
-  for (const Body& body : bodies_) {
-    detail::MassProperties base{body.mass, {body.com.x, body.com.y, body.com.z}, {}};
-    for (int i = 0; i < 3; ++i)
-      for (int j = 0; j < 3; ++j) base.inertia.m[i][j] = body.inertia.m[i][j];
-    bodies.push_back(base);
-  }
+  for (const Body& body : bodies_) bodies.push_back(base_mass(body));
   for (const Shape& shape : shapes_) {
     if (shape.body < 0 || bodies_[static_cast<size_t>(shape.body)].lock_inertia) continue;
     detail::MassProperties& body = bodies[static_cast<size_t>(shape.body)];
@@ -57,8 +72,12 @@ ModelBuilder::BodyMasses ModelBuilder::body_masses() const {
         body, detail::moved(detail::shape_mass("finalize", shape.type, shape.scale, shape.cfg),
                             shape.xform));
   }
+  return bodies;
+}
+
+ModelBuilder::BodyMasses ModelBuilder::body_masses() const {
   BodyMasses masses;
-  for (const detail::MassProperties& body : bodies) {
+  for (const detail::MassProperties& body : exact_body_masses()) {
     masses.mass.push_back(static_cast<float>(body.mass));
     masses.com.push_back(to_float(body.com));
     Mat33f inertia;
@@ -76,7 +95,7 @@ void ModelBuilder::check_bodies(const BodyMasses& masses) const {
     detail::check_finite({name, "body_qd", b}, body_qd[b].linear);
     detail::check_finite({name, "body_qd", b}, body_qd[b].angular);
     detail::check_world_gravity({name, "body_world", b}, bodies_[b].world, gravity, world_gravity_);
-    if (bodies_[b].is_kinematic) continue;
+    if (bodies_[b].is_kinematic || (bodies_[b].is_link && masses.mass[b] == 0.0f)) continue;
     require(masses.mass[b] > 0.0f, ErrorKind::Value, detail::Where{name, "body_mass", b},
             ": expected a number > 0 for a dynamic body (give it a mass, or a shape with a "
             "density, or make it kinematic), got ",
@@ -99,6 +118,7 @@ void ModelBuilder::append_bodies(const ModelBuilder& b, const Transformf& xform)
               : qd);
     bodies_.push_back(b.bodies_[i]);
     bodies_.back().world = current_world_;
+    if (moves) bodies_.back().added_at = math::multiply(xform, b.bodies_[i].added_at);
   }
 }
 

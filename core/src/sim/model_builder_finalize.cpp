@@ -41,7 +41,10 @@ std::shared_ptr<Model> ModelBuilder::finalize(Device device, const FinalizeOptio
   check_sizes();
   if (!options.skip_validation) check_values();
   const BodyMasses masses = body_masses();
-  if (!options.skip_validation) check_bodies(masses);
+  if (!options.skip_validation) {
+    check_bodies(masses);
+    check_joints();
+  }
 
   const size_t shapes = shapes_.size();
   // One host column of the shapes.
@@ -54,13 +57,18 @@ std::shared_ptr<Model> ModelBuilder::finalize(Device device, const FinalizeOptio
   const auto flags = column([](const Shape& s) { return s.cfg.flags(); });
   const auto group = column([](const Shape& s) { return s.cfg.collision_group; });
   const auto world = column([](const Shape& s) { return s.world; });
+  const std::set<std::pair<int32_t, int32_t>> filter_pairs = all_filter_pairs();
   const std::vector<Vec2i> pairs =
-      make_shape_contact_pairs(body, flags, group, world, filter_pairs_);
+      make_shape_contact_pairs(body, flags, group, world, filter_pairs);
 
   ModelCounts counts;
   counts.particle_count = particle_count();
   counts.body_count = body_count();
   counts.shape_count = shape_count();
+  counts.joint_count = joint_count();
+  counts.joint_coord_count = joint_coord_count();
+  counts.joint_dof_count = joint_dof_count();
+  counts.articulation_count = articulation_count();
   counts.spring_count = spring_count();
   counts.tri_count = tri_count();
   counts.edge_count = edge_count();
@@ -83,6 +91,7 @@ std::shared_ptr<Model> ModelBuilder::finalize(Device device, const FinalizeOptio
 
   upload_elements(m);
   upload_bodies(m, masses);
+  upload_joints(m);
   upload(m.shape_body, body);
   upload(m.shape_flags, flags);
   upload(m.shape_collision_group, group);
@@ -115,7 +124,7 @@ std::shared_ptr<Model> ModelBuilder::finalize(Device device, const FinalizeOptio
   upload(m.shape_aabb_lower, lower);
   upload(m.shape_aabb_upper, upper);
   m.shape_label = column([](const Shape& s) { return s.label; });
-  m.shape_collision_filter_pairs = filter_pairs_;
+  m.shape_collision_filter_pairs = filter_pairs;
 
   if (world_gravity_.empty()) {
     m.gravity.fill(gravity);

@@ -97,6 +97,8 @@ void ModelBuilder::check_addable(std::string_view function, const ModelBuilder& 
   check("particles", particle_q.size(), builder.particle_q.size());
   check("bodies", bodies_.size(), builder.bodies_.size());
   check("shapes", shapes_.size(), builder.shapes_.size());
+  check("joints", joints_.size(), builder.joints_.size());
+  check("joint coordinates", joint_q.size(), builder.joint_q.size());
   check("springs", springs_.indices.size(), builder.springs_.indices.size());
   check("triangles", triangles_.indices.size(), builder.triangles_.indices.size());
   check("bending edges", edges_.indices.size(), builder.edges_.indices.size());
@@ -144,6 +146,7 @@ void ModelBuilder::add_builder(const ModelBuilder& b, const Transformf& given) {
 
   const int32_t first_shape = shape_count(), first_body = body_count();
   append_bodies(b, xform);
+  append_joints(b, first_body, xform);
   for (Shape shape : b.shapes_) {
     if (moves && shape.body < 0) shape.xform = math::multiply(xform, shape.xform);
     if (shape.body >= 0) shape.body += first_body;

@@ -26,15 +26,16 @@ void check_option(const char* name, float value) {
 }
 
 void check_covered(const Model& model) {
-  const auto check = [](const char* name, int32_t count) {
-    require(count == 0, ErrorKind::NotImplemented, "SolverSemiImplicit: model: expected ", name,
-            " 0 (they are not there yet), got ", count);
-  };
   require(model.body_count() == 0 || model.device().is_cpu(), ErrorKind::NotImplemented,
           "SolverSemiImplicit: model: expected one on the cpu, as it has bodies, got one on ",
           model.device().str());
-  check("joint_count", model.joint_count());
-  check("articulation_count", model.articulation_count());
+  const std::vector<int32_t> types = model.joint_type.to_host();
+  for (size_t j = 0; j < types.size(); ++j)
+    require(types[j] == static_cast<int32_t>(JointType::FREE), ErrorKind::NotImplemented,
+            "SolverSemiImplicit: model.joint_type[", j,
+            "]: expected FREE (others are not there "
+            "yet), got ",
+            joint_type_name(static_cast<JointType>(types[j])));
 }
 
 // In m/s; only the huber and newton17 laws read it.

@@ -243,6 +243,22 @@ class GeoType(enum.IntEnum):
     CONE = 9
     CONVEX_MESH = 10
 
+class JointType(enum.IntEnum):
+    PRISMATIC = 0
+    REVOLUTE = 1
+    BALL = 2
+    FIXED = 3
+    FREE = 4
+    DISTANCE = 5
+    D6 = 6
+
+class JointTargetMode(enum.IntEnum):
+    NONE = 0
+    POSITION = 1
+    VELOCITY = 2
+    POSITION_VELOCITY = 3
+    EFFORT = 4
+
 class ParticleFlags(enum.IntFlag):
     ACTIVE = 1
 
@@ -374,6 +390,39 @@ class Model(_Counts):
     shape_collision_aabb_lower: _Field
     shape_collision_aabb_upper: _Field
     shape_contact_pairs: _Field
+    joint_type: _Field
+    joint_parent: _Field
+    joint_child: _Field
+    joint_X_p: _Field
+    joint_X_c: _Field
+    joint_dof_dim: _Field
+    joint_q_start: _Field
+    joint_qd_start: _Field
+    joint_enabled: _Field
+    joint_articulation: _Field
+    joint_ancestor: _Field
+    joint_world: _Field
+    joint_q: _Field
+    joint_target_q: _Field
+    joint_axis: _Field
+    joint_target_mode: _Field
+    joint_qd: _Field
+    joint_f: _Field
+    joint_target_qd: _Field
+    joint_act: _Field
+    joint_armature: _Field
+    joint_target_ke: _Field
+    joint_target_kd: _Field
+    joint_damping: _Field
+    joint_friction: _Field
+    joint_limit_lower: _Field
+    joint_limit_upper: _Field
+    joint_limit_ke: _Field
+    joint_limit_kd: _Field
+    joint_effort_limit: _Field
+    joint_velocity_limit: _Field
+    articulation_start: _Field
+    articulation_end: _Field
     gravity: _Field
     soft_contact_ke: float
     soft_contact_kd: float
@@ -389,6 +438,14 @@ class Model(_Counts):
     def body_shapes(self) -> dict[int, list[int]]: ...
     @property
     def shape_label(self) -> list[str]: ...
+    @property
+    def joint_label(self) -> list[str]: ...
+    @property
+    def articulation_label(self) -> list[str]: ...
+    @property
+    def max_joints_per_articulation(self) -> int: ...
+    @property
+    def max_dofs_per_articulation(self) -> int: ...
     @property
     def shape_collision_filter_pairs(self) -> set[tuple[int, int]]: ...
     @property
@@ -568,6 +625,46 @@ class ShapeConfig(_Native):
     def flags(self) -> int: ...
     def copy(self) -> ShapeConfig: ...
 
+class JointDofConfig(_Native):
+    def __init__(
+        self,
+        axis: _Vector | SupportsIndex | str | None = None,
+        limit_lower: SupportsFloat | None = None,
+        limit_upper: SupportsFloat | None = None,
+        limit_ke: SupportsFloat | None = None,
+        limit_kd: SupportsFloat | None = None,
+        target_q: SupportsFloat | None = None,
+        target_qd: SupportsFloat | None = None,
+        target_ke: SupportsFloat | None = None,
+        target_kd: SupportsFloat | None = None,
+        damping: SupportsFloat | None = None,
+        armature: SupportsFloat | None = None,
+        effort_limit: SupportsFloat | None = None,
+        velocity_limit: SupportsFloat | None = None,
+        friction: SupportsFloat | None = None,
+        actuator_mode: SupportsIndex | None = None,
+    ) -> None: ...
+    @property
+    def axis(self) -> tuple[float, float, float]: ...
+    @axis.setter
+    def axis(self, value: _Vector | SupportsIndex | str) -> None: ...
+    limit_lower: float
+    limit_upper: float
+    limit_ke: float
+    limit_kd: float
+    target_q: float
+    target_qd: float
+    target_ke: float
+    target_kd: float
+    damping: float
+    armature: float
+    effort_limit: float
+    velocity_limit: float
+    friction: float
+    actuator_mode: int
+    @staticmethod
+    def create_unlimited(axis: _Vector | SupportsIndex | str) -> JointDofConfig: ...
+
 class _Vec3List(_Native):
     def __len__(self) -> int: ...
     @overload
@@ -637,6 +734,7 @@ class _IntList(_Native):
     def __iter__(self) -> Iterator[int]: ...
 
 _ShapeConfig: TypeAlias = ShapeConfig
+_JointDofConfig: TypeAlias = JointDofConfig
 
 class ModelBuilder(_Native):
     ShapeConfig: type[_ShapeConfig]
@@ -718,6 +816,235 @@ class ModelBuilder(_Native):
         is_kinematic: bool = False,
         label: str | None = None,
     ) -> int: ...
+    def add_link(
+        self,
+        *,
+        xform: _Transform | None = None,
+        com: _Vector | None = None,
+        inertia: Sequence[_Vector] | NDArray[Any] | None = None,
+        mass: SupportsFloat = 0.0,
+        lock_inertia: bool = False,
+        is_kinematic: bool = False,
+        label: str | None = None,
+    ) -> int: ...
+    JointDofConfig: type[_JointDofConfig]
+    default_joint_cfg: _JointDofConfig
+    @property
+    def joint_count(self) -> int: ...
+    @property
+    def joint_coord_count(self) -> int: ...
+    @property
+    def joint_dof_count(self) -> int: ...
+    @property
+    def articulation_count(self) -> int: ...
+    @property
+    def joint_q(self) -> _FloatList: ...
+    @joint_q.setter
+    def joint_q(self, values: Sequence[SupportsFloat]) -> None: ...
+    @property
+    def joint_target_q(self) -> _FloatList: ...
+    @joint_target_q.setter
+    def joint_target_q(self, values: Sequence[SupportsFloat]) -> None: ...
+    @property
+    def joint_qd(self) -> _FloatList: ...
+    @joint_qd.setter
+    def joint_qd(self, values: Sequence[SupportsFloat]) -> None: ...
+    @property
+    def joint_f(self) -> _FloatList: ...
+    @joint_f.setter
+    def joint_f(self, values: Sequence[SupportsFloat]) -> None: ...
+    @property
+    def joint_target_qd(self) -> _FloatList: ...
+    @joint_target_qd.setter
+    def joint_target_qd(self, values: Sequence[SupportsFloat]) -> None: ...
+    @property
+    def joint_act(self) -> _FloatList: ...
+    @joint_act.setter
+    def joint_act(self, values: Sequence[SupportsFloat]) -> None: ...
+    @property
+    def joint_armature(self) -> _FloatList: ...
+    @joint_armature.setter
+    def joint_armature(self, values: Sequence[SupportsFloat]) -> None: ...
+    @property
+    def joint_target_ke(self) -> _FloatList: ...
+    @joint_target_ke.setter
+    def joint_target_ke(self, values: Sequence[SupportsFloat]) -> None: ...
+    @property
+    def joint_target_kd(self) -> _FloatList: ...
+    @joint_target_kd.setter
+    def joint_target_kd(self, values: Sequence[SupportsFloat]) -> None: ...
+    @property
+    def joint_damping(self) -> _FloatList: ...
+    @joint_damping.setter
+    def joint_damping(self, values: Sequence[SupportsFloat]) -> None: ...
+    @property
+    def joint_friction(self) -> _FloatList: ...
+    @joint_friction.setter
+    def joint_friction(self, values: Sequence[SupportsFloat]) -> None: ...
+    @property
+    def joint_limit_lower(self) -> _FloatList: ...
+    @joint_limit_lower.setter
+    def joint_limit_lower(self, values: Sequence[SupportsFloat]) -> None: ...
+    @property
+    def joint_limit_upper(self) -> _FloatList: ...
+    @joint_limit_upper.setter
+    def joint_limit_upper(self, values: Sequence[SupportsFloat]) -> None: ...
+    @property
+    def joint_limit_ke(self) -> _FloatList: ...
+    @joint_limit_ke.setter
+    def joint_limit_ke(self, values: Sequence[SupportsFloat]) -> None: ...
+    @property
+    def joint_limit_kd(self) -> _FloatList: ...
+    @joint_limit_kd.setter
+    def joint_limit_kd(self, values: Sequence[SupportsFloat]) -> None: ...
+    @property
+    def joint_effort_limit(self) -> _FloatList: ...
+    @joint_effort_limit.setter
+    def joint_effort_limit(self, values: Sequence[SupportsFloat]) -> None: ...
+    @property
+    def joint_velocity_limit(self) -> _FloatList: ...
+    @joint_velocity_limit.setter
+    def joint_velocity_limit(self, values: Sequence[SupportsFloat]) -> None: ...
+    @property
+    def joint_target_mode(self) -> _IntList: ...
+    @joint_target_mode.setter
+    def joint_target_mode(self, values: Sequence[SupportsIndex]) -> None: ...
+    def add_joint(
+        self,
+        joint_type: SupportsIndex,
+        parent: SupportsIndex,
+        child: SupportsIndex,
+        *,
+        linear_axes: Sequence[_JointDofConfig] | None = None,
+        angular_axes: Sequence[_JointDofConfig] | None = None,
+        parent_xform: _Transform | None = None,
+        child_xform: _Transform | None = None,
+        collision_filter_parent: bool | None = None,
+        enabled: bool = True,
+        label: str | None = None,
+    ) -> int: ...
+    def add_joint_d6(
+        self,
+        parent: SupportsIndex,
+        child: SupportsIndex,
+        *,
+        linear_axes: Sequence[_JointDofConfig] | None = None,
+        angular_axes: Sequence[_JointDofConfig] | None = None,
+        parent_xform: _Transform | None = None,
+        child_xform: _Transform | None = None,
+        collision_filter_parent: bool | None = None,
+        enabled: bool = True,
+        label: str | None = None,
+    ) -> int: ...
+    def add_joint_fixed(
+        self,
+        parent: SupportsIndex,
+        child: SupportsIndex,
+        *,
+        parent_xform: _Transform | None = None,
+        child_xform: _Transform | None = None,
+        collision_filter_parent: bool | None = None,
+        enabled: bool = True,
+        label: str | None = None,
+    ) -> int: ...
+    def add_joint_revolute(
+        self,
+        parent: SupportsIndex,
+        child: SupportsIndex,
+        *,
+        parent_xform: _Transform | None = None,
+        child_xform: _Transform | None = None,
+        axis: _Vector | SupportsIndex | str | None = None,
+        limit_lower: SupportsFloat | None = None,
+        limit_upper: SupportsFloat | None = None,
+        limit_ke: SupportsFloat | None = None,
+        limit_kd: SupportsFloat | None = None,
+        target_q: SupportsFloat | None = None,
+        target_qd: SupportsFloat | None = None,
+        target_ke: SupportsFloat | None = None,
+        target_kd: SupportsFloat | None = None,
+        damping: SupportsFloat | None = None,
+        armature: SupportsFloat | None = None,
+        effort_limit: SupportsFloat | None = None,
+        velocity_limit: SupportsFloat | None = None,
+        friction: SupportsFloat | None = None,
+        actuator_mode: SupportsIndex | None = None,
+        collision_filter_parent: bool | None = None,
+        enabled: bool = True,
+        label: str | None = None,
+    ) -> int: ...
+    def add_joint_prismatic(
+        self,
+        parent: SupportsIndex,
+        child: SupportsIndex,
+        *,
+        parent_xform: _Transform | None = None,
+        child_xform: _Transform | None = None,
+        axis: _Vector | SupportsIndex | str | None = None,
+        limit_lower: SupportsFloat | None = None,
+        limit_upper: SupportsFloat | None = None,
+        limit_ke: SupportsFloat | None = None,
+        limit_kd: SupportsFloat | None = None,
+        target_q: SupportsFloat | None = None,
+        target_qd: SupportsFloat | None = None,
+        target_ke: SupportsFloat | None = None,
+        target_kd: SupportsFloat | None = None,
+        damping: SupportsFloat | None = None,
+        armature: SupportsFloat | None = None,
+        effort_limit: SupportsFloat | None = None,
+        velocity_limit: SupportsFloat | None = None,
+        friction: SupportsFloat | None = None,
+        actuator_mode: SupportsIndex | None = None,
+        collision_filter_parent: bool | None = None,
+        enabled: bool = True,
+        label: str | None = None,
+    ) -> int: ...
+    def add_joint_ball(
+        self,
+        parent: SupportsIndex,
+        child: SupportsIndex,
+        *,
+        parent_xform: _Transform | None = None,
+        child_xform: _Transform | None = None,
+        armature: SupportsFloat = 0.0,
+        friction: SupportsFloat = 0.0,
+        damping: SupportsFloat = 0.0,
+        collision_filter_parent: bool | None = None,
+        enabled: bool = True,
+        label: str | None = None,
+    ) -> int: ...
+    def add_joint_free(
+        self,
+        child: SupportsIndex,
+        *,
+        parent_xform: _Transform | None = None,
+        child_xform: _Transform | None = None,
+        parent: SupportsIndex = -1,
+        collision_filter_parent: bool | None = None,
+        enabled: bool = True,
+        label: str | None = None,
+    ) -> int: ...
+    def add_joint_distance(
+        self,
+        parent: SupportsIndex,
+        child: SupportsIndex,
+        *,
+        parent_xform: _Transform | None = None,
+        child_xform: _Transform | None = None,
+        min_distance: SupportsFloat = -1.0,
+        max_distance: SupportsFloat = 1.0,
+        limit_ke: SupportsFloat = 10000.0,
+        limit_kd: SupportsFloat = 10.0,
+        collision_filter_parent: bool | None = None,
+        enabled: bool = True,
+        label: str | None = None,
+    ) -> int: ...
+    def add_articulation(
+        self, joints: Sequence[SupportsIndex], *, label: str | None = None
+    ) -> int: ...
+    def collapse_fixed_joints(
+        self, joints_to_keep: Sequence[str] | None = None
+    ) -> dict[str, dict[int, Any]]: ...
     @property
     def particle_flags(self) -> _IntList: ...
     @particle_flags.setter

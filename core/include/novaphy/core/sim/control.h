@@ -1,5 +1,5 @@
-// Control: what drives the model during a step. Made by Model::control(), which copies the
-// activations of triangles and tetrahedra from the model; the rest is zero.
+// Control: what drives the model during a step. Made by Model::control(), which copies the values of
+// the model.
 #pragma once
 
 #include <cstdint>

@@ -22,8 +22,63 @@
 namespace novaphy {
 
 // X(name, element type, width, count, unit, frame, doc). The frame "body, or world" is the
-// frame of the shape's body, the world for a world-owned shape.
+// frame of the shape's body, the world for a world-owned shape; "joint" is the joint frame of the
+// parent, X_parent joint_X_p.
+//
+// One number per degree of freedom of a joint, which ModelBuilder has under the same names.
 // clang-format off
+#define NOVAPHY_MODEL_JOINT_DOF_FIELDS(X)                                                         \
+  X(joint_qd, float, 1, joint_dof_count, "m/s or rad/s", "joint", "initial joint velocities")     \
+  X(joint_f, float, 1, joint_dof_count, "N or N*m", "joint", "what a control starts from")        \
+  X(joint_target_qd, float, 1, joint_dof_count, "m/s or rad/s", "joint",                          \
+    "velocity targets that a control starts from")                                                \
+  X(joint_act, float, 1, joint_dof_count, "1", "joint", "what a control starts from")             \
+  X(joint_armature, float, 1, joint_dof_count, "kg or kg*m^2", "",                                \
+    "added to the inertia of the degree of freedom")                                              \
+  X(joint_target_ke, float, 1, joint_dof_count, "N/m or N*m/rad", "", "stiffness of the drive")   \
+  X(joint_target_kd, float, 1, joint_dof_count, "N*s/m or N*m*s/rad", "", "damping of the drive") \
+  X(joint_damping, float, 1, joint_dof_count, "N*s/m or N*m*s/rad", "",                           \
+    "force against the velocity, per velocity")                                                   \
+  X(joint_friction, float, 1, joint_dof_count, "N or N*m", "", "largest dry friction")            \
+  X(joint_limit_lower, float, 1, joint_dof_count, "m or rad", "joint",                            \
+    "lower limit; -1e10: none. Of the first row of a DISTANCE joint the shortest distance")       \
+  X(joint_limit_upper, float, 1, joint_dof_count, "m or rad", "joint",                            \
+    "upper limit; 1e10: none. Of the first row of a DISTANCE joint the longest distance")         \
+  X(joint_limit_ke, float, 1, joint_dof_count, "N/m or N*m/rad", "", "stiffness of the limits")   \
+  X(joint_limit_kd, float, 1, joint_dof_count, "N*s/m or N*m*s/rad", "", "damping of the limits") \
+  X(joint_effort_limit, float, 1, joint_dof_count, "N or N*m", "", "largest force of the drive")  \
+  X(joint_velocity_limit, float, 1, joint_dof_count, "m/s or rad/s", "", "largest velocity")
+
+#define NOVAPHY_MODEL_JOINT_FIELDS(X)                                                             \
+  X(joint_type, int32_t, 1, joint_count, "", "", "JointType")                                     \
+  X(joint_parent, int32_t, 1, joint_count, "", "", "parent body; -1: the world")                  \
+  X(joint_child, int32_t, 1, joint_count, "", "", "child body")                                   \
+  X(joint_X_p, Transformf, 1, joint_count, "m, 1", "body, or world",                              \
+    "pose of the joint frame in the parent")                                                      \
+  X(joint_X_c, Transformf, 1, joint_count, "m, 1", "body",                                        \
+    "pose of the joint frame in the child")                                                       \
+  X(joint_dof_dim, Vec2i, 1, joint_count, "", "", "linear and angular degrees of freedom")        \
+  X(joint_q_start, int32_t, 1, joint_count + 1, "", "", "first coordinate; the last row: their "  \
+    "number")                                                                                     \
+  X(joint_qd_start, int32_t, 1, joint_count + 1, "", "", "first degree of freedom; the last row: "\
+    "their number")                                                                               \
+  X(joint_enabled, uint8_t, 1, joint_count, "", "", "0: the joint exerts no force")               \
+  X(joint_articulation, int32_t, 1, joint_count, "", "", "articulation of the joint; -1: none")   \
+  X(joint_ancestor, int32_t, 1, joint_count, "", "",                                              \
+    "joint of the same articulation whose child is the parent; -1: none")                         \
+  X(joint_world, int32_t, 1, joint_count, "", "", "world of the joint; -1: all worlds")           \
+  X(joint_q, float, 1, joint_coord_count, "m or rad", "joint", "initial joint coordinates, see "  \
+    "JointType")                                                                                  \
+  X(joint_target_q, float, 1, joint_coord_count, "m or rad", "joint",                             \
+    "position targets that a control starts from")                                                \
+  X(joint_axis, Vec3f, 1, joint_dof_count, "1", "joint", "unit vector of the degree of freedom")  \
+  X(joint_target_mode, int32_t, 1, joint_dof_count, "", "", "JointTargetMode")                    \
+  NOVAPHY_MODEL_JOINT_DOF_FIELDS(X)                                                               \
+  X(articulation_start, int32_t, 1, articulation_count + 1, "", "",                               \
+    "first joint; the last row: the number of joints")                                \
+  X(articulation_end, int32_t, 1, articulation_count, "", "",                                     \
+    "behind the last joint")
+
 #define NOVAPHY_MODEL_FIELDS(X)                                                                   \
   X(particle_q, Vec3f, 1, particle_count, "m", "world", "initial particle positions")             \
   X(particle_qd, Vec3f, 1, particle_count, "m/s", "world", "initial particle velocities")         \
@@ -111,6 +166,7 @@ namespace novaphy {
     "upper corner of the shape's box, without margin")                                            \
   X(shape_contact_pairs, Vec2i, 1, shape_contact_pair_count, "", "",                              \
     "shape pairs (i < j) that the rigid contact search visits, in lexicographic order")           \
+  NOVAPHY_MODEL_JOINT_FIELDS(X)                                                                   \
   X(gravity, Vec3f, 1, world_count, "m/s^2", "world",                                             \
     "gravity of every world; world -1 reads the last row")
 // clang-format on
@@ -168,6 +224,8 @@ struct ModelSettings : ModelNumbers {
   bool requires_grad = false;            // what state() and control() hand on
   std::vector<std::string> body_label;   // one per body
   std::vector<std::string> shape_label;  // one per shape
+  std::vector<std::string> joint_label, articulation_label;
+  int32_t max_joints_per_articulation = 0, max_dofs_per_articulation = 0;
   std::set<std::pair<int32_t, int32_t>>
       shape_collision_filter_pairs;  // (i < j): never in shape_contact_pairs
 };

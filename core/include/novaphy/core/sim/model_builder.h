@@ -15,10 +15,15 @@
 #include "novaphy/core/device.h"
 #include "novaphy/core/sim/element_args.h"
 #include "novaphy/core/sim/enums.h"
+#include "novaphy/core/sim/joint_args.h"
 #include "novaphy/core/sim/model.h"
 #include "novaphy/core/sim/shape_config.h"
 
 namespace novaphy {
+
+namespace detail {
+struct MassProperties;
+}
 
 // Gravity of a builder, m/s^2: a number along the up axis (so usually negative), or a vector.
 struct GravitySpec {
@@ -129,6 +134,7 @@ class NOVAPHY_CORE_API ModelBuilder {
   Vec3f gravity;
   float default_particle_radius = 0.1f;  // m
   ShapeConfig default_shape_cfg;
+  JointDofConfig default_joint_cfg;
   float rigid_gap = 0.1f;  // m: the gap of shapes whose ShapeConfig has none
   // Materials of elements, where add_* is given none.
   float default_tri_ke = 100.0f, default_tri_ka = 100.0f, default_tri_kd = 10.0f;
@@ -150,11 +156,24 @@ class NOVAPHY_CORE_API ModelBuilder {
   std::vector<Transformf> body_q;
   std::vector<SpatialVectorf> body_qd;
 
+  // The joints' values, see Model; editable as the particles. joint_q and joint_target_q have a row
+  // per coordinate, the others one per degree of freedom. The initial coordinates of a body of
+  // add_body follow body_q and body_qd until they are edited themselves.
+  std::vector<float> joint_q, joint_target_q;
+  std::vector<int32_t> joint_target_mode;
+#define NOVAPHY_BUILDER_LIST(name, ...) std::vector<float> name;
+  NOVAPHY_MODEL_JOINT_DOF_FIELDS(NOVAPHY_BUILDER_LIST)
+#undef NOVAPHY_BUILDER_LIST
+
   int32_t world_count() const { return static_cast<int32_t>(world_gravity_.size()); }
   int32_t current_world() const { return current_world_; }  // -1: outside of begin_world, end_world
   int32_t particle_count() const { return static_cast<int32_t>(particle_q.size()); }
   int32_t body_count() const { return static_cast<int32_t>(bodies_.size()); }
   int32_t shape_count() const { return static_cast<int32_t>(shapes_.size()); }
+  int32_t joint_count() const { return static_cast<int32_t>(joints_.size()); }
+  int32_t joint_coord_count() const { return static_cast<int32_t>(joint_q.size()); }
+  int32_t joint_dof_count() const { return static_cast<int32_t>(joint_qd.size()); }
+  int32_t articulation_count() const { return static_cast<int32_t>(articulations_.size()); }
   int32_t spring_count() const { return static_cast<int32_t>(springs_.indices.size()); }
   int32_t tri_count() const { return static_cast<int32_t>(triangles_.indices.size()); }
   int32_t edge_count() const { return static_cast<int32_t>(edges_.indices.size()); }
@@ -207,9 +226,36 @@ class NOVAPHY_CORE_API ModelBuilder {
   void add_soft_grid(const SoftGridArgs& args);
   void add_soft_mesh(const SoftMeshArgs& args);
 
-  // A rigid body that moves freely, at rest. Returns the index. ErrorKind::Value: a mass or inertia
-  // that no body has; also from finalize, of what the body and its shapes come to.
+  // A rigid body that moves freely, at rest: a link, its FREE joint to the world, and an
+  // articulation of that. Returns the index. ErrorKind::Value: a mass or inertia that no body has;
+  // also from finalize, of what the body and its shapes come to.
   int32_t add_body(const BodyArgs& args = {});
+  // A rigid body for joints to hold; finalize refuses one that is the child of none. It may have no
+  // mass.
+  int32_t add_link(const BodyArgs& args = {});
+
+  // Joints: the child body relative to the parent, -1 the world. Return the index.
+  // ErrorKind::Value: a bad pose, axis or number, limits in the wrong order, child and parent the
+  // same, bodies of two worlds; ErrorKind::Index: no such body. Coordinates start at 0, those of
+  // FREE and DISTANCE joints at the present poses of the bodies. Shapes of the child with
+  // ShapeConfig::collision_filter_parent do not meet those of the parent body.
+  int32_t add_joint(JointType type, int32_t parent, int32_t child, const JointArgs& args = {});
+  int32_t add_joint_revolute(int32_t parent, int32_t child, const AxisJointArgs& args = {});
+  int32_t add_joint_prismatic(int32_t parent, int32_t child, const AxisJointArgs& args = {});
+  int32_t add_joint_ball(int32_t parent, int32_t child, const BallJointArgs& args = {});
+  int32_t add_joint_fixed(int32_t parent, int32_t child, const JointArgs& args = {});
+  int32_t add_joint_free(int32_t child, const FreeJointArgs& args = {});
+  int32_t add_joint_distance(int32_t parent, int32_t child, const DistanceJointArgs& args = {});
+  int32_t add_joint_d6(int32_t parent, int32_t child, const JointArgs& args = {});
+  // A tree of joints, root first: their indices, contiguous and increasing, in any order in which
+  // parents come before children. Returns the index. ErrorKind::Value: another order, two joints
+  // with one child, a second root, a joint of another articulation or world, a kinematic body that
+  // is not the root's; a cycle has no such order.
+  int32_t add_articulation(std::span<const int32_t> joints, std::string label = {});
+  // Merges the child of every enabled FIXED joint into the parent: mass, shapes and joints. Joints
+  // with a label in `keep` stay; so do those whose child has another joint to a parent, or is
+  // kinematic under a body, and a root with more than one child in its articulation.
+  CollapsedJoints collapse_fixed_joints(std::span<const std::string> keep = {});
 
   // All return the index of the shape. `body` -1 is the world. A plane belongs to the world or to a
   // kinematic body.
@@ -255,8 +301,26 @@ class NOVAPHY_CORE_API ModelBuilder {
     Mat33f inertia;  // zero: a point mass
     bool lock_inertia;
     bool is_kinematic;
+    bool is_link;
     int32_t world;
     std::string label = {};
+    int32_t mover = -1;        // the joint of an articulation whose child it is
+    Transformf added_at = {};  // of add_body: what its joint coordinates started as
+  };
+  struct Joint {
+    JointType type;
+    int32_t parent, child;
+    Transformf parent_xform, child_xform;
+    int32_t linear, angular;    // degrees of freedom
+    int32_t q_start, qd_start;  // rows of joint_q and joint_qd
+    std::vector<Vec3f> axes;    // unit vectors, one per degree of freedom
+    bool filter_parent, enabled;
+    int32_t articulation = -1;
+    std::string label = {};
+  };
+  struct Articulation {
+    int32_t start, end;  // joints
+    std::string label;
   };
   struct Shape {
     int32_t body;
@@ -296,6 +360,22 @@ class NOVAPHY_CORE_API ModelBuilder {
     std::vector<Mat33f> inertia;
   };
 
+  int32_t append_body(std::string_view function, const BodyArgs& args, bool is_link);
+  int32_t append_joint(std::string_view function, JointType type, int32_t parent, int32_t child,
+                       const JointArgs& args);
+  int32_t append_axis_joint(std::string_view function, JointType type, int32_t parent,
+                            int32_t child, const AxisJointArgs& args);
+  int32_t next_coord() const;  // the coordinates of the joints so far
+  int32_t next_dof() const;
+  Transformf relative_pose(const Joint& joint) const;
+  void append_joints(const ModelBuilder& builder, int32_t first_body, const Transformf& xform);
+  std::vector<char> joints_that_stay(std::span<const std::string> keep) const;
+  void merge_bodies(const std::vector<int32_t>& into, const std::vector<Transformf>& pose);
+  CollapsedJoints drop_merged(const std::vector<int32_t>& into, const std::vector<Transformf>& pose,
+                              const std::vector<char>& joint_stays);
+  void check_joints() const;
+  void upload_joints(Model& model) const;
+  std::set<std::pair<int32_t, int32_t>> all_filter_pairs() const;
   int32_t append_shape(std::string_view function, const ShapeArgs& args);
   void append_spring(std::string_view function, const Vec2i& spring, float ke, float kd,
                      float control);
@@ -313,6 +393,8 @@ class NOVAPHY_CORE_API ModelBuilder {
   void append_elements(const ModelBuilder& builder);
   void check_addable(std::string_view function, const ModelBuilder& builder, int64_t copies) const;
   void append_bodies(const ModelBuilder& builder, const Transformf& xform);
+  static detail::MassProperties base_mass(const Body& body);
+  std::vector<detail::MassProperties> exact_body_masses() const;  // with their shapes
   BodyMasses body_masses() const;
   void upload_elements(Model& model) const;
   void upload_bodies(Model& model, const BodyMasses& masses) const;
@@ -325,6 +407,8 @@ class NOVAPHY_CORE_API ModelBuilder {
   std::vector<Vec3f> world_gravity_;  // one per world
   std::vector<Body> bodies_;
   std::vector<Shape> shapes_;
+  std::vector<Joint> joints_;
+  std::vector<Articulation> articulations_;
   Springs springs_;
   Triangles triangles_;
   Edges edges_;

@@ -1,0 +1,312 @@
+// Joints and articulations of ModelBuilder, and JointDofConfig.
+#include "novaphy/core/sim/model_builder.h"
+#include "pickle.h"
+
+namespace novaphy::python {
+namespace {
+
+using Builder = py::class_<ModelBuilder>;
+
+// The numbers of JointDofConfig.
+#define NOVAPHY_DOF_NUMBERS(X)                                                \
+  X(limit_lower, "m or rad; -1e10: no limit.")                                \
+  X(limit_upper, "m or rad; 1e10: no limit.")                                 \
+  X(limit_ke, "N/m or N*m/rad, of the limits.")                               \
+  X(limit_kd, "N*s/m or N*m*s/rad, of the limits.")                           \
+  X(target_q, "m or rad, of the drive.")                                      \
+  X(target_qd, "m/s or rad/s, of the drive.")                                 \
+  X(target_ke, "N/m or N*m/rad, of the drive.")                               \
+  X(target_kd, "N*s/m or N*m*s/rad, of the drive.")                           \
+  X(damping, "N*s/m or N*m*s/rad: force against the velocity, per velocity.") \
+  X(armature, "kg or kg*m^2, added to the inertia.")                          \
+  X(effort_limit, "N or N*m, of the drive.")                                  \
+  X(velocity_limit, "m/s or rad/s.")                                          \
+  X(friction, "N or N*m.")
+#define NOVAPHY_PARAMETER(name, doc) , std::optional<float> name
+#define NOVAPHY_ARGUMENT(name, doc) , py::arg(#name) = py::none()
+#define NOVAPHY_SET(name, doc) \
+  if (name) dof.name = *name;
+
+// A vector, or a coordinate axis.
+Vec3f to_direction(py::handle value) {
+  const bool vector = PySequence_Check(value.ptr()) && !PyUnicode_Check(value.ptr());
+  return vector ? to_vec3(value, "axis") : axis_vector(to_axis(value));
+}
+JointTargetMode to_mode(int32_t mode) { return static_cast<JointTargetMode>(mode); }
+
+std::vector<JointDofConfig> to_axes(py::handle value, const char* name) {
+  std::vector<JointDofConfig> axes;
+  if (value.is_none()) return axes;
+  for (const py::handle axis : py::iter(value)) {
+    require(py::isinstance<JointDofConfig>(axis), ErrorKind::Type, name,
+            ": expected JointDofConfig objects, got ", type_name(axis));
+    axes.push_back(axis.cast<JointDofConfig>());
+  }
+  return axes;
+}
+
+// What the functions have in common.
+JointArgs joint_args(py::handle parent_xform, py::handle child_xform, std::optional<bool> filter,
+                     bool enabled, const std::optional<std::string>& label) {
+  return {.parent_xform = to_transform(parent_xform, "parent_xform"),
+          .child_xform = to_transform(child_xform, "child_xform"),
+          .collision_filter_parent = filter.value_or(true),
+          .enabled = enabled,
+          .label = label.value_or("")};
+}
+
+void bind_dof_config(py::module_& m) {
+  py::class_<JointDofConfig> c(
+      m, "JointDofConfig",
+      "One degree of freedom of a joint. All numbers finite; all but axis, targets and limits >= "
+      "0. target_q and target_qd None: 0; actuator_mode None: POSITION_VELOCITY.");
+  c.def(py::init([](py::handle axis NOVAPHY_DOF_NUMBERS(NOVAPHY_PARAMETER),
+                    std::optional<int32_t> actuator_mode) {
+          JointDofConfig dof;
+          if (!axis.is_none()) dof.axis = to_direction(axis);
+          NOVAPHY_DOF_NUMBERS(NOVAPHY_SET)
+          if (actuator_mode) dof.actuator_mode = to_mode(*actuator_mode);
+          return dof;
+        }),
+        "axis"_a = py::none() NOVAPHY_DOF_NUMBERS(NOVAPHY_ARGUMENT),
+        "actuator_mode"_a = py::none());
+#define NOVAPHY_MEMBER(name, doc) c.def_readwrite(#name, &JointDofConfig::name, doc);
+  NOVAPHY_DOF_NUMBERS(NOVAPHY_MEMBER)
+#undef NOVAPHY_MEMBER
+  c.def_property(
+       "axis", [](const JointDofConfig& dof) { return to_tuple(dof.axis); },
+       [](JointDofConfig& dof, py::handle axis) { dof.axis = to_direction(axis); },
+       "In the joint frame of the parent; an Axis or a vector of any length but 0.")
+      .def_property(
+          "actuator_mode",
+          [](const JointDofConfig& dof) { return static_cast<int32_t>(dof.actuator_mode); },
+          [](JointDofConfig& dof, int32_t mode) { dof.actuator_mode = to_mode(mode); },
+          "JointTargetMode: what the drive has.")
+      .def_static(
+          "create_unlimited",
+          [](py::handle axis) {
+            JointDofConfig dof;
+            dof.axis = to_direction(axis);
+            return dof;
+          },
+          "axis"_a, "One without limits and drive.");
+  add_settings_pickle(c);
+}
+
+using AxisJoint = int32_t (ModelBuilder::*)(int32_t, int32_t, const AxisJointArgs&);
+
+void bind_axis_joint(Builder& c, const char* name, AxisJoint add, const char* doc) {
+  c.def(
+      name,
+      [add](ModelBuilder& b, int32_t parent, int32_t child, py::handle parent_xform,
+            py::handle child_xform, py::handle axis NOVAPHY_DOF_NUMBERS(NOVAPHY_PARAMETER),
+            std::optional<int32_t> actuator_mode, std::optional<bool> filter, bool enabled,
+            const std::optional<std::string>& label) {
+        JointDofConfig dof = b.default_joint_cfg;
+        if (!axis.is_none()) dof.axis = to_direction(axis);
+        NOVAPHY_DOF_NUMBERS(NOVAPHY_SET)
+        if (actuator_mode) dof.actuator_mode = to_mode(*actuator_mode);
+        const JointArgs common = joint_args(parent_xform, child_xform, filter, enabled, label);
+        return (b.*add)(parent, child,
+                        {.parent_xform = common.parent_xform,
+                         .child_xform = common.child_xform,
+                         .dof = dof,
+                         .collision_filter_parent = common.collision_filter_parent,
+                         .enabled = enabled,
+                         .label = common.label});
+      },
+      "parent"_a, "child"_a, py::kw_only(), "parent_xform"_a = py::none(),
+      "child_xform"_a = py::none(), "axis"_a = py::none() NOVAPHY_DOF_NUMBERS(NOVAPHY_ARGUMENT),
+      "actuator_mode"_a = py::none(), "collision_filter_parent"_a = py::none(), "enabled"_a = true,
+      "label"_a = py::none(), doc);
+}
+
+void bind_general_joints(Builder& c) {
+  c.def(
+       "add_joint",
+       [](ModelBuilder& b, int32_t type, int32_t parent, int32_t child, py::handle linear_axes,
+          py::handle angular_axes, py::handle parent_xform, py::handle child_xform,
+          std::optional<bool> filter, bool enabled, const std::optional<std::string>& label) {
+         JointArgs args = joint_args(parent_xform, child_xform, filter, enabled, label);
+         args.linear_axes = to_axes(linear_axes, "linear_axes");
+         args.angular_axes = to_axes(angular_axes, "angular_axes");
+         return b.add_joint(static_cast<JointType>(type), parent, child, args);
+       },
+       "joint_type"_a, "parent"_a, "child"_a, py::kw_only(), "linear_axes"_a = py::none(),
+       "angular_axes"_a = py::none(), "parent_xform"_a = py::none(), "child_xform"_a = py::none(),
+       "collision_filter_parent"_a = py::none(), "enabled"_a = true, "label"_a = py::none(),
+       "A joint of a JointType between a parent body (-1: the world) and a child. parent_xform and "
+       "child_xform: the joint frames in the bodies (m, xyzw). linear_axes and angular_axes: lists "
+       "of JointDofConfig, up to three each of a D6, one of a REVOLUTE or PRISMATIC joint. Returns "
+       "the index. ValueError: a bad pose, axis or number, bodies of two worlds; IndexError: no "
+       "such body.")
+      .def(
+          "add_joint_d6",
+          [](ModelBuilder& b, int32_t parent, int32_t child, py::handle linear_axes,
+             py::handle angular_axes, py::handle parent_xform, py::handle child_xform,
+             std::optional<bool> filter, bool enabled, const std::optional<std::string>& label) {
+            JointArgs args = joint_args(parent_xform, child_xform, filter, enabled, label);
+            args.linear_axes = to_axes(linear_axes, "linear_axes");
+            args.angular_axes = to_axes(angular_axes, "angular_axes");
+            return b.add_joint_d6(parent, child, args);
+          },
+          "parent"_a, "child"_a, py::kw_only(), "linear_axes"_a = py::none(),
+          "angular_axes"_a = py::none(), "parent_xform"_a = py::none(),
+          "child_xform"_a = py::none(), "collision_filter_parent"_a = py::none(),
+          "enabled"_a = true, "label"_a = py::none(),
+          "Translations along linear_axes, then rotations about angular_axes, each in the axes "
+          "that those before have turned. Returns the index.")
+      .def(
+          "add_joint_fixed",
+          [](ModelBuilder& b, int32_t parent, int32_t child, py::handle parent_xform,
+             py::handle child_xform, std::optional<bool> filter, bool enabled,
+             const std::optional<std::string>& label) {
+            return b.add_joint_fixed(parent, child,
+                                     joint_args(parent_xform, child_xform, filter, enabled, label));
+          },
+          "parent"_a, "child"_a, py::kw_only(), "parent_xform"_a = py::none(),
+          "child_xform"_a = py::none(), "collision_filter_parent"_a = py::none(),
+          "enabled"_a = true, "label"_a = py::none(),
+          "The joint frames coincide. Returns the index.");
+}
+
+void bind_other_joints(Builder& c) {
+  c.def(
+       "add_joint_ball",
+       [](ModelBuilder& b, int32_t parent, int32_t child, py::handle parent_xform,
+          py::handle child_xform, float armature, float friction, float damping,
+          std::optional<bool> filter, bool enabled, const std::optional<std::string>& label) {
+         const JointArgs common = joint_args(parent_xform, child_xform, filter, enabled, label);
+         return b.add_joint_ball(parent, child,
+                                 {.parent_xform = common.parent_xform,
+                                  .child_xform = common.child_xform,
+                                  .damping = damping,
+                                  .armature = armature,
+                                  .friction = friction,
+                                  .collision_filter_parent = common.collision_filter_parent,
+                                  .enabled = enabled,
+                                  .label = common.label});
+       },
+       "parent"_a, "child"_a, py::kw_only(), "parent_xform"_a = py::none(),
+       "child_xform"_a = py::none(), "armature"_a = 0.0f, "friction"_a = 0.0f, "damping"_a = 0.0f,
+       "collision_filter_parent"_a = py::none(), "enabled"_a = true, "label"_a = py::none(),
+       "The origins of the joint frames coincide. armature (kg*m^2), friction (N*m) and damping "
+       "(N*m*s/rad) of each axis. Returns the index.")
+      .def(
+          "add_joint_free",
+          [](ModelBuilder& b, int32_t child, py::handle parent_xform, py::handle child_xform,
+             int32_t parent, std::optional<bool> filter, bool enabled,
+             const std::optional<std::string>& label) {
+            const JointArgs common = joint_args(parent_xform, child_xform, filter, enabled, label);
+            return b.add_joint_free(child,
+                                    {.parent_xform = common.parent_xform,
+                                     .child_xform = common.child_xform,
+                                     .parent = parent,
+                                     .collision_filter_parent = common.collision_filter_parent,
+                                     .enabled = enabled,
+                                     .label = common.label});
+          },
+          "child"_a, py::kw_only(), "parent_xform"_a = py::none(), "child_xform"_a = py::none(),
+          "parent"_a = -1, "collision_filter_parent"_a = py::none(), "enabled"_a = true,
+          "label"_a = py::none(),
+          "No constraint: coordinates of a body that moves freely. They start at its present pose. "
+          "Returns the index.")
+      .def(
+          "add_joint_distance",
+          [](ModelBuilder& b, int32_t parent, int32_t child, py::handle parent_xform,
+             py::handle child_xform, float min_distance, float max_distance, float limit_ke,
+             float limit_kd, std::optional<bool> filter, bool enabled,
+             const std::optional<std::string>& label) {
+            const JointArgs common = joint_args(parent_xform, child_xform, filter, enabled, label);
+            return b.add_joint_distance(parent, child,
+                                        {.parent_xform = common.parent_xform,
+                                         .child_xform = common.child_xform,
+                                         .min_distance = min_distance,
+                                         .max_distance = max_distance,
+                                         .limit_ke = limit_ke,
+                                         .limit_kd = limit_kd,
+                                         .collision_filter_parent = common.collision_filter_parent,
+                                         .enabled = enabled,
+                                         .label = common.label});
+          },
+          "parent"_a, "child"_a, py::kw_only(), "parent_xform"_a = py::none(),
+          "child_xform"_a = py::none(), "min_distance"_a = -1.0f, "max_distance"_a = 1.0f,
+          "limit_ke"_a = DistanceJointArgs().limit_ke, "limit_kd"_a = DistanceJointArgs().limit_kd,
+          "collision_filter_parent"_a = py::none(), "enabled"_a = true, "label"_a = py::none(),
+          "The origins of the joint frames keep a distance (m) from min_distance to max_distance; "
+          "a negative one is no limit. limit_ke (N/m) and limit_kd (N*s/m) hold it. Returns the "
+          "index.");
+}
+
+void bind_articulations(Builder& c) {
+  c.def(
+       "add_articulation",
+       [](ModelBuilder& b, py::handle joints, const std::optional<std::string>& label) {
+         return b.add_articulation(to_int_list(joints, "joints"), label.value_or(""));
+       },
+       "joints"_a, py::kw_only(), "label"_a = py::none(),
+       "A tree of joints, root first: their indices, contiguous and increasing, parents before "
+       "children. Returns the index. ValueError: another order, two joints with one child, a "
+       "second "
+       "root, a joint of another articulation or world.")
+      .def(
+          "collapse_fixed_joints",
+          [](ModelBuilder& b, const std::optional<std::vector<std::string>>& joints_to_keep) {
+            const CollapsedJoints done =
+                b.collapse_fixed_joints(joints_to_keep.value_or(std::vector<std::string>()));
+            py::dict bodies, joints, parents, poses;
+            for (size_t i = 0; i < done.body_remap.size(); ++i) {
+              const bool kept = done.body_remap[i] >= 0;
+              if (kept) {
+                bodies[py::int_(i)] = done.body_remap[i];
+                continue;
+              }
+              parents[py::int_(i)] = done.body_merged_parent[i];
+              const Transformf& x = done.body_merged_transform[i];
+              poses[py::int_(i)] = py::make_tuple(x.p.x, x.p.y, x.p.z, x.q.x, x.q.y, x.q.z, x.q.w);
+            }
+            for (size_t i = 0; i < done.joint_remap.size(); ++i)
+              if (done.joint_remap[i] >= 0) joints[py::int_(i)] = done.joint_remap[i];
+            return py::dict("body_remap"_a = bodies, "joint_remap"_a = joints,
+                            "body_merged_parent"_a = parents, "body_merged_transform"_a = poses);
+          },
+          "joints_to_keep"_a = py::none(),
+          "Merges the child of every enabled FIXED joint into the parent: mass, shapes, joints. "
+          "Joints with a label in joints_to_keep stay; so do those whose child has another joint "
+          "to "
+          "a parent, or is kinematic under a body, and a root with more than one child. Returns "
+          "the "
+          "dicts body_remap and joint_remap (old index to new, of what is left), "
+          "body_merged_parent (old index of a body that is gone to the new one of what it was "
+          "merged into, -1: the world) and body_merged_transform (its pose there, xyz and xyzw).");
+}
+
+}  // namespace
+
+void bind_joint_dof_config(py::module_& m) { bind_dof_config(m); }
+
+void bind_builder_joints(Builder& c) {
+  c.attr("JointDofConfig") = py::type::of<JointDofConfig>();
+  c.def_readwrite("default_joint_cfg", &ModelBuilder::default_joint_cfg,
+                  "Of revolute and prismatic joints, where add_joint_* is given none.")
+      .def_property_readonly("joint_count", &ModelBuilder::joint_count, "Joints so far.")
+      .def_property_readonly("joint_coord_count", &ModelBuilder::joint_coord_count,
+                             "Joint coordinates so far.")
+      .def_property_readonly("joint_dof_count", &ModelBuilder::joint_dof_count,
+                             "Degrees of freedom of joints so far.")
+      .def_property_readonly("articulation_count", &ModelBuilder::articulation_count,
+                             "Articulations so far.");
+  bind_axis_joint(c, "add_joint_revolute", &ModelBuilder::add_joint_revolute,
+                  "The child turns about `axis` (an Axis or a vector, joint frame) through the "
+                  "origins of the joint frames. The numbers are those of JointDofConfig; None: "
+                  "those of default_joint_cfg. Returns the index.");
+  bind_axis_joint(
+      c, "add_joint_prismatic", &ModelBuilder::add_joint_prismatic,
+      "The child moves along `axis` (an Axis or a vector, joint frame). The numbers are "
+      "those of JointDofConfig; None: those of default_joint_cfg. Returns the index.");
+  bind_other_joints(c);
+  bind_general_joints(c);
+  bind_articulations(c);
+}
+
+}  // namespace novaphy::python

@@ -3,11 +3,18 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
+import numpy as np
 import pytest
+
+from novaphy import viewer
+from novaphy._command import start_demo
+from novaphy.viewer import Viewer
 
 DEMOS = Path(__file__).parents[2] / "python" / "demos" / "diff"
 
@@ -95,3 +102,88 @@ def test_a_demo_without_a_display_says_so_and_goes_on(tmp_path):
     )
     assert done.returncode == 0 and done.stdout.rstrip().endswith("ok"), done.stdout + done.stderr
     assert done.stderr.count("\n") == 1 and done.stderr.endswith("; going on without a window\n")
+
+
+class Recorder(Viewer):
+    """Keeps what a demo shows."""
+
+    def __init__(self):
+        """Start without any."""
+        super().__init__()
+        self.states: list[float] = []
+        self.present: list[tuple[np.ndarray, np.ndarray]] = []
+        self.earlier: list[tuple[np.ndarray, np.ndarray]] = []
+        self.marks: list[str] = []
+        self.losses: list[float] = []
+
+    def log_state(self, state):
+        """Keep the time."""
+        self.states.append(self.time)
+
+    def log_points(self, name, points, radii=None, colors=None, hidden=False):
+        """Keep the name."""
+        self.marks.append(name)
+
+    def log_scalar(self, name, value):
+        """Keep a loss."""
+        if name == "loss":
+            self.losses.append(value)
+
+    def log_lines(self, name, starts, ends, colors, width=0.01, hidden=False):
+        """Keep the way and its colours."""
+        drawn = (np.array(starts), np.broadcast_to(np.float32(colors), np.shape(starts)))
+        (self.present if name == "path" else self.earlier).append(drawn)
+
+
+@pytest.mark.parametrize(
+    ("name", "iterations", "shown", "frames", "points"),
+    [
+        ("ball", 33, 4, 37, 240),
+        ("soft_body", 11, 3, 61, 240),
+        ("cloth", 6, 3, 121, 240),
+        ("spring_cage", 7, 3, 31, 30),
+        ("dice", 2, 3, 49, 240),
+    ],
+)
+def test_a_demo_shows_its_iterations(monkeypatch, name, iterations, shown, frames, points):
+    pytest.importorskip("novaphy.diff")
+    recorder = Recorder()
+
+    class Recorded(viewer.Stage):
+        """Shows everything to the recorder."""
+
+        def __init__(self, args, model, **options):
+            super().__init__(args, model, viewers=[recorder], **options)
+
+    monkeypatch.setattr(viewer, "Stage", Recorded)
+    options = ["--starts", "0"] if name == "dice" else []
+    script = DEMOS / f"demo_diffsim_{name}.py"
+    assert start_demo(script, ["--headless", str(iterations), *options]) == 0
+    assert len(recorder.states) == shown * frames
+    starts = [k for k, t in enumerate(recorder.states) if t == 0.0]
+    assert starts == [k * frames for k in range(shown)]
+    assert recorder.marks == ([] if name == "dice" else ["target"])
+    assert len(recorder.losses) == iterations + 1
+    assert len(recorder.present) == shown and len(recorder.earlier) == shown - 1
+    for k, (way, colors) in enumerate(recorder.present):
+        assert way.shape == (points, 3)
+        np.testing.assert_allclose(colors[0], viewer._stage.PRESENT)
+        if k:
+            former, shades = recorder.earlier[k - 1]
+            assert len(former) == k * points
+            np.testing.assert_array_equal(former[-points:], recorder.present[k - 1][0])
+            np.testing.assert_allclose(shades[-1], viewer._stage.RECENT, atol=1e-6)
+            assert np.all(np.diff(shades.sum(axis=1)) <= 1e-6)
+
+
+def test_an_interrupt_leaves_a_whole_page(tmp_path):
+    pytest.importorskip("novaphy.diff")
+    page = tmp_path / "run.html"
+    script = DEMOS / "demo_diffsim_spring_cage.py"
+    command = [sys.executable, "-u", str(script), "--headless", "1000000", "--record", str(page)]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
+    time.sleep(4.0)
+    process.send_signal(signal.SIGINT)
+    said = process.communicate(timeout=60)[0].decode()
+    assert process.returncode == 130 and said == "", said
+    assert page.read_text("utf-8").rstrip().endswith("</html>")

@@ -355,3 +355,53 @@ def test_a_stage_draws_iterations_as_asked():
     brightness = shades.sum(axis=1)
     assert np.all(np.diff(brightness) <= 0) and brightness[0] > brightness[-1] + 0.4
     assert not np.allclose(present[-1][2][0], shades[-1], atol=0.2)
+
+
+def test_a_replay_draws_what_the_run_drew(egl, tmp_path):
+    model = bodies(3)
+    state = model.state()
+
+    def frames(viewer):
+        """Three frames, all drawn to the bit."""
+        for k in range(3):
+            poses = state.body_q.numpy()
+            poses[:, 2] += 0.1
+            state.body_q.assign(poses)
+            viewer.begin_frame(0.1 * k)
+            viewer.log_state(state)
+            viewer.log_lines("way", [[0, 0, 0]], [[0, 0, 1 + k]], (0.9, 0.1, 0.1), 0.02)
+            viewer.log_scalar("loss", 1.0 / (1 + k))
+            viewer.end_frame()
+
+    path = tmp_path / "run.nprec"
+    pictures = []
+    with novaphy.ViewerFile(path) as record, novaphy.ViewerGL(headless=True, **SIZE) as viewer:
+
+        class Both(viewers.Viewer):
+            """Tells both viewers."""
+
+            def __getattribute__(self, name):
+                def call(*args, **kwargs):
+                    getattr(record, name)(*args, **kwargs)
+                    getattr(viewer, name)(*args, **kwargs)
+                    if name == "end_frame":
+                        pictures.append(viewer.get_frame())
+
+                return call
+
+        both = Both()
+        both.set_model(model)
+        both.look_at((3.0, -3.0, 2.0), (0.3, 0.0, 0.5))
+        frames(both)
+    recording = novaphy.ViewerFile(tmp_path / "other.nprec", auto_save=False)
+    recording.load_recording(path)
+    with novaphy.ViewerGL(headless=True, **SIZE) as again:
+        recording.show_start(again)
+        for k, picture in enumerate(pictures):
+            recording.show_frame(again, k)
+            assert np.array_equal(again.get_frame(), picture)
+        recording.show_start(again)
+        recording.show_frame(again, 1, from_start=True)
+        assert np.array_equal(again.get_frame(), pictures[1])
+        again.show_text = False
+        assert not np.array_equal(again.get_frame(), pictures[1])

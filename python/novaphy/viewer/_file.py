@@ -229,10 +229,11 @@ class ViewerFile(Viewer):
         calls = held.calls
         if from_start:
             last = frame % self.frame_count
-            latest = {}
+            latest: dict[Any, Call] = {}
             for k in range(last + 1):
-                for call, arguments in self._frames[k].calls:
-                    latest[call, arguments.get("name")] = (call, arguments)
+                for n, (call, arguments) in enumerate(self._frames[k].calls):
+                    adds = call == "log_scalar"  # to its curve; all others replace
+                    latest[(k, n) if adds else (call, arguments.get("name"))] = (call, arguments)
             calls = list(latest.values())
         viewer.begin_frame(held.time)
         for call, arguments in calls:

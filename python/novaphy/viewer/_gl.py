@@ -59,7 +59,7 @@ class ViewerGL(SceneViewer):
         self._video: Video | None = None
         self._drawn_at = self._frame_at = 0.0
         self._frame_ms: float | None = None
-        self._stale = True
+        self._drawn: tuple[Any, ...] | None = None  # what the last picture depends on besides
         if headless:
             self._context, samples = _headless_context(), 4
         else:
@@ -87,7 +87,7 @@ class ViewerGL(SceneViewer):
         if self._frame_at:
             self._frame_ms = 1e3 * (now - self._frame_at)
         self._frame_at = now
-        self._stale = True
+        self._drawn = None
         if self._window is not None:
             if now - self._drawn_at >= 1.0 / DISPLAY_RATE:
                 self._drawn_at = now
@@ -107,15 +107,19 @@ class ViewerGL(SceneViewer):
             lines = texts_of(self.scene, frame_ms, self._paused)
             box = overlay(self.scene, lines, self.curve)
         self._renderer.draw(self.scene, self.camera, box)
-        self._stale = False
+        self._drawn = self._look()
 
     def get_frame(self) -> np.ndarray:
         """Return the picture {h, w, 3}, uint8."""
         if not self._running:
             raise RuntimeError("get_frame: the viewer is closed")
-        if self._stale:
+        if self._drawn != self._look():
             self.draw()
         return self._renderer.read()
+
+    def _look(self) -> tuple[Any, ...]:
+        camera = self.camera
+        return (self.show_text, self.curve, tuple(camera.pos), tuple(camera.target))
 
     def save_picture(self, path: str | os.PathLike[str]) -> None:
         """Write the picture to a .png file: all of it, or nothing."""

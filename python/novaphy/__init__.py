@@ -75,14 +75,28 @@ from ._planned import getattr_of_class, missing_from_module
 
 if TYPE_CHECKING:
     from . import diff, io, nova, solvers, testing, viewer
-    from .viewer import ViewerFile, ViewerGL, ViewerHTML, ViewerNull, create_viewer
+    from .viewer import (
+        ViewerFile,
+        ViewerGL,
+        ViewerHTML,
+        ViewerNull,
+        ViewerViser,
+        create_viewer,
+    )
 
 State = SimState
 __version__ = version()
 ModelBuilder.__getattr__ = getattr_of_class("ModelBuilder")  # type: ignore[attr-defined]
 
 _SUBPACKAGES = ("diff", "io", "nova", "solvers", "testing", "viewer")
-_FROM_VIEWER = ("ViewerFile", "ViewerGL", "ViewerHTML", "ViewerNull", "create_viewer")
+_FROM_VIEWER = (
+    "ViewerFile",
+    "ViewerGL",
+    "ViewerHTML",
+    "ViewerNull",
+    "ViewerViser",
+    "create_viewer",
+)
 
 __all__ = [
     "Axis",
@@ -113,6 +127,7 @@ __all__ = [
     "ViewerGL",
     "ViewerHTML",
     "ViewerNull",
+    "ViewerViser",
     "__version__",
     "backends",
     "build_info",

@@ -336,7 +336,7 @@ def test_a_stage_draws_iterations_as_asked():
             """Keep the time."""
             calls.append(("state", self.time))
 
-    args = argparse.Namespace(refresh=None, record=None, window=False)
+    args = argparse.Namespace(refresh=None, record=None, live=False)
     model = bodies(1)
     state = model.state()
     with viewers.Stage(args, model, refresh=2, viewers=[Recorder()]) as stage:

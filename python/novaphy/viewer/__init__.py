@@ -1,8 +1,8 @@
 """Viewers: what a simulation shows and records.
 
 All have the same calls, so a script runs with any of them. ViewerGL draws in a window or without a
-display, ViewerHTML writes a page that replays the run, ViewerFile records to a file, ViewerNull
-shows nothing. What only one of them needs is imported when it is made.
+display, ViewerViser serves a page, ViewerHTML writes one that replays the run, ViewerFile records
+to a file, ViewerNull shows nothing. What only one of them needs is imported when it is made.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from ._stage import Stage, add_arguments, check_arguments
 if TYPE_CHECKING:
     from ._gl import ViewerGL
     from ._html import ViewerHTML
+    from ._viser import ViewerViser
 
 __all__ = [
     "Stage",
@@ -27,25 +28,28 @@ __all__ = [
     "ViewerGL",
     "ViewerHTML",
     "ViewerNull",
+    "ViewerViser",
     "add_arguments",
     "check_arguments",
     "create_viewer",
 ]
 
 # Name -> the module that has it, imported at its first use.
-_LATER = {"ViewerGL": "_gl", "ViewerHTML": "_html"}
-_KINDS = {"gl": "ViewerGL", "html": "ViewerHTML", "file": "ViewerFile", "null": "ViewerNull"}
-_NOT_BUILT = ("rerun", "viser")
+_LATER = {"ViewerGL": "_gl", "ViewerHTML": "_html", "ViewerViser": "_viser"}
+_KINDS = {
+    "gl": "ViewerGL",
+    "viser": "ViewerViser",
+    "html": "ViewerHTML",
+    "file": "ViewerFile",
+    "null": "ViewerNull",
+}
 
 
 def create_viewer(kind: str, **options: Any) -> Viewer:
-    """Make a viewer by name: "gl", "html", "file" or "null"; options go to its constructor.
+    """Make a viewer by name: "gl", "viser", "html", "file" or "null".
 
-    NotImplementedError for "viser" and "rerun", which this version does not have; ValueError for
-    any other name.
+    Options go to its constructor. ValueError for any other name.
     """
-    if kind in _NOT_BUILT:
-        raise NotImplementedError(f"create_viewer: this version has no {kind!r} viewer")
     if kind not in _KINDS:
         expected = ", ".join(map(repr, _KINDS))
         raise ValueError(f"create_viewer, kind: expected one of {expected}, got {kind!r}")

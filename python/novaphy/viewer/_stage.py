@@ -49,7 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser, default: int, what: str) -> N
     )
     parser.add_argument(
         "--viewer",
-        choices=("gl", "html", "file", "null"),
+        choices=("gl", "viser", "html", "file", "null"),
         help="what shows the run (default gl; null with --headless)",
     )
     parser.add_argument(
@@ -66,9 +66,9 @@ def add_arguments(parser: argparse.ArgumentParser, default: int, what: str) -> N
 def check_arguments(parser: argparse.ArgumentParser, args: argparse.Namespace) -> None:
     """End the program with a message when a flag makes no sense.
 
-    Afterwards `headless` is a number, and `window` says whether a window was asked for.
+    Afterwards `headless` is a number, and `live` says whether somebody is to look on.
     """
-    args.window = args.headless is None and args.viewer in (None, "gl")
+    args.live = args.headless is None and args.viewer in (None, "gl", "viser")
     if args.headless is None:
         args.headless = args.default_count
     if args.headless < 0:
@@ -123,9 +123,9 @@ class Stage:
         self.fps = fps
         self.refresh = args.refresh or refresh
         self.path_width = path_width
-        self._gl: Any = None
-        self._window = False
-        self._picture: str | None = None
+        self._screen: Any = None  # a window, or a page that is served
+        self._waits = False  # for whoever looks at it
+        self._picture: tuple[Any, str] | None = None  # what draws it, and where it goes
         self._earlier: dict[str, deque[np.ndarray]] = {}
         self._paths: dict[str, np.ndarray] = {}
         self._again: Callable[[], None] | None = None
@@ -145,22 +145,26 @@ class Stage:
         if ending in (".html", ".nprec"):
             kind = "html" if ending == ".html" else "file"
             made.append(create_viewer(kind, output_path=args.record))
-        if args.window:
-            try:
-                self._gl = create_viewer("gl")
-                self._window = True
-            except MissingPackageError as error:
-                print(f"{error}; going on without a window", file=sys.stderr)
-        drawn = ending == ".png" or ending in CODECS
-        if self._gl is None and drawn:
-            width, height = RECORDED_SIZE
-            self._gl = create_viewer("gl", headless=True, width=width, height=height)
-        if self._gl is not None:
-            made.append(self._gl)
+        painter: Any = None
+        try:
+            if args.viewer == "viser":
+                self._screen = create_viewer("viser")
+                made.append(self._screen)
+            elif args.live:
+                self._screen = painter = create_viewer("gl")
+                made.append(painter)
+        except MissingPackageError as error:
+            print(f"{error}; going on without a window", file=sys.stderr)
+        self._waits = self._screen is not None and args.live
+        if ending == ".png" or ending in CODECS:
+            if painter is None:
+                width, height = RECORDED_SIZE
+                painter = create_viewer("gl", headless=True, width=width, height=height)
+                made.append(painter)
             if ending == ".png":
-                self._picture = args.record
-            elif drawn:
-                self._gl.start_video(args.record, self.fps)
+                self._picture = (painter, args.record)
+            else:
+                painter.start_video(args.record, self.fps)
         return made
 
     def mark(self, point: ArrayLike, radius: float = 0.05, name: str = "target") -> None:
@@ -200,7 +204,7 @@ class Stage:
 
     def _pace(self) -> None:
         """In a window, wait until the next frame is due."""
-        if self._window and self._gl.is_running():
+        if self._waits and self._screen.is_running():
             self._due = max(self._due + 1.0 / self.fps, time.perf_counter() - 1.0 / self.fps)
             time.sleep(max(0.0, self._due - time.perf_counter()))
 
@@ -261,7 +265,7 @@ class Stage:
 
     def replay(self) -> None:
         """In a window, play the last rollout or recording until it is closed."""
-        while self._window and self._gl.is_running():
+        while self._waits and self._screen.is_running():
             if self._again is not None:
                 self._again()
                 self._linger(0.6)
@@ -270,21 +274,21 @@ class Stage:
 
     def _linger(self, seconds: float) -> None:
         end = time.perf_counter() + seconds
-        while self._gl.is_running() and time.perf_counter() < end:
-            self._gl.end_frame()
+        while self._screen.is_running() and time.perf_counter() < end:
+            self._screen.end_frame()
             time.sleep(1.0 / self.fps)
 
     def _wait_while_paused(self) -> None:
-        while self._window and self._gl.is_running() and not self._gl.should_step():
-            self._gl.end_frame()
+        while self._waits and self._screen.is_running() and not self._screen.should_step():
+            self._screen.end_frame()
 
     def _open(self) -> list[Viewer]:
         return [viewer for viewer in self.viewers if viewer.is_running()]
 
     def close(self) -> None:
         """Write what was recorded, and close all viewers."""
-        if self._picture is not None and self._gl.is_running():
-            self._gl.save_picture(self._picture)
+        if self._picture is not None and self._picture[0].is_running():
+            self._picture[0].save_picture(self._picture[1])
         for viewer in self.viewers:
             viewer.close()
 

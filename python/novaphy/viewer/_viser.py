@@ -1,0 +1,328 @@
+"""ViewerViser: the scene in the browser, on the package viser."""
+
+from __future__ import annotations
+
+import socket
+import threading
+import time
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from ._camera import FIELD_OF_VIEW
+from ._model_scene import INFINITE
+from ._needs import needs
+from ._scene import CHECKER, Instances, Lines, compose
+from ._scene_viewer import SceneViewer
+
+SEND_RATE = 30.0  # frames per second that are sent at most
+PORTS_TRIED = 10
+DARKER = 1.7
+LOCAL = ("127.0.0.1", "localhost", "::1")
+
+
+class ViewerViser(SceneViewer):
+    """Serves a page at which any number of browsers look.
+
+    The page pauses, steps, resets, goes through the last frames by a slider, and has a slider for
+    every parameter that add_slider registers.
+
+    Attributes:
+        port: the port that is used.
+        url: the address of the page.
+        reset_requested: set by the page's button, until the caller sets it to False.
+    """
+
+    def __init__(
+        self,
+        host: str = "127.0.0.1",
+        port: int = 8080,
+        history: int = 600,
+        verbose: bool = True,
+    ) -> None:
+        """Start the server, on this machine only unless `host` says otherwise.
+
+        Args:
+            host: the address to listen at.
+            port: the first port that is tried, of ten; 0 takes any that is free.
+            history: frames that the page can go back to.
+            verbose: say where the page is.
+
+        Raises:
+            ImportError: the package viser is missing.
+            OSError: all ten ports are taken.
+            ValueError: a number that makes no sense.
+        """
+        super().__init__()
+        if not 0 <= port <= 65535:
+            raise ValueError(f"ViewerViser, port: expected 0 to 65535, got {port}")
+        if history < 1:
+            raise ValueError(f"ViewerViser, history: expected >= 1, got {history}")
+        viser = needs("viser", "web", "ViewerViser")
+        self.port = _free_port(host, port)
+        self._server = viser.ViserServer(host=host, port=self.port, verbose=False)
+        self.url = f"http://{'localhost' if host in LOCAL else host}:{self.port}"
+        if verbose:
+            reach = "this machine only" if host in LOCAL else f"everybody who reaches {host}"
+            print(f"ViewerViser: {self.url} (for {reach})")
+        self.history = history
+        self.reset_requested = False
+        self._steps_wanted = 0
+        self._sent_at = 0.0
+        self._handles: dict[str, tuple[Any, Any]] = {}
+        self._past: list[dict[str, Any]] = []
+        self._shown_past: int | None = None
+        self._lock = threading.RLock()  # handlers of the page run in threads of viser
+        self._make_panel()
+
+    def _make_panel(self) -> None:
+        gui = self._server.gui
+        self._text = gui.add_markdown("")
+        self._pause_box = gui.add_checkbox("pause", False)
+        step, reset = gui.add_button("step"), gui.add_button("reset")
+        self._scrubber = gui.add_slider("past frame", 0, self.history - 1, 1, self.history - 1)
+        self._pause_box.on_update(lambda _: self.pause(bool(self._pause_box.value)))
+        step.on_click(lambda _: self.step_once())
+        reset.on_click(lambda _: setattr(self, "reset_requested", True))
+        self._scrubber.on_update(lambda event: event.client and self._scrub())
+
+    def add_slider(
+        self,
+        name: str,
+        low: float,
+        high: float,
+        value: float,
+        on_change: Callable[[float], object] | None = None,
+    ) -> Callable[[], float]:
+        """Give the page a slider; returns what gives its value.
+
+        Args:
+            name: beside the slider.
+            low: the smallest value.
+            high: the largest value. ValueError unless low < high and value is between.
+            value: to begin with.
+            on_change: called in a thread of the server when somebody moves it.
+        """
+        if not low < high or not low <= value <= high:
+            raise ValueError(f"add_slider, value: expected {low} <= {value} <= {high}, low < high")
+        slider = self._server.gui.add_slider(name, low, high, (high - low) / 1000.0, value)
+        if on_change is not None:
+            slider.on_update(lambda _: on_change(float(slider.value)))
+        return lambda: float(slider.value)
+
+    @property
+    def client_count(self) -> int:
+        """Browsers that look at the page."""
+        return len(self._server.get_clients())
+
+    def pause(self, paused: bool = True) -> None:
+        """Pause, or go on, at the latest frame."""
+        with self._lock:
+            self._paused = paused
+            if self._pause_box.value != paused:
+                self._pause_box.value = paused
+            if not paused and self._shown_past is not None:
+                self._shown_past = None
+                self._scrubber.value = self.history - 1
+
+    def step_once(self) -> None:
+        """Let one more step happen while paused."""
+        self._steps_wanted += 1
+
+    def should_step(self) -> bool:
+        """Whether the simulation should advance: not paused, or a single step was asked for."""
+        if not self._paused:
+            return True
+        if self._steps_wanted:
+            self._steps_wanted -= 1
+            return True
+        return False
+
+    def end_frame(self) -> None:
+        """Send the frame, at most SEND_RATE times per second; keep it for the slider."""
+        now = time.perf_counter()
+        if now - self._sent_at < 1.0 / SEND_RATE and not self._paused:
+            return
+        self._sent_at = now
+        with self._lock:
+            self._past.append(self._snapshot())
+            del self._past[: -self.history]
+            if self._shown_past is None:
+                self._send()
+        if self._paused:
+            time.sleep(1.0 / SEND_RATE)
+
+    def _snapshot(self) -> dict[str, Any]:
+        poses = {name: item.poses.values.copy() for name, item in self.scene.instances.items()}
+        points = {name: mesh.points.values for name, mesh in self.scene.meshes.items()}
+        return {"time": self.time, "poses": poses, "points": points}
+
+    def _scrub(self) -> None:
+        """Show the past frame that the slider stands at."""
+        with self._lock:
+            if not self._past:
+                return
+            back = self.history - 1 - int(self._scrubber.value)
+            k = max(len(self._past) - 1 - back, 0)
+            self._shown_past = None if back == 0 else k
+            if self._shown_past is not None and not self._paused:
+                self.pause()
+            past = self._past[k]
+            for name, poses in past["poses"].items():
+                if name in self.scene.instances:
+                    self.scene.instances[name].poses.set(poses.copy())
+            for name, points in past["points"].items():
+                if name in self.scene.meshes:
+                    self.scene.meshes[name].points.set(points)
+            self._send(past["time"])
+
+    def _send(self, at: float | None = None) -> None:
+        """Bring the page up to the scene."""
+        if not self.camera.is_set:
+            self._place_camera()
+        self._send_camera()
+        lines = [f"time {self.time if at is None else at:.3f} s"]
+        lines += [f"{name} {values[-1]:.6g}" for name, values in self.scene.scalars.items()]
+        self._text.content = "  \n".join(lines)
+        wanted = {"", *(f"/{name}" for name in (*self.scene.instances, *self.scene.lines))}
+        for name in [name for name in self._handles if name not in wanted]:
+            self._handles.pop(name)[0].remove()
+        with self._server.atomic():
+            for name, item in self.scene.instances.items():
+                self._send_instances(f"/{name}", item)
+            for name, lines_item in self.scene.lines.items():
+                self._send_lines(f"/{name}", lines_item)
+
+    def _send_camera(self) -> None:
+        camera = self.camera
+        seen = (tuple(camera.pos), tuple(camera.target))
+        if self._handles.get("", (None, None))[1] == seen:
+            return
+        self._handles[""] = (_Group(), seen)
+        self._server.scene.set_up_direction("+" + "xyz"[camera.up_axis])
+        initial = self._server.initial_camera
+        initial.position, initial.look_at = tuple(camera.pos), tuple(camera.target)
+        initial.up, initial.fov = tuple(camera.up), float(np.radians(FIELD_OF_VIEW))
+        for client in self._server.get_clients().values():
+            client.camera.position, client.camera.look_at = tuple(camera.pos), tuple(camera.target)
+
+    def _send_instances(self, name: str, item: Instances) -> None:
+        mesh = self.scene.meshes[item.mesh]
+        fixed = (
+            mesh.points.revision, mesh.indices.revision, id(mesh), id(item), item.culled,
+            item.scales.revision, item.colors.revision, item.hidden or not item.count,
+        )  # fmt: skip
+        handle, seen = self._handles.get(name, (None, (None, None)))
+        if seen == (fixed, item.poses.revision):
+            return
+        poses = compose(item.poses.values, item.local.values)
+        if handle is not None and seen[0] == fixed:
+            handle.move(poses)
+            self._handles[name] = (handle, (fixed, item.poses.revision))
+            return
+        if handle is not None:
+            handle.remove()
+        self._handles[name] = (self._add(name, item, poses), (fixed, item.poses.revision))
+
+    def _add(self, name: str, item: Instances, poses: np.ndarray) -> Any:
+        """Put instances on the page."""
+        scene, mesh = self._server.scene, self.scene.meshes[item.mesh]
+        group = _Group()
+        if item.hidden or not item.count:
+            return group
+        colors = _shades(item.colors.values[:, :3])
+        if item.mesh == "plane" and item.colors.values[0, 3] == CHECKER:
+            size = float(item.scales.values[0, 0])
+            grid = scene.add_grid(
+                name, size, size, plane="xy", cell_size=1.0, section_size=10.0,
+                infinite_grid=size >= INFINITE, plane_color=tuple(colors[0]), plane_opacity=1.0,
+                shadow_opacity=0.3, position=poses[0, :3], wxyz=_wxyz(poses)[0],
+            )  # fmt: skip
+            return _Group([(grid, None)])
+        # The shift of a capsule is no scale: those of one proportion share a mesh.
+        shift, scales = mesh.shift.values, item.scales.values
+        ratios = scales[:, 3] / scales[:, 0] if shift.any() else np.zeros(item.count)
+        for number, ratio in enumerate(np.unique(ratios)):
+            rows = np.flatnonzero(ratios == ratio)
+            handle = scene.add_batched_meshes_simple(
+                f"{name}/{number}",
+                mesh.points.values + shift * np.float32([0.0, 0.0, ratio]),
+                mesh.indices.values, _wxyz(poses[rows]), poses[rows, :3],
+                batched_scales=scales[rows, :3], batched_colors=colors[rows],
+                side="front" if item.culled else "double",
+            )  # fmt: skip
+            group.parts.append((handle, rows))
+        return group
+
+    def _send_lines(self, name: str, item: Lines) -> None:
+        seen = (
+            id(item), item.starts.revision, item.ends.revision, item.colors.revision, item.hidden
+        )  # fmt: skip
+        handle, known = self._handles.get(name, (None, None))
+        if known == seen:
+            return
+        if handle is not None:
+            handle.remove()
+        group = _Group()
+        if item.count and not item.hidden:
+            points = np.stack([item.starts.values, item.ends.values], axis=1)
+            colors = _shades(item.colors.values)
+            lines = self._server.scene.add_line_segments(
+                name, points, np.repeat(colors[:, None], 2, axis=1), thickness=item.width
+            )
+            group.parts.append((lines, None))
+        self._handles[name] = (group, seen)
+
+    def close(self) -> None:
+        """Stop the server, and free the port."""
+        if self._running:
+            super().close()
+            self._server.stop()
+
+
+class _Group:
+    """What an object is on the page: handles, each with the instances that it shows."""
+
+    def __init__(self, parts: Sequence[tuple[Any, np.ndarray | None]] = ()) -> None:
+        self.parts = list(parts)
+
+    def move(self, poses: np.ndarray) -> None:
+        """Give instances new poses."""
+        for handle, rows in self.parts:
+            if rows is None:
+                handle.position, handle.wxyz = poses[0, :3], _wxyz(poses)[0]
+            else:
+                handle.batched_positions = poses[rows, :3]
+                handle.batched_wxyzs = _wxyz(poses[rows])
+
+    def remove(self) -> None:
+        """Take them from the page."""
+        for handle, _ in self.parts:
+            handle.remove()
+
+
+def _shades(colors: np.ndarray) -> np.ndarray:
+    """Colours as uint8, darker, because the page's light from all sides makes them pale."""
+    return np.round(255.0 * colors**DARKER).astype(np.uint8)
+
+
+def _wxyz(poses: np.ndarray) -> np.ndarray:
+    return poses[:, [6, 3, 4, 5]]
+
+
+def _free_port(host: str, first: int) -> int:
+    """The first port of some that nobody listens at."""
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    for port in range(first, min(first + PORTS_TRIED, 65536)):
+        with socket.socket(family, socket.SOCK_STREAM) as probe:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            try:
+                probe.bind((host, port))
+            except OSError:
+                continue
+            return int(probe.getsockname()[1])
+    raise OSError(
+        f"ViewerViser, port: {first} to {first + PORTS_TRIED - 1} are taken, or {host} is no "
+        "address of this machine"
+    )

@@ -1,0 +1,130 @@
+"""ViewerViser: a real server, and real browsers that look at it."""
+
+from __future__ import annotations
+
+import socket
+import subprocess
+import sys
+import time
+
+import browser
+import pytest
+
+import novaphy
+
+
+@pytest.fixture
+def served():
+    """A viewer on a free port, with a body and a die of another colour."""
+    pytest.importorskip("viser")
+    builder = novaphy.ModelBuilder()
+    builder.add_ground_plane()
+    for k in range(3):
+        body = builder.add_body(xform=((0.5 * k, 0.0, 0.5), (0.0, 0.0, 0.0, 1.0)), mass=1.0)
+        builder.add_shape_box(body, hx=0.1, hy=0.1, hz=0.1)
+        builder.add_shape_capsule(body, radius=0.05, half_height=0.1 + 0.1 * (k % 2))
+    model = builder.finalize()
+    with novaphy.ViewerViser(port=0, history=50, verbose=False) as viewer:
+        viewer.set_model(model)
+        yield viewer, model.state()
+
+
+def frame(viewer, state, t, x):
+    """Show a state whose first body is at x."""
+    poses = state.body_q.numpy()
+    poses[0, 0] = x
+    state.body_q.assign(poses)
+    viewer.begin_frame(t)
+    viewer.log_state(state)
+    viewer.log_lines("way", [[0, 0, 0]], [[x, 0, 1]], (1.0, 0.0, 0.0))
+    viewer._sent_at = 0.0  # tests do not wait for the rate of a display
+    viewer.end_frame()
+
+
+def test_poses_are_sent_and_past_frames_come_back(served):
+    viewer, state = served
+    for k in range(10):
+        frame(viewer, state, 0.1 * k, 0.2 * k)
+    boxes = viewer._handles["/model/box"][0].parts
+    capsules = viewer._handles["/model/capsule"][0].parts
+    assert len(boxes) == 1 and len(boxes[0][1]) == 3
+    assert [list(rows) for _, rows in capsules] == [[0, 2], [1]]  # two proportions
+    assert boxes[0][0].batched_positions[0][0] == pytest.approx(1.8)
+    assert "time 0.900 s" in viewer._text.content
+    viewer._scrubber.value = 49 - 4
+    viewer._scrub()
+    assert viewer.is_paused() and boxes[0][0].batched_positions[0][0] == pytest.approx(1.0)
+    assert "time 0.500 s" in viewer._text.content
+    viewer.pause(False)
+    frame(viewer, state, 1.0, 3.0)
+    assert boxes[0][0].batched_positions[0][0] == pytest.approx(3.0)
+    assert viewer._scrubber.value == 49
+
+
+def test_two_browsers_see_the_scene_and_move_a_slider(served):
+    if reason := browser.why_not():
+        pytest.skip(reason)
+    viewer, state = served
+    moved = []
+    mass = viewer.add_slider("mass", 0.0, 10.0, 2.0, moved.append)
+    assert mass() == 2.0
+    frame(viewer, state, 0.0, 0.0)
+    with browser.Browser(640, 480) as one, browser.Browser(640, 480) as other:
+        pages = [chromium.page(viewer.url) for chromium in (one, other)]
+        end = time.monotonic() + 60.0
+        while viewer.client_count < 2 and time.monotonic() < end:
+            time.sleep(0.2)
+        assert viewer.client_count == 2
+        for page in pages:
+            page.wait_for("document.body.innerText.includes('mass')", 60.0)
+            page.wait_for("document.querySelector('canvas') !== null", 60.0)
+        find = (
+            "[...document.querySelectorAll('[role=slider]')]"
+            ".find(s => s.getAttribute('aria-valuemax') === '10')"
+        )
+        box = pages[0].wait_for(
+            f"(() => {{ const s = {find}; if (!s) return null; s.focus(); return true; }})()", 60.0
+        )
+        assert box
+        for kind in ("keyDown", "keyUp"):
+            pages[0].call(
+                "Input.dispatchKeyEvent", type=kind, key="ArrowRight", code="ArrowRight",
+                windowsVirtualKeyCode=39,
+            )  # fmt: skip
+        end = time.monotonic() + 30.0
+        while not moved and time.monotonic() < end:
+            time.sleep(0.1)
+        assert moved and mass() == moved[-1] == pytest.approx(2.01)
+
+
+def test_a_port_that_is_taken_gives_way_to_the_next():
+    pytest.importorskip("viser")
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        with novaphy.ViewerViser(port=port, verbose=False) as viewer:
+            assert port < viewer.port < port + 10
+            used = viewer.port
+        time.sleep(0.5)
+        with socket.socket() as again:
+            again.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            again.bind(("127.0.0.1", used))  # close() freed it
+    with pytest.raises(OSError, match="no address of this machine"):
+        novaphy.ViewerViser(host="203.0.113.1", verbose=False)
+    with pytest.raises(ValueError, match="port"):
+        novaphy.ViewerViser(port=70000)
+
+
+def test_the_page_is_for_this_machine_unless_told_otherwise(capsys):
+    pytest.importorskip("viser")
+    with novaphy.ViewerViser(port=0) as viewer:
+        assert viewer._server.get_host() == "127.0.0.1"
+    assert "for this machine only" in capsys.readouterr().out
+
+
+def test_a_missing_package_is_named():
+    code = (
+        "import sys; sys.modules['viser'] = None; import novaphy\n"
+        "try: novaphy.ViewerViser()\nexcept ImportError as error: print(error)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert "pip install 'novaphy[web]'" in done.stdout, done.stderr

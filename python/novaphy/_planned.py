@@ -15,7 +15,6 @@ PLANNED: dict[str, dict[str, tuple[str, ...]]] = {
     "novaphy": {
         "articulations": tuple(f"eval_{kind}" for kind in _EVALUATIONS),
         "streams": ("Stream", "ScopedStream", "get_stream"),
-        "viewers on a server": ("ViewerRerun",),
         "surface meshes as objects": ("geometry",),
         "helpers for poses and colours": ("utils",),
     },
@@ -23,9 +22,6 @@ PLANNED: dict[str, dict[str, tuple[str, ...]]] = {
         "rigid bodies": ("SolverXPBD", "SolverSequentialImpulse"),
         "articulations": ("SolverFeatherstone", "SolverMuJoCo"),
         "VBD": ("SolverVBD",),
-    },
-    "novaphy.viewer": {
-        "viewers on a server": ("ViewerRerun",),
     },
     "ModelBuilder": {
         "robots from files": ("add_urdf", "add_mjcf", "add_usd"),

@@ -320,43 +320,6 @@ def test_a_real_window_takes_keys_and_the_pointer(egl):
     assert done.stdout.strip() == "done", done.stdout + done.stderr
 
 
-def test_a_stage_draws_iterations_as_asked():
-    import argparse
-
-    calls = []
-
-    class Recorder(viewers.Viewer):
-        """Keeps what it was told."""
-
-        def log_lines(self, name, starts, ends, colors, width=0.01, hidden=False):
-            """Keep the lines."""
-            calls.append((name, np.array(starts), np.broadcast_to(colors, np.shape(starts))))
-
-        def log_state(self, state):
-            """Keep the time."""
-            calls.append(("state", self.time))
-
-    args = argparse.Namespace(refresh=None, record=None, live=False)
-    model = bodies(1)
-    state = model.state()
-    with viewers.Stage(args, model, refresh=2, viewers=[Recorder()]) as stage:
-        for k in range(80):
-            points = np.float32([[0, 0, k], [1, 0, k], [2, 0, k]])
-            stage.iteration(
-                k, 1.0 / (k + 1), lambda: [(0.0, state), (0.5, state)], {"path": points}
-            )
-    assert [t for name, t, *_ in (c for c in calls if c[0] == "state")] == [0.0, 0.5] * 40
-    present = [c for c in calls if c[0] == "path"]
-    assert [int(c[1][0, 2]) for c in present] == list(range(0, 80, 2))
-    earlier = [c for c in calls if c[0] == "path/earlier"]
-    assert len(earlier) == 39 and len(earlier[-1][1]) == 32 * 2
-    heights, shades = earlier[-1][1][:, 2], earlier[-1][2]
-    assert heights[0] == 14 and heights[-1] == 76  # the last 32, the oldest first
-    brightness = shades.sum(axis=1)
-    assert np.all(np.diff(brightness) <= 0) and brightness[0] > brightness[-1] + 0.4
-    assert not np.allclose(present[-1][2][0], shades[-1], atol=0.2)
-
-
 def test_a_replay_draws_what_the_run_drew(egl, tmp_path):
     model = bodies(3)
     state = model.state()

@@ -10,7 +10,6 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
-from .._planned import missing_from_module
 from ._base import Viewer
 from ._file import ViewerFile
 from ._null import ViewerNull
@@ -60,10 +59,10 @@ def create_viewer(kind: str, **options: Any) -> Viewer:
 
 
 def __getattr__(name: str) -> Any:
-    """Import a viewer at its first use; say of a planned one that it is not built."""
+    """Import a viewer at its first use."""
     if name in _LATER:
         return getattr(importlib.import_module("." + _LATER[name], __name__), name)
-    raise missing_from_module("novaphy.viewer", name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
 def __dir__() -> list[str]:

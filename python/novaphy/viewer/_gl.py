@@ -12,7 +12,7 @@ from .._core import SimState
 from ..io import atomic_path
 from ._gl_renderer import Renderer
 from ._needs import MissingPackageError, needs
-from ._overlay import overlay, texts_of
+from ._overlay import overlay
 from ._png import write_png
 from ._scene_viewer import SceneViewer
 from ._video import Video
@@ -25,7 +25,7 @@ class ViewerGL(SceneViewer):
 
     The window: drag to turn, with the right button to move, wheel to zoom; control and drag pulls
     a body or particle (see apply_forces); space pauses, N steps, R resets, F follows, H hides the
-    text, P saves a picture, escape closes.
+    text, J shows joints, E the energy, P saves a picture, escape closes.
 
     Attributes:
         show_text: whether the box with time and scalars is drawn.
@@ -103,8 +103,9 @@ class ViewerGL(SceneViewer):
         self._place_camera()
         box = None
         if self.show_text:
-            frame_ms = self._frame_ms if self._window is not None else None
-            lines = texts_of(self.scene, frame_ms, self._paused)
+            lines = self.texts(self._paused)
+            if self._window is not None and self._frame_ms is not None:
+                lines.insert(1, f"frame {self._frame_ms:7.1f} ms")
             box = overlay(self.scene, lines, self.curve)
         self._renderer.draw(self.scene, self.camera, box)
         self._drawn = self._look()

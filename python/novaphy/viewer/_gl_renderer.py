@@ -203,7 +203,7 @@ class _Buffers:
         self.context = context
         self.fields = fields
         self.buffers: dict[str, Any] = {}
-        self.revisions: dict[str, tuple[int, int]] = {}
+        self.revisions: dict[str, int] = {}
 
     def __getitem__(self, field: str) -> Any:
         return self.buffers[field]
@@ -213,10 +213,9 @@ class _Buffers:
         remade = False
         for field in self.fields:
             part: Part = getattr(item, field)
-            seen = (id(part), part.revision)
-            if self.revisions.get(field) == seen:
+            if self.revisions.get(field) == part.revision:
                 continue
-            self.revisions[field] = seen
+            self.revisions[field] = part.revision
             buffer = self.buffers.get(field)
             if buffer is None or buffer.size != part.values.nbytes:
                 if buffer is not None:

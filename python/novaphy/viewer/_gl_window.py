@@ -93,6 +93,10 @@ class Window:
             viewer.reset_requested = True
         elif symbol == key.H:
             viewer.show_text = not viewer.show_text
+        elif symbol == key.J:
+            viewer.show_joints = not viewer.show_joints
+        elif symbol == key.E:
+            viewer.show_energy = not viewer.show_energy
         elif symbol == key.P:
             viewer.save_picture(_free_name("novaphy", ".png"))
         elif symbol == key.F:

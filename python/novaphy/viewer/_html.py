@@ -13,6 +13,7 @@ import numpy as np
 
 from ..io import atomic_path
 from . import _shaders
+from ._base import ArrayLike
 from ._camera import FIELD_OF_VIEW
 from ._gl_renderer import HAZE, LIGHT, REACH
 from ._scene import Instances, Lines
@@ -79,9 +80,8 @@ class ViewerHTML(SceneViewer):
 
     def _keep(self, frame: int, key: tuple[str, str, str], part: Any) -> None:
         track = self._tracks.setdefault(key, _Track())
-        seen = (id(part), part.revision)
-        if track.seen != seen:
-            track.seen = seen
+        if track.seen != part.revision:
+            track.seen = part.revision
             self._store(frame, track, part.values)
 
     def _keep_value(self, frame: int, key: tuple[str, str, str], value: float) -> None:
@@ -99,6 +99,14 @@ class ViewerHTML(SceneViewer):
         track.frames.append(frame)
         track.offsets.append(offset)
         track.sizes.append(values.size)
+
+    def log_image(self, name: str, image: ArrayLike) -> None:
+        """NotImplementedError: pages hold no images."""
+        raise NotImplementedError("log_image: ViewerHTML shows no images")
+
+    def log_array(self, name: str, array: ArrayLike) -> None:
+        """NotImplementedError: the curve of a page is that of the scalar loss."""
+        raise NotImplementedError("log_array: ViewerHTML shows no curves of arrays")
 
     def page(self) -> str:
         """Return the page with what is held so far."""

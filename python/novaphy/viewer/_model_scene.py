@@ -9,19 +9,31 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from .._core import Contacts, GeoType, Model, ParticleFlags, ShapeFlags
+from .._core import Contacts, GeoType, JointType, Model, ParticleFlags, ShapeFlags
 from ._primitives import add_primitive
-from ._scene import CHECKER, IDENTITY, Instances, Scene, compose
+from ._scene import CHECKER, IDENTITY, Instances, Scene, compose, rotate
 
 MODEL_FIELDS = (
     "particle_radius",
+    "particle_mass",
     "particle_inv_mass",
     "particle_flags",
     "particle_world",
     "spring_indices",
     "tri_indices",
     "tet_indices",
+    "body_mass",
+    "body_com",
+    "body_inertia",
     "body_world",
+    "joint_type",
+    "joint_parent",
+    "joint_child",
+    "joint_X_p",
+    "joint_X_c",
+    "joint_qd_start",
+    "joint_axis",
+    "gravity",
     "shape_type",
     "shape_scale",
     "shape_transform",
@@ -43,11 +55,13 @@ PALETTE = np.float32(
 STATIC_COLOR, GROUND_COLOR = (0.70, 0.72, 0.75), (0.83, 0.84, 0.85)
 PARTICLE_COLOR, SURFACE_COLOR = (0.86, 0.33, 0.18), (0.27, 0.53, 0.78)
 SPRING_COLOR, CONTACT_COLOR = (0.45, 0.48, 0.52), (0.80, 0.10, 0.30)
+JOINT_COLOR, JOINT_SIZE, JOINT_WIDTH = (0.95, 0.75, 0.10), 0.12, 0.012  # m
 INFINITE = 400.0  # m: how far an infinite plane is drawn
 CONTACT_POINT, CONTACT_WIDTH = 0.012, 0.006  # m: the radius of its point, and its arrow
 NORMAL_LENGTH = 0.1  # m: of a contact without a force
 FORCE_SCALE = 1.0e-3  # m/N
 
+_FLOATS = ("particle_radius", "particle_inv_mass", "joint_axis")
 _SHAPES = {
     GeoType.PLANE: "plane",
     GeoType.SPHERE: "sphere",
@@ -112,13 +126,14 @@ class ModelScene:
         self.scene = scene
         self.arrays = arrays
         self.offsets = np.zeros(3, np.float32)
+        self.show_joints = False
         self._bodies: list[tuple[Instances, np.ndarray]] = []  # and the body of each first row
         self._add_shapes()
         self._add_particles()
 
     def get(self, name: str, width: int) -> np.ndarray:
         """A field of the model, empty where the model has no rows of it."""
-        dtype = np.float32 if name in ("particle_radius", "particle_inv_mass") else np.int32
+        dtype = np.float32 if name in _FLOATS else np.int32
         return self.arrays.get(name, np.zeros((0, width) if width else 0, dtype))
 
     def _add_shapes(self) -> None:
@@ -172,8 +187,34 @@ class ModelScene:
                     if self.offsets.any():
                         poses[:, :3] += self._shift("body_world", bodies)
                     item.poses.touch()
+            if "joint_type" in self.arrays:
+                self._update_joints(body_q)
         if "particle_q" in state:
             self._update_particles(state["particle_q"])
+
+    def _update_joints(self, body_q: np.ndarray) -> None:
+        """Show every axis of a joint as a segment through it; free joints have none."""
+        name = "model/joints"
+        if not self.show_joints:
+            self.scene.remove(name)
+            return
+        kinds, starts = self.arrays["joint_type"], self.arrays["joint_qd_start"]
+        joint = np.repeat(np.arange(len(kinds)), np.diff(starts))
+        axes = self.get("joint_axis", 3)
+        bound = ~np.isin(kinds[joint], (int(JointType.FREE), int(JointType.DISTANCE)))
+        joint, axes = joint[bound], axes[bound]
+        if not len(joint):
+            return
+        parent, child = self.arrays["joint_parent"][joint], self.arrays["joint_child"][joint]
+        poses = np.concatenate([body_q, IDENTITY[None]])  # -1 is the world
+        frame = compose(poses[parent], self.arrays["joint_X_p"][joint])
+        at = compose(poses[child], self.arrays["joint_X_c"][joint])[:, :3]
+        half = (0.5 * JOINT_SIZE) * rotate(frame[:, 3:], axes)
+        if self.offsets.any():
+            at = at + self._shift("body_world", child)
+        colors = np.tile(np.float32(JOINT_COLOR), (len(at), 1))
+        ends = np.float32(at + half)
+        self.scene.put_lines(name, np.float32(at - half), ends, colors, JOINT_WIDTH)
 
     def _update_particles(self, q: np.ndarray) -> None:
         if self.offsets.any():
@@ -199,6 +240,32 @@ class ModelScene:
     def _shift(self, field: str, rows: np.ndarray | slice) -> np.ndarray:
         world = np.maximum(self.get(field, 0)[rows], 0)
         return world[:, None] * self.offsets
+
+
+def energy(arrays: Mapping[str, np.ndarray], state: Mapping[str, np.ndarray]) -> float:
+    """Kinetic energy and that of gravity, of bodies and particles (J); not that of springs."""
+    total = 0.0
+    if "particle_qd" in state:
+        mass, q, v = arrays["particle_mass"], state["particle_q"], state["particle_qd"]
+        total += _energy_of_points(arrays, "particle_world", mass, q, v)
+    if "body_qd" in state:
+        pose, twist = state["body_q"], state["body_qd"]
+        centre = pose[:, :3] + rotate(pose[:, 3:], arrays["body_com"])
+        mass = arrays["body_mass"]
+        total += _energy_of_points(arrays, "body_world", mass, centre, twist[:, :3])
+        inverse = pose[:, 3:] * np.float32([-1, -1, -1, 1])
+        spin = rotate(inverse, twist[:, 3:])
+        inertia = arrays["body_inertia"].reshape(-1, 3, 3)
+        total += 0.5 * float(np.einsum("ni,nij,nj", spin, inertia, spin, dtype=np.float64))
+    return total
+
+
+def _energy_of_points(
+    arrays: Mapping[str, np.ndarray], worlds: str, mass: np.ndarray, q: np.ndarray, v: np.ndarray
+) -> float:
+    gravity = arrays["gravity"].reshape(-1, 3)[arrays[worlds]]
+    each = 0.5 * (v * v).sum(axis=1, dtype=np.float64) - (gravity * q).sum(axis=1, dtype=np.float64)
+    return float(mass @ each)
 
 
 def contact_segments(

@@ -16,7 +16,6 @@ INK, CURVE = (0.13, 0.15, 0.19), (0.16, 0.44, 0.72)
 PAPER = (1.0, 1.0, 1.0, 0.72)
 MARGIN = 8  # pixels
 CURVE_SIZE = (72, 216)  # pixels: height, width
-SHOWN_SCALARS = 6
 
 
 @functools.cache
@@ -57,31 +56,40 @@ def curve_coverage(values: Sequence[float]) -> np.ndarray:
     return np.clip(1.6 - away, 0.0, 1.0).astype(np.float32)
 
 
-def texts_of(scene: Scene, frame_ms: float | None, paused: bool) -> list[str]:
-    """What the overlay says of a scene."""
-    lines = [f"time {scene.time:8.3f} s" + ("   paused" if paused else "")]
-    if frame_ms is not None:
-        lines.append(f"frame {frame_ms:7.1f} ms")
-    for name, values in list(scene.scalars.items())[:SHOWN_SCALARS]:
-        lines.append(f"{name} {values[-1]:.6g}")
-    return lines
+def curve_picture(values: Sequence[float]) -> np.ndarray:
+    """A curve of values on white {h, w, 3}, uint8."""
+    coverage = curve_coverage(values)[..., None]
+    return np.round(255.0 * (1.0 - coverage * (1.0 - np.float32(CURVE)))).astype(np.uint8)
 
 
 def overlay(scene: Scene, lines: Sequence[str], curve: str | None) -> np.ndarray:
-    """A box {h, w, 4}, uint8, with lines of text and a curve of one of the scene's scalars."""
-    blocks = [(text_coverage(lines), INK)]
+    """A box {h, w, 4}, uint8: lines of text, the curve of a scalar, those of arrays, and images."""
+    blocks = [_inked(text_coverage(lines), INK)]
     if curve is not None and len(scene.scalars.get(curve, ())) > 1:
-        blocks.append((curve_coverage(scene.scalars[curve]), CURVE))
-    width = max(block.shape[1] for block, _ in blocks)
-    height = sum(block.shape[0] for block, _ in blocks) + MARGIN * (len(blocks) + 1)
+        blocks.append(_inked(curve_coverage(scene.scalars[curve]), CURVE))
+    for name, values in scene.curves.items():
+        blocks += [
+            _inked(text_coverage([name]), INK),
+            _inked(curve_coverage(values), CURVE),
+        ]
+    for name, pixels in scene.images.items():
+        blocks.append(_inked(text_coverage([name]), INK))
+        opaque = np.ones((*pixels.shape[:2], 1), np.float32)
+        blocks.append(np.dstack([pixels / np.float32(255.0), opaque]))
+    width = max(block.shape[1] for block in blocks)
+    height = sum(block.shape[0] for block in blocks) + MARGIN * (len(blocks) + 1)
     box = np.empty((height, width + 2 * MARGIN, 4), np.float32)
     box[:] = PAPER
     y = MARGIN
-    for coverage, color in blocks:
-        h, w = coverage.shape
-        part = box[y : y + h, MARGIN : MARGIN + w]
-        a = coverage[..., None]
-        part[..., :3] = part[..., :3] * (1.0 - a) + np.float32(color) * a
+    for block in blocks:
+        h, w, _ = block.shape
+        part, a = box[y : y + h, MARGIN : MARGIN + w], block[..., 3:]
+        part[..., :3] = part[..., :3] * (1.0 - a) + block[..., :3] * a
         part[..., 3:] = part[..., 3:] * (1.0 - a) + a
         y += h + MARGIN
     return np.ascontiguousarray(np.round(255.0 * box).astype(np.uint8))
+
+
+def _inked(coverage: np.ndarray, color: Sequence[float]) -> np.ndarray:
+    """A colour where a text or a curve covers {h, w, 4}."""
+    return np.dstack([np.broadcast_to(np.float32(color), (*coverage.shape, 3)), coverage])

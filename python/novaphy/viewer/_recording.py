@@ -62,16 +62,16 @@ def write_frames(file: BinaryIO, frames: Sequence[Frame]) -> None:
     arrays: dict[str, np.ndarray] = {"time": np.array([frame.time for frame in frames])}
     for name in frames[0].state:
         arrays[f"state/{name}"] = np.stack([frame.state[name] for frame in frames])
-    calls = []
+    calls, count = [], 0
     for frame in frames:
         coded = []
         for call, arguments in frame.calls:
             plain = {}
             for name, value in arguments.items():
                 if isinstance(value, np.ndarray):
-                    key = sum(k.startswith("array/") for k in arrays)
-                    arrays[f"array/{key}"] = value
-                    value = {"array": key}
+                    arrays[f"array/{count}"] = value
+                    value = {"array": count}
+                    count += 1
                 plain[name] = value
             coded.append([call, plain])
         calls.append(coded)

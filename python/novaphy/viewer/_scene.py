@@ -6,6 +6,7 @@ back end uploads, sends or writes only what changed.
 
 from __future__ import annotations
 
+import itertools
 from typing import Any
 
 import numpy as np
@@ -76,24 +77,27 @@ def smooth_normals(points: np.ndarray, indices: np.ndarray) -> np.ndarray:
     return normals / np.where(length > 0.0, length, 1.0)
 
 
+_REVISIONS = itertools.count(1)
+
+
 class Part:
-    """An array of an object and how often it changed."""
+    """An array of an object, and a revision that no other array and no other content has."""
 
     def __init__(self, values: np.ndarray) -> None:
-        """Start at revision 1."""
+        """Take the first values."""
         self.values = values
-        self.revision = 1
+        self.revision = next(_REVISIONS)
 
     def set(self, values: np.ndarray) -> None:
         """Take new values, unless they are the old ones."""
         same = values.shape == self.values.shape and np.array_equal(values, self.values)
         if not same:
             self.values = values
-            self.revision += 1
+            self.touch()
 
     def touch(self) -> None:
         """Say that the values were written in place."""
-        self.revision += 1
+        self.revision = next(_REVISIONS)
 
 
 class Mesh:
@@ -173,7 +177,7 @@ class Lines:
 
 
 class Scene:
-    """All objects by name, the numbers that are plotted, and the time."""
+    """All objects by name, numbers and their curves, images, and the time."""
 
     def __init__(self) -> None:
         """Start empty, z up."""
@@ -181,6 +185,7 @@ class Scene:
         self.instances: dict[str, Instances] = {}
         self.lines: dict[str, Lines] = {}
         self.scalars: dict[str, list[float]] = {}
+        self.curves: dict[str, np.ndarray] = {}
         self.images: dict[str, np.ndarray] = {}
         self.time = 0.0
         self.up_axis = 2

@@ -15,6 +15,7 @@ from ._model_scene import (
     CONTACT_WIDTH,
     ModelScene,
     contact_segments,
+    energy,
     model_arrays,
     shape_name,
     shape_scales,
@@ -23,11 +24,17 @@ from ._primitives import add_primitive
 from ._scene import GREY, IDENTITY, Scene, as_array, per_row
 
 HISTORY = 2000  # values of a scalar that are kept
+SHOWN_SCALARS = 6
 ARROW_HEAD = 4.0  # widths of the line
 
 
 class SceneViewer(Viewer):
-    """Keeps a scene and a camera; a back end shows them in end_frame."""
+    """Keeps a scene and a camera; a back end shows them in end_frame.
+
+    Attributes:
+        show_joints: whether the axes of joints are drawn.
+        show_energy: whether the energy is computed and told.
+    """
 
     def __init__(self) -> None:
         """Start with an empty scene."""
@@ -37,6 +44,8 @@ class SceneViewer(Viewer):
         self._model_scene: ModelScene | None = None
         self._offsets = np.zeros(3, np.float32)
         self.latest_state: Mapping[str, np.ndarray] = {}
+        self.show_joints = self.show_energy = False
+        self._energy: float | None = None
 
     def set_model(self, model: Model) -> None:
         """Show the shapes, particles, surfaces and springs of a model from now on."""
@@ -79,19 +88,31 @@ class SceneViewer(Viewer):
 
     def log_state(self, state: SimState) -> None:
         """Show a state of the model. ValueError without a model."""
-        self.log_state_arrays(
-            {
-                "body_q": state.body_q.numpy(copy=False),
-                "particle_q": state.particle_q.numpy(copy=False),
-            }
-        )
+        names = ["body_q", "particle_q"]
+        if self.show_energy:
+            names += ["body_qd", "particle_qd"]
+        # In the memory of the state where NumPy can read that, else in a copy.
+        fields = {name: getattr(state, name) for name in names}
+        self.log_state_arrays({k: a.numpy(copy=not a.device.is_cpu) for k, a in fields.items()})
 
     def log_state_arrays(self, arrays: Mapping[str, np.ndarray]) -> None:
         """Show a state of which only the arrays are there, by field, as in a recording."""
         if self._model_scene is None:
             raise ValueError("log_state: expected a model before, got none: call set_model")
         self.latest_state = {name: rows for name, rows in arrays.items() if len(rows)}
+        self._model_scene.show_joints = self.show_joints
         self._model_scene.update(self.latest_state)
+        self._energy = None
+        if self.show_energy and {"body_qd", "particle_qd"} & self.latest_state.keys():
+            self._energy = energy(self._model_scene.arrays, self.latest_state)
+
+    def texts(self, paused: bool = False) -> list[str]:
+        """What is told in words: the time, the energy and the latest scalars."""
+        lines = [f"time {self.scene.time:.3f} s" + ("   paused" if paused else "")]
+        if self._energy is not None:
+            lines.append(f"energy {self._energy:.6g} J")
+        scalars = list(self.scene.scalars.items())[:SHOWN_SCALARS]
+        return lines + [f"{name} {values[-1]:.6g}" for name, values in scalars if values]
 
     def log_contacts(self, contacts: Contacts, state: SimState) -> None:
         """Show the contacts of a state: a point each, and its force, or its normal."""
@@ -258,9 +279,11 @@ class SceneViewer(Viewer):
         self.scene.put_instances(name, "sphere", poses, sizes, shades, hidden)
 
     def log_array(self, name: str, array: ArrayLike) -> None:
-        """Keep an array as a curve that may be shown."""
-        values = np.asarray(array.numpy() if hasattr(array, "numpy") else array)
-        self.scene.scalars[name] = [float(v) for v in values.ravel()[-HISTORY:]]
+        """Show the curve of an array of numbers. ValueError when one is not finite."""
+        values = np.array(array.numpy() if hasattr(array, "numpy") else array, np.float64).ravel()
+        if not values.size or not np.isfinite(values).all():
+            raise ValueError("log_array, array: expected finite numbers, at least one")
+        self.scene.curves[name] = values
 
     def log_scalar(self, name: str, value: float) -> None:
         """Show a number, and keep it for its curve."""
@@ -269,8 +292,8 @@ class SceneViewer(Viewer):
         del values[:-HISTORY]
 
     def log_image(self, name: str, image: ArrayLike) -> None:
-        """Show an image {h, w, 3}, uint8, in the corner of the picture."""
-        pixels = np.ascontiguousarray(np.asarray(image))
+        """Show an image {h, w, 3}, uint8, below the text."""
+        pixels = np.array(image.numpy() if hasattr(image, "numpy") else image)
         if pixels.dtype != np.uint8 or pixels.ndim != 3 or pixels.shape[2] != 3:
             raise ValueError(
                 f"log_image, image: expected uint8 of the shape (h, w, 3), got {pixels.dtype} of "
@@ -283,8 +306,10 @@ class SceneViewer(Viewer):
         self._model_scene = None
         self.latest_state = {}
         scene = self.scene
-        for group in (scene.meshes, scene.instances, scene.lines, scene.scalars, scene.images):
-            group.clear()
+        for objects in (scene.meshes, scene.instances, scene.lines):
+            objects.clear()
+        for numbers in (scene.scalars, scene.curves, scene.images):
+            numbers.clear()
 
     def _place_camera(self) -> None:
         """See the whole scene, unless the camera was placed."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import os
 import sys
 import time
@@ -208,6 +209,11 @@ class Stage:
             self._due = max(self._due + 1.0 / self.fps, time.perf_counter() - 1.0 / self.fps)
             time.sleep(max(0.0, self._due - time.perf_counter()))
 
+    def apply_forces(self, state: SimState) -> None:
+        """Add the pull of the pointer to a state's forces, which were cleared before."""
+        for viewer in self._open():
+            viewer.apply_forces(state)
+
     def iteration(
         self,
         number: int,
@@ -287,10 +293,11 @@ class Stage:
 
     def close(self) -> None:
         """Write what was recorded, and close all viewers."""
-        if self._picture is not None and self._picture[0].is_running():
-            self._picture[0].save_picture(self._picture[1])
-        for viewer in self.viewers:
-            viewer.close()
+        with contextlib.ExitStack() as closing:
+            for viewer in self.viewers:
+                closing.callback(viewer.close)
+            if self._picture is not None and self._picture[0].is_running():
+                self._picture[0].save_picture(self._picture[1])
 
     def __enter__(self) -> Stage:
         """Return itself; it is closed when the block ends."""

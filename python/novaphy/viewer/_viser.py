@@ -13,6 +13,7 @@ import numpy as np
 from ._camera import FIELD_OF_VIEW
 from ._model_scene import INFINITE
 from ._needs import needs
+from ._overlay import curve_picture
 from ._scene import CHECKER, Instances, Lines, compose
 from ._scene_viewer import SceneViewer
 
@@ -71,6 +72,8 @@ class ViewerViser(SceneViewer):
         self._steps_wanted = 0
         self._sent_at = 0.0
         self._handles: dict[str, tuple[Any, Any]] = {}
+        self._pictures: dict[str, tuple[Any, np.ndarray]] = {}
+        self._drawn_curves: dict[str, tuple[bytes, np.ndarray]] = {}
         self._past: list[dict[str, Any]] = []
         self._shown_past: int | None = None
         self._lock = threading.RLock()  # handlers of the page run in threads of viser
@@ -182,9 +185,9 @@ class ViewerViser(SceneViewer):
         if not self.camera.is_set:
             self._place_camera()
         self._send_camera()
-        lines = [f"time {self.time if at is None else at:.3f} s"]
-        lines += [f"{name} {values[-1]:.6g}" for name, values in self.scene.scalars.items()]
+        lines = self.texts() if at is None else [f"time {at:.3f} s"]
         self._text.content = "  \n".join(lines)
+        self._send_pictures()
         wanted = {"", *(f"/{name}" for name in (*self.scene.instances, *self.scene.lines))}
         for name in [name for name in self._handles if name not in wanted]:
             self._handles.pop(name)[0].remove()
@@ -193,6 +196,25 @@ class ViewerViser(SceneViewer):
                 self._send_instances(f"/{name}", item)
             for name, lines_item in self.scene.lines.items():
                 self._send_lines(f"/{name}", lines_item)
+
+    def _send_pictures(self) -> None:
+        """Show images, and curves as images, in the panel."""
+        pictures = dict(self.scene.images)
+        curves: dict[str, Any] = dict(self.scene.curves)
+        if len(self.scene.scalars.get("loss", ())) > 1:
+            curves["loss"] = np.array(self.scene.scalars["loss"])
+        for name, values in curves.items():
+            key = values.tobytes()
+            if self._drawn_curves.get(name, ("", None))[0] != key:
+                self._drawn_curves[name] = (key, curve_picture(values))
+            pictures[name] = self._drawn_curves[name][1]
+        for name, pixels in pictures.items():
+            panel = self._pictures.get(name)
+            if panel is None:
+                self._pictures[name] = (self._server.gui.add_image(pixels, label=name), pixels)
+            elif panel[1] is not pixels:
+                panel[0].image = pixels
+                self._pictures[name] = (panel[0], pixels)
 
     def _send_camera(self) -> None:
         camera = self.camera
@@ -210,7 +232,7 @@ class ViewerViser(SceneViewer):
     def _send_instances(self, name: str, item: Instances) -> None:
         mesh = self.scene.meshes[item.mesh]
         fixed = (
-            mesh.points.revision, mesh.indices.revision, id(mesh), id(item), item.culled,
+            mesh.points.revision, mesh.indices.revision, item.local.revision, item.culled,
             item.scales.revision, item.colors.revision, item.hidden or not item.count,
         )  # fmt: skip
         handle, seen = self._handles.get(name, (None, (None, None)))
@@ -257,7 +279,7 @@ class ViewerViser(SceneViewer):
 
     def _send_lines(self, name: str, item: Lines) -> None:
         seen = (
-            id(item), item.starts.revision, item.ends.revision, item.colors.revision, item.hidden
+            item.starts.revision, item.ends.revision, item.colors.revision, item.hidden, item.width
         )  # fmt: skip
         handle, known = self._handles.get(name, (None, None))
         if known == seen:

@@ -93,6 +93,35 @@ void DiffSemiImplicitSolver::check_bodies() const {
           "DiffSemiImplicitSolver: shapes of bodies may meet, and their contacts are covered with "
           "enable_static_contacts only: set it, or leave them out with enable_rigid_contacts = "
           "false");
+  const std::vector<int32_t> type = m.joint_type.to_host();
+  for (size_t j = 0; j < type.size(); ++j)
+    require(!config_.enable_rigid || type[j] == static_cast<int32_t>(JointType::FREE),
+            ErrorKind::NotImplemented, "DiffSemiImplicitSolver: model.joint_type[", j,
+            "]: expected FREE: there is no gradient through joints that hold bodies, got ",
+            joint_type_name(static_cast<JointType>(type[j])),
+            "; leave them out with strict = false");
+  const std::vector<float> force = m.joint_f.to_host();
+  for (size_t k = 0; k < force.size(); ++k)
+    require(!config_.enable_rigid || force[k] == 0.0f, ErrorKind::NotImplemented,
+            "DiffSemiImplicitSolver: model.joint_f[", k,
+            "]: expected 0: forces of free joints are applied by body_f, got ", force[k]);
+}
+
+// Those of joints act on bodies, and would be left out without a word.
+void DiffSemiImplicitSolver::check_joint_forces(const Control* control) const {
+  if (!config_.strict || control == nullptr || !moves_bodies()) return;
+  ArrayObserver* const before = set_array_observer(nullptr);
+  std::vector<float> force;
+  try {
+    force = control->joint_f.to_host();
+  } catch (...) {
+    set_array_observer(before);
+    throw;
+  }
+  set_array_observer(before);
+  for (size_t k = 0; k < force.size(); ++k)
+    require(force[k] == 0.0f, ErrorKind::NotImplemented, "DiffSemiImplicitSolver: control.joint_f[",
+            k, "]: expected 0: forces of free joints are applied by body_f, got ", force[k]);
 }
 
 void DiffSemiImplicitSolver::step_bodies(const SimState& in, SimState& out, float dt) {
@@ -123,6 +152,7 @@ void DiffSemiImplicitSolver::step(SimState& state_in, SimState& state_out, const
   const ExclusiveUse::Scope scope = use("DiffSemiImplicitSolver.step");
   check_step("DiffSemiImplicitSolver.step", state_in, state_out, control, contacts, dt);
   constexpr const char* name = "DiffSemiImplicitSolver.step";
+  check_joint_forces(control);
   if (moves_particles()) {
     check_contacts(name, contacts);
     particles_.begin(*model(), contacts, name);
@@ -140,6 +170,9 @@ std::vector<ScratchSpec> DiffSemiImplicitSolver::step_scratch() const {
 
 bool DiffSemiImplicitSolver::begin_rollout(const RolloutInputs& inputs) {
   constexpr const char* name = "DiffSemiImplicitSolver.rollout";
+  const Control* checked = nullptr;
+  for (int32_t t = inputs.start(); t < inputs.stop(); ++t)
+    if (inputs.control(t) != checked) check_joint_forces(checked = inputs.control(t));
   if (moves_particles()) {
     check_contacts(name, inputs.contacts());
     particles_.begin(*model(), inputs.contacts(), name);

@@ -104,7 +104,7 @@ void RigidBodies::evaluate(const Model& m, const SimState& state, const Contacts
 }
 
 void RigidBodies::step(const Model& m, const SimState& in, SimState& out, const Contacts* contacts,
-                       const RigidStep& how) {
+                       const JointForces& joints, const RigidStep& how) {
   if (m.body_count() == 0) return;
   const bool touching = contacts != nullptr && rows_ > 0;
   if (touching) evaluate(m, in, *contacts, how);
@@ -130,6 +130,7 @@ void RigidBodies::step(const Model& m, const SimState& in, SimState& out, const 
         next = move_kinematic_body(now, com[b], how.dt);
       } else {
         SpatialVectorf wrench = applied[b];
+        if (!joints.empty()) wrench = joints.add(b, wrench);
         if (touching)
           for (const int32_t item : sides_.items(b))
             wrench = wrench + wrenches_[static_cast<size_t>(item)];

@@ -5,6 +5,7 @@
 #include <vector>
 
 #include "index_rows.h"
+#include "joint_forces.h"
 #include "novaphy/core/array_stamp.h"
 #include "novaphy/core/sim/contacts.h"
 #include "novaphy/core/sim/model.h"
@@ -26,9 +27,10 @@ class RigidBodies {
   // last call. Keeps its memory. ErrorKind::Index: a contact of a shape, a shape of a body, or a
   // body of a world that is not there.
   void prepare(const Model& model, const Contacts* contacts);
+  // Adds the wrenches of `joints`, which were evaluated, to body_f, then those of the contacts.
   // Writes the bodies of `out`, and rigid_contact_force of the contacts that were prepared.
   void step(const Model& model, const SimState& in, SimState& out, const Contacts* contacts,
-            const RigidStep& how);
+            const JointForces& joints, const RigidStep& how);
 
  private:
   void evaluate(const Model& model, const SimState& state, const Contacts& contacts,

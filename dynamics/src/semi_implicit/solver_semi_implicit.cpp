@@ -6,6 +6,7 @@
 
 #include "device_steps.h"
 #include "element_forces.h"
+#include "joint_forces.h"
 #include "novaphy/collision/diff_soft_contact_trace.h"
 #include "novaphy/core/error.h"
 #include "novaphy/core/sim/for_chunks.h"
@@ -29,13 +30,7 @@ void check_covered(const Model& model) {
   require(model.body_count() == 0 || model.device().is_cpu(), ErrorKind::NotImplemented,
           "SolverSemiImplicit: model: expected one on the cpu, as it has bodies, got one on ",
           model.device().str());
-  const std::vector<int32_t> types = model.joint_type.to_host();
-  for (size_t j = 0; j < types.size(); ++j)
-    require(types[j] == static_cast<int32_t>(JointType::FREE), ErrorKind::NotImplemented,
-            "SolverSemiImplicit: model.joint_type[", j,
-            "]: expected FREE (others are not there "
-            "yet), got ",
-            joint_type_name(static_cast<JointType>(types[j])));
+  JointForces::check_covered(model);
 }
 
 // In m/s; only the huber and newton17 laws read it.
@@ -94,6 +89,7 @@ struct ContactForces {
 struct SolverSemiImplicit::Cache {
   ParticleContacts contacts;
   ElementForces elements;
+  JointForces joints;
   RigidBodies bodies;
   ArrayStamp particle_world;  // its values were checked
 
@@ -149,6 +145,8 @@ void SolverSemiImplicit::step(SimState& state_in, SimState& state_out, const Con
   cache_->check_worlds(m);
   if (contacts != nullptr) cache_->contacts.update(m, *contacts);
   cache_->bodies.prepare(m, contacts);
+  const JointAttachOptions attach = {options_.joint_attach_ke, options_.joint_attach_kd};
+  cache_->joints.prepare(m, attach, dt);
 
   const Vec3f* q = state_in.particle_q.data();
   const Vec3f* qd = state_in.particle_qd.data();
@@ -172,7 +170,8 @@ void SolverSemiImplicit::step(SimState& state_in, SimState& state_out, const Con
   const bool touching = contacts != nullptr && !cache_->contacts.empty();
   const bool deformable = ElementForces::any(m);
   if (deformable) cache_->elements.evaluate(m, control, q, qd);
-  cache_->bodies.step(m, state_in, state_out, contacts,
+  cache_->joints.evaluate(m, state_in, control, attach);
+  cache_->bodies.step(m, state_in, state_out, contacts, cache_->joints,
                       {.friction_law = options_.friction_law,
                        .friction_smoothing = *options_.friction_smoothing,
                        .angular_damping = options_.angular_damping,

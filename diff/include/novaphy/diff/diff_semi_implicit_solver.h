@@ -83,6 +83,7 @@ class NOVAPHY_DIFF_API DiffSemiImplicitSolver : public DiffSolverBase {
 
  private:
   void check_elements() const;
+  void check_joint_forces(const Control* control) const;
   void check_contacts(const char* function, const Contacts* contacts) const;
   void check_bodies() const;
   bool moves_particles() const;

@@ -10,21 +10,22 @@
 
 namespace novaphy {
 
-// All numbers finite and >= 0. The joint options act on joints, which no model has yet;
-// enable_tri_contact on contacts of particles with triangles, of which there are none yet.
+// All numbers finite and >= 0. enable_tri_contact acts on contacts of particles with triangles, of which there are none yet.
 struct SemiImplicitOptions {
   float angular_damping = 0.05f;                    // 1/s, of rigid bodies
   FrictionLaw friction_law = FrictionLaw::Viscous;  // of rigid contacts
   // m/s, of the laws huber and newton17: 0.1 when empty. ErrorKind::Value with viscous.
   std::optional<float> friction_smoothing = {};
-  float joint_attach_ke = 1.0e4f;  // N/m
-  float joint_attach_kd = 1.0e2f;  // N*s/m
+  // Of joints: N/m and N*m/rad; N*s/m, and 0.01 of it N*m*s/rad.
+  float joint_attach_ke = 1.0e4f;
+  float joint_attach_kd = 1.0e2f;
   bool enable_tri_contact = true;
 };
 
 // Covers particles and elements over them: external forces, springs, triangles, bending edges,
 // tetrahedra, soft contacts with world-owned shapes, gravity, the velocity limit; and rigid bodies:
-// external forces, rigid contacts, gravity, the gyroscopic term, angular damping. Other parts of a
+// external forces, joints as springs, rigid contacts, gravity, the gyroscopic term, angular damping.
+// Joint coordinates are not written: ask eval_ik. Other parts of a
 // model throw ErrorKind::NotImplemented; there is no contact between particles, of particles with
 // triangles, or of particles with bodies.
 //
@@ -39,10 +40,13 @@ struct SemiImplicitOptions {
 //   3. state_out.particle_q and particle_qd from symplectic Euler (particle_integrator_trace.h);
 //      particles without ParticleFlags.ACTIVE keep position and velocity
 // and for bodies:
-//   1. every rigid contact has a force (rigid_contact_trace.h), which is added, after
-//      state_in.body_f, to its bodies in the order of the rows, shape A before shape B; body_f
-//      itself stays as it is, and Contacts::rigid_contact_force holds the forces
-//   2. state_out.body_q and body_qd from symplectic Euler (rigid_integrator_trace.h); a kinematic
+//   1. every enabled joint adds, after state_in.body_f, a wrench to its bodies
+//      (penalty_joint_trace.h), in the order of the joints, the parent's before the child's; that of
+//      a FREE joint is joint_f. Forces and targets are the control's, or the model's without one
+//   2. every rigid contact has a force (rigid_contact_trace.h), which is added to its bodies in the
+//      order of the rows, shape A before shape B; body_f itself stays as it is, and
+//      Contacts::rigid_contact_force holds the forces
+//   3. state_out.body_q and body_qd from symplectic Euler (rigid_integrator_trace.h); a kinematic
 //      body follows its velocity
 // Of contacts that overflowed the slots that exist act; ask Contacts::overflowed().
 // The result has the same bits for any number of threads, and those of Newton 1.8.0 on the cpu as
@@ -50,7 +54,7 @@ struct SemiImplicitOptions {
 // kernels of novaphy::diff, with the same bits; such a model has one world.
 class NOVAPHY_DYNAMICS_API SolverSemiImplicit : public SolverBase {
  public:
-  // ErrorKind::Value: a bad option; ErrorKind::NotImplemented: a model that has something that is
+  // ErrorKind::Value: a bad option, or a dynamic body without mass; ErrorKind::NotImplemented: a model that has something that is
   // not covered, or is on another device than the CPU in a build without NOVAPHY_WITH_NOVA.
   explicit SolverSemiImplicit(std::shared_ptr<const Model> model,
                               const SemiImplicitOptions& options = {});
@@ -58,7 +62,8 @@ class NOVAPHY_DYNAMICS_API SolverSemiImplicit : public SolverBase {
 
   const SemiImplicitOptions& options() const { return options_; }
 
-  // Besides the errors of SolverBase::step: ErrorKind::Index for a contact of a particle or shape,
+  // Besides the errors of SolverBase::step: ErrorKind::Value for a dt at which the attachment of a
+  // joint diverges by itself; ErrorKind::Index for a contact of a particle or shape,
   // or an element of a particle, that is not there; ErrorKind::NotImplemented for a contact with a
   // shape of a body; ErrorKind::Value for a number of the model
   // that makes no sense (Model::check_numbers). On a tape it raises:

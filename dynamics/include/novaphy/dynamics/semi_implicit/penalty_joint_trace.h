@@ -1,0 +1,253 @@
+// The wrenches of a joint that springs and dampers hold together.
+//
+// Symbols, world frame unless said:
+//   X_p, X_c      the joint frame as the parent and as the child carry it, m
+//   x, v, w       position of the child's anchor from the parent's, velocities of the child
+//   relative
+//                 to the parent: at the child's anchor (m/s), and angular (rad/s)
+//   r             rotation of X_c in X_p
+//   k, c          joint_attach_ke, joint_attach_kd: N/m, N*s/m, and N*m/rad, 0.01 c N*m*s/rad
+//   a_i           axes of the degrees of freedom; joint frame of the parent
+// Law, for the wrench (f, t) that the parent gets at the anchor and the child gets reversed:
+//   degree of freedom q, qd: its force is
+//     tau = limit + drive - damping qd,  and the child gets tau + joint_f along it
+//     limit = limit_ke (lower - q) - limit_kd qd below lower, likewise above upper, else 0
+//     drive = target_ke (target_q - q) + target_kd (target_qd - qd), at most effort_limit, and none
+//             outside of the limits
+//   linear axes: q_i = x . a_i; what is left of x and v is held by k and c. The parent's anchor
+//     moves along with the child in the slot, so the two forces act in one line.
+//   angular axes, of r:
+//     none    t = 2 atan2(|vec r|, w) unit(vec r) k + 0.01 c w, of the two r of a rotation the
+//             shorter one
+//     one     q = 2 atan2(a . vec r, w) in [-pi, pi]; t = (a_p x a_c) k + 0.01 c (w - a qd)
+//     two, three   perpendicular: q are the angles of r = R(a_0, q_0) R(a_1, q_1) R(a_2, q_2), with
+//             forces along the dual basis of the turned axes (determinant at least 1e-4: at q_1 =
+//             +-pi/2 the axes lie in a plane); a third one that is none is held by k and 0.01 c
+//     BALL    only damping and joint_f, about the axes of the parent's joint frame
+//   DISTANCE: l = |x|; f = unit(x) (limit_ke (l - upper) + limit_kd dl/dt) where l > upper,
+//   likewise
+//     where l < lower, 0 between, and 0 where l = 0
+// Source: Newton 1.8.0, SolverSemiImplicit, but: it keeps no distance, its angles wrap at a full
+// turn, FIXED takes the long way round for w < 0, and the anchor of a displaced slide stays behind,
+// which makes momentum. Revolute joints agree with it to rounding.
+//
+// Gradient: exact in all inputs but the modes, away from the kinks: at limits and at effort_limit
+// that of the side on which the value is; r = identity and l = 0 have the finite limit.
+//
+// Freestanding: T = float runs in the forward solver, T = nova::Real can be traced.
+#pragma once
+
+#include "novaphy/math/functions.h"
+#include "novaphy/math/spatial.h"
+#include "novaphy/math/types.h"
+
+namespace novaphy {
+
+template <class T>
+struct JointBody {
+  Transform<T> q = Transform<T>::identity();
+  SpatialVector<T> qd{};
+  Vec3<T> com{};  // body frame
+};
+
+// Of a degree of freedom; the drive as the target mode leaves it.
+template <class T>
+struct JointDof {
+  Vec3<T> axis{};  // unit vector, joint frame of the parent
+  T force{};       // joint_f
+  T limit_lower{}, limit_upper{}, limit_ke{}, limit_kd{};
+  T target_q{}, target_qd{}, target_ke{}, target_kd{};
+  T damping{}, effort_limit{};
+};
+
+template <class T>
+struct JointAttach {
+  T ke{}, kd{};
+};
+
+// What the parent gets about its centre of mass, and the child.
+template <class T>
+struct JointWrench {
+  SpatialVector<T> parent{}, child{};
+};
+
+template <class T>
+struct JointFrames {
+  Transform<T> parent{}, child{};  // X_p, X_c
+  Vec3<T> arm_p{}, arm_c{};        // anchors from the centres of mass
+  Vec3<T> x{}, v{}, w{};
+  Vec3<T> w_p{};
+  Quat<T> r{};
+};
+
+template <class T>
+JointFrames<T> joint_frames(const JointBody<T>& parent, const JointBody<T>& child,
+                            const Transform<T>& x_p, const Transform<T>& x_c) {
+  using namespace math;
+  JointFrames<T> j;
+  j.parent = multiply(parent.q, x_p);
+  j.child = multiply(child.q, x_c);
+  j.arm_p = j.parent.p - transform_point(parent.q, parent.com);
+  j.arm_c = j.child.p - transform_point(child.q, child.com);
+  j.x = j.child.p - j.parent.p;
+  j.v = (child.qd.linear + cross(child.qd.angular, j.arm_c)) -
+        (parent.qd.linear + cross(parent.qd.angular, j.arm_p));
+  j.w = child.qd.angular - parent.qd.angular;
+  j.w_p = parent.qd.angular;
+  j.r = multiply(conjugate(j.parent.q), j.child.q);
+  return j;
+}
+
+// tau.
+template <class T>
+T joint_dof_force(const JointDof<T>& d, const T& q, const T& qd) {
+  using math::select;
+  const T zero = T(0.0f);
+  const auto below = q<d.limit_lower, above = q> d.limit_upper;
+  const T limit = select(below, d.limit_ke * (d.limit_lower - q),
+                         select(above, d.limit_ke * (d.limit_upper - q), zero));
+  const T stop = select(below, -d.limit_kd * qd, select(above, -d.limit_kd * qd, zero));
+  const T wanted = d.target_ke * (d.target_q - q) + d.target_kd * (d.target_qd - qd);
+  const T drive = math::clamp(wanted, -d.effort_limit, d.effort_limit);
+  const T target = select(below, zero, select(above, zero, drive));
+  return ((limit + stop) + target) - d.damping * qd;
+}
+
+namespace joint_detail {
+
+// The rotation vector of r, rad: the shorter way.
+template <class T>
+Vec3<T> rotation_vector(const Quat<T>& r) {
+  using namespace math;
+  const T one = T(1.0f), two = T(2.0f);
+  const T side = select(r.w < T(0.0f), -one, one);
+  const T square = (r.x * r.x + r.y * r.y) + r.z * r.z;
+  // Below, 2 atan2(s, w) = 2 s up to s^3.
+  const auto small = square < T(1e-8f);
+  const T s = sqrt(select(small, one, square));
+  const T scale = side * select(small, two, (two * atan2(s, r.w * side)) / s);
+  return {r.x * scale, r.y * scale, r.z * scale};
+}
+
+template <class T>
+T twist_angle(const Quat<T>& r, const Vec3<T>& axis) {
+  using namespace math;
+  const T side = select(r.w < T(0.0f), T(-1.0f), T(1.0f));
+  return T(2.0f) * atan2(dot(axis, Vec3<T>{r.x, r.y, r.z}) * side, r.w * side);
+}
+
+constexpr float kAngularDamping = 0.01f;  // of c
+
+// Two or three perpendicular angular axes: the moment on the parent.
+template <class T>
+Vec3<T> euler_moment(const JointFrames<T>& j, const JointDof<T>* dofs, int count,
+                     const JointAttach<T>& attach) {
+  using namespace math;
+  const Vec3<T> a0 = dofs[0].axis, a1 = dofs[1].axis, a2 = cross(a0, a1);
+  const Vec3<T> r0 = rotate(j.r, a0), r1 = rotate(j.r, a1), r2 = rotate(j.r, a2);
+  const T m00 = dot(a0, r0), m01 = dot(a0, r1), m02 = dot(a0, r2);
+  const T m12 = dot(a1, r2), m22 = dot(a2, r2);
+  const T least = T(1e-8f);
+  const T cosine = sqrt(max(m00 * m00 + m01 * m01, least));
+  const T q[3] = {atan2(-m12, m22), atan2(m02, cosine), atan2(-m01, m00)};
+  const Vec3<T> e0 = a0, e1 = a1 * cos(q[0]) + a2 * sin(q[0]), e2 = r2;
+  const Vec3<T> n = cross(e1, e2);
+  const T det = dot(e0, n), small = T(1e-4f);
+  const T bounded = select(det < T(0.0f), min(det, -small), max(det, small));
+  const T inverse = T(1.0f) / bounded;
+  const Vec3<T> dual[3] = {n * inverse, cross(e2, e0) * inverse, cross(e0, e1) * inverse};
+  const Vec3<T> w = rotate_inverse(j.parent.q, j.w);
+  Vec3<T> moment{};
+  for (int k = 0; k < count; ++k) {
+    // The third axis may be the other one that is perpendicular.
+    const T side = k < 2 ? T(1.0f) : select(dot(dofs[2].axis, a2) < T(0.0f), T(-1.0f), T(1.0f));
+    const T tau = joint_dof_force(dofs[k], q[k] * side, dot(dual[k], w) * side);
+    moment = moment + dual[k] * ((-dofs[k].force - tau) * side);
+  }
+  if (count == 2) {
+    const T held = q[2] * attach.ke + (dot(dual[2], w) * attach.kd) * T(kAngularDamping);
+    moment = moment + dual[2] * held;
+  }
+  return rotate(j.parent.q, moment);
+}
+
+template <class T>
+Vec3<T> angular_moment(const JointFrames<T>& j, const JointDof<T>* dofs, int count,
+                       const JointAttach<T>& attach) {
+  using namespace math;
+  const T share = T(kAngularDamping);
+  if (count > 1) return euler_moment(j, dofs, count, attach);
+  if (count == 0)
+    return rotate(j.parent.q, rotation_vector(j.r)) * attach.ke + (j.w * attach.kd) * share;
+  const Vec3<T> a_p = rotate(j.parent.q, dofs[0].axis), a_c = rotate(j.child.q, dofs[0].axis);
+  const T q = twist_angle(j.r, dofs[0].axis), qd = dot(j.w, a_p);
+  const T tau = joint_dof_force(dofs[0], q, qd);
+  return a_p * (-dofs[0].force - tau) +
+         (cross(a_p, a_c) * attach.ke + ((j.w - a_p * qd) * attach.kd) * share);
+}
+
+template <class T>
+Vec3<T> ball_moment(const JointFrames<T>& j, const JointDof<T>* dofs) {
+  using namespace math;
+  Vec3<T> moment{};
+  for (int k = 0; k < 3; ++k) {
+    const Vec3<T> a = rotate(j.parent.q, dofs[k].axis);
+    moment = moment + a * (-dofs[k].force + dofs[k].damping * dot(a, j.w));
+  }
+  return moment;
+}
+
+template <class T>
+JointWrench<T> wrench_at(const Vec3<T>& arm_p, const Vec3<T>& arm_c, const Vec3<T>& f,
+                         const Vec3<T>& t) {
+  return {{f, t + math::cross(arm_p, f)}, {-f, -(t + math::cross(arm_c, f))}};
+}
+
+}  // namespace joint_detail
+
+// All types but FREE and DISTANCE: `linear` axes, then `angular` ones (`is_ball`: three).
+template <class T>
+JointWrench<T> penalty_joint_wrench(const JointFrames<T>& j, const JointDof<T>* dofs, int linear,
+                                    int angular, bool is_ball, const JointAttach<T>& attach) {
+  using namespace math;
+  Vec3<T> axis[3], slot{};
+  T q[3];
+  for (int i = 0; i < linear; ++i) {
+    axis[i] = rotate(j.parent.q, dofs[i].axis);
+    q[i] = dot(j.x, axis[i]);
+    slot = slot + axis[i] * q[i];
+  }
+  Vec3<T> f{}, x = j.x, v = j.v, arm_p = j.arm_p;
+  if (linear > 0) {
+    v = v - cross(j.w_p, slot);
+    arm_p = arm_p + slot;
+    x = x - slot;
+  }
+  const Vec3<T> rate = v;
+  for (int i = 0; i < linear; ++i) {
+    const T qd = dot(rate, axis[i]);
+    f = f + axis[i] * (-dofs[i].force - joint_dof_force(dofs[i], q[i], qd));
+    v = v - axis[i] * qd;
+  }
+  f = f + (x * attach.ke + v * attach.kd);
+  const Vec3<T> t = is_ball ? joint_detail::ball_moment(j, dofs + linear)
+                            : joint_detail::angular_moment(j, dofs + linear, angular, attach);
+  return joint_detail::wrench_at(arm_p, j.arm_c, f, t);
+}
+
+// DISTANCE: the first degree of freedom has the limits.
+template <class T>
+JointWrench<T> distance_joint_wrench(const JointFrames<T>& j, const JointDof<T>& limits) {
+  using namespace math;
+  const T zero = T(0.0f), square = dot(j.x, j.x);
+  const auto apart = square > zero;
+  const T l = select(apart, sqrt(select(apart, square, T(1.0f))), zero);
+  const Vec3<T> u = j.x * select(apart, T(1.0f) / select(apart, l, T(1.0f)), zero);
+  const T error = select(l > limits.limit_upper, l - limits.limit_upper,
+                         select(l < limits.limit_lower, l - limits.limit_lower, zero));
+  const T force = limits.limit_ke * error + limits.limit_kd * dot(u, j.v);
+  return joint_detail::wrench_at(j.arm_p, j.arm_c, u * select(error == zero, zero, force),
+                                 Vec3<T>{zero, zero, zero});
+}
+
+}  // namespace novaphy

@@ -1,0 +1,295 @@
+#include "joint_forces.h"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+
+#include "novaphy/core/error.h"
+#include "novaphy/core/sim/for_chunks.h"
+#include "novaphy/core/sim/joint_args.h"
+#include "novaphy/dynamics/semi_implicit/penalty_joint_trace.h"
+#include "novaphy/math/spatial.h"
+
+namespace novaphy {
+namespace {
+
+constexpr int64_t kJointChunk = 64;
+
+JointType type_of(const Model& m, int32_t joint) {
+  return static_cast<JointType>(m.joint_type.data()[joint]);
+}
+
+// Arrays that have no meaning where bodies are held by springs.
+void check_unused(const Model& m) {
+  const auto check = [&](const char* name, const DeviceArray<float>& array, float by_default) {
+    const std::vector<float> values = array.to_host();
+    for (size_t k = 0; k < values.size(); ++k)
+      require(values[k] == by_default, ErrorKind::NotImplemented, "SolverSemiImplicit: model.",
+              name, "[", k, "]: expected ", by_default,
+              ", because penalty joints do not have it, got ", values[k]);
+  };
+  check("joint_armature", m.joint_armature, 0.0f);
+  check("joint_friction", m.joint_friction, 0.0f);
+  check("joint_velocity_limit", m.joint_velocity_limit, 1.0e6f);
+}
+
+// BALL, FREE and DISTANCE joints have no drive, and no limits but the distance.
+void check_without_drive(const Model& m) {
+  const std::vector<int32_t> type = m.joint_type.to_host(), start = m.joint_qd_start.to_host();
+  const auto check = [&](const char* name, const DeviceArray<float>& array, float by_default,
+                         bool of_ball, bool of_distance) {
+    const std::vector<float> values = array.to_host();
+    for (size_t j = 0; j < type.size(); ++j) {
+      const bool ball = type[j] == static_cast<int32_t>(JointType::BALL);
+      const bool distance = type[j] == static_cast<int32_t>(JointType::DISTANCE);
+      const bool free = type[j] == static_cast<int32_t>(JointType::FREE);
+      if (!(ball && of_ball) && !distance && !free) continue;
+      for (int32_t k = start[j] + (distance && of_distance ? 1 : 0); k < start[j + 1]; ++k)
+        require(values[static_cast<size_t>(k)] == by_default, ErrorKind::NotImplemented,
+                "SolverSemiImplicit: model.", name, "[", k, "]: expected ", by_default, " of a ",
+                joint_type_name(static_cast<JointType>(type[j])), " joint, got ",
+                values[static_cast<size_t>(k)]);
+    }
+  };
+  check("joint_target_ke", m.joint_target_ke, 0.0f, true, false);
+  check("joint_target_kd", m.joint_target_kd, 0.0f, true, false);
+  check("joint_damping", m.joint_damping, 0.0f, false, false);
+  check("joint_limit_lower", m.joint_limit_lower, -kJointUnlimited, true, true);
+  check("joint_limit_upper", m.joint_limit_upper, kJointUnlimited, true, true);
+}
+
+void check_perpendicular(const std::vector<Vec3f>& axes, int32_t begin, int32_t end, size_t joint) {
+  for (int32_t a = begin; a < end; ++a)
+    for (int32_t b = a + 1; b < end; ++b)
+      require(
+          std::abs(math::dot(axes[static_cast<size_t>(a)], axes[static_cast<size_t>(b)])) < 1e-3f,
+          ErrorKind::NotImplemented, "SolverSemiImplicit: joint ", joint,
+          ": expected perpendicular axes of a D6 joint, got model.joint_axis rows ", a, " and ", b);
+}
+
+// Inverse inertias of a body, world axes at its pose in the model; nothing for the world and for
+// kinematic bodies, which no force moves.
+struct Mobility {
+  float linear = 0.0f;
+  Mat33f angular{};
+};
+Mobility mobility(const Model& m, int32_t body) {
+  if (body < 0 || has_flag(m.body_flags.data()[body], BodyFlags::KINEMATIC)) return {};
+  return {m.body_inv_mass.data()[body], m.body_inv_inertia.data()[body]};
+}
+
+float along(const Mat33f& a, const Vec3f& n) {
+  float sum = 0.0f;
+  const float v[3] = {n.x, n.y, n.z};
+  for (int i = 0; i < 3; ++i)
+    for (int k = 0; k < 3; ++k) sum += v[i] * a.m[i][k] * v[k];
+  return sum;
+}
+
+// The largest inverse inertia about a direction in the plane perpendicular to `axis` (zero: about
+// any), which a joint of the two holds, by power iteration on the projected matrix.
+float largest_along(const Mat33f& a, const Vec3f& axis) {
+  float largest = 0.0f;
+  for (const Vec3f& start : {Vec3f{1.0f, 0.3f, 0.2f}, Vec3f{0.2f, 1.0f, 0.3f}}) {
+    Vec3f n = start;
+    for (int step = 0; step < 32; ++step) {
+      n = math::normalize(n - axis * math::dot(axis, n));
+      largest = std::max(largest, along(a, n));
+      n = {a.m[0][0] * n.x + a.m[0][1] * n.y + a.m[0][2] * n.z,
+           a.m[1][0] * n.x + a.m[1][1] * n.y + a.m[1][2] * n.z,
+           a.m[2][0] * n.x + a.m[2][1] * n.y + a.m[2][2] * n.z};
+    }
+  }
+  return largest;
+}
+
+struct DofArrays {
+  DofArrays(const Model& m, const Control* control)
+      : axis(m.joint_axis.data()),
+        force((control ? control->joint_f : m.joint_f).data()),
+        target_q((control ? control->joint_target_q : m.joint_target_q).data()),
+        target_qd((control ? control->joint_target_qd : m.joint_target_qd).data()),
+        target_ke(m.joint_target_ke.data()),
+        target_kd(m.joint_target_kd.data()),
+        lower(m.joint_limit_lower.data()),
+        upper(m.joint_limit_upper.data()),
+        limit_ke(m.joint_limit_ke.data()),
+        limit_kd(m.joint_limit_kd.data()),
+        damping(m.joint_damping.data()),
+        effort(m.joint_effort_limit.data()),
+        mode(m.joint_target_mode.data()) {}
+  const Vec3f* axis;
+  const float *force, *target_q, *target_qd, *target_ke, *target_kd, *lower, *upper, *limit_ke,
+      *limit_kd, *damping, *effort;
+  const int32_t* mode;
+
+  // `q`: the coordinate of the degree of freedom; -1: it has no target.
+  JointDof<float> at(int32_t dof, int32_t q) const {
+    const auto which = static_cast<JointTargetMode>(mode[dof]);
+    const bool both = which == JointTargetMode::POSITION_VELOCITY;
+    const bool position = q >= 0 && (both || which == JointTargetMode::POSITION);
+    const bool velocity = both || which == JointTargetMode::VELOCITY;
+    return {.axis = axis[dof],
+            .force = force[dof],
+            .limit_lower = lower[dof],
+            .limit_upper = upper[dof],
+            .limit_ke = limit_ke[dof],
+            .limit_kd = limit_kd[dof],
+            .target_q = position ? target_q[q] : 0.0f,
+            .target_qd = velocity ? target_qd[dof] : 0.0f,
+            .target_ke = position ? target_ke[dof] : 0.0f,
+            .target_kd = position || velocity ? target_kd[dof] : 0.0f,
+            .damping = damping[dof],
+            .effort_limit = effort[dof]};
+  }
+};
+
+}  // namespace
+
+void JointForces::check_covered(const Model& m) {
+  const std::vector<int32_t> type = m.joint_type.to_host(), start = m.joint_qd_start.to_host();
+  const std::vector<Vec2i> dims = m.joint_dof_dim.to_host();
+  const std::vector<Vec3f> axes = m.joint_axis.to_host();
+  const std::vector<int32_t> flags = m.body_flags.to_host();
+  const std::vector<float> mass = m.body_mass.to_host();
+  for (size_t j = 0; j < type.size(); ++j) {
+    if (type[j] != static_cast<int32_t>(JointType::D6)) continue;
+    const int32_t first = start[j], middle = first + dims[j].x;
+    check_perpendicular(axes, first, middle, j);
+    check_perpendicular(axes, middle, middle + dims[j].y, j);
+  }
+  for (size_t b = 0; b < mass.size(); ++b)
+    require(mass[b] > 0.0f || has_flag(flags[b], BodyFlags::KINEMATIC), ErrorKind::Value,
+            "SolverSemiImplicit: model.body_mass[", b,
+            "]: expected > 0: penalty joints do not move a link without mass; give it a mass, make "
+            "it kinematic, or merge it by ModelBuilder.collapse_fixed_joints, got ",
+            mass[b]);
+  check_unused(m);
+  check_without_drive(m);
+}
+
+float joint_stable_dt(const Model& m, int32_t joint, float attach_ke) {
+  constexpr float kForEver = std::numeric_limits<float>::infinity();
+  const JointType type = type_of(m, joint);
+  if (type == JointType::FREE || type == JointType::DISTANCE || attach_ke == 0.0f) return kForEver;
+  const Mobility p = mobility(m, m.joint_parent.data()[joint]);
+  const Mobility c = mobility(m, m.joint_child.data()[joint]);
+  const Vec2i dims = m.joint_dof_dim.data()[joint];
+  float w = dims.x < 3 ? p.linear + c.linear : 0.0f;
+  const bool holds_rotation = type != JointType::BALL && dims.y < 2;
+  if (holds_rotation) {
+    // Each body by itself, about its own axes: no more than both together.
+    const Transformf frames[2] = {m.joint_X_p.data()[joint], m.joint_X_c.data()[joint]};
+    const Mat33f* const inverse[2] = {&p.angular, &c.angular};
+    for (int side = 0; side < 2; ++side) {
+      Vec3f axis{};
+      if (dims.y == 1)
+        axis = math::rotate(frames[side].q,
+                            m.joint_axis.data()[m.joint_qd_start.data()[joint] + dims.x]);
+      w = std::max(w, largest_along(*inverse[side], axis));
+    }
+  }
+  return w > 0.0f ? 2.0f / std::sqrt(attach_ke * w) : kForEver;
+}
+
+void JointForces::find_sides(const Model& m) {
+  const int32_t *const parent = m.joint_parent.data(), *const child = m.joint_child.data();
+  const uint8_t* const enabled = m.joint_enabled.data();
+  bodies_.assign(2 * static_cast<size_t>(m.joint_count()), -1);
+  for (int32_t j = 0; j < m.joint_count(); ++j) {
+    require(
+        parent[j] >= -1 && parent[j] < m.body_count() && child[j] >= 0 && child[j] < m.body_count(),
+        ErrorKind::Index, "step: model.joint_parent, joint_child[", j, "]: expected bodies to ",
+        m.body_count() - 1, ", got ", parent[j], " and ", child[j]);
+    if (enabled[j] == 0) continue;
+    const bool free = type_of(m, j) == JointType::FREE;
+    bodies_[2 * static_cast<size_t>(j)] = free ? -1 : parent[j];
+    bodies_[2 * static_cast<size_t>(j) + 1] = child[j];
+  }
+  sides_.build(bodies_, m.body_count());
+  wrenches_.assign(bodies_.size(), {});
+}
+
+void JointForces::prepare(const Model& m, const JointAttachOptions& attach, float dt) {
+  if (m.joint_count() == 0) return;
+  const bool known = type_.matches(m.joint_type) && parent_.matches(m.joint_parent) &&
+                     child_.matches(m.joint_child) && enabled_.matches(m.joint_enabled) &&
+                     mass_.matches(m.body_mass) && inertia_.matches(m.body_inertia) &&
+                     flags_.matches(m.body_flags) && attach_ke_ == attach.ke;
+  if (!known) {
+    type_.reset();
+    find_sides(m);
+    stable_dt_ = std::numeric_limits<float>::infinity();
+    for (int32_t j = 0; j < m.joint_count(); ++j) {
+      if (m.joint_enabled.data()[j] == 0) continue;
+      const float limit = joint_stable_dt(m, j, attach.ke);
+      if (limit < stable_dt_) unstable_joint_ = j;
+      stable_dt_ = std::min(stable_dt_, limit);
+    }
+    type_.set(m.joint_type);
+    parent_.set(m.joint_parent);
+    child_.set(m.joint_child);
+    enabled_.set(m.joint_enabled);
+    mass_.set(m.body_mass);
+    inertia_.set(m.body_inertia);
+    flags_.set(m.body_flags);
+    attach_ke_ = attach.ke;
+  }
+  require(dt <= stable_dt_, ErrorKind::Value, "SolverSemiImplicit.step: dt: expected at most ",
+          stable_dt_, " s: above it joint ", unstable_joint_, " diverges with joint_attach_ke ",
+          attach.ke, " and the mass and inertia of its bodies; lower the one or the other, got ",
+          dt);
+}
+
+void JointForces::evaluate(const Model& m, const SimState& state, const Control* control,
+                           const JointAttachOptions& options) {
+  if (m.joint_count() == 0) return;
+  const DofArrays dofs(m, control);
+  const Transformf *const q = state.body_q.data(), *const x_p = m.joint_X_p.data(),
+                          *const x_c = m.joint_X_c.data();
+  const SpatialVectorf* const qd = state.body_qd.data();
+  const Vec3f* const com = m.body_com.data();
+  const int32_t *const parent = m.joint_parent.data(), *const child = m.joint_child.data(),
+                       *const q_start = m.joint_q_start.data(),
+                       *const qd_start = m.joint_qd_start.data();
+  const Vec2i* const dims = m.joint_dof_dim.data();
+  const JointAttach<float> attach = {options.ke, options.kd};
+  const auto body = [&](int32_t b) {
+    return b < 0 ? JointBody<float>{} : JointBody<float>{q[b], qd[b], com[b]};
+  };
+  for_chunks(m.joint_count(), kJointChunk, [&](int64_t begin, int64_t end, int64_t) {
+    for (int64_t j = begin; j < end; ++j) {
+      const size_t first = 2 * static_cast<size_t>(j);
+      if (bodies_[first + 1] < 0) continue;  // not enabled
+      const JointType type = type_of(m, static_cast<int32_t>(j));
+      const bool six = type == JointType::FREE || type == JointType::DISTANCE;
+      JointWrench<float> wrench;
+      JointDof<float> d[6];
+      const int32_t count = dims[j].x + dims[j].y;
+      for (int32_t k = 0; k < count; ++k)
+        d[k] = dofs.at(qd_start[j] + k, six || type == JointType::BALL ? -1 : q_start[j] + k);
+      if (type != JointType::FREE) {
+        const JointFrames<float> frames =
+            joint_frames(body(parent[j]), body(child[j]), x_p[j], x_c[j]);
+        wrench = type == JointType::DISTANCE
+                     ? distance_joint_wrench(frames, d[0])
+                     : penalty_joint_wrench(frames, d, dims[j].x, dims[j].y,
+                                            type == JointType::BALL, attach);
+      }
+      // A wrench in the world about the child's centre of mass.
+      if (six)
+        wrench.child = wrench.child + SpatialVectorf{{d[0].force, d[1].force, d[2].force},
+                                                     {d[3].force, d[4].force, d[5].force}};
+      wrenches_[first] = wrench.parent;
+      wrenches_[first + 1] = wrench.child;
+    }
+  });
+}
+
+SpatialVectorf JointForces::add(int64_t body, SpatialVectorf wrench) const {
+  for (const int32_t side : sides_.items(body))
+    wrench = wrench + wrenches_[static_cast<size_t>(side)];
+  return wrench;
+}
+
+}  // namespace novaphy

@@ -1,0 +1,51 @@
+// The joints of a step: a wrench for each side of each joint, and which sides every body has, in
+// the order of the joints, the parent's before the child's.
+#pragma once
+
+#include <vector>
+
+#include "index_rows.h"
+#include "novaphy/core/array_stamp.h"
+#include "novaphy/core/sim/control.h"
+#include "novaphy/core/sim/model.h"
+#include "novaphy/core/sim/sim_state.h"
+
+namespace novaphy {
+
+struct JointAttachOptions {
+  float ke, kd;  // SemiImplicitOptions::joint_attach_ke, _kd
+};
+
+class JointForces {
+ public:
+  // Refuses what penalty joints cannot hold: ErrorKind::NotImplemented names the array and the row.
+  static void check_covered(const Model& model);
+
+  // Finds the sides of every body where the joints were written since. ErrorKind::Index: a joint of
+  // a body or a row that is not there. ErrorKind::Value: a step above stable_dt.
+  void prepare(const Model& model, const JointAttachOptions& attach, float dt);
+  // control null: the model's forces and targets.
+  void evaluate(const Model& model, const SimState& state, const Control* control,
+                const JointAttachOptions& attach);
+  bool empty() const { return bodies_.empty(); }
+  SpatialVectorf add(int64_t body, SpatialVectorf wrench) const;
+
+ private:
+  void find_sides(const Model& model);
+
+  ArrayStamp type_, parent_, child_, enabled_, mass_, inertia_, flags_;
+  float attach_ke_ = -1.0f;
+  float stable_dt_ = 0.0f;       // s: above it the attachment of a joint diverges by itself
+  int32_t unstable_joint_ = -1;  // that joint
+  std::vector<int32_t> bodies_;  // of the two sides of every joint; -1: the world, or no force
+  IndexRows sides_;
+  std::vector<SpatialVectorf> wrenches_;
+};
+
+// The longest stable step of the attachment of one joint between otherwise free bodies, as far as
+// translation along, and rotation about, single directions tell: 2 / sqrt(ke w), w the largest sum
+// of inverse inertias of the two bodies in a direction that the joint holds. Infinite: it holds
+// none.
+float joint_stable_dt(const Model& model, int32_t joint, float attach_ke);
+
+}  // namespace novaphy

@@ -15,7 +15,7 @@ struct SoftContactShape {
   GeoType type;
   float reach;  // m: gap + margin
   Vec3f scale;
-  Transformf xform, pose, to_local;
+  Transformf xform, pose, to_local;  // in its body, in the world, and back
   Vec3f
       velocity;  // of the surface in the body's frame: zero, with the signs that rotating it gives
 };
@@ -29,6 +29,8 @@ inline SurfaceDistance<float> surface_distance(const SoftContactShape& shape, co
 
 struct SoftContactShapeArguments {
   const int32_t* candidates;  // shapes that particles may meet
+  const int32_t* body;
+  const Transformf* body_q;
   const int32_t* type;
   const Vec3f* scale;
   const Transformf* xform;
@@ -37,14 +39,16 @@ struct SoftContactShapeArguments {
   SoftContactShape* shapes;  // a row per shape of the model
 };
 // Makes the candidate shape `row` ready.
-NOVAPHY_ROW_KERNEL(soft_contact_shape, 7, SoftContactShapeArguments) {
+NOVAPHY_ROW_KERNEL(soft_contact_shape, 9, SoftContactShapeArguments) {
   const int32_t s = a.candidates[row];
   SoftContactShape& shape = a.shapes[s];
   shape.type = static_cast<GeoType>(a.type[s]);
   shape.reach = a.gap.value + a.margin[s];
   shape.scale = a.scale[s];
   shape.xform = a.xform[s];
-  shape.pose = static_shape_pose(shape.xform);
+  const int32_t body = a.body[s];
+  shape.pose =
+      body < 0 ? static_shape_pose(shape.xform) : math::multiply(a.body_q[body], shape.xform);
   shape.to_local = math::inverse(shape.pose);
   shape.velocity = math::rotate(shape.xform.q, Vec3f{});
 }

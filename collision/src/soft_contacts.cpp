@@ -24,11 +24,9 @@ const Kernels& kernels() {
   return all;
 }
 
-void check_covered_shape(int32_t index, int32_t body, GeoType type) {
-  require(body < 0, ErrorKind::NotImplemented, "CollisionPipeline: shape ", index,
-          " is owned by body ", body,
-          "; particles meet only world-owned shapes (body -1) yet "
-          "(ShapeConfig.has_particle_collision)");
+void check_covered_shape(int32_t index, int32_t body, int32_t bodies, GeoType type) {
+  require(body >= -1 && body < bodies, ErrorKind::Index, "CollisionPipeline: model.shape_body[",
+          index, "]: expected -1 to ", bodies - 1, ", got ", body);
   const bool covered = type == GeoType::PLANE || type == GeoType::BOX || type == GeoType::SPHERE ||
                        type == GeoType::CAPSULE;
   require(covered, ErrorKind::NotImplemented, "CollisionPipeline: shape ", index, " has type ",
@@ -70,7 +68,7 @@ struct SoftContacts::Impl {
     std::vector<int32_t> found;  // the shapes of the pairs, which are shape-major
     for (const int32_t s : pairs.shape) {
       if (!found.empty() && found.back() == s) continue;
-      check_covered_shape(s, body[static_cast<size_t>(s)],
+      check_covered_shape(s, body[static_cast<size_t>(s)], model->body_count(),
                           static_cast<GeoType>(type[static_cast<size_t>(s)]));
       found.push_back(s);
     }
@@ -117,7 +115,8 @@ void SoftContacts::collide(const SimState& state, Contacts& contacts, float gap)
   if (pairs > 0) {
     kernels().shape.launch(
         device, shape_count,
-        {reads_row("candidates", impl_->candidates), reads("shape_type", m.shape_type),
+        {reads_row("candidates", impl_->candidates), reads("shape_body", m.shape_body),
+         constant("body_q", state.body_q), reads("shape_type", m.shape_type),
          constant("shape_scale", m.shape_scale), constant("shape_transform", m.shape_transform),
          constant("shape_margin", m.shape_margin), number(gap), writes("shapes", shapes)});
     kernels().touch.launch(

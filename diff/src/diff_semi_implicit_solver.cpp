@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <initializer_list>
+#include <string>
 
 #include "novaphy/core/error.h"
 #include "novaphy/dynamics/diff_model_reads.h"
@@ -19,14 +20,19 @@ int32_t shapes_for_particles(const Model& model) {
   }));
 }
 
+BodyStepOptions body_options(const DiffSolverConfig& config) {
+  return {.static_contacts = config.enable_static_contacts && config.enable_rigid_contacts,
+          .angular_damping = config.angular_damping,
+          .friction_smoothing = config.friction_smoothing};
+}
+
 ParticleStepOptions step_options(const DiffSolverConfig& config) {
   const bool static_contacts = config.enable_static_contacts && config.enable_particle_contacts;
   return {.elements = {.springs = config.enable_springs,
                        .triangles = config.enable_triangles,
                        .edges = config.enable_bending,
                        .tetrahedra = config.enable_tetrahedra},
-          .contacts = config.enable_particle_contacts,
-          .refuse_overflow = config.strict,
+          .contacts = config.enable_particle_contacts && !config.enable_static_contacts,
           .static_contacts = static_contacts,
           .static_contact_margin = config.static_contact_margin};
 }
@@ -36,7 +42,8 @@ DiffSemiImplicitSolver::DiffSemiImplicitSolver(std::shared_ptr<const Model> mode
                                                const DiffSolverConfig& config)
     : DiffSolverBase(std::move(model)),
       config_(config),
-      particles_(*this->model(), step_options(config)) {
+      particles_(*this->model(), step_options(config)),
+      bodies_(body_options(config)) {
   require(std::isfinite(config.static_contact_margin) && config.static_contact_margin >= 0.0f,
           ErrorKind::Value,
           "DiffSolverConfig, static_contact_margin: expected a finite distance "
@@ -44,9 +51,12 @@ DiffSemiImplicitSolver::DiffSemiImplicitSolver(std::shared_ptr<const Model> mode
           config.static_contact_margin);
   if (config.strict) check_elements();
   if (config.strict) check_bodies();
-  if (moves_bodies()) plane_pairs_.update(*this->model(), has_rigid_contacts());
-  if (config.strict && config.enable_particle_contacts && !config.enable_static_contacts)
+  if (moves_bodies()) bodies_.begin(*this->model());
+  const bool given = config.strict && !config.enable_static_contacts;
+  if (given && config.enable_particle_contacts && moves_particles())
     uncovered_shapes_ = shapes_for_particles(*this->model());
+  if (given && config.enable_rigid_contacts && moves_bodies())
+    uncovered_pairs_ = this->model()->shape_contact_pair_count();
 }
 
 // Elements that exert a force but are not enabled would be left out without a word.
@@ -77,8 +87,11 @@ bool DiffSemiImplicitSolver::moves_particles() const {
 bool DiffSemiImplicitSolver::moves_bodies() const {
   return config_.enable_rigid && model()->body_count() > 0;
 }
-bool DiffSemiImplicitSolver::has_rigid_contacts() const {
-  return config_.enable_rigid_contacts && config_.enable_static_contacts;
+ContactTables::Wanted DiffSemiImplicitSolver::wanted_tables() const {
+  const bool given = !config_.enable_static_contacts, particles = given && moves_particles();
+  return {.particles = particles && config_.enable_particle_contacts,
+          .particles_on_bodies = particles && particles_.meets_bodies(),
+          .bodies = given && moves_bodies() && config_.enable_rigid_contacts};
 }
 
 void DiffSemiImplicitSolver::check_bodies() const {
@@ -87,12 +100,6 @@ void DiffSemiImplicitSolver::check_bodies() const {
       config_.enable_rigid || m.body_count() == 0, ErrorKind::NotImplemented,
       "DiffSemiImplicitSolver: the model has bodies, and enable_rigid is false: enable them, or "
       "leave them out with strict = false");
-  require(!config_.enable_rigid_contacts || config_.enable_static_contacts ||
-              m.shape_contact_pair_count() == 0,
-          ErrorKind::NotImplemented,
-          "DiffSemiImplicitSolver: shapes of bodies may meet, and their contacts are covered with "
-          "enable_static_contacts only: set it, or leave them out with enable_rigid_contacts = "
-          "false");
   const std::vector<int32_t> type = m.joint_type.to_host();
   for (size_t j = 0; j < type.size(); ++j)
     require(!config_.enable_rigid || type[j] == static_cast<int32_t>(JointType::FREE),
@@ -124,68 +131,103 @@ void DiffSemiImplicitSolver::check_joint_forces(const Control* control) const {
             k, "]: expected 0: forces of free joints are applied by body_f, got ", force[k]);
 }
 
-void DiffSemiImplicitSolver::step_bodies(const SimState& in, SimState& out, float dt) {
-  plane_pairs_.update(*model(), has_rigid_contacts());
-  step_rigid_bodies_with_static_contacts(*model(), plane_pairs_, nova::operand_of(in.body_q),
-                                         nova::operand_of(in.body_qd), nova::operand_of(in.body_f),
-                                         {.angular_damping = config_.angular_damping,
-                                          .friction_smoothing = config_.friction_smoothing,
-                                          .dt = dt},
-                                         nova::operand_of(out.body_q),
-                                         nova::operand_of(out.body_qd));
+void DiffSemiImplicitSolver::check_contacts(const char* function, const Contacts* contacts,
+                                            bool found) const {
+  require(!config_.enable_static_contacts || (contacts == nullptr && !found), ErrorKind::Value,
+          function, ", contacts: expected none, because enable_static_contacts is true");
+  const auto check = [&](int32_t count, const char* what, const char* option) {
+    require(contacts != nullptr || found || count == 0, ErrorKind::Value, function,
+            ", contacts: expected a Contacts, because ", what,
+            ": pass one (or a pipeline to rollout), set enable_static_contacts, or leave them out "
+            "with ",
+            option, " = false");
+  };
+  const std::string shapes = std::to_string(uncovered_shapes_),
+                    pairs = std::to_string(uncovered_pairs_);
+  check(uncovered_shapes_, ("particles collide with " + shapes + " shape(s) of the model").c_str(),
+        "enable_particle_contacts");
+  check(uncovered_pairs_, (pairs + " pair(s) of shapes of the model may meet").c_str(),
+        "enable_rigid_contacts");
+  if (contacts != nullptr && config_.strict) check_overflow(*contacts);
 }
 
-void DiffSemiImplicitSolver::check_contacts(const char* function, const Contacts* contacts) const {
-  require(!config_.enable_static_contacts || contacts == nullptr, ErrorKind::Value, function,
-          ", contacts: expected none, because enable_static_contacts is true");
-  require(contacts != nullptr || uncovered_shapes_ == 0, ErrorKind::Value, function,
-          ", contacts: expected a Contacts, because particles collide with ", uncovered_shapes_,
-          " shape(s) of the model: pass one, set enable_static_contacts, or leave them out with "
-          "enable_particle_contacts = false");
+// Contacts that are given are fixed while a capture records, so this host read is legal there too.
+void DiffSemiImplicitSolver::check_overflow(const Contacts& contacts) {
+  ArrayObserver* const observer = set_array_observer(nullptr);
+  const bool overflowed = contacts.overflowed();
+  set_array_observer(observer);
+  require(!overflowed, ErrorKind::Runtime, "contacts: more contacts were found than the ",
+          contacts.soft_contact_max(), " slots and ", contacts.rigid_contact_max(),
+          " rows hold; make the pipeline with a larger soft_contact_max or rigid_contact_max");
+}
+
+void DiffSemiImplicitSolver::begin(const char* function, const Contacts* contacts, bool found) {
+  check_contacts(function, contacts, found);
+  particles_.begin(*model(), function);
+  if (moves_bodies()) bodies_.begin(*model());
+  if (contacts != nullptr) {
+    tables_.update(*model(), *contacts, wanted_tables());
+  } else {
+    tables_ = {};
+  }
 }
 
 void DiffSemiImplicitSolver::step(SimState& state_in, SimState& state_out, const Control* control,
                                   const Contacts* contacts, float dt) {
+  constexpr const char* name = "DiffSemiImplicitSolver.step";
   require(!nova::current_capture(), ErrorKind::Runtime,
           "DiffSemiImplicitSolver.step inside a ScopedCapture: capture rollout instead "
           "(supports_graph_capture is False)");
-  const ExclusiveUse::Scope scope = use("DiffSemiImplicitSolver.step");
-  check_step("DiffSemiImplicitSolver.step", state_in, state_out, control, contacts, dt);
-  constexpr const char* name = "DiffSemiImplicitSolver.step";
+  const ExclusiveUse::Scope scope = use(name);
+  check_step(name, state_in, state_out, control, contacts, dt);
   check_joint_forces(control);
-  if (moves_particles()) {
-    check_contacts(name, contacts);
-    particles_.begin(*model(), contacts, name);
-  } else if (moves_bodies()) {
-    begin_model_reads(*model(), name);
-  }
+  if (!moves_particles() && !moves_bodies()) return;
+  begin(name, contacts, false);
   if (nova::Tape::active() != nullptr) make_leaves(state_in);
-  if (moves_particles()) particles_.run(*model(), state_in, state_out, control, contacts, dt);
-  if (moves_bodies()) step_bodies(state_in, state_out, dt);
+  if (moves_particles())
+    particles_.run(*model(), state_in, state_out, control, contacts, tables_, dt);
+  if (!moves_bodies()) return;
+  if (body_f_.rows() == 0 || nova::Tape::active() != nullptr)  // which remembers it
+    body_f_ = DeviceArray<SpatialVectorf>(state_in.body_f.rows(), device());
+  bodies_.run(*model(), state_in, state_out, nova::operand_of(state_in.body_f), contacts, tables_,
+              particles_.wrenches(), dt, nova::operand_of(body_f_));
 }
 
 std::vector<ScratchSpec> DiffSemiImplicitSolver::step_scratch() const {
-  return particles_.scratch();
+  std::vector<ScratchSpec> specs = particles_.scratch();
+  const ContactTables::Wanted wanted = wanted_tables();
+  if (wanted.bodies || wanted.particles_on_bodies)
+    specs.push_back(
+        {novaphy::DType::spatial_vector, static_cast<size_t>(model()->body_count()), 1});
+  return specs;
+}
+
+bool DiffSemiImplicitSolver::step_writes_kept_memory() const {
+  const ContactTables::Wanted wanted = wanted_tables();
+  return particles_.has_elements() || wanted.bodies || wanted.particles_on_bodies;
 }
 
 bool DiffSemiImplicitSolver::begin_rollout(const RolloutInputs& inputs) {
-  constexpr const char* name = "DiffSemiImplicitSolver.rollout";
+  if (!moves_particles() && !moves_bodies()) return false;
   const Control* checked = nullptr;
   for (int32_t t = inputs.start(); t < inputs.stop(); ++t)
     if (inputs.control(t) != checked) check_joint_forces(checked = inputs.control(t));
-  if (moves_particles()) {
-    check_contacts(name, inputs.contacts());
-    particles_.begin(*model(), inputs.contacts(), name);
-  } else if (moves_bodies()) {
-    begin_model_reads(*model(), name);
-  }
-  return moves_particles() || moves_bodies();
+  begin("DiffSemiImplicitSolver.rollout", inputs.contacts(), inputs.pipeline() != nullptr);
+  return true;
 }
 
 void DiffSemiImplicitSolver::record_step(const SimState& in, SimState& out,
                                          const StepInputs& inputs, StepScratch scratch) {
-  if (moves_particles()) particles_.record(*model(), in, out, inputs, scratch);
-  if (moves_bodies()) step_bodies(in, out, inputs.dt);
+  if (inputs.tables != nullptr) {
+    if (config_.strict && nova::current_capture() == nullptr) check_overflow(*inputs.contacts);
+    inputs.tables->rebuild(*model(), *inputs.contacts, wanted_tables());
+  }
+  const ContactTables& tables = inputs.tables != nullptr ? *inputs.tables : tables_;
+  if (moves_particles()) particles_.record(*model(), in, out, inputs, tables, scratch);
+  if (!moves_bodies()) return;
+  const nova::Operand total = scratch.empty() ? nova::Operand{} : nova::operand_of(scratch.back());
+  bodies_.run(*model(), in, out, inputs.body_forces, inputs.contacts, tables, particles_.wrenches(),
+              inputs.dt, total);
 }
 
 }  // namespace novaphy::diff

@@ -4,6 +4,7 @@ namespace novaphy::diff {
 
 std::vector<nova::EngineKernel> operator_kernels() {
   std::vector<nova::EngineKernel> list;
+  detail::add_body_contact_kernels(list);
   detail::add_contact_kernels(list);
   detail::add_derived_kernels(list);
   detail::add_element_kernels(list);

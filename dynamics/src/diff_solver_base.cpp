@@ -80,13 +80,18 @@ nova::CustomOp add_forces_op(const Operand& f, const Operand& forces, size_t fir
 
 }  // namespace
 
-void detail::add_forces(const Operand& particle_f, const Operand& forces, size_t first_row,
-                        const Operand& sum) {
+void detail::add_forces(Operand applied, Operand forces, size_t first_row, Operand sum) {
+  constexpr int32_t kWidth = 3;  // of the kernel: wrenches are two rows of it
+  first_row *= static_cast<size_t>(sum.width / kWidth);
+  for (Operand* o : {&applied, &forces, &sum}) {
+    o->rows *= o->width / kWidth;
+    o->width = kWidth;
+  }
   nova::Tape* tape = nova::Tape::active();
-  if (forces.rows == sum.rows) return add(particle_f, forces, sum);
+  if (forces.rows == sum.rows) return add(applied, forces, sum);
   if (!tape || !tape->must_record({&forces, 1}))
-    return add(particle_f, rows_of(forces, first_row, sum.rows), sum);
-  const nova::CustomOp op = add_forces_op(particle_f, forces, first_row, sum);
+    return add(applied, rows_of(forces, first_row, sum.rows), sum);
+  const nova::CustomOp op = add_forces_op(applied, forces, first_row, sum);
   {
     const nova::NoGrad no_grad;
     op.forward();
@@ -110,6 +115,45 @@ void make_leaves(const SimState& state) {
     if (array->rows() != 0) nova::grad_info(*array->range()).requires_grad = true;
 }
 
+namespace {
+
+// The forces of a rollout on particles, or on bodies.
+struct AppliedForces {
+  RolloutInputs::Forces forces;
+  Operand applied, more;  // `applied` with those that act in every step
+  size_t scratch = 0;     // where the sum of a step goes, if they change over the steps
+
+  AppliedForces(const Array& of_trajectory, const RolloutInputs::Forces& given)
+      : forces(given), applied(nova::operand_of(of_trajectory)) {
+    if (!forces.any()) return;
+    more = nova::operand_of(forces.rows);
+    if (forces.change) return;
+    const Operand sum = nova::operand_of(
+        Array(of_trajectory.dtype(), of_trajectory.rows(), of_trajectory.device()));
+    detail::add_forces(applied, more, 0, sum);
+    applied = sum;
+  }
+  bool change() const { return forces.any() && forces.change; }
+  void want_scratch(std::vector<ScratchSpec>& specs) {
+    scratch = specs.size();
+    if (change()) specs.push_back({forces.rows.dtype(), forces.count, 1});
+  }
+  Operand of_step(int32_t t, StepScratch arrays) const {
+    if (!change()) return applied;
+    const Operand sum = nova::operand_of(arrays[scratch]);
+    detail::add_forces(applied, more, forces.first(t), sum);
+    return sum;
+  }
+};
+
+// Contacts that a pipeline finds in one step.
+struct FoundContacts {
+  Contacts contacts;
+  ContactTables tables;
+};
+
+}  // namespace
+
 void DiffSolverBase::rollout(Trajectory& trajectory, const Control* control,
                              const Contacts* contacts, float dt, const RolloutOptions& options) {
   const RolloutInputs inputs(*model(), trajectory, control, contacts, dt, options);
@@ -117,44 +161,59 @@ void DiffSolverBase::rollout(Trajectory& trajectory, const Control* control,
   if (inputs.steps() == 0 || !begin_rollout(inputs)) return;
   const bool recording = nova::Tape::active() != nullptr;
   if (recording) make_leaves(trajectory.any_state(inputs.start()));
-  std::vector<ScratchSpec> specs = step_scratch();
-  const size_t own = specs.size();  // behind them: the sum of the forces of a step
-  const auto n = static_cast<size_t>(model()->particle_count());
-  if (inputs.forces_change()) specs.push_back({novaphy::DType::vec3, n, 1});
-  const auto alone = make_scratch(specs, 1, device());
-  if (recording) trajectory.reserve_scratch(specs);
-
   constexpr int32_t kStepsPerInterruptCheck = 32;
   // From here on the steps share the cache block by block.
   constexpr int32_t kLargeParticleCount = 2048;
   nova::DeferredScope deferred(model()->particle_count() >= kLargeParticleCount);
-  Operand applied = nova::operand_of(trajectory.particle_f());
-  const bool forced = inputs.forces().rows() != 0;
-  const Operand forces = forced ? nova::operand_of(inputs.forces()) : Operand{};
-  if (forced && !inputs.forces_change()) {
-    const Operand sum = nova::operand_of(DeviceArray<Vec3f>(n, device()));
-    detail::add_forces(applied, forces, 0, sum);
-    applied = sum;
+  AppliedForces on_particles(trajectory.fields().particle_f, inputs.forces()),
+      on_bodies(trajectory.fields().body_f, inputs.body_forces());
+  std::vector<ScratchSpec> specs = step_scratch();
+  const size_t own = specs.size();
+  on_particles.want_scratch(specs);
+  on_bodies.want_scratch(specs);
+  const auto alone = make_scratch(specs, 1, device());
+  if (recording) trajectory.reserve_scratch(specs);
+
+  // Every step that the tape remembers finds contacts of its own; the others share the first.
+  const int32_t interval = trajectory.checkpoint_interval();
+  const auto found = std::make_shared<std::vector<FoundContacts>>();
+  if (inputs.pipeline() != nullptr) {
+    // New memory is no part of what a capture records.
+    struct Unobserved {
+      ArrayObserver* const before = set_array_observer(nullptr);
+      ~Unobserved() { set_array_observer(before); }
+    } unobserved;
+    const int32_t remembered = !recording ? 0 : interval == 1 ? inputs.steps() : interval;
+    for (int32_t k = 0; k <= remembered; ++k) found->push_back({inputs.pipeline()->contacts(), {}});
   }
-  const auto step = [this, inputs, own, applied, forces](int32_t t, const SimState& from,
-                                                         SimState& to, StepScratch scratch) {
-    StepInputs now{inputs.control(t), inputs.contacts(), applied, inputs.dt()};
-    if (inputs.forces_change()) {
-      now.forces = nova::operand_of(scratch[own]);
-      detail::add_forces(applied, forces, inputs.first_force(t), now.forces);
+  const auto slot = [recording, interval, start = inputs.start()](int32_t t) {
+    return static_cast<size_t>(!recording ? 0 : 1 + (interval == 1 ? t - start : t % interval));
+  };
+  const auto step = [this, inputs, own, on_particles, on_bodies, found](
+                        int32_t t, const SimState& from, SimState& to, StepScratch scratch,
+                        size_t contact_slot) {
+    StepInputs now{.control = inputs.control(t),
+                   .contacts = inputs.contacts(),
+                   .forces = on_particles.of_step(t, scratch),
+                   .body_forces = on_bodies.of_step(t, scratch),
+                   .dt = inputs.dt()};
+    if (!found->empty()) {
+      FoundContacts& here = (*found)[contact_slot];
+      inputs.pipeline()->collide(from, here.contacts);
+      now.contacts = &here.contacts;
+      now.tables = &here.tables;
     }
     record_step(from, to, now, scratch.first(own));
   };
   const std::shared_ptr<ExclusiveUse> later = step_writes_kept_memory() ? in_use() : nullptr;
   if (nova::OpList* graph = nova::current_capture(); graph != nullptr && later != nullptr)
     graph->uses(later);
-  const int32_t interval = trajectory.checkpoint_interval();
   for (int32_t first = inputs.start(); first < inputs.stop(); first += interval) {
     const nova::RecomputedScope once_more(interval > 1, later);
     for (int32_t t = first; t < std::min(first + interval, inputs.stop()); ++t) {
       if (t % kStepsPerInterruptCheck == 0) check_interrupt();
       step(t, trajectory.any_state(t), trajectory.any_state(t + 1),
-           recording ? trajectory.scratch(t) : StepScratch(alone[0]));
+           recording ? trajectory.scratch(t) : StepScratch(alone[0]), slot(t));
     }
   }
   deferred.flush();
@@ -162,7 +221,7 @@ void DiffSolverBase::rollout(Trajectory& trajectory, const Control* control,
                               [this, step, alone](int32_t t, const SimState& from, SimState& to) {
                                 const ExclusiveUse::Scope again = use("Trajectory.recompute");
                                 const nova::NoGrad no_grad;
-                                step(t, from, to, alone[0]);
+                                step(t, from, to, alone[0], 0);
                               });
 }
 

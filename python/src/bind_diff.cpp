@@ -4,6 +4,7 @@
 
 #include "fast_step.h"
 #include "nova_types.h"
+#include "novaphy/collision/collision_pipeline.h"
 #include "novaphy/collision/diff_soft_contacts.h"
 #include "novaphy/diff/diff_semi_implicit_solver.h"
 #include "novaphy/diff/engine_kernels.h"
@@ -250,31 +251,42 @@ void bind_trajectory(py::module_& m) {
 #undef NOVAPHY_BIND_WHOLE
 }
 
-// A Tensor {n, 3} or {steps, n, 3}, or a DeviceArray of vec3, as rows of three.
-DeviceArray<Vec3f> force_rows(const py::object& forces, int32_t particles) {
-  if (py::isinstance<Array>(forces)) return DeviceArray<Vec3f>(forces.cast<Array>());
-  require(py::isinstance<nova::TensorImpl>(forces), ErrorKind::Type,
-          "rollout, forces: expected a Tensor or a DeviceArray, got ", type_name(forces));
+// A Tensor {n, width} or {steps, n, width}, or a DeviceArray of T, as rows of T.
+template <class T>
+DeviceArray<T> force_rows(const py::object& forces, const char* name, int32_t count) {
+  constexpr int32_t kWidth = sizeof(T) / sizeof(float);
+  if (py::isinstance<Array>(forces)) return DeviceArray<T>(forces.cast<Array>());
+  require(py::isinstance<nova::TensorImpl>(forces), ErrorKind::Type, "rollout, ", name,
+          ": expected a Tensor or a DeviceArray, got ", type_name(forces));
   const auto tensor = forces.cast<Tensor>();
   const nova::Shape& shape = tensor.shape();
   require(tensor.dtype() == nova::DType::F32 && (shape.size() == 2 || shape.size() == 3) &&
-              shape.back() == 3 && shape[shape.size() - 2] == particles,
-          ErrorKind::Value, "rollout, forces: expected float32 {", particles, ", 3} or {steps, ",
-          particles, ", 3}, got ", nova::dtype_name(tensor.dtype()), " ", nova::shape_str(shape));
-  return DeviceArray<Vec3f>(
-      Array(DType::vec3, static_cast<size_t>(tensor.size()) / 3, 1, tensor.range()));
+              shape.back() == kWidth && shape[shape.size() - 2] == count,
+          ErrorKind::Value, "rollout, ", name, ": expected float32 {", count, ", ", kWidth,
+          "} or {steps, ", count, ", ", kWidth, "}, got ", nova::dtype_name(tensor.dtype()), " ",
+          nova::shape_str(shape));
+  return DeviceArray<T>(
+      Array(DTypeOf<T>::value, static_cast<size_t>(tensor.size()) / kWidth, 1, tensor.range()));
 }
 
 void rollout(SolverBase& solver, Trajectory& trajectory, const py::object& control,
-             const Contacts* contacts, float dt, const py::object& forces, int32_t start,
+             const Contacts* contacts, float dt, const py::object& forces,
+             const py::object& body_forces, CollisionPipeline* pipeline, int32_t start,
              const std::optional<int32_t>& stop) {
   require(stop.value_or(0) >= 0, ErrorKind::Value, "rollout, stop: expected a state from 0 to ",
           trajectory.steps(), " or None, got ", stop.value_or(0));
-  RolloutOptions options{.start = start, .stop = stop.value_or(trajectory.steps())};
+  RolloutOptions options{
+      .pipeline = pipeline, .start = start, .stop = stop.value_or(trajectory.steps())};
+  const Model& model = *trajectory.model();
   DeviceArray<Vec3f> rows;
   if (!forces.is_none()) {
-    rows = force_rows(forces, trajectory.model()->particle_count());
+    rows = force_rows<Vec3f>(forces, "forces", model.particle_count());
     options.forces = &rows;
+  }
+  DeviceArray<SpatialVectorf> wrenches;
+  if (!body_forces.is_none()) {
+    wrenches = force_rows<SpatialVectorf>(body_forces, "body_forces", model.body_count());
+    options.body_forces = &wrenches;
   }
   const Control* one = nullptr;
   if (py::isinstance<Control>(control)) {
@@ -297,8 +309,8 @@ void rollout(SolverBase& solver, Trajectory& trajectory, const py::object& contr
   }
   // recompute needs them again.
   const py::object kept = py::isinstance<py::sequence>(control) ? py::tuple(control) : control;
-  py::cast(trajectory).attr("_rollout_of") =
-      py::make_tuple(py::cast(&solver), kept, py::cast(contacts), forces);
+  py::cast(trajectory).attr("_rollout_of") = py::make_tuple(
+      py::cast(&solver), kept, py::cast(contacts), forces, body_forces, py::cast(pipeline));
 }
 
 void bind_rollout(py::module_& solvers) {
@@ -306,13 +318,16 @@ void bind_rollout(py::module_& solvers) {
   base.attr("rollout") = py::cpp_function(
       &rollout, py::name("rollout"), py::is_method(base), py::arg("trajectory"),
       py::arg("control").none(true), py::arg("contacts").none(true), py::arg("dt"), py::kw_only(),
-      "forces"_a = py::none(), "start"_a = 0, "stop"_a = py::none(),
+      "forces"_a = py::none(), "body_forces"_a = py::none(), "pipeline"_a = py::none(),
+      "start"_a = 0, "stop"_a = py::none(),
       "The steps of a trajectory from its state `start` (kept) to `stop` (None: the last), with "
       "the "
       "bits of a loop of step in which every step starts from the force in trajectory.particle_f. "
       "forces {n, 3} or {steps, n, 3} (N, world frame) act besides it, in every step or each in "
-      "its "
-      "own. control: one for all steps, or a sequence of m, each for a m-th of them. What acts is "
+      "its own; body_forces {b, 6} or {steps, b, 6} (N, N*m about the centre of mass, world frame) "
+      "besides body_f. pipeline: a CollisionPipeline that finds the contacts of every step anew, "
+      "instead of `contacts`. control: one for all steps, or a sequence of m, each for a m-th of "
+      "them. What acts is "
       "only read. A differentiable solver records on an active tape, with gradients for the forces "
       "and the controls, and may be captured; others raise there. ValueError: an argument of "
       "another model or size.");
@@ -363,9 +378,10 @@ void bind_solver(py::module_& solvers) {
       "of those of a Contacts, which must then be None.")
   NOVAPHY_MEMBER(static_contact_margin, "m: how far a static contact is looked for.")
   NOVAPHY_MEMBER(enable_rigid, "Bodies move.")
-  NOVAPHY_MEMBER(enable_rigid_contacts,
-                 "Contacts of bodies act; so far those of enable_static_contacts, with infinite "
-                 "planes of the world.")
+  NOVAPHY_MEMBER(
+      enable_rigid_contacts,
+      "Contacts of bodies act: those of a Contacts, or with enable_static_contacts those "
+      "with infinite planes of the world.")
   NOVAPHY_MEMBER(angular_damping, "1/s, of bodies.")
   NOVAPHY_MEMBER(friction_smoothing,
                  "m/s, of the friction law \"huber\" of bodies; 0: \"viscous\".")

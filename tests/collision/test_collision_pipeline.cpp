@@ -243,8 +243,8 @@ TEST(CollisionPipeline, RefusesShapesThatItDoesNotCover) {
   std::vector<int32_t> body(5, -1);
   body[1] = 0;
   model->shape_body.copy_from_host(body);
-  EXPECT_ERROR(pipeline.collide(state, contacts), ErrorKind::NotImplemented,
-               "shape 1 is owned by body 0");
+  EXPECT_ERROR(pipeline.collide(state, contacts), ErrorKind::Index,
+               "model.shape_body[1]: expected -1 to -1, got 0");
   model->shape_body.fill(-1);
   std::vector<int32_t> type = model->shape_type.to_host();
   type[2] = static_cast<int32_t>(GeoType::MESH);  // lets particles through: nothing to cover

@@ -340,8 +340,8 @@ TEST(SolverSemiImplicit, RefusesContactsThatItCannotUse) {
                "soft_contact_shape[0]");
   contacts.soft_contact_shape.fill(0);
   model->shape_body.fill(3);
-  EXPECT_ERROR(solver.step(a, b, nullptr, &contacts, 0.01f), ErrorKind::NotImplemented,
-               "of body 3");
+  EXPECT_ERROR(solver.step(a, b, nullptr, &contacts, 0.01f), ErrorKind::Index,
+               "model.shape_body[0]: expected -1 to -1, got 3");
   model->shape_body.fill(-1);
   EXPECT_NO_THROW(solver.step(a, b, nullptr, &contacts, 0.01f));
   contacts.soft_contact_normal = DeviceArray<Vec3f>(2, Device::cpu());

@@ -90,14 +90,6 @@ def test_worlds_carry_bodies() -> None:
     assert model.body_q.numpy()[:, 0].tolist() == [-2, 0, 2]
 
 
-def test_particles_do_not_meet_the_shape_of_a_body_yet() -> None:
-    builder = die()
-    assert novaphy.CollisionPipeline(builder.finalize()).soft_contact_max == 0
-    builder.add_particle((0, 0, 1), (0, 0, 0), 1.0)
-    with pytest.raises(NotImplementedError, match="has_particle_collision"):
-        novaphy.CollisionPipeline(builder.finalize())
-
-
 def test_a_captured_search_follows_the_state() -> None:
     nova = pytest.importorskip("novaphy.nova")
     builder = die()

@@ -306,8 +306,6 @@ def test_what_is_not_covered_is_named():
     config = solvers.DiffSolverConfig(enable_static_contacts=True)
     with pytest.raises(NotImplementedError, match=r"shapes 1 \(BOX\) and 2 \(BOX\)"):
         solvers.DiffSemiImplicitSolver(model, config)
-    with pytest.raises(NotImplementedError, match="enable_static_contacts"):
-        solvers.DiffSemiImplicitSolver(model)
     with pytest.raises(NotImplementedError, match="enable_rigid"):
         solvers.DiffSemiImplicitSolver(model, solvers.DiffSolverConfig(enable_rigid=False))
     q, qd = nova.zeros((2, 7)), nova.zeros((2, 6))

@@ -5,6 +5,26 @@
 #include "novaphy/core/error.h"
 
 namespace novaphy {
+namespace {
+
+RolloutInputs::Forces checked_forces(const Array* given, const char* name, int32_t count,
+                                     int32_t width, int32_t start, int32_t steps, Device device) {
+  RolloutInputs::Forces f;
+  f.count = static_cast<size_t>(count);
+  f.start = start;
+  if (given == nullptr) return f;
+  f.rows = *given;
+  const size_t rows = given->rows(), all = static_cast<size_t>(steps) * f.count;
+  require(rows == f.count || rows == all, ErrorKind::Value, "rollout, ", name, ": expected {",
+          count, ", ", width, "} or {", steps, ", ", count, ", ", width, "}, got ", rows,
+          " rows of ", width);
+  require(rows == 0 || given->device() == device, ErrorKind::Value, "rollout, ", name,
+          ": expected them on ", device.str(), ", got them on ", given->device().str());
+  f.change = rows != f.count;
+  return f;
+}
+
+}  // namespace
 
 RolloutInputs::RolloutInputs(const Model& model, const Trajectory& trajectory,
                              const Control* control, const Contacts* contacts, float dt,
@@ -14,7 +34,7 @@ RolloutInputs::RolloutInputs(const Model& model, const Trajectory& trajectory,
       dt_(dt),
       contacts_(contacts),
       controls_(options.controls),
-      particles_(static_cast<size_t>(model.particle_count())) {
+      pipeline_(options.pipeline) {
   require(trajectory.model()->id() == model.id(), ErrorKind::Value,
           "rollout, trajectory: it belongs to another model");
   require(std::isfinite(dt) && dt > 0.0f, ErrorKind::Value,
@@ -38,16 +58,12 @@ RolloutInputs::RolloutInputs(const Model& model, const Trajectory& trajectory,
             "rollout, control: it belongs to another model");
   require(contacts == nullptr || contacts->model_id() == model.id(), ErrorKind::Value,
           "rollout, contacts: they belong to another model");
-  if (options.forces == nullptr) return;
-  forces_ = *options.forces;
-  const size_t all = static_cast<size_t>(steps()) * particles_;
-  require(forces_.rows() == particles_ || forces_.rows() == all, ErrorKind::Value,
-          "rollout, forces: expected {", particles_, ", 3} or {", steps(), ", ", particles_,
-          ", 3}, got ", forces_.rows(), " rows of 3");
-  require(forces_.rows() == 0 || forces_.device() == model.device(), ErrorKind::Value,
-          "rollout, forces: expected them on ", model.device().str(), ", got them on ",
-          forces_.device().str());
-  forces_change_ = forces_.rows() != particles_;
+  require(contacts == nullptr || pipeline_ == nullptr, ErrorKind::Value,
+          "rollout, contacts: expected none besides pipeline, which finds those of every step");
+  const int32_t particles = model.particle_count(), bodies = model.body_count();
+  forces_ = checked_forces(options.forces, "forces", particles, 3, start_, steps(), model.device());
+  body_forces_ = checked_forces(options.body_forces, "body_forces", bodies, 6, start_, steps(),
+                                model.device());
 }
 
 }  // namespace novaphy

@@ -2,11 +2,13 @@
 
 #include <array>
 #include <cmath>
+#include <optional>
 #include <span>
 #include <utility>
 
 #include "novaphy/core/error.h"
 #include "novaphy/core/sim/for_chunks.h"
+#include "novaphy/math/spatial.h"
 
 namespace novaphy {
 namespace {
@@ -68,7 +70,9 @@ class ForwardSteps {
         own_(static_cast<const StateFields&>(now_)),
         fields_(detail::mutable_fields<StateFields>(now_)),
         shared_fields_(detail::const_fields(shared_)),
-        own_fields_(detail::mutable_fields(own_)) {}
+        own_fields_(detail::mutable_fields(own_)) {
+    if (inputs.pipeline() != nullptr) found_.emplace(inputs.pipeline()->contacts());
+  }
   ForwardSteps(const ForwardSteps&) = delete;  // the fields point into it
   ForwardSteps& operator=(const ForwardSteps&) = delete;
 
@@ -79,18 +83,27 @@ class ForwardSteps {
       own_fields_[k].array->assign(*shared_fields_[k].array);
       *fields_[k].array = *own_fields_[k].array;
     }
-    if (inputs_.forces().rows() != 0) {
-      const Vec3f* const forces = inputs_.forces().data() + inputs_.first_force(t);
-      Vec3f* const f = now_.particle_f.mutable_data();
-      for_chunks(static_cast<int64_t>(now_.particle_f.rows()), 4096,
-                 [&](int64_t begin, int64_t end, int64_t) {
-                   for (int64_t p = begin; p < end; ++p) f[p] = f[p] + forces[p];
-                 });
+    add_forces<Vec3f>(inputs_.forces(), t, now_.particle_f);
+    add_forces<SpatialVectorf>(inputs_.body_forces(), t, now_.body_f);
+    const Contacts* contacts = inputs_.contacts();
+    if (found_) {
+      inputs_.pipeline()->collide(from, *found_);
+      contacts = &*found_;
     }
-    solver_.step(now_, to, inputs_.control(t), inputs_.contacts(), inputs_.dt());
+    solver_.step(now_, to, inputs_.control(t), contacts, inputs_.dt());
   }
 
  private:
+  template <class T>
+  static void add_forces(const RolloutInputs::Forces& forces, int32_t t, DeviceArray<T>& to) {
+    if (!forces.any()) return;
+    const T* const more = static_cast<const T*>(forces.rows.raw()) + forces.first(t);
+    T* const f = to.mutable_data();
+    for_chunks(static_cast<int64_t>(to.rows()), 4096, [&](int64_t begin, int64_t end, int64_t) {
+      for (int64_t k = begin; k < end; ++k) f[k] = f[k] + more[k];
+    });
+  }
+
   SolverBase& solver_;
   RolloutInputs inputs_;
   StateFields shared_;  // the trajectory's
@@ -99,6 +112,7 @@ class ForwardSteps {
   std::vector<detail::MutableField> fields_;
   std::vector<detail::ConstField> shared_fields_;
   std::vector<detail::MutableField> own_fields_;
+  std::optional<Contacts> found_;  // by the pipeline, anew in every step
 };
 
 }  // namespace
@@ -143,8 +157,8 @@ void SolverBase::rollout(Trajectory& trajectory, const Control* control, const C
                          float dt, const RolloutOptions& options) {
   if (ArrayObserver* observer = array_observer()) observer->untracked_operation("rollout");
   const RolloutInputs inputs(*model_, trajectory, control, contacts, dt, options);
-  require(inputs.forces().rows() == 0 || device().is_cpu(), ErrorKind::NotImplemented,
-          "rollout, forces: this solver covers them on the cpu");
+  require((!inputs.forces().any() && !inputs.body_forces().any()) || device().is_cpu(),
+          ErrorKind::NotImplemented, "rollout, forces: this solver covers them on the cpu");
   const auto steps = std::make_shared<ForwardSteps>(*this, trajectory, inputs);
   constexpr int32_t kStepsPerInterruptCheck = 32;
   for (int32_t t = inputs.start(); t < inputs.stop(); ++t) {

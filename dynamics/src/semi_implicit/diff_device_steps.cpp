@@ -17,24 +17,35 @@ class DeviceSteps final : public diff::DiffSolverBase {
 
   void step(SimState& state_in, SimState& state_out, const Control* control,
             const Contacts* contacts, float dt) override {
-    particles_.begin(*model(), contacts, "SolverSemiImplicit.step");
+    begin(contacts, "SolverSemiImplicit.step");
     if (model()->particle_count() != 0)
-      particles_.run(*model(), state_in, state_out, control, contacts, dt);
+      particles_.run(*model(), state_in, state_out, control, contacts, tables_, dt);
   }
 
  protected:
   std::vector<ScratchSpec> step_scratch() const override { return particles_.scratch(); }
   bool begin_rollout(const RolloutInputs& inputs) override {
-    particles_.begin(*model(), inputs.contacts(), "SolverSemiImplicit.rollout");
+    begin(inputs.contacts(), "SolverSemiImplicit.rollout");
     return model()->particle_count() != 0;
   }
   void record_step(const SimState& in, SimState& out, const diff::StepInputs& inputs,
                    StepScratch scratch) override {
-    particles_.record(*model(), in, out, inputs, scratch);
+    if (inputs.tables != nullptr) inputs.tables->rebuild(*model(), *inputs.contacts, kWanted);
+    particles_.record(*model(), in, out, inputs,
+                      inputs.tables != nullptr ? *inputs.tables : tables_, scratch);
   }
 
  private:
+  static constexpr diff::ContactTables::Wanted kWanted = {.particles = true};
+  void begin(const Contacts* contacts, const char* function) {
+    particles_.begin(*model(), function);
+    if (contacts != nullptr)
+      tables_.update(*model(), *contacts, kWanted);
+    else
+      tables_ = {};
+  }
   diff::ParticleStep particles_;
+  diff::ContactTables tables_;  // of the contacts of all steps
 };
 
 }  // namespace

@@ -82,11 +82,16 @@ void launch_elements(const nova::Kernel& kernel, const std::vector<Operand>& in,
                      const nova::Incidence& rows, const Operand& forces) {
   const Operand& indices = in[0];
   kernel.launch(indices.rows, in, {&contributions, 1});
-  const Operand terms[] = {particle_f, per_corner(contributions, indices.width)};
-  sum_kernel().launch(particle_f.rows, terms, {&forces, 1}, {.csr = &rows});
+  detail::add_contributions(particle_f, per_corner(contributions, indices.width), rows, forces);
 }
 
 }  // namespace
+
+void detail::add_contributions(const Operand& particle_f, const Operand& contributions,
+                               const nova::Incidence& rows, const Operand& sum) {
+  const Operand terms[] = {particle_f, contributions};
+  sum_kernel().launch(particle_f.rows, terms, {&sum, 1}, {.csr = &rows});
+}
 
 std::vector<nova::SourceSpec> detail::element_sources(int32_t corners) {
   return {{"indices", DType::I32, corners, Access::Direct},

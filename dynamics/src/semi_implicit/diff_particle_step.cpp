@@ -1,5 +1,6 @@
 #include "novaphy/dynamics/semi_implicit/diff_particle_step.h"
 
+#include "novaphy/collision/contact_bodies.h"
 #include "novaphy/core/error.h"
 #include "novaphy/dynamics/diff_model_reads.h"
 #include "novaphy/dynamics/semi_implicit/diff_particles.h"
@@ -10,8 +11,19 @@ namespace novaphy::diff {
 
 using nova::Operand;
 
+namespace {
+
+Operand allocate(int64_t rows, int32_t width, Device device) {
+  const auto bytes = static_cast<size_t>(rows) * static_cast<size_t>(width) * sizeof(float);
+  return {Storage::allocate(bytes, device)->range(), rows, width};
+}
+
+}  // namespace
+
 ParticleStep::ParticleStep(const Model& model, const ParticleStepOptions& options)
-    : options_(options), elements_(model, options.elements) {
+    : options_(options),
+      elements_(model, options.elements),
+      meets_bodies_(options.contacts && particles_may_meet_bodies(model)) {
   rows_.update(model, options.static_contacts);
   if (options.static_contacts) detail::check_static_shapes(model);
 }
@@ -23,48 +35,39 @@ Operand ParticleStep::add_elements(const Model& model, const Control* control, c
   return to;
 }
 
-// Rebuilt when the contacts changed.
-const nova::Incidence* ParticleStep::contacts_of_particles(const Model& model,
-                                                           const Contacts* contacts) {
-  if (!contacts || !options_.contacts || contacts->soft_contact_max() == 0) return nullptr;
-  const std::shared_ptr<Range>& range = contacts->soft_contact_particle.range();
-  if (contacts_of_ && contacts_of_->table.range == range && nova::is_current(*contacts_of_, *range))
-    return &contacts_of_;
-  if (options_.refuse_overflow) {
-    // Contacts are fixed while a capture records, so this host read is legal there too.
-    ArrayObserver* observer = set_array_observer(nullptr);
-    const bool overflowed = contacts->overflowed();
-    set_array_observer(observer);
-    require(!overflowed, ErrorKind::Runtime, "contacts: more contacts were found than the ",
-            contacts->soft_contact_max(),
-            " slots hold; make the pipeline with a larger soft_contact_max");
+void ParticleStep::add_contacts(const Model& model, const SimState& in, const Contacts& contacts,
+                                const ContactTables& tables, const Operand& f, const Operand& to) {
+  const Operand q = nova::operand_of(in.particle_q), qd = nova::operand_of(in.particle_qd);
+  touches_ = tables.slots_of_bodies() != nullptr;
+  if (!touches_) {
+    eval_soft_contact_forces(model, contacts, tables.slots_of_particles(), q, qd, f, to);
+    return;
   }
-  try {
-    contacts_of_ = nova::make_incidence(nova::operand_of(contacts->soft_contact_particle),
-                                        model.particle_count());
-  } catch (const Error& error) {
-    fail(error.kind(), "contacts.soft_contact_particle: ", error.what());
+  if (forces_.rows != contacts.soft_contact_max()) {
+    forces_ = allocate(contacts.soft_contact_max(), 3, model.device());
+    wrenches_ = allocate(contacts.soft_contact_max(), 6, model.device());
   }
-  return &contacts_of_;
+  eval_soft_contacts(model, contacts, tables, q, qd, nova::operand_of(in.body_q),
+                     nova::operand_of(in.body_qd), forces_, wrenches_);
+  detail::add_contributions(f, forces_, tables.slots_of_particles(), to);
 }
 
 std::vector<ScratchSpec> ParticleStep::scratch() const {
-  if (elements_.empty()) return {};
-  // The forces on the particles with those of the elements.
-  return {{DType::vec3, elements_.particle_count(), 1}};
+  // The forces on the particles with those of the elements, and with those of the contacts too.
+  return {size_t{has_elements()} + size_t{meets_bodies_},
+          {DType::vec3, elements_.particle_count(), 1}};
 }
 
-void ParticleStep::begin(const Model& model, const Contacts* contacts, const char* function) {
+void ParticleStep::begin(const Model& model, const char* function) {
   begin_model_reads(model, function);
   rows_.update(model, options_.static_contacts);
-  contacts_of_particles(model, contacts);
 }
 
 void ParticleStep::run(const Model& model, SimState& in, SimState& out, const Control* control,
-                       const Contacts* contacts, float dt) {
+                       const Contacts* contacts, const ContactTables& tables, float dt) {
   const Operand q = nova::operand_of(in.particle_q), qd = nova::operand_of(in.particle_qd);
   const Operand applied = nova::operand_of(in.particle_f);
-  const nova::Incidence* contacts_of = contacts_of_particles(model, contacts);
+  touches_ = false;
   // Recorded forces live in memory of the tape, so that the state's own array can be cleared and
   // reused; what a user reads there is a copy.
   const bool recording = nova::Tape::active() != nullptr;
@@ -76,12 +79,12 @@ void ParticleStep::run(const Model& model, SimState& in, SimState& out, const Co
   };
   Operand f = applied;
   if (!elements_.empty()) f = add_elements(model, control, q, qd, f, target());
-  if (contacts_of || options_.static_contacts) {
+  if (tables.slots_of_particles() || options_.static_contacts) {
     const Operand total = target();
     if (options_.static_contacts) {
       eval_static_contact_forces(model, rows_, q, qd, f, options_.static_contact_margin, total);
     } else {
-      eval_soft_contact_forces(model, *contacts, *contacts_of, q, qd, f, total);
+      add_contacts(model, in, *contacts, tables, f, total);
     }
     f = total;
   }
@@ -96,18 +99,25 @@ void ParticleStep::run(const Model& model, SimState& in, SimState& out, const Co
 }
 
 void ParticleStep::record(const Model& model, const SimState& in, SimState& out,
-                          const StepInputs& inputs, StepScratch scratch) {
+                          const StepInputs& inputs, const ContactTables& tables,
+                          StepScratch scratch) {
   const Operand q = nova::operand_of(in.particle_q), qd = nova::operand_of(in.particle_qd);
   const Operand q_out = nova::operand_of(out.particle_q),
                 qd_out = nova::operand_of(out.particle_qd);
+  touches_ = false;
   const Operand f = elements_.empty() ? inputs.forces
                                       : add_elements(model, inputs.control, q, qd, inputs.forces,
                                                      nova::operand_of(scratch[0]));
   if (options_.static_contacts) {
     step_particles_with_static_contacts(model, rows_, q, qd, f, options_.static_contact_margin,
                                         inputs.dt, q_out, qd_out);
-  } else if (const nova::Incidence* contacts_of = contacts_of_particles(model, inputs.contacts)) {
-    step_particles(model, *inputs.contacts, *contacts_of, q, qd, f, inputs.dt, q_out, qd_out);
+  } else if (tables.slots_of_bodies()) {
+    const Operand total = nova::operand_of(scratch[has_elements() ? 1 : 0]);
+    add_contacts(model, in, *inputs.contacts, tables, f, total);
+    integrate_particles(model, q, qd, total, inputs.dt, q_out, qd_out);
+  } else if (tables.slots_of_particles()) {
+    step_particles(model, *inputs.contacts, tables.slots_of_particles(), q, qd, f, inputs.dt, q_out,
+                   qd_out);
   } else {
     integrate_particles(model, q, qd, f, inputs.dt, q_out, qd_out);
   }

@@ -11,9 +11,11 @@
 #include "novaphy/dynamics/diff_operators.h"
 #include "novaphy/dynamics/semi_implicit/rigid_integrator_trace.h"
 #include "novaphy/dynamics/semi_implicit/rigid_plane_trace.h"
+#include "diff_trace_columns.h"
 
 namespace novaphy::diff {
 
+using detail::Columns;
 using detail::Worlds;
 using nova::Access;
 using nova::Bool;
@@ -46,12 +48,8 @@ std::vector<nova::SourceSpec> sources(Worlds worlds) {
       {"shape_transform", DType::F32, 7, Access::Indexed},
       {"shape_scale", DType::F32, 3, Access::Indexed},
       {"shape_margin", DType::F32, 1, Access::Indexed},
-      {"shape_gap", DType::F32, 1, Access::Indexed},
-      {"shape_material_ke", DType::F32, 1, Access::Indexed},
-      {"shape_material_kd", DType::F32, 1, Access::Indexed},
-      {"shape_material_kf", DType::F32, 1, Access::Indexed},
-      {"shape_material_ka", DType::F32, 1, Access::Indexed},
-      {"shape_material_mu", DType::F32, 1, Access::Indexed}};
+      {"shape_gap", DType::F32, 1, Access::Indexed}};
+  for (const nova::SourceSpec& s : detail::material_sources()) list.push_back(s);
   if (several) list.push_back({"body_world", DType::I32, 1, Access::Direct});
   return list;
 }
@@ -73,35 +71,10 @@ std::vector<Operand> operands(const Model& m, const PlanePairs& pairs, const Ope
                                nova::operand_of(m.shape_transform),
                                nova::operand_of(m.shape_scale),
                                nova::operand_of(m.shape_margin),
-                               nova::operand_of(m.shape_gap),
-                               nova::operand_of(m.shape_material_ke),
-                               nova::operand_of(m.shape_material_kd),
-                               nova::operand_of(m.shape_material_kf),
-                               nova::operand_of(m.shape_material_ka),
-                               nova::operand_of(m.shape_material_mu)};
+                               nova::operand_of(m.shape_gap)};
+  for (Operand& o : detail::material_operands(m)) list.push_back(std::move(o));
   if (detail::worlds_of(m) == Worlds::Several) list.push_back(nova::operand_of(m.body_world));
   return list;
-}
-
-// Columns of a source at the body, or at a shape.
-struct Columns {
-  TraceContext& c;
-  size_t source;
-  const Int* row = nullptr;
-  Columns(TraceContext& context, const char* name, const Int* at = nullptr)
-      : c(context), source(context.source(name)), row(at) {}
-  Real operator[](int32_t k) const { return row ? c.f32(source, *row, k) : c.f32(source, k); }
-  Vec3<Real> vec3(int32_t k = 0) const { return {(*this)[k], (*this)[k + 1], (*this)[k + 2]}; }
-  Transform<Real> transform() const {
-    return {vec3(), {(*this)[3], (*this)[4], (*this)[5], (*this)[6]}};
-  }
-  SpatialVector<Real> spatial() const { return {vec3(), vec3(3)}; }
-};
-
-RigidContactMaterial<Real> material(TraceContext& c, const Int& shape) {
-  const auto of = [&](const char* name) { return Columns(c, name, &shape)[0]; };
-  return {of("shape_material_ke"), of("shape_material_kd"), of("shape_material_kf"),
-          detach(of("shape_material_ka")), of("shape_material_mu")};
 }
 
 Vec3<Real> constant(const Vec3<Real>& v) { return {detach(v.x), detach(v.y), detach(v.z)}; }
@@ -130,7 +103,8 @@ std::vector<Real> pair_wrench(TraceContext& c) {
   const SpatialVector<Real> w = plane_contact_wrench(
       FrictionLaw::Huber, ground, body_shape, body,
       number("shape_gap", plane) + number("shape_gap", shape),
-      mean_rigid_contact_material(material(c, plane), material(c, shape)), c.param(kSmoothing));
+      mean_rigid_contact_material(detail::load_material(c, plane), detail::load_material(c, shape)),
+      c.param(kSmoothing));
   return {w.linear.x, w.linear.y, w.linear.z, w.angular.x, w.angular.y, w.angular.z};
 }
 

@@ -104,7 +104,8 @@ void RigidBodies::evaluate(const Model& m, const SimState& state, const Contacts
 }
 
 void RigidBodies::step(const Model& m, const SimState& in, SimState& out, const Contacts* contacts,
-                       const JointForces& joints, const RigidStep& how) {
+                       const JointForces& joints, const ParticleContacts* particles,
+                       const RigidStep& how) {
   if (m.body_count() == 0) return;
   const bool touching = contacts != nullptr && rows_ > 0;
   if (touching) evaluate(m, in, *contacts, how);
@@ -134,6 +135,7 @@ void RigidBodies::step(const Model& m, const SimState& in, SimState& out, const 
         if (touching)
           for (const int32_t item : sides_.items(b))
             wrench = wrench + wrenches_[static_cast<size_t>(item)];
+        if (particles != nullptr) wrench = particles->add(b, wrench);
         next = integrate_rigid_body(now, wrench, {com[b], inv_mass[b], inertia[b], inv_inertia[b]},
                                     gravity[world[b] < 0 ? last_world : world[b]],
                                     how.angular_damping, how.dt);

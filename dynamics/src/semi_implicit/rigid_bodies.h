@@ -11,6 +11,7 @@
 #include "novaphy/core/sim/model.h"
 #include "novaphy/core/sim/sim_state.h"
 #include "novaphy/dynamics/semi_implicit/rigid_contact_trace.h"
+#include "particle_contacts.h"
 
 namespace novaphy {
 
@@ -29,8 +30,9 @@ class RigidBodies {
   void prepare(const Model& model, const Contacts* contacts);
   // Adds the wrenches of `joints`, which were evaluated, to body_f, then those of the contacts.
   // Writes the bodies of `out`, and rigid_contact_force of the contacts that were prepared.
+  // `particles`: those that touch bodies, evaluated; null: none.
   void step(const Model& model, const SimState& in, SimState& out, const Contacts* contacts,
-            const JointForces& joints, const RigidStep& how);
+            const JointForces& joints, const ParticleContacts* particles, const RigidStep& how);
 
  private:
   void evaluate(const Model& model, const SimState& state, const Contacts& contacts,

@@ -1,13 +1,11 @@
 #include "novaphy/dynamics/semi_implicit/solver_semi_implicit.h"
 
 #include <cmath>
-#include <optional>
 #include <utility>
 
 #include "device_steps.h"
 #include "element_forces.h"
 #include "joint_forces.h"
-#include "novaphy/collision/diff_soft_contact_trace.h"
 #include "novaphy/core/error.h"
 #include "novaphy/core/sim/for_chunks.h"
 #include "novaphy/core/storage.h"
@@ -53,36 +51,6 @@ float checked_smoothing(const SemiImplicitOptions& options) {
           "SolverSemiImplicit: friction_smoothing: expected > 0 with \"newton17\", got 0");
   return *options.friction_smoothing;
 }
-
-// The contacts of a step, as the force law reads them.
-struct ContactForces {
-  ContactForces(const ParticleContacts& contact_rows, const Contacts& c, const Model& m)
-      : rows(contact_rows), contacts(c), model(m) {}
-  const ParticleContacts& rows;
-  const Contacts& contacts;
-  const Model& model;
-  const SoftContactMaterial<float> model_material{model.soft_contact_ke, model.soft_contact_kd,
-                                                  model.soft_contact_kf, model.soft_contact_mu};
-  const int32_t* shape = contacts.soft_contact_shape.data();
-  const Vec3f* body_pos = contacts.soft_contact_body_pos.data();
-  const Vec3f* body_vel = contacts.soft_contact_body_vel.data();
-  const Vec3f* normal = contacts.soft_contact_normal.data();
-  const float* radius = model.particle_radius.data();
-  const float *ke = model.shape_material_ke.data(), *kd = model.shape_material_kd.data(),
-              *kf = model.shape_material_kf.data(), *mu = model.shape_material_mu.data();
-
-  // f with the forces of the particle's contacts added in slot order.
-  Vec3f add(int64_t particle, const Vec3f& x, const Vec3f& v, Vec3f f) const {
-    for (const int32_t slot : rows.slots(particle)) {
-      const int32_t s = shape[slot];
-      const SoftContactMaterial<float> material =
-          mean_soft_contact_material(model_material, {ke[s], kd[s], kf[s], mu[s]});
-      f = f + soft_contact_force_term(x, v, radius[particle], body_pos[slot], body_vel[slot],
-                                      normal[slot], material, model.particle_adhesion);
-    }
-    return f;
-  }
-};
 
 }  // namespace
 
@@ -171,7 +139,10 @@ void SolverSemiImplicit::step(SimState& state_in, SimState& state_out, const Con
   const bool deformable = ElementForces::any(m);
   if (deformable) cache_->elements.evaluate(m, control, q, qd);
   cache_->joints.evaluate(m, state_in, control, attach);
+  if (touching) cache_->contacts.evaluate(m, state_in, *contacts);
+  const bool particles_touch = touching && cache_->contacts.touches_bodies();
   cache_->bodies.step(m, state_in, state_out, contacts, cache_->joints,
+                      particles_touch ? &cache_->contacts : nullptr,
                       {.friction_law = options_.friction_law,
                        .friction_smoothing = *options_.friction_smoothing,
                        .angular_damping = options_.angular_damping,
@@ -183,13 +154,11 @@ void SolverSemiImplicit::step(SimState& state_in, SimState& state_out, const Con
     });
     return;
   }
-  std::optional<ContactForces> contact_forces;
-  if (touching) contact_forces.emplace(cache_->contacts, *contacts, m);
   Vec3f* const f = state_in.particle_f.mutable_data();
   for_chunks(m.particle_count(), kChunk, [&](int64_t begin, int64_t end, int64_t) {
     for (int64_t p = begin; p < end; ++p) {
       if (deformable) f[p] = cache_->elements.add(p, f[p]);
-      if (touching) f[p] = contact_forces->add(p, q[p], qd[p], f[p]);
+      if (touching) f[p] = cache_->contacts.add(p, f[p]);
       integrate(p, f[p]);
     }
   });

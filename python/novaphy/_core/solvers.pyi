@@ -3,7 +3,17 @@
 from collections.abc import Sequence
 from typing import Literal, SupportsFloat, SupportsIndex
 
-from . import Contacts, Control, Device, DeviceArray, Model, ModelFlags, SimState, _Native
+from . import (
+    CollisionPipeline,
+    Contacts,
+    Control,
+    Device,
+    DeviceArray,
+    Model,
+    ModelFlags,
+    SimState,
+    _Native,
+)
 from .diff import Trajectory
 from .nova import Tensor
 
@@ -30,6 +40,8 @@ class SolverBase(_Native):
         dt: SupportsFloat,
         *,
         forces: Tensor | DeviceArray | None = None,
+        body_forces: Tensor | DeviceArray | None = None,
+        pipeline: CollisionPipeline | None = None,
         start: SupportsIndex = 0,
         stop: SupportsIndex | None = None,
     ) -> None: ...

@@ -10,6 +10,7 @@
 #include "novaphy/core/exclusive_use.h"
 #include "novaphy/core/sim/contacts.h"
 #include "novaphy/core/sim/model.h"
+#include "novaphy/core/sim/rollout.h"
 
 namespace novaphy {
 
@@ -40,8 +41,9 @@ struct CollisionOptions {
 // d from the particle's centre to the surface is
 //   d < (soft_contact_margin + shape_margin) + particle_radius
 // with the closest point of the surface and the normal there (collision/diff_soft_contact_trace.h).
-// World-owned planes, boxes, spheres and capsules; others throw ErrorKind::NotImplemented. The
-// geometry of a record carries no gradient. A particle whose position is NaN meets nothing.
+// Planes, boxes, spheres and capsules of the world and of bodies; others throw
+// ErrorKind::NotImplemented. The geometry of a record carries no gradient. A particle whose
+// position is NaN meets nothing.
 //
 // Rigid contacts: the points where two shapes touch or nearly do, of pairs of which at least one is
 // on a body. Shape A is the one of the smaller GeoType; of two alike the one of the smaller index.
@@ -64,7 +66,7 @@ struct CollisionOptions {
 // soft_contact_count keeps the full number and Contacts::overflowed() is true.
 //
 // One thread at a time may use a pipeline: another one gets ErrorKind::Runtime.
-class NOVAPHY_COLLISION_API CollisionPipeline {
+class NOVAPHY_COLLISION_API CollisionPipeline : public ContactFinder {
  public:
   // ErrorKind::Value: no model, a bad margin, a negative maximum, too many pairs for int32;
   // ErrorKind::NotImplemented: two shapes that may meet and are not covered, a
@@ -80,7 +82,7 @@ class NOVAPHY_COLLISION_API CollisionPipeline {
   int32_t soft_contact_pair_count() const;  // candidate_pairs.h
 
   // Empty contacts that collide takes.
-  Contacts contacts() const;
+  Contacts contacts() const override;
 
   // Replaces the contacts by those of the state and raises contact_generation. May stand in a
   // capture: a replay finds the contacts of what the state then holds, and refuses once the flags,
@@ -91,7 +93,7 @@ class NOVAPHY_COLLISION_API CollisionPipeline {
   //                     margin
   //   ErrorKind::NotImplemented  a colliding shape that is not covered
   void collide(const SimState& state, Contacts& contacts,
-               std::optional<float> soft_contact_margin = {});
+               std::optional<float> soft_contact_margin = {}) override;
 
  private:
   int32_t count_pairs() const;  // within a use

@@ -77,6 +77,25 @@ Vec3<T> soft_contact_force_term(const Vec3<T>& x, const Vec3<T>& v_p, const T& r
   return select(c > adhesion, Vec3<T>{none, none, none}, -f);
 }
 
+// The contact point of a shape that a body owns.
+template <class T>
+struct SoftContactBody {
+  Vec3<T> position{}, velocity{};  // world frame
+  Vec3<T> arm{};                   // of the position from the centre of mass, world frame
+};
+// From the body's pose, twist (velocity of the centre of mass) and centre of mass (body frame), and
+// the point and its velocity relative to the body, both in the body's frame.
+template <class T>
+SoftContactBody<T> soft_contact_body(const Transform<T>& pose, const SpatialVector<T>& twist,
+                                     const Vec3<T>& com, const Vec3<T>& point,
+                                     const Vec3<T>& point_velocity) {
+  using namespace math;
+  const Vec3<T> position = transform_point(pose, point);
+  const Vec3<T> arm = position - transform_point(pose, com);
+  return {position, (twist.linear + rotate(pose.q, point_velocity)) + cross(twist.angular, arm),
+          arm};
+}
+
 // Signed distance of a point to a surface (m, < 0 inside) and the outward normal there, both in the
 // shape's frame.
 template <class T>

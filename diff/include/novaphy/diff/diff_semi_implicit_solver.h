@@ -6,8 +6,8 @@
 #include "novaphy/diff/export.h"
 #include "novaphy/diff/trajectory.h"
 #include "novaphy/dynamics/diff_solver_base.h"
+#include "novaphy/dynamics/semi_implicit/diff_body_step.h"
 #include "novaphy/dynamics/semi_implicit/diff_particle_step.h"
-#include "novaphy/dynamics/semi_implicit/diff_rigid_bodies.h"
 
 namespace novaphy::diff {
 
@@ -25,7 +25,7 @@ struct DiffSolverConfig {
   bool enable_static_contacts = false;
   float static_contact_margin = 0.0f;  // m, >= 0: how far a static contact is looked for
   bool enable_rigid = true;            // bodies move
-  bool enable_rigid_contacts = true;   // their contacts act; so far those of enable_static_contacts
+  bool enable_rigid_contacts = true;   // their contacts act
   float angular_damping = 0.05f;       // 1/s, of bodies
   float friction_smoothing = 0.1f;     // m/s, of their friction law huber; 0: viscous
   bool strict = true;                  // refuse what is not covered instead of leaving it out
@@ -37,14 +37,16 @@ struct DiffSolverConfig {
 // Inside an active nova::Tape the kernels are recorded on the states' own arrays; outside they just
 // run.
 //
-// Bodies move by one kernel more (step_rigid_bodies_with_static_contacts), which does not write
-// body_f; particles and bodies do not meet.
+// Bodies move by one kernel more (step_rigid_bodies_with_static_contacts), and two for the contacts
+// of shapes in a Contacts, three for those of particles with shapes of bodies. body_f is only read.
+// Where contacts move with the bodies, `rollout` takes a pipeline and finds them anew in every
+// step.
 //
 // Gradients: positions, velocities, applied forces, masses, radii, gravity, contact materials,
 // activations and all materials, rest lengths and rest angles of elements are exact. Points and
 // normals of recorded contacts are frozen (collision is not differentiated here); those of static
-// contacts are exact. See diff_elements.h, diff_soft_contacts.h, diff_particles.h and,
-// for bodies, diff_rigid_bodies.h.
+// contacts are exact. See diff_elements.h, diff_soft_contacts.h, diff_particles.h and, for bodies,
+// diff_rigid_bodies.h and diff_body_contacts.h.
 //
 // Under `strict` a model whose elements would be left out is refused: the element kind must be
 // enabled, unless it exerts no force (all its stiffness, damping, drag and lift are 0 when the
@@ -76,7 +78,7 @@ class NOVAPHY_DIFF_API DiffSemiImplicitSolver : public DiffSolverBase {
 
  protected:
   std::vector<ScratchSpec> step_scratch() const override;
-  bool step_writes_kept_memory() const override { return particles_.has_elements(); }
+  bool step_writes_kept_memory() const override;
   bool begin_rollout(const RolloutInputs& inputs) override;
   void record_step(const SimState& in, SimState& out, const StepInputs& inputs,
                    StepScratch scratch) override;
@@ -84,16 +86,21 @@ class NOVAPHY_DIFF_API DiffSemiImplicitSolver : public DiffSolverBase {
  private:
   void check_elements() const;
   void check_joint_forces(const Control* control) const;
-  void check_contacts(const char* function, const Contacts* contacts) const;
   void check_bodies() const;
+  // `found`: a pipeline finds the contacts of every step.
+  void check_contacts(const char* function, const Contacts* contacts, bool found) const;
+  static void check_overflow(const Contacts& contacts);
+  void begin(const char* function, const Contacts* contacts, bool found);
   bool moves_particles() const;
   bool moves_bodies() const;
-  bool has_rigid_contacts() const;
-  void step_bodies(const SimState& in, SimState& out, float dt);
+  ContactTables::Wanted wanted_tables() const;
   DiffSolverConfig config_;
-  int32_t uncovered_shapes_ = 0;  // under strict: those that need a Contacts to act
+  // Under strict: those that need a Contacts to act.
+  int32_t uncovered_shapes_ = 0, uncovered_pairs_ = 0;
   ParticleStep particles_;
-  PlanePairs plane_pairs_;  // of bodies
+  BodyStep bodies_;
+  ContactTables tables_;                // of contacts that are given
+  DeviceArray<SpatialVectorf> body_f_;  // of step: with the wrenches of contacts
 };
 
 }  // namespace novaphy::diff

@@ -13,6 +13,7 @@ NOVAPHY_DYNAMICS_API std::vector<nova::EngineKernel> operator_kernels();
 
 namespace detail {
 // Each file that defines kernels adds them to the list.
+void add_body_contact_kernels(std::vector<nova::EngineKernel>& list);  // diff_body_contacts.cpp
 void add_contact_kernels(std::vector<nova::EngineKernel>& list);       // diff_soft_contacts.cpp
 void add_element_kernels(std::vector<nova::EngineKernel>& list);       // diff_elements.cpp
 void add_tet_material_kernels(std::vector<nova::EngineKernel>& list);  // diff_tetrahedra.cpp

@@ -6,6 +6,7 @@
 
 #include "novaphy/core/sim/solver_base.h"
 #include "novaphy/dynamics/export.h"
+#include "novaphy/dynamics/semi_implicit/diff_body_contacts.h"
 #include "novaphy/nova/tensor.h"
 
 namespace novaphy::diff {
@@ -14,7 +15,11 @@ namespace novaphy::diff {
 struct StepInputs {
   const Control* control = nullptr;    // null: the model's defaults
   const Contacts* contacts = nullptr;  // null: none
-  nova::Operand forces;                // {n, 3}: on the particles; only read
+  // Of contacts that the rollout has found for this step; null: the contacts are those of all
+  // steps.
+  ContactTables* tables = nullptr;
+  nova::Operand forces;       // {n, 3}: on the particles; only read
+  nova::Operand body_forces;  // {b, 6}: on the bodies; only read
   float dt = 0.0f;
 };
 
@@ -24,7 +29,8 @@ class NOVAPHY_DYNAMICS_API DiffSolverBase : public SolverBase {
 
   // One record_step for each step, recorded on an active tape; between two kept states the steps
   // are run once more by backward. The forces of the options have gradients, and so have the
-  // controls as far as the solver says. May be captured.
+  // controls as far as the solver says. May be captured. With a pipeline every kept step remembers
+  // contacts of its own.
   void rollout(Trajectory& trajectory, const Control* control, const Contacts* contacts, float dt,
                const RolloutOptions& options = {}) override;
 
@@ -50,10 +56,9 @@ class NOVAPHY_DYNAMICS_API DiffSolverBase : public SolverBase {
 NOVAPHY_DYNAMICS_API void make_leaves(const SimState& state);
 
 namespace detail {
-// {n, 3}: particle_f plus those of `forces` that begin at a row of it: into `sum`. On a tape, exact
-// gradients for both.
-void add_forces(const nova::Operand& particle_f, const nova::Operand& forces, size_t first_row,
-                const nova::Operand& sum);
+// {n, 3} or {n, 6}: `applied` plus those of `forces` that begin at a row of it: into `sum`. On a
+// tape, exact gradients for both.
+void add_forces(nova::Operand applied, nova::Operand forces, size_t first_row, nova::Operand sum);
 }  // namespace detail
 
 }  // namespace novaphy::diff

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <cstdint>
+#include <optional>
 #include <vector>
 
 #include "novaphy/core/export.h"
@@ -11,6 +12,15 @@
 
 namespace novaphy {
 
+// What finds the contacts of a state: a CollisionPipeline, for those who know nothing of collision.
+class ContactFinder {
+ public:
+  virtual ~ContactFinder() = default;
+  virtual Contacts contacts() const = 0;  // empty ones, which collide takes
+  virtual void collide(const SimState& state, Contacts& contacts,
+                       std::optional<float> soft_contact_margin = {}) = 0;
+};
+
 struct RolloutOptions {
   // Forces on the particles (N, world frame) besides the trajectory's particle_f: n rows that act
   // in every step, or n rows for each step of this call, time-major.
@@ -18,6 +28,11 @@ struct RolloutOptions {
   // Instead of `control`: m controls (null: the model's defaults), each for a m-th of the steps of
   // this call, which must be a multiple of m.
   std::vector<const Control*> controls = {};
+  // Wrenches on the bodies (N, N m, world frame, about the centre of mass) besides the trajectory's
+  // body_f: b rows, or b rows for each step, as `forces`.
+  const DeviceArray<SpatialVectorf>* body_forces = nullptr;
+  // Finds the contacts of every step anew, from its state, instead of the `contacts` of the call.
+  ContactFinder* pipeline = nullptr;
   // Steps [start, stop) of the trajectory; stop = -1: to the end. Both states must be kept.
   int32_t start = 0, stop = -1;
 };
@@ -27,7 +42,7 @@ class NOVAPHY_CORE_API RolloutInputs {
  public:
   // ErrorKind::Value, naming the argument: objects of another model, dt not finite or <= 0, forces
   // of another size or device, a number of controls that does not divide the steps, states that are
-  // not there or not kept.
+  // not there or not kept, contacts besides a pipeline.
   RolloutInputs(const Model& model, const Trajectory& trajectory, const Control* control,
                 const Contacts* contacts, float dt, const RolloutOptions& options);
 
@@ -39,21 +54,28 @@ class NOVAPHY_CORE_API RolloutInputs {
   const Control* control(int32_t t) const {
     return controls_[static_cast<size_t>((t - start_) / steps_per_control_)];
   }
-  const DeviceArray<Vec3f>& forces() const { return forces_; }  // no rows: none
-  bool forces_change() const { return forces_change_; }         // over the steps
-  // The row of forces at which those of step t begin.
-  size_t first_force(int32_t t) const {
-    return forces_change_ ? static_cast<size_t>(t - start_) * particles_ : 0;
-  }
+  ContactFinder* pipeline() const { return pipeline_; }
+  // Rows that act on each particle or body besides the trajectory's.
+  struct Forces {
+    Array rows;           // none: none
+    size_t count = 0;     // of particles or bodies
+    bool change = false;  // over the steps
+    int32_t start = 0;
+    bool any() const { return rows.rows() != 0; }
+    size_t first(int32_t t) const {  // the row at which those of step t begin
+      return change ? static_cast<size_t>(t - start) * count : 0;
+    }
+  };
+  const Forces& forces() const { return forces_; }            // vec3, on particles
+  const Forces& body_forces() const { return body_forces_; }  // spatial_vector, on bodies
 
  private:
   int32_t start_ = 0, stop_ = 0, steps_per_control_ = 1;
   float dt_ = 0.0f;
   const Contacts* contacts_ = nullptr;
   std::vector<const Control*> controls_;
-  DeviceArray<Vec3f> forces_;
-  bool forces_change_ = false;
-  size_t particles_ = 0;
+  ContactFinder* pipeline_ = nullptr;
+  Forces forces_, body_forces_;
 };
 
 }  // namespace novaphy

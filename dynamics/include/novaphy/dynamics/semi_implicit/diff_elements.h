@@ -120,6 +120,10 @@ std::vector<nova::Real> contributions(std::initializer_list<Vec3<nova::Real>> fo
 // particle_f, a model array or a tensor of {rows} or {rows, width}.
 void check_element_tensor(const Model& model, const nova::Tensor& tensor, int64_t rows,
                           int32_t width, const char* op, const char* name);
+// sum {n, 3} = particle_f plus the contributions {m, 3} that belong to each particle, in their
+// order.
+void add_contributions(const nova::Operand& particle_f, const nova::Operand& contributions,
+                       const nova::Incidence& rows, const nova::Operand& sum);
 // The operator of one kind of element, for the functions above. `parameters`: the kernel's sources
 // after particle_qd.
 nova::Tensor eval_elements(const Model& model, const char* op, const nova::Kernel& kernel,

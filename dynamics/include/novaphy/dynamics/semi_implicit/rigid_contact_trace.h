@@ -10,7 +10,7 @@
 // Friction (c > 0, s = |ut|):
 //   viscous   kf ut, cut off at the cone: ut c/s where kf s > c
 //   huber     ut min(kf, c/h),  h = (s^2 + e^2)/(2 e) where s <= e, else s. Never leaves the cone,
-//             smooth for s < e; e -> 0 gives viscous
+//             smooth for s < e. e = 0 has the bits of viscous
 //   newton17  ut/h min(kf h, c),  h = s^2/2 where s <= e, else e (s - e/2). Leaves the cone, for
 //             comparison only
 // None of them sticks: under a load below the cone a contact creeps.
@@ -88,8 +88,9 @@ Vec3<T> rigid_friction(FrictionLaw law, const Vec3<T>& ut, const T& limit, const
     const auto small = s < smoothing;
     const T e = select(smoothing > zero, smoothing, one);
     if (law == FrictionLaw::Huber) {
-      const T h = select(small, (s2 + e * e) / (e + e), s);
-      const auto slides = h * k > cap;
+      const T h = select(small, (s2 + e * e) / (e + e), s), h2 = select(small, h * h, s2);
+      const T at_cap = cap / k;
+      const auto slides = h2 > at_cap * at_cap;
       slope = select(slides, cap / select(slides, h, one), k);
     } else {
       const T h = select(small, s2 * T(0.5f), e * (s - e * T(0.5f)));

@@ -1,0 +1,32 @@
+#include "novaphy/collision/contact_bodies.h"
+
+#include "contact_bodies.h"
+#include "contact_body_kernels.h"
+#include "novaphy/core/device_kernel.h"
+#include "novaphy/core/sim/enums.h"
+
+namespace novaphy {
+
+void find_contact_bodies(const Model& model, const Contacts& contacts,
+                         const DeviceArray<int32_t>& rigid, const DeviceArray<int32_t>& soft) {
+  // Never destroyed: recordings refer to it.
+  static const auto& kernel = *new DeviceKernel(contact_body, detail::contact_body_kernels_text);
+  const auto find = [&](const Array& shape0, const Array& shape1, const Array& bodies) {
+    kernel.launch(model.device(), static_cast<int64_t>(bodies.rows()),
+                  {reads_row("shape0", shape0), reads("shape1", shape1),
+                   reads("shape_body", model.shape_body), number(int64_t{model.shape_count()}),
+                   writes_row("bodies", bodies)});
+  };
+  find(contacts.rigid_contact_shape0, contacts.rigid_contact_shape1, rigid);
+  find(contacts.soft_contact_shape, Array(), soft);
+}
+
+bool particles_may_meet_bodies(const Model& model) {
+  if (model.particle_count() == 0 || model.body_count() == 0) return false;
+  const std::vector<int32_t> body = model.shape_body.to_host(), flags = model.shape_flags.to_host();
+  for (size_t s = 0; s < body.size(); ++s)
+    if (body[s] >= 0 && has_flag(flags[s], ShapeFlags::COLLIDE_PARTICLES)) return true;
+  return false;
+}
+
+}  // namespace novaphy

@@ -1,0 +1,8 @@
+// Internal: the text for devices of the kernel in contact_body_kernels.h.
+#pragma once
+
+namespace novaphy::detail {
+
+const char* contact_body_kernels_text();  // null: the build has none
+
+}  // namespace novaphy::detail

@@ -1,0 +1,26 @@
+// Which bodies contacts touch, as a kernel: the bodies of the shapes that a column of a Contacts
+// names.
+#pragma once
+
+#include "novaphy/core/row_kernel.h"
+
+namespace novaphy {
+
+struct ContactBodyArguments {
+  const int32_t* shape0;  // of each contact; -1: none
+  const int32_t* shape1;  // null: contacts have one shape only
+  const int32_t* shape_body;
+  int64_t shapes;
+  int32_t* bodies;  // a row for each contact, of one body or of two
+};
+// The bodies of the contact `row`; -1 for a shape of the world, and for one that is not there.
+NOVAPHY_ROW_KERNEL(contact_body, 5, ContactBodyArguments) {
+  const auto body_of = [&](int32_t shape) {
+    return shape >= 0 && shape < a.shapes ? a.shape_body[shape] : -1;
+  };
+  const int64_t columns = a.shape1 == nullptr ? 1 : 2;
+  a.bodies[row * columns] = body_of(a.shape0[row]);
+  if (columns == 2) a.bodies[row * columns + 1] = body_of(a.shape1[row]);
+}
+
+}  // namespace novaphy

@@ -1,0 +1,78 @@
+// Differentiable contacts of bodies that a Contacts holds: of shapes with each other, and of
+// particles with the shapes of bodies. Compiled into novaphy::dynamics where nova is built.
+//
+// Each is two steps: a kernel over the contacts, which writes what every contact does to what it
+// touches, and a sum over the bodies (the particles) in the order of the contacts. So nothing is
+// summed by atomics, forward or backward, and the bits are those of SolverSemiImplicit.
+//
+// What each input's gradient is:
+//   body_q, body_qd, body_f; particle_q, particle_qd, particle_f    through the forces: exact for
+//       the points as they are, which move with their bodies. Points (in the frames of their
+//       bodies) and normals (in the world) are frozen: collision is not differentiated. That is
+//       exact for a plane of the world and a point, sphere or end of a capsule of a body; elsewhere
+//       the turning of the normal is missing (docs/coverage.md)
+//   model: body_com, particle_radius, shape_material_ke, _kd, _kf, _mu    exact
+//   which contacts exist, shape_material_ka, particle_adhesion, smoothing    none
+#pragma once
+
+#include "novaphy/core/array_stamp.h"
+#include "novaphy/core/sim/contacts.h"
+#include "novaphy/core/sim/model.h"
+#include "novaphy/dynamics/export.h"
+#include "novaphy/nova/incidence.h"
+#include "novaphy/nova/kernel.h"
+
+namespace novaphy::diff {
+
+// By what tables bodies and particles add up what a Contacts does to them. A tape needs one for
+// each Contacts.
+class NOVAPHY_DYNAMICS_API ContactTables {
+ public:
+  struct Wanted {
+    bool particles = false;            // contacts of particles
+    bool particles_on_bodies = false;  // of which some may touch bodies
+    bool bodies = false;               // contacts of shapes
+  };
+  // From what the contacts hold, unless that is known already. Inside a capture the tables of
+  // bodies are found anew by each replay. ErrorKind::Index where they name a particle that is not
+  // there.
+  void update(const Model& model, const Contacts& contacts, const Wanted& wanted);
+  // From what a launch before has written to the contacts, by launches; keeps its memory for
+  // contacts in the same memory.
+  void rebuild(const Model& model, const Contacts& contacts, const Wanted& wanted);
+
+  // Null where not wanted, or where the contacts have no rows.
+  const nova::Incidence& slots_of_particles() const { return slots_of_particles_; }
+  const nova::Incidence& slots_of_bodies() const { return slots_of_bodies_; }
+  const nova::Incidence& sides_of_bodies() const { return sides_of_bodies_; }
+  const DeviceArray<int32_t>& soft_bodies() const { return soft_bodies_; }    // {slots}
+  const DeviceArray<int32_t>& rigid_bodies() const { return rigid_bodies_; }  // {rows, 2}
+
+ private:
+  void rebuild_bodies(const Model& model, const Contacts& contacts, const Wanted& wanted);
+  nova::Incidence slots_of_particles_, slots_of_bodies_, sides_of_bodies_;
+  DeviceArray<int32_t> soft_bodies_, rigid_bodies_;
+  ArrayStamp soft_shape_, shape0_, shape1_, shape_body_;  // that the tables of bodies are made of
+};
+
+// wrenches {rows, 12}: what each row of rigid_contact_* adds to the wrench of its body A, then of
+// body B, with the friction law huber of `friction_smoothing` (m/s); 0: viscous.
+NOVAPHY_DYNAMICS_API void eval_rigid_contacts(const Model& model, const Contacts& contacts,
+                                              const ContactTables& tables,
+                                              const nova::Operand& body_q,
+                                              const nova::Operand& body_qd,
+                                              float friction_smoothing,
+                                              const nova::Operand& wrenches);
+
+// forces {slots, 3} and wrenches {slots, 6}: what each slot of soft_contact_* adds to the force on
+// its particle, and to the wrench of its body.
+NOVAPHY_DYNAMICS_API void eval_soft_contacts(
+    const Model& model, const Contacts& contacts, const ContactTables& tables,
+    const nova::Operand& particle_q, const nova::Operand& particle_qd, const nova::Operand& body_q,
+    const nova::Operand& body_qd, const nova::Operand& forces, const nova::Operand& wrenches);
+
+// sum {b, 6} = body_f plus the wrenches {n, 6} that belong to each body, in their order.
+NOVAPHY_DYNAMICS_API void add_wrenches(const nova::Operand& body_f, const nova::Operand& wrenches,
+                                       const nova::Incidence& of_bodies, const nova::Operand& sum);
+
+}  // namespace novaphy::diff

@@ -1,0 +1,40 @@
+// One semi-implicit step of bodies as generated kernels: the wrenches of contacts, then
+// integration. What DiffSemiImplicitSolver records. Compiled into novaphy::dynamics where nova is
+// built.
+#pragma once
+
+#include "novaphy/core/sim/sim_state.h"
+#include "novaphy/dynamics/semi_implicit/diff_body_contacts.h"
+#include "novaphy/dynamics/semi_implicit/diff_rigid_bodies.h"
+
+namespace novaphy::diff {
+
+struct BodyStepOptions {
+  bool static_contacts = false;     // planes of the world, found inside of the kernel, instead
+  float angular_damping = 0.05f;    // 1/s
+  float friction_smoothing = 0.1f;  // m/s
+};
+
+// Keeps memory from call to call; one thread at a time may use it.
+class NOVAPHY_DYNAMICS_API BodyStep {
+ public:
+  explicit BodyStep(const BodyStepOptions& options) : options_(options) {}
+
+  // What the steps of a call have in common. ErrorKind::NotImplemented: with static contacts, a
+  // pair of shapes that they do not cover.
+  void begin(const Model& model);
+  // From `in` to `out`: the wrenches `body_f` {b, 6}, then those of the contacts of shapes, then
+  // `of_particles` {slots, 6} (null: none), in the order of SolverSemiImplicit. `tables`: of the
+  // contacts. `total` {b, 6}: where their sum is kept for the adjoint.
+  void run(const Model& model, const SimState& in, SimState& out, const nova::Operand& body_f,
+           const Contacts* contacts, const ContactTables& tables, const nova::Operand* of_particles,
+           float dt, const nova::Operand& total);
+
+ private:
+  BodyStepOptions options_;
+  PlanePairs plane_pairs_;
+  nova::Operand wrenches_;  // of each side of each row, which no adjoint reads
+  nova::Operand sum_;       // of these, where more follow: likewise
+};
+
+}  // namespace novaphy::diff

@@ -1,0 +1,269 @@
+#include "novaphy/dynamics/semi_implicit/diff_body_contacts.h"
+
+#include "diff_trace_columns.h"
+#include "novaphy/collision/contact_bodies.h"
+#include "novaphy/collision/diff_soft_contact_trace.h"
+#include "novaphy/collision/diff_soft_contacts.h"
+#include "novaphy/core/error.h"
+#include "novaphy/dynamics/diff_operators.h"
+#include "novaphy/dynamics/semi_implicit/rigid_contact_trace.h"
+#include "novaphy/nova/op_list.h"
+#include "novaphy/nova/tape.h"
+
+namespace novaphy::diff {
+
+using detail::Columns;
+using nova::Access;
+using nova::Bool;
+using nova::DType;
+using nova::Int;
+using nova::Operand;
+using nova::Real;
+using nova::TraceContext;
+
+namespace {
+
+// A body as contacts see it: the world, at rest in its own frame, where the row is -1.
+struct ContactBody {
+  Transform<Real> pose;
+  SpatialVector<Real> twist;
+  Vec3<Real> com;
+  Bool is_world;
+};
+ContactBody load_body(TraceContext& c, const Int& body) {
+  ContactBody b = {Columns(c, "body_q", &body).transform(), Columns(c, "body_qd", &body).spatial(),
+                   Columns(c, "body_com", &body).vec3(), body < Int(0)};
+  // A row that is not there reads as zeros.
+  b.pose.q.w = select(b.is_world, Real(1.0f), b.pose.q.w);
+  return b;
+}
+
+const std::vector<nova::SourceSpec> kBodySources = {{"body_q", DType::F32, 7, Access::Indexed},
+                                                    {"body_qd", DType::F32, 6, Access::Indexed},
+                                                    {"body_com", DType::F32, 3, Access::Indexed}};
+
+std::vector<Real> list(const Vec3<Real>& a) { return {a.x, a.y, a.z}; }
+std::vector<Real> list(const Vec3<Real>& a, const Vec3<Real>& b) {
+  return {a.x, a.y, a.z, b.x, b.y, b.z};
+}
+
+std::vector<Real> rigid_wrenches(TraceContext& c) {
+  const size_t bodies = c.source("bodies");
+  const auto side = [&](int32_t k, const char* point, const char* margin) {
+    const ContactBody body = load_body(c, c.i32(bodies, k));
+    return RigidContactSide<Real>{body.pose, body.twist, body.com, Columns(c, point).vec3(),
+                                  Columns(c, margin)[0]};
+  };
+  const Int shape0 = c.i32(c.source("shape0")), shape1 = c.i32(c.source("shape1"));
+  const RigidContactForce<Real> f =
+      rigid_contact_force(FrictionLaw::Huber, side(0, "point0", "margin0"),
+                          side(1, "point1", "margin1"), Columns(c, "normal").vec3(),
+                          mean_rigid_contact_material(detail::load_material(c, shape0),
+                                                      detail::load_material(c, shape1)),
+                          c.param(0));
+  std::vector<Real> out = list(-f.force, -math::cross(f.arm_a, f.force));
+  for (const Real& x : list(f.force, math::cross(f.arm_b, f.force))) out.push_back(x);
+  return out;
+}
+
+const nova::Kernel& rigid_kernel() {
+  static const nova::Kernel kernel = [] {
+    std::vector<nova::SourceSpec> sources = {
+        {"bodies", DType::I32, 2, Access::Direct},  {"shape0", DType::I32, 1, Access::Direct},
+        {"shape1", DType::I32, 1, Access::Direct},  {"point0", DType::F32, 3, Access::Direct},
+        {"point1", DType::F32, 3, Access::Direct},  {"margin0", DType::F32, 1, Access::Direct},
+        {"margin1", DType::F32, 1, Access::Direct}, {"normal", DType::F32, 3, Access::Direct}};
+    sources.insert(sources.end(), kBodySources.begin(), kBodySources.end());
+    for (const nova::SourceSpec& s : detail::material_sources()) sources.push_back(s);
+    return detail::with_state_gradients(
+        nova::make_kernel("rigid_contact_wrenches", sources, {{"wrench", 12}}, rigid_wrenches),
+        {"body_q", "body_qd"});
+  }();
+  return kernel;
+}
+
+std::vector<Real> soft_forces(TraceContext& c) {
+  const Int particle = c.i32(c.source("particle")), shape = c.i32(c.source("shape")),
+            row = c.i32(c.source("body"));
+  const ContactBody body = load_body(c, row);
+  const SoftContactBody<Real> point =
+      soft_contact_body(body.pose, body.twist, body.com, Columns(c, "body_pos").vec3(),
+                        Columns(c, "body_vel").vec3());
+  const auto of_shape = [&](const char* name) { return Columns(c, name, &shape)[0]; };
+  const Vec3<Real> term = soft_contact_force_term(
+      Columns(c, "particle_q", &particle).vec3(), Columns(c, "particle_qd", &particle).vec3(),
+      Columns(c, "particle_radius", &particle)[0],
+      math::select(body.is_world, Columns(c, "body_pos").vec3(), point.position),
+      math::select(body.is_world, Columns(c, "body_vel").vec3(), point.velocity),
+      Columns(c, "normal").vec3(),
+      mean_soft_contact_material<Real>(
+          {c.param(0), c.param(1), c.param(2), c.param(3)},
+          {of_shape("shape_material_ke"), of_shape("shape_material_kd"),
+           of_shape("shape_material_kf"), of_shape("shape_material_mu")}),
+      c.param(4));
+  std::vector<Real> out = list(term);
+  for (const Real& x : list(-term, math::cross(point.arm, -term))) out.push_back(x);
+  return out;
+}
+
+const nova::Kernel& soft_kernel() {
+  static const nova::Kernel kernel = [] {
+    std::vector<nova::SourceSpec> sources = {{"particle", DType::I32, 1, Access::Direct},
+                                             {"shape", DType::I32, 1, Access::Direct},
+                                             {"body", DType::I32, 1, Access::Direct},
+                                             {"body_pos", DType::F32, 3, Access::Direct},
+                                             {"body_vel", DType::F32, 3, Access::Direct},
+                                             {"normal", DType::F32, 3, Access::Direct},
+                                             {"particle_q", DType::F32, 3, Access::Indexed},
+                                             {"particle_qd", DType::F32, 3, Access::Indexed},
+                                             {"particle_radius", DType::F32, 1, Access::Indexed},
+                                             {"shape_material_ke", DType::F32, 1, Access::Indexed},
+                                             {"shape_material_kd", DType::F32, 1, Access::Indexed},
+                                             {"shape_material_kf", DType::F32, 1, Access::Indexed},
+                                             {"shape_material_mu", DType::F32, 1, Access::Indexed}};
+    sources.insert(sources.end(), kBodySources.begin(), kBodySources.end());
+    return detail::with_state_gradients(
+        nova::make_kernel("soft_contact_wrenches", sources, {{"force", 3}, {"wrench", 6}},
+                          soft_forces),
+        {"particle_q", "particle_qd", "body_q", "body_qd"});
+  }();
+  return kernel;
+}
+
+const nova::Kernel& sum_kernel() {
+  static const nova::Kernel kernel = [] {
+    const auto load = [](size_t source) {
+      return [source](TraceContext& c) {
+        std::vector<Real> w;
+        for (int32_t k = 0; k < 6; ++k) w.push_back(c.f32(source, k));
+        return w;
+      };
+    };
+    return detail::with_state_gradients(
+        nova::make_reduce_kernel(
+            "sum_body_wrenches",
+            {{"body_f", DType::F32, 6, Access::Direct}, {"wrench", DType::F32, 6, Access::CsrRow}},
+            {{"body_f", 6}}, {.init = load(0), .body = load(1), .epilogue = {}}),
+        {"body_f", "wrench"});
+  }();
+  return kernel;
+}
+
+// Sorts the table into the same arrays as before where it is the same memory. Always a rebuild,
+// which a group of recomputed operations runs once more.
+void sort(const Array& table, int64_t rows, nova::Incidence& sorted) {
+  const Operand operand = nova::operand_of(table);
+  if (!sorted || sorted->rows != rows || sorted->table.range != operand.range)
+    sorted = nova::make_incidence(operand, rows);
+  nova::rebuild(sorted);
+}
+
+}  // namespace
+
+void ContactTables::update(const Model& model, const Contacts& contacts, const Wanted& wanted) {
+  if (!wanted.particles || contacts.soft_contact_max() == 0) {
+    slots_of_particles_ = nullptr;
+  } else if (const auto& range = contacts.soft_contact_particle.range();
+             !slots_of_particles_ || slots_of_particles_->table.range != range ||
+             !nova::is_current(*slots_of_particles_, *range)) {
+    try {
+      slots_of_particles_ = nova::make_incidence(nova::operand_of(contacts.soft_contact_particle),
+                                                 model.particle_count());
+    } catch (const Error& error) {
+      fail(error.kind(), "contacts.soft_contact_particle: ", error.what());
+    }
+  }
+  const auto same = [](const ArrayStamp& stamp, const Array& array) {
+    return array.rows() == 0 || stamp.matches(array);
+  };
+  const bool known =
+      nova::current_capture() == nullptr && same(soft_shape_, contacts.soft_contact_shape) &&
+      same(shape0_, contacts.rigid_contact_shape0) &&
+      same(shape1_, contacts.rigid_contact_shape1) && same(shape_body_, model.shape_body);
+  if (known) return;
+  if (nova::Tape::active() != nullptr) {  // which remembers those of other contacts
+    soft_bodies_ = {};
+    rigid_bodies_ = {};
+  }
+  rebuild_bodies(model, contacts, wanted);
+  soft_shape_.set(contacts.soft_contact_shape);
+  shape0_.set(contacts.rigid_contact_shape0);
+  shape1_.set(contacts.rigid_contact_shape1);
+  shape_body_.set(model.shape_body);
+}
+
+void ContactTables::rebuild(const Model& model, const Contacts& contacts, const Wanted& wanted) {
+  if (wanted.particles && contacts.soft_contact_max() > 0)
+    sort(contacts.soft_contact_particle, model.particle_count(), slots_of_particles_);
+  rebuild_bodies(model, contacts, wanted);
+}
+
+void ContactTables::rebuild_bodies(const Model& model, const Contacts& contacts,
+                                   const Wanted& wanted) {
+  const auto fit = [&](DeviceArray<int32_t>& table, bool is_wanted, int32_t count, size_t width) {
+    const size_t rows = is_wanted ? static_cast<size_t>(count) : 0;
+    if (table.rows() != rows) table = DeviceArray<int32_t>(rows, model.device(), width);
+  };
+  fit(soft_bodies_, wanted.particles && wanted.particles_on_bodies, contacts.soft_contact_max(), 1);
+  fit(rigid_bodies_, wanted.bodies, contacts.rigid_contact_max(), 2);
+  find_contact_bodies(model, contacts, rigid_bodies_, soft_bodies_);
+  if (soft_bodies_.rows() > 0) sort(soft_bodies_, model.body_count(), slots_of_bodies_);
+  if (rigid_bodies_.rows() > 0) sort(rigid_bodies_, model.body_count(), sides_of_bodies_);
+}
+
+void eval_rigid_contacts(const Model& m, const Contacts& c, const ContactTables& tables,
+                         const Operand& body_q, const Operand& body_qd, float friction_smoothing,
+                         const Operand& wrenches) {
+  std::vector<Operand> in = {nova::operand_of(tables.rigid_bodies()),
+                             nova::operand_of(c.rigid_contact_shape0),
+                             nova::operand_of(c.rigid_contact_shape1),
+                             nova::operand_of(c.rigid_contact_point0),
+                             nova::operand_of(c.rigid_contact_point1),
+                             nova::operand_of(c.rigid_contact_margin0),
+                             nova::operand_of(c.rigid_contact_margin1),
+                             nova::operand_of(c.rigid_contact_normal),
+                             body_q,
+                             body_qd,
+                             nova::operand_of(m.body_com)};
+  for (Operand& o : detail::material_operands(m)) in.push_back(std::move(o));
+  const nova::Param params[] = {friction_smoothing};
+  rigid_kernel().launch(wrenches.rows, in, {&wrenches, 1}, {.params = params});
+}
+
+void eval_soft_contacts(const Model& m, const Contacts& c, const ContactTables& tables,
+                        const Operand& particle_q, const Operand& particle_qd,
+                        const Operand& body_q, const Operand& body_qd, const Operand& forces,
+                        const Operand& wrenches) {
+  const std::vector<Operand> in = {nova::operand_of(c.soft_contact_particle),
+                                   nova::operand_of(c.soft_contact_shape),
+                                   nova::operand_of(tables.soft_bodies()),
+                                   nova::operand_of(c.soft_contact_body_pos),
+                                   nova::operand_of(c.soft_contact_body_vel),
+                                   nova::operand_of(c.soft_contact_normal),
+                                   particle_q,
+                                   particle_qd,
+                                   nova::operand_of(m.particle_radius),
+                                   nova::operand_of(m.shape_material_ke),
+                                   nova::operand_of(m.shape_material_kd),
+                                   nova::operand_of(m.shape_material_kf),
+                                   nova::operand_of(m.shape_material_mu),
+                                   body_q,
+                                   body_qd,
+                                   nova::operand_of(m.body_com)};
+  const std::array params = detail::soft_contact_params(m);
+  const Operand out[] = {forces, wrenches};
+  soft_kernel().launch(forces.rows, in, out, {.params = params});
+}
+
+void add_wrenches(const Operand& body_f, const Operand& wrenches, const nova::Incidence& of_bodies,
+                  const Operand& sum) {
+  const Operand in[] = {body_f, wrenches};
+  sum_kernel().launch(body_f.rows, in, {&sum, 1}, {.csr = &of_bodies});
+}
+
+void detail::add_body_contact_kernels(std::vector<nova::EngineKernel>& list) {
+  for (const nova::Kernel& k : {rigid_kernel(), soft_kernel(), sum_kernel()})
+    list.push_back({k, k.gradients()});
+}
+
+}  // namespace novaphy::diff

@@ -1,0 +1,53 @@
+#include "novaphy/dynamics/semi_implicit/diff_body_step.h"
+
+namespace novaphy::diff {
+
+using nova::Operand;
+
+namespace {
+
+// Rows of six floats, in the memory that there is if it has as many.
+void fit(Operand& rows_of_six, int64_t rows, Device device) {
+  if (rows_of_six.rows == rows) return;
+  rows_of_six = {Storage::allocate(static_cast<size_t>(rows) * 6 * sizeof(float), device)->range(),
+                 rows, 6};
+}
+
+// The same bytes as one row for each row of contacts.
+Operand both_sides(Operand wrenches) {
+  wrenches.rows /= 2;
+  wrenches.width *= 2;
+  return wrenches;
+}
+
+}  // namespace
+
+void BodyStep::begin(const Model& model) { plane_pairs_.update(model, options_.static_contacts); }
+
+void BodyStep::run(const Model& model, const SimState& in, SimState& out, const Operand& body_f,
+                   const Contacts* contacts, const ContactTables& tables,
+                   const Operand* of_particles, float dt, const Operand& total) {
+  const Operand q = nova::operand_of(in.body_q), qd = nova::operand_of(in.body_qd);
+  Operand f = body_f;
+  if (tables.sides_of_bodies()) {
+    fit(wrenches_, 2 * int64_t{contacts->rigid_contact_max()}, model.device());
+    eval_rigid_contacts(model, *contacts, tables, q, qd, options_.friction_smoothing,
+                        both_sides(wrenches_));
+    if (of_particles != nullptr) fit(sum_, f.rows, model.device());
+    const Operand& sum = of_particles != nullptr ? sum_ : total;
+    add_wrenches(f, wrenches_, tables.sides_of_bodies(), sum);
+    f = sum;
+  }
+  if (of_particles != nullptr) {
+    add_wrenches(f, *of_particles, tables.slots_of_bodies(), total);
+    f = total;
+  }
+  step_rigid_bodies_with_static_contacts(model, plane_pairs_, q, qd, f,
+                                         {.angular_damping = options_.angular_damping,
+                                          .friction_smoothing = options_.friction_smoothing,
+                                          .dt = dt},
+                                         nova::operand_of(out.body_q),
+                                         nova::operand_of(out.body_qd));
+}
+
+}  // namespace novaphy::diff

@@ -3,10 +3,10 @@
 #include <algorithm>
 #include <cmath>
 #include <numeric>
-#include <tuple>
 #include <utility>
 
 #include "novaphy/core/error.h"
+#include "novaphy/core/geometry/join_vertices.h"
 
 namespace novaphy {
 namespace {
@@ -34,24 +34,6 @@ void check(std::span<const Vec3f> vertices, std::span<const int32_t> indices) {
     require(indices[i] >= 0 && static_cast<size_t>(indices[i]) < vertices.size(), ErrorKind::Value,
             "build_mesh_tree: indices[", i, "]: expected 0 to ", vertices.size(),
             " (exclusive), got ", indices[i]);
-}
-
-// For each vertex the first one in the same place.
-std::vector<int32_t> places(const std::vector<Vec3f>& vertices) {
-  std::vector<int32_t> order(vertices.size()), place(vertices.size());
-  std::iota(order.begin(), order.end(), 0);
-  auto key = [&](int32_t i) {
-    const Vec3f& v = vertices[static_cast<size_t>(i)];
-    return std::tuple(v.x, v.y, v.z);
-  };
-  std::sort(order.begin(), order.end(),
-            [&](int32_t a, int32_t b) { return key(a) != key(b) ? key(a) < key(b) : a < b; });
-  for (size_t i = 0; i < order.size(); ++i) {
-    const bool same = i > 0 && key(order[i]) == key(order[i - 1]);
-    place[static_cast<size_t>(order[i])] =
-        same ? place[static_cast<size_t>(order[i - 1])] : order[i];
-  }
-  return place;
 }
 
 void set_rings(MeshTree& tree) {
@@ -157,6 +139,7 @@ geometry::MeshView mesh_view(const MeshTree& tree) {
   view.nodes = tree.nodes.data();
   view.order = tree.order.data();
   view.node_count = static_cast<int32_t>(tree.nodes.size());
+  view.vertex_count = static_cast<int32_t>(tree.vertices.size());
   return view;
 }
 
@@ -164,7 +147,7 @@ MeshTree build_mesh_tree(std::span<const Vec3f> vertices, std::span<const int32_
   check(vertices, indices);
   MeshTree tree;
   tree.vertices.assign(vertices.begin(), vertices.end());
-  const std::vector<int32_t> place = places(tree.vertices);
+  const std::vector<int32_t> place = first_in_place(tree.vertices);
   auto joined = [&](size_t i) { return place[static_cast<size_t>(indices[i])]; };
   for (size_t i = 0; i + 2 < indices.size(); i += 3)
     tree.triangles.push_back({joined(i), joined(i + 1), joined(i + 2)});

@@ -4,7 +4,7 @@
 #pragma once
 
 #include "novaphy/collision/geometry/collide.h"
-#include "novaphy/collision/geometry/mesh_view.h"
+#include "novaphy/collision/geometry/geometry_view.h"
 #include "novaphy/collision/geometry/plane_pairs.h"
 #include "novaphy/core/row_kernel.h"
 #include "novaphy/core/sim/enums.h"
@@ -15,6 +15,7 @@ namespace novaphy {
 struct RigidShape {
   GeoType type;
   int32_t unused;
+  const geometry::GeometryView* geometry;  // of a hull or mesh, else null
   Vec3f scale;
   float margin, gap;   // m
   Transformf pose;     // in the world
@@ -27,10 +28,15 @@ inline float core_radius(const RigidShape& shape) {
   return geometry::core_radius({shape.type, shape.scale});
 }
 
-// How far the shape reaches from its origin along a unit vector of its own frame, at most.
+// How far the shape reaches from its origin (a hull or mesh: the middle of its box) along a unit
+// vector of its own frame, at most.
 inline float reach_along(const RigidShape& shape, const Vec3f& axis) {
-  const Vec3f& s = shape.scale;
   const float x = math::abs(axis.x), y = math::abs(axis.y), z = math::abs(axis.z);
+  if (shape.geometry != nullptr) {
+    const Vec3f size = shape.geometry->box.hi - shape.geometry->box.lo;
+    return 0.5f * ((size.x * x + size.y * y) + size.z * z);
+  }
+  const Vec3f& s = shape.scale;
   if (shape.type == GeoType::SPHERE) return s.x;
   if (shape.type == GeoType::CAPSULE) return s.x + s.y * z;
   if (shape.type == GeoType::BOX || shape.type == GeoType::ELLIPSOID)
@@ -38,6 +44,18 @@ inline float reach_along(const RigidShape& shape, const Vec3f& axis) {
   if (shape.type == GeoType::CYLINDER || shape.type == GeoType::CONE)
     return s.x * math::sqrt(x * x + y * y) + s.y * z;
   return 1.0e6f;  // a plane
+}
+
+// One that is no plane nor mesh.
+inline geometry::Shape convex_shape(const RigidShape& shape) {
+  geometry::Shape convex{shape.type, shape.scale};
+  if (shape.geometry != nullptr) convex.hull = shape.geometry->hull;
+  return convex;
+}
+
+// Of types in their order: a mesh and a convex shape, which rigid_mesh_kernels.h handles.
+inline bool is_mesh_pair(GeoType a, GeoType b) {
+  return a == GeoType::MESH || (b == GeoType::MESH && a != GeoType::PLANE);
 }
 
 struct RigidContactShapeArguments {
@@ -48,12 +66,15 @@ struct RigidContactShapeArguments {
   const float* margin;
   const float* gap;
   const Transformf* body_q;
+  const int32_t* geometry;  // of the shapes: rows of `views`, or -1
+  const geometry::GeometryView* views;
   RigidShape* shapes;
 };
-NOVAPHY_ROW_KERNEL(rigid_contact_shape, 8, RigidContactShapeArguments) {
+NOVAPHY_ROW_KERNEL(rigid_contact_shape, 10, RigidContactShapeArguments) {
   RigidShape& shape = a.shapes[row];
   const int32_t body = a.body[row];
   shape.type = static_cast<GeoType>(a.type[row]);
+  shape.geometry = a.geometry[row] < 0 ? nullptr : &a.views[a.geometry[row]];
   shape.scale = a.scale[row];
   shape.margin = a.margin[row];
   shape.gap = a.gap[row];
@@ -65,7 +86,12 @@ NOVAPHY_ROW_KERNEL(rigid_contact_shape, 8, RigidContactShapeArguments) {
       beyond + reach_along(shape, math::rotate_inverse(shape.pose.q, Vec3f{1.0f, 0.0f, 0.0f})),
       beyond + reach_along(shape, math::rotate_inverse(shape.pose.q, Vec3f{0.0f, 1.0f, 0.0f})),
       beyond + reach_along(shape, math::rotate_inverse(shape.pose.q, Vec3f{0.0f, 0.0f, 1.0f}))};
-  shape.box = {shape.pose.p - grow, shape.pose.p + grow};
+  Vec3f centre = shape.pose.p;
+  if (shape.geometry != nullptr) {
+    const geometry::Box3& box = shape.geometry->box;
+    centre = math::transform_point(shape.pose, (box.lo + box.hi) * 0.5f);
+  }
+  shape.box = {centre - grow, centre + grow};
 }
 
 // The manifold of a pair, a.type <= b.type, in the world. `reach` (m): farther points need not
@@ -73,14 +99,19 @@ NOVAPHY_ROW_KERNEL(rigid_contact_shape, 8, RigidContactShapeArguments) {
 inline geometry::Manifold rigid_manifold(const RigidShape& a, const RigidShape& b, float reach) {
   using namespace geometry;
   if (a.type != GeoType::PLANE)
-    return collide(Shape{a.type, a.scale}, a.pose, Shape{b.type, b.scale}, b.pose, reach);
+    return collide(convex_shape(a), a.pose, convex_shape(b), b.pose, reach);
   const Plane plane = plane_of(a.pose);
   if (b.type == GeoType::SPHERE) return plane_sphere(plane, b.pose, b.scale.x);
   if (b.type == GeoType::CAPSULE) return plane_capsule(plane, b.pose, b.scale.x, b.scale.y);
   if (b.type == GeoType::ELLIPSOID) return plane_ellipsoid(plane, b.pose, b.scale);
   if (b.type == GeoType::CYLINDER) return plane_cylinder(plane, b.pose, b.scale.x, b.scale.y);
   if (b.type == GeoType::BOX) return plane_box(plane, b.pose, b.scale, reach);
-  return plane_cone(plane, b.pose, b.scale.x, b.scale.y);
+  if (b.type == GeoType::CONE) return plane_cone(plane, b.pose, b.scale.x, b.scale.y);
+  const GeometryView& solid = *b.geometry;
+  const bool is_mesh = b.type == GeoType::MESH;
+  return plane_vertices(plane, b.pose, is_mesh ? solid.mesh.vertices : solid.hull.vertices,
+                        is_mesh ? solid.mesh.vertex_count : solid.hull.vertex_count,
+                        math::length(solid.box.hi - solid.box.lo), reach);
 }
 
 // The core points of a contact: on the surface, or on the centre or axis of what has a radius.
@@ -106,7 +137,7 @@ NOVAPHY_ROW_KERNEL(rigid_contact_find, 5, RigidContactFindArguments) {
   const RigidShape& s0 = a.shapes[pair.x];
   const RigidShape& s1 = a.shapes[pair.y];
   a.counts[row] = 0;
-  if (!geometry::boxes_meet(s0.box, s1.box)) return;
+  if (!geometry::boxes_meet(s0.box, s1.box) || is_mesh_pair(s0.type, s1.type)) return;
   const float gap = s0.gap + s1.gap;
   const geometry::Manifold all = rigid_manifold(s0, s1, (gap + s0.margin) + s1.margin);
   const bool reduces = s0.type != GeoType::PLANE && all.count > a.per_pair;
@@ -126,14 +157,9 @@ NOVAPHY_ROW_KERNEL(rigid_contact_find, 5, RigidContactFindArguments) {
   a.counts[row] = kept.count;
 }
 
-struct RigidContactWriteArguments {
-  const Vec2i* pairs;
-  const RigidShape* shapes;
-  const geometry::Manifold* manifolds;
-  const int32_t* counts;
-  const int32_t* before;  // the rows before each pair: a scan of the counts
-  int64_t rows;           // capacity
-  int32_t* count;
+// Where rows are written.
+struct RigidContactRows {
+  int64_t capacity;
   int32_t* shape0;  // the rest: a row per contact
   int32_t* shape1;
   Vec3f* point0;
@@ -145,32 +171,45 @@ struct RigidContactWriteArguments {
   float* margin1;
   int32_t* point_id;
 };
+// Row `at`, if it has room; the normal is from pair.x to pair.y.
+inline void write_contact(const RigidContactRows& rows, int64_t at, const Vec2i& pair,
+                          const RigidShape* shapes, const Vec3f& normal,
+                          const geometry::ContactPoint& point) {
+  if (at >= rows.capacity) return;
+  const RigidShape& s0 = shapes[pair.x];
+  const RigidShape& s1 = shapes[pair.y];
+  const Transformf to0 = math::inverse(s0.owner), to1 = math::inverse(s1.owner);
+  const CorePoints core = core_points(s0, s1, normal, point);
+  const float margin0 = core_radius(s0) + s0.margin, margin1 = core_radius(s1) + s1.margin;
+  rows.shape0[at] = pair.x;
+  rows.shape1[at] = pair.y;
+  rows.point0[at] = math::transform_point(to0, core.a);
+  rows.point1[at] = math::transform_point(to1, core.b);
+  rows.offset0[at] = math::rotate(to0.q, normal * margin0);
+  rows.offset1[at] = math::rotate(to1.q, normal * -margin1);
+  rows.normal[at] = normal;
+  rows.margin0[at] = margin0;
+  rows.margin1[at] = margin1;
+  rows.point_id[at] = point.feature;
+}
+
+struct RigidContactWriteArguments {
+  const Vec2i* pairs;
+  const RigidShape* shapes;
+  const geometry::Manifold* manifolds;
+  const int32_t* counts;
+  const int32_t* before;  // the rows before each pair: a scan of the counts
+  int32_t* count;
+  RigidContactRows rows;
+};
 NOVAPHY_ROW_KERNEL(rigid_contact_write, 17, RigidContactWriteArguments) {
   const int32_t first = a.before[row], count = a.counts[row];
   if (row == n - 1) *a.count = first + count;
-  if (count == 0) return;
   const Vec2i pair = a.pairs[row];
-  const RigidShape& s0 = a.shapes[pair.x];
-  const RigidShape& s1 = a.shapes[pair.y];
-  const Transformf to0 = math::inverse(s0.owner), to1 = math::inverse(s1.owner);
+  if (count == 0 || is_mesh_pair(a.shapes[pair.x].type, a.shapes[pair.y].type)) return;
   const geometry::Manifold& manifold = a.manifolds[row];
-  const Vec3f& normal = manifold.normal;
-  for (int32_t k = 0; k < count; ++k) {
-    const int64_t at = first + k;
-    if (at >= a.rows) return;
-    const CorePoints core = core_points(s0, s1, normal, manifold.points[k]);
-    const float margin0 = core_radius(s0) + s0.margin, margin1 = core_radius(s1) + s1.margin;
-    a.shape0[at] = pair.x;
-    a.shape1[at] = pair.y;
-    a.point0[at] = math::transform_point(to0, core.a);
-    a.point1[at] = math::transform_point(to1, core.b);
-    a.offset0[at] = math::rotate(to0.q, normal * margin0);
-    a.offset1[at] = math::rotate(to1.q, normal * -margin1);
-    a.normal[at] = normal;
-    a.margin0[at] = margin0;
-    a.margin1[at] = margin1;
-    a.point_id[at] = manifold.points[k].feature;
-  }
+  for (int32_t k = 0; k < count; ++k)
+    write_contact(a.rows, first + k, pair, a.shapes, manifold.normal, manifold.points[k]);
 }
 
 struct RigidContactClearArguments {

@@ -11,9 +11,13 @@
 #include "novaphy/core/error.h"
 #include "novaphy/core/sim/model_builder.h"
 #include "rigid_contact_kernels.h"
+#include "rigid_mesh_kernels.h"
 
 namespace novaphy::detail {
 namespace {
+
+// Devices do not find the contacts of meshes.
+const char* no_text() { return nullptr; }
 
 // Never destroyed: recordings refer to them.
 struct Kernels {
@@ -22,6 +26,8 @@ struct Kernels {
   DeviceKernel scan{"exclusive_scan_i32"};
   DeviceKernel write{rigid_contact_write, rigid_contact_kernels_text};
   DeviceKernel clear{rigid_contact_clear, rigid_contact_kernels_text};
+  DeviceKernel find_mesh{rigid_mesh_find, no_text};
+  DeviceKernel write_mesh{rigid_mesh_write, no_text};
 };
 const Kernels& kernels() {
   static const auto& all = *new Kernels;
@@ -30,11 +36,11 @@ const Kernels& kernels() {
 
 // The most contacts of a pair of types, in their order; 0 if the pair is not covered.
 int32_t most_contacts(GeoType a, GeoType b, int32_t per_pair) {
-  const auto is_convex = [](GeoType type) {
-    return geometry::is_convex_type(type) && type != GeoType::CONVEX_MESH;
-  };
+  using geometry::is_convex_type;
+  if (is_mesh_pair(a, b))
+    return is_convex_type(a == GeoType::MESH ? b : a) ? geometry::kMeshContacts : 0;
   if (a != GeoType::PLANE)
-    return !is_convex(a) || !is_convex(b) ? 0 : a == GeoType::SPHERE ? 1 : per_pair;
+    return !is_convex_type(a) || !is_convex_type(b) ? 0 : a == GeoType::SPHERE ? 1 : per_pair;
   switch (b) {
     case GeoType::SPHERE:
     case GeoType::ELLIPSOID:
@@ -42,6 +48,8 @@ int32_t most_contacts(GeoType a, GeoType b, int32_t per_pair) {
     case GeoType::CAPSULE:
       return 2;
     case GeoType::BOX:
+    case GeoType::MESH:
+    case GeoType::CONVEX_MESH:
       return 4;
     case GeoType::CYLINDER:
     case GeoType::CONE:
@@ -57,6 +65,7 @@ struct RigidContacts::Impl {
   std::shared_ptr<const Model> model;
   BroadPhase broad_phase;
   int32_t contacts_per_pair = 0;
+  std::shared_ptr<ShapeGeometries> geometries;
   // The candidate pairs follow from arrays of the model in these versions.
   bool known = false;
   uint64_t versions[7] = {};
@@ -67,8 +76,10 @@ struct RigidContacts::Impl {
   int64_t most_rows = 0;
   int64_t pair_count = 0;
   DeviceArray<Vec2i> pairs;  // (shape0, shape1) of the contacts, in ascending order
+  int64_t mesh_pair_count = 0;
+  DeviceArray<int32_t> mesh_pairs;  // rows of `pairs` with a mesh and a convex shape
   // Scratch, kept from call to call.
-  std::shared_ptr<Storage> shapes, manifolds;
+  std::shared_ptr<Storage> shapes, manifolds, mesh_rows;
   DeviceArray<int32_t> counts, before;
 
   std::array<const Array*, 7> choosing() const {
@@ -103,7 +114,14 @@ struct RigidContacts::Impl {
     require(most > 0, ErrorKind::NotImplemented, "CollisionPipeline: shapes ", pair.x, " (",
             geo_type_name(a), ") and ", pair.y, " (", geo_type_name(b),
             ") may meet, and this pair of types is not there yet; "
-            "ModelBuilder.add_shape_collision_filter_pair or collision groups part them");
+            "ModelBuilder.add_shape_collision_filter_pair or collision groups part them",
+            a == GeoType::MESH && b == GeoType::MESH
+                ? ", and add_shape_convex_hull makes a shape that meets meshes"
+                : "");
+    require(model->device().is_cpu() || !is_mesh_pair(a, b), ErrorKind::NotImplemented,
+            "CollisionPipeline: shapes ", pair.x, " (", geo_type_name(a), ") and ", pair.y, " (",
+            geo_type_name(b), ") may meet: contacts of meshes are found on the cpu, not on ",
+            model->device().str());
     const Vec3f& size = scale[static_cast<size_t>(pair.x)];
     require(a != GeoType::PLANE || !(size.x > 0.0f && size.y > 0.0f), ErrorKind::NotImplemented,
             "CollisionPipeline: shape ", pair.x,
@@ -126,12 +144,31 @@ struct RigidContacts::Impl {
       before = DeviceArray<int32_t>(found.size(), device);
     }
     pair_count = static_cast<int64_t>(found.size());
+    take_mesh_pairs(found);
     found.resize(pairs.rows());
     pairs.copy_from_host(std::span<const Vec2i>(found));
     return rows;
   }
 
+  void take_mesh_pairs(const std::vector<Vec2i>& found) {
+    std::vector<int32_t> rows;
+    const auto type_of = [&](int32_t s) {
+      return static_cast<GeoType>(type[static_cast<size_t>(s)]);
+    };
+    for (size_t k = 0; k < found.size(); ++k)
+      if (is_mesh_pair(type_of(found[k].x), type_of(found[k].y)))
+        rows.push_back(static_cast<int32_t>(k));
+    mesh_pair_count = static_cast<int64_t>(rows.size());
+    if (rows.size() > mesh_pairs.rows()) {
+      mesh_pairs = DeviceArray<int32_t>(rows.size(), model->device());
+      mesh_rows = Storage::allocate(rows.size() * sizeof(MeshRows), model->device());
+    }
+    rows.resize(mesh_pairs.rows());
+    mesh_pairs.copy_from_host(std::span<const int32_t>(rows));
+  }
+
   void find_candidates() {
+    geometries->update();
     if (up_to_date()) return;
     known = false;
     const Model& m = *model;
@@ -175,10 +212,12 @@ struct RigidContacts::Impl {
   }
 };
 
-RigidContacts::RigidContacts(std::shared_ptr<const Model> model, BroadPhase broad_phase,
+RigidContacts::RigidContacts(std::shared_ptr<const Model> model,
+                             std::shared_ptr<ShapeGeometries> geometries, BroadPhase broad_phase,
                              int32_t contacts_per_pair)
     : impl_(std::make_unique<Impl>()) {
   impl_->model = std::move(model);
+  impl_->geometries = std::move(geometries);
   impl_->broad_phase = broad_phase;
   impl_->contacts_per_pair = contacts_per_pair;
 }
@@ -208,40 +247,60 @@ void RigidContacts::collide(const SimState& state, Contacts& c) {
   const auto bytes = [](const std::shared_ptr<Storage>& storage) {
     return Array(DType::uint8, storage->bytes(), 1, storage->range());
   };
-  const Array shapes = bytes(impl_->shapes);
+  const Array shapes = bytes(impl_->shapes), geometries = impl_->geometries->tables();
+  const LaunchArgument rows_of_contacts[] = {
+      number(rows),
+      writes("rigid_contact_shape0", c.rigid_contact_shape0),
+      writes("rigid_contact_shape1", c.rigid_contact_shape1),
+      writes("rigid_contact_point0", c.rigid_contact_point0),
+      writes("rigid_contact_point1", c.rigid_contact_point1),
+      writes("rigid_contact_offset0", c.rigid_contact_offset0),
+      writes("rigid_contact_offset1", c.rigid_contact_offset1),
+      writes("rigid_contact_normal", c.rigid_contact_normal),
+      writes("rigid_contact_margin0", c.rigid_contact_margin0),
+      writes("rigid_contact_margin1", c.rigid_contact_margin1),
+      writes("rigid_contact_point_id", c.rigid_contact_point_id)};
+  const auto with_rows = [&](std::vector<LaunchArgument> arguments) {
+    arguments.insert(arguments.end(), std::begin(rows_of_contacts), std::end(rows_of_contacts));
+    return arguments;
+  };
   if (sweeps || impl_->pair_count > 0) {
     kernels().shape.launch(
         device, m.shape_count(),
         {reads_row("shape_body", m.shape_body), reads_row("shape_type", m.shape_type),
          constant("shape_scale", m.shape_scale), constant("shape_transform", m.shape_transform),
          constant("shape_margin", m.shape_margin), constant("shape_gap", m.shape_gap),
-         constant("body_q", state.body_q), writes("shapes", shapes)});
+         constant("body_q", state.body_q), reads_row("geometry", impl_->geometries->of_shape()),
+         reads("views", geometries), writes("shapes", shapes)});
   }
   if (sweeps) impl_->sweep_shapes();
-  const int64_t pairs = impl_->pair_count;
+  const int64_t pairs = impl_->pair_count, mesh_pairs = impl_->mesh_pair_count;
   if (pairs > 0) {
     const Array manifolds = bytes(impl_->manifolds);
     kernels().find.launch(device, pairs,
                           {reads_row("pairs", impl_->pairs), reads("shapes", shapes),
                            number(int64_t{impl_->contacts_per_pair}),
                            writes("manifolds", manifolds), writes_row("counts", impl_->counts)});
+    if (mesh_pairs > 0)
+      kernels().find_mesh.launch(
+          device, mesh_pairs,
+          {reads_row("mesh_pairs", impl_->mesh_pairs), reads("pairs", impl_->pairs),
+           reads("shapes", shapes), writes("mesh_rows", bytes(impl_->mesh_rows)),
+           updates("counts", impl_->counts)});
     kernels().scan.launch(device, pairs,
                           {reads("counts", impl_->counts), writes("before", impl_->before)});
     kernels().write.launch(
         device, pairs,
-        {reads_row("pairs", impl_->pairs), reads("shapes", shapes), reads("manifolds", manifolds),
-         reads_row("counts", impl_->counts), reads_row("before", impl_->before), number(rows),
-         writes("rigid_contact_count", c.rigid_contact_count),
-         writes("rigid_contact_shape0", c.rigid_contact_shape0),
-         writes("rigid_contact_shape1", c.rigid_contact_shape1),
-         writes("rigid_contact_point0", c.rigid_contact_point0),
-         writes("rigid_contact_point1", c.rigid_contact_point1),
-         writes("rigid_contact_offset0", c.rigid_contact_offset0),
-         writes("rigid_contact_offset1", c.rigid_contact_offset1),
-         writes("rigid_contact_normal", c.rigid_contact_normal),
-         writes("rigid_contact_margin0", c.rigid_contact_margin0),
-         writes("rigid_contact_margin1", c.rigid_contact_margin1),
-         writes("rigid_contact_point_id", c.rigid_contact_point_id)});
+        with_rows({reads_row("pairs", impl_->pairs), reads("shapes", shapes),
+                   reads("manifolds", manifolds), reads_row("counts", impl_->counts),
+                   reads_row("before", impl_->before),
+                   writes("rigid_contact_count", c.rigid_contact_count)}));
+    if (mesh_pairs > 0)
+      kernels().write_mesh.launch(
+          device, mesh_pairs,
+          with_rows({reads_row("mesh_pairs", impl_->mesh_pairs), reads("pairs", impl_->pairs),
+                     reads("shapes", shapes), reads("mesh_rows", bytes(impl_->mesh_rows)),
+                     reads("before", impl_->before)}));
   }
   kernels().clear.launch(device, rows + 1,
                          {number(pairs), updates("rigid_contact_count", c.rigid_contact_count),

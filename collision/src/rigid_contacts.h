@@ -8,13 +8,14 @@
 #include "novaphy/collision/broad_phase.h"
 #include "novaphy/core/sim/contacts.h"
 #include "novaphy/core/sim/model.h"
+#include "shape_geometries.h"
 
 namespace novaphy::detail {
 
 class RigidContacts {
  public:
-  RigidContacts(std::shared_ptr<const Model> model, BroadPhase broad_phase,
-                int32_t contacts_per_pair);
+  RigidContacts(std::shared_ptr<const Model> model, std::shared_ptr<ShapeGeometries> geometries,
+                BroadPhase broad_phase, int32_t contacts_per_pair);
   ~RigidContacts();
 
   // Rows that no state can exceed. The model's arrays are read when they were written since the

@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Callable
 
 _EVALUATIONS = ("fk", "ik", "mass_matrix", "jacobian", "inverse_dynamics")
-_SHAPE_KINDS = ("mesh", "convex_hull")
 
 # Owner -> what its missing names belong to -> the names.
 PLANNED: dict[str, dict[str, tuple[str, ...]]] = {
@@ -25,7 +24,6 @@ PLANNED: dict[str, dict[str, tuple[str, ...]]] = {
     },
     "ModelBuilder": {
         "robots from files": ("add_urdf", "add_mjcf", "add_usd"),
-        "shapes of meshes": tuple(f"add_shape_{kind}" for kind in _SHAPE_KINDS),
         "VBD": ("color", "set_coloring"),
     },
 }

@@ -1,4 +1,5 @@
-// ModelBuilder's springs, triangles, bending edges, tetrahedra, grids and meshes.
+// ModelBuilder's springs, triangles, bending edges, tetrahedra, grids and meshes, and shapes that
+// are meshes.
 #include "convert.h"
 #include "novaphy/core/sim/model_builder.h"
 
@@ -324,6 +325,63 @@ void bind_meshes(Builder& c) {
       "loose vertex, a degenerate or inverted tetrahedron, a face of more than two.");
 }
 
+Vec3f scale_of(py::handle scale) {
+  if (scale.is_none()) return {1.0f, 1.0f, 1.0f};
+  if (PySequence_Check(scale.ptr())) return to_vec3(scale, "scale");
+  const float factor = to_float(scale, "scale");
+  return {factor, factor, factor};
+}
+
+void bind_mesh_shapes(Builder& c) {
+  c.def(
+       "add_shape_mesh",
+       [](ModelBuilder& b, int32_t body, py::handle xform, const py::object& mesh,
+          const py::object& vertices, const py::object& indices, py::handle scale,
+          const ShapeConfig* cfg, const std::optional<std::string>& label) {
+         const py::object v = given_or(mesh, "vertices", vertices);
+         const py::object t = given_or(mesh, "indices", indices);
+         require(!v.is_none() && !t.is_none(), ErrorKind::Value,
+                 "add_shape_mesh: expected `mesh`, or `vertices` and `indices`, got neither");
+         return b.add_shape_mesh(body, {.xform = to_transform(xform, "xform"),
+                                        .vertices = to_vec3_list(v, "vertices"),
+                                        .indices = flat_indices(t, "indices", 3),
+                                        .scale = scale_of(scale),
+                                        .cfg = cfg ? std::optional(*cfg) : std::nullopt,
+                                        .label = label.value_or("")});
+       },
+       "body"_a, py::kw_only(), "xform"_a = py::none(), "mesh"_a = py::none(),
+       "vertices"_a = py::none(), "indices"_a = py::none(), "scale"_a = py::none(),
+       "cfg"_a = py::none(), "label"_a = py::none(),
+       "A surface of triangles: vertices (n, 3; m), indices (m, 3) or flat, counter-clockwise seen "
+       "from outside, or a `mesh` with these as attributes; `scale` a number or three, > 0. It "
+       "meets convex shapes, planes and particles, not other meshes. Vertices in one place count "
+       "as one. On a body, with a density, it must be closed: its mass is an integral in double "
+       "precision; a shell (cfg.is_solid False) has a wall of cfg.margin inside. Returns the "
+       "index. ValueError: no triangle, a corner twice, not finite, open or inside out.")
+      .def(
+          "add_shape_convex_hull",
+          [](ModelBuilder& b, int32_t body, py::handle xform, const py::object& mesh,
+             const py::object& vertices, py::handle scale, int32_t max_vertices,
+             const ShapeConfig* cfg, const std::optional<std::string>& label) {
+            const py::object v = given_or(mesh, "vertices", vertices);
+            require(!v.is_none(), ErrorKind::Value,
+                    "add_shape_convex_hull: expected `mesh` or `vertices`, got neither");
+            return b.add_shape_convex_hull(body, {.xform = to_transform(xform, "xform"),
+                                                  .vertices = to_vec3_list(v, "vertices"),
+                                                  .scale = scale_of(scale),
+                                                  .max_vertices = max_vertices,
+                                                  .cfg = cfg ? std::optional(*cfg) : std::nullopt,
+                                                  .label = label.value_or("")});
+          },
+          "body"_a, py::kw_only(), "xform"_a = py::none(), "mesh"_a = py::none(),
+          "vertices"_a = py::none(), "scale"_a = py::none(), "max_vertices"_a = kMaxHullVertices,
+          "cfg"_a = py::none(), "label"_a = py::none(),
+          "The convex hull of points: vertices (n, 3; m), or those of a `mesh`; `scale` a number "
+          "or three, > 0. It has at most max_vertices (4 to 64), of those that lie farthest out: "
+          "then it is a little smaller than the hull of all. Returns the index. ValueError: fewer "
+          "than 4 points, points in one plane, not finite.");
+}
+
 }  // namespace
 
 void bind_builder_elements(Builder& c) {
@@ -349,6 +407,7 @@ void bind_builder_elements(Builder& c) {
   bind_single(c);
   bind_grids(c);
   bind_meshes(c);
+  bind_mesh_shapes(c);
 }
 
 }  // namespace novaphy::python

@@ -12,7 +12,8 @@ void bind_collision(py::module_& m) {
       "soft_contact_margin + shape_margin + particle_radius, in "
       "candidate order. Rigid: rows of the points of two shapes, at "
       "least one on a body, that are closer than both gaps: infinite planes, spheres, capsules, "
-      "ellipsoids, cylinders, boxes, cones; ordered by shape0, shape1, "
+      "ellipsoids, cylinders, boxes, cones, convex hulls, and meshes, which do not meet meshes; "
+      "ordered by shape0, shape1, "
       "point. The geometry of both carries no gradient.")
       .def(py::init([](const std::shared_ptr<Model>& model, const std::string& broad_phase,
                        std::optional<int32_t> rigid_contact_max, int32_t contacts_per_pair,

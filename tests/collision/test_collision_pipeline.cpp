@@ -247,7 +247,7 @@ TEST(CollisionPipeline, RefusesShapesThatItDoesNotCover) {
                "model.shape_body[1]: expected -1 to -1, got 0");
   model->shape_body.fill(-1);
   std::vector<int32_t> type = model->shape_type.to_host();
-  type[2] = static_cast<int32_t>(GeoType::MESH);  // lets particles through: nothing to cover
+  type[2] = static_cast<int32_t>(GeoType::HFIELD);  // lets particles through: nothing to cover
   model->shape_type.copy_from_host(type);
   EXPECT_NO_THROW(pipeline.collide(state, contacts));
   type[3] = static_cast<int32_t>(GeoType::CONE);

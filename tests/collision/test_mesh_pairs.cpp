@@ -12,44 +12,17 @@
 #include "novaphy/collision/geometry/mesh_pair.h"
 #include "novaphy/collision/mesh_tree.h"
 #include "novaphy/core/error.h"
+#include "support/triangles.h"
 
 namespace geometry_test {
 namespace {
 
 using geometry::MeshContact;
 
-struct Triangles {
-  std::vector<Vec3f> vertices;
-  std::vector<int32_t> indices;
-};
-Triangles cube(float h) {
-  Triangles t;
-  for (int i = 0; i < 8; ++i)
-    t.vertices.push_back({i & 1 ? h : -h, i & 2 ? h : -h, i & 4 ? h : -h});
-  t.indices = {0, 2, 1, 1, 2, 3, 4, 5, 6, 5, 7, 6, 0, 1, 4, 1, 5, 4,
-               2, 6, 3, 3, 6, 7, 0, 4, 2, 2, 4, 6, 1, 3, 5, 3, 7, 5};
-  return t;
-}
-// n x n squares of side `cell` about the origin, cut along alternating diagonals.
-template <class Height>
-Triangles terrain(int n, float cell, Height height) {
-  Triangles t;
-  for (int j = 0; j <= n; ++j)
-    for (int i = 0; i <= n; ++i) {
-      const float x = cell * (float(i) - 0.5f * float(n)), y = cell * (float(j) - 0.5f * float(n));
-      t.vertices.push_back({x, y, height(x, y)});
-    }
-  for (int j = 0; j < n; ++j)
-    for (int i = 0; i < n; ++i) {
-      const int a = j * (n + 1) + i, b = a + 1, c = a + n + 1, d = c + 1;
-      if ((i + j) % 2 == 0)
-        t.indices.insert(t.indices.end(), {a, b, d, a, d, c});
-      else
-        t.indices.insert(t.indices.end(), {a, b, c, b, d, c});
-    }
-  return t;
-}
-float flat(float, float) { return 0.0f; }
+using novaphy::testing::cube;
+using novaphy::testing::flat;
+using novaphy::testing::terrain;
+using novaphy::testing::Triangles;
 
 std::vector<MeshContact> all_contacts(const MeshTree& tree, const Solid& b, float gap) {
   std::vector<MeshContact> c(4096);

@@ -7,6 +7,7 @@
 
 #include "geometry/vector_double.h"
 #include "novaphy/core/error.h"
+#include "novaphy/math/ldlt.h"
 
 namespace novaphy {
 namespace {
@@ -66,34 +67,15 @@ struct Moments {
   }
 };
 
-}  // namespace
-
-SolidProperties mesh_properties(std::span<const Vec3f> vertices, std::span<const int32_t> indices) {
-  check_numbers(vertices, indices);
-  check_closed(indices);
-  Vec3d lo = detail::to_double(vertices[static_cast<size_t>(indices[0])]), hi = lo;
-  for (const int32_t i : indices) {
-    const Vec3d x = detail::to_double(vertices[static_cast<size_t>(i)]);
-    lo = {std::min(lo.x, x.x), std::min(lo.y, x.y), std::min(lo.z, x.z)};
-    hi = {std::max(hi.x, x.x), std::max(hi.y, x.y), std::max(hi.z, x.z)};
-  }
-  const Vec3d middle = (lo + hi) * 0.5;
-  auto corner = [&](size_t i) {
-    return detail::to_double(vertices[static_cast<size_t>(indices[i])]) - middle;
-  };
+// A volume that is not > 0 comes back alone.
+SolidProperties integrate(const std::vector<Vec3d>& vertices, std::span<const int32_t> indices,
+                          const Vec3d& middle) {
+  auto corner = [&](size_t i) { return vertices[static_cast<size_t>(indices[i])] - middle; };
   Moments m;
   for (size_t t = 0; t + 2 < indices.size(); t += 3) m.add(corner(t), corner(t + 1), corner(t + 2));
-  const double extent = std::max({hi.x - lo.x, hi.y - lo.y, hi.z - lo.z});
-  const double least = 1e-12 * extent * extent * extent;
-  require(m.volume >= -least, ErrorKind::Value,
-          "mesh_properties: indices: expected triangles counter-clockwise seen from outside, but "
-          "the mesh is inside out: its volume is ",
-          m.volume, " m^3");
-  require(m.volume > least, ErrorKind::Value,
-          "mesh_properties: expected a mesh that encloses a volume, got ", m.volume, " m^3");
-
   SolidProperties out;
   out.volume = m.volume;
+  if (!(m.volume > 0.0)) return out;
   const Vec3d com = m.first * (1.0 / m.volume);
   out.com = com + middle;
   const double c[3] = {com.x, com.y, com.z};
@@ -104,6 +86,113 @@ SolidProperties mesh_properties(std::span<const Vec3f> vertices, std::span<const
   for (int i = 0; i < 3; ++i)
     for (int j = 0; j < 3; ++j) out.inertia.m[i][j] = (i == j ? trace : 0.0) - about[i][j];
   return out;
+}
+
+std::vector<Vec3d> widened(std::span<const Vec3f> vertices) {
+  std::vector<Vec3d> out;
+  for (const Vec3f& v : vertices) out.push_back(detail::to_double(v));
+  return out;
+}
+
+// What a mass of density 1 adds to its inertia by its distance d from the axes.
+void add_parallel_axis(Mat33<double>& inertia, double volume, const Vec3d& d) {
+  const double c[3] = {d.x, d.y, d.z}, square = math::dot(d, d);
+  for (int i = 0; i < 3; ++i)
+    for (int j = 0; j < 3; ++j) inertia.m[i][j] += volume * ((i == j ? square : 0.0) - c[i] * c[j]);
+}
+
+// The vertices moved inwards until they lie t below the planes of their triangles.
+std::vector<Vec3d> moved_inwards(const std::vector<Vec3d>& vertices,
+                                 std::span<const int32_t> indices, double t) {
+  // Least squares of w (n . d + t)^2: the normal equations of each vertex.
+  struct Equations {
+    double a[3][3] = {}, b[3] = {};
+  };
+  std::vector<Equations> equations(vertices.size());
+  for (size_t k = 0; k + 2 < indices.size(); k += 3) {
+    auto corner = [&](size_t i) { return vertices[static_cast<size_t>(indices[k + i % 3])]; };
+    const Vec3d n = detail::unit(math::cross(corner(1) - corner(0), corner(2) - corner(0)));
+    const double normal[3] = {n.x, n.y, n.z};
+    for (size_t i = 0; i < 3; ++i) {
+      const Vec3d u = detail::unit(corner(i + 1) - corner(i)),
+                  v = detail::unit(corner(i + 2) - corner(i));
+      const double w = std::atan2(detail::norm(math::cross(u, v)), math::dot(u, v));
+      Equations& e = equations[static_cast<size_t>(indices[k + i])];
+      for (int r = 0; r < 3; ++r) {
+        e.b[r] -= w * t * normal[r];
+        for (int c = 0; c < 3; ++c) e.a[r][c] += w * normal[r] * normal[c];
+      }
+    }
+  }
+  std::vector<Vec3d> inner = vertices;
+  constexpr double kShortest = 1e-10;  // of the trace: of many solutions the shortest
+  for (size_t i = 0; i < inner.size(); ++i) {
+    Equations& e = equations[i];
+    const double trace = e.a[0][0] + e.a[1][1] + e.a[2][2];
+    if (!(trace > 0.0)) continue;  // no triangle has it
+    for (int r = 0; r < 3; ++r) e.a[r][r] += kShortest * trace;
+    double d[3];
+    math::solve(math::ldlt(e.a), e.b, d);
+    inner[i] = inner[i] + Vec3d{d[0], d[1], d[2]};
+  }
+  return inner;
+}
+
+}  // namespace
+
+SolidProperties mesh_properties(std::span<const Vec3f> vertices, std::span<const int32_t> indices,
+                                bool is_hull) {
+  check_numbers(vertices, indices);
+  if (!is_hull) check_closed(indices);
+  Vec3d lo = detail::to_double(vertices[static_cast<size_t>(indices[0])]), hi = lo;
+  for (const int32_t i : indices) {
+    const Vec3d x = detail::to_double(vertices[static_cast<size_t>(i)]);
+    lo = {std::min(lo.x, x.x), std::min(lo.y, x.y), std::min(lo.z, x.z)};
+    hi = {std::max(hi.x, x.x), std::max(hi.y, x.y), std::max(hi.z, x.z)};
+  }
+  const SolidProperties solid = integrate(widened(vertices), indices, (lo + hi) * 0.5);
+  const double extent = std::max({hi.x - lo.x, hi.y - lo.y, hi.z - lo.z});
+  const double least = 1e-12 * extent * extent * extent;
+  require(solid.volume >= -least, ErrorKind::Value,
+          "mesh_properties: indices: expected triangles counter-clockwise seen from outside, but "
+          "the mesh is inside out: its volume is ",
+          solid.volume, " m^3");
+  require(solid.volume > least, ErrorKind::Value,
+          "mesh_properties: expected a mesh that encloses a volume, got ", solid.volume, " m^3");
+  return solid;
+}
+
+SolidProperties shell_properties(std::span<const Vec3f> vertices, std::span<const int32_t> indices,
+                                 float thickness, bool is_hull) {
+  require(std::isfinite(thickness) && thickness > 0.0f, ErrorKind::Value,
+          "shell_properties: thickness: expected a wall (ShapeConfig.margin) > 0 m, got ",
+          thickness);
+  const SolidProperties outer = mesh_properties(vertices, indices, is_hull);
+  const std::vector<Vec3d> outside = widened(vertices),
+                           inside = moved_inwards(outside, indices, thickness);
+  auto area = [&](const std::vector<Vec3d>& v, size_t t) {
+    const Vec3d a = v[static_cast<size_t>(indices[t])];
+    return math::cross(v[static_cast<size_t>(indices[t + 1])] - a,
+                       v[static_cast<size_t>(indices[t + 2])] - a);
+  };
+  for (size_t t = 0; t + 2 < indices.size(); t += 3)
+    require(math::dot(area(outside, t), area(inside, t)) >= 0.0, ErrorKind::Value,
+            "shell_properties: thickness: expected a wall thinner than the shape, got ", thickness,
+            " m, which turns triangle ", t / 3, " over");
+  const SolidProperties hollow = integrate(inside, indices, outer.com);
+  SolidProperties wall;
+  wall.volume = outer.volume - hollow.volume;
+  constexpr double kLeast = 1e-6;
+  require(hollow.volume > kLeast * outer.volume && wall.volume > 0.0, ErrorKind::Value,
+          "shell_properties: thickness: expected a wall thinner than the shape, got ", thickness,
+          " m, with a hollow of ", hollow.volume, " m^3 in ", outer.volume);
+  wall.com = (outer.com * outer.volume - hollow.com * hollow.volume) * (1.0 / wall.volume);
+  wall.inertia = outer.inertia;
+  add_parallel_axis(wall.inertia, outer.volume, outer.com - wall.com);
+  add_parallel_axis(wall.inertia, -hollow.volume, hollow.com - wall.com);
+  for (int i = 0; i < 3; ++i)
+    for (int j = 0; j < 3; ++j) wall.inertia.m[i][j] -= hollow.inertia.m[i][j];
+  return wall;
 }
 
 }  // namespace novaphy

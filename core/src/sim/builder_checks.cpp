@@ -68,12 +68,16 @@ Vec3f checked_scale(std::string_view function, GeoType type, const Vec3f& scale)
       return scale;
     case GeoType::NONE:
       fail(ErrorKind::Value, function, ": type: expected a shape type, got NONE");
-    case GeoType::HFIELD:
     case GeoType::MESH:
     case GeoType::CONVEX_MESH:
+      check_positive({function, "scale.x"}, scale.x);
+      check_positive({function, "scale.y"}, scale.y);
+      check_positive({function, "scale.z"}, scale.z);
+      return scale;
+    case GeoType::HFIELD:
       fail(ErrorKind::NotImplemented, function,
-           ": type: expected PLANE, SPHERE, CAPSULE, ELLIPSOID, CYLINDER, BOX or CONE, got ",
-           geo_type_name(type), ", which is not there yet");
+           ": type: HFIELD is not there yet; add_shape_mesh "
+           "takes the triangles of a height field");
   }
   fail(ErrorKind::Value, function, ": type: expected a GeoType, got ", static_cast<int32_t>(type));
 }
@@ -139,6 +143,22 @@ ShapeBounds shape_bounds(GeoType type, const Vec3f& scale) {
   return {kInfiniteExtent,
           {-kInfiniteExtent, -kInfiniteExtent, 0.0f},
           {kInfiniteExtent, kInfiniteExtent, 0.0f}};
+}
+
+ShapeBounds mesh_bounds(std::span<const Vec3f> vertices, const Vec3f& scale) {
+  ShapeBounds bounds{0.0f, vertices[0], vertices[0]};
+  for (size_t i = 0; i < vertices.size(); ++i) {
+    const Vec3f& v = vertices[i];
+    const Vec3f x = {v.x * scale.x, v.y * scale.y, v.z * scale.z};
+    bounds.radius = math::max(bounds.radius, math::length(x));
+    bounds.lower = i == 0 ? x
+                          : Vec3f{math::min(bounds.lower.x, x.x), math::min(bounds.lower.y, x.y),
+                                  math::min(bounds.lower.z, x.z)};
+    bounds.upper = i == 0 ? x
+                          : Vec3f{math::max(bounds.upper.x, x.x), math::max(bounds.upper.y, x.y),
+                                  math::max(bounds.upper.z, x.z)};
+  }
+  return bounds;
 }
 
 }  // namespace novaphy::detail

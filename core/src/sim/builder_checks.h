@@ -102,5 +102,6 @@ struct ShapeBounds {
   Vec3f lower, upper;
 };
 ShapeBounds shape_bounds(GeoType type, const Vec3f& scale);
+ShapeBounds mesh_bounds(std::span<const Vec3f> vertices, const Vec3f& scale);
 
 }  // namespace novaphy::detail

@@ -88,8 +88,13 @@ bool is_positive(const Mat33d& a, double shift) {
 }  // namespace
 
 MassProperties shape_mass(std::string_view function, GeoType type, const Vec3f& scale,
-                          const ShapeConfig& cfg) {
+                          const ShapeConfig& cfg, const SolidProperties& solid) {
   if (type == GeoType::PLANE || cfg.density == 0.0f) return {};
+  if (type == GeoType::MESH || type == GeoType::CONVEX_MESH) {
+    MassProperties mass{cfg.density * solid.volume, solid.com, {}};
+    mass.inertia = sum(mass.inertia, solid.inertia, cfg.density);
+    return mass;
+  }
   const Vec3d size = {scale.x, scale.y, scale.z};
   const double density = cfg.density;
   MassProperties mass = solid_mass(type, size, density);

@@ -4,6 +4,7 @@
 #include <string_view>
 
 #include "builder_checks.h"
+#include "novaphy/core/geometry/mesh_mass.h"
 #include "novaphy/core/sim/enums.h"
 #include "novaphy/core/sim/shape_config.h"
 #include "novaphy/math/types.h"
@@ -19,8 +20,9 @@ struct MassProperties {
 // Of a shape in its own frame, of cfg.density; a shell (is_solid false) has walls of cfg.margin
 // inside of its surface. Nothing for a plane. ErrorKind::Value: a shell without a wall, or one
 // thicker than the shape.
+// MESH and CONVEX_MESH: those of `solid`, its density taken for its volume.
 MassProperties shape_mass(std::string_view function, GeoType type, const Vec3f& scale,
-                          const ShapeConfig& cfg);
+                          const ShapeConfig& cfg, const SolidProperties& solid = {});
 // The same body, in the frame in which its own has the pose `xform`.
 MassProperties moved(const MassProperties& body, const Transformf& xform);
 // Both together, in one frame.

@@ -69,8 +69,9 @@ std::vector<detail::MassProperties> ModelBuilder::exact_body_masses() const {
     if (shape.body < 0 || bodies_[static_cast<size_t>(shape.body)].lock_inertia) continue;
     detail::MassProperties& body = bodies[static_cast<size_t>(shape.body)];
     body = detail::combined(
-        body, detail::moved(detail::shape_mass("finalize", shape.type, shape.scale, shape.cfg),
-                            shape.xform));
+        body, detail::moved(
+                  detail::shape_mass("finalize", shape.type, shape.scale, shape.cfg, shape.solid),
+                  shape.xform));
   }
   return bodies;
 }

@@ -61,7 +61,10 @@ std::shared_ptr<Model> ModelBuilder::finalize(Device device, const FinalizeOptio
   const std::vector<Vec2i> pairs =
       make_shape_contact_pairs(body, flags, group, world, filter_pairs);
 
+  const MeshPool meshes = mesh_pool();
   ModelCounts counts;
+  counts.mesh_vertex_count = static_cast<int32_t>(meshes.vertices.size());
+  counts.mesh_triangle_count = static_cast<int32_t>(meshes.triangles.size());
   counts.particle_count = particle_count();
   counts.body_count = body_count();
   counts.shape_count = shape_count();
@@ -100,6 +103,9 @@ std::shared_ptr<Model> ModelBuilder::finalize(Device device, const FinalizeOptio
   upload(m.shape_transform, column([](const Shape& s) { return s.xform; }));
   upload(m.shape_type, column([](const Shape& s) { return static_cast<int32_t>(s.type); }));
   upload(m.shape_scale, column([](const Shape& s) { return s.scale; }));
+  upload(m.shape_mesh_range, meshes.ranges);
+  upload(m.mesh_vertices, meshes.vertices);
+  upload(m.mesh_indices, meshes.triangles);
   upload(m.shape_is_solid,
          column([](const Shape& s) { return static_cast<uint8_t>(s.cfg.is_solid); }));
   upload(m.shape_margin, column([](const Shape& s) { return s.cfg.margin; }));
@@ -112,7 +118,10 @@ std::shared_ptr<Model> ModelBuilder::finalize(Device device, const FinalizeOptio
   upload(m.shape_material_restitution, column([](const Shape& s) { return s.cfg.restitution; }));
   upload(m.shape_material_mu_torsional, column([](const Shape& s) { return s.cfg.mu_torsional; }));
   upload(m.shape_material_mu_rolling, column([](const Shape& s) { return s.cfg.mu_rolling; }));
-  const auto bounds = column([](const Shape& s) { return detail::shape_bounds(s.type, s.scale); });
+  const auto bounds = column([](const Shape& s) {
+    return s.mesh ? detail::mesh_bounds(s.mesh->vertices, s.scale)
+                  : detail::shape_bounds(s.type, s.scale);
+  });
   std::vector<float> radius(shapes);
   std::vector<Vec3f> lower(shapes), upper(shapes);
   for (size_t i = 0; i < shapes; ++i) {

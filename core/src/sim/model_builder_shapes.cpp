@@ -9,7 +9,8 @@
 
 namespace novaphy {
 
-int32_t ModelBuilder::append_shape(std::string_view name, const ShapeArgs& args) {
+int32_t ModelBuilder::append_shape(std::string_view name, const ShapeArgs& args,
+                                   std::shared_ptr<const Mesh> mesh) {
   require(args.body >= -1 && args.body < body_count(), ErrorKind::Index, name,
           ": body: expected -1 (the world) to ", body_count() - 1, " (body_count is ", body_count(),
           "), got ", args.body, ", which is out of range");
@@ -22,7 +23,16 @@ int32_t ModelBuilder::append_shape(std::string_view name, const ShapeArgs& args)
           args.body);
   const ShapeConfig& cfg = args.cfg ? *args.cfg : default_shape_cfg;
   detail::check_shape_config(name, cfg);
-  if (args.body >= 0) detail::shape_mass(name, args.type, scale, cfg);
+  SolidProperties solid;
+  if (args.type == GeoType::MESH || args.type == GeoType::CONVEX_MESH) {
+    require(mesh != nullptr, ErrorKind::Value, name, ": type: ", geo_type_name(args.type),
+            " needs vertices; use add_shape_mesh or add_shape_convex_hull");
+    const bool has_mass = args.body >= 0 && cfg.density > 0.0f &&
+                          !bodies_[static_cast<size_t>(args.body)].lock_inertia;
+    if (has_mass) solid = solid_properties(name, args.type, *mesh, scale, cfg);
+  } else if (args.body >= 0) {
+    detail::shape_mass(name, args.type, scale, cfg);
+  }
   if (!cfg.gap) detail::check_not_negative({name, "rigid_gap"}, rigid_gap);
   require(shape_count() < std::numeric_limits<int32_t>::max(), ErrorKind::Value, name,
           ": expected at most ", std::numeric_limits<int32_t>::max(), " shapes");
@@ -34,7 +44,9 @@ int32_t ModelBuilder::append_shape(std::string_view name, const ShapeArgs& args)
                      .cfg = cfg,
                      .gap = cfg.gap.value_or(rigid_gap),
                      .world = current_world_,
-                     .label = args.label.empty() ? "shape_" + std::to_string(index) : args.label});
+                     .label = args.label.empty() ? "shape_" + std::to_string(index) : args.label,
+                     .mesh = std::move(mesh),
+                     .solid = solid});
   return index;
 }
 

@@ -307,6 +307,10 @@ class _Counts(_Native):
     @property
     def world_count(self) -> int: ...
     @property
+    def mesh_vertex_count(self) -> int: ...
+    @property
+    def mesh_triangle_count(self) -> int: ...
+    @property
     def shape_contact_pair_count(self) -> int: ...
     @property
     def device(self) -> Device: ...
@@ -387,6 +391,9 @@ class Model(_Counts):
     shape_collision_radius: _Field
     shape_aabb_lower: _Field
     shape_aabb_upper: _Field
+    shape_mesh_range: _Field
+    mesh_vertices: _Field
+    mesh_indices: _Field
     shape_collision_aabb_lower: _Field
     shape_collision_aabb_upper: _Field
     shape_contact_pairs: _Field
@@ -1352,6 +1359,30 @@ class ModelBuilder(_Native):
         rx: SupportsFloat = 1.0,
         ry: SupportsFloat = 0.75,
         rz: SupportsFloat = 0.5,
+        cfg: _ShapeConfig | None = None,
+        label: str | None = None,
+    ) -> int: ...
+    def add_shape_mesh(
+        self,
+        body: SupportsIndex,
+        *,
+        xform: _Transform | None = None,
+        mesh: object | None = None,
+        vertices: Sequence[_Vector] | NDArray[Any] | None = None,
+        indices: Sequence[SupportsIndex] | NDArray[Any] | None = None,
+        scale: SupportsFloat | _Vector | None = None,
+        cfg: _ShapeConfig | None = None,
+        label: str | None = None,
+    ) -> int: ...
+    def add_shape_convex_hull(
+        self,
+        body: SupportsIndex,
+        *,
+        xform: _Transform | None = None,
+        mesh: object | None = None,
+        vertices: Sequence[_Vector] | NDArray[Any] | None = None,
+        scale: SupportsFloat | _Vector | None = None,
+        max_vertices: SupportsIndex = 64,
         cfg: _ShapeConfig | None = None,
         label: str | None = None,
     ) -> int: ...

@@ -79,12 +79,12 @@ ContactSet<Capacity> in_frame(ContactSet<Capacity> set, const Transformf& pose) 
   return set;
 }
 
-// Takes up to `limit` points of a set by the rule above: set.point(i) of set.size() points in the
-// order that breaks ties, set.open(i) while one may be taken, set.take(i). Stops at points that are
-// within `least` (m) of one that is taken.
+// Takes up to `limit` (at most 8) points of a set by the rule above: set.point(i) of set.size()
+// points in the order that breaks ties, set.open(i) while one may be taken, set.take(i). Stops at
+// points that are within `least` (m) of one that is taken.
 template <class Set>
 void take_extremes(Set& set, const Vec3f& n, int32_t limit, float least) {
-  Vec3f corner[4];
+  Vec3f corner[kManifoldCapacity];
   int32_t count = 0;
   auto take_best = [&](auto score, bool bounded, float bound) {
     int32_t best = -1;
@@ -97,8 +97,7 @@ void take_extremes(Set& set, const Vec3f& n, int32_t limit, float least) {
       best_score = s;
     }
     if (best < 0 || (bounded && !(best_score > bound))) return false;
-    if (count < 4) corner[count] = set.point(best).position;
-    ++count;
+    corner[count++] = set.point(best).position;
     set.take(best);
     return true;
   };
@@ -121,9 +120,8 @@ void take_extremes(Set& set, const Vec3f& n, int32_t limit, float least) {
   while (count < limit && take_best(
                               [&](const Point& p) {
                                 float nearest = -1.0f;
-                                for (int32_t i = 0; i < set.size(); ++i) {
-                                  if (!set.taken(i)) continue;
-                                  const float d = square(p.position - set.point(i).position);
+                                for (int32_t i = 0; i < count; ++i) {
+                                  const float d = square(p.position - corner[i]);
                                   if (nearest < 0.0f || d < nearest) nearest = d;
                                 }
                                 return nearest;
@@ -143,7 +141,6 @@ __attribute__((noinline)) ContactSet<Kept> reduce_contacts(ContactSet<Capacity> 
     int32_t size() const { return set.count; }
     const ContactPoint& point(int32_t i) const { return set.points[i]; }
     bool open(int32_t i) const { return !chosen[i]; }
-    bool taken(int32_t i) const { return chosen[i]; }
     void take(int32_t i) { chosen[i] = true; }
   } points{set, {}};
   const bool all = set.count <= limit;

@@ -11,9 +11,10 @@
 // so a shape far inside of a mesh has no contacts.
 //
 // Reduction (reduce_mesh_contacts): contacts are sorted by (distance, triangle, feature); each
-// joins the first group whose deepest contact has a normal within 5 degrees; of a group the deepest
-// and its extremes stay (take_extremes, 8 points), and groups follow until `limit` contacts stay.
-// The result is a function of the set: the order in which contacts came has no effect, nor has the
+// joins the first group whose deepest contact has a normal within 5 degrees; of a group stay those
+// that are farthest in eight directions across the normal, which are the same from step to step,
+// and the deepest if none of these is as deep; groups follow until `limit` contacts stay. The
+// result is a function of the set: the order in which contacts came has no effect, nor has the
 // capacity, as long as all found room.
 // Frame of the mesh, m.
 #pragma once
@@ -28,9 +29,10 @@ inline constexpr float kBehindCosine = 0.1f;  // a normal points into the mesh, 
 inline constexpr float kLongWay = 2.0f;
 inline constexpr float kSmallestWay = 1e-30f;      // m: not 0
 inline constexpr float kGroupCosine = 0.9961947f;  // 5 deg
-inline constexpr int32_t kGroupPoints = 8;
+inline constexpr int32_t kGroupPoints = 9;
 inline constexpr int32_t kMeshContacts = 32;  // of a pair
 inline constexpr float kSamePoint = 1e-4f;    // of the extent of a group's points
+inline constexpr Vec3f kSteadyDirection = {0.83f, 0.47f, 0.31f};  // along nothing that is common
 
 struct MeshContact {
   ContactPoint point{};
@@ -233,11 +235,54 @@ inline int32_t keep_ways_out(MeshContact* c, int32_t count) {
   return n;
 }
 
+// Keeps the deepest contact of group `group` (its first one) and its extremes; the number kept, at
+// most `room`.
+inline int32_t keep_extremes(MeshContact* c, int32_t count, int32_t group, float extent,
+                             int32_t room) {
+  const Vec3f n = c[group].normal, across = kSteadyDirection - n * math::dot(n, kSteadyDirection);
+  const Vec3f u = math::length(across) > 0.1f ? math::normalize(across) : any_orthogonal(n);
+  const Vec3f v = math::cross(n, u);
+  const float same = kSamePoint * extent;
+  int32_t kept = 0;
+  Vec3f taken[kGroupPoints];
+  const auto keep = [&](int32_t i) {
+    for (int32_t k = 0; k < kept; ++k)
+      if (!(math::length(taken[k] - c[i].point.position) > same)) return;
+    if (kept == room || kept == kGroupPoints) return;
+    taken[kept++] = c[i].point.position;
+    c[i].kept = true;
+  };
+  bool has_deepest = false;
+  constexpr float kHalf = 0.70710678f;
+  const float x[8] = {1.0f, kHalf, 0.0f, -kHalf, -1.0f, -kHalf, 0.0f, kHalf};
+  int32_t extremes[8];
+  for (int32_t k = 0; k < 8; ++k) {
+    const Vec3f direction = u * x[k] + v * x[(k + 6) % 8];
+    float farthest = 0.0f;
+    int32_t best = -1;
+    for (int32_t i = group; i < count; ++i) {
+      if (c[i].group != group) continue;
+      const float along = math::dot(direction, c[i].point.position - c[group].point.position);
+      if (best >= 0 && !(along > farthest)) continue;
+      best = i;
+      farthest = along;
+    }
+    extremes[k] = best;
+    has_deepest = has_deepest || c[best].point.distance <= c[group].point.distance + same;
+  }
+  if (!has_deepest) keep(group);
+  for (int32_t k = 0; k < 8; ++k) keep(extremes[k]);
+  return kept;
+}
+
 // Reduces in place; the number that stays, sorted as above.
 inline int32_t reduce_mesh_contacts(MeshContact* c, int32_t count, int32_t limit = kMeshContacts) {
   sort_mesh_contacts(c, count);
   count = keep_ways_out(c, count);
-  for (int32_t i = 0; i < count; ++i) c[i].group = -1;
+  for (int32_t i = 0; i < count; ++i) {
+    c[i].group = -1;
+    c[i].kept = false;
+  }
   int32_t kept = 0;
   for (int32_t seed = 0; seed < count && kept < limit; ++seed) {
     if (c[seed].group >= 0) continue;
@@ -247,22 +292,7 @@ inline int32_t reduce_mesh_contacts(MeshContact* c, int32_t count, int32_t limit
       c[i].group = seed;
       extent = math::max(extent, math::length(c[i].point.position - c[seed].point.position));
     }
-    struct Group {
-      MeshContact* c;
-      int32_t count, group, kept;
-      int32_t size() const { return count; }
-      const ContactPoint& point(int32_t i) const { return c[i].point; }
-      bool taken(int32_t i) const { return c[i].group == group && c[i].kept; }
-      bool open(int32_t i) const { return c[i].group == group && !c[i].kept; }
-      void take(int32_t i) {
-        c[i].kept = true;
-        ++kept;
-      }
-    } group{c, count, seed, 0};
-    const int32_t room = limit - kept;
-    take_extremes(group, c[seed].normal, room < kGroupPoints ? room : kGroupPoints,
-                  kSamePoint * extent);
-    kept += group.kept;
+    kept += keep_extremes(c, count, seed, extent, limit - kept);
   }
   int32_t n = 0;
   for (int32_t i = 0; i < count; ++i)

@@ -32,6 +32,7 @@ struct MeshView {
   const MeshNode* nodes{};
   const int32_t* order{};
   int32_t node_count = 0;
+  int32_t vertex_count = 0;
 };
 
 // Calls visit(triangle) for each triangle of the leaves that meet the box.

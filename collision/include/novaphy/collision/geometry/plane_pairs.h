@@ -155,4 +155,46 @@ inline Manifold plane_ellipsoid(const Plane& plane, const Transformf& ellipsoid,
   return manifold;
 }
 
+inline constexpr float kPlaneBand = 0.05f;       // of the size: nearly as deep as the deepest
+inline constexpr float kEquallyDeep = 1e-5f;     // of the size: the first vertex counts
+inline constexpr float kSamePlanePoint = 1e-4f;  // of the size
+
+// Of the vertices of a hull or mesh that are nearly as deep as the deepest up to four, by the rule
+// of reduce_contacts. Distances and areas are compared in the frame of the shape, so what rests
+// keeps its vertices. `size` (m) is that of the shape. Features are the vertices.
+inline Manifold plane_vertices(const Plane& plane, const Transformf& pose, const Vec3f* vertices,
+                               int32_t count, float size, float reach) {
+  const Vec3f n = math::rotate_inverse(pose.q, plane.normal);
+  const float origin = math::dot(plane.normal, pose.p - plane.point);
+  Manifold manifold = plane_manifold(plane);
+  struct Vertices {
+    const Vec3f* vertices;
+    Vec3f n;
+    int32_t count;
+    float lowest, tolerance, limit;
+    int32_t chosen[4], chosen_count;
+    int32_t size() const { return count; }
+    float height(int32_t i) const { return math::dot(n, vertices[i]); }
+    ContactPoint point(int32_t i) const {
+      const float above = height(i) - lowest;
+      return {vertices[i], above <= tolerance ? 0.0f : above, i};
+    }
+    bool open(int32_t i) const {
+      for (int32_t k = 0; k < chosen_count; ++k)
+        if (chosen[k] == i) return false;
+      return height(i) <= limit;
+    }
+    void take(int32_t i) { chosen[chosen_count++] = i; }
+  } set{vertices, n, count, math::dot(n, vertices[0]), kEquallyDeep * size, 0.0f, {}, 0};
+  for (int32_t i = 1; i < count; ++i) set.lowest = math::min(set.lowest, set.height(i));
+  if (!(origin + set.lowest <= reach)) return manifold;
+  set.limit = math::min(reach - origin, set.lowest + kPlaneBand * size);
+  take_extremes(set, n, 4, kSamePlanePoint * size);
+  for (int32_t k = 0; k < set.chosen_count; ++k)
+    add_plane_point(manifold, plane, math::transform_point(pose, vertices[set.chosen[k]]),
+                    set.chosen[k]);
+  sort_contacts(manifold);
+  return manifold;
+}
+
 }  // namespace novaphy::geometry

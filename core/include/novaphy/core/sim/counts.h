@@ -20,6 +20,8 @@ namespace novaphy {
   X(edge_count, "bending edges")                                                                  \
   X(tet_count, "tetrahedra")                                                                      \
   X(world_count, "worlds, at least 1")                                                            \
+  X(mesh_vertex_count, "vertices of the meshes and hulls of shapes")                              \
+  X(mesh_triangle_count, "triangles of the meshes and hulls of shapes")                           \
   X(shape_contact_pair_count, "shape pairs that the rigid contact search visits")
 // clang-format on
 

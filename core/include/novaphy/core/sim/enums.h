@@ -19,7 +19,8 @@ enum class Axis : int32_t { X = 0, Y = 1, Z = 2 };
 //   CYLINDER (radius, half_height, 0): along local z
 //   BOX      (hx, hy, hz): half extents
 //   CONE     (radius, half_height, 0): along local z, apex at +half_height
-// The other types are reserved: adding one raises ErrorKind::NotImplemented.
+//   MESH, CONVEX_MESH (x, y, z): factors of the vertices of Model::mesh_vertices
+// HFIELD is reserved: adding one raises ErrorKind::NotImplemented.
 enum class GeoType : int32_t {
   NONE = 0,
   PLANE = 1,

@@ -164,6 +164,13 @@ namespace novaphy {
     "lower corner of the shape's box, without margin")                                            \
   X(shape_aabb_upper, Vec3f, 1, shape_count, "m", "shape",                                        \
     "upper corner of the shape's box, without margin")                                            \
+  X(shape_mesh_range, int32_t, 4, shape_count, "", "",                                            \
+    "of a mesh or hull: first vertex, vertices, first triangle, triangles; else zeros")           \
+  X(mesh_vertices, Vec3f, 1, mesh_vertex_count, "m", "shape",                                     \
+    "vertices of meshes and hulls, before shape_scale; shapes of one mesh share them")            \
+  X(mesh_indices, Vec3i, 1, mesh_triangle_count, "", "",                                          \
+    "their triangles, counter-clockwise seen from outside, counted from the first vertex of "     \
+    "the mesh")                                                                                   \
   X(shape_contact_pairs, Vec2i, 1, shape_contact_pair_count, "", "",                              \
     "shape pairs (i < j) that the rigid contact search visits, in lexicographic order")           \
   NOVAPHY_MODEL_JOINT_FIELDS(X)                                                                   \

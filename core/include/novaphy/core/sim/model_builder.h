@@ -9,10 +9,13 @@
 #include <span>
 #include <string>
 #include <string_view>
+#include <unordered_map>
 #include <utility>
 #include <vector>
 
 #include "novaphy/core/device.h"
+#include "novaphy/core/geometry/convex_hull.h"
+#include "novaphy/core/geometry/mesh_mass.h"
 #include "novaphy/core/sim/element_args.h"
 #include "novaphy/core/sim/enums.h"
 #include "novaphy/core/sim/joint_args.h"
@@ -109,6 +112,25 @@ struct ShapeEllipsoidArgs {
   std::optional<ShapeConfig> cfg = {};
   std::string label = {};
 };
+// A surface of triangles, counter-clockwise seen from outside. Vertices in the same place, to the
+// bit, count as one; those that no triangle uses are left out.
+struct ShapeMeshArgs {
+  Transformf xform = Transformf::identity();
+  std::span<const Vec3f> vertices = {};   // m, before `scale`
+  std::span<const int32_t> indices = {};  // 3 per triangle
+  Vec3f scale{1.0f, 1.0f, 1.0f};          // > 0
+  std::optional<ShapeConfig> cfg = {};
+  std::string label = {};
+};
+// The convex hull of points, see convex_hull (core/geometry/convex_hull.h).
+struct ShapeConvexHullArgs {
+  Transformf xform = Transformf::identity();
+  std::span<const Vec3f> vertices = {};     // m, before `scale`
+  Vec3f scale{1.0f, 1.0f, 1.0f};            // > 0
+  int32_t max_vertices = kMaxHullVertices;  // of the hull, 4 .. kMaxHullVertices
+  std::optional<ShapeConfig> cfg = {};
+  std::string label = {};
+};
 
 struct FinalizeOptions {
   bool requires_grad = false;
@@ -117,7 +139,8 @@ struct FinalizeOptions {
 
 // Every add_* function checks its arguments and leaves the builder as it was when one is bad:
 //   ErrorKind::Value           not finite, negative, non-positive extent, quaternion not of unit
-//   length, ... ErrorKind::Index           a body or shape that is not there
+//   length, ...
+//   ErrorKind::Index           a body, shape or vertex that is not there
 //   ErrorKind::NotImplemented  a shape type that is not there yet
 // Quaternions may miss unit length by 1e-3 and are then normalised; one that is already of unit
 // length to float rounding keeps its bits.
@@ -268,6 +291,13 @@ class NOVAPHY_CORE_API ModelBuilder {
   int32_t add_shape_cylinder(int32_t body, const ShapeCylinderArgs& args = {});
   int32_t add_shape_cone(int32_t body, const ShapeConeArgs& args = {});
   int32_t add_shape_ellipsoid(int32_t body, const ShapeEllipsoidArgs& args = {});
+  // Where it has a density and a body, a mesh must be closed: see mesh_properties and, for a shell,
+  // shell_properties (core/geometry/mesh_mass.h), whose wall is cfg.margin. ErrorKind::Value: no
+  // triangle; indices out of range; two corners of a triangle in one place; a number that is not
+  // finite, a scale <= 0.
+  int32_t add_shape_mesh(int32_t body, const ShapeMeshArgs& args);
+  // ErrorKind::Value: what convex_hull refuses, a scale <= 0.
+  int32_t add_shape_convex_hull(int32_t body, const ShapeConvexHullArgs& args);
 
   // The two shapes never meet. ErrorKind::Index: no such shape; ErrorKind::Value: a == b.
   void add_shape_collision_filter_pair(int32_t a, int32_t b);
@@ -322,6 +352,17 @@ class NOVAPHY_CORE_API ModelBuilder {
     int32_t start, end;  // joints
     std::string label;
   };
+  struct Mesh {
+    std::vector<Vec3f> vertices;
+    std::vector<Vec3i> triangles;
+    bool operator==(const Mesh&) const = default;
+  };
+  // The arrays of the model's meshes: each once, in the order of the shapes.
+  struct MeshPool {
+    std::vector<Vec3f> vertices;
+    std::vector<Vec3i> triangles;
+    std::vector<int32_t> ranges;  // 4 per shape
+  };
   struct Shape {
     int32_t body;
     GeoType type;
@@ -331,6 +372,8 @@ class NOVAPHY_CORE_API ModelBuilder {
     float gap;
     int32_t world;
     std::string label = {};
+    std::shared_ptr<const Mesh> mesh = {};  // of MESH and CONVEX_MESH
+    SolidProperties solid = {};             // of the scaled mesh; empty where no mass is asked for
   };
 
   // One vector per array of the model, a row per element.
@@ -376,7 +419,13 @@ class NOVAPHY_CORE_API ModelBuilder {
   void check_joints() const;
   void upload_joints(Model& model) const;
   std::set<std::pair<int32_t, int32_t>> all_filter_pairs() const;
-  int32_t append_shape(std::string_view function, const ShapeArgs& args);
+  // `mesh`: of MESH and CONVEX_MESH.
+  int32_t append_shape(std::string_view function, const ShapeArgs& args,
+                       std::shared_ptr<const Mesh> mesh = {});
+  std::shared_ptr<const Mesh> shared_mesh(Mesh mesh);
+  static SolidProperties solid_properties(std::string_view function, GeoType type, const Mesh& mesh,
+                                          const Vec3f& scale, const ShapeConfig& cfg);
+  MeshPool mesh_pool() const;
   void append_spring(std::string_view function, const Vec2i& spring, float ke, float kd,
                      float control);
   float append_triangle(std::string_view function, const Vec3i& triangle,
@@ -414,6 +463,7 @@ class NOVAPHY_CORE_API ModelBuilder {
   Edges edges_;
   Tetrahedra tetrahedra_;
   std::set<std::pair<int32_t, int32_t>> filter_pairs_;
+  std::unordered_multimap<size_t, std::shared_ptr<const Mesh>> meshes_;  // by a hash
 };
 
 // The shape pairs (i < j, lexicographic) that may touch: both collide with shapes, worlds and

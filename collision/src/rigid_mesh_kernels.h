@@ -1,0 +1,110 @@
+// The contacts of pairs of a triangle mesh and a convex shape, between rigid_contact_find and
+// rigid_contact_write (rigid_contact_kernels.h), which leave such pairs out. On the CPU: a row
+// keeps all contacts of its pair at once.
+#pragma once
+
+#include "novaphy/collision/geometry/mesh_pair.h"
+#include "rigid_contact_kernels.h"
+
+namespace novaphy {
+
+// A contact that is a row. The normal is from the mesh to the other shape.
+struct MeshRow {
+  geometry::ContactPoint point;
+  Vec3f normal;
+};
+struct MeshRows {
+  int32_t count;
+  MeshRow rows[geometry::kMeshContacts];
+};
+
+// A number of the triangle and the feature in it: the same from step to step, and different for
+// different contacts but for one pair in 2^31.
+inline int32_t mesh_point_id(int32_t triangle, int32_t feature) {
+  uint32_t x = static_cast<uint32_t>(triangle) * 0x9E3779B9u + static_cast<uint32_t>(feature);
+  x = (x ^ (x >> 16)) * 0x85EBCA6Bu;
+  x = (x ^ (x >> 13)) * 0xC2B2AE35u;
+  return static_cast<int32_t>((x ^ (x >> 16)) & 0x7FFFFFFFu);
+}
+
+// Of a pair, in the frame of the mesh: reduced as they come where there are many, so in the order
+// of the tree, which is fixed.
+struct MeshContacts {
+  static constexpr int32_t kCapacity = 512;
+  geometry::MeshContact contacts[kCapacity];
+  int32_t count = 0;
+
+  void find(const geometry::MeshView& mesh, const geometry::Shape& b, const Transformf& b_in_mesh,
+            float reach) {
+    const geometry::Shape none;
+    const geometry::ShapePair pair = geometry::shape_pair(none, b, b_in_mesh);
+    if (!geometry::is_finite(pair)) return;
+    for_triangles_in(mesh, geometry::box_in_mesh(pair, reach), [&](int32_t triangle) {
+      float way_out = 0.0f;
+      const geometry::ContactCandidates found =
+          geometry::collide_triangle(mesh, triangle, b, b_in_mesh, reach, way_out);
+      if (count + found.count > kCapacity)
+        count = geometry::reduce_mesh_contacts(contacts, count, kCapacity / 2);
+      for (int32_t i = 0; i < found.count; ++i)
+        contacts[count++] = {found.points[i], found.normal, triangle, way_out};
+    });
+    count = geometry::reduce_mesh_contacts(contacts, count);
+  }
+};
+
+struct RigidMeshFindArguments {
+  const int32_t* mesh_pairs;  // rows of `pairs`
+  const Vec2i* pairs;
+  const RigidShape* shapes;
+  MeshRows* found;  // a row per mesh pair
+  int32_t* counts;  // a row per pair
+};
+NOVAPHY_ROW_KERNEL(rigid_mesh_find, 5, RigidMeshFindArguments) {
+  const Vec2i pair = a.pairs[a.mesh_pairs[row]];
+  const RigidShape& s0 = a.shapes[pair.x];
+  const RigidShape& s1 = a.shapes[pair.y];
+  MeshRows& kept = a.found[row];
+  kept.count = 0;
+  a.counts[a.mesh_pairs[row]] = 0;
+  if (!geometry::boxes_meet(s0.box, s1.box)) return;
+  const bool mesh_is_first = s0.type == GeoType::MESH;
+  const RigidShape& mesh = mesh_is_first ? s0 : s1;
+  const RigidShape& other = mesh_is_first ? s1 : s0;
+  const float gap = s0.gap + s1.gap;
+  MeshContacts found;
+  found.find(mesh.geometry->mesh, convex_shape(other),
+             geometry::relative_pose(mesh.pose, other.pose), (gap + s0.margin) + s1.margin);
+  const float inside = ((core_radius(s0) + core_radius(s1)) + s0.margin) + s1.margin;
+  for (int32_t k = 0; k < found.count; ++k) {
+    const geometry::MeshContact& contact = found.contacts[k];
+    MeshRow candidate;
+    candidate.point = {math::transform_point(mesh.pose, contact.point.position),
+                       contact.point.distance,
+                       mesh_point_id(contact.triangle, contact.point.feature)};
+    candidate.normal = math::normalize(math::rotate(mesh.pose.q, contact.normal));
+    if (!mesh_is_first) candidate.normal = -candidate.normal;
+    const CorePoints core = core_points(s0, s1, candidate.normal, candidate.point);
+    // Written so that a NaN is no contact.
+    if (math::dot(core.b - core.a, candidate.normal) - inside <= gap)
+      kept.rows[kept.count++] = candidate;
+  }
+  a.counts[a.mesh_pairs[row]] = kept.count;
+}
+
+struct RigidMeshWriteArguments {
+  const int32_t* mesh_pairs;
+  const Vec2i* pairs;
+  const RigidShape* shapes;
+  const MeshRows* found;
+  const int32_t* before;  // the rows before each pair
+  RigidContactRows rows;
+};
+NOVAPHY_ROW_KERNEL(rigid_mesh_write, 16, RigidMeshWriteArguments) {
+  const Vec2i pair = a.pairs[a.mesh_pairs[row]];
+  const MeshRows& found = a.found[row];
+  for (int32_t k = 0; k < found.count; ++k)
+    write_contact(a.rows, a.before[a.mesh_pairs[row]] + k, pair, a.shapes, found.rows[k].normal,
+                  found.rows[k].point);
+}
+
+}  // namespace novaphy

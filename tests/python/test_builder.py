@@ -223,9 +223,11 @@ def test_shapes_get_their_values():
         1,
     ]
     assert model.shape_collision_aabb_upper.ptr == model.shape_aabb_upper.ptr
+    with pytest.raises(NotImplementedError, match="HFIELD"):
+        builder.add_shape(body=-1, type=GeoType.HFIELD)
     for bad in (GeoType.MESH, GeoType.CONVEX_MESH):
-        with pytest.raises(NotImplementedError, match=bad.name):
-            builder.add_shape(body=-1, type=bad)
+        with pytest.raises(ValueError, match=f"{bad.name} needs vertices; use add_shape_mesh"):
+            builder.add_shape(body=-1, type=bad, scale=(1, 1, 1))
     with pytest.raises(ValueError):
         builder.add_shape(body=-1, type=99)
     with pytest.raises(ValueError, match="plane"):

@@ -39,6 +39,9 @@ MODEL_FIELDS = (
     "shape_transform",
     "shape_body",
     "shape_flags",
+    "shape_mesh_range",
+    "mesh_vertices",
+    "mesh_indices",
 )
 PALETTE = np.float32(
     [
@@ -136,21 +139,43 @@ class ModelScene:
         dtype = np.float32 if name in _FLOATS else np.int32
         return self.arrays.get(name, np.zeros((0, width) if width else 0, dtype))
 
+    def _put_mesh(self, name: str, shape: int) -> None:
+        """Put the mesh or hull of a shape into the scene, each face with its own normal."""
+        vertex, vertices, triangle, triangles = self.arrays["shape_mesh_range"][shape]
+        faces = self.arrays["mesh_indices"][triangle : triangle + triangles]
+        points = self.arrays["mesh_vertices"][vertex : vertex + vertices][faces]
+        normals = np.cross(points[:, 1] - points[:, 0], points[:, 2] - points[:, 0])
+        normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
+        self.scene.put_mesh(
+            name,
+            np.ascontiguousarray(points.reshape(-1, 3)),
+            np.arange(3 * len(faces), dtype=np.int32).reshape(-1, 3),
+            np.repeat(normals, 3, axis=0),
+        )
+
     def _add_shapes(self) -> None:
         if "shape_type" not in self.arrays:
             return
         types, bodies = self.arrays["shape_type"], self.arrays["shape_body"]
         visible = (self.arrays["shape_flags"] & int(ShapeFlags.VISIBLE)) != 0
-        for geo_type in np.unique(types[visible]):
-            rows = np.flatnonzero(visible & (types == geo_type))
+        first = (
+            self.get("shape_mesh_range", 4)[:, 0] if "mesh_vertices" in self.arrays else 0 * types
+        )
+        for geo_type, vertex in np.unique(np.stack([types, first], axis=1)[visible], axis=0):
+            rows = np.flatnonzero(visible & (types == geo_type) & (first == vertex))
             rows = rows[np.argsort(bodies[rows] < 0, kind="stable")]  # those on bodies come first
-            mesh = shape_name(int(geo_type))
-            add_primitive(self.scene, mesh)
+            name = f"model/{GeoType(geo_type).name.lower()}"
+            if geo_type in (GeoType.MESH, GeoType.CONVEX_MESH):
+                mesh = name = f"{name}_{vertex}"
+                self._put_mesh(mesh, rows[0])
+            else:
+                mesh = shape_name(int(geo_type))
+                add_primitive(self.scene, mesh)
             item = Instances(mesh, len(rows))
             item.local.set(np.ascontiguousarray(self.arrays["shape_transform"][rows]))
             item.scales.set(shape_scales(int(geo_type), self.arrays["shape_scale"][rows]))
             item.colors.set(_shape_colors(bodies[rows], geo_type == GeoType.PLANE))
-            self.scene.instances[f"model/{GeoType(geo_type).name.lower()}"] = item
+            self.scene.instances[name] = item
             moving = bodies[rows]
             self._bodies.append((item, np.ascontiguousarray(moving[moving >= 0])))
 

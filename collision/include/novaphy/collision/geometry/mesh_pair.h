@@ -27,6 +27,7 @@ namespace novaphy::geometry {
 inline constexpr float kLeanSine = 1e-3f;     // a normal leans over an edge
 inline constexpr float kBehindCosine = 0.1f;  // a normal points into the mesh, not along it
 inline constexpr float kLongWay = 2.0f;
+inline constexpr float kAsDeep = 1.2f;
 inline constexpr float kSmallestWay = 1e-30f;      // m: not 0
 inline constexpr float kGroupCosine = 0.9961947f;  // 5 deg
 inline constexpr int32_t kGroupPoints = 9;
@@ -216,8 +217,10 @@ inline void sort_mesh_contacts(MeshContact* c, int32_t count) {  // heap sort
   }
 }
 
-// Drops contacts with a way out where they do not count (see above); the number that stays, in
-// order.
+// Drops contacts with a way out where they do not count: where the pair has others, all but those
+// that one of these confirms, a contact with the same normal that is about as deep (a corner that
+// has just passed an inner edge); else all that do not lie along the shortest way. The number that
+// stays, in order.
 inline int32_t keep_ways_out(MeshContact* c, int32_t count) {
   bool touches = false;
   int32_t shortest = -1;
@@ -227,11 +230,19 @@ inline int32_t keep_ways_out(MeshContact* c, int32_t count) {
     else if (shortest < 0 || c[i].way_out > c[shortest].way_out)
       shortest = i;
   }
-  const Vec3f way = shortest < 0 ? Vec3f{} : c[shortest].normal;
+  if (shortest < 0) return count;
+  const auto counts = [&](const MeshContact& contact) {
+    if (!touches) return math::dot(contact.normal, c[shortest].normal) >= kGroupCosine;
+    for (int32_t i = 0; i < count; ++i)
+      if (c[i].way_out == 0.0f && math::dot(contact.normal, c[i].normal) >= kGroupCosine &&
+          contact.point.distance >= kAsDeep * c[i].point.distance)
+        return true;
+    return false;
+  };
+  for (int32_t i = 0; i < count; ++i) c[i].kept = c[i].way_out == 0.0f || counts(c[i]);
   int32_t n = 0;
   for (int32_t i = 0; i < count; ++i)
-    if (c[i].way_out == 0.0f || (!touches && math::dot(c[i].normal, way) >= kGroupCosine))
-      c[n++] = c[i];
+    if (c[i].kept) c[n++] = c[i];
   return n;
 }
 

@@ -2,7 +2,7 @@
 # own target files come from novaphy_add_library. A component may be installed without the others.
 include(CMakePackageConfigHelpers)
 
-set(NOVAPHY_KNOWN_COMPONENTS core io nova collision dynamics diff)
+set(NOVAPHY_KNOWN_COMPONENTS core io nova collision dynamics vbd diff)
 set(dependencies_core)
 set(dependencies_io core)
 set(dependencies_nova core)
@@ -11,6 +11,7 @@ set(dependencies_dynamics core collision)
 if(NOVAPHY_WITH_NOVA)
   list(APPEND dependencies_dynamics nova)  # not in its headers, but its library loads that one
 endif()
+set(dependencies_vbd core collision)
 set(dependencies_diff core nova collision dynamics)
 
 set(NOVAPHY_COMPONENT_DEPENDENCIES "")

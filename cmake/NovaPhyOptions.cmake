@@ -13,6 +13,7 @@ if(NOT NOVAPHY_ASSIMP MATCHES "^(system|source)$")
 endif()
 option(NOVAPHY_BUILD_COLLISION "Build novaphy::collision" ON)
 option(NOVAPHY_BUILD_DYNAMICS "Build novaphy::dynamics (needs collision)" ON)
+option(NOVAPHY_BUILD_VBD "Build novaphy::vbd, implicit Euler by Vertex Block Descent (needs collision)" ${NOVAPHY_BUILD_COLLISION})
 option(NOVAPHY_BUILD_PYTHON "Build the Python module" OFF)
 option(NOVAPHY_BUILD_TESTS "Build the tests" ON)
 option(NOVAPHY_BUILD_BENCH "Build the benchmark programs" OFF)
@@ -39,7 +40,6 @@ option(NOVA_ENABLE_NVRTC "Compile kernels with NVRTC at run time; without effect
 # Parts of the design that are not built yet.
 foreach(entry
     "NOVAPHY_WITH_DLAN;the Denglin backend"
-    "NOVAPHY_BUILD_VBD;the VBD library"
     "NOVAPHY_WITH_VBD_CUDA;CUDA modules of the VBD library"
     "NOVAPHY_WITH_VBD_DLAN;Denglin modules of the VBD library")
   list(GET entry 0 name)
@@ -52,6 +52,9 @@ endforeach()
 
 if(NOVAPHY_BUILD_DYNAMICS AND NOT NOVAPHY_BUILD_COLLISION)
   message(FATAL_ERROR "NOVAPHY_BUILD_DYNAMICS=ON needs NOVAPHY_BUILD_COLLISION=ON.")
+endif()
+if(NOVAPHY_BUILD_VBD AND NOT NOVAPHY_BUILD_COLLISION)
+  message(FATAL_ERROR "NOVAPHY_BUILD_VBD=ON needs NOVAPHY_BUILD_COLLISION=ON.")
 endif()
 if(NOVAPHY_WITH_DIFF AND NOT NOVAPHY_BUILD_DYNAMICS)
   message(FATAL_ERROR "NOVAPHY_WITH_DIFF=ON needs NOVAPHY_BUILD_DYNAMICS=ON.")

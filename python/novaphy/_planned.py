@@ -20,11 +20,9 @@ PLANNED: dict[str, dict[str, tuple[str, ...]]] = {
     "novaphy.solvers": {
         "rigid bodies": ("SolverXPBD", "SolverSequentialImpulse"),
         "articulations": ("SolverFeatherstone", "SolverMuJoCo"),
-        "VBD": ("SolverVBD",),
     },
     "ModelBuilder": {
         "robots from files": ("add_urdf", "add_mjcf", "add_usd"),
-        "VBD": ("color", "set_coloring"),
     },
 }
 

@@ -8,8 +8,18 @@ from . import _core
 def require_diff(module: str) -> None:
     """Raise ImportError naming the CMake option unless the differentiable part is built."""
     if not _core.has_diff():
-        raise ImportError(
-            f"{module} is not part of this build of NovaPhy: it was configured with "
-            "NOVAPHY_WITH_DIFF=OFF. Build with -DNOVAPHY_WITH_DIFF=ON.",
-            name=module,
-        )
+        raise _missing(module, "NOVAPHY_WITH_DIFF")
+
+
+def require_vbd(module: str) -> None:
+    """Raise ImportError naming the CMake option unless VBD is built."""
+    if not _core.has_vbd():
+        raise _missing(module, "NOVAPHY_BUILD_VBD")
+
+
+def _missing(module: str, option: str) -> ImportError:
+    return ImportError(
+        f"{module} is not part of this build of NovaPhy: it was configured with "
+        f"{option}=OFF. Build with -D{option}=ON.",
+        name=module,
+    )

@@ -382,6 +382,33 @@ void bind_mesh_shapes(Builder& c) {
           "than 4 points, points in one plane, not finite.");
 }
 
+void bind_coloring(Builder& c) {
+  c.def(
+       "color",
+       [](ModelBuilder& b, std::optional<bool> include_bending, bool balance_colors) {
+         b.color({.include_bending = include_bending, .balance_colors = balance_colors});
+       },
+       "include_bending"_a = py::none(), "balance_colors"_a = true,
+       "Colours the particles for SolverVBD, so that no two of one element have the same colour: "
+       "springs, triangles, tetrahedra, and bending edges that have a stiffness or damping "
+       "(include_bending None or True). include_bending False: the corners of a bending edge may "
+       "share a colour; a stiff one then converges badly or not at all. balance_colors: moves "
+       "particles until the colours are about equally large. Call it after the elements are "
+       "added.")
+      .def(
+          "set_coloring",
+          [](ModelBuilder& b, py::handle groups, bool allow_conflicts) {
+            std::vector<std::vector<int32_t>> lists;
+            for (const py::handle group : py::iter(groups))
+              lists.push_back(to_int_list(group, "groups"));
+            b.set_coloring(lists, allow_conflicts);
+          },
+          "groups"_a, "allow_conflicts"_a = false,
+          "The particles of each colour. ValueError: an empty group, a particle in two groups or "
+          "in none, an element with two corners of one colour unless allow_conflicts. IndexError: "
+          "a particle that is not there.");
+}
+
 }  // namespace
 
 void bind_builder_elements(Builder& c) {
@@ -408,6 +435,7 @@ void bind_builder_elements(Builder& c) {
   bind_grids(c);
   bind_meshes(c);
   bind_mesh_shapes(c);
+  bind_coloring(c);
 }
 
 }  // namespace novaphy::python

@@ -212,6 +212,16 @@ void bind_model(py::module_& m) {
       .def_readonly("shape_collision_filter_pairs", &Model::shape_collision_filter_pairs,
                     "Shape pairs (i < j) that never meet.")
       .def_property_readonly(
+          "particle_color_groups",
+          [](const Model& self) {
+            py::list groups;
+            for (const std::vector<int32_t>& group : self.particle_color_groups())
+              groups.append(numpy().asarray(group, numpy_dtype(Scalar::I32)));
+            return groups;
+          },
+          "The particles of every colour, ascending, as NumPy int32; empty unless the builder was "
+          "coloured.")
+      .def_property_readonly(
           "up_axis", [](const Model& self) { return value_of(self.up_axis()); }, "0, 1 or 2.")
       .def("state", &Model::state, "requires_grad"_a = py::none(),
            "A new state with the initial values. requires_grad None: the model's.")

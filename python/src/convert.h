@@ -44,6 +44,7 @@ void bind_nova_tape(py::module_& nova);
 void bind_nova_optim(py::module_& nova);
 void bind_nova_trace(py::module_& nova);
 void bind_nova_kernel(py::module_& nova);
+void bind_vbd(py::module_& solvers);
 void bind_diff(py::module_& diff, py::module_& solvers);
 
 // After everything is bound: a wrong argument is named, see argument_errors.cpp.

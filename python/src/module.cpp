@@ -129,6 +129,9 @@ PYBIND11_MODULE(_core, m) {
   bind_collision(m);
   py::module_ solvers = m.def_submodule("solvers", "Solvers; import novaphy.solvers.");
   bind_dynamics(m, solvers);
+#ifdef NOVAPHY_PYTHON_VBD
+  bind_vbd(solvers);
+#endif
   py::module_ io = m.def_submodule("io", "Meshes from files; import novaphy.io.");
   bind_io(io);
 #ifdef NOVAPHY_PYTHON_DIFF

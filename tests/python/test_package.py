@@ -81,8 +81,8 @@ def test_what_is_planned_can_be_asked_about():
     assert not hasattr(builder, "add_mjcf") and getattr(builder, "add_urdf", None) is None
     with pytest.raises(AttributeError, match="'ModelBuilder' object has no attribute 'add_bodi'"):
         builder.add_bodi()
-    with pytest.raises(NotImplementedError, match="SolverVBD is planned"):
-        from novaphy.solvers import SolverVBD  # noqa: F401
+    with pytest.raises(NotImplementedError, match="SolverXPBD is planned"):
+        from novaphy.solvers import SolverXPBD  # noqa: F401
 
 
 def test_import_is_lean():

@@ -47,6 +47,18 @@ Control Model::control(std::optional<bool> grad) const {
   return control;
 }
 
+std::vector<std::vector<int32_t>> Model::particle_color_groups() const {
+  std::vector<std::vector<int32_t>> groups;
+  const std::vector<int32_t> colors = particle_colors.to_host();
+  for (size_t p = 0; p < colors.size(); ++p) {
+    if (colors[p] < 0) continue;
+    const auto color = static_cast<size_t>(colors[p]);
+    if (color >= groups.size()) groups.resize(color + 1);
+    groups[color].push_back(static_cast<int32_t>(p));
+  }
+  return groups;
+}
+
 void Model::set_gravity(const Vec3f& value, std::optional<int32_t> world) {
   require(std::isfinite(value.x) && std::isfinite(value.y) && std::isfinite(value.z),
           ErrorKind::Value, "set_gravity: value: expected finite numbers, got (", value.x, ", ",

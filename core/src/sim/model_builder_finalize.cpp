@@ -39,7 +39,10 @@ std::shared_ptr<Model> ModelBuilder::finalize(Device device, const FinalizeOptio
   require(current_world_ < 0, ErrorKind::Runtime, "finalize: world ", current_world_,
           " is open; call end_world() first");
   check_sizes();
-  if (!options.skip_validation) check_values();
+  if (!options.skip_validation) {
+    check_values();
+    check_coloring("finalize");
+  }
   const BodyMasses masses = body_masses();
   if (!options.skip_validation) {
     check_bodies(masses);
@@ -89,6 +92,9 @@ std::shared_ptr<Model> ModelBuilder::finalize(Device device, const FinalizeOptio
   upload(m.particle_radius, particle_radius);
   upload(m.particle_flags, particle_flags);
   upload(m.particle_world, particle_world);
+  std::vector<int32_t> colors = colors_;
+  colors.resize(particle_q.size(), -1);
+  upload(m.particle_colors, colors);
   for (const float radius : particle_radius)
     m.particle_max_radius = std::max(m.particle_max_radius, radius);
 

@@ -142,6 +142,11 @@ void ModelBuilder::add_builder(const ModelBuilder& b, const Transformf& given) {
   append(particle_mass, b.particle_mass);
   append(particle_radius, b.particle_radius);
   append(particle_flags, b.particle_flags);
+  if (!b.colors_.empty()) {
+    colors_.resize(particle_q.size() - b.particle_q.size(), -1);
+    append(colors_, b.colors_);
+    color_check_ = std::min(color_check_, b.color_check_);
+  }
   particle_world.resize(particle_q.size(), current_world_);
 
   const int32_t first_shape = shape_count(), first_body = body_count();

@@ -6,7 +6,7 @@
 #include <span>
 #include <vector>
 
-#include "index_rows.h"
+#include "novaphy/core/sim/index_rows.h"
 #include "novaphy/core/array_stamp.h"
 #include "novaphy/core/sim/contacts.h"
 #include "novaphy/core/sim/model.h"

@@ -5,7 +5,7 @@
 #include <cstdint>
 #include <span>
 
-#include "index_rows.h"
+#include "novaphy/core/sim/index_rows.h"
 #include "novaphy/core/array_stamp.h"
 
 namespace novaphy {

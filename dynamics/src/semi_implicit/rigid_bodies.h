@@ -4,10 +4,10 @@
 
 #include <vector>
 
-#include "index_rows.h"
 #include "joint_forces.h"
 #include "novaphy/core/array_stamp.h"
 #include "novaphy/core/sim/contacts.h"
+#include "novaphy/core/sim/index_rows.h"
 #include "novaphy/core/sim/model.h"
 #include "novaphy/core/sim/sim_state.h"
 #include "novaphy/dynamics/semi_implicit/rigid_contact_trace.h"

@@ -2,7 +2,7 @@
 
 import enum
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any, Final, Never, SupportsFloat, SupportsIndex, TypeAlias, overload
 
 import numpy as np
@@ -324,6 +324,7 @@ class Model(_Counts):
     particle_radius: _Field
     particle_flags: _Field
     particle_world: _Field
+    particle_colors: _Field
     particle_spring_indices: _Field
     particle_spring_rest_length: _Field
     particle_spring_stiffness: _Field
@@ -443,6 +444,8 @@ class Model(_Counts):
     def body_label(self) -> list[str]: ...
     @property
     def body_shapes(self) -> dict[int, list[int]]: ...
+    @property
+    def particle_color_groups(self) -> list[NDArray[np.int32]]: ...
     @property
     def shape_label(self) -> list[str]: ...
     @property
@@ -1397,6 +1400,12 @@ class ModelBuilder(_Native):
     def add_world(self, builder: ModelBuilder, xform: _Transform | None = None) -> int: ...
     def replicate(
         self, builder: ModelBuilder, world_count: SupportsIndex, spacing: _Vector = ...
+    ) -> None: ...
+    def color(self, include_bending: bool | None = None, balance_colors: bool = True) -> None: ...
+    def set_coloring(
+        self,
+        groups: Iterable[Sequence[SupportsIndex] | NDArray[Any]],
+        allow_conflicts: bool = False,
     ) -> None: ...
     def finalize(
         self,

@@ -1,7 +1,9 @@
 """Types of novaphy.solvers."""
 
 from collections.abc import Sequence
-from typing import Literal, SupportsFloat, SupportsIndex
+from typing import Any, Literal, SupportsFloat, SupportsIndex
+
+from numpy.typing import NDArray
 
 from . import (
     CollisionPipeline,
@@ -79,6 +81,60 @@ class SolverSemiImplicit(SolverBase):
         contacts: Contacts | None,
         dt: SupportsFloat,
     ) -> None: ...
+
+class VbdResidual(_Native):
+    @property
+    def force(self) -> float: ...
+    @property
+    def scale(self) -> float: ...
+    @property
+    def relative(self) -> float: ...
+    @property
+    def floor(self) -> float: ...
+    @property
+    def iterations(self) -> int: ...
+
+class SolverVBD(SolverBase):
+    def __init__(
+        self,
+        model: Model,
+        *,
+        iterations: SupportsIndex = 10,
+        friction_epsilon: SupportsFloat = 1.0e-2,
+        initial_guess: Literal["inertia", "previous", "adaptive"] = "inertia",
+        acceleration: SupportsFloat | None = None,
+        tolerance: SupportsFloat | None = None,
+        safeguard: bool = False,
+        lhs_regularization: SupportsFloat = 1.0e-6,
+    ) -> None: ...
+    @property
+    def iterations(self) -> int: ...
+    @property
+    def friction_epsilon(self) -> float: ...
+    @property
+    def initial_guess(self) -> str: ...
+    @property
+    def acceleration(self) -> float | None: ...
+    @property
+    def tolerance(self) -> float | None: ...
+    @property
+    def safeguard(self) -> bool: ...
+    @property
+    def lhs_regularization(self) -> float: ...
+    @property
+    def held_count(self) -> int: ...
+    def step(
+        self,
+        state_in: SimState,
+        state_out: SimState,
+        control: Control | None,
+        contacts: Contacts | None,
+        dt: SupportsFloat,
+        *,
+        targets: DeviceArray | Sequence[Sequence[SupportsFloat]] | NDArray[Any] | None = None,
+    ) -> None: ...
+    def residual(self) -> VbdResidual: ...
+    def reset(self) -> None: ...
 
 class DiffSolverConfig(_Native):
     def __init__(

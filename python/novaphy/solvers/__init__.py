@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
-from .._core import has_diff
+from .._core import has_diff, has_vbd
 from .._core.solvers import SolverBase, SolverSemiImplicit
 from .._planned import missing_from_module
-from .._require import require_diff
+from .._require import require_diff, require_vbd
 
 __all__ = ["SolverBase", "SolverSemiImplicit"]
+
+if has_vbd():
+    from .._core.solvers import SolverVBD, VbdResidual
+
+    __all__ += ["SolverVBD", "VbdResidual"]
 
 if has_diff():
     from .._core.solvers import DiffSemiImplicitSolver, DiffSolverConfig
@@ -19,4 +24,6 @@ def __getattr__(name: str) -> object:
     """Say why a solver is not there: not in this build, or not built yet."""
     if name in ("DiffSemiImplicitSolver", "DiffSolverConfig"):
         require_diff(f"novaphy.solvers.{name}")
+    if name in ("SolverVBD", "VbdResidual"):
+        require_vbd(f"novaphy.solvers.{name}")
     raise missing_from_module("novaphy.solvers", name)

@@ -90,6 +90,8 @@ namespace novaphy {
   X(particle_flags, int32_t, 1, particle_count, "", "",                                           \
     "ParticleFlags; without ACTIVE a particle stays as it is")                                    \
   X(particle_world, int32_t, 1, particle_count, "", "", "world of the particle; -1: all worlds")  \
+  X(particle_colors, int32_t, 1, particle_count, "", "",                                          \
+    "colour of the particle, see ModelBuilder::color; -1: none")                                  \
   X(particle_spring_indices, Vec2i, 1, spring_count, "", "", "ends of the springs")               \
   X(particle_spring_rest_length, float, 1, spring_count, "m", "", "length without a force")       \
   X(particle_spring_stiffness, float, 1, spring_count, "N/m", "", "spring stiffness")             \
@@ -260,6 +262,10 @@ class NOVAPHY_CORE_API Model : public ModelFields,
   // A state with the initial values. `requires_grad`: the model's when empty.
   SimState state(std::optional<bool> requires_grad = {}) const;
   Control control(std::optional<bool> requires_grad = {}) const;
+
+  // The particles of every colour, ascending; empty unless the builder was coloured. Read from the
+  // device.
+  std::vector<std::vector<int32_t>> particle_color_groups() const;
 
   // m/s^2, of one world or (world empty) of all. ErrorKind::Value: not finite; ErrorKind::Index: no
   // such world.

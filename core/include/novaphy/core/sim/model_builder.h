@@ -132,6 +132,14 @@ struct ShapeConvexHullArgs {
   std::string label = {};
 };
 
+// What ModelBuilder::color does.
+struct ColorArgs {
+  // Whether the corners of a bending edge get different colours; empty: where it has a stiffness or
+  // damping. False: they may share one, and a stiff hinge then converges badly or not at all.
+  std::optional<bool> include_bending = {};
+  bool balance_colors = true;  // moves particles until the colours are about equally large
+};
+
 struct FinalizeOptions {
   bool requires_grad = false;
   bool skip_validation = false;  // no second check of values; the lists' sizes are checked
@@ -318,6 +326,16 @@ class NOVAPHY_CORE_API ModelBuilder {
   // where it is not 0 and is centred at the origin, but for the up axis, which it starts at 0.
   void replicate(const ModelBuilder& builder, int32_t world_count, const Vec3f& spacing = {});
 
+  // Colours the particles, so that no two of one element have the same colour: springs, triangles,
+  // tetrahedra and bending edges that have a stiffness or damping. SolverVBD moves the particles of
+  // one colour together. Greedy in smallest-last order, ties by index: the same elements give the
+  // same colours. What is added afterwards has no colour.
+  void color(const ColorArgs& args = {});
+  // The particles of each colour instead. ErrorKind::Value: a group without particles, a particle
+  // in two groups or in none, and an element, which is named, with two corners of one colour unless
+  // `allow_conflicts`. ErrorKind::Index: a particle that is not there.
+  void set_coloring(std::span<const std::vector<int32_t>> groups, bool allow_conflicts = false);
+
   // Checks everything and makes a model; the builder stays as it is and may be used again. `device`
   // must be there (ErrorKind::Runtime).
   std::shared_ptr<Model> finalize(Device device = default_device(),
@@ -445,6 +463,10 @@ class NOVAPHY_CORE_API ModelBuilder {
   static detail::MassProperties base_mass(const Body& body);
   std::vector<detail::MassProperties> exact_body_masses() const;  // with their shapes
   BodyMasses body_masses() const;
+  // Calls visit(kind, element, its particles; -1: none) for the elements that colours keep apart.
+  template <class Visit>
+  void visit_colored_elements(bool bending, Visit&& visit) const;
+  void check_coloring(std::string_view function) const;
   void upload_elements(Model& model) const;
   void upload_bodies(Model& model, const BodyMasses& masses) const;
   void check_sizes() const;
@@ -464,6 +486,9 @@ class NOVAPHY_CORE_API ModelBuilder {
   Tetrahedra tetrahedra_;
   std::set<std::pair<int32_t, int32_t>> filter_pairs_;
   std::unordered_multimap<size_t, std::shared_ptr<const Mesh>> meshes_;  // by a hash
+  std::vector<int32_t> colors_;  // of the first particles; empty: not coloured
+  // Which elements must have corners of different colours.
+  enum class ColorCheck : uint8_t { None, WithoutBending, All } color_check_ = ColorCheck::All;
 };
 
 // The shape pairs (i < j, lexicographic) that may touch: both collide with shapes, worlds and

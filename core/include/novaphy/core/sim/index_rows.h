@@ -33,6 +33,9 @@ class IndexRows {
   void clear() { items_.clear(); }
 
   bool empty() const { return items_.empty(); }
+  // All items, row after row; row k begins at begins()[k].
+  std::span<const int32_t> all() const { return items_; }
+  std::span<const int32_t> begins() const { return begin_; }
   std::span<const int32_t> items(int64_t row) const {
     const int32_t begin = begin_[static_cast<size_t>(row)];
     const int32_t end = begin_[static_cast<size_t>(row) + 1];

@@ -1,0 +1,255 @@
+// SolverVBD against Newton 1.8.0's (cpu), with Newton's colours: forces and Hessians of single
+// elements, the iterates of a substep, and substeps that start from Newton's state.
+#include <gtest/gtest.h>
+
+#include "newton_scene.h"
+#include "novaphy/math/matrix.h"
+#include "novaphy/vbd/bending_trace.h"
+#include "novaphy/vbd/membrane_trace.h"
+#include "novaphy/vbd/particle_contact_trace.h"
+#include "novaphy/vbd/spring_trace.h"
+#include "novaphy/vbd/tetrahedron_trace.h"
+
+namespace novaphy {
+namespace {
+
+using testing::largest_distance;
+using testing::NewtonVbdScene;
+using testing::Npz;
+using vbd::Block;
+
+// Of the largest entry of the element's forces or Hessians. The forces of an edge that is bent by
+// less than a degree are a small difference of angles.
+constexpr float kTolerance = 1e-5f, kEdgeTolerance = 2e-5f;
+
+// Compares the blocks of an element's corners with Newton's.
+class Units {
+ public:
+  Units(const Npz& file, const char* kind, size_t corners)
+      : f_(file["unit_" + std::string(kind) + "_f"].as<Vec3f>()),
+        h_(file["unit_" + std::string(kind) + "_h"].as<Mat33f>()),
+        corners_(corners) {}
+  size_t count() const { return f_.size() / corners_; }
+  // Largest difference relative to the largest entry, of forces and of Hessians.
+  void compare(size_t element, const std::vector<Block<float>>& blocks,
+               float tolerance = kTolerance) {
+    ++compared;
+    float f_size = 0.0f, h_size = 0.0f, f_error = 0.0f, h_error = 0.0f;
+    for (size_t c = 0; c < corners_; ++c) {
+      const Vec3f& f = f_[element * corners_ + c];
+      const Mat33f& h = h_[element * corners_ + c];
+      const Block<float>& b = blocks[c];
+      const float own[3][3] = {{b.h00, b.h01, b.h02}, {b.h01, b.h11, b.h12}, {b.h02, b.h12, b.h22}};
+      f_size = std::max(f_size, math::length(f));
+      f_error = std::max(f_error, math::length(f - b.f));
+      for (int i = 0; i < 3; ++i)
+        for (int j = 0; j < 3; ++j) {
+          h_size = std::max(h_size, std::abs(h.m[i][j]));
+          h_error = std::max(h_error, std::abs(h.m[i][j] - own[i][j]));
+        }
+    }
+    EXPECT_LE(f_error, tolerance * f_size) << "force of element " << element;
+    EXPECT_LE(h_error, tolerance * h_size) << "Hessian of element " << element;
+  }
+
+  size_t compared = 0;
+
+ private:
+  std::span<const Vec3f> f_;
+  std::span<const Mat33f> h_;
+  size_t corners_;
+};
+
+TEST(NewtonVbdUnits, TrianglesAreNewtons) {
+  const Npz file = testing::golden("newton_vbd_cloth.npz");
+  const auto x = file["unit_tri_x"].as<Vec3f>(), xn = file["unit_tri_xprev"].as<Vec3f>();
+  const auto pose = file["unit_tri_pose"].as<Mat22f>();
+  const auto area = file["unit_tri_area"].as<float>();
+  const auto material = file["unit_tri_mat"].as<Vec3f>();
+  const float dt = file["unit_dt"].scalar<float>();
+  Units units(file, "tri", 3);
+  for (size_t e = 0; e < units.count(); ++e) {
+    const auto& d = pose[e].m;
+    const Vec2f rows[3] = {
+        {-(d[0][0] + d[1][0]), -(d[0][1] + d[1][1])}, {d[0][0], d[0][1]}, {d[1][0], d[1][1]}};
+    const auto law =
+        vbd::membrane_law(area[e], material[e].x, material[e].y, 0.0f, material[e].z / dt);
+    // A needle of no area has no normal.
+    const auto shape = vbd::membrane_detail::shape(x[3 * e], x[3 * e + 1], x[3 * e + 2],
+                                                   vbd::MembraneWeights<float>{rows[1], rows[2]});
+    if (shape.area_ratio < 1e-3f * (math::dot(shape.f0, shape.f0) + math::dot(shape.f1, shape.f1)))
+      continue;
+    std::vector<Block<float>> blocks;
+    for (size_t c = 0; c < 3; ++c) {
+      const size_t i = 3 * e + c, j = 3 * e + (c + 1) % 3, k = 3 * e + (c + 2) % 3;
+      const vbd::MembraneWeights<float> w = {rows[(c + 1) % 3], rows[(c + 2) % 3]};
+      blocks.push_back(vbd::membrane_block(x[i], x[j], x[k], w, law,
+                                           vbd::membrane_strain(xn[i], xn[j], xn[k], w), true));
+    }
+    units.compare(e, blocks);
+  }
+  EXPECT_EQ(units.compared, units.count() - 4);
+}
+
+TEST(NewtonVbdUnits, BendingEdgesAreNewtons) {
+  const Npz file = testing::golden("newton_vbd_cloth.npz");
+  const auto x = file["unit_edge_x"].as<Vec3f>(), xn = file["unit_edge_xprev"].as<Vec3f>();
+  const auto index = file["unit_edge_idx"].as<Vec4i>();
+  const auto rest = file["unit_edge_ang"].as<float>(), length = file["unit_edge_len"].as<float>();
+  const auto material = file["unit_edge_mat"].as<Vec2f>();
+  const float dt = file["unit_dt"].scalar<float>();
+  Units units(file, "edge", 4);
+  for (size_t e = 0; e < units.count(); ++e) {
+    const vbd::BendingLaw<float> law = {material[e].x * length[e], (material[e].y / dt) * length[e],
+                                        rest[e]};
+    const int32_t id[4] = {index[e].x, index[e].y, index[e].z, index[e].w};
+    if (id[0] < 0 || id[1] < 0) continue;
+    const auto at = [&](std::span<const Vec3f> q, int c) { return q[static_cast<size_t>(id[c])]; };
+    std::vector<Block<float>> blocks;
+    for (int c = 0; c < 4; ++c) {
+      const int side = c % 2;
+      const Vec3f p[4] = {at(x, side), at(x, 1 ^ side), at(x, 2 ^ side), at(x, 3 ^ side)};
+      const float start =
+          vbd::bending_angle(at(xn, side), at(xn, 1 ^ side), at(xn, 2 ^ side), at(xn, 3 ^ side));
+      blocks.push_back(c < 2 ? vbd::bending_opposite_block(p[0], p[1], p[2], p[3], law, start)
+                             : vbd::bending_end_block(p[0], p[1], p[2], p[3], law, start));
+    }
+    units.compare(e, blocks, kEdgeTolerance);
+  }
+  EXPECT_GT(units.compared, 50u);
+}
+
+TEST(NewtonVbdUnits, TetrahedraAreNewtons) {
+  const Npz file = testing::golden("newton_vbd_soft.npz");
+  const auto x = file["unit_tet_x"].as<Vec3f>(), xn = file["unit_tet_xprev"].as<Vec3f>();
+  const auto pose = file["unit_tet_pose"].as<Mat33f>();
+  const auto material = file["unit_tet_mat"].as<Vec3f>();
+  const float dt = file["unit_dt"].scalar<float>();
+  Units units(file, "tet", 4);
+  for (size_t e = 0; e < units.count(); ++e) {
+    Vec3f rows[4];
+    for (int c = 1; c < 4; ++c) rows[c] = math::row(pose[e], c - 1);
+    rows[0] = -((rows[1] + rows[2]) + rows[3]);
+    const auto law = vbd::tetrahedron_law(1.0f / (math::determinant(pose[e]) * 6.0f), material[e].x,
+                                          material[e].y, 0.0f, material[e].z / dt);
+    // A sliver that is hundreds of times longer than wide at rest loses the digits.
+    float size = 0.0f;
+    for (int c = 1; c < 4; ++c) size = std::max(size, math::length(rows[c]));
+    if (size > 100.0f * std::cbrt(math::determinant(pose[e]))) continue;
+    std::vector<Block<float>> blocks;
+    for (size_t c = 0; c < 4; ++c) {
+      const auto at = [&](std::span<const Vec3f> q, size_t k) { return q[4 * e + (c + k) % 4]; };
+      const vbd::TetrahedronWeights<float> w = {rows[(c + 1) % 4], rows[(c + 2) % 4],
+                                                rows[(c + 3) % 4]};
+      const auto start = vbd::tetrahedron_strain(at(xn, 0), at(xn, 1), at(xn, 2), at(xn, 3), w);
+      blocks.push_back(
+          vbd::tetrahedron_block(at(x, 0), at(x, 1), at(x, 2), at(x, 3), w, law, start, true));
+    }
+    units.compare(e, blocks);
+  }
+  EXPECT_EQ(units.compared, units.count() - 1);
+}
+
+// Newton's Hessian has no projection; with it only springs under tension are the same.
+TEST(NewtonVbdUnits, SpringsAreNewtons) {
+  const Npz file = testing::golden("newton_vbd_soft.npz");
+  const auto x = file["unit_spring_x"].as<Vec3f>(), xn = file["unit_spring_xprev"].as<Vec3f>();
+  const auto rest = file["unit_spring_rest"].as<float>(), ke = file["unit_spring_ke"].as<float>(),
+             kd = file["unit_spring_kd"].as<float>();
+  const float dt = file["unit_dt"].scalar<float>();
+  Units units(file, "spring", 2);
+  size_t stretched = 0;
+  for (size_t e = 0; e < units.count(); ++e) {
+    const Vec3f a = x[2 * e], b = x[2 * e + 1];
+    const vbd::SpringLaw<float> law = {ke[e], kd[e] / dt, rest[e]};
+    const float start = vbd::spring_length(xn[2 * e], xn[2 * e + 1]);
+    units.compare(e, {vbd::spring_block<false>(a, b, law, start),
+                      vbd::spring_block<false>(b, a, law, start)});
+    if (vbd::spring_length(a, b) < rest[e]) continue;
+    ++stretched;
+    units.compare(e, {vbd::spring_block(a, b, law, start), vbd::spring_block(b, a, law, start)});
+  }
+  EXPECT_GT(stretched, 10u);
+}
+
+TEST(NewtonVbdUnits, ContactsAreNewtons) {
+  const Npz file = testing::golden("newton_vbd_soft.npz");
+  const auto n = file["unit_contact_n"].as<Vec3f>(), u = file["unit_contact_u"].as<Vec3f>(),
+             material = file["unit_contact_mat"].as<Vec3f>();
+  const auto distance = file["unit_contact_dist"].as<float>(),
+             radius = file["unit_contact_rad"].as<float>();
+  const float dt = file["unit_dt"].scalar<float>();
+  const float slip = file["unit_contact_eps"].scalar<float>() * dt;
+  Units units(file, "contact", 1);
+  for (size_t e = 0; e < units.count(); ++e) {
+    const Vec3f origin{};
+    const vbd::ParticleContact<float> contact = {
+        n[e] * -distance[e], n[e],          -u[e], radius[e], material[e].x,
+        material[e].y / dt,  material[e].z, slip};
+    units.compare(e, {vbd::particle_contact_block(origin, origin, contact)});
+  }
+}
+
+class NewtonVbdRun : public ::testing::TestWithParam<const char*> {};
+
+std::vector<Vec3f> velocity(std::span<const Vec3f> from, std::span<const Vec3f> to, float dt) {
+  std::vector<Vec3f> v;
+  for (size_t p = 0; p < from.size(); ++p) v.push_back((to[p] - from[p]) / dt);
+  return v;
+}
+
+// Every substep of which the file has the state before, its velocity, and the positions after.
+TEST_P(NewtonVbdRun, SubstepsFromNewtonsStateAreNewtons) {
+  const NewtonVbdScene scene(GetParam());
+  SolverVBD solver(scene.model, {.iterations = scene.iterations()});
+  SimState in = scene.model->state(), out = scene.model->state();
+  size_t compared = 0;
+  for (size_t t = 0; t < 8; ++t) {
+    in.particle_q.copy_from_host(scene.q(t));
+    if (t > 0)
+      in.particle_qd.copy_from_host(
+          std::span<const Vec3f>(velocity(scene.q(t - 1), scene.q(t), scene.dt())));
+    const Contacts contacts = scene.contacts(t);
+    solver.step(in, out, nullptr, &contacts, scene.dt());
+    const auto expected = velocity(scene.q(t), scene.q(t + 1), scene.dt());
+    EXPECT_LE(largest_distance(out.particle_q.to_host(), scene.q(t + 1)), 1e-6f) << t;
+    EXPECT_LE(largest_distance(out.particle_qd.to_host(), expected), 1e-3f) << t;
+    ++compared;
+  }
+  EXPECT_EQ(compared, 8u);
+}
+
+// The iterates of substeps in free fall, at touch-down and in sliding contact. The velocity is what
+// leads from the state to the first iterate.
+TEST_P(NewtonVbdRun, IteratesAreNewtons) {
+  const NewtonVbdScene scene(GetParam());
+  const Vec3f g = scene.model->gravity.to_host()[0];
+  size_t sliding = 0;
+  for (const size_t t : {size_t{0}, size_t{40}, size_t{50}, size_t{100}, size_t{120}}) {
+    const std::string name = "sweep" + std::to_string(t) + "_q";
+    if (!scene.file.contains(name)) continue;
+    const auto iterates = scene.file[name].as<Vec3f>();
+    SimState in = scene.model->state(), out = scene.model->state();
+    in.particle_q.copy_from_host(scene.q(t));
+    std::vector<Vec3f> v = velocity(scene.q(t), iterates.first(scene.particles()), scene.dt());
+    for (Vec3f& u : v) u = u - g * scene.dt();
+    in.particle_qd.copy_from_host(std::span<const Vec3f>(v));
+    const Contacts contacts = scene.contacts(t);
+    sliding += static_cast<size_t>(contacts.active_soft_contact_count());
+    for (int32_t k = 0; k <= scene.iterations(); ++k) {
+      SolverVBD solver(scene.model, {.iterations = k});
+      solver.step(in, out, nullptr, &contacts, scene.dt());
+      const auto expected =
+          iterates.subspan(static_cast<size_t>(k) * scene.particles(), scene.particles());
+      EXPECT_LE(largest_distance(out.particle_q.to_host(), expected), 1e-6f)
+          << name << ", iteration " << k;
+    }
+  }
+  EXPECT_GT(sliding, 10u);
+}
+
+INSTANTIATE_TEST_SUITE_P(Scenes, NewtonVbdRun,
+                         ::testing::Values("newton_vbd_cloth.npz", "newton_vbd_soft.npz"));
+
+}  // namespace
+}  // namespace novaphy

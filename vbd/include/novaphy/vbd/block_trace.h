@@ -1,0 +1,109 @@
+// The 3x3 block of one particle in VBD: what its elements add up to, and the step that it gives.
+//
+// A particle at x feels the force f and has the stiffness H, symmetric and positive definite. Its
+// step d solves H d = f. Every law of VBD (spring_trace.h, membrane_trace.h, tetrahedron_trace.h,
+// bending_trace.h, particle_contact_trace.h) returns the block of one element for one corner, which
+// it takes as the first; the others are those that the element has besides.
+//
+// Inertia, of a mass m (kg), the target y = xn + h vn + h^2 (g + f_ext/m) and the step h (s):
+//   E = m/(2 h^2) |x - y|^2,  f = m/h^2 (y - x),  H = m/h^2 I
+//
+// Source: Chen et al., "Vertex Block Descent" (2024), equations 5 to 10.
+//
+// Freestanding: T = float, lanes of floats, or a scalar that carries derivatives.
+#pragma once
+
+#include "novaphy/math/ldlt.h"
+#include "novaphy/math/types.h"
+
+namespace novaphy::vbd {
+
+// f in N, h_ij in N/m.
+template <class T>
+struct Block {
+  Vec3<T> f{};
+  T h00{}, h11{}, h22{}, h01{}, h02{}, h12{};
+};
+
+template <class T>
+Block<T> operator+(const Block<T>& a, const Block<T>& b) {
+  return {a.f + b.f,     a.h00 + b.h00, a.h11 + b.h11, a.h22 + b.h22,
+          a.h01 + b.h01, a.h02 + b.h02, a.h12 + b.h12};
+}
+
+// The block where the condition holds, else nothing.
+template <class B, class T>
+Block<T> where(const B& c, const Block<T>& a) {
+  using math::select;
+  const T zero = T(0.0f);
+  return {select(c, a.f, Vec3<T>{}), select(c, a.h00, zero), select(c, a.h11, zero),
+          select(c, a.h22, zero),    select(c, a.h01, zero), select(c, a.h02, zero),
+          select(c, a.h12, zero)};
+}
+
+// H + s I, and H + s a a^T.
+template <class T>
+void add_identity(Block<T>& block, const T& s) {
+  block.h00 = block.h00 + s;
+  block.h11 = block.h11 + s;
+  block.h22 = block.h22 + s;
+}
+template <class T>
+void add_outer(Block<T>& block, const T& s, const Vec3<T>& a) {
+  const Vec3<T> sa = a * s;
+  block.h00 = block.h00 + sa.x * a.x;
+  block.h11 = block.h11 + sa.y * a.y;
+  block.h22 = block.h22 + sa.z * a.z;
+  block.h01 = block.h01 + sa.x * a.y;
+  block.h02 = block.h02 + sa.x * a.z;
+  block.h12 = block.h12 + sa.y * a.z;
+}
+
+template <class T>
+Vec3<T> multiply_stiffness(const Block<T>& b, const Vec3<T>& d) {
+  return {(b.h00 * d.x + b.h01 * d.y) + b.h02 * d.z, (b.h01 * d.x + b.h11 * d.y) + b.h12 * d.z,
+          (b.h02 * d.x + b.h12 * d.y) + b.h22 * d.z};
+}
+
+template <class T>
+Block<T> inertia_block(const Vec3<T>& x, const Vec3<T>& target, const T& mass_by_h2) {
+  Block<T> block;
+  block.f = (target - x) * mass_by_h2;
+  add_identity(block, mass_by_h2);
+  return block;
+}
+template <class T>
+T inertia_energy(const Vec3<T>& x, const Vec3<T>& target, const T& mass_by_h2) {
+  const Vec3<T> d = x - target;
+  return (T(0.5f) * mass_by_h2) * math::dot(d, d);
+}
+
+// H as it is solved with: where det H <= 1e-7 h00 h11 h22, which rounding makes of a block that is
+// nearly singular, with `regularization` times the mean of the diagonal added to it.
+template <class T>
+math::Ldlt<T, 3> factorize(const Block<T>& b, const T& regularization) {
+  const auto factors = [&b](const T& shift) {
+    const T a[3][3] = {{b.h00 + shift, b.h01, b.h02},
+                       {b.h01, b.h11 + shift, b.h12},
+                       {b.h02, b.h12, b.h22 + shift}};
+    return math::ldlt(a);
+  };
+  const T zero = T(0.0f);
+  const math::Ldlt<T, 3> plain = factors(zero);
+  const T product = (b.h00 * b.h11) * b.h22;
+  const T det = (plain.d[0] * plain.d[1]) * plain.d[2];
+  const T mean = ((b.h00 + b.h11) + b.h22) * T(0x1.555556p-2f);
+  using math::select;
+  return factors(select(det > T(1e-7f) * product, zero, regularization * mean));
+}
+
+// The step d of H d = f.
+template <class T>
+Vec3<T> solve_block(const math::Ldlt<T, 3>& factors, const Vec3<T>& f) {
+  const T b[3] = {f.x, f.y, f.z};
+  T d[3];
+  math::solve(factors, b, d);
+  return {d[0], d[1], d[2]};
+}
+
+}  // namespace novaphy::vbd

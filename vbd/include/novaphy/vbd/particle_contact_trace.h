@@ -1,0 +1,80 @@
+// A contact of a particle with a shape in VBD: a penalty, its damping, and friction.
+//
+// Law, for the particle at x (xn at the start of the step h), a point p of the surface that moves
+// with velocity v_s, the unit normal n out of the shape and the radius R (the particle's plus the
+// shape's margin); pen = R - n.(x - p), the contact acts while pen > 0; u = (x - xn) - h v_s:
+//   f = n (ke pen - kd/h min(n.u, 0)) - c u_t,  u_t = u - n (n.u)
+//   H = (ke + [n.u < 0] kd/h) n n^T + c (I - n n^T)
+//   c = mu ke pen times 1/|u_t| beyond the slip eps = friction_epsilon h, (2 - |u_t|/eps)/eps below
+// Coefficients are the means of those of the model and the shape, mu their geometric mean. H keeps
+// c along the slip, where the derivative of the force is about 0: without it the iteration does not
+// converge. p, n and v_s stay as they are in the step.
+// Symbols: x (m), ke (N/m), kd (N*s/m), mu (1), eps (m).
+//
+// Energy, for what asks whether a step is too long: ke/2 pen^2 + [n.u < 0] kd/(2h) (n.u)^2 +
+// mu ke pen_0 S(|u_t|), where S' = c/(mu ke pen) and pen_0 is that of the position that is left:
+// friction is no potential.
+//
+// Source: Newton 1.8.0's SolverVBD; friction of Li et al., "Incremental Potential Contact" (2020).
+// Not smooth: pen = 0, where f jumps by the damping; n.u = 0 in H; u_t = 0, where friction is 0.
+// Gradient: exact in x, xn, p, n, v_s, ke, kd, mu away from these; R and eps carry none.
+#pragma once
+
+#include "novaphy/vbd/block_trace.h"
+
+namespace novaphy::vbd {
+
+// `radius` is R, `slip` eps (m); travel = h v_s (m).
+template <class T>
+struct ParticleContact {
+  Vec3<T> point{}, normal{}, travel{};
+  T radius{}, ke{}, kd_by_h{}, mu{}, slip{};
+};
+
+template <class T>
+Block<T> particle_contact_block(const Vec3<T>& x, const Vec3<T>& start,
+                                const ParticleContact<T>& c) {
+  using namespace math;
+  const T zero = T(0.0f), one = T(1.0f);
+  const Vec3<T>& n = c.normal;
+  const T depth = c.radius - dot(n, x - c.point);
+  const Vec3<T> u = (x - start) - c.travel;
+  const T un = dot(n, u);
+  const Vec3<T> ut = u - n * un;
+  const T squared = dot(ut, ut);
+  const auto slides = squared > zero;
+  const T slip = sqrt(select(slides, squared, one));
+  const T shape = select(slip > c.slip, one / slip, (T(2.0f) - slip / c.slip) / c.slip);
+  const T friction = select(slides, ((c.mu * c.ke) * depth) * shape, zero);
+  const T damping = select(un < zero, c.kd_by_h, zero);
+  Block<T> block;
+  block.f = n * (c.ke * depth - damping * un) - ut * friction;
+  add_identity(block, friction);
+  add_outer(block, (c.ke + damping) - friction, n);
+  return where(depth > zero, block);
+}
+
+// `load` is ke pen_0, see above.
+template <class T>
+T particle_contact_load(const Vec3<T>& x, const ParticleContact<T>& c) {
+  using namespace math;
+  return c.ke * max(T(0.0f), c.radius - dot(c.normal, x - c.point));
+}
+template <class T>
+T particle_contact_energy(const Vec3<T>& x, const Vec3<T>& start, const ParticleContact<T>& c,
+                          const T& load) {
+  using namespace math;
+  const T zero = T(0.0f), half = T(0.5f), third = T(0x1.555556p-2f);
+  const T depth = max(zero, c.radius - dot(c.normal, x - c.point));
+  const Vec3<T> u = (x - start) - c.travel;
+  const T un = dot(c.normal, u);
+  const T slip = length(u - c.normal * un);
+  const T part = slip / c.slip;
+  const T below = (part * slip) * (T(1.0f) - part * third);
+  const T distance = select(slip > c.slip, slip - c.slip * third, below);
+  const T approach = select(depth > zero, min(un, zero), zero);
+  return half * ((c.ke * depth) * depth + (c.kd_by_h * approach) * approach) +
+         (c.mu * load) * distance;
+}
+
+}  // namespace novaphy::vbd

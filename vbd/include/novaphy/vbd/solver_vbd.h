@@ -1,0 +1,94 @@
+// SolverVBD: implicit Euler by Vertex Block Descent.
+#pragma once
+
+#include <memory>
+#include <optional>
+
+#include "novaphy/core/sim/solver_base.h"
+#include "novaphy/vbd/export.h"
+
+namespace novaphy {
+
+// Where the iteration starts: the inertial target, the position at the start of the step, or the
+// target with as much of gravity as acted in the step before (Chen et al. 2024).
+enum class VbdInitialGuess { Inertia, Previous, Adaptive };
+
+struct VbdOptions {
+  int32_t iterations = 10;         // sweeps over all colours, >= 0
+  float friction_epsilon = 1e-2f;  // m/s, > 0: friction grows up to the Coulomb limit at this slip
+  VbdInitialGuess initial_guess = VbdInitialGuess::Inertia;
+  // Chebyshev acceleration by this spectral radius, in (0, 1), of the particles that touch nothing.
+  // Above 0.8 it may stall or diverge.
+  std::optional<float> acceleration = {};
+  // Ends the iteration when VbdResidual::relative is at most this, > 0. Each iteration then costs
+  // the forces once more.
+  std::optional<float> tolerance = {};
+  // Halves the step of a particle while the energy of its elements rises, up to four times, then
+  // leaves it where it is: the energy of all never rises. Not together with acceleration.
+  bool safeguard = false;
+  float lhs_regularization = 1e-6f;  // see vbd/block_trace.h; finite, >= 0
+};
+
+// How far the last step was from its solution.
+struct VbdResidual {
+  double force = 0.0;     // N: norm of the force over all particles that move, inertia included
+  double scale = 0.0;     // N: norm of m (y - xn)/h^2, what the step has to balance
+  double relative = 0.0;  // force / scale; 0 where the force is 0
+  double floor = 0.0;     // of relative: what one rounding of the positions changes
+  int32_t iterations = 0;
+};
+
+// Covers particles and elements over them: springs, triangles, bending edges, tetrahedra, external
+// forces, gravity, and soft contacts with world-owned shapes. ErrorKind::NotImplemented names what
+// is not covered: bodies, joints, drag and lift of triangles, particle_adhesion, a
+// particle_max_velocity below its default, another device than the CPU. There is no contact between
+// particles or of particles with triangles. soft_contact_kf and shape_material_kf have no part in
+// its law of friction.
+//
+// One step minimises, over the positions x of the particles that move,
+//   sum m/(2h^2) |x - y|^2 + E(x; xn),  y = xn + h vn + h^2 (g + f/m)
+// where E are the energies of the elements (vbd/*_trace.h), and sets v = (x - xn)/h. An iteration
+// goes through the colours of the model (ModelBuilder::color, set_coloring) in order; all particles
+// of a colour move together by the 3x3 system of their own elements, from the positions before the
+// colour. Sums run per particle in a fixed order. The result has the same bits for any number of
+// threads and on any processor.
+//
+// Particles of mass 0 or without ParticleFlags.ACTIVE are held: they stay, or go where `targets`
+// say; their velocity is what they moved by in the step, and 0 otherwise.
+// Nothing is written to state_in. particle_f acts and stays as it is.
+class NOVAPHY_VBD_API SolverVBD : public SolverBase {
+ public:
+  // ErrorKind::Value: a bad option; particles without a colour; a stiffness or damping that is
+  // negative or not finite. ErrorKind::Index: an element of a particle that is not there.
+  explicit SolverVBD(std::shared_ptr<const Model> model, const VbdOptions& options = {});
+  ~SolverVBD() override;
+
+  const VbdOptions& options() const { return options_; }
+  // Particles that are held, see above: the rows of `targets`, in the order of their indices.
+  int32_t held_count() const;
+
+  // Besides the errors of SolverBase::step and of the constructor: ErrorKind::Value when the
+  // indices of elements or the colours were edited after the solver was made; ErrorKind::Runtime
+  // for contacts that overflowed; ErrorKind::NotImplemented for a contact with a shape of a body.
+  void step(SimState& state_in, SimState& state_out, const Control* control,
+            const Contacts* contacts, float dt) override {
+    step(state_in, state_out, control, contacts, dt, nullptr);
+  }
+  // `targets`: {held_count} positions (m, world frame) where the held particles are at the end of
+  // the step; null: where they are.
+  void step(SimState& state_in, SimState& state_out, const Control* control,
+            const Contacts* contacts, float dt, const DeviceArray<Vec3f>* targets);
+  // Of the last step. ErrorKind::Runtime: there was none since the solver was made or reset.
+  VbdResidual residual() const;
+  // Forgets the last step, which the adaptive guess and residual() look at.
+  void reset();
+  void notify_model_changed(ModelFlags flags) override;
+
+ private:
+  struct Work;
+
+  VbdOptions options_;
+  std::unique_ptr<Work> work_;
+};
+
+}  // namespace novaphy

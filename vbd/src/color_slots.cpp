@@ -1,0 +1,357 @@
+#include "color_slots.h"
+
+#include <algorithm>
+#include <cmath>
+#include <numeric>
+
+#include "novaphy/core/error.h"
+#include "novaphy/math/matrix.h"
+#include "novaphy/vbd/membrane_trace.h"
+#include "novaphy/vbd/tetrahedron_trace.h"
+
+namespace novaphy::vbd {
+namespace {
+
+// Rows of `width` indices or coefficients of the elements of one kind.
+struct Kind {
+  const char* indices_name;
+  const Array& indices;
+  const char* material_name;
+  const Array& material;
+  int corners;
+  bool may_be_absent = false;
+
+  int32_t count() const { return static_cast<int32_t>(indices.rows()); }
+  const int32_t* corner(int32_t e) const {
+    return static_cast<const int32_t*>(indices.raw()) + static_cast<int64_t>(e) * corners;
+  }
+  size_t width() const { return material.width(); }
+  const float* coefficients(int32_t e) const {
+    return static_cast<const float*>(material.raw()) + static_cast<size_t>(e) * width();
+  }
+};
+
+void check_elements(const Kind& kind, int32_t particles) {
+  for (int32_t e = 0; e < kind.count(); ++e) {
+    for (int c = 0; c < kind.corners; ++c) {
+      const int32_t p = kind.corner(e)[c];
+      require((p >= 0 && p < particles) || (kind.may_be_absent && p == -1), ErrorKind::Index,
+              "SolverVBD: model.", kind.indices_name, "[", e, "]: expected particles from 0 to ",
+              particles - 1, kind.may_be_absent ? ", or -1" : "", ", got ", p);
+    }
+    for (size_t c = 0; c < kind.width(); ++c) {
+      const float value = kind.coefficients(e)[c];
+      require(std::isfinite(value) && value >= 0.0f, ErrorKind::Value, "SolverVBD: model.",
+              kind.material_name, "[", e, "]: expected finite numbers >= 0, got ", value);
+    }
+  }
+}
+
+// Whether one of the first coefficients of an element is not 0.
+bool acts(const Kind& kind, int32_t e, size_t columns) {
+  return std::any_of(kind.coefficients(e), kind.coefficients(e) + columns,
+                     [](float value) { return value != 0.0f; });
+}
+
+struct Kinds {
+  Kind spring_ke, spring_kd, triangle, edge, tetrahedron;
+  explicit Kinds(const Model& m)
+      : spring_ke{"particle_spring_indices", m.particle_spring_indices, "particle_spring_stiffness",
+                  m.particle_spring_stiffness, 2},
+        spring_kd{"particle_spring_indices", m.particle_spring_indices, "particle_spring_damping",
+                  m.particle_spring_damping, 2},
+        triangle{"particle_tri_indices", m.particle_tri_indices, "particle_tri_material",
+                 m.particle_tri_material, 3},
+        edge{"particle_edge_indices",
+             m.particle_edge_indices,
+             "particle_edge_material",
+             m.particle_edge_material,
+             4,
+             true},
+        tetrahedron{"particle_tet_indices", m.particle_tet_indices, "particle_tet_material",
+                    m.particle_tet_material, 4} {}
+
+  // Calls visit(role of corner c, element, corners, number of them) for the elements that act.
+  template <class Visit>
+  void visit(Visit&& visit) const {
+    static constexpr Role kSpringRoles[] = {kSpring, kSpring};
+    static constexpr Role kTriangleRoles[] = {kTriangle, kTriangle, kTriangle};
+    static constexpr Role kHingeRoles[] = {kHingeOpposite, kHingeOpposite, kHingeEnd, kHingeEnd};
+    static constexpr Role kTetrahedronRoles[] = {kTetrahedron, kTetrahedron, kTetrahedron,
+                                                 kTetrahedron};
+    for (int32_t e = 0; e < spring_ke.count(); ++e)
+      if (acts(spring_ke, e, 1) || acts(spring_kd, e, 1))
+        visit(kSpringRoles, e, spring_ke.corner(e), 2);
+    for (int32_t e = 0; e < triangle.count(); ++e)
+      if (acts(triangle, e, 3)) visit(kTriangleRoles, e, triangle.corner(e), 3);
+    for (int32_t e = 0; e < edge.count(); ++e) {
+      const int32_t* const p = edge.corner(e);
+      if (acts(edge, e, 2) && std::none_of(p, p + 4, [](int32_t corner) { return corner < 0; }))
+        visit(kHingeRoles, e, p, 4);
+    }
+    for (int32_t e = 0; e < tetrahedron.count(); ++e)
+      if (acts(tetrahedron, e, 3)) visit(kTetrahedronRoles, e, tetrahedron.corner(e), 4);
+  }
+};
+
+void check_drag(const Kind& triangle) {
+  for (int32_t e = 0; e < triangle.count(); ++e) {
+    const float* const c = triangle.coefficients(e);
+    require(c[3] == 0.0f && c[4] == 0.0f, ErrorKind::NotImplemented,
+            "SolverVBD: model.particle_tri_material[", e,
+            "]: drag and lift are not there yet, expected 0, got ", c[3], " and ", c[4]);
+  }
+}
+
+// The rows of the inverse rest matrix that belong to the corners: that of corner 0 is minus the sum
+// of the others.
+void triangle_rows(const Mat22f& pose, Vec2f (&rows)[3]) {
+  for (int c = 1; c < 3; ++c) rows[c] = {pose.m[c - 1][0], pose.m[c - 1][1]};
+  rows[0] = {-(rows[1].x + rows[2].x), -(rows[1].y + rows[2].y)};
+}
+void tetrahedron_rows(const Mat33f& pose, Vec3f (&rows)[4]) {
+  for (int c = 1; c < 4; ++c) rows[c] = math::row(pose, c - 1);
+  rows[0] = -((rows[1] + rows[2]) + rows[3]);
+}
+
+}  // namespace
+
+void ColorSlots::find_held(const Model& model) {
+  const int32_t* flags = model.particle_flags.data();
+  const float* inv_mass = model.particle_inv_mass.data();
+  is_held_.assign(static_cast<size_t>(model.particle_count()), 0);
+  held_.clear();
+  for (int32_t p = 0; p < model.particle_count(); ++p) {
+    if (has_flag(flags[p], ParticleFlags::ACTIVE) && inv_mass[p] > 0.0f) continue;
+    is_held_[static_cast<size_t>(p)] = 1;
+    held_.push_back(p);
+  }
+}
+
+// The slots of every particle, by role, in the order of the elements.
+void ColorSlots::collect(const Model& model) {
+  const Kinds kinds(model);
+  const auto count = static_cast<size_t>(model.particle_count());
+  for (Table& table : tables_) table.particle_begin.assign(count + 1, 0);
+  kinds.visit([&](const Role* roles, int32_t, const int32_t* corners, int n) {
+    for (int c = 0; c < n; ++c)
+      if (!is_held(corners[c]))
+        ++tables_[roles[c]].particle_begin[static_cast<size_t>(corners[c]) + 1];
+  });
+  std::vector<int64_t> next[kRoles];
+  for (int role = 0; role < kRoles; ++role) {
+    Table& table = tables_[role];
+    std::partial_sum(table.particle_begin.begin(), table.particle_begin.end(),
+                     table.particle_begin.begin());
+    table.of_particles.resize(static_cast<size_t>(table.particle_begin.back()));
+    next[role] = table.particle_begin;
+  }
+  kinds.visit([&](const Role* roles, int32_t e, const int32_t* corners, int n) {
+    for (int c = 0; c < n; ++c) {
+      if (is_held(corners[c])) continue;
+      int64_t& place = next[roles[c]][static_cast<size_t>(corners[c])];
+      tables_[roles[c]].of_particles[static_cast<size_t>(place++)] = {e, c};
+    }
+  });
+}
+
+void ColorSlots::find_conflicts(const std::vector<int32_t>& colors, const Model& model) {
+  has_conflicts_ = false;
+  Kinds(model).visit([&](const Role*, int32_t, const int32_t* corners, int n) {
+    for (int c = 0; c < n; ++c)
+      for (int d = 0; d < c; ++d)
+        has_conflicts_ |=
+            corners[c] != corners[d] && !is_held(corners[c]) && !is_held(corners[d]) &&
+            colors[static_cast<size_t>(corners[c])] == colors[static_cast<size_t>(corners[d])];
+  });
+}
+
+// Within a colour the particles with the most slots come first, so that the lanes of a group have
+// about equally many.
+void ColorSlots::make_groups(const std::vector<int32_t>& colors) {
+  std::vector<std::vector<int32_t>> of_color;
+  for (size_t p = 0; p < colors.size(); ++p) {
+    if (is_held_[p] != 0) continue;
+    const auto color = static_cast<size_t>(colors[p]);
+    if (color >= of_color.size()) of_color.resize(color + 1);
+    of_color[color].push_back(static_cast<int32_t>(p));
+  }
+  const auto slots = [this](int role, int32_t p) {
+    const std::vector<int64_t>& begin = tables_[role].particle_begin;
+    return begin[static_cast<size_t>(p) + 1] - begin[static_cast<size_t>(p)];
+  };
+  particle_.clear();
+  filled_.clear();
+  color_begin_.assign(1, 0);
+  for (std::vector<int32_t>& particles : of_color) {
+    std::stable_sort(particles.begin(), particles.end(), [&](int32_t a, int32_t b) {
+      for (int role = 0; role < kRoles; ++role)
+        if (slots(role, a) != slots(role, b)) return slots(role, a) > slots(role, b);
+      return false;
+    });
+    for (size_t first = 0; first < particles.size(); first += static_cast<size_t>(lanes_)) {
+      const size_t filled = std::min(particles.size() - first, static_cast<size_t>(lanes_));
+      for (size_t lane = 0; lane < static_cast<size_t>(lanes_); ++lane)
+        particle_.push_back(particles[first + (lane < filled ? lane : 0)]);
+      filled_.push_back(static_cast<int32_t>(filled));
+    }
+    color_begin_.push_back(static_cast<int64_t>(filled_.size()));
+  }
+}
+
+void ColorSlots::lay_slots(const Model& model) {
+  const Kinds kinds(model);
+  const Kind* const kind_of[kRoles] = {&kinds.spring_ke, &kinds.triangle, &kinds.edge, &kinds.edge,
+                                       &kinds.tetrahedron};
+  const auto lanes = static_cast<size_t>(lanes_);
+  for (int role = 0; role < kRoles; ++role) {
+    Table& table = tables_[role];
+    const Kind& kind = *kind_of[role];
+    const auto ints = static_cast<size_t>(kInts[role]);
+    table.begin.assign(1, 0);
+    table.sources.clear();
+    table.ints.clear();
+    for (size_t group = 0; group < filled_.size(); ++group) {
+      const int32_t* const particle = particle_.data() + group * lanes;
+      int64_t most = 0;
+      const auto first = [&](size_t lane) {
+        return table.particle_begin[static_cast<size_t>(particle[lane])];
+      };
+      const auto count = [&](size_t lane) {
+        if (lane >= static_cast<size_t>(filled_[group])) return int64_t{0};
+        return table.particle_begin[static_cast<size_t>(particle[lane]) + 1] - first(lane);
+      };
+      for (size_t lane = 0; lane < lanes; ++lane) most = std::max(most, count(lane));
+      for (int64_t s = 0; s < most; ++s) {
+        const size_t base = table.ints.size();
+        table.ints.resize(base + ints * lanes);
+        for (size_t lane = 0; lane < lanes; ++lane) {
+          const Source source =
+              s < count(lane) ? table.of_particles[static_cast<size_t>(first(lane) + s)] : Source{};
+          table.sources.push_back(source);
+          for (size_t k = 0; k < ints; ++k) {
+            int32_t& index = table.ints[base + k * lanes + lane];
+            index = particle[lane];
+            if (source.element < 0) continue;
+            const int32_t* const corner = kind.corner(source.element);
+            const auto c = static_cast<size_t>(source.corner);
+            // A hinge keeps its four places; odd corners read it from its other side. The others
+            // list the corners that follow their own.
+            index = kind.corners == 4 && ints == 4
+                        ? corner[c % 2 == 0 ? k : k ^ 1u]
+                        : corner[(c + 1 + k) % static_cast<size_t>(kind.corners)];
+          }
+        }
+      }
+      table.begin.push_back(table.begin.back() + most);
+    }
+    table.floats.assign(table.sources.size() * static_cast<size_t>(kFloats[role]), 0.0f);
+  }
+}
+
+void ColorSlots::build(const Model& model, int lanes) {
+  lanes_ = lanes;
+  const Kinds kinds(model);
+  for (const Kind* kind :
+       {&kinds.spring_ke, &kinds.spring_kd, &kinds.triangle, &kinds.edge, &kinds.tetrahedron})
+    check_elements(*kind, model.particle_count());
+  check_drag(kinds.triangle);
+  const std::vector<int32_t> colors = model.particle_colors.to_host();
+  for (size_t p = 0; p < colors.size(); ++p)
+    require(colors[p] >= 0, ErrorKind::Value, "SolverVBD: model: particle ", p,
+            " has no colour; call ModelBuilder.color() (or set_coloring) before finalize");
+  find_held(model);
+  find_conflicts(colors, model);
+  collect(model);
+  make_groups(colors);
+  lay_slots(model);
+}
+
+void ColorSlots::set_constants(const Model& model, const Constants& constants) {
+  const auto lanes = static_cast<size_t>(lanes_);
+  const float dt = constants.dt, inverse_h2 = 1.0f / (dt * dt);
+  const float* mass = model.particle_mass.data();
+  mass_by_h2_.resize(particle_.size());
+  for (size_t k = 0; k < particle_.size(); ++k) {
+    const bool filled = k % lanes < static_cast<size_t>(filled_[k / lanes]);
+    mass_by_h2_[k] = filled ? mass[particle_[k]] * inverse_h2 : 1.0f;
+  }
+  // Calls put(source, number) for every lane of every slot; number(k) is its k-th constant.
+  const auto fill_table = [&](Role role, const auto& put) {
+    Table& table = tables_[role];
+    table.damped = false;
+    for (size_t k = 0; k < table.sources.size(); ++k) {
+      if (table.sources[k].element < 0) continue;
+      float* const row =
+          table.floats.data() + k / lanes * lanes * static_cast<size_t>(kFloats[role]) + k % lanes;
+      table.damped |= put(table.sources[k],
+                          [row, lanes](size_t number) -> float& { return row[number * lanes]; });
+    }
+  };
+
+  fill_table(kSpring, [&](const Source& s, const auto& number) {
+    number(0) = model.particle_spring_stiffness.data()[s.element];
+    number(1) = model.particle_spring_damping.data()[s.element] / dt;
+    number(2) = model.particle_spring_rest_length.data()[s.element];
+    return true;
+  });
+  fill_table(kTriangle, [&](const Source& s, const auto& number) {
+    const float* const c = model.particle_tri_material.data() + 5 * s.element;
+    Vec2f rows[3];
+    triangle_rows(model.particle_tri_pose.data()[s.element], rows);
+    for (size_t m = 0; m < 2; ++m) {
+      const Vec2f& row = rows[(static_cast<size_t>(s.corner) + 1 + m) % 3];
+      number(2 * m) = row.x;
+      number(2 * m + 1) = row.y;
+    }
+    const auto law = membrane_law(model.particle_tri_area.data()[s.element], c[0], c[1],
+                                  constants.tri_activation[s.element], c[2] / dt);
+    number(4) = law.mu;
+    number(5) = law.ln;
+    number(6) = law.alpha;
+    number(7) = law.kd_by_h;
+    return c[2] != 0.0f;
+  });
+  for (const Role role : {kHingeOpposite, kHingeEnd})
+    fill_table(role, [&](const Source& s, const auto& number) {
+      const float* const c = model.particle_edge_material.data() + 2 * s.element;
+      const float length = model.particle_edge_rest_length.data()[s.element];
+      number(0) = c[0] * length;
+      number(1) = (c[1] / dt) * length;
+      number(2) = model.particle_edge_rest_angle.data()[s.element];
+      return c[1] != 0.0f;
+    });
+  fill_table(kTetrahedron, [&](const Source& s, const auto& number) {
+    const float* const c = model.particle_tet_material.data() + 3 * s.element;
+    const Mat33f& pose = model.particle_tet_pose.data()[s.element];
+    Vec3f rows[4];
+    tetrahedron_rows(pose, rows);
+    for (size_t m = 0; m < 3; ++m) {
+      const Vec3f& row = rows[(static_cast<size_t>(s.corner) + 1 + m) % 4];
+      number(3 * m) = row.x;
+      number(3 * m + 1) = row.y;
+      number(3 * m + 2) = row.z;
+    }
+    const float volume = 1.0f / (math::determinant(pose) * 6.0f);
+    const auto law =
+        tetrahedron_law(volume, c[0], c[1], constants.tet_activation[s.element], c[2] / dt);
+    number(9) = law.mu;
+    number(10) = law.ln;
+    number(11) = law.alpha;
+    number(12) = law.kd_by_h;
+    return c[2] != 0.0f;
+  });
+}
+
+void ColorSlots::fill(Sweep& sweep) const {
+  sweep.particle = particle_.data();
+  sweep.filled = filled_.data();
+  sweep.mass_by_h2 = mass_by_h2_.data();
+  for (int role = 0; role < kRoles; ++role) {
+    const Table& table = tables_[role];
+    sweep.slots[role] = {table.sources.empty() ? nullptr : table.begin.data(), table.ints.data(),
+                         table.floats.data(), table.damped};
+  }
+}
+
+}  // namespace novaphy::vbd

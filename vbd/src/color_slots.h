@@ -1,0 +1,66 @@
+// The groups of a model's particles and the slots of their elements (sweep.h), as tables.
+#pragma once
+
+#include <cstdint>
+#include <vector>
+
+#include "novaphy/core/sim/model.h"
+#include "sweep.h"
+
+namespace novaphy::vbd {
+
+class ColorSlots {
+ public:
+  // What may change from step to step without new groups.
+  struct Constants {
+    const float* tri_activation = nullptr;
+    const float* tet_activation = nullptr;
+    float dt = 0.0f;
+  };
+
+  // Groups of `lanes` particles, and the elements that act. Held particles have none.
+  // Errors as SolverVBD's constructor.
+  void build(const Model& model, int lanes);
+  // The numbers of the slots.
+  void set_constants(const Model& model, const Constants& constants);
+
+  const std::vector<int32_t>& held() const { return held_; }
+  bool is_held(int32_t particle) const { return is_held_[static_cast<size_t>(particle)] != 0; }
+  // The groups of colour c are [color_begin()[c], color_begin()[c + 1]).
+  const std::vector<int64_t>& color_begin() const { return color_begin_; }
+  // Two particles of an element have the same colour.
+  bool has_conflicts() const { return has_conflicts_; }
+  // Points a sweep to the tables.
+  void fill(Sweep& sweep) const;
+
+ private:
+  struct Source {  // the element of a slot's lane, and which of its corners the particle is
+    int32_t element = -1, corner = 0;
+  };
+  struct Table {
+    std::vector<Source> of_particles;  // of each particle in the order of the elements
+    std::vector<int64_t> particle_begin;
+    std::vector<int64_t> begin;
+    std::vector<Source> sources;
+    std::vector<int32_t> ints;
+    mutable std::vector<float> floats;
+    bool damped = false;
+  };
+
+  void find_held(const Model& model);
+  void collect(const Model& model);
+  void find_conflicts(const std::vector<int32_t>& colors, const Model& model);
+  void make_groups(const std::vector<int32_t>& colors);
+  void lay_slots(const Model& model);
+
+  int lanes_ = 1;
+  std::vector<uint8_t> is_held_;
+  std::vector<int32_t> held_;
+  std::vector<int64_t> color_begin_;
+  std::vector<int32_t> particle_, filled_;
+  std::vector<float> mass_by_h2_;
+  Table tables_[kRoles];
+  bool has_conflicts_ = false;
+};
+
+}  // namespace novaphy::vbd

@@ -1,0 +1,74 @@
+// The work of VBD on groups of particles, compiled for several instruction sets, and the tables
+// that it reads.
+//
+// A group is `lanes` particles of one colour (the last one of a colour may be short). For each role
+// of an element (Role) it has slots; slot s of a group is one element for each lane, as rows of
+// `lanes` numbers: kInts[role] rows of indices, then kFloats[role] rows of constants. A lane with
+// fewer elements of a role reads, in the rest of its slots, itself and coefficients of 0.
+#pragma once
+
+#include <cstdint>
+
+namespace novaphy::vbd {
+
+enum Role : int { kSpring, kTriangle, kHingeOpposite, kHingeEnd, kTetrahedron, kRoles };
+
+// Indices: the other particles. Constants: the weights of the other particles, the law, and room
+// for what the slot needs of the start of the step.
+//   spring        x1;          ke, kd/h, rest; length
+//   triangle      x1, x2;      w1 (2), w2 (2), mu, ln, alpha, kd/h; strain (3)
+//   hinge         the four;    ke, kd/h, rest; angle
+//   tetrahedron   x1, x2, x3;  w1, w2, w3 (3 each), mu, ln, alpha, kd/h; strain (6)
+constexpr int kInts[kRoles] = {1, 2, 4, 4, 3};
+constexpr int kFloats[kRoles] = {4, 11, 4, 4, 19};
+constexpr int kStartFloats[kRoles] = {1, 3, 1, 1, 6};  // the last ones
+
+// A contact of a particle in the step: point (3), normal (3), travel (3), radius, ke, kd/h, mu.
+constexpr int kContactFloats = 13;
+
+struct SlotTable {
+  const int64_t* begin = nullptr;  // groups + 1: the slots of a group
+  const int32_t* ints = nullptr;
+  float* floats = nullptr;
+  bool damped = false;  // a coefficient kd is not 0
+};
+
+struct Sweep {
+  const int32_t* particle = nullptr;  // of each lane of each group
+  const int32_t* filled = nullptr;    // lanes of a group that are particles
+  const float* mass_by_h2 = nullptr;  // of each lane; 1 where it is none
+  SlotTable slots[kRoles];
+  // Of the contacts of a step, in slot order for each particle; null without contacts.
+  const int32_t* contact_begin = nullptr;  // particles + 1
+  const float* contacts = nullptr;
+
+  // Rows of 4 floats, one per particle.
+  const float* start = nullptr;   // xn
+  const float* target = nullptr;  // y
+  float* moved = nullptr;         // x - xn
+  float* x = nullptr;
+  float* step = nullptr;  // where colours hold conflicts: the steps until all of a colour are there
+
+  float regularization = 0.0f, slip = 0.0f;
+  bool safeguard = false;
+};
+
+// What residuals are sums of, per particle: |f|^2, |M (y - xn)/h^2|^2, and the square of what
+// one rounding of the positions changes f by.
+struct ParticleResidual {
+  float force = 0.0f, inertia = 0.0f, rounding = 0.0f;
+};
+
+struct SweepLevel {
+  const char* name;
+  int lanes;
+  void (*prepare)(const Sweep&, int64_t group);  // the starts of the slots
+  void (*move)(const Sweep&, int64_t group);     // one step of every particle of the group
+  void (*residual)(const Sweep&, int64_t group, ParticleResidual* of_particles);
+};
+
+// The level of NOVAPHY_CPU_ISA, else the best of this processor. ErrorKind::Runtime: the variable
+// names none that this processor has.
+const SweepLevel& sweep_level();
+
+}  // namespace novaphy::vbd

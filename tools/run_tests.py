@@ -34,6 +34,7 @@ COMPONENTS = {
     "nova": ["core", "nova"],
     "collision": ["core", "collision"],
     "dynamics": ["core", "nova", "collision", "dynamics"],  # the release has device code in it
+    "vbd": ["core", "collision", "vbd"],
     "diff": ["core", "nova", "collision", "dynamics", "diff"],
 }
 # What a library of the wheel may need besides the wheel's own: all of it is on every Linux.

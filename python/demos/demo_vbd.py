@@ -1,0 +1,218 @@
+"""Stiff cloth and soft bodies by Vertex Block Descent, one step a frame.
+
+Four scenes: a cloth that hangs from one side, one that falls over a sphere, a bar that is twisted
+by its ends, and a block that starts crushed, flat and turned inside out. Each ends with a check.
+
+    python demo_vbd.py draped --headless 120 --plot draped.png
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+import novaphy
+from novaphy import viewer
+from novaphy.solvers import SolverVBD
+
+FPS = 60
+
+
+@dataclass
+class Scene:
+    """A model, how it is stepped, and what to say of its end."""
+
+    model: novaphy.Model
+    iterations: int
+    substeps: int = 1
+    turn: float = 0.0  # rad/s, by which the held ends turn against each other
+
+
+def hanging() -> Scene:
+    """A cloth of 1 m, its left side held."""
+    builder = novaphy.ModelBuilder()
+    cloth = {"tri_ke": 2e3, "tri_ka": 2e3, "tri_kd": 1e-2, "edge_ke": 1e-3, "edge_kd": 1e-5}
+    builder.add_cloth_grid(
+        pos=(0.0, -0.5, 1.2), dim_x=32, dim_y=32, cell_x=1 / 32, cell_y=1 / 32, mass=2e-4,
+        fix_left=True, **cloth,
+    )  # fmt: skip
+    builder.color()
+    return Scene(builder.finalize(), iterations=20, substeps=2)
+
+
+def draped() -> Scene:
+    """A cloth of 1.2 m that falls over a sphere."""
+    builder = novaphy.ModelBuilder()
+    surface = novaphy.ShapeConfig(ke=1e3, kd=1e-2, mu=0.5)
+    builder.default_shape_cfg = surface
+    builder.add_shape_sphere(-1, xform=((0.0, 0.0, 0.5), (0.0, 0.0, 0.0, 1.0)), radius=0.3)
+    builder.add_ground_plane()
+    cloth = {"tri_ke": 1e3, "tri_ka": 1e3, "tri_kd": 1e-2, "edge_ke": 1e-3, "edge_kd": 1e-5}
+    builder.add_cloth_grid(
+        pos=(-0.6, -0.6, 0.9), dim_x=40, dim_y=40, cell_x=0.03, cell_y=0.03, mass=2e-4,
+        particle_radius=0.01, **cloth,
+    )  # fmt: skip
+    builder.color()
+    model = builder.finalize()
+    model.soft_contact_ke, model.soft_contact_kd, model.soft_contact_mu = 1e3, 1e-2, 0.5
+    return Scene(model, iterations=10, substeps=4)
+
+
+def twisted() -> Scene:
+    """A bar of 1 m, its ends held and turned against each other by one turn."""
+    builder = novaphy.ModelBuilder(gravity=0.0)
+    builder.add_soft_grid(
+        pos=(0.0, -0.1, 0.3), dim_x=30, dim_y=6, dim_z=6, cell_x=1 / 30, cell_y=1 / 30,
+        cell_z=1 / 30, density=1000.0, k_mu=1e6, k_lambda=4e6, k_damp=100.0, fix_left=True,
+        fix_right=True,
+    )  # fmt: skip
+    builder.color()
+    return Scene(builder.finalize(), iterations=30, turn=2 * np.pi / 2.0)
+
+
+def crushed() -> Scene:
+    """A block that starts flat, with every second layer on the wrong side."""
+    builder = novaphy.ModelBuilder()
+    builder.default_shape_cfg = novaphy.ShapeConfig(ke=1e4, kd=1.0, mu=0.5)
+    builder.add_ground_plane()
+    builder.add_soft_grid(
+        pos=(-0.25, -0.25, 0.2), dim_x=10, dim_y=10, dim_z=10, cell_x=0.05, cell_y=0.05,
+        cell_z=0.05, density=1000.0, k_mu=5e4, k_lambda=1e5, k_damp=20.0, particle_radius=0.01,
+    )  # fmt: skip
+    rest = np.array(builder.particle_q)
+    layer = np.round((rest[:, 2] - 0.2) / 0.05).astype(int)
+    flat = rest.copy()
+    flat[:, 2] = 0.3 + 0.002 * (-1.0) ** layer * layer
+    builder.particle_q = flat
+    builder.color()
+    return Scene(builder.finalize(), iterations=40, substeps=2)
+
+
+SCENES = {"hanging": hanging, "draped": draped, "twisted": twisted, "crushed": crushed}
+LOOKS = {
+    "hanging": ((2.4, -2.4, 1.4), (0.3, 0.0, 0.7)),
+    "draped": ((1.6, -1.8, 1.2), (0.0, 0.0, 0.4)),
+    "twisted": ((0.5, -1.5, 0.9), (0.5, 0.0, 0.4)),
+    "crushed": ((1.2, -1.4, 0.9), (0.0, 0.0, 0.3)),
+}
+
+
+def turned(rest: np.ndarray, angle: float) -> np.ndarray:
+    """Points about the x axis of the bar: the right end by half of the angle, the left against."""
+    centre = np.array([0.0, 0.0, 0.4], np.float32)
+    signed = np.where(rest[:, 0] > 0.5, 0.5, -0.5) * angle
+    x, y, z = (rest - centre).T
+    c, s = np.cos(signed), np.sin(signed)
+    return np.stack([x, c * y - s * z, s * y + c * z], 1).astype(np.float32) + centre
+
+
+def simulate(scene: Scene, frames: int, stage: viewer.Stage) -> tuple[np.ndarray, SolverVBD]:
+    """Positions {frames + 1, n, 3} of every frame, and the solver."""
+    model = scene.model
+    solver = SolverVBD(model, iterations=scene.iterations)
+    pipeline = novaphy.CollisionPipeline(model) if model.shape_count else None
+    contacts = pipeline.contacts() if pipeline else None
+    state, after = model.state(), model.state()
+    held = model.particle_q.numpy()[model.particle_mass.numpy() == 0.0]
+    positions = [state.particle_q.numpy().copy()]
+    dt = 1.0 / (FPS * scene.substeps)
+    for frame in stage.frames(frames):
+        for sub in range(scene.substeps):
+            if pipeline:
+                pipeline.collide(state, contacts)
+            targets = None
+            if scene.turn:
+                time = min((frame + (sub + 1) / scene.substeps) / FPS, 2.0)
+                targets = turned(held, scene.turn * time)
+            solver.step(state, after, None, contacts, dt, targets=targets)
+            state, after = after, state
+        stage.show(frame / FPS, state)
+        positions.append(state.particle_q.numpy().copy())
+    return np.array(positions), solver
+
+
+def least_volume(model: novaphy.Model, q: np.ndarray) -> float:
+    """The smallest volume of a tetrahedron, relative to that at rest."""
+    a, b, c, d = q[model.tet_indices.numpy().T].astype(np.float64)
+    volume = np.einsum("ij,ij->i", b - a, np.cross(c - a, d - a)) / 6.0
+    return float((volume / model.particle_tet_volume.numpy()).min())
+
+
+def check(name: str, scene: Scene, positions: np.ndarray) -> list[str]:
+    """What is wrong with the end of a scene that ran its whole time."""
+    end, speed = positions[-1], np.abs(positions[-1] - positions[-2]).max() * FPS
+    faults = [] if np.isfinite(positions).all() else ["finite positions"]
+    if name == "hanging":
+        drop = positions[0, :, 2].max() - end[:, 2].min()
+        print(f"lowest point {drop:.3f} m below the held side")
+        faults += [] if 0.95 < drop < 1.1 else ["a cloth that hangs by its length, 1 m"]
+    if name == "draped":
+        distance, low = np.linalg.norm(end - (0.0, 0.0, 0.5), axis=1).min() - 0.3, end[:, 2].min()
+        print(f"smallest distance to the sphere {distance:.4f} m, to the ground {low:.4f} m")
+        faults += [] if distance > 0.0 and low > 0.0 else ["a cloth outside of shapes"]
+        faults += [] if end[:, 2].max() > 0.78 else ["a cloth on the sphere"]
+    if name in ("twisted", "crushed"):
+        first, last = (least_volume(scene.model, q) for q in (positions[0], end))
+        print(f"smallest relative volume {first:.3f} at the start, {last:.3f} at the end")
+        faults += [] if last > 0.2 else ["no inverted or flat tetrahedron"]
+    print(f"fastest particle {speed:.3f} m/s")
+    return faults
+
+
+def plot(path: str, model: novaphy.Model, positions: np.ndarray) -> None:
+    """The surface at four times."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    figure = plt.figure(figsize=(13.0, 3.8), layout="constrained")
+    for column, frame in enumerate(np.linspace(0, len(positions) - 1, 4).astype(int)):
+        axes = figure.add_subplot(1, 4, column + 1, projection="3d", box_aspect=(1, 1, 1))
+        x, y, z = positions[frame].T
+        style = {"color": "#5b8db8", "edgecolor": "#22445f", "lw": 0.15}
+        axes.plot_trisurf(x, y, z, triangles=model.tri_indices.numpy(), **style)
+        low, high = positions.min((0, 1)), positions.max((0, 1))
+        centre, half = (low + high) / 2, (high - low).max() / 2
+        for axis, c in zip("xyz", centre, strict=True):
+            axes.set(**{f"{axis}lim": (c - half, c + half)})
+        axes.set_title(f"{frame / FPS:.2f} s")
+    figure.savefig(path, dpi=110)
+
+
+def main() -> int:
+    """Simulate, draw, check."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("scene", nargs="?", choices=SCENES, default="draped")
+    viewer.add_arguments(parser, 180, "frames of 1/60 s")
+    parser.add_argument("--plot", metavar="PATH.png", help="draw the surface at four times")
+    parser.add_argument("--dump-states", metavar="PATH.npz", help="write the positions")
+    args = parser.parse_args()
+    viewer.check_arguments(parser, args)
+    for path in (args.plot, args.dump_states):
+        if path and not Path(path).resolve().parent.is_dir():
+            parser.error(f"the folder of {path} does not exist")
+
+    scene = SCENES[args.scene]()
+    with viewer.Stage(args, scene.model, fps=FPS, look=LOOKS[args.scene]) as stage:
+        positions, solver = simulate(scene, args.headless, stage)
+    if args.dump_states:
+        np.savez_compressed(args.dump_states, particle_q=positions)
+    if args.plot:
+        plot(args.plot, scene.model, positions)
+    if args.headless > 0:
+        print(f"relative residual of the last step {solver.residual().relative:.1e}")
+    faults = check(args.scene, scene, positions) if args.headless >= 150 else []
+    for fault in faults:
+        print(f"CHECK FAILED: expected {fault}")
+    if not faults:
+        print("ok")
+    return 1 if faults else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

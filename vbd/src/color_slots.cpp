@@ -245,6 +245,12 @@ void ColorSlots::lay_slots(const Model& model) {
       }
       table.begin.push_back(table.begin.back() + most);
     }
+    table.corners = static_cast<size_t>(kind.corners);
+    table.places.assign(kind.indices.rows() * table.corners, -1);
+    for (size_t k = 0; k < table.sources.size(); ++k)
+      if (table.sources[k].element >= 0)
+        table.places[static_cast<size_t>(table.sources[k].element) * table.corners +
+                     static_cast<size_t>(table.sources[k].corner)] = static_cast<int64_t>(k);
     table.floats.assign(table.sources.size() * static_cast<size_t>(kFloats[role]), 0.0f);
   }
 }

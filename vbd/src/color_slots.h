@@ -18,6 +18,21 @@ class ColorSlots {
     float dt = 0.0f;
   };
 
+  struct Source {  // the element of a slot's lane, and which of its corners the particle is
+    int32_t element = -1, corner = 0;
+  };
+  struct Table {
+    std::vector<Source> of_particles;  // of each particle in the order of the elements
+    std::vector<int64_t> particle_begin;
+    std::vector<int64_t> begin;
+    std::vector<Source> sources;
+    size_t corners = 0;           // of an element
+    std::vector<int64_t> places;  // of each corner of each element among the sources; -1: none
+    std::vector<int32_t> ints;
+    mutable std::vector<float> floats;
+    bool damped = false;
+  };
+
   // Groups of `lanes` particles, and the elements that act. Held particles have none.
   // Errors as SolverVBD's constructor.
   void build(const Model& model, int lanes);
@@ -30,23 +45,12 @@ class ColorSlots {
   const std::vector<int64_t>& color_begin() const { return color_begin_; }
   // Two particles of an element have the same colour.
   bool has_conflicts() const { return has_conflicts_; }
+  int lanes() const { return lanes_; }
+  const Table& table(Role role) const { return tables_[role]; }
   // Points a sweep to the tables.
   void fill(Sweep& sweep) const;
 
  private:
-  struct Source {  // the element of a slot's lane, and which of its corners the particle is
-    int32_t element = -1, corner = 0;
-  };
-  struct Table {
-    std::vector<Source> of_particles;  // of each particle in the order of the elements
-    std::vector<int64_t> particle_begin;
-    std::vector<int64_t> begin;
-    std::vector<Source> sources;
-    std::vector<int32_t> ints;
-    mutable std::vector<float> floats;
-    bool damped = false;
-  };
-
   void find_held(const Model& model);
   void collect(const Model& model);
   void find_conflicts(const std::vector<int32_t>& colors, const Model& model);

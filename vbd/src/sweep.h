@@ -23,6 +23,12 @@ constexpr int kInts[kRoles] = {1, 2, 4, 4, 3};
 constexpr int kFloats[kRoles] = {4, 11, 4, 4, 19};
 constexpr int kStartFloats[kRoles] = {1, 3, 1, 1, 6};  // the last ones
 
+// Of which these many are numbers of the law (they precede those of the start); and how many others
+// a slot has. Place of the particle itself among the four of a hinge.
+constexpr int kLawFloats[kRoles] = {3, 4, 3, 3, 4};
+constexpr int kOthers[kRoles] = {1, 2, 3, 3, 3};
+constexpr int kOwnPlace[kRoles] = {-1, -1, 0, 2, -1};
+
 // A contact of a particle in the step: point (3), normal (3), travel (3), radius, ke, kd/h, mu.
 constexpr int kContactFloats = 13;
 
@@ -59,12 +65,27 @@ struct ParticleResidual {
   float force = 0.0f, inertia = 0.0f, rounding = 0.0f;
 };
 
+// Derivatives of a scalar, called bars, as a sweep in reverse reads and makes them. Rows of 4
+// floats per particle, and per slot rows of lanes.
+struct Adjoint {
+  const float* x = nullptr;    // by the positions after a colour
+  float* own = nullptr;        // what the particles of the colour add to their own
+  float* start = nullptr;      // added to: by xn
+  float* target = nullptr;     // added to: by y
+  float* others[kRoles] = {};  // per slot, 3 rows for each other particle
+  float* laws[kRoles] = {};    // added to: per slot, by the law and what the slot has of the start
+};
+
 struct SweepLevel {
   const char* name;
   int lanes;
   void (*prepare)(const Sweep&, int64_t group);  // the starts of the slots
   void (*move)(const Sweep&, int64_t group);     // one step of every particle of the group
   void (*residual)(const Sweep&, int64_t group, ParticleResidual* of_particles);
+  // In reverse, at the positions before the colour: see unrolled_vbd.h.
+  void (*adjoint)(const Sweep&, const Adjoint&, int64_t group);
+  // What the slots have of the start: from their bars to those of xn (own and others).
+  void (*adjoint_start)(const Sweep&, const Adjoint&, int64_t group);
 };
 
 // The level of NOVAPHY_CPU_ISA, else the best of this processor. ErrorKind::Runtime: the variable

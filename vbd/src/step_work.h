@@ -1,0 +1,87 @@
+// What a step of VBD works with: the tables, the positions, and the chunks of its phases.
+#pragma once
+
+#include <deque>
+#include <vector>
+
+#include "color_slots.h"
+#include "novaphy/vbd/solver_vbd.h"
+#include "step_contacts.h"
+#include "sweep.h"
+
+namespace novaphy::vbd {
+
+// A row of the tables of a sweep.
+struct Row {
+  float x = 0.0f, y = 0.0f, z = 0.0f, unused = 0.0f;
+  Row() = default;
+  Row(const Vec3f& v) : x(v.x), y(v.y), z(v.z) {}
+  operator Vec3f() const { return {x, y, z}; }
+};
+
+// What a step reads and writes.
+struct StepArrays {
+  const Vec3f *q = nullptr, *qd = nullptr, *f = nullptr;
+  Vec3f *q_out = nullptr, *qd_out = nullptr;
+};
+
+class StepWork {
+ public:
+  // `keep_iterates`: the positions after every iteration stay.
+  StepWork(const Model& m, const VbdOptions& o, bool keep_iterates = false);
+
+  // The tables anew, from the model as it is now.
+  void build();
+  // What changed since the last step. Errors as SolverVBD::step.
+  void update(const Control* control, const Contacts* contact_rows, float step_dt);
+  // `targets`: of the held particles; null: they stay.
+  void run(const StepArrays& step_arrays, const Vec3f* targets);
+  VbdResidual residual();
+
+  const Model& model;
+  const VbdOptions options;
+  const SweepLevel& level = sweep_level();
+  ColorSlots slots;
+  ColorSlots::Constants constants;
+  StepContacts contacts;
+  Sweep sweep;
+
+  std::vector<Row> start, target, moved, x;
+  std::vector<std::vector<Row>> iterates;  // x after 0, 1, ... iterations
+  std::vector<Vec3f> last_velocity;        // of the step before, for the adaptive guess
+  bool has_last = false, has_stepped = false;
+
+ private:
+  enum class Task : uint8_t { Predict, Prepare, Move, Commit, Accelerate, Keep, Finish };
+  struct Chunk {
+    Task task;
+    int32_t iteration;
+    int64_t begin, end;  // groups or particles
+  };
+  struct Stamped {
+    const char* name;
+    const Array* array;
+    DerivedStamp stamp;
+  };
+
+  void plan();
+  void run_phases(size_t first, size_t last);
+  void run_chunk(const Chunk& chunk);
+  void predict(int64_t begin, int64_t end);
+  void accelerate(const Chunk& chunk);
+  void finish(int64_t begin, int64_t end);
+  void iterate();
+
+  std::deque<Stamped> mesh_, values_;
+  DerivedStamp activation_[2], world_;
+  std::vector<Chunk> chunks_;
+  std::vector<int64_t> ends_;
+  std::vector<size_t> iteration_ends_;  // phases
+  std::vector<float> chebyshev_;        // per iteration
+  std::vector<Row> next_, newer_, older_;
+  std::vector<ParticleResidual> of_particles_;
+  int32_t iterations_run_ = 0;
+  StepArrays arrays_;
+};
+
+}  // namespace novaphy::vbd

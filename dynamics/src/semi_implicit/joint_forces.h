@@ -4,9 +4,9 @@
 
 #include <vector>
 
-#include "index_rows.h"
 #include "novaphy/core/array_stamp.h"
 #include "novaphy/core/sim/control.h"
+#include "novaphy/core/sim/index_rows.h"
 #include "novaphy/core/sim/model.h"
 #include "novaphy/core/sim/sim_state.h"
 

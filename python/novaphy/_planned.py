@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-_EVALUATIONS = ("fk", "ik", "mass_matrix", "jacobian", "inverse_dynamics")
+_EVALUATIONS = ("mass_matrix", "jacobian", "inverse_dynamics")
 
 # Owner -> what its missing names belong to -> the names.
 PLANNED: dict[str, dict[str, tuple[str, ...]]] = {

@@ -1,5 +1,6 @@
 // Solvers.
 #include "fast_step.h"
+#include "novaphy/dynamics/joint_coordinates.h"
 #include "novaphy/dynamics/semi_implicit/solver_semi_implicit.h"
 
 namespace novaphy::python {
@@ -114,6 +115,29 @@ void bind_dynamics(py::module_& m, py::module_& solvers) {
           [](const SolverSemiImplicit& s) { return s.options().enable_tri_contact; },
           "Stored; particles do not meet triangles yet.");
   add_fast_step(semi_implicit);
+  m.def(
+      "eval_fk",
+      [](const Model& model, const Array& joint_q, const Array& joint_qd, SimState& state) {
+        eval_fk(model, DeviceArray<float>(joint_q), DeviceArray<float>(joint_qd), state);
+      },
+      "model"_a, "joint_q"_a, "joint_qd"_a, "state"_a,
+      "Writes body_q and body_qd of the state: poses and velocities of the children of all joints "
+      "of articulations, from joint_q {coordinates} and joint_qd {degrees of freedom}. Other "
+      "bodies "
+      "stay. Quaternions are made unit. No gradient: on a tape it raises. ValueError: wrong rows, "
+      "a "
+      "state of another model, a quaternion of length 0; NotImplementedError: not on the cpu.");
+  m.def(
+      "eval_ik",
+      [](const Model& model, const SimState& state, const Array& joint_q, const Array& joint_qd) {
+        eval_ik(model, state, DeviceArray<float>(joint_q), DeviceArray<float>(joint_qd));
+      },
+      "model"_a, "state"_a, "joint_q"_a, "joint_qd"_a,
+      "Writes joint_q and joint_qd: coordinates and rates of all joints, from body_q and body_qd "
+      "of "
+      "the state. What the bodies do besides what their joint allows is left out; angles are those "
+      "in [-pi, pi]. No gradient: on a tape it raises. ValueError: wrong rows, a state of another "
+      "model; NotImplementedError: not on the cpu, or a D6 whose axes are not perpendicular.");
 }
 
 }  // namespace novaphy::python

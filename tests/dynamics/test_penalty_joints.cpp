@@ -408,25 +408,38 @@ TEST(PenaltyJoints, WhatTheyDoNotHaveIsRefused) {
                "expected perpendicular axes of a D6 joint");
 }
 
-// ke dt^2 / I < 4 about the directions that a hinge holds, here for a slender link.
+// ke dt^2 / I + 2 (0.01 kd) dt / I < 4 about the directions that a hinge holds.
 TEST(PenaltyJoints, AStepAboveTheStableOneIsRefused) {
-  const auto model = [](const Vec3f& axis) {
-    ModelBuilder b;
+  const auto model = [](const Vec3f& axis, float arm) {
+    ModelBuilder b(Axis::Z, 0.0f);
     b.add_link({.mass = 2.0f, .inertia = diagonal(0.05f, 0.05f, 0.002f)});
-    b.add_joint_revolute(-1, 0, {.dof = JointDofConfig{.axis = axis}});
+    b.add_joint_revolute(-1, 0,
+                         {.child_xform = at(arm, 0.0f, 0.0f), .dof = JointDofConfig{.axis = axis}});
+    b.body_qd[0].angular = {0.001f, 0.001f, 0.001f};
     return b.finalize();
   };
-  const auto step = [](const std::shared_ptr<Model>& m, float dt) {
-    SolverSemiImplicit solver(m);
-    SimState a = m->state(), b = m->state();
-    solver.step(a, b, nullptr, nullptr, dt);
+  const SemiImplicitOptions options = {.joint_attach_kd = 10.0f};
+  // How fast it turns after some steps of dt.
+  const auto speed = [&](const std::shared_ptr<Model>& m, float dt) {
+    SolverSemiImplicit solver(m, options);
+    SimState now = m->state(), next = m->state();
+    for (int t = 0; t < 400; ++t) {
+      solver.step(now, next, nullptr, nullptr, dt);
+      std::swap(now, next);
+    }
+    return math::length(now.body_qd.to_host()[0].angular);
   };
-  const float limit = 2.0f / std::sqrt(1e4f / 0.002f);
-  EXPECT_NO_THROW(step(model({1.0f, 0.0f, 0.0f}), 0.999f * limit));
-  EXPECT_ERROR(step(model({1.0f, 0.0f, 0.0f}), 1.001f * limit), ErrorKind::Value,
+  // The positive root, for the slender axis.
+  const float k = 1e4f / 0.002f, c = 0.1f / 0.002f, limit = (-c + std::sqrt(c * c + 4.0f * k)) / k;
+  EXPECT_LT(speed(model({1.0f, 0.0f, 0.0f}, 0.0f), 0.99f * limit), 0.01f);
+  EXPECT_ERROR(speed(model({1.0f, 0.0f, 0.0f}, 0.0f), 1.001f * limit), ErrorKind::Value,
                "above it joint 0 diverges with joint_attach_ke 10000");
-  // About its own axis the link is free: what is held is stiff enough.
-  EXPECT_NO_THROW(step(model({0.0f, 0.0f, 1.0f}), 2.0f * limit));
+  // About its own axis the link is free; the others are held, and are heavier.
+  EXPECT_LT(speed(model({0.0f, 0.0f, 1.0f}, 0.0f), 2.0f * limit), 0.01f);
+  // At an arm of 0.5 m along x a force across turns it: w = 1/2 + 0.25 / 0.002.
+  const float w = 0.5f + 0.25f / 0.002f, far = 4.0f / w / (10.0f + std::sqrt(100.0f + 4e4f / w));
+  EXPECT_NO_THROW(speed(model({0.0f, 0.0f, 1.0f}, 0.5f), 0.99f * far));
+  EXPECT_ERROR(speed(model({0.0f, 0.0f, 1.0f}, 0.5f), 1.01f * far), ErrorKind::Value, "diverges");
 }
 
 }  // namespace

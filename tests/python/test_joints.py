@@ -8,6 +8,7 @@ import pickle
 import numpy as np
 import pytest
 
+import novaphy
 from novaphy import Axis, JointDofConfig, JointTargetMode, JointType, ModelBuilder
 
 INERTIA = np.eye(3) * 0.1
@@ -125,3 +126,20 @@ def test_replicated_robots_have_shifted_joints():
     assert model.joint_world.numpy().tolist() == [0, 0, 1, 1, 2, 2]
     assert model.joint_X_p.numpy()[::2, 0].tolist() == [-2.0, 0.0, 2.0]
     assert model.articulation_end.numpy().tolist() == [2, 4, 6]
+
+
+def test_kinematics_go_both_ways():
+    model = arm().finalize()
+    state = model.state()
+    state.joint_q.assign(np.array([0.3, 0.5, -0.2], np.float32))
+    state.joint_qd.assign(np.array([1.0, -2.0, 0.5], np.float32))
+    novaphy.eval_fk(model, state.joint_q, state.joint_qd, state)
+    np.testing.assert_allclose(
+        state.body_q.numpy()[1, :3], [0.5 * np.sin(0.3), 0, 1 + 0.5 * np.cos(0.3)], atol=1e-6
+    )
+    other = model.state()
+    novaphy.eval_ik(model, state, other.joint_q, other.joint_qd)
+    np.testing.assert_allclose(other.joint_q.numpy(), [0.3, 0.5, -0.2], atol=1e-6)
+    np.testing.assert_allclose(other.joint_qd.numpy(), [1.0, -2.0, 0.5], atol=1e-5)
+    with pytest.raises(ValueError, match="eval_fk: joint_q: expected 3 rows"):
+        novaphy.eval_fk(model, model.body_mass, state.joint_qd, state)

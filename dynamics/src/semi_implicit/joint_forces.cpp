@@ -86,8 +86,8 @@ float along(const Mat33f& a, const Vec3f& n) {
   return sum;
 }
 
-// The largest inverse inertia about a direction in the plane perpendicular to `axis` (zero: about
-// any), which a joint of the two holds, by power iteration on the projected matrix.
+// The largest n . a n over unit vectors n perpendicular to `axis` (zero: over all), by power
+// iteration.
 float largest_along(const Mat33f& a, const Vec3f& axis) {
   float largest = 0.0f;
   for (const Vec3f& start : {Vec3f{1.0f, 0.3f, 0.2f}, Vec3f{0.2f, 1.0f, 0.3f}}) {
@@ -101,6 +101,26 @@ float largest_along(const Mat33f& a, const Vec3f& axis) {
     }
   }
   return largest;
+}
+
+// Of a point at `arm` from the centre of mass: 1/m + [arm]^T I^-1 [arm].
+Mat33f mobility_at(const Mobility& body, const Vec3f& arm) {
+  const float cross[3][3] = {{0.0f, -arm.z, arm.y}, {arm.z, 0.0f, -arm.x}, {-arm.y, arm.x, 0.0f}};
+  Mat33f w{};
+  for (int i = 0; i < 3; ++i) {
+    w.m[i][i] = body.linear;
+    for (int k = 0; k < 3; ++k)
+      for (int a = 0; a < 3; ++a)
+        for (int b = 0; b < 3; ++b) w.m[i][k] += cross[a][i] * body.angular.m[a][b] * cross[b][k];
+  }
+  return w;
+}
+
+// The dt with ke w dt^2 + 2 kd w dt = 4, up to which symplectic Euler holds a mode of the inverse
+// mass w.
+float stable_dt(float w, float ke, float kd) {
+  return w > 0.0f ? 4.0f / w / (kd + std::sqrt(kd * kd + 4.0f * ke / w))
+                  : std::numeric_limits<float>::infinity();
 }
 
 struct DofArrays {
@@ -168,28 +188,33 @@ void JointForces::check_covered(const Model& m) {
   check_without_drive(m);
 }
 
-float joint_stable_dt(const Model& m, int32_t joint, float attach_ke) {
-  constexpr float kForEver = std::numeric_limits<float>::infinity();
+float joint_stable_dt(const Model& m, int32_t joint, const JointAttachOptions& attach) {
+  float longest = std::numeric_limits<float>::infinity();
   const JointType type = type_of(m, joint);
-  if (type == JointType::FREE || type == JointType::DISTANCE || attach_ke == 0.0f) return kForEver;
-  const Mobility p = mobility(m, m.joint_parent.data()[joint]);
-  const Mobility c = mobility(m, m.joint_child.data()[joint]);
+  if (type == JointType::FREE || type == JointType::DISTANCE) return longest;
   const Vec2i dims = m.joint_dof_dim.data()[joint];
-  float w = dims.x < 3 ? p.linear + c.linear : 0.0f;
-  const bool holds_rotation = type != JointType::BALL && dims.y < 2;
-  if (holds_rotation) {
-    // Each body by itself, about its own axes: no more than both together.
-    const Transformf frames[2] = {m.joint_X_p.data()[joint], m.joint_X_c.data()[joint]};
-    const Mat33f* const inverse[2] = {&p.angular, &c.angular};
-    for (int side = 0; side < 2; ++side) {
-      Vec3f axis{};
-      if (dims.y == 1)
-        axis = math::rotate(frames[side].q,
-                            m.joint_axis.data()[m.joint_qd_start.data()[joint] + dims.x]);
-      w = std::max(w, largest_along(*inverse[side], axis));
+  const Transformf frames[2] = {m.joint_X_p.data()[joint], m.joint_X_c.data()[joint]};
+  const int32_t bodies[2] = {m.joint_parent.data()[joint], m.joint_child.data()[joint]};
+  for (int side = 0; side < 2; ++side) {
+    // Each body by itself, in its own axes: both together are no more stable.
+    const Mobility body = mobility(m, bodies[side]);
+    if (bodies[side] < 0 || body.linear == 0.0f) continue;
+    if (dims.x == 0) {
+      const Vec3f arm = frames[side].p - m.body_com.data()[bodies[side]];
+      longest = std::min(
+          longest, stable_dt(largest_along(mobility_at(body, arm), {}), attach.ke, attach.kd));
+    } else if (dims.x < 3) {
+      longest = std::min(longest, stable_dt(body.linear, attach.ke, attach.kd));
     }
+    if (type == JointType::BALL || dims.y > 1) continue;
+    Vec3f axis{};
+    if (dims.y == 1)
+      axis = math::rotate(frames[side].q,
+                          m.joint_axis.data()[m.joint_qd_start.data()[joint] + dims.x]);
+    longest = std::min(longest,
+                       stable_dt(largest_along(body.angular, axis), attach.ke, 0.01f * attach.kd));
   }
-  return w > 0.0f ? 2.0f / std::sqrt(attach_ke * w) : kForEver;
+  return longest;
 }
 
 void JointForces::find_sides(const Model& m) {
@@ -215,14 +240,14 @@ void JointForces::prepare(const Model& m, const JointAttachOptions& attach, floa
   const bool known = type_.matches(m.joint_type) && parent_.matches(m.joint_parent) &&
                      child_.matches(m.joint_child) && enabled_.matches(m.joint_enabled) &&
                      mass_.matches(m.body_mass) && inertia_.matches(m.body_inertia) &&
-                     flags_.matches(m.body_flags) && attach_ke_ == attach.ke;
+                     flags_.matches(m.body_flags);
   if (!known) {
     type_.reset();
     find_sides(m);
     stable_dt_ = std::numeric_limits<float>::infinity();
     for (int32_t j = 0; j < m.joint_count(); ++j) {
       if (m.joint_enabled.data()[j] == 0) continue;
-      const float limit = joint_stable_dt(m, j, attach.ke);
+      const float limit = joint_stable_dt(m, j, attach);
       if (limit < stable_dt_) unstable_joint_ = j;
       stable_dt_ = std::min(stable_dt_, limit);
     }
@@ -233,7 +258,6 @@ void JointForces::prepare(const Model& m, const JointAttachOptions& attach, floa
     mass_.set(m.body_mass);
     inertia_.set(m.body_inertia);
     flags_.set(m.body_flags);
-    attach_ke_ = attach.ke;
   }
   require(dt <= stable_dt_, ErrorKind::Value, "SolverSemiImplicit.step: dt: expected at most ",
           stable_dt_, " s: above it joint ", unstable_joint_, " diverges with joint_attach_ke ",

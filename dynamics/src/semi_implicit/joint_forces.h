@@ -34,7 +34,6 @@ class JointForces {
   void find_sides(const Model& model);
 
   ArrayStamp type_, parent_, child_, enabled_, mass_, inertia_, flags_;
-  float attach_ke_ = -1.0f;
   float stable_dt_ = 0.0f;       // s: above it the attachment of a joint diverges by itself
   int32_t unstable_joint_ = -1;  // that joint
   std::vector<int32_t> bodies_;  // of the two sides of every joint; -1: the world, or no force
@@ -42,10 +41,9 @@ class JointForces {
   std::vector<SpatialVectorf> wrenches_;
 };
 
-// The longest stable step of the attachment of one joint between otherwise free bodies, as far as
-// translation along, and rotation about, single directions tell: 2 / sqrt(ke w), w the largest sum
-// of inverse inertias of the two bodies in a direction that the joint holds. Infinite: it holds
-// none.
-float joint_stable_dt(const Model& model, int32_t joint, float attach_ke);
+// The longest stable step of the attachment of one joint, s: of the stiffest direction that it
+// holds of either body by itself, so that a longer step diverges whatever else there is. Infinite:
+// it holds none.
+float joint_stable_dt(const Model& model, int32_t joint, const JointAttachOptions& attach);
 
 }  // namespace novaphy

@@ -37,6 +37,7 @@
 // Freestanding: T = float runs in the forward solver, T = nova::Real can be traced.
 #pragma once
 
+#include "novaphy/dynamics/joint_kinematics_trace.h"
 #include "novaphy/math/functions.h"
 #include "novaphy/math/spatial.h"
 #include "novaphy/math/types.h"
@@ -129,13 +130,6 @@ Vec3<T> rotation_vector(const Quat<T>& r) {
   return {r.x * scale, r.y * scale, r.z * scale};
 }
 
-template <class T>
-T twist_angle(const Quat<T>& r, const Vec3<T>& axis) {
-  using namespace math;
-  const T side = select(r.w < T(0.0f), T(-1.0f), T(1.0f));
-  return T(2.0f) * atan2(dot(axis, Vec3<T>{r.x, r.y, r.z}) * side, r.w * side);
-}
-
 constexpr float kAngularDamping = 0.01f;  // of c
 
 // Two or three perpendicular angular axes: the moment on the parent.
@@ -143,30 +137,17 @@ template <class T>
 Vec3<T> euler_moment(const JointFrames<T>& j, const JointDof<T>* dofs, int count,
                      const JointAttach<T>& attach) {
   using namespace math;
-  const Vec3<T> a0 = dofs[0].axis, a1 = dofs[1].axis, a2 = cross(a0, a1);
-  const Vec3<T> r0 = rotate(j.r, a0), r1 = rotate(j.r, a1), r2 = rotate(j.r, a2);
-  const T m00 = dot(a0, r0), m01 = dot(a0, r1), m02 = dot(a0, r2);
-  const T m12 = dot(a1, r2), m22 = dot(a2, r2);
-  const T least = T(1e-8f);
-  const T cosine = sqrt(max(m00 * m00 + m01 * m01, least));
-  const T q[3] = {atan2(-m12, m22), atan2(m02, cosine), atan2(-m01, m00)};
-  const Vec3<T> e0 = a0, e1 = a1 * cos(q[0]) + a2 * sin(q[0]), e2 = r2;
-  const Vec3<T> n = cross(e1, e2);
-  const T det = dot(e0, n), small = T(1e-4f);
-  const T bounded = select(det < T(0.0f), min(det, -small), max(det, small));
-  const T inverse = T(1.0f) / bounded;
-  const Vec3<T> dual[3] = {n * inverse, cross(e2, e0) * inverse, cross(e0, e1) * inverse};
+  const Vec3<T> axes[3] = {dofs[0].axis, dofs[1].axis, dofs[count - 1].axis};
+  const JointAngles<T> a = joint_angles(j.r, axes, count);
   const Vec3<T> w = rotate_inverse(j.parent.q, j.w);
   Vec3<T> moment{};
   for (int k = 0; k < count; ++k) {
-    // The third axis may be the other one that is perpendicular.
-    const T side = k < 2 ? T(1.0f) : select(dot(dofs[2].axis, a2) < T(0.0f), T(-1.0f), T(1.0f));
-    const T tau = joint_dof_force(dofs[k], q[k] * side, dot(dual[k], w) * side);
-    moment = moment + dual[k] * ((-dofs[k].force - tau) * side);
+    const T tau = joint_dof_force(dofs[k], a.q[k], dot(a.dual[k], w));
+    moment = moment + a.dual[k] * (-dofs[k].force - tau);
   }
   if (count == 2) {
-    const T held = q[2] * attach.ke + (dot(dual[2], w) * attach.kd) * T(kAngularDamping);
-    moment = moment + dual[2] * held;
+    const T held = a.q[2] * attach.ke + (dot(a.dual[2], w) * attach.kd) * T(kAngularDamping);
+    moment = moment + a.dual[2] * held;
   }
   return rotate(j.parent.q, moment);
 }
@@ -180,7 +161,7 @@ Vec3<T> angular_moment(const JointFrames<T>& j, const JointDof<T>* dofs, int cou
   if (count == 0)
     return rotate(j.parent.q, rotation_vector(j.r)) * attach.ke + (j.w * attach.kd) * share;
   const Vec3<T> a_p = rotate(j.parent.q, dofs[0].axis), a_c = rotate(j.child.q, dofs[0].axis);
-  const T q = twist_angle(j.r, dofs[0].axis), qd = dot(j.w, a_p);
+  const T q = joint_angles(j.r, &dofs[0].axis, 1).q[0], qd = dot(j.w, a_p);
   const T tau = joint_dof_force(dofs[0], q, qd);
   return a_p * (-dofs[0].force - tau) +
          (cross(a_p, a_c) * attach.ke + ((j.w - a_p * qd) * attach.kd) * share);

@@ -1,0 +1,26 @@
+// Bodies from joint coordinates, and joint coordinates from bodies (joint_kinematics_trace.h).
+#pragma once
+
+#include "novaphy/core/device_array.h"
+#include "novaphy/core/sim/model.h"
+#include "novaphy/core/sim/sim_state.h"
+#include "novaphy/dynamics/export.h"
+
+namespace novaphy {
+
+// Poses and velocities, body_q and body_qd, of the children of all joints of articulations; other
+// bodies stay as they are. Quaternions in joint_q are made unit. Arrays: joint_q {coordinates},
+// joint_qd {degrees of freedom}; those of `state` itself may be given.
+// ErrorKind::Value: rows that are not the model's, a state of another model, a quaternion of length
+// 0; ErrorKind::NotImplemented: a model on another device than the CPU. On a tape it raises.
+NOVAPHY_DYNAMICS_API void eval_fk(const Model& model, const DeviceArray<float>& joint_q,
+                                  const DeviceArray<float>& joint_qd, SimState& state);
+
+// Coordinates and rates of all joints, from body_q and body_qd. What the bodies do besides what
+// their joint allows is left out. Angles are those in [-pi, pi]: turns are not counted.
+// Errors as eval_fk; ErrorKind::NotImplemented, naming the joint: a D6 whose axes are not
+// perpendicular.
+NOVAPHY_DYNAMICS_API void eval_ik(const Model& model, const SimState& state,
+                                  DeviceArray<float> joint_q, DeviceArray<float> joint_qd);
+
+}  // namespace novaphy

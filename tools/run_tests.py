@@ -409,7 +409,9 @@ def python() -> None:
     interpreter = wheel_python()
     # Not from the repository: its python/ folder must not shadow the installed package.
     with tempfile.TemporaryDirectory() as folder:
-        run("stubs", interpreter, "-m", "mypy.stubtest", "novaphy", "--concise", cwd=Path(folder))
+        settings = f"--mypy-config-file={ROOT / 'pyproject.toml'}"
+        stubtest = [interpreter, "-m", "mypy.stubtest", "novaphy", "--concise", settings]
+        run("stubs", *stubtest, cwd=Path(folder))
     pytest("python", interpreter, "tests/python")
 
 

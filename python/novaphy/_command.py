@@ -117,29 +117,25 @@ def check(args: argparse.Namespace) -> int:
 
 def bench(args: argparse.Namespace) -> int:
     """Measure an iteration of a demo, or a frame of one without iterations."""
-    from . import viewer
+    from unittest import mock
+
+    from .viewer import Stage
 
     path = find_demo(args.demo)
     if args.count < 4:
         raise ValueError(f"bench, --count: expected a number >= 4, got {args.count}")
     times: list[float] = []
 
-    class Timed(viewer.Stage):
-        """Notes when an iteration or a frame ends, and shows nothing."""
+    def note(*_: object, **__: object) -> None:
+        times.append(time.perf_counter())
 
-        def iteration(self, *_: object, **__: object) -> None:
-            times.append(time.perf_counter())
-
-        def show(self, *_: object, **__: object) -> None:
-            times.append(time.perf_counter())
-
-    stage, viewer.Stage = viewer.Stage, Timed  # type: ignore[misc]
     said = io.StringIO()
-    try:
-        with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
-            start_demo(path, ["--headless", str(args.count), *args.options])
-    finally:
-        viewer.Stage = stage  # type: ignore[misc]
+    with (
+        mock.patch.multiple(Stage, iteration=note, show=note),
+        contextlib.redirect_stdout(said),
+        contextlib.redirect_stderr(said),
+    ):
+        start_demo(path, ["--headless", str(args.count), *args.options])
     if len(times) < 4:
         raise ValueError(f"bench: the demo stopped early: {said.getvalue().strip()}")
     each = np.diff(times)[1:]  # the first may record a capture, and the second make kernels
@@ -214,7 +210,7 @@ def view(args: argparse.Namespace) -> int:
     ending = Path(args.file).suffix.lower()
     if ending == ".urdf":
         builder = novaphy.ModelBuilder()
-        builder.add_urdf(args.file)
+        builder.add_urdf(args.file)  # type: ignore[attr-defined]
         model = builder.finalize()
         with Stage(args, model) as stage:
             stage.show(0.0, model.state())

@@ -271,6 +271,11 @@ state = model.state()
 frame = show(viewer, state)
 assert frame.shape == (240, 320, 3) and len(np.unique(frame.reshape(-1, 3), axis=0)) > 50
 window, key = viewer._window, viewer._window.key
+screens, flip = [], window.window.flip
+window.window.flip = lambda: (screens.append(viewer._context.screen.read(alignment=1)), flip())
+viewer._drawn_at = 0.0
+frame = show(viewer, state)
+assert np.array_equal(np.frombuffer(screens[0], np.uint8).reshape(240, 320, 3)[::-1], frame)
 window.on_key_press(key.SPACE, 0)
 assert viewer.is_paused() and not viewer.should_step() and viewer.is_key_down("space")
 window.on_key_press(key.N, 0)

@@ -8,7 +8,7 @@ import numpy as np
 
 from . import _shaders
 from ._camera import FIELD_OF_VIEW, Camera
-from ._scene import Instances, Lines, Mesh, Part, Scene
+from ._scene import Instances, Lines, Mesh, Part, Scene, f32
 
 HAZE = (0.93, 0.945, 0.96)
 LIGHT = (0.35, -0.45, 1.0)  # towards it; x, y around the upward axis
@@ -36,9 +36,9 @@ class Renderer:
         self.overlay_program = program(
             header + _shaders.OVERLAY_VERTEX, header + _shaders.OVERLAY_FRAGMENT
         )
-        quad = np.float32([(0, -1), (0, 1), (1, -1), (1, 1)])
+        quad = f32([(0, -1), (0, 1), (1, -1), (1, 1)])
         self.line_quad = context.buffer(quad.tobytes())
-        square = context.buffer(np.float32([(0, 0), (1, 0), (0, 1), (1, 1)]).tobytes())
+        square = context.buffer(f32([(0, 0), (1, 0), (0, 1), (1, 1)]).tobytes())
         self.overlay_array = context.vertex_array(self.overlay_program, square, "corner")
         self.overlay_texture: Any = None
         self.shadow = context.depth_texture((SHADOW_SIZE, SHADOW_SIZE))

@@ -56,7 +56,8 @@ class Window:
     def show(self, renderer: Renderer) -> None:
         """Bring the picture to the screen and handle what happened since the last one."""
         self.window.switch_to()
-        screen = self.context.detect_framebuffer()
+        self.context.screen.use()
+        screen = self.context.detect_framebuffer()  # its size now, which the user may have changed
         self.context.copy_framebuffer(screen, renderer.resolved)
         self.window.flip()
         self.window.dispatch_events()
@@ -191,7 +192,7 @@ class Drag:
         """Keep a candidate in the middle."""
         found = self.candidates()
         if number < len(found):
-            self.viewer.camera.target = np.float64(found[number][2])
+            self.viewer.camera.target = np.asarray(found[number][2], np.float64)
 
     def apply(self, state: SimState) -> None:
         """Add m (w² (goal - x) - 2 w v) to the forces of what is held, w = DRAG_RATE."""
@@ -207,7 +208,7 @@ class Drag:
         x, v = place.numpy()[k, :3], velocity.numpy()[k, :3]
         pull = DRAG_RATE**2 * (self.goal - x) - 2.0 * DRAG_RATE * v
         rows = force.numpy()
-        rows[k, :3] += np.float32(float(mass.numpy()[k]) * pull)
+        rows[k, :3] += float(mass.numpy()[k]) * pull
         force.assign(rows)
 
 

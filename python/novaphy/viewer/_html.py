@@ -16,7 +16,7 @@ from . import _shaders
 from ._base import ArrayLike
 from ._camera import FIELD_OF_VIEW
 from ._gl_renderer import HAZE, LIGHT, REACH
-from ._scene import Instances, Lines
+from ._scene import Instances, Lines, f32
 from ._scene_viewer import SceneViewer
 
 MESH_FIELDS = ("points", "shift", "indices")
@@ -88,7 +88,7 @@ class ViewerHTML(SceneViewer):
         track = self._tracks.setdefault(key, _Track())
         if track.seen != value:
             track.seen = value
-            self._store(frame, track, np.float32([value]))
+            self._store(frame, track, f32([value]))
 
     def _store(self, frame: int, track: _Track, values: np.ndarray) -> None:
         data = np.ascontiguousarray(values).tobytes()

@@ -11,7 +11,7 @@ import numpy as np
 
 from .._core import Contacts, GeoType, JointType, Model, ParticleFlags, ShapeFlags
 from ._primitives import add_primitive
-from ._scene import CHECKER, IDENTITY, Instances, Scene, compose, rotate
+from ._scene import CHECKER, IDENTITY, Instances, Scene, compose, f32, rotate
 
 MODEL_FIELDS = (
     "particle_radius",
@@ -43,7 +43,7 @@ MODEL_FIELDS = (
     "mesh_vertices",
     "mesh_indices",
 )
-PALETTE = np.float32(
+PALETTE = f32(
     [
         (0.16, 0.44, 0.72),
         (0.90, 0.45, 0.13),
@@ -197,7 +197,7 @@ class ModelScene:
             scales[:, :3] = radius[self.shown, None]
             item.scales.set(scales)
             held = self.get("particle_inv_mass", 0)[self.shown, None] == 0.0
-            colors = np.where(held, np.float32(STATIC_COLOR), np.float32(PARTICLE_COLOR))
+            colors = np.where(held, f32(STATIC_COLOR), f32(PARTICLE_COLOR))
             item.colors.set(np.pad(colors, ((0, 0), (0, 1))))
             self.scene.instances["model/particles"] = item
 
@@ -237,9 +237,9 @@ class ModelScene:
         half = (0.5 * JOINT_SIZE) * rotate(frame[:, 3:], axes)
         if self.offsets.any():
             at = at + self._shift("body_world", child)
-        colors = np.tile(np.float32(JOINT_COLOR), (len(at), 1))
-        ends = np.float32(at + half)
-        self.scene.put_lines(name, np.float32(at - half), ends, colors, JOINT_WIDTH)
+        colors = np.tile(f32(JOINT_COLOR), (len(at), 1))
+        ends = f32(at + half)
+        self.scene.put_lines(name, f32(at - half), ends, colors, JOINT_WIDTH)
 
     def _update_particles(self, q: np.ndarray) -> None:
         if self.offsets.any():
@@ -251,14 +251,14 @@ class ModelScene:
         if len(self.triangles):
             self.scene.put_mesh("model/surface", q.copy(), self.triangles)
             if "model/surface" not in self.scene.instances:
-                color = np.float32([[*SURFACE_COLOR, 0]])
+                color = f32([[*SURFACE_COLOR, 0]])
                 item = self.scene.put_instances(
                     "model/surface", "model/surface", IDENTITY[None], None, color
                 )
                 item.culled = False
         springs = self.get("spring_indices", 2).reshape(-1, 2)
         if len(springs):
-            colors = np.tile(np.float32(SPRING_COLOR), (len(springs), 1))
+            colors = np.tile(f32(SPRING_COLOR), (len(springs), 1))
             width = 0.004 * float(np.ptp(q, axis=0).max())
             self.scene.put_lines("model/springs", q[springs[:, 0]], q[springs[:, 1]], colors, width)
 
@@ -278,7 +278,7 @@ def energy(arrays: Mapping[str, np.ndarray], state: Mapping[str, np.ndarray]) ->
         centre = pose[:, :3] + rotate(pose[:, 3:], arrays["body_com"])
         mass = arrays["body_mass"]
         total += _energy_of_points(arrays, "body_world", mass, centre, twist[:, :3])
-        inverse = pose[:, 3:] * np.float32([-1, -1, -1, 1])
+        inverse = pose[:, 3:] * f32([-1, -1, -1, 1])
         spin = rotate(inverse, twist[:, 3:])
         inertia = arrays["body_inertia"].reshape(-1, 3, 3)
         total += 0.5 * float(np.einsum("ni,nij,nj", spin, inertia, spin, dtype=np.float64))
@@ -310,16 +310,16 @@ def contact_segments(
         local[:, :3] = contacts.rigid_contact_point0.numpy()[:count]
         local[:, :3] += contacts.rigid_contact_offset0.numpy()[:count]
         points.append(compose(pose, local)[:, :3])
-        normal = contacts.rigid_contact_normal.numpy()[:count] * np.float32(NORMAL_LENGTH)
+        normal = contacts.rigid_contact_normal.numpy()[:count] * f32(NORMAL_LENGTH)
         force = contacts.rigid_contact_force.numpy()
         if len(force) >= count and np.any(force[:count]):
-            normal = force[:count, :3] * np.float32(FORCE_SCALE)
+            normal = force[:count, :3] * f32(FORCE_SCALE)
         arrows.append(normal)
     count = min(contacts.active_soft_contact_count, contacts.soft_contact_max)
     if count:
         particle = contacts.soft_contact_particle.numpy()[:count]
         points.append(particle_q[particle])
-        arrows.append(contacts.soft_contact_normal.numpy()[:count] * np.float32(NORMAL_LENGTH))
+        arrows.append(contacts.soft_contact_normal.numpy()[:count] * f32(NORMAL_LENGTH))
     starts = np.concatenate(points)
     return starts, starts + np.concatenate(arrows)
 

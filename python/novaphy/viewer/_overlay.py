@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import struct
 import zlib
 from collections.abc import Sequence
@@ -10,7 +9,8 @@ from importlib import resources
 
 import numpy as np
 
-from ._scene import Scene
+from ._base import ArrayLike
+from ._scene import Scene, f32
 
 INK, CURVE = (0.13, 0.15, 0.19), (0.16, 0.44, 0.72)
 PAPER = (1.0, 1.0, 1.0, 0.72)
@@ -18,8 +18,7 @@ MARGIN = 8  # pixels
 CURVE_SIZE = (72, 216)  # pixels: height, width
 
 
-@functools.cache
-def glyphs() -> np.ndarray:
+def _glyphs() -> np.ndarray:
     """Grey values {95, height, width} of the printable ASCII characters."""
     data = resources.files(__package__).joinpath("assets/font.bin").read_bytes()
     height, width = struct.unpack_from("<II", data)
@@ -27,22 +26,24 @@ def glyphs() -> np.ndarray:
     return values.astype(np.float32) / 255.0
 
 
+FONT = _glyphs()
+
+
 def text_coverage(lines: Sequence[str]) -> np.ndarray:
     """How much {h, w} of each pixel a text covers; other characters show as a question mark."""
-    font = glyphs()
-    _, height, width = font.shape
+    _, height, width = FONT.shape
     columns = max(map(len, lines), default=0)
     out = np.zeros((len(lines) * height, columns * width), np.float32)
     for row, line in enumerate(lines):
         for column, letter in enumerate(line):
             code = ord(letter) - 32
-            glyph = font[code if 0 <= code < len(font) else ord("?") - 32]
+            glyph = FONT[code if 0 <= code < len(FONT) else ord("?") - 32]
             y, x = row * height, column * width
             out[y : y + height, x : x + width] = glyph
     return out
 
 
-def curve_coverage(values: Sequence[float]) -> np.ndarray:
+def curve_coverage(values: ArrayLike) -> np.ndarray:
     """A curve of values, on a logarithmic scale where all are positive, as coverage {h, w}."""
     height, width = CURVE_SIZE
     y = np.asarray(values, np.float64)
@@ -56,10 +57,10 @@ def curve_coverage(values: Sequence[float]) -> np.ndarray:
     return np.clip(1.6 - away, 0.0, 1.0).astype(np.float32)
 
 
-def curve_picture(values: Sequence[float]) -> np.ndarray:
+def curve_picture(values: ArrayLike) -> np.ndarray:
     """A curve of values on white {h, w, 3}, uint8."""
     coverage = curve_coverage(values)[..., None]
-    return np.round(255.0 * (1.0 - coverage * (1.0 - np.float32(CURVE)))).astype(np.uint8)
+    return np.round(255.0 * (1.0 - coverage * (1.0 - f32(CURVE)))).astype(np.uint8)
 
 
 def overlay(scene: Scene, lines: Sequence[str], curve: str | None) -> np.ndarray:
@@ -75,7 +76,7 @@ def overlay(scene: Scene, lines: Sequence[str], curve: str | None) -> np.ndarray
     for name, pixels in scene.images.items():
         blocks.append(_inked(text_coverage([name]), INK))
         opaque = np.ones((*pixels.shape[:2], 1), np.float32)
-        blocks.append(np.dstack([pixels / np.float32(255.0), opaque]))
+        blocks.append(np.dstack([pixels / 255.0, opaque]))
     width = max(block.shape[1] for block in blocks)
     height = sum(block.shape[0] for block in blocks) + MARGIN * (len(blocks) + 1)
     box = np.empty((height, width + 2 * MARGIN, 4), np.float32)
@@ -92,4 +93,4 @@ def overlay(scene: Scene, lines: Sequence[str], curve: str | None) -> np.ndarray
 
 def _inked(coverage: np.ndarray, color: Sequence[float]) -> np.ndarray:
     """A colour where a text or a curve covers {h, w, 4}."""
-    return np.dstack([np.broadcast_to(np.float32(color), (*coverage.shape, 3)), coverage])
+    return np.dstack([np.broadcast_to(f32(color), (*coverage.shape, 3)), coverage])

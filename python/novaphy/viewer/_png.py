@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import struct
 import zlib
 
@@ -22,7 +23,7 @@ def png_bytes(pixels: np.ndarray) -> bytes:
     return out
 
 
-def write_png(path: str, pixels: np.ndarray) -> None:
+def write_png(path: str | os.PathLike[str], pixels: np.ndarray) -> None:
     """Write a picture {h, w, 3}, uint8."""
     with open(path, "wb") as file:
         file.write(png_bytes(pixels))

@@ -97,7 +97,8 @@ def write_archive(
         "up_axis": up_axis,
     }
     # Not compressed: with auto_save this runs in between frames.
-    np.savez(file, header=_text(header), **arrays, **{f"model/{k}": v for k, v in model.items()})
+    arrays |= {"header": _text(header)} | {f"model/{k}": v for k, v in model.items()}
+    np.savez(file, **arrays)
 
 
 def read(source: str) -> Recording:
@@ -119,7 +120,8 @@ def _text(value: Any) -> np.ndarray:
 
 def _write_chunk(file: BinaryIO, arrays: Mapping[str, np.ndarray]) -> None:
     content = io.BytesIO()
-    np.savez(content, **arrays)
+    everything: dict[str, Any] = dict(arrays)
+    np.savez(content, **everything)
     data = content.getbuffer()
     file.write(struct.pack("<II", len(data), zlib.crc32(data)))
     file.write(data)

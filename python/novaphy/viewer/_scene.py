@@ -16,6 +16,11 @@ GREY = (0.62, 0.64, 0.67)
 CHECKER = 1.0  # the fourth number of a colour: the surface has a checker pattern
 
 
+def f32(values: Any) -> np.ndarray:
+    """An array of float32."""
+    return np.array(values, np.float32)
+
+
 def as_array(value: Any, width: int, name: str, dtype: Any = np.float32) -> np.ndarray:
     """Rows {n, width} of a DeviceArray, Tensor, array or sequence; ValueError for another shape."""
     numbers = value.numpy() if hasattr(value, "numpy") else np.asarray(value)
@@ -145,8 +150,8 @@ class Instances:
         self.culled = True
         self.poses = Part(np.tile(IDENTITY, (count, 1)))
         self.local = Part(np.tile(IDENTITY, (count, 1)))
-        self.scales = Part(np.tile(np.float32([1, 1, 1, 0]), (count, 1)))
-        self.colors = Part(np.tile(np.float32([*GREY, 0]), (count, 1)))
+        self.scales = Part(np.tile(f32([1, 1, 1, 0]), (count, 1)))
+        self.colors = Part(np.tile(f32([*GREY, 0]), (count, 1)))
 
     @property
     def count(self) -> int:

@@ -21,7 +21,7 @@ from ._model_scene import (
     shape_scales,
 )
 from ._primitives import add_primitive
-from ._scene import GREY, IDENTITY, Scene, as_array, per_row
+from ._scene import GREY, IDENTITY, Scene, as_array, f32, per_row
 
 HISTORY = 2000  # values of a scalar that are kept
 SHOWN_SCALARS = 6
@@ -234,7 +234,7 @@ class SceneViewer(Viewer):
         poses = np.concatenate([last - axis * size, _turns_of_z(axis)], axis=1)
         add_primitive(self.scene, "cone")
         scales = np.concatenate([0.5 * size, 0.5 * size, size, 0.0 * size], axis=1)
-        self.scene.put_instances(heads, "cone", np.float32(poses), scales, shades, hidden)
+        self.scene.put_instances(heads, "cone", f32(poses), scales, shades, hidden)
 
     def _put_lines(
         self,

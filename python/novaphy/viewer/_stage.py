@@ -18,6 +18,7 @@ import numpy as np
 from .._core import Contacts, Model, SimState
 from ._base import ArrayLike, Viewer
 from ._needs import MissingPackageError
+from ._scene import f32
 from ._video import CODECS
 
 if TYPE_CHECKING:
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
 
 EARLIER = 32  # paths of earlier iterations that stay
 PATH_POINTS = 241  # of a path that are drawn
-OLDEST, RECENT = np.float32([0.80, 0.84, 0.89]), np.float32([0.33, 0.53, 0.78])
+OLDEST, RECENT = f32([0.80, 0.84, 0.89]), f32([0.33, 0.53, 0.78])
 PRESENT, TARGET = (0.84, 0.25, 0.10), (0.80, 0.08, 0.15)
 RECORDED_SIZE = (960, 540)
 ENDINGS = (".html", ".nprec", ".png", *CODECS)

@@ -54,7 +54,7 @@ class Video:
         """Add a frame {h, w, 3}, uint8."""
         assert self._process.stdin is not None
         try:
-            self._process.stdin.write(frame)
+            self._process.stdin.write(frame.tobytes())
         except BrokenPipeError:
             self.close()
 

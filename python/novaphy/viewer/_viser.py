@@ -14,7 +14,7 @@ from ._camera import FIELD_OF_VIEW
 from ._model_scene import INFINITE
 from ._needs import needs
 from ._overlay import curve_picture
-from ._scene import CHECKER, Instances, Lines, compose
+from ._scene import CHECKER, Instances, Lines, compose, f32
 from ._scene_viewer import SceneViewer
 
 SEND_RATE = 30.0  # frames per second that are sent at most
@@ -88,7 +88,7 @@ class ViewerViser(SceneViewer):
         self._pause_box.on_update(lambda _: self.pause(bool(self._pause_box.value)))
         step.on_click(lambda _: self.step_once())
         reset.on_click(lambda _: setattr(self, "reset_requested", True))
-        self._scrubber.on_update(lambda event: event.client and self._scrub())
+        self._scrubber.on_update(lambda event: self._scrub() if event.client else None)
 
     def add_slider(
         self,
@@ -269,7 +269,7 @@ class ViewerViser(SceneViewer):
             rows = np.flatnonzero(ratios == ratio)
             handle = scene.add_batched_meshes_simple(
                 f"{name}/{number}",
-                mesh.points.values + shift * np.float32([0.0, 0.0, ratio]),
+                mesh.points.values + shift * f32([0.0, 0.0, ratio]),
                 mesh.indices.values, _wxyz(poses[rows]), poses[rows, :3],
                 batched_scales=scales[rows, :3], batched_colors=colors[rows],
                 side="front" if item.culled else "double",

@@ -130,3 +130,30 @@ def test_the_text_has_curves_and_images(tmp_path):
     assert rows[0] < rows[-1]  # it falls
     assert text_coverage(["a", "bc"]).shape == (34, 16)
     assert np.array_equal(text_coverage(["²"]), text_coverage(["?"]))
+
+
+def test_contacts_are_points_with_a_normal():
+    builder = novaphy.ModelBuilder()
+    builder.add_ground_plane()
+    body = builder.add_body(xform=((0.0, 0.0, 0.099), (0.0, 0.0, 0.0, 1.0)), mass=1.0)
+    only_shapes = novaphy.ShapeConfig(has_particle_collision=False)
+    builder.add_shape_box(body, hx=0.1, hy=0.2, hz=0.1, cfg=only_shapes)
+    builder.add_particle(pos=(1.0, 0.0, 0.05), vel=(0.0, 0.0, 0.0), mass=1.0, radius=0.1)
+    model = builder.finalize()
+    state = model.state()
+    pipeline = novaphy.CollisionPipeline(model)
+    contacts = pipeline.contacts()
+    pipeline.collide(state, contacts)
+    with novaphy.ViewerHTML(None) as viewer:
+        with pytest.raises(ValueError, match="set_model"):
+            viewer.log_contacts(contacts, state)
+        viewer.set_model(model)
+        viewer.log_contacts(contacts, state)
+        points = viewer.scene.instances["contacts/points"].poses.values[:, :3]
+        lines = viewer.scene.lines["contacts/arrows"]
+        normals = (lines.ends.values - lines.starts.values) / 0.1
+        np.testing.assert_array_equal(points, lines.starts.values)
+        corners = sorted(tuple(np.round(p, 4)) for p in points[:4])
+        assert corners == [(x, y, 0.0) for x in (-0.1, 0.1) for y in (-0.2, 0.2)]
+        np.testing.assert_allclose(points[4:], [[1.0, 0.0, 0.05]], atol=1e-6)
+        np.testing.assert_allclose(normals, np.tile([0.0, 0.0, 1.0], (5, 1)), atol=1e-6)

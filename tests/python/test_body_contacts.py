@@ -482,3 +482,69 @@ def test_contacts_of_particles_with_bodies_have_the_bits_and_derivatives(shape):
     found = nova.gradcheck(step, leaves, epsilon=1e-3, rtol=2e-2, atol=2e-3)
     assert found.ok, found.worst
     assert found.dot_product_error < 1e-4
+
+
+def surfaces(mu):
+    return novaphy.ShapeConfig(ke=1e4, kd=0.0, kf=500.0, mu=mu)
+
+
+@pytest.mark.parametrize("mu", [0.0, 0.5])
+def test_the_angular_momentum_changes_by_what_acts_at_two_points(mu):
+    """Force and counterforce act at the two surfaces, which are a depth apart."""
+    model = make_model(
+        ("box", (0, 0, 1, *IDENTITY), (1.0, 0, 0, 0, 0, 0)),
+        ("box", (0.28, 0.06, 1.03, *TURNED), (-1.0, 0, 0, 1.0, 0, 2.0)),
+        ground=False,
+        gravity=(0, 0, 0),
+        surface=surfaces(mu),
+    )
+    pipeline = novaphy.CollisionPipeline(model)
+    solver = solvers.SolverSemiImplicit(model, angular_damping=0.0)
+    contacts, state, after = pipeline.contacts(), model.state(), model.state()
+    mass = model.body_mass.numpy().astype(float)
+    inertia = model.body_inertia.numpy().astype(float)[0, 0, 0]  # of a cube, about any axis
+
+    def angular(at):
+        q, qd = at.body_q.numpy().astype(float), at.body_qd.numpy().astype(float)
+        orbital = np.cross(q[:, :3], mass[:, None] * qd[:, :3])
+        return (orbital + inertia * qd[:, 3:]).sum(0)
+
+    start, moments, touched = angular(state), np.zeros(3), 0
+    for _ in range(200):
+        pipeline.collide(state, contacts)
+        solver.step(state, after, None, contacts, DT)
+        q = state.body_q.numpy().astype(float)
+        for row in contacts.rigid_contacts():
+            f = row["force"].astype(float)
+            ends = [
+                rotation(q[b, 3:]) @ row[f"point{b}"].astype(float) + q[b, :3] for b in range(2)
+            ]
+            moments += DT * np.cross(ends[1] - ends[0], f)
+            touched += bool(f.any())
+        state, after = after, state
+    assert touched > 20
+    np.testing.assert_allclose(angular(state) - start, moments, atol=2e-5)
+    assert np.abs(angular(state) - start).max() < (2e-5 if mu == 0 else 1.0)
+
+
+def test_ten_aligned_cubes_stand_for_ten_seconds():
+    cfg = novaphy.ShapeConfig(ke=2e5, kd=300.0, kf=200.0, mu=0.5)
+    builder = novaphy.ModelBuilder()
+    builder.add_ground_plane(cfg=cfg)
+    for k in range(10):
+        body = builder.add_body(xform=(0, 0, 0.1 + 0.2 * k, *IDENTITY))
+        builder.add_shape_box(body, hx=0.1, hy=0.1, hz=0.1, cfg=cfg)
+    model = builder.finalize()
+    assert np.allclose(model.body_mass.numpy(), 8.0)
+    pipeline = novaphy.CollisionPipeline(model, contacts_per_pair=4)
+    contacts, state, after = pipeline.contacts(), model.state(), model.state()
+    solver = solvers.SolverSemiImplicit(model)
+    for _ in range(9600):
+        pipeline.collide(state, contacts)
+        solver.step(state, after, None, contacts, DT)
+        state, after = after, state
+    q = state.body_q.numpy()
+    assert np.abs(q[:, :2]).max() < 1e-5 and np.abs(state.body_qd.numpy()).max() < 1e-4
+    # Each interface of four points carries what lies above it.
+    sunk = np.cumsum([(10 - k) * 8.0 * 9.81 / (4 * 2e5) for k in range(10)])
+    np.testing.assert_allclose(q[:, 2], 0.1 + 0.2 * np.arange(10) - sunk, atol=2e-5)

@@ -75,6 +75,25 @@ def test_the_dropped_dice_come_to_rest(tmp_path):
     assert len(flags) == 2 or (tmp_path / "drop.png").stat().st_size > 10_000
 
 
+@pytest.mark.parametrize("scene", ["stack", "dominoes", "cloth"])
+def test_the_scenes_of_rigid_bodies_end_as_they_should(scene):
+    script = DEMOS.parent / "demo_rigid_scenes.py"
+    done = subprocess.run(
+        [sys.executable, str(script), scene, "--headless", "150"],
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
+    assert done.returncode == 0 and done.stdout.rstrip().endswith("ok"), done.stdout + done.stderr
+
+
+def test_a_box_is_pushed_to_its_mark_and_a_drone_flown_to_its_waypoint():
+    pytest.importorskip("novaphy.diff")
+    for name in ("push", "drone"):
+        done = demo(name, "--headless", "100", "--check-grad")
+        assert done.returncode == 0 and done.stdout.rstrip().endswith("ok"), done.stdout
+
+
 def test_the_die_is_trained_to_land_on_its_face():
     pytest.importorskip("novaphy.diff")
     done = demo("dice", "--headless", "4", "--starts", "1", "--check-grad")

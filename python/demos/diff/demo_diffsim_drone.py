@@ -1,0 +1,198 @@
+"""Fly a drone to a waypoint, where it hovers.
+
+A drone of 1.2 kg hangs in the air, held by four rotors that turn in turn left and right. Optimised
+are four commands over 1.5 s (lift, roll, pitch, yaw; 9 values of each, linear in between), which
+make the thrust of each rotor. At the end the drone has to be at the
+waypoint, upright and at rest. What the rotors do follows the pose: a kernel of this file turns the
+thrusts into the wrench on the body in every one of the 300 substeps, and its adjoint is generated,
+as that of the engine's own kernels is.
+
+    python demo_diffsim_drone.py
+    python demo_diffsim_drone.py --headless 100 --plot drone.png --record drone.html
+    python demo_diffsim_drone.py --headless 0 --check-grad
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from demo_common import (
+    check_gradient,
+    loss_figure,
+    make_parser,
+    parse,
+    progress,
+    run,
+    save_figure,
+    verdict,
+)
+
+import novaphy
+from novaphy import diff, nova, viewer
+
+FPS, SUBSTEPS, FRAMES = 50, 4, 75
+STEPS, DT = SUBSTEPS * FRAMES, 1.0 / (FPS * SUBSTEPS)
+HALF = (0.1, 0.1, 0.03)  # m
+MASS, GRAVITY = 1.2, 9.81
+ARM = 0.15  # m, along x and y
+SENSES = (1.0, -1.0, 1.0, -1.0)  # of the rotors, going round
+DRAG = 0.02  # m: moment about the axis per thrust
+KNOTS = 9
+# N: what a unit of lift, roll, pitch and yaw adds to the thrust of each rotor
+MIX = np.float32(
+    [[1, 1, 1, 1], [0.1, 0.1, -0.1, -0.1], [-0.1, 0.1, 0.1, -0.1], [0.1, -0.1, 0.1, -0.1]]
+)
+START, WAYPOINT = (0.0, 0.0, 1.0), (0.8, 0.4, 1.5)  # m
+LEARNING_RATE = 0.2  # of the commands
+STILL, UPRIGHT = 0.05, 0.2
+
+
+def build_model(device: str) -> novaphy.Model:
+    """The drone over the ground, which it does not touch."""
+    builder = novaphy.ModelBuilder(gravity=(0.0, 0.0, -GRAVITY))
+    builder.add_ground_plane()
+    density = MASS / (8.0 * HALF[0] * HALF[1] * HALF[2])
+    body = builder.add_body(xform=(START, (0.0, 0.0, 0.0, 1.0)))
+    look = novaphy.ShapeConfig(density=density)
+    builder.add_shape_box(body, hx=HALF[0], hy=HALF[1], hz=HALF[2], cfg=look)
+    return builder.finalize(device, requires_grad=True)
+
+
+def rotor_wrench(c: nova.TraceContext) -> list[nova.Real]:
+    """Force and moment of the four rotors, about the centre of mass, in the world frame."""
+    thrust = [c.f32("thrust", k) for k in range(4)]
+    places = [(ARM, ARM), (-ARM, ARM), (-ARM, -ARM), (ARM, -ARM)]
+    lift, moment = nova.Real(0.0), [nova.Real(0.0)] * 3
+    for t, (x, y), sense in zip(thrust, places, SENSES, strict=True):
+        lift = lift + t
+        moment = [moment[0] + y * t, moment[1] - x * t, moment[2] + (sense * DRAG) * t]
+    x, y, z, w = (c.f32("body_q", k) for k in range(3, 7))
+    turn = [
+        [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - z * w), 2.0 * (x * z + y * w)],
+        [2.0 * (x * y + z * w), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - x * w)],
+        [2.0 * (x * z - y * w), 2.0 * (y * z + x * w), 1.0 - 2.0 * (x * x + y * y)],
+    ]
+    return [row[2] * lift for row in turn] + [
+        row[0] * moment[0] + row[1] * moment[1] + row[2] * moment[2] for row in turn
+    ]
+
+
+def interpolation() -> np.ndarray:
+    """What each knot adds to the thrusts of each substep, {steps, knots}."""
+    at = np.linspace(0.0, KNOTS - 1.0, STEPS)[:, None]
+    return np.maximum(0.0, 1.0 - np.abs(at - np.arange(KNOTS))).astype(np.float32)
+
+
+class Drone:
+    """The flight, its loss and the thrusts that are optimised."""
+
+    def __init__(self, device: str) -> None:
+        self.model = build_model(device)
+        config = novaphy.solvers.DiffSolverConfig(enable_rigid_contacts=False)
+        self.solver = novaphy.solvers.DiffSemiImplicitSolver(self.model, config)
+        self.states = [self.model.state() for _ in range(STEPS + 1)]
+        self.rotors = nova.make_indexed_kernel(
+            "rotor_wrench",
+            [("body_q", nova.float32, 7), ("thrust", nova.float32, 4)],
+            6,
+            rotor_wrench,
+        )
+        self.commands = nova.zeros((KNOTS, 4), device=device, requires_grad=True)
+        self.optimizer = nova.optim.Adam([self.commands], lr=LEARNING_RATE)
+        self.basis = nova.tensor(interpolation(), device=device)
+        self.mix = nova.tensor(MIX, device=device)
+        goal, weights = np.float32([[*WAYPOINT, 0, 0, 0, 0]]), [[1, 1, 1, UPRIGHT, UPRIGHT, 0, 0]]
+        self.goal = nova.tensor(goal, device=device)
+        self.weights = nova.tensor(np.float32(weights), device=device)
+
+    def thrusts(self) -> nova.Tensor:
+        """Of each rotor in each substep, {steps, 4}: those that hover, and the commands."""
+        return (self.basis @ self.commands) @ self.mix + MASS * GRAVITY / 4.0
+
+    def forward(self) -> nova.Tensor:
+        """Fly; the squared distance from the waypoint, and what still tilts and moves, {1}."""
+        thrusts = self.thrusts()
+        for t, (state, after) in enumerate(zip(self.states, self.states[1:], strict=False)):
+            (wrench,) = self.rotors(1, [diff.state_body_q_tensor(state), thrusts[t : t + 1]])
+            diff.state_body_f_tensor(state).copy_(wrench)
+            self.solver.step(state, after, None, None, DT)
+        away = diff.state_body_q_tensor(self.states[-1]) - self.goal
+        twist = diff.state_body_qd_tensor(self.states[-1])
+        return nova.sum(away * away * self.weights) + STILL * nova.sum(twist * twist)
+
+    def train(self) -> float:
+        """One gradient and one update; the loss before it."""
+        with nova.Tape() as tape:
+            loss = self.forward()
+            tape.backward(loss)
+            self.optimizer.step()
+            tape.zero()
+        return loss.item()
+
+    def frames(self) -> Iterator[tuple[float, novaphy.SimState]]:
+        """Times and states of the last flight's frames."""
+        return ((k / FPS, self.states[k * SUBSTEPS]) for k in range(FRAMES + 1))
+
+    def poses(self) -> np.ndarray:
+        """All poses of the last flight, {steps + 1, 7}."""
+        return np.array([state.body_q.numpy()[0] for state in self.states])
+
+
+def plot(path: str, losses: list[float], poses: np.ndarray, thrusts: np.ndarray) -> None:
+    """Draw the loss, and the position and the thrusts over time."""
+    figure, right = loss_figure(losses, "loss [m²]", widths=(4.0, 8.0))
+    spec = right.get_subplotspec()
+    right.remove()
+    left, right = spec.subgridspec(1, 2).subplots()
+    time = np.arange(STEPS + 1) * DT
+    for k, colour in enumerate(("#2a6f97", "#e09f3e", "#5f7f4f")):
+        left.plot(time, poses[:, k], color=colour, label="xyz"[k])
+        left.plot(time[-1], WAYPOINT[k], "x", color=colour, markersize=10)
+    left.set(xlabel="time [s]", ylabel="m", title="Position, and the waypoint")
+    left.legend()
+    right.plot(time[1:], thrusts, label=[f"rotor {k + 1}" for k in range(4)])
+    right.axhline(MASS * GRAVITY / 4.0, color="#adb5bd", linestyle=":", label="hover")
+    right.set(xlabel="time [s]", ylabel="N", title="Thrusts")
+    right.legend(fontsize="small")
+    save_figure(figure, path)
+
+
+def main() -> int:
+    """Train, check, dump and plot as asked; 0 when every check passed."""
+    args = parse(make_parser(__doc__, iterations=100))
+    drone, checks = Drone(args.device), {}
+    if args.check_grad:
+        checks["a gradient within the tolerance"] = check_gradient(
+            drone.commands, drone.forward, 5e-2, 2e-2, range(8)
+        )
+    losses: list[float] = []
+    look = ((0.5, -2.6, 1.6), (0.4, 0.2, 1.2))
+    with viewer.Stage(args, drone.model, fps=FPS, look=look, path_width=0.006) as stage:
+
+        def paths() -> dict[str, np.ndarray]:
+            return {"path": drone.poses()[:, :3]}
+
+        for k in progress(range(args.headless)):
+            losses.append(drone.train())
+            stage.iteration(k, losses[-1], drone.frames, paths)
+        losses.append(drone.forward().item())
+        stage.iteration(args.headless, losses[-1], drone.frames, paths, last=True)
+    poses = drone.poses()
+    away = float(np.linalg.norm(poses[-1, :3] - WAYPOINT))
+    if args.dump_states:
+        novaphy.io.save_npz(args.dump_states, body_q=poses, loss=np.float32(losses))
+    if args.plot:
+        plot(args.plot, losses, poses, drone.thrusts().numpy())
+    if args.headless >= 100:
+        checks["the drone within 2 cm of the waypoint"] = away < 0.02
+        checks["a loss below 0.005"] = losses[-1] < 0.005
+    print(
+        f"drone on {drone.model.device}: {args.headless} iterations, loss {losses[0]:.4f} -> "
+        f"{losses[-1]:.2e}, {1000 * away:.1f} mm from the waypoint, {verdict(checks)}"
+    )
+    return 0 if all(checks.values()) else 1
+
+
+if __name__ == "__main__":
+    run(main)

@@ -15,6 +15,8 @@ GOOD = {
     "backends/abi/include/novaphy/abi/backend.h": "#include <stdint.h>\n",
     "backends/cpu/src/run.cpp": '#include <vector>\n#include "module.h"\n',
     "backends/cpu/src/module.h": '#include "novaphy/program/ir.h"\n',
+    "backends/gpu/src/device_prelude.cuh": '#include "novaphy/program/scalars.h"\n',
+    "backends/cuda/src/plugin.cpp": '#include "novaphy/abi/backend.h"\n',
     "core/include/novaphy/math/types.h": "#include <cstdint>\n",
     "core/src/backend.cpp": '#include "novaphy/cpu/query.h"\n#include "novaphy/math/types.h"\n',
     "nova/src/tape.cpp": '#include "novaphy/core/error.h"\n#include "novaphy/program/ir.h"\n',
@@ -48,6 +50,16 @@ BAD = {
         "collision/include/novaphy/collision/geometry/shape.h",
         '#include "novaphy/core/sim/model.h"\n',
         "geometry/shape.h:1: kernels may not include",
+    ),
+    "device code includes core": (
+        "backends/gpu/src/sequence.cuh",
+        '#include "novaphy/core/error.h"\n',
+        "backends/gpu/src/sequence.cuh:1: gpu may not include",
+    ),
+    "a differentiable operator of vbd is included by its solver": (
+        "vbd/src/solver.cpp",
+        '#include "novaphy/vbd/diff_solver.h"\n',
+        "vbd/src/solver.cpp:1: vbd may not include",
     ),
     "core includes io": (
         "core/src/io/tet_mesh.cpp",

@@ -10,9 +10,9 @@ The libraries stand in layers, and each may use only the ones below it:
 
 Besides the folders, three kinds of file have a layer of their own:
 
-* `diff_*` in collision/ and dynamics/ are operators, kernels of the tensor runtime, and compile
-  into novaphy::dynamics where nova is built: the forward code of those folders may not include
-  them;
+* `diff_*` in collision/, dynamics/ and vbd/ are operators, kernels of the tensor runtime, and
+  compile into novaphy::dynamics where nova is built: the forward code of those folders may not
+  include them;
 * `*_trace.h` are the formulas, shared by the forward engine and the traced kernels: they may
   include the math headers and other formulas, and nothing else;
 * `*_kernels.h` in collision/, dynamics/ and vbd/ are hand-written kernels, which compilers of
@@ -38,6 +38,8 @@ ALLOWED: dict[str, set[str]] = {
     "math": set(),
     "program": {"abi"},
     "cpu": {"abi", "program"},
+    "gpu": {"abi", "program"},
+    "cuda": {"abi", "program", "gpu"},
     "text": {"abi", "math"},
     "core": {"abi", "math", "cpu"},  # the CPU backend is linked into core
     "nova": {"abi", "math", "core", "program"},
@@ -67,6 +69,8 @@ FOLDERS = {
     "backends/abi": "abi",
     "backends/program": "program",
     "backends/cpu": "cpu",
+    "backends/gpu": "gpu",
+    "backends/cuda": "cuda",
     "core/include/novaphy/math": "math",
     "core": "core",
     "io": "io",
@@ -78,7 +82,7 @@ FOLDERS = {
     "vbd": "vbd",
     "diff": "diff",
 }
-SUFFIXES = {".h", ".hpp", ".inc", ".c", ".cpp"}
+SUFFIXES = {".h", ".hpp", ".inc", ".c", ".cpp", ".cuh"}
 INCLUDE = re.compile(r'^\s*#\s*include\s*(?:"([^"]+)"|<([^>]+)>)')
 
 
@@ -90,7 +94,7 @@ def by_name(layer: str, name: str) -> str:
         return "kernels"
     if layer == "core" and name in TEXT_HEADERS:
         return "text"
-    if layer in ("collision", "dynamics") and name.startswith("diff_"):
+    if layer in ("collision", "dynamics", "vbd") and name.startswith("diff_"):
         return "operators"
     return layer
 

@@ -46,10 +46,10 @@ CollisionPipeline::CollisionPipeline(std::shared_ptr<const Model> model,
           rigid_max);
   require(options.contacts_per_pair == 8 || options.contacts_per_pair == 4, ErrorKind::Value, name,
           ": contacts_per_pair: expected 8 or 4, got ", options.contacts_per_pair);
-  soft_contacts_ = std::make_shared<detail::SoftContacts>(model_);
-  rigid_contacts_ = std::make_shared<detail::RigidContacts>(
-      model_, std::make_shared<detail::ShapeGeometries>(model_), options.broad_phase,
-      options.contacts_per_pair);
+  const auto geometries = std::make_shared<detail::ShapeGeometries>(model_);
+  soft_contacts_ = std::make_shared<detail::SoftContacts>(model_, geometries);
+  rigid_contacts_ = std::make_shared<detail::RigidContacts>(model_, geometries, options.broad_phase,
+                                                            options.contacts_per_pair);
   soft_contact_pair_count();
   rigid_contact_max();
 }

@@ -5,6 +5,7 @@
 #pragma once
 
 #include "novaphy/collision/diff_soft_contact_trace.h"
+#include "novaphy/collision/geometry/point_distance.h"
 #include "novaphy/core/row_kernel.h"
 #include "novaphy/core/sim/enums.h"
 
@@ -18,9 +19,19 @@ struct SoftContactShape {
   Transformf xform, pose, to_local;  // in its body, in the world, and back
   Vec3f
       velocity;  // of the surface in the body's frame: zero, with the signs that rotating it gives
+  const geometry::GeometryView* geometry;  // of a hull or mesh, else null
 };
 
-inline SurfaceDistance<float> surface_distance(const SoftContactShape& shape, const Vec3f& x) {
+// `radius` (m) of the particle at x, in the frame of the shape.
+inline SurfaceDistance<float> surface_distance(const SoftContactShape& shape, const Vec3f& x,
+                                               float radius) {
+  if (shape.geometry != nullptr) {
+    const geometry::SolidPoint point =
+        shape.type == GeoType::MESH
+            ? geometry::point_to_mesh(x, shape.geometry->mesh, shape.reach + radius)
+            : geometry::point_to_hull(x, shape.geometry->hull);
+    return {point.distance, point.normal};
+  }
   if (shape.type == GeoType::BOX) return box_distance(x, shape.scale);
   if (shape.type == GeoType::SPHERE) return sphere_distance(x, shape.scale.x);
   if (shape.type == GeoType::CAPSULE) return capsule_distance(x, shape.scale.x, shape.scale.y);
@@ -36,10 +47,12 @@ struct SoftContactShapeArguments {
   const Transformf* xform;
   const float* margin;
   FloatWord gap;
+  const int32_t* geometry;  // of the shapes: rows of `views`, or -1
+  const geometry::GeometryView* views;
   SoftContactShape* shapes;  // a row per shape of the model
 };
 // Makes the candidate shape `row` ready.
-NOVAPHY_ROW_KERNEL(soft_contact_shape, 9, SoftContactShapeArguments) {
+NOVAPHY_ROW_KERNEL(soft_contact_shape, 11, SoftContactShapeArguments) {
   const int32_t s = a.candidates[row];
   SoftContactShape& shape = a.shapes[s];
   shape.type = static_cast<GeoType>(a.type[s]);
@@ -51,6 +64,7 @@ NOVAPHY_ROW_KERNEL(soft_contact_shape, 9, SoftContactShapeArguments) {
       body < 0 ? static_shape_pose(shape.xform) : math::multiply(a.body_q[body], shape.xform);
   shape.to_local = math::inverse(shape.pose);
   shape.velocity = math::rotate(shape.xform.q, Vec3f{});
+  shape.geometry = a.geometry[s] < 0 ? nullptr : &a.views[a.geometry[s]];
 }
 
 struct SoftContactTouchArguments {
@@ -69,7 +83,7 @@ NOVAPHY_ROW_KERNEL(soft_contact_touch, 7, SoftContactTouchArguments) {
   bool touches = has_flag(a.flags[p], ParticleFlags::ACTIVE);
   if (touches) {
     const Vec3f x = math::transform_point(shape.to_local, a.q[p]);
-    touches = surface_distance(shape, x).distance < shape.reach + a.radius[p];
+    touches = surface_distance(shape, x, a.radius[p]).distance < shape.reach + a.radius[p];
   }
   a.touches[row] = touches ? 1 : 0;
 }
@@ -79,6 +93,7 @@ struct SoftContactWriteArguments {
   const int32_t* pair_shape;
   const SoftContactShape* shapes;
   const Vec3f* q;
+  const float* radius;
   const int32_t* before;  // the slots before each pair: a scan of what soft_contact_touch wrote
   int64_t slots;
   int32_t* tids;  // of the pairs: in, whether they touch; out, their slot, or -1
@@ -90,7 +105,7 @@ struct SoftContactWriteArguments {
   Vec3f* normal;
 };
 // Writes the record of the pair `row`, if it touches, into its slot.
-NOVAPHY_ROW_KERNEL(soft_contact_write, 13, SoftContactWriteArguments) {
+NOVAPHY_ROW_KERNEL(soft_contact_write, 14, SoftContactWriteArguments) {
   const int32_t slot = a.before[row];
   const bool touches = a.tids[row] != 0;
   if (row == n - 1) *a.count = slot + (touches ? 1 : 0);
@@ -102,7 +117,7 @@ NOVAPHY_ROW_KERNEL(soft_contact_write, 13, SoftContactWriteArguments) {
   const SoftContactShape& shape = a.shapes[s];
   const Vec3f x = math::transform_point(shape.to_local, a.q[p]);
   const StaticContact<float> contact =
-      static_contact_record(shape.xform, shape.pose, x, surface_distance(shape, x));
+      static_contact_record(shape.xform, shape.pose, x, surface_distance(shape, x, a.radius[p]));
   a.tids[row] = slot;
   a.particle[slot] = p;
   a.shape[slot] = s;

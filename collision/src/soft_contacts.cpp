@@ -28,10 +28,11 @@ void check_covered_shape(int32_t index, int32_t body, int32_t bodies, GeoType ty
   require(body >= -1 && body < bodies, ErrorKind::Index, "CollisionPipeline: model.shape_body[",
           index, "]: expected -1 to ", bodies - 1, ", got ", body);
   const bool covered = type == GeoType::PLANE || type == GeoType::BOX || type == GeoType::SPHERE ||
-                       type == GeoType::CAPSULE;
+                       type == GeoType::CAPSULE || type == GeoType::MESH ||
+                       type == GeoType::CONVEX_MESH;
   require(covered, ErrorKind::NotImplemented, "CollisionPipeline: shape ", index, " has type ",
           geo_type_name(type), " (", static_cast<int32_t>(type),
-          "); particles meet only PLANE, BOX, SPHERE and CAPSULE yet "
+          "); particles meet only PLANE, BOX, SPHERE, CAPSULE, MESH and CONVEX_MESH yet "
           "(ShapeConfig.has_particle_collision)");
 }
 
@@ -39,6 +40,7 @@ void check_covered_shape(int32_t index, int32_t body, int32_t bodies, GeoType ty
 
 struct SoftContacts::Impl {
   std::shared_ptr<const Model> model;
+  std::shared_ptr<ShapeGeometries> geometries;
   // Which shapes may be met and by whom, and the versions of the arrays that say so.
   bool known = false;
   uint64_t versions[5] = {};
@@ -61,6 +63,7 @@ struct SoftContacts::Impl {
     return known;
   }
   void find_candidates() {
+    geometries->update();
     if (up_to_date()) return;
     const auto arrays = choosing();
     const std::vector<int32_t> body = arrays[1]->to_host(), type = arrays[2]->to_host();
@@ -88,8 +91,11 @@ struct SoftContacts::Impl {
   }
 };
 
-SoftContacts::SoftContacts(std::shared_ptr<const Model> model) : impl_(std::make_unique<Impl>()) {
+SoftContacts::SoftContacts(std::shared_ptr<const Model> model,
+                           std::shared_ptr<ShapeGeometries> geometries)
+    : impl_(std::make_unique<Impl>()) {
   impl_->model = std::move(model);
+  impl_->geometries = std::move(geometries);
 }
 SoftContacts::~SoftContacts() = default;
 
@@ -118,7 +124,9 @@ void SoftContacts::collide(const SimState& state, Contacts& contacts, float gap)
         {reads_row("candidates", impl_->candidates), reads("shape_body", m.shape_body),
          constant("body_q", state.body_q), reads("shape_type", m.shape_type),
          constant("shape_scale", m.shape_scale), constant("shape_transform", m.shape_transform),
-         constant("shape_margin", m.shape_margin), number(gap), writes("shapes", shapes)});
+         constant("shape_margin", m.shape_margin), number(gap),
+         reads("geometry", impl_->geometries->of_shape()),
+         reads("views", impl_->geometries->tables()), writes("shapes", shapes)});
     kernels().touch.launch(
         device, pairs,
         {reads_row("pair_particle", impl_->pair_particle),
@@ -133,8 +141,9 @@ void SoftContacts::collide(const SimState& state, Contacts& contacts, float gap)
         device, pairs,
         {reads_row("pair_particle", impl_->pair_particle),
          reads_row("pair_shape", impl_->pair_shape), reads("shapes", shapes),
-         constant("particle_q", state.particle_q), reads_row("before", impl_->before),
-         number(slots), updates_row("soft_contact_tids", contacts.soft_contact_tids),
+         constant("particle_q", state.particle_q), constant("particle_radius", m.particle_radius),
+         reads_row("before", impl_->before), number(slots),
+         updates_row("soft_contact_tids", contacts.soft_contact_tids),
          writes("soft_contact_count", contacts.soft_contact_count),
          writes("soft_contact_particle", contacts.soft_contact_particle),
          writes("soft_contact_shape", contacts.soft_contact_shape),

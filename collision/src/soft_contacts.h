@@ -7,12 +7,13 @@
 
 #include "novaphy/core/sim/contacts.h"
 #include "novaphy/core/sim/model.h"
+#include "shape_geometries.h"
 
 namespace novaphy::detail {
 
 class SoftContacts {
  public:
-  explicit SoftContacts(std::shared_ptr<const Model> model);
+  SoftContacts(std::shared_ptr<const Model> model, std::shared_ptr<ShapeGeometries> geometries);
   ~SoftContacts();
 
   // Candidate pairs. The model's arrays are read when they were written since

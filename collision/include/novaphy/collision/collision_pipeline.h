@@ -41,8 +41,9 @@ struct CollisionOptions {
 // d from the particle's centre to the surface is
 //   d < (soft_contact_margin + shape_margin) + particle_radius
 // with the closest point of the surface and the normal there (collision/diff_soft_contact_trace.h).
-// Planes, boxes, spheres and capsules of the world and of bodies; others throw
-// ErrorKind::NotImplemented. The geometry of a record carries no gradient. A particle whose
+// Planes, boxes, spheres, capsules, convex hulls and meshes of the world and of bodies
+// (geometry/point_distance.h; of a mesh, what is behind its nearest triangle is inside); others
+// throw ErrorKind::NotImplemented. The geometry of a record carries no gradient. A particle whose
 // position is NaN meets nothing.
 //
 // Rigid contacts: the points where two shapes touch or nearly do, of pairs of which at least one is
@@ -72,8 +73,9 @@ struct CollisionOptions {
 class NOVAPHY_COLLISION_API CollisionPipeline : public ContactFinder {
  public:
   // ErrorKind::Value: no model, a bad margin, a negative maximum, too many pairs for int32;
-  // ErrorKind::NotImplemented: two shapes that may meet and are not covered, a
-  // model on a device whose collision was not built, a colliding shape that is not covered.
+  // ErrorKind::NotImplemented: two shapes that may meet and
+  // are not covered, a model on a device whose collision was not built, a colliding shape that is
+  // not covered.
   explicit CollisionPipeline(std::shared_ptr<const Model> model,
                              const CollisionOptions& options = {});
 

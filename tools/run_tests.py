@@ -264,6 +264,16 @@ def cpu() -> None:
 
 
 @step
+def fcl() -> None:
+    """Convex hulls by FCL's solver; skipped where the system has no FCL."""
+    if not list(Path("/usr").glob("lib*/**/fcl-config.cmake")):
+        print("fcl: skipped, this system has no libfcl-dev")
+        return
+    build("fcl")
+    ctest("fcl", "--preset", "fcl", "-R", r"^collision\.")
+
+
+@step
 def symbols() -> None:
     """The forward engine needs and holds nothing of the tensor runtime."""
     tree = build("cpu")

@@ -4,6 +4,7 @@
 #include <cmath>
 #include <utility>
 
+#include "fcl_penetration.h"
 #include "novaphy/core/error.h"
 #include "novaphy/core/recorder.h"
 #include "rigid_contacts.h"
@@ -37,6 +38,12 @@ CollisionPipeline::CollisionPipeline(std::shared_ptr<const Model> model,
               options.broad_phase == BroadPhase::Sap,
           ErrorKind::Value, name, ": broad_phase: expected a BroadPhase, got ",
           static_cast<int>(options.broad_phase));
+  require(options.narrow_phase != NarrowPhase::Fcl || detail::has_fcl(), ErrorKind::NotImplemented,
+          name,
+          ": narrow_phase: \"fcl\" needs a build with NOVAPHY_WITH_FCL=ON; this one has it OFF");
+  require(options.narrow_phase != NarrowPhase::Fcl || model_->device().is_cpu(),
+          ErrorKind::NotImplemented, name, ": narrow_phase: \"fcl\" is there on the cpu, not on ",
+          model_->device().str());
   check_margin(name, options.soft_contact_margin);
   const int32_t soft_max = options.soft_contact_max.value_or(0);
   require(soft_max >= 0, ErrorKind::Value, name, ": soft_contact_max: expected >= 0, got ",
@@ -48,8 +55,8 @@ CollisionPipeline::CollisionPipeline(std::shared_ptr<const Model> model,
           ": contacts_per_pair: expected 8 or 4, got ", options.contacts_per_pair);
   const auto geometries = std::make_shared<detail::ShapeGeometries>(model_);
   soft_contacts_ = std::make_shared<detail::SoftContacts>(model_, geometries);
-  rigid_contacts_ = std::make_shared<detail::RigidContacts>(model_, geometries, options.broad_phase,
-                                                            options.contacts_per_pair);
+  rigid_contacts_ = std::make_shared<detail::RigidContacts>(
+      model_, geometries, options.broad_phase, options.narrow_phase, options.contacts_per_pair);
   soft_contact_pair_count();
   rigid_contact_max();
 }
@@ -64,6 +71,9 @@ int32_t CollisionPipeline::count_pairs() const { return soft_contacts_->pair_cou
 int32_t CollisionPipeline::soft_contact_max() const {
   return options_.soft_contact_max ? *options_.soft_contact_max : soft_contact_pair_count();
 }
+
+int64_t CollisionPipeline::fcl_pair_count() const { return rigid_contacts_->fcl_pairs(); }
+int64_t CollisionPipeline::fcl_fallback_count() const { return rigid_contacts_->fcl_fallbacks(); }
 
 int32_t CollisionPipeline::rigid_contact_max() const {
   const ExclusiveUse::Scope scope(*in_use_, "rigid_contact_max", "the pipeline");

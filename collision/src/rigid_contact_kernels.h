@@ -125,6 +125,29 @@ inline CorePoints core_points(const RigidShape& a, const RigidShape& b, const Ve
           point.position + normal * (half + core_radius(b))};
 }
 
+// Keeps of a manifold, at most `per_pair` points where no plane is in it, what are rows.
+inline void keep_rows(const RigidShape& s0, const RigidShape& s1, const geometry::Manifold& all,
+                      int64_t per_pair, geometry::Manifold& kept) {
+  const bool reduces = s0.type != GeoType::PLANE && all.count > per_pair;
+  const geometry::Manifold found = reduces ? geometry::reduce_contacts<geometry::kManifoldCapacity>(
+                                                 all, static_cast<int32_t>(per_pair))
+                                           : all;
+  const float inside = ((core_radius(s0) + core_radius(s1)) + s0.margin) + s1.margin;
+  kept.normal = math::normalize(found.normal);
+  kept.count = 0;
+  for (int32_t k = 0; k < found.count; ++k) {
+    const CorePoints core = core_points(s0, s1, kept.normal, found.points[k]);
+    // Written so that a NaN is no contact.
+    if (math::dot(core.b - core.a, kept.normal) - inside <= s0.gap + s1.gap)
+      kept.points[kept.count++] = found.points[k];
+  }
+}
+
+// Between core surfaces (m), the distance up to which a pair may have rows.
+inline float reach_of(const RigidShape& s0, const RigidShape& s1) {
+  return ((s0.gap + s1.gap) + s0.margin) + s1.margin;
+}
+
 struct RigidContactFindArguments {
   const Vec2i* pairs;
   const RigidShape* shapes;
@@ -138,22 +161,8 @@ NOVAPHY_ROW_KERNEL(rigid_contact_find, 5, RigidContactFindArguments) {
   const RigidShape& s1 = a.shapes[pair.y];
   a.counts[row] = 0;
   if (!geometry::boxes_meet(s0.box, s1.box) || is_mesh_pair(s0.type, s1.type)) return;
-  const float gap = s0.gap + s1.gap;
-  const geometry::Manifold all = rigid_manifold(s0, s1, (gap + s0.margin) + s1.margin);
-  const bool reduces = s0.type != GeoType::PLANE && all.count > a.per_pair;
-  const geometry::Manifold found = reduces ? geometry::reduce_contacts<geometry::kManifoldCapacity>(
-                                                 all, static_cast<int32_t>(a.per_pair))
-                                           : all;
-  const float inside = ((core_radius(s0) + core_radius(s1)) + s0.margin) + s1.margin;
   geometry::Manifold& kept = a.manifolds[row];
-  kept.normal = math::normalize(found.normal);
-  kept.count = 0;
-  for (int32_t k = 0; k < found.count; ++k) {
-    const CorePoints core = core_points(s0, s1, kept.normal, found.points[k]);
-    // Written so that a NaN is no contact.
-    if (math::dot(core.b - core.a, kept.normal) - inside <= gap)
-      kept.points[kept.count++] = found.points[k];
-  }
+  keep_rows(s0, s1, rigid_manifold(s0, s1, reach_of(s0, s1)), a.per_pair, kept);
   a.counts[row] = kept.count;
 }
 

@@ -3,9 +3,11 @@
 #include <algorithm>
 #include <array>
 #include <limits>
+#include <map>
 #include <utility>
 #include <vector>
 
+#include "fcl_penetration.h"
 #include "novaphy/collision/box_pairs.h"
 #include "novaphy/core/device_kernel.h"
 #include "novaphy/core/error.h"
@@ -64,6 +66,7 @@ int32_t most_contacts(GeoType a, GeoType b, int32_t per_pair) {
 struct RigidContacts::Impl {
   std::shared_ptr<const Model> model;
   BroadPhase broad_phase;
+  NarrowPhase narrow_phase;
   int32_t contacts_per_pair = 0;
   std::shared_ptr<ShapeGeometries> geometries;
   // The candidate pairs follow from arrays of the model in these versions.
@@ -76,6 +79,9 @@ struct RigidContacts::Impl {
   int64_t most_rows = 0;
   int64_t pair_count = 0;
   DeviceArray<Vec2i> pairs;  // (shape0, shape1) of the contacts, in ascending order
+  std::map<const geometry::GeometryView*, FclHull> fcl_hulls;  // of the tables of fcl_version
+  uint64_t fcl_version = 0;
+  int64_t fcl_pairs = 0, fcl_fallbacks = 0;
   int64_t mesh_pair_count = 0;
   DeviceArray<int32_t> mesh_pairs;  // rows of `pairs` with a mesh and a convex shape
   // Scratch, kept from call to call.
@@ -150,6 +156,67 @@ struct RigidContacts::Impl {
     return rows;
   }
 
+  // Takes FCL's answers for the pairs of hulls whose contacts were found.
+  void ask_fcl() {
+    if (fcl_version != geometries->version()) {
+      fcl_hulls.clear();
+      fcl_version = geometries->version();
+    }
+    const auto* const moved = static_cast<const RigidShape*>(shapes->range()->data());
+    auto* const manifold = static_cast<geometry::Manifold*>(manifolds->range()->data());
+    auto* const count = static_cast<int32_t*>(counts.range()->data());
+    for (int64_t k = 0; k < pair_count; ++k) {
+      const Vec2i pair = pairs.data()[k];
+      const RigidShape &s0 = moved[pair.x], &s1 = moved[pair.y];
+      if (s0.type != GeoType::CONVEX_MESH || s1.type != GeoType::CONVEX_MESH ||
+          !geometry::boxes_meet(s0.box, s1.box))
+        continue;
+      if (penetration_of(s0, s1, count[k] > 0 ? &manifold[k] : nullptr, manifold[k]))
+        count[k] = manifold[k].count;
+    }
+  }
+  const FclHull& fcl_hull(const RigidShape& shape) {
+    const auto at = fcl_hulls.find(shape.geometry);
+    return at != fcl_hulls.end()
+               ? at->second
+               : fcl_hulls.emplace(shape.geometry, FclHull(shape.geometry->hull)).first->second;
+  }
+  // True if FCL's answer was taken. `own`: the rows that were found, null for none.
+  bool penetration_of(const RigidShape& s0, const RigidShape& s1, const geometry::Manifold* own,
+                      geometry::Manifold& kept) {
+    using namespace geometry;
+    const Shape a = convex_shape(s0), b = convex_shape(s1);
+    const Transformf relative = relative_pose(s0.pose, s1.pose);
+    const ShapePair pair = shape_pair(a, b, relative);
+    if (!is_finite(pair)) return false;
+    float deepest = 0.0f;
+    for (int32_t i = 0; own != nullptr && i < own->count; ++i)
+      deepest = math::min(deepest, own->points[i].distance);
+    const auto found = fcl_hull(s0).penetration(fcl_hull(s1), relative);
+    if (!found && deepest >= 0.0f) return false;  // apart, for both
+    ++fcl_pairs;
+    constexpr float kTolerance = 1e-4f;  // of the size
+    const auto size = [](const RigidShape& s) {
+      return math::length(s.geometry->box.hi - s.geometry->box.lo);
+    };
+    const float tolerance = kTolerance * (size(s0) + size(s1));
+    const float depth = found ? static_cast<float>(found->depth) : 0.0f;
+    const Vec3f n = found ? found->normal : Vec3f{};
+    // Written so that a NaN is refused.
+    const bool good = found && math::abs(math::length(n) - 1.0f) <= 1e-3f &&
+                      math::abs(separation_along(pair, n) + depth) <= tolerance &&
+                      math::abs(depth + deepest) <= tolerance;
+    if (!good) {
+      ++fcl_fallbacks;
+      return false;
+    }
+    const Vec3f on_b = support_point(pair, n).b;
+    const Proximity proximity{n, -depth, on_b + n * depth, on_b};
+    keep_rows(s0, s1, in_frame(clip_manifold(pair, proximity, reach_of(s0, s1)), s0.pose),
+              contacts_per_pair, kept);
+    return true;
+  }
+
   void take_mesh_pairs(const std::vector<Vec2i>& found) {
     std::vector<int32_t> rows;
     const auto type_of = [&](int32_t s) {
@@ -214,14 +281,18 @@ struct RigidContacts::Impl {
 
 RigidContacts::RigidContacts(std::shared_ptr<const Model> model,
                              std::shared_ptr<ShapeGeometries> geometries, BroadPhase broad_phase,
-                             int32_t contacts_per_pair)
+                             NarrowPhase narrow_phase, int32_t contacts_per_pair)
     : impl_(std::make_unique<Impl>()) {
   impl_->model = std::move(model);
   impl_->geometries = std::move(geometries);
   impl_->broad_phase = broad_phase;
+  impl_->narrow_phase = narrow_phase;
   impl_->contacts_per_pair = contacts_per_pair;
 }
 RigidContacts::~RigidContacts() = default;
+
+int64_t RigidContacts::fcl_pairs() const { return impl_->fcl_pairs; }
+int64_t RigidContacts::fcl_fallbacks() const { return impl_->fcl_fallbacks; }
 
 int64_t RigidContacts::most_rows() {
   impl_->find_candidates();
@@ -237,6 +308,10 @@ void RigidContacts::collide(const SimState& state, Contacts& c) {
   require(!sweeps || launch_recorder() == nullptr, ErrorKind::Runtime,
           "collide: the broad phase \"sap\" finds its pairs on the host, so it cannot be recorded; "
           "use \"explicit\" or \"nxn\"");
+  const bool asks_fcl = impl_->narrow_phase == NarrowPhase::Fcl;
+  require(!asks_fcl || launch_recorder() == nullptr, ErrorKind::Runtime,
+          "collide: the narrow phase \"fcl\" asks on the host, so it cannot be recorded; use "
+          "\"auto\"");
   const int64_t rows = c.rigid_contact_max();
   // Nothing to find and nowhere to write: a model without bodies needs no kernel on its device.
   if (!sweeps && impl_->pair_count == 0 && rows == 0) return;
@@ -287,6 +362,7 @@ void RigidContacts::collide(const SimState& state, Contacts& c) {
           {reads_row("mesh_pairs", impl_->mesh_pairs), reads("pairs", impl_->pairs),
            reads("shapes", shapes), writes("mesh_rows", bytes(impl_->mesh_rows)),
            updates("counts", impl_->counts)});
+    if (asks_fcl) impl_->ask_fcl();
     kernels().scan.launch(device, pairs,
                           {reads("counts", impl_->counts), writes("before", impl_->before)});
     kernels().write.launch(

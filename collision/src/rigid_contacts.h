@@ -6,6 +6,7 @@
 #include <memory>
 
 #include "novaphy/collision/broad_phase.h"
+#include "novaphy/collision/narrow_phase.h"
 #include "novaphy/core/sim/contacts.h"
 #include "novaphy/core/sim/model.h"
 #include "shape_geometries.h"
@@ -15,12 +16,15 @@ namespace novaphy::detail {
 class RigidContacts {
  public:
   RigidContacts(std::shared_ptr<const Model> model, std::shared_ptr<ShapeGeometries> geometries,
-                BroadPhase broad_phase, int32_t contacts_per_pair);
+                BroadPhase broad_phase, NarrowPhase narrow_phase, int32_t contacts_per_pair);
   ~RigidContacts();
 
   // Rows that no state can exceed. The model's arrays are read when they were written since the
   // last call. ErrorKind::NotImplemented: two shapes that may meet and are not covered.
   int64_t most_rows();
+  // So far: pairs of hulls that overlap, and those for which FCL's answer was not taken.
+  int64_t fcl_pairs() const;
+  int64_t fcl_fallbacks() const;
   // Recorded where the thread records.
   void collide(const SimState& state, Contacts& contacts);
 

@@ -73,7 +73,7 @@ NOVAPHY_ROW_KERNEL(rigid_mesh_find, 5, RigidMeshFindArguments) {
   const float gap = s0.gap + s1.gap;
   MeshContacts found;
   found.find(mesh.geometry->mesh, convex_shape(other),
-             geometry::relative_pose(mesh.pose, other.pose), (gap + s0.margin) + s1.margin);
+             geometry::relative_pose(mesh.pose, other.pose), reach_of(s0, s1));
   const float inside = ((core_radius(s0) + core_radius(s1)) + s0.margin) + s1.margin;
   for (int32_t k = 0; k < found.count; ++k) {
     const geometry::MeshContact& contact = found.contacts[k];

@@ -177,6 +177,7 @@ void ShapeGeometries::update() {
   const auto arrays = sources();
   for (size_t k = 0; k < arrays.size(); ++k) versions_[k] = arrays[k]->version();
   known_ = true;
+  ++version_;
 }
 
 }  // namespace novaphy::detail

@@ -27,6 +27,8 @@ class ShapeGeometries {
   const DeviceArray<int32_t>& of_shape() const { return of_shape_; }
   // GeometryViews, then the tables that they point to.
   Array tables() const { return {DType::uint8, tables_->bytes(), 1, tables_->range()}; }
+  // How often they were made.
+  uint64_t version() const { return version_; }
 
  private:
   std::array<const Array*, 5> sources() const;
@@ -34,7 +36,7 @@ class ShapeGeometries {
 
   std::shared_ptr<const Model> model_;
   bool known_ = false;
-  uint64_t versions_[5] = {};
+  uint64_t versions_[5] = {}, version_ = 0;
   DeviceArray<int32_t> of_shape_;
   std::shared_ptr<Storage> tables_;
 };

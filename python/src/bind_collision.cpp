@@ -16,8 +16,8 @@ void bind_collision(py::module_& m) {
       "ordered by shape0, shape1, "
       "point. The geometry of both carries no gradient.")
       .def(py::init([](const std::shared_ptr<Model>& model, const std::string& broad_phase,
-                       std::optional<int32_t> rigid_contact_max, int32_t contacts_per_pair,
-                       std::optional<int32_t> soft_contact_max,
+                       const std::string& narrow_phase, std::optional<int32_t> rigid_contact_max,
+                       int32_t contacts_per_pair, std::optional<int32_t> soft_contact_max,
                        std::optional<float> soft_contact_margin,
                        std::optional<float> soft_contact_gap, std::optional<bool> requires_grad,
                        bool deterministic) {
@@ -25,6 +25,7 @@ void bind_collision(py::module_& m) {
                      "soft_contact_gap: another name of soft_contact_margin; give one of them");
              CollisionOptions options;
              options.broad_phase = parse_broad_phase(broad_phase);
+             options.narrow_phase = parse_narrow_phase(narrow_phase);
              options.rigid_contact_max = rigid_contact_max;
              options.contacts_per_pair = contacts_per_pair;
              options.soft_contact_max = soft_contact_max;
@@ -35,13 +36,15 @@ void bind_collision(py::module_& m) {
              return std::make_unique<CollisionPipeline>(model, options);
            }),
            py::arg("model").none(false), py::kw_only(), "broad_phase"_a = "explicit",
-           "rigid_contact_max"_a = py::none(), "contacts_per_pair"_a = 8,
+           "narrow_phase"_a = "auto", "rigid_contact_max"_a = py::none(), "contacts_per_pair"_a = 8,
            "soft_contact_max"_a = py::none(), "soft_contact_margin"_a = py::none(),
            "soft_contact_gap"_a = py::none(), "requires_grad"_a = py::none(),
            "deterministic"_a = true,
            "broad_phase: \"explicit\" (model.shape_contact_pairs), \"nxn\" (the pairs that flags, "
            "groups and worlds of shapes now allow) or \"sap\" (the same by sweep and prune; not in "
-           "a capture or on a tape), all with the same rows; rigid_contact_max None: as many rows "
+           "a capture or on a tape), all with the same rows; narrow_phase: \"auto\", or \"fcl\", "
+           "which takes overlap, depth and normal of penetrating convex hulls from FCL, where its "
+           "answer holds, in builds with NOVAPHY_WITH_FCL; rigid_contact_max None: as many rows "
            "as the "
            "pairs can have, but no more than 1000 or 64 per shape; contacts_per_pair: 8 or 4, of "
            "shapes that are no planes; soft_contact_max None: as many "
@@ -56,6 +59,14 @@ void bind_collision(py::module_& m) {
           "broad_phase",
           [](const CollisionPipeline& p) { return broad_phase_name(p.broad_phase()); },
           "\"explicit\", \"nxn\" or \"sap\".")
+      .def_property_readonly(
+          "narrow_phase",
+          [](const CollisionPipeline& p) { return narrow_phase_name(p.narrow_phase()); },
+          "\"auto\" or \"fcl\".")
+      .def_property_readonly("fcl_pair_count", &CollisionPipeline::fcl_pair_count,
+                             "Overlapping pairs of hulls so far, with narrow_phase \"fcl\".")
+      .def_property_readonly("fcl_fallback_count", &CollisionPipeline::fcl_fallback_count,
+                             "Those of fcl_pair_count for which FCL's answer was not taken.")
       .def_property_readonly("soft_contact_margin", &CollisionPipeline::soft_contact_margin, "m")
       .def_property_readonly("rigid_contact_max", &CollisionPipeline::rigid_contact_max,
                              "Rows of contacts().")

@@ -562,6 +562,7 @@ class CollisionPipeline(_Native):
         model: Model,
         *,
         broad_phase: str = "explicit",
+        narrow_phase: str = "auto",
         rigid_contact_max: SupportsIndex | None = None,
         contacts_per_pair: SupportsIndex = 8,
         soft_contact_max: SupportsIndex | None = None,
@@ -574,6 +575,12 @@ class CollisionPipeline(_Native):
     def model(self) -> Model: ...
     @property
     def broad_phase(self) -> str: ...
+    @property
+    def narrow_phase(self) -> str: ...
+    @property
+    def fcl_pair_count(self) -> int: ...
+    @property
+    def fcl_fallback_count(self) -> int: ...
     @property
     def soft_contact_margin(self) -> float: ...
     @property

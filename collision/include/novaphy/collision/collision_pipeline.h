@@ -7,6 +7,7 @@
 
 #include "novaphy/collision/broad_phase.h"
 #include "novaphy/collision/export.h"
+#include "novaphy/collision/narrow_phase.h"
 #include "novaphy/core/exclusive_use.h"
 #include "novaphy/core/sim/contacts.h"
 #include "novaphy/core/sim/model.h"
@@ -21,6 +22,7 @@ class SoftContacts;
 
 struct CollisionOptions {
   BroadPhase broad_phase = BroadPhase::Explicit;
+  NarrowPhase narrow_phase = NarrowPhase::Auto;
   // Rows of the rigid contacts. When empty, as many as the candidate pairs can have, so that
   // nothing can overflow; but no more than 1000 or 64 per shape, whichever is larger.
   std::optional<int32_t> rigid_contact_max = {};
@@ -73,7 +75,7 @@ struct CollisionOptions {
 class NOVAPHY_COLLISION_API CollisionPipeline : public ContactFinder {
  public:
   // ErrorKind::Value: no model, a bad margin, a negative maximum, too many pairs for int32;
-  // ErrorKind::NotImplemented: two shapes that may meet and
+  // ErrorKind::NotImplemented: a narrow phase that the build lacks, two shapes that may meet and
   // are not covered, a model on a device whose collision was not built, a colliding shape that is
   // not covered.
   explicit CollisionPipeline(std::shared_ptr<const Model> model,
@@ -81,6 +83,11 @@ class NOVAPHY_COLLISION_API CollisionPipeline : public ContactFinder {
 
   const std::shared_ptr<const Model>& model() const { return model_; }
   BroadPhase broad_phase() const { return options_.broad_phase; }
+  NarrowPhase narrow_phase() const { return options_.narrow_phase; }
+  // With NarrowPhase::Fcl, over all calls so far: the pairs of hulls that overlap, and those of
+  // them for which FCL's answer was not taken.
+  int64_t fcl_pair_count() const;
+  int64_t fcl_fallback_count() const;
   float soft_contact_margin() const { return options_.soft_contact_margin; }
   int32_t rigid_contact_max() const;        // rows of contacts()
   int32_t soft_contact_max() const;         // slots of contacts()

@@ -1,4 +1,4 @@
-"""Drop a pile of convex hulls and concave meshes into a bowl of triangles.
+"""Drop a pile of convex and concave bodies into a bowl of triangles.
 
 The bowl is a triangle mesh of the world. Stones are convex hulls of random points, brackets are
 concave: two hulls on one body. 16 substeps a frame, 60 frames a second; contacts are found anew in

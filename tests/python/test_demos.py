@@ -94,6 +94,17 @@ def test_a_box_is_pushed_to_its_mark_and_a_drone_flown_to_its_waypoint():
         assert done.returncode == 0 and done.stdout.rstrip().endswith("ok"), done.stdout
 
 
+def test_the_pile_of_hulls_stays_in_the_bowl():
+    script = DEMOS.parent / "demo_rigid_meshes.py"
+    done = subprocess.run(
+        [sys.executable, str(script), "--headless", "60"],
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
+    assert done.returncode == 0 and done.stdout.rstrip().endswith("ok"), done.stdout + done.stderr
+
+
 def test_the_die_is_trained_to_land_on_its_face():
     pytest.importorskip("novaphy.diff")
     done = demo("dice", "--headless", "4", "--starts", "1", "--check-grad")

@@ -8,6 +8,8 @@ import pytest
 import novaphy
 from novaphy import ModelBuilder
 from novaphy.io import Mesh
+from novaphy.viewer._model_scene import ModelScene, model_arrays
+from novaphy.viewer._scene import Scene
 
 CUBE = Mesh(
     np.array([[x, y, z] for z in (-0.1, 0.1) for y in (-0.1, 0.1) for x in (-0.1, 0.1)], "f4"),
@@ -100,3 +102,59 @@ def test_a_loaded_mesh_is_a_shape(tmp_path) -> None:
     body = builder.add_body()
     builder.add_shape_mesh(body, mesh=novaphy.io.load_mesh(path))
     np.testing.assert_allclose(builder.finalize().body_mass.numpy(), [8.0], rtol=1e-6)
+
+
+def test_a_viewer_draws_each_mesh_once_and_its_copies() -> None:
+    builder = scene()
+    builder.add_shape_convex_hull(-1, vertices=CUBE.vertices, scale=2.0)
+    shown = Scene()
+    ModelScene(shown, model_arrays(builder.finalize()))
+    assert set(shown.meshes) == {"model/mesh_0", "model/convex_mesh_8"}
+    assert shown.instances["model/convex_mesh_8"].count == 2
+    points = shown.meshes["model/mesh_0"].points.values
+    assert points.shape == (36, 3) and np.abs(points).max() == np.float32(0.1)
+    np.testing.assert_allclose(shown.instances["model/mesh_0"].scales.values[0, :3], (20, 20, 1))
+
+
+def test_fcl_is_asked_for_by_name() -> None:
+    model = scene().finalize()
+    assert novaphy.CollisionPipeline(model).narrow_phase == "auto"
+    with pytest.raises(ValueError, match='narrow_phase: expected "auto" or "fcl"'):
+        novaphy.CollisionPipeline(model, narrow_phase="mpr")
+    try:
+        pipeline = novaphy.CollisionPipeline(model, narrow_phase="fcl")
+    except NotImplementedError as error:
+        assert "NOVAPHY_WITH_FCL=ON" in str(error)
+    else:
+        assert pipeline.fcl_pair_count == pipeline.fcl_fallback_count == 0
+
+
+def test_the_gradient_of_a_bounce_off_a_mesh_is_that_of_frozen_contacts() -> None:
+    """On a flat mesh, where freezing loses nothing, it is the central difference."""
+    diff = pytest.importorskip("novaphy.diff")
+    builder = ModelBuilder()
+    builder.add_shape_mesh(-1, mesh=CUBE, scale=(20, 20, 1))
+    builder.add_particle((0.3, 0.2, 0.16), (0.5, 0.2, -2.0), 1.0, 0.05)
+    model = builder.finalize(requires_grad=True)
+    solver = novaphy.solvers.DiffSemiImplicitSolver(model)
+    pipeline = novaphy.CollisionPipeline(model, soft_contact_margin=0.1)
+    contacts = pipeline.contacts()
+    pipeline.collide(model.state(), contacts)
+    assert contacts.active_soft_contact_count == 1
+
+    def height(velocity: float) -> tuple[float, np.ndarray]:
+        trajectory = diff.Trajectory(model, 200)
+        trajectory[0].particle_qd = np.float32([[0.5, 0.2, velocity]])
+        with novaphy.nova.Tape() as tape:
+            solver.rollout(trajectory, None, contacts, 1 / 1000)
+            loss = diff.particle_point_loss_generated(
+                diff.state_particle_q_tensor(trajectory[200]), 0, 0.4, 0.24, 0.0
+            )
+            tape.backward(loss)
+        return loss.item(), trajectory[0].particle_qd.grad.numpy()[0, 2]
+
+    gradient = height(-2.0)[1]
+    eps = 1e-2
+    difference = (height(-2.0 + eps)[0] - height(-2.0 - eps)[0]) / (2 * eps)
+    assert difference != 0.0
+    assert abs(gradient - difference) < 2e-2 * abs(difference)

@@ -323,21 +323,20 @@ void RigidContacts::collide(const SimState& state, Contacts& c) {
     return Array(DType::uint8, storage->bytes(), 1, storage->range());
   };
   const Array shapes = bytes(impl_->shapes), geometries = impl_->geometries->tables();
-  const LaunchArgument rows_of_contacts[] = {
-      number(rows),
-      writes("rigid_contact_shape0", c.rigid_contact_shape0),
-      writes("rigid_contact_shape1", c.rigid_contact_shape1),
-      writes("rigid_contact_point0", c.rigid_contact_point0),
-      writes("rigid_contact_point1", c.rigid_contact_point1),
-      writes("rigid_contact_offset0", c.rigid_contact_offset0),
-      writes("rigid_contact_offset1", c.rigid_contact_offset1),
-      writes("rigid_contact_normal", c.rigid_contact_normal),
-      writes("rigid_contact_margin0", c.rigid_contact_margin0),
-      writes("rigid_contact_margin1", c.rigid_contact_margin1),
-      writes("rigid_contact_point_id", c.rigid_contact_point_id)};
-  const auto with_rows = [&](std::vector<LaunchArgument> arguments) {
-    arguments.insert(arguments.end(), std::begin(rows_of_contacts), std::end(rows_of_contacts));
-    return arguments;
+  // The arguments, then those of RigidContactRows.
+  const auto with_rows = [&](auto... arguments) {
+    return std::array{arguments...,
+                      number(rows),
+                      writes("rigid_contact_shape0", c.rigid_contact_shape0),
+                      writes("rigid_contact_shape1", c.rigid_contact_shape1),
+                      writes("rigid_contact_point0", c.rigid_contact_point0),
+                      writes("rigid_contact_point1", c.rigid_contact_point1),
+                      writes("rigid_contact_offset0", c.rigid_contact_offset0),
+                      writes("rigid_contact_offset1", c.rigid_contact_offset1),
+                      writes("rigid_contact_normal", c.rigid_contact_normal),
+                      writes("rigid_contact_margin0", c.rigid_contact_margin0),
+                      writes("rigid_contact_margin1", c.rigid_contact_margin1),
+                      writes("rigid_contact_point_id", c.rigid_contact_point_id)};
   };
   if (sweeps || impl_->pair_count > 0) {
     kernels().shape.launch(
@@ -367,16 +366,16 @@ void RigidContacts::collide(const SimState& state, Contacts& c) {
                           {reads("counts", impl_->counts), writes("before", impl_->before)});
     kernels().write.launch(
         device, pairs,
-        with_rows({reads_row("pairs", impl_->pairs), reads("shapes", shapes),
-                   reads("manifolds", manifolds), reads_row("counts", impl_->counts),
-                   reads_row("before", impl_->before),
-                   writes("rigid_contact_count", c.rigid_contact_count)}));
+        with_rows(reads_row("pairs", impl_->pairs), reads("shapes", shapes),
+                  reads("manifolds", manifolds), reads_row("counts", impl_->counts),
+                  reads_row("before", impl_->before),
+                  writes("rigid_contact_count", c.rigid_contact_count)));
     if (mesh_pairs > 0)
       kernels().write_mesh.launch(
           device, mesh_pairs,
-          with_rows({reads_row("mesh_pairs", impl_->mesh_pairs), reads("pairs", impl_->pairs),
-                     reads("shapes", shapes), reads("mesh_rows", bytes(impl_->mesh_rows)),
-                     reads("before", impl_->before)}));
+          with_rows(reads_row("mesh_pairs", impl_->mesh_pairs), reads("pairs", impl_->pairs),
+                    reads("shapes", shapes), reads("mesh_rows", bytes(impl_->mesh_rows)),
+                    reads("before", impl_->before)));
   }
   kernels().clear.launch(device, rows + 1,
                          {number(pairs), updates("rigid_contact_count", c.rigid_contact_count),

@@ -106,10 +106,8 @@ void Tape::Impl::check_not_overwritten(const Operand& in, const std::string& op,
          "recorded or requires it");
   if (!find_grad_info(*in.range)) return;
   const Node* n = find(*in.range);
-  if (n && n->copied_name && n->copied_version == in.range->version())
-    fail(ErrorKind::Runtime, "input '", input, "' of op '", op, "': ", n->copied_name,
-         " holds a copy of recorded values, through which no gradient would flow; clear it before "
-         "it is used again");
+  if (n && n->untracked && n->untracked_version == in.range->version())
+    fail(ErrorKind::Runtime, "input '", input, "' of op '", op, "': ", n->untracked);
   if (n && n->ever_written && n->carries && was_written_outside(*n))
     fail(ErrorKind::Runtime, "input '", input, "' of op '", op, "' was written by op '",
          op_name(ops[n->writer]),
@@ -145,6 +143,7 @@ void Tape::Impl::mark_output(const std::shared_ptr<Range>& range, int32_t op) {
   n.has_checksum = note_value(*range, n.written_checksum);
   n.ever_written = true;
   n.carries = true;
+  n.untracked = nullptr;
   ++info.producers;
 }
 
@@ -173,11 +172,11 @@ void Tape::Impl::forget() {
   values.clear();
 }
 
-void Tape::mark_copied(const std::shared_ptr<Range>& range, const char* name) {
+void Tape::mark_untracked(const std::shared_ptr<Range>& range, const char* why) {
   grad_info(*range);
   Impl::Node& n = impl_->node(range);
-  n.copied_version = range->version();
-  n.copied_name = name;
+  n.untracked_version = range->version();
+  n.untracked = why;
 }
 
 // A loop makes a tape per iteration: the next one takes over the memory of the last.

@@ -73,9 +73,8 @@ struct Tape::Impl {
     bool has_checksum = false;
     bool ever_written = false;  // by an operation of this tape: not a leaf
     bool carries = false;       // a gradient flows through its present value
-    uint64_t copied_version =
-        0;  // its version when it got a copy of a recorded value that is not followed
-    const char* copied_name = nullptr;
+    uint64_t untracked_version = 0;   // its version when it got a value that is not followed
+    const char* untracked = nullptr;  // why that may not be an input
     bool set = false;  // during backward: its gradient has a contribution
     const std::shared_ptr<Range>* place = nullptr;  // during backward: where that is
     uint32_t unread = 0;       // during backward: columns of it that nobody reads, as bits,

@@ -7,19 +7,16 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-_EVALUATIONS = ("mass_matrix", "jacobian", "inverse_dynamics")
-
 # Owner -> what its missing names belong to -> the names.
 PLANNED: dict[str, dict[str, tuple[str, ...]]] = {
     "novaphy": {
-        "articulations": tuple(f"eval_{kind}" for kind in _EVALUATIONS),
         "streams": ("Stream", "ScopedStream", "get_stream"),
         "surface meshes as objects": ("geometry",),
         "helpers for poses and colours": ("utils",),
     },
     "novaphy.solvers": {
         "rigid bodies": ("SolverXPBD", "SolverSequentialImpulse"),
-        "articulations": ("SolverFeatherstone", "SolverMuJoCo"),
+        "articulations": ("SolverMuJoCo",),
     },
     "ModelBuilder": {
         "robots from files": ("add_urdf", "add_mjcf", "add_usd"),

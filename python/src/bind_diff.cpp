@@ -437,6 +437,7 @@ void bind_diff(py::module_& m, py::module_& solvers) {
   bind_trajectory(m);
   bind_rollout(solvers);
   bind_solver(solvers);
+  bind_diff_featherstone(m, solvers);
 }
 
 }  // namespace novaphy::python

@@ -36,6 +36,7 @@ void bind_joint_dof_config(py::module_& m);
 void bind_builder_joints(py::class_<ModelBuilder>& builder);
 void bind_collision(py::module_& m);
 void bind_dynamics(py::module_& m, py::module_& solvers);
+void bind_featherstone(py::module_& m, py::module_& solvers);
 void bind_io(py::module_& io);
 void bind_array_gradient(py::class_<Array>& array);  // requires_grad and grad of DeviceArray
 void bind_nova_tensor(py::module_& nova);
@@ -46,6 +47,7 @@ void bind_nova_trace(py::module_& nova);
 void bind_nova_kernel(py::module_& nova);
 void bind_vbd(py::module_& solvers);
 void bind_diff(py::module_& diff, py::module_& solvers);
+void bind_diff_featherstone(py::module_& diff, py::module_& solvers);
 
 // After everything is bound: a wrong argument is named, see argument_errors.cpp.
 void explain_argument_errors(py::module_& m);

@@ -230,7 +230,8 @@ void backward(Scene<double>& s, const Result<double>& r, const Weights& w, std::
                                        reinterpret_cast<Vec3<double>*>(at(17)),
                                        reinterpret_cast<Mat33<double>*>(at(18)),
                                        0};
-  articulation::step_vjp(tree, s.inputs(), s.options, r.qdd.data(), r.branch.data(), r.q.data(),
+  const std::vector<double> branch(r.branch.begin(), r.branch.end());
+  articulation::step_vjp(tree, s.inputs(), s.options, r.qdd.data(), branch.data(), r.q.data(),
                          r.qd.data(), {w.q.data(), w.qd.data(), w.body_q.data(), w.body_qd.data()},
                          g, ws, adjoint);
 }

@@ -112,6 +112,13 @@ def test_the_die_is_trained_to_land_on_its_face():
     assert "of 1 random spins" in done.stdout
 
 
+@pytest.mark.parametrize(("name", "iterations"), [("featherstone", "10"), ("cart_pole", "2")])
+def test_articulations_are_trained_with_the_right_gradient(name, iterations):
+    pytest.importorskip("novaphy.diff")
+    done = demo(name, "--headless", iterations, "--check-grad")
+    assert done.returncode == 0 and done.stdout.rstrip().endswith("ok"), done.stdout + done.stderr
+
+
 def test_demos_write_a_page_of_the_run(tmp_path):
     pytest.importorskip("novaphy.diff")
     page = tmp_path / "run.html"

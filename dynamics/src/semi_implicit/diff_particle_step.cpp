@@ -92,7 +92,10 @@ void ParticleStep::run(const Model& model, SimState& in, SimState& out, const Co
     nova::submit_copy(applied.range, f.range);
     const Operand recorded[] = {f};
     if (nova::Tape::active()->must_record(recorded))
-      nova::Tape::active()->mark_copied(applied.range, "particle_f");
+      nova::Tape::active()->mark_untracked(
+          applied.range,
+          "particle_f holds a copy of recorded values, through which no gradient would flow; clear "
+          "it before it is used again");
   }
   integrate_particles(model, q, qd, f, dt, nova::operand_of(out.particle_q),
                       nova::operand_of(out.particle_qd));

@@ -128,6 +128,20 @@ def rigid_orientation_velocity_loss_generated(
     linear_velocity_weight: SupportsFloat = 0.0,
     angular_velocity_weight: SupportsFloat = 0.0,
 ) -> Tensor: ...
+def planar_2r_tip_loss(
+    model: Model, q: Tensor, target_x: SupportsFloat, target_z: SupportsFloat
+) -> Tensor: ...
+def record_planar_2r_featherstone_step(
+    model: Model,
+    state_in: SimState,
+    control: Control | None,
+    q: Tensor,
+    qd: Tensor,
+    q_out: Tensor,
+    qd_out: Tensor,
+    dt: SupportsFloat,
+    angular_damping: SupportsFloat,
+) -> None: ...
 def particle_centroid_generated(particle_q: Tensor) -> Tensor: ...
 def vec3_point_loss_generated(
     point: Tensor, target_x: SupportsFloat, target_y: SupportsFloat, target_z: SupportsFloat

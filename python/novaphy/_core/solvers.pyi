@@ -180,3 +180,45 @@ class DiffSemiImplicitSolver(SolverBase):
         contacts: Contacts | None,
         dt: SupportsFloat,
     ) -> None: ...
+
+class SolverFeatherstone(SolverBase):
+    def __init__(
+        self,
+        model: Model,
+        *,
+        angular_damping: SupportsFloat = 0.05,
+        implicit_drives: bool = True,
+    ) -> None: ...
+    @property
+    def angular_damping(self) -> float: ...
+    @property
+    def implicit_drives(self) -> bool: ...
+    def step(
+        self,
+        state_in: SimState,
+        state_out: SimState,
+        control: Control | None,
+        contacts: Contacts | None,
+        dt: SupportsFloat,
+    ) -> None: ...
+
+class DiffFeatherstoneSolver(SolverBase):
+    def __init__(
+        self,
+        model: Model,
+        *,
+        angular_damping: SupportsFloat = 0.05,
+        implicit_drives: bool = True,
+    ) -> None: ...
+    @property
+    def angular_damping(self) -> float: ...
+    @property
+    def implicit_drives(self) -> bool: ...
+    def step(
+        self,
+        state_in: SimState,
+        state_out: SimState,
+        control: Control | None,
+        contacts: Contacts | None,
+        dt: SupportsFloat,
+    ) -> None: ...

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from .._core import has_diff, has_vbd
-from .._core.solvers import SolverBase, SolverSemiImplicit
+from .._core.solvers import SolverBase, SolverFeatherstone, SolverSemiImplicit
 from .._planned import missing_from_module
 from .._require import require_diff, require_vbd
 
-__all__ = ["SolverBase", "SolverSemiImplicit"]
+__all__ = ["SolverBase", "SolverFeatherstone", "SolverSemiImplicit"]
 
 if has_vbd():
     from .._core.solvers import SolverVBD, VbdResidual
@@ -15,14 +15,18 @@ if has_vbd():
     __all__ += ["SolverVBD", "VbdResidual"]
 
 if has_diff():
-    from .._core.solvers import DiffSemiImplicitSolver, DiffSolverConfig
+    from .._core.solvers import (
+        DiffFeatherstoneSolver,
+        DiffSemiImplicitSolver,
+        DiffSolverConfig,
+    )
 
-    __all__ += ["DiffSemiImplicitSolver", "DiffSolverConfig"]
+    __all__ += ["DiffFeatherstoneSolver", "DiffSemiImplicitSolver", "DiffSolverConfig"]
 
 
 def __getattr__(name: str) -> object:
     """Say why a solver is not there: not in this build, or not built yet."""
-    if name in ("DiffSemiImplicitSolver", "DiffSolverConfig"):
+    if name in ("DiffFeatherstoneSolver", "DiffSemiImplicitSolver", "DiffSolverConfig"):
         require_diff(f"novaphy.solvers.{name}")
     if name in ("SolverVBD", "VbdResidual"):
         require_vbd(f"novaphy.solvers.{name}")

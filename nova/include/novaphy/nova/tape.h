@@ -77,10 +77,10 @@ class NOVAPHY_NOVA_API Tape {
                                  std::move(backward)));
   }
 
-  // Says that the range now holds a copy of a recorded value which the tape does not follow. Using
-  // it as an input before it is written again throws, because the gradient would stop there. `name`
-  // is for the message.
-  void mark_copied(const std::shared_ptr<Range>& range, const char* name);
+  // Says that a recorded value stops in the range: what wrote it is not followed, as a copy, or a
+  // forward solver's step. Using it as an input before it is written again, or is the output of a
+  // recorded operation, throws. `why` completes "input of op: ".
+  void mark_untracked(const std::shared_ptr<Range>& range, const char* why);
 
   // What is recorded in between may be overwritten afterwards, but for what it reads from before
   // and for what is read of it later: backward runs these operations once more, ahead of their

@@ -48,16 +48,22 @@ SpatialInertia<T> world_inertia(const Tree<T>& tree, const Link& link, const Qua
                                 const Vec3<T>& c) {
   if (link.body < 0) return {};
   const Mat33<T>& i = tree.inertia[link.body];
-  const T half = T(0.5f), o = T(0.0f);
-  const SpatialInertia<T> local = {tree.mass[link.body],
-                                   {o, o, o},
-                                   i.m[0][0],
-                                   i.m[1][1],
-                                   i.m[2][2],
-                                   (i.m[0][1] + i.m[1][0]) * half,
-                                   (i.m[0][2] + i.m[2][0]) * half,
-                                   (i.m[1][2] + i.m[2][1]) * half};
-  return math::inertia_at(math::rotate(q, local), -c);
+  const T half = T(0.5f);
+  const T xy = (i.m[0][1] + i.m[1][0]) * half, xz = (i.m[0][2] + i.m[2][0]) * half,
+          yz = (i.m[1][2] + i.m[2][1]) * half;
+  const Vec3<T> x = math::rotate(q, unit_vector<T>(0)), y = math::rotate(q, unit_vector<T>(1)),
+                z = math::rotate(q, unit_vector<T>(2));
+  // R I by its columns, times the rows of R.
+  const Vec3<T> a = x * i.m[0][0] + (y * xy + z * xz), b = x * xy + (y * i.m[1][1] + z * yz),
+                d = x * xz + (y * yz + z * i.m[2][2]);
+  const auto entry = [&](T Vec3<T>::*r, T Vec3<T>::*s) {
+    return (a.*r * x.*s + b.*r * y.*s) + d.*r * z.*s;
+  };
+  constexpr T Vec3<T>::*X = &Vec3<T>::x, Vec3<T>::*Y = &Vec3<T>::y, Vec3<T>::*Z = &Vec3<T>::z;
+  return math::inertia_at(
+      SpatialInertia<T>{tree.mass[link.body], Vec3<T>{T(0.0f), T(0.0f), T(0.0f)}, entry(X, X),
+                        entry(Y, Y), entry(Z, Z), entry(X, Y), entry(X, Z), entry(Y, Z)},
+      -c);
 }
 
 // The columns of S of a link whose frames are set.
@@ -91,9 +97,9 @@ void set_axes(const Tree<T>& tree, const Link& link, const LinkState<T>& s,
   }
 }
 
-// Frames, axes and inertias of all links, from q (rows of the arrays).
+// Frames and axes of all links, from q (rows of the arrays).
 template <class T>
-void kinematics(const Tree<T>& tree, const T* q, Workspace<T>& ws) {
+void link_frames(const Tree<T>& tree, const T* q, Workspace<T>& ws) {
   const Vec3<T> none = {T(0.0f), T(0.0f), T(0.0f)};
   for (int32_t i = 0; i < tree.link_count; ++i) {
     const Link& link = tree.links[i];
@@ -123,9 +129,16 @@ void kinematics(const Tree<T>& tree, const T* q, Workspace<T>& ws) {
     }
     s.com = s.p + c;
     if (!parent && is_free(link)) s.com = none;
-    s.inertia = world_inertia(tree, link, s.q, s.com);
     set_axes(tree, link, s, ws.axes);
   }
+}
+
+// link_frames, and the inertias of all links.
+template <class T>
+void kinematics(const Tree<T>& tree, const T* q, Workspace<T>& ws) {
+  link_frames(tree, q, ws);
+  for (int32_t i = 0; i < tree.link_count; ++i)
+    ws.links[i].inertia = world_inertia(tree, tree.links[i], ws.links[i].q, ws.links[i].com);
 }
 
 // Motions of the links, from qd (rows of the tree).
@@ -138,7 +151,7 @@ void link_motions(const Tree<T>& tree, const T* qd, Workspace<T>& ws) {
   }
 }
 
-// body_q and body_qd (rows of the bodies), behind kinematics and link_motions.
+// body_q and body_qd (rows of the bodies), behind link_frames and link_motions.
 template <class T>
 void write_bodies(const Tree<T>& tree, const Workspace<T>& ws, Transform<T>* body_q,
                   SpatialVector<T>* body_qd) {

@@ -23,7 +23,7 @@ SpatialVector<T> pose_force(const LinkState<T>& s, const Transform<T>& g) {
   return {g.p, quat_to_tangent(s.q, g.q) + math::cross(s.p, g.p)};
 }
 
-// Behind kinematics and link_motions. Null: a gradient of zero. Uses v_adjoint and f of the links.
+// Behind link_frames and link_motions. Null: a gradient of zero. Uses v_adjoint and f of the links.
 template <class T>
 void kinematics_vjp(const Tree<T>& tree, const T* qd, const Transform<T>* body_q,
                     const SpatialVector<T>* body_qd, Workspace<T>& ws, KinematicsGradient<T>& g) {

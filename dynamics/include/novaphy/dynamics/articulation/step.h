@@ -161,7 +161,7 @@ void finish_step(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions
       qd_next[link.dof + j] =
           ws.qd_next[local_dof(tree, link) + j] * damping_factor(link, j, options);
   }
-  kinematics(tree, q_next, ws);
+  link_frames(tree, q_next, ws);
   link_motions(tree, qd_next + tree.first_dof, ws);
   write_bodies(tree, ws, body_q, body_qd);
 }

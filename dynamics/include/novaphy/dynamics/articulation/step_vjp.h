@@ -42,23 +42,21 @@ struct StepGradient {
     kInertia,
     kMembers
   };
-  T *q = nullptr, *qd = nullptr, *joint_f = nullptr;
-  SpatialVector<T>* body_f = nullptr;
-  T *target_q = nullptr, *target_qd = nullptr, *target_ke = nullptr, *target_kd = nullptr,
-    *damping = nullptr, *armature = nullptr, *limit_lower = nullptr, *limit_upper = nullptr,
-    *limit_ke = nullptr, *limit_kd = nullptr, *effort_limit = nullptr, *velocity_limit = nullptr,
-    *mass = nullptr;
-  Vec3<T>* com = nullptr;
-  Mat33<T>* inertia = nullptr;
-  int32_t add = 0;
+  T *q, *qd, *joint_f;
+  SpatialVector<T>* body_f;
+  T *target_q, *target_qd, *target_ke, *target_kd, *damping, *armature, *limit_lower, *limit_upper,
+      *limit_ke, *limit_kd, *effort_limit, *velocity_limit, *mass;
+  Vec3<T>* com;
+  Mat33<T>* inertia;
+  int32_t add;
 };
 
 // Gradients of what a step gives; null: zero.
 template <class T>
 struct StepOutputGradient {
-  const T *q = nullptr, *qd = nullptr;
-  const Transform<T>* body_q = nullptr;
-  const SpatialVector<T>* body_qd = nullptr;
+  const T *q, *qd;
+  const Transform<T>* body_q;
+  const SpatialVector<T>* body_qd;
 };
 
 // Memory besides the workspace: `tangent` and `rate` {dofs}, `scratch` {3 dofs}; the others have a
@@ -193,10 +191,10 @@ void add_mass_gradients(const Tree<T>& tree, const StepGradient<T>& g,
   }
 }
 
-// `qdd`, `branch`, `q_next` and `qd_next` are those of the step; rows of the arrays.
+// `qdd`, `branch` (as numbers), `q_next` and `qd_next` are those of the step; rows of the arrays.
 template <class T>
 void step_vjp(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<T>& options,
-              const T* qdd, const int32_t* branch, const T* q_next, const T* qd_next,
+              const T* qdd, const T* branch, const T* q_next, const T* qd_next,
               const StepOutputGradient<T>& out, const StepGradient<T>& g, Workspace<T>& ws,
               AdjointMemory<T>& memory) {
   using G = StepGradient<T>;
@@ -209,7 +207,7 @@ void step_vjp(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<T>
   for (int32_t i = 0; i < tree.link_count; ++i) memory.moved_com[i] = {o, o, o};
   for (int32_t k = 0; k < n; ++k) tangent[k] = rate[k] = o;
   if (out.body_q || out.body_qd) {
-    kinematics(tree, q_next, ws);
+    link_frames(tree, q_next, ws);
     link_motions(tree, qd_next + row0, ws);
     KinematicsGradient<T> of_poses{tangent, rate, memory.moved_com};
     kinematics_vjp(tree, qd_next + row0, out.body_q, out.body_qd, ws, of_poses);
@@ -235,7 +233,7 @@ void step_vjp(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<T>
 
   // Of the coordinates' update and the velocity clamp.
   for (int32_t k = 0; k < n; ++k) {
-    ws.branch[k] = branch[row0 + k];
+    ws.branch[k] = static_cast<int32_t>(branch[row0 + k]);
     ws.qdd[k] = qdd[row0 + k];
   }
   new_rates(tree, in, options, ws);

@@ -1,0 +1,47 @@
+// DiffFeatherstoneSolver: the step of articulations, recorded on a tape.
+#pragma once
+
+#include <memory>
+
+#include "novaphy/diff/export.h"
+#include "novaphy/diff/trajectory.h"
+#include "novaphy/dynamics/diff_solver_base.h"
+#include "novaphy/dynamics/featherstone/diff_articulation_step.h"
+
+namespace novaphy::diff {
+
+// Steps with the bits of SolverFeatherstone. Inside an active nova::Tape each is one operation with
+// the exact adjoint; gradients and what they are: diff_articulation_step.h. rollout runs many, with
+// the bits of a loop of step; with checkpoints backward runs the stretches between kept states once
+// more.
+class NOVAPHY_DIFF_API DiffFeatherstoneSolver : public DiffSolverBase {
+ public:
+  // Errors as SolverFeatherstone.
+  explicit DiffFeatherstoneSolver(std::shared_ptr<const Model> model,
+                                  const FeatherstoneOptions& options = {});
+
+  const FeatherstoneOptions& options() const { return options_; }
+
+  // Errors as SolverFeatherstone::step; ErrorKind::Runtime inside a ScopedCapture.
+  void step(SimState& state_in, SimState& state_out, const Control* control,
+            const Contacts* contacts, float dt) override;
+  // Errors as step, of the last step that failed.
+  void rollout(Trajectory& trajectory, const Control* control, const Contacts* contacts, float dt,
+               const RolloutOptions& options = {}) override;
+  void notify_model_changed(ModelFlags flags) override;
+  bool supports_graph_capture() const override {
+    return false;
+  }  // of step; rollout may be captured
+
+ protected:
+  std::vector<ScratchSpec> step_scratch() const override;
+  bool begin_rollout(const RolloutInputs& inputs) override;
+  void record_step(const SimState& in, SimState& out, const StepInputs& inputs,
+                   StepScratch scratch) override;
+
+ private:
+  FeatherstoneOptions options_;
+  ArticulationStep step_;
+};
+
+}  // namespace novaphy::diff

@@ -1,0 +1,72 @@
+#include "novaphy/diff/diff_featherstone_solver.h"
+
+#include "novaphy/core/error.h"
+#include "novaphy/dynamics/diff_model_reads.h"
+#include "novaphy/nova/op_list.h"
+#include "novaphy/nova/tape.h"
+
+namespace novaphy::diff {
+namespace {
+
+constexpr const char* kUser = "DiffFeatherstoneSolver";
+constexpr const char* kStep = "DiffFeatherstoneSolver.step";
+constexpr const char* kRollout = "DiffFeatherstoneSolver.rollout";
+
+void check_contacts(const Contacts* contacts, const char* function) {
+  require(contacts == nullptr, ErrorKind::NotImplemented, function,
+          ", contacts: expected none, articulations have no contacts yet");
+}
+
+}  // namespace
+
+DiffFeatherstoneSolver::DiffFeatherstoneSolver(std::shared_ptr<const Model> model,
+                                               const FeatherstoneOptions& options)
+    : DiffSolverBase(std::move(model)), options_(options), step_(*this->model(), options, kUser) {}
+
+void DiffFeatherstoneSolver::notify_model_changed(ModelFlags) {
+  const ExclusiveUse::Scope scope = use("DiffFeatherstoneSolver.notify_model_changed");
+  step_ = ArticulationStep(*model(), options_, kUser);
+}
+
+void DiffFeatherstoneSolver::step(SimState& state_in, SimState& state_out, const Control* control,
+                                  const Contacts* contacts, float dt) {
+  require(!nova::current_capture(), ErrorKind::Runtime, kStep,
+          " inside a ScopedCapture: capture rollout instead (supports_graph_capture is False)");
+  const ExclusiveUse::Scope scope = use(kStep);
+  const Model& m = *model();
+  check_step(kStep, state_in, state_out, control, contacts, dt);
+  check_contacts(contacts, kStep);
+  begin_model_reads(m, kStep);
+  step_.begin(m, control, kStep);
+  if (nova::Tape::active() != nullptr) make_leaves(state_in);
+  const auto scratch = make_scratch(step_.scratch(m), 1, device());
+  step_.record(m, state_in, state_out, control, dt, scratch[0]);
+  step_.check(m, kStep);
+}
+
+void DiffFeatherstoneSolver::rollout(Trajectory& trajectory, const Control* control,
+                                     const Contacts* contacts, float dt,
+                                     const RolloutOptions& options) {
+  DiffSolverBase::rollout(trajectory, control, contacts, dt, options);
+  if (!nova::current_capture()) step_.check(*model(), kRollout);
+}
+
+std::vector<ScratchSpec> DiffFeatherstoneSolver::step_scratch() const {
+  return step_.scratch(*model());
+}
+
+bool DiffFeatherstoneSolver::begin_rollout(const RolloutInputs& inputs) {
+  check_contacts(inputs.contacts(), kRollout);
+  begin_model_reads(*model(), kRollout);
+  for (int32_t t = inputs.start(); t < inputs.stop(); ++t)
+    if (t == inputs.start() || inputs.control(t) != inputs.control(t - 1))
+      step_.begin(*model(), inputs.control(t), kRollout);
+  return true;
+}
+
+void DiffFeatherstoneSolver::record_step(const SimState& in, SimState& out,
+                                         const StepInputs& inputs, StepScratch scratch) {
+  step_.record(*model(), in, out, inputs.control, inputs.dt, scratch);
+}
+
+}  // namespace novaphy::diff

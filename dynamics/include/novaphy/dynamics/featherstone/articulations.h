@@ -1,0 +1,50 @@
+// Articulations: those of a model as trees (articulation/tree.h), for solvers and functions.
+#pragma once
+
+#include <string>
+#include <vector>
+
+#include "novaphy/core/array_stamp.h"
+#include "novaphy/core/sim/control.h"
+#include "novaphy/core/sim/model.h"
+#include "novaphy/core/sim/sim_state.h"
+#include "novaphy/dynamics/articulation/tree.h"
+#include "novaphy/dynamics/export.h"
+
+namespace novaphy {
+
+// The joints of a model (joint_type, joint_parent, joint_child, articulation_start, ...) are read
+// once, when it is made; everything else at every use.
+class NOVAPHY_DYNAMICS_API Articulations {
+ public:
+  // `user` starts the messages. ErrorKind::NotImplemented: a model on another device than the cpu,
+  // a joint that belongs to no articulation, a DISTANCE joint, a kinematic body.
+  Articulations(const Model& model, const char* user);
+
+  int64_t count() const { return static_cast<int64_t>(rows_.rows()); }
+  int32_t max_links() const { return max_links_; }
+  int32_t max_dofs() const { return max_dofs_; }
+  // {count} rows of 5: first link, links, first dof, dofs, world.
+  const DeviceArray<int32_t>& rows() const { return rows_; }
+  const DeviceArray<int32_t>& links() const { return links_; }  // rows of articulation::Link
+  const DeviceArray<int32_t>& dof_parent() const { return dof_parent_; }
+  // Over the arrays of the model, which must live as long.
+  articulation::Tree<float> tree(const Model& model, int64_t i) const;
+
+  // ErrorKind::NotImplemented, naming the array: a value that would have no effect: joint_friction,
+  // a joint that is not enabled, an actuator input; gains, damping or limits of dofs that have no
+  // drive. `control` null: the model's. Looks at arrays again when they were written.
+  void check_values(const Model& model, const Control* control, const char* user);
+  // "dof 3 (joint 'elbow')"
+  std::string dof_name(const Model& model, int32_t dof) const;
+
+ private:
+  void check_without_drive(const Model& model, const char* user) const;
+
+  DeviceArray<int32_t> rows_, links_, dof_parent_;
+  std::vector<articulation::LinkJoint> joint_of_dof_;
+  int32_t max_links_ = 0, max_dofs_ = 0;
+  std::vector<ArrayStamp> checked_;
+};
+
+}  // namespace novaphy

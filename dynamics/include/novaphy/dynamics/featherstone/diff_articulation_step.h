@@ -1,0 +1,46 @@
+// The step of articulations as one operation of a tape, with its exact adjoint and tangent.
+//
+// Gradients (articulation/step_vjp.h), of joint_q, joint_qd, body_q and body_qd of the new state:
+//   joint_q, joint_qd, joint_f, body_f, joint_target_q, joint_target_qd,       exact
+//   joint_target_ke, _kd, joint_damping, joint_armature, joint_limit_lower,
+//   _upper, _ke, _kd, joint_effort_limit, joint_velocity_limit,
+//   body_mass, body_com, body_inertia
+//   gravity, joint_X_p, joint_X_c, joint_axis                                  none: it raises
+// Exact where no limit, effort or velocity clamp is just reached: branches stay as they were.
+// Gradients of quaternions are tangent to the unit sphere. body_inertia counts by its symmetric
+// part.
+#pragma once
+
+#include <memory>
+#include <vector>
+
+#include "novaphy/core/sim/model.h"
+#include "novaphy/core/sim/trajectory.h"
+#include "novaphy/dynamics/export.h"
+#include "novaphy/dynamics/featherstone/solver_featherstone.h"
+
+namespace novaphy::diff {
+
+class NOVAPHY_DYNAMICS_API ArticulationStep {
+ public:
+  // Errors as SolverFeatherstone; ErrorKind::Value: a model whose joints have no dofs.
+  ArticulationStep(const Model& model, const FeatherstoneOptions& options, const char* user);
+  ~ArticulationStep();
+  ArticulationStep(ArticulationStep&&) noexcept;
+  ArticulationStep& operator=(ArticulationStep&&) noexcept;
+
+  std::vector<ScratchSpec> scratch(const Model& model) const;
+  // Checks before some steps.
+  void begin(const Model& model, const Control* control, const char* function);
+  // Submits a step, recorded on an active tape. `scratch` as the specs say: what the adjoint reads.
+  void record(const Model& model, const SimState& in, SimState& out, const Control* control,
+              float dt, StepScratch scratch);
+  // ErrorKind::Runtime, naming the dof, when the last step failed. Looks at the host's memory.
+  void check(const Model& model, const char* function) const;
+
+ private:
+  struct Shared;
+  std::shared_ptr<Shared> shared_;
+};
+
+}  // namespace novaphy::diff

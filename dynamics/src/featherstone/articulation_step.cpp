@@ -1,0 +1,78 @@
+#include "articulation_step.h"
+
+#include <cmath>
+
+#include "novaphy/core/error.h"
+
+namespace novaphy {
+
+void check_featherstone_model(const Model& m, const FeatherstoneOptions& options,
+                              const char* user) {
+  require(std::isfinite(options.angular_damping) && options.angular_damping >= 0.0f,
+          ErrorKind::Value, user, ": angular_damping: expected a finite number >= 0, got ",
+          options.angular_damping);
+  require(m.particle_count() == 0, ErrorKind::NotImplemented, user,
+          ": model: expected particle_count 0 (particles are not covered), got ",
+          m.particle_count());
+}
+
+void check_no_contacts(const Contacts* contacts, const char* user) {
+  require(contacts == nullptr, ErrorKind::NotImplemented, user,
+          ": contacts: expected none, articulations have no contacts yet");
+}
+
+void check_status(const Model& m, const Articulations& articulations,
+                  std::span<const int32_t> status, const char* user) {
+  for (const int32_t s : status)
+    if (s != 0)
+      fail(ErrorKind::Runtime, user, ": ", articulations.dof_name(m, s - 1),
+           ": the mass matrix is not positive definite there, or its acceleration is not finite: "
+           "expected mass or armature, and finite coordinates, velocities and forces");
+}
+
+int64_t step_workspace(const Articulations& articulations) {
+  const int32_t links = articulations.max_links(), dofs = articulations.max_dofs();
+  const int64_t bytes = articulation::workspace_bytes<float>(links, dofs) +
+                        articulation::adjoint_bytes<float>(links, dofs);
+  return bytes <= kLocalWorkspace ? 0 : bytes / static_cast<int64_t>(sizeof(float));
+}
+
+ArticulationArguments articulation_arguments(const Model& m, const Articulations& articulations,
+                                             const SimState& in, const Control* control,
+                                             const FeatherstoneOptions& options, float dt) {
+  const auto& target_q = control ? control->joint_target_q : m.joint_target_q;
+  const auto& target_qd = control ? control->joint_target_qd : m.joint_target_qd;
+  const auto& joint_f = control ? control->joint_f : m.joint_f;
+  return {reinterpret_cast<const ArticulationRows*>(articulations.rows().data()),
+          reinterpret_cast<const articulation::Link*>(articulations.links().data()),
+          articulations.dof_parent().data(),
+          m.joint_X_p.data(),
+          m.joint_X_c.data(),
+          m.joint_axis.data(),
+          m.body_mass.data(),
+          m.body_com.data(),
+          m.body_inertia.data(),
+          m.gravity.data(),
+          m.joint_target_mode.data(),
+          target_q.data(),
+          target_qd.data(),
+          m.joint_target_ke.data(),
+          m.joint_target_kd.data(),
+          m.joint_damping.data(),
+          m.joint_armature.data(),
+          m.joint_limit_lower.data(),
+          m.joint_limit_upper.data(),
+          m.joint_limit_ke.data(),
+          m.joint_limit_kd.data(),
+          m.joint_effort_limit.data(),
+          m.joint_velocity_limit.data(),
+          in.joint_q.data(),
+          in.joint_qd.data(),
+          joint_f.data(),
+          in.body_f.data(),
+          {dt, 0},
+          {options.angular_damping, 0},
+          options.implicit_drives ? 1 : 0};
+}
+
+}  // namespace novaphy

@@ -1,0 +1,29 @@
+// What the solvers of articulations share: checks, and the arguments of a step.
+#pragma once
+
+#include <span>
+
+#include "articulation_kernels.h"
+#include "novaphy/core/sim/contacts.h"
+#include "novaphy/dynamics/featherstone/articulations.h"
+#include "novaphy/dynamics/featherstone/solver_featherstone.h"
+
+namespace novaphy {
+
+// ErrorKind::Value: a bad option; ErrorKind::NotImplemented: parts besides articulations.
+void check_featherstone_model(const Model& model, const FeatherstoneOptions& options,
+                              const char* user);
+void check_no_contacts(const Contacts* contacts, const char* user);  // NotImplemented
+// ErrorKind::Runtime, naming the first dof that failed.
+void check_status(const Model& model, const Articulations& articulations,
+                  std::span<const int32_t> status, const char* user);
+
+// Numbers of memory per articulation; 0: the stack holds it.
+int64_t step_workspace(const Articulations& articulations);
+
+// Host pointers.
+ArticulationArguments articulation_arguments(const Model& model, const Articulations& articulations,
+                                             const SimState& in, const Control* control,
+                                             const FeatherstoneOptions& options, float dt);
+
+}  // namespace novaphy

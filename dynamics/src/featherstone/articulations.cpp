@@ -1,0 +1,200 @@
+#include "novaphy/dynamics/featherstone/articulations.h"
+
+#include <algorithm>
+#include <initializer_list>
+
+#include "articulation_kernels.h"
+#include "novaphy/core/error.h"
+#include "novaphy/core/sim/joint_args.h"
+
+namespace novaphy {
+namespace {
+
+using articulation::Link;
+using articulation::LinkJoint;
+
+static_assert(sizeof(Link) == 8 * sizeof(int32_t) && sizeof(ArticulationRows) == 5 * 4);
+
+// The links of one articulation, joint by joint.
+class TreeMaker {
+ public:
+  TreeMaker(const Model& model, const char* user) : model_(model), user_(user) {
+    const auto bodies = static_cast<size_t>(model.body_count());
+    link_of_body_.assign(bodies, -1);
+  }
+
+  void begin() { first_ = static_cast<int32_t>(links.size()); }
+  int32_t link_count() const { return static_cast<int32_t>(links.size()) - first_; }
+
+  void add(int32_t joint) {
+    const auto type = static_cast<JointType>(model_.joint_type.data()[joint]);
+    const int32_t parent_body = model_.joint_parent.data()[joint];
+    const int32_t child = model_.joint_child.data()[joint];
+    require(type != JointType::DISTANCE, ErrorKind::NotImplemented, user_, ": model: joint ", joint,
+            " ('", model_.joint_label[static_cast<size_t>(joint)],
+            "'): DISTANCE joints are not covered");
+    require(!has_flag(model_.body_flags.data()[child], BodyFlags::KINEMATIC),
+            ErrorKind::NotImplemented, user_, ": model: body ", child,
+            ": kinematic bodies are not covered");
+    int32_t parent = parent_body < 0 ? -1 : link_of_body_[static_cast<size_t>(parent_body)];
+    const int32_t coord = model_.joint_q_start.data()[joint];
+    const int32_t dof = model_.joint_qd_start.data()[joint];
+    const int32_t dofs = model_.joint_qd_start.data()[joint + 1] - dof;
+    const int32_t linear = model_.joint_dof_dim.data()[joint].x;
+    const bool chain = type == JointType::D6;
+    const int32_t count = chain ? std::max(dofs, 1) : 1;
+    for (int32_t k = 0; k < count; ++k) {
+      Link link;
+      link.joint = !chain       ? static_cast<LinkJoint>(type)
+                   : dofs == 0  ? LinkJoint::Fixed
+                   : k < linear ? LinkJoint::Prismatic
+                                : LinkJoint::Revolute;
+      link.parent = parent;
+      link.frame_p = k == 0 ? joint : -1;
+      link.frame_c = k == count - 1 ? joint : -1;
+      link.body = k == count - 1 ? child : -1;
+      link.coord = coord + (chain ? k : 0);
+      link.dof = dof + (chain ? k : 0);
+      link.dofs = chain ? std::min(dofs, 1) : dofs;
+      parent = link_count();
+      links.push_back(link);
+    }
+    link_of_body_[static_cast<size_t>(child)] = parent;
+  }
+
+  // Of the articulation's dofs, counted from the first.
+  void end(int32_t first_dof) {
+    for (size_t i = static_cast<size_t>(first_); i < links.size(); ++i) {
+      int32_t above = -1;
+      for (int32_t p = links[i].parent; p >= 0 && above < 0;) {
+        const Link& link = links[static_cast<size_t>(first_ + p)];
+        if (link.dofs > 0) above = link.dof - first_dof + link.dofs - 1;
+        p = link.parent;
+      }
+      for (int32_t k = 0; k < links[i].dofs; ++k) {
+        dof_parent.push_back(k == 0 ? above : links[i].dof - first_dof + k - 1);
+        joint_of_dof.push_back(links[i].joint);
+      }
+    }
+  }
+
+  std::vector<Link> links;
+  std::vector<int32_t> dof_parent;
+  std::vector<LinkJoint> joint_of_dof;
+
+ private:
+  const Model& model_;
+  const char* user_;
+  std::vector<int32_t> link_of_body_;
+  int32_t first_ = 0;
+};
+
+DeviceArray<int32_t> table(const std::vector<int32_t>& values, size_t width) {
+  return DeviceArray<int32_t>::from_host(values, Device::cpu(), width);
+}
+
+}  // namespace
+
+Articulations::Articulations(const Model& m, const char* user) {
+  require(m.device().is_cpu(), ErrorKind::NotImplemented, user,
+          ": model: expected one on the cpu, got one on ", m.device().str());
+  for (int32_t j = 0; j < m.joint_count(); ++j)
+    require(m.joint_articulation.data()[j] >= 0, ErrorKind::NotImplemented, user, ": model: joint ",
+            j, " ('", m.joint_label[static_cast<size_t>(j)],
+            "') belongs to no articulation: name it in add_articulation");
+  TreeMaker trees(m, user);
+  std::vector<int32_t> rows;
+  for (int32_t i = 0; i < m.articulation_count(); ++i) {
+    const int32_t start = m.articulation_start.data()[i], end = m.articulation_end.data()[i];
+    const int32_t first_dof = m.joint_qd_start.data()[start];
+    const int32_t dofs = m.joint_qd_start.data()[end] - first_dof;
+    trees.begin();
+    const auto first_link = static_cast<int32_t>(trees.links.size());
+    for (int32_t j = start; j < end; ++j) trees.add(j);
+    trees.end(first_dof);
+    const int32_t world = m.joint_world.data()[start];
+    for (const int32_t value :
+         {first_link, trees.link_count(), first_dof, dofs, world < 0 ? m.world_count() - 1 : world})
+      rows.push_back(value);
+    max_links_ = std::max(max_links_, trees.link_count());
+    max_dofs_ = std::max(max_dofs_, dofs);
+  }
+  const auto* words = reinterpret_cast<const int32_t*>(trees.links.data());
+  rows_ = table(rows, 5);
+  links_ = table(std::vector<int32_t>(words, words + 8 * trees.links.size()), 8);
+  dof_parent_ = table(trees.dof_parent, 1);
+  joint_of_dof_ = std::move(trees.joint_of_dof);
+}
+
+articulation::Tree<float> Articulations::tree(const Model& m, int64_t i) const {
+  const auto& rows = reinterpret_cast<const ArticulationRows*>(rows_.data())[i];
+  return {rows.link_count,
+          rows.dof_count,
+          reinterpret_cast<const Link*>(links_.data()) + rows.first_link,
+          dof_parent_.data() + rows.first_dof,
+          rows.first_dof,
+          m.joint_X_p.data(),
+          m.joint_X_c.data(),
+          m.joint_axis.data(),
+          m.body_mass.data(),
+          m.body_com.data(),
+          m.body_inertia.data(),
+          m.gravity.data()[rows.world]};
+}
+
+std::string Articulations::dof_name(const Model& m, int32_t dof) const {
+  const int32_t* start = m.joint_qd_start.data();
+  const auto joint = std::upper_bound(start, start + m.joint_count(), dof) - start - 1;
+  return "dof " + std::to_string(dof) + " (joint '" + m.joint_label[static_cast<size_t>(joint)] +
+         "')";
+}
+
+void Articulations::check_without_drive(const Model& m, const char* user) const {
+  struct Number {
+    const char* name;
+    const DeviceArray<float>* array;
+    bool on_ball;  // acts there
+  };
+  const Number numbers[] = {{"joint_target_ke", &m.joint_target_ke, false},
+                            {"joint_target_kd", &m.joint_target_kd, false},
+                            {"joint_damping", &m.joint_damping, true}};
+  for (int32_t k = 0; k < m.joint_dof_count(); ++k) {
+    const LinkJoint joint = joint_of_dof_[static_cast<size_t>(k)];
+    if (joint == LinkJoint::Prismatic || joint == LinkJoint::Revolute) continue;
+    const bool ball = joint == LinkJoint::Ball;
+    for (const Number& n : numbers)
+      require(n.array->data()[k] == 0.0f || (ball && n.on_ball), ErrorKind::NotImplemented, user,
+              ": model.", n.name, "[", k, "]: ", dof_name(m, k), " is of a ",
+              ball ? "BALL" : "FREE", " joint, which has none; got ", n.array->data()[k]);
+    require(m.joint_limit_lower.data()[k] <= -kJointUnlimited &&
+                m.joint_limit_upper.data()[k] >= kJointUnlimited,
+            ErrorKind::NotImplemented, user, ": model.joint_limit_lower and joint_limit_upper[", k,
+            "]: ", dof_name(m, k), " is of a ", ball ? "BALL" : "FREE",
+            " joint, whose limits are not covered");
+  }
+}
+
+void Articulations::check_values(const Model& m, const Control* control, const char* user) {
+  const DeviceArray<float>& act = control ? control->joint_act : m.joint_act;
+  const Array* const arrays[] = {&m.joint_enabled,     &m.joint_friction,   &act,
+                                 &m.joint_target_ke,   &m.joint_target_kd,  &m.joint_damping,
+                                 &m.joint_limit_lower, &m.joint_limit_upper};
+  checked_.resize(std::size(arrays));
+  bool same = true;
+  for (size_t i = 0; i < std::size(arrays); ++i) same = same && checked_[i].matches(*arrays[i]);
+  if (same) return;
+  for (int32_t j = 0; j < m.joint_count(); ++j)
+    require(m.joint_enabled.data()[j] != 0, ErrorKind::NotImplemented, user,
+            ": model.joint_enabled[", j, "]: joints that are not enabled are not covered");
+  for (int32_t k = 0; k < m.joint_dof_count(); ++k) {
+    require(m.joint_friction.data()[k] == 0.0f, ErrorKind::NotImplemented, user,
+            ": model.joint_friction[", k, "]: expected 0 (dry friction is not there yet), got ",
+            m.joint_friction.data()[k]);
+    require(act.data()[k] == 0.0f, ErrorKind::NotImplemented, user, ": joint_act[", k,
+            "]: expected 0 (there are no actuators; joint_f takes forces), got ", act.data()[k]);
+  }
+  check_without_drive(m, user);
+  for (size_t i = 0; i < std::size(arrays); ++i) checked_[i].set(*arrays[i]);
+}
+
+}  // namespace novaphy

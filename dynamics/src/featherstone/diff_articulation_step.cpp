@@ -1,0 +1,297 @@
+#include "novaphy/dynamics/featherstone/diff_articulation_step.h"
+
+#include <array>
+#include <utility>
+
+#include "articulation_step.h"
+#include "novaphy/core/device_kernel.h"
+#include "novaphy/core/error.h"
+#include "novaphy/nova/op_list.h"
+#include "novaphy/nova/tape.h"
+
+namespace novaphy::diff {
+namespace {
+
+using nova::Tensor;
+using G = articulation::StepGradient<float>;
+
+const DeviceKernel& step_kernel() {
+  static const DeviceKernel kernel(articulation_step, nullptr);
+  return kernel;
+}
+const DeviceKernel& vjp_kernel() {
+  static const DeviceKernel kernel(articulation_step_vjp, nullptr);
+  return kernel;
+}
+
+LaunchArgument argument(const char* name, const Tensor& tensor, bool write) {
+  LaunchArgument made;
+  if (!tensor.defined()) return made;
+  made.word = reinterpret_cast<uint64_t>(tensor.range()->data());
+  made.name = name;
+  made.range = tensor.range();
+  made.read = true;
+  made.write = write;
+  return made;
+}
+
+// Also of an array that may not be written through this handle.
+Tensor tensor_of(const Array& array) {
+  const nova::Operand operand = nova::operand_of(array);
+  const bool is_float = dtype_info(array.dtype()).scalar == Scalar::F32;
+  return {
+      operand.range, {operand.rows, operand.width}, is_float ? nova::DType::F32 : nova::DType::I32};
+}
+
+struct Named {
+  const char* name;
+  Tensor tensor;
+};
+
+}  // namespace
+
+struct ArticulationStep::Shared {
+  Shared(const Model& m, const FeatherstoneOptions& o, const char* user)
+      : options(o), articulations(m, user) {
+    const auto count = static_cast<size_t>(articulations.count());
+    stride = step_workspace(articulations);
+    status = DeviceArray<int32_t>(count, Device::cpu());
+    workspace = DeviceArray<float>(count * static_cast<size_t>(stride), Device::cpu());
+  }
+  FeatherstoneOptions options;
+  Articulations articulations;
+  int64_t stride = 0;
+  DeviceArray<int32_t> status;
+  DeviceArray<float> workspace;
+};
+
+namespace {
+
+// One step's arrays: handles, and what they are for the tape.
+struct Step {
+  std::array<Named, G::kMembers> inputs;  // in the order of StepGradient
+  std::array<Named, 8> values;   // rows, links, dof_parent, X_p, X_c, axis, gravity, target_mode
+  std::array<Named, 6> outputs;  // q, qd, body_q, body_qd, qdd, branch
+  FeatherstoneOptions options;
+  float dt = 0.0f;
+  int64_t count = 0, stride = 0;
+  DeviceArray<int32_t> status;
+  DeviceArray<float> workspace;
+
+  const Tensor& in(G::Member member) const { return inputs[member].tensor; }
+};
+
+// The words of ArticulationArguments.
+void add_arguments(const Step& s, std::vector<LaunchArgument>& words) {
+  const auto value = [&](size_t i) {
+    words.push_back(argument(s.values[i].name, s.values[i].tensor, false));
+  };
+  const auto in = [&](G::Member m) { words.push_back(argument(s.inputs[m].name, s.in(m), false)); };
+  for (size_t i = 0; i < 6; ++i) value(i);
+  for (const G::Member m : {G::kMass, G::kCom, G::kInertia}) in(m);
+  value(6);
+  value(7);
+  for (const G::Member m :
+       {G::kTargetQ, G::kTargetQd, G::kTargetKe, G::kTargetKd, G::kDamping, G::kArmature,
+        G::kLimitLower, G::kLimitUpper, G::kLimitKe, G::kLimitKd, G::kEffortLimit,
+        G::kVelocityLimit, G::kQ, G::kQd, G::kJointF, G::kBodyF})
+    in(m);
+  words.push_back(number(s.dt));
+  words.push_back(number(s.options.angular_damping));
+  words.push_back(number(static_cast<int64_t>(s.options.implicit_drives ? 1 : 0)));
+}
+
+void run_forward(const Step& s) {
+  const nova::NoGrad no_grad;
+  std::vector<LaunchArgument> words;
+  add_arguments(s, words);
+  for (const Named& out : s.outputs) words.push_back(argument(out.name, out.tensor, true));
+  words.push_back(writes_row("status", s.status));
+  words.push_back(writes("workspace", s.workspace));
+  words.push_back(number(s.stride));
+  step_kernel().launch(Device::cpu(), s.count, words);
+}
+
+void run_vjp(const Step& s, std::span<const Tensor> outputs,
+             std::span<const nova::InputGradient> gradients) {
+  const nova::NoGrad no_grad;
+  std::vector<LaunchArgument> words;
+  add_arguments(s, words);
+  for (const size_t i : {4, 5, 0, 1})
+    words.push_back(argument(s.outputs[i].name, s.outputs[i].tensor, false));
+  for (size_t i = 0; i < 4; ++i)
+    words.push_back(argument("gradient of an output", outputs[i], false));
+  int64_t add = 0;
+  for (size_t i = 0; i < G::kMembers; ++i) {
+    words.push_back(argument(s.inputs[i].name, gradients[i].grad, true));
+    if (gradients[i].add) add |= int64_t{1} << i;
+  }
+  words.push_back(number(add));
+  words.push_back(writes("workspace", s.workspace));
+  words.push_back(number(s.stride));
+  vjp_kernel().launch(Device::cpu(), s.count, words);
+}
+
+// Tangents by dual numbers, on the host.
+class DualArrays {
+ public:
+  using D = articulation::Dual<float>;
+  // `tangent` undefined: zero.
+  template <class T>
+  const T* take(const Tensor& values, const Tensor& tangent) {
+    std::vector<D>& to = arrays_.emplace_back(static_cast<size_t>(values.size()));
+    const float* x = values.data<float>();
+    const float* t = tangent.defined() ? tangent.data<float>() : nullptr;
+    for (size_t i = 0; i < to.size(); ++i) to[i] = {x[i], t ? t[i] : 0.0f};
+    return reinterpret_cast<const T*>(to.data());
+  }
+  template <class T>
+  T* make(const Tensor& like) {
+    return const_cast<T*>(take<T>(like, {}));
+  }
+
+ private:
+  std::vector<std::vector<D>> arrays_;
+};
+
+void write_tangent(const Tensor& to, const articulation::Dual<float>* values) {
+  if (!to.defined()) return;
+  auto* t = static_cast<float*>(to.range()->data());
+  for (int64_t i = 0; i < to.size(); ++i) t[i] = values[i].tangent;
+}
+
+void run_jvp(const Step& s, std::span<const Tensor> t, std::span<const Tensor> tangents) {
+  using D = articulation::Dual<float>;
+  DualArrays duals;
+  const auto in = [&](G::Member m) { return duals.take<D>(s.in(m), t[m]); };
+  const auto* target_mode = s.values[7].tensor.data<int32_t>();
+  const articulation::StepInputs<D> inputs = {
+      in(G::kQ),
+      in(G::kQd),
+      in(G::kJointF),
+      duals.take<SpatialVector<D>>(s.in(G::kBodyF), t[G::kBodyF]),
+      {target_mode, in(G::kTargetQ), in(G::kTargetQd), in(G::kTargetKe), in(G::kTargetKd),
+       in(G::kDamping), in(G::kArmature), in(G::kLimitLower), in(G::kLimitUpper), in(G::kLimitKe),
+       in(G::kLimitKd), in(G::kEffortLimit), in(G::kVelocityLimit)}};
+  articulation::Tree<D> tree;
+  tree.X_p = duals.take<Transform<D>>(s.values[3].tensor, {});
+  tree.X_c = duals.take<Transform<D>>(s.values[4].tensor, {});
+  tree.axis = duals.take<Vec3<D>>(s.values[5].tensor, {});
+  tree.mass = in(G::kMass);
+  tree.com = duals.take<Vec3<D>>(s.in(G::kCom), t[G::kCom]);
+  tree.inertia = duals.take<Mat33<D>>(s.in(G::kInertia), t[G::kInertia]);
+  D* const q = duals.make<D>(s.outputs[0].tensor);
+  D* const qd = duals.make<D>(s.outputs[1].tensor);
+  auto* const body_q = duals.make<Transform<D>>(s.outputs[2].tensor);
+  auto* const body_qd = duals.make<SpatialVector<D>>(s.outputs[3].tensor);
+  const articulation::StepOptions<D> options = {D(s.dt), D(s.options.angular_damping),
+                                                s.options.implicit_drives};
+  const auto* rows = reinterpret_cast<const ArticulationRows*>(s.values[0].tensor.data<int32_t>());
+  const auto* links =
+      reinterpret_cast<const articulation::Link*>(s.values[1].tensor.data<int32_t>());
+  std::vector<uint64_t> memory;
+  for (int64_t i = 0; i < s.count; ++i) {
+    tree.link_count = rows[i].link_count;
+    tree.dof_count = rows[i].dof_count;
+    tree.links = links + rows[i].first_link;
+    tree.dof_parent = s.values[2].tensor.data<int32_t>() + rows[i].first_dof;
+    tree.first_dof = rows[i].first_dof;
+    const float* g = s.values[6].tensor.data<float>() + 3 * rows[i].world;
+    tree.gravity = {D(g[0]), D(g[1]), D(g[2])};
+    memory.resize(static_cast<size_t>(
+        articulation::workspace_bytes<D>(tree.link_count, tree.dof_count) / 8 + 1));
+    articulation::Workspace<D> ws =
+        articulation::make_workspace<D>(memory.data(), tree.link_count, tree.dof_count);
+    if (articulation::forward_step(tree, inputs, options, ws) >= 0) continue;
+    articulation::finish_step(tree, inputs, options, ws, q, qd, body_q, body_qd);
+  }
+  write_tangent(tangents[0], q);
+  write_tangent(tangents[1], qd);
+  write_tangent(tangents[2], &body_q->p.x);
+  write_tangent(tangents[3], &body_qd->linear.x);
+  for (const size_t i : {4, 5})
+    if (tangents[i].defined()) nova::submit_fill(tangents[i].range(), 0.0f);
+}
+
+nova::CustomOp make_op(const std::shared_ptr<const Step>& step) {
+  nova::CustomOp op{.name = "articulation_step", .inputs = {}, .outputs = {}, .vjp = nullptr};
+  for (const Named& in : step->inputs) op.inputs.push_back(in.tensor);
+  for (const Named& out : step->outputs) op.outputs.push_back(out.tensor);
+  op.reads = op.inputs;
+  for (const Named& value : step->values) op.reads.push_back(value.tensor);
+  for (const size_t i : {0, 1, 4, 5}) op.reads.push_back(step->outputs[i].tensor);
+  op.writes.push_back(tensor_of(step->status));
+  if (step->stride > 0) op.writes.push_back(tensor_of(step->workspace));
+  op.vjp = [step](std::span<const Tensor> outputs, std::span<const nova::InputGradient> inputs) {
+    run_vjp(*step, outputs, inputs);
+  };
+  op.forward = [step] { run_forward(*step); };
+  op.jvp = [step](std::span<const Tensor> inputs, std::span<const Tensor> outputs) {
+    run_jvp(*step, inputs, outputs);
+  };
+  return op;
+}
+
+}  // namespace
+
+ArticulationStep::ArticulationStep(const Model& model, const FeatherstoneOptions& options,
+                                   const char* user) {
+  check_featherstone_model(model, options, user);
+  require(model.joint_dof_count() > 0, ErrorKind::Value, user,
+          ": model: expected joints with degrees of freedom, got none");
+  shared_ = std::make_shared<Shared>(model, options, user);
+}
+ArticulationStep::~ArticulationStep() = default;
+ArticulationStep::ArticulationStep(ArticulationStep&&) noexcept = default;
+ArticulationStep& ArticulationStep::operator=(ArticulationStep&&) noexcept = default;
+
+std::vector<ScratchSpec> ArticulationStep::scratch(const Model& model) const {
+  const auto dofs = static_cast<size_t>(model.joint_dof_count());
+  return {{novaphy::DType::float32, dofs, 1}, {novaphy::DType::float32, dofs, 1}};
+}
+
+void ArticulationStep::begin(const Model& model, const Control* control, const char* function) {
+  shared_->articulations.check_values(model, control, function);
+}
+
+void ArticulationStep::record(const Model& m, const SimState& in, SimState& out,
+                              const Control* control, float dt, StepScratch scratch) {
+  const auto view = [](const char* name, const Array& array) {
+    return Named{name, tensor_of(array)};
+  };
+  const Articulations& a = shared_->articulations;
+  const auto& joint_f = control ? control->joint_f : m.joint_f;
+  const auto& target_q = control ? control->joint_target_q : m.joint_target_q;
+  const auto& target_qd = control ? control->joint_target_qd : m.joint_target_qd;
+  auto step = std::make_shared<Step>(Step{
+      {view("joint_q", in.joint_q), view("joint_qd", in.joint_qd), view("joint_f", joint_f),
+       view("body_f", in.body_f), view("joint_target_q", target_q),
+       view("joint_target_qd", target_qd), view("joint_target_ke", m.joint_target_ke),
+       view("joint_target_kd", m.joint_target_kd), view("joint_damping", m.joint_damping),
+       view("joint_armature", m.joint_armature), view("joint_limit_lower", m.joint_limit_lower),
+       view("joint_limit_upper", m.joint_limit_upper), view("joint_limit_ke", m.joint_limit_ke),
+       view("joint_limit_kd", m.joint_limit_kd), view("joint_effort_limit", m.joint_effort_limit),
+       view("joint_velocity_limit", m.joint_velocity_limit), view("body_mass", m.body_mass),
+       view("body_com", m.body_com), view("body_inertia", m.body_inertia)},
+      {view("rows", a.rows()), view("links", a.links()), view("dof_parent", a.dof_parent()),
+       view("joint_X_p", m.joint_X_p), view("joint_X_c", m.joint_X_c),
+       view("joint_axis", m.joint_axis), view("gravity", m.gravity),
+       view("joint_target_mode", m.joint_target_mode)},
+      {view("joint_q", out.joint_q), view("joint_qd", out.joint_qd), view("body_q", out.body_q),
+       view("body_qd", out.body_qd), view("qdd", scratch[0]), view("branch", scratch[1])},
+      shared_->options,
+      dt,
+      a.count(),
+      shared_->stride,
+      shared_->status,
+      shared_->workspace});
+  run_forward(*step);
+  if (nova::Tape* tape = nova::Tape::active()) tape->record_custom(make_op(step));
+}
+
+void ArticulationStep::check(const Model& model, const char* function) const {
+  const auto count = static_cast<size_t>(shared_->articulations.count());
+  check_status(model, shared_->articulations, {shared_->status.data(), count}, function);
+}
+
+}  // namespace novaphy::diff

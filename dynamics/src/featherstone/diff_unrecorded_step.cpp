@@ -1,0 +1,37 @@
+#include "novaphy/nova/tape.h"
+#include "unrecorded_step.h"
+
+namespace novaphy {
+
+void mark_unrecorded_step(const Model& m, const SimState& in, const SimState& out,
+                          const Control* control) {
+  nova::Tape* const tape = nova::Tape::active();
+  if (tape == nullptr) return;
+  const auto carries = [&](const Array& array) {
+    if (array.rows() == 0) return false;
+    const nova::GradInfo* info = nova::find_grad_info(*array.range());
+    return tape->carries_gradient(*array.range()) || (info != nullptr && info->requires_grad);
+  };
+  const bool any =
+      in.requires_grad || carries(in.joint_q) || carries(in.joint_qd) || carries(in.body_f) ||
+      (control != nullptr && (carries(control->joint_f) || carries(control->joint_target_q) ||
+                              carries(control->joint_target_qd))) ||
+      carries(m.body_mass) || carries(m.body_com) || carries(m.body_inertia) ||
+      carries(m.joint_target_ke) || carries(m.joint_target_kd) || carries(m.joint_damping) ||
+      carries(m.joint_armature);
+  for (const Array* array :
+       {static_cast<const Array*>(&out.joint_q), static_cast<const Array*>(&out.joint_qd),
+        static_cast<const Array*>(&out.body_q), static_cast<const Array*>(&out.body_qd)}) {
+    if (array->rows() == 0) continue;
+    if (any) {
+      tape->mark_untracked(array->range(),
+                           "SolverFeatherstone.step wrote it, which a Tape does not record: use "
+                           "DiffFeatherstoneSolver, or record_planar_2r_featherstone_step behind "
+                           "the step");
+    } else {
+      tape->mark_constant(*array->range());
+    }
+  }
+}
+
+}  // namespace novaphy

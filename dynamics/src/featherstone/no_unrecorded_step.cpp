@@ -1,0 +1,6 @@
+// For builds without the tensor runtime.
+#include "unrecorded_step.h"
+
+namespace novaphy {
+void mark_unrecorded_step(const Model&, const SimState&, const SimState&, const Control*) {}
+}  // namespace novaphy

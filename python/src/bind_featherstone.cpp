@@ -1,0 +1,165 @@
+// Articulations: SolverFeatherstone and the functions of their dynamics.
+#include <pybind11/numpy.h>
+
+#include "fast_step.h"
+#include "novaphy/dynamics/featherstone/articulation_functions.h"
+#include "novaphy/dynamics/featherstone/solver_featherstone.h"
+
+namespace novaphy::python {
+namespace {
+
+// The memory of a vector as an array, without a copy.
+py::array_t<float> to_array(std::vector<float>&& values, std::vector<py::ssize_t> shape) {
+  auto* owned = new std::vector<float>(std::move(values));
+  const py::capsule owner(owned, [](void* p) { delete static_cast<std::vector<float>*>(p); });
+  return py::array_t<float>(std::move(shape), owned->data(), owner);
+}
+py::array_t<float> to_array(std::vector<float>&& values) {
+  const auto size = static_cast<py::ssize_t>(values.size());
+  return to_array(std::move(values), {size});
+}
+py::array_t<float> to_array(ArticulationMatrices&& m) {
+  return to_array(std::move(m.values), {m.count, m.rows, m.columns});
+}
+template <class Vec>
+py::array_t<float> to_rows(const std::vector<Vec>& rows) {
+  constexpr auto width = static_cast<py::ssize_t>(sizeof(Vec) / sizeof(float));
+  const auto* numbers = reinterpret_cast<const float*>(rows.data());
+  const auto count = static_cast<py::ssize_t>(rows.size());
+  return to_array(std::vector<float>(numbers, numbers + count * width), {count, width});
+}
+
+std::vector<float> to_dofs(const Model& model, py::handle value, const char* name) {
+  std::vector<float> numbers(static_cast<size_t>(model.joint_dof_count()));
+  to_floats(value, name, numbers);
+  return numbers;
+}
+template <class F>
+auto unlocked(F&& f) {
+  const ReleasedGil released;
+  return f();
+}
+
+void bind_functions(py::module_& m) {
+  m.def(
+      "eval_inverse_dynamics",
+      [](const Model& model, const SimState& state, py::handle qdd) {
+        const std::vector<float> a = to_dofs(model, qdd, "qdd");
+        return to_array(unlocked([&] { return eval_inverse_dynamics(model, state, a); }));
+      },
+      "model"_a, "state"_a, "qdd"_a,
+      "The forces of dofs {dofs} (N, N*m) with which state.joint_q and joint_qd have the "
+      "accelerations qdd {dofs}: H qdd + bias, armature included. Drives, limits and body_f take "
+      "no "
+      "part. Rates and forces of a FREE joint are of its centre of mass, in the axes of the "
+      "joint's "
+      "frame in the parent.");
+  m.def(
+      "eval_bias",
+      [](const Model& model, const SimState& state) {
+        return to_array(unlocked([&] { return eval_bias(model, state); }));
+      },
+      "model"_a, "state"_a,
+      "The forces of gravity and of velocities {dofs}: eval_inverse_dynamics at qdd = 0.");
+  m.def(
+      "eval_forward_dynamics",
+      [](const Model& model, const SimState& state, py::handle tau) {
+        const std::vector<float> t = to_dofs(model, tau, "tau");
+        return to_array(unlocked([&] { return eval_forward_dynamics(model, state, t); }));
+      },
+      "model"_a, "state"_a, "tau"_a,
+      "The accelerations {dofs} under the forces of dofs tau {dofs} (N, N*m). novaphy.Error, "
+      "naming "
+      "the dof, where the mass matrix is singular.");
+  m.def(
+      "eval_mass_matrix",
+      [](const Model& model, const SimState& state, bool include_armature) {
+        return to_array(unlocked([&] { return eval_mass_matrix(model, state, include_armature); }));
+      },
+      "model"_a, "state"_a, "include_armature"_a = true,
+      "{articulations, D, D}, D the most dofs of one; padded with 0.");
+  m.def(
+      "eval_jacobian",
+      [](const Model& model, const SimState& state) {
+        return to_array(unlocked([&] { return eval_jacobian(model, state); }));
+      },
+      "model"_a, "state"_a,
+      "{articulations, 6 L, D}: six rows per joint, the body_qd of its child per unit of the "
+      "rates; "
+      "L joints, padded with 0.");
+  m.def(
+      "eval_inverse_dynamics_derivatives",
+      [](const Model& model, const SimState& state, py::handle qdd) {
+        const std::vector<float> a = to_dofs(model, qdd, "qdd");
+        auto d = unlocked([&] { return eval_inverse_dynamics_derivatives(model, state, a); });
+        return py::make_tuple(to_array(std::move(d.dtau_dq)), to_array(std::move(d.dtau_dqd)),
+                              to_array(std::move(d.mass_matrix)));
+      },
+      "model"_a, "state"_a, "qdd"_a,
+      "(dtau_dq, dtau_dqd, H) of eval_inverse_dynamics, {articulations, D, D} each; analytic. "
+      "Columns of q are tangents, one per dof: a BALL turns by exp(e) on the left, a FREE joint "
+      "moves its centre of mass and turns about it.");
+  m.def(
+      "eval_forward_dynamics_derivatives",
+      [](const Model& model, const SimState& state, py::handle tau) {
+        const std::vector<float> t = to_dofs(model, tau, "tau");
+        auto d = unlocked([&] { return eval_forward_dynamics_derivatives(model, state, t); });
+        return py::make_tuple(to_array(std::move(d.dqdd_dq)), to_array(std::move(d.dqdd_dqd)),
+                              to_array(std::move(d.inverse_mass_matrix)));
+      },
+      "model"_a, "state"_a, "tau"_a,
+      "(dqdd_dq, dqdd_dqd, dqdd_dtau) of eval_forward_dynamics, {articulations, D, D} each.");
+  m.def(
+      "eval_center_of_mass",
+      [](const Model& model, const SimState& state) {
+        return to_rows(unlocked([&] { return eval_center_of_mass(model, state); }));
+      },
+      "model"_a, "state"_a, "{articulations, 3}, m, world.");
+  m.def(
+      "eval_energy",
+      [](const Model& model, const SimState& state) {
+        return to_rows(unlocked([&] { return eval_energy(model, state); }));
+      },
+      "model"_a, "state"_a,
+      "{articulations, 2}: kinetic energy, without armature, and potential energy, J.");
+}
+
+}  // namespace
+
+void bind_featherstone(py::module_& m, py::module_& solvers) {
+  bind_functions(m);
+  const FeatherstoneOptions d;
+  py::class_<SolverFeatherstone, SolverBase> solver(
+      solvers, "SolverFeatherstone",
+      "Articulations in the coordinates of their joints: PRISMATIC, REVOLUTE, BALL, FIXED, FREE "
+      "and "
+      "D6, drives by target mode, limits, effort and velocity limits, damping, armature, joint_f, "
+      "body_f, gravity, angular damping. No contacts yet. Reads joint_q, joint_qd and body_f of "
+      "state_in; writes joint_q, joint_qd, body_q and body_qd of state_out. The same bits wherever "
+      "an articulation stands, and for any number of threads. What has no effect (joint_friction, "
+      "joint_enabled, joint_act, ...) raises NotImplementedError. On a tape a step runs and is not "
+      "recorded; what it wrote may not be used there: DiffFeatherstoneSolver is the differentiable "
+      "one.");
+  solver
+      .def(py::init([](const std::shared_ptr<Model>& model, float angular_damping,
+                       bool implicit_drives) {
+             return std::make_unique<SolverFeatherstone>(
+                 model, FeatherstoneOptions{.angular_damping = angular_damping,
+                                            .implicit_drives = implicit_drives});
+           }),
+           py::arg("model").none(false), py::kw_only(), "angular_damping"_a = d.angular_damping,
+           "implicit_drives"_a = d.implicit_drives,
+           "angular_damping (1/s) of angular dofs. implicit_drives: drives, limits and damping of "
+           "the end of the step, stable for any gains, and limits that only push; False: of its "
+           "start, as Newton 1.8. NotImplementedError for parts of a model that are not covered.")
+      .def_property_readonly(
+          "angular_damping",
+          [](const SolverFeatherstone& s) { return s.options().angular_damping; }, "1/s")
+      .def_property_readonly(
+          "implicit_drives",
+          [](const SolverFeatherstone& s) { return s.options().implicit_drives; },
+          "Drives of the end of the step.");
+  add_fast_step(solver);
+}
+
+}  // namespace novaphy::python

@@ -1,0 +1,389 @@
+"""Articulations from Python: solvers, gradients, the recorder of the planar arm, functions."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import novaphy
+
+GOLDEN = Path(__file__).parents[1] / "golden"
+STEPS, DT = 576, 1.0 / 960.0
+
+
+def arm(**dof: float) -> novaphy.ModelBuilder:
+    """Build the two-link arm of newton_2r_strict.npz, with its start."""
+    b = novaphy.ModelBuilder()
+    inertia = np.diag([0.0025, 1.0 / 48.0, 1.0 / 48.0])
+    links = [b.add_link(mass=1.0, inertia=inertia, lock_inertia=True) for _ in range(2)]
+    identity = (0.0, 0.0, 0.0, 1.0)
+    joints = []
+    for i, link in enumerate(links):
+        joints.append(
+            b.add_joint_revolute(
+                i - 1 if i == 0 else links[0],
+                link,
+                axis=(0.0, 1.0, 0.0),
+                parent_xform=(0.25 if i else 0.0, 0.0, 0.0, *identity),
+                child_xform=(-0.25, 0.0, 0.0, *identity),
+                **dof,
+            )
+        )
+    b.add_articulation(joints)
+    b.joint_q = [0.4, -0.6]
+    b.joint_qd = [1.0, -0.5]
+    return b
+
+
+diff = pytest.mark.skipif(not novaphy.has_diff(), reason="needs NOVAPHY_WITH_DIFF")
+
+
+def tip_loss(model: novaphy.Model, damping: float, checkpoint: int | None = None) -> tuple:
+    """Roll the arm out, and pull the loss of its tip back to the start."""
+    from novaphy import nova
+    from novaphy.diff import Trajectory, planar_2r_tip_loss, state_joint_q_tensor
+
+    solver = novaphy.solvers.DiffFeatherstoneSolver(model, angular_damping=damping)
+    trajectory = Trajectory(model, STEPS, checkpoint=checkpoint)
+    with nova.Tape() as tape:
+        solver.rollout(trajectory, None, None, DT)
+        last = state_joint_q_tensor(trajectory[STEPS])
+        loss = planar_2r_tip_loss(model, last, 0.35, -0.75)
+    tape.backward(loss)
+    return loss.item(), trajectory[0].joint_qd.grad.numpy(), trajectory[0].joint_q.grad.numpy()
+
+
+@diff
+@pytest.mark.parametrize(
+    ("damping", "loss", "gradient"),
+    [(0.0, 1.09098, (0.32981, 0.11073)), (0.05, 1.06486, (0.31791, 0.10408))],
+)
+def test_the_rollout_has_the_exact_gradient(
+    damping: float, loss: float, gradient: tuple[float, float]
+) -> None:
+    model = arm().finalize(requires_grad=True)
+    value, qd, q = tip_loss(model, damping)
+    assert value == pytest.approx(loss, abs=1e-4)
+    np.testing.assert_allclose(qd, gradient, atol=1e-4)
+    if damping == 0.0:  # of Newton, one solver object per step
+        reference = np.load(GOLDEN / "newton_2r_strict.npz")
+        np.testing.assert_allclose(q, reference["free_adj_q"][0], atol=1e-4)
+    kept = tip_loss(model, damping, checkpoint=24)
+    assert kept[0] == value
+    np.testing.assert_array_equal(kept[1], qd)
+
+
+@diff
+def test_step_by_step_is_the_rollout() -> None:
+    from novaphy import nova
+    from novaphy.diff import Trajectory, planar_2r_tip_loss, state_joint_q_tensor
+
+    model = arm().finalize(requires_grad=True)
+    forward = novaphy.solvers.SolverFeatherstone(model)
+    a, b = model.state(), model.state()
+    solver = novaphy.solvers.DiffFeatherstoneSolver(model)
+    trajectory = Trajectory(model, 50)
+    solver.rollout(trajectory, None, None, DT)
+    states = [model.state() for _ in range(51)]
+    with nova.Tape() as tape:
+        for t in range(50):
+            solver.step(states[t], states[t + 1], None, None, DT)
+        loss = planar_2r_tip_loss(model, state_joint_q_tensor(states[50]), 0.35, -0.75)
+    tape.backward(loss)
+    for _ in range(50):
+        forward.step(a, b, None, None, DT)
+        a, b = b, a
+    for name in ("joint_q", "joint_qd", "body_q", "body_qd"):
+        expected = getattr(a, name).numpy()
+        np.testing.assert_array_equal(getattr(states[50], name).numpy(), expected)
+        np.testing.assert_array_equal(getattr(trajectory[50], name).numpy(), expected)
+    assert np.all(states[0].joint_qd.grad.numpy() != 0.0)
+
+
+def recorded(model: novaphy.Model, damping: float, steps: int = STEPS, **options: object) -> tuple:
+    """Run the regular solver, and record its steps in closed form."""
+    from novaphy import nova
+    from novaphy.diff import (
+        planar_2r_tip_loss,
+        record_planar_2r_featherstone_step,
+        state_joint_q_tensor,
+        state_joint_qd_tensor,
+    )
+
+    solver = novaphy.solvers.SolverFeatherstone(model, angular_damping=damping)
+    told = options.get("told", damping)
+    states = [model.state() for _ in range(steps + 1)]
+    with nova.Tape() as tape:
+        for old, new in zip(states[:-1], states[1:], strict=True):
+            solver.step(old, new, None, None, DT)
+            if options.get("record", True):
+                record_planar_2r_featherstone_step(
+                    model,
+                    old,
+                    None,
+                    state_joint_q_tensor(old),
+                    state_joint_qd_tensor(old),
+                    state_joint_q_tensor(new),
+                    state_joint_qd_tensor(new),
+                    DT,
+                    told,
+                )
+        loss = planar_2r_tip_loss(model, state_joint_q_tensor(states[-1]), 0.35, -0.75)
+    tape.backward(loss)
+    return loss.item(), states[0].joint_qd.grad.numpy(), states[0].joint_q.grad.numpy()
+
+
+@diff
+@pytest.mark.parametrize("damping", [0.0, 0.05])
+@pytest.mark.parametrize("limits", [{}, {"limit_lower": -0.8, "limit_upper": 0.7}])
+def test_the_recorder_has_the_gradient_of_the_general_step(damping: float, limits: dict) -> None:
+    model = arm(**limits, limit_ke=1000.0, limit_kd=5.0).finalize(requires_grad=True)
+    if limits:  # until a limit lets go, which the closed form does not know
+        steps = 40
+        model.joint_q.assign([0.69, -0.79])
+    else:
+        steps = STEPS
+    closed = recorded(model, damping, steps)
+    if not limits:
+        general = tip_loss(model, damping)
+        assert closed[0] == pytest.approx(general[0], abs=1e-5)
+        np.testing.assert_allclose(closed[1], general[1], atol=1e-5)
+        np.testing.assert_allclose(closed[2], general[2], atol=1e-5)
+
+
+@diff
+def test_a_forgotten_recorder_raises_and_names_both_ways_on() -> None:
+    model = arm().finalize(requires_grad=True)
+    with pytest.raises(novaphy.Error, match="DiffFeatherstoneSolver, or record_planar_2r"):
+        recorded(model, 0.0, steps=2, record=False)
+
+
+def set_to(name: str, value: float, row: int = 0) -> object:
+    """Make an edit of one number of the model."""
+
+    def edit(model: novaphy.Model) -> None:
+        array = getattr(model, name)
+        values = array.numpy()
+        values.reshape(-1)[row] = value
+        array.assign(values)
+
+    return edit
+
+
+@diff
+@pytest.mark.parametrize(
+    ("edit", "message"),
+    [
+        (set_to("joint_damping", 0.1), "joint_damping 0"),
+        (set_to("joint_target_ke", 10.0), "joint_target_ke 0"),
+        (set_to("joint_target_kd", 1.0), "joint_target_kd 0"),
+        (set_to("joint_f", 1e-3), "joint_f 0"),
+        (set_to("joint_velocity_limit", 0.5), "qd_out|q_out"),
+        (set_to("body_com", 0.01), "centres of mass"),
+        (set_to("gravity", 0.5), "gravity along -Z"),
+        (set_to("joint_X_c", 0.1, 1), "on the x axes of their links"),
+    ],
+)
+def test_the_recorder_refuses_what_it_does_not_model(edit: object, message: str) -> None:
+    model = arm().finalize(requires_grad=True)
+    edit(model)  # type: ignore[operator]
+    with pytest.raises(novaphy.Error, match=message):
+        recorded(model, 0.05, steps=2)
+
+
+@diff
+def test_the_recorder_refuses_another_angular_damping() -> None:
+    model = arm().finalize(requires_grad=True)
+    with pytest.raises(novaphy.Error, match="qd_out"):
+        recorded(model, 0.05, steps=2, told=0.0)
+
+
+def test_functions_agree_with_each_other() -> None:
+    model = arm(armature=0.01).finalize()
+    state = model.state()
+    tau = np.array([0.3, -0.2], np.float32)
+    qdd = novaphy.eval_forward_dynamics(model, state, tau)
+    np.testing.assert_allclose(
+        novaphy.eval_inverse_dynamics(model, state, qdd), tau, rtol=1e-5, atol=1e-6
+    )
+    h = novaphy.eval_mass_matrix(model, state)
+    assert h.shape == (1, 2, 2)
+    bias = novaphy.eval_bias(model, state)
+    np.testing.assert_allclose(h[0] @ qdd + bias, tau, atol=1e-5)
+    bare = novaphy.eval_mass_matrix(model, state, include_armature=False)
+    np.testing.assert_allclose(h[0] - bare[0], np.diag([0.01, 0.01]), atol=1e-7)
+    dq, dqd, inverse = novaphy.eval_forward_dynamics_derivatives(model, state, tau)
+    np.testing.assert_allclose(inverse[0] @ h[0], np.eye(2), atol=1e-5)
+    for matrix, name in ((dq, "joint_q"), (dqd, "joint_qd")):
+        for k in range(2):
+            moved = []
+            for sign in (1.0, -1.0):
+                other = model.state()
+                values = getattr(other, name).numpy()
+                values[k] += sign * 1e-2
+                getattr(other, name).assign(values)
+                moved.append(novaphy.eval_forward_dynamics(model, other, tau))
+            fd = (moved[0] - moved[1]) / 2e-2
+            np.testing.assert_allclose(matrix[0][:, k], fd, rtol=2e-3, atol=2e-3)
+    jacobian = novaphy.eval_jacobian(model, state)
+    assert jacobian.shape == (1, 12, 2)
+    solver = novaphy.solvers.SolverFeatherstone(model)
+    after = model.state()
+    solver.step(state, after, None, None, 1e-3)
+    twist = novaphy.eval_jacobian(model, after)[0] @ after.joint_qd.numpy()
+    np.testing.assert_allclose(after.body_qd.numpy().reshape(-1), twist, atol=1e-6)
+    com = novaphy.eval_center_of_mass(model, after)
+    np.testing.assert_allclose(com[0], after.body_q.numpy()[:, :3].mean(axis=0), atol=1e-6)
+    kinetic = 0.5 * state.joint_qd.numpy() @ bare[0] @ state.joint_qd.numpy()
+    assert novaphy.eval_energy(model, state)[0, 0] == pytest.approx(kinetic, rel=1e-5)
+
+
+def test_functions_name_wrong_sizes() -> None:
+    model = arm().finalize()
+    with pytest.raises(ValueError, match="qdd"):
+        novaphy.eval_inverse_dynamics(model, model.state(), [1.0])
+
+
+def walker() -> novaphy.Model:
+    """Build a free body with a ball, a hinge with a drive, and a D6 on it."""
+    b = novaphy.ModelBuilder()
+    inertia = np.diag([0.02, 0.03, 0.04])
+    root, ball, hinge, last = (
+        b.add_link(mass=1.0 + 0.2 * k, com=(0.02, 0.01 * k, 0.0), inertia=inertia) for k in range(4)
+    )
+    turned = (0.0, 0.1736482, 0.0, 0.9848078)
+    joints = [
+        b.add_joint_free(root, child_xform=(0.1, 0.0, 0.0, *turned)),
+        b.add_joint_ball(root, ball, parent_xform=(0.2, 0.0, 0.1, *turned), damping=0.1),
+        b.add_joint_revolute(
+            root,
+            hinge,
+            axis=(0.0, 0.6, 0.8),
+            parent_xform=(-0.2, 0.1, 0.0, *turned),
+            target_q=0.4,
+            target_ke=20.0,
+            target_kd=0.5,
+            limit_lower=-0.3,
+            limit_upper=0.3,
+            armature=0.01,
+        ),
+        b.add_joint_d6(
+            hinge,
+            last,
+            linear_axes=[novaphy.JointDofConfig(axis=(1.0, 0.0, 0.0), target_ke=50.0)],
+            angular_axes=[novaphy.JointDofConfig(axis=(0.0, 1.0, 0.0), damping=0.05)],
+            parent_xform=(0.0, 0.0, -0.3, *turned),
+        ),
+    ]
+    b.add_articulation(joints)
+    b.joint_qd = [0.3, -0.2, 0.1, 1.0, -0.5, 0.7, 0.4, -0.8, 0.6, 1.5, 0.2, -0.9]
+    return b.finalize(requires_grad=True)
+
+
+def walk(model: novaphy.Model, steps: int = 20) -> tuple:
+    """Roll out; a weighted sum of the last poses, velocities and coordinates, {1}."""
+    from novaphy import diff, nova
+
+    solver = novaphy.solvers.DiffFeatherstoneSolver(model)
+    trajectory = diff.Trajectory(model, steps)
+    solver.rollout(trajectory, model.control(), None, 0.01)
+    end = trajectory[steps]
+    terms = [
+        diff.state_body_q_tensor(end),
+        diff.state_body_qd_tensor(end),
+        diff.state_joint_q_tensor(end),
+        diff.state_joint_qd_tensor(end),
+    ]
+    loss = None
+    for k, term in enumerate(terms):
+        weights = np.cos(np.arange(term.size, dtype=np.float32) + k).reshape(term.shape)
+        part = nova.sum(term * nova.tensor(weights.astype(np.float32)))
+        loss = part if loss is None else loss + part
+    return loss, trajectory
+
+
+@diff
+@pytest.mark.parametrize(
+    ("name", "step"),
+    [
+        ("body_mass", 1e-2),
+        ("body_com", 1e-3),
+        ("joint_armature", 1e-3),
+        ("joint_damping", 1e-2),
+        ("joint_target_ke", 0.5),
+        ("joint_limit_ke", 100.0),
+    ],
+)
+def test_gradients_of_the_model_equal_central_differences(name: str, step: float) -> None:
+    from novaphy import nova
+
+    model = walker()
+    array = getattr(model, name)
+    array.requires_grad = True
+    with nova.Tape() as tape:
+        loss, _ = walk(model)
+    tape.backward(loss)
+    gradient = array.grad.numpy().reshape(-1)
+    values = array.numpy()
+    free = {"joint_damping": 6, "joint_target_ke": 9}.get(name, 0)  # the first dof that has one
+    worst, scale = 0.0, float(np.abs(gradient).max())
+    for k in range(free, values.size):
+        ends = []
+        for sign in (1.0, -1.0):
+            moved = values.copy()
+            moved.reshape(-1)[k] += np.float32(sign * step)
+            array.assign(moved)
+            ends.append(walk(model)[0].item())
+        array.assign(values)
+        worst = max(worst, abs((ends[0] - ends[1]) / (2.0 * step) - gradient[k]))
+    assert scale > 0.0
+    assert worst < 1e-2 * scale
+
+
+@diff
+def test_gradients_of_the_start_equal_central_differences() -> None:
+    from novaphy import nova
+
+    model = walker()
+    with nova.Tape() as tape:
+        loss, trajectory = walk(model)
+    tape.backward(loss)
+    for name, step in (("joint_q", 1e-3), ("joint_qd", 1e-2)):
+        gradient = getattr(trajectory[0], name).grad.numpy()
+        array = getattr(model, name)
+        values = array.numpy()
+        fd = np.zeros_like(gradient)
+        for k in range(values.size):
+            ends = []
+            for sign in (1.0, -1.0):
+                moved = values.copy()
+                moved[k] += np.float32(sign * step)
+                array.assign(moved)
+                ends.append(walk(model)[0].item())
+            array.assign(values)
+            fd[k] = (ends[0] - ends[1]) / (2.0 * step)
+        assert np.abs(fd - gradient).max() < 1e-2 * np.abs(gradient).max()
+
+
+@diff
+def test_arrays_without_a_gradient_refuse_one() -> None:
+    from novaphy import nova
+
+    model = walker()
+    model.joint_X_p.requires_grad = True
+    with nova.Tape(), pytest.raises(novaphy.Error, match="articulation_step"):
+        walk(model)
+
+
+def test_contacts_and_singular_models_are_refused_by_name() -> None:
+    model = arm().finalize()
+    solver = novaphy.solvers.SolverFeatherstone(model)
+    contacts = novaphy.CollisionPipeline(model).contacts()
+    with pytest.raises(NotImplementedError, match="contacts"):
+        solver.step(model.state(), model.state(), None, contacts, DT)
+    model.body_mass.zero_()
+    model.body_inertia.zero_()
+    with pytest.raises(novaphy.Error, match=r"dof 1 \(joint 'joint_1'\)"):
+        solver.step(model.state(), model.state(), None, None, DT)

@@ -35,7 +35,7 @@ COMPONENTS = {
     "collision": ["core", "collision"],
     "dynamics": ["core", "nova", "collision", "dynamics"],  # the release has device code in it
     "vbd": ["core", "collision", "vbd"],
-    "diff": ["core", "nova", "collision", "dynamics", "diff"],
+    "diff": ["core", "nova", "collision", "dynamics", "vbd", "diff"],
 }
 # What a library of the wheel may need besides the wheel's own: all of it is on every Linux.
 SYSTEM_LIBRARIES = re.compile(

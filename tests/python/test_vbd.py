@@ -137,3 +137,107 @@ def test_a_crushed_block_recovers():
         timeout=300,
     )
     assert done.returncode == 0 and done.stdout.rstrip().endswith("ok"), done.stdout + done.stderr
+
+
+def loss_of(state, weights):
+    from novaphy import diff, nova
+
+    return (diff.state_particle_q_tensor(state) * nova.tensor(weights)).sum()
+
+
+def diff_solver(builder, **options):
+    pytest.importorskip("novaphy.diff")
+    builder.color()
+    return novaphy.solvers.DiffSolverVBD(builder.finalize(), **options)
+
+
+def test_the_differentiable_step_has_the_bits_of_the_plain_one():
+    solver = diff_solver(cloth(), iterations=7)
+    plain = novaphy.solvers.SolverVBD(solver.model, iterations=7)
+    state = solver.model.state()
+    one, other = solver.model.state(), solver.model.state()
+    plain.step(state, one, None, None, 1 / 60)
+    solver.step(state, other, None, None, 1 / 60)
+    assert (one.particle_q.numpy() == other.particle_q.numpy()).all()
+    assert (one.particle_qd.numpy() == other.particle_qd.numpy()).all()
+    with pytest.raises(novaphy.Error, match="expected a backward before"):
+        solver.gradient_info()
+    with pytest.raises(NotImplementedError, match="implicit"):
+        novaphy.solvers.DiffSolverVBD(solver.model, gradient="implicit")
+    with pytest.raises(NotImplementedError, match="adaptive"):
+        novaphy.solvers.DiffSolverVBD(solver.model, initial_guess="adaptive")
+
+
+@pytest.mark.parametrize("interval", [1, 3])
+def test_gradients_of_a_rollout_are_those_of_differences(interval):
+    nova = pytest.importorskip("novaphy.nova")
+    diff = pytest.importorskip("novaphy.diff")
+    builder = cloth(tri_ke=50.0, tri_ka=50.0, tri_kd=0.01, edge_ke=0.05, edge_kd=1e-4)
+    solver = diff_solver(builder, iterations=5)
+    model = solver.model
+    steps, rng = 8, np.random.default_rng(3)
+    weights = rng.normal(size=(49, 3)).astype(np.float32)
+    trajectory = diff.Trajectory(model, steps, checkpoint=interval)
+    model.tri_materials.requires_grad = True
+
+    def run():
+        solver.rollout(trajectory, None, None, 1 / 60)
+        return loss_of(trajectory[steps], weights)
+
+    with nova.Tape() as tape:
+        loss = run()
+    tape.backward(loss)
+    info = solver.gradient_info()
+    assert info.label == "exact" and info.primal.iterations == 5 and info.primal.relative > 0
+    by_velocity = trajectory[0].particle_qd.grad.numpy().copy()
+    by_material = model.tri_materials.grad.numpy().copy()
+    model.tri_materials.requires_grad = False
+    assert (by_material[:, 3:] == 0).all()
+
+    velocity = trajectory[0].particle_qd.numpy().copy()
+    direction = rng.normal(size=velocity.shape).astype(np.float32)
+    found = []
+    for sign in (1, -1):
+        trajectory[0].particle_qd.assign(velocity + np.float32(sign * 5e-3) * direction)
+        found.append(run().item())
+    trajectory[0].particle_qd.assign(velocity)
+    expected = float((by_velocity * direction).sum())
+    assert (found[0] - found[1]) / 1e-2 == pytest.approx(expected, rel=1e-2)
+
+    material = model.tri_materials.numpy().copy()
+    change = np.zeros_like(material)
+    change[:, :2] = rng.uniform(0.5, 1.5, (len(material), 2))
+    found = []
+    for sign in (1, -1):
+        model.tri_materials.assign(material + np.float32(sign) * change)
+        found.append(run().item())
+    model.tri_materials.assign(material)
+    expected = float((by_material * change).sum())
+    assert (found[0] - found[1]) / 2 == pytest.approx(expected, rel=2e-2)
+
+
+def test_contacts_of_every_step_are_kept_and_inputs_without_a_rule_raise():
+    nova = pytest.importorskip("novaphy.nova")
+    builder = cloth()
+    builder.add_ground_plane(height=0.95)
+    solver = diff_solver(builder)
+    model = solver.model
+    pipeline = novaphy.CollisionPipeline(model)
+    contacts = pipeline.contacts()
+    states = [model.state(requires_grad=True)] + [model.state() for _ in range(12)]
+    counts = []
+    with nova.Tape() as tape:
+        for before, after in zip(states, states[1:], strict=False):
+            with nova.no_grad():
+                pipeline.collide(before, contacts)
+            counts.append(contacts.active_soft_contact_count)
+            solver.step(before, after, None, contacts, 1 / 60)
+        loss = loss_of(states[-1], np.ones((49, 3), np.float32))
+    assert len(set(counts)) > 1
+    tape.backward(loss)
+    grad = states[0].particle_q.grad.numpy()
+    assert np.isfinite(grad).all() and np.abs(grad).max() > 0.1
+
+    model.particle_mass.requires_grad = True
+    with nova.Tape(), pytest.raises(NotImplementedError, match="particle_mass"):
+        solver.step(states[0], states[1], None, None, 1 / 60)

@@ -25,7 +25,7 @@ struct EndState {
 // Steps from the model's initial state; contacts are made anew for every step when there are
 // shapes.
 EndState end_of(const std::shared_ptr<Model>& model, int steps, const VbdOptions& options = {},
-        float dt = kDt) {
+                float dt = kDt) {
   SolverVBD solver(model, options);
   CollisionPipeline pipeline(model);
   Contacts contacts = pipeline.contacts();

@@ -129,7 +129,13 @@ struct EverythingScene {
     return model;
   }
   VbdStepInputs inputs() const {
-    return {q.data(), qd.data(), f.data(), &control, contacts.get(), 1.0f / 60.0f};
+    return {q.data(),
+            qd.data(),
+            f.data(),
+            &control.particle_tri_activation,
+            &control.particle_tet_activation,
+            contacts.get(),
+            1.0f / 60.0f};
   }
   double loss(UnrolledVbd& step) const {
     std::vector<Vec3f> q_out(q.size()), qd_out(q.size());

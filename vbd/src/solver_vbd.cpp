@@ -45,17 +45,6 @@ void check_covered(const Model& model) {
           "SolverVBD: model: expected one on the cpu, got one on ", model.device().str());
 }
 
-// Numbers of the model that this solver has no use for.
-void check_numbers(const Model& model) {
-  model.check_numbers(kName);
-  require(model.particle_adhesion == 0.0f, ErrorKind::NotImplemented, kName,
-          ": model.particle_adhesion: not there yet, expected 0, got ", model.particle_adhesion);
-  require(model.particle_max_velocity >= ModelNumbers{}.particle_max_velocity,
-          ErrorKind::NotImplemented, kName,
-          ": model.particle_max_velocity: not there yet, expected the default, got ",
-          model.particle_max_velocity);
-}
-
 }  // namespace
 
 struct SolverVBD::Work : vbd::StepWork {
@@ -99,9 +88,9 @@ void SolverVBD::step(SimState& state_in, SimState& state_out, const Control* con
   const Model& m = *model();
   Work& w = *work_;
   check_step(kName, state_in, state_out, control, contacts, dt);
-  check_numbers(m);
   m.update_derived();
-  w.update(control, contacts, dt);
+  w.update(control != nullptr ? &control->particle_tri_activation : nullptr,
+           control != nullptr ? &control->particle_tet_activation : nullptr, contacts, dt);
   const auto held = w.slots.held().size();
   require(targets == nullptr || (targets->rows() == held && targets->device() == m.device()),
           ErrorKind::Value, kName, ": targets: expected {", held,

@@ -16,6 +16,17 @@ constexpr int64_t kLanesPerChunk = 64;  // particles of a colour that one thread
 
 float* floats(std::vector<Row>& rows) { return reinterpret_cast<float*>(rows.data()); }
 
+// Numbers of the model that this solver has no use for.
+void check_numbers(const Model& model) {
+  model.check_numbers(kName);
+  require(model.particle_adhesion == 0.0f, ErrorKind::NotImplemented, kName,
+          ": model.particle_adhesion: not there yet, expected 0, got ", model.particle_adhesion);
+  require(model.particle_max_velocity >= ModelNumbers{}.particle_max_velocity,
+          ErrorKind::NotImplemented, kName,
+          ": model.particle_max_velocity: not there yet, expected the default, got ",
+          model.particle_max_velocity);
+}
+
 // Chebyshev's factors: 1, 2/(2 - rho^2), then 4/(4 - rho^2 omega).
 std::vector<float> chebyshev_factors(float radius, int32_t iterations) {
   const double rho2 = static_cast<double>(radius) * static_cast<double>(radius);
@@ -100,17 +111,18 @@ void StepWork::plan() {
   phase(Task::Finish, 0, 0, n, kParticlesPerChunk);
 }
 
-void StepWork::update(const Control* control, const Contacts* contact_rows, float step_dt) {
+void StepWork::update(const DeviceArray<float>* tri_activation,
+                      const DeviceArray<float>* tet_activation, const Contacts* contact_rows,
+                      float step_dt) {
+  check_numbers(model);
   for (const Stamped& s : mesh_)
     require(s.stamp.matches(*s.array), ErrorKind::Value, kName, ": model.", s.name,
             ": it was edited after the solver was made; make a new one");
   if (std::any_of(values_.begin(), values_.end(),
                   [](const Stamped& s) { return !s.stamp.matches(*s.array); }))
     build();
-  const auto& tri =
-      control != nullptr ? control->particle_tri_activation : model.particle_tri_activation;
-  const auto& tet =
-      control != nullptr ? control->particle_tet_activation : model.particle_tet_activation;
+  const auto& tri = tri_activation != nullptr ? *tri_activation : model.particle_tri_activation;
+  const auto& tet = tet_activation != nullptr ? *tet_activation : model.particle_tet_activation;
   if (constants.dt != step_dt || !activation_[0].matches(tri) || !activation_[1].matches(tet)) {
     constants = {tri.data(), tet.data(), step_dt};
     slots.set_constants(model, constants);

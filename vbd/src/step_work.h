@@ -32,8 +32,9 @@ class StepWork {
 
   // The tables anew, from the model as it is now.
   void build();
-  // What changed since the last step. Errors as SolverVBD::step.
-  void update(const Control* control, const Contacts* contact_rows, float step_dt);
+  // What changed since the last step. Null activations: the model's. Errors as SolverVBD::step.
+  void update(const DeviceArray<float>* tri_activation, const DeviceArray<float>* tet_activation,
+              const Contacts* contact_rows, float step_dt);
   // `targets`: of the held particles; null: they stay.
   void run(const StepArrays& step_arrays, const Vec3f* targets);
   VbdResidual residual();

@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "novaphy/core/error.h"
+#include "novaphy/core/exclusive_use.h"
 #include "novaphy/core/sim/for_chunks.h"
 #include "novaphy/math/matrix.h"
 #include "receivers.h"
@@ -38,7 +39,7 @@ struct UnrolledVbd::Work {
   Work(const Model& model, const VbdOptions& options) : step(model, options, true) {}
 
   void prepare(const VbdStepInputs& in) {
-    step.update(in.control, in.contacts, in.dt);
+    step.update(in.tri_activation, in.tet_activation, in.contacts, in.dt);
     const size_t n = step.x.size();
     for (std::vector<Row>* rows : {&x_bar, &own_bar, &start_bar, &target_bar}) rows->assign(n, {});
     receivers.build(step.slots, step.model.particle_count());
@@ -203,6 +204,9 @@ struct UnrolledVbd::Work {
   std::vector<Row> x_bar, own_bar, start_bar, target_bar;
   std::vector<float> others[vbd::kRoles], laws[vbd::kRoles];
   std::vector<Vec3f> q_out, qd_out;
+  VbdResidual last_residual;  // of the last backward
+  bool has_gone_back = false;
+  ExclusiveUse in_use;
 };
 
 UnrolledVbd::UnrolledVbd(std::shared_ptr<const Model> model, const VbdOptions& options)
@@ -214,14 +218,22 @@ UnrolledVbd::UnrolledVbd(std::shared_ptr<const Model> model, const VbdOptions& o
 
 UnrolledVbd::~UnrolledVbd() = default;
 
+VbdResidual UnrolledVbd::residual() const {
+  require(work_->has_gone_back, ErrorKind::Runtime,
+          "DiffSolverVBD.gradient_info: expected a backward before");
+  return work_->last_residual;
+}
+
 void UnrolledVbd::forward(const VbdStepInputs& in, Vec3f* q_out, Vec3f* qd_out) {
+  const ExclusiveUse::Scope scope(work_->in_use, "UnrolledVbd.forward", "the solver");
   model_->update_derived();
-  work_->step.update(in.control, in.contacts, in.dt);
+  work_->step.update(in.tri_activation, in.tet_activation, in.contacts, in.dt);
   work_->step.run({in.particle_q, in.particle_qd, in.particle_f, q_out, qd_out}, nullptr);
 }
 
 void UnrolledVbd::backward(const VbdStepInputs& in, const Vec3f* q_out_bar, const Vec3f* qd_out_bar,
                            const VbdStepGradients& gradients) {
+  const ExclusiveUse::Scope scope(work_->in_use, "UnrolledVbd.backward", "the solver");
   Work& w = *work_;
   model_->update_derived();
   w.prepare(in);
@@ -229,6 +241,8 @@ void UnrolledVbd::backward(const VbdStepInputs& in, const Vec3f* q_out_bar, cons
   w.qd_out.resize(w.step.x.size());
   w.step.run({in.particle_q, in.particle_qd, in.particle_f, w.q_out.data(), w.qd_out.data()},
              nullptr);
+  w.last_residual = w.step.residual();
+  w.has_gone_back = true;
   w.reverse(q_out_bar, qd_out_bar);
   w.put_state(gradients);
   w.put_materials(gradients);

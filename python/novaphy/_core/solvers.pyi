@@ -136,6 +136,35 @@ class SolverVBD(SolverBase):
     def residual(self) -> VbdResidual: ...
     def reset(self) -> None: ...
 
+class VbdGradientInfo(_Native):
+    @property
+    def label(self) -> str: ...
+    @property
+    def primal(self) -> VbdResidual: ...
+
+class DiffSolverVBD(SolverBase):
+    def __init__(
+        self,
+        model: Model,
+        *,
+        iterations: SupportsIndex = 10,
+        friction_epsilon: SupportsFloat = 1.0e-2,
+        initial_guess: Literal["inertia", "previous"] = "inertia",
+        lhs_regularization: SupportsFloat = 1.0e-6,
+        gradient: Literal["unrolled"] = "unrolled",
+    ) -> None: ...
+    @property
+    def iterations(self) -> int: ...
+    def gradient_info(self) -> VbdGradientInfo: ...
+    def step(
+        self,
+        state_in: SimState,
+        state_out: SimState,
+        control: Control | None,
+        contacts: Contacts | None,
+        dt: SupportsFloat,
+    ) -> None: ...
+
 class DiffSolverConfig(_Native):
     def __init__(
         self,

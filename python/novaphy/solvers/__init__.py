@@ -23,11 +23,22 @@ if has_diff():
 
     __all__ += ["DiffFeatherstoneSolver", "DiffSemiImplicitSolver", "DiffSolverConfig"]
 
+if has_diff() and has_vbd():
+    from .._core.solvers import DiffSolverVBD, VbdGradientInfo
+
+    __all__ += ["DiffSolverVBD", "VbdGradientInfo"]
+
 
 def __getattr__(name: str) -> object:
     """Say why a solver is not there: not in this build, or not built yet."""
-    if name in ("DiffFeatherstoneSolver", "DiffSemiImplicitSolver", "DiffSolverConfig"):
+    if name in (
+        "DiffFeatherstoneSolver",
+        "DiffSemiImplicitSolver",
+        "DiffSolverConfig",
+        "DiffSolverVBD",
+        "VbdGradientInfo",
+    ):
         require_diff(f"novaphy.solvers.{name}")
-    if name in ("SolverVBD", "VbdResidual"):
+    if name in ("SolverVBD", "VbdResidual", "DiffSolverVBD", "VbdGradientInfo"):
         require_vbd(f"novaphy.solvers.{name}")
     raise missing_from_module("novaphy.solvers", name)

@@ -4,7 +4,6 @@
 #include <memory>
 
 #include "novaphy/core/sim/contacts.h"
-#include "novaphy/core/sim/control.h"
 #include "novaphy/core/sim/model.h"
 #include "novaphy/vbd/export.h"
 #include "novaphy/vbd/solver_vbd.h"
@@ -16,9 +15,10 @@ struct VbdStepInputs {
   const Vec3f* particle_q = nullptr;
   const Vec3f* particle_qd = nullptr;
   const Vec3f* particle_f = nullptr;
-  const Control* control = nullptr;    // null: the model's activations
-  const Contacts* contacts = nullptr;  // null: none
-  float dt = 0.0f;                     // s
+  const DeviceArray<float>* tri_activation = nullptr;  // null: the model's
+  const DeviceArray<float>* tet_activation = nullptr;  // null: the model's
+  const Contacts* contacts = nullptr;                  // null: none
+  float dt = 0.0f;                                     // s
 };
 
 // The derivatives of a scalar by what a step reads, written in full. Null: not wanted. Materials
@@ -58,6 +58,8 @@ class NOVAPHY_VBD_API UnrolledVbd {
   // its iterates: 16 (iterations + 1) bytes for each particle.
   void backward(const VbdStepInputs& inputs, const Vec3f* q_out_bar, const Vec3f* qd_out_bar,
                 const VbdStepGradients& gradients);
+  // Of the step that the last backward ran. ErrorKind::Runtime: there was none.
+  VbdResidual residual() const;
 
  private:
   struct Work;

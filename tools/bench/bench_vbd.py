@@ -1,0 +1,140 @@
+#!/usr/bin/env python3
+"""Time a substep of VBD: a cloth of 64 x 32 cells with bending and damping, 10 iterations.
+
+    python tools/bench/bench_vbd.py [--engine novaphy|newton] [--threads N] [--sphere]
+
+Prints a JSON line: wall and CPU time of a substep in turns (the fastest), and a hash of the last
+positions. With --sphere the cloth falls on a sphere with friction. --backward also times the
+derivative of a step.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import json
+import time
+
+import numpy as np
+
+DT, ITERATIONS, WARM_UP, TURNS = 1.0 / 300.0, 10, 20, 5
+CLOTH = {
+    "dim_x": 64, "dim_y": 32, "cell_x": 0.02, "cell_y": 0.02, "mass": 4e-4,
+    "tri_ke": 1e3, "tri_ka": 1e3, "tri_kd": 1e-2, "edge_ke": 1e-2, "edge_kd": 1e-4,
+    "particle_radius": 0.01,
+}  # fmt: skip
+
+
+def fill(builder, engine, sphere):
+    """Add the cloth and, if wanted, the sphere."""
+    rotation = (0.0, 0.0, 0.0, 1.0)
+    vector, quat = tuple, tuple
+    if engine == "newton":
+        import warp as wp
+
+        vector, quat = (lambda v: wp.vec3(*v)), (lambda q: wp.quat(*q))
+    zero = (0.0, 0.0, 0.0)
+    builder.add_cloth_grid(
+        pos=vector((-0.64, -0.32, 0.5)), rot=quat(rotation), vel=vector(zero),
+        fix_left=not sphere, **CLOTH,
+    )  # fmt: skip
+    if sphere:
+        pose = ((0.0, 0.0, 0.2), rotation)
+        if engine == "newton":
+            import warp as wp
+
+            pose = wp.transform(wp.vec3(*pose[0]), wp.quat(*rotation))
+        builder.add_shape_sphere(-1, xform=pose, radius=0.25)
+    builder.color(include_bending=True)
+
+
+def novaphy_run(args):
+    """Make the model; returns run(substeps) and a function of the positions."""
+    import novaphy
+
+    if args.threads:
+        novaphy.set_num_threads(args.threads)
+    builder = novaphy.ModelBuilder()
+    fill(builder, "novaphy", args.sphere)
+    model = builder.finalize()
+    solver = novaphy.solvers.SolverVBD(model, iterations=ITERATIONS)
+    pipeline = novaphy.CollisionPipeline(model)
+    contacts = pipeline.contacts() if args.sphere else None
+    states = [model.state(), model.state()]
+
+    def run(substeps):
+        for _ in range(substeps):
+            if contacts is not None:
+                pipeline.collide(states[0], contacts)
+            solver.step(states[0], states[1], None, contacts, DT)
+            states.reverse()
+
+    def backward():
+        from novaphy import diff, nova
+
+        solver = novaphy.solvers.DiffSolverVBD(model, iterations=ITERATIONS)
+        states[0].requires_grad = True
+        with nova.Tape() as tape:
+            solver.step(states[0], states[1], None, contacts, DT)
+            loss = diff.state_particle_q_tensor(states[1]).sum()
+        start = time.process_time()
+        tape.backward(loss)
+        return time.process_time() - start
+
+    return run, lambda: states[0].particle_q.numpy(), backward
+
+
+def newton_run(args):
+    """The same in Newton, on its cpu device."""
+    import newton
+    import warp as wp
+
+    wp.config.quiet = True
+    wp.set_device("cpu")
+    builder = newton.ModelBuilder()
+    fill(builder, "newton", args.sphere)
+    model = builder.finalize()
+    solver = newton.solvers.SolverVBD(model, iterations=ITERATIONS)
+    states, control = [model.state(), model.state()], model.control()
+    contacts = model.contacts() if args.sphere else None
+
+    def run(substeps):
+        for _ in range(substeps):
+            states[0].clear_forces()
+            if contacts is not None:
+                model.collide(states[0], contacts)
+            solver.step(states[0], states[1], control, contacts, DT)
+            states.reverse()
+
+    return run, lambda: states[0].particle_q.numpy(), None
+
+
+def main() -> None:
+    """Measure, and print."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--engine", choices=("novaphy", "newton"), default="novaphy")
+    parser.add_argument("--threads", type=int, help="of NovaPhy; Newton's cpu device has one")
+    parser.add_argument("--sphere", action="store_true", help="on a sphere, with friction")
+    parser.add_argument("--backward", action="store_true", help="also the derivative of a step")
+    parser.add_argument("--substeps", type=int, default=200, help="of a turn")
+    args = parser.parse_args()
+    run, positions, backward = (novaphy_run if args.engine == "novaphy" else newton_run)(args)
+    run(WARM_UP)
+    wall, cpu = [], []
+    for _ in range(TURNS):
+        start, used = time.perf_counter(), time.process_time()
+        run(args.substeps)
+        wall.append((time.perf_counter() - start) / args.substeps)
+        cpu.append((time.process_time() - used) / args.substeps)
+    result = {
+        "engine": args.engine, "threads": args.threads, "sphere": args.sphere,
+        "wall_ms": 1e3 * min(wall), "cpu_ms": 1e3 * min(cpu),
+        "hash": hashlib.sha256(np.ascontiguousarray(positions()).tobytes()).hexdigest()[:16],
+    }  # fmt: skip
+    if args.backward and backward is not None:
+        result["backward_cpu_ms"] = 1e3 * min(backward() for _ in range(TURNS))
+    print(json.dumps(result))
+
+
+if __name__ == "__main__":
+    main()

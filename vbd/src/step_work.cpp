@@ -76,6 +76,7 @@ StepWork::StepWork(const Model& m, const VbdOptions& o, bool keep_iterates) : mo
 
 void StepWork::build() {
   slots.build(model, level.lanes);
+  ++builds;
   if (slots.has_conflicts()) next_.resize(x.size());
   plan();
   for (Stamped& s : values_) s.stamp.set(*s.array);

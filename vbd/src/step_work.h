@@ -51,6 +51,7 @@ class StepWork {
   std::vector<std::vector<Row>> iterates;  // x after 0, 1, ... iterations
   std::vector<Vec3f> last_velocity;        // of the step before, for the adaptive guess
   bool has_last = false, has_stepped = false;
+  uint64_t builds = 0;  // how often the tables were made
 
  private:
   enum class Task : uint8_t { Predict, Prepare, Move, Commit, Accelerate, Keep, Finish };

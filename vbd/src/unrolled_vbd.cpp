@@ -42,7 +42,10 @@ struct UnrolledVbd::Work {
     step.update(in.tri_activation, in.tet_activation, in.contacts, in.dt);
     const size_t n = step.x.size();
     for (std::vector<Row>* rows : {&x_bar, &own_bar, &start_bar, &target_bar}) rows->assign(n, {});
-    receivers.build(step.slots, step.model.particle_count());
+    if (builds != step.builds) {
+      receivers.build(step.slots, step.model.particle_count());
+      builds = step.builds;
+    }
     for (int role = 0; role < vbd::kRoles; ++role) {
       const size_t lanes = step.slots.table(static_cast<vbd::Role>(role)).sources.size();
       others[role].resize(lanes * 3 * static_cast<size_t>(vbd::kOthers[role]));
@@ -206,6 +209,7 @@ struct UnrolledVbd::Work {
   std::vector<Vec3f> q_out, qd_out;
   VbdResidual last_residual;  // of the last backward
   bool has_gone_back = false;
+  uint64_t builds = 0;  // of the tables that the receivers were made from
   ExclusiveUse in_use;
 };
 

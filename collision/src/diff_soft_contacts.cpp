@@ -5,6 +5,7 @@
 #include "novaphy/collision/candidate_pairs.h"
 #include "novaphy/collision/diff_soft_contact_trace.h"
 #include "novaphy/core/error.h"
+#include "novaphy/core/recorder.h"
 #include "novaphy/core/sim/enums.h"
 #include "novaphy/dynamics/diff_model_reads.h"
 #include "novaphy/dynamics/diff_operators.h"
@@ -142,8 +143,34 @@ void eval_soft_contact_forces(const Model& model, const Contacts& contacts,
                                {.params = params, .csr = &contacts_of});
 }
 
+void detail::depend_on(std::initializer_list<const Array*> arrays) {
+  LaunchRecorder* const recorder = launch_recorder();
+  if (recorder == nullptr) return;
+  for (const Array* array : arrays)
+    if (array->range()) recorder->depends_on(array->range());
+}
+
+void WorldRows::check_shapes(const Model& model) {
+  detail::depend_on({&model.shape_type, &model.shape_flags, &model.shape_body});
+  if (covered_type_.matches(model.shape_type) && covered_flags_.matches(model.shape_flags) &&
+      covered_body_.matches(model.shape_body))
+    return;
+  // The model is no part of what a capture records, so these host reads are legal there too.
+  struct Unobserved {
+    ArrayObserver* const before = set_array_observer(nullptr);
+    ~Unobserved() { set_array_observer(before); }
+  } const unobserved;
+  detail::check_static_shapes(model);
+  covered_type_.set(model.shape_type);
+  covered_flags_.set(model.shape_flags);
+  covered_body_.set(model.shape_body);
+}
+
 void WorldRows::update(const Model& model, bool with_shapes) {
+  if (with_shapes) check_shapes(model);
   if (model.world_count() == 1) return;
+  detail::depend_on({&model.particle_world});
+  if (with_shapes) detail::depend_on({&model.shape_world, &model.shape_flags});
   const bool same_particles = particle_world_.matches(model.particle_world);
   if (same_particles && (!with_shapes || (shape_world_.matches(model.shape_world) &&
                                           shape_flags_.matches(model.shape_flags))))

@@ -49,6 +49,10 @@ DiffSemiImplicitSolver::DiffSemiImplicitSolver(std::shared_ptr<const Model> mode
           "DiffSolverConfig, static_contact_margin: expected a finite distance "
           ">= 0, got ",
           config.static_contact_margin);
+  require(!config.strict || config.enable_particles || this->model()->particle_count() == 0,
+          ErrorKind::NotImplemented,
+          "DiffSemiImplicitSolver: the model has particles, and enable_particles is false: enable "
+          "them, or leave them out with strict = false");
   if (config.strict) check_elements();
   if (config.strict) check_bodies();
   if (moves_bodies()) bodies_.begin(*this->model());

@@ -25,7 +25,6 @@ ParticleStep::ParticleStep(const Model& model, const ParticleStepOptions& option
       elements_(model, options.elements),
       meets_bodies_(options.contacts && particles_may_meet_bodies(model)) {
   rows_.update(model, options.static_contacts);
-  if (options.static_contacts) detail::check_static_shapes(model);
 }
 
 Operand ParticleStep::add_elements(const Model& model, const Control* control, const Operand& q,

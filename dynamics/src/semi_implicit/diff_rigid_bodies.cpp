@@ -3,6 +3,7 @@
 #include <cmath>
 #include <vector>
 
+#include "diff_trace_columns.h"
 #include "novaphy/collision/diff_soft_contacts.h"
 #include "novaphy/core/error.h"
 #include "novaphy/core/sim/derived_fields.h"
@@ -11,7 +12,6 @@
 #include "novaphy/dynamics/diff_operators.h"
 #include "novaphy/dynamics/semi_implicit/rigid_integrator_trace.h"
 #include "novaphy/dynamics/semi_implicit/rigid_plane_trace.h"
-#include "diff_trace_columns.h"
 
 namespace novaphy::diff {
 
@@ -115,13 +115,16 @@ RigidBodyMass<Real> load_mass(TraceContext& c) {
   const Real w = detach(Columns(c, "body_inv_mass")[0]);
   mass.inv_mass = with_derivative(w, Columns(c, "body_mass")[0], -(w * w));
   const Columns inertia(c, "body_inertia"), stored(c, "body_inv_inertia");
-  Real source[9], inverse[9];
-  for (int32_t k = 0; k < 9; ++k) source[k] = inertia[k];
-  InverseInertia{}(source, inverse);
+  Mat33<Real> inverse;
   for (int32_t k = 0; k < 9; ++k) {
-    mass.inertia.m[k / 3][k % 3] = source[k];
-    mass.inv_inertia.m[k / 3][k % 3] = with_derivative(detach(stored[k]), inverse[k], Real(1.0f));
+    mass.inertia.m[k / 3][k % 3] = inertia[k];
+    inverse.m[k / 3][k % 3] = detach(stored[k]);
   }
+  // d(I^-1) = -I^-1 dI I^-1, with the inverse that is stored: none where it is held at zero.
+  const Mat33<Real> change = math::multiply(math::multiply(inverse, mass.inertia), inverse);
+  for (int32_t i = 0; i < 3; ++i)
+    for (int32_t j = 0; j < 3; ++j)
+      mass.inv_inertia.m[i][j] = with_derivative(inverse.m[i][j], change.m[i][j], Real(-1.0f));
   return mass;
 }
 
@@ -215,7 +218,16 @@ void PlanePairs::find_pairs(const Model& model) {
   const std::vector<int32_t> body = model.shape_body.to_host(), type = model.shape_type.to_host();
   const std::vector<Vec3f> scale = model.shape_scale.to_host();
   std::vector<int32_t> found, bodies;
+  const int32_t shapes = model.shape_count(), model_bodies = model.body_count();
+  for (int32_t s = 0; s < shapes; ++s) {
+    const int32_t b = body[static_cast<size_t>(s)];
+    require(b >= -1 && b < model_bodies, ErrorKind::Index, "model.shape_body[", s,
+            "]: expected -1 to ", model_bodies - 1, ", got ", b);
+  }
   for (const Vec2i& pair : candidates) {
+    require(pair.x >= 0 && pair.y >= 0 && pair.x < shapes && pair.y < shapes, ErrorKind::Index,
+            "model.shape_contact_pairs: expected shapes from 0 to ", shapes - 1, ", got (", pair.x,
+            ", ", pair.y, ")");
     const auto at = [](int32_t shape) { return static_cast<size_t>(shape); };
     const auto type_of = [&](int32_t shape) { return static_cast<GeoType>(type[at(shape)]); };
     const auto is_plane = [&](int32_t shape) {
@@ -246,6 +258,8 @@ void PlanePairs::find_pairs(const Model& model) {
 }
 
 void PlanePairs::update(const Model& model, bool with_contacts) {
+  detail::depend_on({&model.shape_contact_pairs, &model.shape_body, &model.shape_type,
+                     &model.shape_scale, &model.body_world});
   if (known_ && with_contacts_ == with_contacts &&
       contact_pairs_.matches(model.shape_contact_pairs) && shape_body_.matches(model.shape_body) &&
       shape_type_.matches(model.shape_type) && shape_scale_.matches(model.shape_scale) &&

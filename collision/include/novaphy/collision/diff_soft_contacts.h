@@ -28,15 +28,18 @@ namespace novaphy::diff {
 // of a table. A model of one world needs none: each particle may meet each shape.
 class NOVAPHY_DYNAMICS_API WorldRows {
  public:
-  // Made anew when the arrays that they are made from were written; `with_shapes` false checks the
-  // particles only. ErrorKind::NotImplemented: a particle of all worlds (-1), whose gravity is that
-  // of none; ErrorKind::Index: no such world.
+  // Made anew when the arrays that they are made from were written, and a capture depends on these;
+  // `with_shapes` false checks the particles only. ErrorKind::NotImplemented: a particle of all
+  // worlds (-1), whose gravity is that of none, a shape that static contacts do not cover;
+  // ErrorKind::Index: no such world.
   void update(const Model& model, bool with_shapes);
   const nova::Operand& shape() const { return shape_; }  // of each pair
   const nova::Incidence& pairs_of_particles() const { return pairs_of_particles_; }
 
  private:
+  void check_shapes(const Model& model);
   ArrayStamp particle_world_, shape_world_, shape_flags_;
+  ArrayStamp covered_type_, covered_flags_, covered_body_;  // the shapes that were checked
   nova::Operand shape_;
   nova::Incidence pairs_of_particles_;
 };
@@ -50,8 +53,7 @@ NOVAPHY_DYNAMICS_API nova::Tensor eval_static_particle_shape_contact_forces_gene
     const nova::Tensor& particle_f, float soft_contact_margin = 0.0f);
 
 // The same into given memory: what the solver calls, with `rows` that are up to date.
-// ErrorKind::Value for a bad margin; whether the shapes are covered is the caller's to check
-// (detail::check_static_shapes).
+// ErrorKind::Value for a bad margin.
 NOVAPHY_DYNAMICS_API void eval_static_contact_forces(const Model& model, const WorldRows& rows,
                                                      const nova::Operand& particle_q,
                                                      const nova::Operand& particle_qd,
@@ -99,6 +101,9 @@ inline constexpr int32_t kStaticShapeParams = 6;
 // ErrorKind::NotImplemented unless every particle-colliding shape is world-owned and of a covered
 // type.
 void check_static_shapes(const Model& model);
+
+// What a capture records holds for the present values of these arrays, which the host has read.
+void depend_on(std::initializer_list<const Array*> arrays);
 // Shape checks shared by the operators: {n, 3} float32 on the model's device.
 void check_particle_tensor(const Model& model, const nova::Tensor& tensor, const char* op,
                            const char* name);

@@ -120,11 +120,13 @@ SpatialVector<T> plane_contact_wrench(FrictionLaw law, const WorldPlane<T>& plan
   for (int j = 0; j < 4; ++j) {
     const T end = select(shape.is_capsule, j == 0 ? shape.scale.y : -shape.scale.y, zero);
     const Vec3<T> local = select(shape.is_box, corners.corner[j], Vec3<T>{zero, zero, end});
-    auto present = both(shape.is_box, corners.count > T(static_cast<float>(j)));
-    if (j == 0) present = either(present, negate(shape.is_box));
-    if (j == 1) present = either(present, shape.is_capsule);
     const Vec3<T> point =
         transform_point(body.pose, transform_point(shape.xform, local)) + n * beyond;
+    // An end is a contact within the gap, as for the search; so are the corners that were kept.
+    const auto near = negate(gap < dot(n, on_plane - point));
+    auto present = both(shape.is_box, corners.count > T(static_cast<float>(j)));
+    if (j == 0) present = either(present, both(near, negate(shape.is_box)));
+    if (j == 1) present = either(present, both(near, shape.is_capsule));
     const Vec3<T> arm = point - com;
     const Vec3<T> u = -(body.twist.linear + cross(body.twist.angular, arm));
     const Vec3<T> f = rigid_contact_law(law, n, on_plane, point, u, material, smoothing);

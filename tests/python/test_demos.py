@@ -218,9 +218,18 @@ def test_an_interrupt_leaves_a_whole_page(tmp_path):
     page = tmp_path / "run.html"
     script = DEMOS / "demo_diffsim_spring_cage.py"
     command = [sys.executable, "-u", str(script), "--headless", "1000000", "--record", str(page)]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
-    time.sleep(4.0)
-    process.send_signal(signal.SIGINT)
-    said = process.communicate(timeout=60)[0].decode()
+    process = subprocess.Popen(
+        command,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        # Who started us may ignore the signal.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+    )
+    try:
+        time.sleep(4.0)
+        process.send_signal(signal.SIGINT)
+        said = process.communicate(timeout=60)[0].decode()
+    finally:
+        process.kill()
     assert process.returncode == 130 and said == "", said
     assert page.read_text("utf-8").rstrip().endswith("</html>")

@@ -167,7 +167,7 @@ def main() -> int:
             drone.commands, drone.forward, 5e-2, 2e-2, range(8)
         )
     losses: list[float] = []
-    look = ((0.5, -2.6, 1.6), (0.4, 0.2, 1.2))
+    look = ((0.5, -4.2, 2.4), (0.4, 0.2, 1.5))
     with viewer.Stage(args, drone.model, fps=FPS, look=look, path_width=0.006) as stage:
 
         def paths() -> dict[str, np.ndarray]:

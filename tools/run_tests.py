@@ -462,7 +462,8 @@ def editable() -> None:
 def demos() -> None:
     """The demos: training, gradient check, states and picture."""
     interpreter = wheel_python()
-    iterations = {"ball": 5, "soft_body": 10, "cloth": 5, "spring_cage": 20}
+    iterations = {"ball": 5, "soft_body": 10, "cloth": 5, "spring_cage": 20, "dice": 3}
+    iterations |= {"push": 3, "drone": 3, "featherstone": 3, "cart_pole": 3}
     for demo, count in iterations.items():
         with tempfile.TemporaryDirectory() as folder:
             outputs = [Path(folder) / "states.npz", Path(folder) / "picture.png"]

@@ -40,7 +40,7 @@ void DiffFeatherstoneSolver::step(SimState& state_in, SimState& state_out, const
   step_.begin(m, control, kStep);
   if (nova::Tape::active() != nullptr) make_leaves(state_in);
   const auto scratch = make_scratch(step_.scratch(m), 1, device());
-  step_.record(m, state_in, state_out, control, dt, scratch[0]);
+  step_.record(m, state_in, state_out, control, nova::operand_of(state_in.body_f), dt, scratch[0]);
   step_.check(m, kStep);
 }
 
@@ -57,6 +57,8 @@ std::vector<ScratchSpec> DiffFeatherstoneSolver::step_scratch() const {
 
 bool DiffFeatherstoneSolver::begin_rollout(const RolloutInputs& inputs) {
   check_contacts(inputs.contacts(), kRollout);
+  require(inputs.pipeline() == nullptr, ErrorKind::NotImplemented, kRollout,
+          ", pipeline: expected none, articulations have no contacts yet");
   begin_model_reads(*model(), kRollout);
   for (int32_t t = inputs.start(); t < inputs.stop(); ++t)
     if (t == inputs.start() || inputs.control(t) != inputs.control(t - 1))
@@ -66,7 +68,7 @@ bool DiffFeatherstoneSolver::begin_rollout(const RolloutInputs& inputs) {
 
 void DiffFeatherstoneSolver::record_step(const SimState& in, SimState& out,
                                          const StepInputs& inputs, StepScratch scratch) {
-  step_.record(*model(), in, out, inputs.control, inputs.dt, scratch);
+  step_.record(*model(), in, out, inputs.control, inputs.body_forces, inputs.dt, scratch);
 }
 
 }  // namespace novaphy::diff

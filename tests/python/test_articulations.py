@@ -387,3 +387,52 @@ def test_contacts_and_singular_models_are_refused_by_name() -> None:
     model.body_inertia.zero_()
     with pytest.raises(novaphy.Error, match=r"dof 1 \(joint 'joint_1'\)"):
         solver.step(model.state(), model.state(), None, None, DT)
+
+
+@diff
+@pytest.mark.parametrize("per_step", [False, True])
+def test_body_forces_of_a_rollout_act_and_have_a_gradient(per_step: bool) -> None:
+    from novaphy import nova
+    from novaphy.diff import Trajectory, state_joint_qd_tensor
+
+    model, steps = arm().finalize(), 3
+    rng = np.random.default_rng(5)
+    shape = (steps, 2, 6) if per_step else (2, 6)
+    given = rng.normal(size=shape).astype(np.float32)
+    forces = nova.tensor(given, requires_grad=True)
+    solver = novaphy.solvers.DiffFeatherstoneSolver(model)
+    trajectory = Trajectory(model, steps)
+
+    def end(values: object) -> np.ndarray:
+        solver.rollout(trajectory, None, None, DT, body_forces=values)
+        return trajectory[steps].joint_qd.numpy().astype(np.float64)
+
+    plain, state, after = novaphy.solvers.SolverFeatherstone(model), model.state(), model.state()
+    for k in range(steps):
+        state.body_f.assign(given[k] if per_step else given)
+        plain.step(state, after, None, None, DT)
+        state, after = after, state
+    np.testing.assert_array_equal(state.joint_qd.numpy(), end(forces).astype(np.float32))
+
+    with nova.Tape() as tape:
+        solver.rollout(trajectory, None, None, DT, body_forces=forces)
+        tape.backward(nova.sum(state_joint_qd_tensor(trajectory[steps])))
+    change = rng.normal(size=shape).astype(np.float32)
+    up, down = (end(nova.tensor(given + sign * change)).sum() for sign in (np.float32(1), -1))
+    expected = (up - down) / 2
+    assert expected != 0
+    assert float((forces.grad.numpy() * change).sum()) == pytest.approx(expected, rel=1e-3)
+
+
+@diff
+def test_a_pipeline_is_refused() -> None:
+    from novaphy.diff import Trajectory
+
+    builder = arm()
+    builder.add_shape_sphere(1, radius=0.1)
+    builder.add_ground_plane()
+    model = builder.finalize()
+    solver = novaphy.solvers.DiffFeatherstoneSolver(model)
+    with pytest.raises(NotImplementedError, match="pipeline: expected none"):
+        pipeline = novaphy.CollisionPipeline(model)
+        solver.rollout(Trajectory(model, 1), None, None, DT, pipeline=pipeline)

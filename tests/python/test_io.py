@@ -180,3 +180,11 @@ def test_bad_meshes_are_python_errors_that_name_the_file(tmp_path):
         with pytest.raises(ValueError, match=message):
             io.load_mesh(tmp_path / name)
     assert len(io.load_mesh(tmp_path / "a.obj", drop_degenerate=True).indices) == 2
+
+
+def test_what_is_no_regular_file_is_not_replaced(tmp_path):
+    pipe = tmp_path / "pipe.npz"
+    os.mkfifo(pipe)
+    with pytest.raises(ValueError, match="path: expected a regular file"):
+        novaphy.io.save_npz(pipe, x=np.zeros(1))
+    assert pipe.is_fifo()

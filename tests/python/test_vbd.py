@@ -245,3 +245,16 @@ def test_contacts_of_every_step_are_kept_and_inputs_without_a_rule_raise():
     model.particle_mass.requires_grad = True
     with nova.Tape(), pytest.raises(NotImplementedError, match="particle_mass"):
         solver.step(states[0], states[1], None, None, 1 / 60)
+
+
+def test_a_number_that_changed_after_recording_is_named():
+    nova = pytest.importorskip("novaphy.nova")
+    diff = pytest.importorskip("novaphy.diff")
+    solver = diff_solver(cloth(), iterations=2)
+    trajectory = diff.Trajectory(solver.model, 1)
+    with nova.Tape() as tape:
+        solver.rollout(trajectory, None, None, 1 / 60)
+        loss = nova.sum(diff.state_particle_q_tensor(trajectory[1]))
+    solver.model.soft_contact_ke *= 10
+    with pytest.raises(novaphy.Error, match="soft_contact_ke was set to another value"):
+        tape.backward(loss)

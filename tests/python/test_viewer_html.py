@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import io
+import json
+import re
 
 import browser
 import numpy as np
@@ -93,6 +95,21 @@ def test_the_page_draws_the_lines_of_both_takes(page_file, chromium):
     assert blue == 0 and green > 100 and background < 0.95
     blue, green, _ = counts(30)
     assert blue > 100 and green > 100
+
+
+def test_a_scalar_that_is_not_finite_is_a_gap_and_the_page_stays_readable(tmp_path):
+    path = tmp_path / "run.html"
+    with novaphy.ViewerHTML(path) as viewer:
+        viewer.begin_frame(0.0)
+        viewer.log_points("point", [[0, 0, 0]], 0.1)
+        viewer.log_scalar("loss", float("nan"))
+        viewer.end_frame()
+    text = re.search(r'id="content"[^>]*>(.*?)</script>', path.read_text("utf-8"), re.DOTALL)[1]
+
+    def refuse(constant):
+        raise AssertionError(constant)
+
+    assert json.loads(text, parse_constant=refuse)["scalars"] == {"loss": [None]}
 
 
 def test_a_page_without_a_folder_is_refused(tmp_path):

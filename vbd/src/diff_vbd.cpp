@@ -42,6 +42,8 @@ std::vector<std::pair<const char*, const Array*>> arrays_without_gradient(const 
 
 // What a recorded step and its backward work with.
 struct DiffSolverVBD::Step {
+  explicit Step(std::shared_ptr<const Model> of) : model(std::move(of)) {}
+
   std::shared_ptr<const Model> model;
   std::shared_ptr<UnrolledVbd> unrolled;
   std::shared_ptr<const Contacts> contacts;
@@ -49,8 +51,23 @@ struct DiffSolverVBD::Step {
   DeviceArray<float> tri_activation, tet_activation;
   DeviceArray<Vec3f> q_out, qd_out;
   float dt = 0.0f;
+  // The model's numbers when the step was recorded.
+  float soft_contact_ke = model->soft_contact_ke, soft_contact_kd = model->soft_contact_kd,
+        soft_contact_mu = model->soft_contact_mu;
+
+  // ErrorKind::Runtime when a number was set to another value: the step would run with it.
+  void check_numbers() const {
+    const auto check = [](const char* name, float then, float now) {
+      require(then == now, ErrorKind::Runtime, kName, ": model.", name,
+              " was set to another value after recording: it was ", then, ", it is ", now);
+    };
+    check("soft_contact_ke", soft_contact_ke, model->soft_contact_ke);
+    check("soft_contact_kd", soft_contact_kd, model->soft_contact_kd);
+    check("soft_contact_mu", soft_contact_mu, model->soft_contact_mu);
+  }
 
   VbdStepInputs inputs() const {
+    check_numbers();
     return {rows_of(q),      rows_of(qd),    rows_of(f), &tri_activation,
             &tet_activation, contacts.get(), dt};
   }
@@ -140,12 +157,12 @@ void DiffSolverVBD::step(SimState& state_in, SimState& state_out, const Control*
   const ExclusiveUse::Scope scope = use(kName);
   check_step(kName, state_in, state_out, control, contacts, dt);
   if (nova::Tape::active() != nullptr) make_leaves(state_in);
-  record_step(state_in, state_out,
-              {.control = control,
-               .contacts = contacts,
-               .forces = nova::operand_of(state_in.particle_f),
-               .dt = dt},
-              {});
+  StepInputs inputs;
+  inputs.control = control;
+  inputs.contacts = contacts;
+  inputs.forces = nova::operand_of(state_in.particle_f);
+  inputs.dt = dt;
+  record_step(state_in, state_out, inputs, {});
 }
 
 bool DiffSolverVBD::begin_rollout(const RolloutInputs&) {
@@ -160,8 +177,7 @@ void DiffSolverVBD::record_step(const SimState& in, SimState& out, const StepInp
   const Model& m = *model();
   nova::flush_deferred();
   nova::Tape* const tape = nova::Tape::active();
-  auto step = std::make_shared<Step>();
-  step->model = model();
+  auto step = std::make_shared<Step>(model());
   step->unrolled = unrolled_;
   step->contacts = kept(inputs.contacts);
   step->q = tensor_of(nova::operand_of(in.particle_q));

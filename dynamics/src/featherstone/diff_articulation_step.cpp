@@ -255,7 +255,8 @@ void ArticulationStep::begin(const Model& model, const Control* control, const c
 }
 
 void ArticulationStep::record(const Model& m, const SimState& in, SimState& out,
-                              const Control* control, float dt, StepScratch scratch) {
+                              const Control* control, const nova::Operand& body_f, float dt,
+                              StepScratch scratch) {
   const auto view = [](const char* name, const Array& array) {
     return Named{name, tensor_of(array)};
   };
@@ -264,15 +265,25 @@ void ArticulationStep::record(const Model& m, const SimState& in, SimState& out,
   const auto& target_q = control ? control->joint_target_q : m.joint_target_q;
   const auto& target_qd = control ? control->joint_target_qd : m.joint_target_qd;
   auto step = std::make_shared<Step>(Step{
-      {view("joint_q", in.joint_q), view("joint_qd", in.joint_qd), view("joint_f", joint_f),
-       view("body_f", in.body_f), view("joint_target_q", target_q),
-       view("joint_target_qd", target_qd), view("joint_target_ke", m.joint_target_ke),
-       view("joint_target_kd", m.joint_target_kd), view("joint_damping", m.joint_damping),
-       view("joint_armature", m.joint_armature), view("joint_limit_lower", m.joint_limit_lower),
-       view("joint_limit_upper", m.joint_limit_upper), view("joint_limit_ke", m.joint_limit_ke),
-       view("joint_limit_kd", m.joint_limit_kd), view("joint_effort_limit", m.joint_effort_limit),
-       view("joint_velocity_limit", m.joint_velocity_limit), view("body_mass", m.body_mass),
-       view("body_com", m.body_com), view("body_inertia", m.body_inertia)},
+      {view("joint_q", in.joint_q),
+       view("joint_qd", in.joint_qd),
+       view("joint_f", joint_f),
+       {"body_f", {body_f.range, {body_f.rows, body_f.width}, nova::DType::F32}},
+       view("joint_target_q", target_q),
+       view("joint_target_qd", target_qd),
+       view("joint_target_ke", m.joint_target_ke),
+       view("joint_target_kd", m.joint_target_kd),
+       view("joint_damping", m.joint_damping),
+       view("joint_armature", m.joint_armature),
+       view("joint_limit_lower", m.joint_limit_lower),
+       view("joint_limit_upper", m.joint_limit_upper),
+       view("joint_limit_ke", m.joint_limit_ke),
+       view("joint_limit_kd", m.joint_limit_kd),
+       view("joint_effort_limit", m.joint_effort_limit),
+       view("joint_velocity_limit", m.joint_velocity_limit),
+       view("body_mass", m.body_mass),
+       view("body_com", m.body_com),
+       view("body_inertia", m.body_inertia)},
       {view("rows", a.rows()), view("links", a.links()), view("dof_parent", a.dof_parent()),
        view("joint_X_p", m.joint_X_p), view("joint_X_c", m.joint_X_c),
        view("joint_axis", m.joint_axis), view("gravity", m.gravity),

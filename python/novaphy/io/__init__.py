@@ -30,6 +30,8 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
     target = Path(path)
     if target.is_dir():
         raise ValueError(f"path: expected a file name, got the folder {target}")
+    if target.exists() and not target.is_file():
+        raise ValueError(f"path: expected a regular file, {target} is none")
     if not target.parent.is_dir():
         raise ValueError(f"path: the folder {target.parent} does not exist")
     handle, name = tempfile.mkstemp(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import json
+import math
 import os
 import zlib
 from importlib import resources
@@ -76,7 +77,9 @@ class ViewerHTML(SceneViewer):
         for name, values in self.scene.scalars.items():
             if values:
                 known = self._scalars.setdefault(name, [])
-                known += [None] * (frame - len(known)) + [values[-1]]
+                # JSON knows no NaN: a gap.
+                last = values[-1] if math.isfinite(values[-1]) else None
+                known += [None] * (frame - len(known)) + [last]
 
     def _keep(self, frame: int, key: tuple[str, str, str], part: Any) -> None:
         track = self._tracks.setdefault(key, _Track())

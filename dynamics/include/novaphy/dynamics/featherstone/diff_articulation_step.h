@@ -18,6 +18,7 @@
 #include "novaphy/core/sim/trajectory.h"
 #include "novaphy/dynamics/export.h"
 #include "novaphy/dynamics/featherstone/solver_featherstone.h"
+#include "novaphy/nova/kernel.h"
 
 namespace novaphy::diff {
 
@@ -32,9 +33,10 @@ class NOVAPHY_DYNAMICS_API ArticulationStep {
   std::vector<ScratchSpec> scratch(const Model& model) const;
   // Checks before some steps.
   void begin(const Model& model, const Control* control, const char* function);
-  // Submits a step, recorded on an active tape. `scratch` as the specs say: what the adjoint reads.
+  // Submits a step, recorded on an active tape. `body_f` {b, 6}: the wrenches on the bodies;
+  // `scratch` as the specs say: what the adjoint reads.
   void record(const Model& model, const SimState& in, SimState& out, const Control* control,
-              float dt, StepScratch scratch);
+              const nova::Operand& body_f, float dt, StepScratch scratch);
   // ErrorKind::Runtime, naming the dof, when the last step failed. Looks at the host's memory.
   void check(const Model& model, const char* function) const;
 

@@ -143,3 +143,31 @@ def test_kinematics_go_both_ways():
     np.testing.assert_allclose(other.joint_qd.numpy(), [1.0, -2.0, 0.5], atol=1e-5)
     with pytest.raises(ValueError, match="eval_fk: joint_q: expected 3 rows"):
         novaphy.eval_fk(model, model.body_mass, state.joint_qd, state)
+
+
+def test_collapsed_bodies_keep_their_motion():
+    def build(collapsed):
+        builder = novaphy.ModelBuilder(gravity=0)
+        inertia = 0.1 * np.eye(3)
+        root, tip = (builder.add_link(mass=1.0, inertia=inertia) for _ in range(2))
+        free = builder.add_joint_free(root, child_xform=((0, 0, 0), (0, 0, 0.6, 0.8)))
+        fixed = builder.add_joint_fixed(root, tip, parent_xform=((1, 0, 0), (0, 0, 0, 1)))
+        builder.add_articulation([free, fixed])
+        builder.joint_q[:7] = [0, 0, 0, 0, 0, 0.28, 0.96]
+        builder.joint_qd[:6] = [0.1, 0.2, 0.3, 0, 0, 2]
+        if collapsed:
+            builder.collapse_fixed_joints()
+        return builder.finalize()
+
+    places = []
+    for collapsed in (False, True):
+        model = build(collapsed)
+        state = model.state()
+        novaphy.eval_fk(model, state.joint_q, state.joint_qd, state)
+        velocity, spin = np.split(state.body_qd.numpy()[0], 2)
+        com = model.body_com.numpy()[0]
+        z, w = state.body_q.numpy()[0, 5:]
+        turn = 2 * np.arctan2(z, w)  # about z
+        arm = [np.cos(turn) * com[0], np.sin(turn) * com[0], 0]
+        places.append(np.concatenate([velocity - np.cross(spin, arm), spin]))  # of the origin
+    np.testing.assert_allclose(places[0], places[1], atol=1e-6)

@@ -150,6 +150,7 @@ def test_collapsed_bodies_keep_their_motion():
         builder = novaphy.ModelBuilder(gravity=0)
         inertia = 0.1 * np.eye(3)
         root, tip = (builder.add_link(mass=1.0, inertia=inertia) for _ in range(2))
+        builder.add_shape_box(root, hx=0.1, hy=0.1, hz=0.1, xform=((0, -0.5, 0), (0, 0, 0, 1)))
         free = builder.add_joint_free(root, child_xform=((0, 0, 0), (0, 0, 0.6, 0.8)))
         fixed = builder.add_joint_fixed(root, tip, parent_xform=((1, 0, 0), (0, 0, 0, 1)))
         builder.add_articulation([free, fixed])
@@ -168,6 +169,7 @@ def test_collapsed_bodies_keep_their_motion():
         com = model.body_com.numpy()[0]
         z, w = state.body_q.numpy()[0, 5:]
         turn = 2 * np.arctan2(z, w)  # about z
-        arm = [np.cos(turn) * com[0], np.sin(turn) * com[0], 0]
+        along, across = (np.cos(turn), np.sin(turn), 0), (-np.sin(turn), np.cos(turn), 0)
+        arm = com[0] * np.array(along) + com[1] * np.array(across)
         places.append(np.concatenate([velocity - np.cross(spin, arm), spin]))  # of the origin
     np.testing.assert_allclose(places[0], places[1], atol=1e-6)

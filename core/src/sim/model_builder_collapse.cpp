@@ -97,27 +97,12 @@ void ModelBuilder::merge_bodies(const std::vector<int32_t>& into,
   for (size_t b = 0; b < bodies_.size(); ++b) {
     if (goes(b)) continue;
     Body& body = bodies_[b];
-    const Vec3f com_before = body.com;
     body.mass = static_cast<float>(base[b].mass);
     body.com = {static_cast<float>(base[b].com.x), static_cast<float>(base[b].com.y),
                 static_cast<float>(base[b].com.z)};
     for (int i = 0; i < 3; ++i)
       for (int k = 0; k < 3; ++k)
         body.inertia.m[i][k] = static_cast<float>(base[b].inertia.m[i][k]);
-    const Vec3f way = body.com - com_before;
-    SpatialVectorf& twist = body_qd[b];
-    twist.linear = twist.linear + math::cross(twist.angular, math::rotate(body_q[b].q, way));
-    for (const Joint& joint : joints_) {
-      if (joint.type != JointType::FREE || joint.child != static_cast<int32_t>(b)) continue;
-      const float* const q = &joint_q[static_cast<size_t>(joint.q_start)];
-      float* const qd = &joint_qd[static_cast<size_t>(joint.qd_start)];
-      const Vec3f turned = math::rotate(Quatf{q[3], q[4], q[5], q[6]},
-                                        math::rotate_inverse(joint.child_xform.q, way));
-      const Vec3f more = math::cross(Vec3f{qd[3], qd[4], qd[5]}, turned);
-      qd[0] += more.x;
-      qd[1] += more.y;
-      qd[2] += more.z;
-    }
   }
   for (Shape& shape : shapes_) {
     if (shape.body < 0 || !goes(static_cast<size_t>(shape.body))) continue;
@@ -125,6 +110,29 @@ void ModelBuilder::merge_bodies(const std::vector<int32_t>& into,
     shape.xform = math::multiply(pose[body], shape.xform);
     shape.body = into[body];
     shape.cfg.density = 0.0f;  // its mass is in the base now
+  }
+  const std::vector<detail::MassProperties> after = exact_body_masses();
+  const auto way_of_com = [&](size_t b) {  // in the frame of the body
+    const auto way = after[b].com - masses[b].com;
+    return Vec3f{static_cast<float>(way.x), static_cast<float>(way.y), static_cast<float>(way.z)};
+  };
+  for (size_t b = 0; b < bodies_.size(); ++b) {
+    if (goes(b)) continue;
+    SpatialVectorf& twist = body_qd[b];
+    twist.linear =
+        twist.linear + math::cross(twist.angular, math::rotate(body_q[b].q, way_of_com(b)));
+  }
+  for (const Joint& joint : joints_) {
+    const auto child = static_cast<size_t>(joint.child);
+    if (joint.type != JointType::FREE || goes(child)) continue;
+    const float* const q = &joint_q[static_cast<size_t>(joint.q_start)];
+    float* const qd = &joint_qd[static_cast<size_t>(joint.qd_start)];
+    const Vec3f way = math::rotate(Quatf{q[3], q[4], q[5], q[6]},
+                                   math::rotate_inverse(joint.child_xform.q, way_of_com(child)));
+    const Vec3f more = math::cross(Vec3f{qd[3], qd[4], qd[5]}, way);
+    qd[0] += more.x;
+    qd[1] += more.y;
+    qd[2] += more.z;
   }
 }
 

@@ -24,6 +24,7 @@ from rigid import (
     HALF,
     SCENES,
     SURFACE,
+    PenaltyBoxes,
     box_poses,
     run,
 )
@@ -36,10 +37,8 @@ def squares_kernel(twist: wp.array[wp.spatial_vector], loss: wp.array[float]):
     wp.atomic_add(loss, 0, wp.dot(v, v))
 
 
-class Boxes:
+class Boxes(PenaltyBoxes):
     """Boxes under gravity on the ground."""
-
-    dt = 1.0 / 960
 
     def __init__(self, scene: str, n: int, turn: float, device: str) -> None:
         """Build the model."""
@@ -57,35 +56,9 @@ class Boxes:
         self.now, self.next = self.model.state(), self.model.state()
 
     def step(self) -> None:
-        """Find contacts, step."""
-        self.now.clear_forces()
-        self.pipeline.collide(self.now, self.found)
-        self.solver.step(self.now, self.next, None, self.found, self.dt)
-        self.now, self.next = self.next, self.now
+        """Find contacts, step, wait."""
+        super().step()
         wp.synchronize()
-
-    def contacts(self) -> np.ndarray:
-        """Depths, from the rows of the last step."""
-        self.pipeline.collide(self.now, self.found)
-        count = int(self.found.rigid_contact_count.numpy()[0])
-        rows = {
-            name: getattr(self.found, f"rigid_contact_{name}").numpy()[:count]
-            for name in ("shape0", "shape1", "point0", "point1", "normal", "margin0", "margin1")
-        }
-        bodies, poses = self.model.shape_body.numpy(), self.now.body_q.numpy()
-        ends = [in_world(poses, bodies[rows[f"shape{k}"]], rows[f"point{k}"]) for k in (0, 1)]
-        apart = np.einsum("ij,ij->i", ends[1] - ends[0], rows["normal"])
-        return rows["margin0"] + rows["margin1"] - apart
-
-
-def in_world(poses: np.ndarray, bodies: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Points of bodies in world coordinates; body -1 is the world."""
-    result = points.astype(np.float64)
-    own = bodies >= 0
-    q = poses[bodies[own]].astype(np.float64)
-    v, w, p = q[:, 3:6], q[:, 6:], result[own]
-    result[own] = q[:, :3] + p + 2 * np.cross(v, np.cross(v, p) + w * p)
-    return result
 
 
 class Dice:

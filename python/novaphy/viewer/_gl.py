@@ -54,7 +54,6 @@ class ViewerGL(SceneViewer):
         self.curve = "loss"
         self.reset_requested = False
         self._paused = paused
-        self._steps_wanted = 0
         self._window: Any = None
         self._video: Video | None = None
         self._drawn_at = self._frame_at = 0.0
@@ -140,19 +139,6 @@ class ViewerGL(SceneViewer):
         video, self._video = self._video, None
         if video is not None:
             video.close()
-
-    def should_step(self) -> bool:
-        """Whether the simulation should advance: not paused, or a single step was asked for."""
-        if not self._paused:
-            return True
-        if self._steps_wanted:
-            self._steps_wanted -= 1
-            return True
-        return False
-
-    def step_once(self) -> None:
-        """Let one more step happen while paused."""
-        self._steps_wanted += 1
 
     def pause(self, paused: bool = True) -> None:
         """Pause, or go on."""

@@ -46,6 +46,20 @@ class SceneViewer(Viewer):
         self.latest_state: Mapping[str, np.ndarray] = {}
         self.show_joints = self.show_energy = False
         self._energy: float | None = None
+        self._steps_wanted = 0
+
+    def step_once(self) -> None:
+        """Let one more step happen while paused."""
+        self._steps_wanted += 1
+
+    def should_step(self) -> bool:
+        """Whether the simulation should advance: not paused, or a single step was asked for."""
+        if not self._paused:
+            return True
+        if self._steps_wanted:
+            self._steps_wanted -= 1
+            return True
+        return False
 
     def set_model(self, model: Model) -> None:
         """Show the shapes, particles, surfaces and springs of a model from now on."""

@@ -69,7 +69,6 @@ class ViewerViser(SceneViewer):
             print(f"ViewerViser: {self.url} (for {reach})")
         self.history = history
         self.reset_requested = False
-        self._steps_wanted = 0
         self._sent_at = 0.0
         self._handles: dict[str, tuple[Any, Any]] = {}
         self._pictures: dict[str, tuple[Any, np.ndarray]] = {}
@@ -128,19 +127,6 @@ class ViewerViser(SceneViewer):
             if not paused and self._shown_past is not None:
                 self._shown_past = None
                 self._scrubber.value = self.history - 1
-
-    def step_once(self) -> None:
-        """Let one more step happen while paused."""
-        self._steps_wanted += 1
-
-    def should_step(self) -> bool:
-        """Whether the simulation should advance: not paused, or a single step was asked for."""
-        if not self._paused:
-            return True
-        if self._steps_wanted:
-            self._steps_wanted -= 1
-            return True
-        return False
 
     def end_frame(self) -> None:
         """Send the frame, at most SEND_RATE times per second; keep it for the slider."""

@@ -143,23 +143,13 @@ void eval_soft_contact_forces(const Model& model, const Contacts& contacts,
                                {.params = params, .csr = &contacts_of});
 }
 
-void detail::depend_on(std::initializer_list<const Array*> arrays) {
-  LaunchRecorder* const recorder = launch_recorder();
-  if (recorder == nullptr) return;
-  for (const Array* array : arrays)
-    if (array->range()) recorder->depends_on(array->range());
-}
-
 void WorldRows::check_shapes(const Model& model) {
-  detail::depend_on({&model.shape_type, &model.shape_flags, &model.shape_body});
+  depend_on({&model.shape_type, &model.shape_flags, &model.shape_body});
   if (covered_type_.matches(model.shape_type) && covered_flags_.matches(model.shape_flags) &&
       covered_body_.matches(model.shape_body))
     return;
   // The model is no part of what a capture records, so these host reads are legal there too.
-  struct Unobserved {
-    ArrayObserver* const before = set_array_observer(nullptr);
-    ~Unobserved() { set_array_observer(before); }
-  } const unobserved;
+  const Unobserved unobserved;
   detail::check_static_shapes(model);
   covered_type_.set(model.shape_type);
   covered_flags_.set(model.shape_flags);
@@ -169,18 +159,20 @@ void WorldRows::check_shapes(const Model& model) {
 void WorldRows::update(const Model& model, bool with_shapes) {
   if (with_shapes) check_shapes(model);
   if (model.world_count() == 1) return;
-  detail::depend_on({&model.particle_world});
-  if (with_shapes) detail::depend_on({&model.shape_world, &model.shape_flags});
+  depend_on({&model.particle_world});
+  if (with_shapes) depend_on({&model.shape_world, &model.shape_flags});
   const bool same_particles = particle_world_.matches(model.particle_world);
   if (same_particles && (!with_shapes || (shape_world_.matches(model.shape_world) &&
                                           shape_flags_.matches(model.shape_flags))))
     return;
-  // The model is no part of what a capture records, so these host reads are legal there too.
-  ArrayObserver* const observer = set_array_observer(nullptr);
-  const std::vector<int32_t> world = model.particle_world.to_host();
+  std::vector<int32_t> world;
   CandidatePairs pairs;
-  if (with_shapes) pairs = make_candidate_pairs(model);
-  set_array_observer(observer);
+  {
+    // The model is no part of what a capture records, so these host reads are legal there too.
+    const Unobserved unobserved;
+    world = model.particle_world.to_host();
+    if (with_shapes) pairs = make_candidate_pairs(model);
+  }
   for (size_t p = 0; p < world.size(); ++p) {
     require(world[p] >= -1 && world[p] < model.world_count(), ErrorKind::Index,
             "model.particle_world[", p, "]: expected 0 to ", model.world_count() - 1, ", got ",

@@ -70,8 +70,7 @@ struct RigidContacts::Impl {
   int32_t contacts_per_pair = 0;
   std::shared_ptr<ShapeGeometries> geometries;
   // The candidate pairs follow from arrays of the model in these versions.
-  bool known = false;
-  uint64_t versions[7] = {};
+  ArrayVersions<7> versions;
   std::vector<int32_t> body, type, flags, group, world;  // of the shapes
   std::vector<Vec3f> scale;
   SweepAndPrune sweep;
@@ -92,14 +91,6 @@ struct RigidContacts::Impl {
     const Model& m = *model;
     return {&m.shape_body,  &m.shape_type,  &m.shape_contact_pairs,  &m.shape_scale,
             &m.shape_flags, &m.shape_world, &m.shape_collision_group};
-  }
-  bool up_to_date() const {
-    const auto arrays = choosing();
-    for (size_t k = 0; k < arrays.size(); ++k) {
-      const auto& range = arrays[k]->range();
-      if (versions[k] != arrays[k]->version() || (range && range->was_exported())) return false;
-    }
-    return known;
   }
   ShapePairRules rules() const {
     return {body, flags, group, world, &model->shape_collision_filter_pairs};
@@ -236,8 +227,8 @@ struct RigidContacts::Impl {
 
   void find_candidates() {
     geometries->update();
-    if (up_to_date()) return;
-    known = false;
+    if (versions.match(choosing())) return;
+    versions.reset();
     const Model& m = *model;
     body = m.shape_body.to_host();
     for (size_t s = 0; s < body.size(); ++s)
@@ -259,9 +250,7 @@ struct RigidContacts::Impl {
                            : make_shape_contact_pairs(body, flags, group, world,
                                                       m.shape_collision_filter_pairs));
     }
-    const auto arrays = choosing();
-    for (size_t k = 0; k < arrays.size(); ++k) versions[k] = arrays[k]->version();
-    known = true;
+    versions.set(choosing());
   }
   // The pairs whose boxes meet now, of shapes that were moved to the world.
   void sweep_shapes() {
@@ -269,13 +258,6 @@ struct RigidContacts::Impl {
     boxes.resize(body.size());
     for (size_t s = 0; s < boxes.size(); ++s) boxes[s] = moved[s].box;
     take(sweep.box_pairs(boxes, rules()));
-  }
-  // The pairs follow from what the host has read.
-  void depend_on_candidates() const {
-    LaunchRecorder* const recorder = launch_recorder();
-    if (recorder == nullptr) return;
-    for (const Array* array : choosing())
-      if (array->range()) recorder->depends_on(array->range());
   }
 };
 
@@ -303,7 +285,7 @@ void RigidContacts::collide(const SimState& state, Contacts& c) {
   const Model& m = *impl_->model;
   const Device device = m.device();
   impl_->find_candidates();
-  impl_->depend_on_candidates();
+  depend_on(impl_->choosing());  // which the host has read
   const bool sweeps = impl_->broad_phase == BroadPhase::Sap;
   require(!sweeps || launch_recorder() == nullptr, ErrorKind::Runtime,
           "collide: the broad phase \"sap\" finds its pairs on the host, so it cannot be recorded; "

@@ -107,22 +107,10 @@ std::array<const Array*, 5> ShapeGeometries::sources() const {
   return {&m.shape_type, &m.shape_scale, &m.shape_mesh_range, &m.mesh_vertices, &m.mesh_indices};
 }
 
-bool ShapeGeometries::up_to_date() const {
-  const auto arrays = sources();
-  for (size_t k = 0; k < arrays.size(); ++k) {
-    const auto& range = arrays[k]->range();
-    if (versions_[k] != arrays[k]->version() || (range && range->was_exported())) return false;
-  }
-  return known_;
-}
-
 void ShapeGeometries::update() {
-  if (LaunchRecorder* const recorder = launch_recorder()) {
-    for (const Array* array : sources())
-      if (array->range()) recorder->depends_on(array->range());
-  }
-  if (up_to_date()) return;
-  known_ = false;
+  depend_on(sources());
+  if (versions_.match(sources())) return;
+  versions_.reset();
   const Model& m = *model_;
   const std::vector<int32_t> type = m.shape_type.to_host(), ranges = m.shape_mesh_range.to_host();
   const std::vector<Vec3f> scale = m.shape_scale.to_host(), vertices = m.mesh_vertices.to_host();
@@ -174,9 +162,7 @@ void ShapeGeometries::update() {
   }
   tables_ = writer.upload(std::move(views), m.device());
   of_shape_ = DeviceArray<int32_t>::from_host(of_shape, m.device());
-  const auto arrays = sources();
-  for (size_t k = 0; k < arrays.size(); ++k) versions_[k] = arrays[k]->version();
-  known_ = true;
+  versions_.set(sources());
   ++version_;
 }
 

@@ -8,6 +8,7 @@
 #include <memory>
 #include <vector>
 
+#include "array_versions.h"
 #include "novaphy/collision/geometry/geometry_view.h"
 #include "novaphy/core/sim/model.h"
 
@@ -32,11 +33,10 @@ class ShapeGeometries {
 
  private:
   std::array<const Array*, 5> sources() const;
-  bool up_to_date() const;
 
   std::shared_ptr<const Model> model_;
-  bool known_ = false;
-  uint64_t versions_[5] = {}, version_ = 0;
+  ArrayVersions<5> versions_;
+  uint64_t version_ = 0;
   DeviceArray<int32_t> of_shape_;
   std::shared_ptr<Storage> tables_;
 };

@@ -3,6 +3,7 @@
 #include <array>
 #include <vector>
 
+#include "array_versions.h"
 #include "novaphy/collision/candidate_pairs.h"
 #include "novaphy/core/device_kernel.h"
 #include "novaphy/core/error.h"
@@ -42,31 +43,22 @@ struct SoftContacts::Impl {
   std::shared_ptr<const Model> model;
   std::shared_ptr<ShapeGeometries> geometries;
   // Which shapes may be met and by whom, and the versions of the arrays that say so.
-  bool known = false;
-  uint64_t versions[5] = {};
+  ArrayVersions<5> versions;
   DeviceArray<int32_t> candidates;
   DeviceArray<int32_t> pair_particle, pair_shape;  // candidate_pairs.h
   // Scratch, kept from call to call.
   std::shared_ptr<Storage> shapes;  // a SoftContactShape per shape
   DeviceArray<int32_t> before;      // the slots before each pair
 
-  std::array<const DeviceArray<int32_t>*, 5> choosing() const {
+  std::array<const Array*, 5> choosing() const {
     return {&model->shape_flags, &model->shape_body, &model->shape_type, &model->shape_world,
             &model->particle_world};
   }
-  bool up_to_date() const {
-    const auto arrays = choosing();
-    for (size_t k = 0; k < arrays.size(); ++k) {
-      const auto& range = arrays[k]->range();
-      if (versions[k] != arrays[k]->version() || (range && range->was_exported())) return false;
-    }
-    return known;
-  }
   void find_candidates() {
     geometries->update();
-    if (up_to_date()) return;
-    const auto arrays = choosing();
-    const std::vector<int32_t> body = arrays[1]->to_host(), type = arrays[2]->to_host();
+    if (versions.match(choosing())) return;
+    const std::vector<int32_t> body = model->shape_body.to_host(),
+                               type = model->shape_type.to_host();
     const CandidatePairs pairs = make_candidate_pairs(*model);
     std::vector<int32_t> found;  // the shapes of the pairs, which are shape-major
     for (const int32_t s : pairs.shape) {
@@ -79,15 +71,7 @@ struct SoftContacts::Impl {
     pair_particle = DeviceArray<int32_t>::from_host(pairs.particle, model->device());
     pair_shape = DeviceArray<int32_t>::from_host(pairs.shape, model->device());
     shapes = Storage::allocate(body.size() * sizeof(SoftContactShape), model->device());
-    for (size_t k = 0; k < arrays.size(); ++k) versions[k] = arrays[k]->version();
-    known = true;
-  }
-  // The pairs follow from what the host has read.
-  void depend_on_candidates() const {
-    LaunchRecorder* const recorder = launch_recorder();
-    if (recorder == nullptr) return;
-    for (const DeviceArray<int32_t>* array : choosing())
-      if (array->range()) recorder->depends_on(array->range());
+    versions.set(choosing());
   }
 };
 
@@ -108,7 +92,7 @@ void SoftContacts::collide(const SimState& state, Contacts& contacts, float gap)
   const Model& m = *impl_->model;
   const Device device = m.device();
   impl_->find_candidates();
-  impl_->depend_on_candidates();
+  depend_on(impl_->choosing());  // which the host has read
   const int64_t pairs = contacts.soft_contact_pair_count(), slots = contacts.soft_contact_max();
   const auto shape_count = static_cast<int64_t>(impl_->candidates.rows());
   const Array shapes(DType::uint8, impl_->shapes->bytes(), 1, impl_->shapes->range());

@@ -2,6 +2,8 @@
 
 #include <utility>
 
+#include "novaphy/core/device_array.h"
+
 namespace novaphy {
 
 namespace {
@@ -13,6 +15,12 @@ LaunchRecorder::~LaunchRecorder() = default;
 LaunchRecorder* launch_recorder() { return t_recorder; }
 LaunchRecorder* set_launch_recorder(LaunchRecorder* recorder) {
   return std::exchange(t_recorder, recorder);
+}
+
+void depend_on(std::span<const Array* const> arrays) {
+  if (t_recorder == nullptr) return;
+  for (const Array* array : arrays)
+    if (array->range()) t_recorder->depends_on(array->range());
 }
 
 void submit_launch(const Launch& launch) {

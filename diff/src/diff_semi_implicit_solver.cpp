@@ -121,15 +121,8 @@ void DiffSemiImplicitSolver::check_bodies() const {
 // Those of joints act on bodies, and would be left out without a word.
 void DiffSemiImplicitSolver::check_joint_forces(const Control* control) const {
   if (!config_.strict || control == nullptr || !moves_bodies()) return;
-  ArrayObserver* const before = set_array_observer(nullptr);
-  std::vector<float> force;
-  try {
-    force = control->joint_f.to_host();
-  } catch (...) {
-    set_array_observer(before);
-    throw;
-  }
-  set_array_observer(before);
+  const Unobserved unobserved;
+  const std::vector<float> force = control->joint_f.to_host();
   for (size_t k = 0; k < force.size(); ++k)
     require(force[k] == 0.0f, ErrorKind::NotImplemented, "DiffSemiImplicitSolver: control.joint_f[",
             k, "]: expected 0: forces of free joints are applied by body_f, got ", force[k]);
@@ -157,11 +150,10 @@ void DiffSemiImplicitSolver::check_contacts(const char* function, const Contacts
 
 // Contacts that are given are fixed while a capture records, so this host read is legal there too.
 void DiffSemiImplicitSolver::check_overflow(const Contacts& contacts) {
-  ArrayObserver* const observer = set_array_observer(nullptr);
-  const bool overflowed = contacts.overflowed();
-  set_array_observer(observer);
-  require(!overflowed, ErrorKind::Runtime, "contacts: more contacts were found than the ",
-          contacts.soft_contact_max(), " slots and ", contacts.rigid_contact_max(),
+  const Unobserved unobserved;
+  require(!contacts.overflowed(), ErrorKind::Runtime,
+          "contacts: more contacts were found than the ", contacts.soft_contact_max(),
+          " slots and ", contacts.rigid_contact_max(),
           " rows hold; make the pipeline with a larger soft_contact_max or rigid_contact_max");
 }
 

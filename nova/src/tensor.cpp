@@ -47,16 +47,6 @@ void host_read(const char* what) {
   if (auto* observer = novaphy::array_observer()) observer->host_read(what);
 }
 
-// Fresh memory that nobody else has seen: no tape or capture needs to know of the write.
-class Unobserved {
- public:
-  Unobserved() : before_(novaphy::set_array_observer(nullptr)) {}
-  ~Unobserved() { novaphy::set_array_observer(before_); }
-
- private:
-  novaphy::ArrayObserver* before_;
-};
-
 // Attachments are made rarely; after that they are read without a lock.
 std::mutex& attachment_mutex() {
   static std::mutex mutex;
@@ -114,13 +104,13 @@ Tensor::Tensor(std::shared_ptr<Range> range, Shape shape, DType dtype)
 
 Tensor Tensor::from_host(std::span<const float> values, Shape shape, Device device) {
   Tensor t(std::move(shape), DType::F32, device);
-  const Unobserved unobserved;
+  const novaphy::Unobserved unobserved;
   t.copy_from_host(values.data(), values.size_bytes());
   return t;
 }
 Tensor Tensor::from_host(std::span<const int32_t> values, Shape shape, Device device) {
   Tensor t(std::move(shape), DType::I32, device);
-  const Unobserved unobserved;
+  const novaphy::Unobserved unobserved;
   t.copy_from_host(values.data(), values.size_bytes());
   return t;
 }

@@ -49,18 +49,6 @@ Tensor tensor_of(const View& view) {
 
 namespace {
 
-// Values written into memory that nobody else has seen yet: no tape or capture needs to know.
-class Unobserved {
- public:
-  Unobserved() : before_(set_array_observer(nullptr)) {}
-  ~Unobserved() { set_array_observer(before_); }
-  Unobserved(const Unobserved&) = delete;
-  Unobserved& operator=(const Unobserved&) = delete;
-
- private:
-  ArrayObserver* before_;
-};
-
 Tensor with_grad(const Tensor& tensor, bool requires_grad) {
   if (requires_grad) tensor.set_requires_grad(true);
   return tensor;

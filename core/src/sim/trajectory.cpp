@@ -38,18 +38,6 @@ bool same_bits(const Array& a, const Array& b) {
   return x == y;
 }
 
-// No tape follows what happens while one is alive.
-class Unobserved {
- public:
-  Unobserved() : before_(set_array_observer(nullptr)) {}
-  ~Unobserved() { set_array_observer(before_); }
-  Unobserved(const Unobserved&) = delete;
-  Unobserved& operator=(const Unobserved&) = delete;
-
- private:
-  ArrayObserver* before_;
-};
-
 }  // namespace
 
 Trajectory::Trajectory(std::shared_ptr<const Model> model, int32_t steps, bool requires_grad,

@@ -53,10 +53,7 @@ Operand allocate(int64_t rows, int32_t width, Device device) {
 // For a table that is about to be sorted anew. It does not change while a capture records, so the
 // host may read it there too.
 void check_table(const Model& model, const Array& indices) {
-  struct Unobserved {
-    ArrayObserver* const before = set_array_observer(nullptr);
-    ~Unobserved() { set_array_observer(before); }
-  } unobserved;
+  const Unobserved unobserved;
   const Array on_host = indices.to(Device::cpu());
   const std::span entries(static_cast<const int32_t*>(on_host.raw()),
                           on_host.bytes() / sizeof(int32_t));

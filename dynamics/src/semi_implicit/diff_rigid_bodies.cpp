@@ -6,7 +6,7 @@
 #include "diff_trace_columns.h"
 #include "novaphy/collision/diff_soft_contacts.h"
 #include "novaphy/core/error.h"
-#include "novaphy/core/sim/derived_fields.h"
+#include "novaphy/core/recorder.h"
 #include "novaphy/core/sim/enums.h"
 #include "novaphy/dynamics/diff_model_reads.h"
 #include "novaphy/dynamics/diff_operators.h"
@@ -258,8 +258,8 @@ void PlanePairs::find_pairs(const Model& model) {
 }
 
 void PlanePairs::update(const Model& model, bool with_contacts) {
-  detail::depend_on({&model.shape_contact_pairs, &model.shape_body, &model.shape_type,
-                     &model.shape_scale, &model.body_world});
+  depend_on({&model.shape_contact_pairs, &model.shape_body, &model.shape_type, &model.shape_scale,
+             &model.body_world});
   if (known_ && with_contacts_ == with_contacts &&
       contact_pairs_.matches(model.shape_contact_pairs) && shape_body_.matches(model.shape_body) &&
       shape_type_.matches(model.shape_type) && shape_scale_.matches(model.shape_scale) &&
@@ -268,10 +268,6 @@ void PlanePairs::update(const Model& model, bool with_contacts) {
   known_ = false;
   with_contacts_ = with_contacts;
   // The model is no part of what a capture records, so these host reads are legal there too.
-  struct Unobserved {
-    ArrayObserver* const before = set_array_observer(nullptr);
-    ~Unobserved() { set_array_observer(before); }
-  };
   {
     const Unobserved unobserved;
     check_worlds(model);

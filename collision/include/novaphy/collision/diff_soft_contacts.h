@@ -101,9 +101,6 @@ inline constexpr int32_t kStaticShapeParams = 6;
 // ErrorKind::NotImplemented unless every particle-colliding shape is world-owned and of a covered
 // type.
 void check_static_shapes(const Model& model);
-
-// What a capture records holds for the present values of these arrays, which the host has read.
-void depend_on(std::initializer_list<const Array*> arrays);
 // Shape checks shared by the operators: {n, 3} float32 on the model's device.
 void check_particle_tensor(const Model& model, const nova::Tensor& tensor, const char* op,
                            const char* name);

@@ -4,6 +4,7 @@
 #pragma once
 
 #include <cstdint>
+#include <initializer_list>
 #include <memory>
 #include <span>
 
@@ -12,6 +13,8 @@
 #include "novaphy/core/storage.h"
 
 namespace novaphy {
+
+class Array;
 
 // One argument word of a launch: a number, or the address of a range with what the launch does to
 // it.
@@ -59,6 +62,13 @@ class NOVAPHY_CORE_API LaunchRecorder {
 NOVAPHY_CORE_API LaunchRecorder* launch_recorder();  // of this thread, or null
 NOVAPHY_CORE_API LaunchRecorder* set_launch_recorder(
     LaunchRecorder* recorder);  // returns the one before
+
+// What this thread submits next holds for the present values of these arrays only, which the host
+// has read: see LaunchRecorder::depends_on.
+NOVAPHY_CORE_API void depend_on(std::span<const Array* const> arrays);
+inline void depend_on(std::initializer_list<const Array*> arrays) {
+  depend_on(std::span(arrays.begin(), arrays.size()));
+}
 
 // By the recorder of this thread, or at once.
 NOVAPHY_CORE_API void submit_launch(const Launch& launch);

@@ -138,4 +138,17 @@ NOVAPHY_CORE_API ArrayObserver* array_observer();  // of this thread, or null
 NOVAPHY_CORE_API ArrayObserver* set_array_observer(
     ArrayObserver* observer);  // returns the one before
 
+// While one is alive no tape or capture follows what this thread does: for writes to memory that
+// nobody else has seen yet, and host reads of what stays as it is while a capture records.
+class Unobserved {
+ public:
+  Unobserved() : before_(set_array_observer(nullptr)) {}
+  ~Unobserved() { set_array_observer(before_); }
+  Unobserved(const Unobserved&) = delete;
+  Unobserved& operator=(const Unobserved&) = delete;
+
+ private:
+  ArrayObserver* before_;
+};
+
 }  // namespace novaphy

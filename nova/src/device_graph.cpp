@@ -231,8 +231,11 @@ std::unique_ptr<DeviceGraph> DeviceGraph::fused(const DeviceContext& context,
   if (!lists_wanted(*context.api) && !sequences_wanted(*context.api)) return nullptr;
   std::unique_ptr<DeviceGraph> made(new DeviceGraph(context));
   RunPlan plan = plan_run(ops, words, accesses, {.min_rows = 1, .multiples = false});
-  mark_changing_tables(plan.ops, words, accesses);
   made->make_lists(plan, words);
+  // The order of the plan brings rows of lists together. Where there are none, it would only put
+  // what happens once, as the first fill of a gradient, among the substeps of a sequence.
+  if (made->lists_.empty()) plan.ops.assign(ops.begin(), ops.end());
+  mark_changing_tables(plan.ops, words, accesses);
   made->make_sequences(plan.ops, words, accesses);
   if (made->lists_.empty()) return nullptr;
   made->capture(plan.ops, words);

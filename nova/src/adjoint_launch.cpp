@@ -158,15 +158,17 @@ void run_row_sums(const CompiledPlan& plan, const AdjointCall& call, const Scrat
 template <class Memory>
 void make_up(const KernelImpl& kernel, const CompiledPlan& plan, const AdjointCall& call,
              const Memory& memory, Scratch& scratch) {
-  scratch.zeros.resize(kernel.outputs.size());
   for (size_t o = 0; o < kernel.outputs.size(); ++o) {
     if (!(plan.key.seeded >> o & 1) || call.output_gradients[o]) continue;
+    scratch.zeros.resize(kernel.outputs.size());
     scratch.zeros[o] = memory(call.output_gradient_rows, kernel.outputs[o].width);
     submit_fill(scratch.zeros[o].range, 0.0f);
   }
+  const uint64_t unwanted = plan.key.wrt & ~call.wrt;
+  if (unwanted == 0) return;
   scratch.unwanted.resize(call.inputs.size());
   for (size_t s = 0; s < call.inputs.size(); ++s)
-    if ((plan.key.wrt & ~call.wrt) >> s & 1)
+    if (unwanted >> s & 1)
       scratch.unwanted[s] = memory(call.inputs[s]->rows, call.inputs[s]->width);
 }
 

@@ -129,14 +129,13 @@ void Tape::record_custom(CustomOp op) {
   for (const Tensor* value : values)
     t.add_input(record, {value->range(), value->size(), 1, ir::Type::I32}).read = true;
   for (const Tensor& out : op.outputs) {
-    Impl::Use use = t.make_use(out.operand());
+    Impl::Use& use = t.add_use(record, out.operand());
     use.carries = true;
     use.read = holds(op.reads, out.range());
     if (use.read && t.in_group) {
-      use.producer = static_cast<int32_t>(t.uses.size());
+      use.producer = static_cast<int32_t>(t.uses.size()) - 1;
       record.replayed = true;
     }
-    t.uses.push_back(use);
   }
   t.customs.push_back(std::move(op));
   t.append(std::move(record), recorded);

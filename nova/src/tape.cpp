@@ -23,27 +23,26 @@ bool Tape::Impl::carries(const Range& range) {
   return n && n->ever_written ? n->carries : info->requires_grad;
 }
 
-// The checksum of a value that somebody outside can write, computed once for a version. What a
-// capture records runs when it is launched: then all of it reads the value of that moment.
-bool Tape::Impl::note_value(const Range& range, uint64_t& checksum) {
-  if (!range.was_exported() || current_capture()) return false;
+// Computed once for a version.
+bool Tape::Impl::note_exported_value(const Range& range, uint64_t& checksum) {
   Value& value = values[&range];
   if (value.version != range.version()) value = {range.version(), checksum_now(range)};
   checksum = value.checksum;
   return true;
 }
 
-Tape::Impl::Use Tape::Impl::make_use(const Operand& operand) {
-  Use use{.operand = operand, .version = operand.range->version()};
-  if (const OpList* graph = current_capture()) use.capture = graph->id();
+Tape::Impl::Use& Tape::Impl::add_use(const Op& op, const Operand& operand) {
+  Use& use = uses.emplace_back();
+  use.operand = operand;
+  use.version = operand.range->version();
+  use.capture = op.capture;
   use.carries = operand.type == ir::Type::F32 && carries(*operand.range);
-  use.has_checksum = note_value(*operand.range, use.checksum);
+  use.has_checksum = note_value(*operand.range, op.capture, use.checksum);
   return use;
 }
 
 Tape::Impl::Use& Tape::Impl::add_input(const Op& op, const Operand& operand) {
-  uses.push_back(make_use(operand));
-  Use& use = uses.back();
+  Use& use = add_use(op, operand);
   if (use.carries) node(operand.range);
   const Node* n = op.group >= 0 ? find(*operand.range) : nullptr;
   if (n && n->group == op.group) {
@@ -114,11 +113,8 @@ void Tape::Impl::check_not_overwritten(const Operand& in, const std::string& op,
          "' of this tape and then overwritten outside of it; its gradient would be wrong");
 }
 
-// Whether the value of an input is not the recorded one any more.
-bool Tape::Impl::was_modified(const Use& use) {
+bool Tape::Impl::was_modified_outside(const Use& use) {
   const Range& range = *use.operand.range;
-  if (range.version() != use.version) return true;
-  if (!use.has_checksum && !range.was_exported()) return false;
   const OpList* graph = current_capture();
   if (use.capture != (graph ? graph->id() : 0)) refuse_export_in_capture();
   if (graph) return false;
@@ -139,8 +135,8 @@ void Tape::Impl::mark_output(const std::shared_ptr<Range>& range, int32_t op) {
   n.writer = op;
   if (!in_group) n.group = -1;
   n.written_version = range->version();
-  n.capture = current_capture() ? current_capture()->id() : 0;
-  n.has_checksum = note_value(*range, n.written_checksum);
+  n.capture = ops[static_cast<size_t>(op)].capture;
+  n.has_checksum = note_value(*range, n.capture, n.written_checksum);
   n.ever_written = true;
   n.carries = true;
   n.untracked = nullptr;

@@ -134,8 +134,11 @@ void Tape::Impl::check_needed(const Use& use, const Op& op, uint32_t input) {
 }
 
 void Tape::Impl::check_needed(const Op& op, const detail::CompiledPlan& plan) {
-  for (uint32_t s = 0; s < op.inputs; ++s)
-    if (plan.plan.loads_value[s]) check_needed(input(op, s), op, s);
+  for (uint32_t s = 0; s < op.inputs; ++s) {
+    if (!plan.plan.loads_value[s]) continue;
+    const Use& use = input(op, s);
+    if (use.producer >= 0 || was_modified(use)) check_needed(use, op, s);
+  }
   if (op.has_active) check_needed(active_use(op), op, op.inputs);
   if (!op.csr) return;
   if (plan.items) check_csr(op, {kTable});

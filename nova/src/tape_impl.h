@@ -20,6 +20,10 @@ void accumulate(const Operand& into, const Operand& from);
 }  // namespace detail
 
 struct Tape::Impl {
+  static uint64_t capture_id() {
+    const OpList* graph = current_capture();
+    return graph ? graph->id() : 0;
+  }
   // One input or output of an operation.
   struct Use {
     Operand operand;
@@ -41,7 +45,8 @@ struct Tape::Impl {
     int32_t extent = 0;
     int32_t custom = -1;
     int32_t hand_written = -1;
-    int32_t group = -1;       // of operations that backward runs once more
+    int32_t group = -1;               // of operations that backward runs once more
+    uint64_t capture = capture_id();  // that records it, or 0
     bool replayed = false;    // in a group: another operation of it reads what this one writes
     bool constant = false;    // in a group: no gradient flows through it
     bool has_active = false;  // its use comes after those of the outputs: see active_use
@@ -71,11 +76,11 @@ struct Tape::Impl {
     uint64_t capture = 0;           // that recorded the write, or 0
     uint64_t written_checksum = 0;  // of its value after that, where somebody outside can write it
     bool has_checksum = false;
-    bool ever_written = false;  // by an operation of this tape: not a leaf
-    bool carries = false;       // a gradient flows through its present value
+    bool ever_written = false;        // by an operation of this tape: not a leaf
+    bool carries = false;             // a gradient flows through its present value
     uint64_t untracked_version = 0;   // its version when it got a value that is not followed
     const char* untracked = nullptr;  // why that may not be an input
-    bool set = false;  // during backward: its gradient has a contribution
+    bool set = false;                 // during backward: its gradient has a contribution
     const std::shared_ptr<Range>* place = nullptr;  // during backward: where that is
     uint32_t unread = 0;       // during backward: columns of it that nobody reads, as bits,
     int32_t unread_width = 0;  // of so many
@@ -191,16 +196,27 @@ struct Tape::Impl {
   std::string input_name(const Op& op, uint32_t k) const;
 
   bool carries(const Range& range);
-  Use make_use(const Operand& operand);
+  Use& add_use(const Op& op, const Operand& operand);
   // Appends an input to an operation that is being recorded; append() ends it.
   Use& add_input(const Op& op, const Operand& operand);
   void append(Op op, bool recorded);
   static void refuse_export_in_capture();
   static uint64_t checksum_now(const Range& range);
-  bool note_value(const Range& range, uint64_t& checksum);
+  // The checksum of a value that somebody outside can write; false: nobody can. What a capture
+  // records runs when it is launched: then all of it reads the value of that moment.
+  bool note_value(const Range& range, uint64_t capture, uint64_t& checksum) {
+    return range.was_exported() && capture == 0 && note_exported_value(range, checksum);
+  }
+  bool note_exported_value(const Range& range, uint64_t& checksum);
   bool was_written_outside(const Node& n);
   void check_not_overwritten(const Operand& in, const std::string& op, const std::string& input);
-  bool was_modified(const Use& use);
+  // Whether the value of an input is not the recorded one any more.
+  bool was_modified(const Use& use) {
+    const Range& range = *use.operand.range;
+    return range.version() != use.version ||
+           ((use.has_checksum || range.was_exported()) && was_modified_outside(use));
+  }
+  bool was_modified_outside(const Use& use);
   void check_value(const Use& use, const Op& op, uint32_t input);
   void add_csr(const Op& op);
   static Operand words_of(const std::shared_ptr<Range>& range) {

@@ -569,10 +569,12 @@ void Kernel::launch(int64_t dim, std::span<const Operand> inputs, std::span<cons
   if (tape) tape->check_launch(k, inputs, options.active ? outputs : std::span<const Operand>());
   detail::run_forward(k, dim, inputs, outputs, options.params, csr, options.extent, options.active);
   if (tape) tape->record_launch(impl_, dim, inputs, outputs, options, recorded);
-  hold_in_capture(impl_);
-  if (csr) hold_in_capture(*options.csr);
-  for (const auto* list : {&inputs, &outputs})
-    for (const Operand& operand : *list) hold_in_capture(operand.range);
+  if (OpList* list = recording()) {
+    list->hold(impl_);
+    if (csr) list->hold(*options.csr);
+    for (const auto* operands : {&inputs, &outputs})
+      for (const Operand& operand : *operands) list->hold(operand.range);
+  }
   if (csr && current_capture()) current_capture()->freeze(csr->table.range, csr->offsets);
 }
 

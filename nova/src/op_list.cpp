@@ -28,9 +28,6 @@ thread_local DeferredScope* deferred_scope = nullptr;  // whose list that is
 // Fewer launches of one kernel gain less than it takes to find out.
 constexpr uint32_t kMinSeries = 8;
 
-// Where operations are recorded instead of run, or null.
-OpList* recording() { return capture ? capture : deferred; }
-
 void run_copy(const DeviceContext& c, void* target, const void* source, int64_t bytes) {
   novaphy_error error = novaphy::make_error();
   novaphy::check(c.api->memory_copy(c.stream, NOVAPHY_COPY_DEVICE_TO_DEVICE, target, source,
@@ -55,6 +52,8 @@ void record(const DeviceContext& context, OpList::Op op, std::span<const uint64_
 }
 
 }  // namespace
+
+OpList* recording() { return capture ? capture : deferred; }
 
 OpList::~OpList() = default;
 
@@ -306,10 +305,6 @@ const std::shared_ptr<Range>& OpList::scratch(size_t number, size_t bytes, size_
   std::shared_ptr<Range>& range = known.ranges[known.taken++ % turns];
   if (!range) range = novaphy::Storage::allocate(bytes, device, false)->range();
   return range;
-}
-
-void hold_in_capture(const std::shared_ptr<const void>& owner, size_t bytes) {
-  if (OpList* list = recording()) list->hold(owner, bytes);
 }
 
 }  // namespace nova

@@ -214,8 +214,12 @@ NOVAPHY_NOVA_API void note_write(const std::shared_ptr<Range>& range);
 // Runs now even while a capture records: for what is derived from index tables, which a capture
 // freezes.
 using novaphy::launch_now;
-// Keeps the owner alive while the capture or deferred list of this thread (if any) lives. `bytes`:
-// memory that only the list needs.
-NOVAPHY_NOVA_API void hold_in_capture(const std::shared_ptr<const void>& owner, size_t bytes = 0);
+// The capture or deferred list of this thread, or null.
+NOVAPHY_NOVA_API OpList* recording();
+// Keeps the owner alive while that list (if any) lives. `bytes`: memory that only the list needs.
+template <class T>
+void hold_in_capture(const std::shared_ptr<T>& owner, size_t bytes = 0) {
+  if (OpList* list = recording()) list->hold(owner, bytes);
+}
 
 }  // namespace nova

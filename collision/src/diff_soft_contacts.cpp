@@ -95,14 +95,6 @@ Vec3<Real> soft_contact_term(TraceContext& c, const Vec3<Real>& x, const Vec3<Re
 
 namespace {
 
-const std::vector<std::string> kState = {"particle_q", "particle_qd", "particle_f"};
-
-nova::Kernel with_contact_gradients(const nova::Kernel& kernel) {
-  return detail::with_rollout_gradients(
-      kernel, kState, {"particle_radius"},
-      {"shape_material_ke", "shape_material_kd", "shape_material_kf", "shape_material_mu"});
-}
-
 const nova::Kernel& soft_contact_kernel() {
   static const nova::Kernel kernel = [] {
     std::vector<nova::SourceSpec> sources = {{"particle_q", DType::F32, 3, Access::Direct},
@@ -110,7 +102,7 @@ const nova::Kernel& soft_contact_kernel() {
                                              {"particle_f", DType::F32, 3, Access::Direct},
                                              {"particle_radius", DType::F32, 1, Access::Direct}};
     for (const nova::SourceSpec& s : detail::soft_contact_sources()) sources.push_back(s);
-    return with_contact_gradients(nova::make_reduce_kernel(
+    return nova::with_one_gradient_set(nova::make_reduce_kernel(
         "soft_contact_forces", sources, {{"particle_f", 3}},
         {.init =
              [](TraceContext& c) {
@@ -314,13 +306,10 @@ nova::Kernel make_static_contact_kernel(const char* name, detail::Worlds worlds)
 
 const nova::Kernel& static_contact_kernel(detail::Worlds worlds) {
   using detail::Worlds;
-  static const nova::Kernel one = with_contact_gradients(make_static_contact_kernel(
+  static const nova::Kernel one = nova::with_one_gradient_set(make_static_contact_kernel(
                                 "static_particle_shape_contact_forces", Worlds::One)),
-                            several = detail::with_state_gradients(
-                                make_static_contact_kernel(
-                                    "static_particle_shape_contact_forces_of_worlds",
-                                    Worlds::Several),
-                                kState);
+                            several = nova::with_one_gradient_set(make_static_contact_kernel(
+                                "static_particle_shape_contact_forces_of_worlds", Worlds::Several));
   return worlds == detail::Worlds::Several ? several : one;
 }
 

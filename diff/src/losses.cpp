@@ -36,23 +36,23 @@ std::vector<Real> squared_distance(TraceContext& c, const Vec3<Real>& p) {
 }
 
 const nova::Kernel& particle_point_loss_kernel() {
-  static const nova::Kernel kernel = nova::make_kernel(
+  static const nova::Kernel kernel = nova::with_one_gradient_set(nova::make_kernel(
       "particle_point_loss",
       {{"particle_index", DType::I32, 1, Access::Direct},
        {"particle_q", DType::F32, 3, Access::Indexed}},
       {{"loss", 1}}, [](TraceContext& c) {
         const nova::Int row = c.i32(0);
         return squared_distance(c, {c.f32(1, row, 0), c.f32(1, row, 1), c.f32(1, row, 2)});
-      });
+      }));
   return kernel;
 }
 
 const nova::Kernel& vec3_point_loss_kernel() {
-  static const nova::Kernel kernel =
+  static const nova::Kernel kernel = nova::with_one_gradient_set(
       nova::make_kernel("vec3_point_loss", {{"point", DType::F32, 3, Access::Direct}},
                         {{"loss", 1}}, [](TraceContext& c) {
                           return squared_distance(c, {c.f32(0, 0), c.f32(0, 1), c.f32(0, 2)});
-                        });
+                        }));
   return kernel;
 }
 
@@ -60,7 +60,7 @@ const nova::Kernel& vec3_point_loss_kernel() {
 
 void detail::add_loss_kernels(std::vector<nova::EngineKernel>& list) {
   for (const nova::Kernel& k : {particle_point_loss_kernel(), vec3_point_loss_kernel()})
-    list.push_back({k, nova::every_gradient(k)});
+    list.push_back({k, k.gradients()});
 }
 
 Tensor particle_point_loss_generated(const Tensor& particle_q, int64_t particle_index,

@@ -38,18 +38,18 @@ Vec3f unit(const Vec3f& v, const char* op, const char* name) {
 }
 
 const nova::Kernel& twist_kernel() {
-  static const nova::Kernel kernel =
+  static const nova::Kernel kernel = nova::with_one_gradient_set(
       nova::make_kernel("body_twist_from_omega", {{"omega", DType::F32, 3, Access::Direct}},
                         {{"body_qd", 6}}, [](TraceContext& c) {
                           return std::vector<Real>{c.param(0),  c.param(1),  c.param(2),
                                                    c.f32(0, 0), c.f32(0, 1), c.f32(0, 2)};
-                        });
+                        }));
   return kernel;
 }
 
 // Parameters: a, ta, b, tb (3 each), wa, wb, h, wh, wv, ww.
 const nova::Kernel& orientation_kernel() {
-  static const nova::Kernel kernel = nova::make_kernel(
+  static const nova::Kernel kernel = nova::with_one_gradient_set(nova::make_kernel(
       "rigid_orientation_velocity_loss",
       {{"body_index", DType::I32, 1, Access::Direct},
        {"body_q", DType::F32, 7, Access::Indexed},
@@ -69,7 +69,7 @@ const nova::Kernel& orientation_kernel() {
                           c.param(13) * (one - dot(rotate(turn, vec3(6)), vec3(9)));
         const Real speeds = c.param(16) * dot(v, v) + c.param(17) * dot(w, w);
         return std::vector<Real>{(axes + (c.param(15) * off) * off) + speeds};
-      });
+      }));
   return kernel;
 }
 
@@ -77,7 +77,7 @@ const nova::Kernel& orientation_kernel() {
 
 void detail::add_rigid_loss_kernels(std::vector<nova::EngineKernel>& list) {
   for (const nova::Kernel& k : {twist_kernel(), orientation_kernel()})
-    list.push_back({k, nova::every_gradient(k)});
+    list.push_back({k, k.gradients()});
 }
 
 Tensor body_twist_from_omega_generated(const Tensor& omega, float linear_x, float linear_y,

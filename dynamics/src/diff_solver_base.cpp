@@ -19,13 +19,13 @@ using nova::Tensor;
 namespace {
 
 const nova::Kernel& add_kernel() {
-  static const nova::Kernel kernel = nova::make_kernel(
+  static const nova::Kernel kernel = nova::with_one_gradient_set(nova::make_kernel(
       "apply_forces",
       {{"particle_f", DType::F32, 3, Access::Direct}, {"forces", DType::F32, 3, Access::Direct}},
       {{"sum", 3}}, [](nova::TraceContext& c) {
         return std::vector{c.f32(0, 0) + c.f32(1, 0), c.f32(0, 1) + c.f32(1, 1),
                            c.f32(0, 2) + c.f32(1, 2)};
-      });
+      }));
   return kernel;
 }
 
@@ -100,11 +100,7 @@ void detail::add_forces(Operand applied, Operand forces, size_t first_row, Opera
 }
 
 void detail::add_solver_kernels(std::vector<nova::EngineKernel>& list) {
-  const nova::Kernel& kernel = add_kernel();
-  std::vector<nova::AdjointMask> masks;
-  for (const char* wrt : {"particle_f", "forces"})
-    masks.push_back(nova::gradient_mask(kernel, {wrt}, {}, {"sum"}));
-  list.push_back({kernel, std::move(masks)});
+  list.push_back({add_kernel(), add_kernel().gradients()});
 }
 
 void make_leaves(const SimState& state) {

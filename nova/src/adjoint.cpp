@@ -65,22 +65,36 @@ class Outputs {
   }
   // Writes the outputs into the Program; missing columns are 0, accumulated gradients start from
   // what is there.
-  AdjointStage finish(const AdjointMask& mask) {
+  AdjointStage finish(const AdjointMask& mask, const AdjointPlan& plan) {
     Trace& t = sweep_.trace();
     for (size_t k = 0; k < columns_.size(); ++k) {
       const AdjointBinding binding = sweep_.stage.outputs[k];
-      const bool accumulate =
-          binding.kind == Kind::SourceGradient && mask.accumulate[binding.index];
+      const bool at_its_row = binding.kind == Kind::SourceGradient;
+      const bool gated = mask.gated && binding.kind != Kind::LoopGradient;
+      const int32_t source =
+          binding.kind == Kind::Contribution ? plan.row_sums[binding.index].source : binding.index;
       const auto width = static_cast<int32_t>(columns_[k].size());
       Value previous = kNone;
-      if (accumulate)
+      if (at_its_row && (gated || mask.accumulate[source]))
         previous = sweep_.add_source(names_[k] + "_before", width, binding, ir::Access::Direct);
+      // Of an adjoint of one source something is wanted, or it does not run.
+      const bool may_be_unwanted = gated && std::ranges::count(mask.wrt, true) > 1;
       std::vector<Value> totals;
       for (int32_t c = 0; c < width; ++c) {
-        Value total = accumulate ? sweep_.load(previous, sweep_.index(), c) : kNone;
+        Value total = previous == kNone ? kNone : sweep_.load(previous, sweep_.index(), c);
+        if (gated && previous != kNone) {  // x + -0 is x
+          const Value none = t.constant(columns_[k][c].empty() ? 0.0f : -0.0f);
+          total = t.emit({Op::SELECT_F, sweep_.gate(source, kGateAdd), total, none});
+        }
         for (const Value value : columns_[k][c])
           total = total == kNone ? value : t.emit({Op::ADD, total, value});
-        totals.push_back(total == kNone ? t.constant(0.0f) : total);
+        if (total == kNone) total = t.constant(0.0f);
+        if (gated && source == mask.narrowed && (mask.unread >> c & 1) != 0)
+          total =
+              t.emit({Op::SELECT_F, sweep_.gate(source, kGateColumns), total, t.constant(0.0f)});
+        if (may_be_unwanted)
+          total = t.emit({Op::SELECT_F, sweep_.gate(source, kGateWanted), total, t.constant(0.0f)});
+        totals.push_back(total);
       }
       t.program().outputs.push_back({names_[k], ir::Type::F32, std::move(totals)});
     }
@@ -205,7 +219,7 @@ AdjointStage make_rows(const Primal& primal, AdjointPlan& plan, std::vector<bool
       (*summed)[key.second] = true;
     }
   }
-  return outputs.empty() ? AdjointStage{} : outputs.finish(primal.mask);
+  return outputs.empty() ? AdjointStage{} : outputs.finish(primal.mask, plan);
 }
 
 AdjointStage make_items(const Primal& primal, AdjointPlan& plan, const std::vector<bool>& summed) {
@@ -231,7 +245,7 @@ AdjointStage make_items(const Primal& primal, AdjointPlan& plan, const std::vect
     }
     route(p, plan, outputs, p.instrs[v], value, true);
   }
-  return outputs.empty() ? AdjointStage{} : outputs.finish(primal.mask);
+  return outputs.empty() ? AdjointStage{} : outputs.finish(primal.mask, plan);
 }
 
 // The gradient of the sums is for the items: without them nobody reads it.

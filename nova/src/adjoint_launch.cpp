@@ -31,16 +31,28 @@ bool is_wanted(const CompiledPlan& plan, const AdjointCall& call, const AdjointB
   const int32_t source = output.kind == Kind::Contribution
                              ? plan.plan.row_sums[static_cast<size_t>(output.index)].source
                              : output.index;
-  return output.kind != Kind::LoopGradient && (call.wrt >> source & 1) != 0;
+  return output.kind != Kind::LoopGradient && (call.asked.wrt >> source & 1) != 0;
 }
 bool is_wanted(const CompiledPlan& plan, const AdjointCall& call, const AdjointStage& stage) {
   return std::ranges::any_of(
       stage.outputs, [&](const AdjointBinding& output) { return is_wanted(plan, call, output); });
 }
 
+uint32_t gate(const AdjointKey& asked, int32_t source) {
+  return (asked.wrt >> source & 1 ? kGateWanted : 0u) |
+         (asked.accumulate >> source & 1 ? kGateAdd : 0u) |
+         (asked.narrowed != source ? kGateColumns : 0u);
+}
+
 void run_stage(const KernelImpl& kernel, const AdjointStage& stage, Executable& code, int64_t n,
-               const AdjointCall& call, uint64_t accumulate, const Scratch& scratch,
+               const AdjointCall& call, const Scratch& scratch,
                const novaphy::DeviceContext& context) {
+  auto target = [&](const AdjointBinding& b) -> const std::shared_ptr<Range>& {
+    if (b.kind == Kind::Contribution) return scratch.contributions[b.index].range;
+    if (b.kind == Kind::LoopGradient) return scratch.loop_gradient.range;
+    return call.asked.wrt >> b.index & 1 ? *call.input_gradients[b.index]
+                                         : scratch.unwanted[b.index].range;
+  };
   Words words(code.argument_count);
   auto source = [&](const std::shared_ptr<Range>& range, int64_t rows) {
     words.pointer(range->data());
@@ -58,7 +70,7 @@ void run_stage(const KernelImpl& kernel, const AdjointStage& stage, Executable& 
                call.output_gradient_rows);
         break;
       case Kind::SourceGradient:
-        source(*call.input_gradients[b.index], call.inputs[b.index]->rows);
+        source(target(b), call.inputs[b.index]->rows);
         break;
       case Kind::LoopGradient:
         source(scratch.loop_gradient.range, scratch.loop_gradient.rows);
@@ -70,12 +82,6 @@ void run_stage(const KernelImpl& kernel, const AdjointStage& stage, Executable& 
         break;  // never read
     }
   }
-  auto target = [&](const AdjointBinding& b) -> const std::shared_ptr<Range>& {
-    if (b.kind == Kind::Contribution) return scratch.contributions[b.index].range;
-    if (b.kind == Kind::LoopGradient) return scratch.loop_gradient.range;
-    return call.wrt >> b.index & 1 ? *call.input_gradients[b.index]
-                                   : scratch.unwanted[b.index].range;
-  };
   for (const AdjointBinding& b : stage.outputs) words.pointer(target(b)->data());
   ExtraReads reads;
   for (const ir::Loop& loop : code.program.loops)
@@ -87,11 +93,12 @@ void run_stage(const KernelImpl& kernel, const AdjointStage& stage, Executable& 
   for (const Param& p : call.params) words.word(p.bits);
   if (kernel.has_fixed_loop) words.word(static_cast<uint32_t>(call.extent));
   if (stage.takes_row_count) words.word(static_cast<uint32_t>(call.dim));
+  for (const int32_t s : stage.gates) words.word(gate(call.asked, s));
   reads.add(active_count(call.active));
   // Rows that were not computed give nothing.
   if (call.active)
     for (const AdjointBinding& b : stage.outputs)
-      if (b.kind == Kind::Contribution || !(accumulate >> b.index & 1))
+      if (b.kind == Kind::Contribution || !(call.asked.accumulate >> b.index & 1))
         submit_fill(target(b), 0.0f);
   submit_launch(context, code.get(context), code.program.name.c_str(), n, words.span(),
                 &code.layout, reads.span(), active_count(call.active));
@@ -105,8 +112,8 @@ void run_stage(const KernelImpl& kernel, const AdjointStage& stage, Executable& 
 void run_row_sums(const CompiledPlan& plan, const AdjointCall& call, const Scratch& scratch,
                   int64_t items) {
   const std::vector<AdjointRowSum>& sums = plan.plan.row_sums;
-  const auto wanted = [&](const AdjointRowSum& r) { return (call.wrt >> r.source & 1) != 0; };
-  uint64_t stored = plan.key.accumulate;  // sources whose gradient holds a contribution already
+  const auto wanted = [&](const AdjointRowSum& r) { return (call.asked.wrt >> r.source & 1) != 0; };
+  uint64_t stored = call.asked.accumulate;  // sources whose gradient holds a contribution already
   const auto target = [&](const AdjointRowSum& r) {
     Operand out = *call.inputs[r.source];
     out.range = *call.input_gradients[r.source];
@@ -164,12 +171,14 @@ void make_up(const KernelImpl& kernel, const CompiledPlan& plan, const AdjointCa
     scratch.zeros[o] = memory(call.output_gradient_rows, kernel.outputs[o].width);
     submit_fill(scratch.zeros[o].range, 0.0f);
   }
-  const uint64_t unwanted = plan.key.wrt & ~call.wrt;
-  if (unwanted == 0) return;
+  if ((plan.key.wrt & ~call.asked.wrt) == 0) return;
   scratch.unwanted.resize(call.inputs.size());
-  for (size_t s = 0; s < call.inputs.size(); ++s)
-    if (unwanted >> s & 1)
-      scratch.unwanted[s] = memory(call.inputs[s]->rows, call.inputs[s]->width);
+  for (const auto* stages : {&plan.plan.rows, &plan.plan.items})
+    for (const AdjointStage& stage : *stages)
+      for (const AdjointBinding& b : stage.outputs)
+        if (b.kind == Kind::SourceGradient && !(call.asked.wrt >> b.index & 1))
+          scratch.unwanted[b.index] =
+              memory(call.inputs[b.index]->rows, call.inputs[b.index]->width);
 }
 
 }  // namespace
@@ -202,14 +211,11 @@ void run_adjoint(KernelImpl& kernel, const CompiledPlan& plan, const AdjointCall
   const bool with_items = plan.items && is_wanted(plan, call, plan.plan.items[0]);
   make_up(kernel, plan, call, memory, scratch);
   if (plan.rows && (with_items || is_wanted(plan, call, plan.plan.rows[0])))
-    run_stage(kernel, plan.plan.rows[0], *plan.rows, call.dim, call, plan.key.accumulate, scratch,
-              context);
-  if (with_items)
-    run_stage(kernel, plan.plan.items[0], *plan.items, items, call, plan.key.accumulate, scratch,
-              context);
+    run_stage(kernel, plan.plan.rows[0], *plan.rows, call.dim, call, scratch, context);
+  if (with_items) run_stage(kernel, plan.plan.items[0], *plan.items, items, call, scratch, context);
   run_row_sums(plan, call, scratch, items);
 
-  const uint64_t unreached = call.wrt & ~plan.key.accumulate & ~plan.reached;
+  const uint64_t unreached = call.asked.wrt & ~call.asked.accumulate & ~plan.reached;
   for (size_t s = 0; s < call.inputs.size(); ++s)
     if (unreached >> s & 1) submit_fill(*call.input_gradients[s], 0.0f);
 }

@@ -7,9 +7,9 @@ namespace nova::detail {
 
 struct AdjointCall {
   int64_t dim = 0;
-  uint64_t wrt = 0;  // wanted, as bits: some of the plan's
+  AdjointKey asked = {};  // what is wanted: all or a part of what the plan has
   std::span<const Operand* const> inputs = {};
-  std::span<const std::shared_ptr<Range>* const> input_gradients = {};   // those of `wrt`
+  std::span<const std::shared_ptr<Range>* const> input_gradients = {};   // those wanted
   std::span<const std::shared_ptr<Range>* const> output_gradients = {};  // null: zeros
   int64_t output_gradient_rows = 0;
   std::span<const Param> params = {};
@@ -19,7 +19,7 @@ struct AdjointCall {
 };
 
 // Runs (or captures) the stages and row-sums of a plan. Stores into or adds to the gradients as the
-// plan's key says.
+// call asks.
 void run_adjoint(KernelImpl& kernel, const CompiledPlan& plan, const AdjointCall& call);
 
 // Memory for one operation; a capture keeps it.

@@ -1,6 +1,7 @@
 // Internal: the reverse sweep over a traced Program, the heart of adjoint generation.
 #pragma once
 
+#include <algorithm>
 #include <iterator>
 #include <map>
 #include <string>
@@ -40,7 +41,7 @@ struct Primal {
     // The guards are those of the whole adjoint: contributions are added in their order.
     find_active(-1);
     find_guards();
-    if (mask.narrowed >= 0) find_active(mask.narrowed);
+    if (mask.narrowed >= 0 && !mask.gated) find_active(mask.narrowed);
   }
 
   void find_active(int32_t narrowed) {
@@ -136,6 +137,18 @@ class Sweep {
   }
   Value index() { return trace_.emit({Op::INDEX}); }
   Trace& trace() { return trace_; }
+
+  // A bit of what a launch says of the gradient of a source. Asked for when the sweep is done.
+  Value gate(int32_t source, AdjointGate bit) {
+    const auto at = std::find(stage.gates.begin(), stage.gates.end(), source);
+    const auto number = static_cast<int32_t>(at - stage.gates.begin());
+    if (at == stage.gates.end()) stage.gates.push_back(source);
+    const int32_t first = p_.param_count + (stage.takes_row_count ? 1 : 0);
+    trace_.program().param_count = first + static_cast<int32_t>(stage.gates.size());
+    const Value bits = trace_.emit({Op::PARAM_I, first + number});
+    const Value one = trace_.emit({Op::IAND, bits, trace_.constant(static_cast<int32_t>(bit))});
+    return trace_.emit({Op::INE, one, trace_.constant(int32_t{0})});
+  }
 
   // The row of the primal that the lane belongs to.
   Value primal_row() {

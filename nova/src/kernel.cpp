@@ -57,6 +57,7 @@ AdjointMask KernelImpl::mask_of(const AdjointKey& key) const {
   mask.table = key.table;
   mask.narrowed = key.narrowed;
   mask.unread = key.unread;
+  mask.gated = key.gated;
   return mask;
 }
 
@@ -77,20 +78,26 @@ AdjointKey key_of(const AdjointMask& mask) {
   key.table = mask.table;
   key.narrowed = mask.narrowed;
   key.unread = mask.unread;
+  key.gated = mask.gated;
   return key;
 }
 
 AdjointKey KernelImpl::declared_key(const AdjointKey& asked) const {
   const AdjointKey* best = nullptr;
+  uint64_t at_their_row = 0;  // sources whose gradients the plan itself adds up
+  for (size_t s = 0; s < sources.size(); ++s)
+    if (sources[s].access == Access::Direct || sources[s].access == Access::CsrRow)
+      at_their_row |= uint64_t{1} << s;
   const auto has_all = [&](const AdjointKey& key) {
-    const bool narrow = key.narrowed == asked.narrowed && key.unread == asked.unread;
-    // A gradient that nobody asked for is stored: there is nothing to add to.
-    return (asked.wrt & ~key.wrt) == 0 && key.accumulate == asked.accumulate &&
-           (asked.seeded & ~key.seeded) == 0 && key.table == asked.table &&
-           (narrow || key.narrowed < 0);
+    // What nobody asked for may be stored or added to, with all columns or some.
+    const bool stores_so = ((key.accumulate ^ asked.accumulate) & at_their_row & asked.wrt) == 0;
+    const bool has_columns = key.narrowed < 0 || !(asked.wrt >> key.narrowed & 1) ||
+                             (key.narrowed == asked.narrowed && key.unread == asked.unread);
+    return (asked.wrt & ~key.wrt) == 0 && (asked.seeded & ~key.seeded) == 0 &&
+           key.table == asked.table && (key.gated || (stores_so && has_columns));
   };
   const auto size = [](const AdjointKey& key) {
-    return 2 * (std::popcount(key.wrt) + std::popcount(key.seeded)) + (key.narrowed < 0 ? 1 : 0);
+    return std::popcount(key.wrt) + std::popcount(key.seeded);
   };
   for (const AdjointKey& key : gradient_keys)
     if (has_all(key) && (!best || size(key) < size(*best))) best = &key;

@@ -49,6 +49,7 @@ struct AdjointKey {
   int32_t table = -1;  // from here on see AdjointMask
   int32_t narrowed = -1;
   uint32_t unread = 0;
+  bool gated = false;
   auto operator<=>(const AdjointKey&) const = default;
 };
 AdjointKey key_of(const AdjointMask& mask);

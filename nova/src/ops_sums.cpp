@@ -73,7 +73,11 @@ Tensor repeat_along(const Tensor& x, const Along& along, const Shape& shape) {
   detail::record(
       "broadcast", {x}, out,
       [along, shape = x.shape()](Gradients g, InputGradients to) {
-        to[0].put(sum_along(g[0], along, shape));
+        if (along.outer * along.inner != 1) return to[0].put(sum_along(g[0], along, shape));
+        // That of a single value goes on from what is there, as one that a kernel reads for all
+        // rows.
+        const Operand sum = to[0].grad.flat_operand();
+        row_sum({g[0].range(), along.count, 1}, 1, along.count, to[0].add ? &sum : nullptr, sum);
       },
       [along, shape](std::span<const Tensor> t) { return repeat_along(t[0], along, shape); });
   return out;

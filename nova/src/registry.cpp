@@ -72,24 +72,27 @@ AdjointMask gradient_mask(const Kernel& kernel, const std::vector<std::string>& 
   return mask;
 }
 
-std::vector<AdjointMask> every_gradient(const Kernel& kernel) {
-  std::vector<size_t> floats;
-  for (size_t s = 0; s < kernel.sources().size(); ++s)
-    if (kernel.sources()[s].dtype == DType::F32) floats.push_back(s);
-  const size_t count = kernel.sources().size();
-  const std::vector<bool> seeded(kernel.outputs().size(), true);
-  std::vector<AdjointMask> masks;
-  for (size_t wrt = 1; wrt < size_t{1} << floats.size(); ++wrt)
-    for (size_t add = 0; add <= wrt; ++add) {
-      if ((add & ~wrt) != 0) continue;
-      AdjointMask mask{std::vector<bool>(count, false), std::vector<bool>(count, false), seeded};
-      for (size_t k = 0; k < floats.size(); ++k) {
-        mask.wrt[floats[k]] = wrt >> k & 1;
-        mask.accumulate[floats[k]] = add >> k & 1;
-      }
-      masks.push_back(std::move(mask));
-    }
-  return masks;
+std::vector<AdjointMask> one_gradient_set(const Kernel& kernel) {
+  AdjointMask mask;
+  for (const SourceSpec& s : kernel.sources()) mask.wrt.push_back(s.dtype == DType::F32);
+  mask.accumulate.assign(mask.wrt.size(), false);
+  mask.seeded.assign(kernel.outputs().size(), true);
+  mask.gated = true;
+  return {mask};
+}
+
+std::vector<AdjointMask> gradient_sets(const Kernel& kernel,
+                                       const std::vector<std::string>& state) {
+  std::vector<std::string> outputs;
+  for (const OutputSpec& o : kernel.outputs()) outputs.push_back(o.name);
+  return {gradient_mask(kernel, state, {}, outputs), one_gradient_set(kernel)[0]};
+}
+
+Kernel with_one_gradient_set(const Kernel& kernel) {
+  return with_gradients(kernel, one_gradient_set(kernel));
+}
+Kernel with_gradient_sets(const Kernel& kernel, const std::vector<std::string>& state) {
+  return with_gradients(kernel, gradient_sets(kernel, state));
 }
 
 }  // namespace nova

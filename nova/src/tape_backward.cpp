@@ -450,7 +450,7 @@ void Tape::Impl::run_kernel(const Step& step) {
   for (uint32_t s = 0; s < op.inputs; ++s) inputs[s] = &input(op, s).operand;
   detail::run_adjoint(*op.kernel, *step.plan,
                       {.dim = op.dim,
-                       .wrt = step.key.wrt,
+                       .asked = step.key,
                        .inputs = std::span(inputs.data(), op.inputs),
                        .input_gradients = std::span(gradients.data(), op.inputs),
                        .output_gradients = std::span(output_gradients.data(), op.outputs),

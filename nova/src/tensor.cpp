@@ -264,9 +264,9 @@ Tensor Tensor::detach() const {
 
 namespace {
 const Kernel& copy_kernel(DType dtype) {
-  static const Kernel f32 =
+  static const Kernel f32 = with_one_gradient_set(
       make_kernel("copy", {{"x", DType::F32, 1, Access::Direct}}, {{"out", 1}},
-                  [](TraceContext& c) { return std::vector{c.f32(0)}; });
+                  [](TraceContext& c) { return std::vector{c.f32(0)}; }));
   require(dtype == DType::F32, ErrorKind::Type, "copy: expected float32");
   return f32;
 }
@@ -274,7 +274,7 @@ const Kernel& copy_kernel(DType dtype) {
 
 void detail::add_tensor_kernels(EngineKernels& list) {
   const Kernel& kernel = copy_kernel(DType::F32);
-  list.push_back({kernel, every_gradient(kernel)});
+  list.push_back({kernel, kernel.gradients()});
 }
 
 void Tensor::copy_(const Tensor& source) const {

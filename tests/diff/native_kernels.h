@@ -78,7 +78,7 @@ class RandomArguments {
     std::vector<char> is_float(static_cast<size_t>(p.param_count), 0);
     for (const ir::Instr& in : p.instrs)
       if (in.op == Op::PARAM_F) is_float[static_cast<size_t>(in.a)] = 1;
-    for (const char f : is_float) arguments.push_back(f ? number() : next() % 5);
+    for (const char f : is_float) arguments.push_back(f ? number() : next() % 8);
   }
 
   std::vector<uint64_t> arguments;

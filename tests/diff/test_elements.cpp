@@ -5,6 +5,7 @@
 
 #include <cmath>
 #include <functional>
+#include <set>
 #include <utility>
 
 #include "elements_scene.h"
@@ -124,6 +125,46 @@ TEST_P(ElementOperator, KeepsTheDotProductIdentity) {
   }
   EXPECT_GT(scale, 0.0);
   EXPECT_NEAR(left, right, 2e-3 * scale);
+}
+
+// Stored, and then added to. Where the sum is compiled, so is everything.
+TEST_P(ElementOperator, HasTheSameGradientsWhateverElseIsAskedFor) {
+  const Tensor weights = random_tensor({model->particle_count(), 3}, 7);
+  const auto gradients = [&](uint32_t wanted, nova::KeepGradients keep) {
+    for (size_t k = 0; k < in.size(); ++k) {
+      in[k].zero_grad();
+      in[k].set_requires_grad((wanted >> k & 1) != 0);
+    }
+    for (int time = 0; time < 2; ++time) {
+      nova::Tape tape(keep);
+      const nova::TapeScope scope(tape);
+      tape.backward(eval(), weights);
+    }
+    std::vector<std::vector<float>> found(in.size());
+    for (size_t k = 0; k < in.size(); ++k)
+      if ((wanted >> k & 1) != 0) found[k] = in[k].grad().to_host();
+    return found;
+  };
+  std::set<uint64_t> before;  // of other tests in this process
+  for (const nova::KernelInfo& info : nova::kernel_info()) before.insert(info.hash);
+  const uint32_t all = (uint32_t{1} << in.size()) - 1;
+  const auto expected = gradients(all, nova::KeepGradients::All);
+  for (const auto keep : {nova::KeepGradients::All, nova::KeepGradients::Leaves})
+    for (uint32_t wanted = 1; wanted <= all; ++wanted) {
+      const auto found = gradients(wanted, keep);
+      for (size_t k = 0; k < in.size(); ++k) {
+        if ((wanted >> k & 1) == 0) continue;
+        EXPECT_EQ(found[k], expected[k]) << "input " << k << " of " << wanted;
+      }
+    }
+  const std::vector<nova::KernelInfo> used = nova::kernel_info();
+  const bool native = std::any_of(used.begin(), used.end(), [](const nova::KernelInfo& info) {
+    return info.name == "sum_element_forces" && info.how == "native";
+  });
+  for (const nova::KernelInfo& info : used)
+    if (native && !before.contains(info.hash)) {
+      EXPECT_EQ(info.how, "native") << info.name;
+    }
 }
 
 // All kinds one after the other, against one step of the forward solver.

@@ -1,59 +1,11 @@
 // The adjoint dot-product identity <J u, w> = <u, J^T w> for every kernel of the engine, at random
 // inputs: what a new operator gets without a line of its own.
-#include <map>
 #include <set>
 
-#include "nova/support.h"
-#include "novaphy/diff/engine_kernels.h"
-#include "novaphy/nova/registry.h"
+#include "engine_calls.h"
 
 namespace novaphy::testing {
 namespace {
-
-std::vector<nova::EngineKernel> all_kernels() {
-  std::vector<nova::EngineKernel> kernels = nova::engine_kernels();
-  for (nova::EngineKernel& k : diff::engine_kernels()) kernels.push_back(std::move(k));
-  return kernels;
-}
-
-// Positive values around 1, so that square roots and divisions are smooth; the first 64 sources
-// may carry gradients.
-Call random_call(const Kernel& kernel, uint32_t seed) {
-  Random random(seed);
-  constexpr int64_t kRows = 6, kItems = 13;
-  Call call{kernel, kRows, {}};
-  const nova::ir::Program& p = kernel.traced();
-  for (const nova::SourceSpec& s : kernel.sources()) {
-    const int64_t rows = s.access == Access::Uniform  ? 1
-                         : s.access == Access::CsrRow ? kItems
-                                                      : kRows;
-    if (s.dtype == DType::F32) {
-      call.inputs.push_back(random.leaf({rows, s.width}, 0.25f, 2.0f));
-    } else {
-      std::vector<int32_t> values(static_cast<size_t>(rows * s.width));
-      for (int32_t& v : values) v = random.below(static_cast<int32_t>(kRows));
-      call.inputs.push_back(table(values, s.width));
-    }
-  }
-  bool csr = false;
-  int32_t params = p.param_count;
-  for (const nova::ir::Loop& l : p.loops) {
-    csr = csr || l.kind == nova::ir::LoopKind::Csr;
-    if (l.kind == nova::ir::LoopKind::Fixed) --params;  // the last one: the extent
-  }
-  if (csr) {
-    std::vector<int32_t> rows(kItems);
-    for (int32_t& v : rows) v = random.below(static_cast<int32_t>(kRows) + 1) - 1;
-    call.csr = nova::make_incidence(table(rows).operand(), kRows);
-  }
-  call.extent = 4;
-  std::vector<bool> is_int(static_cast<size_t>(params), false);
-  for (const nova::ir::Instr& in : p.instrs)
-    if (in.op == nova::ir::Op::PARAM_I && in.a < params) is_int[static_cast<size_t>(in.a)] = true;
-  for (const bool integer : is_int)
-    call.params.push_back(integer ? Param(int32_t{1}) : Param(random.uniform(0.25f, 1.0f)));
-  return call;
-}
 
 bool finite(const std::vector<Tensor>& tensors) {
   for (const Tensor& t : tensors)
@@ -80,33 +32,6 @@ TEST(EngineKernels, KeepTheDotProductIdentity) {
     EXPECT_GT(compared, 0) << k.kernel.name();
   }
   EXPECT_TRUE(names.contains("integrate_particles"));
-}
-
-// The gradients of those inputs that carry one, given weights of some of the outputs.
-std::map<size_t, std::vector<float>> gradients(const Call& call, const std::vector<bool>& carries,
-                                               uint32_t seeded, nova::KeepGradients keep) {
-  for (size_t s = 0; s < call.inputs.size(); ++s) {
-    if (call.inputs[s].dtype() != DType::F32) continue;
-    call.inputs[s].zero_grad();
-    call.inputs[s].set_requires_grad(carries[s]);
-  }
-  Tape tape(keep);
-  const TapeScope scope(tape);
-  const std::vector<Tensor> out = call();
-  Tensor loss;
-  Random random(7);
-  for (size_t o = 0; o < out.size(); ++o) {
-    const Tensor weights = tensor(random.values(out[o].size()), out[o].shape());
-    if ((seeded >> o & 1) == 0) continue;
-    const Tensor part = nova::dot(out[o], weights);
-    loss = loss.defined() ? nova::add(loss, part) : part;
-  }
-  tape.backward(loss);
-  std::map<size_t, std::vector<float>> found;
-  for (size_t s = 0; s < call.inputs.size(); ++s)
-    if (call.inputs[s].dtype() == DType::F32 && carries[s])
-      found[s] = call.inputs[s].grad().to_host();
-  return found;
 }
 
 // A part of what is built ahead takes the adjoint of the whole. Zeros may differ in their signs.

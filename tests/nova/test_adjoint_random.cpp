@@ -1,4 +1,5 @@
 // Adjoints and tangents of random kernels against the oracle.
+#include "novaphy/nova/registry.h"
 #include "random_kernel.h"
 
 namespace novaphy::testing {
@@ -40,6 +41,34 @@ TEST_P(RandomAdjoints, AgreeWithForwardMode) {
     }
   }
   EXPECT_GT(compared, kCases * 9 / 10);
+}
+
+// A gated adjoint of all sources, whatever is asked for: the values of an adjoint of just that.
+TEST_P(RandomAdjoints, HaveTheSameValuesWhereLaunchesOpenGates) {
+  for (uint32_t seed = 1; seed <= 30; ++seed) {
+    RandomKernel maker(seed);
+    const Call call = maker.call(GetParam(), 4);
+    nova::AdjointMask mask;
+    for (const nova::SourceSpec& s : call.kernel.sources()) {
+      mask.wrt.push_back(s.dtype == DType::F32);
+      mask.accumulate.push_back(false);
+      const Tensor& in = call.inputs[mask.wrt.size() - 1];
+      if (mask.wrt.back() && maker.random().chance(30)) in.set_requires_grad(false);
+    }
+    mask.seeded.assign(call.kernel.outputs().size(), true);
+    mask.gated = true;
+    Seeds seeds = random_seeds(call, maker.random());
+    if (seed % 3 == 0) seeds[seed % 2].clear();
+    if (std::none_of(call.inputs.begin(), call.inputs.end(),
+                     [](const Tensor& t) { return t.requires_grad(); }))
+      continue;
+    Call gated = call;
+    gated.kernel = nova::with_gradients(RandomKernel(seed).call(GetParam(), 4).kernel, {mask});
+    for (const Backward how : {Backward::Each, Backward::Together})
+      ASSERT_TRUE(tape_gradients(gated, seeds, how) == tape_gradients(call, seeds, how))
+          << "seed " << seed << "\n"
+          << nova::ir::to_string(call.kernel.traced());
+  }
 }
 
 INSTANTIATE_TEST_SUITE_P(Kernels, RandomAdjoints,

@@ -17,17 +17,16 @@ const nova::Kernel& detail::bending_kernel() {
     std::vector<nova::SourceSpec> sources = element_sources(4);
     sources.push_back({"material", DType::F32, 2, Access::Direct});
     sources.push_back({"rest_angle", DType::F32, 1, Access::Direct});
-    return element_kernel(
-        "bending_forces", sources, 4, {"material", "rest_angle"}, [](TraceContext& c) {
-          Vec3<Real> x[4], v[4];
-          load_corners(c, x, v);
-          const Bool complete = both(both(c.i32(0, 0) >= Int(0), c.i32(0, 1) >= Int(0)),
-                                     both(c.i32(0, 2) >= Int(0), c.i32(0, 3) >= Int(0)));
-          const size_t m = c.source("material");
-          const BendingForces<Real> f = bending_forces<Bool, Real>(
-              complete, x, v, c.f32(m, 0), c.f32(m, 1), c.f32(c.source("rest_angle")));
-          return contributions({f.f1, f.f2, f.f3, f.f4});
-        });
+    return element_kernel("bending_forces", sources, 4, [](TraceContext& c) {
+      Vec3<Real> x[4], v[4];
+      load_corners(c, x, v);
+      const Bool complete = both(both(c.i32(0, 0) >= Int(0), c.i32(0, 1) >= Int(0)),
+                                 both(c.i32(0, 2) >= Int(0), c.i32(0, 3) >= Int(0)));
+      const size_t m = c.source("material");
+      const BendingForces<Real> f = bending_forces<Bool, Real>(
+          complete, x, v, c.f32(m, 0), c.f32(m, 1), c.f32(c.source("rest_angle")));
+      return contributions({f.f1, f.f2, f.f3, f.f4});
+    });
   }();
   return kernel;
 }

@@ -75,9 +75,8 @@ const nova::Kernel& rigid_kernel() {
         {"margin1", DType::F32, 1, Access::Direct}, {"normal", DType::F32, 3, Access::Direct}};
     sources.insert(sources.end(), kBodySources.begin(), kBodySources.end());
     for (const nova::SourceSpec& s : detail::material_sources()) sources.push_back(s);
-    return detail::with_state_gradients(
-        nova::make_kernel("rigid_contact_wrenches", sources, {{"wrench", 12}}, rigid_wrenches),
-        {"body_q", "body_qd"});
+    return nova::with_one_gradient_set(
+        nova::make_kernel("rigid_contact_wrenches", sources, {{"wrench", 12}}, rigid_wrenches));
   }();
   return kernel;
 }
@@ -122,10 +121,8 @@ const nova::Kernel& soft_kernel() {
                                              {"shape_material_kf", DType::F32, 1, Access::Indexed},
                                              {"shape_material_mu", DType::F32, 1, Access::Indexed}};
     sources.insert(sources.end(), kBodySources.begin(), kBodySources.end());
-    return detail::with_state_gradients(
-        nova::make_kernel("soft_contact_wrenches", sources, {{"force", 3}, {"wrench", 6}},
-                          soft_forces),
-        {"particle_q", "particle_qd", "body_q", "body_qd"});
+    return nova::with_one_gradient_set(nova::make_kernel(
+        "soft_contact_wrenches", sources, {{"force", 3}, {"wrench", 6}}, soft_forces));
   }();
   return kernel;
 }
@@ -139,12 +136,10 @@ const nova::Kernel& sum_kernel() {
         return w;
       };
     };
-    return detail::with_state_gradients(
-        nova::make_reduce_kernel(
-            "sum_body_wrenches",
-            {{"body_f", DType::F32, 6, Access::Direct}, {"wrench", DType::F32, 6, Access::CsrRow}},
-            {{"body_f", 6}}, {.init = load(0), .body = load(1), .epilogue = {}}),
-        {"body_f", "wrench"});
+    return nova::with_one_gradient_set(nova::make_reduce_kernel(
+        "sum_body_wrenches",
+        {{"body_f", DType::F32, 6, Access::Direct}, {"wrench", DType::F32, 6, Access::CsrRow}},
+        {{"body_f", 6}}, {.init = load(0), .body = load(1), .epilogue = {}}));
   }();
   return kernel;
 }

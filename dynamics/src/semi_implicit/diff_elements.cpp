@@ -21,20 +21,23 @@ namespace {
 
 // particle_f plus what the elements gave to each particle, in the order of the elements.
 const nova::Kernel& sum_kernel() {
-  static const nova::Kernel kernel =
-      nova::make_reduce_kernel("sum_element_forces",
-                               {{"particle_f", DType::F32, 3, Access::Direct},
-                                {"contribution", DType::F32, 3, Access::CsrRow}},
-                               {{"particle_f", 3}},
-                               {.init =
-                                    [](TraceContext& c) {
-                                      return std::vector{c.f32(0, 0), c.f32(0, 1), c.f32(0, 2)};
-                                    },
-                                .body =
-                                    [](TraceContext& c) {
-                                      return std::vector{c.f32(1, 0), c.f32(1, 1), c.f32(1, 2)};
-                                    },
-                                .epilogue = {}});
+  static const nova::Kernel kernel = [] {
+    const nova::Kernel made =
+        nova::make_reduce_kernel("sum_element_forces",
+                                 {{"particle_f", DType::F32, 3, Access::Direct},
+                                  {"contribution", DType::F32, 3, Access::CsrRow}},
+                                 {{"particle_f", 3}},
+                                 {.init =
+                                      [](TraceContext& c) {
+                                        return std::vector{c.f32(0, 0), c.f32(0, 1), c.f32(0, 2)};
+                                      },
+                                  .body =
+                                      [](TraceContext& c) {
+                                        return std::vector{c.f32(1, 0), c.f32(1, 1), c.f32(1, 2)};
+                                      },
+                                  .epilogue = {}});
+    return nova::with_gradient_sets(made, {"particle_f"});
+  }();
   return kernel;
 }
 
@@ -147,38 +150,20 @@ Tensor detail::eval_elements(const Model& model, const char* op, const nova::Ker
 }
 
 nova::Kernel detail::element_kernel(const char* name, const std::vector<nova::SourceSpec>& sources,
-                                    int32_t corners, const std::vector<std::string>& parameters,
-                                    const nova::TraceFn& law) {
-  using Names = std::vector<std::string>;
+                                    int32_t corners, const nova::TraceFn& law) {
   const nova::Kernel kernel =
       nova::make_kernel(name, sources, {{"contribution", 3 * corners}}, law);
-  std::vector<nova::AdjointMask> masks;
+  std::vector<nova::AdjointMask> masks = nova::gradient_sets(kernel, {"particle_q", "particle_qd"});
   // The gradient of the forces on the particles is read through `indices`.
-  const auto want = [&](const Names& wrt, const Names& accumulate) {
-    masks.push_back(nova::gradient_mask(kernel, wrt, accumulate, {"contribution"}));
-    masks.back().table = 0;
-  };
-  want({"particle_q", "particle_qd"}, {});
-  // What all substeps share is stored at the last one and added to at the others.
-  for (const std::string& parameter : parameters)
-    for (const Names& accumulate : {Names{}, Names{parameter}})
-      want({"particle_q", "particle_qd", parameter}, accumulate);
+  for (nova::AdjointMask& mask : masks) mask.table = 0;
   return nova::with_gradients(kernel, std::move(masks));
 }
 
 void detail::add_element_kernels(std::vector<nova::EngineKernel>& list) {
-  using Names = std::vector<std::string>;
   for (const nova::Kernel& k :
        {spring_kernel(), triangle_kernel(), bending_kernel(), tetrahedron_kernel()})
     list.push_back({k, k.gradients()});
-  const Names out = {"particle_f"};
-  std::vector<nova::AdjointMask> sums;
-  for (const Names& wrt :
-       {Names{"contribution"}, Names{"particle_f"}, Names{"particle_f", "contribution"}})
-    for (const Names& accumulate : {Names{}, Names{"particle_f"}})
-      if (accumulate.empty() || wrt[0] == "particle_f")
-        sums.push_back(nova::gradient_mask(sum_kernel(), wrt, accumulate, out));
-  list.push_back({sum_kernel(), std::move(sums)});
+  list.push_back({sum_kernel(), sum_kernel().gradients()});
   add_tet_material_kernels(list);
 }
 

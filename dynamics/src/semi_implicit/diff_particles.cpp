@@ -60,10 +60,15 @@ std::vector<Real> integrate(TraceContext& c, Worlds worlds, const Vec3<Real>& fo
 
 const std::vector<nova::OutputSpec> kOutputs = {{"particle_q", 3}, {"particle_qd", 3}};
 
+nova::Kernel with_step_gradients(const nova::Kernel& kernel) {
+  return nova::with_gradient_sets(kernel, {"particle_q", "particle_qd"});
+}
+
 nova::Kernel make_integrate_kernel(const char* name, Worlds worlds) {
-  return nova::make_kernel(name, integration_sources(worlds), kOutputs, [worlds](TraceContext& c) {
-    return integrate(c, worlds, detail::load_vec3(c, "particle_f"));
-  });
+  return with_step_gradients(
+      nova::make_kernel(name, integration_sources(worlds), kOutputs, [worlds](TraceContext& c) {
+        return integrate(c, worlds, detail::load_vec3(c, "particle_f"));
+      }));
 }
 
 std::vector<Real> load_force(TraceContext& c) {
@@ -81,17 +86,17 @@ nova::Kernel make_fused_kernel(const char* name, Worlds worlds) {
   std::vector<nova::SourceSpec> sources = integration_sources(worlds);
   sources.push_back({"particle_radius", DType::F32, 1, Access::Direct});
   for (const nova::SourceSpec& s : detail::static_shape_sources(worlds)) sources.push_back(s);
-  return nova::make_reduce_kernel(name, sources, kOutputs,
-                                  {.init = load_force,
-                                   .body =
-                                       [worlds](TraceContext& c) {
-                                         const Vec3<Real> term = detail::static_shape_term(
-                                             c, worlds, detail::load_vec3(c, "particle_q"),
-                                             detail::load_vec3(c, "particle_qd"),
-                                             c.f32(c.source("particle_radius")), kDt + 1);
-                                         return std::vector{term.x, term.y, term.z};
-                                       },
-                                   .epilogue = integrate_sums(worlds)});
+  return with_step_gradients(nova::make_reduce_kernel(
+      name, sources, kOutputs,
+      {.init = load_force,
+       .body =
+           [worlds](TraceContext& c) {
+             const Vec3<Real> term = detail::static_shape_term(
+                 c, worlds, detail::load_vec3(c, "particle_q"), detail::load_vec3(c, "particle_qd"),
+                 c.f32(c.source("particle_radius")), kDt + 1);
+             return std::vector{term.x, term.y, term.z};
+           },
+       .epilogue = integrate_sums(worlds)}));
 }
 
 // Contacts and integration of one substep.
@@ -99,17 +104,17 @@ nova::Kernel make_step_kernel(const char* name, Worlds worlds) {
   std::vector<nova::SourceSpec> sources = integration_sources(worlds);
   sources.push_back({"particle_radius", DType::F32, 1, Access::Direct});
   for (const nova::SourceSpec& s : detail::soft_contact_sources()) sources.push_back(s);
-  return nova::make_reduce_kernel(name, sources, kOutputs,
-                                  {.init = load_force,
-                                   .body =
-                                       [](TraceContext& c) {
-                                         const Vec3<Real> term = detail::soft_contact_term(
-                                             c, detail::load_vec3(c, "particle_q"),
-                                             detail::load_vec3(c, "particle_qd"),
-                                             c.f32(c.source("particle_radius")), kDt + 1);
-                                         return std::vector{term.x, term.y, term.z};
-                                       },
-                                   .epilogue = integrate_sums(worlds)});
+  return with_step_gradients(nova::make_reduce_kernel(
+      name, sources, kOutputs,
+      {.init = load_force,
+       .body =
+           [](TraceContext& c) {
+             const Vec3<Real> term = detail::soft_contact_term(
+                 c, detail::load_vec3(c, "particle_q"), detail::load_vec3(c, "particle_qd"),
+                 c.f32(c.source("particle_radius")), kDt + 1);
+             return std::vector{term.x, term.y, term.z};
+           },
+       .epilogue = integrate_sums(worlds)}));
 }
 
 // The kernels for one world, or for several.
@@ -117,30 +122,14 @@ struct Kernels {
   nova::Kernel integrate, fused, step;
 };
 const Kernels& kernels(Worlds worlds) {
-  using detail::with_rollout_gradients, detail::with_state_gradients;
-  static const std::vector<std::string> state = {"particle_q", "particle_qd"},
-                                        others = {"particle_f", "particle_mass", "gravity"},
-                                        with_contacts = {"particle_f",        "particle_mass",
-                                                         "gravity",           "particle_radius",
-                                                         "shape_material_ke", "shape_material_kd",
-                                                         "shape_material_mu"},
-                                        materials = {"shape_material_ke", "shape_material_kd",
-                                                     "shape_material_kf", "shape_material_mu"};
   static const Kernels one = {
-      with_rollout_gradients(make_integrate_kernel("integrate_particles", Worlds::One), state,
-                             others, {}),
-      with_rollout_gradients(
-          make_fused_kernel("integrate_particles_with_static_contacts", Worlds::One), state, others,
-          materials),
-      with_rollout_gradients(make_step_kernel("step_particles", Worlds::One), state, with_contacts,
-                             materials)};
+      make_integrate_kernel("integrate_particles", Worlds::One),
+      make_fused_kernel("integrate_particles_with_static_contacts", Worlds::One),
+      make_step_kernel("step_particles", Worlds::One)};
   static const Kernels several = {
-      with_state_gradients(make_integrate_kernel("integrate_particles_of_worlds", Worlds::Several),
-                           state),
-      with_state_gradients(
-          make_fused_kernel("integrate_particles_with_static_contacts_of_worlds", Worlds::Several),
-          state),
-      with_state_gradients(make_step_kernel("step_particles_of_worlds", Worlds::Several), state)};
+      make_integrate_kernel("integrate_particles_of_worlds", Worlds::Several),
+      make_fused_kernel("integrate_particles_with_static_contacts_of_worlds", Worlds::Several),
+      make_step_kernel("step_particles_of_worlds", Worlds::Several)};
   return worlds == Worlds::Several ? several : one;
 }
 

@@ -165,7 +165,7 @@ nova::Kernel make_kernel(const char* name, Worlds worlds) {
        .body = pair_wrench,
        .epilogue = [worlds](TraceContext& c,
                             std::span<const Real> sums) { return integrate(c, worlds, sums); }});
-  return detail::with_state_gradients(kernel, {"body_q", "body_qd"});
+  return nova::with_gradient_sets(kernel, {"body_q", "body_qd"});
 }
 
 const nova::Kernel& kernel(Worlds worlds) {

@@ -14,15 +14,13 @@ const nova::Kernel& detail::spring_kernel() {
     std::vector<nova::SourceSpec> sources = element_sources(2);
     for (const char* name : {"stiffness", "damping", "rest_length"})
       sources.push_back({name, DType::F32, 1, Access::Direct});
-    return element_kernel(
-        "spring_forces", sources, 2, {"stiffness", "damping", "rest_length"}, [](TraceContext& c) {
-          const SpringForces<Real> f =
-              spring_forces(load_corner(c, "particle_q", 0), load_corner(c, "particle_q", 1),
-                            load_corner(c, "particle_qd", 0), load_corner(c, "particle_qd", 1),
-                            c.f32(c.source("stiffness")), c.f32(c.source("damping")),
-                            c.f32(c.source("rest_length")));
-          return contributions({f.f0, f.f1});
-        });
+    return element_kernel("spring_forces", sources, 2, [](TraceContext& c) {
+      const SpringForces<Real> f = spring_forces(
+          load_corner(c, "particle_q", 0), load_corner(c, "particle_q", 1),
+          load_corner(c, "particle_qd", 0), load_corner(c, "particle_qd", 1),
+          c.f32(c.source("stiffness")), c.f32(c.source("damping")), c.f32(c.source("rest_length")));
+      return contributions({f.f0, f.f1});
+    });
   }();
   return kernel;
 }

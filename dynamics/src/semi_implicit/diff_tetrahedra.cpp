@@ -13,18 +13,17 @@ using nova::TraceContext;
 
 namespace {
 
-// And for materials that assign_tet_materials has written: the adjoint of that does not read the
-// gradient of the damping.
-nova::Kernel with_narrow_gradients(const nova::Kernel& kernel) {
-  constexpr int32_t kDamping = 2;
-  const auto material = static_cast<int32_t>(kernel.sources().size()) - 1;
+// Every step but the last of a training of materials adds to their gradient, and nobody reads that
+// of the damping of materials that assign_tet_materials has written. That set comes instead of the
+// one of the state, whose part it has.
+nova::Kernel with_material_gradients(const nova::Kernel& kernel) {
+  constexpr uint32_t kDamping = 2;
   std::vector<nova::AdjointMask> masks = kernel.gradients();
-  for (const nova::AdjointMask& whole : kernel.gradients()) {
-    if (!whole.wrt[static_cast<size_t>(material)]) continue;
-    nova::AdjointMask mask = whole;
-    mask.narrowed = material;
+  const size_t material = kernel.sources().size() - 1;
+  masks[0].wrt[material] = masks[0].accumulate[material] = true;
+  for (nova::AdjointMask& mask : masks) {
+    mask.narrowed = static_cast<int32_t>(material);
     mask.unread = uint32_t{1} << kDamping;
-    masks.push_back(std::move(mask));
   }
   return nova::with_gradients(kernel, std::move(masks));
 }
@@ -37,8 +36,8 @@ const nova::Kernel& detail::tetrahedron_kernel() {
     sources.push_back({"pose", DType::F32, 9, Access::Direct});
     sources.push_back({"activation", DType::F32, 1, Access::Direct});
     sources.push_back({"material", DType::F32, 3, Access::Direct});
-    return with_narrow_gradients(element_kernel(
-        "tetrahedron_forces", sources, 4, {"activation", "material"}, [](TraceContext& c) {
+    return with_material_gradients(
+        element_kernel("tetrahedron_forces", sources, 4, [](TraceContext& c) {
           Vec3<Real> x[4], v[4];
           load_corners(c, x, v);
           Mat33<Real> pose;
@@ -70,12 +69,13 @@ namespace {
 
 // k_mu and k_lambda from the parameters, read at the row itself or for all, k_damp from the base.
 nova::Kernel make_material_kernel(const char* name, Access access) {
-  return nova::make_kernel(name,
-                           {{"base_tet_materials", DType::F32, 3, Access::Direct},
-                            {"material_params", DType::F32, 2, access}},
-                           {{"tet_materials", 3}}, [](TraceContext& c) {
-                             return std::vector{c.f32(1, 0), c.f32(1, 1), c.f32(0, 2)};
-                           });
+  return nova::with_one_gradient_set(
+      nova::make_kernel(name,
+                        {{"base_tet_materials", DType::F32, 3, Access::Direct},
+                         {"material_params", DType::F32, 2, access}},
+                        {{"tet_materials", 3}}, [](TraceContext& c) {
+                          return std::vector{c.f32(1, 0), c.f32(1, 1), c.f32(0, 2)};
+                        }));
 }
 const nova::Kernel& shared_material_kernel() {
   static const nova::Kernel kernel =
@@ -91,7 +91,7 @@ const nova::Kernel& own_material_kernel() {
 
 void detail::add_tet_material_kernels(std::vector<nova::EngineKernel>& list) {
   for (const nova::Kernel& k : {shared_material_kernel(), own_material_kernel()})
-    list.push_back({k, nova::every_gradient(k)});
+    list.push_back({k, k.gradients()});
 }
 
 Tensor assign_tet_materials_generated(const Tensor& material_params,

@@ -16,20 +16,18 @@ const nova::Kernel& detail::triangle_kernel() {
     sources.push_back({"pose", DType::F32, 4, Access::Direct});
     sources.push_back({"activation", DType::F32, 1, Access::Direct});
     sources.push_back({"material", DType::F32, 5, Access::Direct});
-    return element_kernel("triangle_forces", sources, 3, {"activation", "material"},
-                          [](TraceContext& c) {
-                            Vec3<Real> x[3], v[3];
-                            load_corners(c, x, v);
-                            Mat22<Real> pose;
-                            for (int32_t i = 0; i < 2; ++i)
-                              for (int32_t j = 0; j < 2; ++j)
-                                pose.m[i][j] = c.f32(c.source("pose"), 2 * i + j);
-                            const size_t m = c.source("material");
-                            const TriangleForces<Real> f = triangle_forces<Real>(
-                                x, v, pose, c.f32(c.source("activation")),
+    return element_kernel("triangle_forces", sources, 3, [](TraceContext& c) {
+      Vec3<Real> x[3], v[3];
+      load_corners(c, x, v);
+      Mat22<Real> pose;
+      for (int32_t i = 0; i < 2; ++i)
+        for (int32_t j = 0; j < 2; ++j) pose.m[i][j] = c.f32(c.source("pose"), 2 * i + j);
+      const size_t m = c.source("material");
+      const TriangleForces<Real> f =
+          triangle_forces<Real>(x, v, pose, c.f32(c.source("activation")),
                                 {c.f32(m, 0), c.f32(m, 1), c.f32(m, 2), c.f32(m, 3), c.f32(m, 4)});
-                            return contributions({f.f0, f.f1, f.f2});
-                          });
+      return contributions({f.f0, f.f1, f.f2});
+    });
   }();
   return kernel;
 }

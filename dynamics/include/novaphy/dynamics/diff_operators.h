@@ -21,17 +21,6 @@ void add_particle_kernels(std::vector<nova::EngineKernel>& list);      // diff_p
 void add_rigid_kernels(std::vector<nova::EngineKernel>& list);         // diff_rigid_bodies.cpp
 void add_derived_kernels(std::vector<nova::EngineKernel>& list);       // diff_model_reads.cpp
 void add_solver_kernels(std::vector<nova::EngineKernel>& list);        // diff_solver_base.cpp
-
-// An operator on particles, whose gradients are built ahead: of its state, of that and each of
-// `others`, and of that and all of `materials` together. What all steps of a rollout share is
-// stored at the last one and added to at the others.
-nova::Kernel with_rollout_gradients(const nova::Kernel& kernel,
-                                    const std::vector<std::string>& state,
-                                    const std::vector<std::string>& others,
-                                    const std::vector<std::string>& materials);
-// Only that of the state.
-nova::Kernel with_state_gradients(const nova::Kernel& kernel,
-                                  const std::vector<std::string>& state);
 }  // namespace detail
 
 }  // namespace novaphy::diff

@@ -34,6 +34,9 @@ struct AdjointMask {
   // or left as they are.
   int32_t narrowed = -1;
   uint32_t unread = 0;
+  // Each launch says which gradients are wanted, which are added to, and whether somebody reads the
+  // columns `unread`: see AdjointStage::gates. Then `accumulate` is not looked at.
+  bool gated = false;
   auto operator<=>(const AdjointMask&) const = default;
 };
 
@@ -55,6 +58,15 @@ struct AdjointStage {
   std::vector<AdjointBinding> sources, outputs;
   bool takes_row_count =
       false;  // one more i32 parameter at the end: the number of rows n (fixed loops)
+  // Of a gated adjoint: the sources of which a parameter after that has the bits of AdjointGate.
+  std::vector<int32_t> gates;
+};
+
+// What a launch says of the gradient of a source.
+enum AdjointGate : uint32_t {
+  kGateWanted = 1,   // else it is stored as 0
+  kGateAdd = 2,      // added to what is there, else stored
+  kGateColumns = 4,  // with the columns AdjointMask::unread, else these are 0
 };
 
 // After the stages: gradient of `source` (+)= row-sum of a contribution.

@@ -27,6 +27,16 @@ NOVAPHY_NOVA_API std::vector<ir::Program> programs_of(const std::vector<EngineKe
 // nobody reads for what nobody asked for. So the sign of a zero may differ from that of an adjoint
 // of exactly what is asked.
 NOVAPHY_NOVA_API Kernel with_gradients(Kernel kernel, std::vector<AdjointMask> gradients);
+// Two sets, with the gradients of all outputs given: of `state`, stored, which the steps of a
+// rollout ask for; and of every float source, gated, for whatever else is asked.
+NOVAPHY_NOVA_API std::vector<AdjointMask> gradient_sets(const Kernel& kernel,
+                                                        const std::vector<std::string>& state);
+// The second of them alone.
+NOVAPHY_NOVA_API std::vector<AdjointMask> one_gradient_set(const Kernel& kernel);
+// The kernel with one_gradient_set(kernel), and with gradient_sets(kernel, state).
+NOVAPHY_NOVA_API Kernel with_one_gradient_set(const Kernel& kernel);
+NOVAPHY_NOVA_API Kernel with_gradient_sets(const Kernel& kernel,
+                                           const std::vector<std::string>& state);
 
 // A mask from the names of sources and outputs. `accumulate`: those of `wrt` whose gradient is
 // added to.
@@ -34,8 +44,5 @@ NOVAPHY_NOVA_API AdjointMask gradient_mask(const Kernel& kernel,
                                            const std::vector<std::string>& wrt,
                                            const std::vector<std::string>& accumulate,
                                            const std::vector<std::string>& seeded);
-// Every set of float sources, stored or added to, with all outputs seeded: for kernels with one or
-// two of them.
-NOVAPHY_NOVA_API std::vector<AdjointMask> every_gradient(const Kernel& kernel);
 
 }  // namespace nova

@@ -105,11 +105,9 @@ const nova::Kernel& bending_kernel();
 const nova::Kernel& tetrahedron_kernel();
 // The first three sources, for elements of `corners` particles.
 std::vector<nova::SourceSpec> element_sources(int32_t corners);
-// The kernel of elements of `corners` particles. Built ahead are the gradients of the state, and of
-// the state and one of the parameters.
+// The kernel of elements of `corners` particles.
 nova::Kernel element_kernel(const char* name, const std::vector<nova::SourceSpec>& sources,
-                            int32_t corners, const std::vector<std::string>& parameters,
-                            const nova::TraceFn& law);
+                            int32_t corners, const nova::TraceFn& law);
 // Position or velocity of a corner; zero for an absent one (a negative index).
 Vec3<nova::Real> load_corner(nova::TraceContext& c, const char* source, int32_t corner);
 // Positions and velocities of all corners.

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <atomic>
+#include <cstdio>
 #include <cstring>
 #include <mutex>
 
@@ -10,6 +11,7 @@
 #include "novaphy/core/parallel.h"
 #include "optional_entry.h"
 #include "phased_run.h"
+#include "plan_print.h"
 
 namespace nova::detail {
 
@@ -165,6 +167,20 @@ HostPlan::HostPlan(const novaphy::DeviceContext& context, RunPlan plan,
       words_(words) {
   if (phases) make_phases(accesses);
   if (makes_series(*context.api)) make_series(accesses);
+  if (phases && prints_plans()) print(accesses);
+}
+
+void HostPlan::print(std::span<const MemoryAccess> accesses) const {
+  std::vector<PlanPart> parts;
+  for (const Segment& segment : segments_) {
+    PlanPart part{segment};
+    if (const auto found = phases_.find(segment.first); found != phases_.end())
+      part.phases = found->second->phases();
+    for (const Series& series : series_)
+      if (series.first >= segment.first && series.last <= segment.last) ++part.scans;
+    parts.push_back(part);
+  }
+  std::fputs(describe_plan(ops_, parts, words_, accesses).c_str(), stderr);
 }
 
 void HostPlan::make_series(std::span<const MemoryAccess> accesses) {

@@ -108,6 +108,7 @@ class HostPlan {
  private:
   void make_series(std::span<const MemoryAccess> accesses);
   void make_phases(std::span<const MemoryAccess> accesses);
+  void print(std::span<const MemoryAccess> accesses) const;  // to the standard error
   void cut_into_phases(uint32_t first, uint32_t last, std::span<const MemoryAccess> accesses,
                        std::vector<Segment>& cut);
 

@@ -24,6 +24,7 @@ class PhasedRun {
   // Throws like a launch: of the operations that fail in the first phase that has any, the one that
   // was recorded first is named.
   void run() const;
+  size_t phases() const { return ends_.size(); }
 
  private:
   // Operations [first, last), one after another for each part of the rows.

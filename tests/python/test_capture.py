@@ -250,3 +250,25 @@ def test_blocks_of_a_large_rollout_have_the_bits_of_single_steps(balls, steps, l
     assert_same_bits(captured.trajectory.particle_qd, velocities, "velocities")
     assert_same_bits(captured.velocity.grad, stepped.velocity.grad, "gradient of the velocities")
     assert_same_bits(captured.start.grad, stepped.start.grad, "gradient of the positions")
+
+
+def test_a_plan_that_is_printed_says_what_fuses_and_why_the_rest_does_not(capfd, monkeypatch):
+    """Kernels over many rows share blocks; a sum, and kernels over few rows, do not."""
+    monkeypatch.setenv("NOVAPHY_PRINT_PLAN", "1")
+
+    def plan(rows: int) -> str:
+        x = nova.tensor(np.ones(rows, np.float32))
+        with nova.ScopedCapture() as capture:
+            nova.sum(nova.sin(x * 2.0) + 1.0)
+        capture.graph.launch()
+        return capfd.readouterr().err
+
+    many = plan(5000)
+    assert "block by block, 5000 rows" in many
+    assert "1 x mul_scalar, 1 x sin, 1 x add_scalar" in many
+    assert "in no block, because it is no traced kernel" in many
+    few = plan(100)
+    assert "block by block" not in few
+    assert "sin: in no block, because it has 100 rows, of at least 2048" in few
+    monkeypatch.delenv("NOVAPHY_PRINT_PLAN")
+    assert plan(5000) == ""

@@ -6,6 +6,7 @@ import ast
 import importlib
 import importlib.util
 import inspect
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -169,6 +170,110 @@ def test_the_stubs_name_what_is_there(name):
             continue
         members = {m for m in vars(value) if not m.startswith("_")}
         assert {m for m in stub[class_name] if not m.startswith("_")} == members, class_name
+
+
+# A parameter: its name, its kind, and its default as the stub writes it (None: it has none).
+Parameter = tuple[str, str, str | None]
+
+
+def parameters_of(node: ast.FunctionDef) -> tuple[Parameter, ...]:
+    """The parameters of one signature, without `self`."""
+    args = node.args
+    found: list[Parameter] = []
+    positional = [(a, "only") for a in args.posonlyargs] + [(a, "any") for a in args.args]
+    defaults = [None] * (len(positional) - len(args.defaults)) + list(args.defaults)
+    for (arg, kind), default in zip(positional, defaults, strict=True):
+        # An argument without a name can be given by position only.
+        unnamed = arg.arg.startswith(("arg", "_")) and arg.arg.strip("_").removeprefix("arg") in (
+            "",
+            *"0123456789",
+        )
+        kind = "only" if unnamed or arg.arg.startswith("__") else kind
+        name = "" if kind == "only" else arg.arg
+        found.append((name, kind, None if default is None else ast.unparse(default)))
+    if args.vararg:
+        found.append(("*" + args.vararg.arg, "var", None))
+    for arg, default in zip(args.kwonlyargs, args.kw_defaults, strict=True):
+        found.append((arg.arg, "key", None if default is None else ast.unparse(default)))
+    return tuple(p for p in found if p[0] != "self")
+
+
+def binding_signatures(function: object) -> set[tuple[Parameter, ...]] | None:
+    """Those that pybind11 wrote into a docstring; None where it wrote none."""
+    function = getattr(function, "__func__", function)  # of a static method
+    doc = getattr(function, "__doc__", None) or ""
+    name = getattr(function, "__name__", "")
+    lines = doc.splitlines()
+    numbered = [re.sub(r"^\d+\. ", "", x) for x in lines if re.match(r"\d+\. " + name + r"\(", x)]
+    texts = numbered or lines[:1]
+    found = set()
+    for text in texts:
+        # Defaults that are objects are written as <...>.
+        text = re.sub(r"= <[^>]*>+", "= ...", text)
+        try:
+            node = ast.parse(f"def {text}: ...").body[0]
+        except SyntaxError:
+            return None
+        assert isinstance(node, ast.FunctionDef)
+        found.add(parameters_of(node))
+    return found
+
+
+def stub_signatures(body: list[ast.stmt]) -> dict[str, set[tuple[Parameter, ...]]]:
+    """The functions of a stub's module or class, with all their overloads."""
+    found: dict[str, set[tuple[Parameter, ...]]] = {}
+    for node in body:
+        if isinstance(node, ast.FunctionDef) and not any(
+            "property" in ast.unparse(d) or "setter" in ast.unparse(d) for d in node.decorator_list
+        ):
+            found.setdefault(node.name, set()).add(parameters_of(node))
+    return found
+
+
+def unlike(stub: set[tuple[Parameter, ...]], binding: set[tuple[Parameter, ...]]) -> str:
+    """What differs between the overloads of a stub and of a binding; nothing: ""."""
+    names = [{tuple((n, d is not None) for n, _, d in s) for s in side} for side in (stub, binding)]
+    if names[0] != names[1]:
+        return f"{sorted(names[0])} in the stub, {sorted(names[1])} in the module"
+    values = [{n: d for s in side for n, _, d in s if d is not None} for side in (stub, binding)]
+    for name, value in values[1].items():
+        written = values[0][name]
+        if "..." in (value, written):
+            continue
+        try:
+            pair = [ast.literal_eval(text) for text in (value, written)]
+        except ValueError:  # an enumerator
+            continue
+        if any(isinstance(x, float | tuple) for x in pair):  # the binding holds float32
+            pair = [np.asarray(x, np.float32).tolist() for x in pair]
+        if pair[0] != pair[1]:
+            return f"{name} = {written} in the stub, {value} in the module"
+    return ""
+
+
+@pytest.mark.parametrize("name", ["", "nova", "diff", "solvers", "io"])
+def test_the_stubs_have_the_signatures_of_the_bindings(name):
+    module = getattr(_core, name) if name else _core
+    tree = ast.parse((PACKAGE / "_core" / f"{name or '__init__'}.pyi").read_text(encoding="utf-8"))
+    scopes = [("", module, tree.body)]
+    scopes += [
+        (node.name + ".", getattr(module, node.name), node.body)
+        for node in tree.body
+        if isinstance(node, ast.ClassDef) and hasattr(module, node.name)
+    ]
+    compared, problems = 0, []
+    for prefix, owner, body in scopes:
+        for function, stub in stub_signatures(body).items():
+            if function.startswith("_") and function != "__init__":
+                continue
+            binding = binding_signatures(getattr(owner, function))
+            if binding is None:
+                continue
+            compared += 1
+            if problem := unlike(stub, binding):
+                problems.append(f"{prefix}{function}: {problem}")
+    assert not problems, "\n".join(problems)
+    assert compared > 0 or name == "io"
 
 
 def test_the_package_says_that_it_is_typed():

@@ -126,30 +126,35 @@ NOVAPHY_ROW_KERNEL(soft_contact_write, 14, SoftContactWriteArguments) {
   a.normal[slot] = contact.normal;
 }
 
-struct SoftContactClearArguments {
-  int64_t pairs;
+struct SoftContactNoneArguments {
   int32_t* count;
-  int32_t* generation;
+};
+// The count where there are no pairs.
+NOVAPHY_ROW_KERNEL(soft_contact_none, 1, SoftContactNoneArguments) { a.count[row] = 0; }
+
+struct SoftContactClearArguments {
+  const int32_t* count;
   int32_t* particle;  // the rest: a row per slot
   int32_t* shape;
   Vec3f* body_pos;
   Vec3f* body_vel;
   Vec3f* normal;
 };
-// Empties the slot `row` if it lies behind the last contact; the row behind all slots raises the
-// generation, and sets the count where no pair has done it.
-NOVAPHY_ROW_KERNEL(soft_contact_clear, 8, SoftContactClearArguments) {
-  if (row == n - 1) {
-    ++*a.generation;
-    if (a.pairs == 0) *a.count = 0;
-    return;
-  }
-  if (a.pairs != 0 && row < *a.count) return;
+// Empties the slot `row` if it lies behind the last contact.
+NOVAPHY_ROW_KERNEL(soft_contact_clear, 6, SoftContactClearArguments) {
+  if (row < *a.count) return;
   a.particle[row] = -1;
   a.shape[row] = -1;
   a.body_pos[row] = Vec3f{};
   a.body_vel[row] = Vec3f{};
   a.normal[row] = Vec3f{};
 }
+
+struct ContactGenerationArguments {
+  int32_t* generation;
+};
+// Raises the generation: a launch of its own, because steps that are run once more for a gradient
+// must not need the number as it was.
+NOVAPHY_ROW_KERNEL(contact_generation, 1, ContactGenerationArguments) { ++a.generation[row]; }
 
 }  // namespace novaphy

@@ -18,7 +18,9 @@ struct Kernels {
   DeviceKernel touch{soft_contact_touch, soft_contact_kernels_text};
   DeviceKernel scan{"exclusive_scan_i32"};
   DeviceKernel write{soft_contact_write, soft_contact_kernels_text};
+  DeviceKernel none{soft_contact_none, soft_contact_kernels_text};
   DeviceKernel clear{soft_contact_clear, soft_contact_kernels_text};
+  DeviceKernel generation{contact_generation, soft_contact_kernels_text};
 };
 const Kernels& kernels() {
   static const auto& all = *new Kernels;
@@ -135,14 +137,17 @@ void SoftContacts::collide(const SimState& state, Contacts& contacts, float gap)
          writes("soft_contact_body_vel", contacts.soft_contact_body_vel),
          writes("soft_contact_normal", contacts.soft_contact_normal)});
   }
-  kernels().clear.launch(device, slots + 1,
-                         {number(pairs), updates("soft_contact_count", contacts.soft_contact_count),
-                          updates("contact_generation", contacts.contact_generation),
+  if (pairs == 0)
+    kernels().none.launch(device, 1, {writes("soft_contact_count", contacts.soft_contact_count)});
+  kernels().clear.launch(device, slots,
+                         {reads("soft_contact_count", contacts.soft_contact_count),
                           writes("soft_contact_particle", contacts.soft_contact_particle),
                           writes("soft_contact_shape", contacts.soft_contact_shape),
                           writes("soft_contact_body_pos", contacts.soft_contact_body_pos),
                           writes("soft_contact_body_vel", contacts.soft_contact_body_vel),
                           writes("soft_contact_normal", contacts.soft_contact_normal)});
+  kernels().generation.launch(device, 1,
+                              {updates_row("contact_generation", contacts.contact_generation)});
 }
 
 }  // namespace novaphy::detail

@@ -158,7 +158,8 @@ const HostKernel* find_host_kernel(const char* name) {
       ENTRY(sort_place, false),          ENTRY(incidence_count, false),
       ENTRY(incidence_items, false),     ENTRY(checksum_u64, true),
       HAND_WRITTEN(soft_contact_shape),  HAND_WRITTEN(soft_contact_touch),
-      HAND_WRITTEN(soft_contact_write),  HAND_WRITTEN(soft_contact_clear)};
+      HAND_WRITTEN(soft_contact_write),  HAND_WRITTEN(soft_contact_none),
+      HAND_WRITTEN(soft_contact_clear),  HAND_WRITTEN(contact_generation)};
   for (const HostKernel& kernel : kKernels)
     if (std::strcmp(kernel.name, name) == 0) return &kernel;
   return nullptr;

@@ -484,6 +484,29 @@ def test_contacts_of_particles_with_bodies_have_the_bits_and_derivatives(shape):
     assert found.dot_product_error < 1e-4
 
 
+@pytest.mark.parametrize("shape", SHAPES, ids=[s[0] for s in SHAPES])
+def test_checkpoints_find_the_contacts_of_particles_with_bodies_again(shape):
+    """A step that is run once more finds its contacts anew: the same bits as without checkpoints."""
+    steps, names = 60, ("particle_q", "particle_qd", "body_q", "body_qd")
+
+    def gradients(interval):
+        model = particle_and_body(shape, 1.13, 1.0, spin=(0.5, -0.3, 1.0))
+        trajectory = diff.Trajectory(model, steps, checkpoint=interval)
+        with nova.Tape() as tape:
+            diff_solver(model).rollout(
+                trajectory, None, None, DT, pipeline=novaphy.CollisionPipeline(model)
+            )
+            end = trajectory[steps]
+            tape.backward(weighted(end, 1) + nova.sum(diff.state_particle_q_tensor(end)))
+        return [getattr(trajectory[0], name).grad.numpy() for name in names]
+
+    expected = gradients(1)
+    assert all(np.isfinite(x).all() and x.any() for x in expected)
+    for interval in (7, steps):
+        for got, want in zip(gradients(interval), expected, strict=True):
+            assert_same_bits(got, want)
+
+
 def surfaces(mu):
     return novaphy.ShapeConfig(ke=1e4, kd=0.0, kf=500.0, mu=mu)
 

@@ -7,6 +7,7 @@
 
 #include "novaphy/core/error.h"
 #include "novaphy/dynamics/diff_model_reads.h"
+#include "novaphy/dynamics/semi_implicit/friction_law.h"
 #include "novaphy/nova/op_list.h"
 #include "novaphy/nova/tape.h"
 
@@ -20,10 +21,20 @@ int32_t shapes_for_particles(const Model& model) {
   }));
 }
 
+// Of the law huber, whose bits at 0 are those of viscous.
+float huber_smoothing(const DiffSolverConfig& config) {
+  require(config.friction_law != FrictionLaw::Newton17, ErrorKind::NotImplemented,
+          "DiffSemiImplicitSolver: friction_law: expected \"viscous\" or \"huber\", got "
+          "\"newton17\", which is there for comparison in SolverSemiImplicit only");
+  const float smoothing = checked_friction_smoothing("DiffSemiImplicitSolver", config.friction_law,
+                                                     config.friction_smoothing);
+  return config.friction_law == FrictionLaw::Viscous ? 0.0f : smoothing;
+}
+
 BodyStepOptions body_options(const DiffSolverConfig& config) {
   return {.static_contacts = config.enable_static_contacts && config.enable_rigid_contacts,
           .angular_damping = config.angular_damping,
-          .friction_smoothing = config.friction_smoothing};
+          .friction_smoothing = huber_smoothing(config)};
 }
 
 ParticleStepOptions step_options(const DiffSolverConfig& config) {
@@ -43,7 +54,9 @@ DiffSemiImplicitSolver::DiffSemiImplicitSolver(std::shared_ptr<const Model> mode
     : DiffSolverBase(std::move(model)),
       config_(config),
       particles_(*this->model(), step_options(config)),
-      bodies_(body_options(config)) {
+      bodies_(body_options(config)),
+      materials_("DiffSemiImplicitSolver", {.ka = moves_bodies()}) {
+  materials_.check(*this->model());
   require(std::isfinite(config.static_contact_margin) && config.static_contact_margin >= 0.0f,
           ErrorKind::Value,
           "DiffSolverConfig, static_contact_margin: expected a finite distance "
@@ -56,6 +69,9 @@ DiffSemiImplicitSolver::DiffSemiImplicitSolver(std::shared_ptr<const Model> mode
   if (config.strict) check_elements();
   if (config.strict) check_bodies();
   if (moves_bodies()) bodies_.begin(*this->model());
+  if (moves_bodies() && config.enable_joints)
+    joints_.emplace(*this->model(),
+                    DiffJoints::Attach{config.joint_attach_ke, config.joint_attach_kd});
   const bool given = config.strict && !config.enable_static_contacts;
   if (given && config.enable_particle_contacts && moves_particles())
     uncovered_shapes_ = shapes_for_particles(*this->model());
@@ -106,26 +122,12 @@ void DiffSemiImplicitSolver::check_bodies() const {
       "leave them out with strict = false");
   const std::vector<int32_t> type = m.joint_type.to_host();
   for (size_t j = 0; j < type.size(); ++j)
-    require(!config_.enable_rigid || type[j] == static_cast<int32_t>(JointType::FREE),
+    require(!config_.enable_rigid || config_.enable_joints ||
+                type[j] == static_cast<int32_t>(JointType::FREE),
             ErrorKind::NotImplemented, "DiffSemiImplicitSolver: model.joint_type[", j,
-            "]: expected FREE: there is no gradient through joints that hold bodies, got ",
+            "]: expected FREE, because enable_joints is false, got ",
             joint_type_name(static_cast<JointType>(type[j])),
-            "; leave them out with strict = false");
-  const std::vector<float> force = m.joint_f.to_host();
-  for (size_t k = 0; k < force.size(); ++k)
-    require(!config_.enable_rigid || force[k] == 0.0f, ErrorKind::NotImplemented,
-            "DiffSemiImplicitSolver: model.joint_f[", k,
-            "]: expected 0: forces of free joints are applied by body_f, got ", force[k]);
-}
-
-// Those of joints act on bodies, and would be left out without a word.
-void DiffSemiImplicitSolver::check_joint_forces(const Control* control) const {
-  if (!config_.strict || control == nullptr || !moves_bodies()) return;
-  const Unobserved unobserved;
-  const std::vector<float> force = control->joint_f.to_host();
-  for (size_t k = 0; k < force.size(); ++k)
-    require(force[k] == 0.0f, ErrorKind::NotImplemented, "DiffSemiImplicitSolver: control.joint_f[",
-            k, "]: expected 0: forces of free joints are applied by body_f, got ", force[k]);
+            "; enable them, or leave them out with strict = false");
 }
 
 void DiffSemiImplicitSolver::check_contacts(const char* function, const Contacts* contacts,
@@ -157,10 +159,13 @@ void DiffSemiImplicitSolver::check_overflow(const Contacts& contacts) {
           " rows hold; make the pipeline with a larger soft_contact_max or rigid_contact_max");
 }
 
-void DiffSemiImplicitSolver::begin(const char* function, const Contacts* contacts, bool found) {
+void DiffSemiImplicitSolver::begin(const char* function, const Control* control,
+                                   const Contacts* contacts, bool found, float dt) {
+  materials_.check(*model());
   check_contacts(function, contacts, found);
   particles_.begin(*model(), function);
   if (moves_bodies()) bodies_.begin(*model());
+  if (joints_) joints_->begin(*model(), control, dt);
   if (contacts != nullptr) {
     tables_.update(*model(), *contacts, wanted_tables());
   } else {
@@ -176,23 +181,23 @@ void DiffSemiImplicitSolver::step(SimState& state_in, SimState& state_out, const
           "(supports_graph_capture is False)");
   const ExclusiveUse::Scope scope = use(name);
   check_step(name, state_in, state_out, control, contacts, dt);
-  check_joint_forces(control);
   if (!moves_particles() && !moves_bodies()) return;
-  begin(name, contacts, false);
+  begin(name, control, contacts, false, dt);
   if (nova::Tape::active() != nullptr) make_leaves(state_in);
   if (moves_particles())
     particles_.run(*model(), state_in, state_out, control, contacts, tables_, dt);
   if (!moves_bodies()) return;
   if (body_f_.rows() == 0 || nova::Tape::active() != nullptr)  // which remembers it
     body_f_ = DeviceArray<SpatialVectorf>(state_in.body_f.rows(), device());
-  bodies_.run(*model(), state_in, state_out, nova::operand_of(state_in.body_f), contacts, tables_,
-              particles_.wrenches(), dt, nova::operand_of(body_f_));
+  bodies_.run(*model(), state_in, state_out, nova::operand_of(state_in.body_f),
+              joints_ ? &*joints_ : nullptr, control, contacts, tables_, particles_.wrenches(), dt,
+              nova::operand_of(body_f_));
 }
 
 std::vector<ScratchSpec> DiffSemiImplicitSolver::step_scratch() const {
   std::vector<ScratchSpec> specs = particles_.scratch();
   const ContactTables::Wanted wanted = wanted_tables();
-  if (wanted.bodies || wanted.particles_on_bodies)
+  if (wanted.bodies || wanted.particles_on_bodies || (joints_ && joints_->act()))
     specs.push_back(
         {novaphy::DType::spatial_vector, static_cast<size_t>(model()->body_count()), 1});
   return specs;
@@ -200,15 +205,21 @@ std::vector<ScratchSpec> DiffSemiImplicitSolver::step_scratch() const {
 
 bool DiffSemiImplicitSolver::step_writes_kept_memory() const {
   const ContactTables::Wanted wanted = wanted_tables();
-  return particles_.has_elements() || wanted.bodies || wanted.particles_on_bodies;
+  return particles_.has_elements() || wanted.bodies || wanted.particles_on_bodies ||
+         (joints_ && joints_->act());
 }
 
 bool DiffSemiImplicitSolver::begin_rollout(const RolloutInputs& inputs) {
   if (!moves_particles() && !moves_bodies()) return false;
-  const Control* checked = nullptr;
-  for (int32_t t = inputs.start(); t < inputs.stop(); ++t)
-    if (inputs.control(t) != checked) check_joint_forces(checked = inputs.control(t));
-  begin("DiffSemiImplicitSolver.rollout", inputs.contacts(), inputs.pipeline() != nullptr);
+  // Joints without a force may get one by the control of any step.
+  const Control* acting = inputs.control(inputs.start());
+  for (int32_t t = inputs.start(); t < inputs.stop(); ++t) {
+    if (t > inputs.start() && inputs.control(t) == acting) continue;
+    acting = inputs.control(t);
+    begin("DiffSemiImplicitSolver.rollout", acting, inputs.contacts(), inputs.pipeline() != nullptr,
+          inputs.dt());
+    if (joints_ && joints_->act()) break;
+  }
   return true;
 }
 
@@ -222,8 +233,8 @@ void DiffSemiImplicitSolver::record_step(const SimState& in, SimState& out,
   if (moves_particles()) particles_.record(*model(), in, out, inputs, tables, scratch);
   if (!moves_bodies()) return;
   const nova::Operand total = scratch.empty() ? nova::Operand{} : nova::operand_of(scratch.back());
-  bodies_.run(*model(), in, out, inputs.body_forces, inputs.contacts, tables, particles_.wrenches(),
-              inputs.dt, total);
+  bodies_.run(*model(), in, out, inputs.body_forces, joints_ ? &*joints_ : nullptr, inputs.control,
+              inputs.contacts, tables, particles_.wrenches(), inputs.dt, total);
 }
 
 }  // namespace novaphy::diff

@@ -203,11 +203,11 @@ void bind_shape_config(py::module_& m) {
   NOVAPHY_MEMBER(ke, "N/m, contact stiffness.")
   NOVAPHY_MEMBER(kd, "N*s/m, contact damping.")
   NOVAPHY_MEMBER(kf, "N*s/m, friction below the Coulomb limit.")
-  NOVAPHY_MEMBER(ka, "m, adhesion distance of rigid contacts.")
+  NOVAPHY_MEMBER(ka, "m, adhesion distance of rigid contacts; refused where there are no bodies.")
   NOVAPHY_MEMBER(mu, "Coulomb friction.")
-  NOVAPHY_MEMBER(restitution, "Stored; no force uses it.")
-  NOVAPHY_MEMBER(mu_torsional, "Stored; no force uses it.")
-  NOVAPHY_MEMBER(mu_rolling, "Stored; no force uses it.")
+  NOVAPHY_MEMBER(restitution, "Stored; solvers refuse all but the default, as no force uses it.")
+  NOVAPHY_MEMBER(mu_torsional, "Stored; solvers refuse all but the default, as no force uses it.")
+  NOVAPHY_MEMBER(mu_rolling, "Stored; solvers refuse all but the default, as no force uses it.")
   NOVAPHY_MEMBER(margin,
                  "m, moves the surface outwards for other shapes; for particles it only widens the "
                  "detection. The wall of a shell.")
@@ -305,15 +305,16 @@ void bind_bodies(py::class_<ModelBuilder>& c) {
           return (b.*add)(args);
         },
         py::kw_only(), "xform"_a = py::none(), "com"_a = py::none(), "inertia"_a = py::none(),
-        "mass"_a = 0.0f, "lock_inertia"_a = false, "is_kinematic"_a = false,
-        "label"_a = py::none(), doc);
+        "mass"_a = 0.0f, "lock_inertia"_a = false, "is_kinematic"_a = false, "label"_a = py::none(),
+        doc);
   };
-  bind("add_body", &ModelBuilder::add_body,
-       "A rigid body that moves freely, at rest at `xform` (m, xyzw): a link, its FREE joint to the "
-       "world, and an articulation of that. `mass` (kg), `com` (m, body frame) and `inertia` (3x3, "
-       "kg*m^2 about com; None: a point mass) are the base, to which shapes with a density add "
-       "theirs unless lock_inertia. is_kinematic: it follows its velocity, no force moves it. "
-       "Returns the index. ValueError: a mass or inertia that no body has, also from finalize.");
+  bind(
+      "add_body", &ModelBuilder::add_body,
+      "A rigid body that moves freely, at rest at `xform` (m, xyzw): a link, its FREE joint to the "
+      "world, and an articulation of that. `mass` (kg), `com` (m, body frame) and `inertia` (3x3, "
+      "kg*m^2 about com; None: a point mass) are the base, to which shapes with a density add "
+      "theirs unless lock_inertia. is_kinematic: it follows its velocity, no force moves it. "
+      "Returns the index. ValueError: a mass or inertia that no body has, also from finalize.");
   bind("add_link", &ModelBuilder::add_link,
        "As add_body, without a joint: finalize refuses a link that is the child of none. It may "
        "have no mass.");

@@ -3,6 +3,7 @@
 #include <optional>
 
 #include "fast_step.h"
+#include "friction_laws.h"
 #include "nova_types.h"
 #include "novaphy/collision/collision_pipeline.h"
 #include "novaphy/collision/diff_soft_contacts.h"
@@ -333,39 +334,64 @@ void bind_rollout(py::module_& solvers) {
       "another model or size.");
 }
 
+// The config of a solver is a copy: writing to it would do nothing.
+struct Settings : DiffSolverConfig {
+  bool of_solver = false;
+};
+template <class Value>
+void set(Settings& settings, const char* name, Value DiffSolverConfig::*member, Value value) {
+  if (settings.of_solver)
+    throw py::attribute_error(std::string("DiffSolverConfig.") + name +
+                              ": the settings of a solver are those that it was made with; make "
+                              "another solver");
+  settings.*member = value;
+}
+
 void bind_solver(py::module_& solvers) {
   const DiffSolverConfig d;
-  py::class_<DiffSolverConfig> config(solvers, "DiffSolverConfig",
-                                      "What a DiffSemiImplicitSolver covers.");
-  config.def(py::init([](bool enable_particles, bool enable_particle_contacts,
-                         bool enable_tetrahedra, bool enable_triangles, bool enable_springs,
-                         bool enable_bending, bool enable_static_contacts,
-                         float static_contact_margin, bool enable_rigid, bool enable_rigid_contacts,
-                         float angular_damping, float friction_smoothing, bool strict) {
-               return DiffSolverConfig{.enable_particles = enable_particles,
-                                       .enable_particle_contacts = enable_particle_contacts,
-                                       .enable_tetrahedra = enable_tetrahedra,
-                                       .enable_triangles = enable_triangles,
-                                       .enable_springs = enable_springs,
-                                       .enable_bending = enable_bending,
-                                       .enable_static_contacts = enable_static_contacts,
-                                       .static_contact_margin = static_contact_margin,
-                                       .enable_rigid = enable_rigid,
-                                       .enable_rigid_contacts = enable_rigid_contacts,
-                                       .angular_damping = angular_damping,
-                                       .friction_smoothing = friction_smoothing,
-                                       .strict = strict};
-             }),
-             py::kw_only(), "enable_particles"_a = d.enable_particles,
-             "enable_particle_contacts"_a = d.enable_particle_contacts,
-             "enable_tetrahedra"_a = d.enable_tetrahedra, "enable_triangles"_a = d.enable_triangles,
-             "enable_springs"_a = d.enable_springs, "enable_bending"_a = d.enable_bending,
-             "enable_static_contacts"_a = d.enable_static_contacts,
-             "static_contact_margin"_a = d.static_contact_margin, "enable_rigid"_a = d.enable_rigid,
-             "enable_rigid_contacts"_a = d.enable_rigid_contacts,
-             "angular_damping"_a = d.angular_damping, "friction_smoothing"_a = d.friction_smoothing,
-             "strict"_a = d.strict);
-#define NOVAPHY_MEMBER(name, doc) config.def_readwrite(#name, &DiffSolverConfig::name, doc);
+  py::class_<Settings> config(solvers, "DiffSolverConfig", "What a DiffSemiImplicitSolver covers.");
+  config.def(
+      py::init([](bool enable_particles, bool enable_particle_contacts, bool enable_tetrahedra,
+                  bool enable_triangles, bool enable_springs, bool enable_bending,
+                  bool enable_static_contacts, float static_contact_margin, bool enable_rigid,
+                  bool enable_rigid_contacts, float angular_damping,
+                  const std::string& friction_law, std::optional<float> friction_smoothing,
+                  bool enable_joints, float joint_attach_ke, float joint_attach_kd, bool strict) {
+        return Settings{{.enable_particles = enable_particles,
+                         .enable_particle_contacts = enable_particle_contacts,
+                         .enable_tetrahedra = enable_tetrahedra,
+                         .enable_triangles = enable_triangles,
+                         .enable_springs = enable_springs,
+                         .enable_bending = enable_bending,
+                         .enable_static_contacts = enable_static_contacts,
+                         .static_contact_margin = static_contact_margin,
+                         .enable_rigid = enable_rigid,
+                         .enable_rigid_contacts = enable_rigid_contacts,
+                         .angular_damping = angular_damping,
+                         .friction_law = to_friction_law(friction_law),
+                         .friction_smoothing = friction_smoothing,
+                         .enable_joints = enable_joints,
+                         .joint_attach_ke = joint_attach_ke,
+                         .joint_attach_kd = joint_attach_kd,
+                         .strict = strict}};
+      }),
+      py::kw_only(), "enable_particles"_a = d.enable_particles,
+      "enable_particle_contacts"_a = d.enable_particle_contacts,
+      "enable_tetrahedra"_a = d.enable_tetrahedra, "enable_triangles"_a = d.enable_triangles,
+      "enable_springs"_a = d.enable_springs, "enable_bending"_a = d.enable_bending,
+      "enable_static_contacts"_a = d.enable_static_contacts,
+      "static_contact_margin"_a = d.static_contact_margin, "enable_rigid"_a = d.enable_rigid,
+      "enable_rigid_contacts"_a = d.enable_rigid_contacts, "angular_damping"_a = d.angular_damping,
+      "friction_law"_a = friction_law_name(d.friction_law), "friction_smoothing"_a = py::none(),
+      "enable_joints"_a = d.enable_joints, "joint_attach_ke"_a = d.joint_attach_ke,
+      "joint_attach_kd"_a = d.joint_attach_kd, "strict"_a = d.strict);
+#define NOVAPHY_MEMBER(name, doc)                               \
+  config.def_property(                                          \
+      #name, [](const Settings& s) { return s.name; },          \
+      [](Settings& s, decltype(DiffSolverConfig::name) value) { \
+        set(s, #name, &DiffSolverConfig::name, value);          \
+      },                                                        \
+      doc);
   NOVAPHY_MEMBER(enable_particles, "Particles move.")
   NOVAPHY_MEMBER(enable_particle_contacts, "Contacts of particles act.")
   NOVAPHY_MEMBER(enable_tetrahedra, "Tetrahedra act.")
@@ -383,8 +409,19 @@ void bind_solver(py::module_& solvers) {
       "Contacts of bodies act: those of a Contacts, or with enable_static_contacts those "
       "with infinite planes of the world.")
   NOVAPHY_MEMBER(angular_damping, "1/s, of bodies.")
+  config.def_property(
+      "friction_law", [](const Settings& s) { return friction_law_name(s.friction_law); },
+      [](Settings& s, const std::string& law) {
+        set(s, "friction_law", &DiffSolverConfig::friction_law, to_friction_law(law));
+      },
+      "Of contacts of bodies: \"viscous\" or \"huber\", as in SolverSemiImplicit; \"newton17\" is "
+      "refused by the solver, because it has no gradient here.");
   NOVAPHY_MEMBER(friction_smoothing,
-                 "m/s, of the friction law \"huber\" of bodies; 0: \"viscous\".")
+                 "m/s, of the friction law \"huber\"; None: 0.1. The solver refuses it with "
+                 "\"viscous\", which does not read it.")
+  NOVAPHY_MEMBER(enable_joints, "Joints hold their bodies, by springs and dampers.")
+  NOVAPHY_MEMBER(joint_attach_ke, "N/m and N*m/rad, of what joints hold.")
+  NOVAPHY_MEMBER(joint_attach_kd, "N*s/m, and 0.01 of it N*m*s/rad.")
   NOVAPHY_MEMBER(strict, "Refuse what is not covered instead of leaving it out.")
 #undef NOVAPHY_MEMBER
   add_settings_pickle(config);
@@ -400,15 +437,18 @@ void bind_solver(py::module_& solvers) {
       "Forces left in "
       "state_in.particle_f are for reading: clear_forces() before the state is used again.");
   solver
-      .def(py::init([](const std::shared_ptr<Model>& model, const DiffSolverConfig* given) {
+      .def(py::init([](const std::shared_ptr<Model>& model, const Settings* given) {
              return std::make_unique<DiffSemiImplicitSolver>(
-                 model, given != nullptr ? *given : DiffSolverConfig{});
+                 model, given != nullptr ? DiffSolverConfig(*given) : DiffSolverConfig{});
            }),
            py::arg("model").none(false), "config"_a = py::none(),
            "NotImplementedError for what is not covered.")
       .def_property_readonly(
-          "config", [](const DiffSemiImplicitSolver& s) { return s.config(); },
-          "A copy of the settings.");
+          "config",
+          [](const DiffSemiImplicitSolver& s) {
+            return Settings{s.config(), true};
+          },
+          "The settings that it was made with; AttributeError where one is set.");
   add_fast_step(solver);
 }
 

@@ -1,28 +1,10 @@
 // Solvers.
 #include "fast_step.h"
+#include "friction_laws.h"
 #include "novaphy/dynamics/joint_coordinates.h"
 #include "novaphy/dynamics/semi_implicit/solver_semi_implicit.h"
 
 namespace novaphy::python {
-namespace {
-
-struct NamedLaw {
-  const char* name;
-  FrictionLaw law;
-};
-constexpr NamedLaw kFrictionLaws[] = {{"viscous", FrictionLaw::Viscous},
-                                      {"huber", FrictionLaw::Huber},
-                                      {"newton17", FrictionLaw::Newton17}};
-
-FrictionLaw to_friction_law(const std::string& name) {
-  for (const NamedLaw& known : kFrictionLaws)
-    if (name == known.name) return known.law;
-  fail(ErrorKind::Value, "friction_law: expected \"viscous\", \"huber\" or \"newton17\", got \"",
-       name, "\"");
-}
-
-}  // namespace
-
 void bind_dynamics(py::module_& m, py::module_& solvers) {
   BoundClass<SimState>::remember(m.attr("SimState"));
   BoundClass<Control>::remember(m.attr("Control"));
@@ -94,11 +76,7 @@ void bind_dynamics(py::module_& m, py::module_& solvers) {
           [](const SolverSemiImplicit& s) { return s.options().angular_damping; }, "1/s")
       .def_property_readonly(
           "friction_law",
-          [](const SolverSemiImplicit& s) {
-            for (const NamedLaw& known : kFrictionLaws)
-              if (s.options().friction_law == known.law) return known.name;
-            return "";
-          },
+          [](const SolverSemiImplicit& s) { return friction_law_name(s.options().friction_law); },
           "\"viscous\", \"huber\" or \"newton17\".")
       .def_property_readonly(
           "friction_smoothing",

@@ -39,9 +39,8 @@ def make_model(*bodies, ground=True, gravity=(0, 0, -9.81), surface=SURFACE):
 
 
 def diff_solver(model, smoothing=0.1, **config):
-    return solvers.DiffSemiImplicitSolver(
-        model, solvers.DiffSolverConfig(friction_smoothing=smoothing, **config)
-    )
+    law = {"friction_law": "huber", "friction_smoothing": smoothing} if smoothing else {}
+    return solvers.DiffSemiImplicitSolver(model, solvers.DiffSolverConfig(**law, **config))
 
 
 def weighted(state, count):

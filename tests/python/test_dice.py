@@ -97,7 +97,9 @@ class Die:
         builder.replicate(one, worlds)
         self.model = builder.finalize(requires_grad=True)
         self.model.body_inertia = np.repeat(reference["model_body_inertia"], worlds, 0)
-        config = solvers.DiffSolverConfig(enable_static_contacts=True, angular_damping=DAMPING)
+        config = solvers.DiffSolverConfig(
+            enable_static_contacts=True, angular_damping=DAMPING, friction_law="huber"
+        )
         self.solver = solvers.DiffSemiImplicitSolver(self.model, config)
         self.trajectory = diff.Trajectory(self.model, STEPS, checkpoint=interval)
 

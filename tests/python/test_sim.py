@@ -338,6 +338,28 @@ def test_solver_options_are_checked():
         novaphy.solvers.DiffSolverConfig(True)
 
 
+def test_the_friction_law_of_a_differentiable_solver_is_checked():
+    model, config = ball_model(), novaphy.solvers.DiffSolverConfig
+    assert (config().friction_law, config().friction_smoothing) == ("viscous", None)
+    made = novaphy.solvers.DiffSemiImplicitSolver(
+        model, config(friction_law="huber", friction_smoothing=0.25)
+    )
+    assert (made.config.friction_law, made.config.friction_smoothing) == ("huber", 0.25)
+    for name, value in (("friction_smoothing", 0.5), ("friction_law", "viscous"), ("strict", True)):
+        with pytest.raises(AttributeError, match=f"DiffSolverConfig.{name}.*make another solver"):
+            setattr(made.config, name, value)
+    assert (made.config.friction_law, made.config.friction_smoothing) == ("huber", 0.25)
+    with pytest.raises(ValueError, match='friction_law: expected "viscous".*got "coulomb"'):
+        config(friction_law="coulomb")
+    for given, error, message in (
+        ({"friction_smoothing": 0.1}, ValueError, "friction_smoothing: expected none"),
+        ({"friction_law": "huber", "friction_smoothing": -1.0}, ValueError, "finite number >= 0"),
+        ({"friction_law": "newton17"}, NotImplementedError, "friction_law.*newton17"),
+    ):
+        with pytest.raises(error, match=message):
+            novaphy.solvers.DiffSemiImplicitSolver(model, config(**given))
+
+
 def test_what_an_object_refers_to_stays_alive():
     solver = novaphy.solvers.DiffSemiImplicitSolver(ball_model())
     pipeline = CollisionPipeline(solver.model)

@@ -48,6 +48,7 @@ float gravity_that_acted(const Vec3f& g, const Vec3f& acceleration) {
 }  // namespace
 
 StepWork::StepWork(const Model& m, const VbdOptions& o, bool keep_iterates) : model(m), options(o) {
+  materials_.check(m);
   for (const auto& [name, array] : std::initializer_list<std::pair<const char*, const Array*>>{
            {"particle_colors", &m.particle_colors},
            {"particle_spring_indices", &m.particle_spring_indices},
@@ -115,6 +116,7 @@ void StepWork::plan() {
 void StepWork::update(const DeviceArray<float>* tri_activation,
                       const DeviceArray<float>* tet_activation, const Contacts* contact_rows,
                       float step_dt) {
+  materials_.check(model);
   check_numbers(model);
   for (const Stamped& s : mesh_)
     require(s.stamp.matches(*s.array), ErrorKind::Value, kName, ": model.", s.name,

@@ -5,6 +5,7 @@
 #include <vector>
 
 #include "color_slots.h"
+#include "novaphy/core/sim/unread_materials.h"
 #include "novaphy/vbd/solver_vbd.h"
 #include "step_contacts.h"
 #include "sweep.h"
@@ -54,6 +55,8 @@ class StepWork {
   uint64_t builds = 0;  // how often the tables were made
 
  private:
+  // Friction is of friction_epsilon, and contacts do not attract.
+  UnreadMaterials materials_{"SolverVBD", {.kf = false, .ka = false}};
   enum class Task : uint8_t { Predict, Prepare, Move, Commit, Accelerate, Keep, Finish };
   struct Chunk {
     Task task;

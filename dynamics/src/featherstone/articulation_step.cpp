@@ -3,11 +3,13 @@
 #include <cmath>
 
 #include "novaphy/core/error.h"
+#include "novaphy/core/sim/unread_materials.h"
 
 namespace novaphy {
 
 void check_featherstone_model(const Model& m, const FeatherstoneOptions& options,
                               const char* user) {
+  UnreadMaterials(user, {}).check(m);
   require(std::isfinite(options.angular_damping) && options.angular_damping >= 0.0f,
           ErrorKind::Value, user, ": angular_damping: expected a finite number >= 0, got ",
           options.angular_damping);

@@ -25,10 +25,19 @@ Operand both_sides(Operand wrenches) {
 void BodyStep::begin(const Model& model) { plane_pairs_.update(model, options_.static_contacts); }
 
 void BodyStep::run(const Model& model, const SimState& in, SimState& out, const Operand& body_f,
-                   const Contacts* contacts, const ContactTables& tables,
-                   const Operand* of_particles, float dt, const Operand& total) {
+                   DiffJoints* joints, const Control* control, const Contacts* contacts,
+                   const ContactTables& tables, const Operand* of_particles, float dt,
+                   const Operand& total) {
   const Operand q = nova::operand_of(in.body_q), qd = nova::operand_of(in.body_qd);
   Operand f = body_f;
+  if (joints != nullptr && joints->act()) {
+    fit(joint_wrenches_, 2 * int64_t{model.joint_count()}, model.device());
+    const bool more = tables.sides_of_bodies() || of_particles != nullptr;
+    if (more) fit(joint_sum_, f.rows, model.device());
+    const Operand& sum = more ? joint_sum_ : total;
+    joints->add(model, control, q, qd, f, joint_wrenches_, sum);
+    f = sum;
+  }
   if (tables.sides_of_bodies()) {
     fit(wrenches_, 2 * int64_t{contacts->rigid_contact_max()}, model.device());
     eval_rigid_contacts(model, *contacts, tables, q, qd, options_.friction_smoothing,

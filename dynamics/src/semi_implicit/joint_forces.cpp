@@ -20,13 +20,13 @@ JointType type_of(const Model& m, int32_t joint) {
 }
 
 // Arrays that have no meaning where bodies are held by springs.
-void check_unused(const Model& m) {
+void check_unused(const Model& m, const char* solver) {
   const auto check = [&](const char* name, const DeviceArray<float>& array, float by_default) {
     const std::vector<float> values = array.to_host();
     for (size_t k = 0; k < values.size(); ++k)
-      require(values[k] == by_default, ErrorKind::NotImplemented, "SolverSemiImplicit: model.",
-              name, "[", k, "]: expected ", by_default,
-              ", because penalty joints do not have it, got ", values[k]);
+      require(values[k] == by_default, ErrorKind::NotImplemented, solver, ": model.", name, "[", k,
+              "]: expected ", by_default, ", because penalty joints do not have it, got ",
+              values[k]);
   };
   check("joint_armature", m.joint_armature, 0.0f);
   check("joint_friction", m.joint_friction, 0.0f);
@@ -34,7 +34,7 @@ void check_unused(const Model& m) {
 }
 
 // BALL, FREE and DISTANCE joints have no drive, and no limits but the distance.
-void check_without_drive(const Model& m) {
+void check_without_drive(const Model& m, const char* solver) {
   const std::vector<int32_t> type = m.joint_type.to_host(), start = m.joint_qd_start.to_host();
   const auto check = [&](const char* name, const DeviceArray<float>& array, float by_default,
                          bool of_ball, bool of_distance) {
@@ -45,8 +45,8 @@ void check_without_drive(const Model& m) {
       const bool free = type[j] == static_cast<int32_t>(JointType::FREE);
       if (!(ball && of_ball) && !distance && !free) continue;
       for (int32_t k = start[j] + (distance && of_distance ? 1 : 0); k < start[j + 1]; ++k)
-        require(values[static_cast<size_t>(k)] == by_default, ErrorKind::NotImplemented,
-                "SolverSemiImplicit: model.", name, "[", k, "]: expected ", by_default, " of a ",
+        require(values[static_cast<size_t>(k)] == by_default, ErrorKind::NotImplemented, solver,
+                ": model.", name, "[", k, "]: expected ", by_default, " of a ",
                 joint_type_name(static_cast<JointType>(type[j])), " joint, got ",
                 values[static_cast<size_t>(k)]);
     }
@@ -58,12 +58,13 @@ void check_without_drive(const Model& m) {
   check("joint_limit_upper", m.joint_limit_upper, kJointUnlimited, true, true);
 }
 
-void check_perpendicular(const std::vector<Vec3f>& axes, int32_t begin, int32_t end, size_t joint) {
+void check_perpendicular(const std::vector<Vec3f>& axes, int32_t begin, int32_t end, size_t joint,
+                         const char* solver) {
   for (int32_t a = begin; a < end; ++a)
     for (int32_t b = a + 1; b < end; ++b)
       require(
           std::abs(math::dot(axes[static_cast<size_t>(a)], axes[static_cast<size_t>(b)])) < 1e-3f,
-          ErrorKind::NotImplemented, "SolverSemiImplicit: joint ", joint,
+          ErrorKind::NotImplemented, solver, ": joint ", joint,
           ": expected perpendicular axes of a D6 joint, got model.joint_axis rows ", a, " and ", b);
 }
 
@@ -166,7 +167,7 @@ struct DofArrays {
 
 }  // namespace
 
-void JointForces::check_covered(const Model& m) {
+void JointForces::check_covered(const Model& m, const char* solver) {
   const std::vector<int32_t> type = m.joint_type.to_host(), start = m.joint_qd_start.to_host();
   const std::vector<Vec2i> dims = m.joint_dof_dim.to_host();
   const std::vector<Vec3f> axes = m.joint_axis.to_host();
@@ -175,17 +176,17 @@ void JointForces::check_covered(const Model& m) {
   for (size_t j = 0; j < type.size(); ++j) {
     if (type[j] != static_cast<int32_t>(JointType::D6)) continue;
     const int32_t first = start[j], middle = first + dims[j].x;
-    check_perpendicular(axes, first, middle, j);
-    check_perpendicular(axes, middle, middle + dims[j].y, j);
+    check_perpendicular(axes, first, middle, j, solver);
+    check_perpendicular(axes, middle, middle + dims[j].y, j, solver);
   }
   for (size_t b = 0; b < mass.size(); ++b)
-    require(mass[b] > 0.0f || has_flag(flags[b], BodyFlags::KINEMATIC), ErrorKind::Value,
-            "SolverSemiImplicit: model.body_mass[", b,
+    require(mass[b] > 0.0f || has_flag(flags[b], BodyFlags::KINEMATIC), ErrorKind::Value, solver,
+            ": model.body_mass[", b,
             "]: expected > 0: penalty joints do not move a link without mass; give it a mass, make "
             "it kinematic, or merge it by ModelBuilder.collapse_fixed_joints, got ",
             mass[b]);
-  check_unused(m);
-  check_without_drive(m);
+  check_unused(m, solver);
+  check_without_drive(m, solver);
 }
 
 float joint_stable_dt(const Model& m, int32_t joint, const JointAttachOptions& attach) {
@@ -259,10 +260,9 @@ void JointForces::prepare(const Model& m, const JointAttachOptions& attach, floa
     inertia_.set(m.body_inertia);
     flags_.set(m.body_flags);
   }
-  require(dt <= stable_dt_, ErrorKind::Value, "SolverSemiImplicit.step: dt: expected at most ",
-          stable_dt_, " s: above it joint ", unstable_joint_, " diverges with joint_attach_ke ",
-          attach.ke, " and the mass and inertia of its bodies; lower the one or the other, got ",
-          dt);
+  require(dt <= stable_dt_, ErrorKind::Value, "step: dt: expected at most ", stable_dt_,
+          " s: above it joint ", unstable_joint_, " diverges with joint_attach_ke ", attach.ke,
+          " and the mass and inertia of its bodies; lower the one or the other, got ", dt);
 }
 
 void JointForces::evaluate(const Model& m, const SimState& state, const Control* control,

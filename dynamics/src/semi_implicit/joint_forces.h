@@ -19,7 +19,8 @@ struct JointAttachOptions {
 class JointForces {
  public:
   // Refuses what penalty joints cannot hold: ErrorKind::NotImplemented names the array and the row.
-  static void check_covered(const Model& model);
+  // `solver` starts the messages.
+  static void check_covered(const Model& model, const char* solver);
 
   // Finds the sides of every body where the joints were written since. ErrorKind::Index: a joint of
   // a body or a row that is not there. ErrorKind::Value: a step above stable_dt.

@@ -8,7 +8,9 @@
 #include "joint_forces.h"
 #include "novaphy/core/error.h"
 #include "novaphy/core/sim/for_chunks.h"
+#include "novaphy/core/sim/unread_materials.h"
 #include "novaphy/core/storage.h"
+#include "novaphy/dynamics/semi_implicit/friction_law.h"
 #include "novaphy/dynamics/semi_implicit/particle_integrator_trace.h"
 #include "particle_contacts.h"
 #include "rigid_bodies.h"
@@ -28,38 +30,21 @@ void check_covered(const Model& model) {
   require(model.body_count() == 0 || model.device().is_cpu(), ErrorKind::NotImplemented,
           "SolverSemiImplicit: model: expected one on the cpu, as it has bodies, got one on ",
           model.device().str());
-  JointForces::check_covered(model);
-}
-
-// In m/s; only the huber and newton17 laws read it.
-float checked_smoothing(const SemiImplicitOptions& options) {
-  constexpr float kDefault = 0.1f;
-  const bool known = options.friction_law == FrictionLaw::Viscous ||
-                     options.friction_law == FrictionLaw::Huber ||
-                     options.friction_law == FrictionLaw::Newton17;
-  require(known, ErrorKind::Value, "SolverSemiImplicit: friction_law: expected a FrictionLaw, got ",
-          static_cast<int>(options.friction_law));
-  if (!options.friction_smoothing) return kDefault;
-  require(
-      options.friction_law != FrictionLaw::Viscous, ErrorKind::Value,
-      "SolverSemiImplicit: friction_smoothing: expected none with the friction law \"viscous\", "
-      "which does not read it, got ",
-      *options.friction_smoothing);
-  check_option("friction_smoothing", *options.friction_smoothing);
-  require(options.friction_law != FrictionLaw::Newton17 || *options.friction_smoothing > 0.0f,
-          ErrorKind::Value,
-          "SolverSemiImplicit: friction_smoothing: expected > 0 with \"newton17\", got 0");
-  return *options.friction_smoothing;
+  JointForces::check_covered(model, "SolverSemiImplicit");
 }
 
 }  // namespace
 
 struct SolverSemiImplicit::Cache {
+  explicit Cache(const Model& m) : materials("SolverSemiImplicit", {.ka = m.body_count() > 0}) {
+    materials.check(m);
+  }
   ParticleContacts contacts;
   ElementForces elements;
   JointForces joints;
   RigidBodies bodies;
   ArrayStamp particle_world;  // its values were checked
+  UnreadMaterials materials;  // adhesion is of contacts of bodies
 
   void check_worlds(const Model& model) {
     if (particle_world.matches(model.particle_world)) return;
@@ -75,9 +60,12 @@ struct SolverSemiImplicit::Cache {
 
 SolverSemiImplicit::SolverSemiImplicit(std::shared_ptr<const Model> model,
                                        const SemiImplicitOptions& options)
-    : SolverBase(std::move(model)), options_(options), cache_(std::make_unique<Cache>()) {
+    : SolverBase(std::move(model)),
+      options_(options),
+      cache_(std::make_unique<Cache>(*this->model())) {
   check_option("angular_damping", options.angular_damping);
-  options_.friction_smoothing = checked_smoothing(options);
+  options_.friction_smoothing = checked_friction_smoothing(
+      "SolverSemiImplicit", options.friction_law, options.friction_smoothing);
   check_option("joint_attach_ke", options.joint_attach_ke);
   check_option("joint_attach_kd", options.joint_attach_kd);
   check_covered(*this->model());
@@ -88,7 +76,7 @@ SolverSemiImplicit::~SolverSemiImplicit() = default;
 
 void SolverSemiImplicit::notify_model_changed(ModelFlags) {
   const ExclusiveUse::Scope scope = use("SolverSemiImplicit.notify_model_changed");
-  *cache_ = Cache();
+  *cache_ = Cache(*model());
   on_device_ = detail::make_device_steps(model());
 }
 
@@ -108,6 +96,7 @@ void SolverSemiImplicit::step(SimState& state_in, SimState& state_out, const Con
   const Model& m = *model();
   check_step(kName, state_in, state_out, control, contacts, dt);
   m.check_numbers(kName);
+  cache_->materials.check(m);
   if (on_device_ != nullptr) return on_device_->step(state_in, state_out, control, contacts, dt);
   m.update_derived();
   cache_->check_worlds(m);

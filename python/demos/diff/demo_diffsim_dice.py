@@ -57,7 +57,9 @@ class Die:
     def __init__(self, device: str, start: tuple[float, ...] = START, steps: int = STEPS) -> None:
         self.model = build_model(device, start)
         config = novaphy.solvers.DiffSolverConfig(
-            enable_static_contacts=True, friction_smoothing=FRICTION_SMOOTHING
+            enable_static_contacts=True,
+            friction_law="huber",
+            friction_smoothing=FRICTION_SMOOTHING,
         )
         self.solver = novaphy.solvers.DiffSemiImplicitSolver(self.model, config)
         self.trajectory = diff.Trajectory(self.model, steps)

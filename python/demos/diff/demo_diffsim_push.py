@@ -64,7 +64,8 @@ class Push:
     def __init__(self, device: str) -> None:
         self.model = build_model(device)
         self.pipeline = novaphy.CollisionPipeline(self.model)
-        self.solver = novaphy.solvers.DiffSemiImplicitSolver(self.model)
+        config = novaphy.solvers.DiffSolverConfig(friction_law="huber")
+        self.solver = novaphy.solvers.DiffSemiImplicitSolver(self.model, config)
         self.trajectory = diff.Trajectory(self.model, STEPS)
         first = np.zeros((KNOTS, 2), np.float32)
         first[: KNOTS // 2] = FIRST_FORCE

@@ -180,7 +180,11 @@ class DiffSolverConfig(_Native):
         enable_rigid: bool = True,
         enable_rigid_contacts: bool = True,
         angular_damping: SupportsFloat = 0.05,
-        friction_smoothing: SupportsFloat = 0.1,
+        friction_law: Literal["viscous", "huber", "newton17"] = "viscous",
+        friction_smoothing: SupportsFloat | None = None,
+        enable_joints: bool = True,
+        joint_attach_ke: SupportsFloat = 1e4,
+        joint_attach_kd: SupportsFloat = 1e2,
         strict: bool = True,
     ) -> None: ...
     enable_particles: bool
@@ -194,7 +198,11 @@ class DiffSolverConfig(_Native):
     enable_rigid: bool
     enable_rigid_contacts: bool
     angular_damping: float
-    friction_smoothing: float
+    friction_law: Literal["viscous", "huber", "newton17"]
+    friction_smoothing: float | None
+    enable_joints: bool
+    joint_attach_ke: float
+    joint_attach_kd: float
     strict: bool
 
 class DiffSemiImplicitSolver(SolverBase):

@@ -2,12 +2,16 @@
 #pragma once
 
 #include <memory>
+#include <optional>
 
+#include "novaphy/core/sim/unread_materials.h"
 #include "novaphy/diff/export.h"
 #include "novaphy/diff/trajectory.h"
 #include "novaphy/dynamics/diff_solver_base.h"
 #include "novaphy/dynamics/semi_implicit/diff_body_step.h"
+#include "novaphy/dynamics/semi_implicit/diff_joints.h"
 #include "novaphy/dynamics/semi_implicit/diff_particle_step.h"
+#include "novaphy/dynamics/semi_implicit/rigid_contact_trace.h"
 
 namespace novaphy::diff {
 
@@ -27,8 +31,13 @@ struct DiffSolverConfig {
   bool enable_rigid = true;            // bodies move
   bool enable_rigid_contacts = true;   // their contacts act
   float angular_damping = 0.05f;       // 1/s, of bodies
-  float friction_smoothing = 0.1f;     // m/s, of their friction law huber; 0: viscous
-  bool strict = true;                  // refuse what is not covered instead of leaving it out
+  FrictionLaw friction_law = FrictionLaw::Viscous;  // of their contacts; or Huber
+  // m/s, of the law huber: 0.1 when empty. ErrorKind::Value with viscous.
+  std::optional<float> friction_smoothing = {};
+  bool enable_joints = true;  // bodies are held by their joints
+  // Of joints: N/m and N*m/rad; N*s/m, and 0.01 of it N*m*s/rad.
+  float joint_attach_ke = 1.0e4f, joint_attach_kd = 1.0e2f;
+  bool strict = true;  // refuse what is not covered instead of leaving it out
 };
 
 // One step runs generated kernels: the forces of springs, triangles, bending edges and tetrahedra
@@ -37,13 +46,17 @@ struct DiffSolverConfig {
 // Inside an active nova::Tape the kernels are recorded on the states' own arrays; outside they just
 // run.
 //
+// Joints are springs and dampers (diff_joints.h), two kernels for all of them. Forces and targets
+// are the control's, or the model's without one.
+//
 // Bodies move by one kernel more (step_rigid_bodies_with_static_contacts), and two for the contacts
 // of shapes in a Contacts, three for those of particles with shapes of bodies. body_f is only read.
 // Where contacts move with the bodies, `rollout` takes a pipeline and finds them anew in every
 // step.
 //
 // Gradients: positions, velocities, applied forces, masses, radii, gravity, contact materials,
-// activations and all materials, rest lengths and rest angles of elements are exact. Points and
+// activations and all materials, rest lengths and rest angles of elements, and what diff_joints.h
+// lists of joints, are exact. Points and
 // normals of recorded contacts are frozen (collision is not differentiated here); those of static
 // contacts are exact. See diff_elements.h, diff_soft_contacts.h, diff_particles.h and, for bodies,
 // diff_rigid_bodies.h and diff_body_contacts.h.
@@ -60,6 +73,7 @@ struct DiffSolverConfig {
 // another recorded step raises: clear_forces() first.
 class NOVAPHY_DIFF_API DiffSemiImplicitSolver : public DiffSolverBase {
  public:
+  // ErrorKind::NotImplemented: the friction law newton17, which has no gradient here.
   explicit DiffSemiImplicitSolver(std::shared_ptr<const Model> model,
                                   const DiffSolverConfig& config = {});
 
@@ -85,12 +99,12 @@ class NOVAPHY_DIFF_API DiffSemiImplicitSolver : public DiffSolverBase {
 
  private:
   void check_elements() const;
-  void check_joint_forces(const Control* control) const;
   void check_bodies() const;
   // `found`: a pipeline finds the contacts of every step.
   void check_contacts(const char* function, const Contacts* contacts, bool found) const;
   static void check_overflow(const Contacts& contacts);
-  void begin(const char* function, const Contacts* contacts, bool found);
+  void begin(const char* function, const Control* control, const Contacts* contacts, bool found,
+             float dt);
   bool moves_particles() const;
   bool moves_bodies() const;
   ContactTables::Wanted wanted_tables() const;
@@ -99,6 +113,8 @@ class NOVAPHY_DIFF_API DiffSemiImplicitSolver : public DiffSolverBase {
   int32_t uncovered_shapes_ = 0, uncovered_pairs_ = 0;
   ParticleStep particles_;
   BodyStep bodies_;
+  std::optional<DiffJoints> joints_;    // null: they are left out
+  UnreadMaterials materials_;           // adhesion is of contacts of bodies
   ContactTables tables_;                // of contacts that are given
   DeviceArray<SpatialVectorf> body_f_;  // of step: with the wrenches of contacts
 };

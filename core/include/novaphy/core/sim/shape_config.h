@@ -16,8 +16,8 @@ struct ShapeConfig {
   float kf = 1000.0f;        // N*s/m, friction below the Coulomb limit
   float ka = 0.0f;           // m, adhesion distance (rigid contacts)
   float mu = 1.0f;           // 1, Coulomb friction
-  float restitution = 0.0f;  // stored; no force uses it
-  float mu_torsional = 0.005f, mu_rolling = 1e-4f;  // stored; no force uses them
+  // Kept in the model; no solver reads them, and each refuses other values than these.
+  float restitution = 0.0f, mu_torsional = 0.005f, mu_rolling = 1e-4f;
   // m, moves the surface outwards for other shapes. For particles it only widens the detection: the
   // soft contact force does not use it. A shell (is_solid false) has walls of this thickness.
   float margin = 0.0f;

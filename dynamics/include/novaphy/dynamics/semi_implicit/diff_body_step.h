@@ -5,6 +5,7 @@
 
 #include "novaphy/core/sim/sim_state.h"
 #include "novaphy/dynamics/semi_implicit/diff_body_contacts.h"
+#include "novaphy/dynamics/semi_implicit/diff_joints.h"
 #include "novaphy/dynamics/semi_implicit/diff_rigid_bodies.h"
 
 namespace novaphy::diff {
@@ -23,18 +24,21 @@ class NOVAPHY_DYNAMICS_API BodyStep {
   // What the steps of a call have in common. ErrorKind::NotImplemented: with static contacts, a
   // pair of shapes that they do not cover.
   void begin(const Model& model);
-  // From `in` to `out`: the wrenches `body_f` {b, 6}, then those of the contacts of shapes, then
-  // `of_particles` {slots, 6} (null: none), in the order of SolverSemiImplicit. `tables`: of the
-  // contacts. `total` {b, 6}: where their sum is kept for the adjoint.
+  // From `in` to `out`: the wrenches `body_f` {b, 6}, then those of `joints` (null: none) with
+  // their control, of the contacts of shapes, and `of_particles` {slots, 6} (null: none), in the
+  // order of SolverSemiImplicit. `tables`: of the contacts. `total` {b, 6}: where their sum is kept
+  // for the adjoint.
   void run(const Model& model, const SimState& in, SimState& out, const nova::Operand& body_f,
-           const Contacts* contacts, const ContactTables& tables, const nova::Operand* of_particles,
-           float dt, const nova::Operand& total);
+           DiffJoints* joints, const Control* control, const Contacts* contacts,
+           const ContactTables& tables, const nova::Operand* of_particles, float dt,
+           const nova::Operand& total);
 
  private:
   BodyStepOptions options_;
   PlanePairs plane_pairs_;
-  nova::Operand wrenches_;  // of each side of each row, which no adjoint reads
-  nova::Operand sum_;       // of these, where more follow: likewise
+  nova::Operand wrenches_;                    // of each side of each row, which no adjoint reads
+  nova::Operand sum_;                         // of these, where more follow: likewise
+  nova::Operand joint_wrenches_, joint_sum_;  // likewise
 };
 
 }  // namespace novaphy::diff

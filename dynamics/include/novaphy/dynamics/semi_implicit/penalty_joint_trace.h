@@ -116,6 +116,11 @@ T joint_dof_force(const JointDof<T>& d, const T& q, const T& qd) {
 
 namespace joint_detail {
 
+template <class T>
+Vec3<T> no_vector() {
+  return {T(0.0f), T(0.0f), T(0.0f)};
+}
+
 // The rotation vector of r, rad: the shorter way.
 template <class T>
 Vec3<T> rotation_vector(const Quat<T>& r) {
@@ -140,7 +145,7 @@ Vec3<T> euler_moment(const JointFrames<T>& j, const JointDof<T>* dofs, int count
   const Vec3<T> axes[3] = {dofs[0].axis, dofs[1].axis, dofs[count - 1].axis};
   const JointAngles<T> a = joint_angles(j.r, axes, count);
   const Vec3<T> w = rotate_inverse(j.parent.q, j.w);
-  Vec3<T> moment{};
+  Vec3<T> moment = no_vector<T>();
   for (int k = 0; k < count; ++k) {
     const T tau = joint_dof_force(dofs[k], a.q[k], dot(a.dual[k], w));
     moment = moment + a.dual[k] * (-dofs[k].force - tau);
@@ -170,7 +175,7 @@ Vec3<T> angular_moment(const JointFrames<T>& j, const JointDof<T>* dofs, int cou
 template <class T>
 Vec3<T> ball_moment(const JointFrames<T>& j, const JointDof<T>* dofs) {
   using namespace math;
-  Vec3<T> moment{};
+  Vec3<T> moment = no_vector<T>();
   for (int k = 0; k < 3; ++k) {
     const Vec3<T> a = rotate(j.parent.q, dofs[k].axis);
     moment = moment + a * (-dofs[k].force + dofs[k].damping * dot(a, j.w));
@@ -191,14 +196,14 @@ template <class T>
 JointWrench<T> penalty_joint_wrench(const JointFrames<T>& j, const JointDof<T>* dofs, int linear,
                                     int angular, bool is_ball, const JointAttach<T>& attach) {
   using namespace math;
-  Vec3<T> axis[3], slot{};
+  Vec3<T> axis[3], slot = joint_detail::no_vector<T>();
   T q[3];
   for (int i = 0; i < linear; ++i) {
     axis[i] = rotate(j.parent.q, dofs[i].axis);
     q[i] = dot(j.x, axis[i]);
     slot = slot + axis[i] * q[i];
   }
-  Vec3<T> f{}, x = j.x, v = j.v, arm_p = j.arm_p;
+  Vec3<T> f = joint_detail::no_vector<T>(), x = j.x, v = j.v, arm_p = j.arm_p;
   if (linear > 0) {
     v = v - cross(j.w_p, slot);
     arm_p = arm_p + slot;

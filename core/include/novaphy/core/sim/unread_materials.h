@@ -1,0 +1,33 @@
+// Settings of ShapeConfig that a solver does not read: refused unless they are the default, so that
+// none is without effect in silence.
+#pragma once
+
+#include <array>
+
+#include "novaphy/core/array_stamp.h"
+#include "novaphy/core/export.h"
+#include "novaphy/core/sim/model.h"
+
+namespace novaphy {
+
+class NOVAPHY_CORE_API UnreadMaterials {
+ public:
+  // What a solver reads besides ke, kd and mu. No solver reads restitution, mu_torsional and
+  // mu_rolling.
+  struct Reads {
+    bool kf = true, ka = true;
+  };
+  UnreadMaterials(const char* solver, Reads reads) : solver_(solver), reads_(reads) {}
+
+  // Cheap while the arrays were not written since the last call. ErrorKind::NotImplemented names
+  // the shape and the setting. Host reads of the arrays are not observed: no kernel depends on
+  // them.
+  void check(const Model& model);
+
+ private:
+  const char* solver_;
+  Reads reads_;
+  std::array<ArrayStamp, 5> known_;
+};
+
+}  // namespace novaphy

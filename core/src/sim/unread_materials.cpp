@@ -1,0 +1,46 @@
+#include "novaphy/core/sim/unread_materials.h"
+
+#include "novaphy/core/error.h"
+#include "novaphy/core/recorder.h"
+#include "novaphy/core/sim/shape_config.h"
+
+namespace novaphy {
+namespace {
+
+std::string shape_name(const Model& model, size_t shape) {
+  const std::string number = std::to_string(shape);
+  if (shape >= model.shape_label.size() || model.shape_label[shape].empty()) return number;
+  return number + " (" + model.shape_label[shape] + ")";
+}
+
+}  // namespace
+
+void UnreadMaterials::check(const Model& model) {
+  struct Setting {
+    const char* name;
+    const DeviceArray<float>& array;
+    float by_default;
+    bool is_read;
+  };
+  const ShapeConfig d;
+  const Setting settings[] = {
+      {"kf", model.shape_material_kf, d.kf, reads_.kf},
+      {"ka", model.shape_material_ka, d.ka, reads_.ka},
+      {"restitution", model.shape_material_restitution, d.restitution, false},
+      {"mu_torsional", model.shape_material_mu_torsional, d.mu_torsional, false},
+      {"mu_rolling", model.shape_material_mu_rolling, d.mu_rolling, false}};
+  for (size_t k = 0; k < known_.size(); ++k) {
+    const Setting& setting = settings[k];
+    if (setting.is_read || setting.array.rows() == 0 || known_[k].matches(setting.array)) continue;
+    const Unobserved unobserved;
+    const std::vector<float> values = setting.array.to_host();
+    for (size_t s = 0; s < values.size(); ++s)
+      require(values[s] == setting.by_default, ErrorKind::NotImplemented, solver_, ": shape ",
+              shape_name(model, s), ": ShapeConfig.", setting.name, " (model.shape_material_",
+              setting.name, "): expected the default ", setting.by_default,
+              ", because this solver does not read it, got ", values[s]);
+    known_[k].set(setting.array);
+  }
+}
+
+}  // namespace novaphy

@@ -1,0 +1,66 @@
+// Differentiable penalty joints: a kernel over the joints, which writes what every joint does to
+// the bodies that it holds (penalty_joint_trace.h), and a sum over the bodies in the order of the
+// joints, the parent's side before the child's. Compiled into novaphy::dynamics where nova is
+// built.
+//
+// What each input's gradient is:
+//   body_q, body_qd                                                     exact
+//   joint_f, joint_target_q, joint_target_qd (the control's or the model's)   exact
+//   model: joint_target_ke, _kd, joint_limit_ke, _kd, _lower, _upper, joint_damping,
+//       joint_effort_limit, joint_X_p, joint_X_c, joint_axis, body_com  exact, of the branch taken
+//   joint_attach_ke, _kd, types, modes, joint_enabled                   none
+#pragma once
+
+#include <memory>
+
+#include "novaphy/core/array_stamp.h"
+#include "novaphy/core/sim/control.h"
+#include "novaphy/core/sim/model.h"
+#include "novaphy/dynamics/export.h"
+#include "novaphy/nova/incidence.h"
+#include "novaphy/nova/kernel.h"
+
+namespace novaphy {
+class JointForces;
+}
+
+namespace novaphy::diff {
+
+// Keeps tables from call to call; one thread at a time may use it.
+class NOVAPHY_DYNAMICS_API DiffJoints {
+ public:
+  // N/m and N*m/rad; N*s/m, and 0.01 of it N*m*s/rad.
+  struct Attach {
+    float ke = 1.0e4f, kd = 1.0e2f;
+  };
+  // ErrorKind::NotImplemented: what penalty joints do not cover; ErrorKind::Value: a bad
+  // attachment. Both name the array.
+  DiffJoints(const Model& model, const Attach& attach);
+  ~DiffJoints();
+  DiffJoints(DiffJoints&&) noexcept;
+  DiffJoints& operator=(DiffJoints&&) noexcept;
+
+  // What the steps of a call have in common. FREE joints count where a force acts along them: in
+  // the model, or in `control` (null: none). ErrorKind::Value: dt is above the stable step of a
+  // joint; ErrorKind::Index: a body that is not there; ErrorKind::NotImplemented: not on the cpu.
+  void begin(const Model& model, const Control* control, float dt);
+  // False: no joint exerts a force.
+  bool act() const { return act_; }
+  // {b, 6}: `body_f` plus what the joints do, into `sum`. `wrenches` {2 joints, 6} is scratch.
+  void add(const Model& model, const Control* control, const nova::Operand& body_q,
+           const nova::Operand& body_qd, const nova::Operand& body_f, const nova::Operand& wrenches,
+           const nova::Operand& sum);
+
+ private:
+  void find_tables(const Model& model);
+
+  Attach attach_;
+  bool act_ = false;
+  std::unique_ptr<JointForces> checks_;
+  ArrayStamp type_, parent_, child_, enabled_;
+  DeviceArray<int32_t> sides_, layout_, dofs_, coordinates_;
+  nova::Incidence sides_of_bodies_;
+  const nova::Kernel* kernel_ = nullptr;
+};
+
+}  // namespace novaphy::diff

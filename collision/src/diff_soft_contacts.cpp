@@ -142,7 +142,7 @@ void WorldRows::check_shapes(const Model& model) {
     return;
   // The model is no part of what a capture records, so these host reads are legal there too.
   const Unobserved unobserved;
-  detail::check_static_shapes(model);
+  shapes_ = detail::check_static_shapes(model);
   covered_type_.set(model.shape_type);
   covered_flags_.set(model.shape_flags);
   covered_body_.set(model.shape_body);
@@ -223,21 +223,26 @@ std::vector<nova::Param> static_shape_params(const Model& model, float soft_cont
   return params;
 }
 
-void check_static_shapes(const Model& model) {
-  if (model.particle_count() == 0) return;
+Shapes check_static_shapes(const Model& model) {
+  Shapes shapes = Shapes::Simple;
+  if (model.particle_count() == 0) return shapes;
   const std::vector<int32_t> type = model.shape_type.to_host(), flags = model.shape_flags.to_host(),
                              body = model.shape_body.to_host();
   for (size_t s = 0; s < type.size(); ++s) {
     if (!(flags[s] & static_cast<int32_t>(ShapeFlags::COLLIDE_PARTICLES))) continue;
     const auto t = static_cast<GeoType>(type[s]);
-    const bool covered = body[s] < 0 && (t == GeoType::PLANE || t == GeoType::BOX ||
+    const bool round = t == GeoType::CYLINDER || t == GeoType::CONE || t == GeoType::ELLIPSOID;
+    const bool covered = body[s] < 0 && (round || t == GeoType::PLANE || t == GeoType::BOX ||
                                          t == GeoType::SPHERE || t == GeoType::CAPSULE);
-    require(covered, ErrorKind::NotImplemented, "shape ", s,
-            ": static contacts cover world-owned planes, boxes, spheres and capsules");
+    require(covered, ErrorKind::NotImplemented, "shape ", s, " (", geo_type_name(t),
+            "): static contacts cover world-owned planes, boxes, spheres, capsules, cylinders, "
+            "cones and ellipsoids");
+    if (round) shapes = Shapes::All;
   }
+  return shapes;
 }
 
-Vec3<Real> static_shape_term(TraceContext& c, Worlds worlds, const Vec3<Real>& x,
+Vec3<Real> static_shape_term(TraceContext& c, Worlds worlds, Shapes shapes, const Vec3<Real>& x,
                              const Vec3<Real>& v, const Real& radius, int32_t first_param) {
   const Int shape = worlds == Worlds::Several ? c.i32(c.source("pair_shape")) : c.reduce_index();
   auto of_shape = [&](const char* name, int32_t column = 0) {
@@ -250,9 +255,12 @@ Vec3<Real> static_shape_term(TraceContext& c, Worlds worlds, const Vec3<Real>& x
   const Vec3<Real> scale{of_shape("shape_scale", 0), of_shape("shape_scale", 1),
                          of_shape("shape_scale", 2)};
   auto is = [&](GeoType wanted) { return type == Int(static_cast<int32_t>(wanted)); };
-  const StaticShapeType<Bool> shape_type{is(GeoType::BOX), is(GeoType::SPHERE),
-                                         is(GeoType::CAPSULE)};
-  const StaticContact<Real> contact = static_shape_contact(shape_type, xform, scale, x);
+  const StaticShapeType<Bool> shape_type{is(GeoType::BOX),     is(GeoType::SPHERE),
+                                         is(GeoType::CAPSULE), is(GeoType::CYLINDER),
+                                         is(GeoType::CONE),    is(GeoType::ELLIPSOID)};
+  const StaticContact<Real> contact =
+      shapes == Shapes::All ? static_shape_contact<true>(shape_type, xform, scale, x)
+                            : static_shape_contact<false>(shape_type, xform, scale, x);
   const SoftContactMaterial<Real> shape_material{
       of_shape("shape_material_ke"), of_shape("shape_material_kd"), of_shape("shape_material_kf"),
       of_shape("shape_material_mu")};
@@ -277,7 +285,8 @@ Vec3<Real> static_shape_term(TraceContext& c, Worlds worlds, const Vec3<Real>& x
 
 namespace {
 
-nova::Kernel make_static_contact_kernel(const char* name, detail::Worlds worlds) {
+nova::Kernel make_static_contact_kernel(const char* name, detail::Worlds worlds,
+                                        detail::Shapes shapes) {
   std::vector<nova::SourceSpec> sources = {{"particle_q", DType::F32, 3, Access::Direct},
                                            {"particle_qd", DType::F32, 3, Access::Direct},
                                            {"particle_f", DType::F32, 3, Access::Direct},
@@ -292,10 +301,10 @@ nova::Kernel make_static_contact_kernel(const char* name, detail::Worlds worlds)
              return std::vector{f.x, f.y, f.z};
            },
        .body =
-           [worlds](TraceContext& c) {
+           [worlds, shapes](TraceContext& c) {
              const Vec3<Real> term = detail::static_shape_term(
-                 c, worlds, detail::load_vec3(c, "particle_q"), detail::load_vec3(c, "particle_qd"),
-                 c.f32(c.source("particle_radius")), 0);
+                 c, worlds, shapes, detail::load_vec3(c, "particle_q"),
+                 detail::load_vec3(c, "particle_qd"), c.f32(c.source("particle_radius")), 0);
              const Bool active = (c.i32(c.source("particle_flags")) & Int(1)) != Int(0);
              const Real none = -0.0f;
              const Vec3<Real> acting = math::select(active, term, Vec3<Real>{none, none, none});
@@ -304,20 +313,27 @@ nova::Kernel make_static_contact_kernel(const char* name, detail::Worlds worlds)
        .epilogue = {}});
 }
 
-const nova::Kernel& static_contact_kernel(detail::Worlds worlds) {
-  using detail::Worlds;
-  static const nova::Kernel one = nova::with_one_gradient_set(make_static_contact_kernel(
-                                "static_particle_shape_contact_forces", Worlds::One)),
-                            several = nova::with_one_gradient_set(make_static_contact_kernel(
-                                "static_particle_shape_contact_forces_of_worlds", Worlds::Several));
-  return worlds == detail::Worlds::Several ? several : one;
+const nova::Kernel& static_contact_kernel(detail::Worlds worlds, detail::Shapes shapes) {
+  using detail::Shapes, detail::Worlds;
+  static const nova::Kernel
+      one = nova::with_one_gradient_set(make_static_contact_kernel(
+          "static_particle_shape_contact_forces", Worlds::One, Shapes::Simple)),
+      several = nova::with_one_gradient_set(make_static_contact_kernel(
+          "static_particle_shape_contact_forces_of_worlds", Worlds::Several, Shapes::Simple)),
+      one_all = make_static_contact_kernel("static_particle_all_shape_contact_forces", Worlds::One,
+                                           Shapes::All),
+      several_all = make_static_contact_kernel("static_particle_all_shape_contact_forces_of_worlds",
+                                               Worlds::Several, Shapes::All);
+  if (shapes == Shapes::All) return worlds == Worlds::Several ? several_all : one_all;
+  return worlds == Worlds::Several ? several : one;
 }
 
 }  // namespace
 
 void detail::add_contact_kernels(std::vector<nova::EngineKernel>& list) {
-  for (const nova::Kernel& k : {soft_contact_kernel(), static_contact_kernel(Worlds::One),
-                                static_contact_kernel(Worlds::Several)})
+  for (const nova::Kernel& k :
+       {soft_contact_kernel(), static_contact_kernel(Worlds::One, Shapes::Simple),
+        static_contact_kernel(Worlds::Several, Shapes::Simple)})
     list.push_back({k, k.gradients()});
 }
 
@@ -330,7 +346,7 @@ void eval_static_contact_forces(const Model& model, const WorldRows& rows,
                              nova::operand_of(model.particle_radius),
                              nova::operand_of(model.particle_flags)};
   for (const Operand& o : detail::static_shape_operands(model, rows)) in.push_back(o);
-  static_contact_kernel(detail::worlds_of(model))
+  static_contact_kernel(detail::worlds_of(model), rows.shapes())
       .launch(particle_q.rows, in, {&forces, 1}, detail::static_shape_options(model, rows, params));
 }
 

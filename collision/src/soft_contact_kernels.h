@@ -35,6 +35,9 @@ inline SurfaceDistance<float> surface_distance(const SoftContactShape& shape, co
   if (shape.type == GeoType::BOX) return box_distance(x, shape.scale);
   if (shape.type == GeoType::SPHERE) return sphere_distance(x, shape.scale.x);
   if (shape.type == GeoType::CAPSULE) return capsule_distance(x, shape.scale.x, shape.scale.y);
+  if (shape.type == GeoType::CYLINDER) return cylinder_distance(x, shape.scale.x, shape.scale.y);
+  if (shape.type == GeoType::CONE) return cone_distance(x, shape.scale.x, shape.scale.y);
+  if (shape.type == GeoType::ELLIPSOID) return ellipsoid_distance(x, shape.scale);
   return plane_distance(x, shape.scale.x, shape.scale.y);
 }
 

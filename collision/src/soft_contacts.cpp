@@ -31,12 +31,13 @@ void check_covered_shape(int32_t index, int32_t body, int32_t bodies, GeoType ty
   require(body >= -1 && body < bodies, ErrorKind::Index, "CollisionPipeline: model.shape_body[",
           index, "]: expected -1 to ", bodies - 1, ", got ", body);
   const bool covered = type == GeoType::PLANE || type == GeoType::BOX || type == GeoType::SPHERE ||
-                       type == GeoType::CAPSULE || type == GeoType::MESH ||
-                       type == GeoType::CONVEX_MESH;
+                       type == GeoType::CAPSULE || type == GeoType::CYLINDER ||
+                       type == GeoType::CONE || type == GeoType::ELLIPSOID ||
+                       type == GeoType::MESH || type == GeoType::CONVEX_MESH;
   require(covered, ErrorKind::NotImplemented, "CollisionPipeline: shape ", index, " has type ",
           geo_type_name(type), " (", static_cast<int32_t>(type),
-          "); particles meet only PLANE, BOX, SPHERE, CAPSULE, MESH and CONVEX_MESH yet "
-          "(ShapeConfig.has_particle_collision)");
+          "); particles meet only PLANE, BOX, SPHERE, CAPSULE, CYLINDER, CONE, ELLIPSOID, MESH and "
+          "CONVEX_MESH (ShapeConfig.has_particle_collision)");
 }
 
 }  // namespace

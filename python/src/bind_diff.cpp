@@ -68,8 +68,8 @@ void bind_operators(py::module_& m) {
       "eval_static_particle_shape_contact_forces_generated",
       &diff::eval_static_particle_shape_contact_forces_generated, "model"_a, "particle_q"_a,
       "particle_qd"_a, "particle_f"_a, "soft_contact_margin"_a = 0.0f, release_gil(),
-      "particle_f {n, 3} plus the forces (N) of all world-owned planes, boxes, spheres and "
-      "capsules at the true distance. "
+      "particle_f {n, 3} plus the forces (N) of all world-owned planes, boxes, spheres, capsules, "
+      "cylinders, cones and ellipsoids at the true distance. "
       "Exact gradients for positions, velocities, forces, radii and materials; shapes carry none.");
   m.def("integrate_particles_generated", &diff::integrate_particles_generated, "model"_a,
         "particle_q"_a, "particle_qd"_a, "particle_f"_a, "dt"_a, release_gil(),

@@ -250,10 +250,10 @@ TEST(CollisionPipeline, RefusesShapesThatItDoesNotCover) {
   type[2] = static_cast<int32_t>(GeoType::HFIELD);  // lets particles through: nothing to cover
   model->shape_type.copy_from_host(type);
   EXPECT_NO_THROW(pipeline.collide(state, contacts));
-  type[3] = static_cast<int32_t>(GeoType::CONE);
+  type[3] = static_cast<int32_t>(GeoType::HFIELD);
   model->shape_type.copy_from_host(type);
   EXPECT_ERROR(pipeline.collide(state, contacts), ErrorKind::NotImplemented,
-               "shape 3 has type CONE");
+               "shape 3 has type HFIELD");
 }
 
 // Asks for the contacts once more while they are being searched, as another thread would.

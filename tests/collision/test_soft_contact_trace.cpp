@@ -205,7 +205,7 @@ TEST(StaticShapeContact, SelectsTheTypeAndMapsToTheWorld) {
     const Vec3f local = to_shape_frame(pose, x);
     const auto expect = [&](const StaticShapeType<bool>& type,
                             const SurfaceDistance<float>& surface) {
-      const auto all = static_shape_contact(type, xform, scale, x);
+      const auto all = static_shape_contact<true>(type, xform, scale, x);
       const auto one = static_contact_record(xform, pose, local, surface);
       EXPECT_TRUE(same(all.point, one.point) && same(all.normal, one.normal));
       EXPECT_EQ(all.distance, one.distance);
@@ -214,7 +214,48 @@ TEST(StaticShapeContact, SelectsTheTypeAndMapsToTheWorld) {
     expect({.is_box = true}, box_distance(local, scale));
     expect({.is_sphere = true}, sphere_distance(local, scale.x));
     expect({.is_capsule = true}, capsule_distance(local, scale.x, scale.y));
+    expect({.is_cylinder = true}, cylinder_distance(local, scale.x, scale.y));
+    expect({.is_cone = true}, cone_distance(local, scale.x, scale.y));
+    expect({.is_ellipsoid = true}, ellipsoid_distance(local, scale));
     expect({}, plane_distance(local, scale.x, scale.y));
+    const StaticShapeType<bool> box = {.is_box = true};
+    EXPECT_TRUE(same(static_shape_contact<false>(box, xform, scale, x).point,
+                     static_shape_contact<true>(box, xform, scale, x).point));
+  }
+}
+
+// No point of the surface is nearer than the one that is named, and that is on the surface.
+TEST(EllipsoidDistance, IsThatOfTheNearestPoint) {
+  std::mt19937 random(12);
+  std::uniform_real_distribution<float> uniform(-1.3f, 1.3f);
+  constexpr int kSteps = 180;
+  for (const Vec3f& h : {Vec3f{0.6f, 0.4f, 0.8f}, Vec3f{0.5f, 0.5f, 0.5f}, Vec3f{0.2f, 0.2f, 1.0f},
+                         Vec3f{1.0f, 1.0f, 0.05f}}) {
+    for (int i = 0; i < 60; ++i) {
+      Vec3f x = {uniform(random) * h.x, uniform(random) * h.y, uniform(random) * h.z};
+      if (i % 6 == 1) x.z = 0.0f;
+      if (i % 6 == 2) x.x = x.y = 0.0f;
+      if (i == 0) x = {};
+      const SurfaceDistance<float> found = ellipsoid_distance(x, h);
+      EXPECT_NEAR(math::length(found.normal), 1.0f, 1e-6f);
+      const Vec3f y = x - found.normal * found.distance;
+      const double on = std::pow(y.x / h.x, 2) + std::pow(y.y / h.y, 2) + std::pow(y.z / h.z, 2);
+      EXPECT_NEAR(on, 1.0, 2e-5);
+      const double inside =
+          std::pow(x.x / h.x, 2) + std::pow(x.y / h.y, 2) + std::pow(x.z / h.z, 2);
+      EXPECT_EQ(inside < 1.0, found.distance < 0.0f);
+      double nearest = 1e9;
+      for (int a = 0; a <= kSteps; ++a) {
+        for (int b = 0; b < 2 * kSteps; ++b) {
+          const double polar = M_PI * a / kSteps, turn = M_PI * b / kSteps;
+          nearest = std::min(nearest, std::hypot(h.x * std::sin(polar) * std::cos(turn) - x.x,
+                                                 h.y * std::sin(polar) * std::sin(turn) - x.y,
+                                                 h.z * std::cos(polar) - x.z));
+        }
+      }
+      EXPECT_LE(std::abs(found.distance), nearest + 2e-6);
+      EXPECT_NEAR(std::abs(found.distance), nearest, 4e-3);  // between the samples
+    }
   }
 }
 

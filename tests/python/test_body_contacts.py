@@ -398,6 +398,9 @@ SHAPES = [
     ("box", {"hx": 0.1, "hy": 0.12, "hz": 0.1}),
     ("sphere", {"radius": 0.1}),
     ("capsule", {"radius": 0.08, "half_height": 0.1}),
+    ("cylinder", {"radius": 0.09, "half_height": 0.1}),
+    ("cone", {"radius": 0.12, "half_height": 0.1}),
+    ("ellipsoid", {"rx": 0.12, "ry": 0.09, "rz": 0.1}),
 ]
 
 
@@ -417,8 +420,9 @@ def test_a_particle_and_a_body_exchange_their_momentum(shape, friction):
         x, v = (getattr(state, a).numpy()[0].astype(float) for a in ("particle_q", "particle_qd"))
         turn = rotation(q[3:])
         spin = turn @ inertia @ turn.T @ qd[3:]
+        centre = q[:3] + turn @ model.body_com.numpy()[0]
         linear = m * qd[:3] + m_p * v
-        return linear, spin + m * np.cross(q[:3], qd[:3]) + m_p * np.cross(x, v)
+        return linear, spin + m * np.cross(centre, qd[:3]) + m_p * np.cross(x, v)
 
     before, after = momenta(trajectory[0]), momenta(trajectory[300])
     assert np.abs(trajectory[300].body_qd.numpy()).max() > 0.05

@@ -12,7 +12,7 @@ nova = pytest.importorskip("novaphy.nova")
 solvers = novaphy.solvers
 
 CONFIG = {"enable_static_contacts": True}
-BOX, CYLINDER = int(novaphy.GeoType.BOX), int(novaphy.GeoType.CYLINDER)
+BOX, MESH = int(novaphy.GeoType.BOX), int(novaphy.GeoType.MESH)
 
 
 def resting_box():
@@ -27,7 +27,7 @@ def resting_box():
 
 @pytest.mark.parametrize(
     ("array", "value"),
-    [("shape_type", [1, CYLINDER]), ("shape_body", [-1, -1]), ("shape_contact_pairs", None)],
+    [("shape_type", [1, MESH]), ("shape_body", [-1, -1]), ("shape_contact_pairs", None)],
 )
 def test_a_graph_refuses_to_run_after_its_pairs_of_bodies_changed(array, value):
     model, solver = resting_box()
@@ -68,7 +68,7 @@ def test_a_solver_asks_again_whether_the_shapes_are_covered():
     trajectory = diff.Trajectory(model, 1)
     solver.rollout(trajectory, None, None, 1e-2)
     assert trajectory[1].particle_qd.numpy()[0, 0] > 0.1
-    model.shape_type.assign(np.int32([CYLINDER]))
+    model.shape_type.assign(np.int32([MESH]))
     with pytest.raises(NotImplementedError, match="shape 0"):
         solver.rollout(trajectory, None, None, 1e-2)
     model.shape_type.assign(np.int32([BOX]))

@@ -10,6 +10,7 @@
 
 namespace novaphy::diff {
 
+using detail::Shapes;
 using detail::Worlds;
 using nova::Access;
 using nova::DType;
@@ -82,7 +83,7 @@ nova::EpilogueFn integrate_sums(Worlds worlds) {
 }
 
 // Static contacts and integration of one substep.
-nova::Kernel make_fused_kernel(const char* name, Worlds worlds) {
+nova::Kernel make_fused_kernel(const char* name, Worlds worlds, Shapes shapes) {
   std::vector<nova::SourceSpec> sources = integration_sources(worlds);
   sources.push_back({"particle_radius", DType::F32, 1, Access::Direct});
   for (const nova::SourceSpec& s : detail::static_shape_sources(worlds)) sources.push_back(s);
@@ -90,10 +91,10 @@ nova::Kernel make_fused_kernel(const char* name, Worlds worlds) {
       name, sources, kOutputs,
       {.init = load_force,
        .body =
-           [worlds](TraceContext& c) {
+           [worlds, shapes](TraceContext& c) {
              const Vec3<Real> term = detail::static_shape_term(
-                 c, worlds, detail::load_vec3(c, "particle_q"), detail::load_vec3(c, "particle_qd"),
-                 c.f32(c.source("particle_radius")), kDt + 1);
+                 c, worlds, shapes, detail::load_vec3(c, "particle_q"),
+                 detail::load_vec3(c, "particle_qd"), c.f32(c.source("particle_radius")), kDt + 1);
              return std::vector{term.x, term.y, term.z};
            },
        .epilogue = integrate_sums(worlds)}));
@@ -124,12 +125,24 @@ struct Kernels {
 const Kernels& kernels(Worlds worlds) {
   static const Kernels one = {
       make_integrate_kernel("integrate_particles", Worlds::One),
-      make_fused_kernel("integrate_particles_with_static_contacts", Worlds::One),
+      make_fused_kernel("integrate_particles_with_static_contacts", Worlds::One, Shapes::Simple),
       make_step_kernel("step_particles", Worlds::One)};
   static const Kernels several = {
       make_integrate_kernel("integrate_particles_of_worlds", Worlds::Several),
-      make_fused_kernel("integrate_particles_with_static_contacts_of_worlds", Worlds::Several),
+      make_fused_kernel("integrate_particles_with_static_contacts_of_worlds", Worlds::Several,
+                        Shapes::Simple),
       make_step_kernel("step_particles_of_worlds", Worlds::Several)};
+  return worlds == Worlds::Several ? several : one;
+}
+
+// With static contacts: not built ahead where there are shapes of all types.
+const nova::Kernel& fused_kernel(Worlds worlds, Shapes shapes) {
+  if (shapes == Shapes::Simple) return kernels(worlds).fused;
+  static const nova::Kernel one = make_fused_kernel("integrate_particles_with_all_static_contacts",
+                                                    Worlds::One, Shapes::All),
+                            several = make_fused_kernel(
+                                "integrate_particles_with_all_static_contacts_of_worlds",
+                                Worlds::Several, Shapes::All);
   return worlds == Worlds::Several ? several : one;
 }
 
@@ -202,8 +215,8 @@ void step_particles_with_static_contacts(const Model& model, const WorldRows& ro
   for (const nova::Param& p : detail::static_shape_params(model, soft_contact_margin))
     params.push_back(p);
   const Operand out[] = {q_out, qd_out};
-  kernels(detail::worlds_of(model))
-      .fused.launch(particle_q.rows, in, out, detail::static_shape_options(model, rows, params));
+  fused_kernel(detail::worlds_of(model), rows.shapes())
+      .launch(particle_q.rows, in, out, detail::static_shape_options(model, rows, params));
 }
 
 std::pair<Tensor, Tensor> integrate_particles_generated(const Model& model,

@@ -43,7 +43,8 @@ struct CollisionOptions {
 // d from the particle's centre to the surface is
 //   d < (soft_contact_margin + shape_margin) + particle_radius
 // with the closest point of the surface and the normal there (collision/diff_soft_contact_trace.h).
-// Planes, boxes, spheres, capsules, convex hulls and meshes of the world and of bodies
+// Planes, boxes, spheres, capsules, cylinders, cones, ellipsoids, convex hulls and meshes of the
+// world and of bodies
 // (geometry/point_distance.h; of a mesh, what is behind its nearest triangle is inside); others
 // throw ErrorKind::NotImplemented. The geometry of a record carries no gradient. A particle whose
 // position is NaN meets nothing.

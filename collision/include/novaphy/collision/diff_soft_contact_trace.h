@@ -25,7 +25,8 @@
 //            whose derivative is returned: kf by vt where |(mu*c)*ke| > 0, else nothing.
 //   kf*|vt| = |(mu*c)*ke|   the Coulomb side; |.| has derivative +1 at 0.
 //   The normal jumps on a box's faces, edges and symmetry planes (box_distance), at the centre of
-//   a sphere and on the axis of a capsule (sphere_distance, capsule_distance).
+//   a sphere and on the axis of a capsule (sphere_distance, capsule_distance), on edges, axis and
+//   apex of a cylinder and a cone, and on the planes of symmetry within an ellipsoid.
 // Gradient: exact in x, v_p, R, p, v_s, n, ke, kd, kf, mu away from these. `a` only chooses and
 // passes nothing.
 //
@@ -184,14 +185,129 @@ SurfaceDistance<T> plane_distance(const Vec3<T>& x, const T& width, const T& len
   return {select(beside, length(away), inside), select(beside, normalize(away), inside_normal)};
 }
 
+// From the half plane of a solid of revolution about z back to space: the direction (along, up) at
+// x; towards +x on the axis.
+template <class T>
+Vec3<T> meridian_direction(const Vec3<T>& x, const T& along, const T& up) {
+  using namespace math;
+  const T square = x.x * x.x + x.y * x.y;
+  const auto off_axis = square > T(0.0f);
+  const T l = sqrt(select(off_axis, square, T(1.0f)));
+  return {select(off_axis, along * (x.x / l), along), select(off_axis, along * (x.y / l), T(0.0f)),
+          up};
+}
+
+// Cylinder along z. Inside, the nearer of side and cap counts, of both the cap; on the axis the
+// side is towards +x.
+template <class T>
+SurfaceDistance<T> cylinder_distance(const Vec3<T>& x, const T& radius, const T& half_height) {
+  using namespace math;
+  const T zero = T(0.0f), one = T(1.0f);
+  const T side = sqrt(x.x * x.x + x.y * x.y) - radius;
+  const T cap = abs(x.z) - half_height, up = sign(x.z);
+  const auto inside = both(side <= zero, cap <= zero);
+  const auto by_side = side > cap;
+  const T rho = max(side, zero), z = max(cap, zero);
+  const T square = select(inside, one, rho * rho + z * z);
+  const T l = sqrt(square);
+  const T along = select(inside, select(by_side, one, zero), rho / l);
+  const T height = select(inside, select(by_side, zero, up), (z / l) * up);
+  return {select(inside, select(by_side, side, cap), l), meridian_direction(x, along, height)};
+}
+
+// Cone along z: the base (radius) at -half_height, the apex at +half_height. Inside, the nearer of
+// side and base counts, of both the base; on the axis the side is towards +x, at the apex the
+// normal is -x, on the rim -z.
+template <class T>
+SurfaceDistance<T> cone_distance(const Vec3<T>& x, const T& radius, const T& half_height) {
+  using namespace math;
+  const T zero = T(0.0f), one = T(1.0f);
+  const T rho = sqrt(x.x * x.x + x.y * x.y), height = T(2.0f) * half_height;
+  const T slant = sqrt(radius * radius + height * height);
+  // Along and across the generator from the rim to the apex, seen from the rim.
+  const T r = rho - radius, z = x.z + half_height;
+  const T across = (r * height + z * radius) / slant;
+  const T along = (z * height - r * radius) / slant;
+  const Vec3<T> down = {zero, zero, T(-1.0f)};
+  const SurfaceDistance<T> side = {across, meridian_direction(x, height / slant, radius / slant)};
+  const SurfaceDistance<T> base = {-z, down};
+  // The apex as a point, and the rim or what is below the base.
+  const Vec3<T> d = {x.x, x.y, x.z - half_height};
+  const T square = (d.x * d.x + d.y * d.y) + d.z * d.z;
+  const auto off_apex = square > zero;
+  const T l = sqrt(select(off_apex, square, one));
+  const T away = select(off_apex, l, zero);
+  const Vec3<T> out = {select(off_apex, d.x / l, T(-1.0f)), select(off_apex, d.y / l, zero),
+                       select(off_apex, d.z / l, zero)};
+  const T over = max(r, zero), rim_square = over * over + z * z;
+  const auto off_rim = rim_square > zero;
+  const T rim = sqrt(select(off_rim, rim_square, one));
+  const SurfaceDistance<T> below = {
+      select(off_rim, rim, zero),
+      select(off_rim, meridian_direction(x, over / rim, z / rim), down)};
+  const auto inside = both(across <= zero, z >= zero);
+  const auto by_side =
+      either(both(inside, across > -z),
+             both(negate(inside), both(both(along >= zero, along <= slant), across > zero)));
+  const auto by_apex = along > slant;
+  return {select(by_side, side.distance,
+                 select(inside, base.distance, select(by_apex, away, below.distance))),
+          select(by_side, side.normal,
+                 select(inside, base.normal, select(by_apex, out, below.normal)))};
+}
+
+// Ellipsoid of half axes h: the nearest point y_i = h_i^2 x_i / (t + h_i^2), with t from
+// sum (h_i x_i / (t + h_i^2))^2 = 1 by Newton's method on the root of the sum, from below (J. J.
+// More, D. C. Sorensen, Computing a Trust Region Step, 1983). Coordinates below 1e-6 of their half
+// axis count as that much, so that a nearest point is chosen on the planes of symmetry, too.
+template <class T>
+SurfaceDistance<T> ellipsoid_distance(const Vec3<T>& x, const Vec3<T>& h) {
+  using namespace math;
+  constexpr int kIterations = 8;
+  const T one = T(1.0f), shortest = min(h.x, min(h.y, h.z)), base = shortest * shortest;
+  const T xs[3] = {x.x, x.y, x.z}, hs[3] = {h.x, h.y, h.z};
+  T at[3], excess[3], u[3];  // |x_i|, h_i^2 - base, h_i |x_i|
+  for (int i = 0; i < 3; ++i) {
+    at[i] = max(abs(xs[i]), T(1e-6f) * hs[i]);
+    excess[i] = (hs[i] - shortest) * (hs[i] + shortest);
+    u[i] = hs[i] * at[i];
+  }
+  // s = t + base, without the cancellation of t.
+  const auto improve = [&](const T& s, const T(&v)[3]) {
+    T sum = T(0.0f), slope = T(0.0f);
+    for (int i = 0; i < 3; ++i) {
+      const T inverse = one / (s + excess[i]), p = v[i] * inverse, square = p * p;
+      sum = sum + square;
+      slope = slope + square * inverse;
+    }
+    return s + (sum / slope) * (sqrt(sum) - one);
+  };
+  T fixed[3];
+  for (int i = 0; i < 3; ++i) fixed[i] = detach(u[i]);
+  T s = max(fixed[0] - detach(excess[0]),
+            max(fixed[1] - detach(excess[1]), fixed[2] - detach(excess[2])));
+  for (int k = 0; k < kIterations; ++k) s = detach(improve(s, fixed));
+  s = improve(s, u);  // whose derivative at the root is that of the root
+  T y[3], n[3];
+  for (int i = 0; i < 3; ++i) {
+    const T share = u[i] / (s + excess[i]);  // y_i / h_i
+    const T side = select(xs[i] < T(0.0f), -one, one);
+    y[i] = side * (hs[i] * share);
+    n[i] = side * (share / hs[i]);
+  }
+  const Vec3<T> normal = normalize(Vec3<T>{n[0], n[1], n[2]});
+  return {dot(normal, x - Vec3<T>{y[0], y[1], y[2]}), normal};
+}
+
 // Which type a static shape is: bool, or nova::Bool in a trace. None set means a plane.
 template <class B>
 struct StaticShapeType {
-  B is_box{}, is_sphere{}, is_capsule{};
+  B is_box{}, is_sphere{}, is_capsule{}, is_cylinder{}, is_cone{}, is_ellipsoid{};
 };
 
 // Signed distance and normal in the frame of a shape of any covered type; `scale` as GeoType says.
-template <class B, class T>
+// `Round`: of a cylinder, a cone and an ellipsoid too.
+template <bool Round, class B, class T>
 SurfaceDistance<T> static_shape_distance(const StaticShapeType<B>& type, const Vec3<T>& scale,
                                          const Vec3<T>& x) {
   using namespace math;
@@ -199,12 +315,26 @@ SurfaceDistance<T> static_shape_distance(const StaticShapeType<B>& type, const V
   const SurfaceDistance<T> sphere = sphere_distance(x, scale.x);
   const SurfaceDistance<T> capsule = capsule_distance(x, scale.x, scale.y);
   const SurfaceDistance<T> plane = plane_distance(x, scale.x, scale.y);
-  return {select(type.is_box, box.distance,
-                 select(type.is_sphere, sphere.distance,
-                        select(type.is_capsule, capsule.distance, plane.distance))),
-          select(type.is_box, box.normal,
-                 select(type.is_sphere, sphere.normal,
-                        select(type.is_capsule, capsule.normal, plane.normal)))};
+  const SurfaceDistance<T> flat = {
+      select(type.is_box, box.distance,
+             select(type.is_sphere, sphere.distance,
+                    select(type.is_capsule, capsule.distance, plane.distance))),
+      select(type.is_box, box.normal,
+             select(type.is_sphere, sphere.normal,
+                    select(type.is_capsule, capsule.normal, plane.normal)))};
+  if constexpr (!Round) {
+    return flat;
+  } else {
+    const SurfaceDistance<T> cylinder = cylinder_distance(x, scale.x, scale.y);
+    const SurfaceDistance<T> cone = cone_distance(x, scale.x, scale.y);
+    const SurfaceDistance<T> ellipsoid = ellipsoid_distance(x, scale);
+    return {select(type.is_cylinder, cylinder.distance,
+                   select(type.is_cone, cone.distance,
+                          select(type.is_ellipsoid, ellipsoid.distance, flat.distance))),
+            select(type.is_cylinder, cylinder.normal,
+                   select(type.is_cone, cone.normal,
+                          select(type.is_ellipsoid, ellipsoid.normal, flat.normal)))};
+  }
 }
 
 // A contact record of a world-owned shape, world frame: what the force law takes.
@@ -237,12 +367,13 @@ StaticContact<T> static_contact_record(const Transform<T>& xform, const Transfor
 
 // All of it: the record of particle position `x` (world) with a world-owned shape at `xform`. A
 // contact exists where distance < (gap + margin) + radius.
-template <class B, class T>
+template <bool Round, class B, class T>
 StaticContact<T> static_shape_contact(const StaticShapeType<B>& type, const Transform<T>& xform,
                                       const Vec3<T>& scale, const Vec3<T>& x) {
   const Transform<T> pose = static_shape_pose(xform);
   const Vec3<T> x_local = to_shape_frame(pose, x);
-  return static_contact_record(xform, pose, x_local, static_shape_distance(type, scale, x_local));
+  return static_contact_record(xform, pose, x_local,
+                               static_shape_distance<Round>(type, scale, x_local));
 }
 
 }  // namespace novaphy

@@ -24,6 +24,12 @@
 
 namespace novaphy::diff {
 
+namespace detail {
+// Whether a kernel serves cylinders, cones and ellipsoids besides planes, boxes, spheres and
+// capsules, which cost less without them.
+enum class Shapes { Simple, All };
+}  // namespace detail
+
 // Of a model of several worlds: the shapes that each particle may meet (candidate_pairs.h), as rows
 // of a table. A model of one world needs none: each particle may meet each shape.
 class NOVAPHY_DYNAMICS_API WorldRows {
@@ -35,19 +41,21 @@ class NOVAPHY_DYNAMICS_API WorldRows {
   void update(const Model& model, bool with_shapes);
   const nova::Operand& shape() const { return shape_; }  // of each pair
   const nova::Incidence& pairs_of_particles() const { return pairs_of_particles_; }
+  detail::Shapes shapes() const { return shapes_; }
 
  private:
   void check_shapes(const Model& model);
   ArrayStamp particle_world_, shape_world_, shape_flags_;
   ArrayStamp covered_type_, covered_flags_, covered_body_;  // the shapes that were checked
+  detail::Shapes shapes_ = detail::Shapes::Simple;
   nova::Operand shape_;
   nova::Incidence pairs_of_particles_;
 };
 
-// particle_f {n, 3} plus the forces of all world-owned plane, box, sphere and capsule shapes,
-// evaluated at the true distance: {n, 3}, N. A shape acts where a contact would be detected within
-// soft_contact_margin (m) and the law says so. Tensors of the model's particle count, tightly
-// packed float32 (ErrorKind::Type, ErrorKind::Value).
+// particle_f {n, 3} plus the forces of all world-owned plane, box, sphere, capsule, cylinder, cone
+// and ellipsoid shapes, evaluated at the true distance: {n, 3}, N. A shape acts where a contact
+// would be detected within soft_contact_margin (m) and the law says so. Tensors of the model's
+// particle count, tightly packed float32 (ErrorKind::Type, ErrorKind::Value).
 NOVAPHY_DYNAMICS_API nova::Tensor eval_static_particle_shape_contact_forces_generated(
     const Model& model, const nova::Tensor& particle_q, const nova::Tensor& particle_qd,
     const nova::Tensor& particle_f, float soft_contact_margin = 0.0f);
@@ -92,15 +100,15 @@ std::vector<nova::SourceSpec> static_shape_sources(Worlds worlds);
 std::vector<nova::Operand> static_shape_operands(const Model& model, const WorldRows& rows);
 nova::LaunchOptions static_shape_options(const Model& model, const WorldRows& rows,
                                          std::span<const nova::Param> params);
-Vec3<nova::Real> static_shape_term(nova::TraceContext& c, Worlds worlds, const Vec3<nova::Real>& x,
-                                   const Vec3<nova::Real>& v, const nova::Real& radius,
-                                   int32_t first_param);
+Vec3<nova::Real> static_shape_term(nova::TraceContext& c, Worlds worlds, Shapes shapes,
+                                   const Vec3<nova::Real>& x, const Vec3<nova::Real>& v,
+                                   const nova::Real& radius, int32_t first_param);
 // The parameters that static_shape_term reads: contact material of the model, adhesion, margin.
 std::vector<nova::Param> static_shape_params(const Model& model, float soft_contact_margin);
 inline constexpr int32_t kStaticShapeParams = 6;
 // ErrorKind::NotImplemented unless every particle-colliding shape is world-owned and of a covered
-// type.
-void check_static_shapes(const Model& model);
+// type. Returns whether there are cylinders, cones or ellipsoids.
+Shapes check_static_shapes(const Model& model);
 // Shape checks shared by the operators: {n, 3} float32 on the model's device.
 void check_particle_tensor(const Model& model, const nova::Tensor& tensor, const char* op,
                            const char* name);

@@ -22,10 +22,10 @@ struct DiffSolverConfig {
   bool enable_triangles = false;
   bool enable_springs = false;
   bool enable_bending = false;
-  // Contacts of particles with world-owned planes, boxes, spheres and capsules at their true
-  // distance in every substep, instead of those of a Contacts (which must then be null). Their
-  // gradient follows the closest point and the normal. Likewise of bodies with infinite planes of
-  // the world (diff_rigid_bodies.h).
+  // Contacts of particles with world-owned planes, boxes, spheres, capsules, cylinders, cones and
+  // ellipsoids at their true distance in every substep, instead of those of a Contacts (which must
+  // then be null). Their gradient follows the closest point and the normal. Likewise of bodies with
+  // infinite planes of the world (diff_rigid_bodies.h).
   bool enable_static_contacts = false;
   float static_contact_margin = 0.0f;  // m, >= 0: how far a static contact is looked for
   bool enable_rigid = true;            // bodies move

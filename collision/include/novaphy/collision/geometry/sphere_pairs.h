@@ -9,6 +9,7 @@
 // Frame of the solid, which is B; the sphere is A and the normal points from A to B. m.
 #pragma once
 
+#include "novaphy/collision/diff_soft_contact_trace.h"
 #include "novaphy/collision/geometry/clip_manifold.h"
 
 namespace novaphy::geometry {
@@ -39,46 +40,13 @@ inline SolidPoint point_to_box(const Vec3f& x, const Vec3f& h) {
           unit_axis(axis, math::sign(component(x, axis)))};
 }
 
-// From the half plane back to space: radial direction of x, or +x on the axis.
-inline Vec3f meridian_vector(const Vec3f& x, float rho, float z) {
-  const float l = math::sqrt(x.x * x.x + x.y * x.y);
-  if (!(l > 0.0f)) return {rho, 0.0f, z};
-  return {rho * (x.x / l), rho * (x.y / l), z};
-}
-
 inline SolidPoint point_to_cylinder(const Vec3f& x, float radius, float half_height) {
-  const float side = math::sqrt(x.x * x.x + x.y * x.y) - radius;
-  const float cap = math::abs(x.z) - half_height, up = math::sign(x.z);
-  if (side <= 0.0f && cap <= 0.0f) {
-    if (side > cap) return {side, meridian_vector(x, 1.0f, 0.0f)};
-    return {cap, {0.0f, 0.0f, up}};
-  }
-  const float rho = math::max(side, 0.0f), z = math::max(cap, 0.0f);
-  const float l = math::sqrt(rho * rho + z * z);
-  return {l, meridian_vector(x, rho / l, (z / l) * up)};
+  const SurfaceDistance<float> p = cylinder_distance(x, radius, half_height);
+  return {p.distance, p.normal};
 }
-
 inline SolidPoint point_to_cone(const Vec3f& x, float radius, float half_height) {
-  const float rho = math::sqrt(x.x * x.x + x.y * x.y), height = 2.0f * half_height;
-  const float slant = math::sqrt(radius * radius + height * height);
-  // Along and across the generator from the rim (radius, -half_height) to the apex (0, half_height)
-  const float r = rho - radius, z = x.z + half_height;
-  const float across = (r * height + z * radius) / slant;
-  const float along = (z * height - r * radius) / slant;
-  if (across <= 0.0f && z >= 0.0f) {
-    if (across > -z) return {across, meridian_vector(x, height / slant, radius / slant)};
-    return {-z, {0.0f, 0.0f, -1.0f}};
-  }
-  if (along >= 0.0f && along <= slant && across > 0.0f)
-    return {across, meridian_vector(x, height / slant, radius / slant)};
-  if (along > slant) {
-    const SolidPoint apex = point_to_centre(x - Vec3f{0.0f, 0.0f, half_height});
-    return apex;
-  }
-  const float out = math::max(r, 0.0f);  // the rim, or below the base
-  const float l = math::sqrt(out * out + z * z);
-  if (!(l > 0.0f)) return {0.0f, {0.0f, 0.0f, -1.0f}};
-  return {l, meridian_vector(x, out / l, z / l)};
+  const SurfaceDistance<float> p = cone_distance(x, radius, half_height);
+  return {p.distance, p.normal};
 }
 
 inline bool has_closed_point_distance(GeoType type) {

@@ -160,14 +160,17 @@ void DiffSemiImplicitSolver::check_overflow(const Contacts& contacts) {
 }
 
 void DiffSemiImplicitSolver::begin(const char* function, const Control* control,
-                                   const Contacts* contacts, bool found, float dt) {
+                                   const Contacts* contacts, bool found, bool of_this_state,
+                                   float dt) {
   materials_.check(*model());
   check_contacts(function, contacts, found);
   particles_.begin(*model(), function);
   if (moves_bodies()) bodies_.begin(*model());
   if (joints_) joints_->begin(*model(), control, dt);
   if (contacts != nullptr) {
-    tables_.update(*model(), *contacts, wanted_tables());
+    ContactTables::Wanted wanted = wanted_tables();
+    wanted.of_this_state = of_this_state;
+    tables_.update(*model(), *contacts, wanted);
   } else {
     tables_ = {};
   }
@@ -182,7 +185,7 @@ void DiffSemiImplicitSolver::step(SimState& state_in, SimState& state_out, const
   const ExclusiveUse::Scope scope = use(name);
   check_step(name, state_in, state_out, control, contacts, dt);
   if (!moves_particles() && !moves_bodies()) return;
-  begin(name, control, contacts, false, dt);
+  begin(name, control, contacts, false, true, dt);
   if (nova::Tape::active() != nullptr) make_leaves(state_in);
   if (moves_particles())
     particles_.run(*model(), state_in, state_out, control, contacts, tables_, dt);
@@ -217,7 +220,7 @@ bool DiffSemiImplicitSolver::begin_rollout(const RolloutInputs& inputs) {
     if (t > inputs.start() && inputs.control(t) == acting) continue;
     acting = inputs.control(t);
     begin("DiffSemiImplicitSolver.rollout", acting, inputs.contacts(), inputs.pipeline() != nullptr,
-          inputs.dt());
+          false, inputs.dt());
     if (joints_ && joints_->act()) break;
   }
   return true;

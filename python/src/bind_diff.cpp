@@ -13,6 +13,7 @@
 #include "novaphy/diff/rigid_losses.h"
 #include "novaphy/diff/tensor_views.h"
 #include "novaphy/diff/trajectory.h"
+#include "novaphy/dynamics/semi_implicit/contact_gradients.h"
 #include "novaphy/dynamics/semi_implicit/diff_elements.h"
 #include "novaphy/dynamics/semi_implicit/diff_particles.h"
 #include "novaphy/dynamics/semi_implicit/diff_rigid_bodies.h"
@@ -64,6 +65,19 @@ void bind_views(py::module_& m) {
 }
 
 void bind_operators(py::module_& m) {
+  m.def(
+      "rigid_contact_gradient_labels",
+      [](const Model& model, const SimState& state, const Contacts& contacts) {
+        py::list labels;
+        for (const bool exact : exact_contact_gradients(model, state, contacts))
+          labels.append(exact ? "exact" : "frozen");
+        return labels;
+      },
+      "model"_a, "state"_a, "contacts"_a,
+      "Of each row of rigid_contact_*, found from the state: \"exact\" where "
+      "DiffSemiImplicitSolver follows points and normal with the poses of both bodies, \"frozen\" "
+      "where the points stay in the frames of their bodies and the normal in the world. "
+      "ValueError: a state or contacts of another model.");
   m.def(
       "eval_static_particle_shape_contact_forces_generated",
       &diff::eval_static_particle_shape_contact_forces_generated, "model"_a, "particle_q"_a,
@@ -433,7 +447,9 @@ void bind_solver(py::module_& solvers) {
       "On an active tape they are recorded on the states' own arrays. Gradients: positions, "
       "velocities, forces, masses, "
       "radii, gravity, contact materials, activations, materials, rest lengths and rest angles of "
-      "elements are exact; points and normals of recorded contacts are frozen. "
+      "elements are exact; points and normals of contacts are frozen, but for those between bodies "
+      "that "
+      "were found from the state of the step, see diff.rigid_contact_gradient_labels. "
       "Forces left in "
       "state_in.particle_f are for reading: clear_forces() before the state is used again.");
   solver

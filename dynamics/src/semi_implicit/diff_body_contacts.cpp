@@ -5,7 +5,9 @@
 #include "novaphy/collision/diff_soft_contact_trace.h"
 #include "novaphy/collision/diff_soft_contacts.h"
 #include "novaphy/core/error.h"
+#include "novaphy/core/sim/enums.h"
 #include "novaphy/dynamics/diff_operators.h"
+#include "novaphy/dynamics/semi_implicit/contact_turning_trace.h"
 #include "novaphy/dynamics/semi_implicit/rigid_contact_trace.h"
 #include "novaphy/nova/op_list.h"
 #include "novaphy/nova/tape.h"
@@ -47,7 +49,23 @@ std::vector<Real> list(const Vec3<Real>& a, const Vec3<Real>& b) {
   return {a.x, a.y, a.z, b.x, b.y, b.z};
 }
 
-std::vector<Real> rigid_wrenches(TraceContext& c) {
+Vec3<Real> constant(const Vec3<Real>& v) { return {detach(v.x), detach(v.y), detach(v.z)}; }
+
+// Shapes carry no gradient.
+ContactShape<Bool, Real> load_shape(TraceContext& c, const Int& shape) {
+  const Int type = c.i32(c.source("shape_type"), shape, 0);
+  const auto is = [&](GeoType wanted) { return type == Int(static_cast<int32_t>(wanted)); };
+  const Transform<Real> x = Columns(c, "shape_transform", &shape).transform();
+  return {is(GeoType::PLANE),
+          is(GeoType::SPHERE),
+          is(GeoType::CAPSULE),
+          is(GeoType::BOX),
+          {constant(x.p), {detach(x.q.x), detach(x.q.y), detach(x.q.z), detach(x.q.w)}},
+          constant(Columns(c, "shape_scale", &shape).vec3())};
+}
+
+// `follow`: points and normals follow the bodies.
+std::vector<Real> rigid_wrenches(TraceContext& c, bool follow) {
   const size_t bodies = c.source("bodies");
   const auto side = [&](int32_t k, const char* point, const char* margin) {
     const ContactBody body = load_body(c, c.i32(bodies, k));
@@ -55,30 +73,50 @@ std::vector<Real> rigid_wrenches(TraceContext& c) {
                                   Columns(c, margin)[0]};
   };
   const Int shape0 = c.i32(c.source("shape0")), shape1 = c.i32(c.source("shape1"));
+  const RigidContactSide<Real> a = side(0, "point0", "margin0"), b = side(1, "point1", "margin1");
+  const Vec3<Real> normal = Columns(c, "normal").vec3();
+  const Vec3<Real> at_a = math::transform_point(a.pose, a.point),
+                   at_b = math::transform_point(b.pose, b.point);
+  TurningContact<Bool, Real> at;
+  at.a = at_a;
+  at.b = at_b;
+  at.normal = normal;
+  if (follow)
+    at = turning_contact(contact_feature_of(load_shape(c, shape0), a.pose, a.point, at_b, normal),
+                         contact_feature_of(load_shape(c, shape1), b.pose, b.point, at_a, normal),
+                         normal);
   const RigidContactForce<Real> f =
-      rigid_contact_force(FrictionLaw::Huber, side(0, "point0", "margin0"),
-                          side(1, "point1", "margin1"), Columns(c, "normal").vec3(),
-                          mean_rigid_contact_material(detail::load_material(c, shape0),
-                                                      detail::load_material(c, shape1)),
-                          c.param(0));
+      rigid_contact_force_at(FrictionLaw::Huber, a, b, at.a, at.b, at.normal,
+                             mean_rigid_contact_material(detail::load_material(c, shape0),
+                                                         detail::load_material(c, shape1)),
+                             c.param(0));
   std::vector<Real> out = list(-f.force, -math::cross(f.arm_a, f.force));
   for (const Real& x : list(f.force, math::cross(f.arm_b, f.force))) out.push_back(x);
   return out;
 }
 
-const nova::Kernel& rigid_kernel() {
-  static const nova::Kernel kernel = [] {
-    std::vector<nova::SourceSpec> sources = {
-        {"bodies", DType::I32, 2, Access::Direct},  {"shape0", DType::I32, 1, Access::Direct},
-        {"shape1", DType::I32, 1, Access::Direct},  {"point0", DType::F32, 3, Access::Direct},
-        {"point1", DType::F32, 3, Access::Direct},  {"margin0", DType::F32, 1, Access::Direct},
-        {"margin1", DType::F32, 1, Access::Direct}, {"normal", DType::F32, 3, Access::Direct}};
-    sources.insert(sources.end(), kBodySources.begin(), kBodySources.end());
-    for (const nova::SourceSpec& s : detail::material_sources()) sources.push_back(s);
-    return nova::with_one_gradient_set(
-        nova::make_kernel("rigid_contact_wrenches", sources, {{"wrench", 12}}, rigid_wrenches));
-  }();
-  return kernel;
+nova::Kernel make_rigid_kernel(const char* name, bool follow) {
+  std::vector<nova::SourceSpec> sources = {
+      {"bodies", DType::I32, 2, Access::Direct},  {"shape0", DType::I32, 1, Access::Direct},
+      {"shape1", DType::I32, 1, Access::Direct},  {"point0", DType::F32, 3, Access::Direct},
+      {"point1", DType::F32, 3, Access::Direct},  {"margin0", DType::F32, 1, Access::Direct},
+      {"margin1", DType::F32, 1, Access::Direct}, {"normal", DType::F32, 3, Access::Direct}};
+  sources.insert(sources.end(), kBodySources.begin(), kBodySources.end());
+  for (const nova::SourceSpec& s : detail::material_sources()) sources.push_back(s);
+  if (follow)
+    for (const nova::SourceSpec& s :
+         {nova::SourceSpec{"shape_type", DType::I32, 1, Access::Indexed},
+          {"shape_transform", DType::F32, 7, Access::Indexed},
+          {"shape_scale", DType::F32, 3, Access::Indexed}})
+      sources.push_back(s);
+  return nova::with_one_gradient_set(
+      nova::make_kernel(name, sources, {{"wrench", 12}},
+                        [follow](TraceContext& c) { return rigid_wrenches(c, follow); }));
+}
+const nova::Kernel& rigid_kernel(bool follow) {
+  static const nova::Kernel following = make_rigid_kernel("rigid_contact_wrenches", true),
+                            held = make_rigid_kernel("held_rigid_contact_wrenches", false);
+  return follow ? following : held;
 }
 
 std::vector<Real> soft_forces(TraceContext& c) {
@@ -156,6 +194,7 @@ void sort(const Array& table, int64_t rows, nova::Incidence& sorted) {
 }  // namespace
 
 void ContactTables::update(const Model& model, const Contacts& contacts, const Wanted& wanted) {
+  of_this_state_ = wanted.of_this_state;
   if (!wanted.particles || contacts.soft_contact_max() == 0) {
     slots_of_particles_ = nullptr;
   } else if (const auto& range = contacts.soft_contact_particle.range();
@@ -188,6 +227,7 @@ void ContactTables::update(const Model& model, const Contacts& contacts, const W
 }
 
 void ContactTables::rebuild(const Model& model, const Contacts& contacts, const Wanted& wanted) {
+  of_this_state_ = wanted.of_this_state;
   if (wanted.particles && contacts.soft_contact_max() > 0)
     sort(contacts.soft_contact_particle, model.particle_count(), slots_of_particles_);
   rebuild_bodies(model, contacts, wanted);
@@ -221,8 +261,12 @@ void eval_rigid_contacts(const Model& m, const Contacts& c, const ContactTables&
                              body_qd,
                              nova::operand_of(m.body_com)};
   for (Operand& o : detail::material_operands(m)) in.push_back(std::move(o));
+  const bool follow = tables.of_this_state();
+  for (const Array* of_shapes :
+       std::initializer_list<const Array*>{&m.shape_type, &m.shape_transform, &m.shape_scale})
+    if (follow) in.push_back(nova::operand_of(*of_shapes));
   const nova::Param params[] = {friction_smoothing};
-  rigid_kernel().launch(wrenches.rows, in, {&wrenches, 1}, {.params = params});
+  rigid_kernel(follow).launch(wrenches.rows, in, {&wrenches, 1}, {.params = params});
 }
 
 void eval_soft_contacts(const Model& m, const Contacts& c, const ContactTables& tables,
@@ -257,7 +301,8 @@ void add_wrenches(const Operand& body_f, const Operand& wrenches, const nova::In
 }
 
 void detail::add_body_contact_kernels(std::vector<nova::EngineKernel>& list) {
-  for (const nova::Kernel& k : {rigid_kernel(), soft_kernel(), sum_kernel()})
+  for (const nova::Kernel& k :
+       {rigid_kernel(true), rigid_kernel(false), soft_kernel(), sum_kernel()})
     list.push_back({k, k.gradients()});
 }
 

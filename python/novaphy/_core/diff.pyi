@@ -1,11 +1,11 @@
 """Types of novaphy.diff."""
 
 from collections.abc import Iterator, Sequence
-from typing import Any, SupportsFloat, SupportsIndex
+from typing import Any, Literal, SupportsFloat, SupportsIndex
 
 from numpy.typing import NDArray
 
-from . import Control, Model, SimState, _Native
+from . import Contacts, Control, Model, SimState, _Native
 from .nova import Tensor
 
 def state_particle_q_tensor(state: SimState, requires_grad: bool = False) -> Tensor: ...
@@ -112,6 +112,9 @@ def integrate_rigid_bodies_with_static_contacts_generated(
 def body_twist_from_omega_generated(
     omega: Tensor, linear_x: SupportsFloat, linear_y: SupportsFloat, linear_z: SupportsFloat
 ) -> Tensor: ...
+def rigid_contact_gradient_labels(
+    model: Model, state: SimState, contacts: Contacts
+) -> list[Literal["exact", "frozen"]]: ...
 def rigid_orientation_velocity_loss_generated(
     body_q: Tensor,
     body_qd: Tensor,

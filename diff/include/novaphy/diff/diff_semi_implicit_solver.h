@@ -57,9 +57,12 @@ struct DiffSolverConfig {
 // Gradients: positions, velocities, applied forces, masses, radii, gravity, contact materials,
 // activations and all materials, rest lengths and rest angles of elements, and what diff_joints.h
 // lists of joints, are exact. Points and
-// normals of recorded contacts are frozen (collision is not differentiated here); those of static
-// contacts are exact. See diff_elements.h, diff_soft_contacts.h, diff_particles.h and, for bodies,
-// diff_rigid_bodies.h and diff_body_contacts.h.
+// normals of contacts of particles are frozen; those of static contacts are exact. Those between
+// bodies follow the poses where contact_gradients.h says so, if the contacts are found from the
+// state of the step: by `rollout` with a pipeline, and in `step`, whose contacts are taken to be
+// those of state_in. `rollout` with one Contacts for all steps holds them all, as it does forward.
+// See diff_elements.h, diff_soft_contacts.h, diff_particles.h and, for bodies, diff_rigid_bodies.h
+// and diff_body_contacts.h.
 //
 // Under `strict` a model whose elements would be left out is refused: the element kind must be
 // enabled, unless it exerts no force (all its stiffness, damping, drag and lift are 0 when the
@@ -104,7 +107,7 @@ class NOVAPHY_DIFF_API DiffSemiImplicitSolver : public DiffSolverBase {
   void check_contacts(const char* function, const Contacts* contacts, bool found) const;
   static void check_overflow(const Contacts& contacts);
   void begin(const char* function, const Control* control, const Contacts* contacts, bool found,
-             float dt);
+             bool of_this_state, float dt);
   bool moves_particles() const;
   bool moves_bodies() const;
   ContactTables::Wanted wanted_tables() const;

@@ -6,11 +6,12 @@
 // summed by atomics, forward or backward, and the bits are those of SolverSemiImplicit.
 //
 // What each input's gradient is:
-//   body_q, body_qd, body_f; particle_q, particle_qd, particle_f    through the forces: exact for
-//       the points as they are, which move with their bodies. Points (in the frames of their
-//       bodies) and normals (in the world) are frozen: collision is not differentiated. That is
-//       exact for a plane of the world and a point, sphere or end of a capsule of a body; elsewhere
-//       the turning of the normal is missing (docs/coverage.md)
+//   body_q, body_qd, body_f; particle_q, particle_qd, particle_f    through the forces: exact. The
+//       points and normals of planes, spheres, capsules and boxes follow both bodies
+//       (contact_turning_trace.h, contact_gradients.h says which rows); those of other shapes and
+//       of particles are frozen: the points stay in the frames of their bodies, the normals in the
+//       world (docs/coverage.md). Rows that were not found from the state of the step are all held
+//       so
 //   model: body_com, particle_radius, shape_material_ke, _kd, _kf, _mu    exact
 //   which contacts exist, shape_material_ka, particle_adhesion, smoothing    none
 #pragma once
@@ -32,6 +33,9 @@ class NOVAPHY_DYNAMICS_API ContactTables {
     bool particles = false;            // contacts of particles
     bool particles_on_bodies = false;  // of which some may touch bodies
     bool bodies = false;               // contacts of shapes
+    // They were found from the state of the step, so that their points and normals follow it; else
+    // they are held as they are.
+    bool of_this_state = true;
   };
   // From what the contacts hold, unless that is known already. Inside a capture the tables of
   // bodies are found anew by each replay. ErrorKind::Index where they name a particle that is not
@@ -47,11 +51,13 @@ class NOVAPHY_DYNAMICS_API ContactTables {
   const nova::Incidence& sides_of_bodies() const { return sides_of_bodies_; }
   const DeviceArray<int32_t>& soft_bodies() const { return soft_bodies_; }    // {slots}
   const DeviceArray<int32_t>& rigid_bodies() const { return rigid_bodies_; }  // {rows, 2}
+  bool of_this_state() const { return of_this_state_; }
 
  private:
   void rebuild_bodies(const Model& model, const Contacts& contacts, const Wanted& wanted);
   nova::Incidence slots_of_particles_, slots_of_bodies_, sides_of_bodies_;
   DeviceArray<int32_t> soft_bodies_, rigid_bodies_;
+  bool of_this_state_ = true;
   ArrayStamp soft_shape_, shape0_, shape1_, shape_body_;  // that the tables of bodies are made of
 };
 

@@ -119,20 +119,32 @@ Vec3<T> rigid_contact_law(FrictionLaw law, const Vec3<T>& n, const Vec3<T>& p_a,
   return select(d >= material.ka, Vec3<T>{zero, zero, zero}, force);
 }
 
+// At two points of the cores, world frame.
 template <class T>
-RigidContactForce<T> rigid_contact_force(FrictionLaw law, const RigidContactSide<T>& a,
-                                         const RigidContactSide<T>& b, const Vec3<T>& normal,
-                                         const RigidContactMaterial<T>& material,
-                                         const T& smoothing) {
+RigidContactForce<T> rigid_contact_force_at(FrictionLaw law, const RigidContactSide<T>& a,
+                                            const RigidContactSide<T>& b, const Vec3<T>& core_a,
+                                            const Vec3<T>& core_b, const Vec3<T>& normal,
+                                            const RigidContactMaterial<T>& material,
+                                            const T& smoothing) {
   using namespace math;
   const Vec3<T> n = -normal;
-  const Vec3<T> p_a = transform_point(a.pose, a.point) - n * a.margin;
-  const Vec3<T> p_b = transform_point(b.pose, b.point) + n * b.margin;
+  const Vec3<T> p_a = core_a - n * a.margin;
+  const Vec3<T> p_b = core_b + n * b.margin;
   const Vec3<T> arm_a = p_a - transform_point(a.pose, a.com);
   const Vec3<T> arm_b = p_b - transform_point(b.pose, b.com);
   const Vec3<T> u = (a.twist.linear + cross(a.twist.angular, arm_a)) -
                     (b.twist.linear + cross(b.twist.angular, arm_b));
   return {rigid_contact_law(law, n, p_a, p_b, u, material, smoothing), arm_a, arm_b};
+}
+
+template <class T>
+RigidContactForce<T> rigid_contact_force(FrictionLaw law, const RigidContactSide<T>& a,
+                                         const RigidContactSide<T>& b, const Vec3<T>& normal,
+                                         const RigidContactMaterial<T>& material,
+                                         const T& smoothing) {
+  return rigid_contact_force_at(law, a, b, math::transform_point(a.pose, a.point),
+                                math::transform_point(b.pose, b.point), normal, material,
+                                smoothing);
 }
 
 }  // namespace novaphy

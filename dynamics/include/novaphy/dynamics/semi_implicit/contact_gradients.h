@@ -1,0 +1,22 @@
+// Which rows of rigid contacts have an exact gradient by the poses of their bodies.
+#pragma once
+
+#include <vector>
+
+#include "novaphy/core/sim/contacts.h"
+#include "novaphy/core/sim/model.h"
+#include "novaphy/core/sim/sim_state.h"
+#include "novaphy/dynamics/export.h"
+
+namespace novaphy {
+
+// Of each row of rigid_contact_*, in their order, that was found from `state`: true where
+// DiffSemiImplicitSolver follows its points and normal with both bodies
+// (contact_turning_trace.h); false where they stay as they are, the points in the frames of their
+// bodies and the normal in the world. ErrorKind::Value: a state or contacts of another model;
+// ErrorKind::NotImplemented: not on the cpu.
+NOVAPHY_DYNAMICS_API std::vector<bool> exact_contact_gradients(const Model& model,
+                                                               const SimState& state,
+                                                               const Contacts& contacts);
+
+}  // namespace novaphy

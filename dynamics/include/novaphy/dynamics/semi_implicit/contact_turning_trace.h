@@ -1,0 +1,256 @@
+// How the points and the normal of a rigid contact move with the poses of its two bodies, where
+// that has a closed form: of planes, spheres, capsules and boxes.
+//
+// The search stores points of the cores in the frames of the bodies, and a normal in the world.
+// Which feature of its shape a point lies on is read off the point:
+//   sphere    the centre: a point              capsule   an end: a point; between: a line along z
+//   plane     a face                           box       on three faces: a point (corner), on two:
+//   a
+//                                              line (edge), on one: flat
+// Law (P, Q points that are fixed in A and B; U, V directions of lines, M normals of faces, all
+// turning with their bodies; n the normal from A to B):
+//   a plane, or a face of a box along which n is, or the face of two boxes (a box and a capsule)
+//   that leads where n is across an edge of each
+//       n is M, or along the product of the two edges. The point of the other shape is a corner, or
+//       where its line meets a side of the box, or where the edge between two sides of the box
+//       meets its face. That of the face is this one, moved along n onto the face
+//   points    P, Q,  n along Q - P
+//   point and line    the line's point is the nearest to the other
+//   lines     their nearest points, n along U x V (less parallel than 0.6 degrees)
+// Otherwise points stay fixed in their bodies and the normal in the world: frozen. So it is where
+// the normal is not that of this law (within 0.3 degrees). Of values: the stored points and normal
+// as they are; the law gives their derivatives only. Gradient: exact, by poses, as long as the
+// features stay the same; shapes carry none.
+//
+// Freestanding: T = float names what is exact, T = nova::Real is traced.
+#pragma once
+
+#include "novaphy/collision/geometry/clip_manifold.h"
+#include "novaphy/dynamics/semi_implicit/rigid_contact_trace.h"
+#include "novaphy/math/types.h"
+
+namespace novaphy {
+
+// B: bool or nova::Bool. None set: a shape of another type.
+template <class B, class T>
+struct ContactShape {
+  B is_plane{}, is_sphere{}, is_capsule{}, is_box{};
+  Transform<T> pose{};  // in its body
+  Vec3<T> scale{};      // as GeoType says
+};
+
+// Directions are unit vectors in the world.
+template <class B, class T>
+struct ContactFeature {
+  Vec3<T> point{};
+  B is_known{}, is_point{}, is_line{}, is_flat{};
+  Vec3<T> line{}, flat{};
+  // The face that looks along the normal: whether the normal is along it and the point on it; how
+  // far it looks along (cosine).
+  B is_along{}, is_on_face{};
+  Vec3<T> face{};
+  T cosine{};
+  // The point of the other shape, held by this one, and on which sides of that face it is.
+  Vec3<T> held{}, side{};
+  B has_side{}, has_corner{};
+  // The one edge (axis of a capsule) that the normal is across.
+  B has_across{};
+  Vec3<T> across{};
+};
+
+template <class B, class T>
+struct TurningContact {
+  Vec3<T> a{}, b{}, normal{};  // points of the cores, world
+  B is_exact{};
+};
+
+// Of the point of a shape; `other`: that of the other shape, in the world.
+template <class B, class T>
+ContactFeature<B, T> contact_feature_of(const ContactShape<B, T>& shape, const Transform<T>& body,
+                                        const Vec3<T>& body_point, const Vec3<T>& other,
+                                        const Vec3<T>& normal) {
+  using namespace math;
+  constexpr float kOn = 1e-4f, kZero = 1e-4f, kNearFace = 20.0f;
+  const T zero = T(0.0f), one = T(1.0f), half = T(0.5f);
+  const Transform<T> still = {
+      {detach(body.p.x), detach(body.p.y), detach(body.p.z)},
+      {detach(body.q.x), detach(body.q.y), detach(body.q.z), detach(body.q.w)}};
+  const Vec3<T> there = {detach(other.x), detach(other.y), detach(other.z)};
+  const Vec3<T> body_other = transform_point(inverse(still), there);
+  const Transform<T> to_shape = inverse(shape.pose);
+  const Vec3<T> x = transform_point(to_shape, body_point),
+                y = transform_point(to_shape, body_other);
+  const Quat<T> turn = multiply(body.q, shape.pose.q);
+  const Vec3<T> n = rotate_inverse(turn, normal), m = {abs(n.x), abs(n.y), abs(n.z)};
+  const Vec3<T> h = shape.scale;
+  const T size = max(h.x, max(h.y, h.z)) * T(kOn);
+  const auto flag = [&](const auto& is) { return select(is, one, zero); };
+  // 1 for each face of a box that a point is on.
+  const auto on = [&](const T& at, const T& extent) {
+    return flag(both(shape.is_box, abs(abs(at) - extent) <= size));
+  };
+  const Vec3<T> faces = {on(x.x, h.x), on(x.y, h.y), on(x.z, h.z)};
+  const Vec3<T> others = {on(y.x, h.x), on(y.y, h.y), on(y.z, h.z)};
+  // 1 for the axis of the face that looks along the normal.
+  const auto first = both(m.x >= m.y, m.x >= m.z), second = m.y >= m.z;
+  const Vec3<T> looks = {flag(first), flag(both(negate(first), second)),
+                         flag(both(negate(first), negate(second)))};
+  const Vec3<T> sides = {others.x * (one - looks.x), others.y * (one - looks.y),
+                         others.z * (one - looks.z)};
+  const Vec3<T> none = {flag(m.x < T(kZero)), flag(m.y < T(kZero)), flag(m.z < T(kZero))};
+  const auto sum = [](const Vec3<T>& v) { return (v.x + v.y) + v.z; };
+  const auto is = [&](const T& count, float number) { return abs(count - T(number)) < half; };
+  const T count = sum(faces);
+  const Vec3<T> up = {zero, zero, one};
+  const auto at_end = abs(x.z) >= h.y - (h.x + h.y) * T(kOn);
+  const auto world = [&](const Vec3<T>& v) { return rotate(turn, v); };
+  ContactFeature<B, T> f;
+  f.point = transform_point(body, body_point);
+  f.is_known =
+      either(either(shape.is_plane, shape.is_sphere), either(shape.is_capsule, shape.is_box));
+  f.is_point = either(either(shape.is_sphere, both(shape.is_capsule, at_end)),
+                      both(shape.is_box, is(count, 3.0f)));
+  f.is_line = either(both(shape.is_capsule, negate(at_end)), both(shape.is_box, is(count, 2.0f)));
+  f.is_flat = both(shape.is_box, is(count, 1.0f));
+  f.line =
+      world(select(shape.is_capsule, up, Vec3<T>{one - faces.x, one - faces.y, one - faces.z}));
+  f.flat = world(faces);
+  f.is_along = either(shape.is_plane, both(shape.is_box, is(sum(none), 2.0f)));
+  const T off = abs((abs(dot(x, looks)) - dot(h, looks)));
+  f.is_on_face = either(shape.is_plane, both(shape.is_box, off <= size * T(kNearFace)));
+  f.face = world(select(shape.is_plane, up, looks));
+  f.cosine = select(f.is_on_face, select(shape.is_plane, T(2.0f), dot(m, looks)), -one);
+  f.held = transform_point(body, body_other);
+  f.side = world(sides);
+  f.has_side = is(sum(sides), 1.0f);
+  f.has_corner = is(sum(sides), 2.0f);
+  f.has_across =
+      either(both(shape.is_box, is(sum(none), 1.0f)), both(shape.is_capsule, none.z > half));
+  f.across = world(select(shape.is_capsule, up, none));
+  return f;
+}
+
+namespace contact_turning_detail {
+
+template <class T>
+T nonzero(const T& x, const T& least) {
+  using namespace math;
+  return select(abs(x) > least, x, T(1.0f));
+}
+template <class T>
+T side_of(const Vec3<T>& v, const Vec3<T>& normal) {
+  using namespace math;
+  return select(dot(v, normal) < T(0.0f), T(-1.0f), T(1.0f));
+}
+template <class T>
+Vec3<T> derivative_of(const Vec3<T>& value, const Vec3<T>& live) {
+  using namespace math;
+  const T one = T(1.0f);
+  return {with_derivative(detach(value.x), live.x, one),
+          with_derivative(detach(value.y), live.y, one),
+          with_derivative(detach(value.z), live.z, one)};
+}
+
+template <class T>
+Vec3<T> unit_along(const Vec3<T>& v, const Vec3<T>& normal) {
+  using namespace math;
+  const T square = dot(v, v);
+  const Vec3<T> unit = v / sqrt(select(square > T(1e-12f), square, T(1.0f)));
+  return unit * side_of(unit, normal);
+}
+
+// The points of a face and of the other shape, with the normal n.
+template <class B, class T>
+struct FaceContact {
+  Vec3<T> of_face{}, of_other{};
+  B is_exact{};
+};
+template <class B, class T>
+FaceContact<B, T> face_contact(const ContactFeature<B, T>& face, const ContactFeature<B, T>& other,
+                               const Vec3<T>& n) {
+  using namespace math;
+  const T least = T(1e-3f);
+  const T into_side = dot(face.side, other.line), into_flat = dot(other.flat, face.face),
+          into_face = dot(face.face, n);
+  const auto at_side = both(both(other.is_line, face.has_side), abs(into_side) > least);
+  const auto at_corner = both(both(other.is_flat, face.has_corner), abs(into_flat) > least);
+  const Vec3<T> on_line = other.point + other.line * (dot(face.side, face.held - other.point) /
+                                                      nonzero(into_side, least));
+  const Vec3<T> on_flat = face.held + face.face * (dot(other.flat, other.point - face.held) /
+                                                   nonzero(into_flat, least));
+  FaceContact<B, T> c;
+  c.of_other = select(at_side, on_line, select(at_corner, on_flat, other.point));
+  // The two edges that n is across are not as far apart as the line is above the face.
+  const T own = dot(cross(face.face, face.side), face.across),
+          theirs = dot(other.line, other.across);
+  const auto edges = both(both(at_side, both(face.has_across, other.has_across)),
+                          both(abs(own) > T(0.99f), abs(theirs) > T(0.99f)));
+  const Vec3<T> on_edge = face.held - face.face * dot(face.face, face.held - face.point);
+  const T above = select(edges, dot(n, c.of_other - on_edge),
+                         dot(face.face, c.of_other - face.point) / nonzero(into_face, least));
+  c.of_face = c.of_other - n * above;
+  c.is_exact = either(other.is_point, either(at_side, at_corner));
+  return c;
+}
+
+}  // namespace contact_turning_detail
+
+template <class B, class T>
+TurningContact<B, T> turning_contact(const ContactFeature<B, T>& a, const ContactFeature<B, T>& b,
+                                     const Vec3<T>& normal) {
+  using namespace math;
+  namespace d = contact_turning_detail;
+  const T one = T(1.0f), close = T(0.99999f);
+  const auto known = both(a.is_known, b.is_known);
+  const auto face_leads = [&](const ContactFeature<B, T>& f) {
+    return both(known, both(f.is_along, f.is_on_face));
+  };
+  const auto along_a = face_leads(a), along_b = both(negate(face_leads(a)), face_leads(b));
+
+  // Points and lines.
+  const auto points = both(a.is_point, b.is_point), to_line = both(a.is_point, b.is_line),
+             from_line = both(a.is_line, b.is_point);
+  const T cosine = dot(a.line, b.line), part = one - cosine * cosine;
+  const auto across = [&](const Vec3<T>& line) { return abs(dot(line, normal)) < T(3e-4f); };
+  const auto lines =
+      both(both(both(a.is_line, b.is_line), part > T(1e-4f)), both(across(a.line), across(b.line)));
+  const Vec3<T> apart = a.point - b.point;
+  const T on_line_a = dot(a.line, apart), on_line_b = dot(b.line, apart);
+  const T whole = select(lines, part, one);
+  const T at_a = select(lines, (cosine * on_line_b - on_line_a) / whole, -on_line_a);
+  const T at_b = select(lines, (on_line_b - cosine * on_line_a) / whole, on_line_b);
+  const Vec3<T> on_a = select(either(from_line, lines), a.point + a.line * at_a, a.point);
+  const Vec3<T> on_b = select(either(to_line, lines), b.point + b.line * at_b, b.point);
+  const Vec3<T> between = select(lines, cross(a.line, b.line), on_b - on_a);
+  const Vec3<T> n = d::unit_along(between, normal);
+  const auto features = both(both(known, negate(either(along_a, along_b))),
+                             either(either(points, lines), either(to_line, from_line)));
+  const auto by_features = both(features, dot(n, normal) > close);
+
+  // Faces.
+  const Vec3<T> product = d::unit_along(cross(a.across, b.across), normal);
+  const auto by_product = both(both(known, both(a.has_across, b.has_across)),
+                               both(both(negate(either(along_a, along_b)), negate(by_features)),
+                                    dot(product, normal) > close));
+  const auto b_leads = b.cosine > a.cosine + T(geometry::kFacePreference);
+  const auto leads_a = both(by_product, both(negate(b_leads), a.is_on_face)),
+             leads_b = both(by_product, both(b_leads, b.is_on_face));
+  const Vec3<T> normal_a = select(along_a, a.face * d::side_of(a.face, normal), product);
+  const Vec3<T> normal_b = select(along_b, b.face * d::side_of(b.face, normal), product);
+  const auto face_a = d::face_contact(a, b, normal_a), face_b = d::face_contact(b, a, normal_b);
+  const auto by_a = either(along_a, leads_a), by_b = either(along_b, leads_b);
+
+  const auto choose = [&](const Vec3<T>& with_a, const Vec3<T>& with_b,
+                          const Vec3<T>& with_features, const Vec3<T>& frozen) {
+    return select(by_a, with_a, select(by_b, with_b, select(by_features, with_features, frozen)));
+  };
+  TurningContact<B, T> c;
+  c.a = d::derivative_of(a.point, choose(face_a.of_face, face_b.of_other, on_a, a.point));
+  c.b = d::derivative_of(b.point, choose(face_a.of_other, face_b.of_face, on_b, b.point));
+  c.normal = d::derivative_of(normal, choose(normal_a, normal_b, n, normal));
+  c.is_exact =
+      either(either(both(by_a, face_a.is_exact), both(by_b, face_b.is_exact)), by_features);
+  return c;
+}
+
+}  // namespace novaphy

@@ -94,6 +94,12 @@ def test_a_box_is_pushed_to_its_mark_and_a_drone_flown_to_its_waypoint():
         assert done.returncode == 0 and done.stdout.rstrip().endswith("ok"), done.stdout
 
 
+def test_a_double_pendulum_is_thrown_through_its_mark():
+    pytest.importorskip("novaphy.diff")
+    done = demo("pendulum", "--headless", "60", "--check-grad")
+    assert done.returncode == 0 and done.stdout.rstrip().endswith("ok"), done.stdout + done.stderr
+
+
 def test_the_pile_of_hulls_stays_in_the_bowl():
     script = DEMOS.parent / "demo_rigid_meshes.py"
     done = subprocess.run(

@@ -19,6 +19,9 @@
   X(body_mass)                 \
   X(body_inertia)              \
   X(body_com)                  \
+  X(joint_target_ke)           \
+  X(joint_target_kd)           \
+  X(joint_damping)             \
   X(gravity) X(shape_material_ke) X(shape_material_kd) X(shape_material_kf) X(shape_material_mu)
 // X(name, field): views of arrays over elements, without the prefix of the field.
 #define NOVAPHY_ELEMENT_VIEWS(X)                     \
@@ -33,7 +36,10 @@
   X(edge_rest_angle, particle_edge_rest_angle)
 #define NOVAPHY_CONTROL_VIEWS(X)             \
   X(tet_activation, particle_tet_activation) \
-  X(tri_activation, particle_tri_activation)
+  X(tri_activation, particle_tri_activation) \
+  X(joint_f, joint_f)                        \
+  X(joint_target_q, joint_target_q)          \
+  X(joint_target_qd, joint_target_qd)
 
 namespace novaphy::diff {
 
@@ -59,8 +65,10 @@ NOVAPHY_MODEL_VIEWS(NOVAPHY_DECLARE_MODEL_VIEW)
 NOVAPHY_ELEMENT_VIEWS(NOVAPHY_DECLARE_ELEMENT_VIEW)
 #undef NOVAPHY_DECLARE_ELEMENT_VIEW
 
-// control_tet_activation_tensor(control): {tet_count}, control_tri_activation_tensor: {tri_count}.
-// The activations of a step come from its control; without one they are the model's.
+// control_tet_activation_tensor(control): {tet_count}, control_tri_activation_tensor: {tri_count};
+// control_joint_f_tensor, control_joint_target_qd_tensor: {joint_dof_count},
+// control_joint_target_q_tensor: {joint_coord_count}. What a step reads of these comes from its
+// control; without one it is the model's.
 #define NOVAPHY_DECLARE_CONTROL_VIEW(name, field)                               \
   NOVAPHY_DIFF_API nova::Tensor control_##name##_tensor(const Control& control, \
                                                         bool requires_grad = false);

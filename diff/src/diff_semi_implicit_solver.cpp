@@ -4,6 +4,7 @@
 #include <cmath>
 #include <initializer_list>
 #include <string>
+#include <utility>
 
 #include "novaphy/core/error.h"
 #include "novaphy/dynamics/diff_model_reads.h"
@@ -35,6 +36,29 @@ BodyStepOptions body_options(const DiffSolverConfig& config) {
   return {.static_contacts = config.enable_static_contacts && config.enable_rigid_contacts,
           .angular_damping = config.angular_damping,
           .friction_smoothing = huber_smoothing(config)};
+}
+
+// Arrays that the steps read, or would have to, and that no gradient reaches.
+void check_leaves(const Model& m) {
+  const std::initializer_list<std::pair<const char*, const Array*>> without = {
+      {"shape_transform", &m.shape_transform},
+      {"shape_scale", &m.shape_scale},
+      {"shape_margin", &m.shape_margin},
+      {"shape_gap", &m.shape_gap},
+      {"shape_material_ka", &m.shape_material_ka},
+      {"shape_material_restitution", &m.shape_material_restitution},
+      {"shape_material_mu_torsional", &m.shape_material_mu_torsional},
+      {"shape_material_mu_rolling", &m.shape_material_mu_rolling},
+      {"joint_armature", &m.joint_armature},
+      {"joint_friction", &m.joint_friction},
+      {"joint_velocity_limit", &m.joint_velocity_limit}};
+  for (const auto& [name, array] : without) {
+    const nova::GradInfo* info =
+        array->rows() != 0 ? nova::find_grad_info(*array->range()) : nullptr;
+    require(info == nullptr || !info->requires_grad, ErrorKind::NotImplemented,
+            "DiffSemiImplicitSolver: model.", name,
+            ": expected requires_grad False, because no gradient reaches it, got True");
+  }
 }
 
 ParticleStepOptions step_options(const DiffSolverConfig& config) {
@@ -163,6 +187,7 @@ void DiffSemiImplicitSolver::begin(const char* function, const Control* control,
                                    const Contacts* contacts, bool found, bool of_this_state,
                                    float dt) {
   materials_.check(*model());
+  if (nova::Tape::active() != nullptr) check_leaves(*model());
   check_contacts(function, contacts, found);
   particles_.begin(*model(), function);
   if (moves_bodies()) bodies_.begin(*model());
@@ -195,6 +220,7 @@ void DiffSemiImplicitSolver::step(SimState& state_in, SimState& state_out, const
   bodies_.run(*model(), state_in, state_out, nova::operand_of(state_in.body_f),
               joints_ ? &*joints_ : nullptr, control, contacts, tables_, particles_.wrenches(), dt,
               nova::operand_of(body_f_));
+  if (contacts != nullptr) bodies_.write_contact_forces(*contacts);
 }
 
 std::vector<ScratchSpec> DiffSemiImplicitSolver::step_scratch() const {
@@ -238,6 +264,8 @@ void DiffSemiImplicitSolver::record_step(const SimState& in, SimState& out,
   const nova::Operand total = scratch.empty() ? nova::Operand{} : nova::operand_of(scratch.back());
   bodies_.run(*model(), in, out, inputs.body_forces, joints_ ? &*joints_ : nullptr, inputs.control,
               inputs.contacts, tables, particles_.wrenches(), inputs.dt, total);
+  if (inputs.contacts != nullptr && inputs.tables == nullptr)
+    bodies_.write_contact_forces(*inputs.contacts);
 }
 
 }  // namespace novaphy::diff

@@ -1,9 +1,11 @@
-"""Rigid bodies at work: a stack that stands, dominoes that fall, a cloth over a falling box.
+"""Rigid bodies at work: a stack, dominoes, a cloth over a box, a wall that breaks, a pendulum.
 
 python demo_rigid_scenes.py
 python demo_rigid_scenes.py stack
 python demo_rigid_scenes.py dominoes --headless 180 --plot dominoes.png
 python demo_rigid_scenes.py cloth --headless 120 --record cloth.html
+python demo_rigid_scenes.py wall
+python demo_rigid_scenes.py pendulum
 """
 
 from __future__ import annotations
@@ -23,6 +25,8 @@ UPRIGHT = (0.0, 0.0, 0.0, 1.0)
 CUBE, CUBES = 0.1, 10  # m, half an edge
 DOMINO, DOMINOES, SPACING = (0.02, 0.1, 0.2), 12, 0.2  # m, half extents
 CLOTH_CELLS, CLOTH_CELL = 24, 0.05  # m
+BRICK, COURSES, BRICKS = (0.1, 0.05, 0.05), 6, 6  # m, half extents
+LINKS, LINK = 4, 0.3  # m
 
 
 def build_stack() -> novaphy.ModelBuilder:
@@ -75,11 +79,62 @@ def build_cloth() -> novaphy.ModelBuilder:
     return builder
 
 
-SCENES = {"stack": build_stack, "dominoes": build_dominoes, "cloth": build_cloth}
+def build_wall() -> novaphy.ModelBuilder:
+    """A wall of bricks, each over a joint of the course below, and a ball that flies at it."""
+    builder = novaphy.ModelBuilder()
+    surface = novaphy.ShapeConfig(density=800.0, ke=2e4, kd=20.0, kf=30.0, mu=0.6)
+    builder.add_ground_plane(cfg=surface)
+    hx, hy, hz = BRICK
+    for course in range(COURSES):
+        for k in range(BRICKS):
+            x = 2 * hx * (k - 0.5 * (BRICKS - 1)) + (0.5 * hx if course % 2 else -0.5 * hx)
+            brick = builder.add_body(xform=((x, 0.0, hz * (2 * course + 1)), UPRIGHT))
+            builder.add_shape_box(brick, hx=hx, hy=hy, hz=hz, cfg=surface)
+    ball = builder.add_body(xform=((0.0, -1.0, 0.4), UPRIGHT))
+    builder.add_shape_sphere(ball, radius=0.12, cfg=surface)
+    builder.body_qd[ball] = (0.3, 8.0, 0.5, 0.0, 0.0, 0.0)
+    return builder
+
+
+def build_pendulum() -> novaphy.ModelBuilder:
+    """Rods in a row, hinged to each other and to the world by springs, let go from the side."""
+    builder = novaphy.ModelBuilder()
+    rod = novaphy.ShapeConfig(density=0.0, collision_group=0)
+    turn = (0.0, np.sqrt(0.5), 0.0, np.sqrt(0.5))  # z along x
+    last, joints = -1, []
+    for k in range(LINKS):
+        link = builder.add_link(
+            xform=(((k + 0.5) * LINK, 0.0, 1.4), turn), mass=1.0, inertia=np.eye(3) * 0.01
+        )
+        builder.add_shape_box(link, hx=0.03, hy=0.03, hz=0.5 * LINK, cfg=rod)
+        anchor = ((0.0, 0.0, 1.4), turn) if last < 0 else ((0.0, 0.0, 0.5 * LINK), UPRIGHT)
+        joints.append(
+            builder.add_joint_revolute(
+                last,
+                link,
+                axis=novaphy.Axis.Y,
+                parent_xform=anchor,
+                child_xform=((0.0, 0.0, -0.5 * LINK), UPRIGHT),
+            )
+        )
+        last = link
+    builder.add_articulation(joints)
+    return builder
+
+
+SCENES = {
+    "stack": build_stack,
+    "dominoes": build_dominoes,
+    "cloth": build_cloth,
+    "wall": build_wall,
+    "pendulum": build_pendulum,
+}
 LOOKS = {
     "stack": ((0.6, -3.6, 1.4), (0.0, 0.0, 1.0)),
     "dominoes": ((1.2, -3.2, 1.2), (1.2, 0.0, 0.2)),
     "cloth": ((0.4, -2.6, 1.1), (0.0, 0.0, 0.3)),
+    "wall": ((1.6, -2.2, 1.2), (0.0, 0.3, 0.3)),
+    "pendulum": ((0.0, -3.4, 1.0), (0.0, 0.0, 0.8)),
 }
 
 
@@ -126,6 +181,19 @@ def check(scene: str, poses: np.ndarray, points: np.ndarray) -> str:
     if scene == "dominoes":
         fallen = int((upward(poses[-1]) < 0.7).sum())
         return "" if fallen == DOMINOES else f"{DOMINOES} fallen dominoes, got {fallen}"
+    if scene == "wall":
+        broken = int((np.linalg.norm(poses[-1, :-1, :3] - poses[0, :-1, :3], axis=1) > 0.1).sum())
+        above = poses[-1, :, 2].min() > 0.02
+        return "" if broken >= 8 and above else f"8 bricks out of the wall, got {broken}"
+    if scene == "pendulum":
+        tops = [
+            pose[:3] + rotate(pose[3:], np.float64([[0, 0, -0.5 * LINK]]))[0] for pose in poses[-1]
+        ]
+        ends = [
+            pose[:3] + rotate(pose[3:], np.float64([[0, 0, 0.5 * LINK]]))[0] for pose in poses[-1]
+        ]
+        gaps = np.linalg.norm(np.array(tops) - np.array([(0, 0, 1.4), *ends[:-1]]), axis=1)
+        return "" if gaps.max() < 0.02 else f"hinges that hold, got gaps of {gaps.max():.3f} m"
     inside = (np.abs(local(poses[-1, 0], points[-1])) < 0.18).all(axis=1).sum()
     heights = points[-1, :, 2]
     draped = 0.35 < heights.max() < 0.6 and -0.05 < heights.min() < 0.25
@@ -154,9 +222,13 @@ def plot(path: str, model: novaphy.Model, poses: np.ndarray, points: np.ndarray)
     figure, axes = plt.subplots(1, 4, figsize=(13.0, 3.6), sharey=True, layout="constrained")
     signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
     edges = [(a, b) for a in range(8) for b in range(a) if bin(a ^ b).count("1") == 1]
-    places = np.concatenate([poses[..., 0].ravel(), points[..., 0].ravel()])
+    places = np.concatenate([poses[..., :2].ravel(), points[..., :2].ravel()])
     middle, reach = (places.max() + places.min()) / 2, np.ptp(places) / 2 + 0.5
+    if poses[..., 1].max() > 5.0:  # what flies away from the wall
+        middle, reach = 0.3, 1.6
     shape_body, scale = model.shape_body.numpy(), model.shape_scale.numpy()
+    is_ball = model.shape_type.numpy() == novaphy.GeoType.SPHERE
+    view = 1 if is_ball.any() else 0  # the wall from the side from which it is hit
     for axis, frame in zip(axes, np.linspace(0, len(poses) - 1, 4).astype(int), strict=True):
         if points.shape[1]:
             grid = points[frame].reshape(CLOTH_CELLS + 1, CLOTH_CELLS + 1, 3)
@@ -166,11 +238,15 @@ def plot(path: str, model: novaphy.Model, poses: np.ndarray, points: np.ndarray)
             if body < 0:
                 continue
             pose = poses[frame, body]
+            if is_ball[shape]:
+                centre, radius = pose[[view, 2]], scale[shape, 0]
+                axis.add_patch(plt.Circle(centre, radius, fill=False, color="#c1121f"))
+                continue
             corners = pose[:3] + rotate(pose[3:], scale[shape] * signs)
             for a, b in edges:
-                axis.plot(*corners[[a, b]][:, [0, 2]].T, color="#2a6f97", lw=0.9)
+                axis.plot(*corners[[a, b]][:, [view, 2]].T, color="#2a6f97", lw=0.9)
         axis.axhline(0.0, color="0.3")
-        axis.set(xlabel="x (m)", title=f"{frame / FPS:.2f} s", aspect="equal")
+        axis.set(xlabel=f"{'xy'[view]} (m)", title=f"{frame / FPS:.2f} s", aspect="equal")
         axis.set_xlim(middle - reach, middle + reach)
     axes[0].set_ylabel("z (m)")
     figure.savefig(path, dpi=140)

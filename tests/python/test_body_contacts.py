@@ -335,20 +335,58 @@ def test_rows_without_a_closed_form_are_labelled_frozen():
         diff.rigid_contact_gradient_labels(model, other.state(), contacts)
 
 
-@pytest.mark.parametrize("name", ["a box on a box", "a sphere beside a capsule"])
-def test_gradients_with_respect_to_the_model_are_derivatives(name):
+# Of each array of the model: the step of the differences, of its values.
+MODEL = {
+    "body_mass": 1e-2,
+    "body_inertia": 3e-4,
+    "body_com": 1e-3,
+    "gravity": 1e-1,
+    "shape_material_ke": 50.0,
+    "shape_material_kd": 3.0,
+    "shape_material_kf": 5.0,
+    "shape_material_mu": 1e-2,
+}
+
+
+@pytest.mark.parametrize("again", [True, False], ids=["found anew", "as they are"])
+@pytest.mark.parametrize("array", MODEL)
+@pytest.mark.parametrize("name", ["a box on a box", "a sphere beside a capsule", "two spheres"])
+def test_gradients_with_respect_to_the_model_equal_the_differences(name, array, again):
     model = make_model(*TWO_BODIES[name], ground=False)
-    step = Step(model, again=False)
-    names = ["body_mass", "body_com", "shape_material_mu", "shape_material_kd"]
-    leaves = [getattr(diff, f"model_{n}_tensor")(model, requires_grad=True) for n in names]
-    found = nova.gradcheck(step, leaves, epsilon=2e-3, rtol=2e-2, atol=1e-3)
-    assert found.ok, found.worst
-    stiff = [
-        getattr(diff, f"model_shape_material_{n}_tensor")(model, requires_grad=True)
-        for n in ("ke", "kf")
-    ]
-    found = nova.gradcheck(step, stiff, epsilon=2e-3, rtol=2e-2, atol=1e-6)
-    assert found.ok, found.worst
+    step = Step(model, again)
+    values = getattr(model, array).numpy()
+    getattr(model, array).requires_grad = True
+    with nova.Tape() as tape:
+        tape.backward(step())
+    gradient = getattr(model, array).grad.numpy().reshape(-1).astype(float)
+    directions = np.eye(values.size, dtype=np.float32).reshape(-1, *values.shape)
+    if array == "body_inertia":  # is symmetric
+        directions = directions + directions.transpose(0, 1, 3, 2)
+        gradient = (gradient.reshape(values.shape) * directions).reshape(values.size, -1).sum(1)
+    differences = []
+    for direction in directions:
+        ends = []
+        for sign in (1, -1):
+            setattr(model, array, values + np.float32(sign * MODEL[array]) * direction)
+            ends.append(step().item())
+        differences.append((ends[0] - ends[1]) / (2 * MODEL[array]))
+    setattr(model, array, values)
+    largest = np.abs(differences).max()
+    assert largest > 0 or array in ("shape_material_kf", "shape_material_mu")  # one of them acts
+    np.testing.assert_allclose(
+        gradient, differences, rtol=2e-2, atol=1e-2 * largest + 4e-7 / MODEL[array]
+    )
+
+
+@pytest.mark.parametrize(
+    "array", ["shape_transform", "shape_scale", "shape_margin", "shape_gap", "shape_material_ka"]
+)
+def test_arrays_that_no_gradient_reaches_refuse_one(array):
+    step = Step(make_model(*TWO_BODIES["two spheres"], ground=False), again=False)
+    step()
+    getattr(step.model, array).requires_grad = True
+    with nova.Tape(), pytest.raises(NotImplementedError, match=f"model.{array}: expected req"):
+        step()
 
 
 @pytest.mark.parametrize("smoothing", [0.0, 0.1])
@@ -409,6 +447,34 @@ def test_a_rollout_has_the_bits_of_the_forward_solver(name, smoothing):
             assert_same_bits(state.body_q.numpy(), forward[t + 1].body_q.numpy())
     assert_same_bits(state.body_q.numpy(), forward[steps].body_q.numpy())
     assert (forward[steps].body_q.numpy() != forward[0].body_q.numpy()).any()
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_a_step_leaves_the_forces_of_its_contacts(name):
+    """In rigid_contact_force, on a tape and without, with the bits of the forward solver."""
+    model = SCENES[name]()
+    pipeline = novaphy.CollisionPipeline(model)
+    forward, solver = solvers.SolverSemiImplicit(model), diff_solver(model, 0.0)
+    state, after = model.state(), model.state()
+    contacts = pipeline.contacts()
+    acted = False
+    for _ in range(220):
+        pipeline.collide(state, contacts)
+        forward.step(state, after, None, contacts, DT)
+        forces = contacts.rigid_contact_force.numpy()
+        acted = acted or forces.any()
+        contacts.rigid_contact_force.assign(np.zeros_like(forces))
+        solver.step(state, model.state(), None, contacts, DT)
+        assert_same_bits(contacts.rigid_contact_force.numpy(), forces)
+        state, after = after, state
+    assert acted
+    with nova.Tape():
+        contacts = pipeline.contacts()
+        pipeline.collide(state, contacts)
+        solver.step(state, after, None, contacts, DT)
+        on_tape = contacts.rigid_contact_force.numpy()
+    forward.step(state, after, None, contacts, DT)
+    assert_same_bits(contacts.rigid_contact_force.numpy(), on_tape)
 
 
 class Meeting:

@@ -75,7 +75,7 @@ def test_the_dropped_dice_come_to_rest(tmp_path):
     assert len(flags) == 2 or (tmp_path / "drop.png").stat().st_size > 10_000
 
 
-@pytest.mark.parametrize("scene", ["stack", "dominoes", "cloth"])
+@pytest.mark.parametrize("scene", ["stack", "dominoes", "cloth", "wall", "pendulum"])
 def test_the_scenes_of_rigid_bodies_end_as_they_should(scene):
     script = DEMOS.parent / "demo_rigid_scenes.py"
     done = subprocess.run(

@@ -119,6 +119,16 @@ const nova::Kernel& rigid_kernel(bool follow) {
   return follow ? following : held;
 }
 
+// The force on body B.
+const nova::Kernel& force_kernel() {
+  static const nova::Kernel kernel =
+      nova::make_kernel("rigid_contact_forces", {{"wrench", DType::F32, 12, Access::Direct}},
+                        {{"force", 3}}, [](TraceContext& c) {
+                          return std::vector{c.f32(0, 6), c.f32(0, 7), c.f32(0, 8)};
+                        });
+  return kernel;
+}
+
 std::vector<Real> soft_forces(TraceContext& c) {
   const Int particle = c.i32(c.source("particle")), shape = c.i32(c.source("shape")),
             row = c.i32(c.source("body"));
@@ -269,6 +279,13 @@ void eval_rigid_contacts(const Model& m, const Contacts& c, const ContactTables&
   rigid_kernel(follow).launch(wrenches.rows, in, {&wrenches, 1}, {.params = params});
 }
 
+void write_rigid_contact_forces(const Contacts& c, const Operand& wrenches) {
+  const nova::NoGrad no_grad;
+  const Operand forces = nova::operand_of(c.rigid_contact_force),
+                count = nova::operand_of(c.rigid_contact_count);
+  force_kernel().launch(wrenches.rows, {&wrenches, 1}, {&forces, 1}, {.active = &count});
+}
+
 void eval_soft_contacts(const Model& m, const Contacts& c, const ContactTables& tables,
                         const Operand& particle_q, const Operand& particle_qd,
                         const Operand& body_q, const Operand& body_qd, const Operand& forces,
@@ -304,6 +321,7 @@ void detail::add_body_contact_kernels(std::vector<nova::EngineKernel>& list) {
   for (const nova::Kernel& k :
        {rigid_kernel(true), rigid_kernel(false), soft_kernel(), sum_kernel()})
     list.push_back({k, k.gradients()});
+  list.push_back({force_kernel(), {}});
 }
 
 }  // namespace novaphy::diff

@@ -38,7 +38,8 @@ void BodyStep::run(const Model& model, const SimState& in, SimState& out, const 
     joints->add(model, control, q, qd, f, joint_wrenches_, sum);
     f = sum;
   }
-  if (tables.sides_of_bodies()) {
+  touches_ = tables.sides_of_bodies() != nullptr;
+  if (touches_) {
     fit(wrenches_, 2 * int64_t{contacts->rigid_contact_max()}, model.device());
     eval_rigid_contacts(model, *contacts, tables, q, qd, options_.friction_smoothing,
                         both_sides(wrenches_));
@@ -57,6 +58,10 @@ void BodyStep::run(const Model& model, const SimState& in, SimState& out, const 
                                           .dt = dt},
                                          nova::operand_of(out.body_q),
                                          nova::operand_of(out.body_qd));
+}
+
+void BodyStep::write_contact_forces(const Contacts& contacts) const {
+  if (touches_) write_rigid_contact_forces(contacts, both_sides(wrenches_));
 }
 
 }  // namespace novaphy::diff

@@ -216,10 +216,13 @@ void DiffJoints::begin(const Model& m, const Control* control, float dt) {
   // once they were written.
   depend_on({&m.joint_type, &m.joint_parent, &m.joint_child, &m.joint_enabled});
   const Unobserved unobserved;
-  const std::vector<int32_t> type = m.joint_type.to_host();
-  const bool held = std::ranges::any_of(
-      type, [](int32_t t) { return t != static_cast<int32_t>(JointType::FREE); });
-  if (!held && !any(control != nullptr ? control->joint_f : m.joint_f)) return;
+  if (!seen_type_.matches(m.joint_type)) {
+    const std::vector<int32_t> type = m.joint_type.to_host();
+    hold_ = std::ranges::any_of(
+        type, [](int32_t t) { return t != static_cast<int32_t>(JointType::FREE); });
+    seen_type_.set(m.joint_type);
+  }
+  if (!hold_ && !any(control != nullptr ? control->joint_f : m.joint_f)) return;
   require(m.device().is_cpu(), ErrorKind::NotImplemented,
           "DiffSemiImplicitSolver: model: expected one on the cpu, as joints exert forces, got one "
           "on ",

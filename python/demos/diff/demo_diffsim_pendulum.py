@@ -2,8 +2,8 @@
 
 Two rods hang from the world by hinges, which springs and dampers hold together (penalty joints);
 each hinge has a drive, a weak spring to an angle. Optimised are the two angles: at the end, after
-0.8 s, the tip has to be at the mark. 768 substeps; the gradient through joints, drives and bodies is
-exact.
+0.8 s, the tip has to be at the mark. 768 substeps; the gradient through joints, drives and bodies
+is exact.
 
     python demo_diffsim_pendulum.py
     python demo_diffsim_pendulum.py --headless 60 --plot pendulum.png --record pendulum.html

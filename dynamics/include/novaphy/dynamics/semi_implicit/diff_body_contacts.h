@@ -70,6 +70,11 @@ NOVAPHY_DYNAMICS_API void eval_rigid_contacts(const Model& model, const Contacts
                                               float friction_smoothing,
                                               const nova::Operand& wrenches);
 
+// Contacts::rigid_contact_force, of the rows that there are, from what eval_rigid_contacts gave.
+// Not recorded.
+NOVAPHY_DYNAMICS_API void write_rigid_contact_forces(const Contacts& contacts,
+                                                     const nova::Operand& wrenches);
+
 // forces {slots, 3} and wrenches {slots, 6}: what each slot of soft_contact_* adds to the force on
 // its particle, and to the wrench of its body.
 NOVAPHY_DYNAMICS_API void eval_soft_contacts(

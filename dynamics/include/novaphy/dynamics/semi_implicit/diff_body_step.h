@@ -32,8 +32,11 @@ class NOVAPHY_DYNAMICS_API BodyStep {
            DiffJoints* joints, const Control* control, const Contacts* contacts,
            const ContactTables& tables, const nova::Operand* of_particles, float dt,
            const nova::Operand& total);
+  // Contacts::rigid_contact_force, of the last run, which these contacts were given to.
+  void write_contact_forces(const Contacts& contacts) const;
 
  private:
+  bool touches_ = false;  // in the last run
   BodyStepOptions options_;
   PlanePairs plane_pairs_;
   nova::Operand wrenches_;                    // of each side of each row, which no adjoint reads

@@ -55,9 +55,9 @@ class NOVAPHY_DYNAMICS_API DiffJoints {
   void find_tables(const Model& model);
 
   Attach attach_;
-  bool act_ = false;
+  bool act_ = false, hold_ = false;  // hold_: there are joints that are not FREE
   std::unique_ptr<JointForces> checks_;
-  ArrayStamp type_, parent_, child_, enabled_;
+  ArrayStamp type_, parent_, child_, enabled_, seen_type_;
   DeviceArray<int32_t> sides_, layout_, dofs_, coordinates_;
   nova::Incidence sides_of_bodies_;
   const nova::Kernel* kernel_ = nullptr;

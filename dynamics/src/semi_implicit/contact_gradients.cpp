@@ -2,11 +2,14 @@
 
 #include <algorithm>
 
+#include "novaphy/collision/geometry/clip_manifold.h"
 #include "novaphy/core/error.h"
 #include "novaphy/core/sim/enums.h"
 #include "novaphy/dynamics/semi_implicit/contact_turning_trace.h"
 
 namespace novaphy {
+
+static_assert(contact_turning_detail::kFacePreference == geometry::kFacePreference);
 
 std::vector<bool> exact_contact_gradients(const Model& model, const SimState& state,
                                           const Contacts& contacts) {

@@ -25,7 +25,6 @@
 // Freestanding: T = float names what is exact, T = nova::Real is traced.
 #pragma once
 
-#include "novaphy/collision/geometry/clip_manifold.h"
 #include "novaphy/dynamics/semi_implicit/rigid_contact_trace.h"
 #include "novaphy/math/types.h"
 
@@ -132,6 +131,8 @@ ContactFeature<B, T> contact_feature_of(const ContactShape<B, T>& shape, const T
 
 namespace contact_turning_detail {
 
+inline constexpr float kFacePreference = 1e-4f;  // that of collision/geometry/clip_manifold.h
+
 template <class T>
 T nonzero(const T& x, const T& least) {
   using namespace math;
@@ -232,7 +233,7 @@ TurningContact<B, T> turning_contact(const ContactFeature<B, T>& a, const Contac
   const auto by_product = both(both(known, both(a.has_across, b.has_across)),
                                both(both(negate(either(along_a, along_b)), negate(by_features)),
                                     dot(product, normal) > close));
-  const auto b_leads = b.cosine > a.cosine + T(geometry::kFacePreference);
+  const auto b_leads = b.cosine > a.cosine + T(d::kFacePreference);
   const auto leads_a = both(by_product, both(negate(b_leads), a.is_on_face)),
              leads_b = both(by_product, both(b_leads, b.is_on_face));
   const Vec3<T> normal_a = select(along_a, a.face * d::side_of(a.face, normal), product);

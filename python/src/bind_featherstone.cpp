@@ -1,7 +1,9 @@
 // Articulations: SolverFeatherstone and the functions of their dynamics.
 #include <pybind11/numpy.h>
+#include <pybind11/stl.h>
 
 #include "fast_step.h"
+#include "novaphy/core/error.h"
 #include "novaphy/dynamics/featherstone/articulation_functions.h"
 #include "novaphy/dynamics/featherstone/solver_featherstone.h"
 
@@ -124,6 +126,44 @@ void bind_functions(py::module_& m) {
       "{articulations, 2}: kinetic energy, without armature, and potential energy, J.");
 }
 
+constexpr const char* kContacts[] = {nullptr, "pgs", "penalty"};  // of ArticulationContact
+constexpr const char* kCones[] = {"cone", "pyramid"};             // of FrictionCone
+
+ArticulationContact to_contact(const std::optional<std::string>& name) {
+  if (!name) return ArticulationContact::None;
+  for (size_t i = 1; i < std::size(kContacts); ++i)
+    if (*name == kContacts[i]) return static_cast<ArticulationContact>(i);
+  fail(ErrorKind::Value, "contact: expected \"pgs\", \"penalty\" or None, got \"", *name, "\"");
+}
+FrictionCone to_cone(const std::string& name) {
+  for (size_t i = 0; i < std::size(kCones); ++i)
+    if (name == kCones[i]) return static_cast<FrictionCone>(i);
+  fail(ErrorKind::Value, "friction_cone: expected \"cone\" or \"pyramid\", got \"", name, "\"");
+}
+
+std::unique_ptr<SolverFeatherstone> make_solver(
+    const std::shared_ptr<Model>& model, float angular_damping, bool implicit_drives,
+    const std::optional<std::string>& contact, const std::string& friction_cone, int pgs_iterations,
+    float pgs_tolerance, float pgs_erp, float pgs_slop, float pgs_cfm,
+    float max_depenetration_velocity, float restitution_threshold, bool warm_start,
+    bool compliant_contacts, float friction_smoothing) {
+  return std::make_unique<SolverFeatherstone>(
+      model, FeatherstoneOptions{.angular_damping = angular_damping,
+                                 .implicit_drives = implicit_drives,
+                                 .contact = to_contact(contact),
+                                 .friction_cone = to_cone(friction_cone),
+                                 .pgs_iterations = pgs_iterations,
+                                 .pgs_tolerance = pgs_tolerance,
+                                 .pgs_erp = pgs_erp,
+                                 .pgs_slop = pgs_slop,
+                                 .pgs_cfm = pgs_cfm,
+                                 .max_depenetration_velocity = max_depenetration_velocity,
+                                 .restitution_threshold = restitution_threshold,
+                                 .warm_start = warm_start,
+                                 .compliant_contacts = compliant_contacts,
+                                 .friction_smoothing = friction_smoothing});
+}
+
 }  // namespace
 
 void bind_featherstone(py::module_& m, py::module_& solvers) {
@@ -133,25 +173,56 @@ void bind_featherstone(py::module_& m, py::module_& solvers) {
       solvers, "SolverFeatherstone",
       "Articulations in the coordinates of their joints: PRISMATIC, REVOLUTE, BALL, FIXED, FREE "
       "and "
-      "D6, drives by target mode, limits, effort and velocity limits, damping, armature, joint_f, "
-      "body_f, gravity, angular damping. No contacts yet. Reads joint_q, joint_qd and body_f of "
-      "state_in; writes joint_q, joint_qd, body_q and body_qd of state_out. The same bits wherever "
-      "an articulation stands, and for any number of threads. What has no effect (joint_friction, "
-      "joint_enabled, joint_act, ...) raises NotImplementedError. On a tape a step runs and is not "
+      "D6, drives by target mode, limits, effort and velocity limits, damping, armature, dry "
+      "friction, joint_f, body_f, gravity, angular damping, and contacts of shapes. Reads joint_q, "
+      "joint_qd and body_f of state_in; writes joint_q, joint_qd, body_q and body_qd of state_out, "
+      "and rigid_contact_force of the contacts. The same bits wherever an articulation stands, and "
+      "for any number of threads. What has no effect (joint_enabled, joint_act, ...) raises "
+      "NotImplementedError. On a tape a step runs and is not "
       "recorded; what it wrote may not be used there: DiffFeatherstoneSolver is the differentiable "
       "one.");
   solver
-      .def(py::init([](const std::shared_ptr<Model>& model, float angular_damping,
-                       bool implicit_drives) {
-             return std::make_unique<SolverFeatherstone>(
-                 model, FeatherstoneOptions{.angular_damping = angular_damping,
-                                            .implicit_drives = implicit_drives});
-           }),
-           py::arg("model").none(false), py::kw_only(), "angular_damping"_a = d.angular_damping,
-           "implicit_drives"_a = d.implicit_drives,
+      .def(py::init(&make_solver), py::arg("model").none(false), py::kw_only(),
+           "angular_damping"_a = d.angular_damping, "implicit_drives"_a = d.implicit_drives,
+           "contact"_a = "pgs", "friction_cone"_a = "cone", "pgs_iterations"_a = d.pgs_iterations,
+           "pgs_tolerance"_a = d.pgs_tolerance, "pgs_erp"_a = d.pgs_erp, "pgs_slop"_a = d.pgs_slop,
+           "pgs_cfm"_a = d.pgs_cfm, "max_depenetration_velocity"_a = d.max_depenetration_velocity,
+           "restitution_threshold"_a = d.restitution_threshold, "warm_start"_a = d.warm_start,
+           "compliant_contacts"_a = d.compliant_contacts,
+           "friction_smoothing"_a = d.friction_smoothing,
            "angular_damping (1/s) of angular dofs. implicit_drives: drives, limits and damping of "
            "the end of the step, stable for any gains, and limits that only push; False: of its "
-           "start, as Newton 1.8. NotImplementedError for parts of a model that are not covered.")
+           "start, as Newton 1.8.\n\n"
+           "contact: \"pgs\" (impulses by projected Gauss-Seidel), \"penalty\" (springs of the "
+           "shapes' ke, kd and kf, explicit, friction smoothed below friction_smoothing, m/s) or "
+           "None (contacts raise). Of \"pgs\": friction_cone \"cone\" or \"pyramid\"; at most "
+           "pgs_iterations sweeps, fewer when a sweep changes velocities by less than "
+           "pgs_tolerance (m/s); a step takes the part pgs_erp of an overlap beyond pgs_slop (m) "
+           "away, with at most max_depenetration_velocity (m/s); pgs_cfm ((m/s)/(N s)) softens; "
+           "approaches slower than restitution_threshold (m/s) do not bounce; warm_start begins "
+           "with the impulses of the step before; compliant_contacts: overlaps push by the shapes' "
+           "ke and kd instead of pgs_erp and pgs_slop. ValueError for a bad option, or one that "
+           "the contact does not read; NotImplementedError for parts of a model that are not "
+           "covered.")
+      .def_property_readonly(
+          "contact",
+          [](const SolverFeatherstone& s) -> py::object {
+            const char* name = kContacts[static_cast<size_t>(s.options().contact)];
+            if (name == nullptr) return py::none();
+            return py::str(name);
+          },
+          "\"pgs\", \"penalty\" or None")
+      .def_property_readonly(
+          "friction_cone",
+          [](const SolverFeatherstone& s) {
+            return kCones[static_cast<size_t>(s.options().friction_cone)];
+          },
+          "\"cone\" or \"pyramid\"")
+      .def_property_readonly("pgs_sweeps", &SolverFeatherstone::pgs_sweeps,
+                             "The most sweeps that an island of the last step took.")
+      .def_property_readonly("pgs_residual", &SolverFeatherstone::pgs_residual,
+                             "The largest change of velocity by a last sweep of the last step, "
+                             "m/s.")
       .def_property_readonly(
           "angular_damping",
           [](const SolverFeatherstone& s) { return s.options().angular_damping; }, "1/s")

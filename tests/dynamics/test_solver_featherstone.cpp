@@ -186,7 +186,6 @@ TEST(SolverFeatherstone, RefusesValuesWithoutEffect) {
     return [array](Model& m) { (m.*array).mutable_data()[0] = 0.5f; };
   };
   EXPECT_EQ(refusal(arm(), [](Model&) {}), "");
-  EXPECT_TRUE(has(refusal(arm(), set(&Model::joint_friction)), "joint_friction[0]"));
   EXPECT_TRUE(has(refusal(arm(), set(&Model::joint_act)), "joint_act[0]"));
   EXPECT_TRUE(has(refusal(arm(), [](Model& m) { m.joint_enabled.mutable_data()[1] = 0; }),
                   "joint_enabled[1]"));

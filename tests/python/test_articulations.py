@@ -377,12 +377,9 @@ def test_arrays_without_a_gradient_refuse_one() -> None:
         walk(model)
 
 
-def test_contacts_and_singular_models_are_refused_by_name() -> None:
+def test_singular_models_are_refused_by_name() -> None:
     model = arm().finalize()
     solver = novaphy.solvers.SolverFeatherstone(model)
-    contacts = novaphy.CollisionPipeline(model).contacts()
-    with pytest.raises(NotImplementedError, match="contacts"):
-        solver.step(model.state(), model.state(), None, contacts, DT)
     model.body_mass.zero_()
     model.body_inertia.zero_()
     with pytest.raises(novaphy.Error, match=r"dof 1 \(joint 'joint_1'\)"):

@@ -7,12 +7,56 @@
 
 namespace novaphy {
 
+namespace {
+
+void check_contact_options(const FeatherstoneOptions& o, const char* user) {
+  const FeatherstoneOptions d;
+  struct Number {
+    const char* name;
+    float value, by_default;
+    ArticulationContact of;
+  };
+  constexpr auto kPgs = ArticulationContact::Pgs, kPenalty = ArticulationContact::Penalty;
+  const Number numbers[] = {
+      {"pgs_tolerance", o.pgs_tolerance, d.pgs_tolerance, kPgs},
+      {"pgs_erp", o.pgs_erp, d.pgs_erp, kPgs},
+      {"pgs_slop", o.pgs_slop, d.pgs_slop, kPgs},
+      {"pgs_cfm", o.pgs_cfm, d.pgs_cfm, kPgs},
+      {"max_depenetration_velocity", o.max_depenetration_velocity, d.max_depenetration_velocity,
+       kPgs},
+      {"restitution_threshold", o.restitution_threshold, d.restitution_threshold, kPgs},
+      {"friction_smoothing", o.friction_smoothing, d.friction_smoothing, kPenalty}};
+  for (const Number& n : numbers) {
+    require(std::isfinite(n.value) && n.value >= 0.0f, ErrorKind::Value, user, ": ", n.name,
+            ": expected a finite number >= 0, got ", n.value);
+    require(o.contact == n.of || n.value == n.by_default, ErrorKind::Value, user, ": ", n.name,
+            ": expected ", n.by_default, " where the contact is not ",
+            n.of == kPgs ? "pgs" : "penalty", ", got ", n.value);
+  }
+  require(o.pgs_iterations >= 1, ErrorKind::Value, user,
+          ": pgs_iterations: expected at least 1, got ", o.pgs_iterations);
+  require(o.pgs_erp <= 1.0f, ErrorKind::Value, user, ": pgs_erp: expected 0 to 1, got ", o.pgs_erp);
+  const bool others = o.friction_cone != d.friction_cone || o.warm_start != d.warm_start ||
+                      o.compliant_contacts != d.compliant_contacts;
+  require(
+      o.contact == kPgs || !others, ErrorKind::Value, user,
+      ": friction_cone, warm_start, compliant_contacts: expected the defaults where the contact "
+      "is not pgs");
+  require(!o.compliant_contacts || (o.pgs_erp == d.pgs_erp && o.pgs_slop == d.pgs_slop),
+          ErrorKind::Value, user,
+          ": pgs_erp, pgs_slop: expected the defaults with compliant_contacts, got ", o.pgs_erp,
+          " and ", o.pgs_slop);
+}
+
+}  // namespace
+
 void check_featherstone_model(const Model& m, const FeatherstoneOptions& options,
                               const char* user) {
   UnreadMaterials(user, {}).check(m);
   require(std::isfinite(options.angular_damping) && options.angular_damping >= 0.0f,
           ErrorKind::Value, user, ": angular_damping: expected a finite number >= 0, got ",
           options.angular_damping);
+  check_contact_options(options, user);
   require(m.particle_count() == 0, ErrorKind::NotImplemented, user,
           ": model: expected particle_count 0 (particles are not covered), got ",
           m.particle_count());

@@ -1,6 +1,7 @@
 #include "novaphy/dynamics/featherstone/articulations.h"
 
 #include <algorithm>
+#include <cmath>
 #include <initializer_list>
 
 #include "articulation_kernels.h"
@@ -174,7 +175,8 @@ void Articulations::check_without_drive(const Model& m, const char* user) const 
   }
 }
 
-void Articulations::check_values(const Model& m, const Control* control, const char* user) {
+void Articulations::check_values(const Model& m, const Control* control, bool friction,
+                                 const char* user) {
   const DeviceArray<float>& act = control ? control->joint_act : m.joint_act;
   const Array* const arrays[] = {&m.joint_enabled,     &m.joint_friction,   &act,
                                  &m.joint_target_ke,   &m.joint_target_kd,  &m.joint_damping,
@@ -187,9 +189,11 @@ void Articulations::check_values(const Model& m, const Control* control, const c
     require(m.joint_enabled.data()[j] != 0, ErrorKind::NotImplemented, user,
             ": model.joint_enabled[", j, "]: joints that are not enabled are not covered");
   for (int32_t k = 0; k < m.joint_dof_count(); ++k) {
-    require(m.joint_friction.data()[k] == 0.0f, ErrorKind::NotImplemented, user,
-            ": model.joint_friction[", k, "]: expected 0 (dry friction is not there yet), got ",
-            m.joint_friction.data()[k]);
+    const float dry = m.joint_friction.data()[k];
+    require(friction || dry == 0.0f, ErrorKind::NotImplemented, user, ": model.joint_friction[", k,
+            "]: expected 0 (dry friction has no gradient; SolverFeatherstone has it), got ", dry);
+    require(std::isfinite(dry) && dry >= 0.0f, ErrorKind::Value, user, ": model.joint_friction[", k,
+            "]: expected a finite number >= 0, got ", dry);
     require(act.data()[k] == 0.0f, ErrorKind::NotImplemented, user, ": joint_act[", k,
             "]: expected 0 (there are no actuators; joint_f takes forces), got ", act.data()[k]);
   }

@@ -251,7 +251,7 @@ std::vector<ScratchSpec> ArticulationStep::scratch(const Model& model) const {
 }
 
 void ArticulationStep::begin(const Model& model, const Control* control, const char* function) {
-  shared_->articulations.check_values(model, control, function);
+  shared_->articulations.check_values(model, control, false, function);
 }
 
 void ArticulationStep::record(const Model& m, const SimState& in, SimState& out,

@@ -1,13 +1,16 @@
 #include "novaphy/dynamics/featherstone/solver_featherstone.h"
 
-#include <cmath>
+#include <array>
 #include <utility>
 
+#include "../semi_implicit/rigid_bodies.h"
 #include "articulation_kernels.h"
 #include "articulation_step.h"
 #include "novaphy/core/error.h"
 #include "novaphy/core/sim/for_chunks.h"
+#include "novaphy/core/sim/shape_config.h"
 #include "novaphy/core/storage.h"
+#include "pgs_contacts.h"
 #include "unrecorded_step.h"
 
 namespace novaphy {
@@ -19,7 +22,7 @@ constexpr int64_t kChunk = 8;  // articulations
 }  // namespace
 
 struct SolverFeatherstone::Cache {
-  explicit Cache(const Model& m) : articulations(m, "SolverFeatherstone") {
+  explicit Cache(const Model& m) : articulations(m, "SolverFeatherstone"), pgs(m, articulations) {
     const auto dofs = static_cast<size_t>(m.joint_dof_count());
     const auto count = static_cast<size_t>(articulations.count());
     qdd.resize(dofs);
@@ -33,7 +36,50 @@ struct SolverFeatherstone::Cache {
   std::vector<int32_t> status;
   int64_t stride;
   std::vector<float> workspace;
+  PgsContacts pgs;
+  RigidBodies penalty;
+  std::array<ArrayStamp, 4> materials;
+  std::vector<Transformf> body_q;
+  std::vector<SpatialVectorf> body_qd, body_f;
 };
+
+namespace {
+
+// Materials without effect, of all shapes. `checked`: what was looked at before.
+void check_materials(const Model& m, ArticulationContact contact,
+                     std::array<ArrayStamp, 4>& checked) {
+  const ShapeConfig d;
+  struct Material {
+    const char* name;
+    const DeviceArray<float>* array;
+    float by_default;
+    bool acts;
+  };
+  const bool pgs = contact == ArticulationContact::Pgs;
+  const Material materials[] = {
+      {"shape_material_mu_torsional", &m.shape_material_mu_torsional, d.mu_torsional, false},
+      {"shape_material_mu_rolling", &m.shape_material_mu_rolling, d.mu_rolling, false},
+      {"shape_material_ka", &m.shape_material_ka, d.ka, !pgs},
+      {"shape_material_restitution", &m.shape_material_restitution, d.restitution, pgs}};
+  for (size_t i = 0; i < std::size(materials); ++i) {
+    const Material& x = materials[i];
+    if (x.acts || checked[i].matches(*x.array)) continue;
+    for (int32_t s = 0; s < m.shape_count(); ++s) {
+      const float value = x.array->data()[s];
+      require(value == x.by_default || value == 0.0f, ErrorKind::NotImplemented, kName, ": model.",
+              x.name, "[", s, "]: expected the default, ", x.by_default, ", or 0 (",
+              pgs ? "pgs" : "penalty", " contacts have no such force), got ", value);
+    }
+    checked[i].set(*x.array);
+  }
+}
+
+void check_contacts(const Contacts* contacts, ArticulationContact contact) {
+  require(contacts == nullptr || contact != ArticulationContact::None, ErrorKind::Value, kName,
+          ": contacts: expected none of a solver without a way of contact");
+}
+
+}  // namespace
 
 SolverFeatherstone::SolverFeatherstone(std::shared_ptr<const Model> model,
                                        const FeatherstoneOptions& options)
@@ -50,18 +96,38 @@ void SolverFeatherstone::notify_model_changed(ModelFlags) {
   make_cache();
 }
 
+int32_t SolverFeatherstone::pgs_sweeps() const { return cache_->pgs.sweeps(); }
+float SolverFeatherstone::pgs_residual() const { return cache_->pgs.residual(); }
+
+// The wrenches of contacts of the bodies where joint_q and joint_qd have them, beside body_f.
+void SolverFeatherstone::add_penalties(const Contacts& contacts, ArticulationStepArguments& a) {
+  const Model& m = *model();
+  Cache& c = *cache_;
+  const auto bodies = static_cast<size_t>(m.body_count());
+  c.body_q.resize(bodies);
+  c.body_qd.resize(bodies);
+  c.body_f.assign(a.in.body_f, a.in.body_f + bodies);
+  c.pgs.write_bodies(a.in, c.body_q.data(), c.body_qd.data());
+  c.penalty.prepare(m, &contacts);
+  const RigidStep how = {FrictionLaw::Huber, options_.friction_smoothing, 0.0f, a.in.dt.value};
+  c.penalty.add_contact_wrenches(m, c.body_q.data(), c.body_qd.data(), contacts, how,
+                                 c.body_f.data());
+  a.in.body_f = c.body_f.data();
+}
+
 void SolverFeatherstone::step(SimState& state_in, SimState& state_out, const Control* control,
                               const Contacts* contacts, float dt) {
   if (ArrayObserver* observer = array_observer()) observer->host_read(kName);
   const ExclusiveUse::Scope scope = use(kName);
   const Model& m = *model();
   check_step(kName, state_in, state_out, control, contacts, dt);
-  check_no_contacts(contacts, kName);
+  check_contacts(contacts, options_.contact);
   m.check_numbers(kName);
   m.update_derived();
   Cache& c = *cache_;
-  c.articulations.check_values(m, control, kName);
-  const ArticulationStepArguments a = {
+  c.articulations.check_values(m, control, true, kName);
+  if (contacts != nullptr) check_materials(m, options_.contact, c.materials);
+  ArticulationStepArguments a = {
       articulation_arguments(m, c.articulations, state_in, control, options_, dt),
       state_out.joint_q.mutable_data(),
       state_out.joint_qd.mutable_data(),
@@ -73,6 +139,14 @@ void SolverFeatherstone::step(SimState& state_in, SimState& state_out, const Con
       c.workspace.data(),
       c.stride};
   const int64_t n = c.articulations.count();
+  const bool penalty = options_.contact == ArticulationContact::Penalty;
+  if (penalty && contacts != nullptr) add_penalties(*contacts, a);
+  if (c.pgs.prepare(m, penalty ? nullptr : contacts)) {
+    c.pgs.step(a, m, penalty ? nullptr : contacts, options_);
+    check_status(m, c.articulations, c.status, kName);
+    mark_unrecorded_step(m, state_in, state_out, control);
+    return;
+  }
   for_chunks(n, kChunk, [&](int64_t begin, int64_t end, int64_t) {
     for (int64_t i = begin; i < end; ++i) articulation_step_row(a, i, n);
   });

@@ -59,10 +59,8 @@ void RigidBodies::prepare(const Model& m, const Contacts* contacts) {
   shape_body_.set(m.shape_body);
 }
 
-void RigidBodies::evaluate(const Model& m, const SimState& state, const Contacts& c,
-                           const RigidStep& how) {
-  const Transformf* const q = state.body_q.data();
-  const SpatialVectorf* const qd = state.body_qd.data();
+void RigidBodies::evaluate(const Model& m, const Transformf* q, const SpatialVectorf* qd,
+                           const Contacts& c, const RigidStep& how) {
   const Vec3f* const com = m.body_com.data();
   const int32_t* const shape0 = c.rigid_contact_shape0.data();
   const int32_t* const shape1 = c.rigid_contact_shape1.data();
@@ -103,12 +101,23 @@ void RigidBodies::evaluate(const Model& m, const SimState& state, const Contacts
   });
 }
 
+void RigidBodies::add_contact_wrenches(const Model& m, const Transformf* q,
+                                       const SpatialVectorf* qd, const Contacts& contacts,
+                                       const RigidStep& how, SpatialVectorf* wrenches) {
+  evaluate(m, q, qd, contacts, how);
+  for_chunks(m.body_count(), kBodyChunk, [&](int64_t begin, int64_t end, int64_t) {
+    for (int64_t b = begin; b < end; ++b)
+      for (const int32_t item : sides_.items(b))
+        wrenches[b] = wrenches[b] + wrenches_[static_cast<size_t>(item)];
+  });
+}
+
 void RigidBodies::step(const Model& m, const SimState& in, SimState& out, const Contacts* contacts,
                        const JointForces& joints, const ParticleContacts* particles,
                        const RigidStep& how) {
   if (m.body_count() == 0) return;
   const bool touching = contacts != nullptr && rows_ > 0;
-  if (touching) evaluate(m, in, *contacts, how);
+  if (touching) evaluate(m, in.body_q.data(), in.body_qd.data(), *contacts, how);
 
   const Transformf* const q = in.body_q.data();
   const SpatialVectorf* const qd = in.body_qd.data();

@@ -33,10 +33,16 @@ class RigidBodies {
   // `particles`: those that touch bodies, evaluated; null: none.
   void step(const Model& model, const SimState& in, SimState& out, const Contacts* contacts,
             const JointForces& joints, const ParticleContacts* particles, const RigidStep& how);
+  // Adds what the contacts that were prepared do to the bodies at `q` with the velocities `qd` to
+  // their wrenches {body_count}; writes rigid_contact_force. Reads friction_law and
+  // friction_smoothing.
+  void add_contact_wrenches(const Model& model, const Transformf* q, const SpatialVectorf* qd,
+                            const Contacts& contacts, const RigidStep& how,
+                            SpatialVectorf* wrenches);
 
  private:
-  void evaluate(const Model& model, const SimState& state, const Contacts& contacts,
-                const RigidStep& how);
+  void evaluate(const Model& model, const Transformf* q, const SpatialVectorf* qd,
+                const Contacts& contacts, const RigidStep& how);
 
   int32_t rows_ = 0;  // contacts that act
   ArrayStamp count_, shape0_, shape1_, shape_body_, body_world_;

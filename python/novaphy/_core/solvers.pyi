@@ -225,11 +225,31 @@ class SolverFeatherstone(SolverBase):
         *,
         angular_damping: SupportsFloat = 0.05,
         implicit_drives: bool = True,
+        contact: Literal["pgs", "penalty"] | None = "pgs",
+        friction_cone: Literal["cone", "pyramid"] = "cone",
+        pgs_iterations: int = 30,
+        pgs_tolerance: SupportsFloat = 1e-6,
+        pgs_erp: SupportsFloat = 0.2,
+        pgs_slop: SupportsFloat = 0.005,
+        pgs_cfm: SupportsFloat = 0.0,
+        max_depenetration_velocity: SupportsFloat = 10.0,
+        restitution_threshold: SupportsFloat = 0.2,
+        warm_start: bool = True,
+        compliant_contacts: bool = False,
+        friction_smoothing: SupportsFloat = 0.1,
     ) -> None: ...
     @property
     def angular_damping(self) -> float: ...
     @property
     def implicit_drives(self) -> bool: ...
+    @property
+    def contact(self) -> Literal["pgs", "penalty"] | None: ...
+    @property
+    def friction_cone(self) -> Literal["cone", "pyramid"]: ...
+    @property
+    def pgs_sweeps(self) -> int: ...
+    @property
+    def pgs_residual(self) -> float: ...
     def step(
         self,
         state_in: SimState,

@@ -5,6 +5,7 @@
 //   q' = q moved by v over dt (quaternions by the Cayley map), then qd' = v, of angular dofs
 //   times 1 - angular_damping dt
 //   body_q, body_qd of (q', qd')
+// Contacts (pgs.h) change v between the first and the second line; qdd is then what they leave.
 // Wrenches on bodies, and joint_f of FREE joints, are world wrenches about the centre of mass. All
 // but where the roots are has the same bits wherever the roots are.
 #pragma once
@@ -99,12 +100,17 @@ bool clamp_branches(const Tree<T>& tree, const StepInputs<T>& in, const StepOpti
   return changed;
 }
 
-// v = qd + dt qdd, clamped.
+// v = qd + dt qdd.
 template <class T>
-void new_rates(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<T>& options,
-               Workspace<T>& ws) {
+void free_rates(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<T>& options,
+                Workspace<T>& ws) {
   for (int32_t k = 0; k < tree.dof_count; ++k)
     ws.qd_next[k] = in.qd[tree.first_dof + k] + options.dt * ws.qdd[k];
+}
+
+// v, clamped.
+template <class T>
+void clamp_rates(const Tree<T>& tree, const StepInputs<T>& in, Workspace<T>& ws) {
   for (int32_t i = 0; i < tree.link_count; ++i) {
     const Link& link = tree.links[i];
     if (!has_one_dof(link)) continue;
@@ -120,11 +126,18 @@ void new_rates(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<T
   }
 }
 
-// qdd, the undamped new rates and the branches in the workspace. The result is the dof whose pivot
-// is not positive or whose acceleration is not finite, counted from the tree's first; -1: none.
 template <class T>
-int32_t forward_step(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<T>& options,
-                     Workspace<T>& ws) {
+void new_rates(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<T>& options,
+               Workspace<T>& ws) {
+  free_rates(tree, in, options, ws);
+  clamp_rates(tree, in, ws);
+}
+
+// qdd and the branches in the workspace, M's factor with them. The result is the dof whose pivot is
+// not positive or whose acceleration is not finite, counted from the tree's first; -1: none.
+template <class T>
+int32_t accelerate(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<T>& options,
+                   Workspace<T>& ws) {
   kinematics(tree, in.q, ws);
   set_wrenches(tree, in, ws);
   inverse_dynamics<T>(tree, in.qd + tree.first_dof, nullptr, ws, ws.bias);
@@ -140,8 +153,16 @@ int32_t forward_step(const Tree<T>& tree, const StepInputs<T>& in, const StepOpt
   if (failed >= 0) return failed;
   for (int32_t k = 0; k < tree.dof_count; ++k)
     if (!is_finite(ws.qdd[k])) return k;
-  new_rates(tree, in, options, ws);
   return -1;
+}
+
+// accelerate, and the undamped new rates.
+template <class T>
+int32_t forward_step(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<T>& options,
+                     Workspace<T>& ws) {
+  const int32_t failed = accelerate(tree, in, options, ws);
+  if (failed < 0) new_rates(tree, in, options, ws);
+  return failed;
 }
 
 template <class T>

@@ -31,10 +31,11 @@ class NOVAPHY_DYNAMICS_API Articulations {
   // Over the arrays of the model, which must live as long.
   articulation::Tree<float> tree(const Model& model, int64_t i) const;
 
-  // ErrorKind::NotImplemented, naming the array: a value that would have no effect: joint_friction,
-  // a joint that is not enabled, an actuator input; gains, damping or limits of dofs that have no
-  // drive. `control` null: the model's. Looks at arrays again when they were written.
-  void check_values(const Model& model, const Control* control, const char* user);
+  // ErrorKind::NotImplemented, naming the array: a value that would have no effect: joint_friction
+  // unless there is `friction`, a joint that is not enabled, an actuator input; gains, damping or
+  // limits of dofs that have no drive. `control` null: the model's. ErrorKind::Value: friction that
+  // is negative or not finite. Looks at arrays again when they were written.
+  void check_values(const Model& model, const Control* control, bool friction, const char* user);
   // "dof 3 (joint 'elbow')"
   std::string dof_name(const Model& model, int32_t dof) const;
 

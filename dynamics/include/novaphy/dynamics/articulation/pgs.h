@@ -1,0 +1,215 @@
+// Contacts and dry friction of joints by projected Gauss-Seidel, at the level of velocities.
+//
+//   v' = v + M^-1 J^T lambda,  lambda impulses (N s), v the rates that the step has without them
+//   normal     0 <= lambda_n, J_n v' + beta + cfm lambda_n >= 0, one of both = 0
+//   friction   |lambda_t| <= mu lambda_n, against the slip J_t v' (cone); or each of the two
+//              tangents by itself (pyramid: up to sqrt 2 too strong along the diagonals)
+//   joints     |lambda| <= friction dt, against the rate of the dof
+// with d the gap:
+//   d > 0      beta = d / dt: the gap may close, and no more
+//   d <= 0     beta = erp min(0, d + slop) / dt, not below -max_depenetration
+//   an approach faster than the restitution threshold that touches within the step:
+//              beta = min(beta, restitution J_n qd), qd the rates before the step
+// A contact with the stiffness k and the damping c has instead, for d <= 0,
+//   beta = erp d / dt, erp = dt k / (dt k + c), and cfm = 1 / (dt (dt k + c)).
+// A sweep takes contact after contact: the normal first, then the tangents as a block, moved by
+// -w_t / s (s the largest eigenvalue of their 2 x 2 block of J Y) and projected radially. Sliding
+// does not lift a contact (no De Saxce correction).
+// Source: Preclik, Models and Algorithms for Ultrascale Simulations of Non-smooth Granular Dynamics
+// (2014), section 4; Catto, Iterative Dynamics with Temporal Coherence (2005).
+#pragma once
+
+#include "novaphy/dynamics/articulation/scalar.h"
+
+namespace novaphy::articulation {
+
+template <class T>
+struct ContactLaw {
+  T dt{};                     // s
+  T erp{}, slop{}, cfm{};     // 1, m, (m/s) / (N s)
+  T max_depenetration{};      // m/s
+  T restitution_threshold{};  // m/s
+  bool compliant = false;     // by the stiffness and damping of the shapes
+  bool cone = true;
+};
+template <class T>
+struct ContactMaterial {
+  T friction{}, restitution{}, stiffness{}, damping{};
+};
+
+template <class T>
+struct NormalTarget {
+  T bias{}, cfm{};
+};
+// `before`: J_n qd at the beginning of the step; `after`: without impulses.
+template <class T>
+NormalTarget<T> normal_target(const ContactLaw<T>& law, const ContactMaterial<T>& material,
+                              const T& gap, const T& before, const T& after) {
+  const T o = T(0.0f);
+  NormalTarget<T> to{gap / law.dt, law.cfm};
+  if (law.compliant) {
+    const T softness = law.dt * material.stiffness + material.damping;
+    to.cfm = law.cfm + T(1.0f) / (law.dt * softness);
+    if (!(gap > o)) to.bias = material.stiffness * gap / softness;
+  } else if (!(gap > o)) {
+    const T depth = gap + law.slop;
+    to.bias = depth < o ? law.erp * depth / law.dt : o;
+  }
+  if (to.bias < -law.max_depenetration) to.bias = -law.max_depenetration;
+  const bool touches = gap + law.dt * (after < before ? after : before) < o;
+  if (touches && material.restitution > o && before < -law.restitution_threshold) {
+    const T bounce = material.restitution * before;
+    if (bounce < to.bias) to.bias = bounce;
+  }
+  return to;
+}
+
+// What a tree has of a row: its rates, J and Y. `width` is a multiple of 4, padded with zeros.
+template <class T>
+struct RowSide {
+  T* rates = nullptr;
+  const T *jacobian = nullptr, *response = nullptr;
+  int32_t width = 0;
+};
+
+// In four sums, whatever the width.
+template <class T>
+T row_dot(const T* a, const T* b, int32_t width) {
+  T s0 = T(0.0f), s1 = T(0.0f), s2 = T(0.0f), s3 = T(0.0f);
+  for (int32_t k = 0; k < width; k += 4) {
+    s0 = s0 + a[k] * b[k];
+    s1 = s1 + a[k + 1] * b[k + 1];
+    s2 = s2 + a[k + 2] * b[k + 2];
+    s3 = s3 + a[k + 3] * b[k + 3];
+  }
+  return (s0 + s1) + (s2 + s3);
+}
+
+template <class T>
+struct PgsContact {
+  RowSide<T> sides[2];  // three rows each; an absent one has the width 0
+  T bias{}, cfm{}, friction{};
+  T normal{};         // J_n Y_n
+  T tangent[3] = {};  // t1 t1, t1 t2, t2 t2 of J Y
+  T impulse[3] = {};  // along n, t1, t2
+};
+
+template <class T>
+T slip(const PgsContact<T>& c, int32_t row) {
+  T v = T(0.0f);
+  for (const RowSide<T>& s : c.sides)
+    if (s.width > 0) v = v + row_dot(s.jacobian + row * s.width, s.rates, s.width);
+  return v;
+}
+template <class T>
+void push(const PgsContact<T>& c, int32_t row, const T& impulse) {
+  for (const RowSide<T>& s : c.sides) {
+    const T* const y = s.response + row * s.width;
+    for (int32_t k = 0; k < s.width; ++k) s.rates[k] = s.rates[k] + y[k] * impulse;
+  }
+}
+// J_i Y_j.
+template <class T>
+T row_product(const PgsContact<T>& c, int32_t i, int32_t j) {
+  T sum = T(0.0f);
+  for (const RowSide<T>& s : c.sides)
+    if (s.width > 0)
+      sum = sum + row_dot(s.jacobian + i * s.width, s.response + j * s.width, s.width);
+  return sum;
+}
+template <class T>
+void set_diagonals(PgsContact<T>& c) {
+  c.normal = row_product(c, 0, 0);
+  c.tangent[0] = row_product(c, 1, 1);
+  c.tangent[1] = row_product(c, 1, 2);
+  c.tangent[2] = row_product(c, 2, 2);
+}
+// The largest eigenvalue of the tangents' block.
+template <class T>
+T tangent_bound(const PgsContact<T>& c) {
+  const T half = T(0.5f), d = (c.tangent[0] - c.tangent[2]) * half;
+  return (c.tangent[0] + c.tangent[2]) * half + square_root(d * d + c.tangent[1] * c.tangent[1]);
+}
+
+template <class T>
+void project_friction(const T& limit, bool cone, T& x, T& y) {
+  if (cone) {
+    const T length2 = x * x + y * y;
+    if (length2 > limit * limit) {
+      const T scale = limit / square_root(length2);
+      x = x * scale;
+      y = y * scale;
+    }
+    return;
+  }
+  x = x > limit ? limit : x < -limit ? -limit : x;
+  y = y > limit ? limit : y < -limit ? -limit : y;
+}
+
+// Starts from impulses of an earlier step, along n, t1, t2: projects and applies them.
+template <class T>
+void warm_start(PgsContact<T>& c, bool cone, const T& n, const T& t1, const T& t2) {
+  c.impulse[0] = n > T(0.0f) ? n : T(0.0f);
+  c.impulse[1] = t1;
+  c.impulse[2] = t2;
+  project_friction(c.friction * c.impulse[0], cone, c.impulse[1], c.impulse[2]);
+  for (int32_t r = 0; r < 3; ++r) push(c, r, c.impulse[r]);
+}
+
+// One contact of a sweep. The result: the largest change of velocity along a row, m/s.
+template <class T>
+T sweep(PgsContact<T>& c, bool cone) {
+  const T o = T(0.0f);
+  T worst = o;
+  const auto apply = [&](int32_t row, const T& impulse, const T& diagonal) {
+    const T change = impulse - c.impulse[row];
+    c.impulse[row] = impulse;
+    push(c, row, change);
+    const T moved = diagonal * (change < o ? -change : change);
+    if (moved > worst) worst = moved;
+  };
+  if (!(c.normal > o)) return o;
+  const T residual = slip(c, 0) + c.bias + c.cfm * c.impulse[0];
+  const T n = c.impulse[0] - residual / (c.normal + c.cfm);
+  apply(0, n > o ? n : o, c.normal);
+  const T limit = c.friction * c.impulse[0];
+  if (!(limit > o) && c.impulse[1] == o && c.impulse[2] == o) return worst;
+  if (cone) {
+    const T s = tangent_bound(c);
+    if (!(s > o)) return worst;
+    T x = c.impulse[1] - slip(c, 1) / s, y = c.impulse[2] - slip(c, 2) / s;
+    project_friction(limit, true, x, y);
+    apply(1, x, s);
+    apply(2, y, s);
+    return worst;
+  }
+  for (int32_t r = 1; r < 3; ++r) {
+    const T a = c.tangent[r == 1 ? 0 : 2];
+    if (!(a > o)) continue;
+    const T x = c.impulse[r] - slip(c, r) / a;
+    apply(r, x > limit ? limit : x < -limit ? -limit : x, a);
+  }
+  return worst;
+}
+
+// Dry friction of a dof: the row is the dof itself.
+template <class T>
+struct PgsJointFriction {
+  T* rates = nullptr;           // of the tree
+  const T* response = nullptr;  // {width}
+  int32_t width = 0, dof = 0;
+  T limit{}, impulse{};  // friction dt, N s or N m s
+};
+template <class T>
+T sweep(PgsJointFriction<T>& f) {
+  const T diagonal = f.response[f.dof];
+  if (!(diagonal > T(0.0f))) return T(0.0f);
+  T x = f.impulse - f.rates[f.dof] / diagonal;
+  x = x > f.limit ? f.limit : x < -f.limit ? -f.limit : x;
+  const T change = x - f.impulse;
+  f.impulse = x;
+  for (int32_t k = 0; k < f.width; ++k) f.rates[k] = f.rates[k] + f.response[k] * change;
+  return diagonal * (change < T(0.0f) ? -change : change);
+}
+
+}  // namespace novaphy::articulation

@@ -1,0 +1,94 @@
+// The contacts and the dry friction of joints of a step of articulations, by projected Gauss-Seidel
+// (articulation/pgs.h): island after island, each by one thread, its contacts in their order. So
+// nothing depends on the number of threads.
+#pragma once
+
+#include <vector>
+
+#include "articulation_kernels.h"
+#include "novaphy/core/array_stamp.h"
+#include "novaphy/core/sim/contacts.h"
+#include "novaphy/core/sim/index_rows.h"
+#include "novaphy/dynamics/articulation/contact_rows.h"
+#include "novaphy/dynamics/articulation/pgs.h"
+#include "novaphy/dynamics/featherstone/articulations.h"
+#include "novaphy/dynamics/featherstone/solver_featherstone.h"
+
+namespace novaphy {
+
+class PgsContacts {
+ public:
+  PgsContacts(const Model& model, const Articulations& articulations);
+
+  // Whether a step has rows: contacts of bodies, or dry friction.
+  bool prepare(const Model& model, const Contacts* contacts);
+  // Behind prepare: what articulation_step does for all rows, with contacts, whose
+  // rigid_contact_force is written. Where an articulation fails (`status`) before contacts, nothing
+  // is written.
+  void step(const ArticulationStepArguments& step, const Model& model, const Contacts* contacts,
+            const FeatherstoneOptions& options);
+  // The poses and velocities of the bodies, from joint_q and joint_qd.
+  void write_bodies(const ArticulationArguments& in, Transformf* body_q, SpatialVectorf* body_qd);
+  // The most sweeps that an island of the last step took, and the largest change of velocity (m/s)
+  // of a last sweep.
+  int32_t sweeps() const { return sweeps_; }
+  float residual() const { return residual_; }
+
+ private:
+  struct Side {
+    int32_t tree = -1, link = -1;  // -1: the world, or what no dof moves
+  };
+  struct Row {
+    int32_t contact = 0;  // row of the contacts
+    Side sides[2] = {};
+    int64_t numbers = 0;  // first of J and Y
+    articulation::ContactFrame<float> frame = {};
+    articulation::PgsContact<float> solver = {};
+  };
+  struct Kept {  // of the step before
+    int32_t shape0, shape1, point;
+    float normal;
+    Vec3f tangent;
+  };
+  struct Friction {
+    int32_t tree = 0, dof = 0;  // of the tree
+    float impulse = 0.0f;
+  };
+  struct Step;
+
+  void find_friction(const Model& model);
+  void gather(const Model& model, const Contacts& contacts);
+  void find_islands();
+  void build_row(const Step& step, Row& row);
+  const Kept* find_kept(size_t& next, const Contacts& contacts, int32_t contact) const;
+  void solve_island(const Step& step, int64_t island);
+  void keep(const Contacts* contacts, float dt);
+  int32_t find_root(int32_t tree);
+  articulation::Workspace<float> workspace(const ArticulationRows& rows, int64_t tree);
+  int32_t width(int64_t tree) const { return (trees_[tree].dof_count + 3) / 4 * 4; }
+
+  const ArticulationRows* trees_;
+  int64_t count_;
+  std::vector<Side> of_body_;
+  std::vector<uint64_t> memory_;       // workspaces
+  std::vector<int64_t> memory_begin_;  // of each tree, in words
+  std::vector<float> rates_;           // of each tree, padded
+  std::vector<int64_t> rates_begin_;
+  ArrayStamp friction_stamp_;
+  std::vector<Friction> friction_;
+  int64_t friction_begin_ = 0;  // of the numbers
+  std::vector<Row> rows_;
+  std::vector<float> numbers_;  // J and Y of the contacts, Y of the friction
+  std::vector<articulation::PgsJointFriction<float>> friction_rows_;
+  std::vector<int32_t> root_, island_of_tree_, island_of_row_, island_of_friction_;
+  IndexRows island_rows_, island_friction_;
+  std::vector<int32_t> island_sweeps_;
+  std::vector<float> island_residual_;
+  std::vector<Kept> kept_;
+  std::vector<const Kept*> warm_;  // of each row
+  float kept_dt_ = 0.0f;
+  int32_t sweeps_ = 0;
+  float residual_ = 0.0f;
+};
+
+}  // namespace novaphy

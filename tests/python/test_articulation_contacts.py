@@ -1,0 +1,343 @@
+"""Contacts and dry friction of articulations: SolverFeatherstone with pgs and penalty."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import novaphy
+
+UPRIGHT = (0.0, 0.0, 0.0, 1.0)
+GRAVITY = 9.81
+
+
+def simulate(
+    builder: novaphy.ModelBuilder, seconds: float, dt: float = 1 / 240, **options: object
+) -> tuple[novaphy.Model, np.ndarray, np.ndarray, novaphy.Contacts]:
+    """Run a scene; the model, poses and velocities of all states, and the last contacts."""
+    model = builder.finalize()
+    solver = novaphy.solvers.SolverFeatherstone(model, **options)
+    pipeline = novaphy.CollisionPipeline(model)
+    contacts = pipeline.contacts()
+    state, after = model.state(), model.state()
+    novaphy.eval_fk(model, state.joint_q, state.joint_qd, state)
+    poses, velocities = [state.body_q.numpy()], [state.body_qd.numpy()]
+    for _ in range(round(seconds / dt)):
+        pipeline.collide(state, contacts)
+        solver.step(state, after, None, contacts, dt)
+        state, after = after, state
+        poses.append(state.body_q.numpy())
+        velocities.append(state.body_qd.numpy())
+    return model, np.array(poses), np.array(velocities), contacts
+
+
+def stack(masses: list[float], offset: float) -> novaphy.ModelBuilder:
+    """Cubes of 0.2 m one upon the other, each a little aside."""
+    builder = novaphy.ModelBuilder()
+    builder.add_ground_plane(cfg=novaphy.ShapeConfig(mu=0.5))
+    for k, mass in enumerate(masses):
+        x = offset * (-1) ** k
+        y = x if k % 3 == 0 else -x
+        cube = builder.add_body(xform=((x, y, 0.1 * (2 * k + 1)), UPRIGHT))
+        surface = novaphy.ShapeConfig(mu=0.5, density=mass / 0.008)
+        builder.add_shape_box(cube, hx=0.1, hy=0.1, hz=0.1, cfg=surface)
+    return builder
+
+
+def test_ten_cubes_stand_for_ten_seconds() -> None:
+    model, poses, velocities, contacts = simulate(stack([8.0] * 10, 0.003), 10.0)
+    moved = poses[-1, :, :3] - model.body_q.numpy()[:, :3]
+    assert np.abs(moved[:, :2]).max() < 2e-3
+    assert np.abs(moved[:, 2]).max() < 1e-3
+    assert np.abs(velocities[-1]).max() < 1e-3
+    rows = contacts.rigid_contact_shape0.numpy() == 0  # of the ground
+    carried = contacts.rigid_contact_force.numpy()[rows].sum(axis=0)
+    np.testing.assert_allclose(carried, (0.0, 0.0, 80.0 * GRAVITY), atol=0.5)
+
+
+def test_a_light_cube_carries_one_of_twenty_times_its_mass() -> None:
+    model, poses, _, _ = simulate(stack([1.0, 20.0], 0.0), 5.0)
+    assert np.abs(poses[-1, :, :3] - model.body_q.numpy()[:, :3]).max() < 1e-3
+
+
+def flat_box(mu: float) -> novaphy.ModelBuilder:
+    """A flat box on the ground."""
+    builder = novaphy.ModelBuilder()
+    surface = novaphy.ShapeConfig(mu=mu)
+    builder.add_ground_plane(cfg=surface)
+    box = builder.add_body(xform=((0.0, 0.0, 0.05), UPRIGHT))
+    builder.add_shape_box(box, hx=0.2, hy=0.2, hz=0.05, cfg=surface)
+    return builder
+
+
+@pytest.mark.parametrize("cone", ["cone", "pyramid"])
+@pytest.mark.parametrize("direction", [0.0, 0.7])
+def test_a_box_on_a_slope_sticks_and_slides_as_coulomb_says(cone: str, direction: float) -> None:
+    mu, dt, steps = 0.5, 1 / 480, 240
+    heading = np.array([np.cos(direction), np.sin(direction)])
+    for tangent in (0.45, 0.8):
+        angle = np.arctan(tangent)
+        model = flat_box(mu).finalize()
+        across = GRAVITY * np.sin(angle) * heading
+        model.set_gravity((*across, -GRAVITY * np.cos(angle)))
+        solver = novaphy.solvers.SolverFeatherstone(model, friction_cone=cone, angular_damping=0.0)
+        pipeline = novaphy.CollisionPipeline(model)
+        contacts = pipeline.contacts()
+        state, after = model.state(), model.state()
+        for _ in range(steps):
+            pipeline.collide(state, contacts)
+            solver.step(state, after, None, contacts, dt)
+            state, after = after, state
+        speed = state.body_qd.numpy()[0, :2] @ heading
+        if tangent < mu:
+            assert abs(speed) < 1e-5
+            assert np.abs(state.body_q.numpy()[0, :2]).max() < 1e-5
+        elif cone == "cone":
+            slides = GRAVITY * (np.sin(angle) - mu * np.cos(angle))
+            assert speed / (steps * dt) == pytest.approx(slides, rel=1e-3)
+        else:  # too strong along the diagonals, never too weak
+            assert (
+                0.0
+                <= speed / (steps * dt)
+                <= GRAVITY * (np.sin(angle) - mu * np.cos(angle)) * (1 + 1e-3)
+            )
+
+
+@pytest.mark.parametrize("restitution", [0.0, 0.5, 0.8])
+def test_a_ball_bounces_to_its_height(restitution: float) -> None:
+    builder = novaphy.ModelBuilder()
+    surface = novaphy.ShapeConfig(restitution=restitution)
+    builder.add_ground_plane(cfg=surface)
+    ball = builder.add_body(xform=((0.0, 0.0, 1.1), UPRIGHT))
+    builder.add_shape_sphere(ball, radius=0.1, cfg=surface)
+    _, poses, velocities, _ = simulate(builder, 1.0, 1 / 2000)
+    fastest = int(np.argmin(velocities[:, 0, 2]))
+    assert velocities[fastest, 0, 2] == pytest.approx(-np.sqrt(2 * GRAVITY), rel=5e-3)
+    lowest = poses[:, 0, 2].min() - 0.1
+    assert lowest > -1e-5  # a rebound begins up to a step's way above the ground
+    height = poses[fastest + 1 :, 0, 2].max() - 0.1
+    assert height == pytest.approx(restitution**2, rel=0.02, abs=3e-3)
+
+
+def test_two_equal_balls_exchange_their_velocities() -> None:
+    builder = novaphy.ModelBuilder(gravity=0.0)
+    surface = novaphy.ShapeConfig(restitution=1.0, mu=0.0)
+    for x in (0.0, 0.5):
+        ball = builder.add_body(xform=((x, 0.0, 0.0), UPRIGHT))
+        builder.add_shape_sphere(ball, radius=0.1, cfg=surface)
+    builder.joint_qd = [2.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+    _, _, velocities, _ = simulate(builder, 0.5, angular_damping=0.0)
+    np.testing.assert_allclose(velocities[-1, :, 0], (0.0, 2.0), atol=1e-5)
+    np.testing.assert_allclose(velocities[:, :, 0].sum(axis=1), 2.0, atol=1e-5)
+
+
+def robot() -> novaphy.ModelBuilder:
+    """A trunk on two legs with box feet, held by drives at hips, knees and ankles."""
+    builder = novaphy.ModelBuilder()
+    surface = novaphy.ShapeConfig(mu=0.8)
+    builder.add_ground_plane(cfg=surface)
+    trunk = builder.add_link(xform=((0.0, 0.0, 1.02), UPRIGHT))
+    builder.add_shape_box(trunk, hx=0.1, hy=0.15, hz=0.15, cfg=surface)
+    joints = [builder.add_joint_free(trunk)]
+    drive = {"target_ke": 400.0, "target_kd": 20.0, "axis": (0.0, 1.0, 0.0)}
+    for side in (-0.1, 0.1):
+        parent, anchor = trunk, (0.0, side, -0.17)
+        for length in (0.4, 0.4):
+            link = builder.add_link()
+            thin = novaphy.ShapeConfig(mu=0.8, density=500.0)
+            builder.add_shape_box(link, hx=0.04, hy=0.04, hz=length / 2 - 0.02, cfg=thin)
+            joints.append(
+                builder.add_joint_revolute(
+                    parent,
+                    link,
+                    parent_xform=(anchor, UPRIGHT),
+                    child_xform=((0.0, 0.0, length / 2), UPRIGHT),
+                    **drive,
+                )
+            )
+            parent, anchor = link, (0.0, 0.0, -length / 2)
+        foot = builder.add_link()
+        builder.add_shape_box(foot, hx=0.12, hy=0.06, hz=0.02, cfg=surface)
+        joints.append(
+            builder.add_joint_revolute(
+                parent,
+                foot,
+                parent_xform=(anchor, UPRIGHT),
+                child_xform=((-0.02, 0.0, 0.03), UPRIGHT),
+                **drive,
+            )
+        )
+    builder.add_articulation(joints)
+    return builder
+
+
+def test_a_robot_with_box_feet_stands() -> None:
+    model, poses, velocities, contacts = simulate(robot(), 5.0, 1 / 500)
+    assert np.abs(poses[-1, 0, :2] - poses[0, 0, :2]).max() < 0.03
+    assert poses[-1, 0, 2] > 0.98
+    assert np.abs(velocities[-1]).max() < 1e-2
+    force = contacts.rigid_contact_force.numpy()[: int(contacts.rigid_contact_count.numpy()[0])]
+    weight = model.body_mass.numpy().sum() * GRAVITY
+    np.testing.assert_allclose(force.sum(axis=0), (0.0, 0.0, weight), atol=0.02 * weight)
+
+
+def test_a_gripper_lifts_a_box() -> None:
+    builder = novaphy.ModelBuilder()
+    surface = novaphy.ShapeConfig(mu=0.8)
+    builder.add_ground_plane(cfg=surface)
+    box = builder.add_body(xform=((0.0, 0.0, 0.05), UPRIGHT))
+    builder.add_shape_box(box, hx=0.05, hy=0.05, hz=0.05, cfg=surface)  # 1 kg
+    wrist = builder.add_link(mass=1.0, inertia=np.eye(3) * 0.01)
+    joints = [
+        builder.add_joint_prismatic(
+            -1,
+            wrist,
+            axis=(0.0, 0.0, 1.0),
+            parent_xform=((0.0, 0.0, 0.2), UPRIGHT),
+            target_ke=5000.0,
+            target_kd=500.0,
+        )
+    ]
+    for side in (-1.0, 1.0):
+        finger = builder.add_link()
+        builder.add_shape_box(finger, hx=0.01, hy=0.03, hz=0.05, cfg=surface)
+        joints.append(
+            builder.add_joint_prismatic(
+                wrist,
+                finger,
+                axis=(-side, 0.0, 0.0),
+                parent_xform=((0.08 * side, 0.0, -0.13), UPRIGHT),
+                target_ke=2000.0,
+                target_kd=100.0,
+                effort_limit=30.0,
+            )
+        )
+    builder.add_articulation(joints)
+    model = builder.finalize()
+    solver = novaphy.solvers.SolverFeatherstone(model)
+    pipeline = novaphy.CollisionPipeline(model)
+    contacts, control = pipeline.contacts(), model.control()
+    state, after = model.state(), model.state()
+    start = model.joint_q.numpy().size - 3
+    novaphy.eval_fk(model, state.joint_q, state.joint_qd, state)
+    for step in range(1000):
+        target = control.joint_target_q.numpy()
+        target[start + 1 :] = 0.1  # closes, as strong as the effort limit lets it
+        target[start] = 0.3 * min(max(step / 500 - 0.4, 0.0), 1.0)
+        control.joint_target_q.assign(target)
+        pipeline.collide(state, contacts)
+        solver.step(state, after, control, contacts, 1 / 500)
+        state, after = after, state
+    pose = state.body_q.numpy()[box]
+    assert pose[2] == pytest.approx(0.35, abs=0.01)
+    assert np.abs(pose[:2]).max() < 5e-3
+
+
+def test_dry_friction_holds_a_joint_and_slows_it_down() -> None:
+    def hinge(friction: float, torque: float) -> novaphy.ModelBuilder:
+        builder = novaphy.ModelBuilder(gravity=0.0)
+        link = builder.add_link(mass=1.0, inertia=np.eye(3) * 0.5)
+        joint = builder.add_joint_revolute(-1, link, axis=(0.0, 0.0, 1.0), friction=friction)
+        builder.add_articulation([joint])
+        builder.joint_f = [torque]
+        return builder
+
+    _, _, stuck, _ = simulate(hinge(1.0, 0.9), 1.0, angular_damping=0.0)
+    assert np.abs(stuck).max() < 1e-6
+    _, _, moving, _ = simulate(hinge(1.0, 1.5), 1.0, angular_damping=0.0)
+    assert moving[-1, 0, 5] == pytest.approx((1.5 - 1.0) / 0.5, rel=1e-4)
+
+
+@pytest.mark.parametrize("stiffness", [2e4, 5e4])
+def test_a_compliant_contact_is_the_spring_of_the_shapes(stiffness: float) -> None:
+    builder = novaphy.ModelBuilder()
+    surface = novaphy.ShapeConfig(ke=stiffness, kd=500.0)
+    builder.add_ground_plane(cfg=surface)
+    ball = builder.add_body(xform=((0.0, 0.0, 0.1), UPRIGHT))
+    builder.add_shape_sphere(ball, radius=0.1, cfg=surface)
+    model, poses, _, _ = simulate(builder, 2.0, 1 / 1000, compliant_contacts=True)
+    weight = model.body_mass.numpy()[0] * GRAVITY
+    assert 0.1 - poses[-1, 0, 2] == pytest.approx(weight / stiffness, rel=2e-3)
+
+
+def test_penalty_contacts_rest_where_the_springs_carry() -> None:
+    builder = novaphy.ModelBuilder()
+    surface = novaphy.ShapeConfig(ke=2e4, kd=300.0)
+    builder.add_ground_plane(cfg=surface)
+    ball = builder.add_body(xform=((0.0, 0.0, 0.1), UPRIGHT))
+    builder.add_shape_sphere(ball, radius=0.1, cfg=surface)
+    model, poses, _, contacts = simulate(builder, 2.0, 1 / 1000, contact="penalty")
+    weight = model.body_mass.numpy()[0] * GRAVITY
+    assert 0.1 - poses[-1, 0, 2] == pytest.approx(weight / 2e4, rel=2e-3)
+    assert contacts.rigid_contact_force.numpy()[0, 2] == pytest.approx(weight, rel=1e-3)
+
+
+def test_islands_have_the_bits_that_they_have_alone() -> None:
+    alone = simulate(robot(), 0.2, 1 / 500)[1]
+    many = novaphy.ModelBuilder()
+    many.replicate(robot(), 5)
+    together = simulate(many, 0.2, 1 / 500)[1]
+    for world in range(5):
+        np.testing.assert_array_equal(together[:, 7 * world : 7 * world + 7], alone)
+
+
+def test_a_contact_that_opens_fast_does_not_pull() -> None:
+    builder = stack([8.0], 0.0)
+    builder.joint_qd = [0.0, 0.0, 1.0, 0.0, 0.0, 0.0]
+    _, poses, _, _ = simulate(builder, 0.1, angular_damping=0.0)
+    t = np.arange(len(poses)) / 240
+    free = 0.1 + t - 0.5 * GRAVITY * t * (t + 1 / 240)
+    np.testing.assert_allclose(poses[:, 0, 2], free, atol=1e-5)
+
+
+def test_a_fast_ball_stops_at_the_surface_without_delay() -> None:
+    builder = novaphy.ModelBuilder(gravity=0.0)
+    builder.rigid_gap = 0.2
+    builder.add_ground_plane()
+    ball = builder.add_body(xform=((0.0, 0.0, 0.25), UPRIGHT))
+    builder.add_shape_sphere(ball, radius=0.1)
+    builder.joint_qd = [0.0, 0.0, -30.0, 0.0, 0.0, 0.0]
+    _, poses, _, _ = simulate(builder, 0.1, 1 / 60)
+    assert poses[1:, 0, 2] == pytest.approx(0.1, abs=1e-5)
+
+
+def test_sweeps_and_residual_can_be_read() -> None:
+    model = stack([8.0] * 3, 0.003).finalize()
+    solver = novaphy.solvers.SolverFeatherstone(model, pgs_iterations=3)
+    pipeline = novaphy.CollisionPipeline(model)
+    contacts = pipeline.contacts()
+    state, after = model.state(), model.state()
+    pipeline.collide(state, contacts)
+    solver.step(state, after, None, contacts, 1 / 240)
+    assert solver.pgs_sweeps == 3 and solver.pgs_residual > 1e-6
+    solver.step(state, after, None, None, 1 / 240)
+    assert solver.pgs_sweeps == 0 and solver.pgs_residual == 0.0
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"contact": "soft"}, 'contact: expected "pgs", "penalty" or None'),
+        ({"friction_cone": "box"}, 'friction_cone: expected "cone" or "pyramid"'),
+        ({"pgs_iterations": 0}, "pgs_iterations: expected at least 1, got 0"),
+        ({"pgs_erp": -0.1}, "pgs_erp: expected a finite number >= 0"),
+        ({"pgs_erp": 1.5}, "pgs_erp: expected 0 to 1"),
+        ({"pgs_slop": float("nan")}, "pgs_slop"),
+        ({"contact": "penalty", "pgs_cfm": 0.1}, "pgs_cfm: expected 0 where"),
+        ({"contact": None, "warm_start": False}, "warm_start"),
+        ({"friction_smoothing": 0.2}, "friction_smoothing: expected 0.1 where"),
+        ({"compliant_contacts": True, "pgs_erp": 0.1}, "pgs_erp, pgs_slop"),
+    ],
+)
+def test_bad_options_are_refused(options: dict[str, object], message: str) -> None:
+    model = stack([8.0], 0.0).finalize()
+    with pytest.raises(ValueError, match=message):
+        novaphy.solvers.SolverFeatherstone(model, **options)
+
+
+def test_contacts_without_a_way_of_contact_raise() -> None:
+    model = stack([8.0], 0.0).finalize()
+    solver = novaphy.solvers.SolverFeatherstone(model, contact=None)
+    contacts = novaphy.CollisionPipeline(model).contacts()
+    with pytest.raises(ValueError, match="contacts: expected none"):
+        solver.step(model.state(), model.state(), None, contacts, 0.01)

@@ -87,6 +87,18 @@ def test_the_scenes_of_rigid_bodies_end_as_they_should(scene):
     assert done.returncode == 0 and done.stdout.rstrip().endswith("ok"), done.stdout + done.stderr
 
 
+@pytest.mark.parametrize("scene", ["stack", "quadruped", "ant"])
+def test_the_scenes_of_articulations_end_as_they_should(scene):
+    script = DEMOS.parent / "demo_articulated_scenes.py"
+    done = subprocess.run(
+        [sys.executable, str(script), scene, "--headless", "240"],
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
+    assert done.returncode == 0 and done.stdout.rstrip().endswith("ok"), done.stdout + done.stderr
+
+
 def test_a_box_is_pushed_to_its_mark_and_a_drone_flown_to_its_waypoint():
     pytest.importorskip("novaphy.diff")
     for name in ("push", "drone"):

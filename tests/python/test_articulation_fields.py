@@ -1,0 +1,235 @@
+"""Every array of a model acts on a step of articulations, or other than its default it raises."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+import novaphy
+
+UPRIGHT = (0.0, 0.0, 0.0, 1.0)
+STEPS, DT = 40, 1 / 480
+
+
+def scene() -> novaphy.ModelBuilder:
+    """A hinge beyond its limit, a driven hinge, a ball joint, and a box that slides and bounces."""
+    builder = novaphy.ModelBuilder()
+    surface = novaphy.ShapeConfig(mu=0.5)
+    builder.add_ground_plane(cfg=surface)
+    box = builder.add_body(xform=((3.0, 0.0, 0.11), UPRIGHT))
+    builder.add_shape_box(box, hx=0.1, hy=0.1, hz=0.1, cfg=surface)
+    ball = builder.add_body(xform=((5.0, 0.0, 0.11), UPRIGHT))
+    builder.add_shape_sphere(ball, radius=0.1, cfg=surface)
+    links = [
+        builder.add_link(mass=1.0, com=(0.02, 0.01, 0.0), inertia=np.diag([0.02, 0.03, 0.04]))
+        for _ in range(3)
+    ]
+    hinge = {
+        "axis": (0.0, 1.0, 0.0),
+        "limit_ke": 50.0,
+        "limit_kd": 0.5,
+        "target_ke": 30.0,
+        "target_kd": 1.0,
+        "target_qd": 0.2,
+    }
+    at = {"child_xform": ((-0.3, 0.0, 0.0), UPRIGHT)}
+    anchor = {"parent_xform": ((0.0, 0.0, 2.0), UPRIGHT)}
+    joints = [
+        builder.add_joint_revolute(
+            -1, links[0], limit_lower=-0.5, limit_upper=0.5, **hinge, **at, **anchor
+        ),
+        builder.add_joint_revolute(links[0], links[1], effort_limit=5.0, **hinge, **at),
+        builder.add_joint_ball(links[1], links[2], **at),
+    ]
+    builder.add_articulation(joints)
+    hinges = builder.joint_count - 3
+    assert hinges == 2
+    builder.joint_q[14:16] = [0.7, 0.1]
+    builder.joint_target_q[14:16] = [0.1, 0.9]
+    builder.joint_qd[12:14] = [0.3, -0.2]
+    builder.body_qd[box] = (1.0, 0.0, -2.0, 0.0, 0.0, 0.0)
+    builder.body_qd[ball] = (0.5, 0.0, -2.0, 0.0, 0.0, 0.0)
+    return builder
+
+
+def run(edit: Callable[[novaphy.Model], None], **options: object) -> np.ndarray:
+    """All joint coordinates and velocities of a run, after an edit of the model."""
+    model = scene().finalize()
+    edit(model)
+    solver = novaphy.solvers.SolverFeatherstone(model, **options)
+    pipeline = novaphy.CollisionPipeline(model)
+    contacts = pipeline.contacts()
+    state, after = model.state(), model.state()
+    novaphy.eval_fk(model, state.joint_q, state.joint_qd, state)
+    numbers = []
+    for _ in range(STEPS):
+        pipeline.collide(state, contacts)
+        solver.step(state, after, None, contacts, DT)
+        state, after = after, state
+        numbers += [state.joint_q.numpy(), state.joint_qd.numpy()]
+    return np.concatenate(numbers)
+
+
+def scaled(name: str, rows: slice = slice(None)) -> Callable[[novaphy.Model], None]:
+    """Multiply rows by 1.3 and add a little."""
+
+    def edit(model: novaphy.Model) -> None:
+        array = getattr(model, name)
+        values = array.numpy()
+        values[rows] = values[rows] * 1.3 + 0.05
+        array.assign(values)
+
+    return edit
+
+
+def of(name: str, rows: slice, value: object) -> Callable[[novaphy.Model], None]:
+    """Set rows of an array."""
+
+    def edit(model: novaphy.Model) -> None:
+        array = getattr(model, name)
+        values = array.numpy()
+        values[rows] = value
+        array.assign(values)
+
+    return edit
+
+
+HINGES, SHAPES = slice(12, 14), slice(0, 3)
+ACT = {
+    **{
+        name: scaled(name, HINGES)
+        for name in (
+            "joint_armature",
+            "joint_damping",
+            "joint_f",
+            "joint_friction",
+            "joint_qd",
+            "joint_target_kd",
+            "joint_target_ke",
+            "joint_target_qd",
+        )
+    },
+    **{name: scaled(name, slice(12, 13)) for name in ("joint_limit_ke", "joint_limit_kd")},
+    "joint_limit_lower": of("joint_limit_lower", slice(12, 13), 0.65),
+    "joint_limit_upper": of("joint_limit_upper", slice(12, 13), 0.4),
+    "joint_effort_limit": of("joint_effort_limit", slice(13, 14), 1.0),
+    "joint_velocity_limit": of("joint_velocity_limit", HINGES, 0.2),
+    "joint_q": scaled("joint_q", slice(14, 16)),
+    "joint_target_q": scaled("joint_target_q", slice(14, 16)),
+    "joint_target_mode": of("joint_target_mode", HINGES, 0),
+    "joint_axis": of("joint_axis", HINGES, (1.0, 0.0, 0.0)),
+    "joint_X_p": scaled("joint_X_p", (slice(3, 5), slice(0, 3))),
+    "joint_X_c": scaled("joint_X_c", (slice(3, 5), slice(0, 3))),
+    "body_mass": scaled("body_mass"),
+    "body_com": scaled("body_com"),
+    "body_inertia": of("body_inertia", slice(None), np.eye(3) * 0.07),
+    "gravity": of("gravity", slice(None), (0.0, 1.0, -5.0)),
+    "shape_material_mu": of("shape_material_mu", SHAPES, 0.1),
+    "shape_material_restitution": of("shape_material_restitution", SHAPES, 0.6),
+    "shape_margin": of("shape_margin", SHAPES, 0.01),
+    "shape_gap": of("shape_gap", SHAPES, 0.0),
+    "shape_scale": of("shape_scale", slice(1, 3), 0.08),
+    "shape_transform": of("shape_transform", slice(1, 2), (0.0, 0.0, 0.02, *UPRIGHT)),
+}
+RAISE = {
+    "joint_act": of("joint_act", HINGES, 0.5),
+    "joint_enabled": of("joint_enabled", slice(3, 4), 0),
+    "shape_material_ka": of("shape_material_ka", SHAPES, 0.01),
+    "shape_material_mu_torsional": of("shape_material_mu_torsional", SHAPES, 0.1),
+    "shape_material_mu_rolling": of("shape_material_mu_rolling", SHAPES, 0.1),
+    "body_flags": of("body_flags", slice(2, 3), 2),
+}
+# Of the other ways of contact.
+PENALTY = ("shape_material_ke", "shape_material_kd", "shape_material_kf")
+# Which bodies, joints and shapes there are: read when solver and pipeline are made.
+STRUCTURE = (
+    "joint_type",
+    "joint_parent",
+    "joint_child",
+    "joint_dof_dim",
+    "joint_q_start",
+    "joint_qd_start",
+    "joint_articulation",
+    "joint_ancestor",
+    "joint_world",
+    "body_world",
+    "shape_body",
+    "shape_type",
+    "shape_flags",
+    "shape_world",
+    "shape_collision_group",
+    "shape_contact_pairs",
+    "shape_mesh_range",
+)
+# Follow from others, or are of masses and bounds when a model is built.
+DERIVED = (
+    "body_q",
+    "body_qd",
+    "body_inv_mass",
+    "body_inv_inertia",
+    "shape_is_solid",
+    "shape_collision_radius",
+)
+
+
+def test_the_table_has_every_array_of_a_model() -> None:
+    model = scene().finalize()
+    arrays = {name for name in dir(model) if isinstance(getattr(model, name), novaphy.DeviceArray)}
+    for name in arrays:
+        if name.startswith(("particle_", "spring_", "edge_", "tri_", "tet_")):
+            continue  # none of them: models with particles are refused
+        kinds = [
+            name in ACT,
+            name in RAISE,
+            name in PENALTY,
+            name in DERIVED or "_aabb_" in name,
+            name in STRUCTURE or name.startswith(("articulation_", "mesh_")),
+        ]
+        assert sum(kinds) == 1, name
+    assert set(ACT) | set(RAISE) | set(PENALTY) <= arrays
+
+
+@pytest.fixture(scope="module")
+def base() -> np.ndarray:
+    return run(lambda model: None)
+
+
+@pytest.mark.parametrize("name", sorted(ACT))
+def test_an_edited_array_acts(name: str, base: np.ndarray) -> None:
+    assert not np.array_equal(run(ACT[name]), base)
+
+
+@pytest.mark.parametrize("name", sorted(RAISE))
+def test_a_value_without_effect_raises(name: str) -> None:
+    with pytest.raises(NotImplementedError, match=name if name != "body_flags" else "kinematic"):
+        run(RAISE[name])
+
+
+@pytest.mark.parametrize("name", PENALTY)
+def test_springs_of_shapes_act_where_contacts_are_springs(name: str) -> None:
+    edit = scaled(name, SHAPES)
+    options = {"contact": "penalty"}
+    assert not np.array_equal(run(edit, **options), run(lambda model: None, **options))
+    if name != "shape_material_kf":
+        options = {"compliant_contacts": True}
+        assert not np.array_equal(run(edit, **options), run(lambda model: None, **options))
+
+
+def test_restitution_raises_under_penalty() -> None:
+    with pytest.raises(NotImplementedError, match="shape_material_restitution"):
+        run(ACT["shape_material_restitution"], contact="penalty")
+
+
+diff = pytest.mark.skipif(not novaphy.has_diff(), reason="needs NOVAPHY_WITH_DIFF")
+
+
+@diff
+@pytest.mark.parametrize("name", ["joint_friction", "joint_act", "joint_enabled"])
+def test_the_differentiable_solver_refuses_what_it_does_not_have(name: str) -> None:
+    model = scene().finalize()
+    {**ACT, **RAISE}[name](model)
+    solver = novaphy.solvers.DiffFeatherstoneSolver(model)
+    with pytest.raises(NotImplementedError, match=name):
+        solver.step(model.state(), model.state(), None, None, DT)

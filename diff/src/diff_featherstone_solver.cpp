@@ -12,9 +12,9 @@ constexpr const char* kUser = "DiffFeatherstoneSolver";
 constexpr const char* kStep = "DiffFeatherstoneSolver.step";
 constexpr const char* kRollout = "DiffFeatherstoneSolver.rollout";
 
-void check_contacts(const Contacts* contacts, const char* function) {
-  require(contacts == nullptr, ErrorKind::NotImplemented, function,
-          ", contacts: expected none, articulations have no contacts yet");
+void check_rollout_contacts(const Contacts* contacts) {
+  require(contacts == nullptr, ErrorKind::NotImplemented, kRollout,
+          ", contacts: expected none; step has contacts, one call per step");
 }
 
 }  // namespace
@@ -35,12 +35,14 @@ void DiffFeatherstoneSolver::step(SimState& state_in, SimState& state_out, const
   const ExclusiveUse::Scope scope = use(kStep);
   const Model& m = *model();
   check_step(kStep, state_in, state_out, control, contacts, dt);
-  check_contacts(contacts, kStep);
+  require(contacts == nullptr || options_.contact != ArticulationContact::None, ErrorKind::Value,
+          kStep, ", contacts: expected none of a solver without a way of contact");
   begin_model_reads(m, kStep);
   step_.begin(m, control, kStep);
   if (nova::Tape::active() != nullptr) make_leaves(state_in);
-  const auto scratch = make_scratch(step_.scratch(m), 1, device());
-  step_.record(m, state_in, state_out, control, nova::operand_of(state_in.body_f), dt, scratch[0]);
+  const auto scratch = make_scratch(step_.scratch(m, contacts), 1, device());
+  step_.record(m, state_in, state_out, control, contacts, nova::operand_of(state_in.body_f), dt,
+               scratch[0]);
   step_.check(m, kStep);
 }
 
@@ -52,13 +54,13 @@ void DiffFeatherstoneSolver::rollout(Trajectory& trajectory, const Control* cont
 }
 
 std::vector<ScratchSpec> DiffFeatherstoneSolver::step_scratch() const {
-  return step_.scratch(*model());
+  return step_.scratch(*model(), nullptr);
 }
 
 bool DiffFeatherstoneSolver::begin_rollout(const RolloutInputs& inputs) {
-  check_contacts(inputs.contacts(), kRollout);
+  check_rollout_contacts(inputs.contacts());
   require(inputs.pipeline() == nullptr, ErrorKind::NotImplemented, kRollout,
-          ", pipeline: expected none, articulations have no contacts yet");
+          ", pipeline: expected none; step has contacts, one call per step");
   begin_model_reads(*model(), kRollout);
   for (int32_t t = inputs.start(); t < inputs.stop(); ++t)
     if (t == inputs.start() || inputs.control(t) != inputs.control(t - 1))
@@ -68,7 +70,7 @@ bool DiffFeatherstoneSolver::begin_rollout(const RolloutInputs& inputs) {
 
 void DiffFeatherstoneSolver::record_step(const SimState& in, SimState& out,
                                          const StepInputs& inputs, StepScratch scratch) {
-  step_.record(*model(), in, out, inputs.control, inputs.body_forces, inputs.dt, scratch);
+  step_.record(*model(), in, out, inputs.control, nullptr, inputs.body_forces, inputs.dt, scratch);
 }
 
 }  // namespace novaphy::diff

@@ -1,4 +1,7 @@
 // Articulations on a tape.
+#include <pybind11/stl.h>
+
+#include "contact_options.h"
 #include "fast_step.h"
 #include "nova_types.h"
 #include "novaphy/diff/diff_featherstone_solver.h"
@@ -19,16 +22,66 @@ void bind_diff_featherstone(py::module_& m, py::module_& solvers) {
       "body_mass, body_com and body_inertia (its symmetric part), where no limit or clamp is just "
       "reached; those of quaternions are tangent to the unit sphere. None for gravity, joint "
       "frames "
-      "and axes: it raises.");
+      "and axes: it raises. Contacts (pgs) have the gradient of the rows that are active, see "
+      "gradient_info.");
   solver
       .def(py::init([](const std::shared_ptr<Model>& model, float angular_damping,
-                       bool implicit_drives) {
+                       bool implicit_drives, const std::optional<std::string>& contact,
+                       const std::string& friction_cone, int pgs_iterations, float pgs_tolerance,
+                       float pgs_erp, float pgs_slop, float pgs_cfm,
+                       float max_depenetration_velocity, float restitution_threshold,
+                       bool compliant_contacts) {
              return std::make_unique<DiffFeatherstoneSolver>(
-                 model, FeatherstoneOptions{.angular_damping = angular_damping,
-                                            .implicit_drives = implicit_drives});
+                 model,
+                 FeatherstoneOptions{.angular_damping = angular_damping,
+                                     .implicit_drives = implicit_drives,
+                                     .contact = to_contact(contact),
+                                     .friction_cone = to_cone(friction_cone),
+                                     .pgs_iterations = pgs_iterations,
+                                     .pgs_tolerance = pgs_tolerance,
+                                     .pgs_erp = pgs_erp,
+                                     .pgs_slop = pgs_slop,
+                                     .pgs_cfm = pgs_cfm,
+                                     .max_depenetration_velocity = max_depenetration_velocity,
+                                     .restitution_threshold = restitution_threshold,
+                                     .compliant_contacts = compliant_contacts});
            }),
            py::arg("model").none(false), py::kw_only(), "angular_damping"_a = d.angular_damping,
-           "implicit_drives"_a = d.implicit_drives, "As SolverFeatherstone.")
+           "implicit_drives"_a = d.implicit_drives, "contact"_a = "pgs", "friction_cone"_a = "cone",
+           "pgs_iterations"_a = 200, "pgs_tolerance"_a = d.pgs_tolerance, "pgs_erp"_a = d.pgs_erp,
+           "pgs_slop"_a = d.pgs_slop, "pgs_cfm"_a = d.pgs_cfm,
+           "max_depenetration_velocity"_a = d.max_depenetration_velocity,
+           "restitution_threshold"_a = d.restitution_threshold,
+           "compliant_contacts"_a = d.compliant_contacts,
+           "As SolverFeatherstone. With contacts, which step takes and rollout does not, sweeps "
+           "start from nothing and go on to pgs_tolerance, at most pgs_iterations times (200 at "
+           "least). NotImplementedError for contact=\"penalty\".")
+      .def(
+          "gradient_info",
+          [](const DiffFeatherstoneSolver& s) {
+            const ContactBranches& b = s.branches();
+            const auto margin = [](float x) {
+              return x < ContactBranches::kNone ? py::object(py::float_(x)) : py::none();
+            };
+            return py::dict(
+                "label"_a = b.exact == b.steps ? "exact" : "surrogate", "contact_steps"_a = b.steps,
+                "exact_steps"_a = b.exact, "breaking"_a = b.breaking, "sticking"_a = b.sticking,
+                "sliding"_a = b.sliding, "normal_margin"_a = margin(b.normal_margin),
+                "gap_margin"_a = margin(b.gap_margin), "cone_margin"_a = margin(b.cone_margin),
+                "slip_margin"_a = margin(b.slip_margin), "residual"_a = b.residual);
+          },
+          "What the gradient through the contacts of all steps since the last "
+          "clear_gradient_info is. label: \"exact\" when in all contact_steps (exact_steps of "
+          "them) "
+          "the impulses converged (residual, m/s) and no contact was just about to break, stick or "
+          "slide, else \"surrogate\". breaking, sticking, sliding count contacts. Margins, None "
+          "without a contact of the kind: normal_margin (m/s, the least normal impulse as a "
+          "velocity, or speed of opening), gap_margin (m, to where an overlap begins or leaves "
+          "pgs_slop, of contacts that push), cone_margin (1, the least distance of a sticking one "
+          "from its cone), slip_margin (m/s, the least slip). Points and normals are frozen; that "
+          "contacts begin or end is not differentiated.")
+      .def("clear_gradient_info", &DiffFeatherstoneSolver::clear_branches,
+           "Forgets what gradient_info counts.")
       .def_property_readonly(
           "angular_damping",
           [](const DiffFeatherstoneSolver& s) { return s.options().angular_damping; }, "1/s")
@@ -48,7 +101,7 @@ void bind_diff_featherstone(py::module_& m, py::module_& solvers) {
       "the world, REVOLUTE about +Y, without rotated frames, centres of mass at the bodies' "
       "origins, no drives, damping, friction, joint_f or body_f, gravity along -Z; and when q_out "
       "and qd_out are not what the closed form gives (a clamp, another angular_damping). Without a "
-        "tape it only checks.");
+      "tape it only checks.");
   m.def("planar_2r_tip_loss", &diff::planar_2r_tip_loss, "model"_a, "q"_a, "target_x"_a,
         "target_z"_a, release_gil(),
         "|tip - target|^2 {1} (m^2) of the arm of record_planar_2r_featherstone_step at q {2}, in "

@@ -2,8 +2,8 @@
 #include <pybind11/numpy.h>
 #include <pybind11/stl.h>
 
+#include "contact_options.h"
 #include "fast_step.h"
-#include "novaphy/core/error.h"
 #include "novaphy/dynamics/featherstone/articulation_functions.h"
 #include "novaphy/dynamics/featherstone/solver_featherstone.h"
 
@@ -126,21 +126,6 @@ void bind_functions(py::module_& m) {
       "{articulations, 2}: kinetic energy, without armature, and potential energy, J.");
 }
 
-constexpr const char* kContacts[] = {nullptr, "pgs", "penalty"};  // of ArticulationContact
-constexpr const char* kCones[] = {"cone", "pyramid"};             // of FrictionCone
-
-ArticulationContact to_contact(const std::optional<std::string>& name) {
-  if (!name) return ArticulationContact::None;
-  for (size_t i = 1; i < std::size(kContacts); ++i)
-    if (*name == kContacts[i]) return static_cast<ArticulationContact>(i);
-  fail(ErrorKind::Value, "contact: expected \"pgs\", \"penalty\" or None, got \"", *name, "\"");
-}
-FrictionCone to_cone(const std::string& name) {
-  for (size_t i = 0; i < std::size(kCones); ++i)
-    if (name == kCones[i]) return static_cast<FrictionCone>(i);
-  fail(ErrorKind::Value, "friction_cone: expected \"cone\" or \"pyramid\", got \"", name, "\"");
-}
-
 std::unique_ptr<SolverFeatherstone> make_solver(
     const std::shared_ptr<Model>& model, float angular_damping, bool implicit_drives,
     const std::optional<std::string>& contact, const std::string& friction_cone, int pgs_iterations,
@@ -205,12 +190,7 @@ void bind_featherstone(py::module_& m, py::module_& solvers) {
            "the contact does not read; NotImplementedError for parts of a model that are not "
            "covered.")
       .def_property_readonly(
-          "contact",
-          [](const SolverFeatherstone& s) -> py::object {
-            const char* name = kContacts[static_cast<size_t>(s.options().contact)];
-            if (name == nullptr) return py::none();
-            return py::str(name);
-          },
+          "contact", [](const SolverFeatherstone& s) { return contact_name(s.options().contact); },
           "\"pgs\", \"penalty\" or None")
       .def_property_readonly(
           "friction_cone",

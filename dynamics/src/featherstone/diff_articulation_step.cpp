@@ -1,6 +1,8 @@
 #include "novaphy/dynamics/featherstone/diff_articulation_step.h"
 
+#include <algorithm>
 #include <array>
+#include <cstring>
 #include <utility>
 
 #include "articulation_step.h"
@@ -8,11 +10,13 @@
 #include "novaphy/core/error.h"
 #include "novaphy/nova/op_list.h"
 #include "novaphy/nova/tape.h"
+#include "pgs_contacts.h"
 
 namespace novaphy::diff {
 namespace {
 
 using nova::Tensor;
+constexpr int32_t kLeastSweeps = 200;  // at most, where impulses are differentiated
 using G = articulation::StepGradient<float>;
 
 const DeviceKernel& step_kernel() {
@@ -63,12 +67,55 @@ struct ArticulationStep::Shared {
   int64_t stride = 0;
   DeviceArray<int32_t> status;
   DeviceArray<float> workspace;
+  std::unique_ptr<PgsContacts> pgs;  // made by the first step with contacts
+  ContactBranches branches;
 };
 
 namespace {
 
+// The contacts of a step as it keeps them: numbers per contact, array after array, with the
+// impulses behind; indices as the bits of floats. The last number is how many there are.
+constexpr int64_t kContactNumbers = 16;
+struct KeptContacts {
+  static int64_t size(int64_t most) { return kContactNumbers * most + 1; }
+  KeptContacts(float* memory, int64_t most)
+      : shape0(reinterpret_cast<int32_t*>(memory)),
+        shape1(shape0 + most),
+        point0(reinterpret_cast<Vec3f*>(memory + 2 * most)),
+        point1(point0 + most),
+        normal(point1 + most),
+        impulses(normal + most),
+        margin0(memory + 14 * most),
+        margin1(margin0 + most),
+        count(reinterpret_cast<int32_t*>(memory + kContactNumbers * most)) {}
+  void copy(const ContactRows& c) const {
+    const auto n = static_cast<size_t>(c.count);
+    *count = c.count;
+    std::copy_n(c.shape0, n, shape0);
+    std::copy_n(c.shape1, n, shape1);
+    std::copy_n(c.point0, n, point0);
+    std::copy_n(c.point1, n, point1);
+    std::copy_n(c.normal, n, normal);
+    std::copy_n(c.margin0, n, margin0);
+    std::copy_n(c.margin1, n, margin1);
+    std::fill_n(impulses, n, Vec3f{});
+  }
+  ContactRows rows() const {
+    return {*count, shape0, shape1, nullptr, point0, point1, normal, margin0, margin1};
+  }
+  int32_t *shape0, *shape1;
+  Vec3f *point0, *point1, *normal, *impulses;
+  float *margin0, *margin1;
+  int32_t* count;
+};
+
 // One step's arrays: handles, and what they are for the tape.
 struct Step {
+  std::shared_ptr<ArticulationStep::Shared> shared;
+  std::shared_ptr<const Model> model;
+  Tensor contacts = {};                   // KeptContacts; undefined without
+  int64_t contact_max = 0;                // of them
+  std::vector<Tensor> materials = {};     // of shapes: read, without a gradient
   std::array<Named, G::kMembers> inputs;  // in the order of StepGradient
   std::array<Named, 8> values;   // rows, links, dof_parent, X_p, X_c, axis, gravity, target_mode
   std::array<Named, 6> outputs;  // q, qd, body_q, body_qd, qdd, branch
@@ -101,6 +148,27 @@ void add_arguments(const Step& s, std::vector<LaunchArgument>& words) {
   words.push_back(number(static_cast<int64_t>(s.options.implicit_drives ? 1 : 0)));
 }
 
+KeptContacts kept_contacts(const Step& s) {
+  return {static_cast<float*>(s.contacts.range()->data()), s.contact_max};
+}
+
+// The words of a launch as the arguments of its kernel.
+template <class Arguments>
+Arguments to_arguments(const std::vector<LaunchArgument>& words) {
+  std::vector<uint64_t> values;
+  for (const LaunchArgument& word : words) values.push_back(word.word);
+  require(values.size() * sizeof(uint64_t) == sizeof(Arguments), ErrorKind::Runtime,
+          "articulation_step: wrong number of arguments");
+  Arguments a;
+  std::memcpy(&a, values.data(), sizeof(a));
+  return a;
+}
+
+// Whether a step has contacts that act; those are then in shared->pgs.
+bool prepare_contacts(const Step& s) {
+  return s.contact_max > 0 && s.shared->pgs->prepare(*s.model, kept_contacts(s).rows());
+}
+
 void run_forward(const Step& s) {
   const nova::NoGrad no_grad;
   std::vector<LaunchArgument> words;
@@ -109,6 +177,14 @@ void run_forward(const Step& s) {
   words.push_back(writes_row("status", s.status));
   words.push_back(writes("workspace", s.workspace));
   words.push_back(number(s.stride));
+  if (prepare_contacts(s)) {
+    const KeptContacts kept = kept_contacts(s);
+    auto a = to_arguments<ArticulationStepArguments>(words);
+    a.status = s.shared->status.mutable_data();
+    s.shared->pgs->step(a, *s.model, kept.rows(), s.options, nullptr);
+    s.shared->pgs->write_impulses(kept.impulses);
+    return;
+  }
   step_kernel().launch(Device::cpu(), s.count, words);
 }
 
@@ -129,6 +205,12 @@ void run_vjp(const Step& s, std::span<const Tensor> outputs,
   words.push_back(number(add));
   words.push_back(writes("workspace", s.workspace));
   words.push_back(number(s.stride));
+  if (prepare_contacts(s)) {
+    const KeptContacts kept = kept_contacts(s);
+    s.shared->pgs->vjp(to_arguments<ArticulationStepVjpArguments>(words), *s.model, kept.rows(),
+                       kept.impulses, s.options);
+    return;
+  }
   vjp_kernel().launch(Device::cpu(), s.count, words);
 }
 
@@ -161,6 +243,9 @@ void write_tangent(const Tensor& to, const articulation::Dual<float>* values) {
 }
 
 void run_jvp(const Step& s, std::span<const Tensor> t, std::span<const Tensor> tangents) {
+  require(!prepare_contacts(s), ErrorKind::NotImplemented,
+          "articulation_step: forward derivatives of a step with contacts are not there; use "
+          "backward");
   using D = articulation::Dual<float>;
   DualArrays duals;
   const auto in = [&](G::Member m) { return duals.take<D>(s.in(m), t[m]); };
@@ -213,6 +298,17 @@ void run_jvp(const Step& s, std::span<const Tensor> t, std::span<const Tensor> t
     if (tangents[i].defined()) nova::submit_fill(tangents[i].range(), 0.0f);
 }
 
+// rigid_contact_force from the impulses of a step.
+void write_forces(const KeptContacts& kept, const Contacts& contacts, float dt) {
+  DeviceArray<Vec3f> forces = contacts.rigid_contact_force;
+  Vec3f* const force = forces.mutable_data();
+  for (int32_t i = 0; i < *kept.count; ++i) {
+    const articulation::ContactFrame<float> frame = articulation::contact_frame(kept.normal[i]);
+    const Vec3f& x = kept.impulses[i];
+    force[i] = (frame.axes[0] * x.x + (frame.axes[1] * x.y + frame.axes[2] * x.z)) * (1.0f / dt);
+  }
+}
+
 nova::CustomOp make_op(const std::shared_ptr<const Step>& step) {
   nova::CustomOp op{.name = "articulation_step", .inputs = {}, .outputs = {}, .vjp = nullptr};
   for (const Named& in : step->inputs) op.inputs.push_back(in.tensor);
@@ -220,6 +316,11 @@ nova::CustomOp make_op(const std::shared_ptr<const Step>& step) {
   op.reads = op.inputs;
   for (const Named& value : step->values) op.reads.push_back(value.tensor);
   for (const size_t i : {0, 1, 4, 5}) op.reads.push_back(step->outputs[i].tensor);
+  if (step->contact_max > 0) {
+    op.reads.push_back(step->contacts);
+    for (const Tensor& material : step->materials) op.reads.push_back(material);
+    op.writes.push_back(step->contacts);
+  }
   op.writes.push_back(tensor_of(step->status));
   if (step->stride > 0) op.writes.push_back(tensor_of(step->workspace));
   op.vjp = [step](std::span<const Tensor> outputs, std::span<const nova::InputGradient> inputs) {
@@ -239,15 +340,26 @@ ArticulationStep::ArticulationStep(const Model& model, const FeatherstoneOptions
   check_featherstone_model(model, options, user);
   require(model.joint_dof_count() > 0, ErrorKind::Value, user,
           ": model: expected joints with degrees of freedom, got none");
-  shared_ = std::make_shared<Shared>(model, options, user);
+  require(options.contact != ArticulationContact::Penalty, ErrorKind::NotImplemented, user,
+          ": contact: expected pgs or none, penalty contacts have no gradient");
+  FeatherstoneOptions converged = options;
+  converged.warm_start = false;
+  converged.pgs_iterations = std::max(options.pgs_iterations, kLeastSweeps);
+  shared_ = std::make_shared<Shared>(model, converged, user);
 }
 ArticulationStep::~ArticulationStep() = default;
 ArticulationStep::ArticulationStep(ArticulationStep&&) noexcept = default;
 ArticulationStep& ArticulationStep::operator=(ArticulationStep&&) noexcept = default;
 
-std::vector<ScratchSpec> ArticulationStep::scratch(const Model& model) const {
+std::vector<ScratchSpec> ArticulationStep::scratch(const Model& model,
+                                                   const Contacts* contacts) const {
   const auto dofs = static_cast<size_t>(model.joint_dof_count());
-  return {{novaphy::DType::float32, dofs, 1}, {novaphy::DType::float32, dofs, 1}};
+  std::vector<ScratchSpec> specs = {{novaphy::DType::float32, dofs, 1},
+                                    {novaphy::DType::float32, dofs, 1}};
+  if (contacts != nullptr)
+    specs.push_back({novaphy::DType::float32,
+                     static_cast<size_t>(KeptContacts::size(contacts->rigid_contact_max())), 1});
+  return specs;
 }
 
 void ArticulationStep::begin(const Model& model, const Control* control, const char* function) {
@@ -255,8 +367,8 @@ void ArticulationStep::begin(const Model& model, const Control* control, const c
 }
 
 void ArticulationStep::record(const Model& m, const SimState& in, SimState& out,
-                              const Control* control, const nova::Operand& body_f, float dt,
-                              StepScratch scratch) {
+                              const Control* control, const Contacts* contacts,
+                              const nova::Operand& body_f, float dt, StepScratch scratch) {
   const auto view = [](const char* name, const Array& array) {
     return Named{name, tensor_of(array)};
   };
@@ -264,7 +376,14 @@ void ArticulationStep::record(const Model& m, const SimState& in, SimState& out,
   const auto& joint_f = control ? control->joint_f : m.joint_f;
   const auto& target_q = control ? control->joint_target_q : m.joint_target_q;
   const auto& target_qd = control ? control->joint_target_qd : m.joint_target_qd;
+  const bool touching = contacts != nullptr && contacts->rigid_contact_max() > 0;
   auto step = std::make_shared<Step>(Step{
+      shared_,
+      m.shared_from_this(),
+      touching ? tensor_of(scratch[2]) : Tensor(),
+      touching ? contacts->rigid_contact_max() : 0,
+      {tensor_of(m.shape_material_mu), tensor_of(m.shape_material_restitution),
+       tensor_of(m.shape_material_ke), tensor_of(m.shape_material_kd)},
       {view("joint_q", in.joint_q),
        view("joint_qd", in.joint_qd),
        view("joint_f", joint_f),
@@ -296,9 +415,20 @@ void ArticulationStep::record(const Model& m, const SimState& in, SimState& out,
       shared_->stride,
       shared_->status,
       shared_->workspace});
+  if (touching) {
+    if (!shared_->pgs) shared_->pgs = std::make_unique<PgsContacts>(m, a);
+    kept_contacts(*step).copy(contact_rows(contacts));
+  }
   run_forward(*step);
+  if (touching) {
+    shared_->pgs->add_branches(shared_->branches, shared_->options);
+    write_forces(kept_contacts(*step), *contacts, dt);
+  }
   if (nova::Tape* tape = nova::Tape::active()) tape->record_custom(make_op(step));
 }
+
+const ContactBranches& ArticulationStep::branches() const { return shared_->branches; }
+void ArticulationStep::clear_branches() { shared_->branches = {}; }
 
 void ArticulationStep::check(const Model& model, const char* function) const {
   const auto count = static_cast<size_t>(shared_->articulations.count());

@@ -1,10 +1,9 @@
-#include "pgs_contacts.h"
-
 #include <algorithm>
 #include <utility>
 
 #include "novaphy/core/error.h"
 #include "novaphy/core/sim/for_chunks.h"
+#include "pgs_contacts_step.h"
 
 namespace novaphy {
 namespace {
@@ -13,16 +12,6 @@ namespace art = articulation;
 constexpr int64_t kTreeChunk = 8, kIslandChunk = 4;
 
 }  // namespace
-
-// What an island reads.
-struct PgsContacts::Step {
-  const ArticulationStepArguments& a;
-  const Model& model;
-  const Contacts* contacts;
-  art::ContactLaw<float> law;
-  const FeatherstoneOptions& options;
-  float warm_scale;  // of the impulses of the step before
-};
 
 PgsContacts::PgsContacts(const Model& m, const Articulations& articulations)
     : trees_(reinterpret_cast<const ArticulationRows*>(articulations.rows().data())),
@@ -75,12 +64,25 @@ void PgsContacts::find_friction(const Model& m) {
   friction_stamp_.set(m.joint_friction);
 }
 
-void PgsContacts::gather(const Model& m, const Contacts& c) {
-  const int32_t count = std::clamp(*c.rigid_contact_count.data(), 0, c.rigid_contact_max());
-  const int32_t* const shapes[2] = {c.rigid_contact_shape0.data(), c.rigid_contact_shape1.data()};
+ContactRows contact_rows(const Contacts* contacts) {
+  if (contacts == nullptr) return {};
+  const Contacts& c = *contacts;
+  return {std::clamp(*c.rigid_contact_count.data(), 0, c.rigid_contact_max()),
+          c.rigid_contact_shape0.data(),
+          c.rigid_contact_shape1.data(),
+          c.rigid_contact_point_id.data(),
+          c.rigid_contact_point0.data(),
+          c.rigid_contact_point1.data(),
+          c.rigid_contact_normal.data(),
+          c.rigid_contact_margin0.data(),
+          c.rigid_contact_margin1.data()};
+}
+
+void PgsContacts::gather(const Model& m, const ContactRows& c) {
+  const int32_t* const shapes[2] = {c.shape0, c.shape1};
   const int32_t* const body = m.shape_body.data();
   int64_t numbers = 0;
-  for (int32_t i = 0; i < count; ++i) {
+  for (int32_t i = 0; i < c.count; ++i) {
     Row row;
     row.contact = i;
     row.numbers = numbers;
@@ -108,11 +110,11 @@ void PgsContacts::gather(const Model& m, const Contacts& c) {
   friction_begin_ = numbers;
 }
 
-bool PgsContacts::prepare(const Model& m, const Contacts* contacts) {
+bool PgsContacts::prepare(const Model& m, const ContactRows& contacts) {
   find_friction(m);
   rows_.clear();
   friction_begin_ = 0;
-  if (contacts != nullptr) gather(m, *contacts);
+  gather(m, contacts);
   if (rows_.empty() && friction_.empty()) {
     kept_.clear();
     sweeps_ = 0;
@@ -163,32 +165,32 @@ void PgsContacts::find_islands() {
 
 // The impulses of the same point in the step before. `next` is where the pair before stood: both
 // lists are in the order of shapes.
-const PgsContacts::Kept* PgsContacts::find_kept(size_t& next, const Contacts& c,
+const PgsContacts::Kept* PgsContacts::find_kept(size_t& next, const ContactRows& c,
                                                 int32_t contact) const {
-  const std::pair<int32_t, int32_t> pair = {c.rigid_contact_shape0.data()[contact],
-                                            c.rigid_contact_shape1.data()[contact]};
+  const std::pair<int32_t, int32_t> pair = {c.shape0[contact], c.shape1[contact]};
   const auto pair_of = [&](size_t i) { return std::pair{kept_[i].shape0, kept_[i].shape1}; };
   while (next < kept_.size() && pair_of(next) < pair) ++next;
   for (size_t i = next; i < kept_.size() && pair_of(i) == pair; ++i)
-    if (kept_[i].point == c.rigid_contact_point_id.data()[contact]) return &kept_[i];
+    if (kept_[i].point == c.point_id[contact]) return &kept_[i];
   return nullptr;
 }
 
 void PgsContacts::build_row(const Step& s, Row& row) {
-  const Contacts& c = *s.contacts;
-  const auto i = static_cast<size_t>(row.contact);
-  const Vec3f normal = c.rigid_contact_normal.data()[i];
-  const Vec3f cores[2] = {c.rigid_contact_point0.data()[i], c.rigid_contact_point1.data()[i]};
-  const float margins[2] = {c.rigid_contact_margin0.data()[i], -c.rigid_contact_margin1.data()[i]};
-  const int32_t shapes[2] = {c.rigid_contact_shape0.data()[i], c.rigid_contact_shape1.data()[i]};
+  const ContactRows& c = s.contacts;
+  const int32_t i = row.contact;
+  const Vec3f normal = c.normal[i];
+  const Vec3f cores[2] = {c.point0[i], c.point1[i]};
+  const float margins[2] = {c.margin0[i], -c.margin1[i]};
   art::SurfacePoint<float> points[2];
   for (size_t side = 0; side < 2; ++side) {
     const Side& at = row.sides[side];
     const art::LinkState<float>* link =
         at.tree < 0 ? nullptr : &workspace(trees_[at.tree], at.tree).links[at.link];
     points[side] = art::surface_point(link, cores[side], normal * margins[side]);
+    row.cores[side] = art::surface_point(link, cores[side], Vec3f{}).at;
   }
   const art::ContactPlace<float> place = art::contact_place(points[0], points[1], normal);
+  row.place = place;
   row.frame = art::contact_frame(normal);
   float* numbers = numbers_.data() + row.numbers;
   const bool itself = row.sides[0].tree == row.sides[1].tree;
@@ -198,7 +200,7 @@ void PgsContacts::build_row(const Step& s, Row& row) {
     if (to.width == 0) continue;
     const int64_t tree_row = row.sides[side].tree;
     const ArticulationRows& rows = trees_[tree_row];
-    const art::Tree<float> tree = articulation_tree(s.a.in, rows);
+    const art::Tree<float> tree = articulation_tree(s.in, rows);
     const art::Workspace<float> ws = workspace(rows, tree_row);
     float *const jacobian = numbers, *const response = numbers + 3 * to.width;
     numbers += 6 * to.width;
@@ -213,27 +215,36 @@ void PgsContacts::build_row(const Step& s, Row& row) {
     to.jacobian = jacobian;
     to.response = response;
     for (int32_t k = 0; k < rows.dof_count; ++k)
-      before += jacobian[k] * s.a.in.qd[rows.first_dof + k];
+      before += jacobian[k] * s.in.qd[rows.first_dof + k];
   }
+  row.before = before;
+  art::set_diagonals(row.solver);
+}
+
+void PgsContacts::set_target(const Step& s, Row& row) {
   const Model& m = s.model;
+  const int32_t shapes[2] = {s.contacts.shape0[row.contact], s.contacts.shape1[row.contact]};
   const auto mean = [&](const DeviceArray<float>& of) {
     return 0.5f * (of.data()[shapes[0]] + of.data()[shapes[1]]);
   };
   const art::ContactMaterial<float> material = {
       mean(m.shape_material_mu), mean(m.shape_material_restitution), mean(m.shape_material_ke),
       mean(m.shape_material_kd)};
-  art::set_diagonals(row.solver);
-  const art::NormalTarget<float> target =
-      art::normal_target(s.law, material, place.gap, before, art::slip(row.solver, 0));
-  row.solver.bias = target.bias;
-  row.solver.cfm = target.cfm;
+  row.target =
+      art::normal_target(s.law, material, row.place.gap, row.before, art::slip(row.solver, 0));
+  row.solver.bias = row.target.bias;
+  row.solver.cfm = row.target.cfm;
   row.solver.friction = material.friction;
 }
 
 void PgsContacts::solve_island(const Step& s, int64_t island) {
   const std::span<const int32_t> rows = island_rows_.items(island);
   const std::span<const int32_t> friction = island_friction_.items(island);
-  for (const int32_t i : rows) build_row(s, rows_[static_cast<size_t>(i)]);
+  for (const int32_t i : rows) {
+    Row& row = rows_[static_cast<size_t>(i)];
+    build_row(s, row);
+    set_target(s, row);
+  }
   const float* const limits = s.model.joint_friction.data();
   for (const int32_t i : friction) {
     const Friction& f = friction_[static_cast<size_t>(i)];
@@ -242,7 +253,7 @@ void PgsContacts::solve_island(const Step& s, int64_t island) {
     auto* const response = const_cast<float*>(row.response);
     std::fill_n(response, row.width, 0.0f);
     response[f.dof] = 1.0f;
-    art::solve(articulation_tree(s.a.in, tree), workspace(tree, f.tree).matrix, response);
+    art::solve(articulation_tree(s.in, tree), workspace(tree, f.tree).matrix, response);
     row.limit = limits[tree.first_dof + f.dof] * s.law.dt;
     row.impulse = 0.0f;
   }
@@ -271,27 +282,23 @@ void PgsContacts::solve_island(const Step& s, int64_t island) {
 }
 
 // Writes the forces, and keeps the impulses for the next step.
-void PgsContacts::keep(const Contacts* contacts, float dt) {
+void PgsContacts::keep(const ContactRows& c, float dt, Vec3f* force) {
   kept_.clear();
   kept_dt_ = dt;
-  if (contacts == nullptr) return;
-  const Contacts& c = *contacts;
-  DeviceArray<Vec3f> forces = c.rigid_contact_force;
-  Vec3f* const force = forces.mutable_data();
-  std::fill_n(force, std::clamp(*c.rigid_contact_count.data(), 0, c.rigid_contact_max()), Vec3f{});
   for (const Row& row : rows_) {
     const float* impulse = row.solver.impulse;
     const Vec3f tangent = row.frame.axes[1] * impulse[1] + row.frame.axes[2] * impulse[2];
-    force[row.contact] = (row.frame.axes[0] * impulse[0] + tangent) * (1.0f / dt);
-    if (impulse[0] > 0.0f)
-      kept_.push_back({c.rigid_contact_shape0.data()[row.contact],
-                       c.rigid_contact_shape1.data()[row.contact],
-                       c.rigid_contact_point_id.data()[row.contact], impulse[0], tangent});
+    if (force != nullptr)
+      force[row.contact] = (row.frame.axes[0] * impulse[0] + tangent) * (1.0f / dt);
+    if (impulse[0] > 0.0f && c.point_id != nullptr)
+      kept_.push_back({c.shape0[row.contact], c.shape1[row.contact], c.point_id[row.contact],
+                       impulse[0], tangent});
   }
 }
 
-void PgsContacts::step(const ArticulationStepArguments& a, const Model& m, const Contacts* contacts,
-                       const FeatherstoneOptions& options) {
+void PgsContacts::step(const ArticulationStepArguments& a, const Model& m,
+                       const ContactRows& contacts, const FeatherstoneOptions& options,
+                       Vec3f* force) {
   const art::StepInputs<float> in = articulation_inputs(a.in);
   const art::StepOptions<float> how = articulation_options(a.in);
   for_chunks(count_, kTreeChunk, [&](int64_t begin, int64_t end, int64_t) {
@@ -314,7 +321,7 @@ void PgsContacts::step(const ArticulationStepArguments& a, const Model& m, const
   size_t next = 0;
   if (options.warm_start && !kept_.empty())
     for (size_t i = 0; i < rows_.size(); ++i)
-      warm_[i] = find_kept(next, *contacts, rows_[i].contact);
+      warm_[i] = find_kept(next, contacts, rows_[i].contact);
   friction_rows_.resize(friction_.size());
   int64_t numbers = friction_begin_;
   for (size_t i = 0; i < friction_.size(); ++i) {
@@ -323,14 +330,8 @@ void PgsContacts::step(const ArticulationStepArguments& a, const Model& m, const
                          numbers_.data() + numbers, width(f.tree), f.dof};
     numbers += width(f.tree);
   }
-  const Step s = {a,
-                  m,
-                  contacts,
-                  {dt, options.pgs_erp, options.pgs_slop, options.pgs_cfm,
-                   options.max_depenetration_velocity, options.restitution_threshold,
-                   options.compliant_contacts, options.friction_cone == FrictionCone::Cone},
-                  options,
-                  kept_dt_ > 0.0f ? dt / kept_dt_ : 1.0f};
+  const Step s = {
+      a.in, m, contacts, contact_law(options, dt), options, kept_dt_ > 0.0f ? dt / kept_dt_ : 1.0f};
   const auto islands = static_cast<int64_t>(island_sweeps_.size());
   for_chunks(islands, kIslandChunk, [&](int64_t begin, int64_t end, int64_t) {
     for (int64_t i = begin; i < end; ++i) solve_island(s, i);
@@ -341,7 +342,7 @@ void PgsContacts::step(const ArticulationStepArguments& a, const Model& m, const
     sweeps_ = std::max(sweeps_, island_sweeps_[i]);
     residual_ = std::max(residual_, island_residual_[i]);
   }
-  keep(contacts, dt);
+  keep(contacts, dt, force);
 
   for_chunks(count_, kTreeChunk, [&](int64_t begin, int64_t end, int64_t) {
     for (int64_t i = begin; i < end; ++i) {

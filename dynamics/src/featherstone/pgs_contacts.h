@@ -12,21 +12,38 @@
 #include "novaphy/dynamics/articulation/contact_rows.h"
 #include "novaphy/dynamics/articulation/pgs.h"
 #include "novaphy/dynamics/featherstone/articulations.h"
+#include "novaphy/dynamics/featherstone/contact_branches.h"
 #include "novaphy/dynamics/featherstone/solver_featherstone.h"
 
 namespace novaphy {
+
+// Rigid contacts, host pointers. `points` of ids may be null, where nothing starts warm.
+struct ContactRows {
+  int32_t count = 0;
+  const int32_t *shape0 = nullptr, *shape1 = nullptr, *point_id = nullptr;
+  const Vec3f *point0 = nullptr, *point1 = nullptr, *normal = nullptr;
+  const float *margin0 = nullptr, *margin1 = nullptr;
+};
+ContactRows contact_rows(const Contacts* contacts);  // null: none
 
 class PgsContacts {
  public:
   PgsContacts(const Model& model, const Articulations& articulations);
 
   // Whether a step has rows: contacts of bodies, or dry friction.
-  bool prepare(const Model& model, const Contacts* contacts);
-  // Behind prepare: what articulation_step does for all rows, with contacts, whose
-  // rigid_contact_force is written. Where an articulation fails (`status`) before contacts, nothing
+  bool prepare(const Model& model, const ContactRows& contacts);
+  // Behind prepare: what articulation_step does for all rows, with contacts. `force` (null: not
+  // asked for) {contacts}: on B, N. Where an articulation fails (`status`) before contacts, nothing
   // is written.
-  void step(const ArticulationStepArguments& step, const Model& model, const Contacts* contacts,
-            const FeatherstoneOptions& options);
+  void step(const ArticulationStepArguments& step, const Model& model, const ContactRows& contacts,
+            const FeatherstoneOptions& options, Vec3f* force);
+  // The impulses {contacts} of the last step along n, t1 and t2, N s, and their branches.
+  void write_impulses(Vec3f* impulses) const;
+  void add_branches(ContactBranches& to, const FeatherstoneOptions& options) const;
+  // Behind prepare: the adjoint of step, as articulation_step_vjp, from its impulses. Contacts stay
+  // where they are on their shapes, with their normals; so do branches.
+  void vjp(const ArticulationStepVjpArguments& step, const Model& model,
+           const ContactRows& contacts, const Vec3f* impulses, const FeatherstoneOptions& options);
   // The poses and velocities of the bodies, from joint_q and joint_qd.
   void write_bodies(const ArticulationArguments& in, Transformf* body_q, SpatialVectorf* body_qd);
   // The most sweeps that an island of the last step took, and the largest change of velocity (m/s)
@@ -43,6 +60,10 @@ class PgsContacts {
     Side sides[2] = {};
     int64_t numbers = 0;  // first of J and Y
     articulation::ContactFrame<float> frame = {};
+    articulation::ContactPlace<float> place = {};
+    Vec3f cores[2] = {};  // about the origins
+    float before = 0.0f;  // J_n qd
+    articulation::NormalTarget<float> target = {};
     articulation::PgsContact<float> solver = {};
   };
   struct Kept {  // of the step before
@@ -57,12 +78,17 @@ class PgsContacts {
   struct Step;
 
   void find_friction(const Model& model);
-  void gather(const Model& model, const Contacts& contacts);
+  void gather(const Model& model, const ContactRows& contacts);
   void find_islands();
   void build_row(const Step& step, Row& row);
-  const Kept* find_kept(size_t& next, const Contacts& contacts, int32_t contact) const;
+  void set_target(const Step& step, Row& row);  // behind it, at the rates without impulses
+  const Kept* find_kept(size_t& next, const ContactRows& contacts, int32_t contact) const;
   void solve_island(const Step& step, int64_t island);
-  void keep(const Contacts* contacts, float dt);
+  void keep(const ContactRows& contacts, float dt, Vec3f* force);
+  void solve_adjoint(int64_t island, bool cone);
+  void add_geometry(const Row& row, const Vec3f& push, const Vec3f& pull, float normal,
+                    const ArticulationArguments& in);
+  articulation::AdjointMemory<float> adjoint(int64_t tree);
   int32_t find_root(int32_t tree);
   articulation::Workspace<float> workspace(const ArticulationRows& rows, int64_t tree);
   int32_t width(int64_t tree) const { return (trees_[tree].dof_count + 3) / 4 * 4; }
@@ -87,6 +113,12 @@ class PgsContacts {
   std::vector<Kept> kept_;
   std::vector<const Kept*> warm_;  // of each row
   float kept_dt_ = 0.0f;
+  std::vector<uint64_t> adjoint_;  // memory of all trees, of vjp
+  std::vector<int64_t> adjoint_begin_;
+  std::vector<double> system_;
+  std::vector<int32_t> active_;
+  std::vector<Vec3f> pulls_;  // of each row: adjoint of its velocity along n, t1, t2
+  std::vector<float> normals_;
   int32_t sweeps_ = 0;
   float residual_ = 0.0f;
 };

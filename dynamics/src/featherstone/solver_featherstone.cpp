@@ -1,5 +1,6 @@
 #include "novaphy/dynamics/featherstone/solver_featherstone.h"
 
+#include <algorithm>
 #include <array>
 #include <utility>
 
@@ -141,8 +142,15 @@ void SolverFeatherstone::step(SimState& state_in, SimState& state_out, const Con
   const int64_t n = c.articulations.count();
   const bool penalty = options_.contact == ArticulationContact::Penalty;
   if (penalty && contacts != nullptr) add_penalties(*contacts, a);
-  if (c.pgs.prepare(m, penalty ? nullptr : contacts)) {
-    c.pgs.step(a, m, penalty ? nullptr : contacts, options_);
+  const ContactRows rows = contact_rows(penalty ? nullptr : contacts);
+  Vec3f* force = nullptr;
+  if (!penalty && contacts != nullptr) {
+    DeviceArray<Vec3f> forces = contacts->rigid_contact_force;
+    force = forces.mutable_data();
+    std::fill_n(force, rows.count, Vec3f{});
+  }
+  if (c.pgs.prepare(m, rows)) {
+    c.pgs.step(a, m, rows, options_, force);
     check_status(m, c.articulations, c.status, kName);
     mark_unrecorded_step(m, state_in, state_out, control);
     return;

@@ -266,7 +266,19 @@ class DiffFeatherstoneSolver(SolverBase):
         *,
         angular_damping: SupportsFloat = 0.05,
         implicit_drives: bool = True,
+        contact: Literal["pgs"] | None = "pgs",
+        friction_cone: Literal["cone", "pyramid"] = "cone",
+        pgs_iterations: int = 200,
+        pgs_tolerance: SupportsFloat = 1e-6,
+        pgs_erp: SupportsFloat = 0.2,
+        pgs_slop: SupportsFloat = 0.005,
+        pgs_cfm: SupportsFloat = 0.0,
+        max_depenetration_velocity: SupportsFloat = 10.0,
+        restitution_threshold: SupportsFloat = 0.2,
+        compliant_contacts: bool = False,
     ) -> None: ...
+    def gradient_info(self) -> dict[str, Any]: ...
+    def clear_gradient_info(self) -> None: ...
     @property
     def angular_damping(self) -> float: ...
     @property

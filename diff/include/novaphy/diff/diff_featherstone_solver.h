@@ -10,7 +10,8 @@
 
 namespace novaphy::diff {
 
-// Steps with the bits of SolverFeatherstone. Inside an active nova::Tape each is one operation with
+// Steps with the bits of SolverFeatherstone; with contacts, which step takes and rollout does not,
+// the impulses are those of more sweeps. Inside an active nova::Tape each is one operation with
 // the exact adjoint; gradients and what they are: diff_articulation_step.h. rollout runs many, with
 // the bits of a loop of step; with checkpoints backward runs the stretches between kept states once
 // more.
@@ -21,6 +22,9 @@ class NOVAPHY_DIFF_API DiffFeatherstoneSolver : public DiffSolverBase {
                                   const FeatherstoneOptions& options = {});
 
   const FeatherstoneOptions& options() const { return options_; }
+  // Of the contacts of all steps since the last clear: what their gradients are.
+  const ContactBranches& branches() const { return step_.branches(); }
+  void clear_branches() { step_.clear_branches(); }
 
   // Errors as SolverFeatherstone::step; ErrorKind::Runtime inside a ScopedCapture.
   void step(SimState& state_in, SimState& state_out, const Control* control,

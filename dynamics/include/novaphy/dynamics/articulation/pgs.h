@@ -37,29 +37,41 @@ struct ContactMaterial {
   T friction{}, restitution{}, stiffness{}, damping{};
 };
 
+// `slope`: the derivative of beta by the gap, on its branch; `bounce`: that by J_n qd.
 template <class T>
 struct NormalTarget {
-  T bias{}, cfm{};
+  T bias{}, cfm{}, slope{}, bounce{};
 };
 // `before`: J_n qd at the beginning of the step; `after`: without impulses.
 template <class T>
 NormalTarget<T> normal_target(const ContactLaw<T>& law, const ContactMaterial<T>& material,
                               const T& gap, const T& before, const T& after) {
   const T o = T(0.0f);
-  NormalTarget<T> to{gap / law.dt, law.cfm};
+  NormalTarget<T> to{gap / law.dt, law.cfm, T(1.0f) / law.dt, o};
   if (law.compliant) {
     const T softness = law.dt * material.stiffness + material.damping;
     to.cfm = law.cfm + T(1.0f) / (law.dt * softness);
-    if (!(gap > o)) to.bias = material.stiffness * gap / softness;
+    if (!(gap > o)) {
+      to.slope = material.stiffness / softness;
+      to.bias = to.slope * gap;
+    }
   } else if (!(gap > o)) {
     const T depth = gap + law.slop;
-    to.bias = depth < o ? law.erp * depth / law.dt : o;
+    to.slope = depth < o ? law.erp / law.dt : o;
+    to.bias = to.slope * depth;
   }
-  if (to.bias < -law.max_depenetration) to.bias = -law.max_depenetration;
+  if (to.bias < -law.max_depenetration) {
+    to.bias = -law.max_depenetration;
+    to.slope = o;
+  }
   const bool touches = gap + law.dt * (after < before ? after : before) < o;
   if (touches && material.restitution > o && before < -law.restitution_threshold) {
     const T bounce = material.restitution * before;
-    if (bounce < to.bias) to.bias = bounce;
+    if (bounce < to.bias) {
+      to.bias = bounce;
+      to.slope = o;
+      to.bounce = material.restitution;
+    }
   }
   return to;
 }

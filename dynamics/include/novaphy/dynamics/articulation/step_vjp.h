@@ -191,17 +191,18 @@ void add_mass_gradients(const Tree<T>& tree, const StepGradient<T>& g,
   }
 }
 
-// `qdd`, `branch` (as numbers), `q_next` and `qd_next` are those of the step; rows of the arrays.
+// The first of three parts: from the gradients of the new state to those of q and of u, in
+// `tangent` and `rate`. `qdd`, `branch` (as numbers), `q_next` and `qd_next` are those of the step;
+// rows of the arrays.
 template <class T>
-void step_vjp(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<T>& options,
-              const T* qdd, const T* branch, const T* q_next, const T* qd_next,
-              const StepOutputGradient<T>& out, const StepGradient<T>& g, Workspace<T>& ws,
-              AdjointMemory<T>& memory) {
+void step_vjp_rates(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<T>& options,
+                    const T* qdd, const T* branch, const T* q_next, const T* qd_next,
+                    const StepOutputGradient<T>& out, const StepGradient<T>& g, Workspace<T>& ws,
+                    AdjointMemory<T>& memory) {
   using G = StepGradient<T>;
   const T o = T(0.0f);
   const int32_t n = tree.dof_count, row0 = tree.first_dof;
-  T *const tangent = memory.tangent, *const rate = memory.rate;
-  T *const lambda = memory.scratch, *const phi_q = lambda + n, *const phi_qd = phi_q + n;
+  T *const tangent = memory.tangent, *const rate = memory.rate, *const lambda = memory.scratch;
 
   // Of the poses, then of the numbers.
   for (int32_t i = 0; i < tree.link_count; ++i) memory.moved_com[i] = {o, o, o};
@@ -244,16 +245,36 @@ void step_vjp(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<T>
         clamped ? (ws.branch[k] & kVelocityAtUpper ? rate[k] : -rate[k]) : o);
     if (clamped) rate[k] = o;
   }
+}
 
-  // Of the dynamics.
+// The second: the dynamics at the start of the step once more, with M's factor.
+template <class T>
+void step_vjp_dynamics(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<T>& options,
+                       Workspace<T>& ws) {
   kinematics(tree, in.q, ws);
   set_wrenches(tree, in, ws);
-  inverse_dynamics(tree, in.qd + row0, ws.qdd, ws, ws.bias);
+  inverse_dynamics(tree, in.qd + tree.first_dof, ws.qdd, ws, ws.bias);
   mass_matrix(tree, ws);
   add_drives(tree, in, options, ws);
   factor(tree, ws.matrix);
-  for (int32_t k = 0; k < n; ++k) lambda[k] = options.dt * rate[k];
-  solve(tree, ws.matrix, lambda);
+}
+// lambda = M^-1 dt gu, in `scratch`. What contacts do to u has left `rate` before.
+template <class T>
+void step_vjp_solve(const Tree<T>& tree, const StepOptions<T>& options, Workspace<T>& ws,
+                    AdjointMemory<T>& memory) {
+  for (int32_t k = 0; k < tree.dof_count; ++k) memory.scratch[k] = options.dt * memory.rate[k];
+  solve(tree, ws.matrix, memory.scratch);
+}
+
+// The last: gradients from lambda.
+template <class T>
+void step_vjp_inputs(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<T>& options,
+                     const StepGradient<T>& g, Workspace<T>& ws, AdjointMemory<T>& memory) {
+  using G = StepGradient<T>;
+  const T o = T(0.0f);
+  const int32_t n = tree.dof_count, row0 = tree.first_dof;
+  T *const tangent = memory.tangent, *const rate = memory.rate;
+  T *const lambda = memory.scratch, *const phi_q = lambda + n, *const phi_qd = phi_q + n;
   InverseDynamicsGradient<T> phi{phi_q,       phi_qd,     nullptr,        memory.wrench,
                                  memory.mass, memory.com, memory.inertia, {}};
   inverse_dynamics_vjp(tree, in.qd + row0, ws.qdd, lambda, ws, phi);
@@ -283,6 +304,18 @@ void step_vjp(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<T>
   if (g.q)
     tangent_to_gradient(tree, in.q, tangent,
                         [&](int32_t row, const T& value) { put(g, g.q, G::kQ, row, value); });
+}
+
+// All of them.
+template <class T>
+void step_vjp(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<T>& options,
+              const T* qdd, const T* branch, const T* q_next, const T* qd_next,
+              const StepOutputGradient<T>& out, const StepGradient<T>& g, Workspace<T>& ws,
+              AdjointMemory<T>& memory) {
+  step_vjp_rates(tree, in, options, qdd, branch, q_next, qd_next, out, g, ws, memory);
+  step_vjp_dynamics(tree, in, options, ws);
+  step_vjp_solve(tree, options, ws, memory);
+  step_vjp_inputs(tree, in, options, g, ws, memory);
 }
 
 }  // namespace novaphy::articulation

@@ -5,10 +5,17 @@
 //   joint_target_ke, _kd, joint_damping, joint_armature, joint_limit_lower,
 //   _upper, _ke, _kd, joint_effort_limit, joint_velocity_limit,
 //   body_mass, body_com, body_inertia
-//   gravity, joint_X_p, joint_X_c, joint_axis                                  none: it raises
+//   gravity, joint_X_p, joint_X_c, joint_axis, materials of shapes             none: it raises
 // Exact where no limit, effort or velocity clamp is just reached: branches stay as they were.
 // Gradients of quaternions are tangent to the unit sphere. body_inertia counts by its symmetric
 // part.
+//
+// With contacts (FeatherstoneOptions::contact Pgs) the sweeps start from nothing and go on to
+// pgs_tolerance, at most 200 times (more where pgs_iterations is more). The gradient is that of the
+// converged impulses by the rows that are active (src/featherstone/pgs_contacts_vjp.cpp): exact
+// where they converged and no contact is just breaking, sticking or sliding, else a surrogate;
+// ContactBranches counts them. Contacts stay on their shapes where they were found, with their
+// normals; that there are more or fewer is not differentiated. Forward derivatives raise.
 #pragma once
 
 #include <memory>
@@ -17,6 +24,7 @@
 #include "novaphy/core/sim/model.h"
 #include "novaphy/core/sim/trajectory.h"
 #include "novaphy/dynamics/export.h"
+#include "novaphy/dynamics/featherstone/contact_branches.h"
 #include "novaphy/dynamics/featherstone/solver_featherstone.h"
 #include "novaphy/nova/kernel.h"
 
@@ -30,18 +38,23 @@ class NOVAPHY_DYNAMICS_API ArticulationStep {
   ArticulationStep(ArticulationStep&&) noexcept;
   ArticulationStep& operator=(ArticulationStep&&) noexcept;
 
-  std::vector<ScratchSpec> scratch(const Model& model) const;
+  // With contacts the third is what a step keeps of them.
+  std::vector<ScratchSpec> scratch(const Model& model, const Contacts* contacts) const;
   // Checks before some steps.
   void begin(const Model& model, const Control* control, const char* function);
   // Submits a step, recorded on an active tape. `body_f` {b, 6}: the wrenches on the bodies;
   // `scratch` as the specs say: what the adjoint reads.
   void record(const Model& model, const SimState& in, SimState& out, const Control* control,
-              const nova::Operand& body_f, float dt, StepScratch scratch);
+              const Contacts* contacts, const nova::Operand& body_f, float dt, StepScratch scratch);
+  // Of all steps with contacts since the last clear.
+  const ContactBranches& branches() const;
+  void clear_branches();
   // ErrorKind::Runtime, naming the dof, when the last step failed. Looks at the host's memory.
   void check(const Model& model, const char* function) const;
 
- private:
   struct Shared;
+
+ private:
   std::shared_ptr<Shared> shared_;
 };
 

@@ -1,0 +1,29 @@
+// What the two files of PgsContacts share.
+#pragma once
+
+#include "pgs_contacts.h"
+
+namespace novaphy {
+
+// What the rows of a step read.
+struct PgsContacts::Step {
+  const ArticulationArguments& in;
+  const Model& model;
+  const ContactRows& contacts;
+  articulation::ContactLaw<float> law;
+  const FeatherstoneOptions& options;
+  float warm_scale;  // of the impulses of the step before
+};
+
+inline articulation::ContactLaw<float> contact_law(const FeatherstoneOptions& o, float dt) {
+  return {dt,
+          o.pgs_erp,
+          o.pgs_slop,
+          o.pgs_cfm,
+          o.max_depenetration_velocity,
+          o.restitution_threshold,
+          o.compliant_contacts,
+          o.friction_cone == FrictionCone::Cone};
+}
+
+}  // namespace novaphy

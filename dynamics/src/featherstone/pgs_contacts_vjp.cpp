@@ -1,0 +1,378 @@
+// The adjoint of a step with contacts, by the set of rows that are active (articulation/pgs.h).
+//
+// With the converged impulses lambda, v' solves M (v' - v) = J^T lambda together with one row per
+// active direction:
+//   breaking (lambda_n = 0)             no row
+//   normal                              J_n v' + beta + cfm lambda_n = 0
+//   sticking                            J_t v' = 0
+//   sliding                             lambda_t + mu lambda_n t = 0, t = w_t / |w_t|, w_t = J_t v'
+//   sliding of a pyramid's tangent      lambda_t -+ mu lambda_n = 0
+// Rows move velocities by B J (B 3 x 3 per contact: 1; a sliding cone mu lambda_n (1 - t
+// t^T)/|w_t|) and impulses by R. With the gradient g of v':
+//   (J M^-1 J^T B^T + R^T) z = J M^-1 g,   gradient of M v:  p = M^-1 (g - J^T B^T z)
+// so B^T z, as pushes at the contacts, leaves g, and the adjoint without contacts does the rest.
+// What is left is the geometry: J's own change with q in  -lambda . (J of p) + (B^T z) . (J of v').
+// Turning by S_k all that hangs on link i changes a motion T of link b by S_k x (T_b - T_i).
+// Source: Featherstone (2008), section 3.3, for motions; the implicit function theorem.
+#include <algorithm>
+#include <cmath>
+
+#include "novaphy/core/sim/for_chunks.h"
+#include "pgs_contacts_step.h"
+
+namespace novaphy {
+namespace {
+
+namespace art = articulation;
+constexpr int64_t kTreeChunk = 8;
+constexpr float kSlides = 1e-5f;      // relative: nearer to the cone is on it
+constexpr double kRegularity = 1e-7;  // of redundant rows, relative to their diagonal
+constexpr float kConverged = 1e-5f;   // m/s
+constexpr float kNearNormal = 1e-5f;  // m/s
+constexpr float kNearGap = 1e-6f;     // m
+constexpr float kNearCone = 1e-3f;    // 1
+constexpr float kLeastSlip = 1e-6f;   // m/s
+
+float length(float x, float y) { return math::sqrt(x * x + y * y); }
+
+struct Branch {
+  bool active = false;
+  bool slides[2] = {false, false};  // of the tangents; of a cone both or none
+};
+Branch branch_of(const art::PgsContact<float>& c, bool cone) {
+  Branch b;
+  b.active = c.impulse[0] > 0.0f;
+  const float limit = c.friction * c.impulse[0] * (1.0f - kSlides);
+  if (cone) {
+    b.slides[0] = b.slides[1] = length(c.impulse[1], c.impulse[2]) >= limit;
+  } else {
+    for (int r = 0; r < 2; ++r) b.slides[r] = std::fabs(c.impulse[r + 1]) >= limit;
+  }
+  return b;
+}
+
+// B and R of a contact; rows are equations, columns n, t1, t2.
+struct Blocks {
+  double b[3][3] = {}, r[3][3] = {};
+};
+Blocks blocks_of(const art::PgsContact<float>& c, const Branch& branch, bool cone) {
+  Blocks k;
+  k.b[0][0] = 1.0;
+  k.r[0][0] = c.cfm;
+  for (int i = 0; i < 2; ++i) {
+    if (!branch.slides[i]) {
+      k.b[i + 1][i + 1] = 1.0;
+      continue;
+    }
+    k.r[i + 1][i + 1] = 1.0;
+    if (!cone) k.r[i + 1][0] = (c.impulse[i + 1] < 0.0f ? 1.0 : -1.0) * c.friction;
+  }
+  if (!cone || !branch.slides[0]) return k;
+  const double w[2] = {art::slip(c, 1), art::slip(c, 2)};
+  const double size = std::max(std::sqrt(w[0] * w[0] + w[1] * w[1]), double{kLeastSlip});
+  const double by = length(c.impulse[1], c.impulse[2]);
+  double t[2] = {w[0] / size, w[1] / size};  // a converged sweep has t = -lambda_t / |lambda_t|
+  if (by > 0.0)
+    for (int i = 0; i < 2; ++i) t[i] = -c.impulse[i + 1] / by;
+  const double push = double{c.friction} * c.impulse[0] / size;
+  for (int i = 0; i < 2; ++i) {
+    k.r[i + 1][0] = c.friction * t[i];
+    for (int j = 0; j < 2; ++j) k.b[i + 1][j + 1] = push * ((i == j ? 1.0 : 0.0) - t[i] * t[j]);
+  }
+  return k;
+}
+
+// x of A x = b for A {n, n + 1} with b as the last column, which x replaces. By rows, with pivots.
+void solve_dense(std::vector<double>& a, size_t n) {
+  const size_t width = n + 1;
+  for (size_t k = 0; k < n; ++k) {
+    size_t best = k;
+    for (size_t i = k + 1; i < n; ++i)
+      if (std::fabs(a[i * width + k]) > std::fabs(a[best * width + k])) best = i;
+    if (a[best * width + k] == 0.0) continue;
+    if (best != k)
+      std::swap_ranges(a.begin() + static_cast<int64_t>(k * width),
+                       a.begin() + static_cast<int64_t>((k + 1) * width),
+                       a.begin() + static_cast<int64_t>(best * width));
+    for (size_t i = k + 1; i < n; ++i) {
+      const double f = a[i * width + k] / a[k * width + k];
+      if (f == 0.0) continue;
+      for (size_t j = k; j < width; ++j) a[i * width + j] -= f * a[k * width + j];
+    }
+  }
+  for (size_t k = n; k-- > 0;) {
+    double x = a[k * width + n];
+    for (size_t j = k + 1; j < n; ++j) x -= a[k * width + j] * a[j * width + n];
+    a[k * width + n] = a[k * width + k] == 0.0 ? 0.0 : x / a[k * width + k];
+  }
+}
+
+// What the rows of two contacts share: J_i of a times Y_j of b.
+double coupling(const art::PgsContact<float>& a, int i, const art::PgsContact<float>& b, int j) {
+  double sum = 0.0;
+  for (const art::RowSide<float>& s : a.sides)
+    for (const art::RowSide<float>& t : b.sides)
+      if (s.width > 0 && s.rates == t.rates)
+        sum += art::row_dot(s.jacobian + i * s.width, t.response + j * t.width, s.width);
+  return sum;
+}
+
+}  // namespace
+
+void PgsContacts::write_impulses(Vec3f* impulses) const {
+  for (const Row& row : rows_)
+    impulses[row.contact] = {row.solver.impulse[0], row.solver.impulse[1], row.solver.impulse[2]};
+}
+
+void PgsContacts::add_branches(ContactBranches& to, const FeatherstoneOptions& options) const {
+  if (rows_.empty()) return;
+  const bool cone = options.friction_cone == FrictionCone::Cone;
+  // Where beta has another slope on the other side.
+  const bool at_contact =
+      options.compliant_contacts || options.pgs_slop > 0.0f || options.pgs_erp < 1.0f;
+  const bool at_slop =
+      !options.compliant_contacts && options.pgs_slop > 0.0f && options.pgs_erp > 0.0f;
+  bool exact = residual_ < kConverged;
+  for (const Row& row : rows_) {
+    const art::PgsContact<float>& c = row.solver;
+    const Branch branch = branch_of(c, cone);
+    const float normal =
+        branch.active ? c.impulse[0] * c.normal : std::fabs(art::slip(c, 0) + c.bias);
+    to.normal_margin = std::min(to.normal_margin, normal);
+    exact = exact && normal >= kNearNormal;
+    if (!branch.active) {
+      ++to.breaking;
+      continue;
+    }
+    ++(branch.slides[0] || branch.slides[1] ? to.sliding : to.sticking);
+    float gap = ContactBranches::kNone;
+    if (at_contact) gap = std::fabs(row.place.gap);
+    if (at_slop) gap = std::min(gap, std::fabs(row.place.gap + options.pgs_slop));
+    to.gap_margin = std::min(to.gap_margin, gap);
+    exact = exact && gap >= kNearGap;
+    const float limit = c.friction * c.impulse[0];
+    const float most = cone ? length(c.impulse[1], c.impulse[2])
+                            : std::max(std::fabs(c.impulse[1]), std::fabs(c.impulse[2]));
+    if (!(limit > 0.0f)) continue;  // without friction there is no cone
+    if (branch.slides[0] || branch.slides[1]) {
+      const float slip = length(art::slip(c, 1), art::slip(c, 2));
+      to.slip_margin = std::min(to.slip_margin, slip);
+      exact = exact && slip >= kNearNormal;
+    } else {
+      to.cone_margin = std::min(to.cone_margin, 1.0f - most / limit);
+      exact = exact && 1.0f - most / limit >= kNearCone;
+    }
+  }
+  ++to.steps;
+  if (exact) ++to.exact;
+  to.residual = std::max(to.residual, residual_);
+}
+
+art::AdjointMemory<float> PgsContacts::adjoint(int64_t tree) {
+  const ArticulationRows& rows = trees_[tree];
+  return art::make_adjoint_memory<float>(
+      adjoint_.data() + adjoint_begin_[static_cast<size_t>(tree)], rows.link_count, rows.dof_count);
+}
+
+// z of an island: pulls_ are B^T z of its rows, normals_ the z of their normals; both leave the
+// gradients of the rates.
+void PgsContacts::solve_adjoint(int64_t island, bool cone) {
+  active_.clear();
+  for (const int32_t i : island_rows_.items(island))
+    if (rows_[static_cast<size_t>(i)].solver.impulse[0] > 0.0f) active_.push_back(i);
+  const size_t n = 3 * active_.size(), width = n + 1;
+  system_.assign(n * width, 0.0);
+  for (size_t d = 0; d < active_.size(); ++d) {
+    const art::PgsContact<float>& other = rows_[static_cast<size_t>(active_[d])].solver;
+    const Branch branch = branch_of(other, cone);
+    const Blocks k = blocks_of(other, branch, cone);
+    for (size_t c = 0; c < active_.size(); ++c) {
+      const art::PgsContact<float>& one = rows_[static_cast<size_t>(active_[c])].solver;
+      for (int i = 0; i < 3; ++i) {
+        double a[3];
+        for (int j = 0; j < 3; ++j) a[j] = coupling(one, i, other, j);
+        double* const row = system_.data() + (3 * c + static_cast<size_t>(i)) * width + 3 * d;
+        for (int e = 0; e < 3; ++e) {
+          row[e] = (a[0] * k.b[e][0] + a[1] * k.b[e][1]) + a[2] * k.b[e][2];
+          if (c != d) continue;
+          row[e] += k.r[e][i];
+          const bool slides = i > 0 && branch.slides[i - 1];
+          if (e == i && !slides) row[e] += kRegularity * a[i];
+        }
+      }
+    }
+    // J M^-1 g: Y times the gradient of the rates.
+    for (int i = 0; i < 3; ++i) {
+      double sum = 0.0;
+      for (size_t side = 0; side < 2; ++side) {
+        const art::RowSide<float>& s = other.sides[side];
+        if (s.width == 0) continue;
+        const int32_t tree = rows_[static_cast<size_t>(active_[d])].sides[side].tree;
+        const float* const g = adjoint(tree).rate;
+        for (int32_t x = 0; x < trees_[tree].dof_count; ++x)
+          sum += double{s.response[i * s.width + x]} * g[x];
+      }
+      system_[(3 * d + static_cast<size_t>(i)) * width + n] = sum;
+    }
+  }
+  solve_dense(system_, n);
+  for (size_t d = 0; d < active_.size(); ++d) {
+    const auto at = static_cast<size_t>(active_[d]);
+    const Row& row = rows_[at];
+    const Blocks k = blocks_of(row.solver, branch_of(row.solver, cone), cone);
+    double z[3], pull[3];
+    for (size_t e = 0; e < 3; ++e) z[e] = system_[(3 * d + e) * width + n];
+    for (int j = 0; j < 3; ++j) pull[j] = (z[0] * k.b[0][j] + z[1] * k.b[1][j]) + z[2] * k.b[2][j];
+    pulls_[at] = {static_cast<float>(pull[0]), static_cast<float>(pull[1]),
+                  static_cast<float>(pull[2])};
+    normals_[at] = static_cast<float>(z[0]);
+  }
+  for (const int32_t i : active_) {
+    const Row& row = rows_[static_cast<size_t>(i)];
+    const Vec3f& p = pulls_[static_cast<size_t>(i)];
+    const float pull[3] = {p.x, p.y, p.z};
+    for (size_t side = 0; side < 2; ++side) {
+      const art::RowSide<float>& s = row.solver.sides[side];
+      if (s.width == 0) continue;
+      const int32_t tree = row.sides[side].tree;
+      float* const g = adjoint(tree).rate;
+      for (int r = 0; r < 3; ++r)
+        for (int32_t x = 0; x < trees_[tree].dof_count; ++x)
+          g[x] -= s.jacobian[r * s.width + x] * pull[r];
+    }
+  }
+}
+
+// A row's own change with q, and of a bounce with qd, into the gradients of its trees. Of the
+// links, w is the motion of lambda = dt p, a_adjoint that of v' and v that of qd. `push` is lambda
+// of the row over dt, `pull` B^T z, in the world; `normal` the z of the normal.
+void PgsContacts::add_geometry(const Row& row, const Vec3f& push, const Vec3f& pull, float normal,
+                               const ArticulationArguments& in) {
+  const Vec3f bounce = row.frame.axes[0] * (normal * row.target.bounce);
+  const Vec3f forces[3] = {-push, pull, bounce};
+  const Vec3f points[2] = {row.place.a, row.place.b};
+  SpatialVectorf motions[2][3] = {};
+  Vec3f by_point{};  // how the sum changes with the midpoint
+  for (size_t side = 0; side < 2; ++side) {
+    const Side& at = row.sides[side];
+    if (at.tree < 0) continue;
+    const art::LinkState<float>& s = workspace(trees_[at.tree], at.tree).links[at.link];
+    const SpatialVectorf of[3] = {s.w, s.a_adjoint, s.v};
+    for (size_t f = 0; f < 3; ++f) {
+      motions[side][f] = of[f];
+      by_point = by_point + math::cross(forces[f], of[f].angular) * (side == 0 ? -0.5f : 0.5f);
+    }
+  }
+  for (size_t side = 0; side < 2; ++side) {
+    const Side& at = row.sides[side];
+    if (at.tree < 0) continue;
+    const float sign = side == 0 ? -1.0f : 1.0f;
+    const Vec3f by_core = by_point + row.frame.axes[0] * (sign * normal * row.target.slope);
+    const ArticulationRows& rows = trees_[at.tree];
+    const art::Tree<float> tree = articulation_tree(in, rows);
+    const art::Workspace<float> ws = workspace(rows, at.tree);
+    art::AdjointMemory<float> memory = adjoint(at.tree);
+    for (int32_t i = at.link; i >= 0; i = tree.links[i].parent) {
+      const art::Link& link = tree.links[i];
+      const art::LinkState<float>& s = ws.links[i];
+      const SpatialVectorf own[3] = {s.w, s.a_adjoint, s.v};
+      for (int32_t j = 0; j < link.dofs; ++j) {
+        const int32_t k = art::local_dof(tree, link) + j;
+        const SpatialVectorf& axis = ws.axes[k];
+        float sum = math::dot(by_core, math::motion_at(axis, row.cores[side]).linear);
+        for (size_t f = 0; f < 3; ++f) {
+          SpatialVectorf d = math::cross_motion(axis, motions[side][f] - own[f]);
+          if (art::is_free(link) && j < 3)
+            d.linear = d.linear + math::cross(axis.linear, own[f].angular);
+          sum += sign * math::dot(forces[f], math::motion_at(d, points[side]).linear);
+        }
+        memory.tangent[k] -= sum;
+        if (row.target.bounce > 0.0f)
+          memory.rate[k] -= sign * math::dot(bounce, math::motion_at(axis, points[side]).linear);
+      }
+    }
+  }
+}
+
+void PgsContacts::vjp(const ArticulationStepVjpArguments& a, const Model& m,
+                      const ContactRows& contacts, const Vec3f* impulses,
+                      const FeatherstoneOptions& options) {
+  const art::StepInputs<float> in = articulation_inputs(a.in);
+  const art::StepOptions<float> how = articulation_options(a.in);
+  if (adjoint_.empty()) {
+    int64_t words = 0;
+    for (int64_t i = 0; i < count_; ++i) {
+      adjoint_begin_.push_back(words);
+      words += art::adjoint_bytes<float>(trees_[i].link_count, trees_[i].dof_count) / 8 + 1;
+    }
+    adjoint_.resize(static_cast<size_t>(words));
+  }
+  const auto for_trees = [&](const auto& f) {
+    for_chunks(count_, kTreeChunk, [&](int64_t begin, int64_t end, int64_t) {
+      for (int64_t i = begin; i < end; ++i) {
+        art::Workspace<float> ws = workspace(trees_[i], i);
+        art::AdjointMemory<float> memory = adjoint(i);
+        f(trees_[i], articulation_tree(a.in, trees_[i]), ws, memory,
+          rates_.data() + rates_begin_[static_cast<size_t>(i)]);
+      }
+    });
+  };
+  for_trees([&](const ArticulationRows& rows, const art::Tree<float>& tree,
+                art::Workspace<float>& ws, art::AdjointMemory<float>& memory, float* rates) {
+    art::step_vjp_rates(tree, in, how, a.qdd, a.branch, a.q_next, a.qd_next, a.out, a.gradient, ws,
+                        memory);
+    art::step_vjp_dynamics(tree, in, how, ws);
+    for (int32_t k = 0; k < rows.dof_count; ++k)
+      rates[k] = in.qd[rows.first_dof + k] + how.dt * ws.qdd[k];
+  });
+
+  const Step s = {a.in, m, contacts, contact_law(options, how.dt), options, 1.0f};
+  pulls_.resize(rows_.size());
+  normals_.resize(rows_.size());
+  for (Row& row : rows_) build_row(s, row);
+  const auto apply = [&](float sign) {
+    for (Row& row : rows_)
+      for (int32_t r = 0; r < 3; ++r) art::push(row.solver, r, sign * row.solver.impulse[r]);
+  };
+  for (Row& row : rows_) {
+    const Vec3f& impulse = impulses[row.contact];
+    row.solver.impulse[0] = impulse.x;
+    row.solver.impulse[1] = impulse.y;
+    row.solver.impulse[2] = impulse.z;
+  }
+  apply(-1.0f);
+  for (Row& row : rows_) set_target(s, row);
+  apply(1.0f);
+  const auto islands = static_cast<int64_t>(island_sweeps_.size());
+  for (int64_t i = 0; i < islands; ++i) solve_adjoint(i, s.law.cone);
+
+  for_trees([&](const ArticulationRows&, const art::Tree<float>& tree, art::Workspace<float>& ws,
+                art::AdjointMemory<float>& memory, const float* rates) {
+    art::step_vjp_solve(tree, how, ws, memory);
+    for (int32_t i = 0; i < tree.link_count; ++i) {
+      const art::Link& link = tree.links[i];
+      art::LinkState<float>& to = ws.links[i];
+      to.w = art::joint_motion(tree, link, ws.axes, memory.scratch);
+      to.a_adjoint = art::joint_motion(tree, link, ws.axes, rates);
+      if (link.parent < 0) continue;
+      to.w = ws.links[link.parent].w + to.w;
+      to.a_adjoint = ws.links[link.parent].a_adjoint + to.a_adjoint;
+    }
+  });
+  for (size_t i = 0; i < rows_.size(); ++i) {
+    const Row& row = rows_[i];
+    if (!(row.solver.impulse[0] > 0.0f)) continue;
+    const Vec3f* axes = row.frame.axes;
+    const auto world = [&](float x, float y, float z) {
+      return axes[0] * x + (axes[1] * y + axes[2] * z);
+    };
+    const float* impulse = row.solver.impulse;
+    add_geometry(row, world(impulse[0], impulse[1], impulse[2]) * (1.0f / how.dt),
+                 world(pulls_[i].x, pulls_[i].y, pulls_[i].z), normals_[i], a.in);
+  }
+  for_trees([&](const ArticulationRows&, const art::Tree<float>& tree, art::Workspace<float>& ws,
+                art::AdjointMemory<float>& memory,
+                const float*) { art::step_vjp_inputs(tree, in, how, a.gradient, ws, memory); });
+}
+
+}  // namespace novaphy

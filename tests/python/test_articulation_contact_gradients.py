@@ -1,0 +1,223 @@
+"""Gradients through contacts of articulations against differences of the converged solve."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import novaphy
+
+pytestmark = pytest.mark.skipif(not novaphy.has_diff(), reason="needs NOVAPHY_WITH_DIFF")
+
+UPRIGHT = (0.0, 0.0, 0.0, 1.0)
+DT = 0.01
+
+
+def ball(velocity: tuple[float, ...], restitution: float = 0.0, z: float = 0.102):
+    """A turned ball just above the ground, or in it."""
+    builder = novaphy.ModelBuilder()
+    surface = novaphy.ShapeConfig(mu=0.5, restitution=restitution)
+    builder.add_ground_plane(cfg=surface)
+    body = builder.add_body(xform=((0.0, 0.0, z), (0.0, 0.0, 0.1, 0.995)))
+    builder.add_shape_sphere(body, radius=0.1, cfg=surface)
+    builder.body_qd[body] = velocity
+    return builder
+
+
+def box(speed: float):
+    """A box whose four corners are in the ground: rows that are not independent."""
+    builder = novaphy.ModelBuilder()
+    surface = novaphy.ShapeConfig(mu=0.5)
+    builder.add_ground_plane(cfg=surface)
+    body = builder.add_body(xform=((0.0, 0.0, 0.098), UPRIGHT))
+    builder.add_shape_box(body, hx=0.1, hy=0.15, hz=0.1, cfg=surface)
+    builder.body_qd[body] = (speed, 0.3 * speed, 0.0, 0.0, 0.0, 0.0)
+    return builder
+
+
+def walker():
+    """A trunk on two legs with round feet, one of which leans on a ball."""
+    builder = novaphy.ModelBuilder()
+    surface = novaphy.ShapeConfig(mu=0.5)
+    builder.add_ground_plane(cfg=surface)
+    trunk = builder.add_link(
+        xform=((0.0, 0.0, 0.498), UPRIGHT), mass=2.0, inertia=np.diag([0.02, 0.03, 0.04])
+    )
+    joints = [builder.add_joint_free(trunk)]
+    for side in (-0.2, 0.2):
+        leg = builder.add_link(
+            mass=0.5, inertia=np.diag([0.005, 0.006, 0.004]), com=(0.01, 0.0, -0.2)
+        )
+        builder.add_shape_sphere(leg, xform=((0.0, 0.0, -0.4), UPRIGHT), radius=0.1, cfg=surface)
+        joints.append(
+            builder.add_joint_revolute(
+                trunk, leg, axis=(0.0, 1.0, 0.0), parent_xform=((side, 0.0, 0.0), UPRIGHT)
+            )
+        )
+    builder.add_articulation(joints)
+    other = builder.add_body(xform=((0.395, 0.02, 0.11), UPRIGHT))
+    builder.add_shape_sphere(other, radius=0.1, cfg=surface)
+    builder.joint_qd[0:8] = [0.3, 0.1, -0.4, 0.1, 0.2, 0.1, 0.3, -0.2]
+    return builder
+
+
+CASES = {
+    "breaking": (lambda: ball((0.1, 0.1, 1.0, 0.2, 0.3, 0.4)), {}, (1, 0, 0)),
+    "sticking": (lambda: ball((0.1, 0.05, -0.5, -0.5, 1.0, 0.3)), {}, (0, 1, 0)),
+    "sliding": (lambda: ball((1.0, 0.3, -0.4, 0.2, -0.3, 0.4)), {}, (0, 0, 1)),
+    "sliding in": (lambda: ball((1.0, 0.3, -0.2, 0.2, -0.3, 0.4), z=0.09), {}, (0, 0, 1)),
+    "pyramid": (
+        lambda: ball((1.0, 0.3, -0.4, 0.2, -0.3, 0.4)),
+        {"friction_cone": "pyramid"},
+        (0, 0, 1),
+    ),
+    "soft": (lambda: ball((1.0, 0.3, -0.4, 0.2, -0.3, 0.4)), {"pgs_cfm": 0.1}, (0, 0, 1)),
+    "spring": (
+        lambda: ball((0.1, 0.05, -0.5, -0.5, 1.0, 0.3), z=0.097),
+        {"compliant_contacts": True},
+        (0, 1, 0),
+    ),
+    "bouncing": (lambda: ball((1.0, 0.2, -1.0, 0.1, 0.2, 0.3), 0.7), {}, (0, 1, 0)),
+    "standing box": (lambda: box(0.02), {"pgs_slop": 0.0}, (0, 4, 0)),
+    "sliding box": (lambda: box(1.0), {"pgs_slop": 0.0}, (0, 0, 4)),
+    "walker": (walker, {}, (1, 3, 0)),
+    "walker on a pyramid": (walker, {"friction_cone": "pyramid"}, (1, 3, 0)),
+}
+
+
+@pytest.mark.parametrize("case", list(CASES))
+def test_the_gradient_of_a_step_is_that_of_the_converged_solve(case: str) -> None:
+    from novaphy import nova
+    from novaphy.diff import state_joint_q_tensor, state_joint_qd_tensor
+
+    build, options, branches = CASES[case]
+    model = build().finalize(requires_grad=True)
+    solver = novaphy.solvers.DiffFeatherstoneSolver(model, pgs_iterations=2000, **options)
+    state, after, control = model.state(), model.state(), model.control()
+    novaphy.eval_fk(model, state.joint_q, state.joint_qd, state)
+    pipeline = novaphy.CollisionPipeline(model)
+    contacts = pipeline.contacts()
+    pipeline.collide(state, contacts)
+    rng = np.random.default_rng(3)
+    weights = [rng.normal(size=n) for n in (model.joint_coord_count, model.joint_dof_count)]
+
+    control.joint_f.requires_grad = True
+    with nova.Tape() as tape:
+        solver.step(state, after, control, contacts, DT)
+        of_q, of_qd = (nova.tensor(w.astype(np.float32)) for w in weights)
+        loss = nova.sum(state_joint_q_tensor(after) * of_q)
+        loss = loss + nova.sum(state_joint_qd_tensor(after) * of_qd)
+    tape.backward(loss)
+    info = solver.gradient_info()
+    assert (info["breaking"], info["sticking"], info["sliding"]) == branches, info
+    gradients = {
+        "joint_q": state.joint_q.grad.numpy(),
+        "joint_qd": state.joint_qd.grad.numpy(),
+        "joint_f": control.joint_f.grad.numpy(),
+    }
+
+    def value(name: str, k: int, change: float) -> float:
+        now, then, forces = model.state(), model.state(), model.control()
+        array = forces.joint_f if name == "joint_f" else getattr(now, name)
+        numbers = array.numpy()
+        numbers[k] += change
+        array.assign(numbers)
+        solver.step(now, then, forces, contacts, DT)
+        q, qd = (x.numpy().astype(float) for x in (then.joint_q, then.joint_qd))
+        return float(q @ weights[0] + qd @ weights[1])
+
+    for name, eps in (("joint_q", 2e-4), ("joint_qd", 2e-3), ("joint_f", 0.2)):
+        expected = np.array(
+            [
+                (value(name, k, eps) - value(name, k, -eps)) / (2 * eps)
+                for k in range(gradients[name].size)
+            ]
+        )
+        scale = max(np.abs(expected).max(), 0.05)
+        np.testing.assert_allclose(gradients[name], expected, atol=2e-3 * scale, err_msg=name)
+
+
+def test_a_gradient_through_several_steps_of_a_walker() -> None:
+    from novaphy import nova
+    from novaphy.diff import state_joint_q_tensor
+
+    model = walker().finalize(requires_grad=True)
+    solver = novaphy.solvers.DiffFeatherstoneSolver(model, pgs_iterations=2000)
+    pipeline = novaphy.CollisionPipeline(model)
+    steps = 5
+    states = [model.state() for _ in range(steps + 1)]
+    novaphy.eval_fk(model, states[0].joint_q, states[0].joint_qd, states[0])
+    contacts = [pipeline.contacts() for _ in range(steps)]
+    with nova.Tape() as tape:
+        for t in range(steps):
+            pipeline.collide(states[t], contacts[t])
+            solver.step(states[t], states[t + 1], None, contacts[t], DT / 5)
+        loss = nova.sum(state_joint_q_tensor(states[-1]))
+    tape.backward(loss)
+    gradient = states[0].joint_qd.grad.numpy()
+
+    def value(k: int, change: float) -> float:
+        now, then = model.state(), model.state()
+        numbers = now.joint_qd.numpy()
+        numbers[k] += change
+        now.joint_qd.assign(numbers)
+        for t in range(steps):
+            solver.step(now, then, None, contacts[t], DT / 5)
+            now, then = then, now
+        return float(now.joint_q.numpy().astype(float).sum())
+
+    expected = np.array([(value(k, 4e-3) - value(k, -4e-3)) / 8e-3 for k in range(gradient.size)])
+    np.testing.assert_allclose(gradient, expected, atol=3e-3 * np.abs(expected).max())
+
+
+def test_the_label_falls_where_sweeps_do_not_converge_or_a_branch_is_near() -> None:
+    builder = novaphy.ModelBuilder()
+    surface = novaphy.ShapeConfig(mu=0.5)
+    builder.add_ground_plane(cfg=surface)
+    for k in range(10):
+        cube = builder.add_body(xform=((0.0, 0.0, 0.1 * (2 * k + 1) - 0.002), UPRIGHT))
+        builder.add_shape_box(cube, hx=0.1, hy=0.1, hz=0.1, cfg=surface)
+    model = builder.finalize()
+    solver = novaphy.solvers.DiffFeatherstoneSolver(model)
+    pipeline = novaphy.CollisionPipeline(model)
+    contacts = pipeline.contacts()
+    state, after = model.state(), model.state()
+    pipeline.collide(state, contacts)
+    solver.step(state, after, None, contacts, DT)
+    info = solver.gradient_info()
+    assert info["label"] == "surrogate" and info["residual"] > 1e-5
+    assert info["contact_steps"] == 1 and info["exact_steps"] == 0
+    solver.clear_gradient_info()
+    assert solver.gradient_info()["contact_steps"] == 0
+
+    model = ball((0.0, 0.0, 0.0, 0.0, 0.0, 0.0), z=0.1).finalize()
+    solver = novaphy.solvers.DiffFeatherstoneSolver(model)
+    pipeline = novaphy.CollisionPipeline(model)
+    contacts = pipeline.contacts()
+    state, after = model.state(), model.state()
+    pipeline.collide(state, contacts)
+    solver.step(state, after, None, contacts, DT)
+    info = solver.gradient_info()
+    assert info["label"] == "surrogate" and info["gap_margin"] < 1e-6
+
+
+def test_what_has_no_gradient_through_contacts_raises() -> None:
+    from novaphy import nova
+    from novaphy.diff import Trajectory
+
+    model = ball((0.1, 0.0, -0.5, 0.0, 0.0, 0.0)).finalize(requires_grad=True)
+    pipeline = novaphy.CollisionPipeline(model)
+    contacts = pipeline.contacts()
+    state, after = model.state(), model.state()
+    pipeline.collide(state, contacts)
+    with pytest.raises(NotImplementedError, match="penalty"):
+        novaphy.solvers.DiffFeatherstoneSolver(model, contact="penalty")
+    refusing = novaphy.solvers.DiffFeatherstoneSolver(model, contact=None)
+    with pytest.raises(ValueError, match="contacts: expected none"):
+        refusing.step(state, after, None, contacts, DT)
+    solver = novaphy.solvers.DiffFeatherstoneSolver(model)
+    with pytest.raises(NotImplementedError, match="rollout, contacts"):
+        solver.rollout(Trajectory(model, 2), None, contacts, DT)
+    model.shape_material_mu.requires_grad = True
+    with nova.Tape(), pytest.raises(novaphy.Error, match="articulation_step"):
+        solver.step(state, after, None, contacts, DT)

@@ -48,13 +48,13 @@ void bind_diff_featherstone(py::module_& m, py::module_& solvers) {
            }),
            py::arg("model").none(false), py::kw_only(), "angular_damping"_a = d.angular_damping,
            "implicit_drives"_a = d.implicit_drives, "contact"_a = "pgs", "friction_cone"_a = "cone",
-           "pgs_iterations"_a = 200, "pgs_tolerance"_a = d.pgs_tolerance, "pgs_erp"_a = d.pgs_erp,
+           "pgs_iterations"_a = 1000, "pgs_tolerance"_a = d.pgs_tolerance, "pgs_erp"_a = d.pgs_erp,
            "pgs_slop"_a = d.pgs_slop, "pgs_cfm"_a = d.pgs_cfm,
            "max_depenetration_velocity"_a = d.max_depenetration_velocity,
            "restitution_threshold"_a = d.restitution_threshold,
            "compliant_contacts"_a = d.compliant_contacts,
            "As SolverFeatherstone. With contacts, which step takes and rollout does not, sweeps "
-           "start from nothing and go on to pgs_tolerance, at most pgs_iterations times (200 at "
+           "start from nothing and go on to pgs_tolerance, at most pgs_iterations times (1000 at "
            "least). NotImplementedError for contact=\"penalty\".")
       .def(
           "gradient_info",

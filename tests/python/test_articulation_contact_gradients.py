@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -168,6 +170,75 @@ def test_a_gradient_through_several_steps_of_a_walker() -> None:
 
     expected = np.array([(value(k, 4e-3) - value(k, -4e-3)) / 8e-3 for k in range(gradient.size)])
     np.testing.assert_allclose(gradient, expected, atol=3e-3 * np.abs(expected).max())
+
+
+def test_steps_of_an_ant_are_exact_and_match_differences(monkeypatch, capsys) -> None:
+    from novaphy import nova
+    from novaphy.diff import state_joint_qd_tensor
+
+    monkeypatch.syspath_prepend(str(Path(__file__).parents[2] / "python" / "demos"))
+    import demo_articulated_scenes
+
+    model, dt = demo_articulated_scenes.build_ant().finalize(), 1e-3
+    # Overlaps and gaps have one law, so that a contact at rest is not between two.
+    options = {"pgs_slop": 0.0, "pgs_erp": 1.0}
+    solver = novaphy.solvers.DiffFeatherstoneSolver(model, **options)
+    converged = novaphy.solvers.DiffFeatherstoneSolver(model, pgs_iterations=2000, **options)
+    pipeline = novaphy.CollisionPipeline(model)
+    contacts, control = pipeline.contacts(), model.control()
+    state, after = model.state(), model.state()
+    novaphy.eval_fk(model, state.joint_q, state.joint_qd, state)
+    rng = np.random.default_rng(7)
+    weight = rng.normal(size=model.joint_dof_count)
+    compared, spread = 0, np.linalg.norm(weight)
+    for t in range(900):
+        if t == 300:
+            solver.clear_gradient_info()  # it has landed
+        if t % 50 == 0:
+            torques = np.zeros(model.joint_dof_count, np.float32)
+            torques[6:] = rng.uniform(-60.0, 60.0, torques.size - 6)
+            control.joint_f.assign(torques)
+        pipeline.collide(state, contacts)
+        if t >= 300 and t % 20 == 0:
+            start = model.state(requires_grad=True)
+            start.joint_q.assign(state.joint_q.numpy())
+            start.joint_qd.assign(state.joint_qd.numpy())
+            converged.clear_gradient_info()
+            with nova.Tape() as tape:
+                end = model.state()
+                converged.step(start, end, control, contacts, dt)
+                loss = nova.sum(state_joint_qd_tensor(end) * nova.tensor(weight.astype(np.float32)))
+            tape.backward(loss)
+            info = converged.gradient_info()
+            if info["label"] == "exact":
+                branches = [[info[k] for k in ("breaking", "sticking", "sliding")]]
+                along = rng.normal(size=model.joint_dof_count)
+                along /= np.linalg.norm(along)
+                values = []
+                for side in (-1.0, 1.0):
+                    moved, end = model.state(), model.state()
+                    moved.joint_q.assign(state.joint_q.numpy())
+                    qd = state.joint_qd.numpy() + side * 2e-3 * along
+                    moved.joint_qd.assign(qd.astype(np.float32))
+                    converged.clear_gradient_info()
+                    converged.step(moved, end, control, contacts, dt)
+                    info = converged.gradient_info()
+                    branches.append([info[k] for k in ("breaking", "sticking", "sliding")])
+                    values.append(end.joint_qd.numpy().astype(float) @ weight)
+                expected = (values[1] - values[0]) / 4e-3
+                if branches == branches[:1] * 3:  # else the difference is over several
+                    found = start.joint_qd.grad.numpy().astype(float) @ along
+                    assert found == pytest.approx(expected, rel=1e-3, abs=2e-3 * spread)
+                    compared += 1
+        solver.step(state, after, control, contacts, dt)
+        state, after = after, state
+    info = solver.gradient_info()
+    share = info["exact_steps"] / info["contact_steps"]
+    with capsys.disabled():
+        print(
+            f" [{share:.1%} of {info['contact_steps']} steps exact, {compared} compared] ", end=""
+        )
+    assert info["contact_steps"] > 500 and share >= 0.95 and compared >= 20
 
 
 def test_the_label_falls_where_sweeps_do_not_converge_or_a_branch_is_near() -> None:

@@ -16,7 +16,7 @@ namespace novaphy::diff {
 namespace {
 
 using nova::Tensor;
-constexpr int32_t kLeastSweeps = 200;  // at most, where impulses are differentiated
+constexpr int32_t kLeastSweeps = 1000;  // at most, where impulses are differentiated
 using G = articulation::StepGradient<float>;
 
 const DeviceKernel& step_kernel() {

@@ -268,7 +268,7 @@ class DiffFeatherstoneSolver(SolverBase):
         implicit_drives: bool = True,
         contact: Literal["pgs"] | None = "pgs",
         friction_cone: Literal["cone", "pyramid"] = "cone",
-        pgs_iterations: int = 200,
+        pgs_iterations: int = 1000,
         pgs_tolerance: SupportsFloat = 1e-6,
         pgs_erp: SupportsFloat = 0.2,
         pgs_slop: SupportsFloat = 0.005,

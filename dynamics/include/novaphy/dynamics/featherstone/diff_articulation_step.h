@@ -11,7 +11,7 @@
 // part.
 //
 // With contacts (FeatherstoneOptions::contact Pgs) the sweeps start from nothing and go on to
-// pgs_tolerance, at most 200 times (more where pgs_iterations is more). The gradient is that of the
+// pgs_tolerance, at most 1000 times (more where pgs_iterations is more). The gradient is that of the
 // converged impulses by the rows that are active (src/featherstone/pgs_contacts_vjp.cpp): exact
 // where they converged and no contact is just breaking, sticking or sliding, else a surrogate;
 // ContactBranches counts them. Contacts stay on their shapes where they were found, with their

@@ -210,7 +210,8 @@ void PgsContacts::build_row(const Step& s, Row& row) {
     if (itself)
       art::add_point_rows(tree, ws.axes, row.sides[1].link, place.b, row.frame, 1.0f, to.width,
                           jacobian);
-    art::response_rows(tree, ws.matrix, 3, to.width, jacobian, response);
+    const int32_t last = itself ? -1 : art::last_dof(tree, row.sides[side].link);
+    art::response_rows(tree, ws.matrix, last, to.width, jacobian, response);
     to.rates = rates_.data() + rates_begin_[static_cast<size_t>(tree_row)];
     to.jacobian = jacobian;
     to.response = response;
@@ -235,6 +236,7 @@ void PgsContacts::set_target(const Step& s, Row& row) {
   row.solver.bias = row.target.bias;
   row.solver.cfm = row.target.cfm;
   row.solver.friction = material.friction;
+  art::set_steps(row.solver);
 }
 
 void PgsContacts::solve_island(const Step& s, int64_t island) {

@@ -79,14 +79,42 @@ void add_point_rows(const Tree<T>& tree, const SpatialVector<T>* axes, int32_t l
   }
 }
 
-// The responses Y {rows, stride} of rows J, by the factor.
+// The responses Y {3, stride} of rows J, by the factor. J is zero but for `last` and the dofs above
+// it; -1: it may be anything.
 template <class T>
-void response_rows(const Tree<T>& tree, const T* matrix, int32_t rows, int64_t stride,
+void response_rows(const Tree<T>& tree, const T* matrix, int32_t last, int64_t stride,
                    const T* jacobian, T* response) {
-  for (int32_t r = 0; r < rows; ++r) {
-    T* const y = response + r * stride;
-    for (int64_t k = 0; k < stride; ++k) y[k] = jacobian[r * stride + k];
-    solve(tree, matrix, y);
+  const int64_t n = tree.dof_count;
+  for (int64_t k = 0; k < 3 * stride; ++k) response[k] = jacobian[k];
+  T *const y0 = response, *const y1 = y0 + stride, *const y2 = y1 + stride;
+  const auto above = [&](int32_t k) { return last < 0 ? k - 1 : tree.dof_parent[k]; };
+  const int32_t first = last < 0 ? tree.dof_count - 1 : last;
+  for (int32_t k = first; k >= 0; k = above(k)) {
+    const T a0 = y0[k], a1 = y1[k], a2 = y2[k];
+    for (int32_t j = tree.dof_parent[k]; j >= 0; j = tree.dof_parent[j]) {
+      const T l = matrix[k * n + j];
+      y0[j] = y0[j] - l * a0;
+      y1[j] = y1[j] - l * a1;
+      y2[j] = y2[j] - l * a2;
+    }
+  }
+  for (int32_t k = first; k >= 0; k = above(k)) {
+    const T inverse = T(1.0f) / matrix[k * n + k];
+    y0[k] = y0[k] * inverse;
+    y1[k] = y1[k] * inverse;
+    y2[k] = y2[k] * inverse;
+  }
+  for (int32_t k = 0; k < tree.dof_count; ++k) {
+    T a0 = y0[k], a1 = y1[k], a2 = y2[k];
+    for (int32_t j = tree.dof_parent[k]; j >= 0; j = tree.dof_parent[j]) {
+      const T l = matrix[k * n + j];
+      a0 = a0 - l * y0[j];
+      a1 = a1 - l * y1[j];
+      a2 = a2 - l * y2[j];
+    }
+    y0[k] = a0;
+    y1[k] = a1;
+    y2[k] = a2;
   }
 }
 

@@ -101,9 +101,10 @@ template <class T>
 struct PgsContact {
   RowSide<T> sides[2];  // three rows each; an absent one has the width 0
   T bias{}, cfm{}, friction{};
-  T normal{};         // J_n Y_n
-  T tangent[3] = {};  // t1 t1, t1 t2, t2 t2 of J Y
-  T impulse[3] = {};  // along n, t1, t2
+  T normal{};                                // J_n Y_n
+  T tangent[3] = {};                         // t1 t1, t1 t2, t2 t2 of J Y
+  T normal_step{}, bound{}, tangent_step{};  // 1 / (J_n Y_n + cfm), s, 1 / s
+  T impulse[3] = {};                         // along n, t1, t2
 };
 
 template <class T>
@@ -143,6 +144,15 @@ T tangent_bound(const PgsContact<T>& c) {
   return (c.tangent[0] + c.tangent[2]) * half + square_root(d * d + c.tangent[1] * c.tangent[1]);
 }
 
+// What sweeps divide by, behind set_diagonals and with cfm. 0 where nothing moves.
+template <class T>
+void set_steps(PgsContact<T>& c) {
+  const T o = T(0.0f);
+  c.normal_step = c.normal > o ? T(1.0f) / (c.normal + c.cfm) : o;
+  c.bound = tangent_bound(c);
+  c.tangent_step = c.bound > o ? T(1.0f) / c.bound : o;
+}
+
 template <class T>
 void project_friction(const T& limit, bool cone, T& x, T& y) {
   if (cone) {
@@ -175,24 +185,23 @@ T sweep(PgsContact<T>& c, bool cone) {
   T worst = o;
   const auto apply = [&](int32_t row, const T& impulse, const T& diagonal) {
     const T change = impulse - c.impulse[row];
+    if (change == o) return;
     c.impulse[row] = impulse;
     push(c, row, change);
     const T moved = diagonal * (change < o ? -change : change);
     if (moved > worst) worst = moved;
   };
-  if (!(c.normal > o)) return o;
   const T residual = slip(c, 0) + c.bias + c.cfm * c.impulse[0];
-  const T n = c.impulse[0] - residual / (c.normal + c.cfm);
+  const T n = c.impulse[0] - residual * c.normal_step;
   apply(0, n > o ? n : o, c.normal);
   const T limit = c.friction * c.impulse[0];
   if (!(limit > o) && c.impulse[1] == o && c.impulse[2] == o) return worst;
   if (cone) {
-    const T s = tangent_bound(c);
-    if (!(s > o)) return worst;
-    T x = c.impulse[1] - slip(c, 1) / s, y = c.impulse[2] - slip(c, 2) / s;
+    T x = c.impulse[1] - slip(c, 1) * c.tangent_step,
+      y = c.impulse[2] - slip(c, 2) * c.tangent_step;
     project_friction(limit, true, x, y);
-    apply(1, x, s);
-    apply(2, y, s);
+    apply(1, x, c.bound);
+    apply(2, y, c.bound);
     return worst;
   }
   for (int32_t r = 1; r < 3; ++r) {

@@ -1,0 +1,406 @@
+#!/usr/bin/env python3
+"""Time NovaPhy on articulations beside MuJoCo and Pinocchio, in one process on one thread.
+
+The FR3 arm holds a pose with its drives; the Ant stands under random torques, contacts found in
+every step. Time is that of the processor, of the fastest of some turns. Peers that are not
+installed are left out.
+
+    NOVAPHY_NUM_THREADS=1 python tools/bench/novaphy_articulation.py
+    NOVAPHY_NUM_THREADS=1 python tools/bench/novaphy_articulation.py --page
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import os
+import platform
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+import novaphy
+
+ROOT = Path(__file__).resolve().parents[2]
+sys.path.insert(0, str(ROOT / "python" / "demos"))
+import demo_articulated_scenes  # noqa: E402
+
+DT = 1e-3
+TURNS = 7
+UPRIGHT = (0.0, 0.0, 0.0, 1.0)
+POSE = (0.0, -np.pi / 4, 0.0, -3 * np.pi / 4, 0.0, np.pi / 2, np.pi / 4)
+KE, KD = (
+    (600.0, 600.0, 600.0, 600.0, 250.0, 150.0, 50.0),
+    (50.0, 50.0, 50.0, 50.0, 30.0, 25.0, 15.0),
+)
+# Of franka_description (Apache-2.0): joint origin and roll; mass; centre of mass; inertia about it,
+# xx yy zz xy xz yz. Rounded.
+FR3 = (
+    (
+        (0, 0, 0.333),
+        0,
+        2.92747,
+        (0, -0.018125, -0.038604),
+        (0.023927, 0.022482, 0.00635, 0.0000133, -0.000114, -0.001995),
+    ),
+    (
+        (0, 0, 0),
+        -1,
+        2.93554,
+        (0.003183, -0.074322, 0.008815),
+        (0.041939, 0.025145, 0.061702, 0.000203, 0.004078, -0.004225),
+    ),
+    (
+        (0, -0.316, 0),
+        1,
+        2.2449,
+        (0.040702, -0.00482, -0.028973),
+        (0.024101, 0.019741, 0.019044, 0.002405, -0.002856, -0.002104),
+    ),
+    (
+        (0.0825, 0, 0),
+        1,
+        2.6156,
+        (-0.04591, 0.063049, -0.008519),
+        (0.03453, 0.028882, 0.041255, 0.013226, 0.010151, -0.00097),
+    ),
+    (
+        (-0.0825, 0.384, 0),
+        -1,
+        2.32712,
+        (-0.001604, 0.029254, -0.097297),
+        (0.05161, 0.047877, 0.016424, -0.005715, -0.003567, 0.010674),
+    ),
+    (
+        (0, 0, 0),
+        1,
+        1.81704,
+        (0.059713, -0.041029, -0.010169),
+        (0.005412, 0.014059, 0.016081, 0.006193, 0.001422, -0.001314),
+    ),
+    (
+        (0.088, 0, 0),
+        1,
+        0.62714,
+        (0.004523, 0.008626, -0.016163),
+        (
+            2.1092389150104718e-4,
+            1.7718568002411474e-4,
+            5.993190599659971e-5,
+            -2.433299114461931e-5,
+            4.564480393778983e-5,
+            8.744070223226438e-5,
+        ),
+    ),
+)
+
+
+def matrix(inertia: tuple[float, ...]) -> np.ndarray:
+    """The matrix of xx yy zz xy xz yz."""
+    xx, yy, zz, xy, xz, yz = inertia
+    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+
+
+def rolled(roll: int) -> tuple[float, ...]:
+    """The quaternion of a quarter turn about x, times `roll`."""
+    return (np.sin(roll * np.pi / 4), 0.0, 0.0, np.cos(roll * np.pi / 4))
+
+
+def fastest(run: Callable[[], None], units: int, turns: int = TURNS) -> float:
+    """Microseconds of the processor per unit."""
+    run()
+    times = []
+    for _ in range(turns):
+        start = time.process_time()
+        run()
+        times.append(time.process_time() - start)
+    return min(times) / units * 1e6
+
+
+def arm() -> novaphy.ModelBuilder:
+    """The FR3 with drives."""
+    builder = novaphy.ModelBuilder()
+    parent, joints = -1, []
+    for k, (place, roll, mass, com, inertia) in enumerate(FR3):
+        link = builder.add_link(mass=mass, com=com, inertia=matrix(inertia), lock_inertia=True)
+        joints.append(
+            builder.add_joint_revolute(
+                parent,
+                link,
+                axis=(0.0, 0.0, 1.0),
+                parent_xform=(place, rolled(roll)),
+                target_ke=KE[k],
+                target_kd=KD[k],
+            )
+        )
+        parent = link
+    builder.add_articulation(joints)
+    builder.joint_q, builder.joint_target_q = list(POSE), list(POSE)
+    return builder
+
+
+def replicated(builder: novaphy.ModelBuilder, worlds: int) -> novaphy.Model:
+    """So many worlds of it."""
+    if worlds == 1:
+        return builder.finalize()
+    many = novaphy.ModelBuilder()
+    many.replicate(builder, worlds, (3.0, 0.0, 0.0))
+    return many.finalize()
+
+
+def time_arms(worlds: int, steps: int) -> float:
+    """A step of one world."""
+    model = replicated(arm(), worlds)
+    solver = novaphy.solvers.SolverFeatherstone(model)
+    state, after = model.state(), model.state()
+
+    def run() -> None:
+        for _ in range(steps // 2):
+            solver.step(state, after, None, None, DT)
+            solver.step(after, state, None, None, DT)
+
+    return fastest(run, steps * worlds)
+
+
+def time_arm_gradient(steps: int = 500) -> float:
+    """A step of a rollout and its adjoint."""
+    from novaphy import nova
+    from novaphy.diff import Trajectory, state_joint_q_tensor
+
+    model = arm().finalize(requires_grad=True)
+    solver = novaphy.solvers.DiffFeatherstoneSolver(model)
+    trajectory = Trajectory(model, steps)
+
+    def run() -> None:
+        with nova.Tape() as tape:
+            solver.rollout(trajectory, None, None, DT)
+            loss = nova.sum(state_joint_q_tensor(trajectory[steps]))
+        tape.backward(loss)
+
+    return fastest(run, steps)
+
+
+class Ants:
+    """Ants that have landed, under torques."""
+
+    def __init__(self, worlds: int) -> None:
+        """Let them fall."""
+        self.model = replicated(demo_articulated_scenes.build_ant(), worlds)
+        self.solver = novaphy.solvers.SolverFeatherstone(self.model)
+        self.pipeline = novaphy.CollisionPipeline(self.model)
+        self.contacts, self.control = self.pipeline.contacts(), self.model.control()
+        self.state, self.after = self.model.state(), self.model.state()
+        novaphy.eval_fk(self.model, self.state.joint_q, self.state.joint_qd, self.state)
+        self.rng = np.random.default_rng(0)
+        self.contact_count = 0.0
+        self.worlds = worlds
+        self.run(800)
+
+    def run(self, steps: int, collide: bool = True) -> None:
+        """Step, with other torques every 50."""
+        found = 0
+        for t in range(steps):
+            if t % 50 == 0:
+                torques = self.rng.uniform(-60.0, 60.0, (self.worlds, 14))
+                torques[:, :6] = 0.0
+                self.control.joint_f.assign(torques.ravel().astype(np.float32))
+                found += int(self.contacts.rigid_contact_count.numpy()[0])
+            if collide:
+                self.pipeline.collide(self.state, self.contacts)
+            self.solver.step(self.state, self.after, self.control, self.contacts, DT)
+            self.state, self.after = self.after, self.state
+        self.contact_count = found / (steps / 50) / self.worlds
+
+
+def mujoco_arm() -> str:
+    """The FR3 for MuJoCo."""
+    bodies, ends = "", ""
+    for k, (place, roll, mass, com, inertia) in enumerate(FR3):
+        x, _, _, w = rolled(roll)
+        numbers = " ".join(map(str, inertia))
+        bodies += (
+            f'<body pos="{place[0]} {place[1]} {place[2]}" quat="{w} {x} 0 0">'
+            f'<inertial pos="{com[0]} {com[1]} {com[2]}" mass="{mass}" fullinertia="{numbers}"/>'
+            f'<joint name="j{k}" axis="0 0 1" damping="{KD[k]}" stiffness="{KE[k]}" '
+            f'springref="{np.degrees(POSE[k])}"/>'
+        )
+        ends += "</body>"
+    return (
+        f'<mujoco><option timestep="{DT}" integrator="implicitfast"/>'
+        f'<compiler boundmass="0" balanceinertia="true"/>'
+        f"<worldbody>{bodies}{ends}</worldbody></mujoco>"
+    )
+
+
+def mujoco_ant() -> str:
+    """The Ant for MuJoCo: shapes meet the ground only."""
+    legs = ""
+    for (x, y), ankle, (lower, upper) in demo_articulated_scenes.LEGS:
+        size = 'type="capsule" size="0.08"'
+        legs += (
+            f'<geom {size} fromto="0 0 0 {x} {y} 0"/><body pos="{x} {y} 0">'
+            f'<joint axis="0 0 1" range="-40 40"/><geom {size} fromto="0 0 0 {x} {y} 0"/>'
+            f'<body pos="{x} {y} 0"><joint axis="{ankle[0]} {ankle[1]} 0" range="{lower} {upper}"/>'
+            f'<geom {size} fromto="0 0 0 {2 * x} {2 * y} 0"/></body></body>'
+        )
+    return (
+        f'<mujoco><option timestep="{DT}"/><default><joint armature="0.05" damping="1" '
+        f'limited="true"/><geom contype="0" conaffinity="1" friction="0.75 0.1 0.1" '
+        f'density="1000"/></default><worldbody><geom type="plane" size="40 40 1" contype="1" '
+        f'conaffinity="0"/><body pos="0 0 0.75"><joint type="free" limited="false" armature="0" '
+        f'damping="0"/><geom type="sphere" size="0.25"/>{legs}</body></worldbody></mujoco>'
+    )
+
+
+def time_mujoco(text: str, ant: bool, steps: int) -> float:
+    """A step."""
+    mujoco = importlib.import_module("mujoco")
+    model = mujoco.MjModel.from_xml_string(text)
+    data = mujoco.MjData(model)
+    rng = np.random.default_rng(0)
+    if ant:
+        data.qpos[7:] = [0, 1, 0, -1, 0, -1, 0, 1]
+        mujoco.mj_step(model, data, nstep=800)
+    else:
+        data.qpos[:] = POSE
+
+    def run() -> None:
+        for _ in range(steps // 50):
+            if ant:
+                data.qfrc_applied[6:] = rng.uniform(-60.0, 60.0, 8)
+            mujoco.mj_step(model, data, nstep=50)
+
+    return fastest(run, steps)
+
+
+def pinocchio_arm() -> object:
+    """The FR3 for Pinocchio."""
+    pin = importlib.import_module("pinocchio")
+    model, parent = pin.Model(), 0
+    for k, (place, roll, mass, com, inertia) in enumerate(FR3):
+        x, y, z, w = rolled(roll)
+        at = pin.SE3(pin.Quaternion(w, x, y, z), np.array(place, float))
+        parent = model.addJoint(parent, pin.JointModelRZ(), at, f"j{k}")
+        body = pin.Inertia(mass, np.array(com, float), matrix(inertia))
+        model.appendBodyToJoint(parent, body, pin.SE3.Identity())
+    return model
+
+
+def time_functions(calls: int = 2000) -> dict[str, tuple[float, float | None]]:
+    """Functions of the dynamics from Python: NovaPhy, Pinocchio (None: not there)."""
+    model = arm().finalize()
+    state = model.state()
+    tau = np.zeros(7, np.float32)
+
+    def repeat(call: Callable[[], object]) -> Callable[[], None]:
+        def run() -> None:
+            for _ in range(calls):
+                call()
+
+        return run
+
+    ours = {
+        "inverse dynamics": lambda: novaphy.eval_inverse_dynamics(model, state, tau),
+        "forward dynamics": lambda: novaphy.eval_forward_dynamics(model, state, tau),
+        "derivatives of forward dynamics": lambda: novaphy.eval_forward_dynamics_derivatives(
+            model, state, tau
+        ),
+    }
+    theirs: dict[str, Callable[[], object]] = {}
+    try:
+        pin = importlib.import_module("pinocchio")
+        tree = pinocchio_arm()
+        data, q, v = tree.createData(), np.array(POSE), np.zeros(7)
+        theirs = {
+            "inverse dynamics": lambda: pin.rnea(tree, data, q, v, v),
+            "forward dynamics": lambda: pin.aba(tree, data, q, v, v),
+            "derivatives of forward dynamics": lambda: pin.computeABADerivatives(
+                tree, data, q, v, v
+            ),
+        }
+    except ImportError:
+        pass
+    return {
+        name: (
+            fastest(repeat(call), calls),
+            fastest(repeat(theirs[name]), calls) if name in theirs else None,
+        )
+        for name, call in ours.items()
+    }
+
+
+def measure() -> list[tuple[str, float, str, float | None]]:
+    """Rows: what, NovaPhy, the peer, its time; microseconds."""
+    has_mujoco = importlib.util.find_spec("mujoco") is not None
+    mujoco_fr3 = time_mujoco(mujoco_arm(), False, 20_000) if has_mujoco else None
+    mujoco = time_mujoco(mujoco_ant(), True, 5_000) if has_mujoco else None
+    rows = [
+        ("FR3, a step, one world, from Python", time_arms(1, 20_000), "MuJoCo", mujoco_fr3),
+        ("FR3, a step per world, 1,024 worlds", time_arms(1024, 60), "MuJoCo", mujoco_fr3),
+    ]
+    if novaphy.has_diff():
+        rows.append(
+            ("FR3, a step of a rollout and its exact adjoint", time_arm_gradient(), "", None)
+        )
+    for name, (ours, theirs) in time_functions().items():
+        rows.append((f"FR3, {name}, from Python", ours, "Pinocchio", theirs))
+    for worlds, steps in ((1, 5_000), (256, 100)):
+        ants = Ants(worlds)
+        count = f"{ants.contact_count:.1f} contacts"
+        many = "one world, from Python" if worlds == 1 else f"per world, {worlds} worlds"
+        both = fastest(lambda a=ants, n=steps: a.run(n), steps * worlds)
+        rows.append((f"Ant, collide and a step, {many}, {count}", both, "MuJoCo", mujoco))
+        alone = fastest(lambda a=ants, n=steps: a.run(n, False), steps * worlds, 3)
+        rows.append((f"the same without the search for contacts, {many}", alone, "", None))
+    return rows
+
+
+def write_page(rows: list[tuple[str, float, str, float | None]]) -> None:
+    """docs/performance-articulations.md."""
+    load = os.getloadavg()[0]
+    processor = platform.processor() or platform.machine()
+    for line in Path("/proc/cpuinfo").read_text().splitlines():
+        if line.startswith("model name"):
+            processor = line.split(":")[1].strip()
+            break
+    lines = [
+        "# Performance of articulations",
+        "",
+        "Written by `tools/bench/novaphy_articulation.py --page`; do not edit.",
+        "",
+        f"One thread of {processor}, Python {platform.python_version()}. Times are those of the",
+        f"processor, not of the clock, of the fastest of {TURNS} turns"
+        + (f"; the machine was loaded (load average {load:.0f})," if load > 1.5 else ".")
+        + (" so caches were shared and the times are upper bounds." if load > 1.5 else ""),
+        "NovaPhy computes in float32, MuJoCo and Pinocchio in float64. MuJoCo's steps are taken 50",
+        "at a time; its contacts are soft and solved by Newton's method, ours by projected",
+        "Gauss-Seidel.",
+        "",
+        "| what | NovaPhy, µs | peer, µs | steps/s |",
+        "|---|---|---|---|",
+    ]
+    for what, ours, peer, theirs in rows:
+        other = f"{peer} {theirs:.2f}" if theirs is not None else ""
+        lines.append(f"| {what} | {ours:.2f} | {other} | {1e6 / ours:,.0f} |")
+    (ROOT / "docs" / "performance-articulations.md").write_text("\n".join(lines) + "\n", "utf-8")
+
+
+def main() -> None:
+    """Measure, and say or write it."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--page", action="store_true", help="write the page of the results")
+    args = parser.parse_args()
+    if os.environ.get("NOVAPHY_NUM_THREADS") != "1":
+        parser.error("set NOVAPHY_NUM_THREADS=1")
+    rows = measure()
+    for what, ours, peer, theirs in rows:
+        print(f"{ours:9.3f} us  {what}" + (f"   {peer} {theirs:.3f}" if theirs else ""))
+    if args.page:
+        write_page(rows)
+
+
+if __name__ == "__main__":
+    main()

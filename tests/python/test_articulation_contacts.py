@@ -281,6 +281,26 @@ def test_islands_have_the_bits_that_they_have_alone() -> None:
         np.testing.assert_array_equal(together[:, 7 * world : 7 * world + 7], alone)
 
 
+def test_threads_do_not_change_a_bit() -> None:
+    def piles() -> novaphy.ModelBuilder:
+        many = novaphy.ModelBuilder()
+        many.replicate(stack([8.0] * 4, 0.003), 20)
+        return many
+
+    before = novaphy.num_threads()
+    try:
+        novaphy.set_num_threads(1)
+        one = simulate(piles(), 0.2)
+        novaphy.set_num_threads(4)
+        four = simulate(piles(), 0.2)
+    finally:
+        novaphy.set_num_threads(before)
+    np.testing.assert_array_equal(one[1], four[1])
+    np.testing.assert_array_equal(one[2], four[2])
+    forces = [run[3].rigid_contact_force.numpy() for run in (one, four)]
+    np.testing.assert_array_equal(*forces)
+
+
 def test_a_contact_that_opens_fast_does_not_pull() -> None:
     builder = stack([8.0], 0.0)
     builder.joint_qd = [0.0, 0.0, 1.0, 0.0, 0.0, 0.0]

@@ -379,8 +379,8 @@ def write_page(rows: list[tuple[str, float, str, float | None]]) -> None:
         f"processor, not of the clock, of the fastest of {TURNS} turns.",
         *(
             [
-                f"The machine was loaded (load average {load:.0f}): caches were shared, and the times",
-                "are upper bounds.",
+                f"The machine was loaded (load average {load:.0f}): caches were shared, and the",
+                "times are upper bounds.",
             ]
             if load > 1.5
             else []

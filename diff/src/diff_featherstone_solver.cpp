@@ -12,9 +12,8 @@ constexpr const char* kUser = "DiffFeatherstoneSolver";
 constexpr const char* kStep = "DiffFeatherstoneSolver.step";
 constexpr const char* kRollout = "DiffFeatherstoneSolver.rollout";
 
-void check_rollout_contacts(const Contacts* contacts) {
-  require(contacts == nullptr, ErrorKind::NotImplemented, kRollout,
-          ", contacts: expected none; step has contacts, one call per step");
+int32_t most_contacts(const Contacts* contacts) {
+  return contacts == nullptr ? 0 : contacts->rigid_contact_max();
 }
 
 }  // namespace
@@ -40,9 +39,9 @@ void DiffFeatherstoneSolver::step(SimState& state_in, SimState& state_out, const
   begin_model_reads(m, kStep);
   step_.begin(m, control, kStep);
   if (nova::Tape::active() != nullptr) make_leaves(state_in);
-  const auto scratch = make_scratch(step_.scratch(m, contacts), 1, device());
-  step_.record(m, state_in, state_out, control, contacts, nova::operand_of(state_in.body_f), dt,
-               scratch[0]);
+  const auto scratch = make_scratch(step_.scratch(m, most_contacts(contacts)), 1, device());
+  step_.record(m, state_in, state_out, control, contacts, false, nova::operand_of(state_in.body_f),
+               dt, scratch[0]);
   step_.check(m, kStep);
 }
 
@@ -54,13 +53,19 @@ void DiffFeatherstoneSolver::rollout(Trajectory& trajectory, const Control* cont
 }
 
 std::vector<ScratchSpec> DiffFeatherstoneSolver::step_scratch() const {
-  return step_.scratch(*model(), nullptr);
+  return step_.scratch(*model(), rollout_contacts_);
 }
 
 bool DiffFeatherstoneSolver::begin_rollout(const RolloutInputs& inputs) {
-  check_rollout_contacts(inputs.contacts());
-  require(inputs.pipeline() == nullptr, ErrorKind::NotImplemented, kRollout,
-          ", pipeline: expected none; step has contacts, one call per step");
+  const bool touching = inputs.contacts() != nullptr || inputs.pipeline() != nullptr;
+  require(!touching || options_.contact != ArticulationContact::None, ErrorKind::Value, kRollout,
+          ", contacts: expected none of a solver without a way of contact");
+  require(!touching || !nova::current_capture(), ErrorKind::NotImplemented, kRollout,
+          " with contacts inside a ScopedCapture is not there");
+  rollout_contacts_ =
+      inputs.pipeline() != nullptr
+          ? most_contacts(&static_cast<const Contacts&>(inputs.pipeline()->contacts()))
+          : most_contacts(inputs.contacts());
   begin_model_reads(*model(), kRollout);
   for (int32_t t = inputs.start(); t < inputs.stop(); ++t)
     if (t == inputs.start() || inputs.control(t) != inputs.control(t - 1))
@@ -70,7 +75,8 @@ bool DiffFeatherstoneSolver::begin_rollout(const RolloutInputs& inputs) {
 
 void DiffFeatherstoneSolver::record_step(const SimState& in, SimState& out,
                                          const StepInputs& inputs, StepScratch scratch) {
-  step_.record(*model(), in, out, inputs.control, nullptr, inputs.body_forces, inputs.dt, scratch);
+  step_.record(*model(), in, out, inputs.control, inputs.contacts, inputs.tables != nullptr,
+               inputs.body_forces, inputs.dt, scratch);
 }
 
 }  // namespace novaphy::diff

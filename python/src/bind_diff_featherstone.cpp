@@ -53,7 +53,7 @@ void bind_diff_featherstone(py::module_& m, py::module_& solvers) {
            "max_depenetration_velocity"_a = d.max_depenetration_velocity,
            "restitution_threshold"_a = d.restitution_threshold,
            "compliant_contacts"_a = d.compliant_contacts,
-           "As SolverFeatherstone. With contacts, which step takes and rollout does not, sweeps "
+           "As SolverFeatherstone. With contacts sweeps "
            "start from nothing and go on to pgs_tolerance, at most pgs_iterations times (1000 at "
            "least). NotImplementedError for contact=\"penalty\".")
       .def(

@@ -172,6 +172,39 @@ def test_a_gradient_through_several_steps_of_a_walker() -> None:
     np.testing.assert_allclose(gradient, expected, atol=3e-3 * np.abs(expected).max())
 
 
+@pytest.mark.parametrize("checkpoint", [None, 4])
+def test_a_rollout_that_finds_its_contacts_is_the_loop_of_steps(checkpoint: int | None) -> None:
+    from novaphy import nova
+    from novaphy.diff import Trajectory, state_joint_q_tensor
+
+    model = walker().finalize(requires_grad=True)
+    solver = novaphy.solvers.DiffFeatherstoneSolver(model)
+    pipeline = novaphy.CollisionPipeline(model)
+    steps = 12
+    states = [model.state() for _ in range(steps + 1)]
+    trajectory = Trajectory(model, steps, checkpoint=checkpoint)
+    for start in (states[0], trajectory[0]):
+        novaphy.eval_fk(model, start.joint_q, start.joint_qd, start)
+    contacts = [pipeline.contacts() for _ in range(steps)]
+    with nova.Tape() as tape:
+        for t in range(steps):
+            pipeline.collide(states[t], contacts[t])
+            solver.step(states[t], states[t + 1], None, contacts[t], DT / 5)
+        loss = nova.sum(state_joint_q_tensor(states[-1]))
+    tape.backward(loss)
+    counted = solver.gradient_info()["contact_steps"]
+    with nova.Tape() as tape:
+        solver.rollout(trajectory, None, None, DT / 5, pipeline=pipeline)
+        loss = nova.sum(state_joint_q_tensor(trajectory[steps]))
+    tape.backward(loss)
+    assert solver.gradient_info()["contact_steps"] == 2 * counted == 2 * steps
+    np.testing.assert_array_equal(trajectory[steps].joint_q.numpy(), states[-1].joint_q.numpy())
+    for name in ("joint_q", "joint_qd"):
+        expected = getattr(states[0], name).grad.numpy()
+        np.testing.assert_array_equal(getattr(trajectory[0], name).grad.numpy(), expected)
+        assert np.abs(expected).max() > 1e-3
+
+
 def test_steps_of_an_ant_are_exact_and_match_differences(monkeypatch, capsys) -> None:
     from novaphy import nova
     from novaphy.diff import state_joint_qd_tensor
@@ -288,9 +321,9 @@ def test_what_has_no_gradient_through_contacts_raises() -> None:
     refusing = novaphy.solvers.DiffFeatherstoneSolver(model, contact=None)
     with pytest.raises(ValueError, match="contacts: expected none"):
         refusing.step(state, after, None, contacts, DT)
+    with pytest.raises(ValueError, match="contacts: expected none"):
+        refusing.rollout(Trajectory(model, 2), None, contacts, DT)
     solver = novaphy.solvers.DiffFeatherstoneSolver(model)
-    with pytest.raises(NotImplementedError, match="rollout, contacts"):
-        solver.rollout(Trajectory(model, 2), None, contacts, DT)
     model.shape_material_mu.requires_grad = True
     with nova.Tape(), pytest.raises(novaphy.Error, match="articulation_step"):
         solver.step(state, after, None, contacts, DT)

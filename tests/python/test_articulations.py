@@ -422,14 +422,14 @@ def test_body_forces_of_a_rollout_act_and_have_a_gradient(per_step: bool) -> Non
 
 
 @diff
-def test_a_pipeline_is_refused() -> None:
+def test_a_pipeline_is_refused_without_a_way_of_contact() -> None:
     from novaphy.diff import Trajectory
 
     builder = arm()
     builder.add_shape_sphere(1, radius=0.1)
     builder.add_ground_plane()
     model = builder.finalize()
-    solver = novaphy.solvers.DiffFeatherstoneSolver(model)
-    with pytest.raises(NotImplementedError, match="pipeline: expected none"):
+    solver = novaphy.solvers.DiffFeatherstoneSolver(model, contact=None)
+    with pytest.raises(ValueError, match="contacts: expected none"):
         pipeline = novaphy.CollisionPipeline(model)
         solver.rollout(Trajectory(model, 1), None, None, DT, pipeline=pipeline)

@@ -62,11 +62,6 @@ void check_featherstone_model(const Model& m, const FeatherstoneOptions& options
           m.particle_count());
 }
 
-void check_no_contacts(const Contacts* contacts, const char* user) {
-  require(contacts == nullptr, ErrorKind::NotImplemented, user,
-          ": contacts: expected none, articulations have no contacts yet");
-}
-
 void check_status(const Model& m, const Articulations& articulations,
                   std::span<const int32_t> status, const char* user) {
   for (const int32_t s : status)

@@ -4,7 +4,6 @@
 #include <span>
 
 #include "articulation_kernels.h"
-#include "novaphy/core/sim/contacts.h"
 #include "novaphy/dynamics/featherstone/articulations.h"
 #include "novaphy/dynamics/featherstone/solver_featherstone.h"
 
@@ -13,7 +12,6 @@ namespace novaphy {
 // ErrorKind::Value: a bad option; ErrorKind::NotImplemented: parts besides articulations.
 void check_featherstone_model(const Model& model, const FeatherstoneOptions& options,
                               const char* user);
-void check_no_contacts(const Contacts* contacts, const char* user);  // NotImplemented
 // ErrorKind::Runtime, naming the first dof that failed.
 void check_status(const Model& model, const Articulations& articulations,
                   std::span<const int32_t> status, const char* user);

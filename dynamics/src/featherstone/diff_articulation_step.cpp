@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <array>
 #include <cstring>
+#include <optional>
 #include <utility>
 
 #include "articulation_step.h"
@@ -109,6 +110,35 @@ struct KeptContacts {
   int32_t* count;
 };
 
+// The arrays of contacts that a rollout finds anew whenever its steps run.
+struct FoundRows {
+  explicit FoundRows(const Contacts& c)
+      : most(c.rigid_contact_max()),
+        count(c.rigid_contact_count),
+        shape0(c.rigid_contact_shape0),
+        shape1(c.rigid_contact_shape1),
+        point0(c.rigid_contact_point0),
+        point1(c.rigid_contact_point1),
+        normal(c.rigid_contact_normal),
+        margin0(c.rigid_contact_margin0),
+        margin1(c.rigid_contact_margin1) {}
+  ContactRows rows() const {
+    return {std::clamp(*count.data(), 0, most),
+            shape0.data(),
+            shape1.data(),
+            nullptr,
+            point0.data(),
+            point1.data(),
+            normal.data(),
+            margin0.data(),
+            margin1.data()};
+  }
+  int32_t most;
+  DeviceArray<int32_t> count, shape0, shape1;
+  DeviceArray<Vec3f> point0, point1, normal;
+  DeviceArray<float> margin0, margin1;
+};
+
 // One step's arrays: handles, and what they are for the tape.
 struct Step {
   std::shared_ptr<ArticulationStep::Shared> shared;
@@ -116,6 +146,7 @@ struct Step {
   Tensor contacts = {};                   // KeptContacts; undefined without
   int64_t contact_max = 0;                // of them
   std::vector<Tensor> materials = {};     // of shapes: read, without a gradient
+  std::optional<FoundRows> found = {};    // a rollout's: copied whenever the step runs
   std::array<Named, G::kMembers> inputs;  // in the order of StepGradient
   std::array<Named, 8> values;   // rows, links, dof_parent, X_p, X_c, axis, gravity, target_mode
   std::array<Named, 6> outputs;  // q, qd, body_q, body_qd, qdd, branch
@@ -177,6 +208,7 @@ void run_forward(const Step& s) {
   words.push_back(writes_row("status", s.status));
   words.push_back(writes("workspace", s.workspace));
   words.push_back(number(s.stride));
+  if (s.found) kept_contacts(s).copy(s.found->rows());
   if (prepare_contacts(s)) {
     const KeptContacts kept = kept_contacts(s);
     auto a = to_arguments<ArticulationStepArguments>(words);
@@ -351,14 +383,13 @@ ArticulationStep::~ArticulationStep() = default;
 ArticulationStep::ArticulationStep(ArticulationStep&&) noexcept = default;
 ArticulationStep& ArticulationStep::operator=(ArticulationStep&&) noexcept = default;
 
-std::vector<ScratchSpec> ArticulationStep::scratch(const Model& model,
-                                                   const Contacts* contacts) const {
+std::vector<ScratchSpec> ArticulationStep::scratch(const Model& model, int32_t contact_max) const {
   const auto dofs = static_cast<size_t>(model.joint_dof_count());
   std::vector<ScratchSpec> specs = {{novaphy::DType::float32, dofs, 1},
                                     {novaphy::DType::float32, dofs, 1}};
-  if (contacts != nullptr)
-    specs.push_back({novaphy::DType::float32,
-                     static_cast<size_t>(KeptContacts::size(contacts->rigid_contact_max())), 1});
+  if (contact_max > 0)
+    specs.push_back(
+        {novaphy::DType::float32, static_cast<size_t>(KeptContacts::size(contact_max)), 1});
   return specs;
 }
 
@@ -367,7 +398,7 @@ void ArticulationStep::begin(const Model& model, const Control* control, const c
 }
 
 void ArticulationStep::record(const Model& m, const SimState& in, SimState& out,
-                              const Control* control, const Contacts* contacts,
+                              const Control* control, const Contacts* contacts, bool found,
                               const nova::Operand& body_f, float dt, StepScratch scratch) {
   const auto view = [](const char* name, const Array& array) {
     return Named{name, tensor_of(array)};
@@ -384,6 +415,7 @@ void ArticulationStep::record(const Model& m, const SimState& in, SimState& out,
       touching ? contacts->rigid_contact_max() : 0,
       {tensor_of(m.shape_material_mu), tensor_of(m.shape_material_restitution),
        tensor_of(m.shape_material_ke), tensor_of(m.shape_material_kd)},
+      touching && found ? std::optional<FoundRows>(*contacts) : std::nullopt,
       {view("joint_q", in.joint_q),
        view("joint_qd", in.joint_qd),
        view("joint_f", joint_f),
@@ -417,7 +449,7 @@ void ArticulationStep::record(const Model& m, const SimState& in, SimState& out,
       shared_->workspace});
   if (touching) {
     if (!shared_->pgs) shared_->pgs = std::make_unique<PgsContacts>(m, a);
-    kept_contacts(*step).copy(contact_rows(contacts));
+    if (!found) kept_contacts(*step).copy(contact_rows(contacts));
   }
   run_forward(*step);
   if (touching) {

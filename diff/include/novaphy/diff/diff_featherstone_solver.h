@@ -10,8 +10,8 @@
 
 namespace novaphy::diff {
 
-// Steps with the bits of SolverFeatherstone; with contacts, which step takes and rollout does not,
-// the impulses are those of more sweeps. Inside an active nova::Tape each is one operation with
+// Steps with the bits of SolverFeatherstone; with contacts the impulses are those of
+// more sweeps. Inside an active nova::Tape each is one operation with
 // the exact adjoint; gradients and what they are: diff_articulation_step.h. rollout runs many, with
 // the bits of a loop of step; with checkpoints backward runs the stretches between kept states once
 // more.
@@ -46,6 +46,7 @@ class NOVAPHY_DIFF_API DiffFeatherstoneSolver : public DiffSolverBase {
  private:
   FeatherstoneOptions options_;
   ArticulationStep step_;
+  int32_t rollout_contacts_ = 0;  // at most, in a step of the rollout that has begun
 };
 
 }  // namespace novaphy::diff

@@ -11,8 +11,8 @@
 // part.
 //
 // With contacts (FeatherstoneOptions::contact Pgs) the sweeps start from nothing and go on to
-// pgs_tolerance, at most 1000 times (more where pgs_iterations is more). The gradient is that of the
-// converged impulses by the rows that are active (src/featherstone/pgs_contacts_vjp.cpp): exact
+// pgs_tolerance, at most 1000 times (more where pgs_iterations is more). The gradient is that of
+// the converged impulses by the rows that are active (src/featherstone/pgs_contacts_vjp.cpp): exact
 // where they converged and no contact is just breaking, sticking or sliding, else a surrogate;
 // ContactBranches counts them. Contacts stay on their shapes where they were found, with their
 // normals; that there are more or fewer is not differentiated. Forward derivatives raise.
@@ -38,14 +38,16 @@ class NOVAPHY_DYNAMICS_API ArticulationStep {
   ArticulationStep(ArticulationStep&&) noexcept;
   ArticulationStep& operator=(ArticulationStep&&) noexcept;
 
-  // With contacts the third is what a step keeps of them.
-  std::vector<ScratchSpec> scratch(const Model& model, const Contacts* contacts) const;
+  // With contacts, `contact_max` of them at most, the third is what a step keeps of them.
+  std::vector<ScratchSpec> scratch(const Model& model, int32_t contact_max) const;
   // Checks before some steps.
   void begin(const Model& model, const Control* control, const char* function);
   // Submits a step, recorded on an active tape. `body_f` {b, 6}: the wrenches on the bodies;
-  // `scratch` as the specs say: what the adjoint reads.
+  // `scratch` as the specs say: what the adjoint reads. `found`: the contacts are others whenever
+  // the step runs; else those of now.
   void record(const Model& model, const SimState& in, SimState& out, const Control* control,
-              const Contacts* contacts, const nova::Operand& body_f, float dt, StepScratch scratch);
+              const Contacts* contacts, bool found, const nova::Operand& body_f, float dt,
+              StepScratch scratch);
   // Of all steps with contacts since the last clear.
   const ContactBranches& branches() const;
   void clear_branches();

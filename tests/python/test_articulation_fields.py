@@ -54,11 +54,13 @@ def scene() -> novaphy.ModelBuilder:
     return builder
 
 
-def run(edit: Callable[[novaphy.Model], None], **options: object) -> np.ndarray:
+def run(
+    edit: Callable[[novaphy.Model], None], kind: str = "SolverFeatherstone", **options: object
+) -> np.ndarray:
     """All joint coordinates and velocities of a run, after an edit of the model."""
     model = scene().finalize()
     edit(model)
-    solver = novaphy.solvers.SolverFeatherstone(model, **options)
+    solver = getattr(novaphy.solvers, kind)(model, **options)
     pipeline = novaphy.CollisionPipeline(model)
     contacts = pipeline.contacts()
     state, after = model.state(), model.state()
@@ -225,11 +227,21 @@ def test_restitution_raises_under_penalty() -> None:
 diff = pytest.mark.skipif(not novaphy.has_diff(), reason="needs NOVAPHY_WITH_DIFF")
 
 
+@pytest.fixture(scope="module")
+def diff_base() -> np.ndarray:
+    return run(lambda model: None, "DiffFeatherstoneSolver")
+
+
 @diff
-@pytest.mark.parametrize("name", ["joint_friction", "joint_act", "joint_enabled"])
+@pytest.mark.parametrize("name", sorted(set(ACT) - {"joint_friction"}))
+def test_an_edited_array_acts_in_the_differentiable_solver(
+    name: str, diff_base: np.ndarray
+) -> None:
+    assert not np.array_equal(run(ACT[name], "DiffFeatherstoneSolver"), diff_base)
+
+
+@diff
+@pytest.mark.parametrize("name", [*sorted(RAISE), "joint_friction"])
 def test_the_differentiable_solver_refuses_what_it_does_not_have(name: str) -> None:
-    model = scene().finalize()
-    {**ACT, **RAISE}[name](model)
-    solver = novaphy.solvers.DiffFeatherstoneSolver(model)
-    with pytest.raises(NotImplementedError, match=name):
-        solver.step(model.state(), model.state(), None, None, DT)
+    with pytest.raises(NotImplementedError, match=name if name != "body_flags" else "kinematic"):
+        run({**ACT, **RAISE}[name], "DiffFeatherstoneSolver")

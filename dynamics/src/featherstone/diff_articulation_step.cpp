@@ -70,6 +70,7 @@ struct ArticulationStep::Shared {
   DeviceArray<float> workspace;
   std::unique_ptr<PgsContacts> pgs;  // made by the first step with contacts
   ContactBranches branches;
+  MaterialChecks materials;
 };
 
 namespace {
@@ -448,6 +449,7 @@ void ArticulationStep::record(const Model& m, const SimState& in, SimState& out,
       shared_->status,
       shared_->workspace});
   if (touching) {
+    shared_->materials.check(m, shared_->options.contact, "DiffFeatherstoneSolver");
     if (!shared_->pgs) shared_->pgs = std::make_unique<PgsContacts>(m, a);
     if (!found) kept_contacts(*step).copy(contact_rows(contacts));
   }

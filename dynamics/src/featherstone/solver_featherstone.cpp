@@ -1,7 +1,6 @@
 #include "novaphy/dynamics/featherstone/solver_featherstone.h"
 
 #include <algorithm>
-#include <array>
 #include <utility>
 
 #include "../semi_implicit/rigid_bodies.h"
@@ -9,7 +8,6 @@
 #include "articulation_step.h"
 #include "novaphy/core/error.h"
 #include "novaphy/core/sim/for_chunks.h"
-#include "novaphy/core/sim/shape_config.h"
 #include "novaphy/core/storage.h"
 #include "pgs_contacts.h"
 #include "unrecorded_step.h"
@@ -39,41 +37,12 @@ struct SolverFeatherstone::Cache {
   std::vector<float> workspace;
   PgsContacts pgs;
   RigidBodies penalty;
-  std::array<ArrayStamp, 4> materials;
+  MaterialChecks materials;
   std::vector<Transformf> body_q;
   std::vector<SpatialVectorf> body_qd, body_f;
 };
 
 namespace {
-
-// Materials without effect, of all shapes. `checked`: what was looked at before.
-void check_materials(const Model& m, ArticulationContact contact,
-                     std::array<ArrayStamp, 4>& checked) {
-  const ShapeConfig d;
-  struct Material {
-    const char* name;
-    const DeviceArray<float>* array;
-    float by_default;
-    bool acts;
-  };
-  const bool pgs = contact == ArticulationContact::Pgs;
-  const Material materials[] = {
-      {"shape_material_mu_torsional", &m.shape_material_mu_torsional, d.mu_torsional, false},
-      {"shape_material_mu_rolling", &m.shape_material_mu_rolling, d.mu_rolling, false},
-      {"shape_material_ka", &m.shape_material_ka, d.ka, !pgs},
-      {"shape_material_restitution", &m.shape_material_restitution, d.restitution, pgs}};
-  for (size_t i = 0; i < std::size(materials); ++i) {
-    const Material& x = materials[i];
-    if (x.acts || checked[i].matches(*x.array)) continue;
-    for (int32_t s = 0; s < m.shape_count(); ++s) {
-      const float value = x.array->data()[s];
-      require(value == x.by_default || value == 0.0f, ErrorKind::NotImplemented, kName, ": model.",
-              x.name, "[", s, "]: expected the default, ", x.by_default, ", or 0 (",
-              pgs ? "pgs" : "penalty", " contacts have no such force), got ", value);
-    }
-    checked[i].set(*x.array);
-  }
-}
 
 void check_contacts(const Contacts* contacts, ArticulationContact contact) {
   require(contacts == nullptr || contact != ArticulationContact::None, ErrorKind::Value, kName,
@@ -127,7 +96,7 @@ void SolverFeatherstone::step(SimState& state_in, SimState& state_out, const Con
   m.update_derived();
   Cache& c = *cache_;
   c.articulations.check_values(m, control, true, kName);
-  if (contacts != nullptr) check_materials(m, options_.contact, c.materials);
+  if (contacts != nullptr) c.materials.check(m, options_.contact, kName);
   ArticulationStepArguments a = {
       articulation_arguments(m, c.articulations, state_in, control, options_, dt),
       state_out.joint_q.mutable_data(),

@@ -205,7 +205,9 @@ void bind_shape_config(py::module_& m) {
   NOVAPHY_MEMBER(kf, "N*s/m, friction below the Coulomb limit.")
   NOVAPHY_MEMBER(ka, "m, adhesion distance of rigid contacts; refused where there are no bodies.")
   NOVAPHY_MEMBER(mu, "Coulomb friction.")
-  NOVAPHY_MEMBER(restitution, "Stored; solvers refuse all but the default, as no force uses it.")
+  NOVAPHY_MEMBER(restitution,
+                 "1, of bounces; read by pgs contacts of SolverFeatherstone. The other solvers refuse "
+                 "all but the default.")
   NOVAPHY_MEMBER(mu_torsional, "Stored; solvers refuse all but the default, as no force uses it.")
   NOVAPHY_MEMBER(mu_rolling, "Stored; solvers refuse all but the default, as no force uses it.")
   NOVAPHY_MEMBER(margin,

@@ -91,7 +91,7 @@ def test_the_scenes_of_rigid_bodies_end_as_they_should(scene):
 def test_the_scenes_of_articulations_end_as_they_should(scene):
     script = DEMOS.parent / "demo_articulated_scenes.py"
     done = subprocess.run(
-        [sys.executable, str(script), scene, "--headless", "240"],
+        [sys.executable, str(script), scene, "--headless", "600"],
         capture_output=True,
         text=True,
         timeout=300,

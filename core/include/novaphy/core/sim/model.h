@@ -154,7 +154,7 @@ namespace novaphy {
   X(shape_material_ka, float, 1, shape_count, "m", "", "adhesion distance of rigid contacts")     \
   X(shape_material_mu, float, 1, shape_count, "1", "", "Coulomb friction")                        \
   X(shape_material_restitution, float, 1, shape_count, "1", "",                                   \
-    "stored; no force uses it")                                                   \
+    "part of the speed of approach that a bounce gives back; SolverFeatherstone's pgs only")      \
   X(shape_material_mu_torsional, float, 1, shape_count, "1", "",                                  \
     "stored; no force uses it")                                            \
   X(shape_material_mu_rolling, float, 1, shape_count, "1", "",                                    \

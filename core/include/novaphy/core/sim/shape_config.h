@@ -10,14 +10,15 @@ namespace novaphy {
 
 // All numbers must be finite, and all but `margin` and `collision_group` must be >= 0.
 struct ShapeConfig {
-  float density = 1000.0f;  // kg/m^3, of the mass that the shape adds to its body
-  float ke = 2500.0f;       // N/m, contact stiffness
-  float kd = 100.0f;        // N*s/m, contact damping
-  float kf = 1000.0f;       // N*s/m, friction below the Coulomb limit
-  float ka = 0.0f;          // m, adhesion distance (rigid contacts)
-  float mu = 1.0f;          // 1, Coulomb friction
+  float density = 1000.0f;   // kg/m^3, of the mass that the shape adds to its body
+  float ke = 2500.0f;        // N/m, contact stiffness
+  float kd = 100.0f;         // N*s/m, contact damping
+  float kf = 1000.0f;        // N*s/m, friction below the Coulomb limit
+  float ka = 0.0f;           // m, adhesion distance (rigid contacts)
+  float mu = 1.0f;           // 1, Coulomb friction
+  float restitution = 0.0f;  // 1, of bounces; SolverFeatherstone's pgs contacts only
   // Kept in the model; no solver reads them, and each refuses other values than these.
-  float restitution = 0.0f, mu_torsional = 0.005f, mu_rolling = 1e-4f;
+  float mu_torsional = 0.005f, mu_rolling = 1e-4f;
   // m, moves the surface outwards for other shapes. For particles it only widens the detection: the
   // soft contact force does not use it. A shell (is_solid false) has walls of this thickness.
   float margin = 0.0f;

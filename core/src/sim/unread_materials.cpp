@@ -21,12 +21,13 @@ void UnreadMaterials::check(const Model& model) {
     const DeviceArray<float>& array;
     float by_default;
     bool is_read;
+    bool may_be_zero = true;  // no such force
   };
   const ShapeConfig d;
   const Setting settings[] = {
-      {"kf", model.shape_material_kf, d.kf, reads_.kf},
+      {"kf", model.shape_material_kf, d.kf, reads_.kf, false},
       {"ka", model.shape_material_ka, d.ka, reads_.ka},
-      {"restitution", model.shape_material_restitution, d.restitution, false},
+      {"restitution", model.shape_material_restitution, d.restitution, reads_.restitution},
       {"mu_torsional", model.shape_material_mu_torsional, d.mu_torsional, false},
       {"mu_rolling", model.shape_material_mu_rolling, d.mu_rolling, false}};
   for (size_t k = 0; k < known_.size(); ++k) {
@@ -35,9 +36,10 @@ void UnreadMaterials::check(const Model& model) {
     const Unobserved unobserved;
     const std::vector<float> values = setting.array.to_host();
     for (size_t s = 0; s < values.size(); ++s)
-      require(values[s] == setting.by_default, ErrorKind::NotImplemented, solver_, ": shape ",
-              shape_name(model, s), ": ShapeConfig.", setting.name, " (model.shape_material_",
-              setting.name, "): expected the default ", setting.by_default,
+      require(values[s] == setting.by_default || (setting.may_be_zero && values[s] == 0.0f),
+              ErrorKind::NotImplemented, solver_, ": shape ", shape_name(model, s),
+              ": ShapeConfig.", setting.name, " (model.shape_material_", setting.name,
+              "): expected the default ", setting.by_default,
               ", because this solver does not read it, got ", values[s]);
     known_[k].set(setting.array);
   }

@@ -3,8 +3,6 @@
 #include <cmath>
 
 #include "novaphy/core/error.h"
-#include "novaphy/core/sim/unread_materials.h"
-#include "novaphy/core/sim/shape_config.h"
 
 namespace novaphy {
 
@@ -53,7 +51,6 @@ void check_contact_options(const FeatherstoneOptions& o, const char* user) {
 
 void check_featherstone_model(const Model& m, const FeatherstoneOptions& options,
                               const char* user) {
-  UnreadMaterials(user, {}).check(m);
   require(std::isfinite(options.angular_damping) && options.angular_damping >= 0.0f,
           ErrorKind::Value, user, ": angular_damping: expected a finite number >= 0, got ",
           options.angular_damping);
@@ -63,31 +60,9 @@ void check_featherstone_model(const Model& m, const FeatherstoneOptions& options
           m.particle_count());
 }
 
-void MaterialChecks::check(const Model& m, ArticulationContact contact, const char* user) {
-  const ShapeConfig d;
-  struct Material {
-    const char* name;
-    const DeviceArray<float>* array;
-    float by_default;
-    bool acts;
-  };
+UnreadMaterials unread_materials(ArticulationContact contact, const char* user) {
   const bool pgs = contact == ArticulationContact::Pgs;
-  const Material materials[] = {
-      {"shape_material_mu_torsional", &m.shape_material_mu_torsional, d.mu_torsional, false},
-      {"shape_material_mu_rolling", &m.shape_material_mu_rolling, d.mu_rolling, false},
-      {"shape_material_ka", &m.shape_material_ka, d.ka, !pgs},
-      {"shape_material_restitution", &m.shape_material_restitution, d.restitution, pgs}};
-  for (size_t i = 0; i < std::size(materials); ++i) {
-    const Material& x = materials[i];
-    if (x.acts || checked_[i].matches(*x.array)) continue;
-    for (int32_t s = 0; s < m.shape_count(); ++s) {
-      const float value = x.array->data()[s];
-      require(value == x.by_default || value == 0.0f, ErrorKind::NotImplemented, user, ": model.",
-              x.name, "[", s, "]: expected the default, ", x.by_default, ", or 0 (",
-              pgs ? "pgs" : "penalty", " contacts have no such force), got ", value);
-    }
-    checked_[i].set(*x.array);
-  }
+  return {user, {.ka = !pgs, .restitution = pgs}};
 }
 
 void check_status(const Model& m, const Articulations& articulations,

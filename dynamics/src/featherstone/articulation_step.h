@@ -1,11 +1,10 @@
 // What the solvers of articulations share: checks, and the arguments of a step.
 #pragma once
 
-#include <array>
 #include <span>
 
 #include "articulation_kernels.h"
-#include "novaphy/core/array_stamp.h"
+#include "novaphy/core/sim/unread_materials.h"
 #include "novaphy/dynamics/featherstone/articulations.h"
 #include "novaphy/dynamics/featherstone/solver_featherstone.h"
 
@@ -14,16 +13,8 @@ namespace novaphy {
 // ErrorKind::Value: a bad option; ErrorKind::NotImplemented: parts besides articulations.
 void check_featherstone_model(const Model& model, const FeatherstoneOptions& options,
                               const char* user);
-// Materials of shapes without effect on contacts.
-class MaterialChecks {
- public:
-  // ErrorKind::NotImplemented, naming the array: a value that is neither 0 nor the default. Looks
-  // at arrays again when they were written.
-  void check(const Model& model, ArticulationContact contact, const char* user);
-
- private:
-  std::array<ArrayStamp, 4> checked_;
-};
+// Of shapes in contact.
+UnreadMaterials unread_materials(ArticulationContact contact, const char* user);
 
 // ErrorKind::Runtime, naming the first dof that failed.
 void check_status(const Model& model, const Articulations& articulations,

@@ -57,7 +57,7 @@ struct Named {
 
 struct ArticulationStep::Shared {
   Shared(const Model& m, const FeatherstoneOptions& o, const char* user)
-      : options(o), articulations(m, user) {
+      : options(o), articulations(m, user), materials(unread_materials(o.contact, user)) {
     const auto count = static_cast<size_t>(articulations.count());
     stride = step_workspace(articulations);
     status = DeviceArray<int32_t>(count, Device::cpu());
@@ -70,7 +70,7 @@ struct ArticulationStep::Shared {
   DeviceArray<float> workspace;
   std::unique_ptr<PgsContacts> pgs;  // made by the first step with contacts
   ContactBranches branches;
-  MaterialChecks materials;
+  UnreadMaterials materials;
 };
 
 namespace {
@@ -449,7 +449,7 @@ void ArticulationStep::record(const Model& m, const SimState& in, SimState& out,
       shared_->status,
       shared_->workspace});
   if (touching) {
-    shared_->materials.check(m, shared_->options.contact, "DiffFeatherstoneSolver");
+    shared_->materials.check(m);
     if (!shared_->pgs) shared_->pgs = std::make_unique<PgsContacts>(m, a);
     if (!found) kept_contacts(*step).copy(contact_rows(contacts));
   }

@@ -21,7 +21,10 @@ constexpr int64_t kChunk = 8;  // articulations
 }  // namespace
 
 struct SolverFeatherstone::Cache {
-  explicit Cache(const Model& m) : articulations(m, "SolverFeatherstone"), pgs(m, articulations) {
+  Cache(const Model& m, ArticulationContact contact)
+      : articulations(m, kName),
+        pgs(m, articulations),
+        materials(unread_materials(contact, kName)) {
     const auto dofs = static_cast<size_t>(m.joint_dof_count());
     const auto count = static_cast<size_t>(articulations.count());
     qdd.resize(dofs);
@@ -37,7 +40,7 @@ struct SolverFeatherstone::Cache {
   std::vector<float> workspace;
   PgsContacts pgs;
   RigidBodies penalty;
-  MaterialChecks materials;
+  UnreadMaterials materials;
   std::vector<Transformf> body_q;
   std::vector<SpatialVectorf> body_qd, body_f;
 };
@@ -59,7 +62,9 @@ SolverFeatherstone::SolverFeatherstone(std::shared_ptr<const Model> model,
 }
 SolverFeatherstone::~SolverFeatherstone() = default;
 
-void SolverFeatherstone::make_cache() { cache_ = std::make_unique<Cache>(*model()); }
+void SolverFeatherstone::make_cache() {
+  cache_ = std::make_unique<Cache>(*model(), options_.contact);
+}
 
 void SolverFeatherstone::notify_model_changed(ModelFlags) {
   const ExclusiveUse::Scope scope = use("SolverFeatherstone.notify_model_changed");
@@ -96,7 +101,7 @@ void SolverFeatherstone::step(SimState& state_in, SimState& state_out, const Con
   m.update_derived();
   Cache& c = *cache_;
   c.articulations.check_values(m, control, true, kName);
-  if (contacts != nullptr) c.materials.check(m, options_.contact, kName);
+  if (contacts != nullptr) c.materials.check(m);
   ArticulationStepArguments a = {
       articulation_arguments(m, c.articulations, state_in, control, options_, dt),
       state_out.joint_q.mutable_data(),

@@ -1,5 +1,5 @@
-// Settings of ShapeConfig that a solver does not read: refused unless they are the default, so that
-// none is without effect in silence.
+// Settings of ShapeConfig that a solver does not read: refused unless they are the default, or 0
+// where that means that there is no such force, so that none is without effect in silence.
 #pragma once
 
 #include <array>
@@ -12,10 +12,9 @@ namespace novaphy {
 
 class NOVAPHY_CORE_API UnreadMaterials {
  public:
-  // What a solver reads besides ke, kd and mu. No solver reads restitution, mu_torsional and
-  // mu_rolling.
+  // What a solver reads besides ke, kd and mu. No solver reads mu_torsional and mu_rolling.
   struct Reads {
-    bool kf = true, ka = true;
+    bool kf = true, ka = true, restitution = false;
   };
   UnreadMaterials(const char* solver, Reads reads) : solver_(solver), reads_(reads) {}
 

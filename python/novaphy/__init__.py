@@ -1,8 +1,8 @@
 """NovaPhy: a differentiable physics engine.
 
 The engine itself is native; this package is its Python surface. Subpackages (``novaphy.nova``,
-``novaphy.diff``, ``novaphy.solvers``, ``novaphy.viewer``, ``novaphy.io``, ``novaphy.testing``) are
-imported when they are first used.
+``novaphy.diff``, ``novaphy.solvers``, ``novaphy.viewer``, ``novaphy.io``, ``novaphy.assets``,
+``novaphy.testing``) are imported when they are first used.
 
 Conventions: SI units, float32, z up by default, quaternions ``(x, y, z, w)``, transforms
 ``(px, py, pz, qx, qy, qz, qw)``.
@@ -85,7 +85,7 @@ from ._core import (
 from ._planned import getattr_of_class, missing_from_module
 
 if TYPE_CHECKING:
-    from . import diff, io, nova, solvers, testing, viewer
+    from . import assets, diff, io, nova, solvers, testing, viewer
     from .viewer import (
         ViewerFile,
         ViewerGL,
@@ -99,7 +99,7 @@ State = SimState
 __version__ = version()
 ModelBuilder.__getattr__ = getattr_of_class("ModelBuilder")  # type: ignore[attr-defined]
 
-_SUBPACKAGES = ("diff", "io", "nova", "solvers", "testing", "viewer")
+_SUBPACKAGES = ("assets", "diff", "io", "nova", "solvers", "testing", "viewer")
 _FROM_VIEWER = (
     "ViewerFile",
     "ViewerGL",
@@ -140,6 +140,7 @@ __all__ = [
     "ViewerNull",
     "ViewerViser",
     "__version__",
+    "assets",
     "backends",
     "build_info",
     "create_viewer",

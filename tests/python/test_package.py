@@ -20,7 +20,7 @@ from novaphy._planned import PLANNED
 from novaphy.testing import assert_allclose, assert_same_bits, assert_same_state
 
 PACKAGE = Path(novaphy.__file__).parent
-SUBPACKAGES = ("diff", "io", "nova", "solvers", "testing", "viewer")
+SUBPACKAGES = ("assets", "diff", "io", "nova", "solvers", "testing", "viewer")
 
 
 def run(code: str) -> str:

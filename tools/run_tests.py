@@ -249,7 +249,7 @@ def core_only() -> None:
 
 @step
 def io() -> None:
-    """novaphy::core and novaphy::io, with the assimp of the system and with that of the wheel."""
+    """novaphy::core and novaphy::io, with the libraries of the system and of the wheel."""
     build("io")
     ctest("io", "--preset", "io")
     build("io-source")

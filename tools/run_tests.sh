@@ -13,7 +13,7 @@ set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
 . tools/setup.sh
 
-install_packages "${BUILD_PACKAGES[@]}" binutils libassimp-dev libgtest-dev googletest zlib1g-dev
+install_packages "${BUILD_PACKAGES[@]}" binutils libassimp-dev liburdfdom-dev libtinyxml2-dev libgtest-dev googletest zlib1g-dev
 case " $* " in
   *" --all "* | *" python "*) install_packages "${VIEWER_PACKAGES[@]}" ;;
 esac

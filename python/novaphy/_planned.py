@@ -19,13 +19,13 @@ PLANNED: dict[str, dict[str, tuple[str, ...]]] = {
         "articulations": ("SolverMuJoCo",),
     },
     "ModelBuilder": {
-        "robots from files": ("add_urdf", "add_mjcf", "add_usd"),
+        "robots from USD files": ("add_usd",),
     },
 }
 
 
 class PlannedError(NotImplementedError, AttributeError):
-    """A planned member of an object was asked for: hasattr(builder, "add_urdf") stays False."""
+    """A planned member of an object was asked for: hasattr(builder, "add_usd") stays False."""
 
 
 def missing_from_module(module: str, name: str) -> Exception:

@@ -40,8 +40,8 @@ py::tuple load_mesh_arrays(const std::filesystem::path& path, bool join, bool dr
   static_cast<void>(path), static_cast<void>(join), static_cast<void>(drop);
   throw py::import_error(
       "novaphy.io.load_mesh is not part of this build of NovaPhy: it was configured with "
-      "NOVAPHY_WITH_IO=OFF. Build with -DNOVAPHY_WITH_IO=ON -DNOVAPHY_ASSIMP=source, as the wheels "
-      "are.");
+      "NOVAPHY_WITH_IO=OFF. Build with -DNOVAPHY_WITH_IO=ON -DNOVAPHY_ASSIMP=source "
+      "-DNOVAPHY_URDFDOM=source, as the wheels are.");
 #endif
 }
 

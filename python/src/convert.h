@@ -38,6 +38,7 @@ void bind_collision(py::module_& m);
 void bind_dynamics(py::module_& m, py::module_& solvers);
 void bind_featherstone(py::module_& m, py::module_& solvers);
 void bind_io(py::module_& io);
+void bind_robots(py::class_<ModelBuilder>& builder, py::module_& io);
 void bind_array_gradient(py::class_<Array>& array);  // requires_grad and grad of DeviceArray
 void bind_nova_tensor(py::module_& nova);
 void bind_nova(py::module_& nova);

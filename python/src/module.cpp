@@ -86,7 +86,7 @@ void bind_build(py::module_& m) {
       "Whether novaphy.nova and novaphy.diff are built.");
   m.def(
       "has_io", [] { return built_with("NOVAPHY_WITH_IO"); },
-      "Whether novaphy.io.load_mesh is built.");
+      "Whether novaphy.io.load_mesh and ModelBuilder.add_urdf and add_mjcf are built.");
   m.def(
       "has_vbd", [] { return built_with("NOVAPHY_BUILD_VBD"); },
       "Whether the VBD solver is built.");
@@ -132,8 +132,10 @@ PYBIND11_MODULE(_core, m) {
 #ifdef NOVAPHY_PYTHON_VBD
   bind_vbd(solvers);
 #endif
-  py::module_ io = m.def_submodule("io", "Meshes from files; import novaphy.io.");
+  py::module_ io = m.def_submodule("io", "Meshes and robots from files; import novaphy.io.");
   bind_io(io);
+  auto builder = py::class_<ModelBuilder>(m.attr("ModelBuilder"));
+  bind_robots(builder, io);
 #ifdef NOVAPHY_PYTHON_DIFF
   py::module_ nova = m.def_submodule("nova", "The tensor runtime; import novaphy.nova.");
   bind_nova_tensor(nova);

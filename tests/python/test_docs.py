@@ -52,8 +52,8 @@ def test_the_python_of_a_page_runs_from_top_to_bottom(
 ) -> None:
     pytest.importorskip("novaphy.diff")
     code = blocks(page, "python")
-    if not novaphy.has_io() and any("io.load_" in block for block in code):
-        pytest.skip("the page reads meshes, and this build has no reader of them")
+    if not novaphy.has_io() and any(re.search(r"io\.load_|add_(urdf|mjcf)", b) for b in code):
+        pytest.skip("the page reads meshes or robots, and this build has no reader of them")
     monkeypatch.chdir(tmp_path)
     run(page, code)
 

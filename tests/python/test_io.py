@@ -131,6 +131,9 @@ def test_a_build_without_the_mesh_reader_says_how_to_get_it(tmp_path):
     for path in ("a.obj", tmp_path):
         with pytest.raises(ImportError, match=r"-DNOVAPHY_WITH_IO=ON -DNOVAPHY_ASSIMP=source"):
             io.load_mesh(path)
+    for add in (novaphy.ModelBuilder().add_urdf, novaphy.ModelBuilder().add_mjcf):
+        with pytest.raises(ImportError, match=r"-DNOVAPHY_URDFDOM=source"):
+            add("robot.urdf", floating=True)
     assert novaphy.build_info()["NOVAPHY_WITH_IO"] is False
 
 

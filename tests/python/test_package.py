@@ -79,7 +79,7 @@ def test_a_planned_name_says_that_it_is_not_built(owner):
 
 def test_what_is_planned_can_be_asked_about():
     builder = novaphy.ModelBuilder()
-    assert not hasattr(builder, "add_mjcf") and getattr(builder, "add_urdf", None) is None
+    assert not hasattr(builder, "add_usd") and getattr(builder, "add_usd", None) is None
     with pytest.raises(AttributeError, match="'ModelBuilder' object has no attribute 'add_bodi'"):
         builder.add_bodi()
     with pytest.raises(NotImplementedError, match="SolverXPBD is planned"):

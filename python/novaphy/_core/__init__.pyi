@@ -1414,6 +1414,37 @@ class ModelBuilder(_Native):
         groups: Iterable[Sequence[SupportsIndex] | NDArray[Any]],
         allow_conflicts: bool = False,
     ) -> None: ...
+    def add_mjcf(
+        self,
+        source: str | os.PathLike[str],
+        *,
+        xform: _Transform | None = None,
+        collapse_fixed_joints: bool = False,
+        enable_self_collisions: bool = True,
+    ) -> io.RobotImport: ...
+    def add_urdf(
+        self,
+        source: str | os.PathLike[str],
+        *,
+        xform: _Transform | None = None,
+        floating: bool | None = None,
+        base_joint: dict[str, Any] | None = None,
+        parent_body: SupportsIndex = -1,
+        scale: SupportsFloat = 1.0,
+        hide_visuals: bool = False,
+        parse_visuals_as_colliders: bool = False,
+        up_axis: Axis | int | str | _Vector = 2,
+        force_show_colliders: bool = False,
+        enable_self_collisions: bool = True,
+        ignore_inertial_definitions: bool = False,
+        joint_ordering: str | None = "dfs",
+        bodies_follow_joint_ordering: bool = True,
+        collapse_fixed_joints: bool = False,
+        mesh_maxhullvert: SupportsIndex | None = None,
+        joint_damping_mode: str = "passive",
+        package_dirs: Sequence[str | os.PathLike[str]] | None = None,
+        mimic: str = "refuse",
+    ) -> io.RobotImport: ...
     def finalize(
         self,
         device: _DeviceLike = None,

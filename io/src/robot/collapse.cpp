@@ -1,0 +1,126 @@
+// Links on fixed joints become one.
+#include "robot.h"
+
+namespace novaphy::detail {
+
+Quatd turn_from_z(const Vec3d& to) {
+  const double length = std::sqrt(to.x * to.x + to.y * to.y + to.z * to.z);
+  const Vec3d n = to / length;
+  if (n.z < -1.0 + 1e-12) return {1.0, 0.0, 0.0, 0.0};
+  const Quatd q = {-n.y, n.x, 0.0, 1.0 + n.z};
+  const double norm = std::sqrt(q.x * q.x + q.y * q.y + q.w * q.w);
+  return {q.x / norm, q.y / norm, 0.0, q.w / norm};
+}
+
+Mat33d turned(const Quatd& q, const Mat33d& inertia) {
+  Mat33d half, result;
+  for (int j = 0; j < 3; ++j) {
+    const Vec3d c = math::rotate(q, Vec3d{inertia.m[0][j], inertia.m[1][j], inertia.m[2][j]});
+    half.m[0][j] = c.x;
+    half.m[1][j] = c.y;
+    half.m[2][j] = c.z;
+  }
+  for (int i = 0; i < 3; ++i) {
+    const Vec3d r = math::rotate(q, Vec3d{half.m[i][0], half.m[i][1], half.m[i][2]});
+    result.m[i][0] = r.x;
+    result.m[i][1] = r.y;
+    result.m[i][2] = r.z;
+  }
+  return result;
+}
+
+namespace {
+
+void add_moved(Mat33d& inertia, double mass, const Vec3d& p) {
+  const double x = p.x, y = p.y, z = p.z;
+  const double add[3][3] = {{y * y + z * z, -x * y, -x * z},
+                            {-x * y, x * x + z * z, -y * z},
+                            {-x * z, -y * z, x * x + y * y}};
+  for (int i = 0; i < 3; ++i)
+    for (int j = 0; j < 3; ++j) inertia.m[i][j] += mass * add[i][j];
+}
+
+// Adds the mass of a link that has the pose `pose` in another one to that.
+void merge_mass(RobotLink& into, const RobotLink& link, const Posed& pose) {
+  if (link.mass == 0.0) return;
+  const Vec3d com = math::transform_point(pose, link.com);
+  const double mass = into.mass + link.mass;
+  const Vec3d center = (into.com * into.mass + com * link.mass) / mass;
+  Mat33d inertia = turned(pose.q, link.inertia);
+  for (int i = 0; i < 3; ++i)
+    for (int j = 0; j < 3; ++j) inertia.m[i][j] += into.inertia.m[i][j];
+  add_moved(inertia, into.mass, into.com - center);
+  add_moved(inertia, link.mass, com - center);
+  into.mass = mass;
+  into.com = center;
+  into.inertia = inertia;
+}
+
+}  // namespace
+
+std::vector<std::pair<int32_t, Posed>> collapse_links(Robot& robot,
+                                                      std::vector<int32_t>& joints_out) {
+  const auto count = static_cast<int32_t>(robot.links.size());
+  std::vector<int32_t> mover(robot.links.size(), -1);  // the joint of each link
+  for (size_t j = 0; j < robot.joints.size(); ++j)
+    mover[static_cast<size_t>(robot.joints[j].child)] = static_cast<int32_t>(j);
+  const auto goes = [&](int32_t link) {
+    const RobotJoint& joint = robot.joints[static_cast<size_t>(mover[static_cast<size_t>(link)])];
+    return joint.type == JointType::FIXED && joint.parent >= 0;
+  };
+  std::vector<std::pair<int32_t, Posed>> place;
+  std::vector<int32_t> renamed(robot.links.size(), -1);
+  int32_t next = 0;
+  for (int32_t link = 0; link < count; ++link) {
+    int32_t at = link;
+    Posed pose = identity_pose();
+    while (goes(at)) {
+      const RobotJoint& joint = robot.joints[static_cast<size_t>(mover[static_cast<size_t>(at)])];
+      pose =
+          math::multiply(math::multiply(joint.parent_pose, math::inverse(joint.child_pose)), pose);
+      at = joint.parent;
+    }
+    place.emplace_back(at, pose);
+    if (at == link) renamed[static_cast<size_t>(link)] = next++;
+  }
+  for (int32_t link = 0; link < count; ++link) {
+    const auto& [at, pose] = place[static_cast<size_t>(link)];
+    if (at == link) continue;
+    RobotLink& from = robot.links[static_cast<size_t>(link)];
+    RobotLink& into = robot.links[static_cast<size_t>(at)];
+    merge_mass(into, from, pose);
+    for (RobotShape& shape : from.shapes) {
+      shape.pose = math::multiply(pose, shape.pose);
+      into.shapes.push_back(std::move(shape));
+    }
+  }
+  joints_out.assign(robot.joints.size(), -1);
+  std::vector<RobotJoint> joints;
+  for (size_t j = 0; j < robot.joints.size(); ++j) {
+    RobotJoint& joint = robot.joints[j];
+    if (goes(joint.child)) continue;
+    joints_out[j] = static_cast<int32_t>(joints.size());
+    joints.push_back(joint);
+    RobotJoint& kept = joints.back();
+    if (kept.parent >= 0) {
+      const auto& [at, pose] = place[static_cast<size_t>(kept.parent)];
+      kept.parent_pose = math::multiply(pose, kept.parent_pose);
+      kept.parent = renamed[static_cast<size_t>(at)];
+    }
+    kept.child = renamed[static_cast<size_t>(kept.child)];
+  }
+  robot.joints = std::move(joints);
+  for (auto& [a, b] : robot.excluded) {
+    if (a >= 0) a = renamed[static_cast<size_t>(place[static_cast<size_t>(a)].first)];
+    if (b >= 0) b = renamed[static_cast<size_t>(place[static_cast<size_t>(b)].first)];
+  }
+  std::vector<RobotLink> links;
+  for (int32_t link = 0; link < count; ++link)
+    if (renamed[static_cast<size_t>(link)] >= 0)
+      links.push_back(std::move(robot.links[static_cast<size_t>(link)]));
+  robot.links = std::move(links);
+  for (auto& [at, pose] : place) at = renamed[static_cast<size_t>(at)];
+  return place;
+}
+
+}  // namespace novaphy::detail

@@ -1,0 +1,329 @@
+// A Robot goes into a ModelBuilder.
+#include <algorithm>
+#include <deque>
+#include <numeric>
+#include <set>
+#include <unordered_map>
+
+#include "novaphy/io/mesh.h"
+#include "robot.h"
+
+namespace novaphy::detail {
+namespace {
+
+// Runs `add`; an error of the builder gets the place in the file in front.
+template <class Add>
+auto at(std::string_view function, const std::string& where, Add&& add) {
+  try {
+    return add();
+  } catch (const Error& error) {
+    fail(error.kind(), function, ": ", where, ": ", error.what());
+  }
+}
+
+using Children = std::vector<std::vector<int32_t>>;  // per link, and last of the world: joints
+
+Children children_of(const Robot& robot) {
+  Children children(robot.links.size() + 1);
+  for (size_t j = 0; j < robot.joints.size(); ++j) {
+    const int32_t parent = robot.joints[j].parent;
+    children[parent < 0 ? robot.links.size() : static_cast<size_t>(parent)].push_back(
+        static_cast<int32_t>(j));
+  }
+  return children;
+}
+
+// The joints of the tree below a joint of the world, in the order that is asked for.
+std::vector<int32_t> tree_order(const Robot& robot, const Children& children, int32_t root,
+                                JointOrdering ordering) {
+  std::vector<int32_t> order;
+  std::deque<int32_t> waiting = {root};
+  while (!waiting.empty()) {
+    const int32_t joint = waiting.front();
+    waiting.pop_front();
+    order.push_back(joint);
+    const auto child = static_cast<size_t>(robot.joints[static_cast<size_t>(joint)].child);
+    const auto& next = children[child];
+    if (ordering == JointOrdering::DepthFirst)
+      waiting.insert(waiting.begin(), next.begin(), next.end());
+    else
+      waiting.insert(waiting.end(), next.begin(), next.end());
+  }
+  if (ordering == JointOrdering::File) std::sort(order.begin() + 1, order.end());
+  return order;
+}
+
+// The pose of the child's joint frame in the parent's at the start.
+Posed start_pose(const RobotJoint& joint) {
+  Posed pose = identity_pose();
+  size_t k = 0;
+  const auto unit = [](const Vec3f& a) {
+    const Vec3d axis = {a.x, a.y, a.z};
+    return axis / std::sqrt(math::dot(axis, axis));
+  };
+  for (const JointDofConfig& dof : joint.linear) {
+    const double q = k < joint.start.size() ? joint.start[k] : 0.0;
+    pose.p = pose.p + unit(dof.axis) * q;
+    ++k;
+  }
+  for (const JointDofConfig& dof : joint.angular) {
+    const double q = k < joint.start.size() ? joint.start[k] : 0.0;
+    pose.q = math::multiply(pose.q, turn(unit(dof.axis), q));
+    ++k;
+  }
+  return pose;
+}
+
+class Emitter {
+ public:
+  Emitter(const ModelBuilder& builder, Robot robot, const EmitOptions& options)
+      : builder_(builder), robot_(std::move(robot)), options_(options) {}
+
+  RobotImport run(ModelBuilder& target) {
+    const size_t old_links = robot_.links.size();
+    std::vector<std::string> link_names, joint_names;
+    for (const RobotLink& link : robot_.links) link_names.push_back(link.name);
+    for (const RobotJoint& joint : robot_.joints) joint_names.push_back(joint.name);
+    std::vector<std::pair<int32_t, Posed>> place;
+    std::vector<int32_t> joints(robot_.joints.size());
+    std::iota(joints.begin(), joints.end(), 0);
+    for (size_t k = 0; k < old_links; ++k)
+      place.emplace_back(static_cast<int32_t>(k), identity_pose());
+    if (options_.collapse) place = collapse_links(robot_, joints);
+
+    order();
+    add_links();
+    add_joints();
+    filter();
+
+    for (size_t k = 0; k < old_links; ++k) {
+      result_.links[link_names[k]] = body_[static_cast<size_t>(place[k].first)];
+      result_.link_poses[link_names[k]] = to_float(place[k].second);
+    }
+    for (size_t k = 0; k < joints.size(); ++k) {
+      const auto of = [&](const std::vector<int32_t>& values) {
+        return joints[k] < 0 ? -1 : values[static_cast<size_t>(joints[k])];
+      };
+      result_.joints[joint_names[k]] = of(joint_);
+      result_.joint_dofs[joint_names[k]] = of(dof_);
+      result_.joint_coords[joint_names[k]] = of(coord_);
+    }
+    result_.warnings = std::move(robot_.warnings);
+    target = std::move(builder_);
+    return std::move(result_);
+  }
+
+ private:
+  void order() {
+    const Children children = children_of(robot_);
+    for (const int32_t root : children.back())
+      trees_.push_back(tree_order(robot_, children, root, options_.ordering));
+  }
+
+  // Of the frame that holds the roots: the world's, or the parent body's.
+  Posed base() const {
+    if (options_.parent_body < 0) return options_.xform;
+    return math::multiply(to_double(builder_.body_q[static_cast<size_t>(options_.parent_body)]),
+                          options_.xform);
+  }
+
+  void add_links() {
+    const size_t count = robot_.links.size();
+    std::vector<Posed> pose(count);
+    std::vector<int32_t> links;
+    for (const auto& tree : trees_) {
+      // Parents first, whatever the order of the joints in the model.
+      std::vector<int32_t> sorted = tree;
+      if (options_.ordering == JointOrdering::File)
+        sorted = tree_order(robot_, children_of(robot_), tree.front(), JointOrdering::DepthFirst);
+      for (const int32_t j : sorted) {
+        const RobotJoint& joint = robot_.joints[static_cast<size_t>(j)];
+        const Posed parent = joint.parent < 0 ? base() : pose[static_cast<size_t>(joint.parent)];
+        pose[static_cast<size_t>(joint.child)] = math::multiply(
+            math::multiply(math::multiply(parent, joint.parent_pose), start_pose(joint)),
+            math::inverse(joint.child_pose));
+      }
+      for (const int32_t j : tree) links.push_back(robot_.joints[static_cast<size_t>(j)].child);
+    }
+    if (!options_.bodies_follow) std::sort(links.begin(), links.end());
+    body_.assign(count, -1);
+    for (const int32_t index : links) {
+      const RobotLink& link = robot_.links[static_cast<size_t>(index)];
+      BodyArgs args{.xform = to_float(pose[static_cast<size_t>(index)]),
+                    .com = to_float(link.com),
+                    .mass = static_cast<float>(link.mass),
+                    .label = link.name};
+      Mat33f inertia;
+      bool has_inertia = false;
+      for (int i = 0; i < 3; ++i)
+        for (int k = 0; k < 3; ++k) {
+          inertia.m[i][k] = static_cast<float>(link.inertia.m[i][k]);
+          has_inertia = has_inertia || inertia.m[i][k] != 0.0f;
+        }
+      if (has_inertia) args.inertia = inertia;
+      body_[static_cast<size_t>(index)] =
+          at(options_.function, link.where, [&] { return builder_.add_link(args); });
+    }
+    shapes_of_.resize(count + 1);
+    for (const int32_t index : links)
+      add_shapes(index, robot_.links[static_cast<size_t>(index)].shapes);
+    add_shapes(kWorldLink, robot_.world_shapes);
+  }
+
+  const Mesh& mesh(const RobotShape& shape) {
+    const auto found = meshes_.find(shape.mesh.string());
+    if (found != meshes_.end()) return found->second;
+    return meshes_.emplace(shape.mesh.string(), load_mesh(shape.mesh, {.drop_degenerate = true}))
+        .first->second;
+  }
+
+  void add_shapes(int32_t link, const std::vector<RobotShape>& shapes) {
+    const int32_t body = link < 0 ? -1 : body_[static_cast<size_t>(link)];
+    for (const RobotShape& shape : shapes) {
+      const Posed pose = link < 0 ? math::multiply(options_.xform, shape.pose) : shape.pose;
+      const int32_t index = at(options_.function, shape.where, [&] {
+        if (shape.type != GeoType::MESH)
+          return builder_.add_shape({.body = body,
+                                     .type = shape.type,
+                                     .xform = to_float(pose),
+                                     .scale = to_float(shape.scale),
+                                     .cfg = shape.cfg,
+                                     .label = shape.label});
+        const Mesh& surface = mesh(shape);
+        if (shape.hull_vertices)
+          return builder_.add_shape_convex_hull(body, {.xform = to_float(pose),
+                                                       .vertices = surface.vertices,
+                                                       .scale = to_float(shape.scale),
+                                                       .max_vertices = *shape.hull_vertices,
+                                                       .cfg = shape.cfg,
+                                                       .label = shape.label});
+        return builder_.add_shape_mesh(body, {.xform = to_float(pose),
+                                              .vertices = surface.vertices,
+                                              .indices = surface.indices,
+                                              .scale = to_float(shape.scale),
+                                              .cfg = shape.cfg,
+                                              .label = shape.label});
+      });
+      result_.shapes.push_back(index);
+      if (shape.color) result_.shape_colors[index] = *shape.color;
+      shapes_of_[link < 0 ? shapes_of_.size() - 1 : static_cast<size_t>(link)].emplace_back(index,
+                                                                                            &shape);
+    }
+  }
+
+  void add_joints() {
+    joint_.assign(robot_.joints.size(), -1);
+    dof_ = coord_ = joint_;
+    for (const auto& tree : trees_) {
+      std::vector<int32_t> added;
+      for (const int32_t j : tree) added.push_back(add_joint(j));
+      if (options_.parent_body >= 0) continue;
+      const RobotJoint& root = robot_.joints[static_cast<size_t>(tree.front())];
+      const std::string& label = trees_.size() == 1 && !robot_.name.empty()
+                                     ? robot_.name
+                                     : robot_.links[static_cast<size_t>(root.child)].name;
+      result_.articulations.push_back(at(options_.function, root.where,
+                                         [&] { return builder_.add_articulation(added, label); }));
+    }
+  }
+
+  int32_t add_joint(int32_t j) {
+    const RobotJoint& joint = robot_.joints[static_cast<size_t>(j)];
+    JointArgs args{.parent_xform = to_float(joint.parent_pose),
+                   .child_xform = to_float(joint.child_pose),
+                   .linear_axes = joint.linear,
+                   .angular_axes = joint.angular,
+                   .label = joint.name};
+    int32_t parent =
+        joint.parent < 0 ? options_.parent_body : body_[static_cast<size_t>(joint.parent)];
+    if (joint.parent < 0) {
+      args.parent_xform = to_float(math::multiply(options_.xform, joint.parent_pose));
+      if (joint.type == JointType::FREE)  // its coordinates are the pose of the link
+        args.parent_xform = args.child_xform = Transformf::identity();
+    }
+    dof_[static_cast<size_t>(j)] = builder_.joint_dof_count();
+    coord_[static_cast<size_t>(j)] = builder_.joint_coord_count();
+    const int32_t index = at(options_.function, joint.where, [&] {
+      return builder_.add_joint(joint.type, parent, body_[static_cast<size_t>(joint.child)], args);
+    });
+    joint_[static_cast<size_t>(j)] = index;
+    const size_t dofs = joint.linear.size() + joint.angular.size();
+    for (size_t k = 0; k < joint.start.size() && k < dofs; ++k)
+      builder_.joint_q[builder_.joint_q.size() - dofs + k] = static_cast<float>(joint.start[k]);
+    return index;
+  }
+
+  void filter_links(size_t a, size_t b) {
+    for (const auto& [i, unused_i] : shapes_of_[a])
+      for (const auto& [k, unused_k] : shapes_of_[b])
+        if (i != k) builder_.add_shape_collision_filter_pair(i, k);
+  }
+
+  // Links that fixed joints hold together meet neither each other nor the neighbours of any.
+  void filter() {
+    const size_t count = robot_.links.size();
+    std::vector<size_t> part(count);
+    std::iota(part.begin(), part.end(), size_t{0});
+    for (const auto& tree : trees_)
+      for (const int32_t j : tree) {
+        const RobotJoint& joint = robot_.joints[static_cast<size_t>(j)];
+        if (joint.type != JointType::FIXED || joint.parent < 0) continue;
+        const size_t from = part[static_cast<size_t>(joint.child)],
+                     to = part[static_cast<size_t>(joint.parent)];
+        std::replace(part.begin(), part.end(), from, to);
+      }
+    std::set<std::pair<size_t, size_t>> apart;
+    for (const RobotJoint& joint : robot_.joints)
+      if (joint.parent >= 0)
+        apart.insert(std::minmax(part[static_cast<size_t>(joint.parent)],
+                                 part[static_cast<size_t>(joint.child)]));
+    for (const auto& [a, b] : robot_.excluded)
+      apart.insert(std::minmax(a < 0 ? count : part[static_cast<size_t>(a)],
+                               b < 0 ? count : part[static_cast<size_t>(b)]));
+    std::vector<std::vector<size_t>> members(count + 1);
+    for (size_t k = 0; k < count; ++k) members[part[k]].push_back(k);
+    members[count].push_back(count);
+    const auto meet = [&](size_t a, size_t b) {
+      for (const size_t i : members[a])
+        for (const size_t k : members[b]) filter_links(i, k);
+    };
+    for (size_t a = 0; a < count; ++a)
+      if (members[a].size() > 1) meet(a, a);
+    for (const auto& [a, b] : apart)
+      if (a != b) meet(a, b);
+    if (!options_.self_collisions)
+      for (size_t a = 0; a < count; ++a)
+        for (size_t b = a; b < count; ++b) filter_links(a, b);
+    if (options_.filter_by_bits) filter_by_bits();
+  }
+
+  void filter_by_bits() {
+    std::vector<std::pair<int32_t, const RobotShape*>> all;
+    for (const auto& shapes : shapes_of_) all.insert(all.end(), shapes.begin(), shapes.end());
+    for (size_t a = 0; a < all.size(); ++a)
+      for (size_t b = a + 1; b < all.size(); ++b) {
+        const RobotShape &x = *all[a].second, &y = *all[b].second;
+        if ((x.contype & y.conaffinity) == 0 && (y.contype & x.conaffinity) == 0)
+          builder_.add_shape_collision_filter_pair(all[a].first, all[b].first);
+      }
+  }
+
+  ModelBuilder builder_;  // a copy, until all is well
+  Robot robot_;
+  const EmitOptions& options_;
+  RobotImport result_;
+  std::vector<std::vector<int32_t>> trees_;  // joints, in the order of the model
+  std::vector<int32_t> body_, joint_;        // of links and joints
+  std::vector<int32_t> dof_, coord_;         // of joints: their first rows
+  // Per link, and last of the world: the shapes.
+  std::vector<std::vector<std::pair<int32_t, const RobotShape*>>> shapes_of_;
+  std::unordered_map<std::string, Mesh> meshes_;
+};
+
+}  // namespace
+
+RobotImport emit_robot(ModelBuilder& builder, Robot robot, const EmitOptions& options) {
+  return Emitter(builder, std::move(robot), options).run(builder);
+}
+
+}  // namespace novaphy::detail

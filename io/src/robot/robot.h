@@ -1,0 +1,103 @@
+// What URDF and MJCF files have in common: a forest of links and joints in double precision, on its
+// way into a ModelBuilder.
+#pragma once
+
+#include <cmath>
+#include <filesystem>
+#include <optional>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "novaphy/core/error.h"
+#include "novaphy/io/robot.h"
+#include "novaphy/math/functions.h"
+
+namespace novaphy::detail {
+
+using Vec3d = Vec3<double>;
+using Quatd = Quat<double>;
+using Posed = Transform<double>;
+using Mat33d = Mat33<double>;
+
+inline constexpr int32_t kWorldLink = -1;
+
+struct RobotShape {
+  GeoType type;
+  Posed pose;   // in its link
+  Vec3d scale;  // see GeoType; of a mesh its factors
+  ShapeConfig cfg;
+  std::string label, where;  // where: "file:line: <element>"
+  std::filesystem::path mesh = {};
+  std::optional<int32_t> hull_vertices = {};  // the convex hull of the mesh
+  std::optional<Vec4f> color = {};
+  uint32_t contype = 1, conaffinity = 1;  // of MJCF
+};
+
+struct RobotLink {
+  std::string name, where;
+  double mass = 0.0;
+  Vec3d com{};
+  Mat33d inertia{};  // about com, along the axes of the link
+  std::vector<RobotShape> shapes = {};
+};
+
+struct RobotJoint {
+  std::string name, where;
+  JointType type;
+  int32_t parent, child;  // links
+  Posed parent_pose, child_pose;
+  std::vector<JointDofConfig> linear = {}, angular = {};
+  std::vector<double> start = {};  // coordinates of linear and angular; empty: 0
+};
+
+struct Robot {
+  std::string name;
+  std::vector<RobotLink> links = {};
+  std::vector<RobotShape> world_shapes = {};
+  std::vector<RobotJoint> joints = {};
+  std::vector<std::pair<int32_t, int32_t>> excluded = {};  // links that do not meet
+  std::vector<std::string> warnings = {};
+};
+
+struct EmitOptions {
+  std::string_view function;
+  Posed xform;
+  int32_t parent_body;
+  bool collapse, self_collisions, bodies_follow;
+  JointOrdering ordering;
+  bool filter_by_bits;  // contype and conaffinity
+};
+
+inline Posed identity_pose() { return {{0.0, 0.0, 0.0}, {0.0, 0.0, 0.0, 1.0}}; }
+inline Posed to_double(const Transformf& x) {
+  return {{x.p.x, x.p.y, x.p.z}, {x.q.x, x.q.y, x.q.z, x.q.w}};
+}
+inline Vec3f to_float(const Vec3d& v) {
+  return {static_cast<float>(v.x), static_cast<float>(v.y), static_cast<float>(v.z)};
+}
+inline Transformf to_float(const Posed& x) {
+  return {to_float(x.p),
+          {static_cast<float>(x.q.x), static_cast<float>(x.q.y), static_cast<float>(x.q.z),
+           static_cast<float>(x.q.w)}};
+}
+// A turn by `angle` about a unit vector.
+inline Quatd turn(const Vec3d& axis, double angle) {
+  const double s = std::sin(0.5 * angle);
+  return {axis.x * s, axis.y * s, axis.z * s, std::cos(0.5 * angle)};
+}
+// The shortest turn of +z to a vector that is not zero.
+Quatd turn_from_z(const Vec3d& to);
+// R I R^T
+Mat33d turned(const Quatd& q, const Mat33d& inertia);
+
+// Merges every link that hangs on a FIXED joint below another link into that. Returns, of each old
+// link, the link that it is part of now and its pose there; joints_out: the new index of each
+// joint, -1: it is gone.
+std::vector<std::pair<int32_t, Posed>> collapse_links(Robot& robot,
+                                                      std::vector<int32_t>& joints_out);
+
+// Adds the robot to the builder, or throws and leaves the builder as it was.
+RobotImport emit_robot(ModelBuilder& builder, Robot robot, const EmitOptions& options);
+
+}  // namespace novaphy::detail

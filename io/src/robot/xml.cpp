@@ -1,0 +1,205 @@
+#include "xml.h"
+
+#include <algorithm>
+#include <charconv>
+#include <cmath>
+
+#include "novaphy/core/io/file.h"
+
+namespace novaphy::detail {
+namespace {
+
+namespace fs = std::filesystem;
+
+constexpr size_t kLargest = size_t{64} << 20;  // bytes
+constexpr int kDeepest = 100;                  // elements inside of each other
+
+bool is_space(char c) { return c == ' ' || c == '\t' || c == '\n' || c == '\r'; }
+
+bool is_inside(const fs::path& file, const fs::path& folder) {
+  const fs::path relative = file.lexically_relative(folder);
+  return !relative.empty() && *relative.begin() != "..";
+}
+
+fs::path resolved(const fs::path& path) {
+  std::error_code error;
+  fs::path result = fs::weakly_canonical(path, error);
+  return error ? path.lexically_normal() : result;
+}
+
+fs::path in_packages(const std::string& where, std::string_view file,
+                     std::span<const fs::path> package_dirs) {
+  const std::string_view path = file.substr(10);  // "package://"
+  const size_t slash = path.find('/');
+  require(slash != std::string_view::npos && slash > 0 && slash + 1 < path.size(), ErrorKind::Value,
+          where, ": expected package://NAME/FILE, got ", file);
+  const std::string_view package = path.substr(0, slash), rest = path.substr(slash + 1);
+  require(!package_dirs.empty(), ErrorKind::Value, where, ": ", file,
+          " needs package_dirs, the folders in which packages lie; got none");
+  for (const fs::path& folder : package_dirs) {
+    for (const fs::path& root : {folder / package, folder}) {
+      if (root == folder && resolved(folder).filename() != package) continue;
+      const fs::path found = resolved(root / rest);
+      std::error_code error;
+      if (!fs::exists(found, error)) continue;
+      require(is_inside(found, resolved(root)), ErrorKind::Value, where,
+              ": expected a file inside of its package, got ", file);
+      return found;
+    }
+  }
+  std::string folders;
+  for (const fs::path& folder : package_dirs) folders += " " + folder.string();
+  fail(ErrorKind::Value, where, ": there is no ", file, " in package_dirs:", folders);
+}
+
+}  // namespace
+
+XmlSource read_source(std::string_view function, std::string_view source,
+                      std::span<const fs::path> package_dirs) {
+  size_t first = source.starts_with("\xEF\xBB\xBF") ? 3 : 0;
+  while (first < source.size() && is_space(source[first])) ++first;
+  require(first < source.size(), ErrorKind::Value, function,
+          ": source: expected a path or XML, got nothing");
+  if (source[first] == '<') return {"<text>", std::string(source), {}};
+  require(source.find('\0') == std::string_view::npos && source.size() < 4096, ErrorKind::Value,
+          function, ": source: expected a path, or XML that begins with '<', got ", source.size(),
+          " bytes");
+  fs::path path(source);
+  if (source.starts_with("package://"))
+    path = in_packages(std::string(function) + ": source", source, package_dirs);
+  std::string text = read_file(function, path);
+  return {path.string(), std::move(text), resolved(fs::absolute(path)).parent_path()};
+}
+
+fs::path resolve_file(const std::string& where, std::string_view file, const fs::path& folder,
+                      std::span<const fs::path> package_dirs) {
+  if (file.starts_with("package://")) return in_packages(where, file, package_dirs);
+  if (file.starts_with("file://")) file.remove_prefix(7);
+  require(!file.empty() && file.find('\0') == std::string_view::npos &&
+              file.find("://") == std::string_view::npos,
+          ErrorKind::Value, where, ": expected a path, package:// or file://, got \"", file, "\"");
+  const fs::path path(file);
+  std::vector<fs::path> roots;
+  if (!folder.empty()) roots = {folder, folder.parent_path()};
+  for (const fs::path& extra : package_dirs) roots.push_back(resolved(extra));
+  require(!roots.empty(), ErrorKind::Value, where, ": ", file,
+          " needs package_dirs: XML that is no file has no folder of its own");
+  std::vector<fs::path> tries;
+  if (path.is_absolute()) tries.push_back(path);
+  for (const fs::path& root : roots)
+    if (!path.is_absolute() && root != folder.parent_path()) tries.push_back(root / path);
+  std::error_code error;
+  for (const fs::path& each : tries) {
+    const fs::path found = resolved(each);
+    if (!fs::exists(found, error)) continue;
+    for (const fs::path& root : roots)
+      if (is_inside(found, root)) return found;
+    fail(ErrorKind::Value, where,
+         ": expected a file in the folder of the robot's file, the one above it, or in "
+         "package_dirs, got ",
+         found.string());
+  }
+  fail(ErrorKind::Value, where, ": there is no file ", file, " (looked for ",
+       tries.empty() ? path.string() : tries.front().string(), ")");
+}
+
+XmlFile::XmlFile(std::string_view function, XmlSource source, const char* root)
+    : function_(function), source_(std::move(source)) {
+  const auto broken = [&](int line, std::string_view why) {
+    fail(ErrorKind::Value, function_, ": ", source_.name, ":", line, ": ", why);
+  };
+  if (source_.text.size() > kLargest) broken(0, "expected at most 64 MiB");
+  if (source_.text.find('\0') != std::string::npos) broken(0, "expected text, got a 0 byte");
+  // The parser would pass these over, and what they say with them.
+  for (const std::string_view word : {"<!DOCTYPE", "<!ENTITY", "<!doctype"})
+    if (source_.text.find(word) != std::string::npos)
+      broken(0, std::string(word) + ": a document type and entities are not read");
+  if (document_.Parse(source_.text.data(), source_.text.size()) != tinyxml2::XML_SUCCESS)
+    broken(document_.ErrorLineNum(), std::string("expected XML: ") + document_.ErrorStr());
+  root_ = document_.RootElement();
+  if (root_ == nullptr) broken(0, "expected an element, got none");
+  if (std::string_view(root_->Name()) != root)
+    refuse(*root_, std::string("expected the root element <") + root + ">");
+  for (const Element* other = root_->NextSiblingElement(); other != nullptr;)
+    refuse(*other, "expected one root element, got a second one");
+  // No recursion: tinyxml2 itself has ended where it is too deep for that.
+  int depth = 0;
+  for (const tinyxml2::XMLNode* node = root_; node != nullptr;) {
+    if (const Element* element = node->ToElement()) {
+      if (depth > kDeepest) refuse(*element, "expected at most 100 elements inside of each other");
+      if (std::string_view(element->Name()).starts_with("xacro:"))
+        refuse(*element, "this is a xacro file: make a URDF file of it with xacro first");
+      for (const auto* a = element->FirstAttribute(); a != nullptr; a = a->Next()) {
+        if (std::string_view(a->Value()).find("${") != std::string_view::npos)
+          refuse(*element, "${...}: make a file without macros of it with xacro first");
+        if (element->Attribute(a->Name()) != a->Value())
+          refuse(*element, std::string("expected one attribute ") + a->Name() + ", got two");
+      }
+    }
+    if (node->FirstChild() != nullptr) {
+      node = node->FirstChild();
+      ++depth;
+      continue;
+    }
+    while (node != root_ && node->NextSibling() == nullptr) {
+      node = node->Parent();
+      --depth;
+    }
+    node = node == root_ ? nullptr : node->NextSibling();
+  }
+}
+
+std::string XmlFile::place(const Element& element) const {
+  std::string text = source_.name + ":" + std::to_string(element.GetLineNum()) + ": <";
+  text += element.Name();
+  if (const char* name = element.Attribute("name")) text += std::string(" name=\"") + name + "\"";
+  return text + ">";
+}
+
+void XmlFile::refuse(const Element& element, std::string_view why, ErrorKind kind) const {
+  fail(kind, function_, ": ", place(element), ": ", why);
+}
+
+std::vector<double> XmlFile::parse(const Element& element, const char* attribute,
+                                   std::string_view text) const {
+  std::vector<double> values;
+  const char *at = text.data(), *const end = at + text.size();
+  while (true) {
+    while (at != end && is_space(*at)) ++at;
+    if (at == end) return values;
+    const char* const word = at;
+    if (*at == '+' && at + 1 != end && at[1] != '-') ++at;
+    double value = 0.0;
+    const auto parsed = std::from_chars(at, end, value);
+    const bool is_whole = parsed.ptr == end || is_space(*parsed.ptr);
+    if (parsed.ec != std::errc() || !is_whole || !std::isfinite(value) || std::abs(value) > 1e30) {
+      const char* stop = word;
+      while (stop != end && !is_space(*stop)) ++stop;
+      refuse(element, std::string(attribute) + ": expected finite numbers, got \"" +
+                          std::string(word, stop) + "\"");
+    }
+    values.push_back(value);
+    at = parsed.ptr;
+  }
+}
+
+bool XmlFile::numbers(const Element& element, const char* attribute, std::span<double> out) const {
+  const char* const given = element.Attribute(attribute);
+  if (given == nullptr) return false;
+  const std::vector<double> values = parse(element, attribute, given);
+  if (values.size() != out.size())
+    refuse(element, std::string(attribute) + ": expected " + std::to_string(out.size()) +
+                        " number(s), got \"" + given + "\"");
+  std::copy(values.begin(), values.end(), out.begin());
+  return true;
+}
+
+const Element* XmlFile::only(const Element& parent, const char* name) const {
+  const Element* const found = parent.FirstChildElement(name);
+  if (found != nullptr && found->NextSiblingElement(name) != nullptr)
+    refuse(*found->NextSiblingElement(name),
+           std::string("expected one <") + name + "> in " + place(parent));
+  return found;
+}
+
+}  // namespace novaphy::detail

@@ -1,0 +1,23 @@
+// What urdfdom lets through, refused beforehand.
+#pragma once
+
+#include <map>
+#include <string>
+#include <vector>
+
+#include "../robot/xml.h"
+
+namespace novaphy::detail {
+
+struct UrdfElements {
+  // The <link> and <joint> elements, by name; names of links and joints are apart.
+  std::map<std::string, const Element*> links, joints;
+  std::vector<std::string> link_order, joint_order;  // as in the file
+  std::string root;                                  // the link without a parent
+  std::vector<std::string> warnings;                 // what the reader passes over
+};
+
+// Checks names, numbers and the tree: one root, each other link the child of one joint, no cycle.
+UrdfElements check_urdf(const XmlFile& file);
+
+}  // namespace novaphy::detail

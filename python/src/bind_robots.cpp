@@ -1,0 +1,225 @@
+// ModelBuilder.add_urdf and add_mjcf, and what they return.
+#include <pybind11/stl/filesystem.h>
+
+#include "convert.h"
+#ifdef NOVAPHY_PYTHON_IO
+#include "novaphy/io/robot.h"
+#endif
+
+namespace novaphy::python {
+
+#ifdef NOVAPHY_PYTHON_IO
+namespace {
+
+py::tuple pose_tuple(const Transformf& x) {
+  return py::make_tuple(x.p.x, x.p.y, x.p.z, x.q.x, x.q.y, x.q.z, x.q.w);
+}
+
+// One of the words that an option takes.
+template <class T>
+T word(std::string_view function, const char* name, const std::string& given,
+       std::initializer_list<std::pair<const char*, T>> words) {
+  std::string expected;
+  for (const auto& [text, value] : words) {
+    if (given == text) return value;
+    expected += (expected.empty() ? "\"" : ", \"") + std::string(text) + "\"";
+  }
+  fail(ErrorKind::Value, function, ": ", name, ": expected one of ", expected, ", got \"", given,
+       "\"");
+}
+
+std::vector<JointDofConfig> axes_of(const py::dict& joint, const char* name) {
+  std::vector<JointDofConfig> axes;
+  if (!joint.contains(name) || joint[name].is_none()) return axes;
+  for (const py::handle axis : py::iter(joint[name])) {
+    require(py::isinstance<JointDofConfig>(axis), ErrorKind::Type, "add_urdf: base_joint: ", name,
+            ": expected JointDofConfig objects, got ", type_name(axis));
+    axes.push_back(axis.cast<JointDofConfig>());
+  }
+  return axes;
+}
+
+std::optional<BaseJoint> to_base_joint(py::handle value) {
+  if (value.is_none()) return std::nullopt;
+  require(py::isinstance<py::dict>(value), ErrorKind::Type,
+          "add_urdf: base_joint: expected a dict, got ", type_name(value));
+  const auto joint = py::reinterpret_borrow<py::dict>(value);
+  for (const auto& item : joint) {
+    const auto key = py::str(item.first).cast<std::string>();
+    require(key == "joint_type" || key == "linear_axes" || key == "angular_axes", ErrorKind::Value,
+            "add_urdf: base_joint: expected joint_type, linear_axes and angular_axes, got ", key);
+  }
+  require(joint.contains("joint_type"), ErrorKind::Value,
+          "add_urdf: base_joint: expected a joint_type, got none");
+  return BaseJoint{static_cast<JointType>(to_int32(joint["joint_type"], "joint_type")),
+                   axes_of(joint, "linear_axes"), axes_of(joint, "angular_axes")};
+}
+
+std::string source_text(py::handle source) {
+  if (py::isinstance<py::str>(source)) return source.cast<std::string>();
+  return source.cast<std::filesystem::path>().string();
+}
+
+// Python's OSError for a file that is not there.
+void check_opens(const std::string& source) {
+  const size_t first = source.find_first_not_of(" \t\r\n");
+  if (first == std::string::npos || source[first] == '<' || source.starts_with("\xEF\xBB\xBF") ||
+      source.starts_with("package://") || source.find('\0') != std::string::npos ||
+      source.size() >= 4096)
+    return;
+  py::module_::import("builtins").attr("open")(source, "rb").attr("close")();
+}
+
+RobotImport with_warnings(RobotImport result) {
+  for (const std::string& text : result.warnings)
+    if (PyErr_WarnEx(PyExc_UserWarning, text.c_str(), 1) != 0) throw py::error_already_set();
+  return result;
+}
+
+RobotImport add_urdf_to(ModelBuilder& builder, py::handle source, py::handle xform,
+                        std::optional<bool> floating, py::handle base_joint, int32_t parent_body,
+                        float scale, bool hide_visuals, bool parse_visuals_as_colliders,
+                        py::handle up_axis, bool force_show_colliders, bool enable_self_collisions,
+                        bool ignore_inertial_definitions,
+                        const std::optional<std::string>& joint_ordering,
+                        bool bodies_follow_joint_ordering, bool collapse_fixed_joints,
+                        std::optional<int32_t> mesh_maxhullvert,
+                        const std::string& joint_damping_mode,
+                        const std::optional<std::vector<std::filesystem::path>>& package_dirs,
+                        const std::string& mimic) {
+  constexpr const char* name = "add_urdf";
+  const std::string text = source_text(source);
+  check_opens(text);
+  const UrdfOptions options{
+      .xform = to_transform(xform, "xform"),
+      .floating = floating,
+      .base_joint = to_base_joint(base_joint),
+      .parent_body = parent_body,
+      .scale = scale,
+      .hide_visuals = hide_visuals,
+      .parse_visuals_as_colliders = parse_visuals_as_colliders,
+      .up_axis = to_axis(up_axis),
+      .force_show_colliders = force_show_colliders,
+      .enable_self_collisions = enable_self_collisions,
+      .ignore_inertial_definitions = ignore_inertial_definitions,
+      .joint_ordering = joint_ordering
+                            ? word<JointOrdering>(name, "joint_ordering", *joint_ordering,
+                                                  {{"dfs", JointOrdering::DepthFirst},
+                                                   {"bfs", JointOrdering::BreadthFirst}})
+                            : JointOrdering::File,
+      .bodies_follow_joint_ordering = bodies_follow_joint_ordering,
+      .collapse_fixed_joints = collapse_fixed_joints,
+      .mesh_maxhullvert = mesh_maxhullvert,
+      .joint_damping_mode = word<JointDampingMode>(
+          name, "joint_damping_mode", joint_damping_mode,
+          {{"passive", JointDampingMode::Passive}, {"drive", JointDampingMode::Drive}}),
+      .package_dirs = package_dirs.value_or(std::vector<std::filesystem::path>{}),
+      .mimic = word<MimicMode>(name, "mimic", mimic,
+                               {{"refuse", MimicMode::Refuse},
+                                {"fixed", MimicMode::Fixed},
+                                {"independent", MimicMode::Independent}})};
+  return with_warnings(add_urdf(builder, text, options));
+}
+
+RobotImport add_mjcf_to(ModelBuilder& builder, py::handle source, py::handle xform,
+                        bool collapse_fixed_joints, bool enable_self_collisions) {
+  const std::string text = source_text(source);
+  check_opens(text);
+  return with_warnings(add_mjcf(builder, text,
+                                {.xform = to_transform(xform, "xform"),
+                                 .collapse_fixed_joints = collapse_fixed_joints,
+                                 .enable_self_collisions = enable_self_collisions}));
+}
+
+void bind_result(py::module_& io) {
+  py::class_<RobotActuator>(io, "RobotActuator",
+                            "A motor of an MJCF file: joint_f[dof] = gear * clip(control, lower, "
+                            "upper).")
+      .def_readonly("name", &RobotActuator::name, "Of the motor.")
+      .def_readonly("joint", &RobotActuator::joint, "The joint that it turns.")
+      .def_readonly("dof", &RobotActuator::dof, "Row of joint_f.")
+      .def_readonly("gear", &RobotActuator::gear, "N or N*m per control.")
+      .def_readonly("lower", &RobotActuator::lower, "Least control.")
+      .def_readonly("upper", &RobotActuator::upper, "Largest control.");
+  py::class_<RobotImport>(io, "RobotImport", "What add_urdf or add_mjcf added, by name.")
+      .def_readonly("links", &RobotImport::links,
+                    "Link name to body; of a merged link the body that it is part of.")
+      .def_readonly("joints", &RobotImport::joints, "Joint name to joint; -1: merged.")
+      .def_readonly("joint_dofs", &RobotImport::joint_dofs,
+                    "Joint name to its first row of joint_qd and joint_f; -1: merged.")
+      .def_readonly("joint_coords", &RobotImport::joint_coords,
+                    "Joint name to its first row of joint_q; -1: merged.")
+      .def_property_readonly(
+          "link_poses",
+          [](const RobotImport& r) {
+            py::dict poses;
+            for (const auto& [name, pose] : r.link_poses) poses[py::str(name)] = pose_tuple(pose);
+            return poses;
+          },
+          "Link name to its pose in its body (m, xyzw): the identity, unless it was merged.")
+      .def_property_readonly(
+          "shape_colors",
+          [](const RobotImport& r) {
+            py::dict colors;
+            for (const auto& [shape, c] : r.shape_colors)
+              colors[py::int_(shape)] = py::make_tuple(c.x, c.y, c.z, c.w);
+            return colors;
+          },
+          "Shape to (r, g, b, a), of those whose file gives one.")
+      .def_readonly("shapes", &RobotImport::shapes, "The shapes, in order.")
+      .def_readonly("articulations", &RobotImport::articulations, "The articulations, in order.")
+      .def_readonly("actuators", &RobotImport::actuators, "RobotActuators, in order of the file.")
+      .def_readonly("warnings", &RobotImport::warnings, "What was not read, and why.");
+}
+
+}  // namespace
+#endif
+
+void bind_robots(py::class_<ModelBuilder>& builder, py::module_& io) {
+  constexpr const char* urdf_doc =
+      "Adds a robot from a URDF file: a path, package://NAME/FILE, or the XML itself. Links become "
+      "bodies, joints joints, all of one articulation; names become labels. Returns a RobotImport. "
+      "xform: pose of the root link (m, xyzw) in the world or parent_body. floating: True FREE, "
+      "None and False FIXED at the base; or base_joint, a dict of joint_type, linear_axes and "
+      "angular_axes. scale: of all lengths; masses stay. ignore_inertial_definitions: masses from "
+      "the colliders and default_shape_cfg. joint_ordering: \"dfs\", \"bfs\" or None (the file's). "
+      "mesh_maxhullvert: colliders of meshes become hulls. joint_damping_mode: \"passive\" or "
+      "\"drive\" (target_kd). mimic: \"refuse\", \"fixed\" or \"independent\". ValueError and "
+      "NotImplementedError name file, line and element; the builder is then as it was. OSError: "
+      "no such file. What is not read gives a UserWarning.";
+  constexpr const char* mjcf_doc =
+      "Adds the bodies, joints, geoms and motors of an MJCF file: a path, or the XML itself. A "
+      "subset; what would change the physics and is not in it raises NotImplementedError by name. "
+      "Returns a RobotImport. xform: pose of the file's world (m, xyzw). Errors as of add_urdf.";
+#ifdef NOVAPHY_PYTHON_IO
+  bind_result(io);
+  builder.def("add_urdf", &add_urdf_to, "source"_a, py::kw_only(), "xform"_a = py::none(),
+              "floating"_a = py::none(), "base_joint"_a = py::none(), "parent_body"_a = -1,
+              "scale"_a = 1.0f, "hide_visuals"_a = false, "parse_visuals_as_colliders"_a = false,
+              "up_axis"_a = 2, "force_show_colliders"_a = false, "enable_self_collisions"_a = true,
+              "ignore_inertial_definitions"_a = false, "joint_ordering"_a = "dfs",
+              "bodies_follow_joint_ordering"_a = true, "collapse_fixed_joints"_a = false,
+              "mesh_maxhullvert"_a = py::none(), "joint_damping_mode"_a = "passive",
+              "package_dirs"_a = py::none(), "mimic"_a = "refuse", urdf_doc);
+  builder.def("add_mjcf", &add_mjcf_to, "source"_a, py::kw_only(), "xform"_a = py::none(),
+              "collapse_fixed_joints"_a = false, "enable_self_collisions"_a = true, mjcf_doc);
+#else
+  static_cast<void>(io);
+  const auto missing = [&](const char* name, const char* doc) {
+    builder.def(
+        name,
+        [name](const ModelBuilder&, const py::args&, const py::kwargs&) {
+          throw py::import_error(
+              std::string("ModelBuilder.") + name +
+              " is not part of this build of NovaPhy: it was configured with NOVAPHY_WITH_IO=OFF. "
+              "Build with -DNOVAPHY_WITH_IO=ON -DNOVAPHY_ASSIMP=source -DNOVAPHY_URDFDOM=source, "
+              "as the wheels are.");
+        },
+        doc);
+  };
+  missing("add_urdf", urdf_doc);
+  missing("add_mjcf", mjcf_doc);
+#endif
+}
+
+}  // namespace novaphy::python

@@ -1,0 +1,238 @@
+"""Robots from MJCF files: against MuJoCo's numbers, and what is refused."""
+
+from __future__ import annotations
+
+import contextlib
+import random
+import re
+
+import numpy as np
+import pytest
+
+import novaphy
+from novaphy.testing import assert_allclose
+
+pytestmark = pytest.mark.skipif(
+    not novaphy.has_io(), reason="built with NOVAPHY_WITH_IO=OFF; the wheel has it"
+)
+ANT = novaphy.assets.path("ant.xml")
+
+
+def loaded(source: object, **options: object):
+    builder = novaphy.ModelBuilder()
+    result = builder.add_mjcf(source, **options)
+    model = builder.finalize()
+    return model, model.state(), result
+
+
+def mjcf(inside: str, before: str = "", after: str = "") -> str:
+    return f"<mujoco>{before}<worldbody>{inside}</worldbody>{after}</mujoco>"
+
+
+def hinged(joint: str = "", geom: str = 'size="0.1"', body: str = "") -> str:
+    return f"<body {body}><joint {joint}/><geom {geom}/></body>"
+
+
+@pytest.mark.parametrize(("name", "factor"), [("ant.xml", 1.0), ("ant_heavy.xml", 200.0)])
+def test_the_ant_has_its_masses_and_inertias(name, factor):
+    model, _, result = loaded(novaphy.assets.path(name))
+    assert model.body_count == 9 and model.joint_dof_count == 14 and model.joint_coord_count == 15
+    mass, inertia = model.body_mass.numpy(), model.body_inertia.numpy()
+    # Closed forms, overlaps counted twice; as MuJoCo's.
+    bodies = {
+        "torso": (0.483880, [2.22407, 2.22407, 2.71714], [0, 0, 0]),
+        "front_left_leg": (0.0391578, [0.0236884, 0.1135932, 0.1135932], [0.1, 0.1, 0]),
+        "back_right_foot": (0.0675922, [0.0418864, 0.5349581, 0.5349581], [0.2, -0.2, 0]),
+    }
+    for body, (kilograms, moments, com) in bodies.items():
+        k = result.links[body]
+        assert_allclose(mass[k], factor * kilograms, rtol=2e-5)
+        got = np.linalg.eigvalsh(inertia[k].astype(float))
+        assert_allclose(got, factor / 200 * np.array(moments), rtol=2e-5)
+        assert_allclose(model.body_com.numpy()[k], com, atol=1e-6)
+    assert_allclose(mass.sum(), factor * 0.910880, rtol=1e-5)
+
+
+def test_the_ant_starts_within_its_ranges_and_has_its_motors():
+    model, _, result = loaded(ANT)
+    q = np.array(model.joint_q.numpy())
+    assert_allclose(q, [0, 0, 0.75, 0, 0, 0, 1, 0, 1, 0, -1, 0, -1, 0, 1])
+    hinges = [f"{n}_{k}" for k in (1, 2, 3, 4) for n in ("hip", "ankle")]
+    assert [result.joint_dofs[n] for n in hinges] == list(range(6, 14))
+    assert [result.joint_coords[n] for n in hinges] == list(range(7, 15))
+    lower, upper = model.joint_limit_lower.numpy()[6:], model.joint_limit_upper.numpy()[6:]
+    assert (lower <= q[7:]).all() and (q[7:] <= upper).all()
+    assert_allclose(np.rad2deg(lower[:4]), [-30, 30, -30, -70], rtol=1e-6)
+    assert [m.joint for m in result.actuators[:3]] == ["hip_4", "ankle_4", "hip_1"]
+    assert [m.dof for m in result.actuators] == [12, 13, 6, 7, 8, 9, 10, 11]
+    assert {(m.gear, m.lower, m.upper) for m in result.actuators} == {(150, -1, 1)}
+    armature = model.joint_armature.numpy()
+    assert armature[:6].tolist() == [0] * 6 and armature[6:].tolist() == [1] * 8
+    # Only the floor meets the geoms.
+    assert model.shape_contact_pair_count == model.shape_count - 1 == 13
+
+
+def test_poses_of_the_start_are_those_of_forward_kinematics():
+    for name in ("ant.xml", "humanoid.xml"):
+        model, state, _ = loaded(novaphy.assets.path(name))
+        start = state.body_q.numpy().copy()
+        novaphy.eval_fk(model, state.joint_q, state.joint_qd, state)
+        assert_allclose(state.body_q.numpy(), start, atol=2e-6, rtol=0)
+
+
+@pytest.mark.parametrize("name", ["ant.xml", "ant_heavy.xml", "humanoid.xml"])
+def test_mass_matrices_are_those_of_mujoco(name):
+    mujoco = pytest.importorskip("mujoco", reason="the oracle of this test: pip install mujoco")
+    path = novaphy.assets.path(name)
+    exact = mujoco.MjModel.from_xml_path(str(path))
+    data = mujoco.MjData(exact)
+    model, state, _ = loaded(path)
+    hinges = model.joint_dof_count - 6
+    draw = np.random.default_rng(0)
+    for _ in range(5):
+        angles = draw.uniform(-1, 1, hinges).astype(np.float32)
+        q = np.float32([0.3, -0.2, 1.0, 0, 0, 0, 1, *angles])
+        state.joint_q.assign(q)
+        state.joint_qd.zero_()
+        novaphy.eval_fk(model, state.joint_q, state.joint_qd, state)
+        data.qpos[:] = [*q[:3], 1, 0, 0, 0, *angles]
+        mujoco.mj_forward(exact, data)
+        for body in range(model.body_count):
+            k = mujoco.mj_name2id(exact, mujoco.mjtObj.mjOBJ_BODY, model.body_label[body])
+            assert_allclose(state.body_q.numpy()[body, :3], data.xpos[k], atol=2e-6, rtol=0)
+            assert_allclose(model.body_mass.numpy()[body], exact.body_mass[k], rtol=1e-5)
+        h_exact = np.zeros((exact.nv, exact.nv))
+        mujoco.mj_fullM(exact, data, h_exact)
+        h = np.asarray(novaphy.eval_mass_matrix(model, state)).reshape(exact.nv, exact.nv)
+        scale = np.abs(h_exact[6:, 6:]).max()
+        assert_allclose(h[6:, 6:], h_exact[6:, 6:], atol=1e-5 * scale, rtol=0)
+
+
+def test_defaults_and_classes():
+    before = (
+        '<compiler angle="radian"/><default><joint damping="3" axis="1 0 0"/>'
+        '<default class="soft"><joint damping="1"/><geom density="10"/></default></default>'
+    )
+    text = mjcf(
+        hinged('name="a"') + hinged('name="b" class="soft" range="-1 2"')
+        + '<body childclass="soft"><joint name="c" damping="7"/>'
+        '<geom type="box" size="0.5 0.5 0.5"/></body>',
+        before,
+    )  # fmt: skip
+    model, _, result = loaded(text)
+    rows = [result.joint_dofs[n] for n in "abc"]
+    assert model.joint_damping.numpy()[rows].tolist() == [3, 1, 7]
+    assert model.joint_limit_upper.numpy()[rows].tolist() == [1e10, 2, 1e10]
+    assert model.joint_axis.numpy()[rows].tolist() == [[1, 0, 0]] * 3
+    assert_allclose(model.body_mass.numpy()[2], 10)
+
+
+def test_orientations_sizes_and_inertials():
+    quarter = np.sqrt(0.5)
+    for how in ('quat="1 0 0 1"', 'axisangle="0 0 2 90"', 'euler="0 0 90"',
+                'xyaxes="0 1 0 -1 0 0"'):  # fmt: skip
+        builder = novaphy.ModelBuilder()
+        builder.add_mjcf(mjcf(hinged(body=how)))
+        assert_allclose(builder.body_q[0][3:], [0, 0, quarter, quarter], atol=1e-6)
+    geoms = {
+        'type="capsule" size="0.1" fromto="0 0 0 0 0 2"': 1000 * np.pi * 0.01 * (2 + 0.4 / 3),
+        'type="cylinder" size="0.1 1"': 1000 * np.pi * 0.01 * 2,
+        'type="ellipsoid" size="0.1 0.2 0.3"': 1000 * 4 / 3 * np.pi * 0.006,
+        'type="box" size="0.1 0.2 0.3" mass="5"': 5.0,
+    }
+    for geom, mass in geoms.items():
+        assert_allclose(loaded(mjcf(hinged(geom=geom)))[0].body_mass.numpy()[0], mass, rtol=1e-6)
+    inertial = '<inertial pos="1 2 3" mass="4" diaginertia="1 2 2.5"/>'
+    model, _, _ = loaded(mjcf(f'<body>{inertial}<joint/><geom size="1"/></body>'))
+    assert model.body_mass.numpy()[0] == 4 and model.body_com.numpy()[0].tolist() == [1, 2, 3]
+
+
+def test_stiffness_frames_and_merged_bodies():
+    text = mjcf(
+        '<body pos="0 0 1">'
+        '<joint name="j" pos="0.5 0 0" stiffness="3" springref="90" axis="0 1 0"/>'
+        '<geom size="0.1"/><body pos="0 0 2"><geom size="0.1"/></body></body>'
+    )
+    model, _, result = loaded(text)
+    assert model.joint_target_ke.numpy()[0] == 3 and model.body_count == 2
+    assert_allclose(model.joint_target_q.numpy()[0], np.pi / 2)
+    assert_allclose(model.joint_X_p.numpy()[0, :3], [0.5, 0, 1])
+    merged, _, result = loaded(text, collapse_fixed_joints=True)
+    assert merged.body_count == 1 and result.joints["body_1_fixed"] == -1
+    assert_allclose(merged.body_com.numpy()[0], [0, 0, 1])
+
+
+BAD = {
+    "root": ("<robot/>", "expected the root element <mujoco>"),
+    "empty": ("<mujoco/>", "expected a body or a geom"),
+    "include": ('<mujoco><include file="ant.xml"/></mujoco>', "<include>: this element is not"),
+    "doctype": ('<!DOCTYPE m [<!ENTITY a "b">]><mujoco/>', "entities are not read"),
+    "deep": (mjcf("<body>" * 100_000), "expected XML"),
+    "global": (mjcf(hinged(), '<compiler coordinate="global"/>'), 'coordinate="global" is not'),
+    "gravity": (mjcf(hinged(), '<option gravity="0 0 -1"/>'), "expected that of the builder"),
+    "wind": (mjcf(hinged(), '<option wind="1 0 0"/>'), "wind is not read"),
+    "tendon": (mjcf(hinged(), "<tendon/>"), "<tendon>: this element is not read"),
+    "equality": (mjcf(hinged(), after="<equality/>"), "<equality>: this element is not read"),
+    "geom type": (mjcf(hinged(geom='type="mesh" mesh="m"')), "the attribute mesh is not read"),
+    "size": (mjcf(hinged(geom='type="box" size="1 1"')), "size: expected 3 numbers of a box"),
+    "no size": (mjcf(hinged(geom="")), "size: expected 1 numbers"),
+    "negative": (mjcf(hinged(geom='size="-1"')), "size: expected numbers > 0"),
+    "nan": (mjcf(hinged(geom='size="nan"')), "size: expected finite numbers"),
+    "friction": (mjcf(hinged(geom='size="1" friction="-1"')), "friction: expected numbers >= 0"),
+    "fluid": (mjcf(hinged(geom='size="1" fluidshape="ellipsoid"')), "fluidshape is not read"),
+    "joint type": (mjcf(hinged('type="screw"')), 'got "screw"'),
+    "axis": (mjcf(hinged('axis="0 0 0"')), "axis: expected a vector"),
+    "range": (mjcf(hinged('range="2 1"')), "range: expected two numbers, the lower one first"),
+    "limited": (mjcf(hinged('limited="true"')), "range: expected two numbers"),
+    "armature": (mjcf(hinged('armature="-1"')), "armature: expected >= 0"),
+    "ref": (mjcf(hinged('ref="1"')), "ref is not read"),
+    "names": (mjcf(hinged('name="a"') * 2), 'different names, got "a" twice'),
+    "class": (mjcf(hinged('class="x"')), 'there is no default class "x"'),
+    "below": (mjcf('<body><geom size="1"/><body><freejoint/><geom size="1"/></body></body>'),
+              "a free joint of a body in the world"),
+    "massless": (mjcf(hinged(geom='size="1" density="0"')), "expected a mass"),
+    "inertia": (mjcf('<body><inertial pos="0 0 0" mass="1" diaginertia="1 1 -1"/><joint/></body>'),
+                "positive definite"),
+    "position": (mjcf(hinged('name="a"'), after='<actuator><position joint="a"/></actuator>'),
+                 "<position>: this element"),
+    "motor": (mjcf(hinged(), after='<actuator><motor joint="a"/></actuator>'),
+              'there is no joint "a"'),
+    "start": (mjcf(hinged(), '<custom><numeric name="init_qpos" data="1 2"/></custom>'),
+              "data: expected 1 numbers, got 2"),
+    "mocap": (mjcf(hinged(body='mocap="true"')), "the attribute mocap is not read"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_bad_files_are_refused_and_the_builder_stays(name):
+    text, message = BAD[name]
+    builder = novaphy.ModelBuilder()
+    builder.add_mjcf(mjcf(hinged()))
+    with pytest.raises((ValueError, NotImplementedError), match=re.compile(message, re.S)):
+        builder.add_mjcf(text)
+    assert (builder.body_count, builder.shape_count, builder.joint_count) == (1, 1, 1)
+
+
+def test_what_belongs_to_the_simulation_is_said():
+    with pytest.warns(UserWarning, match="not of the file: timestep integrator"):
+        loaded(mjcf(hinged(), '<option timestep="0.01" integrator="RK4"/>'))
+
+
+@pytest.mark.filterwarnings("ignore:.*not of the file")
+def test_mutated_files_are_read_or_refused():
+    from test_urdf import mutated
+
+    draw = random.Random(2)
+    base = re.sub(r"<!--.*?-->", "", ANT.read_text("utf-8"), flags=re.S)
+    read = 0
+    for _ in range(1000):
+        builder = novaphy.ModelBuilder()
+        try:
+            builder.add_mjcf(mutated(draw, base))
+        except (ValueError, NotImplementedError, OSError):
+            assert builder.body_count == builder.shape_count == builder.joint_count == 0
+            continue
+        read += 1
+        with contextlib.suppress(ValueError):
+            builder.finalize()
+    assert 10 < read < 900

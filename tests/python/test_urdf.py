@@ -1,0 +1,392 @@
+"""Robots from URDF files: against Pinocchio's numbers, options, and what is refused."""
+
+from __future__ import annotations
+
+import random
+import re
+
+import numpy as np
+import pytest
+
+import novaphy
+from novaphy.testing import assert_allclose
+
+pytestmark = pytest.mark.skipif(
+    not novaphy.has_io(), reason="built with NOVAPHY_WITH_IO=OFF; the wheel has it"
+)
+FR3 = novaphy.assets.path("fr3.urdf")
+REACH = [0, -np.pi / 4, 0, -3 * np.pi / 4, 0, np.pi / 2, np.pi / 4]
+INERTIAL = (
+    '<inertial><origin xyz="0.1 0.2 0.3" rpy="0.4 -0.5 0.6"/><mass value="2"/>'
+    '<inertia ixx="0.03" iyy="0.04" izz="0.05" ixy="0.001" ixz="0.002" iyz="-0.003"/></inertial>'
+)
+SPHERE = '<geometry><sphere radius="0.1"/></geometry>'
+
+
+def robot(*parts: str) -> str:
+    return f'<robot name="r">{"".join(parts)}</robot>'
+
+
+def link(name: str, inside: str = INERTIAL) -> str:
+    return f'<link name="{name}">{inside}</link>'
+
+
+def joint(name: str, parent: str, child: str, inside: str = "", kind: str = "continuous") -> str:
+    return (
+        f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>'
+        f"{inside}</joint>"
+    )
+
+
+TWO = (link("a"), link("b"), joint("j", "a", "b", '<axis xyz="0 0 1"/>'))
+
+
+def loaded(source: object, **options: object):
+    builder = novaphy.ModelBuilder()
+    result = builder.add_urdf(source, **options)
+    model = builder.finalize()
+    return model, model.state(), result
+
+
+def counts(builder: novaphy.ModelBuilder) -> list[int]:
+    names = ("body", "shape", "joint", "joint_coord", "joint_dof", "articulation")
+    return [getattr(builder, f"{name}_count") for name in names]
+
+
+@pytest.mark.parametrize("collapse", [False, True])
+def test_the_fr3_has_the_gravity_torques_and_the_tool_of_pinocchio(collapse):
+    model, state, result = loaded(FR3, collapse_fixed_joints=collapse)
+    state.joint_q.assign(np.float32([*REACH, 0, 0]))
+    novaphy.eval_fk(model, state.joint_q, state.joint_qd, state)
+    bias = np.asarray(novaphy.eval_bias(model, state)).ravel()
+    # Pinocchio 4.1, computeGeneralizedGravity of the same file.
+    expected = [0, -3.85415002, -0.585383807, 22.2575440, 0.715423841, 2.20287493, 0, 0, 0]
+    assert_allclose(bias, np.float32(expected), atol=2e-5, rtol=0)
+    body = state.body_q.numpy()[result.links["fr3_hand_tcp"]].astype(float)
+    offset = np.array(result.link_poses["fr3_hand_tcp"])
+    tool = body[:3] + rotation(body[3:]) @ offset[:3]
+    assert_allclose(tool, [0.30689, 0, 0.48688], atol=1e-5, rtol=0)
+    assert model.articulation_count == 1 and model.body_count == (10 if collapse else 13)
+
+
+def rotation(q: np.ndarray) -> np.ndarray:
+    x, y, z, w = q
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+@pytest.mark.parametrize("collapse", [False, True])
+def test_the_fr3_moves_as_in_pinocchio(collapse):
+    pin = pytest.importorskip("pinocchio", reason="the oracle of this test: pip install pin")
+    exact = pin.buildModelFromUrdf(str(FR3))
+    data = exact.createData()
+    model, state, _ = loaded(FR3, collapse_fixed_joints=collapse)
+    draw = np.random.default_rng(0)
+    for _ in range(20):
+        q = draw.uniform(exact.lowerPositionLimit, exact.upperPositionLimit).astype(np.float32)
+        qd, qdd = draw.uniform(-1, 1, (2, 9)).astype(np.float32)
+        state.joint_q.assign(q)
+        state.joint_qd.assign(qd)
+        h = np.asarray(novaphy.eval_mass_matrix(model, state)).reshape(9, 9)
+        pin.crba(exact, data, q.astype(float))
+        h_exact = np.triu(data.M) + np.triu(data.M, 1).T
+        assert_allclose(h, h_exact, atol=1e-5 * np.abs(h_exact).max(), rtol=0)
+        tau = np.asarray(novaphy.eval_inverse_dynamics(model, state, qdd)).ravel()
+        tau_exact = pin.rnea(exact, data, q.astype(float), qd.astype(float), qdd.astype(float))
+        assert_allclose(tau, tau_exact, atol=1e-5 * np.abs(tau_exact).max(), rtol=0)
+
+
+def test_collapsed_links_accelerate_as_before():
+    accelerations = []
+    for collapse in (False, True):
+        model, state, _ = loaded(FR3, collapse_fixed_joints=collapse)
+        state.joint_q.assign(np.float32([*REACH, 0.01, 0.02]))
+        state.joint_qd.assign(np.linspace(-1, 1, 9).astype(np.float32))
+        tau = np.linspace(3, -3, 9).astype(np.float32)
+        accelerations.append(np.asarray(novaphy.eval_forward_dynamics(model, state, tau)).ravel())
+    whole, merged = accelerations
+    # The condition of the mass matrix is 1.7e4.
+    assert_allclose(merged, whole, atol=2e-2 * 0.02 * np.abs(whole).max(), rtol=0)
+
+
+def test_inertials_are_turned_and_scaled():
+    model, _, result = loaded(robot(*TWO), scale=2.0)
+    c, s = np.cos, np.sin
+    roll, pitch, yaw = 0.4, -0.5, 0.6
+    rx = np.array([[1, 0, 0], [0, c(roll), -s(roll)], [0, s(roll), c(roll)]])
+    ry = np.array([[c(pitch), 0, s(pitch)], [0, 1, 0], [-s(pitch), 0, c(pitch)]])
+    rz = np.array([[c(yaw), -s(yaw), 0], [s(yaw), c(yaw), 0], [0, 0, 1]])
+    r = rz @ ry @ rx
+    i = np.array([[0.03, 0.001, 0.002], [0.001, 0.04, -0.003], [0.002, -0.003, 0.05]])
+    b = result.links["b"]
+    assert_allclose(model.body_inertia.numpy()[b], 4 * r @ i @ r.T, atol=1e-7, rtol=1e-6)
+    assert_allclose(model.body_com.numpy()[b], [0.2, 0.4, 0.6], rtol=1e-6)
+    assert model.body_mass.numpy()[b] == 2
+
+
+def test_options_of_the_base():
+    for floating, dofs in ((None, 1), (False, 1), (True, 7)):
+        model, state, _ = loaded(robot(*TWO), floating=floating, xform=(1, 2, 3, 0, 0, 0, 1))
+        assert model.joint_dof_count == dofs
+        assert_allclose(state.body_q.numpy()[0, :3], [1, 2, 3])
+    planar = {
+        "joint_type": novaphy.JointType.D6,
+        "linear_axes": [novaphy.JointDofConfig(axis="x"), novaphy.JointDofConfig(axis="y")],
+    }
+    assert loaded(robot(*TWO), base_joint=planar)[0].joint_dof_count == 3
+    builder = novaphy.ModelBuilder(up_axis="y")
+    builder.add_urdf(robot(*TWO), up_axis="z")
+    turned = rotation(np.array(builder.body_q[0][3:]))
+    assert_allclose(turned @ [0, 0, 1], [0, 1, 0], atol=1e-6)
+    carrier = builder.add_body(mass=1.0, inertia=np.eye(3))
+    result = builder.add_urdf(robot(*TWO), parent_body=carrier, xform=(0, 0, 1, 0, 0, 0, 1))
+    assert result.articulations == [] and builder.articulation_count == 2
+    assert_allclose(builder.body_q[result.links["a"]][:3], (0, 0, 1))
+    for bad in ({"floating": True, "base_joint": planar}, {"floating": True, "parent_body": 0}):
+        with pytest.raises(ValueError, match="floating"):
+            builder.add_urdf(robot(*TWO), **bad)
+
+
+TREE = robot(
+    *(link(name) for name in "abcd"),
+    joint("bd", "b", "d"), joint("ab", "a", "b"), joint("ac", "a", "c"),
+)  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("ordering", "follow", "joints", "links"),
+    [
+        ("dfs", True, ["ab", "bd", "ac"], "abdc"),
+        ("bfs", True, ["ab", "ac", "bd"], "abcd"),
+        ("dfs", False, ["ab", "bd", "ac"], "abcd"),
+    ],
+)
+def test_orders(ordering, follow, joints, links):
+    _, _, result = loaded(TREE, joint_ordering=ordering, bodies_follow_joint_ordering=follow)
+    assert sorted(joints, key=result.joints.get) == joints
+    assert "".join(sorted(links, key=result.links.get)) == links
+
+
+def test_the_order_of_the_file_must_have_parents_first():
+    with pytest.raises(ValueError, match="parents come first"):
+        novaphy.ModelBuilder().add_urdf(TREE, joint_ordering=None)
+    with pytest.raises(ValueError, match='joint_ordering: expected one of "dfs", "bfs", got "x"'):
+        novaphy.ModelBuilder().add_urdf(TREE, joint_ordering="x")
+
+
+def test_shapes_materials_and_what_is_shown():
+    visual = (
+        f'<visual>{SPHERE}<material name="red"><color rgba="1 0 0 0.5"/></material></visual>'
+        f"<collision>{SPHERE}</collision>"
+    )
+    text = robot(link("a", INERTIAL + visual))
+    flags, shapes = novaphy.ShapeFlags, []
+    for options in ({}, {"hide_visuals": True}, {"force_show_colliders": True},
+                    {"parse_visuals_as_colliders": True, "hide_visuals": True}):  # fmt: skip
+        model, _, result = loaded(text, **options)
+        shapes.append(model.shape_flags.numpy().tolist())
+        if not options:
+            assert result.shape_colors == {0: (1.0, 0.0, 0.0, 0.5)}
+    meets = flags.COLLIDE_SHAPES | flags.COLLIDE_PARTICLES
+    assert shapes == [[1, meets], [meets | 1], [1, meets | 1], [meets | 1]]
+    model, _, _ = loaded(text, ignore_inertial_definitions=True)
+    assert_allclose(model.body_mass.numpy(), [1000 * 4 / 3 * np.pi * 1e-3], rtol=1e-6)
+
+
+def test_self_collisions():
+    a, b, c = (link(n, INERTIAL + f"<collision>{SPHERE}</collision>") for n in "abc")
+    text = robot(a, b, c, joint("ab", "a", "b"), joint("bc", "b", "c"))
+    assert loaded(text)[0].shape_contact_pair_count == 1  # not neighbours
+    assert loaded(text, enable_self_collisions=False)[0].shape_contact_pair_count == 0
+    fixed = robot(a, b, c, joint("ab", "a", "b", kind="fixed"), joint("bc", "b", "c"))
+    for collapse in (False, True):  # a and b are one
+        assert loaded(fixed, collapse_fixed_joints=collapse)[0].shape_contact_pair_count == 0
+
+
+LIMIT = '<limit lower="-1" upper="2" effort="3" velocity="4"/><dynamics damping="5"/>'
+
+
+def test_limits_and_damping():
+    text = robot(link("a"), link("b"), joint("j", "a", "b", LIMIT, "revolute"))
+    model, _, _ = loaded(text)
+    got = [
+        getattr(model, f"joint_{name}").numpy()[0]
+        for name in ("limit_lower", "limit_upper", "effort_limit", "velocity_limit", "damping")
+    ]
+    assert got == [-1, 2, 3, 4, 5]
+    model, _, _ = loaded(text, joint_damping_mode="drive")
+    assert model.joint_damping.numpy()[0] == 0 and model.joint_target_kd.numpy()[0] == 5
+    model, _, _ = loaded(text.replace("revolute", "prismatic"), scale=2.0)
+    assert [model.joint_limit_lower.numpy()[0], model.joint_limit_upper.numpy()[0]] == [-2, 4]
+
+
+def test_a_mimic_is_refused_fixed_or_freed():
+    mimic = '<mimic joint="j" multiplier="2" offset="0.5"/>'
+    text = robot(*TWO, link("c"), joint("k", "b", "c", mimic))
+    with pytest.raises(NotImplementedError, match=r'<text>:1: <joint name="k">: mimic'):
+        novaphy.ModelBuilder().add_urdf(text)
+    model, state, result = loaded(text, mimic="fixed")
+    assert model.joint_dof_count == 1
+    assert_allclose(
+        rotation(state.body_q.numpy()[result.links["c"], 3:]) @ [0, 1, 0],
+        [0, np.cos(0.5), np.sin(0.5)], atol=1e-6,
+    )  # fmt: skip
+    assert loaded(text, mimic="independent")[0].joint_dof_count == 2
+
+
+TETRAHEDRON = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
+
+
+def test_meshes_are_looked_for_in_packages_and_beside_the_file(tmp_path):
+    (tmp_path / "pack" / "urdf").mkdir(parents=True)
+    (tmp_path / "pack" / "t.obj").write_text(TETRAHEDRON)
+    (tmp_path / "outside.obj").write_text(TETRAHEDRON)
+    file = tmp_path / "pack" / "urdf" / "r.urdf"
+
+    def text(name: str) -> str:
+        mesh = f'<geometry><mesh filename="{name}" scale="2 2 2"/></geometry>'
+        return robot(link("a", INERTIAL + f"<collision>{mesh}</collision>"))
+
+    for name, options in (
+        ("../t.obj", {}),
+        ("package://pack/t.obj", {"package_dirs": [tmp_path]}),
+        ("package://pack/t.obj", {"package_dirs": [tmp_path / "pack"]}),
+        (str(tmp_path / "pack" / "t.obj"), {}),
+    ):
+        file.write_text(text(name))
+        model, _, _ = loaded(file, **options)
+        assert model.shape_scale.numpy()[0].tolist() == [2, 2, 2]
+        hull, _, _ = loaded(file, mesh_maxhullvert=8, **options)
+        assert hull.shape_type.numpy()[0] == novaphy.GeoType.CONVEX_MESH
+    for name, options, message in (
+        ("package://pack/t.obj", {}, "needs package_dirs"),
+        ("package://other/t.obj", {"package_dirs": [tmp_path]}, "there is no package://other"),
+        ("package://pack/../outside.obj", {"package_dirs": [tmp_path]}, "inside of its package"),
+        ("../../outside.obj", {}, "the one above it"),
+        ("nothing.obj", {}, "there is no file nothing.obj"),
+    ):
+        file.write_text(text(name))
+        with pytest.raises(ValueError, match=f"r.urdf:1: <collision>: .*{message}"):
+            novaphy.ModelBuilder().add_urdf(file, **options)
+    with pytest.raises(FileNotFoundError):
+        novaphy.ModelBuilder().add_urdf(tmp_path / "nothing.urdf")
+
+
+def test_what_is_not_read_is_said():
+    with pytest.warns(UserWarning, match="<gazebo>"):
+        loaded(robot(link("a"), "<gazebo/>"))
+    with pytest.warns(UserWarning, match='<link name="b">: it moves and has no <inertial>'):
+        novaphy.ModelBuilder().add_urdf(robot(link("a"), link("b", ""), joint("j", "a", "b")))
+
+
+def nested(depth: int) -> str:
+    return robot("<a>" * depth)
+
+
+BAD = {
+    "empty": ("", "expected a path or XML"),
+    "no robot": ("<sdf/>", "expected the root element <robot>"),
+    "two roots": (robot(link("a")) + "<b/>", "expected one root element"),
+    "no link": (robot(), "expected a <link>"),
+    "cut": (robot(link("a"))[:-9], "expected XML"),
+    "deep": (nested(100_000), "expected XML"),
+    "deeper": (nested(1_000_000), "expected XML"),
+    "doctype": ('<!DOCTYPE r [<!ENTITY x "y">]>' + robot(link("a")), "entities are not read"),
+    "xacro": (robot('<xacro:include filename="x"/>'), "with xacro first"),
+    "macro": (robot(link("${a}")), "with xacro first"),
+    "nameless": (robot("<link/>"), "name: expected a name"),
+    "twice": (robot(link("a"), link("a")), "expected different names, got one of line 1"),
+    "joint twice": (robot(*TWO, link("c"), joint("j", "a", "c")), "expected different names"),
+    "two tops": (robot(link("a"), link("b")), 'expected one root.*got "a" and "b"'),
+    "cycle": (robot(link("a"), link("b"), joint("x", "a", "b"), joint("y", "b", "a")),
+              "the joints are a cycle"),
+    "cycle aside": (robot(link("o"), link("a"), link("b"), joint("x", "a", "b"),
+                          joint("y", "b", "a")), "it is in a cycle"),
+    "itself": (robot(link("o"), link("a"), joint("x", "a", "a")), "it is in a cycle"),
+    "two parents": (robot(link("a"), link("b"), link("c"), joint("x", "a", "c"),
+                          joint("y", "b", "c")), 'expected one parent of the link "c"'),
+    "no such link": (robot(link("a"), joint("x", "a", "b")), 'there is no link "b"'),
+    "no such mimic": (robot(*TWO, link("c"), joint("k", "b", "c", '<mimic joint="?"/>')),
+                      'there is no joint "\\?"'),
+    "type": (robot(link("a"), link("b"), joint("j", "a", "b", kind="screw")), 'got "screw"'),
+    "axis": (robot(link("a"), link("b"), joint("j", "a", "b", '<axis xyz="0 0 0"/>')),
+             "expected a vector that is not zero"),
+    "no limits": (robot(link("a"), link("b"), joint("j", "a", "b", kind="revolute")),
+                  "expected a <limit>"),
+    "reversed": (robot(link("a"), link("b"), joint("j", "a", "b",
+                 LIMIT.replace("-1", "7"), "revolute")), "expected the lower one first"),
+    "damping": (robot(link("a"), link("b"), joint("j", "a", "b",
+                LIMIT.replace('"5"', '"-5"'), "revolute")), "damping: expected >= 0"),
+    "mass": (robot(link("a", INERTIAL.replace('"2"', '"-2"'))), "value: expected >= 0"),
+    "inertia": (robot(link("a", INERTIAL.replace('"0.03"', '"-0.03"'))), "positive definite"),
+    "triangle": (robot(link("a", INERTIAL.replace('"0.03"', '"3"'))), "exceeds the sum"),
+    "no inertia": (robot(link("a", '<inertial><mass value="1"/></inertial>')),
+                   "expected a <inertia>"),
+    "radius": (robot(link("a", f"<collision>{SPHERE}</collision>".replace("0.1", "-1"))),
+               "radius: expected > 0"),
+    "tiny": (robot(link("a", f"<collision>{SPHERE}</collision>".replace("0.1", "1e-320"))),
+             "radius: expected"),
+    "capsule": (robot(link("a", '<collision><geometry><capsule radius="1" length="1"/></geometry>'
+                                "</collision>")), "expected <box>, <cylinder>"),
+    **{f"number {text}": (robot(link("a", INERTIAL.replace("0.04", text))), "iyy: expected")
+       for text in ("nan", "inf", "1e999", "1,5", "0x10", "1.5abc", "", "1 2")},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_bad_files_are_refused_and_the_builder_stays(name):
+    text, message = BAD[name]
+    builder = novaphy.ModelBuilder()
+    builder.add_urdf(robot(*TWO))
+    before = counts(builder)
+    with pytest.raises((ValueError, NotImplementedError), match=re.compile(message, re.S)):
+        builder.add_urdf(text)
+    assert counts(builder) == before
+    builder.finalize()
+
+
+def test_many_links():
+    names = [f"l{k}" for k in range(10_001)]
+    chain = [joint(f"j{k}", f"l{k}", f"l{k + 1}") for k in range(9_999)]
+    with pytest.raises(ValueError, match="expected at most 10000 links"):
+        novaphy.ModelBuilder().add_urdf(robot(*map(link, names)))
+    builder = novaphy.ModelBuilder()
+    builder.add_urdf(robot(*map(link, names[:2000]), *chain[:1999]))
+    assert builder.body_count == 2000
+
+
+def mutated(draw: random.Random, text: str) -> str:
+    """The text with a few pieces changed, taken out, doubled or exchanged."""
+    for _ in range(draw.randint(1, 4)):
+        at, length = draw.randrange(len(text)), draw.choice([1, 1, 3, 20, 200])
+        piece = text[at : at + length]
+        to = draw.randrange(len(text))
+        values = ["", piece * 2, draw.choice(["nan", "-1", "1e308", '"', "<", "/>", "&#0;", "0"])]
+        text = text[:at] + draw.choice(values) + text[at + length :]
+        if draw.random() < 0.3:
+            text = text[:to] + piece + text[to:]
+    return text
+
+
+@pytest.mark.filterwarnings("ignore:.*not read|.*mass is 0")
+def test_mutated_files_are_read_or_refused():
+    draw = random.Random(1)
+    base = re.sub(r"<!--.*?-->", "", FR3.read_text("utf-8"), flags=re.S)
+    read = 0
+    for _ in range(1500):
+        builder = novaphy.ModelBuilder()
+        text = mutated(draw, base)
+        try:
+            builder.add_urdf(text)
+            builder.finalize()
+            read += 1
+        except (ValueError, NotImplementedError, OSError):
+            if builder.body_count:  # finalize refused it
+                continue
+            assert counts(builder) == [0] * 6
+    assert 20 < read < 1400

@@ -208,9 +208,12 @@ def view(args: argparse.Namespace) -> int:
     from .viewer._model_scene import SURFACE_COLOR, boundary_triangles
 
     ending = Path(args.file).suffix.lower()
-    if ending == ".urdf":
+    if ending in (".urdf", ".xml"):
         builder = novaphy.ModelBuilder()
-        builder.add_urdf(args.file)  # type: ignore[attr-defined]
+        if ending == ".urdf":
+            builder.add_urdf(args.file)
+        else:
+            builder.add_mjcf(args.file)
         model = builder.finalize()
         with Stage(args, model) as stage:
             stage.show(0.0, model.state())
@@ -265,7 +268,7 @@ def make_parser() -> argparse.ArgumentParser:
     add("info", info)
     for name, function, what in (
         ("replay", replay, "a recording: .nprec, or .npz"),
-        ("view", view, "a mesh: .msh, .obj, .stl, .ply, .dae; a robot: .urdf"),
+        ("view", view, "a mesh: .msh, .obj, .stl, .ply, .dae; a robot: .urdf, .xml (MJCF)"),
     ):
         part = add(name, function)
         part.add_argument("file", help=what)

@@ -89,7 +89,17 @@ def test_a_mesh_is_viewed(tmp_path):
     assert done.returncode == 0 and "tetrahedra" in done.stdout, done.stderr
     assert '["mesh","mesh","points"' in path.read_text("utf-8")
     robot = command("view", "robot.urdf", "--headless", "1")
-    assert robot.returncode == 1 and re.search("robot.urdf|planned", robot.stderr)
+    assert robot.returncode == 1 and re.search("robot.urdf|NOVAPHY_WITH_IO", robot.stderr)
+
+
+@pytest.mark.skipif(not novaphy.has_io(), reason="built with NOVAPHY_WITH_IO=OFF; the wheel has it")
+@pytest.mark.parametrize(("name", "bodies"), [("fr3.urdf", 13), ("ant.xml", 9)])
+def test_a_robot_is_viewed(tmp_path, name, bodies):
+    path = tmp_path / "robot.html"
+    file = str(novaphy.assets.path(name))
+    done = command("view", file, "--headless", "1", "--record", str(path))
+    assert done.returncode == 0 and f"{bodies} bodies" in done.stdout, done.stderr
+    assert path.stat().st_size > 10_000
 
 
 def test_the_completion_is_bash():

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import novaphy
 from novaphy import viewer
 from novaphy._command import start_demo
 from novaphy.viewer import Viewer
@@ -73,6 +74,19 @@ def test_the_dropped_dice_come_to_rest(tmp_path):
     )
     assert done.returncode == 0 and done.stdout.rstrip().endswith("ok"), done.stdout + done.stderr
     assert len(flags) == 2 or (tmp_path / "drop.png").stat().st_size > 10_000
+
+
+@pytest.mark.skipif(not novaphy.has_io(), reason="built with NOVAPHY_WITH_IO=OFF; the wheel has it")
+@pytest.mark.parametrize("robot", ["fr3.urdf", "two_link_arm.urdf", "ant.xml"])
+def test_a_robot_from_a_file_swings_and_gains_no_energy(robot):
+    script = DEMOS.parent / "demo_robot.py"
+    done = subprocess.run(
+        [sys.executable, str(script), robot, "--headless", "60"],
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
+    assert done.returncode == 0 and done.stdout.rstrip().endswith("ok"), done.stdout + done.stderr
 
 
 @pytest.mark.parametrize("scene", ["stack", "dominoes", "cloth", "wall", "pendulum"])

@@ -22,7 +22,7 @@ constexpr int64_t kChunk = 8;  // articulations
 
 struct SolverFeatherstone::Cache {
   Cache(const Model& m, ArticulationContact contact)
-      : articulations(m, kName),
+      : articulations(m, "SolverFeatherstone"),
         pgs(m, articulations),
         materials(unread_materials(contact, kName)) {
     const auto dofs = static_cast<size_t>(m.joint_dof_count());

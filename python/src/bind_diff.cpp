@@ -17,6 +17,7 @@
 #include "novaphy/dynamics/semi_implicit/diff_elements.h"
 #include "novaphy/dynamics/semi_implicit/diff_particles.h"
 #include "novaphy/dynamics/semi_implicit/diff_rigid_bodies.h"
+#include "part_bindings.h"
 #include "pickle.h"
 
 namespace novaphy::python {
@@ -494,6 +495,7 @@ void bind_diff(py::module_& m, py::module_& solvers) {
   bind_rollout(solvers);
   bind_solver(solvers);
   bind_diff_featherstone(m, solvers);
+  bind_push_box(m);
 }
 
 }  // namespace novaphy::python

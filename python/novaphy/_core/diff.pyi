@@ -137,6 +137,40 @@ def rigid_orientation_velocity_loss_generated(
     linear_velocity_weight: SupportsFloat = 0.0,
     angular_velocity_weight: SupportsFloat = 0.0,
 ) -> Tensor: ...
+def integrate_push_box_generated(
+    box_x: Tensor,
+    box_v: Tensor,
+    pusher_x: Tensor,
+    pusher_v: Tensor,
+    mass: SupportsFloat | Tensor,
+    half_extent: SupportsFloat | Tensor,
+    pusher_radius: SupportsFloat | Tensor,
+    ke: SupportsFloat | Tensor,
+    kd: SupportsFloat | Tensor,
+    friction: SupportsFloat | Tensor,
+    dt: SupportsFloat | Tensor,
+    *,
+    softness: SupportsFloat | Tensor = 0.001,
+    friction_velocity: SupportsFloat | Tensor = 0.01,
+    gravity: SupportsFloat | Tensor = 9.81,
+) -> tuple[Tensor, Tensor]: ...
+def integrate_push_box_rollout_generated(
+    box_x: Tensor,
+    box_v: Tensor,
+    pusher_x: Tensor,
+    pusher_v: Tensor,
+    mass: SupportsFloat | Tensor,
+    half_extent: SupportsFloat | Tensor,
+    pusher_radius: SupportsFloat | Tensor,
+    ke: SupportsFloat | Tensor,
+    kd: SupportsFloat | Tensor,
+    friction: SupportsFloat | Tensor,
+    dt: SupportsFloat | Tensor,
+    *,
+    softness: SupportsFloat | Tensor = 0.001,
+    friction_velocity: SupportsFloat | Tensor = 0.01,
+    gravity: SupportsFloat | Tensor = 9.81,
+) -> tuple[Tensor, Tensor]: ...
 def planar_2r_tip_loss(
     model: Model, q: Tensor, target_x: SupportsFloat, target_z: SupportsFloat
 ) -> Tensor: ...

@@ -13,6 +13,7 @@ NOVAPHY_DIFF_API std::vector<nova::EngineKernel> engine_kernels();
 
 namespace detail {
 void add_loss_kernels(std::vector<nova::EngineKernel>& list);        // losses.cpp
+void add_push_box_kernels(std::vector<nova::EngineKernel>& list);    // push_box.cpp
 void add_rigid_loss_kernels(std::vector<nova::EngineKernel>& list);  // rigid_losses.cpp
 }  // namespace detail
 

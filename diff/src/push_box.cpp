@@ -1,0 +1,254 @@
+#include "novaphy/diff/push_box.h"
+
+#include <array>
+#include <cmath>
+#include <memory>
+#include <string>
+
+#include "novaphy/core/device_kernel.h"
+#include "novaphy/core/error.h"
+#include "novaphy/diff/engine_kernels.h"
+#include "novaphy/nova/kernel.h"
+#include "novaphy/nova/tape.h"
+#include "push_box_kernels.h"
+
+namespace novaphy::diff {
+
+using nova::Access;
+using nova::DType;
+using nova::Real;
+using nova::Tensor;
+using nova::TraceContext;
+
+namespace {
+
+constexpr size_t kInputs = 4 + kPushBoxNumbers;
+using Inputs = std::array<Tensor, kInputs>;  // pusher_x, pusher_v, box_x, box_v, numbers
+
+struct NumberInfo {
+  const char* name;
+  PushBoxNumber PushBoxParameters::*member;
+  bool positive;
+};
+constexpr NumberInfo kNumbers[kPushBoxNumbers] = {
+    {"mass", &PushBoxParameters::mass, true},
+    {"half_extent", &PushBoxParameters::half_extent, false},
+    {"pusher_radius", &PushBoxParameters::pusher_radius, false},
+    {"ke", &PushBoxParameters::ke, false},
+    {"kd", &PushBoxParameters::kd, false},
+    {"friction", &PushBoxParameters::friction, false},
+    {"dt", &PushBoxParameters::dt, true},
+    {"softness", &PushBoxParameters::softness, true},
+    {"friction_velocity", &PushBoxParameters::friction_velocity, true},
+    {"gravity", &PushBoxParameters::gravity, false}};
+
+void check_rows(const Tensor& tensor, int64_t rows, const char* op, const char* name) {
+  require(tensor.defined() && tensor.dtype() == DType::F32, ErrorKind::Type, op, ", ", name,
+          ": expected a float32 tensor");
+  require(tensor.ndim() == 1 && tensor.size() == rows, ErrorKind::Value, op, ", ", name,
+          ": expected {", rows, "}, got ", nova::shape_str(tensor.shape()));
+}
+
+Tensor number_tensor(const PushBoxParameters& parameters, const NumberInfo& info, Device device,
+                     const char* op) {
+  const PushBoxNumber& number = parameters.*info.member;
+  if (const auto* tensor = std::get_if<Tensor>(&number)) {
+    check_rows(*tensor, 1, op, info.name);
+    return *tensor;
+  }
+  const float value = std::get<float>(number);
+  require(std::isfinite(value) && (info.positive ? value > 0.0f : value >= 0.0f), ErrorKind::Value,
+          op, ", ", info.name, ": expected a finite number ", info.positive ? "> 0" : ">= 0",
+          ", got ", value);
+  return Tensor::full({1}, value, device);
+}
+
+Inputs inputs_of(const Tensor& box_x, const Tensor& box_v, const Tensor& pusher_x,
+                 const Tensor& pusher_v, const PushBoxParameters& parameters, int64_t steps,
+                 const char* op) {
+  check_rows(box_x, 1, op, "box_x");
+  check_rows(box_v, 1, op, "box_v");
+  check_rows(pusher_x, steps, op, "pusher_x");
+  check_rows(pusher_v, steps, op, "pusher_v");
+  Inputs in = {pusher_x, pusher_v, box_x, box_v};
+  for (size_t k = 0; k < kPushBoxNumbers; ++k)
+    in[4 + k] = number_tensor(parameters, kNumbers[k], box_x.device(), op);
+  const char* const names[4] = {"pusher_x", "pusher_v", "box_x", "box_v"};
+  for (size_t k = 0; k < kInputs; ++k)
+    require(in[k].device() == box_x.device(), ErrorKind::Value, op, ", ",
+            k < 4 ? names[k] : kNumbers[k - 4].name, ": expected device ", box_x.device().str(),
+            ", got ", in[k].device().str());
+  return in;
+}
+
+nova::Kernel make_step_kernel() {
+  std::vector<nova::SourceSpec> sources;
+  for (const char* name : {"pusher_x", "pusher_v", "box_x", "box_v"})
+    sources.push_back({name, DType::F32, 1, Access::Direct});
+  std::vector<std::string> all, numbers;
+  for (const NumberInfo& info : kNumbers) {
+    sources.push_back({info.name, DType::F32, 1, Access::Direct});
+    numbers.emplace_back(info.name);
+  }
+  for (const nova::SourceSpec& s : sources) all.push_back(s.name);
+  const nova::Kernel kernel = nova::make_kernel(
+      "integrate_push_box", sources, {{"box_x", 1}, {"box_v", 1}}, [](TraceContext& c) {
+        const PushBoxNumbers<Real> n = {c.f32(4), c.f32(5),  c.f32(6),  c.f32(7),  c.f32(8),
+                                        c.f32(9), c.f32(10), c.f32(11), c.f32(12), c.f32(13)};
+        const PushBoxState<Real> box =
+            push_box_step<Real>({c.f32(2), c.f32(3)}, {c.f32(0), c.f32(1)}, n);
+        return std::vector<Real>{box.x, box.v};
+      });
+  const std::vector<std::string> seeded = {"box_x", "box_v"};
+  // The numbers are those of many steps.
+  return nova::with_gradients(kernel, {nova::gradient_mask(kernel, all, {}, seeded),
+                                       nova::gradient_mask(kernel, all, numbers, seeded)});
+}
+
+const nova::Kernel& step_kernel() {
+  static const nova::Kernel kernel = make_step_kernel();
+  return kernel;
+}
+
+const DeviceKernel& rollout_kernel() {
+  static const DeviceKernel kernel(push_box_rollout, nullptr);
+  return kernel;
+}
+const DeviceKernel& rollout_vjp_kernel() {
+  static const DeviceKernel kernel(push_box_rollout_vjp, nullptr);
+  return kernel;
+}
+
+LaunchArgument argument(const char* name, const Tensor& tensor, bool write) {
+  LaunchArgument made;
+  if (!tensor.defined()) return made;
+  made.word = reinterpret_cast<uint64_t>(tensor.range()->data());
+  made.name = name;
+  made.range = tensor.range();
+  made.read = true;
+  made.write = write;
+  return made;
+}
+
+struct Rollout {
+  Inputs in;
+  Tensor x, v;
+  int64_t steps = 0;
+};
+
+std::vector<LaunchArgument> arguments(const Rollout& r) {
+  std::vector<LaunchArgument> words;
+  for (const Tensor& in : r.in) words.push_back(argument("input", in, false));
+  words.push_back(number(r.steps));
+  return words;
+}
+
+void run_forward(const Rollout& r) {
+  const nova::NoGrad no_grad;
+  std::vector<LaunchArgument> words = arguments(r);
+  words.push_back(argument("box_x", r.x, true));
+  words.push_back(argument("box_v", r.v, true));
+  rollout_kernel().launch(r.x.device(), 1, words);
+}
+
+void run_vjp(const Rollout& r, std::span<const Tensor> outputs,
+             std::span<const nova::InputGradient> gradients) {
+  const nova::NoGrad no_grad;
+  std::vector<LaunchArgument> words = arguments(r);
+  words.push_back(argument("box_x", r.x, false));
+  words.push_back(argument("box_v", r.v, false));
+  for (const Tensor& seed : outputs)
+    words.push_back(argument("gradient of an output", seed, false));
+  int64_t add = 0;
+  for (size_t k = 0; k < gradients.size(); ++k) {
+    words.push_back(argument("gradient of an input", gradients[k].grad, true));
+    if (gradients[k].add) add |= int64_t{1} << k;
+  }
+  words.push_back(number(add));
+  rollout_vjp_kernel().launch(r.x.device(), 1, words);
+}
+
+// On the host.
+void run_jvp(const Rollout& r, std::span<const Tensor> t, std::span<const Tensor> tangents) {
+  const auto tangent = [&](size_t k, int64_t row) {
+    return t[k].defined() ? t[k].data<float>()[row] : 0.0f;
+  };
+  const auto value = [&](size_t k) { return *r.in[k].data<float>(); };
+  const PushBoxNumbers<float> numbers = {value(4), value(5),  value(6),  value(7),  value(8),
+                                         value(9), value(10), value(11), value(12), value(13)};
+  PushBoxState<float> box = {value(2), value(3)}, dot = {tangent(2, 0), tangent(3, 0)};
+  const auto put = [&](size_t k, int64_t row, float number) {
+    if (tangents[k].defined()) static_cast<float*>(tangents[k].range()->data())[row] = number;
+  };
+  for (int64_t row = 0; row < r.steps; ++row) {
+    const PushBoxDerivatives<float> d = push_box_derivatives(
+        box, {r.in[0].data<float>()[row], r.in[1].data<float>()[row]}, numbers);
+    float by[kPushBoxNumbers];
+    push_box_list(d.numbers, by);
+    float of_v = d.box.x * dot.x + d.box.v * dot.v + d.pusher.x * tangent(0, row) +
+                 d.pusher.v * tangent(1, row);
+    for (size_t k = 0; k < kPushBoxNumbers; ++k) of_v += by[k] * tangent(4 + k, 0);
+    box = {r.x.data<float>()[row], r.v.data<float>()[row]};
+    dot = {dot.x + (tangent(10, 0) * box.v + numbers.dt * of_v), of_v};
+    put(0, row, dot.x);
+    put(1, row, dot.v);
+  }
+}
+
+nova::CustomOp make_op(const std::shared_ptr<const Rollout>& rollout) {
+  nova::CustomOp op{.name = "push_box_rollout",
+                    .inputs = {rollout->in.begin(), rollout->in.end()},
+                    .outputs = {rollout->x, rollout->v},
+                    .vjp = nullptr};
+  op.reads = op.inputs;
+  op.reads.push_back(rollout->x);
+  op.reads.push_back(rollout->v);
+  op.vjp = [rollout](std::span<const Tensor> outputs, std::span<const nova::InputGradient> inputs) {
+    run_vjp(*rollout, outputs, inputs);
+  };
+  op.forward = [rollout] { run_forward(*rollout); };
+  op.jvp = [rollout](std::span<const Tensor> inputs, std::span<const Tensor> outputs) {
+    run_jvp(*rollout, inputs, outputs);
+  };
+  return op;
+}
+
+}  // namespace
+
+void detail::add_push_box_kernels(std::vector<nova::EngineKernel>& list) {
+  list.push_back({step_kernel(), step_kernel().gradients()});
+}
+
+std::pair<Tensor, Tensor> integrate_push_box_generated(const Tensor& box_x, const Tensor& box_v,
+                                                       const Tensor& pusher_x,
+                                                       const Tensor& pusher_v,
+                                                       const PushBoxParameters& parameters) {
+  const Inputs in =
+      inputs_of(box_x, box_v, pusher_x, pusher_v, parameters, 1, "integrate_push_box_generated");
+  const std::vector<Tensor> out = step_kernel()(1, in);
+  return {out[0].reshape({1}), out[1].reshape({1})};
+}
+
+std::pair<Tensor, Tensor> integrate_push_box_rollout_generated(
+    const Tensor& box_x, const Tensor& box_v, const Tensor& pusher_x, const Tensor& pusher_v,
+    const PushBoxParameters& parameters) {
+  const char* op = "integrate_push_box_rollout_generated";
+  require(pusher_x.defined() && pusher_x.size() > 0, ErrorKind::Value, op,
+          ", pusher_x: expected {n} with n > 0, a row per step");
+  const int64_t steps = pusher_x.size();
+  auto rollout = std::make_shared<Rollout>();
+  rollout->in = inputs_of(box_x, box_v, pusher_x, pusher_v, parameters, steps, op);
+  const Device device = box_x.device();
+  require(device.is_cpu(), ErrorKind::NotImplemented, op,
+          ", box_x: expected tensors on the cpu, "
+          "got ",
+          device.str(), ": there take integrate_push_box_generated step by step");
+  rollout->x = Tensor({steps}, DType::F32, device);
+  rollout->v = Tensor({steps}, DType::F32, device);
+  rollout->steps = steps;
+  run_forward(*rollout);
+  if (nova::Tape* tape = nova::Tape::active()) tape->record_custom(make_op(rollout));
+  return {rollout->x, rollout->v};
+}
+
+}  // namespace novaphy::diff

@@ -1,0 +1,83 @@
+// Many steps of a pushed box as one row, and their adjoint.
+#pragma once
+
+#include "novaphy/core/row_kernel.h"
+#include "novaphy/dynamics/semi_implicit/push_box_trace.h"
+
+namespace novaphy {
+
+inline constexpr int kPushBoxNumbers = 10;
+
+struct PushBoxArguments {
+  const float *pusher_x, *pusher_v;       // a row per step
+  const float *box_x, *box_v;             // the start
+  const float* numbers[kPushBoxNumbers];  // the members of PushBoxNumbers
+  int64_t steps;
+};
+inline constexpr int kPushBoxWords = 5 + kPushBoxNumbers;
+
+inline PushBoxNumbers<float> push_box_numbers(const PushBoxArguments& a) {
+  const float* const* n = a.numbers;
+  return {*n[0], *n[1], *n[2], *n[3], *n[4], *n[5], *n[6], *n[7], *n[8], *n[9]};
+}
+
+inline void push_box_list(const PushBoxNumbers<float>& n, float (&to)[kPushBoxNumbers]) {
+  const float list[] = {n.mass, n.half_extent, n.pusher_radius,     n.ke,     n.kd, n.friction,
+                        n.dt,   n.softness,    n.friction_velocity, n.gravity};
+  for (int k = 0; k < kPushBoxNumbers; ++k) to[k] = list[k];
+}
+
+struct PushBoxRolloutArguments {
+  PushBoxArguments in;
+  float *x, *v;  // behind every step
+};
+NOVAPHY_ROW_KERNEL(push_box_rollout, kPushBoxWords + 2, PushBoxRolloutArguments) {
+  const PushBoxNumbers<float> numbers = push_box_numbers(a.in);
+  PushBoxState<float> box = {*a.in.box_x, *a.in.box_v};
+  for (int64_t t = 0; t < a.in.steps; ++t) {
+    box = push_box_step(box, {a.in.pusher_x[t], a.in.pusher_v[t]}, numbers);
+    a.x[t] = box.x;
+    a.v[t] = box.v;
+  }
+}
+
+struct PushBoxRolloutVjpArguments {
+  PushBoxArguments in;
+  const float *x, *v;          // what the rollout gave
+  const float *x_bar, *v_bar;  // their gradients; null: zero
+  // Gradients of the inputs in the order of PushBoxArguments; null: nobody wants it.
+  float* gradient[4 + kPushBoxNumbers];
+  int64_t add;  // bit i: to what is there
+};
+inline void push_box_give(const PushBoxRolloutVjpArguments& a, int i, int64_t row, float value) {
+  float* const to = a.gradient[i];
+  if (!to) return;
+  to[row] = (a.add >> i) & 1 ? to[row] + value : value;
+}
+NOVAPHY_ROW_KERNEL(push_box_rollout_vjp, kPushBoxWords + 9 + kPushBoxNumbers,
+                   PushBoxRolloutVjpArguments) {
+  const PushBoxNumbers<float> numbers = push_box_numbers(a.in);
+  PushBoxState<float> bar = {0.0f, 0.0f};  // gradient of the state behind step t
+  float sums[kPushBoxNumbers] = {};
+  for (int64_t t = a.in.steps; t-- > 0;) {
+    if (a.x_bar) bar.x += a.x_bar[t];
+    if (a.v_bar) bar.v += a.v_bar[t];
+    const PushBoxState<float> before = {t > 0 ? a.x[t - 1] : *a.in.box_x,
+                                        t > 0 ? a.v[t - 1] : *a.in.box_v};
+    const PushBoxDerivatives<float> d =
+        push_box_derivatives(before, {a.in.pusher_x[t], a.in.pusher_v[t]}, numbers);
+    const float of_v = bar.v + numbers.dt * bar.x;
+    float by[kPushBoxNumbers];
+    push_box_list(d.numbers, by);
+    for (int k = 0; k < kPushBoxNumbers; ++k) sums[k] += of_v * by[k];
+    sums[6] += bar.x * a.v[t];  // x' = x + dt v'
+    push_box_give(a, 0, t, of_v * d.pusher.x);
+    push_box_give(a, 1, t, of_v * d.pusher.v);
+    bar = {bar.x + of_v * d.box.x, of_v * d.box.v};
+  }
+  push_box_give(a, 2, 0, bar.x);
+  push_box_give(a, 3, 0, bar.v);
+  for (int k = 0; k < kPushBoxNumbers; ++k) push_box_give(a, 4 + k, 0, sums[k]);
+}
+
+}  // namespace novaphy

@@ -1,0 +1,67 @@
+// The box that a sphere pushes along a line.
+#include "nova_types.h"
+#include "novaphy/diff/push_box.h"
+#include "part_bindings.h"
+
+namespace novaphy::python {
+
+using nova::Tensor;
+
+namespace {
+
+diff::PushBoxNumber to_number(py::handle value, const char* name) {
+  if (py::isinstance<nova::TensorImpl>(value)) return value.cast<Tensor>();
+  return to_float(value, name);
+}
+
+using Operator = std::pair<Tensor, Tensor> (*)(const Tensor&, const Tensor&, const Tensor&,
+                                               const Tensor&, const diff::PushBoxParameters&);
+
+void bind_operator(py::module_& m, const char* name, Operator f, const char* doc) {
+  m.def(
+      name,
+      [f](const Tensor& box_x, const Tensor& box_v, const Tensor& pusher_x, const Tensor& pusher_v,
+          py::handle mass, py::handle half_extent, py::handle pusher_radius, py::handle ke,
+          py::handle kd, py::handle friction, py::handle dt, py::handle softness,
+          py::handle friction_velocity, py::handle gravity) {
+        const diff::PushBoxParameters parameters = {
+            .mass = to_number(mass, "mass"),
+            .half_extent = to_number(half_extent, "half_extent"),
+            .pusher_radius = to_number(pusher_radius, "pusher_radius"),
+            .ke = to_number(ke, "ke"),
+            .kd = to_number(kd, "kd"),
+            .friction = to_number(friction, "friction"),
+            .dt = to_number(dt, "dt"),
+            .softness = to_number(softness, "softness"),
+            .friction_velocity = to_number(friction_velocity, "friction_velocity"),
+            .gravity = to_number(gravity, "gravity")};
+        const ReleasedGil released;
+        return f(box_x, box_v, pusher_x, pusher_v, parameters);
+      },
+      "box_x"_a, "box_v"_a, "pusher_x"_a, "pusher_v"_a, "mass"_a, "half_extent"_a,
+      "pusher_radius"_a, "ke"_a, "kd"_a, "friction"_a, "dt"_a, py::kw_only(), "softness"_a = 1e-3f,
+      "friction_velocity"_a = 1e-2f, "gravity"_a = 9.81f, doc);
+}
+
+}  // namespace
+
+void bind_push_box(py::module_& m) {
+  bind_operator(
+      m, "integrate_push_box_generated", &diff::integrate_push_box_generated,
+      "(box_x, box_v) {1} (m, m/s) after dt (s): a box on a line, with friction, that a sphere "
+      "pushes toward larger x. States and the pusher's are tensors {1}; mass (kg), half_extent and "
+      "pusher_radius (m), ke (N/m), kd (N s/m), friction, dt, softness (m), friction_velocity "
+      "(m/s) and gravity (m/s^2) are numbers or tensors {1}. With z = -(box_x - half_extent - "
+      "pusher_radius - pusher_x) / softness: N = ke softness softplus(z) + kd sigmoid(z) v_s "
+      "softplus((pusher_v - box_v) / v_s), friction = -mu m g tanh(box_v / v_s), symplectic Euler. "
+      "Gradients exact for all inputs, of a law that is a surrogate of contact: smooth, without a "
+      "reaction on the pusher. ValueError: another shape or device, a number out of its range "
+      "(values of tensors are not looked at).");
+  bind_operator(
+      m, "integrate_push_box_rollout_generated", &diff::integrate_push_box_rollout_generated,
+      "integrate_push_box_generated n times as one operation, with its bits: pusher_x and pusher_v "
+      "{n}, a row per step; (box_x, box_v) {n} behind every step. On the cpu "
+      "(NotImplementedError).");
+}
+
+}  // namespace novaphy::python

@@ -1,0 +1,10 @@
+// Parts of the bindings of a library that have files of their own.
+#pragma once
+
+#include <pybind11/pybind11.h>
+
+namespace novaphy::python {
+
+void bind_push_box(pybind11::module_& diff);
+
+}  // namespace novaphy::python

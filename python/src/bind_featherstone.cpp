@@ -6,6 +6,7 @@
 #include "fast_step.h"
 #include "novaphy/dynamics/featherstone/articulation_functions.h"
 #include "novaphy/dynamics/featherstone/solver_featherstone.h"
+#include "part_bindings.h"
 
 namespace novaphy::python {
 namespace {
@@ -211,6 +212,7 @@ void bind_featherstone(py::module_& m, py::module_& solvers) {
           [](const SolverFeatherstone& s) { return s.options().implicit_drives; },
           "Drives of the end of the step.");
   add_fast_step(solver);
+  bind_control_sensitivity(solvers);
 }
 
 }  // namespace novaphy::python

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from typing import Any, Literal, SupportsFloat, SupportsIndex
 
+import numpy as np
 from numpy.typing import NDArray
 
 from . import (
@@ -217,6 +218,47 @@ class DiffSemiImplicitSolver(SolverBase):
         contacts: Contacts | None,
         dt: SupportsFloat,
     ) -> None: ...
+
+class FeatherstoneAnalyticControlSensitivity(_Native):
+    def __init__(
+        self,
+        model: Model,
+        articulation: SupportsIndex = 0,
+        *,
+        parameter_count: SupportsIndex,
+        point_body: SupportsIndex,
+        point_local: Sequence[SupportsFloat] | NDArray[Any] = (0.0, 0.0, 0.0),
+        kind: Literal["position", "torque"] = "position",
+        exact: bool = False,
+        contact_projection: bool = False,
+        solver: SolverFeatherstone | None = None,
+    ) -> None: ...
+    def reset(self, state: SimState) -> None: ...
+    def step(
+        self,
+        state_in: SimState,
+        state_out: SimState,
+        control: Control | None,
+        dt: SupportsFloat,
+        dcontrol: Sequence[Sequence[SupportsFloat]] | NDArray[Any],
+        dtarget_qd: Sequence[Sequence[SupportsFloat]] | NDArray[Any] | None = None,
+    ) -> None: ...
+    @property
+    def dq(self) -> NDArray[np.float32]: ...
+    @property
+    def dqd(self) -> NDArray[np.float32]: ...
+    @property
+    def point_jacobian(self) -> NDArray[np.float32]: ...
+    @property
+    def point_velocity_jacobian(self) -> NDArray[np.float32]: ...
+    def point(self) -> tuple[float, float, float]: ...
+    def point_velocity(self) -> tuple[float, float, float]: ...
+    @property
+    def label(self) -> str: ...
+    @property
+    def parameter_count(self) -> int: ...
+    @property
+    def dof_count(self) -> int: ...
 
 class SolverFeatherstone(SolverBase):
     def __init__(

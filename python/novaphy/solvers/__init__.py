@@ -3,11 +3,21 @@
 from __future__ import annotations
 
 from .._core import has_diff, has_vbd
-from .._core.solvers import SolverBase, SolverFeatherstone, SolverSemiImplicit
+from .._core.solvers import (
+    FeatherstoneAnalyticControlSensitivity,
+    SolverBase,
+    SolverFeatherstone,
+    SolverSemiImplicit,
+)
 from .._planned import missing_from_module
 from .._require import require_diff, require_vbd
 
-__all__ = ["SolverBase", "SolverFeatherstone", "SolverSemiImplicit"]
+__all__ = [
+    "FeatherstoneAnalyticControlSensitivity",
+    "SolverBase",
+    "SolverFeatherstone",
+    "SolverSemiImplicit",
+]
 
 if has_vbd():
     from .._core.solvers import SolverVBD, VbdResidual

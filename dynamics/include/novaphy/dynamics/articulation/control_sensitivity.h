@@ -1,0 +1,132 @@
+// How the state of a tree changes with parameters of its control, carried along step by step.
+//
+// For a parameter, with x the change of the force of dofs (the target's or the torque's, and that
+// of drives and damping by the changes dq and dv of the state), M, branches and new rates those of
+// the step (step.h):
+//   dv' = dv + dt M^-1 x, 0 where the velocity clamp acted
+//   dq' = dq + dt dv' (FREE: angular tangents by the derivative of the Cayley map)
+//   then dv' of angular dofs times 1 - angular_damping dt
+// Frozen: x leaves out how mass matrix, bias and wrenches change with the state. dq and dv are
+// tangents (tree.h). Trees of FIXED and one-dof joints, with a FREE joint at the root.
+#pragma once
+
+#include "novaphy/dynamics/articulation/step.h"
+
+namespace novaphy::articulation {
+
+// The change of a control with one parameter; rows of the tree's dofs, null: none.
+template <class T>
+struct ControlTangent {
+  const T* target_q = nullptr;
+  const T* target_qd = nullptr;
+  const T* force = nullptr;  // of a FREE joint: a world wrench about the centre of mass
+};
+
+// x, behind forward_step; rows of the tree.
+template <class T>
+void frozen_force_change(const Tree<T>& tree, const StepInputs<T>& in,
+                         const StepOptions<T>& options, const Workspace<T>& ws,
+                         const ControlTangent<T>& control, const T* dq, const T* dv, T* x) {
+  const Drives<T>& d = in.drives;
+  for (int32_t i = 0; i < tree.link_count; ++i) {
+    const Link& link = tree.links[i];
+    const int32_t k = local_dof(tree, link);
+    if (is_free(link)) {
+      for (int32_t o = 0; o < 6; o += 3) {
+        Vec3<T> f = {T(0.0f), T(0.0f), T(0.0f)};
+        if (control.force)
+          f = math::rotate_inverse(
+              ws.links[i].anchor_q,
+              Vec3<T>{control.force[k + o], control.force[k + o + 1], control.force[k + o + 2]});
+        x[k + o] = f.x;
+        x[k + o + 1] = f.y;
+        x[k + o + 2] = f.z;
+      }
+    }
+    if (!has_one_dof(link)) continue;
+    const int32_t branch = ws.branch[k];
+    const bool clamped = (branch & kEffortClamped) != 0, outside = (branch & kOutside) != 0;
+    DriveLaw<T> law = drive_law(d, link.dof, link.coord, branch);
+    if (clamped) law.stiffness = law.rate = T(0.0f);
+    T force = control.force ? control.force[k] : T(0.0f);
+    if (control.target_q && !outside) force = force + law.stiffness * control.target_q[k];
+    if (control.target_qd && !outside && d.target_mode[link.dof] != 1)
+      force = force + law.rate * control.target_qd[k];
+    T rate = law.rate + d.damping[link.dof];
+    if (options.implicit_drives) rate = rate + options.dt * law.stiffness;
+    x[k] = (force - law.stiffness * dq[k]) - rate * dv[k];
+  }
+}
+
+// dv of the undamped new rates to dq' and dv', in place; `rates` are the undamped new rates.
+template <class T>
+void integrate_changes(const Tree<T>& tree, const StepOptions<T>& options, const T* rates, T* dq,
+                       T* dv) {
+  for (int32_t i = 0; i < tree.link_count; ++i) {
+    const Link& link = tree.links[i];
+    const int32_t k = local_dof(tree, link);
+    if (is_free(link)) {
+      const T half = T(0.5f) * options.dt;
+      const Vec3<T> y = {half * rates[k + 3], half * rates[k + 4], half * rates[k + 5]};
+      const Vec3<T> e = {dq[k + 3], dq[k + 4], dq[k + 5]}, u = {dv[k + 3], dv[k + 4], dv[k + 5]};
+      const T scale = options.dt / (T(1.0f) + math::dot(y, y));
+      const Vec3<T> next = math::rotate(cayley(y), e) + (u + math::cross(y, u)) * scale;
+      for (int32_t o = 0; o < 3; ++o) dq[k + o] = dq[k + o] + options.dt * dv[k + o];
+      dq[k + 3] = next.x;
+      dq[k + 4] = next.y;
+      dq[k + 5] = next.z;
+    } else if (has_one_dof(link)) {
+      dq[k] = dq[k] + options.dt * dv[k];
+    }
+    for (int32_t j = 0; j < link.dofs; ++j)
+      dv[k + j] = dv[k + j] * damping_factor(link, j, options);
+  }
+}
+
+// A point of a link, `local` in the frame of its body (m): where it is and how it moves, in the
+// world, behind link_frames and link_motions.
+template <class T>
+struct PointState {
+  Vec3<T> position{}, velocity{};
+};
+template <class T>
+PointState<T> point_state(const Workspace<T>& ws, int32_t link, const Vec3<T>& local) {
+  const LinkState<T>& s = ws.links[link];
+  const Vec3<T> p = s.p + math::rotate(s.q, local);
+  return {s.origin + p, math::motion_at(s.v, p).linear};
+}
+// Its velocity by the rates of dofs: column(k, velocity) for those that move it.
+template <class T, class Column>
+void point_jacobian(const Tree<T>& tree, const Workspace<T>& ws, int32_t link, const Vec3<T>& local,
+                    Column&& column) {
+  const LinkState<T>& s = ws.links[link];
+  const Vec3<T> p = s.p + math::rotate(s.q, local);
+  for (int32_t on = link; on >= 0; on = tree.links[on].parent) {
+    const int32_t first = local_dof(tree, tree.links[on]);
+    for (int32_t k = first; k < first + tree.links[on].dofs; ++k)
+      column(k, math::motion_at(ws.axes[k], p).linear);
+  }
+}
+
+// The numbers of q's change (rows of the arrays) that a tangent (rows of the tree) is.
+template <class T, class Put>
+void tangent_to_coordinates(const Tree<T>& tree, const T* q, const T* tangent, Put&& put) {
+  for (int32_t i = 0; i < tree.link_count; ++i) {
+    const Link& link = tree.links[i];
+    const T* const e = tangent + local_dof(tree, link);
+    if (has_one_dof(link)) put(link.coord, e[0]);
+    if (!is_free(link)) continue;
+    const T* const x = q + link.coord;
+    const Quat<T> raw = {x[3], x[4], x[5], x[6]};
+    const Quat<T> r = scaled(raw, T(1.0f) / quat_length(raw));
+    const Vec3<T> turn = {e[3], e[4], e[5]};
+    const Vec3<T> p =
+        Vec3<T>{e[0], e[1], e[2]} - math::cross(turn, math::rotate(r, com_in_joint(tree, link)));
+    const T half = T(0.5f);
+    const Quat<T> d = scaled(math::multiply(Quat<T>{turn.x, turn.y, turn.z, T(0.0f)}, raw), half);
+    const T numbers[7] = {p.x, p.y, p.z, d.x, d.y, d.z, d.w};
+    for (int32_t k = 0; k < 7; ++k) put(link.coord + k, numbers[k]);
+  }
+}
+
+}  // namespace novaphy::articulation

@@ -1,0 +1,138 @@
+// How articulations change with parameters of their control.
+#include <pybind11/numpy.h>
+
+#include <algorithm>
+
+#include "convert.h"
+#include "novaphy/dynamics/featherstone/control_sensitivity.h"
+#include "part_bindings.h"
+
+namespace novaphy::python {
+namespace {
+
+using Sensitivity = FeatherstoneAnalyticControlSensitivity;
+
+py::array_t<float> to_matrix(const std::vector<float>& values, py::ssize_t rows) {
+  py::array_t<float> to(
+      {rows, static_cast<py::ssize_t>(values.size()) / std::max<py::ssize_t>(rows, 1)});
+  std::copy(values.begin(), values.end(), to.mutable_data());
+  return to;
+}
+
+// {dofs, parameters} numbers.
+std::vector<float> to_changes(const Sensitivity& s, py::handle value, const char* name) {
+  using Rows = py::array_t<float, py::array::c_style | py::array::forcecast>;
+  const Rows rows = Rows::ensure(value);
+  if (!rows) {
+    PyErr_Clear();
+    fail(ErrorKind::Type, name, ": expected an array of numbers, got ", type_name(value));
+  }
+  const bool fits = rows.ndim() == 2 && rows.shape(0) == s.dof_count() &&
+                    rows.shape(1) == s.options().parameter_count;
+  std::string shape;
+  for (py::ssize_t k = 0; k < rows.ndim(); ++k)
+    shape += (k ? ", " : "") + std::to_string(rows.shape(k));
+  require(fits, ErrorKind::Value, name, ": expected {", s.dof_count(), ", ",
+          s.options().parameter_count, "} (dofs, parameters), got {", shape, "}");
+  return {rows.data(), rows.data() + rows.size()};
+}
+
+ControlKind to_kind(const std::string& kind) {
+  if (kind == "position") return ControlKind::Position;
+  require(kind == "torque", ErrorKind::Value, "kind: expected \"position\" or \"torque\", got \"",
+          kind, "\"");
+  return ControlKind::Torque;
+}
+
+std::unique_ptr<Sensitivity> make(const std::shared_ptr<Model>& model, int32_t articulation,
+                                  int32_t parameter_count, int32_t point_body,
+                                  py::handle point_local, const std::string& kind, bool exact,
+                                  bool contact_projection, const SolverFeatherstone* solver) {
+  require(!contact_projection, ErrorKind::NotImplemented,
+          "contact_projection: expected False, contacts of articulations are not projected yet");
+  require(solver == nullptr || solver->model() == model, ErrorKind::Value,
+          "solver: expected one of the model");
+  return std::make_unique<Sensitivity>(
+      model, ControlSensitivityOptions{
+                 .articulation = articulation,
+                 .parameter_count = parameter_count,
+                 .point_body = point_body,
+                 .point_local = to_vec3(point_local, "point_local"),
+                 .kind = to_kind(kind),
+                 .exact = exact,
+                 .solver = solver != nullptr ? solver->options() : FeatherstoneOptions{}});
+}
+
+}  // namespace
+
+void bind_control_sensitivity(py::module_& solvers) {
+  py::class_<Sensitivity>(
+      solvers, "FeatherstoneAnalyticControlSensitivity",
+      "How an articulation that SolverFeatherstone moves, and a point of it, change with "
+      "parameters "
+      "of its control: carried along step by step through the mass matrix, the implicit response "
+      "of drives and the point's Jacobian, from 0 at reset. The parameters may be anything (key "
+      "poses, a spline, gains, a network): they enter by dcontrol, the change of the control with "
+      "them; where the control depends on the state, that part belongs in it too, by dq and dqd. "
+      "Gradient: \"frozen\": mass matrix, bias (with the stiffness of gravity), wrenches and the "
+      "turning of the point's Jacobian are not differentiated; with exact=True they are. Joints: "
+      "FIXED, PRISMATIC, REVOLUTE, and for kind \"torque\" a FREE root; NotImplementedError for "
+      "others.")
+      .def(
+          py::init(&make), py::arg("model").none(false), "articulation"_a = 0, py::kw_only(),
+          "parameter_count"_a, "point_body"_a, "point_local"_a = py::make_tuple(0.0f, 0.0f, 0.0f),
+          "kind"_a = "position", "exact"_a = false, "contact_projection"_a = false,
+          py::arg("solver").none(true) = py::none(),
+          "point_local (m) in the frame of point_body, a body of the articulation. kind: dcontrol "
+          "is the change of joint_target_q (\"position\") or joint_f (\"torque\"). solver: the one "
+          "that steps, whose options count; None: the defaults. contact_projection: "
+          "NotImplementedError.")
+      .def("reset", &Sensitivity::reset, "state"_a,
+           "The start, which does not depend on the parameters.")
+      .def(
+          "step",
+          [](Sensitivity& s, const SimState& state_in, const SimState& state_out,
+             const Control* control, float dt, py::handle dcontrol, py::handle dtarget_qd) {
+            const std::vector<float> changes = to_changes(s, dcontrol, "dcontrol");
+            std::vector<float> rates;
+            if (!dtarget_qd.is_none()) rates = to_changes(s, dtarget_qd, "dtarget_qd");
+            const ReleasedGil released;
+            s.step(state_in, state_out, control, dt, changes, rates);
+          },
+          "state_in"_a, "state_out"_a, "control"_a.none(true), "dt"_a, "dcontrol"_a,
+          "dtarget_qd"_a = py::none(),
+          "After the solver's step from state_in to state_out with this control and dt (s). "
+          "dcontrol {dofs, parameters}: the change of joint_target_q (or joint_f) per unit of each "
+          "parameter; dtarget_qd likewise of joint_target_qd. ValueError: another shape, numbers "
+          "that are not finite, a change of a target that no drive follows; novaphy.Error: a "
+          "state_in that is not where the last step ended, a state_out that this step does not "
+          "give, so another solver, control or dt. Nothing has changed then.")
+      .def_property_readonly(
+          "dq", [](const Sensitivity& s) { return to_matrix(s.dq(), s.dof_count()); },
+          "{dofs, parameters}: of joint_q; of a FREE root the tangent (its centre of mass, then "
+          "its "
+          "turn).")
+      .def_property_readonly(
+          "dqd", [](const Sensitivity& s) { return to_matrix(s.dqd(), s.dof_count()); },
+          "{dofs, parameters}: of joint_qd.")
+      .def_property_readonly(
+          "point_jacobian", [](const Sensitivity& s) { return to_matrix(s.point_jacobian(), 3); },
+          "{3, parameters}: of point(), world axes.")
+      .def_property_readonly(
+          "point_velocity_jacobian",
+          [](const Sensitivity& s) { return to_matrix(s.point_velocity_jacobian(), 3); },
+          "{3, parameters}: of point_velocity(), world axes.")
+      .def(
+          "point", [](const Sensitivity& s) { return to_tuple(s.point()); },
+          "Where the point is, m, world.")
+      .def(
+          "point_velocity", [](const Sensitivity& s) { return to_tuple(s.point_velocity()); },
+          "How it moves, m/s, world.")
+      .def_property_readonly("label", &Sensitivity::label, "\"frozen\" or \"exact\".")
+      .def_property_readonly(
+          "parameter_count", [](const Sensitivity& s) { return s.options().parameter_count; },
+          "Parameters.")
+      .def_property_readonly("dof_count", &Sensitivity::dof_count, "Dofs of the articulation.");
+}
+
+}  // namespace novaphy::python

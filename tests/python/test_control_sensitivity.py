@@ -1,0 +1,414 @@
+"""FeatherstoneAnalyticControlSensitivity: against a linearised replay, and the real rollout."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import fr3
+import numpy as np
+import pytest
+
+import novaphy
+from novaphy.solvers import FeatherstoneAnalyticControlSensitivity, SolverFeatherstone
+
+DT = 1e-3
+IDENTITY = (0.0, 0.0, 0.0, 1.0)
+START = np.array([0.0, 0.0654, 0.0, -2.7266, 0.0, 2.7920, 0.7854])
+GOAL = START + np.array([0.05, 0.06, -0.04, 0.05, 0.03, -0.04, 0.05])  # within the efforts
+Policy = Callable[..., np.ndarray]
+
+
+class Rollout:
+    """Steps of the regular solver under a control, with sensitivities when asked."""
+
+    def __init__(self, builder: novaphy.ModelBuilder, body: int, local: tuple, **solver: object):
+        """`body` and `local` name the point that is watched."""
+        self.model = builder.finalize()
+        self.solver = SolverFeatherstone(self.model, **solver)
+        self.body, self.local = body, local
+
+    def sensitivity(self, count: int, **options: object) -> FeatherstoneAnalyticControlSensitivity:
+        """One for the watched point."""
+        return FeatherstoneAnalyticControlSensitivity(
+            self.model,
+            parameter_count=count,
+            point_body=self.body,
+            point_local=self.local,
+            solver=self.solver,
+            **options,
+        )
+
+    def run(
+        self,
+        steps: int,
+        q: np.ndarray,
+        apply: Callable,
+        watch: list[FeatherstoneAnalyticControlSensitivity] | None = None,
+        change: Callable | None = None,
+        each: Callable | None = None,
+    ) -> np.ndarray:
+        """State, point and its velocity at the end.
+
+        `apply(control, t, state)` sets the control of step t, `change(t, state, s)` gives dcontrol.
+        """
+        control = self.model.control()
+        now, then = self.model.state(), self.model.state()
+        now.joint_q.assign(np.float32(q))
+        probe = self.sensitivity(1, kind="torque")
+        for s in watch or []:
+            s.reset(now)
+        for t in range(steps):
+            apply(control, t, now)
+            self.solver.step(now, then, control, None, DT)
+            for s in watch or []:
+                s.step(now, then, control, DT, change(t, now, s))
+            if each:
+                each(t, now, then)
+            now, then = then, now
+        probe.reset(now)
+        return np.concatenate(
+            [now.joint_q.numpy(), now.joint_qd.numpy(), probe.point(), probe.point_velocity()]
+        ).astype(np.float64)
+
+
+def target(theta: np.ndarray) -> Callable:
+    """A control that holds the target theta."""
+
+    def apply(control: novaphy.Control, t: int, state: novaphy.SimState) -> None:
+        control.joint_target_q.assign(np.float32(theta))
+
+    return apply
+
+
+def result(s: FeatherstoneAnalyticControlSensitivity) -> np.ndarray:
+    """What a Rollout's end changes by, {n, parameters}."""
+    return np.concatenate([s.dq, s.dqd, s.point_jacobian, s.point_velocity_jacobian])
+
+
+def differences(end: Callable, theta: np.ndarray, eps: float) -> np.ndarray:
+    """Central differences of end(theta), {n, parameters}."""
+    columns = []
+    for k in range(theta.size):
+        step = np.zeros(theta.size)
+        step[k] = eps
+        columns.append((end(theta + step) - end(theta - step)) / (2 * eps))
+    return np.stack(columns, axis=1)
+
+
+def agreement(a: np.ndarray, b: np.ndarray) -> tuple[float, float, float]:
+    """Largest difference relative to the largest entry, cosine, ratio of norms."""
+    worst = float(np.abs(a - b).max() / np.abs(b).max())
+    cosine = float(np.sum(a * b) / np.linalg.norm(a) / np.linalg.norm(b))
+    return worst, cosine, float(np.linalg.norm(a) / np.linalg.norm(b))
+
+
+def slider(**dof: object) -> novaphy.ModelBuilder:
+    """A mass of 2 kg on a rail, without gravity."""
+    b = novaphy.ModelBuilder(gravity=0.0)
+    link = b.add_link(mass=2.0, inertia=np.eye(3) * 0.1, lock_inertia=True)
+    drive = {
+        "target_ke": 80.0,
+        "target_kd": 6.0,
+        "damping": 0.5,
+        "actuator_mode": novaphy.JointTargetMode.POSITION,
+    }
+    b.add_articulation([b.add_joint_prismatic(-1, link, axis=(1.0, 0.0, 0.0), **(drive | dof))])
+    return b
+
+
+@pytest.mark.parametrize("implicit", [True, False])
+def test_on_one_rail_the_linearisation_is_exact(implicit: bool) -> None:
+    rollout = Rollout(slider(), 0, (0.0, 0.1, 0.0), implicit_drives=implicit)
+    theta = np.array([0.3])
+    watch = [rollout.sensitivity(1, exact=exact) for exact in (False, True)]
+    rollout.run(200, [0.0], target(theta), watch, lambda t, state, s: [[1.0]])
+    fd = differences(lambda x: rollout.run(200, [0.0], target(x)), theta, 0.1)
+    for s in watch:
+        np.testing.assert_allclose(result(s), fd, rtol=1e-4, atol=1e-6)
+    # Backward Euler of m q'' = ke (target - q) - (kd + damping) q' in closed form, two numbers.
+    if implicit:
+        a = 2.0 + DT * 6.5 + DT**2 * 80.0
+        q = v = 0.0
+        for _ in range(200):
+            v += DT * (80.0 * (1.0 - q - DT * v) - 6.5 * v) / a
+            q += DT * v
+        assert watch[0].dq[0, 0] == pytest.approx(q, rel=1e-5)
+
+
+def arm_rollout() -> Rollout:
+    """The FR3 with its tip."""
+    return Rollout(fr3.builder(), 6, fr3.TCP)
+
+
+def test_the_model_of_the_arm_is_where_it_should_be() -> None:
+    rollout = arm_rollout()
+    s = rollout.sensitivity(7)
+    state = rollout.model.state()
+    q = [0.0, -np.pi / 4, 0.0, -3 * np.pi / 4, 0.0, np.pi / 2, np.pi / 4]
+    state.joint_q.assign(np.float32(q))
+    s.reset(state)
+    np.testing.assert_allclose(s.point(), (0.30689, 0.0, 0.48688), atol=2e-5)
+    gravity = novaphy.eval_bias(rollout.model, state)
+    np.testing.assert_allclose(
+        gravity, (0.0, -1.709, -0.6395, 18.9582, 0.7919, 1.5879, 0.0), atol=2e-4
+    )
+
+
+def test_frozen_is_the_linearised_replay_and_exact_the_real_rollout() -> None:
+    rollout = arm_rollout()
+    frozen, exact = rollout.sensitivity(7), rollout.sensitivity(7, exact=True)
+    assert (frozen.label, exact.label) == ("frozen", "exact")
+    dq, dv, last = np.zeros((7, 7)), np.zeros((7, 7)), {}
+    ke, kd = np.diag(fr3.KE), np.diag(fr3.KD) + 0.003 * np.eye(7)
+
+    def replay(t: int, now: novaphy.SimState, then: novaphy.SimState) -> None:
+        # In double precision, with the mass matrix of every step.
+        nonlocal dq, dv
+        mass = novaphy.eval_mass_matrix(rollout.model, now)[0].astype(np.float64)
+        mass += DT * kd + DT**2 * ke
+        dv = dv + DT * np.linalg.solve(mass, ke @ (np.eye(7) - dq - DT * dv) - kd @ dv)
+        dq = dq + DT * dv
+        dv = (1.0 - 0.05 * DT) * dv
+        if t == 299:
+            rows = novaphy.eval_jacobian(rollout.model, then)[0, 36:42].astype(np.float64)
+            pose = then.body_q.numpy()[6].astype(np.float64)
+            turn = quat_matrix(pose[3:])
+            arm = turn @ (np.array(fr3.TCP) - np.array(fr3.COM[6]))
+            last["j"] = rows[:3] + np.cross(rows[3:].T, arm).T
+
+    rollout.run(300, START, target(GOAL), [frozen, exact], lambda t, x, s: np.eye(7), replay)
+    expected = np.concatenate([dq, dv, last["j"] @ dq, last["j"] @ dv])
+    worst, _, _ = agreement(result(frozen), expected)
+    assert worst < 1e-3
+    fd = differences(lambda x: rollout.run(300, START, target(x)), GOAL, 0.02)
+    worst, cosine, ratio = agreement(result(exact), fd)
+    print(f"exact: {worst:.1e}, cosine {cosine:.6f}, ratio {ratio:.5f}")
+    assert worst < 3e-3
+    worst, cosine, ratio = agreement(frozen.dq, fd[:7])
+    print(f"frozen dq: {worst:.1e}, cosine {cosine:.5f}, ratio {ratio:.4f}")
+    assert 1e-3 < worst < 0.06
+    assert cosine > 0.999
+    assert abs(ratio - 1.0) < 0.03
+
+
+def quat_matrix(q: np.ndarray) -> np.ndarray:
+    """The rotation of a quaternion xyzw."""
+    x, y, z, w = q
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return np.eye(3) + 2.0 * w * cross + 2.0 * cross @ cross
+
+
+def test_key_poses_a_spline_and_gains_of_a_net() -> None:
+    """Any parameterisation: what moves the target enters by dcontrol."""
+    rollout = arm_rollout()
+    rng = np.random.default_rng(5)
+    steps = 120
+
+    def key_poses(theta: np.ndarray, t: int) -> tuple[np.ndarray, np.ndarray]:
+        x = (t + 1) / steps
+        w = np.array([(1 - x) ** 2, 2 * x * (1 - x), x * x])
+        return theta.reshape(3, 7).T @ w, np.kron(w, np.eye(7))
+
+    def net(theta: np.ndarray, q: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        # target = GOAL + B tanh(a (q - GOAL)) + b, by a {3, 7} and b {7}: its derivatives
+        a, b = theta[:21].reshape(3, 7), theta[21:]
+        hidden = np.tanh(a @ (q - GOAL))
+        slope = (1 - hidden**2)[:, None]
+        by_a = np.einsum("ih,hj->ihj", mix * slope[:, 0], np.tile(q - GOAL, (3, 1)))
+        by_theta = np.concatenate([by_a.reshape(7, 21), np.eye(7)], axis=1)
+        return GOAL + mix @ hidden + b, by_theta, mix @ (slope * a)
+
+    mix = rng.normal(size=(7, 3)) * 0.1
+    keys = np.concatenate([START, 0.5 * (START + GOAL), GOAL])
+    gains = np.concatenate([rng.normal(size=21) * 0.5, rng.normal(size=7) * 0.02])
+
+    def apply_keys(theta: np.ndarray) -> Callable:
+        return lambda control, t, state: control.joint_target_q.assign(
+            np.float32(key_poses(theta, t)[0])
+        )
+
+    def apply_net(theta: np.ndarray) -> Callable:
+        return lambda control, t, state: control.joint_target_q.assign(
+            np.float32(net(theta, state.joint_q.numpy().astype(np.float64))[0])
+        )
+
+    def net_change(t: int, state: novaphy.SimState, s: object) -> np.ndarray:
+        _, by_theta, by_q = net(gains, state.joint_q.numpy().astype(np.float64))
+        return by_theta + by_q @ s.dq
+
+    for theta, apply, change in (
+        (keys, apply_keys, lambda t, state, s: key_poses(keys, t)[1]),
+        (gains, apply_net, net_change),
+    ):
+        s = rollout.sensitivity(theta.size, exact=True)
+        rollout.run(steps, START, apply(theta), [s], change)
+        fd = differences(lambda x, a=apply: rollout.run(steps, START, a(x)), theta, 0.02)
+        assert agreement(result(s), fd)[0] < 1e-2
+
+
+def quadruped() -> novaphy.ModelBuilder:
+    """A floating box with a leg of two hinges."""
+    b = novaphy.ModelBuilder()
+    base = b.add_link(mass=3.0, com=(0.02, -0.01, 0.03), inertia=np.diag([0.04, 0.05, 0.06]))
+    thigh = b.add_link(mass=0.8, com=(0.0, 0.0, -0.1), inertia=np.diag([0.004, 0.004, 0.001]))
+    shank = b.add_link(mass=0.5, com=(0.0, 0.0, -0.1), inertia=np.diag([0.003, 0.003, 0.001]))
+    turn = (0.0, 0.0, np.sin(0.3), np.cos(0.3))
+    joints = [
+        b.add_joint_free(base),
+        b.add_joint_revolute(
+            base, thigh, axis=(1.0, 0.0, 0.0), parent_xform=(0.1, 0.0, 0.0, *turn)
+        ),
+        b.add_joint_revolute(
+            thigh,
+            shank,
+            axis=(0.0, 1.0, 0.0),
+            parent_xform=(0.0, 0.0, -0.2, *IDENTITY),
+            damping=0.05,
+        ),
+    ]
+    b.add_articulation(joints)
+    return b
+
+
+def test_torques_of_a_free_root_are_exact() -> None:
+    rollout = Rollout(quadruped(), 2, (0.0, 0.0, -0.2))
+    start = np.array([0.1, 0.2, 1.0, 0.1, -0.2, 0.3, 0.9273618, 0.3, -0.5])
+    theta = np.array([3.0, -1.0, 25.0, 0.4, -0.3, 0.2, 0.5, -0.2])
+
+    def apply(x: np.ndarray) -> Callable:
+        return lambda control, t, state: control.joint_f.assign(np.float32(x * np.cos(0.01 * t)))
+
+    s = [rollout.sensitivity(8, kind="torque", exact=e) for e in (True, False)]
+    rollout.run(150, start, apply(theta), s, lambda t, x, s: np.eye(8) * np.cos(0.01 * t))
+    fd = differences(lambda x: rollout.run(150, start, apply(x)), theta, 0.02)
+    point = fd[-6:]
+    exact = np.concatenate([s[0].point_jacobian, s[0].point_velocity_jacobian])
+    assert agreement(exact, point)[0] < 3e-3
+    # Hinges and rates as they are; the root's tangents are of the centre of mass.
+    assert agreement(s[0].dq[6:], fd[7:9])[0] < 3e-3
+    assert agreement(s[0].dqd, fd[9:17])[0] < 3e-3
+    frozen = np.concatenate([s[1].point_jacobian, s[1].point_velocity_jacobian])
+    assert agreement(frozen, point)[1] > 0.9
+
+
+def test_frozen_torques_are_the_linearised_replay() -> None:
+    rollout = Rollout(quadruped(), 2, (0.0, 0.0, -0.2))
+    s = rollout.sensitivity(8, kind="torque")
+    dv, de = np.zeros((8, 8)), np.zeros((8, 8))
+
+    def replay(t: int, now: novaphy.SimState, then: novaphy.SimState) -> None:
+        nonlocal dv, de
+        mass = novaphy.eval_mass_matrix(rollout.model, now)[0].astype(np.float64)
+        damping = np.diag([0.0] * 7 + [0.05])
+        dv = dv + DT * np.linalg.solve(mass + DT * damping, np.eye(8) - damping @ dv)
+        factor = np.array([1.0] * 3 + [1.0 - 0.05 * DT] * 5)
+        w = then.joint_qd.numpy()[3:6].astype(np.float64) / (1.0 - 0.05 * DT)
+        y = 0.5 * DT * w
+        turn = quat_matrix(np.append(y, 1.0) / np.sqrt(1.0 + y @ y))
+        old = de
+        de = de + DT * dv
+        de[3:6] = turn @ old[3:6]
+        de[3:6] += DT / (1.0 + y @ y) * (dv[3:6] + np.cross(y, dv[3:6].T).T)
+        dv = factor[:, None] * dv
+
+    def push(control: novaphy.Control, t: int, state: novaphy.SimState) -> None:
+        control.joint_f.assign(np.float32([0.5, 0.0, 30.0, 0.5, -0.4, 0.3, 0.1, 0.1]))
+
+    start = np.array([0.0, 0.0, 1.0, 0.1, -0.2, 0.3, 0.9273618, 0.3, -0.5])
+    rollout.run(200, start, push, [s], lambda t, x, s: np.eye(8), replay)
+    assert agreement(s.dqd, dv)[0] < 1e-3
+    assert agreement(s.dq, de)[0] < 1e-3
+
+
+def test_limits_and_clamps_hold_what_they_hold() -> None:
+    for dof, effect in (
+        ({"limit_lower": -0.05, "limit_upper": 0.05, "limit_ke": 1e4, "limit_kd": 100.0}, False),
+        ({"effort_limit": 5.0}, False),
+        ({"velocity_limit": 0.1}, False),
+        ({}, True),
+    ):
+        rollout = Rollout(slider(**dof), 0, (0.0, 0.0, 0.0))
+        s = [rollout.sensitivity(1, exact=e) for e in (False, True)]
+        # Outside of the limit all the time: there the drive has no say.
+        outside = "limit_ke" in dof
+        start, n = ([0.08], 10) if outside else ([0.0], 60)
+        rollout.run(n, start, target([1.0]), s, lambda t, x, s: [[1.0]])
+        fd = differences(
+            lambda x, r=rollout, q=start, n=n: r.run(n, q, target(x)), np.ones(1), 0.02
+        )
+        for one in s:
+            np.testing.assert_allclose(result(one), fd, atol=2e-3 * max(1.0, np.abs(fd).max()))
+        assert (abs(fd[0, 0]) > 1e-2) == effect
+
+
+def test_what_is_not_covered_raises() -> None:
+    for add, kind in (
+        (lambda b, link: b.add_joint_ball(-1, link), "torque"),
+        (lambda b, link: b.add_joint_free(link), "position"),
+        (
+            lambda b, link: b.add_joint_d6(
+                -1, link, linear_axes=[novaphy.JointDofConfig(axis=(1.0, 0.0, 0.0))]
+            ),
+            "torque",
+        ),
+        (lambda b, link: b.add_joint_distance(-1, link), "torque"),
+    ):
+        b = novaphy.ModelBuilder()
+        link = b.add_link(mass=1.0, inertia=np.eye(3), lock_inertia=True)
+        b.add_articulation([add(b, link)])
+        with pytest.raises(NotImplementedError, match="joint 0"):
+            FeatherstoneAnalyticControlSensitivity(
+                b.finalize(), parameter_count=1, point_body=0, kind=kind
+            )
+    model = slider().finalize()
+    with pytest.raises(NotImplementedError, match="contact_projection"):
+        FeatherstoneAnalyticControlSensitivity(
+            model, parameter_count=1, point_body=0, contact_projection=True
+        )
+
+
+def test_bad_arguments_are_named() -> None:
+    model = slider().finalize()
+    made = FeatherstoneAnalyticControlSensitivity
+    with pytest.raises(ValueError, match="kind: expected"):
+        made(model, parameter_count=1, point_body=0, kind="velocity")
+    with pytest.raises(ValueError, match="parameter_count: expected a number > 0, got 0"):
+        made(model, parameter_count=0, point_body=0)
+    with pytest.raises(IndexError, match="point_body: expected 0 <= point_body < 1, got 3"):
+        made(model, parameter_count=1, point_body=3)
+    with pytest.raises(IndexError, match="articulation: expected"):
+        made(model, 2, parameter_count=1, point_body=0)
+    solver = SolverFeatherstone(model)
+    s = made(model, parameter_count=2, point_body=0, solver=solver)
+    now, then, control = model.state(), model.state(), model.control()
+    with pytest.raises(novaphy.Error, match="reset"):
+        s.step(now, then, control, DT, np.zeros((1, 2)))
+    s.reset(now)
+    control.joint_target_q.assign(np.float32([0.5]))
+    solver.step(now, then, control, None, DT)
+    with pytest.raises(ValueError, match=r"dcontrol: expected \{1, 2\} .*, got \{2, 1\}"):
+        s.step(now, then, control, DT, np.zeros((2, 1)))
+    with pytest.raises(ValueError, match=r"dcontrol\[0, 1\]: expected a finite number, got nan"):
+        s.step(now, then, control, DT, [[0.0, np.nan]])
+    with pytest.raises(ValueError, match="dtarget_qd: dof 0 .* has no velocity drive"):
+        s.step(now, then, control, DT, np.ones((1, 2)), np.ones((1, 2)))
+    # Not what the solver has done: another dt, another control, another damping.
+    with pytest.raises(novaphy.Error, match="state_out: expected what SolverFeatherstone.step"):
+        s.step(now, then, control, 2 * DT, np.ones((1, 2)))
+    with pytest.raises(novaphy.Error, match="state_out"):
+        s.step(now, then, None, DT, np.ones((1, 2)))
+    with pytest.raises(novaphy.Error, match="state_in"):
+        s.step(then, now, control, DT, np.ones((1, 2)))
+    np.testing.assert_array_equal(s.dq, np.zeros((1, 2)))
+    s.step(now, then, control, DT, np.ones((1, 2)))
+    assert np.all(s.dq > 0.0)
+    free = slider(target_ke=0.0, actuator_mode=novaphy.JointTargetMode.VELOCITY).finalize()
+    s = made(free, parameter_count=1, point_body=0)
+    solver = SolverFeatherstone(free)
+    now, then = free.state(), free.state()
+    s.reset(now)
+    solver.step(now, then, None, None, DT)
+    with pytest.raises(ValueError, match="dcontrol: dof 0 .* has no position drive"):
+        s.step(now, then, None, DT, np.ones((1, 1)))
+    s.step(now, then, None, DT, np.zeros((1, 1)), np.ones((1, 1)))
+    assert s.dqd[0, 0] == pytest.approx(DT * 6.0 / (2.0 + DT * 6.5), rel=1e-4)

@@ -265,3 +265,31 @@ def test_an_interrupt_leaves_a_whole_page(tmp_path):
         process.kill()
     assert process.returncode == 130 and said == "", said
     assert page.read_text("utf-8").rstrip().endswith("</html>")
+
+
+def test_a_franka_pushes_its_box_to_the_mark_with_the_gradients_it_claims(tmp_path):
+    pytest.importorskip("novaphy.diff")
+    done = demo("franka_push_box", "--train", "5", "--dump-states", str(tmp_path / "x.npz"))
+    assert done.returncode == 0 and done.stdout.rstrip().endswith("ok"), done.stdout + done.stderr
+    assert "surrogate contact, frozen dynamics, no reaction" in done.stdout
+    with np.load(tmp_path / "x.npz") as states:
+        assert abs(states["box_x"][-1] - 0.70) < 5e-3
+        assert np.linalg.norm(states["tip"][:, 1:] - (0.0, 0.10), axis=1).max() < 0.01
+        assert states["loss"][-1] < 0.01 * states["loss"][0]
+    done = demo("franka_push_box", "--check-gradient")
+    assert done.returncode == 0 and done.stdout.rstrip().endswith("ok"), done.stdout + done.stderr
+    assert "exact dynamics" in done.stdout
+    done = demo("franka_push_box", "--headless", "1", "--device", "cuda")
+    assert done.returncode == 2 and "--device: expected cpu" in done.stderr
+
+
+def test_a_franka_that_does_not_reach_the_box_says_no_contact(common):
+    import demo_diffsim_franka_push_box as franka
+
+    scene = franka.FrankaPush("cpu", exact=False)
+    scene.keys = np.stack([scene.inverse_kinematics(x) for x in (0.40, 0.42, 0.44, 0.46)])
+    with pytest.raises(ValueError, match="no contact"):
+        scene.gradient()
+    scene.keys = np.stack([scene.inverse_kinematics(x) for x in franka.START])
+    scene.loss(scene.keys)
+    assert scene.box[-1] == pytest.approx(0.62, abs=0.01)

@@ -267,6 +267,10 @@ def test_an_interrupt_leaves_a_whole_page(tmp_path):
     assert page.read_text("utf-8").rstrip().endswith("</html>")
 
 
+needs_robots = pytest.mark.skipif(not novaphy.has_io(), reason="needs NOVAPHY_WITH_IO")
+
+
+@needs_robots
 def test_a_franka_pushes_its_box_to_the_mark_with_the_gradients_it_claims(tmp_path):
     pytest.importorskip("novaphy.diff")
     done = demo("franka_push_box", "--train", "5", "--dump-states", str(tmp_path / "x.npz"))
@@ -283,6 +287,7 @@ def test_a_franka_pushes_its_box_to_the_mark_with_the_gradients_it_claims(tmp_pa
     assert done.returncode == 2 and "--device: expected cpu" in done.stderr
 
 
+@needs_robots
 def test_a_franka_that_does_not_reach_the_box_says_no_contact(common):
     import demo_diffsim_franka_push_box as franka
 

@@ -3,6 +3,7 @@
 #include "checks.h"
 #include "engine_kernels.h"
 #include "novaphy/nova/kernel.h"
+#include "novaphy/nova/networks.h"
 #include "novaphy/nova/ops.h"
 #include "novaphy/nova/tape.h"
 #include "ops_impl.h"
@@ -89,6 +90,41 @@ Tensor matmul(const Tensor& a, const Tensor& b) {
   };
   detail::record("matmul", {a, b}, out, vjp, tangent, {a, b});
   return out;
+}
+
+Tensor linear(const Tensor& x, const Tensor& weight, const Tensor& bias) {
+  check_f32(x, {"linear", "x"});
+  check_f32(weight, {"linear", "weight"});
+  require(x.ndim() == 1 || x.ndim() == 2, ErrorKind::Value,
+          "linear, x: expected {n, k} or {k}, got ", shape_str(x.shape()));
+  const int64_t n = x.ndim() == 2 ? x.dim(0) : 1, k = x.shape().back();
+  require(weight.ndim() == 2 && weight.dim(1) == k, ErrorKind::Value,
+          "linear, weight: expected {m, ", k, "} for x ", shape_str(x.shape()), ", got ",
+          shape_str(weight.shape()));
+  require(weight.device() == x.device(), ErrorKind::Value, "linear: x is on ", x.device().str(),
+          ", weight on ", weight.device().str());
+  const int64_t m = weight.dim(0);
+  if (bias.defined()) {
+    check_f32(bias, {"linear", "bias"});
+    require(bias.ndim() == 1 && bias.size() == m, ErrorKind::Value, "linear, bias: expected {", m,
+            "}, got ", shape_str(bias.shape()));
+  }
+  const Shape shape = x.ndim() == 2 ? Shape{n, m} : Shape{m};
+  const Tensor out = product({x, n, k}, Matrix{weight, m, k}.transposed(), shape);
+  const auto vjp = [=](detail::Gradients g, detail::InputGradients to) {
+    const Matrix grad{g[0], n, m};
+    if (to[0].wanted()) to[0].put(product(grad, {weight, m, k}, x.shape()));
+    if (to[1].wanted()) to[1].put(product(grad.transposed(), {x, n, k}, weight.shape()));
+  };
+  const auto tangent = [=](std::span<const Tensor> t) {
+    Tensor total;
+    if (t[0].defined()) total = product({t[0], n, k}, Matrix{weight, m, k}.transposed(), shape);
+    if (!t[1].defined()) return total;
+    const Tensor second = product({x, n, k}, Matrix{t[1], m, k}.transposed(), shape);
+    return total.defined() ? add(total, second) : second;
+  };
+  detail::record("linear", {x, weight}, out, vjp, tangent, {x, weight});
+  return bias.defined() ? add(out, bias) : out;
 }
 
 }  // namespace nova

@@ -5,6 +5,7 @@
 #include "fast_step.h"
 #include "novaphy/core/parallel.h"
 #include "novaphy/core/version.h"
+#include "part_bindings.h"
 
 namespace novaphy::python {
 
@@ -144,6 +145,7 @@ PYBIND11_MODULE(_core, m) {
   bind_nova_optim(nova);
   bind_nova_trace(nova);
   bind_nova_kernel(nova);
+  bind_nova_networks(nova);
   py::module_ diff = m.def_submodule("diff", "Differentiable operators; import novaphy.diff.");
   bind_diff(diff, solvers);
 #endif

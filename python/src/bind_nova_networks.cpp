@@ -1,0 +1,70 @@
+// Activations, layers, and random numbers without a state.
+#include "nova_types.h"
+#include "novaphy/math/activations.h"
+#include "novaphy/nova/functions.h"
+#include "novaphy/nova/networks.h"
+#include "part_bindings.h"
+
+namespace novaphy::python {
+
+using nova::Real;
+using nova::Tensor;
+
+namespace {
+
+using Draw = Tensor (*)(int64_t, int64_t, const nova::RandomKey&, const Tensor&);
+
+void bind_draw(py::module_& m, const char* name, Draw draw, const char* doc) {
+  m.def(
+      name,
+      [draw](const std::pair<int64_t, int64_t>& shape, uint64_t seed, py::handle step,
+             int32_t stream, py::handle device) {
+        Tensor at;
+        if (py::isinstance<nova::TensorImpl>(step)) {
+          at = step.cast<Tensor>();
+          require(device.is_none() || to_device(device) == at.device(), ErrorKind::Value,
+                  "device: expected that of step, ", at.device().str());
+        } else {
+          const int32_t number = to_int32(step, "step");
+          at = Tensor::from_host(std::span(&number, 1), {1}, to_device(device));
+        }
+        const ReleasedGil released;
+        return draw(shape.first, shape.second, {.seed = seed, .stream = stream}, at);
+      },
+      "shape"_a, py::kw_only(), "seed"_a, "step"_a = 0, "stream"_a = 0, "device"_a = py::none(),
+      doc);
+}
+
+}  // namespace
+
+void bind_nova_networks(py::module_& m) {
+  m.def("relu", &nova::relu, "x"_a, release_gil(), "max(x, 0); derivative 1 above 0, else 0.");
+  m.def(
+      "relu", [](const Real& x) { return novaphy::math::relu(x); }, "x"_a);
+  m.def("softplus", &nova::softplus, "x"_a, release_gil(),
+        "log(1 + e^x), without overflow; derivative 1 / (1 + e^-x).");
+  m.def(
+      "softplus", [](const Real& x) { return novaphy::math::softplus(x); }, "x"_a);
+  m.def(
+      "linear",
+      [](const Tensor& x, const Tensor& weight, const std::optional<Tensor>& bias) {
+        return nova::linear(x, weight, bias.value_or(Tensor()));
+      },
+      "x"_a, "weight"_a, "bias"_a = py::none(), release_gil(),
+      "x weight^T + bias: x {n, k} or {k}, weight {m, k}, bias {m}, to {n, m} or {m}. Sums in the "
+      "order of matmul.");
+  bind_draw(m, "random_uniform", &nova::random_uniform,
+            "Numbers in [0, 1), {worlds, width}, that depend on where they stand and on nothing "
+            "else: value (w, j) is of Philox4x32-10 with the key seed and the counter (j // 4, w, "
+            "step, stream), lane j % 4, its upper 24 bits. The same bits on every device and for "
+            "any number of threads; world w has the same numbers however many worlds there are. "
+            "step: a number or an int32 tensor {1}, read when the launch runs, so a captured graph "
+            "gives new numbers when it advances. No gradient.");
+  bind_draw(m, "random_normal", &nova::random_normal,
+            "Normal numbers, mean 0 and variance 1, {worlds, width}: of the bits of "
+            "random_uniform, by Box and Muller.");
+  m.def("philox4x32", &nova::philox4x32, "counter"_a, "key"_a,
+        "The four words that Philox4x32-10 makes of a counter of four words and a key of two.");
+}
+
+}  // namespace novaphy::python

@@ -1,0 +1,137 @@
+"""Functions of NovaPhy inside of PyTorch, with their gradients.
+
+    step = novaphy.torch.wrap(lambda q, qd: ...)   # nova Tensors in, nova Tensors out
+    loss = step(q, qd).sum()                       # torch tensors in and out
+    loss.backward()
+
+Needs PyTorch, which NovaPhy does not install.
+"""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Callable
+from typing import Any
+
+from ._require import require_diff
+
+require_diff("novaphy.torch")
+
+from . import nova  # noqa: E402
+
+__all__ = ["wrap"]
+
+
+def _torch() -> Any:
+    """The library, which is imported by the first function that needs it."""
+    try:
+        return importlib.import_module("torch")
+    except ImportError as error:
+        raise ImportError("novaphy.torch needs PyTorch: pip install torch", name="torch") from error
+
+
+class _Call:
+    """What a call keeps for its backward pass."""
+
+    def __init__(self, inputs: list[nova.Tensor]) -> None:
+        self.inputs = inputs
+        self.outputs: list[nova.Tensor] = []
+        self.tape: nova.Tape | None = None
+        self.single = True
+
+
+def _forward(ctx: Any, function: Callable[..., Any], call: list[_Call], *values: Any) -> Any:
+    """Run a function of nova Tensors, on a tape where a gradient is wanted."""
+    torch = _torch()
+    inputs = [nova.from_dlpack(value.detach().contiguous()) for value in values]
+    made = _Call(inputs)
+    wanted = ctx.needs_input_grad[2:]
+    if any(wanted):
+        for tensor, needs in zip(inputs, wanted, strict=True):
+            tensor.requires_grad = needs
+        made.tape = nova.Tape()
+        with made.tape:
+            result = function(*inputs)
+    else:
+        with nova.no_grad():
+            result = function(*inputs)
+    made.single = isinstance(result, nova.Tensor)
+    made.outputs = [result] if made.single else list(result)
+    for k, output in enumerate(made.outputs):
+        if not isinstance(output, nova.Tensor):
+            raise TypeError(f"function, result {k}: expected a nova.Tensor, got {type(output)}")
+    ctx.save_for_backward(*values)
+    ctx.call = made
+    call.append(made)
+    ctx.set_materialize_grads(False)
+    return tuple(torch.from_dlpack(output) for output in made.outputs)
+
+
+def _backward(ctx: Any, *gradients: Any) -> Any:
+    """Pull gradients back by that tape."""
+    torch = _torch()
+    if torch.is_grad_enabled():  # create_graph: the gradient would count as a constant
+        raise NotImplementedError("novaphy.torch: expected one derivative, got create_graph=True")
+    made, wanted = ctx.call, ctx.needs_input_grad[2:]
+    _ = ctx.saved_tensors  # raises when one was written to since
+    for tensor, needs in zip(made.inputs, wanted, strict=True):
+        if needs:
+            tensor.zero_grad()
+    for output, gradient in zip(made.outputs, gradients, strict=True):
+        if gradient is not None:
+            made.tape.backward(output, nova.from_dlpack(gradient.detach().contiguous()))
+    # Copies: the next backward pass of the same call writes there again.
+    found = (
+        torch.from_dlpack(tensor.grad).clone() if needs and tensor.grad is not None else None
+        for tensor, needs in zip(made.inputs, wanted, strict=True)
+    )
+    return None, None, *found
+
+
+_classes: list[Any] = []  # the torch.autograd.Function of all wrapped functions, once it is needed
+
+
+def _recorded() -> Any:
+    """The class whose forward and backward pass are those above."""
+    if not _classes:
+        passes = {"forward": staticmethod(_forward), "backward": staticmethod(_backward)}
+        _classes.append(type("Recorded", (_torch().autograd.Function,), passes))
+    return _classes[0]
+
+
+def wrap(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Make a function of torch tensors, with gradients, of one of nova Tensors.
+
+    Args:
+        function: takes nova Tensors, and returns one or several: any step, rollout or loss, made of
+            recorded operations. Every call runs it anew on a tape of its own, so what it writes (a
+            Trajectory, states) has to be made in it, as long as a backward pass is to come. What it
+            uses besides its arguments are constants.
+
+    Returns:
+        A function of as many torch tensors, float32, on the same device, that returns a torch
+        tensor, or a tuple of them. Inputs and results share memory with the nova Tensors, without
+        a copy; inputs that are not contiguous are copied. Writing in place to what a backward pass
+        still needs raises there. It can be differentiated once (create_graph=True raises
+        NotImplementedError); the gradients are those of the tape, with its labels (exact,
+        surrogate, frozen).
+
+    Raises:
+        ImportError: PyTorch is not installed.
+        TypeError: an argument that is no torch tensor of float32.
+        novaphy.Error, ValueError: what the function or the tape raises.
+    """
+
+    torch, recorded = _torch(), _recorded()
+
+    def call(*values: Any) -> Any:
+        for k, value in enumerate(values):
+            if not isinstance(value, torch.Tensor):
+                raise TypeError(f"argument {k}: expected a torch tensor, got {type(value)}")
+            if value.dtype != torch.float32:
+                raise TypeError(f"argument {k}: expected torch.float32, got {value.dtype}")
+        made: list[_Call] = []
+        results = recorded.apply(function, made, *values)
+        return results[0] if made[0].single else results
+
+    return call

@@ -55,6 +55,26 @@ Tensor product(const Matrix& a, const Matrix& b, const Shape& shape) {
   return out;
 }
 
+// Not built ahead: it moves few numbers. Parameters: rows and columns of x.
+const Kernel& transpose_kernel() {
+  static const Kernel kernel = make_kernel(
+      "transpose", {{"x", DType::F32, 1, Access::Indexed}}, {{"out", 1}}, [](TraceContext& c) {
+        const Int rows = c.param_i32(0), i = c.index();
+        return std::vector{c.f32(0, i % rows * c.param_i32(1) + i / rows, 0)};
+      });
+  return kernel;
+}
+
+// weight^T in memory of its own, so that a product reads it row by row.
+Tensor transposed(const Tensor& x) {
+  const Tensor out({x.dim(1), x.dim(0)}, DType::F32, x.device());
+  const Param params[] = {int_param("linear", x.dim(0)), int_param("linear", x.dim(1))};
+  const Operand in = x.flat_operand(), to = out.flat_operand();
+  const NoGrad no_grad;
+  transpose_kernel().launch(out.size(), {&in, 1}, {&to, 1}, {.params = params});
+  return out;
+}
+
 }  // namespace
 
 void detail::add_matmul_kernels(EngineKernels& list) { list.push_back({matmul_kernel(), {}}); }
@@ -110,7 +130,7 @@ Tensor linear(const Tensor& x, const Tensor& weight, const Tensor& bias) {
             "}, got ", shape_str(bias.shape()));
   }
   const Shape shape = x.ndim() == 2 ? Shape{n, m} : Shape{m};
-  const Tensor out = product({x, n, k}, Matrix{weight, m, k}.transposed(), shape);
+  const Tensor out = product({x, n, k}, {transposed(weight), k, m}, shape);
   const auto vjp = [=](detail::Gradients g, detail::InputGradients to) {
     const Matrix grad{g[0], n, m};
     if (to[0].wanted()) to[0].put(product(grad, {weight, m, k}, x.shape()));
@@ -118,9 +138,9 @@ Tensor linear(const Tensor& x, const Tensor& weight, const Tensor& bias) {
   };
   const auto tangent = [=](std::span<const Tensor> t) {
     Tensor total;
-    if (t[0].defined()) total = product({t[0], n, k}, Matrix{weight, m, k}.transposed(), shape);
+    if (t[0].defined()) total = product({t[0], n, k}, {transposed(weight), k, m}, shape);
     if (!t[1].defined()) return total;
-    const Tensor second = product({x, n, k}, Matrix{t[1], m, k}.transposed(), shape);
+    const Tensor second = product({x, n, k}, {transposed(t[1]), k, m}, shape);
     return total.defined() ? add(total, second) : second;
   };
   detail::record("linear", {x, weight}, out, vjp, tangent, {x, weight});

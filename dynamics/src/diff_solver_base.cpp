@@ -152,7 +152,7 @@ struct FoundContacts {
 
 void DiffSolverBase::rollout(Trajectory& trajectory, const Control* control,
                              const Contacts* contacts, float dt, const RolloutOptions& options) {
-  const RolloutInputs inputs(*model(), trajectory, control, contacts, dt, options);
+  const RolloutInputs inputs(*model(), trajectory, control, contacts, dt, options, target_count());
   const ExclusiveUse::Scope scope = use("rollout");
   if (inputs.steps() == 0 || !begin_rollout(inputs)) return;
   const bool recording = nova::Tape::active() != nullptr;
@@ -189,7 +189,12 @@ void DiffSolverBase::rollout(Trajectory& trajectory, const Control* control,
                    .contacts = inputs.contacts(),
                    .forces = on_particles.of_step(t, scratch),
                    .body_forces = on_bodies.of_step(t, scratch),
+                   .targets = {},
                    .dt = inputs.dt()};
+    if (inputs.targets().any()) {
+      now.targets = nova::operand_of(inputs.targets().rows);
+      now.first_target = inputs.targets().first(t);
+    }
     if (!found->empty()) {
       FoundContacts& here = (*found)[contact_slot];
       inputs.pipeline()->collide(from, here.contacts);

@@ -285,10 +285,25 @@ DeviceArray<T> force_rows(const py::object& forces, const char* name, int32_t co
       Array(DTypeOf<T>::value, static_cast<size_t>(tensor.size()) / kWidth, 1, tensor.range()));
 }
 
+// Where held particles go: {k, 3} or {steps, k, 3}, of which the rollout checks the rows.
+DeviceArray<Vec3f> target_rows(const py::object& targets) {
+  if (py::isinstance<Array>(targets)) return DeviceArray<Vec3f>(targets.cast<Array>());
+  require(py::isinstance<nova::TensorImpl>(targets), ErrorKind::Type,
+          "rollout, targets: expected a Tensor or a DeviceArray, got ", type_name(targets));
+  const auto tensor = targets.cast<Tensor>();
+  const nova::Shape& shape = tensor.shape();
+  require(tensor.dtype() == nova::DType::F32 && (shape.size() == 2 || shape.size() == 3) &&
+              shape.back() == 3,
+          ErrorKind::Value, "rollout, targets: expected float32 {k, 3} or {steps, k, 3}, got ",
+          nova::dtype_name(tensor.dtype()), " ", nova::shape_str(shape));
+  return DeviceArray<Vec3f>(
+      Array(DType::vec3, static_cast<size_t>(tensor.size()) / 3, 1, tensor.range()));
+}
+
 void rollout(SolverBase& solver, Trajectory& trajectory, const py::object& control,
              const Contacts* contacts, float dt, const py::object& forces,
-             const py::object& body_forces, CollisionPipeline* pipeline, int32_t start,
-             const std::optional<int32_t>& stop) {
+             const py::object& body_forces, const py::object& targets, CollisionPipeline* pipeline,
+             int32_t start, const std::optional<int32_t>& stop) {
   require(stop.value_or(0) >= 0, ErrorKind::Value, "rollout, stop: expected a state from 0 to ",
           trajectory.steps(), " or None, got ", stop.value_or(0));
   RolloutOptions options{
@@ -303,6 +318,11 @@ void rollout(SolverBase& solver, Trajectory& trajectory, const py::object& contr
   if (!body_forces.is_none()) {
     wrenches = force_rows<SpatialVectorf>(body_forces, "body_forces", model.body_count());
     options.body_forces = &wrenches;
+  }
+  DeviceArray<Vec3f> places;
+  if (!targets.is_none()) {
+    places = target_rows(targets);
+    options.targets = &places;
   }
   const Control* one = nullptr;
   if (py::isinstance<Control>(control)) {
@@ -325,8 +345,9 @@ void rollout(SolverBase& solver, Trajectory& trajectory, const py::object& contr
   }
   // recompute needs them again.
   const py::object kept = py::isinstance<py::sequence>(control) ? py::tuple(control) : control;
-  py::cast(trajectory).attr("_rollout_of") = py::make_tuple(
-      py::cast(&solver), kept, py::cast(contacts), forces, body_forces, py::cast(pipeline));
+  py::cast(trajectory).attr("_rollout_of") =
+      py::make_tuple(py::cast(&solver), kept, py::cast(contacts), forces, body_forces, targets,
+                     py::cast(pipeline));
 }
 
 void bind_rollout(py::module_& solvers) {
@@ -334,14 +355,16 @@ void bind_rollout(py::module_& solvers) {
   base.attr("rollout") = py::cpp_function(
       &rollout, py::name("rollout"), py::is_method(base), py::arg("trajectory"),
       py::arg("control").none(true), py::arg("contacts").none(true), py::arg("dt"), py::kw_only(),
-      "forces"_a = py::none(), "body_forces"_a = py::none(), "pipeline"_a = py::none(),
-      "start"_a = 0, "stop"_a = py::none(),
+      "forces"_a = py::none(), "body_forces"_a = py::none(), "targets"_a = py::none(),
+      "pipeline"_a = py::none(), "start"_a = 0, "stop"_a = py::none(),
       "The steps of a trajectory from its state `start` (kept) to `stop` (None: the last), with "
       "the "
       "bits of a loop of step in which every step starts from the force in trajectory.particle_f. "
       "forces {n, 3} or {steps, n, 3} (N, world frame) act besides it, in every step or each in "
       "its own; body_forces {b, 6} or {steps, b, 6} (N, N*m about the centre of mass, world frame) "
-      "besides body_f. pipeline: a CollisionPipeline that finds the contacts of every step anew, "
+      "besides body_f. targets {k, 3} or {steps, k, 3} (m, world frame) are where the k held "
+      "particles of SolverVBD or DiffSolverVBD are at the end of a step; NotImplementedError for "
+      "other solvers. pipeline: a CollisionPipeline that finds the contacts of every step anew, "
       "instead of `contacts`. control: one for all steps, or a sequence of m, each for a m-th of "
       "them. What acts is "
       "only read. A differentiable solver records on an active tape, with gradients for the forces "

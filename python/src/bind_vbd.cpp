@@ -1,8 +1,8 @@
 // SolverVBD.
 #include "exchange.h"
-#include "fast_step.h"
 #include "novaphy/vbd/solver_vbd.h"
 #ifdef NOVAPHY_PYTHON_DIFF
+#include "nova_types.h"
 #include "novaphy/vbd/diff_vbd.h"
 #endif
 
@@ -27,47 +27,112 @@ DeviceArray<Vec3f> to_targets(py::handle given, Device device) {
 }
 
 #ifdef NOVAPHY_PYTHON_DIFF
+DeviceArray<Vec3f> to_diff_targets(py::handle given, Device device) {
+  if (!py::isinstance<nova::TensorImpl>(given)) return to_targets(given, device);
+  const auto tensor = given.cast<nova::Tensor>();
+  require(tensor.dtype() == nova::DType::F32 && tensor.shape().size() == 2 &&
+              tensor.shape().back() == 3,
+          ErrorKind::Value, "DiffSolverVBD.step: targets: expected float32 {k, 3}, got ",
+          nova::dtype_name(tensor.dtype()), " ", nova::shape_str(tensor.shape()));
+  return DeviceArray<Vec3f>(
+      Array(DType::vec3, static_cast<size_t>(tensor.size()) / 3, 1, tensor.range()));
+}
+
+VbdGradientOptions to_gradient_options(const std::string& gradient,
+                                       const std::optional<float>& tolerance,
+                                       const std::optional<int32_t>& sweeps,
+                                       const std::optional<int32_t>& newton_iterations,
+                                       const std::optional<bool>& allow_unconverged) {
+  require(gradient == "unrolled" || gradient == "implicit", ErrorKind::Value,
+          "DiffSolverVBD: gradient: expected \"unrolled\" or \"implicit\", got \"", gradient, "\"");
+  VbdGradientOptions options = {.implicit = gradient == "implicit"};
+  const auto set = [&](const char* name, const auto& given, auto& option) {
+    if (!given.has_value()) return;
+    require(options.implicit, ErrorKind::Value, "DiffSolverVBD: ", name,
+            ": expected none with gradient \"unrolled\", where it has no effect");
+    option = *given;
+  };
+  set("gradient_tolerance", tolerance, options.tolerance);
+  set("gradient_sweeps", sweeps, options.krylov_sweeps);
+  set("newton_iterations", newton_iterations, options.newton_iterations);
+  set("allow_unconverged", allow_unconverged, options.allow_unconverged);
+  return options;
+}
+
 void bind_diff_vbd(py::module_& solvers) {
-  using diff::DiffSolverVBD, diff::DiffVbdOptions, diff::VbdGradientInfo;
+  using diff::DiffSolverVBD, diff::DiffVbdOptions;
   py::class_<VbdGradientInfo>(solvers, "VbdGradientInfo", "What gradients of DiffSolverVBD are.")
       .def_readonly("label", &VbdGradientInfo::label,
-                    "\"exact\": the derivative of the sweeps that ran.")
+                    "\"exact\": the derivative of the sweeps that ran; \"implicit\": of the "
+                    "solution of the step.")
       .def_readonly("primal", &VbdGradientInfo::primal,
-                    "VbdResidual of the step that the last backward ran.");
+                    "VbdResidual of the step that the last backward ran.")
+      .def_readonly("linear_residual", &VbdGradientInfo::linear_residual,
+                    "Of the linear system of implicit gradients, relative; else 0.")
+      .def_readonly("linear_sweeps", &VbdGradientInfo::linear_sweeps, "That it took.")
+      .def_readonly("converged", &VbdGradientInfo::converged,
+                    "Whether both residuals are within the tolerance; True for \"exact\".");
   const DiffVbdOptions d;
-  py::class_<DiffSolverVBD, SolverBase> solver(
+  py::class_<DiffSolverVBD, SolverBase>(
       solvers, "DiffSolverVBD",
-      "SolverVBD with the derivative of its iteration: a step or rollout on an active tape is "
-      "recorded, and backward goes back through every colour of every iteration. Gradients of "
-      "positions, velocities, forces, materials, rest lengths of springs, rest angles of edges and "
-      "activations are exact for the sweeps that ran; contacts are frozen. Other arrays of the "
-      "model that carry a gradient raise NotImplementedError by name.");
-  solver
-      .def(py::init([](const std::shared_ptr<Model>& model, int32_t iterations,
-                       float friction_epsilon, const std::string& initial_guess,
-                       float lhs_regularization, const std::string& gradient) {
-             require(gradient == "unrolled" || gradient == "implicit", ErrorKind::Value,
-                     "DiffSolverVBD: gradient: expected \"unrolled\" or \"implicit\", got \"",
-                     gradient, "\"");
-             require(gradient == "unrolled", ErrorKind::NotImplemented,
-                     "DiffSolverVBD: gradient \"implicit\" is not there yet; use \"unrolled\"");
-             return std::make_unique<DiffSolverVBD>(
-                 model, DiffVbdOptions{.iterations = iterations,
-                                       .friction_epsilon = friction_epsilon,
-                                       .initial_guess = to_guess(initial_guess),
-                                       .lhs_regularization = lhs_regularization});
-           }),
+      "SolverVBD with its derivative: a step or rollout on an active tape is recorded, for "
+      "backward and for jvp. gradient=\"unrolled\": exact for the sweeps that ran, back through "
+      "every colour of every iteration. gradient=\"implicit\": of the solution of the step, to "
+      "which Newton's method then takes it; the solution is what step returns. Gradients by "
+      "positions, velocities, forces, targets, gravity, masses, radii, materials, rest shapes, "
+      "activations, and margins and materials of shapes; points and normals of contacts are "
+      "frozen. Other arrays that carry a gradient raise NotImplementedError by name.")
+      .def(py::init(
+               [](const std::shared_ptr<Model>& model, int32_t iterations, float friction_epsilon,
+                  const std::string& initial_guess, float lhs_regularization,
+                  const std::string& gradient, std::optional<float> gradient_tolerance,
+                  std::optional<int32_t> gradient_sweeps, std::optional<int32_t> newton_iterations,
+                  std::optional<bool> allow_unconverged) {
+                 return std::make_unique<DiffSolverVBD>(
+                     model, DiffVbdOptions{.iterations = iterations,
+                                           .friction_epsilon = friction_epsilon,
+                                           .initial_guess = to_guess(initial_guess),
+                                           .lhs_regularization = lhs_regularization,
+                                           .gradient = to_gradient_options(
+                                               gradient, gradient_tolerance, gradient_sweeps,
+                                               newton_iterations, allow_unconverged)});
+               }),
            py::arg("model").none(false), py::kw_only(), "iterations"_a = d.iterations,
            "friction_epsilon"_a = d.friction_epsilon, "initial_guess"_a = "inertia",
            "lhs_regularization"_a = d.lhs_regularization, "gradient"_a = "unrolled",
-           "Options as SolverVBD's, without those that have no gradient. gradient: \"unrolled\". "
-           "ValueError and NotImplementedError as SolverVBD.")
+           "gradient_tolerance"_a = py::none(), "gradient_sweeps"_a = py::none(),
+           "newton_iterations"_a = py::none(), "allow_unconverged"_a = py::none(),
+           "Options as SolverVBD's, without those that have no gradient. With \"implicit\": "
+           "gradient_tolerance (1e-4), the relative residual of the step and of the linear system "
+           "at which they count as solved; gradient_sweeps (200), at most for a linear system; "
+           "newton_iterations (30), at most for a step; allow_unconverged (False): what is not "
+           "solved is told by gradient_info() instead of a novaphy.Error. ValueError and "
+           "NotImplementedError as SolverVBD; ValueError: one of these with \"unrolled\".")
       .def_property_readonly(
           "iterations", [](const DiffSolverVBD& s) { return s.options().iterations; },
           "Sweeps over all colours in a step.")
+      .def_property_readonly(
+          "gradient",
+          [](const DiffSolverVBD& s) {
+            return s.options().gradient.implicit ? "implicit" : "unrolled";
+          },
+          "\"unrolled\" or \"implicit\".")
+      .def_property_readonly("held_count", &DiffSolverVBD::held_count,
+                             "Particles that are held: the rows of targets.")
       .def("gradient_info", &DiffSolverVBD::gradient_info,
-           "VbdGradientInfo of the last backward. novaphy.Error: there was none.");
-  add_fast_step(solver);
+           "VbdGradientInfo of the last backward or jvp. novaphy.Error: there was none.")
+      .def(
+          "step",
+          [](DiffSolverVBD& s, SimState& state_in, SimState& state_out, const Control* control,
+             const Contacts* contacts, float dt, py::handle targets) {
+            DeviceArray<Vec3f> to;
+            if (!targets.is_none()) to = to_diff_targets(targets, s.device());
+            const ReleasedGil release;
+            s.step(state_in, state_out, control, contacts, dt, targets.is_none() ? nullptr : &to);
+          },
+          "state_in"_a, "state_out"_a, "control"_a.none(true), "contacts"_a.none(true), "dt"_a,
+          py::kw_only(), "targets"_a = py::none(),
+          "As SolverVBD.step; targets may be a Tensor that carries a gradient.");
 }
 #endif
 

@@ -162,8 +162,10 @@ def test_the_differentiable_step_has_the_bits_of_the_plain_one():
     assert (one.particle_qd.numpy() == other.particle_qd.numpy()).all()
     with pytest.raises(novaphy.Error, match="expected a backward before"):
         solver.gradient_info()
-    with pytest.raises(NotImplementedError, match="implicit"):
-        novaphy.solvers.DiffSolverVBD(solver.model, gradient="implicit")
+    with pytest.raises(ValueError, match="gradient: expected"):
+        novaphy.solvers.DiffSolverVBD(solver.model, gradient="frozen")
+    with pytest.raises(ValueError, match="gradient_tolerance: expected none"):
+        novaphy.solvers.DiffSolverVBD(solver.model, gradient_tolerance=1e-3)
     with pytest.raises(NotImplementedError, match="adaptive"):
         novaphy.solvers.DiffSolverVBD(solver.model, initial_guess="adaptive")
 
@@ -242,9 +244,197 @@ def test_contacts_of_every_step_are_kept_and_inputs_without_a_rule_raise():
     grad = states[0].particle_q.grad.numpy()
     assert np.isfinite(grad).all() and np.abs(grad).max() > 0.1
 
-    model.particle_mass.requires_grad = True
-    with nova.Tape(), pytest.raises(NotImplementedError, match="particle_mass"):
-        solver.step(states[0], states[1], None, None, 1 / 60)
+
+# What a step has a gradient by. Everything else of the model raises by name, but for the initial
+# positions and velocities, which steps do not read.
+WITH_GRADIENT = {
+    "gravity",
+    "particle_mass",
+    "particle_radius",
+    "particle_spring_stiffness",
+    "particle_spring_damping",
+    "particle_spring_rest_length",
+    "particle_tri_pose",
+    "particle_tri_area",
+    "particle_tri_material",
+    "particle_tri_activation",
+    "particle_edge_material",
+    "particle_edge_rest_angle",
+    "particle_edge_rest_length",
+    "particle_tet_pose",
+    "particle_tet_material",
+    "particle_tet_activation",
+    "shape_margin",
+    "shape_material_ke",
+    "shape_material_kd",
+    "shape_material_mu",
+}
+NOT_READ = {"particle_q", "particle_qd"}
+
+
+def everything():
+    """A cloth, a block, a spring and the ground."""
+    builder = cloth(tri_ke=50.0, tri_ka=50.0, tri_kd=0.01, edge_ke=0.05, edge_kd=1e-4)
+    builder.add_soft_grid(
+        pos=(0, 0, 0.2), dim_x=1, dim_y=1, dim_z=1, cell_x=0.1, cell_y=0.1, cell_z=0.1,
+        density=100, k_mu=100, k_lambda=100, k_damp=0.1,
+    )  # fmt: skip
+    builder.add_spring(10, 50, 10.0, 0.1)
+    builder.add_ground_plane()
+    return builder
+
+
+def test_every_array_of_the_model_has_a_gradient_or_raises_by_name():
+    nova = pytest.importorskip("novaphy.nova")
+    solver = diff_solver(everything(), iterations=2)
+    model = solver.model
+    names = [
+        name
+        for name in dir(model)
+        if isinstance(getattr(model, name), novaphy.DeviceArray)
+        and getattr(model, name).numpy().dtype == np.float32
+        and getattr(model, name).numpy().size > 0
+    ]
+    # Arrays have a second name, that of Newton.
+    seen, checked = {}, set()
+    for name in names:
+        array = getattr(model, name)
+        try:
+            array.requires_grad = True
+            with nova.Tape() as tape:
+                states = model.state(requires_grad=True), model.state()
+                solver.step(*states, None, None, 1 / 60)
+                loss = loss_of(states[1], np.ones((model.particle_count, 3), np.float32))
+            tape.backward(loss)
+            seen[name] = "gradient" if array.grad is not None else "none"
+        except NotImplementedError as error:
+            seen[name] = "raises"
+            checked.add(str(error).split("model.")[1].split(":")[0])
+        finally:
+            array.requires_grad = False
+    by_gradient = {name for name, found in seen.items() if found == "gradient"}
+    assert by_gradient >= WITH_GRADIENT
+    raised = {name for name, found in seen.items() if found == "raises"}
+    assert {"shape_transform", "shape_scale", "particle_inv_mass"} <= raised
+    assert {"particle_inv_mass", "shape_transform", "particle_tet_volume"} <= checked
+    silent = {name for name, found in seen.items() if found == "none"}
+    assert silent <= NOT_READ, silent
+
+
+def test_contacts_that_carry_a_gradient_raise_by_name():
+    nova = pytest.importorskip("novaphy.nova")
+    solver = diff_solver(everything(), iterations=2)
+    model = solver.model
+    contacts = novaphy.CollisionPipeline(model).contacts()
+    contacts.soft_contact_normal.requires_grad = True
+    states = model.state(requires_grad=True), model.state()
+    with nova.Tape(), pytest.raises(NotImplementedError, match="contacts.soft_contact_normal"):
+        solver.step(*states, None, contacts, 1 / 60)
+
+
+@pytest.mark.parametrize("gradient", ["unrolled", "implicit"])
+@pytest.mark.parametrize("interval", [1, 3])
+def test_targets_move_held_particles_in_a_rollout_and_have_gradients(gradient, interval):
+    nova = pytest.importorskip("novaphy.nova")
+    diff = pytest.importorskip("novaphy.diff")
+    builder = cloth(tri_ke=50.0, tri_ka=50.0, tri_kd=0.01, edge_ke=0.05, edge_kd=1e-4)
+    solver = diff_solver(builder, iterations=8, gradient=gradient)
+    model, steps = solver.model, 6
+    held = model.particle_q.numpy()[model.particle_mass.numpy() == 0]
+    rng = np.random.default_rng(5)
+    weights = rng.normal(size=(49, 3)).astype(np.float32)
+    path = held + np.cumsum(rng.normal(0, 4e-3, (steps, *held.shape)), 0).astype(np.float32)
+    trajectory = diff.Trajectory(model, steps, checkpoint=interval)
+    targets = nova.tensor(path, requires_grad=True)
+
+    def value(at):
+        targets.assign(at.astype(np.float32))
+        solver.rollout(trajectory, None, None, 1 / 60, targets=targets)
+        return float((trajectory[steps].particle_q.numpy().astype(np.float64) * weights).sum())
+
+    with nova.Tape() as tape:
+        solver.rollout(trajectory, None, None, 1 / 60, targets=targets)
+        loss = loss_of(trajectory[steps], weights)
+    tape.backward(loss)
+    assert solver.gradient_info().label == ("exact" if gradient == "unrolled" else "implicit")
+    grad = targets.grad.numpy()
+    assert grad.shape == path.shape and (np.abs(grad).max((1, 2)) > 1e-3).all()
+    end = trajectory[steps].particle_q.numpy()[model.particle_mass.numpy() == 0]
+    assert (end == path[-1]).all()
+    direction = rng.normal(size=path.shape)
+    expected = (grad * direction).sum()
+    found = (value(path + 1e-3 * direction) - value(path - 1e-3 * direction)) / 2e-3
+    assert found == pytest.approx(expected, rel=1e-2)
+
+    # The same places in every step, and step by step; the plain solver goes there too.
+    plain = novaphy.solvers.SolverVBD(model, iterations=8)
+    with pytest.raises(ValueError, match="targets"):
+        solver.rollout(trajectory, None, None, 1 / 60, targets=nova.tensor(path[:2]))
+    if gradient == "unrolled" and interval == 1:
+        other = diff.Trajectory(model, steps)
+        targets.assign(path)
+        for each in (solver, plain):
+            each.rollout(other if each is plain else trajectory, None, None, 1 / 60,
+                         targets=targets)  # fmt: skip
+        for t in range(steps + 1):
+            assert (other[t].particle_q.numpy() == trajectory[t].particle_q.numpy()).all()
+        state, after = model.state(), model.state()
+        for t in range(steps):
+            solver.step(state, after, None, None, 1 / 60, targets=path[t])
+            state, after = after, state
+        assert (state.particle_q.numpy() == trajectory[steps].particle_q.numpy()).all()
+    semi_implicit = novaphy.solvers.SolverSemiImplicit(model)
+    with pytest.raises(NotImplementedError, match="targets"):
+        semi_implicit.rollout(trajectory, None, None, 1 / 600, targets=targets)
+
+
+@pytest.mark.parametrize("gradient", ["unrolled", "implicit"])
+def test_a_tape_has_the_forward_derivative_of_a_rollout(gradient):
+    nova = pytest.importorskip("novaphy.nova")
+    diff = pytest.importorskip("novaphy.diff")
+    builder = cloth(tri_ke=50.0, tri_ka=50.0, tri_kd=0.01, edge_ke=0.05, edge_kd=1e-4)
+    options = {} if gradient == "unrolled" else {"gradient_tolerance": 1e-6}
+    solver = diff_solver(builder, iterations=8, gradient=gradient, **options)
+    model, steps = solver.model, 3
+    trajectory = diff.Trajectory(model, steps)
+    rng = np.random.default_rng(8)
+    weights = rng.normal(size=(49, 3)).astype(np.float32)
+    material = diff.model_tri_material_tensor(model, requires_grad=True)
+    velocity = diff.state_particle_qd_tensor(trajectory[0], requires_grad=True)
+    with nova.Tape() as tape:
+        solver.rollout(trajectory, None, None, 1 / 60)
+        last = diff.state_particle_q_tensor(trajectory[steps])
+        loss = nova.sum(last * nova.tensor(weights))
+    directions = [np.zeros(material.shape, np.float32), rng.normal(size=(49, 3))]
+    directions[0][:, :2] = rng.normal(size=(len(directions[0]), 2))
+    directions = [nova.tensor(d.astype(np.float32)) for d in directions]
+    (slope,) = tape.jvp([last], [material, velocity], directions)
+    forwards = float((slope.numpy().astype(np.float64) * weights).sum())
+    tape.backward(loss)
+    backwards = sum(
+        float((t.grad.numpy().astype(np.float64) * d.numpy()).sum())
+        for t, d in zip((material, velocity), directions, strict=True)
+    )
+    scale = np.linalg.norm(slope.numpy()) * np.linalg.norm(weights)
+    assert abs(forwards - backwards) < 1e-5 * scale
+
+
+def test_a_step_that_is_not_solved_is_an_error_unless_allowed():
+    nova = pytest.importorskip("novaphy.nova")
+    solver = diff_solver(cloth(), iterations=2, gradient="implicit", newton_iterations=0)
+    states = solver.model.state(requires_grad=True), solver.model.state()
+    with pytest.raises(novaphy.Error, match="the step was not solved"):
+        solver.step(*states, None, None, 1 / 60)
+    allowed = novaphy.solvers.DiffSolverVBD(
+        solver.model, iterations=2, gradient="implicit", newton_iterations=0, allow_unconverged=True
+    )
+    with nova.Tape() as tape:
+        allowed.step(*states, None, None, 1 / 60)
+        loss = loss_of(states[1], np.ones((49, 3), np.float32))
+    tape.backward(loss)
+    info = allowed.gradient_info()
+    assert info.label == "implicit" and not info.converged and info.primal.relative > 1e-4
+    assert info.linear_residual <= 1e-4 and info.linear_sweeps > 0
 
 
 def test_a_number_that_changed_after_recording_is_named():

@@ -76,7 +76,7 @@ def novaphy_run(args):
         states[0].requires_grad = True
         with nova.Tape() as tape:
             solver.step(states[0], states[1], None, contacts, DT)
-            loss = diff.state_particle_q_tensor(states[1]).sum()
+            loss = nova.sum(diff.state_particle_q_tensor(states[1]))
         start = time.process_time()
         tape.backward(loss)
         return time.process_time() - start

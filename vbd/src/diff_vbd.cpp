@@ -1,6 +1,8 @@
 #include "novaphy/vbd/diff_vbd.h"
 
 #include <cstring>
+#include <string_view>
+#include <type_traits>
 #include <utility>
 #include <vector>
 
@@ -22,32 +24,47 @@ const Vec3f* rows_of(const Tensor& tensor) {
   return reinterpret_cast<const Vec3f*>(tensor.data<float>());
 }
 
-// Arrays of the model that a step reads and that have no gradient yet.
-std::vector<std::pair<const char*, const Array*>> arrays_without_gradient(const Model& m) {
-  return {{"particle_mass", &m.particle_mass},
-          {"particle_inv_mass", &m.particle_inv_mass},
-          {"particle_radius", &m.particle_radius},
-          {"particle_tri_pose", &m.particle_tri_pose},
-          {"particle_tri_area", &m.particle_tri_area},
-          {"particle_edge_rest_length", &m.particle_edge_rest_length},
-          {"particle_tet_pose", &m.particle_tet_pose},
-          {"shape_margin", &m.shape_margin},
-          {"shape_material_ke", &m.shape_material_ke},
-          {"shape_material_kd", &m.shape_material_kd},
-          {"shape_material_mu", &m.shape_material_mu},
-          {"gravity", &m.gravity}};
+// Rows of a tensor, as memory of its own.
+Tensor part_of(const Tensor& all, size_t first_row, size_t rows) {
+  const auto row = static_cast<size_t>(all.shape().back()) * sizeof(float);
+  const auto& range = all.range();
+  return {range->storage().range(range->offset() + first_row * row, rows * row),
+          {static_cast<int64_t>(rows), all.shape().back()},
+          nova::DType::F32};
 }
 
 }  // namespace
+
+// Arrays of the model that a step has a gradient by, besides the activations.
+#define NOVAPHY_VBD_MODEL_INPUTS(X) \
+  X(gravity)                        \
+  X(particle_mass)                  \
+  X(particle_radius)                \
+  X(particle_spring_stiffness)      \
+  X(particle_spring_damping)        \
+  X(particle_spring_rest_length)    \
+  X(particle_tri_pose)              \
+  X(particle_tri_area)              \
+  X(particle_tri_material)          \
+  X(particle_edge_material)         \
+  X(particle_edge_rest_angle)       \
+  X(particle_edge_rest_length)      \
+  X(particle_tet_pose)              \
+  X(particle_tet_material)          \
+  X(shape_margin)                   \
+  X(shape_material_ke)              \
+  X(shape_material_kd)              \
+  X(shape_material_mu)
 
 // What a recorded step and its backward work with.
 struct DiffSolverVBD::Step {
   explicit Step(std::shared_ptr<const Model> of) : model(std::move(of)) {}
 
   std::shared_ptr<const Model> model;
-  std::shared_ptr<UnrolledVbd> unrolled;
+  std::shared_ptr<DifferentiableVbd> steps;
   std::shared_ptr<const Contacts> contacts;
-  Tensor q, qd, f;
+  Tensor q, qd, f, targets;  // the targets of all steps; undefined: none
+  size_t first_target = 0, target_count = 0;
   DeviceArray<float> tri_activation, tet_activation;
   DeviceArray<Vec3f> q_out, qd_out;
   float dt = 0.0f;
@@ -68,35 +85,52 @@ struct DiffSolverVBD::Step {
 
   VbdStepInputs inputs() const {
     check_numbers();
+    const Vec3f* const to = targets.defined() ? rows_of(targets) + first_target : nullptr;
     return {rows_of(q),      rows_of(qd),    rows_of(f), &tri_activation,
-            &tet_activation, contacts.get(), dt};
+            &tet_activation, contacts.get(), dt,         to};
   }
-  void forward() { unrolled->forward(inputs(), q_out.mutable_data(), qd_out.mutable_data()); }
+  void forward() { steps->forward(inputs(), q_out.mutable_data(), qd_out.mutable_data()); }
 
-  // The inputs that have a gradient, and where VbdStepGradients takes it.
+  // An input that has a gradient, and where it is among the derivatives of a step.
   struct Input {
     Tensor tensor;
-    float* VbdStepGradients::*numbers = nullptr;
-    Vec3f* VbdStepGradients::*vectors = nullptr;
+    float* VbdStepGradients::*bars = nullptr;
+    const float* VbdStepTangents::*slopes = nullptr;
+    Vec3f* VbdStepGradients::*vector_bars = nullptr;
+    const Vec3f* VbdStepTangents::*vector_slopes = nullptr;
+    bool is_targets = false;
   };
   std::vector<Input> differentiable() const {
-    using G = VbdStepGradients;
-    std::vector<Input> inputs = {
-        {q, nullptr, &G::particle_q}, {qd, nullptr, &G::particle_qd}, {f, nullptr, &G::particle_f}};
-    const auto add = [&](const DeviceArray<float>& array, float* G::*member) {
-      if (array.rows() != 0) inputs.push_back({tensor_of(nova::operand_of(array)), member});
+    std::vector<Input> all;
+    const auto add = [&](const Tensor& tensor, auto bars, auto slopes) {
+      if constexpr (std::is_same_v<decltype(bars), float * VbdStepGradients::*>) {
+        all.push_back({tensor, bars, slopes});
+      } else {
+        all.push_back({tensor, nullptr, nullptr, bars, slopes});
+      }
     };
     const Model& m = *model;
-    add(m.particle_spring_stiffness, &G::particle_spring_stiffness);
-    add(m.particle_spring_damping, &G::particle_spring_damping);
-    add(m.particle_spring_rest_length, &G::particle_spring_rest_length);
-    add(m.particle_tri_material, &G::particle_tri_material);
-    add(tri_activation, &G::particle_tri_activation);
-    add(m.particle_edge_material, &G::particle_edge_material);
-    add(m.particle_edge_rest_angle, &G::particle_edge_rest_angle);
-    add(m.particle_tet_material, &G::particle_tet_material);
-    add(tet_activation, &G::particle_tet_activation);
-    return inputs;
+    const auto add_array = [&](const Array& array, auto bars, auto slopes) {
+      if (array.rows() != 0) add(tensor_of(nova::operand_of(array)), bars, slopes);
+    };
+#define NOVAPHY_ADD(input, name) add(input, &VbdStepGradients::name, &VbdStepTangents::name)
+#define NOVAPHY_ADD_ARRAY(array, name) \
+  add_array(array, &VbdStepGradients::name, &VbdStepTangents::name)
+    NOVAPHY_ADD(q, particle_q);
+    NOVAPHY_ADD(qd, particle_qd);
+    NOVAPHY_ADD(f, particle_f);
+    if (targets.defined()) {
+      NOVAPHY_ADD(targets, targets);
+      all.back().is_targets = true;
+    }
+    NOVAPHY_ADD_ARRAY(tri_activation, particle_tri_activation);
+    NOVAPHY_ADD_ARRAY(tet_activation, particle_tet_activation);
+#define NOVAPHY_ADD_MODEL(name) NOVAPHY_ADD_ARRAY(m.name, name);
+    NOVAPHY_VBD_MODEL_INPUTS(NOVAPHY_ADD_MODEL)
+#undef NOVAPHY_ADD_MODEL
+#undef NOVAPHY_ADD_ARRAY
+#undef NOVAPHY_ADD
+    return all;
   }
 
   void backward(std::span<const Tensor> outputs, std::span<const nova::InputGradient> to) const {
@@ -105,31 +139,82 @@ struct DiffSolverVBD::Step {
     std::vector<std::vector<float>> values(all.size());
     for (size_t k = 0; k < all.size(); ++k) {
       if (!to[k].wanted()) continue;
-      values[k].resize(static_cast<size_t>(all[k].tensor.size()));
-      if (all[k].numbers != nullptr) {
-        gradients.*all[k].numbers = values[k].data();
+      values[k].resize(
+          static_cast<size_t>(all[k].is_targets ? 3 * target_count : all[k].tensor.size()));
+      if (all[k].bars != nullptr) {
+        gradients.*all[k].bars = values[k].data();
       } else {
-        gradients.*all[k].vectors = reinterpret_cast<Vec3f*>(values[k].data());
+        gradients.*all[k].vector_bars = reinterpret_cast<Vec3f*>(values[k].data());
       }
     }
-    unrolled->backward(inputs(), outputs[0].defined() ? rows_of(outputs[0]) : nullptr,
-                       outputs[1].defined() ? rows_of(outputs[1]) : nullptr, gradients);
-    for (size_t k = 0; k < all.size(); ++k)
-      if (to[k].wanted())
-        to[k].put(Tensor::from_host(values[k], all[k].tensor.shape(), Device::cpu()));
+    steps->backward(inputs(), outputs[0].defined() ? rows_of(outputs[0]) : nullptr,
+                    outputs[1].defined() ? rows_of(outputs[1]) : nullptr, gradients);
+    for (size_t k = 0; k < all.size(); ++k) {
+      if (!to[k].wanted()) continue;
+      nova::InputGradient where = to[k];
+      if (all[k].is_targets) {  // those of the other steps stay
+        if (!where.add) where.put({});
+        where = {part_of(where.grad, first_target, target_count), true};
+      }
+      where.put(Tensor::from_host(values[k], where.grad.shape(), Device::cpu()));
+    }
+  }
+
+  void tangent(std::span<const Tensor> slopes, std::span<const Tensor> outputs) const {
+    const std::vector<Input> all = differentiable();
+    VbdStepTangents direction;
+    for (size_t k = 0; k < all.size(); ++k) {
+      if (!slopes[k].defined()) continue;
+      const auto* const first =
+          slopes[k].data<float>() + (all[k].is_targets ? 3 * first_target : 0);
+      if (all[k].slopes != nullptr) {
+        direction.*all[k].slopes = first;
+      } else {
+        direction.*all[k].vector_slopes = reinterpret_cast<const Vec3f*>(first);
+      }
+    }
+    const auto n = static_cast<size_t>(model->particle_count());
+    std::vector<Vec3f> q_slope(n), qd_slope(n);
+    steps->tangent(inputs(), direction, q_slope.data(), qd_slope.data());
+    const std::vector<Vec3f>* const values[] = {&q_slope, &qd_slope};
+    for (size_t k = 0; k < 2; ++k)
+      nova::InputGradient{outputs[k], false}.put(Tensor::from_host(
+          std::span(&values[k]->front().x, 3 * n), outputs[k].shape(), Device::cpu()));
+  }
+
+  // ErrorKind::NotImplemented, by name: an array that carries a gradient but has none in a step.
+  void check_others(const nova::Tape& tape, const Contacts* given) const {
+    const std::vector<Input> all = differentiable();
+    const auto check = [&](const char* of, const FieldInfo& info, const Array& array) {
+      if (array.rows() == 0 || !tape.carries_gradient(*array.range())) return;
+      for (const Input& input : all)
+        if (input.tensor.range()->overlaps(*array.range())) return;
+      fail(ErrorKind::NotImplemented, kName, ": ", of, ".", info.name,
+           ": a step of VBD has no gradient by it; set requires_grad = false there");
+    };
+    ModelFields::visit(static_cast<const ModelFields&>(*model),
+                       [&](const FieldInfo& info, const Array& array) {
+                         const std::string_view name = info.name;
+                         if (name != "particle_q" && name != "particle_qd")
+                           check("model", info, array);
+                       });
+    if (given != nullptr)
+      ContactFields::visit(
+          static_cast<const ContactFields&>(*given),
+          [&](const FieldInfo& info, const Array& array) { check("contacts", info, array); });
   }
 };
 
 DiffSolverVBD::DiffSolverVBD(std::shared_ptr<const Model> model, const DiffVbdOptions& options)
     : DiffSolverBase(std::move(model)),
       options_(options),
-      unrolled_(std::make_shared<UnrolledVbd>(
-          this->model(), VbdOptions{.iterations = options.iterations,
-                                    .friction_epsilon = options.friction_epsilon,
-                                    .initial_guess = options.initial_guess,
-                                    .lhs_regularization = options.lhs_regularization})) {}
-
-VbdGradientInfo DiffSolverVBD::gradient_info() const { return {"exact", unrolled_->residual()}; }
+      steps_(std::make_shared<DifferentiableVbd>(
+          this->model(),
+          VbdOptions{.iterations = options.iterations,
+                     .friction_epsilon = options.friction_epsilon,
+                     .initial_guess = options.initial_guess,
+                     .lhs_regularization = options.lhs_regularization},
+          options.gradient)) {}
 
 // A copy of contacts that may be found anew before backward reads them; that of the step before
 // where they are the same.
@@ -151,16 +236,22 @@ std::shared_ptr<const Contacts> DiffSolverVBD::kept(const Contacts* contacts) {
 }
 
 void DiffSolverVBD::step(SimState& state_in, SimState& state_out, const Control* control,
-                         const Contacts* contacts, float dt) {
+                         const Contacts* contacts, float dt, const DeviceArray<Vec3f>* targets) {
   require(!nova::current_capture(), ErrorKind::Runtime, kName,
           " inside a ScopedCapture: it runs on the host and cannot be captured");
   const ExclusiveUse::Scope scope = use(kName);
   check_step(kName, state_in, state_out, control, contacts, dt);
+  const auto held = static_cast<size_t>(held_count());
+  require(targets == nullptr || (targets->rows() == held && targets->device() == device()),
+          ErrorKind::Value, kName, ": targets: expected {", held,
+          ", 3}, a position for every held particle, got ",
+          targets == nullptr ? 0 : targets->rows(), " rows");
   if (nova::Tape::active() != nullptr) make_leaves(state_in);
   StepInputs inputs;
   inputs.control = control;
   inputs.contacts = contacts;
   inputs.forces = nova::operand_of(state_in.particle_f);
+  if (targets != nullptr && held != 0) inputs.targets = nova::operand_of(*targets);
   inputs.dt = dt;
   record_step(state_in, state_out, inputs, {});
 }
@@ -178,11 +269,16 @@ void DiffSolverVBD::record_step(const SimState& in, SimState& out, const StepInp
   nova::flush_deferred();
   nova::Tape* const tape = nova::Tape::active();
   auto step = std::make_shared<Step>(model());
-  step->unrolled = unrolled_;
+  step->steps = steps_;
   step->contacts = kept(inputs.contacts);
   step->q = tensor_of(nova::operand_of(in.particle_q));
   step->qd = tensor_of(nova::operand_of(in.particle_qd));
   step->f = tensor_of(inputs.forces);
+  step->target_count = static_cast<size_t>(held_count());
+  if (inputs.targets.range != nullptr) {
+    step->targets = tensor_of(inputs.targets);
+    step->first_target = inputs.first_target;
+  }
   const Control* const control = inputs.control;
   step->tri_activation =
       control != nullptr ? control->particle_tri_activation : m.particle_tri_activation;
@@ -191,11 +287,7 @@ void DiffSolverVBD::record_step(const SimState& in, SimState& out, const StepInp
   step->q_out = out.particle_q;
   step->qd_out = out.particle_qd;
   step->dt = inputs.dt;
-  if (tape != nullptr)
-    for (const auto& [name, array] : arrays_without_gradient(m))
-      require(array->rows() == 0 || !tape->carries_gradient(*array->range()),
-              ErrorKind::NotImplemented, kName, ": model.", name,
-              ": its gradient is not there yet; set requires_grad = false there");
+  if (tape != nullptr) step->check_others(*tape, inputs.contacts);
   step->forward();
   if (tape == nullptr) return;
   nova::CustomOp op;
@@ -204,10 +296,12 @@ void DiffSolverVBD::record_step(const SimState& in, SimState& out, const StepInp
   op.outputs = {tensor_of(nova::operand_of(out.particle_q)),
                 tensor_of(nova::operand_of(out.particle_qd))};
   op.reads = op.inputs;
-  for (const auto& [name, array] : arrays_without_gradient(m))
-    if (array->rows() != 0) op.reads.push_back(Tensor::view(*array));
+  op.reads.push_back(Tensor::view(m.particle_inv_mass));
   op.vjp = [step](std::span<const Tensor> outputs, std::span<const nova::InputGradient> to) {
     step->backward(outputs, to);
+  };
+  op.jvp = [step](std::span<const Tensor> slopes, std::span<const Tensor> outputs) {
+    step->tangent(slopes, outputs);
   };
   op.forward = [step] { step->forward(); };
   op.submits_only = false;

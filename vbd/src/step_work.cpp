@@ -175,6 +175,14 @@ void StepWork::run(const StepArrays& step_arrays, const Vec3f* targets) {
   has_stepped = true;
 }
 
+void StepWork::iterate_again() {
+  const size_t last = iteration_ends_.size() - 1;
+  run_phases(iteration_ends_[last - 1], iteration_ends_[last]);
+  ++iterations_run_;
+}
+
+void StepWork::finish_again() { run_phases(iteration_ends_.back(), ends_.size()); }
+
 // Until the residual is small enough.
 void StepWork::iterate() {
   for (iterations_run_ = 0; iterations_run_ < options.iterations;) {

@@ -39,6 +39,9 @@ class StepWork {
   // `targets`: of the held particles; null: they stay.
   void run(const StepArrays& step_arrays, const Vec3f* targets);
   VbdResidual residual();
+  // After a run that kept no iterates: one more iteration, and the results of x as it is now.
+  void iterate_again();
+  void finish_again();
 
   const Model& model;
   const VbdOptions options;

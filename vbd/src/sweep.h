@@ -26,11 +26,13 @@ constexpr int kStartFloats[kRoles] = {1, 3, 1, 1, 6};  // the last ones
 // Of which these many are numbers of the law (they precede those of the start); and how many others
 // a slot has. Place of the particle itself among the four of a hinge.
 constexpr int kLawFloats[kRoles] = {3, 4, 3, 3, 4};
+constexpr int law_begin(int role) { return kFloats[role] - kStartFloats[role] - kLawFloats[role]; }
 constexpr int kOthers[kRoles] = {1, 2, 3, 3, 3};
 constexpr int kOwnPlace[kRoles] = {-1, -1, 0, 2, -1};
 
 // A contact of a particle in the step: point (3), normal (3), travel (3), radius, ke, kd/h, mu.
-constexpr int kContactFloats = 13;
+// Derivatives are by the last four.
+constexpr int kContactFloats = 13, kContactLawFloats = 4;
 
 struct SlotTable {
   const int64_t* begin = nullptr;  // groups + 1: the slots of a group
@@ -66,14 +68,37 @@ struct ParticleResidual {
 };
 
 // Derivatives of a scalar, called bars, as a sweep in reverse reads and makes them. Rows of 4
-// floats per particle, and per slot rows of lanes.
+// floats per particle, and per slot rows of lanes. "Added to" unless said otherwise.
 struct Adjoint {
-  const float* x = nullptr;    // by the positions after a colour
-  float* own = nullptr;        // what the particles of the colour add to their own
-  float* start = nullptr;      // added to: by xn
-  float* target = nullptr;     // added to: by y
-  float* others[kRoles] = {};  // per slot, 3 rows for each other particle
-  float* laws[kRoles] = {};    // added to: per slot, by the law and what the slot has of the start
+  const float* x = nullptr;           // by the positions after a colour: what u is solved from
+  const float* multiplier = nullptr;  // u itself, instead
+  float* multiplier_sum = nullptr;    // of u; null: not wanted
+  float* own = nullptr;               // what the particles of the colour add to their own
+  float* start = nullptr;             // by xn
+  float* target = nullptr;            // by y
+  float* mass_by_h2 = nullptr;        // per particle
+  float* contacts = nullptr;          // kContactLawFloats for each contact of the step
+  float* others[kRoles] = {};         // written: per slot, 3 rows for each other particle
+  float* numbers[kRoles] = {};        // per slot, by all its numbers
+  bool weights = false;               // the weights of slots are among what derivatives are by
+  bool at_rest = false;  // at a solution, where f = 0: the derivative of f alone, with d = 0
+};
+
+// Derivatives along a direction, as a sweep forwards reads and makes them. Rows as in Adjoint;
+// null: they are 0.
+struct Tangents {
+  const float* x = nullptr;
+  const float* start = nullptr;
+  const float* target = nullptr;
+  const float* mass_by_h2 = nullptr;  // per particle
+  const float* contacts = nullptr;    // kContactLawFloats for each contact of the step
+  float* numbers[kRoles] = {};        // per slot, of all its numbers; read by `tangent`
+  const float* load = nullptr;        // added to the derivative of f before it is solved with
+  bool at_rest = false;               // as in Adjoint
+  // Written, where not null: f, its derivative, and that of the steps of the particles.
+  float* force = nullptr;
+  float* force_slope = nullptr;
+  float* step_slope = nullptr;
 };
 
 struct SweepLevel {
@@ -82,10 +107,13 @@ struct SweepLevel {
   void (*prepare)(const Sweep&, int64_t group);  // the starts of the slots
   void (*move)(const Sweep&, int64_t group);     // one step of every particle of the group
   void (*residual)(const Sweep&, int64_t group, ParticleResidual* of_particles);
-  // In reverse, at the positions before the colour: see unrolled_vbd.h.
+  // In reverse, at the positions before the colour: see differentiable_vbd.h.
   void (*adjoint)(const Sweep&, const Adjoint&, int64_t group);
   // What the slots have of the start: from their bars to those of xn (own and others).
   void (*adjoint_start)(const Sweep&, const Adjoint&, int64_t group);
+  // Forwards, at the positions before the colour; and of what the slots have of the start.
+  void (*tangent)(const Sweep&, const Tangents&, int64_t group);
+  void (*tangent_start)(const Sweep&, const Tangents&, int64_t group);
 };
 
 // The level of NOVAPHY_CPU_ISA, else the best of this processor. ErrorKind::Runtime: the variable

@@ -3,7 +3,7 @@
 // A particle moves by d = H^-1 f. With u = H^-T xbar, the derivative of d.xbar by anything that f
 // and H read is that of phi = u.f - u.(H d), u and d held constant. phi is a sum over slots.
 #include "reverse.h"
-#include "sweep_slots.h"
+#include "slot_inputs.h"
 
 namespace novaphy::vbd::NOVAPHY_VBD_LEVEL {
 namespace {
@@ -25,69 +25,30 @@ struct Moved {
   }
 };
 
-// What a slot reads, as inputs of a trace.
+// `first`: the first number of the slot that derivatives are by.
 template <Role role>
-struct SlotInputs {
-  Vec3<Reverse> own, others[3];
-  Reverse numbers[kLawFloats[role] + kStartFloats[role]];  // the law, then the start
-
-  SlotInputs(Trace& trace, const Slot<role>& slot, const Point& x, const float* q) {
-    trace.clear();
-    own = input(trace, x);
-    for (int k = 0; k < kOthers[role]; ++k)
-      others[k] = input(trace, gather(q, slot.index(place(k))));
-    constexpr int count = kLawFloats[role] + kStartFloats[role];
-    for (int k = 0; k < count; ++k)
-      numbers[k] = Reverse::input(trace, slot.number(kFloats[role] - count + k));
-  }
-  // The row of indices of the k-th other.
-  static constexpr int place(int k) {
-    return kOwnPlace[role] < 0 || k < kOwnPlace[role] ? k : k + 1;
-  }
-};
+SlotInputs<role, Reverse> inputs_of(Trace& trace, const Slot<role>& slot, const Point& x,
+                                    const float* q, int first) {
+  SlotInputs<role, Reverse> in;
+  trace.clear();
+  in.own = input(trace, x);
+  for (int k = 0; k < kOthers[role]; ++k)
+    in.others[k] = input(trace, gather(q, slot.index(in.place(k))));
+  for (int k = 0; k < kFloats[role]; ++k)
+    in.numbers[k] = k < first ? Reverse(slot.number(k)) : Reverse::input(trace, slot.number(k));
+  return in;
+}
 
 template <Role role>
-int64_t slot_number(const SlotTable& table, const Slot<role>& slot) {
-  return (slot.ints - table.ints) / (kInts[role] * LANES);
-}
-
-Block<Reverse> block_of(const SlotInputs<kSpring>& in, const Slot<kSpring>&, bool) {
-  return spring_block(in.own, in.others[0], {in.numbers[0], in.numbers[1], in.numbers[2]},
-                      in.numbers[3]);
-}
-Vec2<Reverse> constant(const Vec2<Lanes>& w) { return {Reverse(w.x), Reverse(w.y)}; }
-MembraneWeights<Reverse> constant(const MembraneWeights<Lanes>& w) {
-  return {constant(w.w1), constant(w.w2)};
-}
-TetrahedronWeights<Reverse> constant(const TetrahedronWeights<Lanes>& w) {
-  return {constant(w.w1), constant(w.w2), constant(w.w3)};
-}
-Block<Reverse> block_of(const SlotInputs<kTriangle>& in, const Slot<kTriangle>& slot, bool damped) {
-  const Reverse* const n = in.numbers;
-  return membrane_block(in.own, in.others[0], in.others[1], constant(weights_of(slot)),
-                        {n[0], n[1], n[2], n[3]}, {n[4], n[5], n[6]}, damped);
-}
-Block<Reverse> block_of(const SlotInputs<kHingeOpposite>& in, const Slot<kHingeOpposite>&, bool) {
-  return bending_opposite_block(in.own, in.others[0], in.others[1], in.others[2],
-                                {in.numbers[0], in.numbers[1], in.numbers[2]}, in.numbers[3]);
-}
-Block<Reverse> block_of(const SlotInputs<kHingeEnd>& in, const Slot<kHingeEnd>&, bool) {
-  return bending_end_block(in.others[0], in.others[1], in.own, in.others[2],
-                           {in.numbers[0], in.numbers[1], in.numbers[2]}, in.numbers[3]);
-}
-Block<Reverse> block_of(const SlotInputs<kTetrahedron>& in, const Slot<kTetrahedron>& slot,
-                        bool damped) {
-  const Reverse* const n = in.numbers;
-  return tetrahedron_block(in.own, in.others[0], in.others[1], in.others[2],
-                           constant(weights_of(slot)), {n[0], n[1], n[2], n[3]},
-                           {{n[4], n[5], n[6], n[7], n[8], n[9]}}, damped);
+float* rows_of(float* const (&tables)[kRoles], const SlotTable& table, const Slot<role>& slot,
+               int width) {
+  return tables[role] + slot_number(table, slot) * (width * LANES);
 }
 
 template <Role role>
 void put_others(const Sweep& sweep, const Adjoint& bars, const Slot<role>& slot,
-                const SlotInputs<role>& in) {
-  float* const rows =
-      bars.others[role] + slot_number(sweep.slots[role], slot) * (3 * kOthers[role] * LANES);
+                const SlotInputs<role, Reverse>& in) {
+  float* const rows = rows_of(bars.others, sweep.slots[role], slot, 3 * kOthers[role]);
   for (int k = 0; k < kOthers[role]; ++k) {
     const Point b = bar(in.others[k]);
     store(rows + (3 * k + 0) * LANES, b.x);
@@ -96,57 +57,77 @@ void put_others(const Sweep& sweep, const Adjoint& bars, const Slot<role>& slot,
   }
 }
 
+// The numbers [first, last) of a slot.
+template <Role role>
+void add_numbers(float* rows, const SlotInputs<role, Reverse>& in, int first, int last) {
+  for (int k = first; k < last; ++k)
+    store(rows + k * LANES, load(rows + k * LANES) + in.numbers[k].bar());
+}
+
 template <Role role>
 void adjoint_slots(const Sweep& sweep, const Adjoint& bars, int64_t group, const Point& x,
                    Trace& trace, Moved& moved) {
   const SlotTable& table = sweep.slots[role];
+  const int first = bars.weights ? 0 : law_begin(role);
   for_slots<role>(sweep, group, [&](const Slot<role>& slot) {
-    const SlotInputs<role> in(trace, slot, x, sweep.x);
-    const Reverse phi = moved.phi(block_of(in, slot, table.damped));
+    const auto in = inputs_of(trace, slot, x, sweep.x, first);
+    const Reverse phi = moved.phi(block_of(in, table.damped));
     trace.run(phi.node);
     moved.own = moved.own + bar(in.own);
     put_others(sweep, bars, slot, in);
-    constexpr int count = kLawFloats[role] + kStartFloats[role];
-    float* const rows = bars.laws[role] + slot_number(table, slot) * (count * LANES);
-    for (int k = 0; k < count; ++k)
-      store(rows + k * LANES, load(rows + k * LANES) + in.numbers[k].bar());
+    add_numbers(rows_of(bars.numbers, table, slot, kFloats[role]), in, first, kFloats[role]);
   });
-}
-
-// What a slot has of the start, as functions of xn.
-template <Role role>
-Reverse start_phi(const SlotInputs<role>& in, const Slot<role>& slot, const float* rows) {
-  const auto row = [rows](int k) { return Reverse(load(rows + (kLawFloats[role] + k) * LANES)); };
-  if constexpr (role == kSpring) {
-    return spring_length(in.own, in.others[0]) * row(0);
-  } else if constexpr (role == kTriangle) {
-    const auto c = membrane_strain(in.own, in.others[0], in.others[1], constant(weights_of(slot)));
-    return (c.c00 * row(0) + c.c01 * row(1)) + c.c11 * row(2);
-  } else if constexpr (role == kTetrahedron) {
-    const auto c = tetrahedron_strain(in.own, in.others[0], in.others[1], in.others[2],
-                                      constant(weights_of(slot)));
-    Reverse sum = c.c[0] * row(0);
-    for (int k = 1; k < 6; ++k) sum = sum + c.c[k] * row(k);
-    return sum;
-  } else if constexpr (role == kHingeOpposite) {
-    return bending_angle(in.own, in.others[0], in.others[1], in.others[2]) * row(0);
-  } else {
-    return bending_angle(in.others[0], in.others[1], in.own, in.others[2]) * row(0);
-  }
 }
 
 template <Role role>
 void adjoint_start_slots(const Sweep& sweep, const Adjoint& bars, int64_t group, const Point& x,
                          Trace& trace, Point& own) {
-  const SlotTable& table = sweep.slots[role];
+  constexpr int end = kFloats[role] - kStartFloats[role];  // of the law
+  const int first = bars.weights ? 0 : end;
   for_slots<role>(sweep, group, [&](const Slot<role>& slot) {
-    const SlotInputs<role> in(trace, slot, x, sweep.start);
-    const float* const rows =
-        bars.laws[role] +
-        slot_number(table, slot) * ((kLawFloats[role] + kStartFloats[role]) * LANES);
-    trace.run(start_phi(in, slot, rows).node);
+    const auto in = inputs_of(trace, slot, x, sweep.start, first);
+    float* const rows = rows_of(bars.numbers, sweep.slots[role], slot, kFloats[role]);
+    Reverse phi(0.0f);
+    start_of_slot(in, [&](int k, const Reverse& value) {
+      phi = phi + value * Reverse(load(rows + (end + k) * LANES));
+    });
+    trace.run(phi.node);
     own = own + bar(in.own);
     put_others(sweep, bars, slot, in);
+    add_numbers(rows, in, first, end);
+  });
+}
+
+// By the numbers of the law of the contacts of a group.
+void add_contacts(const Sweep& sweep, const Adjoint& bars, int64_t group, int32_t round,
+                  const Reverse (&law)[kContactLawFloats]) {
+  for (int32_t l = 0; l < sweep.filled[group]; ++l) {
+    const int32_t particle = sweep.particle[group * LANES + l];
+    const int32_t k = sweep.contact_begin[particle] + round;
+    if (k >= sweep.contact_begin[particle + 1]) continue;
+    for (int c = 0; c < kContactLawFloats; ++c)
+      bars.contacts[static_cast<int64_t>(k) * kContactLawFloats + c] += law[c].bar().v[l];
+  }
+}
+
+void adjoint_contacts(const Sweep& sweep, const Adjoint& bars, int64_t group, const Point& x,
+                      Trace& trace, Moved& moved, Point& by_start) {
+  if (sweep.contact_begin == nullptr) return;
+  const Point start = gather(sweep.start, sweep.particle + group * LANES);
+  for_contacts(sweep, group, [&](const ParticleContact<Lanes>& c, Mask touching, int32_t round) {
+    trace.clear();
+    const Vec3<Reverse> xi = input(trace, x), si = input(trace, start);
+    const Reverse law[kContactLawFloats] = {
+        Reverse::input(trace, c.radius), Reverse::input(trace, c.ke),
+        Reverse::input(trace, c.kd_by_h), Reverse::input(trace, c.mu)};
+    const ParticleContact<Reverse> contact = {
+        constant(c.point), constant(c.normal), constant(c.travel), law[0], law[1], law[2], law[3],
+        Reverse(c.slip)};
+    const Reverse phi = moved.phi(where(touching, particle_contact_block(xi, si, contact)));
+    trace.run(phi.node);
+    moved.own = moved.own + bar(xi);
+    by_start = by_start + bar(si);
+    add_contacts(sweep, bars, group, round, law);
   });
 }
 
@@ -160,29 +141,24 @@ void adjoint(const Sweep& sweep, const Adjoint& bars, int64_t group) {
   const int32_t* const particle = sweep.particle + group * LANES;
   const int32_t filled = sweep.filled[group];
   const Point x = gather(sweep.x, particle);
-  const Block<Lanes> block = block_at(sweep, group, x);
-  const auto factors = factorize(block, Lanes(sweep.regularization));
   Moved moved;
-  moved.d = solve_block(factors, block.f);
   Mask is_particle;
   for (int32_t l = 0; l < filled; ++l) is_particle.v[l] = -1;
-  moved.u = math::select(is_particle, solve_block(factors, gather(bars.x, particle)), Point{});
+  if (bars.multiplier != nullptr) {
+    moved.u = gather(bars.multiplier, particle);
+  } else {
+    const Block<Lanes> block = block_at(sweep, group, x);
+    const auto factors = factorize(block, Lanes(sweep.regularization));
+    if (!bars.at_rest) moved.d = solve_block(factors, block.f);
+    moved.u = solve_block(factors, gather(bars.x, particle));
+  }
+  moved.u = math::select(is_particle, moved.u, Point{});
   const Point inertia = moved.u * load(sweep.mass_by_h2 + group * LANES);
   moved.own = -inertia;
+  const Lanes by_mass = math::dot(moved.u, (gather(sweep.target, particle) - x) - moved.d);
 
-  const Point start = gather(sweep.start, particle);
   Point by_start;
-  for_contacts(sweep, group, [&](const ParticleContact<Lanes>& c, Mask touching) {
-    trace.clear();
-    const Vec3<Reverse> xi = input(trace, x), si = input(trace, start);
-    const ParticleContact<Reverse> fixed = {
-        constant(c.point), constant(c.normal), constant(c.travel), Reverse(c.radius),
-        Reverse(c.ke),     Reverse(c.kd_by_h), Reverse(c.mu),      Reverse(c.slip)};
-    const Reverse phi = moved.phi(where(touching, particle_contact_block(xi, si, fixed)));
-    trace.run(phi.node);
-    moved.own = moved.own + bar(xi);
-    by_start = by_start + bar(si);
-  });
+  adjoint_contacts(sweep, bars, group, x, trace, moved, by_start);
   adjoint_slots<kSpring>(sweep, bars, group, x, trace, moved);
   adjoint_slots<kTriangle>(sweep, bars, group, x, trace, moved);
   adjoint_slots<kHingeOpposite>(sweep, bars, group, x, trace, moved);
@@ -192,6 +168,8 @@ void adjoint(const Sweep& sweep, const Adjoint& bars, int64_t group) {
     add_row(bars.own, particle[l], moved.own, l);
     add_row(bars.target, particle[l], inertia, l);
     add_row(bars.start, particle[l], by_start, l);
+    bars.mass_by_h2[particle[l]] += by_mass.v[l];
+    if (bars.multiplier_sum != nullptr) add_row(bars.multiplier_sum, particle[l], moved.u, l);
   }
 }
 

@@ -42,7 +42,7 @@ Lanes energy_at(const Sweep& sweep, int64_t group, const Point& x, const Point& 
   const float* const q = sweep.x;
   Lanes energy =
       inertia_energy(x, gather(sweep.target, particle), load(sweep.mass_by_h2 + group * LANES));
-  for_contacts(sweep, group, [&](const ParticleContact<Lanes>& contact, Mask touching) {
+  for_contacts(sweep, group, [&](const ParticleContact<Lanes>& contact, Mask touching, int32_t) {
     const Lanes load = particle_contact_load(from, contact);
     const Lanes e = particle_contact_energy(x, gather(sweep.start, particle), contact, load);
     energy = energy + select(touching, e, Lanes(0.0f));
@@ -122,9 +122,12 @@ void residual(const Sweep& sweep, int64_t group, ParticleResidual* of_particles)
 
 void adjoint(const Sweep& sweep, const Adjoint& bars, int64_t group);
 void adjoint_start(const Sweep& sweep, const Adjoint& bars, int64_t group);
+void tangent(const Sweep& sweep, const Tangents& tangents, int64_t group);
+void tangent_start(const Sweep& sweep, const Tangents& tangents, int64_t group);
 
 extern const SweepLevel kLevel;
-const SweepLevel kLevel = {NOVAPHY_VBD_LEVEL_NAME, LANES, &prepare, &move, &residual, &adjoint,
-                           &adjoint_start};
+const SweepLevel kLevel = {
+    NOVAPHY_VBD_LEVEL_NAME, LANES,    &prepare,      &move, &residual, &adjoint,
+    &adjoint_start,         &tangent, &tangent_start};
 
 }  // namespace novaphy::vbd::NOVAPHY_VBD_LEVEL

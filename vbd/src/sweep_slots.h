@@ -79,7 +79,8 @@ struct HingeCorners {
   }
 };
 
-// Calls body(contact of each lane, lanes that have one) for the contacts of a group.
+// Calls body(contact of each lane, lanes that have one, which one it is of their contacts) for the
+// contacts of a group.
 template <class Body>
 void for_contacts(const Sweep& sweep, int64_t group, Body&& body) {
   if (sweep.contact_begin == nullptr) return;
@@ -103,7 +104,7 @@ void for_contacts(const Sweep& sweep, int64_t group, Body&& body) {
     };
     body(ParticleContact<Lanes>{point(0), point(3), point(6), load(rows[9]), load(rows[10]),
                                 load(rows[11]), load(rows[12]), Lanes(sweep.slip)},
-         touching);
+         touching, round);
   }
 }
 
@@ -115,7 +116,7 @@ inline Block<Lanes> block_at(const Sweep& sweep, int64_t group, const Point& x) 
   Block<Lanes> outer;
   if (sweep.contact_begin != nullptr) {
     const Point start = gather(sweep.start, particle);
-    for_contacts(sweep, group, [&](const ParticleContact<Lanes>& contact, Mask touching) {
+    for_contacts(sweep, group, [&](const ParticleContact<Lanes>& contact, Mask touching, int32_t) {
       outer = outer + where(touching, particle_contact_block(x, start, contact));
     });
   }

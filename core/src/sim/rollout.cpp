@@ -28,7 +28,7 @@ RolloutInputs::Forces checked_forces(const Array* given, const char* name, int32
 
 RolloutInputs::RolloutInputs(const Model& model, const Trajectory& trajectory,
                              const Control* control, const Contacts* contacts, float dt,
-                             const RolloutOptions& options)
+                             const RolloutOptions& options, int32_t held)
     : start_(options.start),
       stop_(options.stop == -1 ? trajectory.steps() : options.stop),
       dt_(dt),
@@ -62,6 +62,9 @@ RolloutInputs::RolloutInputs(const Model& model, const Trajectory& trajectory,
           "rollout, contacts: expected none besides pipeline, which finds those of every step");
   const int32_t particles = model.particle_count(), bodies = model.body_count();
   forces_ = checked_forces(options.forces, "forces", particles, 3, start_, steps(), model.device());
+  require(options.targets == nullptr || held >= 0, ErrorKind::NotImplemented,
+          "rollout, targets: expected none, this solver moves no held particles");
+  targets_ = checked_forces(options.targets, "targets", held, 3, start_, steps(), model.device());
   body_forces_ = checked_forces(options.body_forces, "body_forces", bodies, 6, start_, steps(),
                                 model.device());
 }

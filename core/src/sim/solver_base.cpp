@@ -2,6 +2,7 @@
 
 #include <array>
 #include <cmath>
+#include <functional>
 #include <optional>
 #include <span>
 #include <utility>
@@ -62,8 +63,13 @@ void check_apart(const char* name, const SimState& state_in, const SimState& sta
 // step for the states of a trajectory, on copies of its forces, which step adds to.
 class ForwardSteps {
  public:
-  ForwardSteps(SolverBase& solver, const Trajectory& trajectory, const RolloutInputs& inputs)
+  using StepToTargets = std::function<void(SimState&, SimState&, const Control*, const Contacts*,
+                                           float, const DeviceArray<Vec3f>&)>;
+
+  ForwardSteps(SolverBase& solver, const Trajectory& trajectory, const RolloutInputs& inputs,
+               StepToTargets step_to_targets)
       : solver_(solver),
+        step_to_targets_(std::move(step_to_targets)),
         inputs_(inputs),
         shared_(trajectory.fields()),
         now_(*solver.model()),
@@ -71,6 +77,8 @@ class ForwardSteps {
         fields_(detail::mutable_fields<StateFields>(now_)),
         shared_fields_(detail::const_fields(shared_)),
         own_fields_(detail::mutable_fields(own_)) {
+    if (inputs.targets().any())
+      targets_ = DeviceArray<Vec3f>(inputs.targets().count, solver.device());
     if (inputs.pipeline() != nullptr) found_.emplace(inputs.pipeline()->contacts());
   }
   ForwardSteps(const ForwardSteps&) = delete;  // the fields point into it
@@ -90,7 +98,11 @@ class ForwardSteps {
       inputs_.pipeline()->collide(from, *found_);
       contacts = &*found_;
     }
-    solver_.step(now_, to, inputs_.control(t), contacts, inputs_.dt());
+    const RolloutInputs::Forces& targets = inputs_.targets();
+    if (!targets.any()) return solver_.step(now_, to, inputs_.control(t), contacts, inputs_.dt());
+    const auto* const first = static_cast<const Vec3f*>(targets.rows.raw()) + targets.first(t);
+    targets_.copy_from_host(std::span(first, targets.count));
+    step_to_targets_(now_, to, inputs_.control(t), contacts, inputs_.dt(), targets_);
   }
 
  private:
@@ -105,6 +117,7 @@ class ForwardSteps {
   }
 
   SolverBase& solver_;
+  StepToTargets step_to_targets_;
   RolloutInputs inputs_;
   StateFields shared_;  // the trajectory's
   SimState now_;
@@ -112,6 +125,7 @@ class ForwardSteps {
   std::vector<detail::MutableField> fields_;
   std::vector<detail::ConstField> shared_fields_;
   std::vector<detail::MutableField> own_fields_;
+  DeviceArray<Vec3f> targets_;     // of a step
   std::optional<Contacts> found_;  // by the pipeline, anew in every step
 };
 
@@ -153,13 +167,24 @@ void SolverBase::check_step(const char* name, const SimState& state_in, const Si
       });
 }
 
+void SolverBase::step_to_targets(SimState&, SimState&, const Control*, const Contacts*, float,
+                                 const DeviceArray<Vec3f>&) {
+  fail(ErrorKind::NotImplemented,
+       "rollout, targets: expected none, this solver moves no held particles");
+}
+
 void SolverBase::rollout(Trajectory& trajectory, const Control* control, const Contacts* contacts,
                          float dt, const RolloutOptions& options) {
   if (ArrayObserver* observer = array_observer()) observer->untracked_operation("rollout");
-  const RolloutInputs inputs(*model_, trajectory, control, contacts, dt, options);
+  const RolloutInputs inputs(*model_, trajectory, control, contacts, dt, options, target_count());
   require((!inputs.forces().any() && !inputs.body_forces().any()) || device().is_cpu(),
           ErrorKind::NotImplemented, "rollout, forces: this solver covers them on the cpu");
-  const auto steps = std::make_shared<ForwardSteps>(*this, trajectory, inputs);
+  const auto steps = std::make_shared<ForwardSteps>(
+      *this, trajectory, inputs,
+      [this](SimState& in, SimState& out, const Control* of_step, const Contacts* found, float h,
+             const DeviceArray<Vec3f>& targets) {
+        step_to_targets(in, out, of_step, found, h, targets);
+      });
   constexpr int32_t kStepsPerInterruptCheck = 32;
   for (int32_t t = inputs.start(); t < inputs.stop(); ++t) {
     if (t % kStepsPerInterruptCheck == 0) check_interrupt();

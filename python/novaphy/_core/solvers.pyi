@@ -44,6 +44,7 @@ class SolverBase(_Native):
         *,
         forces: Tensor | DeviceArray | None = None,
         body_forces: Tensor | DeviceArray | None = None,
+        targets: Tensor | DeviceArray | None = None,
         pipeline: CollisionPipeline | None = None,
         start: SupportsIndex = 0,
         stop: SupportsIndex | None = None,
@@ -142,6 +143,12 @@ class VbdGradientInfo(_Native):
     def label(self) -> str: ...
     @property
     def primal(self) -> VbdResidual: ...
+    @property
+    def linear_residual(self) -> float: ...
+    @property
+    def linear_sweeps(self) -> int: ...
+    @property
+    def converged(self) -> bool: ...
 
 class DiffSolverVBD(SolverBase):
     def __init__(
@@ -152,10 +159,18 @@ class DiffSolverVBD(SolverBase):
         friction_epsilon: SupportsFloat = 1.0e-2,
         initial_guess: Literal["inertia", "previous"] = "inertia",
         lhs_regularization: SupportsFloat = 1.0e-6,
-        gradient: Literal["unrolled"] = "unrolled",
+        gradient: Literal["unrolled", "implicit"] = "unrolled",
+        gradient_tolerance: SupportsFloat | None = None,
+        gradient_sweeps: SupportsIndex | None = None,
+        newton_iterations: SupportsIndex | None = None,
+        allow_unconverged: bool | None = None,
     ) -> None: ...
     @property
     def iterations(self) -> int: ...
+    @property
+    def gradient(self) -> str: ...
+    @property
+    def held_count(self) -> int: ...
     def gradient_info(self) -> VbdGradientInfo: ...
     def step(
         self,
@@ -164,6 +179,12 @@ class DiffSolverVBD(SolverBase):
         control: Control | None,
         contacts: Contacts | None,
         dt: SupportsFloat,
+        *,
+        targets: Tensor
+        | DeviceArray
+        | Sequence[Sequence[SupportsFloat]]
+        | NDArray[Any]
+        | None = None,
     ) -> None: ...
 
 class DiffSolverConfig(_Native):

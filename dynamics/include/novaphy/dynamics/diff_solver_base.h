@@ -20,6 +20,10 @@ struct StepInputs {
   ContactTables* tables = nullptr;
   nova::Operand forces;       // {n, 3}: on the particles; only read
   nova::Operand body_forces;  // {b, 6}: on the bodies; only read
+  // {k, 3}, the rows of this step from `first_target` on: where held particles go; without a range:
+  // they stay.
+  nova::Operand targets;
+  size_t first_target = 0;
   float dt = 0.0f;
 };
 

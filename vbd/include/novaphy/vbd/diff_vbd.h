@@ -1,12 +1,11 @@
-// DiffSolverVBD: a step of VBD as one operation of a tape, with the derivative of its iteration.
+// DiffSolverVBD: a step of VBD as one operation of a tape, with its derivatives.
 // Compiled into novaphy::diff where both are built.
 #pragma once
 
 #include <memory>
-#include <string>
 
 #include "novaphy/dynamics/diff_solver_base.h"
-#include "novaphy/vbd/unrolled_vbd.h"
+#include "novaphy/vbd/differentiable_vbd.h"
 
 namespace novaphy::diff {
 
@@ -15,41 +14,48 @@ struct DiffVbdOptions {
   float friction_epsilon = 1e-2f;                            // m/s, > 0, see VbdOptions
   VbdInitialGuess initial_guess = VbdInitialGuess::Inertia;  // not Adaptive
   float lhs_regularization = 1e-6f;
+  VbdGradientOptions gradient = {};
 };
 
-// What the gradients of a solver are.
-struct VbdGradientInfo {
-  std::string label;   // "exact": the derivative of the sweeps that ran
-  VbdResidual primal;  // how far the step that the last backward ran was from its solution
-};
-
-// SolverVBD's step, in all bits, recorded on an active tape. Backward runs each step once more and
-// goes back through its colours and iterations.
+// SolverVBD's step, in all bits, recorded on an active tape; with implicit gradients the solution
+// of the step. Backward and Tape::jvp run each step once more.
 //
-//   input                                        gradient
-//   particle_q, particle_qd, particle_f          exact; held particles by their positions
-//   particle_spring_stiffness, _damping, _rest_length, particle_tri_material (ke, ka, kd),
-//   particle_edge_material, particle_edge_rest_angle, particle_tet_material    exact
-//   activations of triangles and tetrahedra, of the control or the model       exact
-//   contacts (those of the step are kept)        frozen: points, normals, which particles touch
-//   all else of the model                        none: ErrorKind::NotImplemented, by name, where it
-//                                                has requires_grad
-// "Exact" is of the iterations that ran, not of the converged step: see gradient_info().
-// There is no forward derivative (jvp), and none of it can be captured.
+//   input                                                gradient
+//   particle_q, particle_qd, particle_f, targets         exact; held particles by their positions
+//   gravity, particle_mass (through its inverse too), particle_radius                    exact
+//   particle_spring_stiffness, _damping, _rest_length                                    exact
+//   particle_tri_pose, _area, _material (ke, ka, kd), particle_tet_pose, _material       exact
+//   particle_edge_material, _rest_angle, _rest_length                                    exact
+//   activations of triangles and tetrahedra, of the control or the model                 exact
+//   shape_margin, shape_material_ke, _kd, _mu            exact
+//   contacts (those of the step are kept)                frozen: points, normals, which touch
+//   all else of the model and the contacts               none: ErrorKind::NotImplemented, by name,
+//                                                        where it has requires_grad
+// particle_q and particle_qd of the model are read by states, not by steps.
+// "Exact" is of the iterations that ran, or with implicit gradients of the solution, within the
+// residuals: see gradient_info(). None of it can be captured.
 class NOVAPHY_VBD_API DiffSolverVBD : public DiffSolverBase {
  public:
-  // Errors as SolverVBD.
+  // Errors as DifferentiableVbd.
   explicit DiffSolverVBD(std::shared_ptr<const Model> model, const DiffVbdOptions& options = {});
 
   const DiffVbdOptions& options() const { return options_; }
-  // Of the last backward. ErrorKind::Runtime: there was none.
-  VbdGradientInfo gradient_info() const;
+  int32_t held_count() const { return steps_->held_count(); }
+  // Of the last backward or jvp. ErrorKind::Runtime: there was none.
+  VbdGradientInfo gradient_info() const { return steps_->info(); }
 
-  // particle_f is only read. Errors as SolverVBD::step; ErrorKind::Runtime in a capture.
+  // particle_f is only read. Errors as SolverVBD::step; ErrorKind::Runtime in a capture, and with
+  // implicit gradients where the step was not solved.
   void step(SimState& state_in, SimState& state_out, const Control* control,
-            const Contacts* contacts, float dt) override;
+            const Contacts* contacts, float dt) override {
+    step(state_in, state_out, control, contacts, dt, nullptr);
+  }
+  // `targets`: as SolverVBD::step; with a gradient.
+  void step(SimState& state_in, SimState& state_out, const Control* control,
+            const Contacts* contacts, float dt, const DeviceArray<Vec3f>* targets);
 
  protected:
+  int32_t target_count() const override { return held_count(); }
   bool begin_rollout(const RolloutInputs& inputs) override;
   void record_step(const SimState& in, SimState& out, const StepInputs& inputs,
                    StepScratch scratch) override;
@@ -59,7 +65,7 @@ class NOVAPHY_VBD_API DiffSolverVBD : public DiffSolverBase {
   std::shared_ptr<const Contacts> kept(const Contacts* contacts);
 
   DiffVbdOptions options_;
-  std::shared_ptr<UnrolledVbd> unrolled_;
+  std::shared_ptr<DifferentiableVbd> steps_;
   std::shared_ptr<const Contacts> last_contacts_;  // a copy of those of the last step
 };
 

@@ -84,6 +84,14 @@ class NOVAPHY_VBD_API SolverVBD : public SolverBase {
   void reset();
   void notify_model_changed(ModelFlags flags) override;
 
+ protected:
+  int32_t target_count() const override { return held_count(); }
+  void step_to_targets(SimState& state_in, SimState& state_out, const Control* control,
+                       const Contacts* contacts, float dt,
+                       const DeviceArray<Vec3f>& targets) override {
+    step(state_in, state_out, control, contacts, dt, &targets);
+  }
+
  private:
   struct Work;
 

@@ -31,6 +31,10 @@ struct RolloutOptions {
   // Wrenches on the bodies (N, N m, world frame, about the centre of mass) besides the trajectory's
   // body_f: b rows, or b rows for each step, as `forces`.
   const DeviceArray<SpatialVectorf>* body_forces = nullptr;
+  // Where the particles that the solver holds are at the end of a step (m, world frame), in the
+  // order of their indices: k rows for every step, or k rows for each step of this call,
+  // time-major. ErrorKind::NotImplemented: the solver moves no held particles.
+  const DeviceArray<Vec3f>* targets = nullptr;
   // Finds the contacts of every step anew, from its state, instead of the `contacts` of the call.
   ContactFinder* pipeline = nullptr;
   // Steps [start, stop) of the trajectory; stop = -1: to the end. Both states must be kept.
@@ -42,9 +46,11 @@ class NOVAPHY_CORE_API RolloutInputs {
  public:
   // ErrorKind::Value, naming the argument: objects of another model, dt not finite or <= 0, forces
   // of another size or device, a number of controls that does not divide the steps, states that are
-  // not there or not kept, contacts besides a pipeline.
+  // not there or not kept, contacts besides a pipeline. `held`: the particles that targets move;
+  // -1: none can be given.
   RolloutInputs(const Model& model, const Trajectory& trajectory, const Control* control,
-                const Contacts* contacts, float dt, const RolloutOptions& options);
+                const Contacts* contacts, float dt, const RolloutOptions& options,
+                int32_t held = -1);
 
   int32_t start() const { return start_; }
   int32_t stop() const { return stop_; }
@@ -55,7 +61,7 @@ class NOVAPHY_CORE_API RolloutInputs {
     return controls_[static_cast<size_t>((t - start_) / steps_per_control_)];
   }
   ContactFinder* pipeline() const { return pipeline_; }
-  // Rows that act on each particle or body besides the trajectory's.
+  // Rows that act on each particle or body besides the trajectory's; or targets.
   struct Forces {
     Array rows;           // none: none
     size_t count = 0;     // of particles or bodies
@@ -67,6 +73,7 @@ class NOVAPHY_CORE_API RolloutInputs {
     }
   };
   const Forces& forces() const { return forces_; }            // vec3, on particles
+  const Forces& targets() const { return targets_; }          // vec3, of held particles
   const Forces& body_forces() const { return body_forces_; }  // spatial_vector, on bodies
 
  private:
@@ -75,7 +82,7 @@ class NOVAPHY_CORE_API RolloutInputs {
   const Contacts* contacts_ = nullptr;
   std::vector<const Control*> controls_;
   ContactFinder* pipeline_ = nullptr;
-  Forces forces_, body_forces_;
+  Forces forces_, body_forces_, targets_;
 };
 
 }  // namespace novaphy

@@ -5,15 +5,16 @@
 
 #include <cmath>
 
+#include "everything_scene.h"
 #include "newton_scene.h"
-#include "novaphy/collision/collision_pipeline.h"
 #include "novaphy/core/parallel.h"
-#include "novaphy/vbd/unrolled_vbd.h"
+#include "novaphy/vbd/differentiable_vbd.h"
 #include "support/bits.h"
 
 namespace novaphy {
 namespace {
 
+using testing::EverythingScene;
 using testing::NewtonVbdScene;
 using testing::Npz;
 using testing::same_bits;
@@ -52,7 +53,7 @@ TEST_P(VbdGradients, AreThoseOfDoublePrecision) {
                             .particle_f = f.data(),
                             .contacts = &contacts,
                             .dt = scene.dt()};
-  UnrolledVbd step(scene.model, {.iterations = 10});
+  DifferentiableVbd step(scene.model, {.iterations = 10});
   std::vector<Vec3f> q(n), qd(n), q_bar(n), qd_bar(n), f_bar(n);
   step.forward(in, q.data(), qd.data());
   EXPECT_LT(relative_error(flat(q), file[name("K10_out_q")].as<double>()), 1e-6);
@@ -74,83 +75,6 @@ TEST_P(VbdGradients, AreThoseOfDoublePrecision) {
 
 INSTANTIATE_TEST_SUITE_P(Scenes, VbdGradients, ::testing::Values("soft", "cloth"));
 
-// A cloth, a block and a spring with everything that has a derivative: damping, activations, bent
-// edges, a contact with friction.
-struct EverythingScene {
-  std::shared_ptr<Model> model;
-  std::unique_ptr<Contacts> contacts;
-  std::vector<Vec3f> q, qd, f, w_q, w_qd;
-  Control control;
-
-  EverythingScene() : model(make()), control(model->control()) {
-    CollisionPipeline pipeline(model, {.soft_contact_margin = 0.05f});
-    contacts = std::make_unique<Contacts>(pipeline.contacts());
-    pipeline.collide(model->state(), *contacts);
-    q = model->particle_q.to_host();
-    const size_t n = q.size();
-    for (size_t p = 0; p < n; ++p) {
-      const auto wave = [p](float a) { return std::sin(a * static_cast<float>(p + 1)); };
-      qd.push_back({0.5f * wave(1.3f), 0.4f * wave(2.1f), -0.5f});
-      f.push_back({0.01f * wave(0.7f), 0.0f, 0.02f * wave(1.9f)});
-      w_q.push_back({wave(3.1f), wave(1.7f), wave(2.3f)});
-      w_qd.push_back({0.01f * wave(0.9f), 0.01f * wave(4.1f), 0.01f * wave(5.3f)});
-    }
-    control.particle_tri_activation.fill(0.05f);
-    control.particle_tet_activation.fill(-0.03f);
-  }
-  static std::shared_ptr<Model> make() {
-    ModelBuilder b;
-    b.add_cloth_grid({.placement = {.pos = {0.0f, 0.0f, 0.5f}},
-                      .dim_x = 4,
-                      .dim_y = 3,
-                      .cell_x = 0.1,
-                      .cell_y = 0.1,
-                      .mass = 0.02f,
-                      .fix_left = true,
-                      .tri = {.ke = 20.0f, .ka = 30.0f, .kd = 0.05f},
-                      .edge = {.ke = 0.5f, .kd = 0.01f}});
-    b.add_soft_grid({.placement = {.pos = {0.0f, 0.0f, 0.12f}},
-                     .dim_x = 2,
-                     .dim_y = 2,
-                     .dim_z = 2,
-                     .density = 100.0,
-                     .k_mu = 300.0f,
-                     .k_lambda = 500.0f,
-                     .k_damp = 2.0f,
-                     .particle_radius = 0.1f});
-    b.add_spring(7, 30, 40.0f, 0.5f);
-    b.add_ground_plane({.cfg = ShapeConfig{.ke = 100.0f, .kd = 0.0f, .mu = 0.5f}});
-    for (size_t p = 0; p < b.particle_q.size(); ++p)
-      b.particle_q[p].z += 0.02f * std::sin(2.0f * static_cast<float>(p));
-    b.color();
-    auto model = b.finalize(Device::cpu());
-    model->soft_contact_ke = 100.0f;
-    model->soft_contact_kd = 0.0f;
-    return model;
-  }
-  VbdStepInputs inputs() const {
-    return {q.data(),
-            qd.data(),
-            f.data(),
-            &control.particle_tri_activation,
-            &control.particle_tet_activation,
-            contacts.get(),
-            1.0f / 60.0f};
-  }
-  double loss(UnrolledVbd& step) const {
-    std::vector<Vec3f> q_out(q.size()), qd_out(q.size());
-    step.forward(inputs(), q_out.data(), qd_out.data());
-    double sum = 0.0;
-    for (size_t p = 0; p < q.size(); ++p) {
-      const Vec3f &a = q_out[p], &u = w_q[p], &b = qd_out[p], &v = w_qd[p];
-      sum += static_cast<double>(a.x) * u.x + static_cast<double>(a.y) * u.y +
-             static_cast<double>(a.z) * u.z + static_cast<double>(b.x) * v.x +
-             static_cast<double>(b.y) * v.y + static_cast<double>(b.z) * v.z;
-    }
-    return sum;
-  }
-};
-
 // The derivative along a direction (a fraction of the values) and by central differences.
 class Along {
  public:
@@ -158,7 +82,7 @@ class Along {
   // `values` moves by size * direction(i); `write` puts it back where the step reads it.
   template <class Write>
   void check(const char* name, std::vector<float> values, const std::vector<float>& bars,
-             const EverythingScene& scene, UnrolledVbd& step, const Write& write) {
+             const EverythingScene& scene, DifferentiableVbd& step, const Write& write) {
     const std::vector<float> kept = values;
     double expected = 0.0, width = 0.0;
     const auto direction = [&](size_t i) {
@@ -186,10 +110,10 @@ class Along {
   double size_;
 };
 
-TEST(UnrolledVbd, EveryGradientIsThatOfDifferences) {
+TEST(DifferentiableVbd, EveryGradientIsThatOfDifferences) {
   EverythingScene scene;
   ASSERT_GT(scene.contacts->active_soft_contact_count(), 0);
-  UnrolledVbd step(scene.model, {.iterations = 6});
+  DifferentiableVbd step(scene.model, {.iterations = 6});
   const Model& m = *scene.model;
   const size_t n = scene.q.size();
   std::vector<Vec3f> q(n), qd(n), f(n);
@@ -201,8 +125,18 @@ TEST(UnrolledVbd, EveryGradientIsThatOfDifferences) {
   auto edge = floats(m.particle_edge_material), angle = floats(m.particle_edge_rest_angle);
   auto tet = floats(m.particle_tet_material), tet_act = floats(m.particle_tet_activation);
   step.backward(scene.inputs(), scene.w_q.data(), scene.w_qd.data(),
-                {q.data(), qd.data(), f.data(), ke.data(), kd.data(), rest.data(), tri.data(),
-                 tri_act.data(), edge.data(), angle.data(), tet.data(), tet_act.data()});
+                {.particle_q = q.data(),
+                 .particle_qd = qd.data(),
+                 .particle_f = f.data(),
+                 .particle_spring_stiffness = ke.data(),
+                 .particle_spring_damping = kd.data(),
+                 .particle_spring_rest_length = rest.data(),
+                 .particle_tri_material = tri.data(),
+                 .particle_tri_activation = tri_act.data(),
+                 .particle_edge_material = edge.data(),
+                 .particle_edge_rest_angle = angle.data(),
+                 .particle_tet_material = tet.data(),
+                 .particle_tet_activation = tet_act.data()});
 
   const auto state = [&](const char* name, std::vector<Vec3f>& values,
                          const std::vector<Vec3f>& bars, double size) {
@@ -253,13 +187,13 @@ TEST(UnrolledVbd, EveryGradientIsThatOfDifferences) {
   column("tet k_damp", m.particle_tet_material, tet, 3, 2, 0.5);
 }
 
-TEST(UnrolledVbd, GradientsHaveTheSameBitsForAnyThreadsAndInstructionSet) {
+TEST(DifferentiableVbd, GradientsHaveTheSameBitsForAnyThreadsAndInstructionSet) {
   EverythingScene scene;
   const size_t n = scene.q.size();
   const int before = num_threads();
   std::vector<std::vector<Vec3f>> all;
   const auto run = [&] {
-    UnrolledVbd step(scene.model, {.iterations = 4});
+    DifferentiableVbd step(scene.model, {.iterations = 4});
     std::vector<Vec3f> q(n);
     step.backward(scene.inputs(), scene.w_q.data(), scene.w_qd.data(), {.particle_q = q.data()});
     all.push_back(q);
@@ -281,13 +215,15 @@ TEST(UnrolledVbd, GradientsHaveTheSameBitsForAnyThreadsAndInstructionSet) {
   for (const auto& q : all) EXPECT_TRUE(same_bits<Vec3f>(q, all[0]));
 }
 
-TEST(UnrolledVbd, OptionsWithoutAGradientAreRefusedByName) {
+TEST(DifferentiableVbd, OptionsWithoutAGradientAreRefusedByName) {
   const auto model = EverythingScene::make();
-  EXPECT_ERROR(UnrolledVbd(model, {.acceleration = 0.5f}), ErrorKind::NotImplemented,
+  EXPECT_ERROR(DifferentiableVbd(model, {.acceleration = 0.5f}), ErrorKind::NotImplemented,
                "acceleration");
-  EXPECT_ERROR(UnrolledVbd(model, {.tolerance = 0.5f}), ErrorKind::NotImplemented, "tolerance");
-  EXPECT_ERROR(UnrolledVbd(model, {.safeguard = true}), ErrorKind::NotImplemented, "safeguard");
-  EXPECT_ERROR(UnrolledVbd(model, {.initial_guess = VbdInitialGuess::Adaptive}),
+  EXPECT_ERROR(DifferentiableVbd(model, {.tolerance = 0.5f}), ErrorKind::NotImplemented,
+               "tolerance");
+  EXPECT_ERROR(DifferentiableVbd(model, {.safeguard = true}), ErrorKind::NotImplemented,
+               "safeguard");
+  EXPECT_ERROR(DifferentiableVbd(model, {.initial_guess = VbdInitialGuess::Adaptive}),
                ErrorKind::NotImplemented, "adaptive");
 }
 

@@ -1,0 +1,321 @@
+// The derivatives of a step of VBD, unrolled and implicit, by everything that it reads: forwards
+// against differences of the step itself, and forwards against backwards.
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <functional>
+
+#include "everything_scene.h"
+#include "newton_scene.h"
+#include "novaphy/core/parallel.h"
+#include "support/bits.h"
+
+namespace novaphy {
+namespace {
+
+using testing::EverythingScene;
+using testing::NewtonVbdScene;
+using testing::Npz;
+
+// One array that a step reads: its values, and where its derivatives are.
+struct Input {
+  const char* name;
+  std::vector<float> values;
+  std::function<void(const std::vector<float>&)> write;
+  std::function<void(VbdStepGradients&, std::vector<float>&)> gradient;
+  std::function<void(VbdStepTangents&, const std::vector<float>&)> tangent;
+  double step;     // of differences
+  size_t columns;  // of a row; only column `column` is moved, or all (-1)
+  int column = -1;
+};
+
+std::vector<Input> inputs_of(EverythingScene& scene) {
+  std::vector<Input> all;
+  const auto vectors = [&](const char* name, std::vector<Vec3f>& rows, Vec3f* VbdStepGradients::*g,
+                           const Vec3f* VbdStepTangents::*t, double step) {
+    float* const first = &rows[0].x;
+    all.push_back({name,
+                   {first, first + 3 * rows.size()},
+                   [first](const std::vector<float>& v) { std::copy(v.begin(), v.end(), first); },
+                   [g](VbdStepGradients& to, std::vector<float>& v) {
+                     to.*g = reinterpret_cast<Vec3f*>(v.data());
+                   },
+                   [t](VbdStepTangents& to, const std::vector<float>& v) {
+                     to.*t = reinterpret_cast<const Vec3f*>(v.data());
+                   },
+                   step,
+                   3});
+  };
+  const auto add = [&](Input input, const Array& array) {
+    input.values.resize(array.bytes() / sizeof(float));
+    array.copy_to_host(input.values.data(), array.bytes());
+    input.write = [own = array](const std::vector<float>& v) mutable {
+      own.copy_from_host(v.data(), v.size() * sizeof(float));
+    };
+    all.push_back(std::move(input));
+  };
+  const auto numbers = [&](const char* name, const Array& array, float* VbdStepGradients::*g,
+                           const float* VbdStepTangents::*t, double step, size_t columns = 1,
+                           int column = -1) {
+    add({name,
+         {},
+         {},
+         [g](VbdStepGradients& to, std::vector<float>& v) { to.*g = v.data(); },
+         [t](VbdStepTangents& to, const std::vector<float>& v) { to.*t = v.data(); },
+         step,
+         columns,
+         column},
+        array);
+  };
+  using G = VbdStepGradients;
+  using T = VbdStepTangents;
+  const Model& m = *scene.model;
+  const Control& c = scene.control;
+  vectors("particle_q", scene.q, &G::particle_q, &T::particle_q, 2e-4);
+  vectors("particle_qd", scene.qd, &G::particle_qd, &T::particle_qd, 1e-2);
+  vectors("particle_f", scene.f, &G::particle_f, &T::particle_f, 2e-2);
+  if (!scene.targets.empty()) vectors("targets", scene.targets, &G::targets, &T::targets, 1e-3);
+  add({"gravity",
+       {},
+       {},
+       [](G& to, std::vector<float>& v) { to.gravity = reinterpret_cast<Vec3f*>(v.data()); },
+       [](T& to, const std::vector<float>& v) {
+         to.gravity = reinterpret_cast<const Vec3f*>(v.data());
+       },
+       0.5,
+       3},
+      m.gravity);
+#define NUMBERS(name, array, ...) numbers(#name, array, &G::name, &T::name, __VA_ARGS__)
+  NUMBERS(particle_mass, m.particle_mass, 1e-3);
+  NUMBERS(particle_radius, m.particle_radius, 2e-4);
+  NUMBERS(particle_spring_stiffness, m.particle_spring_stiffness, 4.0);
+  NUMBERS(particle_spring_damping, m.particle_spring_damping, 0.1);
+  NUMBERS(particle_spring_rest_length, m.particle_spring_rest_length, 0.01);
+  NUMBERS(particle_tri_pose, m.particle_tri_pose, 0.05, 4);
+  NUMBERS(particle_tri_area, m.particle_tri_area, 2e-4);
+  for (const int column : {0, 1, 2})
+    NUMBERS(particle_tri_material, m.particle_tri_material, column < 2 ? 1.0 : 0.02, 5, column);
+  NUMBERS(particle_tri_activation, c.particle_tri_activation, 0.01);
+  for (const int column : {0, 1})
+    NUMBERS(particle_edge_material, m.particle_edge_material, column == 0 ? 0.05 : 2e-3, 2, column);
+  NUMBERS(particle_edge_rest_angle, m.particle_edge_rest_angle, 0.01);
+  NUMBERS(particle_edge_rest_length, m.particle_edge_rest_length, 5e-3);
+  NUMBERS(particle_tet_pose, m.particle_tet_pose, 0.05, 9);
+  for (const int column : {0, 1, 2})
+    NUMBERS(particle_tet_material, m.particle_tet_material, column < 2 ? 5.0 : 0.3, 3, column);
+  NUMBERS(particle_tet_activation, c.particle_tet_activation, 0.01);
+  NUMBERS(shape_margin, m.shape_margin, 2e-4);
+  NUMBERS(shape_material_ke, m.shape_material_ke, 4.0);
+  NUMBERS(shape_material_kd, m.shape_material_kd, 0.05);
+  NUMBERS(shape_material_mu, m.shape_material_mu, 0.02);
+#undef NUMBERS
+  return all;
+}
+
+// A direction of unit size; what is 0 (elements or materials that do nothing) stays so.
+std::vector<float> direction_of(const Input& input, bool everything) {
+  std::vector<float> d(input.values.size());
+  for (size_t i = 0; i < d.size(); ++i) {
+    if (input.column >= 0 && i % input.columns != static_cast<size_t>(input.column)) continue;
+    if (!everything && input.values[i] == 0.0f) continue;
+    d[i] = std::sin(1.0f + 2.7f * static_cast<float>(i));
+  }
+  return d;
+}
+
+double dot(const std::vector<Vec3f>& a, const std::vector<Vec3f>& b) {
+  double sum = 0.0;
+  for (size_t p = 0; p < a.size(); ++p)
+    sum += static_cast<double>(a[p].x) * b[p].x + static_cast<double>(a[p].y) * b[p].y +
+           static_cast<double>(a[p].z) * b[p].z;
+  return sum;
+}
+double size_of(const std::vector<Vec3f>& a) { return std::sqrt(dot(a, a)); }
+
+class VbdDerivatives : public ::testing::TestWithParam<bool> {
+ protected:
+  VbdDerivatives() : scene(GetParam() ? 0.0f : 1.0f) {
+    const auto held =
+        static_cast<size_t>(DifferentiableVbd(scene.model, {.iterations = 1}).held_count());
+    const float* mass = scene.model->particle_mass.data();
+    for (size_t p = 0; p < scene.q.size(); ++p)
+      if (mass[p] == 0.0f)
+        scene.targets.push_back(scene.q[p] +
+                                Vec3f{0.01f, 0.0f, 0.005f * static_cast<float>(p % 3)});
+    EXPECT_EQ(scene.targets.size(), held);
+  }
+  bool implicit() const { return GetParam(); }
+  // The stages of a Newton that has to reach the rounding of float32.
+  std::unique_ptr<DifferentiableVbd> make(double tolerance = 1e-6) const {
+    return std::make_unique<DifferentiableVbd>(
+        scene.model, VbdOptions{.iterations = implicit() ? 20 : 6},
+        VbdGradientOptions{.implicit = implicit(), .tolerance = static_cast<float>(tolerance)});
+  }
+  EverythingScene scene;
+};
+
+TEST_P(VbdDerivatives, ForwardsTheyAreThoseOfDifferencesByEveryInput) {
+  ASSERT_GT(scene.contacts->active_soft_contact_count(), 0);
+  const auto step = make();
+  const size_t n = scene.q.size();
+  int checked = 0;
+  for (const Input& input : inputs_of(scene)) {
+    const std::string name = std::string(input.name) + " " + std::to_string(input.column);
+    const std::vector<float> d =
+        direction_of(input, input.column < 0 && std::string_view(input.name) != "particle_mass");
+    std::vector<Vec3f> q(n), qd(n), slope(n), qd_slope(n);
+    VbdStepTangents tangents;
+    input.tangent(tangents, d);
+    step->tangent(scene.inputs(), tangents, slope.data(), qd_slope.data());
+    std::vector<Vec3f> sides[2];
+    for (int side = 0; side < 2; ++side) {
+      std::vector<float> moved = input.values;
+      for (size_t i = 0; i < moved.size(); ++i)
+        moved[i] += static_cast<float>(side == 0 ? input.step : -input.step) * d[i];
+      input.write(moved);
+      step->forward(scene.inputs(), q.data(), qd.data());
+      sides[side] = q;
+    }
+    input.write(input.values);
+    std::vector<Vec3f> error(n), expected(n);
+    for (size_t p = 0; p < n; ++p) {
+      expected[p] = (sides[0][p] - sides[1][p]) * static_cast<float>(0.5 / input.step);
+      error[p] = slope[p] - expected[p];
+    }
+    // A part of a hundredth, or the rounding of the positions of the two sides.
+    const double rounding = 2e-7 * std::sqrt(static_cast<double>(n)) / input.step;
+    EXPECT_LT(size_of(error), 1e-2 * size_of(expected) + rounding) << name;
+    EXPECT_GT(size_of(expected), 5.0 * rounding) << name << ": too small to tell";
+    ++checked;
+  }
+  EXPECT_EQ(checked, 29);
+}
+
+TEST_P(VbdDerivatives, ForwardsAndBackwardsAreTransposed) {
+  const auto step = make();
+  const size_t n = scene.q.size();
+  for (const Input& input : inputs_of(scene)) {
+    const std::vector<float> d = direction_of(input, true);
+    std::vector<Vec3f> slope(n), qd_slope(n);
+    VbdStepTangents tangents;
+    input.tangent(tangents, d);
+    step->tangent(scene.inputs(), tangents, slope.data(), qd_slope.data());
+    const double forwards = dot(scene.w_q, slope) + dot(scene.w_qd, qd_slope);
+    std::vector<float> bar(d.size());
+    VbdStepGradients gradients;
+    input.gradient(gradients, bar);
+    step->backward(scene.inputs(), scene.w_q.data(), scene.w_qd.data(), gradients);
+    double backwards = 0.0;
+    for (size_t i = 0; i < d.size(); ++i)
+      backwards += static_cast<double>(bar[i]) * static_cast<double>(d[i]);
+    const double scale =
+        size_of(scene.w_q) * size_of(slope) + size_of(scene.w_qd) * size_of(qd_slope);
+    EXPECT_NEAR(forwards, backwards, 1e-5 * scale) << input.name << " " << input.column;
+    EXPECT_GT(scale, 0.0) << input.name;
+  }
+}
+
+TEST_P(VbdDerivatives, HaveTheSameBitsForAnyThreads) {
+  const size_t n = scene.q.size();
+  const int before = num_threads();
+  std::vector<std::vector<Vec3f>> all;
+  for (const int threads : {1, 2, 7}) {
+    set_num_threads(threads);
+    const auto step = make(1e-4);
+    std::vector<Vec3f> q(n), slope(n), qd_slope(n);
+    step->backward(scene.inputs(), scene.w_q.data(), scene.w_qd.data(), {.particle_q = q.data()});
+    step->tangent(scene.inputs(), {.particle_qd = scene.qd.data()}, slope.data(), qd_slope.data());
+    all.push_back(q);
+    all.back().insert(all.back().end(), slope.begin(), slope.end());
+  }
+  set_num_threads(before);
+  for (const auto& rows : all) EXPECT_TRUE(testing::same_bits<Vec3f>(rows, all[0]));
+}
+
+INSTANTIATE_TEST_SUITE_P(Kinds, VbdDerivatives, ::testing::Values(false, true),
+                         [](const auto& test) {
+                           return std::string(test.param ? "Implicit" : "Unrolled");
+                         });
+
+// |a - b| / |b| of flat lists.
+template <class A, class B>
+double relative_error(const A& actual, const B& expected) {
+  double difference = 0.0, size = 0.0;
+  EXPECT_EQ(std::size(actual), std::size(expected));
+  for (size_t i = 0; i < std::size(expected); ++i) {
+    const double a = static_cast<double>(actual[i]), b = static_cast<double>(expected[i]);
+    difference += (a - b) * (a - b);
+    size += b * b;
+  }
+  return std::sqrt(difference / size);
+}
+std::span<const float> flat(const std::vector<Vec3f>& rows) {
+  return {&rows[0].x, 3 * rows.size()};
+}
+
+// The solution of Newton's substep 60 and its derivative, which the file has in double precision.
+class ImplicitVbd : public ::testing::TestWithParam<const char*> {};
+
+TEST_P(ImplicitVbd, DerivativesAreThoseOfTheSolution) {
+  const std::string name = GetParam();
+  const NewtonVbdScene scene(("newton_vbd_" + name + ".npz").c_str());
+  const Npz file = testing::golden("vbd_gradients.npz");
+  const auto t = static_cast<size_t>(file[name + "_t"].scalar<int32_t>());
+  const size_t n = scene.particles();
+  const std::vector<Vec3f> f(n);
+  const Contacts contacts = scene.contacts(t);
+  const VbdStepInputs in = {.particle_q = scene.q(t).data(),
+                            .particle_qd = scene.file["qd_60"].as<Vec3f>().data(),
+                            .particle_f = f.data(),
+                            .contacts = &contacts,
+                            .dt = scene.dt()};
+  DifferentiableVbd step(scene.model, {.iterations = 20}, {.implicit = true, .tolerance = 1e-5f});
+  std::vector<Vec3f> q(n), qd(n), q_bar(n), qd_bar(n);
+  step.forward(in, q.data(), qd.data());
+  EXPECT_LT(relative_error(flat(q), file[name + "_star_q"].as<double>()), 2e-6);
+  std::vector<float> tet_bar(scene.model->particle_tet_material.to_host().size());
+  step.backward(in, file[name + "_w_q"].as<Vec3f>().data(), file[name + "_w_qd"].as<Vec3f>().data(),
+                {.particle_q = q_bar.data(),
+                 .particle_qd = qd_bar.data(),
+                 .particle_tet_material = tet_bar.data()});
+  EXPECT_LT(relative_error(flat(q_bar), file[name + "_implicit_grad_q"].as<double>()), 1e-3);
+  EXPECT_LT(relative_error(flat(qd_bar), file[name + "_implicit_grad_qd"].as<double>()), 1e-3);
+  if (!tet_bar.empty()) {
+    EXPECT_LT(relative_error(tet_bar, file[name + "_implicit_grad_tet"].as<double>()), 1e-3);
+  }
+  const VbdGradientInfo info = step.info();
+  EXPECT_EQ(info.label, "implicit");
+  EXPECT_TRUE(info.converged);
+  EXPECT_LE(info.primal.relative, std::max(1e-5, 2.0 * info.primal.floor));
+  EXPECT_LE(info.linear_residual, 1e-5);
+  EXPECT_GT(info.linear_sweeps, 0);
+  RecordProperty("linear_sweeps", info.linear_sweeps);
+}
+
+INSTANTIATE_TEST_SUITE_P(Scenes, ImplicitVbd, ::testing::Values("soft", "cloth"));
+
+TEST(ImplicitVbd, WhatIsNotSolvedIsAnErrorUnlessAllowed) {
+  EverythingScene scene;
+  const size_t n = scene.q.size();
+  std::vector<Vec3f> q(n), qd(n), bar(n);
+  VbdGradientOptions options = {.implicit = true, .newton_iterations = 0};
+  EXPECT_ERROR(DifferentiableVbd(scene.model, {.iterations = 2}, options)
+                   .forward(scene.inputs(), q.data(), qd.data()),
+               ErrorKind::Runtime, "the step was not solved");
+  options = {.implicit = true, .krylov_sweeps = 1, .allow_unconverged = true};
+  DifferentiableVbd allowed(scene.model, {.iterations = 2}, options);
+  allowed.backward(scene.inputs(), scene.w_q.data(), nullptr, {.particle_q = bar.data()});
+  EXPECT_FALSE(allowed.info().converged);
+  EXPECT_GT(allowed.info().linear_residual, 1e-4);
+  options = {.implicit = true, .krylov_sweeps = 1};
+  DifferentiableVbd few(scene.model, {.iterations = 400}, options);
+  EXPECT_ERROR(few.backward(scene.inputs(), scene.w_q.data(), nullptr, {.particle_q = bar.data()}),
+               ErrorKind::Runtime, "the linear system of the gradient was not solved");
+  EXPECT_ERROR(DifferentiableVbd(scene.model, {.iterations = 0}, {.implicit = true}),
+               ErrorKind::Value, "iterations");
+  EXPECT_ERROR(DifferentiableVbd(scene.model, {}, {.tolerance = 0.0f}), ErrorKind::Value,
+               "gradient_tolerance");
+}
+
+}  // namespace
+}  // namespace novaphy

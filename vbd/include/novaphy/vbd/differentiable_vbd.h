@@ -1,0 +1,121 @@
+// DifferentiableVbd: a step of SolverVBD and its derivatives, as functions of arrays.
+#pragma once
+
+#include <memory>
+#include <string>
+
+#include "novaphy/core/sim/contacts.h"
+#include "novaphy/core/sim/model.h"
+#include "novaphy/vbd/export.h"
+#include "novaphy/vbd/solver_vbd.h"
+
+namespace novaphy {
+
+// What a step reads, besides the model. n rows each, on the CPU.
+struct VbdStepInputs {
+  const Vec3f* particle_q = nullptr;
+  const Vec3f* particle_qd = nullptr;
+  const Vec3f* particle_f = nullptr;
+  const DeviceArray<float>* tri_activation = nullptr;  // null: the model's
+  const DeviceArray<float>* tet_activation = nullptr;  // null: the model's
+  const Contacts* contacts = nullptr;                  // null: none
+  float dt = 0.0f;                                     // s
+  const Vec3f* targets = nullptr;                      // of the held particles; null: they stay
+};
+
+// One derivative for each number that a step reads: with the rows and columns of the arrays of
+// Model of these names, and of the targets. As VbdStepGradients those of a scalar by what a step
+// reads, written in full (null: not wanted); as VbdStepTangents those of what it reads along a
+// direction (null: 0). Held particles have none by mass. Where friction has no part (the product of
+// the coefficients is 0) there is none by shape_material_mu.
+template <class Number, class Vector>
+struct VbdStepDerivatives {
+  Vector* particle_q = nullptr;
+  Vector* particle_qd = nullptr;
+  Vector* particle_f = nullptr;
+  Vector* targets = nullptr;
+  Vector* gravity = nullptr;
+  Number* particle_mass = nullptr;
+  Number* particle_radius = nullptr;
+  Number* particle_spring_stiffness = nullptr;
+  Number* particle_spring_damping = nullptr;
+  Number* particle_spring_rest_length = nullptr;
+  Number* particle_tri_pose = nullptr;
+  Number* particle_tri_area = nullptr;
+  Number* particle_tri_material = nullptr;  // columns 3 and 4 (drag, lift): 0
+  Number* particle_tri_activation = nullptr;
+  Number* particle_edge_material = nullptr;
+  Number* particle_edge_rest_angle = nullptr;
+  Number* particle_edge_rest_length = nullptr;
+  Number* particle_tet_pose = nullptr;
+  Number* particle_tet_material = nullptr;
+  Number* particle_tet_activation = nullptr;
+  Number* shape_margin = nullptr;
+  Number* shape_material_ke = nullptr;
+  Number* shape_material_kd = nullptr;
+  Number* shape_material_mu = nullptr;
+};
+using VbdStepGradients = VbdStepDerivatives<float, Vec3f>;
+using VbdStepTangents = VbdStepDerivatives<const float, const Vec3f>;
+
+struct VbdGradientOptions {
+  // False: of the sweeps that run. True: of the solution of the step, which forward then finds.
+  bool implicit = false;
+  // Implicit: the relative residual at which the step and the linear system count as solved, > 0.
+  // The step also does where rounding allows no smaller one (twice VbdResidual::floor).
+  float tolerance = 1e-4f;
+  int32_t newton_iterations = 30;  // to solve the step, each of at most krylov_sweeps; >= 0
+  int32_t krylov_sweeps = 200;     // to solve a linear system, >= 1
+  bool allow_unconverged = false;  // false: ErrorKind::Runtime where one was not solved
+};
+
+// What the derivatives of the last step are.
+struct VbdGradientInfo {
+  std::string label;           // "exact": of the sweeps that ran; "implicit": of the solution
+  VbdResidual primal;          // how far the step was from its solution
+  double linear_residual = 0;  // implicit: of the linear system, relative; else 0
+  int32_t linear_sweeps = 0;   // that it took
+  bool converged = true;       // implicit: both are within the tolerance
+};
+
+// Unrolled, the derivative is exact for the sweeps that run: it goes back through every colour of
+// every iteration, with the branches that these took. A particle moves by d = H^-1 f; with
+// u = H^-1 xbar the derivative by all that f and H read is that of u.f - u.(H d), u and d held
+// constant, which is summed over its elements.
+//
+// Implicit, it is that of the solution, where f = 0: with J = -df/dx, J^T lambda = xbar, the
+// derivative by all that f reads is that of lambda.f. The same sweeps in reverse, with d = 0, are a
+// block Gauss-Seidel iteration for lambda; it is the preconditioner of a generalised conjugate
+// residual method. Before, Newton's method with the tangent of the same sweeps solves the step,
+// which `forward` returns then. J holds the whole derivative, also what H leaves out.
+//
+// Points, normals and velocities of contacts are frozen. Held particles carry a gradient by their
+// positions or targets. The result has the same bits for any number of threads and any processor.
+class NOVAPHY_VBD_API DifferentiableVbd {
+ public:
+  // ErrorKind::NotImplemented: acceleration, tolerance, safeguard, the adaptive guess.
+  // ErrorKind::Value: bad options; implicit without an iteration. Other errors as SolverVBD.
+  explicit DifferentiableVbd(std::shared_ptr<const Model> model, const VbdOptions& options = {},
+                             const VbdGradientOptions& gradient_options = {});
+  ~DifferentiableVbd();
+
+  int32_t held_count() const;
+  // SolverVBD::step, in all bits; implicit: the solution of the step. Errors as there.
+  void forward(const VbdStepInputs& inputs, Vec3f* q_out, Vec3f* qd_out);
+  // From the derivatives of a scalar by the results (null: 0). Runs the step once more, and
+  // unrolled keeps its iterates: 16 (iterations + 1) bytes for each particle.
+  void backward(const VbdStepInputs& inputs, const Vec3f* q_out_bar, const Vec3f* qd_out_bar,
+                const VbdStepGradients& gradients);
+  // The derivatives of the results along a direction.
+  void tangent(const VbdStepInputs& inputs, const VbdStepTangents& direction, Vec3f* q_out_slope,
+               Vec3f* qd_out_slope);
+  // Of the last backward or tangent. ErrorKind::Runtime: there was none.
+  VbdGradientInfo info() const;
+
+ private:
+  struct Work;
+  std::shared_ptr<const Model> model_;
+  std::unique_ptr<Work> work_;
+};
+
+}  // namespace novaphy

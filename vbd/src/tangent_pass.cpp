@@ -1,0 +1,154 @@
+#include "tangent_pass.h"
+
+#include <algorithm>
+
+#include "novaphy/core/sim/for_chunks.h"
+
+namespace novaphy::vbd {
+namespace {
+
+constexpr int64_t kGroupsPerChunk = 8;
+
+}  // namespace
+
+template <class Function>
+void TangentPass::for_groups(size_t first_color, size_t last_color, Function&& function) {
+  const std::vector<int64_t>& colors = step.slots.color_begin();
+  const int64_t begin = colors[first_color], end = colors[last_color];
+  for_chunks(end - begin, kGroupsPerChunk, [&](int64_t first, int64_t last, int64_t) {
+    for (int64_t g = begin + first; g < begin + last; ++g) function(step.sweep, tangents_, g);
+  });
+}
+
+void TangentPass::prepare() {
+  const size_t n = step.x.size();
+  for (Rows* rows : {&x_slope, &start_slope, &target_slope}) rows->assign(n, {});
+  mass_slope.assign(n, 0.0f);
+  contact_slopes.assign(step.contacts.count() * kContactLawFloats, 0.0f);
+  tangents_ = {};
+  for (int role = 0; role < kRoles; ++role) {
+    const size_t lanes = step.slots.table(static_cast<Role>(role)).sources.size();
+    number_slopes[role].assign(lanes * static_cast<size_t>(kFloats[role]), 0.0f);
+    tangents_.numbers[role] = number_slopes[role].data();
+  }
+  tangents_.x = floats(x_slope);
+  tangents_.start = floats(start_slope);
+  tangents_.target = floats(target_slope);
+  tangents_.mass_by_h2 = mass_slope.data();
+  tangents_.contacts = contact_slopes.data();
+}
+
+void TangentPass::tangent_start() {
+  for_groups(0, step.slots.color_begin().size() - 1, step.level.tangent_start);
+}
+
+void TangentPass::unrolled() {
+  tangent_start();
+  const bool from_target = step.options.initial_guess == VbdInitialGuess::Inertia;
+  for (size_t p = 0; p < x_slope.size(); ++p)
+    if (!is_held(p)) x_slope[p] = from_target ? target_slope[p] : start_slope[p];
+  Rows moved(x_slope.size());
+  tangents_.step_slope = floats(moved);
+  step.x = step.iterates.front();
+  const std::vector<int64_t>& colors = step.slots.color_begin();
+  const auto lanes = static_cast<int64_t>(step.level.lanes);
+  for (size_t k = 0; k + 1 < step.iterates.size(); ++k)
+    for (size_t color = 0; color + 1 < colors.size(); ++color) {
+      for_groups(color, color + 1, step.level.tangent);
+      for (int64_t g = colors[color]; g < colors[color + 1]; ++g)
+        for (int64_t l = 0; l < step.sweep.filled[g]; ++l) {
+          const auto p = static_cast<size_t>(step.sweep.particle[g * lanes + l]);
+          x_slope[p] = Vec3f(x_slope[p]) + Vec3f(moved[p]);
+          step.x[p] = step.iterates[k + 1][p];
+        }
+    }
+  tangents_.step_slope = nullptr;
+}
+
+// J solution = load, J = -df/dx over the particles that move.
+KrylovResult TangentPass::solve(Rows& solution, Rows& load, double tolerance, int32_t sweeps) {
+  const Tangents kept = tangents_;
+  tangents_ = {};
+  tangents_.at_rest = true;
+  const std::vector<int64_t>& colors = step.slots.color_begin();
+  const auto lanes = static_cast<int64_t>(step.level.lanes);
+  Rows moved(load.size());
+  const KrylovResult result =
+      solve_krylov(solution, load, tolerance, sweeps, [&](const Rows& r, Rows& z, Rows& image) {
+        tangents_.x = floats(z);
+        tangents_.load = reinterpret_cast<const float*>(r.data());
+        tangents_.step_slope = floats(moved);
+        for (size_t color = 0; color + 1 < colors.size(); ++color) {
+          for_groups(color, color + 1, step.level.tangent);
+          for (int64_t g = colors[color]; g < colors[color + 1]; ++g)
+            for (int64_t l = 0; l < step.sweep.filled[g]; ++l) {
+              const auto p = static_cast<size_t>(step.sweep.particle[g * lanes + l]);
+              z[p] = Vec3f(z[p]) + Vec3f(moved[p]);
+            }
+        }
+        tangents_.step_slope = nullptr;
+        tangents_.force_slope = floats(image);
+        for_groups(0, colors.size() - 1, step.level.tangent);
+        tangents_.force_slope = nullptr;
+        for (Row& row : image) row = -Vec3f(row);
+      });
+  tangents_ = kept;
+  return result;
+}
+
+KrylovResult TangentPass::implicit(double tolerance, int32_t sweeps) {
+  tangent_start();
+  Rows load(x_slope.size()), solution;
+  tangents_.at_rest = true;
+  tangents_.force_slope = floats(load);
+  for_groups(0, step.slots.color_begin().size() - 1, step.level.tangent);
+  tangents_.force_slope = nullptr;
+  const KrylovResult result = solve(solution, load, kMargin * tolerance, sweeps);
+  for (size_t p = 0; p < x_slope.size(); ++p)
+    if (!is_held(p)) x_slope[p] = solution[p];
+  return result;
+}
+
+// The step of Newton's method, halved until the force falls, up to four times; then an iteration
+// instead.
+void TangentPass::try_step(const Rows& newton, VbdResidual& now) {
+  const Rows x = step.x, moved = step.moved;
+  float part = 1.0f;
+  for (int halvings = 0; halvings <= 4; ++halvings, part *= 0.5f) {
+    for (size_t p = 0; p < x.size(); ++p) {
+      if (is_held(p)) continue;
+      step.moved[p] = Vec3f(moved[p]) + Vec3f(newton[p]) * part;
+      step.x[p] = Vec3f(step.start[p]) + Vec3f(step.moved[p]);
+    }
+    const VbdResidual next = step.residual();
+    if (next.force < now.force) {
+      now = next;
+      return;
+    }
+  }
+  step.x = x;
+  step.moved = moved;
+  step.iterate_again();
+  now = step.residual();
+}
+
+VbdResidual TangentPass::solve_step(double tolerance, int32_t iterations, int32_t sweeps) {
+  tangents_ = {};
+  VbdResidual now = step.residual();
+  const auto is_solved = [tolerance](const VbdResidual& r) {
+    return r.relative <= std::max(tolerance, 2.0 * r.floor);
+  };
+  for (int32_t k = 0; k < iterations && !is_solved(now); ++k) {
+    Rows force(step.x.size()), newton;
+    tangents_.force = floats(force);
+    for_groups(0, step.slots.color_begin().size() - 1, step.level.tangent);
+    tangents_.force = nullptr;
+    constexpr double kForcing = 1e-2;  // of the linear systems of an inexact Newton method
+    solve(newton, force, kForcing, sweeps);
+    try_step(newton, now);
+  }
+  step.finish_again();
+  return now;
+}
+
+}  // namespace novaphy::vbd

@@ -1,0 +1,41 @@
+// The derivative of a step of VBD along a direction, and Newton's method with it.
+#pragma once
+
+#include "krylov.h"
+#include "rows.h"
+#include "step_work.h"
+
+namespace novaphy::vbd {
+
+class TangentPass {
+ public:
+  explicit TangentPass(StepWork& work) : step(work) {}
+
+  // Clears the direction.
+  void prepare();
+  // After a run that kept its iterates: of the positions. `guess`: the direction of the initial
+  // guess is that of the target, else of the start.
+  void unrolled();
+  // At the solution.
+  KrylovResult implicit(double tolerance, int32_t sweeps);
+  // Moves a step that was run to its solution: until its relative residual is at most the
+  // tolerance, or twice what rounding allows, or `iterations` are over.
+  VbdResidual solve_step(double tolerance, int32_t iterations, int32_t sweeps);
+
+  StepWork& step;
+  Rows x_slope;  // of held particles the direction; of the others the result
+  Rows start_slope, target_slope;
+  std::vector<float> mass_slope, contact_slopes, number_slopes[kRoles];  // see Tangents
+
+ private:
+  template <class Function>
+  void for_groups(size_t first_color, size_t last_color, Function&& function);
+  void tangent_start();
+  KrylovResult solve(Rows& solution, Rows& load, double tolerance, int32_t sweeps);
+  void try_step(const Rows& newton, VbdResidual& now);
+  bool is_held(size_t p) const { return step.slots.is_held(static_cast<int32_t>(p)); }
+
+  Tangents tangents_;
+};
+
+}  // namespace novaphy::vbd

@@ -129,6 +129,26 @@ def test_the_demos_run(scene, tmp_path):
     assert len(q) == 4 and np.isfinite(q).all()
 
 
+def run_gradient_demo(name, *options):
+    pytest.importorskip("novaphy.diff")
+    script = DEMO.parent / "diff" / f"demo_diffsim_{name}.py"
+    done = subprocess.run(
+        [sys.executable, str(script), *options], capture_output=True, text=True, timeout=600
+    )
+    assert done.returncode == 0 and done.stdout.rstrip().endswith("ok"), done.stdout + done.stderr
+
+
+def test_the_stiffness_of_a_cloth_is_found():
+    run_gradient_demo("vbd_cloth", "--headless", "6")
+
+
+def test_a_gripper_holds_what_it_dropped(tmp_path):
+    states = tmp_path / "states.npz"
+    run_gradient_demo("vbd_gripper", "--headless", "5", "--dump-states", str(states))
+    loss = np.load(states)["loss"]
+    assert loss[0] > 0.1 and loss[-1] < 1e-3
+
+
 def test_a_crushed_block_recovers():
     done = subprocess.run(
         [sys.executable, str(DEMO), "crushed", "--headless", "150"],

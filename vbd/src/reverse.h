@@ -14,7 +14,9 @@ class Trace {
 
   void clear() { count_ = 0; }
   int32_t add(int32_t a, Lanes da, int32_t b, Lanes db) {
-    nodes_[count_] = {da.v, db.v, a, b};
+    da_[count_] = da.v;
+    db_[count_] = db.v;
+    operands_[count_] = {a, b};
     return count_++;
   }
   // Derivatives of node `root` by every node before it. A derivative of 0 passes nothing on, also
@@ -24,20 +26,21 @@ class Trace {
     bars_[root] = VectorF{} + 1.0f;
     for (int32_t k = root; k >= 0; --k) {
       const VectorF bar = bars_[k];
-      const Node& node = nodes_[k];
-      if (node.a >= 0) bars_[node.a] += bar == 0.0f ? VectorF{} : bar * node.da;
-      if (node.b >= 0) bars_[node.b] += bar == 0.0f ? VectorF{} : bar * node.db;
+      const auto [a, b] = operands_[k];
+      if (a >= 0) bars_[a] += bar == 0.0f ? VectorF{} : bar * da_[k];
+      if (b >= 0) bars_[b] += bar == 0.0f ? VectorF{} : bar * db_[k];
     }
   }
   Lanes bar(int32_t node) const { return Lanes(bars_[node]); }
 
  private:
-  struct Node {  // without constructors: a trace is not cleared when it is made
-    VectorF da, db;
+  struct Operands {
     int32_t a, b;
   };
-  Node nodes_[kMostNodes];
-  VectorF bars_[kMostNodes];
+  // Apart, so that no vector is padded. Without constructors: a trace is not cleared when it is
+  // made.
+  VectorF da_[kMostNodes], db_[kMostNodes], bars_[kMostNodes];
+  Operands operands_[kMostNodes];
   int32_t count_;
 };
 

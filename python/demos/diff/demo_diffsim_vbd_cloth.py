@@ -41,8 +41,8 @@ def build_model(stiffness: float, reverse_colours: bool = False) -> novaphy.Mode
     builder = novaphy.ModelBuilder()
     builder.add_cloth_grid(
         pos=(0.0, -0.5 * SIZE, 1.0), rot=(0.0, 0.5**0.5, 0.0, 0.5**0.5), dim_x=CELLS, dim_y=CELLS,
-        cell_x=SIZE / CELLS, cell_y=SIZE / CELLS, mass=1.2e-3, fix_left=True, tri_ke=stiffness, tri_ka=stiffness,
-        tri_kd=0.1, edge_ke=1e-3, edge_kd=1e-4,
+        cell_x=SIZE / CELLS, cell_y=SIZE / CELLS, mass=1.2e-3, fix_left=True, tri_ke=stiffness,
+        tri_ka=stiffness, tri_kd=0.1, edge_ke=1e-3, edge_kd=1e-4,
     )  # fmt: skip
     builder.color(include_bending=not reverse_colours)
     model = builder.finalize()

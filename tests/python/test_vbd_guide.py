@@ -1,0 +1,255 @@
+"""The table of the guide to VBD, row by row: what it says is there works, what raises raises."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import novaphy
+
+pytestmark = pytest.mark.skipif(not novaphy.has_vbd(), reason="built with NOVAPHY_BUILD_VBD=OFF")
+GUIDE = Path(__file__).parents[2] / "docs" / "guide" / "vbd.md"
+DT = 1 / 60
+
+
+def builder(**options) -> novaphy.ModelBuilder:
+    """A cloth that is held at one side, a block on the ground, and a spring between them."""
+    b = novaphy.ModelBuilder()
+    elastic = {"tri_ke": 50.0, "tri_ka": 50.0, "tri_kd": 0.01, "edge_ke": 0.05, "edge_kd": 1e-4}
+    b.add_cloth_grid(
+        pos=(0, 0, 1), dim_x=3, dim_y=3, cell_x=0.1, cell_y=0.1, mass=0.01, fix_left=True,
+        **(elastic | options),
+    )  # fmt: skip
+    b.add_soft_grid(
+        pos=(0, 0, 0.02), dim_x=1, dim_y=1, dim_z=1, cell_x=0.1, cell_y=0.1, cell_z=0.1,
+        density=100, k_mu=100, k_lambda=100, k_damp=0.1, particle_radius=0.03,
+    )  # fmt: skip
+    b.add_spring(5, 20, 10.0, 0.1)
+    b.add_ground_plane(cfg=novaphy.ShapeConfig(ke=10.0, kd=1.0, mu=0.5))
+    return b
+
+
+def finalized(b: novaphy.ModelBuilder) -> novaphy.Model:
+    b.color()
+    model = b.finalize()
+    model.soft_contact_ke, model.soft_contact_kd = 10.0, 1.0
+    return model
+
+
+def step(solver, model, **options):
+    """One step with contacts; the state after it."""
+    pipeline = novaphy.CollisionPipeline(model)
+    contacts = pipeline.contacts()
+    before, after = model.state(), model.state()
+    before.particle_qd.assign(np.full((model.particle_count, 3), (0.3, 0.1, -0.5), np.float32))
+    pipeline.collide(before, contacts)
+    assert contacts.active_soft_contact_count > 0
+    solver.step(before, after, None, contacts, DT, **options)
+    return after
+
+
+def gradients(arrays: tuple[str, ...]) -> Callable[[str], None]:
+    """Whether every array has a gradient that is not 0."""
+
+    def check(kind: str) -> None:
+        nova, diff = pytest.importorskip("novaphy.nova"), pytest.importorskip("novaphy.diff")
+        model = finalized(builder())
+        solver = novaphy.solvers.DiffSolverVBD(model, iterations=20, gradient=kind)
+        for name in arrays:
+            getattr(model, name).requires_grad = True
+        with nova.Tape() as tape:
+            after = step(solver, model)
+            weights = np.random.default_rng(1).normal(size=(model.particle_count, 3))
+            weights = nova.tensor(weights.astype(np.float32))
+            loss = nova.sum(diff.state_particle_q_tensor(after) * weights)
+        tape.backward(loss)
+        for name in arrays:
+            assert np.abs(getattr(model, name).grad.numpy()).max() > 0, name
+        assert solver.gradient_info().label == {"unrolled": "exact", "implicit": "implicit"}[kind]
+
+    return check
+
+
+def target_gradient(kind: str) -> None:
+    nova, diff = pytest.importorskip("novaphy.nova"), pytest.importorskip("novaphy.diff")
+    model = finalized(builder())
+    solver = novaphy.solvers.DiffSolverVBD(model, iterations=20, gradient=kind)
+    held = model.particle_q.numpy()[model.particle_mass.numpy() == 0]
+    targets = nova.tensor(held + np.float32(0.01), requires_grad=True)
+    with nova.Tape() as tape:
+        loss = nova.sum(diff.state_particle_q_tensor(step(solver, model, targets=targets)))
+    tape.backward(loss)
+    assert np.abs(targets.grad.numpy()).max() > 0.5
+
+
+def forward(**options) -> Callable[[], None]:
+    """Whether SolverVBD steps with the options."""
+
+    def check() -> None:
+        model = finalized(builder())
+        solver = novaphy.solvers.SolverVBD(model, **options)
+        assert np.isfinite(step(solver, model).particle_q.numpy()).all()
+
+    return check
+
+
+def with_targets() -> None:
+    model = finalized(builder())
+    held = model.particle_q.numpy()[model.particle_mass.numpy() == 0] + np.float32(0.01)
+    after = step(novaphy.solvers.SolverVBD(model), model, targets=held)
+    assert (after.particle_q.numpy()[model.particle_mass.numpy() == 0] == held).all()
+
+
+def each_option(solver: Callable) -> Callable[[], None]:
+    """Makes a solver with each of the options that have no gradient."""
+
+    def check() -> None:
+        raised = []
+        for option in (
+            {"acceleration": 0.5}, {"tolerance": 1e-3}, {"safeguard": True},
+            {"initial_guess": "adaptive"},
+        ):  # fmt: skip
+            try:
+                model = finalized(builder())
+                step(solver(model, **option), model)
+            except (NotImplementedError, TypeError) as error:  # or no such argument
+                assert next(iter(option)) in str(error)
+                raised.append(error)
+        assert len(raised) in (0, 4)
+        if raised:
+            raise NotImplementedError
+
+    return check
+
+
+def each_number(solver: Callable) -> Callable[[], None]:
+    """Steps with drag, adhesion and a lowered largest velocity, each of which is refused."""
+
+    def check() -> None:
+        with pytest.raises(NotImplementedError, match="drag"):
+            solver(finalized(builder(tri_drag=1.0)))
+        for name, value in (("particle_adhesion", 0.1), ("particle_max_velocity", 1.0)):
+            model = finalized(builder())
+            setattr(model, name, value)
+            with pytest.raises(NotImplementedError, match=name):
+                step(solver(model), model)
+        raise NotImplementedError
+
+    return check
+
+
+def bodies(solver: Callable) -> Callable[[], None]:
+    """A model with a body, without which there are no joints."""
+
+    def check() -> None:
+        b = builder()
+        body = b.add_body()
+        b.add_shape_sphere(body, radius=0.1)
+        with pytest.raises(NotImplementedError, match="body_count"):
+            solver(finalized(b))
+        raise NotImplementedError
+
+    return check
+
+
+def plain(model, **options):
+    return novaphy.solvers.SolverVBD(model, **options)
+
+
+def differentiable(model, **options):
+    pytest.importorskip("novaphy.diff")
+    return novaphy.solvers.DiffSolverVBD(model, **options)
+
+
+@dataclass
+class Row:
+    """How the cells of a row are tried: the step, and the gradient of a kind."""
+
+    cpu: Callable[[], None]
+    gradient: Callable[[str], None]
+
+
+# By how the row begins.
+ROWS = {
+    "springs, triangles": Row(
+        forward(),
+        gradients((
+            "particle_spring_stiffness", "particle_spring_damping", "particle_tri_material",
+            "particle_tet_material", "particle_edge_material", "particle_tri_activation",
+            "particle_tet_activation",
+        )),
+    ),
+    "rest shapes": Row(
+        forward(),
+        gradients((
+            "particle_spring_rest_length", "particle_edge_rest_length", "particle_edge_rest_angle",
+            "particle_tri_pose", "particle_tri_area", "particle_tet_pose",
+        )),
+    ),
+    "masses, radii": Row(forward(), gradients(("particle_mass", "particle_radius", "gravity"))),
+    "contacts with world-owned shapes": Row(
+        forward(),
+        gradients(("shape_margin", "shape_material_ke", "shape_material_kd", "shape_material_mu")),
+    ),
+    "targets of held particles": Row(with_targets, target_gradient),
+    "`acceleration`": Row(each_option(plain), lambda kind: each_option(differentiable)()),
+    "drag and lift": Row(each_number(plain), lambda kind: each_number(differentiable)()),
+    "bodies, joints": Row(bodies(plain), lambda kind: bodies(differentiable)()),
+}  # fmt: skip
+
+
+def table() -> list[list[str]]:
+    """The cells of the rows of "What is covered"."""
+    text = GUIDE.read_text("utf-8").split("## What is covered")[1].split("\n\n")[1]
+    return [[cell.strip() for cell in line.split("|")[1:-1]] for line in text.splitlines()[2:]]
+
+
+def try_cell(cell: str, check: Callable[[], None]) -> None:
+    assert cell in ("yes", "raises"), cell
+    if cell == "yes":
+        check()
+    else:
+        with pytest.raises(NotImplementedError):
+            check()
+
+
+@pytest.mark.parametrize("begin", ROWS)
+def test_a_row_of_the_table_is_as_it_says(begin):
+    (cells,) = [row for row in table() if row[0].startswith(begin)]
+    _, cpu, cuda, captured, gradient, label = cells
+    row = ROWS[begin]
+    try_cell(cpu, row.cpu)
+    kinds = ["unrolled", "implicit"] if "implicit" in label else ["unrolled"]
+    assert ("exact" in label) == (gradient == "yes")
+    for kind in kinds:
+        try_cell(gradient, lambda kind=kind: row.gradient(kind))
+    # The same for all rows.
+    assert cuda == captured == "raises"
+
+
+def test_every_row_of_the_table_is_tested():
+    rows = [row[0] for row in table()]
+    assert len(rows) == len(ROWS)
+    for row in rows:
+        assert sum(row.startswith(begin) for begin in ROWS) == 1, row
+
+
+def test_nothing_is_captured():
+    nova = pytest.importorskip("novaphy.nova")
+    model = finalized(builder())
+    for solver in (plain(model), differentiable(model)):
+        with pytest.raises(novaphy.Error), nova.ScopedCapture():
+            solver.step(model.state(), model.state(), None, None, DT)
+
+
+@pytest.mark.skipif(not novaphy.is_device_available("cuda"), reason="no CUDA device")
+def test_nothing_runs_on_cuda():
+    b = builder()
+    b.color()
+    for solver in (plain, differentiable):
+        with pytest.raises(NotImplementedError, match="cpu"):
+            solver(b.finalize("cuda"))

@@ -1,6 +1,7 @@
 #include "reverse_pass.h"
 
 #include <algorithm>
+#include <cmath>
 
 #include "novaphy/core/sim/for_chunks.h"
 
@@ -138,8 +139,7 @@ KrylovResult ReversePass::implicit(const Vec3f* q_bar, const Vec3f* qd_bar, doub
   for (int round = 0; round < kRefinements; ++round) {
     // A sweep in reverse from r takes away from r what the multipliers z that it finds balance.
     Rows more;
-    const double asked =
-        kMargin * tolerance * (result.iterations > 0 ? 1.0 / result.residual : 1.0);
+    const double asked = kMargin * tolerance * (round > 0 ? 1.0 / result.residual : 1.0);
     const KrylovResult found = solve_krylov(more, residual, asked, sweeps - result.iterations,
                                             [&](const Rows& r, Rows& z, Rows& image) {
                                               x_bar = r;

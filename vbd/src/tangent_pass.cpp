@@ -1,6 +1,7 @@
 #include "tangent_pass.h"
 
 #include <algorithm>
+#include <cmath>
 
 #include "novaphy/core/sim/for_chunks.h"
 
@@ -98,14 +99,30 @@ KrylovResult TangentPass::solve(Rows& solution, Rows& load, double tolerance, in
 
 KrylovResult TangentPass::implicit(double tolerance, int32_t sweeps) {
   tangent_start();
-  Rows load(x_slope.size()), solution;
+  const size_t colors = step.slots.color_begin().size() - 1;
+  // The derivative of the force: with the particles that move at rest the load, then what is left
+  // of it.
+  const auto force_slope = [&] {
+    Rows force(x_slope.size());
+    tangents_.force_slope = floats(force);
+    for_groups(0, colors, step.level.tangent);
+    tangents_.force_slope = nullptr;
+    return force;
+  };
   tangents_.at_rest = true;
-  tangents_.force_slope = floats(load);
-  for_groups(0, step.slots.color_begin().size() - 1, step.level.tangent);
-  tangents_.force_slope = nullptr;
-  const KrylovResult result = solve(solution, load, kMargin * tolerance, sweeps);
-  for (size_t p = 0; p < x_slope.size(); ++p)
-    if (!is_held(p)) x_slope[p] = solution[p];
+  Rows load = force_slope();
+  const double scale = std::sqrt(dot(load, load));
+  KrylovResult result;
+  for (int round = 0; round < kRefinements; ++round) {
+    Rows more;
+    const double asked = kMargin * tolerance * (round > 0 ? 1.0 / result.residual : 1.0);
+    result.iterations += solve(more, load, asked, sweeps - result.iterations).iterations;
+    for (size_t p = 0; p < x_slope.size(); ++p)
+      if (!is_held(p)) x_slope[p] = Vec3f(x_slope[p]) + Vec3f(more[p]);
+    load = force_slope();
+    result.residual = scale > 0.0 ? std::sqrt(dot(load, load)) / scale : 0.0;
+    if (result.residual <= tolerance || result.iterations >= sweeps) break;
+  }
   return result;
 }
 

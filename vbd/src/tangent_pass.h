@@ -13,10 +13,9 @@ class TangentPass {
 
   // Clears the direction.
   void prepare();
-  // After a run that kept its iterates: of the positions. `guess`: the direction of the initial
-  // guess is that of the target, else of the start.
+  // After a run that kept its iterates.
   void unrolled();
-  // At the solution.
+  // At the solution. Returns how well the linear system was solved: the residual is the true one.
   KrylovResult implicit(double tolerance, int32_t sweeps);
   // Moves a step that was run to its solution: until its relative residual is at most the
   // tolerance, or twice what rounding allows, or `iterations` are over.

@@ -1,7 +1,8 @@
 """Stiff cloth and soft bodies by Vertex Block Descent, one step a frame.
 
-Four scenes: a cloth that hangs from one side, one that falls over a sphere, a bar that is twisted
-by its ends, and a block that starts crushed, flat and turned inside out. Each ends with a check.
+Five scenes: a cloth that hangs from one side, one that falls over a sphere, a bar that is twisted
+by its ends, a block that starts crushed, flat and turned inside out, and a net of springs that
+catches heavy particles, which hit it at 3 m/s and stay in its knots. Each ends with a check.
 
     python demo_vbd.py draped --headless 120 --plot draped.png
 """
@@ -92,12 +93,41 @@ def crushed() -> Scene:
     return Scene(builder.finalize(), iterations=40, substeps=2)
 
 
-SCENES = {"hanging": hanging, "draped": draped, "twisted": twisted, "crushed": crushed}
+def net() -> Scene:
+    """A net of springs, its rim held; nine heavy particles hit it and stay in its knots."""
+    builder = novaphy.ModelBuilder()
+    count, mesh = 21, 0.05
+    side = mesh * (count - 1)
+    for row in range(count):
+        for column in range(count):
+            rim = row in (0, count - 1) or column in (0, count - 1)
+            caught = row in (5, 10, 15) and column in (5, 10, 15)
+            builder.add_particle(
+                (mesh * column - 0.5 * side, mesh * row - 0.5 * side, 1.0),
+                (0.0, 0.0, -3.0 if caught else 0.0),
+                0.0 if rim else 0.2 if caught else 2e-3,
+                0.02 if caught else 0.004,
+            )
+    for row in range(count):
+        for column in range(count):
+            knot = row * count + column
+            if column + 1 < count:
+                builder.add_spring(knot, knot + 1, 2e3, 20.0)
+            if row + 1 < count:
+                builder.add_spring(knot, knot + count, 2e3, 20.0)
+    builder.color()
+    return Scene(builder.finalize(), iterations=30, substeps=4)
+
+
+SCENES = {
+    "hanging": hanging, "draped": draped, "twisted": twisted, "crushed": crushed, "net": net,
+}  # fmt: skip
 LOOKS = {
     "hanging": ((2.4, -2.4, 1.4), (0.3, 0.0, 0.7)),
     "draped": ((1.6, -1.8, 1.2), (0.0, 0.0, 0.4)),
     "twisted": ((0.5, -1.5, 0.9), (0.5, 0.0, 0.4)),
     "crushed": ((1.2, -1.4, 0.9), (0.0, 0.0, 0.3)),
+    "net": ((1.5, -1.7, 1.5), (0.0, 0.0, 0.85)),
 }
 
 
@@ -163,6 +193,13 @@ def check(name: str, scene: Scene, positions: np.ndarray) -> list[str]:
         first, last = (least_volume(scene.model, q) for q in (positions[0], end))
         print(f"smallest relative volume {first:.3f} at the start, {last:.3f} at the end")
         faults += [] if last > 0.2 else ["no inverted or flat tetrahedron"]
+    if name == "net":
+        a, b = end[scene.model.particle_spring_indices.numpy().reshape(-1, 2).T]
+        rest = scene.model.particle_spring_rest_length.numpy()
+        longest, sag = (np.linalg.norm(a - b, axis=1) / rest).max(), 1.0 - end[:, 2].min()
+        print(f"sags by {sag:.3f} m, longest spring {longest:.3f} of its length")
+        faults += [] if 0.02 < sag < 0.4 and speed < 0.3 else ["particles that were caught"]
+        faults += [] if longest < 1.3 else ["a net that keeps its size"]
     print(f"fastest particle {speed:.3f} m/s")
     return faults
 
@@ -179,7 +216,12 @@ def plot(path: str, model: novaphy.Model, positions: np.ndarray) -> None:
         axes = figure.add_subplot(1, 4, column + 1, projection="3d", box_aspect=(1, 1, 1))
         x, y, z = positions[frame].T
         style = {"color": "#5b8db8", "edgecolor": "#22445f", "lw": 0.15}
-        axes.plot_trisurf(x, y, z, triangles=model.tri_indices.numpy(), **style)
+        if model.tri_count:
+            axes.plot_trisurf(x, y, z, triangles=model.tri_indices.numpy(), **style)
+        else:
+            axes.scatter(x, y, z, s=2e3 * model.particle_radius.numpy() ** 1.5, color="#22445f")
+            for spring in model.particle_spring_indices.numpy().reshape(-1, 2):
+                axes.plot(x[spring], y[spring], z[spring], color="#5b8db8", lw=0.5)
         low, high = positions.min((0, 1)), positions.max((0, 1))
         centre, half = (low + high) / 2, (high - low).max() / 2
         for axis, c in zip("xyz", centre, strict=True):

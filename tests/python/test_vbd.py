@@ -115,7 +115,7 @@ def test_a_step_on_a_tape_raises():
         solver.step(state, after, None, None, 1 / 60)
 
 
-@pytest.mark.parametrize("scene", ["hanging", "draped", "twisted", "crushed"])
+@pytest.mark.parametrize("scene", ["hanging", "draped", "twisted", "crushed", "net"])
 def test_the_demos_run(scene, tmp_path):
     states = tmp_path / "states.npz"
     done = subprocess.run(
@@ -149,9 +149,10 @@ def test_a_gripper_holds_what_it_dropped(tmp_path):
     assert loss[0] > 0.1 and loss[-1] < 1e-3
 
 
-def test_a_crushed_block_recovers():
+@pytest.mark.parametrize("scene", ["crushed", "net"])
+def test_a_crushed_block_recovers_and_a_net_catches(scene):
     done = subprocess.run(
-        [sys.executable, str(DEMO), "crushed", "--headless", "150"],
+        [sys.executable, str(DEMO), scene, "--headless", "150"],
         capture_output=True,
         text=True,
         timeout=300,

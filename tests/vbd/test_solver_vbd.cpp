@@ -495,6 +495,28 @@ TEST(SolverVbd, ContactsOfOthersAndOverflowingOnesAreRefused) {
   EXPECT_ERROR(solver.step(in, out, nullptr, &contacts, kDt), ErrorKind::Runtime, "slots for 3");
 }
 
+TEST(SolverVbd, BadMaterialsOfTouchedShapesAreRefusedByName) {
+  for (const float bad : {-1.0f, std::numeric_limits<float>::quiet_NaN()})
+    for (const char* name : {"shape_material_ke", "shape_material_kd", "shape_material_mu"}) {
+      ModelBuilder b;
+      b.add_particle({0.0f, 0.0f, 0.0f}, {}, 1.0f, 0.1f);
+      b.add_ground_plane();
+      b.color();
+      const auto model = b.finalize(Device::cpu());
+      CollisionPipeline pipeline(model);
+      Contacts contacts = pipeline.contacts();
+      SimState in = model->state(), out = model->state();
+      pipeline.collide(in, contacts);
+      DeviceArray<float> array = std::string_view(name).ends_with("ke") ? model->shape_material_ke
+                                 : std::string_view(name).ends_with("kd")
+                                     ? model->shape_material_kd
+                                     : model->shape_material_mu;
+      array.fill(bad);
+      SolverVBD solver(model);
+      EXPECT_ERROR(solver.step(in, out, nullptr, &contacts, kDt), ErrorKind::Value, name);
+    }
+}
+
 TEST(SolverVbd, ResetForgetsTheLastVelocity) {
   ModelBuilder b = hanging_cloth();
   b.color();

@@ -168,10 +168,13 @@ TEST_P(VbdDerivatives, ForwardsTheyAreThoseOfDifferencesByEveryInput) {
     input.tangent(tangents, d);
     step->tangent(scene.inputs(), tangents, slope.data(), qd_slope.data());
     std::vector<Vec3f> sides[2];
+    // Without damping only more of it is allowed.
+    const bool one_sided = implicit() && name.starts_with("shape_material_kd");
+    const double back = one_sided ? 0.0 : -input.step, width = input.step - back;
     for (int side = 0; side < 2; ++side) {
       std::vector<float> moved = input.values;
       for (size_t i = 0; i < moved.size(); ++i)
-        moved[i] += static_cast<float>(side == 0 ? input.step : -input.step) * d[i];
+        moved[i] += static_cast<float>(side == 0 ? input.step : back) * d[i];
       input.write(moved);
       step->forward(scene.inputs(), q.data(), qd.data());
       sides[side] = q;
@@ -179,7 +182,7 @@ TEST_P(VbdDerivatives, ForwardsTheyAreThoseOfDifferencesByEveryInput) {
     input.write(input.values);
     std::vector<Vec3f> error(n), expected(n);
     for (size_t p = 0; p < n; ++p) {
-      expected[p] = (sides[0][p] - sides[1][p]) * static_cast<float>(0.5 / input.step);
+      expected[p] = (sides[0][p] - sides[1][p]) * static_cast<float>(1.0 / width);
       error[p] = slope[p] - expected[p];
     }
     // A part of a hundredth, or the rounding of the positions of the two sides.

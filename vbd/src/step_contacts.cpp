@@ -5,6 +5,14 @@
 #include "novaphy/core/error.h"
 
 namespace novaphy::vbd {
+namespace {
+
+void check_material(const char* name, int32_t shape, float value) {
+  require(std::isfinite(value) && value >= 0.0f, ErrorKind::Value, "SolverVBD.step: model.", name,
+          "[", shape, "]: expected a finite number >= 0, got ", value);
+}
+
+}  // namespace
 
 void StepContacts::update(const Model& model, const Contacts* contacts, float dt) {
   constexpr const char* kName = "SolverVBD.step: contacts";
@@ -43,6 +51,9 @@ void StepContacts::update(const Model& model, const Contacts* contacts, float dt
   float* row = numbers_.data();
   for (const int32_t slot : rows_.all()) {
     const int32_t s = shape[slot];
+    check_material("shape_material_ke", s, ke[s]);
+    check_material("shape_material_kd", s, kd[s]);
+    check_material("shape_material_mu", s, mu[s]);
     const Vec3f travel = velocity[slot] * dt;
     for (const Vec3f& v : {point[slot], normal[slot], travel}) {
       *row++ = v.x;

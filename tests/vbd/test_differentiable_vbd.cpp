@@ -73,6 +73,56 @@ TEST_P(VbdGradients, AreThoseOfDoublePrecision) {
   }
 }
 
+// Four steps of 5 sweeps, all with the contacts of the first.
+TEST_P(VbdGradients, OfSeveralStepsAreThoseOfDoublePrecision) {
+  const NewtonVbdScene scene(("newton_vbd_" + std::string(GetParam()) + ".npz").c_str());
+  const Npz file = testing::golden("vbd_gradients.npz");
+  const auto first = static_cast<size_t>(file[name("t")].scalar<int32_t>());
+  constexpr size_t kSteps = 4;
+  const size_t n = scene.particles();
+  const std::vector<Vec3f> f(n);
+  std::vector<std::vector<Vec3f>> q(kSteps + 1), qd(kSteps + 1);
+  const auto start = scene.q(first), start_qd = scene.file["qd_60"].as<Vec3f>();
+  q[0].assign(start.begin(), start.end());
+  qd[0].assign(start_qd.begin(), start_qd.end());
+  std::vector<Contacts> contacts;
+  for (size_t s = 0; s < kSteps; ++s) contacts.push_back(scene.contacts(first));
+  const auto inputs = [&](size_t s) {
+    return VbdStepInputs{.particle_q = q[s].data(),
+                         .particle_qd = qd[s].data(),
+                         .particle_f = f.data(),
+                         .contacts = &contacts[s],
+                         .dt = scene.dt()};
+  };
+  DifferentiableVbd step(scene.model, {.iterations = 5});
+  for (size_t s = 0; s < kSteps; ++s) {
+    q[s + 1].resize(n);
+    qd[s + 1].resize(n);
+    step.forward(inputs(s), q[s + 1].data(), qd[s + 1].data());
+  }
+  EXPECT_LT(relative_error(flat(q[kSteps]), file[name("T4K5_out_q")].as<double>()), 1e-6);
+
+  const auto w_q = file[name("w_q")].as<Vec3f>(), w_qd = file[name("w_qd")].as<Vec3f>();
+  std::vector<Vec3f> q_bar(w_q.begin(), w_q.end()), qd_bar(w_qd.begin(), w_qd.end());
+  std::vector<float> tet_bar(scene.model->particle_tet_material.to_host().size());
+  for (size_t s = kSteps; s-- > 0;) {
+    std::vector<Vec3f> by_q(n), by_qd(n);
+    std::vector<float> by_tet(tet_bar.size());
+    step.backward(inputs(s), q_bar.data(), qd_bar.data(),
+                  {.particle_q = by_q.data(),
+                   .particle_qd = by_qd.data(),
+                   .particle_tet_material = by_tet.data()});
+    q_bar = by_q;
+    qd_bar = by_qd;
+    for (size_t i = 0; i < tet_bar.size(); ++i) tet_bar[i] += by_tet[i];
+  }
+  EXPECT_LT(relative_error(flat(q_bar), file[name("T4K5_grad_q")].as<double>()), 1e-3);
+  EXPECT_LT(relative_error(flat(qd_bar), file[name("T4K5_grad_qd")].as<double>()), 1e-3);
+  if (!tet_bar.empty()) {
+    EXPECT_LT(relative_error(tet_bar, file[name("T4K5_grad_tet")].as<double>()), 1e-3);
+  }
+}
+
 INSTANTIATE_TEST_SUITE_P(Scenes, VbdGradients, ::testing::Values("soft", "cloth"));
 
 // The derivative along a direction (a fraction of the values) and by central differences.

@@ -264,15 +264,15 @@ template <class T>
 SurfaceDistance<T> ellipsoid_distance(const Vec3<T>& x, const Vec3<T>& h) {
   using namespace math;
   constexpr int kIterations = 8;
-  const T one = T(1.0f), shortest = min(h.x, min(h.y, h.z)), base = shortest * shortest;
+  const T one = T(1.0f), shortest = min(h.x, min(h.y, h.z));
   const T xs[3] = {x.x, x.y, x.z}, hs[3] = {h.x, h.y, h.z};
-  T at[3], excess[3], u[3];  // |x_i|, h_i^2 - base, h_i |x_i|
+  T at[3], excess[3], u[3];  // |x_i|, h_i^2 - shortest^2, h_i |x_i|
   for (int i = 0; i < 3; ++i) {
     at[i] = max(abs(xs[i]), T(1e-6f) * hs[i]);
     excess[i] = (hs[i] - shortest) * (hs[i] + shortest);
     u[i] = hs[i] * at[i];
   }
-  // s = t + base, without the cancellation of t.
+  // s = t + shortest^2, without the cancellation of t.
   const auto improve = [&](const T& s, const T(&v)[3]) {
     T sum = T(0.0f), slope = T(0.0f);
     for (int i = 0; i < 3; ++i) {

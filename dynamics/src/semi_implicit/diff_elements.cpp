@@ -93,12 +93,6 @@ void detail::add_contributions(const Operand& particle_f, const Operand& contrib
   sum_kernel().launch(particle_f.rows, terms, {&sum, 1}, {.csr = &rows});
 }
 
-std::vector<nova::SourceSpec> detail::element_sources(int32_t corners) {
-  return {{"indices", DType::I32, corners, Access::Direct},
-          {"particle_q", DType::F32, 3, Access::Indexed},
-          {"particle_qd", DType::F32, 3, Access::Indexed}};
-}
-
 Vec3<Real> detail::load_corner(TraceContext& c, const char* source, int32_t corner) {
   const Int particle = c.i32(0, corner);
   const size_t s = c.source(source);
@@ -118,8 +112,10 @@ std::vector<Real> detail::contributions(std::initializer_list<Vec3<Real>> forces
   return columns;
 }
 
-void detail::check_element_tensor(const Model& model, const Tensor& tensor, int64_t rows,
-                                  int32_t width, const char* op, const char* name) {
+namespace {
+
+void check_element_tensor(const Model& model, const Tensor& tensor, int64_t rows, int32_t width,
+                          const char* op, const char* name) {
   require(tensor.defined() && tensor.dtype() == DType::F32, ErrorKind::Type, op, ", ", name,
           ": expected a float32 tensor");
   const bool right =
@@ -132,99 +128,90 @@ void detail::check_element_tensor(const Model& model, const Tensor& tensor, int6
           model.device().str(), ", got ", tensor.device().str());
 }
 
-Tensor detail::eval_elements(const Model& model, const char* op, const nova::Kernel& kernel,
-                             const Array& indices, const Tensor& particle_q,
+const detail::OperatorSpec* const* all_operators() {
+  static const detail::OperatorSpec* const all[] = {
+      &detail::spring_operator(), &detail::triangle_operator(), &detail::bending_operator(),
+      &detail::tetrahedron_operator(), nullptr};
+  return all;
+}
+
+}  // namespace
+
+Tensor detail::eval_elements(const Model& model, const OperatorSpec& spec, const Tensor& particle_q,
                              const Tensor& particle_qd, const Tensor& particle_f,
-                             std::vector<Operand> parameters) {
-  check_particle_tensor(model, particle_q, op, "particle_q");
-  check_particle_tensor(model, particle_qd, op, "particle_qd");
-  check_particle_tensor(model, particle_f, op, "particle_f");
+                             std::initializer_list<Tensor> parameters) {
+  check_particle_tensor(model, particle_q, spec.function, "particle_q");
+  check_particle_tensor(model, particle_qd, spec.function, "particle_qd");
+  check_particle_tensor(model, particle_f, spec.function, "particle_f");
+  const Array& indices = spec.indices(model, nullptr);
   std::vector<Operand> in = {nova::operand_of(indices), particle_q.operand(),
                              particle_qd.operand()};
-  in.insert(in.end(), parameters.begin(), parameters.end());
+  const Tensor* next = parameters.begin();
+  for (const OperatorSpec::Parameter& p : spec.parameters) {
+    if (p.argument == nullptr) {
+      in.push_back(nova::operand_of(p.array(model, nullptr)));
+      continue;
+    }
+    check_element_tensor(model, *next, in[0].rows, p.width, spec.function, p.argument);
+    in.push_back(p.width == 1 ? next->flat_operand() : next->operand());
+    ++next;
+  }
   const Tensor forces(particle_f.shape(), DType::F32, model.device());
-  launch_elements(kernel, in, particle_f.operand(),
+  launch_elements(spec.kernel, in, particle_f.operand(),
                   allocate(in[0].rows, 3 * in[0].width, model.device()), rows_of(model, indices),
                   forces.operand());
   return forces;
 }
 
-nova::Kernel detail::element_kernel(const char* name, const std::vector<nova::SourceSpec>& sources,
-                                    int32_t corners, const nova::TraceFn& law) {
+detail::OperatorSpec detail::with_kernel(OperatorSpec spec) {
+  std::vector<nova::SourceSpec> sources = {{"indices", DType::I32, spec.corners, Access::Direct},
+                                           {"particle_q", DType::F32, 3, Access::Indexed},
+                                           {"particle_qd", DType::F32, 3, Access::Indexed}};
+  for (const OperatorSpec::Parameter& p : spec.parameters)
+    sources.push_back({p.source, DType::F32, p.width, Access::Direct});
   const nova::Kernel kernel =
-      nova::make_kernel(name, sources, {{"contribution", 3 * corners}}, law);
+      nova::make_kernel(spec.kernel_name, sources, {{"contribution", 3 * spec.corners}}, spec.law);
   std::vector<nova::AdjointMask> masks = nova::gradient_sets(kernel, {"particle_q", "particle_qd"});
   // The gradient of the forces on the particles is read through `indices`.
   for (nova::AdjointMask& mask : masks) mask.table = 0;
-  return nova::with_gradients(kernel, std::move(masks));
+  spec.kernel = nova::with_gradients(kernel, std::move(masks));
+  return spec;
 }
 
 void detail::add_element_kernels(std::vector<nova::EngineKernel>& list) {
-  for (const nova::Kernel& k :
-       {spring_kernel(), triangle_kernel(), bending_kernel(), tetrahedron_kernel()})
-    list.push_back({k, k.gradients()});
+  for (const auto* spec = all_operators(); *spec != nullptr; ++spec)
+    list.push_back({(*spec)->kernel, (*spec)->kernel.gradients()});
   list.push_back({sum_kernel(), sum_kernel().gradients()});
   add_tet_material_kernels(list);
 }
 
 ElementOperators::ElementOperators(const Model& model, const ElementSet& set)
     : particle_count_(static_cast<size_t>(model.particle_count())) {
-  const auto add = [&](Kind kind, bool wanted, const Array& indices) {
-    if (!wanted || indices.rows() == 0) return;
+  const bool wanted[] = {set.springs, set.triangles, set.edges, set.tetrahedra};
+  for (size_t k = 0; all_operators()[k] != nullptr; ++k) {
+    const detail::OperatorSpec& spec = *all_operators()[k];
+    const Array& indices = spec.indices(model, nullptr);
+    if (!wanted[k] || indices.rows() == 0) continue;
     const Operand table = nova::operand_of(indices);
-    terms_.push_back({kind, allocate(table.rows, 3 * table.width, model.device()),
+    terms_.push_back({&spec, allocate(table.rows, 3 * table.width, model.device()),
                       allocate(model.particle_count(), 3, model.device()), nullptr});
-  };
-  add(Kind::Spring, set.springs, model.particle_spring_indices);
-  add(Kind::Triangle, set.triangles, model.particle_tri_indices);
-  add(Kind::Edge, set.edges, model.particle_edge_indices);
-  add(Kind::Tetrahedron, set.tetrahedra, model.particle_tet_indices);
+  }
 }
 
 void ElementOperators::eval(const Model& m, const Control* control, const Operand& particle_q,
                             const Operand& particle_qd, const Operand& particle_f,
                             const Operand& forces) {
-  const auto kernel_of = [](Kind kind) -> const nova::Kernel& {
-    switch (kind) {
-      case Kind::Spring:
-        return detail::spring_kernel();
-      case Kind::Triangle:
-        return detail::triangle_kernel();
-      case Kind::Edge:
-        return detail::bending_kernel();
-      case Kind::Tetrahedron:
-        break;
-    }
-    return detail::tetrahedron_kernel();
-  };
-  const auto inputs_of = [&](Kind kind) -> std::vector<const Array*> {
-    switch (kind) {
-      case Kind::Spring:
-        return {&m.particle_spring_indices, &m.particle_spring_stiffness,
-                &m.particle_spring_damping, &m.particle_spring_rest_length};
-      case Kind::Triangle:
-        return {&m.particle_tri_indices, &m.particle_tri_pose,
-                control ? &control->particle_tri_activation : &m.particle_tri_activation,
-                &m.particle_tri_material};
-      case Kind::Edge:
-        return {&m.particle_edge_indices, &m.particle_edge_material, &m.particle_edge_rest_angle};
-      case Kind::Tetrahedron:
-        break;
-    }
-    return {&m.particle_tet_indices, &m.particle_tet_pose,
-            control ? &control->particle_tet_activation : &m.particle_tet_activation,
-            &m.particle_tet_material};
-  };
   Operand f = particle_f;
   for (Term& term : terms_) {
-    const std::vector<const Array*> arrays = inputs_of(term.kind);
-    std::vector<Operand> in = {nova::operand_of(*arrays[0]), particle_q, particle_qd};
-    for (size_t k = 1; k < arrays.size(); ++k) in.push_back(nova::operand_of(*arrays[k]));
+    const Array& indices = term.spec->indices(m, control);
+    std::vector<Operand> in = {nova::operand_of(indices), particle_q, particle_qd};
+    for (const detail::OperatorSpec::Parameter& p : term.spec->parameters)
+      in.push_back(nova::operand_of(p.array(m, control)));
     if (!term.rows || term.rows->table.range != in[0].range ||
         !nova::is_current(*term.rows, *in[0].range))
-      term.rows = rows_of(m, *arrays[0]);
+      term.rows = rows_of(m, indices);
     const Operand& to = &term == &terms_.back() ? forces : term.sum;
-    launch_elements(kernel_of(term.kind), in, f, term.contributions, term.rows, to);
+    launch_elements(term.spec->kernel, in, f, term.contributions, term.rows, to);
     f = to;
   }
 }

@@ -16,53 +16,52 @@ namespace {
 // Every step but the last of a training of materials adds to their gradient, and nobody reads that
 // of the damping of materials that assign_tet_materials has written. That set comes instead of the
 // one of the state, whose part it has.
-nova::Kernel with_material_gradients(const nova::Kernel& kernel) {
+detail::OperatorSpec with_material_gradients(detail::OperatorSpec spec) {
   constexpr uint32_t kDamping = 2;
-  std::vector<nova::AdjointMask> masks = kernel.gradients();
-  const size_t material = kernel.sources().size() - 1;
+  std::vector<nova::AdjointMask> masks = spec.kernel.gradients();
+  const size_t material = spec.kernel.sources().size() - 1;
   masks[0].wrt[material] = masks[0].accumulate[material] = true;
   for (nova::AdjointMask& mask : masks) {
     mask.narrowed = static_cast<int32_t>(material);
     mask.unread = uint32_t{1} << kDamping;
   }
-  return nova::with_gradients(kernel, std::move(masks));
+  spec.kernel = nova::with_gradients(spec.kernel, std::move(masks));
+  return spec;
 }
 
 }  // namespace
 
-const nova::Kernel& detail::tetrahedron_kernel() {
-  static const nova::Kernel kernel = [] {
-    std::vector<nova::SourceSpec> sources = element_sources(4);
-    sources.push_back({"pose", DType::F32, 9, Access::Direct});
-    sources.push_back({"activation", DType::F32, 1, Access::Direct});
-    sources.push_back({"material", DType::F32, 3, Access::Direct});
-    return with_material_gradients(
-        element_kernel("tetrahedron_forces", sources, 4, [](TraceContext& c) {
-          Vec3<Real> x[4], v[4];
-          load_corners(c, x, v);
-          Mat33<Real> pose;
-          for (int32_t i = 0; i < 3; ++i)
-            for (int32_t j = 0; j < 3; ++j) pose.m[i][j] = c.f32(c.source("pose"), 3 * i + j);
-          const size_t m = c.source("material");
-          const TetrahedronForces<Real> f = tetrahedron_forces<Real>(
-              x, v, pose, c.f32(c.source("activation")), {c.f32(m, 0), c.f32(m, 1), c.f32(m, 2)});
-          return contributions({f.f0, f.f1, f.f2, f.f3});
-        }));
-  }();
-  return kernel;
+const detail::OperatorSpec& detail::tetrahedron_operator() {
+  static const OperatorSpec spec = with_material_gradients(with_kernel(
+      {"tetrahedron_forces",
+       "eval_tetrahedra_forces_generated",
+       array_of<&Model::particle_tet_indices>,
+       4,
+       {{"pose", 9, array_of<&Model::particle_tet_pose>, nullptr},
+        {"activation", 1,
+         array_of<&Model::particle_tet_activation, &Control::particle_tet_activation>,
+         "tet_activations"},
+        {"material", 3, array_of<&Model::particle_tet_material>, "tet_materials"}},
+       [](TraceContext& c) {
+         Vec3<Real> x[4], v[4];
+         load_corners(c, x, v);
+         Mat33<Real> pose;
+         for (int32_t i = 0; i < 3; ++i)
+           for (int32_t j = 0; j < 3; ++j) pose.m[i][j] = c.f32(c.source("pose"), 3 * i + j);
+         const size_t m = c.source("material");
+         const TetrahedronForces<Real> f = tetrahedron_forces<Real>(
+             x, v, pose, c.f32(c.source("activation")), {c.f32(m, 0), c.f32(m, 1), c.f32(m, 2)});
+         return contributions({f.f0, f.f1, f.f2, f.f3});
+       }}));
+  return spec;
 }
 
 Tensor eval_tetrahedra_forces_generated(const Model& model, const Tensor& particle_q,
                                         const Tensor& particle_qd, const Tensor& particle_f,
                                         const Tensor& tet_activations,
                                         const Tensor& tet_materials) {
-  const char* op = "eval_tetrahedra_forces_generated";
-  detail::check_element_tensor(model, tet_activations, model.tet_count(), 1, op, "tet_activations");
-  detail::check_element_tensor(model, tet_materials, model.tet_count(), 3, op, "tet_materials");
-  return detail::eval_elements(model, op, detail::tetrahedron_kernel(), model.particle_tet_indices,
-                               particle_q, particle_qd, particle_f,
-                               {nova::operand_of(model.particle_tet_pose),
-                                tet_activations.flat_operand(), tet_materials.operand()});
+  return detail::eval_elements(model, detail::tetrahedron_operator(), particle_q, particle_qd,
+                               particle_f, {tet_activations, tet_materials});
 }
 
 namespace {

@@ -22,7 +22,10 @@
 // inputs are not changed.
 #pragma once
 
+#include <cstddef>
+#include <initializer_list>
 #include <span>
+#include <type_traits>
 #include <vector>
 
 #include "novaphy/core/sim/control.h"
@@ -66,6 +69,10 @@ struct ElementSet {
   bool springs = false, triangles = false, edges = false, tetrahedra = false;
 };
 
+namespace detail {
+struct OperatorSpec;
+}
+
 // The forces of a model's elements into given memory: what the solver calls. Keeps the memory that
 // the elements write to, which no adjoint reads, from step to step.
 class NOVAPHY_DYNAMICS_API ElementOperators {
@@ -84,9 +91,8 @@ class NOVAPHY_DYNAMICS_API ElementOperators {
             const nova::Operand& forces);
 
  private:
-  enum class Kind : uint8_t { Spring, Triangle, Edge, Tetrahedron };
   struct Term {
-    Kind kind;
+    const detail::OperatorSpec* spec;
     nova::Operand contributions;  // {elements, 3 * corners}
     nova::Operand sum;            // {n, 3}: of the terms so far, but for the last
     nova::Incidence rows;         // which contributions a particle gets
@@ -96,18 +102,37 @@ class NOVAPHY_DYNAMICS_API ElementOperators {
 };
 
 namespace detail {
-// The kernels over the elements. Sources, in order: indices, particle_q, particle_qd, then
-//   springs      stiffness, damping, rest length      triangles   pose, activation, material
-//   edges        material, rest angle                 tetrahedra  pose, activation, material
-const nova::Kernel& spring_kernel();
-const nova::Kernel& triangle_kernel();
-const nova::Kernel& bending_kernel();
-const nova::Kernel& tetrahedron_kernel();
-// The first three sources, for elements of `corners` particles.
-std::vector<nova::SourceSpec> element_sources(int32_t corners);
-// The kernel of elements of `corners` particles.
-nova::Kernel element_kernel(const char* name, const std::vector<nova::SourceSpec>& sources,
-                            int32_t corners, const nova::TraceFn& law);
+// The control's array where there is one, else the model's.
+template <auto OfModel, auto OfControl = nullptr>
+const Array& array_of(const Model& model, const Control* control) {
+  if constexpr (!std::is_same_v<decltype(OfControl), std::nullptr_t>)
+    if (control != nullptr) return control->*OfControl;
+  return model.*OfModel;
+}
+using ArrayOf = const Array& (*)(const Model&, const Control*);
+
+// What there is to know of one kind of element: its kernel's sources after indices, particle_q and
+// particle_qd, where they come from, and the law.
+struct OperatorSpec {
+  struct Parameter {
+    const char* source;  // the kernel's
+    int32_t width;
+    ArrayOf array;
+    const char* argument;  // of the function above; null: always the model's
+  };
+  const char* kernel_name;
+  const char* function;  // the one above
+  ArrayOf indices;
+  int32_t corners;
+  std::vector<Parameter> parameters;
+  nova::TraceFn law;
+  nova::Kernel kernel = {};  // made of the rest by with_kernel
+};
+OperatorSpec with_kernel(OperatorSpec spec);
+const OperatorSpec& spring_operator();
+const OperatorSpec& triangle_operator();
+const OperatorSpec& bending_operator();
+const OperatorSpec& tetrahedron_operator();
 // Position or velocity of a corner; zero for an absent one (a negative index).
 Vec3<nova::Real> load_corner(nova::TraceContext& c, const char* source, int32_t corner);
 // Positions and velocities of all corners.
@@ -115,19 +140,16 @@ void load_corners(nova::TraceContext& c, std::span<Vec3<nova::Real>> x,
                   std::span<Vec3<nova::Real>> v);
 // The columns of an element's output, corner by corner.
 std::vector<nova::Real> contributions(std::initializer_list<Vec3<nova::Real>> forces);
-// particle_f, a model array or a tensor of {rows} or {rows, width}.
-void check_element_tensor(const Model& model, const nova::Tensor& tensor, int64_t rows,
-                          int32_t width, const char* op, const char* name);
 // sum {n, 3} = particle_f plus the contributions {m, 3} that belong to each particle, in their
 // order.
 void add_contributions(const nova::Operand& particle_f, const nova::Operand& contributions,
                        const nova::Incidence& rows, const nova::Operand& sum);
-// The operator of one kind of element, for the functions above. `parameters`: the kernel's sources
-// after particle_qd.
-nova::Tensor eval_elements(const Model& model, const char* op, const nova::Kernel& kernel,
-                           const Array& indices, const nova::Tensor& particle_q,
-                           const nova::Tensor& particle_qd, const nova::Tensor& particle_f,
-                           std::vector<nova::Operand> parameters);
+// The function of one kind of element. `parameters`: those with an argument, in the order of the
+// spec.
+nova::Tensor eval_elements(const Model& model, const OperatorSpec& spec,
+                           const nova::Tensor& particle_q, const nova::Tensor& particle_qd,
+                           const nova::Tensor& particle_f,
+                           std::initializer_list<nova::Tensor> parameters);
 }  // namespace detail
 
 }  // namespace novaphy::diff

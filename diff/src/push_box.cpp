@@ -85,12 +85,8 @@ nova::Kernel make_step_kernel() {
   std::vector<nova::SourceSpec> sources;
   for (const char* name : {"pusher_x", "pusher_v", "box_x", "box_v"})
     sources.push_back({name, DType::F32, 1, Access::Direct});
-  std::vector<std::string> all, numbers;
-  for (const NumberInfo& info : kNumbers) {
+  for (const NumberInfo& info : kNumbers)
     sources.push_back({info.name, DType::F32, 1, Access::Direct});
-    numbers.emplace_back(info.name);
-  }
-  for (const nova::SourceSpec& s : sources) all.push_back(s.name);
   const nova::Kernel kernel = nova::make_kernel(
       "integrate_push_box", sources, {{"box_x", 1}, {"box_v", 1}}, [](TraceContext& c) {
         const PushBoxNumbers<Real> n = {c.f32(4), c.f32(5),  c.f32(6),  c.f32(7),  c.f32(8),
@@ -99,10 +95,7 @@ nova::Kernel make_step_kernel() {
             push_box_step<Real>({c.f32(2), c.f32(3)}, {c.f32(0), c.f32(1)}, n);
         return std::vector<Real>{box.x, box.v};
       });
-  const std::vector<std::string> seeded = {"box_x", "box_v"};
-  // The numbers are those of many steps.
-  return nova::with_gradients(kernel, {nova::gradient_mask(kernel, all, {}, seeded),
-                                       nova::gradient_mask(kernel, all, numbers, seeded)});
+  return nova::with_one_gradient_set(kernel);
 }
 
 const nova::Kernel& step_kernel() {

@@ -6,6 +6,7 @@
 #include "novaphy/nova/functions.h"
 #include "novaphy/nova/kernel.h"
 #include "novaphy/nova/networks.h"
+#include "novaphy/nova/registry.h"
 #include "ops_impl.h"
 
 namespace nova {
@@ -17,8 +18,9 @@ namespace {
 
 template <class F>
 Kernel activation(const char* name, F f) {
-  return make_kernel(name, {{"x", DType::F32, 1, Access::Direct}}, {{"out", 1}},
-                     [f](TraceContext& c) { return std::vector<Real>{f(c.f32(0))}; });
+  return with_one_gradient_set(
+      make_kernel(name, {{"x", DType::F32, 1, Access::Direct}}, {{"out", 1}},
+                  [f](TraceContext& c) { return std::vector<Real>{f(c.f32(0))}; }));
 }
 const Kernel& relu_kernel() {
   static const Kernel kernel =
@@ -104,7 +106,7 @@ Tensor draw(const Kernel& kernel, int64_t worlds, int64_t width, const RandomKey
 }  // namespace
 
 void detail::add_network_kernels(EngineKernels& list) {
-  for (const Kernel& k : {relu_kernel(), softplus_kernel()}) list.push_back({k, every_gradient(k)});
+  for (const Kernel& k : {relu_kernel(), softplus_kernel()}) list.push_back({k, k.gradients()});
   for (const Kernel& k : {uniform_kernel(), normal_kernel()}) list.push_back({k, {}});
 }
 

@@ -379,7 +379,7 @@ void FeatherstoneAnalyticControlSensitivity::step(const SimState& state_in,
   s.check_numbers(dcontrol, "dcontrol");
   if (!dtarget_qd.empty()) s.check_numbers(dtarget_qd, "dtarget_qd");
   m.update_derived();
-  s.articulations.check_values(m, control, kStep);
+  s.articulations.check_values(m, control, false, kStep);
   const Tree<float> tree = s.articulations.tree(m, s.options.articulation);
   const ArticulationArguments a =
       articulation_arguments(m, s.articulations, state_in, control, s.options.solver, dt);

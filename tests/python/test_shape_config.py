@@ -156,15 +156,30 @@ def test_a_value_that_is_written_later_is_refused_too(name):
     solver.step(state, after, None, contacts, DT)
 
 
-def test_articulations_refuse_what_no_force_uses():
-    for field in UNREAD:
-        builder = novaphy.ModelBuilder()
-        link = builder.add_link(mass=1.0)
-        cfg = novaphy.ShapeConfig(**{field: FIELDS[field]})
-        builder.add_shape_sphere(link, radius=0.1, cfg=cfg)
-        joint = builder.add_joint_revolute(-1, link, axis=(0, 1, 0))
-        builder.add_articulation([joint])
-        model = builder.finalize()
-        for make in (solvers.SolverFeatherstone, solvers.DiffFeatherstoneSolver):
-            with pytest.raises(NotImplementedError, match=rf"shape 0.*: ShapeConfig\.{field} "):
-                make(model)
+def hanging_sphere(**settings):
+    """A sphere on a hinge above the ground, and its state."""
+    builder = novaphy.ModelBuilder()
+    link = builder.add_link(mass=1.0)
+    builder.add_shape_sphere(link, radius=0.1, cfg=novaphy.ShapeConfig(**settings))
+    joint = builder.add_joint_revolute(-1, link, axis=(0, 1, 0))
+    builder.add_articulation([joint])
+    builder.add_ground_plane()
+    model = builder.finalize()
+    state = model.state()
+    novaphy.eval_fk(model, state.joint_q, state.joint_qd, state)
+    return model, state
+
+
+@pytest.mark.parametrize("contact", ["pgs", "penalty"])
+@pytest.mark.parametrize("make", [solvers.SolverFeatherstone, solvers.DiffFeatherstoneSolver])
+def test_contacts_of_articulations_refuse_what_no_force_uses(make, contact):
+    if make is solvers.DiffFeatherstoneSolver and contact == "penalty":
+        pytest.skip("it takes no penalty contacts")
+    unread = {"mu_torsional", "mu_rolling", "ka" if contact == "pgs" else "restitution"}
+    for field in sorted(unread):
+        model, state = hanging_sphere(**{field: FIELDS[field]})
+        pipeline = novaphy.CollisionPipeline(model)
+        contacts = pipeline.contacts()
+        pipeline.collide(state, contacts)
+        with pytest.raises(NotImplementedError, match=rf"shape 0.*: ShapeConfig\.{field} "):
+            make(model, contact=contact).step(state, model.state(), None, contacts, DT)

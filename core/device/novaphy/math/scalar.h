@@ -13,6 +13,7 @@ inline bool select(bool c, bool a, bool b) { return c ? a : b; }
 inline bool both(bool a, bool b) { return a && b; }
 inline bool either(bool a, bool b) { return a || b; }
 inline bool negate(bool a) { return !a; }
+inline float detach(float a) { return a; }
 template <class T>
 T clamp(const T& x, const T& lo, const T& hi) {
   return min(max(x, lo), hi);

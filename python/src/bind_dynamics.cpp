@@ -63,8 +63,10 @@ void bind_dynamics(py::module_& m, py::module_& solvers) {
            "enable_tri_contact"_a = d.enable_tri_contact,
            "angular_damping (1/s) of bodies. friction_law of rigid contacts: \"viscous\" (kf times "
            "the slip, cut off at the Coulomb cone), \"huber\" (the same, smooth for slips below "
-           "friction_smoothing, m/s), or \"newton17\" (leaves the cone; for comparison). "
-           "friction_smoothing None: 0.1; ValueError with \"viscous\", which has none. "
+           "friction_smoothing, m/s), or \"newton17\" (that of Newton 1.7, which reads "
+           "friction_smoothing "
+           "too and leaves the cone; for comparison). "
+           "friction_smoothing None: 0.1; ValueError with \"viscous\", which does not read it. "
            "joint_attach_ke (N/m, N*m/rad) and joint_attach_kd (N*s/m, 0.01 of it N*m*s/rad) hold "
            "joints together; step refuses a dt at which one of them diverges by itself. "
            "enable_tri_contact acts on contacts of particles with triangles, of which there are "

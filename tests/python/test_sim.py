@@ -338,6 +338,31 @@ def test_solver_options_are_checked():
         novaphy.solvers.DiffSolverConfig(True)
 
 
+@pytest.mark.parametrize("law", ["huber", "newton17"])
+def test_laws_that_take_a_friction_smoothing_read_it(law):
+    """A sphere that slips on the ground."""
+    surface = novaphy.ShapeConfig(ke=1e4, kd=300.0, kf=500.0, mu=0.5)
+    builder = novaphy.ModelBuilder()
+    builder.add_ground_plane(cfg=surface)
+    body = builder.add_body(xform=(0, 0, 0.0995, 0, 0, 0, 1))
+    builder.add_shape_sphere(body, radius=0.1, cfg=surface)
+    builder.body_qd[body] = (0.5, 0, 0, 0, 0, 0)
+    model = builder.finalize()
+    pipeline = novaphy.CollisionPipeline(model)
+    contacts, state = pipeline.contacts(), model.state()
+    pipeline.collide(state, contacts)
+    speeds = []
+    for smoothing in (None, 0.1, 1.0):
+        after = model.state()
+        solver = novaphy.solvers.SolverSemiImplicit(
+            model, friction_law=law, friction_smoothing=smoothing
+        )
+        solver.step(state, after, None, contacts, 1e-3)
+        speeds.append(float(after.body_qd.numpy()[0, 0]))
+    assert speeds[0] == speeds[1] < 0.5
+    assert speeds[2] > speeds[1] + 5e-5  # friction is weaker
+
+
 def test_the_friction_law_of_a_differentiable_solver_is_checked():
     model, config = ball_model(), novaphy.solvers.DiffSolverConfig
     assert (config().friction_law, config().friction_smoothing) == ("viscous", None)

@@ -122,7 +122,11 @@ void CollisionPipeline::collide(const SimState& state, Contacts& contacts,
                        "collide: contacts");
   if (LaunchRecorder* recorder = launch_recorder()) recorder->uses(in_use_);
   soft_contacts_->collide(state, contacts, gap);
+  const uint64_t version = contacts.rigid_contact_count.version();
   rigid_contacts_->collide(state, contacts);
+  // Unless a capture has recorded the search: then nothing was written.
+  if (contacts.rigid_contact_count.version() != version)
+    contacts.set_rigid_contacts_found_from(*model_, state.body_q);
 }
 
 }  // namespace novaphy

@@ -210,7 +210,8 @@ void DiffSemiImplicitSolver::step(SimState& state_in, SimState& state_out, const
   const ExclusiveUse::Scope scope = use(name);
   check_step(name, state_in, state_out, control, contacts, dt);
   if (!moves_particles() && !moves_bodies()) return;
-  begin(name, control, contacts, false, true, dt);
+  begin(name, control, contacts, false,
+        contacts != nullptr && contacts->rigid_contacts_found_from(*model(), state_in.body_q), dt);
   if (nova::Tape::active() != nullptr) make_leaves(state_in);
   if (moves_particles())
     particles_.run(*model(), state_in, state_out, control, contacts, tables_, dt);

@@ -75,9 +75,12 @@ void bind_operators(py::module_& m) {
         return labels;
       },
       "model"_a, "state"_a, "contacts"_a,
-      "Of each row of rigid_contact_*, found from the state: \"exact\" where "
+      "Of each row of rigid_contact_*, in a step from the state: \"exact\" where "
       "DiffSemiImplicitSolver follows points and normal with the poses of both bodies, \"frozen\" "
-      "where the points stay in the frames of their bodies and the normal in the world. "
+      "where the points stay in the frames of their bodies and the normal in the world. So do all "
+      "rows that collide has not found from this state as it is: those of another state, rows that "
+      "were written or copied in, or that a captured graph has found, and rows and poses of which "
+      "another library has a writable view. "
       "ValueError: a state or contacts of another model.");
   m.def(
       "eval_static_particle_shape_contact_forces_generated",
@@ -472,8 +475,8 @@ void bind_solver(py::module_& solvers) {
       "velocities, forces, masses, "
       "radii, gravity, contact materials, activations, materials, rest lengths and rest angles of "
       "elements are exact; points and normals of contacts are frozen, but for those between bodies "
-      "that "
-      "were found from the state of the step, see diff.rigid_contact_gradient_labels. "
+      "that collide has found from the state of the step as it is, see "
+      "diff.rigid_contact_gradient_labels. "
       "Forces left in "
       "state_in.particle_f are for reading: clear_forces() before the state is used again.");
   solver

@@ -4,6 +4,7 @@
 #include <utility>
 
 #include "novaphy/core/error.h"
+#include "novaphy/core/sim/model.h"
 
 namespace novaphy {
 namespace {
@@ -19,6 +20,23 @@ ContactCounts checked_counts(const ContactsOptions& options) {
   return {.soft_contact_max = options.soft_contact_max,
           .soft_contact_pair_count = options.soft_contact_pair_count,
           .rigid_contact_max = options.rigid_contact_max};
+}
+
+// What rows are found from.
+std::array<const Array*, 5> sources(const Model& model, const Array& body_q) {
+  return {&body_q, &model.shape_body, &model.shape_type, &model.shape_transform,
+          &model.shape_scale};
+}
+
+template <size_t N>
+void set_stamps(std::array<ArrayStamp, N>& stamps, const std::array<const Array*, N>& arrays) {
+  for (size_t k = 0; k < N; ++k) stamps[k].set(*arrays[k]);
+}
+template <size_t N>
+bool all_match(const std::array<ArrayStamp, N>& stamps, const std::array<const Array*, N>& arrays) {
+  for (size_t k = 0; k < N; ++k)
+    if (!stamps[k].matches(*arrays[k])) return false;
+  return true;
 }
 
 }  // namespace
@@ -42,7 +60,11 @@ Contacts::Contacts(const Contacts& source, ContactFields fields)
       requires_grad(source.requires_grad),
       counts_(source.counts_),
       device_(source.device_),
-      model_id_(source.model_id_) {}
+      model_id_(source.model_id_) {
+  if (!source.rows_are_as_found()) return;
+  found_from_ = source.found_from_;
+  set_stamps(as_found_, row_arrays());
+}
 
 void Contacts::clear() {
   soft_contact_count.zero();
@@ -111,6 +133,23 @@ void Contacts::assign(const Contacts& source) {
 
 Contacts Contacts::clone() const {
   return Contacts(*this, detail::copy_fields<ContactFields>(*this, device_));
+}
+
+std::array<const Array*, Contacts::kRowArrays> Contacts::row_arrays() const {
+  return {&rigid_contact_count,   &rigid_contact_shape0, &rigid_contact_shape1,
+          &rigid_contact_point0,  &rigid_contact_point1, &rigid_contact_normal,
+          &rigid_contact_margin0, &rigid_contact_margin1};
+}
+
+void Contacts::set_rigid_contacts_found_from(const Model& model, const Array& body_q) {
+  set_stamps(found_from_, sources(model, body_q));
+  set_stamps(as_found_, row_arrays());
+}
+
+bool Contacts::rows_are_as_found() const { return all_match(as_found_, row_arrays()); }
+
+bool Contacts::rigid_contacts_found_from(const Model& model, const Array& body_q) const {
+  return all_match(found_from_, sources(model, body_q)) && rows_are_as_found();
 }
 
 }  // namespace novaphy

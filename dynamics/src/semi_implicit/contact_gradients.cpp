@@ -35,6 +35,7 @@ std::vector<bool> exact_contact_gradients(const Model& model, const SimState& st
                                      model.shape_transform.data()[shape],
                                      model.shape_scale.data()[shape]};
   };
+  const bool follow = contacts.rigid_contacts_found_from(model, state.body_q);
   std::vector<bool> exact(static_cast<size_t>(rows));
   for (int32_t row = 0; row < rows; ++row) {
     const int32_t shape[2] = {contacts.rigid_contact_shape0.data()[row],
@@ -43,6 +44,7 @@ std::vector<bool> exact_contact_gradients(const Model& model, const SimState& st
       require(s >= 0 && s < model.shape_count(), ErrorKind::Index, name,
               ": contacts: rigid_contact_shape0, shape1[", row, "]: expected 0 to ",
               model.shape_count() - 1, ", got ", s);
+    if (!follow) continue;
     const Vec3f point[2] = {contacts.rigid_contact_point0.data()[row],
                             contacts.rigid_contact_point1.data()[row]};
     const Transformf pose[2] = {pose_of(shape[0]), pose_of(shape[1])};

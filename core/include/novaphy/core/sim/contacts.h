@@ -2,12 +2,16 @@
 // CollisionPipeline::contacts().
 #pragma once
 
+#include <array>
 #include <cstdint>
 #include <vector>
 
+#include "novaphy/core/array_stamp.h"
 #include "novaphy/core/sim/fields.h"
 
 namespace novaphy {
+
+class Model;
 
 struct ContactCounts {
   int32_t soft_contact_max = 0;         // slots
@@ -118,14 +122,27 @@ class NOVAPHY_CORE_API Contacts : public ContactFields {
   std::vector<RigidContact> rigid_contacts() const;
   void assign(
       const Contacts& source);  // ErrorKind::Value when an array's rows or the device differ
-  Contacts clone() const;
+  Contacts clone() const;       // knows too which poses its rows were found from
+
+  // Says that the rows of rigid contacts were found from these poses and the shapes of the model,
+  // as they are now. A pipeline does so behind its search.
+  void set_rigid_contacts_found_from(const Model& model, const Array& body_q);
+  // Whether they were, and neither poses nor shapes nor rows have been written since, or could have
+  // been by who has a writable export of them. False for rows that a launch of a captured graph has
+  // found or that assign() has copied.
+  bool rigid_contacts_found_from(const Model& model, const Array& body_q) const;
 
  private:
+  static constexpr size_t kSources = 5, kRowArrays = 8;
   Contacts(const Contacts& source, ContactFields fields);
+  std::array<const Array*, kRowArrays> row_arrays() const;
+  bool rows_are_as_found() const;
 
   ContactCounts counts_;
   Device device_;
   uint64_t model_id_ = 0;
+  std::array<ArrayStamp, kSources> found_from_;
+  std::array<ArrayStamp, kRowArrays> as_found_;  // what steps read of rigid_contact_*
 };
 
 }  // namespace novaphy

@@ -10,8 +10,8 @@
 //       points and normals of planes, spheres, capsules and boxes follow both bodies
 //       (contact_turning_trace.h, contact_gradients.h says which rows); those of other shapes and
 //       of particles are frozen: the points stay in the frames of their bodies, the normals in the
-//       world (docs/coverage.md). Rows that were not found from the state of the step are all held
-//       so
+//       world (docs/coverage.md). Rows that were not found from the state of the step, as it is
+//       then, are all held so (Contacts::rigid_contacts_found_from)
 //   model: body_com, particle_radius, shape_material_ke, _kd, _kf, _mu    exact
 //   which contacts exist, shape_material_ka, particle_adhesion, smoothing    none
 #pragma once

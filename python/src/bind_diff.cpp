@@ -80,7 +80,9 @@ void bind_operators(py::module_& m) {
       "where the points stay in the frames of their bodies and the normal in the world. So do all "
       "rows that collide has not found from this state as it is: those of another state, rows that "
       "were written or copied in, or that a captured graph has found, and rows and poses of which "
-      "another library has a writable view. "
+      "another library has a writable view. A rollout that is given a Contacts holds all of its "
+      "rows "
+      "in all steps. "
       "ValueError: a state or contacts of another model.");
   m.def(
       "eval_static_particle_shape_contact_forces_generated",

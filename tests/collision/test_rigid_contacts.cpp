@@ -5,6 +5,7 @@
 #include <cmath>
 #include <random>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "novaphy/collision/collision_pipeline.h"
@@ -170,6 +171,51 @@ TEST(RigidContacts, UnusedRowsAreEmptyAgainWhenTheBodyHasLeft) {
     EXPECT_EQ(contacts.rigid_contact_point_id.to_host(), std::vector<int32_t>(4, -1));
     EXPECT_EQ(contacts.rigid_contact_force.to_host(), std::vector<Vec3f>(4));
   }
+}
+
+TEST(RigidContacts, KnowWhichPosesTheyWereFoundFrom) {
+  ModelBuilder builder;
+  builder.add_ground_plane();
+  builder.add_body({.xform = at(0.0f, 0.0f, 0.4f)});
+  builder.add_shape_sphere(0, {.radius = 0.5f});
+  const auto model = builder.finalize(Device::cpu());
+  CollisionPipeline pipeline(model);
+  SimState state = model->state();
+  const SimState same = model->state();
+  Contacts contacts = pipeline.contacts();
+  const auto known = [&](const Contacts& of) {
+    return of.rigid_contacts_found_from(*model, state.body_q);
+  };
+  EXPECT_FALSE(known(contacts));
+  const auto find = [&] {
+    pipeline.collide(state, contacts);
+    EXPECT_TRUE(known(contacts));
+  };
+  find();
+  EXPECT_FALSE(contacts.rigid_contacts_found_from(*model, same.body_q));
+  contacts.rigid_contact_force.zero();
+  EXPECT_TRUE(known(contacts)) << "solvers write forces";
+  EXPECT_TRUE(known(contacts.clone()));
+  Contacts copy = pipeline.contacts();
+  copy.assign(contacts);
+  EXPECT_FALSE(known(copy));
+  state.body_q.assign(same.body_q);
+  EXPECT_FALSE(known(contacts));
+  find();
+  contacts.rigid_contact_normal.assign(copy.rigid_contact_normal);
+  EXPECT_FALSE(known(contacts));
+  EXPECT_FALSE(known(contacts.clone()));
+  find();
+  model->shape_transform.assign(model->shape_transform.clone());
+  EXPECT_FALSE(known(contacts));
+  find();
+  contacts.clear();
+  EXPECT_FALSE(known(contacts));
+  find();
+  Contacts moved = std::move(contacts);
+  EXPECT_TRUE(known(moved));
+  const auto writable = state.body_q.range()->writable_export_scope();
+  EXPECT_FALSE(known(moved));
 }
 
 TEST(RigidContacts, FollowGroupsFlagsFiltersAndWorlds) {

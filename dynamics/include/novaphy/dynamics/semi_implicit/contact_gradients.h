@@ -14,7 +14,8 @@ namespace novaphy {
 // `state` follows its points and normal with both bodies (contact_turning_trace.h); false where
 // they stay as they are, the points in the frames of their bodies and the normal in the world. So
 // do all rows that were not found from `state` as it is now
-// (Contacts::rigid_contacts_found_from). ErrorKind::Value: a state or contacts of another model;
+// (Contacts::rigid_contacts_found_from); a rollout that is given contacts holds all of them.
+// ErrorKind::Value: a state or contacts of another model;
 // ErrorKind::NotImplemented: not on the cpu.
 NOVAPHY_DYNAMICS_API std::vector<bool> exact_contact_gradients(const Model& model,
                                                                const SimState& state,

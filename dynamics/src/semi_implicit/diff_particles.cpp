@@ -61,15 +61,19 @@ std::vector<Real> integrate(TraceContext& c, Worlds worlds, const Vec3<Real>& fo
 
 const std::vector<nova::OutputSpec> kOutputs = {{"particle_q", 3}, {"particle_qd", 3}};
 
-nova::Kernel with_step_gradients(const nova::Kernel& kernel) {
+// Of the kernels that also find contacts, particles alone are the most frequent use.
+nova::Kernel with_state_gradients(const nova::Kernel& kernel) {
   return nova::with_gradient_sets(kernel, {"particle_q", "particle_qd"});
 }
 
+// The forces that it reads come from elements, whose gradients follow.
 nova::Kernel make_integrate_kernel(const char* name, Worlds worlds) {
-  return with_step_gradients(
-      nova::make_kernel(name, integration_sources(worlds), kOutputs, [worlds](TraceContext& c) {
-        return integrate(c, worlds, detail::load_vec3(c, "particle_f"));
-      }));
+  return nova::with_gradient_sets(
+      nova::make_kernel(name, integration_sources(worlds), kOutputs,
+                        [worlds](TraceContext& c) {
+                          return integrate(c, worlds, detail::load_vec3(c, "particle_f"));
+                        }),
+      {"particle_q", "particle_qd", "particle_f"});
 }
 
 std::vector<Real> load_force(TraceContext& c) {
@@ -87,7 +91,7 @@ nova::Kernel make_fused_kernel(const char* name, Worlds worlds, Shapes shapes) {
   std::vector<nova::SourceSpec> sources = integration_sources(worlds);
   sources.push_back({"particle_radius", DType::F32, 1, Access::Direct});
   for (const nova::SourceSpec& s : detail::static_shape_sources(worlds)) sources.push_back(s);
-  return with_step_gradients(nova::make_reduce_kernel(
+  return with_state_gradients(nova::make_reduce_kernel(
       name, sources, kOutputs,
       {.init = load_force,
        .body =
@@ -105,7 +109,7 @@ nova::Kernel make_step_kernel(const char* name, Worlds worlds) {
   std::vector<nova::SourceSpec> sources = integration_sources(worlds);
   sources.push_back({"particle_radius", DType::F32, 1, Access::Direct});
   for (const nova::SourceSpec& s : detail::soft_contact_sources()) sources.push_back(s);
-  return with_step_gradients(nova::make_reduce_kernel(
+  return with_state_gradients(nova::make_reduce_kernel(
       name, sources, kOutputs,
       {.init = load_force,
        .body =

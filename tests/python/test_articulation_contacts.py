@@ -361,3 +361,24 @@ def test_contacts_without_a_way_of_contact_raise() -> None:
     contacts = novaphy.CollisionPipeline(model).contacts()
     with pytest.raises(ValueError, match="contacts: expected none"):
         solver.step(model.state(), model.state(), None, contacts, 0.01)
+
+
+@pytest.mark.parametrize(
+    "solver", [novaphy.solvers.SolverFeatherstone, novaphy.solvers.DiffFeatherstoneSolver]
+)
+def test_a_failing_articulation_in_contact_is_named(solver):
+    builder = novaphy.ModelBuilder()
+    builder.add_ground_plane()
+    body = builder.add_body(xform=((0.0, 0.0, 0.1), (0.0, 0.0, 0.0, 1.0)))
+    builder.add_shape_box(body, hx=0.1, hy=0.1, hz=0.1)
+    model = builder.finalize()
+    state, control = model.state(), model.control()
+    pipeline = novaphy.CollisionPipeline(model)
+    contacts = pipeline.contacts()
+    pipeline.collide(state, contacts)
+    assert contacts.rigid_contact_count.numpy()[0] > 0
+    force = control.joint_f.numpy()
+    force[0] = np.nan
+    control.joint_f.assign(force)
+    with pytest.raises(novaphy.Error, match=r"dof 0 \(joint"):
+        solver(model, contact="pgs").step(state, model.state(), control, contacts, 0.01)

@@ -316,7 +316,7 @@ void PgsContacts::step(const ArticulationStepArguments& a, const Model& m,
     }
   });
   for (int64_t i = 0; i < count_; ++i)
-    if (a.status[i] != 0) return;
+    if (a.status[i] != 0) return rows_.clear();  // nothing was solved
 
   const float dt = how.dt;
   warm_.assign(rows_.size(), nullptr);

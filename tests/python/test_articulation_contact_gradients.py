@@ -63,6 +63,27 @@ def walker():
     return builder
 
 
+def free_below_a_swinging_body():
+    """A ball that is free, but whose joint hangs on a body that turns."""
+    builder = novaphy.ModelBuilder()
+    surface = novaphy.ShapeConfig(mu=0.5, density=0.0)
+    builder.add_ground_plane(cfg=surface)
+    inertia = np.diag([0.02, 0.03, 0.04])
+    arm = builder.add_link(mass=1.0, inertia=inertia)
+    child = builder.add_link(mass=0.7, inertia=inertia)
+    joints = [
+        builder.add_joint_revolute(
+            -1, arm, axis=(0.0, 1.0, 0.0), parent_xform=((0.0, 0.0, 0.5), UPRIGHT)
+        ),
+        builder.add_joint_free(parent=arm, child=child),
+    ]
+    builder.add_articulation(joints)
+    builder.add_shape_sphere(child, radius=0.1, cfg=surface)
+    builder.joint_q[-7:] = [0.2, 0.1, -0.402, *UPRIGHT]
+    builder.joint_qd[0:7] = [0.3, 0.2, -0.1, -0.4, 0.1, 0.2, -0.3]
+    return builder
+
+
 CASES = {
     "breaking": (lambda: ball((0.1, 0.1, 1.0, 0.2, 0.3, 0.4)), {}, (1, 0, 0)),
     "sticking": (lambda: ball((0.1, 0.05, -0.5, -0.5, 1.0, 0.3)), {}, (0, 1, 0)),
@@ -84,6 +105,7 @@ CASES = {
     "sliding box": (lambda: box(1.0), {"pgs_slop": 0.0}, (0, 0, 4)),
     "walker": (walker, {}, (1, 3, 0)),
     "walker on a pyramid": (walker, {"friction_cone": "pyramid"}, (1, 3, 0)),
+    "free below a body": (free_below_a_swinging_body, {}, (0, 1, 0)),
 }
 
 
@@ -103,7 +125,7 @@ def test_the_gradient_of_a_step_is_that_of_the_converged_solve(case: str) -> Non
     rng = np.random.default_rng(3)
     weights = [rng.normal(size=n) for n in (model.joint_coord_count, model.joint_dof_count)]
 
-    control.joint_f.requires_grad = True
+    control.joint_f.requires_grad = model.body_com.requires_grad = True
     with nova.Tape() as tape:
         solver.step(state, after, control, contacts, DT)
         of_q, of_qd = (nova.tensor(w.astype(np.float32)) for w in weights)
@@ -116,19 +138,24 @@ def test_the_gradient_of_a_step_is_that_of_the_converged_solve(case: str) -> Non
         "joint_q": state.joint_q.grad.numpy(),
         "joint_qd": state.joint_qd.grad.numpy(),
         "joint_f": control.joint_f.grad.numpy(),
+        "body_com": model.body_com.grad.numpy().ravel(),
     }
+    model.body_com.requires_grad = False
 
     def value(name: str, k: int, change: float) -> float:
         now, then, forces = model.state(), model.state(), model.control()
-        array = forces.joint_f if name == "joint_f" else getattr(now, name)
-        numbers = array.numpy()
-        numbers[k] += change
+        owner = {"joint_f": forces, "body_com": model}.get(name, now)
+        array = getattr(owner, name)
+        before = array.numpy().copy()
+        numbers = before.copy()
+        numbers.flat[k] += change
         array.assign(numbers)
         solver.step(now, then, forces, contacts, DT)
+        array.assign(before)
         q, qd = (x.numpy().astype(float) for x in (then.joint_q, then.joint_qd))
         return float(q @ weights[0] + qd @ weights[1])
 
-    for name, eps in (("joint_q", 2e-4), ("joint_qd", 2e-3), ("joint_f", 0.2)):
+    for name, eps in (("joint_q", 2e-4), ("joint_qd", 2e-3), ("joint_f", 0.2), ("body_com", 2e-3)):
         expected = np.array(
             [
                 (value(name, k, eps) - value(name, k, -eps)) / (2 * eps)
@@ -327,3 +354,21 @@ def test_what_has_no_gradient_through_contacts_raises() -> None:
     model.shape_material_mu.requires_grad = True
     with nova.Tape(), pytest.raises(novaphy.Error, match="articulation_step"):
         solver.step(state, after, None, contacts, DT)
+
+
+@pytest.mark.parametrize("spin, label", [(0.0, "exact"), (2.0, "surrogate")])
+def test_the_label_falls_where_redundant_contacts_slide_in_different_directions(spin, label):
+    builder = box(1.0)
+    builder.joint_qd[0:6] = [1.0, 0.3, -0.2, 0.0, 0.0, spin]
+    model = builder.finalize()
+    solver = novaphy.solvers.DiffFeatherstoneSolver(
+        model, pgs_slop=0.0, pgs_iterations=5000, pgs_tolerance=1e-9
+    )
+    state = model.state()
+    novaphy.eval_fk(model, state.joint_q, state.joint_qd, state)
+    pipeline = novaphy.CollisionPipeline(model)
+    contacts = pipeline.contacts()
+    pipeline.collide(state, contacts)
+    solver.step(state, model.state(), None, contacts, DT)
+    info = solver.gradient_info()
+    assert info["label"] == label and info["sliding"] == 4

@@ -39,7 +39,7 @@ class PgsContacts {
             const FeatherstoneOptions& options, Vec3f* force);
   // The impulses {contacts} of the last step along n, t1 and t2, N s, and their branches.
   void write_impulses(Vec3f* impulses) const;
-  void add_branches(ContactBranches& to, const FeatherstoneOptions& options) const;
+  void add_branches(ContactBranches& to, const FeatherstoneOptions& options);
   // Behind prepare: the adjoint of step, as articulation_step_vjp, from its impulses. Contacts stay
   // where they are on their shapes, with their normals; so do branches.
   void vjp(const ArticulationStepVjpArguments& step, const Model& model,
@@ -86,6 +86,7 @@ class PgsContacts {
   void solve_island(const Step& step, int64_t island);
   void keep(const ContactRows& contacts, float dt, Vec3f* force);
   void solve_adjoint(int64_t island, bool cone);
+  bool sharing_matters(int64_t island, bool cone);
   void add_geometry(const Row& row, const Vec3f& push, const Vec3f& pull, float normal,
                     const ArticulationArguments& in);
   articulation::AdjointMemory<float> adjoint(int64_t tree);

@@ -25,13 +25,15 @@ namespace {
 
 namespace art = articulation;
 constexpr int64_t kTreeChunk = 8;
-constexpr float kSlides = 1e-5f;      // relative: nearer to the cone is on it
-constexpr double kRegularity = 1e-7;  // of redundant rows, relative to their diagonal
-constexpr float kConverged = 1e-5f;   // m/s
-constexpr float kNearNormal = 1e-5f;  // m/s
-constexpr float kNearGap = 1e-6f;     // m
-constexpr float kNearCone = 1e-3f;    // 1
-constexpr float kLeastSlip = 1e-6f;   // m/s
+constexpr float kSlides = 1e-5f;        // relative: nearer to the cone is on it
+constexpr double kRegularity = 1e-7;    // of redundant rows, relative to their diagonal
+constexpr float kSameFriction = 1e-4f;  // 1
+constexpr double kDependent = 1e-5;     // of a normal that others make up, relative
+constexpr float kConverged = 1e-5f;     // m/s
+constexpr float kNearNormal = 1e-5f;    // m/s
+constexpr float kNearGap = 1e-6f;       // m
+constexpr float kNearCone = 1e-3f;      // 1
+constexpr float kLeastSlip = 1e-6f;     // m/s
 
 float length(float x, float y) { return math::sqrt(x * x + y * y); }
 
@@ -124,7 +126,46 @@ void PgsContacts::write_impulses(Vec3f* impulses) const {
     impulses[row.contact] = {row.solver.impulse[0], row.solver.impulse[1], row.solver.impulse[2]};
 }
 
-void PgsContacts::add_branches(ContactBranches& to, const FeatherstoneOptions& options) const {
+// Whether the result depends on how the sweeps shared the force among normals that depend on each
+// other, as those of a box's face do: where contacts slide, and the friction for a unit of normal
+// force is not the same for all of them. The adjoint shares in its own way.
+bool PgsContacts::sharing_matters(int64_t island, bool cone) {
+  active_.clear();
+  bool slides = false, same = true;
+  Vec3f first{};
+  for (const int32_t i : island_rows_.items(island)) {
+    const Row& row = rows_[static_cast<size_t>(i)];
+    const art::PgsContact<float>& c = row.solver;
+    if (c.impulse[0] <= 0.0f || c.cfm > 0.0f) continue;
+    const Branch branch = branch_of(c, cone);
+    slides = slides || (c.friction > 0.0f && (branch.slides[0] || branch.slides[1]));
+    const Vec3f friction = (row.frame.axes[1] * c.impulse[1] + row.frame.axes[2] * c.impulse[2]) *
+                           (1.0f / c.impulse[0]);
+    if (active_.empty()) first = friction;
+    const Vec3f other = friction - first;
+    same = same && math::dot(other, other) <= kSameFriction * kSameFriction;
+    active_.push_back(i);
+  }
+  if (!slides || same) return false;
+  // A factor L L^T of the normals' part of the system loses a pivot where they depend.
+  const size_t n = active_.size();
+  const auto normals = [&](size_t a, size_t b) {
+    return coupling(rows_[static_cast<size_t>(active_[a])].solver, 0,
+                    rows_[static_cast<size_t>(active_[b])].solver, 0);
+  };
+  system_.assign(n * n, 0.0);
+  for (size_t i = 0; i < n; ++i)
+    for (size_t j = 0; j <= i; ++j) {
+      double left = normals(i, j);
+      const double whole = left;
+      for (size_t k = 0; k < j; ++k) left -= system_[i * n + k] * system_[j * n + k];
+      if (i == j && left <= kDependent * whole) return true;
+      system_[i * n + j] = i == j ? std::sqrt(left) : left / system_[j * n + j];
+    }
+  return false;
+}
+
+void PgsContacts::add_branches(ContactBranches& to, const FeatherstoneOptions& options) {
   if (rows_.empty()) return;
   const bool cone = options.friction_cone == FrictionCone::Cone;
   // Where beta has another slope on the other side.
@@ -163,6 +204,8 @@ void PgsContacts::add_branches(ContactBranches& to, const FeatherstoneOptions& o
       exact = exact && 1.0f - most / limit >= kNearCone;
     }
   }
+  for (size_t island = 0; exact && island < island_sweeps_.size(); ++island)
+    exact = !sharing_matters(static_cast<int64_t>(island), cone);
   ++to.steps;
   if (exact) ++to.exact;
   to.residual = std::max(to.residual, residual_);
@@ -276,6 +319,20 @@ void PgsContacts::add_geometry(const Row& row, const Vec3f& push, const Vec3f& p
       const art::Link& link = tree.links[i];
       const art::LinkState<float>& s = ws.links[i];
       const SpatialVectorf own[3] = {s.w, s.a_adjoint, s.v};
+      // The rates of a FREE joint are about its centre of mass, which moves with its translation
+      // and with body_com: how they turn, without what carries the joint.
+      Vec3f turning[3] = {};
+      if (art::is_free(link)) {
+        const art::LinkState<float> world{},
+            &parent = link.parent < 0 ? world : ws.links[link.parent];
+        const SpatialVectorf carried[3] = {parent.w, parent.a_adjoint, parent.v};
+        Vec3f by_com{};
+        for (size_t f = 0; f < 3; ++f) {
+          turning[f] = own[f].angular - carried[f].angular;
+          by_com = by_com + math::cross(turning[f], forces[f]);
+        }
+        memory.moved_com[i] = memory.moved_com[i] - math::rotate_inverse(s.q, by_com * sign);
+      }
       for (int32_t j = 0; j < link.dofs; ++j) {
         const int32_t k = art::local_dof(tree, link) + j;
         const SpatialVectorf& axis = ws.axes[k];
@@ -283,7 +340,7 @@ void PgsContacts::add_geometry(const Row& row, const Vec3f& push, const Vec3f& p
         for (size_t f = 0; f < 3; ++f) {
           SpatialVectorf d = math::cross_motion(axis, motions[side][f] - own[f]);
           if (art::is_free(link) && j < 3)
-            d.linear = d.linear + math::cross(axis.linear, own[f].angular);
+            d.linear = d.linear + math::cross(axis.linear, turning[f]);
           sum += sign * math::dot(forces[f], math::motion_at(d, points[side]).linear);
         }
         memory.tangent[k] -= sum;

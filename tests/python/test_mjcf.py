@@ -147,6 +147,53 @@ def test_orientations_sizes_and_inertials():
     assert model.body_mass.numpy()[0] == 4 and model.body_com.numpy()[0].tolist() == [1, 2, 3]
 
 
+def test_friction_has_as_many_directions_as_condim_says():
+    # MuJoCo's documentation, XML reference, geom/condim.
+    for condim, expected in {
+        1: (0, 0, 0),
+        3: (0.7, 0, 0),
+        4: (0.7, 0.5, 0),
+        6: (0.7, 0.5, 0.25),
+    }.items():
+        geom = f'size="0.1" friction="0.7 0.5 0.25" condim="{condim}"'
+        model, _, _ = loaded(mjcf(hinged(geom=geom)))
+        names = ("mu", "mu_torsional", "mu_rolling")
+        got = [getattr(model, f"shape_material_{n}").numpy()[0] for n in names]
+        assert_allclose(got, expected)
+
+
+@pytest.mark.parametrize("size", ["0 0 1", "40 40 40", "0 3 1"])
+def test_planes_end_only_in_pictures(size):
+    ball = '<body pos="100 -70 0.3"><freejoint/><geom size="0.1"/></body>'
+    model, state, _ = loaded(mjcf(f'<geom type="plane" size="{size}"/>{ball}'))
+    assert model.shape_scale.numpy()[-1].tolist() == [0, 0, 0]
+    assert_allclose(fallen(model, state, 240).body_q.numpy()[0, :3], [100, -70, 0.1], atol=2e-3)
+
+
+@pytest.mark.parametrize("name", ["ant.xml", "ant_heavy.xml"])
+def test_the_ant_drops_and_stands(name):
+    model, state, _ = loaded(novaphy.assets.path(name))
+    stands = fallen(model, state, 480)
+    height = stands.body_q.numpy()[0, 2]
+    assert 0.5 < height < 0.6  # its legs are at their limits, its feet on the floor
+    assert np.abs(stands.joint_qd.numpy()).max() < 0.02
+    # It stays there: its feet carry it, and friction holds it in place.
+    later = fallen(model, stands, 240).body_q.numpy()[0, :3]
+    assert_allclose(later, stands.body_q.numpy()[0, :3], atol=1e-3)
+
+
+def fallen(model: novaphy.Model, state: novaphy.SimState, steps: int) -> novaphy.SimState:
+    """The state after steps of 1/240 s with contact."""
+    solver = novaphy.solvers.SolverFeatherstone(model)
+    pipeline = novaphy.CollisionPipeline(model)
+    contacts, after = pipeline.contacts(), model.state()
+    for _ in range(steps):
+        pipeline.collide(state, contacts)
+        solver.step(state, after, None, contacts, 1 / 240)
+        state, after = after, state
+    return state
+
+
 def test_stiffness_frames_and_merged_bodies():
     text = mjcf(
         '<body pos="0 0 1">'

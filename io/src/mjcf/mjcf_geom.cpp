@@ -90,10 +90,8 @@ RobotShape read_geom(const XmlFile& file, const MjcfDefaults& defaults,
     if (kind->type == GeoType::PLANE ? size[k] < 0.0 : !(static_cast<float>(size[k]) > 0.0f))
       file.refuse(e, "size: expected numbers > 0");
   if (kind->type == GeoType::PLANE) {
-    if ((size[0] == 0.0) != (size[1] == 0.0))
-      file.refuse(e, "size: a plane that is infinite one way only is not read",
-                  ErrorKind::NotImplemented);
-    shape.scale = {2.0 * size[0], 2.0 * size[1], 0.0};
+    // MuJoCo's planes end only in pictures: they collide everywhere.
+    shape.scale = {};
   } else {
     shape.scale = {size[0], kind->sizes > 1 ? size[1] : 0.0, kind->sizes > 2 ? size[2] : 0.0};
   }
@@ -120,6 +118,10 @@ RobotShape read_geom(const XmlFile& file, const MjcfDefaults& defaults,
   if (condim != 1.0 && condim != 3.0 && condim != 4.0 && condim != 6.0)
     file.refuse(e, "condim: expected 1, 3, 4 or 6");
   if (condim == 1.0) cfg.mu = 0.0f;
+  // As in MuJoCo, contacts of fewer than 4 dimensions have no torsional and rolling friction, and
+  // those of 4 no rolling.
+  if (condim < 4.0) cfg.mu_torsional = 0.0f;
+  if (condim < 6.0) cfg.mu_rolling = 0.0f;
   const double margin = defaults.number(e, "margin", childclass, 0.0);
   if (margin < 0.0) file.refuse(e, "margin: expected >= 0");
   if (margin > 0.0) cfg.gap = static_cast<float>(margin);

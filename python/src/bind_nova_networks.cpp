@@ -14,11 +14,51 @@ namespace {
 
 using Draw = Tensor (*)(int64_t, int64_t, const nova::RandomKey&, const Tensor&);
 
+int64_t to_int64(py::handle value, const char* name) {
+  const auto index = py::reinterpret_steal<py::object>(PyNumber_Index(value.ptr()));
+  if (!index) {
+    PyErr_Clear();
+    fail(ErrorKind::Type, name, ": expected an integer, got ", type_name(value));
+  }
+  int overflow = 0;
+  const long long number = PyLong_AsLongLongAndOverflow(index.ptr(), &overflow);
+  require(overflow == 0, ErrorKind::Value, name, ": expected an int64, got ",
+          std::string(py::str(index)));
+  return number;
+}
+
+uint64_t to_seed(py::handle value) {
+  const auto index = py::reinterpret_steal<py::object>(PyNumber_Index(value.ptr()));
+  if (!index) {
+    PyErr_Clear();
+    fail(ErrorKind::Type, "seed: expected an integer, got ", type_name(value));
+  }
+  const unsigned long long number = PyLong_AsUnsignedLongLong(index.ptr());
+  if (PyErr_Occurred() != nullptr) {
+    PyErr_Clear();
+    fail(ErrorKind::Value, "seed: expected an integer from 0 to 2^64 - 1, got ",
+         std::string(py::str(index)));
+  }
+  return number;
+}
+
+std::pair<int64_t, int64_t> to_draw_shape(py::handle value) {
+  const bool is_pair =
+      py::isinstance<py::sequence>(value) && !py::isinstance<py::str>(value) && py::len(value) == 2;
+  require(is_pair, ErrorKind::Value, "shape: expected {worlds, width}, two integers, got ",
+          std::string(py::repr(value)));
+  const auto pair = py::reinterpret_borrow<py::sequence>(value);
+  const py::object worlds = pair[0], width = pair[1];
+  return {to_int64(worlds, "shape[0]"), to_int64(width, "shape[1]")};
+}
+
 void bind_draw(py::module_& m, const char* name, Draw draw, const char* doc) {
   m.def(
       name,
-      [draw](const std::pair<int64_t, int64_t>& shape, uint64_t seed, py::handle step,
-             int32_t stream, py::handle device) {
+      [draw](py::handle shape, py::handle seed, py::handle step, py::handle stream,
+             py::handle device) {
+        const auto [worlds, width] = to_draw_shape(shape);
+        const nova::RandomKey key{.seed = to_seed(seed), .stream = to_int32(stream, "stream")};
         Tensor at;
         if (py::isinstance<nova::TensorImpl>(step)) {
           at = step.cast<Tensor>();
@@ -29,7 +69,7 @@ void bind_draw(py::module_& m, const char* name, Draw draw, const char* doc) {
           at = Tensor::from_host(std::span(&number, 1), {1}, to_device(device));
         }
         const ReleasedGil released;
-        return draw(shape.first, shape.second, {.seed = seed, .stream = stream}, at);
+        return draw(worlds, width, key, at);
       },
       "shape"_a, py::kw_only(), "seed"_a, "step"_a = 0, "stream"_a = 0, "device"_a = py::none(),
       doc);

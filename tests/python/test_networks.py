@@ -265,6 +265,20 @@ def test_random_numbers_do_not_depend_on_threads():
 def test_wrong_draws_are_named():
     with pytest.raises(ValueError, match=r"shape: expected \{worlds, width\} with width > 0"):
         nova.random_uniform((3, 0), seed=1)
+    for shape in ((2,), 6, (1, 2, 3), "ab", None):
+        with pytest.raises(
+            ValueError, match=r"shape: expected \{worlds, width\}, two integers, got"
+        ):
+            nova.random_uniform(shape, seed=1)
+    with pytest.raises(TypeError, match=r"shape\[1\]: expected an integer, got float"):
+        nova.random_normal((3, 2.0), seed=1)
+    for seed in (-1, 2**64):
+        with pytest.raises(ValueError, match=rf"seed: expected an integer from 0 .* got {seed}"):
+            nova.random_normal((3, 2), seed=seed)
+    with pytest.raises(TypeError, match="seed: expected an integer, got float"):
+        nova.random_uniform((3, 2), seed=1.5)
+    with pytest.raises(TypeError, match="stream: expected an integer, got str"):
+        nova.random_uniform((3, 2), seed=1, stream="a")
     with pytest.raises(TypeError, match="step: expected an int32 tensor"):
         nova.random_uniform((3, 2), seed=1, step=nova.zeros((1,)))
 
@@ -311,3 +325,66 @@ def test_bad_files_are_refused(tmp_path):
     with pytest.raises(FileNotFoundError):
         nova.load_parameters(tmp_path / "none.npz")
     assert novaphy.has_diff()
+
+
+def test_damaged_archives_are_refused_with_their_name(tmp_path):
+    path = tmp_path / "policy.npz"
+    nova.save_parameters(path, {"w": nova.ones((2, 3)), "b": nova.tensor([1.0, 2.0])}, {"seed": 7})
+    whole = path.read_bytes()
+    draw = np.random.default_rng(0)
+    cuts = [whole[:k] for k in (0, 20, len(whole) // 2, len(whole) - 5)]
+    for _ in range(1000):
+        damaged = bytearray(whole)
+        for k in draw.integers(len(whole), size=3):
+            damaged[k] = draw.integers(256)
+        cuts.append(bytes(damaged))
+    refused = 0
+    for data in cuts:
+        path.write_bytes(data)
+        try:
+            nova.load_parameters(path)
+        except ValueError as error:
+            assert str(path) in str(error)
+            refused += 1
+    assert refused > 500
+    for meta in ("[1]", "{"):
+        np.savez(path, w=f32([1.0]), meta=np.array(meta))
+        with pytest.raises(ValueError, match=r"policy\.npz, meta: expected"):
+            nova.load_parameters(path)
+
+
+def test_all_is_checked_before_a_tensor_is_written(tmp_path):
+    path = tmp_path / "policy.npz"
+    nova.save_parameters(path, {"a": nova.ones((2,)), "b": nova.ones((2,))})
+    like = {"a": nova.zeros((2,)), "b": nova.zeros((2,), dtype=nova.int32)}
+    with pytest.raises(TypeError, match=r"like\['b'\]: expected a float32 tensor, got"):
+        nova.load_parameters(path, like)
+    with pytest.raises(TypeError, match=r"like\['b'\]: expected a nova\.Tensor, got .*ndarray"):
+        nova.load_parameters(path, like | {"b": np.zeros(2, np.float32)})
+    assert like["a"].numpy().tolist() == [0, 0]
+
+
+def test_what_cannot_be_saved_is_named(tmp_path):
+    path, one = tmp_path / "policy.npz", nova.ones((1,))
+    wrong = [
+        (TypeError, r"parameters\['w'\]: expected a nova\.Tensor, got ndarray", {"w": np.ones(1)}),
+        (TypeError, "parameters: expected names that are str, got 1", {1: one}),
+        (TypeError, "parameters: expected a mapping by name, got list", [one]),
+        *(
+            (ValueError, f"expected names other than .* got '{name}'", {name: one})
+            for name in ("meta", "file", "path", "allow_pickle", "w.npy")
+        ),
+    ]
+    for kind, message, parameters in wrong:
+        with pytest.raises(kind, match=message):
+            nova.save_parameters(path, parameters)
+    for meta in ({"loss": float("nan")}, {"object": object()}):
+        with pytest.raises(ValueError, match="meta: expected what JSON can hold"):
+            nova.save_parameters(path, {"w": one}, meta)
+    assert not path.exists()
+    names = ["a/b", "../c", "", "arr_0", "self", "w.0"]
+    nova.save_parameters(path, {name: nova.tensor([float(k)]) for k, name in enumerate(names)})
+    got, _ = nova.load_parameters(path)
+    assert {name: value.item() for name, value in got.items()} == dict(
+        zip(names, range(6), strict=True)
+    )

@@ -3,17 +3,27 @@
 from __future__ import annotations
 
 import json
+import lzma
 import os
+import struct
 import zipfile
-from collections.abc import Mapping
+import zlib
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
 
-from .._core.nova import Tensor, exp, softplus, sum, tensor
+from .._core.nova import Tensor, exp, float32, softplus, sum, tensor
 
 _HALF_LOG_2_PI, _LOG_2 = 0.9189385332, 0.6931471806
 _META = "meta"
+# Of meta, and arguments of what writes the archive.
+_RESERVED = (_META, "file", "path", "allow_pickle")
+# What NumPy and zipfile raise on files that are not as they should be.
+_DAMAGED = (
+    ValueError, AttributeError, TypeError, EOFError, OSError, KeyError, IndexError,
+    NotImplementedError, RuntimeError, SyntaxError, OverflowError, MemoryError,
+)  # fmt: skip
 
 
 def gaussian_log_density(
@@ -55,20 +65,34 @@ def save_parameters(
 
     Args:
         path: a name that ends in ``.npz``.
-        parameters: finite float32 tensors.
+        parameters: finite float32 tensors by name. A name is any text but "meta", "file", "path"
+            and "allow_pickle", without NUL and not ending in ".npy".
         meta: what JSON can hold: seed, environment, ...
 
     Raises:
-        ValueError: a tensor that holds NaN or infinity, a name that is "meta", another ending.
+        TypeError: parameters or meta that are no mapping, a name that is no text, a value that is
+            no tensor.
+        ValueError: a tensor that holds NaN or infinity, a name that is not allowed, meta that JSON
+            does not hold (NaN and infinity too), another ending.
     """
     from ..io import save_npz
 
     arrays: dict[str, np.ndarray] = {}
-    for name, value in parameters.items():
-        if name == _META:
-            raise ValueError(f"parameters: expected names other than {_META!r}")
-        arrays[name] = _finite(value.numpy(), name)
-    save_npz(path, **arrays, **{_META: np.array(json.dumps(dict(meta or {}), sort_keys=True))})
+    for name, value in _mapping(parameters, "parameters").items():
+        if not isinstance(name, str):
+            raise TypeError(f"parameters: expected names that are str, got {name!r}")
+        if name in _RESERVED or name.endswith(".npy") or "\0" in name:
+            raise ValueError(
+                f"parameters: expected names other than {', '.join(map(repr, _RESERVED))}, "
+                f"without NUL and not ending in '.npy', got {name!r}"
+            )
+        arrays[name] = _finite(_tensor(value, f"parameters[{name!r}]").numpy(), name)
+    told = {} if meta is None else dict(_mapping(meta, _META))
+    try:
+        text = json.dumps(told, sort_keys=True, allow_nan=False)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{_META}: expected what JSON can hold: {error}") from None
+    save_npz(path, **arrays, **{_META: np.array(text)})
 
 
 def load_parameters(
@@ -79,25 +103,24 @@ def load_parameters(
     Args:
         path: the file; pickled objects in it are refused.
         like: these names and shapes are expected, no others; the values are written into these
-            tensors, all of them or none, which are what is returned.
+            float32 tensors, all of them or none, which are what is returned.
 
     Raises:
-        ValueError: no such archive, pickled objects, missing or unknown names, another shape, NaN.
+        FileNotFoundError: no such file.
+        TypeError: like holds something other than float32 tensors.
+        ValueError: no such archive or a damaged one, pickled objects, missing or unknown names,
+            another shape, NaN.
     """
-    arrays = _read(path)
-    try:
-        meta = json.loads(str(arrays.pop(_META))) if _META in arrays else {}
-    except json.JSONDecodeError as error:
-        raise ValueError(f"{os.fspath(path)}, {_META}: expected JSON: {error}") from None
-    for name, value in arrays.items():
-        _finite(value, f"{os.fspath(path)}, {name}")
+    arrays, meta = _read(path)
     if like is None:
         return {name: tensor(value) for name, value in arrays.items()}, meta
+    for name, target in _mapping(like, "like").items():
+        if _tensor(target, f"like[{name!r}]").dtype != float32:
+            raise TypeError(f"like[{name!r}]: expected a float32 tensor, got {target.dtype}")
     for what, names in (("misses", like.keys() - arrays.keys()), ("has", arrays.keys() - like)):
         if names:
             raise ValueError(
-                f"{os.fspath(path)}: expected {', '.join(sorted(like))}; it {what} "
-                f"{', '.join(sorted(names))}"
+                f"{os.fspath(path)}: expected {_listed(like)}; it {what} {_listed(names)}"
             )
     for name, target in like.items():
         if arrays[name].shape != target.shape:
@@ -109,15 +132,48 @@ def load_parameters(
     return dict(like), meta
 
 
-def _read(path: str | os.PathLike[str]) -> dict[str, np.ndarray]:
-    """Arrays of an archive by name, none of them pickled."""
+def _listed(names: Iterable[Any]) -> str:
+    return ", ".join(sorted(map(str, names)))
+
+
+def _mapping(value: Any, name: str) -> Mapping[Any, Any]:
+    """The value, when it is a mapping."""
+    if not isinstance(value, Mapping):
+        raise TypeError(f"{name}: expected a mapping by name, got {type(value).__name__}")
+    return value
+
+
+def _tensor(value: Any, name: str) -> Tensor:
+    """The value, when it is a tensor."""
+    if not isinstance(value, Tensor):
+        raise TypeError(f"{name}: expected a nova.Tensor, got {type(value).__name__}")
+    return value
+
+
+def _read(path: str | os.PathLike[str]) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+    """Arrays of an archive by name, all float32 and finite, and its meta."""
+    where = os.fspath(path)
+    with open(path, "rb") as file:  # OSError: of the file system. Below it: of what is in the file.
+        try:
+            with np.load(file, allow_pickle=False) as archive:
+                arrays = {name: archive[name] for name in archive.files}
+        except (*_DAMAGED, struct.error, zipfile.BadZipFile, zlib.error, lzma.LZMAError) as error:
+            raise ValueError(
+                f"{where}: expected an .npz file of arrays, undamaged and without pickled "
+                f"objects: {error}"
+            ) from None
+    stored = arrays.pop(_META, None)
     try:
-        with np.load(path, allow_pickle=False) as archive:
-            return {name: archive[name] for name in archive.files}
-    except (ValueError, AttributeError, TypeError, zipfile.BadZipFile, EOFError) as error:
-        raise ValueError(
-            f"{os.fspath(path)}: expected an .npz file of arrays, without pickled objects: {error}"
-        ) from None
+        meta = {} if stored is None else json.loads(str(stored))
+    except (ValueError, RecursionError) as error:
+        raise ValueError(f"{where}, {_META}: expected JSON: {error}") from None
+    if not isinstance(meta, dict):
+        raise ValueError(f"{where}, {_META}: expected a JSON object, got {type(meta).__name__}")
+    for name, value in arrays.items():
+        if not isinstance(value, np.ndarray):  # A member of the archive that is no .npy file.
+            raise ValueError(f"{where}, {name}: expected an array, got {type(value).__name__}")
+        _finite(value, f"{where}, {name}")
+    return arrays, meta
 
 
 def _finite(value: np.ndarray, name: str) -> np.ndarray:

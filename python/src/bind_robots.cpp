@@ -55,9 +55,31 @@ std::optional<BaseJoint> to_base_joint(py::handle value) {
                    axes_of(joint, "linear_axes"), axes_of(joint, "angular_axes")};
 }
 
-std::string source_text(py::handle source) {
-  if (py::isinstance<py::str>(source)) return source.cast<std::string>();
-  return source.cast<std::filesystem::path>().string();
+// Text as it is, or the path of an os.PathLike.
+std::string path_text(py::handle value, std::string_view name, const char* expected) {
+  const bool is_path = py::isinstance<py::str>(value) || py::hasattr(value, "__fspath__");
+  require(is_path, ErrorKind::Type, name, ": expected ", expected, ", got ", type_name(value));
+  if (py::isinstance<py::str>(value)) return value.cast<std::string>();
+  return value.cast<std::filesystem::path>().string();
+}
+
+std::string source_text(std::string_view function, py::handle source) {
+  return path_text(source, std::string(function) + ": source",
+                   "a path or the text of the file, str or os.PathLike");
+}
+
+std::vector<std::filesystem::path> to_folders(py::handle value) {
+  std::vector<std::filesystem::path> folders;
+  if (value.is_none()) return folders;
+  constexpr const char* name = "add_urdf: package_dirs";
+  require(py::isinstance<py::sequence>(value) && !py::isinstance<py::str>(value) &&
+              !py::isinstance<py::bytes>(value),
+          ErrorKind::Type, name, ": expected a list of folders, got ", type_name(value));
+  for (const py::handle folder : py::iter(value)) {
+    const std::string which = std::string(name) + "[" + std::to_string(folders.size()) + "]";
+    folders.emplace_back(path_text(folder, which, "a folder, str or os.PathLike"));
+  }
+  return folders;
 }
 
 // Python's OSError for a file that is not there.
@@ -84,11 +106,10 @@ RobotImport add_urdf_to(ModelBuilder& builder, py::handle source, py::handle xfo
                         const std::optional<std::string>& joint_ordering,
                         bool bodies_follow_joint_ordering, bool collapse_fixed_joints,
                         std::optional<int32_t> mesh_maxhullvert,
-                        const std::string& joint_damping_mode,
-                        const std::optional<std::vector<std::filesystem::path>>& package_dirs,
+                        const std::string& joint_damping_mode, py::handle package_dirs,
                         const std::string& mimic) {
   constexpr const char* name = "add_urdf";
-  const std::string text = source_text(source);
+  const std::string text = source_text(name, source);
   check_opens(text);
   const UrdfOptions options{
       .xform = to_transform(xform, "xform"),
@@ -113,7 +134,7 @@ RobotImport add_urdf_to(ModelBuilder& builder, py::handle source, py::handle xfo
       .joint_damping_mode = word<JointDampingMode>(
           name, "joint_damping_mode", joint_damping_mode,
           {{"passive", JointDampingMode::Passive}, {"drive", JointDampingMode::Drive}}),
-      .package_dirs = package_dirs.value_or(std::vector<std::filesystem::path>{}),
+      .package_dirs = to_folders(package_dirs),
       .mimic = word<MimicMode>(name, "mimic", mimic,
                                {{"refuse", MimicMode::Refuse},
                                 {"fixed", MimicMode::Fixed},
@@ -123,7 +144,7 @@ RobotImport add_urdf_to(ModelBuilder& builder, py::handle source, py::handle xfo
 
 RobotImport add_mjcf_to(ModelBuilder& builder, py::handle source, py::handle xform,
                         bool collapse_fixed_joints, bool enable_self_collisions) {
-  const std::string text = source_text(source);
+  const std::string text = source_text("add_mjcf", source);
   check_opens(text);
   return with_warnings(add_mjcf(builder, text,
                                 {.xform = to_transform(xform, "xform"),

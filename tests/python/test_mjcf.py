@@ -260,6 +260,18 @@ def test_bad_files_are_refused_and_the_builder_stays(name):
     assert (builder.body_count, builder.shape_count, builder.joint_count) == (1, 1, 1)
 
 
+@pytest.mark.parametrize("source", [None, 3, b"<mujoco/>"])
+def test_a_source_that_is_no_text_is_named(source):
+    builder = novaphy.ModelBuilder()
+    for add in (builder.add_mjcf, builder.add_urdf):
+        message = f"{add.__name__}: source: expected a path .* got {type(source).__name__}"
+        with pytest.raises(TypeError, match=message):
+            add(source)
+    for folders, got in (("folder", "str"), (3, "int"), ([3], "int")):
+        with pytest.raises(TypeError, match=rf"add_urdf: package_dirs.*: expected a .* got {got}"):
+            builder.add_urdf("<robot/>", package_dirs=folders)
+
+
 def test_what_belongs_to_the_simulation_is_said():
     with pytest.warns(UserWarning, match="not of the file: timestep integrator"):
         loaded(mjcf(hinged(), '<option timestep="0.01" integrator="RK4"/>'))

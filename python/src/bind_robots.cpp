@@ -204,14 +204,16 @@ void bind_robots(py::class_<ModelBuilder>& builder, py::module_& io) {
       "None and False FIXED at the base; or base_joint, a dict of joint_type, linear_axes and "
       "angular_axes. scale: of all lengths; masses stay. ignore_inertial_definitions: masses from "
       "the colliders and default_shape_cfg. joint_ordering: \"dfs\", \"bfs\" or None (the file's). "
-      "mesh_maxhullvert: colliders of meshes become hulls. joint_damping_mode: \"passive\" or "
-      "\"drive\" (target_kd). mimic: \"refuse\", \"fixed\" or \"independent\". ValueError and "
+      "Joints start at 0 or the nearest limit. mesh_maxhullvert: colliders of meshes become hulls. "
+      "joint_damping_mode: \"passive\" or \"drive\" (target_kd). mimic: \"refuse\", \"fixed\" or "
+      "\"independent\". ValueError and "
       "NotImplementedError name file, line and element; the builder is then as it was. OSError: "
       "no such file. What is not read gives a UserWarning.";
   constexpr const char* mjcf_doc =
       "Adds the bodies, joints, geoms and motors of an MJCF file: a path, or the XML itself. A "
       "subset; what would change the physics and is not in it raises NotImplementedError by name. "
-      "Returns a RobotImport. xform: pose of the file's world (m, xyzw). Errors as of add_urdf.";
+      "Returns a RobotImport. xform: pose of the file's world (m, xyzw). Joints start at 0, or "
+      "where init_qpos says, or at the nearest limit. Errors as of add_urdf.";
 #ifdef NOVAPHY_PYTHON_IO
   bind_result(io);
   builder.def("add_urdf", &add_urdf_to, "source"_a, py::kw_only(), "xform"_a = py::none(),

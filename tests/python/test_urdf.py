@@ -208,6 +208,32 @@ def test_self_collisions():
         assert loaded(fixed, collapse_fixed_joints=collapse)[0].shape_contact_pair_count == 0
 
 
+def test_joints_start_within_their_limits():
+    model, state, result = loaded(FR3)
+    q, rows = model.joint_q.numpy(), result.joint_coords
+    lower, upper = model.joint_limit_lower.numpy(), model.joint_limit_upper.numpy()
+    assert (lower <= q).all() and (q <= upper).all()
+    assert q[rows["fr3_joint4"]] == upper[rows["fr3_joint4"]] < 0
+    assert q[rows["fr3_joint6"]] == lower[rows["fr3_joint6"]] > 0
+    assert q[rows["fr3_joint1"]] == 0
+    start = state.body_q.numpy().copy()
+    novaphy.eval_fk(model, state.joint_q, state.joint_qd, state)
+    assert_allclose(state.body_q.numpy(), start, atol=2e-6, rtol=0)
+
+
+@pytest.mark.parametrize(
+    ("limit", "message"),
+    [
+        ('effort="1" velocity="0"', r'<joint name="j">: velocity="0" .* it never moves'),
+        ('effort="0" velocity="1"', r'<joint name="j">: effort="0" .* its drive has no force'),
+    ],
+)
+def test_limits_that_hold_a_joint_still_are_said(limit, message):
+    axis = f'<axis xyz="0 0 1"/><limit lower="-1" upper="1" {limit}/>'
+    with pytest.warns(UserWarning, match=message):
+        loaded(robot(link("a"), link("b"), joint("j", "a", "b", axis, "revolute")))
+
+
 LIMIT = '<limit lower="-1" upper="2" effort="3" velocity="4"/><dynamics damping="5"/>'
 
 

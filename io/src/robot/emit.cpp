@@ -74,12 +74,31 @@ Posed start_pose(const RobotJoint& joint) {
   return pose;
 }
 
+// Joints start at 0, or where the file says: where that is outside of their limits, at the nearest.
+void start_within_limits(RobotJoint& joint) {
+  if (joint.type != JointType::REVOLUTE && joint.type != JointType::PRISMATIC &&
+      joint.type != JointType::D6)
+    return;
+  joint.start.resize(joint.linear.size() + joint.angular.size(), 0.0);
+  const auto within = [](double q, const JointDofConfig& dof) {
+    const double lower = dof.limit_lower, upper = dof.limit_upper;
+    return lower <= upper ? std::clamp(q, lower, upper) : q;  // the builder refuses the other order
+  };
+  size_t k = 0;
+  for (const auto* axes : {&joint.linear, &joint.angular})
+    for (const JointDofConfig& dof : *axes) {
+      joint.start[k] = within(joint.start[k], dof);
+      ++k;
+    }
+}
+
 class Emitter {
  public:
   Emitter(const ModelBuilder& builder, Robot robot, const EmitOptions& options)
       : builder_(builder), robot_(std::move(robot)), options_(options) {}
 
   RobotImport run(ModelBuilder& target) {
+    for (RobotJoint& joint : robot_.joints) start_within_limits(joint);
     const size_t old_links = robot_.links.size();
     std::vector<std::string> link_names, joint_names;
     for (const RobotLink& link : robot_.links) link_names.push_back(link.name);

@@ -54,6 +54,7 @@ class Reader {
       const auto joint = model.getJoint(name);
       if (joint == nullptr) file_.refuse(e, "urdfdom left this joint out");
       robot_.joints.push_back(read_joint(*joint, e, index));
+      warn_of_zero_limits(*joint, e);
     }
   }
 
@@ -235,6 +236,17 @@ class Reader {
       default:
         return result;
     }
+  }
+
+  // Files that leave effort and velocity open often say 0.
+  void warn_of_zero_limits(const urdf::Joint& joint, const Element& e) {
+    const bool is_read = robot_.joints.back().type != JointType::FIXED && joint.limits != nullptr;
+    if (!is_read) return;
+    if (joint.limits->velocity == 0.0)
+      robot_.warnings.push_back(file_.place(e) + ": velocity=\"0\" of its <limit>: it never moves");
+    if (joint.limits->effort == 0.0)
+      robot_.warnings.push_back(file_.place(e) +
+                                ": effort=\"0\" of its <limit>: its drive has no force");
   }
 
   JointDofConfig dof(const urdf::Joint& joint, const Vec3d& axis, double scale) const {

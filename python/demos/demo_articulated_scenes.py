@@ -191,7 +191,8 @@ def plot(path: str, model: novaphy.Model, poses: np.ndarray) -> None:
     side.plot(poses[..., 0], poses[..., 2], lw=0.8)
     side.plot(poses[-1, :, 0], poses[-1, :, 2], "k.")
     side.axhline(0.0, color="0.3")
-    side.set(xlabel="x (m)", ylabel="z (m)", aspect="equal", title=f"{model.body_count} bodies")
+    side.set(xlabel="x (m)", ylabel="z (m)", title=f"{model.body_count} bodies")
+    side.set_aspect("equal", adjustable="datalim")
     figure.savefig(path, dpi=140)
 
 

@@ -1,11 +1,14 @@
-"""Load a robot from a URDF or MJCF file and let it swing.
+"""Load a robot from a URDF or MJCF file and let it swing, or fall to the ground.
 
-No motor turns: the robot starts in a pose of its own, falls under gravity, and swings. It hangs on
-its base or, with --floating, falls freely. Printed is how much energy is left; without --floating
-it may not grow. Contacts are left out.
+No motor turns. A URDF robot hangs on its base, starts off balance, and swings without contacts and
+limits. With --floating, and from MJCF files, it falls to the ground and lies or stands there:
+contacts are found in every step and solved by projected Gauss-Seidel. Printed is how much energy is
+left; it may not grow.
 
     python demo_robot.py
     python demo_robot.py two_link_arm.urdf --headless 240 --plot arm.png --record arm.html
+    python demo_robot.py quadruped.urdf --floating --height 0.5
+    python demo_robot.py ant.xml
     python demo_robot.py path/to/robot.urdf --packages path/to/packages
 """
 
@@ -25,18 +28,25 @@ FPS, SUBSTEPS = 60, 32
 DT = 1.0 / (FPS * SUBSTEPS)
 
 
-def build_model(args: argparse.Namespace) -> novaphy.Model:
-    """The robot of the file, its hinges without limits."""
+def build_model(args: argparse.Namespace) -> tuple[novaphy.Model, bool]:
+    """The robot of the file, and whether it swings on its base: its hinges then have no limits."""
     path = Path(args.robot)
     if not path.exists() and args.robot in novaphy.assets.names():
         path = novaphy.assets.path(args.robot)
+    is_urdf = path.suffix == ".urdf"
+    if not is_urdf:
+        for flag, given in (("--floating", args.floating), ("--height", args.height is not None)):
+            if given:
+                raise ValueError(f"{flag}: expected with URDF files only, got {path.name}")
+    swings = is_urdf and not args.floating
+    height = args.height if args.height is not None else 0.0 if swings else 0.5
     builder = novaphy.ModelBuilder()
     with warnings.catch_warnings():
         warnings.simplefilter("always")
-        if path.suffix == ".urdf":
+        if is_urdf:
             packages = [Path(args.packages)] if args.packages else None
             builder.add_urdf(
-                path, floating=args.floating, xform=(0, 0, args.height, 0, 0, 0, 1),
+                path, floating=args.floating, xform=(0, 0, height, 0, 0, 0, 1),
                 collapse_fixed_joints=True, package_dirs=packages,
             )  # fmt: skip
         else:
@@ -44,6 +54,11 @@ def build_model(args: argparse.Namespace) -> novaphy.Model:
     if not builder.joint_dof_count:
         raise ValueError(f"{path}: expected joints that move, got none")
     model = builder.finalize()
+    if not swings:
+        if novaphy.GeoType.PLANE not in model.shape_type.numpy():
+            builder.add_ground_plane()
+            model = builder.finalize()
+        return model, swings
     # Hinges turn freely; slides, as those of fingers, stay where they may be.
     free, q = model.joint_velocity_limit.numpy(), model.joint_q.numpy()
     lower, upper = model.joint_limit_lower.numpy(), model.joint_limit_upper.numpy()
@@ -53,27 +68,30 @@ def build_model(args: argparse.Namespace) -> novaphy.Model:
             continue
         rows = slice(dofs[joint], dofs[joint + 1])
         lower[rows], upper[rows], free[rows] = -1e10, 1e10, 1e6
-        if path.suffix == ".urdf" and not args.floating:
-            q[coords[joint] : coords[joint + 1]] = 0.3 + 0.2 * (joint % 3)  # off balance
+        q[coords[joint] : coords[joint + 1]] = 0.3 + 0.2 * (joint % 3)  # off balance
     model.joint_limit_lower.assign(lower)
     model.joint_limit_upper.assign(upper)
     model.joint_velocity_limit.assign(free)
     model.joint_q.assign(q)
-    return model
+    return model, swings
 
 
 def simulate(
-    model: novaphy.Model, frames: int, stage: viewer.Stage
+    model: novaphy.Model, swings: bool, frames: int, stage: viewer.Stage
 ) -> tuple[np.ndarray, np.ndarray]:
     """Positions of the bodies {frames + 1, bodies, 3} (m) and energies {frames + 1} (J)."""
     solver = novaphy.solvers.SolverFeatherstone(model)
+    pipeline = None if swings else novaphy.CollisionPipeline(model)
+    contacts = pipeline.contacts() if pipeline else None
     state, after = model.state(), model.state()
     novaphy.eval_fk(model, state.joint_q, state.joint_qd, state)
     places, energies = [state.body_q.numpy()[:, :3]], [energy(model, state)]
     for frame in stage.frames(frames):
         for _ in range(SUBSTEPS):
             state.clear_forces()
-            solver.step(state, after, None, None, DT)
+            if pipeline:
+                pipeline.collide(state, contacts)
+            solver.step(state, after, None, contacts, DT)
             state, after = after, state
         places.append(state.body_q.numpy()[:, :3])
         energies.append(energy(model, state))
@@ -84,6 +102,31 @@ def simulate(
 def energy(model: novaphy.Model, state: novaphy.SimState) -> float:
     """Kinetic and potential energy (J) of all articulations."""
     return float(np.sum(novaphy.eval_energy(model, state)))
+
+
+def camera(model: novaphy.Model, swings: bool) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Where the eye is and where it looks, so that all of the robot is in the picture."""
+    state = model.state()
+    novaphy.eval_fk(model, state.joint_q, state.joint_qd, state)
+    lowest, highest = np.full(3, np.inf), np.full(3, -np.inf)
+    bodies, poses, scales = (
+        array.numpy() for array in (model.shape_body, state.body_q, model.shape_scale)
+    )
+    for shape, at in enumerate(model.shape_transform.numpy()):
+        if bodies[shape] < 0:
+            continue
+        p, v = poses[bodies[shape], :3], poses[bodies[shape], 3:6]
+        w = poses[bodies[shape], 6]
+        turned = at[:3] + 2.0 * np.cross(v, np.cross(v, at[:3]) + w * at[:3])
+        reach = min(float(scales[shape].max()), 0.3)  # of a mesh it is a factor
+        lowest = np.minimum(lowest, p + turned - reach)
+        highest = np.maximum(highest, p + turned + reach)
+    # It falls to the ground at 0, or swings to below its base.
+    lowest[2] = min(lowest[2], -0.7 * highest[2] if swings else 0.0)
+    center = 0.5 * (lowest + highest)
+    size = float(np.linalg.norm(highest - lowest))
+    eye = center + 1.5 * size * np.array([0.56, -0.78, 0.3])
+    return tuple(map(float, eye)), tuple(map(float, center))
 
 
 def plot(path: str, model: novaphy.Model, places: np.ndarray, energies: np.ndarray) -> None:
@@ -103,7 +146,8 @@ def plot(path: str, model: novaphy.Model, places: np.ndarray, energies: np.ndarr
                 left.plot(line[:, 0], line[:, 2], "o-", color="#2a6f97", alpha=alpha, lw=2, ms=3)
     tip = places[:, -1]
     left.plot(tip[:, 0], tip[:, 2], color="#c1666b", lw=0.8)
-    left.set(xlabel="x (m)", ylabel="z (m)", title="Origins of the links", aspect="equal")
+    left.set(xlabel="x (m)", ylabel="z (m)", title="Origins of the links")
+    left.set_aspect("equal", adjustable="datalim")
     right.plot(np.arange(len(energies)) / FPS, energies, color="#4f772d")
     right.set(xlabel="time (s)", ylabel="energy (J)", title="Kinetic and potential energy")
     figure.savefig(path, dpi=140)
@@ -116,7 +160,9 @@ def main() -> int:
     parser.add_argument("robot", nargs="?", default="fr3.urdf", help=f"a file, or one of: {known}")
     parser.add_argument("--packages", metavar="FOLDER", help="where package:// is")
     parser.add_argument("--floating", action="store_true", default=None, help="free base (URDF)")
-    parser.add_argument("--height", type=float, default=0.0, help="of the root, in m (URDF)")
+    parser.add_argument(
+        "--height", type=float, help="of the root (URDF), in m: 0, or 0.5 with --floating"
+    )
     viewer.add_arguments(parser, 180, "frames of 1/60 s")
     parser.add_argument("--plot", metavar="PATH.png", help="draw the links and the energy")
     args = parser.parse_args()
@@ -125,12 +171,11 @@ def main() -> int:
         parser.error(f"the folder of {args.plot} does not exist")
 
     try:
-        model = build_model(args)
+        model, swings = build_model(args)
     except (ValueError, OSError, ImportError, NotImplementedError) as error:
         parser.error(str(error))
-    look = ((1.0, -1.4, 0.8), (0.0, 0.0, 0.4))
-    with viewer.Stage(args, model, fps=FPS, look=look) as stage:
-        places, energies = simulate(model, args.headless, stage)
+    with viewer.Stage(args, model, fps=FPS, look=camera(model, swings)) as stage:
+        places, energies = simulate(model, swings, args.headless, stage)
     if args.plot:
         plot(args.plot, model, places, energies)
     scale = float(np.ptp(places[:, :, 2])) * 9.81 * float(model.body_mass.numpy().sum()) + 1e-6

@@ -76,17 +76,34 @@ def test_the_dropped_dice_come_to_rest(tmp_path):
     assert len(flags) == 2 or (tmp_path / "drop.png").stat().st_size > 10_000
 
 
-@pytest.mark.skipif(not novaphy.has_io(), reason="built with NOVAPHY_WITH_IO=OFF; the wheel has it")
-@pytest.mark.parametrize("robot", ["fr3.urdf", "two_link_arm.urdf", "ant.xml"])
-def test_a_robot_from_a_file_swings_and_gains_no_energy(robot):
+def run_robot(*flags: str) -> subprocess.CompletedProcess[str]:
     script = DEMOS.parent / "demo_robot.py"
-    done = subprocess.run(
-        [sys.executable, str(script), robot, "--headless", "60"],
-        capture_output=True,
-        text=True,
-        timeout=300,
+    return subprocess.run(
+        [sys.executable, str(script), *flags], capture_output=True, text=True, timeout=300
     )
+
+
+@pytest.mark.skipif(not novaphy.has_io(), reason="built with NOVAPHY_WITH_IO=OFF; the wheel has it")
+@pytest.mark.parametrize(
+    "flags",
+    [
+        ["fr3.urdf"],
+        ["two_link_arm.urdf"],
+        ["ant.xml"],
+        ["humanoid.xml"],
+        ["quadruped.urdf", "--floating"],
+    ],
+)
+def test_a_robot_from_a_file_gains_no_energy(flags):
+    done = run_robot(*flags, "--headless", "60")
     assert done.returncode == 0 and done.stdout.rstrip().endswith("ok"), done.stdout + done.stderr
+
+
+@pytest.mark.skipif(not novaphy.has_io(), reason="built with NOVAPHY_WITH_IO=OFF; the wheel has it")
+@pytest.mark.parametrize("flags", [["--floating"], ["--height", "1"]])
+def test_flags_of_urdf_files_are_refused_with_others(flags):
+    done = run_robot("ant.xml", *flags, "--headless", "1")
+    assert done.returncode == 2 and f"{flags[0]}: expected with URDF files only" in done.stderr
 
 
 @pytest.mark.parametrize("scene", ["stack", "dominoes", "cloth", "wall", "pendulum"])

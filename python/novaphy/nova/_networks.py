@@ -9,7 +9,7 @@ import struct
 import zipfile
 import zlib
 from collections.abc import Iterable, Mapping
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 
@@ -157,6 +157,7 @@ def _read(path: str | os.PathLike[str]) -> tuple[dict[str, np.ndarray], dict[str
         try:
             with np.load(file, allow_pickle=False) as archive:
                 arrays = {name: archive[name] for name in archive.files}
+            _check_count(file, len(arrays))
         except (*_DAMAGED, struct.error, zipfile.BadZipFile, zlib.error, lzma.LZMAError) as error:
             raise ValueError(
                 f"{where}: expected an .npz file of arrays, undamaged and without pickled "
@@ -174,6 +175,14 @@ def _read(path: str | os.PathLike[str]) -> tuple[dict[str, np.ndarray], dict[str
             raise ValueError(f"{where}, {name}: expected an array, got {type(value).__name__}")
         _finite(value, f"{where}, {name}")
     return arrays, meta
+
+
+def _check_count(file: BinaryIO, found: int) -> None:
+    """An archive says at its end how many members it has; damage may hide some of them."""
+    file.seek(-22, os.SEEK_END)
+    mark, said = struct.unpack("<4s6xH10x", file.read())
+    if mark != b"PK\5\6" or said != found:
+        raise ValueError(f"it has {found} members, and another number at its end")
 
 
 def _finite(value: np.ndarray, name: str) -> np.ndarray:

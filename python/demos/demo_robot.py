@@ -82,14 +82,14 @@ def simulate(
     """Positions of the bodies {frames + 1, bodies, 3} (m) and energies {frames + 1} (J)."""
     solver = novaphy.solvers.SolverFeatherstone(model)
     pipeline = None if swings else novaphy.CollisionPipeline(model)
-    contacts = pipeline.contacts() if pipeline else None
+    contacts = None if pipeline is None else pipeline.contacts()
     state, after = model.state(), model.state()
     novaphy.eval_fk(model, state.joint_q, state.joint_qd, state)
     places, energies = [state.body_q.numpy()[:, :3]], [energy(model, state)]
     for frame in stage.frames(frames):
         for _ in range(SUBSTEPS):
             state.clear_forces()
-            if pipeline:
+            if pipeline is not None and contacts is not None:
                 pipeline.collide(state, contacts)
             solver.step(state, after, None, contacts, DT)
             state, after = after, state

@@ -382,3 +382,20 @@ def test_a_failing_articulation_in_contact_is_named(solver):
     control.joint_f.assign(force)
     with pytest.raises(novaphy.Error, match=r"dof 0 \(joint"):
         solver(model, contact="pgs").step(state, model.state(), control, contacts, 0.01)
+
+
+@pytest.mark.parametrize(
+    "solver", [novaphy.solvers.SolverFeatherstone, novaphy.solvers.DiffFeatherstoneSolver]
+)
+def test_a_coordinate_that_is_not_finite_is_named(solver):
+    builder = novaphy.ModelBuilder()
+    body = builder.add_body()
+    builder.add_shape_box(body, hx=0.1, hy=0.1, hz=0.1)
+    model = builder.finalize()
+    for coordinate, value in ((0, np.nan), (2, np.inf), (6, np.nan)):
+        state = model.state()
+        q = state.joint_q.numpy()
+        q[coordinate] = value
+        state.joint_q.assign(q)
+        with pytest.raises(novaphy.Error, match=rf"dof {min(coordinate, 5)} \(joint"):
+            solver(model).step(state, model.state(), None, None, 0.01)

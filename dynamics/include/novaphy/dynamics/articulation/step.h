@@ -138,6 +138,14 @@ void new_rates(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<T
 template <class T>
 int32_t accelerate(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<T>& options,
                    Workspace<T>& ws) {
+  // Where a tree is does not change its accelerations: so coordinates are looked at on their own.
+  for (int32_t i = 0; i < tree.link_count; ++i) {
+    const Link& link = tree.links[i];
+    const bool has_quaternion = link.joint == LinkJoint::Ball || is_free(link);
+    for (int32_t c = 0; c < link.dofs + (has_quaternion ? 1 : 0); ++c)
+      if (!is_finite(in.q[link.coord + c]))
+        return local_dof(tree, link) + (c < link.dofs ? c : link.dofs - 1);
+  }
   kinematics(tree, in.q, ws);
   set_wrenches(tree, in, ws);
   inverse_dynamics<T>(tree, in.qd + tree.first_dof, nullptr, ws, ws.bias);

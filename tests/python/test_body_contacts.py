@@ -227,6 +227,36 @@ def test_of_two_bodies_the_gradient_is_that_of_contacts_found_anew(name):
     np.testing.assert_allclose(got, (ahead + behind) / 2, rtol=2e-3, atol=1e-3 * largest)
 
 
+LYING = (0.0, float(np.sqrt(0.5)), 0.0, float(np.sqrt(0.5)))
+COINCIDING = {
+    "a capsule flat on a box": (
+        ("box", ((0, 0, 0.5), IDENTITY), AT_REST),
+        ("capsule", ((0.01, 0.02, 0.65), LYING), (0.1, 0.2, -0.3, 0.1, 0.2, 0.3)),
+    ),
+    "equal boxes": (
+        ("box", ((0, 0, 0.5), IDENTITY), AT_REST),
+        ("box", ((0, 0, 0.69), IDENTITY), (0.1, 0.2, -0.3, 0.1, 0.2, 0.3)),
+    ),
+    "equal capsules": (
+        ("capsule", ((0, 0, 0.5), LYING), AT_REST),
+        ("capsule", ((0, 0, 0.61), LYING), (0.1, 0.2, -0.3, 0.1, 0.2, 0.3)),
+    ),
+}
+
+
+@pytest.mark.parametrize("name", COINCIDING)
+def test_where_features_coincide_the_contacts_are_held(name):
+    """The gradient is that of fixed points and normals, and the labels say so."""
+    model = make_model(*COINCIDING[name], ground=False)
+    held, anew = Step(model, again=False), Step(model, again=True)
+    labels = diff.rigid_contact_gradient_labels(model, anew.state, anew.contacts)
+    assert labels and set(labels) == {"frozen"}
+    _, ahead, behind = along_unit_quaternions(held, 1e-4).T
+    got = along_unit_quaternions(anew, 1e-4).T[0]
+    largest = np.abs(ahead + behind).max() / 2
+    np.testing.assert_allclose(got, (ahead + behind) / 2, rtol=2e-2, atol=1e-2 * largest)
+
+
 @pytest.mark.parametrize("name", ["a box on a box", "a sphere on a box", "two spheres"])
 def test_contacts_that_a_rollout_is_given_once_are_held(name):
     """Forward they stay what they are, and so they do in the gradient."""

@@ -18,7 +18,10 @@
 //   point and line    the line's point is the nearest to the other
 //   lines     their nearest points, n along U x V (less parallel than 0.6 degrees)
 // Otherwise points stay fixed in their bodies and the normal in the world: frozen. So it is where
-// the normal is not that of this law (within 0.3 degrees). Of values: the stored points and normal
+// the normal is not that of this law (within 0.3 degrees), and where the search chooses among
+// features that coincide (within 1e-4 of a size or a direction): a capsule flat on a face of a box,
+// a corner of a box on the outline of the face of another, two corners or ends with the normal
+// across an edge or axis of each. Of values: the stored points and normal
 // as they are; the law gives their derivatives only. Gradient: exact, by poses, as long as the
 // features stay the same; shapes carry none.
 //
@@ -55,6 +58,7 @@ struct ContactFeature {
   // The one edge (axis of a capsule) that the normal is across.
   B has_across{};
   Vec3<T> across{};
+  B is_box{}, is_capsule{}, is_corner{};
 };
 
 template <class B, class T>
@@ -126,6 +130,9 @@ ContactFeature<B, T> contact_feature_of(const ContactShape<B, T>& shape, const T
   f.has_across =
       either(both(shape.is_box, is(sum(none), 1.0f)), both(shape.is_capsule, none.z > half));
   f.across = world(select(shape.is_capsule, up, none));
+  f.is_box = shape.is_box;
+  f.is_capsule = shape.is_capsule;
+  f.is_corner = both(shape.is_box, f.is_point);
   return f;
 }
 
@@ -196,13 +203,28 @@ FaceContact<B, T> face_contact(const ContactFeature<B, T>& face, const ContactFe
 
 }  // namespace contact_turning_detail
 
+// Whether features of the two shapes coincide, so that the points do not say which the search took.
+template <class B, class T>
+B features_coincide(const ContactFeature<B, T>& a, const ContactFeature<B, T>& b) {
+  using namespace math;
+  const auto flat_on = [](const ContactFeature<B, T>& face, const ContactFeature<B, T>& capsule) {
+    return both(both(face.is_along, face.is_box), both(capsule.is_capsule, capsule.has_across));
+  };
+  const auto on_outline = [](const ContactFeature<B, T>& face, const ContactFeature<B, T>& corner) {
+    return both(both(face.is_along, corner.is_corner), either(face.has_side, face.has_corner));
+  };
+  const auto ends = both(both(a.is_point, b.is_point), both(a.has_across, b.has_across));
+  return either(either(ends, either(flat_on(a, b), flat_on(b, a))),
+                either(on_outline(a, b), on_outline(b, a)));
+}
+
 template <class B, class T>
 TurningContact<B, T> turning_contact(const ContactFeature<B, T>& a, const ContactFeature<B, T>& b,
                                      const Vec3<T>& normal) {
   using namespace math;
   namespace d = contact_turning_detail;
   const T one = T(1.0f), close = T(0.99999f);
-  const auto known = both(a.is_known, b.is_known);
+  const auto known = both(both(a.is_known, b.is_known), negate(features_coincide(a, b)));
   const auto face_leads = [&](const ContactFeature<B, T>& f) {
     return both(known, both(f.is_along, f.is_on_face));
   };

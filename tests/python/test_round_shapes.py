@@ -112,6 +112,37 @@ def test_static_contacts_have_the_bits_of_recorded_ones_and_exact_derivatives(sh
     assert found.dot_product_error < 1e-4
 
 
+@pytest.mark.parametrize("point", [(0, 0, 0.11), (0.1, 0, 0.11), (0, 0, 0.095), (0, -0.21, 0)])
+def test_on_planes_of_symmetry_of_an_ellipsoid_the_gradient_is_that_of_the_differences(point):
+    builder = novaphy.ModelBuilder(gravity=(0, 0, 0))
+    surface = novaphy.ShapeConfig(ke=500.0, kd=0.0, kf=0.0, mu=0.0)
+    builder.add_shape_ellipsoid(-1, rx=0.3, ry=0.2, rz=0.1, cfg=surface)
+    builder.add_particle(point, (0, 0, 0), 0.5, radius=0.03)
+    model = builder.finalize()
+    model.soft_contact_ke, model.soft_contact_kd = 500.0, 0.0
+    model.soft_contact_kf, model.soft_contact_mu = 0.0, 0.0
+    still = nova.zeros((1, 3))
+
+    def force(at, axis, grad=False):
+        q = nova.tensor(np.float32([at]), requires_grad=grad)
+        weights = nova.tensor(np.eye(3, dtype=np.float32)[axis][None])
+        with nova.Tape() as tape:
+            out = diff.eval_static_particle_shape_contact_forces_generated(model, q, still, still)
+            total = nova.sum(out * weights)
+            if grad:
+                tape.backward(total)
+        return q.grad.numpy()[0] if grad else total.item()
+
+    got = np.array([force(point, i, True) for i in range(3)])
+    size = 1e-3
+    differences = [
+        [(force(point + d, i) - force(point - d, i)) / (2 * size) for d in np.eye(3) * size]
+        for i in range(3)
+    ]
+    assert np.abs(np.diag(got)).min() > 1
+    np.testing.assert_allclose(got, differences, rtol=1e-2, atol=0.2)
+
+
 @pytest.mark.parametrize("shape", SHAPES)
 def test_points_far_and_near_and_inside_are_where_the_shape_says(shape):
     """Of random points: the named point is on the surface, and none nearer is."""

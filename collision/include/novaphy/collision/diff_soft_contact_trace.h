@@ -259,7 +259,8 @@ SurfaceDistance<T> cone_distance(const Vec3<T>& x, const T& radius, const T& hal
 // Ellipsoid of half axes h: the nearest point y_i = h_i^2 x_i / (t + h_i^2), with t from
 // sum (h_i x_i / (t + h_i^2))^2 = 1 by Newton's method on the root of the sum, from below (J. J.
 // More, D. C. Sorensen, Computing a Trust Region Step, 1983). Coordinates below 1e-6 of their half
-// axis count as that much, so that a nearest point is chosen on the planes of symmetry, too.
+// axis count as that much, so that a nearest point is chosen on the planes of symmetry, too; the
+// derivative there is that of the smooth function, and none by that coordinate where it jumps.
 template <class T>
 SurfaceDistance<T> ellipsoid_distance(const Vec3<T>& x, const Vec3<T>& h) {
   using namespace math;
@@ -287,6 +288,14 @@ SurfaceDistance<T> ellipsoid_distance(const Vec3<T>& x, const Vec3<T>& h) {
   T s = max(fixed[0] - detach(excess[0]),
             max(fixed[1] - detach(excess[1]), fixed[2] - detach(excess[2])));
   for (int k = 0; k < kIterations; ++k) s = detach(improve(s, fixed));
+  // Where the limit of a coordinate acts, the distance is smooth in it unless t + h_i^2 vanishes.
+  for (int i = 0; i < 3; ++i) {
+    const auto limited = abs(xs[i]) < T(1e-6f) * hs[i];
+    const auto smooth = s + detach(excess[i]) > T(1e-3f) * (hs[i] * hs[i]);
+    const T side = select(xs[i] < T(0.0f), -one, one);
+    at[i] = with_derivative(at[i], xs[i], select(both(limited, smooth), side, T(0.0f)));
+    u[i] = hs[i] * at[i];
+  }
   s = improve(s, u);  // whose derivative at the root is that of the root
   T y[3], n[3];
   for (int i = 0; i < 3; ++i) {

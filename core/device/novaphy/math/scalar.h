@@ -14,6 +14,7 @@ inline bool both(bool a, bool b) { return a && b; }
 inline bool either(bool a, bool b) { return a || b; }
 inline bool negate(bool a) { return !a; }
 inline float detach(float a) { return a; }
+inline float with_derivative(float y, float, float) { return y; }
 template <class T>
 T clamp(const T& x, const T& lo, const T& hi) {
   return min(max(x, lo), hi);

@@ -183,3 +183,13 @@ def test_contacts_of_articulations_refuse_what_no_force_uses(make, contact):
         pipeline.collide(state, contacts)
         with pytest.raises(NotImplementedError, match=rf"shape 0.*: ShapeConfig\.{field} "):
             make(model, contact=contact).step(state, model.state(), None, contacts, DT)
+
+
+@pytest.mark.parametrize("restitution", [-0.1, 1.01, float("nan")])
+def test_a_restitution_outside_0_to_1_is_refused(restitution):
+    builder = novaphy.ModelBuilder()
+    cfg = novaphy.ShapeConfig(restitution=restitution)
+    with pytest.raises(ValueError, match=r"add_shape_sphere: cfg\.restitution: expected"):
+        builder.add_shape_sphere(-1, radius=0.1, cfg=cfg)
+    assert builder.shape_count == 0
+    builder.add_shape_sphere(-1, radius=0.1, cfg=novaphy.ShapeConfig(restitution=1.0))

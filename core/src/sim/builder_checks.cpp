@@ -17,6 +17,8 @@ void check_shape_config(std::string_view function, const ShapeConfig& cfg) {
   check_not_negative({function, "cfg.ka"}, cfg.ka);
   check_not_negative({function, "cfg.mu"}, cfg.mu);
   check_not_negative({function, "cfg.restitution"}, cfg.restitution);
+  require(cfg.restitution <= 1.0f, ErrorKind::Value, function,
+          ": cfg.restitution: expected at most 1, got ", cfg.restitution);
   check_not_negative({function, "cfg.mu_torsional"}, cfg.mu_torsional);
   check_not_negative({function, "cfg.mu_rolling"}, cfg.mu_rolling);
   check_finite({function, "cfg.margin"}, cfg.margin);

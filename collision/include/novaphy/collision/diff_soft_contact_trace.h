@@ -27,6 +27,8 @@
 //   The normal jumps on a box's faces, edges and symmetry planes (box_distance), at the centre of
 //   a sphere and on the axis of a capsule (sphere_distance, capsule_distance), on edges, axis and
 //   apex of a cylinder and a cone, and on the planes of symmetry within an ellipsoid.
+//   A particle's centre exactly on a face of a box: the distance is smooth there, but passes no
+//   derivative (box_distance: length and min at 0).
 // Gradient: exact in x, v_p, R, p, v_s, n, ke, kd, kf, mu away from these. `a` only chooses and
 // passes nothing.
 //

@@ -2,8 +2,6 @@
 
 #include <algorithm>
 
-#include "novaphy/nova/op_list.h"
-
 namespace nova::detail {
 
 using novaphy::Storage;
@@ -189,14 +187,15 @@ void run_adjoint(KernelImpl& kernel, const CompiledPlan& plan, const AdjointCall
   if (call.csr) hold_in_capture(*call.csr);
   const int64_t items = call.csr ? (*call.csr)->table.rows : call.dim * call.extent;
   Scratch scratch;
-  // A capture of many steps needs the memory of one: the adjoints run one after the other. A device
-  // may run several at once, and each needs its own there.
+  // Many steps need the memory of one: the adjoints run one after the other. A device may run
+  // several at once, and each needs its own there.
   size_t number = 0;
+  OpList* capture = current_capture();
+  ScratchMemory& shared = capture ? capture->scratch() : *call.scratch;
   const auto memory = [&](int64_t rows, int32_t width, size_t turns = 1) {
-    OpList* capture = current_capture();
-    if (!capture || !context.host_accessible) return temporary(rows, width, device);
+    if (!context.host_accessible) return temporary(rows, width, device);
     const auto bytes = static_cast<size_t>(rows) * static_cast<size_t>(width) * sizeof(float);
-    return Operand{capture->scratch(number++, bytes, turns, device), rows, width};
+    return Operand{shared.take(number++, bytes, turns, device), rows, width};
   };
   for (const AdjointRowSum& r : plan.plan.row_sums) {
     const int32_t table_width = r.table < 0 ? 1 : call.inputs[r.table]->width;

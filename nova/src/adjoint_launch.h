@@ -2,6 +2,7 @@
 #pragma once
 
 #include "kernel_impl.h"
+#include "novaphy/nova/op_list.h"
 
 namespace nova::detail {
 
@@ -16,6 +17,7 @@ struct AdjointCall {
   const Incidence* csr = nullptr;
   int32_t extent = 0;
   const Operand* active = nullptr;
+  ScratchMemory* scratch = nullptr;  // for a call that no capture records
 };
 
 // Runs (or captures) the stages and row-sums of a plan. Stores into or adds to the gradients as the

@@ -298,12 +298,13 @@ void note_write(const std::shared_ptr<Range>& range) {
   range->mark_written();
 }
 
-const std::shared_ptr<Range>& OpList::scratch(size_t number, size_t bytes, size_t turns,
-                                              const novaphy::Device& device) {
-  Scratch& known = scratch_[{number, bytes}];
+const std::shared_ptr<Range>& ScratchMemory::take(size_t number, size_t bytes, size_t turns,
+                                                  const novaphy::Device& device) {
+  Ranges& known = known_[{number, bytes}];
   known.ranges.resize(std::max(known.ranges.size(), turns));
   std::shared_ptr<Range>& range = known.ranges[known.taken++ % turns];
-  if (!range) range = novaphy::Storage::allocate(bytes, device, false)->range();
+  if (!range || range->storage().device() != device)
+    range = novaphy::Storage::allocate(bytes, device, false)->range();
   return range;
 }
 

@@ -385,9 +385,11 @@ void Tape::Impl::backward(Node& loss, const Tensor& seed) {
     }
     for (const auto& [grad, copy] : kept) submit_copy(grad, copy);
     pool.clear();
+    scratch.clear();
     throw;
   }
   pool.clear();
+  scratch.clear();
 }
 
 void Tape::Impl::run_steps(const std::shared_ptr<Range>& loss_gradient, const Tensor& seed) {
@@ -458,7 +460,8 @@ void Tape::Impl::run_kernel(const Step& step) {
                        .params = std::span(params).subspan(op.first_param, op.params),
                        .csr = op.csr ? &op.csr : nullptr,
                        .extent = op.extent,
-                       .active = active(op)});
+                       .active = active(op),
+                       .scratch = &scratch});
   hold_in_capture(op.kernel);
   for (const auto& [s, from] : added_later) {
     Operand into = input(op, s).operand;

@@ -173,6 +173,7 @@ struct Tape::Impl {
   std::vector<const std::shared_ptr<Range>*> places;
   std::vector<GradState> before;  // of every node
   GradientPool pool;
+  ScratchMemory scratch;  // of the adjoints of one backward
   std::vector<Operand> operands;  // of an operation that is run once more
 
   Node* find(const Range& range) { return nodes.find(range); }

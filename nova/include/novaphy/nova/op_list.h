@@ -36,6 +36,22 @@ struct MemoryAccess {
 class DeviceReplay;
 }  // namespace detail
 
+// Memory that only a few operations use, one after the other: the same for the same number and size,
+// or one of so many that take turns.
+class NOVAPHY_NOVA_API ScratchMemory {
+ public:
+  const std::shared_ptr<Range>& take(size_t number, size_t bytes, size_t turns,
+                                     const novaphy::Device& device);
+  void clear() { known_.clear(); }
+
+ private:
+  struct Ranges {
+    std::vector<std::shared_ptr<Range>> ranges;
+    size_t taken = 0;
+  };
+  std::map<std::pair<size_t, size_t>, Ranges> known_;  // by number and bytes
+};
+
 class NOVAPHY_NOVA_API OpList {
  public:
   struct Op {
@@ -64,10 +80,8 @@ class NOVAPHY_NOVA_API OpList {
     held_bytes_ += bytes;
   }
   size_t held_bytes() const { return held_bytes_; }
-  // Memory that only a few operations of the list use, one after the other: the same for the same
-  // number and size, or one of so many that take turns. The list keeps it.
-  const std::shared_ptr<Range>& scratch(size_t number, size_t bytes, size_t turns,
-                                        const novaphy::Device& device);
+  // Memory that only a few operations of the list use, one after the other. The list keeps it.
+  ScratchMemory& scratch() { return scratch_; }
   void writes(const std::shared_ptr<Range>& range);
   // Whether an operation so far writes bytes of the range.
   bool writes_to(const Range& range) const;
@@ -127,11 +141,7 @@ class NOVAPHY_NOVA_API OpList {
   novaphy::ExclusiveUses memory_;
   std::vector<std::shared_ptr<const void>> held_;
   size_t held_bytes_ = 0;
-  struct Scratch {
-    std::vector<std::shared_ptr<Range>> ranges;
-    size_t taken = 0;
-  };
-  std::map<std::pair<size_t, size_t>, Scratch> scratch_;  // by number and bytes
+  ScratchMemory scratch_;
   std::vector<std::shared_ptr<Range>> written_;
   std::vector<const Range*> written_keys_;  // sorted, to add each once
   struct Frozen {

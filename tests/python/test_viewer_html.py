@@ -97,6 +97,99 @@ def test_the_page_draws_the_lines_of_both_takes(page_file, chromium):
     assert blue > 100 and green > 100
 
 
+def wave(k: int) -> np.ndarray:
+    """Points {400, 3} of a sheet at frame k."""
+    x, y = np.meshgrid(np.linspace(-1, 1, 20), np.linspace(-1, 1, 20), indexing="ij")
+    z = 0.2 * np.sin(3.0 * x + 0.1 * k) * np.cos(2.0 * y - 0.07 * k)
+    return np.float32(np.stack([x + 1e-3 * k, y, z], axis=-1).reshape(-1, 3))
+
+
+def test_what_moves_is_packed_and_comes_back_below_a_pixel(tmp_path, chromium):
+    cells = np.arange(400).reshape(20, 20)
+    a, b, c, d = (part.ravel() for part in (cells[:-1, :-1], cells[1:, :-1], cells[1:, 1:],
+                                            cells[:-1, 1:]))  # fmt: skip
+    triangles = np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
+    turns = np.float32([[np.sin(0.05 * k), 0, 0, np.cos(0.05 * k)] for k in range(90)])
+    path = tmp_path / "run.html"
+    with novaphy.ViewerHTML(path) as viewer:
+        viewer.look_at((0, -3, 2), (0, 0, 0))
+        for k in range(90):
+            viewer.begin_frame(k % 45)  # two takes
+            viewer.log_mesh("sheet", wave(k), triangles)
+            pose = np.float32([[0, 0, 0.02 * k, *turns[k]]])
+            viewer.log_shapes("die", novaphy.GeoType.BOX, (0.1, 0.1, 0.1), pose)
+            viewer.end_frame()
+    data = 90 * 400 * 3 * 4
+    assert path.stat().st_size < 40_000 + data / 4
+    page = chromium.page(path.as_uri())
+    page.wait_for("typeof floats !== 'undefined' && floats !== undefined && times.length === 90")
+    page.evaluate("play(false)")
+    height = 2 * np.sqrt(13.0) * np.tan(np.radians(20))  # m, of the picture where it looks
+    for frame in (0, 1, 44, 45, 60, 89):
+        page.evaluate(f"show_frame({frame})")
+        shown = page.evaluate("[...state.mesh.sheet.fields.points.values]")
+        away = np.abs(np.reshape(shown, (-1, 3)) - wave(frame)).max()
+        assert 0.0 < away <= 0.5 * height / 2**16 * 1.01
+        pose = page.evaluate("[...state.instances.die.fields.poses.values]")
+        assert pose[2] == pytest.approx(0.02 * frame, abs=height / 2**16)
+        np.testing.assert_allclose(pose[3:], turns[frame], atol=2.0**-16 + 1e-7)
+
+
+def test_numbers_that_fit_no_grid_are_kept_as_they_are(tmp_path, chromium):
+    far = np.float32(np.random.default_rng(1).normal(size=(4, 100, 3)) * 1e6)
+    far[2, 7, 1] = np.inf
+    path = tmp_path / "run.html"
+    with novaphy.ViewerHTML(path) as viewer:
+        viewer.look_at((0, -3, 2), (0, 0, 0))
+        for k in range(4):
+            viewer.begin_frame(k)
+            viewer.log_lines("far", far[k], far[k] + 1, (1, 0, 0))
+            viewer.end_frame()
+    page = chromium.page(path.as_uri())
+    page.wait_for("typeof floats !== 'undefined' && floats !== undefined && times.length === 4")
+    page.evaluate("play(false); show_frame(2)")
+    shown = page.evaluate("[...state.lines.far.fields.starts.values].map(String)")
+    np.testing.assert_array_equal(
+        np.float32([float(v.replace("Infinity", "inf")) for v in shown]), far[2].ravel()
+    )
+
+
+def test_images_and_curves_of_arrays_are_beside_the_text(tmp_path, chromium):
+    path = tmp_path / "run.html"
+    image = np.zeros((20, 30, 3), np.uint8)
+    image[:, 15:] = (250, 10, 20)
+    with novaphy.ViewerHTML(path) as viewer:
+        for k in range(3):
+            viewer.begin_frame(k)
+            viewer.log_points("point", [[0, 0, 0.1 * k]], 0.1)
+            if k == 1:
+                viewer.log_image("camera", image)
+                viewer.log_array("angles", [1.0, -2.0, 4.0])
+            if k == 2:
+                viewer.log_image("camera", image[:, ::-1])
+            viewer.end_frame()
+    page = chromium.page(path.as_uri())
+    page.wait_for("typeof floats !== 'undefined' && floats !== undefined && times.length === 3")
+    page.evaluate("play(false); show_frame(0)")
+    text = "[...document.querySelectorAll('figure')].map(f => f.style.display + f.innerText)"
+    assert page.evaluate(text) == ["noneangles", "nonecamera"]
+    page.evaluate("show_frame(1)")
+    assert page.evaluate(text) == ["angles", "camera"]
+    lines = "document.querySelector('figure polyline').getAttribute('points')"
+    places = [tuple(map(float, p.split(","))) for p in page.evaluate(lines).split()]
+    np.testing.assert_allclose(places, [(4, 35), (110, 64), (216, 6)])
+    for frame, side in ((1, 20), (2, 5)):
+        page.evaluate(f"show_frame({frame})")
+        size = "(i => i.complete && i.naturalWidth && [i.naturalWidth, i.naturalHeight])"
+        assert page.wait_for(f"{size}(document.querySelector('figure img'))") == [30, 20]
+        color = (
+            "(c => (c.drawImage(document.querySelector('figure img'), 0, 0), "
+            f"[...c.getImageData({side}, 5, 1, 1).data]))"
+            "(document.createElement('canvas').getContext('2d'))"
+        )
+        assert page.evaluate(color) == [250, 10, 20, 255]
+
+
 def test_a_scalar_that_is_not_finite_is_a_gap_and_the_page_stays_readable(tmp_path):
     path = tmp_path / "run.html"
     with novaphy.ViewerHTML(path) as viewer:

@@ -7,6 +7,7 @@ import json
 import math
 import os
 import zlib
+from collections.abc import Callable, Iterator
 from importlib import resources
 from typing import Any
 
@@ -17,10 +18,16 @@ from . import _shaders
 from ._base import ArrayLike
 from ._camera import FIELD_OF_VIEW
 from ._gl_renderer import HAZE, LIGHT, REACH
+from ._packing import pack, quantum
+from ._png import png_bytes
 from ._scene import Instances, Lines, f32
 from ._scene_viewer import SceneViewer
 
 MESH_FIELDS = ("points", "shift", "indices")
+# What moves is stored on a grid (_packing.py): this many steps to the height of the picture where the
+# camera looks, and of a quaternion's components.
+STEPS_OF_PICTURE, QUATERNION_QUANTUM = 2**16, 2.0**-15
+MOVING = {"points": 3, "poses": 7, "starts": 3, "ends": 3}
 
 
 class ViewerHTML(SceneViewer):
@@ -28,7 +35,8 @@ class ViewerHTML(SceneViewer):
 
     A frame whose time is not after that of the one before begins a new take: another iteration of
     a training, say. The page plays the takes one after the other, and has a slider for them. What
-    does not change from frame to frame is stored once.
+    does not change from frame to frame is stored once. What moves is stored to 1/65536 of the
+    height of the picture where the camera looks, and quaternions to 3e-5; all else as it is.
     """
 
     def __init__(self, output_path: str | os.PathLike[str] | None, title: str = "NovaPhy") -> None:
@@ -74,11 +82,15 @@ class ViewerHTML(SceneViewer):
             for key in [key for key in self._tracks if key[0] == kind and key[2] == "hidden"]:
                 if key[1] not in items:
                     self._keep_value(frame, key, 1.0)
+        for name, curve in self.scene.curves.items():
+            self._keep_if_other(frame, ("curve", name, "values"), curve, f32)
+        for name, pixels in self.scene.images.items():
+            self._keep_if_other(frame, ("image", name, "png"), pixels, _png_words)
         for name, values in self.scene.scalars.items():
             if values:
                 known = self._scalars.setdefault(name, [])
                 # JSON knows no NaN: a gap.
-                last = values[-1] if math.isfinite(values[-1]) else None
+                last = float(f"{values[-1]:.7g}") if math.isfinite(values[-1]) else None
                 known += [None] * (frame - len(known)) + [last]
 
     def _keep(self, frame: int, key: tuple[str, str, str], part: Any) -> None:
@@ -93,6 +105,19 @@ class ViewerHTML(SceneViewer):
             track.seen = value
             self._store(frame, track, f32([value]))
 
+    def _keep_if_other(
+        self,
+        frame: int,
+        key: tuple[str, str, str],
+        values: np.ndarray,
+        coded: Callable[[np.ndarray], np.ndarray],
+    ) -> None:
+        """Keep an array that the scene replaces whole, which is another object then."""
+        track = self._tracks.setdefault(key, _Track())
+        if track.seen is not values:
+            track.seen = values
+            self._store(frame, track, coded(values))
+
     def _store(self, frame: int, track: _Track, values: np.ndarray) -> None:
         data = np.ascontiguousarray(values).tobytes()
         offset = self._known.get(data)
@@ -102,14 +127,6 @@ class ViewerHTML(SceneViewer):
         track.frames.append(frame)
         track.offsets.append(offset)
         track.sizes.append(values.size)
-
-    def log_image(self, name: str, image: ArrayLike) -> None:
-        """NotImplementedError: pages hold no images."""
-        raise NotImplementedError("log_image: ViewerHTML shows no images")
-
-    def log_array(self, name: str, array: ArrayLike) -> None:
-        """NotImplementedError: the curve of a page is that of the scalar loss."""
-        raise NotImplementedError("log_array: ViewerHTML shows no curves of arrays")
 
     def page(self) -> str:
         """Return the page with what is held so far."""
@@ -121,6 +138,7 @@ class ViewerHTML(SceneViewer):
         }
         names |= {name: {"width": lines.width} for name, lines in self.scene.lines.items()}
         camera = self.camera
+        data, runs, packed = self._packed_data()
         content = {
             "title": self.title,
             "times": [round(t, 6) for t in self._times],
@@ -128,10 +146,13 @@ class ViewerHTML(SceneViewer):
             "scalars": self._scalars,
             "objects": names,
             "tracks": [
-                [*key, track.frames, track.offsets, track.sizes]
+                [*key, track.frames, track.offsets, _short(track.sizes)]
                 for key, track in self._tracks.items()
-                if key[1] in names or key[0] == "mesh"
+                if key[1] in names or key[0] in ("mesh", "curve", "image")
             ],
+            "words": len(self._data) // 4,
+            "runs": runs,
+            "packed": packed,
             "camera": {
                 "up": camera.up_axis,
                 "target": [float(v) for v in camera.target],
@@ -149,11 +170,39 @@ class ViewerHTML(SceneViewer):
             },
         }  # fmt: skip
         text = json.dumps(content, separators=(",", ":")).replace("</", "<\\/")
-        blob = base64.b64encode(zlib.compress(bytes(self._data), 9)).decode()
+        blob = base64.b64encode(zlib.compress(data, 9)).decode()
         template = resources.files(__package__).joinpath("assets/page.html").read_text("utf-8")
         head, _, rest = template.partition("/*CONTENT*/")
         middle, _, tail = rest.partition("/*DATA*/")
         return f"{head}{text}{middle}{blob}{tail}"
+
+    def _packed_data(self) -> tuple[bytes, list[list[int]], list[Any]]:
+        """What is stored, packed.
+
+        Gives the data, the parts of it that are as they were (place and number of words), and those
+        that are packed: how, components, their quanta, numbers in a frame, and places of frames.
+        """
+        height = 2.0 * self.camera.distance * math.tan(math.radians(FIELD_OF_VIEW / 2))
+        step = quantum(height / STEPS_OF_PICTURE)
+        words = np.frombuffer(self._data, np.float32)
+        plain = np.ones(len(words), bool)
+        data, packed = bytearray(), []
+        for (_, _, field), track in self._tracks.items():
+            width = MOVING.get(field)
+            if width is None:
+                continue
+            quanta = [step] * 3 + [QUATERNION_QUANTUM] * (width - 3)
+            for size, places in _equal_sizes(track, plain):
+                frames = np.stack([words[place : place + size] for place in places])
+                found = pack(frames.reshape(len(places), -1, width), f32(quanta))
+                if found is not None:
+                    packed.append([found[0], width, quanta, size, places])
+                    data += found[1]
+                    for place in places:
+                        plain[place : place + size] = False
+        edges = np.flatnonzero(np.diff(plain, prepend=False, append=False)).reshape(-1, 2)
+        runs = [[int(first), int(last - first)] for first, last in edges]
+        return bytes(data) + words[plain].tobytes(), runs, packed
 
     def _repr_html_(self) -> str:
         """The page in a frame, for notebooks."""
@@ -188,3 +237,31 @@ class _Track:
         self.frames: list[int] = []
         self.offsets: list[int] = []
         self.sizes: list[int] = []
+
+
+def _equal_sizes(track: _Track, free: np.ndarray) -> Iterator[tuple[int, list[int]]]:
+    """Runs of a track's frames that have the same size and are in no other run: size and places."""
+    seen: set[int] = set()
+    size, places = 0, []
+    for place, count in zip(track.offsets, track.sizes, strict=True):
+        if not count or place in seen or not free[place]:
+            continue
+        seen.add(place)
+        if count != size and places:
+            yield size, places
+            places = []
+        size = count
+        places.append(place)
+    if places:
+        yield size, places
+
+
+def _png_words(pixels: np.ndarray) -> np.ndarray:
+    """A picture as PNG, in whole words."""
+    data = png_bytes(pixels)
+    return np.frombuffer(data + bytes(-len(data) % 4), np.float32)
+
+
+def _short(sizes: list[int]) -> list[int] | int:
+    """One number where all are the same."""
+    return sizes[0] if len(set(sizes)) == 1 else sizes

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from types import TracebackType
 from typing import Any
 
@@ -57,6 +57,12 @@ class Viewer:
 
     def log_contacts(self, contacts: Contacts, state: SimState) -> None:
         """Show the contacts of a state."""
+
+    def set_shape_colors(self, shapes: ArrayLike, colors: ArrayLike) -> None:
+        """Show shapes {n} of the model in colours {n, 3}, and all others in their own.
+
+        Colours {n, 4} have as their fourth number the contrast of a checker (0 to 1, 0: none).
+        """
 
     def log_mesh(
         self,
@@ -135,6 +141,23 @@ class Viewer:
 
     def log_image(self, name: str, image: ArrayLike) -> None:
         """Show an image {h, w, 3}, uint8."""
+
+    def add_slider(
+        self,
+        name: str,
+        low: float,
+        high: float,
+        value: float,
+        on_change: Callable[[float], object] | None = None,
+    ) -> Callable[[], float]:
+        """Let the user move a number between `low` and `high`; returns what gives its value.
+
+        A viewer without a user leaves it at `value`. `on_change` is called with a new one.
+        ValueError unless low <= value <= high and low < high.
+        """
+        if not low < high or not low <= value <= high:
+            raise ValueError(f"add_slider, value: expected {low} <= {value} <= {high}, low < high")
+        return lambda: value
 
     def apply_forces(self, state: SimState) -> None:
         """Add the forces of the user's pointer to a state."""

@@ -28,6 +28,7 @@ DRAWINGS = (
     "set_camera",
     "look_at",
     "set_world_offsets",
+    "set_shape_colors",
     "log_mesh",
     "log_instances",
     "log_shapes",

@@ -5,17 +5,12 @@ from __future__ import annotations
 import os
 from typing import TYPE_CHECKING
 
-import numpy as np
-
-from .._core import SimState
+from ._drag import Drag
 from ._needs import MissingPackageError, needs
 
 if TYPE_CHECKING:
     from ._gl import ViewerGL
     from ._gl_renderer import Renderer
-
-DRAG_RATE = 6.0  # 1/s: the pull is that of a critically damped spring of this frequency
-PICK_PIXELS = 40.0
 
 
 class Window:
@@ -132,84 +127,6 @@ class Window:
     def on_mouse_scroll(self, x: int, y: int, scroll_x: float, scroll_y: float) -> None:
         """Zoom."""
         self.viewer.camera.zoom(0.9**scroll_y)
-
-
-class Drag:
-    """A body or particle on a spring to the pointer."""
-
-    def __init__(self, viewer: ViewerGL) -> None:
-        """Hold nothing."""
-        self.viewer = viewer
-        self.item: tuple[str, int] | None = None
-        self.goal = np.zeros(3)
-        self.depth = 0.0
-
-    def candidates(self) -> list[tuple[str, int, np.ndarray]]:
-        """The bodies and particles of the last state: kind, number, place."""
-        latest = self.viewer.latest_state
-        out = [("body", k, row[:3]) for k, row in enumerate(latest.get("body_q", ()))]
-        return out + [("particle", k, row) for k, row in enumerate(latest.get("particle_q", ()))]
-
-    def pick(self, x: float, y: float, size: tuple[int, int]) -> tuple[str, int, np.ndarray] | None:
-        """What is nearest to a pixel, within PICK_PIXELS."""
-        found = self.candidates()
-        if not found:
-            return None
-        camera = self.viewer.camera
-        pixels = camera.project(np.array([place for _, _, place in found]), *size)
-        away = np.linalg.norm(pixels - (x, y), axis=1)
-        nearest = int(np.argmin(away))
-        return found[nearest] if away[nearest] < PICK_PIXELS else None
-
-    def start(self, x: float, y: float, size: tuple[int, int]) -> None:
-        """Take hold of what is under a pixel."""
-        found = self.pick(x, y, size)
-        if found is not None:
-            camera = self.viewer.camera
-            self.item = found[:2]
-            self.depth = float((found[2] - camera.pos) @ camera.forward)
-            self.move(x, y, size)
-
-    def move(self, x: float, y: float, size: tuple[int, int]) -> None:
-        """Pull towards a pixel, as far away as what is held was."""
-        camera = self.viewer.camera
-        ray = camera.ray(x, y, *size)
-        self.goal = camera.pos + ray * (self.depth / (ray @ camera.forward))
-
-    def stop(self) -> None:
-        """Let go."""
-        self.item = None
-
-    def nearest_to_middle(self) -> int | None:
-        """The candidate nearest to the middle of the picture."""
-        found = self.candidates()
-        if not found:
-            return None
-        target = self.viewer.camera.target
-        return int(np.argmin([np.linalg.norm(place - target) for _, _, place in found]))
-
-    def look_at(self, number: int) -> None:
-        """Keep a candidate in the middle."""
-        found = self.candidates()
-        if number < len(found):
-            self.viewer.camera.target = np.asarray(found[number][2], np.float64)
-
-    def apply(self, state: SimState) -> None:
-        """Add m (w² (goal - x) - 2 w v) to the forces of what is held, w = DRAG_RATE."""
-        model = self.viewer.model
-        if self.item is None or model is None:
-            return
-        kind, k = self.item
-        place, velocity, force, mass = (
-            (state.body_q, state.body_qd, state.body_f, model.body_mass)
-            if kind == "body"
-            else (state.particle_q, state.particle_qd, state.particle_f, model.particle_mass)
-        )
-        x, v = place.numpy()[k, :3], velocity.numpy()[k, :3]
-        pull = DRAG_RATE**2 * (self.goal - x) - 2.0 * DRAG_RATE * v
-        rows = force.numpy()
-        rows[k, :3] += float(mass.numpy()[k]) * pull
-        force.assign(rows)
 
 
 def _free_name(stem: str, ending: str) -> str:

@@ -15,7 +15,6 @@ import numpy as np
 
 from ..io import atomic_path
 from . import _shaders
-from ._base import ArrayLike
 from ._camera import FIELD_OF_VIEW
 from ._gl_renderer import HAZE, LIGHT, REACH
 from ._packing import pack, quantum
@@ -24,8 +23,8 @@ from ._scene import Instances, Lines, f32
 from ._scene_viewer import SceneViewer
 
 MESH_FIELDS = ("points", "shift", "indices")
-# What moves is stored on a grid (_packing.py): this many steps to the height of the picture where the
-# camera looks, and of a quaternion's components.
+# What moves is stored on a grid (_packing.py): this many steps to the height of the picture where
+# the camera looks, and of a quaternion's components.
 STEPS_OF_PICTURE, QUATERNION_QUANTUM = 2**16, 2.0**-15
 MOVING = {"points": 3, "poses": 7, "starts": 3, "ends": 3}
 
@@ -242,7 +241,8 @@ class _Track:
 def _equal_sizes(track: _Track, free: np.ndarray) -> Iterator[tuple[int, list[int]]]:
     """Runs of a track's frames that have the same size and are in no other run: size and places."""
     seen: set[int] = set()
-    size, places = 0, []
+    size = 0
+    places: list[int] = []
     for place, count in zip(track.offsets, track.sizes, strict=True):
         if not count or place in seen or not free[place]:
             continue

@@ -131,6 +131,7 @@ class ModelScene:
         self.offsets = np.zeros(3, np.float32)
         self.show_joints = False
         self._bodies: list[tuple[Instances, np.ndarray]] = []  # and the body of each first row
+        self._rows: list[tuple[Instances, np.ndarray, np.ndarray]] = []  # its shapes, and colours
         self._add_shapes()
         self._add_particles()
 
@@ -177,7 +178,57 @@ class ModelScene:
             item.colors.set(_shape_colors(bodies[rows], geo_type == GeoType.PLANE))
             self.scene.instances[name] = item
             moving = bodies[rows]
+            self._rows.append((item, rows, item.colors.values))
             self._bodies.append((item, np.ascontiguousarray(moving[moving >= 0])))
+
+    def color_shapes(self, shapes: np.ndarray, colors: np.ndarray) -> None:
+        """Give shapes {n} colours {n, 4}, and all others their own."""
+        count = len(self.get("shape_type", 0))
+        if len(shapes) and not 0 <= shapes.min() <= shapes.max() < count:
+            raise ValueError(f"set_shape_colors, shapes: expected numbers of {count} shapes")
+        given = np.full((count, 4), np.nan, np.float32)
+        given[shapes] = colors
+        for item, rows, own in self._rows:
+            item.colors.set(np.where(np.isnan(given[rows]), own, given[rows]))
+
+    def body_at(self, origin: np.ndarray, ray: np.ndarray) -> int | None:
+        """The body whose boxes around shapes a ray meets first."""
+        nearest, found = np.inf, None
+        for item, bodies in self._bodies:
+            n = len(bodies)
+            if not n:
+                continue
+            lower, upper = self.scene.meshes[item.mesh].box()
+            scales = item.scales.values[:n]
+            shift = np.zeros((n, 3), np.float32)
+            shift[:, 2] = scales[:, 3]
+            lower, upper = lower * scales[:, :3] - shift, upper * scales[:, :3] + shift
+            world = item.world()[:n]
+            inverse = world[:, 3:] * f32([-1, -1, -1, 1])
+            start = rotate(inverse, f32(origin) - world[:, :3])
+            along = rotate(inverse, np.broadcast_to(f32(ray), (n, 3)))
+            along = np.where(np.abs(along) < 1e-12, 1e-12, along)
+            a, b = (lower - start) / along, (upper - start) / along
+            first = np.minimum(a, b).max(axis=1)
+            first[(first > np.maximum(a, b).min(axis=1)) | (first < 0.0)] = np.inf
+            if first.min() < nearest:
+                nearest, found = first.min(), int(bodies[first.argmin()])
+        return found
+
+    def owner(self, name: str, row: int, point: np.ndarray) -> tuple[str, int] | None:
+        """The body or particle that a row of instances shows, and of a surface the particle
+        nearest to a point; None when it shows neither.
+        """
+        item = self.scene.instances.get(name)
+        for instances, bodies in self._bodies:
+            if instances is item:
+                return ("body", int(bodies[row])) if row < len(bodies) else None
+        if name == "model/particles":
+            return "particle", int(self.shown[row])
+        if name == "model/surface":
+            away = np.linalg.norm(self.scene.meshes[name].points.values - point, axis=1)
+            return "particle", int(away.argmin())
+        return None
 
     def _add_particles(self) -> None:
         radius = self.get("particle_radius", 0)

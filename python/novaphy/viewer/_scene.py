@@ -13,7 +13,7 @@ import numpy as np
 
 IDENTITY = np.array([0, 0, 0, 0, 0, 0, 1], np.float32)
 GREY = (0.62, 0.64, 0.67)
-CHECKER = 1.0  # the fourth number of a colour: the surface has a checker pattern
+CHECKER = 0.12  # the fourth number of a colour: how much darker every other field of a checker is
 
 
 def f32(values: Any) -> np.ndarray:
@@ -134,11 +134,16 @@ class Mesh:
         ):
             self.normals.set(smooth_normals(points, indices))
 
+    def box(self) -> tuple[np.ndarray, np.ndarray]:
+        """The lower and upper corner of its points."""
+        points = self.points.values
+        return points.min(axis=0, initial=np.inf), points.max(axis=0, initial=-np.inf)
+
 
 class Instances:
     """Copies of a mesh: poses {n, 7} of bodies, and on them local poses, scales {n, 4}, colours.
 
-    A colour is red, green, blue and whether the surface is a CHECKER.
+    A colour is red, green, blue and the contrast of a checker on the surface (0: none).
     """
 
     fields = ("poses", "local", "scales", "colors")

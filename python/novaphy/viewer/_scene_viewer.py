@@ -95,6 +95,19 @@ class SceneViewer(Viewer):
         if self._model_scene is not None:
             self._model_scene.offsets = self._offsets
 
+    def set_shape_colors(self, shapes: ArrayLike, colors: ArrayLike) -> None:
+        """Show shapes {n} of the model in colours {n, 3}, and all others in their own.
+
+        Colours {n, 4} have as their fourth number the contrast of a checker (0 to 1, 0: none).
+        ValueError for a shape that is none, or without a model.
+        """
+        if self._model_scene is None:
+            raise ValueError("set_shape_colors: expected a model before, got none: call set_model")
+        numbers = as_array(shapes, 1, "set_shape_colors, shapes", np.int32).ravel()
+        width = 4 if np.shape(colors)[-1:] == (4,) else 3
+        rows = per_row(colors, len(numbers), width, GREY, "set_shape_colors, colors")
+        self._model_scene.color_shapes(numbers, np.pad(rows, ((0, 0), (0, 4 - width))))
+
     def begin_frame(self, t: float) -> None:
         """Start a frame at time `t` (s)."""
         super().begin_frame(t)
@@ -136,6 +149,17 @@ class SceneViewer(Viewer):
         starts, ends = contact_segments(self._model_scene.arrays, contacts, q, p)
         self.log_points("contacts/points", starts, CONTACT_POINT, CONTACT_COLOR)
         self.log_arrows("contacts/arrows", starts, ends, CONTACT_COLOR, CONTACT_WIDTH)
+
+    def body_at(self, origin: ArrayLike, ray: ArrayLike) -> int | None:
+        """The body whose shapes a ray meets first, each taken as its box; None when it meets none.
+
+        Args:
+            origin: where the ray begins {3} (m).
+            ray: its direction {3}.
+        """
+        if self._model_scene is None:
+            return None
+        return self._model_scene.body_at(np.asarray(origin), np.asarray(ray))
 
     def log_mesh(
         self,

@@ -52,11 +52,11 @@ void main() {
   float facing = max(dot(n, light), 0.0);
   float sun = facing * lit(1.0 - facing);
   vec3 base = tint.rgb;
-  if (tint.a > 0.5) base *= mix(0.88, 1.0, checker(pattern / cell));
+  if (tint.a > 0.0) base *= mix(1.0 - tint.a, 1.0, checker(pattern / cell));
   vec3 sky = mix(vec3(0.42, 0.41, 0.40), vec3(0.56, 0.58, 0.61), 0.5 + 0.5 * dot(n, up));
-  float gloss = tint.a > 0.5 ? 0.0 : 0.18 * pow(max(dot(n, normalize(light + to_eye)), 0.0), 40.0);
+  float gloss = tint.a > 0.0 ? 0.0 : 0.18 * pow(max(dot(n, normalize(light + to_eye)), 0.0), 40.0);
   vec3 shade = base * (sky + 0.56 * sun) + gloss * sun;
-  float far = tint.a > 0.5 ? smoothstep(0.35, 1.0, distance(world, target) / reach) : 0.0;
+  float far = tint.a > 0.0 ? smoothstep(0.35, 1.0, distance(world, target) / reach) : 0.0;
   pixel = vec4(mix(shade, haze, far), 1.0);
 }
 """

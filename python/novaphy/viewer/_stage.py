@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 EARLIER = 32  # paths of earlier iterations that stay
 PATH_POINTS = 241  # of a path that are drawn
 OLDEST, RECENT = f32([0.80, 0.84, 0.89]), f32([0.33, 0.53, 0.78])
-PRESENT, TARGET = (0.84, 0.25, 0.10), (0.80, 0.08, 0.15)
+PRESENT, TARGET = (0.86, 0.15, 0.10), (0.80, 0.08, 0.15)
 RECORDED_SIZE = (960, 540)
 ENDINGS = (".html", ".nprec", ".png", *CODECS)
 
@@ -173,6 +173,11 @@ class Stage:
         """Show a point that something should reach (m)."""
         for viewer in self.viewers:
             viewer.log_points(name, [point], radius, TARGET)
+
+    def set_shape_colors(self, shapes: ArrayLike, colors: ArrayLike) -> None:
+        """Show shapes {n} of the model in colours {n, 3} or {n, 4} (Viewer.set_shape_colors)."""
+        for viewer in self.viewers:
+            viewer.set_shape_colors(shapes, colors)
 
     def frames(self, count: int) -> Iterator[int]:
         """The numbers of frames 1, 2, ..., each when the simulation should advance."""

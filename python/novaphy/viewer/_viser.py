@@ -10,16 +10,19 @@ from typing import Any
 
 import numpy as np
 
+from .._core import SimState
 from ._camera import FIELD_OF_VIEW
+from ._drag import Drag
 from ._model_scene import INFINITE
 from ._needs import needs
 from ._overlay import curve_picture
-from ._scene import CHECKER, Instances, Lines, compose, f32
+from ._scene import IDENTITY, Instances, Lines, Mesh, compose, f32
 from ._scene_viewer import SceneViewer
 
 SEND_RATE = 30.0  # frames per second that are sent at most
 PORTS_TRIED = 10
 DARKER = 1.7
+STRONG, FIELDS = 0.5, 20  # from this contrast on a checker has fields, this far (m), not lines
 LOCAL = ("127.0.0.1", "localhost", "::1")
 
 
@@ -27,7 +30,7 @@ class ViewerViser(SceneViewer):
     """Serves a page at which any number of browsers look.
 
     The page pauses, steps, resets, goes through the last frames by a slider, and has a slider for
-    every parameter that add_slider registers.
+    every parameter that add_slider registers. Control and drag pulls a body or particle.
 
     Attributes:
         port: the port that is used.
@@ -75,6 +78,7 @@ class ViewerViser(SceneViewer):
         self._drawn_curves: dict[str, tuple[bytes, np.ndarray]] = {}
         self._past: list[dict[str, Any]] = []
         self._shown_past: int | None = None
+        self._drag = Drag(self)
         self._lock = threading.RLock()  # handlers of the page run in threads of viser
         self._make_panel()
 
@@ -106,8 +110,7 @@ class ViewerViser(SceneViewer):
             value: to begin with.
             on_change: called in a thread of the server when somebody moves it.
         """
-        if not low < high or not low <= value <= high:
-            raise ValueError(f"add_slider, value: expected {low} <= {value} <= {high}, low < high")
+        super().add_slider(name, low, high, value)
         slider = self._server.gui.add_slider(name, low, high, (high - low) / 1000.0, value)
         if on_change is not None:
             slider.on_update(lambda _: on_change(float(slider.value)))
@@ -218,20 +221,24 @@ class ViewerViser(SceneViewer):
     def _send_instances(self, name: str, item: Instances) -> None:
         mesh = self.scene.meshes[item.mesh]
         fixed = (
-            mesh.points.revision, mesh.indices.revision, item.local.revision, item.culled,
+            len(mesh.points.values), mesh.indices.revision, item.local.revision, item.culled,
             item.scales.revision, item.colors.revision, item.hidden or not item.count,
         )  # fmt: skip
-        handle, seen = self._handles.get(name, (None, (None, None)))
-        if seen == (fixed, item.poses.revision):
+        now = (fixed, mesh.points.revision, item.poses.revision)
+        handle, seen = self._handles.get(name, (None, (None, None, None)))
+        if seen == now:
             return
         poses = compose(item.poses.values, item.local.values)
-        if handle is not None and seen[0] == fixed:
-            handle.move(poses)
-            self._handles[name] = (handle, (fixed, item.poses.revision))
-            return
-        if handle is not None:
-            handle.remove()
-        self._handles[name] = (self._add(name, item, poses), (fixed, item.poses.revision))
+        if handle is None or seen[0] != fixed:
+            if handle is not None:
+                handle.remove()
+            handle = self._add(name, item, poses)
+        else:
+            if seen[1] != now[1]:
+                handle.reshape(mesh)
+            if seen[2] != now[2]:
+                handle.move(poses)
+        self._handles[name] = (handle, now)
 
     def _add(self, name: str, item: Instances, poses: np.ndarray) -> Any:
         """Put instances on the page."""
@@ -240,28 +247,76 @@ class ViewerViser(SceneViewer):
         if item.hidden or not item.count:
             return group
         colors = _shades(item.colors.values[:, :3])
-        if item.mesh == "plane" and item.colors.values[0, 3] == CHECKER:
+        contrast = float(item.colors.values[0, 3])
+        if item.mesh == "plane" and contrast > 0.0:
             size = float(item.scales.values[0, 0])
             grid = scene.add_grid(
                 name, size, size, plane="xy", cell_size=1.0, section_size=10.0,
                 infinite_grid=size >= INFINITE, plane_color=tuple(colors[0]), plane_opacity=1.0,
                 shadow_opacity=0.3, position=poses[0, :3], wxyz=_wxyz(poses)[0],
             )  # fmt: skip
-            return _Group([(grid, None)])
+            group.parts.append((grid, None))
+            if contrast >= STRONG:
+                group.parts.append((self._add_fields(name, contrast, colors[0], poses[0]), None))
+            return group
         # The shift of a capsule is no scale: those of one proportion share a mesh.
         shift, scales = mesh.shift.values, item.scales.values
         ratios = scales[:, 3] / scales[:, 0] if shift.any() else np.zeros(item.count)
         for number, ratio in enumerate(np.unique(ratios)):
             rows = np.flatnonzero(ratios == ratio)
             handle = scene.add_batched_meshes_simple(
-                f"{name}/{number}",
-                mesh.points.values + shift * f32([0.0, 0.0, ratio]),
+                f"{name}/{number}", _stretched(mesh, ratio),
                 mesh.indices.values, _wxyz(poses[rows]), poses[rows, :3],
                 batched_scales=scales[rows, :3], batched_colors=colors[rows],
                 side="front" if item.culled else "double",
             )  # fmt: skip
+            self._let_pull(handle, name.removeprefix("/"), rows)
             group.parts.append((handle, rows))
+            group.ratios.append(ratio)
         return group
+
+    def _add_fields(self, name: str, contrast: float, color: np.ndarray, pose: np.ndarray) -> Any:
+        """The dark fields of a checker, a hair above its plane."""
+        at = np.arange(-FIELDS, FIELDS)
+        x, y = np.meshgrid(at, at, indexing="ij")
+        dark = (x + y) % 2 == 1
+        centre = np.stack([x[dark] + 0.5, y[dark] + 0.5, np.full(dark.sum(), 1e-3)], axis=1)
+        turns = np.tile(_wxyz(IDENTITY[None]), (len(centre), 1))
+        corners = f32([(-0.5, -0.5, 0), (0.5, -0.5, 0), (0.5, 0.5, 0), (-0.5, 0.5, 0)])
+        return self._server.scene.add_batched_meshes_simple(
+            f"{name}/fields", corners, np.array([(0, 1, 2), (0, 2, 3)]), turns, f32(centre),
+            batched_colors=np.round(color * (1.0 - contrast)).astype(np.uint8),
+            cast_shadow=False, position=pose[:3], wxyz=_wxyz(pose[None])[0],
+        )  # fmt: skip
+
+    def _let_pull(self, handle: Any, name: str, rows: np.ndarray) -> None:
+        """Let the pointer, with control, pull what a handle shows of the model."""
+        if not name.startswith("model/"):
+            return
+
+        def pull(event: Any) -> None:
+            with self._lock:
+                start = np.array(event.start_position)
+                if event.phase == "start" and self._model_scene is not None:
+                    row = int(rows[event.instance_index or 0])
+                    item = self._model_scene.owner(name, row, start)
+                    if item is not None:
+                        self._drag.hold(item, start)
+                if event.phase == "end":
+                    self._drag.stop()
+                elif self._drag.item is not None:
+                    self._drag.pull(np.array(event.end_position))
+
+        handle.on_drag("left", modifier="cmd/ctrl")(pull)
+
+    def apply_forces(self, state: SimState) -> None:
+        """Add the pull of a pointer to a state's particle_f or body_f."""
+        with self._lock:
+            self._drag.apply(state)
+
+    def is_key_down(self, key: str | int) -> bool:
+        """NotImplementedError: a page tells of no keys."""
+        raise NotImplementedError("is_key_down: the page of ViewerViser tells of no keys")
 
     def _send_lines(self, name: str, item: Lines) -> None:
         seen = (
@@ -294,6 +349,12 @@ class _Group:
 
     def __init__(self, parts: Sequence[tuple[Any, np.ndarray | None]] = ()) -> None:
         self.parts = list(parts)
+        self.ratios: list[float] = []  # of the meshes of a part
+
+    def reshape(self, mesh: Mesh) -> None:
+        """Give the points of a mesh new places."""
+        for (handle, _), ratio in zip(self.parts, self.ratios, strict=False):
+            handle.vertices = _stretched(mesh, ratio)
 
     def move(self, poses: np.ndarray) -> None:
         """Give instances new poses."""
@@ -308,6 +369,11 @@ class _Group:
         """Take them from the page."""
         for handle, _ in self.parts:
             handle.remove()
+
+
+def _stretched(mesh: Mesh, ratio: float) -> np.ndarray:
+    """The points of a mesh, its halves shifted along z."""
+    return mesh.points.values + mesh.shift.values * f32([0.0, 0.0, ratio])
 
 
 def _shades(colors: np.ndarray) -> np.ndarray:

@@ -1,0 +1,114 @@
+"""Picking a body or particle with the pointer, and pulling it by a spring."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from .._core import SimState
+
+if TYPE_CHECKING:
+    from ._scene_viewer import SceneViewer
+
+DRAG_RATE = 6.0  # 1/s: the pull is that of a critically damped spring of this frequency
+PICK_PIXELS = 40.0
+
+
+class Drag:
+    """A body or particle on a spring to a point that the pointer moves."""
+
+    def __init__(self, viewer: SceneViewer) -> None:
+        """Hold nothing."""
+        self.viewer = viewer
+        self.item: tuple[str, int] | None = None  # "body" or "particle", and which
+        self.goal = np.zeros(3)
+        self.grip = np.zeros(3)  # from the point under the pointer to where the item is
+        self.depth = 0.0
+
+    def candidates(self) -> list[tuple[str, int, np.ndarray]]:
+        """The bodies and particles of the last state: kind, number, place."""
+        latest = self.viewer.latest_state
+        out = [("body", k, row[:3]) for k, row in enumerate(latest.get("body_q", ()))]
+        return out + [("particle", k, row) for k, row in enumerate(latest.get("particle_q", ()))]
+
+    def place(self, item: tuple[str, int]) -> np.ndarray:
+        """Where a body or particle of the last state is."""
+        rows = self.viewer.latest_state[f"{item[0]}_q"]
+        return np.asarray(rows[item[1]][:3], np.float64)
+
+    def pick(self, x: float, y: float, size: tuple[int, int]) -> tuple[str, int, np.ndarray] | None:
+        """What is at a pixel: the nearest body there, else what is nearest within PICK_PIXELS."""
+        found = self.candidates()
+        if not found:
+            return None
+        camera = self.viewer.camera
+        body = self.viewer.body_at(camera.pos, camera.ray(x, y, *size))
+        if body is not None:
+            return found[body]
+        pixels = camera.project(np.array([place for _, _, place in found]), *size)
+        away = np.linalg.norm(pixels - (x, y), axis=1)
+        nearest = int(np.argmin(away))
+        return found[nearest] if away[nearest] < PICK_PIXELS else None
+
+    def start(self, x: float, y: float, size: tuple[int, int]) -> None:
+        """Take hold of what is under a pixel."""
+        found = self.pick(x, y, size)
+        if found is not None:
+            camera = self.viewer.camera
+            self.depth = float((found[2] - camera.pos) @ camera.forward)
+            self.hold(found[:2], self._point(x, y, size))
+
+    def hold(self, item: tuple[str, int], point: np.ndarray) -> None:
+        """Take hold of something at a point of it."""
+        self.grip = self.place(item) - point
+        self.item = item
+        self.pull(point)
+
+    def move(self, x: float, y: float, size: tuple[int, int]) -> None:
+        """Pull towards a pixel, as far away as what is held was."""
+        self.pull(self._point(x, y, size))
+
+    def pull(self, point: np.ndarray) -> None:
+        """Pull what is held so that its grip comes to a point."""
+        self.goal = point + self.grip
+
+    def stop(self) -> None:
+        """Let go."""
+        self.item = None
+
+    def _point(self, x: float, y: float, size: tuple[int, int]) -> np.ndarray:
+        camera = self.viewer.camera
+        ray = camera.ray(x, y, *size)
+        return np.asarray(camera.pos + ray * (self.depth / (ray @ camera.forward)))
+
+    def nearest_to_middle(self) -> int | None:
+        """The candidate nearest to the middle of the picture."""
+        found = self.candidates()
+        if not found:
+            return None
+        target = self.viewer.camera.target
+        return int(np.argmin([np.linalg.norm(place - target) for _, _, place in found]))
+
+    def look_at(self, number: int) -> None:
+        """Keep a candidate in the middle."""
+        found = self.candidates()
+        if number < len(found):
+            self.viewer.camera.target = np.asarray(found[number][2], np.float64)
+
+    def apply(self, state: SimState) -> None:
+        """Add m (w² (goal - x) - 2 w v) to the forces of what is held, w = DRAG_RATE."""
+        model, item = self.viewer.model, self.item
+        if item is None or model is None:
+            return
+        kind, k = item
+        place, velocity, force, mass = (
+            (state.body_q, state.body_qd, state.body_f, model.body_mass)
+            if kind == "body"
+            else (state.particle_q, state.particle_qd, state.particle_f, model.particle_mass)
+        )
+        x, v = place.numpy()[k, :3], velocity.numpy()[k, :3]
+        pull = DRAG_RATE**2 * (self.goal - x) - 2.0 * DRAG_RATE * v
+        rows = force.numpy()
+        rows[k, :3] += float(mass.numpy()[k]) * pull
+        force.assign(rows)

@@ -40,6 +40,7 @@ complete -o filenames -F _novaphy novaphy
 OPTIONAL = {
     "moderngl": ("gl", "ViewerGL"),
     "pyglet": ("gl", "the window of ViewerGL"),
+    "imgui-bundle": ("panel", "the panel in the window of ViewerGL"),
     "viser": ("web", "ViewerViser"),
     "matplotlib": ("demos", "--plot of the demos"),
     "tqdm": ("demos", "progress bars"),

@@ -262,10 +262,12 @@ def test_nothing_is_imported_before_it_is_needed():
 
 
 WINDOW = """
-import numpy as np, novaphy
+import sys, numpy as np, novaphy
+sys.modules["imgui_bundle"] = None  # keys and text without a panel
 from test_viewer_gl import bodies, show
 model = bodies(1)
 viewer = novaphy.ViewerGL(width=320, height=240)
+viewer.waits = True
 viewer.set_model(model)
 state = model.state()
 frame = show(viewer, state)
@@ -273,7 +275,6 @@ assert frame.shape == (240, 320, 3) and len(np.unique(frame.reshape(-1, 3), axis
 window, key = viewer._window, viewer._window.key
 screens, flip = [], window.window.flip
 window.window.flip = lambda: (screens.append(viewer._context.screen.read(alignment=1)), flip())
-viewer._drawn_at = 0.0
 frame = show(viewer, state)
 assert np.array_equal(np.frombuffer(screens[0], np.uint8).reshape(240, 320, 3)[::-1], frame)
 window.on_key_press(key.SPACE, 0)
@@ -283,6 +284,15 @@ assert viewer.should_step() and not viewer.should_step()
 window.on_key_press(key.R, 0)
 assert viewer.reset_requested
 window.on_key_press(key.SPACE, 0)
+moved = []
+value = viewer.add_slider("stiffness", 0.0, 10.0, 2.0, moved.append)
+window.on_key_press(key.TAB, 0)
+window.on_key_press(key.RIGHT, 0)
+assert abs(value() - 2.1) < 1e-9 and moved == [value()]
+window.on_key_press(key.LEFT, 0)
+assert abs(value() - 2.0) < 1e-9
+before = np.count_nonzero(frame != show(viewer, state))
+assert before > 50  # its name and number are in the text
 distance = viewer.camera.distance
 window.on_mouse_scroll(10, 10, 0, 1)
 assert viewer.camera.distance < distance
@@ -300,9 +310,119 @@ viewer.close()
 print("done")
 """
 
+PANEL = """
+import numpy as np, novaphy
+from test_viewer_gl import bodies, show
+model = bodies(1)
+viewer = novaphy.ViewerGL(width=640, height=400)
+viewer.waits = True
+viewer.set_model(model)
+state = model.state()
+moved = []
+value = viewer.add_slider("stiffness", 0.0, 10.0, 2.0, moved.append)
+window = viewer._window.window
+screens, flip = [], window.flip
+window.flip = lambda: (screens.append(viewer._context.screen.read(alignment=1)), flip())
+frame = show(viewer, state)
+show(viewer, state)
+screen = np.frombuffer(screens[-1], np.uint8).reshape(400, 640, 3)[::-1]
+changed = (screen != frame).any(axis=2)
+changed[:, :320] = False  # where the text is, with times of its own
+rows, columns = np.flatnonzero(changed.any(axis=1)), np.flatnonzero(changed.any(axis=0))
+assert 60 < np.ptp(rows) < 250 and 150 < np.ptp(columns) < 300
 
-def test_a_real_window_takes_keys_and_the_pointer(egl):
+def click(x, y, to=None):
+    window.dispatch_event("on_mouse_motion", x, 399 - y, 0, 0)
+    show(viewer, state)
+    window.dispatch_event("on_mouse_press", x, 399 - y, 1, 0)
+    show(viewer, state)
+    if to is not None:
+        window.dispatch_event("on_mouse_drag", to, 399 - y, to - x, 0, 1, 0)
+        show(viewer, state)
+    window.dispatch_event("on_mouse_release", x if to is None else to, 399 - y, 1, 0)
+    show(viewer, state)
+
+camera = (viewer.camera.yaw, viewer.camera.pitch, tuple(viewer.camera.target))
+left = int(columns.min()) + 16
+for y in range(int(rows.min()) + 24, int(rows.max()), 6):
+    click(left, y)
+    if viewer.is_paused():
+        break
+assert viewer.is_paused()
+click(left, y)
+assert not viewer.is_paused()
+for y in range(y + 24, int(rows.max()), 6):
+    click(left + 30, y, left + 60)
+    if moved:
+        break
+assert moved and moved[-1] == value() > 2.5, moved
+assert camera == (viewer.camera.yaw, viewer.camera.pitch, tuple(viewer.camera.target))
+window.dispatch_event("on_mouse_motion", 100, 100, 0, 0)
+for _ in range(3):  # imgui takes one event of a kind a frame
+    show(viewer, state)
+window.dispatch_event("on_mouse_press", 100, 100, 1, 0)
+window.dispatch_event("on_mouse_drag", 140, 100, 40, 0, 1, 0)
+show(viewer, state)
+assert viewer.camera.yaw != camera[0]
+viewer.close()
+print("done")
+"""
+
+CYCLES = """
+import os, numpy as np, novaphy
+from pathlib import Path
+from test_viewer_gl import bodies, show
+model = bodies(10)
+seen = []
+for k in range(24):
+    with novaphy.ViewerGL(width=160, height=120) as viewer:
+        viewer.waits = True
+        viewer.set_model(model)
+        show(viewer, model.state())
+    if k % 4 == 3:
+        pages = int(Path("/proc/self/statm").read_text().split()[1])
+        seen.append((len(os.listdir("/proc/self/fd")), pages * os.sysconf("SC_PAGE_SIZE")))
+descriptors, memory = zip(*seen)
+assert descriptors[-1] <= descriptors[0], seen
+assert memory[-1] - memory[1] < 16e6, seen  # the map of shadows alone has as much
+print("done")
+"""
+
+SLOW = """
+import time, novaphy
+from test_viewer_gl import bodies
+model = bodies(10)
+viewer = novaphy.ViewerGL(width=160, height=120)
+viewer.set_model(model)
+state = model.state()
+pictures, draw = [], viewer.draw
+viewer.draw = lambda: (pictures.append(time.sleep(0.05)), draw())
+steps, end = 0, time.perf_counter() + 2.0
+while time.perf_counter() < end:
+    viewer.begin_frame(steps)
+    viewer.log_state(state)
+    viewer.end_frame()
+    time.sleep(1e-3)
+    steps += 1
+assert 2 <= len(pictures) <= 10 and steps > 40 * len(pictures), (len(pictures), steps)
+viewer.waits = True
+before, steps = len(pictures), 0
+for steps in range(8):
+    viewer.end_frame()
+assert 7 <= len(pictures) - before <= 8, (before, len(pictures))
+viewer.close()
+print("done")
+"""
+
+
+@pytest.mark.parametrize(
+    ("program", "package"),
+    [(WINDOW, "pyglet"), (PANEL, "imgui_bundle"), (CYCLES, "pyglet"), (SLOW, "pyglet")],
+    ids=["keys and the pointer", "panel", "opened and closed", "slow"],
+)
+def test_a_real_window(egl, program, package):
     pytest.importorskip("pyglet")
+    pytest.importorskip(package)
     if shutil.which("Xvfb") is None:
         pytest.skip("no X server: apt-get install xvfb")
     read, write = os.pipe()
@@ -315,8 +435,9 @@ def test_a_real_window_takes_keys_and_the_pointer(egl):
         with os.fdopen(read) as pipe:
             display = pipe.readline().strip()
         environ = os.environ | {"DISPLAY": f":{display}", "LIBGL_ALWAYS_SOFTWARE": "1"}
+        environ["MALLOC_MMAP_THRESHOLD_"] = str(1 << 20)  # what is freed leaves the process
         done = subprocess.run(
-            [sys.executable, "-c", WINDOW], capture_output=True, text=True, timeout=120,
+            [sys.executable, "-c", program], capture_output=True, text=True, timeout=120,
             env=environ, cwd=Path(__file__).parent,
         )  # fmt: skip
     finally:

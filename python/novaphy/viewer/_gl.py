@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import time
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,8 @@ from ._scene_viewer import SceneViewer
 from ._video import Video
 
 DISPLAY_RATE = 60.0  # pictures per second that a window shows at most
+SHARE = 0.25  # of the time that a program gives to its window at most, unless it waits
+GRACE = 2e-3  # s: how long a program waits for its picture, so that a fast one is seen at once
 
 
 class ViewerGL(SceneViewer):
@@ -25,13 +28,18 @@ class ViewerGL(SceneViewer):
 
     The window: drag to turn, with the right button to move, wheel to zoom; control and drag pulls
     a body or particle (see apply_forces); space pauses, N steps, R resets, F follows, H hides the
-    text, J shows joints, E the energy, P saves a picture, escape closes.
+    text, J shows joints, E the energy, P saves a picture, escape closes; tab chooses a slider, the
+    left and right arrow move it. With imgui-bundle a panel has switches and sliders.
 
     Attributes:
         show_text: whether the box with time and scalars is drawn.
         curve: the scalar whose curve is drawn below it.
         reset_requested: set by R, until the caller sets it to False.
         draw_calls: draw calls of the last picture.
+        waits: whether a window shows every frame, at most DISPLAY_RATE a second, and the program
+            waits for it. Otherwise frames are left out: those that come while the last picture is
+            drawn, and where the drawing would take more than a quarter of the program's time.
+        sliders: what add_slider registered.
     """
 
     def __init__(
@@ -53,10 +61,13 @@ class ViewerGL(SceneViewer):
         self.show_text = True
         self.curve = "loss"
         self.reset_requested = False
+        self.waits = False
+        self.sliders: list[Slider] = []
+        self.slider: int | None = None  # the one that keys move
         self._paused = paused
         self._window: Any = None
         self._video: Video | None = None
-        self._drawn_at = self._frame_at = 0.0
+        self._due = self._frame_at = 0.0
         self._frame_ms: float | None = None
         self._drawn: tuple[Any, ...] | None = None  # what the last picture depends on besides
         if headless:
@@ -81,21 +92,39 @@ class ViewerGL(SceneViewer):
         return int(width), int(height)
 
     def end_frame(self) -> None:
-        """Show the frame: at once without a window, else at most at the rate of a display."""
+        """Show the frame: at once without a window, else at most at the rate of a display.
+
+        In a window the program goes on while the picture is drawn, unless it `waits`.
+        """
         now = time.perf_counter()
         if self._frame_at:
             self._frame_ms = 1e3 * (now - self._frame_at)
         self._frame_at = now
         self._drawn = None
         if self._window is not None:
-            if now - self._drawn_at >= 1.0 / DISPLAY_RATE:
-                self._drawn_at = now
-                self.draw()
-                self._window.show(self._renderer)
+            self._show(now)
             if self._paused:
                 time.sleep(1.0 / DISPLAY_RATE)
         if self._video is not None:
             self._video.add(self.get_frame())
+
+    def _show(self, now: float) -> None:
+        """Bring the last picture to the screen, and begin the next if it is due."""
+        window = self._window
+        window.show_finished(self._renderer)
+        if self._running and not window.is_drawing:
+            early = self._due - now
+            if self.waits and early > 0.0:
+                time.sleep(early)
+            if self.waits or early <= 0.0:
+                begin = time.perf_counter()
+                self.draw()
+                window.start()
+                window.show_finished(self._renderer, self.waits, GRACE)
+                self._due = begin + 1.0 / DISPLAY_RATE
+                if not self.waits:
+                    cost = time.perf_counter() - begin
+                    self._due = max(self._due, begin + cost / SHARE)
 
     def draw(self) -> None:
         """Draw the scene as it is now."""
@@ -105,6 +134,11 @@ class ViewerGL(SceneViewer):
             lines = self.texts(self._paused)
             if self._window is not None and self._frame_ms is not None:
                 lines.insert(1, f"frame {self._frame_ms:7.1f} ms")
+            if self._window is None or self._window.panel is None:
+                lines += [
+                    f"{'>' if k == self.slider else ' '} {slider.name} {slider.value:.6g}"
+                    for k, slider in enumerate(self.sliders)
+                ]
             box = overlay(self.scene, lines, self.curve)
         self._renderer.draw(self.scene, self.camera, box)
         self._drawn = self._look()
@@ -148,6 +182,28 @@ class ViewerGL(SceneViewer):
         """Whether a key is held: its name ("space", "a"), or pyglet's number."""
         return self._window is not None and self._window.is_key_down(key)
 
+    def add_slider(
+        self,
+        name: str,
+        low: float,
+        high: float,
+        value: float,
+        on_change: Callable[[float], object] | None = None,
+    ) -> Callable[[], float]:
+        """Give the window a slider; returns what gives its value.
+
+        Args:
+            name: beside the slider.
+            low: the smallest value.
+            high: the largest value. ValueError unless low < high and value is between.
+            value: to begin with.
+            on_change: called in end_frame when somebody moves it.
+        """
+        super().add_slider(name, low, high, value)
+        slider = Slider(name, low, high, value, on_change)
+        self.sliders.append(slider)
+        return lambda: slider.value
+
     def apply_forces(self, state: SimState) -> None:
         """Add the pull of the pointer to a state's particle_f or body_f."""
         if self._window is not None:
@@ -165,6 +221,32 @@ class ViewerGL(SceneViewer):
             if self._window is not None:
                 self._window.close()
             self._context.release()
+
+
+class Slider:
+    """A number that the user moves."""
+
+    def __init__(
+        self,
+        name: str,
+        low: float,
+        high: float,
+        value: float,
+        on_change: Callable[[float], object] | None,
+    ) -> None:
+        """Start at a value."""
+        self.name, self.low, self.high = name, float(low), float(high)
+        self.value, self.on_change = float(value), on_change
+
+    def set(self, value: float) -> None:
+        """Move it, within its ends."""
+        self.value = min(max(float(value), self.low), self.high)
+        if self.on_change is not None:
+            self.on_change(self.value)
+
+    def step(self, steps: int) -> None:
+        """Move it by hundredths of its way."""
+        self.set(self.value + steps * (self.high - self.low) / 100.0)
 
 
 def _headless_context() -> Any:

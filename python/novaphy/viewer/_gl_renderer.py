@@ -51,12 +51,7 @@ class Renderer:
         """Draw pictures of this size from now on."""
         if self.target is not None and self.target.size == (width, height):
             return
-        for old in (self.target, self.resolved):
-            if old is not None:
-                for attachment in (*old.color_attachments, old.depth_attachment):
-                    if attachment is not None:
-                        attachment.release()
-                old.release()
+        self._release_targets()
         make, size = self.context.renderbuffer, (width, height)
         self.target = self.context.framebuffer(
             [make(size, 4, samples=self.samples)],
@@ -117,6 +112,17 @@ class Renderer:
             for drawable in group.values():
                 drawable.release()
             group.clear()
+        self._release_targets()
+        self.shadow_target.release()
+        self.shadow.release()
+
+    def _release_targets(self) -> None:
+        for old in (self.target, self.resolved):
+            if old is not None:
+                for attachment in (*old.color_attachments, old.depth_attachment):
+                    if attachment is not None:
+                        attachment.release()
+                old.release()
 
     def _render(self, array: Any, count: int) -> None:
         array.render(self._mode(array), instances=count)

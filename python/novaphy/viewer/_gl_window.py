@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import os
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from ._drag import Drag
+from ._gl_panel import Panel, imgui_module
 from ._needs import MissingPackageError, needs
 
 if TYPE_CHECKING:
@@ -26,6 +27,9 @@ class Window:
                 "headless=True draws without one"
             )
         pyglet.options["shadow_window"] = False
+        pyglet.options["debug_gl"] = (
+            False  # it asks for errors, those of moderngl too, in each call
+        )
         try:
             config = pyglet.gl.Config(double_buffer=True, major_version=3, minor_version=3)
             self.window = pyglet.window.Window(
@@ -43,17 +47,52 @@ class Window:
         self.drag = Drag(viewer)
         self.followed: int | None = None
         self._held: set[int] = set()
+        self._gl = pyglet.gl
+        self._shown = False
+        self._fence: Any = None  # passed once the picture that was started is drawn
         self.window.push_handlers(
             self.on_key_press, self.on_key_release, self.on_mouse_press, self.on_mouse_release,
             self.on_mouse_drag, self.on_mouse_scroll, self.on_close,
         )  # fmt: skip
+        imgui = imgui_module()
+        self.panel = None if imgui is None else Panel(viewer, self.window, self.context, imgui)
 
-    def show(self, renderer: Renderer) -> None:
-        """Bring the picture to the screen and handle what happened since the last one."""
+    @property
+    def is_drawing(self) -> bool:
+        """Whether a picture was started that is not on the screen yet."""
+        return self._fence is not None
+
+    def start(self) -> None:
+        """Say that a picture was given to the GPU, which draws it while the program goes on."""
+        self._fence = self._gl.glFenceSync(self._gl.GL_SYNC_GPU_COMMANDS_COMPLETE, 0)
+        self._gl.glFlush()
+
+    def show_finished(self, renderer: Renderer, wait: bool = False, grace: float = 0.0) -> None:
+        """Bring the picture that was started to the screen, and handle events.
+
+        Nothing happens while it is not drawn, after `grace` s, unless told to `wait`.
+        """
+        if self._fence is None:
+            return
+        gl = self._gl
+        passed = (gl.GL_ALREADY_SIGNALED, gl.GL_CONDITION_SATISFIED)
+        wait = wait or not self._shown
+        timeout = 10**9 if wait else int(1e9 * grace)  # ns
+        while gl.glClientWaitSync(self._fence, 0, timeout) not in passed:
+            if not wait:
+                return
+        gl.glDeleteSync(self._fence)
+        self._fence, self._shown = None, True
+        self._show(renderer)
+
+    def _show(self, renderer: Renderer) -> None:
         self.window.switch_to()
         self.context.screen.use()
         screen = self.context.detect_framebuffer()  # its size now, which the user may have changed
         self.context.copy_framebuffer(screen, renderer.resolved)
+        if self.panel is not None:
+            screen.use()
+            self.panel.draw()
         self.window.flip()
         self.window.dispatch_events()
         if not self.viewer.is_running():
@@ -64,6 +103,11 @@ class Window:
 
     def close(self) -> None:
         """Close the window."""
+        if self._fence is not None:
+            self._gl.glDeleteSync(self._fence)
+            self._fence = None
+        if self.panel is not None:
+            self.panel.close()
         self.window.close()
 
     def is_key_down(self, key: str | int) -> bool:
@@ -97,6 +141,12 @@ class Window:
             viewer.save_picture(_free_name("novaphy", ".png"))
         elif symbol == key.F:
             self.followed = None if self.followed is not None else self.drag.nearest_to_middle()
+        elif symbol == key.TAB and viewer.sliders:
+            viewer.slider = (
+                0 if viewer.slider is None else (viewer.slider + 1) % len(viewer.sliders)
+            )
+        elif symbol in (key.LEFT, key.RIGHT) and viewer.sliders:
+            viewer.sliders[viewer.slider or 0].step(1 if symbol == key.RIGHT else -1)
         elif symbol == key.ESCAPE:
             return self.on_close()
         return True

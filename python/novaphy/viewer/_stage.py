@@ -154,6 +154,7 @@ class Stage:
                 made.append(self._screen)
             elif args.live:
                 self._screen = painter = create_viewer("gl")
+                painter.waits = True  # every frame of a rollout is seen
                 made.append(painter)
         except MissingPackageError as error:
             print(f"{error}; going on without a window", file=sys.stderr)

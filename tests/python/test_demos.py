@@ -15,7 +15,7 @@ import pytest
 import novaphy
 from novaphy import viewer
 from novaphy._command import start_demo
-from novaphy.viewer import Viewer
+from novaphy.viewer._scene_viewer import SceneViewer
 
 DEMOS = Path(__file__).parents[2] / "python" / "demos" / "diff"
 
@@ -190,35 +190,80 @@ def test_a_demo_without_a_display_says_so_and_goes_on(tmp_path):
     assert done.stderr.count("\n") == 1 and done.stderr.endswith("; going on without a window\n")
 
 
-class Recorder(Viewer):
-    """Keeps what a demo shows."""
+class Recorder(SceneViewer):
+    """Keeps the calls of a demo, and the scene that they make."""
 
     def __init__(self):
         """Start without any."""
         super().__init__()
         self.states: list[float] = []
-        self.present: list[tuple[np.ndarray, np.ndarray]] = []
-        self.earlier: list[tuple[np.ndarray, np.ndarray]] = []
+        self.lines: dict[str, list[tuple[np.ndarray, np.ndarray]]] = {}
         self.marks: list[str] = []
         self.losses: list[float] = []
+        self.body_q: list[np.ndarray] = []
+        self.frames = 0
 
     def log_state(self, state):
-        """Keep the time."""
+        """Keep the time and the bodies."""
+        super().log_state(state)
         self.states.append(self.time)
+        self.body_q.append(state.body_q.numpy())
 
     def log_points(self, name, points, radii=None, colors=None, hidden=False):
         """Keep the name."""
+        super().log_points(name, points, radii, colors, hidden)
         self.marks.append(name)
 
     def log_scalar(self, name, value):
         """Keep a loss."""
+        super().log_scalar(name, value)
         if name == "loss":
             self.losses.append(value)
 
     def log_lines(self, name, starts, ends, colors, width=0.01, hidden=False):
         """Keep the way and its colours."""
+        super().log_lines(name, starts, ends, colors, width, hidden)
         drawn = (np.array(starts), np.broadcast_to(np.float32(colors), np.shape(starts)))
-        (self.present if name == "path" else self.earlier).append(drawn)
+        self.lines.setdefault(name, []).append(drawn)
+
+    def end_frame(self):
+        """Count the frame."""
+        self.frames += 1
+
+
+def recorded(monkeypatch, script: Path, options: list[str]) -> Recorder:
+    """What a demo shows."""
+    recorder = Recorder()
+
+    class Recorded(viewer.Stage):
+        """Shows everything to the recorder."""
+
+        def __init__(self, args, model, **options):
+            super().__init__(args, model, viewers=[recorder], **options)
+
+    monkeypatch.setattr(viewer, "Stage", Recorded)
+    assert start_demo(script, options) == 0
+    return recorder
+
+
+def check_ways(recorder: Recorder, name: str, shown: int, points: int) -> None:
+    """A way in the present colour for every iteration shown, and before it the earlier ones."""
+    present, earlier = recorder.lines[name], recorder.lines.get(f"{name}/earlier", [])
+    assert len(present) == shown and len(earlier) == shown - 1
+    for k, (way, colors) in enumerate(present):
+        assert way.shape == (points, 3)
+        np.testing.assert_allclose(colors, np.tile(viewer._stage.PRESENT, (points, 1)))
+        if k:
+            former, shades = earlier[k - 1]
+            kept = min(k, viewer._stage.EARLIER)
+            assert len(former) == kept * points
+            for age in range(1, kept + 1):
+                start = (kept - age) * points
+                expected = present[k - age][0]
+                np.testing.assert_array_equal(former[start : start + points], expected)
+            np.testing.assert_allclose(shades[-1], viewer._stage.RECENT, atol=1e-6)
+            assert np.all(np.diff(shades.sum(axis=1)) <= 1e-6)  # the older, the paler
+            assert len(np.unique(shades, axis=0)) == kept
 
 
 @pytest.mark.parametrize(
@@ -229,37 +274,84 @@ class Recorder(Viewer):
         ("cloth", 6, 3, 121, 240),
         ("spring_cage", 7, 3, 31, 30),
         ("dice", 2, 3, 49, 240),
+        ("featherstone", 2, 3, 37, 240),
+        ("pendulum", 2, 3, None, None),
+        ("push", 2, 3, None, None),
+        ("drone", 2, 3, None, None),
+        ("cart_pole", 21, 3, None, None),
     ],
 )
 def test_a_demo_shows_its_iterations(monkeypatch, name, iterations, shown, frames, points):
     pytest.importorskip("novaphy.diff")
-    recorder = Recorder()
-
-    class Recorded(viewer.Stage):
-        """Shows everything to the recorder."""
-
-        def __init__(self, args, model, **options):
-            super().__init__(args, model, viewers=[recorder], **options)
-
-    monkeypatch.setattr(viewer, "Stage", Recorded)
     options = ["--starts", "0"] if name == "dice" else []
     script = DEMOS / f"demo_diffsim_{name}.py"
-    assert start_demo(script, ["--headless", str(iterations), *options]) == 0
-    assert len(recorder.states) == shown * frames
-    starts = [k for k, t in enumerate(recorder.states) if t == 0.0]
+    recorder = recorded(monkeypatch, script, ["--headless", str(iterations), *options])
+    frames = frames or len(recorder.states) // shown
+    points = points or len(recorder.lines["path"][0][0])
+    assert frames > 20 and points > 20
+    assert recorder.frames == len(recorder.states) == shown * frames
+    starts = [k for k, t in enumerate(recorder.states) if not k or t <= recorder.states[k - 1]]
     assert starts == [k * frames for k in range(shown)]
-    assert recorder.marks == ([] if name == "dice" else ["target"])
+    assert recorder.marks == ([] if name in ("dice", "cart_pole") else ["target"])
     assert len(recorder.losses) == iterations + 1
-    assert len(recorder.present) == shown and len(recorder.earlier) == shown - 1
-    for k, (way, colors) in enumerate(recorder.present):
-        assert way.shape == (points, 3)
-        np.testing.assert_allclose(colors[0], viewer._stage.PRESENT)
-        if k:
-            former, shades = recorder.earlier[k - 1]
-            assert len(former) == k * points
-            np.testing.assert_array_equal(former[-points:], recorder.present[k - 1][0])
-            np.testing.assert_allclose(shades[-1], viewer._stage.RECENT, atol=1e-6)
-            assert np.all(np.diff(shades.sum(axis=1)) <= 1e-6)
+    check_ways(recorder, "path", shown, points)
+    if name == "dice":
+        check_ways(recorder, "corner", shown, points)
+        assert recorder.scene.instances["model/box"].count == 1
+        heights = np.array([q[0, 2] for q in recorder.body_q])
+        assert heights[0] == pytest.approx(0.6) and heights.min() < 0.18  # it falls, frame by frame
+    if name == "ball":
+        way = recorder.lines["path"][-1][0]  # and the ball goes along it
+        places = recorder.scene.instances["model/particles"].poses.values
+        end = recorder.scene.lines["path"].ends.values[-1]
+        np.testing.assert_allclose(places[0, :3], end, atol=1e-6)
+        assert np.ptp(way[:, 1]) > 1.0
+
+
+def test_the_arm_is_blue_and_orange_over_a_black_and_white_ground(monkeypatch):
+    pytest.importorskip("novaphy.diff")
+    script = DEMOS / "demo_diffsim_featherstone.py"
+    recorder = recorded(monkeypatch, script, ["--headless", "1"])
+    scene, camera = recorder.scene, recorder.camera
+    (link1, link2), ground = scene.instances["model/box"].colors.values, "model/plane"
+    red, green, blue, checker = link1
+    assert blue > 0.6 > green > red and checker == 0.0
+    red, green, blue, checker = link2
+    assert red > 0.9 > green > 0.3 > blue and checker == 0.0
+    *white, contrast = scene.instances[ground].colors.values[0]
+    assert min(white) > 0.9 and max(white) * (1.0 - contrast) < 0.1
+    # The camera looks at the plane XOZ from in front, and all moves in it.
+    assert abs(camera.forward[1]) > 0.999
+    assert np.abs(np.array(recorder.body_q)[:, :, 1]).max() < 1e-6
+    red, green, blue = viewer._stage.PRESENT
+    assert red > 0.8 and max(green, blue) < 0.2
+    tip = recorder.lines["path"][-1][0]
+    assert np.abs(tip[:, 1]).max() == 0.0 and np.ptp(tip[:, 2]) > 0.1
+
+
+def test_the_last_32_earlier_ways_stay(monkeypatch):
+    pytest.importorskip("novaphy.diff")
+    script = DEMOS / "demo_diffsim_spring_cage.py"
+    recorder = recorded(monkeypatch, script, ["--headless", "40", "--refresh", "1"])
+    check_ways(recorder, "path", 41, 30)
+
+
+SIMULATIONS = [
+    ("rigid_drop", [], "box"),
+    ("rigid_meshes", [], "convex_mesh"),
+    ("rigid_scenes", ["stack"], "box"),
+    ("articulated_scenes", ["quadruped"], "capsule"),
+]
+
+
+@pytest.mark.parametrize(("name", "options", "shape"), SIMULATIONS)
+def test_a_simulation_shows_every_frame(monkeypatch, name, options, shape):
+    script = DEMOS.parent / f"demo_{name}.py"
+    recorder = recorded(monkeypatch, script, ["--headless", "3", *options])
+    assert recorder.frames == len(recorder.states) >= 3 and recorder.states[-1] > 0.0
+    assert any(key.startswith(f"model/{shape}") for key in recorder.scene.instances)
+    moved = recorder.body_q[-1][:, :3] - recorder.body_q[0][:, :3]
+    assert np.linalg.norm(moved, axis=1).max() > 1e-4
 
 
 def test_an_interrupt_leaves_a_whole_page(tmp_path):

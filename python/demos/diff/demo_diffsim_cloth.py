@@ -110,8 +110,8 @@ def main() -> int:
         checks["a gradient within the tolerance"] = check_gradient(
             cloth.velocity, cloth.forward, 0.2, 2.0e-2, chosen
         )
-    look = ((15.0, 1.0, 1.5), (0.0, 4.2, -1.0))
-    with viewer.Stage(args, cloth.model, fps=FPS, refresh=5, look=look, path_width=0.04) as stage:
+    look = ((28.0, -1.0, 0.0), (0.0, 4.2, -5.0))
+    with viewer.Stage(args, cloth.model, fps=FPS, refresh=5, look=look, path_width=0.06) as stage:
         stage.mark(TARGET, 0.12)
         losses = train(cloth, args, SUBSTEPS, plot, stage)
     checks["a loss below 300 m²"] = max(losses) < 300.0

@@ -129,8 +129,9 @@ class Die:
         return ((k / FPS, self.trajectory[k * SUBSTEPS]) for k in range(FRAMES + 1))
 
     def paths(self) -> dict[str, np.ndarray]:
-        """The way of the centre in the last rollout."""
-        return {"path": poses(self)[:, :3]}
+        """The ways of the centre and of a corner in the last rollout."""
+        pose = poses(self)
+        return {"path": pose[:, :3], "corner": corner_way(pose)}
 
     def landed(self) -> bool:
         """Whether the last rollout ends with the face up, at rest."""
@@ -181,8 +182,8 @@ def main() -> int:
     die = Die(args.device)
     die.forward()
     rollouts = [poses(die)]
-    look = ((0.4, -1.9, 0.7), (0.4, 0.0, 0.25))
-    with viewer.Stage(args, die.model, fps=FPS, look=look, path_width=0.006) as stage:
+    look = ((0.3, -2.3, 0.8), (0.3, 0.0, 0.32))
+    with viewer.Stage(args, die.model, fps=FPS, look=look, path_width=0.01) as stage:
         losses = die.train(progress(range(args.headless)), stage) or [die.forward().item()]
         die.forward()
         stage.iteration(args.headless, losses[-1], die.frames, die.paths, last=True)
@@ -202,6 +203,13 @@ def main() -> int:
         f"{losses[-1]:.5f}, spin {die.spin.numpy()[0].round(3)}, {verdict(checks)}"
     )
     return 0 if all(checks.values()) else 1
+
+
+def corner_way(pose: np.ndarray) -> np.ndarray:
+    """The way {n, 3} of the corner (HALF, HALF, HALF) at poses {n, 7}."""
+    axis, w, corner = pose[:, 3:6], pose[:, 6:], np.full(3, HALF, np.float32)
+    turn = 2.0 * np.cross(axis, corner)
+    return (pose[:, :3] + corner + w * turn + np.cross(axis, turn)).astype(np.float32)
 
 
 def poses(die: Die) -> np.ndarray:

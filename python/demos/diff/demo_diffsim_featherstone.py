@@ -36,7 +36,8 @@ START, VELOCITY = (0.4, -0.6), (1.0, -0.5)
 TARGET = (0.35, -0.75)  # m, x and z
 ANGULAR_DAMPING = 0.0  # 1/s
 LEARNING_RATE, SMALLEST_RATE = 16.0, 1e-3
-COLOURS = ("#2a6f97", "#f48c06")  # of the plot: link 1 blue, link 2 orange
+COLOURS = ((0.16, 0.44, 0.72), (0.95, 0.50, 0.05))  # link 1 blue, link 2 orange
+GROUND, CHECKER = (0.96, 0.96, 0.96), 0.93  # white, and the contrast to its black fields
 IDENTITY = (0.0, 0.0, 0.0, 1.0)
 # Of the first iteration, exact in float64 (reference: tests/golden/newton_2r_strict.npz).
 EXACT_LOSS, EXACT_GRADIENT = 1.09098, (0.32981, 0.11073)
@@ -197,8 +198,9 @@ def main() -> int:
     checks = check_start(arm) if args.check_grad else {}
     arm.forward()
     rollouts = [angles(arm)]
-    look = ((0.1, -2.6, -0.3), (0.1, 0.0, -0.45))
-    with viewer.Stage(args, arm.model, fps=FPS, look=look, path_width=0.006) as stage:
+    look = ((0.15, -3.3, -0.35), (0.15, 0.0, -0.35))  # at the plane of the arm
+    with viewer.Stage(args, arm.model, fps=FPS, look=look, path_width=0.012) as stage:
+        stage.set_shape_colors((0, 1, 2), [(*GROUND, CHECKER), *((*c, 0.0) for c in COLOURS)])
         stage.mark((TARGET[0], 0.0, TARGET[1]), radius=0.03)
         losses = arm.train(progress(range(args.headless)), stage) or [arm.forward().item()]
         arm.forward()

@@ -79,7 +79,8 @@ void main() {
   if (size > 0.0) {
     p += side / size * (0.5 * thick * corner.y);
     p += normalize(axis) * (corner.x - 0.5) * 0.5 * thick;
-    p += normalize(eye - p) * 0.5 * thick;  // as far in front as a tube: the thicker line wins
+    // As far in front as a tube, and more: the thicker line wins, however thin both are.
+    p += normalize(eye - p) * 0.5 * (thick + width);
   }
   tint = color;
   gl_Position = view_projection * vec4(p, 1.0);

@@ -93,7 +93,7 @@ def main() -> int:
     viewer.check_arguments(parser, args)
 
     model = build_model()
-    with viewer.Stage(args, model, fps=FPS, look=((1.4, -2.4, 1.7), (0.0, 0.0, 0.2))) as stage:
+    with viewer.Stage(args, model, fps=FPS, look=((1.7, -2.9, 2.2), (0.0, 0.0, 0.3))) as stage:
         end = simulate(model, args.headless, stage)
     pose, speed = end.body_q.numpy(), np.linalg.norm(end.body_qd.numpy()[:, :3], axis=1)
     above = pose[:, 2] - bowl_height(pose[:, 0], pose[:, 1])

@@ -1,7 +1,8 @@
 #!/usr/bin/env python3
-"""Write the pictures of the documentation: docs/gallery.md, and the README's animation.
+"""Write the pictures and pages of the documentation: the gallery, and the README's animation.
 
-Runs every demo without a display and keeps the last picture. Needs novaphy[demos] and ffmpeg.
+Runs every demo without a display and keeps the last picture, and of some a page that replays the
+run. Needs novaphy[demos] and ffmpeg.
 
     PYTHONPATH=build/tests/python tools/viewer/make_pictures.py             # all of them
     PYTHONPATH=build/tests/python tools/viewer/make_pictures.py ball dice   # these, and the page
@@ -12,6 +13,7 @@ from __future__ import annotations
 
 import argparse
 import ast
+import html
 import subprocess
 import sys
 import tempfile
@@ -20,9 +22,18 @@ from pathlib import Path
 from novaphy._command import demos
 
 ROOT = Path(__file__).resolve().parents[2]
-IMAGES = ROOT / "docs" / "images"
+IMAGES, PAGES = ROOT / "docs" / "images", ROOT / "docs" / "pages"
 # Options that leave out what no picture shows.
 OPTIONS = {"dice": ["--starts", "0"]}
+# The demos that have a page, and what makes it small.
+WITH_PAGE = {
+    "ball": [],
+    "cart_pole": ["--refresh", "60"],
+    "dice": [],
+    "featherstone": ["--refresh", "4"],
+    "soft_body": [],
+    "vbd_gripper": [],
+}
 ANIMATION = ["--headless", "150", "--refresh", "50"]
 STILL, MOVING = "scale=640:-1:flags=area", "fps=20,scale=640:-1:flags=area"
 
@@ -52,28 +63,56 @@ def convert(source: Path, target: Path, filters: str, quality: int) -> None:
     print(f"{target.relative_to(ROOT)}: {target.stat().st_size / 1e3:.0f} kB")
 
 
-def write_page() -> None:
+def sentence(path: Path) -> str:
+    """The first line of a demo's text."""
+    return ast.get_docstring(ast.parse(path.read_text("utf-8"))).splitlines()[0]
+
+
+def write_pages() -> None:
+    """Write docs/gallery.html, which has the pages of demos in it."""
+    parts = [
+        '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n<title>NovaPhy</title>',
+        "<style>body { max-width: 960px; margin: 2em auto; padding: 0 1em; color: #21262f;",
+        "  font: 16px/1.5 system-ui, sans-serif; }",
+        "iframe { width: 100%; height: 480px; border: 0; }</style>\n</head>\n<body>",
+        "<h1>NovaPhy, in motion</h1>",
+        "<p>Drag to turn, with the right button to move, wheel to zoom. Each page is one file,",
+        "written by <code>--record run.html</code>.</p>",
+    ]
+    for name, path in demos().items():
+        if (PAGES / f"{name}.html").exists():
+            parts += [
+                f"<h2>{name}</h2>\n<p>{html.escape(sentence(path))}</p>",
+                f'<iframe src="pages/{name}.html" loading="lazy" title="{name}"></iframe>',
+            ]
+    text = "\n".join([*parts, "</body>\n</html>"]) + "\n"
+    (ROOT / "docs" / "gallery.html").write_text(text, encoding="utf-8")
+
+
+def write_gallery() -> None:
     """Write docs/gallery.md: every demo that has a picture."""
     lines = [
         "# Gallery",
         "",
         "Written by `tools/viewer/make_pictures.py`; do not edit. Each command opens a window;",
         "`--record run.html` writes a page that replays the run ([viewers](guide/viewers.md)).",
+        "Pages of some are kept, and are together in [gallery.html](gallery.html), which a browser",
+        "opens from disk.",
     ]
     for name, path in demos().items():
         if not (IMAGES / f"demo_{name}.webp").exists():
             continue
-        text = ast.get_docstring(ast.parse(path.read_text("utf-8")))
         source = path.resolve().relative_to(ROOT).as_posix()
+        page = f" · [replay](pages/{name}.html)" if (PAGES / f"{name}.html").exists() else ""
         lines += [
             "",
             f"## {name}",
             "",
-            text.splitlines()[0],
+            sentence(path),
             "",
             f"![the last picture of the demo {name}](images/demo_{name}.webp)",
             "",
-            f"`novaphy run {name}` · [source](../{source})",
+            f"`novaphy run {name}` · [source](../{source}){page}",
         ]
     (ROOT / "docs" / "gallery.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
 
@@ -95,7 +134,13 @@ def main() -> None:
             picture = Path(folder) / f"{name}.png"
             record(found[name], picture, *OPTIONS.get(name, []))
             convert(picture, IMAGES / f"demo_{name}.webp", STILL, 80)
-    write_page()
+            if name in WITH_PAGE:
+                page, options = PAGES / f"{name}.html", OPTIONS.get(name, [])
+                PAGES.mkdir(exist_ok=True)
+                record(found[name], page, *options, *WITH_PAGE[name])
+                print(f"{page.relative_to(ROOT)}: {page.stat().st_size / 1e3:.0f} kB")
+    write_gallery()
+    write_pages()
 
 
 if __name__ == "__main__":

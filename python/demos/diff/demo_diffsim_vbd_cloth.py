@@ -173,7 +173,7 @@ def main() -> int:
         checks["a gradient within the tolerance"] = check_gradient(
             cloth.params, cloth.forward, 0.01, 2.0e-2
         )
-    look = ((0.9, -0.7, 0.9), (0.0, 0.0, 0.7))
+    look = ((1.15, -0.9, 0.95), (0.0, 0.0, 0.7))
     with viewer.Stage(args, cloth.model, fps=FPS, refresh=2, look=look) as stage:
         losses = train(cloth, args, SUBSTEPS, plot, stage)
     error = abs(cloth.stiffness / TRUE_STIFFNESS - 1.0)

@@ -142,7 +142,7 @@ def main() -> int:
         )
     gripper.forward()
     before = gripper.drop
-    look = ((0.3, -1.8, 1.2), (0.0, 0.0, 0.95))
+    look = ((0.35, -2.3, 1.0), (0.0, 0.0, 0.7))
     with viewer.Stage(args, gripper.model, fps=FPS, refresh=5, look=look) as stage:
         losses = train(gripper, args, SUBSTEPS, plot, stage)
     checks["a load that dropped by more than 0.1 m before"] = before > 0.1

@@ -25,7 +25,7 @@ from ._scene_viewer import SceneViewer
 MESH_FIELDS = ("points", "shift", "indices")
 # What moves is stored on a grid (_packing.py): this many steps to the height of the picture where
 # the camera looks, and of a quaternion's components.
-STEPS_OF_PICTURE, QUATERNION_QUANTUM = 2**16, 2.0**-15
+STEPS_OF_PICTURE, QUATERNION_QUANTUM = 2**14, 2.0**-15
 MOVING = {"points": 3, "poses": 7, "starts": 3, "ends": 3}
 
 
@@ -34,7 +34,7 @@ class ViewerHTML(SceneViewer):
 
     A frame whose time is not after that of the one before begins a new take: another iteration of
     a training, say. The page plays the takes one after the other, and has a slider for them. What
-    does not change from frame to frame is stored once. What moves is stored to 1/65536 of the
+    does not change from frame to frame is stored once. What moves is stored to 1/16384 of the
     height of the picture where the camera looks, and quaternions to 3e-5; all else as it is.
     """
 

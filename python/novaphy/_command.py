@@ -24,12 +24,17 @@ import numpy as np
 import novaphy
 
 COMPLETION = """_novaphy() {
-  local current=${COMP_WORDS[COMP_CWORD]}
+  local current=${COMP_WORDS[COMP_CWORD]} before=${COMP_WORDS[COMP_CWORD-1]}
   local commands="demos run info check bench replay view completion"
   if [ "$COMP_CWORD" -eq 1 ]; then
     COMPREPLY=($(compgen -W "$commands" -- "$current"))
   elif [ "$COMP_CWORD" -eq 2 ] && [[ " run check bench " == *" ${COMP_WORDS[1]} "* ]]; then
     COMPREPLY=($(compgen -W "$(novaphy demos --names)" -- "$current"))
+  elif [ "$before" = --viewer ]; then
+    COMPREPLY=($(compgen -W "gl viser html file null" -- "$current"))
+  elif [[ "$current" == -* ]]; then
+    local flags="--headless --viewer --record --refresh --device --check-grad --plot --help"
+    COMPREPLY=($(compgen -W "$flags" -- "$current"))
   else
     COMPREPLY=($(compgen -f -- "$current"))
   fi
@@ -162,7 +167,11 @@ def info(args: argparse.Namespace) -> int:
     print("backends:")
     for backend in novaphy.backends():
         state = "in use" if backend.active else backend.error or "not in use"
-        print(f"  {backend.name} {backend.version}: {state} {backend.path}".rstrip())
+        print(f"  {backend.name} {backend.version}: {state}, {backend.path or 'built in'}")
+    if all(backend.name != "cuda" for backend in novaphy.backends()):
+        print(
+            "  cuda: missing: CMAKE_ARGS=-DNOVAPHY_WITH_CUDA=ON pip install . (docs/guide/cuda.md)"
+        )
     print("devices:")
     for device in novaphy.get_devices():
         print(f"  {device}: {device.name}")

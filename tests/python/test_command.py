@@ -61,6 +61,9 @@ def test_info_names_what_is_there_and_what_is_missing():
     done = command("info")
     assert done.returncode == 0
     assert novaphy.__version__ in done.stdout and "cpu" in done.stdout
+    assert "cache of device code: " in done.stdout and "threads: " in done.stdout
+    if all(backend.name != "cuda" for backend in novaphy.backends()):
+        assert "cuda: missing: CMAKE_ARGS=-DNOVAPHY_WITH_CUDA=ON" in done.stdout
     code = (
         "import importlib.metadata as m, sys; real = m.version\n"
         "def version(name):\n"
@@ -102,10 +105,20 @@ def test_a_robot_is_viewed(tmp_path, name, bodies):
     assert path.stat().st_size > 10_000
 
 
-def test_the_completion_is_bash():
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        ("novaphy re", "replay"),
+        ("novaphy run spring", "spring_cage"),
+        ("novaphy run ball --hea", "--headless"),
+        ("novaphy run ball --viewer vi", "viser"),
+    ],
+)
+def test_the_completion_is_bash(words, expected):
     text = command("completion").stdout
+    python = f'novaphy() {{ {sys.executable} -m novaphy "$@"; }}'
+    program = f"{text}\n{python}\nCOMP_WORDS=({words}) COMP_CWORD={len(words.split()) - 1}\n"
     done = subprocess.run(
-        ["bash", "-c", f"{text}\nCOMP_WORDS=(novaphy re) COMP_CWORD=1; _novaphy; echo $COMPREPLY"],
-        capture_output=True, text=True,
-    )  # fmt: skip
-    assert done.stdout.strip() == "replay", done.stderr
+        ["bash", "-c", program + "_novaphy; echo ${COMPREPLY[@]}"], capture_output=True, text=True
+    )
+    assert done.stdout.strip() == expected, done.stderr

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import os
 import socket
 import subprocess
 import sys
+import threading
 import time
+from pathlib import Path
 
 import browser
 import pytest
@@ -95,6 +98,78 @@ def test_two_browsers_see_the_scene_and_move_a_slider(served):
         while not moved and time.monotonic() < end:
             time.sleep(0.1)
         assert moved and mass() == moved[-1] == pytest.approx(2.01)
+
+
+def test_a_pointer_in_the_page_pulls_a_body():
+    pytest.importorskip("viser")
+    if reason := browser.why_not():
+        pytest.skip(reason)
+    builder = novaphy.ModelBuilder()
+    for k in range(3):
+        body = builder.add_body(xform=((0.5 * k, 0.0, 0.5), (0.0, 0.0, 0.0, 1.0)), mass=1.0)
+        builder.add_shape_box(body, hx=0.15, hy=0.15, hz=0.15)
+    model = builder.finalize()
+    state = model.state()
+    with (
+        novaphy.ViewerViser(port=0, verbose=False) as viewer,
+        browser.Browser(640, 480) as chromium,
+    ):
+        viewer.set_model(model)
+        viewer.look_at((0.5, -2.5, 1.2), (0.5, 0.0, 0.5))
+        frame(viewer, state, 0.0, 0.0)
+        page = chromium.page(viewer.url)
+        page.wait_for("document.querySelector('canvas') !== null", 60.0)
+        x, y = viewer.camera.project(state.body_q.numpy()[:1, :3], 640, 480)[0]
+
+        def mouse(kind, right, **more):
+            page.call(
+                "Input.dispatchMouseEvent", type=kind, x=float(x + right), y=float(y),
+                modifiers=2, **more,
+            )  # fmt: skip
+
+        page.call(
+            "Input.dispatchKeyEvent", type="keyDown", key="Control", code="ControlLeft",
+            windowsVirtualKeyCode=17, modifiers=2,
+        )  # fmt: skip
+        end = time.monotonic() + 60.0
+        while viewer._drag.item is None and time.monotonic() < end:  # until the page draws it
+            mouse("mouseReleased", 0.0, button="left", clickCount=1)
+            mouse("mouseMoved", 0.0)
+            time.sleep(0.5)
+            mouse("mousePressed", 0.0, button="left", buttons=1, clickCount=1)
+            for k in range(1, 7):
+                time.sleep(0.3)
+                mouse("mouseMoved", -10.0 * k, button="left", buttons=1)
+        assert viewer._drag.item == ("body", 0)
+        viewer.apply_forces(state)
+        pull = state.body_f.numpy()
+        side, above, _ = viewer.camera.axes()
+        assert pull[0, :3] @ side < -1.0 and not pull[1:].any()
+        assert abs(pull[0, :3] @ above) < 0.2 * abs(pull[0, :3] @ side)
+        mouse("mouseReleased", -60.0, button="left", clickCount=1)
+        end = time.monotonic() + 30.0
+        while viewer._drag.item is not None and time.monotonic() < end:
+            time.sleep(0.1)
+        assert viewer._drag.item is None
+        with pytest.raises(NotImplementedError, match="keys"):
+            viewer.is_key_down("space")
+
+
+def test_opening_and_closing_frees_what_it_took():
+    pytest.importorskip("viser")
+    seen = []
+    for _ in range(22):
+        with novaphy.ViewerViser(port=0, verbose=False) as viewer:
+            viewer.log_points("point", [[0, 0, 0]], 0.1)
+            viewer._sent_at = 0.0
+            viewer.end_frame()
+        time.sleep(0.1)
+        pages = int(Path("/proc/self/statm").read_text().split()[1])
+        descriptors, threads = len(os.listdir("/proc/self/fd")), threading.active_count()
+        seen.append((descriptors, threads, pages * os.sysconf("SC_PAGE_SIZE")))
+    assert seen[-1][0] <= seen[1][0] + 2, seen
+    assert seen[-1][1] <= seen[1][1] + 2, seen
+    assert seen[-1][2] - seen[3][2] < 60e6, seen
 
 
 def test_a_port_that_is_taken_gives_way_to_the_next():

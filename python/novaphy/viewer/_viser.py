@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 import socket
 import threading
 import time
@@ -65,7 +67,8 @@ class ViewerViser(SceneViewer):
             raise ValueError(f"ViewerViser, history: expected >= 1, got {history}")
         viser = needs("viser", "web", "ViewerViser")
         self.port = _free_port(host, port)
-        self._server = viser.ViserServer(host=host, port=self.port, verbose=False)
+        with _silence():
+            self._server = viser.ViserServer(host=host, port=self.port, verbose=False)
         self.url = f"http://{'localhost' if host in LOCAL else host}:{self.port}"
         if verbose:
             reach = "this machine only" if host in LOCAL else f"everybody who reaches {host}"
@@ -341,7 +344,8 @@ class ViewerViser(SceneViewer):
         """Stop the server, and free the port."""
         if self._running:
             super().close()
-            self._server.stop()
+            with _silence():
+                self._server.stop()
 
 
 class _Group:
@@ -369,6 +373,11 @@ class _Group:
         """Take them from the page."""
         for handle, _ in self.parts:
             handle.remove()
+
+
+def _silence() -> contextlib.AbstractContextManager[Any]:
+    """Keep viser from printing its own banner, and that it stopped."""
+    return contextlib.redirect_stdout(io.StringIO())
 
 
 def _stretched(mesh: Mesh, ratio: float) -> np.ndarray:

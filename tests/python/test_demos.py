@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -354,11 +355,64 @@ def test_a_simulation_shows_every_frame(monkeypatch, name, options, shape):
     assert np.linalg.norm(moved, axis=1).max() > 1e-4
 
 
-def test_an_interrupt_leaves_a_whole_page(tmp_path):
+WINDOW = """
+import sys
+from novaphy._command import start_demo
+from novaphy.viewer import _gl, _stage
+_gl.ViewerGL.__init__.__defaults__ = (160, 120, False, False, False, "NovaPhy")
+starts, log, waits = [], _gl.ViewerGL.log_state, []
+def log_state(self, state):
+    log(self, state)
+    waits.append(self.waits)
+    if self.time == 0.0:
+        starts.append(len(self.scene.scalars["loss"]))
+        if len(starts) == 5:
+            self._window.window.dispatch_event("on_close")
+_gl.ViewerGL.log_state = log_state
+code = start_demo({script!r}, ["--refresh", "1000"])
+assert all(waits) and starts == [1, 61, 61, 61, 61], starts  # first, last, replays
+sys.exit(code)
+"""
+
+
+def test_a_demo_trains_in_a_window_and_replays_until_it_is_closed():
     pytest.importorskip("novaphy.diff")
-    page = tmp_path / "run.html"
+    pytest.importorskip("moderngl")
+    pytest.importorskip("pyglet")
+    if shutil.which("Xvfb") is None:
+        pytest.skip("no X server: apt-get install xvfb")
     script = DEMOS / "demo_diffsim_spring_cage.py"
-    command = [sys.executable, "-u", str(script), "--headless", "1000000", "--record", str(page)]
+    program = WINDOW.replace("{script!r}", f"__import__('pathlib').Path({str(script)!r})")
+    read, write = os.pipe()
+    server = subprocess.Popen(
+        ["Xvfb", "-displayfd", str(write), "-screen", "0", "400x300x24"],
+        pass_fds=(write,), stderr=subprocess.DEVNULL,
+    )  # fmt: skip
+    os.close(write)
+    try:
+        with os.fdopen(read) as pipe:
+            display = pipe.readline().strip()
+        environ = os.environ | {"DISPLAY": f":{display}", "LIBGL_ALWAYS_SOFTWARE": "1"}
+        done = subprocess.run(
+            [sys.executable, "-c", program], capture_output=True, text=True, timeout=300,
+            env=environ,
+        )  # fmt: skip
+    finally:
+        server.terminate()
+        server.wait()
+    assert done.returncode == 0 and done.stdout.rstrip().endswith("ok"), done.stdout + done.stderr
+
+
+@pytest.mark.parametrize("ending", [".html", ".nprec", ".gif"])
+def test_an_interrupt_leaves_a_whole_file(tmp_path, ending):
+    pytest.importorskip("novaphy.diff")
+    if ending == ".gif":
+        pytest.importorskip("moderngl")
+        if shutil.which("ffmpeg") is None:
+            pytest.skip("no ffmpeg: apt-get install ffmpeg")
+    file = tmp_path / f"run{ending}"
+    script = DEMOS / "demo_diffsim_spring_cage.py"
+    command = [sys.executable, "-u", str(script), "--headless", "1000000", "--record", str(file)]
     process = subprocess.Popen(
         command,
         stdout=subprocess.PIPE,
@@ -373,7 +427,15 @@ def test_an_interrupt_leaves_a_whole_page(tmp_path):
     finally:
         process.kill()
     assert process.returncode == 130 and said == "", said
-    assert page.read_text("utf-8").rstrip().endswith("</html>")
+    if ending == ".html":
+        assert file.read_text("utf-8").rstrip().endswith("</html>")
+    elif ending == ".gif":
+        data = file.read_bytes()
+        assert data[:6] == b"GIF89a" and data[-1:] == b";"
+    else:
+        recording = viewer.ViewerFile(tmp_path / "other.nprec", auto_save=False)
+        recording.load_recording(file)
+        assert recording.frame_count > 31
 
 
 needs_robots = pytest.mark.skipif(not novaphy.has_io(), reason="needs NOVAPHY_WITH_IO")

@@ -64,6 +64,20 @@ def test_poses_are_sent_and_past_frames_come_back(served):
     assert viewer._scrubber.value == 49
 
 
+def test_an_object_stays_when_another_with_its_name_in_front_changes(served, recwarn):
+    viewer, state = served
+    for k in range(3):
+        viewer.log_lines("way", [[0, 0, 0]], [[1 + k, 0, 0]], (1, 0, 0))
+        if k == 0:
+            viewer.log_lines("way/earlier", [[0, 0, 0]], [[0, 1, 0]], (0, 0, 1))
+        viewer.log_arrows("force", [[0, 0, 0]], [[0, 0, 1.0 + k]], (0, 1, 0))
+        frame(viewer, state, 0.1 * k, 0.0)
+    for name in ("/way", "/way/earlier", "/force", "/force/heads"):
+        ((handle, _),) = viewer._handles[name][0].parts
+        assert not handle._impl.removed, name
+    assert not [w for w in recwarn if "removed" in str(w.message)]
+
+
 def test_two_browsers_see_the_scene_and_move_a_slider(served):
     if reason := browser.why_not():
         pytest.skip(reason)

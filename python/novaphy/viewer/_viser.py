@@ -254,7 +254,7 @@ class ViewerViser(SceneViewer):
         if item.mesh == "plane" and contrast > 0.0:
             size = float(item.scales.values[0, 0])
             grid = scene.add_grid(
-                name, size, size, plane="xy", cell_size=1.0, section_size=10.0,
+                _node(name), size, size, plane="xy", cell_size=1.0, section_size=10.0,
                 infinite_grid=size >= INFINITE, plane_color=tuple(colors[0]), plane_opacity=1.0,
                 shadow_opacity=0.3, position=poses[0, :3], wxyz=_wxyz(poses)[0],
             )  # fmt: skip
@@ -268,7 +268,7 @@ class ViewerViser(SceneViewer):
         for number, ratio in enumerate(np.unique(ratios)):
             rows = np.flatnonzero(ratios == ratio)
             handle = scene.add_batched_meshes_simple(
-                f"{name}/{number}", _stretched(mesh, ratio),
+                f"{_node(name)}/{number}", _stretched(mesh, ratio),
                 mesh.indices.values, _wxyz(poses[rows]), poses[rows, :3],
                 batched_scales=scales[rows, :3], batched_colors=colors[rows],
                 side="front" if item.culled else "double",
@@ -287,7 +287,7 @@ class ViewerViser(SceneViewer):
         turns = np.tile(_wxyz(IDENTITY[None]), (len(centre), 1))
         corners = f32([(-0.5, -0.5, 0), (0.5, -0.5, 0), (0.5, 0.5, 0), (-0.5, 0.5, 0)])
         return self._server.scene.add_batched_meshes_simple(
-            f"{name}/fields", corners, np.array([(0, 1, 2), (0, 2, 3)]), turns, f32(centre),
+            f"{_node(name)}/fields", corners, np.array([(0, 1, 2), (0, 2, 3)]), turns, f32(centre),
             batched_colors=np.round(color * (1.0 - contrast)).astype(np.uint8),
             cast_shadow=False, position=pose[:3], wxyz=_wxyz(pose[None])[0],
         )  # fmt: skip
@@ -335,7 +335,7 @@ class ViewerViser(SceneViewer):
             points = np.stack([item.starts.values, item.ends.values], axis=1)
             colors = _shades(item.colors.values)
             lines = self._server.scene.add_line_segments(
-                name, points, np.repeat(colors[:, None], 2, axis=1), thickness=item.width
+                _node(name), points, np.repeat(colors[:, None], 2, axis=1), thickness=item.width
             )
             group.parts.append((lines, None))
         self._handles[name] = (group, seen)
@@ -378,6 +378,11 @@ class _Group:
 def _silence() -> contextlib.AbstractContextManager[Any]:
     """Keep viser from printing its own banner, and that it stopped."""
     return contextlib.redirect_stdout(io.StringIO())
+
+
+def _node(name: str) -> str:
+    """The name of an object's node: none is below another, which viser removes with it."""
+    return "/" + name.removeprefix("/").replace("/", "|")
 
 
 def _stretched(mesh: Mesh, ratio: float) -> np.ndarray:

@@ -154,6 +154,8 @@ def simulate(
             torques[6:] = rng.uniform(-TORQUE, TORQUE, torques.size - 6)
             control.joint_f.assign(torques)
         for _ in range(SUBSTEPS):
+            state.clear_forces()
+            stage.apply_forces(state)
             pipeline.collide(state, contacts)
             solver.step(state, after, control, contacts, DT)
             state, after = after, state

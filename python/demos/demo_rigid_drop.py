@@ -57,7 +57,7 @@ def simulate(
             solver.step(state, after, None, contacts, DT)
             state, after = after, state
         poses.append(state.body_q.numpy())
-        stage.show(frame / FPS, state)
+        stage.show(frame / FPS, state, contacts)
     return np.array(poses), state
 
 

@@ -77,6 +77,8 @@ def simulate(model: novaphy.Model, frames: int, stage: viewer.Stage) -> novaphy.
     state, after = model.state(), model.state()
     for frame in stage.frames(frames):
         for _ in range(SUBSTEPS):
+            state.clear_forces()
+            stage.apply_forces(state)
             pipeline.collide(state, contacts)
             solver.step(state, after, None, contacts, DT)
             state, after = after, state

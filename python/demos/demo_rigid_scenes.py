@@ -159,6 +159,7 @@ def simulate(
     for frame in stage.frames(frames):
         for _ in range(SUBSTEPS):
             state.clear_forces()
+            stage.apply_forces(state)
             pipeline.collide(state, contacts)
             solver.step(state, after, None, contacts, DT)
             state, after = after, state

@@ -89,6 +89,7 @@ def simulate(
     for frame in stage.frames(frames):
         for _ in range(SUBSTEPS):
             state.clear_forces()
+            stage.apply_forces(state)
             if pipeline is not None and contacts is not None:
                 pipeline.collide(state, contacts)
             solver.step(state, after, None, contacts, DT)

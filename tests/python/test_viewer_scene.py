@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import argparse
+import tracemalloc
 
 import numpy as np
 import pytest
 
 import novaphy
 from novaphy import viewer as viewers
+from novaphy.viewer._drag import Drag
+from novaphy.viewer._scene_viewer import SceneViewer
 
 
 def test_a_stage_draws_iterations_as_asked():
@@ -157,3 +160,111 @@ def test_contacts_are_points_with_a_normal():
         assert corners == [(x, y, 0.0) for x in (-0.1, 0.1) for y in (-0.2, 0.2)]
         np.testing.assert_allclose(points[4:], [[1.0, 0.0, 0.05]], atol=1e-6)
         np.testing.assert_allclose(normals, np.tile([0.0, 0.0, 1.0], (5, 1)), atol=1e-6)
+        viewer.show_contacts = False
+        viewer.log_contacts(contacts, state)
+        assert not [n for n in (*viewer.scene.instances, *viewer.scene.lines) if "contact" in n]
+
+
+def boxes(places, half=0.5):
+    """Boxes at places on bodies, over the ground."""
+    builder = novaphy.ModelBuilder()
+    builder.add_ground_plane()
+    for place in places:
+        body = builder.add_body(xform=(place, (0.0, 0.0, 0.0, 1.0)), mass=1.0)
+        builder.add_shape_box(body, hx=half, hy=half, hz=half)
+    return builder.finalize()
+
+
+def test_a_pointer_picks_the_front_body_anywhere_on_it():
+    model = boxes([(0.0, 0.0, 1.0), (0.0, 3.0, 1.0), (2.5, 0.0, 1.0)])
+    state = model.state()
+    viewer = SceneViewer()
+    viewer.set_model(model)
+    viewer.look_at((0.0, -8.0, 1.0), (0.0, 0.0, 1.0))
+    viewer.log_state(state)
+    drag, size = Drag(viewer), (800, 600)
+    corners = np.float32([[0.45, -0.5, 1.45], [-0.45, -0.5, 0.55], [2.9, -0.5, 1.4]])
+    pixels = viewer.camera.project(corners, *size)
+    assert [drag.pick(x, y, size)[:2] for x, y in pixels] == [("body", 0), ("body", 0), ("body", 2)]
+    x, y = viewer.camera.project(np.float32([[0.0, 0.0, 2.4]]), *size)[0]
+    assert drag.pick(x, y, size) is None  # over the front one and the one behind it
+    assert viewer.body_at((0.0, -8.0, 1.0), (0.0, 1.0, 0.0)) == 0
+    assert viewer.body_at((0.0, 2.0, 1.0), (0.0, 1.0, 0.0)) == 1
+    assert viewer.body_at((0.0, -8.0, 1.0), (0.0, -1.0, 0.0)) is None
+
+    # What is held follows the pointer: no pull before it moves, then towards it.
+    x, y = pixels[0]
+    drag.start(x, y, size)
+    drag.apply(state)
+    assert np.abs(state.body_f.numpy()).max() < 1e-3
+    drag.move(x + 50.0, y, size)
+    drag.apply(state)
+    force, mass = state.body_f.numpy(), float(model.body_mass.numpy()[0])
+    assert force[0, 0] > 1.0 and np.abs(force[0, 1:3]).max() < 0.01 * force[0, 0]
+    assert not force[1:].any()
+    meters = 50.0 * 8.0 * 2.0 * np.tan(np.radians(20.0)) / 600.0
+    assert force[0, 0] == pytest.approx(mass * 36.0 * meters, rel=0.01)
+    drag.stop()
+    state.clear_forces()
+    drag.apply(state)
+    assert not state.body_f.numpy().any()
+
+
+def test_shapes_are_shown_in_other_colours(tmp_path):
+    model = boxes([(0.0, 0.0, 1.0), (2.0, 0.0, 1.0)])
+    viewer = SceneViewer()
+    with pytest.raises(ValueError, match="set_model"):
+        viewer.set_shape_colors([0], [(1, 0, 0)])
+    viewer.set_model(model)
+    own = viewer.scene.instances["model/box"].colors.values.copy()
+    viewer.set_shape_colors([0, 2], [(1, 1, 1, 0.9), (1, 0, 0, 0)])
+    np.testing.assert_allclose(
+        viewer.scene.instances["model/plane"].colors.values, [(1, 1, 1, 0.9)], rtol=1e-6
+    )
+    np.testing.assert_array_equal(
+        viewer.scene.instances["model/box"].colors.values, [own[0], (1, 0, 0, 0)]
+    )
+    viewer.set_shape_colors([1], (0, 1, 0))
+    np.testing.assert_array_equal(
+        viewer.scene.instances["model/box"].colors.values, [(0, 1, 0, 0), own[1]]
+    )
+    with pytest.raises(ValueError, match="3 shapes"):
+        viewer.set_shape_colors([3], (0, 1, 0))
+    with pytest.raises(ValueError, match="colors"):
+        viewer.set_shape_colors([0, 1], [(0, 1)])
+
+    path = tmp_path / "run.nprec"
+    with novaphy.ViewerFile(path) as file:
+        file.set_model(model)
+        for k in range(3):
+            file.begin_frame(k)
+            file.set_shape_colors([1], (0, 0, 1) if k else (0, 1, 0))
+            file.log_state(model.state())
+            file.end_frame()
+    file.load_recording(path)
+    again = SceneViewer()
+    file.show_start(again)
+    file.show_frame(again, 2, from_start=True)
+    np.testing.assert_array_equal(again.scene.instances["model/box"].colors.values[0], (0, 0, 1, 0))
+
+
+def test_a_viewer_without_a_user_leaves_a_slider_where_it_is():
+    viewer = novaphy.ViewerNull(1)
+    assert viewer.add_slider("mass", 0.0, 2.0, 0.5)() == 0.5
+    with pytest.raises(ValueError, match="add_slider, value: expected 0.0 <= 3.0 <= 2.0"):
+        viewer.add_slider("mass", 0.0, 2.0, 3.0)
+
+
+def test_showing_a_state_allocates_nothing_for_a_body():
+    peaks = []
+    for count in (100, 10_000):
+        model = boxes([(float(k), 0.0, 1.0) for k in range(count)], 0.1)
+        state = model.state()
+        viewer = SceneViewer()
+        viewer.set_model(model)
+        viewer.log_state(state)
+        tracemalloc.start()
+        viewer.log_state(state)
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    assert peaks[1] < peaks[0] + 1000 < 10_000, peaks

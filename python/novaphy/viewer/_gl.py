@@ -28,8 +28,8 @@ class ViewerGL(SceneViewer):
 
     The window: drag to turn, with the right button to move, wheel to zoom; control and drag pulls
     a body or particle (see apply_forces); space pauses, N steps, R resets, F follows, H hides the
-    text, J shows joints, E the energy, P saves a picture, escape closes; tab chooses a slider, the
-    left and right arrow move it. With imgui-bundle a panel has switches and sliders.
+    text, J shows joints, C contacts, E the energy, P saves a picture, escape closes; tab chooses a
+    slider, the left and right arrow move it. With imgui-bundle a panel has switches and sliders.
 
     Attributes:
         show_text: whether the box with time and scalars is drawn.

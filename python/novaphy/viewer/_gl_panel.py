@@ -118,13 +118,12 @@ class Panel:
         imgui.same_line()
         if imgui.button("reset"):
             viewer.reset_requested = True
-        for label, name in (("text", "show_text"), ("joints", "show_joints"),
-                            ("energy", "show_energy")):  # fmt: skip
-            changed, on = imgui.checkbox(label, getattr(viewer, name))
+        for k, what in enumerate(("text", "energy", "joints", "contacts")):
+            changed, on = imgui.checkbox(what, getattr(viewer, f"show_{what}"))
             if changed:
-                setattr(viewer, name, on)
-            imgui.same_line()
-        imgui.new_line()
+                setattr(viewer, f"show_{what}", on)
+            if k % 2 == 0:
+                imgui.same_line(0.4 * WIDTH)
         for slider in viewer.sliders:
             imgui.set_next_item_width(0.55 * WIDTH)
             moved, value = imgui.slider_float(slider.name, slider.value, slider.low, slider.high)

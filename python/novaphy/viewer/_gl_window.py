@@ -135,6 +135,8 @@ class Window:
             viewer.show_text = not viewer.show_text
         elif symbol == key.J:
             viewer.show_joints = not viewer.show_joints
+        elif symbol == key.C:
+            viewer.show_contacts = not viewer.show_contacts
         elif symbol == key.E:
             viewer.show_energy = not viewer.show_energy
         elif symbol == key.P:

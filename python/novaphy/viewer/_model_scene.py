@@ -179,7 +179,8 @@ class ModelScene:
             self.scene.instances[name] = item
             moving = bodies[rows]
             self._rows.append((item, rows, item.colors.values))
-            self._bodies.append((item, np.ascontiguousarray(moving[moving >= 0])))
+            # As numpy.take wants indices, so that it copies none.
+            self._bodies.append((item, moving[moving >= 0].astype(np.intp)))
 
     def color_shapes(self, shapes: np.ndarray, colors: np.ndarray) -> None:
         """Give shapes {n} colours {n, 4}, and all others their own."""

@@ -34,6 +34,7 @@ class SceneViewer(Viewer):
     Attributes:
         show_joints: whether the axes of joints are drawn.
         show_energy: whether the energy is computed and told.
+        show_contacts: whether the contacts of log_contacts are drawn.
     """
 
     def __init__(self) -> None:
@@ -45,6 +46,7 @@ class SceneViewer(Viewer):
         self._offsets = np.zeros(3, np.float32)
         self.latest_state: Mapping[str, np.ndarray] = {}
         self.show_joints = self.show_energy = False
+        self.show_contacts = True
         self._energy: float | None = None
         self._steps_wanted = 0
 
@@ -145,6 +147,10 @@ class SceneViewer(Viewer):
         """Show the contacts of a state: a point each, and its force, or its normal."""
         if self._model_scene is None:
             raise ValueError("log_contacts: expected a model before, got none: call set_model")
+        if not self.show_contacts:
+            self.log_points("contacts/points", None)
+            self.log_arrows("contacts/arrows", None, None, None)
+            return
         q, p = state.body_q.numpy(), state.particle_q.numpy()
         starts, ends = contact_segments(self._model_scene.arrays, contacts, q, p)
         self.log_points("contacts/points", starts, CONTACT_POINT, CONTACT_COLOR)

@@ -235,21 +235,32 @@ def test_pictures_and_videos_are_written(egl, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("blocked", "options", "expected"),
+    ("blocked", "options", "variables", "expected"),
     [
-        ("moderngl", "headless=True", "pip install 'novaphy[gl]'"),
-        ("pyglet", "", "pip install 'novaphy[gl]'"),
-        ("none", "", "DISPLAY is not set"),
+        ("moderngl", "headless=True", {}, "pip install 'novaphy[gl]'"),
+        ("pyglet", "", {}, "pip install 'novaphy[gl]'"),
+        ("none", "", {}, "DISPLAY is not set"),
+        ("none", "", {"DISPLAY": ":4711"}, "the display :4711 opens no window"),
+        ("none", "headless=True", {"__EGL_VENDOR_LIBRARY_DIRS": "/nowhere"},
+         "apt-get install libegl1 libgl1-mesa-dri"),
     ],
-)
-def test_what_is_missing_is_named(egl, blocked, options, expected):
+)  # fmt: skip
+def test_what_is_missing_is_named(egl, blocked, options, variables, expected):
     code = (
         f"import sys; sys.modules[{blocked!r}] = None; import novaphy\n"
         f"try: novaphy.ViewerGL({options})\nexcept ImportError as error: print(error)"
     )
-    environ = {k: v for k, v in os.environ.items() if k != "DISPLAY"}
+    environ = {k: v for k, v in os.environ.items() if k != "DISPLAY"} | variables
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environ)
     assert expected in done.stdout, done.stdout + done.stderr
+    assert done.stdout.count("\n") == 1, done.stdout
+
+
+def test_a_video_without_ffmpeg_says_what_to_install(egl, tmp_path, monkeypatch):
+    monkeypatch.setenv("PATH", str(tmp_path))
+    with novaphy.ViewerGL(headless=True, **SIZE) as viewer:
+        with pytest.raises(RuntimeError, match="apt-get install ffmpeg"):
+            viewer.start_video(tmp_path / "a.gif")
 
 
 def test_nothing_is_imported_before_it_is_needed():

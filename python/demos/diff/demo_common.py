@@ -47,7 +47,7 @@ def check_figure_format(parser: argparse.ArgumentParser, path: str) -> None:
     try:
         from matplotlib.figure import Figure
     except ImportError:
-        parser.error("--plot needs matplotlib")
+        parser.error("--plot needs matplotlib: pip install 'novaphy[demos]'")
     formats = Figure().canvas.get_supported_filetypes()
     if Path(path).suffix.removeprefix(".").lower() not in formats:
         parser.error(f"--plot: expected a name that ends in {', '.join(formats)}, got {path}")

@@ -122,3 +122,13 @@ def test_the_completion_is_bash(words, expected):
         ["bash", "-c", program + "_novaphy; echo ${COMPREPLY[@]}"], capture_output=True, text=True
     )
     assert done.stdout.strip() == expected, done.stderr
+
+
+@pytest.mark.parametrize("name", sorted(_command.demos()))
+def test_every_demo_takes_the_flags_of_a_viewer(name):
+    if name.startswith("vbd") and not novaphy.has_vbd():
+        pytest.skip("built with NOVAPHY_BUILD_VBD=OFF")
+    done = command("run", name, "--help")
+    assert done.returncode == 0, done.stderr
+    for flag in ("--viewer {gl,viser,html,file,null}", "--headless N", "--record PATH"):
+        assert flag in done.stdout

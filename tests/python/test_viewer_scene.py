@@ -268,3 +268,74 @@ def test_showing_a_state_allocates_nothing_for_a_body():
         peaks.append(tracemalloc.get_traced_memory()[1])
         tracemalloc.stop()
     assert peaks[1] < peaks[0] + 1000 < 10_000, peaks
+
+
+class Screen(SceneViewer):
+    """A window that is closed after some frames, and where somebody presses reset at one."""
+
+    def __init__(self, frames, reset_at=None):
+        """Close after `frames`."""
+        super().__init__()
+        self.left, self.reset_at = frames, reset_at
+        self.reset_requested = False
+        self.times = []
+
+    def log_state_arrays(self, arrays):
+        """Keep the time, and where the body is."""
+        super().log_state_arrays(arrays)
+        if self._shows:
+            self.times.append((round(self.time, 3), float(arrays["body_q"][0, 0])))
+
+    _shows = False
+
+    def begin_frame(self, t):
+        """A frame begins."""
+        super().begin_frame(t)
+        self._shows = True
+
+    def end_frame(self):
+        """Close in time."""
+        self._shows = False
+        if len(self.times) == self.reset_at:
+            self.reset_requested, self.reset_at = True, None
+        self._running = len(self.times) < self.left
+
+
+def test_a_window_replays_the_simulation_and_files_hold_it_once():
+    model = boxes([(0.0, 0.0, 1.0)])
+    state = model.state()
+    args = argparse.Namespace(refresh=None, record=None, live=True)
+    screen, file = Screen(11, reset_at=5), Screen(100)
+    with viewers.Stage(args, model, fps=1000.0, viewers=[screen, file]) as stage:
+        stage._screen, stage._waits = screen, True
+        for frame in stage.frames(3):
+            poses = state.body_q.numpy()
+            poses[0, 0] = frame
+            state.body_q.assign(poses)
+            stage.show(frame / 10, state)
+    once = [(0.1, 1.0), (0.2, 2.0), (0.3, 3.0)]
+    assert file.times == once
+    # The replay is begun again after its second frame, and then goes on until the window is closed.
+    assert screen.times == once + once[:2] + once + once
+
+
+def test_a_window_replays_the_last_rollout():
+    model = boxes([(0.0, 0.0, 1.0)])
+    state = model.state()
+    args = argparse.Namespace(refresh=None, record=None, live=True)
+    screen, file = Screen(10), Screen(100)
+
+    def frames(first):
+        for k in range(2):
+            poses = state.body_q.numpy()
+            poses[0, 0] = first + k
+            state.body_q.assign(poses)
+            yield k / 10, state
+
+    with viewers.Stage(args, model, fps=1000.0, viewers=[screen, file]) as stage:
+        stage._screen, stage._waits = screen, True
+        for k in range(2):
+            stage.iteration(k, 1.0, lambda k=k: frames(10.0 * k), {"path": np.zeros((3, 3))})
+    rollouts = [(0.0, 0.0), (0.1, 1.0), (0.0, 10.0), (0.1, 11.0)]
+    assert file.times == rollouts
+    assert screen.times == rollouts + 3 * rollouts[2:]

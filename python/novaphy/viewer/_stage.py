@@ -29,6 +29,7 @@ PATH_POINTS = 241  # of a path that are drawn
 OLDEST, RECENT = f32([0.80, 0.84, 0.89]), f32([0.33, 0.53, 0.78])
 PRESENT, TARGET = (0.86, 0.15, 0.10), (0.80, 0.08, 0.15)
 RECORDED_SIZE = (960, 540)
+KEPT = 1800  # frames of a simulation that a window replays at the end
 ENDINGS = (".html", ".nprec", ".png", *CODECS)
 
 # Gives the frames of a rollout: times (s) and states.
@@ -92,7 +93,8 @@ class Stage:
     """Shows a simulation, or the iterations of a training, in the viewers that flags ask for.
 
     In a window frames come at the rate of the film, space pauses and N steps; without one nothing
-    waits. Closing the window ends the showing, not the program.
+    waits. At the end the window replays the last rollout, or the simulation, until it is closed; a
+    reset begins the replay again. Closing the window ends the showing, not the program.
 
         with Stage(args, model) as stage:
             for frame in stage.frames(args.headless):
@@ -131,8 +133,10 @@ class Stage:
         self._earlier: dict[str, deque[np.ndarray]] = {}
         self._paths: dict[str, np.ndarray] = {}
         self._again: Callable[[], None] | None = None
+        self._shown: deque[tuple[float, dict[str, np.ndarray]]] = deque(maxlen=KEPT)
         self._due = 0.0
         self.viewers = list(viewers) if viewers is not None else self._make(args)
+        self._audience = self.viewers  # those that see what is shown
         for viewer in self.viewers:
             if model is not None:
                 viewer.set_model(model)
@@ -194,6 +198,9 @@ class Stage:
             if contacts is not None:
                 viewer.log_contacts(contacts, state)
             viewer.end_frame()
+        if self._waits and self._again is None:
+            fields = {name: getattr(state, name) for name in ("body_q", "particle_q")}
+            self._shown.append((t, {name: rows.numpy() for name, rows in fields.items()}))
         self._pace()
 
     def show_recording(self, recording: ViewerFile) -> None:
@@ -202,13 +209,36 @@ class Stage:
         self._again()
 
     def _play_recording(self, recording: ViewerFile) -> None:
-        for viewer in self._open():
-            recording.show_start(viewer)
-        for frame in range(recording.frame_count):
-            self._wait_while_paused()
+        def start() -> Iterator[int]:
+            for viewer in self._open():
+                recording.show_start(viewer)
+            yield from range(recording.frame_count)
+
+        for frame in self._until_end(start):
             for viewer in self._open():
                 recording.show_frame(viewer, frame)
             self._pace()
+
+    def _play_shown(self) -> None:
+        for t, arrays in self._until_end(lambda: self._shown):
+            for viewer in self._open():
+                viewer.begin_frame(t)
+                viewer.log_state_arrays(arrays)
+                viewer.end_frame()
+            self._pace()
+
+    def _until_end(self, start: Callable[[], Iterable[Any]]) -> Iterator[Any]:
+        """All of what start() gives, again from the start at every reset."""
+        again = True
+        while again:
+            again = False
+            for item in start():
+                self._wait_while_paused(or_reset=True)
+                if self._screen is not None and self._screen.reset_requested:
+                    self._screen.reset_requested = False
+                    again = True
+                    break
+                yield item
 
     def _pace(self) -> None:
         """In a window, wait until the next frame is due."""
@@ -272,12 +302,21 @@ class Stage:
             viewer.log_lines(name, points[:-1], points[1:], PRESENT, self.path_width)
 
     def _play(self, frames: Frames) -> None:
-        for t, state in frames():
-            self._wait_while_paused()
+        for t, state in self._until_end(frames):
             self.show(t, state)
 
     def replay(self) -> None:
-        """In a window, play the last rollout or recording until it is closed."""
+        """In a window, play the last rollout, recording or simulation until it is closed.
+
+        What is written to a file ends before.
+        """
+        if not self._waits:
+            return
+        self._audience = [self._screen]
+        if hasattr(self._screen, "stop_video"):
+            self._screen.stop_video()
+        if self._again is None and self._shown:
+            self._again = self._play_shown
         while self._waits and self._screen.is_running():
             if self._again is not None:
                 self._again()
@@ -291,12 +330,14 @@ class Stage:
             self._screen.end_frame()
             time.sleep(1.0 / self.fps)
 
-    def _wait_while_paused(self) -> None:
+    def _wait_while_paused(self, or_reset: bool = False) -> None:
         while self._waits and self._screen.is_running() and not self._screen.should_step():
+            if or_reset and self._screen.reset_requested:
+                return
             self._screen.end_frame()
 
     def _open(self) -> list[Viewer]:
-        return [viewer for viewer in self.viewers if viewer.is_running()]
+        return [viewer for viewer in self._audience if viewer.is_running()]
 
     def close(self) -> None:
         """Write what was recorded, and close all viewers."""

@@ -276,9 +276,9 @@ def check_ways(recorder: Recorder, name: str, shown: int, points: int) -> None:
         ("spring_cage", 7, 3, 31, 30),
         ("dice", 2, 3, 49, 240),
         ("featherstone", 2, 3, 37, 240),
-        ("pendulum", 2, 3, None, None),
-        ("push", 2, 3, None, None),
-        ("drone", 2, 3, None, None),
+        ("pendulum", 7, 3, None, None),
+        ("push", 7, 3, None, None),
+        ("drone", 11, 3, None, None),
         ("cart_pole", 21, 3, None, None),
     ],
 )

@@ -168,7 +168,7 @@ def main() -> int:
         )
     losses: list[float] = []
     look = ((0.5, -4.2, 2.4), (0.4, 0.2, 1.5))
-    with viewer.Stage(args, drone.model, fps=FPS, look=look, path_width=0.006) as stage:
+    with viewer.Stage(args, drone.model, fps=FPS, refresh=10, look=look, path_width=0.006) as stage:
         stage.mark(WAYPOINT, radius=0.04)
 
         def paths() -> dict[str, np.ndarray]:

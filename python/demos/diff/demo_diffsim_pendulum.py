@@ -159,7 +159,9 @@ def main() -> int:
     pendulum.forward()
     ways, losses = [pendulum.way()], []
     look = ((0.0, -3.0, 0.9), (0.0, 0.0, 0.7))
-    with viewer.Stage(args, pendulum.model, fps=FPS, look=look, path_width=0.006) as stage:
+    with viewer.Stage(
+        args, pendulum.model, fps=FPS, refresh=6, look=look, path_width=0.006
+    ) as stage:
         stage.mark(MARK, radius=0.02)
 
         def paths() -> dict[str, np.ndarray]:

@@ -145,7 +145,7 @@ def main() -> int:
     push.forward()
     ways, losses = [push.way()], []
     look = ((0.4, -1.4, 1.2), (0.4, 0.2, 0.0))
-    with viewer.Stage(args, push.model, fps=FPS, look=look, path_width=0.006) as stage:
+    with viewer.Stage(args, push.model, fps=FPS, refresh=6, look=look, path_width=0.006) as stage:
         stage.mark((*MARK, 0.0), radius=0.02)
 
         def paths() -> dict[str, np.ndarray]:

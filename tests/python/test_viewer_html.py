@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import re
+import time
 
 import browser
 import numpy as np
@@ -135,6 +136,55 @@ def test_what_moves_is_packed_and_comes_back_below_a_pixel(tmp_path, chromium):
         np.testing.assert_allclose(pose[3:], turns[frame], atol=2.0**-16 + 1e-7)
 
 
+def test_a_body_moves_in_the_page_as_projected(tmp_path, chromium):
+    path = tmp_path / "run.html"
+    places = np.float32([(-0.8, 0.0, 0.3), (0.5, 0.4, 0.9), (0.9, -0.6, 0.2)])
+    with novaphy.ViewerHTML(path) as viewer:
+        viewer.look_at((0.5, -6.0, 2.0), (0.0, 0.0, 0.5))
+        for k, place in enumerate(places):
+            viewer.begin_frame(k)
+            viewer.log_points("ball", [place], 0.15, (0.9, 0.1, 0.1))
+            viewer.end_frame()
+        expected = viewer.camera.project(places, 640, 480)
+    page = chromium.page(path.as_uri())
+    page.wait_for("typeof floats !== 'undefined' && floats !== undefined && times.length === 3")
+    page.evaluate("play(false)")
+    page.evaluate("for (const id of ['info', 'bar']) by_id(id).style.display = 'none'")
+    for k, (x, y) in enumerate(expected):
+        page.evaluate(f"show_frame({k})")
+        page.wait_for("!dirty")
+        rgb = pixels(page.picture()).astype(int)
+        rows, columns = np.nonzero((rgb[..., 0] > 2 * rgb[..., 1]) & (rgb[..., 0] > 60))
+        assert len(rows) > 200
+        assert abs(columns.mean() - x) < 2.0 and abs(rows.mean() - y) < 2.0
+
+
+def test_a_thousand_bodies_are_three_draw_calls_of_the_page(tmp_path, chromium):
+    builder = novaphy.ModelBuilder()
+    builder.add_ground_plane()
+    for k in range(1000):
+        place = (0.4 * (k % 40), 0.4 * (k // 40), 0.5)
+        body = builder.add_body(xform=(place, (0.0, 0.0, 0.0, 1.0)), mass=1.0)
+        builder.add_shape_box(body, hx=0.1, hy=0.1, hz=0.1)
+    model = builder.finalize()
+    path = tmp_path / "run.html"
+    with novaphy.ViewerHTML(path) as viewer:
+        viewer.set_model(model)
+        viewer.begin_frame(0.0)
+        viewer.log_state(model.state())
+        viewer.end_frame()
+    page = chromium.page(path.as_uri())
+    page.wait_for("typeof floats !== 'undefined' && floats !== undefined && !dirty")
+    code = (
+        "(() => { let n = 0; for (const f of ['drawElementsInstanced', 'drawArraysInstanced']) {"
+        " const real = gl[f].bind(gl); gl[f] = (...a) => { ++n; real(...a); }; }"
+        " draw(); return n; })()"
+    )
+    assert page.evaluate(code) == 3  # the shadow of the boxes, the boxes, the ground
+    rgb = pixels(page.picture()).astype(int)
+    assert np.mean(np.abs(rgb - [237, 241, 245]).max(axis=2) > 12) > 0.05
+
+
 def test_numbers_that_fit_no_grid_are_kept_as_they_are(tmp_path, chromium):
     far = np.float32(np.random.default_rng(1).normal(size=(4, 100, 3)) * 1e6)
     far[2, 7, 1] = np.inf
@@ -208,6 +258,29 @@ def test_a_scalar_that_is_not_finite_is_a_gap_and_the_page_stays_readable(tmp_pa
 def test_a_page_without_a_folder_is_refused(tmp_path):
     with pytest.raises(ValueError, match="folder"):
         novaphy.ViewerHTML(tmp_path / "nowhere" / "run.html")
+
+
+def test_a_notebook_shows_the_page_in_a_frame(page_file, tmp_path, chromium):
+    _, ball = page_file
+    viewer = novaphy.ViewerFile(tmp_path / "run.nprec", auto_save=False)
+    viewer.set_model(ball.model)
+    for k, state in enumerate(ball.states):
+        viewer.begin_frame(k * DT)
+        viewer.log_state(state)
+        viewer.end_frame()
+    notebook = tmp_path / "notebook.html"
+    notebook.write_text(f"<!DOCTYPE html><body>{viewer._repr_html_()}</body>", "utf-8")
+    page = chromium.page(notebook.as_uri())
+    page.wait_for("document.querySelector('iframe') !== null")
+
+    def drawn():
+        rgb = pixels(page.picture()).astype(int)[:400, 200:]
+        return np.mean(np.abs(rgb - [237, 241, 245]).max(axis=2) > 12)
+
+    end = time.monotonic() + 60.0
+    while not 0.01 < drawn() < 0.9 and time.monotonic() < end:
+        time.sleep(0.5)
+    assert 0.01 < drawn() < 0.9
 
 
 def test_a_notebook_shows_the_page(page_file, tmp_path):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 import socket
 import subprocess
@@ -11,6 +12,7 @@ import time
 from pathlib import Path
 
 import browser
+import numpy as np
 import pytest
 
 import novaphy
@@ -112,6 +114,47 @@ def test_two_browsers_see_the_scene_and_move_a_slider(served):
         while not moved and time.monotonic() < end:
             time.sleep(0.1)
         assert moved and mass() == moved[-1] == pytest.approx(2.01)
+
+
+def test_a_body_moves_in_the_page_as_projected():
+    pytest.importorskip("viser")
+    image = pytest.importorskip("PIL.Image")
+    if reason := browser.why_not():
+        pytest.skip(reason)
+    builder = novaphy.ModelBuilder()
+    body = builder.add_body(mass=1.0)
+    builder.add_shape_sphere(body, radius=0.15)
+    model = builder.finalize()
+    state = model.state()
+    with (
+        novaphy.ViewerViser(port=0, verbose=False) as viewer,
+        browser.Browser(1000, 600) as chromium,
+    ):
+        viewer.set_model(model)
+        viewer.set_shape_colors([0], (0.9, 0.1, 0.1))
+        viewer.look_at((0.0, -5.0, 1.0), (0.0, 0.0, 0.5))
+        page = chromium.page(viewer.url)
+        page.wait_for("document.querySelector('canvas') !== null", 60.0)
+        for k, place in enumerate([(-0.6, 0.0, 0.2), (0.2, 0.3, 0.0), (-0.2, -0.4, -0.2)]):
+            poses = state.body_q.numpy()
+            poses[0, :3] = place
+            state.body_q.assign(poses)
+            viewer.begin_frame(0.1 * k)
+            viewer.log_state(state)
+            viewer._sent_at = 0.0
+            viewer.end_frame()
+            x, y = viewer.camera.project(poses[:, :3], 1000, 600)[0]
+            away, end = 1e9, time.monotonic() + 60.0
+            while away >= 2.0 and time.monotonic() < end:
+                time.sleep(0.5)
+                png = io.BytesIO(page.picture())
+                rgb = np.asarray(image.open(png).convert("RGB")).astype(int)[240:]
+                red = (rgb[..., 0] > 1.6 * rgb[..., 1]) & (rgb[..., 0] > 60)
+                red[:, :120] = False  # where the page has axes of its own
+                rows, columns = np.nonzero(red)
+                if len(rows) > 100:
+                    away = max(abs(columns.mean() - x), abs(rows.mean() + 240 - y))
+            assert away < 2.0, (k, away)
 
 
 def test_a_pointer_in_the_page_pulls_a_body():

@@ -1,6 +1,7 @@
 // A kernel of one's own, and its gradient: the energy of springs of different stiffness.
 #include <cmath>
 #include <iostream>
+#include <string>
 
 #include "novaphy/nova/kernel.h"
 #include "novaphy/nova/ops.h"
@@ -31,5 +32,8 @@ int main() {
     std::cout << "dE/dx[" << i << "] = " << gradient[i] << "\n";
     ok = ok && std::fabs(gradient[i] - stiffness[i] * x[i]) < 1e-4f;
   }
+  // The Program of a kernel is for users to read, too.
+  ok = ok && nova::ir::to_string(energy.program()).find("spring_energy") != std::string::npos &&
+       nova::ir::hash(energy.program()) == energy.hash();
   return ok ? 0 : 1;
 }

@@ -31,6 +31,9 @@ inline constexpr const char* kOpSignatures[] = {
 };
 inline constexpr int kOpCount = sizeof(kOpNames) / sizeof(kOpNames[0]);
 
+// From here on part of the API of nova, which exports it.
+#pragma GCC visibility push(default)
+
 enum class Type : uint8_t { F32 = 0, I32 = 1, Bool = 2 };
 enum class Access : uint8_t { Direct = 0, Uniform = 1, Indexed = 2, CsrRow = 3, Reduced = 4 };
 enum class LoopKind : uint8_t { Fixed = 0, Csr = 1 };
@@ -149,5 +152,7 @@ struct Step {
   int32_t target = -1;  // SkipIfNone: index of the first step after the region
 };
 std::vector<Step> schedule(const Program& program);
+
+#pragma GCC visibility pop
 
 }  // namespace nova::ir

@@ -88,7 +88,8 @@ nova::Kernel make_step_kernel() {
   for (const NumberInfo& info : kNumbers)
     sources.push_back({info.name, DType::F32, 1, Access::Direct});
   const nova::Kernel kernel = nova::make_kernel(
-      "integrate_push_box", sources, {{"box_x", 1}, {"box_v", 1}}, [](TraceContext& c) {
+      "integrate_push_box", sources, {{"box_x", 1, "box_x"}, {"box_v", 1, "box_v"}},
+      [](TraceContext& c) {
         const PushBoxNumbers<Real> n = {c.f32(4), c.f32(5),  c.f32(6),  c.f32(7),  c.f32(8),
                                         c.f32(9), c.f32(10), c.f32(11), c.f32(12), c.f32(13)};
         const PushBoxState<Real> box =

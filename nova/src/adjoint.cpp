@@ -248,6 +248,35 @@ AdjointStage make_items(const Primal& primal, AdjointPlan& plan, const std::vect
   return outputs.empty() ? AdjointStage{} : outputs.finish(primal.mask, plan);
 }
 
+// Where launches of the primal carry outputs to sources, those of the adjoint follow each other
+// backward: the gradient of such a source is what the next one reads as that of the output. All
+// gradients have to be of that kind.
+void carry_gradients(const ir::Program& p, AdjointStage& stage) {
+  const auto gradient_of_output = [&](int32_t source) -> int32_t {
+    for (size_t k = 0; k < stage.sources.size(); ++k)
+      if (const AdjointBinding& b = stage.sources[k];
+          b.kind == Kind::OutputGradient && p.outputs[b.index].carried == source)
+        return static_cast<int32_t>(k);
+    return kNone;
+  };
+  std::vector<int32_t> carried;
+  for (const AdjointBinding& b : stage.outputs) {
+    const int32_t to = b.kind == Kind::SourceGradient ? gradient_of_output(b.index) : kNone;
+    if (to == kNone || std::ranges::count(carried, to) != 0 ||
+        stage.program.sources[to].width != p.sources[b.index].width)
+      return;
+    carried.push_back(to);
+  }
+  const auto gradients = std::ranges::count_if(
+      stage.sources, [](const AdjointBinding& b) { return b.kind != Kind::PrimalSource; });
+  if (static_cast<size_t>(gradients) != carried.size()) return;
+  for (size_t k = 0; k < carried.size(); ++k) {
+    stage.program.outputs[k].carried = carried[k];
+    stage.program.sources[stage.outputs[k].index].varies = true;
+  }
+  stage.program.primal = ir::hash(ir::canonicalise(p, true));
+}
+
 // The gradient of the sums is for the items: without them nobody reads it.
 void drop_loop_gradient(AdjointStage& stage) {
   for (size_t k = 0; k < stage.outputs.size(); ++k) {
@@ -287,6 +316,7 @@ AdjointPlan make_adjoint(const ir::Program& program, const AdjointMask& mask) {
       drop_loop_gradient(rows);
     }
   }
+  carry_gradients(program, rows);
   if (!rows.outputs.empty()) plan.rows.push_back(std::move(rows));
   for (const auto* stages : {&plan.rows, &plan.items})
     for (const AdjointStage& stage : *stages) {

@@ -197,15 +197,14 @@ void HostPlan::make_series(std::span<const MemoryAccess> accesses) {
       const OpList::Op& op = ops_[k];
       arguments.clear();
       for (uint32_t o = k; o < end; ++o) arguments.push_back(words_.data() + ops_[o].first_word);
+      const bool follows = !series_.empty() && series_.back().first >= segment.first &&
+                           !written_since(ops_, words_, accesses, series_.back(), k);
       novaphy_series* series = nullptr;
       novaphy_error error = novaphy::make_error();
-      const novaphy_status status = api.series_create(context_.device, op.kernel, arguments.data(),
-                                                      op.word_count, end - k, &series, &error);
+      const novaphy_status status =
+          api.series_create(context_.device, op.kernel, arguments.data(), op.word_count, end - k,
+                            follows ? series_.back().series : nullptr, &series, &error);
       if (status == NOVAPHY_OK) {
-        const bool follows = has_entry(api, &novaphy_backend_api::series_follow) &&
-                             !series_.empty() && series_.back().first >= segment.first &&
-                             !written_since(ops_, words_, accesses, series_.back(), k);
-        if (follows) api.series_follow(series, series_.back().series);
         series_.push_back({k, end, series});
       } else if (status != NOVAPHY_NOT_SUPPORTED) {
         novaphy::check(status, error, op.name);

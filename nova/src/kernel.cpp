@@ -308,6 +308,16 @@ void check_values(const std::string& name, const char* what, const std::vector<R
             ": no value");
 }
 
+int32_t carried_to(const std::string& name, const std::vector<SourceSpec>& sources,
+                   const OutputSpec& output) {
+  const auto found = std::find_if(sources.begin(), sources.end(),
+                                  [&](const SourceSpec& s) { return s.name == output.carried_to; });
+  require(found != sources.end() && found->dtype == DType::F32 && found->width == output.width,
+          ErrorKind::Value, "kernel '", name, "', output '", output.name, "': carried_to is '",
+          output.carried_to, "', expected a float32 source of width ", output.width);
+  return static_cast<int32_t>(found - sources.begin());
+}
+
 std::shared_ptr<detail::KernelImpl> finish(std::string name, std::vector<SourceSpec> sources,
                                            std::vector<OutputSpec> outputs,
                                            std::vector<int> param_types, Trace& trace,
@@ -324,6 +334,7 @@ std::shared_ptr<detail::KernelImpl> finish(std::string name, std::vector<SourceS
       require(out.values.back() != ir::kNone, ErrorKind::Value, "kernel '", name, "', output '",
               o.name, "', column ", c, ": no value");
     }
+    if (!o.carried_to.empty()) out.carried = carried_to(name, sources, o);
     p.outputs.push_back(std::move(out));
   }
   require(next == values.size(), ErrorKind::Value, "kernel '", name, "': the function returned ",

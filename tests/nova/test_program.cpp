@@ -38,7 +38,9 @@ Program sample() {
               {Op::AND, 13, 14},
               {Op::SELECT_F, 15, 11, 2}};
   p.loops = {{ir::LoopKind::Fixed, 1, {{2, 5}}}, {ir::LoopKind::Csr, 0, {{6, 9}}}};
-  p.outputs = {{"y", ir::Type::F32, {16, 11}}, {"k", ir::Type::I32, {0}}};
+  p.outputs = {{"y", ir::Type::F32, {16, 11}, 0}, {"k", ir::Type::I32, {0}}};
+  p.sources[1].varies = true;
+  p.primal = 0x0123456789ABCDEFu;
   return p;
 }
 
@@ -97,6 +99,57 @@ TEST(ProgramForm, NamesOfAnyLengthSurvive) {
     EXPECT_EQ(read.sources[0].name, name);
     EXPECT_EQ(read.outputs[1].name, name);
   }
+}
+
+// Names are for people; what launches hand on is in fields, and so in the hash.
+TEST(ProgramForm, NoNameHasAMeaning) {
+  const auto hash_after = [](auto change) {
+    Program p = sample();
+    change(p);
+    return ir::hash(p);
+  };
+  const uint64_t hash = ir::hash(sample());
+  EXPECT_EQ(hash_after([](Program& p) {
+              p.name = "x.adjoint";
+              p.sources[0].name = p.outputs[1].name = "grad_x";
+            }),
+            hash);
+  EXPECT_NE(hash_after([](Program& p) { p.outputs[0].carried = ir::kNone; }), hash);
+  EXPECT_NE(hash_after([](Program& p) { p.sources[1].varies = false; }), hash);
+  EXPECT_NE(hash_after([](Program& p) { p.primal ^= uint64_t{1} << 40; }), hash);
+}
+
+// What a kernel says of its outputs gets into its Program, and from there into its adjoint.
+TEST(ProgramForm, CarriedOutputsAndTheirGradients) {
+  const auto make = [](const nova::OutputSpec& q) {
+    return make_kernel("step",
+                       {{"a", DType::F32, 1, ir::Access::Direct},
+                        {"q", DType::F32, 1, ir::Access::Direct},
+                        {"i", DType::I32, 1, ir::Access::Direct}},
+                       {q}, [](nova::TraceContext& c) { return std::vector{c.f32(0) * c.f32(1)}; });
+  };
+  const Kernel kernel = make({"next", 1, "q"});
+  EXPECT_EQ(kernel.program().outputs[0].carried, 1);
+  EXPECT_EQ(make({"q", 1}).program().outputs[0].carried, ir::kNone);
+  const auto adjoint = [&](std::vector<bool> wrt) {
+    return kernel.adjoint({std::move(wrt), {false, false, false}, {true}}).rows.at(0);
+  };
+  // The gradient of q is what the launch before reads as that of its output.
+  const nova::AdjointStage state = adjoint({false, true, false});
+  ASSERT_EQ(state.program.outputs.size(), 1u);
+  const int32_t seed = state.program.outputs[0].carried;
+  ASSERT_GE(seed, 3);
+  EXPECT_EQ(state.sources[static_cast<size_t>(seed)].kind,
+            nova::AdjointBinding::Kind::OutputGradient);
+  EXPECT_TRUE(state.program.sources[1].varies);
+  EXPECT_FALSE(state.program.sources[0].varies);
+  EXPECT_EQ(state.program.primal, kernel.hash());
+  // That of a is carried to nothing.
+  const nova::AdjointStage all = adjoint({true, true, false});
+  EXPECT_EQ(all.program.outputs[0].carried, ir::kNone);
+  EXPECT_EQ(all.program.primal, 0u);
+  EXPECT_ERROR(make({"next", 1, "p"}), ErrorKind::Value, "carried_to is 'p'");
+  EXPECT_ERROR(make({"next", 1, "i"}), ErrorKind::Value, "a float32 source of width 1");
 }
 
 TEST(ProgramForm, IsRefusedWhenCutAnywhereOrWithMoreBehindIt) {
@@ -189,6 +242,16 @@ TEST(ProgramForm, EveryRuleOfTheFormatIsChecked) {
   EXPECT_TRUE(has(refused([](Program& p) { p.outputs[0].values[0] = 17; }), "value 17"));
   EXPECT_TRUE(has(refused([](Program& p) { p.outputs[0].type = ir::Type::I32; }), "output 'y'"));
   EXPECT_TRUE(has(refused([](Program& p) { p.outputs[1] = {"k", ir::Type::Bool, {13}}; }), "bool"));
+  EXPECT_TRUE(
+      has(refused([](Program& p) { p.outputs[0].carried = 2; }), "carried to source 2 of 2"));
+  EXPECT_TRUE(has(refused([](Program& p) { p.outputs[0].carried = -2; }), "carried to source -2"));
+  EXPECT_TRUE(has(refused([](Program& p) { p.outputs[0].carried = 1; }), "carried to source 't'"));
+  EXPECT_TRUE(
+      has(refused([](Program& p) { p.sources[0].varies = true; }), "carried to source 'x'"));
+  EXPECT_TRUE(has(refused([](Program& p) {
+                    p.outputs[1] = {"again", ir::Type::F32, {11, 16}, 0};
+                  }),
+                  "output 'again': cannot be carried"));
   // What belongs to a loop stays in it.
   EXPECT_TRUE(has(refused([](Program& p) { p.outputs[0].values[0] = 5; }), "inside a loop"));
   EXPECT_TRUE(has(refused([](Program& p) { p.instrs[11].a = 5; }), "leaves its loop"));

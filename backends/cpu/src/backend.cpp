@@ -382,14 +382,15 @@ novaphy_status kernel_info(novaphy_kernel* kernel, novaphy_kernel_info* info,
 
 novaphy_status series_create(novaphy_device*, novaphy_kernel* kernel,
                              const uint64_t* const* arguments, uint32_t argument_count,
-                             uint32_t count, novaphy_series** series, novaphy_error* error) {
+                             uint32_t count, novaphy_series* first, novaphy_series** series,
+                             novaphy_error* error) {
   if (argument_count != kernel->argument_count) {
     return fail(error, NOVAPHY_INVALID_ARGUMENT, "series: expected %u argument words, got %u",
                 kernel->argument_count, argument_count);
   }
   return guarded(error, [&] {
     if (kernel->executable == nullptr) return NOVAPHY_NOT_SUPPORTED;
-    auto made = novaphy_series::make(*kernel->executable, {arguments, count});
+    auto made = novaphy_series::make(*kernel->executable, {arguments, count}, first);
     if (made == nullptr) return NOVAPHY_NOT_SUPPORTED;
     *series = made.release();
     return NOVAPHY_OK;
@@ -400,7 +401,6 @@ novaphy_status series_launch(novaphy_series* series, int64_t begin, int64_t end,
   return guarded(error, [&] { return series->run(begin, end, error); });
 }
 void series_destroy(novaphy_series* series) { delete series; }
-void series_follow(novaphy_series* series, novaphy_series* first) { series->follow(*first); }
 
 constexpr novaphy_backend_api kApi = {
     sizeof(novaphy_backend_api),
@@ -443,7 +443,6 @@ constexpr novaphy_backend_api kApi = {
     series_destroy,
     nullptr,  // no sequences either
     nullptr,
-    series_follow,
     nullptr,  // launch_active: the host reads the number
 };
 

@@ -85,13 +85,15 @@ struct novaphy_series::Room {
 };
 
 std::unique_ptr<novaphy_series> novaphy_series::make(const novaphy::cpu::Executable& executable,
-                                                     std::span<const uint64_t* const> launches) {
+                                                     std::span<const uint64_t* const> launches,
+                                                     novaphy_series* first) {
   if (executable.native.series_rows == nullptr || executable.native.series_scalar == nullptr)
     return nullptr;
   std::unique_ptr<novaphy_series> made(new novaphy_series(executable));
   made->launches_.assign(launches.begin(), launches.end());
   if (!made->same_but_for_arrays() || made->writes_what_all_read()) return nullptr;
   made->make_table();
+  if (first != nullptr) made->follow(*first);
   return made;
 }
 
@@ -229,17 +231,16 @@ bool novaphy_series::overwrites(const novaphy_series& first) const {
 bool novaphy_series::asks_like(const novaphy_series& first) {
   const Program &asks = executable_->program, &asked = first.executable_->program;
   const uint64_t primal = executable_->native.series_rows->primal;
-  if (primal == 0 || primal != nova::ir::hash(asked) || asks.param_count < asked.param_count)
+  if (primal == 0 || primal != nova::ir::hash(asked) || asks.param_count < asked.param_count ||
+      asks.sources.size() < asked.sources.size())
     return false;
   struct Words {
     uint32_t here, there;
   };
-  std::vector<Words> same;
-  for (size_t s = 0; s < asks.sources.size(); ++s)
-    for (size_t t = 0; t < asked.sources.size(); ++t)
-      if (asks.sources[s].name == asked.sources[t].name)
-        for (const uint32_t k : {0u, 1u})
-          same.push_back({asks.source_argument(s) + k, asked.source_argument(t) + k});
+  std::vector<Words> same;  // an adjoint begins with the sources of its primal
+  for (size_t s = 0; s < asked.sources.size(); ++s)
+    for (const uint32_t k : {0u, 1u})
+      same.push_back({asks.source_argument(s) + k, asked.source_argument(s) + k});
   for (size_t l = 0; l < asks.loops.size(); ++l)
     for (const uint32_t k : {0u, 1u})
       same.push_back({asks.loop_argument(l) + k, asked.loop_argument(0) + k});

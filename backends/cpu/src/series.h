@@ -12,14 +12,13 @@
 struct novaphy_series {
  public:
   // Null when the kernel has no compiled form for a series, or the launches differ in more than
-  // that form allows.
-  static std::unique_ptr<novaphy_series> make(const novaphy::cpu::Executable& executable,
-                                              std::span<const uint64_t* const> launches);
-  // From now on this series always runs on rows on which `first` ran just before, on the same
-  // thread, and nothing in between has written what `first` read or wrote. If it asks the same
+  // that form allows. `first`: null, or a series that always runs just before on the same rows and
+  // thread, and nothing in between writes what it read or wrote. If the new one asks the same
   // questions, `first` notes for it which launches were quiet, and keeps near by what the others
   // read, so that large outputs may be written past the caches.
-  void follow(novaphy_series& first);
+  static std::unique_ptr<novaphy_series> make(const novaphy::cpu::Executable& executable,
+                                              std::span<const uint64_t* const> launches,
+                                              novaphy_series* first);
   // The rows [begin, end) of all launches, on the calling thread.
   novaphy_status run(int64_t begin, int64_t end, novaphy_error* error) const;
 
@@ -33,6 +32,7 @@ struct novaphy_series {
   bool read_again(size_t k, size_t output) const;
   bool is_large() const;
   void make_table();
+  void follow(novaphy_series& first);
   size_t launch_words() const { return varying().size() + carried().size() + 1; }
   bool asks_like(const novaphy_series& first);
   bool overwrites(const novaphy_series& first) const;

@@ -3,15 +3,14 @@
 // read. Its adjoint, which would ask the same questions of the same values, has a short form for
 // quiet launches.
 #include <algorithm>
-#include <functional>
 
 #include "emitter.h"
 
 namespace nova::ir {
 namespace {
 
-// Equal for values that are computed alike from sources of the same names. All CSR loops count as
-// loops over the same rows.
+// Equal for values that are computed alike from the same sources: an adjoint has those of its
+// primal at the same places. All CSR loops count as loops over the same rows.
 class Alike {
  public:
   explicit Alike(const Program& program) : p_(program), known_(program.instrs.size(), 0) {}
@@ -37,8 +36,7 @@ class Alike {
       return mixed(mixed(h, (*this)(sum.init)), (*this)(sum.term));
     }
     if (is_load(in.op)) {
-      const std::string& name = p_.sources[static_cast<size_t>(in.a)].name;
-      h = mixed(mixed(h, std::hash<std::string>()(name)), static_cast<uint64_t>(in.c));
+      h = mixed(mixed(h, static_cast<uint64_t>(in.a)), static_cast<uint64_t>(in.c));
       return mixed(h, (*this)(in.b));
     }
     if (is_leaf(in.op)) return mixed(h, static_cast<uint64_t>(static_cast<uint32_t>(in.a)));
@@ -121,13 +119,13 @@ int32_t Emitter::near_bytes(int32_t source) const {
   const Series kept = *find_series(*primal_);
   const std::span carried(kept.carried);
   for (size_t k = 0; k < carried.size(); ++k)
-    if (primal_->sources[at(carried[k])].name == wanted.name)
-      return room_bytes(*primal_, carried.first(k));
+    if (carried[k] == source) return room_bytes(*primal_, carried.first(k));
   return -1;
 }
 
 bool adjoint_of_series(const Program& adjoint, const Program& primal) {
-  if (adjoint.name != primal.name + ".adjoint" || primal.loops.size() > 1) return false;
+  if (adjoint.primal == 0 || adjoint.primal != hash(primal) || primal.loops.size() > 1)
+    return false;
   const auto later = find_series(adjoint), first = find_series(primal);
   if (!later || !first) return false;
   const auto asks = Emitter(adjoint, false, &*later).questions(),

@@ -170,6 +170,17 @@ std::string validate(const Program& p, bool allow_trace_ops) {
     for (Value v : o.values)
       if (!is_value(v, o.type)) return message("output '", o.name, "': value ", v);
   }
+  std::vector<char> is_carried(p.sources.size(), 0);
+  for (const Output& o : p.outputs) {
+    if (o.carried == kNone) continue;
+    if (o.carried < 0 || o.carried >= static_cast<int32_t>(p.sources.size()))
+      return message("output '", o.name, "': carried to source ", o.carried, " of ",
+                     p.sources.size());
+    const Source& s = p.sources[o.carried];
+    if (s.type != o.type || static_cast<size_t>(s.width) != o.values.size() || s.varies ||
+        is_carried[o.carried]++ != 0)
+      return message("output '", o.name, "': cannot be carried to source '", s.name, "'");
+  }
   // Sections: a loop's inner value stays inside, and a sum's initial value exists before its loop.
   const std::vector<int32_t> section = sections(p);
   for (int32_t v = 0; v < count; ++v)
@@ -269,19 +280,23 @@ std::vector<uint32_t> serialise(const Program& p) {
                                                          static_cast<uint32_t>(p.loops.size()),
                                                          static_cast<uint32_t>(p.param_count),
                                                          static_cast<uint32_t>(p.instrs.size()),
-                                                         p.contract ? 1u : 0u};
+                                                         p.contract ? 1u : 0u,
+                                                         static_cast<uint32_t>(p.primal),
+                                                         static_cast<uint32_t>(p.primal >> 32)};
   for (uint32_t h : header) w.word(h);
   w.text(p.name);
   for (const Source& s : p.sources) {
     w.word(static_cast<uint32_t>(s.type));
     w.word(s.width);
     w.word(static_cast<uint32_t>(s.access));
+    w.word(s.varies ? 1u : 0u);
     w.word(static_cast<uint32_t>(s.name.size()));
     w.text(s.name);
   }
   for (const Output& o : p.outputs) {
     w.word(static_cast<uint32_t>(o.type));
     w.word(static_cast<uint32_t>(o.values.size()));
+    w.word(o.carried);
     w.word(static_cast<uint32_t>(o.name.size()));
     w.text(o.name);
     for (Value v : o.values) w.word(v);
@@ -324,17 +339,21 @@ bool deserialise(std::span<const uint32_t> words, Program& program, std::string&
   p.name = r.text(words[NOVAPHY_PROGRAM_HEADER_NAME_BYTES]);
   p.param_count = static_cast<int32_t>(words[NOVAPHY_PROGRAM_HEADER_PARAMETERS]);
   p.contract = words[NOVAPHY_PROGRAM_HEADER_FLAGS] & 1u;
-  p.sources.resize(r.count(words[NOVAPHY_PROGRAM_HEADER_SOURCES], 4));
+  p.primal = words[NOVAPHY_PROGRAM_HEADER_PRIMAL_LOW] |
+             static_cast<uint64_t>(words[NOVAPHY_PROGRAM_HEADER_PRIMAL_HIGH]) << 32;
+  p.sources.resize(r.count(words[NOVAPHY_PROGRAM_HEADER_SOURCES], 5));
   for (Source& s : p.sources) {
     s.type = static_cast<Type>(std::min<uint32_t>(r.word(), 3));
     s.width = r.signed_word();
     s.access = static_cast<Access>(std::min<uint32_t>(r.word(), 255));
+    s.varies = r.word() != 0;
     s.name = r.text(r.word());
   }
-  p.outputs.resize(r.count(words[NOVAPHY_PROGRAM_HEADER_OUTPUTS], 3));
+  p.outputs.resize(r.count(words[NOVAPHY_PROGRAM_HEADER_OUTPUTS], 4));
   for (Output& o : p.outputs) {
     o.type = static_cast<Type>(std::min<uint32_t>(r.word(), 3));
     const uint32_t width = r.word();
+    o.carried = r.signed_word();
     o.name = r.text(r.word());
     o.values.resize(r.count(width, 1));
     for (Value& v : o.values) v = r.signed_word();
@@ -368,7 +387,8 @@ std::string to_string(const Program& p) {
   s << "program " << p.name << (p.contract ? " (contract)" : "") << "\n";
   for (size_t k = 0; k < p.sources.size(); ++k)
     s << "  source " << k << " " << p.sources[k].name << ": " << type_name(p.sources[k].type) << "{"
-      << p.sources[k].width << "} " << kAccess[static_cast<int>(p.sources[k].access)] << "\n";
+      << p.sources[k].width << "} " << kAccess[static_cast<int>(p.sources[k].access)]
+      << (p.sources[k].varies ? " varies" : "") << "\n";
   const std::vector<int32_t> section = sections(p);
   for (size_t v = 0; v < p.instrs.size(); ++v) {
     const Instr& in = p.instrs[v];
@@ -396,6 +416,7 @@ std::string to_string(const Program& p) {
   for (const Output& o : p.outputs) {
     s << "  output " << o.name << ": " << type_name(o.type) << " =";
     for (Value v : o.values) s << " %" << v;
+    if (o.carried != kNone) s << " carried to " << o.carried;
     s << "\n";
   }
   return s.str();

@@ -18,6 +18,7 @@ class Canonicaliser {
     to_.sources = from.sources;
     to_.param_count = from.param_count;
     to_.contract = from.contract;
+    to_.primal = from.primal;
     loop_map_.assign(from.loops.size(), kNone);
     sum_map_.resize(from.loops.size());
     for (size_t l = 0; l < from.loops.size(); ++l)

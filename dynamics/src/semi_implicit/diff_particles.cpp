@@ -59,7 +59,8 @@ std::vector<Real> integrate(TraceContext& c, Worlds worlds, const Vec3<Real>& fo
   return {next.q.x, next.q.y, next.q.z, next.qd.x, next.qd.y, next.qd.z};
 }
 
-const std::vector<nova::OutputSpec> kOutputs = {{"particle_q", 3}, {"particle_qd", 3}};
+const std::vector<nova::OutputSpec> kOutputs = {{"particle_q", 3, "particle_q"},
+                                                {"particle_qd", 3, "particle_qd"}};
 
 // Of the kernels that also find contacts, particles alone are the most frequent use.
 nova::Kernel with_state_gradients(const nova::Kernel& kernel) {

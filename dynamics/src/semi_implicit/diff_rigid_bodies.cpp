@@ -156,7 +156,7 @@ std::vector<Real> integrate(TraceContext& c, Worlds worlds, std::span<const Real
 
 nova::Kernel make_kernel(const char* name, Worlds worlds) {
   const nova::Kernel kernel = nova::make_reduce_kernel(
-      name, sources(worlds), {{"body_q", 7}, {"body_qd", 6}},
+      name, sources(worlds), {{"body_q", 7, "body_q"}, {"body_qd", 6, "body_qd"}},
       {.init =
            [](TraceContext& c) {
              const Columns f(c, "body_f");

@@ -1,12 +1,12 @@
 // damper
-// Program c746a5d53578d207, 33 instructions. Argument words:
+// Program b1c447978d989088, 33 instructions. Argument words:
 //   0  indices: i32{2}, own row; 1  its rows
 //   2  q: f32{3}, rows by index; 3  its rows
 //   4  qd: f32{3}, rows by index; 5  its rows
 //   6  damping: f32{1}, own row; 7  its rows
 //   8  out f: f32{3}
 // Computes the rows [begin, end) in groups of LANES; returns the first that it left.
-static int64_t k_damper_c746a5d53578d207(const uint64_t* args, int64_t begin, int64_t end,
+static int64_t k_damper_b1c447978d989088(const uint64_t* args, int64_t begin, int64_t end,
                   novaphy_error_sink* sink) {
   const char* const s0 = (const char*)args[0];
   const int64_t n0 = (int64_t)args[1];

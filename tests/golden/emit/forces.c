@@ -1,11 +1,11 @@
 // forces
-// Program 26af7b50d3722cfe, 11 instructions. Argument words:
+// Program 1e1f83ba37c33500, 11 instructions. Argument words:
 //   0  x: f32{3}, own row; 1  its rows
 //   2  f: f32{3}, row of the CSR item; 3  its rows
 //   4  out sum: f32{3}
 //   5  sum 0: CSR offsets; 6  its items
 // Computes the rows [begin, end) in groups of LANES; returns the first that it left.
-static int64_t k_forces_26af7b50d3722cfe(const uint64_t* args, int64_t begin, int64_t end,
+static int64_t k_forces_1e1f83ba37c33500(const uint64_t* args, int64_t begin, int64_t end,
                   novaphy_error_sink* sink) {
   const char* const s0 = (const char*)args[0];
   const int64_t n0 = (int64_t)args[1];

@@ -1,11 +1,11 @@
 // sgd_update_f32
-// Program 84719cd418cc13ca, 6 instructions. Argument words:
+// Program e7ccf396a43bc5a1, 6 instructions. Argument words:
 //   0  param: f32{1}, own row; 1  its rows
 //   2  grad: f32{1}, own row; 3  its rows
 //   4  out param: f32{1}
 //   5  parameter 0
 // Computes the rows [begin, end) in groups of LANES; returns the first that it left.
-static int64_t k_sgd_update_f32_84719cd418cc13ca(const uint64_t* args, int64_t begin, int64_t end,
+static int64_t k_sgd_update_f32_e7ccf396a43bc5a1(const uint64_t* args, int64_t begin, int64_t end,
                   novaphy_error_sink* sink) {
   const char* const s0 = (const char*)args[0];
   const int64_t n0 = (int64_t)args[1];

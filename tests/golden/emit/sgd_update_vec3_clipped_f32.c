@@ -1,5 +1,5 @@
 // sgd_update_vec3_clipped_f32
-// Program 7475730fe0934a3c, 60 instructions. Argument words:
+// Program 6ef567023190fa83, 60 instructions. Argument words:
 //   0  param: f32{3}, own row; 1  its rows
 //   2  grad: f32{3}, own row; 3  its rows
 //   4  out param: f32{3}
@@ -7,7 +7,7 @@
 //   6  parameter 1
 //   7  parameter 2
 // Computes the rows [begin, end) in groups of LANES; returns the first that it left.
-static int64_t k_sgd_update_vec3_clipped_f32_7475730fe0934a3c(const uint64_t* args, int64_t begin, int64_t end,
+static int64_t k_sgd_update_vec3_clipped_f32_6ef567023190fa83(const uint64_t* args, int64_t begin, int64_t end,
                   novaphy_error_sink* sink) {
   const char* const s0 = (const char*)args[0];
   const int64_t n0 = (int64_t)args[1];

@@ -1,11 +1,11 @@
 // spring
-// Program 9c9fe5a42c2f4f8b, 19 instructions. Argument words:
+// Program f85e30c33e67a848, 19 instructions. Argument words:
 //   0  indices: i32{2}, own row; 1  its rows
 //   2  q: f32{3}, rows by index; 3  its rows
 //   4  stiffness: f32{1}, own row; 5  its rows
 //   6  out f: f32{6}
 // Computes the rows [begin, end) in groups of LANES; returns the first that it left.
-static int64_t k_spring_9c9fe5a42c2f4f8b(const uint64_t* args, int64_t begin, int64_t end,
+static int64_t k_spring_f85e30c33e67a848(const uint64_t* args, int64_t begin, int64_t end,
                   novaphy_error_sink* sink) {
   const char* const s0 = (const char*)args[0];
   const int64_t n0 = (int64_t)args[1];

@@ -1,11 +1,11 @@
 // uniform
-// Program 71bfa791c0d49df7, 12 instructions. Argument words:
+// Program 8b4d11860afc874e, 12 instructions. Argument words:
 //   0  x: f32{2}, own row; 1  its rows
 //   2  u: f32{3}, row 0 for all; 3  its rows
 //   4  out y: f32{2}
 //   5  parameter 0
 // Computes the rows [begin, end) in groups of LANES; returns the first that it left.
-static int64_t k_uniform_71bfa791c0d49df7(const uint64_t* args, int64_t begin, int64_t end,
+static int64_t k_uniform_8b4d11860afc874e(const uint64_t* args, int64_t begin, int64_t end,
                   novaphy_error_sink* sink) {
   const char* const s0 = (const char*)args[0];
   const int64_t n0 = (int64_t)args[1];

@@ -1,11 +1,11 @@
 // weights
-// Program 1e026102c7bf2bff, 9 instructions. Argument words:
+// Program e9ffa7a9e0791fbb, 9 instructions. Argument words:
 //   0  x: f32{1}, own row; 1  its rows
 //   2  w: f32{1}, row of the sum's step; 3  its rows
 //   4  out sum: f32{1}
 //   5  parameter 0: the number of steps of sum 0
 // Computes the rows [begin, end) in groups of LANES; returns the first that it left.
-static int64_t k_weights_1e026102c7bf2bff(const uint64_t* args, int64_t begin, int64_t end,
+static int64_t k_weights_e9ffa7a9e0791fbb(const uint64_t* args, int64_t begin, int64_t end,
                   novaphy_error_sink* sink) {
   const char* const s0 = (const char*)args[0];
   const int64_t n0 = (int64_t)args[1];

@@ -1,10 +1,10 @@
 // wide
-// Program d903a2e7a22bbddb, 26 instructions. Argument words:
+// Program c9fcccd74841408c, 26 instructions. Argument words:
 //   0  x: f32{9}, own row; 1  its rows
 //   2  y: f32{7}, own row; 3  its rows
 //   4  out z: f32{6}
 // Computes the rows [begin, end) in groups of LANES; returns the first that it left.
-static int64_t k_wide_d903a2e7a22bbddb(const uint64_t* args, int64_t begin, int64_t end,
+static int64_t k_wide_c9fcccd74841408c(const uint64_t* args, int64_t begin, int64_t end,
                   novaphy_error_sink* sink) {
   const char* const s0 = (const char*)args[0];
   const int64_t n0 = (int64_t)args[1];

@@ -42,6 +42,9 @@ struct SourceSpec {
 struct OutputSpec {
   std::string name;
   int32_t width = 1;
+  // Or the source that the next launch reads it as, where launches follow each other: the state of
+  // a step. Compiled kernels may then run many steps of a row at once.
+  std::string carried_to = {};
 };
 
 // A launch parameter: 32 bits, float or int.

@@ -11,8 +11,7 @@
  *  - Every function that can fail returns a `novaphy_status` and fills the caller's
  * `novaphy_error`.
  *  - Functions marked (optional) may be null; every other entry is required.
- *  - Until a GPU backend has run on this ABI the major version is 0: no promise to outside vendors
- * yet.
+ *  - The minor version counts on when the major one changes.
  */
 #ifndef NOVAPHY_ABI_BACKEND_H
 #define NOVAPHY_ABI_BACKEND_H
@@ -23,8 +22,8 @@
 extern "C" {
 #endif
 
-#define NOVAPHY_ABI_MAJOR 0u
-#define NOVAPHY_ABI_MINOR 10u
+#define NOVAPHY_ABI_MAJOR 1u
+#define NOVAPHY_ABI_MINOR 11u
 
 typedef enum novaphy_status {
   NOVAPHY_OK = 0,
@@ -245,10 +244,14 @@ typedef struct novaphy_backend_api {
    * `arguments` has the address of the words of each, and these live as long as the series. Each
    * launch touches memory that the series writes at its own row only, so row i of all launches may
    * run before row i + 1 of the first. series_launch runs the rows [begin, end) of all of them on
-   * the calling thread. NOT_SUPPORTED: it would gain nothing here, launch them one by one. */
+   * the calling thread. NOT_SUPPORTED: it would gain nothing here, launch them one by one.
+   * `first`: null, or a series that lives as long as this one and is always launched just before
+   * it, by the same thread, on the same rows; nothing in between writes what it wrote. A backend
+   * may let it keep near by what this one asks for again. */
   novaphy_status (*series_create)(novaphy_device* device, novaphy_kernel* kernel,
                                   const uint64_t* const* arguments, uint32_t argument_count,
-                                  uint32_t count, novaphy_series** series, novaphy_error* error);
+                                  uint32_t count, novaphy_series* first, novaphy_series** series,
+                                  novaphy_error* error);
   novaphy_status (*series_launch)(novaphy_series* series, int64_t begin, int64_t end,
                                   novaphy_error* error);
   void (*series_destroy)(novaphy_series* series);
@@ -263,11 +266,6 @@ typedef struct novaphy_backend_api {
   int32_t (*sequence_takes)(novaphy_device* device, const novaphy_list_op* op);
   novaphy_status (*sequence_create)(novaphy_device* device, const novaphy_sequence_op* ops,
                                     uint32_t count, novaphy_list** list, novaphy_error* error);
-
-  /* since minor version 6 (optional): `series` is from now on launched on rows on which `first` was
-   * launched just before, by the same thread, and nothing in between writes what `first` wrote. So
-   * `first`, which lives as long, may keep what it wrote near by for `series`. */
-  void (*series_follow)(novaphy_series* series, novaphy_series* first);
 
   /* since minor version 10 (optional): `launch` of a Program over the first *active of n rows: none
    * when that is negative, all when it is n or more. `active` is an i32 in the device's memory,

@@ -6,8 +6,9 @@
  * Words are 32 bit, little endian:
  *   header      NOVAPHY_PROGRAM_HEADER_WORDS words, see the enum
  *   name        header[NAME_BYTES] bytes, padded with zeros to a whole word
- *   sources     per source:  type, width, access, name bytes, name (padded)
- *   outputs     per output:  type, width, name bytes, name (padded), then `width` value ids
+ *   sources     per source:  type, width, access, varies (0 or 1), name bytes, name (padded)
+ *   outputs     per output:  type, width, carried (a source, or -1), name bytes, name (padded), then `width`
+ *               value ids
  *   loops       per loop:    kind, extent parameter (FIXED only, else 0), number of sums, then per sum
  *               the value ids of its initial value and of its term
  *   instructions  per instruction: op, a, b, c
@@ -24,6 +25,10 @@
  * SLOT), and its sums are left folds: acc = init; acc = acc + term(r). SUM yields the final value. A value
  * that depends on REDUCE_INDEX or SLOT of loop l exists inside loop l only.
  *
+ * Series: where launches follow each other, the next one reads a `carried` output at its own row as that source,
+ * and may have another array of each source that `varies`. Names are for people: nothing follows from them. An
+ * adjoint that carries gradients so names its primal by that Program's hash, and has the primal's sources first.
+ *
  * Arithmetic: IEEE binary32, round to nearest even, no contraction, no flush to zero. FMA rounds once.
  * i32 arithmetic wraps. Shifts use the low five bits of the count. IDIV and IMOD truncate and give 0 for a
  * zero divisor. F_TO_I truncates, saturates, and maps NaN to 0. MIN is a <= b ? a : b, MAX is a >= b ? a : b,
@@ -33,7 +38,7 @@
 #define NOVAPHY_ABI_PROGRAM_H
 
 #define NOVAPHY_PROGRAM_MAGIC 0x5250564Eu /* "NVPR" */
-#define NOVAPHY_PROGRAM_VERSION 1u
+#define NOVAPHY_PROGRAM_VERSION 2u
 
 enum {
   NOVAPHY_PROGRAM_HEADER_MAGIC = 0,
@@ -46,7 +51,9 @@ enum {
   NOVAPHY_PROGRAM_HEADER_PARAMETERS = 7,
   NOVAPHY_PROGRAM_HEADER_INSTRUCTIONS = 8,
   NOVAPHY_PROGRAM_HEADER_FLAGS = 9, /* bit 0: contraction allowed */
-  NOVAPHY_PROGRAM_HEADER_WORDS = 10
+  NOVAPHY_PROGRAM_HEADER_PRIMAL_LOW = 10,
+  NOVAPHY_PROGRAM_HEADER_PRIMAL_HIGH = 11,
+  NOVAPHY_PROGRAM_HEADER_WORDS = 12
 };
 
 /* X(name, signature): result type, then one letter per operand a, b, c.

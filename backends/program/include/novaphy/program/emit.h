@@ -27,8 +27,8 @@ std::string emit_c(const Program& program, const std::string& function = {});
 // has a short form for these.
 std::string emit_c_series(const Program& program, const Series& series, const std::string& function,
                           const Program* primal = nullptr);
-// Whether `adjoint` may take the notes of `primal` for its own: what makes its launches more than
-// quiet ones is computed alike there.
+// Whether `adjoint` is one of `primal` and may take the notes of that for its own: what makes its
+// launches more than quiet ones is computed alike there.
 bool adjoint_of_series(const Program& adjoint, const Program& primal);
 // The same for a GPU: a C++ function of one row, templated on how each source and output is reached
 // (s0, o0, ...), whose names backends/gpu/src/device_prelude.cuh gives a meaning.

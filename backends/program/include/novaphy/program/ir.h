@@ -52,12 +52,14 @@ struct Source {
   Type type = Type::F32;
   int32_t width = 1;
   Access access = Access::Direct;
+  bool varies = false;  // launches of a series may each have another array: see series.h
 };
 
 struct Output {
   std::string name;
   Type type = Type::F32;
   std::vector<Value> values;  // one per column
+  int32_t carried = kNone;    // the source that the next launch of a series reads it as
 };
 
 struct Sum {
@@ -78,6 +80,9 @@ struct Program {
   std::vector<Loop> loops;
   int32_t param_count = 0;
   bool contract = false;
+  // Of an adjoint that carries what its primal does, backward: the hash of that primal, whose
+  // sources are its first ones. Else 0.
+  uint64_t primal = 0;
   std::vector<Instr> instrs;
 
   // Launch argument words: see <novaphy/abi/program.h>.

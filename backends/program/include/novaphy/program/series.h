@@ -24,10 +24,9 @@ inline bool handed_over(Type type, int32_t width) { return type == Type::F32 && 
 // what it read as carried.
 int32_t room_bytes(const Program& program, std::span<const int32_t> carried);
 
-// Names tell what belongs together: an output is carried to the source of its name, and beside a
-// gradient grad_x that is carried, x varies. All other sources, tables and parameters have to be
-// the same in every launch. None: an output has no such source, a gradient is not carried, or the
-// Program is so small that nothing is gained.
+// What the Program says of itself: Output::carried and Source::varies. All other sources, tables
+// and parameters have to be the same in every launch. None: an output is not carried, or to a
+// source that is read at other rows as well, or the Program is so small that nothing is gained.
 std::optional<Series> find_series(const Program& program);
 
 }  // namespace nova::ir

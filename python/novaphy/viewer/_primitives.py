@@ -6,7 +6,8 @@ import numpy as np
 
 from ._scene import Scene
 
-SEGMENTS, RINGS = 24, 12
+SEGMENTS, RINGS = 24, 12  # of a sphere and a capsule
+SIDES = 48  # of a cylinder and a cone
 AXIS = np.array([0.0, 0.0, 1.0])
 
 
@@ -79,35 +80,35 @@ def _capsule():
 
 
 def _disc(height: float, up: float, first: int):
-    rim = _circle() + np.array([0.0, 0.0, height])
+    rim = _circle(SIDES) + np.array([0.0, 0.0, height])
     points = np.concatenate([[[0.0, 0.0, height]], rim])
-    k = first + 1 + np.arange(SEGMENTS)
+    k = first + 1 + np.arange(SIDES)
     a, b = (k, k + 1) if up > 0 else (k + 1, k)
-    indices = np.stack([np.full(SEGMENTS, first), a, b], axis=-1)
+    indices = np.stack([np.full(SIDES, first), a, b], axis=-1)
     return points, np.tile([0.0, 0.0, up], (len(points), 1)), indices
 
 
 def _cylinder():
-    rim = _circle()
+    rim = _circle(SIDES)
     side = np.stack([rim - AXIS, rim + AXIS]).reshape(-1, 3)
     top = _disc(1.0, 1.0, len(side))
     bottom = _disc(-1.0, -1.0, len(side) + len(top[0]))
     return _finish(
         np.concatenate([side, top[0], bottom[0]]),
         np.concatenate([np.tile(rim, (2, 1)), top[1], bottom[1]]),
-        np.concatenate([_quads(2, SEGMENTS + 1), top[2], bottom[2]]),
+        np.concatenate([_quads(2, SIDES + 1), top[2], bottom[2]]),
     )
 
 
 def _cone():
-    rim = _circle()
+    rim = _circle(SIDES)
     side = np.stack([rim - AXIS, 0.0 * rim + AXIS]).reshape(-1, 3)
     slope = np.tile((rim + 0.5 * AXIS) / np.sqrt(1.25), (2, 1))
     bottom = _disc(-1.0, -1.0, len(side))
     return _finish(
         np.concatenate([side, bottom[0]]),
         np.concatenate([slope, bottom[1]]),
-        np.concatenate([_quads(2, SEGMENTS + 1), bottom[2]]),
+        np.concatenate([_quads(2, SIDES + 1), bottom[2]]),
     )
 
 

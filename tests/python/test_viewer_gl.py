@@ -331,6 +331,14 @@ side, above, _ = viewer.camera.axes()
 pull = state.body_f.numpy()[0, :3]
 assert pull @ side > 1.0 and abs(pull @ above) < 0.05 * (pull @ side), pull
 window.on_mouse_release(0, 0, window.mouse.LEFT, 0)
+window.on_key_press(key.C, 0)
+assert not viewer.show_contacts
+poses = state.body_q.numpy()
+poses[0, :3] = (0.3, 0.2, 0.7)
+state.body_q.assign(poses)
+window.on_key_press(key.F, 0)
+show(viewer, state)
+assert np.allclose(viewer.camera.target, (0.3, 0.2, 0.7), atol=1e-6)
 window.on_key_press(key.ESCAPE, 0)
 assert not viewer.is_running()
 viewer.close()
@@ -416,27 +424,39 @@ print("done")
 """
 
 SLOW = """
-import time, novaphy
+import types, novaphy
+from novaphy.viewer import _gl
 from test_viewer_gl import bodies
 model = bodies(10)
 viewer = novaphy.ViewerGL(width=160, height=120)
 viewer.set_model(model)
 state = model.state()
-pictures, draw = [], viewer.draw
-viewer.draw = lambda: (pictures.append(time.sleep(0.05)), draw())
-steps, end = 0, time.perf_counter() + 2.0
-while time.perf_counter() < end:
+clock = types.SimpleNamespace(now=1.0, slept=0.0)
+def sleep(seconds):
+    clock.now += seconds
+    clock.slept += seconds
+_gl.time = types.SimpleNamespace(perf_counter=lambda: clock.now, sleep=sleep)
+pictures, draw, window = [], viewer.draw, viewer._window
+def slow_draw():
+    pictures.append(clock.now)
+    clock.now += 0.05
+    draw()
+viewer.draw = slow_draw
+finish = window.show_finished
+window.show_finished = lambda renderer, wait=False, grace=0.0: finish(renderer, True)
+steps = 0
+while clock.now < 3.0:
     viewer.begin_frame(steps)
     viewer.log_state(state)
     viewer.end_frame()
-    time.sleep(1e-3)
+    clock.now += 1e-3
     steps += 1
-assert 2 <= len(pictures) <= 10 and steps > 40 * len(pictures), (len(pictures), steps)
+assert len(pictures) == 10 and 1480 < steps < 1520 and clock.slept == 0.0, (len(pictures), steps)
 viewer.waits = True
-before, steps = len(pictures), 0
-for steps in range(8):
+before = len(pictures)
+for _ in range(8):
     viewer.end_frame()
-assert 7 <= len(pictures) - before <= 8, (before, len(pictures))
+assert len(pictures) == before + 8, (before, len(pictures))
 viewer.close()
 print("done")
 """

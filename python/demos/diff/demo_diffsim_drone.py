@@ -167,8 +167,8 @@ def main() -> int:
             drone.commands, drone.forward, 5e-2, 2e-2, range(8)
         )
     losses: list[float] = []
-    look = ((0.5, -4.2, 2.4), (0.4, 0.2, 1.5))
-    with viewer.Stage(args, drone.model, fps=FPS, refresh=10, look=look, path_width=0.006) as stage:
+    look = ((0.5, -6.4, 3.0), (0.4, 0.2, 2.1))
+    with viewer.Stage(args, drone.model, fps=FPS, refresh=10, look=look, path_width=0.012) as stage:
         stage.mark(WAYPOINT, radius=0.04)
 
         def paths() -> dict[str, np.ndarray]:

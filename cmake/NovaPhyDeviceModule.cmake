@@ -2,9 +2,10 @@
 # The hand-written kernels of a header (NOVAPHY_ROW_KERNEL) for devices: makes the text that their compilers get, and
 # compiles it into the target as
 #   const char* novaphy::detail::<name>_kernels_text();
-# which gives null with NOVAPHY_WITH_CUDA=OFF or where the condition is false. Headers take the place of their includes,
+# which gives null without a backend for devices or where the condition is false. Headers take the place of their includes,
 # each once. core/device/ holds the twins of those that devices read otherwise; system headers are left out. The lines
-# "// kernel NAME WORDS" that backends look for are made from the declarations.
+# "// kernel NAME WORDS" that backends look for are made from the declarations. The text is C++17, which compilers of all
+# vendors know.
 set(NOVAPHY_DEVICE_INCLUDES core/device core/include collision/include dynamics/include)
 
 # Appends a file to the global property NOVAPHY_DEVICE_TEXT, behind the headers that it includes.
@@ -24,6 +25,10 @@ function(novaphy_append_device_text path)
   endforeach()
   file(READ ${path} text)
   string(REGEX REPLACE "#(include|pragma once)[^\n]*\n" "" text "${text}")
+  # Comparisons that C++20 writes by itself: devices compare vectors only.
+  string(REPLACE "bool operator==(const Vec3&) const = default;"
+                 "bool operator==(const Vec3& o) const { return x == o.x && y == o.y && z == o.z; }" text "${text}")
+  string(REGEX REPLACE "\n *bool operator==[^\n]* = default;" "" text "${text}")
   set_property(GLOBAL APPEND_STRING PROPERTY NOVAPHY_DEVICE_TEXT "${text}")
 endfunction()
 
@@ -31,7 +36,7 @@ function(novaphy_add_device_module target header)
   cmake_parse_arguments(PARSE_ARGV 2 arg "" "" "WHEN")
   cmake_path(GET header STEM name)
   set(result nullptr)
-  if(NOVAPHY_WITH_CUDA AND (NOT DEFINED arg_WHEN OR (${arg_WHEN})))
+  if((NOVAPHY_WITH_CUDA OR NOVAPHY_WITH_DLAN) AND (NOT DEFINED arg_WHEN OR (${arg_WHEN})))
     list(TRANSFORM NOVAPHY_DEVICE_INCLUDES PREPEND ${PROJECT_SOURCE_DIR}/)
     set_property(GLOBAL PROPERTY NOVAPHY_DEVICE_TEXT_FILES "")
     set_property(GLOBAL PROPERTY NOVAPHY_DEVICE_TEXT "")

@@ -92,8 +92,9 @@ namespace {
 #include "host_intrinsics.h"
 
 void __syncthreads() { wait(State::AtBlockBarrier); }
-void __syncwarp() { wait(State::AtWarpBarrier); }
-unsigned __shfl_up_sync(unsigned, unsigned value, int step) {
+#define VENDOR_WARP 32
+void vendor_warp_barrier() { wait(State::AtWarpBarrier); }
+unsigned vendor_shuffle_up(unsigned value, int step) {
   static unsigned values[1024];
   const unsigned t = threadIdx.x;
   values[t] = value;
@@ -104,8 +105,9 @@ unsigned __shfl_up_sync(unsigned, unsigned value, int step) {
 }
 
 #define __shared__ static
-// The second needs the first.
+// Each needs the ones before.
 // clang-format off
+#include "vendors/generic.cuh"
 #include "device_prelude.cuh"
 #include "builtins.cuh"
 // clang-format on

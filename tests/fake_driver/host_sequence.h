@@ -158,9 +158,7 @@ namespace {
 
 #include "host_intrinsics.h"
 
-uint32_t __cvta_generic_to_shared(const void*) { return 0; }
 void __threadfence_block() {}
 void __syncthreads() { sync_block(); }
 
 #define __cluster_dims__(...)
-#define __builtin_assume(...)

@@ -1,4 +1,5 @@
-// Uses a CUDA device and prints what happens; errors as "error: ...".
+// Uses a device (cuda, unless a second argument names one) and prints what happens; errors as
+// "error: ...".
 #include <array>
 #include <cstdio>
 #include <cstring>
@@ -22,14 +23,16 @@ namespace {
 using novaphy::Device;
 using novaphy::DeviceArray;
 
+Device g_device = Device::cuda();
+
 void print_device() {
-  const novaphy::DeviceInfo info = novaphy::device_info(Device::cuda());
+  const novaphy::DeviceInfo info = novaphy::device_info(g_device);
   std::printf("%s sm_%d %d units, graphs %d\n", info.name.c_str(), info.arch, info.units,
               info.supports_graph_capture);
 }
 
 void round_trip() {
-  DeviceArray<float> array(1000, Device::cuda());
+  DeviceArray<float> array(1000, g_device);
   array.fill(2.5f);
   float sum = 0.0f;
   for (const float v :
@@ -41,7 +44,7 @@ void round_trip() {
 // More than there is, then again what fits.
 void run_out_of_memory() {
   try {
-    const DeviceArray<float> array(size_t{1} << 24, Device::cuda());
+    const DeviceArray<float> array(size_t{1} << 24, g_device);
     std::printf("allocated\n");
   } catch (const novaphy::Error& error) {
     std::printf("error: %s\n", error.what());
@@ -52,7 +55,7 @@ void run_out_of_memory() {
 void lose_the_device() {
   for (int k = 0; k < 3; ++k) {
     try {
-      DeviceArray<float> array(10, Device::cuda());
+      DeviceArray<float> array(10, g_device);
       array.fill(1.0f);
       array.to_host();
       std::printf("worked\n");
@@ -68,7 +71,7 @@ void lose_the_device() {
 // Two kernels; what else is printed is for the test to see.
 void run_kernels() {
   const std::array<float, 3> values = {1.0f, 2.0f, 3.0f};
-  const nova::Tensor x = nova::Tensor::from_host(values, {3}, Device::cuda());
+  const nova::Tensor x = nova::Tensor::from_host(values, {3}, g_device);
   for (const float v : nova::add(nova::mul(x, x), x).to_host())
     std::printf("%g ", static_cast<double>(v));
   std::printf("\n");
@@ -79,7 +82,7 @@ void mix_devices() {
       nova::make_kernel("copy_row", {{"x", nova::DType::F32, 1, nova::Access::Direct}}, {{"y", 1}},
                         [](nova::TraceContext& c) { return std::vector{c.f32(0)}; });
   const nova::Tensor cpu({3}, nova::DType::F32, Device::cpu()),
-      cuda({3}, nova::DType::F32, Device::cuda());
+      cuda({3}, nova::DType::F32, g_device);
   const nova::Operand in = cpu.operand(), out = cuda.operand();
   copy.launch(3, {&in, 1}, {&out, 1});
 }
@@ -98,7 +101,7 @@ std::vector<novaphy::Vec3f> stepped(Device device) {
 }
 
 void step_a_model() {
-  const auto cpu = stepped(Device::cpu()), cuda = stepped(Device::cuda());
+  const auto cpu = stepped(Device::cpu()), cuda = stepped(g_device);
   const bool equal = std::memcmp(cpu.data(), cuda.data(), cpu.size() * sizeof(cpu[0])) == 0;
   std::printf("%zu particles, %s bits\n", cpu.size(), equal ? "the same" : "other");
 }
@@ -137,8 +140,8 @@ std::vector<novaphy::SoftContact> contacts_of(Device device, bool capture) {
 
 void collide() {
   const auto expected = contacts_of(Device::cpu(), false);
-  const bool direct = contacts_of(Device::cuda(), false) == expected,
-             replayed = contacts_of(Device::cuda(), true) == expected;
+  const bool direct = contacts_of(g_device, false) == expected,
+             replayed = contacts_of(g_device, true) == expected;
   std::printf("%zu contacts, %s direct, %s replayed\n", expected.size(),
               direct ? "the same" : "others", replayed ? "the same" : "others");
 }
@@ -170,7 +173,8 @@ int run(const std::string& command) {
 
 int main(int argc, char** argv) {
   try {
-    return argc == 2 ? run(argv[1]) : 2;
+    if (argc == 3) g_device = Device::parse(argv[2]);
+    return argc == 2 || argc == 3 ? run(argv[1]) : 2;
   } catch (const novaphy::Error& error) {
     std::printf("error: %s\n", error.what());
     return 1;

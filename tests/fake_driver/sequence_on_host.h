@@ -18,6 +18,20 @@
 
 namespace novaphy::gpu {
 
+// What a vendor's file would say: barriers are those of fibres, the rest is generic.
+constexpr const char* kHostVendor = R"(
+#define VENDOR_WARP 32
+#define VENDOR_HAS_BLOCK_BARRIERS
+static void vendor_block_barrier() { sync_block(); }
+template <int>
+static void vendor_hand_over() { hand_over_block(); }
+template <int>
+static void vendor_take_over() { take_over_block(); }
+static void vendor_cluster_arrive(bool) { arrive_all(); }
+static void vendor_cluster_wait() { wait_all(); }
+static void vendor_prefetch_bytes(unsigned long long, unsigned) {}
+)";
+
 // The device's words for what fibres do otherwise.
 inline void replace(std::string& text, const std::string& from, const std::string& to) {
   const size_t at = text.find(from);
@@ -55,20 +69,8 @@ inline void halo_for_host(std::string& text) {
   replace_body(text, "LANE_FN int32_t of_lane(", "return show(word, lane);");
 }
 inline std::string for_host(std::string text) {
-  const auto barrier = [](const char* name) {
-    return std::string("asm volatile(\"barrier.") + name + ";\" ::: \"memory\");";
-  };
-  replace(text, barrier("sync 0"), "sync_block();");
-  replace(text, barrier("cluster.arrive.release"), "arrive_all();");
-  replace(text, barrier("cluster.arrive.relaxed"), "arrive_all();");
-  replace(text, barrier("cluster.wait.acquire"), "wait_all();");
-  if (text.find("barrier.arrive 1") != std::string::npos) {
-    const auto between = [](const char* name) {
-      return std::string("asm volatile(\"barrier.") + name +
-             " 1, %0;\" ::\"n\"(SEQUENCE_THREADS) : \"memory\");";
-    };
-    replace(text, between("arrive"), "hand_over_block();");
-    replace(text, between("sync"), "take_over_block();");
+  replace(text, cuda_text(), kHostVendor);
+  if (text.find("#define SEQUENCE_LAYOUTS 0\n") == std::string::npos) {
     replace(text, "extern __shared__ four_words g_items[];",
             "static four_words g_items_of[64][1 << 15];\n#define g_items g_items_of[blockIdx.x]");
     replace(text, "__shared__ uint32_t g_rows[SEQUENCE_LAYOUTS * SEQUENCE_THREADS];",
@@ -76,28 +78,17 @@ inline std::string for_host(std::string text) {
             "#define g_rows g_rows_of[blockIdx.x]");
   }
   if (text.find("#define SEQUENCE_HALO 0\n") == std::string::npos) halo_for_host(text);
-  replace_body(text, "LANE_FN void fetch_ahead(", "");
   const size_t begin = text.find("LANE_FN void phase_wait(uint32_t* counter, uint32_t count) {");
   const size_t end = text.find("#endif", begin);
   text.replace(begin, end - begin,
                "LANE_FN void phase_wait(uint32_t*, uint32_t) { arrive_all(); wait_all(); }\n"
                "LANE_FN void last_barrier(uint32_t*) {}\n");
-  replace(text, "(T*)__cvta_shared_to_generic(address)", "p");
   replace(text, "__shared__ int32_t g_kept[SEQUENCE_KEPT * SEQUENCE_THREADS];",
           "static int32_t g_kept_of[64][SEQUENCE_KEPT * SEQUENCE_THREADS];\n"
           "#define g_kept g_kept_of[blockIdx.x]");
   replace(text, "__shared__ uint64_t records[3][SEQUENCE_WORDS];",
           "static uint64_t records_of[64][3][SEQUENCE_WORDS];\n"
           "  uint64_t(&records)[3][SEQUENCE_WORDS] = records_of[blockIdx.x];");
-  replace(text, "asm(\"rcp.approx.ftz.f32 %0, %1;\" : \"=f\"(r) : \"f\"(b));", "r = 1.0f / b;");
-  replace(text, "asm(\"rsqrt.approx.ftz.f32 %0, %1;\" : \"=f\"(r) : \"f\"(a));",
-          "r = 1.0f / sqrtf(a);");
-  replace(text,
-          "asm volatile(\"prefetch.global.L2 [%0];\" ::\"l\"((const int32_t*)p + i * width));", "");
-  for (const char* kernel : {"novaphy_main", "novaphy_ahead"})
-    if (const size_t at = text.rfind("extern \"C\" __global__", text.find(kernel));
-        at < text.size())
-      text.erase(at, std::strlen("extern \"C\" __global__"));
   return "#include \"host_sequence.h\"\n" + text + "#include \"host_sequence_end.h\"\n";
 }
 

@@ -16,6 +16,8 @@ GOOD = {
     "backends/cpu/src/run.cpp": '#include <vector>\n#include "module.h"\n',
     "backends/cpu/src/module.h": '#include "novaphy/program/ir.h"\n',
     "backends/gpu/src/device_prelude.cuh": '#include "novaphy/program/scalars.h"\n',
+    "backends/gpu/src/vendors/cuda.cuh": 'VENDOR_FN void f() { asm volatile("trap;"); }\n',
+    "backends/dlan/src/runtime.h": '#include "novaphy/program/ir.h"\n',
     "backends/cuda/src/plugin.cpp": '#include "novaphy/abi/backend.h"\n',
     "core/include/novaphy/math/types.h": "#include <cstdint>\n",
     "core/src/backend.cpp": '#include "novaphy/cpu/query.h"\n#include "novaphy/math/types.h"\n',
@@ -60,6 +62,11 @@ BAD = {
         "vbd/src/solver.cpp",
         '#include "novaphy/vbd/diff_solver.h"\n',
         "vbd/src/solver.cpp:1: vbd may not include",
+    ),
+    "device code of all vendors has assembler": (
+        "backends/gpu/src/sequence.cuh",
+        'LANE_FN void f() { asm volatile("trap;"); }\n',
+        "backends/gpu/src/sequence.cuh:1: assembler belongs to vendors/cuda.cuh",
     ),
     "core includes io": (
         "core/src/io/tet_mesh.cpp",

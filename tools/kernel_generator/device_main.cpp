@@ -35,11 +35,17 @@ const VendorInfo& vendor() {
   static constexpr VendorInfo kNone = {"none",
                                        0,
                                        "CUDA",
+                                       "sm_",
+                                       cuda_text,
                                        "NOVAPHY_CUDA_DRIVER",
                                        [] { return static_cast<const char*>(nullptr); },
                                        {nullptr, nullptr, nullptr, nullptr},
+                                       load_driver,
                                        0,
-                                       true};
+                                       &kNvrtc,
+                                       nullptr,
+                                       false,
+                                       0};
   return kNone;
 }
 

@@ -20,6 +20,7 @@ Besides the folders, three kinds of file have a layer of their own:
   headers of collision/geometry and dynamics/articulation, which kernels include.
 
 The abi headers are C and may include <stdint.h> only; the math headers <cstdint> and <cmath>.
+Device code has assembler in vendors/cuda.cuh only.
 
     tools/lint/check_layers.py [ROOT]
 
@@ -40,6 +41,7 @@ ALLOWED: dict[str, set[str]] = {
     "cpu": {"abi", "program"},
     "gpu": {"abi", "program"},
     "cuda": {"abi", "program", "gpu"},
+    "dlan": {"abi", "program", "gpu"},
     "text": {"abi", "math"},
     "core": {"abi", "math", "cpu"},  # the CPU backend is linked into core
     "nova": {"abi", "math", "core", "program"},
@@ -71,6 +73,7 @@ FOLDERS = {
     "backends/cpu": "cpu",
     "backends/gpu": "gpu",
     "backends/cuda": "cuda",
+    "backends/dlan": "dlan",
     "core/include/novaphy/math": "math",
     "core": "core",
     "io": "io",
@@ -83,6 +86,7 @@ FOLDERS = {
     "diff": "diff",
 }
 SUFFIXES = {".h", ".hpp", ".inc", ".c", ".cpp", ".cuh"}
+ASSEMBLER = re.compile(r"\basm\b")
 INCLUDE = re.compile(r'^\s*#\s*include\s*(?:"([^"]+)"|<([^>]+)>)')
 
 
@@ -129,6 +133,9 @@ def check_file(path: Path, root: Path) -> list[str]:
         return []
     faults = []
     for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), 1):
+        if path.suffix == ".cuh" and ASSEMBLER.search(line) and path.name != "cuda.cuh":
+            where = f"{path.relative_to(root)}:{number}"
+            faults.append(f"{where}: assembler belongs to vendors/cuda.cuh")
         match = INCLUDE.match(line)
         if match is None:
             continue

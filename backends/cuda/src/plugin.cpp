@@ -2,6 +2,7 @@
 #include <cstdlib>
 
 #include "backend.h"
+#include "device_source.h"
 #include "vendor.h"
 
 namespace novaphy::gpu {
@@ -11,11 +12,17 @@ const VendorInfo& vendor() {
       "cuda",
       NOVAPHY_DEVICE_CUDA,
       "CUDA",
+      "sm_",
+      cuda_text,
       "NOVAPHY_CUDA_DRIVER",
       [] { return static_cast<const char*>(std::getenv("NOVAPHY_CUDA_DRIVER")); },
       {"libcuda.so.1", "libcuda.so", nullptr, nullptr},
+      load_driver,
       12000,
-      NOVAPHY_RUNTIME_COMPILER,
+      &kNvrtc,
+      NOVAPHY_RUNTIME_COMPILER != 0 ? nullptr : "this plugin was built with NOVA_ENABLE_NVRTC=OFF",
+      true,
+      32,
   };
   return kCuda;
 }

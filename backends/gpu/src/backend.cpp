@@ -38,10 +38,12 @@ novaphy_backend_api make_table() {
   api.module_destroy = module_destroy;
   api.kernel_get = kernel_get;
   api.launch = launch;
-  api.capture_begin = capture_begin;
-  api.capture_end = capture_end;
-  api.graph_launch = graph_launch;
-  api.graph_destroy = graph_destroy;
+  if (v.graphs) {
+    api.capture_begin = capture_begin;
+    api.capture_end = capture_end;
+    api.graph_launch = graph_launch;
+    api.graph_destroy = graph_destroy;
+  }
   api.kernel_info = kernel_info;
   api.list_create = list_create;
   api.list_launch = list_launch;

@@ -1,5 +1,5 @@
 // The builtins of <novaphy/abi/program.h>. Compiled behind device_prelude.cuh.
-#define BUILTIN extern "C" __global__ void
+#define BUILTIN VENDOR_ENTRY
 
 // The sum of the rows of one column, from +0, by the rule for long rows: chunks of kChunk, each
 // folded from +0, and their sums by the same rule. One block works on it; the result is thread 0's.
@@ -88,26 +88,34 @@ BUILTIN __launch_bounds__(kChunk) row_sum_f32(const row_sum_arguments a) {
   }
 }
 
-// One very long row: the sums of its chunks, a thread for each, read by warps in tiles. The sums are
+// One very long row: the sums of its chunks, a thread for each, read in tiles. The sums are
 // a shorter row, of which the same is made until one thread can fold what is left.
 #define kSumThreads 128
+#define kTile 32
+LANE_FN void tile_barrier() {
+#if VENDOR_WARP % kTile == 0
+  vendor_warp_barrier();
+#else
+  __syncthreads();
+#endif
+}
 BUILTIN __launch_bounds__(kSumThreads) row_sum_chunks(const float* source, float* sums,
                                                       const int64_t count, const int64_t width) {
-  __shared__ float tiles[kSumThreads / 32][32][33];
-  float(*const tile)[33] = tiles[threadIdx.x / 32];
-  const int64_t lane = threadIdx.x & 31, column = blockIdx.x % width;
-  const int64_t first = (blockIdx.x / width * kSumThreads + threadIdx.x) / 32 * 32;  // chunk
+  __shared__ float tiles[kSumThreads / kTile][kTile][kTile + 1];
+  float(*const tile)[kTile + 1] = tiles[threadIdx.x / kTile];
+  const int64_t lane = threadIdx.x % kTile, column = blockIdx.x % width;
+  const int64_t first = (blockIdx.x / width * kSumThreads + threadIdx.x) / kTile * kTile;  // chunk
   float sum = 0.0f;
-  for (int64_t t = 0; t < kChunk; t += 32) {
+  for (int64_t t = 0; t < kChunk; t += kTile) {
 #pragma unroll 8
-    for (int64_t j = 0; j < 32; ++j) {
+    for (int64_t j = 0; j < kTile; ++j) {
       const int64_t k = (first + j) * kChunk + t + lane;
       tile[j][lane] = k < count ? source[k * width + column] : 0.0f;
     }
-    __syncwarp();
+    tile_barrier();
     const int64_t left = count - (first + lane) * kChunk - t;
-    for (int64_t q = 0; q < 32 && q < left; ++q) sum += tile[lane][q];
-    __syncwarp();
+    for (int64_t q = 0; q < kTile && q < left; ++q) sum += tile[lane][q];
+    tile_barrier();
   }
   if ((first + lane) * kChunk < count) sums[(first + lane) * width + column] = sum;
 }
@@ -124,13 +132,48 @@ BUILTIN __launch_bounds__(kSumThreads) row_sum_last(const float* sums, const flo
 // additions does not matter.
 #define kScanThreads 1024
 #define kScanItems 4
+// The sum of the words of all threads of the block up to this one.
+#if VENDOR_WARP > 1
+LANE_FN uint32_t warp_sum(uint32_t sum, uint32_t lane) {
+  for (int step = 1; step < VENDOR_WARP; step *= 2) {
+    const uint32_t other = vendor_shuffle_up(sum, step);
+    if (lane >= (uint32_t)step) sum += other;
+  }
+  return sum;
+}
+LANE_FN uint32_t block_sum(uint32_t mine) {
+  constexpr uint32_t kWarps = kScanThreads / VENDOR_WARP;
+  static_assert(kWarps <= VENDOR_WARP, "the first warp adds the sums of all");
+  __shared__ uint32_t warps[kWarps];
+  const uint32_t lane = threadIdx.x % VENDOR_WARP, warp = threadIdx.x / VENDOR_WARP;
+  const uint32_t sum = warp_sum(mine, lane);
+  if (lane == VENDOR_WARP - 1) warps[warp] = sum;
+  __syncthreads();
+  if (warp == 0) {
+    const uint32_t all = warp_sum(lane < kWarps ? warps[lane] : 0u, lane);
+    if (lane < kWarps) warps[lane] = all;
+  }
+  __syncthreads();
+  return sum + (warp == 0 ? 0u : warps[warp - 1]);
+}
+#else
+LANE_FN uint32_t block_sum(uint32_t mine) {
+  __shared__ uint32_t sums[2][kScanThreads];
+  uint32_t from = 0;
+  sums[from][threadIdx.x] = mine;
+  for (uint32_t step = 1; step < kScanThreads; step *= 2, from ^= 1u) {
+    __syncthreads();
+    const uint32_t other = threadIdx.x >= step ? sums[from][threadIdx.x - step] : 0u;
+    sums[from ^ 1u][threadIdx.x] = sums[from][threadIdx.x] + other;
+  }
+  return sums[from][threadIdx.x];
+}
+#endif
 BUILTIN __launch_bounds__(kScanThreads) exclusive_scan_i32(const uint32_t* in, uint32_t* out,
                                                            const int64_t n) {
-  __shared__ uint32_t warps[32];
   __shared__ uint32_t carry;
   if (threadIdx.x == 0) carry = 0;
   __syncthreads();
-  const uint32_t lane = threadIdx.x & 31, warp = threadIdx.x >> 5;
   for (int64_t base = 0; base < n; base += kScanThreads * kScanItems) {
     const int64_t first = base + (int64_t)threadIdx.x * kScanItems;
     uint32_t value[kScanItems], mine = 0;
@@ -138,29 +181,14 @@ BUILTIN __launch_bounds__(kScanThreads) exclusive_scan_i32(const uint32_t* in, u
       value[k] = first + k < n ? in[first + k] : 0u;
       mine += value[k];
     }
-    uint32_t sum = mine;  // of the threads of the warp up to this one
-    for (int step = 1; step < 32; step *= 2) {
-      const uint32_t other = __shfl_up_sync(0xffffffffu, sum, step);
-      if (lane >= (uint32_t)step) sum += other;
-    }
-    if (lane == 31) warps[warp] = sum;
-    __syncthreads();
-    if (warp == 0) {
-      uint32_t all = warps[lane];
-      for (int step = 1; step < 32; step *= 2) {
-        const uint32_t other = __shfl_up_sync(0xffffffffu, all, step);
-        if (lane >= (uint32_t)step) all += other;
-      }
-      warps[lane] = all;
-    }
-    __syncthreads();
-    uint32_t before = carry + sum - mine + (warp == 0 ? 0u : warps[warp - 1]);
+    const uint32_t sum = block_sum(mine);
+    uint32_t before = carry + sum - mine;
     for (int k = 0; k < kScanItems; ++k) {
       if (first + k < n) out[first + k] = before;
       before += value[k];
     }
     __syncthreads();
-    if (threadIdx.x == 0) carry += warps[31];
+    if (threadIdx.x == kScanThreads - 1) carry += sum;
     __syncthreads();
   }
 }

@@ -13,7 +13,7 @@
 #include <filesystem>
 
 #include "compiler.h"
-#include "driver.h"
+#include "vendor.h"
 
 namespace novaphy::gpu {
 namespace {
@@ -81,8 +81,7 @@ CodeKey ahead_key(const std::string& source, Dialect dialect) {
 }
 CodeKey disk_key(const std::string& source, Dialect dialect, int arch) {
   const Compiler& c = compiler(driver().version);
-  return code_key(compile_options(dialect) + " sm_" + std::to_string(arch) + " nvrtc " +
-                  std::to_string(c.major) + "." + std::to_string(c.minor) + "\n" + source);
+  return code_key(compile_options(dialect) + " " + arch_name(arch) + " " + c.name + "\n" + source);
 }
 
 CodeCache& CodeCache::get() {

@@ -76,10 +76,6 @@ class Search {
   Search(Compiler& found, int driver_version) : found_(found), driver_version_(driver_version) {}
 
   void run() {
-    if (!vendor().runtime_compiler) {
-      found_.problem = "this plugin was built with NOVA_ENABLE_NVRTC=OFF";
-      return;
-    }
     if (const char* path = std::getenv("NOVAPHY_NVRTC"); path != nullptr && *path != '\0') {
       if (!attempt(path, 0)) found_.problem = "NOVAPHY_NVRTC: " + problems_;
       return;
@@ -130,6 +126,7 @@ class Search {
     g_functions = f;
     found_.major = major;
     found_.minor = minor;
+    found_.name = "nvrtc " + version;
     found_.path = path;
     return true;
   }
@@ -184,25 +181,14 @@ std::shared_mutex& before_exit() {
   return mutex;
 }
 
-}  // namespace
-
-const Compiler& compiler(int driver_version) {
-  static const Compiler* const found = [&] {
-    auto* c = new Compiler;
-    Search(*c, driver_version).run();
-    return c;
-  }();
-  return *found;
-}
-
-std::string compile_options(Dialect dialect) {
+std::string nvrtc_options(Dialect dialect) {
   const bool source = dialect == Dialect::Source || dialect == Dialect::ContractedSource;
   const bool contract = dialect == Dialect::Contracted || dialect == Dialect::ContractedSource;
   return std::string(source ? "--std=c++20 --device-as-default-execution-space" : "--std=c++17") +
          " --ftz=false --prec-div=true --prec-sqrt=true --fmad=" + (contract ? "true" : "false");
 }
 
-CompiledCode compile(const std::string& source, int arch, Dialect dialect, bool as_text) {
+CompiledCode nvrtc_compile(const std::string& source, int arch, Dialect dialect, bool as_text) {
   CompiledCode code;
   const std::shared_lock lock(before_exit(), std::try_to_lock);
   if (!lock) {
@@ -212,7 +198,7 @@ CompiledCode compile(const std::string& source, int arch, Dialect dialect, bool 
   const Functions& f = g_functions;
   bool is_text = as_text;
   std::vector<std::string> options = {architecture_option(arch, is_text)};
-  const std::string all = compile_options(dialect);
+  const std::string all = nvrtc_options(dialect);
   for (size_t at = 0; at < all.size();) {
     const size_t end = std::min(all.find(' ', at), all.size());
     options.push_back(all.substr(at, end - at));
@@ -235,6 +221,32 @@ CompiledCode compile(const std::string& source, int arch, Dialect dialect, bool 
   }
   if (program != nullptr) f.destroy(&program);
   return code;
+}
+
+}  // namespace
+
+const CompilerHook kNvrtc = {
+    [](Compiler& found, int driver_version) { Search(found, driver_version).run(); }, nvrtc_options,
+    nvrtc_compile};
+
+const Compiler& compiler(int driver_version) {
+  static const Compiler* const found = [&] {
+    auto* c = new Compiler;
+    const VendorInfo& v = vendor();
+    if (v.no_compiler != nullptr) {
+      c->problem = v.no_compiler;
+    } else {
+      v.compiler->find(*c, driver_version);
+    }
+    return c;
+  }();
+  return *found;
+}
+
+std::string compile_options(Dialect dialect) { return vendor().compiler->options(dialect); }
+
+CompiledCode compile(const std::string& source, int arch, Dialect dialect, bool as_text) {
+  return vendor().compiler->compile(source, arch, dialect, as_text);
 }
 
 }  // namespace novaphy::gpu

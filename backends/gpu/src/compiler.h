@@ -1,4 +1,5 @@
-// The vendor's run-time compiler (NVRTC), opened at run time like the driver.
+// Compilers at run time: a library of the vendor (NVRTC), opened like the driver, a command, or
+// none.
 #pragma once
 
 #include <cstdint>
@@ -9,7 +10,8 @@ namespace novaphy::gpu {
 
 struct Compiler {
   int major = 0, minor = 0;
-  std::string path;     // of the library, or how it was found
+  std::string name;  // with the version: what decides about the code besides its text and options
+  std::string path;  // of the library, or how it was found
   std::string problem;  // not empty: there is none, and why
   bool available() const { return problem.empty(); }
 };
@@ -25,6 +27,15 @@ struct CompiledCode {
 enum class Dialect { Program, Contracted, Source, ContractedSource };
 // The options that decide about the result.
 std::string compile_options(Dialect dialect);
+// What a vendor has; the functions that follow call it.
+struct CompilerHook {
+  void (*find)(Compiler& found, int driver_version);
+  std::string (*options)(Dialect dialect);
+  CompiledCode (*compile)(const std::string& source, int arch, Dialect dialect, bool as_text);
+};
+extern const CompilerHook kNvrtc;
+// Of a vendor with a compiler that is a program: runs `command CODE SOURCE` on files.
+CompiledCode compile_by_command(const std::string& command, const std::string& source);
 // For `arch` (90), or as assembler text: for the nearest older one when the compiler does not know
 // `arch`, or when `as_text` asks for it.
 CompiledCode compile(const std::string& source, int arch, Dialect dialect, bool as_text = false);

@@ -217,7 +217,8 @@ novaphy_status device_info(int32_t ordinal, novaphy_device_info* info, novaphy_e
   info->units = units;
   info->total_memory = total;
   info->free_memory = free_bytes < total ? free_bytes : total;
-  info->capabilities = NOVAPHY_CAP_GRAPH_CAPTURE | NOVAPHY_CAP_SOURCE_MODULES;
+  info->capabilities =
+      NOVAPHY_CAP_SOURCE_MODULES | (vendor().graphs ? NOVAPHY_CAP_GRAPH_CAPTURE : 0);
   return NOVAPHY_OK;
 }
 

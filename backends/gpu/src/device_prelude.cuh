@@ -1,6 +1,6 @@
 // The prelude of device code: what the names in emitted text mean for the one row of a thread (see
-// <novaphy/program/emit.h>). Needs no header: the build puts the text of those that it includes in
-// their place. The arithmetic is that of backends/cpu/src/lanes.h, to the bit. Compiled without
+// <novaphy/program/emit.h>). Comes behind vendors/*.cuh. Needs no header: the build puts the text of
+// those that it includes in their place. The arithmetic is that of backends/cpu/src/lanes.h, to the bit. Compiled without
 // contraction, without flush to zero, and with correctly rounded division and square root.
 typedef signed char int8_t;
 typedef unsigned char uint8_t;
@@ -116,8 +116,7 @@ LANE_FN float quick_div(float a, float b, magnitudes& m) {
   const uint32_t above = magnitude(a), below = magnitude(b);
   note(m, above, above - 1);
   note(m, below, below);
-  float r;
-  asm("rcp.approx.ftz.f32 %0, %1;" : "=f"(r) : "f"(b));
+  float r = vendor_rcp_seed(b);
   r = __fmaf_rn(r, __fmaf_rn(r, -b, 1.0f), r);
   const float q = a * r;
   return a == 0.0f ? q : __fmaf_rn(r, __fmaf_rn(q, -b, a), q);
@@ -133,8 +132,7 @@ COLD_FN float rooted(float a) { return __fsqrt_rn(a); }
 LANE_FN float quick_sqrt(float a, magnitudes& m) {
   const uint32_t bits = (uint32_t)uf_bits(a);
   note(m, bits >> 31 != 0 ? ~0u : bits << 1, (bits << 1) - 1);
-  float r;
-  asm("rsqrt.approx.ftz.f32 %0, %1;" : "=f"(r) : "f"(a));
+  const float r = vendor_rsqrt_seed(a);
   const float s = a * r;
   return a == 0.0f ? a : __fmaf_rn(__fmaf_rn(-s, s, a), r * 0.5f, s);
 }
@@ -180,11 +178,7 @@ struct source_registers {
 #ifdef NOVAPHY_SEQUENCE
 // Addresses come from a table. Without this the device asks of each whether it is one of shared
 // memory.
-template <class T>
-LANE_FN T* in_memory(T* p) {
-  __builtin_assume(__isGlobal(p));
-  return p;
-}
+#define in_memory(p) vendor_global(p)
 #define load_table(p) (*in_memory(p))
 #else
 #define in_memory(p) (p)
@@ -228,7 +222,7 @@ LANE_FN table_row row_of(const trusted_constants s, int32_t row, int32_t width, 
 LANE_FN int32_t column_of(const table_row r, int32_t column) {
   int32_t word = load_table(r.p + column);
 #ifdef NOVAPHY_SEQUENCE
-  asm volatile("" : "+r"(word));  // loaded here: compilers move loads behind the next branch
+  vendor_is_loaded(word);
 #endif
   return word;
 }
@@ -320,7 +314,7 @@ LANE_FN void load_row(const char* p, int64_t i, int32_t* words) {
 }
 // Sends for a row that will be loaded.
 LANE_FN void prefetch_row(const char* p, int64_t i, int32_t width) {
-  asm volatile("prefetch.global.L2 [%0];" ::"l"((const int32_t*)p + i * width));
+  vendor_prefetch((const int32_t*)p + i * width);
 }
 #define put_columnf(o, width, column, i, a) put_columni(o, width, column, i, uf_bits(a))
 

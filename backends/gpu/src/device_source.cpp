@@ -2,6 +2,7 @@
 
 #include "interpreter.h"
 #include "novaphy/program/emit.h"
+#include "vendor.h"
 
 namespace novaphy::gpu {
 
@@ -12,13 +13,17 @@ nova::ir::Program without_names(nova::ir::Program program) {
   return program;
 }
 
+std::string prelude_text() {
+  return std::string(vendor().device_text()) + generic_text() + device_prelude_text();
+}
+
 std::string kernel_source(const nova::ir::Program& program) {
   const std::string words = std::to_string(program.argument_count());
   std::string text = prelude_text();
   text += nova::ir::emit_device(without_names(program), "row");
   text += "struct kernel_arguments {\n  uint64_t word[" + words + "];\n};\n";
   text +=
-      "extern \"C\" __global__ void __launch_bounds__(128) novaphy_main(\n"
+      "VENDOR_ENTRY __launch_bounds__(128) novaphy_main(\n"
       "    const __grid_constant__ kernel_arguments args, const int64_t n, const device_sink sink) "
       "{\n"
       "  const int64_t i = (int64_t)blockIdx.x * blockDim.x + threadIdx.x;\n"
@@ -38,14 +43,14 @@ std::string kernel_source(const nova::ir::Program& program) {
 }
 
 std::string module_source(const std::string& text) {
-  return std::string(prelude_text()) +
-         "#define NOVAPHY_KERNEL extern \"C\" __global__ void __launch_bounds__(128)\n"
+  return prelude_text() +
+         "#define NOVAPHY_KERNEL VENDOR_ENTRY __launch_bounds__(128)\n"
          "#define NOVAPHY_ROW ((int64_t)blockIdx.x * blockDim.x + threadIdx.x)\n"
          "template <int words>\nstruct novaphy_arguments {\n  uint64_t word[words];\n};\n" +
-         text;
+         "VENDOR_SOURCE_BEGIN\n" + text + "\nVENDOR_SOURCE_END\n";
 }
 
-std::string builtins_source() { return std::string(prelude_text()) + builtins_text(); }
+std::string builtins_source() { return prelude_text() + builtins_text(); }
 
 std::string interpreter_source() {
   std::string names = "enum {";

@@ -10,10 +10,15 @@ namespace novaphy::gpu {
 inline constexpr const char* kEntry = "novaphy_main";
 inline constexpr const char* kInterpreterEntry = "novaphy_interpreter";
 
-const char* prelude_text();      // device_prelude.cuh
-const char* builtins_text();     // builtins.cuh
-const char* interpreter_text();  // interpreter.cuh
-const char* sequence_text();     // sequence.cuh
+const char* cuda_text();            // vendors/cuda.cuh
+const char* dlan_text();            // vendors/dlan.cuh
+const char* generic_text();         // vendors/generic.cuh
+const char* device_prelude_text();  // device_prelude.cuh
+const char* builtins_text();        // builtins.cuh
+const char* interpreter_text();     // interpreter.cuh
+const char* sequence_text();        // sequence.cuh
+// What comes before all device code: the vendor's file, the generic one and the prelude.
+std::string prelude_text();
 // Equal Programs have equal text, whatever their names.
 nova::ir::Program without_names(nova::ir::Program program);
 // One kernel: novaphy_main(argument words, n, sink), a thread per row.

@@ -26,24 +26,9 @@ void* open_library(std::string& problem) {
   return nullptr;
 }
 
-bool load_functions(Driver& d, void* library) {
-  const char* missing = nullptr;
-#define NOVAPHY_GPU_LOAD(name, result, arguments, symbol)                 \
-  d.name = reinterpret_cast<result(*) arguments>(dlsym(library, symbol)); \
-  if (d.name == nullptr && missing == nullptr) missing = symbol;
-  NOVAPHY_GPU_DRIVER_FUNCTIONS(NOVAPHY_GPU_LOAD)
-#undef NOVAPHY_GPU_LOAD
-  if (d.driver_version != nullptr) d.driver_version(&d.version);
-  if (missing == nullptr) return true;
-  d.problem = std::string("the driver library has no symbol ") + missing;
-  if (d.version > 0)
-    d.problem += "; it is of " + std::string(vendor().toolkit) + " " + version_text(d.version) +
-                 ", expected " + version_text(vendor().oldest_driver) + " or later";
-  return false;
-}
-
 void find_devices(Driver& d) {
   const VendorInfo& v = vendor();
+  d.driver_version(&d.version);
   if (d.version < v.oldest_driver) {
     d.problem = "the driver is too old: it is of " + std::string(v.toolkit) + " " +
                 version_text(d.version) + ", expected " + version_text(v.oldest_driver) +
@@ -66,6 +51,25 @@ void find_devices(Driver& d) {
 
 }  // namespace
 
+bool lacks_symbol(Driver& d, const char* symbol) {
+  if (d.driver_version != nullptr) d.driver_version(&d.version);
+  d.problem = std::string("the driver library has no symbol ") + symbol;
+  if (d.version > 0)
+    d.problem += "; it is of " + std::string(vendor().toolkit) + " " + version_text(d.version) +
+                 ", expected " + version_text(vendor().oldest_driver) + " or later";
+  return false;
+}
+
+bool load_driver(Driver& d, void* library) {
+  const char* missing = nullptr;
+#define NOVAPHY_GPU_LOAD(name, result, arguments, symbol)                 \
+  d.name = reinterpret_cast<result(*) arguments>(dlsym(library, symbol)); \
+  if (d.name == nullptr && missing == nullptr) missing = symbol;
+  NOVAPHY_GPU_DRIVER_FUNCTIONS(NOVAPHY_GPU_LOAD)
+#undef NOVAPHY_GPU_LOAD
+  return missing == nullptr || lacks_symbol(d, missing);
+}
+
 std::string version_text(int version) {
   return std::to_string(version / 1000) + "." + std::to_string(version % 1000 / 10);
 }
@@ -84,7 +88,7 @@ const Driver& driver() {
     auto* d = new Driver;
     if (void* library = open_library(d->problem)) {
       d->problem.clear();
-      if (load_functions(*d, library)) find_devices(*d);
+      if (vendor().load(*d, library)) find_devices(*d);
     }
     return d;
   }();

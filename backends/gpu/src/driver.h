@@ -53,9 +53,9 @@ struct LaunchShape {
   unsigned attribute_count;
 };
 
-// X(member, result, arguments, symbol). A vendor with other names for the same functions adds a
-// column. The first three come first on purpose: with them every later failure has a version and a
-// text.
+// X(member, result, arguments, symbol). A vendor without a library of these functions fits what it
+// has to the members (VendorInfo::load). The first three come first on purpose: with them every
+// later failure has a version and a text.
 #define NOVAPHY_GPU_DRIVER_FUNCTIONS(X)                                                           \
   X(driver_version, Result, (int*), "cuDriverGetVersion")                                         \
   X(error_name, Result, (Result, const char**), "cuGetErrorName")                                 \
@@ -135,6 +135,10 @@ struct Driver {
 
 // Opened at the first call and kept for the life of the process. Never throws.
 const Driver& driver();
+// The functions by the symbols above: false, with d.problem, where one is missing.
+bool load_driver(Driver& d, void* library);
+// What VendorInfo::load says then.
+bool lacks_symbol(Driver& d, const char* symbol);
 // "13.0"
 std::string version_text(int version);
 

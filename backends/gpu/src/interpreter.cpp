@@ -86,9 +86,10 @@ novaphy_status make_interpreted(novaphy_device* device, const nova::ir::Program&
   novaphy_status status = load_interpreter(device, &kernel.function, error);
   if (status == NOVAPHY_NOT_SUPPORTED)
     return fail(error, status,
-                "kernel '%s' cannot be compiled, and no interpreter for sm_%d was built ahead "
+                "kernel '%s' cannot be compiled, and no interpreter for %s was built ahead "
                 "either: %s",
-                kernel.name.c_str(), device->arch, compiler(d.version).problem.c_str());
+                kernel.name.c_str(), arch_name(device->arch).c_str(),
+                compiler(d.version).problem.c_str());
   if (status != NOVAPHY_OK) return status;
   const InterpreterCode code = interpreter_code(program);
   const size_t bytes = code.instructions.size() * sizeof(InterpreterInstruction);

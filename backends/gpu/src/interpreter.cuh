@@ -18,11 +18,11 @@ struct interpreter_instruction {
 #define RUN_F(name, result) RUN(name, uf_bits(result))
 
 // `scratch`: the values of all threads; null: they fit into the shared memory of the block.
-extern "C" __global__ void __launch_bounds__(64) novaphy_interpreter(
+VENDOR_ENTRY __launch_bounds__(64) novaphy_interpreter(
     const __grid_constant__ interpreter_arguments args,
     const interpreter_instruction* const code, int32_t* const scratch, const int64_t n,
     const device_sink sink) {
-  extern __shared__ int32_t shared_values[];
+  VENDOR_SHARED(int32_t, shared_values);
   const int64_t all = (int64_t)gridDim.x * blockDim.x;
   const int64_t first = (int64_t)blockIdx.x * blockDim.x + threadIdx.x;
   const int64_t threads = scratch != 0 ? all : blockDim.x;

@@ -432,7 +432,7 @@ class Writer {
     out_.text += "#define TABLE_WIDTH " + str(columns_.size()) + "\n";
     out_.text += "struct list_arguments {\n  uint64_t word[" + str(out_.words.size()) + "];\n};\n";
     out_.text +=
-        "extern \"C\" __global__ void __launch_bounds__(128, LIST_BLOCKS) novaphy_main(\n"
+        "VENDOR_ENTRY __launch_bounds__(128, LIST_BLOCKS) novaphy_main(\n"
         "    const __grid_constant__ list_arguments a, const uint64_t* table, const int64_t n,\n"
         "    const device_sink sink) {\n"
         "  const int64_t i = blockIdx.x * blockDim.x + threadIdx.x;\n"

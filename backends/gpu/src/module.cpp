@@ -228,7 +228,7 @@ novaphy_status launch_active(novaphy_stream* stream, novaphy_kernel* kernel, int
   SinkArgument sink = sink_of(device, kernel->number, count);
   // The driver copies the arguments during the call.
   void* pointers[] = {const_cast<uint64_t*>(arguments), &n, &sink};
-  const unsigned threads = n <= 32 ? 32 : kBlock;
+  const unsigned threads = threads_of_block(n);
   return launch_function(stream, kernel->function, (n + threads - 1) / threads, threads, pointers,
                          kernel->name.c_str(), error);
 }
@@ -245,7 +245,7 @@ novaphy_status kernel_info(novaphy_kernel* kernel, novaphy_kernel_info* info,
   info->hash = kernel->hash;
   info->native = kernel->interpreted.code != 0 ? 0 : kernel->program.contract ? 2 : 1;
   info->lanes = 1;
-  std::snprintf(info->isa, sizeof(info->isa), "sm_%d", kernel->device->arch);
+  std::snprintf(info->isa, sizeof(info->isa), "%s", arch_name(kernel->device->arch).c_str());
   return NOVAPHY_OK;
 }
 

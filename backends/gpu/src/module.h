@@ -34,7 +34,10 @@ struct novaphy_module {
 
 namespace novaphy::gpu {
 
-inline constexpr unsigned kBlock = 128;
+inline constexpr unsigned kBlock = 128, kSmallBlock = 32;
+inline unsigned threads_of_block(int64_t rows) {
+  return rows <= kSmallBlock ? kSmallBlock : kBlock;
+}
 
 // Code for the device from text: built ahead, from the cache on disk, or compiled now.
 novaphy_status load_code(novaphy_device* device, const std::string& source, const std::string& name,

@@ -9,13 +9,13 @@
 #include "sequence_blocks.h"
 #include "sequence_memory.h"
 #include "sequence_source.h"
+#include "vendor.h"
 
 namespace novaphy::gpu {
 namespace {
 
 using Form = SequenceShape::Form;
 
-constexpr unsigned kWarp = 32;
 // Warps of a block that have rows of a phase, and all of them: as many as leave a thread the
 // registers that adjoints of elements take.
 constexpr unsigned kFewWarps = 4, kMostWarps = 8, kMostWarpsAtAll = 12;
@@ -252,6 +252,8 @@ novaphy_status sequence_create(novaphy_device* device, const novaphy_sequence_op
   if (const novaphy_status status = check_lost(device, "sequence_create", error);
       status != NOVAPHY_OK)
     return status;
+  if (vendor().warp != kWarp)
+    return fail(error, NOVAPHY_NOT_SUPPORTED, "sequence: no persistent kernels on this device");
   if (count == 0)
     return fail(error, NOVAPHY_INVALID_ARGUMENT, "sequence_create: expected operations, got none");
   if (ops[0].struct_size != sizeof(novaphy_sequence_op))

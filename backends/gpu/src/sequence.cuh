@@ -340,8 +340,7 @@ LANE_FN void fetch_ahead(const uint64_t* record) {
   const uint64_t part = (record[3] / gridDim.x + 15) / 16 * 16, first = part * blockIdx.x;
   if (first >= record[3]) return;
   const uint64_t rest = record[3] - first;
-  asm volatile("cp.async.bulk.prefetch.L2.global [%0], %1;" ::"l"(record[2] + first),
-               "r"((uint32_t)(rest < part ? rest : part)));
+  vendor_prefetch_bytes(record[2] + first, (uint32_t)(rest < part ? rest : part));
 }
 #endif
 // What an early half leaves in memory: the first four words for all threads that load it, block
@@ -375,34 +374,18 @@ LANE_FN void load_ahead(uint64_t p, uint64_t slots, uint32_t slot, int32_t* word
 #if SEQUENCE_FORM == 0  // one block
 LANE_FN void phase_arrive(bool) {}
 LANE_FN void phase_wait(uint32_t* = 0, uint32_t = 0) {
-  asm volatile("barrier.sync 0;" ::: "memory");
+  vendor_block_barrier();
 }
 LANE_FN void last_barrier(uint32_t*) {}
 #elif SEQUENCE_FORM == 1  // one cluster
-LANE_FN void phase_arrive(bool wrote) {
-  if (wrote) {
-    asm volatile("barrier.cluster.arrive.release;" ::: "memory");
-  } else {
-    __threadfence_block();  // for its part of a record, which only the block reads
-    asm volatile("barrier.cluster.arrive.relaxed;" ::: "memory");
-  }
-}
-LANE_FN void phase_wait(uint32_t* = 0, uint32_t = 0) {
-  asm volatile("barrier.cluster.wait.acquire;" ::: "memory");
-}
+LANE_FN void phase_arrive(bool wrote) { vendor_cluster_arrive(wrote); }
+LANE_FN void phase_wait(uint32_t* = 0, uint32_t = 0) { vendor_cluster_wait(); }
 LANE_FN void last_barrier(uint32_t*) {}
 #else  // all blocks, which the launch has made sure run at the same time
 LANE_FN void phase_arrive(bool) {}
 LANE_FN void phase_wait(uint32_t* counter, uint32_t count) {
   __syncthreads();
-  if (threadIdx.x == 0) {
-    const uint32_t all = gridDim.x * (count + 1);
-    uint32_t seen;
-    asm volatile("red.release.gpu.global.add.u32 [%0], 1;" ::"l"(counter) : "memory");
-    do {
-      asm volatile("ld.acquire.gpu.global.u32 %0, [%1];" : "=r"(seen) : "l"(counter) : "memory");
-    } while (seen < all);
-  }
+  if (threadIdx.x == 0) vendor_grid_barrier(counter, gridDim.x * (count + 1));
   __syncthreads();
 }
 // The block that is last to leave makes the counters ready for the next launch.
@@ -417,76 +400,45 @@ LANE_FN void last_barrier(uint32_t* counter) {
 // Where sums add what the block has made in the phase before, the warps that make it hand it over to
 // those that sum it, which wait for that alone, and for the other blocks before they store.
 #if SEQUENCE_LAYOUTS != 0
-LANE_FN void hand_over() {  // orders what was stored before, as a barrier does
-  asm volatile("barrier.arrive 1, %0;" ::"n"(SEQUENCE_THREADS) : "memory");
-}
-LANE_FN void take_over() {
-  asm volatile("barrier.sync 1, %0;" ::"n"(SEQUENCE_THREADS) : "memory");
-}
+// This orders what was stored before, as a barrier does.
+LANE_FN void hand_over() { vendor_hand_over<SEQUENCE_THREADS>(); }
+LANE_FN void take_over() { vendor_take_over<SEQUENCE_THREADS>(); }
 #endif
 
 // The halo: rows that sums leave, where elements of this block read them. Whoever has such a row sends
 // it to the memory of each block that needs it, whose barrier counts the bytes that have come: no fence
 // stands between, and what is stored for others, later, is not waited for.
 #if SEQUENCE_HALO != 0
-constexpr uint32_t kSenders = SEQUENCE_THREADS - 32 * SEQUENCE_MAKERS;
+constexpr uint32_t kSenders = SEQUENCE_THREADS - VENDOR_WARP * SEQUENCE_MAKERS;
 __shared__ uint64_t g_came[2];  // the barriers
 __shared__ uint32_t g_halo_bytes;
 __shared__ uint32_t g_sends[SEQUENCE_ROUNDS * kSenders];
 LANE_FN uint32_t in_shared(const void* p) {
-  return (uint32_t)__cvta_generic_to_shared(p);
+  return vendor_in_shared(p);
 }
 LANE_FN uint32_t in_block(uint32_t address, uint32_t block) {
-  uint32_t there;
-  asm("mapa.shared::cluster.u32 %0, %1, %2;" : "=r"(there) : "r"(address), "r"(block));
-  return there;
+  return vendor_in_block(address, block);
 }
 LANE_FN void begin_barrier() {
-  asm volatile(
-      "mbarrier.init.shared::cta.b64 [%0], 1;\n"
-      "mbarrier.init.shared::cta.b64 [%0 + 8], 1;\n"
-      "fence.mbarrier_init.release.cluster;" ::"r"(in_shared(g_came))
-      : "memory");
+  vendor_begin_bytes(in_shared(g_came));
 }
 // Turns are counted from 0, modulo four: odd ones have a barrier and rows of their own, and each
 // second one of these has the other parity.
 LANE_FN void expect_rows(const uint32_t turn) {
-  asm volatile("mbarrier.arrive.expect_tx.shared::cta.b64 _, [%0], %1;" ::"r"(
-                   in_shared(g_came + turn % 2)),
-               "r"(g_halo_bytes)
-               : "memory");
+  vendor_expect_bytes(in_shared(g_came + turn % 2), g_halo_bytes);
 }
 LANE_FN void wait_halo(const uint32_t turn) {
-  uint32_t came;
-  do {
-    asm volatile(
-        "{\n"
-        ".reg .pred p;\n"
-        "mbarrier.try_wait.parity.acquire.cluster.shared::cta.b64 p, [%1], %2;\n"
-        "selp.u32 %0, 1, 0, p;\n"
-        "}"
-        : "=r"(came)
-        : "r"(in_shared(g_came + turn % 2)), "r"(turn / 2 % 2)
-        : "memory");
-  } while (came == 0);
+  vendor_wait_bytes(in_shared(g_came + turn % 2), turn / 2 % 2);
 }
 // Where a thread sends a row, whose lane has it, and whether it sends one.
 struct halo_send {
   uint32_t to, came, lane, on;
 };
 LANE_FN void send_row(const halo_send& send, uint32_t base, const four_words& row) {
-  asm volatile(
-      "{\n"
-      ".reg .pred p;\n"
-      "setp.ne.u32 p, %0, 0;\n"
-      "@p st.async.shared::cluster.mbarrier::complete_tx::bytes.v4.b32 [%1], {%2, %3, %4, %5}, [%6];\n"
-      "}" ::"r"(send.on),
-      "r"(send.to + base * (uint32_t)sizeof(row)), "r"(row.word[0]), "r"(row.word[1]),
-      "r"(row.word[2]), "r"(row.word[3]), "r"(send.came)
-      : "memory");
+  vendor_send_words(send.to + base * (uint32_t)sizeof(row), send.came, send.on, row.word);
 }
 LANE_FN int32_t of_lane(int32_t word, uint32_t lane) {
-  return __shfl_sync(0xffffffffu, word, lane);
+  return vendor_of_lane(word, lane);
 }
 LANE_FN four_words* halo_of(const block_memory memory, const uint32_t turn) {
   return memory.rows + SEQUENCE_ITEMS + turn % 2 * SEQUENCE_HALO;
@@ -501,7 +453,7 @@ LANE_FN halo_sends begin_sends(const block_memory memory) {
   halo_sends sends;
 #pragma unroll
   for (uint32_t k = 0; k < SEQUENCE_ROUNDS; ++k) {
-    const uint32_t send = g_sends[k * kSenders + threadIdx.x - 32 * SEQUENCE_MAKERS];
+    const uint32_t send = g_sends[k * kSenders + threadIdx.x - VENDOR_WARP * SEQUENCE_MAKERS];
     const uint32_t block = send >> 16 & 31;
     sends.rounds[k] = {in_block(in_shared(halo_of(memory, turn) + (send & 0xffff)), block),
                        in_block(in_shared(g_came + turn % 2), block), send >> 24 & 31, send >> 31};
@@ -563,7 +515,7 @@ LANE_FN void fill_halo(const block_memory memory, const uint64_t* record) {
 LANE_FN void run_chain(uint32_t form, const uint64_t* words, const int64_t i, const bool on,
                        const bool owns, const block_memory memory, const device_sink sink);
 
-constexpr uint32_t kWarps = SEQUENCE_THREADS / 32;
+constexpr uint32_t kWarps = SEQUENCE_THREADS / VENDOR_WARP;
 #if SEQUENCE_LAYOUTS != 0
 // Which row a thread has is said by the layout of the phase: see BlockPlan. A task is
 //   form << 48 | the first word of the arguments << 32 | layout << 16 | what the warp does
@@ -587,7 +539,7 @@ LANE_FN void run_job(const uint64_t* table, const uint64_t* job, const uint32_t 
   const uint32_t row = rows[slot / threads * SEQUENCE_THREADS + thread] & (kOn - 1);
   run_ahead(low_half(job[0]), table + job[1], row, slot, sink);
 }
-extern "C" __global__ void __launch_bounds__(kAheadThreads) novaphy_ahead(
+VENDOR_ENTRY __launch_bounds__(kAheadThreads) novaphy_ahead(
     const uint64_t* table, const uint64_t* jobs, const uint32_t blocks_of_job,
     const device_sink sink) {
   run_job(table, jobs + kJobWords * (blockIdx.x / blocks_of_job),
@@ -605,7 +557,7 @@ LANE_FN void run_task(const uint64_t* record, uint64_t task, block_memory memory
   const uint32_t how = low_half(task);
   memory.turn = how >> kTurnShift & 3;
 #if SEQUENCE_HALO != 0
-  if ((how & kSends) != 0 && threadIdx.x == 32 * SEQUENCE_MAKERS) {
+  if ((how & kSends) != 0 && threadIdx.x == VENDOR_WARP * SEQUENCE_MAKERS) {
     wait_halo(memory.turn - 1);
     expect_rows(memory.turn + 1);
   }
@@ -633,7 +585,7 @@ LANE_FN bool stores(uint64_t task) { return (low_half(task) & kStores) != 0; }
 // Waits for the phase before, too, after what the chain may do early.
 LANE_FN void run_task(const uint64_t* record, uint64_t task, const block_memory memory,
                       const device_sink sink) {
-  const uint32_t lane = threadIdx.x & 31, rows = low_half(task) >> 24;
+  const uint32_t lane = threadIdx.x % VENDOR_WARP, rows = low_half(task) >> 24;
   if (rows == 0) {
     phase_wait();
     return;
@@ -647,10 +599,10 @@ LANE_FN bool stores(uint64_t task) { return low_half(task) >> 24 != 0; }
 LANE_FN void run_phase(const uint64_t* record, const device_sink sink) {
   const uint64_t* const chain = record + 2;
   const uint32_t chains = low_half(record[1]) & 0xffff, lanes = low_half(record[1]) >> 16;
-  const uint32_t warps = high_half(record[1]), lane = threadIdx.x & 31;
+  const uint32_t warps = high_half(record[1]), lane = threadIdx.x % VENDOR_WARP;
   // Neighbours go to different blocks, so that few warps use many units.
 #pragma unroll 1
-  for (uint32_t warp = threadIdx.x / 32 * gridDim.x + blockIdx.x; warp < warps;
+  for (uint32_t warp = threadIdx.x / VENDOR_WARP * gridDim.x + blockIdx.x; warp < warps;
        warp += gridDim.x * kWarps) {
     uint32_t c = chains - 1;
     while (high_half(chain[2 * c]) > warp) --c;
@@ -669,19 +621,14 @@ LANE_FN void run_phase(const uint64_t* record, const device_sink sink) {
 #endif
 // An address in shared memory that stays in a register. Compilers find it anew for each use, which
 // takes longer in a cluster: the number of the block is part of it.
-template <class T>
-LANE_FN T* stay(T* p) {
-  uint32_t address = (uint32_t)__cvta_generic_to_shared(p);
-  asm volatile("" : "+r"(address));
-  return (T*)__cvta_shared_to_generic(address);
-}
+#define stay(p) vendor_stays_shared(p)
 struct sequence_start {
   uint64_t words;  // of the first record
   uint64_t tasks;  // where those of the warps lie
   uint64_t rows;   // where those of the threads lie
   uint64_t turns;  // of the halo
 };
-extern "C" __global__ void SEQUENCE_CLUSTER __launch_bounds__(SEQUENCE_THREADS, 1) novaphy_main(
+VENDOR_ENTRY SEQUENCE_CLUSTER __launch_bounds__(SEQUENCE_THREADS, 1) novaphy_main(
     const __grid_constant__ sequence_start start, uint64_t* table, const int64_t counters,
     const device_sink sink) {
   // Of this phase, of the next one, and of the one after it, which is loaded during this one.
@@ -700,7 +647,7 @@ extern "C" __global__ void SEQUENCE_CLUSTER __launch_bounds__(SEQUENCE_THREADS, 
     next[k] = __ldg(table + low_half(head) + k);
   head = is_last ? 0 : __ldg(table + low_half(head));
 #if SEQUENCE_TASKS != 0
-  const uint64_t* tasks = table + start.tasks + blockIdx.x * kWarps + threadIdx.x / 32;
+  const uint64_t* tasks = table + start.tasks + blockIdx.x * kWarps + threadIdx.x / VENDOR_WARP;
   uint64_t task = __ldg(tasks);
 #endif
 #if SEQUENCE_LAYOUTS != 0

@@ -10,7 +10,6 @@
 namespace novaphy::gpu {
 namespace {
 
-constexpr uint32_t kWarp = 32;
 constexpr int32_t kItemWords = 4;      // of an item in the memory of a block
 constexpr int32_t kMostOutput = 24;    // words of a row of items
 constexpr int32_t kLongSum = 256;      // items; longer sums have a rule of their own

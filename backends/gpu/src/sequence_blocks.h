@@ -21,6 +21,9 @@
 
 namespace novaphy::gpu {
 
+// Threads of a warp; sequences are for vendors that say so.
+inline constexpr uint32_t kWarp = 32;
+
 struct BlockPlan {
   static constexpr uint32_t kOwns = 1u << 31;  // stores what others may read
   static constexpr uint32_t kOn = 1u << 30;    // has a row, and does not only go along with others

@@ -9,7 +9,6 @@
 namespace novaphy::gpu {
 namespace {
 
-constexpr uint32_t kWarp = 32;
 constexpr int32_t kRowWords = 4;  // of the halo
 constexpr size_t kRowBytes = 16;
 constexpr uint64_t kMostRows = 1 << 16;  // which a send can name

@@ -119,7 +119,7 @@ struct SequenceRoom {
 };
 SequenceTable sequence_table(std::span<const novaphy_sequence_op> ops,
                              const SequenceRoom& room = {});
-// Warps of the phase that has most, with 32 rows each.
+// Warps of the phase that has most, with a row for each thread.
 uint32_t most_warps(std::span<const novaphy_sequence_op> ops);
 
 constexpr unsigned kMostInCluster = 8;  // blocks, on every device that has clusters

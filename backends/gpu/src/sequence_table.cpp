@@ -15,7 +15,6 @@ namespace {
 
 using Operation = ChainForm::Operation;
 
-constexpr int64_t kWarp = 32;
 constexpr int32_t kMaxRegisters = 24;  // words of an output that stays in registers
 constexpr int32_t kMaxOwn = 12;        // words of a source that are loaded when a chain begins
 constexpr int32_t kMaxTables = 3;      // CSR tables likewise

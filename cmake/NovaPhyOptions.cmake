@@ -40,12 +40,13 @@ if(NOVAPHY_WITH_NATIVE_KERNELS AND NOT (NOVAPHY_WITH_DIFF AND NOVAPHY_BUILD_CPU_
 endif()
 
 option(NOVAPHY_WITH_CUDA "Build the CUDA backend (a plugin that opens the driver at run time)" OFF)
-option(NOVAPHY_WITH_COLLISION_CUDA "Contacts on CUDA devices; without effect while NOVAPHY_WITH_CUDA is OFF" ON)
+option(NOVAPHY_WITH_COLLISION_CUDA "Contacts on CUDA and Denglin devices; without effect without their backends" ON)
 option(NOVA_ENABLE_NVRTC "Compile kernels with NVRTC at run time; without effect while NOVAPHY_WITH_CUDA is OFF" ON)
+
+option(NOVAPHY_WITH_DLAN "Build the Denglin backend (a plugin that opens the run-time library and kernels at run time)" OFF)
 
 # Parts of the design that are not built yet.
 foreach(entry
-    "NOVAPHY_WITH_DLAN;the Denglin backend"
     "NOVAPHY_WITH_VBD_CUDA;CUDA modules of the VBD library"
     "NOVAPHY_WITH_VBD_DLAN;Denglin modules of the VBD library")
   list(GET entry 0 name)

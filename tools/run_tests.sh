@@ -17,6 +17,9 @@ install_packages "${BUILD_PACKAGES[@]}" binutils libassimp-dev liburdfdom-dev li
 case " $* " in
   *" --all "* | *" python "*) install_packages "${VIEWER_PACKAGES[@]}" ;;
 esac
+case " $* " in
+  *" --all "* | *" dev "*) install_packages clang-14 ;; # a front end for CUDA, which stands in for a vendor's
+esac
 find_python
 make_venv build/venv/tools "${WHEEL_REQUIREMENTS[@]}" "ruff==0.17.6"  # a newer one may ask for more
 exec build/venv/tools/bin/python tools/run_tests.py "$@" </dev/null

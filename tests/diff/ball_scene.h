@@ -11,7 +11,7 @@ inline constexpr float kBallDt = static_cast<float>(1.0 / 60.0 / 8.0);
 inline constexpr Vec3f kBallTarget{0.0f, -2.0f, 1.5f};
 inline constexpr float kBallRate = 0.02f;
 
-inline std::shared_ptr<Model> make_ball_model(int balls = 1) {
+inline std::shared_ptr<Model> make_ball_model(int balls = 1, Device device = Device::cpu()) {
   ModelBuilder builder;
   for (int k = 0; k < balls; ++k)
     builder.add_particle({balls == 1 ? 0.0f : static_cast<float>(k % 7 - 3) * 0.05f, -0.5f, 1.0f},
@@ -25,7 +25,7 @@ inline std::shared_ptr<Model> make_ball_model(int balls = 1) {
   wall.p = {0.0f, 2.0f, 1.0f};
   builder.add_shape_box(-1, {.xform = wall, .hx = 1.0f, .hy = 0.25f, .hz = 1.0f, .cfg = cfg});
   builder.add_ground_plane({.cfg = cfg});
-  auto model = builder.finalize(Device::cpu(), {.requires_grad = true});
+  auto model = builder.finalize(device, {.requires_grad = true});
   model->soft_contact_ke = 1.0e4f;
   model->soft_contact_kd = 10.0f;
   model->soft_contact_kf = 0.0f;

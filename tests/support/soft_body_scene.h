@@ -12,7 +12,7 @@ inline constexpr float kSoftBodyDt = static_cast<float>(1.0 / 60.0 / 16.0);
 inline constexpr float kSoftBodyGap = 0.001f;
 inline constexpr Vec3f kSoftBodyTarget{0.0f, -1.0f, 1.5f};
 
-inline std::shared_ptr<Model> make_soft_body_model(int cells = 2) {
+inline std::shared_ptr<Model> make_soft_body_model(int cells = 2, Device device = Device::cpu()) {
   ModelBuilder builder;
   builder.default_particle_radius = 0.0005f;
   const double cell = 0.1, particles = (cells + 1.0) * (cells + 1.0) * (cells + 1.0);
@@ -38,7 +38,7 @@ inline std::shared_ptr<Model> make_soft_body_model(int cells = 2) {
                              .hz = 1.0f,
                              .cfg = cfg});
   builder.add_ground_plane({.cfg = cfg});
-  auto model = builder.finalize(Device::cpu(), {.requires_grad = true});
+  auto model = builder.finalize(device, {.requires_grad = true});
   model->soft_contact_ke = 1e3f;
   model->soft_contact_kd = 1.0f;
   model->soft_contact_kf = 0.0f;

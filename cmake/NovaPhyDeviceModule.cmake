@@ -4,9 +4,9 @@
 #   const char* novaphy::detail::<name>_kernels_text();
 # which gives null without a backend for devices or where the condition is false. Headers take the place of their includes,
 # each once. core/device/ holds the twins of those that devices read otherwise; system headers are left out. The lines
-# "// kernel NAME WORDS" that backends look for are made from the declarations. The text is C++17, which compilers of all
-# vendors know.
-set(NOVAPHY_DEVICE_INCLUDES core/device core/include collision/include dynamics/include)
+# "// kernel NAME WORDS NOVAPHY_ROW" (or _BLOCK, _GRID) that backends look for are made from the declarations. The text is
+# C++17, which compilers of all vendors know.
+set(NOVAPHY_DEVICE_INCLUDES core/device core/include collision/include dynamics/include vbd/include)
 
 # Appends a file to the global property NOVAPHY_DEVICE_TEXT, behind the headers that it includes.
 function(novaphy_append_device_text path)
@@ -43,11 +43,11 @@ function(novaphy_add_device_module target header)
     cmake_path(ABSOLUTE_PATH header)
     novaphy_append_device_text(${header})
     get_property(text GLOBAL PROPERTY NOVAPHY_DEVICE_TEXT)
-    string(REGEX MATCHALL "\nNOVAPHY_ROW_KERNEL\\([a-z0-9_]+, [0-9]+" kernels "${text}")
+    string(REGEX MATCHALL "\nNOVAPHY_(ROW|BLOCK|GRID)_KERNEL\\([a-z0-9_]+, [0-9]+" kernels "${text}")
     if(NOT kernels)
       message(FATAL_ERROR "novaphy_add_device_module: no NOVAPHY_ROW_KERNEL(name, words, ...) in ${header}.")
     endif()
-    list(TRANSFORM kernels REPLACE "\nNOVAPHY_ROW_KERNEL.([a-z0-9_]+), ([0-9]+)" "// kernel \\1 \\2\n")
+    list(TRANSFORM kernels REPLACE "\n(NOVAPHY_[A-Z]+)_KERNEL.([a-z0-9_]+), ([0-9]+)" "// kernel \\2 \\3 \\1\n")
     string(JOIN "" kernels ${kernels})
     file(CONFIGURE OUTPUT ${CMAKE_CURRENT_BINARY_DIR}/${name}.cuh CONTENT "${kernels}${text}" @ONLY)
     # A string literal has a length that every compiler takes; the pieces are joined by the compiler.

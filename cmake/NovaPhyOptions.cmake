@@ -41,25 +41,25 @@ endif()
 
 option(NOVAPHY_WITH_CUDA "Build the CUDA backend (a plugin that opens the driver at run time)" OFF)
 option(NOVAPHY_WITH_COLLISION_CUDA "Contacts on CUDA and Denglin devices; without effect without their backends" ON)
+option(NOVAPHY_WITH_VBD_CUDA "novaphy::vbd on CUDA devices (needs NOVAPHY_BUILD_VBD and NOVAPHY_WITH_CUDA)" OFF)
 option(NOVA_ENABLE_NVRTC "Compile kernels with NVRTC at run time; without effect while NOVAPHY_WITH_CUDA is OFF" ON)
 
 option(NOVAPHY_WITH_DLAN "Build the Denglin backend (a plugin that opens the run-time library and kernels at run time)" OFF)
 
-# Parts of the design that are not built yet.
-foreach(entry
-    "NOVAPHY_WITH_VBD_CUDA;CUDA modules of the VBD library"
-    "NOVAPHY_WITH_VBD_DLAN;Denglin modules of the VBD library")
-  list(GET entry 0 name)
-  list(GET entry 1 what)
-  option(${name} "Not built yet: ${what}" OFF)
-  if(${name})
-    message(FATAL_ERROR "${name}=ON asks for ${what}, which this version does not have. Configure with ${name}=OFF.")
-  endif()
-endforeach()
+option(NOVAPHY_WITH_VBD_DLAN "Not built yet: Denglin modules of the VBD library" OFF)
+if(NOVAPHY_WITH_VBD_DLAN)
+  message(FATAL_ERROR "NOVAPHY_WITH_VBD_DLAN=ON asks for Denglin modules of the VBD library, which this version does not have. "
+                      "Configure with NOVAPHY_WITH_VBD_DLAN=OFF.")
+endif()
 
 if(NOVAPHY_BUILD_DYNAMICS AND NOT NOVAPHY_BUILD_COLLISION)
   message(FATAL_ERROR "NOVAPHY_BUILD_DYNAMICS=ON needs NOVAPHY_BUILD_COLLISION=ON.")
 endif()
+foreach(needed NOVAPHY_BUILD_VBD NOVAPHY_WITH_CUDA)
+  if(NOVAPHY_WITH_VBD_CUDA AND NOT ${needed})
+    message(FATAL_ERROR "NOVAPHY_WITH_VBD_CUDA=ON needs ${needed}=ON.")
+  endif()
+endforeach()
 if(NOVAPHY_BUILD_VBD AND NOT NOVAPHY_BUILD_COLLISION)
   message(FATAL_ERROR "NOVAPHY_BUILD_VBD=ON needs NOVAPHY_BUILD_COLLISION=ON.")
 endif()

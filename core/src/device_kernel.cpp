@@ -99,6 +99,8 @@ DeviceKernel::Made DeviceKernel::make(const DeviceContext& context) const {
   if (function_ == nullptr) {
     create(NOVAPHY_CODE_BUILTIN, name_, std::strlen(name_));
   } else if (context.host_accessible) {
+    require(function_->rows != nullptr, ErrorKind::NotImplemented, name_, ": it has no code for ",
+            context.id.str());
     create(NOVAPHY_CODE_BINARY, function_, sizeof(*function_));
   } else {
     require(text_ != nullptr && text_() != nullptr, ErrorKind::NotImplemented, name_,

@@ -156,7 +156,8 @@ void bind_vbd(py::module_& solvers) {
       "particles, springs, triangles, bending edges, tetrahedra, external forces, gravity, and "
       "contacts with world-owned shapes. Particles need colours: ModelBuilder.color(). Particles "
       "of mass 0 or without ParticleFlags.ACTIVE are held. Nothing is written to state_in. Same "
-      "bits for any number of threads. Raises on a tape.")
+      "bits for any number of threads and on a CUDA device. A step can be captured; on a tape it "
+      "raises where an input carries a gradient.")
       .def(
           py::init([](const std::shared_ptr<Model>& model, int32_t iterations,
                       float friction_epsilon, const std::string& initial_guess,
@@ -222,7 +223,8 @@ void bind_vbd(py::module_& solvers) {
           "Advances state_in by dt (s) into state_out. targets: {held_count, 3} positions (m, "
           "world frame) where the held particles are at the end, in the order of their indices; "
           "None: where they are. Errors as SolverBase.step; ValueError: indices or colours that "
-          "were edited after the solver was made; novaphy.Error: contacts that overflowed.")
+          "were edited after the solver was made, numbers that are not finite; novaphy.Error: contacts "
+          "that overflowed, positions that do not stay finite.")
       .def("residual", &SolverVBD::residual, release_gil(),
            "VbdResidual of the last step. novaphy.Error: there was none.")
       .def("reset", &SolverVBD::reset,

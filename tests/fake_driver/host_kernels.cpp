@@ -128,6 +128,13 @@ int32_t shared_values[12 << 10];
 #define NOVAPHY_KERNEL static void
 #define NOVAPHY_ROW (static_cast<int64_t>(blockIdx.x) * blockDim.x + threadIdx.x)
 #include "soft_contact_kernels.cuh"
+#ifdef FAKE_DRIVER_HAS_VBD
+#undef __shared__
+#define __shared__ static
+namespace vbd_text {
+#include "vbd_kernels.cuh"
+}
+#endif
 
 template <class... P>
 struct Call {
@@ -147,6 +154,8 @@ HostKernel entry(const char* name, bool waits, void (*)(P...)) {
 }
 #define ENTRY(name, waits) entry<name>(#name, waits, name)
 #define HAND_WRITTEN(name) entry<device::novaphy::name>(#name, false, device::novaphy::name)
+#define OF_VBD(name, waits) \
+  entry<device::vbd_text::novaphy::name>(#name, waits, device::vbd_text::novaphy::name)
 
 }  // namespace
 }  // namespace device
@@ -161,6 +170,15 @@ const HostKernel* find_host_kernel(const char* name) {
       ENTRY(incidence_items, false),     ENTRY(checksum_u64, true),
       HAND_WRITTEN(soft_contact_shape),  HAND_WRITTEN(soft_contact_touch),
       HAND_WRITTEN(soft_contact_write),  HAND_WRITTEN(soft_contact_none),
+#ifdef FAKE_DRIVER_HAS_VBD
+      OF_VBD(vbd_predict, false),        OF_VBD(vbd_target, false),
+      OF_VBD(vbd_activation, false),     OF_VBD(vbd_contact, false),
+      OF_VBD(vbd_prepare, false),        OF_VBD(vbd_move, false),
+      OF_VBD(vbd_move_guarded, false),   OF_VBD(vbd_commit, false),
+      OF_VBD(vbd_accelerate, false),     OF_VBD(vbd_finish, false),
+      OF_VBD(vbd_residual, false),       OF_VBD(vbd_move_team, true),
+      OF_VBD(vbd_sweep, true),
+#endif
       HAND_WRITTEN(soft_contact_clear),  HAND_WRITTEN(contact_generation)};
   for (const HostKernel& kernel : kKernels)
     if (std::strcmp(kernel.name, name) == 0) return &kernel;

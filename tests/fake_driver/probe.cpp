@@ -18,6 +18,10 @@
 #include "novaphy/nova/op_list.h"
 #include "novaphy/nova/ops.h"
 
+#ifdef FAKE_DRIVER_HAS_VBD
+void step_vbd(const std::string& options);  // probe_vbd.cpp
+#endif
+
 namespace {
 
 using novaphy::Device;
@@ -163,6 +167,10 @@ int run(const std::string& command) {
     step_a_model();
   } else if (command == "collide") {
     collide();
+#ifdef FAKE_DRIVER_HAS_VBD
+  } else if (command.rfind("vbd", 0) == 0) {
+    step_vbd(command);
+#endif
   } else {
     return 2;
   }

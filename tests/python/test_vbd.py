@@ -107,12 +107,74 @@ def test_options_are_kept_and_bad_ones_are_refused():
         solver_of(cloth(tri_drag=1.0))
 
 
-def test_a_step_on_a_tape_raises():
+@pytest.mark.parametrize("name", ["particle_q", "particle_tri_material", "particle_tri_activation"])
+def test_a_step_on_a_tape_names_what_carries_a_gradient(name):
     nova = pytest.importorskip("novaphy.nova")
     solver = solver_of(cloth())
-    state, after = solver.model.state(requires_grad=True), solver.model.state()
-    with nova.Tape(), pytest.raises(novaphy.Error, match=r"SolverVBD\.step"):
+    model = solver.model
+    state, after = model.state(), model.state()
+    array = state.particle_q if name == "particle_q" else getattr(model, name)
+    array.requires_grad = True
+    with nova.Tape(), pytest.raises(novaphy.Error, match=f"{name}: it carries a gradient"):
         solver.step(state, after, None, None, 1 / 60)
+    array.requires_grad = False
+    with nova.Tape():
+        solver.step(state, after, None, None, 1 / 60)
+
+
+def test_a_captured_step_replays_the_bits_of_direct_ones():
+    nova = pytest.importorskip("novaphy.nova")
+    solver = solver_of(cloth(), iterations=6)
+    model = solver.model
+    held = model.particle_q.numpy()[model.particle_mass.numpy() == 0]
+    assert len(held) == solver.held_count > 0
+    # A row of targets for each of four steps.
+    targets = [novaphy.DeviceArray(held + np.float32(0.01 * k), novaphy.vec3) for k in range(4)]
+    direct, captured = ([model.state(), model.state()] for _ in range(2))
+    for k in range(4):
+        solver.step(direct[k % 2], direct[1 - k % 2], None, None, 1 / 60, targets=targets[k])
+    with nova.ScopedCapture() as capture:
+        for k in range(4):
+            states = captured[k % 2], captured[1 - k % 2]
+            solver.step(*states, None, None, 1 / 60, targets=targets[k])
+    capture.graph.launch()
+    assert (captured[0].particle_q.numpy() == direct[0].particle_q.numpy()).all()
+    assert (captured[0].particle_qd.numpy() == direct[0].particle_qd.numpy()).all()
+    model.particle_tri_material.assign(2 * model.particle_tri_material.numpy())
+    with pytest.raises(novaphy.Error, match="changed|written"):
+        capture.graph.launch()
+
+
+def test_numbers_that_are_not_finite_are_named():
+    solver = solver_of(cloth())
+    model = solver.model
+    before = model.state().particle_q.numpy()
+
+    for name in ("particle_q", "particle_qd", "particle_f"):
+        state, after = model.state(), model.state()
+        array = getattr(state, name)
+        values = array.numpy().copy()
+        values[20, 1] = np.nan
+        array.assign(values)
+        with pytest.raises(ValueError, match=rf"state_in.{name}\[20\]: expected finite"):
+            solver.step(state, after, None, None, 1 / 60)
+        assert (after.particle_q.numpy() == before).all()
+    state = model.state()
+    huge = state.particle_qd.numpy().copy()
+    huge[20] = 3e38
+    state.particle_qd.assign(huge)
+    with pytest.raises(novaphy.Error, match="particle 20|no longer finite|overflows"):
+        solver.step(state, model.state(), None, None, 1e3)
+    for name in ("particle_mass", "particle_tri_pose", "particle_tri_area"):
+        array = getattr(model, name)
+        good = array.numpy().copy()
+        values = good.copy()
+        values.reshape(-1)[-1] = np.inf
+        array.assign(values)
+        with pytest.raises(ValueError, match=f"model.{name}"):
+            solver.step(model.state(), model.state(), None, None, 1 / 60)
+        array.assign(good)
+    solver.step(model.state(), model.state(), None, None, 1 / 60)
 
 
 @pytest.mark.parametrize("scene", ["hanging", "draped", "twisted", "crushed", "net"])

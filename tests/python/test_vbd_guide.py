@@ -14,6 +14,7 @@ import novaphy
 pytestmark = pytest.mark.skipif(not novaphy.has_vbd(), reason="built with NOVAPHY_BUILD_VBD=OFF")
 GUIDE = Path(__file__).parents[2] / "docs" / "guide" / "vbd.md"
 DT = 1 / 60
+HAS_CUDA = novaphy.is_device_available("cuda")
 
 
 def builder(**options) -> novaphy.ModelBuilder:
@@ -40,15 +41,22 @@ def finalized(b: novaphy.ModelBuilder) -> novaphy.Model:
     return model
 
 
-def step(solver, model, **options):
-    """One step with contacts; the state after it."""
+def step(solver, model, captured=False, **options):
+    """One step with contacts, or the replay of one; the state after it."""
     pipeline = novaphy.CollisionPipeline(model)
     contacts = pipeline.contacts()
     before, after = model.state(), model.state()
     before.particle_qd.assign(np.full((model.particle_count, 3), (0.3, 0.1, -0.5), np.float32))
     pipeline.collide(before, contacts)
     assert contacts.active_soft_contact_count > 0
-    solver.step(before, after, None, contacts, DT, **options)
+    if captured:
+        nova = pytest.importorskip("novaphy.nova")
+        with nova.ScopedCapture() as capture:
+            solver.step(before, after, None, contacts, DT, **options)
+        assert (after.particle_q.numpy() == model.particle_q.numpy()).all()
+        capture.graph.launch()
+    else:
+        solver.step(before, after, None, contacts, DT, **options)
     return after
 
 
@@ -97,33 +105,23 @@ def forward(**options) -> Callable[[], None]:
     return check
 
 
+def both_ways(device: str, captured: bool, **options) -> None:
+    """A step with contacts on a device, or the replay of one, has the bits of one on the cpu."""
+    b = builder()
+    model = finalized(b)
+    expected = step(novaphy.solvers.SolverVBD(model, **options), model).particle_q.numpy()
+    there = b.finalize(device)
+    there.soft_contact_ke, there.soft_contact_kd = model.soft_contact_ke, model.soft_contact_kd
+    solver = novaphy.solvers.SolverVBD(there, **options)
+    found = step(solver, there, captured=captured)
+    assert (found.particle_q.numpy() == expected).all()
+
+
 def with_targets() -> None:
     model = finalized(builder())
     held = model.particle_q.numpy()[model.particle_mass.numpy() == 0] + np.float32(0.01)
     after = step(novaphy.solvers.SolverVBD(model), model, targets=held)
     assert (after.particle_q.numpy()[model.particle_mass.numpy() == 0] == held).all()
-
-
-def each_option(solver: Callable) -> Callable[[], None]:
-    """Makes a solver with each of the options that have no gradient."""
-
-    def check() -> None:
-        raised = []
-        for option in (
-            {"acceleration": 0.5}, {"tolerance": 1e-3}, {"safeguard": True},
-            {"initial_guess": "adaptive"},
-        ):  # fmt: skip
-            try:
-                model = finalized(builder())
-                step(solver(model, **option), model)
-            except (NotImplementedError, TypeError) as error:  # or no such argument
-                assert next(iter(option)) in str(error)
-                raised.append(error)
-        assert len(raised) in (0, 4)
-        if raised:
-            raise NotImplementedError
-
-    return check
 
 
 def each_number(solver: Callable) -> Callable[[], None]:
@@ -165,12 +163,32 @@ def differentiable(model, **options):
     return novaphy.solvers.DiffSolverVBD(model, **options)
 
 
+def option_gradient(**option) -> Callable[[str], None]:
+    """An option that has no gradient: refused by name, or no argument at all."""
+
+    def check(kind: str) -> None:
+        try:
+            differentiable(finalized(builder()), gradient=kind, **option)
+        except (NotImplementedError, TypeError) as error:
+            assert next(iter(option)) in str(error)
+            raise NotImplementedError from error
+
+    return check
+
+
 @dataclass
 class Row:
-    """How the cells of a row are tried: the step, and the gradient of a kind."""
+    """How the cells of a row are tried."""
 
     cpu: Callable[[], None]
     gradient: Callable[[str], None]
+    options: dict | None = None  # of the solver; None: nothing is made for another device
+
+    def on(self, device: str, captured: bool) -> None:
+        if self.options is None:
+            self.cpu()
+        else:
+            both_ways(device, captured, **self.options)
 
 
 # By how the row begins.
@@ -182,6 +200,7 @@ ROWS = {
             "particle_tet_material", "particle_edge_material", "particle_tri_activation",
             "particle_tet_activation",
         )),
+        {},
     ),
     "rest shapes": Row(
         forward(),
@@ -189,14 +208,29 @@ ROWS = {
             "particle_spring_rest_length", "particle_edge_rest_length", "particle_edge_rest_angle",
             "particle_tri_pose", "particle_tri_area", "particle_tet_pose",
         )),
+        {},
     ),
-    "masses, radii": Row(forward(), gradients(("particle_mass", "particle_radius", "gravity"))),
+    "masses, radii": Row(forward(), gradients(("particle_mass", "particle_radius", "gravity")), {}),
     "contacts with world-owned shapes": Row(
         forward(),
         gradients(("shape_margin", "shape_material_ke", "shape_material_kd", "shape_material_mu")),
+        {},
     ),
-    "targets of held particles": Row(with_targets, target_gradient),
-    "`acceleration`": Row(each_option(plain), lambda kind: each_option(differentiable)()),
+    "targets of held particles": Row(with_targets, target_gradient, {}),
+    "`acceleration`": Row(
+        forward(acceleration=0.5), option_gradient(acceleration=0.5), {"acceleration": 0.5}
+    ),
+    "`safeguard`": Row(
+        forward(safeguard=True), option_gradient(safeguard=True), {"safeguard": True}
+    ),
+    "`initial_guess": Row(
+        forward(initial_guess="adaptive"),
+        option_gradient(initial_guess="adaptive"),
+        {"initial_guess": "adaptive"},
+    ),
+    "`tolerance`": Row(
+        forward(tolerance=1e-3), option_gradient(tolerance=1e-3), {"tolerance": 1e-3}
+    ),
     "drag and lift": Row(each_number(plain), lambda kind: each_number(differentiable)()),
     "bodies, joints": Row(bodies(plain), lambda kind: bodies(differentiable)()),
 }  # fmt: skip
@@ -227,8 +261,10 @@ def test_a_row_of_the_table_is_as_it_says(begin):
     assert ("exact" in label) == (gradient == "yes")
     for kind in kinds:
         try_cell(gradient, lambda kind=kind: row.gradient(kind))
-    # The same for all rows.
-    assert cuda == captured == "raises"
+    try_cell(captured, lambda: row.on("cpu", True))
+    if HAS_CUDA:
+        for replayed in (False, True):
+            try_cell(cuda, lambda replayed=replayed: row.on("cuda", replayed))
 
 
 def test_every_row_of_the_table_is_tested():
@@ -238,18 +274,10 @@ def test_every_row_of_the_table_is_tested():
         assert sum(row.startswith(begin) for begin in ROWS) == 1, row
 
 
-def test_nothing_is_captured():
-    nova = pytest.importorskip("novaphy.nova")
-    model = finalized(builder())
-    for solver in (plain(model), differentiable(model)):
-        with pytest.raises(novaphy.Error), nova.ScopedCapture():
-            solver.step(model.state(), model.state(), None, None, DT)
-
-
-@pytest.mark.skipif(not novaphy.is_device_available("cuda"), reason="no CUDA device")
-def test_nothing_runs_on_cuda():
+def test_there_are_no_gradients_on_cuda():
+    if not HAS_CUDA:
+        pytest.skip("no CUDA device")
     b = builder()
     b.color()
-    for solver in (plain, differentiable):
-        with pytest.raises(NotImplementedError, match="cpu"):
-            solver(b.finalize("cuda"))
+    with pytest.raises(NotImplementedError, match="cpu"):
+        differentiable(b.finalize("cuda"))

@@ -2,10 +2,11 @@
 """Time a substep of VBD: a cloth of 64 x 32 cells with bending and damping, 10 iterations.
 
     python tools/bench/bench_vbd.py [--engine novaphy|newton] [--threads N] [--sphere]
+        [--cells X Y] [--device cuda:0] [--capture]
 
 Prints a JSON line: wall and CPU time of a substep in turns (the fastest), and a hash of the last
 positions. With --sphere the cloth falls on a sphere with friction. --backward also times the
-derivative of a step.
+derivative of a step. --capture replays a graph of ten substeps.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ import time
 
 import numpy as np
 
-DT, ITERATIONS, WARM_UP, TURNS = 1.0 / 300.0, 10, 20, 5
+DT, ITERATIONS, WARM_UP, TURNS, CAPTURED = 1.0 / 300.0, 10, 20, 5, 10
 CLOTH = {
     "dim_x": 64, "dim_y": 32, "cell_x": 0.02, "cell_y": 0.02, "mass": 4e-4,
     "tri_ke": 1e3, "tri_ka": 1e3, "tri_kd": 1e-2, "edge_ke": 1e-2, "edge_kd": 1e-4,
@@ -25,8 +26,9 @@ CLOTH = {
 }  # fmt: skip
 
 
-def fill(builder, engine, sphere):
+def fill(builder, engine, sphere, cells):
     """Add the cloth and, if wanted, the sphere."""
+    cloth = CLOTH | {"dim_x": cells[0], "dim_y": cells[1]}
     rotation = (0.0, 0.0, 0.0, 1.0)
     vector, quat = tuple, tuple
     if engine == "newton":
@@ -36,7 +38,7 @@ def fill(builder, engine, sphere):
     zero = (0.0, 0.0, 0.0)
     builder.add_cloth_grid(
         pos=vector((-0.64, -0.32, 0.5)), rot=quat(rotation), vel=vector(zero),
-        fix_left=not sphere, **CLOTH,
+        fix_left=not sphere, **cloth,
     )  # fmt: skip
     if sphere:
         pose = ((0.0, 0.0, 0.2), rotation)
@@ -55,8 +57,8 @@ def novaphy_run(args):
     if args.threads:
         novaphy.set_num_threads(args.threads)
     builder = novaphy.ModelBuilder()
-    fill(builder, "novaphy", args.sphere)
-    model = builder.finalize()
+    fill(builder, "novaphy", args.sphere, args.cells)
+    model = builder.finalize(args.device)
     solver = novaphy.solvers.SolverVBD(model, iterations=ITERATIONS)
     pipeline = novaphy.CollisionPipeline(model)
     contacts = pipeline.contacts() if args.sphere else None
@@ -68,6 +70,19 @@ def novaphy_run(args):
                 pipeline.collide(states[0], contacts)
             solver.step(states[0], states[1], None, contacts, DT)
             states.reverse()
+
+    if args.capture:
+        from novaphy import nova
+
+        eager = run
+        with nova.ScopedCapture() as capture:
+            eager(CAPTURED)
+        capture.graph.prepare()
+
+        def run(substeps):
+            for _ in range(substeps // CAPTURED):
+                capture.graph.launch()
+            novaphy.synchronize(args.device)
 
     def backward():
         from novaphy import diff, nova
@@ -92,7 +107,7 @@ def newton_run(args):
     wp.config.quiet = True
     wp.set_device("cpu")
     builder = newton.ModelBuilder()
-    fill(builder, "newton", args.sphere)
+    fill(builder, "newton", args.sphere, args.cells)
     model = builder.finalize()
     solver = newton.solvers.SolverVBD(model, iterations=ITERATIONS)
     states, control = [model.state(), model.state()], model.control()
@@ -115,6 +130,9 @@ def main() -> None:
     parser.add_argument("--engine", choices=("novaphy", "newton"), default="novaphy")
     parser.add_argument("--threads", type=int, help="of NovaPhy; Newton's cpu device has one")
     parser.add_argument("--sphere", action="store_true", help="on a sphere, with friction")
+    parser.add_argument("--cells", type=int, nargs=2, default=(64, 32), help="of the cloth")
+    parser.add_argument("--device", default="cpu", help="of NovaPhy")
+    parser.add_argument("--capture", action="store_true", help="replay a graph")
     parser.add_argument("--backward", action="store_true", help="also the derivative of a step")
     parser.add_argument("--substeps", type=int, default=200, help="of a turn")
     args = parser.parse_args()
@@ -128,6 +146,7 @@ def main() -> None:
         cpu.append((time.process_time() - used) / args.substeps)
     result = {
         "engine": args.engine, "threads": args.threads, "sphere": args.sphere,
+        "particles": (args.cells[0] + 1) * (args.cells[1] + 1), "device": args.device,
         "wall_ms": 1e3 * min(wall), "cpu_ms": 1e3 * min(cpu),
         "hash": hashlib.sha256(np.ascontiguousarray(positions()).tobytes()).hexdigest()[:16],
     }  # fmt: skip

@@ -24,6 +24,9 @@
 #include "compiler.h"
 #include "device_source.h"
 #include "novaphy/collision/device_modules.h"
+#ifdef NOVAPHY_VBD_MODULES
+#include "novaphy/vbd/device_modules.h"
+#endif
 #include "programs.h"
 #include "vendor.h"
 
@@ -163,6 +166,10 @@ int run(int argc, char** argv) {
         p.contract ? gpu::Dialect::Contracted : gpu::Dialect::Program);
   for (const std::string& text : novaphy::collision_device_modules())
     add(gpu::module_source(text), "collision", gpu::Dialect::Source);
+#ifdef NOVAPHY_VBD_MODULES
+  for (const std::string& text : novaphy::vbd_device_modules())
+    add(gpu::module_source(text), "vbd", gpu::Dialect::Source);
+#endif
   compile_all(jobs);
   if (cache_arch != 0) {
     for (const Job& job : jobs)

@@ -94,6 +94,25 @@ struct Kinds {
   }
 };
 
+// What a sweep computes with besides the materials.
+void check_finite(const Model& model) {
+  const auto check = [](const char* name, const Array& array) {
+    const auto* const values = static_cast<const float*>(array.raw());
+    const size_t count = array.bytes() / sizeof(float);
+    for (size_t k = 0; k < count; ++k)
+      require(std::isfinite(values[k]), ErrorKind::Value, "SolverVBD: model.", name, "[",
+              k / (count / array.rows()), "]: expected finite numbers, got ", values[k]);
+  };
+  check("particle_mass", model.particle_mass);
+  check("particle_inv_mass", model.particle_inv_mass);
+  check("particle_spring_rest_length", model.particle_spring_rest_length);
+  check("particle_tri_pose", model.particle_tri_pose);
+  check("particle_tri_area", model.particle_tri_area);
+  check("particle_edge_rest_angle", model.particle_edge_rest_angle);
+  check("particle_edge_rest_length", model.particle_edge_rest_length);
+  check("particle_tet_pose", model.particle_tet_pose);
+}
+
 void check_drag(const Kind& triangle) {
   for (int32_t e = 0; e < triangle.count(); ++e) {
     const float* const c = triangle.coefficients(e);
@@ -262,6 +281,7 @@ void ColorSlots::build(const Model& model, int lanes) {
        {&kinds.spring_ke, &kinds.spring_kd, &kinds.triangle, &kinds.edge, &kinds.tetrahedron})
     check_elements(*kind, model.particle_count());
   check_drag(kinds.triangle);
+  check_finite(model);
   const std::vector<int32_t> colors = model.particle_colors.to_host();
   for (size_t p = 0; p < colors.size(); ++p)
     require(colors[p] >= 0, ErrorKind::Value, "SolverVBD: model: particle ", p,

@@ -95,6 +95,9 @@ DifferentiableVbd::DifferentiableVbd(std::shared_ptr<const Model> model, const V
     : model_(std::move(model)) {
   check_covered(options);
   check_gradient_options(options, gradient_options);
+  require(model_ == nullptr || model_->device().is_cpu(), ErrorKind::NotImplemented,
+          "DiffSolverVBD: model: expected one on the cpu, got one on ",
+          model_ == nullptr ? "" : model_->device().str());
   SolverVBD(model_, options);  // makes its checks
   work_ = std::make_unique<Work>(*model_, options, gradient_options);
 }

@@ -3,6 +3,7 @@
 #include <cmath>
 #include <utility>
 
+#include "launched_step.h"
 #include "novaphy/core/error.h"
 #include "step_work.h"
 
@@ -41,14 +42,32 @@ void check_covered(const Model& model) {
   check("body_count", model.body_count());
   check("joint_count", model.joint_count());
   check("articulation_count", model.articulation_count());
-  require(model.device().is_cpu(), ErrorKind::NotImplemented,
-          "SolverVBD: model: expected one on the cpu, got one on ", model.device().str());
 }
 
 }  // namespace
 
-struct SolverVBD::Work : vbd::StepWork {
-  using vbd::StepWork::StepWork;
+// A step runs on the host where it can, with all its lanes; on devices, and while something records
+// what this thread does, as launches.
+struct SolverVBD::Work {
+  Work(const Model& m, const VbdOptions& o) : model(m), options(o) {
+    if (m.device().is_cpu()) {
+      host = std::make_unique<vbd::StepWork>(m, o);
+    } else {
+      launched = std::make_unique<vbd::LaunchedStep>(m, o);
+    }
+  }
+  vbd::LaunchedStep& recorded() {
+    require(options.initial_guess != VbdInitialGuess::Adaptive, ErrorKind::NotImplemented, kName,
+            ": initial_guess \"adaptive\": on the cpu it cannot be captured");
+    if (launched == nullptr) launched = std::make_unique<vbd::LaunchedStep>(model, options);
+    return *launched;
+  }
+
+  const Model& model;
+  const VbdOptions options;
+  std::unique_ptr<vbd::StepWork> host;  // null: on a device
+  std::unique_ptr<vbd::LaunchedStep> launched;
+  bool last_was_launched = false;
 };
 
 SolverVBD::SolverVBD(std::shared_ptr<const Model> model, const VbdOptions& options)
@@ -61,45 +80,64 @@ SolverVBD::SolverVBD(std::shared_ptr<const Model> model, const VbdOptions& optio
 
 SolverVBD::~SolverVBD() = default;
 
-int32_t SolverVBD::held_count() const { return static_cast<int32_t>(work_->slots.held().size()); }
+int32_t SolverVBD::held_count() const {
+  return work_->host != nullptr ? static_cast<int32_t>(work_->host->slots.held().size())
+                                : work_->launched->held_count();
+}
+
+bool SolverVBD::supports_graph_capture() const {
+  return !options_.tolerance &&
+         (!device().is_cpu() || options_.initial_guess != VbdInitialGuess::Adaptive);
+}
 
 void SolverVBD::notify_model_changed(ModelFlags) {
   const ExclusiveUse::Scope scope = use("SolverVBD.notify_model_changed");
   model()->update_derived();
-  work_->build();
+  if (work_->host != nullptr) work_->host->build();
+  if (work_->launched != nullptr) work_->launched->build();
 }
 
 void SolverVBD::reset() {
   const ExclusiveUse::Scope scope = use("SolverVBD.reset");
-  work_->has_last = work_->has_stepped = false;
+  if (work_->host != nullptr) work_->host->has_last = work_->host->has_stepped = false;
+  if (work_->launched != nullptr) work_->launched->forget_last();
 }
 
 VbdResidual SolverVBD::residual() const {
   const ExclusiveUse::Scope scope = use("SolverVBD.residual");
-  require(work_->has_stepped, ErrorKind::Runtime,
+  Work& w = *work_;
+  const bool launched = w.host == nullptr || w.last_was_launched;
+  require(launched ? w.launched->has_stepped() : w.host->has_stepped, ErrorKind::Runtime,
           "SolverVBD.residual: expected a step before, since the solver was made or reset");
-  return work_->residual();
+  return launched ? w.launched->residual() : w.host->residual();
 }
 
 void SolverVBD::step(SimState& state_in, SimState& state_out, const Control* control,
                      const Contacts* contacts, float dt, const DeviceArray<Vec3f>* targets) {
-  if (ArrayObserver* observer = array_observer()) observer->untracked_operation(kName);
   const ExclusiveUse::Scope scope = use(kName);
   const Model& m = *model();
   Work& w = *work_;
   check_step(kName, state_in, state_out, control, contacts, dt);
-  m.update_derived();
-  w.update(control != nullptr ? &control->particle_tri_activation : nullptr,
-           control != nullptr ? &control->particle_tet_activation : nullptr, contacts, dt);
-  const auto held = w.slots.held().size();
+  const auto held = static_cast<size_t>(held_count());
   require(targets == nullptr || (targets->rows() == held && targets->device() == m.device()),
           ErrorKind::Value, kName, ": targets: expected {", held,
           ", 3}, a position for every held particle, got ",
           targets == nullptr ? 0 : targets->rows(), " rows");
-
-  w.run({state_in.particle_q.data(), state_in.particle_qd.data(), state_in.particle_f.data(),
-         state_out.particle_q.mutable_data(), state_out.particle_qd.mutable_data()},
-        targets == nullptr ? nullptr : targets->data());
+  {
+    const Unobserved of_the_model;
+    m.update_derived();
+  }
+  w.last_was_launched = w.host == nullptr || launch_recorder() != nullptr;
+  if (w.last_was_launched) {
+    vbd::LaunchedStep& step = w.host == nullptr ? *w.launched : w.recorded();
+    step.update(dt);
+    return step.run(state_in, state_out, control, contacts, targets, in_use());
+  }
+  w.host->update(control != nullptr ? &control->particle_tri_activation : nullptr,
+                 control != nullptr ? &control->particle_tet_activation : nullptr, contacts, dt);
+  w.host->run({state_in.particle_q.data(), state_in.particle_qd.data(), state_in.particle_f.data(),
+               state_out.particle_q.mutable_data(), state_out.particle_qd.mutable_data()},
+              targets == nullptr ? nullptr : targets->data());
 }
 
 }  // namespace novaphy

@@ -3,6 +3,7 @@
 #include <cmath>
 
 #include "novaphy/core/error.h"
+#include "novaphy/vbd/contact_numbers_trace.h"
 
 namespace novaphy::vbd {
 namespace {
@@ -54,16 +55,11 @@ void StepContacts::update(const Model& model, const Contacts* contacts, float dt
     check_material("shape_material_ke", s, ke[s]);
     check_material("shape_material_kd", s, kd[s]);
     check_material("shape_material_mu", s, mu[s]);
-    const Vec3f travel = velocity[slot] * dt;
-    for (const Vec3f& v : {point[slot], normal[slot], travel}) {
-      *row++ = v.x;
-      *row++ = v.y;
-      *row++ = v.z;
-    }
-    *row++ = radius[particle[slot]] + margin[s];
-    *row++ = 0.5f * (model.soft_contact_ke + ke[s]);
-    *row++ = (0.5f * (model.soft_contact_kd + kd[s])) / dt;
-    *row++ = std::sqrt(model.soft_contact_mu * mu[s]);
+    put_contact_numbers(row, point[slot], normal[slot], velocity[slot],
+                        radius[particle[slot]] + margin[s],
+                        {model.soft_contact_ke, model.soft_contact_kd, model.soft_contact_mu},
+                        {ke[s], kd[s], mu[s]}, dt);
+    row += kContactFloats;
   }
 }
 

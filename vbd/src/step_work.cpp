@@ -6,6 +6,8 @@
 
 #include "novaphy/core/error.h"
 #include "novaphy/core/parallel.h"
+#include "novaphy/vbd/particle_step_trace.h"
+#include "step_options.h"
 
 namespace novaphy::vbd {
 namespace {
@@ -14,36 +16,12 @@ constexpr const char* kName = "SolverVBD.step";
 constexpr int64_t kParticlesPerChunk = 512;
 constexpr int64_t kLanesPerChunk = 64;  // particles of a colour that one thread takes at a time
 
+bool is_finite(const Vec3f& v) {
+  const float sum = (v.x - v.x) + (v.y - v.y) + (v.z - v.z);  // NaN, else 0
+  return sum == 0.0f;
+}
+
 float* floats(std::vector<Row>& rows) { return reinterpret_cast<float*>(rows.data()); }
-
-// Numbers of the model that this solver has no use for.
-void check_numbers(const Model& model) {
-  model.check_numbers(kName);
-  require(model.particle_adhesion == 0.0f, ErrorKind::NotImplemented, kName,
-          ": model.particle_adhesion: not there yet, expected 0, got ", model.particle_adhesion);
-  require(model.particle_max_velocity >= ModelNumbers{}.particle_max_velocity,
-          ErrorKind::NotImplemented, kName,
-          ": model.particle_max_velocity: not there yet, expected the default, got ",
-          model.particle_max_velocity);
-}
-
-// Chebyshev's factors: 1, 2/(2 - rho^2), then 4/(4 - rho^2 omega).
-std::vector<float> chebyshev_factors(float radius, int32_t iterations) {
-  const double rho2 = static_cast<double>(radius) * static_cast<double>(radius);
-  std::vector<float> factors;
-  double omega = 1.0;
-  for (int32_t k = 0; k <= iterations; ++k) {
-    if (k >= 2) omega = k == 2 ? 2.0 / (2.0 - rho2) : 4.0 / (4.0 - rho2 * omega);
-    factors.push_back(static_cast<float>(omega));
-  }
-  return factors;
-}
-
-// The part of gravity, 0 to 1, in the acceleration of the step before.
-float gravity_that_acted(const Vec3f& g, const Vec3f& acceleration) {
-  const float squared = math::dot(g, g);
-  return squared > 0.0f ? math::clamp(math::dot(acceleration, g) / squared, 0.0f, 1.0f) : 0.0f;
-}
 
 }  // namespace
 
@@ -127,6 +105,11 @@ void StepWork::update(const DeviceArray<float>* tri_activation,
   const auto& tri = tri_activation != nullptr ? *tri_activation : model.particle_tri_activation;
   const auto& tet = tet_activation != nullptr ? *tet_activation : model.particle_tet_activation;
   if (constants.dt != step_dt || !activation_[0].matches(tri) || !activation_[1].matches(tet)) {
+    for (const auto& [name, array] :
+         {std::pair("particle_tri_activation", &tri), std::pair("particle_tet_activation", &tet)})
+      for (size_t e = 0; e < array->rows(); ++e)
+        require(std::isfinite(array->data()[e]), ErrorKind::Value, kName, ": ", name, "[", e,
+                "]: expected a finite number, got ", array->data()[e]);
     constants = {tri.data(), tet.data(), step_dt};
     slots.set_constants(model, constants);
     activation_[0].set(tri);
@@ -158,7 +141,9 @@ void StepWork::update(const DeviceArray<float>* tri_activation,
 void StepWork::run(const StepArrays& step_arrays, const Vec3f* targets) {
   arrays_ = step_arrays;
   const size_t first = iteration_ends_.front(), last = iteration_ends_.back();
+  has_bad_inputs_ = false;
   run_phases(0, first);
+  if (has_bad_inputs_) check_inputs();
   if (targets != nullptr)
     for (const int32_t held : slots.held()) x[static_cast<size_t>(held)] = *targets++;
   if (options.tolerance) {
@@ -167,6 +152,7 @@ void StepWork::run(const StepArrays& step_arrays, const Vec3f* targets) {
     run_phases(first, last);
     iterations_run_ = options.iterations;
   }
+  check_positions();
   run_phases(last, ends_.size());
   if (options.initial_guess == VbdInitialGuess::Adaptive) {
     last_velocity.assign(arrays_.qd, arrays_.qd + x.size());
@@ -237,25 +223,53 @@ void StepWork::predict(int64_t begin, int64_t end) {
   const int32_t* worlds = model.particle_world.data();
   const int32_t last_world = model.world_count() - 1;
   const float h = constants.dt;
+  bool good = true;
   for (int64_t i = begin; i < end; ++i) {
     const auto p = static_cast<size_t>(i);
     start[p] = q[p];
+    good &= is_finite(q[p]);
     if (slots.is_held(static_cast<int32_t>(p))) {
       x[p] = target[p] = q[p];
       moved[p] = Row();
       continue;
     }
     const Vec3f& g = model.gravity.data()[worlds[p] < 0 ? last_world : worlds[p]];
-    const Vec3f travel = (qd[p] + (g + f[p] * inv_mass[p]) * h) * h;
-    target[p] = q[p] + travel;
-    Vec3f guess = travel;
-    if (options.initial_guess == VbdInitialGuess::Previous) guess = Vec3f{};
-    if (options.initial_guess == VbdInitialGuess::Adaptive && has_last)
-      guess = qd[p] * h + (g * gravity_that_acted(g, (qd[p] - last_velocity[p]) / h)) * (h * h);
-    moved[p] = guess;
-    x[p] = q[p] + guess;
+    const bool looks_back = options.initial_guess == VbdInitialGuess::Adaptive && has_last;
+    const Prediction prediction = predict_particle(
+        q[p], qd[p], f[p], inv_mass[p], g, h, static_cast<int32_t>(options.initial_guess),
+        looks_back, looks_back ? last_velocity[p] : Vec3f{});
+    target[p] = prediction.target;
+    moved[p] = prediction.moved;
+    good &= is_finite(prediction.target);
+    x[p] = q[p] + prediction.moved;
     if (options.acceleration) newer_[p] = moved[p];
   }
+  if (!good) has_bad_inputs_ = true;
+}
+
+// Says which of what the prediction reads is not finite.
+void StepWork::check_inputs() const {
+  const auto check = [](const char* name, size_t row, const Vec3f& v) {
+    require(is_finite(v), ErrorKind::Value, kName, ": ", name, "[", row,
+            "]: expected finite numbers, got ", v.x, ", ", v.y, ", ", v.z);
+  };
+  for (size_t w = 0; w < model.gravity.rows(); ++w)
+    check("model.gravity", w, model.gravity.data()[w]);
+  for (size_t p = 0; p < x.size(); ++p) {
+    check("state_in.particle_q", p, arrays_.q[p]);
+    if (slots.is_held(static_cast<int32_t>(p))) continue;
+    check("state_in.particle_qd", p, arrays_.qd[p]);
+    check("state_in.particle_f", p, arrays_.f[p]);
+  }
+  fail(ErrorKind::Value, kName, ": state_in: the inertial target of a particle overflows float32");
+}
+
+// Before anything is written to the results.
+void StepWork::check_positions() const {
+  for (size_t p = 0; p < x.size(); ++p)
+    require(is_finite(x[p]), ErrorKind::Runtime, kName, ": particle ", p,
+            ": its position is no longer finite after ", iterations_run_,
+            " iterations; state_out was not written");
 }
 
 void StepWork::accelerate(const Chunk& chunk) {
@@ -285,17 +299,7 @@ VbdResidual StepWork::residual() {
   of_particles_.assign(x.size(), {});
   for (int64_t group = 0; group < slots.color_begin().back(); ++group)
     level.residual(sweep, group, of_particles_.data());
-  double force = 0.0, inertia = 0.0, rounding = 0.0;
-  for (const ParticleResidual& r : of_particles_) {
-    force += static_cast<double>(r.force);
-    inertia += static_cast<double>(r.inertia);
-    rounding += static_cast<double>(r.rounding);
-  }
-  const auto relative = [inertia](double squared) {
-    return squared > 0.0 ? std::sqrt(squared / inertia) : 0.0;
-  };
-  return {std::sqrt(force), std::sqrt(inertia), relative(force), relative(rounding),
-          iterations_run_};
+  return sum_residuals(of_particles_, iterations_run_);
 }
 
 }  // namespace novaphy::vbd

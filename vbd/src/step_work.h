@@ -1,6 +1,7 @@
 // What a step of VBD works with: the tables, the positions, and the chunks of its phases.
 #pragma once
 
+#include <atomic>
 #include <deque>
 #include <vector>
 
@@ -79,6 +80,8 @@ class StepWork {
   void accelerate(const Chunk& chunk);
   void finish(int64_t begin, int64_t end);
   void iterate();
+  void check_inputs() const;
+  void check_positions() const;
 
   std::deque<Stamped> mesh_, values_;
   DerivedStamp activation_[2], world_;
@@ -89,6 +92,7 @@ class StepWork {
   std::vector<Row> next_, newer_, older_;
   std::vector<ParticleResidual> of_particles_;
   int32_t iterations_run_ = 0;
+  std::atomic<bool> has_bad_inputs_{false};  // not finite; found while predicting
   StepArrays arrays_;
 };
 

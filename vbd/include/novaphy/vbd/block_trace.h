@@ -94,7 +94,10 @@ math::Ldlt<T, 3> factorize(const Block<T>& b, const T& regularization) {
   const T det = (plain.d[0] * plain.d[1]) * plain.d[2];
   const T mean = ((b.h00 + b.h11) + b.h22) * T(0x1.555556p-2f);
   using math::select;
-  return factors(select(det > T(1e-7f) * product, zero, regularization * mean));
+  const auto is_regular = det > T(1e-7f) * product;
+  if constexpr (requires(bool& b) { b = is_regular; })
+    if (is_regular) return plain;  // what shifting by 0 gives
+  return factors(select(is_regular, zero, regularization * mean));
 }
 
 // The step d of H d = f.

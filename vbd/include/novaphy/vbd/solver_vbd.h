@@ -41,7 +41,8 @@ struct VbdResidual {
 // Covers particles and elements over them: springs, triangles, bending edges, tetrahedra, external
 // forces, gravity, and soft contacts with world-owned shapes. ErrorKind::NotImplemented names what
 // is not covered: bodies, joints, drag and lift of triangles, particle_adhesion, a
-// particle_max_velocity below its default, another device than the CPU. There is no contact between
+// particle_max_velocity below its default; on a device also `tolerance`, and a build without
+// NOVAPHY_WITH_VBD_CUDA. There is no contact between
 // particles or of particles with triangles. soft_contact_kf and shape_material_kf have no part in
 // its law of friction.
 //
@@ -51,7 +52,12 @@ struct VbdResidual {
 // goes through the colours of the model (ModelBuilder::color, set_coloring) in order; all particles
 // of a colour move together by the 3x3 system of their own elements, from the positions before the
 // colour. Sums run per particle in a fixed order. The result has the same bits for any number of
-// threads and on any processor.
+// threads, on any processor and on any device.
+//
+// A step can be captured; a graph keeps dt and the numbers of the model (soft_contact_ke, ...) with
+// which it was recorded, and throws once arrays that its tables were made of were edited (materials
+// of elements, rest shapes, masses, flags). On a device and in a capture contacts that overflowed
+// and numbers that are not finite are not found out: see Contacts::overflowed().
 //
 // Particles of mass 0 or without ParticleFlags.ACTIVE are held: they stay, or go where `targets`
 // say; their velocity is what they moved by in the step, and 0 otherwise.
@@ -66,10 +72,15 @@ class NOVAPHY_VBD_API SolverVBD : public SolverBase {
   const VbdOptions& options() const { return options_; }
   // Particles that are held, see above: the rows of `targets`, in the order of their indices.
   int32_t held_count() const;
+  // True without `tolerance`, and on the CPU without the adaptive guess.
+  bool supports_graph_capture() const override;
 
   // Besides the errors of SolverBase::step and of the constructor: ErrorKind::Value when the
-  // indices of elements or the colours were edited after the solver was made; ErrorKind::Runtime
-  // for contacts that overflowed; ErrorKind::NotImplemented for a contact with a shape of a body.
+  // indices of elements or the colours were edited after the solver was made, and for states,
+  // activations and arrays of the model that are not finite; ErrorKind::Runtime for contacts that
+  // overflowed, for positions that do not stay finite (state_out is not written then), and under a
+  // Tape for an input that carries a gradient; ErrorKind::NotImplemented for a contact with a shape
+  // of a body.
   void step(SimState& state_in, SimState& state_out, const Control* control,
             const Contacts* contacts, float dt) override {
     step(state_in, state_out, control, contacts, dt, nullptr);

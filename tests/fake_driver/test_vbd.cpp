@@ -1,0 +1,46 @@
+// A step of VBD as kernels of a device: the bits of the CPU, whichever way a colour moves.
+#include <gtest/gtest.h>
+
+#include <cstdio>
+#include <string>
+
+namespace {
+
+std::string probe(const std::string& environment, const std::string& command) {
+  const std::string line = "env -u NOVAPHY_DEVICE NOVAPHY_QUIET=1 NOVAPHY_CUDA_DRIVER=" FAKE_DRIVER
+                           " NOVAPHY_BACKEND_PATH=" FAKE_DRIVER_PLUGIN_FOLDER " " +
+                           environment + " " FAKE_DRIVER_PROBE " " + command + " 2>&1";
+  std::string output;
+  std::FILE* pipe = popen(line.c_str(), "r");
+  if (pipe == nullptr) return output;
+  char text[1024];
+  while (std::fgets(text, sizeof(text), pipe) != nullptr) output += text;
+  pclose(pipe);
+  return output;
+}
+
+const std::string kSame = "47 particles, cpu replayed same, cuda same, cuda replayed same\n";
+
+class VbdSweeps : public ::testing::TestWithParam<const char*> {};
+TEST_P(VbdSweeps, HaveTheBitsOfTheCpuDirectAndReplayed) {
+  EXPECT_EQ(probe(std::string("NOVAPHY_VBD_SWEEP=") + GetParam(), "vbd"), kSame);
+}
+INSTANTIATE_TEST_SUITE_P(Ways, VbdSweeps, ::testing::Values("thread", "team", "grid"));
+
+class VbdDeviceOptions : public ::testing::TestWithParam<const char*> {};
+TEST_P(VbdDeviceOptions, HaveTheBitsOfTheCpu) {
+  EXPECT_EQ(probe("", std::string("vbd-") + GetParam()), kSame);
+}
+INSTANTIATE_TEST_SUITE_P(Options, VbdDeviceOptions,
+                         ::testing::Values("safeguard", "acceleration", "previous"));
+
+TEST(VbdDevice, TheAdaptiveGuessKeepsItsVelocityOnTheDevice) {
+  EXPECT_EQ(probe("", "vbd-adaptive"), "47 particles, cuda same, cuda replayed same\n");
+}
+
+TEST(VbdDevice, AnUnknownWayIsRefusedByName) {
+  EXPECT_NE(probe("NOVAPHY_VBD_SWEEP=warp", "vbd").find("NOVAPHY_VBD_SWEEP: expected thread"),
+            std::string::npos);
+}
+
+}  // namespace

@@ -1,0 +1,95 @@
+// A step of VBD as launches (core/device_kernel.h): on devices, and where a capture or tape
+// records.
+#pragma once
+
+#include <array>
+#include <memory>
+#include <vector>
+
+#include "color_slots.h"
+#include "novaphy/core/array_stamp.h"
+#include "novaphy/core/device_kernel.h"
+#include "novaphy/core/recorder.h"
+#include "novaphy/core/sim/unread_materials.h"
+#include "novaphy/vbd/solver_vbd.h"
+#include "sweep.h"
+
+namespace novaphy::vbd {
+
+class LaunchedStep {
+ public:
+  // ErrorKind::NotImplemented: a device for which the build has no code; `tolerance`, which the
+  // host would have to look at.
+  LaunchedStep(const Model& m, const VbdOptions& o);
+
+  // The tables anew, from the model as it is now.
+  void build() { build_slots(); }
+  // What the tables are made of is as it was, or the tables are made anew. Errors as
+  // SolverVBD::step.
+  void update(float dt);
+  // `in_use`: the use of the solver's memory, which a recording takes.
+  void run(const SimState& in, SimState& out, const Control* control, const Contacts* contacts,
+           const DeviceArray<Vec3f>* targets, const std::shared_ptr<ExclusiveUse>& in_use);
+  VbdResidual residual();
+  void forget_last();
+  int32_t held_count() const { return static_cast<int32_t>(held_.rows()); }
+  bool has_stepped() const { return has_stepped_; }
+
+ private:
+  // Where the number of an activation lies, for each lane of each slot of a role.
+  struct Activated {
+    DeviceArray<int32_t> element;
+    DeviceArray<float> alpha;
+  };
+  // Made of a model and a step size. Launches of captures keep them.
+  struct Tables {
+    float dt = 0.0f;
+    std::vector<int64_t> colors;  // groups
+    bool has_conflicts = false;
+    int64_t damped = 0, most_groups = 0;
+    int64_t team = 0;  // groups of a team; 0: one has too many slots
+    DeviceArray<int32_t> particle, filled, color_begin;
+    DeviceArray<float> mass_by_h2;
+    DeviceArray<uint64_t> begin[kRoles];
+    DeviceArray<int32_t> ints[kRoles];
+    DeviceArray<float> floats[kRoles];
+    Activated triangle, tetrahedron;
+    DeviceArray<uint8_t> sweeps;  // on the CPU: a Sweep without contacts, and one with them
+  };
+  enum class Mover { Thread, Team, Grid };
+
+  const Model& on_host();
+  void build_slots();
+  void build_tables(float dt);
+  void reserve_contacts(int32_t slots);
+  std::vector<LaunchArgument> sweep_arguments(bool with_contacts, int64_t first_group,
+                                              int64_t end_group) const;
+  void launch(const DeviceKernel& on_device, const DeviceKernel& on_cpu, int64_t groups,
+              bool with_contacts, int64_t first_group) const;
+  void find_contacts(const Contacts& contacts) const;
+  void activate(const Activated& to, Role role, const DeviceArray<float>& activation) const;
+  void iterate(bool with_contacts) const;
+  Mover mover() const;
+
+  const Model& model_;
+  const VbdOptions options_;
+  const SweepLevel& level_ = sweep_level();
+  const bool on_cpu_;
+  UnreadMaterials materials_;
+  std::shared_ptr<const Model> copy_;  // of a model on a device
+  std::vector<const Array*> mesh_, values_;
+  std::vector<ArrayStamp> mesh_stamps_, value_stamps_;
+  ColorSlots slots_;
+  std::shared_ptr<const Tables> tables_;
+  DeviceArray<int32_t> is_held_, held_;
+  // Rows of four floats, one per particle.
+  DeviceArray<Vec4f> start_, target_, moved_, x_, next_, newer_, older_;
+  DeviceArray<Vec3f> last_velocity_;
+  DeviceArray<int32_t> has_last_, contact_begin_, contact_items_;
+  DeviceArray<float> contact_numbers_, of_particles_;
+  DeviceArray<uint32_t> barrier_;
+  std::vector<float> chebyshev_;
+  bool has_stepped_ = false, had_contacts_ = false;
+};
+
+}  // namespace novaphy::vbd

@@ -1,0 +1,54 @@
+// What both ways of running a step make of the options and the model's numbers.
+#pragma once
+
+#include <cmath>
+#include <span>
+#include <vector>
+
+#include "novaphy/core/error.h"
+#include "novaphy/core/sim/model.h"
+#include "novaphy/vbd/solver_vbd.h"
+#include "sweep.h"
+
+namespace novaphy::vbd {
+
+// Numbers of the model that this solver has no use for.
+inline void check_numbers(const Model& model) {
+  constexpr const char* kName = "SolverVBD.step";
+  model.check_numbers(kName);
+  require(model.particle_adhesion == 0.0f, ErrorKind::NotImplemented, kName,
+          ": model.particle_adhesion: not there yet, expected 0, got ", model.particle_adhesion);
+  require(model.particle_max_velocity >= ModelNumbers{}.particle_max_velocity,
+          ErrorKind::NotImplemented, kName,
+          ": model.particle_max_velocity: not there yet, expected the default, got ",
+          model.particle_max_velocity);
+}
+
+// Chebyshev's factors: 1, 2/(2 - rho^2), then 4/(4 - rho^2 omega).
+inline std::vector<float> chebyshev_factors(float radius, int32_t iterations) {
+  const double rho2 = static_cast<double>(radius) * static_cast<double>(radius);
+  std::vector<float> factors;
+  double omega = 1.0;
+  for (int32_t k = 0; k <= iterations; ++k) {
+    if (k >= 2) omega = k == 2 ? 2.0 / (2.0 - rho2) : 4.0 / (4.0 - rho2 * omega);
+    factors.push_back(static_cast<float>(omega));
+  }
+  return factors;
+}
+
+// In double precision, in the order of the particles.
+inline VbdResidual sum_residuals(std::span<const ParticleResidual> of_particles,
+                                 int32_t iterations) {
+  double force = 0.0, inertia = 0.0, rounding = 0.0;
+  for (const ParticleResidual& r : of_particles) {
+    force += static_cast<double>(r.force);
+    inertia += static_cast<double>(r.inertia);
+    rounding += static_cast<double>(r.rounding);
+  }
+  const auto relative = [inertia](double squared) {
+    return squared > 0.0 ? std::sqrt(squared / inertia) : 0.0;
+  };
+  return {std::sqrt(force), std::sqrt(inertia), relative(force), relative(rounding), iterations};
+}
+
+}  // namespace novaphy::vbd

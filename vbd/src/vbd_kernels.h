@@ -1,0 +1,619 @@
+// A step of VBD as kernels (row_kernel.h): what devices run, and what a capture records. The laws
+// and the order of their sums are those of sweep_slots.h, so the results have the same bits.
+//
+// A colour moves in one of three ways, of the same bits: vbd_move, a thread for each particle;
+// vbd_move_team, where the threads of a block share the slots of some groups and a thread for each
+// component of their blocks adds them in slot order; vbd_sweep, all colours of all iterations in
+// one launch of such blocks, which wait for each other. The last two are for devices only.
+#pragma once
+
+#include "novaphy/core/row_kernel.h"
+#include "novaphy/vbd/bending_trace.h"
+#include "novaphy/vbd/contact_numbers_trace.h"
+#include "novaphy/vbd/membrane_trace.h"
+#include "novaphy/vbd/particle_contact_trace.h"
+#include "novaphy/vbd/particle_step_trace.h"
+#include "novaphy/vbd/slot_layout_trace.h"
+#include "novaphy/vbd/spring_trace.h"
+#include "novaphy/vbd/tetrahedron_trace.h"
+
+namespace novaphy {
+
+// Lanes of a group on devices; groups of a team where there are many; terms that a team has room
+// for (see vbd_move_team).
+constexpr int kVbdLanes = 4, kVbdLargeTeam = 8, kVbdTeamTerms = 832;
+
+// A row of the tables of a sweep.
+struct alignas(16) VbdRow {
+  float x, y, z, unused;
+};
+inline Vec3f to_vec3(const VbdRow& row) { return {row.x, row.y, row.z}; }
+inline VbdRow to_row(const Vec3f& v) { return {v.x, v.y, v.z, 0.0f}; }
+
+struct VbdPredictArguments {
+  const Vec3f* q;  // these three: a row per particle
+  const Vec3f* qd;
+  const Vec3f* f;
+  const float* inv_mass;
+  const int32_t* world;
+  const Vec3f* gravity;
+  int64_t last_world;
+  const int32_t* is_held;
+  FloatWord h;
+  int64_t guess;         // VbdInitialGuess
+  Vec3f* last_velocity;  // of the adaptive guess: that of the step before, then of this; else null
+  const int32_t* has_last;
+  VbdRow* start;
+  VbdRow* target;
+  VbdRow* moved;
+  VbdRow* x;
+  VbdRow* newer;      // of Chebyshev's acceleration, else null
+  uint32_t* barrier;  // of vbd_sweep
+  // What the tables of the sweep were made of: not read here, but a gradient of it would stop.
+  const float* tables_of[14];
+};
+NOVAPHY_ROW_KERNEL(vbd_predict, 32, VbdPredictArguments) {
+  if (row == 0) *a.barrier = 0;
+  const Vec3f q = a.q[row];
+  a.start[row] = to_row(q);
+  Vec3f last;
+  if (a.last_velocity != nullptr) {
+    last = a.last_velocity[row];
+    a.last_velocity[row] = a.qd[row];
+  }
+  if (a.is_held[row] != 0) {
+    a.x[row] = a.target[row] = to_row(q);
+    a.moved[row] = to_row({});
+    return;
+  }
+  const int32_t w = a.world[row];
+  const vbd::Prediction p = vbd::predict_particle(
+      q, a.qd[row], a.f[row], a.inv_mass[row], a.gravity[w < 0 ? a.last_world : w], a.h.value,
+      static_cast<int32_t>(a.guess), a.has_last != nullptr && *a.has_last != 0, last);
+  a.target[row] = to_row(p.target);
+  a.moved[row] = to_row(p.moved);
+  a.x[row] = to_row(q + p.moved);
+  if (a.newer != nullptr) a.newer[row] = to_row(p.moved);
+}
+
+struct VbdTargetArguments {
+  const int32_t* held;
+  const Vec3f* targets;
+  VbdRow* x;
+};
+// Held particles go where targets say.
+NOVAPHY_ROW_KERNEL(vbd_target, 3, VbdTargetArguments) { a.x[a.held[row]] = to_row(a.targets[row]); }
+
+struct VbdActivationArguments {
+  const int32_t* element;  // of each lane of each slot, or -1
+  const float* alpha;      // without activation
+  const float* activation;
+  float* floats;
+  int64_t lanes, width, number;  // of a group; of a slot; which of its numbers
+};
+NOVAPHY_ROW_KERNEL(vbd_activation, 7, VbdActivationArguments) {
+  const int32_t e = a.element[row];
+  if (e < 0) return;
+  const int64_t slot = row / a.lanes, lane = row - slot * a.lanes;
+  a.floats[(slot * a.width + a.number) * a.lanes + lane] = a.alpha[row] - a.activation[e];
+}
+
+struct VbdContactArguments {
+  const int32_t* begin;  // of each particle, and behind the last
+  const int32_t* items;  // slots of contacts, particle by particle
+  int64_t particles;
+  const int32_t* particle;
+  const int32_t* shape;
+  const Vec3f* point;
+  const Vec3f* velocity;
+  const Vec3f* normal;
+  const float* radius;
+  const float* margin;
+  const float* ke;
+  const float* kd;
+  const float* mu;
+  FloatWord model_ke, model_kd, model_mu, h;
+  float* numbers;
+};
+NOVAPHY_ROW_KERNEL(vbd_contact, 18, VbdContactArguments) {
+  if (row >= a.begin[a.particles]) return;
+  const int32_t slot = a.items[row], s = a.shape[slot];
+  vbd::put_contact_numbers(a.numbers + row * vbd::kContactFloats, a.point[slot], a.normal[slot],
+                           a.velocity[slot], a.radius[a.particle[slot]] + a.margin[s],
+                           {a.model_ke.value, a.model_kd.value, a.model_mu.value},
+                           {a.ke[s], a.kd[s], a.mu[s]}, a.h.value);
+}
+
+struct VbdSweepArguments {
+  const int32_t* particle;  // of each lane of each group
+  const int32_t* filled;    // lanes of a group that are particles
+  const float* mass_by_h2;  // of each lane
+  const int64_t* begin[5];  // by role: the slots of a group
+  const int32_t* ints[5];
+  float* floats[5];
+  const int32_t* contact_begin;  // null: no contacts
+  const float* contacts;
+  const VbdRow* start;
+  const VbdRow* target;
+  VbdRow* moved;
+  VbdRow* x;
+  VbdRow* to;  // where the particles of a colour go: x, or memory of its own
+  FloatWord regularization, slip;
+  int64_t damped;  // bit of each role
+  int64_t first_group, end_group;
+  int64_t team;                // groups of a team: 1 or kVbdLargeTeam
+  const int32_t* color_begin;  // of vbd_sweep: groups of each colour, and behind the last
+  int64_t colors, iterations;
+  uint32_t* barrier;  // 0 at the beginning
+  float* residual;    // of vbd_residual
+};
+
+namespace vbd {
+
+inline Vec3f at(const VbdRow* rows, int32_t p) { return to_vec3(rows[p]); }
+
+// Slot s of a role, for one lane.
+template <int role>
+struct LaneSlot {
+  const int32_t* ints;
+  float* floats;
+  LaneSlot(const VbdSweepArguments& a, int64_t s, int32_t lane)
+      : ints(a.ints[role] + s * (kInts[role] * kVbdLanes) + lane),
+        floats(a.floats[role] + s * (kFloats[role] * kVbdLanes) + lane) {}
+  int32_t index(int k) const { return ints[k * kVbdLanes]; }
+  float number(int k) const { return floats[k * kVbdLanes]; }
+  void set(int k, float value) const { floats[k * kVbdLanes] = value; }
+};
+
+inline MembraneWeights<float> weights_of(const LaneSlot<kTriangle>& s) {
+  return {{s.number(0), s.number(1)}, {s.number(2), s.number(3)}};
+}
+inline TetrahedronWeights<float> weights_of(const LaneSlot<kTetrahedron>& s) {
+  return {{s.number(0), s.number(1), s.number(2)},
+          {s.number(3), s.number(4), s.number(5)},
+          {s.number(6), s.number(7), s.number(8)}};
+}
+template <int role>
+BendingLaw<float> bending_law(const LaneSlot<role>& s) {
+  return {s.number(0), s.number(1), s.number(2)};
+}
+
+// The block of one slot for the particle at x.
+inline Block<float> block_of(const LaneSlot<kSpring>& s, const VbdSweepArguments& a,
+                             const Vec3f& x) {
+  return spring_block(x, at(a.x, s.index(0)),
+                      SpringLaw<float>{s.number(0), s.number(1), s.number(2)}, s.number(3));
+}
+inline Block<float> block_of(const LaneSlot<kTriangle>& s, const VbdSweepArguments& a,
+                             const Vec3f& x) {
+  return membrane_block(x, at(a.x, s.index(0)), at(a.x, s.index(1)), weights_of(s),
+                        MembraneLaw<float>{s.number(4), s.number(5), s.number(6), s.number(7)},
+                        MembraneStrain<float>{s.number(8), s.number(9), s.number(10)},
+                        (a.damped >> kTriangle) & 1);
+}
+inline Block<float> block_of(const LaneSlot<kHingeOpposite>& s, const VbdSweepArguments& a,
+                             const Vec3f& x) {
+  return bending_opposite_block(x, at(a.x, s.index(1)), at(a.x, s.index(2)), at(a.x, s.index(3)),
+                                bending_law(s), s.number(3));
+}
+inline Block<float> block_of(const LaneSlot<kHingeEnd>& s, const VbdSweepArguments& a,
+                             const Vec3f& x) {
+  return bending_end_block(at(a.x, s.index(0)), at(a.x, s.index(1)), x, at(a.x, s.index(3)),
+                           bending_law(s), s.number(3));
+}
+inline Block<float> block_of(const LaneSlot<kTetrahedron>& s, const VbdSweepArguments& a,
+                             const Vec3f& x) {
+  TetrahedronStrain<float> start;
+  for (int k = 0; k < 6; ++k) start.c[k] = s.number(13 + k);
+  return tetrahedron_block(
+      x, at(a.x, s.index(0)), at(a.x, s.index(1)), at(a.x, s.index(2)), weights_of(s),
+      TetrahedronLaw<float>{s.number(9), s.number(10), s.number(11), s.number(12)}, start,
+      (a.damped >> kTetrahedron) & 1);
+}
+
+template <int role, class Body>
+void for_lane_slots(const VbdSweepArguments& a, int64_t group, int32_t lane, const Body& body) {
+  if (a.begin[role] == nullptr) return;
+  for (int64_t s = a.begin[role][group]; s < a.begin[role][group + 1]; ++s)
+    body(LaneSlot<role>(a, s, lane));
+}
+
+inline ParticleContact<float> contact_of(const VbdSweepArguments& a, int32_t k) {
+  const float* const n = a.contacts + static_cast<int64_t>(k) * kContactFloats;
+  return {{n[0], n[1], n[2]}, {n[3], n[4], n[5]}, {n[6], n[7], n[8]}, n[9], n[10], n[11], n[12],
+          a.slip.value};
+}
+// What the contacts of a particle add up to.
+inline Block<float> contact_blocks(const VbdSweepArguments& a, int32_t p, const Vec3f& x) {
+  Block<float> outer;
+  if (a.contact_begin == nullptr) return outer;
+  const Vec3f start = at(a.start, p);
+  for (int32_t k = a.contact_begin[p]; k < a.contact_begin[p + 1]; ++k)
+    outer = outer + particle_contact_block(x, start, contact_of(a, k));
+  return outer;
+}
+
+// The block of a particle, in the order of sweep_slots.h.
+inline Block<float> block_at(const VbdSweepArguments& a, int64_t group, int32_t lane,
+                             const Vec3f& x) {
+  const int64_t k = group * kVbdLanes + lane;
+  const int32_t p = a.particle[k];
+  Block<float> outer = contact_blocks(a, p, x);
+  for_lane_slots<kSpring>(a, group, lane,
+                          [&](const LaneSlot<kSpring>& s) { outer = outer + block_of(s, a, x); });
+  Block<float> block = inertia_block(x, at(a.target, p), a.mass_by_h2[k]);
+  const auto add = [&](const auto& s) { block = block + block_of(s, a, x); };
+  for_lane_slots<kTriangle>(a, group, lane, add);
+  for_lane_slots<kHingeOpposite>(a, group, lane, add);
+  for_lane_slots<kHingeEnd>(a, group, lane, add);
+  for_lane_slots<kTetrahedron>(a, group, lane, add);
+  return block + outer;
+}
+
+// The energy of the elements of a particle at x, its contacts under the loads that they have at
+// `from`.
+inline float energy_at(const VbdSweepArguments& a, int64_t group, int32_t lane, const Vec3f& x,
+                       const Vec3f& from) {
+  const int64_t i = group * kVbdLanes + lane;
+  const int32_t p = a.particle[i];
+  float energy = inertia_energy(x, at(a.target, p), a.mass_by_h2[i]);
+  if (a.contact_begin != nullptr)
+    for (int32_t k = a.contact_begin[p]; k < a.contact_begin[p + 1]; ++k) {
+      const ParticleContact<float> contact = contact_of(a, k);
+      const float load = particle_contact_load(from, contact);
+      energy = energy + particle_contact_energy(x, at(a.start, p), contact, load);
+    }
+  for_lane_slots<kSpring>(a, group, lane, [&](const LaneSlot<kSpring>& s) {
+    energy = energy + spring_energy(x, at(a.x, s.index(0)),
+                                    SpringLaw<float>{s.number(0), s.number(1), s.number(2)},
+                                    s.number(3));
+  });
+  for_lane_slots<kTriangle>(a, group, lane, [&](const LaneSlot<kTriangle>& s) {
+    energy = energy +
+             membrane_energy(x, at(a.x, s.index(0)), at(a.x, s.index(1)), weights_of(s),
+                             MembraneLaw<float>{s.number(4), s.number(5), s.number(6), s.number(7)},
+                             MembraneStrain<float>{s.number(8), s.number(9), s.number(10)});
+  });
+  for_lane_slots<kHingeOpposite>(a, group, lane, [&](const LaneSlot<kHingeOpposite>& s) {
+    energy = energy + bending_energy(x, at(a.x, s.index(1)), at(a.x, s.index(2)),
+                                     at(a.x, s.index(3)), bending_law(s), s.number(3));
+  });
+  for_lane_slots<kHingeEnd>(a, group, lane, [&](const LaneSlot<kHingeEnd>& s) {
+    energy = energy + bending_energy(at(a.x, s.index(0)), at(a.x, s.index(1)), x,
+                                     at(a.x, s.index(3)), bending_law(s), s.number(3));
+  });
+  for_lane_slots<kTetrahedron>(a, group, lane, [&](const LaneSlot<kTetrahedron>& s) {
+    TetrahedronStrain<float> start;
+    for (int k = 0; k < 6; ++k) start.c[k] = s.number(13 + k);
+    energy =
+        energy +
+        tetrahedron_energy(
+            x, at(a.x, s.index(0)), at(a.x, s.index(1)), at(a.x, s.index(2)), weights_of(s),
+            TetrahedronLaw<float>{s.number(9), s.number(10), s.number(11), s.number(12)}, start);
+  });
+  return energy;
+}
+
+inline void put_step(const VbdSweepArguments& a, int32_t p, const Vec3f& d) {
+  const Vec3f moved = at(a.moved, p) + d;
+  a.moved[p] = to_row(moved);
+  a.to[p] = to_row(at(a.start, p) + moved);
+}
+
+}  // namespace vbd
+
+// What the slots of a lane have of the start of the step. `row`: over the lanes of all groups.
+NOVAPHY_ROW_KERNEL(vbd_prepare, 36, VbdSweepArguments) {
+  using namespace vbd;
+  const int64_t group = row / kVbdLanes;
+  const auto lane = static_cast<int32_t>(row - group * kVbdLanes);
+  const VbdRow* const q = a.start;
+  const Vec3f x = at(q, a.particle[row]);
+  for_lane_slots<kSpring>(a, group, lane, [&](const LaneSlot<kSpring>& s) {
+    s.set(3, spring_length(x, at(q, s.index(0))));
+  });
+  if ((a.damped >> kTriangle) & 1)
+    for_lane_slots<kTriangle>(a, group, lane, [&](const LaneSlot<kTriangle>& s) {
+      const auto c = membrane_strain(x, at(q, s.index(0)), at(q, s.index(1)), weights_of(s));
+      s.set(8, c.c00);
+      s.set(9, c.c01);
+      s.set(10, c.c11);
+    });
+  if ((a.damped >> kHingeOpposite) & 1) {
+    for_lane_slots<kHingeOpposite>(a, group, lane, [&](const LaneSlot<kHingeOpposite>& s) {
+      s.set(3, bending_angle(x, at(q, s.index(1)), at(q, s.index(2)), at(q, s.index(3))));
+    });
+    for_lane_slots<kHingeEnd>(a, group, lane, [&](const LaneSlot<kHingeEnd>& s) {
+      s.set(3, bending_angle(at(q, s.index(0)), at(q, s.index(1)), x, at(q, s.index(3))));
+    });
+  }
+  if ((a.damped >> kTetrahedron) & 1)
+    for_lane_slots<kTetrahedron>(a, group, lane, [&](const LaneSlot<kTetrahedron>& s) {
+      const auto c = tetrahedron_strain(x, at(q, s.index(0)), at(q, s.index(1)), at(q, s.index(2)),
+                                        weights_of(s));
+      for (int k = 0; k < 6; ++k) s.set(13 + k, c.c[k]);
+    });
+}
+
+// One step of each particle of a colour. `row`: over the lanes of its groups.
+NOVAPHY_ROW_KERNEL(vbd_move, 36, VbdSweepArguments) {
+  using namespace vbd;
+  const int64_t of_color = row / kVbdLanes, group = a.first_group + of_color;
+  const auto lane = static_cast<int32_t>(row - of_color * kVbdLanes);
+  if (lane >= a.filled[group]) return;
+  const int32_t p = a.particle[group * kVbdLanes + lane];
+  const Block<float> block = block_at(a, group, lane, at(a.x, p));
+  put_step(a, p, solve_block(factorize(block, a.regularization.value), block.f));
+}
+
+// The same, halved where the energy would rise, up to four times; then none.
+NOVAPHY_ROW_KERNEL(vbd_move_guarded, 36, VbdSweepArguments) {
+  using namespace vbd;
+  const int64_t of_color = row / kVbdLanes, group = a.first_group + of_color;
+  const auto lane = static_cast<int32_t>(row - of_color * kVbdLanes);
+  if (lane >= a.filled[group]) return;
+  const int32_t p = a.particle[group * kVbdLanes + lane];
+  const Vec3f x = at(a.x, p);
+  const Block<float> block = block_at(a, group, lane, x);
+  Vec3f d = solve_block(factorize(block, a.regularization.value), block.f);
+  const float before = energy_at(a, group, lane, x, x);
+  for (int halvings = 0; !(energy_at(a, group, lane, x + d, x) <= before); ++halvings) {
+    d = halvings == 4 ? Vec3f{} : d * 0.5f;
+    if (halvings == 4) break;
+  }
+  put_step(a, p, d);
+}
+
+struct VbdCommitArguments {
+  const int32_t* particle;
+  int64_t first_lane;
+  const VbdRow* from;
+  VbdRow* x;
+};
+// Where colours hold conflicts: all of a colour are where they went. (Lanes that are no particles
+// repeat the first.)
+NOVAPHY_ROW_KERNEL(vbd_commit, 4, VbdCommitArguments) {
+  const int32_t p = a.particle[a.first_lane + row];
+  a.x[p] = a.from[p];
+}
+
+struct VbdAccelerateArguments {
+  const int32_t* is_held;
+  const int32_t* contact_begin;  // null: no contacts
+  FloatWord omega;
+  int64_t iteration;
+  const VbdRow* start;
+  VbdRow* moved;
+  VbdRow* x;
+  VbdRow* newer;
+  VbdRow* older;
+};
+NOVAPHY_ROW_KERNEL(vbd_accelerate, 9, VbdAccelerateArguments) {
+  const bool touches =
+      a.contact_begin != nullptr && a.contact_begin[row] < a.contact_begin[row + 1];
+  if (a.iteration > 1 && a.is_held[row] == 0 && !touches) {
+    const Vec3f before = to_vec3(a.older[row]);
+    const Vec3f moved = (to_vec3(a.moved[row]) - before) * a.omega.value + before;
+    a.moved[row] = to_row(moved);
+    a.x[row] = to_row(to_vec3(a.start[row]) + moved);
+  }
+  a.older[row] = a.newer[row];
+  a.newer[row] = a.moved[row];
+}
+
+struct VbdFinishArguments {
+  const VbdRow* start;
+  const VbdRow* x;
+  FloatWord h;
+  Vec3f* q;
+  Vec3f* qd;
+  int32_t* has_last;  // of the adaptive guess, else null
+};
+NOVAPHY_ROW_KERNEL(vbd_finish, 6, VbdFinishArguments) {
+  const Vec3f x = to_vec3(a.x[row]);
+  a.q[row] = x;
+  a.qd[row] = (x - to_vec3(a.start[row])) / a.h.value;
+  if (row == 0 && a.has_last != nullptr) *a.has_last = 1;
+}
+
+// As ParticleResidual: 3 numbers for each particle. `row`: over the lanes of all groups.
+NOVAPHY_ROW_KERNEL(vbd_residual, 36, VbdSweepArguments) {
+  using namespace vbd;
+  const int64_t group = row / kVbdLanes;
+  const auto lane = static_cast<int32_t>(row - group * kVbdLanes);
+  if (lane >= a.filled[group]) return;
+  const int32_t p = a.particle[row];
+  const Vec3f x = at(a.x, p);
+  const Block<float> b = block_at(a, group, lane, x);
+  const Vec3f travel = (at(a.target, p) - at(a.start, p)) * a.mass_by_h2[row];
+  const float size = math::max(math::abs(x.x), math::max(math::abs(x.y), math::abs(x.z)));
+  const Vec3f rounded = multiply_stiffness(b, Vec3f{size, size, size} * 0x1p-24f);
+  float* const to = a.residual + 3 * static_cast<int64_t>(p);
+  to[0] = math::dot(b.f, b.f);
+  to[1] = math::dot(travel, travel);
+  to[2] = math::dot(rounded, rounded);
+}
+
+NOVAPHY_BLOCK_KERNEL(vbd_move_team, 36, VbdSweepArguments);
+NOVAPHY_GRID_KERNEL(vbd_sweep, 36, VbdSweepArguments);
+
+#ifdef NOVAPHY_KERNEL
+namespace vbd {
+
+// A team is a block of kTeam threads, for the particles of up to G groups. Its terms are lanes of
+// slots, by role in the order of their sums; those of a role begin at a multiple of a warp, so that
+// the threads of a warp have one role.
+constexpr int kTeam = 128, kWarp = 32, kComponents = 9;
+
+struct TeamMemory {
+  float terms[kComponents][kVbdTeamTerms];
+  float outer[kComponents][kVbdLanes * kVbdLargeTeam],
+      inner[kComponents][kVbdLanes * kVbdLargeTeam];
+  Vec3f x[kVbdLanes * kVbdLargeTeam];
+  int64_t first[kRoles][kVbdLargeTeam];  // slots of the groups
+  int32_t count[kRoles][kVbdLargeTeam];
+};
+
+inline void store_block(float* to, int stride, const Block<float>& b) {
+  to[0] = b.f.x;
+  to[stride] = b.f.y;
+  to[2 * stride] = b.f.z;
+  to[3 * stride] = b.h00;
+  to[4 * stride] = b.h11;
+  to[5 * stride] = b.h22;
+  to[6 * stride] = b.h01;
+  to[7 * stride] = b.h02;
+  to[8 * stride] = b.h12;
+}
+
+template <int role, int G>
+inline void put_term(const VbdSweepArguments& a, TeamMemory& m, int32_t begin, int32_t term) {
+  const int32_t k = term - begin, lane = k % kVbdLanes, group = k / kVbdLanes % G,
+                slot = k / (kVbdLanes * G);
+  if (slot >= m.count[role][group]) return;
+  store_block(&m.terms[0][term], kVbdTeamTerms,
+              block_of(LaneSlot<role>(a, m.first[role][group] + slot, lane), a,
+                       m.x[group * kVbdLanes + lane]));
+}
+
+// One step of the particles of the groups [first, end), at most G. All threads of the block call
+// it.
+template <int G>
+inline void move_team(const VbdSweepArguments& a, int64_t first, int64_t end, TeamMemory& m) {
+  constexpr int32_t kLanes = kVbdLanes * G;
+  const auto thread = static_cast<int32_t>(threadIdx.x);
+  const auto groups = static_cast<int32_t>(end - first < G ? end - first : G);
+  // What one thread of each particle needs in the end is asked for at once.
+  int32_t p = 0;
+  bool moves = false;
+  Vec3f start, moved;
+  if (thread < groups * kVbdLanes) {
+    const int64_t k = first * kVbdLanes + thread;
+    p = a.particle[k];
+    moves = thread % kVbdLanes < a.filled[first + thread / kVbdLanes];
+    start = at(a.start, p);
+    moved = at(a.moved, p);
+    const Vec3f x = at(a.x, p);
+    m.x[thread] = x;
+    store_block(&m.inner[0][thread], kLanes, inertia_block(x, at(a.target, p), a.mass_by_h2[k]));
+  }
+  if (const int32_t v = thread - (kTeam - kLanes); v >= 0 && v < groups * kVbdLanes) {
+    const int32_t of = a.particle[first * kVbdLanes + v];
+    store_block(&m.outer[0][v], kLanes, contact_blocks(a, of, at(a.x, of)));
+  }
+  for (int32_t k = thread - 2 * kWarp; k >= 0 && k < kRoles * G; k += kTeam) {
+    const int32_t role = k / G, group = k % G;
+    const bool any = group < groups && a.begin[role] != nullptr;
+    const int64_t begin = any ? a.begin[role][first + group] : 0;
+    m.first[role][group] = begin;
+    m.count[role][group] = any ? static_cast<int32_t>(a.begin[role][first + group + 1] - begin) : 0;
+  }
+  __syncthreads();
+
+  int32_t begin[kRoles + 1];
+  begin[0] = 0;
+#pragma unroll
+  for (int role = 0; role < kRoles; ++role) {
+    int32_t most = 0;
+#pragma unroll
+    for (int g = 0; g < G; ++g) most = m.count[role][g] > most ? m.count[role][g] : most;
+    begin[role + 1] = begin[role] + (most * kLanes + kWarp - 1) / kWarp * kWarp;
+  }
+  for (int32_t term = thread; term < begin[kRoles]; term += kTeam) {
+    if (term < begin[1]) {
+      put_term<kSpring, G>(a, m, begin[0], term);
+    } else if (term < begin[2]) {
+      put_term<kTriangle, G>(a, m, begin[1], term);
+    } else if (term < begin[3]) {
+      put_term<kHingeOpposite, G>(a, m, begin[2], term);
+    } else if (term < begin[4]) {
+      put_term<kHingeEnd, G>(a, m, begin[3], term);
+    } else {
+      put_term<kTetrahedron, G>(a, m, begin[4], term);
+    }
+  }
+  __syncthreads();
+
+  for (int32_t k = thread; k < kComponents * kLanes; k += kTeam) {
+    const int32_t v = k % kLanes, component = k / kLanes, group = v / kVbdLanes;
+    float outer = (&m.outer[0][0])[component * kLanes + v];
+    float inner = (&m.inner[0][0])[component * kLanes + v];
+#pragma unroll
+    for (int role = 0; role < kRoles; ++role) {
+      const float* term = &m.terms[component][begin[role] + v];
+      const int32_t count = m.count[role][group];
+      float sum = role == kSpring ? outer : inner;
+#pragma unroll 8
+      for (int32_t s = 0; s < count; ++s) sum = sum + term[s * kLanes];
+      (role == kSpring ? outer : inner) = sum;
+    }
+    (&m.inner[0][0])[component * kLanes + v] = inner + outer;
+  }
+  __syncthreads();
+
+  if (moves) {
+    const float* const of = &m.inner[0][0] + thread;
+    const Block<float> b = {{of[0], of[kLanes], of[2 * kLanes]},
+                            of[3 * kLanes],
+                            of[4 * kLanes],
+                            of[5 * kLanes],
+                            of[6 * kLanes],
+                            of[7 * kLanes],
+                            of[8 * kLanes]};
+    moved = moved + solve_block(factorize(b, a.regularization.value), b.f);
+    a.moved[p] = to_row(moved);
+    a.to[p] = to_row(start + moved);
+  }
+}
+
+// Moves the particles of some groups, by the teams `block`, `block` + `blocks`, ... of them.
+template <int G>
+inline void move_groups(const VbdSweepArguments& a, int64_t first, int64_t end, int64_t block,
+                        int64_t blocks, TeamMemory& memory) {
+  for (int64_t group = first + block * G; group < end; group += blocks * G) {
+    move_team<G>(a, group, end, memory);
+    __syncthreads();
+  }
+}
+inline void move_groups(const VbdSweepArguments& a, int64_t first, int64_t end, int64_t block,
+                        int64_t blocks, TeamMemory& memory) {
+  if (a.team == 1) {
+    move_groups<1>(a, first, end, block, blocks, memory);
+  } else {
+    move_groups<kVbdLargeTeam>(a, first, end, block, blocks, memory);
+  }
+}
+
+// Waits until all blocks of the grid have been here `turn` times.
+inline void wait_for_grid(uint32_t* barrier, uint32_t turn) {
+  __syncthreads();
+  if (threadIdx.x == 0) {
+    __threadfence();
+    atomicAdd(barrier, 1u);
+    const volatile uint32_t* const here = barrier;
+    while (static_cast<int32_t>(*here - turn * gridDim.x) < 0) {
+    }
+    __threadfence();
+  }
+  __syncthreads();
+}
+
+}  // namespace vbd
+
+NOVAPHY_BLOCK_BODY(vbd_move_team, VbdSweepArguments) {
+  __shared__ vbd::TeamMemory memory;
+  vbd::move_groups(a, a.first_group, a.end_group, block, blocks, memory);
+}
+
+NOVAPHY_BLOCK_BODY(vbd_sweep, VbdSweepArguments) {
+  __shared__ vbd::TeamMemory memory;
+  for (int64_t k = 0; k < a.iterations; ++k)
+    for (int64_t color = 0; color < a.colors; ++color) {
+      const int64_t turn = k * a.colors + color;
+      if (turn > 0) vbd::wait_for_grid(a.barrier, static_cast<uint32_t>(turn));
+      vbd::move_groups(a, a.color_begin[color], a.color_begin[color + 1], block, blocks, memory);
+    }
+}
+#endif
+
+}  // namespace novaphy

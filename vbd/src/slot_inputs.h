@@ -1,9 +1,14 @@
-// What a slot reads, as scalars that carry derivatives (reverse.h, tangent.h), and its block.
+// What a slot reads, as scalars of any kind (tangent.h, tools/vbd_adjoints), and its block. All is
+// templated on the scalar, so that no level of the sweep shares code with another one.
 #pragma once
 
-#include "sweep_slots.h"
+#include "novaphy/vbd/bending_trace.h"
+#include "novaphy/vbd/membrane_trace.h"
+#include "novaphy/vbd/slot_layout_trace.h"
+#include "novaphy/vbd/spring_trace.h"
+#include "novaphy/vbd/tetrahedron_trace.h"
 
-namespace novaphy::vbd::NOVAPHY_VBD_LEVEL {
+namespace novaphy::vbd {
 
 template <Role role, class S>
 struct SlotInputs {
@@ -15,11 +20,6 @@ struct SlotInputs {
     return kOwnPlace[role] < 0 || k < kOwnPlace[role] ? k : k + 1;
   }
 };
-
-template <Role role>
-int64_t slot_number(const SlotTable& table, const Slot<role>& slot) {
-  return (slot.ints - table.ints) / (kInts[role] * LANES);
-}
 
 template <class S>
 MembraneWeights<S> weights_of(const SlotInputs<kTriangle, S>& in) {
@@ -85,4 +85,4 @@ void start_of_slot(const SlotInputs<role, S>& in, const Put& put) {
   }
 }
 
-}  // namespace novaphy::vbd::NOVAPHY_VBD_LEVEL
+}  // namespace novaphy::vbd

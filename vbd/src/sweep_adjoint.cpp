@@ -1,8 +1,8 @@
 // The sweep of one instruction set in reverse.
 //
 // A particle moves by d = H^-1 f. With u = H^-T xbar, the derivative of d.xbar by anything that f
-// and H read is that of phi = u.f - u.(H d), u and d held constant. phi is a sum over slots.
-#include "reverse.h"
+// and H read is that of u.f - u.(H d), u and d held constant: a sum over slots.
+#include "slot_adjoints.h"
 #include "slot_inputs.h"
 
 namespace novaphy::vbd::NOVAPHY_VBD_LEVEL {
@@ -15,28 +15,26 @@ void add_row(float* rows, int32_t particle, const Point& value, int32_t lane) {
   row[2] += value.z.v[lane];
 }
 
-// The particles of a group in reverse: u and d of their steps, and what they add to their own bars.
-struct Moved {
-  Point u, d, own;
+// The derivative of -u.(H d) by the entries of H, beside u.
+Block<Lanes> bars_of(const Point& u, const Point& d) {
+  Block<Lanes> bar;
+  bar.f = u;
+  bar.h00 = -(u.x * d.x);
+  bar.h11 = -(u.y * d.y);
+  bar.h22 = -(u.z * d.z);
+  bar.h01 = -(u.x * d.y + u.y * d.x);
+  bar.h02 = -(u.x * d.z + u.z * d.x);
+  bar.h12 = -(u.y * d.z + u.z * d.y);
+  return bar;
+}
 
-  Reverse phi(const Block<Reverse>& block) const {
-    return math::dot(constant(u), block.f) -
-           math::dot(constant(u), multiply_stiffness(block, constant(d)));
-  }
-};
-
-// `first`: the first number of the slot that derivatives are by.
 template <Role role>
-SlotInputs<role, Reverse> inputs_of(Trace& trace, const Slot<role>& slot, const Point& x,
-                                    const float* q, int first) {
-  SlotInputs<role, Reverse> in;
-  trace.clear();
-  in.own = input(trace, x);
+SlotPoints<role> points_of(const Slot<role>& slot, const Point& own, const float* q) {
+  SlotPoints<role> x;
+  x.own = own;
   for (int k = 0; k < kOthers[role]; ++k)
-    in.others[k] = input(trace, gather(q, slot.index(in.place(k))));
-  for (int k = 0; k < kFloats[role]; ++k)
-    in.numbers[k] = k < first ? Reverse(slot.number(k)) : Reverse::input(trace, slot.number(k));
-  return in;
+    x.others[k] = gather(q, slot.index(SlotInputs<role, Lanes>::place(k)));
+  return x;
 }
 
 template <Role role>
@@ -47,88 +45,95 @@ float* rows_of(float* const (&tables)[kRoles], const SlotTable& table, const Slo
 
 template <Role role>
 void put_others(const Sweep& sweep, const Adjoint& bars, const Slot<role>& slot,
-                const SlotInputs<role, Reverse>& in) {
+                const SlotBars<role>& of) {
   float* const rows = rows_of(bars.others, sweep.slots[role], slot, 3 * kOthers[role]);
   for (int k = 0; k < kOthers[role]; ++k) {
-    const Point b = bar(in.others[k]);
-    store(rows + (3 * k + 0) * LANES, b.x);
-    store(rows + (3 * k + 1) * LANES, b.y);
-    store(rows + (3 * k + 2) * LANES, b.z);
+    store(rows + (3 * k + 0) * LANES, of.others[k].x);
+    store(rows + (3 * k + 1) * LANES, of.others[k].y);
+    store(rows + (3 * k + 2) * LANES, of.others[k].z);
   }
 }
 
 // The numbers [first, last) of a slot.
 template <Role role>
-void add_numbers(float* rows, const SlotInputs<role, Reverse>& in, int first, int last) {
+void add_numbers(float* rows, const SlotBars<role>& of, int first, int last) {
   for (int k = first; k < last; ++k)
-    store(rows + k * LANES, load(rows + k * LANES) + in.numbers[k].bar());
+    store(rows + k * LANES, load(rows + k * LANES) + of.numbers[k]);
 }
 
-template <Role role>
+template <bool at_rest, bool damped, bool weights, Role role>
 void adjoint_slots(const Sweep& sweep, const Adjoint& bars, int64_t group, const Point& x,
-                   Trace& trace, Moved& moved) {
+                   const Block<Lanes>& bar, Point& own) {
   const SlotTable& table = sweep.slots[role];
-  const int first = bars.weights ? 0 : law_begin(role);
   for_slots<role>(sweep, group, [&](const Slot<role>& slot) {
-    const auto in = inputs_of(trace, slot, x, sweep.x, first);
-    const Reverse phi = moved.phi(block_of(in, table.damped));
-    trace.run(phi.node);
-    moved.own = moved.own + bar(in.own);
-    put_others(sweep, bars, slot, in);
-    add_numbers(rows_of(bars.numbers, table, slot, kFloats[role]), in, first, kFloats[role]);
+    SlotBars<role> to;
+    slot_adjoint<at_rest, damped, weights>(slot, points_of(slot, x, sweep.x), bar, to);
+    own = own + to.own;
+    put_others(sweep, bars, slot, to);
+    add_numbers(rows_of(bars.numbers, table, slot, kFloats[role]), to,
+                weights ? 0 : law_begin(role), kFloats[role]);
   });
 }
 
-template <Role role>
+template <Role role, bool weights>
 void adjoint_start_slots(const Sweep& sweep, const Adjoint& bars, int64_t group, const Point& x,
-                         Trace& trace, Point& own) {
-  constexpr int end = kFloats[role] - kStartFloats[role];  // of the law
-  const int first = bars.weights ? 0 : end;
+                         Point& own) {
+  constexpr int end = law_begin(role) + kLawFloats[role];
   for_slots<role>(sweep, group, [&](const Slot<role>& slot) {
-    const auto in = inputs_of(trace, slot, x, sweep.start, first);
     float* const rows = rows_of(bars.numbers, sweep.slots[role], slot, kFloats[role]);
-    Reverse phi(0.0f);
-    start_of_slot(in, [&](int k, const Reverse& value) {
-      phi = phi + value * Reverse(load(rows + (end + k) * LANES));
-    });
-    trace.run(phi.node);
-    own = own + bar(in.own);
-    put_others(sweep, bars, slot, in);
-    add_numbers(rows, in, first, end);
+    Lanes bar[kStartFloats[role]];
+    for (int k = 0; k < kStartFloats[role]; ++k) bar[k] = load(rows + (end + k) * LANES);
+    SlotBars<role> to;
+    start_adjoint<weights>(slot, points_of(slot, x, sweep.start), bar, to);
+    own = own + to.own;
+    put_others(sweep, bars, slot, to);
+    if (weights) add_numbers(rows, to, 0, law_begin(role));
   });
 }
 
 // By the numbers of the law of the contacts of a group.
 void add_contacts(const Sweep& sweep, const Adjoint& bars, int64_t group, int32_t round,
-                  const Reverse (&law)[kContactLawFloats]) {
+                  const Lanes (&law)[kContactLawFloats]) {
   for (int32_t l = 0; l < sweep.filled[group]; ++l) {
     const int32_t particle = sweep.particle[group * LANES + l];
     const int32_t k = sweep.contact_begin[particle] + round;
     if (k >= sweep.contact_begin[particle + 1]) continue;
     for (int c = 0; c < kContactLawFloats; ++c)
-      bars.contacts[static_cast<int64_t>(k) * kContactLawFloats + c] += law[c].bar().v[l];
+      bars.contacts[static_cast<int64_t>(k) * kContactLawFloats + c] += law[c].v[l];
   }
 }
 
+template <bool at_rest>
 void adjoint_contacts(const Sweep& sweep, const Adjoint& bars, int64_t group, const Point& x,
-                      Trace& trace, Moved& moved, Point& by_start) {
+                      const Block<Lanes>& bar, Point& own, Point& by_start) {
   if (sweep.contact_begin == nullptr) return;
   const Point start = gather(sweep.start, sweep.particle + group * LANES);
   for_contacts(sweep, group, [&](const ParticleContact<Lanes>& c, Mask touching, int32_t round) {
-    trace.clear();
-    const Vec3<Reverse> xi = input(trace, x), si = input(trace, start);
-    const Reverse law[kContactLawFloats] = {
-        Reverse::input(trace, c.radius), Reverse::input(trace, c.ke),
-        Reverse::input(trace, c.kd_by_h), Reverse::input(trace, c.mu)};
-    const ParticleContact<Reverse> contact = {
-        constant(c.point), constant(c.normal), constant(c.travel), law[0], law[1], law[2], law[3],
-        Reverse(c.slip)};
-    const Reverse phi = moved.phi(where(touching, particle_contact_block(xi, si, contact)));
-    trace.run(phi.node);
-    moved.own = moved.own + bar(xi);
-    by_start = by_start + bar(si);
-    add_contacts(sweep, bars, group, round, law);
+    ContactBars to;
+    contact_adjoint<at_rest>(x, start, c, bar, to);
+    own = own + math::select(touching, to.x, Point{});
+    by_start = by_start + math::select(touching, to.start, Point{});
+    add_contacts(sweep, bars, group, round, to.law);
   });
+}
+
+template <bool at_rest, bool weights>
+void adjoint_elements(const Sweep& sweep, const Adjoint& bars, int64_t group, const Point& x,
+                      const Block<Lanes>& bar, Point& own, Point& by_start) {
+  adjoint_contacts<at_rest>(sweep, bars, group, x, bar, own, by_start);
+  adjoint_slots<at_rest, true, false, kSpring>(sweep, bars, group, x, bar, own);
+  if (sweep.slots[kTriangle].damped) {
+    adjoint_slots<at_rest, true, weights, kTriangle>(sweep, bars, group, x, bar, own);
+  } else {
+    adjoint_slots<at_rest, false, weights, kTriangle>(sweep, bars, group, x, bar, own);
+  }
+  adjoint_slots<at_rest, true, false, kHingeOpposite>(sweep, bars, group, x, bar, own);
+  adjoint_slots<at_rest, true, false, kHingeEnd>(sweep, bars, group, x, bar, own);
+  if (sweep.slots[kTetrahedron].damped) {
+    adjoint_slots<at_rest, true, weights, kTetrahedron>(sweep, bars, group, x, bar, own);
+  } else {
+    adjoint_slots<at_rest, false, weights, kTetrahedron>(sweep, bars, group, x, bar, own);
+  }
 }
 
 }  // namespace
@@ -137,52 +142,60 @@ void adjoint(const Sweep& sweep, const Adjoint& bars, int64_t group);
 void adjoint_start(const Sweep& sweep, const Adjoint& bars, int64_t group);
 
 void adjoint(const Sweep& sweep, const Adjoint& bars, int64_t group) {
-  Trace trace;
   const int32_t* const particle = sweep.particle + group * LANES;
   const int32_t filled = sweep.filled[group];
   const Point x = gather(sweep.x, particle);
-  Moved moved;
+  Point u, d;
   Mask is_particle;
   for (int32_t l = 0; l < filled; ++l) is_particle.v[l] = -1;
   if (bars.multiplier != nullptr) {
-    moved.u = gather(bars.multiplier, particle);
+    u = gather(bars.multiplier, particle);
   } else {
     const Block<Lanes> block = block_at(sweep, group, x);
     const auto factors = factorize(block, Lanes(sweep.regularization));
-    if (!bars.at_rest) moved.d = solve_block(factors, block.f);
-    moved.u = solve_block(factors, gather(bars.x, particle));
+    if (!bars.at_rest) d = solve_block(factors, block.f);
+    u = solve_block(factors, gather(bars.x, particle));
   }
-  moved.u = math::select(is_particle, moved.u, Point{});
-  const Point inertia = moved.u * load(sweep.mass_by_h2 + group * LANES);
-  moved.own = -inertia;
-  const Lanes by_mass = math::dot(moved.u, (gather(sweep.target, particle) - x) - moved.d);
+  u = math::select(is_particle, u, Point{});
+  const Block<Lanes> bar = bars_of(u, d);
+  const Point inertia = u * load(sweep.mass_by_h2 + group * LANES);
+  const Lanes by_mass = math::dot(u, (gather(sweep.target, particle) - x) - d);
 
-  Point by_start;
-  adjoint_contacts(sweep, bars, group, x, trace, moved, by_start);
-  adjoint_slots<kSpring>(sweep, bars, group, x, trace, moved);
-  adjoint_slots<kTriangle>(sweep, bars, group, x, trace, moved);
-  adjoint_slots<kHingeOpposite>(sweep, bars, group, x, trace, moved);
-  adjoint_slots<kHingeEnd>(sweep, bars, group, x, trace, moved);
-  adjoint_slots<kTetrahedron>(sweep, bars, group, x, trace, moved);
+  Point own = -inertia, by_start;
+  if (bars.at_rest) {
+    if (bars.weights) {
+      adjoint_elements<true, true>(sweep, bars, group, x, bar, own, by_start);
+    } else {
+      adjoint_elements<true, false>(sweep, bars, group, x, bar, own, by_start);
+    }
+  } else if (bars.weights) {
+    adjoint_elements<false, true>(sweep, bars, group, x, bar, own, by_start);
+  } else {
+    adjoint_elements<false, false>(sweep, bars, group, x, bar, own, by_start);
+  }
   for (int32_t l = 0; l < filled; ++l) {
-    add_row(bars.own, particle[l], moved.own, l);
+    add_row(bars.own, particle[l], own, l);
     add_row(bars.target, particle[l], inertia, l);
     add_row(bars.start, particle[l], by_start, l);
     bars.mass_by_h2[particle[l]] += by_mass.v[l];
-    if (bars.multiplier_sum != nullptr) add_row(bars.multiplier_sum, particle[l], moved.u, l);
+    if (bars.multiplier_sum != nullptr) add_row(bars.multiplier_sum, particle[l], u, l);
   }
 }
 
 void adjoint_start(const Sweep& sweep, const Adjoint& bars, int64_t group) {
-  Trace trace;
   const int32_t* const particle = sweep.particle + group * LANES;
   const Point x = gather(sweep.start, particle);
   Point own;
-  adjoint_start_slots<kSpring>(sweep, bars, group, x, trace, own);
-  adjoint_start_slots<kTriangle>(sweep, bars, group, x, trace, own);
-  adjoint_start_slots<kHingeOpposite>(sweep, bars, group, x, trace, own);
-  adjoint_start_slots<kHingeEnd>(sweep, bars, group, x, trace, own);
-  adjoint_start_slots<kTetrahedron>(sweep, bars, group, x, trace, own);
+  adjoint_start_slots<kSpring, false>(sweep, bars, group, x, own);
+  adjoint_start_slots<kHingeOpposite, false>(sweep, bars, group, x, own);
+  adjoint_start_slots<kHingeEnd, false>(sweep, bars, group, x, own);
+  if (bars.weights) {
+    adjoint_start_slots<kTriangle, true>(sweep, bars, group, x, own);
+    adjoint_start_slots<kTetrahedron, true>(sweep, bars, group, x, own);
+  } else {
+    adjoint_start_slots<kTriangle, false>(sweep, bars, group, x, own);
+    adjoint_start_slots<kTetrahedron, false>(sweep, bars, group, x, own);
+  }
   for (int32_t l = 0; l < sweep.filled[group]; ++l) add_row(bars.own, particle[l], own, l);
 }
 

@@ -25,6 +25,11 @@ struct Slot {
   void set(int k, Lanes value) const { store(floats + k * LANES, value); }
 };
 
+template <Role role>
+int64_t slot_number(const SlotTable& table, const Slot<role>& slot) {
+  return (slot.ints - table.ints) / (kInts[role] * LANES);
+}
+
 template <Role role, class Body>
 void for_slots(const Sweep& sweep, int64_t group, Body&& body) {
   const SlotTable& table = sweep.slots[role];

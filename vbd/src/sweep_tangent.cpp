@@ -2,6 +2,7 @@
 //
 // A particle moves by d = H^-1 f, so d' = H^-1 (f' - H' d): at a solution, where f = 0, H^-1 f'.
 #include "slot_inputs.h"
+#include "sweep_slots.h"
 #include "tangent.h"
 
 namespace novaphy::vbd::NOVAPHY_VBD_LEVEL {

@@ -1,5 +1,5 @@
 // Tangent: lanes with their derivative along one direction. The formulas are instantiated with it
-// as they stand. The rules are those of reverse.h.
+// as they stand. The rules are those of tools/vbd_adjoints/symbol.h.
 #pragma once
 
 #include "lanes.h"

@@ -1,0 +1,286 @@
+// Writes the adjoints of VBD's laws as straight code over lanes.
+//
+//   novaphy_vbd_adjoints OUTPUT_FILE
+//
+// The laws run once with scalars that are expressions (symbol.h). Of a block f, H with bars u and B
+// the derivatives of u.f + B:H by positions and numbers are written, operation by operation, each
+// once; what no derivative needs is left out. For each role and contacts, with and without H
+// ("rest": at a solution, where its bars are 0), damping and derivatives by the weights.
+#include <algorithm>
+#include <cstdio>
+#include <fstream>
+#include <iostream>
+#include <sstream>
+
+#include "novaphy/math/types.h"
+#include "symbol.h"
+
+namespace novaphy::vbd::adjoints {
+using math::cross;
+using math::dot;
+}  // namespace novaphy::vbd::adjoints
+
+#include "novaphy/vbd/bending_trace.h"
+#include "novaphy/vbd/membrane_trace.h"
+#include "novaphy/vbd/particle_contact_trace.h"
+#include "novaphy/vbd/slot_layout_trace.h"
+#include "novaphy/vbd/spring_trace.h"
+#include "novaphy/vbd/tetrahedron_trace.h"
+#include "slot_inputs.h"
+
+namespace novaphy::vbd::adjoints {
+namespace {
+
+// Inputs by the text that reads them.
+class Inputs {
+ public:
+  Symbol add(const std::string& text) {
+    texts_.push_back(text);
+    return Symbol::input(static_cast<int32_t>(texts_.size()) - 1);
+  }
+  Vec3<Symbol> add_vector(const std::string& text) {
+    const Symbol x = add(text + ".x"), y = add(text + ".y"), z = add(text + ".z");
+    return {x, y, z};
+  }
+  const std::string& text(int32_t k) const { return texts_[static_cast<size_t>(k)]; }
+
+ private:
+  std::vector<std::string> texts_;
+};
+
+struct Result {
+  std::string text;
+  Symbol value;
+};
+void add_vector(std::vector<Result>& results, const std::string& text, const Vec3<Symbol>& v) {
+  results.push_back({text + ".x", v.x});
+  results.push_back({text + ".y", v.y});
+  results.push_back({text + ".z", v.z});
+}
+
+class Writer {
+ public:
+  Writer(std::ostream& out, const Inputs& inputs) : out_(out), inputs_(inputs) {}
+
+  void write(const std::vector<Result>& results) {
+    const Graph& graph = Graph::get();
+    std::vector<bool> needed(static_cast<size_t>(graph.size()));
+    for (const Result& r : results) needed[static_cast<size_t>(r.value.node)] = true;
+    for (int32_t k = graph.size(); k-- > 0;)
+      if (needed[static_cast<size_t>(k)])
+        for (const int32_t o : graph.node(k).operands)
+          if (o >= 0) needed[static_cast<size_t>(o)] = true;
+    // A node before all that follows from it; parts of one atan2 with the first of them.
+    for (int32_t k = 0; k < graph.size(); ++k)
+      if (needed[static_cast<size_t>(k)]) write_node(k, graph.node(k));
+    for (const Result& r : results) out_ << "  " << r.text << " = " << name(r.value.node) << ";\n";
+  }
+
+ private:
+  static std::string name(int32_t k) {
+    const Node& n = Graph::get().node(k);
+    if (n.op == Op::Constant) {
+      std::ostringstream text;
+      text << "Lanes(" << std::hexfloat << n.value << "f)";
+      return text.str();
+    }
+    if (n.op == Op::Atan2) return angle(n) + ".value";
+    if (n.op == Op::Atan2Dy) return angle(n) + ".dy";
+    if (n.op == Op::Atan2Dx) return angle(n) + ".dx";
+    return "v" + std::to_string(k);
+  }
+  static std::string angle(const Node& n) {
+    return "a" + std::to_string(n.operands[0]) + "_" + std::to_string(n.operands[1]);
+  }
+  void write_node(int32_t k, const Node& n) {
+    if (n.op == Op::Constant) return;
+    const auto operand = [&](size_t i) { return name(n.operands[i]); };
+    if (n.op == Op::Atan2 || n.op == Op::Atan2Dy || n.op == Op::Atan2Dx) {
+      const std::string text = angle(n);
+      if (std::find(angles_.begin(), angles_.end(), text) != angles_.end()) return;
+      angles_.push_back(text);
+      out_ << "  const auto " << text << " = math::functions_detail::atan2_value(" << operand(0)
+           << ", " << operand(1) << ");\n";
+      return;
+    }
+    static const std::map<Op, const char*> kInfix = {
+        {Op::Add, " + "},  {Op::Sub, " - "},     {Op::Mul, " * "},     {Op::Div, " / "},
+        {Op::Less, " < "}, {Op::Greater, " > "}, {Op::AtLeast, " >= "}};
+    out_ << "  const auto " << name(k) << " = ";
+    if (const auto infix = kInfix.find(n.op); infix != kInfix.end()) {
+      out_ << operand(0) << infix->second << operand(1);
+    } else if (n.op == Op::Input) {
+      out_ << inputs_.text(n.input);
+    } else if (n.op == Op::Neg) {
+      out_ << "-" << operand(0);
+    } else if (n.op == Op::Sqrt) {
+      out_ << "sqrt(" << operand(0) << ")";
+    } else if (n.op == Op::Select) {
+      out_ << "select(" << operand(0) << ", " << operand(1) << ", " << operand(2) << ")";
+    } else {
+      out_ << "both(" << operand(0) << ", " << operand(1) << ")";
+    }
+    out_ << ";\n";
+  }
+
+  std::ostream& out_;
+  const Inputs& inputs_;
+  std::vector<std::string> angles_;
+};
+
+// The bars of a block: of f, and unless at rest of H.
+Bars bars_of(const Block<Symbol>& b, Inputs& inputs, bool at_rest) {
+  std::vector<Symbol> values = {b.f.x, b.f.y, b.f.z};
+  const Vec3<Symbol> u = inputs.add_vector("bar.f");
+  std::vector<Symbol> bars = {u.x, u.y, u.z};
+  if (!at_rest) {
+    values.insert(values.end(), {b.h00, b.h11, b.h22, b.h01, b.h02, b.h12});
+    for (const char* entry : {"h00", "h11", "h22", "h01", "h02", "h12"})
+      bars.push_back(inputs.add(std::string("bar.") + entry));
+  }
+  return {values, bars};
+}
+
+template <Role role>
+Condition is_defined(const SlotInputs<role, Symbol>& in) {
+  if constexpr (role == kHingeOpposite)
+    return bending_detail::is_hinge(
+        math::make_hinge(in.own, in.others[0], in.others[1], in.others[2]));
+  if constexpr (role == kHingeEnd)
+    return bending_detail::is_hinge(
+        math::make_hinge(in.others[0], in.others[1], in.own, in.others[2]));
+  return {};
+}
+
+// A function of the bars, by the points and the numbers [first, last).
+template <Role role>
+void write_bars(std::ostream& out, const SlotInputs<role, Symbol>& in, const Bars& bars,
+                const Inputs& inputs, int first, int last, const std::string& name,
+                const std::string& argument) {
+  std::vector<Result> results;
+  const auto result = [&](const std::string& text, const Symbol& input) {
+    Symbol value = bars.of(input);
+    // Where the element has no directions the derivatives are 0, and not what they are made of.
+    if (const Condition c = is_defined(in); c.node >= 0) value = select(c, value, Symbol());
+    results.push_back({text, value});
+  };
+  const auto vector = [&](const std::string& text, const Vec3<Symbol>& v) {
+    result(text + ".x", v.x);
+    result(text + ".y", v.y);
+    result(text + ".z", v.z);
+  };
+  vector("to.own", in.own);
+  for (int k = 0; k < kOthers[role]; ++k)
+    vector("to.others[" + std::to_string(k) + "]", in.others[k]);
+  for (int k = first; k < last; ++k) result("to.numbers[" + std::to_string(k) + "]", in.numbers[k]);
+  const std::string of = "<static_cast<Role>(" + std::to_string(role) + ")>";
+  out << "template <>\nNOVAPHY_LANE_FN void " << name << "([[maybe_unused]] const Slot" << of
+      << "& slot, const SlotPoints" << of << "& x, const " << argument << ", SlotBars" << of
+      << "& to) {\n";
+  Writer(out, inputs).write(results);
+  out << "}\n";
+}
+
+template <Role role>
+void write_slot(std::ostream& out, bool at_rest, bool damped, bool weights) {
+  Graph::get().clear();
+  Inputs inputs;
+  SlotInputs<role, Symbol> in;
+  in.own = inputs.add_vector("x.own");
+  for (int k = 0; k < kOthers[role]; ++k)
+    in.others[k] = inputs.add_vector("x.others[" + std::to_string(k) + "]");
+  for (int k = 0; k < kFloats[role]; ++k)
+    in.numbers[k] = inputs.add("slot.number(" + std::to_string(k) + ")");
+  const Bars bars = bars_of(block_of(in, damped), inputs, at_rest);
+  std::ostringstream name;
+  name << std::boolalpha << "slot_adjoint<" << at_rest << ", " << damped << ", " << weights << ">";
+  write_bars(out, in, bars, inputs, weights ? 0 : law_begin(role), kFloats[role], name.str(),
+             "Block<Lanes>& bar");
+}
+
+// Of what a slot has of the start, whose bars are numbers of their own.
+template <Role role>
+void write_start(std::ostream& out, bool weights) {
+  Graph::get().clear();
+  Inputs inputs;
+  SlotInputs<role, Symbol> in;
+  in.own = inputs.add_vector("x.own");
+  for (int k = 0; k < kOthers[role]; ++k)
+    in.others[k] = inputs.add_vector("x.others[" + std::to_string(k) + "]");
+  for (int k = 0; k < kFloats[role]; ++k)
+    in.numbers[k] = inputs.add("slot.number(" + std::to_string(k) + ")");
+  std::vector<Symbol> values, of_values;
+  start_of_slot(in, [&](int k, const Symbol& value) {
+    values.push_back(value);
+    of_values.push_back(inputs.add("bar[" + std::to_string(k) + "]"));
+  });
+  write_bars(out, in, Bars(values, of_values), inputs, weights ? 0 : law_begin(role),
+             law_begin(role), "start_adjoint<" + std::string(weights ? "true" : "false") + ">",
+             "Lanes (&bar)[kStartFloats[" + std::to_string(role) + "]]");
+}
+
+void write_contact(std::ostream& out, bool at_rest) {
+  Graph::get().clear();
+  Inputs inputs;
+  const Vec3<Symbol> x = inputs.add_vector("x"), start = inputs.add_vector("start");
+  ParticleContact<Symbol> c;
+  c.point = inputs.add_vector("c.point");
+  c.normal = inputs.add_vector("c.normal");
+  c.travel = inputs.add_vector("c.travel");
+  c.radius = inputs.add("c.radius");
+  c.ke = inputs.add("c.ke");
+  c.kd_by_h = inputs.add("c.kd_by_h");
+  c.mu = inputs.add("c.mu");
+  c.slip = inputs.add("c.slip");
+  const Bars bars = bars_of(particle_contact_block(x, start, c), inputs, at_rest);
+  std::vector<Result> results;
+  const auto of = [&](const Vec3<Symbol>& v) {
+    return Vec3<Symbol>{bars.of(v.x), bars.of(v.y), bars.of(v.z)};
+  };
+  add_vector(results, "to.x", of(x));
+  add_vector(results, "to.start", of(start));
+  results.push_back({"to.law[0]", bars.of(c.radius)});
+  results.push_back({"to.law[1]", bars.of(c.ke)});
+  results.push_back({"to.law[2]", bars.of(c.kd_by_h)});
+  results.push_back({"to.law[3]", bars.of(c.mu)});
+  out << "template <>\nNOVAPHY_LANE_FN void contact_adjoint<" << std::boolalpha << at_rest
+      << ">(const Point& x, const Point& start, const ParticleContact<Lanes>& c, const "
+         "Block<Lanes>& bar, ContactBars& to) {\n";
+  Writer(out, inputs).write(results);
+  out << "}\n";
+}
+
+void write_all(std::ostream& out) {
+  out << "// Written by tools/vbd_adjoints from the laws (vbd/*_trace.h).\n";
+  for (const bool at_rest : {false, true}) {
+    write_contact(out, at_rest);
+    write_slot<kSpring>(out, at_rest, true, false);
+    write_slot<kHingeOpposite>(out, at_rest, true, false);
+    write_slot<kHingeEnd>(out, at_rest, true, false);
+    for (const bool damped : {false, true})
+      for (const bool weights : {false, true}) {
+        write_slot<kTriangle>(out, at_rest, damped, weights);
+        write_slot<kTetrahedron>(out, at_rest, damped, weights);
+      }
+  }
+  write_start<kSpring>(out, false);
+  write_start<kHingeOpposite>(out, false);
+  write_start<kHingeEnd>(out, false);
+  for (const bool weights : {false, true}) {
+    write_start<kTriangle>(out, weights);
+    write_start<kTetrahedron>(out, weights);
+  }
+}
+
+}  // namespace
+}  // namespace novaphy::vbd::adjoints
+
+int main(int argc, char** argv) {
+  if (argc != 2) {
+    std::cerr << "usage: novaphy_vbd_adjoints OUTPUT_FILE\n";
+    return 2;
+  }
+  std::ofstream out(argv[1]);
+  novaphy::vbd::adjoints::write_all(out);
+  return out.flush() ? 0 : 1;
+}

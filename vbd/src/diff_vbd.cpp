@@ -1,11 +1,13 @@
 #include "novaphy/vbd/diff_vbd.h"
 
 #include <cstring>
+#include <limits>
 #include <string_view>
 #include <type_traits>
 #include <utility>
 #include <vector>
 
+#include "diff_captured.h"
 #include "novaphy/core/error.h"
 #include "novaphy/nova/op_list.h"
 #include "novaphy/nova/tape.h"
@@ -63,7 +65,8 @@ struct DiffSolverVBD::Step {
   std::shared_ptr<const Model> model;
   std::shared_ptr<DifferentiableVbd> steps;
   std::shared_ptr<const Contacts> contacts;
-  Tensor q, qd, f, targets;  // the targets of all steps; undefined: none
+  std::shared_ptr<std::string> failure;  // of replays; see DiffSolverVBD::gradient_info
+  Tensor q, qd, f, targets;              // the targets of all steps; undefined: none
   size_t first_target = 0, target_count = 0;
   DeviceArray<float> tri_activation, tet_activation;
   DeviceArray<Vec3f> q_out, qd_out;
@@ -90,6 +93,52 @@ struct DiffSolverVBD::Step {
             &tet_activation, contacts.get(), dt,         to};
   }
   void forward() { steps->forward(inputs(), q_out.mutable_data(), qd_out.mutable_data()); }
+
+  // What forward reads, besides what has a gradient.
+  std::vector<Tensor> reads() const {
+    std::vector<Tensor> all;
+    for (const Input& input : differentiable()) all.push_back(input.tensor);
+    all.push_back(Tensor::view(model->particle_inv_mass));
+    if (contacts != nullptr)
+      ContactFields::visit(static_cast<const ContactFields&>(*contacts), [&](const FieldInfo& info,
+                                                                             const Array& array) {
+        if (std::string_view(info.name).starts_with("soft_") && array.rows() != 0)
+          all.push_back(Tensor::view(array));
+      });
+    return all;
+  }
+  // Without exceptions, which no replay passes on: the results are not numbers then.
+  template <class Function>
+  void replay(const std::vector<Tensor>& results, const Function& function) const {
+    try {
+      function();
+    } catch (const std::exception& error) {
+      *failure = error.what();
+      for (const Tensor& result : results)
+        std::fill_n(static_cast<float*>(result.range()->data()), result.size(),
+                    std::numeric_limits<float>::quiet_NaN());
+    }
+  }
+  static void capture_forward(const std::shared_ptr<Step>& step) {
+    const std::vector<Tensor> results = {tensor_of(nova::operand_of(step->q_out)),
+                                         tensor_of(nova::operand_of(step->qd_out))};
+    capture_host_work(kName, step->reads(), results, [step, results] {
+      step->replay(results, [&] {
+        step->steps->forward(step->inputs(), static_cast<Vec3f*>(results[0].range()->data()),
+                             static_cast<Vec3f*>(results[1].range()->data()));
+      });
+    });
+  }
+  static void capture_backward(const std::shared_ptr<Step>& step, std::vector<Tensor> outputs,
+                               std::vector<nova::InputGradient> to) {
+    std::vector<Tensor> reads = step->reads(), results;
+    for (const Tensor& output : outputs) reads.push_back(output);
+    for (const nova::InputGradient& gradient : to)
+      if (gradient.wanted()) results.push_back(gradient.grad);
+    capture_host_work(kName, reads, results, [step, results, outputs, to] {
+      step->replay(results, [&] { step->add_backward(outputs, to); });
+    });
+  }
 
   // An input that has a gradient, and where it is among the derivatives of a step.
   struct Input {
@@ -133,7 +182,9 @@ struct DiffSolverVBD::Step {
     return all;
   }
 
-  void backward(std::span<const Tensor> outputs, std::span<const nova::InputGradient> to) const {
+  // The derivatives that are wanted, in the order of the inputs.
+  std::vector<std::vector<float>> derivatives(std::span<const Tensor> outputs,
+                                              std::span<const nova::InputGradient> to) const {
     const std::vector<Input> all = differentiable();
     VbdStepGradients gradients;
     std::vector<std::vector<float>> values(all.size());
@@ -149,6 +200,12 @@ struct DiffSolverVBD::Step {
     }
     steps->backward(inputs(), outputs[0].defined() ? rows_of(outputs[0]) : nullptr,
                     outputs[1].defined() ? rows_of(outputs[1]) : nullptr, gradients);
+    return values;
+  }
+
+  void backward(std::span<const Tensor> outputs, std::span<const nova::InputGradient> to) const {
+    const std::vector<std::vector<float>> values = derivatives(outputs, to);
+    const std::vector<Input> all = differentiable();
     for (size_t k = 0; k < all.size(); ++k) {
       if (!to[k].wanted()) continue;
       nova::InputGradient where = to[k];
@@ -157,6 +214,20 @@ struct DiffSolverVBD::Step {
         where = {part_of(where.grad, first_target, target_count), true};
       }
       where.put(Tensor::from_host(values[k], where.grad.shape(), Device::cpu()));
+    }
+  }
+  // The same, as part of a replay: what lies there is written by nobody else meanwhile.
+  void add_backward(std::span<const Tensor> outputs,
+                    std::span<const nova::InputGradient> to) const {
+    const std::vector<std::vector<float>> values = derivatives(outputs, to);
+    const std::vector<Input> all = differentiable();
+    for (size_t k = 0; k < all.size(); ++k) {
+      if (!to[k].wanted()) continue;
+      auto* grad = static_cast<float*>(to[k].grad.range()->data());
+      if (!to[k].add) std::fill_n(grad, to[k].grad.size(), 0.0f);
+      if (all[k].is_targets) grad += 3 * first_target;
+      for (size_t i = 0; i < values[k].size(); ++i)
+        grad[i] = to[k].add || all[k].is_targets ? grad[i] + values[k][i] : values[k][i];
     }
   }
 
@@ -216,6 +287,19 @@ DiffSolverVBD::DiffSolverVBD(std::shared_ptr<const Model> model, const DiffVbdOp
                      .lhs_regularization = options.lhs_regularization},
           options.gradient)) {}
 
+VbdGradientInfo DiffSolverVBD::gradient_info() const {
+  check_replays();
+  return steps_->info();
+}
+
+// A replay cannot throw: this says afterwards why its results are no numbers.
+void DiffSolverVBD::check_replays() const {
+  if (failure_->empty()) return;
+  fail(ErrorKind::Runtime,
+       "DiffSolverVBD: a replay of a captured step failed, its results are NaN: ",
+       std::exchange(*failure_, {}));
+}
+
 // A copy of contacts that may be found anew before backward reads them; that of the step before
 // where they are the same.
 std::shared_ptr<const Contacts> DiffSolverVBD::kept(const Contacts* contacts) {
@@ -237,8 +321,7 @@ std::shared_ptr<const Contacts> DiffSolverVBD::kept(const Contacts* contacts) {
 
 void DiffSolverVBD::step(SimState& state_in, SimState& state_out, const Control* control,
                          const Contacts* contacts, float dt, const DeviceArray<Vec3f>* targets) {
-  require(!nova::current_capture(), ErrorKind::Runtime, kName,
-          " inside a ScopedCapture: it runs on the host and cannot be captured");
+  check_replays();
   const ExclusiveUse::Scope scope = use(kName);
   check_step(kName, state_in, state_out, control, contacts, dt);
   const auto held = static_cast<size_t>(held_count());
@@ -257,9 +340,7 @@ void DiffSolverVBD::step(SimState& state_in, SimState& state_out, const Control*
 }
 
 bool DiffSolverVBD::begin_rollout(const RolloutInputs&) {
-  require(
-      !nova::current_capture(), ErrorKind::Runtime,
-      "DiffSolverVBD.rollout inside a ScopedCapture: it runs on the host and cannot be captured");
+  check_replays();
   return model()->particle_count() > 0;
 }
 
@@ -270,7 +351,13 @@ void DiffSolverVBD::record_step(const SimState& in, SimState& out, const StepInp
   nova::Tape* const tape = nova::Tape::active();
   auto step = std::make_shared<Step>(model());
   step->steps = steps_;
-  step->contacts = kept(inputs.contacts);
+  step->failure = failure_;
+  const bool captured = nova::current_capture() != nullptr;
+  if (captured && inputs.contacts != nullptr) {  // a copy that every replay makes
+    step->contacts = std::make_shared<const Contacts>(inputs.contacts->clone());
+  } else {
+    step->contacts = kept(inputs.contacts);
+  }
   step->q = tensor_of(nova::operand_of(in.particle_q));
   step->qd = tensor_of(nova::operand_of(in.particle_qd));
   step->f = tensor_of(inputs.forces);
@@ -288,7 +375,12 @@ void DiffSolverVBD::record_step(const SimState& in, SimState& out, const StepInp
   step->qd_out = out.particle_qd;
   step->dt = inputs.dt;
   if (tape != nullptr) step->check_others(*tape, inputs.contacts);
-  step->forward();
+  if (captured) {
+    nova::current_capture()->uses(in_use());
+    Step::capture_forward(step);
+  } else {
+    step->forward();
+  }
   if (tape == nullptr) return;
   nova::CustomOp op;
   op.name = "vbd_step";
@@ -298,13 +390,25 @@ void DiffSolverVBD::record_step(const SimState& in, SimState& out, const StepInp
   op.reads = op.inputs;
   op.reads.push_back(Tensor::view(m.particle_inv_mass));
   op.vjp = [step](std::span<const Tensor> outputs, std::span<const nova::InputGradient> to) {
-    step->backward(outputs, to);
+    if (nova::current_capture() != nullptr) {
+      Step::capture_backward(step, {outputs.begin(), outputs.end()}, {to.begin(), to.end()});
+    } else {
+      step->backward(outputs, to);
+    }
   };
   op.jvp = [step](std::span<const Tensor> slopes, std::span<const Tensor> outputs) {
+    require(nova::current_capture() == nullptr, ErrorKind::NotImplemented, kName,
+            ": jvp inside a ScopedCapture is not there yet");
     step->tangent(slopes, outputs);
   };
-  op.forward = [step] { step->forward(); };
-  op.submits_only = false;
+  op.forward = [step] {
+    if (nova::current_capture() != nullptr) {
+      Step::capture_forward(step);
+    } else {
+      step->forward();
+    }
+  };
+  op.submits_only = captured;
   tape->record_custom(std::move(op));
 }
 

@@ -3,6 +3,7 @@
 #pragma once
 
 #include <memory>
+#include <string>
 
 #include "novaphy/dynamics/diff_solver_base.h"
 #include "novaphy/vbd/differentiable_vbd.h"
@@ -33,7 +34,8 @@ struct DiffVbdOptions {
 //                                                        where it has requires_grad
 // particle_q and particle_qd of the model are read by states, not by steps.
 // "Exact" is of the iterations that ran, or with implicit gradients of the solution, within the
-// residuals: see gradient_info(). None of it can be captured.
+// residuals: see gradient_info(). Steps, rollouts and their backward can be captured (jvp cannot);
+// a replay runs them on the host.
 class NOVAPHY_VBD_API DiffSolverVBD : public DiffSolverBase {
  public:
   // Errors as DifferentiableVbd.
@@ -41,11 +43,13 @@ class NOVAPHY_VBD_API DiffSolverVBD : public DiffSolverBase {
 
   const DiffVbdOptions& options() const { return options_; }
   int32_t held_count() const { return steps_->held_count(); }
-  // Of the last backward or jvp. ErrorKind::Runtime: there was none.
-  VbdGradientInfo gradient_info() const { return steps_->info(); }
+  // Of the last backward or jvp. ErrorKind::Runtime: there was none; or a replay of a captured step
+  // or backward failed since the last call, and wrote NaN. (step and rollout say so, too.)
+  VbdGradientInfo gradient_info() const;
 
-  // particle_f is only read. Errors as SolverVBD::step; ErrorKind::Runtime in a capture, and with
-  // implicit gradients where the step was not solved.
+  // particle_f is only read. Errors as SolverVBD::step; ErrorKind::Runtime with implicit
+  // gradients where the step was not solved.
+  bool supports_graph_capture() const override { return true; }
   void step(SimState& state_in, SimState& state_out, const Control* control,
             const Contacts* contacts, float dt) override {
     step(state_in, state_out, control, contacts, dt, nullptr);
@@ -62,10 +66,12 @@ class NOVAPHY_VBD_API DiffSolverVBD : public DiffSolverBase {
 
  private:
   struct Step;
+  void check_replays() const;
   std::shared_ptr<const Contacts> kept(const Contacts* contacts);
 
   DiffVbdOptions options_;
   std::shared_ptr<DifferentiableVbd> steps_;
+  std::shared_ptr<std::string> failure_ = std::make_shared<std::string>();  // of a replay
   std::shared_ptr<const Contacts> last_contacts_;  // a copy of those of the last step
 };
 

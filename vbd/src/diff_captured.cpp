@@ -1,0 +1,50 @@
+#include "diff_captured.h"
+
+#include <utility>
+
+#include "novaphy/core/device_kernel.h"
+#include "novaphy/core/error.h"
+#include "novaphy/nova/op_list.h"
+#include "novaphy/nova/tape.h"
+
+namespace novaphy::diff {
+namespace {
+
+constexpr uint32_t kWords = 64;
+void run_work(const uint64_t* words, int64_t, int64_t, int64_t) {
+  (*reinterpret_cast<const std::function<void()>*>(words[0]))();
+}
+constexpr novaphy_row_function kHostWork = {sizeof(novaphy_row_function), "vbd_on_the_host", kWords,
+                                            0, run_work};
+
+}  // namespace
+
+void capture_host_work(const char* name, const std::vector<nova::Tensor>& reads,
+                       const std::vector<nova::Tensor>& writes, std::function<void()> run) {
+  // Never destroyed: recordings refer to it.
+  static const auto& kernel = *new DeviceKernel(kHostWork, nullptr);
+  const nova::NoGrad no_grad;
+  auto work = std::make_shared<const std::function<void()>>(std::move(run));
+  std::vector<LaunchArgument> words = {
+      number(static_cast<int64_t>(reinterpret_cast<intptr_t>(work.get())))};
+  const auto add = [&](const std::vector<nova::Tensor>& tensors, bool write) {
+    for (const nova::Tensor& tensor : tensors) {
+      if (!tensor.defined() || tensor.size() == 0) continue;
+      LaunchArgument word;
+      word.word = reinterpret_cast<uint64_t>(tensor.range()->data());
+      word.name = name;
+      word.range = tensor.range();
+      word.read = true;
+      word.write = write;
+      words.push_back(std::move(word));
+    }
+  };
+  add(reads, false);
+  add(writes, true);
+  require(words.size() <= kWords, ErrorKind::Runtime, name, ": too many arrays for one launch");
+  words.resize(kWords, number(int64_t{0}));
+  nova::current_capture()->hold(work);
+  kernel.launch(Device::cpu(), 1, words);
+}
+
+}  // namespace novaphy::diff

@@ -1,4 +1,5 @@
 #include <algorithm>
+#include <cstring>
 #include <utility>
 
 #include "novaphy/core/error.h"
@@ -27,6 +28,12 @@ PgsContacts::PgsContacts(const Model& m, const Articulations& articulations)
     rates_begin_.push_back(rates);
     words += art::workspace_bytes<float>(tree.link_count, tree.dof_count) / 8 + 1;
     rates += width(i);
+    for (int32_t k = 0; k < tree.link_count; ++k) {
+      uint32_t bits = 0;
+      for (int32_t d = art::last_dof(tree, k); d >= 0; d = tree.dof_parent[d])
+        if (d < art::kTreeContactDofs) bits |= 1u << d;
+      moved_by_.push_back(static_cast<int32_t>(bits));
+    }
   }
   memory_.resize(static_cast<size_t>(words));
   rates_.resize(static_cast<size_t>(rates));
@@ -161,6 +168,89 @@ void PgsContacts::find_islands() {
   island_friction_.build(island_of_friction_, islands);
   island_sweeps_.assign(static_cast<size_t>(islands), 0);
   island_residual_.assign(static_cast<size_t>(islands), 0.0f);
+  island_joined_.assign(static_cast<size_t>(islands), 0);
+  for (size_t i = 0; i < rows_.size(); ++i) {
+    const Side *const a = &rows_[i].sides[0], *const b = &rows_[i].sides[1];
+    const auto island_row = static_cast<size_t>(island_of_row_[i]);
+    if ((a->tree >= 0 && b->tree >= 0) ||
+        trees_[a->tree < 0 ? b->tree : a->tree].dof_count > art::kTreeContactDofs)
+      island_joined_[island_row] = 1;
+  }
+  for (const int32_t i : island_of_friction_) island_joined_[static_cast<size_t>(i)] = 1;
+  for (size_t i = 0; i < island_joined_.size(); ++i)
+    if (island_rows_.items(static_cast<int64_t>(i)).size() > kMostTreeContacts)
+      island_joined_[i] = 1;
+}
+
+// The means of the two shapes.
+art::ContactMaterial<float> PgsContacts::material(const Step& s, const Row& row) {
+  const int32_t a = s.contacts.shape0[row.contact], b = s.contacts.shape1[row.contact];
+  const auto mean = [&](const float* of) { return 0.5f * (of[a] + of[b]); };
+  return {mean(s.mu), mean(s.restitution), mean(s.ke), mean(s.kd)};
+}
+
+// The trees that TreeSteps may take, and the others.
+void PgsContacts::split_trees(bool alone) {
+  alone_.clear();
+  together_.clear();
+  islands_together_.clear();
+  for (int32_t i = 0; i < static_cast<int32_t>(count_); ++i) {
+    const int32_t island = island_of_tree_[static_cast<size_t>(find_root(i))];
+    const bool by_itself = island < 0 || island_joined_[static_cast<size_t>(island)] == 0;
+    (alone && by_itself ? alone_ : together_).push_back(i);
+  }
+  for (size_t i = 0; i < island_joined_.size(); ++i)
+    if (!alone || island_joined_[i] != 0) islands_together_.push_back(static_cast<int32_t>(i));
+}
+
+int32_t PgsContacts::count(int64_t tree) const {
+  const int32_t island = island_of_tree_[static_cast<size_t>(tree)];
+  return island < 0 ? 0 : static_cast<int32_t>(island_rows_.items(island).size());
+}
+
+int32_t PgsContacts::fill(int64_t tree, int32_t i, float* numbers, int32_t stride) {
+  const Step& s = *current_;
+  const auto at = static_cast<size_t>(
+      island_rows_.items(island_of_tree_[static_cast<size_t>(tree)])[static_cast<size_t>(i)]);
+  const Row& row = rows_[at];
+  const size_t side = row.sides[0].tree >= 0 ? 0 : 1;
+  const ContactRows& c = s.contacts;
+  const int32_t k = row.contact;
+  const Vec3f points[2] = {c.point0[k], c.point1[k]};
+  const float margins[2] = {c.margin0[k], -c.margin1[k]};
+  art::TreeContact<float> contact;
+  contact.moved_by = moved_by_[static_cast<size_t>(trees_[tree].first_link + row.sides[side].link)];
+  contact.sign = side == 0 ? -1.0f : 1.0f;
+  contact.normal = c.normal[k];
+  contact.core = points[side];
+  contact.world = points[1 - side];
+  contact.margin = margins[side];
+  contact.world_margin = margins[1 - side];
+  contact.material = material(s, row);
+  if (const Kept* const kept = warm_[at]) {
+    contact.start_normal = kept->normal * s.warm_scale;
+    contact.start_tangent = kept->tangent * s.warm_scale;
+  }
+  float values[sizeof(contact) / sizeof(float)];
+  std::memcpy(values, &contact, sizeof(contact));
+  for (const float value : values) {
+    *numbers = value;
+    numbers += stride;
+  }
+  return row.sides[side].link;
+}
+
+void PgsContacts::take(int64_t tree, int32_t i, const float* impulses, int32_t stride) {
+  Row& row = rows_[static_cast<size_t>(
+      island_rows_.items(island_of_tree_[static_cast<size_t>(tree)])[static_cast<size_t>(i)])];
+  row.frame = art::contact_frame(current_->contacts.normal[row.contact]);
+  for (int32_t r = 0; r < 3; ++r) row.solver.impulse[r] = impulses[r * stride];
+}
+
+void PgsContacts::solved(int64_t tree, int32_t sweeps, float residual) {
+  const auto island = static_cast<size_t>(island_of_tree_[static_cast<size_t>(tree)]);
+  island_sweeps_[island] = sweeps;
+  island_residual_[island] = residual;
 }
 
 // The impulses of the same point in the step before. `next` is where the pair before stood: both
@@ -223,20 +313,12 @@ void PgsContacts::build_row(const Step& s, Row& row) {
 }
 
 void PgsContacts::set_target(const Step& s, Row& row) {
-  const Model& m = s.model;
-  const int32_t shapes[2] = {s.contacts.shape0[row.contact], s.contacts.shape1[row.contact]};
-  const auto mean = [&](const DeviceArray<float>& of) {
-    return 0.5f * (of.data()[shapes[0]] + of.data()[shapes[1]]);
-  };
-  const art::ContactMaterial<float> material = {
-      mean(m.shape_material_mu), mean(m.shape_material_restitution), mean(m.shape_material_ke),
-      mean(m.shape_material_kd)};
-  row.target =
-      art::normal_target(s.law, material, row.place.gap, row.before, art::slip(row.solver, 0));
+  const art::ContactMaterial<float> of = material(s, row);
+  row.target = art::normal_target(s.law, of, row.place.gap, row.before, art::slip(row.solver, 0));
   row.solver.bias = row.target.bias;
   row.solver.cfm = row.target.cfm;
-  row.solver.friction = material.friction;
-  art::set_steps(row.solver);
+  row.solver.friction = of.friction;
+  art::set_steps<float>(row.solver);
 }
 
 void PgsContacts::solve_island(const Step& s, int64_t island) {
@@ -300,30 +382,46 @@ void PgsContacts::keep(const ContactRows& c, float dt, Vec3f* force) {
 
 void PgsContacts::step(const ArticulationStepArguments& a, const Model& m,
                        const ContactRows& contacts, const FeatherstoneOptions& options,
-                       Vec3f* force) {
+                       Vec3f* force, TreeSteps* alone) {
   const art::StepInputs<float> in = articulation_inputs(a.in);
   const art::StepOptions<float> how = articulation_options(a.in);
-  for_chunks(count_, kTreeChunk, [&](int64_t begin, int64_t end, int64_t) {
-    for (int64_t i = begin; i < end; ++i) {
-      const ArticulationRows& rows = trees_[i];
-      const art::Tree<float> tree = articulation_tree(a.in, rows);
-      art::Workspace<float> ws = workspace(rows, i);
-      const int32_t failed = art::accelerate(tree, in, how, ws);
-      a.status[i] = failed < 0 ? 0 : 1 + failed + rows.first_dof;
-      if (failed >= 0) continue;
-      art::free_rates(tree, in, how, ws);
-      std::copy_n(ws.qd_next, rows.dof_count, rates_.data() + rates_begin_[static_cast<size_t>(i)]);
-    }
-  });
-  for (int64_t i = 0; i < count_; ++i)
-    if (a.status[i] != 0) return rows_.clear();  // nothing was solved
-
   const float dt = how.dt;
+  split_trees(alone != nullptr);
   warm_.assign(rows_.size(), nullptr);
   size_t next = 0;
   if (options.warm_start && !kept_.empty())
     for (size_t i = 0; i < rows_.size(); ++i)
       warm_[i] = find_kept(next, contacts, rows_[i].contact);
+  const Step s = make_step(a.in, m, contacts, options, kept_dt_ > 0.0f ? dt / kept_dt_ : 1.0f);
+  if (!alone_.empty()) {
+    current_ = &s;
+    alone->step(a, m, alone_, options, this);
+    current_ = nullptr;
+  }
+
+  const auto for_trees = [&](const auto& f) {
+    for_chunks(static_cast<int64_t>(together_.size()), kTreeChunk,
+               [&](int64_t begin, int64_t end, int64_t) {
+                 for (int64_t k = begin; k < end; ++k) {
+                   const int32_t i = together_[static_cast<size_t>(k)];
+                   const ArticulationRows& rows = trees_[i];
+                   art::Workspace<float> ws = workspace(rows, i);
+                   f(i, rows, articulation_tree(a.in, rows), ws,
+                     rates_.data() + rates_begin_[static_cast<size_t>(i)]);
+                 }
+               });
+  };
+  for_trees([&](int32_t i, const ArticulationRows& rows, const art::Tree<float>& tree,
+                art::Workspace<float>& ws, float* rates) {
+    const int32_t failed = art::accelerate(tree, in, how, ws);
+    a.status[i] = failed < 0 ? 0 : 1 + failed + rows.first_dof;
+    if (failed >= 0) return;
+    art::free_rates(tree, in, how, ws);
+    std::copy_n(ws.qd_next, rows.dof_count, rates);
+  });
+  for (const int32_t i : together_)
+    if (a.status[i] != 0) return rows_.clear();  // nothing was solved
+
   friction_rows_.resize(friction_.size());
   int64_t numbers = friction_begin_;
   for (size_t i = 0; i < friction_.size(); ++i) {
@@ -332,12 +430,11 @@ void PgsContacts::step(const ArticulationStepArguments& a, const Model& m,
                          numbers_.data() + numbers, width(f.tree), f.dof};
     numbers += width(f.tree);
   }
-  const Step s = {
-      a.in, m, contacts, contact_law(options, dt), options, kept_dt_ > 0.0f ? dt / kept_dt_ : 1.0f};
-  const auto islands = static_cast<int64_t>(island_sweeps_.size());
-  for_chunks(islands, kIslandChunk, [&](int64_t begin, int64_t end, int64_t) {
-    for (int64_t i = begin; i < end; ++i) solve_island(s, i);
-  });
+  for_chunks(static_cast<int64_t>(islands_together_.size()), kIslandChunk,
+             [&](int64_t begin, int64_t end, int64_t) {
+               for (int64_t i = begin; i < end; ++i)
+                 solve_island(s, islands_together_[static_cast<size_t>(i)]);
+             });
   sweeps_ = 0;
   residual_ = 0.0f;
   for (size_t i = 0; i < island_sweeps_.size(); ++i) {
@@ -346,26 +443,21 @@ void PgsContacts::step(const ArticulationStepArguments& a, const Model& m,
   }
   keep(contacts, dt, force);
 
-  for_chunks(count_, kTreeChunk, [&](int64_t begin, int64_t end, int64_t) {
-    for (int64_t i = begin; i < end; ++i) {
-      const ArticulationRows& rows = trees_[i];
-      const art::Tree<float> tree = articulation_tree(a.in, rows);
-      art::Workspace<float> ws = workspace(rows, i);
-      const float* const rates = rates_.data() + rates_begin_[static_cast<size_t>(i)];
-      for (int32_t k = 0; k < rows.dof_count && a.status[i] == 0; ++k) {
-        if (!art::is_finite(rates[k])) a.status[i] = 1 + k + rows.first_dof;
-        if (rates[k] == ws.qd_next[k]) continue;
-        ws.qdd[k] = (rates[k] - in.qd[rows.first_dof + k]) / dt;
-        ws.qd_next[k] = rates[k];
-      }
-      if (a.status[i] != 0) continue;
-      art::clamp_rates(tree, in, ws);
-      for (int32_t k = 0; k < rows.dof_count; ++k) {
-        a.qdd[rows.first_dof + k] = ws.qdd[k];
-        a.branch[rows.first_dof + k] = static_cast<float>(ws.branch[k]);
-      }
-      art::finish_step(tree, in, how, ws, a.q_next, a.qd_next, a.body_q, a.body_qd);
+  for_trees([&](int32_t i, const ArticulationRows& rows, const art::Tree<float>& tree,
+                art::Workspace<float>& ws, const float* rates) {
+    for (int32_t k = 0; k < rows.dof_count && a.status[i] == 0; ++k) {
+      if (!art::is_finite(rates[k])) a.status[i] = 1 + k + rows.first_dof;
+      if (rates[k] == ws.qd_next[k]) continue;
+      ws.qdd[k] = (rates[k] - in.qd[rows.first_dof + k]) / dt;
+      ws.qd_next[k] = rates[k];
     }
+    if (a.status[i] != 0) return;
+    art::clamp_rates(tree, in, ws);
+    for (int32_t k = 0; k < rows.dof_count; ++k) {
+      a.qdd[rows.first_dof + k] = ws.qdd[k];
+      a.branch[rows.first_dof + k] = static_cast<float>(ws.branch[k]);
+    }
+    art::finish_step(tree, in, how, ws, a.q_next, a.qd_next, a.body_q, a.body_qd);
   });
 }
 

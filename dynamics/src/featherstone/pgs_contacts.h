@@ -14,6 +14,7 @@
 #include "novaphy/dynamics/featherstone/articulations.h"
 #include "novaphy/dynamics/featherstone/contact_branches.h"
 #include "novaphy/dynamics/featherstone/solver_featherstone.h"
+#include "tree_steps.h"
 
 namespace novaphy {
 
@@ -26,7 +27,7 @@ struct ContactRows {
 };
 ContactRows contact_rows(const Contacts* contacts);  // null: none
 
-class PgsContacts {
+class PgsContacts : private TreeContacts {
  public:
   PgsContacts(const Model& model, const Articulations& articulations);
 
@@ -34,9 +35,10 @@ class PgsContacts {
   bool prepare(const Model& model, const ContactRows& contacts);
   // Behind prepare: what articulation_step does for all rows, with contacts. `force` (null: not
   // asked for) {contacts}: on B, N. Where an articulation fails (`status`) before contacts, nothing
-  // is written.
+  // is written. `alone` (null: none) takes the articulations that touch nothing but the world, and
+  // writes them in any case.
   void step(const ArticulationStepArguments& step, const Model& model, const ContactRows& contacts,
-            const FeatherstoneOptions& options, Vec3f* force);
+            const FeatherstoneOptions& options, Vec3f* force, TreeSteps* alone = nullptr);
   // The impulses {contacts} of the last step along n, t1 and t2, N s, and their branches.
   void write_impulses(Vec3f* impulses) const;
   void add_branches(ContactBranches& to, const FeatherstoneOptions& options);
@@ -77,6 +79,15 @@ class PgsContacts {
   };
   struct Step;
 
+  int32_t count(int64_t tree) const override;
+  int32_t fill(int64_t tree, int32_t i, float* numbers, int32_t stride) override;
+  void take(int64_t tree, int32_t i, const float* impulses, int32_t stride) override;
+  void solved(int64_t tree, int32_t sweeps, float residual) override;
+  void split_trees(bool alone);
+  static articulation::ContactMaterial<float> material(const Step& step, const Row& row);
+  static Step make_step(const ArticulationArguments& in, const Model& model,
+                        const ContactRows& contacts, const FeatherstoneOptions& options,
+                        float warm_scale);
   void find_friction(const Model& model);
   void gather(const Model& model, const ContactRows& contacts);
   void find_islands();
@@ -107,6 +118,10 @@ class PgsContacts {
   std::vector<Row> rows_;
   std::vector<float> numbers_;  // J and Y of the contacts, Y of the friction
   std::vector<articulation::PgsJointFriction<float>> friction_rows_;
+  std::vector<int32_t> moved_by_;  // of each link: bits of the tree's dofs
+  const Step* current_ = nullptr;  // while TreeSteps asks
+  std::vector<int32_t> alone_, together_, islands_together_;  // trees, and islands of the latter
+  std::vector<char> island_joined_;  // more than one tree with the world, or what only we have
   std::vector<int32_t> root_, island_of_tree_, island_of_row_, island_of_friction_;
   IndexRows island_rows_, island_friction_;
   std::vector<int32_t> island_sweeps_;

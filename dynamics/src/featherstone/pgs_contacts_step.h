@@ -12,7 +12,8 @@ struct PgsContacts::Step {
   const ContactRows& contacts;
   articulation::ContactLaw<float> law;
   const FeatherstoneOptions& options;
-  float warm_scale;  // of the impulses of the step before
+  float warm_scale;                         // of the impulses of the step before
+  const float *mu, *restitution, *ke, *kd;  // of shapes
 };
 
 inline articulation::ContactLaw<float> contact_law(const FeatherstoneOptions& o, float dt) {
@@ -24,6 +25,22 @@ inline articulation::ContactLaw<float> contact_law(const FeatherstoneOptions& o,
           o.restitution_threshold,
           o.compliant_contacts,
           o.friction_cone == FrictionCone::Cone};
+}
+
+inline PgsContacts::Step PgsContacts::make_step(const ArticulationArguments& in, const Model& m,
+                                                const ContactRows& contacts,
+                                                const FeatherstoneOptions& options,
+                                                float warm_scale) {
+  return {in,
+          m,
+          contacts,
+          contact_law(options, in.dt.value),
+          options,
+          warm_scale,
+          m.shape_material_mu.data(),
+          m.shape_material_restitution.data(),
+          m.shape_material_ke.data(),
+          m.shape_material_kd.data()};
 }
 
 }  // namespace novaphy

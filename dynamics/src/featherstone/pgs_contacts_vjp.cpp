@@ -383,7 +383,7 @@ void PgsContacts::vjp(const ArticulationStepVjpArguments& a, const Model& m,
       rates[k] = in.qd[rows.first_dof + k] + how.dt * ws.qdd[k];
   });
 
-  const Step s = {a.in, m, contacts, contact_law(options, how.dt), options, 1.0f};
+  const Step s = make_step(a.in, m, contacts, options, 1.0f);
   pulls_.resize(rows_.size());
   normals_.resize(rows_.size());
   for (Row& row : rows_) build_row(s, row);

@@ -7,22 +7,22 @@
 #include "articulation_kernels.h"
 #include "articulation_step.h"
 #include "novaphy/core/error.h"
-#include "novaphy/core/sim/for_chunks.h"
 #include "novaphy/core/storage.h"
 #include "pgs_contacts.h"
+#include "tree_steps.h"
 #include "unrecorded_step.h"
 
 namespace novaphy {
 namespace {
 
 constexpr const char* kName = "SolverFeatherstone.step";
-constexpr int64_t kChunk = 8;  // articulations
 
 }  // namespace
 
 struct SolverFeatherstone::Cache {
   Cache(const Model& m, ArticulationContact contact)
       : articulations(m, "SolverFeatherstone"),
+        trees(m, articulations),
         pgs(m, articulations),
         materials(unread_materials(contact, kName)) {
     const auto dofs = static_cast<size_t>(m.joint_dof_count());
@@ -30,14 +30,13 @@ struct SolverFeatherstone::Cache {
     qdd.resize(dofs);
     branch.resize(dofs);
     status.resize(count);
-    stride = step_workspace(articulations);
-    workspace.resize(count * static_cast<size_t>(stride));
+    for (size_t i = 0; i < count; ++i) all.push_back(static_cast<int32_t>(i));
   }
   Articulations articulations;
   std::vector<float> qdd, branch;
   std::vector<int32_t> status;
-  int64_t stride;
-  std::vector<float> workspace;
+  std::vector<int32_t> all;  // articulations
+  TreeSteps trees;
   PgsContacts pgs;
   RigidBodies penalty;
   UnreadMaterials materials;
@@ -111,9 +110,8 @@ void SolverFeatherstone::step(SimState& state_in, SimState& state_out, const Con
       c.qdd.data(),
       c.branch.data(),
       c.status.data(),
-      c.workspace.data(),
-      c.stride};
-  const int64_t n = c.articulations.count();
+      nullptr,
+      0};
   const bool penalty = options_.contact == ArticulationContact::Penalty;
   if (penalty && contacts != nullptr) add_penalties(*contacts, a);
   const ContactRows rows = contact_rows(penalty ? nullptr : contacts);
@@ -124,14 +122,12 @@ void SolverFeatherstone::step(SimState& state_in, SimState& state_out, const Con
     std::fill_n(force, rows.count, Vec3f{});
   }
   if (c.pgs.prepare(m, rows)) {
-    c.pgs.step(a, m, rows, options_, force);
+    c.pgs.step(a, m, rows, options_, force, &c.trees);
     check_status(m, c.articulations, c.status, kName);
     mark_unrecorded_step(m, state_in, state_out, control);
     return;
   }
-  for_chunks(n, kChunk, [&](int64_t begin, int64_t end, int64_t) {
-    for (int64_t i = begin; i < end; ++i) articulation_step_row(a, i, n);
-  });
+  c.trees.step(a, m, c.all, options_, nullptr);
   mark_unrecorded_step(m, state_in, state_out, control);
   check_status(m, c.articulations, c.status, kName);
 }

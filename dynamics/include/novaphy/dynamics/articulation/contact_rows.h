@@ -21,10 +21,14 @@ struct ContactFrame {
 };
 template <class T>
 ContactFrame<T> contact_frame(const Vec3<T>& n) {
-  const auto size = [](const T& x) { return x < T(0.0f) ? -x : x; };
+  const T o = T(0.0f), one = T(1.0f);
+  const auto size = [&](const T& x) { return select(x < o, -x, x); };
   const T x = size(n.x), y = size(n.y), z = size(n.z);
-  const int axis = !(y < x) && !(z < x) ? 0 : !(z < y) ? 1 : 2;
-  const Vec3<T> across = math::cross(n, unit_vector<T>(axis));
+  const auto along_x = both(negate(y < x), negate(z < x));
+  const auto along_y = both(negate(along_x), negate(z < y));
+  const Vec3<T> axis = {select(along_x, one, o), select(along_y, one, o),
+                        select(either(along_x, along_y), o, one)};
+  const Vec3<T> across = math::cross(n, axis);
   const Vec3<T> t1 = across * (T(1.0f) / square_root(math::dot(across, across)));
   return {{n, t1, math::cross(n, t1)}};
 }

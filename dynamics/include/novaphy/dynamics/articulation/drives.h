@@ -56,21 +56,28 @@ struct DriveLaw {
 };
 // `row` is the dof's, `coord` its coordinate's. Released limits have no law.
 template <class T>
-DriveLaw<T> drive_law(const Drives<T>& d, int32_t row, int32_t coord, int32_t branch) {
+DriveLaw<T> drive_law(const Drives<T>& d, int32_t row, int32_t coord, const Branches<T>& branch) {
   const T o = T(0.0f);
-  if (branch & kLimitReleased) return {o, o, o, o};
-  if (branch & kBelowLimit) return {d.limit_ke[row], d.limit_lower[row], d.limit_kd[row], o};
-  if (branch & kAboveLimit) return {d.limit_ke[row], d.limit_upper[row], d.limit_kd[row], o};
   const int32_t mode = d.target_mode[row];
-  return {has_position_drive(mode) ? d.target_ke[row] : o, d.target_q[coord],
-          has_velocity_drive(mode) ? d.target_kd[row] : o, mode == 1 ? o : d.target_qd[row]};
+  const T ke = has_position_drive(mode) ? d.target_ke[row] : o;
+  const T kd = has_velocity_drive(mode) ? d.target_kd[row] : o;
+  const T qd = mode == 1 ? o : d.target_qd[row];
+  if (!any(has(branch, kOutside))) return {ke, d.target_q[coord], kd, qd};
+  const auto outside = has(branch, kOutside), released = has(branch, kLimitReleased);
+  const T limit = select(has(branch, kBelowLimit), d.limit_lower[row], d.limit_upper[row]);
+  return {select(released, o, select(outside, d.limit_ke[row], ke)),
+          select(released, o, select(outside, limit, d.target_q[coord])),
+          select(released, o, select(outside, d.limit_kd[row], kd)), select(outside, o, qd)};
 }
 
 // The branch that q is in. A limit without stiffness and damping is none.
 template <class T>
-int32_t limit_branch(const Drives<T>& d, int32_t row, const T& q) {
-  if (!(d.limit_ke[row] > T(0.0f) || d.limit_kd[row] > T(0.0f))) return 0;
-  return q < d.limit_lower[row] ? kBelowLimit : q > d.limit_upper[row] ? kAboveLimit : 0;
+Branches<T> limit_branch(const Drives<T>& d, int32_t row, const T& q) {
+  const T o = T(0.0f);
+  const auto acts = either(d.limit_ke[row] > o, d.limit_kd[row] > o);
+  const auto below = both(acts, q < d.limit_lower[row]);
+  const auto above = both(both(acts, negate(below)), q > d.limit_upper[row]);
+  return with(with(Branches<T>{}, below, kBelowLimit), above, kAboveLimit);
 }
 
 // A force at the start of a step and how much of it an acceleration takes away.
@@ -89,14 +96,14 @@ DriveTerm<T> drive_term(const DriveLaw<T>& law, const T& q, const T& v, const T&
 
 // The term of a dof of a joint with one, in its branch, damping included.
 template <class T>
-DriveTerm<T> dof_term(const Drives<T>& d, int32_t row, int32_t coord, int32_t branch, const T& q,
-                      const T& v, const T& dt, bool implicit) {
-  DriveTerm<T> term;
-  if (branch & kEffortClamped) {
+DriveTerm<T> dof_term(const Drives<T>& d, int32_t row, int32_t coord, const Branches<T>& branch,
+                      const T& q, const T& v, const T& dt, bool implicit) {
+  DriveTerm<T> term = drive_term(drive_law(d, row, coord, branch), q, v, dt, implicit);
+  const auto clamped = has(branch, kEffortClamped);
+  if (any(clamped)) {
     const T limit = d.effort_limit[row];
-    term = {branch & kEffortAtUpper ? limit : -limit, T(0.0f)};
-  } else {
-    term = drive_term(drive_law(d, row, coord, branch), q, v, dt, implicit);
+    term = {select(clamped, select(has(branch, kEffortAtUpper), limit, -limit), term.force),
+            select(clamped, T(0.0f), term.diagonal)};
   }
   term.force = term.force - d.damping[row] * v;
   if (implicit) term.diagonal = term.diagonal + dt * d.damping[row];
@@ -106,17 +113,20 @@ DriveTerm<T> dof_term(const Drives<T>& d, int32_t row, int32_t coord, int32_t br
 // What the drive or limit gives at the end of a step with the acceleration qdd, and the branch that
 // follows from it.
 template <class T>
-int32_t clamped_branch(const Drives<T>& d, int32_t row, int32_t coord, int32_t branch, const T& q,
-                       const T& v, const T& qdd, const T& dt, bool implicit) {
+Branches<T> clamped_branch(const Drives<T>& d, int32_t row, int32_t coord,
+                           const Branches<T>& branch, const T& q, const T& v, const T& qdd,
+                           const T& dt, bool implicit) {
   const DriveTerm<T> term = drive_term(drive_law(d, row, coord, branch), q, v, dt, implicit);
-  const T force = term.force - term.diagonal * qdd;
-  if (branch & kOutside) {
-    const bool pulls = branch & kBelowLimit ? force < T(0.0f) : force > T(0.0f);
-    return implicit && pulls ? branch | kLimitReleased : branch;
+  const T o = T(0.0f), force = term.force - term.diagonal * qdd, limit = d.effort_limit[row];
+  const auto outside = has(branch, kOutside), inside = negate(outside);
+  Branches<T> next = branch;
+  if (implicit && any(outside)) {
+    const auto below = has(branch, kBelowLimit);
+    const auto pulls = either(both(below, force < o), both(negate(below), force > o));
+    next = with(next, both(outside, pulls), kLimitReleased);
   }
-  if (force > d.effort_limit[row]) return branch | kEffortAtUpper;
-  if (force < -d.effort_limit[row]) return branch | kEffortAtLower;
-  return branch;
+  next = with(next, both(inside, force > limit), kEffortAtUpper);
+  return with(next, both(inside, force < -limit), kEffortAtLower);
 }
 
 }  // namespace novaphy::articulation

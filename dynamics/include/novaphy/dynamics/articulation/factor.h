@@ -7,13 +7,13 @@
 namespace novaphy::articulation {
 
 // In place, of what mass_matrix wrote: L below the diagonal (its own is 1), D on it. The index of
-// the first dof from the leaves whose pivot is not positive, or -1; there it stops.
+// the first dof from the leaves whose pivot is not positive (in any lane), or -1; there it stops.
 template <class T>
 int32_t factor(const Tree<T>& tree, T* m) {
   const int64_t n = tree.dof_count;
   for (int32_t k = tree.dof_count; k-- > 0;) {
     T* const row = m + k * n;
-    if (!(row[k] > T(0.0f))) return k;
+    if (!all(row[k] > T(0.0f))) return k;
     const T inverse = T(1.0f) / row[k];
     for (int32_t i = tree.dof_parent[k]; i >= 0; i = tree.dof_parent[i]) {
       const T a = row[i] * inverse;

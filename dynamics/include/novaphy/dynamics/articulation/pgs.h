@@ -48,31 +48,28 @@ NormalTarget<T> normal_target(const ContactLaw<T>& law, const ContactMaterial<T>
                               const T& gap, const T& before, const T& after) {
   const T o = T(0.0f);
   NormalTarget<T> to{gap / law.dt, law.cfm, T(1.0f) / law.dt, o};
+  const auto open = gap > o;
   if (law.compliant) {
     const T softness = law.dt * material.stiffness + material.damping;
     to.cfm = law.cfm + T(1.0f) / (law.dt * softness);
-    if (!(gap > o)) {
-      to.slope = material.stiffness / softness;
-      to.bias = to.slope * gap;
-    }
-  } else if (!(gap > o)) {
+    to.slope = select(open, to.slope, material.stiffness / softness);
+    to.bias = select(open, to.bias, to.slope * gap);
+  } else {
     const T depth = gap + law.slop;
-    to.slope = depth < o ? law.erp / law.dt : o;
-    to.bias = to.slope * depth;
+    to.slope = select(open, to.slope, select(depth < o, law.erp / law.dt, o));
+    to.bias = select(open, to.bias, to.slope * depth);
   }
-  if (to.bias < -law.max_depenetration) {
-    to.bias = -law.max_depenetration;
-    to.slope = o;
-  }
-  const bool touches = gap + law.dt * (after < before ? after : before) < o;
-  if (touches && material.restitution > o && before < -law.restitution_threshold) {
-    const T bounce = material.restitution * before;
-    if (bounce < to.bias) {
-      to.bias = bounce;
-      to.slope = o;
-      to.bounce = material.restitution;
-    }
-  }
+  const auto deep = to.bias < -law.max_depenetration;
+  to.bias = select(deep, -law.max_depenetration, to.bias);
+  to.slope = select(deep, o, to.slope);
+  const auto bouncy = both(material.restitution > o, before < -law.restitution_threshold);
+  if (!any(bouncy)) return to;
+  const auto touches = gap + law.dt * select(after < before, after, before) < o;
+  const T bounce = material.restitution * before;
+  const auto bounces = both(both(touches, bouncy), bounce < to.bias);
+  to.bias = select(bounces, bounce, to.bias);
+  to.slope = select(bounces, o, to.slope);
+  to.bounce = select(bounces, material.restitution, o);
   return to;
 }
 
@@ -97,14 +94,18 @@ T row_dot(const T* a, const T* b, int32_t width) {
   return (s0 + s1) + (s2 + s3);
 }
 
+// The numbers of a contact that a sweep takes.
 template <class T>
-struct PgsContact {
-  RowSide<T> sides[2];  // three rows each; an absent one has the width 0
+struct PgsNumbers {
   T bias{}, cfm{}, friction{};
   T normal{};                                // J_n Y_n
   T tangent[3] = {};                         // t1 t1, t1 t2, t2 t2 of J Y
   T normal_step{}, bound{}, tangent_step{};  // 1 / (J_n Y_n + cfm), s, 1 / s
   T impulse[3] = {};                         // along n, t1, t2
+};
+template <class T>
+struct PgsContact : PgsNumbers<T> {
+  RowSide<T> sides[2];  // three rows each; an absent one has the width 0
 };
 
 template <class T>
@@ -139,66 +140,78 @@ void set_diagonals(PgsContact<T>& c) {
 }
 // The largest eigenvalue of the tangents' block.
 template <class T>
-T tangent_bound(const PgsContact<T>& c) {
+T tangent_bound(const PgsNumbers<T>& c) {
   const T half = T(0.5f), d = (c.tangent[0] - c.tangent[2]) * half;
   return (c.tangent[0] + c.tangent[2]) * half + square_root(d * d + c.tangent[1] * c.tangent[1]);
 }
 
 // What sweeps divide by, behind set_diagonals and with cfm. 0 where nothing moves.
 template <class T>
-void set_steps(PgsContact<T>& c) {
+void set_steps(PgsNumbers<T>& c) {
   const T o = T(0.0f);
-  c.normal_step = c.normal > o ? T(1.0f) / (c.normal + c.cfm) : o;
+  c.normal_step = select(c.normal > o, T(1.0f) / (c.normal + c.cfm), o);
   c.bound = tangent_bound(c);
-  c.tangent_step = c.bound > o ? T(1.0f) / c.bound : o;
+  c.tangent_step = select(c.bound > o, T(1.0f) / c.bound, o);
 }
 
+template <class T>
+T clamped(const T& x, const T& limit) {
+  return select(x > limit, limit, select(x < -limit, -limit, x));
+}
 template <class T>
 void project_friction(const T& limit, bool cone, T& x, T& y) {
   if (cone) {
     const T length2 = x * x + y * y;
-    if (length2 > limit * limit) {
-      const T scale = limit / square_root(length2);
-      x = x * scale;
-      y = y * scale;
-    }
+    const auto outside = length2 > limit * limit;
+    if (!any(outside)) return;
+    const T scale = limit / square_root(length2);
+    x = select(outside, x * scale, x);
+    y = select(outside, y * scale, y);
     return;
   }
-  x = x > limit ? limit : x < -limit ? -limit : x;
-  y = y > limit ? limit : y < -limit ? -limit : y;
+  x = clamped(x, limit);
+  y = clamped(y, limit);
 }
 
-// Starts from impulses of an earlier step, along n, t1, t2: projects and applies them.
+// Impulses to start from, those of an earlier step, along n, t1, t2: in their cone.
 template <class T>
-void warm_start(PgsContact<T>& c, bool cone, const T& n, const T& t1, const T& t2) {
-  c.impulse[0] = n > T(0.0f) ? n : T(0.0f);
+void start_from(PgsNumbers<T>& c, bool cone, const T& n, const T& t1, const T& t2) {
+  c.impulse[0] = select(n > T(0.0f), n, T(0.0f));
   c.impulse[1] = t1;
   c.impulse[2] = t2;
   project_friction(c.friction * c.impulse[0], cone, c.impulse[1], c.impulse[2]);
+}
+// Likewise, and applies them.
+template <class T>
+void warm_start(PgsContact<T>& c, bool cone, const T& n, const T& t1, const T& t2) {
+  start_from<T>(c, cone, n, t1, t2);
   for (int32_t r = 0; r < 3; ++r) push(c, r, c.impulse[r]);
 }
 
-// One contact of a sweep. The result: the largest change of velocity along a row, m/s.
-template <class T>
-T sweep(PgsContact<T>& c, bool cone) {
+// One contact of a sweep, where `active`: slip_of(row) is its velocity, push_row(row, impulse)
+// applies. The result: the largest change of velocity along a row, m/s.
+template <class T, class Active, class Slip, class Push>
+T sweep_contact(PgsNumbers<T>& c, bool cone, const Active& active, const Slip& slip_of,
+                const Push& push_row) {
   const T o = T(0.0f);
   T worst = o;
   const auto apply = [&](int32_t row, const T& impulse, const T& diagonal) {
-    const T change = impulse - c.impulse[row];
-    if (change == o) return;
-    c.impulse[row] = impulse;
-    push(c, row, change);
-    const T moved = diagonal * (change < o ? -change : change);
-    if (moved > worst) worst = moved;
+    const T change = select(active, impulse - c.impulse[row], o);
+    if (all(change == o)) return;
+    const T size = select(change < o, -change, change);
+    c.impulse[row] = select(active, impulse, c.impulse[row]);
+    push_row(row, change);
+    const T moved = diagonal * size;
+    worst = select(moved > worst, moved, worst);
   };
-  const T residual = slip(c, 0) + c.bias + c.cfm * c.impulse[0];
+  const T residual = slip_of(0) + c.bias + c.cfm * c.impulse[0];
   const T n = c.impulse[0] - residual * c.normal_step;
-  apply(0, n > o ? n : o, c.normal);
+  apply(0, select(n > o, n, o), c.normal);
   const T limit = c.friction * c.impulse[0];
-  if (!(limit > o) && c.impulse[1] == o && c.impulse[2] == o) return worst;
+  if (all(both(negate(limit > o), both(c.impulse[1] == o, c.impulse[2] == o)))) return worst;
   if (cone) {
-    T x = c.impulse[1] - slip(c, 1) * c.tangent_step,
-      y = c.impulse[2] - slip(c, 2) * c.tangent_step;
+    T x = c.impulse[1] - slip_of(1) * c.tangent_step,
+      y = c.impulse[2] - slip_of(2) * c.tangent_step;
     project_friction(limit, true, x, y);
     apply(1, x, c.bound);
     apply(2, y, c.bound);
@@ -206,11 +219,17 @@ T sweep(PgsContact<T>& c, bool cone) {
   }
   for (int32_t r = 1; r < 3; ++r) {
     const T a = c.tangent[r == 1 ? 0 : 2];
-    if (!(a > o)) continue;
-    const T x = c.impulse[r] - slip(c, r) / a;
-    apply(r, x > limit ? limit : x < -limit ? -limit : x, a);
+    const auto moves = a > o;
+    const T x = c.impulse[r] - slip_of(r) / select(moves, a, T(1.0f));
+    apply(r, select(moves, clamped(x, limit), c.impulse[r]), a);
   }
   return worst;
+}
+template <class T>
+T sweep(PgsContact<T>& c, bool cone) {
+  return sweep_contact<T>(
+      c, cone, true, [&](int32_t row) { return slip(c, row); },
+      [&](int32_t row, const T& impulse) { push(c, row, impulse); });
 }
 
 // Dry friction of a dof: the row is the dof itself.

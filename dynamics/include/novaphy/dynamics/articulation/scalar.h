@@ -1,9 +1,34 @@
-// The scalar functions of articulations, for float and double; dual.h has those for derivatives.
+// The scalar functions of articulations, for float and double; dual.h has those for derivatives,
+// src/featherstone/lanes.h those of many floats at once.
+//
+// Nothing here branches on a number, but on all or any of its lanes: comparisons are masks, and
+// select takes what holds. A float is one lane, its masks are bool.
 #pragma once
 
 #include "novaphy/math/functions.h"
 
 namespace novaphy::articulation {
+
+// Bits, of every lane: what branches a step took.
+template <class T>
+struct BranchesOf {
+  using Type = int32_t;
+};
+template <class T>
+using Branches = typename BranchesOf<T>::Type;
+inline bool has(int32_t branches, int32_t any_bit) { return (branches & any_bit) != 0; }
+inline int32_t with(int32_t branches, bool c, int32_t bit) { return c ? branches | bit : branches; }
+inline bool differ(int32_t a, int32_t b) { return a != b; }
+
+using math::both;
+using math::either;
+using math::negate;
+template <class T>
+T select(bool c, const T& a, const T& b) {
+  return c ? a : b;
+}
+inline bool all(bool c) { return c; }
+inline bool any(bool c) { return c; }
 
 template <class T>
 struct SinCos {

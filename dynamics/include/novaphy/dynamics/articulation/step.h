@@ -82,7 +82,8 @@ int32_t solve_accelerations(const Tree<T>& tree, const StepInputs<T>& in,
   return -1;
 }
 
-// The branches that follow from a first solve; false: none has changed.
+// The branches that follow from a first solve; false: none has changed (in any lane; the others'
+// come out of a second solve as they were).
 template <class T>
 bool clamp_branches(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<T>& options,
                     Workspace<T>& ws) {
@@ -91,10 +92,10 @@ bool clamp_branches(const Tree<T>& tree, const StepInputs<T>& in, const StepOpti
     const Link& link = tree.links[i];
     if (!has_one_dof(link)) continue;
     const int32_t k = local_dof(tree, link);
-    const int32_t branch =
+    const Branches<T> branch =
         clamped_branch(in.drives, link.dof, link.coord, ws.branch[k], in.q[link.coord],
                        in.qd[link.dof], ws.qdd[k], options.dt, options.implicit_drives);
-    changed = changed || branch != ws.branch[k];
+    changed = changed || differ(branch, ws.branch[k]);
     ws.branch[k] = branch;
   }
   return changed;
@@ -115,14 +116,11 @@ void clamp_rates(const Tree<T>& tree, const StepInputs<T>& in, Workspace<T>& ws)
     const Link& link = tree.links[i];
     if (!has_one_dof(link)) continue;
     const int32_t k = local_dof(tree, link);
-    const T limit = in.drives.velocity_limit[link.dof];
-    if (ws.qd_next[k] > limit) {
-      ws.qd_next[k] = limit;
-      ws.branch[k] |= kVelocityAtUpper;
-    } else if (ws.qd_next[k] < -limit) {
-      ws.qd_next[k] = -limit;
-      ws.branch[k] |= kVelocityAtLower;
-    }
+    const T limit = in.drives.velocity_limit[link.dof], v = ws.qd_next[k];
+    const auto above = v > limit, below = v < -limit;
+    if (!any(either(above, below))) continue;
+    ws.qd_next[k] = select(above, limit, select(below, -limit, v));
+    ws.branch[k] = with(with(ws.branch[k], above, kVelocityAtUpper), below, kVelocityAtLower);
   }
 }
 
@@ -134,7 +132,8 @@ void new_rates(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<T
 }
 
 // qdd and the branches in the workspace, M's factor with them. The result is the dof whose pivot is
-// not positive or whose acceleration is not finite, counted from the tree's first; -1: none.
+// not positive or whose acceleration is not finite (in any lane), counted from the tree's first;
+// -1: none.
 template <class T>
 int32_t accelerate(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<T>& options,
                    Workspace<T>& ws) {
@@ -149,7 +148,7 @@ int32_t accelerate(const Tree<T>& tree, const StepInputs<T>& in, const StepOptio
   kinematics(tree, in.q, ws);
   set_wrenches(tree, in, ws);
   inverse_dynamics<T>(tree, in.qd + tree.first_dof, nullptr, ws, ws.bias);
-  for (int32_t k = 0; k < tree.dof_count; ++k) ws.branch[k] = 0;
+  for (int32_t k = 0; k < tree.dof_count; ++k) ws.branch[k] = {};
   for (int32_t i = 0; i < tree.link_count; ++i) {
     const Link& link = tree.links[i];
     if (has_one_dof(link))

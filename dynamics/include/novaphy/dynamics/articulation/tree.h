@@ -1,5 +1,5 @@
 // Articulated trees: what a tree is made of, and the memory that its algorithms work in. Templated
-// on the scalar (float, double, Dual<float>), freestanding, without allocation.
+// on the scalar (float, double, Dual<float>, lanes of floats), freestanding, without allocation.
 //
 // A tree has links; link i is moved by one joint against its parent link, which stands before it
 // (parent -1: the world). A joint of type D6 is a chain of links, all but the last of them without
@@ -88,13 +88,13 @@ struct Workspace {
   SpatialVector<T>* axes = nullptr;  // S
   T* matrix = nullptr;               // lower: H, or L and D
   T *bias = nullptr, *qdd = nullptr, *qd_next = nullptr, *rhs = nullptr;
-  int32_t* branch = nullptr;  // Branch bits of drives.h
+  Branches<T>* branch = nullptr;  // Branch bits of drives.h
 };
 
-// In multiples of 8 bytes; memory is aligned to 8.
+// In multiples of 8 bytes; memory is aligned to 8 (of lanes: to a lane type).
 template <class T>
 int64_t workspace_bytes(int32_t links, int32_t dofs) {
-  const int64_t n = dofs, ints = (n + 1) / 2 * 8;
+  const int64_t n = dofs, ints = (n * static_cast<int64_t>(sizeof(Branches<T>)) + 7) / 8 * 8;
   return links * static_cast<int64_t>(sizeof(LinkState<T>)) +
          n * static_cast<int64_t>(sizeof(SpatialVector<T>)) +
          ((n * n + 4 * n) * static_cast<int64_t>(sizeof(T)) + 7) / 8 * 8 + ints + 8;
@@ -110,7 +110,7 @@ Workspace<T> make_workspace(void* memory, int32_t links, int32_t dofs) {
   ws.qdd = ws.bias + n;
   ws.qd_next = ws.qdd + n;
   ws.rhs = ws.qd_next + n;
-  ws.branch = reinterpret_cast<int32_t*>(ws.rhs + n);
+  ws.branch = reinterpret_cast<Branches<T>*>(ws.rhs + n);
   return ws;
 }
 

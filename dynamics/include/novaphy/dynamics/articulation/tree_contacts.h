@@ -1,0 +1,255 @@
+// Contacts of one tree with the world, by projected Gauss-Seidel (pgs.h).
+//
+// With A = J M^-1 J^T the velocities of the rows are w = J v + A lambda: of a few contacts a sweep
+// moves w, and v is made once behind the sweeps; of more it moves v, as contact_rows.h. The same
+// iterates, up to rounding.
+// Every contact has rows over all dofs of the tree, zero where its link is not moved by one, so
+// that the lanes of a scalar may be trees that touch with other links. Lanes with fewer contacts
+// have such that push nothing: no link is moved, and the normal is any.
+#pragma once
+
+#include "novaphy/dynamics/articulation/contact_rows.h"
+#include "novaphy/dynamics/articulation/pgs.h"
+
+namespace novaphy::articulation {
+
+inline constexpr int32_t kTreeContactDofs = 32;  // at most: bits of a branch
+// Contacts, at most, whose A is made. It is the lanes' own number that counts, so lanes that are
+// solved together must all have more, or none.
+inline constexpr int32_t kCoupledContacts = 8;
+
+// What is known of a contact before the step; numbers only, one behind the other.
+template <class T>
+struct TreeContact {
+  Branches<T> moved_by{};      // bit k: dof k moves the link
+  T sign{};                    // 1: the tree is side B, -1: side A
+  Vec3<T> normal{};            // from A to B
+  Vec3<T> core{};              // in the frame of the link's body
+  Vec3<T> world{};             // the world's point
+  T margin{}, world_margin{};  // along the normal, signed
+  ContactMaterial<T> material{};
+  T start_normal{};  // impulses to start from, the tangential one in the world
+  Vec3<T> start_tangent{};
+};
+// Where its link is.
+template <class T>
+struct TreeContactLink {
+  Quat<T> q{};
+  Vec3<T> p{}, origin{};
+};
+template <class T>
+struct TreeContactRow : PgsNumbers<T> {
+  ContactFrame<T> frame = {};
+};
+
+// Memory for `contacts` of a tree with n dofs.
+template <class T>
+struct TreeContactMemory {
+  TreeContactRow<T>* rows = nullptr;
+  T *jacobian = nullptr, *response = nullptr;  // {contacts, 3, n}
+  T* coupling = nullptr;                       // {3 contacts, 3 contacts}: A, by columns
+  T* slip = nullptr;                           // {3 contacts}: w
+};
+template <class T>
+int64_t tree_contact_bytes(int64_t contacts, int64_t n) {
+  const int64_t r = 3 * contacts, coupled = contacts > kCoupledContacts ? 0 : r * r;
+  return contacts * static_cast<int64_t>(sizeof(TreeContactRow<T>)) +
+         (2 * r * n + r + coupled) * static_cast<int64_t>(sizeof(T)) + 8;
+}
+template <class T>
+TreeContactMemory<T> make_tree_contact_memory(void* memory, int64_t contacts, int64_t n) {
+  TreeContactMemory<T> m;
+  const int64_t r = 3 * contacts;
+  m.rows = static_cast<TreeContactRow<T>*>(memory);
+  m.jacobian = reinterpret_cast<T*>(m.rows + contacts);
+  m.response = m.jacobian + r * n;
+  m.slip = m.response + r * n;
+  m.coupling = m.slip + r;
+  return m;
+}
+
+// J and Y of a contact at its place.
+template <class T>
+void tree_contact_rows(const Tree<T>& tree, const Workspace<T>& ws, const TreeContact<T>& contact,
+                       const Vec3<T>& at, const ContactFrame<T>& frame, T* jacobian, T* response) {
+  const int64_t n = tree.dof_count;
+  const T o = T(0.0f);
+  T *const j0 = jacobian, *const j1 = j0 + n, *const j2 = j1 + n;
+  T *const y0 = response, *const y1 = y0 + n, *const y2 = y1 + n;
+  for (int32_t k = 0; k < tree.dof_count; ++k) {
+    const auto on = has(contact.moved_by, static_cast<int32_t>(1u << k));
+    j0[k] = j1[k] = j2[k] = o;
+    if (any(on)) {
+      const Vec3<T> v = math::motion_at(ws.axes[k], at).linear * contact.sign;
+      j0[k] = select(on, math::dot(frame.axes[0], v), o);
+      j1[k] = select(on, math::dot(frame.axes[1], v), o);
+      j2[k] = select(on, math::dot(frame.axes[2], v), o);
+    }
+    y0[k] = j0[k];
+    y1[k] = j1[k];
+    y2[k] = j2[k];
+  }
+  for (int32_t k = tree.dof_count; k-- > 0;) {
+    if (!any(has(contact.moved_by, static_cast<int32_t>(1u << k)))) continue;
+    const T a0 = y0[k], a1 = y1[k], a2 = y2[k];
+    for (int32_t j = tree.dof_parent[k]; j >= 0; j = tree.dof_parent[j]) {
+      const T l = ws.matrix[k * n + j];
+      y0[j] = y0[j] - l * a0;
+      y1[j] = y1[j] - l * a1;
+      y2[j] = y2[j] - l * a2;
+    }
+    const T inverse = T(1.0f) / ws.matrix[k * n + k];
+    y0[k] = a0 * inverse;
+    y1[k] = a1 * inverse;
+    y2[k] = a2 * inverse;
+  }
+  for (int32_t k = 0; k < tree.dof_count; ++k) {
+    T a0 = y0[k], a1 = y1[k], a2 = y2[k];
+    for (int32_t j = tree.dof_parent[k]; j >= 0; j = tree.dof_parent[j]) {
+      const T l = ws.matrix[k * n + j];
+      a0 = a0 - l * y0[j];
+      a1 = a1 - l * y1[j];
+      a2 = a2 - l * y2[j];
+    }
+    y0[k] = a0;
+    y1[k] = a1;
+    y2[k] = a2;
+  }
+}
+
+// The block J_c Y_d of A.
+template <class T>
+struct Coupling {
+  T a[3][3];
+};
+template <class T>
+Coupling<T> coupling(const Tree<T>& tree, const TreeContact<T>* contacts, int32_t c, int32_t d,
+                     const TreeContactMemory<T>& m) {
+  const int64_t n = tree.dof_count;
+  const T *const j = m.jacobian + 3 * n * c, *const y = m.response + 3 * n * d;
+  Coupling<T> of;
+  for (auto& row : of.a)
+    for (T& x : row) x = T(0.0f);
+  for (int32_t k = 0; k < tree.dof_count; ++k) {
+    if (!any(has(contacts[c].moved_by, static_cast<int32_t>(1u << k)))) continue;
+    for (int r = 0; r < 3; ++r)
+      for (int s = 0; s < 3; ++s) of.a[r][s] = of.a[r][s] + j[r * n + k] * y[s * n + k];
+  }
+  return of;
+}
+
+template <class T>
+struct TreeContactResult {
+  T sweeps{}, residual{};  // how many, and the largest change of velocity of the last
+};
+
+// The rates v of the tree, from those without impulses, in place. `contacts` and `links`: {count},
+// `qd`: the tree's rates before the step. The impulses stay in the memory's rows.
+template <class T>
+TreeContactResult<T> solve_tree_contacts(const Tree<T>& tree, const Workspace<T>& ws,
+                                         const ContactLaw<T>& law, int32_t most_sweeps,
+                                         const T& tolerance, const TreeContact<T>* contacts,
+                                         const TreeContactLink<T>* links, int32_t count,
+                                         const T* qd, const TreeContactMemory<T>& m, T* v) {
+  const int64_t n = tree.dof_count, rows = 3 * count;
+  const bool coupled = count <= kCoupledContacts;
+  const T o = T(0.0f);
+  const Vec3<T> none = {o, o, o};
+  for (int32_t c = 0; c < count; ++c) {
+    const TreeContact<T>& contact = contacts[c];
+    const TreeContactLink<T>& link = links[c];
+    TreeContactRow<T>& row = m.rows[c];
+    const Vec3<T> mine =
+        (link.p + math::rotate(link.q, contact.core)) + contact.normal * contact.margin;
+    const Vec3<T> other = contact.world + contact.normal * contact.world_margin;
+    // From the tree to the world, then from A to B.
+    const Vec3<T> apart = (none - link.origin) + (other - mine);
+    const T gap = math::dot(apart, contact.normal) * (o - contact.sign);
+    row.frame = contact_frame(contact.normal);
+    T* const jacobian = m.jacobian + 3 * n * c;
+    tree_contact_rows(tree, ws, contact, mine + apart * T(0.5f), row.frame, jacobian,
+                      m.response + 3 * n * c);
+    T before = o;
+    for (int r = 0; r < 3; ++r) m.slip[3 * c + r] = o;
+    for (int32_t k = 0; k < tree.dof_count; ++k) {
+      if (!any(has(contact.moved_by, static_cast<int32_t>(1u << k)))) continue;
+      before = before + jacobian[k] * qd[k];
+      for (int r = 0; r < 3; ++r)
+        m.slip[3 * c + r] = m.slip[3 * c + r] + jacobian[r * n + k] * v[k];
+    }
+    const NormalTarget<T> target = normal_target(law, contact.material, gap, before, m.slip[3 * c]);
+    row.bias = target.bias;
+    row.cfm = target.cfm;
+    row.friction = contact.material.friction;
+    for (int32_t b = 0; coupled && b < c; ++b) {
+      const Coupling<T> of = coupling(tree, contacts, b, c, m);
+      for (int r = 0; r < 3; ++r)
+        for (int t = 0; t < 3; ++t) {
+          m.coupling[(3 * c + t) * rows + (3 * b + r)] = of.a[r][t];
+          m.coupling[(3 * b + r) * rows + (3 * c + t)] = of.a[r][t];
+        }
+    }
+    const Coupling<T> own = coupling(tree, contacts, c, c, m);
+    for (int r = 0; coupled && r < 3; ++r)
+      for (int t = 0; t < 3; ++t) m.coupling[(3 * c + t) * rows + (3 * c + r)] = own.a[r][t];
+    row.normal = own.a[0][0];
+    row.tangent[0] = own.a[1][1];
+    row.tangent[1] = own.a[1][2];
+    row.tangent[2] = own.a[2][2];
+    set_steps<T>(row);
+    start_from<T>(row, law.cone, contact.start_normal,
+                  math::dot(contact.start_tangent, row.frame.axes[1]),
+                  math::dot(contact.start_tangent, row.frame.axes[2]));
+  }
+  const auto push = [&](int64_t row, const T& impulse) {
+    const T* const column = coupled ? m.coupling + row * rows : m.response + row * n;
+    T* const to = coupled ? m.slip : v;
+    const int64_t count_to = coupled ? rows : n;
+    for (int64_t r = 0; r < count_to; ++r) to[r] = to[r] + column[r] * impulse;
+  };
+  const auto slip_of = [&](int64_t row) {
+    if (coupled) return m.slip[row];
+    const T* const j = m.jacobian + row * n;
+    T s0 = o, s1 = o;
+    int64_t k = 0;
+    for (; k + 1 < n; k += 2) {
+      s0 = s0 + j[k] * v[k];
+      s1 = s1 + j[k + 1] * v[k + 1];
+    }
+    if (k < n) s0 = s0 + j[k] * v[k];
+    return s0 + s1;
+  };
+  for (int32_t c = 0; c < count; ++c)
+    for (int32_t r = 0; r < 3; ++r)
+      if (!all(m.rows[c].impulse[r] == o)) push(3 * c + r, m.rows[c].impulse[r]);
+
+  TreeContactResult<T> result{o, o};
+  auto active = o < T(1.0f);
+  int32_t sweeps = 0;
+  do {
+    T worst = o;
+    for (int32_t i = 0; i < count; ++i) {
+      const int32_t c = sweeps % 2 != 0 ? count - 1 - i : i;
+      const T moved = sweep_contact<T>(
+          m.rows[c], law.cone, active, [&](int32_t r) { return slip_of(3 * c + r); },
+          [&](int32_t r, const T& impulse) { push(3 * c + r, impulse); });
+      worst = select(moved > worst, moved, worst);
+    }
+    ++sweeps;
+    result.sweeps = select(active, T(static_cast<float>(sweeps)), result.sweeps);
+    result.residual = select(active, worst, result.residual);
+    active = both(active, negate(worst < tolerance));
+  } while (sweeps < most_sweeps && any(active));
+
+  for (int32_t c = 0; coupled && c < count; ++c)
+    for (int32_t r = 0; r < 3; ++r) {
+      const T impulse = m.rows[c].impulse[r];
+      if (all(impulse == o)) continue;
+      const T* const y = m.response + (3 * c + r) * n;
+      for (int64_t k = 0; k < n; ++k) v[k] = v[k] + y[k] * impulse;
+    }
+  for (int64_t k = 0; k < n; ++k) v[k] = v[k] + o;  // a zero is +0, whatever was skipped
+  return result;
+}
+
+}  // namespace novaphy::articulation

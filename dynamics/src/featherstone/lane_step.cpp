@@ -1,0 +1,230 @@
+// Compiled once for each instruction set (dynamics/CMakeLists.txt).
+#include "lane_step.h"
+
+#include "lanes.h"
+#include "novaphy/dynamics/articulation/step.h"
+#include "novaphy/dynamics/articulation/tree_contacts.h"
+
+namespace novaphy::articulation::NOVAPHY_LEVEL {
+namespace {
+
+typedef float Row __attribute__((vector_size(16)));
+NOVAPHY_LANE_FN void transpose(Row (&r)[4]) {
+  const Row a = __builtin_shufflevector(r[0], r[1], 0, 4, 1, 5);
+  const Row b = __builtin_shufflevector(r[2], r[3], 0, 4, 1, 5);
+  const Row c = __builtin_shufflevector(r[0], r[1], 2, 6, 3, 7);
+  const Row d = __builtin_shufflevector(r[2], r[3], 2, 6, 3, 7);
+  r[0] = __builtin_shufflevector(a, b, 0, 1, 4, 5);
+  r[1] = __builtin_shufflevector(a, b, 2, 3, 6, 7);
+  r[2] = __builtin_shufflevector(c, d, 0, 1, 4, 5);
+  r[3] = __builtin_shufflevector(c, d, 2, 3, 6, 7);
+}
+
+// `n` numbers of every lane, which begin at the row first[lane] of rows of `width` numbers.
+void gather(const float* from, const int32_t* first, int32_t width, int32_t n, Lanes* to) {
+  float* const out = reinterpret_cast<float*>(to);
+  if (n < 4) {
+    for (int32_t i = 0; i < n; ++i)
+      for (int32_t l = 0; l < LANES; ++l)
+        out[i * LANES + l] = from[static_cast<int64_t>(first[l]) * width + i];
+    return;
+  }
+  for (int32_t l = 0; l < LANES; l += 4) {
+    const float* rows[4];
+    for (int32_t k = 0; k < 4; ++k) rows[k] = from + static_cast<int64_t>(first[l + k]) * width;
+    for (int32_t at = 0; at < n; at += 4) {
+      const int32_t i = at + 4 <= n ? at : n - 4;
+      Row r[4];
+      for (int32_t k = 0; k < 4; ++k) __builtin_memcpy(&r[k], rows[k] + i, sizeof(Row));
+      transpose(r);
+      for (int32_t k = 0; k < 4; ++k)
+        __builtin_memcpy(out + (i + k) * LANES + l, &r[k], sizeof(Row));
+    }
+  }
+}
+void scatter(const Lanes* from, const int32_t* first, int32_t width, int32_t n, int32_t used,
+             float* to) {
+  const float* const in = reinterpret_cast<const float*>(from);
+  if (n < 4) {
+    for (int32_t i = 0; i < n; ++i)
+      for (int32_t l = 0; l < used; ++l)
+        to[static_cast<int64_t>(first[l]) * width + i] = in[i * LANES + l];
+    return;
+  }
+  for (int32_t l = 0; l < used; l += 4) {
+    const int32_t lanes = used - l < 4 ? used - l : 4;
+    for (int32_t at = 0; at < n; at += 4) {
+      const int32_t i = at + 4 <= n ? at : n - 4;
+      Row r[4];
+      for (int32_t k = 0; k < 4; ++k)
+        __builtin_memcpy(&r[k], in + (i + k) * LANES + l, sizeof(Row));
+      transpose(r);
+      for (int32_t k = 0; k < lanes; ++k)
+        __builtin_memcpy(to + static_cast<int64_t>(first[l + k]) * width + i, &r[k], sizeof(Row));
+    }
+  }
+}
+
+// Numbers besides the workspace and that of contacts.
+int64_t state_numbers(const TreeShape& s) {
+  return 3 * s.coords + 4 * s.dofs + (6 + 7 + 6) * s.bodies;
+}
+int64_t memory(const TreeShape& s, int32_t contacts) {
+  return state_numbers(s) * static_cast<int64_t>(sizeof(Lanes)) +
+         workspace_bytes<Lanes>(s.links, s.dofs) + 64 +
+         contacts * static_cast<int64_t>(sizeof(TreeContactLink<Lanes>)) +
+         tree_contact_bytes<Lanes>(contacts, s.dofs) + 64;
+}
+
+// Where the links of contacts are.
+void gather_links(const LaneStepArguments& a, const Workspace<Lanes>& ws,
+                  TreeContactLink<Lanes>* to) {
+  for (int32_t c = 0; c < a.contact_count; ++c)
+    for (int32_t l = 0; l < LANES; ++l) {
+      const LinkState<Lanes>& s = ws.links[a.contact_links[c * LANES + l]];
+      TreeContactLink<Lanes>& link = to[c];
+      link.q.x.v[l] = s.q.x.v[l];
+      link.q.y.v[l] = s.q.y.v[l];
+      link.q.z.v[l] = s.q.z.v[l];
+      link.q.w.v[l] = s.q.w.v[l];
+      link.p.x.v[l] = s.p.x.v[l];
+      link.p.y.v[l] = s.p.y.v[l];
+      link.p.z.v[l] = s.p.z.v[l];
+      link.origin.x.v[l] = s.origin.x.v[l];
+      link.origin.y.v[l] = s.origin.y.v[l];
+      link.origin.z.v[l] = s.origin.z.v[l];
+    }
+}
+
+Tree<Lanes> make_tree(const TreeShape& s, const Lanes* constants) {
+  const auto at = [&](TreeConstant c) {
+    return constants + s.constant_begin[static_cast<int32_t>(c)];
+  };
+  Tree<Lanes> tree;
+  tree.link_count = s.links;
+  tree.dof_count = s.dofs;
+  tree.links = s.link_rows;
+  tree.dof_parent = s.dof_parent;
+  tree.X_p = reinterpret_cast<const Transform<Lanes>*>(at(TreeConstant::FrameP));
+  tree.X_c = reinterpret_cast<const Transform<Lanes>*>(at(TreeConstant::FrameC));
+  tree.axis = reinterpret_cast<const Vec3<Lanes>*>(at(TreeConstant::Axis));
+  tree.mass = at(TreeConstant::Mass);
+  tree.com = reinterpret_cast<const Vec3<Lanes>*>(at(TreeConstant::Com));
+  tree.inertia = reinterpret_cast<const Mat33<Lanes>*>(at(TreeConstant::Inertia));
+  const Lanes* const g = at(TreeConstant::Gravity);
+  tree.gravity = {g[0], g[1], g[2]};
+  return tree;
+}
+Drives<Lanes> make_drives(const TreeShape& s, const Lanes* constants) {
+  const auto at = [&](TreeConstant c) {
+    return constants + s.constant_begin[static_cast<int32_t>(c)];
+  };
+  return {s.target_mode,
+          nullptr,
+          nullptr,
+          at(TreeConstant::TargetKe),
+          at(TreeConstant::TargetKd),
+          at(TreeConstant::Damping),
+          at(TreeConstant::Armature),
+          at(TreeConstant::LimitLower),
+          at(TreeConstant::LimitUpper),
+          at(TreeConstant::LimitKe),
+          at(TreeConstant::LimitKd),
+          at(TreeConstant::EffortLimit),
+          at(TreeConstant::VelocityLimit)};
+}
+
+[[gnu::flatten]] int32_t accelerate_lanes(const Tree<Lanes>& tree, const StepInputs<Lanes>& in,
+                                          const StepOptions<Lanes>& options, Workspace<Lanes>& ws) {
+  return accelerate(tree, in, options, ws);
+}
+[[gnu::flatten]] void finish_lanes(const Tree<Lanes>& tree, const StepInputs<Lanes>& in,
+                                   const StepOptions<Lanes>& options, Workspace<Lanes>& ws,
+                                   Lanes* q, Lanes* qd, Transform<Lanes>* body_q,
+                                   SpatialVector<Lanes>* body_qd) {
+  finish_step(tree, in, options, ws, q, qd, body_q, body_qd);
+}
+[[gnu::flatten]] TreeContactResult<Lanes> solve_lanes(
+    const Tree<Lanes>& tree, const Workspace<Lanes>& ws, const ContactLaw<Lanes>& law,
+    const LaneStepArguments& a, const TreeContactLink<Lanes>* links, const Lanes* qd,
+    const TreeContactMemory<Lanes>& m) {
+  return solve_tree_contacts(tree, ws, law, a.most_sweeps, Lanes(a.tolerance),
+                             static_cast<const TreeContact<Lanes>*>(a.contacts), links,
+                             a.contact_count, qd, m, ws.qd_next);
+}
+
+bool run(const LaneStepArguments& a) {
+  const TreeShape& s = a.shape;
+  auto* next = static_cast<Lanes*>(a.memory);
+  const auto take = [&](int64_t n) {
+    Lanes* const mine = next;
+    next += n;
+    return mine;
+  };
+  Lanes *const q = take(s.coords), *const qd = take(s.dofs), *const joint_f = take(s.dofs);
+  Lanes *const target_q = take(s.coords), *const target_qd = take(s.dofs);
+  Lanes* const body_f = take(6 * s.bodies);
+  Lanes *const q_next = take(s.coords), *const qd_next = take(s.dofs);
+  Lanes *const body_q = take(7 * s.bodies), *const body_qd = take(6 * s.bodies);
+  gather(a.q, a.coord, 1, s.coords, q);
+  gather(a.qd, a.dof, 1, s.dofs, qd);
+  gather(a.joint_f, a.dof, 1, s.dofs, joint_f);
+  gather(a.target_q, a.coord, 1, s.coords, target_q);
+  gather(a.target_qd, a.dof, 1, s.dofs, target_qd);
+  gather(a.body_f, a.body, 6, 6 * s.bodies, body_f);
+
+  const auto* const constants = reinterpret_cast<const Lanes*>(a.constants);
+  const Tree<Lanes> tree = make_tree(s, constants);
+  StepInputs<Lanes> in = {q, qd, joint_f, reinterpret_cast<const SpatialVector<Lanes>*>(body_f),
+                          make_drives(s, constants)};
+  in.drives.target_q = target_q;
+  in.drives.target_qd = target_qd;
+  const StepOptions<Lanes> options = {Lanes(a.dt), Lanes(a.angular_damping), a.implicit_drives};
+  Workspace<Lanes> ws = make_workspace<Lanes>(next, s.links, s.dofs);
+  if (accelerate_lanes(tree, in, options, ws) >= 0) return false;
+  free_rates(tree, in, options, ws);
+  if (a.contact_count > 0) {
+    auto* const links = reinterpret_cast<TreeContactLink<Lanes>*>(ws.branch + s.dofs);
+    gather_links(a, ws, links);
+    const TreeContactMemory<Lanes> m =
+        make_tree_contact_memory<Lanes>(links + a.contact_count, a.contact_count, s.dofs);
+    const ContactLaw<Lanes> law = {Lanes(a.dt),
+                                   Lanes(a.erp),
+                                   Lanes(a.slop),
+                                   Lanes(a.cfm),
+                                   Lanes(a.max_depenetration),
+                                   Lanes(a.restitution_threshold),
+                                   a.compliant,
+                                   a.cone};
+    const TreeContactResult<Lanes> result = solve_lanes(tree, ws, law, a, links, qd, m);
+    for (int32_t k = 0; k < s.dofs; ++k)
+      if (!is_finite(ws.qd_next[k])) return false;
+    for (int32_t c = 0; c < a.contact_count; ++c)
+      for (int32_t r = 0; r < 3; ++r) store(a.impulses + (3 * c + r) * LANES, m.rows[c].impulse[r]);
+    store(a.sweeps, result.sweeps);
+    store(a.residual, result.residual);
+  }
+  clamp_rates(tree, in, ws);
+  finish_lanes(tree, in, options, ws, q_next, qd_next, reinterpret_cast<Transform<Lanes>*>(body_q),
+               reinterpret_cast<SpatialVector<Lanes>*>(body_qd));
+  scatter(q_next, a.coord, 1, s.coords, a.used, a.q_next);
+  scatter(qd_next, a.dof, 1, s.dofs, a.used, a.qd_next);
+  scatter(body_q, a.body, 7, 7 * s.bodies, a.used, a.body_q);
+  scatter(body_qd, a.body, 6, 6 * s.bodies, a.used, a.body_qd);
+  return true;
+}
+
+bool step(const LaneStepArguments& a) {
+  const bool done = run(a);
+#if defined(__AVX__)
+  _mm256_zeroupper();  // else what other code does behind it is slow
+#endif
+  return done;
+}
+
+}  // namespace
+
+extern const LaneLevel kLevel;
+const LaneLevel kLevel = {NOVAPHY_LEVEL_NAME, LANES, memory, step};
+
+}  // namespace novaphy::articulation::NOVAPHY_LEVEL

@@ -1,0 +1,77 @@
+// A step of several trees alike at once, a lane each: articulation/step.h and tree_contacts.h with
+// lanes as scalar (lanes.h), for one instruction set.
+#pragma once
+
+#include <cstdint>
+
+#include "novaphy/dynamics/articulation/tree.h"
+
+namespace novaphy::articulation {
+
+// The constants of trees, arrays of a model one behind the other; numbers per tree.
+enum class TreeConstant : int32_t {
+  FrameP,
+  FrameC,
+  Axis,
+  Mass,
+  Com,
+  Inertia,
+  Gravity,
+  TargetKe,
+  TargetKd,
+  Damping,
+  Armature,
+  LimitLower,
+  LimitUpper,
+  LimitKe,
+  LimitKd,
+  EffortLimit,
+  VelocityLimit,
+  Count
+};
+inline constexpr int32_t kTreeConstants = static_cast<int32_t>(TreeConstant::Count);
+
+struct TreeShape {
+  int32_t links = 0, dofs = 0, coords = 0, bodies = 0, joints = 0;
+  const Link* link_rows = nullptr;  // all rows counted from the tree's first
+  const int32_t* dof_parent = nullptr;
+  const int32_t* target_mode = nullptr;
+  int32_t constant_begin[kTreeConstants + 1] = {};
+};
+
+// Rows are those of the arrays.
+struct LaneStepArguments {
+  TreeShape shape = {};
+  const float* constants = nullptr;  // {numbers, lanes}
+  int32_t used = 0;                  // lanes that are written; the others repeat one of them
+  const int32_t *coord = nullptr, *dof = nullptr, *body = nullptr;  // {lanes}: first rows
+  const float *q = nullptr, *qd = nullptr, *joint_f = nullptr, *target_q = nullptr,
+              *target_qd = nullptr, *body_f = nullptr;
+  float *q_next = nullptr, *qd_next = nullptr, *body_q = nullptr, *body_qd = nullptr;
+  float dt = 0.0f, angular_damping = 0.0f;
+  bool implicit_drives = true;
+  // Contacts: the most of a lane; TreeContact of lanes, and the links {contacts, lanes}.
+  int32_t contact_count = 0;
+  const void* contacts = nullptr;
+  const int32_t* contact_links = nullptr;
+  float erp = 0.0f, slop = 0.0f, cfm = 0.0f, max_depenetration = 0.0f, restitution_threshold = 0.0f,
+        tolerance = 0.0f;
+  bool compliant = false, cone = true;
+  int32_t most_sweeps = 1;
+  float* impulses = nullptr;                     // {contacts, 3, lanes}, along n, t1, t2
+  float *sweeps = nullptr, *residual = nullptr;  // {lanes}
+  void* memory = nullptr;                        // aligned to 64
+};
+
+struct LaneLevel {
+  const char* name;
+  int32_t lanes;
+  int64_t (*memory)(const TreeShape&, int32_t contacts);  // bytes
+  // False: some lane's matrix is not positive definite or something is not finite; nothing is
+  // written then.
+  bool (*step)(const LaneStepArguments&);
+};
+// The best of this processor, or what NOVAPHY_CPU_ISA names.
+const LaneLevel& lane_level();
+
+}  // namespace novaphy::articulation

@@ -1,0 +1,438 @@
+#include "tree_steps.h"
+
+#include <algorithm>
+#include <array>
+#include <cstddef>
+#include <cstdlib>
+#include <cstring>
+#include <memory>
+#include <string_view>
+#include <utility>
+
+#include "novaphy/core/error.h"
+#include "novaphy/core/sim/for_chunks.h"
+#include "pgs_contacts_step.h"
+
+namespace novaphy {
+
+namespace articulation {
+namespace baseline {
+extern const LaneLevel kLevel;
+}
+#ifdef NOVAPHY_X86_LEVELS
+namespace avx2 {
+extern const LaneLevel kLevel;
+}
+namespace avx512 {
+extern const LaneLevel kLevel;
+}
+#endif
+
+const LaneLevel& lane_level() {
+  struct Choice {
+    const LaneLevel& level;
+    bool available;
+  };
+  const Choice best_first[] = {
+#ifdef NOVAPHY_X86_LEVELS
+      {avx512::kLevel, __builtin_cpu_supports("avx512f") && __builtin_cpu_supports("fma")},
+      {avx2::kLevel, __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma")},
+#endif
+      {baseline::kLevel, true}};
+  const char* const variable = std::getenv("NOVAPHY_CPU_ISA");
+  const std::string_view wanted = variable != nullptr ? variable : "";
+  for (const Choice& choice : best_first) {
+    if (!wanted.empty() && wanted != choice.level.name) continue;
+    if (choice.available) return choice.level;
+    require(wanted.empty(), ErrorKind::Runtime, "NOVAPHY_CPU_ISA=", wanted,
+            ": this processor does not have it");
+  }
+  fail(ErrorKind::Runtime, "NOVAPHY_CPU_ISA: expected baseline, avx2 or avx512, got '", wanted,
+       "'");
+}
+}  // namespace articulation
+
+namespace {
+
+namespace art = articulation;
+constexpr int64_t kPackChunk = 2;
+constexpr size_t kFewest = 3;  // trees that lanes are worth for
+
+// Numbers of a row of each constant, and what a tree has rows of.
+struct ConstantRows {
+  int32_t width;
+  enum { Joints, Dofs, Bodies, One } of;
+};
+constexpr ConstantRows kConstantRows[art::kTreeConstants] = {
+    {7, ConstantRows::Joints}, {7, ConstantRows::Joints}, {3, ConstantRows::Dofs},
+    {1, ConstantRows::Bodies}, {3, ConstantRows::Bodies}, {9, ConstantRows::Bodies},
+    {3, ConstantRows::One},    {1, ConstantRows::Dofs},   {1, ConstantRows::Dofs},
+    {1, ConstantRows::Dofs},   {1, ConstantRows::Dofs},   {1, ConstantRows::Dofs},
+    {1, ConstantRows::Dofs},   {1, ConstantRows::Dofs},   {1, ConstantRows::Dofs},
+    {1, ConstantRows::Dofs},   {1, ConstantRows::Dofs}};
+std::array<const Array*, art::kTreeConstants> constant_arrays(const Model& m) {
+  return {&m.joint_X_p,
+          &m.joint_X_c,
+          &m.joint_axis,
+          &m.body_mass,
+          &m.body_com,
+          &m.body_inertia,
+          &m.gravity,
+          &m.joint_target_ke,
+          &m.joint_target_kd,
+          &m.joint_damping,
+          &m.joint_armature,
+          &m.joint_limit_lower,
+          &m.joint_limit_upper,
+          &m.joint_limit_ke,
+          &m.joint_limit_kd,
+          &m.joint_effort_limit,
+          &m.joint_velocity_limit};
+}
+
+}  // namespace
+
+// Of one thread.
+struct TreeSteps::Memory {
+  std::vector<unsigned char> bytes = {};
+  std::vector<int32_t> links = {};
+  std::vector<float> impulses = {};
+  void* aligned(int64_t size) {
+    if (static_cast<int64_t>(bytes.size()) < size + 64)
+      bytes.resize(static_cast<size_t>(size) + 64);
+    void* at = bytes.data();
+    size_t space = bytes.size();
+    return std::align(64, static_cast<size_t>(size), at, space);
+  }
+};
+
+TreeSteps::TreeSteps(const Model& m, const Articulations& articulations)
+    : articulations_(articulations),
+      trees_(reinterpret_cast<const ArticulationRows*>(articulations.rows().data())),
+      first_(static_cast<size_t>(articulations.count())) {
+  find_groups(m);
+}
+
+void TreeSteps::find_groups(const Model& m) {
+  groups_.clear();
+  const auto* all_links = reinterpret_cast<const art::Link*>(articulations_.links().data());
+  const int32_t* modes = m.joint_target_mode.data();
+  for (size_t i = 0; i < first_.size(); ++i) {
+    const ArticulationRows& rows = trees_[i];
+    std::vector<art::Link> links(all_links + rows.first_link,
+                                 all_links + rows.first_link + rows.link_count);
+    FirstRows first{INT32_MAX, INT32_MAX, INT32_MAX, -1};
+    art::TreeShape shape;
+    shape.links = rows.link_count;
+    shape.dofs = rows.dof_count;
+    int32_t last_body = -1, last_joint = -1;
+    for (const art::Link& link : links) {
+      first.coord = std::min(first.coord, link.coord);
+      shape.coords += link.dofs + (link.dofs > 1 ? 1 : 0);
+      if (link.body >= 0) first.body = std::min(first.body, link.body), ++shape.bodies;
+      last_body = std::max(last_body, link.body);
+      for (const int32_t joint : {link.frame_p, link.frame_c})
+        if (joint >= 0) {
+          first.joint = std::min(first.joint, joint);
+          last_joint = std::max(last_joint, joint);
+        }
+    }
+    // Only of trees whose rows stand together.
+    if (last_joint < 0 || last_body - first.body + 1 != shape.bodies || rows.dof_count == 0)
+      continue;
+    shape.joints = last_joint - first.joint + 1;
+    for (art::Link& link : links) {
+      link.coord -= first.coord;
+      link.dof -= rows.first_dof;
+      if (link.body >= 0) link.body -= first.body;
+      if (link.frame_p >= 0) link.frame_p -= first.joint;
+      if (link.frame_c >= 0) link.frame_c -= first.joint;
+    }
+    const std::vector<int32_t> mode(modes + rows.first_dof,
+                                    modes + rows.first_dof + rows.dof_count);
+    size_t g = 0;
+    while (g < groups_.size() &&
+           !(groups_[g].links == links && groups_[g].target_mode == mode &&
+             groups_[g].shape.joints == shape.joints && groups_[g].shape.dofs == shape.dofs))
+      ++g;
+    if (g == groups_.size()) {
+      for (int32_t c = 0; c < art::kTreeConstants; ++c) {
+        const ConstantRows& of = kConstantRows[c];
+        const int32_t count = of.of == ConstantRows::Joints   ? shape.joints
+                              : of.of == ConstantRows::Dofs   ? shape.dofs
+                              : of.of == ConstantRows::Bodies ? shape.bodies
+                                                              : 1;
+        shape.constant_begin[c + 1] = shape.constant_begin[c] + of.width * count;
+      }
+      groups_.push_back({shape, std::move(links), mode});
+      Group& made = groups_.back();
+      made.shape.dof_parent = articulations_.dof_parent().data() + rows.first_dof;
+    }
+    first.group = static_cast<int32_t>(g);
+    first_[i] = first;
+  }
+  for (Group& group : groups_) {
+    group.shape.link_rows = group.links.data();
+    group.shape.target_mode = group.target_mode.data();
+  }
+}
+
+// The constants of a tree, `stride` apart.
+void TreeSteps::constants_of(const Model& m, int32_t tree, float* to, int32_t stride) const {
+  const FirstRows& first = first_[static_cast<size_t>(tree)];
+  const ArticulationRows& rows = trees_[tree];
+  const art::TreeShape& shape = groups_[static_cast<size_t>(first.group)].shape;
+  const std::array<const Array*, art::kTreeConstants> arrays = constant_arrays(m);
+  for (int32_t c = 0; c < art::kTreeConstants; ++c) {
+    const ConstantRows& of = kConstantRows[c];
+    const int32_t row = of.of == ConstantRows::Joints   ? first.joint
+                        : of.of == ConstantRows::Dofs   ? rows.first_dof
+                        : of.of == ConstantRows::Bodies ? first.body
+                                                        : rows.world;
+    const auto* from = static_cast<const float*>(arrays[static_cast<size_t>(c)]->range()->data()) +
+                       static_cast<int64_t>(row) * of.width;
+    const int32_t begin = shape.constant_begin[c], end = shape.constant_begin[c + 1];
+    for (int32_t i = begin; i < end; ++i) to[static_cast<int64_t>(i) * stride] = from[i - begin];
+  }
+}
+
+// Reads the constants again when arrays were written.
+void TreeSteps::renew(const Model& m) {
+  const std::array<const Array*, art::kTreeConstants> arrays = constant_arrays(m);
+  stamps_.resize(arrays.size() + 1);
+  bool same = stamps_.back().matches(m.joint_target_mode);
+  if (!same) find_groups(m);
+  for (size_t i = 0; i < arrays.size(); ++i) same = stamps_[i].matches(*arrays[i]) && same;
+  if (same) return;
+  const int32_t lanes = level_.lanes;
+  std::vector<float> first, other;
+  for (size_t g = 0; g < groups_.size(); ++g) {
+    Group& group = groups_[g];
+    const int32_t numbers = group.shape.constant_begin[art::kTreeConstants];
+    first.clear();
+    other.resize(static_cast<size_t>(numbers));
+    group.same = true;
+    group.packed.clear();
+    for (size_t i = 0; i < first_.size(); ++i) {
+      if (first_[i].group != static_cast<int32_t>(g)) continue;
+      group.packed.push_back(static_cast<int32_t>(i));
+      constants_of(m, static_cast<int32_t>(i), other.data(), 1);
+      if (first.empty()) first = other;
+      group.same =
+          group.same && std::memcmp(first.data(), other.data(), first.size() * sizeof(float)) == 0;
+    }
+    const size_t packs = group.same ? 1 : (group.packed.size() + lanes - 1) / lanes;
+    group.lines.resize((packs * static_cast<size_t>(numbers) * lanes + 15) / 16);
+    for (size_t p = 0; p < packs; ++p)
+      for (int32_t l = 0; l < lanes; ++l) {
+        const size_t i = std::min(p * lanes + l, group.packed.size() - 1);
+        constants_of(m, group.packed[i],
+                     group.lines[0].numbers + p * static_cast<size_t>(numbers) * lanes + l, lanes);
+      }
+  }
+  for (size_t i = 0; i < arrays.size(); ++i) stamps_[i].set(*arrays[i]);
+  stamps_.back().set(m.joint_target_mode);
+}
+
+// Trees of a group stand in the order of their numbers of contacts where their constants are the
+// same, so that the lanes of a pack have about as many.
+void TreeSteps::make_packs(std::span<const int32_t> trees, const TreeContacts* contacts) {
+  packs_.clear();
+  counts_.resize(first_.size());
+  keys_.resize(trees.size());
+  for (size_t i = 0; i < trees.size(); ++i) {
+    const int32_t tree = trees[i], group = first_[static_cast<size_t>(tree)].group;
+    const int32_t count = contacts == nullptr ? 0 : contacts->count(tree);
+    const bool sorts = group >= 0 && groups_[static_cast<size_t>(group)].same;
+    counts_[static_cast<size_t>(tree)] = count;
+    const int32_t least = count > art::kCoupledContacts ? art::kCoupledContacts + 1 : 0;
+    keys_[i] = (group + 1) * (kMostTreeContacts + 1) + (sorts ? count : least);
+  }
+  const auto keys = static_cast<int32_t>((groups_.size() + 1) * (kMostTreeContacts + 1));
+  order_.build(keys_, keys);
+  sorted_.clear();
+  for (const int32_t i : order_.all()) sorted_.push_back(trees[static_cast<size_t>(i)]);
+  for (size_t i = 0; i < sorted_.size();) {
+    const int32_t group = first_[static_cast<size_t>(sorted_[i])].group;
+    const auto is_coupled = [&](int32_t tree) {
+      return counts_[static_cast<size_t>(tree)] <= art::kCoupledContacts;
+    };
+    Pack pack{group, static_cast<int32_t>(i), 0, 0};
+    const bool coupled = is_coupled(sorted_[i]);
+    for (; i < sorted_.size() && pack.count < level_.lanes; ++i, ++pack.count) {
+      const auto tree = static_cast<size_t>(sorted_[i]);
+      if (first_[tree].group != group || is_coupled(sorted_[i]) != coupled) break;
+      pack.contacts = std::max(pack.contacts, counts_[tree]);
+    }
+    packs_.push_back(pack);
+  }
+}
+
+// A tree alone.
+void TreeSteps::single(const ArticulationStepArguments& a, int64_t tree_row,
+                       const FeatherstoneOptions& options, TreeContacts* contacts, Memory& memory) {
+  const ArticulationRows& rows = trees_[tree_row];
+  const art::Tree<float> tree = articulation_tree(a.in, rows);
+  const art::StepInputs<float> in = articulation_inputs(a.in);
+  const art::StepOptions<float> how = articulation_options(a.in);
+  const int32_t count = contacts == nullptr ? 0 : contacts->count(tree_row);
+  const int64_t bytes = art::workspace_bytes<float>(rows.link_count, rows.dof_count);
+  const int64_t inputs = count * static_cast<int64_t>(sizeof(art::TreeContact<float>) +
+                                                      sizeof(art::TreeContactLink<float>));
+  auto* at = static_cast<unsigned char*>(
+      memory.aligned(bytes + inputs + art::tree_contact_bytes<float>(count, rows.dof_count) + 64));
+  art::Workspace<float> ws = art::make_workspace<float>(at, rows.link_count, rows.dof_count);
+  int32_t failed = art::accelerate(tree, in, how, ws);
+  if (failed < 0) {
+    art::free_rates(tree, in, how, ws);
+    if (count > 0) {
+      auto* const found = reinterpret_cast<art::TreeContact<float>*>(at + bytes);
+      auto* const links = reinterpret_cast<art::TreeContactLink<float>*>(found + count);
+      const art::TreeContactMemory<float> m =
+          art::make_tree_contact_memory<float>(links + count, count, rows.dof_count);
+      for (int32_t i = 0; i < count; ++i) {
+        const int32_t link = contacts->fill(tree_row, i, reinterpret_cast<float*>(found + i), 1);
+        const art::LinkState<float>& s = ws.links[link];
+        links[i] = {s.q, s.p, s.origin};
+      }
+      const art::TreeContactResult<float> result = art::solve_tree_contacts(
+          tree, ws, contact_law(options, how.dt), options.pgs_iterations, options.pgs_tolerance,
+          found, links, count, in.qd + rows.first_dof, m, ws.qd_next);
+      for (int32_t k = 0; failed < 0 && k < rows.dof_count; ++k)
+        if (!art::is_finite(ws.qd_next[k])) failed = k;
+      for (int32_t i = 0; i < count; ++i) contacts->take(tree_row, i, m.rows[i].impulse, 1);
+      contacts->solved(tree_row, static_cast<int32_t>(result.sweeps), result.residual);
+    }
+  }
+  a.status[tree_row] = failed < 0 ? 0 : 1 + failed + rows.first_dof;
+  if (failed >= 0) return;
+  art::clamp_rates(tree, in, ws);
+  art::finish_step(tree, in, how, ws, a.q_next, a.qd_next, a.body_q, a.body_qd);
+}
+
+// Several alike; false: one of them fails, and nothing is written.
+bool TreeSteps::lanes(const ArticulationStepArguments& a, const Model& m, const Pack& pack,
+                      const FeatherstoneOptions& options, TreeContacts* contacts,
+                      Memory& memory) const {
+  const int32_t lanes = level_.lanes;
+  const Group& group = groups_[static_cast<size_t>(pack.group)];
+  const art::TreeShape& shape = group.shape;
+  const int64_t numbers = shape.constant_begin[art::kTreeConstants];
+  const int32_t* const trees = sorted_.data() + pack.begin;
+  const auto tree_of = [&](int32_t lane) { return trees[std::min(lane, pack.count - 1)]; };
+
+  constexpr int64_t kContactNumbers = sizeof(art::TreeContact<float>) / sizeof(float);
+  constexpr int32_t kMostLanes = 16;
+  int32_t coord[kMostLanes], dof[kMostLanes], body[kMostLanes];
+  const int64_t state = level_.memory(shape, pack.contacts);
+  const int64_t found = pack.contacts * kContactNumbers * lanes, own = numbers * lanes;
+  auto* const bytes = static_cast<unsigned char*>(
+      memory.aligned(state + (found + own + (3 + 1) * pack.contacts * lanes + 2 * lanes + 64) * 4));
+  auto* const inputs = reinterpret_cast<float*>(bytes + (state + 63) / 64 * 64);
+  float* const constants = inputs + found;
+  float* const impulses = constants + own;
+  auto* const links = reinterpret_cast<int32_t*>(impulses + 3 * pack.contacts * lanes);
+  auto* const results = reinterpret_cast<float*>(links + pack.contacts * lanes);
+
+  art::LaneStepArguments s;
+  s.shape = shape;
+  s.used = pack.count;
+  for (int32_t l = 0; l < lanes; ++l) {
+    const FirstRows& first = first_[static_cast<size_t>(tree_of(l))];
+    coord[l] = first.coord;
+    dof[l] = trees_[tree_of(l)].first_dof;
+    body[l] = first.body;
+  }
+  s.coord = coord;
+  s.dof = dof;
+  s.body = body;
+  s.constants = group.lines[0].numbers;
+  if (!group.same) {
+    const auto at = std::lower_bound(group.packed.begin(), group.packed.end(), trees[0]);
+    const auto place = at - group.packed.begin();
+    const bool whole = place % lanes == 0 && group.packed.end() - at >= pack.count &&
+                       at[pack.count - 1] == trees[pack.count - 1];
+    s.constants += place / lanes * own;
+    if (!whole) {
+      for (int32_t l = 0; l < lanes; ++l) constants_of(m, tree_of(l), constants + l, lanes);
+      s.constants = constants;
+    }
+  }
+  const ArticulationArguments& in = a.in;
+  s.q = in.q;
+  s.qd = in.qd;
+  s.joint_f = in.joint_f;
+  s.target_q = in.target_q;
+  s.target_qd = in.target_qd;
+  s.body_f = &in.body_f->linear.x;
+  s.q_next = a.q_next;
+  s.qd_next = a.qd_next;
+  s.body_q = &a.body_q->p.x;
+  s.body_qd = &a.body_qd->linear.x;
+  s.dt = in.dt.value;
+  s.angular_damping = in.angular_damping.value;
+  s.implicit_drives = in.implicit_drives != 0;
+  s.contact_count = pack.contacts;
+  if (pack.contacts > 0) {
+    std::fill_n(inputs, found, 0.0f);
+    std::fill_n(links, pack.contacts * lanes, 0);
+    constexpr size_t kNormalZ = offsetof(art::TreeContact<float>, normal) / sizeof(float) + 2;
+    for (int32_t c = 0; c < pack.contacts; ++c)
+      for (int32_t l = 0; l < lanes; ++l) {
+        float* const to = inputs + c * kContactNumbers * lanes + l;
+        if (l < pack.count && c < counts_[static_cast<size_t>(trees[l])])
+          links[c * lanes + l] = contacts->fill(trees[l], c, to, lanes);
+        else
+          to[kNormalZ * static_cast<size_t>(lanes)] = 1.0f;
+      }
+    s.contacts = inputs;
+    s.contact_links = links;
+    s.erp = options.pgs_erp;
+    s.slop = options.pgs_slop;
+    s.cfm = options.pgs_cfm;
+    s.max_depenetration = options.max_depenetration_velocity;
+    s.restitution_threshold = options.restitution_threshold;
+    s.compliant = options.compliant_contacts;
+    s.cone = options.friction_cone == FrictionCone::Cone;
+    s.tolerance = options.pgs_tolerance;
+    s.most_sweeps = options.pgs_iterations;
+    s.impulses = impulses;
+    s.sweeps = results;
+    s.residual = results + lanes;
+  }
+  s.memory = bytes;
+  if (!level_.step(s)) return false;
+  for (int32_t l = 0; l < pack.count; ++l) {
+    const int32_t tree = trees[l], count = counts_[static_cast<size_t>(tree)];
+    a.status[tree] = 0;
+    for (int32_t c = 0; c < count; ++c)
+      contacts->take(tree, c, impulses + 3 * c * lanes + l, lanes);
+    if (count > 0) contacts->solved(tree, static_cast<int32_t>(s.sweeps[l]), s.residual[l]);
+  }
+  return true;
+}
+
+void TreeSteps::step(const ArticulationStepArguments& a, const Model& m,
+                     std::span<const int32_t> trees, const FeatherstoneOptions& options,
+                     TreeContacts* contacts) {
+  static thread_local Memory memory;
+  if (trees.size() < kFewest) {
+    for (const int32_t tree : trees) single(a, tree, options, contacts, memory);
+    return;
+  }
+  renew(m);
+  make_packs(trees, contacts);
+  for_chunks(
+      static_cast<int64_t>(packs_.size()), kPackChunk, [&](int64_t begin, int64_t end, int64_t) {
+        for (int64_t p = begin; p < end; ++p) {
+          const Pack& pack = packs_[static_cast<size_t>(p)];
+          if (pack.group >= 0 && pack.count >= static_cast<int32_t>(kFewest) &&
+              lanes(a, m, pack, options, contacts, memory))
+            continue;
+          for (int32_t i = 0; i < pack.count; ++i)
+            single(a, sorted_[static_cast<size_t>(pack.begin + i)], options, contacts, memory);
+        }
+      });
+}
+
+}  // namespace novaphy

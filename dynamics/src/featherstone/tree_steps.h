@@ -1,0 +1,87 @@
+// Steps of the articulations that touch nothing but the world, one by one or, of those alike (as
+// replicate makes them), several at once with a lane each (lane_step.h). A tree gets the same bits
+// either way, and for any number of threads.
+#pragma once
+
+#include <cstdint>
+#include <span>
+#include <vector>
+
+#include "articulation_kernels.h"
+#include "lane_step.h"
+#include "novaphy/core/array_stamp.h"
+#include "novaphy/core/sim/index_rows.h"
+#include "novaphy/dynamics/articulation/tree_contacts.h"
+#include "novaphy/dynamics/featherstone/articulations.h"
+#include "novaphy/dynamics/featherstone/solver_featherstone.h"
+
+namespace novaphy {
+
+// Contacts of a tree, at most, that TreeSteps takes.
+inline constexpr int32_t kMostTreeContacts = 32;
+// The contacts of trees with the world, for TreeSteps.
+class TreeContacts {
+ public:
+  virtual int32_t count(int64_t tree) const = 0;
+  // Of the tree's contact i: the numbers of TreeContact, `stride` apart; the result is its link.
+  virtual int32_t fill(int64_t tree, int32_t i, float* numbers, int32_t stride) = 0;
+  // Its impulses along n, t1, t2, `stride` apart.
+  virtual void take(int64_t tree, int32_t i, const float* impulses, int32_t stride) = 0;
+  virtual void solved(int64_t tree, int32_t sweeps, float residual) = 0;
+
+ protected:
+  ~TreeContacts() = default;
+};
+
+class TreeSteps {
+ public:
+  TreeSteps(const Model& model, const Articulations& articulations);
+
+  // A step of the trees, ascending; `status` gets a row for each of them. One that fails leaves its
+  // rows of the new state as they are. `contacts` null: none. Does not write qdd and branch.
+  void step(const ArticulationStepArguments& step, const Model& model,
+            std::span<const int32_t> trees, const FeatherstoneOptions& options,
+            TreeContacts* contacts);
+
+ private:
+  struct alignas(64) Line {
+    float numbers[16];
+  };
+  struct Group {  // of trees alike
+    articulation::TreeShape shape = {};
+    std::vector<articulation::Link> links = {};
+    std::vector<int32_t> target_mode = {};
+    bool same = false;                 // all trees have the same constants
+    std::vector<Line> lines = {};      // constants: {packs or 1, numbers, lanes}
+    std::vector<int32_t> packed = {};  // the trees of the packs, where constants differ
+  };
+  struct FirstRows {
+    int32_t coord = 0, body = 0, joint = 0, group = -1;  // group -1: no lanes
+  };
+  struct Pack {
+    int32_t group = 0, begin = 0, count = 0;  // of sorted_
+    int32_t contacts = 0;                     // the most of one
+  };
+  struct Memory;
+
+  void find_groups(const Model& model);
+  void renew(const Model& model);
+  void make_packs(std::span<const int32_t> trees, const TreeContacts* contacts);
+  void constants_of(const Model& model, int32_t tree, float* to, int32_t stride) const;
+  void single(const ArticulationStepArguments& step, int64_t tree,
+              const FeatherstoneOptions& options, TreeContacts* contacts, Memory& memory);
+  bool lanes(const ArticulationStepArguments& step, const Model& model, const Pack& pack,
+             const FeatherstoneOptions& options, TreeContacts* contacts, Memory& memory) const;
+
+  const articulation::LaneLevel& level_ = articulation::lane_level();
+  const Articulations& articulations_;
+  const ArticulationRows* trees_;
+  std::vector<FirstRows> first_;  // of each tree
+  std::vector<Group> groups_;
+  std::vector<ArrayStamp> stamps_;
+  std::vector<int32_t> sorted_, counts_, keys_;
+  IndexRows order_;
+  std::vector<Pack> packs_;
+};
+
+}  // namespace novaphy

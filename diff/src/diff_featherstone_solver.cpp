@@ -48,7 +48,14 @@ void DiffFeatherstoneSolver::step(SimState& state_in, SimState& state_out, const
 void DiffFeatherstoneSolver::rollout(Trajectory& trajectory, const Control* control,
                                      const Contacts* contacts, float dt,
                                      const RolloutOptions& options) {
-  DiffSolverBase::rollout(trajectory, control, contacts, dt, options);
+  join_ = trajectory.checkpoint_interval() == 1;
+  try {
+    DiffSolverBase::rollout(trajectory, control, contacts, dt, options);
+    step_.flush();
+  } catch (...) {
+    step_.forget();
+    throw;
+  }
   if (!nova::current_capture()) step_.check(*model(), kRollout);
 }
 
@@ -76,7 +83,7 @@ bool DiffFeatherstoneSolver::begin_rollout(const RolloutInputs& inputs) {
 void DiffFeatherstoneSolver::record_step(const SimState& in, SimState& out,
                                          const StepInputs& inputs, StepScratch scratch) {
   step_.record(*model(), in, out, inputs.control, inputs.contacts, inputs.tables != nullptr,
-               inputs.body_forces, inputs.dt, scratch);
+               inputs.body_forces, inputs.dt, scratch, join_);
 }
 
 }  // namespace novaphy::diff

@@ -18,9 +18,9 @@ void check(const CustomOp& op) {
   require(static_cast<bool>(op.vjp), ErrorKind::Value,
           "record_custom, backward: expected a function");
   require(!op.outputs.empty(), ErrorKind::Value, "record_custom, outputs: expected at least one");
-  require(op.inputs.size() + op.reads.size() <= 64 && op.outputs.size() <= 32, ErrorKind::Value,
-          "record_custom: expected at most 64 inputs and 32 outputs, got ",
-          op.inputs.size() + op.reads.size(), " and ", op.outputs.size());
+  require(op.inputs.size() <= 64 && op.outputs.size() <= 32, ErrorKind::Value,
+          "record_custom: expected at most 64 inputs and 32 outputs, got ", op.inputs.size(),
+          " and ", op.outputs.size());
   for (const auto* list : {&op.inputs, &op.outputs})
     for (const Tensor& tensor : *list)
       require(tensor.defined() && tensor.dtype() == DType::F32, ErrorKind::Type,
@@ -117,6 +117,9 @@ void Tape::record_custom(CustomOp op) {
             "', reads: it carries a gradient, which would stop here; make it an input");
     values.push_back(&value);
   }
+  require(op.inputs.size() + values.size() <= 64, ErrorKind::Value, "record_custom '", op.name,
+          "': expected at most 64 inputs and other values that it reads, got ",
+          op.inputs.size() + values.size());
   Impl::Op record;
   record.constant = !recorded;
   record.group = t.in_group ? static_cast<int32_t>(t.groups.size()) - 1 : -1;

@@ -92,9 +92,8 @@ Dynamics<T> evaluate(const std::string& name, size_t row) {
   articulation::solve(tree, ws.matrix, d.qdd.data());
   derivatives(store, ws, qd, d.qdd, d.dqdd_dq, d.dqdd_dqd);
   d.inverse.resize(n * n);
-  std::vector<T> column(n);
   articulation::forward_dynamics_derivatives(tree, ws.matrix, d.dqdd_dq.data(), d.dqdd_dqd.data(),
-                                             d.inverse.data(), column.data());
+                                             d.inverse.data());
   return d;
 }
 

@@ -76,6 +76,46 @@ def test_the_rollout_has_the_exact_gradient(
 
 
 @diff
+def test_losses_of_any_state_pull_through_the_steps_of_one_operation() -> None:
+    from novaphy import nova
+    from novaphy.diff import (
+        Trajectory,
+        model_joint_damping_tensor,
+        state_body_q_tensor,
+        state_joint_q_tensor,
+        state_joint_qd_tensor,
+    )
+
+    def run(checkpoint: int | None) -> tuple[np.ndarray, ...]:
+        model = arm(damping=0.3, target_ke=4.0, target_kd=0.2).finalize(requires_grad=True)
+        damping = model_joint_damping_tensor(model, requires_grad=True)
+        solver = novaphy.solvers.DiffFeatherstoneSolver(model)
+        trajectory = Trajectory(model, 27, checkpoint=checkpoint)
+        with nova.Tape() as tape:
+            solver.rollout(trajectory, None, None, 0.01)
+            terms = [
+                state_joint_q_tensor(trajectory[9]),
+                state_joint_qd_tensor(trajectory[18]),
+                state_body_q_tensor(trajectory[27]),
+            ]
+            loss = nova.sum(terms[0]) + nova.sum(terms[1]) + nova.sum(terms[2] * terms[2])
+        if checkpoint is None:  # tangents are those of the gradient
+            start = state_joint_q_tensor(trajectory[0])
+            direction = nova.tensor(np.array([0.3, -0.7], np.float32))
+            (along,) = tape.jvp([loss], [start], [direction])
+        tape.backward(loss)
+        gradients = (trajectory[0].joint_q.grad, trajectory[0].joint_qd.grad, damping.grad)
+        if checkpoint is None:
+            expected = float(gradients[0].numpy() @ np.array([0.3, -0.7]))
+            assert along.item() == pytest.approx(expected, rel=1e-5)
+        return tuple(g.numpy().copy() for g in gradients)
+
+    for together, single in zip(run(None), run(9), strict=True):
+        assert np.abs(single).min() > 1e-3
+        np.testing.assert_allclose(together, single, rtol=1e-5)
+
+
+@diff
 def test_step_by_step_is_the_rollout() -> None:
     from novaphy import nova
     from novaphy.diff import Trajectory, planar_2r_tip_loss, state_joint_q_tensor

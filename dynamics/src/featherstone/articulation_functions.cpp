@@ -14,6 +14,26 @@ namespace {
 using articulation::Tree;
 using articulation::Workspace;
 
+// The algorithms with all that they call inlined.
+[[gnu::flatten]] void kinematics(const Tree<float>& tree, const float* q, Workspace<float>& ws) {
+  articulation::kinematics(tree, q, ws);
+  articulation::clear_wrenches(tree, ws);
+}
+[[gnu::flatten]] void inverse_dynamics(const Tree<float>& tree, const float* qd, const float* qdd,
+                                       Workspace<float>& ws, float* tau) {
+  articulation::inverse_dynamics(tree, qd, qdd, ws, tau);
+}
+[[gnu::flatten]] void mass_matrix(const Tree<float>& tree, Workspace<float>& ws) {
+  articulation::mass_matrix(tree, ws);
+}
+[[gnu::flatten]] void inverse_dynamics_derivatives(const Tree<float>& tree, const float* qd,
+                                                   const float* qdd, Workspace<float>& ws,
+                                                   articulation::DerivativeWorkspace<float>& memory,
+                                                   float* dq, float* dqd) {
+  articulation::composite_inertias(tree, ws);
+  articulation::inverse_dynamics_derivatives(tree, qd, qdd, ws, memory, dq, dqd);
+}
+
 // Memory of one articulation, and a row of the failed dofs.
 struct Place {
   std::vector<uint64_t> memory;
@@ -63,8 +83,7 @@ class Evaluation {
       for (int64_t i = begin; i < end; ++i) {
         const Tree<float> tree = articulations_.tree(model_, i);
         Place place(tree);
-        articulation::kinematics(tree, q_, place.ws);
-        articulation::clear_wrenches(tree, place.ws);
+        kinematics(tree, q_, place.ws);
         body(i, tree, place.ws);
       }
     });
@@ -75,7 +94,7 @@ class Evaluation {
   }
   // M, factored; false: it is singular.
   bool factored(int64_t i, const Tree<float>& tree, Workspace<float>& ws) {
-    articulation::mass_matrix(tree, ws);
+    mass_matrix(tree, ws);
     for (int64_t k = 0; k < tree.dof_count; ++k)
       ws.matrix[k * tree.dof_count + k] += armature(tree)[k];
     const int32_t dof = articulation::factor(tree, ws.matrix);
@@ -111,7 +130,7 @@ void store_symmetric(const Tree<float>& tree, const float* lower, const float* a
 // qdd = M^-1 (tau - bias), and M's factor in the workspace.
 bool accelerations(Evaluation& e, int64_t i, const Tree<float>& tree, Workspace<float>& ws,
                    const float* tau) {
-  articulation::inverse_dynamics<float>(tree, e.qd(tree), nullptr, ws, ws.bias);
+  inverse_dynamics(tree, e.qd(tree), nullptr, ws, ws.bias);
   for (int32_t k = 0; k < tree.dof_count; ++k) ws.qdd[k] = tau[k] - ws.bias[k];
   if (!e.factored(i, tree, ws)) return false;
   articulation::solve(tree, ws.matrix, ws.qdd);
@@ -127,9 +146,8 @@ struct Derivatives {
     std::vector<articulation::DofMotion<float>> motions(n);
     std::vector<articulation::MotionBias<float>> biases(static_cast<size_t>(tree.link_count));
     articulation::DerivativeWorkspace<float> memory{motions.data(), biases.data()};
-    articulation::inverse_dynamics(tree, qd, qdd, ws, ws.bias);
-    articulation::composite_inertias(tree, ws);
-    articulation::inverse_dynamics_derivatives(tree, qd, qdd, ws, memory, dq.data(), dqd.data());
+    inverse_dynamics(tree, qd, qdd, ws, ws.bias);
+    inverse_dynamics_derivatives(tree, qd, qdd, ws, memory, dq.data(), dqd.data());
   }
 };
 
@@ -143,7 +161,7 @@ std::vector<float> eval_inverse_dynamics(const Model& model, const SimState& sta
   e.run([&](int64_t, const Tree<float>& tree, Workspace<float>& ws) {
     const float* const a = qdd.data() + tree.first_dof;
     float* const t = tau.data() + tree.first_dof;
-    articulation::inverse_dynamics(tree, e.qd(tree), a, ws, t);
+    inverse_dynamics(tree, e.qd(tree), a, ws, t);
     for (int32_t k = 0; k < tree.dof_count; ++k) t[k] += e.armature(tree)[k] * a[k];
   });
   return tau;
@@ -153,8 +171,7 @@ std::vector<float> eval_bias(const Model& model, const SimState& state) {
   Evaluation e(model, state, "eval_bias");
   std::vector<float> bias(static_cast<size_t>(model.joint_dof_count()));
   e.run([&](int64_t, const Tree<float>& tree, Workspace<float>& ws) {
-    articulation::inverse_dynamics<float>(tree, e.qd(tree), nullptr, ws,
-                                          bias.data() + tree.first_dof);
+    inverse_dynamics(tree, e.qd(tree), nullptr, ws, bias.data() + tree.first_dof);
   });
   return bias;
 }
@@ -176,7 +193,7 @@ ArticulationMatrices eval_mass_matrix(const Model& model, const SimState& state,
   Evaluation e(model, state, "eval_mass_matrix");
   ArticulationMatrices h = e.matrices(e.max_dofs(), e.max_dofs());
   e.run([&](int64_t i, const Tree<float>& tree, Workspace<float>& ws) {
-    articulation::mass_matrix(tree, ws);
+    mass_matrix(tree, ws);
     store_symmetric(tree, ws.matrix, include_armature ? e.armature(tree) : nullptr, h, i);
   });
   return h;
@@ -216,7 +233,7 @@ InverseDynamicsDerivatives eval_inverse_dynamics_derivatives(const Model& model,
     const Derivatives d(tree, e.qd(tree), qdd.data() + tree.first_dof, ws);
     store(d.dq.data(), tree.dof_count, all.dtau_dq, i);
     store(d.dqd.data(), tree.dof_count, all.dtau_dqd, i);
-    articulation::mass_matrix(tree, ws);
+    mass_matrix(tree, ws);
     store_symmetric(tree, ws.matrix, e.armature(tree), all.mass_matrix, i);
   });
   return all;
@@ -234,7 +251,7 @@ ForwardDynamicsDerivatives eval_forward_dynamics_derivatives(const Model& model,
     Derivatives d(tree, e.qd(tree), ws.qdd, ws);
     std::vector<float> inverse(d.dq.size());
     articulation::forward_dynamics_derivatives(tree, ws.matrix, d.dq.data(), d.dqd.data(),
-                                               inverse.data(), ws.rhs);
+                                               inverse.data());
     store(d.dq.data(), tree.dof_count, all.dqdd_dq, i);
     store(d.dqd.data(), tree.dof_count, all.dqdd_dqd, i);
     store(inverse.data(), tree.dof_count, all.inverse_mass_matrix, i);

@@ -9,6 +9,7 @@
 #include "articulation_step.h"
 #include "novaphy/core/device_kernel.h"
 #include "novaphy/core/error.h"
+#include "novaphy/core/sim/for_chunks.h"
 #include "novaphy/nova/op_list.h"
 #include "novaphy/nova/tape.h"
 #include "pgs_contacts.h"
@@ -17,6 +18,7 @@ namespace novaphy::diff {
 namespace {
 
 using nova::Tensor;
+constexpr int64_t kTreeChunk = 8;
 constexpr int32_t kLeastSweeps = 1000;  // at most, where impulses are differentiated
 using G = articulation::StepGradient<float>;
 
@@ -71,6 +73,7 @@ struct ArticulationStep::Shared {
   std::unique_ptr<PgsContacts> pgs;  // made by the first step with contacts
   ContactBranches branches;
   UnreadMaterials materials;
+  std::vector<float> between;  // gradients of states between the steps of an operation
 };
 
 namespace {
@@ -140,8 +143,17 @@ struct FoundRows {
   DeviceArray<float> margin0, margin1;
 };
 
-// One step's arrays: handles, and what they are for the tape.
-struct Step {
+}  // namespace
+
+namespace {
+// What a step gives: q, qd, body_q, body_qd, and for its adjoint qdd and branch.
+using StepOutputs = std::array<Tensor, 6>;
+constexpr size_t kMostSteps = 8;  // of an operation: a tape takes 32 outputs
+}  // namespace
+
+// The arrays of a step, and of those behind it that are one operation with it: handles, and what
+// they are for the tape.
+struct ArticulationStep::Step {
   std::shared_ptr<ArticulationStep::Shared> shared;
   std::shared_ptr<const Model> model;
   Tensor contacts = {};                   // KeptContacts; undefined without
@@ -156,9 +168,15 @@ struct Step {
   int64_t count = 0, stride = 0;
   DeviceArray<int32_t> status;
   DeviceArray<float> workspace;
+  ArticulationArguments host = {};          // of the first step, where others follow
+  std::vector<StepOutputs> following = {};  // each starts where the one before ended
 
   const Tensor& in(G::Member member) const { return inputs[member].tensor; }
 };
+
+namespace {
+
+using Step = ArticulationStep::Step;
 
 // The words of ArticulationArguments.
 void add_arguments(const Step& s, std::vector<LaunchArgument>& words) {
@@ -221,6 +239,108 @@ void run_forward(const Step& s) {
   step_kernel().launch(Device::cpu(), s.count, words);
 }
 
+float* numbers(const Tensor& tensor) {
+  return tensor.defined() ? static_cast<float*>(tensor.range()->data()) : nullptr;
+}
+// What the first step of an operation reads and does, on the host.
+ArticulationArguments host_arguments(const Step& s) {
+  std::vector<LaunchArgument> words;
+  add_arguments(s, words);
+  return to_arguments<ArticulationArguments>(words);
+}
+// The kernels with all that they call inlined.
+[[gnu::flatten]] void step_row(const ArticulationStepArguments& a, int64_t row, int64_t count) {
+  articulation_step_row(a, row, count);
+}
+[[gnu::flatten]] void step_vjp_row(const ArticulationStepVjpArguments& a, int64_t row,
+                                   int64_t count) {
+  articulation_step_vjp_row(a, row, count);
+}
+// The step behind all others, into `to`.
+void run_following(const Step& s, const StepOutputs& from, const StepOutputs& to) {
+  ArticulationStepArguments a = {s.host,
+                                 numbers(to[0]),
+                                 numbers(to[1]),
+                                 reinterpret_cast<Transformf*>(numbers(to[2])),
+                                 reinterpret_cast<SpatialVectorf*>(numbers(to[3])),
+                                 numbers(to[4]),
+                                 numbers(to[5]),
+                                 const_cast<int32_t*>(s.status.data()),
+                                 const_cast<float*>(s.workspace.data()),
+                                 s.stride};
+  a.in.q = numbers(from[0]);
+  a.in.qd = numbers(from[1]);
+  for_chunks(s.count, kTreeChunk, [&](int64_t begin, int64_t end, int64_t) {
+    for (int64_t i = begin; i < end; ++i) step_row(a, i, s.count);
+  });
+  for (const Tensor& tensor : to) tensor.range()->mark_written();
+}
+StepOutputs outputs_of(const Step& s) {
+  StepOutputs first;
+  for (size_t i = 0; i < first.size(); ++i) first[i] = s.outputs[i].tensor;
+  return first;
+}
+void run_all(const Step& s) {
+  run_forward(s);
+  StepOutputs from = outputs_of(s);
+  for (const StepOutputs& to : s.following) {
+    run_following(s, from, to);
+    from = to;
+  }
+}
+
+// The adjoint of some steps, from the last on. The gradients of the states between them stay here.
+void run_vjp_of_steps(const Step& s, std::span<const Tensor> outputs,
+                      std::span<const nova::InputGradient> gradients) {
+  require(!nova::current_capture(), ErrorKind::NotImplemented,
+          "articulation_step: backward inside a ScopedCapture of a rollout outside of it is not "
+          "there");
+  ArticulationStepVjpArguments a = {
+      s.host,  nullptr, nullptr, nullptr, nullptr, {}, {}, const_cast<float*>(s.workspace.data()),
+      s.stride};
+  float** const members = reinterpret_cast<float**>(&a.gradient);
+  int32_t add = 0;
+  for (size_t i = 0; i < G::kMembers; ++i) {
+    members[i] = numbers(gradients[i].grad);
+    if (gradients[i].add) add |= int32_t{1} << i;
+  }
+  constexpr int32_t kState = 1 << G::kQ | 1 << G::kQd;
+  float *const q_first = a.gradient.q, *const qd_first = a.gradient.qd;
+  std::vector<float>& between = s.shared->between;
+  const auto nq = static_cast<size_t>(s.in(G::kQ).size());
+  const auto nv = static_cast<size_t>(s.in(G::kQd).size());
+  between.resize(2 * (nq + nv));
+  for (size_t i = s.following.size() + 1; i-- > 0;) {
+    const bool last = i == s.following.size(), first = i == 0;
+    const auto array = [&](size_t step, size_t k) {
+      return step == 0 ? s.outputs[k].tensor : s.following[step - 1][k];
+    };
+    float* const to = between.data() + (i % 2) * (nq + nv);
+    const float* const carried = between.data() + ((i + 1) % 2) * (nq + nv);
+    a.in.q = numbers(first ? s.in(G::kQ) : array(i - 1, 0));
+    a.in.qd = numbers(first ? s.in(G::kQd) : array(i - 1, 1));
+    a.q_next = numbers(array(i, 0));
+    a.qd_next = numbers(array(i, 1));
+    a.qdd = numbers(array(i, 4));
+    a.branch = numbers(array(i, 5));
+    const Tensor* const mine = outputs.data() + 4 * i;
+    a.out = {last ? numbers(mine[0]) : carried, last ? numbers(mine[1]) : carried + nq,
+             reinterpret_cast<const Transformf*>(numbers(mine[2])),
+             reinterpret_cast<const SpatialVectorf*>(numbers(mine[3]))};
+    a.gradient.q = first ? q_first : to;
+    a.gradient.qd = first ? qd_first : to + nq;
+    a.gradient.add = first ? add : add & ~kState;
+    for_chunks(s.count, kTreeChunk, [&](int64_t begin, int64_t end, int64_t) {
+      for (int64_t k = begin; k < end; ++k) step_vjp_row(a, k, s.count);
+    });
+    add |= ~kState;
+    if (first) continue;
+    const float *const of_q = numbers(mine[-4]), *const of_qd = numbers(mine[-3]);
+    for (size_t k = 0; of_q != nullptr && k < nq; ++k) to[k] += of_q[k];
+    for (size_t k = 0; of_qd != nullptr && k < nv; ++k) to[nq + k] += of_qd[k];
+  }
+}
+
 void run_vjp(const Step& s, std::span<const Tensor> outputs,
              std::span<const nova::InputGradient> gradients) {
   const nova::NoGrad no_grad;
@@ -275,7 +395,8 @@ void write_tangent(const Tensor& to, const articulation::Dual<float>* values) {
   for (int64_t i = 0; i < to.size(); ++i) t[i] = values[i].tangent;
 }
 
-void run_jvp(const Step& s, std::span<const Tensor> t, std::span<const Tensor> tangents) {
+void run_jvp(const Step& s, const StepOutputs* from, const StepOutputs& to,
+             std::span<const Tensor> t, std::span<const Tensor> tangents) {
   require(!prepare_contacts(s), ErrorKind::NotImplemented,
           "articulation_step: forward derivatives of a step with contacts are not there; use "
           "backward");
@@ -284,8 +405,8 @@ void run_jvp(const Step& s, std::span<const Tensor> t, std::span<const Tensor> t
   const auto in = [&](G::Member m) { return duals.take<D>(s.in(m), t[m]); };
   const auto* target_mode = s.values[7].tensor.data<int32_t>();
   const articulation::StepInputs<D> inputs = {
-      in(G::kQ),
-      in(G::kQd),
+      duals.take<D>(from ? (*from)[0] : s.in(G::kQ), t[G::kQ]),
+      duals.take<D>(from ? (*from)[1] : s.in(G::kQd), t[G::kQd]),
       in(G::kJointF),
       duals.take<SpatialVector<D>>(s.in(G::kBodyF), t[G::kBodyF]),
       {target_mode, in(G::kTargetQ), in(G::kTargetQd), in(G::kTargetKe), in(G::kTargetKd),
@@ -298,10 +419,10 @@ void run_jvp(const Step& s, std::span<const Tensor> t, std::span<const Tensor> t
   tree.mass = in(G::kMass);
   tree.com = duals.take<Vec3<D>>(s.in(G::kCom), t[G::kCom]);
   tree.inertia = duals.take<Mat33<D>>(s.in(G::kInertia), t[G::kInertia]);
-  D* const q = duals.make<D>(s.outputs[0].tensor);
-  D* const qd = duals.make<D>(s.outputs[1].tensor);
-  auto* const body_q = duals.make<Transform<D>>(s.outputs[2].tensor);
-  auto* const body_qd = duals.make<SpatialVector<D>>(s.outputs[3].tensor);
+  D* const q = duals.make<D>(to[0]);
+  D* const qd = duals.make<D>(to[1]);
+  auto* const body_q = duals.make<Transform<D>>(to[2]);
+  auto* const body_qd = duals.make<SpatialVector<D>>(to[3]);
   const articulation::StepOptions<D> options = {D(s.dt), D(s.options.angular_damping),
                                                 s.options.implicit_drives};
   const auto* rows = reinterpret_cast<const ArticulationRows*>(s.values[0].tensor.data<int32_t>());
@@ -327,7 +448,25 @@ void run_jvp(const Step& s, std::span<const Tensor> t, std::span<const Tensor> t
   write_tangent(tangents[1], qd);
   write_tangent(tangents[2], &body_q->p.x);
   write_tangent(tangents[3], &body_qd->linear.x);
-  for (const size_t i : {4, 5})
+}
+
+void run_jvp_of_steps(const Step& s, std::span<const Tensor> t, std::span<const Tensor> tangents) {
+  std::vector<Tensor> inputs(t.begin(), t.end());
+  StepOutputs from = outputs_of(s);
+  for (size_t i = 0; i <= s.following.size(); ++i) {
+    const StepOutputs to = i == 0 ? from : s.following[i - 1];
+    std::array<Tensor, 4> out;
+    for (size_t k = 0; k < out.size(); ++k) {
+      out[k] = tangents[4 * i + k];
+      if (k < 2 && !out[k].defined())
+        out[k] = Tensor(to[k].shape(), nova::DType::F32, Device::cpu());
+    }
+    run_jvp(s, i == 0 ? nullptr : &from, to, inputs, out);
+    inputs[G::kQ] = out[0];
+    inputs[G::kQd] = out[1];
+    from = to;
+  }
+  for (size_t i = 4 * (s.following.size() + 1); i < tangents.size(); ++i)
     if (tangents[i].defined()) nova::submit_fill(tangents[i].range(), 0.0f);
 }
 
@@ -345,10 +484,16 @@ void write_forces(const KeptContacts& kept, const Contacts& contacts, float dt) 
 nova::CustomOp make_op(const std::shared_ptr<const Step>& step) {
   nova::CustomOp op{.name = "articulation_step", .inputs = {}, .outputs = {}, .vjp = nullptr};
   for (const Named& in : step->inputs) op.inputs.push_back(in.tensor);
-  for (const Named& out : step->outputs) op.outputs.push_back(out.tensor);
   op.reads = op.inputs;
   for (const Named& value : step->values) op.reads.push_back(value.tensor);
-  for (const size_t i : {0, 1, 4, 5}) op.reads.push_back(step->outputs[i].tensor);
+  // Of a single step, which may be run again from a checkpoint, qdd and branch are outputs too.
+  const bool single = step->following.empty();
+  const auto add_step = [&](const StepOutputs& out) {
+    op.outputs.insert(op.outputs.end(), out.begin(), out.begin() + (single ? 6 : 4));
+    for (const size_t i : {0, 1, 4, 5}) op.reads.push_back(out[i]);
+  };
+  add_step(outputs_of(*step));
+  for (const StepOutputs& out : step->following) add_step(out);
   if (step->contact_max > 0) {
     op.reads.push_back(step->contacts);
     for (const Tensor& material : step->materials) op.reads.push_back(material);
@@ -357,11 +502,14 @@ nova::CustomOp make_op(const std::shared_ptr<const Step>& step) {
   op.writes.push_back(tensor_of(step->status));
   if (step->stride > 0) op.writes.push_back(tensor_of(step->workspace));
   op.vjp = [step](std::span<const Tensor> outputs, std::span<const nova::InputGradient> inputs) {
-    run_vjp(*step, outputs, inputs);
+    if (step->following.empty())
+      run_vjp(*step, outputs, inputs);
+    else
+      run_vjp_of_steps(*step, outputs, inputs);
   };
-  op.forward = [step] { run_forward(*step); };
+  op.forward = [step] { run_all(*step); };
   op.jvp = [step](std::span<const Tensor> inputs, std::span<const Tensor> outputs) {
-    run_jvp(*step, inputs, outputs);
+    run_jvp_of_steps(*step, inputs, outputs);
   };
   return op;
 }
@@ -400,7 +548,10 @@ void ArticulationStep::begin(const Model& model, const Control* control, const c
 
 void ArticulationStep::record(const Model& m, const SimState& in, SimState& out,
                               const Control* control, const Contacts* contacts, bool found,
-                              const nova::Operand& body_f, float dt, StepScratch scratch) {
+                              const nova::Operand& body_f, float dt, StepScratch scratch,
+                              bool join) {
+  if (join && pending_ && joins(m, in, out, control, body_f, dt, scratch)) return;
+  flush();
   const auto view = [](const char* name, const Array& array) {
     return Named{name, tensor_of(array)};
   };
@@ -458,8 +609,44 @@ void ArticulationStep::record(const Model& m, const SimState& in, SimState& out,
     shared_->pgs->add_branches(shared_->branches, shared_->options);
     write_forces(kept_contacts(*step), *contacts, dt);
   }
+  if (nova::Tape::active() == nullptr) return;
+  pending_ = std::move(step);
+  if (!join || touching || nova::current_capture()) return flush();
+  pending_->host = host_arguments(*pending_);
+}
+
+// Whether the step is one operation with those that wait to be recorded; then it has run.
+bool ArticulationStep::joins(const Model& m, const SimState& in, SimState& out,
+                             const Control* control, const nova::Operand& body_f, float dt,
+                             StepScratch scratch) {
+  Step& first = *pending_;
+  const auto& joint_f = control ? control->joint_f : m.joint_f;
+  const auto& target_q = control ? control->joint_target_q : m.joint_target_q;
+  const auto& target_qd = control ? control->joint_target_qd : m.joint_target_qd;
+  const auto same = [&](G::Member member, const std::shared_ptr<Range>& range) {
+    return first.in(member).range()->data() == range->data();
+  };
+  const StepOutputs from = first.following.empty() ? outputs_of(first) : first.following.back();
+  if (first.following.size() + 1 == kMostSteps || first.dt != dt ||
+      from[0].range()->data() != in.joint_q.range()->data() ||
+      from[1].range()->data() != in.joint_qd.range()->data() ||
+      !same(G::kJointF, joint_f.range()) || !same(G::kTargetQ, target_q.range()) ||
+      !same(G::kTargetQd, target_qd.range()) || !same(G::kBodyF, body_f.range))
+    return false;
+  const StepOutputs to = {tensor_of(out.joint_q), tensor_of(out.joint_qd), tensor_of(out.body_q),
+                          tensor_of(out.body_qd), tensor_of(scratch[0]),   tensor_of(scratch[1])};
+  run_following(first, from, to);
+  first.following.push_back(to);
+  return true;
+}
+
+void ArticulationStep::flush() {
+  if (!pending_) return;
+  const std::shared_ptr<const Step> step = std::move(pending_);
+  pending_ = nullptr;
   if (nova::Tape* tape = nova::Tape::active()) tape->record_custom(make_op(step));
 }
+void ArticulationStep::forget() { pending_ = nullptr; }
 
 const ContactBranches& ArticulationStep::branches() const { return shared_->branches; }
 void ArticulationStep::clear_branches() { shared_->branches = {}; }

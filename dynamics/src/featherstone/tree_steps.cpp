@@ -268,6 +268,31 @@ void TreeSteps::make_packs(std::span<const int32_t> trees, const TreeContacts* c
   }
 }
 
+namespace {
+
+// The algorithms with all that they call inlined.
+[[gnu::flatten]] int32_t accelerate(const art::Tree<float>& tree, const art::StepInputs<float>& in,
+                                    const art::StepOptions<float>& how, art::Workspace<float>& ws) {
+  return art::accelerate(tree, in, how, ws);
+}
+[[gnu::flatten]] void finish(const art::Tree<float>& tree, const art::StepInputs<float>& in,
+                             const art::StepOptions<float>& how, art::Workspace<float>& ws,
+                             const ArticulationStepArguments& a) {
+  art::finish_step(tree, in, how, ws, a.q_next, a.qd_next, a.body_q, a.body_qd);
+}
+[[gnu::flatten]] art::TreeContactResult<float> solve(const art::Tree<float>& tree,
+                                                     const art::Workspace<float>& ws,
+                                                     const FeatherstoneOptions& options, float dt,
+                                                     const art::TreeContact<float>* contacts,
+                                                     const art::TreeContactLink<float>* links,
+                                                     int32_t count, const float* qd,
+                                                     const art::TreeContactMemory<float>& m) {
+  return art::solve_tree_contacts(tree, ws, contact_law(options, dt), options.pgs_iterations,
+                                  options.pgs_tolerance, contacts, links, count, qd, m, ws.qd_next);
+}
+
+}  // namespace
+
 // A tree alone.
 void TreeSteps::single(const ArticulationStepArguments& a, int64_t tree_row,
                        const FeatherstoneOptions& options, TreeContacts* contacts, Memory& memory) {
@@ -282,7 +307,7 @@ void TreeSteps::single(const ArticulationStepArguments& a, int64_t tree_row,
   auto* at = static_cast<unsigned char*>(
       memory.aligned(bytes + inputs + art::tree_contact_bytes<float>(count, rows.dof_count) + 64));
   art::Workspace<float> ws = art::make_workspace<float>(at, rows.link_count, rows.dof_count);
-  int32_t failed = art::accelerate(tree, in, how, ws);
+  int32_t failed = accelerate(tree, in, how, ws);
   if (failed < 0) {
     art::free_rates(tree, in, how, ws);
     if (count > 0) {
@@ -295,9 +320,8 @@ void TreeSteps::single(const ArticulationStepArguments& a, int64_t tree_row,
         const art::LinkState<float>& s = ws.links[link];
         links[i] = {s.q, s.p, s.origin};
       }
-      const art::TreeContactResult<float> result = art::solve_tree_contacts(
-          tree, ws, contact_law(options, how.dt), options.pgs_iterations, options.pgs_tolerance,
-          found, links, count, in.qd + rows.first_dof, m, ws.qd_next);
+      const art::TreeContactResult<float> result =
+          solve(tree, ws, options, how.dt, found, links, count, in.qd + rows.first_dof, m);
       for (int32_t k = 0; failed < 0 && k < rows.dof_count; ++k)
         if (!art::is_finite(ws.qd_next[k])) failed = k;
       for (int32_t i = 0; i < count; ++i) contacts->take(tree_row, i, m.rows[i].impulse, 1);
@@ -307,7 +331,7 @@ void TreeSteps::single(const ArticulationStepArguments& a, int64_t tree_row,
   a.status[tree_row] = failed < 0 ? 0 : 1 + failed + rows.first_dof;
   if (failed >= 0) return;
   art::clamp_rates(tree, in, ws);
-  art::finish_step(tree, in, how, ws, a.q_next, a.qd_next, a.body_q, a.body_qd);
+  finish(tree, in, how, ws, a);
 }
 
 // Several alike; false: one of them fails, and nothing is written.

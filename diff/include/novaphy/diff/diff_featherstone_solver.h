@@ -46,6 +46,7 @@ class NOVAPHY_DIFF_API DiffFeatherstoneSolver : public DiffSolverBase {
  private:
   FeatherstoneOptions options_;
   ArticulationStep step_;
+  bool join_ = false;             // steps of the rollout become operations together
   int32_t rollout_contacts_ = 0;  // at most, in a step of the rollout that has begun
 };
 

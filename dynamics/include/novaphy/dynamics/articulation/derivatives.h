@@ -164,25 +164,41 @@ void inverse_dynamics_derivatives(const Tree<T>& tree, const T* qd, const T* qdd
   }
 }
 
-// From those of inverse dynamics at the accelerations qdd = M^-1 (tau - ID(q, qd, 0)), and the
-// factor of M: d qdd / d q and d qdd / d qd in place of them, and M^-1 = d qdd / d tau. `column`:
-// n numbers.
+// X of M X = B, {dofs, dofs} row-major, in place, by the factor of M; solve (factor.h) of all its
+// columns.
 template <class T>
-void forward_dynamics_derivatives(const Tree<T>& tree, const T* factored, T* dq, T* dqd, T* inverse,
-                                  T* column) {
+void solve_columns(const Tree<T>& tree, const T* m, T* x) {
   const int64_t n = tree.dof_count;
-  const auto solve_column = [&](T* m, int64_t k, const T& sign) {
-    for (int64_t r = 0; r < n; ++r) column[r] = sign * m[r * n + k];
-    solve(tree, factored, column);
-    for (int64_t r = 0; r < n; ++r) m[r * n + k] = column[r];
+  const auto subtract = [&](int64_t to, int64_t from, const T& l) {
+    T* const y = x + to * n;
+    const T* const z = x + from * n;
+    for (int64_t c = 0; c < n; ++c) y[c] = y[c] - l * z[c];
   };
-  for (int64_t i = 0; i < n * n; ++i) inverse[i] = T(0.0f);
-  for (int64_t k = 0; k < n; ++k) {
-    inverse[k * n + k] = T(1.0f);
-    solve_column(inverse, k, T(1.0f));
-    solve_column(dq, k, T(-1.0f));
-    solve_column(dqd, k, T(-1.0f));
+  for (int32_t k = tree.dof_count; k-- > 0;)
+    for (int32_t j = tree.dof_parent[k]; j >= 0; j = tree.dof_parent[j])
+      subtract(j, k, m[k * n + j]);
+  for (int32_t k = 0; k < tree.dof_count; ++k) {
+    for (int64_t c = 0; c < n; ++c) x[k * n + c] = x[k * n + c] / m[k * n + k];
+    for (int32_t j = tree.dof_parent[k]; j >= 0; j = tree.dof_parent[j])
+      subtract(k, j, m[k * n + j]);
   }
+}
+
+// From those of inverse dynamics at the accelerations qdd = M^-1 (tau - ID(q, qd, 0)), and the
+// factor of M: d qdd / d q and d qdd / d qd in place of them, and M^-1 = d qdd / d tau.
+template <class T>
+void forward_dynamics_derivatives(const Tree<T>& tree, const T* factored, T* dq, T* dqd,
+                                  T* inverse) {
+  const int64_t n = tree.dof_count;
+  for (int64_t i = 0; i < n * n; ++i) {
+    inverse[i] = T(0.0f);
+    dq[i] = -dq[i];
+    dqd[i] = -dqd[i];
+  }
+  for (int64_t k = 0; k < n; ++k) inverse[k * n + k] = T(1.0f);
+  solve_columns(tree, factored, inverse);
+  solve_columns(tree, factored, dq);
+  solve_columns(tree, factored, dqd);
 }
 
 }  // namespace novaphy::articulation

@@ -45,9 +45,13 @@ class NOVAPHY_DYNAMICS_API ArticulationStep {
   // Submits a step, recorded on an active tape. `body_f` {b, 6}: the wrenches on the bodies;
   // `scratch` as the specs say: what the adjoint reads. `found`: the contacts are others whenever
   // the step runs; else those of now.
+  // `join`: steps without contacts that follow each other become one operation, some at a time;
+  // flush, behind the last of them, records it. forget: instead of that.
   void record(const Model& model, const SimState& in, SimState& out, const Control* control,
               const Contacts* contacts, bool found, const nova::Operand& body_f, float dt,
-              StepScratch scratch);
+              StepScratch scratch, bool join = false);
+  void flush();
+  void forget();
   // Of all steps with contacts since the last clear.
   const ContactBranches& branches() const;
   void clear_branches();
@@ -55,8 +59,13 @@ class NOVAPHY_DYNAMICS_API ArticulationStep {
   void check(const Model& model, const char* function) const;
 
   struct Shared;
+  struct Step;
 
  private:
+  bool joins(const Model& model, const SimState& in, SimState& out, const Control* control,
+             const nova::Operand& body_f, float dt, StepScratch scratch);
+
+  std::shared_ptr<Step> pending_;
   std::shared_ptr<Shared> shared_;
 };
 

@@ -286,7 +286,7 @@ def test_functions_name_wrong_sizes() -> None:
         novaphy.eval_inverse_dynamics(model, model.state(), [1.0])
 
 
-def walker() -> novaphy.Model:
+def walker_builder() -> novaphy.ModelBuilder:
     """Build a free body with a ball, a hinge with a drive, and a D6 on it."""
     b = novaphy.ModelBuilder()
     inertia = np.diag([0.02, 0.03, 0.04])
@@ -319,7 +319,12 @@ def walker() -> novaphy.Model:
     ]
     b.add_articulation(joints)
     b.joint_qd = [0.3, -0.2, 0.1, 1.0, -0.5, 0.7, 0.4, -0.8, 0.6, 1.5, 0.2, -0.9]
-    return b.finalize(requires_grad=True)
+    return b
+
+
+def walker() -> novaphy.Model:
+    """Its model, with gradients."""
+    return walker_builder().finalize(requires_grad=True)
 
 
 def walk(model: novaphy.Model, steps: int = 20) -> tuple:
@@ -380,6 +385,42 @@ def test_gradients_of_the_model_equal_central_differences(name: str, step: float
         worst = max(worst, abs((ends[0] - ends[1]) / (2.0 * step) - gradient[k]))
     assert scale > 0.0
     assert worst < 1e-2 * scale
+
+
+@diff
+def test_gradients_of_worlds_in_lanes_are_those_of_the_worlds_alone() -> None:
+    from novaphy import diff, nova
+
+    worlds, steps = 19, 11
+    arrays = ("joint_damping", "joint_target_ke", "joint_limit_ke", "body_mass", "body_inertia")
+    rng = np.random.default_rng(3)
+    start = np.array(walker_builder().joint_qd) + rng.normal(0, 1.0, (worlds, 12))
+
+    def run(first: int, count: int) -> dict[str, np.ndarray]:
+        builder = novaphy.ModelBuilder()
+        builder.replicate(walker_builder(), count)
+        model = builder.finalize(requires_grad=True)
+        for name in arrays:
+            getattr(model, name).requires_grad = True
+        solver = novaphy.solvers.DiffFeatherstoneSolver(model)
+        trajectory = diff.Trajectory(model, steps)
+        now = trajectory[0]
+        now.joint_qd.assign(start[first : first + count].ravel().astype(np.float32))
+        with nova.Tape() as tape:
+            solver.rollout(trajectory, model.control(), None, 0.01)
+            loss = nova.sum(diff.state_body_q_tensor(trajectory[steps]))
+            loss = loss + nova.sum(diff.state_joint_qd_tensor(trajectory[5]))
+        tape.backward(loss)
+        found = {name: getattr(model, name).grad.numpy() for name in arrays}
+        found |= {"q": now.joint_q.grad.numpy(), "qd": now.joint_qd.grad.numpy()}
+        found |= {"end": trajectory[steps].body_qd.numpy()}
+        return {k: v.reshape(count, -1) for k, v in found.items()}
+
+    together = run(0, worlds)
+    for world in range(worlds):
+        for name, alone in run(world, 1).items():
+            np.testing.assert_array_equal(together[name][world], alone[0], err_msg=name)
+    assert all(np.abs(v).max() > 0.0 for v in together.values())
 
 
 @diff

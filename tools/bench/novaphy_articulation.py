@@ -151,9 +151,32 @@ def replicated(builder: novaphy.ModelBuilder, worlds: int) -> novaphy.Model:
     return many.finalize()
 
 
-def time_arms(worlds: int, steps: int) -> float:
+def chain(joints: int) -> novaphy.ModelBuilder:
+    """So many links on hinges, one upon the other."""
+    builder = novaphy.ModelBuilder()
+    parent, made = -1, []
+    for k in range(joints):
+        link = builder.add_link(mass=1.0, inertia=np.diag((0.02, 0.02, 0.01)), lock_inertia=True)
+        axis = (0.0, 1.0, 0.0) if k % 2 else (1.0, 0.0, 0.0)
+        made.append(
+            builder.add_joint_revolute(
+                parent,
+                link,
+                axis=axis,
+                parent_xform=((0, 0, -0.2), UPRIGHT),
+                target_ke=100.0,
+                target_kd=10.0,
+                armature=0.01,
+            )
+        )
+        parent = link
+    builder.add_articulation(made)
+    return builder
+
+
+def time_steps(builder: novaphy.ModelBuilder, worlds: int, steps: int) -> float:
     """A step of one world."""
-    model = replicated(arm(), worlds)
+    model = replicated(builder, worlds)
     solver = novaphy.solvers.SolverFeatherstone(model)
     state, after = model.state(), model.state()
 
@@ -165,18 +188,67 @@ def time_arms(worlds: int, steps: int) -> float:
     return fastest(run, steps * worlds)
 
 
-def time_arm_gradient(steps: int = 500) -> float:
-    """A step of a rollout and its adjoint."""
+def planar_arm() -> novaphy.ModelBuilder:
+    """The two-link arm."""
+    builder = novaphy.ModelBuilder()
+    inertia = np.diag((0.0025, 1 / 48, 1 / 48))
+    parent, made = -1, []
+    for x in (0.0, 0.25):
+        link = builder.add_link(mass=1.0, inertia=inertia, lock_inertia=True)
+        made.append(
+            builder.add_joint_revolute(
+                parent,
+                link,
+                axis=(0.0, 1.0, 0.0),
+                parent_xform=((x, 0, 0), UPRIGHT),
+                child_xform=((-0.25, 0, 0), UPRIGHT),
+            )
+        )
+        parent = link
+    builder.add_articulation(made)
+    builder.joint_q, builder.joint_qd = [0.4, -0.6], [1.0, -0.5]
+    return builder
+
+
+def time_gradient(builder: novaphy.ModelBuilder, steps: int, worlds: int = 1) -> float:
+    """A step of a rollout and its adjoint, per world."""
     from novaphy import nova
     from novaphy.diff import Trajectory, state_joint_q_tensor
 
-    model = arm().finalize(requires_grad=True)
+    many = builder
+    if worlds > 1:
+        many = novaphy.ModelBuilder()
+        many.replicate(builder, worlds, (3.0, 0.0, 0.0))
+    model = many.finalize(requires_grad=True)
     solver = novaphy.solvers.DiffFeatherstoneSolver(model)
     trajectory = Trajectory(model, steps)
 
     def run() -> None:
         with nova.Tape() as tape:
             solver.rollout(trajectory, None, None, DT)
+            loss = nova.sum(state_joint_q_tensor(trajectory[steps]))
+        tape.backward(loss)
+
+    return fastest(run, steps * worlds)
+
+
+def time_ant_gradient(steps: int = 100) -> float:
+    """A step of a standing Ant, contacts found, and its adjoint through them."""
+    from novaphy import nova
+    from novaphy.diff import Trajectory, state_joint_q_tensor
+
+    ants = Ants(1)
+    model = demo_articulated_scenes.build_ant().finalize(requires_grad=True)
+    solver = novaphy.solvers.DiffFeatherstoneSolver(model, pgs_slop=0.0, pgs_erp=1.0)
+    pipeline = novaphy.CollisionPipeline(model)
+    trajectory = Trajectory(model, steps)
+    trajectory[0].joint_q.assign(ants.state.joint_q.numpy())
+    trajectory[0].joint_qd.assign(ants.state.joint_qd.numpy())
+    novaphy.eval_fk(model, trajectory[0].joint_q, trajectory[0].joint_qd, trajectory[0])
+
+    def run() -> None:
+        with nova.Tape() as tape:
+            solver.rollout(trajectory, None, None, DT, pipeline=pipeline)
             loss = nova.sum(state_joint_q_tensor(trajectory[steps]))
         tape.backward(loss)
 
@@ -198,6 +270,14 @@ class Ants:
         self.contact_count = 0.0
         self.worlds = worlds
         self.run(800)
+        self.landed = [x.numpy().copy() for x in (self.state.joint_q, self.state.joint_qd)]
+
+    def turn(self, steps: int) -> None:
+        """Step from where they have landed."""
+        self.state.joint_q.assign(self.landed[0])
+        self.state.joint_qd.assign(self.landed[1])
+        novaphy.eval_fk(self.model, self.state.joint_q, self.state.joint_qd, self.state)
+        self.run(steps)
 
     def run(self, steps: int) -> None:
         """Step, with other torques every 50."""
@@ -337,20 +417,24 @@ def measure() -> list[tuple[str, float, str, float | None]]:
     mujoco_fr3 = time_mujoco(mujoco_arm(), False, 20_000) if has_mujoco else None
     mujoco = time_mujoco(mujoco_ant(), True, 5_000) if has_mujoco else None
     rows = [
-        ("FR3, a step, one world, from Python", time_arms(1, 20_000), "MuJoCo", mujoco_fr3),
-        ("FR3, a step per world, 1,024 worlds", time_arms(1024, 60), "MuJoCo", mujoco_fr3),
+        ("FR3, a step, one world, from Python", time_steps(arm(), 1, 20_000), "MuJoCo", mujoco_fr3),
+        ("FR3, a step per world, 1,024 worlds", time_steps(arm(), 1024, 60), "MuJoCo", mujoco_fr3),
     ]
     if novaphy.has_diff():
-        rows.append(
-            ("FR3, a step of a rollout and its exact adjoint", time_arm_gradient(), "", None)
-        )
+        gradient = "a step of a rollout and its exact adjoint"
+        rows += [
+            (f"FR3, {gradient}", time_gradient(arm(), 500), "", None),
+            (f"FR3, {gradient}, per world, 256 worlds", time_gradient(arm(), 20, 256), "", None),
+            (f"two-link arm, {gradient} (576 steps)", time_gradient(planar_arm(), 576), "", None),
+            (f"Ant, collide and {gradient}", time_ant_gradient(), "", None),
+        ]
     for name, (ours, theirs) in time_functions().items():
         rows.append((f"FR3, {name}, from Python", ours, "Pinocchio", theirs))
-    for worlds, steps in ((1, 5_000), (256, 100)):
+    for worlds, steps in ((1, 400), (256, 100)):
         ants = Ants(worlds)
         count = f"{ants.contact_count:.1f} contacts"
         many = "one world, from Python" if worlds == 1 else f"per world, {worlds} worlds"
-        both = fastest(lambda a=ants, n=steps: a.run(n), steps * worlds)
+        both = fastest(lambda a=ants, n=steps: a.turn(n), steps * worlds)
         rows.append((f"Ant, collide and a step, {many}, {count}", both, "MuJoCo", mujoco))
 
         def search(ants: Ants = ants, steps: int = steps) -> None:
@@ -360,6 +444,41 @@ def measure() -> list[tuple[str, float, str, float | None]]:
         found = fastest(search, steps * worlds)
         rows.append((f"of these, the search for contacts, {many}", found, "", None))
     return rows
+
+
+def lanes() -> str:
+    """The instruction set that this process takes."""
+    chosen = os.environ.get("NOVAPHY_CPU_ISA")
+    if chosen:
+        return chosen
+    flags = Path("/proc/cpuinfo").read_text().split()
+    return "AVX-512" if "avx512f" in flags else "AVX2" if "avx2" in flags else "4 floats"
+
+
+def curves() -> list[str]:
+    """The lines of the tables of costs over joints and worlds."""
+    lines = [
+        "",
+        "A step per world, µs, of chains of hinges with drives:",
+        "",
+        "| hinges | one world, from Python | 256 worlds |",
+        "|---|---|---|",
+    ]
+    for joints in (1, 2, 4, 8, 16, 32):
+        one = time_steps(chain(joints), 1, 4000)
+        many = time_steps(chain(joints), 256, 40)
+        lines.append(f"| {joints} | {one:.2f} | {many:.3f} |")
+    lines += [
+        "",
+        "And of the FR3, over the number of worlds:",
+        "",
+        "| worlds | µs per world and step | steps/s |",
+        "|---|---|---|",
+    ]
+    for worlds in (1, 4, 16, 64, 256, 1024, 4096):
+        each = time_steps(arm(), worlds, max(8, 16384 // worlds))
+        lines.append(f"| {worlds:,} | {each:.3f} | {1e6 / each:,.0f} |")
+    return lines
 
 
 def write_page(rows: list[tuple[str, float, str, float | None]]) -> None:
@@ -387,7 +506,8 @@ def write_page(rows: list[tuple[str, float, str, float | None]]) -> None:
         ),
         "NovaPhy computes in float32, MuJoCo and Pinocchio in float64. MuJoCo's steps are taken 50",
         "at a time; its contacts are soft and solved by Newton's method, ours by projected",
-        "Gauss-Seidel.",
+        "Gauss-Seidel. Worlds that are alike are stepped several at a time, in lanes: here "
+        f"{lanes()}.",
         "",
         "| what | NovaPhy, µs | peer, µs | steps/s |",
         "|---|---|---|---|",
@@ -395,6 +515,7 @@ def write_page(rows: list[tuple[str, float, str, float | None]]) -> None:
     for what, ours, peer, theirs in rows:
         other = f"{peer} {theirs:.2f}" if theirs is not None else ""
         lines.append(f"| {what} | {ours:.2f} | {other} | {1e6 / ours:,.0f} |")
+    lines += curves()
     (ROOT / "docs" / "performance-articulations.md").write_text("\n".join(lines) + "\n", "utf-8")
 
 

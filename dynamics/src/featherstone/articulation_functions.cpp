@@ -2,7 +2,10 @@
 
 #include <algorithm>
 #include <cmath>
+#include <iterator>
+#include <memory>
 
+#include "novaphy/core/array_stamp.h"
 #include "novaphy/core/error.h"
 #include "novaphy/core/sim/for_chunks.h"
 #include "novaphy/dynamics/articulation/derivatives.h"
@@ -34,21 +37,46 @@ using articulation::Workspace;
   articulation::inverse_dynamics_derivatives(tree, qd, qdd, ws, memory, dq, dqd);
 }
 
-// Memory of one articulation, and a row of the failed dofs.
+// Memory of one articulation at a time, which a thread keeps.
 struct Place {
-  std::vector<uint64_t> memory;
   Workspace<float> ws;
-  explicit Place(const Tree<float>& tree)
-      : memory(static_cast<size_t>(
-            articulation::workspace_bytes<float>(tree.link_count, tree.dof_count) / 8 + 1)),
-        ws(articulation::make_workspace<float>(memory.data(), tree.link_count, tree.dof_count)) {}
+  explicit Place(const Tree<float>& tree) {
+    static thread_local std::vector<uint64_t> memory;
+    const auto words = static_cast<size_t>(
+        articulation::workspace_bytes<float>(tree.link_count, tree.dof_count) / 8 + 1);
+    if (memory.size() < words) memory.resize(words);
+    ws = articulation::make_workspace<float>(memory.data(), tree.link_count, tree.dof_count);
+  }
 };
+
+// The trees of the model that this thread asked for last, while its joints are as they were.
+const Articulations& trees_of(const Model& m, const char* function) {
+  struct Last {
+    uint64_t model = 0;
+    std::vector<ArrayStamp> stamps = {};
+    std::unique_ptr<Articulations> trees = {};
+  };
+  static thread_local Last last;
+  const Array* const arrays[] = {&m.joint_type,       &m.joint_parent,       &m.joint_child,
+                                 &m.joint_q_start,    &m.joint_qd_start,     &m.joint_dof_dim,
+                                 &m.joint_world,      &m.joint_articulation, &m.articulation_start,
+                                 &m.articulation_end, &m.body_flags};
+  bool same = last.trees != nullptr && last.model == m.id();
+  for (size_t i = 0; same && i < std::size(arrays); ++i) same = last.stamps[i].matches(*arrays[i]);
+  if (same) return *last.trees;
+  last.trees = nullptr;
+  last.trees = std::make_unique<Articulations>(m, function);
+  last.model = m.id();
+  last.stamps.resize(std::size(arrays));
+  for (size_t i = 0; i < std::size(arrays); ++i) last.stamps[i].set(*arrays[i]);
+  return *last.trees;
+}
 
 // What a function reads.
 class Evaluation {
  public:
   Evaluation(const Model& m, const SimState& state, const char* function)
-      : model_(m), function_(function), articulations_(m, function) {
+      : model_(m), function_(function), articulations_(trees_of(m, function)) {
     const auto dofs = static_cast<size_t>(m.joint_dof_count());
     const auto coords = static_cast<size_t>(m.joint_coord_count());
     require(state.joint_q.rows() == coords && state.joint_qd.rows() == dofs, ErrorKind::Value,
@@ -105,7 +133,7 @@ class Evaluation {
  private:
   const Model& model_;
   const char* function_;
-  Articulations articulations_;
+  const Articulations& articulations_;
   const float *q_ = nullptr, *qd_ = nullptr;
   std::vector<int32_t> failed_;
 };
@@ -143,8 +171,10 @@ struct Derivatives {
     const auto n = static_cast<size_t>(tree.dof_count);
     dq.resize(n * n);
     dqd.resize(n * n);
-    std::vector<articulation::DofMotion<float>> motions(n);
-    std::vector<articulation::MotionBias<float>> biases(static_cast<size_t>(tree.link_count));
+    static thread_local std::vector<articulation::DofMotion<float>> motions;
+    static thread_local std::vector<articulation::MotionBias<float>> biases;
+    motions.resize(std::max(motions.size(), n));
+    biases.resize(std::max(biases.size(), static_cast<size_t>(tree.link_count)));
     articulation::DerivativeWorkspace<float> memory{motions.data(), biases.data()};
     inverse_dynamics(tree, qd, qdd, ws, ws.bias);
     inverse_dynamics_derivatives(tree, qd, qdd, ws, memory, dq.data(), dqd.data());

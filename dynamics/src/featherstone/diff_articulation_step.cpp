@@ -9,7 +9,6 @@
 #include "articulation_step.h"
 #include "novaphy/core/device_kernel.h"
 #include "novaphy/core/error.h"
-#include "novaphy/core/sim/for_chunks.h"
 #include "novaphy/nova/op_list.h"
 #include "novaphy/nova/tape.h"
 #include "pgs_contacts.h"
@@ -18,7 +17,6 @@ namespace novaphy::diff {
 namespace {
 
 using nova::Tensor;
-constexpr int64_t kTreeChunk = 8;
 constexpr int32_t kLeastSweeps = 1000;  // at most, where impulses are differentiated
 using G = articulation::StepGradient<float>;
 
@@ -59,14 +57,20 @@ struct Named {
 
 struct ArticulationStep::Shared {
   Shared(const Model& m, const FeatherstoneOptions& o, const char* user)
-      : options(o), articulations(m, user), materials(unread_materials(o.contact, user)) {
+      : options(o),
+        articulations(m, user),
+        trees(m, articulations),
+        materials(unread_materials(o.contact, user)) {
     const auto count = static_cast<size_t>(articulations.count());
+    for (size_t i = 0; i < count; ++i) all.push_back(static_cast<int32_t>(i));
     stride = step_workspace(articulations);
     status = DeviceArray<int32_t>(count, Device::cpu());
     workspace = DeviceArray<float>(count * static_cast<size_t>(stride), Device::cpu());
   }
   FeatherstoneOptions options;
   Articulations articulations;
+  TreeSteps trees;
+  std::vector<int32_t> all;  // articulations
   int64_t stride = 0;
   DeviceArray<int32_t> status;
   DeviceArray<float> workspace;
@@ -219,6 +223,40 @@ bool prepare_contacts(const Step& s) {
   return s.contact_max > 0 && s.shared->pgs->prepare(*s.model, kept_contacts(s).rows());
 }
 
+float* numbers(const Tensor& tensor) {
+  return tensor.defined() ? static_cast<float*>(tensor.range()->data()) : nullptr;
+}
+// What the first step of an operation reads and does, on the host.
+ArticulationArguments host_arguments(const Step& s) {
+  std::vector<LaunchArgument> words;
+  add_arguments(s, words);
+  return to_arguments<ArticulationArguments>(words);
+}
+// The step from the state `from`, or the first one's, into `to`.
+void run_host(const Step& s, const ArticulationArguments& in, const StepOutputs* from,
+              const StepOutputs& to) {
+  ArticulationStepArguments a = {in,
+                                 numbers(to[0]),
+                                 numbers(to[1]),
+                                 reinterpret_cast<Transformf*>(numbers(to[2])),
+                                 reinterpret_cast<SpatialVectorf*>(numbers(to[3])),
+                                 numbers(to[4]),
+                                 numbers(to[5]),
+                                 s.shared->status.mutable_data(),
+                                 nullptr,
+                                 0};
+  if (from != nullptr) {
+    a.in.q = numbers((*from)[0]);
+    a.in.qd = numbers((*from)[1]);
+  }
+  s.shared->trees.step(a, *s.model, s.shared->all, s.options, nullptr, true);
+  for (const Tensor& tensor : to) tensor.range()->mark_written();
+}
+StepOutputs outputs_of(const Step& s) {
+  StepOutputs first;
+  for (size_t i = 0; i < first.size(); ++i) first[i] = s.outputs[i].tensor;
+  return first;
+}
 void run_forward(const Step& s) {
   const nova::NoGrad no_grad;
   std::vector<LaunchArgument> words;
@@ -236,55 +274,19 @@ void run_forward(const Step& s) {
     s.shared->pgs->write_impulses(kept.impulses);
     return;
   }
+  if (!nova::current_capture()) {
+    std::vector<LaunchArgument> read;
+    add_arguments(s, read);
+    return run_host(s, to_arguments<ArticulationArguments>(read), nullptr, outputs_of(s));
+  }
   step_kernel().launch(Device::cpu(), s.count, words);
 }
 
-float* numbers(const Tensor& tensor) {
-  return tensor.defined() ? static_cast<float*>(tensor.range()->data()) : nullptr;
-}
-// What the first step of an operation reads and does, on the host.
-ArticulationArguments host_arguments(const Step& s) {
-  std::vector<LaunchArgument> words;
-  add_arguments(s, words);
-  return to_arguments<ArticulationArguments>(words);
-}
-// The kernels with all that they call inlined.
-[[gnu::flatten]] void step_row(const ArticulationStepArguments& a, int64_t row, int64_t count) {
-  articulation_step_row(a, row, count);
-}
-[[gnu::flatten]] void step_vjp_row(const ArticulationStepVjpArguments& a, int64_t row,
-                                   int64_t count) {
-  articulation_step_vjp_row(a, row, count);
-}
-// The step behind all others, into `to`.
-void run_following(const Step& s, const StepOutputs& from, const StepOutputs& to) {
-  ArticulationStepArguments a = {s.host,
-                                 numbers(to[0]),
-                                 numbers(to[1]),
-                                 reinterpret_cast<Transformf*>(numbers(to[2])),
-                                 reinterpret_cast<SpatialVectorf*>(numbers(to[3])),
-                                 numbers(to[4]),
-                                 numbers(to[5]),
-                                 const_cast<int32_t*>(s.status.data()),
-                                 const_cast<float*>(s.workspace.data()),
-                                 s.stride};
-  a.in.q = numbers(from[0]);
-  a.in.qd = numbers(from[1]);
-  for_chunks(s.count, kTreeChunk, [&](int64_t begin, int64_t end, int64_t) {
-    for (int64_t i = begin; i < end; ++i) step_row(a, i, s.count);
-  });
-  for (const Tensor& tensor : to) tensor.range()->mark_written();
-}
-StepOutputs outputs_of(const Step& s) {
-  StepOutputs first;
-  for (size_t i = 0; i < first.size(); ++i) first[i] = s.outputs[i].tensor;
-  return first;
-}
 void run_all(const Step& s) {
   run_forward(s);
   StepOutputs from = outputs_of(s);
   for (const StepOutputs& to : s.following) {
-    run_following(s, from, to);
+    run_host(s, s.host, &from, to);
     from = to;
   }
 }
@@ -330,9 +332,7 @@ void run_vjp_of_steps(const Step& s, std::span<const Tensor> outputs,
     a.gradient.q = first ? q_first : to;
     a.gradient.qd = first ? qd_first : to + nq;
     a.gradient.add = first ? add : add & ~kState;
-    for_chunks(s.count, kTreeChunk, [&](int64_t begin, int64_t end, int64_t) {
-      for (int64_t k = begin; k < end; ++k) step_vjp_row(a, k, s.count);
-    });
+    s.shared->trees.vjp(a, *s.model, s.shared->all);
     add |= ~kState;
     if (first) continue;
     const float *const of_q = numbers(mine[-4]), *const of_qd = numbers(mine[-3]);
@@ -364,6 +364,9 @@ void run_vjp(const Step& s, std::span<const Tensor> outputs,
                        kept.impulses, s.options);
     return;
   }
+  if (!nova::current_capture())
+    return s.shared->trees.vjp(to_arguments<ArticulationStepVjpArguments>(words), *s.model,
+                               s.shared->all);
   vjp_kernel().launch(Device::cpu(), s.count, words);
 }
 
@@ -635,7 +638,7 @@ bool ArticulationStep::joins(const Model& m, const SimState& in, SimState& out,
     return false;
   const StepOutputs to = {tensor_of(out.joint_q), tensor_of(out.joint_qd), tensor_of(out.body_q),
                           tensor_of(out.body_qd), tensor_of(scratch[0]),   tensor_of(scratch[1])};
-  run_following(first, from, to);
+  run_host(first, first.host, &from, to);
   first.following.push_back(to);
   return true;
 }

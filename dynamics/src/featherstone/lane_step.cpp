@@ -2,7 +2,7 @@
 #include "lane_step.h"
 
 #include "lanes.h"
-#include "novaphy/dynamics/articulation/step.h"
+#include "novaphy/dynamics/articulation/step_vjp.h"
 #include "novaphy/dynamics/articulation/tree_contacts.h"
 
 namespace novaphy::articulation::NOVAPHY_LEVEL {
@@ -63,6 +63,32 @@ void scatter(const Lanes* from, const int32_t* first, int32_t width, int32_t n, 
         __builtin_memcpy(to + static_cast<int64_t>(first[l + k]) * width + i, &r[k], sizeof(Row));
     }
   }
+}
+
+// Likewise, to what is there.
+void scatter_sum(const Lanes* from, const int32_t* first, int32_t width, int32_t n, int32_t used,
+                 float* to) {
+  const float* const in = reinterpret_cast<const float*>(from);
+  const int32_t whole = n / 4 * 4;
+  for (int32_t l = 0; l < used; l += 4) {
+    const int32_t lanes = used - l < 4 ? used - l : 4;
+    for (int32_t i = 0; i < whole; i += 4) {
+      Row r[4];
+      for (int32_t k = 0; k < 4; ++k)
+        __builtin_memcpy(&r[k], in + (i + k) * LANES + l, sizeof(Row));
+      transpose(r);
+      for (int32_t k = 0; k < lanes; ++k) {
+        float* const place = to + static_cast<int64_t>(first[l + k]) * width + i;
+        Row sum;
+        __builtin_memcpy(&sum, place, sizeof(Row));
+        sum = sum + r[k];
+        __builtin_memcpy(place, &sum, sizeof(Row));
+      }
+    }
+  }
+  for (int32_t i = whole; i < n; ++i)
+    for (int32_t l = 0; l < used; ++l)
+      to[static_cast<int64_t>(first[l]) * width + i] += in[i * LANES + l];
 }
 
 // Numbers besides the workspace and that of contacts.
@@ -205,6 +231,11 @@ bool run(const LaneStepArguments& a) {
     store(a.residual, result.residual);
   }
   clamp_rates(tree, in, ws);
+  if (a.qdd != nullptr) {
+    scatter(ws.qdd, a.dof, 1, s.dofs, a.used, a.qdd);
+    for (int32_t k = 0; k < s.dofs; ++k) ws.rhs[k] = to_number(ws.branch[k]);
+    scatter(ws.rhs, a.dof, 1, s.dofs, a.used, a.branch);
+  }
   finish_lanes(tree, in, options, ws, q_next, qd_next, reinterpret_cast<Transform<Lanes>*>(body_q),
                reinterpret_cast<SpatialVector<Lanes>*>(body_qd));
   scatter(q_next, a.coord, 1, s.coords, a.used, a.q_next);
@@ -222,9 +253,112 @@ bool step(const LaneStepArguments& a) {
   return done;
 }
 
+using G = StepGradient<Lanes>;
+static_assert(G::kMembers == LaneVjpArguments::kMembers);
+
+// Numbers of a tree's rows of a gradient, and the width of a row.
+struct GradientRows {
+  int32_t numbers, width;
+  const int32_t* first;
+};
+GradientRows gradient_rows(const LaneStepArguments& a, int32_t member) {
+  const TreeShape& s = a.shape;
+  switch (member) {
+    case G::kQ:
+    case G::kTargetQ:
+      return {s.coords, 1, a.coord};
+    case G::kBodyF:
+      return {6 * s.bodies, 6, a.body};
+    case G::kMass:
+      return {s.bodies, 1, a.body};
+    case G::kCom:
+      return {3 * s.bodies, 3, a.body};
+    case G::kInertia:
+      return {9 * s.bodies, 9, a.body};
+    default:
+      return {s.dofs, 1, a.dof};
+  }
+}
+
+int64_t vjp_memory(const TreeShape& s) {
+  const int64_t gradients = 2 * s.coords + 13 * s.dofs + 19 * s.bodies;
+  const int64_t more = 2 * s.coords + 4 * s.dofs + 13 * s.bodies;
+  return (state_numbers(s) + gradients + more) * static_cast<int64_t>(sizeof(Lanes)) +
+         workspace_bytes<Lanes>(s.links, s.dofs) + adjoint_bytes<Lanes>(s.links, s.dofs) + 192;
+}
+
+[[gnu::flatten]] void vjp_lanes(const Tree<Lanes>& tree, const StepInputs<Lanes>& in,
+                                const StepOptions<Lanes>& options, const Lanes* qdd,
+                                const Lanes* branch, const Lanes* q_next, const Lanes* qd_next,
+                                const StepOutputGradient<Lanes>& out, const G& g,
+                                Workspace<Lanes>& ws, AdjointMemory<Lanes>& memory) {
+  step_vjp_rates(tree, in, options, qdd, branch, q_next, qd_next, out, g, ws, memory);
+  step_vjp_dynamics(tree, in, options, ws);
+  step_vjp_solve(tree, options, ws, memory);
+  step_vjp_inputs(tree, in, options, g, ws, memory);
+}
+
+void run_vjp(const LaneVjpArguments& v) {
+  const LaneStepArguments& a = v.step;
+  const TreeShape& s = a.shape;
+  auto* next = static_cast<Lanes*>(a.memory);
+  const auto take = [&](const float* from, const int32_t* first, int32_t width, int32_t rows) {
+    if (from == nullptr) return static_cast<Lanes*>(nullptr);
+    Lanes* const mine = next;
+    next += static_cast<int64_t>(width) * rows;
+    gather(from, first, width, width * rows, mine);
+    return mine;
+  };
+  const auto dofs = [&](const float* from) { return take(from, a.dof, 1, s.dofs); };
+  const auto coords = [&](const float* from) { return take(from, a.coord, 1, s.coords); };
+  const auto* const constants = reinterpret_cast<const Lanes*>(a.constants);
+  const Tree<Lanes> tree = make_tree(s, constants);
+  const Lanes *const q = coords(a.q), *const qd = dofs(a.qd), *const joint_f = dofs(a.joint_f);
+  const Lanes* const body_f = take(a.body_f, a.body, 6, s.bodies);
+  StepInputs<Lanes> in = {q, qd, joint_f, reinterpret_cast<const SpatialVector<Lanes>*>(body_f),
+                          make_drives(s, constants)};
+  in.drives.target_q = coords(a.target_q);
+  in.drives.target_qd = dofs(a.target_qd);
+  const StepOptions<Lanes> options = {Lanes(a.dt), Lanes(a.angular_damping), a.implicit_drives};
+  const Lanes *const qdd = dofs(v.qdd), *const branch = dofs(v.branch);
+  const Lanes *const q_next = coords(v.q_next), *const qd_next = dofs(v.qd_next);
+  const Lanes *const out_q = coords(v.out_q), *const out_qd = dofs(v.out_qd);
+  const Lanes *const out_body_q = take(v.out_body_q, a.body, 7, s.bodies), *const out_body_qd =
+                                                                               take(v.out_body_qd,
+                                                                                    a.body, 6,
+                                                                                    s.bodies);
+  const StepOutputGradient<Lanes> out = {
+      out_q, out_qd, reinterpret_cast<const Transform<Lanes>*>(out_body_q),
+      reinterpret_cast<const SpatialVector<Lanes>*>(out_body_qd)};
+  Lanes* to[G::kMembers];
+  for (int32_t m = 0; m < G::kMembers; ++m) {
+    to[m] = v.gradient[m] == nullptr ? nullptr : next;
+    if (to[m] != nullptr) next += gradient_rows(a, m).numbers;
+  }
+  G g;
+  static_assert(sizeof(G) == (G::kMembers + 1) * sizeof(void*));
+  __builtin_memcpy(static_cast<void*>(&g), to, sizeof(to));
+  g.add = 0;
+  Workspace<Lanes> ws = make_workspace<Lanes>(next, s.links, s.dofs);
+  AdjointMemory<Lanes> memory = make_adjoint_memory<Lanes>(ws.branch + s.dofs, s.links, s.dofs);
+  vjp_lanes(tree, in, options, qdd, branch, q_next, qd_next, out, g, ws, memory);
+  for (int32_t m = 0; m < G::kMembers; ++m) {
+    if (to[m] == nullptr) continue;
+    const GradientRows rows = gradient_rows(a, m);
+    (v.add >> m & 1 ? scatter_sum : scatter)(to[m], rows.first, rows.width, rows.numbers, a.used,
+                                             v.gradient[m]);
+  }
+}
+void vjp(const LaneVjpArguments& v) {
+  run_vjp(v);
+#if defined(__AVX__)
+  _mm256_zeroupper();
+#endif
+}
+
 }  // namespace
 
 extern const LaneLevel kLevel;
-const LaneLevel kLevel = {NOVAPHY_LEVEL_NAME, LANES, memory, step};
+const LaneLevel kLevel = {NOVAPHY_LEVEL_NAME, LANES, memory, step, vjp_memory, vjp};
 
 }  // namespace novaphy::articulation::NOVAPHY_LEVEL

@@ -48,6 +48,7 @@ struct LaneStepArguments {
   const float *q = nullptr, *qd = nullptr, *joint_f = nullptr, *target_q = nullptr,
               *target_qd = nullptr, *body_f = nullptr;
   float *q_next = nullptr, *qd_next = nullptr, *body_q = nullptr, *body_qd = nullptr;
+  float *qdd = nullptr, *branch = nullptr;  // null: not asked for
   float dt = 0.0f, angular_damping = 0.0f;
   bool implicit_drives = true;
   // Contacts: the most of a lane; TreeContact of lanes, and the links {contacts, lanes}.
@@ -63,6 +64,17 @@ struct LaneStepArguments {
   void* memory = nullptr;                        // aligned to 64
 };
 
+// The adjoint of a step without contacts (articulation/step_vjp.h).
+struct LaneVjpArguments {
+  LaneStepArguments step = {};  // what it read; `memory`
+  const float *qdd = nullptr, *branch = nullptr, *q_next = nullptr, *qd_next = nullptr;
+  // Gradients of what it gave; null: zero.
+  const float *out_q = nullptr, *out_qd = nullptr, *out_body_q = nullptr, *out_body_qd = nullptr;
+  static constexpr int32_t kMembers = 19;  // of StepGradient
+  float* gradient[kMembers] = {};          // null: not asked for
+  int32_t add = 0;                         // bits: to what is there
+};
+
 struct LaneLevel {
   const char* name;
   int32_t lanes;
@@ -70,6 +82,8 @@ struct LaneLevel {
   // False: some lane's matrix is not positive definite or something is not finite; nothing is
   // written then.
   bool (*step)(const LaneStepArguments&);
+  int64_t (*vjp_memory)(const TreeShape&);
+  void (*vjp)(const LaneVjpArguments&);
 };
 // The best of this processor, or what NOVAPHY_CPU_ISA names.
 const LaneLevel& lane_level();

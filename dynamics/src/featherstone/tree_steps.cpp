@@ -291,11 +291,24 @@ namespace {
                                   options.pgs_tolerance, contacts, links, count, qd, m, ws.qd_next);
 }
 
+[[gnu::flatten]] void vjp_row(const ArticulationStepVjpArguments& a, int64_t row, int64_t count) {
+  articulation_step_vjp_row(a, row, count);
+}
+
 }  // namespace
+
+TreeSteps::Memory& TreeSteps::thread_memory() {
+  static thread_local Memory memory;
+  return memory;
+}
+bool TreeSteps::has_lanes(const Pack& pack) {
+  return pack.group >= 0 && pack.count >= static_cast<int32_t>(kFewest);
+}
 
 // A tree alone.
 void TreeSteps::single(const ArticulationStepArguments& a, int64_t tree_row,
-                       const FeatherstoneOptions& options, TreeContacts* contacts, Memory& memory) {
+                       const FeatherstoneOptions& options, TreeContacts* contacts, bool keep,
+                       Memory& memory) {
   const ArticulationRows& rows = trees_[tree_row];
   const art::Tree<float> tree = articulation_tree(a.in, rows);
   const art::StepInputs<float> in = articulation_inputs(a.in);
@@ -331,45 +344,38 @@ void TreeSteps::single(const ArticulationStepArguments& a, int64_t tree_row,
   a.status[tree_row] = failed < 0 ? 0 : 1 + failed + rows.first_dof;
   if (failed >= 0) return;
   art::clamp_rates(tree, in, ws);
+  for (int32_t k = 0; keep && k < rows.dof_count; ++k) {
+    a.qdd[rows.first_dof + k] = ws.qdd[k];
+    a.branch[rows.first_dof + k] = static_cast<float>(ws.branch[k]);
+  }
   finish(tree, in, how, ws, a);
 }
 
-// Several alike; false: one of them fails, and nothing is written.
-bool TreeSteps::lanes(const ArticulationStepArguments& a, const Model& m, const Pack& pack,
-                      const FeatherstoneOptions& options, TreeContacts* contacts,
-                      Memory& memory) const {
+constexpr int32_t kMostLanes = 16;
+struct TreeSteps::FirstOfLanes {
+  int32_t coord[kMostLanes], dof[kMostLanes], body[kMostLanes];
+};
+
+// What the lanes of a pack read. `constants`: memory for a pack that has none of its own.
+void TreeSteps::set_lanes(art::LaneStepArguments& s, const ArticulationArguments& in,
+                          const Model& m, const Pack& pack, FirstOfLanes& first,
+                          float* constants) const {
   const int32_t lanes = level_.lanes;
   const Group& group = groups_[static_cast<size_t>(pack.group)];
-  const art::TreeShape& shape = group.shape;
-  const int64_t numbers = shape.constant_begin[art::kTreeConstants];
+  const int64_t own = int64_t{group.shape.constant_begin[art::kTreeConstants]} * lanes;
   const int32_t* const trees = sorted_.data() + pack.begin;
   const auto tree_of = [&](int32_t lane) { return trees[std::min(lane, pack.count - 1)]; };
-
-  constexpr int64_t kContactNumbers = sizeof(art::TreeContact<float>) / sizeof(float);
-  constexpr int32_t kMostLanes = 16;
-  int32_t coord[kMostLanes], dof[kMostLanes], body[kMostLanes];
-  const int64_t state = level_.memory(shape, pack.contacts);
-  const int64_t found = pack.contacts * kContactNumbers * lanes, own = numbers * lanes;
-  auto* const bytes = static_cast<unsigned char*>(
-      memory.aligned(state + (found + own + (3 + 1) * pack.contacts * lanes + 2 * lanes + 64) * 4));
-  auto* const inputs = reinterpret_cast<float*>(bytes + (state + 63) / 64 * 64);
-  float* const constants = inputs + found;
-  float* const impulses = constants + own;
-  auto* const links = reinterpret_cast<int32_t*>(impulses + 3 * pack.contacts * lanes);
-  auto* const results = reinterpret_cast<float*>(links + pack.contacts * lanes);
-
-  art::LaneStepArguments s;
-  s.shape = shape;
+  s.shape = group.shape;
   s.used = pack.count;
   for (int32_t l = 0; l < lanes; ++l) {
-    const FirstRows& first = first_[static_cast<size_t>(tree_of(l))];
-    coord[l] = first.coord;
-    dof[l] = trees_[tree_of(l)].first_dof;
-    body[l] = first.body;
+    const FirstRows& rows = first_[static_cast<size_t>(tree_of(l))];
+    first.coord[l] = rows.coord;
+    first.dof[l] = trees_[tree_of(l)].first_dof;
+    first.body[l] = rows.body;
   }
-  s.coord = coord;
-  s.dof = dof;
-  s.body = body;
+  s.coord = first.coord;
+  s.dof = first.dof;
+  s.body = first.body;
   s.constants = group.lines[0].numbers;
   if (!group.same) {
     const auto at = std::lower_bound(group.packed.begin(), group.packed.end(), trees[0]);
@@ -382,20 +388,45 @@ bool TreeSteps::lanes(const ArticulationStepArguments& a, const Model& m, const 
       s.constants = constants;
     }
   }
-  const ArticulationArguments& in = a.in;
   s.q = in.q;
   s.qd = in.qd;
   s.joint_f = in.joint_f;
   s.target_q = in.target_q;
   s.target_qd = in.target_qd;
   s.body_f = &in.body_f->linear.x;
+  s.dt = in.dt.value;
+  s.angular_damping = in.angular_damping.value;
+  s.implicit_drives = in.implicit_drives != 0;
+}
+
+// Several alike; false: one of them fails, and nothing is written.
+bool TreeSteps::lanes(const ArticulationStepArguments& a, const Model& m, const Pack& pack,
+                      const FeatherstoneOptions& options, TreeContacts* contacts, bool keep,
+                      Memory& memory) const {
+  const int32_t lanes = level_.lanes;
+  const art::TreeShape& shape = groups_[static_cast<size_t>(pack.group)].shape;
+  const int32_t* const trees = sorted_.data() + pack.begin;
+  constexpr int64_t kContactNumbers = sizeof(art::TreeContact<float>) / sizeof(float);
+  const int64_t state = level_.memory(shape, pack.contacts);
+  const int64_t found = pack.contacts * kContactNumbers * lanes;
+  const int64_t own = int64_t{shape.constant_begin[art::kTreeConstants]} * lanes;
+  auto* const bytes = static_cast<unsigned char*>(
+      memory.aligned(state + (found + own + (3 + 1) * pack.contacts * lanes + 2 * lanes + 64) * 4));
+  auto* const inputs = reinterpret_cast<float*>(bytes + (state + 63) / 64 * 64);
+  float* const constants = inputs + found;
+  float* const impulses = constants + own;
+  auto* const links = reinterpret_cast<int32_t*>(impulses + 3 * pack.contacts * lanes);
+  auto* const results = reinterpret_cast<float*>(links + pack.contacts * lanes);
+
+  art::LaneStepArguments s;
+  FirstOfLanes first;
+  set_lanes(s, a.in, m, pack, first, constants);
+  s.qdd = keep ? a.qdd : nullptr;
+  s.branch = a.branch;
   s.q_next = a.q_next;
   s.qd_next = a.qd_next;
   s.body_q = &a.body_q->p.x;
   s.body_qd = &a.body_qd->linear.x;
-  s.dt = in.dt.value;
-  s.angular_damping = in.angular_damping.value;
-  s.implicit_drives = in.implicit_drives != 0;
   s.contact_count = pack.contacts;
   if (pack.contacts > 0) {
     std::fill_n(inputs, found, 0.0f);
@@ -438,25 +469,70 @@ bool TreeSteps::lanes(const ArticulationStepArguments& a, const Model& m, const 
 
 void TreeSteps::step(const ArticulationStepArguments& a, const Model& m,
                      std::span<const int32_t> trees, const FeatherstoneOptions& options,
-                     TreeContacts* contacts) {
-  static thread_local Memory memory;
+                     TreeContacts* contacts, bool keep) {
   if (trees.size() < kFewest) {
-    for (const int32_t tree : trees) single(a, tree, options, contacts, memory);
+    for (const int32_t tree : trees) single(a, tree, options, contacts, keep, thread_memory());
     return;
   }
   renew(m);
   make_packs(trees, contacts);
-  for_chunks(
-      static_cast<int64_t>(packs_.size()), kPackChunk, [&](int64_t begin, int64_t end, int64_t) {
-        for (int64_t p = begin; p < end; ++p) {
-          const Pack& pack = packs_[static_cast<size_t>(p)];
-          if (pack.group >= 0 && pack.count >= static_cast<int32_t>(kFewest) &&
-              lanes(a, m, pack, options, contacts, memory))
-            continue;
-          for (int32_t i = 0; i < pack.count; ++i)
-            single(a, sorted_[static_cast<size_t>(pack.begin + i)], options, contacts, memory);
-        }
-      });
+  for_chunks(static_cast<int64_t>(packs_.size()), kPackChunk,
+             [&](int64_t begin, int64_t end, int64_t) {
+               for (int64_t p = begin; p < end; ++p) {
+                 const Pack& pack = packs_[static_cast<size_t>(p)];
+                 if (has_lanes(pack) && lanes(a, m, pack, options, contacts, keep, thread_memory()))
+                   continue;
+                 for (int32_t i = 0; i < pack.count; ++i)
+                   single(a, sorted_[static_cast<size_t>(pack.begin + i)], options, contacts, keep,
+                          thread_memory());
+               }
+             });
+}
+
+void TreeSteps::vjp_lanes(const ArticulationStepVjpArguments& a, const Model& m, const Pack& pack,
+                          Memory& memory) const {
+  const art::TreeShape& shape = groups_[static_cast<size_t>(pack.group)].shape;
+  const int64_t own = int64_t{shape.constant_begin[art::kTreeConstants]} * level_.lanes * 4;
+  auto* const bytes =
+      static_cast<unsigned char*>(memory.aligned(own + 64 + level_.vjp_memory(shape)));
+  art::LaneVjpArguments v;
+  FirstOfLanes first;
+  set_lanes(v.step, a.in, m, pack, first, reinterpret_cast<float*>(bytes));
+  v.step.memory = bytes + (own + 63) / 64 * 64;
+  v.qdd = a.qdd;
+  v.branch = a.branch;
+  v.q_next = a.q_next;
+  v.qd_next = a.qd_next;
+  v.out_q = a.out.q;
+  v.out_qd = a.out.qd;
+  if (a.out.body_q != nullptr) v.out_body_q = &a.out.body_q->p.x;
+  if (a.out.body_qd != nullptr) v.out_body_qd = &a.out.body_qd->linear.x;
+  std::memcpy(static_cast<void*>(v.gradient), &a.gradient, sizeof(v.gradient));
+  v.add = a.gradient.add;
+  level_.vjp(v);
+}
+
+void TreeSteps::vjp(const ArticulationStepVjpArguments& a, const Model& m,
+                    std::span<const int32_t> trees) {
+  const auto count = static_cast<int64_t>(trees.size());
+  if (trees.size() < kFewest) {
+    for (const int32_t tree : trees) vjp_row(a, tree, count);
+    return;
+  }
+  renew(m);
+  make_packs(trees, nullptr);
+  for_chunks(static_cast<int64_t>(packs_.size()), kPackChunk,
+             [&](int64_t begin, int64_t end, int64_t) {
+               for (int64_t p = begin; p < end; ++p) {
+                 const Pack& pack = packs_[static_cast<size_t>(p)];
+                 if (has_lanes(pack)) {
+                   vjp_lanes(a, m, pack, thread_memory());
+                   continue;
+                 }
+                 for (int32_t i = 0; i < pack.count; ++i)
+                   vjp_row(a, sorted_[static_cast<size_t>(pack.begin + i)], count);
+               }
+             });
 }
 
 }  // namespace novaphy

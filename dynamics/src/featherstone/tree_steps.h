@@ -38,10 +38,13 @@ class TreeSteps {
   TreeSteps(const Model& model, const Articulations& articulations);
 
   // A step of the trees, ascending; `status` gets a row for each of them. One that fails leaves its
-  // rows of the new state as they are. `contacts` null: none. Does not write qdd and branch.
+  // rows of the new state as they are. `contacts` null: none. `keep`: writes qdd and branch too.
   void step(const ArticulationStepArguments& step, const Model& model,
             std::span<const int32_t> trees, const FeatherstoneOptions& options,
-            TreeContacts* contacts);
+            TreeContacts* contacts, bool keep = false);
+  // The adjoint of a step without contacts: what articulation_step_vjp does for the trees.
+  void vjp(const ArticulationStepVjpArguments& step, const Model& model,
+           std::span<const int32_t> trees);
 
  private:
   struct alignas(64) Line {
@@ -69,9 +72,18 @@ class TreeSteps {
   void make_packs(std::span<const int32_t> trees, const TreeContacts* contacts);
   void constants_of(const Model& model, int32_t tree, float* to, int32_t stride) const;
   void single(const ArticulationStepArguments& step, int64_t tree,
-              const FeatherstoneOptions& options, TreeContacts* contacts, Memory& memory);
+              const FeatherstoneOptions& options, TreeContacts* contacts, bool keep,
+              Memory& memory);
+  static Memory& thread_memory();
+  static bool has_lanes(const Pack& pack);
+  struct FirstOfLanes;
+  void set_lanes(articulation::LaneStepArguments& to, const ArticulationArguments& in,
+                 const Model& model, const Pack& pack, FirstOfLanes& first, float* constants) const;
+  void vjp_lanes(const ArticulationStepVjpArguments& step, const Model& model, const Pack& pack,
+                 Memory& memory) const;
   bool lanes(const ArticulationStepArguments& step, const Model& model, const Pack& pack,
-             const FeatherstoneOptions& options, TreeContacts* contacts, Memory& memory) const;
+             const FeatherstoneOptions& options, TreeContacts* contacts, bool keep,
+             Memory& memory) const;
 
   const articulation::LaneLevel& level_ = articulation::lane_level();
   const Articulations& articulations_;

@@ -19,6 +19,10 @@ using Branches = typename BranchesOf<T>::Type;
 inline bool has(int32_t branches, int32_t any_bit) { return (branches & any_bit) != 0; }
 inline int32_t with(int32_t branches, bool c, int32_t bit) { return c ? branches | bit : branches; }
 inline bool differ(int32_t a, int32_t b) { return a != b; }
+// From and to a number, which holds them exactly.
+inline int32_t to_branches(float x) { return static_cast<int32_t>(x); }
+inline int32_t to_branches(double x) { return static_cast<int32_t>(x); }
+inline float to_number(int32_t branches) { return static_cast<float>(branches); }
 
 using math::both;
 using math::either;

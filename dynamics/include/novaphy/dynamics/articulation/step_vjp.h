@@ -139,42 +139,47 @@ void integrate_coordinates_vjp(const Tree<T>& tree, const T* qd, const T& dt, T*
 // The gradients of a dof's drive, limits and damping, and what they give to q and qd.
 template <class T>
 void drive_gradient(const Link& link, int32_t dof_of_link, const StepInputs<T>& in,
-                    const StepOptions<T>& options, int32_t branch, const T& qdd, const T& lambda,
-                    T& q_gradient, T& qd_gradient, const StepGradient<T>& g) {
+                    const StepOptions<T>& options, const Branches<T>& branch, const T& qdd,
+                    const T& lambda, T& q_gradient, T& qd_gradient, const StepGradient<T>& g) {
   using G = StepGradient<T>;
   const Drives<T>& d = in.drives;
-  const int32_t row = link.dof + dof_of_link;
+  const int32_t row = link.dof + dof_of_link, mode = d.target_mode[row];
   const T o = T(0.0f), v = in.qd[row], dt = options.implicit_drives ? options.dt : o;
-  const bool one = has_one_dof(link), inside = one && (branch & kOutside) == 0;
-  const bool clamped = (branch & kEffortClamped) != 0;
-  const bool drives = inside && !clamped;
-  const bool limits = one && !inside && (branch & kLimitReleased) == 0;
-  const T q = one ? in.q[link.coord] : o;
-  const DriveLaw<T> law =
-      drives || limits ? drive_law(d, row, link.coord, branch) : DriveLaw<T>{o, o, o, o};
-  const T damping = one || link.joint == LinkJoint::Ball ? d.damping[row] : o;
+  const bool one = has_one_dof(link), damps = one || link.joint == LinkJoint::Ball;
+  const auto outside = has(branch, kOutside), clamped = has(branch, kEffortClamped);
+  const auto drives = negate(either(outside, clamped));
+  const auto limits = both(outside, negate(has(branch, kLimitReleased)));
+  const auto acts = either(drives, limits);
+  DriveLaw<T> law{o, o, o, o};
+  if (one) {
+    law = drive_law(d, row, link.coord, branch);
+    law = {select(acts, law.stiffness, o), select(acts, law.target, o), select(acts, law.rate, o),
+           select(acts, law.target_rate, o)};
+  }
+  const T q = one ? in.q[link.coord] : o, damping = damps ? d.damping[row] : o;
   const T v_end = v + dt * qdd, q_end = q + dt * v_end;
   q_gradient = q_gradient - law.stiffness * lambda;
   qd_gradient = qd_gradient - ((law.rate + damping) + dt * law.stiffness) * lambda;
-  const bool position = drives && has_position_drive(d.target_mode[row]);
-  const bool velocity = drives && has_velocity_drive(d.target_mode[row]);
+  const bool position = one && has_position_drive(mode), velocity = one && has_velocity_drive(mode);
   const T by_stiffness = (law.target - q_end) * lambda,
           by_rate = (law.target_rate - v_end) * lambda;
-  if (one) put(g, g.target_q, G::kTargetQ, link.coord, position ? law.stiffness * lambda : o);
-  put(g, g.target_qd, G::kTargetQd, row,
-      velocity && d.target_mode[row] != 1 ? law.rate * lambda : o);
-  put(g, g.target_ke, G::kTargetKe, row, position ? by_stiffness : o);
-  put(g, g.target_kd, G::kTargetKd, row, velocity ? by_rate : o);
-  const bool damps = one || link.joint == LinkJoint::Ball;
+  const auto of = [&](bool there, const auto& mask, const T& x) {
+    return there ? select(mask, x, o) : o;
+  };
+  if (one)
+    put(g, g.target_q, G::kTargetQ, link.coord, of(position, drives, law.stiffness * lambda));
+  put(g, g.target_qd, G::kTargetQd, row, of(velocity && mode != 1, drives, law.rate * lambda));
+  put(g, g.target_ke, G::kTargetKe, row, of(position, drives, by_stiffness));
+  put(g, g.target_kd, G::kTargetKd, row, of(velocity, drives, by_rate));
   put(g, g.damping, G::kDamping, row, damps ? -(v_end * lambda) : o);
   put(g, g.armature, G::kArmature, row, -(lambda * qdd));
-  const T by_limit = limits ? law.stiffness * lambda : o;
-  put(g, g.limit_lower, G::kLimitLower, row, branch & kBelowLimit ? by_limit : o);
-  put(g, g.limit_upper, G::kLimitUpper, row, branch & kAboveLimit ? by_limit : o);
-  put(g, g.limit_ke, G::kLimitKe, row, limits ? by_stiffness : o);
-  put(g, g.limit_kd, G::kLimitKd, row, limits ? by_rate : o);
-  put(g, g.effort_limit, G::kEffortLimit, row,
-      inside && clamped ? (branch & kEffortAtUpper ? lambda : -lambda) : o);
+  const T by_limit = of(one, limits, law.stiffness * lambda);
+  put(g, g.limit_lower, G::kLimitLower, row, of(one, has(branch, kBelowLimit), by_limit));
+  put(g, g.limit_upper, G::kLimitUpper, row, of(one, has(branch, kAboveLimit), by_limit));
+  put(g, g.limit_ke, G::kLimitKe, row, of(one, limits, by_stiffness));
+  put(g, g.limit_kd, G::kLimitKd, row, of(one, limits, by_rate));
+  const T by_effort = select(has(branch, kEffortAtUpper), lambda, -lambda);
+  put(g, g.effort_limit, G::kEffortLimit, row, of(one, both(negate(outside), clamped), by_effort));
 }
 
 template <class T>
@@ -234,16 +239,16 @@ void step_vjp_rates(const Tree<T>& tree, const StepInputs<T>& in, const StepOpti
 
   // Of the coordinates' update and the velocity clamp.
   for (int32_t k = 0; k < n; ++k) {
-    ws.branch[k] = static_cast<int32_t>(branch[row0 + k]);
+    ws.branch[k] = to_branches(branch[row0 + k]);
     ws.qdd[k] = qdd[row0 + k];
   }
   new_rates(tree, in, options, ws);
   integrate_coordinates_vjp(tree, ws.qd_next, options.dt, tangent, rate);
   for (int32_t k = 0; k < n; ++k) {
-    const bool clamped = (ws.branch[k] & kVelocityClamped) != 0;
-    put(g, g.velocity_limit, G::kVelocityLimit, row0 + k,
-        clamped ? (ws.branch[k] & kVelocityAtUpper ? rate[k] : -rate[k]) : o);
-    if (clamped) rate[k] = o;
+    const auto clamped = has(ws.branch[k], kVelocityClamped);
+    const T by_limit = select(has(ws.branch[k], kVelocityAtUpper), rate[k], -rate[k]);
+    put(g, g.velocity_limit, G::kVelocityLimit, row0 + k, select(clamped, by_limit, o));
+    rate[k] = select(clamped, o, rate[k]);
   }
 }
 

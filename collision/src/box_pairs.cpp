@@ -150,23 +150,45 @@ std::vector<Vec2i> SweepAndPrune::box_pairs(std::span<const Box3> boxes,
   std::vector<int32_t> by_world;
   for (const int32_t i : order_)
     if (meets_itself(box(i))) by_world.push_back(i);
-  std::stable_sort(by_world.begin(), by_world.end(), [&](int32_t a, int32_t b) {
+  const auto world_before = [&](int32_t a, int32_t b) {
     return worlds[static_cast<size_t>(a)] < worlds[static_cast<size_t>(b)];
-  });
+  };
+  if (!std::is_sorted(by_world.begin(), by_world.end(), world_before))
+    std::stable_sort(by_world.begin(), by_world.end(), world_before);
   const auto in_world = [&](int32_t i) { return worlds[static_cast<size_t>(i)]; };
   const auto own_begin =
       std::find_if(by_world.begin(), by_world.end(), [&](int32_t i) { return in_world(i) >= 0; });
   const std::vector<int32_t> shared(by_world.begin(), own_begin);
 
+  // Boxes side by side, in the order of the sweep: what follows another begins behind it.
+  struct Swept {
+    float begin, end;    // along the axis
+    float lo[2], hi[2];  // along the other two
+    int32_t shape;
+  };
+  std::vector<Swept> swept;
+  const int others[2] = {(axis + 1) % 3, (axis + 2) % 3};
   const auto sweep = [&](const std::vector<int32_t>& sorted, bool with_shared_pairs, auto visit) {
-    for (size_t k = 0; k < sorted.size(); ++k) {
-      const int32_t i = sorted[k];
-      const float end = geometry::component(box(i).hi, axis);
-      for (size_t m = k + 1; m < sorted.size() && lower(sorted[m]) <= end; ++m) {
-        const int32_t j = sorted[m];
+    swept.clear();
+    for (const int32_t i : sorted) {
+      const Vec3f &lo = box(i).lo, &hi = box(i).hi;
+      using geometry::component;
+      swept.push_back({component(lo, axis),
+                       component(hi, axis),
+                       {component(lo, others[0]), component(lo, others[1])},
+                       {component(hi, others[0]), component(hi, others[1])},
+                       i});
+    }
+    for (size_t k = 0; k < swept.size(); ++k) {
+      const Swept a = swept[k];
+      for (size_t m = k + 1; m < swept.size() && swept[m].begin <= a.end; ++m) {
+        const Swept& b = swept[m];
+        const bool apart =
+            a.lo[0] > b.hi[0] || b.lo[0] > a.hi[0] || a.lo[1] > b.hi[1] || b.lo[1] > a.hi[1];
+        if (apart) continue;
+        const int32_t i = a.shape, j = b.shape;
         if (!with_shared_pairs && in_world(i) < 0 && in_world(j) < 0) continue;
-        if (boxes_meet(box(i), box(j)) && may_touch(rules, i, j))
-          visit(std::min(i, j), std::max(i, j));
+        if (may_touch(rules, i, j)) visit(std::min(i, j), std::max(i, j));
       }
     }
   };

@@ -131,8 +131,11 @@ struct RigidContacts::Impl {
   int64_t take(std::vector<Vec2i> found) {
     int64_t rows = 0;
     for (Vec2i& pair : found) rows += orient(pair);
-    std::sort(found.begin(), found.end(),
-              [](const Vec2i& a, const Vec2i& b) { return a.x != b.x ? a.x < b.x : a.y < b.y; });
+    const auto before_other = [](const Vec2i& a, const Vec2i& b) {
+      return a.x != b.x ? a.x < b.x : a.y < b.y;
+    };
+    if (!std::is_sorted(found.begin(), found.end(), before_other))
+      std::sort(found.begin(), found.end(), before_other);
     const Device device = model->device();
     if (found.size() > pairs.rows() || pairs.rows() == 0) {
       pairs = DeviceArray<Vec2i>(found.size(), device);

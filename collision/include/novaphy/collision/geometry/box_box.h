@@ -31,13 +31,28 @@ inline BoxAxis box_axis(const ShapePair& pair, const Vec3f& n) {
           (math::abs(side) - math::dot(a, pair.a->scale)) - math::dot(b, pair.b->scale)};
 }
 
-inline BoxAxis best_box_axis(const ShapePair& pair) {
+// Whether a direction is an axis of both boxes, within half of kEdgeBias. Then every cross axis is
+// a face axis of one of them, and none can win by kEdgeBias.
+inline bool share_an_axis(const ShapePair& pair) {
+  constexpr float kNone = 0.5f * kEdgeBias;
+  for (int32_t i = 0; i < 3; ++i) {
+    const Vec3f c = math::column(pair.rotation, i);
+    const int32_t none = (math::abs(c.x) <= kNone ? 1 : 0) + (math::abs(c.y) <= kNone ? 1 : 0) +
+                         (math::abs(c.z) <= kNone ? 1 : 0);
+    if (none == 2) return true;
+  }
+  return false;
+}
+
+// Of boxes that are farther apart than the gap any axis that says so.
+inline BoxAxis best_box_axis(const ShapePair& pair, float gap) {
   BoxAxis best = box_axis(pair, unit_axis(0, 1.0f));
   for (int32_t i = 1; i < 6; ++i) {
     const BoxAxis axis =
         box_axis(pair, i < 3 ? unit_axis(i, 1.0f) : math::column(pair.rotation, i - 3));
     if (axis.separation > best.separation) best = axis;
   }
+  if (best.separation > gap || share_an_axis(pair)) return best;
   const Vec3f ha = pair.a->scale, hb = pair.b->scale;
   const float size = ((ha.x + ha.y) + ha.z) + ((hb.x + hb.y) + hb.z);
   const float to_beat = best.separation + kEdgeBias * size;
@@ -77,7 +92,7 @@ inline Proximity box_proximity(const ShapePair& pair, const BoxAxis& axis) {
 }
 
 NOVAPHY_OUT_OF_LINE Manifold collide_boxes(const ShapePair& pair, float gap) {
-  const BoxAxis axis = best_box_axis(pair);
+  const BoxAxis axis = best_box_axis(pair, gap);
   if (!(axis.separation <= gap)) return {};
   const Proximity proximity = box_proximity(pair, axis);
   const ContactCandidates found = clip_candidates(pair, proximity, gap);

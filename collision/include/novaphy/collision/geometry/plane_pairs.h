@@ -63,11 +63,12 @@ inline Manifold plane_capsule(const Plane& plane, const Transformf& capsule, flo
 inline Manifold plane_box(const Plane& plane, const Transformf& box, const Vec3f& half,
                           float reach) {
   const Vec3f& n = plane.normal;
+  const float centre = math::dot(box.p - plane.point, n);
+  Manifold manifold = plane_manifold(plane);
+  if (centre - 1.001f * math::length(half) > reach) return manifold;  // no corner is that near
   const Vec3f ex = math::rotate(box.q, Vec3f{1.0f, 0.0f, 0.0f});
   const Vec3f ey = math::rotate(box.q, Vec3f{0.0f, 1.0f, 0.0f});
   const Vec3f ez = math::rotate(box.q, Vec3f{0.0f, 0.0f, 1.0f});
-  const float centre = math::dot(box.p - plane.point, n);
-  Manifold manifold = plane_manifold(plane);
   int highest = 0;
   for (int32_t k = 0; k < 8; ++k) {
     const Vec3f sign = {(k & 1) != 0 ? half.x : -half.x, (k & 2) != 0 ? half.y : -half.y,

@@ -187,6 +187,7 @@ void DiffSemiImplicitSolver::begin(const char* function, const Control* control,
                                    const Contacts* contacts, bool found, bool of_this_state,
                                    float dt) {
   materials_.check(*model());
+  values_.check(*model());
   if (nova::Tape::active() != nullptr) check_leaves(*model());
   check_contacts(function, contacts, found);
   particles_.begin(*model(), function);

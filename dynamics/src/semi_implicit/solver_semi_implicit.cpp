@@ -7,6 +7,7 @@
 #include "element_forces.h"
 #include "joint_forces.h"
 #include "novaphy/core/error.h"
+#include "novaphy/core/sim/edited_values.h"
 #include "novaphy/core/sim/for_chunks.h"
 #include "novaphy/core/sim/unread_materials.h"
 #include "novaphy/core/storage.h"
@@ -45,6 +46,7 @@ struct SolverSemiImplicit::Cache {
   RigidBodies bodies;
   ArrayStamp particle_world;  // its values were checked
   UnreadMaterials materials;  // adhesion is of contacts of bodies
+  EditedValues values{"SolverSemiImplicit"};
 
   void check_worlds(const Model& model) {
     if (particle_world.matches(model.particle_world)) return;
@@ -97,6 +99,7 @@ void SolverSemiImplicit::step(SimState& state_in, SimState& state_out, const Con
   check_step(kName, state_in, state_out, control, contacts, dt);
   m.check_numbers(kName);
   cache_->materials.check(m);
+  cache_->values.check(m);
   if (on_device_ != nullptr) return on_device_->step(state_in, state_out, control, contacts, dt);
   m.update_derived();
   cache_->check_worlds(m);

@@ -4,6 +4,7 @@
 #include <memory>
 #include <optional>
 
+#include "novaphy/core/sim/edited_values.h"
 #include "novaphy/core/sim/unread_materials.h"
 #include "novaphy/diff/export.h"
 #include "novaphy/diff/trajectory.h"
@@ -116,8 +117,9 @@ class NOVAPHY_DIFF_API DiffSemiImplicitSolver : public DiffSolverBase {
   int32_t uncovered_shapes_ = 0, uncovered_pairs_ = 0;
   ParticleStep particles_;
   BodyStep bodies_;
-  std::optional<DiffJoints> joints_;    // null: they are left out
-  UnreadMaterials materials_;           // adhesion is of contacts of bodies
+  std::optional<DiffJoints> joints_;  // null: they are left out
+  UnreadMaterials materials_;         // adhesion is of contacts of bodies
+  EditedValues values_{"DiffSemiImplicitSolver"};
   ContactTables tables_;                // of contacts that are given
   DeviceArray<SpatialVectorf> body_f_;  // of step: with the wrenches of contacts
 };

@@ -48,25 +48,30 @@ void bind_dynamics(py::module_& m, py::module_& solvers) {
   semi_implicit
       .def(py::init([](const std::shared_ptr<Model>& model, float angular_damping,
                        const std::string& friction_law, std::optional<float> friction_smoothing,
-                       float joint_attach_ke, float joint_attach_kd, bool enable_tri_contact) {
+                       float stick_ke, float joint_attach_ke, float joint_attach_kd,
+                       bool enable_tri_contact) {
              return std::make_unique<SolverSemiImplicit>(
                  model, SemiImplicitOptions{.angular_damping = angular_damping,
                                             .friction_law = to_friction_law(friction_law),
                                             .friction_smoothing = friction_smoothing,
+                                            .stick_ke = stick_ke,
                                             .joint_attach_ke = joint_attach_ke,
                                             .joint_attach_kd = joint_attach_kd,
                                             .enable_tri_contact = enable_tri_contact});
            }),
            py::arg("model").none(false), py::kw_only(), "angular_damping"_a = d.angular_damping,
            "friction_law"_a = "viscous", "friction_smoothing"_a = py::none(),
-           "joint_attach_ke"_a = d.joint_attach_ke, "joint_attach_kd"_a = d.joint_attach_kd,
-           "enable_tri_contact"_a = d.enable_tri_contact,
+           "stick_ke"_a = d.stick_ke, "joint_attach_ke"_a = d.joint_attach_ke,
+           "joint_attach_kd"_a = d.joint_attach_kd, "enable_tri_contact"_a = d.enable_tri_contact,
            "angular_damping (1/s) of bodies. friction_law of rigid contacts: \"viscous\" (kf times "
            "the slip, cut off at the Coulomb cone), \"huber\" (the same, smooth for slips below "
            "friction_smoothing, m/s), or \"newton17\" (that of Newton 1.7, which reads "
            "friction_smoothing "
            "too and leaves the cone; for comparison). "
            "friction_smoothing None: 0.1; ValueError with \"viscous\", which does not read it. "
+           "stick_ke (N/m, of every row, with \"viscous\" only): a spring along the surface that "
+           "is kept from step to step by rigid_contact_point_id, so that friction holds what is at "
+           "rest; 0: it creeps. It starts anew from a state that the last step has not written. "
            "joint_attach_ke (N/m, N*m/rad) and joint_attach_kd (N*s/m, 0.01 of it N*m*s/rad) hold "
            "joints together; step refuses a dt at which one of them diverges by itself. "
            "enable_tri_contact acts on contacts of particles with triangles, of which there are "
@@ -84,6 +89,9 @@ void bind_dynamics(py::module_& m, py::module_& solvers) {
           "friction_smoothing",
           [](const SolverSemiImplicit& s) { return s.options().friction_smoothing; },
           "m/s; \"viscous\" does not read it.")
+      .def_property_readonly(
+          "stick_ke", [](const SolverSemiImplicit& s) { return s.options().stick_ke; },
+          "N/m, of every row of rigid contacts.")
       .def_property_readonly(
           "joint_attach_ke",
           [](const SolverSemiImplicit& s) { return s.options().joint_attach_ke; }, "N/m")

@@ -85,14 +85,26 @@ void RigidBodies::evaluate(const Model& m, const Transformf* q, const SpatialVec
   const auto material = [&](int32_t s) {
     return RigidContactMaterial<float>{ke[s], kd[s], kf[s], ka[s], mu[s]};
   };
+  const bool sticks = how.stick_ke > 0.0f;
   for_chunks(rows_, kRowChunk, [&](int64_t begin, int64_t end, int64_t) {
     for (int64_t row = begin; row < end; ++row) {
       const size_t first = 2 * static_cast<size_t>(row);
-      const RigidContactForce<float> f = rigid_contact_force(
-          how.friction_law, side(bodies_[first], point0[row], margin0[row]),
-          side(bodies_[first + 1], point1[row], margin1[row]), normal[row],
-          mean_rigid_contact_material(material(shape0[row]), material(shape1[row])),
-          how.friction_smoothing);
+      const RigidContactSide<float> a = side(bodies_[first], point0[row], margin0[row]),
+                                    b = side(bodies_[first + 1], point1[row], margin1[row]);
+      RigidContactMaterial<float> both =
+          mean_rigid_contact_material(material(shape0[row]), material(shape1[row]));
+      const float kf_of_row = both.kf;
+      if (sticks) both.kf = 0.0f;  // and no friction of the law
+      RigidContactForce<float> f =
+          rigid_contact_force(how.friction_law, a, b, normal[row], both, how.friction_smoothing);
+      if (sticks) {
+        const Vec3f n = -normal[row];
+        const Vec3f u = (a.twist.linear + math::cross(a.twist.angular, f.arm_a)) -
+                        (b.twist.linear + math::cross(b.twist.angular, f.arm_b));
+        f.force = f.force + sticks_.friction(row, n, u - n * math::dot(n, u),
+                                             -both.mu * math::dot(n, f.force), kf_of_row,
+                                             how.stick_ke, how.dt);
+      }
       // acc + (-f) has the bits of acc - f.
       wrenches_[first] = {-f.force, -math::cross(f.arm_a, f.force)};
       wrenches_[first + 1] = {f.force, math::cross(f.arm_b, f.force)};
@@ -117,6 +129,7 @@ void RigidBodies::step(const Model& m, const SimState& in, SimState& out, const 
                        const RigidStep& how) {
   if (m.body_count() == 0) return;
   const bool touching = contacts != nullptr && rows_ > 0;
+  if (touching && how.stick_ke > 0.0f) sticks_.begin(*contacts, rows_, in.body_q);
   if (touching) evaluate(m, in.body_q.data(), in.body_qd.data(), *contacts, how);
 
   const Transformf* const q = in.body_q.data();
@@ -153,6 +166,7 @@ void RigidBodies::step(const Model& m, const SimState& in, SimState& out, const 
       qd_out[b] = next.qd;
     }
   });
+  if (touching && how.stick_ke > 0.0f) sticks_.end(out.body_q);
 }
 
 }  // namespace novaphy

@@ -12,6 +12,7 @@
 #include "novaphy/core/sim/sim_state.h"
 #include "novaphy/dynamics/semi_implicit/rigid_contact_trace.h"
 #include "particle_contacts.h"
+#include "stick_springs.h"
 
 namespace novaphy {
 
@@ -20,6 +21,7 @@ struct RigidStep {
   float friction_smoothing;  // m/s
   float angular_damping;     // 1/s
   float dt;                  // s
+  float stick_ke = 0.0f;     // N/m, of friction; 0: none sticks
 };
 
 class RigidBodies {
@@ -49,6 +51,7 @@ class RigidBodies {
   std::vector<int32_t> bodies_;           // of the two sides of every row; -1: the world
   IndexRows sides_;                       // of every body
   std::vector<SpatialVectorf> wrenches_;  // what every side adds to its body
+  StickSprings sticks_;
 };
 
 }  // namespace novaphy

@@ -68,6 +68,15 @@ SolverSemiImplicit::SolverSemiImplicit(std::shared_ptr<const Model> model,
   check_option("angular_damping", options.angular_damping);
   options_.friction_smoothing = checked_friction_smoothing(
       "SolverSemiImplicit", options.friction_law, options.friction_smoothing);
+  check_option("stick_ke", options.stick_ke);
+  require(options.stick_ke == 0.0f || options.friction_law == FrictionLaw::Viscous,
+          ErrorKind::Value,
+          "SolverSemiImplicit: stick_ke: expected 0 with a friction law other than \"viscous\", "
+          "got ",
+          options.stick_ke);
+  require(options.stick_ke == 0.0f || this->model()->device().is_cpu(), ErrorKind::NotImplemented,
+          "SolverSemiImplicit: stick_ke: expected 0 for a model on ", this->model()->device().str(),
+          ", got ", options.stick_ke);
   check_option("joint_attach_ke", options.joint_attach_ke);
   check_option("joint_attach_kd", options.joint_attach_kd);
   check_covered(*this->model());
@@ -138,7 +147,8 @@ void SolverSemiImplicit::step(SimState& state_in, SimState& state_out, const Con
                       {.friction_law = options_.friction_law,
                        .friction_smoothing = *options_.friction_smoothing,
                        .angular_damping = options_.angular_damping,
-                       .dt = dt});
+                       .dt = dt,
+                       .stick_ke = options_.stick_ke});
   if (!touching && !deformable) {
     const Vec3f* f = state_in.particle_f.data();
     for_chunks(m.particle_count(), kChunk, [&](int64_t begin, int64_t end, int64_t) {

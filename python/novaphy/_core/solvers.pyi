@@ -59,6 +59,7 @@ class SolverSemiImplicit(SolverBase):
         angular_damping: SupportsFloat = 0.05,
         friction_law: Literal["viscous", "huber", "newton17"] = "viscous",
         friction_smoothing: SupportsFloat | None = None,
+        stick_ke: SupportsFloat = 0.0,
         joint_attach_ke: SupportsFloat = 1.0e4,
         joint_attach_kd: SupportsFloat = 1.0e2,
         enable_tri_contact: bool = True,
@@ -69,6 +70,8 @@ class SolverSemiImplicit(SolverBase):
     def friction_law(self) -> str: ...
     @property
     def friction_smoothing(self) -> float: ...
+    @property
+    def stick_ke(self) -> float: ...
     @property
     def joint_attach_ke(self) -> float: ...
     @property

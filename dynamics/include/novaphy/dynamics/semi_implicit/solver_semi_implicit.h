@@ -10,12 +10,17 @@
 
 namespace novaphy {
 
-// All numbers finite and >= 0. enable_tri_contact acts on contacts of particles with triangles, of which there are none yet.
+// All numbers finite and >= 0. enable_tri_contact acts on contacts of particles with triangles, of
+// which there are none yet.
 struct SemiImplicitOptions {
   float angular_damping = 0.05f;                    // 1/s, of rigid bodies
   FrictionLaw friction_law = FrictionLaw::Viscous;  // of rigid contacts
   // m/s, of the laws huber and newton17: 0.1 when empty. ErrorKind::Value with viscous.
   std::optional<float> friction_smoothing = {};
+  // N/m, of every row of rigid contacts with the law viscous: a spring along the surface, kept from
+  // step to step by rigid_contact_point_id (src/semi_implicit/stick_springs.h), with which friction
+  // holds what is at rest. 0: none, and it creeps. There is no gradient of it.
+  float stick_ke = 0.0f;
   // Of joints: N/m and N*m/rad; N*s/m, and 0.01 of it N*m*s/rad.
   float joint_attach_ke = 1.0e4f;
   float joint_attach_kd = 1.0e2f;
@@ -24,10 +29,10 @@ struct SemiImplicitOptions {
 
 // Covers particles and elements over them: external forces, springs, triangles, bending edges,
 // tetrahedra, soft contacts with world-owned shapes, gravity, the velocity limit; and rigid bodies:
-// external forces, joints as springs, rigid contacts, gravity, the gyroscopic term, angular damping.
-// Joint coordinates are not written: ask eval_ik. Other parts of a
-// model throw ErrorKind::NotImplemented; there is no contact between particles, of particles with
-// triangles, or of particles with bodies.
+// external forces, joints as springs, rigid contacts, gravity, the gyroscopic term, angular
+// damping. Joint coordinates are not written: ask eval_ik. Other parts of a model throw
+// ErrorKind::NotImplemented; there is no contact between particles, of particles with triangles, or
+// of particles with bodies.
 //
 // One step, in this order:
 //   1. every spring, then triangle, bending edge and tetrahedron adds its forces (spring_trace.h,
@@ -41,8 +46,8 @@ struct SemiImplicitOptions {
 //      particles without ParticleFlags.ACTIVE keep position and velocity
 // and for bodies:
 //   1. every enabled joint adds, after state_in.body_f, a wrench to its bodies
-//      (penalty_joint_trace.h), in the order of the joints, the parent's before the child's; that of
-//      a FREE joint is joint_f. Forces and targets are the control's, or the model's without one
+//      (penalty_joint_trace.h), in the order of the joints, the parent's before the child's; that
+//      of a FREE joint is joint_f. Forces and targets are the control's, or the model's without one
 //   2. every rigid contact has a force (rigid_contact_trace.h), which is added to its bodies in the
 //      order of the rows, shape A before shape B; body_f itself stays as it is, and
 //      Contacts::rigid_contact_force holds the forces
@@ -54,8 +59,9 @@ struct SemiImplicitOptions {
 // kernels of novaphy::diff, with the same bits; such a model has one world.
 class NOVAPHY_DYNAMICS_API SolverSemiImplicit : public SolverBase {
  public:
-  // ErrorKind::Value: a bad option, or a dynamic body without mass; ErrorKind::NotImplemented: a model that has something that is
-  // not covered, or is on another device than the CPU in a build without NOVAPHY_WITH_NOVA.
+  // ErrorKind::Value: a bad option, or a dynamic body without mass; ErrorKind::NotImplemented: a
+  // model that has something that is not covered, or is on another device than the CPU in a build
+  // without NOVAPHY_WITH_NOVA.
   explicit SolverSemiImplicit(std::shared_ptr<const Model> model,
                               const SemiImplicitOptions& options = {});
   ~SolverSemiImplicit() override;

@@ -258,7 +258,9 @@ void DiffSemiImplicitSolver::record_step(const SimState& in, SimState& out,
                                          const StepInputs& inputs, StepScratch scratch) {
   if (inputs.tables != nullptr) {
     if (config_.strict && nova::current_capture() == nullptr) check_overflow(*inputs.contacts);
-    inputs.tables->rebuild(*model(), *inputs.contacts, wanted_tables());
+    ContactTables::Wanted wanted = wanted_tables();
+    wanted.particles_follow = true;  // the search before has found them
+    inputs.tables->rebuild(*model(), *inputs.contacts, wanted);
   }
   const ContactTables& tables = inputs.tables != nullptr ? *inputs.tables : tables_;
   if (moves_particles()) particles_.record(*model(), in, out, inputs, tables, scratch);

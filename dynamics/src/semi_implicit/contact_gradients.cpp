@@ -32,6 +32,10 @@ std::vector<bool> exact_contact_gradients(const Model& model, const SimState& st
                                      is(GeoType::SPHERE),
                                      is(GeoType::CAPSULE),
                                      is(GeoType::BOX),
+                                     is(GeoType::ELLIPSOID),
+                                     is(GeoType::CYLINDER),
+                                     is(GeoType::CONE),
+                                     is(GeoType::CONVEX_MESH) || is(GeoType::MESH),
                                      model.shape_transform.data()[shape],
                                      model.shape_scale.data()[shape]};
   };

@@ -43,6 +43,16 @@ ContactBody load_body(TraceContext& c, const Int& body) {
 const std::vector<nova::SourceSpec> kBodySources = {{"body_q", DType::F32, 7, Access::Indexed},
                                                     {"body_qd", DType::F32, 6, Access::Indexed},
                                                     {"body_com", DType::F32, 3, Access::Indexed}};
+// What a contact that follows its bodies needs of its shapes.
+const std::vector<nova::SourceSpec> kShapeSources = {
+    {"shape_type", DType::I32, 1, Access::Indexed},
+    {"shape_transform", DType::F32, 7, Access::Indexed},
+    {"shape_scale", DType::F32, 3, Access::Indexed}};
+void add_shapes(const Model& m, std::vector<Operand>& in) {
+  for (const Array* of_shapes :
+       std::initializer_list<const Array*>{&m.shape_type, &m.shape_transform, &m.shape_scale})
+    in.push_back(nova::operand_of(*of_shapes));
+}
 
 std::vector<Real> list(const Vec3<Real>& a) { return {a.x, a.y, a.z}; }
 std::vector<Real> list(const Vec3<Real>& a, const Vec3<Real>& b) {
@@ -60,6 +70,10 @@ ContactShape<Bool, Real> load_shape(TraceContext& c, const Int& shape) {
           is(GeoType::SPHERE),
           is(GeoType::CAPSULE),
           is(GeoType::BOX),
+          is(GeoType::ELLIPSOID),
+          is(GeoType::CYLINDER),
+          is(GeoType::CONE),
+          either(is(GeoType::CONVEX_MESH), is(GeoType::MESH)),
           {constant(x.p), {detach(x.q.x), detach(x.q.y), detach(x.q.z), detach(x.q.w)}},
           constant(Columns(c, "shape_scale", &shape).vec3())};
 }
@@ -103,12 +117,7 @@ nova::Kernel make_rigid_kernel(const char* name, bool follow) {
       {"margin1", DType::F32, 1, Access::Direct}, {"normal", DType::F32, 3, Access::Direct}};
   sources.insert(sources.end(), kBodySources.begin(), kBodySources.end());
   for (const nova::SourceSpec& s : detail::material_sources()) sources.push_back(s);
-  if (follow)
-    for (const nova::SourceSpec& s :
-         {nova::SourceSpec{"shape_type", DType::I32, 1, Access::Indexed},
-          {"shape_transform", DType::F32, 7, Access::Indexed},
-          {"shape_scale", DType::F32, 3, Access::Indexed}})
-      sources.push_back(s);
+  if (follow) sources.insert(sources.end(), kShapeSources.begin(), kShapeSources.end());
   return nova::with_one_gradient_set(
       nova::make_kernel(name, sources, {{"wrench", 12}},
                         [follow](TraceContext& c) { return rigid_wrenches(c, follow); }));
@@ -129,50 +138,92 @@ const nova::Kernel& force_kernel() {
   return kernel;
 }
 
-std::vector<Real> soft_forces(TraceContext& c) {
+Vec3<Real> with_derivative_of(const Vec3<Real>& value, const Vec3<Real>& live) {
+  const Vec3<Real> still = constant(value);
+  const Real one = 1.0f;
+  return {with_derivative(still.x, live.x, one), with_derivative(still.y, live.y, one),
+          with_derivative(still.z, live.z, one)};
+}
+
+// A point of a shape (frame of its body) and the normal there (world).
+struct SoftPoint {
+  Vec3<Real> point, normal;
+};
+// How they move with the particle at x and the body, from what the search has stored.
+SoftPoint following_point(TraceContext& c, const Int& shape, const ContactBody& body,
+                          const Vec3<Real>& x, const SoftPoint& stored) {
+  using namespace math;
+  const Int type = c.i32(c.source("shape_type"), shape, 0);
+  const auto is = [&](GeoType wanted) { return type == Int(static_cast<int32_t>(wanted)); };
+  const Transform<Real> at = Columns(c, "shape_transform", &shape).transform();
+  const Transform<Real> xform = {constant(at.p),
+                                 {detach(at.q.x), detach(at.q.y), detach(at.q.z), detach(at.q.w)}};
+  const Vec3<Real> in_body = transform_point(inverse(body.pose), x);
+  const Vec3<Real> in_shape = transform_point(inverse(xform), in_body);
+  const SurfaceDistance<Real> surface = static_shape_distance<true>(
+      StaticShapeType<Bool>{is(GeoType::BOX), is(GeoType::SPHERE), is(GeoType::CAPSULE),
+                            is(GeoType::CYLINDER), is(GeoType::CONE), is(GeoType::ELLIPSOID)},
+      constant(Columns(c, "shape_scale", &shape).vec3()), in_shape);
+  // Hulls and meshes: the half space through the point, which turns with the body.
+  const Quat<Real>& q = body.pose.q;
+  const Vec3<Real> face = constant(rotate_inverse(q, stored.normal));
+  const Bool polytope = either(is(GeoType::CONVEX_MESH), is(GeoType::MESH));
+  const Vec3<Real> point =
+      select(polytope, in_body - face * dot(face, in_body - constant(stored.point)),
+             transform_point(xform, in_shape - surface.normal * surface.distance));
+  const Vec3<Real> normal = rotate(q, select(polytope, face, rotate(xform.q, surface.normal)));
+  return {with_derivative_of(stored.point, point), with_derivative_of(stored.normal, normal)};
+}
+
+// `follow`: points and normals follow the particles and the bodies.
+std::vector<Real> soft_forces(TraceContext& c, bool follow) {
   const Int particle = c.i32(c.source("particle")), shape = c.i32(c.source("shape")),
             row = c.i32(c.source("body"));
   const ContactBody body = load_body(c, row);
+  const Vec3<Real> x = Columns(c, "particle_q", &particle).vec3();
+  SoftPoint at = {Columns(c, "body_pos").vec3(), Columns(c, "normal").vec3()};
+  if (follow) at = following_point(c, shape, body, x, at);
   const SoftContactBody<Real> point =
-      soft_contact_body(body.pose, body.twist, body.com, Columns(c, "body_pos").vec3(),
-                        Columns(c, "body_vel").vec3());
+      soft_contact_body(body.pose, body.twist, body.com, at.point, Columns(c, "body_vel").vec3());
   const auto of_shape = [&](const char* name) { return Columns(c, name, &shape)[0]; };
   const Vec3<Real> term = soft_contact_force_term(
-      Columns(c, "particle_q", &particle).vec3(), Columns(c, "particle_qd", &particle).vec3(),
-      Columns(c, "particle_radius", &particle)[0],
-      math::select(body.is_world, Columns(c, "body_pos").vec3(), point.position),
-      math::select(body.is_world, Columns(c, "body_vel").vec3(), point.velocity),
-      Columns(c, "normal").vec3(),
+      x, Columns(c, "particle_qd", &particle).vec3(), Columns(c, "particle_radius", &particle)[0],
+      math::select(body.is_world, at.point, point.position),
+      math::select(body.is_world, Columns(c, "body_vel").vec3(), point.velocity), at.normal,
       mean_soft_contact_material<Real>(
           {c.param(0), c.param(1), c.param(2), c.param(3)},
           {of_shape("shape_material_ke"), of_shape("shape_material_kd"),
            of_shape("shape_material_kf"), of_shape("shape_material_mu")}),
       c.param(4));
   std::vector<Real> out = list(term);
-  for (const Real& x : list(-term, math::cross(point.arm, -term))) out.push_back(x);
+  for (const Real& t : list(-term, math::cross(point.arm, -term))) out.push_back(t);
   return out;
 }
 
-const nova::Kernel& soft_kernel() {
-  static const nova::Kernel kernel = [] {
-    std::vector<nova::SourceSpec> sources = {{"particle", DType::I32, 1, Access::Direct},
-                                             {"shape", DType::I32, 1, Access::Direct},
-                                             {"body", DType::I32, 1, Access::Direct},
-                                             {"body_pos", DType::F32, 3, Access::Direct},
-                                             {"body_vel", DType::F32, 3, Access::Direct},
-                                             {"normal", DType::F32, 3, Access::Direct},
-                                             {"particle_q", DType::F32, 3, Access::Indexed},
-                                             {"particle_qd", DType::F32, 3, Access::Indexed},
-                                             {"particle_radius", DType::F32, 1, Access::Indexed},
-                                             {"shape_material_ke", DType::F32, 1, Access::Indexed},
-                                             {"shape_material_kd", DType::F32, 1, Access::Indexed},
-                                             {"shape_material_kf", DType::F32, 1, Access::Indexed},
-                                             {"shape_material_mu", DType::F32, 1, Access::Indexed}};
-    sources.insert(sources.end(), kBodySources.begin(), kBodySources.end());
-    return nova::with_one_gradient_set(nova::make_kernel(
-        "soft_contact_wrenches", sources, {{"force", 3}, {"wrench", 6}}, soft_forces));
-  }();
-  return kernel;
+nova::Kernel make_soft_kernel(const char* name, bool follow) {
+  std::vector<nova::SourceSpec> sources = {{"particle", DType::I32, 1, Access::Direct},
+                                           {"shape", DType::I32, 1, Access::Direct},
+                                           {"body", DType::I32, 1, Access::Direct},
+                                           {"body_pos", DType::F32, 3, Access::Direct},
+                                           {"body_vel", DType::F32, 3, Access::Direct},
+                                           {"normal", DType::F32, 3, Access::Direct},
+                                           {"particle_q", DType::F32, 3, Access::Indexed},
+                                           {"particle_qd", DType::F32, 3, Access::Indexed},
+                                           {"particle_radius", DType::F32, 1, Access::Indexed},
+                                           {"shape_material_ke", DType::F32, 1, Access::Indexed},
+                                           {"shape_material_kd", DType::F32, 1, Access::Indexed},
+                                           {"shape_material_kf", DType::F32, 1, Access::Indexed},
+                                           {"shape_material_mu", DType::F32, 1, Access::Indexed}};
+  sources.insert(sources.end(), kBodySources.begin(), kBodySources.end());
+  if (follow) sources.insert(sources.end(), kShapeSources.begin(), kShapeSources.end());
+  return nova::with_one_gradient_set(
+      nova::make_kernel(name, sources, {{"force", 3}, {"wrench", 6}},
+                        [follow](TraceContext& c) { return soft_forces(c, follow); }));
+}
+const nova::Kernel& soft_kernel(bool follow) {
+  static const nova::Kernel following = make_soft_kernel("following_soft_contact_wrenches", true),
+                            held = make_soft_kernel("soft_contact_wrenches", false);
+  return follow ? following : held;
 }
 
 const nova::Kernel& sum_kernel() {
@@ -205,6 +256,7 @@ void sort(const Array& table, int64_t rows, nova::Incidence& sorted) {
 
 void ContactTables::update(const Model& model, const Contacts& contacts, const Wanted& wanted) {
   of_this_state_ = wanted.of_this_state;
+  particles_follow_ = wanted.particles_follow;
   if (!wanted.particles || contacts.soft_contact_max() == 0) {
     slots_of_particles_ = nullptr;
   } else if (const auto& range = contacts.soft_contact_particle.range();
@@ -238,6 +290,7 @@ void ContactTables::update(const Model& model, const Contacts& contacts, const W
 
 void ContactTables::rebuild(const Model& model, const Contacts& contacts, const Wanted& wanted) {
   of_this_state_ = wanted.of_this_state;
+  particles_follow_ = wanted.particles_follow;
   if (wanted.particles && contacts.soft_contact_max() > 0)
     sort(contacts.soft_contact_particle, model.particle_count(), slots_of_particles_);
   rebuild_bodies(model, contacts, wanted);
@@ -272,9 +325,7 @@ void eval_rigid_contacts(const Model& m, const Contacts& c, const ContactTables&
                              nova::operand_of(m.body_com)};
   for (Operand& o : detail::material_operands(m)) in.push_back(std::move(o));
   const bool follow = tables.of_this_state();
-  for (const Array* of_shapes :
-       std::initializer_list<const Array*>{&m.shape_type, &m.shape_transform, &m.shape_scale})
-    if (follow) in.push_back(nova::operand_of(*of_shapes));
+  if (follow) add_shapes(m, in);
   const nova::Param params[] = {friction_smoothing};
   rigid_kernel(follow).launch(wrenches.rows, in, {&wrenches, 1}, {.params = params});
 }
@@ -290,25 +341,27 @@ void eval_soft_contacts(const Model& m, const Contacts& c, const ContactTables& 
                         const Operand& particle_q, const Operand& particle_qd,
                         const Operand& body_q, const Operand& body_qd, const Operand& forces,
                         const Operand& wrenches) {
-  const std::vector<Operand> in = {nova::operand_of(c.soft_contact_particle),
-                                   nova::operand_of(c.soft_contact_shape),
-                                   nova::operand_of(tables.soft_bodies()),
-                                   nova::operand_of(c.soft_contact_body_pos),
-                                   nova::operand_of(c.soft_contact_body_vel),
-                                   nova::operand_of(c.soft_contact_normal),
-                                   particle_q,
-                                   particle_qd,
-                                   nova::operand_of(m.particle_radius),
-                                   nova::operand_of(m.shape_material_ke),
-                                   nova::operand_of(m.shape_material_kd),
-                                   nova::operand_of(m.shape_material_kf),
-                                   nova::operand_of(m.shape_material_mu),
-                                   body_q,
-                                   body_qd,
-                                   nova::operand_of(m.body_com)};
+  std::vector<Operand> in = {nova::operand_of(c.soft_contact_particle),
+                             nova::operand_of(c.soft_contact_shape),
+                             nova::operand_of(tables.soft_bodies()),
+                             nova::operand_of(c.soft_contact_body_pos),
+                             nova::operand_of(c.soft_contact_body_vel),
+                             nova::operand_of(c.soft_contact_normal),
+                             particle_q,
+                             particle_qd,
+                             nova::operand_of(m.particle_radius),
+                             nova::operand_of(m.shape_material_ke),
+                             nova::operand_of(m.shape_material_kd),
+                             nova::operand_of(m.shape_material_kf),
+                             nova::operand_of(m.shape_material_mu),
+                             body_q,
+                             body_qd,
+                             nova::operand_of(m.body_com)};
   const std::array params = detail::soft_contact_params(m);
   const Operand out[] = {forces, wrenches};
-  soft_kernel().launch(forces.rows, in, out, {.params = params});
+  const bool follow = tables.particles_follow();
+  if (follow) add_shapes(m, in);
+  soft_kernel(follow).launch(forces.rows, in, out, {.params = params});
 }
 
 void add_wrenches(const Operand& body_f, const Operand& wrenches, const nova::Incidence& of_bodies,
@@ -318,8 +371,8 @@ void add_wrenches(const Operand& body_f, const Operand& wrenches, const nova::In
 }
 
 void detail::add_body_contact_kernels(std::vector<nova::EngineKernel>& list) {
-  for (const nova::Kernel& k :
-       {rigid_kernel(true), rigid_kernel(false), soft_kernel(), sum_kernel()})
+  for (const nova::Kernel& k : {rigid_kernel(true), rigid_kernel(false), soft_kernel(true),
+                                soft_kernel(false), sum_kernel()})
     list.push_back({k, k.gradients()});
   list.push_back({force_kernel(), {}});
 }

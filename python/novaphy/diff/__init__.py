@@ -68,6 +68,7 @@ from .._core.diff import (  # noqa: E402
     update_inverse_mass,
     vec3_point_loss_generated,
 )
+from ._poses import pose_tangent_gradient  # noqa: E402
 
 __all__ = [
     "Trajectory",
@@ -115,6 +116,7 @@ __all__ = [
     "particle_centroid_generated",
     "particle_point_loss_generated",
     "planar_2r_tip_loss",
+    "pose_tangent_gradient",
     "record_planar_2r_featherstone_step",
     "rigid_contact_gradient_labels",
     "rigid_orientation_velocity_loss_generated",

@@ -27,8 +27,6 @@
 //   The normal jumps on a box's faces, edges and symmetry planes (box_distance), at the centre of
 //   a sphere and on the axis of a capsule (sphere_distance, capsule_distance), on edges, axis and
 //   apex of a cylinder and a cone, and on the planes of symmetry within an ellipsoid.
-//   A particle's centre exactly on a face of a box: the distance is smooth there, but passes no
-//   derivative (box_distance: length and min at 0).
 // Gradient: exact in x, v_p, R, p, v_s, n, ke, kd, kf, mu away from these. `a` only chooses and
 // passes nothing.
 //
@@ -142,7 +140,10 @@ SurfaceDistance<T> box_distance(const Vec3<T>& x, const Vec3<T>& h) {
   const T zero = T(0.0f);
   const Vec3<T> q = {abs(x.x) - h.x, abs(x.y) - h.y, abs(x.z) - h.z};
   const Vec3<T> e = {max(q.x, zero), max(q.y, zero), max(q.z, zero)};
-  const T distance = length(e) + min(max(q.x, max(q.y, q.z)), zero);
+  const T deepest = max(q.x, max(q.y, q.z));
+  // On a face neither length nor min passes anything, so this is the whole derivative there.
+  const T distance = with_derivative(length(e) + min(deepest, zero), deepest,
+                                     select(deepest == zero, T(1.0f), zero));
 
   const Vec3<T> closest = {min(max(-h.x, x.x), h.x), min(max(-h.y, x.y), h.y),
                            min(max(-h.z, x.z), h.z)};
@@ -336,9 +337,14 @@ SurfaceDistance<T> static_shape_distance(const StaticShapeType<B>& type, const V
   if constexpr (!Round) {
     return flat;
   } else {
-    const SurfaceDistance<T> cylinder = cylinder_distance(x, scale.x, scale.y);
-    const SurfaceDistance<T> cone = cone_distance(x, scale.x, scale.y);
-    const SurfaceDistance<T> ellipsoid = ellipsoid_distance(x, scale);
+    // Of other types sizes that do not divide by 0: what is not taken passes 0, times what it is.
+    const T one = T(1.0f);
+    const auto solid = either(type.is_cylinder, type.is_cone);
+    const T radius = select(solid, scale.x, one), height = select(solid, scale.y, one);
+    const SurfaceDistance<T> cylinder = cylinder_distance(x, radius, height);
+    const SurfaceDistance<T> cone = cone_distance(x, radius, height);
+    const SurfaceDistance<T> ellipsoid =
+        ellipsoid_distance(x, select(type.is_ellipsoid, scale, Vec3<T>{one, one, one}));
     return {select(type.is_cylinder, cylinder.distance,
                    select(type.is_cone, cone.distance,
                           select(type.is_ellipsoid, ellipsoid.distance, flat.distance))),

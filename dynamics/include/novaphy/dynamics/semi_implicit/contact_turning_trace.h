@@ -1,5 +1,5 @@
 // How the points and the normal of a rigid contact move with the poses of its two bodies, where
-// that has a closed form: of planes, spheres, capsules and boxes.
+// that has a closed form: of planes with all shapes, and of spheres, capsules and boxes.
 //
 // The search stores points of the cores in the frames of the bodies, and a normal in the world.
 // Which feature of its shape a point lies on is read off the point:
@@ -7,13 +7,18 @@
 //   plane     a face                           box       on three faces: a point (corner), on two:
 //   a
 //                                              line (edge), on one: flat
+//   cylinder, cone   on the rim: the deepest point, which wanders, or one of three that are fixed;
+//                    the apex: a point          ellipsoid   the deepest point, which wanders
+//   hull, mesh       a vertex: a point, where a plane meets it
 // Law (P, Q points that are fixed in A and B; U, V directions of lines, M normals of faces, all
 // turning with their bodies; n the normal from A to B):
 //   a plane, or a face of a box along which n is, or the face of two boxes (a box and a capsule)
 //   that leads where n is across an edge of each
 //       n is M, or along the product of the two edges. The point of the other shape is a corner, or
 //       where its line meets a side of the box, or where the edge between two sides of the box
-//       meets its face. That of the face is this one, moved along n onto the face
+//       meets its face, or the deepest along n: c + D^2 m/|D m|, m = n in the frame of the shape,
+//       D the half axes of an ellipsoid, (r, r, 0) of a rim. That of the face is this one, moved
+//       along n onto the face
 //   points    P, Q,  n along Q - P
 //   point and line    the line's point is the nearest to the other
 //   lines     their nearest points, n along U x V (less parallel than 0.6 degrees)
@@ -21,9 +26,11 @@
 // the normal is not that of this law (within 0.3 degrees), and where the search chooses among
 // features that coincide (within 1e-4 of a size or a direction): a capsule flat on a face of a box,
 // a corner of a box on the outline of the face of another, two corners or ends with the normal
-// across an edge or axis of each. Of values: the stored points and normal
-// as they are; the law gives their derivatives only. Gradient: exact, by poses, as long as the
-// features stay the same; shapes carry none.
+// across an edge or axis of each. So is a rim that lies flat on a plane (within 1e-4), whose
+// deepest point is none of its own, and what is not a plane with an ellipsoid, a cylinder, a
+// cone, a hull or a mesh. Of values: the stored points and normal as they are; the law gives their
+// derivatives only. Gradient: exact, by poses, as long as the features stay the same; shapes carry
+// none.
 //
 // Freestanding: T = float names what is exact, T = nova::Real is traced.
 #pragma once
@@ -36,7 +43,8 @@ namespace novaphy {
 // B: bool or nova::Bool. None set: a shape of another type.
 template <class B, class T>
 struct ContactShape {
-  B is_plane{}, is_sphere{}, is_capsule{}, is_box{};
+  B is_plane{}, is_sphere{}, is_capsule{}, is_box{}, is_ellipsoid{}, is_cylinder{}, is_cone{},
+      is_polytope{};
   Transform<T> pose{};  // in its body
   Vec3<T> scale{};      // as GeoType says
 };
@@ -59,7 +67,26 @@ struct ContactFeature {
   B has_across{};
   Vec3<T> across{};
   B is_box{}, is_capsule{}, is_corner{};
+  // Where the other shape is a plane: one, what it meets, and a point of that which is fixed.
+  B is_plane{}, meets_planes{}, is_fixed{};
+  // The deepest point along a normal, about `centre`, which wanders: half axes, side of the normal.
+  B is_deepest{};
+  Vec3<T> centre{}, half_axes{};
+  T direction{};
+  Quat<T> turn{};
 };
+
+// Of a shape of which f.is_deepest.
+template <class B, class T>
+Vec3<T> deepest_point(const ContactFeature<B, T>& f, const Vec3<T>& normal) {
+  using namespace math;
+  const Vec3<T> m = rotate_inverse(f.turn, normal), h = f.half_axes;
+  const Vec3<T> d = {h.x * m.x, h.y * m.y, h.z * m.z};
+  const T square = dot(d, d);
+  const T scale = f.direction / sqrt(select(square > T(0.0f), square, T(1.0f)));
+  return f.centre +
+         rotate(f.turn, Vec3<T>{h.x * d.x * scale, h.y * d.y * scale, h.z * d.z * scale});
+}
 
 template <class B, class T>
 struct TurningContact {
@@ -133,6 +160,25 @@ ContactFeature<B, T> contact_feature_of(const ContactShape<B, T>& shape, const T
   f.is_box = shape.is_box;
   f.is_capsule = shape.is_capsule;
   f.is_corner = both(shape.is_box, f.is_point);
+  // Rims: the deepest point lies against the normal, which is that of a plane below.
+  const auto has_rim = either(shape.is_cylinder, shape.is_cone);
+  const T across = sqrt(n.x * n.x + n.y * n.y), reach = across * h.x;
+  const T off_side = abs(x.x * n.y - x.y * n.x), down = -(x.x * n.x + x.y * n.y);
+  const auto apex = both(shape.is_cone, x.z > zero);
+  const auto flat = both(has_rim, both(negate(apex), across < T(kZero)));
+  const auto at_deepest = both(down > zero, off_side <= reach * T(1e-3f));
+  f.is_deepest =
+      either(shape.is_ellipsoid, both(both(has_rim, negate(apex)), both(negate(flat), at_deepest)));
+  f.is_fixed = either(shape.is_polytope, both(has_rim, both(negate(flat), negate(f.is_deepest))));
+  f.is_plane = shape.is_plane;
+  f.meets_planes = either(shape.is_ellipsoid, either(has_rim, shape.is_polytope));
+  f.turn = turn;
+  f.centre = transform_point(
+      multiply(body, shape.pose),
+      select(shape.is_ellipsoid, Vec3<T>{zero, zero, zero}, Vec3<T>{zero, zero, x.z}));
+  f.half_axes = {h.x, select(shape.is_ellipsoid, h.y, h.x), select(shape.is_ellipsoid, h.z, zero)};
+  f.direction = select(dot(x, n) < zero, -one, one);
+  f.direction = select(has_rim, -one, f.direction);
   return f;
 }
 
@@ -187,7 +233,9 @@ FaceContact<B, T> face_contact(const ContactFeature<B, T>& face, const ContactFe
   const Vec3<T> on_flat = face.held + face.face * (dot(other.flat, other.point - face.held) /
                                                    nonzero(into_flat, least));
   FaceContact<B, T> c;
-  c.of_other = select(at_side, on_line, select(at_corner, on_flat, other.point));
+  c.of_other = select(
+      at_side, on_line,
+      select(at_corner, on_flat, select(other.is_deepest, deepest_point(other, n), other.point)));
   // The two edges that n is across are not as far apart as the line is above the face.
   const T own = dot(cross(face.face, face.side), face.across),
           theirs = dot(other.line, other.across);
@@ -197,7 +245,8 @@ FaceContact<B, T> face_contact(const ContactFeature<B, T>& face, const ContactFe
   const T above = select(edges, dot(n, c.of_other - on_edge),
                          dot(face.face, c.of_other - face.point) / nonzero(into_face, least));
   c.of_face = c.of_other - n * above;
-  c.is_exact = either(other.is_point, either(at_side, at_corner));
+  c.is_exact = either(either(other.is_point, either(at_side, at_corner)),
+                      either(other.is_deepest, both(face.is_plane, other.is_fixed)));
   return c;
 }
 
@@ -224,7 +273,9 @@ TurningContact<B, T> turning_contact(const ContactFeature<B, T>& a, const Contac
   using namespace math;
   namespace d = contact_turning_detail;
   const T one = T(1.0f), close = T(0.99999f);
-  const auto known = both(both(a.is_known, b.is_known), negate(features_coincide(a, b)));
+  const auto known =
+      either(both(both(a.is_known, b.is_known), negate(features_coincide(a, b))),
+             either(both(a.is_plane, b.meets_planes), both(b.is_plane, a.meets_planes)));
   const auto face_leads = [&](const ContactFeature<B, T>& f) {
     return both(known, both(f.is_along, f.is_on_face));
   };

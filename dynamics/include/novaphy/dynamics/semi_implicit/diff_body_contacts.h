@@ -8,10 +8,12 @@
 // What each input's gradient is:
 //   body_q, body_qd, body_f; particle_q, particle_qd, particle_f    through the forces: exact. The
 //       points and normals of planes, spheres, capsules and boxes follow both bodies
-//       (contact_turning_trace.h, contact_gradients.h says which rows); those of other shapes and
-//       of particles are frozen: the points stay in the frames of their bodies, the normals in the
-//       world (docs/coverage.md). Rows that were not found from the state of the step, as it is
-//       then, are all held so (Contacts::rigid_contacts_found_from)
+//       (contact_turning_trace.h, contact_gradients.h says which rows); those of other shapes are
+//       frozen: the points stay in the frames of their bodies, the normals in the world
+//       (docs/coverage.md). Rows that were not found from the state of the step, as it is then, are
+//       all held so (Contacts::rigid_contacts_found_from). Points and normals of particles with
+//       shapes follow both where a rollout finds them in every step (of hulls and meshes as if
+//       their face went on); else they are held
 //   model: body_com, particle_radius, shape_material_ke, _kd, _kf, _mu    exact
 //   which contacts exist, shape_material_ka, particle_adhesion, smoothing    none
 #pragma once
@@ -36,6 +38,8 @@ class NOVAPHY_DYNAMICS_API ContactTables {
     // They were found from the state of the step, so that their points and normals follow it; else
     // they are held as they are.
     bool of_this_state = true;
+    // So were those of particles.
+    bool particles_follow = false;
   };
   // From what the contacts hold, unless that is known already. Inside a capture the tables of
   // bodies are found anew by each replay. ErrorKind::Index where they name a particle that is not
@@ -52,12 +56,13 @@ class NOVAPHY_DYNAMICS_API ContactTables {
   const DeviceArray<int32_t>& soft_bodies() const { return soft_bodies_; }    // {slots}
   const DeviceArray<int32_t>& rigid_bodies() const { return rigid_bodies_; }  // {rows, 2}
   bool of_this_state() const { return of_this_state_; }
+  bool particles_follow() const { return particles_follow_; }
 
  private:
   void rebuild_bodies(const Model& model, const Contacts& contacts, const Wanted& wanted);
   nova::Incidence slots_of_particles_, slots_of_bodies_, sides_of_bodies_;
   DeviceArray<int32_t> soft_bodies_, rigid_bodies_;
-  bool of_this_state_ = true;
+  bool of_this_state_ = true, particles_follow_ = false;
   ArrayStamp soft_shape_, shape0_, shape1_, shape_body_;  // that the tables of bodies are made of
 };
 

@@ -119,3 +119,27 @@ def test_a_particle_exactly_on_a_face_of_a_box_has_the_derivative_of_its_distanc
         tape.backward(nova.sum(force))
     ke = 0.5 * (1e3 + model.soft_contact_ke)
     np.testing.assert_allclose(q.grad.numpy(), [[0, 0, -ke]], rtol=1e-6)
+
+
+@pytest.mark.parametrize("shape", ["box", "sphere", "capsule", "cylinder", "cone", "ellipsoid"])
+def test_static_contacts_of_a_shape_beside_those_of_all_types_have_its_gradient(shape):
+    """Sizes that another type does not have divide nothing by zero."""
+    builder = novaphy.ModelBuilder(gravity=(0, 0, 0))
+    for k, (name, sizes) in enumerate(SHAPES.items()):
+        if name == "convex_hull":
+            continue
+        at = 0.0 if name == shape else 5.0 + k
+        pose = ((at, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
+        getattr(builder, f"add_shape_{name}")(-1, xform=pose, cfg=SURFACE, **sizes)
+    builder.add_particle((0.03, 0.02, 0.11), (0.1, 0.2, -0.6), 0.5, radius=0.05)
+    model = builder.finalize(requires_grad=True)
+    q = nova.tensor(model.particle_q.numpy(), requires_grad=True)
+    qd, f = nova.tensor(model.particle_qd.numpy()), nova.zeros((1, 3))
+
+    def force():
+        found = diff.eval_static_particle_shape_contact_forces_generated(model, q, qd, f)
+        return nova.sum(found * nova.tensor(np.float32([[0.3, -0.5, 0.8]])))
+
+    found = nova.gradcheck(lambda *_: force(), [q], epsilon=1e-3, rtol=2e-2, atol=2e-2)
+    assert found.ok, found.worst
+    assert abs(force().item()) > 1.0

@@ -180,14 +180,21 @@ struct RigidContactRows {
   float* margin1;
   int32_t* point_id;
 };
+// Into the frames of the owners of a pair.
+struct ToOwners {
+  Transformf to0, to1;
+};
+inline ToOwners to_owners(const RigidShape& s0, const RigidShape& s1) {
+  return {math::inverse(s0.owner), math::inverse(s1.owner)};
+}
 // Row `at`, if it has room; the normal is from pair.x to pair.y.
 inline void write_contact(const RigidContactRows& rows, int64_t at, const Vec2i& pair,
-                          const RigidShape* shapes, const Vec3f& normal,
+                          const RigidShape* shapes, const ToOwners& owners, const Vec3f& normal,
                           const geometry::ContactPoint& point) {
   if (at >= rows.capacity) return;
   const RigidShape& s0 = shapes[pair.x];
   const RigidShape& s1 = shapes[pair.y];
-  const Transformf to0 = math::inverse(s0.owner), to1 = math::inverse(s1.owner);
+  const Transformf &to0 = owners.to0, &to1 = owners.to1;
   const CorePoints core = core_points(s0, s1, normal, point);
   const float margin0 = core_radius(s0) + s0.margin, margin1 = core_radius(s1) + s1.margin;
   rows.shape0[at] = pair.x;
@@ -217,8 +224,9 @@ NOVAPHY_ROW_KERNEL(rigid_contact_write, 17, RigidContactWriteArguments) {
   const Vec2i pair = a.pairs[row];
   if (count == 0 || is_mesh_pair(a.shapes[pair.x].type, a.shapes[pair.y].type)) return;
   const geometry::Manifold& manifold = a.manifolds[row];
+  const ToOwners owners = to_owners(a.shapes[pair.x], a.shapes[pair.y]);
   for (int32_t k = 0; k < count; ++k)
-    write_contact(a.rows, first + k, pair, a.shapes, manifold.normal, manifold.points[k]);
+    write_contact(a.rows, first + k, pair, a.shapes, owners, manifold.normal, manifold.points[k]);
 }
 
 struct RigidContactClearArguments {

@@ -102,9 +102,10 @@ struct RigidMeshWriteArguments {
 NOVAPHY_ROW_KERNEL(rigid_mesh_write, 16, RigidMeshWriteArguments) {
   const Vec2i pair = a.pairs[a.mesh_pairs[row]];
   const MeshRows& found = a.found[row];
+  const ToOwners owners = to_owners(a.shapes[pair.x], a.shapes[pair.y]);
   for (int32_t k = 0; k < found.count; ++k)
-    write_contact(a.rows, a.before[a.mesh_pairs[row]] + k, pair, a.shapes, found.rows[k].normal,
-                  found.rows[k].point);
+    write_contact(a.rows, a.before[a.mesh_pairs[row]] + k, pair, a.shapes, owners,
+                  found.rows[k].normal, found.rows[k].point);
 }
 
 }  // namespace novaphy

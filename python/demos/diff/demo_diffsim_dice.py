@@ -6,7 +6,12 @@ which the corners that touch the ground are found anew. The loss is a landscape 
 each face, so every update is a clipped gradient step whose length is halved until the loss falls.
 The same is then tried from seeded random spins.
 
+One die alone uses the generated operator, which finds the corners in its own kernel. Several
+(`--dice`) are thrown side by side and may collide: their contacts come from a collision pipeline,
+found anew in every substep, and the gradient follows both bodies.
+
     python demo_diffsim_dice.py
+    python demo_diffsim_dice.py --dice 3 --starts 0
     python demo_diffsim_dice.py --headless 8 --plot dice.png --record dice.html
     python demo_diffsim_dice.py --headless 0 --starts 0 --check-grad
 """
@@ -32,7 +37,7 @@ from novaphy import diff, nova, viewer
 
 FPS, SUBSTEPS, FRAMES = 60, 16, 48
 STEPS, DT = SUBSTEPS * FRAMES, 1.0 / (FPS * SUBSTEPS)
-HALF = 0.1  # m
+HALF, SPACING = 0.1, 0.4  # m
 START = (0.0, 0.0, 0.6, 0.0, 0.0, 0.0, 1.0)
 PENETRATING = (0.0, 0.0, 0.13, 0.11, -0.21, 0.29, 0.927)  # a corner in the ground
 VELOCITY, SPIN = (1.0, 0.0, 0.0), (1.0, 5.0, 2.0)
@@ -41,40 +46,64 @@ LEARNING_RATE, SMALLEST_RATE = 0.5, 1e-3
 MAX_GRADIENT, MAX_SPIN = 10.0, 20.0
 
 
-def build_model(device: str, start: tuple[float, ...]) -> novaphy.Model:
-    """The die over the ground."""
+def build_model(device: str, start: tuple[float, ...], count: int) -> novaphy.Model:
+    """Dice over the ground, side by side, each a little higher than the one before."""
     builder = novaphy.ModelBuilder()
     surface = novaphy.ShapeConfig(ke=1e4, kd=300.0, kf=500.0, mu=0.5)
     builder.add_ground_plane(cfg=surface)
-    die = builder.add_body(xform=start, mass=4.0)
-    builder.add_shape_box(die, hx=HALF, hy=HALF, hz=HALF, cfg=surface)
+    for k in range(count):
+        place = np.add(start[:3], (0.0, SPACING * (k - (count - 1) / 2), 0.05 * k))
+        die = builder.add_body(xform=(*place, *start[3:]), mass=4.0)
+        builder.add_shape_box(die, hx=HALF, hy=HALF, hz=HALF, cfg=surface)
     return builder.finalize(device, requires_grad=True)
 
 
-class Die:
-    """The rollout, its loss and the spin that is optimised."""
+class Dice:
+    """The rollout, its loss and the spins that are optimised."""
 
-    def __init__(self, device: str, start: tuple[float, ...] = START, steps: int = STEPS) -> None:
-        self.model = build_model(device, start)
+    def __init__(
+        self,
+        device: str,
+        start: tuple[float, ...] = START,
+        steps: int = STEPS,
+        count: int = 1,
+    ) -> None:
+        self.model = build_model(device, start, count)
         config = novaphy.solvers.DiffSolverConfig(
-            enable_static_contacts=True,
+            enable_static_contacts=count == 1,
             friction_law="huber",
             friction_smoothing=FRICTION_SMOOTHING,
         )
         self.solver = novaphy.solvers.DiffSemiImplicitSolver(self.model, config)
         self.trajectory = diff.Trajectory(self.model, steps)
-        self.spin = nova.tensor(np.float32([SPIN]), device=device, requires_grad=True)
+        self.pipeline = None if count == 1 else novaphy.CollisionPipeline(self.model)
+        spins = np.float32([SPIN]) + np.float32([0.7, -0.9, 0.4]) * np.arange(count)[:, None]
+        self.spin = nova.tensor(spins.astype(np.float32), device=device, requires_grad=True)
+
+    @property
+    def gradient(self) -> str:
+        """Which gradient is used."""
+        if self.pipeline is None:
+            return "generated operator, exact"
+        return "contacts found anew in every substep, exact but for coinciding features"
 
     def forward(self) -> nova.Tensor:
-        """Run all substeps; how far the x axis is from upwards, and what still moves, {1}."""
+        """Run all substeps; how far the x axes are from upwards, and what still moves, {1}."""
         twist = diff.body_twist_from_omega_generated(self.spin, *VELOCITY)
         diff.state_body_qd_tensor(self.trajectory[0]).copy_(twist)
-        self.solver.rollout(self.trajectory, None, None, DT)
+        self.solver.rollout(self.trajectory, None, None, DT, pipeline=self.pipeline)
         end = self.trajectory[self.trajectory.steps]
+        loss = self.loss(end, 0)
+        for die in range(1, self.model.body_count):
+            loss = loss + self.loss(end, die)
+        return loss
+
+    def loss(self, end: novaphy.SimState, die: int) -> nova.Tensor:
+        """How far the x axis of one die is from upwards, and what of it still moves, {1}."""
         return diff.rigid_orientation_velocity_loss_generated(
             diff.state_body_q_tensor(end),
             diff.state_body_qd_tensor(end),
-            0,
+            die,
             local_axis_a=(1.0, 0.0, 0.0),
             target_axis_a=(0.0, 0.0, 1.0),
             local_axis_b=(0.0, 1.0, 0.0),
@@ -87,7 +116,7 @@ class Die:
         )
 
     def iterate(self) -> tuple[float, bool]:
-        """One gradient, and the first of the halved steps that lowers the loss, if there is one.
+        """One gradient, and of each die the first of the halved steps that lowers the loss, if any.
 
         Returns the loss before it, and whether a step was taken.
         """
@@ -96,18 +125,29 @@ class Die:
             tape.backward(loss)
             gradient = self.spin.grad.numpy()
             tape.zero()
-        before, start = loss.item(), self.spin.numpy()
+        before = loss.item()
+        lowest, moved = before, False
+        for die in range(len(gradient)):
+            lowest, stepped = self.search(die, gradient[die], lowest)
+            moved = moved or stepped
+        return before, moved
+
+    def search(self, die: int, gradient: np.ndarray, before: float) -> tuple[float, bool]:
+        """The line search of one die's spin; the loss after it, and whether it took a step."""
+        start = self.spin.numpy()
         length = float(np.linalg.norm(gradient))
         if not np.isfinite(length) or length == 0.0:
             return before, False
-        gradient *= min(1.0, MAX_GRADIENT / length)
+        gradient = gradient * min(1.0, MAX_GRADIENT / length)
         rate = LEARNING_RATE
         while rate >= SMALLEST_RATE:
-            spin = start - rate * gradient
-            spin *= min(1.0, MAX_SPIN / float(np.linalg.norm(spin)))
+            spin = start.copy()
+            spin[die] -= rate * gradient
+            spin[die] *= min(1.0, MAX_SPIN / float(np.linalg.norm(spin[die])))
             self.spin.assign(spin.astype(np.float32))
-            if self.forward().item() < before:
-                return before, True
+            after = self.forward().item()
+            if after < before:
+                return after, True
             rate /= 2.0
         self.spin.assign(start)
         return before, False
@@ -129,22 +169,24 @@ class Die:
         return ((k / FPS, self.trajectory[k * SUBSTEPS]) for k in range(FRAMES + 1))
 
     def paths(self) -> dict[str, np.ndarray]:
-        """The ways of the centre and of a corner in the last rollout."""
-        pose = poses(self)
-        return {"path": pose[:, :3], "corner": corner_way(pose)}
+        """The ways of the centres and of a corner of the first die in the last rollout."""
+        q = poses(self)
+        ways = {f"path {k}" if k else "path": q[:, k, :3] for k in range(q.shape[1])}
+        return {**ways, "corner": corner_way(q[:, 0])}
 
-    def landed(self) -> bool:
-        """Whether the last rollout ends with the face up, at rest."""
+    def landed(self) -> int:
+        """How many dice end the last rollout with the face up, at rest."""
         end = self.trajectory[self.trajectory.steps]
-        x, y, z, w = end.body_q.numpy()[0, 3:]
-        up = 2.0 * (x * z - w * y)  # the height of the die's x axis
-        return bool(up > 0.99 and np.linalg.norm(end.body_qd.numpy()) < 0.5)
+        x, y, z, w = end.body_q.numpy()[:, 3:].T
+        up = 2.0 * (x * z - w * y)  # the height of the dice's x axes
+        still = np.linalg.norm(end.body_qd.numpy(), axis=1) < 0.5
+        return int((still & (up > 0.99)).sum())
 
 
 def success_rate(device: str, starts: int, iterations: int) -> int:
     """How many of the seeded spins end with the face up."""
     random = np.random.default_rng(2024)
-    die, landed = Die(device), 0
+    die, landed = Dice(device), 0
     for _ in progress(range(starts)):
         die.spin.assign(random.uniform(-6.0, 6.0, (1, 3)).astype(np.float32))
         die.train(range(iterations))
@@ -158,9 +200,12 @@ def plot(path: str, losses: list[float], rollouts: list[np.ndarray]) -> None:
     figure, right = loss_figure(losses, "loss")
     time = np.arange(STEPS + 1) * DT
     for q, colour, name in zip(rollouts, ("#adb5bd", "#2a6f97"), ("before", "after"), strict=True):
-        up = 2.0 * (q[:, 3] * q[:, 5] - q[:, 6] * q[:, 4])
-        right.plot(time, up, color=colour, label=f"x axis, {name}")
-        right.plot(time, q[:, 2], color=colour, linestyle=":", label=f"height (m), {name}")
+        up = 2.0 * (q[..., 3] * q[..., 5] - q[..., 6] * q[..., 4])
+        for k in range(q.shape[1]):
+            of = {"color": colour, "alpha": 1.0 - 0.6 * k / q.shape[1]}
+            right.plot(time, up[:, k], label=None if k else f"x axis, {name}", **of)
+            label = None if k else f"height (m), {name}"
+            right.plot(time, q[:, k, 2], linestyle=":", label=label, **of)
     right.set(xlabel="time [s]", title="Upward part of the die's x axis, and its height")
     right.legend()
     save_figure(figure, path)
@@ -170,16 +215,19 @@ def main() -> int:
     """Train, check, dump and plot as asked; 0 when every check passed."""
     parser = make_parser(__doc__, iterations=8)
     parser.add_argument("--starts", type=int, default=20, help="seeded random spins to try")
+    parser.add_argument("--dice", type=int, default=1, help="dice that are thrown together")
     args = parse(parser)
     if args.starts < 0:
         parser.error(f"--starts: expected a number >= 0, got {args.starts}")
+    if args.dice < 1:
+        parser.error(f"--dice: expected a number >= 1, got {args.dice}")
     checks = {}
     if args.check_grad:
-        corner = Die(args.device, PENETRATING, 8)
+        corner = Dice(args.device, PENETRATING, 8, args.dice)
         checks["a gradient within the tolerance"] = check_gradient(
             corner.spin, corner.forward, 1e-2, 1e-2
         )
-    die = Die(args.device)
+    die = Dice(args.device, count=args.dice)
     die.forward()
     rollouts = [poses(die)]
     look = ((0.3, -2.3, 0.8), (0.3, 0.0, 0.32))
@@ -193,14 +241,19 @@ def main() -> int:
     if args.plot:
         plot(args.plot, losses, rollouts)
     if args.headless >= 3:
-        checks["the face up and the die at rest"] = die.landed()
+        checks["a loss that fell"] = losses[-1] < losses[0]
+    if args.headless >= 3 and args.dice == 1:
+        checks["the face up and the die at rest"] = die.landed() == 1
         checks["a loss below 0.01"] = losses[-1] < 0.01
     if args.starts:
         landed = success_rate(args.device, args.starts, args.headless)
         print(f"{landed} of {args.starts} random spins end with the face up")
+    if args.dice > 1:
+        print(f"{die.landed()} of {args.dice} dice end with the face up")
+    print(f"gradient: {die.gradient}")
     print(
         f"die on {die.model.device}: {len(losses) - 1} iterations, loss {losses[0]:.4f} -> "
-        f"{losses[-1]:.5f}, spin {die.spin.numpy()[0].round(3)}, {verdict(checks)}"
+        f"{losses[-1]:.5f}, spin {die.spin.numpy().round(3).tolist()}, {verdict(checks)}"
     )
     return 0 if all(checks.values()) else 1
 
@@ -212,9 +265,9 @@ def corner_way(pose: np.ndarray) -> np.ndarray:
     return (pose[:, :3] + corner + w * turn + np.cross(axis, turn)).astype(np.float32)
 
 
-def poses(die: Die) -> np.ndarray:
-    """All poses of the last rollout, {steps + 1, 7}."""
-    return np.array([die.trajectory[t].body_q.numpy()[0] for t in range(STEPS + 1)])
+def poses(die: Dice) -> np.ndarray:
+    """All poses of the last rollout, {steps + 1, dice, 7}."""
+    return np.array([die.trajectory[t].body_q.numpy() for t in range(STEPS + 1)])
 
 
 if __name__ == "__main__":

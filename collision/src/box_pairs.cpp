@@ -7,6 +7,7 @@
 #include <numeric>
 
 #include "novaphy/core/error.h"
+#include "sweep_axis.h"
 
 namespace novaphy {
 namespace {
@@ -46,12 +47,12 @@ void check_boxes(const char* function, std::span<const Box3> boxes, const ShapeP
 
 bool meets_itself(const Box3& box) { return boxes_meet(box, box); }  // no NaN, and lo <= hi
 
-// The axis on which the centres vary most, the first among equals.
-int sweep_axis(std::span<const Box3> boxes, const std::vector<int32_t>& shapes) {
+}  // namespace
+
+int detail::sweep_axis(std::span<const Box3> boxes) {
   std::array<double, 3> sum{}, square{};
   double count = 0.0;
-  for (const int32_t i : shapes) {
-    const Box3& box = boxes[static_cast<size_t>(i)];
+  for (const Box3& box : boxes) {
     for (int k = 0; k < 3; ++k) {
       const double c = 0.5 * (static_cast<double>(geometry::component(box.lo, k)) +
                               static_cast<double>(geometry::component(box.hi, k)));
@@ -73,6 +74,8 @@ int sweep_axis(std::span<const Box3> boxes, const std::vector<int32_t>& shapes) 
   }
   return best;
 }
+
+namespace {
 
 // Insertion sort for what is nearly sorted; std::sort takes over after a few moves per item. The
 // order is total, so both give the same.
@@ -133,7 +136,7 @@ std::vector<Vec2i> SweepAndPrune::box_pairs(std::span<const Box3> boxes,
     order_.resize(count);
     std::iota(order_.begin(), order_.end(), 0);
   }
-  const int axis = sweep_axis(boxes, order_);
+  const int axis = detail::sweep_axis(boxes);
   auto box = [&](int32_t i) -> const Box3& { return boxes[static_cast<size_t>(i)]; };
   auto lower = [&](int32_t i) {  // what meets nothing comes last
     return meets_itself(box(i)) ? geometry::component(box(i).lo, axis)

@@ -29,11 +29,6 @@ CollisionPipeline::CollisionPipeline(std::shared_ptr<const Model> model,
           ErrorKind::NotImplemented, name, ": expected a model on the cpu, got one on ",
           model_->device().str(),
           "; this build has no collision for other devices (NOVAPHY_WITH_COLLISION_CUDA)");
-  require(options.broad_phase != BroadPhase::Sap || model_->device().is_cpu(),
-          ErrorKind::NotImplemented, name,
-          ": broad_phase: sweep and prune (\"sap\") is there on the cpu; use \"explicit\" or "
-          "\"nxn\" on ",
-          model_->device().str());
   require(options.broad_phase == BroadPhase::Explicit || options.broad_phase == BroadPhase::NxN ||
               options.broad_phase == BroadPhase::Sap,
           ErrorKind::Value, name, ": broad_phase: expected a BroadPhase, got ",

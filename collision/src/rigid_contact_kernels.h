@@ -6,27 +6,11 @@
 #include "novaphy/collision/geometry/collide.h"
 #include "novaphy/collision/geometry/geometry_view.h"
 #include "novaphy/collision/geometry/plane_pairs.h"
+#include "novaphy/collision/geometry/rigid_shape.h"
 #include "novaphy/core/row_kernel.h"
 #include "novaphy/core/sim/enums.h"
 
 namespace novaphy {
-
-// A shape where it is now.
-struct RigidShape {
-  GeoType type;
-  int32_t unused;
-  const geometry::GeometryView* geometry;  // of a hull or mesh, else null
-  Vec3f scale;
-  float margin, gap;   // m
-  Transformf pose;     // in the world
-  Transformf owner;    // of its body in the world, the identity for a world-owned shape
-  geometry::Box3 box;  // in the world, grown by margin and gap
-};
-
-// The radius by which a shape exceeds its core, the points that rows store.
-inline float core_radius(const RigidShape& shape) {
-  return geometry::core_radius({shape.type, shape.scale});
-}
 
 // How far the shape reaches from its origin (a hull or mesh: the middle of its box) along a unit
 // vector of its own frame, at most.
@@ -44,13 +28,6 @@ inline float reach_along(const RigidShape& shape, const Vec3f& axis) {
   if (shape.type == GeoType::CYLINDER || shape.type == GeoType::CONE)
     return s.x * math::sqrt(x * x + y * y) + s.y * z;
   return 1.0e6f;  // a plane
-}
-
-// One that is no plane nor mesh.
-inline geometry::Shape convex_shape(const RigidShape& shape) {
-  geometry::Shape convex{shape.type, shape.scale};
-  if (shape.geometry != nullptr) convex.hull = shape.geometry->hull;
-  return convex;
 }
 
 // Of types in their order: a mesh and a convex shape, which rigid_mesh_kernels.h handles.
@@ -114,17 +91,6 @@ inline geometry::Manifold rigid_manifold(const RigidShape& a, const RigidShape& 
                         math::length(solid.box.hi - solid.box.lo), reach);
 }
 
-// The core points of a contact: on the surface, or on the centre or axis of what has a radius.
-struct CorePoints {
-  Vec3f a, b;
-};
-inline CorePoints core_points(const RigidShape& a, const RigidShape& b, const Vec3f& normal,
-                              const geometry::ContactPoint& point) {
-  const float half = 0.5f * point.distance;
-  return {point.position - normal * (half + core_radius(a)),
-          point.position + normal * (half + core_radius(b))};
-}
-
 // Keeps of a manifold, at most `per_pair` points where no plane is in it, what are rows.
 inline void keep_rows(const RigidShape& s0, const RigidShape& s1, const geometry::Manifold& all,
                       int64_t per_pair, geometry::Manifold& kept) {
@@ -143,73 +109,28 @@ inline void keep_rows(const RigidShape& s0, const RigidShape& s1, const geometry
   }
 }
 
-// Between core surfaces (m), the distance up to which a pair may have rows.
-inline float reach_of(const RigidShape& s0, const RigidShape& s1) {
-  return ((s0.gap + s1.gap) + s0.margin) + s1.margin;
-}
-
 struct RigidContactFindArguments {
+  const int32_t* pairs_found;  // as many of the pairs count; null: all
   const Vec2i* pairs;
   const RigidShape* shapes;
   int64_t per_pair;               // rows of a pair without a plane, at most
   geometry::Manifold* manifolds;  // a row per pair: the contacts that are rows
   int32_t* counts;                // of these
 };
-NOVAPHY_ROW_KERNEL(rigid_contact_find, 5, RigidContactFindArguments) {
+NOVAPHY_ROW_KERNEL(rigid_contact_find, 6, RigidContactFindArguments) {
+  a.counts[row] = 0;
+  if (a.pairs_found != nullptr && row >= *a.pairs_found) return;
   const Vec2i pair = a.pairs[row];
   const RigidShape& s0 = a.shapes[pair.x];
   const RigidShape& s1 = a.shapes[pair.y];
-  a.counts[row] = 0;
   if (!geometry::boxes_meet(s0.box, s1.box) || is_mesh_pair(s0.type, s1.type)) return;
   geometry::Manifold& kept = a.manifolds[row];
   keep_rows(s0, s1, rigid_manifold(s0, s1, reach_of(s0, s1)), a.per_pair, kept);
   a.counts[row] = kept.count;
 }
 
-// Where rows are written.
-struct RigidContactRows {
-  int64_t capacity;
-  int32_t* shape0;  // the rest: a row per contact
-  int32_t* shape1;
-  Vec3f* point0;
-  Vec3f* point1;
-  Vec3f* offset0;
-  Vec3f* offset1;
-  Vec3f* normal;
-  float* margin0;
-  float* margin1;
-  int32_t* point_id;
-};
-// Into the frames of the owners of a pair.
-struct ToOwners {
-  Transformf to0, to1;
-};
-inline ToOwners to_owners(const RigidShape& s0, const RigidShape& s1) {
-  return {math::inverse(s0.owner), math::inverse(s1.owner)};
-}
-// Row `at`, if it has room; the normal is from pair.x to pair.y.
-inline void write_contact(const RigidContactRows& rows, int64_t at, const Vec2i& pair,
-                          const RigidShape* shapes, const ToOwners& owners, const Vec3f& normal,
-                          const geometry::ContactPoint& point) {
-  if (at >= rows.capacity) return;
-  const RigidShape& s0 = shapes[pair.x];
-  const RigidShape& s1 = shapes[pair.y];
-  const Transformf &to0 = owners.to0, &to1 = owners.to1;
-  const CorePoints core = core_points(s0, s1, normal, point);
-  const float margin0 = core_radius(s0) + s0.margin, margin1 = core_radius(s1) + s1.margin;
-  rows.shape0[at] = pair.x;
-  rows.shape1[at] = pair.y;
-  rows.point0[at] = math::transform_point(to0, core.a);
-  rows.point1[at] = math::transform_point(to1, core.b);
-  rows.offset0[at] = math::rotate(to0.q, normal * margin0);
-  rows.offset1[at] = math::rotate(to1.q, normal * -margin1);
-  rows.normal[at] = normal;
-  rows.margin0[at] = margin0;
-  rows.margin1[at] = margin1;
-  rows.point_id[at] = point.feature;
-}
-
 struct RigidContactWriteArguments {
+  const int32_t* pairs_found;  // may be more than there is room for; null: all
   const Vec2i* pairs;
   const RigidShape* shapes;
   const geometry::Manifold* manifolds;
@@ -218,11 +139,18 @@ struct RigidContactWriteArguments {
   int32_t* count;
   RigidContactRows rows;
 };
-NOVAPHY_ROW_KERNEL(rigid_contact_write, 17, RigidContactWriteArguments) {
+NOVAPHY_ROW_KERNEL(rigid_contact_write, 18, RigidContactWriteArguments) {
   const int32_t first = a.before[row], count = a.counts[row];
-  if (row == n - 1) *a.count = first + count;
+  if (row == n - 1) {
+    // A pair for which there was no room counts as a row behind those that are there.
+    const int64_t found = a.pairs_found == nullptr ? n : *a.pairs_found;
+    int64_t rows = first + count;
+    if (found > n) rows = (rows > a.rows.capacity ? rows : a.rows.capacity) + (found - n);
+    *a.count = rows < 0x7FFFFFFF ? static_cast<int32_t>(rows) : 0x7FFFFFFF;
+  }
+  if (count == 0) return;
   const Vec2i pair = a.pairs[row];
-  if (count == 0 || is_mesh_pair(a.shapes[pair.x].type, a.shapes[pair.y].type)) return;
+  if (is_mesh_pair(a.shapes[pair.x].type, a.shapes[pair.y].type)) return;
   const geometry::Manifold& manifold = a.manifolds[row];
   const ToOwners owners = to_owners(a.shapes[pair.x], a.shapes[pair.y]);
   for (int32_t k = 0; k < count; ++k)

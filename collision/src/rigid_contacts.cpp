@@ -14,12 +14,10 @@
 #include "novaphy/core/sim/model_builder.h"
 #include "rigid_contact_kernels.h"
 #include "rigid_mesh_kernels.h"
+#include "rigid_sweep.h"
 
 namespace novaphy::detail {
 namespace {
-
-// Devices do not find the contacts of meshes.
-const char* no_text() { return nullptr; }
 
 // Never destroyed: recordings refer to them.
 struct Kernels {
@@ -28,8 +26,8 @@ struct Kernels {
   DeviceKernel scan{"exclusive_scan_i32"};
   DeviceKernel write{rigid_contact_write, rigid_contact_kernels_text};
   DeviceKernel clear{rigid_contact_clear, rigid_contact_kernels_text};
-  DeviceKernel find_mesh{rigid_mesh_find, no_text};
-  DeviceKernel write_mesh{rigid_mesh_write, no_text};
+  DeviceKernel find_mesh{rigid_mesh_find, rigid_mesh_kernels_text};
+  DeviceKernel write_mesh{rigid_mesh_write, rigid_mesh_kernels_text};
 };
 const Kernels& kernels() {
   static const auto& all = *new Kernels;
@@ -74,6 +72,8 @@ struct RigidContacts::Impl {
   std::vector<int32_t> body, type, flags, group, world;  // of the shapes
   std::vector<Vec3f> scale;
   SweepAndPrune sweep;
+  RigidSweep kernel_sweep;          // on devices, and what is recorded
+  bool kernel_sweep_known = false;  // its tables
   std::vector<geometry::Box3> boxes;
   int64_t most_rows = 0;
   int64_t pair_count = 0;
@@ -84,7 +84,7 @@ struct RigidContacts::Impl {
   int64_t mesh_pair_count = 0;
   DeviceArray<int32_t> mesh_pairs;  // rows of `pairs` with a mesh and a convex shape
   // Scratch, kept from call to call.
-  std::shared_ptr<Storage> shapes, manifolds, mesh_rows;
+  std::shared_ptr<Storage> shapes, manifolds, mesh_rows, mesh_scratch;
   DeviceArray<int32_t> counts, before;
 
   std::array<const Array*, 7> choosing() const {
@@ -115,10 +115,6 @@ struct RigidContacts::Impl {
             a == GeoType::MESH && b == GeoType::MESH
                 ? ", and add_shape_convex_hull makes a shape that meets meshes"
                 : "");
-    require(model->device().is_cpu() || !is_mesh_pair(a, b), ErrorKind::NotImplemented,
-            "CollisionPipeline: shapes ", pair.x, " (", geo_type_name(a), ") and ", pair.y, " (",
-            geo_type_name(b), ") may meet: contacts of meshes are found on the cpu, not on ",
-            model->device().str());
     const Vec3f& size = scale[static_cast<size_t>(pair.x)];
     require(a != GeoType::PLANE || !(size.x > 0.0f && size.y > 0.0f), ErrorKind::NotImplemented,
             "CollisionPipeline: shape ", pair.x,
@@ -136,18 +132,21 @@ struct RigidContacts::Impl {
     };
     if (!std::is_sorted(found.begin(), found.end(), before_other))
       std::sort(found.begin(), found.end(), before_other);
-    const Device device = model->device();
-    if (found.size() > pairs.rows() || pairs.rows() == 0) {
-      pairs = DeviceArray<Vec2i>(found.size(), device);
-      manifolds = Storage::allocate(found.size() * sizeof(geometry::Manifold), device);
-      counts = DeviceArray<int32_t>(found.size(), device);
-      before = DeviceArray<int32_t>(found.size(), device);
-    }
+    make_room(found.size());
     pair_count = static_cast<int64_t>(found.size());
     take_mesh_pairs(found);
     found.resize(pairs.rows());
     pairs.copy_from_host(std::span<const Vec2i>(found));
     return rows;
+  }
+
+  void make_room(size_t count) {
+    if (count <= pairs.rows() && pairs.rows() != 0) return;
+    const Device device = model->device();
+    pairs = DeviceArray<Vec2i>(count, device);
+    manifolds = Storage::allocate(count * sizeof(geometry::Manifold), device);
+    counts = DeviceArray<int32_t>(count, device);
+    before = DeviceArray<int32_t>(count, device);
   }
 
   // Takes FCL's answers for the pairs of hulls whose contacts were found.
@@ -223,6 +222,8 @@ struct RigidContacts::Impl {
     if (rows.size() > mesh_pairs.rows()) {
       mesh_pairs = DeviceArray<int32_t>(rows.size(), model->device());
       mesh_rows = Storage::allocate(rows.size() * sizeof(MeshRows), model->device());
+      if (!model->device().is_cpu())
+        mesh_scratch = Storage::allocate(rows.size() * sizeof(MeshContacts), model->device());
     }
     rows.resize(mesh_pairs.rows());
     mesh_pairs.copy_from_host(std::span<const int32_t>(rows));
@@ -244,8 +245,10 @@ struct RigidContacts::Impl {
     world = m.shape_world.to_host();
     scale = m.shape_scale.to_host();
     shapes = Storage::allocate(body.size() * sizeof(RigidShape), m.device());
+    kernel_sweep_known = false;
     if (broad_phase == BroadPhase::Sap) {
       most_rows = std::numeric_limits<int64_t>::max();
+      if (!m.device().is_cpu()) check_all_pairs();
     } else {
       pairs = {};
       most_rows = take(broad_phase == BroadPhase::Explicit
@@ -254,6 +257,50 @@ struct RigidContacts::Impl {
                                                       m.shape_collision_filter_pairs));
     }
     versions.set(choosing());
+  }
+  // What kernels that find pairs cannot refuse.
+  void check_all_pairs() const {
+    const ShapePairRules rule = rules();
+    const auto count = static_cast<int32_t>(type.size());
+    for (int32_t s = 0; s < count; ++s) {
+      const auto shape_type = static_cast<GeoType>(type[static_cast<size_t>(s)]);
+      if (geometry::is_convex_type(shape_type)) continue;
+      for (int32_t other = 0; other < count; ++other) {
+        if (other == s || !may_touch(rule, s, other)) continue;
+        Vec2i pair{std::min(s, other), std::max(s, other)};
+        orient(pair);
+        require(shape_type != GeoType::MESH, ErrorKind::NotImplemented,
+                "CollisionPipeline: shapes ", pair.x, " and ", pair.y,
+                " may meet: the broad phase \"sap\" finds pairs of meshes on the cpu only, and not "
+                "where it is recorded; use \"explicit\" or \"nxn\"");
+      }
+    }
+  }
+  // The pairs of shapes that were moved to the world, by kernels: as many as there is room for.
+  // Outside of a recording there is room for all.
+  void sweep_by_kernels(const Array& moved) {
+    if (!kernel_sweep_known) {
+      const Unobserved unobserved;  // the model is no part of what a capture records
+      check_all_pairs();
+      kernel_sweep.update(*model, world);
+      kernel_sweep_known = true;
+    }
+    const auto shapes_count = static_cast<int64_t>(type.size());
+    constexpr int64_t kFew = 1024, kPerShape = 16;
+    make_room(static_cast<size_t>(
+        std::max<int64_t>(1, std::min(shapes_count * (shapes_count - 1) / 2,
+                                      std::max(kFew, kPerShape * shapes_count)))));
+    kernel_sweep.sort(*model, moved);
+    kernel_sweep.write(*model, moved, pairs);
+    if (launch_recorder() == nullptr) {
+      const auto found = static_cast<size_t>(kernel_sweep.found().to_host()[0]);
+      if (found > pairs.rows()) {
+        make_room(found + found / 4);
+        kernel_sweep.write(*model, moved, pairs);
+      }
+    }
+    pair_count = static_cast<int64_t>(pairs.rows());
+    mesh_pair_count = 0;
   }
   // The pairs whose boxes meet now, of shapes that were moved to the world.
   void sweep_shapes() {
@@ -290,9 +337,8 @@ void RigidContacts::collide(const SimState& state, Contacts& c) {
   impl_->find_candidates();
   depend_on(impl_->choosing());  // which the host has read
   const bool sweeps = impl_->broad_phase == BroadPhase::Sap;
-  require(!sweeps || launch_recorder() == nullptr, ErrorKind::Runtime,
-          "collide: the broad phase \"sap\" finds its pairs on the host, so it cannot be recorded; "
-          "use \"explicit\" or \"nxn\"");
+  // On the CPU the host is faster: it keeps the order of the last call.
+  const bool by_kernels = sweeps && (!device.is_cpu() || launch_recorder() != nullptr);
   const bool asks_fcl = impl_->narrow_phase == NarrowPhase::Fcl;
   require(!asks_fcl || launch_recorder() == nullptr, ErrorKind::Runtime,
           "collide: the narrow phase \"fcl\" asks on the host, so it cannot be recorded; use "
@@ -332,26 +378,32 @@ void RigidContacts::collide(const SimState& state, Contacts& c) {
          constant("body_q", state.body_q), reads_row("geometry", impl_->geometries->of_shape()),
          reads("views", geometries), writes("shapes", shapes)});
   }
-  if (sweeps) impl_->sweep_shapes();
+  if (by_kernels)
+    impl_->sweep_by_kernels(shapes);
+  else if (sweeps)
+    impl_->sweep_shapes();
   const int64_t pairs = impl_->pair_count, mesh_pairs = impl_->mesh_pair_count;
   if (pairs > 0) {
     const Array manifolds = bytes(impl_->manifolds);
+    const LaunchArgument found =
+        reads("pairs_found", by_kernels ? impl_->kernel_sweep.found() : DeviceArray<int32_t>());
     kernels().find.launch(device, pairs,
-                          {reads_row("pairs", impl_->pairs), reads("shapes", shapes),
+                          {found, reads_row("pairs", impl_->pairs), reads("shapes", shapes),
                            number(int64_t{impl_->contacts_per_pair}),
                            writes("manifolds", manifolds), writes_row("counts", impl_->counts)});
     if (mesh_pairs > 0)
       kernels().find_mesh.launch(
           device, mesh_pairs,
           {reads_row("mesh_pairs", impl_->mesh_pairs), reads("pairs", impl_->pairs),
-           reads("shapes", shapes), writes("mesh_rows", bytes(impl_->mesh_rows)),
-           updates("counts", impl_->counts)});
+           reads("shapes", shapes),
+           writes("scratch", impl_->mesh_scratch ? bytes(impl_->mesh_scratch) : Array()),
+           writes("mesh_rows", bytes(impl_->mesh_rows)), updates("counts", impl_->counts)});
     if (asks_fcl) impl_->ask_fcl();
     kernels().scan.launch(device, pairs,
                           {reads("counts", impl_->counts), writes("before", impl_->before)});
     kernels().write.launch(
         device, pairs,
-        with_rows(reads_row("pairs", impl_->pairs), reads("shapes", shapes),
+        with_rows(found, reads_row("pairs", impl_->pairs), reads("shapes", shapes),
                   reads("manifolds", manifolds), reads_row("counts", impl_->counts),
                   reads_row("before", impl_->before),
                   writes("rigid_contact_count", c.rigid_contact_count)));

@@ -33,7 +33,8 @@ class RigidContacts {
   std::unique_ptr<Impl> impl_;
 };
 
-// The text of the kernels for devices; null: the build has none.
+// The texts of the kernels for devices; null: the build has none.
 const char* rigid_contact_kernels_text();
+const char* rigid_mesh_kernels_text();
 
 }  // namespace novaphy::detail

@@ -1,10 +1,11 @@
 // The contacts of pairs of a triangle mesh and a convex shape, between rigid_contact_find and
-// rigid_contact_write (rigid_contact_kernels.h), which leave such pairs out. On the CPU: a row
-// keeps all contacts of its pair at once.
+// rigid_contact_write (rigid_contact_kernels.h), which leave such pairs out.
 #pragma once
 
 #include "novaphy/collision/geometry/mesh_pair.h"
-#include "rigid_contact_kernels.h"
+#include "novaphy/collision/geometry/rigid_shape.h"
+#include "novaphy/core/row_kernel.h"
+#include "novaphy/core/row_scratch.h"
 
 namespace novaphy {
 
@@ -32,10 +33,11 @@ inline int32_t mesh_point_id(int32_t triangle, int32_t feature) {
 struct MeshContacts {
   static constexpr int32_t kCapacity = 512;
   geometry::MeshContact contacts[kCapacity];
-  int32_t count = 0;
+  int32_t count;
 
   void find(const geometry::MeshView& mesh, const geometry::Shape& b, const Transformf& b_in_mesh,
             float reach) {
+    count = 0;
     const geometry::Shape none;
     const geometry::ShapePair pair = geometry::shape_pair(none, b, b_in_mesh);
     if (!geometry::is_finite(pair)) return;
@@ -56,10 +58,11 @@ struct RigidMeshFindArguments {
   const int32_t* mesh_pairs;  // rows of `pairs`
   const Vec2i* pairs;
   const RigidShape* shapes;
-  MeshRows* found;  // a row per mesh pair
-  int32_t* counts;  // a row per pair
+  MeshContacts* scratch;  // a row per mesh pair, on devices
+  MeshRows* found;        // a row per mesh pair
+  int32_t* counts;        // a row per pair
 };
-NOVAPHY_ROW_KERNEL(rigid_mesh_find, 5, RigidMeshFindArguments) {
+NOVAPHY_ROW_KERNEL(rigid_mesh_find, 6, RigidMeshFindArguments) {
   const Vec2i pair = a.pairs[a.mesh_pairs[row]];
   const RigidShape& s0 = a.shapes[pair.x];
   const RigidShape& s1 = a.shapes[pair.y];
@@ -71,7 +74,7 @@ NOVAPHY_ROW_KERNEL(rigid_mesh_find, 5, RigidMeshFindArguments) {
   const RigidShape& mesh = mesh_is_first ? s0 : s1;
   const RigidShape& other = mesh_is_first ? s1 : s0;
   const float gap = s0.gap + s1.gap;
-  MeshContacts found;
+  NOVAPHY_ROW_SCRATCH(MeshContacts, found, a.scratch + row);
   found.find(mesh.geometry->mesh, convex_shape(other),
              geometry::relative_pose(mesh.pose, other.pose), reach_of(s0, s1));
   const float inside = ((core_radius(s0) + core_radius(s1)) + s0.margin) + s1.margin;

@@ -3,19 +3,10 @@
 #include "novaphy/core/error.h"
 #include "novaphy/core/sim/enums.h"
 #include "novaphy/core/sim/model_builder.h"
+#include "novaphy/core/sim/shape_pair_rule.h"
 #include "novaphy/core/sim/shape_pair_rules.h"
 
 namespace novaphy {
-namespace {
-
-bool groups_meet(int32_t a, int32_t b) {
-  if (a == 0 || b == 0) return false;
-  return a > 0 && b > 0 ? a == b : a != b;
-}
-
-bool worlds_meet(int32_t a, int32_t b) { return a == b || a < 0 || b < 0; }
-
-}  // namespace
 
 void check_rules(const char* function, const ShapePairRules& rules) {
   const size_t count = rules.body.size();
@@ -28,13 +19,10 @@ void check_rules(const char* function, const ShapePairRules& rules) {
 
 bool may_touch(const ShapePairRules& rules, int32_t first, int32_t second) {
   const auto i = static_cast<size_t>(first), j = static_cast<size_t>(second);
-  // On one body, or both owned by the world (-1).
-  if (rules.body[i] == rules.body[j] || (rules.body[i] < 0 && rules.body[j] < 0)) return false;
-  if (!has_flag(rules.flags[i], ShapeFlags::COLLIDE_SHAPES) ||
-      !has_flag(rules.flags[j], ShapeFlags::COLLIDE_SHAPES) ||
-      !worlds_meet(rules.world[i], rules.world[j]) ||
-      !groups_meet(rules.collision_group[i], rules.collision_group[j]))
-    return false;
+  const auto of = [&](size_t s) {
+    return PairedShape{rules.body[s], rules.flags[s], rules.collision_group[s], rules.world[s]};
+  };
+  if (!may_touch_unfiltered(of(i), of(j))) return false;
   return rules.filter_pairs == nullptr ||
          !rules.filter_pairs->contains({std::min(first, second), std::max(first, second)});
 }

@@ -11,7 +11,7 @@ namespace novaphy {
 enum class BroadPhase {
   Explicit,  // the pairs of Model::shape_contact_pairs
   NxN,       // every pair of shapes
-  Sap,       // sweep and prune, on the CPU; not within a capture
+  Sap,       // sweep and prune
 };
 
 // "explicit", "nxn", "sap"; anything else throws ErrorKind::Value.

@@ -57,15 +57,17 @@ struct CollisionOptions {
 // with the core points a, b of Contacts::rigid_contact_point0, point1. Covered are infinite planes
 // with spheres, capsules, ellipsoids, cylinders, boxes (their four deepest corners), cones, convex
 // hulls and meshes (up to four vertices), and all but meshes with each other (geometry/collide.h),
-// up to eight points. On the CPU, meshes meet all of these but meshes (geometry/mesh_pair.h): up to
+// up to eight points. Meshes meet all of these but meshes (geometry/mesh_pair.h): up to
 // 32 points with normals of their own, ordered by distance, whose names may change when a point
 // passes to another triangle. Candidates are Model::shape_contact_pairs (BroadPhase::Explicit), or
-// the pairs that flags, groups and worlds of shapes now allow (NxN; Sap, by sweep and prune on the
-// host: not within a capture or on a tape), of all three those whose boxes meet: the same rows.
-// Rows are in the order of (shape A, shape B, point of the manifold) for any number of threads;
-// overflow as for soft contacts. Source: Newton 1.8.0; its rows on the cpu are the same bits for
-// planes with spheres, capsules and boxes, but the order of pairs where shape A has the larger
-// index.
+// the pairs that flags, groups and worlds of shapes now allow (NxN; Sap, by sweep and prune), of
+// all three those whose boxes meet: the same rows. Sap finds its pairs on the device of the model
+// (on the CPU on the host, unless it is recorded). Outside of a recording it makes room for all of
+// them; a recording has the room that there is, at least 16 pairs for each shape, and each pair
+// beyond counts as a row behind rigid_contact_max, so that the contacts have overflowed. Rows are
+// in the order of (shape A, shape B, point of the manifold) for any number of threads; overflow as
+// for soft contacts. Source: Newton 1.8.0; its rows on the cpu are the same bits for planes with
+// spheres, capsules and boxes, but the order of pairs where shape A has the larger index.
 //
 // Candidate pairs (candidate_pairs.h) of soft contacts are ordered shape-major: the particles that
 // may meet the first colliding shape, then those of the second, ... The contacts have that order
@@ -105,6 +107,8 @@ class NOVAPHY_COLLISION_API CollisionPipeline : public ContactFinder {
   //                     of candidate pairs (shape flags were edited: call contacts() again); a bad
   //                     margin
   //   ErrorKind::NotImplemented  a colliding shape that is not covered
+  //   ErrorKind::Runtime         NarrowPhase::Fcl is recorded; NotImplemented: so is Sap, with
+  //   meshes
   void collide(const SimState& state, Contacts& contacts,
                std::optional<float> soft_contact_margin = {}) override;
 

@@ -1,0 +1,6 @@
+// Memory of a row of a hand-written kernel that is too large for the registers and the stack of a
+// thread of a device: here an object on the stack, there (core/device/) a row of an array, whose
+// values are those of the last launch.
+#pragma once
+
+#define NOVAPHY_ROW_SCRATCH(TYPE, NAME, MEMORY) TYPE NAME

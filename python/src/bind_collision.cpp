@@ -41,8 +41,9 @@ void bind_collision(py::module_& m) {
            "soft_contact_gap"_a = py::none(), "requires_grad"_a = py::none(),
            "deterministic"_a = true,
            "broad_phase: \"explicit\" (model.shape_contact_pairs), \"nxn\" (the pairs that flags, "
-           "groups and worlds of shapes now allow) or \"sap\" (the same by sweep and prune; not in "
-           "a capture or on a tape), all with the same rows; narrow_phase: \"auto\", or \"fcl\", "
+           "groups and worlds of shapes now allow) or \"sap\" (the same by sweep and prune; in a "
+           "capture or on a tape with room for 16 pairs of each shape, or for a quarter more than a "
+           "collide before has found), all with the same rows; narrow_phase: \"auto\", or \"fcl\", "
            "which takes overlap, depth and normal of penetrating convex hulls from FCL, where its "
            "answer holds, in builds with NOVAPHY_WITH_FCL; rigid_contact_max None: as many rows "
            "as the "

@@ -79,7 +79,7 @@ ContactShape<Bool, Real> load_shape(TraceContext& c, const Int& shape) {
 }
 
 // `follow`: points and normals follow the bodies.
-std::vector<Real> rigid_wrenches(TraceContext& c, bool follow) {
+std::vector<Real> rigid_wrenches(TraceContext& c, FrictionLaw law, bool follow) {
   const size_t bodies = c.source("bodies");
   const auto side = [&](int32_t k, const char* point, const char* margin) {
     const ContactBody body = load_body(c, c.i32(bodies, k));
@@ -100,7 +100,7 @@ std::vector<Real> rigid_wrenches(TraceContext& c, bool follow) {
                          contact_feature_of(load_shape(c, shape1), b.pose, b.point, at_a, normal),
                          normal);
   const RigidContactForce<Real> f =
-      rigid_contact_force_at(FrictionLaw::Huber, a, b, at.a, at.b, at.normal,
+      rigid_contact_force_at(law, a, b, at.a, at.b, at.normal,
                              mean_rigid_contact_material(detail::load_material(c, shape0),
                                                          detail::load_material(c, shape1)),
                              c.param(0));
@@ -109,7 +109,7 @@ std::vector<Real> rigid_wrenches(TraceContext& c, bool follow) {
   return out;
 }
 
-nova::Kernel make_rigid_kernel(const char* name, bool follow) {
+nova::Kernel make_rigid_kernel(const char* name, FrictionLaw law, bool follow) {
   std::vector<nova::SourceSpec> sources = {
       {"bodies", DType::I32, 2, Access::Direct},  {"shape0", DType::I32, 1, Access::Direct},
       {"shape1", DType::I32, 1, Access::Direct},  {"point0", DType::F32, 3, Access::Direct},
@@ -120,12 +120,20 @@ nova::Kernel make_rigid_kernel(const char* name, bool follow) {
   if (follow) sources.insert(sources.end(), kShapeSources.begin(), kShapeSources.end());
   return nova::with_one_gradient_set(
       nova::make_kernel(name, sources, {{"wrench", 12}},
-                        [follow](TraceContext& c) { return rigid_wrenches(c, follow); }));
+                        [=](TraceContext& c) { return rigid_wrenches(c, law, follow); }));
 }
 const nova::Kernel& rigid_kernel(bool follow) {
-  static const nova::Kernel following = make_rigid_kernel("rigid_contact_wrenches", true),
-                            held = make_rigid_kernel("held_rigid_contact_wrenches", false);
+  static const nova::Kernel following = make_rigid_kernel("rigid_contact_wrenches",
+                                                          FrictionLaw::Huber, true),
+                            held = make_rigid_kernel("held_rigid_contact_wrenches",
+                                                     FrictionLaw::Huber, false);
   return follow ? following : held;
+}
+// For comparison only, so it is no kernel of the engine.
+const nova::Kernel& newton17_kernel() {
+  static const nova::Kernel kernel =
+      make_rigid_kernel("newton17_contact_wrenches", FrictionLaw::Newton17, false);
+  return kernel;
 }
 
 // The force on body B.
@@ -310,8 +318,8 @@ void ContactTables::rebuild_bodies(const Model& model, const Contacts& contacts,
 }
 
 void eval_rigid_contacts(const Model& m, const Contacts& c, const ContactTables& tables,
-                         const Operand& body_q, const Operand& body_qd, float friction_smoothing,
-                         const Operand& wrenches) {
+                         const Operand& body_q, const Operand& body_qd, FrictionLaw friction_law,
+                         float friction_smoothing, const Operand& wrenches) {
   std::vector<Operand> in = {nova::operand_of(tables.rigid_bodies()),
                              nova::operand_of(c.rigid_contact_shape0),
                              nova::operand_of(c.rigid_contact_shape1),
@@ -324,10 +332,12 @@ void eval_rigid_contacts(const Model& m, const Contacts& c, const ContactTables&
                              body_qd,
                              nova::operand_of(m.body_com)};
   for (Operand& o : detail::material_operands(m)) in.push_back(std::move(o));
-  const bool follow = tables.of_this_state();
+  const bool newton17 = friction_law == FrictionLaw::Newton17;
+  const bool follow = tables.of_this_state() && !newton17;
   if (follow) add_shapes(m, in);
-  const nova::Param params[] = {friction_smoothing};
-  rigid_kernel(follow).launch(wrenches.rows, in, {&wrenches, 1}, {.params = params});
+  const nova::Param params[] = {friction_law == FrictionLaw::Viscous ? 0.0f : friction_smoothing};
+  (newton17 ? newton17_kernel() : rigid_kernel(follow))
+      .launch(wrenches.rows, in, {&wrenches, 1}, {.params = params});
 }
 
 void write_rigid_contact_forces(const Contacts& c, const Operand& wrenches) {

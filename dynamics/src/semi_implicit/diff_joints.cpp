@@ -223,10 +223,6 @@ void DiffJoints::begin(const Model& m, const Control* control, float dt) {
     seen_type_.set(m.joint_type);
   }
   if (!hold_ && !any(control != nullptr ? control->joint_f : m.joint_f)) return;
-  require(m.device().is_cpu(), ErrorKind::NotImplemented,
-          "DiffSemiImplicitSolver: model: expected one on the cpu, as joints exert forces, got one "
-          "on ",
-          m.device().str());
   checks_->prepare(m, {attach_.ke, attach_.kd}, dt);
   const bool known = type_.matches(m.joint_type) && parent_.matches(m.joint_parent) &&
                      child_.matches(m.joint_child) && enabled_.matches(m.joint_enabled);

@@ -68,15 +68,46 @@ void check_perpendicular(const std::vector<Vec3f>& axes, int32_t begin, int32_t 
           ": expected perpendicular axes of a D6 joint, got model.joint_axis rows ", a, " and ", b);
 }
 
+}  // namespace
+
+// What `prepare` asks of a model on any device.
+struct HostJoints {
+  explicit HostJoints(const Model& m)
+      : type(m.joint_type.to_host()),
+        parent(m.joint_parent.to_host()),
+        child(m.joint_child.to_host()),
+        qd_start(m.joint_qd_start.to_host()),
+        flags(m.body_flags.to_host()),
+        enabled(m.joint_enabled.to_host()),
+        dims(m.joint_dof_dim.to_host()),
+        frame{m.joint_X_p.to_host(), m.joint_X_c.to_host()},
+        axis(m.joint_axis.to_host()),
+        com(m.body_com.to_host()),
+        inv_mass(m.body_inv_mass.to_host()),
+        inv_inertia(m.body_inv_inertia.to_host()) {}
+  JointType type_of(size_t joint) const { return static_cast<JointType>(type[joint]); }
+
+  std::vector<int32_t> type, parent, child, qd_start, flags;
+  std::vector<uint8_t> enabled;
+  std::vector<Vec2i> dims;
+  std::vector<Transformf> frame[2];  // of parent and child
+  std::vector<Vec3f> axis, com;
+  std::vector<float> inv_mass;
+  std::vector<Mat33f> inv_inertia;
+};
+
+namespace {
+
 // Inverse inertias of a body, world axes at its pose in the model; nothing for the world and for
 // kinematic bodies, which no force moves.
 struct Mobility {
   float linear = 0.0f;
   Mat33f angular{};
 };
-Mobility mobility(const Model& m, int32_t body) {
-  if (body < 0 || has_flag(m.body_flags.data()[body], BodyFlags::KINEMATIC)) return {};
-  return {m.body_inv_mass.data()[body], m.body_inv_inertia.data()[body]};
+Mobility mobility(const HostJoints& m, int32_t body) {
+  const auto b = static_cast<size_t>(body);
+  if (body < 0 || has_flag(m.flags[b], BodyFlags::KINEMATIC)) return {};
+  return {m.inv_mass[b], m.inv_inertia[b]};
 }
 
 float along(const Mat33f& a, const Vec3f& n) {
@@ -189,19 +220,22 @@ void JointForces::check_covered(const Model& m, const char* solver) {
   check_without_drive(m, solver);
 }
 
-float joint_stable_dt(const Model& m, int32_t joint, const JointAttachOptions& attach) {
+// The longest stable step of the attachment of one joint, s: of the stiffest direction that it
+// holds of either body by itself, so that a longer step diverges whatever else there is. Infinite:
+// it holds none.
+static float joint_stable_dt(const HostJoints& m, size_t joint, const JointAttachOptions& attach) {
   float longest = std::numeric_limits<float>::infinity();
-  const JointType type = type_of(m, joint);
+  const JointType type = m.type_of(joint);
   if (type == JointType::FREE || type == JointType::DISTANCE) return longest;
-  const Vec2i dims = m.joint_dof_dim.data()[joint];
-  const Transformf frames[2] = {m.joint_X_p.data()[joint], m.joint_X_c.data()[joint]};
-  const int32_t bodies[2] = {m.joint_parent.data()[joint], m.joint_child.data()[joint]};
+  const Vec2i dims = m.dims[joint];
+  const Transformf frames[2] = {m.frame[0][joint], m.frame[1][joint]};
+  const int32_t bodies[2] = {m.parent[joint], m.child[joint]};
   for (int side = 0; side < 2; ++side) {
     // Each body by itself, in its own axes: both together are no more stable.
     const Mobility body = mobility(m, bodies[side]);
     if (bodies[side] < 0 || body.linear == 0.0f) continue;
     if (dims.x == 0) {
-      const Vec3f arm = frames[side].p - m.body_com.data()[bodies[side]];
+      const Vec3f arm = frames[side].p - m.com[static_cast<size_t>(bodies[side])];
       longest = std::min(
           longest, stable_dt(largest_along(mobility_at(body, arm), {}), attach.ke, attach.kd));
     } else if (dims.x < 3) {
@@ -210,29 +244,25 @@ float joint_stable_dt(const Model& m, int32_t joint, const JointAttachOptions& a
     if (type == JointType::BALL || dims.y > 1) continue;
     Vec3f axis{};
     if (dims.y == 1)
-      axis = math::rotate(frames[side].q,
-                          m.joint_axis.data()[m.joint_qd_start.data()[joint] + dims.x]);
+      axis = math::rotate(frames[side].q, m.axis[static_cast<size_t>(m.qd_start[joint] + dims.x)]);
     longest = std::min(longest,
                        stable_dt(largest_along(body.angular, axis), attach.ke, 0.01f * attach.kd));
   }
   return longest;
 }
 
-void JointForces::find_sides(const Model& m) {
-  const int32_t *const parent = m.joint_parent.data(), *const child = m.joint_child.data();
-  const uint8_t* const enabled = m.joint_enabled.data();
-  bodies_.assign(2 * static_cast<size_t>(m.joint_count()), -1);
-  for (int32_t j = 0; j < m.joint_count(); ++j) {
-    require(
-        parent[j] >= -1 && parent[j] < m.body_count() && child[j] >= 0 && child[j] < m.body_count(),
-        ErrorKind::Index, "step: model.joint_parent, joint_child[", j, "]: expected bodies to ",
-        m.body_count() - 1, ", got ", parent[j], " and ", child[j]);
-    if (enabled[j] == 0) continue;
-    const bool free = type_of(m, j) == JointType::FREE;
-    bodies_[2 * static_cast<size_t>(j)] = free ? -1 : parent[j];
-    bodies_[2 * static_cast<size_t>(j) + 1] = child[j];
+void JointForces::find_sides(const HostJoints& m, int32_t body_count) {
+  bodies_.assign(2 * m.type.size(), -1);
+  for (size_t j = 0; j < m.type.size(); ++j) {
+    const int32_t parent = m.parent[j], child = m.child[j];
+    require(parent >= -1 && parent < body_count && child >= 0 && child < body_count,
+            ErrorKind::Index, "step: model.joint_parent, joint_child[", j, "]: expected bodies to ",
+            body_count - 1, ", got ", parent, " and ", child);
+    if (m.enabled[j] == 0) continue;
+    bodies_[2 * j] = m.type_of(j) == JointType::FREE ? -1 : parent;
+    bodies_[2 * j + 1] = child;
   }
-  sides_.build(bodies_, m.body_count());
+  sides_.build(bodies_, body_count);
   wrenches_.assign(bodies_.size(), {});
 }
 
@@ -244,12 +274,13 @@ void JointForces::prepare(const Model& m, const JointAttachOptions& attach, floa
                      flags_.matches(m.body_flags);
   if (!known) {
     type_.reset();
-    find_sides(m);
+    const HostJoints joints(m);
+    find_sides(joints, m.body_count());
     stable_dt_ = std::numeric_limits<float>::infinity();
-    for (int32_t j = 0; j < m.joint_count(); ++j) {
-      if (m.joint_enabled.data()[j] == 0) continue;
-      const float limit = joint_stable_dt(m, j, attach);
-      if (limit < stable_dt_) unstable_joint_ = j;
+    for (size_t j = 0; j < joints.type.size(); ++j) {
+      if (joints.enabled[j] == 0) continue;
+      const float limit = joint_stable_dt(joints, j, attach);
+      if (limit < stable_dt_) unstable_joint_ = static_cast<int32_t>(j);
       stable_dt_ = std::min(stable_dt_, limit);
     }
     type_.set(m.joint_type);

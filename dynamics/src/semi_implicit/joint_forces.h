@@ -16,6 +16,9 @@ struct JointAttachOptions {
   float ke, kd;  // SemiImplicitOptions::joint_attach_ke, _kd
 };
 
+struct HostJoints;
+
+// `prepare` works on models of every device, the rest on the CPU.
 class JointForces {
  public:
   // Refuses what penalty joints cannot hold: ErrorKind::NotImplemented names the array and the row.
@@ -32,7 +35,7 @@ class JointForces {
   SpatialVectorf add(int64_t body, SpatialVectorf wrench) const;
 
  private:
-  void find_sides(const Model& model);
+  void find_sides(const HostJoints& joints, int32_t body_count);
 
   ArrayStamp type_, parent_, child_, enabled_, mass_, inertia_, flags_;
   float stable_dt_ = 0.0f;       // s: above it the attachment of a joint diverges by itself
@@ -41,10 +44,5 @@ class JointForces {
   IndexRows sides_;
   std::vector<SpatialVectorf> wrenches_;
 };
-
-// The longest stable step of the attachment of one joint, s: of the stiffest direction that it
-// holds of either body by itself, so that a longer step diverges whatever else there is. Infinite:
-// it holds none.
-float joint_stable_dt(const Model& model, int32_t joint, const JointAttachOptions& attach);
 
 }  // namespace novaphy

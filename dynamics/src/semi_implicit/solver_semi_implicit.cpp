@@ -28,9 +28,6 @@ void check_option(const char* name, float value) {
 }
 
 void check_covered(const Model& model) {
-  require(model.body_count() == 0 || model.device().is_cpu(), ErrorKind::NotImplemented,
-          "SolverSemiImplicit: model: expected one on the cpu, as it has bodies, got one on ",
-          model.device().str());
   JointForces::check_covered(model, "SolverSemiImplicit");
 }
 
@@ -80,7 +77,7 @@ SolverSemiImplicit::SolverSemiImplicit(std::shared_ptr<const Model> model,
   check_option("joint_attach_ke", options.joint_attach_ke);
   check_option("joint_attach_kd", options.joint_attach_kd);
   check_covered(*this->model());
-  on_device_ = detail::make_device_steps(this->model());
+  on_device_ = detail::make_device_steps(this->model(), options_);
 }
 
 SolverSemiImplicit::~SolverSemiImplicit() = default;
@@ -88,7 +85,7 @@ SolverSemiImplicit::~SolverSemiImplicit() = default;
 void SolverSemiImplicit::notify_model_changed(ModelFlags) {
   const ExclusiveUse::Scope scope = use("SolverSemiImplicit.notify_model_changed");
   *cache_ = Cache(*model());
-  on_device_ = detail::make_device_steps(model());
+  on_device_ = detail::make_device_steps(model(), options_);
 }
 
 void SolverSemiImplicit::rollout(Trajectory& trajectory, const Control* control,

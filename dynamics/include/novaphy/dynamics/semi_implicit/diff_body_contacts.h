@@ -22,6 +22,7 @@
 #include "novaphy/core/sim/contacts.h"
 #include "novaphy/core/sim/model.h"
 #include "novaphy/dynamics/export.h"
+#include "novaphy/dynamics/semi_implicit/rigid_contact_trace.h"
 #include "novaphy/nova/incidence.h"
 #include "novaphy/nova/kernel.h"
 
@@ -67,12 +68,12 @@ class NOVAPHY_DYNAMICS_API ContactTables {
 };
 
 // wrenches {rows, 12}: what each row of rigid_contact_* adds to the wrench of its body A, then of
-// body B, with the friction law huber of `friction_smoothing` (m/s); 0: viscous.
+// body B. `friction_smoothing` (m/s): of the laws that have one; huber of 0 is viscous.
 NOVAPHY_DYNAMICS_API void eval_rigid_contacts(const Model& model, const Contacts& contacts,
                                               const ContactTables& tables,
                                               const nova::Operand& body_q,
                                               const nova::Operand& body_qd,
-                                              float friction_smoothing,
+                                              FrictionLaw friction_law, float friction_smoothing,
                                               const nova::Operand& wrenches);
 
 // Contacts::rigid_contact_force, of the rows that there are, from what eval_rigid_contacts gave.

@@ -7,12 +7,14 @@
 #include "novaphy/dynamics/semi_implicit/diff_body_contacts.h"
 #include "novaphy/dynamics/semi_implicit/diff_joints.h"
 #include "novaphy/dynamics/semi_implicit/diff_rigid_bodies.h"
+#include "novaphy/dynamics/semi_implicit/rigid_contact_trace.h"
 
 namespace novaphy::diff {
 
 struct BodyStepOptions {
-  bool static_contacts = false;     // planes of the world, found inside of the kernel, instead
-  float angular_damping = 0.05f;    // 1/s
+  bool static_contacts = false;   // planes of the world, found inside of the kernel, instead
+  float angular_damping = 0.05f;  // 1/s
+  FrictionLaw friction_law = FrictionLaw::Huber;
   float friction_smoothing = 0.1f;  // m/s
 };
 

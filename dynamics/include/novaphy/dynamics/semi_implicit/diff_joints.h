@@ -42,7 +42,7 @@ class NOVAPHY_DYNAMICS_API DiffJoints {
 
   // What the steps of a call have in common. FREE joints count where a force acts along them: in
   // the model, or in `control` (null: none). ErrorKind::Value: dt is above the stable step of a
-  // joint; ErrorKind::Index: a body that is not there; ErrorKind::NotImplemented: not on the cpu.
+  // joint; ErrorKind::Index: a body that is not there.
   void begin(const Model& model, const Control* control, float dt);
   // False: no joint exerts a force.
   bool act() const { return act_; }

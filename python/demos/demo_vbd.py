@@ -152,6 +152,8 @@ def simulate(scene: Scene, frames: int, stage: viewer.Stage) -> tuple[np.ndarray
     dt = 1.0 / (FPS * scene.substeps)
     for frame in stage.frames(frames):
         for sub in range(scene.substeps):
+            state.clear_forces()
+            stage.apply_forces(state)
             if pipeline:
                 pipeline.collide(state, contacts)
             targets = None

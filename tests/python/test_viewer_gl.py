@@ -282,7 +282,8 @@ def test_a_video_without_ffmpeg_says_what_to_install(egl, tmp_path, monkeypatch)
 def test_nothing_is_imported_before_it_is_needed():
     code = (
         "import sys, novaphy, novaphy.viewer; novaphy.ViewerNull(); "
-        "print([m for m in ('moderngl', 'pyglet', 'viser', 'PIL') if m in sys.modules])"
+        "names = ('moderngl', 'pyglet', 'imgui_bundle', 'viser', 'PIL'); "
+        "print([m for m in names if m in sys.modules])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert done.stdout.strip() == "[]", done.stderr

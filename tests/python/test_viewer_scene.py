@@ -339,3 +339,12 @@ def test_a_window_replays_the_last_rollout():
     rollouts = [(0.0, 0.0), (0.1, 1.0), (0.0, 10.0), (0.1, 11.0)]
     assert file.times == rollouts
     assert screen.times == rollouts + 3 * rollouts[2:]
+
+
+@pytest.mark.parametrize("kind", ["ViewerGL", "ViewerViser"])
+def test_no_call_of_a_viewer_silently_does_nothing(kind):
+    viewer = getattr(viewers, kind)
+    asks_only = {"is_running", "is_paused", "get_frame"}  # the last raises where it is not drawn
+    calls = {n: f for n, f in vars(viewers.Viewer).items() if callable(f) and n[0] != "_"}
+    assert len(calls) > 25
+    assert {n for n, f in calls.items() if getattr(viewer, n) is f} <= asks_only

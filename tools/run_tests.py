@@ -27,7 +27,8 @@ MAX_WHEEL_BYTES = 10_000_000
 TAIL_LINES = 120
 BINDING_REQUIREMENTS = ("pybind11>=2.13",)
 VIEWER_REQUIREMENTS = (
-    "moderngl>=5.10", "pyglet>=2.0.10", "imgui-bundle>=1.92", "viser>=1.1", "pillow", "websockets>=13",
+    "moderngl>=5.10", "pyglet>=2.0.10", "imgui-bundle>=1.92",
+    "viser>=1.1", "pillow", "websockets>=13",
 )  # fmt: skip
 
 # Component -> the components that its consumer's prefix holds. (The step io installs its own.)

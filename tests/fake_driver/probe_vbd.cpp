@@ -53,6 +53,22 @@ Run run(const VbdOptions& options, Device device, bool capture) {
           solver.residual().relative};
 }
 
+// A rollout with a row of targets for each of its steps.
+Run roll(const VbdOptions& options, Device device) {
+  const auto model = testing::EverythingScene::make(1.0f, device);
+  CollisionPipeline pipeline(model, {.soft_contact_margin = 0.05f});
+  SolverVBD solver(model, options);
+  Trajectory trajectory(model, 3);
+  std::vector<Vec3f> to;
+  for (int k = 0; k < 3 * solver.held_count(); ++k)
+    to.push_back({0.002f * static_cast<float>(k), 0.1f * static_cast<float>(k % 4), 0.51f});
+  const auto targets = DeviceArray<Vec3f>::from_host(to, device);
+  solver.rollout(trajectory, nullptr, nullptr, 1.0f / 120.0f,
+                 {.targets = &targets, .pipeline = &pipeline});
+  return {trajectory.state(3).particle_q.to_host(), trajectory.state(3).particle_qd.to_host(),
+          solver.residual().relative};
+}
+
 bool same(const Run& a, const Run& b) {
   return a.q.size() == b.q.size() && a.residual == b.residual &&
          std::memcmp(a.q.data(), b.q.data(), a.q.size() * sizeof(Vec3f)) == 0 &&
@@ -76,5 +92,7 @@ void step_vbd(const std::string& options) {
   if (!has("adaptive")) say("cpu replayed", run(o, Device::cpu(), true));
   say("cuda", run(o, Device::cuda(), false));
   say("cuda replayed", run(o, Device::cuda(), true));
+  std::printf(", rollout %s",
+              same(roll(o, Device::cpu()), roll(o, Device::cuda())) ? "same" : "other");
   std::printf("\n");
 }

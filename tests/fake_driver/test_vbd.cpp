@@ -19,7 +19,8 @@ std::string probe(const std::string& environment, const std::string& command) {
   return output;
 }
 
-const std::string kSame = "47 particles, cpu replayed same, cuda same, cuda replayed same\n";
+const std::string kSame =
+    "47 particles, cpu replayed same, cuda same, cuda replayed same, rollout same\n";
 
 class VbdSweeps : public ::testing::TestWithParam<const char*> {};
 TEST_P(VbdSweeps, HaveTheBitsOfTheCpuDirectAndReplayed) {
@@ -35,7 +36,8 @@ INSTANTIATE_TEST_SUITE_P(Options, VbdDeviceOptions,
                          ::testing::Values("safeguard", "acceleration", "previous"));
 
 TEST(VbdDevice, TheAdaptiveGuessKeepsItsVelocityOnTheDevice) {
-  EXPECT_EQ(probe("", "vbd-adaptive"), "47 particles, cuda same, cuda replayed same\n");
+  EXPECT_EQ(probe("", "vbd-adaptive"),
+            "47 particles, cuda same, cuda replayed same, rollout same\n");
 }
 
 TEST(VbdDevice, AnUnknownWayIsRefusedByName) {

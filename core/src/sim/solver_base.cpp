@@ -100,8 +100,10 @@ class ForwardSteps {
     }
     const RolloutInputs::Forces& targets = inputs_.targets();
     if (!targets.any()) return solver_.step(now_, to, inputs_.control(t), contacts, inputs_.dt());
-    const auto* const first = static_cast<const Vec3f*>(targets.rows.raw()) + targets.first(t);
-    targets_.copy_from_host(std::span(first, targets.count));
+    const Range& all = *targets.rows.range();
+    targets_.assign(Array(DType::vec3, targets.count, 1,
+                          all.storage().range(all.offset() + targets.first(t) * sizeof(Vec3f),
+                                              targets.count * sizeof(Vec3f))));
     step_to_targets_(now_, to, inputs_.control(t), contacts, inputs_.dt(), targets_);
   }
 

@@ -242,8 +242,9 @@ FAKE int cudaLaunchKernel(const void* function, FakeIndex grid, FakeIndex block,
   if (function == nullptr || grid.x == 0 || block.x == 0 || block.x > 1024) return kInvalidValue;
   const std::lock_guard lock(g_mutex);
   const novaphy::cpu::FloatMode own;  // whatever the caller's
-  const auto shared = std::make_unique<char[]>(std::max<size_t>(shared_bytes, 1));
-  fake_dlan_shared = shared.get();
+  alignas(16) static char shared[64 << 10];
+  if (shared_bytes > sizeof(shared)) return kInvalidValue;
+  fake_dlan_shared = shared;
   fake_dlan_grid_size = grid;
   fake_dlan_block_size = block;
   g_stub = static_cast<const FakeStub*>(function);

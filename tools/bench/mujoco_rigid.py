@@ -20,8 +20,10 @@ class Boxes:
 
     dt = 1.0 / 500
 
-    def __init__(self, scene: str, n: int, turn: float, device: str) -> None:
-        """Build the model; MuJoCo runs on the CPU."""
+    def __init__(self, scene: str, n: int, turn: float, factor: float, device: str) -> None:
+        """Build the model; MuJoCo runs on the CPU, and has no stiffness."""
+        if factor != 1.0:
+            raise SystemExit(f"mujoco_rigid: --stiffer: expected 1, got {factor}")
         if device != "cpu":
             raise SystemExit(f"mujoco_rigid: --device: expected cpu, got {device}")
         bodies = []

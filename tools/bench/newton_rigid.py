@@ -22,11 +22,17 @@ from rigid import (
     DIE_SPIN,
     DIE_SUBSTEPS,
     HALF,
+    MIXED_KINDS,
+    MIXED_SURFACE,
     SCENES,
     SURFACE,
     PenaltyBoxes,
     box_poses,
+    hills,
+    mixed_poses,
     run,
+    stiffer,
+    stone,
 )
 
 
@@ -38,17 +44,16 @@ def squares_kernel(twist: wp.array[wp.spatial_vector], loss: wp.array[float]):
 
 
 class Boxes(PenaltyBoxes):
-    """Boxes under gravity on the ground."""
+    """Boxes, or mixed shapes, under gravity on the ground."""
 
-    def __init__(self, scene: str, n: int, turn: float, device: str) -> None:
+    def __init__(self, scene: str, n: int, turn: float, factor: float, device: str) -> None:
         """Build the model."""
         wp.set_device(device)
+        self.dt = PenaltyBoxes.dt / factor**0.5
         builder = newton.ModelBuilder()
-        surface = newton.ModelBuilder.ShapeConfig(density=DENSITY, **SURFACE)
-        builder.add_ground_plane(cfg=surface)
-        for pose in box_poses(scene, n, turn):
-            body = builder.add_body(xform=wp.transform(pose[:3], wp.quat(*pose[3:])))
-            builder.add_shape_box(body, hx=HALF, hy=HALF, hz=HALF, cfg=surface)
+        add_mixed(builder, n, factor) if scene == "mixed" else add_boxes(
+            builder, scene, n, turn, factor
+        )
         self.model = builder.finalize()
         self.solver = newton.solvers.SolverSemiImplicit(self.model)
         self.pipeline = newton.CollisionPipeline(self.model, broad_phase="sap")
@@ -59,6 +64,39 @@ class Boxes(PenaltyBoxes):
         """Find contacts, step, wait."""
         super().step()
         wp.synchronize()
+
+
+def add_boxes(builder: newton.ModelBuilder, scene: str, n: int, turn: float, factor: float) -> None:
+    """Boxes in columns or in a pile."""
+    surface = newton.ModelBuilder.ShapeConfig(density=DENSITY, **stiffer(SURFACE, factor))
+    builder.add_ground_plane(cfg=surface)
+    for pose in box_poses(scene, n, turn, factor):
+        body = builder.add_body(xform=wp.transform(pose[:3], wp.quat(*pose[3:])))
+        builder.add_shape_box(body, hx=HALF, hy=HALF, hz=HALF, cfg=surface)
+
+
+def add_mixed(builder: newton.ModelBuilder, n: int, factor: float) -> None:
+    """Shapes of all kinds on a mesh."""
+    surface = newton.ModelBuilder.ShapeConfig(
+        density=DENSITY, gap=0.02, **stiffer(MIXED_SURFACE, factor)
+    )
+    vertices, triangles = hills()
+    ground = newton.Mesh(vertices, triangles.ravel(), compute_inertia=False)
+    builder.add_shape_mesh(-1, mesh=ground, cfg=surface)
+    corners, faces = stone()
+    hull = newton.Mesh(corners, faces.ravel(), compute_inertia=True)
+    for k, pose in enumerate(mixed_poses(n)):
+        body = builder.add_body(xform=wp.transform(pose[:3], wp.quat(*pose[3:])))
+        kind = MIXED_KINDS[k % len(MIXED_KINDS)]
+        if kind == "sphere":
+            builder.add_shape_sphere(body, radius=HALF, cfg=surface)
+        elif kind == "box":
+            builder.add_shape_box(body, hx=HALF, hy=HALF, hz=HALF, cfg=surface)
+        elif kind == "hull":
+            builder.add_shape_convex_hull(body, mesh=hull, cfg=surface)
+        else:
+            add = getattr(builder, f"add_shape_{kind}")
+            add(body, radius=0.07, half_height=0.08, cfg=surface)
 
 
 class Dice:
@@ -107,9 +145,9 @@ class Dice:
         return np.zeros(0)
 
 
-def make(scene: str, n: int, turn: float, device: str) -> Boxes | Dice:
+def make(scene: str, n: int, turn: float, factor: float, device: str) -> Boxes | Dice:
     """The scene of a name."""
-    return Dice(n, device) if scene == "dice" else Boxes(scene, n, turn, device)
+    return Dice(n, device) if scene == "dice" else Boxes(scene, n, turn, factor, device)
 
 
 if __name__ == "__main__":

@@ -19,27 +19,32 @@ from rigid import (
     DIE_SPIN,
     DIE_SUBSTEPS,
     HALF,
+    MIXED_KINDS,
+    MIXED_SURFACE,
     SCENES,
     SURFACE,
     PenaltyBoxes,
     box_poses,
+    hills,
+    mixed_poses,
     run,
+    stiffer,
+    stone,
 )
 
 import novaphy
 
 
 class Boxes(PenaltyBoxes):
-    """Boxes under gravity on the ground."""
+    """Boxes, or mixed shapes, under gravity on the ground."""
 
-    def __init__(self, scene: str, n: int, turn: float, device: str) -> None:
+    def __init__(self, scene: str, n: int, turn: float, factor: float, device: str) -> None:
         """Build the model."""
+        self.dt = PenaltyBoxes.dt / factor**0.5
         builder = novaphy.ModelBuilder()
-        surface = novaphy.ShapeConfig(density=DENSITY, **SURFACE)
-        builder.add_ground_plane(cfg=surface)
-        for pose in box_poses(scene, n, turn):
-            body = builder.add_body(xform=tuple(map(float, pose)))
-            builder.add_shape_box(body, hx=HALF, hy=HALF, hz=HALF, cfg=surface)
+        add_mixed(builder, n, factor) if scene == "mixed" else add_boxes(
+            builder, scene, n, turn, factor
+        )
         self.model = builder.finalize(device)
         self.solver = novaphy.solvers.SolverSemiImplicit(self.model)
         self.pipeline = novaphy.CollisionPipeline(
@@ -47,6 +52,36 @@ class Boxes(PenaltyBoxes):
         )
         self.found = self.pipeline.contacts()
         self.now, self.next = self.model.state(), self.model.state()
+
+
+def add_boxes(
+    builder: novaphy.ModelBuilder, scene: str, n: int, turn: float, factor: float
+) -> None:
+    """Boxes in columns or in a pile."""
+    surface = novaphy.ShapeConfig(density=DENSITY, **stiffer(SURFACE, factor))
+    builder.add_ground_plane(cfg=surface)
+    for pose in box_poses(scene, n, turn, factor):
+        body = builder.add_body(xform=tuple(map(float, pose)))
+        builder.add_shape_box(body, hx=HALF, hy=HALF, hz=HALF, cfg=surface)
+
+
+def add_mixed(builder: novaphy.ModelBuilder, n: int, factor: float) -> None:
+    """Shapes of all kinds on a mesh."""
+    surface = novaphy.ShapeConfig(density=DENSITY, gap=0.02, **stiffer(MIXED_SURFACE, factor))
+    builder.add_shape_mesh(-1, mesh=novaphy.io.Mesh(*hills()), cfg=surface)
+    corners, _ = stone()
+    for k, pose in enumerate(mixed_poses(n)):
+        body = builder.add_body(xform=tuple(map(float, pose)))
+        kind = MIXED_KINDS[k % len(MIXED_KINDS)]
+        if kind == "sphere":
+            builder.add_shape_sphere(body, radius=HALF, cfg=surface)
+        elif kind == "box":
+            builder.add_shape_box(body, hx=HALF, hy=HALF, hz=HALF, cfg=surface)
+        elif kind == "hull":
+            builder.add_shape_convex_hull(body, vertices=corners, cfg=surface)
+        else:
+            add = getattr(builder, f"add_shape_{kind}")
+            add(body, radius=0.07, half_height=0.08, cfg=surface)
 
 
 class Dice:
@@ -69,7 +104,7 @@ class Dice:
             builder.replicate(one, n, (1.0, 0.0, 0.0))
         self.model = builder.finalize(device, requires_grad=True)
         config = novaphy.solvers.DiffSolverConfig(
-            enable_static_contacts=True, friction_smoothing=0.1
+            enable_static_contacts=True, friction_law="huber", friction_smoothing=0.1
         )
         self.solver = novaphy.solvers.DiffSemiImplicitSolver(self.model, config)
         self.trajectory = diff.Trajectory(self.model, DIE_SUBSTEPS)
@@ -94,9 +129,9 @@ class Dice:
         return np.zeros(0)
 
 
-def make(scene: str, n: int, turn: float, device: str) -> Boxes | Dice:
+def make(scene: str, n: int, turn: float, factor: float, device: str) -> Boxes | Dice:
     """The scene of a name."""
-    return Dice(n, device) if scene == "dice" else Boxes(scene, n, turn, device)
+    return Dice(n, device) if scene == "dice" else Boxes(scene, n, turn, factor, device)
 
 
 if __name__ == "__main__":

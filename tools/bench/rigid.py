@@ -6,9 +6,14 @@ Scenes, of size N:
   turns every box about its vertical axis.
 * `pile`: N boxes in one pile: square layers, every second one shifted by half a box, so that every
   box stands on up to four. Contacts connect all of them.
+* `mixed`: N shapes (spheres, capsules, cylinders, boxes, hulls, in turn) that lie on hills of 2048
+  triangles.
 * `dice`: N dice, each falling alone on the ground (the die of `demo_diffsim_dice.py`). One step
   of the measurement is a training iteration: 768 substeps, the squared norm of the last twists, the
   backward pass.
+
+`--stiffer X` multiplies the stiffness of penalty forces by X and divides the step by its root, so
+that boxes sink X times less; damping and friction keep their part of the stable range.
 
 A record has the time of a step (its median over the timed steps, in CPU time of the process beside
 wall time), how many contacts there are and how many of them touch, and the mean depth of those that
@@ -28,14 +33,23 @@ import numpy as np
 
 HALF, DENSITY, GRAVITY = 0.1, 1000.0, 9.81
 SURFACE = {"ke": 2.0e5, "kd": 300.0, "kf": 200.0, "mu": 0.5}
-SCENES = ("columns", "pile", "dice")
+SCENES = ("columns", "pile", "mixed", "dice")
+# The hills: squares along a side and their side (m); what lies there is softer.
+HILLS, HILL_CELL = 32, 0.35
+MIXED_SURFACE = {"ke": 2.0e4, "kd": 60.0, "kf": 80.0, "mu": 0.5}
+MIXED_KINDS = ("sphere", "capsule", "cylinder", "box", "hull")
 # The die.
 DIE = {"ke": 1.0e4, "kd": 300.0, "kf": 500.0, "mu": 0.5}
 DIE_MASS, DIE_HEIGHT, DIE_SPIN, DIE_SUBSTEPS, DIE_DT = 4.0, 0.6, (1.0, 5.0, 2.0), 768, 1.0 / 960
 
 
-def box_poses(scene: str, n: int, turn: float) -> np.ndarray:
-    """Positions and quaternions (x, y, z, w) of the boxes, {n, 7}."""
+def box_poses(scene: str, n: int, turn: float, factor: float = 1.0) -> np.ndarray:
+    """Positions and quaternions (x, y, z, w) of the boxes, {n, 7}.
+
+    Columns start where penalty forces of `--stiffer factor` bear them on four rows a face, so that
+    they rest from the first step on.
+    """
+    weight = DENSITY * (2 * HALF) ** 3 * GRAVITY
     poses = np.zeros((n, 7))
     poses[:, 5:] = np.sin(turn / 2), np.cos(turn / 2)
     columns = max(1, n // 10)
@@ -49,7 +63,65 @@ def box_poses(scene: str, n: int, turn: float) -> np.ndarray:
             gap, shift = 2.02 * HALF, HALF * (layer % 2)
         poses[i, :3] = gap * (place % side) + shift, gap * (place // side) + shift, 0.0
         poses[i, 2] = HALF * (1 + 2 * layer)
+        if scene == "columns":
+            height = -(-n // columns)
+            borne = sum(height - below for below in range(layer + 1))
+            poses[i, 2] -= borne * weight / (4 * SURFACE["ke"] * factor)
     return poses
+
+
+def hill_height(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Of the ground of `mixed`."""
+    return 0.25 * np.sin(1.3 * x) * np.sin(1.1 * y)
+
+
+def hills() -> tuple[np.ndarray, np.ndarray]:
+    """Vertices and triangles, counter-clockwise seen from above."""
+    line = (np.arange(HILLS + 1) - HILLS / 2) * HILL_CELL
+    x, y = (grid.ravel() for grid in np.meshgrid(line, line))
+    row = HILLS + 1
+    corner = (np.arange(HILLS)[:, None] * row + np.arange(HILLS)).reshape(-1, 1)
+    triangles = np.concatenate([corner + np.array(k) for k in ((0, 1, row + 1), (0, row + 1, row))])
+    return (
+        np.stack([x, y, hill_height(x, y)], axis=1).astype(np.float32),
+        triangles.astype(np.int32),
+    )
+
+
+def mixed_poses(n: int) -> np.ndarray:
+    """Positions and quaternions of `mixed`, a little above the ground, {n, 7}."""
+    side = int(np.ceil(n**0.5))
+    poses = np.zeros((n, 7))
+    poses[:, 6] = 1.0
+    poses[:, 0], poses[:, 1] = (0.45 * (k - (side - 1) / 2) for k in np.divmod(np.arange(n), side))
+    poses[:, 2] = hill_height(poses[:, 0], poses[:, 1]) + 0.17
+    return poses
+
+
+def stone() -> tuple[np.ndarray, np.ndarray]:
+    """Vertices and triangles of a pyramid with eight sides, its top cut off."""
+    angles = np.arange(8) * np.pi / 4
+    rings = [
+        np.stack([r * np.cos(angles), r * np.sin(angles), np.full(8, z)], axis=1)
+        for r, z in ((0.12, -0.08), (0.08, 0.08))
+    ]
+    k, next_k = np.arange(8), (np.arange(8) + 1) % 8
+    sides = [np.stack([k, next_k, next_k + 8], 1), np.stack([k, next_k + 8, k + 8], 1)]
+    fan, zero = np.arange(1, 7), np.zeros(6, int)
+    caps = [np.stack([zero, fan + 1, fan], 1), np.stack([zero + 8, fan + 8, fan + 9], 1)]
+    return np.concatenate(rings).astype(np.float32), np.concatenate([*sides, *caps]).astype(
+        np.int32
+    )
+
+
+def stiffer(surface: dict[str, float], factor: float) -> dict[str, float]:
+    """The surface with `--stiffer`."""
+    root = factor**0.5
+    return surface | {
+        "ke": surface["ke"] * factor,
+        "kd": surface["kd"] * root,
+        "kf": surface["kf"] * root,
+    }
 
 
 class Scene(Protocol):
@@ -131,22 +203,32 @@ def measure(
 
 
 def run(doc: str, engine: str, make: Callable[..., Scene], scenes: tuple[str, ...]) -> None:
-    """The command line of all programs. make(scene, n, turn, device) gives a scene."""
+    """The command line of all programs. make(scene, n, turn, factor, device) gives a scene."""
     parser = argparse.ArgumentParser(
         description=doc, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--scene", choices=scenes, default=scenes[0])
     parser.add_argument("--n", type=int, default=100, help="bodies")
     parser.add_argument("--turn", type=float, default=0.0, help="of every box, degrees")
+    parser.add_argument("--stiffer", type=float, default=1.0, help="factor, of penalty forces")
     parser.add_argument("--warm", type=int, default=100, help="steps before those that are timed")
     parser.add_argument("--steps", type=int, default=200, help="timed steps")
     parser.add_argument("--device", default="cpu")
     arguments = parser.parse_args()
     if arguments.n < 1 or arguments.steps < 1 or arguments.warm < 0:
         parser.error("--n and --steps must be positive, --warm not negative")
+    if not arguments.stiffer > 0:
+        parser.error(f"--stiffer: expected a number > 0, got {arguments.stiffer}")
     facts = {"engine": engine, "scene": arguments.scene, "n": arguments.n, "turn": arguments.turn}
+    facts["stiffer"] = arguments.stiffer
     record = measure(
-        lambda: make(arguments.scene, arguments.n, np.radians(arguments.turn), arguments.device),
+        lambda: make(
+            arguments.scene,
+            arguments.n,
+            np.radians(arguments.turn),
+            arguments.stiffer,
+            arguments.device,
+        ),
         arguments.warm,
         arguments.steps,
         facts | {"device": arguments.device},

@@ -115,6 +115,11 @@ struct RigidContacts::Impl {
             a == GeoType::MESH && b == GeoType::MESH
                 ? ", and add_shape_convex_hull makes a shape that meets meshes"
                 : "");
+    // On a GPU their normals and names were seen to differ from the CPU's in some rows.
+    require(model->device().is_cpu() || !is_mesh_pair(a, b), ErrorKind::NotImplemented,
+            "CollisionPipeline: shapes ", pair.x, " (", geo_type_name(a), ") and ", pair.y, " (",
+            geo_type_name(b), ") may meet: contacts of meshes are found on the cpu, not on ",
+            model->device().str());
     const Vec3f& size = scale[static_cast<size_t>(pair.x)];
     require(a != GeoType::PLANE || !(size.x > 0.0f && size.y > 0.0f), ErrorKind::NotImplemented,
             "CollisionPipeline: shape ", pair.x,

@@ -112,12 +112,25 @@ inline PairedShape paired_shape(const RigidSweep& a, int32_t shape) {
   return {a.body[shape], a.flags[shape], a.group[shape], a.world[shape]};
 }
 
+// Whether `other`, with that box, may touch the shape, their boxes meet, and the shape stands first
+// in the pair.
+inline bool is_partner(const RigidSweep& a, int32_t shape, int32_t other,
+                       const geometry::Box3& other_box) {
+  const RigidShape& own = a.shapes[shape];
+  if (other == shape || !geometry::boxes_meet(own.box, other_box)) return false;
+  const GeoType type = a.shapes[other].type;
+  if (type < own.type || (type == own.type && other < shape)) return false;
+  if (!may_touch_unfiltered(paired_shape(a, shape), paired_shape(a, other))) return false;
+  for (int32_t f = a.filter_starts[shape]; f < a.filter_starts[shape + 1]; ++f)
+    if (a.filtered[f] == other) return false;
+  return true;
+}
+
 // Calls visit(other) for each shape of the entries [begin, end) that may touch the shape, whose box
 // meets its own, and before which it stands in a pair.
 template <class Visit>
 void for_partners_in(const RigidSweep& a, int32_t shape, int64_t begin, int64_t end, Visit& visit) {
   const RigidShape& own = a.shapes[shape];
-  const PairedShape rule = paired_shape(a, shape);
   const auto axis = static_cast<int32_t>(a.axis);
   const float lo = geometry::component(own.box.lo, axis),
               hi = geometry::component(own.box.hi, axis);
@@ -132,15 +145,7 @@ void for_partners_in(const RigidSweep& a, int32_t shape, int64_t begin, int64_t 
       continue;
     }
     const SweepEntry& entry = a.entries[k++];
-    const int32_t other = entry.shape;
-    if (other < 0 || other == shape || !geometry::boxes_meet(own.box, entry.box)) continue;
-    const GeoType type = a.shapes[other].type;
-    if (type < own.type || (type == own.type && other < shape)) continue;
-    if (!may_touch_unfiltered(rule, paired_shape(a, other))) continue;
-    bool filtered = false;
-    for (int32_t f = a.filter_starts[shape]; f < a.filter_starts[shape + 1]; ++f)
-      filtered = filtered || a.filtered[f] == other;
-    if (!filtered) visit(other);
+    if (entry.shape >= 0 && is_partner(a, shape, entry.shape, entry.box)) visit(entry.shape);
   }
 }
 template <class Visit>
@@ -199,6 +204,16 @@ NOVAPHY_ROW_KERNEL(rigid_sweep_write, 20, RigidSweepWriteArguments) {
   const int64_t room = left < a.counts[row] ? left : a.counts[row];
   if (first < 0 || room <= 0) return;
   Vec2i* const mine = a.pairs + first;
+  // One with very many, as a plane has, goes through all shapes: their order is the right one.
+  constexpr int32_t kMany = 64;
+  const bool many = a.counts[row] > kMany;
+  const int64_t last = many ? n : 0;
+  int64_t taken = 0;
+  for (int64_t other = 0; other < last && taken < room; ++other)
+    if (is_partner(a.sweep, static_cast<int32_t>(row), static_cast<int32_t>(other),
+                   a.sweep.shapes[other].box))
+      mine[taken++] = {static_cast<int32_t>(row), static_cast<int32_t>(other)};
+  if (many) return;
   int64_t count = 0;
   for_partners(a.sweep, static_cast<int32_t>(row), [&](int32_t other) {
     if (count == room && mine[count - 1].y < other) return;

@@ -3,6 +3,7 @@
 // names.
 #include <algorithm>
 #include <cstring>
+#include <iterator>
 #include <vector>
 
 #include "ahead.h"
@@ -10,6 +11,10 @@
 
 namespace novaphy::detail {
 const char* soft_contact_kernels_text();
+const char* rigid_contact_kernels_text();
+const char* rigid_mesh_kernels_text();
+const char* rigid_sweep_kernels_text();
+const char* contact_body_kernels_text();
 #ifdef FAKE_DRIVER_HAS_VBD
 const char* vbd_kernels_text();
 #endif
@@ -19,28 +24,32 @@ namespace novaphy::gpu {
 
 AheadData ahead_data() {
   static const std::vector<unsigned char> bytes = [] {
-    std::vector<AheadEntry> entries(3);
+    constexpr const char* (*kHandWritten[])() = {
+        detail::soft_contact_kernels_text, detail::rigid_contact_kernels_text,
+        detail::rigid_mesh_kernels_text,   detail::rigid_sweep_kernels_text,
+        detail::contact_body_kernels_text,
+#ifdef FAKE_DRIVER_HAS_VBD
+        detail::vbd_kernels_text,
+#endif
+    };
+    AheadEntry entries[2 + std::size(kHandWritten)];
     entries[0].key = ahead_key(builtins_source(), Dialect::Program);
     entries[1].key = ahead_key(interpreter_source(), Dialect::Program);
-    entries[2].key = ahead_key(module_source(detail::soft_contact_kernels_text()), Dialect::Source);
-#ifdef FAKE_DRIVER_HAS_VBD
-    entries.emplace_back().key =
-        ahead_key(module_source(detail::vbd_kernels_text()), Dialect::Source);
-#endif
-    const size_t entry_bytes = entries.size() * sizeof(AheadEntry);
+    for (size_t k = 0; k < std::size(kHandWritten); ++k)
+      entries[2 + k].key = ahead_key(module_source(kHandWritten[k]()), Dialect::Source);
     std::sort(std::begin(entries), std::end(entries),
               [](const AheadEntry& x, const AheadEntry& y) { return x.key.a < y.key.a; });
     AheadHeader header{};
     std::memcpy(header.magic, kAheadMagic, sizeof(header.magic));
     header.count = std::size(entries);
-    std::vector<unsigned char> all(sizeof(header) + entry_bytes + 1);
+    std::vector<unsigned char> all(sizeof(header) + sizeof(entries) + 1);
     for (AheadEntry& entry : entries) {
       entry.arch = 90;
-      entry.offset = sizeof(header) + entry_bytes;
+      entry.offset = sizeof(header) + sizeof(entries);
       entry.bytes = 1;
     }
     std::memcpy(all.data(), &header, sizeof(header));
-    std::memcpy(all.data() + sizeof(header), entries.data(), entry_bytes);
+    std::memcpy(all.data() + sizeof(header), entries, sizeof(entries));
     return all;
   }();
   return {bytes.data(), bytes.size()};

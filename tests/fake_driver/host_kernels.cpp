@@ -128,6 +128,19 @@ int32_t shared_values[12 << 10];
 #define NOVAPHY_KERNEL static void
 #define NOVAPHY_ROW (static_cast<int64_t>(blockIdx.x) * blockDim.x + threadIdx.x)
 #include "soft_contact_kernels.cuh"
+// Every text has its own copy of the headers.
+namespace rigid {
+#include "rigid_contact_kernels.cuh"
+}
+namespace mesh {
+#include "rigid_mesh_kernels.cuh"
+}
+namespace sweep {
+#include "rigid_sweep_kernels.cuh"
+}
+namespace bodies {
+#include "contact_body_kernels.cuh"
+}
 #ifdef FAKE_DRIVER_HAS_VBD
 #undef __shared__
 #define __shared__ static
@@ -153,7 +166,8 @@ HostKernel entry(const char* name, bool waits, void (*)(P...)) {
   return {name, waits, &Call<P...>::template bind<kernel>};
 }
 #define ENTRY(name, waits) entry<name>(#name, waits, name)
-#define HAND_WRITTEN(name) entry<device::novaphy::name>(#name, false, device::novaphy::name)
+#define HAND_WRITTEN(name) OF_TEXT(device::novaphy, name)
+#define OF_TEXT(text, name) entry<text::name>(#name, false, text::name)
 #define OF_VBD(name, waits) \
   entry<device::vbd_text::novaphy::name>(#name, waits, device::vbd_text::novaphy::name)
 
@@ -163,23 +177,52 @@ HostKernel entry(const char* name, bool waits, void (*)(P...)) {
 const HostKernel* find_host_kernel(const char* name) {
   using namespace device;
   static const HostKernel kKernels[] = {
-      ENTRY(novaphy_interpreter, false), ENTRY(row_sum_f32, true),
-      ENTRY(row_sum_chunks, true),       ENTRY(row_sum_last, false),
-      ENTRY(exclusive_scan_i32, true),   ENTRY(sort_count, false),
-      ENTRY(sort_place, false),          ENTRY(incidence_count, false),
-      ENTRY(incidence_items, false),     ENTRY(checksum_u64, true),
-      HAND_WRITTEN(soft_contact_shape),  HAND_WRITTEN(soft_contact_touch),
-      HAND_WRITTEN(soft_contact_write),  HAND_WRITTEN(soft_contact_none),
+      ENTRY(novaphy_interpreter, false),
+      ENTRY(row_sum_f32, true),
+      ENTRY(row_sum_chunks, true),
+      ENTRY(row_sum_last, false),
+      ENTRY(exclusive_scan_i32, true),
+      ENTRY(sort_count, false),
+      ENTRY(sort_place, false),
+      ENTRY(incidence_count, false),
+      ENTRY(incidence_items, false),
+      ENTRY(checksum_u64, true),
+      HAND_WRITTEN(soft_contact_shape),
+      HAND_WRITTEN(soft_contact_touch),
+      HAND_WRITTEN(soft_contact_write),
+      HAND_WRITTEN(soft_contact_none),
+      HAND_WRITTEN(soft_contact_clear),
+      HAND_WRITTEN(contact_generation),
+      OF_TEXT(rigid::novaphy, rigid_contact_shape),
+      OF_TEXT(rigid::novaphy, rigid_contact_find),
+      OF_TEXT(rigid::novaphy, rigid_contact_write),
+      OF_TEXT(rigid::novaphy, rigid_contact_clear),
+      OF_TEXT(mesh::novaphy, rigid_mesh_find),
+      OF_TEXT(mesh::novaphy, rigid_mesh_write),
+      OF_TEXT(sweep::novaphy, rigid_sweep_key),
+      OF_TEXT(sweep::novaphy, rigid_sweep_world),
+      OF_TEXT(sweep::novaphy, rigid_sweep_sort),
+      OF_TEXT(sweep::novaphy, rigid_sweep_chunk),
+      OF_TEXT(sweep::novaphy, rigid_sweep_count),
+      OF_TEXT(sweep::novaphy, rigid_sweep_total),
+      OF_TEXT(sweep::novaphy, rigid_sweep_write),
+      OF_TEXT(bodies::novaphy, contact_body),
 #ifdef FAKE_DRIVER_HAS_VBD
-      OF_VBD(vbd_predict, false),        OF_VBD(vbd_target, false),
-      OF_VBD(vbd_activation, false),     OF_VBD(vbd_contact, false),
-      OF_VBD(vbd_prepare, false),        OF_VBD(vbd_move, false),
-      OF_VBD(vbd_move_guarded, false),   OF_VBD(vbd_commit, false),
-      OF_VBD(vbd_accelerate, false),     OF_VBD(vbd_finish, false),
-      OF_VBD(vbd_residual, false),       OF_VBD(vbd_move_team, true),
+      OF_VBD(vbd_predict, false),
+      OF_VBD(vbd_target, false),
+      OF_VBD(vbd_activation, false),
+      OF_VBD(vbd_contact, false),
+      OF_VBD(vbd_prepare, false),
+      OF_VBD(vbd_move, false),
+      OF_VBD(vbd_move_guarded, false),
+      OF_VBD(vbd_commit, false),
+      OF_VBD(vbd_accelerate, false),
+      OF_VBD(vbd_finish, false),
+      OF_VBD(vbd_residual, false),
+      OF_VBD(vbd_move_team, true),
       OF_VBD(vbd_sweep, true),
 #endif
-      HAND_WRITTEN(soft_contact_clear),  HAND_WRITTEN(contact_generation)};
+  };
   for (const HostKernel& kernel : kKernels)
     if (std::strcmp(kernel.name, name) == 0) return &kernel;
   return nullptr;

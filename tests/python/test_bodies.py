@@ -8,6 +8,7 @@ import pytest
 
 import novaphy
 from novaphy import ModelBuilder
+from novaphy.io import Mesh
 
 
 def die() -> ModelBuilder:
@@ -97,10 +98,12 @@ def test_a_captured_search_follows_the_state() -> None:
     builder.add_shape_sphere(other, radius=0.1)
     model = builder.finalize()
     pipeline = novaphy.CollisionPipeline(model)
-    contacts, expected = pipeline.contacts(), pipeline.contacts()
+    swept = novaphy.CollisionPipeline(model, broad_phase="sap")
+    contacts, expected, same = pipeline.contacts(), pipeline.contacts(), pipeline.contacts()
     state = model.state()
     with nova.ScopedCapture() as capture:
         pipeline.collide(state, contacts)
+        swept.collide(state, same)
     for height in (0.1, 0.6, 5.0):
         poses = model.body_q.numpy()
         poses[:, 2] += height - 0.6
@@ -108,14 +111,25 @@ def test_a_captured_search_follows_the_state() -> None:
         capture.graph.launch()
         pipeline.collide(state, expected)
         np.testing.assert_array_equal(contacts.rigid_contacts(), expected.rigid_contacts())
+        np.testing.assert_array_equal(same.rigid_contacts(), expected.rigid_contacts())
         assert (height > 0.5) == (contacts.rigid_contact_count[0] == 1)
     model.shape_flags = np.zeros(3, np.int32)
     with pytest.raises(novaphy.Error):
         capture.graph.launch()
-    swept = novaphy.CollisionPipeline(model, broad_phase="sap")
-    into = swept.contacts()
-    with pytest.raises(novaphy.Error, match="sap"), nova.ScopedCapture():
-        swept.collide(state, into)
+
+
+def test_a_recorded_sweep_refuses_meshes_by_name() -> None:
+    nova = pytest.importorskip("novaphy.nova")
+    builder = die()
+    corners = np.float32([[0, 0, 0], [1, 0, 0], [0, 1, 0]])
+    builder.add_shape_mesh(-1, mesh=Mesh(corners, np.int32([[0, 1, 2]])))
+    model = builder.finalize()
+    pipeline = novaphy.CollisionPipeline(model, broad_phase="sap")
+    contacts, state = pipeline.contacts(), model.state()
+    pipeline.collide(state, contacts)
+    with pytest.raises(NotImplementedError, match='shapes 1 and 2 .*"sap" finds pairs of meshes'):
+        with nova.ScopedCapture():
+            pipeline.collide(state, contacts)
 
 
 def test_every_broad_phase_gives_the_same_motion() -> None:

@@ -26,7 +26,7 @@ struct FusedRun {
   std::span<const OpList::Op> ops;  // of the whole plan
   std::span<const uint64_t> words;
   const Segment& segment;
-  std::span<const HostPlan::Series> series;  // from the segment on
+  std::span<const HostPlan::Scan> scan;  // from the segment on
   int64_t first_block;
   std::atomic<bool> failed{false};
   std::mutex mutex = {};
@@ -34,7 +34,7 @@ struct FusedRun {
   novaphy_status status = NOVAPHY_OK;
   novaphy_error error = novaphy::make_error();
   const OpList::Op* failed_op = nullptr;
-  bool by_series = false;  // whose messages count from row 0
+  bool by_scan = false;  // whose messages count from row 0
 
   void note(int64_t block, novaphy_status s, const novaphy_error& e, const OpList::Op& op,
             bool many) {
@@ -46,7 +46,7 @@ struct FusedRun {
     status = s;
     error = e;
     failed_op = &op;
-    by_series = many;
+    by_scan = many;
   }
 };
 
@@ -54,13 +54,13 @@ void run_block(FusedRun& run, int64_t block) {
   const int64_t n = run.segment.n, begin = block * run.segment.block_rows;
   const int64_t rows = std::min(run.segment.block_rows, n - begin);
   novaphy_error error = novaphy::make_error();
-  const HostPlan::Series* next = run.series.data();
-  const HostPlan::Series* const end = next + run.series.size();
+  const HostPlan::Scan* next = run.scan.data();
+  const HostPlan::Scan* const end = next + run.scan.size();
   for (uint32_t k = run.segment.first; k < run.segment.last;) {
     const OpList::Op& op = run.ops[k];
     const bool many = next != end && next->first == k;
     const novaphy_status status =
-        many ? run.context.api->series_launch(next->series, begin, begin + rows, &error)
+        many ? run.context.api->scan_launch(next->scan, begin, begin + rows, &error)
              : run_rows(run.context, op, run.words.data(), n, begin, rows, error);
     if (status != NOVAPHY_OK) [[unlikely]] {
       run.note(block, status, error, op, many);
@@ -86,34 +86,34 @@ void run_fused(FusedRun& run) {
         },
         &run);
     if (!run.failed) continue;
-    if (run.by_series) novaphy::check(run.status, run.error, run.failed_op->name);
+    if (run.by_scan) novaphy::check(run.status, run.error, run.failed_op->name);
     fail_as_a_whole(run.context, *run.failed_op, run.words.data(), run.status, run.error);
   }
 }
 
-bool makes_series(const novaphy_backend_api& api) {
-  return has_entry(api, &novaphy_backend_api::series_create) &&
-         has_entry(api, &novaphy_backend_api::series_destroy);
+bool makes_scan(const novaphy_backend_api& api) {
+  return has_entry(api, &novaphy_backend_api::scan_create) &&
+         has_entry(api, &novaphy_backend_api::scan_destroy);
 }
 
-// Whether an operation between a series and `last` may write what those of the series touched.
+// Whether an operation between a scan and `last` may write what those of the scan touched.
 bool written_since(std::span<const OpList::Op> ops, std::span<const uint64_t> words,
-                   std::span<const MemoryAccess> accesses, const HostPlan::Series& series,
+                   std::span<const MemoryAccess> accesses, const HostPlan::Scan& scan,
                    uint32_t last) {
   const auto touched = [&](uint32_t begin, uint32_t end) {
     std::vector<MemoryAccess> all;
     for (uint32_t k = begin; k < end; ++k) touched_by(ops[k], words, accesses, all);
     return all;
   };
-  const std::vector<MemoryAccess> before = touched(series.first, series.last);
-  for (const MemoryAccess& later : touched(series.last, last))
+  const std::vector<MemoryAccess> before = touched(scan.first, scan.last);
+  for (const MemoryAccess& later : touched(scan.last, last))
     for (const MemoryAccess& a : before)
       if (later.write && share_bytes(later, a)) return true;
   return false;
 }
 
 // Where launches of the kernel at k, over the rows of the segment, end.
-uint32_t end_of_series(std::span<const OpList::Op> ops, const Segment& segment, uint32_t k) {
+uint32_t end_of_scan(std::span<const OpList::Op> ops, const Segment& segment, uint32_t k) {
   const OpList::Op& first = ops[k];
   uint32_t end = k;
   while (end < segment.last && ops[end].kind == OpList::Op::Kind::Launch &&
@@ -166,7 +166,7 @@ HostPlan::HostPlan(const novaphy::DeviceContext& context, RunPlan plan,
       segments_(std::move(plan.segments)),
       words_(words) {
   if (phases) make_phases(accesses);
-  if (makes_series(*context.api)) make_series(accesses);
+  if (makes_scan(*context.api)) make_scan(accesses);
   if (phases && prints_plans()) print(accesses);
 }
 
@@ -176,20 +176,20 @@ void HostPlan::print(std::span<const MemoryAccess> accesses) const {
     PlanPart part{segment};
     if (const auto found = phases_.find(segment.first); found != phases_.end())
       part.phases = found->second->phases();
-    for (const Series& series : series_)
-      if (series.first >= segment.first && series.last <= segment.last) ++part.scans;
+    for (const Scan& scan : scans_)
+      if (scan.first >= segment.first && scan.last <= segment.last) ++part.scans;
     parts.push_back(part);
   }
   std::fputs(describe_plan(ops_, parts, words_, accesses).c_str(), stderr);
 }
 
-void HostPlan::make_series(std::span<const MemoryAccess> accesses) {
+void HostPlan::make_scan(std::span<const MemoryAccess> accesses) {
   const novaphy_backend_api& api = *context_.api;
   std::vector<const uint64_t*> arguments;
   for (const Segment& segment : segments_) {
     if (segment.n == 0) continue;
     for (uint32_t k = segment.first; k < segment.last;) {
-      const uint32_t end = end_of_series(ops_, segment, k);
+      const uint32_t end = end_of_scan(ops_, segment, k);
       if (end - k < 2) {
         ++k;
         continue;
@@ -197,15 +197,15 @@ void HostPlan::make_series(std::span<const MemoryAccess> accesses) {
       const OpList::Op& op = ops_[k];
       arguments.clear();
       for (uint32_t o = k; o < end; ++o) arguments.push_back(words_.data() + ops_[o].first_word);
-      const bool follows = !series_.empty() && series_.back().first >= segment.first &&
-                           !written_since(ops_, words_, accesses, series_.back(), k);
-      novaphy_series* series = nullptr;
+      const bool follows = !scans_.empty() && scans_.back().first >= segment.first &&
+                           !written_since(ops_, words_, accesses, scans_.back(), k);
+      novaphy_scan* scan = nullptr;
       novaphy_error error = novaphy::make_error();
       const novaphy_status status =
-          api.series_create(context_.device, op.kernel, arguments.data(), op.word_count, end - k,
-                            follows ? series_.back().series : nullptr, &series, &error);
+          api.scan_create(context_.device, op.kernel, arguments.data(), op.word_count, end - k,
+                          follows ? scans_.back().scan : nullptr, &scan, &error);
       if (status == NOVAPHY_OK) {
-        series_.push_back({k, end, series});
+        scans_.push_back({k, end, scan});
       } else if (status != NOVAPHY_NOT_SUPPORTED) {
         novaphy::check(status, error, op.name);
       }
@@ -251,20 +251,20 @@ void HostPlan::cut_into_phases(uint32_t first, uint32_t last,
 }
 
 HostPlan::~HostPlan() {
-  for (const Series& series : series_) context_.api->series_destroy(series.series);
+  for (const Scan& scan : scans_) context_.api->scan_destroy(scan.scan);
 }
 
 void HostPlan::run() const {
-  std::span<const Series> series = series_;
+  std::span<const Scan> scan = scans_;
   auto phases = phases_.begin();
   for (const Segment& segment : segments_) {
     if (segment.n > 0) {
-      while (!series.empty() && series.front().first < segment.first) series = series.subspan(1);
+      while (!scan.empty() && scan.front().first < segment.first) scan = scan.subspan(1);
       FusedRun run{.context = context_,
                    .ops = ops_,
                    .words = words_,
                    .segment = segment,
-                   .series = series,
+                   .scan = scan,
                    .first_block = 0};
       run_fused(run);
     } else if (phases != phases_.end() && phases->first == segment.first) {

@@ -63,7 +63,7 @@ struct PlanLimits {
   bool multiples = true;  // operations that have several rows for each row of the segment
   // Launches of one kernel, one after the other, that make a segment of any number of rows; 0:
   // none.
-  uint32_t min_series = 0;
+  uint32_t min_scan = 0;
 };
 // Sets tables_change. Whoever plans by what tables hold needs it: a launch may find something else
 // there.
@@ -100,13 +100,13 @@ class HostPlan {
   // Throws like a launch.
   void run() const;
 
-  struct Series {
+  struct Scan {
     uint32_t first, last;  // operations
-    novaphy_series* series;
+    novaphy_scan* scan;
   };
 
  private:
-  void make_series(std::span<const MemoryAccess> accesses);
+  void make_scan(std::span<const MemoryAccess> accesses);
   void make_phases(std::span<const MemoryAccess> accesses);
   void print(std::span<const MemoryAccess> accesses) const;  // to the standard error
   void cut_into_phases(uint32_t first, uint32_t last, std::span<const MemoryAccess> accesses,
@@ -116,7 +116,7 @@ class HostPlan {
   std::vector<OpList::Op> ops_;
   std::vector<Segment> segments_;
   const std::span<const uint64_t> words_;
-  std::vector<Series> series_;                             // in order
+  std::vector<Scan> scans_;                                // in order
   std::map<uint32_t, std::unique_ptr<PhasedRun>> phases_;  // by the first operation of a segment
 };
 

@@ -74,7 +74,7 @@ bool touched_by(const OpList::Op& op, std::span<const uint64_t> words,
 
 namespace {
 
-// A series of launches over few rows is shared out to threads in blocks of kFewRows once it has so
+// A scan of launches over few rows is shared out to threads in blocks of kFewRows once it has so
 // many rows in all its launches.
 constexpr int64_t kSharedOut = 32768, kFewRows = 128;
 // Between two looks at an interrupt.
@@ -190,7 +190,7 @@ class Planner {
         made.segments.push_back(
             {static_cast<uint32_t>(first), static_cast<uint32_t>(last), n, block_rows(n)});
         k = last;
-      } else if (const size_t last = end_of_series(k); last > k) {
+      } else if (const size_t last = end_of_scan(k); last > k) {
         const int64_t rows = op(k).n, launches = static_cast<int64_t>(last - k);
         made.segments.push_back({static_cast<uint32_t>(k), static_cast<uint32_t>(last), rows,
                                  rows * launches < kSharedOut ? rows : kFewRows});
@@ -279,10 +279,10 @@ class Planner {
     return true;
   }
 
-  // The end of a series of launches that begins at k, or k: they all run the same kernel, and touch
+  // The end of a scan of launches that begins at k, or k: they all run the same kernel, and touch
   // what they write at their own row only.
-  size_t end_of_series(size_t k) {
-    if (limits_.min_series == 0) return k;
+  size_t end_of_scan(size_t k) {
+    if (limits_.min_scan == 0) return k;
     segment_.clear();
     size_t end = k;
     for (; end < order_.size() && end - k < kMostLaunches; ++end) {
@@ -293,7 +293,7 @@ class Planner {
           !segment_.add_fused(touched_))
         break;
     }
-    return end - k >= limits_.min_series ? end : k;
+    return end - k >= limits_.min_scan ? end : k;
   }
 
   // So many rows that what one block touches stays in the cache of a core from the first operation

@@ -26,7 +26,7 @@ thread_local OpList* deferred = nullptr;               // of a DeferredScope
 thread_local DeferredScope* deferred_scope = nullptr;  // whose list that is
 
 // Fewer launches of one kernel gain less than it takes to find out.
-constexpr uint32_t kMinSeries = 8;
+constexpr uint32_t kMinScan = 8;
 
 void run_copy(const DeviceContext& c, void* target, const void* source, int64_t bytes) {
   novaphy_error error = novaphy::make_error();
@@ -177,7 +177,7 @@ detail::DeviceReplay* OpList::device_replay() const {
 detail::HostPlan& OpList::host_plan(bool again) const {
   if (!host_plan_)
     host_plan_ = std::make_unique<detail::HostPlan>(
-        *context, detail::plan_run(ops_, words_, accesses_, {.min_series = kMinSeries}), words_,
+        *context, detail::plan_run(ops_, words_, accesses_, {.min_scan = kMinScan}), words_,
         accesses_, again);
   return *host_plan_;
 }

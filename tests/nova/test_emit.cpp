@@ -214,9 +214,8 @@ TEST(Emit, RunsManyLaunchesOfARowInOne) {
              return std::vector{select(d > nova::Real(0.0f), nova::Real(-0.0f), push)};
            },
        .epilogue = {}});
-  const nova::ir::Series series{.carried = {0}, .varying = {}};
-  expect_golden("bounce_series",
-                nova::ir::emit_c_series(kernel.program(), series, "k_bounce_series"));
+  const nova::ir::Scan scan{.carried = {0}, .varying = {}};
+  expect_golden("bounce_scan", nova::ir::emit_c_scan(kernel.program(), scan, "k_bounce_scan"));
 }
 
 // Every name that the text uses is declared before: an undeclared one would break a build far from

@@ -53,25 +53,24 @@ std::vector<std::vector<const ir::Program*>> share_out(const std::vector<ir::Pro
   return shares;
 }
 
-// The function for a series of launches and what describes it; gives the description's address, or
-// null where the Program makes no series.
-std::string series_of(const ir::Program& p, const std::vector<ir::Program>& all,
-                      std::string& text) {
-  const auto series = ir::find_series(p);
-  if (!series) return "NULL";
-  const std::string name = ir::c_function_name(p) + "_series";
+// The function for a scan of launches and what describes it; gives the description's address, or
+// null where the Program makes no scan.
+std::string scan_of(const ir::Program& p, const std::vector<ir::Program>& all, std::string& text) {
+  const auto scan = ir::find_scan(p);
+  if (!scan) return "NULL";
+  const std::string name = ir::c_function_name(p) + "_scan";
   const auto primal = std::find_if(all.begin(), all.end(), [&](const ir::Program& other) {
-    return ir::adjoint_of_series(p, other);
+    return ir::adjoint_of_scan(p, other);
   });
   const bool found = primal != all.end();
-  text += ir::emit_c_series(p, *series, name, found ? &*primal : nullptr) + "\n";
+  text += ir::emit_c_scan(p, *scan, name, found ? &*primal : nullptr) + "\n";
   std::string sources;
-  for (const auto* list : {&series->carried, &series->varying})
+  for (const auto* list : {&scan->carried, &scan->varying})
     for (const int32_t source : *list)
       sources += (sources.empty() ? "" : ", ") + std::to_string(source);
   text += "static const int32_t " + name + "_sources[] = {" + sources + "};\n";
-  text += "static const novaphy_native_series " + name + "_form = {" + name + ", " +
-          std::to_string(series->carried.size()) + ", " + std::to_string(series->varying.size()) +
+  text += "static const novaphy_native_scan " + name + "_form = {" + name + ", " +
+          std::to_string(scan->carried.size()) + ", " + std::to_string(scan->varying.size()) +
           ", " + name + "_sources, " + (found ? hex(ir::hash(*primal)) : "0") + "};\n\n";
   return "&" + name + "_form";
 }
@@ -84,9 +83,9 @@ std::string file_text(const std::vector<const ir::Program*>& programs,
   std::string table;
   for (const ir::Program* p : programs) {
     text += ir::emit_c(*p) + "\n";
-    const std::string series = series_of(*p, all, text);
+    const std::string scan = scan_of(*p, all, text);
     table += "    {" + hex(ir::hash(*p)) + ", " + std::to_string(p->instrs.size()) + ", " +
-             std::to_string(p->argument_count()) + ", " + ir::c_function_name(*p) + ", " + series +
+             std::to_string(p->argument_count()) + ", " + ir::c_function_name(*p) + ", " + scan +
              "},\n";
   }
   if (table.empty()) table = "    {0, 0, 0, 0, NULL},\n";

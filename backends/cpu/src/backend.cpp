@@ -17,7 +17,7 @@
 #include "module.h"
 #include "novaphy/cpu/query.h"
 #include "row_function.h"
-#include "series.h"
+#include "scan.h"
 
 using novaphy::cpu::fail;
 
@@ -380,27 +380,26 @@ novaphy_status kernel_info(novaphy_kernel* kernel, novaphy_kernel_info* info,
   return NOVAPHY_OK;
 }
 
-novaphy_status series_create(novaphy_device*, novaphy_kernel* kernel,
-                             const uint64_t* const* arguments, uint32_t argument_count,
-                             uint32_t count, novaphy_series* first, novaphy_series** series,
-                             novaphy_error* error) {
+novaphy_status scan_create(novaphy_device*, novaphy_kernel* kernel,
+                           const uint64_t* const* arguments, uint32_t argument_count,
+                           uint32_t count, novaphy_scan* first, novaphy_scan** scan,
+                           novaphy_error* error) {
   if (argument_count != kernel->argument_count) {
-    return fail(error, NOVAPHY_INVALID_ARGUMENT, "series: expected %u argument words, got %u",
+    return fail(error, NOVAPHY_INVALID_ARGUMENT, "scan: expected %u argument words, got %u",
                 kernel->argument_count, argument_count);
   }
   return guarded(error, [&] {
     if (kernel->executable == nullptr) return NOVAPHY_NOT_SUPPORTED;
-    auto made = novaphy_series::make(*kernel->executable, {arguments, count}, first);
+    auto made = novaphy_scan::make(*kernel->executable, {arguments, count}, first);
     if (made == nullptr) return NOVAPHY_NOT_SUPPORTED;
-    *series = made.release();
+    *scan = made.release();
     return NOVAPHY_OK;
   });
 }
-novaphy_status series_launch(novaphy_series* series, int64_t begin, int64_t end,
-                             novaphy_error* error) {
-  return guarded(error, [&] { return series->run(begin, end, error); });
+novaphy_status scan_launch(novaphy_scan* scan, int64_t begin, int64_t end, novaphy_error* error) {
+  return guarded(error, [&] { return scan->run(begin, end, error); });
 }
-void series_destroy(novaphy_series* series) { delete series; }
+void scan_destroy(novaphy_scan* scan) { delete scan; }
 
 constexpr novaphy_backend_api kApi = {
     sizeof(novaphy_backend_api),
@@ -438,9 +437,9 @@ constexpr novaphy_backend_api kApi = {
     nullptr,  // no lists: the runtime runs blocks of rows itself
     nullptr,
     nullptr,
-    series_create,
-    series_launch,
-    series_destroy,
+    scan_create,
+    scan_launch,
+    scan_destroy,
     nullptr,  // no sequences either
     nullptr,
     nullptr,  // launch_active: the host reads the number

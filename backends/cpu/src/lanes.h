@@ -26,7 +26,7 @@
 #define CAN_KEEP(csr) (LANES > 1 && (csr).longest <= KEPT_ITEMS)
 
 /* Fetches the rows of an array that a later launch is going to read or write: the arrays of a
- * series lie too far apart for the processor to guess. */
+ * scan lie too far apart for the processor to guess. */
 LANE_FN void fetch_early(uint64_t array, int64_t row_bytes, int64_t i, int write) {
   for (int64_t byte = 0; byte < row_bytes * LANES; byte += 64) {
     const char* const p = (const char*)array + row_bytes * i + byte;

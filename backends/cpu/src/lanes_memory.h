@@ -365,7 +365,7 @@ LANE_FN void store_columnf(char* p, int32_t width, vf a) { store_columni(p, widt
 LANE_FN void store2f(char* p, vf a, vf b) { store2i(p, (vi)a, (vi)b); }
 LANE_FN void store3f(char* p, vf a, vf b, vf c) { store3i(p, (vi)a, (vi)b, (vi)c); }
 
-/* Rows of three that the primal of a series keeps for its adjoint, one column after the other: at
+/* Rows of three that the primal of a scan keeps for its adjoint, one column after the other: at
  * near + at, if `near` is not null, is the group of rows that begins at `rows`. */
 LANE_FN void keep3f(char* near, vf a, vf b, vf c) {
   store_lanes(near, (vi)a), store_lanes(near + 4 * LANES, (vi)b);

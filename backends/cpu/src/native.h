@@ -18,13 +18,13 @@ typedef struct novaphy_error_sink {
 typedef int64_t (*novaphy_native_fn)(const uint64_t* args, int64_t begin, int64_t end,
                                      novaphy_error_sink* sink);
 
-/* Launches of one kernel, one after the other; see <novaphy/program/series.h>. */
+/* Launches of one kernel, one after the other; see <novaphy/program/scan.h>. */
 typedef struct novaphy_native_launches {
   const uint64_t* args;  /* the words of the first launch */
-  const uint64_t* table; /* per launch: see novaphy_native_series */
+  const uint64_t* table; /* per launch: see novaphy_native_scan */
   int64_t count;
   /* Null, or for rows from `first` on and each launch, whether anything acted in its group: a
-   * contact that touches, a limit that is met. Written by the series of a primal, read by its
+   * contact that touches, a limit that is met. Written by the scan of a primal, read by its
    * adjoint's. */
   char* notes;
   int64_t note_row_bytes, first;
@@ -43,21 +43,21 @@ typedef struct novaphy_native_launches {
  * of the launch in notes and room. The arrays of the launch LAUNCHES_AHEAD later are fetched early,
  * so as many rows follow the last, of any arrays. */
 #define LAUNCHES_AHEAD 8
-typedef int64_t (*novaphy_native_series_fn)(const novaphy_native_launches* launches, int64_t begin,
-                                            int64_t end, novaphy_error_sink* sink);
-typedef struct novaphy_native_series {
-  novaphy_native_series_fn run;
+typedef int64_t (*novaphy_native_scan_fn)(const novaphy_native_launches* launches, int64_t begin,
+                                          int64_t end, novaphy_error_sink* sink);
+typedef struct novaphy_native_scan {
+  novaphy_native_scan_fn run;
   int32_t outputs, varying;
   const int32_t* sources; /* per output the carried one, then the varying ones */
   uint64_t primal;        /* the hash of the Program whose notes it reads; 0: it writes notes */
-} novaphy_native_series;
+} novaphy_native_scan;
 
 typedef struct novaphy_native_kernel {
   uint64_t hash;         /* of the Program; tables are sorted by it */
   uint32_t instructions; /* two more facts about the Program, in case two have one hash */
   uint32_t arguments;
   novaphy_native_fn run;
-  const novaphy_native_series* series; /* or null */
+  const novaphy_native_scan* scan; /* or null */
 } novaphy_native_kernel;
 
 typedef struct novaphy_native_table {

@@ -43,7 +43,7 @@ NativeCode find_native(const nova::ir::Program& program, const char* isa) {
   const novaphy_native_kernel* const scalar = find_level("scalar", program, hash, one);
   const novaphy_native_kernel* const rows = find_level(isa, program, hash, lanes);
   if (scalar == nullptr || rows == nullptr) return {};
-  return {rows->run, scalar->run, lanes, rows->series, scalar->series};
+  return {rows->run, scalar->run, lanes, rows->scan, scalar->scan};
 }
 
 }  // namespace novaphy::cpu

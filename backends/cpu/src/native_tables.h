@@ -19,9 +19,9 @@ struct NativeCode {
   novaphy_native_fn rows = nullptr;    // groups of `lanes` rows
   novaphy_native_fn scalar = nullptr;  // single rows
   int32_t lanes = 1;
-  // The same for series of launches, both or none.
-  const novaphy_native_series* series_rows = nullptr;
-  const novaphy_native_series* series_scalar = nullptr;
+  // The same for scans of launches, both or none.
+  const novaphy_native_scan* scan_rows = nullptr;
+  const novaphy_native_scan* scan_scalar = nullptr;
 };
 
 // Called by the plugin, before any device is opened.

@@ -28,23 +28,23 @@ std::string one_line(const std::string& s) {
 // Elements: long formulas of rows that are gathered ahead. Regions part their lines, and most are
 // taken anyway.
 constexpr int32_t kMinElementRegion = 20;
-EmitPlan plan_for(const Program& p, bool device, bool series) {
+EmitPlan plan_for(const Program& p, bool device, bool scan) {
   EmitPlan plan = make_emit_plan(p, device);
-  const bool elements = !device && !series && find_ahead_gathers(p, plan).table >= 0;
+  const bool elements = !device && !scan && find_ahead_gathers(p, plan).table >= 0;
   return elements ? ordered(p, make_emit_plan(p, device, kMinElementRegion)) : std::move(plan);
 }
 
 }  // namespace
 
-Emitter::Emitter(const Program& program, bool device, const Series* series, std::vector<char> items)
+Emitter::Emitter(const Program& program, bool device, const Scan* scan, std::vector<char> items)
     : original_(program),
       p_(device ? program : simplified(program)),
-      plan_(plan_for(p_, device, series != nullptr)),
+      plan_(plan_for(p_, device, scan != nullptr)),
       text_(p_, plan_, device),
       device_(device),
-      series_(series),
+      scan_(scan),
       // A thread of a GPU has one row and few registers: there it is cheaper to compute again.
-      held_(series ? find_held_values(p_, plan_, *series) : std::vector<char>{}),
+      held_(scan ? find_held_values(p_, plan_, *scan) : std::vector<char>{}),
       kept_(device ? std::vector<KeptValues>{} : find_kept_values(p_, plan_)),
       items_(std::move(items)),
       declared_(program.instrs.size(), 0),
@@ -55,11 +55,11 @@ Emitter::Emitter(const Program& program, bool device, const Series* series, std:
     for (auto* values : {&kept.kept, &kept.equal})
       std::erase_if(*values, [this](const auto& pair) { return held(pair.first); });
   if (!device_) idle_ = find_idle_items(p_, plan_, kept_);
-  if (!device_ && !series_)
+  if (!device_ && !scan_)
     for (FollowedItem& item : find_followed_items(p_, plan_))
       if (adds_nothing(item.idle)) followed_.push_back(std::move(item));
   // The next group is read before this one is written.
-  if (!device_ && !series_ && may_run_again()) ahead_ = find_ahead_gathers(p_, plan_);
+  if (!device_ && !scan_ && may_run_again()) ahead_ = find_ahead_gathers(p_, plan_);
 }
 
 std::string Emitter::run(const std::string& function) {
@@ -172,7 +172,7 @@ void Emitter::arguments() {
       line("const char* const s" + k + " = (const char*)args[" + str(p_.source_argument(s)) + "];");
     line("const int64_t n" + k + " = (int64_t)args[" + str(p_.source_argument(s) + 1) + "];");
   }
-  for (size_t o = 0; o < p_.outputs.size() && !series_; ++o)
+  for (size_t o = 0; o < p_.outputs.size() && !scan_; ++o)
     line("char* const out" + str(static_cast<int64_t>(o)) + " = (char*)args[" +
          str(p_.output_argument(o)) + "];");
   loops_and_parameters();
@@ -301,11 +301,11 @@ void Emitter::limited_root(Value v, const Instr& in) {
   const Value root = plan_.root[at(v)];
   const std::string x = text_.lanes(p_.instrs[at(root)].a);
   const std::string question = "any(vlt(splatf(below" + str(in.a) + "), " + x + "))";
-  if (series_) line("acted &= ~" + acted_bit(v) + ";");
+  if (scan_) line("acted &= ~" + acted_bit(v) + ";");
   line("if (" + (device_ ? question : "rarely(" + question + ")") + ") {");
   ++depth_;
   for (const Value k : {root, v}) line(text_.name(k) + " = " + text_.expression(k) + ";");
-  if (series_) line("acted |= " + acted_bit(v) + ";");
+  if (scan_) line("acted |= " + acted_bit(v) + ";");
   close();
 }
 
@@ -432,16 +432,16 @@ void Emitter::stores() {
              text_.lanes(output.values[at(c)]) + ");");
       continue;
     }
-    if (series_) {
+    if (scan_) {
       put(o);
       continue;
     }
     store(output, "o" + k);
   }
-  if (!series_) return;
+  if (!scan_) return;
   for (size_t o = 0; o < p_.outputs.size(); ++o)
     for (size_t c = 0; c < p_.outputs[o].values.size(); ++c)
-      line(state(series_->carried[o], static_cast<int32_t>(c)) + " = " +
+      line(state(scan_->carried[o], static_cast<int32_t>(c)) + " = " +
            text_.lanes(p_.outputs[o].values[c]) + ";");
 }
 
@@ -493,9 +493,9 @@ std::string emit_c(const Program& program, const std::string& function) {
   return Emitter(program).run(function.empty() ? c_function_name(program) : function);
 }
 
-std::string emit_c_series(const Program& program, const Series& series, const std::string& function,
-                          const Program* primal) {
-  return Emitter(program, false, &series).run_series(function, primal);
+std::string emit_c_scan(const Program& program, const Scan& scan, const std::string& function,
+                        const Program* primal) {
+  return Emitter(program, false, &scan).run_scan(function, primal);
 }
 
 std::string emit_device(const Program& program, const std::string& function,

@@ -11,8 +11,7 @@ bool contains(const std::vector<int32_t>& sources, int32_t source) {
 
 }  // namespace
 
-std::vector<char> find_held_values(const Program& program, const EmitPlan& plan,
-                                   const Series& series) {
+std::vector<char> find_held_values(const Program& program, const EmitPlan& plan, const Scan& scan) {
   std::vector<char> held(program.instrs.size(), 0);
   const auto shared = [&](Value operand, int32_t loop) {
     const auto o = static_cast<size_t>(operand);
@@ -28,8 +27,7 @@ std::vector<char> find_held_values(const Program& program, const EmitPlan& plan,
     // Behind a condition, what items have: the launches in which they act would load it each time.
     if (plan.region[v] >= 0 && (loop < 0 || plan.escapes[v])) continue;
     if (loop >= 0 && program.loops[static_cast<size_t>(loop)].kind != LoopKind::Csr) continue;
-    if (is_load(in.op) && (contains(series.carried, in.a) || contains(series.varying, in.a)))
-      continue;
+    if (is_load(in.op) && (contains(scan.carried, in.a) || contains(scan.varying, in.a))) continue;
     bool all = true;
     for_each_operand(in, [&](Value o) { all = all && shared(o, loop); });
     held[v] = all;

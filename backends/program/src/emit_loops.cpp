@@ -29,7 +29,7 @@ bool Emitter::region_begin(int32_t number) {
   }
   ++depth_;
   ahead_region(number);
-  if (to_loop_end && series_) line("acted |= 1;");
+  if (to_loop_end && scan_) line("acted |= 1;");
   if (to_loop_end) write_kept(loop_, true);
   for (const FollowedItem& f : followed_)
     if (f.earlier_region == number)
@@ -98,7 +98,7 @@ void Emitter::loop_begin(int32_t l) {
   if (csr && device_) {
     device_items(l);
   } else if (csr) {
-    if (!series_) csr_rows(l);
+    if (!scan_) csr_rows(l);
     kept_rows(l);
     const bool follower = std::any_of(kept_.begin(), kept_.end(), [&](const KeptValues& kept) {
       return kept.loop == l && !kept.kept.empty() && follows(kept);
@@ -112,7 +112,7 @@ void Emitter::loop_begin(int32_t l) {
       line("if (keep" + k + " && (acting" + k + " >> r" + k + " & 1) == 0) continue;");
       followers_.insert(l);
     }
-    if (series_) {
+    if (scan_) {
       for (const Value v : held_items(l))
         line("const " + text_.c_type(v) + " " + text_.name(v) + " = held" + str(v) + "[r" + k +
              "];");

@@ -12,7 +12,7 @@
 #include "emit_kept.h"
 #include "emit_plan.h"
 #include "emit_values.h"
-#include "novaphy/program/series.h"
+#include "novaphy/program/scan.h"
 
 namespace nova::ir {
 
@@ -22,12 +22,12 @@ inline const char* letter(Type t) { return t == Type::F32 ? "f" : "i"; }
 
 class Emitter {
  public:
-  explicit Emitter(const Program& program, bool device = false, const Series* series = nullptr,
+  explicit Emitter(const Program& program, bool device = false, const Scan* scan = nullptr,
                    std::vector<char> items = {});
   std::string run(const std::string& function);
   // Words that differ from launch to launch come from a table, a row of it for each launch: the
   // varying sources, then the outputs, null where nobody reads what this launch would write.
-  std::string run_series(const std::string& function, const Program* primal);
+  std::string run_scan(const std::string& function, const Program* primal);
   // What makes a launch more than a quiet one; none: it cannot be left out.
   std::optional<std::set<uint64_t>> questions() const;
   std::string run_device(const std::string& function);
@@ -81,16 +81,16 @@ class Emitter {
   int32_t near_bytes(int32_t source) const;
   void launch_sources();  // where a launch finds what varies
   void put(size_t o);     // writes an output of a launch
-  void note();            // see emit_quiet.cpp
+  void note();            // see emit_fast_path.cpp
   void quiet_launch();
   // The comparisons that need no root while a limit is far, and the bits of `acted` that say
   // whether it was not, or not asked. The first bit: whether an item of a loop acted.
   std::vector<Value> limits() const;
   std::string acted_bit(Value limit) const;
-  size_t launch_words() const { return series_->varying.size() + p_.outputs.size() + 1; }
+  size_t launch_words() const { return scan_->varying.size() + p_.outputs.size() + 1; }
   static std::string word(size_t w) { return std::to_string(w); }
   void hold(Value v);
-  bool held(Value v) const { return series_ && held_[at(v)]; }
+  bool held(Value v) const { return scan_ && held_[at(v)]; }
   void hold_items(int32_t l);
   // The held values of a loop that its launches read, the item among them.
   std::vector<Value> held_items(int32_t l) const;
@@ -169,8 +169,8 @@ class Emitter {
   const EmitPlan plan_;
   const ValueText text_;
   const bool device_;
-  const Series* const series_;    // or null
-  const std::vector<char> held_;  // in a series, per value: the same in every launch
+  const Scan* const scan_;        // or null
+  const std::vector<char> held_;  // in a scan, per value: the same in every launch
   std::vector<KeptValues> kept_;
   std::vector<IdleItem> idle_;
   std::vector<FollowedItem> followed_;
@@ -193,7 +193,7 @@ class Emitter {
   bool tail_ = false;  // the last group may begin earlier
   bool quiet_ = false;
   bool probes_ = false;              // loads what launches may need, and not in vain
-  const Program* primal_ = nullptr;  // of a series that reads notes
+  const Program* primal_ = nullptr;  // of a scan that reads notes
 };
 
 }  // namespace nova::ir

@@ -1,5 +1,5 @@
 // The same for launches that follow each other. `large`: they have a room or notes.
-LANE_FN int64_t k_bounce_series_rows(const novaphy_native_launches* all, int64_t begin,
+LANE_FN int64_t k_bounce_scan_rows(const novaphy_native_launches* all, int64_t begin,
                   int64_t end, novaphy_error_sink* sink, const int large) {
   const uint64_t* const args = all->args;
   const int streams = large && all->streams;
@@ -64,8 +64,8 @@ LANE_FN int64_t k_bounce_series_rows(const novaphy_native_launches* all, int64_t
   }
   return i;
 }
-static int64_t k_bounce_series(const novaphy_native_launches* all, int64_t begin,
+static int64_t k_bounce_scan(const novaphy_native_launches* all, int64_t begin,
                   int64_t end, novaphy_error_sink* sink) {
-  return all->room != NULL || all->notes != NULL ? k_bounce_series_rows(all, begin, end, sink, 1)
-                                                 : k_bounce_series_rows(all, begin, end, sink, 0);
+  return all->room != NULL || all->notes != NULL ? k_bounce_scan_rows(all, begin, end, sink, 1)
+                                                 : k_bounce_scan_rows(all, begin, end, sink, 0);
 }

@@ -147,7 +147,7 @@ typedef struct novaphy_list_op {
   uint64_t row_bytes;
 } novaphy_list_op;
 typedef struct novaphy_list novaphy_list;
-typedef struct novaphy_series novaphy_series;
+typedef struct novaphy_scan novaphy_scan;
 
 /* One operation of a sequence. `op.row_bytes` of a copy or fill is 4. */
 typedef struct novaphy_sequence_op {
@@ -241,20 +241,20 @@ typedef struct novaphy_backend_api {
 
   /* since minor version 4 (optional, all three or none; for devices whose memory the host may
    * dereference): `count` launches of one kernel over the same rows, one after the other;
-   * `arguments` has the address of the words of each, and these live as long as the series. Each
-   * launch touches memory that the series writes at its own row only, so row i of all launches may
-   * run before row i + 1 of the first. series_launch runs the rows [begin, end) of all of them on
+   * `arguments` has the address of the words of each, and these live as long as the scan. Each
+   * launch touches memory that the scan writes at its own row only, so row i of all launches may
+   * run before row i + 1 of the first. scan_launch runs the rows [begin, end) of all of them on
    * the calling thread. NOT_SUPPORTED: it would gain nothing here, launch them one by one.
-   * `first`: null, or a series that lives as long as this one and is always launched just before
+   * `first`: null, or a scan that lives as long as this one and is always launched just before
    * it, by the same thread, on the same rows; nothing in between writes what it wrote. A backend
    * may let it keep near by what this one asks for again. */
-  novaphy_status (*series_create)(novaphy_device* device, novaphy_kernel* kernel,
-                                  const uint64_t* const* arguments, uint32_t argument_count,
-                                  uint32_t count, novaphy_series* first, novaphy_series** series,
-                                  novaphy_error* error);
-  novaphy_status (*series_launch)(novaphy_series* series, int64_t begin, int64_t end,
-                                  novaphy_error* error);
-  void (*series_destroy)(novaphy_series* series);
+  novaphy_status (*scan_create)(novaphy_device* device, novaphy_kernel* kernel,
+                                const uint64_t* const* arguments, uint32_t argument_count,
+                                uint32_t count, novaphy_scan* first, novaphy_scan** scan,
+                                novaphy_error* error);
+  novaphy_status (*scan_launch)(novaphy_scan* scan, int64_t begin, int64_t end,
+                                novaphy_error* error);
+  void (*scan_destroy)(novaphy_scan* scan);
 
   /* since minor version 5 (optional, both or none): operations over several domains, in order of
    * phases and chains, as one launch. A phase begins when the one before has ended. Its chains are

@@ -25,7 +25,7 @@
  * SLOT), and its sums are left folds: acc = init; acc = acc + term(r). SUM yields the final value. A value
  * that depends on REDUCE_INDEX or SLOT of loop l exists inside loop l only.
  *
- * Series: where launches follow each other, the next one reads a `carried` output at its own row as that source,
+ * Scan: where launches follow each other, the next one reads a `carried` output at its own row as that source,
  * and may have another array of each source that `varies`. Names are for people: nothing follows from them. An
  * adjoint that carries gradients so names its primal by that Program's hash, and has the primal's sources first.
  *

@@ -16,7 +16,7 @@
 #include <vector>
 
 #include "novaphy/program/ir.h"
-#include "novaphy/program/series.h"
+#include "novaphy/program/scan.h"
 
 namespace nova::ir {
 
@@ -25,11 +25,11 @@ std::string emit_c(const Program& program, const std::string& function = {});
 // The function that runs many launches, whose name is `function`. That of a `primal` notes for
 // groups of rows the launches in which no contact touches and no limit is met; that of its adjoint
 // has a short form for these.
-std::string emit_c_series(const Program& program, const Series& series, const std::string& function,
-                          const Program* primal = nullptr);
+std::string emit_c_scan(const Program& program, const Scan& scan, const std::string& function,
+                        const Program* primal = nullptr);
 // Whether `adjoint` is one of `primal` and may take the notes of that for its own: what makes its
 // launches more than quiet ones is computed alike there.
-bool adjoint_of_series(const Program& adjoint, const Program& primal);
+bool adjoint_of_scan(const Program& adjoint, const Program& primal);
 // The same for a GPU: a C++ function of one row, templated on how each source and output is reached
 // (s0, o0, ...), whose names backends/gpu/src/device_prelude.cuh gives a meaning.
 // With `items`, the sources that it names are kept for the first items of each CSR loop in what the

@@ -52,14 +52,14 @@ struct Source {
   Type type = Type::F32;
   int32_t width = 1;
   Access access = Access::Direct;
-  bool varies = false;  // launches of a series may each have another array: see series.h
+  bool varies = false;  // launches of a scan may each have another array: see scan.h
 };
 
 struct Output {
   std::string name;
   Type type = Type::F32;
   std::vector<Value> values;  // one per column
-  int32_t carried = kNone;    // the source that the next launch of a series reads it as
+  int32_t carried = kNone;    // the source that the next launch of a scan reads it as
 };
 
 struct Sum {

@@ -1,4 +1,4 @@
-#include "novaphy/program/series.h"
+#include "novaphy/program/scan.h"
 
 #include <algorithm>
 
@@ -17,21 +17,21 @@ bool read_at_own_row(const Program& p, int32_t source) {
 
 }  // namespace
 
-std::optional<Series> find_series(const Program& program) {
+std::optional<Scan> find_scan(const Program& program) {
   if (program.instrs.size() < kMinInstructions) return std::nullopt;
   const auto at_own_row = [&](int32_t source) {
     return program.sources[static_cast<size_t>(source)].access == Access::Direct &&
            read_at_own_row(program, source);
   };
-  Series series;
+  Scan scan;
   for (const Output& output : program.outputs) {
     if (output.carried == kNone || !at_own_row(output.carried)) return std::nullopt;
-    series.carried.push_back(output.carried);
+    scan.carried.push_back(output.carried);
   }
   for (int32_t s = 0; s < static_cast<int32_t>(program.sources.size()); ++s)
     if (program.sources[static_cast<size_t>(s)].varies && at_own_row(s))
-      series.varying.push_back(s);
-  return series;
+      scan.varying.push_back(s);
+  return scan;
 }
 
 int32_t room_bytes(const Program& program, std::span<const int32_t> carried) {

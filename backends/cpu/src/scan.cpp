@@ -1,4 +1,4 @@
-#include "series.h"
+#include "scan.h"
 
 #include <algorithm>
 #include <cstdlib>
@@ -9,7 +9,7 @@
 #endif
 
 #include "novaphy/cpu/float_mode.h"
-#include "novaphy/program/series.h"
+#include "novaphy/program/scan.h"
 
 namespace {
 
@@ -47,23 +47,23 @@ constexpr int64_t kRoomBytes = 4 << 20;
 
 }  // namespace
 
-// What a series has handed over on this thread: notes, and then rows.
-struct novaphy_series::Room {
+// What a scan has handed over on this thread: notes, and then rows.
+struct novaphy_scan::Room {
   char* bytes = nullptr;
-  const novaphy_series* from = nullptr;
+  const novaphy_scan* from = nullptr;
   int64_t begin = 0, end = 0;
 
   ~Room() { std::free(bytes); }
-  bool has(const novaphy_series* series, int64_t b, int64_t e) const {
-    return from == series && begin == b && end == e;
+  bool has(const novaphy_scan* scan, int64_t b, int64_t e) const {
+    return from == scan && begin == b && end == e;
   }
-  void hold(const novaphy_series* series, int64_t b, int64_t e) {
-    from = series;
+  void hold(const novaphy_scan* scan, int64_t b, int64_t e) {
+    from = scan;
     begin = b;
     end = e;
   }
-  // What of the room there is for a series that writes it, or the one that follows.
-  void give(const novaphy_series& writer, int64_t rows, novaphy_native_launches& all) {
+  // What of the room there is for a scan that writes it, or the one that follows.
+  void give(const novaphy_scan& writer, int64_t rows, novaphy_native_launches& all) {
     if (bytes == nullptr) [[unlikely]] {
       bytes = static_cast<char*>(std::aligned_alloc(4096, kRoomBytes));
       if (bytes == nullptr) throw std::bad_alloc();
@@ -84,12 +84,12 @@ struct novaphy_series::Room {
   }
 };
 
-std::unique_ptr<novaphy_series> novaphy_series::make(const novaphy::cpu::Executable& executable,
+std::unique_ptr<novaphy_scan> novaphy_scan::make(const novaphy::cpu::Executable& executable,
                                                      std::span<const uint64_t* const> launches,
-                                                     novaphy_series* first) {
-  if (executable.native.series_rows == nullptr || executable.native.series_scalar == nullptr)
+                                                     novaphy_scan* first) {
+  if (executable.native.scan_rows == nullptr || executable.native.scan_scalar == nullptr)
     return nullptr;
-  std::unique_ptr<novaphy_series> made(new novaphy_series(executable));
+  std::unique_ptr<novaphy_scan> made(new novaphy_scan(executable));
   made->launches_.assign(launches.begin(), launches.end());
   if (!made->same_but_for_arrays() || made->writes_what_all_read()) return nullptr;
   made->make_table();
@@ -97,17 +97,17 @@ std::unique_ptr<novaphy_series> novaphy_series::make(const novaphy::cpu::Executa
   return made;
 }
 
-std::span<const int32_t> novaphy_series::carried() const {
-  const novaphy_native_series& form = *executable_->native.series_rows;
+std::span<const int32_t> novaphy_scan::carried() const {
+  const novaphy_native_scan& form = *executable_->native.scan_rows;
   return {form.sources, static_cast<size_t>(form.outputs)};
 }
-std::span<const int32_t> novaphy_series::varying() const {
-  const novaphy_native_series& form = *executable_->native.series_rows;
+std::span<const int32_t> novaphy_scan::varying() const {
+  const novaphy_native_scan& form = *executable_->native.scan_rows;
   return {form.sources + form.outputs, static_cast<size_t>(form.varying)};
 }
 
 // Whether every launch reads what the one before wrote, and has the other words of the first.
-bool novaphy_series::same_but_for_arrays() const {
+bool novaphy_scan::same_but_for_arrays() const {
   const Program& p = executable_->program;
   std::vector<char> free(executable_->argument_count, 0);
   for (size_t o = 0; o < p.outputs.size(); ++o) free[p.output_argument(o)] = 1;
@@ -125,7 +125,7 @@ bool novaphy_series::same_but_for_arrays() const {
 }
 
 // Whether a launch writes what is read once, before all of them.
-bool novaphy_series::writes_what_all_read() const {
+bool novaphy_scan::writes_what_all_read() const {
   const Program& p = executable_->program;
   const auto once = [&](int32_t source) {
     const auto in = [source](std::span<const int32_t> list) {
@@ -145,8 +145,8 @@ bool novaphy_series::writes_what_all_read() const {
 }
 
 // Whether anything but the next launch, which has it in registers, reads what a launch writes:
-// after the series, or in it.
-bool novaphy_series::read_again(size_t k, size_t output) const {
+// after the scan, or in it.
+bool novaphy_scan::read_again(size_t k, size_t output) const {
   const Program& p = executable_->program;
   const Interval written = written_by(p, launches_[k], output, carried()[output]);
   for (size_t later = k + 1; later < std::min(launches_.size(), k + kLookAhead); ++later) {
@@ -160,7 +160,7 @@ bool novaphy_series::read_again(size_t k, size_t output) const {
   return true;
 }
 
-void novaphy_series::make_table() {
+void novaphy_scan::make_table() {
   const Program& p = executable_->program;
   for (size_t k = 0; k < launches_.size(); ++k) {
     for (const int32_t s : varying())
@@ -176,7 +176,7 @@ void novaphy_series::make_table() {
 
 // Whether the outputs are too much for the caches, and of the kind that the compiled form streams:
 // rows of three numbers, of which a group is whole lines.
-bool novaphy_series::is_large() const {
+bool novaphy_scan::is_large() const {
   const Program& p = executable_->program;
   if (executable_->native.lanes * 12 % kLine != 0) return false;
   uint64_t bytes = 0;
@@ -193,7 +193,7 @@ bool novaphy_series::is_large() const {
   return bytes >= kStreamedBytes;
 }
 
-void novaphy_series::follow(novaphy_series& first) {
+void novaphy_scan::follow(novaphy_scan& first) {
   if (first.follows_ != nullptr || overwrites(first) || !asks_like(first)) return;
   follows_ = &first;
   first.notes_ = true;
@@ -201,19 +201,19 @@ void novaphy_series::follow(novaphy_series& first) {
                           static_cast<int64_t>(first.launches_.size());
 }
 
-// Whether, when this series begins, anything that a launch of `first` read as carried has been
+// Whether, when this scan begins, anything that a launch of `first` read as carried has been
 // written again, or will be.
-bool novaphy_series::overwrites(const novaphy_series& first) const {
+bool novaphy_scan::overwrites(const novaphy_scan& first) const {
   std::map<uint64_t, uint64_t> taken;
   const auto apart = [&](const Interval& i) {
     const auto next = taken.lower_bound(i.begin);
     return (next == taken.end() || next->first >= i.end) &&
            (next == taken.begin() || std::prev(next)->second <= i.begin);
   };
-  const auto written = [](const novaphy_series& series, const auto& f) {
-    for (const uint64_t* launch : series.launches_)
-      for (size_t o = 0; o < series.carried().size(); ++o)
-        if (!f(written_by(series.executable_->program, launch, o, series.carried()[o])))
+  const auto written = [](const novaphy_scan& scan, const auto& f) {
+    for (const uint64_t* launch : scan.launches_)
+      for (size_t o = 0; o < scan.carried().size(); ++o)
+        if (!f(written_by(scan.executable_->program, launch, o, scan.carried()[o])))
           return false;
     return true;
   };
@@ -228,9 +228,9 @@ bool novaphy_series::overwrites(const novaphy_series& first) const {
 }
 
 // Whether every launch asks what one of `first` has asked, of the same values; and notes which.
-bool novaphy_series::asks_like(const novaphy_series& first) {
+bool novaphy_scan::asks_like(const novaphy_scan& first) {
   const Program &asks = executable_->program, &asked = first.executable_->program;
-  const uint64_t primal = executable_->native.series_rows->primal;
+  const uint64_t primal = executable_->native.scan_rows->primal;
   if (primal == 0 || primal != nova::ir::hash(asked) || asks.param_count < asked.param_count ||
       asks.sources.size() < asked.sources.size())
     return false;
@@ -263,7 +263,7 @@ bool novaphy_series::asks_like(const novaphy_series& first) {
   return true;
 }
 
-novaphy_status novaphy_series::run(int64_t begin, int64_t end, novaphy_error* error) const {
+novaphy_status novaphy_scan::run(int64_t begin, int64_t end, novaphy_error* error) const {
   const novaphy::cpu::FloatMode mode;
   const NativeCode& code = executable_->native;
   novaphy_native_launches all = {};
@@ -280,8 +280,8 @@ novaphy_status novaphy_series::run(int64_t begin, int64_t end, novaphy_error* er
   ErrorSink sink;
   bool whole = true;  // all rows were done by the compiled form
   for (int64_t i = begin; i < end;) {
-    const novaphy_native_series& form =
-        end - i >= code.lanes ? *code.series_rows : *code.series_scalar;
+    const novaphy_native_scan& form =
+        end - i >= code.lanes ? *code.scan_rows : *code.scan_scalar;
     const int64_t left = form.run(&all, i, end, &sink);
     if (left == end || left != i) {
       i = left;

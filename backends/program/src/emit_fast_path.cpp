@@ -97,8 +97,8 @@ void Emitter::note() {
   line("if (noted != NULL) {");
   ++depth_;
   line("noted[launch[" + word(launch_words() - 1) + "]] = (char)acted;");
-  line("char* const near = " + launch_room(room_bytes(p_, series_->carried)) + ";");
-  const std::span carried(series_->carried);
+  line("char* const near = " + launch_room(room_bytes(p_, scan_->carried)) + ";");
+  const std::span carried(scan_->carried);
   for (size_t k = 0; k < carried.size(); ++k) {
     const Source& source = p_.sources[at(carried[k])];
     if (!handed_over(source.type, source.width)) continue;
@@ -116,17 +116,17 @@ std::string Emitter::launch_room(int32_t row_bytes) const {
 int32_t Emitter::near_bytes(int32_t source) const {
   const Source& wanted = p_.sources[at(source)];
   if (!primal_ || !varies(source) || !handed_over(wanted.type, wanted.width)) return -1;
-  const Series kept = *find_series(*primal_);
+  const Scan kept = *find_scan(*primal_);
   const std::span carried(kept.carried);
   for (size_t k = 0; k < carried.size(); ++k)
     if (carried[k] == source) return room_bytes(*primal_, carried.first(k));
   return -1;
 }
 
-bool adjoint_of_series(const Program& adjoint, const Program& primal) {
+bool adjoint_of_scan(const Program& adjoint, const Program& primal) {
   if (adjoint.primal == 0 || adjoint.primal != hash(primal) || primal.loops.size() > 1)
     return false;
-  const auto later = find_series(adjoint), first = find_series(primal);
+  const auto later = find_scan(adjoint), first = find_scan(primal);
   if (!later || !first) return false;
   const auto asks = Emitter(adjoint, false, &*later).questions(),
              asked = Emitter(primal, false, &*first).questions();

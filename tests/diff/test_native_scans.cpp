@@ -1,5 +1,5 @@
-// Series of launches of compiled kernels give the bits of the launches one by one, on every
-// instruction set that this processor has, and what is no series is refused.
+// Scans of launches of compiled kernels give the bits of the launches one by one, on every
+// instruction set that this processor has, and what is no scan is refused.
 #include <gtest/gtest.h>
 
 #include <algorithm>
@@ -10,7 +10,7 @@
 #include "native_kernels.h"
 #include "novaphy/core/backend.h"
 #include "novaphy/program/emit.h"
-#include "novaphy/program/series.h"
+#include "novaphy/program/scan.h"
 
 namespace novaphy::testing {
 namespace {
@@ -47,26 +47,26 @@ class CompiledKernel {
     }
     return {};
   }
-  // Null when the launches are no series.
-  novaphy_series* series(const std::vector<std::vector<uint64_t>>& launches,
-                         novaphy_series* first = nullptr) const {
+  // Null when the launches are no scan.
+  novaphy_scan* scan(const std::vector<std::vector<uint64_t>>& launches,
+                     novaphy_scan* first = nullptr) const {
     std::vector<const uint64_t*> all;
     for (const auto& words : launches) all.push_back(words.data());
     novaphy_error error = make_error();
-    novaphy_series* made = nullptr;
+    novaphy_scan* made = nullptr;
     const novaphy_status status =
-        api_->series_create(device_, kernel_, all.data(), program_.argument_count(),
-                            static_cast<uint32_t>(launches.size()), first, &made, &error);
+        api_->scan_create(device_, kernel_, all.data(), program_.argument_count(),
+                          static_cast<uint32_t>(launches.size()), first, &made, &error);
     EXPECT_TRUE(status == NOVAPHY_OK || status == NOVAPHY_NOT_SUPPORTED) << error.message;
     return status == NOVAPHY_OK ? made : nullptr;
   }
-  // Runs a series in two stretches of rows.
-  std::string run(novaphy_series* series, int64_t n) const {
+  // Runs a scan in two stretches of rows.
+  std::string run(novaphy_scan* scan, int64_t n) const {
     novaphy_error error = make_error();
     const int64_t middle = n / 3;
-    novaphy_status status = api_->series_launch(series, 0, middle, &error);
-    if (status == NOVAPHY_OK) status = api_->series_launch(series, middle, n, &error);
-    api_->series_destroy(series);
+    novaphy_status status = api_->scan_launch(scan, 0, middle, &error);
+    if (status == NOVAPHY_OK) status = api_->scan_launch(scan, middle, n, &error);
+    api_->scan_destroy(scan);
     return status == NOVAPHY_OK ? "" : error.message;
   }
 
@@ -86,18 +86,18 @@ constexpr int kLaunches = 11;
 // has written, where it has the shape.
 class Chain {
  public:
-  Chain(const ir::Program& p, const ir::Series& series, int64_t n, uint32_t seed, int buffers,
+  Chain(const ir::Program& p, const ir::Scan& scan, int64_t n, uint32_t seed, int buffers,
         bool reads_back = false)
-      : program_(p), series_(series), first_(p, n, seed) {
+      : program_(p), scan_(scan), first_(p, n, seed) {
     for (int k = 0; k < kLaunches; ++k) {
       std::vector<uint64_t> words = first_.arguments;
       // Random words that are numbers of the right type: those of another draw.
       other_.push_back(
           std::make_unique<RandomArguments>(p, n, seed + 977u * static_cast<uint32_t>(k + 1)));
-      for (const int32_t s : series.varying)
+      for (const int32_t s : scan.varying)
         words[p.source_argument(static_cast<size_t>(s))] =
             other_.back()->arguments[p.source_argument(static_cast<size_t>(s))];
-      for (const int32_t s : series.varying)
+      for (const int32_t s : scan.varying)
         if (reads_back && k > 0 &&
             p.sources[static_cast<size_t>(s)].width ==
                 static_cast<int32_t>(p.outputs[0].values.size()))
@@ -112,7 +112,7 @@ class Chain {
     }
   }
   uint32_t source(size_t output) const {
-    return program_.source_argument(static_cast<size_t>(series_.carried[output]));
+    return program_.source_argument(static_cast<size_t>(scan_.carried[output]));
   }
 
   std::vector<std::vector<uint64_t>> launches;
@@ -120,7 +120,7 @@ class Chain {
 
  private:
   const ir::Program& program_;
-  const ir::Series& series_;
+  const ir::Scan& scan_;
   RandomArguments first_;
   std::vector<std::unique_ptr<RandomArguments>> other_;
 };
@@ -141,14 +141,14 @@ void share(const ir::Program& q, const std::vector<uint64_t>& primal, const ir::
     adjoint[p.param_argument(k)] = primal[q.param_argument(k)] ^ (negated ? 0x80000000u : 0u);
 }
 
-TEST(NativeSeries, EveryOneGivesTheBitsOfItsLaunches) {
+TEST(NativeScans, EveryOneGivesTheBitsOfItsLaunches) {
   const novaphy_backend_api* api = plugin_api();
   ASSERT_NE(api, nullptr);
   int programs = 0, compared = 0;
   uint32_t seed = 1;
   for (const ir::Program& p : engine_programs()) {
-    const auto series = ir::find_series(p);
-    if (!series) continue;
+    const auto scan = ir::find_scan(p);
+    if (!scan) continue;
     ++programs;
     for (const std::string& level : levels()) {
       const ForcedIsa forced(level);
@@ -156,9 +156,9 @@ TEST(NativeSeries, EveryOneGivesTheBitsOfItsLaunches) {
       for (const int64_t n : {1, 3, 19, 70})
         for (const int way : {0, 1, 2}) {
           const int buffers = way == 0 ? kLaunches : 3;
-          const Chain one_by_one(p, *series, n, ++seed, buffers, way == 2);
-          const Chain together(p, *series, n, seed, buffers, way == 2);
-          novaphy_series* made = kernel.series(together.launches);
+          const Chain one_by_one(p, *scan, n, ++seed, buffers, way == 2);
+          const Chain together(p, *scan, n, seed, buffers, way == 2);
+          novaphy_scan* made = kernel.scan(together.launches);
           ASSERT_NE(made, nullptr) << p.name;
           ASSERT_EQ(kernel.run(made, n), kernel.launch(one_by_one.launches, n)) << p.name;
           for (const auto& [key, expected] : one_by_one.arrays) {
@@ -179,7 +179,7 @@ TEST(NativeSeries, EveryOneGivesTheBitsOfItsLaunches) {
 
 // What an adjoint takes over from its primal: which launches were quiet. With other
 // parameters, or a state that the primal wrote twice, it asks once more.
-TEST(NativeSeries, AdjointsAfterTheirPrimalsGiveTheBitsOfTheirLaunches) {
+TEST(NativeScans, AdjointsAfterTheirPrimalsGiveTheBitsOfTheirLaunches) {
   const novaphy_backend_api* api = plugin_api();
   ASSERT_NE(api, nullptr);
   const std::vector<ir::Program> programs = engine_programs();
@@ -187,7 +187,7 @@ TEST(NativeSeries, AdjointsAfterTheirPrimalsGiveTheBitsOfTheirLaunches) {
   uint32_t seed = 1;
   for (const ir::Program& q : programs)
     for (const ir::Program& p : programs) {
-      if (!ir::adjoint_of_series(p, q)) continue;
+      if (!ir::adjoint_of_scan(p, q)) continue;
       ++pairs;
       for (const std::string& level : levels()) {
         const ForcedIsa forced(level);
@@ -197,8 +197,8 @@ TEST(NativeSeries, AdjointsAfterTheirPrimalsGiveTheBitsOfTheirLaunches) {
             for (const int buffers : {kLaunches, 3}) {
               ++seed;
               const auto run = [&](auto how) {
-                Chain forward(q, *ir::find_series(q), n, seed, buffers);
-                Chain backward(p, *ir::find_series(p), n, seed + 100000, kLaunches);
+                Chain forward(q, *ir::find_scan(q), n, seed, buffers);
+                Chain backward(p, *ir::find_scan(p), n, seed + 100000, kLaunches);
                 for (int k = 0; k < kLaunches; ++k)
                   share(q, forward.launches[static_cast<size_t>(kLaunches - 1 - k)], p,
                         backward.launches[static_cast<size_t>(k)], negated);
@@ -210,23 +210,23 @@ TEST(NativeSeries, AdjointsAfterTheirPrimalsGiveTheBitsOfTheirLaunches) {
                 adjoint.launch(backward.launches, n);
               });
               const auto got = run([&](Chain& forward, Chain& backward) {
-                novaphy_series* first = primal.series(forward.launches);
-                novaphy_series* then = adjoint.series(backward.launches, first);
+                novaphy_scan* first = primal.scan(forward.launches);
+                novaphy_scan* then = adjoint.scan(backward.launches, first);
                 ASSERT_NE(first, nullptr);
-                if (then == nullptr) {  // it reads a state that does not vary in its series
-                  api->series_destroy(first);
+                if (then == nullptr) {  // it reads a state that does not vary in its scan
+                  api->scan_destroy(first);
                   primal.launch(forward.launches, n);
                   adjoint.launch(backward.launches, n);
                   return;
                 }
                 ++followed;
                 for (const auto& [begin, end] : {std::pair{int64_t{0}, n / 3}, {n / 3, n}})
-                  for (novaphy_series* series : {first, then}) {
+                  for (novaphy_scan* scan : {first, then}) {
                     novaphy_error error = make_error();
-                    api->series_launch(series, begin, end, &error);
+                    api->scan_launch(scan, begin, end, &error);
                   }
-                api->series_destroy(then);
-                api->series_destroy(first);
+                api->scan_destroy(then);
+                api->scan_destroy(first);
               });
               const auto compare = [&](const auto& a, const auto& b) {
                 for (const auto& [key, words] : a)
@@ -244,18 +244,18 @@ TEST(NativeSeries, AdjointsAfterTheirPrimalsGiveTheBitsOfTheirLaunches) {
   EXPECT_GE(followed, 32);
 }
 
-// The steps of the ball, which are the reason for all this, and their adjoints are series.
-TEST(NativeSeries, StepsOfParticlesAreSeries) {
+// The steps of the ball, which are the reason for all this, and their adjoints are scans.
+TEST(NativeScans, StepsOfParticlesAreScans) {
   std::map<std::string, int> found;
   for (const ir::Program& p : engine_programs())
-    if (ir::find_series(p)) ++found[p.name];
+    if (ir::find_scan(p)) ++found[p.name];
   EXPECT_EQ(found["step_particles"], 1);
   EXPECT_GE(found["step_particles.adjoint"], 1);
   EXPECT_EQ(found["tetrahedron_forces"], 0);
 }
 
-// What is a series, and whose adjoint a Program is, does not depend on names.
-TEST(NativeSeries, NamesDecideNothing) {
+// What is a scan, and whose adjoint a Program is, does not depend on names.
+TEST(NativeScans, NamesDecideNothing) {
   const auto renamed = [](ir::Program p) {
     p.name = "p" + std::to_string(p.instrs.size());
     for (size_t s = 0; s < p.sources.size(); ++s) p.sources[s].name = "s" + std::to_string(s);
@@ -263,26 +263,26 @@ TEST(NativeSeries, NamesDecideNothing) {
     return p;
   };
   const std::vector<ir::Program> programs = engine_programs();
-  int series = 0, pairs = 0;
+  int scan = 0, pairs = 0;
   for (const ir::Program& p : programs) {
-    const auto found = ir::find_series(p), again = ir::find_series(renamed(p));
+    const auto found = ir::find_scan(p), again = ir::find_scan(renamed(p));
     ASSERT_EQ(found.has_value(), again.has_value()) << p.name;
     if (!found) continue;
-    ++series;
+    ++scan;
     EXPECT_EQ(found->carried, again->carried) << p.name;
     EXPECT_EQ(found->varying, again->varying) << p.name;
     for (const ir::Program& q : programs) {
-      if (!ir::adjoint_of_series(p, q)) continue;
+      if (!ir::adjoint_of_scan(p, q)) continue;
       ++pairs;
       EXPECT_EQ(p.name, q.name + ".adjoint");
-      EXPECT_TRUE(ir::adjoint_of_series(renamed(p), renamed(q))) << p.name;
+      EXPECT_TRUE(ir::adjoint_of_scan(renamed(p), renamed(q))) << p.name;
     }
   }
-  EXPECT_GE(series, 5);
+  EXPECT_GE(scan, 5);
   EXPECT_GE(pairs, 2);
 }
 
-class NativeSeriesOfSteps : public ::testing::Test {
+class NativeScansOfSteps : public ::testing::Test {
  protected:
   void SetUp() override {
     const novaphy_backend_api* api = plugin_api();
@@ -291,8 +291,8 @@ class NativeSeriesOfSteps : public ::testing::Test {
     step = std::find_if(programs_.begin(), programs_.end(),
                         [](const ir::Program& p) { return p.name == "step_particles"; });
     ASSERT_NE(step, programs_.end());
-    series = ir::find_series(*step);
-    ASSERT_TRUE(series);
+    scan = ir::find_scan(*step);
+    ASSERT_TRUE(scan);
     kernel = std::make_unique<CompiledKernel>(api, *step);
   }
 
@@ -301,17 +301,17 @@ class NativeSeriesOfSteps : public ::testing::Test {
 
  protected:
   std::vector<ir::Program>::const_iterator step;
-  std::optional<ir::Series> series;
+  std::optional<ir::Scan> scan;
   std::unique_ptr<CompiledKernel> kernel;
 };
 
-TEST_F(NativeSeriesOfSteps, LaunchesThatAreNoneAreRefused) {
+TEST_F(NativeScansOfSteps, LaunchesThatAreNoneAreRefused) {
   const int64_t n = 5;
-  const Chain chain(*step, *series, n, 7, kLaunches);
+  const Chain chain(*step, *scan, n, 7, kLaunches);
   const auto refused = [&](auto change) {
     auto launches = chain.launches;
     change(launches);
-    return kernel->series(launches) == nullptr;
+    return kernel->scan(launches) == nullptr;
   };
   EXPECT_FALSE(refused([](auto&) {}));
   EXPECT_TRUE(refused([&](auto& l) { l[4][step->param_argument(1)] ^= 1; })) << "another time step";
@@ -331,9 +331,9 @@ TEST_F(NativeSeriesOfSteps, LaunchesThatAreNoneAreRefused) {
 }
 
 // A row of a table that does not exist is reported as by the launches.
-TEST_F(NativeSeriesOfSteps, AReadPastTheEndIsReported) {
+TEST_F(NativeScansOfSteps, AReadPastTheEndIsReported) {
   const int64_t n = 40;
-  Chain one_by_one(*step, *series, n, 3, kLaunches), together(*step, *series, n, 3, kLaunches);
+  Chain one_by_one(*step, *scan, n, 3, kLaunches), together(*step, *scan, n, 3, kLaunches);
   std::vector<uint32_t> offsets, items;
   for (uint32_t i = 0; i <= n; ++i) {
     offsets.push_back(i);
@@ -344,7 +344,7 @@ TEST_F(NativeSeriesOfSteps, AReadPastTheEndIsReported) {
       words[step->loop_argument(0)] = reinterpret_cast<uint64_t>(offsets.data());
       words[step->loop_argument(0) + 1] = reinterpret_cast<uint64_t>(items.data());
     }
-  novaphy_series* made = kernel->series(together.launches);
+  novaphy_scan* made = kernel->scan(together.launches);
   ASSERT_NE(made, nullptr);
   const std::string message = kernel->run(made, n);
   EXPECT_EQ(message, kernel->launch(one_by_one.launches, n));

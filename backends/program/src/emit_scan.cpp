@@ -1,11 +1,11 @@
-// The emitter's functions for series of launches.
+// The emitter's functions for scans of launches.
 #include <algorithm>
 
 #include "emitter.h"
 
 namespace nova::ir {
 
-std::string Emitter::run_series(const std::string& function, const Program* primal) {
+std::string Emitter::run_scan(const std::string& function, const Program* primal) {
   primal_ = primal;
   const std::string parameters =
       "(const novaphy_native_launches* all, int64_t begin,\n"
@@ -50,15 +50,15 @@ std::string Emitter::run_series(const std::string& function, const Program* prim
 }
 
 bool Emitter::varies(int32_t source) const {
-  return series_ && std::count(series_->varying.begin(), series_->varying.end(), source) != 0;
+  return scan_ && std::count(scan_->varying.begin(), scan_->varying.end(), source) != 0;
 }
 
 int32_t Emitter::carrier(int32_t source) const {
-  if (!series_) return -1;
-  const auto at_output = std::find(series_->carried.begin(), series_->carried.end(), source);
-  return at_output == series_->carried.end()
+  if (!scan_) return -1;
+  const auto at_output = std::find(scan_->carried.begin(), scan_->carried.end(), source);
+  return at_output == scan_->carried.end()
              ? -1
-             : static_cast<int32_t>(at_output - series_->carried.begin());
+             : static_cast<int32_t>(at_output - scan_->carried.begin());
 }
 
 std::string Emitter::state(int32_t source, int32_t column) {
@@ -71,7 +71,7 @@ void Emitter::before_the_launches() {
       hold(step.value);
   for (size_t l = 0; l < p_.loops.size(); ++l)
     if (p_.loops[l].kind == LoopKind::Csr) hold_items(static_cast<int32_t>(l));
-  for (const int32_t source : series_->carried) load_state(source);
+  for (const int32_t source : scan_->carried) load_state(source);
 }
 
 void Emitter::load_state(int32_t source) {
@@ -96,9 +96,9 @@ void Emitter::load_state(int32_t source) {
 void Emitter::launch_sources() {
   if (primal_)
     line("const char* const near = " +
-         launch_room(room_bytes(*primal_, find_series(*primal_)->carried)) + ";");
-  for (size_t k = 0; k < series_->varying.size(); ++k) {
-    const int32_t source = series_->varying[k];
+         launch_room(room_bytes(*primal_, find_scan(*primal_)->carried)) + ";");
+  for (size_t k = 0; k < scan_->varying.size(); ++k) {
+    const int32_t source = scan_->varying[k];
     line("const char* const s" + str(source) + " = (const char*)launch[" + word(k) + "];");
     if (quiet_) continue;
     line((near_bytes(source) < 0 ? "" : "if (near == NULL) ") +
@@ -115,7 +115,7 @@ void Emitter::put(size_t o) {
   const Output& output = p_.outputs[o];
   const auto width = static_cast<int32_t>(output.values.size());
   const std::string to = "o" + word(o);
-  const size_t k = series_->varying.size() + o;
+  const size_t k = scan_->varying.size() + o;
   line("char* const " + to + " = (char*)launch[" + word(k) + "];");
   line("if (" + to + " != NULL) {");
   ++depth_;

@@ -55,8 +55,9 @@ namespace {
 // Fewer operations are not worth compiling a kernel for.
 constexpr uint32_t kMinListOps = 8;
 
-constexpr uint32_t kMinSequenceOps = 16;
-// A kernel that occurs less often costs more to compile into a sequence than a launch costs.
+constexpr uint32_t kMinPersistentOps = 16;
+// A kernel that occurs less often costs more to compile into a persistent kernel than a launch
+// costs.
 constexpr uint32_t kMinOccurrences = 4;
 
 bool switched_off(const char* value) { return value != nullptr && std::strcmp(value, "0") == 0; }
@@ -65,9 +66,9 @@ bool lists_wanted(const novaphy_backend_api& api) {
          has_entry(api, &novaphy_backend_api::list_destroy) &&
          !switched_off(std::getenv("NOVAPHY_DEVICE_LISTS"));
 }
-bool sequences_wanted(const novaphy_backend_api& api) {
+bool persistent_wanted(const novaphy_backend_api& api) {
   constexpr uint32_t kOperationsHaveBytes = 9;  // the minor version
-  return has_entry(api, &novaphy_backend_api::sequence_create) &&
+  return has_entry(api, &novaphy_backend_api::persistent_create) &&
          api.abi_minor >= kOperationsHaveBytes &&
          !switched_off(std::getenv("NOVAPHY_DEVICE_PHASES"));
 }
@@ -121,10 +122,11 @@ void DeviceGraph::make_lists(const RunPlan& plan, std::span<const uint64_t> word
 }
 
 // What no list holds, as far as the backend takes it.
-void DeviceGraph::make_sequences(std::span<const OpList::Op> ops, std::span<const uint64_t> words,
-                                 std::span<const MemoryAccess> accesses) {
+void DeviceGraph::make_persistent_kernels(std::span<const OpList::Op> ops,
+                                          std::span<const uint64_t> words,
+                                          std::span<const MemoryAccess> accesses) {
   const novaphy_backend_api& api = *context_.api;
-  if (!sequences_wanted(api)) return;
+  if (!persistent_wanted(api)) return;
   std::map<const novaphy_kernel*, uint32_t> occurrences;
   for (const OpList::Op& op : ops) ++occurrences[op.kernel];
   const auto takes = [&](const OpList::Op& op) {
@@ -133,10 +135,10 @@ void DeviceGraph::make_sequences(std::span<const OpList::Op> ops, std::span<cons
       return false;
     const novaphy_list_op one = list_op(op, words, std::max<int64_t>(1, rows_of(op)));
     std::vector<MemoryAccess> touched;
-    // The backend looks at the tables of a sequence when it makes it.
+    // The backend looks at the tables of a persistent kernel when it makes it.
     return rows_of(op) > 0 && !op.tables_change && !op.active &&
            touched_by(op, words, accesses, touched) &&
-           api.sequence_takes(context_.device, &one) != 0;
+           api.persistent_takes(context_.device, &one) != 0;
   };
   const std::vector<List> lists = lists_;
   auto list = lists.begin();
@@ -145,21 +147,21 @@ void DeviceGraph::make_sequences(std::span<const OpList::Op> ops, std::span<cons
     const uint32_t bound = before_list ? list->first : static_cast<uint32_t>(ops.size());
     uint32_t end = k;
     while (end < bound && takes(ops[end])) ++end;
-    if (end - k >= kMinSequenceOps)
-      if (novaphy_list* sequence = make_sequence(ops.subspan(k, end - k), words, accesses))
-        lists_.push_back({k, end, sequence});
+    if (end - k >= kMinPersistentOps)
+      if (novaphy_list* persistent = make_persistent(ops.subspan(k, end - k), words, accesses))
+        lists_.push_back({k, end, persistent});
     k = end < bound ? end + 1 : before_list ? (list++)->last : bound;
   }
   std::sort(lists_.begin(), lists_.end(),
             [](const List& a, const List& b) { return a.first < b.first; });
 }
 
-novaphy_list* DeviceGraph::make_sequence(std::span<const OpList::Op> ops,
-                                         std::span<const uint64_t> words,
-                                         std::span<const MemoryAccess> accesses) const {
-  std::vector<novaphy_sequence_op> sequence_ops;
+novaphy_list* DeviceGraph::make_persistent(std::span<const OpList::Op> ops,
+                                           std::span<const uint64_t> words,
+                                           std::span<const MemoryAccess> accesses) const {
+  std::vector<novaphy_persistent_op> persistent_ops;
   for (const Phased& p : plan_phases(ops, words, accesses)) {
-    novaphy_sequence_op op{};
+    novaphy_persistent_op op{};
     op.struct_size = sizeof(op);
     op.n = rows_of(ops[p.op]);
     op.op = list_op(ops[p.op], words, op.n);
@@ -167,15 +169,15 @@ novaphy_list* DeviceGraph::make_sequence(std::span<const OpList::Op> ops,
     op.phase = p.phase;
     op.chain = p.chain;
     op.source_bytes = source_bytes(ops[p.op], words, accesses);
-    sequence_ops.push_back(op);
+    persistent_ops.push_back(op);
   }
-  novaphy_list* sequence = nullptr;
+  novaphy_list* persistent = nullptr;
   novaphy_error error = novaphy::make_error();
-  const novaphy_status status =
-      context_.api->sequence_create(context_.device, sequence_ops.data(),
-                                    static_cast<uint32_t>(sequence_ops.size()), &sequence, &error);
+  const novaphy_status status = context_.api->persistent_create(
+      context_.device, persistent_ops.data(), static_cast<uint32_t>(persistent_ops.size()),
+      &persistent, &error);
   if (status != NOVAPHY_NOT_SUPPORTED) novaphy::check(status, error, "graph");
-  return sequence;
+  return persistent;
 }
 
 novaphy_status DeviceGraph::issue_all(novaphy_stream* stream, std::span<const OpList::Op> ops,
@@ -228,15 +230,15 @@ std::unique_ptr<DeviceGraph> DeviceGraph::fused(const DeviceContext& context,
                                                 std::span<const OpList::Op> ops,
                                                 std::span<const uint64_t> words,
                                                 std::span<const MemoryAccess> accesses) {
-  if (!lists_wanted(*context.api) && !sequences_wanted(*context.api)) return nullptr;
+  if (!lists_wanted(*context.api) && !persistent_wanted(*context.api)) return nullptr;
   std::unique_ptr<DeviceGraph> made(new DeviceGraph(context));
   RunPlan plan = plan_run(ops, words, accesses, {.min_rows = 1, .multiples = false});
   made->make_lists(plan, words);
   // The order of the plan brings rows of lists together. Where there are none, it would only put
-  // what happens once, as the first fill of a gradient, among the substeps of a sequence.
+  // what happens once, as the first fill of a gradient, among the substeps of a persistent kernel.
   if (made->lists_.empty()) plan.ops.assign(ops.begin(), ops.end());
   mark_changing_tables(plan.ops, words, accesses);
-  made->make_sequences(plan.ops, words, accesses);
+  made->make_persistent_kernels(plan.ops, words, accesses);
   if (made->lists_.empty()) return nullptr;
   made->capture(plan.ops, words);
   return made;

@@ -48,10 +48,10 @@ class DeviceGraph {
  private:
   explicit DeviceGraph(const novaphy::DeviceContext& context) : context_(context) {}
   void make_lists(const RunPlan& plan, std::span<const uint64_t> words);
-  void make_sequences(std::span<const OpList::Op> ops, std::span<const uint64_t> words,
-                      std::span<const MemoryAccess> accesses);
-  novaphy_list* make_sequence(std::span<const OpList::Op> ops, std::span<const uint64_t> words,
-                              std::span<const MemoryAccess> accesses) const;
+  void make_persistent_kernels(std::span<const OpList::Op> ops, std::span<const uint64_t> words,
+                               std::span<const MemoryAccess> accesses);
+  novaphy_list* make_persistent(std::span<const OpList::Op> ops, std::span<const uint64_t> words,
+                                std::span<const MemoryAccess> accesses) const;
   void capture(std::span<const OpList::Op> ops, std::span<const uint64_t> words);
   novaphy_status issue_all(novaphy_stream* stream, std::span<const OpList::Op> ops,
                            std::span<const uint64_t> words, novaphy_error& error,

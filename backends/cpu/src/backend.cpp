@@ -440,7 +440,7 @@ constexpr novaphy_backend_api kApi = {
     scan_create,
     scan_launch,
     scan_destroy,
-    nullptr,  // no sequences either
+    nullptr,  // no persistent kernels either
     nullptr,
     nullptr,  // launch_active: the host reads the number
 };

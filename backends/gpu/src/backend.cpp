@@ -48,8 +48,8 @@ novaphy_backend_api make_table() {
   api.list_create = list_create;
   api.list_launch = list_launch;
   api.list_destroy = list_destroy;
-  api.sequence_takes = sequence_takes;
-  api.sequence_create = sequence_create;
+  api.persistent_takes = persistent_takes;
+  api.persistent_create = persistent_create;
   api.launch_active = launch_active;
   return api;
 }

@@ -163,9 +163,9 @@ novaphy_status list_create(novaphy_device* device, int64_t n, const novaphy_list
                            uint32_t count, novaphy_list** list, novaphy_error* error);
 novaphy_status list_launch(novaphy_list* list, novaphy_stream* stream, novaphy_error* error);
 void list_destroy(novaphy_list* list);
-int32_t sequence_takes(novaphy_device* device, const novaphy_list_op* op);
-novaphy_status sequence_create(novaphy_device* device, const novaphy_sequence_op* ops,
-                               uint32_t count, novaphy_list** list, novaphy_error* error);
+int32_t persistent_takes(novaphy_device* device, const novaphy_list_op* op);
+novaphy_status persistent_create(novaphy_device* device, const novaphy_persistent_op* ops,
+                                 uint32_t count, novaphy_list** list, novaphy_error* error);
 
 novaphy_status capture_begin(novaphy_stream* stream, novaphy_error* error);
 novaphy_status capture_end(novaphy_stream* stream, novaphy_graph** graph, novaphy_error* error);

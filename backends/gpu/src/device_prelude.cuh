@@ -174,8 +174,8 @@ struct source_registers {
 };
 
 // Rows of a table. No kernel writes what it gathers from, so these loads may use the read-only path;
-// in a sequence, an operation may gather what another one has written.
-#ifdef NOVAPHY_SEQUENCE
+// in a persistent kernel, an operation may gather what another one has written.
+#ifdef NOVAPHY_PERSISTENT
 // Addresses come from a table. Without this the device asks of each whether it is one of shared
 // memory.
 #define in_memory(p) vendor_global(p)
@@ -195,8 +195,8 @@ template <class S>
 LANE_FN table_row row_of(const S s, int32_t row, int32_t width, vb need, int32_t source,
                          row_failure& sink) {
   // A negative row is a large unsigned one.
-#ifdef NOVAPHY_SEQUENCE
-  const bool outside = (uint32_t)row >= (uint32_t)s.rows;  // sequences take no more rows
+#ifdef NOVAPHY_PERSISTENT
+  const bool outside = (uint32_t)row >= (uint32_t)s.rows;  // persistent kernels take no more rows
 #else
   const bool outside = (uint64_t)row >= (uint64_t)s.rows;
 #endif
@@ -221,7 +221,7 @@ LANE_FN table_row row_of(const trusted_constants s, int32_t row, int32_t width, 
 }
 LANE_FN int32_t column_of(const table_row r, int32_t column) {
   int32_t word = load_table(r.p + column);
-#ifdef NOVAPHY_SEQUENCE
+#ifdef NOVAPHY_PERSISTENT
   vendor_is_loaded(word);
 #endif
   return word;

@@ -16,7 +16,7 @@ const char* generic_text();         // vendors/generic.cuh
 const char* device_prelude_text();  // device_prelude.cuh
 const char* builtins_text();        // builtins.cuh
 const char* interpreter_text();     // interpreter.cuh
-const char* sequence_text();        // sequence.cuh
+const char* persistent_text();      // persistent.cuh
 // What comes before all device code: the vendor's file, the generic one and the prelude.
 std::string prelude_text();
 // Equal Programs have equal text, whatever their names.

@@ -1,4 +1,4 @@
-// What list_create and sequence_create make: one kernel with its arguments.
+// What list_create and persistent_create make: one kernel with its arguments.
 #pragma once
 
 #include <memory>

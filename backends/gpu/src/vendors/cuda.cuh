@@ -27,7 +27,7 @@ VENDOR_FN void vendor_prefetch(const void* p) {
   asm volatile("prefetch.global.L2 [%0];" ::"l"(p));
 }
 
-#ifdef NOVAPHY_SEQUENCE
+#ifdef NOVAPHY_PERSISTENT
 #define VENDOR_HAS_PLACES
 VENDOR_FN void vendor_is_loaded(int& word) { asm volatile("" : "+r"(word)); }
 template <class T>

@@ -39,7 +39,7 @@ VENDOR_FN float vendor_rsqrt_seed(float a) { return 1.0f / __fsqrt_rn(a); }
 VENDOR_FN void vendor_prefetch(const void*) {}
 #endif
 
-#ifdef NOVAPHY_SEQUENCE
+#ifdef NOVAPHY_PERSISTENT
 // A word that is loaded here, not behind the next branch; a pointer into global memory; one into
 // shared memory that stays in a register.
 #ifndef VENDOR_HAS_PLACES

@@ -128,8 +128,8 @@ typedef struct novaphy_kernel_info {
   uint64_t struct_size;
   uint64_t hash;  /* of the Program; 0: the kernel is no Program */
   int32_t native; /* 1: compiled code; 0: an interpreter of the Program; 2 (since minor version 8):
-                     compiled code that is contracted, across the Programs of a list or sequence
-                     too, so that its bits depend on what they are */
+                     compiled code that is contracted, across the Programs of a list or persistent
+                     kernel too, so that its bits depend on what they are */
   int32_t lanes;  /* rows that one vector of the processor holds; 1 where that has no meaning */
   char isa[32];   /* the instruction set, as the backend names it */
 } novaphy_kernel_info;
@@ -149,8 +149,8 @@ typedef struct novaphy_list_op {
 typedef struct novaphy_list novaphy_list;
 typedef struct novaphy_scan novaphy_scan;
 
-/* One operation of a sequence. `op.row_bytes` of a copy or fill is 4. */
-typedef struct novaphy_sequence_op {
+/* One operation of a persistent kernel. `op.row_bytes` of a copy or fill is 4. */
+typedef struct novaphy_persistent_op {
   uint64_t struct_size;
   novaphy_list_op op;
   int64_t n;      /* its rows: a multiple of `rows` */
@@ -159,7 +159,7 @@ typedef struct novaphy_sequence_op {
   uint32_t chain; /* counted from 0 within the phase */
   /* since minor version 9: of a builtin, the bytes that it may read from its first argument on */
   uint64_t source_bytes;
-} novaphy_sequence_op;
+} novaphy_persistent_op;
 
 typedef struct novaphy_backend_api {
   uint64_t struct_size;
@@ -259,13 +259,13 @@ typedef struct novaphy_backend_api {
   /* since minor version 5 (optional, both or none): operations over several domains, in order of
    * phases and chains, as one launch. A phase begins when the one before has ended. Its chains are
    * independent; row i of a chain is done by one thread: of each of its operations, in order, the
-   * rows [i * n / rows, (i + 1) * n / rows). sequence_takes: whether an operation may be part of
-   * one. What sequence_create makes is launched and destroyed as a list; NOT_SUPPORTED, and what
+   * rows [i * n / rows, (i + 1) * n / rows). persistent_takes: whether an operation may be part of
+   * one. What persistent_create makes is launched and destroyed as a list; NOT_SUPPORTED, and what
    * the caller vouches for, as there. Besides, CSR tables hold what they will hold at every launch,
    * and so do indices of the rows to which they add. */
-  int32_t (*sequence_takes)(novaphy_device* device, const novaphy_list_op* op);
-  novaphy_status (*sequence_create)(novaphy_device* device, const novaphy_sequence_op* ops,
-                                    uint32_t count, novaphy_list** list, novaphy_error* error);
+  int32_t (*persistent_takes)(novaphy_device* device, const novaphy_list_op* op);
+  novaphy_status (*persistent_create)(novaphy_device* device, const novaphy_persistent_op* ops,
+                                      uint32_t count, novaphy_list** list, novaphy_error* error);
 
   /* since minor version 10 (optional): `launch` of a Program over the first *active of n rows: none
    * when that is negative, all when it is n or more. `active` is an i32 in the device's memory,

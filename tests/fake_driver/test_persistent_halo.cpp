@@ -1,17 +1,17 @@
 // Rows that sums send to the blocks whose elements read them: which these are, and what they leave
-// in memory for others. test_sequence_blocks.cpp compares the results.
+// in memory for others. test_persistent_blocks.cpp compares the results.
 #include <map>
 #include <set>
 
-#include "mesh_sequences.h"
+#include "mesh_persistent.h"
 
 namespace novaphy::gpu {
 namespace {
 
-using SequenceHalo = MeshSequences;
+using PersistentHalo = MeshPersistent;
 constexpr uint32_t kAfter = 2 * Mesh::kSubsteps;  // the first phase after those of forward()
 
-TEST_F(SequenceHalo, RowsGoToTheBlocksThatReadThem) {
+TEST_F(PersistentHalo, RowsGoToTheBlocksThatReadThem) {
   Mesh mesh;
   const std::optional<BlockPlan> made = plan_with_halo(forward(mesh));
   ASSERT_TRUE(made);
@@ -63,14 +63,14 @@ TEST_F(SequenceHalo, RowsGoToTheBlocksThatReadThem) {
   }
 }
 
-TEST_F(SequenceHalo, WhatOthersReadFromMemoryIsThereBeforeTheyDo) {
+TEST_F(PersistentHalo, WhatOthersReadFromMemoryIsThereBeforeTheyDo) {
   // A copy of a state, word by word, which no plan gives to the blocks of the points.
   Mesh plain, mesh;
   std::vector<float> copy(3 * kPoints);
   constexpr uint32_t kState = 3;
   const auto recorded = [&](Mesh& of) {
-    RecordedSequence to = forward(of);
-    novaphy_sequence_op& o = to.add(2 * Mesh::kSubsteps, 0, 3 * kPoints, 3 * kPoints);
+    RecordedPersistent to = forward(of);
+    novaphy_persistent_op& o = to.add(2 * Mesh::kSubsteps, 0, 3 * kPoints, 3 * kPoints);
     o.op.target = copy.data();
     o.op.source = of.states[kState].data();
     return to;
@@ -84,7 +84,7 @@ TEST_F(SequenceHalo, WhatOthersReadFromMemoryIsThereBeforeTheyDo) {
   expect_same(copy, plain.states[kState]);
 }
 
-TEST_F(SequenceHalo, AHaloNeedsToKnowWhoReadsWhat) {
+TEST_F(PersistentHalo, AHaloNeedsToKnowWhoReadsWhat) {
   Mesh mesh;
   ASSERT_TRUE(plan_with_halo(forward(mesh)));
   // An index outside would have to be reported.
@@ -93,47 +93,47 @@ TEST_F(SequenceHalo, AHaloNeedsToKnowWhoReadsWhat) {
   mesh.kinds[0].index[7] = -1;  // reads zeros
   EXPECT_TRUE(plan_with_halo(forward(mesh)));
   // Somebody writes indices.
-  RecordedSequence written = forward(mesh);
+  RecordedPersistent written = forward(mesh);
   written.add(2 * Mesh::kSubsteps - 1, 1, 1, 1).op.target = mesh.kinds[1].index.data();
   EXPECT_FALSE(plan_with_halo(written));
 }
 
-TEST_F(SequenceHalo, IndicesAreThoseThatTheSumsKnow) {
+TEST_F(PersistentHalo, IndicesAreThoseThatTheSumsKnow) {
   // Another index than that of the element's corner, in the phase that is filled and in another
   // one.
   for (const size_t element_op : {0, 5}) {
     Mesh mesh;
     std::vector<int32_t> other = mesh.kinds[0].index;
     std::swap(other[0], other[7]);
-    RecordedSequence to = forward(mesh);
+    RecordedPersistent to = forward(mesh);
     (*to.words[element_op])[0] = word(other.data());
     EXPECT_TRUE(plan(to));
     EXPECT_FALSE(plan_with_halo(to)) << element_op;
   }
 }
 
-TEST_F(SequenceHalo, StoresOfOthersWaitForOneAnother) {
+TEST_F(PersistentHalo, StoresOfOthersWaitForOneAnother) {
   Mesh mesh;
   std::vector<float> copy(3 * kPoints);
   float* const last = mesh.states[Mesh::kSubsteps].data();
-  const auto fences = [&](const RecordedSequence& of) {
+  const auto fences = [&](const RecordedPersistent& of) {
     const std::optional<BlockPlan> made = plan_with_halo(of);
     return made && made->phases[kAfter - 1].sends && made->phases[kAfter - 1].fences;
   };
   EXPECT_FALSE(fences(forward(mesh)));
   // Words of the rows are written over by whoever has the words.
-  RecordedSequence over = forward(mesh);
+  RecordedPersistent over = forward(mesh);
   over.add(kAfter, 0, 3 * kPoints, 3 * kPoints).op.target = last;
   EXPECT_TRUE(fences(over));
   // A few of them are, and then all are read.
-  RecordedSequence few = forward(mesh);
+  RecordedPersistent few = forward(mesh);
   few.add(kAfter, 0, 4, 4).op.target = last;
-  novaphy_sequence_op& o = few.add(kAfter + 1, 0, 3 * kPoints, 3 * kPoints);
+  novaphy_persistent_op& o = few.add(kAfter + 1, 0, 3 * kPoints, 3 * kPoints);
   o.op.target = copy.data();
   o.op.source = last;
   EXPECT_TRUE(fences(few));
   // Three rows of a word are read as one row of three, which has the number of the first.
-  RecordedSequence shape = forward(mesh, [&](RecordedSequence& to, uint32_t s) {
+  RecordedPersistent shape = forward(mesh, [&](RecordedPersistent& to, uint32_t s) {
     to.add(2 * s + 1, 1, 3, 3).op.target = copy.data();
   });
   shape.launch(shape.add(kAfter, 0, 1, 1), move_,
@@ -141,11 +141,11 @@ TEST_F(SequenceHalo, StoresOfOthersWaitForOneAnother) {
   EXPECT_TRUE(fences(shape));
 }
 
-TEST_F(SequenceHalo, ARowIsSentOnce) {
+TEST_F(PersistentHalo, ARowIsSentOnce) {
   // States in two places, from which elements read in turns.
   Mesh mesh;
   auto other = mesh.states;
-  RecordedSequence twice;
+  RecordedPersistent twice;
   for (uint32_t s = 0; s < Mesh::kSubsteps; ++s) {
     const uint64_t at = word((s % 2 != 0 ? other : mesh.states)[s].data());
     record_elements(twice, 2 * s, mesh, pulls_, at, nullptr);
@@ -158,7 +158,7 @@ TEST_F(SequenceHalo, ARowIsSentOnce) {
   EXPECT_FALSE(plan_with_halo(twice));
 }
 
-TEST_F(SequenceHalo, RowsThatAreStoredAtOnceAreNotSent) {
+TEST_F(PersistentHalo, RowsThatAreStoredAtOnceAreNotSent) {
   // A chain whose last operation has too many words for registers.
   constexpr int32_t kWords = 27;
   novaphy_kernel wide = traced(nova::make_kernel("wide", {{"at", DType::F32, 3, Access::Direct}},
@@ -170,7 +170,7 @@ TEST_F(SequenceHalo, RowsThatAreStoredAtOnceAreNotSent) {
                                                  }));
   Mesh mesh;
   std::vector<float> words(kWords * kPoints);
-  const RecordedSequence to = forward(mesh, [&](RecordedSequence& chain, uint32_t s) {
+  const RecordedPersistent to = forward(mesh, [&](RecordedPersistent& chain, uint32_t s) {
     chain.launch(chain.add(2 * s + 1, 0, kPoints, kPoints), wide,
                  {word(mesh.states[s + 1].data()), kPoints, word(words.data())});
   });
@@ -179,7 +179,7 @@ TEST_F(SequenceHalo, RowsThatAreStoredAtOnceAreNotSent) {
   EXPECT_FALSE(planned(to, *made).fits);
 }
 
-TEST_F(SequenceHalo, BlocksWithoutElementsGetNothing) {
+TEST_F(PersistentHalo, BlocksWithoutElementsGetNothing) {
   // Only the first points have elements.
   const auto few = [](Mesh& mesh) {
     std::vector<int32_t> springs, triangles;

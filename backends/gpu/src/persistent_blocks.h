@@ -21,7 +21,7 @@
 
 namespace novaphy::gpu {
 
-// Threads of a warp; sequences are for vendors that say so.
+// Threads of a warp; persistent kernels are for vendors that say so.
 inline constexpr uint32_t kWarp = 32;
 
 struct BlockPlan {
@@ -82,7 +82,7 @@ struct BlockPlan {
     std::vector<uint32_t> bytes;  // that a block gets each time
   };
   std::vector<Phase> phases;
-  std::vector<Operation> operations;           // one for each of the sequence
+  std::vector<Operation> operations;           // one for each of the persistent kernel
   std::vector<std::vector<uint32_t>> layouts;  // block after block, a word for each thread
   std::vector<std::vector<int32_t>> items;     // instead of a CSR table's
   uint32_t maker_warps = 0;                    // of a block, its first ones; the others add
@@ -93,10 +93,10 @@ struct BlockPlan {
 // Reads from the device's memory.
 using ReadWords = std::function<std::vector<int32_t>(uint64_t where, size_t count)>;
 // None: there are no such sums, or a row has to be known elsewhere, or there are too many of them.
-std::optional<BlockPlan> plan_blocks(std::span<const novaphy_sequence_op> ops, uint32_t blocks,
+std::optional<BlockPlan> plan_blocks(std::span<const novaphy_persistent_op> ops, uint32_t blocks,
                                      uint32_t most_warps, const ReadWords& read);
 // Adds a halo to a plan; false: it is not known who reads what, and the plan stays as it was.
-bool plan_halo(std::span<const novaphy_sequence_op> ops, uint32_t blocks, const ReadWords& read,
+bool plan_halo(std::span<const novaphy_persistent_op> ops, uint32_t blocks, const ReadWords& read,
                BlockPlan& plan);
 
 }  // namespace novaphy::gpu

@@ -1,5 +1,5 @@
-// The text of a sequence: a function for each form of a chain, and the choice among them.
-#include "sequence_source.h"
+// The text of a persistent kernel: a function for each form of a chain, and the choice among them.
+#include "persistent_source.h"
 
 #include <algorithm>
 #include <map>
@@ -42,11 +42,11 @@ bool is_work(const nova::ir::Program& p) {
   return false;
 }
 
-// The functions of the Programs in a sequence, each once: whole, or what can be done early and what
+// The functions of the Programs in a persistent kernel, each once: whole, or what can be done early and what
 // is left.
 class RowFunctions {
  public:
-  explicit RowFunctions(const SequenceTable& table) : table_(table) {}
+  explicit RowFunctions(const PersistentTable& table) : table_(table) {}
 
   struct Function {
     std::string name;
@@ -80,13 +80,13 @@ class RowFunctions {
     return f;
   }
 
-  const SequenceTable& table_;
+  const PersistentTable& table_;
   std::map<std::pair<int32_t, std::vector<nova::ir::Available>>, Function> known_;
 };
 
 class ChainText {
  public:
-  ChainText(const SequenceTable& table, const ChainForm& form, RowFunctions& rows)
+  ChainText(const PersistentTable& table, const ChainForm& form, RowFunctions& rows)
       : table_(table), form_(form), rows_(rows) {}
 
   std::string run(size_t number) {
@@ -221,7 +221,7 @@ class ChainText {
       if (!source.fixed && source.early == early) code_ += "  " + own_load(k, s, words);
     });
   }
-  // What nothing in the sequence writes a thread keeps for the next time.
+  // What nothing in the persistent kernel writes a thread keeps for the next time.
   void kept_loads() {
     std::string declared, fixed, filled, kept;
     const auto keep = [&](const std::string& words) {
@@ -548,7 +548,7 @@ class ChainText {
     }
   }
 
-  const SequenceTable& table_;
+  const PersistentTable& table_;
   const ChainForm& form_;
   RowFunctions& rows_;
   std::string number_, code_;
@@ -557,7 +557,7 @@ class ChainText {
 };
 
 // The kernel that computes early halves ahead.
-std::string ahead_source(const SequenceTable& table, RowFunctions& rows) {
+std::string ahead_source(const PersistentTable& table, RowFunctions& rows) {
   std::string functions, cases;
   for (size_t k = 0; k < table.forms.size(); ++k) {
     const std::string one = ChainText(table, table.forms[k], rows).run_ahead(k);
@@ -574,21 +574,21 @@ std::string ahead_source(const SequenceTable& table, RowFunctions& rows) {
          cases + "  }\n}\n";
 }
 
-uint64_t record_words(const SequenceTable& table) {
+uint64_t record_words(const PersistentTable& table) {
   constexpr uint64_t kStep = 64;  // tables of about one size share their code
   return (table.most_words + kStep - 1) / kStep * kStep;
 }
 
 }  // namespace
 
-nova::ir::Cut halves_of(const SequenceTable& table, const Operation& op) {
+nova::ir::Cut halves_of(const PersistentTable& table, const Operation& op) {
   const nova::ir::Program p = without_names(table.program(op));
   if (p.contract) return {};
   nova::ir::Cut halves = nova::ir::cut(p, available(op));
   return is_work(halves.early) ? halves : nova::ir::Cut{};
 }
 
-uint64_t shared_bytes(const SequenceTable& table, const SequenceShape& shape) {
+uint64_t shared_bytes(const PersistentTable& table, const PersistentShape& shape) {
   constexpr uint64_t kRecords = 3;
   const uint64_t words = table.layouts != 0 ? table.layouts : table.kept_words;
   constexpr uint64_t kHaloBytes = 24;  // its barriers, and how much they wait for
@@ -597,38 +597,38 @@ uint64_t shared_bytes(const SequenceTable& table, const SequenceShape& shape) {
          uint64_t{table.halo_rounds} * shape.threads * sizeof(int32_t) + kHaloBytes;
 }
 
-uint64_t launch_bytes(const SequenceTable& table, const SequenceShape& shape) {
+uint64_t launch_bytes(const PersistentTable& table, const PersistentShape& shape) {
   if (table.layouts == 0) return 0;
   constexpr uint64_t kItemBytes = 16;
   return (table.item_rows + 2 * table.halo_rows) * kItemBytes +
          uint64_t{table.kept_words} * shape.threads * sizeof(int32_t);
 }
 
-std::string sequence_source(const SequenceTable& table, const SequenceShape& shape) {
-  std::string text = "#define NOVAPHY_SEQUENCE\n";
+std::string persistent_source(const PersistentTable& table, const PersistentShape& shape) {
+  std::string text = "#define NOVAPHY_PERSISTENT\n";
   const auto define = [&](const char* name, uint64_t value) {
     text += std::string("#define ") + name + " " + std::to_string(value) + "\n";
   };
-  define("SEQUENCE_WORDS", record_words(table));
-  define("SEQUENCE_THREADS", shape.threads);
-  define("SEQUENCE_FORM", static_cast<uint64_t>(shape.form));
-  if (shape.form == SequenceShape::Form::Cluster) define("SEQUENCE_BLOCKS", shape.blocks);
-  if (shape.form != SequenceShape::Form::Grid) define("CSR_BATCH", kBatch);
-  define("SEQUENCE_KEPT", table.kept_words);
-  define("SEQUENCE_TASKS", table.tasks != 0 ? 1 : 0);
-  define("SEQUENCE_LAYOUTS", table.layouts);
+  define("PERSISTENT_WORDS", record_words(table));
+  define("PERSISTENT_THREADS", shape.threads);
+  define("PERSISTENT_FORM", static_cast<uint64_t>(shape.form));
+  if (shape.form == PersistentShape::Form::Cluster) define("PERSISTENT_BLOCKS", shape.blocks);
+  if (shape.form != PersistentShape::Form::Grid) define("CSR_BATCH", kBatch);
+  define("PERSISTENT_KEPT", table.kept_words);
+  define("PERSISTENT_TASKS", table.tasks != 0 ? 1 : 0);
+  define("PERSISTENT_LAYOUTS", table.layouts);
   if (table.layouts != 0) {
-    define("SEQUENCE_CORNERS", table.corners);
-    define("SEQUENCE_ITEMS", table.item_rows);
+    define("PERSISTENT_CORNERS", table.corners);
+    define("PERSISTENT_ITEMS", table.item_rows);
   }
-  define("SEQUENCE_HALO", table.halo_rows);
+  define("PERSISTENT_HALO", table.halo_rows);
   if (table.halo_rows != 0) {
-    define("SEQUENCE_MAKERS", table.maker_warps);
-    define("SEQUENCE_ROUNDS", table.halo_rounds);
+    define("PERSISTENT_MAKERS", table.maker_warps);
+    define("PERSISTENT_ROUNDS", table.halo_rounds);
   }
-  define("SEQUENCE_AHEAD", table.job_count != 0 ? 1 : 0);
+  define("PERSISTENT_AHEAD", table.job_count != 0 ? 1 : 0);
   text += prelude_text();
-  text += sequence_text();
+  text += persistent_text();
   RowFunctions rows(table);
   std::string chains, cases;
   for (size_t k = 0; k < table.forms.size(); ++k) {

@@ -1,12 +1,12 @@
-// How a sequence becomes a table and a text: forms of chains, and what stays in registers.
+// How a persistent kernel becomes a table and a text: forms of chains, and what stays in registers.
 #include <gtest/gtest.h>
 
 #include <utility>
 
 #include "compiler.h"
 #include "novaphy/nova/kernel.h"
-#include "sequence_kernels.h"
-#include "sequence_source.h"
+#include "persistent_kernels.h"
+#include "persistent_source.h"
 
 namespace novaphy::gpu {
 namespace {
@@ -15,11 +15,11 @@ using nova::Access;
 using nova::DType;
 using nova::TraceContext;
 using Operation = ChainForm::Operation;
-using Form = SequenceShape::Form;
+using Form = PersistentShape::Form;
 
-class SequenceTest : public ::testing::Test {
+class PersistentTest : public ::testing::Test {
  protected:
-  SequenceTest() {
+  PersistentTest() {
     add = traced(nova::make_kernel(
         "add", {{"a", DType::F32, 3, Access::Direct}, {"b", DType::F32, 3, Access::Direct}},
         {{"sum", 3}}, [](TraceContext& t) {
@@ -38,27 +38,27 @@ class SequenceTest : public ::testing::Test {
   void push_sum(uint32_t phase, uint64_t source, uint64_t init, uint64_t to) {
     push(sum, phase, 0, {source, 0x8000, 0x9000, init, to, 3, 0});
   }
-  static void expect_compiles(const SequenceTable& table) {
+  static void expect_compiles(const PersistentTable& table) {
     if (!compiler(0).available()) return;
     for (const Form form : {Form::Block, Form::Cluster, Form::Grid}) {
-      if (form == Form::Grid && table.tasks != 0) continue;  // sequence.cpp: never together
-      const SequenceShape shape{form, form == Form::Block ? 1u : 4u, 128};
-      EXPECT_EQ(compile(sequence_source(table, shape), 90, Dialect::Program).problem, "");
+      if (form == Form::Grid && table.tasks != 0) continue;  // persistent.cpp: never together
+      const PersistentShape shape{form, form == Form::Block ? 1u : 4u, 128};
+      EXPECT_EQ(compile(persistent_source(table, shape), 90, Dialect::Program).problem, "");
     }
   }
 
   static constexpr uint64_t kRows = 40;
   novaphy_kernel add, sum;
-  RecordedSequence recorded;
-  std::vector<novaphy_sequence_op>& ops = recorded.ops;
+  RecordedPersistent recorded;
+  std::vector<novaphy_persistent_op>& ops = recorded.ops;
 };
 
-TEST_F(SequenceTest, ChainsOfOneStructureShareTheirForm) {
+TEST_F(PersistentTest, ChainsOfOneStructureShareTheirForm) {
   for (uint32_t t = 0; t < 6; ++t) {
     push_add(t, 0, 0x1000 * t, 0x100, 0x1000 * (t + 1));
     push_add(t, 1, 0x1000 * t, 0x200, 0x10000 + 0x1000 * t);
   }
-  const SequenceTable table = sequence_table(ops);
+  const PersistentTable table = persistent_table(ops);
   ASSERT_TRUE(table.fits);
   EXPECT_EQ(table.forms.size(), 1u);
   EXPECT_EQ(table.programs.size(), 1u);
@@ -78,11 +78,11 @@ TEST_F(SequenceTest, ChainsOfOneStructureShareTheirForm) {
   expect_compiles(table);
 }
 
-TEST_F(SequenceTest, WhatAChainLeavesForItselfStaysInRegisters) {
+TEST_F(PersistentTest, WhatAChainLeavesForItselfStaysInRegisters) {
   push_add(0, 0, 0x1000, 0x2000, 0x3000);
   push_add(0, 0, 0x3000, 0x2000, 0x3000);  // in place
   push_add(0, 0, 0x3000, 0x1000, 0x4000);
-  const SequenceTable table = sequence_table(ops);
+  const PersistentTable table = persistent_table(ops);
   ASSERT_EQ(table.forms.size(), 1u);
   const auto& chain = table.forms[0].operations;
   EXPECT_EQ(chain[0].sources[0].from, Operation::Source::Own);
@@ -96,12 +96,12 @@ TEST_F(SequenceTest, WhatAChainLeavesForItselfStaysInRegisters) {
   expect_compiles(table);
 }
 
-TEST_F(SequenceTest, SumsOverTheSameItemsRunTogether) {
+TEST_F(PersistentTest, SumsOverTheSameItemsRunTogether) {
   push_sum(0, 0x1000, 0, 0x2000);
   push_sum(0, 0x3000, 0, 0x4000);
   push_sum(0, 0x5000, 0x2000, 0x2000);
   push_sum(0, 0x6000, 0x2000, 0x7000);  // needs what the one before gives
-  const SequenceTable table = sequence_table(ops);
+  const PersistentTable table = persistent_table(ops);
   const auto& chain = table.forms.at(0).operations;
   EXPECT_FALSE(chain[0].sum.joins);
   EXPECT_TRUE(chain[1].sum.joins);
@@ -113,7 +113,7 @@ TEST_F(SequenceTest, SumsOverTheSameItemsRunTogether) {
 }
 
 // Phase t adds what is fixed to what the phase before left; another chain does the like elsewhere.
-TEST_F(SequenceTest, WhatNothingWritesIsKeptByItsThreads) {
+TEST_F(PersistentTest, WhatNothingWritesIsKeptByItsThreads) {
   constexpr uint32_t kPhases = 6;
   constexpr uint64_t kFixed = 0x100000, kState = 0x200000, kOther = 0x300000, kBytes = kRows * 12;
   const uint64_t almost = kState + kPhases * kBytes - 4;  // the last state ends in it
@@ -121,7 +121,7 @@ TEST_F(SequenceTest, WhatNothingWritesIsKeptByItsThreads) {
     push_add(t, 0, kState + t * kBytes, kFixed, kState + (t + 1) * kBytes);
     push_add(t, 1, kOther + t * kBytes, almost, kOther + (t + 1) * kBytes);
   }
-  const SequenceTable table = sequence_table(ops, {0, 100});
+  const PersistentTable table = persistent_table(ops, {0, 100});
   ASSERT_EQ(table.forms.size(), 2u);
   int32_t fixed = 0;
   for (const ChainForm& form : table.forms) {
@@ -136,14 +136,14 @@ TEST_F(SequenceTest, WhatNothingWritesIsKeptByItsThreads) {
     at = static_cast<uint32_t>(table.words[at]);
   }
   expect_compiles(table);
-  EXPECT_EQ(sequence_table(ops, {0, 2}).kept_words, 0u);  // no room
+  EXPECT_EQ(persistent_table(ops, {0, 2}).kept_words, 0u);  // no room
 }
 
-TEST_F(SequenceTest, WarpsThatWouldIdleShareTheRows) {
+TEST_F(PersistentTest, WarpsThatWouldIdleShareTheRows) {
   push_add(0, 0, 0x1000, 0x100, 0x2000);
   push_add(0, 1, 0x1000, 0x200, 0x3000);
-  EXPECT_EQ(sequence_table(ops, {9, 0}).words[1], uint64_t{6} << 32 | 16 << 16 | 2);
-  const SequenceTable table = sequence_table(ops, {10, 0});
+  EXPECT_EQ(persistent_table(ops, {9, 0}).words[1], uint64_t{6} << 32 | 16 << 16 | 2);
+  const PersistentTable table = persistent_table(ops, {10, 0});
   EXPECT_EQ(table.words[1], uint64_t{10} << 32 | 8 << 16 | 2);
   EXPECT_EQ(table.words[4], uint64_t{5} << 32 | kRows);  // the second chain begins with warp 5
   expect_compiles(table);
@@ -153,17 +153,17 @@ TEST_F(SequenceTest, WarpsThatWouldIdleShareTheRows) {
 struct Task {
   uint64_t form, at, rows, first;
 };
-Task task_at(const SequenceTable& table, uint64_t number) {
+Task task_at(const PersistentTable& table, uint64_t number) {
   const uint64_t word = table.words.at(table.tasks + number);
   return {word >> 48, word >> 32 & 0xffff, word >> 24 & 0xff, word & 0xffffff};
 }
 
-TEST_F(SequenceTest, EachWarpHasItsTask) {
+TEST_F(PersistentTest, EachWarpHasItsTask) {
   push_add(0, 0, 0x1000, 0x100, 0x2000);
   push_add(0, 1, 0x1000, 0x200, 0x3000);
   push_add(1, 0, 0x2000, 0x100, 0x4000);
-  EXPECT_EQ(sequence_table(ops, {10, 0}).tasks, 0u);  // for blocks that are not known
-  const SequenceTable table = sequence_table(ops, {10, 0, 2});
+  EXPECT_EQ(persistent_table(ops, {10, 0}).tasks, 0u);  // for blocks that are not known
+  const PersistentTable table = persistent_table(ops, {10, 0, 2});
   ASSERT_NE(table.tasks, 0u);
   EXPECT_EQ(table.counters, table.tasks + 2 * 10);
   for (uint64_t warp = 0; warp < 10; ++warp) {  // neighbours lie in different blocks
@@ -180,9 +180,9 @@ TEST_F(SequenceTest, EachWarpHasItsTask) {
 }
 
 // While the warps of one phase work, those of the next do what they can before it is over.
-TEST_F(SequenceTest, PhasesTakeTurnsAmongGroupsOfWarps) {
+TEST_F(PersistentTest, PhasesTakeTurnsAmongGroupsOfWarps) {
   for (uint32_t t = 0; t < 4; ++t) push_add(t, 0, 0x1000 * (t + 1), 0x100, 0x1000 * (t + 2));
-  const SequenceTable table = sequence_table(ops, {4, 100, 2, 2});
+  const PersistentTable table = persistent_table(ops, {4, 100, 2, 2});
   EXPECT_EQ(table.counters, table.tasks + 4 * 8);
   for (uint64_t t = 0; t < 4; ++t)
     for (uint64_t block = 0; block < 2; ++block)
@@ -196,12 +196,12 @@ TEST_F(SequenceTest, PhasesTakeTurnsAmongGroupsOfWarps) {
   expect_compiles(table);
 }
 
-TEST_F(SequenceTest, WhatThePhaseBeforeDoesNotWriteIsReadEarly) {
+TEST_F(PersistentTest, WhatThePhaseBeforeDoesNotWriteIsReadEarly) {
   // Phase t adds to the state of phase t - 1 that of phase t - 2.
   for (uint32_t t = 2; t < 6; ++t)
     push_add(t, 0, 0x10000 * (t - 1), 0x10000 * (t - 2) + 0x100, 0x10000 * t);
-  const auto early = [&](const SequenceRoom& room) {
-    const SequenceTable table = sequence_table(ops, room);
+  const auto early = [&](const PersistentRoom& room) {
+    const PersistentTable table = persistent_table(ops, room);
     EXPECT_EQ(table.forms.size(), 1u);
     expect_compiles(table);
     const auto& sources = table.forms[0].operations[0].sources;
@@ -215,7 +215,7 @@ TEST_F(SequenceTest, WhatThePhaseBeforeDoesNotWriteIsReadEarly) {
   EXPECT_EQ(early({4, 0, 2}), (std::vector{false, false}));
 }
 
-TEST_F(SequenceTest, WhatNeedsOnlyEarlyRowsIsDoneBeforeTheWait) {
+TEST_F(PersistentTest, WhatNeedsOnlyEarlyRowsIsDoneBeforeTheWait) {
   novaphy_kernel kernel = traced(nova::make_kernel("late_and_early",
                                                    {{"state", DType::F32, 1, Access::Direct},
                                                     {"row", DType::I32, 1, Access::Direct},
@@ -226,8 +226,8 @@ TEST_F(SequenceTest, WhatNeedsOnlyEarlyRowsIsDoneBeforeTheWait) {
                                                    }));
   for (uint32_t t = 0; t < 4; ++t)
     push(kernel, t, 0, {0x1000 * (t + 1), kRows, 0x100, kRows, 0x200, 4, 0x1000 * (t + 2)});
-  const SequenceTable table = sequence_table(ops, {4, 100, 2});
-  const std::string text = sequence_source(table, {Form::Cluster, 2, 64});
+  const PersistentTable table = persistent_table(ops, {4, 100, 2});
+  const std::string text = persistent_source(table, {Form::Cluster, 2, 64});
   const size_t wait = text.find("  phase_wait();\n", text.find("void chain0("));
   ASSERT_NE(wait, std::string::npos);
   EXPECT_LT(text.find("    early_row0("), wait);
@@ -242,15 +242,15 @@ TEST_F(SequenceTest, WhatNeedsOnlyEarlyRowsIsDoneBeforeTheWait) {
 }
 
 // The same Program with one row and with four for each of the chain: the four are computed late.
-TEST_F(SequenceTest, OnlyOneRowOfAChainIsComputedEarly) {
+TEST_F(PersistentTest, OnlyOneRowOfAChainIsComputedEarly) {
   for (uint32_t t = 0; t < 2; ++t) {
     push_add(t, 0, 0x10000, 0x20000, 0x30000 + 0x1000 * t);
     push_add(t, 1, 0x10000, 0x20000, 0x40000 + 0x1000 * t);
     ops.back().rows = kRows / 4;
   }
-  const SequenceTable table = sequence_table(ops, {8, 0, 2});
+  const PersistentTable table = persistent_table(ops, {8, 0, 2});
   ASSERT_EQ(table.forms.size(), 2u);
-  const std::string text = sequence_source(table, {Form::Cluster, 2, 128});
+  const std::string text = persistent_source(table, {Form::Cluster, 2, 128});
   for (size_t form = 0; form < 2; ++form) {
     const Operation& op = table.forms[form].operations[0];
     EXPECT_TRUE(op.sources[0].early);
@@ -263,11 +263,11 @@ TEST_F(SequenceTest, OnlyOneRowOfAChainIsComputedEarly) {
 }
 
 // Threads that have no row go along to the end, unless something is stored before.
-TEST_F(SequenceTest, ThreadsWithoutARowStoreNothing) {
+TEST_F(PersistentTest, ThreadsWithoutARowStoreNothing) {
   const auto text_of = [&] {
-    const SequenceTable table = sequence_table(ops, {8, 0, 2});
+    const PersistentTable table = persistent_table(ops, {8, 0, 2});
     expect_compiles(table);
-    const std::string text = sequence_source(table, {Form::Cluster, 2, 128});
+    const std::string text = persistent_source(table, {Form::Cluster, 2, 128});
     return text.substr(text.find("void chain0("));
   };
   push_add(0, 0, 0x10000, 0x20000, 0x30000);
@@ -278,20 +278,20 @@ TEST_F(SequenceTest, ThreadsWithoutARowStoreNothing) {
   ops.clear();  // more words than stay in registers
   push_add(0, 0, 0x10000, 0x20000, 0x30000);
   push_add(0, 0, 0x30000, 0x20000, 0x30000);
-  for (novaphy_sequence_op& o : ops) o.rows = kRows / 10;
+  for (novaphy_persistent_op& o : ops) o.rows = kRows / 10;
   text = text_of();
   EXPECT_NE(text.find("output_rows{"), std::string::npos);
   EXPECT_LT(text.find("  phase_wait();"), text.find("  if (!on) return;"));
   EXPECT_LT(text.find("  if (!on) return;"), text.find("    row0("));
 }
 
-TEST_F(SequenceTest, ProgramsThatAddItemsAreSums) {
+TEST_F(PersistentTest, ProgramsThatAddItemsAreSums) {
   novaphy_kernel collect = collect_kernel();
   const uint64_t many = 4 * kRows;
   push(collect, 0, 0, {0x1000, kRows, 0x2000, many, 0x3000, 0x8000, 0x9000});
   push(collect, 0, 0, {0x3000, kRows, 0x4000, many, 0x5000, 0xa000, 0xb000});
   push(collect, 0, 0, {0x6000, kRows - 1, 0x4000, many, 0x7000, 0xa000, 0xb000});
-  const SequenceTable table = sequence_table(ops);
+  const PersistentTable table = persistent_table(ops);
   const auto& chain = table.forms.at(0).operations;
   for (const int k : {0, 1}) {
     EXPECT_EQ(chain[k].kind, Operation::RowSum);
@@ -303,7 +303,7 @@ TEST_F(SequenceTest, ProgramsThatAddItemsAreSums) {
   }
   EXPECT_EQ(chain[1].sources[0].from, Operation::Source::Registers);
   EXPECT_EQ(chain[2].kind, Operation::Program);  // its own row may lack
-  const std::string text = sequence_source(table, {Form::Block, 1, 128});
+  const std::string text = persistent_source(table, {Form::Block, 1, 128});
   const size_t first = text.find("    sum_row<true, false, 3, CSR_BATCH>(");
   ASSERT_NE(first, std::string::npos);
   for (const char* load :
@@ -312,10 +312,10 @@ TEST_F(SequenceTest, ProgramsThatAddItemsAreSums) {
   expect_compiles(table);
 }
 
-TEST_F(SequenceTest, WarpsWithoutRowsHaveNothingToDo) {
+TEST_F(PersistentTest, WarpsWithoutRowsHaveNothingToDo) {
   push_add(0, 0, 0x1000, 0x100, 0x2000);
   ops[0].n = ops[0].rows = 5;
-  const SequenceTable table = sequence_table(ops, {8, 0, 4});
+  const PersistentTable table = persistent_table(ops, {8, 0, 4});
   for (uint64_t block = 0; block < 4; ++block)
     for (uint64_t warp = 0; warp < 2; ++warp) {
       const uint64_t number = warp * 4 + block;
@@ -323,62 +323,62 @@ TEST_F(SequenceTest, WarpsWithoutRowsHaveNothingToDo) {
     }
 }
 
-TEST_F(SequenceTest, InALargeClusterFullWarpsOfAChainShareABlock) {
+TEST_F(PersistentTest, InALargeClusterFullWarpsOfAChainShareABlock) {
   push_add(0, 0, 0x1000, 0x100, 0x2000);
   ops[0].n = ops[0].rows = 32 * 32;
-  const SequenceTable table = sequence_table(ops, {32, 0, 16});
+  const PersistentTable table = persistent_table(ops, {32, 0, 16});
   for (uint64_t number = 0; number < 32; ++number)
     EXPECT_EQ(task_at(table, number).first, number * 32);
 }
 
-TEST_F(SequenceTest, ARowForAllIsLoadedWhenTheChainBegins) {
+TEST_F(PersistentTest, ARowForAllIsLoadedWhenTheChainBegins) {
   novaphy_kernel fall = traced(nova::make_kernel(
       "fall", {{"v", DType::F32, 1, Access::Direct}, {"g", DType::F32, 1, Access::Uniform}},
       {{"sum", 1}}, [](TraceContext& t) { return std::vector{t.f32(0, 0) + t.f32(1, 0)}; }));
   for (uint32_t t = 0; t < 4; ++t)
     push(fall, t, 0, {0x1000 * (t + 1), kRows, 0x100, 1, 0x1000 * (t + 2)});
-  const SequenceTable table = sequence_table(ops, {0, 100});
+  const PersistentTable table = persistent_table(ops, {0, 100});
   const Operation& op = table.forms.at(0).operations.at(0);
   EXPECT_EQ(op.sources[1].from, Operation::Source::First);
   EXPECT_TRUE(op.sources[1].fixed);
   EXPECT_EQ(table.kept_words, 1u);
   expect_compiles(table);
 
-  // Not where the sequence writes it.
+  // Not where the persistent kernel writes it.
   push(fall, 4, 0, {0x9000, kRows, 0x100, 1, 0x100});
-  const SequenceTable written = sequence_table(ops, {0, 100});
+  const PersistentTable written = persistent_table(ops, {0, 100});
   for (const ChainForm& form : written.forms)
     EXPECT_EQ(form.operations[0].sources[1].from, Operation::Source::There);
   EXPECT_EQ(written.kept_words, 0u);
 }
 
-TEST_F(SequenceTest, ChainsOfDifferentThreadsShareWhereTheyKeepWords) {
+TEST_F(PersistentTest, ChainsOfDifferentThreadsShareWhereTheyKeepWords) {
   for (uint32_t t = 0; t < 4; ++t)
     for (uint32_t c = 0; c < 3; ++c)
       push_add(t, c, 0x10000 * (c + 1), 0x100000 * (c + 1), 0x1000000 * (4 * c + t + 1));
-  const SequenceTable table = sequence_table(ops, {0, 100});
+  const PersistentTable table = persistent_table(ops, {0, 100});
   EXPECT_EQ(table.kept_words, 6u);
   for (const uint64_t at : {8u, 15u, 22u}) EXPECT_EQ(table.words[at], 3u);
   expect_compiles(table);
 }
 
-TEST_F(SequenceTest, RowsOfWholeQuartersMoveFourWordsAtOnce) {
+TEST_F(PersistentTest, RowsOfWholeQuartersMoveFourWordsAtOnce) {
   for (const uint64_t at : {0x1000, 0x1004}) {
     ops.clear();
     push_add(0, 0, at, 0x2000, 0x3000);
     ops[0].rows = kRows / 4;  // four rows of three words for each of the chain
-    const Operation op = sequence_table(ops).forms.at(0).operations.at(0);
+    const Operation op = persistent_table(ops).forms.at(0).operations.at(0);
     EXPECT_EQ(op.sources[0].from, Operation::Source::Own);
     EXPECT_EQ(op.sources[0].aligned, at == 0x1000);
     EXPECT_TRUE(op.sources[1].aligned);
     EXPECT_TRUE(op.outputs[0].aligned);
   }
-  expect_compiles(sequence_table(ops));
+  expect_compiles(persistent_table(ops));
 }
 
-TEST_F(SequenceTest, SourcesThatMayLackRowsAreChecked) {
+TEST_F(PersistentTest, SourcesThatMayLackRowsAreChecked) {
   push(add, 0, 0, {0x1000, kRows - 1, 0x2000, kRows, 0x3000});
-  const SequenceTable table = sequence_table(ops);
+  const PersistentTable table = persistent_table(ops);
   EXPECT_EQ(table.forms[0].operations[0].sources[0].from, Operation::Source::Memory);
   EXPECT_EQ(table.forms[0].operations[0].sources[1].from, Operation::Source::Own);
   expect_compiles(table);

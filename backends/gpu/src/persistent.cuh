@@ -1,4 +1,4 @@
-// A sequence: phases of chains as one launch, with a barrier after each. Compiled behind
+// A persistent kernel: phases of chains as one launch, with a barrier after each. Compiled behind
 // device_prelude.cuh; the Programs and run_chain, which knows the forms of the chains, come after
 // this text. What to run lies in a table, a record for each phase:
 //   words of the next record << 32 | its first word      warps << 32 | rows of a warp << 16 | chains
@@ -8,7 +8,7 @@
 // Where no warp has two chains of a phase, the table says for each warp what it does, so that
 // nothing is looked for after a barrier:
 //   form << 48 | the first word of the arguments << 32 | rows << 24 | the first row
-#define kWordsPerThread ((SEQUENCE_WORDS + SEQUENCE_THREADS - 1) / SEQUENCE_THREADS)
+#define kWordsPerThread ((PERSISTENT_WORDS + PERSISTENT_THREADS - 1) / PERSISTENT_THREADS)
 
 LANE_FN uint32_t low_half(uint64_t word) { return (uint32_t)word; }
 LANE_FN uint32_t high_half(uint64_t word) { return (uint32_t)(word >> 32); }
@@ -23,7 +23,7 @@ LANE_FN void copy_word(const S from, const O to, int64_t row) {
 struct no_source {};  // what is not read
 
 // Items that sums of the next phase add, in the memory of the block that has these sums: rows of
-// four words, SEQUENCE_CORNERS of them for each thread, from `base` on; behind them one of zeros,
+// four words, PERSISTENT_CORNERS of them for each thread, from `base` on; behind them one of zeros,
 // for sums of few items. The rows of the halo lie behind the last array, and then what threads keep.
 //
 // Where this memory begins stays in a register. In a cluster compilers ask for the number of the
@@ -33,18 +33,18 @@ struct block_memory {
   four_words* rows;
   uint32_t turn;
 };
-#if SEQUENCE_LAYOUTS != 0
+#if PERSISTENT_LAYOUTS != 0
 extern __shared__ four_words g_items[];
-constexpr uint32_t kNoItem = SEQUENCE_CORNERS * SEQUENCE_THREADS;
+constexpr uint32_t kNoItem = PERSISTENT_CORNERS * PERSISTENT_THREADS;
 // Adding -0 changes no number, -0 included.
 LANE_FN void begin_items() {
   constexpr int32_t kMinusZero = INT32_MIN;
-  for (uint32_t base = 0; base < SEQUENCE_ITEMS; base += kNoItem + 1)
+  for (uint32_t base = 0; base < PERSISTENT_ITEMS; base += kNoItem + 1)
     g_items[base + kNoItem] = {{kMinusZero, kMinusZero, kMinusZero, kMinusZero}};
 }
 template <int width, int count>
 LANE_FN void put_items(const block_memory memory, uint32_t base, const int32_t* words) {
-  four_words* const rows = memory.rows + base + threadIdx.x * SEQUENCE_CORNERS;
+  four_words* const rows = memory.rows + base + threadIdx.x * PERSISTENT_CORNERS;
 #pragma unroll
   for (int k = 0; k < count; ++k) {
     four_words row;
@@ -135,7 +135,7 @@ LANE_FN void load_first_rows(batch_rows<width, count>* rows, const memory_items 
                              const csr_batch& csr, const row_failure& failure) {
   load_rows(rows, memory_items{csr.longest > 0 ? from.source : (uint64_t)failure.zeros}, csr);
 }
-#if SEQUENCE_LAYOUTS != 0
+#if PERSISTENT_LAYOUTS != 0
 template <int width, int count>
 LANE_FN void load_rows(batch_rows<width, count>* rows, const block_items from,
                        const csr_batch& csr) {
@@ -189,7 +189,7 @@ LANE_FN void fold_batches(const memory_items* sources, const int32_t* items, csr
           sum[s][c] = csr_on(&csr, base + r) ? sum[s][c] + rows[s].columns[r][c] : sum[s][c];
   }
 }
-#if SEQUENCE_LAYOUTS != 0
+#if PERSISTENT_LAYOUTS != 0
 // No row has more items than `count`, if that is less than a batch. Few have more than a batch:
 // these come one by one, in little code.
 template <bool loaded, bool chunks, int width, int count, int sums>
@@ -281,24 +281,24 @@ LANE_FN csr_batch csr_first(const words_and_tables<loops> args, int32_t, int32_t
   return *args.tables[loop];
 }
 // What a thread keeps in shared memory until its chain comes again.
-#if SEQUENCE_KEPT != 0
-#if SEQUENCE_LAYOUTS != 0
-#define g_kept ((int32_t*)(memory.rows + SEQUENCE_ITEMS + 2 * SEQUENCE_HALO))
+#if PERSISTENT_KEPT != 0
+#if PERSISTENT_LAYOUTS != 0
+#define g_kept ((int32_t*)(memory.rows + PERSISTENT_ITEMS + 2 * PERSISTENT_HALO))
 #else
-__shared__ int32_t g_kept[SEQUENCE_KEPT * SEQUENCE_THREADS];
+__shared__ int32_t g_kept[PERSISTENT_KEPT * PERSISTENT_THREADS];
 #endif
 LANE_FN bool is_kept(uint32_t kept) { return kept != 0 && (kept & 1) == 0; }
 LANE_FN bool is_to_be_filled(uint32_t kept) { return (kept & 1) != 0; }
 LANE_FN int32_t* begin_kept(const block_memory memory, uint32_t kept) {
-  return g_kept + (kept / 2 - 1) * SEQUENCE_THREADS + threadIdx.x;
+  return g_kept + (kept / 2 - 1) * PERSISTENT_THREADS + threadIdx.x;
 }
 LANE_FN void fill_kept(int32_t*& at, int32_t word) {
   *at = word;
-  at += SEQUENCE_THREADS;
+  at += PERSISTENT_THREADS;
 }
 LANE_FN void take_kept(int32_t*& at, int32_t& word) {
   word = *at;
-  at += SEQUENCE_THREADS;
+  at += PERSISTENT_THREADS;
 }
 #else
 LANE_FN bool is_kept(uint32_t) { return false; }
@@ -335,7 +335,7 @@ LANE_FN void own_words(uint64_t p, int64_t i, int32_t* words) {
 // Where a plan says who has which row, nobody looks for chains: instead the header of a record says
 // what will be loaded two records on, which all blocks bring near: an address, and bytes.
 constexpr uint32_t kHeader = 4;
-#if SEQUENCE_AHEAD != 0 && SEQUENCE_HALO != 0
+#if PERSISTENT_AHEAD != 0 && PERSISTENT_HALO != 0
 LANE_FN void fetch_ahead(const uint64_t* record) {
   const uint64_t part = (record[3] / gridDim.x + 15) / 16 * 16, first = part * blockIdx.x;
   if (first >= record[3]) return;
@@ -371,13 +371,13 @@ LANE_FN void load_ahead(uint64_t p, uint64_t slots, uint32_t slot, int32_t* word
 // sees what all threads of all blocks wrote before they arrived. Between the two it may do what does
 // not depend on that. `wrote`: whether its warp wrote to memory, for which a fence is needed that
 // takes hundreds of cycles. `count`: of the barriers before.
-#if SEQUENCE_FORM == 0  // one block
+#if PERSISTENT_FORM == 0  // one block
 LANE_FN void phase_arrive(bool) {}
 LANE_FN void phase_wait(uint32_t* = 0, uint32_t = 0) {
   vendor_block_barrier();
 }
 LANE_FN void last_barrier(uint32_t*) {}
-#elif SEQUENCE_FORM == 1  // one cluster
+#elif PERSISTENT_FORM == 1  // one cluster
 LANE_FN void phase_arrive(bool wrote) { vendor_cluster_arrive(wrote); }
 LANE_FN void phase_wait(uint32_t* = 0, uint32_t = 0) { vendor_cluster_wait(); }
 LANE_FN void last_barrier(uint32_t*) {}
@@ -399,20 +399,20 @@ LANE_FN void last_barrier(uint32_t* counter) {
 
 // Where sums add what the block has made in the phase before, the warps that make it hand it over to
 // those that sum it, which wait for that alone, and for the other blocks before they store.
-#if SEQUENCE_LAYOUTS != 0
+#if PERSISTENT_LAYOUTS != 0
 // This orders what was stored before, as a barrier does.
-LANE_FN void hand_over() { vendor_hand_over<SEQUENCE_THREADS>(); }
-LANE_FN void take_over() { vendor_take_over<SEQUENCE_THREADS>(); }
+LANE_FN void hand_over() { vendor_hand_over<PERSISTENT_THREADS>(); }
+LANE_FN void take_over() { vendor_take_over<PERSISTENT_THREADS>(); }
 #endif
 
 // The halo: rows that sums leave, where elements of this block read them. Whoever has such a row sends
 // it to the memory of each block that needs it, whose barrier counts the bytes that have come: no fence
 // stands between, and what is stored for others, later, is not waited for.
-#if SEQUENCE_HALO != 0
-constexpr uint32_t kSenders = SEQUENCE_THREADS - VENDOR_WARP * SEQUENCE_MAKERS;
+#if PERSISTENT_HALO != 0
+constexpr uint32_t kSenders = PERSISTENT_THREADS - VENDOR_WARP * PERSISTENT_MAKERS;
 __shared__ uint64_t g_came[2];  // the barriers
 __shared__ uint32_t g_halo_bytes;
-__shared__ uint32_t g_sends[SEQUENCE_ROUNDS * kSenders];
+__shared__ uint32_t g_sends[PERSISTENT_ROUNDS * kSenders];
 LANE_FN uint32_t in_shared(const void* p) {
   return vendor_in_shared(p);
 }
@@ -441,10 +441,10 @@ LANE_FN int32_t of_lane(int32_t word, uint32_t lane) {
   return vendor_of_lane(word, lane);
 }
 LANE_FN four_words* halo_of(const block_memory memory, const uint32_t turn) {
-  return memory.rows + SEQUENCE_ITEMS + turn % 2 * SEQUENCE_HALO;
+  return memory.rows + PERSISTENT_ITEMS + turn % 2 * PERSISTENT_HALO;
 }
 struct halo_sends {
-  halo_send rounds[SEQUENCE_ROUNDS];
+  halo_send rounds[PERSISTENT_ROUNDS];
 };
 // A send is lane << 24 | block << 16 | row, and whether it is one. Few lanes have a row, which go to
 // several blocks: all lanes of the warp send.
@@ -452,8 +452,8 @@ LANE_FN halo_sends begin_sends(const block_memory memory) {
   const uint32_t turn = memory.turn + 1;
   halo_sends sends;
 #pragma unroll
-  for (uint32_t k = 0; k < SEQUENCE_ROUNDS; ++k) {
-    const uint32_t send = g_sends[k * kSenders + threadIdx.x - VENDOR_WARP * SEQUENCE_MAKERS];
+  for (uint32_t k = 0; k < PERSISTENT_ROUNDS; ++k) {
+    const uint32_t send = g_sends[k * kSenders + threadIdx.x - VENDOR_WARP * PERSISTENT_MAKERS];
     const uint32_t block = send >> 16 & 31;
     sends.rounds[k] = {in_block(in_shared(halo_of(memory, turn) + (send & 0xffff)), block),
                        in_block(in_shared(g_came + turn % 2), block), send >> 24 & 31, send >> 31};
@@ -486,10 +486,10 @@ LANE_FN halo_row row_of(const halo_rows s, int32_t row, int32_t, vb, int32_t, ro
 LANE_FN int32_t column_of(const halo_row r, int32_t column) { return r.words.word[column]; }
 // `sends`: those of all blocks, then the bytes that each of them gets.
 LANE_FN void begin_halo(const block_memory memory, const uint32_t* sends) {
-  for (uint32_t k = threadIdx.x; k < 2 * SEQUENCE_HALO; k += SEQUENCE_THREADS)
-    memory.rows[SEQUENCE_ITEMS + k] = {};
-  const uint32_t words = SEQUENCE_ROUNDS * kSenders;
-  for (uint32_t k = threadIdx.x; k < words; k += SEQUENCE_THREADS)
+  for (uint32_t k = threadIdx.x; k < 2 * PERSISTENT_HALO; k += PERSISTENT_THREADS)
+    memory.rows[PERSISTENT_ITEMS + k] = {};
+  const uint32_t words = PERSISTENT_ROUNDS * kSenders;
+  for (uint32_t k = threadIdx.x; k < words; k += PERSISTENT_THREADS)
     g_sends[k] = __ldg(sends + blockIdx.x * words + k);
   if (threadIdx.x != 0) return;
   g_halo_bytes = __ldg(sends + gridDim.x * words + blockIdx.x);
@@ -502,7 +502,7 @@ LANE_FN void fill_halo(const block_memory memory, const uint64_t* record) {
     const uint64_t* const fill = record + kHeader + 3 * k;
     const int32_t* const from = in_memory((const int32_t*)fill[0]);
     const uint32_t width = (uint32_t)fill[2];
-    for (uint32_t row = threadIdx.x; row < low_half(fill[1]); row += SEQUENCE_THREADS)
+    for (uint32_t row = threadIdx.x; row < low_half(fill[1]); row += PERSISTENT_THREADS)
       for (uint32_t c = 0; c < width; ++c)
         halo[high_half(fill[1]) + row].word[c] = from[row * width + c];
   }
@@ -515,8 +515,8 @@ LANE_FN void fill_halo(const block_memory memory, const uint64_t* record) {
 LANE_FN void run_chain(uint32_t form, const uint64_t* words, const int64_t i, const bool on,
                        const bool owns, const block_memory memory, const device_sink sink);
 
-constexpr uint32_t kWarps = SEQUENCE_THREADS / VENDOR_WARP;
-#if SEQUENCE_LAYOUTS != 0
+constexpr uint32_t kWarps = PERSISTENT_THREADS / VENDOR_WARP;
+#if PERSISTENT_LAYOUTS != 0
 // Which row a thread has is said by the layout of the phase: see BlockPlan. A task is
 //   form << 48 | the first word of the arguments << 32 | layout << 16 | what the warp does
 constexpr uint32_t kWorks = 1, kStores = 2, kHandsOver = 4, kTakesOver = 8, kKeeps = 16;
@@ -526,7 +526,7 @@ constexpr uint32_t kOn = 1u << 30, kOwns = 1u << 31;
 // A job is the early half of a chain in a phase:
 //   slots << 32 | form      the first word of its arguments      bytes before the layout of its phase
 //   its first thread of a block << 32 | threads of a block
-#if SEQUENCE_AHEAD != 0
+#if PERSISTENT_AHEAD != 0
 constexpr uint32_t kAheadThreads = 128, kJobWords = 4;
 LANE_FN void run_ahead(uint32_t form, const uint64_t* words, const int64_t i, const uint32_t slot,
                        const device_sink sink);
@@ -536,7 +536,7 @@ LANE_FN void run_job(const uint64_t* table, const uint64_t* job, const uint32_t 
   const uint32_t threads = low_half(job[3]), thread = high_half(job[3]) + slot % threads;
   const uint32_t* const rows = (const uint32_t*)((const char*)table + job[2]);
   // Lanes that go along, too: lines that have gaps take longer to write.
-  const uint32_t row = rows[slot / threads * SEQUENCE_THREADS + thread] & (kOn - 1);
+  const uint32_t row = rows[slot / threads * PERSISTENT_THREADS + thread] & (kOn - 1);
   run_ahead(low_half(job[0]), table + job[1], row, slot, sink);
 }
 VENDOR_ENTRY __launch_bounds__(kAheadThreads) novaphy_ahead(
@@ -546,18 +546,18 @@ VENDOR_ENTRY __launch_bounds__(kAheadThreads) novaphy_ahead(
           blockIdx.x % blocks_of_job * kAheadThreads + threadIdx.x, sink);
 }
 #endif
-__shared__ uint32_t g_rows[SEQUENCE_LAYOUTS * SEQUENCE_THREADS];
+__shared__ uint32_t g_rows[PERSISTENT_LAYOUTS * PERSISTENT_THREADS];
 LANE_FN void load_layouts(const uint64_t* rows) {
-  const uint32_t* const from = (const uint32_t*)rows + blockIdx.x * SEQUENCE_THREADS + threadIdx.x;
-  for (uint32_t k = 0; k < SEQUENCE_LAYOUTS; ++k)
-    g_rows[k * SEQUENCE_THREADS + threadIdx.x] = __ldg(from + k * gridDim.x * SEQUENCE_THREADS);
+  const uint32_t* const from = (const uint32_t*)rows + blockIdx.x * PERSISTENT_THREADS + threadIdx.x;
+  for (uint32_t k = 0; k < PERSISTENT_LAYOUTS; ++k)
+    g_rows[k * PERSISTENT_THREADS + threadIdx.x] = __ldg(from + k * gridDim.x * PERSISTENT_THREADS);
 }
 LANE_FN void run_task(const uint64_t* record, uint64_t task, block_memory memory,
                       const device_sink sink) {
   const uint32_t how = low_half(task);
   memory.turn = how >> kTurnShift & 3;
-#if SEQUENCE_HALO != 0
-  if ((how & kSends) != 0 && threadIdx.x == VENDOR_WARP * SEQUENCE_MAKERS) {
+#if PERSISTENT_HALO != 0
+  if ((how & kSends) != 0 && threadIdx.x == VENDOR_WARP * PERSISTENT_MAKERS) {
     wait_halo(memory.turn - 1);
     expect_rows(memory.turn + 1);
   }
@@ -575,13 +575,13 @@ LANE_FN void run_task(const uint64_t* record, uint64_t task, block_memory memory
     if ((how & kHandsOver) != 0) hand_over();
     return;
   }
-  const uint32_t row = g_rows[(how >> kLayoutShift) * SEQUENCE_THREADS + threadIdx.x];
+  const uint32_t row = g_rows[(how >> kLayoutShift) * PERSISTENT_THREADS + threadIdx.x];
   run_chain(high_half(task) >> 16, record + (high_half(task) & 0xffff), row & (kOn - 1),
             (row & kOn) != 0, (row & kOwns) != 0 && (how & (kStores | kKeeps)) != 0,
             memory, sink);
 }
 LANE_FN bool stores(uint64_t task) { return (low_half(task) & kStores) != 0; }
-#elif SEQUENCE_TASKS != 0
+#elif PERSISTENT_TASKS != 0
 // Waits for the phase before, too, after what the chain may do early.
 LANE_FN void run_task(const uint64_t* record, uint64_t task, const block_memory memory,
                       const device_sink sink) {
@@ -614,53 +614,53 @@ LANE_FN void run_phase(const uint64_t* record, const device_sink sink) {
 }
 #endif
 
-#if SEQUENCE_FORM == 1
-#define SEQUENCE_CLUSTER __cluster_dims__(SEQUENCE_BLOCKS, 1, 1)
+#if PERSISTENT_FORM == 1
+#define PERSISTENT_CLUSTER __cluster_dims__(PERSISTENT_BLOCKS, 1, 1)
 #else
-#define SEQUENCE_CLUSTER
+#define PERSISTENT_CLUSTER
 #endif
 // An address in shared memory that stays in a register. Compilers find it anew for each use, which
 // takes longer in a cluster: the number of the block is part of it.
 #define stay(p) vendor_stays_shared(p)
-struct sequence_start {
+struct persistent_start {
   uint64_t words;  // of the first record
   uint64_t tasks;  // where those of the warps lie
   uint64_t rows;   // where those of the threads lie
   uint64_t turns;  // of the halo
 };
-VENDOR_ENTRY SEQUENCE_CLUSTER __launch_bounds__(SEQUENCE_THREADS, 1) novaphy_main(
-    const __grid_constant__ sequence_start start, uint64_t* table, const int64_t counters,
+VENDOR_ENTRY PERSISTENT_CLUSTER __launch_bounds__(PERSISTENT_THREADS, 1) novaphy_main(
+    const __grid_constant__ persistent_start start, uint64_t* table, const int64_t counters,
     const device_sink sink) {
   // Of this phase, of the next one, and of the one after it, which is loaded during this one.
-  __shared__ uint64_t records[3][SEQUENCE_WORDS];
+  __shared__ uint64_t records[3][PERSISTENT_WORDS];
   uint64_t *record = stay(records[0]), *next = stay(records[1]), *later = stay(records[2]);
-#if SEQUENCE_LAYOUTS != 0
+#if PERSISTENT_LAYOUTS != 0
   const block_memory memory = {stay(g_items), 0};
 #else
   const block_memory memory = {0, 0};
 #endif
   uint64_t head = __ldg(table);  // of the record after `record`, then of the one after that
   bool is_last = high_half(head) == 0;
-  for (uint32_t k = threadIdx.x; k < start.words; k += SEQUENCE_THREADS)
+  for (uint32_t k = threadIdx.x; k < start.words; k += PERSISTENT_THREADS)
     record[k] = __ldg(table + k);
-  for (uint32_t k = threadIdx.x; k < high_half(head); k += SEQUENCE_THREADS)
+  for (uint32_t k = threadIdx.x; k < high_half(head); k += PERSISTENT_THREADS)
     next[k] = __ldg(table + low_half(head) + k);
   head = is_last ? 0 : __ldg(table + low_half(head));
-#if SEQUENCE_TASKS != 0
+#if PERSISTENT_TASKS != 0
   const uint64_t* tasks = table + start.tasks + blockIdx.x * kWarps + threadIdx.x / VENDOR_WARP;
   uint64_t task = __ldg(tasks);
 #endif
-#if SEQUENCE_LAYOUTS != 0
+#if PERSISTENT_LAYOUTS != 0
   load_layouts(table + start.rows);
   if (threadIdx.x == 0) begin_items();
 #endif
-#if SEQUENCE_HALO != 0
+#if PERSISTENT_HALO != 0
   begin_halo(memory, (const uint32_t*)(table + start.rows) +
-             SEQUENCE_LAYOUTS * gridDim.x * SEQUENCE_THREADS);
+             PERSISTENT_LAYOUTS * gridDim.x * PERSISTENT_THREADS);
 #endif
   __syncthreads();
-#if SEQUENCE_TASKS != 0
-  phase_arrive(SEQUENCE_HALO != 0);  // others send rows to where zeros are now
+#if PERSISTENT_TASKS != 0
+  phase_arrive(PERSISTENT_HALO != 0);  // others send rows to where zeros are now
 #endif
 #pragma unroll 1
   for (uint32_t phase = 0;; ++phase) {
@@ -670,14 +670,14 @@ VENDOR_ENTRY SEQUENCE_CLUSTER __launch_bounds__(SEQUENCE_THREADS, 1) novaphy_mai
     uint64_t loaded[kWordsPerThread];
 #pragma unroll
     for (int k = 0; k < kWordsPerThread; ++k) {
-      const uint32_t at = threadIdx.x + k * SEQUENCE_THREADS;
+      const uint32_t at = threadIdx.x + k * PERSISTENT_THREADS;
       loaded[k] = at < words ? __ldg(from + at) : 0;
     }
-#if SEQUENCE_TASKS != 0
+#if PERSISTENT_TASKS != 0
     tasks += gridDim.x * kWarps;
     const uint64_t next_task = is_last ? 0 : __ldg(tasks);
-#if SEQUENCE_AHEAD != 0 && SEQUENCE_HALO != 0
-    if (threadIdx.x == SEQUENCE_THREADS - 1) fetch_ahead(record);
+#if PERSISTENT_AHEAD != 0 && PERSISTENT_HALO != 0
+    if (threadIdx.x == PERSISTENT_THREADS - 1) fetch_ahead(record);
 #endif
     run_task(record, task, memory, sink);
     const bool wrote = stores(task);
@@ -693,7 +693,7 @@ VENDOR_ENTRY SEQUENCE_CLUSTER __launch_bounds__(SEQUENCE_THREADS, 1) novaphy_mai
     // The record of the phase before is no longer read: all have waited for each other since.
 #pragma unroll
     for (int k = 0; k < kWordsPerThread; ++k) {
-      const uint32_t at = threadIdx.x + k * SEQUENCE_THREADS;
+      const uint32_t at = threadIdx.x + k * PERSISTENT_THREADS;
       if (at < words) later[at] = loaded[k];
     }
     uint64_t* const done = record;
@@ -702,7 +702,7 @@ VENDOR_ENTRY SEQUENCE_CLUSTER __launch_bounds__(SEQUENCE_THREADS, 1) novaphy_mai
     later = done;
     phase_arrive(wrote);
   }
-#if SEQUENCE_HALO != 0
+#if PERSISTENT_HALO != 0
   // Nobody leaves before all has come that others send.
   wait_halo((uint32_t)start.turns + 2);
   wait_halo((uint32_t)start.turns + 3);

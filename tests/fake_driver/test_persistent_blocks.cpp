@@ -1,19 +1,19 @@
-// Sequences whose blocks compute all that their own sums need: which rows these are, and that the
-// results are those of the same sequence without it.
+// Persistent kernels whose blocks compute all that their own sums need: which rows these are, and
+// that the results are those of the same persistent kernel without it.
 #include <cmath>
 #include <numeric>
 #include <set>
 
-#include "mesh_sequences.h"
+#include "mesh_persistent.h"
 
 namespace novaphy::gpu {
 namespace {
 
-using SequenceBlocks = MeshSequences;
+using PersistentBlocks = MeshPersistent;
 
-TEST_F(SequenceBlocks, HaveTheBitsOfOneExchangePerPhase) {
+TEST_F(PersistentBlocks, HaveTheBitsOfOneExchangePerPhase) {
   Mesh plain;
-  const RecordedSequence forth = forward(plain), back = backward(plain);
+  const RecordedPersistent forth = forward(plain), back = backward(plain);
   run_plain(forth);
   const std::vector<float> moved = plain.forces;
   run_plain(back);
@@ -31,10 +31,10 @@ TEST_F(SequenceBlocks, HaveTheBitsOfOneExchangePerPhase) {
   }
 }
 
-TEST_F(SequenceBlocks, OtherOperationsMayComeBetweenSums) {
+TEST_F(PersistentBlocks, OtherOperationsMayComeBetweenSums) {
   // Points move by the forces of springs, and then by those of triangles.
   const auto recorded = [&](Mesh& mesh) {
-    RecordedSequence to;
+    RecordedPersistent to;
     for (uint32_t s = 0; s < Mesh::kSubsteps; ++s) {
       const uint64_t at = word(mesh.states[s].data()), moved = word(mesh.states[s + 1].data());
       record_elements(to, 2 * s, mesh, pulls_, at, nullptr);
@@ -55,11 +55,11 @@ TEST_F(SequenceBlocks, OtherOperationsMayComeBetweenSums) {
   }
 }
 
-TEST_F(SequenceBlocks, ThreadsKeepWordsOfTheRowsThatTheyHaveInAPhase) {
+TEST_F(PersistentBlocks, ThreadsKeepWordsOfTheRowsThatTheyHaveInAPhase) {
   // Points, and their mirror images in turns, add what the same elements leave: who has which
   // element changes.
   const auto recorded = [&](Mesh& mesh, std::array<Kind, 2>& mirrored) {
-    RecordedSequence to = forward(mesh);
+    RecordedPersistent to = forward(mesh);
     for (size_t k = 0; k < to.ops.size(); ++k) {
       if (to.ops[k].phase / 2 % 2 == 0) continue;
       std::vector<uint64_t>& words = *to.words[k];
@@ -84,23 +84,23 @@ TEST_F(SequenceBlocks, ThreadsKeepWordsOfTheRowsThatTheyHaveInAPhase) {
   for (uint32_t s = 0; s <= Mesh::kSubsteps; ++s) expect_same(mesh.states[s], plain.states[s]);
 }
 
-TEST_F(SequenceBlocks, AFailingReadIsReportedWhereverNobodyStores) {
+TEST_F(PersistentBlocks, AFailingReadIsReportedWhereverNobodyStores) {
   // In a phase whose items are overwritten, a point is missing.
   Mesh mesh;
-  RecordedSequence failing = forward(mesh);
+  RecordedPersistent failing = forward(mesh);
   constexpr size_t kInAPhasePair = 5, kRowsOfState = 3;
   (*failing.words[kInAPhasePair])[kRowsOfState] = kPoints - 1;
   ASSERT_EQ(failing.ops[kInAPhasePair].phase, 2u);
   EXPECT_FALSE(plan_with_halo(failing));
   const std::optional<BlockPlan> made = plan(failing);
   ASSERT_TRUE(made);
-  SequenceTable table = planned(failing, *made);
-  HostSequence planned_sequence(table, {Form::Cluster, kBlocks, made->threads, 1});
-  EXPECT_FALSE(planned_sequence.run(1));
-  EXPECT_TRUE(planned_sequence.compiles());
+  PersistentTable table = planned(failing, *made);
+  HostPersistent planned_persistent(table, {Form::Cluster, kBlocks, made->threads, 1});
+  EXPECT_FALSE(planned_persistent.run(1));
+  EXPECT_TRUE(planned_persistent.compiles());
 }
 
-TEST_F(SequenceBlocks, ABlockHasAllRowsThatItsSumsNeed) {
+TEST_F(PersistentBlocks, ABlockHasAllRowsThatItsSumsNeed) {
   Mesh mesh;
   const std::optional<BlockPlan> made = plan(forward(mesh));
   ASSERT_TRUE(made);
@@ -144,33 +144,33 @@ TEST_F(SequenceBlocks, ABlockHasAllRowsThatItsSumsNeed) {
   EXPECT_TRUE(made->phases[2 * Mesh::kSubsteps - 2].chains[0].keeps);
 }
 
-TEST_F(SequenceBlocks, ItemsThatOthersNeedStayInMemory) {
+TEST_F(PersistentBlocks, ItemsThatOthersNeedStayInMemory) {
   Mesh mesh;
   ASSERT_TRUE(plan(forward(mesh)));
   // Somebody reads them at the end.
-  RecordedSequence read = forward(mesh);
+  RecordedPersistent read = forward(mesh);
   std::vector<float> copy(3 * kPoints);
-  novaphy_sequence_op& o = read.add(2 * Mesh::kSubsteps, 0, kPoints, kPoints);
+  novaphy_persistent_op& o = read.add(2 * Mesh::kSubsteps, 0, kPoints, kPoints);
   o.op.target = copy.data();
   o.op.source = mesh.kinds[0].made.data();
   EXPECT_FALSE(plan(read));
   // Somebody else writes them.
-  RecordedSequence written = forward(mesh);
+  RecordedPersistent written = forward(mesh);
   written.add(2 * Mesh::kSubsteps, 0, 1, 1).op.target = mesh.kinds[1].made.data();
   EXPECT_FALSE(plan(written));
   // An element reads what elements of its phase write.
-  RecordedSequence own = forward(mesh);
+  RecordedPersistent own = forward(mesh);
   std::vector<uint64_t> words(own.ops[0].op.arguments, own.ops[0].op.arguments + 7);
   words[4] = words[6];
   own.ops[0].op.arguments = words.data();
   EXPECT_FALSE(plan(own));
 }
 
-TEST_F(SequenceBlocks, AChainLoadsOneListOfItemsForEachTable) {
+TEST_F(PersistentBlocks, AChainLoadsOneListOfItemsForEachTable) {
   // Triangles twice, over the same table: their threads, and so their items, are others.
   Mesh mesh;
   std::vector<float> again(mesh.kinds[1].made.size());
-  RecordedSequence twice;
+  RecordedPersistent twice;
   Kind& kind = mesh.kinds[1];
   const auto rows = static_cast<uint64_t>(kind.rows());
   for (uint32_t k = 0; k < 2; ++k)
@@ -187,7 +187,7 @@ TEST_F(SequenceBlocks, AChainLoadsOneListOfItemsForEachTable) {
   EXPECT_FALSE(plan(twice));
 }
 
-TEST_F(SequenceBlocks, NobodyComputesMostRowsTwice) {
+TEST_F(PersistentBlocks, NobodyComputesMostRowsTwice) {
   // Elements of far corners: a block would need nearly all of them.
   Mesh mesh;
   std::vector<int32_t> index;
@@ -199,15 +199,15 @@ TEST_F(SequenceBlocks, NobodyComputesMostRowsTwice) {
   EXPECT_FALSE(plan(forward(mesh)));
 }
 
-TEST_F(SequenceBlocks, WhatFitsNoMemoryIsNotComputedAhead) {
+TEST_F(PersistentBlocks, WhatFitsNoMemoryIsNotComputedAhead) {
   Mesh mesh;
-  const RecordedSequence back = backward(mesh);
+  const RecordedPersistent back = backward(mesh);
   const std::optional<BlockPlan> made = plan(back);
   ASSERT_TRUE(made);
-  const SequenceTable ahead = planned(back, *made);
+  const PersistentTable ahead = planned(back, *made);
   EXPECT_NE(ahead.job_count, 0u);
-  SequenceRoom room{kBlocks * made->threads / 32, 200, kBlocks, 1, &*made, ahead.ahead_bytes - 1};
-  EXPECT_EQ(sequence_table(back.ops, room).job_count, 0u);
+  PersistentRoom room{kBlocks * made->threads / 32, 200, kBlocks, 1, &*made, ahead.ahead_bytes - 1};
+  EXPECT_EQ(persistent_table(back.ops, room).job_count, 0u);
 }
 
 }  // namespace

@@ -1,16 +1,16 @@
-// Behind the text of a sequence: runs it. `start`: the words of a launch.
+// Behind the text of a persistent kernel: runs it. `start`: the words of a launch.
 }  // namespace
 }  // namespace device
 
-extern "C" void run_sequence(const uint64_t* start, uint64_t* table, void* record, uint32_t* flag,
-                             unsigned blocks, unsigned threads, unsigned seed) {
+extern "C" void run_persistent(const uint64_t* start, uint64_t* table, void* record, uint32_t* flag,
+                               unsigned blocks, unsigned threads, unsigned seed) {
   gridDim.x = blocks;
   blockDim.x = threads;
-  const device::sequence_start first{start[0], start[1], start[2], start[3]};
+  const device::persistent_start first{start[0], start[1], start[2], start[3]};
   device::device_sink sink{};
   sink.record = static_cast<device::device_error*>(record);
   sink.flag = flag;
-#if SEQUENCE_AHEAD != 0
+#if PERSISTENT_AHEAD != 0
   for (uint64_t job = 0; job < start[5]; ++job) {
     const auto* const words = reinterpret_cast<device::uint64_t*>(table);
     const auto* const of_job = words + start[4] + device::kJobWords * job;

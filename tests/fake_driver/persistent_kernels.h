@@ -1,4 +1,4 @@
-// What tests make sequences of: kernels, and operations with their arguments.
+// What tests make persistent kernels of: kernels, and operations with their arguments.
 #pragma once
 
 #include <cstdint>
@@ -45,12 +45,12 @@ inline novaphy_kernel row_sum_kernel() {
   return sum;
 }
 
-struct RecordedSequence {
-  std::vector<novaphy_sequence_op> ops;
+struct RecordedPersistent {
+  std::vector<novaphy_persistent_op> ops;
   std::vector<std::unique_ptr<std::vector<uint64_t>>> words;  // of each launch
 
-  novaphy_sequence_op& add(uint32_t phase, uint32_t chain, int64_t n, int64_t rows) {
-    novaphy_sequence_op o{};
+  novaphy_persistent_op& add(uint32_t phase, uint32_t chain, int64_t n, int64_t rows) {
+    novaphy_persistent_op o{};
     o.struct_size = sizeof(o);
     o.op.struct_size = sizeof(o.op);
     o.n = n;
@@ -59,7 +59,7 @@ struct RecordedSequence {
     o.chain = chain;
     return ops.emplace_back(o);
   }
-  void launch(novaphy_sequence_op& o, novaphy_kernel& kernel, std::vector<uint64_t> arguments) {
+  void launch(novaphy_persistent_op& o, novaphy_kernel& kernel, std::vector<uint64_t> arguments) {
     words.push_back(std::make_unique<std::vector<uint64_t>>(std::move(arguments)));
     o.op.kernel = &kernel;
     o.op.arguments = words.back()->data();

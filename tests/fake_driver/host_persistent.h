@@ -1,5 +1,5 @@
-// What the text of a sequence expects of its compiler and its device, on the host:
-// test_sequence_run.cpp puts this before the text. The threads of all blocks are fibres of one
+// What the text of a persistent kernel expects of its compiler and its device, on the host:
+// test_persistent_run.cpp puts this before the text. The threads of all blocks are fibres of one
 // thread, which run in a random order until each waits for others.
 #include <ucontext.h>
 

@@ -1,5 +1,5 @@
-// Runs a sequence on the host: its text is compiled by the compiler of this build, and its threads
-// are fibres that take turns in a random order (host_sequence.h).
+// Runs a persistent kernel on the host: its text is compiled by the compiler of this build, and its
+// threads are fibres that take turns in a random order (host_persistent.h).
 #pragma once
 
 #include <dlfcn.h>
@@ -14,7 +14,7 @@
 #include <limits>
 #include <string>
 
-#include "sequence_source.h"
+#include "persistent_source.h"
 
 namespace novaphy::gpu {
 
@@ -47,7 +47,7 @@ inline void replace_body(std::string& text, const std::string& function, const s
 // What goes from block to block.
 inline void halo_for_host(std::string& text) {
   for (const std::string name : {"uint64_t g_came[2]", "uint32_t g_halo_bytes",
-                                 "uint32_t g_sends[SEQUENCE_ROUNDS * kSenders]"}) {
+                                 "uint32_t g_sends[PERSISTENT_ROUNDS * kSenders]"}) {
     const size_t type = name.find(' ') + 1, size = std::min(name.find('['), name.size());
     const std::string variable = name.substr(type, size - type);
     replace(text, "__shared__ " + name + ";",
@@ -70,47 +70,47 @@ inline void halo_for_host(std::string& text) {
 }
 inline std::string for_host(std::string text) {
   replace(text, cuda_text(), kHostVendor);
-  if (text.find("#define SEQUENCE_LAYOUTS 0\n") == std::string::npos) {
+  if (text.find("#define PERSISTENT_LAYOUTS 0\n") == std::string::npos) {
     replace(text, "extern __shared__ four_words g_items[];",
             "static four_words g_items_of[64][1 << 15];\n#define g_items g_items_of[blockIdx.x]");
-    replace(text, "__shared__ uint32_t g_rows[SEQUENCE_LAYOUTS * SEQUENCE_THREADS];",
-            "static uint32_t g_rows_of[64][SEQUENCE_LAYOUTS * SEQUENCE_THREADS];\n"
+    replace(text, "__shared__ uint32_t g_rows[PERSISTENT_LAYOUTS * PERSISTENT_THREADS];",
+            "static uint32_t g_rows_of[64][PERSISTENT_LAYOUTS * PERSISTENT_THREADS];\n"
             "#define g_rows g_rows_of[blockIdx.x]");
   }
-  if (text.find("#define SEQUENCE_HALO 0\n") == std::string::npos) halo_for_host(text);
+  if (text.find("#define PERSISTENT_HALO 0\n") == std::string::npos) halo_for_host(text);
   const size_t begin = text.find("LANE_FN void phase_wait(uint32_t* counter, uint32_t count) {");
   const size_t end = text.find("#endif", begin);
   text.replace(begin, end - begin,
                "LANE_FN void phase_wait(uint32_t*, uint32_t) { arrive_all(); wait_all(); }\n"
                "LANE_FN void last_barrier(uint32_t*) {}\n");
-  replace(text, "__shared__ int32_t g_kept[SEQUENCE_KEPT * SEQUENCE_THREADS];",
-          "static int32_t g_kept_of[64][SEQUENCE_KEPT * SEQUENCE_THREADS];\n"
+  replace(text, "__shared__ int32_t g_kept[PERSISTENT_KEPT * PERSISTENT_THREADS];",
+          "static int32_t g_kept_of[64][PERSISTENT_KEPT * PERSISTENT_THREADS];\n"
           "#define g_kept g_kept_of[blockIdx.x]");
-  replace(text, "__shared__ uint64_t records[3][SEQUENCE_WORDS];",
-          "static uint64_t records_of[64][3][SEQUENCE_WORDS];\n"
-          "  uint64_t(&records)[3][SEQUENCE_WORDS] = records_of[blockIdx.x];");
-  return "#include \"host_sequence.h\"\n" + text + "#include \"host_sequence_end.h\"\n";
+  replace(text, "__shared__ uint64_t records[3][PERSISTENT_WORDS];",
+          "static uint64_t records_of[64][3][PERSISTENT_WORDS];\n"
+          "  uint64_t(&records)[3][PERSISTENT_WORDS] = records_of[blockIdx.x];");
+  return "#include \"host_persistent.h\"\n" + text + "#include \"host_persistent_end.h\"\n";
 }
 
-class HostSequence {
+class HostPersistent {
  public:
   // The table's addresses are the host's.
-  HostSequence(SequenceTable& table, const SequenceShape& shape)
+  HostPersistent(PersistentTable& table, const PersistentShape& shape)
       : table_(table), shape_(shape), ahead_(table.ahead_bytes + kAlignment) {
     folder_ =
-        std::filesystem::temp_directory_path() / ("novaphy_sequence_" + std::to_string(getpid()));
+        std::filesystem::temp_directory_path() / ("novaphy_persistent_" + std::to_string(getpid()));
     std::filesystem::create_directories(folder_);
     for (const uint64_t word : table.relative)
       table.words[word] += reinterpret_cast<uint64_t>(table.words.data());
     const uint64_t memory = reinterpret_cast<uint64_t>(ahead_.data()) + kAlignment - 1;
     for (const uint64_t word : table.ahead) table.words[word] += memory & ~(kAlignment - 1);
   }
-  ~HostSequence() {
+  ~HostPersistent() {
     if (library_ != nullptr) dlclose(library_);
     std::filesystem::remove_all(folder_);
   }
-  HostSequence(const HostSequence&) = delete;
-  HostSequence& operator=(const HostSequence&) = delete;
+  HostPersistent(const HostPersistent&) = delete;
+  HostPersistent& operator=(const HostPersistent&) = delete;
 
   bool compiles() const { return library_ != nullptr; }
   // False: it does not compile, or a read failed.
@@ -136,21 +136,21 @@ class HostSequence {
   void* compiled() {
     // A name of its own: the loader may keep a library that was closed, and gives it out again.
     static int number = 0;
-    const std::string name = "sequence" + std::to_string(number++);
+    const std::string name = "persistent" + std::to_string(number++);
     const std::string from = folder_ / (name + ".cpp"), to = folder_ / (name + ".so");
-    std::ofstream(from) << for_host(sequence_source(table_, shape_));
+    std::ofstream(from) << for_host(persistent_source(table_, shape_));
     const std::string command =
         HOST_COMPILER
         " -std=c++20 -O1 -w -ffp-contract=off -fno-strict-aliasing -shared -fPIC "
-        "-I\"" HOST_SEQUENCE_FOLDER "\" -o \"" +
+        "-I\"" HOST_PERSISTENT_FOLDER "\" -o \"" +
         to + "\" \"" + from + "\"";
     if (std::system(command.c_str()) != 0) return nullptr;
     library_ = dlopen(to.c_str(), RTLD_NOW | RTLD_LOCAL);
-    return library_ == nullptr ? nullptr : dlsym(library_, "run_sequence");
+    return library_ == nullptr ? nullptr : dlsym(library_, "run_persistent");
   }
 
-  SequenceTable& table_;
-  const SequenceShape shape_;
+  PersistentTable& table_;
+  const PersistentShape shape_;
   std::vector<char> ahead_;
   std::filesystem::path folder_;
   void* library_ = nullptr;

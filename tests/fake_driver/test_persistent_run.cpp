@@ -1,5 +1,6 @@
-// Sequences, run on the host: their text is compiled by the compiler of this build, and its threads
-// are fibres that take turns in a random order. What a barrier does not hold back happens early.
+// Persistent kernels, run on the host: their text is compiled by the compiler of this build, and
+// its threads are fibres that take turns in a random order. What a barrier does not hold back
+// happens early.
 #include <gtest/gtest.h>
 
 #include <algorithm>
@@ -8,8 +9,8 @@
 #include <random>
 
 #include "novaphy/nova/kernel.h"
-#include "sequence_kernels.h"
-#include "sequence_on_host.h"
+#include "persistent_kernels.h"
+#include "persistent_on_host.h"
 
 namespace novaphy::gpu {
 namespace {
@@ -18,7 +19,7 @@ using nova::Access;
 using nova::DType;
 using nova::Real;
 using nova::TraceContext;
-using Form = SequenceShape::Form;
+using Form = PersistentShape::Form;
 
 constexpr int32_t kRows = 40, kArrays = 5, kScalars = 2;
 
@@ -93,7 +94,7 @@ class Recorder {
     sum_ = row_sum_kernel();
   }
 
-  const std::vector<novaphy_sequence_op>& record(uint32_t phases) {
+  const std::vector<novaphy_persistent_op>& record(uint32_t phases) {
     for (uint32_t phase = 0; phase < phases; ++phase) record_phase(phase);
     return recorded_.ops;
   }
@@ -128,7 +129,7 @@ class Recorder {
     if (chain == 0 || below(3) == 0) {
       const int32_t s = 1 - free_scalar;
       const auto value = 0.25f * static_cast<float>(1 + below(4));
-      novaphy_sequence_op& o = recorded_.add(phase, chain, 1, 1);
+      novaphy_persistent_op& o = recorded_.add(phase, chain, 1, 1);
       o.op.target = &device_.scalars[s];
       std::memcpy(&o.op.pattern, &value, sizeof(value));
       host_.scalars[s] = value;
@@ -187,7 +188,7 @@ class Recorder {
         break;
       }
       case 5: {
-        novaphy_sequence_op& o = recorded_.add(phase, chain, kValues, kRows);
+        novaphy_persistent_op& o = recorded_.add(phase, chain, kValues, kRows);
         o.op.target = device_.arrays[y].data();
         if (a != y) o.op.source = device_.arrays[a].data();
         result = a != y ? x : std::vector<float>(out.size(), 0.0f);
@@ -211,28 +212,28 @@ class Recorder {
   std::mt19937 random_;
   Memory &device_, &host_;
   novaphy_kernel row_, value_, gather_, scale_, collect_, sum_;
-  RecordedSequence recorded_;
+  RecordedPersistent recorded_;
 };
 
 struct Case {
   uint32_t seed;
-  SequenceShape shape;
+  PersistentShape shape;
 };
-class RandomSequences : public testing::TestWithParam<Case> {};
+class RandomPersistent : public testing::TestWithParam<Case> {};
 
-TEST_P(RandomSequences, HaveTheBitsOfOneOperationAfterTheOther) {
+TEST_P(RandomPersistent, HaveTheBitsOfOneOperationAfterTheOther) {
   const auto& [seed, shape] = GetParam();
   Memory device(seed), host(seed);
   Recorder recorder(seed, device, host);
   const auto& ops = recorder.record(16);
-  SequenceRoom room;
+  PersistentRoom room;
   if (shape.form != Form::Grid)
     room = {shape.blocks * shape.threads / 32 / shape.groups, 40, shape.blocks, shape.groups};
-  SequenceTable table = sequence_table(ops, room);
+  PersistentTable table = persistent_table(ops, room);
   ASSERT_EQ(table.tasks != 0, shape.form != Form::Grid);
   ASSERT_TRUE(shape.form == Form::Grid || most_warps(ops) <= room.warps);
-  HostSequence sequence(table, shape);
-  EXPECT_TRUE(sequence.run(seed));
+  HostPersistent persistent(table, shape);
+  EXPECT_TRUE(persistent.run(seed));
   for (int32_t a = 0; a < kArrays; ++a)
     EXPECT_EQ(0, std::memcmp(device.arrays[a].data(), host.arrays[a].data(),
                              host.arrays[a].size() * sizeof(float)))
@@ -248,7 +249,7 @@ std::vector<Case> cases() {
   }
   return all;
 }
-INSTANTIATE_TEST_SUITE_P(Seeds, RandomSequences, testing::ValuesIn(cases()), [](const auto& test) {
+INSTANTIATE_TEST_SUITE_P(Seeds, RandomPersistent, testing::ValuesIn(cases()), [](const auto& test) {
   const Form form = test.param.shape.form;
   return std::string(form == Form::Block     ? "Block"
                      : form == Form::Cluster ? "Cluster"

@@ -1,4 +1,4 @@
-// Sequences: which operations they take, in which form they run, and their launch.
+// Persistent kernels: which operations they take, in which form they run, and their launch.
 #include <algorithm>
 #include <cstdio>
 #include <cstdlib>
@@ -6,15 +6,15 @@
 
 #include "compiler.h"
 #include "list.h"
-#include "sequence_blocks.h"
-#include "sequence_memory.h"
-#include "sequence_source.h"
+#include "persistent_blocks.h"
+#include "persistent_memory.h"
+#include "persistent_source.h"
 #include "vendor.h"
 
 namespace novaphy::gpu {
 namespace {
 
-using Form = SequenceShape::Form;
+using Form = PersistentShape::Form;
 
 // Warps of a block that have rows of a phase, and all of them: as many as leave a thread the
 // registers that adjoints of elements take.
@@ -47,9 +47,9 @@ unsigned rounded_up(unsigned a, unsigned b) { return (a + b - 1) / b; }
 
 // Few rows stay on one unit, where a barrier costs next to nothing; more of them spread over a
 // cluster, whose barrier is the hardware's, and many over the device.
-SequenceShape choose(const novaphy_device& device, unsigned warps, unsigned in_cluster) {
+PersistentShape choose(const novaphy_device& device, unsigned warps, unsigned in_cluster) {
   const bool clusters = device.arch >= kClusters;
-  SequenceShape shape;
+  PersistentShape shape;
   if (!asked_for(shape.blocks, shape.threads)) {
     unsigned each = 0;  // warps of a block
     if (warps <= kMostWarps) {
@@ -95,7 +95,7 @@ novaphy_status fit_together(novaphy_list& list, novaphy_error* error) {
   const Use use(list.device);
   const novaphy_status status = check(
       list.device, driver().blocks_per_unit(&fit, list.function, static_cast<int>(list.threads), 0),
-      "sequence", error);
+      "persistent kernel", error);
   list.blocks = std::min<int64_t>(list.blocks, int64_t{fit} * list.device->units);
   return status;
 }
@@ -131,16 +131,16 @@ uint64_t most_shared_bytes(const novaphy_device* device) {
   return known && most > 0 ? static_cast<uint64_t>(most) : 0;
 }
 
-novaphy_status create(novaphy_device* device, std::span<const novaphy_sequence_op> ops,
+novaphy_status create(novaphy_device* device, std::span<const novaphy_persistent_op> ops,
                       novaphy_list** list, novaphy_error* error) {
   const auto refuse = [&](const char* why) {
-    return fail(error, NOVAPHY_NOT_SUPPORTED, "sequence: %s", why);
+    return fail(error, NOVAPHY_NOT_SUPPORTED, "persistent kernel: %s", why);
   };
   bool plain = false, contract = false;
-  for (const novaphy_sequence_op& o : ops) {
+  for (const novaphy_persistent_op& o : ops) {
     if (o.n < 1 || o.n > INT32_MAX || o.rows < 1 || o.n % o.rows != 0)
       return fail(error, NOVAPHY_INVALID_ARGUMENT,
-                  "sequence_create: rows: expected a divisor of the %lld rows, got %lld",
+                  "persistent_create: rows: expected a divisor of the %lld rows, got %lld",
                   static_cast<long long>(o.n), static_cast<long long>(o.rows));
     if (o.op.kernel == nullptr || is_builtin(o)) continue;
     const nova::ir::Program& p = o.op.kernel->program;
@@ -152,33 +152,33 @@ novaphy_status create(novaphy_device* device, std::span<const novaphy_sequence_o
   if (plain && contract) return refuse("kernels with and without contraction");
   const uint32_t warps = most_warps(ops);
   for (const unsigned in_cluster : {kMostInLargeCluster, kMostInCluster}) {
-    SequenceShape shape = choose(*device, warps, in_cluster);
-    SequenceRoom room{shape.blocks * shape.threads / kWarp / shape.groups,
-                      kKeptBytes / 4 / shape.threads, shape.blocks, shape.groups};
+    PersistentShape shape = choose(*device, warps, in_cluster);
+    PersistentRoom room{shape.blocks * shape.threads / kWarp / shape.groups,
+                        kKeptBytes / 4 / shape.threads, shape.blocks, shape.groups};
     const bool one_row = shape.form != Form::Grid && warps <= room.warps;
     if (!one_row) room = {};
     OwnList made(new novaphy_list);
     made->device = device;
-    const auto fits = [&](const SequenceTable& of) {
+    const auto fits = [&](const PersistentTable& of) {
       return of.fits && shared_bytes(of, shape) <= kSharedOfText &&
              (launch_bytes(of, shape) == 0 ||
               shared_bytes(of, shape) + launch_bytes(of, shape) <= most_shared_bytes(device));
     };
-    SequenceTable table;
+    PersistentTable table;
     const auto runs_planned = [&](const BlockPlan& plan) {
       const unsigned threads = std::exchange(shape.threads, plan.threads);
-      SequenceRoom planned{shape.blocks * shape.threads / kWarp,
-                           kKeptWithPlan / 4 / shape.threads,
-                           shape.blocks,
-                           1,
-                           &plan,
-                           ahead_bytes(device)};
-      table = sequence_table(ops, planned);
+      PersistentRoom planned{shape.blocks * shape.threads / kWarp,
+                             kKeptWithPlan / 4 / shape.threads,
+                             shape.blocks,
+                             1,
+                             &plan,
+                             ahead_bytes(device)};
+      table = persistent_table(ops, planned);
       if (fits(table) && table.ahead_bytes != 0) {
         const Use use(device);
         if (driver().alloc(&made->ahead_memory, table.ahead_bytes) != kSuccess) {
           planned.ahead_bytes = 0;
-          table = sequence_table(ops, planned);
+          table = persistent_table(ops, planned);
         }
       }
       if (!fits(table)) shape.threads = threads;
@@ -196,10 +196,10 @@ novaphy_status create(novaphy_device* device, std::span<const novaphy_sequence_o
                      runs_planned(*plan);
       }
     }
-    if (!is_planned) table = sequence_table(ops, room);
+    if (!is_planned) table = persistent_table(ops, room);
     if (!fits(table)) {
       room.kept_words = 0;
-      table = sequence_table(ops, room);
+      table = persistent_table(ops, room);
     }
     if (!fits(table)) return refuse("too large");
     made->words = {table.first_words, table.tasks, table.rows,
@@ -210,12 +210,12 @@ novaphy_status create(novaphy_device* device, std::span<const novaphy_sequence_o
     made->shared_bytes = static_cast<unsigned>(launch_bytes(table, shape));
     made->together = shape.form == Form::Grid;
     for (const uint64_t word : table.ahead) table.words[word] += made->ahead_memory;
-    novaphy_status status = load_list(*made, sequence_source(table, shape), contract, table.words,
+    novaphy_status status = load_list(*made, persistent_source(table, shape), contract, table.words,
                                       table.relative, error);
     if (status == NOVAPHY_OK && table.job_count != 0) {
       const Use use(device);
       status = check(device, driver().module_function(&made->ahead, made->module, "novaphy_ahead"),
-                     "sequence", error);
+                     "persistent kernel", error);
       made->jobs = made->table + table.jobs * sizeof(uint64_t);
       made->job_count = static_cast<uint32_t>(table.job_count);
       made->blocks_of_job = rounded_up(static_cast<unsigned>(table.job_slots), made->kAheadThreads);
@@ -226,7 +226,7 @@ novaphy_status create(novaphy_device* device, std::span<const novaphy_sequence_o
       status = check(
           device,
           driver().function_set(made->function, kSharedBytes, static_cast<int>(made->shared_bytes)),
-          "sequence", error);
+          "persistent kernel", error);
     }
     if (status != NOVAPHY_OK) return status;
     if (made->blocks == 0) return refuse("the device does not hold a block of it");
@@ -239,7 +239,7 @@ novaphy_status create(novaphy_device* device, std::span<const novaphy_sequence_o
 
 }  // namespace
 
-int32_t sequence_takes(novaphy_device*, const novaphy_list_op* op) {
+int32_t persistent_takes(novaphy_device*, const novaphy_list_op* op) {
   if (op->kernel == nullptr) return 1;
   if (!op->kernel->program.instrs.empty()) return 1;
   if (op->kernel->name != "row_sum_f32" || op->argument_count != 7) return 0;
@@ -247,17 +247,20 @@ int32_t sequence_takes(novaphy_device*, const novaphy_list_op* op) {
   return !is_long && op->arguments[5] <= kWideRow ? 1 : 0;
 }
 
-novaphy_status sequence_create(novaphy_device* device, const novaphy_sequence_op* ops,
-                               uint32_t count, novaphy_list** list, novaphy_error* error) {
-  if (const novaphy_status status = check_lost(device, "sequence_create", error);
+novaphy_status persistent_create(novaphy_device* device, const novaphy_persistent_op* ops,
+                                 uint32_t count, novaphy_list** list, novaphy_error* error) {
+  if (const novaphy_status status = check_lost(device, "persistent_create", error);
       status != NOVAPHY_OK)
     return status;
   if (vendor().warp != kWarp)
-    return fail(error, NOVAPHY_NOT_SUPPORTED, "sequence: no persistent kernels on this device");
+    return fail(error, NOVAPHY_NOT_SUPPORTED,
+                "persistent kernel: no persistent kernels on this device");
   if (count == 0)
-    return fail(error, NOVAPHY_INVALID_ARGUMENT, "sequence_create: expected operations, got none");
-  if (ops[0].struct_size != sizeof(novaphy_sequence_op))
-    return fail(error, NOVAPHY_NOT_SUPPORTED, "sequence: the host's operations have other members");
+    return fail(error, NOVAPHY_INVALID_ARGUMENT,
+                "persistent_create: expected operations, got none");
+  if (ops[0].struct_size != sizeof(novaphy_persistent_op))
+    return fail(error, NOVAPHY_NOT_SUPPORTED,
+                "persistent kernel: the host's operations have other members");
   return guarded(error, [&] { return create(device, {ops, count}, list, error); });
 }
 

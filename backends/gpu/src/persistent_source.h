@@ -1,4 +1,4 @@
-// A sequence as text and table; sequence.cuh says how it runs.
+// A persistent kernel as text and table; persistent.cuh says how it runs.
 #pragma once
 
 #include <cstdint>
@@ -33,18 +33,19 @@ struct ChainForm {
     } sum;
     // Per loop, which of the chain's CSR tables it goes over (-1: the chain does not load it).
     std::vector<int32_t> tables;
-    int32_t program = 0;  // index into SequenceTable::programs
+    int32_t program = 0;  // index into PersistentTable::programs
     struct Source {
       // There: in memory, with all rows that are read. Own: and only the own one is. First: only
-      // row 0 is, and nothing in the sequence writes it.
+      // row 0 is, and nothing in the persistent kernel writes it.
       enum From : int32_t { Memory, There, Own, First, Registers } from = Memory;
       int32_t op = 0, output = 0;  // Registers: what this operation of the chain left
       bool aligned = false;        // Own: its words lie at a multiple of 16 bytes
-      bool fixed = false;  // Own, First: worth keeping, as nothing in the sequence writes them
+      bool fixed =
+          false;  // Own, First: worth keeping, as nothing in the persistent kernel writes them
       // Nothing in the phase before writes it, wherever the form occurs, nor does the chain: so it
       // may be read before that phase is over.
       bool early = false;
-      bool fixed_rows = false;  // early, and nothing in the sequence writes it
+      bool fixed_rows = false;  // early, and nothing in the persistent kernel writes it
       // Where its rows lie in the memory of the block, and how many; -1: in memory.
       int32_t halo = -1, halo_rows = 0;
       auto operator<=>(const Source&) const = default;
@@ -73,7 +74,7 @@ struct ChainForm {
   auto operator<=>(const ChainForm&) const = default;
 };
 
-struct SequenceTable {
+struct PersistentTable {
   std::vector<const nova::ir::Program*> programs;  // each once
   std::vector<ChainForm> forms;                    // each once
   std::vector<uint64_t> words;                     // the records, then a word for the barrier
@@ -85,7 +86,7 @@ struct SequenceTable {
   uint32_t layouts = 0, corners = 0, item_rows = 0;  // see BlockPlan
   uint32_t halo_rows = 0, halo_rounds = 0, halo_turns = 0, maker_warps = 0;
   std::vector<uint64_t> relative;  // words that count bytes from the first one
-  // Early halves that are computed ahead: see run_job in sequence.cuh.
+  // Early halves that are computed ahead: see run_job in persistent.cuh.
   uint64_t jobs = 0, job_count = 0, job_slots = 0;  // where they lie, how many, the most threads
   uint64_t ahead_bytes = 0;                         // what they leave
   std::vector<uint64_t> ahead;                      // words that count bytes from its first one
@@ -100,14 +101,14 @@ struct SequenceTable {
   }
 };
 // The two halves of a Program in a chain; without outputs of `early`: it stays whole.
-nova::ir::Cut halves_of(const SequenceTable& table, const ChainForm::Operation& op);
+nova::ir::Cut halves_of(const PersistentTable& table, const ChainForm::Operation& op);
 // Words of a row of what an early half leaves, which is loaded by fours.
 inline uint64_t crossing_words(const nova::ir::Output& output) {
   return (output.values.size() + 3) / 4 * 4;
 }
 
 // What a table may count on where no thread has more than one row of a phase.
-struct SequenceRoom {
+struct PersistentRoom {
   uint32_t warps = 0;       // for a phase
   uint32_t kept_words = 0;  // how many a thread may keep
   uint32_t blocks = 0;      // 0: warps have no tasks
@@ -117,21 +118,21 @@ struct SequenceRoom {
   const BlockPlan* plan = nullptr;
   uint64_t ahead_bytes = 0;  // of memory, for what is computed ahead
 };
-SequenceTable sequence_table(std::span<const novaphy_sequence_op> ops,
-                             const SequenceRoom& room = {});
+PersistentTable persistent_table(std::span<const novaphy_persistent_op> ops,
+                                 const PersistentRoom& room = {});
 // Warps of the phase that has most, with a row for each thread.
-uint32_t most_warps(std::span<const novaphy_sequence_op> ops);
+uint32_t most_warps(std::span<const novaphy_persistent_op> ops);
 
 constexpr unsigned kMostInCluster = 8;  // blocks, on every device that has clusters
-struct SequenceShape {
+struct PersistentShape {
   enum class Form : uint8_t { Block, Cluster, Grid } form = Form::Block;
   unsigned blocks = 1, threads = 128;
   unsigned groups = 1;  // of warps, among which phases take turns
   bool is_large() const { return form == Form::Cluster && blocks > kMostInCluster; }
 };
-std::string sequence_source(const SequenceTable& table, const SequenceShape& shape);
+std::string persistent_source(const PersistentTable& table, const PersistentShape& shape);
 // The shared memory that a block of it takes: what the text says, and what a launch adds.
-uint64_t shared_bytes(const SequenceTable& table, const SequenceShape& shape);
-uint64_t launch_bytes(const SequenceTable& table, const SequenceShape& shape);
+uint64_t shared_bytes(const PersistentTable& table, const PersistentShape& shape);
+uint64_t launch_bytes(const PersistentTable& table, const PersistentShape& shape);
 
 }  // namespace novaphy::gpu

@@ -3,8 +3,8 @@
 #include <set>
 #include <tuple>
 
-#include "sequence_blocks.h"
-#include "sequence_memory.h"
+#include "persistent_blocks.h"
+#include "persistent_memory.h"
 
 namespace novaphy::gpu {
 namespace {
@@ -16,10 +16,10 @@ constexpr uint32_t kMostBlocks = 32;
 
 class HaloPlanner {
  public:
-  HaloPlanner(std::span<const novaphy_sequence_op> ops, uint32_t blocks, const ReadWords& read,
+  HaloPlanner(std::span<const novaphy_persistent_op> ops, uint32_t blocks, const ReadWords& read,
               const BlockPlan& plan)
       : ops_(ops), blocks_(blocks), read_(read), plan_(plan), spans_(phases_of(ops)) {
-    for (const novaphy_sequence_op& o : ops) add_written(written_, o);
+    for (const novaphy_persistent_op& o : ops) add_written(written_, o);
   }
 
   std::optional<BlockPlan> run() {
@@ -55,7 +55,7 @@ class HaloPlanner {
     uint64_t bytes;
   };
 
-  static Slot slot_of(const novaphy_sequence_op& o, size_t place, size_t slot) {
+  static Slot slot_of(const novaphy_persistent_op& o, size_t place, size_t slot) {
     return {o.chain, place, o.op.kernel, slot};
   }
   // f(operation, its place in its chain)
@@ -69,7 +69,7 @@ class HaloPlanner {
   }
   // f(source, where its rows lie, their count), of sources that are read at rows which others name
   template <class F>
-  static void for_each_gathered(const novaphy_sequence_op& o, const F& f) {
+  static void for_each_gathered(const novaphy_persistent_op& o, const F& f) {
     if (o.op.kernel == nullptr || is_builtin(o)) return;
     const nova::ir::Program& p = o.op.kernel->program;
     for (size_t s = 0; s < p.sources.size(); ++s) {
@@ -99,7 +99,7 @@ class HaloPlanner {
         const auto from = written.find(begin);
         if (from == written.end()) return;
         const int32_t width = ops_[o].op.kernel->program.sources[s].width;
-        const novaphy_sequence_op& sum = ops_[from->second.op];
+        const novaphy_persistent_op& sum = ops_[from->second.op];
         if (width > kRowWords || rows >= kMostRows || sum.n != sum.rows ||
             static_cast<uint64_t>(sum.n) != rows ||
             from->second.bytes != rows * static_cast<uint64_t>(width) * sizeof(int32_t)) {
@@ -190,7 +190,7 @@ class HaloPlanner {
 
   // The blocks that read each row, which are the same after each turn. Who writes indices between
   // two runs would not be noticed. So they have to be those of the elements at each point that the
-  // sums know, which stay: see sequence_create.
+  // sums know, which stay: see persistent_create.
   bool find_readers() {
     using Named = std::vector<std::pair<uint64_t, int32_t>>;  // tables of indices, and columns
     std::set<std::vector<uint64_t>> known;
@@ -245,7 +245,7 @@ class HaloPlanner {
       const CsrSum sum = csr_sum(ops_[o]);
       const uint64_t* const words = ops_[o].op.arguments;
       const Written& from = made.at(words[sum.source]);
-      const novaphy_sequence_op& maker = ops_[from.op];
+      const novaphy_persistent_op& maker = ops_[from.op];
       const auto corners =
           static_cast<uint32_t>(from.bytes / (static_cast<uint64_t>(maker.n) * sizeof(int32_t)) /
                                 static_cast<uint64_t>(sum.width));
@@ -269,7 +269,7 @@ class HaloPlanner {
   }
   // Which tables name the rows of a source that a Program reads: at its own row, and nobody writes
   // them.
-  bool find_indices(const novaphy_sequence_op& o, size_t source,
+  bool find_indices(const novaphy_persistent_op& o, size_t source,
                     std::vector<std::pair<uint64_t, int32_t>>& by) {
     using nova::ir::Op;
     const nova::ir::Program& p = o.op.kernel->program;
@@ -417,7 +417,7 @@ class HaloPlanner {
     return fits;
   }
   // The source of a Program that an argument word names; -1: none.
-  static int32_t source_at(const novaphy_sequence_op& o, int32_t word) {
+  static int32_t source_at(const novaphy_persistent_op& o, int32_t word) {
     if (o.op.kernel == nullptr || is_builtin(o)) return -1;
     const nova::ir::Program& p = o.op.kernel->program;
     for (size_t s = 0; s < p.sources.size(); ++s)
@@ -425,7 +425,7 @@ class HaloPlanner {
     return -1;
   }
   // Whether an operation reads a source at its own row alone, which is one for each of the chain.
-  static bool reads_own(const novaphy_sequence_op& o, int32_t word) {
+  static bool reads_own(const novaphy_persistent_op& o, int32_t word) {
     if (o.n != o.rows || o.op.kernel == nullptr) return false;
     if (is_builtin(o)) return word == CsrSum{}.init;
     const int32_t source = source_at(o, word);
@@ -451,7 +451,7 @@ class HaloPlanner {
            p.chains[a_chain].first_warp == q.chains[b_chain].first_warp;
   }
 
-  const std::span<const novaphy_sequence_op> ops_;
+  const std::span<const novaphy_persistent_op> ops_;
   const uint32_t blocks_;
   const ReadWords& read_;
   BlockPlan plan_;
@@ -469,7 +469,7 @@ class HaloPlanner {
 
 }  // namespace
 
-bool plan_halo(std::span<const novaphy_sequence_op> ops, uint32_t blocks, const ReadWords& read,
+bool plan_halo(std::span<const novaphy_persistent_op> ops, uint32_t blocks, const ReadWords& read,
                BlockPlan& plan) {
   std::optional<BlockPlan> made = HaloPlanner(ops, blocks, read, plan).run();
   if (made) plan = std::move(*made);

@@ -1,4 +1,4 @@
-#include "sequence_parts.h"
+#include "persistent_parts.h"
 
 #include <algorithm>
 #include <map>

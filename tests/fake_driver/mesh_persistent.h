@@ -1,5 +1,5 @@
-// Meshes as sequences: elements of two kinds leave items at their corners, points add them and
-// move.
+// Meshes as persistent kernels: elements of two kinds leave items at their corners, points add them
+// and move.
 #pragma once
 
 #include <gtest/gtest.h>
@@ -10,9 +10,9 @@
 #include <random>
 
 #include "novaphy/nova/kernel.h"
-#include "sequence_blocks.h"
-#include "sequence_kernels.h"
-#include "sequence_on_host.h"
+#include "persistent_blocks.h"
+#include "persistent_kernels.h"
+#include "persistent_on_host.h"
 
 namespace novaphy::gpu {
 
@@ -20,7 +20,7 @@ using nova::Access;
 using nova::DType;
 using nova::Real;
 using nova::TraceContext;
-using Form = SequenceShape::Form;
+using Form = PersistentShape::Form;
 
 constexpr int32_t kSide = 12, kPoints = kSide * kSide;
 constexpr uint32_t kBlocks = 4, kMostWarps = 12;
@@ -127,16 +127,16 @@ inline novaphy_kernel move_kernel() {
 
 inline uint64_t word(const void* p) { return reinterpret_cast<uint64_t>(p); }
 
-class MeshSequences : public testing::Test {
+class MeshPersistent : public testing::Test {
  protected:
-  MeshSequences() {
+  MeshPersistent() {
     for (const int32_t corners : {2, 3}) {
       pulls_.push_back(pull_kernel(corners));
       backs_.push_back(back_kernel(corners));
     }
   }
   // Elements read a state, and forces on points or, without them, rest values of their own.
-  static void record_elements(RecordedSequence& to, uint32_t phase, Mesh& mesh,
+  static void record_elements(RecordedPersistent& to, uint32_t phase, Mesh& mesh,
                               std::vector<novaphy_kernel>& kernels, uint64_t at,
                               const float* forces) {
     for (uint32_t k = 0; k < 2; ++k) {
@@ -149,7 +149,7 @@ class MeshSequences : public testing::Test {
     }
   }
   // Forces of one kind are added by the builtin, those of the other by a Program.
-  void record_sums(RecordedSequence& to, uint32_t phase, Mesh& mesh) {
+  void record_sums(RecordedPersistent& to, uint32_t phase, Mesh& mesh) {
     Kind &springs = mesh.kinds[0], &triangles = mesh.kinds[1];
     to.launch(to.add(phase, 0, kPoints, kPoints), sum_,
               {word(springs.made.data()), word(springs.offsets.data()), word(springs.items.data()),
@@ -161,9 +161,9 @@ class MeshSequences : public testing::Test {
          word(mesh.forces.data()), word(triangles.offsets.data()), word(triangles.items.data())});
   }
   // `more`: operations of a phase behind those that move the points.
-  RecordedSequence forward(
-      Mesh& mesh, const std::function<void(RecordedSequence&, uint32_t substep)>& more = {}) {
-    RecordedSequence to;
+  RecordedPersistent forward(
+      Mesh& mesh, const std::function<void(RecordedPersistent&, uint32_t substep)>& more = {}) {
+    RecordedPersistent to;
     for (uint32_t s = 0; s < Mesh::kSubsteps; ++s) {
       const uint64_t at = word(mesh.states[s].data());
       record_elements(to, 2 * s, mesh, pulls_, at, nullptr);
@@ -174,8 +174,8 @@ class MeshSequences : public testing::Test {
     }
     return to;
   }
-  RecordedSequence backward(Mesh& mesh) {
-    RecordedSequence to;
+  RecordedPersistent backward(Mesh& mesh) {
+    RecordedPersistent to;
     for (uint32_t s = 0; s < Mesh::kSubsteps; ++s) {
       record_elements(to, 2 * s, mesh, backs_, word(mesh.states[Mesh::kSubsteps - s].data()),
                       mesh.forces.data());
@@ -187,32 +187,33 @@ class MeshSequences : public testing::Test {
     const auto* const words = reinterpret_cast<const int32_t*>(where);
     return {words, words + count};
   }
-  static std::optional<BlockPlan> plan(const RecordedSequence& sequence) {
-    return plan_blocks(sequence.ops, kBlocks, kMostWarps, read);
+  static std::optional<BlockPlan> plan(const RecordedPersistent& persistent) {
+    return plan_blocks(persistent.ops, kBlocks, kMostWarps, read);
   }
-  static std::optional<BlockPlan> plan_with_halo(const RecordedSequence& sequence) {
-    std::optional<BlockPlan> made = plan(sequence);
-    if (made && !plan_halo(sequence.ops, kBlocks, read, *made)) made.reset();
+  static std::optional<BlockPlan> plan_with_halo(const RecordedPersistent& persistent) {
+    std::optional<BlockPlan> made = plan(persistent);
+    if (made && !plan_halo(persistent.ops, kBlocks, read, *made)) made.reset();
     return made;
   }
-  static void run_plain(const RecordedSequence& sequence) {
-    const SequenceShape shape{Form::Grid, 3, 64};
-    SequenceTable table = sequence_table(sequence.ops);
-    EXPECT_TRUE(HostSequence(table, shape).run(1));
+  static void run_plain(const RecordedPersistent& persistent) {
+    const PersistentShape shape{Form::Grid, 3, 64};
+    PersistentTable table = persistent_table(persistent.ops);
+    EXPECT_TRUE(HostPersistent(table, shape).run(1));
   }
-  static SequenceTable planned(const RecordedSequence& sequence, const BlockPlan& plan) {
-    return sequence_table(sequence.ops,
-                          {kBlocks * plan.threads / 32, 200, kBlocks, 1, &plan, 1 << 20});
+  static PersistentTable planned(const RecordedPersistent& persistent, const BlockPlan& plan) {
+    return persistent_table(persistent.ops,
+                            {kBlocks * plan.threads / 32, 200, kBlocks, 1, &plan, 1 << 20});
   }
-  static void run_planned(const RecordedSequence& sequence, uint32_t seed, bool ahead, bool halo) {
-    const std::optional<BlockPlan> made = halo ? plan_with_halo(sequence) : plan(sequence);
+  static void run_planned(const RecordedPersistent& persistent, uint32_t seed, bool ahead,
+                          bool halo) {
+    const std::optional<BlockPlan> made = halo ? plan_with_halo(persistent) : plan(persistent);
     ASSERT_TRUE(made);
-    SequenceTable table = planned(sequence, *made);
+    PersistentTable table = planned(persistent, *made);
     ASSERT_TRUE(table.fits);
     EXPECT_NE(table.layouts, 0u);
     EXPECT_EQ(table.halo_rows != 0, halo);
     EXPECT_EQ(table.job_count != 0, ahead);
-    EXPECT_TRUE(HostSequence(table, {Form::Cluster, kBlocks, made->threads, 1}).run(seed));
+    EXPECT_TRUE(HostPersistent(table, {Form::Cluster, kBlocks, made->threads, 1}).run(seed));
   }
   static void expect_same(const std::vector<float>& a, const std::vector<float>& b) {
     EXPECT_EQ(0, std::memcmp(a.data(), b.data(), a.size() * sizeof(float)));

@@ -1,11 +1,11 @@
-#include "sequence_blocks.h"
+#include "persistent_blocks.h"
 
 #include <algorithm>
 #include <numeric>
 #include <utility>
 
-#include "sequence_memory.h"
-#include "sequence_parts.h"
+#include "persistent_memory.h"
+#include "persistent_parts.h"
 
 namespace novaphy::gpu {
 namespace {
@@ -32,7 +32,7 @@ struct Link {
 
 class Planner {
  public:
-  Planner(std::span<const novaphy_sequence_op> ops, uint32_t blocks, uint32_t most_warps,
+  Planner(std::span<const novaphy_persistent_op> ops, uint32_t blocks, uint32_t most_warps,
           const ReadWords& read)
       : ops_(ops), blocks_(blocks), most_warps_(most_warps), read_(read), phases_(phases_of(ops)) {}
 
@@ -88,7 +88,7 @@ class Planner {
       });
     std::vector<Link> links;
     for (size_t k = sums.first; k < sums.last && fits; ++k) {
-      const novaphy_sequence_op& o = ops_[k];
+      const novaphy_persistent_op& o = ops_[k];
       const CsrSum sum = csr_sum(o);
       const auto from = sum.is_there() ? made.find(o.op.arguments[sum.source]) : made.end();
       for_each_read(o, [&](uint64_t begin, uint64_t bytes, int32_t word) {
@@ -107,7 +107,7 @@ class Planner {
     std::map<uint64_t, size_t> linked, all;  // uses, by where the offsets are
     std::map<uint64_t, std::pair<uint32_t, int32_t>> makers;
     for (const Link& link : links) {
-      const novaphy_sequence_op& o = ops_[link.sum];
+      const novaphy_persistent_op& o = ops_[link.sum];
       const uint64_t offsets = o.op.arguments[csr_sum(o).offsets];
       ++linked[offsets];
       // Where items lie depends on the threads that make them.
@@ -120,7 +120,7 @@ class Planner {
                        [&](const auto& table) { return all[table.first] == table.second; });
   }
   bool add_link(std::vector<Link>& links, Link link, const CsrSum& sum) {
-    const novaphy_sequence_op &o = ops_[link.sum], &maker = ops_[link.maker];
+    const novaphy_persistent_op &o = ops_[link.sum], &maker = ops_[link.maker];
     if (maker.op.kernel == nullptr || is_builtin(maker)) return false;
     const auto words =
         static_cast<int32_t>(maker.op.kernel->program.outputs[link.output].values.size());
@@ -138,7 +138,7 @@ class Planner {
   }
 
   // Null: an item is none, or a sum is long.
-  const Table* table_of(const novaphy_sequence_op& o, const CsrSum& sum, int64_t item_count) {
+  const Table* table_of(const novaphy_persistent_op& o, const CsrSum& sum, int64_t item_count) {
     const uint64_t offsets = o.op.arguments[sum.offsets], items = o.op.arguments[sum.offsets + 1];
     const auto [known, fresh] = tables_.try_emplace({offsets, items, o.n});
     Table& table = known->second;
@@ -201,7 +201,7 @@ class Planner {
     uint32_t makers = 0;
     std::vector<RowList> needs(n);
     for (const Link& link : *pair) {
-      const novaphy_sequence_op& maker = ops_[link.maker];
+      const novaphy_persistent_op& maker = ops_[link.maker];
       const auto [chain, fresh] = first_of_chain.try_emplace(maker.chain, makers);
       if (fresh) makers += static_cast<uint32_t>(maker.n);
       for_each_item(link, [&](size_t row, int32_t, uint32_t of_maker, uint32_t) {
@@ -505,7 +505,7 @@ class Planner {
     return known->second;
   }
 
-  const std::span<const novaphy_sequence_op> ops_;
+  const std::span<const novaphy_persistent_op> ops_;
   const uint32_t blocks_, most_warps_;
   const ReadWords& read_;
   const std::vector<PhaseSpan> phases_;
@@ -522,7 +522,7 @@ class Planner {
 
 }  // namespace
 
-std::optional<BlockPlan> plan_blocks(std::span<const novaphy_sequence_op> ops, uint32_t blocks,
+std::optional<BlockPlan> plan_blocks(std::span<const novaphy_persistent_op> ops, uint32_t blocks,
                                      uint32_t most_warps, const ReadWords& read) {
   return Planner(ops, blocks, most_warps, read).run();
 }

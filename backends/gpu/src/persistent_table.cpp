@@ -5,10 +5,10 @@
 #include <tuple>
 #include <utility>
 
+#include "persistent_blocks.h"
+#include "persistent_memory.h"
+#include "persistent_source.h"
 #include "row_use.h"
-#include "sequence_blocks.h"
-#include "sequence_memory.h"
-#include "sequence_source.h"
 
 namespace novaphy::gpu {
 namespace {
@@ -20,12 +20,12 @@ constexpr int32_t kMaxOwn = 12;        // words of a source that are loaded when
 constexpr int32_t kMaxTables = 3;      // CSR tables likewise
 constexpr uint64_t kAlignment = 16;
 constexpr uint32_t kMinUses = 4;  // of what is worth keeping
-// Of a task, where a plan says which rows a thread has; as in sequence.cuh.
+// Of a task, where a plan says which rows a thread has; as in persistent.cuh.
 constexpr uint64_t kWorks = 1, kStores = 2, kHandsOver = 4, kTakesOver = 8, kKeeps = 16,
                    kSends = 32, kFills = 256;
 constexpr uint64_t kTurnShift = 6, kLayoutShift = 16;
 constexpr uint64_t kHeader = 4;       // words of a record, there
-constexpr uint64_t kJobWords = 4;     // as in sequence.cuh
+constexpr uint64_t kJobWords = 4;     // as in persistent.cuh
 constexpr size_t kFetchedBefore = 2;  // records: what is loaded is near by then
 
 // The memory that an operation of a chain touches at its own row.
@@ -74,7 +74,7 @@ uint64_t warps_of(int64_t rows, int64_t lanes) {
 }
 
 // Warps of a phase, with so many rows each.
-uint64_t warps_of(std::span<const novaphy_sequence_op> phase, int64_t lanes) {
+uint64_t warps_of(std::span<const novaphy_persistent_op> phase, int64_t lanes) {
   uint64_t warps = 0;
   for (size_t k = 0; k < phase.size(); ++k)
     if (k == 0 || phase[k].chain != phase[k - 1].chain) warps += warps_of(phase[k].rows, lanes);
@@ -86,17 +86,17 @@ class Writer {
   // Of each operation, the bytes of a row of what its early half leaves, per output, if that is
   // computed ahead. Empty: none is.
   using Ahead = std::vector<std::vector<uint64_t>>;
-  Writer(const SequenceRoom& room, Ahead ahead)
+  Writer(const PersistentRoom& room, Ahead ahead)
       : kept_(room.kept_words), room_(room), ahead_(std::move(ahead)) {}
 
-  SequenceTable run(std::span<const novaphy_sequence_op> ops) {
-    for (const novaphy_sequence_op& o : ops) {
+  PersistentTable run(std::span<const novaphy_persistent_op> ops) {
+    for (const novaphy_persistent_op& o : ops) {
       add_uses(o);
       add_written(written_, o);
     }
-    std::span<const novaphy_sequence_op> phase_before;
+    std::span<const novaphy_persistent_op> phase_before;
     for (size_t first = 0; first < ops.size();) {
-      std::span<const novaphy_sequence_op> phase = phase_at(ops, first);
+      std::span<const novaphy_persistent_op> phase = phase_at(ops, first);
       if (planned() != nullptr && planned()->joined)
         phase = ops.subspan(first, phase.size() + phase_at(ops, first + phase.size()).size());
       if (planned() != nullptr && !planned()->fills.empty()) {
@@ -106,7 +106,7 @@ class Writer {
       }
       first_op_ = first;
       phase_written_ = Pieces();
-      for (const novaphy_sequence_op& o : phase_before) add_written(phase_written_, o);
+      for (const novaphy_persistent_op& o : phase_before) add_written(phase_written_, o);
       phase_before = phase_ops_ = phase;
       add_record(phase);
       end_record();
@@ -172,7 +172,7 @@ class Writer {
     record_before_ = std::exchange(record_, out_.words.size());
   }
 
-  void add_record(std::span<const novaphy_sequence_op> ops) {
+  void add_record(std::span<const novaphy_persistent_op> ops) {
     std::vector<uint64_t> chains, body;
     const uint64_t ahead = out_.ahead_bytes;
     uint64_t number = 0;  // of chains
@@ -192,7 +192,7 @@ class Writer {
         ++phase_;
         planned = this->planned();
       }
-      const std::span<const novaphy_sequence_op> chain = ops.subspan(first, last - first);
+      const std::span<const novaphy_persistent_op> chain = ops.subspan(first, last - first);
       const int64_t rows = chain[0].rows;
       chains.push_back(warps << 32 | static_cast<uint64_t>(rows));
       const uint64_t at = (planned ? kHeader : 2 + 2 * number) + body.size();
@@ -220,7 +220,7 @@ class Writer {
     }
     out_.words.insert(out_.words.end(), body.begin(), body.end());
   }
-  static bool begins_chain(std::span<const novaphy_sequence_op> ops, size_t k) {
+  static bool begins_chain(std::span<const novaphy_persistent_op> ops, size_t k) {
     return ops[k].chain != ops[k - 1].chain || ops[k].phase != ops[k - 1].phase;
   }
   // What the warps from `warp` on do in the phase: rows of a chain. Neighbours go to different
@@ -309,7 +309,7 @@ class Writer {
 
   // Rows of a warp: fewer where warps would idle, because a load waits for all the lines that its
   // lanes touch.
-  int64_t lanes_of(std::span<const novaphy_sequence_op> phase) const {
+  int64_t lanes_of(std::span<const novaphy_persistent_op> phase) const {
     int64_t lanes = kWarp;
     while (lanes > 1 && warps_of(phase, lanes / 2) <= room_.warps) lanes /= 2;
     return lanes;
@@ -317,12 +317,12 @@ class Writer {
 
   // Adds the arguments to the record; which form the chain has.
   // `at`: where they will lie.
-  uint32_t add_chain(std::span<const novaphy_sequence_op> chain, Warps warps, uint64_t at,
+  uint32_t add_chain(std::span<const novaphy_persistent_op> chain, Warps warps, uint64_t at,
                      std::vector<uint64_t>& body) {
     ChainForm form;
     const size_t start = body.size();
     body.push_back(0);
-    for (const novaphy_sequence_op& o : chain) {
+    for (const novaphy_persistent_op& o : chain) {
       Operation& op = form.operations.emplace_back(operation(o));
       if (op.kind == Operation::Program) body.push_back(o.op.kernel->number);
       op.first_word = static_cast<int32_t>(body.size() - start);
@@ -355,7 +355,7 @@ class Writer {
     return number;
   }
 
-  size_t number_of(const novaphy_sequence_op& o) const {
+  size_t number_of(const novaphy_persistent_op& o) const {
     return first_op_ + static_cast<size_t>(&o - phase_ops_.data());
   }
 
@@ -368,7 +368,7 @@ class Writer {
     return {of_block * room_.blocks, of_block, warps.first * kWarp};
   }
   // Where the early half of an operation leaves what it computes ahead.
-  void add_ahead(const novaphy_sequence_op& o, Operation& op, Warps warps, size_t start,
+  void add_ahead(const novaphy_persistent_op& o, Operation& op, Warps warps, size_t start,
                  uint64_t at, std::vector<uint64_t>& body) {
     const std::vector<uint64_t>* const row_bytes = ahead_.empty() ? nullptr : &ahead_[number_of(o)];
     if (row_bytes == nullptr || row_bytes->empty()) return;
@@ -383,7 +383,7 @@ class Writer {
   }
 
   // Which items of a chain lie in the memory of its block.
-  void plan_items(std::span<const novaphy_sequence_op> chain, ChainForm& form, uint64_t* words,
+  void plan_items(std::span<const novaphy_persistent_op> chain, ChainForm& form, uint64_t* words,
                   uint64_t at) {
     form.sums_items = room_.plan->phases[phase_].sums_items;
     for (size_t k = 0; k < chain.size(); ++k) {
@@ -426,10 +426,10 @@ class Writer {
   }
 
   // Notes which sources the chain may read before the phase before it is over.
-  void note_early(std::span<const novaphy_sequence_op> chain, const ChainForm& form,
+  void note_early(std::span<const novaphy_persistent_op> chain, const ChainForm& form,
                   uint32_t number) {
     Pieces own;
-    for (const novaphy_sequence_op& o : chain) add_written(own, o);
+    for (const novaphy_persistent_op& o : chain) add_written(own, o);
     std::vector<char> early;
     for (size_t k = 0; k < chain.size(); ++k)
       for (size_t s = 0; s < form.operations[k].sources.size(); ++s) {
@@ -450,14 +450,14 @@ class Writer {
     }
   }
   // Whether the same thread has left the rows that it reads.
-  bool is_mine(const novaphy_sequence_op& o, const Operation& op, size_t source) const {
+  bool is_mine(const novaphy_persistent_op& o, const Operation& op, size_t source) const {
     return room_.plan != nullptr && op.kind != Operation::Copy &&
            op.sources[source].from == Operation::Source::Own &&
            room_.plan->operations[number_of(o)].mine.contains(
                static_cast<int32_t>(out_.source_word(op, source)));
   }
   // What an operation may read of a source: where it begins, and how many bytes.
-  std::pair<uint64_t, uint64_t> memory_of(const novaphy_sequence_op& o, const Operation& op,
+  std::pair<uint64_t, uint64_t> memory_of(const novaphy_persistent_op& o, const Operation& op,
                                           size_t source) const {
     const uint64_t row = static_cast<uint64_t>(out_.source_width(op, source)) * sizeof(int32_t);
     const auto n = static_cast<uint64_t>(o.n);
@@ -467,8 +467,8 @@ class Writer {
     return {o.op.arguments[word], rows * row};
   }
 
-  // Notes what a chain loads of memory that nothing in the sequence writes. Chains that load the
-  // same for the same threads are one user of it.
+  // Notes what a chain loads of memory that nothing in the persistent kernel writes. Chains that
+  // load the same for the same threads are one user of it.
   void note_kept(const ChainForm& form, uint32_t number, int64_t rows, Warps warps,
                  const uint64_t* words, uint64_t at) {
     User user{0, warps, {at}};
@@ -520,7 +520,7 @@ class Writer {
     for (const uint64_t at : all.chains) out_.words[at] = 2 * position + 1;
   }
 
-  Operation operation(const novaphy_sequence_op& o) {
+  Operation operation(const novaphy_persistent_op& o) {
     Operation op;
     op.each = static_cast<int32_t>(o.n / o.rows);
     const novaphy_kernel* kernel = o.op.kernel;
@@ -562,8 +562,8 @@ class Writer {
 
   static bool is_aligned(const Touch& t) { return t.where % kAlignment == 0 && t.words % 4 == 0; }
 
-  static void touches(const novaphy_sequence_op& o, const Operation& op, std::vector<Touch>& reads,
-                      std::vector<Touch>& writes) {
+  static void touches(const novaphy_persistent_op& o, const Operation& op,
+                      std::vector<Touch>& reads, std::vector<Touch>& writes) {
     reads.clear();
     writes.clear();
     const uint64_t* words = o.op.arguments;
@@ -592,7 +592,7 @@ class Writer {
   }
 
   // The CSR tables of the chain, each once, as far as a row of it is a row of theirs.
-  static void find_tables(std::span<const novaphy_sequence_op> chain, ChainForm& form) {
+  static void find_tables(std::span<const novaphy_persistent_op> chain, ChainForm& form) {
     std::vector<const uint64_t*> known;
     for (size_t k = 0; k < chain.size(); ++k) {
       Operation& op = form.operations[k];
@@ -635,7 +635,7 @@ class Writer {
 
   // What one operation leaves for a later one goes through registers, and is stored at the end, so
   // that no store stands between the loads of the chain.
-  void link(std::span<const novaphy_sequence_op> chain, ChainForm& form) const {
+  void link(std::span<const novaphy_persistent_op> chain, ChainForm& form) const {
     struct Place {
       int32_t words = 0, op = -1, output = 0;
       bool fits = true, written = false;
@@ -683,7 +683,7 @@ class Writer {
     }
   }
 
-  void link_first_rows(const novaphy_sequence_op& o, Operation& op) const {
+  void link_first_rows(const novaphy_persistent_op& o, Operation& op) const {
     if (op.kind != Operation::Program) return;
     const nova::ir::Program& p = o.op.kernel->program;
     for (size_t s = 0; s < p.sources.size(); ++s) {
@@ -696,12 +696,12 @@ class Writer {
       op.sources[s] = {Operation::Source::First, 0, 0, is_aligned(t), comes_again(o, t)};
     }
   }
-  bool comes_again(const novaphy_sequence_op& o, const Touch& t) const {
+  bool comes_again(const novaphy_persistent_op& o, const Touch& t) const {
     const auto uses = uses_.find({o.op.kernel, t.slot, t.where});
     return uses != uses_.end() && uses->second >= kMinUses;
   }
 
-  void add_uses(const novaphy_sequence_op& o) {
+  void add_uses(const novaphy_persistent_op& o) {
     if (o.op.kernel == nullptr) return;
     if (is_builtin(o)) {
       ++uses_[{o.op.kernel, 0, o.op.arguments[3]}];
@@ -712,14 +712,14 @@ class Writer {
       ++uses_[{o.op.kernel, static_cast<int32_t>(s), o.op.arguments[p.source_argument(s)]}];
   }
 
-  SequenceTable out_;
-  Pieces written_, phase_written_;  // by the sequence, by the phase before
+  PersistentTable out_;
+  Pieces written_, phase_written_;  // by the persistent kernel, by the phase before
   uint64_t phase_ = 0;
   uint64_t record_ = 0, record_before_ = 0;  // where they begin
   size_t first_op_ = 0;                      // of the phase
-  std::span<const novaphy_sequence_op> phase_ops_;
+  std::span<const novaphy_persistent_op> phase_ops_;
   Kept kept_;
-  const SequenceRoom room_;
+  const PersistentRoom room_;
   std::vector<uint64_t> tasks_;
   std::map<SourceUse, uint32_t> uses_;
   std::vector<User> users_;
@@ -740,11 +740,11 @@ class Writer {
 
 }  // namespace
 
-int32_t SequenceTable::source_width(const Operation& op, size_t source) const {
+int32_t PersistentTable::source_width(const Operation& op, size_t source) const {
   if (op.kind != Operation::Program) return op.sum.width;
   return programs[static_cast<size_t>(op.program)]->sources[source].width;
 }
-int32_t SequenceTable::loaded_words(const Operation& op, size_t source) const {
+int32_t PersistentTable::loaded_words(const Operation& op, size_t source) const {
   switch (op.sources[source].from) {
     case Operation::Source::Own:
       return op.each * source_width(op, source);
@@ -754,7 +754,7 @@ int32_t SequenceTable::loaded_words(const Operation& op, size_t source) const {
       return 0;
   }
 }
-int64_t SequenceTable::source_word(const Operation& op, size_t source) const {
+int64_t PersistentTable::source_word(const Operation& op, size_t source) const {
   if (op.kind != Operation::Program) return op.kind == Operation::RowSum ? op.sum.init_word : 1;
   return programs[static_cast<size_t>(op.program)]->source_argument(source);
 }
@@ -762,8 +762,9 @@ int64_t SequenceTable::source_word(const Operation& op, size_t source) const {
 namespace {
 
 // Of an operation whose early half is worth a launch of its own, the bytes of a row of what that
-// leaves: it reads only what nobody writes in the sequence, and computes much more than it leaves.
-std::vector<uint64_t> worth_ahead(const SequenceTable& table, Operation op) {
+// leaves: it reads only what nobody writes in the persistent kernel, and computes much more than it
+// leaves.
+std::vector<uint64_t> worth_ahead(const PersistentTable& table, Operation op) {
   constexpr size_t kInstructionsOfWord = 3;
   if (op.kind != Operation::Program) return {};
   for (const Operation::Source& source : op.sources)
@@ -781,9 +782,10 @@ std::vector<uint64_t> worth_ahead(const SequenceTable& table, Operation op) {
 
 }  // namespace
 
-SequenceTable sequence_table(std::span<const novaphy_sequence_op> ops, const SequenceRoom& room) {
+PersistentTable persistent_table(std::span<const novaphy_persistent_op> ops,
+                                 const PersistentRoom& room) {
   Writer plain(room, {});
-  SequenceTable table = plain.run(ops);
+  PersistentTable table = plain.run(ops);
   if (room.ahead_bytes == 0) return table;
   std::vector<std::vector<std::vector<uint64_t>>> of_forms;
   bool any = false;
@@ -797,14 +799,14 @@ SequenceTable sequence_table(std::span<const novaphy_sequence_op> ops, const Seq
   if (!any) return table;
   Writer::Ahead ahead;
   for (const auto& [form, number] : plain.form_of()) ahead.push_back(of_forms[form][number]);
-  SequenceTable with = Writer(room, ahead).run(ops);
+  PersistentTable with = Writer(room, ahead).run(ops);
   return with.fits && with.ahead_bytes <= room.ahead_bytes ? with : table;
 }
 
-uint32_t most_warps(std::span<const novaphy_sequence_op> ops) {
+uint32_t most_warps(std::span<const novaphy_persistent_op> ops) {
   uint64_t most = 0;
   for (size_t first = 0; first < ops.size();) {
-    const std::span<const novaphy_sequence_op> phase = phase_at(ops, first);
+    const std::span<const novaphy_persistent_op> phase = phase_at(ops, first);
     most = std::max(most, warps_of(phase, kWarp));
     first += phase.size();
   }

@@ -1,4 +1,4 @@
-// The operations of a sequence: their phases, and what they read and write.
+// The operations of a persistent kernel: their phases, and what they read and write.
 #pragma once
 
 #include <algorithm>
@@ -13,8 +13,8 @@
 namespace novaphy::gpu {
 
 // The operations of the phase that begins with the first of them.
-inline std::span<const novaphy_sequence_op> phase_at(std::span<const novaphy_sequence_op> ops,
-                                                     size_t first) {
+inline std::span<const novaphy_persistent_op> phase_at(std::span<const novaphy_persistent_op> ops,
+                                                       size_t first) {
   size_t last = first;
   while (last < ops.size() && ops[last].phase == ops[first].phase) ++last;
   return ops.subspan(first, last - first);
@@ -24,7 +24,7 @@ inline std::span<const novaphy_sequence_op> phase_at(std::span<const novaphy_seq
 struct PhaseSpan {
   size_t first, last;
 };
-inline std::vector<PhaseSpan> phases_of(std::span<const novaphy_sequence_op> ops) {
+inline std::vector<PhaseSpan> phases_of(std::span<const novaphy_persistent_op> ops) {
   std::vector<PhaseSpan> phases;
   for (size_t first = 0; first < ops.size(); first = phases.back().last)
     phases.push_back({first, first + phase_at(ops, first).size()});
@@ -55,7 +55,9 @@ class Pieces {
 
 inline uint64_t address(const void* p) { return reinterpret_cast<uint64_t>(p); }
 // Of a launch; the others are copies and fills.
-inline bool is_builtin(const novaphy_sequence_op& o) { return o.op.kernel->program.instrs.empty(); }
+inline bool is_builtin(const novaphy_persistent_op& o) {
+  return o.op.kernel->program.instrs.empty();
+}
 
 // A sum of rows of CSR items: the builtin, or a Program that adds them to its own row, which is
 // there. Its argument words; items come after offsets.
@@ -66,7 +68,7 @@ struct CsrSum {
   bool has_init = false;
   bool is_there() const { return source >= 0; }
 };
-inline CsrSum csr_sum(const novaphy_sequence_op& o) {
+inline CsrSum csr_sum(const novaphy_persistent_op& o) {
   if (o.op.kernel == nullptr) return {};
   if (is_builtin(o)) {
     CsrSum sum;
@@ -93,7 +95,7 @@ inline CsrSum csr_sum(const novaphy_sequence_op& o) {
 
 // f(offsets), of each CSR table
 template <class F>
-void for_each_table(const novaphy_sequence_op& o, const F& f) {
+void for_each_table(const novaphy_persistent_op& o, const F& f) {
   if (o.op.kernel == nullptr) return;
   if (is_builtin(o)) {
     if (o.op.arguments[1] != 0) f(o.op.arguments[1]);
@@ -106,7 +108,7 @@ void for_each_table(const novaphy_sequence_op& o, const F& f) {
 
 // f(begin, bytes, output)
 template <class F>
-void for_each_written(const novaphy_sequence_op& o, const F& f) {
+void for_each_written(const novaphy_persistent_op& o, const F& f) {
   const auto rows = static_cast<uint64_t>(o.n) * sizeof(int32_t);
   if (o.op.kernel == nullptr) {
     f(address(o.op.target), rows, size_t{0});
@@ -118,12 +120,12 @@ void for_each_written(const novaphy_sequence_op& o, const F& f) {
       f(o.op.arguments[p.output_argument(k)], rows * p.outputs[k].values.size(), k);
   }
 }
-inline void add_written(Pieces& written, const novaphy_sequence_op& o) {
+inline void add_written(Pieces& written, const novaphy_persistent_op& o) {
   for_each_written(o, [&](uint64_t begin, uint64_t bytes, size_t) { written.add(begin, bytes); });
 }
 // f(begin, bytes, argument word)
 template <class F>
-void for_each_read(const novaphy_sequence_op& o, const F& f) {
+void for_each_read(const novaphy_persistent_op& o, const F& f) {
   const auto rows = static_cast<uint64_t>(o.n) * sizeof(int32_t);
   if (o.op.kernel == nullptr) {
     if (o.op.source != nullptr) f(address(o.op.source), rows, -1);

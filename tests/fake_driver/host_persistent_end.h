@@ -10,7 +10,7 @@ extern "C" void run_persistent(const uint64_t* start, uint64_t* table, void* rec
   device::device_sink sink{};
   sink.record = static_cast<device::device_error*>(record);
   sink.flag = flag;
-#if PERSISTENT_AHEAD != 0
+#if PERSISTENT_EARLY != 0
   for (uint64_t job = 0; job < start[5]; ++job) {
     const auto* const words = reinterpret_cast<device::uint64_t*>(table);
     const auto* const of_job = words + start[4] + device::kJobWords * job;

@@ -96,14 +96,14 @@ class HostPersistent {
  public:
   // The table's addresses are the host's.
   HostPersistent(PersistentTable& table, const PersistentShape& shape)
-      : table_(table), shape_(shape), ahead_(table.ahead_bytes + kAlignment) {
+      : table_(table), shape_(shape), early_halves_(table.early_bytes + kAlignment) {
     folder_ =
         std::filesystem::temp_directory_path() / ("novaphy_persistent_" + std::to_string(getpid()));
     std::filesystem::create_directories(folder_);
     for (const uint64_t word : table.relative)
       table.words[word] += reinterpret_cast<uint64_t>(table.words.data());
-    const uint64_t memory = reinterpret_cast<uint64_t>(ahead_.data()) + kAlignment - 1;
-    for (const uint64_t word : table.ahead) table.words[word] += memory & ~(kAlignment - 1);
+    const uint64_t memory = reinterpret_cast<uint64_t>(early_halves_.data()) + kAlignment - 1;
+    for (const uint64_t word : table.early) table.words[word] += memory & ~(kAlignment - 1);
   }
   ~HostPersistent() {
     if (library_ != nullptr) dlclose(library_);
@@ -151,7 +151,7 @@ class HostPersistent {
 
   PersistentTable& table_;
   const PersistentShape shape_;
-  std::vector<char> ahead_;
+  std::vector<char> early_halves_;
   std::filesystem::path folder_;
   void* library_ = nullptr;
 };

@@ -23,7 +23,7 @@ TEST_F(PersistentBlocks, HaveTheBitsOfOneExchangePerPhase) {
     run_planned(forward(mesh), seed, false, halo);
     for (uint32_t s = 0; s <= Mesh::kSubsteps; ++s) expect_same(mesh.states[s], plain.states[s]);
     expect_same(mesh.forces, moved);
-    // The early halves of the way back are computed ahead.
+    // The early halves of the way back are computed early.
     run_planned(backward(mesh), seed, true, halo);
     expect_same(mesh.forces, plain.forces);
     for (uint32_t k = 0; k < 2; ++k) expect_same(mesh.kinds[k].made, plain.kinds[k].made);
@@ -206,7 +206,7 @@ TEST_F(PersistentBlocks, WhatFitsNoMemoryIsNotComputedAhead) {
   ASSERT_TRUE(made);
   const PersistentTable ahead = planned(back, *made);
   EXPECT_NE(ahead.job_count, 0u);
-  PersistentRoom room{kBlocks * made->threads / 32, 200, kBlocks, 1, &*made, ahead.ahead_bytes - 1};
+  PersistentRoom room{kBlocks * made->threads / 32, 200, kBlocks, 1, &*made, ahead.early_bytes - 1};
   EXPECT_EQ(persistent_table(back.ops, room).job_count, 0u);
 }
 

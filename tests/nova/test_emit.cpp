@@ -168,7 +168,7 @@ TEST(Emit, GathersTheRowsOfElementsOneGroupAhead) {
                         });
   expect_golden("spring", kernel.program());
 }
-// Rows behind a condition of their own are gathered ahead where the group before needed them, else
+// Rows behind a condition of their own are prefetched where the group before needed them, else
 // where the condition holds.
 TEST(Emit, GathersAheadWhatTheGroupBeforeNeeded) {
   const nova::Kernel kernel = nova::make_kernel(

@@ -27,7 +27,7 @@
 
 /* Fetches the rows of an array that a later launch is going to read or write: the arrays of a
  * scan lie too far apart for the processor to guess. */
-LANE_FN void fetch_early(uint64_t array, int64_t row_bytes, int64_t i, int write) {
+LANE_FN void prefetch_rows(uint64_t array, int64_t row_bytes, int64_t i, int write) {
   for (int64_t byte = 0; byte < row_bytes * LANES; byte += 64) {
     const char* const p = (const char*)array + row_bytes * i + byte;
     if (write)

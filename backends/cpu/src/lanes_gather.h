@@ -118,19 +118,19 @@ COLD_FN void gather3_last(const char* s, int64_t rows, vi row, vi* a, vi* b, vi*
 
 /* Rows of three words that are gathered before they are needed: any address that is legal will do,
  * and what is wrong with a row is put right when its group begins. */
-typedef struct rows_ahead {
+typedef struct rows_prefetched {
   int32_t word[LANES]; /* where they begin */
   vb present;
-} rows_ahead;
+} rows_prefetched;
 /* The last row that is read like the others, or -1. */
-LANE_FN int32_t limit_ahead(int64_t rows) {
+LANE_FN int32_t prefetch_limit(int64_t rows) {
 #if defined(__x86_64__)
   rows -= 1; /* see transpose_rows3 */
 #endif
   return rows > INT32_MAX / 3 ? INT32_MAX / 3 - 1 : rows < 1 ? -1 : (int32_t)rows - 1;
 }
 /* Whether a row is past the limit. */
-LANE_FN int look_ahead(rows_ahead* r, vi row, int32_t limit) {
+LANE_FN int prefetch_look(rows_prefetched* r, vi row, int32_t limit) {
   const vi zero = splati(0), end = splati(limit);
   const vi word = 3 * vimin(vimax(row, zero), end);
   memcpy(r->word, &word, sizeof(word));
@@ -149,7 +149,7 @@ LANE_FN void gather3_half(const char* s, const int32_t* word, vb present, float*
   _mm256_storeu_ps(to + 32, _mm256_maskz_mov_ps((__mmask8)present, c));
 }
 #endif
-LANE_FN void gather3f_ahead(const char* s, rows_ahead* r, vf* to) {
+LANE_FN void gather3f_prefetched(const char* s, rows_prefetched* r, vf* to) {
   /* Read again by each gather: kept for the next one, they would be written to memory once more. */
   __asm__("" : "+m"(r->word));
 #if LANES == 16

@@ -121,17 +121,17 @@ LANES_GATHER(i, vi)
 #undef LANES_GATHER
 
 /* Gathered before they are needed; see lanes_gather.h. */
-typedef struct rows_ahead {
+typedef struct rows_prefetched {
   int32_t row, at;
-} rows_ahead;
-LANE_FN int32_t limit_ahead(int64_t rows) {
+} rows_prefetched;
+LANE_FN int32_t prefetch_limit(int64_t rows) {
   return rows > INT32_MAX ? INT32_MAX : (int32_t)rows - 1;
 }
-LANE_FN int look_ahead(rows_ahead* r, int32_t row, int32_t limit) {
-  *r = (rows_ahead){row, row < 0 ? 0 : row > limit ? limit : row};
+LANE_FN int prefetch_look(rows_prefetched* r, int32_t row, int32_t limit) {
+  *r = (rows_prefetched){row, row < 0 ? 0 : row > limit ? limit : row};
   return row > limit;
 }
-LANE_FN void gather3f_ahead(const char* s, const rows_ahead* r, float* to) {
+LANE_FN void gather3f_prefetched(const char* s, const rows_prefetched* r, float* to) {
   if (r->row < 0)
     to[0] = to[1] = to[2] = 0.0f;
   else

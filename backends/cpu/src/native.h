@@ -40,9 +40,9 @@ typedef struct novaphy_native_launches {
 /* Runs the rows [begin, end) of all launches in whole groups of lanes, and returns the first row
  * that it left: it also stops at rows that it cannot do. A row of the table has the arrays of the
  * varying sources, then those of the outputs, null where nothing has to be written, and the number
- * of the launch in notes and room. The arrays of the launch LAUNCHES_AHEAD later are fetched early,
+ * of the launch in notes and room. The arrays of the launch PREFETCH_LAUNCHES later are prefetched,
  * so as many rows follow the last, of any arrays. */
-#define LAUNCHES_AHEAD 8
+#define PREFETCH_LAUNCHES 8
 typedef int64_t (*novaphy_native_scan_fn)(const novaphy_native_launches* launches, int64_t begin,
                                           int64_t end, novaphy_error_sink* sink);
 typedef struct novaphy_native_scan {

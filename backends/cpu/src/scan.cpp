@@ -38,7 +38,7 @@ Interval written_by(const Program& p, const uint64_t* arguments, size_t output, 
 }
 
 // A write that follows another to the same array is looked for in so many launches.
-constexpr size_t kLookAhead = 8;
+constexpr size_t kLookForward = 8;
 // Outputs that take so much are streamed: no cache holds them until they are read.
 constexpr uint64_t kStreamedBytes = 32 << 20;
 constexpr int32_t kLine = 64;
@@ -149,7 +149,7 @@ bool novaphy_scan::writes_what_all_read() const {
 bool novaphy_scan::read_again(size_t k, size_t output) const {
   const Program& p = executable_->program;
   const Interval written = written_by(p, launches_[k], output, carried()[output]);
-  for (size_t later = k + 1; later < std::min(launches_.size(), k + kLookAhead); ++later) {
+  for (size_t later = k + 1; later < std::min(launches_.size(), k + kLookForward); ++later) {
     for (const int32_t s : varying())
       if (written.overlaps(read_by(p, launches_[later], s))) return true;
     for (size_t o = 0; o < carried().size(); ++o) {
@@ -169,7 +169,7 @@ void novaphy_scan::make_table() {
       table_.push_back(read_again(k, o) ? launches_[k][p.output_argument(o)] : 0);
     table_.push_back(k);
   }
-  for (size_t k = 0; k < LAUNCHES_AHEAD * launch_words(); ++k)
+  for (size_t k = 0; k < PREFETCH_LAUNCHES * launch_words(); ++k)
     table_.push_back(table_[table_.size() - launch_words()]);
   large_ = is_large();
 }

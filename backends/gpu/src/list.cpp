@@ -87,11 +87,11 @@ novaphy_status list_launch(novaphy_list* list, novaphy_stream* stream, novaphy_e
   SinkArgument sink = sink_of(stream->device, 0);
   void* pointers[] = {list->words.data(), &list->table, &list->n, &sink};
   const Driver& d = driver();
-  if (list->ahead != nullptr) {
+  if (list->early != nullptr) {
     void* arguments[] = {&list->table, &list->jobs, &list->blocks_of_job, &sink};
     const novaphy_status status =
-        launch_function(stream, list->ahead, int64_t{list->blocks_of_job} * list->job_count,
-                        novaphy_list::kAheadThreads, arguments, "list", error);
+        launch_function(stream, list->early, int64_t{list->blocks_of_job} * list->job_count,
+                        novaphy_list::kEarlyThreads, arguments, "list", error);
     if (status != NOVAPHY_OK) return status;
   }
   const auto blocks = static_cast<unsigned>(list->blocks);
@@ -108,7 +108,7 @@ void list_destroy(novaphy_list* list) {
     const Use use(list->device);
     if (list->module != nullptr) driver().module_unload(list->module);
     if (list->table != 0) driver().free(list->table);
-    if (list->ahead_memory != 0) driver().free(list->ahead_memory);
+    if (list->early_memory != 0) driver().free(list->early_memory);
   }
   delete list;
 }

@@ -19,11 +19,11 @@ struct novaphy_list {
   int64_t blocks = 1;
   unsigned threads = 0;
   unsigned shared_bytes = 0;  // of a block, beside those that the text names
-  // A kernel that runs before it, of so many blocks of kAheadThreads, and the memory for what it
+  // A kernel that runs before it, of so many blocks of kEarlyThreads, and the memory for what it
   // leaves.
-  static constexpr unsigned kAheadThreads = 128;
-  novaphy::gpu::Function ahead = nullptr;
-  novaphy::gpu::DevicePointer ahead_memory = 0, jobs = 0;
+  static constexpr unsigned kEarlyThreads = 128;
+  novaphy::gpu::Function early = nullptr;
+  novaphy::gpu::DevicePointer early_memory = 0, jobs = 0;
   uint32_t blocks_of_job = 0, job_count = 0;
   bool together = false;  // the blocks wait for one another
 };

@@ -31,7 +31,7 @@ class Writer {
       code += registers() + constants() + all_items();
       code += "  const int32_t repeats = (int32_t)a.word[" + str(word(plan_.repeats)) + "];\n";
       std::string body;
-      for (const ListPlan::Site& site : plan_.body) body += ahead(site, code);
+      for (const ListPlan::Site& site : plan_.body) body += prefetch(site, code);
       for (const ListPlan::Site& site : plan_.body) body += operation(site, true, "    ");
       code += starts_ + "  const uint64_t* entry = table;\n#pragma unroll 1\n";
       code += "  for (int32_t k = 0; k < repeats; ++k) {\n" + body + steps_ +
@@ -161,21 +161,21 @@ class Writer {
   // A source whose own row is another one in every iteration, and which no operation writes: the
   // row of the next iteration is loaded during this one, and where rows are so many that they lie
   // beyond the caches, the one after it is sent for. Adds to `before` the row of the first.
-  bool is_ahead(const ListPlan::Site& site, size_t s) const {
+  bool is_prefetched(const ListPlan::Site& site, size_t s) const {
     return ops_[site.op].kernel != nullptr &&
            site.sources[s].from == ListPlan::Source::From::Constant && !is_loaded_once(site, s) &&
            rows_read(ops_[site.op].kernel->program, s) == Rows::Own && is_trusted(site, s, true);
   }
-  static std::string ahead_name(uint32_t op, size_t source) {
+  static std::string prefetch_name(uint32_t op, size_t source) {
     return "x" + str(op) + "_" + str(source);
   }
-  std::string ahead(const ListPlan::Site& site, std::string& before) {
+  std::string prefetch(const ListPlan::Site& site, std::string& before) {
     std::string code;
     for (size_t s = 0; s < site.sources.size(); ++s) {
-      if (!is_ahead(site, s)) continue;
+      if (!is_prefetched(site, s)) continue;
       const std::string width =
           str(static_cast<uint64_t>(ops_[site.op].kernel->program.sources[s].width));
-      const std::string name = ahead_name(site.op - plan_.first, s);
+      const std::string name = prefetch_name(site.op - plan_.first, s);
       const auto w = static_cast<uint32_t>(2 * s);
       const auto load = [&](const std::string& at) {
         return "load_row<" + width + ">((const char*)(" + at + "), i, next_" + name + ");\n";
@@ -344,8 +344,8 @@ class Writer {
                 constant_name(site.op - plan_.first, s) + "}";
         continue;
       }
-      if (in_body && is_ahead(site, s)) {
-        code += "source_registers{" + ahead_name(site.op - plan_.first, s) + "}";
+      if (in_body && is_prefetched(site, s)) {
+        code += "source_registers{" + prefetch_name(site.op - plan_.first, s) + "}";
         continue;
       }
       if (source.from != ListPlan::Source::From::Registers && is_trusted(site, s, in_body)) {

@@ -27,8 +27,8 @@ constexpr int32_t kClusters = 90;  // the first architecture that has
 constexpr unsigned kSharedOfText = 48 << 10, kKeptBytes = 38 << 10;
 // What they may keep where blocks have a plan, which asks for more shared memory.
 constexpr unsigned kKeptWithPlan = 100 << 10;
-// Of memory, for what is computed ahead, and which part of what is free.
-constexpr uint64_t kAheadBytes = uint64_t{4} << 30, kAheadPart = 4;
+// Of memory, for what is computed early, and which part of what is free.
+constexpr uint64_t kEarlyBytes = uint64_t{4} << 30, kEarlyPart = 4;
 // What the builtin, where a block works on such a row, sums faster.
 constexpr uint64_t kLongRow = 1024, kWideRow = 16;
 
@@ -111,11 +111,11 @@ std::vector<int32_t> words_at(const novaphy_device* device, uint64_t where, size
   return read ? words : std::vector<int32_t>();
 }
 
-uint64_t ahead_bytes(const novaphy_device* device) {
+uint64_t early_bytes(const novaphy_device* device) {
   const Use use(device);
   size_t free = 0, total = 0;
   if (driver().memory_info(&free, &total) != kSuccess) return 0;
-  return std::min<uint64_t>(kAheadBytes, free / kAheadPart);
+  return std::min<uint64_t>(kEarlyBytes, free / kEarlyPart);
 }
 
 // Whether the compiler knows how blocks of a cluster send rows to one another.
@@ -172,12 +172,12 @@ novaphy_status create(novaphy_device* device, std::span<const novaphy_persistent
                              shape.blocks,
                              1,
                              &plan,
-                             ahead_bytes(device)};
+                             early_bytes(device)};
       table = persistent_table(ops, planned);
-      if (fits(table) && table.ahead_bytes != 0) {
+      if (fits(table) && table.early_bytes != 0) {
         const Use use(device);
-        if (driver().alloc(&made->ahead_memory, table.ahead_bytes) != kSuccess) {
-          planned.ahead_bytes = 0;
+        if (driver().alloc(&made->early_memory, table.early_bytes) != kSuccess) {
+          planned.early_bytes = 0;
           table = persistent_table(ops, planned);
         }
       }
@@ -209,16 +209,16 @@ novaphy_status create(novaphy_device* device, std::span<const novaphy_persistent
     made->threads = shape.threads;
     made->shared_bytes = static_cast<unsigned>(launch_bytes(table, shape));
     made->together = shape.form == Form::Grid;
-    for (const uint64_t word : table.ahead) table.words[word] += made->ahead_memory;
+    for (const uint64_t word : table.early) table.words[word] += made->early_memory;
     novaphy_status status = load_list(*made, persistent_source(table, shape), contract, table.words,
                                       table.relative, error);
     if (status == NOVAPHY_OK && table.job_count != 0) {
       const Use use(device);
-      status = check(device, driver().module_function(&made->ahead, made->module, "novaphy_ahead"),
+      status = check(device, driver().module_function(&made->early, made->module, "novaphy_early"),
                      "persistent kernel", error);
       made->jobs = made->table + table.jobs * sizeof(uint64_t);
       made->job_count = static_cast<uint32_t>(table.job_count);
-      made->blocks_of_job = rounded_up(static_cast<unsigned>(table.job_slots), made->kAheadThreads);
+      made->blocks_of_job = rounded_up(static_cast<unsigned>(table.job_slots), made->kEarlyThreads);
     }
     if (status == NOVAPHY_OK && made->together) status = fit_together(*made, error);
     if (status == NOVAPHY_OK && made->shared_bytes != 0) {

@@ -335,8 +335,8 @@ LANE_FN void own_words(uint64_t p, int64_t i, int32_t* words) {
 // Where a plan says who has which row, nobody looks for chains: instead the header of a record says
 // what will be loaded two records on, which all blocks bring near: an address, and bytes.
 constexpr uint32_t kHeader = 4;
-#if PERSISTENT_AHEAD != 0 && PERSISTENT_HALO != 0
-LANE_FN void fetch_ahead(const uint64_t* record) {
+#if PERSISTENT_EARLY != 0 && PERSISTENT_HALO != 0
+LANE_FN void fetch_early(const uint64_t* record) {
   const uint64_t part = (record[3] / gridDim.x + 15) / 16 * 16, first = part * blockIdx.x;
   if (first >= record[3]) return;
   const uint64_t rest = record[3] - first;
@@ -346,7 +346,7 @@ LANE_FN void fetch_ahead(const uint64_t* record) {
 // What an early half leaves in memory: the first four words for all threads that load it, block
 // after block, then the next four. So a warp loads whole lines, whichever rows it has.
 template <int width>
-LANE_FN void store_ahead(uint64_t p, uint64_t slots, uint32_t slot, const int32_t* words) {
+LANE_FN void store_early(uint64_t p, uint64_t slots, uint32_t slot, const int32_t* words) {
   four_words* at = in_memory((four_words*)p + slot);
 #pragma unroll
   for (int c = 0; c < width; c += 4, at += (uint32_t)slots)
@@ -357,7 +357,7 @@ LANE_FN uint32_t own_slot(uint64_t slots) {
   return blockIdx.x * (high_half(slots) & 0xffff) + threadIdx.x - (high_half(slots) >> 16);
 }
 template <int width>
-LANE_FN void load_ahead(uint64_t p, uint64_t slots, uint32_t slot, int32_t* words) {
+LANE_FN void load_early(uint64_t p, uint64_t slots, uint32_t slot, int32_t* words) {
   const four_words* at = in_memory((const four_words*)p + slot);
 #pragma unroll
   for (int c = 0; c < width; c += 4, at += (uint32_t)slots) {
@@ -522,13 +522,13 @@ constexpr uint32_t kWarps = PERSISTENT_THREADS / VENDOR_WARP;
 constexpr uint32_t kWorks = 1, kStores = 2, kHandsOver = 4, kTakesOver = 8, kKeeps = 16;
 constexpr uint32_t kSends = 32, kTurnShift = 6, kFills = 256, kLayoutShift = 16;
 constexpr uint32_t kOn = 1u << 30, kOwns = 1u << 31;
-// Early halves of all phases, as a launch of its own: job after job, kAheadThreads slots for a block.
+// Early halves of all phases, as a launch of its own: job after job, kEarlyThreads slots for a block.
 // A job is the early half of a chain in a phase:
 //   slots << 32 | form      the first word of its arguments      bytes before the layout of its phase
 //   its first thread of a block << 32 | threads of a block
-#if PERSISTENT_AHEAD != 0
-constexpr uint32_t kAheadThreads = 128, kJobWords = 4;
-LANE_FN void run_ahead(uint32_t form, const uint64_t* words, const int64_t i, const uint32_t slot,
+#if PERSISTENT_EARLY != 0
+constexpr uint32_t kEarlyThreads = 128, kJobWords = 4;
+LANE_FN void run_early(uint32_t form, const uint64_t* words, const int64_t i, const uint32_t slot,
                        const device_sink sink);
 LANE_FN void run_job(const uint64_t* table, const uint64_t* job, const uint32_t slot,
                      const device_sink sink) {
@@ -537,13 +537,13 @@ LANE_FN void run_job(const uint64_t* table, const uint64_t* job, const uint32_t 
   const uint32_t* const rows = (const uint32_t*)((const char*)table + job[2]);
   // Lanes that go along, too: lines that have gaps take longer to write.
   const uint32_t row = rows[slot / threads * PERSISTENT_THREADS + thread] & (kOn - 1);
-  run_ahead(low_half(job[0]), table + job[1], row, slot, sink);
+  run_early(low_half(job[0]), table + job[1], row, slot, sink);
 }
-VENDOR_ENTRY __launch_bounds__(kAheadThreads) novaphy_ahead(
+VENDOR_ENTRY __launch_bounds__(kEarlyThreads) novaphy_early(
     const uint64_t* table, const uint64_t* jobs, const uint32_t blocks_of_job,
     const device_sink sink) {
   run_job(table, jobs + kJobWords * (blockIdx.x / blocks_of_job),
-          blockIdx.x % blocks_of_job * kAheadThreads + threadIdx.x, sink);
+          blockIdx.x % blocks_of_job * kEarlyThreads + threadIdx.x, sink);
 }
 #endif
 __shared__ uint32_t g_rows[PERSISTENT_LAYOUTS * PERSISTENT_THREADS];
@@ -676,8 +676,8 @@ VENDOR_ENTRY PERSISTENT_CLUSTER __launch_bounds__(PERSISTENT_THREADS, 1) novaphy
 #if PERSISTENT_TASKS != 0
     tasks += gridDim.x * kWarps;
     const uint64_t next_task = is_last ? 0 : __ldg(tasks);
-#if PERSISTENT_AHEAD != 0 && PERSISTENT_HALO != 0
-    if (threadIdx.x == PERSISTENT_THREADS - 1) fetch_ahead(record);
+#if PERSISTENT_EARLY != 0 && PERSISTENT_HALO != 0
+    if (threadIdx.x == PERSISTENT_THREADS - 1) fetch_early(record);
 #endif
     run_task(record, task, memory, sink);
     const bool wrote = stores(task);

@@ -25,7 +25,7 @@ std::vector<nova::ir::Available> available(const Operation& op) {
   for (const Operation::Source& source : op.sources) {
     const bool early = source.early && op.each == 1;
     // What a thread keeps need not come from memory once more.
-    const bool both = source.fixed && op.ahead_word >= 0;
+    const bool both = source.fixed && op.early_word >= 0;
     sources.push_back(!early ? Available::Late : both ? Available::Both : Available::Early);
   }
   return sources;
@@ -140,11 +140,11 @@ class ChainText {
            code_ + "}\n";
   }
 
-  // The early halves that are computed ahead, as a function of their own; none: empty.
-  std::string run_ahead(size_t number) {
-    for (size_t k = 0; k < form_.operations.size(); ++k) ahead(static_cast<int32_t>(k));
+  // The early halves that are computed before, as a function of their own; none: empty.
+  std::string run_early(size_t number) {
+    for (size_t k = 0; k < form_.operations.size(); ++k) early_half(static_cast<int32_t>(k));
     if (code_.empty()) return code_;
-    return "LANE_FN void ahead" + str(static_cast<int64_t>(number)) +
+    return "LANE_FN void early" + str(static_cast<int64_t>(number)) +
            "(const uint64_t* words, const int64_t i, const uint32_t slot, device_sink sink) {\n" +
            code_ + "}\n";
   }
@@ -332,15 +332,15 @@ class ChainText {
     if (op.kind != Operation::Program || !rows_.of(op).is_cut()) return;
     const RowFunctions::Function& f = rows_.of(op);
     const nova::ir::Program& p = f.halves.early;
-    const std::string slots = op.ahead_word >= 0 ? ahead_slots(op, p) : std::string();
+    const std::string slots = op.early_word >= 0 ? early_slots(op, p) : std::string();
     for (size_t o = 0; o < p.outputs.size(); ++o) {
       const std::string words = crossing_count(p.outputs[o]);
       code_ += "  int32_t " + crossing(k, o) + "[" + words + "];\n";
-      if (op.ahead_word >= 0)
-        code_ += "  load_ahead<" + words + ">" + ahead_memory(op, p, o, "own_slot(" + slots + ")") +
+      if (op.early_word >= 0)
+        code_ += "  load_early<" + words + ">" + early_memory(op, p, o, "own_slot(" + slots + ")") +
                  crossing(k, o) + ");\n";
     }
-    if (op.ahead_word >= 0) return;
+    if (op.early_word >= 0) return;
     code_ += "  {\n    const uint64_t* const w = words + " + str(op.first_word - f.early_shift) +
              ";\n    failure.operation = " + str(first_row(k)) + ";\n    early_" + f.name + "(w";
     for (size_t s = 0; s < op.sources.size(); ++s)
@@ -350,17 +350,17 @@ class ChainText {
     code_ += ", i, failure);\n  }\n";
   }
 
-  static std::string ahead_slots(const Operation& op, const nova::ir::Program& early) {
-    return "words[" + str(op.ahead_word + static_cast<int64_t>(early.outputs.size())) + "]";
+  static std::string early_slots(const Operation& op, const nova::ir::Program& early) {
+    return "words[" + str(op.early_word + static_cast<int64_t>(early.outputs.size())) + "]";
   }
-  static std::string ahead_memory(const Operation& op, const nova::ir::Program& early, size_t o,
+  static std::string early_memory(const Operation& op, const nova::ir::Program& early, size_t o,
                                   const std::string& slot) {
-    return "(words[" + str(op.ahead_word + static_cast<int64_t>(o)) + "], " +
-           ahead_slots(op, early) + ", " + slot + ", ";
+    return "(words[" + str(op.early_word + static_cast<int64_t>(o)) + "], " +
+           early_slots(op, early) + ", " + slot + ", ";
   }
-  void ahead(int32_t k) {
+  void early_half(int32_t k) {
     const Operation& op = at(k);
-    if (op.ahead_word < 0) return;
+    if (op.early_word < 0) return;
     const RowFunctions::Function& f = rows_.of(op);
     const std::vector<nova::ir::Output>& outputs = f.halves.early.outputs;
     code_ += "  {\n  row_failure failure = begin_row(sink);\n";
@@ -377,8 +377,8 @@ class ChainText {
       code_ += ", output_registers{" + crossing(k, o) + "}";
     code_ += ", i, failure);\n";
     for (size_t o = 0; o < outputs.size(); ++o)
-      code_ += "  store_ahead<" + crossing_count(outputs[o]) + ">" +
-               ahead_memory(op, f.halves.early, o, "slot") + crossing(k, o) + ");\n";
+      code_ += "  store_early<" + crossing_count(outputs[o]) + ">" +
+               early_memory(op, f.halves.early, o, "slot") + crossing(k, o) + ");\n";
     code_ += "  if (failure.source >= 0) {\n    sink.kernel = (uint32_t)words[" +
              str(op.first_word - 1) + "];\n    end_row(failure, sink, i);\n  }\n  }\n";
   }
@@ -556,19 +556,19 @@ class ChainText {
   std::set<int32_t> has_items_;  // sums whose first items are loaded before any is added
 };
 
-// The kernel that computes early halves ahead.
-std::string ahead_source(const PersistentTable& table, RowFunctions& rows) {
+// The kernel that computes early halves.
+std::string early_source(const PersistentTable& table, RowFunctions& rows) {
   std::string functions, cases;
   for (size_t k = 0; k < table.forms.size(); ++k) {
-    const std::string one = ChainText(table, table.forms[k], rows).run_ahead(k);
+    const std::string one = ChainText(table, table.forms[k], rows).run_early(k);
     if (one.empty()) continue;
     functions += one;
     const std::string number = std::to_string(k);
-    cases += "    case " + number + ":\n      ahead" + number +
+    cases += "    case " + number + ":\n      early" + number +
              "(words, i, slot, sink);\n      break;\n";
   }
   return functions +
-         "LANE_FN void run_ahead(uint32_t form, const uint64_t* words, const int64_t i,\n"
+         "LANE_FN void run_early(uint32_t form, const uint64_t* words, const int64_t i,\n"
          "                       const uint32_t slot, const device_sink sink) {\n  switch (form) "
          "{\n" +
          cases + "  }\n}\n";
@@ -626,7 +626,7 @@ std::string persistent_source(const PersistentTable& table, const PersistentShap
     define("PERSISTENT_MAKERS", table.maker_warps);
     define("PERSISTENT_ROUNDS", table.halo_rounds);
   }
-  define("PERSISTENT_AHEAD", table.job_count != 0 ? 1 : 0);
+  define("PERSISTENT_EARLY", table.job_count != 0 ? 1 : 0);
   text += prelude_text();
   text += persistent_text();
   RowFunctions rows(table);
@@ -637,7 +637,7 @@ std::string persistent_source(const PersistentTable& table, const PersistentShap
     cases += "    case " + number + ":\n      chain" + number +
              "(words, i, on, owns, memory, sink);\n      break;\n";
   }
-  if (table.job_count != 0) chains += ahead_source(table, rows);
+  if (table.job_count != 0) chains += early_source(table, rows);
   return text + rows.text + chains +
          "LANE_FN void run_chain(uint32_t form, const uint64_t* words, const int64_t i,\n"
          "                       const bool on, const bool owns, const block_memory memory,\n"

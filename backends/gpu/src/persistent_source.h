@@ -65,7 +65,7 @@ struct ChainForm {
     int32_t first_word = 0;  // of its arguments in the chain's
     // Where the chain's words name the memory of what its early half leaves, which a launch of its
     // own computes for all phases at once; -1: it is computed in its phase.
-    int32_t ahead_word = -1;
+    int32_t early_word = -1;
     auto operator<=>(const Operation&) const = default;
   };
   std::vector<Operation> operations;
@@ -86,10 +86,10 @@ struct PersistentTable {
   uint32_t layouts = 0, corners = 0, item_rows = 0;  // see BlockPlan
   uint32_t halo_rows = 0, halo_rounds = 0, halo_turns = 0, maker_warps = 0;
   std::vector<uint64_t> relative;  // words that count bytes from the first one
-  // Early halves that are computed ahead: see run_job in persistent.cuh.
+  // Early halves that are computed before: see run_job in persistent.cuh.
   uint64_t jobs = 0, job_count = 0, job_slots = 0;  // where they lie, how many, the most threads
-  uint64_t ahead_bytes = 0;                         // what they leave
-  std::vector<uint64_t> ahead;                      // words that count bytes from its first one
+  uint64_t early_bytes = 0;                         // what they leave
+  std::vector<uint64_t> early;                      // words that count bytes from its first one
   bool fits = true;
   // Of a source: words of a row, and which argument word has its address.
   int32_t source_width(const ChainForm::Operation& op, size_t source) const;
@@ -116,7 +116,7 @@ struct PersistentRoom {
   // what they can before it is over.
   uint32_t groups = 1;
   const BlockPlan* plan = nullptr;
-  uint64_t ahead_bytes = 0;  // of memory, for what is computed ahead
+  uint64_t early_bytes = 0;  // of memory, for what is computed early
 };
 PersistentTable persistent_table(std::span<const novaphy_persistent_op> ops,
                                  const PersistentRoom& room = {});

@@ -84,10 +84,10 @@ uint64_t warps_of(std::span<const novaphy_persistent_op> phase, int64_t lanes) {
 class Writer {
  public:
   // Of each operation, the bytes of a row of what its early half leaves, per output, if that is
-  // computed ahead. Empty: none is.
-  using Ahead = std::vector<std::vector<uint64_t>>;
-  Writer(const PersistentRoom& room, Ahead ahead)
-      : kept_(room.kept_words), room_(room), ahead_(std::move(ahead)) {}
+  // computed early. Empty: none is.
+  using EarlyWords = std::vector<std::vector<uint64_t>>;
+  Writer(const PersistentRoom& room, EarlyWords early)
+      : kept_(room.kept_words), room_(room), early_halves_(std::move(early)) {}
 
   PersistentTable run(std::span<const novaphy_persistent_op> ops) {
     for (const novaphy_persistent_op& o : ops) {
@@ -137,12 +137,12 @@ class Writer {
         jobs_[job + 2] += out_.rows * sizeof(uint64_t);
       out_.words.insert(out_.words.end(), jobs_.begin(), jobs_.end());
     }
-    for (size_t k = 0; k + kFetchedBefore < ahead_of_.size(); ++k) {
-      const AheadOf& later = ahead_of_[k + kFetchedBefore];
+    for (size_t k = 0; k + kFetchedBefore < early_of_.size(); ++k) {
+      const EarlyOf& later = early_of_[k + kFetchedBefore];
       if (later.bytes == 0) continue;
-      out_.words[ahead_of_[k].header] = later.first;
-      out_.words[ahead_of_[k].header + 1] = later.bytes;
-      out_.ahead.push_back(ahead_of_[k].header);
+      out_.words[early_of_[k].header] = later.first;
+      out_.words[early_of_[k].header + 1] = later.bytes;
+      out_.early.push_back(early_of_[k].header);
     }
     place_kept();
     out_.kept_words = kept_.words();
@@ -174,7 +174,7 @@ class Writer {
 
   void add_record(std::span<const novaphy_persistent_op> ops) {
     std::vector<uint64_t> chains, body;
-    const uint64_t ahead = out_.ahead_bytes;
+    const uint64_t first_early = out_.early_bytes;
     uint64_t number = 0;  // of chains
     for (size_t k = 0; k < ops.size(); ++k) number += k == 0 || begins_chain(ops, k) ? 1 : 0;
     const int64_t lanes = lanes_of(ops);
@@ -214,7 +214,8 @@ class Writer {
     out_.words.push_back(warps << 32 | static_cast<uint64_t>(lanes) << 16 | number);
     if (planned != nullptr) {
       out_.words.insert(out_.words.end(), kHeader - 2, 0);
-      ahead_of_.push_back({out_.words.size() - (kHeader - 2), ahead, out_.ahead_bytes - ahead});
+      early_of_.push_back(
+          {out_.words.size() - (kHeader - 2), first_early, out_.early_bytes - first_early});
     } else {
       out_.words.insert(out_.words.end(), chains.begin(), chains.end());
     }
@@ -331,7 +332,7 @@ class Writer {
         body.push_back(o.op.source ? address(o.op.source) : o.op.pattern);
       } else {
         body.insert(body.end(), o.op.arguments, o.op.arguments + o.op.argument_count);
-        if (op.kind == Operation::Program) add_ahead(o, op, warps, start, at, body);
+        if (op.kind == Operation::Program) add_early(o, op, warps, start, at, body);
       }
     }
     find_tables(chain, form);
@@ -340,9 +341,9 @@ class Writer {
     const auto next = static_cast<uint32_t>(forms_.size());
     const uint32_t number = forms_.emplace(form, next).first->second;
     for (uint32_t k = 0; k < chain.size(); ++k) form_of_.push_back({number, k});
-    const bool is_ahead = std::any_of(form.operations.begin(), form.operations.end(),
-                                      [](const Operation& op) { return op.ahead_word >= 0; });
-    if (is_ahead) {
+    const bool is_early = std::any_of(form.operations.begin(), form.operations.end(),
+                                      [](const Operation& op) { return op.early_word >= 0; });
+    if (is_early) {
       const Slots slots = slots_of(warps);
       const uint64_t layout =
           uint64_t{room_.plan->phases[phase_].layout} * room_.warps * kWarp * sizeof(uint32_t);
@@ -367,17 +368,18 @@ class Writer {
     const uint64_t of_block = (warps.second - warps.first) * kWarp;
     return {of_block * room_.blocks, of_block, warps.first * kWarp};
   }
-  // Where the early half of an operation leaves what it computes ahead.
-  void add_ahead(const novaphy_persistent_op& o, Operation& op, Warps warps, size_t start,
+  // Where the early half of an operation leaves what it computes early.
+  void add_early(const novaphy_persistent_op& o, Operation& op, Warps warps, size_t start,
                  uint64_t at, std::vector<uint64_t>& body) {
-    const std::vector<uint64_t>* const row_bytes = ahead_.empty() ? nullptr : &ahead_[number_of(o)];
+    const std::vector<uint64_t>* const row_bytes =
+        early_halves_.empty() ? nullptr : &early_halves_[number_of(o)];
     if (row_bytes == nullptr || row_bytes->empty()) return;
-    op.ahead_word = static_cast<int32_t>(body.size() - start);
+    op.early_word = static_cast<int32_t>(body.size() - start);
     const Slots slots = slots_of(warps);
     for (const uint64_t bytes : *row_bytes) {
-      out_.ahead.push_back(at + body.size() - start);
-      body.push_back(out_.ahead_bytes);
-      out_.ahead_bytes += bytes * slots.all;
+      out_.early.push_back(at + body.size() - start);
+      body.push_back(out_.early_bytes);
+      out_.early_bytes += bytes * slots.all;
     }
     body.push_back(slots.first << 48 | slots.of_block << 32 | slots.all);
   }
@@ -729,12 +731,12 @@ class Writer {
   static constexpr char kEarly = 1, kUnwritten = 2;
   std::vector<std::vector<char>> early_;                // per form and source of its operations
   std::vector<std::pair<uint32_t, uint32_t>> form_of_;  // of an operation, and which it is there
-  const Ahead ahead_;
-  // What a record loads of what is computed ahead, and where its header says what to fetch.
-  struct AheadOf {
+  const EarlyWords early_halves_;
+  // What a record loads of what is computed early, and where its header says what to fetch.
+  struct EarlyOf {
     uint64_t header, first, bytes;
   };
-  std::vector<AheadOf> ahead_of_;
+  std::vector<EarlyOf> early_of_;
   std::vector<uint64_t> jobs_;
 };
 
@@ -764,7 +766,7 @@ namespace {
 // Of an operation whose early half is worth a launch of its own, the bytes of a row of what that
 // leaves: it reads only what nobody writes in the persistent kernel, and computes much more than it
 // leaves.
-std::vector<uint64_t> worth_ahead(const PersistentTable& table, Operation op) {
+std::vector<uint64_t> worth_early(const PersistentTable& table, Operation op) {
   constexpr size_t kInstructionsOfWord = 3;
   if (op.kind != Operation::Program) return {};
   for (const Operation::Source& source : op.sources)
@@ -773,7 +775,7 @@ std::vector<uint64_t> worth_ahead(const PersistentTable& table, Operation op) {
   uint64_t words = 0;
   for (const nova::ir::Output& output : early.outputs) words += crossing_words(output);
   if (early.instrs.size() <= kInstructionsOfWord * words) return {};
-  op.ahead_word = 0;
+  op.early_word = 0;
   std::vector<uint64_t> bytes;
   for (const nova::ir::Output& output : halves_of(table, op).early.outputs)
     bytes.push_back(crossing_words(output) * sizeof(int32_t));
@@ -786,21 +788,21 @@ PersistentTable persistent_table(std::span<const novaphy_persistent_op> ops,
                                  const PersistentRoom& room) {
   Writer plain(room, {});
   PersistentTable table = plain.run(ops);
-  if (room.ahead_bytes == 0) return table;
+  if (room.early_bytes == 0) return table;
   std::vector<std::vector<std::vector<uint64_t>>> of_forms;
   bool any = false;
   for (const ChainForm& form : table.forms) {
     of_forms.emplace_back();
     for (const Operation& op : form.operations) {
-      of_forms.back().push_back(worth_ahead(table, op));
+      of_forms.back().push_back(worth_early(table, op));
       any = any || !of_forms.back().back().empty();
     }
   }
   if (!any) return table;
-  Writer::Ahead ahead;
-  for (const auto& [form, number] : plain.form_of()) ahead.push_back(of_forms[form][number]);
-  PersistentTable with = Writer(room, ahead).run(ops);
-  return with.fits && with.ahead_bytes <= room.ahead_bytes ? with : table;
+  Writer::EarlyWords early;
+  for (const auto& [form, number] : plain.form_of()) early.push_back(of_forms[form][number]);
+  PersistentTable with = Writer(room, early).run(ops);
+  return with.fits && with.early_bytes <= room.early_bytes ? with : table;
 }
 
 uint32_t most_warps(std::span<const novaphy_persistent_op> ops) {

@@ -25,12 +25,12 @@ std::string one_line(const std::string& s) {
   return out;
 }
 
-// Elements: long formulas of rows that are gathered ahead. Regions part their lines, and most are
+// Elements: long formulas of rows that are prefetched. Regions part their lines, and most are
 // taken anyway.
 constexpr int32_t kMinElementRegion = 20;
 EmitPlan plan_for(const Program& p, bool device, bool scan) {
   EmitPlan plan = make_emit_plan(p, device);
-  const bool elements = !device && !scan && find_ahead_gathers(p, plan).table >= 0;
+  const bool elements = !device && !scan && find_prefetched_gathers(p, plan).table >= 0;
   return elements ? ordered(p, make_emit_plan(p, device, kMinElementRegion)) : std::move(plan);
 }
 
@@ -59,7 +59,7 @@ Emitter::Emitter(const Program& program, bool device, const Scan* scan, std::vec
     for (FollowedItem& item : find_followed_items(p_, plan_))
       if (adds_nothing(item.idle)) followed_.push_back(std::move(item));
   // The next group is read before this one is written.
-  if (!device_ && !scan_ && may_run_again()) ahead_ = find_ahead_gathers(p_, plan_);
+  if (!device_ && !scan_ && may_run_again()) prefetch_ = find_prefetched_gathers(p_, plan_);
 }
 
 std::string Emitter::run(const std::string& function) {
@@ -69,7 +69,7 @@ std::string Emitter::run(const std::string& function) {
     sums_of_rows();
   } else {
     before_the_rows();
-    ahead_begin();
+    prefetch_begin();
     groups_begin();
     steps();
     stores();
@@ -235,7 +235,7 @@ void Emitter::steps() {
   size_t begin = 0;                                  // of the loop that we are in
   for (size_t s = 0; s <= plan_.steps.size(); ++s) {
     while (!closing.empty() && closing.back().first <= static_cast<int32_t>(s)) {
-      ahead_end(closing.back().second);
+      prefetch_end(closing.back().second);
       closing.pop_back();
       close();
     }
@@ -269,11 +269,11 @@ void Emitter::steps() {
         if (plan_.used[at(step.value)] && !plan_.once[at(step.value)] && !done_[at(step.value)])
           quotients_together(step.value);
         if (plan_.used[at(step.value)] && !plan_.once[at(step.value)] && !done_[at(step.value)])
-          compute(step.value), ahead_line(step.value);
+          compute(step.value), prefetch_line(step.value);
         break;
     }
   }
-  ahead_end(-1);
+  prefetch_end(-1);
 }
 
 std::string Emitter::zero(Value v) const {
@@ -355,8 +355,8 @@ void Emitter::load(Value v, const Instr& in) {
   const std::string where = ", " + (probes_ ? "on" + str(loop_) : need(v)) + ", " +
                             str(group.source) + ", i, " +
                             (probes_ ? "&probe" + str(loop_) : "sink");
-  if (const int32_t first = ahead_column(group); first >= 0)
-    return ahead_load(v, group, first, where);
+  if (const int32_t first = prefetch_column(group); first >= 0)
+    return prefetch_load(v, group, first, where);
   if (scalar) {
     for (int32_t c = 0; c < width; ++c)
       if (const Value d = group.columns[at(c)]; d != kNone)

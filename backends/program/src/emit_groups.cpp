@@ -21,7 +21,7 @@ void Emitter::groups_begin() {
          (tail_ ? "i == done ? out" + k + " : room" + k + " - " + bytes + " * i" : "out" + k) +
          ";");
   }
-  ahead_group();
+  prefetch_group();
 }
 
 void Emitter::groups_end() {

@@ -28,7 +28,7 @@ bool Emitter::region_begin(int32_t number) {
     line("if (" + (rare ? "rarely(" + question + ")" : question) + ") {");
   }
   ++depth_;
-  ahead_region(number);
+  prefetch_region(number);
   if (to_loop_end && scan_) line("acted |= 1;");
   if (to_loop_end) write_kept(loop_, true);
   for (const FollowedItem& f : followed_)

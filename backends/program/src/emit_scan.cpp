@@ -102,13 +102,13 @@ void Emitter::launch_sources() {
     line("const char* const s" + str(source) + " = (const char*)launch[" + word(k) + "];");
     if (quiet_) continue;
     line((near_bytes(source) < 0 ? "" : "if (near == NULL) ") +
-         fetch_early(k, p_.sources[at(source)].width, "0"));
+         prefetch_rows(k, p_.sources[at(source)].width, "0"));
   }
 }
 
-std::string Emitter::fetch_early(size_t k, int32_t width, const char* write) const {
-  return "fetch_early(launch[" + word(launch_words()) + " * LAUNCHES_AHEAD + " + word(k) + "], " +
-         str(4 * width) + ", i, " + write + ");";
+std::string Emitter::prefetch_rows(size_t k, int32_t width, const char* write) const {
+  return "prefetch_rows(launch[" + word(launch_words()) + " * PREFETCH_LAUNCHES + " + word(k) +
+         "], " + str(4 * width) + ", i, " + write + ");";
 }
 
 void Emitter::put(size_t o) {
@@ -120,11 +120,11 @@ void Emitter::put(size_t o) {
   line("if (" + to + " != NULL) {");
   ++depth_;
   if (handed_over(output.type, width)) {
-    line("if (!streams) " + fetch_early(k, width, "1"));
+    line("if (!streams) " + prefetch_rows(k, width, "1"));
     line("put3f(" + own_column(to, 3, 0) + ", streams, " + text_.lanes(output.values[0]) + ", " +
          text_.lanes(output.values[1]) + ", " + text_.lanes(output.values[2]) + ");");
   } else {
-    line(fetch_early(k, width, "1"));
+    line(prefetch_rows(k, width, "1"));
     store(output, to);
   }
   close();

@@ -7,10 +7,10 @@
 #include <tuple>
 #include <vector>
 
-#include "emit_ahead.h"
 #include "emit_idle.h"
 #include "emit_kept.h"
 #include "emit_plan.h"
+#include "emit_prefetch.h"
 #include "emit_values.h"
 #include "novaphy/program/scan.h"
 
@@ -47,21 +47,21 @@ class Emitter {
   // write them.
   void groups_begin();
   void groups_end();
-  // What is gathered a group ahead: declared and gathered for the first group, taken over by the
+  // What is prefetched by a group: declared and gathered for the first group, taken over by the
   // group that begins, gathered for the next between the lines of this one.
-  void ahead_begin();
-  void ahead_group();
-  void ahead_line(Value v);
-  void ahead_end(int32_t scope);
-  void ahead_region(int32_t region);
+  void prefetch_begin();
+  void prefetch_group();
+  void prefetch_line(Value v);
+  void prefetch_end(int32_t scope);
+  void prefetch_region(int32_t region);
   // Where all columns of an output are 0 unless a group takes that region, whether it does being
   // known; -1: nowhere.
   int32_t zero_without(const Output& output) const;
-  std::vector<int32_t> ahead_regions() const;
+  std::vector<int32_t> prefetch_regions() const;
   // Where a group of loads is among it, or -1.
-  int32_t ahead_column(const LoadGroup& group) const;
-  std::string ahead_gather(const AheadGather& gather, int32_t column) const;
-  void ahead_load(Value v, const LoadGroup& group, int32_t first, const std::string& where);
+  int32_t prefetch_column(const LoadGroup& group) const;
+  std::string prefetch_gather(const PrefetchedGather& gather, int32_t column) const;
+  void prefetch_load(Value v, const LoadGroup& group, int32_t first, const std::string& where);
   std::string output_bytes(size_t o) const;
   // An output may be the memory of a source, and then holds what the first time wrote: no row of a
   // table may be taken from there, because it could be past the table's end.
@@ -75,7 +75,7 @@ class Emitter {
   void before_the_launches();
   void load_state(int32_t source);
   // Fetches array k of a later launch.
-  std::string fetch_early(size_t k, int32_t width, const char* write) const;
+  std::string prefetch_rows(size_t k, int32_t width, const char* write) const;
   // What a launch has in the room, and where a source that varies begins in a row there, or -1.
   std::string launch_room(int32_t row_bytes) const;
   int32_t near_bytes(int32_t source) const;
@@ -174,11 +174,11 @@ class Emitter {
   std::vector<KeptValues> kept_;
   std::vector<IdleItem> idle_;
   std::vector<FollowedItem> followed_;
-  AheadGathers ahead_;
-  std::vector<std::string> ahead_text_;  // its statements
-  size_t ahead_written_ = 0;             // of them, in this group
-  int32_t ahead_weight_ = 0;             // of its scope
-  std::set<int32_t> followers_;          // loops that leave out what does not act
+  PrefetchedGathers prefetch_;
+  std::vector<std::string> prefetch_text_;  // its statements
+  size_t prefetch_written_ = 0;             // of them, in this group
+  int32_t prefetch_weight_ = 0;             // of its scope
+  std::set<int32_t> followers_;             // loops that leave out what does not act
   // Devices: per source, whether the first items of CSR loops are in registers. The loops are then
   // written twice, for these items and for the others.
   const std::vector<char> items_;

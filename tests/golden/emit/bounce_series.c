@@ -56,7 +56,7 @@ LANE_FN int64_t k_bounce_scan_rows(const novaphy_native_launches* all, int64_t b
       }
       char* const o0 = (char*)launch[0];
       if (o0 != NULL) {
-        fetch_early(launch[2 * LAUNCHES_AHEAD + 0], 4, i, 1);
+        prefetch_rows(launch[2 * PREFETCH_LAUNCHES + 0], 4, i, 1);
         store_columnf(o0 + 4 * i, 1, sum0_0);
       }
       state0_0 = sum0_0;

@@ -20,23 +20,23 @@ static int64_t k_damper_b1c447978d989088(const uint64_t* args, int64_t begin, in
   int64_t i = begin, last = end;
   if (n0 < last) last = n0;
   if (n3 < last) last = n3;
-  // Rows through the table are gathered one group ahead: [here] is this one's, [next] the one's at k.
+  // Rows through the table are prefetched by one group: [here] is this one's, [next] the one's at k.
   int64_t fewest = n1;
   if (n2 < fewest) fewest = n2;
-  const int32_t limit = limit_ahead(fewest);
+  const int32_t limit = prefetch_limit(fewest);
   if (limit < 0) last = begin;
   vf gathered[2][12], *here = gathered[0], *next = gathered[1];
   vi next3, next1;
-  rows_ahead ahead1, ahead3;
+  rows_prefetched prefetch1, prefetch3;
   int odd = 0;
   int took0 = 0, fetch0 = 0, ready0 = 0;
   int64_t k = i;
   if (last - begin >= LANES) {
     load2i(s0 + 8 * k, &next3, &next1);
-    odd |= look_ahead(&ahead1, next1, limit);
-    odd |= look_ahead(&ahead3, next3, limit);
-    gather3f_ahead(s1, &ahead1, next + 0);
-    gather3f_ahead(s1, &ahead3, next + 3);
+    odd |= prefetch_look(&prefetch1, next1, limit);
+    odd |= prefetch_look(&prefetch3, next3, limit);
+    gather3f_prefetched(s1, &prefetch1, next + 0);
+    gather3f_prefetched(s1, &prefetch3, next + 3);
   }
   for (; i < last && last - begin >= LANES; i += LANES) {
     const int64_t done = i;
@@ -95,22 +95,22 @@ static int64_t k_damper_b1c447978d989088(const uint64_t* args, int64_t begin, in
     const vf v16 = here[4];
     const vf v25 = here[5];
     load2i(s0 + 8 * k, &next3, &next1);
-    odd |= look_ahead(&ahead1, next1, limit);
+    odd |= prefetch_look(&prefetch1, next1, limit);
     const vf v5 = v2 - v4;
     const vf v17 = v15 - v16;
     const vf v26 = v24 - v25;
     const vf v13 = vselectf(v8, splatf(0.0f), v12);
-    odd |= look_ahead(&ahead3, next3, limit);
+    odd |= prefetch_look(&prefetch3, next3, limit);
     const vf v22 = vselectf(v8, splatf(0.0f), v21);
     const vf v31 = vselectf(v8, splatf(0.0f), v30);
     const vf v14 = v5 + v13;
     const vf v23 = v17 + v22;
-    gather3f_ahead(s1, &ahead1, next + 0);
+    gather3f_prefetched(s1, &prefetch1, next + 0);
     const vf v32 = v26 + v31;
-    gather3f_ahead(s1, &ahead3, next + 3);
+    gather3f_prefetched(s1, &prefetch3, next + 3);
     if (fetch0) {
-      gather3f_ahead(s2, &ahead1, next + 6);
-      gather3f_ahead(s2, &ahead3, next + 9);
+      gather3f_prefetched(s2, &prefetch1, next + 6);
+      gather3f_prefetched(s2, &prefetch3, next + 9);
     }
     store3f(o0 + 12 * i, v14, v23, v32);
     if (i != done) copy_tail(out0, room0, 12, i, done);

@@ -17,21 +17,21 @@ static int64_t k_spring_f85e30c33e67a848(const uint64_t* args, int64_t begin, in
   int64_t i = begin, last = end;
   if (n0 < last) last = n0;
   if (n2 < last) last = n2;
-  // Rows through the table are gathered one group ahead: [here] is this one's, [next] the one's at k.
+  // Rows through the table are prefetched by one group: [here] is this one's, [next] the one's at k.
   int64_t fewest = n1;
-  const int32_t limit = limit_ahead(fewest);
+  const int32_t limit = prefetch_limit(fewest);
   if (limit < 0) last = begin;
   vf gathered[2][6], *here = gathered[0], *next = gathered[1];
   vi next4, next2;
-  rows_ahead ahead2, ahead4;
+  rows_prefetched prefetch2, prefetch4;
   int odd = 0;
   int64_t k = i;
   if (last - begin >= LANES) {
     load2i(s0 + 8 * k, &next4, &next2);
-    odd |= look_ahead(&ahead2, next2, limit);
-    odd |= look_ahead(&ahead4, next4, limit);
-    gather3f_ahead(s1, &ahead2, next + 0);
-    gather3f_ahead(s1, &ahead4, next + 3);
+    odd |= prefetch_look(&prefetch2, next2, limit);
+    odd |= prefetch_look(&prefetch4, next4, limit);
+    gather3f_prefetched(s1, &prefetch2, next + 0);
+    gather3f_prefetched(s1, &prefetch4, next + 3);
   }
   for (; i < last && last - begin >= LANES; i += LANES) {
     const int64_t done = i;
@@ -57,18 +57,18 @@ static int64_t k_spring_f85e30c33e67a848(const uint64_t* args, int64_t begin, in
     const vf v13 = here[5];
     load2i(s0 + 8 * k, &next4, &next2);
     const vf v6 = v3 - v5;
-    odd |= look_ahead(&ahead2, next2, limit);
+    odd |= prefetch_look(&prefetch2, next2, limit);
     const vf v7 = v1 * v6;
     const vf v10 = v8 - v9;
     const vf v16 = -v7;
-    odd |= look_ahead(&ahead4, next4, limit);
+    odd |= prefetch_look(&prefetch4, next4, limit);
     const vf v14 = v12 - v13;
     const vf v11 = v1 * v10;
     const vf v15 = v1 * v14;
     const vf v17 = -v11;
-    gather3f_ahead(s1, &ahead2, next + 0);
+    gather3f_prefetched(s1, &prefetch2, next + 0);
     const vf v18 = -v15;
-    gather3f_ahead(s1, &ahead4, next + 3);
+    gather3f_prefetched(s1, &prefetch4, next + 3);
     store_columns4f(o0 + 24 * i, 6, v7, v11, v15, v16);
     store_columns4f(o0 + 24 * i + 8, 6, v15, v16, v17, v18);
     if (i != done) copy_tail(out0, room0, 24, i, done);

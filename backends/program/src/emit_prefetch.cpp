@@ -1,4 +1,4 @@
-#include "emit_ahead.h"
+#include "emit_prefetch.h"
 
 #include <algorithm>
 #include <functional>
@@ -29,7 +29,7 @@ int32_t table_of(const Program& p, const EmitPlan& plan, Value v) {
 }
 
 // Where most of the arithmetic is: a printed region, or -1, and its weight.
-void find_scope(const Program& p, const EmitPlan& plan, AheadGathers& out) {
+void find_scope(const Program& p, const EmitPlan& plan, PrefetchedGathers& out) {
   std::map<int32_t, int32_t> weights;
   for (size_t v = 0; v < p.instrs.size(); ++v)
     if (const int32_t region = plan.printed_region(plan.region[v]);
@@ -50,15 +50,15 @@ int32_t only_region(const EmitPlan& plan, const LoadGroup& group, int32_t scope)
 }
 
 auto find_gather(auto& gathers, const LoadGroup& group) {
-  return std::find_if(gathers.begin(), gathers.end(), [&group](const AheadGather& g) {
+  return std::find_if(gathers.begin(), gathers.end(), [&group](const PrefetchedGather& g) {
     return g.source == group.source && g.row == group.row;
   });
 }
 
 }  // namespace
 
-AheadGathers find_ahead_gathers(const Program& p, const EmitPlan& plan) {
-  AheadGathers out;
+PrefetchedGathers find_prefetched_gathers(const Program& p, const EmitPlan& plan) {
+  PrefetchedGathers out;
   if (!p.loops.empty()) return out;
   find_scope(p, plan, out);
   for (const LoadGroup& group : plan.groups) {
@@ -75,33 +75,33 @@ AheadGathers find_ahead_gathers(const Program& p, const EmitPlan& plan) {
       known->region = -1;
   }
   const auto sure = std::count_if(out.gathers.begin(), out.gathers.end(),
-                                  [](const AheadGather& g) { return g.region < 0; });
-  return sure < kFewestGathers ? AheadGathers() : out;
+                                  [](const PrefetchedGather& g) { return g.region < 0; });
+  return sure < kFewestGathers ? PrefetchedGathers() : out;
 }
 
-int32_t Emitter::ahead_column(const LoadGroup& group) const {
-  const auto found = find_gather(ahead_.gathers, group);
-  if (found == ahead_.gathers.end()) return -1;
-  if (found->region >= 0 && found->region != only_region(plan_, group, ahead_.scope)) return -1;
-  return 3 * static_cast<int32_t>(found - ahead_.gathers.begin());
+int32_t Emitter::prefetch_column(const LoadGroup& group) const {
+  const auto found = find_gather(prefetch_.gathers, group);
+  if (found == prefetch_.gathers.end()) return -1;
+  if (found->region >= 0 && found->region != only_region(plan_, group, prefetch_.scope)) return -1;
+  return 3 * static_cast<int32_t>(found - prefetch_.gathers.begin());
 }
 
-std::vector<int32_t> Emitter::ahead_regions() const {
+std::vector<int32_t> Emitter::prefetch_regions() const {
   std::vector<int32_t> regions;
-  for (const AheadGather& g : ahead_.gathers)
+  for (const PrefetchedGather& g : prefetch_.gathers)
     if (g.region >= 0 && !has(regions, g.region)) regions.push_back(g.region);
   return regions;
 }
 
-std::string Emitter::ahead_gather(const AheadGather& g, int32_t column) const {
-  return "gather3f_ahead(s" + str(g.source) + ", &ahead" + str(g.row) + ", next + " + str(column) +
+std::string Emitter::prefetch_gather(const PrefetchedGather& g, int32_t column) const {
+  return "gather3f_prefetched(s" + str(g.source) + ", &prefetch" + str(g.row) + ", next + " + str(column) +
          ");";
 }
 
 // Row k is where the next group begins.
-void Emitter::ahead_begin() {
-  if (ahead_.table < 0) return;
-  const LoadGroup& table = plan_.groups[at(ahead_.table)];
+void Emitter::prefetch_begin() {
+  if (prefetch_.table < 0) return;
+  const LoadGroup& table = plan_.groups[at(prefetch_.table)];
   const int32_t width = p_.sources[at(table.source)].width;
   std::string targets, names;
   for (int32_t c = 0; c < width; ++c) {
@@ -111,52 +111,52 @@ void Emitter::ahead_begin() {
     names += (names.empty() ? "" : ", ") + name;
     if (d != kNone) done_[at(d)] = 1;
   }
-  ahead_text_.push_back("load" + str(width) + "i(s" + str(table.source) + " + " + str(4 * width) +
+  prefetch_text_.push_back("load" + str(width) + "i(s" + str(table.source) + " + " + str(4 * width) +
                         " * k" + targets + ");");
-  for (const Value row : ahead_.rows)
-    ahead_text_.push_back("odd |= look_ahead(&ahead" + str(row) + ", next" + str(row) +
+  for (const Value row : prefetch_.rows)
+    prefetch_text_.push_back("odd |= prefetch_look(&prefetch" + str(row) + ", next" + str(row) +
                           ", limit);");
-  std::string rows = "rows_ahead ", separator, sources;
-  for (const Value row : ahead_.rows) rows += separator + "ahead" + str(row), separator = ", ";
+  std::string rows = "rows_prefetched ", separator, sources;
+  for (const Value row : prefetch_.rows) rows += separator + "prefetch" + str(row), separator = ", ";
   std::vector<int32_t> gathered;
   int32_t column = 0;
-  for (const AheadGather& g : ahead_.gathers) {
-    if (g.region < 0) ahead_text_.push_back(ahead_gather(g, column));
+  for (const PrefetchedGather& g : prefetch_.gathers) {
+    if (g.region < 0) prefetch_text_.push_back(prefetch_gather(g, column));
     column += 3;
     if (!has(gathered, g.source)) gathered.push_back(g.source);
   }
-  const std::string count = str(static_cast<int64_t>(3 * ahead_.gathers.size()));
+  const std::string count = str(static_cast<int64_t>(3 * prefetch_.gathers.size()));
   line(
-      "// Rows through the table are gathered one group ahead: [here] is this one's, [next] the "
+      "// Rows through the table are prefetched by one group: [here] is this one's, [next] the "
       "one's at k.");
   line("int64_t fewest = n" + str(gathered[0]) + ";");
   for (const int32_t source : gathered)
     if (source != gathered[0])
       line("if (n" + str(source) + " < fewest) fewest = n" + str(source) + ";");
-  line("const int32_t limit = limit_ahead(fewest);");
+  line("const int32_t limit = prefetch_limit(fewest);");
   line("if (limit < 0) last = begin;");
   line("vf gathered[2][" + count + "], *here = gathered[0], *next = gathered[1];");
   line("vi " + names + ";");
   line(rows + ";");
   line("int odd = 0;");
-  for (const int32_t region : ahead_regions()) {
+  for (const int32_t region : prefetch_regions()) {
     const std::string r = str(region);
     line("int took" + r + " = 0, fetch" + r + " = 0, ready" + r + " = 0;");
   }
   line("int64_t k = i;");
   line("if (last - begin >= LANES) {");
   ++depth_;
-  for (const std::string& s : ahead_text_) line(s);
+  for (const std::string& s : prefetch_text_) line(s);
   close();
 }
 
-void Emitter::ahead_group() {
-  if (ahead_.table < 0) return;
+void Emitter::prefetch_group() {
+  if (prefetch_.table < 0) return;
   line("vf* const now = next;");
   line("next = here, here = now;");
-  for (const Value d : plan_.groups[at(ahead_.table)].columns)
+  for (const Value d : plan_.groups[at(prefetch_.table)].columns)
     if (d != kNone) line(declaration(d) + " = next" + str(d) + ";");
-  for (const int32_t region : ahead_regions()) {
+  for (const int32_t region : prefetch_regions()) {
     const std::string r = str(region);
     line("ready" + r + " = fetch" + r + ", fetch" + r + " = took" + r + ", took" + r + " = 0;");
   }
@@ -164,7 +164,7 @@ void Emitter::ahead_group() {
   ++depth_;
   line("odd = 0;");
   int32_t column = 0;
-  for (const AheadGather& g : ahead_.gathers) {
+  for (const PrefetchedGather& g : prefetch_.gathers) {
     const std::string s = str(g.source);
     line("if (" + (g.region < 0 ? "" : "ready" + str(g.region) + " && ") +
          "!gather3f_again(here + " + str(column) + ", s" + s + ", n" + s + ", limit, " +
@@ -175,11 +175,11 @@ void Emitter::ahead_group() {
   line("k = i + 2 * LANES <= last ? i + LANES : last - LANES;");
 }
 
-void Emitter::ahead_line(Value v) {
-  if (ahead_.table < 0 || plan_.printed_region(plan_.region[at(v)]) != ahead_.scope) return;
-  ahead_weight_ += weight(p_.instrs[at(v)].op);
-  const auto due = at(ahead_weight_) * ahead_text_.size() / at(ahead_.weight);
-  while (ahead_written_ < due) line(ahead_text_[ahead_written_++]);
+void Emitter::prefetch_line(Value v) {
+  if (prefetch_.table < 0 || plan_.printed_region(plan_.region[at(v)]) != prefetch_.scope) return;
+  prefetch_weight_ += weight(p_.instrs[at(v)].op);
+  const auto due = at(prefetch_weight_) * prefetch_text_.size() / at(prefetch_.weight);
+  while (prefetch_written_ < due) line(prefetch_text_[prefetch_written_++]);
 }
 
 // Gradients with respect to velocities, where nothing is damped.
@@ -187,7 +187,7 @@ int32_t Emitter::zero_without(const Output& output) const {
   const auto scope_of = [&](int32_t r) {
     return plan_.printed_region(plan_.regions[at(r)].parent);
   };
-  for (const int32_t taken : ahead_regions()) {
+  for (const int32_t taken : prefetch_regions()) {
     // Groups take regions of one scope by one condition together.
     const auto taken_too = [&](int32_t r) {
       const Region &a = plan_.regions[at(r)], &b = plan_.regions[at(taken)];
@@ -208,13 +208,13 @@ int32_t Emitter::zero_without(const Output& output) const {
   return -1;
 }
 
-void Emitter::ahead_region(int32_t region) {
-  if (has(ahead_regions(), region)) line("took" + str(region) + " = 1;");
+void Emitter::prefetch_region(int32_t region) {
+  if (has(prefetch_regions(), region)) line("took" + str(region) + " = 1;");
 }
 
-// Columns of a group that was gathered ahead, or would have been, had its region been foreseen.
-void Emitter::ahead_load(Value v, const LoadGroup& group, int32_t first, const std::string& where) {
-  const AheadGather& g = ahead_.gathers[at(first / 3)];
+// Columns of a group that was prefetched, or would have been, had its region been foreseen.
+void Emitter::prefetch_load(Value v, const LoadGroup& group, int32_t first, const std::string& where) {
+  const PrefetchedGather& g = prefetch_.gathers[at(first / 3)];
   const std::string targets = g.region < 0 ? "" : columns(v, group, 0, 0, 3);
   const auto take = [&] {
     for (int32_t c = 0; c < 3; ++c)
@@ -234,24 +234,24 @@ void Emitter::ahead_load(Value v, const LoadGroup& group, int32_t first, const s
 }
 
 // Where the scope ends. A region that no lane takes must not keep the next group waiting.
-void Emitter::ahead_end(int32_t scope) {
-  if (ahead_.table < 0 || scope != ahead_.scope) return;
-  while (ahead_written_ < ahead_text_.size()) line(ahead_text_[ahead_written_++]);
+void Emitter::prefetch_end(int32_t scope) {
+  if (prefetch_.table < 0 || scope != prefetch_.scope) return;
+  while (prefetch_written_ < prefetch_text_.size()) line(prefetch_text_[prefetch_written_++]);
   // In one place: a branch between the lines would part them for the compiler.
-  for (const int32_t region : ahead_regions()) {
+  for (const int32_t region : prefetch_regions()) {
     line("if (fetch" + str(region) + ") {");
     ++depth_;
-    for (size_t g = 0; g < ahead_.gathers.size(); ++g)
-      if (ahead_.gathers[g].region == region)
-        line(ahead_gather(ahead_.gathers[g], 3 * static_cast<int32_t>(g)));
+    for (size_t g = 0; g < prefetch_.gathers.size(); ++g)
+      if (prefetch_.gathers[g].region == region)
+        line(prefetch_gather(prefetch_.gathers[g], 3 * static_cast<int32_t>(g)));
     close();
   }
   if (scope < 0) return;
   --depth_;
   line("} else {");
   ++depth_;
-  for (const int32_t region : ahead_regions()) line("fetch" + str(region) + " = 0;");
-  for (const std::string& s : ahead_text_) line(s);
+  for (const int32_t region : prefetch_regions()) line("fetch" + str(region) + " = 0;");
+  for (const std::string& s : prefetch_text_) line(s);
 }
 
 }  // namespace nova::ir

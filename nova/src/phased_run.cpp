@@ -14,7 +14,7 @@ namespace {
 
 // An operation whose rows cannot be shared out may touch so many bytes.
 constexpr uint64_t kSmallBytes = 1 << 15;
-// Fewer operations between two meetings of the threads, rows times those of a row, are done sooner
+// Fewer operations between two barriers, rows times those of a row, are done sooner
 // by one thread: compiled code does so many in about three microseconds.
 constexpr int64_t kWorthSharing = 1 << 17;
 // Every thread has a part of each chain, the same part in every phase, so that it wrote most of

@@ -9,8 +9,8 @@
 #include <functional>
 #include <random>
 
+#include "cluster/blocks.h"
 #include "novaphy/nova/kernel.h"
-#include "persistent_blocks.h"
 #include "persistent_kernels.h"
 #include "persistent_on_host.h"
 

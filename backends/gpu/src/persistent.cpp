@@ -4,9 +4,9 @@
 #include <cstdlib>
 #include <utility>
 
+#include "cluster/blocks.h"
 #include "compiler.h"
 #include "list.h"
-#include "persistent_blocks.h"
 #include "persistent_memory.h"
 #include "persistent_source.h"
 #include "vendor.h"

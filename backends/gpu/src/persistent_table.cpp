@@ -5,7 +5,7 @@
 #include <tuple>
 #include <utility>
 
-#include "persistent_blocks.h"
+#include "cluster/blocks.h"
 #include "persistent_memory.h"
 #include "persistent_source.h"
 #include "row_use.h"

@@ -1,4 +1,4 @@
-#include "persistent_parts.h"
+#include "cluster/parts.h"
 
 #include <algorithm>
 #include <map>

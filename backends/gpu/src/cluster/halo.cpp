@@ -3,7 +3,7 @@
 #include <set>
 #include <tuple>
 
-#include "persistent_blocks.h"
+#include "cluster/blocks.h"
 #include "persistent_memory.h"
 
 namespace novaphy::gpu {

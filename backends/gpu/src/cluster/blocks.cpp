@@ -1,11 +1,11 @@
-#include "persistent_blocks.h"
+#include "cluster/blocks.h"
 
 #include <algorithm>
 #include <numeric>
 #include <utility>
 
 #include "persistent_memory.h"
-#include "persistent_parts.h"
+#include "cluster/parts.h"
 
 namespace novaphy::gpu {
 namespace {

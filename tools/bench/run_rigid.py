@@ -136,11 +136,12 @@ def main() -> None:
     facts = rows(["", ""], [list(fact) for fact in machine()])
     text = f"""# Performance of rigid bodies
 
-Written by `tools/bench/run_rigid.py`; do not edit. Everything on this page was measured within an hour
-on one machine, on one thread of each engine: CPU time of the process, which a machine that others
-use too does not stretch as it stretches wall time. The machine was shared (load average
-{os.getloadavg()[1]:.1f}): caches were shared too, so times are upper bounds. Medians over the
-steps, and of {TURNS} turns, in which the engines alternate, the fastest.
+Written by `tools/bench/run_rigid.py`; do not edit. Everything on this page was measured within
+an hour on one machine, on one thread of each engine: CPU time of the process, which a
+machine that others use too does not stretch as it stretches wall time. The machine was
+shared (load average {os.getloadavg()[1]:.1f}): caches were shared too, so
+times are upper bounds. Medians over the steps, and of {TURNS} turns, in which the engines
+alternate, the fastest.
 
 {facts}
 

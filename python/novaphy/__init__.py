@@ -85,7 +85,7 @@ from ._core import (
 from ._planned import getattr_of_class, missing_from_module
 
 if TYPE_CHECKING:
-    from . import assets, diff, io, nova, solvers, testing, viewer
+    from . import assets, diff, envs, io, nova, solvers, testing, viewer
     from .viewer import (
         ViewerFile,
         ViewerGL,
@@ -99,7 +99,7 @@ State = SimState
 __version__ = version()
 ModelBuilder.__getattr__ = getattr_of_class("ModelBuilder")  # type: ignore[attr-defined]
 
-_SUBPACKAGES = ("assets", "diff", "io", "nova", "solvers", "testing", "viewer")
+_SUBPACKAGES = ("assets", "diff", "envs", "io", "nova", "solvers", "testing", "viewer")
 _FROM_VIEWER = (
     "ViewerFile",
     "ViewerGL",
@@ -146,6 +146,7 @@ __all__ = [
     "create_viewer",
     "diff",
     "dtype",
+    "envs",
     "eval_bias",
     "eval_center_of_mass",
     "eval_energy",

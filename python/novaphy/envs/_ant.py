@@ -1,0 +1,345 @@
+"""AntWorlds: many Ants at once, stepped by SolverFeatherstone at the rate of a policy."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from .. import assets
+from .._core import CollisionPipeline, Model, ModelBuilder, SimState, eval_fk
+from ..solvers import SolverFeatherstone
+
+Array = NDArray[Any]  # float32
+
+# Parameter set -> file, torque per unit of action (N m), lowest height (m), and the hinge of each
+# action: hip_1, ankle_1, hip_2, ... are 0 to 7.
+ANTS: dict[str, tuple[str, float, float, tuple[int, ...]]] = {
+    "dva": ("ant_heavy.xml", 200.0, 0.27, (0, 1, 2, 3, 4, 5, 6, 7)),
+    "gym": ("ant.xml", 150.0, 0.2, (6, 7, 0, 1, 2, 3, 4, 5)),
+}
+START_HEIGHT = 0.75  # m
+START_JOINTS = (0.0, 1.0, 0.0, -1.0, 0.0, -1.0, 0.0, 1.0)  # rad
+LIMIT_KE, LIMIT_KD = 1e3, 10.0  # N m/rad, N m s/rad, of the limits of hinges
+HIGHEST = 1.0  # m: above it an episode ends
+OBSERVATIONS, ACTIONS = 111, 8
+ACTIONS_LIMIT = 1.0
+COORDS, DOFS = 15, 14
+FEET = (2, 4, 6, 8)  # bodies
+TIPS = np.array([(0.4, 0.4, 0.0), (-0.4, 0.4, 0.0), (-0.4, -0.4, 0.0), (0.4, -0.4, 0.0)])
+TIP_RADIUS = 0.08  # m
+# What may differ from world to world: default, and what it is.
+VARIED = {
+    "friction": 0.75,  # of feet on the ground, 1
+    "mass": 1.0,  # factor of all masses and inertias
+    "torso_mass": 1.0,  # factor of the torso's, on top
+    "gear": 1.0,  # factor of the torques; a number, or one per action
+    "slope": 0.0,  # rad, uphill along +x; the ground stays level and gravity turns
+    "slope_heading": 0.0,  # rad, where uphill is
+}
+
+
+class AntWorlds:
+    """A batch of Ants on the ground, which do not see each other.
+
+    Z up. A frame of the policy is 1/20 s: `substeps` steps with contacts. Actions are torques of
+    the hinges over the gear (200 N m of `dva`, 150 N m of `gym`), in the order of the motors of the
+    file. All arrays have one row per world, float32.
+
+    `q` {worlds, 15} is position (m), quaternion xyzw and the hinges hip_1, ankle_1, ... (rad);
+    `qd` {worlds, 14} the velocity of the torso's origin and its angular velocity, world axes, and
+    the hinges' rates.
+    """
+
+    def __init__(
+        self,
+        num_worlds: int = 1,
+        *,
+        ant: str = "dva",
+        seed: int = 0,
+        substeps: int = 50,
+        noise: float = 0.0,
+        **solver_options: Any,
+    ) -> None:
+        """Build the worlds and put all Ants at their start.
+
+        Args:
+            num_worlds: how many.
+            ant: "dva" (density 1000, 182 kg) or "gym" (density 5, armature 1).
+            seed: of the noise of starts.
+            substeps: of a frame; 50 are steps of 1 ms.
+            noise: of starts: positions uniform in +-noise, velocities normal with this deviation.
+            solver_options: of SolverFeatherstone.
+
+        Raises:
+            ValueError: an argument out of its range.
+            ImportError: a build without readers of robot files.
+        """
+        if ant not in ANTS:
+            raise ValueError(f"ant: expected one of {', '.join(ANTS)}, got {ant!r}")
+        for name, value, least in (("num_worlds", num_worlds, 1), ("substeps", substeps, 1)):
+            if value < least:
+                raise ValueError(f"{name}: expected a number >= {least}, got {value}")
+        if not 0.0 <= noise < 1.0:
+            raise ValueError(f"noise: expected 0 <= noise < 1, got {noise}")
+        file, self.gear, self.lowest, self.hinge_of_action = ANTS[ant]
+        self.ant, self.seed, self.noise = ant, seed, noise
+        self.num_worlds, self.substeps, self.dt = num_worlds, substeps, 0.05 / substeps
+        self.model = build_ants(file, num_worlds)
+        self.solver = SolverFeatherstone(self.model, **{"angular_damping": 0.0, **solver_options})
+        self.pipeline = CollisionPipeline(self.model)
+        self.contacts, self.control = self.pipeline.contacts(), self.model.control()
+        self.state, self._after = self.model.state(), self.model.state()
+        self._masses = self.model.body_mass.numpy().reshape(num_worlds, -1)
+        self._inertias = self.model.body_inertia.numpy().reshape(num_worlds, -1, 3, 3)
+        self._gravity = float(np.abs(self.model.gravity.numpy()).max())
+        self.varied = {
+            name: np.full(
+                (num_worlds, ACTIONS) if name == "gear" else num_worlds, value, np.float32
+            )
+            for name, value in VARIED.items()
+        }
+        self.frame = np.zeros(num_worlds, np.int64)  # since the start of each
+        self._resets = 0
+        self.reset()
+
+    @property
+    def total_mass(self) -> float:
+        """Of an Ant without changes, kg."""
+        return float(self._masses[0].sum())
+
+    @property
+    def q(self) -> Array:
+        """Joint coordinates {worlds, 15}; a copy."""
+        return self.state.joint_q.numpy().reshape(self.num_worlds, COORDS)
+
+    @property
+    def qd(self) -> Array:
+        """Joint rates {worlds, 14}; a copy."""
+        return self.state.joint_qd.numpy().reshape(self.num_worlds, DOFS)
+
+    def set_state(self, q: ArrayLike, qd: ArrayLike, frame: ArrayLike = 0) -> None:
+        """Put all Ants where q {worlds, 15} and qd {worlds, 14} say; forget impulses of contacts.
+
+        Raises:
+            ValueError: another shape, or numbers that are not finite.
+        """
+        for name, value, width in (("q", q, COORDS), ("qd", qd, DOFS)):
+            rows = np.asarray(value, np.float32)
+            if rows.shape != (self.num_worlds, width) or not np.isfinite(rows).all():
+                raise ValueError(
+                    f"{name}: expected {{{self.num_worlds}, {width}}} finite numbers, "
+                    f"got {rows.shape}"
+                )
+        self._write(np.asarray(q, np.float32), np.asarray(qd, np.float32))
+        self.solver.notify_model_changed(0)
+        self.frame[:] = frame
+
+    def _write(self, q: Array, qd: Array) -> None:
+        self.state.joint_q.assign(np.ascontiguousarray(q).ravel())
+        self.state.joint_qd.assign(np.ascontiguousarray(qd).ravel())
+        eval_fk(self.model, self.state.joint_q, self.state.joint_qd, self.state)
+
+    def reseed(self, seed: int) -> None:
+        """Draw the starts from now on with another seed."""
+        self.seed, self._resets = seed, 0
+
+    def start(self) -> tuple[Array, Array]:
+        """Coordinates {worlds, 15} and rates {worlds, 14} of the next start of every world."""
+        q = np.tile(
+            np.array([0, 0, START_HEIGHT, 0, 0, 0, 1, *START_JOINTS], np.float32),
+            (self.num_worlds, 1),
+        )
+        qd = np.zeros((self.num_worlds, DOFS), np.float32)
+        if self.noise > 0.0:
+            rng = np.random.Generator(np.random.Philox(key=[self.seed, self._resets]))
+            q[:, 3:] += rng.uniform(-self.noise, self.noise, (self.num_worlds, 12))
+            q[:, 3:7] /= np.linalg.norm(q[:, 3:7], axis=1, keepdims=True)
+            qd += self.noise * rng.standard_normal(qd.shape)
+        return q, qd
+
+    def reset(self, worlds: ArrayLike | None = None) -> Array:
+        """Put Ants at their start; the observations {worlds, 111} of all.
+
+        Args:
+            worlds: a mask {worlds}; None: all of them, with the solver's impulses of contacts.
+        """
+        mask = np.ones(self.num_worlds, bool) if worlds is None else np.asarray(worlds, bool)
+        if mask.shape != (self.num_worlds,):
+            raise ValueError(
+                f"worlds: expected {{{self.num_worlds}}} truth values, got {mask.shape}"
+            )
+        if worlds is None or mask.any():
+            first_q, first_qd = self.start()
+            q, qd = self.q, self.qd
+            q[mask], qd[mask] = first_q[mask], first_qd[mask]
+            self._resets += 1
+            self.frame[mask] = 0
+            poses, rates = self.state.body_q.numpy(), self.state.body_qd.numpy()
+            self._write(q, qd)
+            # The others keep the bits that their last step gave.
+            keep = np.repeat(~mask, self._masses.shape[1])[:, None]
+            for array, before in ((self.state.body_q, poses), (self.state.body_qd, rates)):
+                array.assign(np.where(keep, before, array.numpy()))
+            if worlds is None:
+                self.solver.notify_model_changed(0)
+        return self.observations()
+
+    def vary(self, **values: ArrayLike) -> None:
+        """Change numbers of the worlds: `friction`, `mass`, `torso_mass`, `gear`, `slope`, ...
+
+        Args:
+            values: a number, or one per world; of `gear` also {worlds, 8}.
+
+        Raises:
+            ValueError: an unknown name, another shape.
+        """
+        for name, value in values.items():
+            if name not in VARIED:
+                raise ValueError(f"vary: expected names of {', '.join(VARIED)}, got {name!r}")
+            rows = np.asarray(value, np.float32)
+            to = self.varied[name]
+            if name == "gear" and rows.ndim == 1 and rows.shape == (self.num_worlds,):
+                rows = rows[:, None]
+            try:
+                to[...] = rows
+            except ValueError:
+                raise ValueError(
+                    f"{name}: expected {to.shape} or a number, got {rows.shape}"
+                ) from None
+        if "friction" in values:
+            mu = self.model.shape_material_mu.numpy().reshape(self.num_worlds, -1)
+            mu[:] = self.varied["friction"][:, None]
+            self.model.shape_material_mu.assign(mu.ravel())
+        if "mass" in values or "torso_mass" in values:
+            factor = np.repeat(self.varied["mass"][:, None], self._masses.shape[1], axis=1)
+            factor[:, 0] *= self.varied["torso_mass"]
+            self.model.body_mass.assign((self._masses * factor).ravel())
+            inertia = self._inertias * factor[..., None, None]
+            self.model.body_inertia.assign(inertia.reshape(-1, 3, 3))
+        if "slope" in values or "slope_heading" in values:
+            slope, heading = self.varied["slope"], self.varied["slope_heading"]
+            down = [
+                -np.sin(slope) * np.cos(heading),
+                -np.sin(slope) * np.sin(heading),
+                -np.cos(slope),
+            ]
+            self.model.gravity.assign(np.float32(self._gravity * np.stack(down, axis=1)))
+        self.solver.notify_model_changed(0)
+
+    def joint_forces(self, actions: ArrayLike) -> Array:
+        """Forces of the dofs {worlds, 14} (N m) of actions {worlds, 8}, clipped to +-1."""
+        a = np.asarray(actions, np.float32)
+        if a.shape != (self.num_worlds, ACTIONS):
+            raise ValueError(f"actions: expected {{{self.num_worlds}, {ACTIONS}}}, got {a.shape}")
+        forces = np.zeros((self.num_worlds, DOFS), np.float32)
+        columns = 6 + np.array(self.hinge_of_action)
+        forces[:, columns] = self.gear * self.varied["gear"] * np.clip(a, -1.0, 1.0)
+        return forces
+
+    def step(
+        self,
+        actions: ArrayLike,
+        *,
+        push: ArrayLike | None = None,
+        each: Callable[[int, SimState], None] | None = None,
+    ) -> None:
+        """Step all worlds by a frame of 1/20 s.
+
+        Args:
+            actions: {worlds, 8}, held over the frame.
+            push: force on the torso over the frame, world axes, {worlds, 3} (N).
+            each: called behind every substep, with its number and the state.
+        """
+        forces = self.joint_forces(actions)
+        if push is not None:
+            forces[:, :3] = push
+        self.control.joint_f.assign(forces.ravel())
+        for k in range(self.substeps):
+            self.pipeline.collide(self.state, self.contacts)
+            self.solver.step(self.state, self._after, self.control, self.contacts, self.dt)
+            self.state, self._after = self._after, self.state
+            if each is not None:
+                each(k, self.state)
+        self.frame += 1
+
+    def observations(self) -> Array:
+        """What a policy of Gymnasium's Ant-v3 sees, {worlds, 111}.
+
+        Height; quaternion w x y z; hinges; velocity (world axes); angular velocity (body axes);
+        rates of the hinges; then 84 zeros, where MuJoCo has contact forces since 2.0.
+        """
+        return observations(self.q, self.qd)
+
+    def healthy(self) -> NDArray[np.bool_]:
+        """Whether an Ant is finite, above the lowest height and below 1 m, {worlds}."""
+        q, qd = self.q, self.qd
+        finite = np.isfinite(q).all(axis=1) & np.isfinite(qd).all(axis=1)
+        return finite & (q[:, 2] >= self.lowest) & (q[:, 2] <= HIGHEST)
+
+
+def build_ants(file: str, num_worlds: int, requires_grad: bool = False) -> Model:
+    """Ants of a file of `novaphy.assets`, each in a world of its own over its own ground."""
+    one = ModelBuilder()
+    one.add_mjcf(assets.path(file))
+    many = ModelBuilder()
+    many.replicate(one, num_worlds)
+    model = many.finalize(requires_grad=requires_grad)
+    for name, value in (("limit_ke", LIMIT_KE), ("limit_kd", LIMIT_KD)):
+        numbers = getattr(model, f"joint_{name}").numpy().reshape(num_worlds, DOFS)
+        numbers[:, 6:] = value
+        getattr(model, f"joint_{name}").assign(numbers.ravel())
+    return model
+
+
+def observations(q: Array, qd: Array) -> Array:
+    """Of joint coordinates {n, 15} and rates {n, 14}: {n, 111}."""
+    out = np.zeros((len(q), OBSERVATIONS), np.float32)
+    out[:, 0], out[:, 1], out[:, 2:5] = q[:, 2], q[:, 6], q[:, 3:6]
+    out[:, 5:13], out[:, 13:16] = q[:, 7:], qd[:, :3]
+    out[:, 16:19] = rotate_back(q[:, 3:7], qd[:, 3:6])
+    out[:, 19:27] = qd[:, 6:]
+    return out
+
+
+def rotate(quaternion: Array, v: Array) -> Array:
+    """R(quaternion xyzw) v, {n, 3}."""
+    u, w = quaternion[..., :3], quaternion[..., 3:]
+    return v + 2.0 * np.cross(u, np.cross(u, v) + w * v)
+
+
+def rotate_back(quaternion: Array, v: Array) -> Array:
+    """The transpose of R(quaternion xyzw), times v, {n, 3}."""
+    u, w = quaternion[..., :3], quaternion[..., 3:]
+    return v + 2.0 * np.cross(u, np.cross(u, v) - w * v)
+
+
+def feet(state: SimState, num_worlds: int) -> tuple[Array, Array, Array]:
+    """Of the four feet: where the centres of the tips are {worlds, 4, 3} (m), how high their lowest
+    points {worlds, 4} (m), and how fast these points of the feet move {worlds, 4, 3} (m/s)."""
+    poses = state.body_q.numpy().reshape(num_worlds, -1, 7)[:, FEET]
+    rates = state.body_qd.numpy().reshape(num_worlds, -1, 6)[:, FEET]
+    arm = rotate(poses[..., 3:], np.broadcast_to(TIPS.astype(np.float32), poses[..., :3].shape))
+    tip = poses[..., :3] + arm
+    # Of the centre of mass, half way to the tip, to the lowest point.
+    offset = 0.5 * arm - np.array([0.0, 0.0, TIP_RADIUS], np.float32)
+    speed = rates[..., :3] + np.cross(rates[..., 3:], offset)
+    return tip, tip[..., 2] - TIP_RADIUS, speed
+
+
+def asset_hash(ant: str) -> str:
+    """The first 16 digits of SHA-256 of the file of a parameter set."""
+    return hashlib.sha256(assets.path(ANTS[ant][0]).read_bytes()).hexdigest()[:16]
+
+
+def check_meta(path: str, meta: Mapping[str, Any], ant: str) -> None:
+    """Refuse a policy of another Ant.
+
+    Raises:
+        ValueError: meta names no Ant, or another.
+    """
+    if meta.get("ant") != ant:
+        raise ValueError(f"{path}: expected a policy of the Ant {ant!r}, got {meta.get('ant')!r}")

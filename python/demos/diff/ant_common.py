@@ -1,0 +1,166 @@
+"""What the demos of the Ant share: gait measures, actors, and how a policy is judged."""
+
+from __future__ import annotations
+
+import subprocess
+from pathlib import Path
+
+import numpy as np
+
+import novaphy
+from novaphy import nova
+from novaphy.envs import ACTIONS, OBSERVATIONS, AntWorlds, check_meta, feet, rotate
+
+DATA = Path(__file__).resolve().parents[1] / "data" / "ant" / "rl_policies"
+FPS = 20
+HIDDEN = 256
+LIFTED, TOUCHING = 0.010, 0.003  # m: above the first a foot is off the ground, below the second on
+SAMPLE = 5  # substeps between two looks at the feet
+
+
+class GaitMeter:
+    """Looks at the feet of a batch of Ants behind every fifth substep."""
+
+    def __init__(self, ants: AntWorlds) -> None:
+        """Begin."""
+        self.ants, n = ants, ants.num_worlds
+        self.dt = SAMPLE * ants.dt
+        self.lifted = np.zeros((n, 4), bool)
+        self.peak, self.slip = np.zeros((2, n, 4))
+        self.touchdowns = np.zeros((n, 4), int)
+        self.swings: list[tuple[int, int, float]] = []  # world, foot, highest
+        self.lowest = np.full(n, np.inf)
+        self.excess = np.zeros(n)
+        self.tilt = np.zeros(n)
+        self.time = 0.0
+        self.from_x = ants.q[:, 0].copy()
+        limits = (ants.model.joint_limit_lower, ants.model.joint_limit_upper)
+        self.lower, self.upper = (x.numpy().reshape(n, 14)[:, 6:] for x in limits)
+
+    def __call__(self, substep: int, state: novaphy.SimState) -> None:
+        """Look, if it is time."""
+        if substep % SAMPLE != SAMPLE - 1:
+            return
+        _, height, speed = feet(state, self.ants.num_worlds)
+        self.time += self.dt
+        self.lowest = np.minimum(self.lowest, height.min(axis=1))
+        self.slip += (
+            np.where(height < TOUCHING, np.linalg.norm(speed[..., :2], axis=-1), 0) * self.dt
+        )
+        self.peak = np.where(self.lifted, np.maximum(self.peak, height), height)
+        down = self.lifted & (height < TOUCHING)
+        self.touchdowns += down
+        self.swings += [(w, f, float(self.peak[w, f])) for w, f in np.argwhere(down)]
+        self.lifted = (self.lifted | (height > LIFTED)) & ~down
+
+    def end_frame(self) -> None:
+        """Look at the joints and the tilt, at the end of a frame."""
+        q = self.ants.q
+        out = np.maximum(self.lower - q[:, 7:], q[:, 7:] - self.upper).max(axis=1)
+        self.excess = np.maximum(self.excess, out)
+        self.tilt = np.maximum(self.tilt, tilt(q))
+
+    def result(self) -> dict[str, np.ndarray]:
+        """Per world: touchdowns of each foot per second {n, 4}, the least median clearance of a
+        foot (m), the largest slip of a foot over the distance, the lowest foot (m), how far a joint
+        left its range (rad), the largest tilt (degrees)."""
+        n = self.ants.num_worlds
+        clearance = np.zeros((n, 4))
+        for world in range(n):
+            for foot in range(4):
+                peaks = [p for w, f, p in self.swings if w == world and f == foot]
+                clearance[world, foot] = np.median(peaks) if peaks else 0.0
+        distance = np.maximum(np.abs(self.ants.q[:, 0] - self.from_x), 1e-6)
+        return {
+            "touchdown_rate": self.touchdowns / max(self.time, 1e-9),
+            "clearance": clearance.min(axis=1),
+            "slip": self.slip.max(axis=1) / distance,
+            "lowest": self.lowest,
+            "excess": self.excess,
+            "tilt": np.degrees(self.tilt),
+        }
+
+
+def tilt(q: np.ndarray) -> np.ndarray:
+    """Angle of the torso's axis from the vertical {n}, rad."""
+    up = rotate(q[:, 3:7], np.broadcast_to(np.float32([0.0, 0.0, 1.0]), (len(q), 3)))
+    return np.arctan2(np.linalg.norm(up[:, :2], axis=1), up[:, 2])
+
+
+def actor_shapes() -> dict[str, tuple[int, ...]]:
+    """Names and shapes of the actor 111-256-256-8, as Stable-Baselines3 calls them."""
+    return {
+        "latent_pi.0.weight": (HIDDEN, OBSERVATIONS),
+        "latent_pi.0.bias": (HIDDEN,),
+        "latent_pi.2.weight": (HIDDEN, HIDDEN),
+        "latent_pi.2.bias": (HIDDEN,),
+        "mu.weight": (ACTIONS, HIDDEN),
+        "mu.bias": (ACTIONS,),
+    }
+
+
+def load_actor(path: str | Path, ant: str) -> tuple[dict[str, nova.Tensor], dict]:
+    """The actor of a file, with its meta.
+
+    Raises:
+        ValueError: missing or other parameters, another shape, NaN, pickled objects, another Ant.
+    """
+    like = {name: nova.zeros(shape) for name, shape in actor_shapes().items()}
+    actor, meta = nova.load_parameters(path, like)
+    check_meta(str(path), meta, ant)
+    return actor, meta
+
+
+def hidden(actor: dict[str, nova.Tensor], x: nova.Tensor) -> nova.Tensor:
+    """The second hidden layer {n, 256}; the mean before the tanh is linear in it."""
+    h = nova.relu(nova.linear(x, actor["latent_pi.0.weight"], actor["latent_pi.0.bias"]))
+    return nova.relu(nova.linear(h, actor["latent_pi.2.weight"], actor["latent_pi.2.bias"]))
+
+
+def mean_action(actor: dict[str, nova.Tensor], x: nova.Tensor) -> nova.Tensor:
+    """The mean before the tanh {n, 8} of observations {n, 111}."""
+    return nova.linear(hidden(actor, x), actor["mu.weight"], actor["mu.bias"])
+
+
+def act(actor: dict[str, nova.Tensor], observations: np.ndarray) -> np.ndarray:
+    """The deterministic actions tanh(mean) {n, 8}."""
+    return nova.tanh(mean_action(actor, nova.tensor(observations))).numpy()
+
+
+def judge(
+    actor: dict[str, nova.Tensor], ants: AntWorlds, frames: int, measure: bool = True
+) -> dict[str, np.ndarray]:
+    """Play an actor in all worlds: what GaitMeter measures, `survived`, `velocity` (m/s, while an
+    Ant lived), `distance` (m), `drift` (m)."""
+    ants.reset()
+    meter = GaitMeter(ants) if measure else None
+    alive = np.ones(ants.num_worlds, bool)
+    lived = np.zeros(ants.num_worlds)
+    end = ants.q.copy()
+    for _ in range(frames):
+        ants.step(act(actor, ants.observations()), each=meter)
+        if meter is not None:
+            meter.end_frame()
+        alive &= ants.healthy()
+        lived += alive
+        end[alive] = ants.q[alive]
+    result = meter.result() if meter is not None else {}
+    result["survived"] = alive
+    result["distance"], result["drift"] = end[:, 0], np.abs(end[:, 1])
+    result["velocity"] = end[:, 0] / np.maximum(lived / FPS, 1.0 / FPS)
+    return result
+
+
+def provenance() -> str:
+    """The commit that the sources are at, "unknown" outside of a repository."""
+    try:
+        done = subprocess.run(
+            ["git", "rev-parse", "--short=12", "HEAD"],
+            cwd=Path(__file__).parent,
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+        return done.stdout.strip()
+    except (OSError, subprocess.CalledProcessError):
+        return "unknown"

@@ -1,0 +1,248 @@
+"""Derivatives of frames of a batch of Ants: frozen dynamics, or the exact adjoint.
+
+A frame is stepped forward once and kept; `pull` then carries adjoints of its end back to its start
+and to its forces. States are differentiated as tangents {worlds, 14} of the dofs: of the torso its
+centre and the turn about it, world axes, then the hinges.
+
+Frozen: per substep the velocity's change goes through the mass matrix, damping and the springs of
+limits, projected into the null space of the contacts that push (their normals, with `tangents`
+also the friction of those that stick). Not differentiated are: contact creation and loss, mass
+matrix, bias and the contacts' Jacobians, by the state. Exact: DiffFeatherstoneSolver, whose
+gradient_info says how exact.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+import novaphy
+from novaphy import diff, nova
+from novaphy.envs import FEET, AntWorlds, rotate
+
+DOFS = 14
+STICKING = 0.98  # of the friction cone: below it a contact sticks
+SOFTEST = 1e-6  # part of the diagonal that is added to rows that are not independent
+
+
+def to_tangent(q: np.ndarray, gradient: np.ndarray) -> np.ndarray:
+    """Gradients of coordinates {n, 15} as those of tangents {n, 14}."""
+    v, w = q[:, 3:6], q[:, 6:7]
+    gv, gw = gradient[:, 3:6], gradient[:, 6:7]
+    turn = 0.5 * (w * gv + np.cross(v, gv) - gw * v)
+    return np.concatenate([gradient[:, :3], turn, gradient[:, 7:]], axis=1)
+
+
+def to_coordinates(q: np.ndarray, tangent: np.ndarray) -> np.ndarray:
+    """Gradients of tangents {n, 14} as those of coordinates {n, 15}, tangent to the unit sphere."""
+    e, v, w = tangent[:, 3:6], q[:, 3:6], q[:, 6:7]
+    part = 2.0 * (w * e + np.cross(e, v))
+    last = -2.0 * (e * v).sum(axis=1, keepdims=True)
+    return np.concatenate([tangent[:, :3], part, last, tangent[:, 6:]], axis=1)
+
+
+class FrozenFrames:
+    """Frames with frozen dynamics, of the regular solver."""
+
+    def __init__(self, ants: AntWorlds, tangents: bool) -> None:
+        """For a batch of worlds."""
+        self.ants, self.tangents = ants, tangents
+        model = ants.model
+        n = self.worlds = ants.num_worlds
+        self.damping = model.joint_damping.numpy().reshape(n, DOFS)
+        self.lower = model.joint_limit_lower.numpy().reshape(n, DOFS)
+        self.upper = model.joint_limit_upper.numpy().reshape(n, DOFS)
+        self.ke = model.joint_limit_ke.numpy().reshape(n, DOFS)
+        self.kd = model.joint_limit_kd.numpy().reshape(n, DOFS)
+        body = model.shape_body.numpy()
+        per_world = model.body_count // n
+        self.world_of_shape = np.where(body < 0, -1, body // per_world)
+        self.link_of_shape = np.where(body < 0, -1, body % per_world)
+        self.mu = model.shape_material_mu.numpy()
+        self.com = model.body_com.numpy().reshape(n, per_world, 3)
+        self.eye = np.eye(DOFS)
+        # Feet {worlds, 4} whose contacts are not held, because a gait wants them to lift.
+        self.released = np.zeros((n, len(FEET)), bool)
+
+    def label(self) -> str:
+        """What the derivative is."""
+        held = "sticking feet held" if self.tangents else "normals of contacts held"
+        released = ", those that should swing released" if self.released.any() else ""
+        return f"frozen, {held}{released}"
+
+    def run(self, actions: np.ndarray) -> list[tuple[np.ndarray, ...]]:
+        """Step a frame; per substep what `pull` needs."""
+        a, kept = self.ants, []
+        forces = a.joint_forces(actions)
+        a.control.joint_f.assign(forces.ravel())
+        for _ in range(a.substeps):
+            a.pipeline.collide(a.state, a.contacts)
+            q = a.q
+            mass = novaphy.eval_mass_matrix(a.model, a.state).astype(np.float64)
+            jacobian = novaphy.eval_jacobian(a.model, a.state).astype(np.float64)
+            poses = a.state.body_q.numpy()
+            a.solver.step(a.state, a._after, a.control, a.contacts, a.dt)
+            a.state, a._after = a._after, a.state
+            kept.append(self.substep(q, mass, jacobian, poses))
+        a.frame += 1
+        return kept
+
+    def substep(self, q, mass, jacobian, poses) -> tuple[np.ndarray, ...]:
+        """Inverse of the step's matrix, stiffness, damping, and the transposed projection."""
+        dt = self.ants.dt
+        x = np.concatenate([np.zeros((self.worlds, 6), np.float32), q[:, 7:]], axis=1)
+        outside = (x < self.lower) | (x > self.upper)
+        outside[:, :6] = False
+        k = np.where(outside, self.ke, 0.0).astype(np.float64)
+        d = (self.damping + np.where(outside, self.kd, 0.0)).astype(np.float64)
+        inverse = np.linalg.inv(mass + (dt * d + dt * dt * k)[..., None] * self.eye)
+        rows = self.rows(jacobian, poses)
+        y = rows @ inverse
+        a = y @ rows.transpose(0, 2, 1)
+        diagonal = np.einsum("nii->ni", a)
+        diagonal += np.where(diagonal > 0.0, SOFTEST * diagonal.max(axis=1, keepdims=True), 1.0)
+        back = self.eye - rows.transpose(0, 2, 1) @ np.linalg.solve(a, y)
+        return inverse, k, d, back
+
+    def rows(self, jacobian: np.ndarray, poses: np.ndarray) -> np.ndarray:
+        """Rows of the contacts that push {worlds, most, 14}, padded with 0."""
+        c = self.ants.contacts
+        count = int(c.rigid_contact_count.numpy()[0])
+        shapes = np.stack(
+            [c.rigid_contact_shape0.numpy()[:count], c.rigid_contact_shape1.numpy()[:count]]
+        )
+        force, normal = (
+            x.numpy()[:count].astype(np.float64)
+            for x in (c.rigid_contact_force, c.rigid_contact_normal)
+        )
+        push = np.abs((force * normal).sum(axis=1))
+        ant = np.where(self.link_of_shape[shapes[1]] >= 0, shapes[1], shapes[0])
+        free = np.zeros((self.worlds, len(poses) // self.worlds), bool)
+        free[:, FEET] = self.released
+        held = ~free[self.world_of_shape[ant], self.link_of_shape[ant]]
+        i = np.flatnonzero((push > 0.0) & held)
+        if not len(i):
+            return np.zeros((self.worlds, 1, DOFS))
+        shapes, force, normal, push = shapes[:, i], force[i], normal[i], push[i]
+        side = self.link_of_shape[shapes[1]] >= 0  # the Ant's side; the other: ground
+        shape = np.where(side, shapes[1], shapes[0])
+        world, link = self.world_of_shape[shape], self.link_of_shape[shape]
+        point = np.where(
+            side[:, None], c.rigid_contact_point1.numpy()[i], c.rigid_contact_point0.numpy()[i]
+        )
+        margin = np.where(
+            side, c.rigid_contact_margin1.numpy()[i], c.rigid_contact_margin0.numpy()[i]
+        )
+        pose = poses[world * (len(poses) // self.worlds) + link].astype(np.float64)
+        # From the centre of mass to the surface.
+        arm = rotate(pose[:, 3:], point - self.com[world, link])
+        arm[:, 2] -= margin
+        slip = np.linalg.norm(force - (force * normal).sum(axis=1, keepdims=True) * normal, axis=1)
+        limit = 0.5 * (self.mu[shapes[0]] + self.mu[shapes[1]]) * push
+        sticks = self.tangents & (slip < STICKING * limit)
+        one = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal), axis=1)])
+        one /= np.linalg.norm(one, axis=1, keepdims=True)
+        axes = np.stack([normal, one, np.cross(normal, one)], axis=1)  # {n, 3 rows, 3}
+        axes[~sticks, 1:] = 0.0
+        links = jacobian.reshape(self.worlds, -1, 6, DOFS)[world, link]
+        j = axes @ links[:, :3] + np.cross(arm[:, None], axes) @ links[:, 3:]
+        slot = np.zeros(len(i), int)  # of a contact in its world
+        order = np.argsort(world, kind="stable")
+        first = np.searchsorted(world[order], world[order])
+        slot[order] = np.arange(len(i)) - first
+        rows = np.zeros((self.worlds, slot.max() + 1, 3, DOFS))
+        rows[world, slot] = j
+        return rows.reshape(self.worlds, -1, DOFS)
+
+    def pull(self, kept, g: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Adjoints {worlds, m, 28} of tangents and rates at the end: to those at the start, and to
+        joint_f {worlds, m, 14}."""
+        dt = self.ants.dt
+        g_q, g_v = g[..., :DOFS].astype(np.float64), g[..., DOFS:].astype(np.float64)
+        g_f = np.zeros_like(g_v)
+        for inverse, k, d, back in reversed(kept):
+            g_star = (g_v + dt * g_q) @ back.transpose(0, 2, 1)
+            force = dt * (g_star @ inverse)
+            g_f += force
+            g_q = g_q - k[:, None] * force
+            g_v = g_star - (d + dt * k)[:, None] * force
+        return np.concatenate([g_q, g_v], axis=-1), g_f
+
+
+class ExactFrames:
+    """Frames of DiffFeatherstoneSolver, with the adjoint of every step."""
+
+    def __init__(self, ants: AntWorlds) -> None:
+        """For a batch of worlds, whose solver and states are taken."""
+        self.ants, self.worlds = ants, ants.num_worlds
+        self.solver = novaphy.solvers.DiffFeatherstoneSolver(ants.model, angular_damping=0.0)
+
+    def label(self) -> str:
+        """What the derivative is."""
+        info = self.solver.gradient_info()
+        return (
+            f"{info['label']} ({info['exact_steps']} of {info['contact_steps']} steps "
+            "with contacts away from a change of branch)"
+        )
+
+    def run(self, actions: np.ndarray):
+        """Step a frame; what `pull` needs."""
+        kept = [self.ants.q, self.ants.qd, np.array(actions), None, None]
+        kept[3:] = self.record(kept)
+        kept.append(self.ants.q)
+        self.ants.frame += 1
+        return kept
+
+    def record(self, kept):
+        """A frame on a tape; where it ends goes into the state of the worlds."""
+        a = self.ants
+        trajectory, control = diff.Trajectory(a.model, a.substeps), a.model.control()
+        control.joint_f.assign(a.joint_forces(kept[2]).ravel())
+        control.joint_f.requires_grad = True
+        first, last = trajectory[0], trajectory[a.substeps]
+        first.joint_q.assign(kept[0].ravel())
+        first.joint_qd.assign(kept[1].ravel())
+        novaphy.eval_fk(a.model, first.joint_q, first.joint_qd, first)
+        first.joint_q.requires_grad = first.joint_qd.requires_grad = True
+        tape = nova.Tape()
+        with tape:
+            self.solver.rollout(trajectory, control, None, a.dt, pipeline=a.pipeline)
+            end = nova.concat([diff.state_joint_q_tensor(last), diff.state_joint_qd_tensor(last)])
+        for name in ("joint_q", "joint_qd", "body_q", "body_qd"):
+            getattr(a.state, name).assign(getattr(last, name))
+        return (tape, end), (first.joint_q, first.joint_qd, control.joint_f)
+
+    def pull(self, kept, g: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """As FrozenFrames.pull. A tape with contacts goes back once, so every adjoint but the first
+        records the frame again, with the same bits."""
+        start, _, _, recorded, arrays, end = kept
+        states, forces = [], []
+        for m in range(g.shape[1]):
+            if m > 0:
+                recorded, arrays = self.record(kept)
+            seed = (to_coordinates(end, g[:, m, :DOFS]), g[:, m, DOFS:])
+            recorded[0].backward(
+                recorded[1], nova.tensor(np.concatenate([np.float32(s).ravel() for s in seed]))
+            )
+            g_q, g_qd, g_f = (
+                x.grad.numpy().reshape(self.worlds, -1).astype(np.float64) for x in arrays
+            )
+            states.append(np.concatenate([to_tangent(start, g_q), g_qd], axis=1))
+            forces.append(g_f)
+        return np.stack(states, axis=1), np.stack(forces, axis=1)
+
+
+def frame_jacobians(frames, q: np.ndarray, qd: np.ndarray, actions: np.ndarray):
+    """Step a frame from states {worlds, ...}: how tangents and rates at its end change with those
+    at its start {worlds, 28, 28}, and with the actions {worlds, 28, 8}."""
+    ants = frames.ants
+    ants.set_state(q, qd)
+    kept = frames.run(actions)
+    eye = np.broadcast_to(np.eye(2 * DOFS), (ants.num_worlds, 2 * DOFS, 2 * DOFS))
+    by_state, by_force = frames.pull(kept, eye)
+    gear = ants.gear * ants.varied["gear"][:, None]
+    return by_state, by_force[..., 6 + np.array(ants.hinge_of_action)] * gear
+
+
+def make_frames(ants: AntWorlds, kind: str, tangents: bool = True) -> FrozenFrames | ExactFrames:
+    """Frames of the kind "frozen" or "exact"."""
+    return ExactFrames(ants) if kind == "exact" else FrozenFrames(ants, tangents)

@@ -1,0 +1,396 @@
+"""Play a trained Ant, and fine-tune the eight biases of its last layer by an analytic gradient.
+
+The actor (111-256-256-8) sees the Ant 20 times a second and gives torques for 50 steps of 1 ms.
+With --train the biases before the last tanh move against the gradient of
+
+    -(x_H - x_0) / (0.05 H) + mean y^2 + mean tilt^2 + 1e-3 mean |change of the actions|^2
+
+over H frames, from eight states of a walking Ant in one batch. The gradient is a direct force
+sensitivity: the biases' torques go through the mass matrix of every step of 1 ms, projected into
+the null space of the contacts' normals. A candidate is kept only when the ordinary solver measures
+a lower loss.
+
+    python demo_diffsim_ant_walk.py
+    python demo_diffsim_ant_walk.py --headless 200
+    python demo_diffsim_ant_walk.py --train 10 --train-horizon 8 --save-policy tuned.npz
+    python demo_diffsim_ant_walk.py --policy tuned.npz --headless 200
+    python demo_diffsim_ant_walk.py --check-gradient
+    python demo_diffsim_ant_walk.py --adapt --train 10 --train-horizon 24 --headless 0
+"""
+
+from __future__ import annotations
+
+import argparse
+import shlex
+import sys
+from pathlib import Path
+
+import numpy as np
+from ant_common import DATA, FPS, GaitMeter, act, hidden, load_actor, mean_action, provenance, tilt
+from ant_gradients import DOFS, make_frames
+from demo_common import run, verdict
+
+from novaphy import nova, viewer
+from novaphy.envs import ACTIONS, AntWorlds, rotate, rotate_back
+
+POLICY = DATA / "ant_walker.npz"
+STARTS, WARM_UP = 8, 40  # states of a walking Ant, frames that it walked before
+STEPS = 2.0 ** -np.arange(0.0, 6.0)  # of the candidates, times the largest
+LARGEST = 0.03  # change of a bias in a step
+LEFT_OUT = (
+    "frozen: contact creation and loss, derivatives of mass matrix and bias, {tangents}"
+    "observations across the 20 Hz refresh"
+)
+ADAPTED = {"friction": 0.5, "torso_mass": 1.2}  # and the gear of one hip by -30 %
+EYE = np.eye(3)
+
+Actor = dict[str, nova.Tensor]
+
+
+def adapted_gear() -> np.ndarray:
+    """Of the actions: the first hip is weak."""
+    gear = np.ones(ACTIONS)
+    gear[0] = 0.7
+    return gear
+
+
+class Tuning:
+    """The loss of a batch of starts, and its gradient by the eight biases."""
+
+    def __init__(self, actor: Actor, args: argparse.Namespace) -> None:
+        """Let the starts walk."""
+        self.actor, self.ant, self.adapt = actor, args.ant, args.adapt
+        self.horizon, self.kind = args.train_horizon, args.gradient
+        self.bias = actor["mu.bias"].numpy().astype(np.float64)
+        warm = self.worlds(STARTS, seed=args.seed, noise=0.1)
+        for _ in range(WARM_UP):
+            warm.step(act(actor, warm.observations()))
+        self.starts = warm.q, warm.qd
+        self.last = act(actor, warm.observations())
+        kind = "exact" if self.kind == "exact" else "frozen"
+        self.frames = make_frames(self.worlds(STARTS), kind, tangents=self.kind == "sticking")
+        self.search = self.worlds(STARTS * len(STEPS))
+
+    def worlds(self, count: int, **options) -> AntWorlds:
+        """Ants, with the changes that are to be adapted to."""
+        ants = AntWorlds(count, ant=self.ant, **options)
+        if self.adapt:
+            ants.vary(**ADAPTED, gear=np.tile(adapted_gear(), (count, 1)))
+        return ants
+
+    def label(self) -> str:
+        """What the gradient is."""
+        if self.kind == "exact":
+            return f"{self.frames.label()}; observations across the refresh included"
+        return LEFT_OUT.format(tangents="" if self.kind == "sticking" else "friction tangents, ")
+
+    def means(self, observations: np.ndarray, bias: np.ndarray) -> np.ndarray:
+        """Means before the tanh {n, 8} with biases {8} or {n, 8}."""
+        plain = mean_action(self.actor, nova.tensor(observations)).numpy().astype(np.float64)
+        return plain - self.actor["mu.bias"].numpy() + bias
+
+    def losses(self, biases: np.ndarray) -> np.ndarray:
+        """Of real rollouts with biases {m, 8} from all starts, {m}."""
+        count = len(biases) * STARTS
+        ants = self.search if count == self.search.num_worlds else self.worlds(count)
+        ants.set_state(*(np.tile(x, (len(biases), 1)) for x in self.starts))
+        bias = np.repeat(biases, STARTS, axis=0)
+        last = np.tile(self.last, (len(biases), 1))
+        first, total = ants.q, np.zeros(count)
+        for _ in range(self.horizon):
+            a = np.tanh(self.means(ants.observations(), bias))
+            ants.step(a)
+            total += self.frame_loss(ants.q, first, a, last)
+            last = a
+        total -= (ants.q[:, 0] - first[:, 0]) / (0.05 * self.horizon)
+        return np.nan_to_num(total, nan=1e9).reshape(len(biases), STARTS).mean(axis=1)
+
+    def frame_loss(self, q, first, a, last) -> np.ndarray:
+        """Of the end of a frame, without the way."""
+        aside = q[:, 1].astype(np.float64) - first[:, 1]
+        jump = ((a - last) ** 2).sum(axis=1)
+        return (aside**2 + tilt(q) ** 2 + 1e-3 * jump) / self.horizon
+
+    def frame_gradient(self, q, first) -> np.ndarray:
+        """The derivative of frame_loss by tangents and rates {n, 28}."""
+        g = np.zeros((len(q), 28))
+        g[:, 1] = 2.0 * (q[:, 1].astype(np.float64) - first[:, 1])
+        up = rotate(q[:, 3:7].astype(np.float64), np.broadcast_to(EYE[2], (len(q), 3)))
+        side = np.linalg.norm(up[:, :2], axis=1)
+        angle = np.arctan2(side, up[:, 2])
+        # d angle = d|side| / up_z, where |up| stays 1.
+        g_up = np.zeros_like(up)
+        scale = 2.0 * angle / np.maximum(side, 1e-9) / up[:, 2]
+        g_up[:, :2] = up[:, :2] * scale[:, None]
+        g[:, 3:6] = np.cross(up, g_up)
+        return g / self.horizon
+
+    def record(self, bias: np.ndarray) -> list[dict]:
+        """The frames of the horizon, with what the gradient needs."""
+        ants = self.frames.ants
+        ants.set_state(*self.starts)
+        first, last, records = ants.q, self.last, []
+        for _ in range(self.horizon):
+            seen, q, qd = ants.observations(), ants.q, ants.qd
+            mean = self.means(seen, bias)
+            a = np.tanh(mean)
+            kept = self.frames.run(a)
+            records.append(
+                {"kept": kept, "mean": mean, "a": a, "last": last, "q": q, "qd": qd, "end": ants.q,
+                 "seen": seen, "first": first}
+            )  # fmt: skip
+            last = a
+        return records
+
+    def gradient(self, bias: np.ndarray, records: list[dict] | None = None) -> np.ndarray:
+        """By the biases {8}, the mean over the starts."""
+        records = records or self.record(bias)
+        ants = self.frames.ants
+        columns = 6 + np.array(ants.hinge_of_action)
+        g = np.zeros((STARTS, 28))
+        g[:, 0] = -1.0 / (0.05 * self.horizon)
+        g_later = np.zeros((STARTS, ACTIONS))
+        total = np.zeros((STARTS, ACTIONS))
+        for r in reversed(records):
+            g = g + self.frame_gradient(r["end"], r["first"])
+            pulled, force = self.frames.pull(r["kept"], g[:, None])
+            g, force = pulled[:, 0], force[:, 0]
+            jump = 2e-3 * (r["a"] - r["last"]) / self.horizon
+            g_a = force[:, columns] * ants.gear * ants.varied["gear"] + jump + g_later
+            g_later = -jump
+            g_mean = g_a * (1.0 - r["a"] ** 2)
+            total += g_mean
+            if self.kind == "exact":
+                g = g + np.einsum("na,nas->ns", g_mean, self.policy_jacobian(r))
+        return total.mean(axis=0)
+
+    def policy_jacobian(self, r: dict) -> np.ndarray:
+        """Of the means by tangents and rates {n, 8, 28}, through the observations."""
+        p = {k: v.numpy().astype(np.float64) for k, v in self.actor.items()}
+        one = r["seen"] @ p["latent_pi.0.weight"].T + p["latent_pi.0.bias"] > 0.0
+        x = nova.tensor(r["seen"])
+        two = hidden(self.actor, x).numpy() > 0.0
+        inner = p["latent_pi.0.weight"][:, :27] * one[..., None]
+        by_seen = p["mu.weight"] @ (two[..., None] * (p["latent_pi.2.weight"] @ inner))
+        q, qd = r["q"].astype(np.float64), r["qd"].astype(np.float64)
+        d = np.zeros((len(q), 27, 28))
+        d[:, 0, 2] = 1.0
+        d[:, 5:13, 6:14] = d[:, 19:27, 20:28] = np.eye(8)
+        d[:, 13:16, 14:17] = EYE
+        for k in range(3):
+            d[:, 1, 3 + k] = -0.5 * q[:, 3 + k]
+            turn = np.broadcast_to(EYE[k], (len(q), 3))
+            d[:, 2:5, 3 + k] = 0.5 * (q[:, 6:7] * turn + np.cross(turn, q[:, 3:6]))
+            d[:, 16:19, 3 + k] = rotate_back(q[:, 3:7], np.cross(qd[:, 3:6], turn))
+            d[:, 16:19, 17 + k] = rotate_back(q[:, 3:7], turn)
+        return by_seen @ d
+
+    def train(self) -> tuple[float, float, bool]:
+        """One step; the loss before and behind it, and whether a candidate was kept."""
+        gradient = self.gradient(self.bias)
+        direction = gradient / max(np.abs(gradient).max(), 1e-12)
+        candidates = self.bias - LARGEST * STEPS[:, None] * direction
+        before = self.losses(self.bias[None])[0]
+        losses = self.losses(candidates)
+        best = int(np.argmin(losses))
+        if losses[best] < before:
+            self.bias = candidates[best].astype(np.float32).astype(np.float64)
+            return before, losses[best], True
+        return before, before, False
+
+    def tuned(self) -> Actor:
+        """The actor with the new biases."""
+        return {**self.actor, "mu.bias": nova.tensor(np.float32(self.bias))}
+
+    def replay(self, records: list[dict], bias: np.ndarray) -> float:
+        """The loss along the linearised frames, with the stored matrices and other biases."""
+        ants, dt = self.frames.ants, self.frames.ants.dt
+        columns = 6 + np.array(ants.hinge_of_action)
+        e, v = np.zeros((2, STARTS, DOFS))
+        last, total = self.last.astype(np.float64), np.zeros(STARTS)
+        for r in records:
+            a = np.tanh(r["mean"] + bias - self.bias)
+            force = np.zeros((STARTS, DOFS))
+            force[:, columns] = (a - r["a"]) * ants.gear * ants.varied["gear"]
+            for inverse, k, d, back in r["kept"]:
+                push = force - k * (e + dt * v) - d * v
+                v = v + dt * np.einsum("nij,nj->ni", inverse, push)
+                v = np.einsum("nji,nj->ni", back, v)
+                e = e + dt * v
+            q = moved(r["end"].astype(np.float64), e)
+            total += self.frame_loss(q, r["first"], a, last)
+            last = a
+        way = records[-1]["end"][:, 0].astype(np.float64) + e[:, 0] - records[0]["first"][:, 0]
+        return float((total - way / (0.05 * self.horizon)).mean())
+
+    def check_gradient(self) -> bool:
+        """Against differences of the linearised replay, and of real rollouts."""
+        passed = True
+        if self.kind != "exact":
+            records = self.record(self.bias)
+            ad, fd = self.gradient(self.bias, records), np.zeros(ACTIONS)
+            for k in range(ACTIONS):
+                ends = [
+                    self.replay(records, self.bias + s * 1e-4 * np.eye(ACTIONS)[k]) for s in (1, -1)
+                ]
+                fd[k] = (ends[0] - ends[1]) / 2e-4
+            error = float(np.abs(ad - fd).max() / np.abs(fd).max())
+            passed = error <= 1e-3
+            print(f"linearised replay: relative error {error:.1e} (tolerance 1e-03)")
+        wanted, one = self.horizon, None
+        print("real rollouts:  H   eps     cosine  ratio of norms")
+        for self.horizon in (1, 2, 4, 8):
+            ad = self.gradient(self.bias)
+            for eps in (1e-4, 3e-4, 1e-3, 3e-3, 1e-2):
+                moves = np.concatenate([np.eye(ACTIONS), -np.eye(ACTIONS)]) * eps
+                losses = self.losses(self.bias + moves)
+                fd = (losses[:ACTIONS] - losses[ACTIONS:]) / (2.0 * eps)
+                sizes = np.linalg.norm(ad), np.linalg.norm(fd)
+                cosine = float(ad @ fd / max(sizes[0] * sizes[1], 1e-12))
+                ratio = sizes[0] / max(sizes[1], 1e-12)
+                print(f"{self.horizon:17d}   {eps:.0e}  {cosine:6.3f}  {ratio:.3f}")
+                if self.horizon == 1 and eps == 3e-3:
+                    one = cosine
+        self.horizon = wanted
+        print(f"gradient at H = 1: cosine {one:.3f} (0.9 or more away from events)")
+        return passed
+
+
+def moved(q: np.ndarray, e: np.ndarray) -> np.ndarray:
+    """Coordinates {n, 15} moved by tangents {n, 14}."""
+    q = q.copy()
+    q[:, :3] += e[:, :3]
+    angle = np.linalg.norm(e[:, 3:6], axis=1, keepdims=True)
+    u = 0.5 * np.sinc(angle / (2.0 * np.pi)) * e[:, 3:6]
+    w, v, s = np.cos(0.5 * angle), q[:, 3:6].copy(), q[:, 6:7].copy()
+    q[:, 3:6] = w * v + s * u + np.cross(u, v)
+    q[:, 6:7] = w * s - (u * v).sum(axis=1, keepdims=True)
+    q[:, 7:] += e[:, 6:]
+    return q
+
+
+def returns(actor: Actor, ants: AntWorlds, frames: int) -> float:
+    """The mean way (m) of an actor from starts that nothing was tuned on."""
+    ants.reseed(777)
+    ants.reset()
+    alive, way = np.ones(ants.num_worlds, bool), np.zeros(ants.num_worlds)
+    for _ in range(frames):
+        ants.step(act(actor, ants.observations()))
+        alive &= ants.healthy()
+        way[alive] = ants.q[alive, 0]
+    return float(way.mean())
+
+
+def play(actor: Actor, args: argparse.Namespace) -> dict[str, bool]:
+    """Replay in the viewer; what should be."""
+    ants = AntWorlds(1, ant=args.ant)
+    if args.adapt:
+        ants.vary(**ADAPTED, gear=adapted_gear()[None])
+    meter, alive = GaitMeter(ants), True
+    look = ((2.4, -3.4, 1.8), (1.0, 0.0, 0.3))
+    with viewer.Stage(args, ants.model, fps=FPS, look=look) as stage:
+        for k in range(args.headless):
+            ants.step(act(actor, ants.observations()), each=meter)
+            meter.end_frame()
+            alive = alive and bool(ants.healthy()[0])
+            stage.show((k + 1) / FPS, ants.state)
+    if not args.headless:
+        return {}
+    r, way = meter.result(), float(ants.q[0, 0])
+    print(
+        f"{args.headless} frames: {way:.3f} m, {way / args.headless * FPS:.3f} m/s, touchdowns "
+        f"per second {np.round(r['touchdown_rate'][0], 2)}, "
+        f"clearance {100 * r['clearance'][0]:.1f} cm, "
+        f"slip {r['slip'][0]:.0%} of the distance, tilt at most {r['tilt'][0]:.1f} degrees"
+    )
+    return {"an Ant that stays up": alive, "a way forward": way > 0.0}
+
+
+def arguments() -> argparse.Namespace:
+    """The flags."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    viewer.add_arguments(parser, 400, "frames of 1/20 s that are played")
+    parser.add_argument("--policy", metavar="PATH.npz", default=str(POLICY), help="the actor")
+    parser.add_argument("--save-policy", metavar="PATH.npz", help="write the tuned actor")
+    parser.add_argument("--train", type=int, default=0, metavar="N", help="steps of fine-tuning")
+    parser.add_argument("--train-horizon", type=int, default=8, metavar="H", help="frames")
+    parser.add_argument("--check-gradient", action="store_true", help="compare with differences")
+    parser.add_argument(
+        "--gradient",
+        choices=("frozen", "sticking", "exact"),
+        default="frozen",
+        help="frozen: normals of contacts held; sticking: their friction too where they stick",
+    )
+    parser.add_argument(
+        "--adapt", action="store_true", help="friction 0.5, torso +20 %%, one hip -30 %%"
+    )
+    parser.add_argument("--ant", choices=("dva", "gym"), default="dva")
+    parser.add_argument("--seed", type=int, default=0)
+    args = parser.parse_args()
+    viewer.check_arguments(parser, args)
+    if args.train < 0:
+        parser.error(f"--train: expected a number >= 0, got {args.train}")
+    if not 1 <= args.train_horizon <= 400:
+        parser.error(
+            f"--train-horizon: expected 1 to 400 frames, whose {50 * args.train_horizon} steps fit "
+            "into memory"
+        )
+    if args.save_policy and not Path(args.save_policy).resolve().parent.is_dir():
+        parser.error(f"--save-policy: the folder of {args.save_policy} does not exist")
+    if args.check_gradient and args.live:
+        args.live, args.headless = False, 0
+    return args
+
+
+def report_adaptation(
+    before: Actor, after: Actor, tuning: Tuning, args: argparse.Namespace
+) -> None:
+    """The share of the lost way that is back, on held-out starts."""
+    frames = 200
+    plain = AntWorlds(32, ant=args.ant, noise=0.1)
+    changed = tuning.worlds(32, noise=0.1)
+    nominal = returns(before, plain, frames)
+    lost, found = (returns(a, changed, frames) for a in (before, after))
+    share = (found - lost) / (nominal - lost) if nominal > lost else float("nan")
+    print(
+        f"adaptation, 32 held-out starts, {frames} frames: {nominal:.3f} m before the changes, "
+        f"{lost:.3f} m with them, {found:.3f} m tuned: {share:.0%} of the loss is back"
+    )
+
+
+def main() -> int:
+    """Tune, check and play as asked; 0 when every check passed."""
+    args = arguments()
+    actor, meta = load_actor(args.policy, args.ant)
+    checks: dict[str, bool] = {}
+    if args.check_gradient or args.train:
+        tuning = Tuning(actor, args)
+        if args.check_gradient:
+            checks["a gradient within the tolerance"] = tuning.check_gradient()
+        kept = 0
+        for k in range(args.train):
+            before, after, moved_ = tuning.train()
+            kept += moved_
+            print(
+                f"  {k}: loss {before:.5f} -> {after:.5f}{'' if moved_ else ' (no candidate kept)'}"
+            )
+        print(tuning.label())
+        tuned = tuning.tuned()
+        if args.train:
+            print(f"{kept} of {args.train} steps kept")
+            if args.adapt:
+                report_adaptation(actor, tuned, tuning, args)
+        actor = tuned
+    if args.save_policy:
+        told = {
+            "commit": provenance(),
+            "script": shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]),
+        }
+        nova.save_parameters(args.save_policy, actor, {**meta, "tuned": told})
+    checks |= play(actor, args)
+    print(f"ant walks on cpu: {verdict(checks)}")
+    return 0 if all(checks.values()) else 1
+
+
+if __name__ == "__main__":
+    run(main)

@@ -1,0 +1,168 @@
+"""The demos of the Ant as a user starts them, the files they read, and their gradients."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import novaphy
+
+pytestmark = [
+    pytest.mark.skipif(not novaphy.has_io(), reason="built with NOVAPHY_WITH_IO=OFF"),
+    pytest.mark.skipif(not novaphy.has_diff(), reason="built with NOVAPHY_WITH_DIFF=OFF"),
+]
+DEMOS = Path(__file__).parents[2] / "python" / "demos" / "diff"
+POLICIES = DEMOS.parent / "data" / "ant" / "rl_policies"
+
+
+def start(name: str, *flags: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, str(DEMOS / name), *flags], capture_output=True, text=True, timeout=300
+    )
+
+
+@pytest.fixture
+def demos(monkeypatch):
+    monkeypatch.syspath_prepend(str(DEMOS))
+
+
+def walk(*flags: str) -> subprocess.CompletedProcess[str]:
+    return start("demo_diffsim_ant_walk.py", *flags)
+
+
+def test_the_trained_ant_walks():
+    done = walk("--headless", "100")
+    assert done.returncode == 0 and done.stdout.rstrip().endswith("ok"), done.stdout + done.stderr
+    assert float(done.stdout.split("frames: ")[1].split(" m,")[0]) > 5.0
+
+
+def test_tuning_changes_the_eight_biases_only_and_its_file_plays(tmp_path):
+    path = str(tmp_path / "tuned.npz")
+    done = walk("--train", "2", "--train-horizon", "8", "--save-policy", path, "--headless", "20")
+    assert done.returncode == 0 and "frozen: contact creation" in done.stdout, done.stderr
+    assert "friction tangents" in done.stdout
+    with np.load(POLICIES / "ant_walker.npz") as before, np.load(path) as after:
+        assert sorted(before.files) == sorted(after.files)
+        same = [k for k in before.files if before[k].tobytes() == after[k].tobytes()]
+        assert sorted(set(before.files) - set(same)) == ["meta", "mu.bias"]
+        assert np.all(before["mu.bias"] != after["mu.bias"])
+    done = walk("--policy", path, "--headless", "20")
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+def test_flags_and_files_that_are_wrong_are_named(tmp_path):
+    good = dict(np.load(POLICIES / "ant_walker.npz"))
+    cases = {
+        "shape": ({**good, "mu.bias": np.zeros(7, np.float32)}, "mu.bias: expected (8,), got (7,)"),
+        "nan": ({**good, "mu.bias": np.full(8, np.nan, np.float32)}, "expected finite numbers"),
+        "missing": ({k: v for k, v in good.items() if k != "mu.bias"}, "it misses mu.bias"),
+        "pickle": ({**good, "mu.bias": np.array([{}])}, "without pickled"),
+        "other": ({**good, "meta": np.array('{"ant": "gym"}')}, "a policy of the Ant 'dva'"),
+    }
+    for name, (arrays, message) in cases.items():
+        path = tmp_path / f"{name}.npz"
+        np.savez(path, **arrays)
+        done = walk("--policy", str(path), "--headless", "1")
+        assert done.returncode == 1 and message in done.stderr, (name, done.stderr)
+    done = walk("--train", "1", "--train-horizon", "5000", "--headless", "0")
+    assert done.returncode == 2 and "--train-horizon: expected 1 to 400" in done.stderr
+
+
+def test_the_frozen_gradient_is_that_of_its_linearised_replay(demos, monkeypatch):
+    import demo_diffsim_ant_walk as demo
+
+    monkeypatch.setattr(sys, "argv", ["demo", "--train-horizon", "2", "--headless", "0"])
+    actor, _ = demo.load_actor(demo.POLICY, "dva")
+    tuning = demo.Tuning(actor, demo.arguments())
+    records = tuning.record(tuning.bias)
+    gradient = tuning.gradient(tuning.bias, records)
+    for k in range(8):
+        step = 1e-4 * np.eye(8)[k]
+        ends = [tuning.replay(records, tuning.bias + s * step) for s in (1.0, -1.0)]
+        assert gradient[k] == pytest.approx((ends[0] - ends[1]) / 2e-4, rel=1e-3, abs=1e-6)
+
+
+def test_exact_derivatives_of_a_frame_point_where_differences_of_the_solver_do(demos):
+    from ant_gradients import frame_jacobians, make_frames
+
+    from novaphy.envs import AntWorlds
+
+    rng = np.random.default_rng(0)
+    base = AntWorlds(3)
+    for _ in range(12):
+        base.step(rng.uniform(-0.5, 0.5, (3, 8)))
+    q, qd, a = base.q, base.qd, rng.uniform(-0.5, 0.5, (3, 8))
+    eps, columns = 2e-3, []
+    for k in range(8):
+        ends = []
+        for sign in (1.0, -1.0):
+            base.set_state(q, qd)
+            base.step(a + sign * eps * np.eye(8)[k])
+            ends.append(np.concatenate([base.q[:, 7:], base.qd[:, 6:]], axis=1).astype(float))
+        columns.append((ends[0] - ends[1]) / (2.0 * eps))
+    fd = np.stack(columns, axis=-1)
+    rows = [*range(6, 14), *range(20, 28)]
+    _, by_action = frame_jacobians(make_frames(AntWorlds(3), "exact"), q, qd, a)
+    ad = by_action[:, rows]
+    for world in range(3):
+        cosine = (ad[world] * fd[world]).sum()
+        cosine /= np.linalg.norm(ad[world]) * np.linalg.norm(fd[world])
+        assert cosine > 0.97, (world, cosine)
+
+
+def test_an_actor_of_stable_baselines_gives_its_actions(tmp_path, demos):
+    torch = pytest.importorskip("torch")
+    from ant_common import act, actor_shapes, load_actor
+
+    torch.manual_seed(0)
+    state = {f"actor.{k}": 0.1 * torch.randn(*shape) for k, shape in actor_shapes().items()}
+    torch.save(state, tmp_path / "policy.pth")
+    path = tmp_path / "sac.zip"
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.write(tmp_path / "policy.pth", "policy.pth")
+    done = start("convert_sb3_ant.py", str(path), str(tmp_path / "sac.npz"))
+    assert done.returncode == 0, done.stderr
+    actor, meta = load_actor(tmp_path / "sac.npz", "gym")
+    assert meta["ant"] == "gym"
+    x = torch.randn(5, 111)
+    layer = torch.nn.functional.linear
+    h = torch.relu(layer(x, state["actor.latent_pi.0.weight"], state["actor.latent_pi.0.bias"]))
+    h = torch.relu(layer(h, state["actor.latent_pi.2.weight"], state["actor.latent_pi.2.bias"]))
+    expected = torch.tanh(layer(h, state["actor.mu.weight"], state["actor.mu.bias"])).numpy()
+    np.testing.assert_allclose(act(actor, x.numpy()), expected, atol=1e-5)
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("policy.pth", b"cos\nsystem\n(S'true'\ntR.")
+    done = start("convert_sb3_ant.py", str(path), str(tmp_path / "bad.npz"))
+    assert done.returncode == 1 and "expected tensors only" in done.stderr
+
+
+def test_training_writes_the_same_file_from_the_same_seed(tmp_path):
+    flags = [
+        "--worlds",
+        "8",
+        "--frames",
+        "4",
+        "--minibatch",
+        "16",
+        "--epochs",
+        "1",
+        "--steps",
+        "64",
+    ]
+    files = []
+    for name in ("a", "b"):
+        folder = tmp_path / name
+        folder.mkdir()
+        out = str(folder / "walker.npz")
+        done = start("train_ant_ppo.py", *flags, "--evaluate", "0", "--out", out)
+        assert done.returncode == 0, done.stderr
+        files.append(dict(np.load(out)))
+    for key in files[0]:
+        if key != "meta":
+            np.testing.assert_array_equal(files[0][key], files[1][key])
+    assert np.all(files[0]["latent_pi.0.weight"][:, 27:] == 0.0)

@@ -81,6 +81,14 @@ class GaitMeter:
         }
 
 
+def show(stage, t: float, ants: AntWorlds) -> None:
+    """Show the first world at time t (s), from a camera that goes along."""
+    x, y = map(float, ants.q[0, :2])
+    for viewer in stage.viewers:
+        viewer.look_at((x + 1.6, y - 2.8, 1.6), (x, y, 0.35))
+    stage.show(t, ants.state)
+
+
 def tilt(q: np.ndarray) -> np.ndarray:
     """Angle of the torso's axis from the vertical {n}, rad."""
     up = rotate(q[:, 3:7], np.broadcast_to(np.float32([0.0, 0.0, 1.0]), (len(q), 3)))

@@ -26,7 +26,18 @@ import sys
 from pathlib import Path
 
 import numpy as np
-from ant_common import DATA, FPS, GaitMeter, act, hidden, load_actor, mean_action, provenance, tilt
+from ant_common import (
+    DATA,
+    FPS,
+    GaitMeter,
+    act,
+    hidden,
+    load_actor,
+    mean_action,
+    provenance,
+    show,
+    tilt,
+)
 from ant_gradients import DOFS, make_frames
 from demo_common import run, verdict
 
@@ -287,13 +298,12 @@ def play(actor: Actor, args: argparse.Namespace) -> dict[str, bool]:
     if args.adapt:
         ants.vary(**ADAPTED, gear=adapted_gear()[None])
     meter, alive = GaitMeter(ants), True
-    look = ((2.4, -3.4, 1.8), (1.0, 0.0, 0.3))
-    with viewer.Stage(args, ants.model, fps=FPS, look=look) as stage:
+    with viewer.Stage(args, ants.model, fps=FPS) as stage:
         for k in range(args.headless):
             ants.step(act(actor, ants.observations()), each=meter)
             meter.end_frame()
             alive = alive and bool(ants.healthy()[0])
-            stage.show((k + 1) / FPS, ants.state)
+            show(stage, (k + 1) / FPS, ants)
     if not args.headless:
         return {}
     r, way = meter.result(), float(ants.q[0, 0])

@@ -166,3 +166,66 @@ def test_training_writes_the_same_file_from_the_same_seed(tmp_path):
         if key != "meta":
             np.testing.assert_array_equal(files[0][key], files[1][key])
     assert np.all(files[0]["latent_pi.0.weight"][:, 27:] == 0.0)
+
+
+def scratch(*flags: str) -> subprocess.CompletedProcess[str]:
+    return start("demo_diffsim_ant_from_scratch.py", *flags)
+
+
+@pytest.mark.parametrize("gradient", ["frozen", "exact"])
+def test_an_ant_learns_to_stand_from_zero_and_its_file_plays(tmp_path, gradient):
+    path = str(tmp_path / "stand.npz")
+    flags = ["--stages", "stand", "--gradient", gradient, "--repeat", "0.4"]
+    done = scratch(*flags, "--headless", "20", "--out", path)
+    assert done.returncode == 0, done.stdout + done.stderr
+    told = next(line for line in done.stdout.splitlines() if line.startswith("stage stand"))
+    before, after = map(float, told.split("loss ")[1].split(",")[0].split(" -> "))
+    assert after < 0.3 * before, told
+    again = scratch("--load", path, "--headless", "20")
+    assert again.returncode == 0, again.stderr
+    assert (
+        again.stdout.splitlines()[-1].split("frames, ")[1]
+        == (done.stdout.splitlines()[-1].split("frames, ")[1])
+    )
+
+
+def test_files_of_the_first_actor_that_are_wrong_are_named(tmp_path):
+    path = tmp_path / "bad.npz"
+    np.savez(path, weights=np.zeros((8, 9), np.float32), meta=np.array('{"ant": "dva"}'))
+    done = scratch("--load", str(path), "--headless", "1")
+    assert done.returncode == 1 and "weights: expected (8, 10), got (8, 9)" in done.stderr
+    np.savez(path, weights=np.zeros((8, 10), np.float32), meta=np.array('{"ant": "dva"}'))
+    done = scratch("--load", str(path), "--headless", "1")
+    assert done.returncode == 1 and "expected features" in done.stderr
+    done = scratch("--stages", "run", "--headless", "1")
+    assert done.returncode == 2 and "--stages: expected names of stand" in done.stderr
+
+
+def test_the_loss_of_the_first_actor_has_the_derivatives_that_it_says(demos):
+    import demo_diffsim_ant_from_scratch as demo
+
+    rng = np.random.default_rng(5)
+    q = rng.normal(size=(1, 15))
+    q[:, 3:7] /= np.linalg.norm(q[:, 3:7])
+    qd, a = rng.normal(size=(1, 14)), rng.uniform(-1.0, 1.0, (1, 8))
+    frame = np.array([3])
+    _, by_state, by_action = demo.residuals(q, qd, a, 0.0 * a, frame, 0.7)
+    actor = demo.Actor(demo.NATURAL)
+    by_feature = actor.feature_jacobian(q)
+    from demo_diffsim_ant_walk import moved
+
+    for k in range(28):
+        e = 1e-5 * np.eye(28)[k][None]
+        ends = [
+            (demo.residuals(moved(q, s * e[:, :14]), qd + s * e[:, 14:], a, 0.0 * a, frame, 0.7)[0])
+            for s in (1.0, -1.0)
+        ]
+        np.testing.assert_allclose((ends[0] - ends[1]) / 2e-5, by_state[:, :, k], atol=1e-6)
+        seen = [
+            actor.features(moved(q, s * e[:, :14]), qd + s * e[:, 14:], frame) for s in (1.0, -1.0)
+        ]
+        np.testing.assert_allclose((seen[0] - seen[1]) / 2e-5, by_feature[:, :, k], atol=1e-6)
+    for k in range(8):
+        e = 1e-5 * np.eye(8)[k][None]
+        ends = [demo.residuals(q, qd, a + s * e, 0.0 * a, frame, 0.7)[0] for s in (1.0, -1.0)]
+        np.testing.assert_allclose((ends[0] - ends[1]) / 2e-5, by_action[:, :, k], atol=1e-6)

@@ -229,3 +229,13 @@ def test_the_loss_of_the_first_actor_has_the_derivatives_that_it_says(demos):
         e = 1e-5 * np.eye(8)[k][None]
         ends = [demo.residuals(q, qd, a + s * e, 0.0 * a, frame, 0.7)[0] for s in (1.0, -1.0)]
         np.testing.assert_allclose((ends[0] - ends[1]) / 2e-5, by_action[:, :, k], atol=1e-6)
+
+
+def test_the_ant_that_learned_from_zero_stands_for_half_a_minute():
+    """What the file reaches of what is asked; it does not walk, and the demo says so."""
+    done = scratch("--load", str(POLICIES / "periodic_ant_natural_gait.npz"), "--headless", "600")
+    told = done.stdout.splitlines()
+    for name in ("upright", "lateral drift", "tilt below", "no foot below", "joints in range"):
+        assert any(line.startswith(f"  reached: {name}") for line in told), done.stdout
+    assert any(line.startswith("  NOT REACHED: more than 0.792 m") for line in told)
+    assert done.returncode == 1 and "CHECK FAILED: expected more than 0.792 m" in told[-1]

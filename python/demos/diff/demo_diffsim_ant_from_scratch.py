@@ -7,11 +7,12 @@ own rollout are the worlds of one batch; their derivatives give the gradient and
 matrix of segments of some frames, summed over the horizon. A step is kept only when the regular
 solver, over the whole horizon, measures a lower loss; all candidates are one batch too.
 
-What it reaches and what it does not is printed, and is in docs/guide/trained-policy.md.
+The Ant learns to stand, upright and still, and does not yet walk: what it reaches of a gait and
+what it does not is printed (docs/guide/trained-policy.md).
 
     python demo_diffsim_ant_from_scratch.py
     python demo_diffsim_ant_from_scratch.py --headless 600 --out gait.npz
-    python demo_diffsim_ant_from_scratch.py --load gait.npz --headless 600
+    python demo_diffsim_ant_from_scratch.py --load gait.npz --headless 600  # 1, while a check fails
     python demo_diffsim_ant_from_scratch.py --load gait.npz --record gait.html
     python demo_diffsim_ant_from_scratch.py --random-search --seconds 300
 """

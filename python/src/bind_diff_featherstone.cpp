@@ -19,11 +19,10 @@ void bind_diff_featherstone(py::module_& m, py::module_& solvers) {
       "the exact adjoint and tangent. Exact gradients for joint_q, joint_qd, body_f, joint_f, "
       "targets, target_ke, target_kd, damping, armature, limits (bounds, ke, kd, effort, "
       "velocity), "
-      "body_mass, body_com and body_inertia (its symmetric part), where no limit or clamp is just "
-      "reached; those of quaternions are tangent to the unit sphere. None for gravity, joint "
-      "frames "
-      "and axes: it raises. Contacts (pgs) have the gradient of the rows that are active, see "
-      "gradient_info.");
+      "body_mass, body_com, body_inertia (its symmetric part) and gravity, where no limit or clamp "
+      "is just reached; those of quaternions are tangent to the unit sphere. None for joint frames "
+      "and axes: it raises. Contacts (pgs) and joint_friction have the gradient of the rows that "
+      "are active, see gradient_info; shape_material_mu, _restitution, _ke and _kd too.");
   solver
       .def(py::init([](const std::shared_ptr<Model>& model, float angular_damping,
                        bool implicit_drives, const std::optional<std::string>& contact,

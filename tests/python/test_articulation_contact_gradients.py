@@ -351,7 +351,7 @@ def test_what_has_no_gradient_through_contacts_raises() -> None:
     with pytest.raises(ValueError, match="contacts: expected none"):
         refusing.rollout(Trajectory(model, 2), None, contacts, DT)
     solver = novaphy.solvers.DiffFeatherstoneSolver(model)
-    model.shape_material_mu.requires_grad = True
+    model.joint_X_p.requires_grad = True
     with nova.Tape(), pytest.raises(novaphy.Error, match="articulation_step"):
         solver.step(state, after, None, contacts, DT)
 

@@ -125,4 +125,31 @@ NOVAPHY_ROW_KERNEL(articulation_step_vjp, kArticulationWords + 30, ArticulationS
                          a.gradient, ws, adjoint);
 }
 
+inline constexpr size_t kGradientWords = kArticulationWords + 8;  // before `gradient`
+
+// The gradient of gravity {worlds} from that of body_f: a force at each centre of mass, with its
+// mass. One row, so that the sums have one order.
+struct GravityGradientArguments {
+  const ArticulationRows* rows;
+  const articulation::Link* links;
+  const float* mass;
+  const SpatialVectorf* wrenches;  // the gradient of body_f, which goes on to body_f (null: nobody)
+  Vec3f* gravity;
+  SpatialVectorf* body_f;
+  int64_t count, bodies, worlds, add_gravity, add_body_f;
+};
+NOVAPHY_ROW_KERNEL(gravity_gradient, 11, GravityGradientArguments) {
+  for (int64_t w = 0; w < a.worlds && a.add_gravity == 0; ++w) a.gravity[w] = Vec3f{};
+  for (int64_t i = 0; i < a.count; ++i) {
+    Vec3f sum{};
+    for (int32_t k = 0; k < a.rows[i].link_count; ++k) {
+      const int32_t body = a.links[a.rows[i].first_link + k].body;
+      if (body >= 0) sum = sum + a.wrenches[body].linear * a.mass[body];
+    }
+    a.gravity[a.rows[i].world] = a.gravity[a.rows[i].world] + sum;
+  }
+  for (int64_t b = 0; b < a.bodies && a.body_f != nullptr; ++b)
+    a.body_f[b] = a.add_body_f != 0 ? a.body_f[b] + a.wrenches[b] : a.wrenches[b];
+}
+
 }  // namespace novaphy

@@ -191,7 +191,7 @@ void Articulations::check_values(const Model& m, const Control* control, bool fr
   for (int32_t k = 0; k < m.joint_dof_count(); ++k) {
     const float dry = m.joint_friction.data()[k];
     require(friction || dry == 0.0f, ErrorKind::NotImplemented, user, ": model.joint_friction[", k,
-            "]: expected 0 (dry friction has no gradient; SolverFeatherstone has it), got ", dry);
+            "]: expected 0 (dry friction is not followed here), got ", dry);
     require(std::isfinite(dry) && dry >= 0.0f, ErrorKind::Value, user, ": model.joint_friction[", k,
             "]: expected a finite number >= 0, got ", dry);
     require(act.data()[k] == 0.0f, ErrorKind::NotImplemented, user, ": joint_act[", k,

@@ -19,6 +19,17 @@ namespace {
 using nova::Tensor;
 constexpr int32_t kLeastSweeps = 1000;  // at most, where impulses are differentiated
 using G = articulation::StepGradient<float>;
+// Inputs behind the members of G. Those of shapes only with contacts.
+enum MoreInputs : size_t {
+  kGravity = G::kMembers,
+  kJointFriction,
+  kShapeInputs,
+  kMu = kShapeInputs,
+  kRestitution,
+  kStiffness,
+  kDamping,
+  kInputs
+};
 
 const DeviceKernel& step_kernel() {
   static const DeviceKernel kernel(articulation_step, nullptr);
@@ -26,6 +37,11 @@ const DeviceKernel& step_kernel() {
 }
 const DeviceKernel& vjp_kernel() {
   static const DeviceKernel kernel(articulation_step_vjp, nullptr);
+  return kernel;
+}
+
+const DeviceKernel& gravity_kernel() {
+  static const DeviceKernel kernel(gravity_gradient, nullptr);
   return kernel;
 }
 
@@ -78,15 +94,18 @@ struct ArticulationStep::Shared {
   ContactBranches branches;
   UnreadMaterials materials;
   std::vector<float> between;  // gradients of states between the steps of an operation
+  DeviceArray<float> wrenches;  // gradients of body_f, where gravity's is asked for
+  bool dry = false;             // joints have dry friction, or its gradient is asked for
 };
 
 namespace {
 
 // The contacts of a step as it keeps them: numbers per contact, array after array, with the
-// impulses behind; indices as the bits of floats. The last number is how many there are.
+// impulses behind; indices as the bits of floats. Then how many there are, and the impulses of
+// joints' dry friction, a row per dof.
 constexpr int64_t kContactNumbers = 16;
 struct KeptContacts {
-  static int64_t size(int64_t most) { return kContactNumbers * most + 1; }
+  static int64_t size(int64_t most, int64_t dofs) { return kContactNumbers * most + 1 + dofs; }
   KeptContacts(float* memory, int64_t most)
       : shape0(reinterpret_cast<int32_t*>(memory)),
         shape1(shape0 + most),
@@ -96,7 +115,8 @@ struct KeptContacts {
         impulses(normal + most),
         margin0(memory + 14 * most),
         margin1(margin0 + most),
-        count(reinterpret_cast<int32_t*>(memory + kContactNumbers * most)) {}
+        count(reinterpret_cast<int32_t*>(memory + kContactNumbers * most)),
+        friction(memory + kContactNumbers * most + 1) {}
   void copy(const ContactRows& c) const {
     const auto n = static_cast<size_t>(c.count);
     *count = c.count;
@@ -116,6 +136,7 @@ struct KeptContacts {
   Vec3f *point0, *point1, *normal, *impulses;
   float *margin0, *margin1;
   int32_t* count;
+  float* friction;
 };
 
 // The arrays of contacts that a rollout finds anew whenever its steps run.
@@ -162,10 +183,9 @@ struct ArticulationStep::Step {
   std::shared_ptr<const Model> model;
   Tensor contacts = {};                   // KeptContacts; undefined without
   int64_t contact_max = 0;                // of them
-  std::vector<Tensor> materials = {};     // of shapes: read, without a gradient
   std::optional<FoundRows> found = {};    // a rollout's: copied whenever the step runs
-  std::array<Named, G::kMembers> inputs;  // in the order of StepGradient
-  std::array<Named, 8> values;   // rows, links, dof_parent, X_p, X_c, axis, gravity, target_mode
+  std::array<Named, kInputs> inputs;      // in the order of StepGradient, MoreInputs
+  std::array<Named, 7> values;   // rows, links, dof_parent, X_p, X_c, axis, target_mode
   std::array<Named, 6> outputs;  // q, qd, body_q, body_qd, qdd, branch
   FeatherstoneOptions options;
   float dt = 0.0f;
@@ -175,7 +195,7 @@ struct ArticulationStep::Step {
   ArticulationArguments host = {};          // of the first step, where others follow
   std::vector<StepOutputs> following = {};  // each starts where the one before ended
 
-  const Tensor& in(G::Member member) const { return inputs[member].tensor; }
+  const Tensor& in(size_t member) const { return inputs[member].tensor; }
 };
 
 namespace {
@@ -190,8 +210,8 @@ void add_arguments(const Step& s, std::vector<LaunchArgument>& words) {
   const auto in = [&](G::Member m) { words.push_back(argument(s.inputs[m].name, s.in(m), false)); };
   for (size_t i = 0; i < 6; ++i) value(i);
   for (const G::Member m : {G::kMass, G::kCom, G::kInertia}) in(m);
+  words.push_back(argument(s.inputs[kGravity].name, s.in(kGravity), false));
   value(6);
-  value(7);
   for (const G::Member m :
        {G::kTargetQ, G::kTargetQd, G::kTargetKe, G::kTargetKd, G::kDamping, G::kArmature,
         G::kLimitLower, G::kLimitUpper, G::kLimitKe, G::kLimitKd, G::kEffortLimit,
@@ -220,7 +240,7 @@ Arguments to_arguments(const std::vector<LaunchArgument>& words) {
 
 // Whether a step has contacts that act; those are then in shared->pgs.
 bool prepare_contacts(const Step& s) {
-  return s.contact_max > 0 && s.shared->pgs->prepare(*s.model, kept_contacts(s).rows());
+  return s.contacts.defined() && s.shared->pgs->prepare(*s.model, kept_contacts(s).rows());
 }
 
 float* numbers(const Tensor& tensor) {
@@ -271,7 +291,7 @@ void run_forward(const Step& s) {
     auto a = to_arguments<ArticulationStepArguments>(words);
     a.status = s.shared->status.mutable_data();
     s.shared->pgs->step(a, *s.model, kept.rows(), s.options, nullptr);
-    s.shared->pgs->write_impulses(kept.impulses);
+    s.shared->pgs->write_impulses(kept.impulses, kept.friction);
     return;
   }
   if (!nova::current_capture()) {
@@ -291,6 +311,42 @@ void run_all(const Step& s) {
   }
 }
 
+// Memory for the gradients of body_f, from which gravity's follow.
+SpatialVectorf* wrench_memory(const Step& s) {
+  const auto numbers_of = static_cast<size_t>(s.in(G::kBodyF).size());
+  if (s.shared->wrenches.size() != numbers_of)
+    s.shared->wrenches = DeviceArray<float>(numbers_of, Device::cpu());
+  return reinterpret_cast<SpatialVectorf*>(s.shared->wrenches.mutable_data());
+}
+std::vector<LaunchArgument> gravity_words(const Step& s, const Tensor& gravity, bool add_gravity,
+                                          const Tensor& body_f, bool add_body_f) {
+  return {argument("rows", s.values[0].tensor, false),
+          argument("links", s.values[1].tensor, false),
+          argument("body_mass", s.in(G::kMass), false),
+          reads("gradient of body_f", s.shared->wrenches),
+          argument("gradient of gravity", gravity, true),
+          argument("gradient of body_f", body_f, true),
+          number(s.count),
+          number(s.in(G::kBodyF).size() / 6),
+          number(gravity.size() / 3),
+          number(int64_t{add_gravity}),
+          number(int64_t{add_body_f})};
+}
+// Calls `adjoint` with the arguments, and gives gravity its gradient (undefined: nobody wants it).
+template <class Adjoint>
+void with_gravity(const Step& s, ArticulationStepVjpArguments a, const Tensor& gravity, bool add,
+                  const Tensor& body_f, const Adjoint& adjoint) {
+  if (!gravity.defined()) return adjoint(a);
+  constexpr int32_t kWrench = 1 << G::kBodyF;
+  const bool add_body_f = (a.gradient.add & kWrench) != 0;
+  a.gradient.body_f = wrench_memory(s);
+  a.gradient.add &= ~kWrench;
+  adjoint(a);
+  gravity_gradient_row(
+      to_arguments<GravityGradientArguments>(gravity_words(s, gravity, add, body_f, add_body_f)),
+      0, 1);
+}
+
 // The adjoint of some steps, from the last on. The gradients of the states between them stay here.
 void run_vjp_of_steps(const Step& s, std::span<const Tensor> outputs,
                       std::span<const nova::InputGradient> gradients) {
@@ -306,6 +362,7 @@ void run_vjp_of_steps(const Step& s, std::span<const Tensor> outputs,
     members[i] = numbers(gradients[i].grad);
     if (gradients[i].add) add |= int32_t{1} << i;
   }
+  bool add_gravity = gradients[kGravity].add;
   constexpr int32_t kState = 1 << G::kQ | 1 << G::kQd;
   float *const q_first = a.gradient.q, *const qd_first = a.gradient.qd;
   std::vector<float>& between = s.shared->between;
@@ -332,8 +389,12 @@ void run_vjp_of_steps(const Step& s, std::span<const Tensor> outputs,
     a.gradient.q = first ? q_first : to;
     a.gradient.qd = first ? qd_first : to + nq;
     a.gradient.add = first ? add : add & ~kState;
-    s.shared->trees.vjp(a, *s.model, s.shared->all);
+    with_gravity(s, a, gradients[kGravity].grad, add_gravity, gradients[G::kBodyF].grad,
+                 [&](const ArticulationStepVjpArguments& all) {
+                   s.shared->trees.vjp(all, *s.model, s.shared->all);
+                 });
     add |= ~kState;
+    add_gravity = true;
     if (first) continue;
     const float *const of_q = numbers(mine[-4]), *const of_qd = numbers(mine[-3]);
     for (size_t k = 0; of_q != nullptr && k < nq; ++k) to[k] += of_q[k];
@@ -358,16 +419,40 @@ void run_vjp(const Step& s, std::span<const Tensor> outputs,
   words.push_back(number(add));
   words.push_back(writes("workspace", s.workspace));
   words.push_back(number(s.stride));
-  if (prepare_contacts(s)) {
-    const KeptContacts kept = kept_contacts(s);
-    s.shared->pgs->vjp(to_arguments<ArticulationStepVjpArguments>(words), *s.model, kept.rows(),
-                       kept.impulses, s.options);
-    return;
+  for (size_t i = kJointFriction; i < gradients.size(); ++i)
+    if (gradients[i].grad.defined() && !gradients[i].add)
+      std::fill_n(numbers(gradients[i].grad), gradients[i].grad.size(), 0.0f);
+  const Tensor &gravity = gradients[kGravity].grad, &body_f = gradients[G::kBodyF].grad;
+  const bool add_gravity = gradients[kGravity].add, add_body_f = gradients[G::kBodyF].add;
+  require(!nova::current_capture() || !s.contacts.defined(), ErrorKind::NotImplemented,
+          "articulation_step: backward of a step with contacts or dry friction inside a "
+          "ScopedCapture is not there");
+  if (!nova::current_capture()) {
+    const auto of = [&](size_t i) {
+      return i < gradients.size() ? numbers(gradients[i].grad) : nullptr;
+    };
+    const ContactGradient more = {of(kJointFriction), of(kMu), of(kRestitution), of(kStiffness),
+                                  of(kDamping)};
+    return with_gravity(s, to_arguments<ArticulationStepVjpArguments>(words), gravity, add_gravity,
+                        body_f, [&](const ArticulationStepVjpArguments& a) {
+                          if (prepare_contacts(s) || more.joint_friction != nullptr) {
+                            const KeptContacts kept = kept_contacts(s);
+                            s.shared->pgs->vjp(a, *s.model, kept.rows(), kept.impulses,
+                                               kept.friction, s.options, more);
+                            return;
+                          }
+                          s.shared->trees.vjp(a, *s.model, s.shared->all);
+                        });
   }
-  if (!nova::current_capture())
-    return s.shared->trees.vjp(to_arguments<ArticulationStepVjpArguments>(words), *s.model,
-                               s.shared->all);
+  if (gravity.defined()) {
+    wrench_memory(s);
+    words[kGradientWords + G::kBodyF] = writes("gradient of body_f", s.shared->wrenches);
+    words[kGradientWords + G::kMembers] = number(add & ~(int64_t{1} << G::kBodyF));
+  }
   vjp_kernel().launch(Device::cpu(), s.count, words);
+  if (gravity.defined())
+    gravity_kernel().launch(Device::cpu(), 1,
+                            gravity_words(s, gravity, add_gravity, body_f, add_body_f));
 }
 
 // Tangents by dual numbers, on the host.
@@ -401,12 +486,12 @@ void write_tangent(const Tensor& to, const articulation::Dual<float>* values) {
 void run_jvp(const Step& s, const StepOutputs* from, const StepOutputs& to,
              std::span<const Tensor> t, std::span<const Tensor> tangents) {
   require(!prepare_contacts(s), ErrorKind::NotImplemented,
-          "articulation_step: forward derivatives of a step with contacts are not there; use "
+          "articulation_step: forward derivatives of a step with contacts or dry friction are not there; use "
           "backward");
   using D = articulation::Dual<float>;
   DualArrays duals;
   const auto in = [&](G::Member m) { return duals.take<D>(s.in(m), t[m]); };
-  const auto* target_mode = s.values[7].tensor.data<int32_t>();
+  const auto* target_mode = s.values[6].tensor.data<int32_t>();
   const articulation::StepInputs<D> inputs = {
       duals.take<D>(from ? (*from)[0] : s.in(G::kQ), t[G::kQ]),
       duals.take<D>(from ? (*from)[1] : s.in(G::kQd), t[G::kQd]),
@@ -422,6 +507,7 @@ void run_jvp(const Step& s, const StepOutputs* from, const StepOutputs& to,
   tree.mass = in(G::kMass);
   tree.com = duals.take<Vec3<D>>(s.in(G::kCom), t[G::kCom]);
   tree.inertia = duals.take<Mat33<D>>(s.in(G::kInertia), t[G::kInertia]);
+  const auto* gravity = duals.take<Vec3<D>>(s.in(kGravity), t[kGravity]);
   D* const q = duals.make<D>(to[0]);
   D* const qd = duals.make<D>(to[1]);
   auto* const body_q = duals.make<Transform<D>>(to[2]);
@@ -438,8 +524,7 @@ void run_jvp(const Step& s, const StepOutputs* from, const StepOutputs& to,
     tree.links = links + rows[i].first_link;
     tree.dof_parent = s.values[2].tensor.data<int32_t>() + rows[i].first_dof;
     tree.first_dof = rows[i].first_dof;
-    const float* g = s.values[6].tensor.data<float>() + 3 * rows[i].world;
-    tree.gravity = {D(g[0]), D(g[1]), D(g[2])};
+    tree.gravity = gravity[rows[i].world];
     memory.resize(static_cast<size_t>(
         articulation::workspace_bytes<D>(tree.link_count, tree.dof_count) / 8 + 1));
     articulation::Workspace<D> ws =
@@ -486,7 +571,8 @@ void write_forces(const KeptContacts& kept, const Contacts& contacts, float dt) 
 
 nova::CustomOp make_op(const std::shared_ptr<const Step>& step) {
   nova::CustomOp op{.name = "articulation_step", .inputs = {}, .outputs = {}, .vjp = nullptr};
-  for (const Named& in : step->inputs) op.inputs.push_back(in.tensor);
+  for (const Named& in : step->inputs)
+    if (in.tensor.defined()) op.inputs.push_back(in.tensor);
   op.reads = op.inputs;
   for (const Named& value : step->values) op.reads.push_back(value.tensor);
   // Of a single step, which may be run again from a checkpoint, qdd and branch are outputs too.
@@ -497,9 +583,8 @@ nova::CustomOp make_op(const std::shared_ptr<const Step>& step) {
   };
   add_step(outputs_of(*step));
   for (const StepOutputs& out : step->following) add_step(out);
-  if (step->contact_max > 0) {
+  if (step->contacts.defined()) {
     op.reads.push_back(step->contacts);
-    for (const Tensor& material : step->materials) op.reads.push_back(material);
     op.writes.push_back(step->contacts);
   }
   op.writes.push_back(tensor_of(step->status));
@@ -539,14 +624,22 @@ std::vector<ScratchSpec> ArticulationStep::scratch(const Model& model, int32_t c
   const auto dofs = static_cast<size_t>(model.joint_dof_count());
   std::vector<ScratchSpec> specs = {{novaphy::DType::float32, dofs, 1},
                                     {novaphy::DType::float32, dofs, 1}};
-  if (contact_max > 0)
-    specs.push_back(
-        {novaphy::DType::float32, static_cast<size_t>(KeptContacts::size(contact_max)), 1});
+  if (contact_max > 0 || shared_->dry)
+    specs.push_back({novaphy::DType::float32,
+                     static_cast<size_t>(KeptContacts::size(contact_max, model.joint_dof_count())),
+                     1});
   return specs;
 }
 
 void ArticulationStep::begin(const Model& model, const Control* control, const char* function) {
-  shared_->articulations.check_values(model, control, false, function);
+  shared_->articulations.check_values(model, control, true, function);
+  const float* const friction = model.joint_friction.data();
+  const nova::Tape* const tape = nova::Tape::active();
+  shared_->dry = std::any_of(friction, friction + model.joint_dof_count(),
+                             [](float f) { return f > 0.0f; }) ||
+                 (tape != nullptr && tape->carries_gradient(*model.joint_friction.range()));
+  require(!shared_->dry || !nova::current_capture(), ErrorKind::NotImplemented, function,
+          ": model.joint_friction: expected 0, and no gradient by it, inside a ScopedCapture");
 }
 
 void ArticulationStep::record(const Model& m, const SimState& in, SimState& out,
@@ -566,10 +659,8 @@ void ArticulationStep::record(const Model& m, const SimState& in, SimState& out,
   auto step = std::make_shared<Step>(Step{
       shared_,
       m.shared_from_this(),
-      touching ? tensor_of(scratch[2]) : Tensor(),
+      touching || shared_->dry ? tensor_of(scratch[2]) : Tensor(),
       touching ? contacts->rigid_contact_max() : 0,
-      {tensor_of(m.shape_material_mu), tensor_of(m.shape_material_restitution),
-       tensor_of(m.shape_material_ke), tensor_of(m.shape_material_kd)},
       touching && found ? std::optional<FoundRows>(*contacts) : std::nullopt,
       {view("joint_q", in.joint_q),
        view("joint_qd", in.joint_qd),
@@ -589,11 +680,16 @@ void ArticulationStep::record(const Model& m, const SimState& in, SimState& out,
        view("joint_velocity_limit", m.joint_velocity_limit),
        view("body_mass", m.body_mass),
        view("body_com", m.body_com),
-       view("body_inertia", m.body_inertia)},
+       view("body_inertia", m.body_inertia),
+       view("gravity", m.gravity),
+       view("joint_friction", m.joint_friction),
+       touching ? view("shape_material_mu", m.shape_material_mu) : Named{},
+       touching ? view("shape_material_restitution", m.shape_material_restitution) : Named{},
+       touching ? view("shape_material_ke", m.shape_material_ke) : Named{},
+       touching ? view("shape_material_kd", m.shape_material_kd) : Named{}},
       {view("rows", a.rows()), view("links", a.links()), view("dof_parent", a.dof_parent()),
        view("joint_X_p", m.joint_X_p), view("joint_X_c", m.joint_X_c),
-       view("joint_axis", m.joint_axis), view("gravity", m.gravity),
-       view("joint_target_mode", m.joint_target_mode)},
+       view("joint_axis", m.joint_axis), view("joint_target_mode", m.joint_target_mode)},
       {view("joint_q", out.joint_q), view("joint_qd", out.joint_qd), view("body_q", out.body_q),
        view("body_qd", out.body_qd), view("qdd", scratch[0]), view("branch", scratch[1])},
       shared_->options,
@@ -602,19 +698,23 @@ void ArticulationStep::record(const Model& m, const SimState& in, SimState& out,
       shared_->stride,
       shared_->status,
       shared_->workspace});
-  if (touching) {
-    shared_->materials.check(m);
+  if (touching) shared_->materials.check(m);
+  const bool solves = step->contacts.defined();
+  if (solves) {
     if (!shared_->pgs) shared_->pgs = std::make_unique<PgsContacts>(m, a);
     if (!found) kept_contacts(*step).copy(contact_rows(contacts));
   }
   run_forward(*step);
-  if (touching) {
-    shared_->pgs->add_branches(shared_->branches, shared_->options);
-    write_forces(kept_contacts(*step), *contacts, dt);
+  if (solves) {
+    const nova::Tape* const tape = nova::Tape::active();
+    shared_->pgs->add_branches(
+        shared_->branches, shared_->options,
+        tape != nullptr && tape->carries_gradient(*m.shape_material_restitution.range()));
   }
+  if (touching) write_forces(kept_contacts(*step), *contacts, dt);
   if (nova::Tape::active() == nullptr) return;
   pending_ = std::move(step);
-  if (!join || touching || nova::current_capture()) return flush();
+  if (!join || solves || nova::current_capture()) return flush();
   pending_->host = host_arguments(*pending_);
 }
 

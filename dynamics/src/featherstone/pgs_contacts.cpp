@@ -315,10 +315,33 @@ void PgsContacts::build_row(const Step& s, Row& row) {
 void PgsContacts::set_target(const Step& s, Row& row) {
   const art::ContactMaterial<float> of = material(s, row);
   row.target = art::normal_target(s.law, of, row.place.gap, row.before, art::slip(row.solver, 0));
+  row.elastic = of.restitution > 0.0f;
   row.solver.bias = row.target.bias;
   row.solver.cfm = row.target.cfm;
   row.solver.friction = of.friction;
   art::set_steps<float>(row.solver);
+}
+
+void PgsContacts::place_friction() {
+  friction_rows_.resize(friction_.size());
+  int64_t numbers = friction_begin_;
+  for (size_t i = 0; i < friction_.size(); ++i) {
+    const Friction& f = friction_[i];
+    friction_rows_[i] = {rates_.data() + rates_begin_[static_cast<size_t>(f.tree)],
+                         numbers_.data() + numbers, width(f.tree), f.dof};
+    numbers += width(f.tree);
+  }
+}
+void PgsContacts::build_friction(const Step& s, int32_t i) {
+  const Friction& f = friction_[static_cast<size_t>(i)];
+  art::PgsJointFriction<float>& row = friction_rows_[static_cast<size_t>(i)];
+  const ArticulationRows& tree = trees_[f.tree];
+  auto* const response = const_cast<float*>(row.response);
+  std::fill_n(response, row.width, 0.0f);
+  response[f.dof] = 1.0f;
+  art::solve(articulation_tree(s.in, tree), workspace(tree, f.tree).matrix, response);
+  row.limit = s.model.joint_friction.data()[tree.first_dof + f.dof] * s.law.dt;
+  row.impulse = 0.0f;
 }
 
 void PgsContacts::solve_island(const Step& s, int64_t island) {
@@ -329,18 +352,7 @@ void PgsContacts::solve_island(const Step& s, int64_t island) {
     build_row(s, row);
     set_target(s, row);
   }
-  const float* const limits = s.model.joint_friction.data();
-  for (const int32_t i : friction) {
-    const Friction& f = friction_[static_cast<size_t>(i)];
-    art::PgsJointFriction<float>& row = friction_rows_[static_cast<size_t>(i)];
-    const ArticulationRows& tree = trees_[f.tree];
-    auto* const response = const_cast<float*>(row.response);
-    std::fill_n(response, row.width, 0.0f);
-    response[f.dof] = 1.0f;
-    art::solve(articulation_tree(s.in, tree), workspace(tree, f.tree).matrix, response);
-    row.limit = limits[tree.first_dof + f.dof] * s.law.dt;
-    row.impulse = 0.0f;
-  }
+  for (const int32_t i : friction) build_friction(s, i);
   for (const int32_t i : rows) {
     Row& row = rows_[static_cast<size_t>(i)];
     const Kept* const kept = warm_[static_cast<size_t>(i)];
@@ -422,14 +434,7 @@ void PgsContacts::step(const ArticulationStepArguments& a, const Model& m,
   for (const int32_t i : together_)
     if (a.status[i] != 0) return rows_.clear();  // nothing was solved
 
-  friction_rows_.resize(friction_.size());
-  int64_t numbers = friction_begin_;
-  for (size_t i = 0; i < friction_.size(); ++i) {
-    const Friction& f = friction_[i];
-    friction_rows_[i] = {rates_.data() + rates_begin_[static_cast<size_t>(f.tree)],
-                         numbers_.data() + numbers, width(f.tree), f.dof};
-    numbers += width(f.tree);
-  }
+  place_friction();
   for_chunks(static_cast<int64_t>(islands_together_.size()), kIslandChunk,
              [&](int64_t begin, int64_t end, int64_t) {
                for (int64_t i = begin; i < end; ++i)

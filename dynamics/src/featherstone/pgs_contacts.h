@@ -27,6 +27,12 @@ struct ContactRows {
 };
 ContactRows contact_rows(const Contacts* contacts);  // null: none
 
+// Gradients of what only contacts and dry friction read; null: nobody wants it. They are added to.
+struct ContactGradient {
+  float* joint_friction = nullptr;                                              // {dofs}
+  float *mu = nullptr, *restitution = nullptr, *ke = nullptr, *kd = nullptr;  // {shapes}
+};
+
 class PgsContacts : private TreeContacts {
  public:
   PgsContacts(const Model& model, const Articulations& articulations);
@@ -39,13 +45,16 @@ class PgsContacts : private TreeContacts {
   // writes them in any case.
   void step(const ArticulationStepArguments& step, const Model& model, const ContactRows& contacts,
             const FeatherstoneOptions& options, Vec3f* force, TreeSteps* alone = nullptr);
-  // The impulses {contacts} of the last step along n, t1 and t2, N s, and their branches.
-  void write_impulses(Vec3f* impulses) const;
-  void add_branches(ContactBranches& to, const FeatherstoneOptions& options);
+  // The impulses {contacts} of the last step along n, t1 and t2, N s, those of dry friction {dofs}
+  // (of the dofs that have it), and their branches.
+  void write_impulses(Vec3f* impulses, float* friction) const;
+  // `by_restitution`: for gradients by it, which an approach without any has none of: its law jumps.
+  void add_branches(ContactBranches& to, const FeatherstoneOptions& options, bool by_restitution);
   // Behind prepare: the adjoint of step, as articulation_step_vjp, from its impulses. Contacts stay
   // where they are on their shapes, with their normals; so do branches.
   void vjp(const ArticulationStepVjpArguments& step, const Model& model,
-           const ContactRows& contacts, const Vec3f* impulses, const FeatherstoneOptions& options);
+           const ContactRows& contacts, const Vec3f* impulses, const float* friction,
+           const FeatherstoneOptions& options, const ContactGradient& more);
   // The poses and velocities of the bodies, from joint_q and joint_qd.
   void write_bodies(const ArticulationArguments& in, Transformf* body_q, SpatialVectorf* body_qd);
   // The most sweeps that an island of the last step took, and the largest change of velocity (m/s)
@@ -65,6 +74,7 @@ class PgsContacts : private TreeContacts {
     articulation::ContactPlace<float> place = {};
     Vec3f cores[2] = {};  // about the origins
     float before = 0.0f;  // J_n qd
+    bool elastic = false;
     articulation::NormalTarget<float> target = {};
     articulation::PgsContact<float> solver = {};
   };
@@ -93,6 +103,12 @@ class PgsContacts : private TreeContacts {
   void find_islands();
   void build_row(const Step& step, Row& row);
   void set_target(const Step& step, Row& row);  // behind it, at the rates without impulses
+  void place_friction();
+  void build_friction(const Step& step, int32_t row);
+  bool sticks(int32_t friction) const;
+  void add_material_gradients(const Step& step, const Row& row, const double* z,
+                              const ContactGradient& to) const;
+  void add_friction_gradients(float* to);
   const Kept* find_kept(size_t& next, const ContactRows& contacts, int32_t contact) const;
   void solve_island(const Step& step, int64_t island);
   void keep(const ContactRows& contacts, float dt, Vec3f* force);
@@ -134,7 +150,9 @@ class PgsContacts : private TreeContacts {
   std::vector<double> system_;
   std::vector<int32_t> active_;
   std::vector<Vec3f> pulls_;  // of each row: adjoint of its velocity along n, t1, t2
-  std::vector<float> normals_;
+  std::vector<Vec3f> multipliers_;  // likewise, of its equations: z
+  std::vector<float> friction_push_;  // of each dof: the sign of its friction
+  std::vector<int32_t> sticking_;   // dry friction of an island that holds its dof
   int32_t sweeps_ = 0;
   float residual_ = 0.0f;
 };

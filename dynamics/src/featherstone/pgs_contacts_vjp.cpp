@@ -7,11 +7,12 @@
 //   sticking                            J_t v' = 0
 //   sliding                             lambda_t + mu lambda_n t = 0, t = w_t / |w_t|, w_t = J_t v'
 //   sliding of a pyramid's tangent      lambda_t -+ mu lambda_n = 0
+//   dry friction that holds its dof     v'_k = 0; else a constant: lambda -+ friction dt = 0
 // Rows move velocities by B J (B 3 x 3 per contact: 1; a sliding cone mu lambda_n (1 - t
 // t^T)/|w_t|) and impulses by R. With the gradient g of v':
 //   (J M^-1 J^T B^T + R^T) z = J M^-1 g,   gradient of M v:  p = M^-1 (g - J^T B^T z)
 // so B^T z, as pushes at the contacts, leaves g, and the adjoint without contacts does the rest.
-// What is left is the geometry: J's own change with q in  -lambda . (J of p) + (B^T z) . (J of v').
+// A material p gives -z . d(rows)/dp, dry friction +-dt p_k. What is left is the geometry: J's own change with q in  -lambda . (J of p) + (B^T z) . (J of v').
 // Turning by S_k all that hangs on link i changes a motion T of link b by S_k x (T_b - T_i).
 // Source: Featherstone (2008), section 3.3, for motions; the implicit function theorem.
 #include <algorithm>
@@ -121,7 +122,10 @@ double coupling(const art::PgsContact<float>& a, int i, const art::PgsContact<fl
 
 }  // namespace
 
-void PgsContacts::write_impulses(Vec3f* impulses) const {
+void PgsContacts::write_impulses(Vec3f* impulses, float* friction) const {
+  for (size_t i = 0; i < friction_.size(); ++i)
+    friction[trees_[friction_[i].tree].first_dof + friction_[i].dof] =
+        friction_rows_[i].impulse;
   for (const Row& row : rows_)
     impulses[row.contact] = {row.solver.impulse[0], row.solver.impulse[1], row.solver.impulse[2]};
 }
@@ -165,8 +169,9 @@ bool PgsContacts::sharing_matters(int64_t island, bool cone) {
   return false;
 }
 
-void PgsContacts::add_branches(ContactBranches& to, const FeatherstoneOptions& options) {
-  if (rows_.empty()) return;
+void PgsContacts::add_branches(ContactBranches& to, const FeatherstoneOptions& options,
+                               bool by_restitution) {
+  if (rows_.empty() && friction_.empty()) return;
   const bool cone = options.friction_cone == FrictionCone::Cone;
   // Where beta has another slope on the other side.
   const bool at_contact =
@@ -177,6 +182,8 @@ void PgsContacts::add_branches(ContactBranches& to, const FeatherstoneOptions& o
   for (const Row& row : rows_) {
     const art::PgsContact<float>& c = row.solver;
     const Branch branch = branch_of(c, cone);
+    const bool jumps = !row.elastic && row.before < -options.restitution_threshold;
+    exact = exact && !(by_restitution && jumps);
     const float normal =
         branch.active ? c.impulse[0] * c.normal : std::fabs(art::slip(c, 0) + c.bias);
     to.normal_margin = std::min(to.normal_margin, normal);
@@ -204,6 +211,18 @@ void PgsContacts::add_branches(ContactBranches& to, const FeatherstoneOptions& o
       exact = exact && 1.0f - most / limit >= kNearCone;
     }
   }
+  for (size_t i = 0; i < friction_.size(); ++i) {
+    const art::PgsJointFriction<float>& f = friction_rows_[i];
+    if (sticks(static_cast<int32_t>(i))) {
+      const float margin = 1.0f - std::fabs(f.impulse) / f.limit;
+      to.cone_margin = std::min(to.cone_margin, margin);
+      exact = exact && margin >= kNearCone;
+    } else {
+      const float rate = std::fabs(f.rates[f.dof]);
+      to.slip_margin = std::min(to.slip_margin, rate);
+      exact = exact && rate >= kNearNormal;
+    }
+  }
   for (size_t island = 0; exact && island < island_sweeps_.size(); ++island)
     exact = !sharing_matters(static_cast<int64_t>(island), cone);
   ++to.steps;
@@ -217,14 +236,35 @@ art::AdjointMemory<float> PgsContacts::adjoint(int64_t tree) {
       adjoint_.data() + adjoint_begin_[static_cast<size_t>(tree)], rows.link_count, rows.dof_count);
 }
 
-// z of an island: pulls_ are B^T z of its rows, normals_ the z of their normals; both leave the
-// gradients of the rates.
+bool PgsContacts::sticks(int32_t friction) const {
+  const art::PgsJointFriction<float>& row = friction_rows_[static_cast<size_t>(friction)];
+  return std::fabs(row.impulse) < row.limit * (1.0f - kSlides);
+}
+
+// z of an island: multipliers_, and pulls_, B^T z, which leave the gradients of the rates, as does
+// z of dry friction.
 void PgsContacts::solve_adjoint(int64_t island, bool cone) {
   active_.clear();
   for (const int32_t i : island_rows_.items(island))
     if (rows_[static_cast<size_t>(i)].solver.impulse[0] > 0.0f) active_.push_back(i);
-  const size_t n = 3 * active_.size(), width = n + 1;
+  sticking_.clear();
+  for (const int32_t i : island_friction_.items(island))
+    if (sticks(i)) sticking_.push_back(i);
+  const size_t contacts = 3 * active_.size();
+  const size_t n = contacts + sticking_.size(), width = n + 1;
   system_.assign(n * width, 0.0);
+  for (size_t f = 0; f < sticking_.size(); ++f) {
+    const art::PgsJointFriction<float>& row = friction_rows_[static_cast<size_t>(sticking_[f])];
+    const int32_t tree = friction_[static_cast<size_t>(sticking_[f])].tree;
+    double* const to = system_.data() + (contacts + f) * width;
+    for (size_t e = 0; e < sticking_.size(); ++e) {
+      const Friction& other = friction_[static_cast<size_t>(sticking_[e])];
+      if (other.tree == tree) to[contacts + e] = row.response[other.dof];
+    }
+    to[contacts + f] += kRegularity * to[contacts + f];
+    const float* const g = adjoint(tree).rate;
+    for (int32_t x = 0; x < trees_[tree].dof_count; ++x) to[n] += double{row.response[x]} * g[x];
+  }
   for (size_t d = 0; d < active_.size(); ++d) {
     const art::PgsContact<float>& other = rows_[static_cast<size_t>(active_[d])].solver;
     const Branch branch = branch_of(other, cone);
@@ -246,6 +286,20 @@ void PgsContacts::solve_adjoint(int64_t island, bool cone) {
     }
     // J M^-1 g: Y times the gradient of the rates.
     for (int i = 0; i < 3; ++i) {
+      for (size_t f = 0; f < sticking_.size(); ++f) {
+        const auto at = static_cast<size_t>(sticking_[f]);
+        const Friction& dry = friction_[at];
+        double y[3] = {};  // of the contact's rows, for the dof
+        for (size_t side = 0; side < 2; ++side) {
+          const art::RowSide<float>& s = other.sides[side];
+          if (s.width == 0 || s.rates != friction_rows_[at].rates) continue;
+          for (int j = 0; j < 3; ++j) y[j] += s.response[j * s.width + dry.dof];
+        }
+        system_[(3 * d + static_cast<size_t>(i)) * width + 3 * active_.size() + f] = y[i];
+        double& back =
+            system_[(3 * active_.size() + f) * width + 3 * d + static_cast<size_t>(i)];
+        back = (y[0] * k.b[i][0] + y[1] * k.b[i][1]) + y[2] * k.b[i][2];
+      }
       double sum = 0.0;
       for (size_t side = 0; side < 2; ++side) {
         const art::RowSide<float>& s = other.sides[side];
@@ -268,7 +322,13 @@ void PgsContacts::solve_adjoint(int64_t island, bool cone) {
     for (int j = 0; j < 3; ++j) pull[j] = (z[0] * k.b[0][j] + z[1] * k.b[1][j]) + z[2] * k.b[2][j];
     pulls_[at] = {static_cast<float>(pull[0]), static_cast<float>(pull[1]),
                   static_cast<float>(pull[2])};
-    normals_[at] = static_cast<float>(z[0]);
+    multipliers_[at] = {static_cast<float>(z[0]), static_cast<float>(z[1]),
+                        static_cast<float>(z[2])};
+  }
+  for (size_t f = 0; f < sticking_.size(); ++f) {
+    const Friction& dry = friction_[static_cast<size_t>(sticking_[f])];
+    float& g = adjoint(dry.tree).rate[dry.dof];
+    g -= static_cast<float>(system_[(contacts + f) * width + n]);
   }
   for (const int32_t i : active_) {
     const Row& row = rows_[static_cast<size_t>(i)];
@@ -351,9 +411,67 @@ void PgsContacts::add_geometry(const Row& row, const Vec3f& push, const Vec3f& p
   }
 }
 
+// -z . d(rows)/dp of a contact, half of it to each of the two shapes: of their means.
+void PgsContacts::add_material_gradients(const Step& s, const Row& row, const double* z,
+                                         const ContactGradient& to) const {
+  const art::PgsContact<float>& c = row.solver;
+  const auto give = [&](float* gradient, double value) {
+    if (gradient == nullptr) return;
+    for (const int32_t* shapes : {s.contacts.shape0, s.contacts.shape1})
+      gradient[shapes[row.contact]] += static_cast<float>(0.5 * value);
+  };
+  const Branch branch = branch_of(c, s.law.cone);
+  double by_friction = 0.0;
+  double direction[2] = {-c.impulse[1], -c.impulse[2]};  // of the slip
+  if (c.impulse[1] == 0.0f && c.impulse[2] == 0.0f)
+    for (int i = 0; i < 2; ++i) direction[i] = art::slip(c, i + 1);
+  const double size = std::hypot(direction[0], direction[1]);
+  for (int i = 0; i < 2; ++i) {
+    if (!branch.slides[i] || size == 0.0) continue;
+    double t = direction[i] / size;
+    if (!s.law.cone) t = direction[i] == 0.0 ? 0.0 : std::copysign(1.0, direction[i]);
+    by_friction -= z[i + 1] * c.impulse[0] * t;
+  }
+  give(to.mu, by_friction);
+  if (row.target.bounce > 0.0f) give(to.restitution, -z[0] * row.before);
+  if (!s.law.compliant) return;
+  const art::ContactMaterial<float> of = material(s, row);
+  const double dt = s.law.dt, soft = dt * of.stiffness + of.damping;
+  const bool spring = !(row.place.gap > 0.0f) && !(row.target.bounce > 0.0f) &&
+                      c.bias > -s.law.max_depenetration;
+  const double gap = spring ? row.place.gap : 0.0, impulse = c.impulse[0];
+  give(to.ke, -z[0] * (gap * of.damping - impulse) / (soft * soft));
+  give(to.kd, -z[0] * (-gap * of.stiffness - impulse / dt) / (soft * soft));
+}
+
+// +-lambda of the dofs that slide against their friction, and of those without it as if they had.
+void PgsContacts::add_friction_gradients(float* to) {
+  std::vector<float>& push = friction_push_;
+  size_t dofs = 0;
+  for (int64_t i = 0; i < count_; ++i) dofs += static_cast<size_t>(trees_[i].dof_count);
+  push.resize(dofs);
+  for (int64_t i = 0; i < count_; ++i)
+    for (int32_t k = 0; k < trees_[i].dof_count; ++k) {
+      const float rate = rates_[static_cast<size_t>(rates_begin_[static_cast<size_t>(i)] + k)];
+      push[static_cast<size_t>(trees_[i].first_dof + k)] =
+          rate > 0.0f ? -1.0f : (rate < 0.0f ? 1.0f : 0.0f);
+    }
+  for (size_t i = 0; i < friction_.size(); ++i) {
+    const float impulse = friction_rows_[i].impulse;
+    const int32_t row = trees_[friction_[i].tree].first_dof + friction_[i].dof;
+    push[static_cast<size_t>(row)] =
+        sticks(static_cast<int32_t>(i)) ? 0.0f : (impulse < 0.0f ? -1.0f : 1.0f);
+  }
+  for (int64_t i = 0; i < count_; ++i)
+    for (int32_t k = 0; k < trees_[i].dof_count; ++k) {
+      const int32_t row = trees_[i].first_dof + k;
+      to[row] += push[static_cast<size_t>(row)] * adjoint(i).scratch[k];
+    }
+}
+
 void PgsContacts::vjp(const ArticulationStepVjpArguments& a, const Model& m,
-                      const ContactRows& contacts, const Vec3f* impulses,
-                      const FeatherstoneOptions& options) {
+                      const ContactRows& contacts, const Vec3f* impulses, const float* friction,
+                      const FeatherstoneOptions& options, const ContactGradient& more) {
   const art::StepInputs<float> in = articulation_inputs(a.in);
   const art::StepOptions<float> how = articulation_options(a.in);
   if (adjoint_.empty()) {
@@ -385,11 +503,18 @@ void PgsContacts::vjp(const ArticulationStepVjpArguments& a, const Model& m,
 
   const Step s = make_step(a.in, m, contacts, options, 1.0f);
   pulls_.resize(rows_.size());
-  normals_.resize(rows_.size());
+  multipliers_.resize(rows_.size());
   for (Row& row : rows_) build_row(s, row);
+  place_friction();
+  for (size_t i = 0; i < friction_.size(); ++i) {
+    build_friction(s, static_cast<int32_t>(i));
+    friction_rows_[i].impulse = friction[trees_[friction_[i].tree].first_dof + friction_[i].dof];
+  }
   const auto apply = [&](float sign) {
     for (Row& row : rows_)
       for (int32_t r = 0; r < 3; ++r) art::push(row.solver, r, sign * row.solver.impulse[r]);
+    for (const art::PgsJointFriction<float>& f : friction_rows_)
+      for (int32_t k = 0; k < f.width; ++k) f.rates[k] += sign * f.impulse * f.response[k];
   };
   for (Row& row : rows_) {
     const Vec3f& impulse = impulses[row.contact];
@@ -425,8 +550,11 @@ void PgsContacts::vjp(const ArticulationStepVjpArguments& a, const Model& m,
     };
     const float* impulse = row.solver.impulse;
     add_geometry(row, world(impulse[0], impulse[1], impulse[2]) * (1.0f / how.dt),
-                 world(pulls_[i].x, pulls_[i].y, pulls_[i].z), normals_[i], a.in);
+                 world(pulls_[i].x, pulls_[i].y, pulls_[i].z), multipliers_[i].x, a.in);
+    const double z[3] = {multipliers_[i].x, multipliers_[i].y, multipliers_[i].z};
+    add_material_gradients(s, row, z, more);
   }
+  if (more.joint_friction != nullptr) add_friction_gradients(more.joint_friction);
   for_trees([&](const ArticulationRows&, const art::Tree<float>& tree, art::Workspace<float>& ws,
                 art::AdjointMemory<float>& memory,
                 const float*) { art::step_vjp_inputs(tree, in, how, a.gradient, ws, memory); });

@@ -4,8 +4,9 @@
 //   joint_q, joint_qd, joint_f, body_f, joint_target_q, joint_target_qd,       exact
 //   joint_target_ke, _kd, joint_damping, joint_armature, joint_limit_lower,
 //   _upper, _ke, _kd, joint_effort_limit, joint_velocity_limit,
-//   body_mass, body_com, body_inertia
-//   gravity, joint_X_p, joint_X_c, joint_axis, materials of shapes             none: it raises
+//   body_mass, body_com, body_inertia, gravity
+//   joint_friction, shape_material_mu, _restitution, _ke, _kd                  below
+//   joint_X_p, joint_X_c, joint_axis                                           none: it raises
 // Exact where no limit, effort or velocity clamp is just reached: branches stay as they were.
 // Gradients of quaternions are tangent to the unit sphere. body_inertia counts by its symmetric
 // part.
@@ -15,7 +16,8 @@
 // the converged impulses by the rows that are active (src/featherstone/pgs_contacts_vjp.cpp): exact
 // where they converged and no contact is just breaking, sticking or sliding, else a surrogate;
 // ContactBranches counts them. Contacts stay on their shapes where they were found, with their
-// normals; that there are more or fewer is not differentiated. Forward derivatives raise.
+// normals; that there are more or fewer is not differentiated. So it is with dry friction of joints
+// (joint_friction), which counts as a step with contacts. Forward derivatives raise.
 #pragma once
 
 #include <memory>

@@ -93,7 +93,7 @@ struct ArticulationStep::Shared {
   std::unique_ptr<PgsContacts> pgs;  // made by the first step with contacts
   ContactBranches branches;
   UnreadMaterials materials;
-  std::vector<float> between;  // gradients of states between the steps of an operation
+  std::vector<float> between;   // gradients of states between the steps of an operation
   DeviceArray<float> wrenches;  // gradients of body_f, where gravity's is asked for
   bool dry = false;             // joints have dry friction, or its gradient is asked for
 };
@@ -181,12 +181,12 @@ constexpr size_t kMostSteps = 8;  // of an operation: a tape takes 32 outputs
 struct ArticulationStep::Step {
   std::shared_ptr<ArticulationStep::Shared> shared;
   std::shared_ptr<const Model> model;
-  Tensor contacts = {};                   // KeptContacts; undefined without
-  int64_t contact_max = 0;                // of them
-  std::optional<FoundRows> found = {};    // a rollout's: copied whenever the step runs
-  std::array<Named, kInputs> inputs;      // in the order of StepGradient, MoreInputs
-  std::array<Named, 7> values;   // rows, links, dof_parent, X_p, X_c, axis, target_mode
-  std::array<Named, 6> outputs;  // q, qd, body_q, body_qd, qdd, branch
+  Tensor contacts = {};                 // KeptContacts; undefined without
+  int64_t contact_max = 0;              // of them
+  std::optional<FoundRows> found = {};  // a rollout's: copied whenever the step runs
+  std::array<Named, kInputs> inputs;    // in the order of StepGradient, MoreInputs
+  std::array<Named, 7> values;          // rows, links, dof_parent, X_p, X_c, axis, target_mode
+  std::array<Named, 6> outputs;         // q, qd, body_q, body_qd, qdd, branch
   FeatherstoneOptions options;
   float dt = 0.0f;
   int64_t count = 0, stride = 0;
@@ -343,8 +343,8 @@ void with_gravity(const Step& s, ArticulationStepVjpArguments a, const Tensor& g
   a.gradient.add &= ~kWrench;
   adjoint(a);
   gravity_gradient_row(
-      to_arguments<GravityGradientArguments>(gravity_words(s, gravity, add, body_f, add_body_f)),
-      0, 1);
+      to_arguments<GravityGradientArguments>(gravity_words(s, gravity, add, body_f, add_body_f)), 0,
+      1);
 }
 
 // The adjoint of some steps, from the last on. The gradients of the states between them stay here.
@@ -486,7 +486,8 @@ void write_tangent(const Tensor& to, const articulation::Dual<float>* values) {
 void run_jvp(const Step& s, const StepOutputs* from, const StepOutputs& to,
              std::span<const Tensor> t, std::span<const Tensor> tangents) {
   require(!prepare_contacts(s), ErrorKind::NotImplemented,
-          "articulation_step: forward derivatives of a step with contacts or dry friction are not there; use "
+          "articulation_step: forward derivatives of a step with contacts or dry friction are not "
+          "there; use "
           "backward");
   using D = articulation::Dual<float>;
   DualArrays duals;
@@ -635,9 +636,9 @@ void ArticulationStep::begin(const Model& model, const Control* control, const c
   shared_->articulations.check_values(model, control, true, function);
   const float* const friction = model.joint_friction.data();
   const nova::Tape* const tape = nova::Tape::active();
-  shared_->dry = std::any_of(friction, friction + model.joint_dof_count(),
-                             [](float f) { return f > 0.0f; }) ||
-                 (tape != nullptr && tape->carries_gradient(*model.joint_friction.range()));
+  shared_->dry =
+      std::any_of(friction, friction + model.joint_dof_count(), [](float f) { return f > 0.0f; }) ||
+      (tape != nullptr && tape->carries_gradient(*model.joint_friction.range()));
   require(!shared_->dry || !nova::current_capture(), ErrorKind::NotImplemented, function,
           ": model.joint_friction: expected 0, and no gradient by it, inside a ScopedCapture");
 }

@@ -29,7 +29,7 @@ ContactRows contact_rows(const Contacts* contacts);  // null: none
 
 // Gradients of what only contacts and dry friction read; null: nobody wants it. They are added to.
 struct ContactGradient {
-  float* joint_friction = nullptr;                                              // {dofs}
+  float* joint_friction = nullptr;                                            // {dofs}
   float *mu = nullptr, *restitution = nullptr, *ke = nullptr, *kd = nullptr;  // {shapes}
 };
 
@@ -48,7 +48,8 @@ class PgsContacts : private TreeContacts {
   // The impulses {contacts} of the last step along n, t1 and t2, N s, those of dry friction {dofs}
   // (of the dofs that have it), and their branches.
   void write_impulses(Vec3f* impulses, float* friction) const;
-  // `by_restitution`: for gradients by it, which an approach without any has none of: its law jumps.
+  // `by_restitution`: for gradients by it, which an approach without any has none of: its law
+  // jumps.
   void add_branches(ContactBranches& to, const FeatherstoneOptions& options, bool by_restitution);
   // Behind prepare: the adjoint of step, as articulation_step_vjp, from its impulses. Contacts stay
   // where they are on their shapes, with their normals; so do branches.
@@ -149,10 +150,10 @@ class PgsContacts : private TreeContacts {
   std::vector<int64_t> adjoint_begin_;
   std::vector<double> system_;
   std::vector<int32_t> active_;
-  std::vector<Vec3f> pulls_;  // of each row: adjoint of its velocity along n, t1, t2
-  std::vector<Vec3f> multipliers_;  // likewise, of its equations: z
+  std::vector<Vec3f> pulls_;          // of each row: adjoint of its velocity along n, t1, t2
+  std::vector<Vec3f> multipliers_;    // likewise, of its equations: z
   std::vector<float> friction_push_;  // of each dof: the sign of its friction
-  std::vector<int32_t> sticking_;   // dry friction of an island that holds its dof
+  std::vector<int32_t> sticking_;     // dry friction of an island that holds its dof
   int32_t sweeps_ = 0;
   float residual_ = 0.0f;
 };

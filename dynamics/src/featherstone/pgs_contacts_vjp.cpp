@@ -12,9 +12,10 @@
 // t^T)/|w_t|) and impulses by R. With the gradient g of v':
 //   (J M^-1 J^T B^T + R^T) z = J M^-1 g,   gradient of M v:  p = M^-1 (g - J^T B^T z)
 // so B^T z, as pushes at the contacts, leaves g, and the adjoint without contacts does the rest.
-// A material p gives -z . d(rows)/dp, dry friction +-dt p_k. What is left is the geometry: J's own change with q in  -lambda . (J of p) + (B^T z) . (J of v').
-// Turning by S_k all that hangs on link i changes a motion T of link b by S_k x (T_b - T_i).
-// Source: Featherstone (2008), section 3.3, for motions; the implicit function theorem.
+// A material p gives -z . d(rows)/dp, dry friction +-dt p_k. What is left is the geometry: J's own
+// change with q in  -lambda . (J of p) + (B^T z) . (J of v'). Turning by S_k all that hangs on link
+// i changes a motion T of link b by S_k x (T_b - T_i). Source: Featherstone (2008), section 3.3,
+// for motions; the implicit function theorem.
 #include <algorithm>
 #include <cmath>
 
@@ -124,8 +125,7 @@ double coupling(const art::PgsContact<float>& a, int i, const art::PgsContact<fl
 
 void PgsContacts::write_impulses(Vec3f* impulses, float* friction) const {
   for (size_t i = 0; i < friction_.size(); ++i)
-    friction[trees_[friction_[i].tree].first_dof + friction_[i].dof] =
-        friction_rows_[i].impulse;
+    friction[trees_[friction_[i].tree].first_dof + friction_[i].dof] = friction_rows_[i].impulse;
   for (const Row& row : rows_)
     impulses[row.contact] = {row.solver.impulse[0], row.solver.impulse[1], row.solver.impulse[2]};
 }
@@ -296,8 +296,7 @@ void PgsContacts::solve_adjoint(int64_t island, bool cone) {
           for (int j = 0; j < 3; ++j) y[j] += s.response[j * s.width + dry.dof];
         }
         system_[(3 * d + static_cast<size_t>(i)) * width + 3 * active_.size() + f] = y[i];
-        double& back =
-            system_[(3 * active_.size() + f) * width + 3 * d + static_cast<size_t>(i)];
+        double& back = system_[(3 * active_.size() + f) * width + 3 * d + static_cast<size_t>(i)];
         back = (y[0] * k.b[i][0] + y[1] * k.b[i][1]) + y[2] * k.b[i][2];
       }
       double sum = 0.0;
@@ -437,8 +436,8 @@ void PgsContacts::add_material_gradients(const Step& s, const Row& row, const do
   if (!s.law.compliant) return;
   const art::ContactMaterial<float> of = material(s, row);
   const double dt = s.law.dt, soft = dt * of.stiffness + of.damping;
-  const bool spring = !(row.place.gap > 0.0f) && !(row.target.bounce > 0.0f) &&
-                      c.bias > -s.law.max_depenetration;
+  const bool spring =
+      !(row.place.gap > 0.0f) && !(row.target.bounce > 0.0f) && c.bias > -s.law.max_depenetration;
   const double gap = spring ? row.place.gap : 0.0, impulse = c.impulse[0];
   give(to.ke, -z[0] * (gap * of.damping - impulse) / (soft * soft));
   give(to.kd, -z[0] * (-gap * of.stiffness - impulse / dt) / (soft * soft));

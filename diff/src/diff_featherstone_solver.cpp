@@ -67,12 +67,12 @@ bool DiffFeatherstoneSolver::begin_rollout(const RolloutInputs& inputs) {
   const bool touching = inputs.contacts() != nullptr || inputs.pipeline() != nullptr;
   require(!touching || options_.contact != ArticulationContact::None, ErrorKind::Value, kRollout,
           ", contacts: expected none of a solver without a way of contact");
-  require(!touching || !nova::current_capture(), ErrorKind::NotImplemented, kRollout,
-          " with contacts inside a ScopedCapture is not there");
-  rollout_contacts_ =
-      inputs.pipeline() != nullptr
-          ? most_contacts(&static_cast<const Contacts&>(inputs.pipeline()->contacts()))
-          : most_contacts(inputs.contacts());
+  rollout_contacts_ = most_contacts(inputs.contacts());
+  if (inputs.pipeline() != nullptr) {
+    const Unobserved unobserved;  // memory that no capture records
+    const Contacts contacts = inputs.pipeline()->contacts();
+    rollout_contacts_ = most_contacts(&contacts);
+  }
   begin_model_reads(*model(), kRollout);
   for (int32_t t = inputs.start(); t < inputs.stop(); ++t)
     if (t == inputs.start() || inputs.control(t) != inputs.control(t - 1))

@@ -3,10 +3,13 @@
 #include <algorithm>
 #include <array>
 #include <cstring>
+#include <limits>
 #include <optional>
+#include <string>
 #include <utility>
 
 #include "articulation_step.h"
+#include "diff_captured_work.h"
 #include "novaphy/core/device_kernel.h"
 #include "novaphy/core/error.h"
 #include "novaphy/nova/op_list.h"
@@ -95,6 +98,7 @@ struct ArticulationStep::Shared {
   UnreadMaterials materials;
   std::vector<float> between;   // gradients of states between the steps of an operation
   DeviceArray<float> wrenches;  // gradients of body_f, where gravity's is asked for
+  std::string failure;          // of a replay
   bool dry = false;             // joints have dry friction, or its gradient is asked for
 };
 
@@ -181,12 +185,14 @@ constexpr size_t kMostSteps = 8;  // of an operation: a tape takes 32 outputs
 struct ArticulationStep::Step {
   std::shared_ptr<ArticulationStep::Shared> shared;
   std::shared_ptr<const Model> model;
-  Tensor contacts = {};                 // KeptContacts; undefined without
-  int64_t contact_max = 0;              // of them
-  std::optional<FoundRows> found = {};  // a rollout's: copied whenever the step runs
-  std::array<Named, kInputs> inputs;    // in the order of StepGradient, MoreInputs
-  std::array<Named, 7> values;          // rows, links, dof_parent, X_p, X_c, axis, target_mode
-  std::array<Named, 6> outputs;         // q, qd, body_q, body_qd, qdd, branch
+  Tensor contacts = {};                          // KeptContacts; undefined without
+  int64_t contact_max = 0;                       // of them
+  std::optional<FoundRows> found = {};           // copied whenever the step runs
+  std::optional<DeviceArray<Vec3f>> force = {};  // of the contacts
+  bool by_restitution = false;                   // its gradient is asked for
+  std::array<Named, kInputs> inputs;             // in the order of StepGradient, MoreInputs
+  std::array<Named, 7> values;   // rows, links, dof_parent, X_p, X_c, axis, target_mode
+  std::array<Named, 6> outputs;  // q, qd, body_q, body_qd, qdd, branch
   FeatherstoneOptions options;
   float dt = 0.0f;
   int64_t count = 0, stride = 0;
@@ -195,6 +201,8 @@ struct ArticulationStep::Step {
   ArticulationArguments host = {};          // of the first step, where others follow
   std::vector<StepOutputs> following = {};  // each starts where the one before ended
 
+  // Whether its forward fills `contacts` anew, so that nobody minds who wrote there.
+  bool copies_contacts() const { return found.has_value() || contact_max == 0; }
   const Tensor& in(size_t member) const { return inputs[member].tensor; }
 };
 
@@ -285,7 +293,8 @@ void run_forward(const Step& s) {
   words.push_back(writes_row("status", s.status));
   words.push_back(writes("workspace", s.workspace));
   words.push_back(number(s.stride));
-  if (s.found) kept_contacts(s).copy(s.found->rows());
+  if (s.contacts.defined() && s.copies_contacts())
+    kept_contacts(s).copy(s.found ? s.found->rows() : ContactRows{});
   if (prepare_contacts(s)) {
     const KeptContacts kept = kept_contacts(s);
     auto a = to_arguments<ArticulationStepArguments>(words);
@@ -302,8 +311,58 @@ void run_forward(const Step& s) {
   step_kernel().launch(Device::cpu(), s.count, words);
 }
 
-void run_all(const Step& s) {
-  run_forward(s);
+// Behind the step as it is recorded: what its contacts say.
+void write_forces(const KeptContacts& kept, const DeviceArray<Vec3f>& to, float dt);
+void tell_contacts(const Step& s) {
+  s.shared->pgs->add_branches(s.shared->branches, s.shared->options, s.by_restitution);
+  if (s.force) write_forces(kept_contacts(s), *s.force, s.dt);
+}
+
+// What a replay of the step or of its adjoint reads and others may write.
+std::vector<Tensor> reads_of(const Step& s) {
+  std::vector<Tensor> all;
+  for (const Named& in : s.inputs) all.push_back(in.tensor);
+  for (size_t i = 3; i < s.values.size(); ++i) all.push_back(s.values[i].tensor);
+  return all;
+}
+// Without exceptions, which no replay passes on: the results are not numbers then, and the next
+// call says why.
+template <class Function>
+void replay(const Step& s, const std::vector<Tensor>& results, const Function& function) {
+  try {
+    function();
+  } catch (const std::exception& error) {
+    s.shared->failure = error.what();
+    for (const Tensor& result : results)
+      std::fill_n(numbers(result), result.size(), std::numeric_limits<float>::quiet_NaN());
+  }
+}
+
+// The step now, or in the replays of a capture.
+void submit_forward(const std::shared_ptr<const Step>& step, bool tell) {
+  const auto run = [step, tell] {
+    run_forward(*step);
+    if (tell && step->contacts.defined()) tell_contacts(*step);
+  };
+  if (!nova::current_capture() || !step->contacts.defined()) return run();
+  std::vector<Tensor> results, writes;
+  for (const Named& out : step->outputs) results.push_back(out.tensor);
+  writes = results;
+  writes.push_back(step->contacts);
+  if (step->force) writes.push_back(tensor_of(*step->force));
+  std::vector<Tensor> reads = reads_of(*step);
+  if (step->found) {
+    const FoundRows& f = *step->found;
+    const Array* const arrays[] = {&f.count,  &f.shape0, &f.shape1,  &f.point0,
+                                   &f.point1, &f.normal, &f.margin0, &f.margin1};
+    for (const Array* array : arrays) reads.push_back(tensor_of(*array));
+  }
+  capture_articulation_work(reads, writes, [step, results, run] { replay(*step, results, run); });
+}
+
+void run_all(const std::shared_ptr<const Step>& step) {
+  const Step& s = *step;
+  submit_forward(step, false);
   StepOutputs from = outputs_of(s);
   for (const StepOutputs& to : s.following) {
     run_host(s, s.host, &from, to);
@@ -424,9 +483,6 @@ void run_vjp(const Step& s, std::span<const Tensor> outputs,
       std::fill_n(numbers(gradients[i].grad), gradients[i].grad.size(), 0.0f);
   const Tensor &gravity = gradients[kGravity].grad, &body_f = gradients[G::kBodyF].grad;
   const bool add_gravity = gradients[kGravity].add, add_body_f = gradients[G::kBodyF].add;
-  require(!nova::current_capture() || !s.contacts.defined(), ErrorKind::NotImplemented,
-          "articulation_step: backward of a step with contacts or dry friction inside a "
-          "ScopedCapture is not there");
   if (!nova::current_capture()) {
     const auto of = [&](size_t i) {
       return i < gradients.size() ? numbers(gradients[i].grad) : nullptr;
@@ -453,6 +509,24 @@ void run_vjp(const Step& s, std::span<const Tensor> outputs,
   if (gravity.defined())
     gravity_kernel().launch(Device::cpu(), 1,
                             gravity_words(s, gravity, add_gravity, body_f, add_body_f));
+}
+
+// The adjoint of a step now, or in the replays of a capture.
+void submit_vjp(const std::shared_ptr<const Step>& step, std::span<const Tensor> outputs,
+                std::span<const nova::InputGradient> gradients) {
+  if (!nova::current_capture() || !step->contacts.defined())
+    return run_vjp(*step, outputs, gradients);
+  std::vector<Tensor> reads = reads_of(*step), results;
+  reads.insert(reads.end(), outputs.begin(), outputs.end());
+  for (const size_t i : {0, 1, 4, 5}) reads.push_back(step->outputs[i].tensor);
+  reads.push_back(step->contacts);
+  for (const nova::InputGradient& gradient : gradients)
+    if (gradient.grad.defined()) results.push_back(gradient.grad);
+  const std::vector<Tensor> out(outputs.begin(), outputs.end());
+  const std::vector<nova::InputGradient> to(gradients.begin(), gradients.end());
+  capture_articulation_work(reads, results, [step, results, out, to] {
+    replay(*step, results, [&] { run_vjp(*step, out, to); });
+  });
 }
 
 // Tangents by dual numbers, on the host.
@@ -560,8 +634,8 @@ void run_jvp_of_steps(const Step& s, std::span<const Tensor> t, std::span<const 
 }
 
 // rigid_contact_force from the impulses of a step.
-void write_forces(const KeptContacts& kept, const Contacts& contacts, float dt) {
-  DeviceArray<Vec3f> forces = contacts.rigid_contact_force;
+void write_forces(const KeptContacts& kept, const DeviceArray<Vec3f>& to, float dt) {
+  DeviceArray<Vec3f> forces = to;
   Vec3f* const force = forces.mutable_data();
   for (int32_t i = 0; i < *kept.count; ++i) {
     const articulation::ContactFrame<float> frame = articulation::contact_frame(kept.normal[i]);
@@ -585,18 +659,18 @@ nova::CustomOp make_op(const std::shared_ptr<const Step>& step) {
   add_step(outputs_of(*step));
   for (const StepOutputs& out : step->following) add_step(out);
   if (step->contacts.defined()) {
-    op.reads.push_back(step->contacts);
+    if (!step->copies_contacts()) op.reads.push_back(step->contacts);
     op.writes.push_back(step->contacts);
   }
   op.writes.push_back(tensor_of(step->status));
   if (step->stride > 0) op.writes.push_back(tensor_of(step->workspace));
   op.vjp = [step](std::span<const Tensor> outputs, std::span<const nova::InputGradient> inputs) {
     if (step->following.empty())
-      run_vjp(*step, outputs, inputs);
+      submit_vjp(step, outputs, inputs);
     else
       run_vjp_of_steps(*step, outputs, inputs);
   };
-  op.forward = [step] { run_all(*step); };
+  op.forward = [step] { run_all(step); };
   op.jvp = [step](std::span<const Tensor> inputs, std::span<const Tensor> outputs) {
     run_jvp_of_steps(*step, inputs, outputs);
   };
@@ -633,14 +707,16 @@ std::vector<ScratchSpec> ArticulationStep::scratch(const Model& model, int32_t c
 }
 
 void ArticulationStep::begin(const Model& model, const Control* control, const char* function) {
+  if (!shared_->failure.empty())
+    fail(ErrorKind::Runtime, function,
+         ": a replay of a captured step failed, its results are NaN: ",
+         std::exchange(shared_->failure, {}));
   shared_->articulations.check_values(model, control, true, function);
   const float* const friction = model.joint_friction.data();
   const nova::Tape* const tape = nova::Tape::active();
   shared_->dry =
       std::any_of(friction, friction + model.joint_dof_count(), [](float f) { return f > 0.0f; }) ||
       (tape != nullptr && tape->carries_gradient(*model.joint_friction.range()));
-  require(!shared_->dry || !nova::current_capture(), ErrorKind::NotImplemented, function,
-          ": model.joint_friction: expected 0, and no gradient by it, inside a ScopedCapture");
 }
 
 void ArticulationStep::record(const Model& m, const SimState& in, SimState& out,
@@ -662,7 +738,12 @@ void ArticulationStep::record(const Model& m, const SimState& in, SimState& out,
       m.shared_from_this(),
       touching || shared_->dry ? tensor_of(scratch[2]) : Tensor(),
       touching ? contacts->rigid_contact_max() : 0,
-      touching && found ? std::optional<FoundRows>(*contacts) : std::nullopt,
+      touching && (found || nova::current_capture() != nullptr)
+          ? std::optional<FoundRows>(*contacts)
+          : std::nullopt,
+      touching ? std::optional<DeviceArray<Vec3f>>(contacts->rigid_contact_force) : std::nullopt,
+      nova::Tape::active() != nullptr &&
+          nova::Tape::active()->carries_gradient(*m.shape_material_restitution.range()),
       {view("joint_q", in.joint_q),
        view("joint_qd", in.joint_qd),
        view("joint_f", joint_f),
@@ -703,16 +784,9 @@ void ArticulationStep::record(const Model& m, const SimState& in, SimState& out,
   const bool solves = step->contacts.defined();
   if (solves) {
     if (!shared_->pgs) shared_->pgs = std::make_unique<PgsContacts>(m, a);
-    if (!found) kept_contacts(*step).copy(contact_rows(contacts));
+    if (!step->copies_contacts()) kept_contacts(*step).copy(contact_rows(contacts));
   }
-  run_forward(*step);
-  if (solves) {
-    const nova::Tape* const tape = nova::Tape::active();
-    shared_->pgs->add_branches(
-        shared_->branches, shared_->options,
-        tape != nullptr && tape->carries_gradient(*m.shape_material_restitution.range()));
-  }
-  if (touching) write_forces(kept_contacts(*step), *contacts, dt);
+  submit_forward(step, true);
   if (nova::Tape::active() == nullptr) return;
   pending_ = std::move(step);
   if (!join || solves || nova::current_capture()) return flush();

@@ -559,10 +559,6 @@ void write_tangent(const Tensor& to, const articulation::Dual<float>* values) {
 
 void run_jvp(const Step& s, const StepOutputs* from, const StepOutputs& to,
              std::span<const Tensor> t, std::span<const Tensor> tangents) {
-  require(!prepare_contacts(s), ErrorKind::NotImplemented,
-          "articulation_step: forward derivatives of a step with contacts or dry friction are not "
-          "there; use "
-          "backward");
   using D = articulation::Dual<float>;
   DualArrays duals;
   const auto in = [&](G::Member m) { return duals.take<D>(s.in(m), t[m]); };
@@ -592,20 +588,40 @@ void run_jvp(const Step& s, const StepOutputs* from, const StepOutputs& to,
   const auto* rows = reinterpret_cast<const ArticulationRows*>(s.values[0].tensor.data<int32_t>());
   const auto* links =
       reinterpret_cast<const articulation::Link*>(s.values[1].tensor.data<int32_t>());
-  std::vector<uint64_t> memory;
-  for (int64_t i = 0; i < s.count; ++i) {
-    tree.link_count = rows[i].link_count;
-    tree.dof_count = rows[i].dof_count;
-    tree.links = links + rows[i].first_link;
-    tree.dof_parent = s.values[2].tensor.data<int32_t>() + rows[i].first_dof;
-    tree.first_dof = rows[i].first_dof;
-    tree.gravity = gravity[rows[i].world];
-    memory.resize(static_cast<size_t>(
-        articulation::workspace_bytes<D>(tree.link_count, tree.dof_count) / 8 + 1));
-    articulation::Workspace<D> ws =
-        articulation::make_workspace<D>(memory.data(), tree.link_count, tree.dof_count);
-    if (articulation::forward_step(tree, inputs, options, ws) >= 0) continue;
-    articulation::finish_step(tree, inputs, options, ws, q, qd, body_q, body_qd);
+  const auto count = static_cast<size_t>(s.count);
+  std::vector<std::vector<uint64_t>> memory(count);
+  std::vector<articulation::Tree<D>> all(count, tree);
+  std::vector<articulation::Workspace<D>> workspaces(count);
+  std::vector<char> moves(count);
+  for (size_t i = 0; i < count; ++i) {
+    articulation::Tree<D>& of = all[i];
+    of.link_count = rows[i].link_count;
+    of.dof_count = rows[i].dof_count;
+    of.links = links + rows[i].first_link;
+    of.dof_parent = s.values[2].tensor.data<int32_t>() + rows[i].first_dof;
+    of.first_dof = rows[i].first_dof;
+    of.gravity = gravity[rows[i].world];
+    memory[i].resize(
+        static_cast<size_t>(articulation::workspace_bytes<D>(of.link_count, of.dof_count) / 8 + 1));
+    workspaces[i] = articulation::make_workspace<D>(memory[i].data(), of.link_count, of.dof_count);
+    moves[i] = articulation::accelerate(of, inputs, options, workspaces[i]) < 0;
+    if (moves[i]) articulation::free_rates(of, inputs, options, workspaces[i]);
+  }
+  const bool all_move = std::all_of(moves.begin(), moves.end(), [](char m) { return m != 0; });
+  if (all_move && (prepare_contacts(s) || t[kJointFriction].defined())) {
+    const auto of = [&](size_t i) {
+      return s.in(i).defined() ? duals.take<D>(s.in(i), i < t.size() ? t[i] : Tensor()) : nullptr;
+    };
+    const ContactDuals more = {of(kJointFriction), of(kMu), of(kRestitution), of(kStiffness),
+                               of(kDamping)};
+    const KeptContacts kept = kept_contacts(s);
+    s.shared->pgs->jvp(all, inputs.qd, workspaces, kept.rows(), kept.impulses, kept.friction,
+                       s.options, more, s.dt);
+  }
+  for (size_t i = 0; i < count; ++i) {
+    if (!moves[i]) continue;
+    articulation::clamp_rates(all[i], inputs, workspaces[i]);
+    articulation::finish_step(all[i], inputs, options, workspaces[i], q, qd, body_q, body_qd);
   }
   write_tangent(tangents[0], q);
   write_tangent(tangents[1], qd);
@@ -658,10 +674,8 @@ nova::CustomOp make_op(const std::shared_ptr<const Step>& step) {
   };
   add_step(outputs_of(*step));
   for (const StepOutputs& out : step->following) add_step(out);
-  if (step->contacts.defined()) {
-    if (!step->copies_contacts()) op.reads.push_back(step->contacts);
-    op.writes.push_back(step->contacts);
-  }
+  // Read too, but nobody else has it, and the other steps of a rollout keep the same there.
+  if (step->contacts.defined()) op.writes.push_back(step->contacts);
   op.writes.push_back(tensor_of(step->status));
   if (step->stride > 0) op.writes.push_back(tensor_of(step->workspace));
   op.vjp = [step](std::span<const Tensor> outputs, std::span<const nova::InputGradient> inputs) {

@@ -33,6 +33,13 @@ struct ContactGradient {
   float *mu = nullptr, *restitution = nullptr, *ke = nullptr, *kd = nullptr;  // {shapes}
 };
 
+// What only contacts and dry friction read, with its derivatives.
+struct ContactDuals {
+  const articulation::Dual<float>* joint_friction = nullptr;  // {dofs}
+  const articulation::Dual<float>*mu = nullptr, *restitution = nullptr, *ke = nullptr,
+        *kd = nullptr;  // {shapes}
+};
+
 class PgsContacts : private TreeContacts {
  public:
   PgsContacts(const Model& model, const Articulations& articulations);
@@ -56,6 +63,13 @@ class PgsContacts : private TreeContacts {
   void vjp(const ArticulationStepVjpArguments& step, const Model& model,
            const ContactRows& contacts, const Vec3f* impulses, const float* friction,
            const FeatherstoneOptions& options, const ContactGradient& more);
+  // Behind prepare: what contacts and friction do to the rates in `workspaces` of all trees, which
+  // have been accelerated (qd_next without them), with their derivatives. `qd` {dofs}: of before.
+  void jvp(const std::vector<articulation::Tree<articulation::Dual<float>>>& trees,
+           const articulation::Dual<float>* qd,
+           std::vector<articulation::Workspace<articulation::Dual<float>>>& workspaces,
+           const ContactRows& contacts, const Vec3f* impulses, const float* friction,
+           const FeatherstoneOptions& options, const ContactDuals& of, float dt);
   // The poses and velocities of the bodies, from joint_q and joint_qd.
   void write_bodies(const ArticulationArguments& in, Transformf* body_q, SpatialVectorf* body_qd);
   // The most sweeps that an island of the last step took, and the largest change of velocity (m/s)

@@ -20,6 +20,7 @@
 #include <cmath>
 
 #include "novaphy/core/sim/for_chunks.h"
+#include "pgs_branches.h"
 #include "pgs_contacts_step.h"
 
 namespace novaphy {
@@ -27,89 +28,20 @@ namespace {
 
 namespace art = articulation;
 constexpr int64_t kTreeChunk = 8;
-constexpr float kSlides = 1e-5f;        // relative: nearer to the cone is on it
-constexpr double kRegularity = 1e-7;    // of redundant rows, relative to their diagonal
 constexpr float kSameFriction = 1e-4f;  // 1
 constexpr double kDependent = 1e-5;     // of a normal that others make up, relative
 constexpr float kConverged = 1e-5f;     // m/s
 constexpr float kNearNormal = 1e-5f;    // m/s
 constexpr float kNearGap = 1e-6f;       // m
 constexpr float kNearCone = 1e-3f;      // 1
-constexpr float kLeastSlip = 1e-6f;     // m/s
 
 float length(float x, float y) { return math::sqrt(x * x + y * y); }
 
-struct Branch {
-  bool active = false;
-  bool slides[2] = {false, false};  // of the tangents; of a cone both or none
+// The slip along the tangents.
+struct Slip {
+  explicit Slip(const art::PgsContact<float>& c) : along{art::slip(c, 1), art::slip(c, 2)} {}
+  double along[2];
 };
-Branch branch_of(const art::PgsContact<float>& c, bool cone) {
-  Branch b;
-  b.active = c.impulse[0] > 0.0f;
-  const float limit = c.friction * c.impulse[0] * (1.0f - kSlides);
-  if (cone) {
-    b.slides[0] = b.slides[1] = length(c.impulse[1], c.impulse[2]) >= limit;
-  } else {
-    for (int r = 0; r < 2; ++r) b.slides[r] = std::fabs(c.impulse[r + 1]) >= limit;
-  }
-  return b;
-}
-
-// B and R of a contact; rows are equations, columns n, t1, t2.
-struct Blocks {
-  double b[3][3] = {}, r[3][3] = {};
-};
-Blocks blocks_of(const art::PgsContact<float>& c, const Branch& branch, bool cone) {
-  Blocks k;
-  k.b[0][0] = 1.0;
-  k.r[0][0] = c.cfm;
-  for (int i = 0; i < 2; ++i) {
-    if (!branch.slides[i]) {
-      k.b[i + 1][i + 1] = 1.0;
-      continue;
-    }
-    k.r[i + 1][i + 1] = 1.0;
-    if (!cone) k.r[i + 1][0] = (c.impulse[i + 1] < 0.0f ? 1.0 : -1.0) * c.friction;
-  }
-  if (!cone || !branch.slides[0]) return k;
-  const double w[2] = {art::slip(c, 1), art::slip(c, 2)};
-  const double size = std::max(std::sqrt(w[0] * w[0] + w[1] * w[1]), double{kLeastSlip});
-  const double by = length(c.impulse[1], c.impulse[2]);
-  double t[2] = {w[0] / size, w[1] / size};  // a converged sweep has t = -lambda_t / |lambda_t|
-  if (by > 0.0)
-    for (int i = 0; i < 2; ++i) t[i] = -c.impulse[i + 1] / by;
-  const double push = double{c.friction} * c.impulse[0] / size;
-  for (int i = 0; i < 2; ++i) {
-    k.r[i + 1][0] = c.friction * t[i];
-    for (int j = 0; j < 2; ++j) k.b[i + 1][j + 1] = push * ((i == j ? 1.0 : 0.0) - t[i] * t[j]);
-  }
-  return k;
-}
-
-// x of A x = b for A {n, n + 1} with b as the last column, which x replaces. By rows, with pivots.
-void solve_dense(std::vector<double>& a, size_t n) {
-  const size_t width = n + 1;
-  for (size_t k = 0; k < n; ++k) {
-    size_t best = k;
-    for (size_t i = k + 1; i < n; ++i)
-      if (std::fabs(a[i * width + k]) > std::fabs(a[best * width + k])) best = i;
-    if (a[best * width + k] == 0.0) continue;
-    if (best != k)
-      std::swap_ranges(a.begin() + static_cast<int64_t>(k * width),
-                       a.begin() + static_cast<int64_t>((k + 1) * width),
-                       a.begin() + static_cast<int64_t>(best * width));
-    for (size_t i = k + 1; i < n; ++i) {
-      const double f = a[i * width + k] / a[k * width + k];
-      if (f == 0.0) continue;
-      for (size_t j = k; j < width; ++j) a[i * width + j] -= f * a[k * width + j];
-    }
-  }
-  for (size_t k = n; k-- > 0;) {
-    double x = a[k * width + n];
-    for (size_t j = k + 1; j < n; ++j) x -= a[k * width + j] * a[j * width + n];
-    a[k * width + n] = a[k * width + k] == 0.0 ? 0.0 : x / a[k * width + k];
-  }
-}
 
 // What the rows of two contacts share: J_i of a times Y_j of b.
 double coupling(const art::PgsContact<float>& a, int i, const art::PgsContact<float>& b, int j) {
@@ -141,7 +73,7 @@ bool PgsContacts::sharing_matters(int64_t island, bool cone) {
     const Row& row = rows_[static_cast<size_t>(i)];
     const art::PgsContact<float>& c = row.solver;
     if (c.impulse[0] <= 0.0f || c.cfm > 0.0f) continue;
-    const Branch branch = branch_of(c, cone);
+    const ContactBranch branch = branch_of(c, cone);
     slides = slides || (c.friction > 0.0f && (branch.slides[0] || branch.slides[1]));
     const Vec3f friction = (row.frame.axes[1] * c.impulse[1] + row.frame.axes[2] * c.impulse[2]) *
                            (1.0f / c.impulse[0]);
@@ -181,7 +113,7 @@ void PgsContacts::add_branches(ContactBranches& to, const FeatherstoneOptions& o
   bool exact = residual_ < kConverged;
   for (const Row& row : rows_) {
     const art::PgsContact<float>& c = row.solver;
-    const Branch branch = branch_of(c, cone);
+    const ContactBranch branch = branch_of(c, cone);
     const bool jumps = !row.elastic && row.before < -options.restitution_threshold;
     exact = exact && !(by_restitution && jumps);
     const float normal =
@@ -267,8 +199,8 @@ void PgsContacts::solve_adjoint(int64_t island, bool cone) {
   }
   for (size_t d = 0; d < active_.size(); ++d) {
     const art::PgsContact<float>& other = rows_[static_cast<size_t>(active_[d])].solver;
-    const Branch branch = branch_of(other, cone);
-    const Blocks k = blocks_of(other, branch, cone);
+    const ContactBranch branch = branch_of(other, cone);
+    const ContactBlocks k = blocks_of(other, branch, cone, Slip(other).along);
     for (size_t c = 0; c < active_.size(); ++c) {
       const art::PgsContact<float>& one = rows_[static_cast<size_t>(active_[c])].solver;
       for (int i = 0; i < 3; ++i) {
@@ -315,7 +247,8 @@ void PgsContacts::solve_adjoint(int64_t island, bool cone) {
   for (size_t d = 0; d < active_.size(); ++d) {
     const auto at = static_cast<size_t>(active_[d]);
     const Row& row = rows_[at];
-    const Blocks k = blocks_of(row.solver, branch_of(row.solver, cone), cone);
+    const ContactBlocks k =
+        blocks_of(row.solver, branch_of(row.solver, cone), cone, Slip(row.solver).along);
     double z[3], pull[3];
     for (size_t e = 0; e < 3; ++e) z[e] = system_[(3 * d + e) * width + n];
     for (int j = 0; j < 3; ++j) pull[j] = (z[0] * k.b[0][j] + z[1] * k.b[1][j]) + z[2] * k.b[2][j];
@@ -419,19 +352,9 @@ void PgsContacts::add_material_gradients(const Step& s, const Row& row, const do
     for (const int32_t* shapes : {s.contacts.shape0, s.contacts.shape1})
       gradient[shapes[row.contact]] += static_cast<float>(0.5 * value);
   };
-  const Branch branch = branch_of(c, s.law.cone);
-  double by_friction = 0.0;
-  double direction[2] = {-c.impulse[1], -c.impulse[2]};  // of the slip
-  if (c.impulse[1] == 0.0f && c.impulse[2] == 0.0f)
-    for (int i = 0; i < 2; ++i) direction[i] = art::slip(c, i + 1);
-  const double size = std::hypot(direction[0], direction[1]);
-  for (int i = 0; i < 2; ++i) {
-    if (!branch.slides[i] || size == 0.0) continue;
-    double t = direction[i] / size;
-    if (!s.law.cone) t = direction[i] == 0.0 ? 0.0 : std::copysign(1.0, direction[i]);
-    by_friction -= z[i + 1] * c.impulse[0] * t;
-  }
-  give(to.mu, by_friction);
+  double by_friction[2];
+  rows_by_friction(c, branch_of(c, s.law.cone), s.law.cone, Slip(c).along, by_friction);
+  give(to.mu, -(z[1] * by_friction[0] + z[2] * by_friction[1]));
   if (row.target.bounce > 0.0f) give(to.restitution, -z[0] * row.before);
   if (!s.law.compliant) return;
   const art::ContactMaterial<float> of = material(s, row);

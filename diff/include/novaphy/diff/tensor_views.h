@@ -22,7 +22,13 @@
   X(joint_target_ke)           \
   X(joint_target_kd)           \
   X(joint_damping)             \
-  X(gravity) X(shape_material_ke) X(shape_material_kd) X(shape_material_kf) X(shape_material_mu)
+  X(joint_friction)            \
+  X(gravity)                   \
+  X(shape_material_ke)         \
+  X(shape_material_kd)         \
+  X(shape_material_kf)         \
+  X(shape_material_mu)         \
+  X(shape_material_restitution)
 // X(name, field): views of arrays over elements, without the prefix of the field.
 #define NOVAPHY_ELEMENT_VIEWS(X)                     \
   X(tet_activation, particle_tet_activation)         \

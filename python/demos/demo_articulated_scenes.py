@@ -1,8 +1,10 @@
-"""Articulations that touch: a stack of cubes, a quadruped that is dropped, an Ant under torques.
+"""Articulations that touch: a stack, a dropped quadruped, a chain, an Ant or 1,024 under torques.
 
 python demo_articulated_scenes.py
 python demo_articulated_scenes.py stack
 python demo_articulated_scenes.py quadruped --headless 180 --plot quadruped.png
+python demo_articulated_scenes.py chain --headless 240 --record chain.png
+python demo_articulated_scenes.py ants --headless 120 --record ants.png
 python demo_articulated_scenes.py ant --headless 600 --record ant.html
 """
 
@@ -23,6 +25,8 @@ UPRIGHT = (0.0, 0.0, 0.0, 1.0)
 CUBE, CUBES, ASIDE = 0.1, 10, 0.003  # m
 THIGH, CALF = 0.22, 0.22  # m
 STANCE = (0.0, 0.75, -1.5)  # rad, of hip, thigh and calf
+LINKS, LINK = 24, 0.12  # m
+ANTS, SPACING = 32, 1.8  # in a row, m
 TORQUE, FRAMES_PER_TORQUE = 60.0, 5  # N m
 # Of the Ant: leg, where its hip is, the axis of its ankle, and the range of that, degrees.
 LEGS = (
@@ -93,11 +97,12 @@ def build_quadruped() -> novaphy.ModelBuilder:
     return builder
 
 
-def build_ant() -> novaphy.ModelBuilder:
+def build_ant(ground: bool = True) -> novaphy.ModelBuilder:
     """The Ant: a ball with four legs of two hinges; 182 kg. Its shapes meet the ground only."""
     builder = novaphy.ModelBuilder()
     surface = novaphy.ShapeConfig(mu=0.75, collision_group=-1)
-    builder.add_ground_plane(cfg=novaphy.ShapeConfig(mu=0.75))
+    if ground:
+        builder.add_ground_plane(cfg=novaphy.ShapeConfig(mu=0.75))
     torso = builder.add_link(xform=((0.0, 0.0, 0.75), UPRIGHT))
     builder.add_shape_sphere(torso, radius=0.25, cfg=surface)
     joints, angles = [builder.add_joint_free(torso)], []
@@ -129,10 +134,46 @@ def build_ant() -> novaphy.ModelBuilder:
     return builder
 
 
-SCENES = {"stack": build_stack, "quadruped": build_quadruped, "ant": build_ant}
+def build_chain() -> novaphy.ModelBuilder:
+    """Capsules on ball joints, held at one end and let go; the other drags along the ground."""
+    builder = novaphy.ModelBuilder()
+    surface = novaphy.ShapeConfig(mu=0.5, collision_group=-1)
+    builder.add_ground_plane(cfg=novaphy.ShapeConfig(mu=0.5))
+    joints, parent, place = [], -1, (0.0, 0.0, 2.0)
+    for _ in range(LINKS):
+        link = builder.add_link()
+        pose, half = between(np.zeros(3), np.array([LINK, 0.0, 0.0]))
+        builder.add_shape_capsule(link, xform=pose, radius=0.02, half_height=half, cfg=surface)
+        joints.append(
+            builder.add_joint_ball(parent, link, parent_xform=(place, UPRIGHT), damping=0.01)
+        )
+        parent, place = link, (LINK, 0.0, 0.0)
+    builder.add_articulation(joints)
+    return builder
+
+
+def build_ants() -> novaphy.ModelBuilder:
+    """1,024 worlds with an Ant each, side by side on one ground."""
+    builder, ant = novaphy.ModelBuilder(), build_ant(ground=False)
+    builder.add_ground_plane(cfg=novaphy.ShapeConfig(mu=0.75))
+    for k in range(ANTS * ANTS):
+        place = (SPACING * (k % ANTS), SPACING * (k // ANTS), 0.0)
+        builder.add_world(ant, (place, UPRIGHT))
+    return builder
+
+
+SCENES = {
+    "stack": build_stack,
+    "quadruped": build_quadruped,
+    "chain": build_chain,
+    "ant": build_ant,
+    "ants": build_ants,
+}
 LOOKS = {
     "stack": ((0.6, -3.6, 1.4), (0.0, 0.0, 1.0)),
     "quadruped": ((0.9, -1.3, 0.6), (0.0, 0.0, 0.25)),
+    "chain": ((1.0, -3.4, 1.5), (0.5, 0.0, 0.95)),
+    "ants": ((-9.0, -16.0, 13.0), (23.0, 22.0, -3.0)),
     "ant": ((1.8, -2.6, 1.5), (0.0, 0.0, 0.3)),
 }
 
@@ -149,10 +190,10 @@ def simulate(
     rng = np.random.default_rng(1)
     poses = [state.body_q.numpy()]
     for frame in stage.frames(frames):
-        if scene == "ant" and frame % FRAMES_PER_TORQUE == 0:
-            torques = np.zeros(model.joint_dof_count, np.float32)
-            torques[6:] = rng.uniform(-TORQUE, TORQUE, torques.size - 6)
-            control.joint_f.assign(torques)
+        if scene in ("ant", "ants") and frame % FRAMES_PER_TORQUE == 0:
+            torques = np.zeros((max(model.world_count, 1), 14), np.float32)
+            torques[:, 6:] = rng.uniform(-TORQUE, TORQUE, (len(torques), 8))
+            control.joint_f.assign(torques.ravel())
         for _ in range(SUBSTEPS):
             state.clear_forces()
             stage.apply_forces(state)
@@ -176,7 +217,13 @@ def check(scene: str, poses: np.ndarray, velocities: np.ndarray) -> str:
     if scene == "quadruped":
         stands = 0.25 < height < 0.4 and np.abs(velocities).max() < 0.05
         return "" if stands else f"a quadruped at rest on its legs, got {height:.2f} m"
-    return "" if poses[:, 0, 2].min() > 0.2 and height < 1.0 else "an Ant above the ground"
+    if scene == "chain":
+        reach = np.linalg.norm(poses[:, :, :3] - [0.0, 0.0, 2.0], axis=2)
+        holds = (reach < LINK * (np.arange(LINKS) + 1e-3)).all() and poses[..., 2].min() > 0.0
+        return "" if holds else "a chain that holds together above the ground"
+    torsos = poses[:, :: 9 if scene == "ants" else poses.shape[1], 2]
+    stands = torsos.min() > 0.2 and torsos[-1].max() < 1.0
+    return "" if stands else f"Ants above the ground, got {torsos.min():.2f} m"
 
 
 def plot(path: str, model: novaphy.Model, poses: np.ndarray) -> None:

@@ -119,11 +119,14 @@ def test_the_scenes_of_rigid_bodies_end_as_they_should(scene):
     assert done.returncode == 0 and done.stdout.rstrip().endswith("ok"), done.stdout + done.stderr
 
 
-@pytest.mark.parametrize("scene", ["stack", "quadruped", "ant"])
-def test_the_scenes_of_articulations_end_as_they_should(scene):
+@pytest.mark.parametrize(
+    ("scene", "frames"),
+    [("stack", 600), ("quadruped", 600), ("chain", 600), ("ant", 600), ("ants", 120)],
+)
+def test_the_scenes_of_articulations_end_as_they_should(scene, frames):
     script = DEMOS.parent / "demo_articulated_scenes.py"
     done = subprocess.run(
-        [sys.executable, str(script), scene, "--headless", "600"],
+        [sys.executable, str(script), scene, "--headless", str(frames)],
         capture_output=True,
         text=True,
         timeout=300,

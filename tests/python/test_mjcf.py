@@ -215,6 +215,9 @@ BAD = {
     "include": ('<mujoco><include file="ant.xml"/></mujoco>', "<include>: this element is not"),
     "doctype": ('<!DOCTYPE m [<!ENTITY a "b">]><mujoco/>', "entities are not read"),
     "deep": (mjcf("<body>" * 100_000), "expected XML"),
+    "many bodies": (mjcf(hinged() * 100_000), "expected at most 10000 bodies"),
+    "laughs": ('<!DOCTYPE m [<!ENTITY a "ha"><!ENTITY b "&a;&a;&a;&a;&a;&a;&a;&a;">]>'
+               '<mujoco model="&b;"/>', "entities are not read"),
     "global": (mjcf(hinged(), '<compiler coordinate="global"/>'), 'coordinate="global" is not'),
     "gravity": (mjcf(hinged(), '<option gravity="0 0 -1"/>'), "expected that of the builder"),
     "wind": (mjcf(hinged(), '<option wind="1 0 0"/>'), "wind is not read"),

@@ -377,10 +377,13 @@ def test_bad_files_are_refused_and_the_builder_stays(name):
 
 
 def test_many_links():
-    names = [f"l{k}" for k in range(10_001)]
+    names = [f"l{k}" for k in range(100_000)]
     chain = [joint(f"j{k}", f"l{k}", f"l{k + 1}") for k in range(9_999)]
-    with pytest.raises(ValueError, match="expected at most 10000 links"):
-        novaphy.ModelBuilder().add_urdf(robot(*map(link, names)))
+    for count in (10_001, 100_000):
+        builder = novaphy.ModelBuilder()
+        with pytest.raises(ValueError, match="expected at most 10000 links"):
+            builder.add_urdf(robot(*map(link, names[:count])))
+        assert counts(builder) == [0] * 6
     builder = novaphy.ModelBuilder()
     builder.add_urdf(robot(*map(link, names[:2000]), *chain[:1999]))
     assert builder.body_count == 2000

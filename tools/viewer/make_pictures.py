@@ -34,6 +34,8 @@ WITH_PAGE = {
     "soft_body": [],
     "vbd_gripper": [],
 }
+# Scenes that have a picture of their own.
+SCENES = {"articulated_scenes": {"chain": ["--headless", "240"], "ants": ["--headless", "60"]}}
 ANIMATION = ["--headless", "150", "--refresh", "50"]
 STILL, MOVING = "scale=640:-1:flags=area", "fps=20,scale=640:-1:flags=area"
 
@@ -114,6 +116,10 @@ def write_gallery() -> None:
             "",
             f"`novaphy run {name}` · [source](../{source}){page}",
         ]
+        for scene in SCENES.get(name, {}):
+            picture = f"images/demo_{name}_{scene}.webp"
+            lines += ["", f"![the last picture of its scene {scene}]({picture})", ""]
+            lines += [f"`novaphy run {name} {scene}`"]
     (ROOT / "docs" / "gallery.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
@@ -134,6 +140,10 @@ def main() -> None:
             picture = Path(folder) / f"{name}.png"
             record(found[name], picture, *OPTIONS.get(name, []))
             convert(picture, IMAGES / f"demo_{name}.webp", STILL, 80)
+            for scene, options in SCENES.get(name, {}).items():
+                picture = Path(folder) / f"{name}_{scene}.png"
+                record(found[name], picture, scene, *options)
+                convert(picture, IMAGES / f"demo_{name}_{scene}.webp", STILL, 80)
             if name in WITH_PAGE:
                 page, options = PAGES / f"{name}.html", OPTIONS.get(name, [])
                 PAGES.mkdir(exist_ok=True)

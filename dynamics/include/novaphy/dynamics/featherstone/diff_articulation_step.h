@@ -19,7 +19,6 @@
 // normals; that there are more or fewer is not differentiated. So it is with dry friction of joints
 // (joint_friction), which counts as a step with contacts. A capture records such steps and their
 // adjoints as work of the host; where a replay fails its results are NaN, and begin says why.
-//
 #pragma once
 
 #include <memory>

@@ -224,6 +224,38 @@ def test_restitution_raises_under_penalty() -> None:
         run(ACT["shape_material_restitution"], contact="penalty")
 
 
+def refused(kind: str) -> novaphy.ModelBuilder:
+    """A model with something that a step of articulations does not have."""
+    builder = scene()
+    link = builder.add_link(mass=1.0, inertia=np.eye(3))
+    if kind == "distance":
+        builder.add_articulation([builder.add_joint_distance(-1, link, max_distance=1.0)])
+    elif kind == "loose":
+        builder.add_joint_revolute(-1, link, axis=(0.0, 1.0, 0.0))
+    else:
+        builder.add_articulation([builder.add_joint_free(link)])
+    if kind == "particles":
+        builder.add_particle((0.0, 0.0, 5.0), (0.0, 0.0, 0.0), 1.0)
+    return builder
+
+
+REFUSED = {
+    "distance": "DISTANCE joints are not covered",
+    "loose": "belongs to no articulation: name it in add_articulation",
+    "particles": "expected particle_count 0",
+}
+
+
+@pytest.mark.parametrize("solver", ["SolverFeatherstone", "DiffFeatherstoneSolver"])
+@pytest.mark.parametrize("kind", REFUSED)
+def test_what_is_not_covered_is_refused_by_name(kind: str, solver: str) -> None:
+    if solver.startswith("Diff") and not novaphy.has_diff():
+        pytest.skip("needs NOVAPHY_WITH_DIFF")
+    model = refused(kind).finalize()
+    with pytest.raises(NotImplementedError, match=f"{solver}: model: .*{REFUSED[kind]}"):
+        getattr(novaphy.solvers, solver)(model)
+
+
 diff = pytest.mark.skipif(not novaphy.has_diff(), reason="needs NOVAPHY_WITH_DIFF")
 
 

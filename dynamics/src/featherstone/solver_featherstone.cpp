@@ -1,6 +1,8 @@
 #include "novaphy/dynamics/featherstone/solver_featherstone.h"
 
 #include <algorithm>
+#include <cstring>
+#include <initializer_list>
 #include <utility>
 
 #include "../semi_implicit/rigid_bodies.h"
@@ -16,6 +18,41 @@ namespace novaphy {
 namespace {
 
 constexpr const char* kName = "SolverFeatherstone.step";
+
+}  // namespace
+
+namespace {
+
+// What a state had before a step, for one that fails.
+class EarlierState {
+ public:
+  void keep(const SimState& state) {
+    size_t at = 0;
+    visit(state, [&](const Array& array) {
+      const size_t bytes = array.range()->bytes();
+      if (at + bytes > bytes_.size()) bytes_.resize(at + bytes);
+      std::memcpy(bytes_.data() + at, array.range()->data(), bytes);
+      at += bytes;
+    });
+  }
+  void restore(SimState& state) const {
+    size_t at = 0;
+    visit(state, [&](const Array& array) {
+      const size_t bytes = array.range()->bytes();
+      std::memcpy(array.range()->data(), bytes_.data() + at, bytes);
+      at += bytes;
+    });
+  }
+
+ private:
+  template <class Function>
+  static void visit(const SimState& s, const Function& function) {
+    for (const Array* array :
+         std::initializer_list<const Array*>{&s.joint_q, &s.joint_qd, &s.body_q, &s.body_qd})
+      if (array->rows() > 0) function(*array);
+  }
+  std::vector<unsigned char> bytes_;
+};
 
 }  // namespace
 
@@ -37,6 +74,7 @@ struct SolverFeatherstone::Cache {
   std::vector<int32_t> status;
   std::vector<int32_t> all;  // articulations
   TreeSteps trees;
+  EarlierState earlier;
   PgsContacts pgs;
   RigidBodies penalty;
   UnreadMaterials materials;
@@ -121,15 +159,18 @@ void SolverFeatherstone::step(SimState& state_in, SimState& state_out, const Con
     force = forces.mutable_data();
     std::fill_n(force, rows.count, Vec3f{});
   }
-  if (c.pgs.prepare(m, rows)) {
+  // One articulation that fails writes nothing; the others have written theirs by then.
+  const bool several = c.all.size() > 1;
+  if (several) c.earlier.keep(state_out);
+  if (c.pgs.prepare(m, rows))
     c.pgs.step(a, m, rows, options_, force, &c.trees);
-    check_status(m, c.articulations, c.status, kName);
-    mark_unrecorded_step(m, state_in, state_out, control);
-    return;
-  }
-  c.trees.step(a, m, c.all, options_, nullptr);
-  mark_unrecorded_step(m, state_in, state_out, control);
+  else
+    c.trees.step(a, m, c.all, options_, nullptr);
+  const bool failed =
+      std::any_of(c.status.begin(), c.status.end(), [](int32_t s) { return s != 0; });
+  if (failed && several) c.earlier.restore(state_out);
   check_status(m, c.articulations, c.status, kName);
+  mark_unrecorded_step(m, state_in, state_out, control);
 }
 
 }  // namespace novaphy

@@ -182,26 +182,28 @@ def simulate(
     scene: str, model: novaphy.Model, frames: int, stage: viewer.Stage
 ) -> tuple[np.ndarray, np.ndarray]:
     """Poses {frames + 1, bodies, 7} and the last velocities {bodies, 6}."""
-    pipeline = novaphy.CollisionPipeline(model)
-    contacts, control = pipeline.contacts(), model.control()
-    solver = novaphy.solvers.SolverFeatherstone(model)
-    state, after = model.state(), model.state()
-    novaphy.eval_fk(model, state.joint_q, state.joint_qd, state)
-    rng = np.random.default_rng(1)
-    poses = [state.body_q.numpy()]
-    for frame in stage.frames(frames):
-        if scene in ("ant", "ants") and frame % FRAMES_PER_TORQUE == 0:
-            torques = np.zeros((max(model.world_count, 1), 14), np.float32)
-            torques[:, 6:] = rng.uniform(-TORQUE, TORQUE, (len(torques), 8))
-            control.joint_f.assign(torques.ravel())
-        for _ in range(SUBSTEPS):
-            state.clear_forces()
-            stage.apply_forces(state)
-            pipeline.collide(state, contacts)
-            solver.step(state, after, control, contacts, DT)
-            state, after = after, state
-        poses.append(state.body_q.numpy())
-        stage.show(frame / FPS, state)
+    for run in stage.runs(frames):
+        pipeline = novaphy.CollisionPipeline(model)
+        contacts, control = pipeline.contacts(), model.control()
+        solver = novaphy.solvers.SolverFeatherstone(model)
+        state, after = model.state(), model.state()
+        novaphy.eval_fk(model, state.joint_q, state.joint_qd, state)
+        rng = np.random.default_rng(1)
+        poses = [state.body_q.numpy()]
+        stage.show(0.0, state)
+        for frame in run:
+            if scene in ("ant", "ants") and frame % FRAMES_PER_TORQUE == 0:
+                torques = np.zeros((max(model.world_count, 1), 14), np.float32)
+                torques[:, 6:] = rng.uniform(-TORQUE, TORQUE, (len(torques), 8))
+                control.joint_f.assign(torques.ravel())
+            for _ in range(SUBSTEPS):
+                state.clear_forces()
+                stage.apply_forces(state)
+                pipeline.collide(state, contacts)
+                solver.step(state, after, control, contacts, DT)
+                state, after = after, state
+            poses.append(state.body_q.numpy())
+            stage.show(frame / FPS, state)
     return np.array(poses), state.body_qd.numpy()
 
 

@@ -44,20 +44,22 @@ def simulate(
     model: novaphy.Model, frames: int, stage: viewer.Stage
 ) -> tuple[np.ndarray, novaphy.SimState]:
     """Poses {frames + 1, dice, 7} and the last state."""
-    pipeline = novaphy.CollisionPipeline(model)
-    contacts = pipeline.contacts()
-    solver = novaphy.solvers.SolverSemiImplicit(model)
-    state, after = model.state(), model.state()
-    poses = [state.body_q.numpy()]
-    for frame in stage.frames(frames):
-        for _ in range(SUBSTEPS):
-            state.clear_forces()
-            stage.apply_forces(state)
-            pipeline.collide(state, contacts)
-            solver.step(state, after, None, contacts, DT)
-            state, after = after, state
-        poses.append(state.body_q.numpy())
-        stage.show(frame / FPS, state, contacts)
+    for run in stage.runs(frames):
+        pipeline = novaphy.CollisionPipeline(model)
+        contacts = pipeline.contacts()
+        solver = novaphy.solvers.SolverSemiImplicit(model)
+        state, after = model.state(), model.state()
+        poses = [state.body_q.numpy()]
+        stage.show(0.0, state)
+        for frame in run:
+            for _ in range(SUBSTEPS):
+                state.clear_forces()
+                stage.apply_forces(state)
+                pipeline.collide(state, contacts)
+                solver.step(state, after, None, contacts, DT)
+                state, after = after, state
+            poses.append(state.body_q.numpy())
+            stage.show(frame / FPS, state, contacts)
     return np.array(poses), state
 
 

@@ -71,18 +71,20 @@ def build_model(seed: int = 0) -> novaphy.Model:
 
 def simulate(model: novaphy.Model, frames: int, stage: viewer.Stage) -> novaphy.SimState:
     """The state after some frames."""
-    pipeline = novaphy.CollisionPipeline(model, broad_phase="sap")
-    contacts = pipeline.contacts()
-    solver = novaphy.solvers.SolverSemiImplicit(model)
-    state, after = model.state(), model.state()
-    for frame in stage.frames(frames):
-        for _ in range(SUBSTEPS):
-            state.clear_forces()
-            stage.apply_forces(state)
-            pipeline.collide(state, contacts)
-            solver.step(state, after, None, contacts, DT)
-            state, after = after, state
-        stage.show(frame / FPS, state)
+    for run in stage.runs(frames):
+        pipeline = novaphy.CollisionPipeline(model, broad_phase="sap")
+        contacts = pipeline.contacts()
+        solver = novaphy.solvers.SolverSemiImplicit(model)
+        state, after = model.state(), model.state()
+        stage.show(0.0, state)
+        for frame in run:
+            for _ in range(SUBSTEPS):
+                state.clear_forces()
+                stage.apply_forces(state)
+                pipeline.collide(state, contacts)
+                solver.step(state, after, None, contacts, DT)
+                state, after = after, state
+            stage.show(frame / FPS, state)
     print(f"{int(contacts.rigid_contact_count.numpy()[0])} contacts")
     return state
 

@@ -151,21 +151,23 @@ def simulate(
     model: novaphy.Model, frames: int, stage: viewer.Stage
 ) -> tuple[np.ndarray, np.ndarray]:
     """Poses {frames + 1, bodies, 7} and positions {frames + 1, particles, 3}."""
-    pipeline = novaphy.CollisionPipeline(model)
-    contacts = pipeline.contacts()
-    solver = novaphy.solvers.SolverSemiImplicit(model)
-    state, after = model.state(), model.state()
-    poses, points = [state.body_q.numpy()], [state.particle_q.numpy()]
-    for frame in stage.frames(frames):
-        for _ in range(SUBSTEPS):
-            state.clear_forces()
-            stage.apply_forces(state)
-            pipeline.collide(state, contacts)
-            solver.step(state, after, None, contacts, DT)
-            state, after = after, state
-        poses.append(state.body_q.numpy())
-        points.append(state.particle_q.numpy())
-        stage.show(frame / FPS, state)
+    for run in stage.runs(frames):
+        pipeline = novaphy.CollisionPipeline(model)
+        contacts = pipeline.contacts()
+        solver = novaphy.solvers.SolverSemiImplicit(model)
+        state, after = model.state(), model.state()
+        poses, points = [state.body_q.numpy()], [state.particle_q.numpy()]
+        stage.show(0.0, state)
+        for frame in run:
+            for _ in range(SUBSTEPS):
+                state.clear_forces()
+                stage.apply_forces(state)
+                pipeline.collide(state, contacts)
+                solver.step(state, after, None, contacts, DT)
+                state, after = after, state
+            poses.append(state.body_q.numpy())
+            points.append(state.particle_q.numpy())
+            stage.show(frame / FPS, state)
     return np.array(poses), np.array(points)
 
 

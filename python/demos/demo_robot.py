@@ -80,23 +80,25 @@ def simulate(
     model: novaphy.Model, swings: bool, frames: int, stage: viewer.Stage
 ) -> tuple[np.ndarray, np.ndarray]:
     """Positions of the bodies {frames + 1, bodies, 3} (m) and energies {frames + 1} (J)."""
-    solver = novaphy.solvers.SolverFeatherstone(model)
-    pipeline = None if swings else novaphy.CollisionPipeline(model)
-    contacts = None if pipeline is None else pipeline.contacts()
-    state, after = model.state(), model.state()
-    novaphy.eval_fk(model, state.joint_q, state.joint_qd, state)
-    places, energies = [state.body_q.numpy()[:, :3]], [energy(model, state)]
-    for frame in stage.frames(frames):
-        for _ in range(SUBSTEPS):
-            state.clear_forces()
-            stage.apply_forces(state)
-            if pipeline is not None and contacts is not None:
-                pipeline.collide(state, contacts)
-            solver.step(state, after, None, contacts, DT)
-            state, after = after, state
-        places.append(state.body_q.numpy()[:, :3])
-        energies.append(energy(model, state))
-        stage.show(frame / FPS, state)
+    for run in stage.runs(frames):
+        solver = novaphy.solvers.SolverFeatherstone(model)
+        pipeline = None if swings else novaphy.CollisionPipeline(model)
+        contacts = None if pipeline is None else pipeline.contacts()
+        state, after = model.state(), model.state()
+        novaphy.eval_fk(model, state.joint_q, state.joint_qd, state)
+        places, energies = [state.body_q.numpy()[:, :3]], [energy(model, state)]
+        stage.show(0.0, state)
+        for frame in run:
+            for _ in range(SUBSTEPS):
+                state.clear_forces()
+                stage.apply_forces(state)
+                if pipeline is not None and contacts is not None:
+                    pipeline.collide(state, contacts)
+                solver.step(state, after, None, contacts, DT)
+                state, after = after, state
+            places.append(state.body_q.numpy()[:, :3])
+            energies.append(energy(model, state))
+            stage.show(frame / FPS, state)
     return np.array(places), np.array(energies)
 
 

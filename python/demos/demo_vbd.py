@@ -143,27 +143,29 @@ def turned(rest: np.ndarray, angle: float) -> np.ndarray:
 def simulate(scene: Scene, frames: int, stage: viewer.Stage) -> tuple[np.ndarray, SolverVBD]:
     """Positions {frames + 1, n, 3} of every frame, and the solver."""
     model = scene.model
-    solver = SolverVBD(model, iterations=scene.iterations)
-    pipeline = novaphy.CollisionPipeline(model) if model.shape_count else None
-    contacts = pipeline.contacts() if pipeline else None
-    state, after = model.state(), model.state()
     held = model.particle_q.numpy()[model.particle_mass.numpy() == 0.0]
-    positions = [state.particle_q.numpy().copy()]
     dt = 1.0 / (FPS * scene.substeps)
-    for frame in stage.frames(frames):
-        for sub in range(scene.substeps):
-            state.clear_forces()
-            stage.apply_forces(state)
-            if pipeline:
-                pipeline.collide(state, contacts)
-            targets = None
-            if scene.turn:
-                time = min((frame + (sub + 1) / scene.substeps) / FPS, 2.0)
-                targets = turned(held, scene.turn * time)
-            solver.step(state, after, None, contacts, dt, targets=targets)
-            state, after = after, state
-        stage.show(frame / FPS, state)
-        positions.append(state.particle_q.numpy().copy())
+    for run in stage.runs(frames):
+        solver = SolverVBD(model, iterations=scene.iterations)
+        pipeline = novaphy.CollisionPipeline(model) if model.shape_count else None
+        contacts = pipeline.contacts() if pipeline else None
+        state, after = model.state(), model.state()
+        positions = [state.particle_q.numpy()]
+        stage.show(0.0, state)
+        for frame in run:
+            for sub in range(scene.substeps):
+                state.clear_forces()
+                stage.apply_forces(state)
+                if pipeline:
+                    pipeline.collide(state, contacts)
+                targets = None
+                if scene.turn:
+                    time = min((frame + (sub + 1) / scene.substeps) / FPS, 2.0)
+                    targets = turned(held, scene.turn * time)
+                solver.step(state, after, None, contacts, dt, targets=targets)
+                state, after = after, state
+            stage.show(frame / FPS, state)
+            positions.append(state.particle_q.numpy())
     return np.array(positions), solver
 
 

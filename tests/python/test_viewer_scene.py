@@ -308,15 +308,50 @@ def test_a_window_replays_the_simulation_and_files_hold_it_once():
     screen, file = Screen(11, reset_at=5), Screen(100)
     with viewers.Stage(args, model, fps=1000.0, viewers=[screen, file]) as stage:
         stage._screen, stage._waits = screen, True
-        for frame in stage.frames(3):
-            poses = state.body_q.numpy()
-            poses[0, 0] = frame
-            state.body_q.assign(poses)
-            stage.show(frame / 10, state)
+        for frames in stage.runs(3):
+            for frame in frames:
+                poses = state.body_q.numpy()
+                poses[0, 0] = frame
+                state.body_q.assign(poses)
+                stage.show(frame / 10, state)
     once = [(0.1, 1.0), (0.2, 2.0), (0.3, 3.0)]
     assert file.times == once
     # The replay is begun again after its second frame, and then goes on until the window is closed.
     assert screen.times == once + once[:2] + once + once
+
+
+@pytest.mark.parametrize("paused", [False, True])
+def test_a_reset_begins_a_running_simulation_again(paused):
+    model = boxes([(0.0, 0.0, 1.0)])
+    args = argparse.Namespace(refresh=None, record=None, live=True)
+    # Shown are a start and two frames, then a start and four frames, then the replay of these.
+    screen = Screen(12, reset_at=3)
+    waited = []
+    if paused:  # when the reset comes, and for a while after it
+
+        def end_frame():
+            Screen.end_frame(screen)
+            waited.extend([len(screen.times)] * screen._paused)
+            screen._paused = len(screen.times) == 3 or (screen._paused and len(waited) < 5)
+
+        screen.end_frame = end_frame
+    with viewers.Stage(args, model, fps=1000.0, viewers=[screen]) as stage:
+        stage._screen, stage._waits = screen, True
+        for frames in stage.runs(4):
+            state, after = model.state(), model.state()
+            solver = novaphy.solvers.SolverSemiImplicit(model)
+            stage.show(0.0, state)
+            for frame in frames:
+                poses = state.body_q.numpy()
+                poses[0, 0] += frame  # what a reset takes back
+                state.body_q.assign(poses)
+                state.clear_forces()
+                solver.step(state, after, None, None, 0.1)
+                state, after = after, state
+                stage.show(frame / 10, state)
+    whole = [(0.0, 0.0), (0.1, 1.0), (0.2, 3.0), (0.3, 6.0), (0.4, 10.0)]
+    assert screen.times == whole[:3] + whole + whole[:4]
+    assert waited == [4] * 5 * paused  # at the start, which is shown
 
 
 def test_a_window_replays_the_last_rollout():

@@ -92,14 +92,17 @@ def check_arguments(parser: argparse.ArgumentParser, args: argparse.Namespace) -
 class Stage:
     """Shows a simulation, or the iterations of a training, in the viewers that flags ask for.
 
-    In a window frames come at the rate of the film, space pauses and N steps; without one nothing
-    waits. At the end the window replays the last rollout, or the simulation, until it is closed; a
-    reset begins the replay again. Closing the window ends the showing, not the program.
+    In a window frames come at the rate of the film, space pauses, N steps, and a reset begins the
+    simulation again; without one nothing waits. At the end the window replays the last rollout, or
+    the simulation, until it is closed; a reset begins the replay again. Closing the window ends the
+    showing, not the program.
 
         with Stage(args, model) as stage:
-            for frame in stage.frames(args.headless):
-                ...                                             # one frame of simulation
-                stage.show(frame / 60, state)
+            for frames in stage.runs(args.headless):            # again at every reset
+                state = model.state()
+                for frame in frames:
+                    ...                                         # one frame of simulation
+                    stage.show(frame / 60, state)
     """
 
     def __init__(
@@ -132,7 +135,8 @@ class Stage:
         self._picture: tuple[Any, str] | None = None  # what draws it, and where it goes
         self._earlier: dict[str, deque[np.ndarray]] = {}
         self._paths: dict[str, np.ndarray] = {}
-        self._again: Callable[[], None] | None = None
+        self._again: Callable[[], None] | None = None  # what replay() repeats
+        self._begin_again = False
         self._shown: deque[tuple[float, dict[str, np.ndarray]]] = deque(maxlen=KEPT)
         self._due = 0.0
         self.viewers = list(viewers) if viewers is not None else self._make(args)
@@ -184,10 +188,23 @@ class Stage:
         for viewer in self.viewers:
             viewer.set_shape_colors(shapes, colors)
 
-    def frames(self, count: int) -> Iterator[int]:
-        """The numbers of frames 1, 2, ..., each when the simulation should advance."""
+    def runs(self, count: int) -> Iterator[Iterator[int]]:
+        """Simulations, each from its start: one, and another whenever somebody asks for a reset.
+
+        Each gives the numbers of its frames 1, 2, ..., `count` when the simulation should advance.
+        """
+        self._begin_again = True
+        while self._begin_again:
+            self._begin_again = False
+            self._shown.clear()
+            yield self._frames(count)
+
+    def _frames(self, count: int) -> Iterator[int]:
         for frame in range(1, count + 1):
             self._wait_while_paused()
+            if self._take_reset():
+                self._begin_again = True
+                return
             yield frame
 
     def show(self, t: float, state: SimState, contacts: Contacts | None = None) -> None:
@@ -233,9 +250,8 @@ class Stage:
         while again:
             again = False
             for item in start():
-                self._wait_while_paused(or_reset=True)
-                if self._screen is not None and self._screen.reset_requested:
-                    self._screen.reset_requested = False
+                self._wait_while_paused()
+                if self._take_reset():
                     again = True
                     break
                 yield item
@@ -330,11 +346,19 @@ class Stage:
             self._screen.end_frame()
             time.sleep(1.0 / self.fps)
 
-    def _wait_while_paused(self, or_reset: bool = False) -> None:
+    def _wait_while_paused(self) -> None:
+        """Wait until a step should happen, or somebody asks for a reset."""
         while self._waits and self._screen.is_running() and not self._screen.should_step():
-            if or_reset and self._screen.reset_requested:
+            if self._screen.reset_requested:
                 return
             self._screen.end_frame()
+
+    def _take_reset(self) -> bool:
+        """Whether somebody asked for a reset; asked again it says no."""
+        if self._screen is None or not self._screen.reset_requested:
+            return False
+        self._screen.reset_requested = False
+        return True
 
     def _open(self) -> list[Viewer]:
         return [viewer for viewer in self._audience if viewer.is_running()]

@@ -157,8 +157,36 @@ def test_a_body_moves_in_the_page_as_projected():
             assert away < 2.0, (k, away)
 
 
+def test_a_strong_checker_is_black_and_white_in_the_page():
+    pytest.importorskip("viser")
+    image = pytest.importorskip("PIL.Image")
+    if reason := browser.why_not():
+        pytest.skip(reason)
+    builder = novaphy.ModelBuilder()
+    builder.add_ground_plane()
+    with (
+        novaphy.ViewerViser(port=0, verbose=False) as viewer,
+        browser.Browser(640, 480) as chromium,
+    ):
+        viewer.set_model(builder.finalize())
+        viewer.set_shape_colors([0], [(0.95, 0.95, 0.95, 0.9)])
+        viewer.look_at((0.3, -5.0, 4.0), (0.3, 0.0, 0.0))
+        viewer.begin_frame(0.0)
+        viewer.end_frame()
+        page = chromium.page(viewer.url)
+        page.wait_for("document.querySelector('canvas') !== null", 60.0)
+        shares, end = (0.0, 0.0), time.monotonic() + 60.0
+        while min(shares) < 0.35 and time.monotonic() < end:
+            time.sleep(0.5)
+            png = io.BytesIO(page.picture())
+            grey = np.asarray(image.open(png).convert("L"))[240:, 120:400]
+            shares = float(np.mean(grey < 40)), float(np.mean(abs(grey - 242.0) < 4.0))
+        assert min(shares) > 0.35, shares  # what is left are the edges
+
+
 def test_a_pointer_in_the_page_pulls_a_body():
     pytest.importorskip("viser")
+    image = pytest.importorskip("PIL.Image")
     if reason := browser.why_not():
         pytest.skip(reason)
     builder = novaphy.ModelBuilder()
@@ -188,8 +216,12 @@ def test_a_pointer_in_the_page_pulls_a_body():
             "Input.dispatchKeyEvent", type="keyDown", key="Control", code="ControlLeft",
             windowsVirtualKeyCode=17, modifiers=2,
         )  # fmt: skip
-        end = time.monotonic() + 60.0
-        while viewer._drag.item is None and time.monotonic() < end:  # until the page draws it
+        end, color = time.monotonic() + 60.0, (0, 0, 0)
+        while color[2] - color[0] < 60 and time.monotonic() < end:  # until the page draws it, blue
+            time.sleep(0.5)
+            png = io.BytesIO(page.picture())
+            color = image.open(png).convert("RGB").getpixel((round(x), round(y)))
+        while viewer._drag.item is None and time.monotonic() < end:
             mouse("mouseReleased", 0.0, button="left", clickCount=1)
             mouse("mouseMoved", 0.0)
             time.sleep(0.5)

@@ -18,13 +18,14 @@ from ._drag import Drag
 from ._model_scene import INFINITE
 from ._needs import needs
 from ._overlay import curve_picture
-from ._scene import IDENTITY, Instances, Lines, Mesh, compose, f32
+from ._scene import Instances, Lines, Mesh, compose, f32
 from ._scene_viewer import SceneViewer
 
 SEND_RATE = 30.0  # frames per second that are sent at most
 PORTS_TRIED = 10
 DARKER = 1.7
-STRONG, FIELDS = 0.5, 20  # from this contrast on a checker has fields, this far (m), not lines
+STRONG = 0.5  # a checker of this contrast has fields, not lines
+FIELDS, PIXELS = 32, 32  # how far it goes (m), and pixels of 1 m
 LOCAL = ("127.0.0.1", "localhost", "::1")
 
 
@@ -87,6 +88,7 @@ class ViewerViser(SceneViewer):
 
     def _make_panel(self) -> None:
         gui = self._server.gui
+        gui.configure_theme(control_width="small")  # it lies over the scene
         self._text = gui.add_markdown("")
         self._pause_box = gui.add_checkbox("pause", False)
         step, reset = gui.add_button("step"), gui.add_button("reset")
@@ -251,6 +253,10 @@ class ViewerViser(SceneViewer):
             return group
         colors = _shades(item.colors.values[:, :3])
         contrast = float(item.colors.values[0, 3])
+        if item.mesh == "plane" and contrast >= STRONG:
+            bright = item.colors.values[0, :3]
+            group.parts.append((self._add_checker(name, contrast, bright, poses[0]), None))
+            return group
         if item.mesh == "plane" and contrast > 0.0:
             size = float(item.scales.values[0, 0])
             grid = scene.add_grid(
@@ -259,8 +265,6 @@ class ViewerViser(SceneViewer):
                 shadow_opacity=0.3, position=poses[0, :3], wxyz=_wxyz(poses)[0],
             )  # fmt: skip
             group.parts.append((grid, None))
-            if contrast >= STRONG:
-                group.parts.append((self._add_fields(name, contrast, colors[0], poses[0]), None))
             return group
         # The shift of a capsule is no scale: those of one proportion share a mesh.
         shift, scales = mesh.shift.values, item.scales.values
@@ -270,7 +274,7 @@ class ViewerViser(SceneViewer):
             handle = scene.add_batched_meshes_simple(
                 f"{_node(name)}/{number}", _stretched(mesh, ratio),
                 mesh.indices.values, _wxyz(poses[rows]), poses[rows, :3],
-                batched_scales=scales[rows, :3], batched_colors=colors[rows],
+                batched_scales=scales[rows, :3] * _hairs(rows), batched_colors=colors[rows],
                 side="front" if item.culled else "double",
             )  # fmt: skip
             self._let_pull(handle, name.removeprefix("/"), rows)
@@ -278,18 +282,15 @@ class ViewerViser(SceneViewer):
             group.ratios.append(ratio)
         return group
 
-    def _add_fields(self, name: str, contrast: float, color: np.ndarray, pose: np.ndarray) -> Any:
-        """The dark fields of a checker, a hair above its plane."""
-        at = np.arange(-FIELDS, FIELDS)
-        x, y = np.meshgrid(at, at, indexing="ij")
-        dark = (x + y) % 2 == 1
-        centre = np.stack([x[dark] + 0.5, y[dark] + 0.5, np.full(dark.sum(), 1e-3)], axis=1)
-        turns = np.tile(_wxyz(IDENTITY[None]), (len(centre), 1))
-        corners = f32([(-0.5, -0.5, 0), (0.5, -0.5, 0), (0.5, 0.5, 0), (-0.5, 0.5, 0)])
-        return self._server.scene.add_batched_meshes_simple(
-            f"{_node(name)}/fields", corners, np.array([(0, 1, 2), (0, 2, 3)]), turns, f32(centre),
-            batched_colors=np.round(color * (1.0 - contrast)).astype(np.uint8),
-            cast_shadow=False, position=pose[:3], wxyz=_wxyz(pose[None])[0],
+    def _add_checker(self, name: str, contrast: float, color: np.ndarray, pose: np.ndarray) -> Any:
+        """A checker of squares of 1 m: a picture, which no light of the page makes pale."""
+        field = np.arange(2 * FIELDS)
+        dark = (field[:, None] + field) % 2 == 1
+        dark = dark.repeat(PIXELS, axis=0).repeat(PIXELS, axis=1)[..., None]
+        pixels = np.round(255.0 * color * np.where(dark, 1.0 - contrast, 1.0)).astype(np.uint8)
+        return self._server.scene.add_image(
+            _node(name), pixels, 2.0 * FIELDS, 2.0 * FIELDS, format="png",
+            position=pose[:3], wxyz=_wxyz(pose[None])[0], cast_shadow=False,
         )  # fmt: skip
 
     def _let_pull(self, handle: Any, name: str, rows: np.ndarray) -> None:
@@ -388,6 +389,11 @@ def _node(name: str) -> str:
 def _stretched(mesh: Mesh, ratio: float) -> np.ndarray:
     """The points of a mesh, its halves shifted along z."""
     return mesh.points.values + mesh.shift.values * f32([0.0, 0.0, ratio])
+
+
+def _hairs(rows: np.ndarray) -> np.ndarray:
+    """Factors {n, 1} of scales a hair below 1: surfaces of shapes that coincide do not fight."""
+    return f32(1.0 - 1e-3 * (rows[:, None] % 8))
 
 
 def _shades(colors: np.ndarray) -> np.ndarray:

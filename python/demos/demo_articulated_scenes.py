@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import argparse
 import sys
-from pathlib import Path
 
 import numpy as np
 
@@ -255,8 +254,6 @@ def main() -> int:
     parser.add_argument("--plot", metavar="PATH.png", help="draw the motion")
     args = parser.parse_args()
     viewer.check_arguments(parser, args)
-    if args.plot and not Path(args.plot).parent.is_dir():
-        parser.error(f"the folder of {args.plot} does not exist")
 
     model = SCENES[args.scene]().finalize()
     with viewer.Stage(args, model, fps=FPS, look=LOOKS[args.scene]) as stage:

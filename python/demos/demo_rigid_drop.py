@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import argparse
 import sys
-from pathlib import Path
 
 import numpy as np
 
@@ -105,8 +104,6 @@ def main() -> int:
     parser.add_argument("--plot", metavar="PATH.png", help="draw heights and dice")
     args = parser.parse_args()
     viewer.check_arguments(parser, args)
-    if args.plot and not Path(args.plot).parent.is_dir():
-        parser.error(f"the folder of {args.plot} does not exist")
 
     model = build_model()
     look = ((0.8, -2.7, 1.1), (0.1, 0.0, 0.2))

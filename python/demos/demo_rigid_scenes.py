@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import argparse
 import sys
-from pathlib import Path
 
 import numpy as np
 
@@ -263,8 +262,6 @@ def main() -> int:
     parser.add_argument("--plot", metavar="PATH.png", help="draw the scene at four times")
     args = parser.parse_args()
     viewer.check_arguments(parser, args)
-    if args.plot and not Path(args.plot).parent.is_dir():
-        parser.error(f"the folder of {args.plot} does not exist")
 
     model = build_model(args.scene)
     with viewer.Stage(args, model, fps=FPS, look=LOOKS[args.scene]) as stage:

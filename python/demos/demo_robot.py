@@ -170,8 +170,6 @@ def main() -> int:
     parser.add_argument("--plot", metavar="PATH.png", help="draw the links and the energy")
     args = parser.parse_args()
     viewer.check_arguments(parser, args)
-    if args.plot and not Path(args.plot).parent.is_dir():
-        parser.error(f"the folder of {args.plot} does not exist")
 
     try:
         model, swings = build_model(args)

@@ -243,9 +243,8 @@ def main() -> int:
     parser.add_argument("--dump-states", metavar="PATH.npz", help="write the positions")
     args = parser.parse_args()
     viewer.check_arguments(parser, args)
-    for path in (args.plot, args.dump_states):
-        if path and not Path(path).resolve().parent.is_dir():
-            parser.error(f"the folder of {path} does not exist")
+    if args.dump_states and not Path(args.dump_states).resolve().parent.is_dir():
+        parser.error(f"the folder of {args.dump_states} does not exist")
 
     scene = SCENES[args.scene]()
     with viewer.Stage(args, scene.model, fps=FPS, look=LOOKS[args.scene]) as stage:

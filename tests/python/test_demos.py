@@ -183,15 +183,69 @@ def test_demos_write_a_page_of_the_run(tmp_path):
     assert done.returncode == 2 and "--record: expected an ending of .html" in done.stderr
 
 
-def test_a_demo_without_a_display_says_so_and_goes_on(tmp_path):
+@pytest.mark.parametrize(
+    ("blocked", "options", "display", "expected"),
+    [
+        ("", [], None, "DISPLAY is not set"),
+        ("", [], ":4711", "the display :4711 opens no window"),
+        ("moderngl", [], ":4711", "the package 'moderngl': pip install 'novaphy[gl]'"),
+        ("pyglet", [], ":4711", "the package 'pyglet': pip install 'novaphy[gl]'"),
+        ("viser", ["--viewer", "viser"], None, "the package 'viser': pip install 'novaphy[web]'"),
+        ("moderngl pyglet imgui_bundle viser matplotlib tqdm", ["--headless", "3"], None, None),
+    ],
+)
+def test_a_demo_says_what_is_missing_and_goes_on(tmp_path, blocked, options, display, expected):
     pytest.importorskip("novaphy.diff")
-    script = DEMOS / "demo_diffsim_spring_cage.py"
-    environ = {k: v for k, v in os.environ.items() if k != "DISPLAY"}
+    for package in {"": ("moderngl", "pyglet"), "pyglet": ("moderngl",)}.get(blocked, ()):
+        pytest.importorskip(package)
+    program = (
+        f"import sys; sys.modules.update(dict.fromkeys({blocked.split()}))\n"
+        "from novaphy._command import main\n"
+        f"sys.exit(main(['run', 'spring_cage', *{options}]))"
+    )
+    environ = {k: v for k, v in os.environ.items() if k != "DISPLAY"} | {"PATH": str(tmp_path)}
+    if display:
+        environ["DISPLAY"] = display
     done = subprocess.run(
-        [sys.executable, str(script)], capture_output=True, text=True, timeout=300, env=environ
+        [sys.executable, "-c", program], capture_output=True, text=True, timeout=300, env=environ
     )
     assert done.returncode == 0 and done.stdout.rstrip().endswith("ok"), done.stdout + done.stderr
-    assert done.stderr.count("\n") == 1 and done.stderr.endswith("; going on without a window\n")
+    if expected is None:
+        assert done.stderr == ""
+        return
+    assert expected in done.stderr and done.stderr.count("\n") == 1, done.stderr
+    assert done.stderr.endswith("; going on without a window\n")
+
+
+@pytest.mark.parametrize("name", ["rigid_drop", "diff/demo_diffsim_spring_cage"])
+@pytest.mark.parametrize(
+    ("options", "blocked", "expected"),
+    [
+        (["--record", "x.mp4"], "none", "apt-get install ffmpeg"),
+        (["--record", "x.png"], "moderngl", "pip install 'novaphy[gl]'"),
+        (["--plot", "x.png"], "matplotlib", "pip install 'novaphy[demos]'"),
+    ],
+)
+def test_what_cannot_be_written_is_said_before_the_work(tmp_path, name, options, blocked, expected):
+    pytest.importorskip("novaphy.diff")
+    if blocked == "none":
+        pytest.importorskip("moderngl")
+    script = DEMOS.parent / (f"{name}.py" if "/" in name else f"demo_{name}.py")
+    program = (
+        "import runpy, sys\n"
+        f"sys.modules[{blocked!r}] = None\n"
+        f"sys.path.insert(0, {str(script.parent)!r})\n"
+        f"sys.argv = ['demo', '--headless', '0', *{options}]\n"
+        f"runpy.run_path({str(script)!r}, run_name='__main__')"
+    )
+    environ = os.environ | {"PATH": str(tmp_path)}
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, timeout=100,
+        env=environ, cwd=tmp_path,
+    )  # fmt: skip
+    assert done.returncode == 2 and done.stdout == "", done.stdout + done.stderr
+    assert f"error: {options[0]}" in done.stderr.splitlines()[-1]
+    assert expected in done.stderr and "Traceback" not in done.stderr
 
 
 class Recorder(SceneViewer):

@@ -32,25 +32,11 @@ def parse(parser: argparse.ArgumentParser) -> argparse.Namespace:
     """Parse and check the flags; `device` is then the name of a device."""
     args = parser.parse_args()
     viewer.check_arguments(parser, args)
-    for path in filter(None, (args.dump_states, args.plot)):
-        if not Path(path).parent.is_dir():
-            parser.error(f"the folder of {path} does not exist")
-    if args.plot:
-        check_figure_format(parser, args.plot)
+    if args.dump_states and not Path(args.dump_states).parent.is_dir():
+        parser.error(f"the folder of {args.dump_states} does not exist")
     if args.device == "auto":
         args.device = "cuda" if novaphy.is_device_available("cuda") else "cpu"
     return args
-
-
-def check_figure_format(parser: argparse.ArgumentParser, path: str) -> None:
-    """End with a message now, not after the training, when the picture cannot be written."""
-    try:
-        from matplotlib.figure import Figure
-    except ImportError:
-        parser.error("--plot needs matplotlib: pip install 'novaphy[demos]'")
-    formats = Figure().canvas.get_supported_filetypes()
-    if Path(path).suffix.removeprefix(".").lower() not in formats:
-        parser.error(f"--plot: expected a name that ends in {', '.join(formats)}, got {path}")
 
 
 def check_gradient(

@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING, Any
 
 from ._base import Viewer
 from ._file import ViewerFile
+from ._flags import add_arguments, check_arguments
 from ._null import ViewerNull
-from ._stage import Stage, add_arguments, check_arguments
+from ._stage import Stage
 
 if TYPE_CHECKING:
     from ._gl import ViewerGL

@@ -30,63 +30,9 @@ OLDEST, RECENT = f32([0.80, 0.84, 0.89]), f32([0.33, 0.53, 0.78])
 PRESENT, TARGET = (0.86, 0.15, 0.10), (0.80, 0.08, 0.15)
 RECORDED_SIZE = (960, 540)
 KEPT = 1800  # frames of a simulation that a window replays at the end
-ENDINGS = (".html", ".nprec", ".png", *CODECS)
 
 # Gives the frames of a rollout: times (s) and states.
 Frames = Callable[[], Iterable[tuple[float, SimState]]]
-
-
-def add_arguments(parser: argparse.ArgumentParser, default: int, what: str) -> None:
-    """Add --viewer, --headless, --record and --refresh to a parser.
-
-    Args:
-        parser: the parser of a program.
-        default: the number for --headless, and of what happens in a window.
-        what: what --headless counts: "training iterations", "frames".
-    """
-    parser.add_argument(
-        "--headless",
-        type=int,
-        metavar="N",
-        help=f"no window: this many {what} (in a window {default})",
-    )
-    parser.add_argument(
-        "--viewer",
-        choices=("gl", "viser", "html", "file", "null"),
-        help="what shows the run (default gl; null with --headless)",
-    )
-    parser.add_argument(
-        "--record",
-        metavar="PATH",
-        help=f"write the run to a file that ends in {', '.join(ENDINGS)}",
-    )
-    parser.add_argument(
-        "--refresh", type=int, metavar="N", help="show every N-th training iteration"
-    )
-    parser.set_defaults(default_count=default)
-
-
-def check_arguments(parser: argparse.ArgumentParser, args: argparse.Namespace) -> None:
-    """End the program with a message when a flag makes no sense.
-
-    Afterwards `headless` is a number, and `live` says whether somebody is to look on.
-    """
-    args.live = args.headless is None and args.viewer in (None, "gl", "viser")
-    if args.headless is None:
-        args.headless = args.default_count
-    if args.headless < 0:
-        parser.error(f"--headless: expected a number >= 0, got {args.headless}")
-    if args.refresh is not None and args.refresh < 1:
-        parser.error(f"--refresh: expected a number >= 1, got {args.refresh}")
-    name = os.path.splitext(os.path.basename(sys.argv[0]))[0]
-    if args.viewer in ("html", "file") and not args.record:
-        args.record = f"{name}{'.html' if args.viewer == 'html' else '.nprec'}"
-    if args.record:
-        ending = os.path.splitext(args.record)[1].lower()
-        if ending not in ENDINGS:
-            parser.error(f"--record: expected an ending of {', '.join(ENDINGS)}: {args.record}")
-        if not os.path.isdir(os.path.dirname(os.path.abspath(args.record))):
-            parser.error(f"--record: the folder of {args.record} does not exist")
 
 
 class Stage:
@@ -168,14 +114,17 @@ class Stage:
             print(f"{error}; going on without a window", file=sys.stderr)
         self._waits = self._screen is not None and args.live
         if ending == ".png" or ending in CODECS:
-            if painter is None:
-                width, height = RECORDED_SIZE
-                painter = create_viewer("gl", headless=True, width=width, height=height)
-                made.append(painter)
-            if ending == ".png":
-                self._picture = (painter, args.record)
-            else:
-                painter.start_video(args.record, self.fps)
+            try:
+                if painter is None:
+                    width, height = RECORDED_SIZE
+                    painter = create_viewer("gl", headless=True, width=width, height=height)
+                    made.append(painter)
+                if ending == ".png":
+                    self._picture = (painter, args.record)
+                else:
+                    painter.start_video(args.record, self.fps)
+            except MissingPackageError as error:
+                args.refuse(f"--record: {error}")
         return made
 
     def mark(self, point: ArrayLike, radius: float = 0.05, name: str = "target") -> None:

@@ -1,0 +1,80 @@
+"""The flags of a program that shows something: --viewer, --headless, --record and --refresh."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+
+from ._video import CODECS
+
+ENDINGS = (".html", ".nprec", ".png", *CODECS)
+
+
+def add_arguments(parser: argparse.ArgumentParser, default: int, what: str) -> None:
+    """Add --viewer, --headless, --record and --refresh to a parser.
+
+    Args:
+        parser: the parser of a program.
+        default: the number for --headless, and of what happens in a window.
+        what: what --headless counts: "training iterations", "frames".
+    """
+    parser.add_argument(
+        "--headless",
+        type=int,
+        metavar="N",
+        help=f"no window: this many {what} (in a window {default})",
+    )
+    parser.add_argument(
+        "--viewer",
+        choices=("gl", "viser", "html", "file", "null"),
+        help="what shows the run (default gl; null with --headless)",
+    )
+    parser.add_argument(
+        "--record",
+        metavar="PATH",
+        help=f"write the run to a file that ends in {', '.join(ENDINGS)}",
+    )
+    parser.add_argument(
+        "--refresh", type=int, metavar="N", help="show every N-th training iteration"
+    )
+    parser.set_defaults(default_count=default)
+
+
+def check_arguments(parser: argparse.ArgumentParser, args: argparse.Namespace) -> None:
+    """End the program with a message when a flag makes no sense, also one called --plot.
+
+    Afterwards `headless` is a number, and `live` says whether somebody is to look on.
+    """
+    args.live = args.headless is None and args.viewer in (None, "gl", "viser")
+    if args.headless is None:
+        args.headless = args.default_count
+    if args.headless < 0:
+        parser.error(f"--headless: expected a number >= 0, got {args.headless}")
+    if args.refresh is not None and args.refresh < 1:
+        parser.error(f"--refresh: expected a number >= 1, got {args.refresh}")
+    name = os.path.splitext(os.path.basename(sys.argv[0]))[0]
+    if args.viewer in ("html", "file") and not args.record:
+        args.record = f"{name}{'.html' if args.viewer == 'html' else '.nprec'}"
+    args.refuse = parser.error
+    if args.record:
+        ending = os.path.splitext(args.record)[1].lower()
+        if ending not in ENDINGS:
+            parser.error(f"--record: expected an ending of {', '.join(ENDINGS)}: {args.record}")
+        if not os.path.isdir(os.path.dirname(os.path.abspath(args.record))):
+            parser.error(f"--record: the folder of {args.record} does not exist")
+    if getattr(args, "plot", None):
+        _check_plot(parser, args.plot)
+
+
+def _check_plot(parser: argparse.ArgumentParser, path: str) -> None:
+    """End the program now, not after its work, when matplotlib cannot write the picture."""
+    try:
+        from matplotlib.figure import Figure
+    except ImportError:
+        parser.error("--plot needs matplotlib: pip install 'novaphy[demos]'")
+    formats = Figure().canvas.get_supported_filetypes()
+    if os.path.splitext(path)[1].removeprefix(".").lower() not in formats:
+        parser.error(f"--plot: expected a name that ends in {', '.join(formats)}, got {path}")
+    if not os.path.isdir(os.path.dirname(os.path.abspath(path))):
+        parser.error(f"--plot: the folder of {path} does not exist")

@@ -213,37 +213,11 @@ def replay(args: argparse.Namespace) -> int:
 
 
 def view(args: argparse.Namespace) -> int:
-    """Show a mesh, or a robot."""
-    from .viewer import Stage
-    from .viewer._model_scene import SURFACE_COLOR, boundary_triangles
+    """Show a mesh, or a robot with a slider for every joint."""
+    from ._view import show_mesh, show_robot
 
-    ending = Path(args.file).suffix.lower()
-    if ending in (".urdf", ".xml"):
-        builder = novaphy.ModelBuilder()
-        if ending == ".urdf":
-            builder.add_urdf(args.file)
-        else:
-            builder.add_mjcf(args.file)
-        model = builder.finalize()
-        with Stage(args, model) as stage:
-            stage.show(0.0, model.state())
-        print(f"{args.file}: {model.body_count} bodies, {model.shape_count} shapes")
-        return 0
-    if ending == ".msh":
-        tets = novaphy.io.load_tet_mesh(args.file)
-        points, triangles = tets.vertices, boundary_triangles(np.asarray(tets.indices))
-        what = f"{len(tets.indices)} tetrahedra"
-    else:
-        mesh = novaphy.io.load_mesh(args.file)
-        points, triangles = mesh.vertices, np.asarray(mesh.indices)
-        what = f"{len(triangles)} triangles"
-    with Stage(args, None) as stage:
-        for viewer in stage.viewers:
-            viewer.begin_frame(0.0)
-            viewer.log_mesh("mesh", points, triangles, color=SURFACE_COLOR, backface_culling=False)
-            viewer.end_frame()
-    lower, upper = np.min(points, axis=0), np.max(points, axis=0)
-    print(f"{args.file}: {len(points)} points, {what}, from {lower} to {upper}")
+    is_robot = Path(args.file).suffix.lower() in (".urdf", ".xml")
+    print(f"{args.file}: {show_robot(args) if is_robot else show_mesh(args)}")
     return 0
 
 

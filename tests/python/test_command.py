@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import novaphy
 from novaphy import _command
+from novaphy.viewer._scene_viewer import SceneViewer
 
 DATA = Path(__file__).parents[1] / "data"
 
@@ -103,6 +106,52 @@ def test_a_robot_is_viewed(tmp_path, name, bodies):
     done = command("view", file, "--headless", "1", "--record", str(path))
     assert done.returncode == 0 and f"{bodies} bodies" in done.stdout, done.stderr
     assert path.stat().st_size > 10_000
+
+
+class Screen(SceneViewer):
+    """A window in which somebody moves sliders, and which is closed after three frames."""
+
+    def __init__(self):
+        """Start with no frame."""
+        super().__init__()
+        self.reset_requested = False
+        self.sliders, self.poses = {}, []
+
+    def add_slider(self, name, low, high, value, on_change=None):
+        """Keep it."""
+        super().add_slider(name, low, high, value)
+        self.sliders[name] = [low, high, value]
+        return lambda: self.sliders[name][2]
+
+    def log_state(self, state):
+        """Keep the poses, then move the first joint and the last."""
+        super().log_state(state)
+        self.poses.append(state.body_q.numpy())
+        self.sliders["fr3_joint1 (rad)"][2] = 0.6 * len(self.poses)
+        self.sliders["fr3_finger_joint2 (m)"][2] = 0.02 * len(self.poses)
+
+    def end_frame(self):
+        """Close in time."""
+        self._running = len(self.poses) < 3
+
+
+@pytest.mark.skipif(not novaphy.has_io(), reason="built with NOVAPHY_WITH_IO=OFF; the wheel has it")
+def test_sliders_move_the_joints_of_a_robot(monkeypatch, capsys):
+    screen = Screen()
+    monkeypatch.setattr(novaphy.viewer, "create_viewer", lambda kind, **options: screen)
+    assert _command.main(["view", str(novaphy.assets.path("fr3.urdf"))]) == 0
+    assert "9 joints to move" in capsys.readouterr().out
+    low, high, _ = screen.sliders["fr3_joint1 (rad)"]
+    assert (low, high) == pytest.approx((-2.7437, 2.7437))
+    assert screen.sliders["fr3_finger_joint2 (m)"][:2] == pytest.approx([0.0, 0.04])
+    labels = [label.rpartition("/")[2] for label in screen.model.body_label]
+    link, hand, finger = (labels.index(f"fr3_{name}") for name in ("link1", "hand", "rightfinger"))
+    for k, poses in enumerate(screen.poses):
+        half = 0.3 * k  # of the turn about z
+        turn = (0.0, 0.0, math.sin(half), math.cos(half))
+        assert poses[link, 3:] == pytest.approx(turn, abs=1e-6)
+        away = np.linalg.norm(poses[finger, :3] - poses[hand, :3])
+        assert away == pytest.approx(math.hypot(0.0584, 0.02 * k), abs=1e-5)
 
 
 @pytest.mark.parametrize(

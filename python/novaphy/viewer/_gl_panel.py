@@ -105,8 +105,12 @@ class Panel:
     def _build(self) -> None:
         imgui, viewer = self.imgui, self.viewer
         width = self.window.width
-        imgui.set_next_window_pos((width - WIDTH - MARGIN, MARGIN), imgui.Cond_.first_use_ever)
-        imgui.set_next_window_size((WIDTH, 0.0), imgui.Cond_.first_use_ever)
+        corner, first = (width - MARGIN, MARGIN), imgui.Cond_.first_use_ever
+        imgui.set_next_window_pos(corner, first, (1.0, 0.0))  # its right one above
+        imgui.set_next_window_size((WIDTH, 0.0), first)
+        # Longer than the window, it scrolls.
+        most = (float(width), max(self.window.height - 2.0 * MARGIN, MARGIN))
+        imgui.set_next_window_size_constraints((WIDTH, 0.0), most)
         imgui.begin("NovaPhy", None, imgui.WindowFlags_.always_auto_resize)
         changed, paused = imgui.checkbox("pause", viewer.is_paused())
         if changed:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import itertools
 import os
 import sys
 import time
@@ -155,6 +156,22 @@ class Stage:
                 self._begin_again = True
                 return
             yield frame
+
+    def turns(self) -> Iterator[int]:
+        """Turns 0, 1, ... of a program that sliders steer, until the window is closed.
+
+        Without a window there is one.
+        """
+        yield 0
+        for turn in itertools.count(1):
+            if not (self._waits and self._screen.is_running()):
+                return
+            yield turn
+
+    def add_slider(self, name: str, low: float, high: float, value: float) -> Callable[[], float]:
+        """Let whoever looks on move a number; returns what gives it (Viewer.add_slider)."""
+        viewer: Viewer = self._screen or next(iter(self.viewers), Viewer())
+        return viewer.add_slider(name, low, high, value)
 
     def show(self, t: float, state: SimState, contacts: Contacts | None = None) -> None:
         """Show a state at time `t` (s), and its contacts."""

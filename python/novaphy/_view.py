@@ -32,9 +32,12 @@ def show_robot(args: argparse.Namespace) -> str:
             row: stage.add_slider(name, low, high, min(max(float(q[row]), low), high))
             for row, name, low, high in joint_ranges(model)
         }
+        start = {row: slider.value for row, slider in joints.items()}
         for turn in stage.turns():
-            for row, value in joints.items():
-                q[row] = value()
+            for row, slider in joints.items():
+                if turn == 0:  # also after a reset
+                    slider.set(start[row])
+                q[row] = slider.value
             if len(q):
                 state.joint_q.assign(q)
                 _core.eval_fk(model, state.joint_q, state.joint_qd, state)

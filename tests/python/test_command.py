@@ -109,7 +109,7 @@ def test_a_robot_is_viewed(tmp_path, name, bodies):
 
 
 class Screen(SceneViewer):
-    """A window in which somebody moves sliders, and which is closed after three frames."""
+    """A window in which somebody moves sliders, and which is closed after four frames."""
 
     def __init__(self):
         """Start with no frame."""
@@ -119,20 +119,20 @@ class Screen(SceneViewer):
 
     def add_slider(self, name, low, high, value, on_change=None):
         """Keep it."""
-        super().add_slider(name, low, high, value)
-        self.sliders[name] = [low, high, value]
-        return lambda: self.sliders[name][2]
+        self.sliders[name] = super().add_slider(name, low, high, value)
+        return self.sliders[name]
 
     def log_state(self, state):
         """Keep the poses, then move the first joint and the last."""
         super().log_state(state)
         self.poses.append(state.body_q.numpy())
-        self.sliders["fr3_joint1 (rad)"][2] = 0.6 * len(self.poses)
-        self.sliders["fr3_finger_joint2 (m)"][2] = 0.02 * len(self.poses)
+        self.sliders["fr3_joint1 (rad)"].set(0.6 * len(self.poses))
+        self.sliders["fr3_finger_joint2 (m)"].set(0.02 * len(self.poses))
+        self.reset_requested = len(self.poses) == 3
 
     def end_frame(self):
         """Close in time."""
-        self._running = len(self.poses) < 3
+        self._running = len(self.poses) < 4
 
 
 @pytest.mark.skipif(not novaphy.has_io(), reason="built with NOVAPHY_WITH_IO=OFF; the wheel has it")
@@ -141,12 +141,13 @@ def test_sliders_move_the_joints_of_a_robot(monkeypatch, capsys):
     monkeypatch.setattr(novaphy.viewer, "create_viewer", lambda kind, **options: screen)
     assert _command.main(["view", str(novaphy.assets.path("fr3.urdf"))]) == 0
     assert "9 joints to move" in capsys.readouterr().out
-    low, high, _ = screen.sliders["fr3_joint1 (rad)"]
-    assert (low, high) == pytest.approx((-2.7437, 2.7437))
-    assert screen.sliders["fr3_finger_joint2 (m)"][:2] == pytest.approx([0.0, 0.04])
+    turn, finger = screen.sliders["fr3_joint1 (rad)"], screen.sliders["fr3_finger_joint2 (m)"]
+    assert (turn.low, turn.high) == pytest.approx((-2.7437, 2.7437))
+    assert (finger.low, finger.high) == pytest.approx((0.0, 0.04))
     labels = [label.rpartition("/")[2] for label in screen.model.body_label]
     link, hand, finger = (labels.index(f"fr3_{name}") for name in ("link1", "hand", "rightfinger"))
-    for k, poses in enumerate(screen.poses):
+    assert len(screen.poses) == 4
+    for k, poses in zip((0, 1, 2, 0), screen.poses, strict=True):  # the reset takes all back
         half = 0.3 * k  # of the turn about z
         turn = (0.0, 0.0, math.sin(half), math.cos(half))
         assert poses[link, 3:] == pytest.approx(turn, abs=1e-6)

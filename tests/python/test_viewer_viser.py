@@ -114,6 +114,10 @@ def test_two_browsers_see_the_scene_and_move_a_slider(served):
         while not moved and time.monotonic() < end:
             time.sleep(0.1)
         assert moved and mass() == moved[-1] == pytest.approx(2.01)
+        mass.set(7.0)  # and the other way, in every browser
+        for page in pages:
+            page.wait_for(f"{find}.getAttribute('aria-valuenow') === '7'")
+        assert mass() == 7.0
 
 
 def test_a_body_moves_in_the_page_as_projected():

@@ -10,7 +10,7 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
-from ._base import Viewer
+from ._base import Slider, Viewer
 from ._file import ViewerFile
 from ._flags import add_arguments, check_arguments
 from ._null import ViewerNull
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from ._viser import ViewerViser
 
 __all__ = [
+    "Slider",
     "Stage",
     "Viewer",
     "ViewerFile",

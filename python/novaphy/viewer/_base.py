@@ -14,6 +14,34 @@ from .._core import Contacts, Model, SimState
 ArrayLike = Any
 
 
+class Slider:
+    """A number that the user may move; called, it gives its value."""
+
+    def __init__(
+        self,
+        name: str,
+        low: float,
+        high: float,
+        value: float,
+        on_change: Callable[[float], object] | None = None,
+    ) -> None:
+        """Start at `value`. ValueError unless low <= value <= high and low < high."""
+        if not low < high or not low <= value <= high:
+            raise ValueError(f"add_slider, value: expected {low} <= {value} <= {high}, low < high")
+        self.name, self.low, self.high = name, float(low), float(high)
+        self.value, self.on_change = float(value), on_change
+
+    def __call__(self) -> float:
+        """Where it stands."""
+        return self.value
+
+    def set(self, value: float) -> None:
+        """Move it, within its ends."""
+        self.value = min(max(float(value), self.low), self.high)
+        if self.on_change is not None:
+            self.on_change(self.value)
+
+
 class Viewer:
     """A viewer that shows nothing. Positions are in m, world frame; colours are RGB in 0..1."""
 
@@ -149,15 +177,13 @@ class Viewer:
         high: float,
         value: float,
         on_change: Callable[[float], object] | None = None,
-    ) -> Callable[[], float]:
-        """Let the user move a number between `low` and `high`; returns what gives its value.
+    ) -> Slider:
+        """Let the user move a number between `low` and `high`; called, the slider gives its value.
 
         A viewer without a user leaves it at `value`. `on_change` is called with a new one.
         ValueError unless low <= value <= high and low < high.
         """
-        if not low < high or not low <= value <= high:
-            raise ValueError(f"add_slider, value: expected {low} <= {value} <= {high}, low < high")
-        return lambda: value
+        return Slider(name, low, high, value, on_change)
 
     def apply_forces(self, state: SimState) -> None:
         """Add the forces of the user's pointer to a state."""

@@ -11,6 +11,7 @@ import numpy as np
 
 from .._core import SimState
 from ..io import atomic_path
+from ._base import Slider
 from ._gl_renderer import Renderer
 from ._needs import MissingPackageError, needs
 from ._overlay import overlay
@@ -189,8 +190,8 @@ class ViewerGL(SceneViewer):
         high: float,
         value: float,
         on_change: Callable[[float], object] | None = None,
-    ) -> Callable[[], float]:
-        """Give the window a slider; returns what gives its value.
+    ) -> Slider:
+        """Give the window a slider; called, it gives its value.
 
         Args:
             name: beside the slider.
@@ -199,10 +200,9 @@ class ViewerGL(SceneViewer):
             value: to begin with.
             on_change: called in end_frame when somebody moves it.
         """
-        super().add_slider(name, low, high, value)
-        slider = Slider(name, low, high, value, on_change)
+        slider = super().add_slider(name, low, high, value, on_change)
         self.sliders.append(slider)
-        return lambda: slider.value
+        return slider
 
     def apply_forces(self, state: SimState) -> None:
         """Add the pull of the pointer to a state's particle_f or body_f."""
@@ -221,32 +221,6 @@ class ViewerGL(SceneViewer):
             if self._window is not None:
                 self._window.close()
             self._context.release()
-
-
-class Slider:
-    """A number that the user moves."""
-
-    def __init__(
-        self,
-        name: str,
-        low: float,
-        high: float,
-        value: float,
-        on_change: Callable[[float], object] | None,
-    ) -> None:
-        """Start at a value."""
-        self.name, self.low, self.high = name, float(low), float(high)
-        self.value, self.on_change = float(value), on_change
-
-    def set(self, value: float) -> None:
-        """Move it, within its ends."""
-        self.value = min(max(float(value), self.low), self.high)
-        if self.on_change is not None:
-            self.on_change(self.value)
-
-    def step(self, steps: int) -> None:
-        """Move it by hundredths of its way."""
-        self.set(self.value + steps * (self.high - self.low) / 100.0)
 
 
 def _headless_context() -> Any:

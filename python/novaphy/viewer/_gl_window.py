@@ -13,6 +13,8 @@ if TYPE_CHECKING:
     from ._gl import ViewerGL
     from ._gl_renderer import Renderer
 
+SLIDER_STEPS = 100.0  # of an arrow key, from end to end
+
 
 class Window:
     """A window with an OpenGL context, and what its events do."""
@@ -148,7 +150,9 @@ class Window:
                 0 if viewer.slider is None else (viewer.slider + 1) % len(viewer.sliders)
             )
         elif symbol in (key.LEFT, key.RIGHT) and viewer.sliders:
-            viewer.sliders[viewer.slider or 0].step(1 if symbol == key.RIGHT else -1)
+            slider = viewer.sliders[viewer.slider or 0]
+            step = (slider.high - slider.low) / SLIDER_STEPS
+            slider.set(slider.value + (step if symbol == key.RIGHT else -step))
         elif symbol == key.ESCAPE:
             return self.on_close()
         return True

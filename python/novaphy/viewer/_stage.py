@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import itertools
 import os
 import sys
 import time
@@ -17,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from .._core import Contacts, Model, SimState
-from ._base import ArrayLike, Viewer
+from ._base import ArrayLike, Slider, Viewer
 from ._needs import MissingPackageError
 from ._scene import f32
 from ._video import CODECS
@@ -160,16 +159,16 @@ class Stage:
     def turns(self) -> Iterator[int]:
         """Turns 0, 1, ... of a program that sliders steer, until the window is closed.
 
-        Without a window there is one.
+        A reset begins with 0 again. Without a window there is one turn.
         """
-        yield 0
-        for turn in itertools.count(1):
-            if not (self._waits and self._screen.is_running()):
-                return
+        turn = 0
+        yield turn
+        while self._waits and self._screen.is_running():
+            turn = 0 if self._take_reset() else turn + 1
             yield turn
 
-    def add_slider(self, name: str, low: float, high: float, value: float) -> Callable[[], float]:
-        """Let whoever looks on move a number; returns what gives it (Viewer.add_slider)."""
+    def add_slider(self, name: str, low: float, high: float, value: float) -> Slider:
+        """Let whoever looks on move a number (Viewer.add_slider)."""
         viewer: Viewer = self._screen or next(iter(self.viewers), Viewer())
         return viewer.add_slider(name, low, high, value)
 

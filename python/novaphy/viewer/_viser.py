@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from .._core import SimState
+from ._base import Slider
 from ._camera import FIELD_OF_VIEW
 from ._drag import Drag
 from ._model_scene import INFINITE
@@ -105,8 +106,8 @@ class ViewerViser(SceneViewer):
         high: float,
         value: float,
         on_change: Callable[[float], object] | None = None,
-    ) -> Callable[[], float]:
-        """Give the page a slider; returns what gives its value.
+    ) -> Slider:
+        """Give the page a slider; called, it gives its value.
 
         Args:
             name: beside the slider.
@@ -115,11 +116,9 @@ class ViewerViser(SceneViewer):
             value: to begin with.
             on_change: called in a thread of the server when somebody moves it.
         """
-        super().add_slider(name, low, high, value)
-        slider = self._server.gui.add_slider(name, low, high, (high - low) / 1000.0, value)
-        if on_change is not None:
-            slider.on_update(lambda _: on_change(float(slider.value)))
-        return lambda: float(slider.value)
+        slider = _PageSlider(name, low, high, value, on_change)
+        slider.show_on(self._server.gui)
+        return slider
 
     @property
     def client_count(self) -> int:
@@ -347,6 +346,23 @@ class ViewerViser(SceneViewer):
             super().close()
             with _silence():
                 self._server.stop()
+
+
+class _PageSlider(Slider):
+    """A slider of the page."""
+
+    def show_on(self, gui: Any) -> None:
+        """Put it into the panel."""
+        step = (self.high - self.low) / 1000.0
+        self.handle = gui.add_slider(self.name, self.low, self.high, step, self.value)
+        self.handle.on_update(
+            lambda event: Slider.set(self, self.handle.value) if event.client else None
+        )
+
+    def set(self, value: float) -> None:
+        """Move it, on the page too."""
+        super().set(value)
+        self.handle.value = self.value
 
 
 class _Group:

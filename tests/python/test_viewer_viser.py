@@ -50,8 +50,8 @@ def test_poses_are_sent_and_past_frames_come_back(served):
     viewer, state = served
     for k in range(10):
         frame(viewer, state, 0.1 * k, 0.2 * k)
-    boxes = viewer._handles["/model/box"][0].parts
-    capsules = viewer._handles["/model/capsule"][0].parts
+    boxes = viewer._page.handles["/model/box"][0].parts
+    capsules = viewer._page.handles["/model/capsule"][0].parts
     assert len(boxes) == 1 and len(boxes[0][1]) == 3
     assert [list(rows) for _, rows in capsules] == [[0, 2], [1]]  # two proportions
     assert boxes[0][0].batched_positions[0][0] == pytest.approx(1.8)
@@ -75,7 +75,7 @@ def test_an_object_stays_when_another_with_its_name_in_front_changes(served, rec
         viewer.log_arrows("force", [[0, 0, 0]], [[0, 0, 1.0 + k]], (0, 1, 0))
         frame(viewer, state, 0.1 * k, 0.0)
     for name in ("/way", "/way/earlier", "/force", "/force/heads"):
-        ((handle, _),) = viewer._handles[name][0].parts
+        ((handle, _),) = viewer._page.handles[name][0].parts
         assert not handle._impl.removed, name
     assert not [w for w in recwarn if "removed" in str(w.message)]
 

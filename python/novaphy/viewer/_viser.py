@@ -7,7 +7,7 @@ import io
 import socket
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -16,17 +16,13 @@ from .._core import SimState
 from ._base import Slider
 from ._camera import FIELD_OF_VIEW
 from ._drag import Drag
-from ._model_scene import INFINITE
 from ._needs import needs
 from ._overlay import curve_picture
-from ._scene import Instances, Lines, Mesh, compose, f32
 from ._scene_viewer import SceneViewer
+from ._viser_objects import PageObjects
 
 SEND_RATE = 30.0  # frames per second that are sent at most
 PORTS_TRIED = 10
-DARKER = 1.7
-STRONG = 0.5  # a checker of this contrast has fields, not lines
-FIELDS, PIXELS = 32, 32  # how far it goes (m), and pixels of 1 m
 LOCAL = ("127.0.0.1", "localhost", "::1")
 
 
@@ -78,7 +74,8 @@ class ViewerViser(SceneViewer):
         self.history = history
         self.reset_requested = False
         self._sent_at = 0.0
-        self._handles: dict[str, tuple[Any, Any]] = {}
+        self._page = PageObjects(self._server, self._pull)
+        self._sent_camera: Any = None
         self._pictures: dict[str, tuple[Any, np.ndarray]] = {}
         self._drawn_curves: dict[str, tuple[bytes, np.ndarray]] = {}
         self._past: list[dict[str, Any]] = []
@@ -181,14 +178,7 @@ class ViewerViser(SceneViewer):
         lines = self.texts() if at is None else [f"time {at:.3f} s"]
         self._text.content = "  \n".join(lines)
         self._send_pictures()
-        wanted = {"", *(f"/{name}" for name in (*self.scene.instances, *self.scene.lines))}
-        for name in [name for name in self._handles if name not in wanted]:
-            self._handles.pop(name)[0].remove()
-        with self._server.atomic():
-            for name, item in self.scene.instances.items():
-                self._send_instances(f"/{name}", item)
-            for name, lines_item in self.scene.lines.items():
-                self._send_lines(f"/{name}", lines_item)
+        self._page.send(self.scene)
 
     def _send_pictures(self) -> None:
         """Show images, and curves as images, in the panel."""
@@ -212,9 +202,9 @@ class ViewerViser(SceneViewer):
     def _send_camera(self) -> None:
         camera = self.camera
         seen = (tuple(camera.pos), tuple(camera.target))
-        if self._handles.get("", (None, None))[1] == seen:
+        if self._sent_camera == seen:
             return
-        self._handles[""] = (_Group(), seen)
+        self._sent_camera = seen
         self._server.scene.set_up_direction("+" + "xyz"[camera.up_axis])
         initial = self._server.initial_camera
         initial.position, initial.look_at = tuple(camera.pos), tuple(camera.target)
@@ -222,95 +212,19 @@ class ViewerViser(SceneViewer):
         for client in self._server.get_clients().values():
             client.camera.position, client.camera.look_at = tuple(camera.pos), tuple(camera.target)
 
-    def _send_instances(self, name: str, item: Instances) -> None:
-        mesh = self.scene.meshes[item.mesh]
-        fixed = (
-            len(mesh.points.values), mesh.indices.revision, item.local.revision, item.culled,
-            item.scales.revision, item.colors.revision, item.hidden or not item.count,
-        )  # fmt: skip
-        now = (fixed, mesh.points.revision, item.poses.revision)
-        handle, seen = self._handles.get(name, (None, (None, None, None)))
-        if seen == now:
-            return
-        poses = compose(item.poses.values, item.local.values)
-        if handle is None or seen[0] != fixed:
-            if handle is not None:
-                handle.remove()
-            handle = self._add(name, item, poses)
-        else:
-            if seen[1] != now[1]:
-                handle.reshape(mesh)
-            if seen[2] != now[2]:
-                handle.move(poses)
-        self._handles[name] = (handle, now)
-
-    def _add(self, name: str, item: Instances, poses: np.ndarray) -> Any:
-        """Put instances on the page."""
-        scene, mesh = self._server.scene, self.scene.meshes[item.mesh]
-        group = _Group()
-        if item.hidden or not item.count:
-            return group
-        colors = _shades(item.colors.values[:, :3])
-        contrast = float(item.colors.values[0, 3])
-        if item.mesh == "plane" and contrast >= STRONG:
-            bright = item.colors.values[0, :3]
-            group.parts.append((self._add_checker(name, contrast, bright, poses[0]), None))
-            return group
-        if item.mesh == "plane" and contrast > 0.0:
-            size = float(item.scales.values[0, 0])
-            grid = scene.add_grid(
-                _node(name), size, size, plane="xy", cell_size=1.0, section_size=10.0,
-                infinite_grid=size >= INFINITE, plane_color=tuple(colors[0]), plane_opacity=1.0,
-                shadow_opacity=0.3, position=poses[0, :3], wxyz=_wxyz(poses)[0],
-            )  # fmt: skip
-            group.parts.append((grid, None))
-            return group
-        # The shift of a capsule is no scale: those of one proportion share a mesh.
-        shift, scales = mesh.shift.values, item.scales.values
-        ratios = scales[:, 3] / scales[:, 0] if shift.any() else np.zeros(item.count)
-        for number, ratio in enumerate(np.unique(ratios)):
-            rows = np.flatnonzero(ratios == ratio)
-            handle = scene.add_batched_meshes_simple(
-                f"{_node(name)}/{number}", _stretched(mesh, ratio),
-                mesh.indices.values, _wxyz(poses[rows]), poses[rows, :3],
-                batched_scales=scales[rows, :3] * _hairs(rows), batched_colors=colors[rows],
-                side="front" if item.culled else "double",
-            )  # fmt: skip
-            self._let_pull(handle, name.removeprefix("/"), rows)
-            group.parts.append((handle, rows))
-            group.ratios.append(ratio)
-        return group
-
-    def _add_checker(self, name: str, contrast: float, color: np.ndarray, pose: np.ndarray) -> Any:
-        """A checker of squares of 1 m: a picture, which no light of the page makes pale."""
-        field = np.arange(2 * FIELDS)
-        dark = (field[:, None] + field) % 2 == 1
-        dark = dark.repeat(PIXELS, axis=0).repeat(PIXELS, axis=1)[..., None]
-        pixels = np.round(255.0 * color * np.where(dark, 1.0 - contrast, 1.0)).astype(np.uint8)
-        return self._server.scene.add_image(
-            _node(name), pixels, 2.0 * FIELDS, 2.0 * FIELDS, format="png",
-            position=pose[:3], wxyz=_wxyz(pose[None])[0], cast_shadow=False,
-        )  # fmt: skip
-
-    def _let_pull(self, handle: Any, name: str, rows: np.ndarray) -> None:
-        """Let the pointer, with control, pull what a handle shows of the model."""
-        if not name.startswith("model/"):
-            return
-
-        def pull(event: Any) -> None:
-            with self._lock:
-                start = np.array(event.start_position)
-                if event.phase == "start" and self._model_scene is not None:
-                    row = int(rows[event.instance_index or 0])
-                    item = self._model_scene.owner(name, row, start)
-                    if item is not None:
-                        self._drag.hold(item, start)
-                if event.phase == "end":
-                    self._drag.stop()
-                elif self._drag.item is not None:
-                    self._drag.pull(np.array(event.end_position))
-
-        handle.on_drag("left", modifier="cmd/ctrl")(pull)
+    def _pull(self, name: str, rows: np.ndarray, event: Any) -> None:
+        """Pull what the rows of an object show of the model, as the pointer does."""
+        with self._lock:
+            start = np.array(event.start_position)
+            if event.phase == "start" and self._model_scene is not None:
+                row = int(rows[event.instance_index or 0])
+                item = self._model_scene.owner(name, row, start)
+                if item is not None:
+                    self._drag.hold(item, start)
+            if event.phase == "end":
+                self._drag.stop()
+            elif self._drag.item is not None:
+                self._drag.pull(np.array(event.end_position))
 
     def apply_forces(self, state: SimState) -> None:
         """Add the pull of a pointer to a state's particle_f or body_f."""
@@ -320,25 +234,6 @@ class ViewerViser(SceneViewer):
     def is_key_down(self, key: str | int) -> bool:
         """NotImplementedError: a page tells of no keys."""
         raise NotImplementedError("is_key_down: the page of ViewerViser tells of no keys")
-
-    def _send_lines(self, name: str, item: Lines) -> None:
-        seen = (
-            item.starts.revision, item.ends.revision, item.colors.revision, item.hidden, item.width
-        )  # fmt: skip
-        handle, known = self._handles.get(name, (None, None))
-        if known == seen:
-            return
-        if handle is not None:
-            handle.remove()
-        group = _Group()
-        if item.count and not item.hidden:
-            points = np.stack([item.starts.values, item.ends.values], axis=1)
-            colors = _shades(item.colors.values)
-            lines = self._server.scene.add_line_segments(
-                _node(name), points, np.repeat(colors[:, None], 2, axis=1), thickness=item.width
-            )
-            group.parts.append((lines, None))
-        self._handles[name] = (group, seen)
 
     def close(self) -> None:
         """Stop the server, and free the port."""
@@ -365,60 +260,9 @@ class _PageSlider(Slider):
         self.handle.value = self.value
 
 
-class _Group:
-    """What an object is on the page: handles, each with the instances that it shows."""
-
-    def __init__(self, parts: Sequence[tuple[Any, np.ndarray | None]] = ()) -> None:
-        self.parts = list(parts)
-        self.ratios: list[float] = []  # of the meshes of a part
-
-    def reshape(self, mesh: Mesh) -> None:
-        """Give the points of a mesh new places."""
-        for (handle, _), ratio in zip(self.parts, self.ratios, strict=False):
-            handle.vertices = _stretched(mesh, ratio)
-
-    def move(self, poses: np.ndarray) -> None:
-        """Give instances new poses."""
-        for handle, rows in self.parts:
-            if rows is None:
-                handle.position, handle.wxyz = poses[0, :3], _wxyz(poses)[0]
-            else:
-                handle.batched_positions = poses[rows, :3]
-                handle.batched_wxyzs = _wxyz(poses[rows])
-
-    def remove(self) -> None:
-        """Take them from the page."""
-        for handle, _ in self.parts:
-            handle.remove()
-
-
 def _silence() -> contextlib.AbstractContextManager[Any]:
     """Keep viser from printing its own banner, and that it stopped."""
     return contextlib.redirect_stdout(io.StringIO())
-
-
-def _node(name: str) -> str:
-    """The name of an object's node: none is below another, which viser removes with it."""
-    return "/" + name.removeprefix("/").replace("/", "|")
-
-
-def _stretched(mesh: Mesh, ratio: float) -> np.ndarray:
-    """The points of a mesh, its halves shifted along z."""
-    return mesh.points.values + mesh.shift.values * f32([0.0, 0.0, ratio])
-
-
-def _hairs(rows: np.ndarray) -> np.ndarray:
-    """Factors {n, 1} of scales a hair below 1: surfaces of shapes that coincide do not fight."""
-    return f32(1.0 - 1e-3 * (rows[:, None] % 8))
-
-
-def _shades(colors: np.ndarray) -> np.ndarray:
-    """Colours as uint8, darker, because the page's light from all sides makes them pale."""
-    return np.round(255.0 * colors**DARKER).astype(np.uint8)
-
-
-def _wxyz(poses: np.ndarray) -> np.ndarray:
-    return poses[:, [6, 3, 4, 5]]
 
 
 def _free_port(host: str, first: int) -> int:

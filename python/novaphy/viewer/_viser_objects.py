@@ -1,0 +1,187 @@
+"""The objects of a scene on the page of ViewerViser."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from ._model_scene import INFINITE
+from ._scene import Instances, Lines, Mesh, Scene, compose, f32
+
+DARKER = 1.7
+STRONG = 0.5  # a checker of this contrast has fields, not lines
+FIELDS, PIXELS = 32, 32  # how far it goes (m), and pixels of 1 m
+
+
+class PageObjects:
+    """Keeps the page in step with a scene: only what changed is sent.
+
+    Attributes:
+        handles: of every object by name, with what of it was sent.
+    """
+
+    def __init__(self, server: Any, pull: Callable[[str, np.ndarray, Any], None]) -> None:
+        """Start with an empty page.
+
+        Args:
+            server: of viser.
+            pull: called with the name of an object of the model, the rows of it that a mesh of the
+                page shows, and an event of the pointer that drags the mesh.
+        """
+        self.server, self.pull = server, pull
+        self.handles: dict[str, tuple[Any, Any]] = {}
+
+    def send(self, scene: Scene) -> None:
+        """Bring the page up to a scene."""
+        wanted = {f"/{name}" for name in (*scene.instances, *scene.lines)}
+        for name in [name for name in self.handles if name not in wanted]:
+            self.handles.pop(name)[0].remove()
+        with self.server.atomic():
+            for name, item in scene.instances.items():
+                self._send_instances(f"/{name}", item, scene.meshes[item.mesh])
+            for name, lines in scene.lines.items():
+                self._send_lines(f"/{name}", lines)
+
+    def _send_instances(self, name: str, item: Instances, mesh: Mesh) -> None:
+        fixed = (
+            len(mesh.points.values), mesh.indices.revision, item.local.revision, item.culled,
+            item.scales.revision, item.colors.revision, item.hidden or not item.count,
+        )  # fmt: skip
+        now = (fixed, mesh.points.revision, item.poses.revision)
+        handle, seen = self.handles.get(name, (None, (None, None, None)))
+        if seen == now:
+            return
+        poses = compose(item.poses.values, item.local.values)
+        if handle is None or seen[0] != fixed:
+            if handle is not None:
+                handle.remove()
+            handle = self._add(name, item, mesh, poses)
+        else:
+            if seen[1] != now[1]:
+                handle.reshape(mesh)
+            if seen[2] != now[2]:
+                handle.move(poses)
+        self.handles[name] = (handle, now)
+
+    def _add(self, name: str, item: Instances, mesh: Mesh, poses: np.ndarray) -> Any:
+        """Put instances on the page."""
+        scene = self.server.scene
+        group = _Object()
+        if item.hidden or not item.count:
+            return group
+        colors = _shades(item.colors.values[:, :3])
+        contrast = float(item.colors.values[0, 3])
+        if item.mesh == "plane" and contrast >= STRONG:
+            bright = item.colors.values[0, :3]
+            group.parts.append((self._add_checker(name, contrast, bright, poses[0]), None))
+            return group
+        if item.mesh == "plane" and contrast > 0.0:
+            size = float(item.scales.values[0, 0])
+            grid = scene.add_grid(
+                _node(name), size, size, plane="xy", cell_size=1.0, section_size=10.0,
+                infinite_grid=size >= INFINITE, plane_color=tuple(colors[0]), plane_opacity=1.0,
+                shadow_opacity=0.3, position=poses[0, :3], wxyz=_wxyz(poses)[0],
+            )  # fmt: skip
+            group.parts.append((grid, None))
+            return group
+        # The shift of a capsule is no scale: those of one proportion share a mesh.
+        shift, scales = mesh.shift.values, item.scales.values
+        ratios = scales[:, 3] / scales[:, 0] if shift.any() else np.zeros(item.count)
+        for number, ratio in enumerate(np.unique(ratios)):
+            rows = np.flatnonzero(ratios == ratio)
+            handle = scene.add_batched_meshes_simple(
+                f"{_node(name)}/{number}", _stretched(mesh, ratio),
+                mesh.indices.values, _wxyz(poses[rows]), poses[rows, :3],
+                batched_scales=scales[rows, :3] * _hairs(rows), batched_colors=colors[rows],
+                side="front" if item.culled else "double",
+            )  # fmt: skip
+            if name.startswith("/model/"):  # the pointer, with control, pulls it
+                pull = partial(self.pull, name.removeprefix("/"), rows)
+                handle.on_drag("left", modifier="cmd/ctrl")(pull)
+            group.parts.append((handle, rows))
+            group.ratios.append(ratio)
+        return group
+
+    def _add_checker(self, name: str, contrast: float, color: np.ndarray, pose: np.ndarray) -> Any:
+        """A checker of squares of 1 m: a picture, which no light of the page makes pale."""
+        field = np.arange(2 * FIELDS)
+        dark = (field[:, None] + field) % 2 == 1
+        dark = dark.repeat(PIXELS, axis=0).repeat(PIXELS, axis=1)[..., None]
+        pixels = np.round(255.0 * color * np.where(dark, 1.0 - contrast, 1.0)).astype(np.uint8)
+        return self.server.scene.add_image(
+            _node(name), pixels, 2.0 * FIELDS, 2.0 * FIELDS, format="png",
+            position=pose[:3], wxyz=_wxyz(pose[None])[0], cast_shadow=False,
+        )  # fmt: skip
+
+    def _send_lines(self, name: str, item: Lines) -> None:
+        seen = (
+            item.starts.revision, item.ends.revision, item.colors.revision, item.hidden, item.width
+        )  # fmt: skip
+        handle, known = self.handles.get(name, (None, None))
+        if known == seen:
+            return
+        if handle is not None:
+            handle.remove()
+        group = _Object()
+        if item.count and not item.hidden:
+            points = np.stack([item.starts.values, item.ends.values], axis=1)
+            colors = _shades(item.colors.values)
+            lines = self.server.scene.add_line_segments(
+                _node(name), points, np.repeat(colors[:, None], 2, axis=1), thickness=item.width
+            )
+            group.parts.append((lines, None))
+        self.handles[name] = (group, seen)
+
+
+class _Object:
+    """What an object is on the page: handles, each with the instances that it shows."""
+
+    def __init__(self, parts: Sequence[tuple[Any, np.ndarray | None]] = ()) -> None:
+        self.parts = list(parts)
+        self.ratios: list[float] = []  # of the meshes of a part
+
+    def reshape(self, mesh: Mesh) -> None:
+        """Give the points of a mesh new places."""
+        for (handle, _), ratio in zip(self.parts, self.ratios, strict=False):
+            handle.vertices = _stretched(mesh, ratio)
+
+    def move(self, poses: np.ndarray) -> None:
+        """Give instances new poses."""
+        for handle, rows in self.parts:
+            if rows is None:
+                handle.position, handle.wxyz = poses[0, :3], _wxyz(poses)[0]
+            else:
+                handle.batched_positions = poses[rows, :3]
+                handle.batched_wxyzs = _wxyz(poses[rows])
+
+    def remove(self) -> None:
+        """Take them from the page."""
+        for handle, _ in self.parts:
+            handle.remove()
+
+
+def _node(name: str) -> str:
+    """The name of an object's node: none is below another, which viser removes with it."""
+    return "/" + name.removeprefix("/").replace("/", "|")
+
+
+def _stretched(mesh: Mesh, ratio: float) -> np.ndarray:
+    """The points of a mesh, its halves shifted along z."""
+    return mesh.points.values + mesh.shift.values * f32([0.0, 0.0, ratio])
+
+
+def _hairs(rows: np.ndarray) -> np.ndarray:
+    """Factors {n, 1} of scales a hair below 1: surfaces of shapes that coincide do not fight."""
+    return f32(1.0 - 1e-3 * (rows[:, None] % 8))
+
+
+def _shades(colors: np.ndarray) -> np.ndarray:
+    """Colours as uint8, darker, because the page's light from all sides makes them pale."""
+    return np.round(255.0 * colors**DARKER).astype(np.uint8)
+
+
+def _wxyz(poses: np.ndarray) -> np.ndarray:
+    return poses[:, [6, 3, 4, 5]]

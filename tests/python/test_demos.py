@@ -412,6 +412,64 @@ def test_a_simulation_shows_every_frame(monkeypatch, name, options, shape):
     assert np.linalg.norm(moved, axis=1).max() > 1e-4
 
 
+class Resetting(Recorder):
+    """Somebody presses reset when seven frames are shown: the Ant has got torques then."""
+
+    def __init__(self):
+        """Start without any."""
+        super().__init__()
+        self.reset_requested = False
+        self.particle_q: list[np.ndarray] = []
+
+    def log_state(self, state):
+        """Keep the particles too."""
+        super().log_state(state)
+        self.particle_q.append(state.particle_q.numpy())
+
+    def end_frame(self):
+        """Press it."""
+        super().end_frame()
+        self.reset_requested = self.frames == 7
+
+
+@pytest.mark.parametrize(
+    ("name", "options"),
+    [
+        *((name, options) for name, options, _ in SIMULATIONS),
+        ("rigid_scenes", ["cloth"]),
+        ("articulated_scenes", ["ant"]),
+        ("vbd", ["twisted"]),
+        ("robot", []),
+    ],
+)
+def test_a_reset_begins_a_simulation_again_to_the_bit(monkeypatch, name, options):
+    if name == "vbd" and not novaphy.has_vbd():
+        pytest.skip("built with NOVAPHY_BUILD_VBD=OFF")
+    if name == "robot" and not novaphy.has_io():
+        pytest.skip("built with NOVAPHY_WITH_IO=OFF")
+    screen = Resetting()
+
+    class Watched(viewer.Stage):
+        """Shows everything to the screen, and heeds its reset."""
+
+        def __init__(self, args, model, **options):
+            super().__init__(args, model, viewers=[screen], **options)
+            self._screen = screen
+
+    monkeypatch.setattr(viewer, "Stage", Watched)
+    script = DEMOS.parent / f"demo_{name}.py"
+    count = 8
+    assert start_demo(script, ["--headless", str(count), *options]) == 0
+    assert screen.states[7:] == pytest.approx([k / 60.0 for k in range(count + 1)])
+    for kept in (screen.body_q, screen.particle_q):
+        for k in range(7):
+            np.testing.assert_array_equal(kept[k], kept[7 + k])
+    moved = [
+        np.abs(kept[-1] - kept[0]).max(initial=0.0) for kept in (screen.body_q, screen.particle_q)
+    ]
+    assert max(moved) > 1e-4
+
+
 WINDOW = """
 import sys
 from novaphy._command import start_demo

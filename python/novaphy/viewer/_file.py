@@ -13,13 +13,7 @@ from .._core import Contacts, Model, SimState
 from ..io import atomic_path
 from . import _recording
 from ._base import Viewer
-from ._model_scene import (
-    CONTACT_COLOR,
-    CONTACT_POINT,
-    CONTACT_WIDTH,
-    contact_segments,
-    model_arrays,
-)
+from ._model_scene import draw_contacts, model_arrays
 from ._recording import Call, Frame
 
 STATE_FIELDS = ("particle_q", "particle_qd", "body_q", "body_qd", "joint_q", "joint_qd")
@@ -121,10 +115,7 @@ class ViewerFile(Viewer):
         """Record the contacts of a state as points and arrows. ValueError without a model."""
         if not self._model_arrays:
             raise ValueError("log_contacts: expected a model before, got none: call set_model")
-        q, p = state.body_q.numpy(), state.particle_q.numpy()
-        starts, ends = contact_segments(self._model_arrays, contacts, q, p)
-        self.log_points("contacts/points", starts, CONTACT_POINT, CONTACT_COLOR)
-        self.log_arrows("contacts/arrows", starts, ends, CONTACT_COLOR, CONTACT_WIDTH)
+        draw_contacts(self, self._model_arrays, contacts, state)
 
     def end_frame(self) -> None:
         """Add the frame to the recording."""

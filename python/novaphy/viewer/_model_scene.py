@@ -9,7 +9,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from .._core import Contacts, GeoType, JointType, Model, ParticleFlags, ShapeFlags
+from .._core import Contacts, GeoType, JointType, Model, ParticleFlags, ShapeFlags, SimState
+from ._base import Viewer
 from ._primitives import add_primitive
 from ._scene import CHECKER, IDENTITY, Instances, Scene, compose, f32, rotate
 
@@ -343,6 +344,16 @@ def _energy_of_points(
     gravity = arrays["gravity"].reshape(-1, 3)[arrays[worlds]]
     each = 0.5 * (v * v).sum(axis=1, dtype=np.float64) - (gravity * q).sum(axis=1, dtype=np.float64)
     return float(mass @ each)
+
+
+def draw_contacts(
+    viewer: Viewer, arrays: Mapping[str, np.ndarray], contacts: Contacts, state: SimState
+) -> None:
+    """Draw the contacts of a state: a point each, and its force, or its normal."""
+    q, p = state.body_q.numpy(), state.particle_q.numpy()
+    starts, ends = contact_segments(arrays, contacts, q, p)
+    viewer.log_points("contacts/points", starts, CONTACT_POINT, CONTACT_COLOR)
+    viewer.log_arrows("contacts/arrows", starts, ends, CONTACT_COLOR, CONTACT_WIDTH)
 
 
 def contact_segments(

@@ -10,11 +10,8 @@ from .._core import Contacts, Model, SimState
 from ._base import ArrayLike, Viewer
 from ._camera import Camera
 from ._model_scene import (
-    CONTACT_COLOR,
-    CONTACT_POINT,
-    CONTACT_WIDTH,
     ModelScene,
-    contact_segments,
+    draw_contacts,
     energy,
     model_arrays,
     shape_name,
@@ -151,10 +148,7 @@ class SceneViewer(Viewer):
             self.log_points("contacts/points", None)
             self.log_arrows("contacts/arrows", None, None, None)
             return
-        q, p = state.body_q.numpy(), state.particle_q.numpy()
-        starts, ends = contact_segments(self._model_scene.arrays, contacts, q, p)
-        self.log_points("contacts/points", starts, CONTACT_POINT, CONTACT_COLOR)
-        self.log_arrows("contacts/arrows", starts, ends, CONTACT_COLOR, CONTACT_WIDTH)
+        draw_contacts(self, self._model_scene.arrays, contacts, state)
 
     def body_at(self, origin: ArrayLike, ray: ArrayLike) -> int | None:
         """The body whose shapes a ray meets first, each taken as its box; None when it meets none.

@@ -118,6 +118,12 @@ def test_two_browsers_see_the_scene_and_move_a_slider(served):
         for page in pages:
             page.wait_for(f"{find}.getAttribute('aria-valuenow') === '7'")
         assert mass() == 7.0
+        find = "[...document.querySelectorAll('button')].find(b => b.innerText === 'reset')"
+        pages[1].evaluate(f"{find}.click()")
+        end = time.monotonic() + 30.0
+        while not viewer.reset_requested and time.monotonic() < end:
+            time.sleep(0.1)
+        assert viewer.reset_requested
 
 
 def test_a_body_moves_in_the_page_as_projected():

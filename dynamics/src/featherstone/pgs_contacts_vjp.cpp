@@ -37,10 +37,13 @@ constexpr float kNearCone = 1e-3f;      // 1
 
 float length(float x, float y) { return math::sqrt(x * x + y * y); }
 
-// The slip along the tangents.
+// The slip along the tangents, where one of them slides.
 struct Slip {
-  explicit Slip(const art::PgsContact<float>& c) : along{art::slip(c, 1), art::slip(c, 2)} {}
-  double along[2];
+  Slip(const art::PgsContact<float>& c, const ContactBranch& branch) {
+    if (!branch.slides[0] && !branch.slides[1]) return;
+    for (int i = 0; i < 2; ++i) along[i] = art::slip(c, i + 1);
+  }
+  double along[2] = {};
 };
 
 // What the rows of two contacts share: J_i of a times Y_j of b.
@@ -200,7 +203,7 @@ void PgsContacts::solve_adjoint(int64_t island, bool cone) {
   for (size_t d = 0; d < active_.size(); ++d) {
     const art::PgsContact<float>& other = rows_[static_cast<size_t>(active_[d])].solver;
     const ContactBranch branch = branch_of(other, cone);
-    const ContactBlocks k = blocks_of(other, branch, cone, Slip(other).along);
+    const ContactBlocks k = blocks_of(other, branch, cone, Slip(other, branch).along);
     for (size_t c = 0; c < active_.size(); ++c) {
       const art::PgsContact<float>& one = rows_[static_cast<size_t>(active_[c])].solver;
       for (int i = 0; i < 3; ++i) {
@@ -247,8 +250,8 @@ void PgsContacts::solve_adjoint(int64_t island, bool cone) {
   for (size_t d = 0; d < active_.size(); ++d) {
     const auto at = static_cast<size_t>(active_[d]);
     const Row& row = rows_[at];
-    const ContactBlocks k =
-        blocks_of(row.solver, branch_of(row.solver, cone), cone, Slip(row.solver).along);
+    const ContactBranch branch = branch_of(row.solver, cone);
+    const ContactBlocks k = blocks_of(row.solver, branch, cone, Slip(row.solver, branch).along);
     double z[3], pull[3];
     for (size_t e = 0; e < 3; ++e) z[e] = system_[(3 * d + e) * width + n];
     for (int j = 0; j < 3; ++j) pull[j] = (z[0] * k.b[0][j] + z[1] * k.b[1][j]) + z[2] * k.b[2][j];
@@ -352,8 +355,10 @@ void PgsContacts::add_material_gradients(const Step& s, const Row& row, const do
     for (const int32_t* shapes : {s.contacts.shape0, s.contacts.shape1})
       gradient[shapes[row.contact]] += static_cast<float>(0.5 * value);
   };
+  if (to.mu == nullptr && to.restitution == nullptr && to.ke == nullptr && to.kd == nullptr) return;
   double by_friction[2];
-  rows_by_friction(c, branch_of(c, s.law.cone), s.law.cone, Slip(c).along, by_friction);
+  const ContactBranch branch = branch_of(c, s.law.cone);
+  rows_by_friction(c, branch, s.law.cone, Slip(c, branch).along, by_friction);
   give(to.mu, -(z[1] * by_friction[0] + z[2] * by_friction[1]));
   if (row.target.bounce > 0.0f) give(to.restitution, -z[0] * row.before);
   if (!s.law.compliant) return;

@@ -17,7 +17,6 @@ inline float sign(float a) { return usign(a); }
 inline float sqrt(float a) { return usqrt(a); }
 inline float floor(float a) { return ufloor(a); }
 inline float fma(float a, float b, float c) { return ufma(a, b, c); }
-inline int32_t float_bits(float a) { return uf_bits(a); }
 inline float select(bool c, float a, float b) { return c ? a : b; }
 inline bool select(bool c, bool a, bool b) { return c ? a : b; }
 inline bool both(bool a, bool b) { return a && b; }

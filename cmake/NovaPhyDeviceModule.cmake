@@ -29,6 +29,9 @@ function(novaphy_append_device_text path)
   string(REPLACE "bool operator==(const Vec3&) const = default;"
                  "bool operator==(const Vec3& o) const { return x == o.x && y == o.y && z == o.z; }" text "${text}")
   string(REGEX REPLACE "\n *bool operator==[^\n]* = default;" "" text "${text}")
+  # Concepts: devices call formulas with floats only.
+  string(REGEX REPLACE "\ntemplate <class T>\nconcept FormulaScalar = [^}]*};" "" text "${text}")
+  string(REPLACE "template <FormulaScalar T>" "template <class T>" text "${text}")
   set_property(GLOBAL APPEND_STRING PROPERTY NOVAPHY_DEVICE_TEXT "${text}")
 endfunction()
 

@@ -441,15 +441,16 @@ NOVAPHY_GRID_KERNEL(vbd_sweep, 36, VbdSweepArguments);
 namespace vbd {
 
 // A team is a block of kTeam threads, for the particles of up to G groups. Its terms are lanes of
-// slots, by role in the order of their sums; those of a role begin at a multiple of a warp, so that
-// the threads of a warp have one role.
-constexpr int kTeam = 128, kWarp = 32, kComponents = 9;
+// slots, by role in the order of their sums; those of a role begin at a multiple of kAlign, so that
+// the threads of a warp have one role where it has no more.
+constexpr int kTeam = 128, kAlign = 32, kComponents = 9;
 
+// Shared memory has no constructors.
 struct TeamMemory {
   float terms[kComponents][kVbdTeamTerms];
   float outer[kComponents][kVbdLanes * kVbdLargeTeam],
       inner[kComponents][kVbdLanes * kVbdLargeTeam];
-  Vec3f x[kVbdLanes * kVbdLargeTeam];
+  float x[kVbdLanes * kVbdLargeTeam][3];
   int64_t first[kRoles][kVbdLargeTeam];  // slots of the groups
   int32_t count[kRoles][kVbdLargeTeam];
 };
@@ -471,9 +472,10 @@ inline void put_term(const VbdSweepArguments& a, TeamMemory& m, int32_t begin, i
   const int32_t k = term - begin, lane = k % kVbdLanes, group = k / kVbdLanes % G,
                 slot = k / (kVbdLanes * G);
   if (slot >= m.count[role][group]) return;
-  store_block(&m.terms[0][term], kVbdTeamTerms,
-              block_of(LaneSlot<role>(a, m.first[role][group] + slot, lane), a,
-                       m.x[group * kVbdLanes + lane]));
+  const float* const x = m.x[group * kVbdLanes + lane];
+  store_block(
+      &m.terms[0][term], kVbdTeamTerms,
+      block_of(LaneSlot<role>(a, m.first[role][group] + slot, lane), a, Vec3f{x[0], x[1], x[2]}));
 }
 
 // One step of the particles of the groups [first, end), at most G. All threads of the block call
@@ -494,14 +496,16 @@ inline void move_team(const VbdSweepArguments& a, int64_t first, int64_t end, Te
     start = at(a.start, p);
     moved = at(a.moved, p);
     const Vec3f x = at(a.x, p);
-    m.x[thread] = x;
+    m.x[thread][0] = x.x;
+    m.x[thread][1] = x.y;
+    m.x[thread][2] = x.z;
     store_block(&m.inner[0][thread], kLanes, inertia_block(x, at(a.target, p), a.mass_by_h2[k]));
   }
   if (const int32_t v = thread - (kTeam - kLanes); v >= 0 && v < groups * kVbdLanes) {
     const int32_t of = a.particle[first * kVbdLanes + v];
     store_block(&m.outer[0][v], kLanes, contact_blocks(a, of, at(a.x, of)));
   }
-  for (int32_t k = thread - 2 * kWarp; k >= 0 && k < kRoles * G; k += kTeam) {
+  for (int32_t k = thread - 2 * kAlign; k >= 0 && k < kRoles * G; k += kTeam) {
     const int32_t role = k / G, group = k % G;
     const bool any = group < groups && a.begin[role] != nullptr;
     const int64_t begin = any ? a.begin[role][first + group] : 0;
@@ -517,7 +521,7 @@ inline void move_team(const VbdSweepArguments& a, int64_t first, int64_t end, Te
     int32_t most = 0;
 #pragma unroll
     for (int g = 0; g < G; ++g) most = m.count[role][g] > most ? m.count[role][g] : most;
-    begin[role + 1] = begin[role] + (most * kLanes + kWarp - 1) / kWarp * kWarp;
+    begin[role + 1] = begin[role] + (most * kLanes + kAlign - 1) / kAlign * kAlign;
   }
   for (int32_t term = thread; term < begin[kRoles]; term += kTeam) {
     if (term < begin[1]) {

@@ -95,7 +95,7 @@ math::Ldlt<T, 3> factorize(const Block<T>& b, const T& regularization) {
   const T mean = ((b.h00 + b.h11) + b.h22) * T(0x1.555556p-2f);
   using math::select;
   const auto is_regular = det > T(1e-7f) * product;
-  if constexpr (requires(bool& b) { b = is_regular; })
+  if constexpr (__is_same(decltype(is_regular), const bool))
     if (is_regular) return plain;  // what shifting by 0 gives
   return factors(select(is_regular, zero, regularization * mean));
 }

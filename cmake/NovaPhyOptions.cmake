@@ -45,20 +45,17 @@ option(NOVAPHY_WITH_VBD_CUDA "novaphy::vbd on CUDA devices (needs NOVAPHY_BUILD_
 option(NOVA_ENABLE_NVRTC "Compile kernels with NVRTC at run time; without effect while NOVAPHY_WITH_CUDA is OFF" ON)
 
 option(NOVAPHY_WITH_DLAN "Build the Denglin backend (a plugin that opens the run-time library and kernels at run time)" OFF)
-
-option(NOVAPHY_WITH_VBD_DLAN "Not built yet: Denglin modules of the VBD library" OFF)
-if(NOVAPHY_WITH_VBD_DLAN)
-  message(FATAL_ERROR "NOVAPHY_WITH_VBD_DLAN=ON asks for Denglin modules of the VBD library, which this version does not have. "
-                      "Configure with NOVAPHY_WITH_VBD_DLAN=OFF.")
-endif()
+option(NOVAPHY_WITH_VBD_DLAN "novaphy::vbd on Denglin devices (needs NOVAPHY_BUILD_VBD and NOVAPHY_WITH_DLAN)" OFF)
 
 if(NOVAPHY_BUILD_DYNAMICS AND NOT NOVAPHY_BUILD_COLLISION)
   message(FATAL_ERROR "NOVAPHY_BUILD_DYNAMICS=ON needs NOVAPHY_BUILD_COLLISION=ON.")
 endif()
-foreach(needed NOVAPHY_BUILD_VBD NOVAPHY_WITH_CUDA)
-  if(NOVAPHY_WITH_VBD_CUDA AND NOT ${needed})
-    message(FATAL_ERROR "NOVAPHY_WITH_VBD_CUDA=ON needs ${needed}=ON.")
-  endif()
+foreach(backend CUDA DLAN)
+  foreach(needed NOVAPHY_BUILD_VBD NOVAPHY_WITH_${backend})
+    if(NOVAPHY_WITH_VBD_${backend} AND NOT ${needed})
+      message(FATAL_ERROR "NOVAPHY_WITH_VBD_${backend}=ON needs ${needed}=ON.")
+    endif()
+  endforeach()
 endforeach()
 if(NOVAPHY_BUILD_VBD AND NOT NOVAPHY_BUILD_COLLISION)
   message(FATAL_ERROR "NOVAPHY_BUILD_VBD=ON needs NOVAPHY_BUILD_COLLISION=ON.")

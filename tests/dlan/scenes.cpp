@@ -6,14 +6,21 @@
 #include <vector>
 
 #include "diff/ball_scene.h"
+#include "novaphy/collision/collision_pipeline.h"
 #include "novaphy/core/error.h"
 #include "novaphy/diff/diff_semi_implicit_solver.h"
 #include "novaphy/diff/losses.h"
+#include "novaphy/diff/rigid_losses.h"
 #include "novaphy/diff/tensor_views.h"
+#include "novaphy/dynamics/semi_implicit/solver_semi_implicit.h"
 #include "novaphy/nova/kernel.h"
 #include "novaphy/nova/op_list.h"
 #include "novaphy/nova/tape.h"
 #include "support/soft_body_scene.h"
+
+#ifdef DLAN_HAS_VBD
+void step_vbd(const std::string& options, novaphy::Device device);  // fake_driver/probe_vbd.cpp
+#endif
 
 namespace {
 
@@ -66,11 +73,185 @@ std::vector<float> soft_body(Device device) {
                   .static_contact_margin = kSoftBodyGap},
                  false, 100, kSoftBodyDt, kSoftBodyTarget);
 }
+std::vector<float> cloth(Device device) {
+  novaphy::ModelBuilder builder;
+  builder.add_cloth_grid({.placement = {.vel = {0.0f, 0.4f, -1.5f}},
+                          .dim_x = 5,
+                          .dim_y = 4,
+                          .cell_x = 0.07f,
+                          .cell_y = 0.08f,
+                          .mass = 1.0f,
+                          .fix_left = true,
+                          .tri = {1e3f, 1e3f, 10.0f, 10.0f, 5.0f},
+                          .edge = {10.0f, 0.1f},
+                          .add_springs = true,
+                          .spring_ke = 30.0f,
+                          .spring_kd = 0.05f});
+  return trained(builder.finalize(device, {.requires_grad = true}),
+                 {.enable_triangles = true, .enable_springs = true, .enable_bending = true}, false,
+                 30, 5e-4f, {0.1f, 0.2f, 0.3f});
+}
+
+// What rigid bodies ask of a device: all that these scenes say of it.
+constexpr float kRigidDt = 1.0f / 960.0f;
+constexpr novaphy::ShapeConfig kSurface{.ke = 1e4f, .kd = 100.0f, .kf = 200.0f, .mu = 0.5f};
+novaphy::CollisionOptions rigid_options(novaphy::BroadPhase phase) {
+  return {.broad_phase = phase, .rigid_contact_max = 400};
+}
+
+// Bodies of all types, so close that they overlap, on the ground and beside a box.
+novaphy::ModelBuilder rigid_bodies() {
+  const std::vector<novaphy::Vec3f> wedge = {{0.1f, 0.1f, -0.1f},   {-0.1f, 0.1f, -0.1f},
+                                             {0.1f, -0.1f, -0.1f},  {-0.1f, -0.1f, -0.1f},
+                                             {0.05f, 0.02f, 0.12f}, {-0.08f, 0.0f, 0.1f}};
+  novaphy::ModelBuilder b;
+  b.add_ground_plane({.cfg = kSurface});
+  for (int k = 0; k < 14; ++k) {
+    const auto t = static_cast<float>(k);
+    const int32_t body =
+        b.add_body({.xform = {{0.15f * static_cast<float>(k % 4),
+                               0.14f * static_cast<float>(k / 4 % 2), 0.09f + 0.05f * t},
+                              {0.0f, 0.6f, 0.0f, 0.8f}}});
+    b.body_qd[static_cast<size_t>(body)] = {{0.1f * t, -0.2f, -1.0f}, {0.3f, 0.1f * t, 0.5f}};
+    switch (k % 7) {
+      case 0:
+        b.add_shape_box(body, {.hx = 0.1f, .hy = 0.08f, .hz = 0.12f, .cfg = kSurface});
+        break;
+      case 1:
+        b.add_shape_sphere(body, {.radius = 0.1f, .cfg = kSurface});
+        break;
+      case 2:
+        b.add_shape_capsule(body, {.radius = 0.06f, .half_height = 0.1f, .cfg = kSurface});
+        break;
+      case 3:
+        b.add_shape_cylinder(body, {.radius = 0.09f, .half_height = 0.1f, .cfg = kSurface});
+        break;
+      case 4:
+        b.add_shape_cone(body, {.radius = 0.1f, .half_height = 0.1f, .cfg = kSurface});
+        break;
+      case 5:
+        b.add_shape_ellipsoid(body, {.rx = 0.12f, .ry = 0.08f, .rz = 0.1f, .cfg = kSurface});
+        break;
+      default:
+        b.add_shape_convex_hull(body, {.vertices = wedge, .cfg = kSurface});
+    }
+  }
+  b.add_shape_box(-1, {.xform = {{0.3f, 0.4f, 0.2f}, novaphy::Quatf::identity()},
+                       .hx = 0.5f,
+                       .hy = 0.1f,
+                       .hz = 0.2f,
+                       .cfg = kSurface});
+  return b;
+}
+
+template <class T>
+void append(std::vector<float>& to, const std::vector<T>& values) {
+  static_assert(sizeof(T) % sizeof(float) == 0);
+  const auto* const words = reinterpret_cast<const float*>(values.data());
+  to.insert(to.end(), words, words + values.size() * sizeof(T) / sizeof(float));
+}
+
+// The rows of contacts and the bodies of some steps, by every broad phase, direct and captured.
+std::vector<float> rigid_steps(Device device, novaphy::BroadPhase phase, bool capture) {
+  using namespace novaphy;
+  const auto model = rigid_bodies().finalize(device);
+  CollisionPipeline pipeline(model, rigid_options(phase));
+  SolverSemiImplicit solver(model);
+  Contacts contacts = pipeline.contacts();
+  SimState now = model->state(), next = model->state();
+  nova::ScopedCapture scope;
+  if (!capture) scope.end();
+  pipeline.collide(now, contacts);
+  scope.end();
+  for (int k = 0; k < 6; ++k) {
+    if (capture) {
+      scope.graph()->launch();
+    } else {
+      pipeline.collide(now, contacts);
+    }
+    solver.step(now, next, nullptr, &contacts, kRigidDt);
+    now.assign(next);
+  }
+  std::vector<float> all;
+  append(all, contacts.rigid_contact_count.to_host());
+  append(all, contacts.rigid_contact_shape0.to_host());
+  append(all, contacts.rigid_contact_shape1.to_host());
+  append(all, contacts.rigid_contact_point0.to_host());
+  append(all, contacts.rigid_contact_point1.to_host());
+  append(all, contacts.rigid_contact_normal.to_host());
+  append(all, contacts.rigid_contact_force.to_host());
+  append(all, now.body_q.to_host());
+  append(all, now.body_qd.to_host());
+  return all;
+}
+bool same_bits(const std::vector<float>& a, const std::vector<float>& b) {
+  return a.size() == b.size() && std::memcmp(a.data(), b.data(), a.size() * sizeof(float)) == 0;
+}
+void rigid_contacts(Device device) {
+  using novaphy::BroadPhase;
+  const std::vector<float> cpu = rigid_steps(Device::cpu(), BroadPhase::Explicit, false);
+  int32_t count = 0;
+  std::memcpy(&count, cpu.data(), sizeof(count));
+  std::printf("%s", count > 20 && count < 400 ? "rows of contacts" : "too few or too many rows");
+  for (const BroadPhase phase : {BroadPhase::Explicit, BroadPhase::NxN, BroadPhase::Sap})
+    for (const bool capture : {false, true})
+      std::printf(", %s", same_bits(rigid_steps(device, phase, capture), cpu) ? "same" : "other");
+  std::printf("\n");
+}
+
+// The loss and gradients of a die and a ball on it, thrown: of a captured iteration.
+std::vector<float> rigid(Device device) {
+  using namespace novaphy;
+  ModelBuilder b;
+  b.add_ground_plane({.cfg = kSurface});
+  b.add_body({.xform = {{0.0f, 0.0f, 0.105f}, Quatf::identity()}, .mass = 4.0f});
+  b.add_shape_box(0, {.hx = 0.1f, .hy = 0.1f, .hz = 0.1f, .cfg = kSurface});
+  b.body_qd[0] = {{1.0f, 0.0f, -2.0f}, {1.0f, 5.0f, 2.0f}};
+  b.add_body({.xform = {{0.02f, 0.0f, 0.295f}, Quatf::identity()}});
+  b.add_shape_sphere(1, {.radius = 0.1f, .cfg = kSurface});
+  const auto model = b.finalize(device, {.requires_grad = true});
+  diff::DiffSemiImplicitSolver solver(
+      model, {.friction_law = FrictionLaw::Huber, .friction_smoothing = 0.1f});
+  CollisionPipeline pipeline(model, rigid_options(BroadPhase::Sap));
+  constexpr int32_t kSteps = 8;
+  Trajectory trajectory(model, kSteps);
+  const Tensor qd = diff::state_body_qd_tensor(trajectory.state(0), true),
+               ke = diff::model_shape_material_ke_tensor(*model, true);
+  Tensor loss;
+  nova::ScopedCapture capture;
+  {
+    nova::Tape tape;
+    const nova::TapeScope scope(tape);
+    RolloutOptions options;
+    options.pipeline = &pipeline;
+    solver.rollout(trajectory, nullptr, nullptr, kRigidDt, options);
+    const SimState& end = trajectory.state(kSteps);
+    loss = diff::rigid_orientation_velocity_loss_generated(
+        diff::state_body_q_tensor(end), diff::state_body_qd_tensor(end), 0, {1.0f, 0.0f, 0.0f},
+        {0.0f, 0.0f, 1.0f}, {0.0f, 1.0f, 0.0f}, {0.0f, 1.0f, 0.0f},
+        {.height_weight = 1.0f,
+         .linear_velocity_weight = 0.01f,
+         .angular_velocity_weight = 0.001f});
+    tape.backward(loss);
+  }
+  capture.end();
+  std::vector<float> results;
+  for (int k = 0; k < 2; ++k) {
+    for (const Tensor& leaf : {qd, ke}) leaf.zero_grad();
+    capture.graph()->launch();
+    results.push_back(loss.item());
+  }
+  append(results, qd.grad().to_host());
+  const std::vector<float> of_ke = ke.grad().to_host();
+  for (const float g : of_ke)
+    if (g == 0.0f) std::printf("a shape without contact, ");
+  append(results, of_ke);
+  return results;
+}
 
 void compare(std::vector<float> (*scene)(Device), Device device) {
   const std::vector<float> cpu = scene(Device::cpu()), other = scene(device);
-  const bool equal = cpu.size() == other.size() &&
-                     std::memcmp(cpu.data(), other.data(), cpu.size() * sizeof(float)) == 0;
+  const bool equal = same_bits(cpu, other);
   bool moves = false;
   for (const float g : std::span(cpu).subspan(2)) moves = moves || g != 0.0f;
   std::printf("loss %.6g and %zu gradients%s have %s bits\n", static_cast<double>(cpu[0]),
@@ -106,6 +287,16 @@ int main(int argc, char** argv) {
       compare(ball, device);
     } else if (scene == "soft_body") {
       compare(soft_body, device);
+    } else if (scene == "cloth") {
+      compare(cloth, device);
+    } else if (scene == "rigid") {
+      compare(rigid, device);
+    } else if (scene == "rigid_contacts") {
+      rigid_contacts(device);
+#ifdef DLAN_HAS_VBD
+    } else if (scene.rfind("vbd", 0) == 0) {
+      step_vbd(scene, device);
+#endif
     } else if (scene == "own_kernel") {
       own_kernel(device);
     } else {

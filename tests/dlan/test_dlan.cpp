@@ -146,6 +146,39 @@ TEST_P(OnWarps, ACapturedIterationOfTheSoftBodyHasTheBitsOfTheCpu) {
   const std::string output = probe(fake(), "soft_body", SCENES).output;
   EXPECT_NE(output.find(" and 81 gradients have the same bits\n"), std::string::npos) << output;
 }
+TEST_P(OnWarps, ACapturedIterationOfClothHasTheBitsOfTheCpu) {
+  const std::string output = probe(fake(), "cloth", SCENES).output;
+  EXPECT_NE(output.find(" and 90 gradients have the same bits\n"), std::string::npos) << output;
+}
+TEST_P(OnWarps, RigidBodiesMeetWithTheBitsOfTheCpuDirectAndReplayed) {
+  EXPECT_EQ(probe(fake(), "rigid_contacts", SCENES).output,
+            "rows of contacts, same, same, same, same, same, same\n");
+}
+TEST_P(OnWarps, ACapturedIterationOfRigidBodiesHasTheBitsOfTheCpu) {
+  const std::string output = probe(fake(), "rigid", SCENES).output;
+  EXPECT_EQ(output.rfind("loss ", 0), 0u) << output;
+  EXPECT_NE(output.find(" and 15 gradients have the same bits\n"), std::string::npos) << output;
+}
+#ifdef DLAN_HAS_VBD
+const std::string kSameVbd =
+    "47 particles, cpu replayed same, device same, device replayed same, rollout same\n";
+TEST_P(OnWarps, VbdHasTheBitsOfTheCpuWithAThreadOrATeamOfThreads) {
+  for (const char* way : {"", "thread", "team"})
+    EXPECT_EQ(probe(fake() + "NOVAPHY_VBD_SWEEP=" + way, "vbd", SCENES).output, kSameVbd) << way;
+}
+TEST_P(OnWarps, OptionsOfVbdHaveTheBitsOfTheCpu) {
+  for (const char* option : {"vbd-safeguard", "vbd-acceleration", "vbd-previous"})
+    EXPECT_EQ(probe(fake(), option, SCENES).output, kSameVbd) << option;
+}
+// Its blocks would wait for each other.
+TEST(FakeDlan, VbdInOneLaunchIsRefusedByName) {
+  const Outcome outcome = probe(kFake + "NOVAPHY_VBD_SWEEP=grid", "vbd", SCENES);
+  EXPECT_EQ(outcome.code, 1);
+  EXPECT_NE(outcome.output.find("kernel 'vbd_sweep': its blocks wait for each other"),
+            std::string::npos)
+      << outcome.output;
+}
+#endif
 INSTANTIATE_TEST_SUITE_P(Widths, OnWarps, testing::Values(1, 32, 64));
 
 // Kernels that nobody built ahead: interpreted, and by a command.

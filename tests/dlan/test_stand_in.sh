@@ -23,25 +23,25 @@ for bad in "$good -w" "$good -I." "$good -ffp-contract=off" "$good -std=c++20" "
     exit 1
   fi
 done
-# A sequence whose one chain does nothing, on one block, and on several that wait for each other.
+# A persistent kernel whose one chain does nothing, on one block, and on several that wait for each other.
 gpu=$root/backends/gpu/src
 program=$root/backends/program/include/novaphy/program
 for form in 0 2; do
   for tasks in 0 1; do
     {
-      printf '#define %s\n' NOVAPHY_SEQUENCE "SEQUENCE_FORM $form" "SEQUENCE_TASKS $((form == 0 ? tasks : 0))" \
-        'SEQUENCE_WORDS 64' 'SEQUENCE_THREADS 128' 'SEQUENCE_KEPT 0' 'SEQUENCE_LAYOUTS 0' 'SEQUENCE_HALO 0' 'SEQUENCE_AHEAD 0'
-      echo "namespace sequence_${form}_$tasks {"
-      cat "$gpu/vendors/dlan.cuh" "$gpu/vendors/generic.cuh" "$gpu/device_prelude.cuh" "$gpu/sequence.cuh" |
+      printf '#define %s\n' NOVAPHY_PERSISTENT "PERSISTENT_FORM $form" "PERSISTENT_TASKS $((form == 0 ? tasks : 0))" \
+        'PERSISTENT_WORDS 64' 'PERSISTENT_THREADS 128' 'PERSISTENT_KEPT 0' 'PERSISTENT_LAYOUTS 0' 'PERSISTENT_HALO 0' 'PERSISTENT_EARLY 0'
+      echo "namespace persistent_${form}_$tasks {"
+      cat "$gpu/vendors/dlan.cuh" "$gpu/vendors/generic.cuh" "$gpu/device_prelude.cuh" "$gpu/persistent.cuh" |
         sed -e "/#include \"novaphy\/program\/scalars.h\"/{r $program/scalars.h
 d}" -e "/#include \"novaphy\/program\/one_lane.h\"/{r $program/one_lane.h
 d}"
       echo 'LANE_FN void run_chain(uint32_t, const uint64_t*, const int64_t, const bool, const bool, const block_memory, const device_sink) {}'
       echo '}'
-    } >"$work/sequence_${form}_$tasks.cu"
+    } >"$work/persistent_${form}_$tasks.cu"
   done
 done
-"$root/backends/dlan/compile.sh" "$@" "$work"/sequence_*.cu
+"$root/backends/dlan/compile.sh" "$@" "$work"/persistent_*.cu
 # Two architectures, as newer SDKs have them.
 NOVAPHY_DLAN_ARCH=dlgput64,dlgpux64 "$root/backends/dlan/compile.sh" "$work/two.so" "$work/f.cu"
 nm -D "$1" | grep -q novaphy_dlan_modules

@@ -19,7 +19,7 @@
 #include "novaphy/nova/ops.h"
 
 #ifdef FAKE_DRIVER_HAS_VBD
-void step_vbd(const std::string& options);  // probe_vbd.cpp
+void step_vbd(const std::string& options, novaphy::Device device);  // probe_vbd.cpp
 #endif
 
 namespace {
@@ -169,7 +169,7 @@ int run(const std::string& command) {
     collide();
 #ifdef FAKE_DRIVER_HAS_VBD
   } else if (command.rfind("vbd", 0) == 0) {
-    step_vbd(command);
+    step_vbd(command, g_device);
 #endif
   } else {
     return 2;

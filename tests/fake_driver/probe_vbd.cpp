@@ -9,7 +9,7 @@
 #include "novaphy/vbd/solver_vbd.h"
 #include "vbd/everything_scene.h"
 
-void step_vbd(const std::string& options);
+void step_vbd(const std::string& options, novaphy::Device device);
 
 namespace {
 
@@ -77,7 +77,7 @@ bool same(const Run& a, const Run& b) {
 
 }  // namespace
 
-void step_vbd(const std::string& options) {
+void step_vbd(const std::string& options, novaphy::Device device) {
   VbdOptions o = {.iterations = 7};
   const auto has = [&](const char* word) { return options.find(word) != std::string::npos; };
   if (has("safeguard")) o.safeguard = true;
@@ -90,9 +90,8 @@ void step_vbd(const std::string& options) {
   };
   std::printf("%zu particles", cpu.q.size());
   if (!has("adaptive")) say("cpu replayed", run(o, Device::cpu(), true));
-  say("cuda", run(o, Device::cuda(), false));
-  say("cuda replayed", run(o, Device::cuda(), true));
-  std::printf(", rollout %s",
-              same(roll(o, Device::cpu()), roll(o, Device::cuda())) ? "same" : "other");
+  say("device", run(o, device, false));
+  say("device replayed", run(o, device, true));
+  std::printf(", rollout %s", same(roll(o, Device::cpu()), roll(o, device)) ? "same" : "other");
   std::printf("\n");
 }

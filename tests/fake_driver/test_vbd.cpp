@@ -20,7 +20,7 @@ std::string probe(const std::string& environment, const std::string& command) {
 }
 
 const std::string kSame =
-    "47 particles, cpu replayed same, cuda same, cuda replayed same, rollout same\n";
+    "47 particles, cpu replayed same, device same, device replayed same, rollout same\n";
 
 class VbdSweeps : public ::testing::TestWithParam<const char*> {};
 TEST_P(VbdSweeps, HaveTheBitsOfTheCpuDirectAndReplayed) {
@@ -37,7 +37,7 @@ INSTANTIATE_TEST_SUITE_P(Options, VbdDeviceOptions,
 
 TEST(VbdDevice, TheAdaptiveGuessKeepsItsVelocityOnTheDevice) {
   EXPECT_EQ(probe("", "vbd-adaptive"),
-            "47 particles, cuda same, cuda replayed same, rollout same\n");
+            "47 particles, device same, device replayed same, rollout same\n");
 }
 
 TEST(VbdDevice, AnUnknownWayIsRefusedByName) {

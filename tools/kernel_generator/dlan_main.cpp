@@ -20,6 +20,9 @@
 #include "device_source.h"
 #include "kernels.h"
 #include "novaphy/collision/device_modules.h"
+#ifdef NOVAPHY_VBD_MODULES
+#include "novaphy/vbd/device_modules.h"
+#endif
 #include "programs.h"
 
 namespace {
@@ -117,6 +120,10 @@ int run(int argc, char** argv) {
   add(gpu::interpreter_source(), gpu::Dialect::Program);
   for (const std::string& text : novaphy::collision_device_modules())
     add(gpu::module_source(text), gpu::Dialect::Source);
+#ifdef NOVAPHY_VBD_MODULES
+  for (const std::string& text : novaphy::vbd_device_modules())
+    add(gpu::module_source(text), gpu::Dialect::Source);
+#endif
   if (next > parts)
     throw std::runtime_error("PARTS: expected at least " + std::to_string(next) + ", got " +
                              words[1]);

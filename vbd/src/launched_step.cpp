@@ -83,6 +83,10 @@ const Kernels& kernels() {
   return all;
 }
 
+bool has_code_for(Device device) {
+  return device.type == DeviceType::CUDA ? NOVAPHY_VBD_CUDA : NOVAPHY_VBD_DLAN;
+}
+
 constexpr int64_t kTeamThreads = 128;
 // Colours of at least so many large teams fill a device.
 constexpr int64_t kManyTeams = 256;
@@ -104,9 +108,10 @@ LaunchedStep::LaunchedStep(const Model& m, const VbdOptions& o)
       options_(o),
       on_cpu_(m.device().is_cpu()),
       materials_("SolverVBD", {.kf = false, .ka = false}) {
-  require(on_cpu_ || detail::vbd_kernels_text() != nullptr, ErrorKind::NotImplemented,
+  require(on_cpu_ || has_code_for(m.device()), ErrorKind::NotImplemented,
           "SolverVBD: model: expected one on the cpu, got one on ", m.device().str(),
-          ": this build has no code of VBD for it (NOVAPHY_WITH_VBD_CUDA)");
+          ": this build has no code of VBD for it (NOVAPHY_WITH_VBD_",
+          m.device().type == DeviceType::CUDA ? "CUDA)" : "DLAN)");
   require(!o.tolerance, ErrorKind::NotImplemented,
           "SolverVBD: tolerance: a step that is launched does not ask how far it is (on a device, "
           "or in a capture); set iterations");

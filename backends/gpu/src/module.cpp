@@ -75,6 +75,11 @@ novaphy_status create_program(novaphy_device* device, const void* data, uint64_t
 // The blocks of a grid kernel, at most as many as run at the same time.
 novaphy_status launch_grid(novaphy_stream* stream, const novaphy_kernel& kernel, int64_t blocks,
                            void** arguments, novaphy_error* error) {
+  if (vendor().warp == 0)
+    return fail(error, NOVAPHY_NOT_SUPPORTED,
+                "kernel '%s': its blocks wait for each other, for which there is no launch on %s "
+                "devices",
+                kernel.name.c_str(), vendor().toolkit);
   const Driver& d = driver();
   int fit = 0;
   const novaphy_status status =

@@ -63,7 +63,6 @@ VENDOR_FN void vendor_grid_barrier(unsigned* counter, unsigned all) {
 }
 
 // Clusters have no stand-in elsewhere: texts that need them are for vendors that have them.
-#define VENDOR_HAS_CLUSTER
 VENDOR_FN void vendor_cluster_arrive(bool wrote) {
   if (wrote) {
     asm volatile("barrier.cluster.arrive.release;" ::: "memory");

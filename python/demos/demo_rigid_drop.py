@@ -101,14 +101,19 @@ def main() -> int:
     """Simulate, draw, and check that the dice rest."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     viewer.add_arguments(parser, 180, "frames of 1/60 s")
+    parser.add_argument("--device", default="cpu", help="cpu, cuda, cuda:1, dlan, ...")
+    parser.add_argument("--dump-states", metavar="PATH.npz", help="write the poses")
     parser.add_argument("--plot", metavar="PATH.png", help="draw heights and dice")
     args = parser.parse_args()
     viewer.check_arguments(parser, args)
 
+    novaphy.set_default_device(args.device)
     model = build_model()
     look = ((0.8, -2.7, 1.1), (0.1, 0.0, 0.2))
     with viewer.Stage(args, model, fps=FPS, look=look) as stage:
         poses, end = simulate(model, args.headless, stage)
+    if args.dump_states:
+        np.savez_compressed(args.dump_states, body_q=poses, body_qd=end.body_qd.numpy())
     if args.plot:
         plot(args.plot, poses)
     weight = float(model.body_mass.numpy()[0]) * 9.81

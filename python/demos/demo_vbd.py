@@ -239,6 +239,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("scene", nargs="?", choices=SCENES, default="draped")
     viewer.add_arguments(parser, 180, "frames of 1/60 s")
+    parser.add_argument("--device", default="cpu", help="cpu, cuda, cuda:1, dlan, ...")
     parser.add_argument("--plot", metavar="PATH.png", help="draw the surface at four times")
     parser.add_argument("--dump-states", metavar="PATH.npz", help="write the positions")
     args = parser.parse_args()
@@ -246,6 +247,7 @@ def main() -> int:
     if args.dump_states and not Path(args.dump_states).resolve().parent.is_dir():
         parser.error(f"the folder of {args.dump_states} does not exist")
 
+    novaphy.set_default_device(args.device)
     scene = SCENES[args.scene]()
     with viewer.Stage(args, scene.model, fps=FPS, look=LOOKS[args.scene]) as stage:
         positions, solver = simulate(scene, args.headless, stage)

@@ -33,7 +33,8 @@ VARIABLES = (
     "NOVAPHY_DLAN_FLAGS",
     "DLICC_PATH",
 )
-DEMOS = ("ball", "soft_body", "cloth", "dice")
+# How many iterations or frames run: of those that fall, until they have met something.
+DEMOS = {"ball": 3, "soft_body": 3, "cloth": 3, "dice": 3, "rigid_drop": 30, "vbd": 15}
 DEVICE = """
 import novaphy
 for b in novaphy.backends():
@@ -118,6 +119,9 @@ def compare_demo(report: Report, name: str, iterations: int) -> None:
     if path is None:
         report.result(f"demo {name}", "it is not installed")
         return
+    if name == "vbd" and not novaphy.build_info()["NOVAPHY_WITH_VBD_DLAN"]:
+        report.say(f"[not run] demo {name}: built with NOVAPHY_WITH_VBD_DLAN=OFF")
+        return
     with tempfile.TemporaryDirectory() as folder:
         states = {}
         for device in ("cpu", "dlan:0"):
@@ -167,7 +171,7 @@ def check_dlan(report: Report, args: argparse.Namespace) -> None:
     else:
         report.say(f"[not run] conformance: there is no {suite} (NOVAPHY_BUILD_TESTS=ON builds it)")
     for name in args.demos:
-        compare_demo(report, name, args.iterations)
+        compare_demo(report, name, args.iterations or DEMOS.get(name, 3))
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -180,7 +184,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--kernels", metavar="FILE.so", help="the library of kernels")
     parser.add_argument("--conformance", metavar="FILE", help="the program test_conformance")
     parser.add_argument("--demos", nargs="*", default=list(DEMOS), help="which demos run")
-    parser.add_argument("--iterations", type=int, default=3, help="of a demo (default 3)")
+    parser.add_argument("--iterations", type=int, help="or frames of each demo (3 to 30)")
     parser.add_argument("--report", metavar="FILE", default="novaphy_dlan_report.txt")
     args = parser.parse_args(arguments)
     report = Report()

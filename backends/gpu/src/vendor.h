@@ -21,8 +21,8 @@ struct VendorInfo {
   const CompilerHook* compiler;          // its options decide about code that was built ahead, too
   const char* no_compiler;               // null: it is looked for at run time; else why not
   bool graphs;  // captures become graphs; else they are replayed as launches
-  // Threads of a warp that persistent kernels rely on; 0: there are no such kernels, nor others whose
-  // blocks wait for each other.
+  // Threads of a warp that persistent kernels rely on; 0: there are no such kernels, nor others
+  // whose blocks wait for each other.
   unsigned warp;
 };
 const VendorInfo& vendor();

@@ -48,10 +48,6 @@ CollisionPipeline::CollisionPipeline(std::shared_ptr<const Model> model,
           rigid_max);
   require(options.contacts_per_pair == 8 || options.contacts_per_pair == 4, ErrorKind::Value, name,
           ": contacts_per_pair: expected 8 or 4, got ", options.contacts_per_pair);
-  // On a GPU the reduction to four was seen to keep others than on the CPU.
-  require(options.contacts_per_pair == 8 || model_->device().is_cpu(), ErrorKind::NotImplemented,
-          name, ": contacts_per_pair: expected 8 for a model on ", model_->device().str(), ", got ",
-          options.contacts_per_pair);
   const auto geometries = std::make_shared<detail::ShapeGeometries>(model_);
   soft_contacts_ = std::make_shared<detail::SoftContacts>(model_, geometries);
   rigid_contacts_ = std::make_shared<detail::RigidContacts>(

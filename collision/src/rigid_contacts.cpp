@@ -2,8 +2,10 @@
 
 #include <algorithm>
 #include <array>
+#include <cstdlib>
 #include <limits>
 #include <map>
+#include <string_view>
 #include <utility>
 #include <vector>
 
@@ -32,6 +34,18 @@ struct Kernels {
 const Kernels& kernels() {
   static const auto& all = *new Kernels;
   return all;
+}
+
+// Compilers of devices were seen to get this search wrong (docs/design/0023), and what
+// followed has not run on hardware.
+void check_verified(Device device) {
+  const char* const text = std::getenv("NOVAPHY_UNVERIFIED_DEVICE_CONTACTS");
+  const std::string_view value = text != nullptr ? text : "";
+  require(value.empty() || value == "on" || value == "off", ErrorKind::Value,
+          "NOVAPHY_UNVERIFIED_DEVICE_CONTACTS: expected on or off, got \"", value, "\"");
+  require(value == "on", ErrorKind::NotImplemented,
+          "CollisionPipeline: rigid contacts are found on the cpu; finding them on ", device.str(),
+          " is not verified on hardware, and NOVAPHY_UNVERIFIED_DEVICE_CONTACTS=on lets it");
 }
 
 // The most contacts of a pair of types, in their order; 0 if the pair is not covered.
@@ -253,13 +267,18 @@ struct RigidContacts::Impl {
     kernel_sweep_known = false;
     if (broad_phase == BroadPhase::Sap) {
       most_rows = std::numeric_limits<int64_t>::max();
-      if (!m.device().is_cpu()) check_all_pairs();
+      if (!m.device().is_cpu()) {
+        check_all_pairs();
+        if (std::any_of(body.begin(), body.end(), [](int32_t b) { return b >= 0; }))
+          check_verified(m.device());
+      }
     } else {
       pairs = {};
       most_rows = take(broad_phase == BroadPhase::Explicit
                            ? m.shape_contact_pairs.to_host()
                            : make_shape_contact_pairs(body, flags, group, world,
                                                       m.shape_collision_filter_pairs));
+      if (!m.device().is_cpu() && pair_count > 0) check_verified(m.device());
     }
     versions.set(choosing());
   }

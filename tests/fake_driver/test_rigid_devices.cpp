@@ -3,8 +3,10 @@
 #include <gtest/gtest.h>
 
 #include <cmath>
+#include <cstdlib>
 #include <cstring>
 #include <functional>
+#include <optional>
 #include <random>
 #include <string>
 #include <utility>
@@ -37,7 +39,9 @@ class RigidDevices : public ::testing::Test {
     } catch (const Error& error) {
       GTEST_SKIP() << "needs a CUDA device: " << error.what();
     }
+    setenv("NOVAPHY_UNVERIFIED_DEVICE_CONTACTS", "on", 1);
   }
+  void TearDown() override { unsetenv("NOVAPHY_UNVERIFIED_DEVICE_CONTACTS"); }
 };
 
 using Bytes = std::vector<std::byte>;
@@ -517,7 +521,9 @@ Result trained(Device device, const ModelBuilder& builder, bool captured, bool f
                                               .friction_smoothing = 0.1f,
                                               .joint_attach_ke = 1e3f,
                                               .joint_attach_kd = 10.0f});
-  CollisionPipeline pipeline(model, {.broad_phase = phase, .rigid_contact_max = 200});
+  std::optional<CollisionPipeline> pipeline;
+  if (!fused)
+    pipeline.emplace(model, CollisionOptions{.broad_phase = phase, .rigid_contact_max = 200});
   constexpr int32_t kSteps = 16;
   Trajectory trajectory(model, kSteps);
   const nova::Tensor qd = diff::state_body_qd_tensor(trajectory.state(0), true),
@@ -527,7 +533,7 @@ Result trained(Device device, const ModelBuilder& builder, bool captured, bool f
     nova::Tape tape;
     const nova::TapeScope scope(tape);
     RolloutOptions options;
-    if (!fused) options.pipeline = &pipeline;
+    if (pipeline) options.pipeline = &*pipeline;
     solver.rollout(trajectory, nullptr, nullptr, kDt, options);
     const SimState& end = trajectory.state(kSteps);
     const nova::Tensor loss = diff::rigid_orientation_velocity_loss_generated(
@@ -588,6 +594,62 @@ TEST_F(RigidDevices, TheGradientThroughJointsHasTheBitsOfTheCpu) {
   ModelBuilder builder = chain();
   for (int k = 0; k < 7; ++k) builder.body_q[static_cast<size_t>(k)].p.z = 0.095f;
   expect_trained(builder, false, BroadPhase::Explicit);
+}
+
+TEST_F(RigidDevices, RigidContactsNeedAnOptIn) {
+  const auto model = heap(3, 0.1f).finalize(Device::cuda());
+  const auto refusal = [&](BroadPhase phase) {
+    try {
+      CollisionPipeline(model, {.broad_phase = phase});
+    } catch (const Error& error) {
+      return std::pair(error.kind(), std::string(error.what()));
+    }
+    return std::pair(ErrorKind::Runtime, std::string("nothing was thrown"));
+  };
+  for (const BroadPhase phase : kPhases) {
+    for (const char* off : {"", "off"}) {
+      setenv("NOVAPHY_UNVERIFIED_DEVICE_CONTACTS", off, 1);
+      const auto [kind, text] = refusal(phase);
+      EXPECT_EQ(kind, ErrorKind::NotImplemented);
+      EXPECT_NE(text.find("is not verified on hardware"), std::string::npos) << text;
+      EXPECT_NE(text.find("NOVAPHY_UNVERIFIED_DEVICE_CONTACTS=on"), std::string::npos) << text;
+    }
+    setenv("NOVAPHY_UNVERIFIED_DEVICE_CONTACTS", "yes", 1);
+    const auto [kind, text] = refusal(phase);
+    EXPECT_EQ(kind, ErrorKind::Value);
+    EXPECT_NE(text.find("expected on or off, got \"yes\""), std::string::npos) << text;
+  }
+  // Without bodies there is nothing to refuse, and the fused operator finds its own.
+  setenv("NOVAPHY_UNVERIFIED_DEVICE_CONTACTS", "", 1);
+  ModelBuilder still;
+  still.add_ground_plane();
+  still.add_shape_box(-1, {});
+  const auto world = still.finalize(Device::cuda());
+  EXPECT_EQ(CollisionPipeline(world).contacts().rigid_contact_max(), 0);
+  EXPECT_NO_THROW(CollisionPipeline(world, {.broad_phase = BroadPhase::Sap}));
+  expect_trained(die({1.0f, 5.0f, 2.0f}), true, BroadPhase::Explicit);
+}
+
+// Boxes on boxes, turned so that faces meet in eight corners, of which four stay.
+TEST_F(RigidDevices, FourRowsOfAPairAreThoseOfTheCpu) {
+  ModelBuilder builder;
+  builder.add_ground_plane({.cfg = kSurface});
+  for (int k = 0; k < 6; ++k) {
+    const float half = 0.15f * static_cast<float>(k);
+    const int32_t body =
+        builder.add_body({.xform = {{0.0f, 0.0f, 0.099f + 0.198f * static_cast<float>(k)},
+                                    {0.0f, 0.0f, std::sin(half), std::cos(half)}}});
+    builder.add_shape_box(body, {.hx = 0.1f, .hy = 0.1f, .hz = 0.1f, .cfg = kSurface});
+  }
+  const auto rows = [&](Device device, int32_t per_pair) {
+    return found_rows(builder, device, {.rigid_contact_max = 100, .contacts_per_pair = per_pair},
+                      false);
+  };
+  const Result expected = rows(Device::cpu(), 4), actual = rows(Device::cuda(), 4);
+  EXPECT_GT(count_of(rows(Device::cpu(), 8)), count_of(expected)) << "some were dropped";
+  ASSERT_EQ(actual.size(), expected.size());
+  for (size_t k = 0; k < actual.size(); ++k)
+    EXPECT_TRUE(actual[k].second == expected[k].second) << actual[k].first;
 }
 
 }  // namespace

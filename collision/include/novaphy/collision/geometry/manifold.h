@@ -132,8 +132,9 @@ void take_extremes(Set& set, const Vec3f& n, int32_t limit, float least) {
 
 // At most `limit` (1 .. Kept) of the points, sorted by feature.
 template <int32_t Kept, int32_t Capacity>
-__attribute__((noinline)) ContactSet<Kept> reduce_contacts(ContactSet<Capacity> set,
+__attribute__((noinline)) ContactSet<Kept> reduce_contacts(const ContactSet<Capacity>& found,
                                                            int32_t limit = Kept) {
+  ContactSet<Capacity> set = found;  // no parameter by value: docs/design/0023
   sort_contacts(set);
   struct Points {
     const ContactSet<Capacity>& set;

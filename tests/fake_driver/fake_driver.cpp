@@ -6,7 +6,8 @@
 //   FAKE_DRIVER_DEVICES   how many devices there are (1)
 //   FAKE_DRIVER_INIT      what cuInit returns (0)
 //   FAKE_DRIVER_MEMORY    bytes of a device (1 GiB)
-//   FAKE_DRIVER_LOSE      the launch or fill, counted from 1, after which the device is lost
+//   FAKE_DRIVER_HOSTILE   1: new memory is full of NaNs, and rows run from the last to the first
+//   (0) FAKE_DRIVER_LOSE      the launch or fill, counted from 1, after which the device is lost
 // Built with FAKE_DRIVER_LACKS_SYMBOL it does not export cuMemAllocAsync, as an old driver.
 #include <algorithm>
 #include <atomic>
@@ -56,6 +57,7 @@ int allocate(void** pointer, size_t bytes) {
   if (bytes > memory - g_used) return kOutOfMemory;
   void* made = std::aligned_alloc(4096, (bytes + 4095) / 4096 * 4096);
   if (made == nullptr) return kOutOfMemory;
+  if (setting("FAKE_DRIVER_HOSTILE", 0) != 0) std::memset(made, 0xFF, bytes);
   blocks()[made] = bytes;
   g_used += bytes;
   *pointer = made;
@@ -238,7 +240,7 @@ FAKE cuLaunchKernel(void* function, unsigned blocks, unsigned, unsigned, unsigne
   if (before == 0 && kernel.bind != nullptr)
     submit(stream, [&kernel, blocks, threads, thread = kernel.bind(arguments)] {
       const std::lock_guard lock(g_mutex);
-      run_host_kernel(kernel, blocks, threads, thread);
+      run_host_kernel(kernel, blocks, threads, setting("FAKE_DRIVER_HOSTILE", 0) != 0, thread);
     });
   return before;  // a kernel that fails is noticed by the call after it
 }
@@ -251,7 +253,7 @@ FAKE cuLaunchCooperativeKernel(void* function, unsigned, unsigned, unsigned, uns
   if (before == 0 && kernel.bind != nullptr)
     submit(stream, [&kernel, threads, thread = kernel.bind(arguments)] {
       const std::lock_guard lock(g_mutex);
-      run_host_kernel(kernel, 1, threads, thread);
+      run_host_kernel(kernel, 1, threads, false, thread);
     });
   return before;
 }

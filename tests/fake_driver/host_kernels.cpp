@@ -228,17 +228,21 @@ const HostKernel* find_host_kernel(const char* name) {
   return nullptr;
 }
 
-void run_host_kernel(const HostKernel& kernel, unsigned blocks, unsigned threads,
+void run_host_kernel(const HostKernel& kernel, unsigned blocks, unsigned threads, bool backwards,
                      const std::function<void()>& thread) {
   const novaphy::cpu::FloatMode own;  // whatever the caller's
   g_thread = &thread;
   gridDim.x = blocks;
   blockDim.x = threads;
-  for (blockIdx.x = 0; blockIdx.x < blocks; ++blockIdx.x) {
+  for (unsigned b = 0; b < blocks; ++b) {
+    blockIdx.x = backwards ? blocks - 1 - b : b;
     if (kernel.waits) {
       run_block();
-    } else {
-      for (threadIdx.x = 0; threadIdx.x < threads; ++threadIdx.x) thread();
+      continue;
+    }
+    for (unsigned t = 0; t < threads; ++t) {
+      threadIdx.x = backwards ? threads - 1 - t : t;
+      thread();
     }
   }
 }

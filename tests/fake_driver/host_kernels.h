@@ -11,6 +11,6 @@ struct HostKernel {
 };
 // Null: there is none of this name.
 const HostKernel* find_host_kernel(const char* name);
-// One launch at a time.
-void run_host_kernel(const HostKernel& kernel, unsigned blocks, unsigned threads,
+// One launch at a time. `backwards`: from the last row to the first.
+void run_host_kernel(const HostKernel& kernel, unsigned blocks, unsigned threads, bool backwards,
                      const std::function<void()>& thread);

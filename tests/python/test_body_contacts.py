@@ -237,6 +237,14 @@ COINCIDING = {
         ("box", ((0, 0, 0.5), IDENTITY), AT_REST),
         ("box", ((0, 0, 0.69), IDENTITY), (0.1, 0.2, -0.3, 0.1, 0.2, 0.3)),
     ),
+    "boxes that lie turned on each other": (
+        ("box", ((0, 0, 0.5), IDENTITY), AT_REST),
+        (
+            "box",
+            ((0.02, -0.03, 0.69), (0.0, 0.0, float(np.sin(0.3)), float(np.cos(0.3)))),
+            (0.1, 0.2, -0.3, 0.1, 0.2, 0.3),
+        ),
+    ),
     "equal capsules": (
         ("capsule", ((0, 0, 0.5), LYING), AT_REST),
         ("capsule", ((0, 0, 0.61), LYING), (0.1, 0.2, -0.3, 0.1, 0.2, 0.3)),

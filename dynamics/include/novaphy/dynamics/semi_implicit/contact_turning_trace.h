@@ -26,11 +26,11 @@
 // the normal is not that of this law (within 0.3 degrees), and where the search chooses among
 // features that coincide (within 1e-4 of a size or a direction): a capsule flat on a face of a box,
 // a corner of a box on the outline of the face of another, two corners or ends with the normal
-// across an edge or axis of each. So is a rim that lies flat on a plane (within 1e-4), whose
-// deepest point is none of its own, and what is not a plane with an ellipsoid, a cylinder, a
-// cone, a hull or a mesh. Of values: the stored points and normal as they are; the law gives their
-// derivatives only. Gradient: exact, by poses, as long as the features stay the same; shapes carry
-// none.
+// across an edge or axis of each, faces of two boxes that are parallel. So is a rim that lies flat
+// on a plane (within 1e-4), whose deepest point is none of its own, and what is not a plane with an
+// ellipsoid, a cylinder, a cone, a hull or a mesh. Of values: the stored points and normal as they
+// are; the law gives their derivatives only. Gradient: exact, by poses, as long as the features
+// stay the same; shapes carry none.
 //
 // Freestanding: T = float names what is exact, T = nova::Real is traced.
 #pragma once
@@ -263,7 +263,8 @@ B features_coincide(const ContactFeature<B, T>& a, const ContactFeature<B, T>& b
     return both(both(face.is_along, corner.is_corner), either(face.has_side, face.has_corner));
   };
   const auto ends = both(both(a.is_point, b.is_point), both(a.has_across, b.has_across));
-  return either(either(ends, either(flat_on(a, b), flat_on(b, a))),
+  const auto faces = both(both(a.is_along, b.is_along), both(a.is_box, b.is_box));
+  return either(either(either(ends, faces), either(flat_on(a, b), flat_on(b, a))),
                 either(on_outline(a, b), on_outline(b, a)));
 }
 

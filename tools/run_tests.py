@@ -404,7 +404,8 @@ def check_wheel(wheel: Path) -> None:
 def wheel_python() -> Path:
     """The Python of an environment with the wheel of this run."""
     wheel = make_wheel()
-    packages = ("numpy", "pytest", "mypy", "matplotlib", "tqdm", *VIEWER_REQUIREMENTS)
+    packages = ("numpy", "pytest", "mypy", "matplotlib", "tqdm", "gymnasium>=1.1")
+    packages += VIEWER_REQUIREMENTS
     python = make_venv("wheel", *packages)
     if not wheel_python.installed:
         pip("wheel", python, "install", "--no-deps", "--force-reinstall", wheel)

@@ -11,10 +11,10 @@ try:
     import gymnasium
     from gymnasium import spaces
     from gymnasium.vector import AutoresetMode, VectorEnv
-except ImportError as error:
+except ImportError:
     raise ImportError(
         "novaphy.envs.AntEnv and AntVectorEnv need the package gymnasium: pip install gymnasium"
-    ) from error
+    ) from None
 
 from ._ant import ACTIONS, ACTIONS_LIMIT, OBSERVATIONS, VARIED, AntWorlds, Array
 

@@ -221,7 +221,9 @@ def test_opening_and_closing_leaves_nothing_behind(egl):
             seen.append((len(os.listdir("/proc/self/fd")), pages * os.sysconf("SC_PAGE_SIZE")))
     descriptors, memory = zip(*seen, strict=True)
     assert descriptors[-1] <= descriptors[0]
-    assert memory[-1] - memory[1] < 16e6, memory
+    # The driver takes memory in pieces of 16 MiB, once; a leak goes on.
+    grown = np.diff(memory[1:])
+    assert np.median(grown) < 1e6 and grown.sum() < 40e6, memory
     with pytest.raises(RuntimeError, match="closed"):
         viewer.get_frame()
 

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import x_server
 
 import novaphy
 from novaphy import viewer
@@ -494,27 +495,15 @@ def test_a_demo_trains_in_a_window_and_replays_until_it_is_closed():
     pytest.importorskip("novaphy.diff")
     pytest.importorskip("moderngl")
     pytest.importorskip("pyglet")
-    if shutil.which("Xvfb") is None:
-        pytest.skip("no X server: apt-get install xvfb")
+    if reason := x_server.why_not():
+        pytest.skip(reason)
     script = DEMOS / "demo_diffsim_spring_cage.py"
     program = WINDOW.replace("{script!r}", f"__import__('pathlib').Path({str(script)!r})")
-    read, write = os.pipe()
-    server = subprocess.Popen(
-        ["Xvfb", "-displayfd", str(write), "-screen", "0", "400x300x24"],
-        pass_fds=(write,), stderr=subprocess.DEVNULL,
-    )  # fmt: skip
-    os.close(write)
-    try:
-        with os.fdopen(read) as pipe:
-            display = pipe.readline().strip()
-        environ = os.environ | {"DISPLAY": f":{display}", "LIBGL_ALWAYS_SOFTWARE": "1"}
+    with x_server.x_server("400x300") as environ:
         done = subprocess.run(
             [sys.executable, "-c", program], capture_output=True, text=True, timeout=300,
             env=environ,
         )  # fmt: skip
-    finally:
-        server.terminate()
-        server.wait()
     assert done.returncode == 0 and done.stdout.rstrip().endswith("ok"), done.stdout + done.stderr
 
 

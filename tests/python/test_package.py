@@ -20,6 +20,7 @@ from novaphy._planned import PLANNED
 from novaphy.testing import assert_allclose, assert_same_bits, assert_same_state
 
 PACKAGE = Path(novaphy.__file__).parent
+NEED_IO = ("ModelBuilder.add_urdf", "ModelBuilder.add_mjcf")  # without io they take anything
 SUBPACKAGES = ("assets", "diff", "io", "nova", "solvers", "testing", "viewer")
 
 
@@ -270,6 +271,8 @@ def test_the_stubs_have_the_signatures_of_the_bindings(name):
                 continue
             binding = binding_signatures(getattr(owner, function))
             if binding is None:
+                continue
+            if not novaphy.has_io() and f"{prefix}{function}" in NEED_IO:
                 continue
             compared += 1
             if problem := unlike(stub, binding):

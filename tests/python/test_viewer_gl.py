@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import x_server
 
 import novaphy
 from novaphy import viewer as viewers
@@ -212,7 +213,7 @@ def test_drawings_appear_and_disappear(egl):
 def test_opening_and_closing_leaves_nothing_behind(egl):
     model = bodies(100)
     seen = []
-    for k in range(24):
+    for k in range(48):
         with novaphy.ViewerGL(headless=True, **SIZE) as viewer:
             viewer.set_model(model)
             show(viewer, model.state())
@@ -221,9 +222,8 @@ def test_opening_and_closing_leaves_nothing_behind(egl):
             seen.append((len(os.listdir("/proc/self/fd")), pages * os.sysconf("SC_PAGE_SIZE")))
     descriptors, memory = zip(*seen, strict=True)
     assert descriptors[-1] <= descriptors[0]
-    # The driver takes memory in pieces of 16 MiB, once; a leak goes on.
-    grown = np.diff(memory[1:])
-    assert np.median(grown) < 1e6 and grown.sum() < 40e6, memory
+    # The driver takes and returns pieces of 16 MiB, so only what 20 openings leave tells a leak.
+    assert min(memory[8:]) - max(memory[:4]) < 20e6, memory
     with pytest.raises(RuntimeError, match="closed"):
         viewer.get_frame()
 
@@ -473,26 +473,14 @@ print("done")
 def test_a_real_window(egl, program, package):
     pytest.importorskip("pyglet")
     pytest.importorskip(package)
-    if shutil.which("Xvfb") is None:
-        pytest.skip("no X server: apt-get install xvfb")
-    read, write = os.pipe()
-    server = subprocess.Popen(
-        ["Xvfb", "-displayfd", str(write), "-screen", "0", "800x600x24"],
-        pass_fds=(write,), stderr=subprocess.DEVNULL,
-    )  # fmt: skip
-    os.close(write)
-    try:
-        with os.fdopen(read) as pipe:
-            display = pipe.readline().strip()
-        environ = os.environ | {"DISPLAY": f":{display}", "LIBGL_ALWAYS_SOFTWARE": "1"}
+    if reason := x_server.why_not():
+        pytest.skip(reason)
+    with x_server.x_server("800x600") as environ:
         environ["MALLOC_MMAP_THRESHOLD_"] = str(1 << 20)  # what is freed leaves the process
         done = subprocess.run(
             [sys.executable, "-c", program], capture_output=True, text=True, timeout=120,
             env=environ, cwd=Path(__file__).parent,
         )  # fmt: skip
-    finally:
-        server.terminate()
-        server.wait()
     assert done.stdout.strip() == "done", done.stdout + done.stderr
 
 

@@ -182,15 +182,21 @@ void write_bars(std::ostream& out, const SlotInputs<role, Symbol>& in, const Bar
 }
 
 template <Role role>
-void write_slot(std::ostream& out, bool at_rest, bool damped, bool weights) {
-  Graph::get().clear();
-  Inputs inputs;
+SlotInputs<role, Symbol> slot_inputs(Inputs& inputs) {
   SlotInputs<role, Symbol> in;
   in.own = inputs.add_vector("x.own");
   for (int k = 0; k < kOthers[role]; ++k)
     in.others[k] = inputs.add_vector("x.others[" + std::to_string(k) + "]");
   for (int k = 0; k < kFloats[role]; ++k)
     in.numbers[k] = inputs.add("slot.number(" + std::to_string(k) + ")");
+  return in;
+}
+
+template <Role role>
+void write_slot(std::ostream& out, bool at_rest, bool damped, bool weights) {
+  Graph::get().clear();
+  Inputs inputs;
+  const SlotInputs<role, Symbol> in = slot_inputs<role>(inputs);
   const Bars bars = bars_of(block_of(in, damped), inputs, at_rest);
   std::ostringstream name;
   name << std::boolalpha << "slot_adjoint<" << at_rest << ", " << damped << ", " << weights << ">";
@@ -203,12 +209,7 @@ template <Role role>
 void write_start(std::ostream& out, bool weights) {
   Graph::get().clear();
   Inputs inputs;
-  SlotInputs<role, Symbol> in;
-  in.own = inputs.add_vector("x.own");
-  for (int k = 0; k < kOthers[role]; ++k)
-    in.others[k] = inputs.add_vector("x.others[" + std::to_string(k) + "]");
-  for (int k = 0; k < kFloats[role]; ++k)
-    in.numbers[k] = inputs.add("slot.number(" + std::to_string(k) + ")");
+  const SlotInputs<role, Symbol> in = slot_inputs<role>(inputs);
   std::vector<Symbol> values, of_values;
   start_of_slot(in, [&](int k, const Symbol& value) {
     values.push_back(value);

@@ -1,14 +1,13 @@
 #include "novaphy/vbd/diff_vbd.h"
 
 #include <cstring>
-#include <limits>
 #include <string_view>
 #include <type_traits>
 #include <utility>
 #include <vector>
 
-#include "diff_captured.h"
 #include "novaphy/core/error.h"
+#include "novaphy/nova/host_work.h"
 #include "novaphy/nova/op_list.h"
 #include "novaphy/nova/tape.h"
 
@@ -107,27 +106,18 @@ struct DiffSolverVBD::Step {
       });
     return all;
   }
-  // Without exceptions, which no replay passes on: the results are not numbers then.
-  template <class Function>
-  void replay(const std::vector<Tensor>& results, const Function& function) const {
-    try {
-      function();
-    } catch (const std::exception& error) {
-      *failure = error.what();
-      for (const Tensor& result : results)
-        std::fill_n(static_cast<float*>(result.range()->data()), result.size(),
-                    std::numeric_limits<float>::quiet_NaN());
-    }
-  }
   static void capture_forward(const std::shared_ptr<Step>& step) {
     const std::vector<Tensor> results = {tensor_of(nova::operand_of(step->q_out)),
                                          tensor_of(nova::operand_of(step->qd_out))};
-    capture_host_work(kName, step->reads(), results, [step, results] {
-      step->replay(results, [&] {
-        step->steps->forward(step->inputs(), static_cast<Vec3f*>(results[0].range()->data()),
-                             static_cast<Vec3f*>(results[1].range()->data()));
-      });
-    });
+    nova::capture_host_work({.name = kName,
+                             .reads = step->reads(),
+                             .results = results,
+                             .failure = step->failure.get(),
+                             .run = [step, results] {
+                               step->steps->forward(
+                                   step->inputs(), static_cast<Vec3f*>(results[0].range()->data()),
+                                   static_cast<Vec3f*>(results[1].range()->data()));
+                             }});
   }
   static void capture_backward(const std::shared_ptr<Step>& step, std::vector<Tensor> outputs,
                                std::vector<nova::InputGradient> to) {
@@ -135,9 +125,11 @@ struct DiffSolverVBD::Step {
     for (const Tensor& output : outputs) reads.push_back(output);
     for (const nova::InputGradient& gradient : to)
       if (gradient.wanted()) results.push_back(gradient.grad);
-    capture_host_work(kName, reads, results, [step, results, outputs, to] {
-      step->replay(results, [&] { step->add_backward(outputs, to); });
-    });
+    nova::capture_host_work({.name = kName,
+                             .reads = reads,
+                             .results = results,
+                             .failure = step->failure.get(),
+                             .run = [step, outputs, to] { step->add_backward(outputs, to); }});
   }
 
   // An input that has a gradient, and where it is among the derivatives of a step.

@@ -1,93 +1,17 @@
-// Lanes: LANES floats that formulas treat as one scalar. Every operation acts on each lane and
-// rounds as the float's (math/scalar.h), so a lane has the bits that the formula has of a float.
-//
-// Compiled once for each instruction set, so all of it is in a namespace of the level: nothing of
-// it may be merged with what another level made.
+// Lanes (math/lanes.h) as the scalar of the laws of VBD.
 #pragma once
 
-#include <cstdint>
-
 #include "novaphy/math/types.h"
-#if defined(__AVX__)
-#include <immintrin.h>
-#endif
 
-namespace novaphy::vbd::NOVAPHY_VBD_LEVEL {
+#define NOVAPHY_LANES novaphy::vbd::NOVAPHY_LEVEL
+#include "novaphy/core/lanes.h"
 
-typedef float VectorF __attribute__((vector_size(4 * LANES)));
-typedef int32_t VectorI __attribute__((vector_size(4 * LANES)));
+namespace novaphy::vbd::NOVAPHY_LEVEL {
 
-#define NOVAPHY_LANE_FN [[gnu::always_inline]] inline
-
-struct Mask {
-  VectorI v{};
-};
-
-struct Ints {
-  VectorI v{};
-  friend Ints operator|(Ints a, Ints b) { return {a.v | b.v}; }
-  friend Ints operator&(Ints a, int32_t b) { return {a.v & b}; }
-  friend Mask operator<(Ints a, int32_t b) { return {a.v < b}; }
-};
-
-struct Lanes {
-  VectorF v{};
-  Lanes() = default;
-  NOVAPHY_LANE_FN explicit Lanes(float value) : v(VectorF{} + value) {}
-  NOVAPHY_LANE_FN explicit Lanes(VectorF values) : v(values) {}
-
-  NOVAPHY_LANE_FN friend Lanes operator+(Lanes a, Lanes b) { return Lanes(a.v + b.v); }
-  NOVAPHY_LANE_FN friend Lanes operator-(Lanes a, Lanes b) { return Lanes(a.v - b.v); }
-  NOVAPHY_LANE_FN friend Lanes operator*(Lanes a, Lanes b) { return Lanes(a.v * b.v); }
-  NOVAPHY_LANE_FN friend Lanes operator/(Lanes a, Lanes b) { return Lanes(a.v / b.v); }
-  NOVAPHY_LANE_FN friend Lanes operator-(Lanes a) { return Lanes(-a.v); }
-  NOVAPHY_LANE_FN friend Mask operator<(Lanes a, Lanes b) { return {a.v < b.v}; }
-  NOVAPHY_LANE_FN friend Mask operator>(Lanes a, Lanes b) { return {a.v > b.v}; }
-  NOVAPHY_LANE_FN friend Mask operator<=(Lanes a, Lanes b) { return {a.v <= b.v}; }
-  NOVAPHY_LANE_FN friend Mask operator>=(Lanes a, Lanes b) { return {a.v >= b.v}; }
-  NOVAPHY_LANE_FN friend Mask operator==(Lanes a, Lanes b) { return {a.v == b.v}; }
-};
-
-NOVAPHY_LANE_FN Lanes select(Mask c, Lanes a, Lanes b) { return Lanes(c.v ? a.v : b.v); }
-NOVAPHY_LANE_FN Mask both(Mask a, Mask b) { return {a.v & b.v}; }
-NOVAPHY_LANE_FN Mask either(Mask a, Mask b) { return {a.v | b.v}; }
 NOVAPHY_LANE_FN Lanes min(Lanes a, Lanes b) { return Lanes(a.v <= b.v ? a.v : b.v); }
 NOVAPHY_LANE_FN Lanes max(Lanes a, Lanes b) { return Lanes(a.v >= b.v ? a.v : b.v); }
-NOVAPHY_LANE_FN Ints float_bits(Lanes a) { return {(VectorI)a.v}; }
-NOVAPHY_LANE_FN Lanes bits_float(Ints a) { return Lanes((VectorF)a.v); }
 NOVAPHY_LANE_FN Lanes abs(Lanes a) { return Lanes((VectorF)((VectorI)a.v & INT32_MAX)); }
-NOVAPHY_LANE_FN Lanes detach(Lanes a) { return a; }
 NOVAPHY_LANE_FN Lanes with_derivative(Lanes y, Lanes, Lanes) { return y; }
-
-NOVAPHY_LANE_FN Lanes sqrt(Lanes a) {
-#if LANES == 16 && defined(__AVX512F__)
-  return Lanes((VectorF)_mm512_sqrt_ps((__m512)a.v));
-#elif LANES == 8 && defined(__AVX__)
-  return Lanes((VectorF)_mm256_sqrt_ps((__m256)a.v));
-#else
-  Lanes r;
-  for (int l = 0; l < LANES; ++l) r.v[l] = __builtin_sqrtf(a.v[l]);
-  return r;
-#endif
-}
-NOVAPHY_LANE_FN Lanes fma(Lanes a, Lanes b, Lanes c) {
-#if LANES == 16 && defined(__AVX512F__)
-  return Lanes((VectorF)_mm512_fmadd_ps((__m512)a.v, (__m512)b.v, (__m512)c.v));
-#elif LANES == 8 && defined(__FMA__)
-  return Lanes((VectorF)_mm256_fmadd_ps((__m256)a.v, (__m256)b.v, (__m256)c.v));
-#else
-  Lanes r;
-  for (int l = 0; l < LANES; ++l) r.v[l] = __builtin_fmaf(a.v[l], b.v[l], c.v[l]);
-  return r;
-#endif
-}
-
-NOVAPHY_LANE_FN Lanes load(const float* p) {
-  Lanes r;
-  __builtin_memcpy(&r.v, p, sizeof(r.v));
-  return r;
-}
-NOVAPHY_LANE_FN void store(float* p, Lanes a) { __builtin_memcpy(p, &a.v, sizeof(a.v)); }
 
 // The rows `index` of a table of 4 floats each, but for the last float.
 typedef float Row __attribute__((vector_size(16)));
@@ -127,4 +51,4 @@ NOVAPHY_LANE_FN Vec3<Lanes> gather(const float* table, const int32_t* index) {
 #endif
 }
 
-}  // namespace novaphy::vbd::NOVAPHY_VBD_LEVEL
+}  // namespace novaphy::vbd::NOVAPHY_LEVEL

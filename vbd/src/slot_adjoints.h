@@ -4,7 +4,7 @@
 
 #include "sweep_slots.h"
 
-namespace novaphy::vbd::NOVAPHY_VBD_LEVEL {
+namespace novaphy::vbd::NOVAPHY_LEVEL {
 
 template <Role role>
 struct SlotPoints {
@@ -34,4 +34,4 @@ void contact_adjoint(const Point& x, const Point& start, const ParticleContact<L
 
 #include "slot_adjoints.inc"
 
-}  // namespace novaphy::vbd::NOVAPHY_VBD_LEVEL
+}  // namespace novaphy::vbd::NOVAPHY_LEVEL

@@ -5,7 +5,7 @@
 #include "slot_adjoints.h"
 #include "slot_inputs.h"
 
-namespace novaphy::vbd::NOVAPHY_VBD_LEVEL {
+namespace novaphy::vbd::NOVAPHY_LEVEL {
 namespace {
 
 void add_row(float* rows, int32_t particle, const Point& value, int32_t lane) {
@@ -199,4 +199,4 @@ void adjoint_start(const Sweep& sweep, const Adjoint& bars, int64_t group) {
   for (int32_t l = 0; l < sweep.filled[group]; ++l) add_row(bars.own, particle[l], own, l);
 }
 
-}  // namespace novaphy::vbd::NOVAPHY_VBD_LEVEL
+}  // namespace novaphy::vbd::NOVAPHY_LEVEL

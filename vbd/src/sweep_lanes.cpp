@@ -1,7 +1,7 @@
 // The sweep of one instruction set: LANES particles of a colour at a time.
 #include "sweep_slots.h"
 
-namespace novaphy::vbd::NOVAPHY_VBD_LEVEL {
+namespace novaphy::vbd::NOVAPHY_LEVEL {
 namespace {
 
 void prepare(const Sweep& sweep, int64_t group) {
@@ -126,8 +126,7 @@ void tangent(const Sweep& sweep, const Tangents& tangents, int64_t group);
 void tangent_start(const Sweep& sweep, const Tangents& tangents, int64_t group);
 
 extern const SweepLevel kLevel;
-const SweepLevel kLevel = {
-    NOVAPHY_VBD_LEVEL_NAME, LANES,    &prepare,      &move, &residual, &adjoint,
-    &adjoint_start,         &tangent, &tangent_start};
+const SweepLevel kLevel = {NOVAPHY_LEVEL_NAME, LANES,          &prepare, &move,         &residual,
+                           &adjoint,           &adjoint_start, &tangent, &tangent_start};
 
-}  // namespace novaphy::vbd::NOVAPHY_VBD_LEVEL
+}  // namespace novaphy::vbd::NOVAPHY_LEVEL

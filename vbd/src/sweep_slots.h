@@ -9,7 +9,7 @@
 #include "novaphy/vbd/tetrahedron_trace.h"
 #include "sweep.h"
 
-namespace novaphy::vbd::NOVAPHY_VBD_LEVEL {
+namespace novaphy::vbd::NOVAPHY_LEVEL {
 using Point = Vec3<Lanes>;
 
 // One slot: its rows of indices and constants.
@@ -155,4 +155,4 @@ inline Block<Lanes> block_at(const Sweep& sweep, int64_t group, const Point& x) 
   return block + outer;
 }
 
-}  // namespace novaphy::vbd::NOVAPHY_VBD_LEVEL
+}  // namespace novaphy::vbd::NOVAPHY_LEVEL

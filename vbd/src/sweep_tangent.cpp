@@ -5,7 +5,7 @@
 #include "sweep_slots.h"
 #include "tangent.h"
 
-namespace novaphy::vbd::NOVAPHY_VBD_LEVEL {
+namespace novaphy::vbd::NOVAPHY_LEVEL {
 namespace {
 
 Point rows_or_zero(const float* rows, const int32_t* particle) {
@@ -149,4 +149,4 @@ void tangent_start(const Sweep& sweep, const Tangents& t, int64_t group) {
   tangent_start_slots<kTetrahedron>(sweep, t, group, x);
 }
 
-}  // namespace novaphy::vbd::NOVAPHY_VBD_LEVEL
+}  // namespace novaphy::vbd::NOVAPHY_LEVEL

@@ -5,7 +5,7 @@
 #include "lanes.h"
 #include "novaphy/math/functions.h"
 
-namespace novaphy::vbd::NOVAPHY_VBD_LEVEL {
+namespace novaphy::vbd::NOVAPHY_LEVEL {
 
 struct Tangent {
   Lanes v{}, d{};
@@ -57,4 +57,4 @@ inline Vec3<Tangent> with_slope(const Vec3<Lanes>& value, const Vec3<Lanes>& slo
 inline Vec3<Lanes> value_of(const Vec3<Tangent>& a) { return {a.x.v, a.y.v, a.z.v}; }
 inline Vec3<Lanes> slope_of(const Vec3<Tangent>& a) { return {a.x.d, a.y.d, a.z.d}; }
 
-}  // namespace novaphy::vbd::NOVAPHY_VBD_LEVEL
+}  // namespace novaphy::vbd::NOVAPHY_LEVEL

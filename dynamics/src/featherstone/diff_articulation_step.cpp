@@ -3,15 +3,14 @@
 #include <algorithm>
 #include <array>
 #include <cstring>
-#include <limits>
 #include <optional>
 #include <string>
 #include <utility>
 
 #include "articulation_step.h"
-#include "diff_captured_work.h"
 #include "novaphy/core/device_kernel.h"
 #include "novaphy/core/error.h"
+#include "novaphy/nova/host_work.h"
 #include "novaphy/nova/op_list.h"
 #include "novaphy/nova/tape.h"
 #include "pgs_contacts.h"
@@ -20,6 +19,7 @@ namespace novaphy::diff {
 namespace {
 
 using nova::Tensor;
+constexpr const char* kName = "articulation_step";
 constexpr int32_t kLeastSweeps = 1000;  // at most, where impulses are differentiated
 using G = articulation::StepGradient<float>;
 // Inputs behind the members of G. Those of shapes only with contacts.
@@ -239,8 +239,8 @@ template <class Arguments>
 Arguments to_arguments(const std::vector<LaunchArgument>& words) {
   std::vector<uint64_t> values;
   for (const LaunchArgument& word : words) values.push_back(word.word);
-  require(values.size() * sizeof(uint64_t) == sizeof(Arguments), ErrorKind::Runtime,
-          "articulation_step: wrong number of arguments");
+  require(values.size() * sizeof(uint64_t) == sizeof(Arguments), ErrorKind::Runtime, kName,
+          ": wrong number of arguments");
   Arguments a;
   std::memcpy(&a, values.data(), sizeof(a));
   return a;
@@ -287,26 +287,24 @@ StepOutputs outputs_of(const Step& s) {
 }
 void run_forward(const Step& s) {
   const nova::NoGrad no_grad;
+  if (s.contacts.defined() && s.copies_contacts())
+    kept_contacts(s).copy(s.found ? s.found->rows() : ContactRows{});
+  const bool touches = prepare_contacts(s);
+  if (!touches && !nova::current_capture())
+    return run_host(s, host_arguments(s), nullptr, outputs_of(s));
   std::vector<LaunchArgument> words;
   add_arguments(s, words);
   for (const Named& out : s.outputs) words.push_back(argument(out.name, out.tensor, true));
   words.push_back(writes_row("status", s.status));
   words.push_back(writes("workspace", s.workspace));
   words.push_back(number(s.stride));
-  if (s.contacts.defined() && s.copies_contacts())
-    kept_contacts(s).copy(s.found ? s.found->rows() : ContactRows{});
-  if (prepare_contacts(s)) {
+  if (touches) {
     const KeptContacts kept = kept_contacts(s);
     auto a = to_arguments<ArticulationStepArguments>(words);
     a.status = s.shared->status.mutable_data();
     s.shared->pgs->step(a, *s.model, kept.rows(), s.options, nullptr);
     s.shared->pgs->write_impulses(kept.impulses, kept.friction);
     return;
-  }
-  if (!nova::current_capture()) {
-    std::vector<LaunchArgument> read;
-    add_arguments(s, read);
-    return run_host(s, to_arguments<ArticulationArguments>(read), nullptr, outputs_of(s));
   }
   step_kernel().launch(Device::cpu(), s.count, words);
 }
@@ -325,18 +323,6 @@ std::vector<Tensor> reads_of(const Step& s) {
   for (size_t i = 3; i < s.values.size(); ++i) all.push_back(s.values[i].tensor);
   return all;
 }
-// Without exceptions, which no replay passes on: the results are not numbers then, and the next
-// call says why.
-template <class Function>
-void replay(const Step& s, const std::vector<Tensor>& results, const Function& function) {
-  try {
-    function();
-  } catch (const std::exception& error) {
-    s.shared->failure = error.what();
-    for (const Tensor& result : results)
-      std::fill_n(numbers(result), result.size(), std::numeric_limits<float>::quiet_NaN());
-  }
-}
 
 // The step now, or in the replays of a capture.
 void submit_forward(const std::shared_ptr<const Step>& step, bool tell) {
@@ -345,10 +331,8 @@ void submit_forward(const std::shared_ptr<const Step>& step, bool tell) {
     if (tell && step->contacts.defined()) tell_contacts(*step);
   };
   if (!nova::current_capture() || !step->contacts.defined()) return run();
-  std::vector<Tensor> results, writes;
+  std::vector<Tensor> results, writes = {step->contacts};
   for (const Named& out : step->outputs) results.push_back(out.tensor);
-  writes = results;
-  writes.push_back(step->contacts);
   if (step->force) writes.push_back(tensor_of(*step->force));
   std::vector<Tensor> reads = reads_of(*step);
   if (step->found) {
@@ -357,7 +341,12 @@ void submit_forward(const std::shared_ptr<const Step>& step, bool tell) {
                                    &f.point1, &f.normal, &f.margin0, &f.margin1};
     for (const Array* array : arrays) reads.push_back(tensor_of(*array));
   }
-  capture_articulation_work(reads, writes, [step, results, run] { replay(*step, results, run); });
+  nova::capture_host_work({.name = kName,
+                           .reads = reads,
+                           .results = results,
+                           .writes = writes,
+                           .failure = &step->shared->failure,
+                           .run = run});
 }
 
 void run_all(const std::shared_ptr<const Step>& step) {
@@ -524,9 +513,11 @@ void submit_vjp(const std::shared_ptr<const Step>& step, std::span<const Tensor>
     if (gradient.grad.defined()) results.push_back(gradient.grad);
   const std::vector<Tensor> out(outputs.begin(), outputs.end());
   const std::vector<nova::InputGradient> to(gradients.begin(), gradients.end());
-  capture_articulation_work(reads, results, [step, results, out, to] {
-    replay(*step, results, [&] { run_vjp(*step, out, to); });
-  });
+  nova::capture_host_work({.name = kName,
+                           .reads = reads,
+                           .results = results,
+                           .failure = &step->shared->failure,
+                           .run = [step, out, to] { run_vjp(*step, out, to); }});
 }
 
 // Tangents by dual numbers, on the host.
@@ -661,7 +652,7 @@ void write_forces(const KeptContacts& kept, const DeviceArray<Vec3f>& to, float 
 }
 
 nova::CustomOp make_op(const std::shared_ptr<const Step>& step) {
-  nova::CustomOp op{.name = "articulation_step", .inputs = {}, .outputs = {}, .vjp = nullptr};
+  nova::CustomOp op{.name = kName, .inputs = {}, .outputs = {}, .vjp = nullptr};
   for (const Named& in : step->inputs)
     if (in.tensor.defined()) op.inputs.push_back(in.tensor);
   op.reads = op.inputs;

@@ -3,12 +3,11 @@
 #include <algorithm>
 #include <array>
 #include <cstddef>
-#include <cstdlib>
 #include <cstring>
 #include <memory>
-#include <string_view>
 #include <utility>
 
+#include "novaphy/core/cpu_level.h"
 #include "novaphy/core/error.h"
 #include "novaphy/core/sim/for_chunks.h"
 #include "pgs_contacts_step.h"
@@ -29,26 +28,11 @@ extern const LaneLevel kLevel;
 #endif
 
 const LaneLevel& lane_level() {
-  struct Choice {
-    const LaneLevel& level;
-    bool available;
-  };
-  const Choice best_first[] = {
+  return choose_cpu_level(std::to_array<const LaneLevel*>({
 #ifdef NOVAPHY_X86_LEVELS
-      {avx512::kLevel, __builtin_cpu_supports("avx512f") && __builtin_cpu_supports("fma")},
-      {avx2::kLevel, __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma")},
+      &avx512::kLevel, &avx2::kLevel,
 #endif
-      {baseline::kLevel, true}};
-  const char* const variable = std::getenv("NOVAPHY_CPU_ISA");
-  const std::string_view wanted = variable != nullptr ? variable : "";
-  for (const Choice& choice : best_first) {
-    if (!wanted.empty() && wanted != choice.level.name) continue;
-    if (choice.available) return choice.level;
-    require(wanted.empty(), ErrorKind::Runtime, "NOVAPHY_CPU_ISA=", wanted,
-            ": this processor does not have it");
-  }
-  fail(ErrorKind::Runtime, "NOVAPHY_CPU_ISA: expected baseline, avx2 or avx512, got '", wanted,
-       "'");
+      &baseline::kLevel}));
 }
 }  // namespace articulation
 
@@ -62,6 +46,9 @@ constexpr size_t kFewest = 3;  // trees that lanes are worth for
 struct ConstantRows {
   int32_t width;
   enum { Joints, Dofs, Bodies, One } of;
+  int32_t choose(int32_t joints, int32_t dofs, int32_t bodies, int32_t one) const {
+    return of == Joints ? joints : of == Dofs ? dofs : of == Bodies ? bodies : one;
+  }
 };
 constexpr ConstantRows kConstantRows[art::kTreeConstants] = {
     {7, ConstantRows::Joints}, {7, ConstantRows::Joints}, {3, ConstantRows::Dofs},
@@ -158,10 +145,7 @@ void TreeSteps::find_groups(const Model& m) {
     if (g == groups_.size()) {
       for (int32_t c = 0; c < art::kTreeConstants; ++c) {
         const ConstantRows& of = kConstantRows[c];
-        const int32_t count = of.of == ConstantRows::Joints   ? shape.joints
-                              : of.of == ConstantRows::Dofs   ? shape.dofs
-                              : of.of == ConstantRows::Bodies ? shape.bodies
-                                                              : 1;
+        const int32_t count = of.choose(shape.joints, shape.dofs, shape.bodies, 1);
         shape.constant_begin[c + 1] = shape.constant_begin[c] + of.width * count;
       }
       groups_.push_back({shape, std::move(links), mode});
@@ -185,10 +169,7 @@ void TreeSteps::constants_of(const Model& m, int32_t tree, float* to, int32_t st
   const std::array<const Array*, art::kTreeConstants> arrays = constant_arrays(m);
   for (int32_t c = 0; c < art::kTreeConstants; ++c) {
     const ConstantRows& of = kConstantRows[c];
-    const int32_t row = of.of == ConstantRows::Joints   ? first.joint
-                        : of.of == ConstantRows::Dofs   ? rows.first_dof
-                        : of.of == ConstantRows::Bodies ? first.body
-                                                        : rows.world;
+    const int32_t row = of.choose(first.joint, rows.first_dof, first.body, rows.world);
     const auto* from = static_cast<const float*>(arrays[static_cast<size_t>(c)]->range()->data()) +
                        static_cast<int64_t>(row) * of.width;
     const int32_t begin = shape.constant_begin[c], end = shape.constant_begin[c + 1];

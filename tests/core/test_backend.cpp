@@ -12,8 +12,8 @@
 namespace novaphy {
 namespace {
 
+using testing::Outcome;
 using testing::probe;
-using testing::ProbeResult;
 
 std::string plugin_folder(const std::string& name) {
   return std::string(NOVAPHY_PLUGIN_DIR) + "/" + name;
@@ -28,13 +28,13 @@ bool contains(const std::string& text, const std::string& part) {
 
 // A refused plugin keeps its reason, and the process still computes on the CPU.
 void expect_refused(const std::string& plugin, const std::string& reason) {
-  const ProbeResult listed = probe("NOVAPHY_BACKEND_PATH=" + plugin_folder(plugin), "backends");
+  const Outcome listed = probe("NOVAPHY_BACKEND_PATH=" + plugin_folder(plugin), "backends");
   EXPECT_EQ(listed.code, 0);
   EXPECT_TRUE(contains(listed.output, plugin + "|" + plugin_file(plugin) + "|refused|idle|0|"))
       << listed.output;
   EXPECT_TRUE(contains(listed.output, reason)) << listed.output;
   EXPECT_TRUE(contains(listed.output, "|loaded|active|1|")) << listed.output;
-  const ProbeResult loaded = probe("", "load " + plugin_file(plugin));
+  const Outcome loaded = probe("", "load " + plugin_file(plugin));
   EXPECT_EQ(loaded.code, 1);
   EXPECT_TRUE(contains(loaded.output, "error: load_backend: " + plugin_file(plugin) + ": "))
       << loaded.output;
@@ -81,7 +81,7 @@ TEST(BackendRegistry, RefusesAFileThatIsNoLibraryAndIgnoresOtherNames) {
   const TemporaryFolder folder;
   std::ofstream(folder.path() / "libnovaphy_backend_text.so") << "hello";
   std::ofstream(folder.path() / "libother.so") << "hello";
-  const ProbeResult result = probe("NOVAPHY_BACKEND_PATH=" + folder.path().string(), "backends");
+  const Outcome result = probe("NOVAPHY_BACKEND_PATH=" + folder.path().string(), "backends");
   EXPECT_EQ(result.code, 0);
   EXPECT_TRUE(contains(result.output, "text|" + folder.path().string() +
                                           "/libnovaphy_backend_text.so|refused|idle|0|"))
@@ -97,7 +97,7 @@ TEST(BackendRegistry, RefusesATruncatedFileWithBothLengths) {
     std::filesystem::copy_file(plugin_file("second_cpu"), file,
                                std::filesystem::copy_options::overwrite_existing);
     std::filesystem::resize_file(file, bytes);
-    const ProbeResult result = probe("NOVAPHY_BACKEND_PATH=" + folder.path().string(), "backends");
+    const Outcome result = probe("NOVAPHY_BACKEND_PATH=" + folder.path().string(), "backends");
     EXPECT_EQ(result.code, 0) << bytes << " of " << whole;
     EXPECT_TRUE(contains(result.output,
                          "cut|" + file.string() + "|refused|idle|0|truncated: the file has " +
@@ -112,7 +112,7 @@ TEST(BackendRegistry, RefusesWhatIsNoRegularFileWithoutWaitingForIt) {
   ASSERT_EQ(mkfifo(fifo.c_str(), 0600), 0);
   std::filesystem::create_directory(folder.path() / "libnovaphy_backend_folder.so");
   std::filesystem::create_symlink("/nowhere", folder.path() / "libnovaphy_backend_dangling.so");
-  const ProbeResult result = probe("NOVAPHY_BACKEND_PATH=" + folder.path().string(), "backends");
+  const Outcome result = probe("NOVAPHY_BACKEND_PATH=" + folder.path().string(), "backends");
   EXPECT_EQ(result.code, 0) << result.output;
   for (const char* name : {"fifo", "folder"})
     EXPECT_TRUE(contains(result.output, std::string("libnovaphy_backend_") + name +
@@ -122,18 +122,18 @@ TEST(BackendRegistry, RefusesWhatIsNoRegularFileWithoutWaitingForIt) {
 }
 
 TEST(BackendRegistry, NeverLooksIntoTheCurrentDirectory) {
-  const ProbeResult plain = probe("", "backends", plugin_folder("second_cpu"));
+  const Outcome plain = probe("", "backends", plugin_folder("second_cpu"));
   EXPECT_FALSE(contains(plain.output, "second_cpu")) << plain.output;
   for (const char* relative : {".", "plugins", "../second_cpu"}) {
-    const ProbeResult result = probe(std::string("NOVAPHY_BACKEND_PATH=") + relative, "backends",
-                                     plugin_folder("second_cpu"));
+    const Outcome result = probe(std::string("NOVAPHY_BACKEND_PATH=") + relative, "backends",
+                                 plugin_folder("second_cpu"));
     EXPECT_FALSE(contains(result.output, "libnovaphy_backend_second_cpu")) << result.output;
     EXPECT_TRUE(contains(result.output, "expected an absolute path")) << result.output;
   }
 }
 
 TEST(BackendRegistry, SkipsDisabledNamesAndSaysSo) {
-  const ProbeResult result = probe(
+  const Outcome result = probe(
       "NOVAPHY_DISABLE_BACKENDS=cpu,second_cpu NOVAPHY_BACKEND_PATH=" + plugin_folder("second_cpu"),
       "backends");
   EXPECT_TRUE(contains(result.output, "second_cpu|" + plugin_file("second_cpu") +
@@ -144,39 +144,38 @@ TEST(BackendRegistry, SkipsDisabledNamesAndSaysSo) {
 }
 
 TEST(BackendRegistry, PrefersAPluginToTheLinkedInBackend) {
-  const ProbeResult result =
-      probe("NOVAPHY_BACKEND_PATH=" + plugin_folder("second_cpu"), "backends");
+  const Outcome result = probe("NOVAPHY_BACKEND_PATH=" + plugin_folder("second_cpu"), "backends");
   EXPECT_TRUE(contains(result.output, "cpu|" + plugin_file("second_cpu") + "|loaded|active|1|"))
       << result.output;
   EXPECT_TRUE(contains(result.output, "cpu||loaded|idle|1|")) << result.output;
 }
 
 TEST(BackendRegistry, LoadsAPluginByPathAndUsesIt) {
-  const ProbeResult result = probe("", "load " + plugin_file("second_cpu"));
+  const Outcome result = probe("", "load " + plugin_file("second_cpu"));
   EXPECT_EQ(result.code, 0) << result.output;
   EXPECT_TRUE(contains(result.output, "cpu 1.2.3 active\n2\n")) << result.output;
 }
 
 TEST(BackendRegistry, ADeviceThatIsNotThereNamesWhatWasTried) {
-  const ProbeResult nothing = probe("", "open cuda");
+  const Outcome nothing = probe("", "open cuda");
   EXPECT_EQ(nothing.code, 1);
   EXPECT_TRUE(contains(nothing.output, "error: cuda backend not available: ")) << nothing.output;
-  const ProbeResult no_device =
+  const Outcome no_device =
       probe("NOVAPHY_BACKEND_PATH=" + plugin_folder("no_device"), "open cuda:0");
   EXPECT_TRUE(contains(no_device.output, "cuda backend not available: " + plugin_file("no_device") +
                                              ": no driver found"))
       << no_device.output;
-  const ProbeResult cpu = probe("", "open cpu");
+  const Outcome cpu = probe("", "open cpu");
   EXPECT_EQ(cpu.output, "opened\n");
 }
 
 TEST(BackendRegistry, ReportsABadNumberOfThreadsOrInstructionSetWhenTheDeviceOpens) {
-  const ProbeResult threads = probe("NOVAPHY_NUM_THREADS=many", "open cpu");
+  const Outcome threads = probe("NOVAPHY_NUM_THREADS=many", "open cpu");
   EXPECT_EQ(threads.code, 1);
   EXPECT_TRUE(contains(threads.output,
                        "NOVAPHY_NUM_THREADS: expected an integer from 1 to 1024, got \"many\""))
       << threads.output;
-  const ProbeResult isa = probe("NOVAPHY_CPU_ISA=mmx", "open cpu");
+  const Outcome isa = probe("NOVAPHY_CPU_ISA=mmx", "open cpu");
   EXPECT_EQ(isa.code, 1);
   EXPECT_TRUE(contains(isa.output, "NOVAPHY_CPU_ISA: expected baseline, avx2 or avx512, got 'mmx'"))
       << isa.output;
@@ -196,7 +195,7 @@ class CoreAlone {
     std::filesystem::copy_file(file,
                                folder_.path() / "novaphy_backends" / "libnovaphy_backend_cpu.so");
   }
-  ProbeResult open(const std::string& environment) const {
+  Outcome open(const std::string& environment) const {
     return probe("LD_LIBRARY_PATH=" + folder_.path().string() + " " + environment, "open cpu");
   }
 
@@ -212,7 +211,7 @@ constexpr bool kSaysSo = false;  // none were to be expected
 
 TEST(BackendRegistry, WithoutTheCpuPluginItComputesAndSaysThatKernelsAreInterpreted) {
   const CoreAlone core;
-  const ProbeResult result = core.open("");
+  const Outcome result = core.open("");
   EXPECT_EQ(result.code, 0) << result.output;
   const size_t first = result.output.find(kInterpreted);
   EXPECT_EQ(first != std::string::npos, kSaysSo) << result.output;
@@ -226,7 +225,7 @@ TEST(BackendRegistry, WithoutTheCpuPluginItComputesAndSaysThatKernelsAreInterpre
 TEST(BackendRegistry, RefusesTheCpuPluginOfAnotherVersion) {
   const CoreAlone core;
   core.add_plugin(plugin_file("second_cpu"));
-  const ProbeResult result = core.open("");
+  const Outcome result = core.open("");
   EXPECT_EQ(result.code, 0) << result.output;
   EXPECT_EQ(contains(result.output, "it is of version 1.2.3, this library of"), kSaysSo)
       << result.output;

@@ -58,7 +58,7 @@ TEST(Device, AnOrdinalThatDoesNotExistIsNotAvailable) {
 TEST(DefaultDevice, ComesFromTheEnvironment) {
   EXPECT_EQ(testing::probe("", "default_device").output, "cpu\n");
   EXPECT_EQ(testing::probe("NOVAPHY_DEVICE=cuda:2", "default_device").output, "cuda:2\n");
-  const testing::ProbeResult bad = testing::probe("NOVAPHY_DEVICE=quantum", "default_device");
+  const testing::Outcome bad = testing::probe("NOVAPHY_DEVICE=quantum", "default_device");
   EXPECT_EQ(bad.code, 1);
   EXPECT_NE(bad.output.find("NOVAPHY_DEVICE: device: expected"), std::string::npos) << bad.output;
 }

@@ -182,7 +182,7 @@ TEST(NumThreads, ComesFromTheEnvironmentAndABadValueIsAnError) {
   EXPECT_EQ(testing::probe("NOVAPHY_NUM_THREADS=", "threads").output,
             std::to_string(available_cpus()) + "\n");
   for (const char* bad : {"0", "-1", "x", "3x", "1025", "99999999999", "1.5", "' 2'"}) {
-    const testing::ProbeResult result =
+    const testing::Outcome result =
         testing::probe(std::string("NOVAPHY_NUM_THREADS=") + bad, "threads");
     EXPECT_EQ(result.code, 1) << bad;
     EXPECT_NE(result.output.find("NOVAPHY_NUM_THREADS: expected an integer from 1 to 1024, got"),

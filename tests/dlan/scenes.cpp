@@ -17,6 +17,7 @@
 #include "novaphy/nova/kernel.h"
 #include "novaphy/nova/op_list.h"
 #include "novaphy/nova/tape.h"
+#include "support/convex_shapes.h"
 #include "support/soft_body_scene.h"
 
 #ifdef DLAN_HAS_VBD
@@ -102,9 +103,6 @@ novaphy::CollisionOptions rigid_options(novaphy::BroadPhase phase) {
 
 // Bodies of all types, so close that they overlap, on the ground and beside a box.
 novaphy::ModelBuilder rigid_bodies() {
-  const std::vector<novaphy::Vec3f> wedge = {{0.1f, 0.1f, -0.1f},   {-0.1f, 0.1f, -0.1f},
-                                             {0.1f, -0.1f, -0.1f},  {-0.1f, -0.1f, -0.1f},
-                                             {0.05f, 0.02f, 0.12f}, {-0.08f, 0.0f, 0.1f}};
   novaphy::ModelBuilder b;
   b.add_ground_plane({.cfg = kSurface});
   for (int k = 0; k < 14; ++k) {
@@ -114,28 +112,7 @@ novaphy::ModelBuilder rigid_bodies() {
                                0.14f * static_cast<float>(k / 4 % 2), 0.09f + 0.05f * t},
                               {0.0f, 0.6f, 0.0f, 0.8f}}});
     b.body_qd[static_cast<size_t>(body)] = {{0.1f * t, -0.2f, -1.0f}, {0.3f, 0.1f * t, 0.5f}};
-    switch (k % 7) {
-      case 0:
-        b.add_shape_box(body, {.hx = 0.1f, .hy = 0.08f, .hz = 0.12f, .cfg = kSurface});
-        break;
-      case 1:
-        b.add_shape_sphere(body, {.radius = 0.1f, .cfg = kSurface});
-        break;
-      case 2:
-        b.add_shape_capsule(body, {.radius = 0.06f, .half_height = 0.1f, .cfg = kSurface});
-        break;
-      case 3:
-        b.add_shape_cylinder(body, {.radius = 0.09f, .half_height = 0.1f, .cfg = kSurface});
-        break;
-      case 4:
-        b.add_shape_cone(body, {.radius = 0.1f, .half_height = 0.1f, .cfg = kSurface});
-        break;
-      case 5:
-        b.add_shape_ellipsoid(body, {.rx = 0.12f, .ry = 0.08f, .rz = 0.1f, .cfg = kSurface});
-        break;
-      default:
-        b.add_shape_convex_hull(body, {.vertices = wedge, .cfg = kSurface});
-    }
+    novaphy::testing::add_convex_shape(b, body, k, kSurface);
   }
   b.add_shape_box(-1, {.xform = {{0.3f, 0.4f, 0.2f}, novaphy::Quatf::identity()},
                        .hx = 0.5f,

@@ -2,34 +2,23 @@
 // device or out of memory, and when it has lost its device; and that kernels give the bits of the
 // CPU. On a run-time library that is the host. A process each, because the library is opened once.
 #include <gtest/gtest.h>
-#include <sys/wait.h>
 
-#include <cstdio>
 #include <fstream>
 #include <string>
 
+#include "support/run_command.h"
+
 namespace {
 
-struct Outcome {
-  int code = -1;
-  std::string output;
-};
+using novaphy::testing::Outcome;
 
 const std::string kKernels = "NOVAPHY_QUIET=1 NOVAPHY_DLAN_KERNELS=" FAKE_KERNELS " ";
 const std::string kFake = kKernels + "NOVAPHY_DLAN_LIBRARY=" FAKE " ";
 
 Outcome probe(const std::string& environment, const std::string& command,
               const std::string& program = PROBE) {
-  const std::string line = "env -u NOVAPHY_DEVICE -u NOVAPHY_DLAN_ROOT " + environment + " " +
-                           program + " " + command + " dlan:0 2>&1";
-  Outcome outcome;
-  std::FILE* pipe = popen(line.c_str(), "r");
-  if (pipe == nullptr) return outcome;
-  char text[1024];
-  while (std::fgets(text, sizeof(text), pipe) != nullptr) outcome.output += text;
-  const int status = pclose(pipe);
-  outcome.code = WIFEXITED(status) ? WEXITSTATUS(status) : -1;
-  return outcome;
+  return novaphy::testing::run_command("env -u NOVAPHY_DEVICE -u NOVAPHY_DLAN_ROOT " + environment +
+                                       " " + program + " " + command + " dlan:0");
 }
 
 void expect_refused(const std::string& environment, const std::string& reason) {

@@ -1,29 +1,18 @@
 // What the CUDA backend says and does when the driver is missing, old, without a device, out of
 // memory or has lost its device. A process each, because the driver is opened once.
 #include <gtest/gtest.h>
-#include <sys/wait.h>
 
-#include <cstdio>
 #include <string>
+
+#include "support/run_command.h"
 
 namespace {
 
-struct Outcome {
-  int code = -1;
-  std::string output;
-};
+using novaphy::testing::Outcome;
 
 Outcome probe(const std::string& environment, const std::string& command) {
-  const std::string line =
-      "env -u NOVAPHY_DEVICE " + environment + " " FAKE_DRIVER_PROBE " " + command + " 2>&1";
-  Outcome outcome;
-  std::FILE* pipe = popen(line.c_str(), "r");
-  if (pipe == nullptr) return outcome;
-  char text[1024];
-  while (std::fgets(text, sizeof(text), pipe) != nullptr) outcome.output += text;
-  const int status = pclose(pipe);
-  outcome.code = WIFEXITED(status) ? WEXITSTATUS(status) : -1;
-  return outcome;
+  return novaphy::testing::run_command("env -u NOVAPHY_DEVICE " + environment +
+                                       " " FAKE_DRIVER_PROBE " " + command);
 }
 
 const std::string kFake = "NOVAPHY_CUDA_DRIVER=" FAKE_DRIVER " ";

@@ -25,6 +25,7 @@
 #include "novaphy/nova/op_list.h"
 #include "novaphy/nova/ops.h"
 #include "novaphy/nova/tape.h"
+#include "support/convex_shapes.h"
 
 namespace novaphy {
 namespace {
@@ -85,35 +86,6 @@ void add_bodies(Result& result, const SimState& s, const std::string& when) {
 
 const ShapeConfig kSurface{.ke = 1e4f, .kd = 100.0f, .kf = 200.0f, .mu = 0.5f};
 
-// One shape of each convex type, by turns.
-void add_shape(ModelBuilder& builder, int32_t body, int kind, const ShapeConfig& cfg = kSurface) {
-  static const std::vector<Vec3f> wedge = {{0.1f, 0.1f, -0.1f},   {-0.1f, 0.1f, -0.1f},
-                                           {0.1f, -0.1f, -0.1f},  {-0.1f, -0.1f, -0.1f},
-                                           {0.05f, 0.02f, 0.12f}, {-0.08f, 0.0f, 0.1f}};
-  switch (kind % 7) {
-    case 0:
-      builder.add_shape_box(body, {.hx = 0.1f, .hy = 0.08f, .hz = 0.12f, .cfg = cfg});
-      break;
-    case 1:
-      builder.add_shape_sphere(body, {.radius = 0.1f, .cfg = cfg});
-      break;
-    case 2:
-      builder.add_shape_capsule(body, {.radius = 0.06f, .half_height = 0.1f, .cfg = cfg});
-      break;
-    case 3:
-      builder.add_shape_cylinder(body, {.radius = 0.09f, .half_height = 0.1f, .cfg = cfg});
-      break;
-    case 4:
-      builder.add_shape_cone(body, {.radius = 0.1f, .half_height = 0.1f, .cfg = cfg});
-      break;
-    case 5:
-      builder.add_shape_ellipsoid(body, {.rx = 0.12f, .ry = 0.08f, .rz = 0.1f, .cfg = cfg});
-      break;
-    default:
-      builder.add_shape_convex_hull(body, {.vertices = wedge, .cfg = cfg});
-  }
-}
-
 // Bodies of all types in random poses, so close that they overlap, on a tilted and a level plane.
 // `groups`: some shapes meet those of another group only.
 ModelBuilder heap(int bodies, float size, uint32_t seed = 5, bool groups = false) {
@@ -129,7 +101,7 @@ ModelBuilder heap(int bodies, float size, uint32_t seed = 5, bool groups = false
     const int32_t body = builder.add_body({.xform = {p, q}});
     ShapeConfig surface = kSurface;
     if (groups && b < 6) surface.collision_group = b % 2 == 0 ? 2 : -2;
-    add_shape(builder, body, b, surface);
+    novaphy::testing::add_convex_shape(builder, body, b, surface);
     builder.body_qd[static_cast<size_t>(body)] = {{unit(random), unit(random), unit(random)},
                                                   {unit(random), unit(random), unit(random)}};
   }
@@ -191,7 +163,7 @@ ModelBuilder worlds() {
     all.add_world(one);
   }
   const int32_t body = all.add_body({.xform = {{0.1f, 0.0f, 0.3f}, Quatf::identity()}});
-  add_shape(all, body, 0);
+  novaphy::testing::add_convex_shape(all, body, 0, kSurface);
   return all;
 }
 

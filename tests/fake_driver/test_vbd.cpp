@@ -1,22 +1,18 @@
 // A step of VBD as kernels of a device: the bits of the CPU, whichever way a colour moves.
 #include <gtest/gtest.h>
 
-#include <cstdio>
 #include <string>
+
+#include "support/run_command.h"
 
 namespace {
 
 std::string probe(const std::string& environment, const std::string& command) {
-  const std::string line = "env -u NOVAPHY_DEVICE NOVAPHY_QUIET=1 NOVAPHY_CUDA_DRIVER=" FAKE_DRIVER
-                           " NOVAPHY_BACKEND_PATH=" FAKE_DRIVER_PLUGIN_FOLDER " " +
-                           environment + " " FAKE_DRIVER_PROBE " " + command + " 2>&1";
-  std::string output;
-  std::FILE* pipe = popen(line.c_str(), "r");
-  if (pipe == nullptr) return output;
-  char text[1024];
-  while (std::fgets(text, sizeof(text), pipe) != nullptr) output += text;
-  pclose(pipe);
-  return output;
+  return novaphy::testing::run_command(
+             "env -u NOVAPHY_DEVICE NOVAPHY_QUIET=1 NOVAPHY_CUDA_DRIVER=" FAKE_DRIVER
+             " NOVAPHY_BACKEND_PATH=" FAKE_DRIVER_PLUGIN_FOLDER " " +
+             environment + " " FAKE_DRIVER_PROBE " " + command)
+      .output;
 }
 
 const std::string kSame =

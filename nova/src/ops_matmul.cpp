@@ -1,7 +1,15 @@
 // The matrix product. Its two gradients are products with transposed matrices, so that one kernel,
 // which takes the strides as parameters, is all three.
+#include <algorithm>
+#include <array>
+#include <cstring>
+
 #include "checks.h"
 #include "engine_kernels.h"
+#include "matmul_lanes.h"
+#include "novaphy/core/cpu_level.h"
+#include "novaphy/core/device_kernel.h"
+#include "novaphy/core/parallel.h"
 #include "novaphy/nova/kernel.h"
 #include "novaphy/nova/networks.h"
 #include "novaphy/nova/ops.h"
@@ -10,13 +18,54 @@
 
 namespace nova {
 
+namespace baseline {
+extern const ProductLevel kLevel;
+}
+#ifdef NOVAPHY_X86_LEVELS
+namespace avx2 {
+extern const ProductLevel kLevel;
+}
+namespace avx512 {
+extern const ProductLevel kLevel;
+}
+#endif
+
 using detail::check_f32;
 using detail::int_param;
 using novaphy::require;
 
 namespace {
 
-// Parameters: columns of the result; strides of the rows and columns of a, then of b.
+// On the CPU: one launch, whose rows are cut here, because they cost more than a kernel's.
+void multiply(const uint64_t* words, int64_t, int64_t, int64_t) {
+  static const ProductLevel& level = novaphy::choose_cpu_level(std::to_array<const ProductLevel*>({
+#ifdef NOVAPHY_X86_LEVELS
+      &avx512::kLevel, &avx2::kLevel,
+#endif
+      &baseline::kLevel}));
+  constexpr int64_t kTiles = 24, kProducts = 1 << 22;  // rows of a chunk; what it is worth
+  struct Work {
+    ProductWords product;
+    int64_t rows;  // of a chunk
+  } work;
+  std::memcpy(&work.product, words, sizeof(work.product));
+  const ProductWords& p = work.product;
+  const int64_t of_row = std::max<int64_t>(1, p.columns * p.shared);
+  work.rows = (kProducts / of_row / kTiles + 1) * kTiles;
+  novaphy::parallel_for((p.rows + work.rows - 1) / work.rows,
+                        [](void* pointer, int64_t chunk) {
+                          const Work& w = *static_cast<const Work*>(pointer);
+                          const int64_t begin = chunk * w.rows;
+                          level.multiply(w.product, begin,
+                                         std::min(begin + w.rows, w.product.rows));
+                        },
+                        &work);
+}
+constexpr novaphy_row_function kMultiply = {sizeof(novaphy_row_function), "matmul",
+                                            sizeof(ProductWords) / 8, 0, multiply};
+
+// On devices, with the same bits. Parameters: columns of the result; strides of the rows and
+// columns of a, then of b.
 const Kernel& matmul_kernel() {
   static const Kernel kernel = make_reduce_kernel(
       "matmul", {{"a", DType::F32, 1, Access::Indexed}, {"b", DType::F32, 1, Access::Indexed}},
@@ -41,15 +90,37 @@ struct Matrix {
   Matrix transposed() const { return {tensor, columns, rows, column, row}; }
 };
 
+void launch_lanes(const Matrix& a, const Matrix& b, const Tensor& out) {
+  const auto matrix = [](const char* name, const Tensor& tensor, bool write) {
+    novaphy::LaunchArgument made;
+    made.word = reinterpret_cast<uint64_t>(tensor.range()->data());
+    made.name = name;
+    made.range = tensor.range();
+    made.read = !write;
+    made.write = write;
+    return made;
+  };
+  using novaphy::number;
+  static const auto& kernel = *new novaphy::DeviceKernel(kMultiply, nullptr);
+  kernel.launch(out.device(), out.size() > 0 ? 1 : 0,
+                {matrix("a", a.tensor, false), matrix("b", b.tensor, false),
+                 matrix("out", out, true), number(a.row), number(a.column), number(b.row),
+                 number(b.column), number(a.rows), number(b.columns), number(a.columns)});
+}
+
 Tensor product(const Matrix& a, const Matrix& b, const Shape& shape) {
   const Tensor out(shape, DType::F32, a.tensor.device());
+  const NoGrad no_grad;
+  if (out.device().is_cpu()) {
+    launch_lanes(a, b, out);
+    return out;
+  }
   const auto param = [](int64_t value) { return int_param("matmul", value); };
   const Param params[] = {param(b.columns), param(a.row), param(a.column), param(b.row),
                           param(b.column)};
   param(a.columns);
   const Operand in[] = {a.tensor.flat_operand(), b.tensor.flat_operand()};
   const Operand to = out.flat_operand();
-  const NoGrad no_grad;
   matmul_kernel().launch(out.size(), in, {&to, 1},
                          {.params = params, .extent = static_cast<int32_t>(a.columns)});
   return out;
@@ -65,7 +136,7 @@ const Kernel& transpose_kernel() {
   return kernel;
 }
 
-// weight^T in memory of its own, so that a product reads it row by row.
+// weight^T in memory of its own, so that a device reads it row by row.
 Tensor transposed(const Tensor& x) {
   const Tensor out({x.dim(1), x.dim(0)}, DType::F32, x.device());
   const Param params[] = {int_param("linear", x.dim(0)), int_param("linear", x.dim(1))};
@@ -73,6 +144,12 @@ Tensor transposed(const Tensor& x) {
   const NoGrad no_grad;
   transpose_kernel().launch(out.size(), {&in, 1}, {&to, 1}, {.params = params});
   return out;
+}
+
+// a b^T
+Tensor product_with_transposed(const Matrix& a, const Matrix& b, const Shape& shape) {
+  if (b.tensor.device().is_cpu()) return product(a, b.transposed(), shape);
+  return product(a, {transposed(b.tensor), b.columns, b.rows}, shape);
 }
 
 }  // namespace
@@ -130,7 +207,7 @@ Tensor linear(const Tensor& x, const Tensor& weight, const Tensor& bias) {
             "}, got ", shape_str(bias.shape()));
   }
   const Shape shape = x.ndim() == 2 ? Shape{n, m} : Shape{m};
-  const Tensor out = product({x, n, k}, {transposed(weight), k, m}, shape);
+  const Tensor out = product_with_transposed({x, n, k}, {weight, m, k}, shape);
   const auto vjp = [=](detail::Gradients g, detail::InputGradients to) {
     const Matrix grad{g[0], n, m};
     if (to[0].wanted()) to[0].put(product(grad, {weight, m, k}, x.shape()));
@@ -138,9 +215,9 @@ Tensor linear(const Tensor& x, const Tensor& weight, const Tensor& bias) {
   };
   const auto tangent = [=](std::span<const Tensor> t) {
     Tensor total;
-    if (t[0].defined()) total = product({t[0], n, k}, {transposed(weight), k, m}, shape);
+    if (t[0].defined()) total = product_with_transposed({t[0], n, k}, {weight, m, k}, shape);
     if (!t[1].defined()) return total;
-    const Tensor second = product({x, n, k}, {transposed(t[1]), k, m}, shape);
+    const Tensor second = product_with_transposed({x, n, k}, {t[1], m, k}, shape);
     return total.defined() ? add(total, second) : second;
   };
   detail::record("linear", {x, weight}, out, vjp, tangent, {x, weight});

@@ -101,6 +101,46 @@ def test_a_layer_is_the_product_with_the_transposed_weights(rows: int | None):
     assert left == pytest.approx(right, rel=1e-5)
 
 
+def serial_product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """In float32, every entry's products added one after the other."""
+    total = np.zeros((a.shape[0], b.shape[1]), np.float32)
+    for k in range(a.shape[1]):
+        total = total + a[:, k : k + 1] * b[k]
+    return total
+
+
+@pytest.mark.parametrize("threads", [1, 3])
+@pytest.mark.parametrize(
+    "sizes", [(1, 1, 1), (1, 5, 33), (6, 32, 32), (7, 3, 31), (25, 70, 65), (300, 17, 48)]
+)
+def test_products_and_their_gradients_add_in_the_order_of_the_shared_index(
+    sizes: tuple[int, int, int], threads: int
+):
+    n, k, m = sizes
+    rng = np.random.default_rng(n)
+    x, w, seed = (f32(rng.normal(size=s)) for s in ((n, k), (m, k), (n, m)))
+    before = novaphy.num_threads()
+    novaphy.set_num_threads(threads)
+    try:
+        a, b, c, d = (nova.tensor(v, requires_grad=True) for v in (x, w, x, f32(w.T)))
+        with nova.Tape() as tape:
+            layer, product = nova.linear(a, b), nova.matmul(c, d)
+        tape.backward(layer, nova.tensor(seed))
+        tape.backward(product, nova.tensor(seed))
+        with nova.ScopedCapture() as capture:
+            replayed = nova.linear(nova.tensor(x), nova.tensor(w))
+        capture.graph.launch()
+    finally:
+        novaphy.set_num_threads(before)
+    expected = serial_product(x, w.T)
+    for got in (layer, product, replayed):
+        np.testing.assert_array_equal(got.numpy(), expected)
+    for left in (a, c):
+        np.testing.assert_array_equal(left.grad.numpy(), serial_product(seed, w))
+    np.testing.assert_array_equal(b.grad.numpy(), serial_product(seed.T, x))
+    np.testing.assert_array_equal(d.grad.numpy(), serial_product(x.T, seed))
+
+
 def test_wrong_layers_are_named():
     x = nova.zeros((4, 5))
     with pytest.raises(ValueError, match=r"linear, weight: expected \{m, 5\}.*got \{3, 4\}"):

@@ -232,7 +232,8 @@ def tests() -> None:
     """One tree with everything but devices: CTest, pytest and the ball."""
     python = make_venv("tests", *BINDING_REQUIREMENTS, "numpy", "pytest", "matplotlib", "tqdm")
     pybind11 = output_of(python, "-m", "pybind11", "--cmakedir").strip()
-    tree = build("tests", f"-DPython_EXECUTABLE={python}", f"-Dpybind11_DIR={pybind11}")
+    options = (f"-DPython_EXECUTABLE={python}", f"-Dpybind11_DIR={pybind11}")
+    tree = build("tests", "-DNOVAPHY_QUICK_BUILD=ON", *options)
     ctest("tests", "--preset", "tests")
     package = environment(PYTHONPATH=str(tree / "python"))
     pytest("tests", python, "tests/python", env=package)

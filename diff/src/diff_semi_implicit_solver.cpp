@@ -187,11 +187,11 @@ void DiffSemiImplicitSolver::begin(const char* function, const Control* control,
                                    const Contacts* contacts, bool found, bool of_this_state,
                                    float dt) {
   materials_.check(*model());
-  values_.check(*model());
   if (nova::Tape::active() != nullptr) check_leaves(*model());
   check_contacts(function, contacts, found);
   particles_.begin(*model(), function);
   if (moves_bodies()) bodies_.begin(*model());
+  values_.check(*model());
   if (joints_) joints_->begin(*model(), control, dt);
   if (contacts != nullptr) {
     ContactTables::Wanted wanted = wanted_tables();

@@ -49,6 +49,10 @@ class Recorder : public novaphy::LaunchRecorder {
   void depends_on(const std::shared_ptr<Range>& range) override {
     if (OpList* graph = current_capture()) graph->freeze(range);
   }
+  void before_replay(const std::shared_ptr<const void>& owner,
+                     const std::function<void()>& check) override {
+    if (OpList* graph = current_capture()) graph->before_launch(owner, check);
+  }
   void uses(const std::shared_ptr<novaphy::ExclusiveUse>& memory) override {
     if (OpList* graph = current_capture()) graph->uses(memory);
   }

@@ -16,7 +16,6 @@ namespace {
 struct Kind {
   const char* indices_name;
   const Array& indices;
-  const char* material_name;
   const Array& material;
   int corners;
   bool may_be_absent = false;
@@ -39,11 +38,6 @@ void check_elements(const Kind& kind, int32_t particles) {
               "SolverVBD: model.", kind.indices_name, "[", e, "]: expected particles from 0 to ",
               particles - 1, kind.may_be_absent ? ", or -1" : "", ", got ", p);
     }
-    for (size_t c = 0; c < kind.width(); ++c) {
-      const float value = kind.coefficients(e)[c];
-      require(std::isfinite(value) && value >= 0.0f, ErrorKind::Value, "SolverVBD: model.",
-              kind.material_name, "[", e, "]: expected finite numbers >= 0, got ", value);
-    }
   }
 }
 
@@ -56,20 +50,13 @@ bool acts(const Kind& kind, int32_t e, size_t columns) {
 struct Kinds {
   Kind spring_ke, spring_kd, triangle, edge, tetrahedron;
   explicit Kinds(const Model& m)
-      : spring_ke{"particle_spring_indices", m.particle_spring_indices, "particle_spring_stiffness",
-                  m.particle_spring_stiffness, 2},
-        spring_kd{"particle_spring_indices", m.particle_spring_indices, "particle_spring_damping",
-                  m.particle_spring_damping, 2},
-        triangle{"particle_tri_indices", m.particle_tri_indices, "particle_tri_material",
-                 m.particle_tri_material, 3},
-        edge{"particle_edge_indices",
-             m.particle_edge_indices,
-             "particle_edge_material",
-             m.particle_edge_material,
-             4,
-             true},
-        tetrahedron{"particle_tet_indices", m.particle_tet_indices, "particle_tet_material",
-                    m.particle_tet_material, 4} {}
+      : spring_ke{"particle_spring_indices", m.particle_spring_indices, m.particle_spring_stiffness,
+                  2},
+        spring_kd{"particle_spring_indices", m.particle_spring_indices, m.particle_spring_damping,
+                  2},
+        triangle{"particle_tri_indices", m.particle_tri_indices, m.particle_tri_material, 3},
+        edge{"particle_edge_indices", m.particle_edge_indices, m.particle_edge_material, 4, true},
+        tetrahedron{"particle_tet_indices", m.particle_tet_indices, m.particle_tet_material, 4} {}
 
   // Calls visit(role of corner c, element, corners, number of them) for the elements that act.
   template <class Visit>
@@ -93,25 +80,6 @@ struct Kinds {
       if (acts(tetrahedron, e, 3)) visit(kTetrahedronRoles, e, tetrahedron.corner(e), 4);
   }
 };
-
-// What a sweep computes with besides the materials.
-void check_finite(const Model& model) {
-  const auto check = [](const char* name, const Array& array) {
-    const auto* const values = static_cast<const float*>(array.raw());
-    const size_t count = array.bytes() / sizeof(float);
-    for (size_t k = 0; k < count; ++k)
-      require(std::isfinite(values[k]), ErrorKind::Value, "SolverVBD: model.", name, "[",
-              k / (count / array.rows()), "]: expected finite numbers, got ", values[k]);
-  };
-  check("particle_mass", model.particle_mass);
-  check("particle_inv_mass", model.particle_inv_mass);
-  check("particle_spring_rest_length", model.particle_spring_rest_length);
-  check("particle_tri_pose", model.particle_tri_pose);
-  check("particle_tri_area", model.particle_tri_area);
-  check("particle_edge_rest_angle", model.particle_edge_rest_angle);
-  check("particle_edge_rest_length", model.particle_edge_rest_length);
-  check("particle_tet_pose", model.particle_tet_pose);
-}
 
 void check_drag(const Kind& triangle) {
   for (int32_t e = 0; e < triangle.count(); ++e) {
@@ -277,11 +245,9 @@ void ColorSlots::lay_slots(const Model& model) {
 void ColorSlots::build(const Model& model, int lanes) {
   lanes_ = lanes;
   const Kinds kinds(model);
-  for (const Kind* kind :
-       {&kinds.spring_ke, &kinds.spring_kd, &kinds.triangle, &kinds.edge, &kinds.tetrahedron})
+  for (const Kind* kind : {&kinds.spring_ke, &kinds.triangle, &kinds.edge, &kinds.tetrahedron})
     check_elements(*kind, model.particle_count());
   check_drag(kinds.triangle);
-  check_finite(model);
   const std::vector<int32_t> colors = model.particle_colors.to_host();
   for (size_t p = 0; p < colors.size(); ++p)
     require(colors[p] >= 0, ErrorKind::Value, "SolverVBD: model: particle ", p,

@@ -321,6 +321,7 @@ void DiffSolverVBD::step(SimState& state_in, SimState& state_out, const Control*
           ErrorKind::Value, kName, ": targets: expected {", held,
           ", 3}, a position for every held particle, got ",
           targets == nullptr ? 0 : targets->rows(), " rows");
+  begin();
   if (nova::Tape::active() != nullptr) make_leaves(state_in);
   StepInputs inputs;
   inputs.control = control;
@@ -331,8 +332,15 @@ void DiffSolverVBD::step(SimState& state_in, SimState& state_out, const Control*
   record_step(state_in, state_out, inputs, {});
 }
 
+// What replays would find out on the host, whose errors are NaN, they throw before they begin.
+void DiffSolverVBD::begin() {
+  if (nova::current_capture() == nullptr) return;
+  values_.check(*model());
+}
+
 bool DiffSolverVBD::begin_rollout(const RolloutInputs&) {
   check_replays();
+  begin();
   return model()->particle_count() > 0;
 }
 

@@ -140,6 +140,7 @@ LaunchedStep::LaunchedStep(const Model& m, const VbdOptions& o)
     has_last_ = DeviceArray<int32_t>(1, device);
   }
   const Unobserved unobserved;
+  edited_.check(m);
   build_slots();
   mesh_stamps_.resize(mesh_.size());
   for (size_t k = 0; k < mesh_.size(); ++k) mesh_stamps_[k].set(*mesh_[k]);
@@ -276,6 +277,7 @@ void LaunchedStep::reserve_contacts(int32_t slots) {
 void LaunchedStep::update(float dt) {
   check_numbers(model_);
   const Unobserved unobserved;
+  edited_.check(model_);
   for (size_t k = 0; k < mesh_.size(); ++k)
     require(mesh_stamps_[k].matches(*mesh_[k]), ErrorKind::Value, kName,
             ": model: the indices of elements, colours or worlds were edited after the solver was "

@@ -10,6 +10,7 @@
 #include "novaphy/core/array_stamp.h"
 #include "novaphy/core/device_kernel.h"
 #include "novaphy/core/recorder.h"
+#include "novaphy/core/sim/edited_values.h"
 #include "novaphy/core/sim/unread_materials.h"
 #include "novaphy/vbd/solver_vbd.h"
 #include "sweep.h"
@@ -76,6 +77,7 @@ class LaunchedStep {
   const SweepLevel& level_ = sweep_level();
   const bool on_cpu_;
   UnreadMaterials materials_;
+  EditedValues edited_{"SolverVBD"};
   std::shared_ptr<const Model> copy_;  // of a model on a device
   std::vector<const Array*> mesh_, values_;
   std::vector<ArrayStamp> mesh_stamps_, value_stamps_;

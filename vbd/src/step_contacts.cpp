@@ -1,20 +1,9 @@
 #include "step_contacts.h"
 
-#include <cmath>
-
 #include "novaphy/core/error.h"
 #include "novaphy/vbd/contact_numbers_trace.h"
 
 namespace novaphy::vbd {
-namespace {
-
-void check_material(const char* name, int32_t shape, float value) {
-  require(std::isfinite(value) && value >= 0.0f, ErrorKind::Value, "SolverVBD.step: model.", name,
-          "[", shape, "]: expected a finite number >= 0, got ", value);
-}
-
-}  // namespace
-
 void StepContacts::update(const Model& model, const Contacts* contacts, float dt) {
   constexpr const char* kName = "SolverVBD.step: contacts";
   rows_.clear();
@@ -52,9 +41,6 @@ void StepContacts::update(const Model& model, const Contacts* contacts, float dt
   float* row = numbers_.data();
   for (const int32_t slot : rows_.all()) {
     const int32_t s = shape[slot];
-    check_material("shape_material_ke", s, ke[s]);
-    check_material("shape_material_kd", s, kd[s]);
-    check_material("shape_material_mu", s, mu[s]);
     put_contact_numbers(row, point[slot], normal[slot], velocity[slot],
                         radius[particle[slot]] + margin[s],
                         {model.soft_contact_ke, model.soft_contact_kd, model.soft_contact_mu},

@@ -27,6 +27,7 @@ float* floats(std::vector<Row>& rows) { return reinterpret_cast<float*>(rows.dat
 
 StepWork::StepWork(const Model& m, const VbdOptions& o, bool keep_iterates) : model(m), options(o) {
   materials_.check(m);
+  edited_.check(m);
   for (const auto& [name, array] : std::initializer_list<std::pair<const char*, const Array*>>{
            {"particle_colors", &m.particle_colors},
            {"particle_spring_indices", &m.particle_spring_indices},
@@ -95,6 +96,7 @@ void StepWork::update(const DeviceArray<float>* tri_activation,
                       const DeviceArray<float>* tet_activation, const Contacts* contact_rows,
                       float step_dt) {
   materials_.check(model);
+  edited_.check(model);
   check_numbers(model);
   for (const Stamped& s : mesh_)
     require(s.stamp.matches(*s.array), ErrorKind::Value, kName, ": model.", s.name,
@@ -253,8 +255,6 @@ void StepWork::check_inputs() const {
     require(is_finite(v), ErrorKind::Value, kName, ": ", name, "[", row,
             "]: expected finite numbers, got ", v.x, ", ", v.y, ", ", v.z);
   };
-  for (size_t w = 0; w < model.gravity.rows(); ++w)
-    check("model.gravity", w, model.gravity.data()[w]);
   for (size_t p = 0; p < x.size(); ++p) {
     check("state_in.particle_q", p, arrays_.q[p]);
     if (slots.is_held(static_cast<int32_t>(p))) continue;

@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "color_slots.h"
+#include "novaphy/core/sim/edited_values.h"
 #include "novaphy/core/sim/unread_materials.h"
 #include "novaphy/vbd/solver_vbd.h"
 #include "step_contacts.h"
@@ -61,6 +62,7 @@ class StepWork {
  private:
   // Friction is of friction_epsilon, and contacts do not attract.
   UnreadMaterials materials_{"SolverVBD", {.kf = false, .ka = false}};
+  EditedValues edited_{"SolverVBD"};
   enum class Task : uint8_t { Predict, Prepare, Move, Commit, Accelerate, Keep, Finish };
   struct Chunk {
     Task task;

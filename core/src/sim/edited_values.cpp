@@ -1,5 +1,6 @@
 #include "novaphy/core/sim/edited_values.h"
 
+#include <algorithm>
 #include <cmath>
 #include <span>
 #include <vector>
@@ -11,24 +12,36 @@
 namespace novaphy {
 namespace {
 
-// Of an array: on the host without a copy where it lies there.
-template <class T>
+enum class Rule { Finite, NotNegative, Mass, UnitPose, RestPose };
+
+struct Numbers {
+  const char* name;
+  const Array& array;
+  Rule rule;
+};
+
+// The numbers of an array: on the host without a copy where they lie there.
 class OnHost {
  public:
-  explicit OnHost(const DeviceArray<T>& array) {
+  explicit OnHost(const Array& array) {
+    const size_t count = array.bytes() / sizeof(float);
     if (array.device().is_cpu()) {
-      values_ = {array.data(), array.rows()};
+      values_ = {static_cast<const float*>(array.raw()), count};
     } else {
-      copy_ = array.to_host();
+      copy_.resize(count);
+      array.copy_to_host(copy_.data(), array.bytes());
       values_ = copy_;
     }
+    width_ = count / array.rows();
   }
-  const T& operator[](size_t k) const { return values_[k]; }
-  size_t size() const { return values_.size(); }
+  std::span<const float> all() const { return values_; }
+  const float* row(size_t r) const { return &values_[r * width_]; }
+  size_t width() const { return width_; }
 
  private:
-  std::vector<T> copy_;
-  std::span<const T> values_;
+  std::vector<float> copy_;
+  std::span<const float> values_;
+  size_t width_;
 };
 
 bool must_read(const ArrayStamp& known, const Array& array) {
@@ -36,67 +49,109 @@ bool must_read(const ArrayStamp& known, const Array& array) {
   return array.device().is_cpu() || !array.range()->writable_export();
 }
 
-bool is_finite(const Vec3f& v) {
-  return std::isfinite(v.x) && std::isfinite(v.y) && std::isfinite(v.z);
+// Of a 2x2 or 3x3 matrix.
+double determinant(const float* m, size_t width) {
+  const auto at = [m](size_t k) { return static_cast<double>(m[k]); };
+  if (width == 4) return at(0) * at(3) - at(1) * at(2);
+  return at(0) * (at(4) * at(8) - at(5) * at(7)) - at(1) * (at(3) * at(8) - at(5) * at(6)) +
+         at(2) * (at(3) * at(7) - at(4) * at(6));
+}
+
+void check_numbers(const char* solver, const Numbers& numbers) {
+  const OnHost values(numbers.array);
+  const size_t width = values.width();
+  const Rule rule = numbers.rule;
+  const bool any_sign = rule != Rule::NotNegative && rule != Rule::Mass;
+  for (size_t k = 0; k < values.all().size(); ++k) {
+    const float value = values.all()[k];
+    if (std::isfinite(value) && (any_sign || value >= 0.0f)) [[likely]]
+      continue;
+    fail(ErrorKind::Value, solver, ": model.", numbers.name, "[", k / width, "]: expected ",
+         width == 1 ? "a finite number" : "finite numbers", any_sign ? "" : " >= 0", ", got ",
+         value);
+  }
+  for (size_t row = 0; row < numbers.array.rows(); ++row) {
+    const float* const v = values.row(row);
+    const auto expect = [&](bool good, const char* expected, double got) {
+      require(good, ErrorKind::Value, solver, ": model.", numbers.name, "[", row, "]: expected ",
+              expected, ", got ", got);
+    };
+    if (rule == Rule::Mass) {
+      expect(v[0] == 0.0f || std::isfinite(1.0f / v[0]), "0 or a mass whose inverse is finite",
+             static_cast<double>(v[0]));
+    } else if (rule == Rule::UnitPose) {
+      double squared = 0.0;
+      for (size_t k = 3; k < 7; ++k)
+        squared += static_cast<double>(v[k]) * static_cast<double>(v[k]);
+      expect(std::abs(std::sqrt(squared) - 1.0) <= 1e-5, "a quaternion of length 1 (to 1e-5)",
+             std::sqrt(squared));
+    } else if (rule == Rule::RestPose) {
+      expect(determinant(v, width) > 0.0, "a determinant > 0", determinant(v, width));
+    } else {
+      return;
+    }
+  }
+}
+
+bool is_finite(const float* v, size_t count) {
+  return std::all_of(v, v + count, [](float x) { return std::isfinite(x); });
 }
 
 }  // namespace
 
 void EditedValues::check_bodies(const Model& m) {
-  const Array* const arrays[kBodyArrays] = {&m.body_mass, &m.body_inertia, &m.body_com,
-                                            &m.body_flags};
+  const Array* const arrays[kBodyArrays] = {&m.body_mass,  &m.body_inertia,  &m.body_com,
+                                            &m.body_flags, &m.body_inv_mass, &m.body_inv_inertia};
   bool any = false;
   for (size_t k = 0; k < kBodyArrays; ++k) any = any || must_read(bodies_[k], *arrays[k]);
   if (!any) return;
-  const OnHost<float> mass(m.body_mass);
-  const OnHost<Mat33f> inertia(m.body_inertia);
-  const OnHost<Vec3f> com(m.body_com);
-  const OnHost<int32_t> flags(m.body_flags);
-  for (size_t b = 0; b < mass.size(); ++b) {
-    require(is_finite(com[b]), ErrorKind::Value, solver_, ": model.body_com[", b,
-            "]: expected finite numbers, got (", com[b].x, ", ", com[b].y, ", ", com[b].z, ")");
+  const OnHost mass(m.body_mass), inertia(m.body_inertia), com(m.body_com),
+      inv_mass(m.body_inv_mass), inv_inertia(m.body_inv_inertia);
+  const std::vector<int32_t> flags = m.body_flags.to_host();
+  for (size_t b = 0; b < flags.size(); ++b) {
+    const float* const c = com.row(b);
+    require(is_finite(c, 3), ErrorKind::Value, solver_, ": model.body_com[", b,
+            "]: expected finite numbers, got (", c[0], ", ", c[1], ", ", c[2], ")");
     if (has_flag(flags[b], BodyFlags::KINEMATIC)) continue;
-    require(mass[b] > 0.0f && std::isfinite(mass[b]), ErrorKind::Value, solver_,
+    require(*mass.row(b) > 0.0f && std::isfinite(*mass.row(b)), ErrorKind::Value, solver_,
             ": model.body_mass[", b, "]: expected a finite number > 0 of a dynamic body, got ",
-            mass[b]);
-    for (int i = 0; i < 3; ++i)
-      for (int j = 0; j < 3; ++j) {
-        const float x = inertia[b].m[i][j];
-        require(std::isfinite(x) && (i != j || x > 0.0f), ErrorKind::Value, solver_,
-                ": model.body_inertia[", b, "]: expected finite numbers, > 0 on the diagonal, got ",
-                x, " in row ", i, ", column ", j);
-      }
+            *mass.row(b));
+    for (size_t k = 0; k < 9; ++k) {
+      const float x = inertia.row(b)[k];
+      require(std::isfinite(x) && (k % 4 != 0 || x > 0.0f), ErrorKind::Value, solver_,
+              ": model.body_inertia[", b, "]: expected finite numbers, > 0 on the diagonal, got ",
+              x, " in row ", k / 3, ", column ", k % 3);
+    }
+    require(is_finite(inv_mass.row(b), 1) && *inv_mass.row(b) >= 0.0f, ErrorKind::Value, solver_,
+            ": model.body_inv_mass[", b, "]: expected a finite number >= 0, got ",
+            *inv_mass.row(b));
+    require(is_finite(inv_inertia.row(b), 9), ErrorKind::Value, solver_,
+            ": model.body_inv_inertia[", b, "]: expected finite numbers");
   }
   for (size_t k = 0; k < kBodyArrays; ++k) bodies_[k].set(*arrays[k]);
 }
 
-void EditedValues::check_shapes(const Model& m) {
-  struct Setting {
-    const char* name;
-    const DeviceArray<float>& array;
-    bool may_be_negative = false;
+void EditedValues::check_arrays(const Model& m) {
+  const Numbers all[kArrays] = {
+#define NOVAPHY_NUMBERS(name, rule) {#name, m.name, Rule::rule},
+      NOVAPHY_EDITED_ARRAYS(NOVAPHY_NUMBERS)
+#undef NOVAPHY_NUMBERS
   };
-  const Setting settings[kShapeArrays] = {
-      {"shape_material_ke", m.shape_material_ke}, {"shape_material_kd", m.shape_material_kd},
-      {"shape_material_kf", m.shape_material_kf}, {"shape_material_ka", m.shape_material_ka},
-      {"shape_material_mu", m.shape_material_mu}, {"shape_gap", m.shape_gap},
-      {"shape_margin", m.shape_margin, true}};
-  for (size_t k = 0; k < kShapeArrays; ++k) {
-    const Setting& setting = settings[k];
-    if (!must_read(shapes_[k], setting.array)) continue;
-    const OnHost<float> values(setting.array);
-    for (size_t s = 0; s < values.size(); ++s)
-      require(std::isfinite(values[s]) && (setting.may_be_negative || values[s] >= 0.0f),
-              ErrorKind::Value, solver_, ": model.", setting.name, "[", s, "]: expected a finite ",
-              setting.may_be_negative ? "number" : "number >= 0", ", got ", values[s]);
-    shapes_[k].set(setting.array);
+  for (size_t k = 0; k < kArrays; ++k) {
+    if (!must_read(arrays_[k], all[k].array)) continue;
+    check_numbers(solver_, all[k]);
+    arrays_[k].set(all[k].array);
   }
 }
 
 void EditedValues::check(const Model& model) {
   const Unobserved unobserved;
   check_bodies(model);
-  check_shapes(model);
+  check_arrays(model);
+  LaunchRecorder* const recorder = launch_recorder();
+  if (recorder == nullptr || !model.device().is_cpu()) return;
+  recorder->before_replay(
+      id_, [values = *this, owner = model.shared_from_this()]() mutable { values.check(*owner); });
 }
 
 }  // namespace novaphy

@@ -3,6 +3,7 @@
 
 #include "device_steps.h"
 #include "novaphy/core/error.h"
+#include "novaphy/core/sim/edited_values.h"
 #include "novaphy/dynamics/diff_solver_base.h"
 #include "novaphy/dynamics/semi_implicit/diff_body_step.h"
 #include "novaphy/dynamics/semi_implicit/diff_particle_step.h"
@@ -81,6 +82,7 @@ class DeviceSteps final : public diff::DiffSolverBase {
   void begin(const char* function, const Control* control, const Contacts* contacts, float dt) {
     particles_.begin(*model(), function);
     if (moves_bodies()) bodies_.begin(*model());
+    values_.check(*model());
     if (joints_) joints_->begin(*model(), control, dt);
     if (contacts != nullptr)
       tables_.update(*model(), *contacts, wanted());
@@ -94,6 +96,7 @@ class DeviceSteps final : public diff::DiffSolverBase {
                 particles_.wrenches(), dt, total);
   }
 
+  EditedValues values_{"SolverSemiImplicit"};
   diff::ParticleStep particles_;
   diff::BodyStep bodies_;
   std::optional<diff::DiffJoints> joints_;

@@ -27,9 +27,7 @@ void check_option(const char* name, float value) {
           ": expected a finite number >= 0, got ", value);
 }
 
-void check_covered(const Model& model) {
-  JointForces::check_covered(model, "SolverSemiImplicit");
-}
+void check_covered(const Model& model) { JointForces::check_covered(model, "SolverSemiImplicit"); }
 
 }  // namespace
 
@@ -105,9 +103,9 @@ void SolverSemiImplicit::step(SimState& state_in, SimState& state_out, const Con
   check_step(kName, state_in, state_out, control, contacts, dt);
   m.check_numbers(kName);
   cache_->materials.check(m);
-  cache_->values.check(m);
   if (on_device_ != nullptr) return on_device_->step(state_in, state_out, control, contacts, dt);
   m.update_derived();
+  cache_->values.check(m);
   cache_->check_worlds(m);
   if (contacts != nullptr) cache_->contacts.update(m, *contacts);
   cache_->bodies.prepare(m, contacts);

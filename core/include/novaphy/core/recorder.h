@@ -4,6 +4,7 @@
 #pragma once
 
 #include <cstdint>
+#include <functional>
 #include <initializer_list>
 #include <memory>
 #include <span>
@@ -56,6 +57,9 @@ class NOVAPHY_CORE_API LaunchRecorder {
   // What is submitted next holds for the present values of the range only, which the host has read.
   // A replay throws once they were written.
   virtual void depends_on(const std::shared_ptr<Range>& range) = 0;
+  // Every replay begins with this, once per owner; what it throws, the replay throws.
+  virtual void before_replay(const std::shared_ptr<const void>& owner,
+                             const std::function<void()>& check) = 0;
   // What is submitted uses this memory beside its arguments: a replay takes it.
   virtual void uses(const std::shared_ptr<ExclusiveUse>& memory) = 0;
 };

@@ -5,6 +5,7 @@
 #include <memory>
 #include <string>
 
+#include "novaphy/core/sim/edited_values.h"
 #include "novaphy/dynamics/diff_solver_base.h"
 #include "novaphy/vbd/differentiable_vbd.h"
 
@@ -67,9 +68,11 @@ class NOVAPHY_VBD_API DiffSolverVBD : public DiffSolverBase {
  private:
   struct Step;
   void check_replays() const;
+  void begin();
   std::shared_ptr<const Contacts> kept(const Contacts* contacts);
 
   DiffVbdOptions options_;
+  EditedValues values_{"DiffSolverVBD"};  // of captures; steps_ checks its own
   std::shared_ptr<DifferentiableVbd> steps_;
   std::shared_ptr<std::string> failure_ = std::make_shared<std::string>();  // of a replay
   std::shared_ptr<const Contacts> last_contacts_;  // a copy of those of the last step

@@ -54,18 +54,19 @@ struct VbdResidual {
 // colour. Sums run per particle in a fixed order. The result has the same bits for any number of
 // threads, on any processor and on any device.
 //
-// A step can be captured; a graph keeps dt and the numbers of the model (soft_contact_ke, ...) with
-// which it was recorded, and throws once arrays that its tables were made of were edited (materials
-// of elements, rest shapes, masses, flags). On a device and in a capture contacts that overflowed
-// and numbers that are not finite are not found out: see Contacts::overflowed().
+// A step can be captured; a graph keeps the dt with which it was recorded, and throws once a number
+// of the model (soft_contact_ke, ...) is another than then, or arrays that its tables were made of
+// were edited (materials of elements, rest shapes, masses, flags). On a device and in a capture
+// contacts that overflowed and numbers of states that are not finite are not found out: see
+// Contacts::overflowed().
 //
 // Particles of mass 0 or without ParticleFlags.ACTIVE are held: they stay, or go where `targets`
 // say; their velocity is what they moved by in the step, and 0 otherwise.
 // Nothing is written to state_in. particle_f acts and stays as it is.
 class NOVAPHY_VBD_API SolverVBD : public SolverBase {
  public:
-  // ErrorKind::Value: a bad option; particles without a colour; a stiffness or damping that is
-  // negative or not finite. ErrorKind::Index: an element of a particle that is not there.
+  // ErrorKind::Value: a bad option; particles without a colour; what EditedValues refuses.
+  // ErrorKind::Index: an element of a particle that is not there.
   explicit SolverVBD(std::shared_ptr<const Model> model, const VbdOptions& options = {});
   ~SolverVBD() override;
 

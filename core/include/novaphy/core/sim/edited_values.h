@@ -1,9 +1,10 @@
-// Numbers of a model's bodies and shapes that were written after it was made: refused where the
-// builder would have refused them, so that a NaN or a negative stiffness is named instead of
-// spreading through the state.
+// Numbers of a model that were written after it was made: refused where the builder would have
+// refused them, so that a NaN or a negative stiffness is named instead of spreading through the
+// state.
 #pragma once
 
 #include <array>
+#include <memory>
 
 #include "novaphy/core/array_stamp.h"
 #include "novaphy/core/export.h"
@@ -11,25 +12,59 @@
 
 namespace novaphy {
 
+// X(array, rule). All numbers must be finite. NotNegative: and >= 0. Mass: and have a finite
+// inverse, or be 0. UnitPose: the quaternion has length 1. RestPose: the determinant is > 0.
+#define NOVAPHY_EDITED_ARRAYS(X)              \
+  X(gravity, Finite)                          \
+  X(particle_mass, Mass)                      \
+  X(particle_inv_mass, NotNegative)           \
+  X(particle_radius, NotNegative)             \
+  X(particle_spring_stiffness, NotNegative)   \
+  X(particle_spring_damping, NotNegative)     \
+  X(particle_spring_rest_length, NotNegative) \
+  X(particle_tri_pose, RestPose)              \
+  X(particle_tri_area, NotNegative)           \
+  X(particle_tri_activation, Finite)          \
+  X(particle_tri_material, NotNegative)       \
+  X(particle_edge_rest_angle, Finite)         \
+  X(particle_edge_rest_length, NotNegative)   \
+  X(particle_edge_material, NotNegative)      \
+  X(particle_tet_pose, RestPose)              \
+  X(particle_tet_activation, Finite)          \
+  X(particle_tet_material, NotNegative)       \
+  X(shape_transform, UnitPose)                \
+  X(shape_scale, NotNegative)                 \
+  X(shape_material_ke, NotNegative)           \
+  X(shape_material_kd, NotNegative)           \
+  X(shape_material_kf, NotNegative)           \
+  X(shape_material_ka, NotNegative)           \
+  X(shape_material_mu, NotNegative)           \
+  X(shape_gap, NotNegative)                   \
+  X(shape_margin, Finite)
+
 class NOVAPHY_CORE_API EditedValues {
  public:
   explicit EditedValues(const char* solver) : solver_(solver) {}
 
   // Cheap while the arrays were not written since the last call. ErrorKind::Value names array and
-  // row: of dynamic bodies body_mass and the diagonal of body_inertia > 0, all of body_inertia and
-  // body_com finite; shape_material_ke, _kd, _kf, _ka, _mu and shape_gap >= 0 and finite,
-  // shape_margin finite. On other devices than the CPU, arrays that another library may write are
-  // not read. Host reads are not observed: no kernel depends on them.
+  // row: what NOVAPHY_EDITED_ARRAYS asks for; body_com finite; of dynamic bodies body_mass and the
+  // diagonal of body_inertia > 0, all of body_inertia and the inverses finite. The derived arrays
+  // must be those of their sources. On other devices than the CPU, arrays that another library may
+  // write are not read. Host reads are not observed: no kernel depends on them. While a capture
+  // records on the CPU, every replay will check too.
   void check(const Model& model);
 
  private:
-  static constexpr size_t kBodyArrays = 4, kShapeArrays = 7;
+#define NOVAPHY_COUNT(name, rule) +1
+  static constexpr size_t kBodyArrays = 6, kArrays = 0 NOVAPHY_EDITED_ARRAYS(NOVAPHY_COUNT);
+#undef NOVAPHY_COUNT
   void check_bodies(const Model& model);
-  void check_shapes(const Model& model);
+  void check_arrays(const Model& model);
 
   const char* solver_;
+  std::shared_ptr<const int> id_ = std::make_shared<const int>(0);  // to recordings
   std::array<ArrayStamp, kBodyArrays> bodies_;
-  std::array<ArrayStamp, kShapeArrays> shapes_;
+  std::array<ArrayStamp, kArrays> arrays_;
 };
 
 }  // namespace novaphy

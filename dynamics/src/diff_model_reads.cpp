@@ -61,13 +61,9 @@ void begin_model_reads(const Model& model, const char* function) {
   model.check_numbers(function);
   if (nova::Tape::active() != nullptr) check_leaves(model);
   update_derived(model);
-  nova::OpList* const list = nova::current_capture();
-  if (list == nullptr) return;
-  const std::shared_ptr<const Model> owner = model.shared_from_this();
-  model.visit_numbers([&](const NumberInfo& info, const float& number) {
-    list->freeze(std::shared_ptr<const float>(owner, &number), info.name);
-  });
-  list->before_launch(owner, [&model] { update_derived(model); });
+  model.depend_on_numbers();
+  if (nova::OpList* list = nova::current_capture())
+    list->before_launch(model.shared_from_this(), [&model] { update_derived(model); });
 }
 
 void update_inverse_mass(Model& model) {

@@ -49,6 +49,9 @@ class Recorder : public novaphy::LaunchRecorder {
   void depends_on(const std::shared_ptr<Range>& range) override {
     if (OpList* graph = current_capture()) graph->freeze(range);
   }
+  void depends_on(const std::shared_ptr<const float>& number, std::string_view name) override {
+    if (OpList* graph = current_capture()) graph->freeze(number, name);
+  }
   void before_replay(const std::shared_ptr<const void>& owner,
                      const std::function<void()>& check) override {
     if (OpList* graph = current_capture()) graph->before_launch(owner, check);

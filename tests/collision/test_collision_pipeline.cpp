@@ -267,6 +267,7 @@ class AsksAgain : public LaunchRecorder {
   ~AsksAgain() override { set_launch_recorder(before_); }
   void launch(const Launch&) override { pipeline_.collide(state_, contacts_); }
   void depends_on(const std::shared_ptr<Range>&) override {}
+  void depends_on(const std::shared_ptr<const float>&, std::string_view) override {}
   void before_replay(const std::shared_ptr<const void>&, const std::function<void()>&) override {}
   void uses(const std::shared_ptr<ExclusiveUse>& memory) override { memory_ = memory; }
   const std::shared_ptr<ExclusiveUse>& memory() const { return memory_; }

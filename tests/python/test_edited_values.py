@@ -152,6 +152,24 @@ def test_a_launch_refuses_a_bad_number_before_it_writes(solver, array, value):
     np.testing.assert_array_equal(q.numpy(), before)
 
 
+@pytest.mark.parametrize("solver", CAPTURED)
+@pytest.mark.parametrize("number", ["soft_contact_ke", "soft_contact_mu"])
+def test_a_launch_refuses_another_number_of_the_model_than_that_recorded(solver, number):
+    m = model()
+    graph, q, of = captured(solver, m)
+    graph.launch()
+    good, before = getattr(m, number), q.numpy()
+    setattr(m, number, 2.0 * good)
+    with pytest.raises(novaphy.Error, match=f"model.{number}: recorded as {good:g}, and now"):
+        graph.launch()
+    np.testing.assert_array_equal(q.numpy(), before)
+    setattr(m, number, good)
+    graph.launch()
+    np.testing.assert_array_equal(q.numpy(), before)
+    if solver == "DiffSolverVBD":  # which would tell of a replay that failed
+        of.step(m.state(), m.state(), None, None, DT)
+
+
 def test_a_graph_that_trains_a_stiffness_below_zero_is_refused_at_its_next_launch():
     m = model()
     stiffness = diff.model_spring_stiffness_tensor(m)

@@ -335,6 +335,7 @@ void DiffSolverVBD::step(SimState& state_in, SimState& state_out, const Control*
 // What replays would find out on the host, whose errors are NaN, they throw before they begin.
 void DiffSolverVBD::begin() {
   if (nova::current_capture() == nullptr) return;
+  model()->depend_on_numbers();
   values_.check(*model());
 }
 

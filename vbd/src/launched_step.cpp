@@ -440,6 +440,7 @@ void LaunchedStep::run(const SimState& in, SimState& out, const Control* control
     build_tables(dt);
   }
   if (LaunchRecorder* recorder = launch_recorder()) recorder->uses(in_use);
+  model_.depend_on_numbers();
   depend_on(std::span<const Array* const>(mesh_));
   depend_on(std::span<const Array* const>(values_));
   const bool adaptive = options_.initial_guess == VbdInitialGuess::Adaptive;

@@ -5,6 +5,7 @@
 #include <random>
 
 #include "novaphy/core/error.h"
+#include "novaphy/core/recorder.h"
 
 namespace novaphy {
 namespace {
@@ -109,6 +110,15 @@ void check_number(std::string_view function, std::string_view object, const Numb
 void Model::check_numbers(std::string_view function) const {
   visit_numbers([&](const NumberInfo& info, const float& value) {
     check_number(function, ": model.", info, value);
+  });
+}
+
+void Model::depend_on_numbers() const {
+  LaunchRecorder* const recorder = launch_recorder();
+  if (recorder == nullptr) return;
+  const std::shared_ptr<const Model> owner = shared_from_this();
+  visit_numbers([&](const NumberInfo& info, const float& number) {
+    recorder->depends_on(std::shared_ptr<const float>(owner, &number), info.name);
   });
 }
 

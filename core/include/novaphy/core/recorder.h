@@ -8,6 +8,7 @@
 #include <initializer_list>
 #include <memory>
 #include <span>
+#include <string_view>
 
 #include "novaphy/core/backend.h"
 #include "novaphy/core/exclusive_use.h"
@@ -57,6 +58,8 @@ class NOVAPHY_CORE_API LaunchRecorder {
   // What is submitted next holds for the present values of the range only, which the host has read.
   // A replay throws once they were written.
   virtual void depends_on(const std::shared_ptr<Range>& range) = 0;
+  // The same of a number of a model; `name`, a field of it, lives as long as the process.
+  virtual void depends_on(const std::shared_ptr<const float>& number, std::string_view name) = 0;
   // Every replay begins with this, once per owner; what it throws, the replay throws.
   virtual void before_replay(const std::shared_ptr<const void>& owner,
                              const std::function<void()>& check) = 0;

@@ -294,6 +294,9 @@ class NOVAPHY_CORE_API Model : public ModelFields,
   void accept_derived() const;
   // check_number of all of them; `function` starts the messages.
   void check_numbers(std::string_view function) const;
+  // What this thread submits next has the present numbers as arguments: a replay throws
+  // ErrorKind::Runtime where one is another than then.
+  void depend_on_numbers() const;
 
   std::shared_ptr<Model> clone() const { return to(device_); }
   std::shared_ptr<Model> to(Device device) const;  // a copy on a device; it has its own id

@@ -36,6 +36,23 @@ function(novaphy_limit_exports target script)
   set_property(TARGET ${target} APPEND PROPERTY LINK_DEPENDS ${script})
 endfunction()
 
+# Exported symbols have a version, NOVAPHY_<version>_<hash of all public headers>, which whoever links asks for. So the
+# dynamic linker refuses libraries that were built with other headers, and names them and the version, instead of
+# leaving it to a crash.
+set(NOVAPHY_EXPORTS ${PROJECT_BINARY_DIR}/exports.map)
+set(header_globs "")
+foreach(layer backends/abi core io nova collision dynamics vbd diff)
+  list(APPEND header_globs ${PROJECT_SOURCE_DIR}/${layer}/include/*.h)
+endforeach()
+file(GLOB_RECURSE headers CONFIGURE_DEPENDS RELATIVE ${PROJECT_SOURCE_DIR} ${header_globs})
+add_custom_command(
+  OUTPUT ${NOVAPHY_EXPORTS}
+  COMMAND ${CMAKE_COMMAND} -DVERSION=${PROJECT_VERSION} "-DHEADERS=${headers}" -DTEMPLATE=cmake/exports.map.in
+          -DOUTPUT=${NOVAPHY_EXPORTS} -P cmake/WriteExports.cmake
+  DEPENDS ${headers} cmake/exports.map.in cmake/WriteExports.cmake
+  WORKING_DIRECTORY ${PROJECT_SOURCE_DIR} VERBATIM)
+add_custom_target(novaphy_exports DEPENDS ${NOVAPHY_EXPORTS})
+
 function(novaphy_add_library name)
   cmake_parse_arguments(ARG "" "" "SOURCES;PUBLIC;PRIVATE" ${ARGN})
   set(target novaphy_${name})
@@ -50,7 +67,8 @@ function(novaphy_add_library name)
                                               $<INSTALL_INTERFACE:${CMAKE_INSTALL_INCLUDEDIR}>)
   target_link_libraries(${target} PUBLIC ${ARG_PUBLIC} PRIVATE ${ARG_PRIVATE})
   novaphy_precompile(${target})
-  novaphy_limit_exports(${target} ${PROJECT_SOURCE_DIR}/cmake/exports.map)
+  novaphy_limit_exports(${target} ${NOVAPHY_EXPORTS})
+  add_dependencies(${target} novaphy_exports)
   # A missing symbol is found here, not by the user who loads the library.
   if(NOT NOVAPHY_SANITIZE)
     target_link_options(${target} PRIVATE -Wl,--no-undefined)

@@ -6,6 +6,7 @@ import ast
 import importlib
 import importlib.util
 import inspect
+import os
 import re
 import subprocess
 import sys
@@ -324,3 +325,22 @@ def test_gradients_can_be_asserted():
     assert_gradcheck(lambda t: nova.sum(nova.exp(t)), [x])
     with pytest.raises(AssertionError, match="gradcheck"):
         assert_gradcheck(lambda t: nova.sum(nova.abs(t - 0.5)), [x])
+
+
+def test_a_library_of_another_build_is_refused_by_name_when_the_module_is_loaded(tmp_path):
+    """It has another version of its symbols, as one that was built with other headers."""
+    maps = Path("/proc/self/maps").read_text()
+    library = Path(re.search(r"/\S*/libnovaphy_core\.so\S*", maps)[0]).read_bytes()
+    name = re.search(rb"libnovaphy_core\.so[.\d]*", library)[0].decode()
+    version = re.search(rb"NOVAPHY_\d+\.\d+\.\d+_[0-9a-f]{12}", library)[0]
+    (tmp_path / name).write_bytes(library.replace(version, version[:-12] + b"0" * 12))
+    loaded = subprocess.run(
+        [sys.executable, "-c", "import novaphy"],
+        env={**os.environ, "LD_LIBRARY_PATH": str(tmp_path)},
+        capture_output=True,
+        text=True,
+        timeout=600,
+    )
+    assert loaded.returncode == 1
+    needed = rf"{name}: version `{version.decode()}' not found \(required by /\S+\.so\S*\)"
+    assert re.search(rf"ImportError: {tmp_path}/{needed}", loaded.stderr)

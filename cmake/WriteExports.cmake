@@ -1,0 +1,10 @@
+# Writes the version script OUTPUT for these HEADERS, see NovaPhyLibrary.cmake.
+cmake_minimum_required(VERSION 3.25)
+set(hashes "")
+foreach(header ${HEADERS})
+  file(SHA256 ${header} hash)
+  list(APPEND hashes ${header} ${hash})
+endforeach()
+string(SHA256 stamp "${hashes}")
+string(SUBSTRING ${stamp} 0 12 stamp)
+configure_file(${TEMPLATE} ${OUTPUT} @ONLY)

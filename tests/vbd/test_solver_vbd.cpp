@@ -495,7 +495,7 @@ TEST(SolverVbd, ContactsOfOthersAndOverflowingOnesAreRefused) {
   EXPECT_ERROR(solver.step(in, out, nullptr, &contacts, kDt), ErrorKind::Runtime, "slots for 3");
 }
 
-TEST(SolverVbd, BadMaterialsOfTouchedShapesAreRefusedByName) {
+TEST(SolverVbd, BadMaterialsOfShapesAreRefusedByName) {
   for (const float bad : {-1.0f, std::numeric_limits<float>::quiet_NaN()})
     for (const char* name : {"shape_material_ke", "shape_material_kd", "shape_material_mu"}) {
       ModelBuilder b;
@@ -511,9 +511,10 @@ TEST(SolverVbd, BadMaterialsOfTouchedShapesAreRefusedByName) {
                                  : std::string_view(name).ends_with("kd")
                                      ? model->shape_material_kd
                                      : model->shape_material_mu;
-      array.fill(bad);
       SolverVBD solver(model);
+      array.fill(bad);
       EXPECT_ERROR(solver.step(in, out, nullptr, &contacts, kDt), ErrorKind::Value, name);
+      EXPECT_ERROR(SolverVBD{model}, ErrorKind::Value, name);
     }
 }
 

@@ -179,7 +179,27 @@ void Tape::Impl::run_again(const Op& op, DeferredScope& deferred) {
   }
 }
 
+// What the group wrote last is there again, the same: whoever reads it behind the group still may.
+void Tape::Impl::keep_values(const std::vector<Node*>& written) {
+  for (Node* n : written) {
+    const uint64_t now = n->range->version();
+    for (Use& use : uses)
+      if (use.operand.range == n->range && use.version == n->written_version) use.version = now;
+    n->written_version = now;
+  }
+}
+
 void Tape::Impl::run_group(const Group& group, DeferredScope& deferred) {
+  std::vector<Node*> written;
+  for (uint32_t k = group.first; k < group.last; ++k) {
+    if (!ops[k].replayed) continue;
+    for (uint32_t o = 0; o < ops[k].outputs; ++o) {
+      Node* const n = find(*output(ops[k], o).range);
+      if (n && n->ever_written && n->writer == static_cast<int32_t>(k) &&
+          n->written_version == n->range->version())
+        written.push_back(n);
+    }
+  }
   for (uint32_t k = group.first; k < group.last; ++k) {
     const Op& op = ops[k];
     if (!op.replayed) continue;
@@ -199,6 +219,7 @@ void Tape::Impl::run_group(const Group& group, DeferredScope& deferred) {
     for (const Operand& operand : all) hold_in_capture(operand.range);
   }
   operands.clear();
+  keep_values(written);
 }
 
 // Whether operation k only adds up, through a table, what the operation before it wrote for the

@@ -246,6 +246,7 @@ struct Tape::Impl {
   void check_group(const Group& group);
   void plan_group(int32_t group);
   void run_group(const Group& group, DeferredScope& deferred);
+  void keep_values(const std::vector<Node*>& written);
   void run_again(const Op& op, DeferredScope& deferred);
   bool begin_contribution(Node& n);
   int32_t summed_through(size_t k, uint32_t s);

@@ -8,7 +8,9 @@
 #include "novaphy/core/device_kernel.h"
 #include "novaphy/core/error.h"
 #include "novaphy/diff/engine_kernels.h"
+#include "novaphy/nova/host_work.h"
 #include "novaphy/nova/kernel.h"
+#include "novaphy/nova/op_list.h"
 #include "novaphy/nova/tape.h"
 #include "push_box_kernels.h"
 
@@ -189,6 +191,20 @@ void run_jvp(const Rollout& r, std::span<const Tensor> t, std::span<const Tensor
   }
 }
 
+// The same now, or in the replays of a capture.
+void submit_jvp(const std::shared_ptr<const Rollout>& rollout, std::span<const Tensor> inputs,
+                std::span<const Tensor> outputs) {
+  if (!nova::current_capture()) return run_jvp(*rollout, inputs, outputs);
+  const std::vector<Tensor> t(inputs.begin(), inputs.end()), out(outputs.begin(), outputs.end());
+  std::vector<Tensor> reads(rollout->in.begin(), rollout->in.end());
+  reads.insert(reads.end(), t.begin(), t.end());
+  reads.insert(reads.end(), {rollout->x, rollout->v});
+  nova::capture_host_work(
+      {.name = "push_box_rollout", .reads = reads, .results = out, .run = [rollout, t, out] {
+         run_jvp(*rollout, t, out);
+       }});
+}
+
 nova::CustomOp make_op(const std::shared_ptr<const Rollout>& rollout) {
   nova::CustomOp op{.name = "push_box_rollout",
                     .inputs = {rollout->in.begin(), rollout->in.end()},
@@ -202,7 +218,7 @@ nova::CustomOp make_op(const std::shared_ptr<const Rollout>& rollout) {
   };
   op.forward = [rollout] { run_forward(*rollout); };
   op.jvp = [rollout](std::span<const Tensor> inputs, std::span<const Tensor> outputs) {
-    run_jvp(*rollout, inputs, outputs);
+    submit_jvp(rollout, inputs, outputs);
   };
   return op;
 }

@@ -151,6 +151,28 @@ def test_tangent_and_adjoint_belong_together():
         assert sum(terms) == pytest.approx(left, abs=2e-5 * scale)
 
 
+def test_a_captured_tangent_of_a_rollout_is_that_of_the_inputs_of_the_launch():
+    from novaphy import nova
+    from novaphy.diff import integrate_push_box_rollout_generated
+
+    states = tensors(start(-2e-4, 0.1, 0.3)[:2])
+    pusher = nova.tensor(np.float32(0.482 + 0.3e-3 * np.arange(60)), requires_grad=True)
+    speed = nova.tensor(np.full(60, 0.3, np.float32))
+    along = nova.tensor(np.ones(60, np.float32))
+
+    def once():
+        with nova.Tape() as tape:
+            x, _ = integrate_push_box_rollout_generated(*states, pusher, speed, **NUMBERS)
+            return tape.jvp([nova.sum(x)], [pusher], [along])[0]
+
+    with nova.ScopedCapture() as capture:
+        slope = once()
+    for shift in (0.0, 2e-3):
+        pusher.assign(pusher.numpy() + np.float32(shift))
+        capture.graph.launch()
+        assert slope.item() == once().item() > 0
+
+
 def test_without_contact_it_slides_to_rest_by_friction_alone():
     from novaphy import nova
 

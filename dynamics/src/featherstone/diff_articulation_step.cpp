@@ -490,6 +490,7 @@ void run_vjp(const Step& s, std::span<const Tensor> outputs,
                         });
   }
   if (gravity.defined()) {
+    const Unobserved of_this_step;  // nobody else has that memory
     wrench_memory(s);
     words[kGradientWords + G::kBodyF] = writes("gradient of body_f", s.shared->wrenches);
     words[kGradientWords + G::kMembers] = number(add & ~(int64_t{1} << G::kBodyF));
@@ -637,7 +638,23 @@ void run_jvp_of_steps(const Step& s, std::span<const Tensor> t, std::span<const 
     from = to;
   }
   for (size_t i = 4 * (s.following.size() + 1); i < tangents.size(); ++i)
-    if (tangents[i].defined()) nova::submit_fill(tangents[i].range(), 0.0f);
+    if (tangents[i].defined())
+      std::fill_n(static_cast<float*>(tangents[i].range()->data()), tangents[i].size(), 0.0f);
+}
+
+// The same now, or in the replays of a capture.
+void submit_jvp(const std::shared_ptr<const Step>& step, std::span<const Tensor> inputs,
+                std::span<const Tensor> outputs) {
+  if (!nova::current_capture()) return run_jvp_of_steps(*step, inputs, outputs);
+  const std::vector<Tensor> t(inputs.begin(), inputs.end()), out(outputs.begin(), outputs.end());
+  std::vector<Tensor> reads = reads_of(*step);
+  reads.insert(reads.end(), t.begin(), t.end());
+  if (step->contacts.defined()) reads.push_back(step->contacts);
+  nova::capture_host_work({.name = kName,
+                           .reads = reads,
+                           .results = out,
+                           .failure = &step->shared->failure,
+                           .run = [step, t, out] { run_jvp_of_steps(*step, t, out); }});
 }
 
 // rigid_contact_force from the impulses of a step.
@@ -677,7 +694,7 @@ nova::CustomOp make_op(const std::shared_ptr<const Step>& step) {
   };
   op.forward = [step] { run_all(step); };
   op.jvp = [step](std::span<const Tensor> inputs, std::span<const Tensor> outputs) {
-    run_jvp_of_steps(*step, inputs, outputs);
+    submit_jvp(step, inputs, outputs);
   };
   return op;
 }

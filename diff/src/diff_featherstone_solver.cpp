@@ -16,6 +16,15 @@ int32_t most_contacts(const Contacts* contacts) {
   return contacts == nullptr ? 0 : contacts->rigid_contact_max();
 }
 
+// Of contacts, whose points and normals are frozen.
+void check_shapes(const Model& m, bool touching) {
+  if (touching)
+    check_no_gradient(kUser, {{"shape_transform", m.shape_transform},
+                              {"shape_scale", m.shape_scale},
+                              {"shape_margin", m.shape_margin},
+                              {"shape_gap", m.shape_gap}});
+}
+
 }  // namespace
 
 DiffFeatherstoneSolver::DiffFeatherstoneSolver(std::shared_ptr<const Model> model,
@@ -36,6 +45,7 @@ void DiffFeatherstoneSolver::step(SimState& state_in, SimState& state_out, const
   check_step(kStep, state_in, state_out, control, contacts, dt);
   require(contacts == nullptr || options_.contact != ArticulationContact::None, ErrorKind::Value,
           kStep, ", contacts: expected none of a solver without a way of contact");
+  check_shapes(m, contacts != nullptr);
   begin_model_reads(m, kStep);
   step_.begin(m, control, kStep);
   if (nova::Tape::active() != nullptr) make_leaves(state_in);
@@ -73,6 +83,7 @@ bool DiffFeatherstoneSolver::begin_rollout(const RolloutInputs& inputs) {
     const Contacts contacts = inputs.pipeline()->contacts();
     rollout_contacts_ = most_contacts(&contacts);
   }
+  check_shapes(*model(), touching);
   begin_model_reads(*model(), kRollout);
   for (int32_t t = inputs.start(); t < inputs.stop(); ++t)
     if (t == inputs.start() || inputs.control(t) != inputs.control(t - 1))

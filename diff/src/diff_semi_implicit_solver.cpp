@@ -38,29 +38,6 @@ BodyStepOptions body_options(const DiffSolverConfig& config) {
           .friction_smoothing = huber_smoothing(config)};
 }
 
-// Arrays that the steps read, or would have to, and that no gradient reaches.
-void check_leaves(const Model& m) {
-  const std::initializer_list<std::pair<const char*, const Array*>> without = {
-      {"shape_transform", &m.shape_transform},
-      {"shape_scale", &m.shape_scale},
-      {"shape_margin", &m.shape_margin},
-      {"shape_gap", &m.shape_gap},
-      {"shape_material_ka", &m.shape_material_ka},
-      {"shape_material_restitution", &m.shape_material_restitution},
-      {"shape_material_mu_torsional", &m.shape_material_mu_torsional},
-      {"shape_material_mu_rolling", &m.shape_material_mu_rolling},
-      {"joint_armature", &m.joint_armature},
-      {"joint_friction", &m.joint_friction},
-      {"joint_velocity_limit", &m.joint_velocity_limit}};
-  for (const auto& [name, array] : without) {
-    const nova::GradInfo* info =
-        array->rows() != 0 ? nova::find_grad_info(*array->range()) : nullptr;
-    require(info == nullptr || !info->requires_grad, ErrorKind::NotImplemented,
-            "DiffSemiImplicitSolver: model.", name,
-            ": expected requires_grad False, because no gradient reaches it, got True");
-  }
-}
-
 ParticleStepOptions step_options(const DiffSolverConfig& config) {
   const bool static_contacts = config.enable_static_contacts && config.enable_particle_contacts;
   return {.elements = {.springs = config.enable_springs,
@@ -187,7 +164,19 @@ void DiffSemiImplicitSolver::begin(const char* function, const Control* control,
                                    const Contacts* contacts, bool found, bool of_this_state,
                                    float dt) {
   materials_.check(*model());
-  if (nova::Tape::active() != nullptr) check_leaves(*model());
+  const Model& m = *model();
+  check_no_gradient("DiffSemiImplicitSolver",
+                    {{"shape_transform", m.shape_transform},
+                     {"shape_scale", m.shape_scale},
+                     {"shape_margin", m.shape_margin},
+                     {"shape_gap", m.shape_gap},
+                     {"shape_material_ka", m.shape_material_ka},
+                     {"shape_material_restitution", m.shape_material_restitution},
+                     {"shape_material_mu_torsional", m.shape_material_mu_torsional},
+                     {"shape_material_mu_rolling", m.shape_material_mu_rolling},
+                     {"joint_armature", m.joint_armature},
+                     {"joint_friction", m.joint_friction},
+                     {"joint_velocity_limit", m.joint_velocity_limit}});
   check_contacts(function, contacts, found);
   particles_.begin(*model(), function);
   if (moves_bodies()) bodies_.begin(*model());

@@ -66,6 +66,15 @@ void begin_model_reads(const Model& model, const char* function) {
     list->before_launch(model.shared_from_this(), [&model] { update_derived(model); });
 }
 
+void check_no_gradient(const char* solver, std::initializer_list<NamedArray> arrays) {
+  const nova::Tape* const tape = nova::Tape::active();
+  if (tape == nullptr) return;
+  for (const NamedArray& a : arrays)
+    require(a.array.rows() == 0 || !tape->carries_gradient(*a.array.range()),
+            ErrorKind::NotImplemented, solver, ": model.", a.name,
+            ": expected requires_grad False, because no gradient reaches it, got True");
+}
+
 void update_inverse_mass(Model& model) {
   launch(InverseOrZero{}, model.particle_mass, model.particle_inv_mass);
 }

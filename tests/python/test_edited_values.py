@@ -95,6 +95,34 @@ def test_a_bad_number_of_particles_elements_or_shapes_is_named(solver, array, va
     assert (after.particle_q.numpy() != m.particle_q.numpy()).any()
 
 
+JOINTS = [
+    ("joint_X_p", NAN, NUMBERS),
+    ("joint_axis", NAN, NUMBERS),
+    ("joint_target_ke", -1.0, f"{NUMBER} >= 0, got -1"),
+    ("joint_target_q", np.inf, f"{NUMBER}, got inf"),
+    ("joint_damping", NAN, NUMBER),
+    ("joint_limit_lower", NAN, NUMBER),
+    ("joint_limit_kd", -0.5, NUMBER),
+    ("joint_effort_limit", NAN, NUMBER),
+]
+
+
+@pytest.mark.parametrize("solver", SOLVERS[:2])
+@pytest.mark.parametrize(("array", "value", "message"), JOINTS)
+def test_a_bad_number_of_a_penalty_joint_is_named(solver, array, value, message):
+    builder = novaphy.ModelBuilder()
+    links = [builder.add_link(mass=1.0, inertia=np.eye(3)) for _ in range(2)]
+    fixed = builder.add_joint_fixed(-1, links[0])
+    builder.add_articulation([fixed, builder.add_joint_revolute(*links, axis=(0, 1, 0))])
+    m = builder.finalize()
+    step, state, after = make(solver, m).step, m.state(), m.state()
+    values = getattr(m, array).numpy()
+    values.reshape(len(values), -1)[-1] = value
+    getattr(m, array).assign(values)
+    with pytest.raises(ValueError, match=rf"model.{array}\[{len(values) - 1}\]: {message}"):
+        step(state, after, None, None, DT)
+
+
 LEGAL_ZEROS = [
     *("particle_mass", "particle_radius", "particle_spring_stiffness", "particle_spring_damping"),
     *("particle_spring_rest_length", "particle_tri_material", "particle_edge_material"),

@@ -129,3 +129,26 @@ def test_an_array_that_follows_another_is_refused_as_a_leaf():
     model.particle_inv_mass.requires_grad = False
     with nova.Tape() as tape:
         tape.backward(rollout(model, trajectory))
+
+
+@pytest.mark.parametrize("name", ["shape_transform", "shape_scale", "shape_margin", "shape_gap"])
+def test_a_gradient_by_the_shapes_that_an_articulation_touches_is_refused(name):
+    """None reaches them: contact points are frozen. Without contacts they play no part."""
+    builder = novaphy.ModelBuilder()
+    builder.add_ground_plane()
+    builder.add_shape_sphere(builder.add_body(xform=(0, 0, 0.09, 0, 0, 0, 1)), radius=0.1)
+    model = builder.finalize()
+    getattr(model, name).requires_grad = True
+    solver, pipeline = (
+        novaphy.solvers.DiffFeatherstoneSolver(model),
+        novaphy.CollisionPipeline(model),
+    )
+    contacts, state, after = pipeline.contacts(), model.state(), model.state()
+    pipeline.collide(state, contacts)
+    trajectory = diff.Trajectory(model, 2)
+    with nova.Tape():
+        with pytest.raises(NotImplementedError, match=f"model.{name}: expected requires_grad Fa"):
+            solver.step(state, after, None, contacts, DT)
+        with pytest.raises(NotImplementedError, match=f"model.{name}: expected requires_grad Fa"):
+            solver.rollout(trajectory, None, None, DT, pipeline=pipeline)
+        solver.rollout(trajectory, None, None, DT)

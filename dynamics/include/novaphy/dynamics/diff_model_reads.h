@@ -2,6 +2,8 @@
 // current, and tells a capture what it holds of it.
 #pragma once
 
+#include <initializer_list>
+
 #include "novaphy/core/sim/model.h"
 #include "novaphy/dynamics/export.h"
 
@@ -13,6 +15,15 @@ namespace novaphy::diff {
 // ErrorKind::Runtime where a number of the model (soft_contact_ke, ...) is another than the one
 // recorded.
 NOVAPHY_DYNAMICS_API void begin_model_reads(const Model& model, const char* function);
+
+struct NamedArray {
+  const char* name;
+  const Array& array;
+};
+// Of arrays of a model that steps read, or would have to, and that no gradient reaches:
+// ErrorKind::NotImplemented where one carries a gradient of the active tape.
+NOVAPHY_DYNAMICS_API void check_no_gradient(const char* solver,
+                                            std::initializer_list<NamedArray> arrays);
 
 // particle_inv_mass = 1/particle_mass, 0 where the mass is 0, also where something else was
 // assigned to it. Not recorded on a tape. Solvers do so themselves where masses were written.

@@ -13,7 +13,8 @@
 namespace novaphy {
 
 // X(array, rule). All numbers must be finite. NotNegative: and >= 0. Mass: and have a finite
-// inverse, or be 0. UnitPose: the quaternion has length 1. RestPose: the determinant is > 0.
+// inverse, or be 0. UnitPose: the quaternion has length 1 (frames of joints,
+// which have a gradient, may leave that). RestPose: the determinant is > 0.
 #define NOVAPHY_EDITED_ARRAYS(X)              \
   X(gravity, Finite)                          \
   X(particle_mass, Mass)                      \
@@ -32,6 +33,20 @@ namespace novaphy {
   X(particle_tet_pose, RestPose)              \
   X(particle_tet_activation, Finite)          \
   X(particle_tet_material, NotNegative)       \
+  X(joint_X_p, Finite)                        \
+  X(joint_X_c, Finite)                        \
+  X(joint_axis, Finite)                       \
+  X(joint_f, Finite)                          \
+  X(joint_target_q, Finite)                   \
+  X(joint_target_qd, Finite)                  \
+  X(joint_target_ke, NotNegative)             \
+  X(joint_target_kd, NotNegative)             \
+  X(joint_damping, NotNegative)               \
+  X(joint_limit_lower, Finite)                \
+  X(joint_limit_upper, Finite)                \
+  X(joint_limit_ke, NotNegative)              \
+  X(joint_limit_kd, NotNegative)              \
+  X(joint_effort_limit, NotNegative)          \
   X(shape_transform, UnitPose)                \
   X(shape_scale, NotNegative)                 \
   X(shape_material_ke, NotNegative)           \

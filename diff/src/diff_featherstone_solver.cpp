@@ -50,8 +50,11 @@ void DiffFeatherstoneSolver::step(SimState& state_in, SimState& state_out, const
   step_.begin(m, control, kStep);
   if (nova::Tape::active() != nullptr) make_leaves(state_in);
   const auto scratch = make_scratch(step_.scratch(m, most_contacts(contacts)), 1, device());
-  step_.record(m, state_in, state_out, control, contacts, false, nova::operand_of(state_in.body_f),
-               dt, scratch[0]);
+  const bool follow =
+      contacts != nullptr && contacts->rigid_contacts_found_from(m, state_in.body_q);
+  step_.record(m, state_in, state_out, control, contacts,
+               follow ? FoundContacts::Now : FoundContacts::Before,
+               nova::operand_of(state_in.body_f), dt, scratch[0]);
   step_.check(m, kStep);
 }
 
@@ -93,7 +96,8 @@ bool DiffFeatherstoneSolver::begin_rollout(const RolloutInputs& inputs) {
 
 void DiffFeatherstoneSolver::record_step(const SimState& in, SimState& out,
                                          const StepInputs& inputs, StepScratch scratch) {
-  step_.record(*model(), in, out, inputs.control, inputs.contacts, inputs.tables != nullptr,
+  step_.record(*model(), in, out, inputs.control, inputs.contacts,
+               inputs.tables != nullptr ? FoundContacts::Always : FoundContacts::Before,
                inputs.body_forces, inputs.dt, scratch, join_);
 }
 

@@ -109,19 +109,51 @@ CASES = {
 }
 
 
-@pytest.mark.parametrize("case", list(CASES))
-def test_the_gradient_of_a_step_is_that_of_the_converged_solve(case: str) -> None:
+def capsule():
+    """A capsule that leans on the ground with one end, and turns."""
+    builder = novaphy.ModelBuilder()
+    surface = novaphy.ShapeConfig(mu=0.5)
+    builder.add_ground_plane(cfg=surface)
+    body = builder.add_body(xform=((0.0, 0.0, 0.202), (0.3, 0.1, 0.0, 0.948)))
+    builder.add_shape_capsule(body, radius=0.08, half_height=0.15, cfg=surface)
+    builder.body_qd[body] = (0.4, 0.1, -0.5, 1.0, -2.0, 0.7)
+    return builder
+
+
+def tilted_box():
+    """A box on one of its corners."""
+    builder = box(0.1)
+    builder.joint_q[0:7] = [0.0, 0.0, 0.165, 0.2, 0.15, 0.05, 0.967]
+    return builder
+
+
+# Where the points follow the state, and where they are held on their shapes: a plane with what
+# meets it in points, and pairs of others.
+FOUND = {
+    **{name: CASES[name] for name in CASES if "walker" not in name},
+    "capsule": (capsule, {}, (0, 0, 1)),
+    "tilted box": (tilted_box, {"pgs_slop": 0.0}, (3, 0, 1)),
+}
+
+
+@pytest.mark.parametrize(
+    "case, held", [(case, True) for case in CASES] + [(case, False) for case in FOUND]
+)
+def test_the_gradient_of_a_step_is_that_of_the_converged_solve(case: str, held: bool) -> None:
+    """With the contacts as they are, or found from each state that a difference starts from."""
     from novaphy import nova
     from novaphy.diff import state_joint_q_tensor, state_joint_qd_tensor
 
-    build, options, branches = CASES[case]
+    build, options, branches = (CASES if held else FOUND)[case]
     model = build().finalize(requires_grad=True)
     solver = novaphy.solvers.DiffFeatherstoneSolver(model, pgs_iterations=2000, **options)
     state, after, control = model.state(), model.state(), model.control()
     novaphy.eval_fk(model, state.joint_q, state.joint_qd, state)
     pipeline = novaphy.CollisionPipeline(model)
     contacts = pipeline.contacts()
-    pipeline.collide(state, contacts)
+    found_from = model.state() if held else state
+    found_from.body_q.assign(state.body_q.numpy())
+    pipeline.collide(found_from, contacts)
     rng = np.random.default_rng(3)
     weights = [rng.normal(size=n) for n in (model.joint_coord_count, model.joint_dof_count)]
 
@@ -134,6 +166,8 @@ def test_the_gradient_of_a_step_is_that_of_the_converged_solve(case: str) -> Non
     tape.backward(loss)
     info = solver.gradient_info()
     assert (info["breaking"], info["sticking"], info["sliding"]) == branches, info
+    assert info["frozen_contacts"] == (sum(branches[1:]) if held else 0)
+    assert info["label"] != ("exact" if held and sum(branches[1:]) else "frozen")
     gradients = {
         "joint_q": state.joint_q.grad.numpy(),
         "joint_qd": state.joint_qd.grad.numpy(),
@@ -150,6 +184,9 @@ def test_the_gradient_of_a_step_is_that_of_the_converged_solve(case: str) -> Non
         numbers = before.copy()
         numbers.flat[k] += change
         array.assign(numbers)
+        if not held:
+            novaphy.eval_fk(model, now.joint_q, now.joint_qd, now)
+            pipeline.collide(now, contacts)
         solver.step(now, then, forces, contacts, DT)
         array.assign(before)
         q, qd = (x.numpy().astype(float) for x in (then.joint_q, then.joint_qd))
@@ -166,6 +203,75 @@ def test_the_gradient_of_a_step_is_that_of_the_converged_solve(case: str) -> Non
         np.testing.assert_allclose(gradients[name], expected, atol=2e-3 * scale, err_msg=name)
 
 
+def tumbling_walker():
+    """A capsule with two round feet that falls and rolls over."""
+    builder = novaphy.ModelBuilder()
+    surface = novaphy.ShapeConfig(mu=0.8)
+    builder.add_ground_plane(cfg=surface)
+    trunk = builder.add_link(mass=2.0, inertia=np.diag([0.02, 0.03, 0.04]))
+    builder.add_shape_capsule(trunk, radius=0.1, half_height=0.2, cfg=surface)
+    joints = [builder.add_joint_free(trunk)]
+    for side in (-0.2, 0.2):
+        leg = builder.add_link(
+            mass=0.5, inertia=np.diag([0.005, 0.006, 0.004]), com=(0.01, 0.0, -0.2)
+        )
+        builder.add_shape_sphere(leg, xform=((0.0, 0.0, -0.25), UPRIGHT), radius=0.1, cfg=surface)
+        anchor = ((side, 0.0, 0.0), UPRIGHT)
+        joints.append(
+            builder.add_joint_revolute(trunk, leg, axis=(0.0, 1.0, 0.0), parent_xform=anchor)
+        )
+    builder.add_articulation(joints)
+    builder.joint_q[0:7] = [0.0, 0.0, 0.35, *UPRIGHT]
+    builder.joint_qd[0:8] = [1.0, 0.2, -0.3, 0.5, 4.0, 0.3, 1.0, -1.0]
+    return builder
+
+
+def test_a_gradient_through_steps_that_find_their_contacts_is_that_of_the_real_steps() -> None:
+    """Held points miss how a rolling foot moves over the ground; the label tells them apart."""
+    from novaphy import nova
+    from novaphy.diff import state_joint_q_tensor
+
+    model = tumbling_walker().finalize()
+    # Overlaps and gaps have one law, so that a contact at rest is not between two.
+    solver = novaphy.solvers.DiffFeatherstoneSolver(
+        model, pgs_iterations=3000, pgs_slop=0.0, pgs_erp=1.0
+    )
+    pipeline = novaphy.CollisionPipeline(model)
+    steps = 20
+    weights = np.random.default_rng(1).normal(size=model.joint_coord_count).astype(np.float32)
+
+    def run(rates: np.ndarray, held: bool = False) -> tuple[float, np.ndarray, str]:
+        states = [model.state(requires_grad=True), *(model.state() for _ in range(steps))]
+        states[0].joint_qd.assign(rates.astype(np.float32))
+        novaphy.eval_fk(model, states[0].joint_q, states[0].joint_qd, states[0])
+        contacts = [pipeline.contacts() for _ in range(steps)]
+        solver.clear_gradient_info()
+        with nova.Tape() as tape:
+            for t in range(steps):
+                source = states[t]
+                if held:
+                    source = model.state()
+                    source.body_q.assign(states[t].body_q.numpy())
+                pipeline.collide(source, contacts[t])
+                solver.step(states[t], states[t + 1], None, contacts[t], DT)
+            loss = nova.sum(state_joint_q_tensor(states[-1]) * nova.tensor(weights))
+        tape.backward(loss)
+        value = float(states[-1].joint_q.numpy().astype(float) @ weights)
+        return value, states[0].joint_qd.grad.numpy(), solver.gradient_info()["label"]
+
+    rates = model.joint_qd.numpy().astype(float)
+    steps_of = 1e-3 * np.eye(rates.size)
+    expected = np.array([(run(rates + d)[0] - run(rates - d)[0]) / 2e-3 for d in steps_of])
+
+    def error(gradient: np.ndarray) -> float:
+        return float(np.linalg.norm(gradient - expected) / np.linalg.norm(expected))
+
+    found, held = run(rates), run(rates, held=True)
+    assert found[0] == held[0]
+    assert found[2] == "exact" and error(found[1]) < 0.007
+    assert held[2] == "frozen" and error(held[1]) > 0.04
+
+
 def test_a_gradient_through_several_steps_of_a_walker() -> None:
     from novaphy import nova
     from novaphy.diff import state_joint_q_tensor
@@ -179,7 +285,9 @@ def test_a_gradient_through_several_steps_of_a_walker() -> None:
     contacts = [pipeline.contacts() for _ in range(steps)]
     with nova.Tape() as tape:
         for t in range(steps):
-            pipeline.collide(states[t], contacts[t])
+            held = model.state()
+            held.body_q.assign(states[t].body_q.numpy())
+            pipeline.collide(held, contacts[t])
             solver.step(states[t], states[t + 1], None, contacts[t], DT / 5)
         loss = nova.sum(state_joint_q_tensor(states[-1]))
     tape.backward(loss)
@@ -245,7 +353,7 @@ def test_steps_of_an_ant_are_exact_and_match_differences(monkeypatch, capsys) ->
     solver = novaphy.solvers.DiffFeatherstoneSolver(model, **options)
     converged = novaphy.solvers.DiffFeatherstoneSolver(model, pgs_iterations=2000, **options)
     pipeline = novaphy.CollisionPipeline(model)
-    contacts, control = pipeline.contacts(), model.control()
+    contacts, probed, control = pipeline.contacts(), pipeline.contacts(), model.control()
     state, after = model.state(), model.state()
     novaphy.eval_fk(model, state.joint_q, state.joint_qd, state)
     rng = np.random.default_rng(7)
@@ -263,10 +371,12 @@ def test_steps_of_an_ant_are_exact_and_match_differences(monkeypatch, capsys) ->
             start = model.state(requires_grad=True)
             start.joint_q.assign(state.joint_q.numpy())
             start.joint_qd.assign(state.joint_qd.numpy())
+            novaphy.eval_fk(model, start.joint_q, start.joint_qd, start)
+            pipeline.collide(start, probed)
             converged.clear_gradient_info()
             with nova.Tape() as tape:
                 end = model.state()
-                converged.step(start, end, control, contacts, dt)
+                converged.step(start, end, control, probed, dt)
                 loss = nova.sum(state_joint_qd_tensor(end) * nova.tensor(weight.astype(np.float32)))
             tape.backward(loss)
             info = converged.gradient_info()
@@ -283,7 +393,7 @@ def test_steps_of_an_ant_are_exact_and_match_differences(monkeypatch, capsys) ->
                     qd = state.joint_qd.numpy() + side * 2e-3 * along
                     moved.joint_qd.assign(qd.astype(np.float32))
                     converged.clear_gradient_info()
-                    converged.step(moved, end, control, contacts, dt)
+                    converged.step(moved, end, control, probed, dt)
                     info = converged.gradient_info()
                     branches.append([info[k] for k in ("breaking", "sticking", "sliding")])
                     values.append(end.joint_qd.numpy().astype(float) @ weight)

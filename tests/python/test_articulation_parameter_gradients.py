@@ -121,8 +121,9 @@ def test_by_gravity_and_materials_with_contacts(case: str) -> None:
     found = compare(build().finalize(), [*MATERIALS, *springs, *bounces], options)
     info = found["info"]
     assert (info["breaking"], info["sticking"], info["sliding"]) == branches, info
-    # The box nearly slides.
-    assert info["label"] == ("surrogate" if case == "standing box" else "exact"), info
+    # The box nearly slides; the walker leans on a ball.
+    labels = {"standing box": "surrogate", "walker": "frozen", "walker on a pyramid": "frozen"}
+    assert info["label"] == labels.get(case, "exact"), info
     moves = np.abs(found["shape_material_mu"]).max()
     assert (moves > 1e-3) == (branches[2] > 0)
     for name in springs:
@@ -190,7 +191,7 @@ def test_by_dry_friction_that_is_not_there() -> None:
 @pytest.mark.parametrize("hip", [0.2, 200.0], ids=["slides", "sticks"])
 def test_by_dry_friction_beside_contacts(hip: float) -> None:
     found = compare(walker_with_friction(hip).finalize(), ["joint_friction", *MATERIALS], {})
-    assert hip > 1.0 or found["info"]["label"] == "exact"
+    assert hip > 1.0 or found["info"]["label"] == "frozen"
     assert (np.abs(found["joint_friction"][6:8]).max() > 1e-4) == (hip < 1.0)
 
 

@@ -133,8 +133,8 @@ struct KeptContacts {
     std::copy_n(c.margin1, n, margin1);
     std::fill_n(impulses, n, Vec3f{});
   }
-  ContactRows rows() const {
-    return {*count, shape0, shape1, nullptr, point0, point1, normal, margin0, margin1};
+  ContactRows rows(bool found) const {
+    return {*count, shape0, shape1, nullptr, point0, point1, normal, margin0, margin1, found};
   }
   int32_t *shape0, *shape1;
   Vec3f *point0, *point1, *normal, *impulses;
@@ -188,6 +188,7 @@ struct ArticulationStep::Step {
   Tensor contacts = {};                          // KeptContacts; undefined without
   int64_t contact_max = 0;                       // of them
   std::optional<FoundRows> found = {};           // copied whenever the step runs
+  bool follow = false;                           // they are of the state that it starts from
   std::optional<DeviceArray<Vec3f>> force = {};  // of the contacts
   bool by_restitution = false;                   // its gradient is asked for
   std::array<Named, kInputs> inputs;             // in the order of StepGradient, MoreInputs
@@ -233,6 +234,7 @@ void add_arguments(const Step& s, std::vector<LaunchArgument>& words) {
 KeptContacts kept_contacts(const Step& s) {
   return {static_cast<float*>(s.contacts.range()->data()), s.contact_max};
 }
+ContactRows contact_rows_of(const Step& s) { return kept_contacts(s).rows(s.follow); }
 
 // The words of a launch as the arguments of its kernel.
 template <class Arguments>
@@ -248,7 +250,7 @@ Arguments to_arguments(const std::vector<LaunchArgument>& words) {
 
 // Whether a step has contacts that act; those are then in shared->pgs.
 bool prepare_contacts(const Step& s) {
-  return s.contacts.defined() && s.shared->pgs->prepare(*s.model, kept_contacts(s).rows());
+  return s.contacts.defined() && s.shared->pgs->prepare(*s.model, contact_rows_of(s));
 }
 
 float* numbers(const Tensor& tensor) {
@@ -302,7 +304,7 @@ void run_forward(const Step& s) {
     const KeptContacts kept = kept_contacts(s);
     auto a = to_arguments<ArticulationStepArguments>(words);
     a.status = s.shared->status.mutable_data();
-    s.shared->pgs->step(a, *s.model, kept.rows(), s.options, nullptr);
+    s.shared->pgs->step(a, *s.model, contact_rows_of(s), s.options, nullptr);
     s.shared->pgs->write_impulses(kept.impulses, kept.friction);
     return;
   }
@@ -482,7 +484,7 @@ void run_vjp(const Step& s, std::span<const Tensor> outputs,
                         body_f, [&](const ArticulationStepVjpArguments& a) {
                           if (prepare_contacts(s) || more.joint_friction != nullptr) {
                             const KeptContacts kept = kept_contacts(s);
-                            s.shared->pgs->vjp(a, *s.model, kept.rows(), kept.impulses,
+                            s.shared->pgs->vjp(a, *s.model, contact_rows_of(s), kept.impulses,
                                                kept.friction, s.options, more);
                             return;
                           }
@@ -607,7 +609,7 @@ void run_jvp(const Step& s, const StepOutputs* from, const StepOutputs& to,
     const ContactDuals more = {of(kJointFriction), of(kMu), of(kRestitution), of(kStiffness),
                                of(kDamping)};
     const KeptContacts kept = kept_contacts(s);
-    s.shared->pgs->jvp(all, inputs.qd, workspaces, kept.rows(), kept.impulses, kept.friction,
+    s.shared->pgs->jvp(all, inputs.qd, workspaces, contact_rows_of(s), kept.impulses, kept.friction,
                        s.options, more, s.dt);
   }
   for (size_t i = 0; i < count; ++i) {
@@ -742,7 +744,7 @@ void ArticulationStep::begin(const Model& model, const Control* control, const c
 }
 
 void ArticulationStep::record(const Model& m, const SimState& in, SimState& out,
-                              const Control* control, const Contacts* contacts, bool found,
+                              const Control* control, const Contacts* contacts, FoundContacts found,
                               const nova::Operand& body_f, float dt, StepScratch scratch,
                               bool join) {
   if (join && pending_ && joins(m, in, out, control, body_f, dt, scratch)) return;
@@ -760,9 +762,10 @@ void ArticulationStep::record(const Model& m, const SimState& in, SimState& out,
       m.shared_from_this(),
       touching || shared_->dry ? tensor_of(scratch[2]) : Tensor(),
       touching ? contacts->rigid_contact_max() : 0,
-      touching && (found || nova::current_capture() != nullptr)
+      touching && (found == FoundContacts::Always || nova::current_capture() != nullptr)
           ? std::optional<FoundRows>(*contacts)
           : std::nullopt,
+      found != FoundContacts::Before,
       touching ? std::optional<DeviceArray<Vec3f>>(contacts->rigid_contact_force) : std::nullopt,
       nova::Tape::active() != nullptr &&
           nova::Tape::active()->carries_gradient(*m.shape_material_restitution.range()),

@@ -12,6 +12,20 @@ namespace {
 namespace art = articulation;
 constexpr int64_t kTreeChunk = 8, kIslandChunk = 4;
 
+// Whether the point that meets a plane is fixed to its shape: a centre, an end, a corner.
+bool meets_planes_in_points(int32_t shape_type) {
+  switch (static_cast<GeoType>(shape_type)) {
+    case GeoType::SPHERE:
+    case GeoType::CAPSULE:
+    case GeoType::BOX:
+    case GeoType::CONVEX_MESH:
+    case GeoType::MESH:
+      return true;
+    default:
+      return false;
+  }
+}
+
 }  // namespace
 
 PgsContacts::PgsContacts(const Model& m, const Articulations& articulations)
@@ -87,7 +101,7 @@ ContactRows contact_rows(const Contacts* contacts) {
 
 void PgsContacts::gather(const Model& m, const ContactRows& c) {
   const int32_t* const shapes[2] = {c.shape0, c.shape1};
-  const int32_t* const body = m.shape_body.data();
+  const int32_t *const body = m.shape_body.data(), *const type = m.shape_type.data();
   int64_t numbers = 0;
   for (int32_t i = 0; i < c.count; ++i) {
     Row row;
@@ -108,6 +122,10 @@ void PgsContacts::gather(const Model& m, const ContactRows& c) {
     }
     if (row.sides[0].tree == row.sides[1].tree) widths[1] = 0;  // one row holds both sides
     if (widths[0] + widths[1] == 0) continue;
+    for (int side = 0; c.found && side < 2; ++side)
+      row.follows = row.follows || (row.sides[side].tree < 0 &&
+                                    type[shapes[side][i]] == static_cast<int32_t>(GeoType::PLANE) &&
+                                    meets_planes_in_points(type[shapes[1 - side][i]]));
     for (int side = 0; side < 2; ++side) {
       row.solver.sides[side].width = widths[side];
       numbers += 6 * widths[side];

@@ -18,12 +18,14 @@
 
 namespace novaphy {
 
-// Rigid contacts, host pointers. `points` of ids may be null, where nothing starts warm.
+// Rigid contacts, host pointers. `points` of ids may be null, where nothing starts warm. `found`:
+// the search found them from the state of the step, so that derivatives let them follow it.
 struct ContactRows {
   int32_t count = 0;
   const int32_t *shape0 = nullptr, *shape1 = nullptr, *point_id = nullptr;
   const Vec3f *point0 = nullptr, *point1 = nullptr, *normal = nullptr;
   const float *margin0 = nullptr, *margin1 = nullptr;
+  bool found = false;
 };
 ContactRows contact_rows(const Contacts* contacts);  // null: none
 
@@ -58,8 +60,9 @@ class PgsContacts : private TreeContacts {
   // `by_restitution`: for gradients by it, which an approach without any has none of: its law
   // jumps.
   void add_branches(ContactBranches& to, const FeatherstoneOptions& options, bool by_restitution);
-  // Behind prepare: the adjoint of step, as articulation_step_vjp, from its impulses. Contacts stay
-  // where they are on their shapes, with their normals; so do branches.
+  // Behind prepare: the adjoint of step, as articulation_step_vjp, from its impulses. Branches stay
+  // as they are, and so do normals. Points are fixed to their shapes; that of a plane of the world
+  // stays below the other, where that is exact (Row::follows).
   void vjp(const ArticulationStepVjpArguments& step, const Model& model,
            const ContactRows& contacts, const Vec3f* impulses, const float* friction,
            const FeatherstoneOptions& options, const ContactGradient& more);
@@ -85,6 +88,9 @@ class PgsContacts : private TreeContacts {
     int32_t contact = 0;  // row of the contacts
     Side sides[2] = {};
     int64_t numbers = 0;  // first of J and Y
+    // Found from the state, of a point that is fixed to its shape and a plane of the world: so the
+    // normal is constant, and the point of the plane goes along it below the other.
+    bool follows = false;
     articulation::ContactFrame<float> frame = {};
     articulation::ContactPlace<float> place = {};
     Vec3f cores[2] = {};  // about the origins

@@ -14,6 +14,7 @@ namespace art = articulation;
 using D = art::Dual<float>;
 
 Vec3<D> constant(const Vec3f& v) { return {D(v.x), D(v.y), D(v.z)}; }
+Vec3f tangent(const Vec3<D>& v) { return {v.x.tangent, v.y.tangent, v.z.tangent}; }
 
 // What a tree has of a row.
 struct Moved {
@@ -94,6 +95,15 @@ void PgsContacts::jvp(const std::vector<art::Tree<D>>& trees, const D* qd,
       points[side] = art::surface_point<D>(
           on.tree < 0 ? nullptr : &ws[static_cast<size_t>(on.tree)].links[on.link],
           constant(cores[side]), normal * D(margins[side]));
+    }
+    if (row.follows) {
+      const size_t side = row.sides[0].tree >= 0 ? 0 : 1;
+      const Vec3f moved = tangent(points[side].at + points[side].origin);
+      const Vec3f n = c.normal[at], along = moved - n * math::dot(n, moved);
+      Vec3<D>& below = points[1 - side].at;
+      below.x.tangent = along.x;
+      below.y.tangent = along.y;
+      below.z.tangent = along.z;
     }
     const art::ContactPlace<D> place = art::contact_place(points[0], points[1], normal);
     const bool itself = row.sides[0].tree == row.sides[1].tree;

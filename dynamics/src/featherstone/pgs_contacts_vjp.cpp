@@ -114,6 +114,7 @@ void PgsContacts::add_branches(ContactBranches& to, const FeatherstoneOptions& o
   const bool at_slop =
       !options.compliant_contacts && options.pgs_slop > 0.0f && options.pgs_erp > 0.0f;
   bool exact = residual_ < kConverged;
+  int64_t held = 0;
   for (const Row& row : rows_) {
     const art::PgsContact<float>& c = row.solver;
     const ContactBranch branch = branch_of(c, cone);
@@ -128,6 +129,7 @@ void PgsContacts::add_branches(ContactBranches& to, const FeatherstoneOptions& o
       continue;
     }
     ++(branch.slides[0] || branch.slides[1] ? to.sliding : to.sticking);
+    if (!row.follows) ++held;
     float gap = ContactBranches::kNone;
     if (at_contact) gap = std::fabs(row.place.gap);
     if (at_slop) gap = std::min(gap, std::fabs(row.place.gap + options.pgs_slop));
@@ -161,7 +163,8 @@ void PgsContacts::add_branches(ContactBranches& to, const FeatherstoneOptions& o
   for (size_t island = 0; exact && island < island_sweeps_.size(); ++island)
     exact = !sharing_matters(static_cast<int64_t>(island), cone);
   ++to.steps;
-  if (exact) ++to.exact;
+  to.held += held;
+  if (exact) ++(held == 0 ? to.exact : to.frozen);
   to.residual = std::max(to.residual, residual_);
 }
 
@@ -281,9 +284,10 @@ void PgsContacts::solve_adjoint(int64_t island, bool cone) {
   }
 }
 
-// A row's own change with q, and of a bounce with qd, into the gradients of its trees. Of the
-// links, w is the motion of lambda = dt p, a_adjoint that of v' and v that of qd. `push` is lambda
-// of the row over dt, `pull` B^T z, in the world; `normal` the z of the normal.
+// A row's own change with q, and of a bounce with qd, into the gradients of its trees. The midpoint
+// moves with half of each core, and below a point that is followed with all of its movement along
+// the plane. Of the links, w is the motion of lambda = dt p, a_adjoint that of v' and v that of qd.
+// `push` is lambda of the row over dt, `pull` B^T z, in the world; `normal` the z of the normal.
 void PgsContacts::add_geometry(const Row& row, const Vec3f& push, const Vec3f& pull, float normal,
                                const ArticulationArguments& in) {
   const Vec3f bounce = row.frame.axes[0] * (normal * row.target.bounce);
@@ -300,6 +304,10 @@ void PgsContacts::add_geometry(const Row& row, const Vec3f& push, const Vec3f& p
       motions[side][f] = of[f];
       by_point = by_point + math::cross(forces[f], of[f].angular) * (side == 0 ? -0.5f : 0.5f);
     }
+  }
+  if (row.follows) {
+    const Vec3f& n = row.frame.axes[0];
+    by_point = by_point * 2.0f - n * math::dot(n, by_point);
   }
   for (size_t side = 0; side < 2; ++side) {
     const Side& at = row.sides[side];

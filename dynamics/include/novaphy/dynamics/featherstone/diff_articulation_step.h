@@ -15,12 +15,16 @@
 // pgs_tolerance, at most 1000 times (more where pgs_iterations is more). The gradient is that of
 // the converged impulses by the rows that are active (src/featherstone/pgs_contacts_vjp.cpp): exact
 // where they converged and no contact is just breaking, sticking or sliding, else a surrogate;
-// ContactBranches counts them. Contacts stay on their shapes where they were found, with their
-// normals; that there are more or fewer is not differentiated. So it is with dry friction of joints
-// (joint_friction), which counts as a step with contacts. A capture records such steps and their
-// adjoints as work of the host; where a replay fails its results are NaN, and begin says why.
+// ContactBranches counts them. Points of contacts and normals move as the search moves them where a
+// plane of the world meets spheres, capsules, boxes, hulls or meshes and they were found from the
+// state of the step (FoundContacts). Else they are frozen: points stay in the frames of their
+// bodies, normals in the world; ContactBranches counts such steps apart. That there are more or
+// fewer contacts is not differentiated. So it is with dry friction of joints (joint_friction),
+// which counts as a step with contacts. A capture records such steps and their adjoints as work of
+// the host; where a replay fails its results are NaN, and begin says why.
 #pragma once
 
+#include <cstdint>
 #include <memory>
 #include <vector>
 
@@ -32,6 +36,13 @@
 #include "novaphy/nova/kernel.h"
 
 namespace novaphy::diff {
+
+// When the contacts of a step were found.
+enum class FoundContacts : uint8_t {
+  Before,  // from another state, or one that was written since: the step holds them
+  Now,     // from the state of the step, as it is
+  Always   // so, anew whenever the step runs
+};
 
 class NOVAPHY_DYNAMICS_API ArticulationStep {
  public:
@@ -46,12 +57,11 @@ class NOVAPHY_DYNAMICS_API ArticulationStep {
   // Checks before some steps.
   void begin(const Model& model, const Control* control, const char* function);
   // Submits a step, recorded on an active tape. `body_f` {b, 6}: the wrenches on the bodies;
-  // `scratch` as the specs say: what the adjoint reads. `found`: the contacts are others whenever
-  // the step runs; else those of now.
+  // `scratch` as the specs say: what the adjoint reads.
   // `join`: steps without contacts that follow each other become one operation, some at a time;
   // flush, behind the last of them, records it. forget: instead of that.
   void record(const Model& model, const SimState& in, SimState& out, const Control* control,
-              const Contacts* contacts, bool found, const nova::Operand& body_f, float dt,
+              const Contacts* contacts, FoundContacts found, const nova::Operand& body_f, float dt,
               StepScratch scratch, bool join = false);
   void flush();
   void forget();

@@ -34,7 +34,7 @@ bool Tape::Impl::note_exported_value(const Range& range, uint64_t& checksum) {
 Tape::Impl::Use& Tape::Impl::add_use(const Op& op, const Operand& operand) {
   Use& use = uses.emplace_back();
   use.operand = operand;
-  use.version = operand.range->version();
+  use.version = version_of(*operand.range);
   use.capture = op.capture;
   use.carries = operand.type == ir::Type::F32 && carries(*operand.range);
   use.has_checksum = note_value(*operand.range, op.capture, use.checksum);
@@ -83,7 +83,7 @@ uint64_t Tape::Impl::checksum_now(const Range& range) {
 
 // Whether the recorded value of the node is no longer there.
 bool Tape::Impl::was_written_outside(const Node& n) {
-  if (n.written_version != n.range->version()) return true;
+  if (n.written_version != version_of(*n.range)) return true;
   if (!n.has_checksum && !n.range->was_exported()) return false;
   const OpList* graph = current_capture();
   if (n.capture != (graph ? graph->id() : 0)) refuse_export_in_capture();
@@ -166,6 +166,7 @@ void Tape::Impl::forget() {
   hand_written.clear();
   nodes.clear();
   values.clear();
+  written_again.clear();
 }
 
 void Tape::mark_untracked(const std::shared_ptr<Range>& range, const char* why) {
@@ -258,7 +259,7 @@ void Tape::record_launch(const std::shared_ptr<KernelImpl>& kernel, int64_t dim,
   if (options.csr) op.csr = *options.csr;
   for (const Operand& in : inputs) t.add_input(op, in);
   for (const Operand& out : outputs)
-    t.uses.push_back({.operand = out, .version = out.range->version(), .carries = true});
+    t.uses.push_back({.operand = out, .version = t.version_of(*out.range), .carries = true});
   if (op.csr) t.add_csr(op);
   if (options.active) {
     op.has_active = true;
@@ -281,7 +282,7 @@ void Tape::record_rebuild(const Incidence& incidence) {
   op.csr = incidence;
   t.add_input(op, incidence->table);
   for (const auto& range : {incidence->offsets, incidence->items})
-    t.uses.push_back({.operand = Impl::words_of(range), .version = range->version()});
+    t.uses.push_back({.operand = Impl::words_of(range), .version = t.version_of(*range)});
   t.append(std::move(op), false);
 }
 
@@ -301,7 +302,7 @@ void Tape::record_launch(const novaphy::Launch& launch,
     }
   for (const novaphy::LaunchArgument& a : launch.arguments)
     if (a.write && a.range) {
-      t.uses.push_back({.operand = Impl::words_of(a.range), .version = a.range->version()});
+      t.uses.push_back({.operand = Impl::words_of(a.range), .version = t.version_of(*a.range)});
       ++op.outputs;
     }
   t.hand_written.push_back({&launch.context,
@@ -342,7 +343,7 @@ void Tape::backward(const Tensor& loss, const Tensor& seed) {
       "backward, loss: no operation of this tape wrote it from an input with a gradient; make a "
       "leaf before recording, with requires_grad=True of a tensor, of a view of an array, or of "
       "the state that a solver starts from");
-  require(n->written_version == loss.version(), ErrorKind::Runtime,
+  require(n->written_version == impl_->version_of(*n->range), ErrorKind::Runtime,
           "backward, loss: it was overwritten after recording");
   if (seed.defined() && (seed.dtype() != DType::F32 || seed.size() != loss.size()))
     fail(ErrorKind::Value, "backward, grad: expected ", shape_str(loss.shape()), " float32, got ",

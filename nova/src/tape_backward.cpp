@@ -179,27 +179,22 @@ void Tape::Impl::run_again(const Op& op, DeferredScope& deferred) {
   }
 }
 
-// What the group wrote last is there again, the same: whoever reads it behind the group still may.
-void Tape::Impl::keep_values(const std::vector<Node*>& written) {
-  for (Node* n : written) {
-    const uint64_t now = n->range->version();
-    for (Use& use : uses)
-      if (use.operand.range == n->range && use.version == n->written_version) use.version = now;
-    n->written_version = now;
+// What a group leaves when it runs once more is what it had left, unless that was overwritten
+// meanwhile.
+std::vector<const Tape::Impl::Use*> Tape::Impl::last_written(const Group& group) const {
+  std::vector<const Use*> found;
+  for (uint32_t k = group.first; k < group.last; ++k) {
+    const Op& op = ops[k];
+    for (uint32_t o = 0; op.replayed && o < op.outputs; ++o) {
+      const Use& use = uses[op.first_use + op.inputs + o];
+      if (version_of(*use.operand.range) == use.version) found.push_back(&use);
+    }
   }
+  return found;
 }
 
 void Tape::Impl::run_group(const Group& group, DeferredScope& deferred) {
-  std::vector<Node*> written;
-  for (uint32_t k = group.first; k < group.last; ++k) {
-    if (!ops[k].replayed) continue;
-    for (uint32_t o = 0; o < ops[k].outputs; ++o) {
-      Node* const n = find(*output(ops[k], o).range);
-      if (n && n->ever_written && n->writer == static_cast<int32_t>(k) &&
-          n->written_version == n->range->version())
-        written.push_back(n);
-    }
-  }
+  const std::vector<const Use*> same = last_written(group);
   for (uint32_t k = group.first; k < group.last; ++k) {
     const Op& op = ops[k];
     if (!op.replayed) continue;
@@ -219,7 +214,10 @@ void Tape::Impl::run_group(const Group& group, DeferredScope& deferred) {
     for (const Operand& operand : all) hold_in_capture(operand.range);
   }
   operands.clear();
-  keep_values(written);
+  for (const Use* use : same) {
+    const Range& range = *use->operand.range;
+    written_again[&range] = {use->version, range.version()};
+  }
 }
 
 // Whether operation k only adds up, through a table, what the operation before it wrote for the

@@ -340,6 +340,33 @@ def test_a_rollout_that_finds_its_contacts_is_the_loop_of_steps(checkpoint: int 
         assert np.abs(expected).max() > 1e-3
 
 
+@pytest.mark.parametrize("checkpoint", [None, 4])
+def test_a_tape_with_contacts_goes_back_as_often_as_wanted(checkpoint: int | None) -> None:
+    """What runs once more between checkpoints leaves the kept states as they were recorded."""
+    from novaphy import nova
+    from novaphy.diff import Trajectory, state_joint_q_tensor
+
+    model = walker().finalize(requires_grad=True)
+    solver = novaphy.solvers.DiffFeatherstoneSolver(model)
+    pipeline = novaphy.CollisionPipeline(model)
+    trajectory = Trajectory(model, 12, checkpoint=checkpoint)
+    novaphy.eval_fk(model, trajectory[0].joint_q, trajectory[0].joint_qd, trajectory[0])
+    with nova.Tape() as tape:
+        solver.rollout(trajectory, None, None, DT / 5, pipeline=pipeline)
+        loss = nova.sum(state_joint_q_tensor(trajectory[12]))
+    tape.backward(loss)
+    first = trajectory[0].joint_qd.grad.numpy().copy()
+    for times in (2, 3):
+        tape.backward(loss)
+        expected = times * first if times == 2 else first + 2 * first
+        np.testing.assert_array_equal(trajectory[0].joint_qd.grad.numpy(), expected)
+    if checkpoint is not None:
+        kept = trajectory[4].joint_qd
+        kept.assign(kept.numpy() + 1.0)
+        with pytest.raises(novaphy.Error, match="modified after recording"):
+            tape.backward(loss)
+
+
 def test_steps_of_an_ant_are_exact_and_match_differences(monkeypatch, capsys) -> None:
     from novaphy import nova
     from novaphy.diff import state_joint_qd_tensor

@@ -212,13 +212,12 @@ class ExactFrames:
         return (tape, end), (first.joint_q, first.joint_qd, control.joint_f)
 
     def pull(self, kept, g: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """As FrozenFrames.pull. A tape with contacts goes back once, so every adjoint but the first
-        records the frame again, with the same bits."""
+        """As FrozenFrames.pull: the tape goes back once for each adjoint."""
         start, _, _, recorded, arrays, end = kept
         states, forces = [], []
         for m in range(g.shape[1]):
-            if m > 0:
-                recorded, arrays = self.record(kept)
+            for x in arrays if m > 0 else ():
+                x.grad.zero_()
             seed = (to_coordinates(end, g[:, m, :DOFS]), g[:, m, DOFS:])
             recorded[0].backward(
                 recorded[1], nova.tensor(np.concatenate([np.float32(s).ravel() for s in seed]))

@@ -173,10 +173,10 @@ struct Tape::Impl {
   std::vector<const std::shared_ptr<Range>*> places;
   std::vector<GradState> before;  // of every node
   GradientPool pool;
-  ScratchMemory scratch;          // of the adjoints of one backward
+  ScratchMemory scratch;  // of the adjoints of one backward
   std::vector<Operand> operands;  // of an operation that is run once more
-  // Of ranges that a group has written once more, with the same bits: the version that was
-  // recorded, and the one of now.
+  // Of ranges that a group has written once more, with the same bits: the version that was recorded,
+  // and the one of now.
   struct WrittenAgain {
     uint64_t recorded, now;
   };
@@ -189,186 +189,94 @@ struct Tape::Impl {
     return at != written_again.end() && at->second.now == now ? at->second.recorded : now;
   }
 
-  Node* find(const Range& range) {
-    if (index_.empty()) return nullptr;
-    for (size_t at = slot(range);; at = (at + 1) & (index_.size() - 1)) {
-      if (index_[at] == 0) return nullptr;
-      if (nodes_[index_[at] - 1].range.get() == &range) return &nodes_[index_[at] - 1];
-    }
+  Node* find(const Range& range) { return nodes.find(range); }
+  Node& node(const std::shared_ptr<Range>& range) { return nodes.find_or_add(range); }
+  const Use& input(const Op& op, uint32_t k) const { return uses[op.first_use + k]; }
+  const Operand& output(const Op& op, uint32_t k) const {
+    return uses[op.first_use + op.inputs + k].operand;
   }
-  Node& find_or_add(const std::shared_ptr<Range>& range) {
-    if (Node* known = find(*range)) return *known;
-    nodes_.push_back({range});
-    if (nodes_.size() * 2 > index_.size()) {
-      index_.assign(std::bit_ceil(nodes_.size() * 4), 0);
-      for (size_t k = 0; k < nodes_.size(); ++k) insert(k);
-    } else {
-      insert(nodes_.size() - 1);
-    }
-    return nodes_.back();
+  const Use& csr_use(const Op& op, CsrUse k) const {
+    return uses[op.first_use + op.inputs + op.outputs + k];
   }
-  void clear() {
-    nodes_.clear();
-    std::fill(index_.begin(), index_.end(), 0u);
+  const Use& active_use(const Op& op) const { return uses[op.first_use + op.inputs + op.outputs]; }
+  const Operand* active(const Op& op) const {
+    return op.has_active ? &active_use(op).operand : nullptr;
   }
-  auto begin() { return nodes_.begin(); }
-  auto end() { return nodes_.end(); }
-  size_t size() const { return nodes_.size(); }
-
- private:
-  size_t slot(const Range& range) const {
-    const auto key = reinterpret_cast<uintptr_t>(&range);
-    return ((key * 0x9E3779B97F4A7C15u) >> 20) & (index_.size() - 1);
+  std::string op_name(const Op& op) const {
+    if (op.kernel) return op.kernel->name;
+    if (op.custom >= 0) return customs[static_cast<size_t>(op.custom)].name;
+    return op.csr ? "rebuild" : hand_written[static_cast<size_t>(op.hand_written)].name;
   }
-  void insert(size_t k) {
-    size_t at = slot(*nodes_[k].range);
-    while (index_[at] != 0) at = (at + 1) & (index_.size() - 1);
-    index_[at] = static_cast<uint32_t>(k + 1);
+  std::string input_name(const Op& op, uint32_t k) const;
+
+  bool carries(const Range& range);
+  Use& add_use(const Op& op, const Operand& operand);
+  // Appends an input to an operation that is being recorded; append() ends it.
+  Use& add_input(const Op& op, const Operand& operand);
+  void append(Op op, bool recorded);
+  static void refuse_export_in_capture();
+  static uint64_t checksum_now(const Range& range);
+  // The checksum of a value that somebody outside can write; false: nobody can. What a capture
+  // records runs when it is launched: then all of it reads the value of that moment.
+  bool note_value(const Range& range, uint64_t capture, uint64_t& checksum) {
+    return range.was_exported() && capture == 0 && note_exported_value(range, checksum);
   }
-  std::vector<Node> nodes_;
-  std::vector<uint32_t> index_;  // position + 1; 0 is free
-};
-struct Value {
-  uint64_t version = UINT64_MAX, checksum = 0;
-};
-// One operation to be reversed, decided before anything runs.
-struct Step {
-  const Op* op;  // null: run a group once more
-  detail::AdjointKey key;
-  const detail::CompiledPlan* plan;
-  size_t first_place;         // in `places`: of the gradients of the outputs, then of the inputs
-  int64_t gradient_rows = 0;  // of the gradients of the outputs
-  int32_t group = -1;
-};
-// Memory for gradients that are not kept, used again after they were read. Of one backward: what
-// a capture recorded has its memory for itself.
-class GradientPool {
- public:
-  const std::shared_ptr<Range>* take(const Range& like);
-  void give_back(const std::shared_ptr<Range>* place);
-  void clear();
+  bool note_exported_value(const Range& range, uint64_t& checksum);
+  bool was_written_outside(const Node& n);
+  void check_not_overwritten(const Operand& in, const std::string& op, const std::string& input);
+  // Whether the value of an input is not the recorded one any more.
+  bool was_modified(const Use& use) {
+    const Range& range = *use.operand.range;
+    return version_of(range) != use.version ||
+           ((use.has_checksum || range.was_exported()) && was_modified_outside(use));
+  }
+  bool was_modified_outside(const Use& use);
+  void check_value(const Use& use, const Op& op, uint32_t input);
+  void add_csr(const Op& op);
+  static Operand words_of(const std::shared_ptr<Range>& range) {
+    return {range, static_cast<int64_t>(range->bytes() / 4), 1, ir::Type::I32};
+  }
+  void mark_output(const std::shared_ptr<Range>& range, int32_t op);
+  void mark_constant(const Range& range);
+  void forget();
 
- private:
-  std::deque<std::shared_ptr<Range>> all_;
-  std::vector<const std::shared_ptr<Range>*> free_;
-};
+  // tape_backward.cpp
+  void backward(Node& loss, const Tensor& seed);
+  void plan_steps();
+  void run_steps(const std::shared_ptr<Range>& loss_gradient, const Tensor& seed);
+  const std::shared_ptr<Range>* output_place(const Step& step, uint32_t o) const {
+    return places[step.first_place + o];
+  }
+  const std::shared_ptr<Range>* input_place(const Step& step, uint32_t s) const {
+    return places[step.first_place + step.op->outputs + s];
+  }
+  bool overwritten_in_group(const Use& use) const {
+    return uses[static_cast<size_t>(use.producer)].overwritten;
+  }
+  void check_csr(const Op& op, std::initializer_list<CsrUse> needed);
+  void check_needed(const Use& use, const Op& op, uint32_t input);
+  void check_needed(const Op& op, const detail::CompiledPlan& plan);
+  void check_group(const Group& group);
+  void plan_group(int32_t group);
+  void run_group(const Group& group, DeferredScope& deferred);
+  void run_again(const Op& op, DeferredScope& deferred);
+  std::vector<const Use*> last_written(const Group& group) const;
+  bool begin_contribution(Node& n);
+  int32_t summed_through(size_t k, uint32_t s);
+  uint32_t unread_columns(size_t k, const Operand& in);
+  bool bound_before(const Op& op, uint32_t s) const;
+  void run_kernel(const Step& step);
 
-std::vector<Op> ops;
-std::vector<Use> uses;
-std::vector<Param> params;
-std::vector<CustomOp> customs;
-std::vector<HandWritten> hand_written;
-std::vector<Group> groups;
-bool in_group = false;  // the last of them is still growing
-novaphy::ExclusiveUses group_memory;
-NodeTable nodes;
-// Checksums of what somebody outside can write: of the versions that were recorded since the last
-// backward, and during backward those of now.
-std::unordered_map<const Range*, Value> values;
-std::unordered_map<const Range*, uint64_t> present;
-bool leaves_only = false;  // KeepGradients::Leaves
-// Of the last backward; kept for their memory.
-std::vector<Step> steps;
-std::vector<const std::shared_ptr<Range>*> places;
-std::vector<GradState> before;  // of every node
-GradientPool pool;
-ScratchMemory scratch;          // of the adjoints of one backward
-std::vector<Operand> operands;  // of an operation that is run once more
-// Versions of values that a group had written as they still were, and has written once more: the
-// recorded one, and the new one of the same bits.
-struct SameValue {
-  uint64_t recorded, now;
-};
-std::unordered_map<const Range*, SameValue> same_values;
+  // custom_op.cpp
+  void check_read_values(const Op& op);
+  void run_custom(const Step& step, DeferredScope& deferred);
+  void run_custom_forward(const CustomOp& op, DeferredScope& deferred);
+  void run_custom_tangent(const CustomOp& op, std::span<const Tensor> inputs,
+                          std::span<const Tensor> outputs);
 
-Node* find(const Range& range) { return nodes.find(range); }
-Node& node(const std::shared_ptr<Range>& range) { return nodes.find_or_add(range); }
-const Use& input(const Op& op, uint32_t k) const { return uses[op.first_use + k]; }
-const Operand& output(const Op& op, uint32_t k) const {
-  return uses[op.first_use + op.inputs + k].operand;
-}
-const Use& csr_use(const Op& op, CsrUse k) const {
-  return uses[op.first_use + op.inputs + op.outputs + k];
-}
-const Use& active_use(const Op& op) const { return uses[op.first_use + op.inputs + op.outputs]; }
-const Operand* active(const Op& op) const {
-  return op.has_active ? &active_use(op).operand : nullptr;
-}
-std::string op_name(const Op& op) const {
-  if (op.kernel) return op.kernel->name;
-  if (op.custom >= 0) return customs[static_cast<size_t>(op.custom)].name;
-  return op.csr ? "rebuild" : hand_written[static_cast<size_t>(op.hand_written)].name;
-}
-std::string input_name(const Op& op, uint32_t k) const;
+  class Forward;  // tape_jvp.cpp
 
-bool carries(const Range& range);
-Use& add_use(const Op& op, const Operand& operand);
-// Appends an input to an operation that is being recorded; append() ends it.
-Use& add_input(const Op& op, const Operand& operand);
-void append(Op op, bool recorded);
-static void refuse_export_in_capture();
-static uint64_t checksum_now(const Range& range);
-// The checksum of a value that somebody outside can write; false: nobody can. What a capture
-// records runs when it is launched: then all of it reads the value of that moment.
-bool note_value(const Range& range, uint64_t capture, uint64_t& checksum) {
-  return range.was_exported() && capture == 0 && note_exported_value(range, checksum);
-}
-bool note_exported_value(const Range& range, uint64_t& checksum);
-bool was_written_outside(const Node& n);
-void check_not_overwritten(const Operand& in, const std::string& op, const std::string& input);
-// Whether the value of an input is not the recorded one any more.
-bool was_modified(const Use& use) {
-  const Range& range = *use.operand.range;
-  return version_of(range) != use.version ||
-         ((use.has_checksum || range.was_exported()) && was_modified_outside(use));
-}
-bool was_modified_outside(const Use& use);
-void check_value(const Use& use, const Op& op, uint32_t input);
-void add_csr(const Op& op);
-static Operand words_of(const std::shared_ptr<Range>& range) {
-  return {range, static_cast<int64_t>(range->bytes() / 4), 1, ir::Type::I32};
-}
-void mark_output(const std::shared_ptr<Range>& range, int32_t op);
-void mark_constant(const Range& range);
-void forget();
-
-// tape_backward.cpp
-void backward(Node& loss, const Tensor& seed);
-void plan_steps();
-void run_steps(const std::shared_ptr<Range>& loss_gradient, const Tensor& seed);
-const std::shared_ptr<Range>* output_place(const Step& step, uint32_t o) const {
-  return places[step.first_place + o];
-}
-const std::shared_ptr<Range>* input_place(const Step& step, uint32_t s) const {
-  return places[step.first_place + step.op->outputs + s];
-}
-bool overwritten_in_group(const Use& use) const {
-  return uses[static_cast<size_t>(use.producer)].overwritten;
-}
-void check_csr(const Op& op, std::initializer_list<CsrUse> needed);
-void check_needed(const Use& use, const Op& op, uint32_t input);
-void check_needed(const Op& op, const detail::CompiledPlan& plan);
-void check_group(const Group& group);
-void plan_group(int32_t group);
-void run_group(const Group& group, DeferredScope& deferred);
-void run_again(const Op& op, DeferredScope& deferred);
-std::vector<const Use*> last_written(const Group& group) const;
-bool begin_contribution(Node& n);
-int32_t summed_through(size_t k, uint32_t s);
-uint32_t unread_columns(size_t k, const Operand& in);
-bool bound_before(const Op& op, uint32_t s) const;
-void run_kernel(const Step& step);
-
-// custom_op.cpp
-void check_read_values(const Op& op);
-void run_custom(const Step& step, DeferredScope& deferred);
-void run_custom_forward(const CustomOp& op, DeferredScope& deferred);
-void run_custom_tangent(const CustomOp& op, std::span<const Tensor> inputs,
-                        std::span<const Tensor> outputs);
-
-class Forward;  // tape_jvp.cpp
-
-novaphy::ExclusiveUse in_use;  // of what a pass keeps here
+  novaphy::ExclusiveUse in_use;  // of what a pass keeps here
 };
 
 }  // namespace nova

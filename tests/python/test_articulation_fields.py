@@ -114,7 +114,7 @@ ACT = {
         )
     },
     **{name: scaled(name, slice(12, 13)) for name in ("joint_limit_ke", "joint_limit_kd")},
-    "joint_limit_lower": of("joint_limit_lower", slice(12, 13), 0.65),
+    "joint_limit_lower": of("joint_limit_lower", slice(13, 14), 0.3),
     "joint_limit_upper": of("joint_limit_upper", slice(12, 13), 0.4),
     "joint_effort_limit": of("joint_effort_limit", slice(13, 14), 1.0),
     "joint_velocity_limit": of("joint_velocity_limit", HINGES, 0.2),
@@ -142,6 +142,32 @@ RAISE = {
     "shape_material_mu_torsional": of("shape_material_mu_torsional", SHAPES, 0.1),
     "shape_material_mu_rolling": of("shape_material_mu_rolling", SHAPES, 0.1),
     "body_flags": of("body_flags", slice(2, 3), 2),
+}
+# Numbers that the builder would have refused.
+NOT_NEGATIVE = (
+    *(f"joint_{name}" for name in ("armature", "damping", "friction", "target_ke", "target_kd")),
+    *(f"joint_{name}" for name in ("limit_ke", "limit_kd", "effort_limit", "velocity_limit")),
+    *(f"shape_material_{name}" for name in ("mu", "restitution", "ke", "kd", "kf", "ka")),
+    "body_mass",
+)
+FINITE = ("body_com", "joint_limit_lower", "joint_limit_upper", "joint_axis", "joint_X_p")
+WRONG = {
+    **{
+        f"{name} < 0": (of(name, slice(1, 2), -0.5), rf"{name}\[1\].*>= 0") for name in NOT_NEGATIVE
+    },
+    **{
+        f"{name} nan": (of(name, slice(1, 2), np.nan), rf"{name}\[1\]: expected .*finite number")
+        for name in (*NOT_NEGATIVE, *FINITE)
+    },
+    "limits reversed": (
+        of("joint_limit_lower", slice(12, 13), 0.9),
+        r"joint_limit_lower\[12\]: expected at most joint_limit_upper, 0.5, got 0.9",
+    ),
+    "restitution > 1": (of("shape_material_restitution", SHAPES, 1.5), "at most 1, got 1.5"),
+    "inertia": (of("body_inertia", slice(2, 3), -np.eye(3)), r"body_inertia\[2\].*>= 0, got -1"),
+    "axis": (of("joint_axis", HINGES, (0.0, 2.0, 0.0)), r"joint_axis\[12\]: .* length 1, got 2"),
+    "frame": (of("joint_X_c", slice(3, 4), (0, 0, 0, 0, 0, 0, 2.0)), r"joint_X_c\[3\]: .*got 2"),
+    "mode": (of("joint_target_mode", HINGES, 9), r"joint_target_mode\[12\]: .*TargetMode, got 9"),
 }
 # Of the other ways of contact.
 PENALTY = ("shape_material_ke", "shape_material_kd", "shape_material_kf")
@@ -207,6 +233,25 @@ def test_an_edited_array_acts(name: str, base: np.ndarray) -> None:
 def test_a_value_without_effect_raises(name: str) -> None:
     with pytest.raises(NotImplementedError, match=name if name != "body_flags" else "kinematic"):
         run(RAISE[name])
+
+
+@pytest.mark.parametrize("solver", ["SolverFeatherstone", "DiffFeatherstoneSolver"])
+@pytest.mark.parametrize("name", sorted(WRONG))
+def test_a_number_that_the_builder_refuses_is_named(name: str, solver: str) -> None:
+    """At every step, and before anything is written."""
+    if solver.startswith("Diff") and not novaphy.has_diff():
+        pytest.skip("needs NOVAPHY_WITH_DIFF")
+    edit, message = WRONG[name]
+    model = scene().finalize()
+    made = getattr(novaphy.solvers, solver)(model)
+    state, after = model.state(), model.state()
+    made.step(state, after, None, None, DT)
+    before = after.joint_qd.numpy().copy()
+    edit(model)
+    for _ in range(2):
+        with pytest.raises(ValueError, match=message):
+            made.step(state, after, None, None, DT)
+    np.testing.assert_array_equal(after.joint_qd.numpy(), before)
 
 
 @pytest.mark.parametrize("name", PENALTY)

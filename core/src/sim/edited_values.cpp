@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <iterator>
 #include <span>
 #include <vector>
 
@@ -152,6 +153,96 @@ void EditedValues::check(const Model& model) {
   if (recorder == nullptr || !model.device().is_cpu()) return;
   recorder->before_replay(
       id_, [values = *this, owner = model.shared_from_this()]() mutable { values.check(*owner); });
+}
+
+namespace {
+
+// Of the numbers of a row: Unit: from `first` on of length 1.
+enum class JointRule { Finite, NotNegative, AtMostOne, Diagonal, Unit };
+struct JointArray {
+  const char* name;
+  const Array& array;
+  JointRule rule = JointRule::NotNegative;
+  size_t first = 0;
+};
+
+void check_rows(const char* solver, const JointArray& a) {
+  const size_t count = a.array.bytes() / sizeof(float), width = count / a.array.rows();
+  std::vector<float> values(count);
+  a.array.copy_to_host(values.data(), a.array.bytes());
+  for (size_t row = 0; row < a.array.rows(); ++row) {
+    double squares = 0.0;
+    for (size_t k = 0; k < width; ++k) {
+      const float x = values[row * width + k];
+      if (k >= a.first) squares += double{x} * double{x};
+      const bool signless = a.rule == JointRule::Finite || a.rule == JointRule::Unit ||
+                            (a.rule == JointRule::Diagonal && k % 4 != 0);
+      require(std::isfinite(x) && (signless || x >= 0.0f), ErrorKind::Value, solver, ": model.",
+              a.name, "[", row, "]: expected ", width == 1 ? "a finite number" : "finite numbers",
+              signless ? "" : " >= 0", ", got ", x);
+      require(a.rule != JointRule::AtMostOne || x <= 1.0f, ErrorKind::Value, solver, ": model.",
+              a.name, "[", row, "]: expected at most 1, got ", x);
+    }
+    require(a.rule != JointRule::Unit || std::fabs(std::sqrt(squares) - 1.0) <= 1e-3,
+            ErrorKind::Value, solver, ": model.", a.name, "[", row, "]: expected a ",
+            a.first == 0 ? "vector" : "quaternion", " of length 1, got ", std::sqrt(squares));
+  }
+}
+
+}  // namespace
+
+void EditedValues::check_joints(const Model& m) {
+  using R = JointRule;
+  const JointArray arrays[] = {
+      {"joint_armature", m.joint_armature},
+      {"joint_damping", m.joint_damping},
+      {"joint_friction", m.joint_friction},
+      {"joint_target_ke", m.joint_target_ke},
+      {"joint_target_kd", m.joint_target_kd},
+      {"joint_limit_ke", m.joint_limit_ke},
+      {"joint_limit_kd", m.joint_limit_kd},
+      {"joint_effort_limit", m.joint_effort_limit},
+      {"joint_velocity_limit", m.joint_velocity_limit},
+      {"joint_limit_lower", m.joint_limit_lower, R::Finite},
+      {"joint_limit_upper", m.joint_limit_upper, R::Finite},
+      {"joint_axis", m.joint_axis, R::Unit},
+      {"joint_X_p", m.joint_X_p, R::Unit, 3},
+      {"joint_X_c", m.joint_X_c, R::Unit, 3},
+      {"body_mass", m.body_mass},
+      {"body_com", m.body_com, R::Finite},
+      {"body_inertia", m.body_inertia, R::Diagonal},
+      {"shape_material_mu", m.shape_material_mu},
+      {"shape_material_restitution", m.shape_material_restitution, R::AtMostOne},
+      {"shape_material_ke", m.shape_material_ke},
+      {"shape_material_kd", m.shape_material_kd},
+      {"shape_material_kf", m.shape_material_kf},
+      {"shape_material_ka", m.shape_material_ka}};
+  constexpr size_t kCount = std::size(arrays), kLower = 9;
+  joints_.resize(kCount + 1);
+  const Unobserved unobserved;
+  const bool new_limits = must_read(joints_[kLower], m.joint_limit_lower) ||
+                          must_read(joints_[kLower + 1], m.joint_limit_upper);
+  for (size_t k = 0; k < kCount; ++k) {
+    if (!must_read(joints_[k], arrays[k].array)) continue;
+    check_rows(solver_, arrays[k]);
+    joints_[k].set(arrays[k].array);
+  }
+  if (new_limits) {
+    const std::vector<float> lower = m.joint_limit_lower.to_host(),
+                             upper = m.joint_limit_upper.to_host();
+    for (size_t k = 0; k < lower.size(); ++k) {
+      if (!(lower[k] <= upper[k])) joints_[kLower].reset();  // so that the next call finds it too
+      require(lower[k] <= upper[k], ErrorKind::Value, solver_, ": model.joint_limit_lower[", k,
+              "]: expected at most joint_limit_upper, ", upper[k], ", got ", lower[k]);
+    }
+  }
+  if (!must_read(joints_[kCount], m.joint_target_mode)) return;
+  const std::vector<int32_t> modes = m.joint_target_mode.to_host();
+  for (size_t k = 0; k < modes.size(); ++k)
+    require(modes[k] >= 0 && modes[k] <= static_cast<int32_t>(JointTargetMode::EFFORT),
+            ErrorKind::Value, solver_, ": model.joint_target_mode[", k,
+            "]: expected a JointTargetMode, got ", modes[k]);
+  joints_[kCount].set(m.joint_target_mode);
 }
 
 }  // namespace novaphy

@@ -1,7 +1,6 @@
 #include "novaphy/dynamics/featherstone/articulations.h"
 
 #include <algorithm>
-#include <cmath>
 #include <initializer_list>
 
 #include "articulation_kernels.h"
@@ -96,7 +95,7 @@ DeviceArray<int32_t> table(const std::vector<int32_t>& values, size_t width) {
 
 }  // namespace
 
-Articulations::Articulations(const Model& m, const char* user) {
+Articulations::Articulations(const Model& m, const char* user) : values_(user) {
   require(m.device().is_cpu(), ErrorKind::NotImplemented, user,
           ": model: expected one on the cpu, got one on ", m.device().str());
   for (int32_t j = 0; j < m.joint_count(); ++j)
@@ -181,6 +180,7 @@ void Articulations::check_values(const Model& m, const Control* control, bool fr
   const Array* const arrays[] = {&m.joint_enabled,     &m.joint_friction,   &act,
                                  &m.joint_target_ke,   &m.joint_target_kd,  &m.joint_damping,
                                  &m.joint_limit_lower, &m.joint_limit_upper};
+  values_.check_joints(m);
   checked_.resize(std::size(arrays));
   bool same = true;
   for (size_t i = 0; i < std::size(arrays); ++i) same = same && checked_[i].matches(*arrays[i]);
@@ -192,8 +192,6 @@ void Articulations::check_values(const Model& m, const Control* control, bool fr
     const float dry = m.joint_friction.data()[k];
     require(friction || dry == 0.0f, ErrorKind::NotImplemented, user, ": model.joint_friction[", k,
             "]: expected 0 (dry friction is not followed here), got ", dry);
-    require(std::isfinite(dry) && dry >= 0.0f, ErrorKind::Value, user, ": model.joint_friction[", k,
-            "]: expected a finite number >= 0, got ", dry);
     require(act.data()[k] == 0.0f, ErrorKind::NotImplemented, user, ": joint_act[", k,
             "]: expected 0 (there are no actuators; joint_f takes forces), got ", act.data()[k]);
   }

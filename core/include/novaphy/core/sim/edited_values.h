@@ -5,6 +5,7 @@
 
 #include <array>
 #include <memory>
+#include <vector>
 
 #include "novaphy/core/array_stamp.h"
 #include "novaphy/core/export.h"
@@ -68,6 +69,12 @@ class NOVAPHY_CORE_API EditedValues {
   // write are not read. Host reads are not observed: no kernel depends on them. While a capture
   // records on the CPU, every replay will check too.
   void check(const Model& model);
+  // Likewise, of what articulations read: joint_armature, _damping, _friction, _target_ke, _kd,
+  // _limit_ke, _kd, _effort_limit, _velocity_limit, body_mass (links may have none), the diagonal
+  // of body_inertia and shape_material_* finite and >= 0, restitution <= 1; joint_limit_lower at
+  // most joint_limit_upper; joint_target_mode a JointTargetMode; joint_axis and the quaternions of
+  // joint_X_p, _X_c of length 1 (to 1e-3); all of these and body_com finite.
+  void check_joints(const Model& model);
 
  private:
 #define NOVAPHY_COUNT(name, rule) +1
@@ -80,6 +87,7 @@ class NOVAPHY_CORE_API EditedValues {
   std::shared_ptr<const int> id_ = std::make_shared<const int>(0);  // to recordings
   std::array<ArrayStamp, kBodyArrays> bodies_;
   std::array<ArrayStamp, kArrays> arrays_;
+  std::vector<ArrayStamp> joints_;  // of the arrays of check_joints, in its order
 };
 
 }  // namespace novaphy

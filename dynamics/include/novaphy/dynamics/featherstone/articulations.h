@@ -6,6 +6,7 @@
 
 #include "novaphy/core/array_stamp.h"
 #include "novaphy/core/sim/control.h"
+#include "novaphy/core/sim/edited_values.h"
 #include "novaphy/core/sim/model.h"
 #include "novaphy/core/sim/sim_state.h"
 #include "novaphy/dynamics/articulation/tree.h"
@@ -33,8 +34,8 @@ class NOVAPHY_DYNAMICS_API Articulations {
 
   // ErrorKind::NotImplemented, naming the array: a value that would have no effect: joint_friction
   // unless there is `friction`, a joint that is not enabled, an actuator input; gains, damping or
-  // limits of dofs that have no drive. `control` null: the model's. ErrorKind::Value: friction that
-  // is negative or not finite. Looks at arrays again when they were written.
+  // limits of dofs that have no drive. `control` null: the model's. ErrorKind::Value:
+  // EditedValues::check_joints. Looks at arrays again when they were written.
   void check_values(const Model& model, const Control* control, bool friction, const char* user);
   // "dof 3 (joint 'elbow')"
   std::string dof_name(const Model& model, int32_t dof) const;
@@ -45,6 +46,7 @@ class NOVAPHY_DYNAMICS_API Articulations {
   DeviceArray<int32_t> rows_, links_, dof_parent_;
   std::vector<articulation::LinkJoint> joint_of_dof_;
   int32_t max_links_ = 0, max_dofs_ = 0;
+  EditedValues values_;
   std::vector<ArrayStamp> checked_;
 };
 

@@ -2,10 +2,8 @@
 
 #include <algorithm>
 #include <array>
-#include <cstdlib>
 #include <limits>
 #include <map>
-#include <string_view>
 #include <utility>
 #include <vector>
 
@@ -39,13 +37,9 @@ const Kernels& kernels() {
 // Compilers of devices were seen to get this search wrong (docs/design/0023), and what
 // followed has not run on hardware.
 void check_verified(Device device) {
-  const char* const text = std::getenv("NOVAPHY_UNVERIFIED_DEVICE_CONTACTS");
-  const std::string_view value = text != nullptr ? text : "";
-  require(value.empty() || value == "on" || value == "off", ErrorKind::Value,
-          "NOVAPHY_UNVERIFIED_DEVICE_CONTACTS: expected on or off, got \"", value, "\"");
-  require(value == "on", ErrorKind::NotImplemented,
-          "CollisionPipeline: rigid contacts are found on the cpu; finding them on ", device.str(),
-          " is not verified on hardware, and NOVAPHY_UNVERIFIED_DEVICE_CONTACTS=on lets it");
+  require_opt_in(
+      "NOVAPHY_UNVERIFIED_DEVICE_CONTACTS",
+      "CollisionPipeline: rigid contacts are found on the cpu; finding them on " + device.str());
 }
 
 // The most contacts of a pair of types, in their order; 0 if the pair is not covered.

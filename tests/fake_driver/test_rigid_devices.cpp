@@ -26,6 +26,7 @@
 #include "novaphy/nova/ops.h"
 #include "novaphy/nova/tape.h"
 #include "support/convex_shapes.h"
+#include "support/device_bits.h"
 
 namespace novaphy {
 namespace {
@@ -45,22 +46,9 @@ class RigidDevices : public ::testing::Test {
   void TearDown() override { unsetenv("NOVAPHY_UNVERIFIED_DEVICE_CONTACTS"); }
 };
 
-using Bytes = std::vector<std::byte>;
-template <class T>
-Bytes bytes(const std::vector<T>& values) {
-  Bytes all(values.size() * sizeof(T));
-  if (!values.empty()) std::memcpy(all.data(), values.data(), all.size());
-  return all;
-}
-using Result = std::vector<std::pair<std::string, Bytes>>;
-
-// What `run` gives on the device, against what it gives on the CPU.
-void expect_same_bits(const std::function<Result(Device)>& run) {
-  const Result expected = run(Device::cpu()), actual = run(Device::cuda());
-  ASSERT_EQ(actual.size(), expected.size());
-  for (size_t k = 0; k < actual.size(); ++k)
-    EXPECT_TRUE(actual[k].second == expected[k].second) << actual[k].first;
-}
+using testing::bytes;
+using testing::expect_same_bits;
+using testing::Result;
 
 void add_rows(Result& result, const Contacts& c, const std::string& when) {
   result.emplace_back(when + " count", bytes(c.rigid_contact_count.to_host()));

@@ -9,11 +9,22 @@
 #include "novaphy/core/error.h"
 #include "novaphy/core/recorder.h"
 #include "novaphy/core/sim/enums.h"
+#include "novaphy/core/sim/on_host.h"
 
 namespace novaphy {
 namespace {
 
-enum class Rule { Finite, NotNegative, Mass, UnitPose, RestPose };
+enum class Rule {
+  Finite,
+  NotNegative,
+  AtMostOne,
+  Mass,
+  Diagonal,
+  UnitVector,
+  UnitFrame,
+  UnitPose,
+  RestPose
+};
 
 struct Numbers {
   const char* name;
@@ -22,9 +33,9 @@ struct Numbers {
 };
 
 // The numbers of an array: on the host without a copy where they lie there.
-class OnHost {
+class NumbersOnHost {
  public:
-  explicit OnHost(const Array& array) {
+  explicit NumbersOnHost(const Array& array) {
     const size_t count = array.bytes() / sizeof(float);
     if (array.device().is_cpu()) {
       values_ = {static_cast<const float*>(array.raw()), count};
@@ -58,38 +69,64 @@ double determinant(const float* m, size_t width) {
          at(2) * (at(3) * at(7) - at(4) * at(6));
 }
 
+double length(const float* v, size_t first, size_t width) {
+  double squares = 0.0;
+  for (size_t k = first; k < width; ++k) squares += double{v[k]} * double{v[k]};
+  return std::sqrt(squares);
+}
+
+// Whether the rule lets number k of a row have any sign.
+bool any_sign(Rule rule, size_t k) {
+  const bool not_negative = rule == Rule::NotNegative || rule == Rule::AtMostOne ||
+                            rule == Rule::Mass || (rule == Rule::Diagonal && k % 4 == 0);
+  return !not_negative;
+}
+
 void check_numbers(const char* solver, const Numbers& numbers) {
-  const OnHost values(numbers.array);
+  const NumbersOnHost values(numbers.array);
   const size_t width = values.width();
   const Rule rule = numbers.rule;
-  const bool any_sign = rule != Rule::NotNegative && rule != Rule::Mass;
-  for (size_t k = 0; k < values.all().size(); ++k) {
-    const float value = values.all()[k];
-    if (std::isfinite(value) && (any_sign || value >= 0.0f)) [[likely]]
-      continue;
-    fail(ErrorKind::Value, solver, ": model.", numbers.name, "[", k / width, "]: expected ",
-         width == 1 ? "a finite number" : "finite numbers", any_sign ? "" : " >= 0", ", got ",
-         value);
-  }
   for (size_t row = 0; row < numbers.array.rows(); ++row) {
     const float* const v = values.row(row);
     const auto expect = [&](bool good, const char* expected, double got) {
-      require(good, ErrorKind::Value, solver, ": model.", numbers.name, "[", row, "]: expected ",
-              expected, ", got ", got);
+      if (!good)
+        fail(ErrorKind::Value, solver, ": model.", numbers.name, "[", row, "]: expected ", expected,
+             ", got ", got);
     };
-    if (rule == Rule::Mass) {
-      expect(v[0] == 0.0f || std::isfinite(1.0f / v[0]), "0 or a mass whose inverse is finite",
-             static_cast<double>(v[0]));
-    } else if (rule == Rule::UnitPose) {
-      double squared = 0.0;
-      for (size_t k = 3; k < 7; ++k)
-        squared += static_cast<double>(v[k]) * static_cast<double>(v[k]);
-      expect(std::abs(std::sqrt(squared) - 1.0) <= 1e-5, "a quaternion of length 1 (to 1e-5)",
-             std::sqrt(squared));
-    } else if (rule == Rule::RestPose) {
-      expect(determinant(v, width) > 0.0, "a determinant > 0", determinant(v, width));
-    } else {
-      return;
+    for (size_t k = 0; k < width; ++k) {
+      const bool signless = any_sign(rule, k);
+      if (std::isfinite(v[k]) && (signless || v[k] >= 0.0f)) [[likely]]
+        continue;
+      fail(ErrorKind::Value, solver, ": model.", numbers.name, "[", row, "]: expected ",
+           width == 1 ? "a finite number" : "finite numbers", signless ? "" : " >= 0", ", got ",
+           v[k]);
+    }
+    switch (rule) {
+      case Rule::Finite:
+      case Rule::NotNegative:
+      case Rule::Diagonal:
+        break;
+      case Rule::AtMostOne:
+        expect(v[0] <= 1.0f, "at most 1", double{v[0]});
+        break;
+      case Rule::Mass:
+        expect(v[0] == 0.0f || std::isfinite(1.0f / v[0]), "0 or a mass whose inverse is finite",
+               double{v[0]});
+        break;
+      case Rule::UnitVector:
+        expect(std::abs(length(v, 0, 3) - 1.0) <= 1e-3, "a vector of length 1", length(v, 0, 3));
+        break;
+      case Rule::UnitFrame:
+        expect(std::abs(length(v, 3, 7) - 1.0) <= 1e-3, "a quaternion of length 1",
+               length(v, 3, 7));
+        break;
+      case Rule::UnitPose:
+        expect(std::abs(length(v, 3, 7) - 1.0) <= 1e-5, "a quaternion of length 1 (to 1e-5)",
+               length(v, 3, 7));
+        break;
+      case Rule::RestPose:
+        expect(determinant(v, width) > 0.0, "a determinant > 0", determinant(v, width));
+        break;
     }
   }
 }
@@ -106,7 +143,7 @@ void EditedValues::check_bodies(const Model& m) {
   bool any = false;
   for (size_t k = 0; k < kBodyArrays; ++k) any = any || must_read(bodies_[k], *arrays[k]);
   if (!any) return;
-  const OnHost mass(m.body_mass), inertia(m.body_inertia), com(m.body_com),
+  const NumbersOnHost mass(m.body_mass), inertia(m.body_inertia), com(m.body_com),
       inv_mass(m.body_inv_mass), inv_inertia(m.body_inv_inertia);
   const std::vector<int32_t> flags = m.body_flags.to_host();
   for (size_t b = 0; b < flags.size(); ++b) {
@@ -155,68 +192,31 @@ void EditedValues::check(const Model& model) {
       id_, [values = *this, owner = model.shared_from_this()]() mutable { values.check(*owner); });
 }
 
-namespace {
-
-// Of the numbers of a row: Unit: from `first` on of length 1.
-enum class JointRule { Finite, NotNegative, AtMostOne, Diagonal, Unit };
-struct JointArray {
-  const char* name;
-  const Array& array;
-  JointRule rule = JointRule::NotNegative;
-  size_t first = 0;
-};
-
-void check_rows(const char* solver, const JointArray& a) {
-  const size_t count = a.array.bytes() / sizeof(float), width = count / a.array.rows();
-  std::vector<float> values(count);
-  a.array.copy_to_host(values.data(), a.array.bytes());
-  for (size_t row = 0; row < a.array.rows(); ++row) {
-    double squares = 0.0;
-    for (size_t k = 0; k < width; ++k) {
-      const float x = values[row * width + k];
-      if (k >= a.first) squares += double{x} * double{x};
-      const bool signless = a.rule == JointRule::Finite || a.rule == JointRule::Unit ||
-                            (a.rule == JointRule::Diagonal && k % 4 != 0);
-      require(std::isfinite(x) && (signless || x >= 0.0f), ErrorKind::Value, solver, ": model.",
-              a.name, "[", row, "]: expected ", width == 1 ? "a finite number" : "finite numbers",
-              signless ? "" : " >= 0", ", got ", x);
-      require(a.rule != JointRule::AtMostOne || x <= 1.0f, ErrorKind::Value, solver, ": model.",
-              a.name, "[", row, "]: expected at most 1, got ", x);
-    }
-    require(a.rule != JointRule::Unit || std::fabs(std::sqrt(squares) - 1.0) <= 1e-3,
-            ErrorKind::Value, solver, ": model.", a.name, "[", row, "]: expected a ",
-            a.first == 0 ? "vector" : "quaternion", " of length 1, got ", std::sqrt(squares));
-  }
-}
-
-}  // namespace
-
 void EditedValues::check_joints(const Model& m) {
-  using R = JointRule;
-  const JointArray arrays[] = {
-      {"joint_armature", m.joint_armature},
-      {"joint_damping", m.joint_damping},
-      {"joint_friction", m.joint_friction},
-      {"joint_target_ke", m.joint_target_ke},
-      {"joint_target_kd", m.joint_target_kd},
-      {"joint_limit_ke", m.joint_limit_ke},
-      {"joint_limit_kd", m.joint_limit_kd},
-      {"joint_effort_limit", m.joint_effort_limit},
-      {"joint_velocity_limit", m.joint_velocity_limit},
-      {"joint_limit_lower", m.joint_limit_lower, R::Finite},
-      {"joint_limit_upper", m.joint_limit_upper, R::Finite},
-      {"joint_axis", m.joint_axis, R::Unit},
-      {"joint_X_p", m.joint_X_p, R::Unit, 3},
-      {"joint_X_c", m.joint_X_c, R::Unit, 3},
-      {"body_mass", m.body_mass},
-      {"body_com", m.body_com, R::Finite},
-      {"body_inertia", m.body_inertia, R::Diagonal},
-      {"shape_material_mu", m.shape_material_mu},
-      {"shape_material_restitution", m.shape_material_restitution, R::AtMostOne},
-      {"shape_material_ke", m.shape_material_ke},
-      {"shape_material_kd", m.shape_material_kd},
-      {"shape_material_kf", m.shape_material_kf},
-      {"shape_material_ka", m.shape_material_ka}};
+  const Numbers arrays[] = {
+      {"joint_armature", m.joint_armature, Rule::NotNegative},
+      {"joint_damping", m.joint_damping, Rule::NotNegative},
+      {"joint_friction", m.joint_friction, Rule::NotNegative},
+      {"joint_target_ke", m.joint_target_ke, Rule::NotNegative},
+      {"joint_target_kd", m.joint_target_kd, Rule::NotNegative},
+      {"joint_limit_ke", m.joint_limit_ke, Rule::NotNegative},
+      {"joint_limit_kd", m.joint_limit_kd, Rule::NotNegative},
+      {"joint_effort_limit", m.joint_effort_limit, Rule::NotNegative},
+      {"joint_velocity_limit", m.joint_velocity_limit, Rule::NotNegative},
+      {"joint_limit_lower", m.joint_limit_lower, Rule::Finite},
+      {"joint_limit_upper", m.joint_limit_upper, Rule::Finite},
+      {"joint_axis", m.joint_axis, Rule::UnitVector},
+      {"joint_X_p", m.joint_X_p, Rule::UnitFrame},
+      {"joint_X_c", m.joint_X_c, Rule::UnitFrame},
+      {"body_mass", m.body_mass, Rule::NotNegative},
+      {"body_com", m.body_com, Rule::Finite},
+      {"body_inertia", m.body_inertia, Rule::Diagonal},
+      {"shape_material_mu", m.shape_material_mu, Rule::NotNegative},
+      {"shape_material_restitution", m.shape_material_restitution, Rule::AtMostOne},
+      {"shape_material_ke", m.shape_material_ke, Rule::NotNegative},
+      {"shape_material_kd", m.shape_material_kd, Rule::NotNegative},
+      {"shape_material_kf", m.shape_material_kf, Rule::NotNegative},
+      {"shape_material_ka", m.shape_material_ka, Rule::NotNegative}};
   constexpr size_t kCount = std::size(arrays), kLower = 9;
   joints_.resize(kCount + 1);
   const Unobserved unobserved;
@@ -224,7 +224,7 @@ void EditedValues::check_joints(const Model& m) {
                           must_read(joints_[kLower + 1], m.joint_limit_upper);
   for (size_t k = 0; k < kCount; ++k) {
     if (!must_read(joints_[k], arrays[k].array)) continue;
-    check_rows(solver_, arrays[k]);
+    check_numbers(solver_, arrays[k]);
     joints_[k].set(arrays[k].array);
   }
   if (new_limits) {

@@ -1,0 +1,34 @@
+// The rows of an array for the host.
+#pragma once
+
+#include <span>
+#include <vector>
+
+#include "novaphy/core/device_array.h"
+
+namespace novaphy {
+
+// Without a copy where they lie there.
+template <class T>
+class OnHost {
+ public:
+  explicit OnHost(const DeviceArray<T>& array) {
+    if (array.device().is_cpu()) {
+      values_ = {array.data(), array.rows()};
+    } else {
+      copy_ = array.to_host();
+      values_ = copy_;
+    }
+  }
+  OnHost(const OnHost&) = delete;
+  OnHost& operator=(const OnHost&) = delete;
+  const T& operator[](size_t k) const { return values_[k]; }
+  const T* data() const { return values_.data(); }
+  size_t size() const { return values_.size(); }
+
+ private:
+  std::vector<T> copy_;
+  std::span<const T> values_;
+};
+
+}  // namespace novaphy

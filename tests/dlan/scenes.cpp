@@ -7,12 +7,15 @@
 #include <vector>
 
 #include "diff/ball_scene.h"
+#include "dynamics/all_joints_scene.h"
 #include "novaphy/collision/collision_pipeline.h"
 #include "novaphy/core/error.h"
 #include "novaphy/diff/diff_semi_implicit_solver.h"
 #include "novaphy/diff/losses.h"
 #include "novaphy/diff/rigid_losses.h"
 #include "novaphy/diff/tensor_views.h"
+#include "novaphy/dynamics/featherstone/solver_featherstone.h"
+#include "novaphy/dynamics/joint_coordinates.h"
 #include "novaphy/dynamics/semi_implicit/solver_semi_implicit.h"
 #include "novaphy/nova/kernel.h"
 #include "novaphy/nova/op_list.h"
@@ -177,6 +180,46 @@ void rigid_contacts(Device device) {
   std::printf("\n");
 }
 
+// Articulations, from where forward kinematics has them.
+std::vector<float> articulation_steps(Device device, bool capture) {
+  using namespace novaphy;
+  ModelBuilder all;
+  all.replicate(testing::AllJointsScene::make(), 50);
+  const auto model = all.finalize(device);
+  SolverFeatherstone solver(model);
+  SimState now = model->state(), next = model->state();
+  std::vector<float> results;
+  const auto add = [&](const SimState& s) {
+    append(results, s.joint_q.to_host());
+    append(results, s.joint_qd.to_host());
+    append(results, s.body_q.to_host());
+    append(results, s.body_qd.to_host());
+  };
+  eval_fk(*model, now.joint_q, now.joint_qd, now);
+  add(now);
+  nova::ScopedCapture scope;
+  if (!capture) scope.end();
+  if (capture) solver.step(now, next, nullptr, nullptr, kRigidDt);
+  scope.end();
+  for (int k = 0; k < 20; ++k) {
+    if (capture) {
+      scope.graph()->launch();
+    } else {
+      solver.step(now, next, nullptr, nullptr, kRigidDt);
+    }
+    now.assign(next);
+  }
+  add(now);
+  return results;
+}
+void articulations(Device device) {
+  const std::vector<float> cpu = articulation_steps(Device::cpu(), false);
+  std::printf("%zu numbers", cpu.size());
+  for (const bool capture : {false, true})
+    std::printf(", %s", same_bits(articulation_steps(device, capture), cpu) ? "same" : "other");
+  std::printf("\n");
+}
+
 // The loss and gradients of a die and a ball on it, thrown: of a captured iteration.
 std::vector<float> rigid(Device device) {
   using namespace novaphy;
@@ -259,7 +302,9 @@ void own_kernel(Device device) {
 int main(int argc, char** argv) {
   try {
     if (argc != 3) return 2;
-    setenv("NOVAPHY_UNVERIFIED_DEVICE_CONTACTS", "on", 1);  // that is what is compared
+    // That is what is compared.
+    setenv("NOVAPHY_UNVERIFIED_DEVICE_CONTACTS", "on", 1);
+    setenv("NOVAPHY_UNVERIFIED_DEVICE_ARTICULATIONS", "on", 1);
     const std::string scene = argv[1];
     const Device device = Device::parse(argv[2]);
     if (scene == "ball") {
@@ -272,6 +317,8 @@ int main(int argc, char** argv) {
       compare(rigid, device);
     } else if (scene == "rigid_contacts") {
       rigid_contacts(device);
+    } else if (scene == "articulations") {
+      articulations(device);
 #ifdef DLAN_HAS_VBD
     } else if (scene.rfind("vbd", 0) == 0) {
       step_vbd(scene, device);

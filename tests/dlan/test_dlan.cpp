@@ -148,6 +148,9 @@ TEST_P(OnWarps, ACapturedIterationOfRigidBodiesHasTheBitsOfTheCpu) {
   EXPECT_EQ(output.rfind("loss ", 0), 0u) << output;
   EXPECT_NE(output.find(" and 15 gradients have the same bits\n"), std::string::npos) << output;
 }
+TEST_P(OnWarps, ArticulationsStepWithTheBitsOfTheCpuDirectAndReplayed) {
+  EXPECT_EQ(probe(fake(), "articulations", SCENES).output, "18300 numbers, same, same\n");
+}
 #ifdef DLAN_HAS_VBD
 const std::string kSameVbd =
     "47 particles, cpu replayed same, device same, device replayed same, rollout same\n";

@@ -15,6 +15,8 @@ const char* rigid_contact_kernels_text();
 const char* rigid_mesh_kernels_text();
 const char* rigid_sweep_kernels_text();
 const char* contact_body_kernels_text();
+const char* articulation_kernels_text();
+const char* joint_coordinates_kernels_text();
 #ifdef FAKE_DRIVER_HAS_VBD
 const char* vbd_kernels_text();
 #endif
@@ -25,9 +27,13 @@ namespace novaphy::gpu {
 AheadData ahead_data() {
   static const std::vector<unsigned char> bytes = [] {
     constexpr const char* (*kHandWritten[])() = {
-        detail::soft_contact_kernels_text, detail::rigid_contact_kernels_text,
-        detail::rigid_mesh_kernels_text,   detail::rigid_sweep_kernels_text,
+        detail::soft_contact_kernels_text,
+        detail::rigid_contact_kernels_text,
+        detail::rigid_mesh_kernels_text,
+        detail::rigid_sweep_kernels_text,
         detail::contact_body_kernels_text,
+        detail::articulation_kernels_text,
+        detail::joint_coordinates_kernels_text,
 #ifdef FAKE_DRIVER_HAS_VBD
         detail::vbd_kernels_text,
 #endif

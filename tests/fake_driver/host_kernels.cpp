@@ -141,6 +141,12 @@ namespace sweep {
 namespace bodies {
 #include "contact_body_kernels.cuh"
 }
+namespace trees {
+#include "articulation_kernels.cuh"
+}
+namespace joints {
+#include "joint_coordinates_kernels.cuh"
+}
 #ifdef FAKE_DRIVER_HAS_VBD
 #undef __shared__
 #define __shared__ static
@@ -207,6 +213,10 @@ const HostKernel* find_host_kernel(const char* name) {
       OF_TEXT(sweep::novaphy, rigid_sweep_total),
       OF_TEXT(sweep::novaphy, rigid_sweep_write),
       OF_TEXT(bodies::novaphy, contact_body),
+      OF_TEXT(trees::novaphy, articulation_step),
+      OF_TEXT(trees::novaphy, articulation_step_vjp),
+      OF_TEXT(trees::novaphy, gravity_gradient),
+      OF_TEXT(joints::novaphy, eval_fk_articulation),
 #ifdef FAKE_DRIVER_HAS_VBD
       OF_VBD(vbd_predict, false),
       OF_VBD(vbd_target, false),

@@ -7,12 +7,19 @@ installed are left out.
 
     NOVAPHY_NUM_THREADS=1 python tools/bench/novaphy_articulation.py
     NOVAPHY_NUM_THREADS=1 python tools/bench/novaphy_articulation.py --page
+
+With --device, world-steps per second of FR3 arms there, by the clock, captured, as lines of JSON
+with a hash of the arms' last joint_q: that of the CPU, if the bits are.
+
+    python tools/bench/novaphy_articulation.py --device cuda:0 --worlds 1024 65536
 """
 
 from __future__ import annotations
 
 import argparse
+import hashlib
 import importlib
+import json
 import os
 import platform
 import sys
@@ -142,13 +149,13 @@ def arm() -> novaphy.ModelBuilder:
     return builder
 
 
-def replicated(builder: novaphy.ModelBuilder, worlds: int) -> novaphy.Model:
+def replicated(builder: novaphy.ModelBuilder, worlds: int, device: str = "cpu") -> novaphy.Model:
     """So many worlds of it."""
     if worlds == 1:
-        return builder.finalize()
+        return builder.finalize(device)
     many = novaphy.ModelBuilder()
     many.replicate(builder, worlds, (3.0, 0.0, 0.0))
-    return many.finalize()
+    return many.finalize(device)
 
 
 def chain(joints: int) -> novaphy.ModelBuilder:
@@ -186,6 +193,44 @@ def time_steps(builder: novaphy.ModelBuilder, worlds: int, steps: int) -> float:
             solver.step(after, state, None, None, DT)
 
     return fastest(run, steps * worlds)
+
+
+def time_device(device: str, worlds: int, steps: int = 100) -> dict[str, object]:
+    """Steps of arms that swing to their pose, replayed on a device; on the CPU direct."""
+    os.environ["NOVAPHY_UNVERIFIED_DEVICE_ARTICULATIONS"] = "on"
+    model = replicated(arm(), worlds, device)
+    solver = novaphy.solvers.SolverFeatherstone(model)
+    state, after = model.state(), model.state()
+    start = np.random.default_rng(0).uniform(-0.1, 0.1, (worlds, 7)) + POSE
+
+    def pair() -> None:
+        solver.step(state, after, None, None, DT)
+        solver.step(after, state, None, None, DT)
+
+    run = pair
+    if device != "cpu":
+        from novaphy import nova
+
+        with nova.ScopedCapture() as capture:
+            pair()
+        run = capture.graph.launch
+    times = []
+    for _ in range(TURNS):
+        state.joint_q.assign(start.ravel().astype(np.float32))
+        state.joint_qd.zero_()
+        novaphy.synchronize(device)
+        begin = time.perf_counter()
+        for _ in range(steps // 2):
+            run()
+        novaphy.synchronize(device)
+        times.append(time.perf_counter() - begin)
+    solver.check_last_step()
+    return {
+        "device": novaphy.get_device(device).name,
+        "worlds": worlds,
+        "world_steps_per_second": round(worlds * steps / min(times)),
+        "hash": hashlib.sha256(state.joint_q.numpy().tobytes()).hexdigest()[:16],
+    }
 
 
 def planar_arm() -> novaphy.ModelBuilder:
@@ -530,7 +575,13 @@ def main() -> None:
     """Measure, and say or write it."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--page", action="store_true", help="write the page of the results")
+    parser.add_argument("--device", help="measure there, and nothing else")
+    parser.add_argument("--worlds", type=int, nargs="+", default=[1024, 8192, 65536])
     args = parser.parse_args()
+    if args.device:
+        for worlds in args.worlds:
+            print(json.dumps(time_device(args.device, worlds)), flush=True)
+        return
     if os.environ.get("NOVAPHY_NUM_THREADS") != "1":
         parser.error("set NOVAPHY_NUM_THREADS=1")
     rows = measure()

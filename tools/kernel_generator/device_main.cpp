@@ -24,6 +24,7 @@
 #include "compiler.h"
 #include "device_source.h"
 #include "novaphy/collision/device_modules.h"
+#include "novaphy/dynamics/device_modules.h"
 #ifdef NOVAPHY_VBD_MODULES
 #include "novaphy/vbd/device_modules.h"
 #endif
@@ -166,6 +167,8 @@ int run(int argc, char** argv) {
         p.contract ? gpu::Dialect::Contracted : gpu::Dialect::Program);
   for (const std::string& text : novaphy::collision_device_modules())
     add(gpu::module_source(text), "collision", gpu::Dialect::Source);
+  for (const std::string& text : novaphy::dynamics_device_modules())
+    add(gpu::module_source(text), "dynamics", gpu::Dialect::Source);
 #ifdef NOVAPHY_VBD_MODULES
   for (const std::string& text : novaphy::vbd_device_modules())
     add(gpu::module_source(text), "vbd", gpu::Dialect::Source);

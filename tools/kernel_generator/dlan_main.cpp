@@ -20,6 +20,7 @@
 #include "device_source.h"
 #include "kernels.h"
 #include "novaphy/collision/device_modules.h"
+#include "novaphy/dynamics/device_modules.h"
 #ifdef NOVAPHY_VBD_MODULES
 #include "novaphy/vbd/device_modules.h"
 #endif
@@ -119,6 +120,8 @@ int run(int argc, char** argv) {
   add(gpu::builtins_source(), gpu::Dialect::Program);
   add(gpu::interpreter_source(), gpu::Dialect::Program);
   for (const std::string& text : novaphy::collision_device_modules())
+    add(gpu::module_source(text), gpu::Dialect::Source);
+  for (const std::string& text : novaphy::dynamics_device_modules())
     add(gpu::module_source(text), gpu::Dialect::Source);
 #ifdef NOVAPHY_VBD_MODULES
   for (const std::string& text : novaphy::vbd_device_modules())

@@ -3,7 +3,7 @@
 #pragma once
 
 #include "novaphy/core/row_kernel.h"
-#include "novaphy/dynamics/articulation/dual.h"
+#include "novaphy/core/row_scratch.h"
 #include "novaphy/dynamics/articulation/step_vjp.h"
 
 namespace novaphy {
@@ -61,7 +61,8 @@ inline articulation::StepOptions<float> articulation_options(const ArticulationA
   return {a.dt.value, a.angular_damping.value, a.implicit_drives != 0};
 }
 
-// Small trees work on the stack, which stays in the cache; the others in memory of their own.
+// On the host small trees work on the stack, which stays in the cache; the others, and all on
+// devices, in memory of their own.
 inline constexpr int64_t kLocalWorkspace = 16384;
 struct LocalWorkspace {
   alignas(16) unsigned char bytes[kLocalWorkspace];
@@ -82,18 +83,37 @@ struct ArticulationStepArguments {
   float* workspace;
   int64_t stride;  // numbers of it for an articulation; 0: they are on the stack
 };
-// One that fails leaves its rows of the new state as they are.
-NOVAPHY_ROW_KERNEL(articulation_step, kArticulationWords + 9, ArticulationStepArguments) {
+
+// NaN in the new state of an articulation, and in its accelerations.
+inline void write_failure(const ArticulationStepArguments& a, const ArticulationRows& rows) {
+  const float nan = math::bits_float(0x7fc00000);
+  const Vec3f none = {nan, nan, nan};
+  for (int32_t i = 0; i < rows.link_count; ++i) {
+    const articulation::Link& link = a.in.links[rows.first_link + i];
+    for (int32_t c = 0; c < link.dofs + (link.dofs > 1 ? 1 : 0); ++c)
+      a.q_next[link.coord + c] = nan;
+    for (int32_t k = link.dof; k < link.dof + link.dofs; ++k) {
+      a.qd_next[k] = a.qdd[k] = nan;
+      a.branch[k] = 0.0f;
+    }
+    if (link.body < 0) continue;
+    a.body_q[link.body] = {none, {nan, nan, nan, nan}};
+    a.body_qd[link.body] = {none, none};
+  }
+}
+// Nobody waits for a launch, so one that fails writes NaN.
+NOVAPHY_ROW_KERNEL(articulation_step, 39, ArticulationStepArguments) {
   const ArticulationRows& rows = a.in.rows[row];
   const articulation::Tree<float> tree = articulation_tree(a.in, rows);
   const articulation::StepInputs<float> in = articulation_inputs(a.in);
   const articulation::StepOptions<float> options = articulation_options(a.in);
-  LocalWorkspace local;
+  NOVAPHY_ROW_SCRATCH(LocalWorkspace, local,
+                      reinterpret_cast<LocalWorkspace*>(a.workspace + row * a.stride));
   articulation::Workspace<float> ws = articulation::make_workspace<float>(
       workspace_of(a.workspace, a.stride, row, local), rows.link_count, rows.dof_count);
   const int32_t failed = articulation::forward_step(tree, in, options, ws);
   a.status[row] = failed < 0 ? 0 : 1 + failed + rows.first_dof;
-  if (failed >= 0) return;
+  if (failed >= 0) return write_failure(a, rows);
   for (int32_t k = 0; k < rows.dof_count; ++k) {
     a.qdd[rows.first_dof + k] = ws.qdd[k];
     a.branch[rows.first_dof + k] = static_cast<float>(ws.branch[k]);
@@ -111,9 +131,10 @@ struct ArticulationStepVjpArguments {
   float* workspace;
   int64_t stride;
 };
-NOVAPHY_ROW_KERNEL(articulation_step_vjp, kArticulationWords + 30, ArticulationStepVjpArguments) {
+NOVAPHY_ROW_KERNEL(articulation_step_vjp, 60, ArticulationStepVjpArguments) {
   const ArticulationRows& rows = a.in.rows[row];
-  LocalWorkspace local;
+  NOVAPHY_ROW_SCRATCH(LocalWorkspace, local,
+                      reinterpret_cast<LocalWorkspace*>(a.workspace + row * a.stride));
   unsigned char* const memory = workspace_of(a.workspace, a.stride, row, local);
   articulation::Workspace<float> ws =
       articulation::make_workspace<float>(memory, rows.link_count, rows.dof_count);
@@ -124,8 +145,6 @@ NOVAPHY_ROW_KERNEL(articulation_step_vjp, kArticulationWords + 30, ArticulationS
                          articulation_options(a.in), a.qdd, a.branch, a.q_next, a.qd_next, a.out,
                          a.gradient, ws, adjoint);
 }
-
-inline constexpr size_t kGradientWords = kArticulationWords + 8;  // before `gradient`
 
 // The gradient of gravity {worlds} from that of body_f: a force at each centre of mass, with its
 // mass. One row, so that the sums have one order.

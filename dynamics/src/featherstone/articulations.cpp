@@ -6,6 +6,7 @@
 #include "articulation_kernels.h"
 #include "novaphy/core/error.h"
 #include "novaphy/core/sim/joint_args.h"
+#include "novaphy/core/sim/on_host.h"
 
 namespace novaphy {
 namespace {
@@ -89,15 +90,22 @@ class TreeMaker {
   int32_t first_ = 0;
 };
 
-DeviceArray<int32_t> table(const std::vector<int32_t>& values, size_t width) {
-  return DeviceArray<int32_t>::from_host(values, Device::cpu(), width);
-}
-
 }  // namespace
 
-Articulations::Articulations(const Model& m, const char* user) : values_(user) {
-  require(m.device().is_cpu(), ErrorKind::NotImplemented, user,
-          ": model: expected one on the cpu, got one on ", m.device().str());
+Articulations::Articulations(const Model& model, const char* user, Devices devices)
+    : values_(user) {
+  const Device device = model.device();
+  std::shared_ptr<const Model> copy;
+  if (!device.is_cpu()) {
+    require(devices == Devices::All, ErrorKind::NotImplemented, user,
+            ": model: expected one on the cpu, got one on ", device.str());
+    require_opt_in(
+        "NOVAPHY_UNVERIFIED_DEVICE_ARTICULATIONS",
+        std::string(user) + ": articulations move on the cpu; moving them on " + device.str());
+    const Unobserved unobserved;
+    copy = model.to(Device::cpu());
+  }
+  const Model& m = copy != nullptr ? *copy : model;
   for (int32_t j = 0; j < m.joint_count(); ++j)
     require(m.joint_articulation.data()[j] >= 0, ErrorKind::NotImplemented, user, ": model: joint ",
             j, " ('", m.joint_label[static_cast<size_t>(j)],
@@ -120,9 +128,9 @@ Articulations::Articulations(const Model& m, const char* user) : values_(user) {
     max_dofs_ = std::max(max_dofs_, dofs);
   }
   const auto* words = reinterpret_cast<const int32_t*>(trees.links.data());
-  rows_ = table(rows, 5);
-  links_ = table(std::vector<int32_t>(words, words + 8 * trees.links.size()), 8);
-  dof_parent_ = table(trees.dof_parent, 1);
+  rows_ = DeviceArray<int32_t>::from_host(rows, device, 5);
+  links_ = DeviceArray<int32_t>::from_host({words, 8 * trees.links.size()}, device, 8);
+  dof_parent_ = DeviceArray<int32_t>::from_host(trees.dof_parent, device);
   joint_of_dof_ = std::move(trees.joint_of_dof);
 }
 
@@ -143,31 +151,34 @@ articulation::Tree<float> Articulations::tree(const Model& m, int64_t i) const {
 }
 
 std::string Articulations::dof_name(const Model& m, int32_t dof) const {
-  const int32_t* start = m.joint_qd_start.data();
+  const OnHost<int32_t> starts(m.joint_qd_start);
+  const int32_t* const start = starts.data();
   const auto joint = std::upper_bound(start, start + m.joint_count(), dof) - start - 1;
   return "dof " + std::to_string(dof) + " (joint '" + m.joint_label[static_cast<size_t>(joint)] +
          "')";
 }
 
 void Articulations::check_without_drive(const Model& m, const char* user) const {
+  const OnHost<float> ke(m.joint_target_ke), kd(m.joint_target_kd), damping(m.joint_damping),
+      lower(m.joint_limit_lower), upper(m.joint_limit_upper);
   struct Number {
     const char* name;
-    const DeviceArray<float>* array;
+    const float* values;
     bool on_ball;  // acts there
   };
-  const Number numbers[] = {{"joint_target_ke", &m.joint_target_ke, false},
-                            {"joint_target_kd", &m.joint_target_kd, false},
-                            {"joint_damping", &m.joint_damping, true}};
+  const Number numbers[] = {{"joint_target_ke", ke.data(), false},
+                            {"joint_target_kd", kd.data(), false},
+                            {"joint_damping", damping.data(), true}};
   for (int32_t k = 0; k < m.joint_dof_count(); ++k) {
-    const LinkJoint joint = joint_of_dof_[static_cast<size_t>(k)];
+    const auto row = static_cast<size_t>(k);
+    const LinkJoint joint = joint_of_dof_[row];
     if (joint == LinkJoint::Prismatic || joint == LinkJoint::Revolute) continue;
     const bool ball = joint == LinkJoint::Ball;
     for (const Number& n : numbers)
-      require(n.array->data()[k] == 0.0f || (ball && n.on_ball), ErrorKind::NotImplemented, user,
+      require(n.values[k] == 0.0f || (ball && n.on_ball), ErrorKind::NotImplemented, user,
               ": model.", n.name, "[", k, "]: ", dof_name(m, k), " is of a ",
-              ball ? "BALL" : "FREE", " joint, which has none; got ", n.array->data()[k]);
-    require(m.joint_limit_lower.data()[k] <= -kJointUnlimited &&
-                m.joint_limit_upper.data()[k] >= kJointUnlimited,
+              ball ? "BALL" : "FREE", " joint, which has none; got ", n.values[k]);
+    require(lower[row] <= -kJointUnlimited && upper[row] >= kJointUnlimited,
             ErrorKind::NotImplemented, user, ": model.joint_limit_lower and joint_limit_upper[", k,
             "]: ", dof_name(m, k), " is of a ", ball ? "BALL" : "FREE",
             " joint, whose limits are not covered");
@@ -176,8 +187,8 @@ void Articulations::check_without_drive(const Model& m, const char* user) const 
 
 void Articulations::check_values(const Model& m, const Control* control, bool friction,
                                  const char* user) {
-  const DeviceArray<float>& act = control ? control->joint_act : m.joint_act;
-  const Array* const arrays[] = {&m.joint_enabled,     &m.joint_friction,   &act,
+  const DeviceArray<float>& joint_act = control ? control->joint_act : m.joint_act;
+  const Array* const arrays[] = {&m.joint_enabled,     &m.joint_friction,   &joint_act,
                                  &m.joint_target_ke,   &m.joint_target_kd,  &m.joint_damping,
                                  &m.joint_limit_lower, &m.joint_limit_upper};
   values_.check_joints(m);
@@ -185,15 +196,17 @@ void Articulations::check_values(const Model& m, const Control* control, bool fr
   bool same = true;
   for (size_t i = 0; i < std::size(arrays); ++i) same = same && checked_[i].matches(*arrays[i]);
   if (same) return;
-  for (int32_t j = 0; j < m.joint_count(); ++j)
-    require(m.joint_enabled.data()[j] != 0, ErrorKind::NotImplemented, user,
-            ": model.joint_enabled[", j, "]: joints that are not enabled are not covered");
-  for (int32_t k = 0; k < m.joint_dof_count(); ++k) {
-    const float dry = m.joint_friction.data()[k];
-    require(friction || dry == 0.0f, ErrorKind::NotImplemented, user, ": model.joint_friction[", k,
-            "]: expected 0 (dry friction is not followed here), got ", dry);
-    require(act.data()[k] == 0.0f, ErrorKind::NotImplemented, user, ": joint_act[", k,
-            "]: expected 0 (there are no actuators; joint_f takes forces), got ", act.data()[k]);
+  const Unobserved unobserved;
+  const OnHost<uint8_t> enabled(m.joint_enabled);
+  const OnHost<float> dry(m.joint_friction), act(joint_act);
+  for (size_t j = 0; j < enabled.size(); ++j)
+    require(enabled[j] != 0, ErrorKind::NotImplemented, user, ": model.joint_enabled[", j,
+            "]: joints that are not enabled are not covered");
+  for (size_t k = 0; k < dry.size(); ++k) {
+    require(friction || dry[k] == 0.0f, ErrorKind::NotImplemented, user, ": model.joint_friction[",
+            k, "]: expected 0 (dry friction is not followed here), got ", dry[k]);
+    require(act[k] == 0.0f, ErrorKind::NotImplemented, user, ": joint_act[", k,
+            "]: expected 0 (there are no actuators; joint_f takes forces), got ", act[k]);
   }
   check_without_drive(m, user);
   for (size_t i = 0; i < std::size(arrays); ++i) checked_[i].set(*arrays[i]);

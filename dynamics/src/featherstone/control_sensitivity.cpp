@@ -7,6 +7,7 @@
 #include "articulation_step.h"
 #include "novaphy/core/error.h"
 #include "novaphy/dynamics/articulation/control_sensitivity.h"
+#include "novaphy/dynamics/articulation/dual.h"
 
 namespace novaphy {
 namespace {

@@ -20,6 +20,7 @@ namespace {
 
 using nova::Tensor;
 constexpr const char* kName = "articulation_step";
+constexpr size_t kGradientWords = kArticulationWords + 8;  // before `gradient` of the adjoint
 constexpr int32_t kLeastSweeps = 1000;  // at most, where impulses are differentiated
 using G = articulation::StepGradient<float>;
 // Inputs behind the members of G. Those of shapes only with contacts.

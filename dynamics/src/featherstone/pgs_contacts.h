@@ -10,6 +10,7 @@
 #include "novaphy/core/sim/contacts.h"
 #include "novaphy/core/sim/index_rows.h"
 #include "novaphy/dynamics/articulation/contact_rows.h"
+#include "novaphy/dynamics/articulation/dual.h"
 #include "novaphy/dynamics/articulation/pgs.h"
 #include "novaphy/dynamics/featherstone/articulations.h"
 #include "novaphy/dynamics/featherstone/contact_branches.h"

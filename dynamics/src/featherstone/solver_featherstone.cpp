@@ -8,6 +8,7 @@
 #include "../semi_implicit/rigid_bodies.h"
 #include "articulation_kernels.h"
 #include "articulation_step.h"
+#include "launched_articulations.h"
 #include "novaphy/core/error.h"
 #include "novaphy/core/storage.h"
 #include "pgs_contacts.h"
@@ -100,7 +101,10 @@ SolverFeatherstone::SolverFeatherstone(std::shared_ptr<const Model> model,
 SolverFeatherstone::~SolverFeatherstone() = default;
 
 void SolverFeatherstone::make_cache() {
-  cache_ = std::make_unique<Cache>(*model(), options_.contact);
+  if (device().is_cpu())
+    cache_ = std::make_unique<Cache>(*model(), options_.contact);
+  else
+    launched_ = std::make_unique<LaunchedArticulations>(*model());
 }
 
 void SolverFeatherstone::notify_model_changed(ModelFlags) {
@@ -108,8 +112,13 @@ void SolverFeatherstone::notify_model_changed(ModelFlags) {
   make_cache();
 }
 
-int32_t SolverFeatherstone::pgs_sweeps() const { return cache_->pgs.sweeps(); }
-float SolverFeatherstone::pgs_residual() const { return cache_->pgs.residual(); }
+int32_t SolverFeatherstone::pgs_sweeps() const { return cache_ ? cache_->pgs.sweeps() : 0; }
+float SolverFeatherstone::pgs_residual() const { return cache_ ? cache_->pgs.residual() : 0.0f; }
+
+void SolverFeatherstone::check_last_step() const {
+  const ExclusiveUse::Scope scope = use("SolverFeatherstone.check_last_step");
+  if (launched_) launched_->check();
+}
 
 // The wrenches of contacts of the bodies where joint_q and joint_qd have them, beside body_f.
 void SolverFeatherstone::add_penalties(const Contacts& contacts, ArticulationStepArguments& a) {
@@ -129,12 +138,20 @@ void SolverFeatherstone::add_penalties(const Contacts& contacts, ArticulationSte
 
 void SolverFeatherstone::step(SimState& state_in, SimState& state_out, const Control* control,
                               const Contacts* contacts, float dt) {
-  if (ArrayObserver* observer = array_observer()) observer->host_read(kName);
+  ArrayObserver* const observer = array_observer();
+  if (observer != nullptr && !launched_) observer->host_read(kName);
   const ExclusiveUse::Scope scope = use(kName);
   const Model& m = *model();
   check_step(kName, state_in, state_out, control, contacts, dt);
   check_contacts(contacts, options_.contact);
   m.check_numbers(kName);
+  if (launched_) {
+    require(contacts == nullptr || contacts->rigid_contact_max() == 0, ErrorKind::NotImplemented,
+            kName, ": contacts: expected none on ", device().str(),
+            " (contacts of articulations are solved on the cpu)");
+    launched_->step(state_in, state_out, control, options_, dt, in_use());
+    return mark_unrecorded_step(m, state_in, state_out, control);
+  }
   m.update_derived();
   Cache& c = *cache_;
   c.articulations.check_values(m, control, true, kName);

@@ -12,14 +12,18 @@ namespace novaphy {
 // bodies stay as they are. Quaternions in joint_q are made unit. Arrays: joint_q {coordinates},
 // joint_qd {degrees of freedom}; those of `state` itself may be given.
 // ErrorKind::Value: rows that are not the model's, a state of another model, a quaternion of length
-// 0; ErrorKind::NotImplemented: a model on another device than the CPU. On a tape it raises.
+// 0. On a tape it raises.
+//
+// On a device it is one launch, which a capture records, with the bits of the CPU; a quaternion of
+// length 0 gives NaN. ErrorKind::NotImplemented unless NOVAPHY_UNVERIFIED_DEVICE_ARTICULATIONS is
+// on: that was not verified on hardware.
 NOVAPHY_DYNAMICS_API void eval_fk(const Model& model, const DeviceArray<float>& joint_q,
                                   const DeviceArray<float>& joint_qd, SimState& state);
 
 // Coordinates and rates of all joints, from body_q and body_qd. What the bodies do besides what
 // their joint allows is left out. Angles are those in [-pi, pi]: turns are not counted.
-// Errors as eval_fk; ErrorKind::NotImplemented, naming the joint: a D6 whose axes are not
-// perpendicular.
+// Errors as eval_fk; ErrorKind::NotImplemented: a model on a device; naming the joint, a D6 whose
+// axes are not perpendicular.
 NOVAPHY_DYNAMICS_API void eval_ik(const Model& model, const SimState& state,
                                   DeviceArray<float> joint_q, DeviceArray<float> joint_qd);
 

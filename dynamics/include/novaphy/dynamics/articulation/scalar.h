@@ -21,7 +21,6 @@ inline int32_t with(int32_t branches, bool c, int32_t bit) { return c ? branches
 inline bool differ(int32_t a, int32_t b) { return a != b; }
 // From and to a number, which holds them exactly.
 inline int32_t to_branches(float x) { return static_cast<int32_t>(x); }
-inline int32_t to_branches(double x) { return static_cast<int32_t>(x); }
 inline float to_number(int32_t branches) { return static_cast<float>(branches); }
 
 using math::both;
@@ -32,7 +31,7 @@ T select(bool c, const T& a, const T& b) {
   return c ? a : b;
 }
 inline bool all(bool c) { return c; }
-inline bool any(bool c) { return c; }
+inline bool(any)(bool c) { return c; }  // in device code a macro of the same meaning
 
 template <class T>
 struct SinCos {
@@ -42,10 +41,14 @@ inline SinCos<float> sin_cos(float x) {
   const auto v = math::functions_detail::sin_cos(x);
   return {v.sin, v.cos};
 }
-inline SinCos<double> sin_cos(double x) { return {std::sin(x), std::cos(x)}; }
 inline float square_root(float x) { return math::sqrt(x); }
-inline double square_root(double x) { return std::sqrt(x); }
 inline bool is_finite(float x) { return x - x == 0.0f; }
+
+#ifndef NOVAPHY_KERNEL  // devices have no doubles
+inline int32_t to_branches(double x) { return static_cast<int32_t>(x); }
+inline SinCos<double> sin_cos(double x) { return {std::sin(x), std::cos(x)}; }
+inline double square_root(double x) { return std::sqrt(x); }
 inline bool is_finite(double x) { return x - x == 0.0; }
+#endif
 
 }  // namespace novaphy::articulation

@@ -18,18 +18,22 @@ namespace novaphy {
 // once, when it is made; everything else at every use.
 class NOVAPHY_DYNAMICS_API Articulations {
  public:
+  // Who steps articulations on devices too, where that is asked for.
+  enum class Devices { Cpu, All };
   // `user` starts the messages. ErrorKind::NotImplemented: a model on another device than the cpu,
-  // a joint that belongs to no articulation, a DISTANCE joint, a kinematic body.
-  Articulations(const Model& model, const char* user);
+  // unless devices are All and NOVAPHY_UNVERIFIED_DEVICE_ARTICULATIONS is on; a joint that belongs
+  // to no articulation, a DISTANCE joint, a kinematic body.
+  Articulations(const Model& model, const char* user, Devices devices = Devices::Cpu);
 
   int64_t count() const { return static_cast<int64_t>(rows_.rows()); }
   int32_t max_links() const { return max_links_; }
   int32_t max_dofs() const { return max_dofs_; }
+  // These three on the model's device.
   // {count} rows of 5: first link, links, first dof, dofs, world.
   const DeviceArray<int32_t>& rows() const { return rows_; }
   const DeviceArray<int32_t>& links() const { return links_; }  // rows of articulation::Link
   const DeviceArray<int32_t>& dof_parent() const { return dof_parent_; }
-  // Over the arrays of the model, which must live as long.
+  // Over the arrays of the model, which must live as long. On the cpu.
   articulation::Tree<float> tree(const Model& model, int64_t i) const;
 
   // ErrorKind::NotImplemented, naming the array: a value that would have no effect: joint_friction

@@ -8,6 +8,7 @@
 
 namespace novaphy {
 
+class LaunchedArticulations;
 struct ArticulationStepArguments;
 
 // How articulations meet each other and the world.
@@ -57,6 +58,11 @@ struct FeatherstoneOptions {
 // in a step. Inside an active nova::Tape a step runs and is not recorded: what it wrote may be no
 // input there, unless diff::record_planar_2r_featherstone_step records it. DiffFeatherstoneSolver
 // is the differentiable one.
+//
+// A model on a device is stepped there, without contacts and dry friction, with the bits of the
+// cpu: one launch, which a capture records. That was not verified on hardware, so it needs
+// NOVAPHY_UNVERIFIED_DEVICE_ARTICULATIONS=on. Nobody waits for it: an articulation that fails gets
+// NaN, and check_last_step says why.
 class NOVAPHY_DYNAMICS_API SolverFeatherstone : public SolverBase {
  public:
   // ErrorKind::Value: a bad option; ErrorKind::NotImplemented: what is not covered.
@@ -73,6 +79,11 @@ class NOVAPHY_DYNAMICS_API SolverFeatherstone : public SolverBase {
   // is not finite: the articulation keeps its rows of state_out.
   void step(SimState& state_in, SimState& state_out, const Control* control,
             const Contacts* contacts, float dt) override;
+  // False on the cpu.
+  bool supports_graph_capture() const override { return !device().is_cpu(); }
+  // Of a model on a device: waits for the last step or replay. ErrorKind::Runtime where it failed,
+  // naming the dof as step does on the cpu.
+  void check_last_step() const;
   // Also forgets the impulses that a step starts from.
   void notify_model_changed(ModelFlags flags) override;
   // Of the last step: the most sweeps of an island, and the largest change of velocity (m/s) of a
@@ -86,7 +97,8 @@ class NOVAPHY_DYNAMICS_API SolverFeatherstone : public SolverBase {
   void add_penalties(const Contacts& contacts, ArticulationStepArguments& arguments);
 
   FeatherstoneOptions options_;
-  std::unique_ptr<Cache> cache_;
+  std::unique_ptr<Cache> cache_;                     // null: on a device
+  std::unique_ptr<LaunchedArticulations> launched_;  // null: on the cpu
 };
 
 }  // namespace novaphy

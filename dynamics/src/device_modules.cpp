@@ -1,0 +1,17 @@
+#include "novaphy/dynamics/device_modules.h"
+
+namespace novaphy {
+namespace detail {
+const char* articulation_kernels_text();
+const char* joint_coordinates_kernels_text();
+}  // namespace detail
+
+std::vector<std::string> dynamics_device_modules() {
+  std::vector<std::string> modules;
+  for (const char* text :
+       {detail::articulation_kernels_text(), detail::joint_coordinates_kernels_text()})
+    if (text != nullptr) modules.emplace_back(text);
+  return modules;
+}
+
+}  // namespace novaphy

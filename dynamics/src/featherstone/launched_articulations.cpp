@@ -1,0 +1,96 @@
+#include "launched_articulations.h"
+
+#include "articulation_kernels.h"
+#include "articulation_step.h"
+#include "novaphy/core/device_kernel.h"
+
+namespace novaphy {
+namespace detail {
+const char* articulation_kernels_text();
+}
+namespace {
+
+constexpr const char* kName = "SolverFeatherstone.step";
+
+const DeviceKernel& step_kernel() {
+  static const auto& kernel =
+      *new DeviceKernel(articulation_step, detail::articulation_kernels_text);
+  return kernel;
+}
+
+}  // namespace
+
+LaunchedArticulations::LaunchedArticulations(const Model& m)
+    : model_(m), articulations_(m, "SolverFeatherstone", Articulations::Devices::All) {
+  const Device device = m.device();
+  const auto count = static_cast<size_t>(articulations_.count());
+  const auto dofs = static_cast<size_t>(m.joint_dof_count());
+  stride_ =
+      articulation::workspace_bytes<float>(articulations_.max_links(), articulations_.max_dofs()) /
+      static_cast<int64_t>(sizeof(float));
+  status_ = DeviceArray<int32_t>(count, device);
+  qdd_ = DeviceArray<float>(dofs, device);
+  branch_ = DeviceArray<float>(dofs, device);
+  workspace_ = DeviceArray<float>(count * static_cast<size_t>(stride_), device);
+}
+
+void LaunchedArticulations::step(const SimState& in, const SimState& out, const Control* control,
+                                 const FeatherstoneOptions& options, float dt,
+                                 const std::shared_ptr<ExclusiveUse>& in_use) {
+  const Model& m = model_;
+  const Articulations& a = articulations_;
+  articulations_.check_values(m, control, false, kName);
+  if (LaunchRecorder* recorder = launch_recorder()) recorder->uses(in_use);
+  depend_on({&m.joint_enabled, &m.joint_friction, control ? &control->joint_act : &m.joint_act});
+  // What a tape makes of the results, mark_unrecorded_step says.
+  const auto value = [](const char* name, const Array& array) {
+    return reads(name, array).detached();
+  };
+  step_kernel().launch(
+      m.device(), a.count(),
+      {reads_row("rows", a.rows()),
+       reads("links", a.links()),
+       reads("dof_parent", a.dof_parent()),
+       value("model.joint_X_p", m.joint_X_p),
+       value("model.joint_X_c", m.joint_X_c),
+       value("model.joint_axis", m.joint_axis),
+       value("model.body_mass", m.body_mass),
+       value("model.body_com", m.body_com),
+       value("model.body_inertia", m.body_inertia),
+       value("model.gravity", m.gravity),
+       value("model.joint_target_mode", m.joint_target_mode),
+       value("joint_target_q", control ? control->joint_target_q : m.joint_target_q),
+       value("joint_target_qd", control ? control->joint_target_qd : m.joint_target_qd),
+       value("model.joint_target_ke", m.joint_target_ke),
+       value("model.joint_target_kd", m.joint_target_kd),
+       value("model.joint_damping", m.joint_damping),
+       value("model.joint_armature", m.joint_armature),
+       value("model.joint_limit_lower", m.joint_limit_lower),
+       value("model.joint_limit_upper", m.joint_limit_upper),
+       value("model.joint_limit_ke", m.joint_limit_ke),
+       value("model.joint_limit_kd", m.joint_limit_kd),
+       value("model.joint_effort_limit", m.joint_effort_limit),
+       value("model.joint_velocity_limit", m.joint_velocity_limit),
+       value("state_in.joint_q", in.joint_q),
+       value("state_in.joint_qd", in.joint_qd),
+       value("joint_f", control ? control->joint_f : m.joint_f),
+       value("state_in.body_f", in.body_f),
+       number(dt),
+       number(options.angular_damping),
+       number(int64_t{options.implicit_drives}),
+       writes("state_out.joint_q", out.joint_q),
+       writes("state_out.joint_qd", out.joint_qd),
+       writes("state_out.body_q", out.body_q),
+       writes("state_out.body_qd", out.body_qd),
+       writes("qdd", qdd_),
+       writes("branch", branch_),
+       writes_row("status", status_),
+       writes("workspace", workspace_),
+       number(stride_)});
+}
+
+void LaunchedArticulations::check() const {
+  check_status(model_, articulations_, status_.to_host(), kName);
+}
+
+}  // namespace novaphy

@@ -1,0 +1,321 @@
+// Articulations on a CUDA device: steps and forward kinematics have the bits of the CPU. On a GPU,
+// or on the fake driver (CMakeLists.txt).
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <cstdlib>
+#include <limits>
+#include <optional>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "dynamics/all_joints_scene.h"
+#include "novaphy/collision/collision_pipeline.h"
+#include "novaphy/core/error.h"
+#include "novaphy/core/sim/model_builder.h"
+#include "novaphy/core/sim/trajectory.h"
+#include "novaphy/diff/tensor_views.h"
+#include "novaphy/dynamics/featherstone/diff_articulation_step.h"
+#include "novaphy/dynamics/featherstone/solver_featherstone.h"
+#include "novaphy/dynamics/joint_coordinates.h"
+#include "novaphy/nova/op_list.h"
+#include "novaphy/nova/ops.h"
+#include "novaphy/nova/tape.h"
+#include "support/device_bits.h"
+
+namespace novaphy {
+namespace {
+
+using testing::AllJointsScene;
+using testing::bytes;
+using testing::expect_same;
+using testing::expect_same_bits;
+using testing::Result;
+
+constexpr float kDt = 1.0f / 240.0f;
+constexpr const char* kOptIn = "NOVAPHY_UNVERIFIED_DEVICE_ARTICULATIONS";
+
+class ArticulationDevices : public ::testing::Test {
+ protected:
+  void SetUp() override {
+    try {
+      device_info(Device::cuda());
+    } catch (const Error& error) {
+      GTEST_SKIP() << "needs a CUDA device: " << error.what();
+    }
+    setenv(kOptIn, "on", 1);
+  }
+  void TearDown() override { unsetenv(kOptIn); }
+};
+
+// Kind and text of what a call throws.
+std::pair<ErrorKind, std::string> thrown(const std::function<void()>& call) {
+  try {
+    call();
+  } catch (const Error& error) {
+    return {error.kind(), error.what()};
+  }
+  return {ErrorKind::Runtime, "nothing was thrown"};
+}
+void expect_thrown(ErrorKind kind, const char* words, const std::function<void()>& call) {
+  const auto [of, text] = thrown(call);
+  EXPECT_EQ(of, kind) << text;
+  EXPECT_NE(text.find(words), std::string::npos) << text;
+}
+
+void add(Result& result, const SimState& s, const std::string& when) {
+  result.emplace_back(when + " joint_q", bytes(s.joint_q.to_host()));
+  result.emplace_back(when + " joint_qd", bytes(s.joint_qd.to_host()));
+  result.emplace_back(when + " body_q", bytes(s.body_q.to_host()));
+  result.emplace_back(when + " body_qd", bytes(s.body_qd.to_host()));
+}
+
+struct Steps {
+  FeatherstoneOptions options = {};
+  int pairs = 20;
+  bool captured = false;
+};
+// States after pairs of steps, with wrenches on the bodies.
+Result stepped(const Model& m, const Steps& how) {
+  const auto model = m.shared_from_this();
+  SolverFeatherstone solver(model, how.options);
+  SimState a = model->state(), b = model->state();
+  for (SimState* s : {&a, &b}) s->body_f.fill({{0.3f, -0.2f, 0.5f}, {0.1f, 0.2f, -0.1f}});
+  Control control = model->control();
+  const auto pair = [&] {
+    solver.step(a, b, &control, nullptr, kDt);
+    solver.step(b, a, &control, nullptr, kDt);
+  };
+  std::optional<nova::ScopedCapture> scope;
+  if (how.captured) {
+    scope.emplace();
+    pair();
+    scope->end();
+  }
+  Result result;
+  for (int k = 0; k < how.pairs; ++k) {
+    if (how.captured)
+      scope->graph()->launch();
+    else
+      pair();
+    if (k % 5 == 4 || k + 1 == how.pairs) {
+      add(result, a, "pair " + std::to_string(k));
+      add(result, b, "pair " + std::to_string(k) + ", first");
+    }
+  }
+  return result;
+}
+
+TEST_F(ArticulationDevices, StepsHaveTheBitsOfTheCpuDirectAndReplayed) {
+  const ModelBuilder builder = AllJointsScene::make();
+  for (const bool implicit : {true, false}) {
+    Steps how = {.options = {.implicit_drives = implicit}};
+    const Result expected = stepped(*builder.finalize(Device::cpu()), how);
+    const auto model = builder.finalize(Device::cuda());
+    expect_same(stepped(*model, how), expected, ", direct");
+    how.captured = true;
+    expect_same(stepped(*model, how), expected, ", replayed");
+  }
+}
+
+// Every array that a step reads, so that none is taken for another.
+TEST_F(ArticulationDevices, EveryArrayActsAsOnTheCpu) {
+  using Edit = std::function<void(Model&)>;
+  const ModelBuilder builder = AllJointsScene::make();
+  const auto run = [&](const Edit& edit) {
+    Result results[2];
+    for (const Device device : {Device::cpu(), Device::cuda()}) {
+      const auto model = builder.finalize(device);
+      edit(*model);
+      results[device.is_cpu() ? 0 : 1] = stepped(*model, {.pairs = 2});
+    }
+    expect_same(results[1], results[0], "");
+    return results[1];
+  };
+  const Result plain = run([](Model&) {});
+  const auto scale = [](auto ModelFields::*array, float by) -> Edit {
+    return [=](Model& m) {
+      auto values = (m.*array).to_host();
+      auto* const numbers = reinterpret_cast<float*>(values.data());
+      for (size_t k = 0; k < sizeof(values[0]) / sizeof(float) * values.size(); ++k)
+        if (std::abs(numbers[k]) < 1e5f) numbers[k] *= by;  // limits that are none stay
+      (m.*array).copy_from_host(std::span(std::as_const(values)));
+    };
+  };
+  const std::vector<std::pair<const char*, Edit>> edits = {
+      {"joint_q", scale(&Model::joint_q, 1.1f)},
+      {"joint_qd", scale(&Model::joint_qd, 1.1f)},
+      {"joint_f", scale(&Model::joint_f, 1.1f)},
+      {"joint_axis", scale(&Model::joint_axis, -1.0f)},
+      {"joint_target_q", scale(&Model::joint_target_q, 1.1f)},
+      {"joint_target_qd", scale(&Model::joint_target_qd, 1.1f)},
+      {"joint_target_ke", scale(&Model::joint_target_ke, 1.1f)},
+      {"joint_target_kd", scale(&Model::joint_target_kd, 1.1f)},
+      {"joint_damping", scale(&Model::joint_damping, 1.1f)},
+      {"joint_armature", scale(&Model::joint_armature, 1.1f)},
+      {"joint_limit_lower", scale(&Model::joint_limit_lower, 1.1f)},
+      {"joint_limit_upper", scale(&Model::joint_limit_upper, 0.9f)},
+      {"joint_limit_ke", scale(&Model::joint_limit_ke, 1.1f)},
+      {"joint_limit_kd", scale(&Model::joint_limit_kd, 1.1f)},
+      {"joint_effort_limit", scale(&Model::joint_effort_limit, 0.5f)},
+      {"joint_velocity_limit", scale(&Model::joint_velocity_limit, 0.5f)},
+      {"body_mass", scale(&Model::body_mass, 1.1f)},
+      {"body_com", scale(&Model::body_com, 1.1f)},
+      {"body_inertia", scale(&Model::body_inertia, 1.1f)},
+      {"gravity", scale(&Model::gravity, 1.1f)},
+      {"joint_X_p", scale(&Model::joint_X_p, -1.0f)},
+      {"joint_X_c", scale(&Model::joint_X_c, -1.0f)},
+      {"joint_target_mode", [](Model& m) {
+         std::vector<int32_t> modes = m.joint_target_mode.to_host();
+         for (int32_t& mode : modes) mode = mode == 0 ? 3 : 0;
+         m.joint_target_mode.copy_from_host(std::span<const int32_t>(modes));
+       }}};
+  for (const auto& [name, edit] : edits) {
+    const Result other = run(edit);
+    bool acts = false;
+    for (size_t k = 0; k < other.size(); ++k) acts = acts || other[k].second != plain[k].second;
+    EXPECT_TRUE(acts) << name;
+  }
+}
+
+TEST_F(ArticulationDevices, AThousandWorldsHaveTheBitsOfTheCpu) {
+  ModelBuilder all;
+  all.replicate(AllJointsScene::make(), 1024, {2.0f, 0.0f, 0.0f});
+  for (size_t k = 0; k < all.joint_qd.size(); ++k)
+    all.joint_qd[k] *= 1.0f + 0.001f * static_cast<float>(k % 1013);
+  expect_same_bits([&](Device device) { return stepped(*all.finalize(device), {.pairs = 2}); });
+}
+
+TEST_F(ArticulationDevices, ARolloutHasTheBitsOfTheCpu) {
+  const ModelBuilder builder = AllJointsScene::make();
+  expect_same_bits([&](Device device) {
+    const auto model = builder.finalize(device);
+    SolverFeatherstone solver(model);
+    Trajectory trajectory(model, 12, false);
+    solver.rollout(trajectory, nullptr, nullptr, kDt);
+    Result result;
+    for (const int32_t t : {1, 12}) add(result, trajectory.state(t), "state");
+    return result;
+  });
+}
+
+TEST_F(ArticulationDevices, ForwardKinematicsHasTheBitsOfTheCpuDirectAndReplayed) {
+  ModelBuilder builder = AllJointsScene::make();
+  const BodyArgs body = {.xform = {{1.0f, 2.0f, 3.0f}, Quatf::identity()},
+                         .mass = 1.0f,
+                         .inertia = Mat33f{{{1, 0, 0}, {0, 1, 0}, {0, 0, 1}}}};
+  const int32_t far = builder.add_link(body);
+  builder.add_articulation(std::vector<int32_t>{builder.add_joint_distance(-1, far)});
+  builder.add_joint_revolute(-1, builder.add_link(body));  // of no articulation: it stays
+  const auto run = [&](Device device, bool captured) {
+    const auto model = builder.finalize(device);
+    SimState state = model->state();
+    std::vector<float> other = model->joint_q.to_host();  // quaternions of other lengths
+    for (float& x : other) x += 0.3f;
+    const auto q = DeviceArray<float>::from_host(other, device);
+    nova::ScopedCapture scope;
+    if (!captured) scope.end();
+    eval_fk(*model, q, model->joint_qd, state);
+    scope.end();
+    if (captured) scope.graph()->launch();
+    Result result;
+    add(result, state, "state");
+    return result;
+  };
+  const Result expected = run(Device::cpu(), false);
+  for (const bool captured : {false, true})
+    expect_same(run(Device::cuda(), captured), expected, captured ? ", replayed" : "");
+}
+
+TEST_F(ArticulationDevices, OneThatFailsIsNaNAndNamedAndTheOthersMove) {
+  ModelBuilder all;
+  all.replicate(AllJointsScene::make(), 3);
+  const auto model = all.finalize(Device::cuda());
+  const auto good = stepped(*all.finalize(Device::cpu()), {.pairs = 1});
+  const size_t dofs = all.joint_qd.size() / 3, coords = all.joint_q.size() / 3,
+               bodies = model->body_mass.rows() / 3;
+  // The second articulation of the second world.
+  const size_t bad_dof = 2 * dofs - 1, first_bad = 1 * dofs + 18;
+  std::vector<float> qd = model->joint_qd.to_host();
+  qd[bad_dof] = std::numeric_limits<float>::infinity();
+  model->joint_qd.copy_from_host(std::span<const float>(qd));
+  SolverFeatherstone solver(model);
+  SimState a = model->state(), b = model->state();
+  for (SimState* s : {&a, &b}) s->body_f.fill({{0.3f, -0.2f, 0.5f}, {0.1f, 0.2f, -0.1f}});
+  solver.check_last_step();
+  solver.step(a, b, nullptr, nullptr, kDt);
+  expect_thrown(ErrorKind::Runtime, "SolverFeatherstone.step: dof ",
+                [&] { solver.check_last_step(); });
+  const std::vector<float> q = b.joint_q.to_host(), next = b.joint_qd.to_host();
+  const std::vector<Transformf> poses = b.body_q.to_host();
+  std::vector<float> expected(next.size());
+  std::memcpy(expected.data(), good[5].second.data(), good[5].second.size());
+  for (size_t k = 0; k < next.size(); ++k) {
+    const bool failed = k >= first_bad && k < 2 * dofs;
+    EXPECT_TRUE(failed ? std::isnan(next[k]) : next[k] == expected[k]) << k;
+  }
+  EXPECT_TRUE(std::isnan(q[2 * coords - 1]));
+  EXPECT_FALSE(std::isnan(q[2 * coords]));
+  EXPECT_TRUE(std::isnan(poses[2 * bodies - 1].p.x) && std::isnan(poses[2 * bodies - 1].q.w));
+  EXPECT_FALSE(std::isnan(poses[2 * bodies].p.x));
+}
+
+TEST_F(ArticulationDevices, WhatIsNotThereIsRefusedByName) {
+  constexpr auto kNot = ErrorKind::NotImplemented;
+  ModelBuilder builder = AllJointsScene::make();
+  builder.add_ground_plane();
+  builder.add_shape_sphere(0, {.radius = 0.1f});
+  const auto model = builder.finalize(Device::cuda());
+  SimState a = model->state(), b = model->state();
+  SolverFeatherstone solver(model);
+  setenv("NOVAPHY_UNVERIFIED_DEVICE_CONTACTS", "on", 1);
+  const Contacts contacts = CollisionPipeline(model).contacts();
+  unsetenv("NOVAPHY_UNVERIFIED_DEVICE_CONTACTS");
+  expect_thrown(kNot, "contacts: expected none on cuda:0",
+                [&] { solver.step(a, b, nullptr, &contacts, kDt); });
+  Control control = model->control();
+  control.joint_act.fill(0.5f);
+  expect_thrown(kNot, "joint_act[0]", [&] { solver.step(a, b, &control, nullptr, kDt); });
+  expect_thrown(kNot, "eval_ik: model: expected one on the cpu",
+                [&] { eval_ik(*model, a, a.joint_q, a.joint_qd); });
+  expect_thrown(kNot, "expected one on the cpu",
+                [&] { diff::ArticulationStep(*model, {}, "DiffFeatherstoneSolver"); });
+
+  nova::ScopedCapture scope;
+  solver.step(a, b, nullptr, nullptr, kDt);
+  scope.end();
+  scope.graph()->launch();
+  model->joint_friction.fill(0.1f);
+  EXPECT_THROW(scope.graph()->launch(), Error);
+  expect_thrown(kNot, "joint_friction[0]", [&] { solver.step(a, b, nullptr, nullptr, kDt); });
+
+  for (const char* off : {"", "off"}) {
+    setenv(kOptIn, off, 1);
+    expect_thrown(kNot,
+                  "SolverFeatherstone: articulations move on the cpu; moving them on cuda:0 "
+                  "is not verified on hardware, and "
+                  "NOVAPHY_UNVERIFIED_DEVICE_ARTICULATIONS=on lets it",
+                  [&] { SolverFeatherstone made(model); });
+    expect_thrown(kNot, "eval_fk: ", [&] { eval_fk(*model, a.joint_q, a.joint_qd, a); });
+  }
+  setenv(kOptIn, "yes", 1);
+  expect_thrown(ErrorKind::Value, "expected on or off, got \"yes\"",
+                [&] { SolverFeatherstone made(model); });
+}
+
+// As on the CPU: what a step wrote carries no gradient in silence.
+TEST_F(ArticulationDevices, AStepOnATapeIsNotRecordedAndSaysSo) {
+  const auto model = AllJointsScene::make().finalize(Device::cuda());
+  SolverFeatherstone solver(model);
+  SimState a = model->state(), b = model->state();
+  const nova::Tensor qd = diff::state_joint_qd_tensor(a, true);
+  nova::Tape tape;
+  const nova::TapeScope scope(tape);
+  solver.step(a, b, nullptr, nullptr, kDt);
+  expect_thrown(ErrorKind::Runtime, "SolverFeatherstone.step wrote it",
+                [&] { tape.backward(nova::sum(diff::state_joint_qd_tensor(b))); });
+}
+
+}  // namespace
+}  // namespace novaphy

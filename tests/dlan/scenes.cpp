@@ -10,6 +10,7 @@
 #include "dynamics/all_joints_scene.h"
 #include "novaphy/collision/collision_pipeline.h"
 #include "novaphy/core/error.h"
+#include "novaphy/diff/diff_featherstone_solver.h"
 #include "novaphy/diff/diff_semi_implicit_solver.h"
 #include "novaphy/diff/losses.h"
 #include "novaphy/diff/rigid_losses.h"
@@ -19,6 +20,7 @@
 #include "novaphy/dynamics/semi_implicit/solver_semi_implicit.h"
 #include "novaphy/nova/kernel.h"
 #include "novaphy/nova/op_list.h"
+#include "novaphy/nova/ops.h"
 #include "novaphy/nova/tape.h"
 #include "support/convex_shapes.h"
 #include "support/soft_body_scene.h"
@@ -220,6 +222,37 @@ void articulations(Device device) {
   std::printf("\n");
 }
 
+// The loss and the gradients of the first state of an articulation: of a captured iteration.
+std::vector<float> articulation(Device device) {
+  using namespace novaphy;
+  const auto model = testing::AllJointsScene::make().finalize(device, {.requires_grad = true});
+  diff::DiffFeatherstoneSolver solver(model);
+  constexpr int32_t kSteps = 8;
+  Trajectory trajectory(model, kSteps);
+  const Tensor q = diff::state_joint_q_tensor(trajectory.state(0), true),
+               qd = diff::state_joint_qd_tensor(trajectory.state(0), true);
+  Tensor loss;
+  nova::ScopedCapture capture;
+  {
+    nova::Tape tape;
+    const nova::TapeScope scope(tape);
+    solver.rollout(trajectory, nullptr, nullptr, kRigidDt);
+    const Tensor last = diff::state_body_q_tensor(trajectory.state(kSteps));
+    loss = nova::sum(nova::mul(last, last));
+    tape.backward(loss);
+  }
+  capture.end();
+  std::vector<float> results;
+  for (int k = 0; k < 2; ++k) {
+    for (const Tensor& leaf : {q, qd}) leaf.zero_grad();
+    capture.graph()->launch();
+    results.push_back(loss.item());
+  }
+  append(results, q.grad().to_host());
+  append(results, qd.grad().to_host());
+  return results;
+}
+
 // The loss and gradients of a die and a ball on it, thrown: of a captured iteration.
 std::vector<float> rigid(Device device) {
   using namespace novaphy;
@@ -317,6 +350,8 @@ int main(int argc, char** argv) {
       compare(rigid, device);
     } else if (scene == "rigid_contacts") {
       rigid_contacts(device);
+    } else if (scene == "articulation") {
+      compare(articulation, device);
     } else if (scene == "articulations") {
       articulations(device);
 #ifdef DLAN_HAS_VBD

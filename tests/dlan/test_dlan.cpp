@@ -151,6 +151,10 @@ TEST_P(OnWarps, ACapturedIterationOfRigidBodiesHasTheBitsOfTheCpu) {
 TEST_P(OnWarps, ArticulationsStepWithTheBitsOfTheCpuDirectAndReplayed) {
   EXPECT_EQ(probe(fake(), "articulations", SCENES).output, "18300 numbers, same, same\n");
 }
+TEST_P(OnWarps, ACapturedIterationOfAnArticulationHasTheBitsOfTheCpu) {
+  const std::string output = probe(fake(), "articulation", SCENES).output;
+  EXPECT_NE(output.find(" and 53 gradients have the same bits\n"), std::string::npos) << output;
+}
 #ifdef DLAN_HAS_VBD
 const std::string kSameVbd =
     "47 particles, cpu replayed same, device same, device replayed same, rollout same\n";

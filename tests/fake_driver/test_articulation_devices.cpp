@@ -14,9 +14,9 @@
 #include "novaphy/collision/collision_pipeline.h"
 #include "novaphy/core/error.h"
 #include "novaphy/core/sim/model_builder.h"
-#include "novaphy/core/sim/trajectory.h"
+#include "novaphy/diff/diff_featherstone_solver.h"
 #include "novaphy/diff/tensor_views.h"
-#include "novaphy/dynamics/featherstone/diff_articulation_step.h"
+#include "novaphy/diff/trajectory.h"
 #include "novaphy/dynamics/featherstone/solver_featherstone.h"
 #include "novaphy/dynamics/joint_coordinates.h"
 #include "novaphy/nova/op_list.h"
@@ -200,6 +200,95 @@ TEST_F(ArticulationDevices, ARolloutHasTheBitsOfTheCpu) {
   });
 }
 
+// States of a differentiable rollout, and gradients of a loss of all of the last one.
+Result trained(Device device, bool captured, int32_t checkpoint) {
+  using namespace diff;
+  const auto model = AllJointsScene::make().finalize(device, {.requires_grad = true});
+  DiffFeatherstoneSolver solver(model);
+  constexpr int32_t kSteps = 12;
+  Trajectory trajectory(model, kSteps, true, checkpoint);
+  Control control = model->control();
+  const SimState &start = trajectory.state(0), &last = trajectory.any_state(kSteps);
+  const std::vector<std::pair<const char*, nova::Tensor>> leaves = {
+      {"joint_q", state_joint_q_tensor(start, true)},
+      {"joint_qd", state_joint_qd_tensor(start, true)},
+      {"body_f", state_body_f_tensor(start, true)},
+      {"joint_f", control_joint_f_tensor(control, true)},
+      {"target_q", control_joint_target_q_tensor(control, true)},
+      {"target_qd", control_joint_target_qd_tensor(control, true)},
+      {"ke", model_joint_target_ke_tensor(*model, true)},
+      {"kd", model_joint_target_kd_tensor(*model, true)},
+      {"damping", model_joint_damping_tensor(*model, true)},
+      {"mass", model_body_mass_tensor(*model, true)},
+      {"com", model_body_com_tensor(*model, true)},
+      {"inertia", model_body_inertia_tensor(*model, true)},
+      {"gravity", model_gravity_tensor(*model, true)}};
+  nova::Tensor loss;
+  nova::ScopedCapture scope;
+  if (!captured) scope.end();
+  {
+    nova::Tape tape;
+    const nova::TapeScope on_tape(tape);
+    solver.rollout(trajectory, &control, nullptr, kDt);
+    for (const nova::Tensor& x : {state_joint_q_tensor(last), state_joint_qd_tensor(last),
+                                  state_body_q_tensor(last), state_body_qd_tensor(last)})
+      loss =
+          loss.defined() ? nova::add(loss, nova::sum(nova::mul(x, x))) : nova::sum(nova::mul(x, x));
+    tape.backward(loss);
+  }
+  scope.end();
+  if (captured) scope.graph()->launch();
+  Result result;
+  add(result, last, "last");
+  result.emplace_back("loss", bytes(loss.to_host()));
+  for (const auto& [name, leaf] : leaves) {
+    const std::vector<float> values = leaf.grad().to_host();
+    bool any = false;
+    for (const float x : values) any = any || x != 0.0f;
+    EXPECT_TRUE(any) << name;
+    result.emplace_back(std::string("gradient of ") + name, bytes(values));
+  }
+  return result;
+}
+
+TEST_F(ArticulationDevices, RolloutsAndGradientsHaveTheBitsOfTheCpu) {
+  const Result expected = trained(Device::cpu(), false, 1);
+  expect_same(trained(Device::cuda(), false, 1), expected, ", direct");
+  // A replay adds to zeros, so zeros may have another sign.
+  expect_same(trained(Device::cuda(), true, 1), trained(Device::cpu(), true, 1), ", replayed");
+  expect_same(trained(Device::cuda(), false, 4), expected, ", from checkpoints");
+}
+
+TEST_F(ArticulationDevices, WhatHasNoGradientThereIsRefusedByName) {
+  constexpr auto kNot = ErrorKind::NotImplemented;
+  const auto model = AllJointsScene::make().finalize(Device::cuda(), {.requires_grad = true});
+  diff::DiffFeatherstoneSolver solver(model);
+  SimState a = model->state(), b = model->state();
+  const nova::Tensor friction = diff::model_joint_friction_tensor(*model, true);
+  {
+    nova::Tape tape;
+    const nova::TapeScope scope(tape);
+    expect_thrown(kNot, "joint_friction: expected no gradient of it on cuda:0",
+                  [&] { solver.step(a, b, nullptr, nullptr, kDt); });
+  }
+  friction.set_requires_grad(false);
+  const nova::Tensor qd = diff::state_joint_qd_tensor(a, true);
+  nova::Tape tape;
+  {
+    const nova::TapeScope scope(tape);
+    solver.step(a, b, nullptr, nullptr, kDt);
+  }
+  const nova::Tensor end = diff::state_joint_qd_tensor(b);
+  expect_thrown(kNot, "forward derivatives are there on the cpu", [&] {
+    tape.jvp({end}, {qd}, {nova::Tensor(qd.shape(), nova::DType::F32, Device::cuda())});
+  });
+  std::vector<float> bad = model->joint_qd.to_host();
+  bad[7] = std::numeric_limits<float>::infinity();
+  a.joint_qd.copy_from_host(std::span<const float>(bad));
+  expect_thrown(ErrorKind::Runtime, "DiffFeatherstoneSolver.step: dof ",
+                [&] { solver.step(a, b, nullptr, nullptr, kDt); });
+}
+
 TEST_F(ArticulationDevices, ForwardKinematicsHasTheBitsOfTheCpuDirectAndReplayed) {
   ModelBuilder builder = AllJointsScene::make();
   const BodyArgs body = {.xform = {{1.0f, 2.0f, 3.0f}, Quatf::identity()},
@@ -279,8 +368,9 @@ TEST_F(ArticulationDevices, WhatIsNotThereIsRefusedByName) {
   expect_thrown(kNot, "joint_act[0]", [&] { solver.step(a, b, &control, nullptr, kDt); });
   expect_thrown(kNot, "eval_ik: model: expected one on the cpu",
                 [&] { eval_ik(*model, a, a.joint_q, a.joint_qd); });
-  expect_thrown(kNot, "expected one on the cpu",
-                [&] { diff::ArticulationStep(*model, {}, "DiffFeatherstoneSolver"); });
+  diff::DiffFeatherstoneSolver differentiable(model);
+  expect_thrown(kNot, "contacts: expected none on cuda:0",
+                [&] { differentiable.step(a, b, nullptr, &contacts, kDt); });
 
   nova::ScopedCapture scope;
   solver.step(a, b, nullptr, nullptr, kDt);

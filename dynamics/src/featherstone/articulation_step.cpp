@@ -3,6 +3,7 @@
 #include <cmath>
 
 #include "novaphy/core/error.h"
+#include "novaphy/core/recorder.h"
 
 namespace novaphy {
 
@@ -74,11 +75,16 @@ void check_status(const Model& m, const Articulations& articulations,
            "expected mass or armature, and finite coordinates, velocities and forces");
 }
 
+void depend_on_values(const Model& m, const Control* control) {
+  depend_on({&m.joint_enabled, &m.joint_friction, control ? &control->joint_act : &m.joint_act});
+}
+
 int64_t step_workspace(const Articulations& articulations) {
   const int32_t links = articulations.max_links(), dofs = articulations.max_dofs();
   const int64_t bytes = articulation::workspace_bytes<float>(links, dofs) +
                         articulation::adjoint_bytes<float>(links, dofs);
-  return bytes <= kLocalWorkspace ? 0 : bytes / static_cast<int64_t>(sizeof(float));
+  const bool on_host = articulations.rows().device().is_cpu();
+  return on_host && bytes <= kLocalWorkspace ? 0 : bytes / static_cast<int64_t>(sizeof(float));
 }
 
 ArticulationArguments articulation_arguments(const Model& m, const Articulations& articulations,

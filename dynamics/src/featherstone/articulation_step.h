@@ -20,7 +20,11 @@ UnreadMaterials unread_materials(ArticulationContact contact, const char* user);
 void check_status(const Model& model, const Articulations& articulations,
                   std::span<const int32_t> status, const char* user);
 
-// Numbers of memory per articulation; 0: the stack holds it.
+// What the host has looked at, and no launch looks at: a replay throws once it was written.
+void depend_on_values(const Model& model, const Control* control);
+
+// Numbers of memory per articulation, for a step and its adjoint; 0: the stack of the host holds
+// it.
 int64_t step_workspace(const Articulations& articulations);
 
 // Host pointers.

@@ -10,10 +10,15 @@
 #include "articulation_step.h"
 #include "novaphy/core/device_kernel.h"
 #include "novaphy/core/error.h"
+#include "novaphy/core/sim/on_host.h"
 #include "novaphy/nova/host_work.h"
 #include "novaphy/nova/op_list.h"
 #include "novaphy/nova/tape.h"
 #include "pgs_contacts.h"
+
+namespace novaphy::detail {
+const char* articulation_kernels_text();
+}
 
 namespace novaphy::diff {
 namespace {
@@ -35,18 +40,15 @@ enum MoreInputs : size_t {
   kInputs
 };
 
-const DeviceKernel& step_kernel() {
-  static const DeviceKernel kernel(articulation_step, nullptr);
-  return kernel;
-}
-const DeviceKernel& vjp_kernel() {
-  static const DeviceKernel kernel(articulation_step_vjp, nullptr);
-  return kernel;
-}
-
-const DeviceKernel& gravity_kernel() {
-  static const DeviceKernel kernel(gravity_gradient, nullptr);
-  return kernel;
+// Never destroyed: recordings refer to them.
+struct Kernels {
+  DeviceKernel step{articulation_step, novaphy::detail::articulation_kernels_text};
+  DeviceKernel vjp{articulation_step_vjp, novaphy::detail::articulation_kernels_text};
+  DeviceKernel gravity{gravity_gradient, novaphy::detail::articulation_kernels_text};
+};
+const Kernels& kernels() {
+  static const auto& all = *new Kernels;
+  return all;
 }
 
 LaunchArgument argument(const char* name, const Tensor& tensor, bool write) {
@@ -78,19 +80,23 @@ struct Named {
 struct ArticulationStep::Shared {
   Shared(const Model& m, const FeatherstoneOptions& o, const char* user)
       : options(o),
-        articulations(m, user),
-        trees(m, articulations),
+        device(m.device()),
+        articulations(m, user, Articulations::Devices::All),
         materials(unread_materials(o.contact, user)) {
     const auto count = static_cast<size_t>(articulations.count());
     for (size_t i = 0; i < count; ++i) all.push_back(static_cast<int32_t>(i));
+    if (device.is_cpu()) trees.emplace(m, articulations);
     stride = step_workspace(articulations);
-    status = DeviceArray<int32_t>(count, Device::cpu());
-    workspace = DeviceArray<float>(count * static_cast<size_t>(stride), Device::cpu());
+    status = DeviceArray<int32_t>(count, device);
+    workspace = DeviceArray<float>(count * static_cast<size_t>(stride), device);
   }
+  // Where nothing records on the cpu, which steps without launches.
+  bool runs_on_host() const { return device.is_cpu() && !nova::current_capture(); }
   FeatherstoneOptions options;
+  Device device;
   Articulations articulations;
-  TreeSteps trees;
-  std::vector<int32_t> all;  // articulations
+  std::optional<TreeSteps> trees;  // on the cpu
+  std::vector<int32_t> all;        // articulations
   int64_t stride = 0;
   DeviceArray<int32_t> status;
   DeviceArray<float> workspace;
@@ -280,7 +286,7 @@ void run_host(const Step& s, const ArticulationArguments& in, const StepOutputs*
     a.in.q = numbers((*from)[0]);
     a.in.qd = numbers((*from)[1]);
   }
-  s.shared->trees.step(a, *s.model, s.shared->all, s.options, nullptr, true);
+  s.shared->trees->step(a, *s.model, s.shared->all, s.options, nullptr, true);
   for (const Tensor& tensor : to) tensor.range()->mark_written();
 }
 StepOutputs outputs_of(const Step& s) {
@@ -293,7 +299,7 @@ void run_forward(const Step& s) {
   if (s.contacts.defined() && s.copies_contacts())
     kept_contacts(s).copy(s.found ? s.found->rows() : ContactRows{});
   const bool touches = prepare_contacts(s);
-  if (!touches && !nova::current_capture())
+  if (!touches && s.shared->runs_on_host())
     return run_host(s, host_arguments(s), nullptr, outputs_of(s));
   std::vector<LaunchArgument> words;
   add_arguments(s, words);
@@ -309,7 +315,7 @@ void run_forward(const Step& s) {
     s.shared->pgs->write_impulses(kept.impulses, kept.friction);
     return;
   }
-  step_kernel().launch(Device::cpu(), s.count, words);
+  kernels().step.launch(s.shared->device, s.count, words);
 }
 
 // Behind the step as it is recorded: what its contacts say.
@@ -363,11 +369,14 @@ void run_all(const std::shared_ptr<const Step>& step) {
 }
 
 // Memory for the gradients of body_f, from which gravity's follow.
-SpatialVectorf* wrench_memory(const Step& s) {
+DeviceArray<float>& wrench_memory(const Step& s) {
   const auto numbers_of = static_cast<size_t>(s.in(G::kBodyF).size());
-  if (s.shared->wrenches.size() != numbers_of)
-    s.shared->wrenches = DeviceArray<float>(numbers_of, Device::cpu());
-  return reinterpret_cast<SpatialVectorf*>(s.shared->wrenches.mutable_data());
+  DeviceArray<float>& memory = s.shared->wrenches;
+  if (memory.size() != numbers_of) {
+    const Unobserved unobserved;
+    memory = DeviceArray<float>(numbers_of, s.shared->device);
+  }
+  return memory;
 }
 std::vector<LaunchArgument> gravity_words(const Step& s, const Tensor& gravity, bool add_gravity,
                                           const Tensor& body_f, bool add_body_f) {
@@ -390,7 +399,7 @@ void with_gravity(const Step& s, ArticulationStepVjpArguments a, const Tensor& g
   if (!gravity.defined()) return adjoint(a);
   constexpr int32_t kWrench = 1 << G::kBodyF;
   const bool add_body_f = (a.gradient.add & kWrench) != 0;
-  a.gradient.body_f = wrench_memory(s);
+  a.gradient.body_f = reinterpret_cast<SpatialVectorf*>(wrench_memory(s).mutable_data());
   a.gradient.add &= ~kWrench;
   adjoint(a);
   gravity_gradient_row(
@@ -442,7 +451,7 @@ void run_vjp_of_steps(const Step& s, std::span<const Tensor> outputs,
     a.gradient.add = first ? add : add & ~kState;
     with_gravity(s, a, gradients[kGravity].grad, add_gravity, gradients[G::kBodyF].grad,
                  [&](const ArticulationStepVjpArguments& all) {
-                   s.shared->trees.vjp(all, *s.model, s.shared->all);
+                   s.shared->trees->vjp(all, *s.model, s.shared->all);
                  });
     add |= ~kState;
     add_gravity = true;
@@ -472,10 +481,10 @@ void run_vjp(const Step& s, std::span<const Tensor> outputs,
   words.push_back(number(s.stride));
   for (size_t i = kJointFriction; i < gradients.size(); ++i)
     if (gradients[i].grad.defined() && !gradients[i].add)
-      std::fill_n(numbers(gradients[i].grad), gradients[i].grad.size(), 0.0f);
+      nova::submit_fill(gradients[i].grad.range(), 0.0f);
   const Tensor &gravity = gradients[kGravity].grad, &body_f = gradients[G::kBodyF].grad;
   const bool add_gravity = gradients[kGravity].add, add_body_f = gradients[G::kBodyF].add;
-  if (!nova::current_capture()) {
+  if (s.shared->runs_on_host()) {
     const auto of = [&](size_t i) {
       return i < gradients.size() ? numbers(gradients[i].grad) : nullptr;
     };
@@ -489,19 +498,17 @@ void run_vjp(const Step& s, std::span<const Tensor> outputs,
                                                kept.friction, s.options, more);
                             return;
                           }
-                          s.shared->trees.vjp(a, *s.model, s.shared->all);
+                          s.shared->trees->vjp(a, *s.model, s.shared->all);
                         });
   }
   if (gravity.defined()) {
-    const Unobserved of_this_step;  // nobody else has that memory
-    wrench_memory(s);
-    words[kGradientWords + G::kBodyF] = writes("gradient of body_f", s.shared->wrenches);
+    words[kGradientWords + G::kBodyF] = writes("gradient of body_f", wrench_memory(s));
     words[kGradientWords + G::kMembers] = number(add & ~(int64_t{1} << G::kBodyF));
   }
-  vjp_kernel().launch(Device::cpu(), s.count, words);
+  kernels().vjp.launch(s.shared->device, s.count, words);
   if (gravity.defined())
-    gravity_kernel().launch(Device::cpu(), 1,
-                            gravity_words(s, gravity, add_gravity, body_f, add_body_f));
+    kernels().gravity.launch(s.shared->device, 1,
+                             gravity_words(s, gravity, add_gravity, body_f, add_body_f));
 }
 
 // The adjoint of a step now, or in the replays of a capture.
@@ -697,6 +704,9 @@ nova::CustomOp make_op(const std::shared_ptr<const Step>& step) {
   };
   op.forward = [step] { run_all(step); };
   op.jvp = [step](std::span<const Tensor> inputs, std::span<const Tensor> outputs) {
+    require(step->shared->device.is_cpu(), ErrorKind::NotImplemented,
+            "articulation_step: forward derivatives are there on the cpu, got ",
+            step->shared->device.str());
     submit_jvp(step, inputs, outputs);
   };
   return op;
@@ -736,12 +746,19 @@ void ArticulationStep::begin(const Model& model, const Control* control, const c
     fail(ErrorKind::Runtime, function,
          ": a replay of a captured step failed, its results are NaN: ",
          std::exchange(shared_->failure, {}));
-  shared_->articulations.check_values(model, control, true, function);
-  const float* const friction = model.joint_friction.data();
+  const bool on_cpu = shared_->device.is_cpu();
+  shared_->articulations.check_values(model, control, on_cpu, function);
   const nova::Tape* const tape = nova::Tape::active();
-  shared_->dry =
-      std::any_of(friction, friction + model.joint_dof_count(), [](float f) { return f > 0.0f; }) ||
-      (tape != nullptr && tape->carries_gradient(*model.joint_friction.range()));
+  shared_->dry = tape != nullptr && tape->carries_gradient(*model.joint_friction.range());
+  if (on_cpu) {
+    const float* const friction = model.joint_friction.data();
+    shared_->dry = shared_->dry || std::any_of(friction, friction + model.joint_dof_count(),
+                                               [](float f) { return f > 0.0f; });
+    return;
+  }
+  require(!shared_->dry, ErrorKind::NotImplemented, function,
+          ": model.joint_friction: expected no gradient of it on ", shared_->device.str());
+  depend_on_values(model, control);
 }
 
 void ArticulationStep::record(const Model& m, const SimState& in, SimState& out,
@@ -758,6 +775,9 @@ void ArticulationStep::record(const Model& m, const SimState& in, SimState& out,
   const auto& target_q = control ? control->joint_target_q : m.joint_target_q;
   const auto& target_qd = control ? control->joint_target_qd : m.joint_target_qd;
   const bool touching = contacts != nullptr && contacts->rigid_contact_max() > 0;
+  require(!touching || shared_->device.is_cpu(), ErrorKind::NotImplemented,
+          "DiffFeatherstoneSolver: contacts: expected none on ", shared_->device.str(),
+          " (contacts of articulations are solved on the cpu)");
   auto step = std::make_shared<Step>(Step{
       shared_,
       m.shared_from_this(),
@@ -856,8 +876,8 @@ const ContactBranches& ArticulationStep::branches() const { return shared_->bran
 void ArticulationStep::clear_branches() { shared_->branches = {}; }
 
 void ArticulationStep::check(const Model& model, const char* function) const {
-  const auto count = static_cast<size_t>(shared_->articulations.count());
-  check_status(model, shared_->articulations, {shared_->status.data(), count}, function);
+  const OnHost<int32_t> status(shared_->status);
+  check_status(model, shared_->articulations, {status.data(), status.size()}, function);
 }
 
 }  // namespace novaphy::diff

@@ -41,7 +41,7 @@ void LaunchedArticulations::step(const SimState& in, const SimState& out, const 
   const Articulations& a = articulations_;
   articulations_.check_values(m, control, false, kName);
   if (LaunchRecorder* recorder = launch_recorder()) recorder->uses(in_use);
-  depend_on({&m.joint_enabled, &m.joint_friction, control ? &control->joint_act : &m.joint_act});
+  depend_on_values(m, control);
   // What a tape makes of the results, mark_unrecorded_step says.
   const auto value = [](const char* name, const Array& array) {
     return reads(name, array).detached();

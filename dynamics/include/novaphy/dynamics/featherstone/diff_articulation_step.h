@@ -22,6 +22,9 @@
 // fewer contacts is not differentiated. So it is with dry friction of joints (joint_friction),
 // which counts as a step with contacts. A capture records such steps and their adjoints as work of
 // the host; where a replay fails its results are NaN, and begin says why.
+//
+// Models on devices as SolverFeatherstone, steps and adjoints with the bits of the cpu.
+// ErrorKind::NotImplemented there: contacts, dry friction and its gradient, forward derivatives.
 #pragma once
 
 #include <cstdint>
@@ -68,7 +71,7 @@ class NOVAPHY_DYNAMICS_API ArticulationStep {
   // Of all steps with contacts since the last clear.
   const ContactBranches& branches() const;
   void clear_branches();
-  // ErrorKind::Runtime, naming the dof, when the last step failed. Looks at the host's memory.
+  // ErrorKind::Runtime, naming the dof, when the last step failed. Waits for a device.
   void check(const Model& model, const char* function) const;
 
   struct Shared;

@@ -11,6 +11,7 @@ import browser
 import numpy as np
 import pytest
 from scenes import DT, Ball
+from test_viewer_scene import WAY, walk
 
 import novaphy
 
@@ -157,6 +158,22 @@ def test_a_body_moves_in_the_page_as_projected(tmp_path, chromium):
         rows, columns = np.nonzero((rgb[..., 0] > 2 * rgb[..., 1]) & (rgb[..., 0] > 60))
         assert len(rows) > 200
         assert abs(columns.mean() - x) < 2.0 and abs(rows.mean() - y) < 2.0
+
+
+def test_the_view_of_the_page_goes_along_with_a_body(tmp_path, chromium):
+    path = tmp_path / "walk.html"
+    with novaphy.ViewerHTML(path) as viewer:
+        walk(viewer, WAY)
+    page = chromium.page(path.as_uri())
+    page.wait_for("typeof floats !== 'undefined' && floats !== undefined")
+    page.evaluate("play(false)")
+    for turned in (0.0, 10.0):
+        page.evaluate(f"view.yaw += {turned}")  # the user's hand stays
+        yaw = page.evaluate("view.yaw")
+        for frame, target in ((1, (0.5, 0.2)), (2, (3.0, -1.0)), (0, (0.0, 0.0))):
+            page.evaluate(f"show_frame({frame})")
+            assert page.evaluate("view.target") == pytest.approx([*target, 0.5], abs=2e-3)
+        assert page.evaluate("view.yaw") == yaw
 
 
 def test_a_thousand_bodies_are_three_draw_calls_of_the_page(tmp_path, chromium):

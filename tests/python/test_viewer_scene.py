@@ -49,6 +49,53 @@ def test_a_stage_draws_iterations_as_asked():
     assert not np.allclose(present[-1][2][0], shades[-1], atol=0.2)
 
 
+def walk(viewer, places):
+    """Follow a body that is at places (m) in turn, from a camera that looks at the origin."""
+    builder = novaphy.ModelBuilder()
+    body = builder.add_body(mass=1.0)
+    builder.add_shape_box(body, hx=0.1, hy=0.1, hz=0.1)
+    model = builder.finalize()
+    state = model.state()
+    viewer.set_model(model)
+    viewer.look_at((3.0, -3.0, 2.0), (0.0, 0.0, 0.5))
+    viewer.follow(body)
+    for k, place in enumerate(places):
+        state.body_q.assign(np.float32([[*place, 0.0, 0.0, 0.0, 1.0]]))
+        viewer.begin_frame(0.1 * k)
+        viewer.log_state(state)
+        viewer.end_frame()
+
+
+WAY = ((1.0, 0.0, 1.0), (1.5, 0.2, 1.4), (4.0, -1.0, 0.7))
+
+
+def test_a_camera_goes_along_with_a_body_on_the_level(tmp_path):
+    viewer = SceneViewer()
+    walk(viewer, WAY)
+    np.testing.assert_allclose(viewer.camera.target, (3.0, -1.0, 0.5), atol=1e-6)
+    np.testing.assert_allclose(viewer.camera.pos, (6.0, -4.0, 2.0), atol=1e-6)
+    viewer.camera.orbit(30.0, 0.0)  # the user turns it: it goes on from there
+    turned = viewer.camera.pos - viewer.camera.target
+    viewer.log_state_arrays({"body_q": np.float32([[5.0, -1.0, 3.0, 0, 0, 0, 1]])})
+    np.testing.assert_allclose(viewer.camera.target, (4.0, -1.0, 0.5), atol=1e-6)
+    np.testing.assert_allclose(viewer.camera.pos - viewer.camera.target, turned, atol=1e-6)
+    for place in (np.nan, 7.0):  # neither what is not finite, nor after the end
+        viewer.follow(None if place == 7.0 else 0)
+        viewer.log_state_arrays({"body_q": np.float32([[place, -1.0, 3.0, 0, 0, 0, 1]])})
+        np.testing.assert_allclose(viewer.camera.target, (4.0, -1.0, 0.5), atol=1e-6)
+
+    with novaphy.ViewerFile(tmp_path / "run.nprec") as recorder:
+        walk(recorder, WAY)
+    again = novaphy.ViewerFile(tmp_path / "other.nprec", auto_save=False)
+    again.load_recording(tmp_path / "run.nprec")
+    for from_start in (False, True):
+        viewer = SceneViewer()
+        again.show_start(viewer)
+        for k in (2,) if from_start else range(3):
+            again.show_frame(viewer, k, from_start)
+        np.testing.assert_allclose(viewer.camera.target, (3.0, -1.0, 0.5), atol=1e-6)
+
+
 def test_the_axes_of_joints_are_drawn():
     builder = novaphy.ModelBuilder()
     link = builder.add_link(xform=((0.0, 0.0, 1.0), (0.0, 0.0, 0.0, 1.0)), mass=1.0)

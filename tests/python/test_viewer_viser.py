@@ -124,6 +124,14 @@ def test_two_browsers_see_the_scene_and_move_a_slider(served):
         while not viewer.reset_requested and time.monotonic() < end:
             time.sleep(0.1)
         assert viewer.reset_requested
+        viewer.follow(0)  # every camera goes along, from where it is
+        frame(viewer, state, 1.0, 0.0)
+        cameras = [client.camera for client in viewer._server.get_clients().values()]
+        before = [(camera.position.copy(), camera.look_at.copy()) for camera in cameras]
+        frame(viewer, state, 2.0, 1.5)
+        for camera, (position, look_at) in zip(cameras, before, strict=True):
+            np.testing.assert_allclose(camera.position - position, (1.5, 0.0, 0.0), atol=1e-3)
+            np.testing.assert_allclose(camera.look_at - look_at, (1.5, 0.0, 0.0), atol=1e-3)
 
 
 def test_a_body_moves_in_the_page_as_projected():

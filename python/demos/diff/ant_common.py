@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import argparse
 import subprocess
 from pathlib import Path
 
 import numpy as np
 
 import novaphy
-from novaphy import nova
+from novaphy import nova, viewer
 from novaphy.envs import ACTIONS, OBSERVATIONS, AntWorlds, check_meta, feet, rotate
 
 DATA = Path(__file__).resolve().parents[1] / "data" / "ant" / "rl_policies"
@@ -81,12 +82,11 @@ class GaitMeter:
         }
 
 
-def show(stage, t: float, ants: AntWorlds) -> None:
-    """Show the first world at time t (s), from a camera that goes along."""
-    x, y = map(float, ants.q[0, :2])
-    for viewer in stage.viewers:
-        viewer.look_at((x + 1.6, y - 2.8, 1.6), (x, y, 0.35))
-    stage.show(t, ants.state)
+def make_stage(args: argparse.Namespace, ants: AntWorlds) -> viewer.Stage:
+    """Where an Ant is shown, by cameras that go along with it."""
+    stage = viewer.Stage(args, ants.model, fps=FPS, look=((1.6, -2.8, 1.6), (0.0, 0.0, 0.35)))
+    stage.follow(0)
+    return stage
 
 
 def tilt(q: np.ndarray) -> np.ndarray:

@@ -23,11 +23,11 @@ import argparse
 import shlex
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import numpy as np
-from ant_common import DATA, FPS, GaitMeter, provenance, show, tilt
+from ant_common import DATA, FPS, GaitMeter, make_stage, provenance, tilt
 from ant_gradients import frame_jacobians, make_frames
 from demo_common import run, save_figure, verdict
 
@@ -288,7 +288,10 @@ def random_search(
 
 
 def validate(
-    actor: Actor, ants: AntWorlds, frames: int, each: Callable[[int, AntWorlds], None] | None = None
+    actor: Actor,
+    ants: AntWorlds,
+    frames: Iterable[int],
+    each: Callable[[int, AntWorlds], None] | None = None,
 ) -> dict[str, np.ndarray]:
     """Play the actor in all worlds: what GaitMeter measures, and where the Ants end."""
     ants.reset()
@@ -296,7 +299,7 @@ def validate(
     alive = np.ones(ants.num_worlds, bool)
     drift = np.zeros(ants.num_worlds)
     path = [ants.q]
-    for k in range(frames):
+    for k, _ in enumerate(frames):
         q, qd = ants.q, ants.qd
         ants.step(actor.act(actor.features(q, qd, k)), each=meter)
         meter.end_frame()
@@ -306,13 +309,13 @@ def validate(
         if each is not None:
             each(k, ants)
     result = meter.result()
-    last = path[-min(PERIOD, frames) - 1]
+    count = min(PERIOD, len(path) - 1)
     return {
         **result,
         "upright": alive & (np.degrees(tilt(ants.q)) < 45.0),
         "distance": ants.q[:, 0],
         "drift": drift,
-        "velocity": (ants.q[:, 0] - last[:, 0]) / (min(PERIOD, frames) / FPS),
+        "velocity": (ants.q[:, 0] - path[-count - 1][:, 0]) / max(count / FPS, 1e-9),
         "touchdowns": result["touchdown_rate"] * PERIOD / FPS,
         "path": np.array(path),
     }
@@ -344,7 +347,7 @@ def friction_ratio(actor: Actor, ant: str, frames: int) -> float:
     """The shorter of the distances at friction 0.5 and 1.2 over the longer one."""
     ants = AntWorlds(2, ant=ant)
     ants.vary(friction=[0.5, 1.2])
-    distance = validate(actor, ants, frames)["distance"]
+    distance = validate(actor, ants, range(frames))["distance"]
     return float(max(distance.min(), 0.0) / max(distance.max(), 1e-6))
 
 
@@ -461,8 +464,11 @@ def main() -> int:
         actor, losses, checks = train(args)
         save(args.out, actor, args.ant, args.seed, args.gradient)
     ants = AntWorlds(1, ant=args.ant)
-    with viewer.Stage(args, ants.model, fps=FPS) as stage:
-        result = validate(actor, ants, args.headless, lambda k, a: show(stage, (k + 1) / FPS, a))
+    with make_stage(args, ants) as stage:
+        for frames in stage.runs(args.headless):
+            ants.reset()
+            stage.show(0.0, ants.state)
+            result = validate(actor, ants, frames, lambda k, a: stage.show((k + 1) / FPS, a.state))
     if args.plot:
         plot(args.plot, losses, result)
     ratio = friction_ratio(actor, args.ant, args.headless)

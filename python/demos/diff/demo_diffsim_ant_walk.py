@@ -13,6 +13,7 @@ a lower loss.
     python demo_diffsim_ant_walk.py
     python demo_diffsim_ant_walk.py --headless 200
     python demo_diffsim_ant_walk.py --train 10 --train-horizon 8 --save-policy tuned.npz
+    python demo_diffsim_ant_walk.py --train 5 --headless 200
     python demo_diffsim_ant_walk.py --policy tuned.npz --headless 200
     python demo_diffsim_ant_walk.py --check-gradient
     python demo_diffsim_ant_walk.py --adapt --train 10 --train-horizon 24 --headless 0
@@ -33,9 +34,9 @@ from ant_common import (
     act,
     hidden,
     load_actor,
+    make_stage,
     mean_action,
     provenance,
-    show,
     tilt,
 )
 from ant_gradients import DOFS, make_frames
@@ -297,13 +298,16 @@ def play(actor: Actor, args: argparse.Namespace) -> dict[str, bool]:
     ants = AntWorlds(1, ant=args.ant)
     if args.adapt:
         ants.vary(**ADAPTED, gear=adapted_gear()[None])
-    meter, alive = GaitMeter(ants), True
-    with viewer.Stage(args, ants.model, fps=FPS) as stage:
-        for k in range(args.headless):
-            ants.step(act(actor, ants.observations()), each=meter)
-            meter.end_frame()
-            alive = alive and bool(ants.healthy()[0])
-            show(stage, (k + 1) / FPS, ants)
+    with make_stage(args, ants) as stage:
+        for frames in stage.runs(args.headless):
+            ants.reset()
+            meter, alive = GaitMeter(ants), True
+            stage.show(0.0, ants.state)
+            for frame in frames:
+                ants.step(act(actor, ants.observations()), each=meter)
+                meter.end_frame()
+                alive = alive and bool(ants.healthy()[0])
+                stage.show(frame / FPS, ants.state)
     if not args.headless:
         return {}
     r, way = meter.result(), float(ants.q[0, 0])
@@ -313,7 +317,10 @@ def play(actor: Actor, args: argparse.Namespace) -> dict[str, bool]:
         f"clearance {100 * r['clearance'][0]:.1f} cm, "
         f"slip {r['slip'][0]:.0%} of the distance, tilt at most {r['tilt'][0]:.1f} degrees"
     )
-    return {"an Ant that stays up": alive, "a way forward": way > 0.0}
+    checks = {"an Ant that stays up": alive}
+    if args.headless >= FPS:  # it falls on its feet first
+        checks["a way forward"] = way > 0.0
+    return checks
 
 
 def arguments() -> argparse.Namespace:

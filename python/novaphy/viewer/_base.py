@@ -67,6 +67,9 @@ class Viewer:
     def look_at(self, pos: ArrayLike, target: ArrayLike) -> None:
         """Place the camera at `pos`, looking at `target` (m)."""
 
+    def follow(self, body: int | None) -> None:
+        """Let the camera go along with a body of the model, on the level; None: let it stay."""
+
     def set_world_offsets(self, spacing: ArrayLike) -> None:
         """Show the worlds of a model apart by `spacing` (m)."""
 

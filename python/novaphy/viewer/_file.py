@@ -21,6 +21,7 @@ STATE_FIELDS = ("particle_q", "particle_qd", "body_q", "body_qd", "joint_q", "jo
 DRAWINGS = (
     "set_camera",
     "look_at",
+    "follow",
     "set_world_offsets",
     "set_shape_colors",
     "log_mesh",
@@ -218,18 +219,22 @@ class ViewerFile(Viewer):
             from_start: show also what was drawn for all frames before.
         """
         held = self._frame(frame, "show_frame")
-        calls = held.calls
+        calls, followed = held.calls, {}
         if from_start:
             last = frame % self.frame_count
             latest: dict[Any, Call] = {}
             for k in range(last + 1):
                 for n, (call, arguments) in enumerate(self._frames[k].calls):
+                    if call == "follow":  # the camera has gone along from there
+                        followed = self._frames[k].state
                     adds = call == "log_scalar"  # to its curve; all others replace
                     latest[(k, n) if adds else (call, arguments.get("name"))] = (call, arguments)
             calls = list(latest.values())
         viewer.begin_frame(held.time)
         for call, arguments in calls:
             getattr(viewer, call)(**arguments)
+        if followed:
+            viewer.log_state_arrays(followed)
         if held.state:
             viewer.log_state_arrays(held.state)
         viewer.end_frame()

@@ -144,7 +144,9 @@ class Window:
         elif symbol == key.P:
             viewer.save_picture(_free_name("novaphy", ".png"))
         elif symbol == key.F:
-            self.followed = None if self.followed is not None else self.drag.nearest_to_middle()
+            follows = self.followed is not None or viewer.follows
+            self.followed = None if follows else self.drag.nearest_to_middle()
+            viewer.follow(None)
         elif symbol == key.TAB and viewer.sliders:
             viewer.slider = (
                 0 if viewer.slider is None else (viewer.slider + 1) % len(viewer.sliders)

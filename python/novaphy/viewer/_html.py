@@ -50,6 +50,7 @@ class ViewerHTML(SceneViewer):
             raise ValueError(f"ViewerHTML, output_path: there is no folder for {output_path}")
         self._times: list[float] = []
         self._takes: list[int] = []
+        self._targets: dict[int, np.ndarray] = {}  # of a camera that goes along, by frame
         self._scalars: dict[str, list[float | None]] = {}
         self._tracks: dict[tuple[str, str, str], _Track] = {}
         self._data = bytearray()
@@ -66,6 +67,8 @@ class ViewerHTML(SceneViewer):
         if not frame or self.time <= self._times[-1]:
             self._takes.append(frame)
         self._times.append(self.time)
+        if self.follows:
+            self._targets[frame] = self.camera.target.copy()
         for name, mesh in self.scene.meshes.items():
             for field in MESH_FIELDS:
                 self._keep(frame, ("mesh", name, field), getattr(mesh, field))
@@ -136,7 +139,13 @@ class ViewerHTML(SceneViewer):
             for name, item in self.scene.instances.items()
         }
         names |= {name: {"width": lines.width} for name, lines in self.scene.lines.items()}
-        camera = self.camera
+        camera, target, along = self.camera, self.camera.target, list[list[float]]()
+        if self._targets:  # where the camera goes along; before, it stays where that begins
+            start = min(self._targets)
+            target, at = self._targets[start], self._targets[start]
+            for frame in range(len(self._times)):
+                at = self._targets.get(frame, at)
+                along.append([round(float(v), 3) for v in at])
         data, runs, packed = self._packed_data()
         content = {
             "title": self.title,
@@ -154,7 +163,8 @@ class ViewerHTML(SceneViewer):
             "packed": packed,
             "camera": {
                 "up": camera.up_axis,
-                "target": [float(v) for v in camera.target],
+                "target": [float(v) for v in target],
+                "along": along,
                 "distance": camera.distance,
                 "yaw": camera.yaw,
                 "pitch": camera.pitch,

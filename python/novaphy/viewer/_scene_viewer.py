@@ -46,6 +46,8 @@ class SceneViewer(Viewer):
         self.show_contacts = True
         self._energy: float | None = None
         self._steps_wanted = 0
+        self._followed: int | None = None
+        self._followed_at: np.ndarray | None = None
 
     def step_once(self) -> None:
         """Let one more step happen while paused."""
@@ -88,6 +90,29 @@ class SceneViewer(Viewer):
         self.camera.target = np.asarray(target, np.float64)
         self.camera.place(np.asarray(pos, np.float64), None, None)
 
+    def follow(self, body: int | None) -> None:
+        """Let the camera go along with a body of the model, on the level; None: let it stay.
+
+        It moves as much as the body does from the next state on; the user may turn it meanwhile.
+        """
+        self._followed, self._followed_at = body, None
+
+    @property
+    def follows(self) -> bool:
+        """Whether the camera goes along with a body."""
+        return self._followed is not None
+
+    def _go_along(self) -> None:
+        rows = self.latest_state.get("body_q", ())
+        if self._followed is None or not 0 <= self._followed < len(rows):
+            return
+        place = np.asarray(rows[self._followed][:3], np.float64) * (1.0 - self.camera.up)
+        if not np.isfinite(place).all():
+            return
+        if self._followed_at is not None:
+            self.camera.target = self.camera.target + (place - self._followed_at)
+        self._followed_at = place
+
     def set_world_offsets(self, spacing: ArrayLike) -> None:
         """Show world k of a model moved by k times `spacing` (m)."""
         self._offsets = as_array(spacing, 3, "set_world_offsets, spacing")[0]
@@ -128,6 +153,7 @@ class SceneViewer(Viewer):
         self.latest_state = {name: rows for name, rows in arrays.items() if len(rows)}
         self._model_scene.show_joints = self.show_joints
         self._model_scene.update(self.latest_state)
+        self._go_along()
         self._energy = None
         if self.show_energy and {"body_qd", "particle_qd"} & self.latest_state.keys():
             self._energy = energy(self._model_scene.arrays, self.latest_state)

@@ -132,6 +132,11 @@ class Stage:
         for viewer in self.viewers:
             viewer.log_points(name, [point], radius, TARGET)
 
+    def follow(self, body: int | None) -> None:
+        """Let the cameras go along with a body of the model (Viewer.follow)."""
+        for viewer in self.viewers:
+            viewer.follow(body)
+
     def set_shape_colors(self, shapes: ArrayLike, colors: ArrayLike) -> None:
         """Show shapes {n} of the model in colours {n, 3} or {n, 4} (Viewer.set_shape_colors)."""
         for viewer in self.viewers:

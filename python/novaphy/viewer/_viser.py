@@ -201,16 +201,19 @@ class ViewerViser(SceneViewer):
 
     def _send_camera(self) -> None:
         camera = self.camera
-        seen = (tuple(camera.pos), tuple(camera.target))
-        if self._sent_camera == seen:
+        seen = (camera.pos, camera.target.copy())
+        before, self._sent_camera = self._sent_camera, seen
+        if before is not None and np.array_equal(before, seen):
             return
-        self._sent_camera = seen
         self._server.scene.set_up_direction("+" + "xyz"[camera.up_axis])
         initial = self._server.initial_camera
         initial.position, initial.look_at = tuple(camera.pos), tuple(camera.target)
         initial.up, initial.fov = tuple(camera.up), float(np.radians(FIELD_OF_VIEW))
         for client in self._server.get_clients().values():
-            client.camera.position, client.camera.look_at = tuple(camera.pos), tuple(camera.target)
+            if before is not None and self.follows:  # from where somebody turned it to
+                client.camera.position = client.camera.position + (seen[1] - before[1])
+            else:
+                client.camera.position, client.camera.look_at = map(tuple, seen)
 
     def _pull(self, name: str, rows: np.ndarray, event: Any) -> None:
         """Pull what the rows of an object show of the model, as the pointer does."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import ast
 import contextlib
+import ctypes.util
 import importlib.metadata
 import io
 import json
@@ -41,6 +42,7 @@ COMPLETION = """_novaphy() {
 }
 complete -o filenames -F _novaphy novaphy
 """
+VIEWED = (".msh", ".obj", ".stl", ".ply", ".dae", ".urdf", ".xml")
 # Package -> the extra of novaphy that brings it, and what for.
 OPTIONAL = {
     "moderngl": ("gl", "ViewerGL"),
@@ -49,6 +51,7 @@ OPTIONAL = {
     "viser": ("web", "ViewerViser"),
     "matplotlib": ("demos", "--plot of the demos"),
     "tqdm": ("demos", "progress bars"),
+    "gymnasium": ("envs", "novaphy.envs as Gymnasium environments"),
 }
 
 
@@ -102,9 +105,10 @@ def list_demos(args: argparse.Namespace) -> int:
     if args.names:
         print("\n".join(found))
         return 0
+    width = max(map(len, found), default=0)
     for name, path in found.items():
         text = ast.get_docstring(ast.parse(path.read_text("utf-8"))) or ""
-        print(f"{name:16} {text.splitlines()[0] if text else ''}")
+        print(f"{name:{width}} {text.splitlines()[0] if text else ''}")
     return 0
 
 
@@ -128,8 +132,11 @@ def bench(args: argparse.Namespace) -> int:
     from .viewer import Stage
 
     path = find_demo(args.demo)
-    if args.count < 4:
-        raise ValueError(f"bench, --count: expected a number >= 4, got {args.count}")
+    behind = argparse.ArgumentParser(prog="novaphy bench", add_help=False, allow_abbrev=False)
+    behind.add_argument("--count", type=int, default=args.count)  # behind the demo's name too
+    known, options = behind.parse_known_args(args.options)
+    if known.count < 4:
+        raise ValueError(f"bench, --count: expected a number >= 4, got {known.count}")
     times: list[float] = []
 
     def note(*_: object, **__: object) -> None:
@@ -141,7 +148,7 @@ def bench(args: argparse.Namespace) -> int:
         contextlib.redirect_stdout(said),
         contextlib.redirect_stderr(said),
     ):
-        start_demo(path, ["--headless", str(args.count), *args.options])
+        start_demo(path, ["--headless", str(known.count), *options])
     if len(times) < 4:
         raise ValueError(f"bench: the demo stopped early: {said.getvalue().strip()}")
     each = np.diff(times)[1:]  # the first may record a capture, and the second make kernels
@@ -191,6 +198,8 @@ def info(args: argparse.Namespace) -> int:
     for program, what in {"ffmpeg": "videos"}.items():
         found = shutil.which(program) or f"missing: apt-get install {program}"
         print(f"  {program} ({what}): {found}")
+    egl = ctypes.util.find_library("EGL") or "missing: apt-get install libegl1 libgl1-mesa-dri"
+    print(f"  EGL (pictures without a display): {egl}")
     print(f"  display (windows): {os.environ.get('DISPLAY') or 'none: DISPLAY is not set'}")
     return 0
 
@@ -216,7 +225,11 @@ def view(args: argparse.Namespace) -> int:
     """Show a mesh, or a robot with a slider for every joint."""
     from ._view import show_mesh, show_robot
 
-    is_robot = Path(args.file).suffix.lower() in (".urdf", ".xml")
+    ending = Path(args.file).suffix.lower()
+    if ending not in VIEWED:
+        hint = f": novaphy replay {args.file}" if ending in (".nprec", ".npz") else ""
+        raise ValueError(f"view, file: expected {', '.join(VIEWED)}, got {args.file}{hint}")
+    is_robot = ending in (".urdf", ".xml")
     print(f"{args.file}: {show_robot(args) if is_robot else show_mesh(args)}")
     return 0
 
@@ -248,7 +261,8 @@ def make_parser() -> argparse.ArgumentParser:
             part.add_argument("--count", type=int, default=20, help="iterations (default 20)")
         needs_one = {"nargs": "?", "default": "ball"} if name != "run" else {}
         part.add_argument("demo", help="a name that `novaphy demos` lists", **needs_one)
-        part.add_argument("options", nargs=argparse.REMAINDER, help="options of the demo")
+        rest = part.add_argument("options", nargs=argparse.REMAINDER, help="options of the demo")
+        rest.required = False
     add("info", info)
     for name, function, what in (
         ("replay", replay, "a recording: .nprec, or .npz"),

@@ -48,6 +48,8 @@ def test_demos_are_listed_and_run_from_anywhere(tmp_path):
     wrong = command("run", "nothing")
     assert wrong.returncode == 1 and "there is no demo 'nothing'" in wrong.stderr
     assert "spring_cage" in wrong.stderr and wrong.stderr.count("\n") == 1
+    none = command("run")
+    assert none.returncode == 2 and none.stderr.rstrip().endswith("required: demo")
 
 
 def test_a_gradient_is_checked_and_an_iteration_measured():
@@ -58,6 +60,10 @@ def test_a_gradient_is_checked_and_an_iteration_measured():
     result = json.loads(command("bench", "--count", "5", "spring_cage").stdout)
     assert result["iterations"] == 6  # and the last rollout
     assert 0.0 < result["fastest_ms"] <= result["median_ms"] < 1000.0
+    behind = json.loads(command("bench", "spring_cage", "--count", "7").stdout)
+    assert behind["iterations"] == 8
+    few = command("bench", "spring_cage", "--count", "2")
+    assert few.returncode == 1 and "--count: expected a number >= 4, got 2" in few.stderr
 
 
 def test_info_names_what_is_there_and_what_is_missing():
@@ -87,6 +93,7 @@ def test_a_recording_is_replayed_as_a_page(tmp_path):
     assert '"takes":[0,37]' in (tmp_path / "r.html").read_text("utf-8")
     wrong = command("replay", str(DATA / "cube.msh"), "--headless", "1")
     assert wrong.returncode == 1 and "is no recording" in wrong.stderr
+    assert "pickle" not in wrong.stderr and wrong.stderr.count("\n") == 1
 
 
 def test_a_mesh_is_viewed(tmp_path):
@@ -96,6 +103,9 @@ def test_a_mesh_is_viewed(tmp_path):
     assert '["mesh","mesh","points"' in path.read_text("utf-8")
     robot = command("view", "robot.urdf", "--headless", "1")
     assert robot.returncode == 1 and re.search("robot.urdf|NOVAPHY_WITH_IO", robot.stderr)
+    other = command("view", "run.nprec", "--headless", "1")
+    assert other.returncode == 1 and "novaphy replay run.nprec" in other.stderr
+    assert ".msh" in other.stderr and ".xml" in other.stderr and other.stderr.count("\n") == 1
 
 
 @pytest.mark.skipif(not novaphy.has_io(), reason="built with NOVAPHY_WITH_IO=OFF; the wheel has it")

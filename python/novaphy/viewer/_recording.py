@@ -106,6 +106,8 @@ def read(source: str) -> Recording:
     with open(source, "rb") as file:
         if file.read(len(MAGIC)) == MAGIC:
             return _read_chunks(source, file)
+    if not zipfile.is_zipfile(source):
+        raise ValueError(f"load_recording: {source!r} is no recording (neither .nprec nor .npz)")
     try:
         with np.load(source, allow_pickle=False) as archive:
             entries = {name: archive[name] for name in archive.files}

@@ -9,6 +9,7 @@ import subprocess
 import tempfile
 import time
 import urllib.request
+from pathlib import Path
 from typing import Any
 
 PROGRAMS = ("chromium", "chromium-browser", "google-chrome")
@@ -44,11 +45,13 @@ class Browser:
         self.folder = tempfile.TemporaryDirectory(ignore_cleanup_errors=True)
         size = f"--window-size={width},{height}"
         command = [program, f"--user-data-dir={self.folder.name}", size, *FLAGS]
-        self.process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
-        for line in self.process.stderr:
-            if "DevTools listening on" in line:
-                self.port = int(line.split("127.0.0.1:")[1].split("/")[0])
-                break
+        self.process = subprocess.Popen(command, stderr=subprocess.DEVNULL)
+        told, end = Path(self.folder.name) / "DevToolsActivePort", time.monotonic() + 60.0
+        while not told.exists() or "\n" not in told.read_text("utf-8"):
+            assert self.process.poll() is None, f"{program} ended: {self.process.returncode}"
+            assert time.monotonic() < end, f"{program} opens no port"
+            time.sleep(0.05)
+        self.port = int(told.read_text("utf-8").split()[0])
         self.size = (width, height)
 
     def page(self, address: str) -> Page:
@@ -69,7 +72,6 @@ class Browser:
         """End it."""
         self.process.terminate()
         self.process.wait()
-        self.process.stderr.close()
         self.folder.cleanup()
 
     def __enter__(self) -> Browser:

@@ -168,6 +168,7 @@ def test_viewers_take_every_call(ball, tmp_path):
         with viewer:
             viewer.set_model(ball.model)
             viewer.set_camera((1, 2, 3), pitch=0.0, yaw=90.0)
+            viewer.follow(0)
             viewer.set_world_offsets((1, 0, 0))
             viewer.begin_frame(0.5)
             viewer.log_state(ball.states[0])

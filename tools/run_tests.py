@@ -28,7 +28,7 @@ TAIL_LINES = 120
 BINDING_REQUIREMENTS = ("pybind11>=2.13",)
 VIEWER_REQUIREMENTS = (
     "moderngl>=5.10", "pyglet>=2.0.10", "imgui-bundle>=1.92",
-    "viser>=1.1", "pillow", "websockets>=13",
+    "viser>=1.1", "pillow", "websockets>=13.1",
 )  # fmt: skip
 
 # Component -> the components that its consumer's prefix holds. (The step io installs its own.)
@@ -428,6 +428,20 @@ def python() -> None:
         stubtest = [interpreter, "-m", "mypy.stubtest", "novaphy", "--concise", settings]
         run("stubs", *stubtest, cwd=Path(folder))
     pytest("python", interpreter, "tests/python")
+    viewer_tests_ran(LOGS / "python.pytest.xml")
+
+
+def viewer_tests_ran(junit: Path) -> None:
+    """Every test of a viewer was run, as all that they need was installed.
+
+    But for those of pages on an Ubuntu, which has no package of a browser.
+    """
+    for case in ElementTree.parse(junit).iter("testcase"):
+        skipped = case.find("skipped")
+        if skipped is None or "test_viewer" not in case.get("classname", ""):
+            continue
+        if not (reason := skipped.get("message", "")).startswith("no Chromium"):
+            totals.fail(f"python: {case.get('name')} was skipped: {reason}")
 
 
 @step

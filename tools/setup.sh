@@ -61,7 +61,9 @@ make_venv() {
 
 # What compiles the project.
 BUILD_PACKAGES=(g++ cmake ninja-build ccache libtbb-dev python3 python3-dev python3-venv ca-certificates)
-# What the tests of the viewers draw with: OpenGL without a display, an X server, a browser, videos.
-VIEWER_PACKAGES=(libegl1 libgl1 libgl1-mesa-dri xvfb chromium ffmpeg)
+# What the tests of the viewers draw with: OpenGL without a display, an X server and its library, videos, a browser.
+VIEWER_PACKAGES=(libegl1 libgl1 libgl1-mesa-dri libxrender1 xvfb ffmpeg)
+# Ubuntu has Chromium as a snap only, which no container runs: there the tests of pages need google-chrome.
+grep -qs '^ID=ubuntu' /etc/os-release || VIEWER_PACKAGES+=(chromium)
 # What makes its wheel, from PyPI.
 WHEEL_REQUIREMENTS=("scikit-build-core>=0.10" "pybind11>=2.13" "numpy>=1.26")

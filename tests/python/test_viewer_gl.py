@@ -259,6 +259,7 @@ def test_pictures_and_videos_are_written(egl, tmp_path):
         ("pyglet", "", {}, "pip install 'novaphy[gl]'"),
         ("none", "", {}, "DISPLAY is not set"),
         ("none", "", {"DISPLAY": ":4711"}, "the display :4711 opens no window"),
+        ("pyglet.gl", "", {"DISPLAY": ":4711"}, "apt-get install libgl1 libgl1-mesa"),
         ("none", "headless=True", {"__EGL_VENDOR_LIBRARY_DIRS": "/nowhere"},
          "apt-get install libegl1 libgl1-mesa-dri"),
     ],
@@ -478,7 +479,7 @@ def test_a_real_window(egl, program, package):
     with x_server.x_server("800x600") as environ:
         environ["MALLOC_MMAP_THRESHOLD_"] = str(1 << 20)  # what is freed leaves the process
         done = subprocess.run(
-            [sys.executable, "-c", program], capture_output=True, text=True, timeout=120,
+            [sys.executable, "-c", program], capture_output=True, text=True, timeout=300,
             env=environ, cwd=Path(__file__).parent,
         )  # fmt: skip
     assert done.stdout.strip() == "done", done.stdout + done.stderr

@@ -39,9 +39,12 @@ class Window:
             )
             self.context = moderngl.create_context(require=330)
         except Exception as error:
+            # pyglet says so where it does not find a library.
+            missing = isinstance(error, (ImportError, AttributeError))
+            hint = ": apt-get install libgl1 libgl1-mesa-dri libxrender1" if missing else ""
             raise MissingPackageError(
                 f"ViewerGL: the display {os.environ.get('DISPLAY')} opens no window with "
-                f"OpenGL 3.3 ({error})"
+                f"OpenGL 3.3 ({error}){hint}"
             ) from error
         self.viewer = viewer
         self.key = pyglet.window.key

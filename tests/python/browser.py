@@ -45,8 +45,9 @@ class Browser:
         self.folder = tempfile.TemporaryDirectory(ignore_cleanup_errors=True)
         size = f"--window-size={width},{height}"
         command = [program, f"--user-data-dir={self.folder.name}", size, *FLAGS]
+        # Its messages go nowhere: a pipe that nobody reads would stop it at some time.
         self.process = subprocess.Popen(command, stderr=subprocess.DEVNULL)
-        told, end = Path(self.folder.name) / "DevToolsActivePort", time.monotonic() + 60.0
+        told, end = Path(self.folder.name) / "DevToolsActivePort", time.monotonic() + 120.0
         while not told.exists() or "\n" not in told.read_text("utf-8"):
             assert self.process.poll() is None, f"{program} ended: {self.process.returncode}"
             assert time.monotonic() < end, f"{program} opens no port"
@@ -98,7 +99,7 @@ class Page:
         self.number += 1
         self.socket.send(json.dumps({"id": self.number, "method": method, "params": params}))
         while True:
-            answer = json.loads(self.socket.recv(timeout=60))
+            answer = json.loads(self.socket.recv(timeout=120))
             if answer.get("id") == self.number:
                 assert "error" not in answer, answer
                 return answer["result"]
@@ -109,7 +110,7 @@ class Page:
         assert "exceptionDetails" not in result, result["exceptionDetails"]
         return result["result"].get("value")
 
-    def wait_for(self, code: str, seconds: float = 30.0) -> Any:
+    def wait_for(self, code: str, seconds: float = 120.0) -> Any:
         """Wait until an expression is true; returns it."""
         end = time.monotonic() + seconds
         while time.monotonic() < end:

@@ -218,7 +218,7 @@ def run(code: str, **options) -> subprocess.CompletedProcess[str]:
     """Run code that may import scenes in a process of its own."""
     text = f"import sys; sys.path.insert(0, {HERE!r})\n" + code
     return subprocess.run(
-        [sys.executable, "-c", text], capture_output=True, text=True, timeout=120, **options
+        [sys.executable, "-c", text], capture_output=True, text=True, timeout=300, **options
     )
 
 
@@ -306,6 +306,13 @@ except KeyboardInterrupt:
 """
 
 
+def cpu_seconds(pid: int) -> float:
+    """What a process has used, in all its threads."""
+    with open(f"/proc/{pid}/stat") as file:
+        words = file.read().rpartition(")")[2].split()
+    return (int(words[11]) + int(words[12])) / os.sysconf("SC_CLK_TCK")
+
+
 @pytest.mark.parametrize("what", LONG)
 def test_ctrl_c_interrupts_long_native_work(what):
     code = SCRIPT.replace("{work}", textwrap.indent(textwrap.dedent(LONG[what]), " " * 8))
@@ -320,13 +327,15 @@ def test_ctrl_c_interrupts_long_native_work(what):
     try:
         assert process.stdout.readline().strip() == "started", process.stderr.read()
         time.sleep(1.0)
-        begin = time.perf_counter()
+        begin, ended = cpu_seconds(process.pid), os.times()
         process.send_signal(signal.SIGINT)
-        out, err = process.communicate(timeout=100)
+        out, err = process.communicate(timeout=300)
     finally:
         process.kill()
     assert out.strip() == "interrupted" and err == ""
-    assert time.perf_counter() - begin < 5
+    now = os.times()
+    used = now.children_user + now.children_system - ended.children_user - ended.children_system
+    assert used - begin < 5  # s of work after the signal, however busy the machine is
 
 
 def test_a_signal_handler_that_raises_reaches_the_caller():

@@ -294,7 +294,7 @@ def test_a_notebook_shows_the_page_in_a_frame(page_file, tmp_path, chromium):
         rgb = pixels(page.picture()).astype(int)[:400, 200:]
         return np.mean(np.abs(rgb - [237, 241, 245]).max(axis=2) > 12)
 
-    end = time.monotonic() + 60.0
+    end = time.monotonic() + 120.0
     while not 0.01 < drawn() < 0.9 and time.monotonic() < end:
         time.sleep(0.5)
     assert 0.01 < drawn() < 0.9

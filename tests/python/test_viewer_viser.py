@@ -90,13 +90,13 @@ def test_two_browsers_see_the_scene_and_move_a_slider(served):
     frame(viewer, state, 0.0, 0.0)
     with browser.Browser(640, 480) as one, browser.Browser(640, 480) as other:
         pages = [chromium.page(viewer.url) for chromium in (one, other)]
-        end = time.monotonic() + 60.0
+        end = time.monotonic() + 120.0
         while viewer.client_count < 2 and time.monotonic() < end:
             time.sleep(0.2)
         assert viewer.client_count == 2
         for page in pages:
-            page.wait_for("document.body.innerText.includes('mass')", 60.0)
-            page.wait_for("document.querySelector('canvas') !== null", 60.0)
+            page.wait_for("document.body.innerText.includes('mass')")
+            page.wait_for("document.querySelector('canvas') !== null")
         find = (
             "[...document.querySelectorAll('[role=slider]')]"
             ".find(s => s.getAttribute('aria-valuemax') === '10')"
@@ -110,7 +110,7 @@ def test_two_browsers_see_the_scene_and_move_a_slider(served):
                 "Input.dispatchKeyEvent", type=kind, key="ArrowRight", code="ArrowRight",
                 windowsVirtualKeyCode=39,
             )  # fmt: skip
-        end = time.monotonic() + 30.0
+        end = time.monotonic() + 120.0
         while not moved and time.monotonic() < end:
             time.sleep(0.1)
         assert moved and mass() == moved[-1] == pytest.approx(2.01)
@@ -120,7 +120,7 @@ def test_two_browsers_see_the_scene_and_move_a_slider(served):
         assert mass() == 7.0
         find = "[...document.querySelectorAll('button')].find(b => b.innerText === 'reset')"
         pages[1].evaluate(f"{find}.click()")
-        end = time.monotonic() + 30.0
+        end = time.monotonic() + 120.0
         while not viewer.reset_requested and time.monotonic() < end:
             time.sleep(0.1)
         assert viewer.reset_requested
@@ -152,7 +152,7 @@ def test_a_body_moves_in_the_page_as_projected():
         viewer.set_shape_colors([0], (0.9, 0.1, 0.1))
         viewer.look_at((0.0, -5.0, 1.0), (0.0, 0.0, 0.5))
         page = chromium.page(viewer.url)
-        page.wait_for("document.querySelector('canvas') !== null", 60.0)
+        page.wait_for("document.querySelector('canvas') !== null")
         for k, place in enumerate([(-0.6, 0.0, 0.2), (0.2, 0.3, 0.0), (-0.2, -0.4, -0.2)]):
             poses = state.body_q.numpy()
             poses[0, :3] = place
@@ -162,7 +162,7 @@ def test_a_body_moves_in_the_page_as_projected():
             viewer._sent_at = 0.0
             viewer.end_frame()
             x, y = viewer.camera.project(poses[:, :3], 1000, 600)[0]
-            away, end = 1e9, time.monotonic() + 60.0
+            away, end = 1e9, time.monotonic() + 120.0
             while away >= 2.0 and time.monotonic() < end:
                 time.sleep(0.5)
                 png = io.BytesIO(page.picture())
@@ -192,8 +192,8 @@ def test_a_strong_checker_is_black_and_white_in_the_page():
         viewer.begin_frame(0.0)
         viewer.end_frame()
         page = chromium.page(viewer.url)
-        page.wait_for("document.querySelector('canvas') !== null", 60.0)
-        shares, end = (0.0, 0.0), time.monotonic() + 60.0
+        page.wait_for("document.querySelector('canvas') !== null")
+        shares, end = (0.0, 0.0), time.monotonic() + 120.0
         while min(shares) < 0.35 and time.monotonic() < end:
             time.sleep(0.5)
             png = io.BytesIO(page.picture())
@@ -221,7 +221,7 @@ def test_a_pointer_in_the_page_pulls_a_body():
         viewer.look_at((0.5, -2.5, 1.2), (0.5, 0.0, 0.5))
         frame(viewer, state, 0.0, 0.0)
         page = chromium.page(viewer.url)
-        page.wait_for("document.querySelector('canvas') !== null", 60.0)
+        page.wait_for("document.querySelector('canvas') !== null")
         x, y = viewer.camera.project(state.body_q.numpy()[:1, :3], 640, 480)[0]
 
         def mouse(kind, right, **more):
@@ -234,7 +234,7 @@ def test_a_pointer_in_the_page_pulls_a_body():
             "Input.dispatchKeyEvent", type="keyDown", key="Control", code="ControlLeft",
             windowsVirtualKeyCode=17, modifiers=2,
         )  # fmt: skip
-        end, color = time.monotonic() + 60.0, (0, 0, 0)
+        end, color = time.monotonic() + 120.0, (0, 0, 0)
         while color[2] - color[0] < 60 and time.monotonic() < end:  # until the page draws it, blue
             time.sleep(0.5)
             png = io.BytesIO(page.picture())
@@ -254,12 +254,19 @@ def test_a_pointer_in_the_page_pulls_a_body():
         assert pull[0, :3] @ side < -1.0 and not pull[1:].any()
         assert abs(pull[0, :3] @ above) < 0.2 * abs(pull[0, :3] @ side)
         mouse("mouseReleased", -60.0, button="left", clickCount=1)
-        end = time.monotonic() + 30.0
+        end = time.monotonic() + 120.0
         while viewer._drag.item is not None and time.monotonic() < end:
             time.sleep(0.1)
         assert viewer._drag.item is None
         with pytest.raises(NotImplementedError, match="keys"):
             viewer.is_key_down("space")
+
+
+def taken() -> tuple[int, int, int]:
+    """Descriptors, threads and bytes of this process."""
+    pages = int(Path("/proc/self/statm").read_text().split()[1])
+    descriptors, threads = len(os.listdir("/proc/self/fd")), threading.active_count()
+    return descriptors, threads, pages * os.sysconf("SC_PAGE_SIZE")
 
 
 def test_opening_and_closing_frees_what_it_took():
@@ -271,12 +278,27 @@ def test_opening_and_closing_frees_what_it_took():
             viewer._sent_at = 0.0
             viewer.end_frame()
         time.sleep(0.1)
-        pages = int(Path("/proc/self/statm").read_text().split()[1])
-        descriptors, threads = len(os.listdir("/proc/self/fd")), threading.active_count()
-        seen.append((descriptors, threads, pages * os.sysconf("SC_PAGE_SIZE")))
-    assert seen[-1][0] <= seen[1][0] + 2, seen
-    assert seen[-1][1] <= seen[1][1] + 2, seen
-    assert seen[-1][2] - seen[3][2] < 60e6, seen
+        seen.append(taken())
+    end = time.monotonic() + 20.0  # its threads end by themselves
+    while max(np.subtract(taken(), seen[1])[:2]) > 2 and time.monotonic() < end:
+        time.sleep(0.1)
+    assert max(np.subtract(taken(), seen[1])[:2]) <= 2, seen
+    assert taken()[2] - seen[3][2] < 60e6, seen
+
+
+def is_free(port: int) -> bool:
+    """Whether a port can be taken, within some seconds."""
+    end = time.monotonic() + 20.0
+    while True:
+        with socket.socket() as again:
+            again.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            try:
+                again.bind(("127.0.0.1", port))
+                return True
+            except OSError:
+                if time.monotonic() > end:
+                    return False
+        time.sleep(0.1)
 
 
 def test_a_port_that_is_taken_gives_way_to_the_next():
@@ -286,10 +308,7 @@ def test_a_port_that_is_taken_gives_way_to_the_next():
         with novaphy.ViewerViser(port=port, verbose=False) as viewer:
             assert port < viewer.port < port + 10
             used = viewer.port
-        time.sleep(0.5)
-        with socket.socket() as again:
-            again.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            again.bind(("127.0.0.1", used))  # close() freed it
+        assert is_free(used)  # close() freed it
     with pytest.raises(OSError, match="no address of this machine"):
         novaphy.ViewerViser(host="203.0.113.1", verbose=False)
     with pytest.raises(ValueError, match="port"):

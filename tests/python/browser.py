@@ -28,7 +28,7 @@ FLAGS = [
 def why_not() -> str | None:
     """What is missing for it; None when everything is there."""
     if not any(map(shutil.which, PROGRAMS)):
-        return "no Chromium: apt-get install chromium"
+        return "no Chromium: apt-get install chromium (on Ubuntu: install google-chrome)"
     try:
         import websockets.sync.client  # noqa: F401
     except ImportError:

@@ -349,8 +349,8 @@ def arguments() -> argparse.Namespace:
         parser.error(f"--train: expected a number >= 0, got {args.train}")
     if not 1 <= args.train_horizon <= 400:
         parser.error(
-            f"--train-horizon: expected 1 to 400 frames, whose {50 * args.train_horizon} steps fit "
-            "into memory"
+            "--train-horizon: expected 1 to 400 frames, whose steps fit into memory, got "
+            f"{args.train_horizon}"
         )
     if args.save_policy and not Path(args.save_policy).resolve().parent.is_dir():
         parser.error(f"--save-policy: the folder of {args.save_policy} does not exist")

@@ -155,6 +155,9 @@ def _read(path: str | os.PathLike[str]) -> tuple[dict[str, np.ndarray], dict[str
     where = os.fspath(path)
     with open(path, "rb") as file:  # OSError: of the file system. Below it: of what is in the file.
         try:
+            if file.read(2) != b"PK":
+                raise ValueError("it does not begin as one")
+            file.seek(0)
             with np.load(file, allow_pickle=False) as archive:
                 arrays = {name: archive[name] for name in archive.files}
             _check_count(file, len(arrays))

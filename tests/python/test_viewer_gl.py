@@ -156,13 +156,15 @@ def test_every_shape_is_drawn(egl):
             assert height == pytest.approx(2 * (y - top), abs=3), (kind, sizes)
 
 
-def test_surfaces_in_one_place_do_not_fight(egl):
+@pytest.mark.parametrize("between", [0, 3])  # as the hips of an Ant, and the stumps of its torso
+def test_surfaces_in_one_place_do_not_fight(egl, between):
     with novaphy.ViewerGL(headless=True, **SIZE) as viewer:
         viewer.show_text = False
         viewer.look_at((1.0, -3.0, 1.5), (0.0, 0.0, 0.0))
-        colors = np.float32([(0.9, 0.1, 0.1), (0.1, 0.1, 0.9)])
+        colors = np.float32([(0.9, 0.1, 0.1), *[(0.5, 0.5, 0.5)] * between, (0.1, 0.1, 0.9)])
         turn = np.float32([0.0, 0.0, np.sin(0.03), np.cos(0.03)])
-        poses = np.float32([(0, 0, 0, 0, 0, 0, 1), (0, 0, 0, *turn)])
+        away = [(0, 50, 0, 0, 0, 0, 1)] * between  # not to be seen
+        poses = np.float32([(0, 0, 0, 0, 0, 0, 1), *away, (0, 0, 0, *turn)])
         viewer.log_shapes("rods", novaphy.GeoType.CYLINDER, (0.5, 0.7, 0), poses, colors)
         viewer.begin_frame(0.0)
         viewer.end_frame()

@@ -22,7 +22,7 @@ void main() {
   tint = color;
   gl_Position = view_projection * vec4(world, 1.0);
   // Faces of two shapes in one plane: one of them is nearer, by 0.8 mm at 1 m for each instance.
-  gl_Position.z -= 1.6e-5 * float(gl_InstanceID & 3) * gl_Position.w;
+  gl_Position.z -= 1.6e-5 * float(gl_InstanceID & 7) * gl_Position.w;
 }
 """
 

@@ -46,6 +46,7 @@ class Recorder : public novaphy::LaunchRecorder {
     for (const LaunchArgument& a : launch.arguments)
       if (a.write && a.range) tape->mark_constant(*a.range);
   }
+  bool has_tape() const override { return Tape::active() != nullptr; }
   void depends_on(const std::shared_ptr<Range>& range) override {
     if (OpList* graph = current_capture()) graph->freeze(range);
   }

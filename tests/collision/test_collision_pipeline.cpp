@@ -266,6 +266,7 @@ class AsksAgain : public LaunchRecorder {
         before_(set_launch_recorder(this)) {}
   ~AsksAgain() override { set_launch_recorder(before_); }
   void launch(const Launch&) override { pipeline_.collide(state_, contacts_); }
+  bool has_tape() const override { return false; }
   void depends_on(const std::shared_ptr<Range>&) override {}
   void depends_on(const std::shared_ptr<const float>&, std::string_view) override {}
   void before_replay(const std::shared_ptr<const void>&, const std::function<void()>&) override {}

@@ -586,3 +586,15 @@ def test_a_captured_rollout_replays_the_gradients_of_direct_ones(gradient):
     assert np.isnan(trajectory[3].particle_q.numpy()).all()
     with pytest.raises(novaphy.Error, match="a replay of a captured step failed.*finite"):
         solver.gradient_info()
+
+
+def test_a_step_on_a_tape_refuses_a_state_that_wants_gradients():
+    """They would stop there without a word."""
+    nova = pytest.importorskip("novaphy.nova")
+    solver = solver_of(cloth())
+    state, after = solver.model.state(requires_grad=True), solver.model.state()
+    with nova.Tape(), pytest.raises(novaphy.Error, match="state_in: expected requires_grad False"):
+        solver.step(state, after, None, None, 1 / 60)
+    with nova.Tape(), nova.no_grad():
+        solver.step(state, after, None, None, 1 / 60)
+    solver.step(state, after, None, None, 1 / 60)

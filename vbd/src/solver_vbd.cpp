@@ -123,11 +123,16 @@ void SolverVBD::step(SimState& state_in, SimState& state_out, const Control* con
           ErrorKind::Value, kName, ": targets: expected {", held,
           ", 3}, a position for every held particle, got ",
           targets == nullptr ? 0 : targets->rows(), " rows");
+  const LaunchRecorder* const recorder = launch_recorder();
+  require(recorder == nullptr || !recorder->has_tape() || !state_in.requires_grad,
+          ErrorKind::Runtime, kName,
+          " on an active Tape: state_in: expected requires_grad False, because its gradient would "
+          "silently stop here; take DiffSolverVBD, or nova.no_grad()");
   {
     const Unobserved of_the_model;
     m.update_derived();
   }
-  w.last_was_launched = w.host == nullptr || launch_recorder() != nullptr;
+  w.last_was_launched = w.host == nullptr || recorder != nullptr;
   if (w.last_was_launched) {
     vbd::LaunchedStep& step = w.host == nullptr ? *w.launched : w.recorded();
     step.update(dt);

@@ -55,6 +55,8 @@ class NOVAPHY_CORE_API LaunchRecorder {
   // Runs or records it, and raises the versions of what it writes. Throws before anything is
   // written: ErrorKind::Runtime for a differentiable argument that carries a gradient.
   virtual void launch(const Launch& launch) = 0;
+  // Whether gradients of what it records are asked for.
+  virtual bool has_tape() const = 0;
   // What is submitted next holds for the present values of the range only, which the host has read.
   // A replay throws once they were written.
   virtual void depends_on(const std::shared_ptr<Range>& range) = 0;

@@ -254,6 +254,17 @@ def test_a_number_that_the_builder_refuses_is_named(name: str, solver: str) -> N
     np.testing.assert_array_equal(after.joint_qd.numpy(), before)
 
 
+@pytest.mark.parametrize("name", ["joint_act", "joint_enabled", "body_flags"])
+def test_a_value_without_effect_raises_behind_the_first_step(name: str) -> None:
+    model = scene().finalize()
+    solver = novaphy.solvers.SolverFeatherstone(model)
+    state, after = model.state(), model.state()
+    solver.step(state, after, None, None, DT)
+    RAISE[name](model)
+    with pytest.raises(NotImplementedError, match=name if name != "body_flags" else "kinematic"):
+        solver.step(state, after, None, None, DT)
+
+
 @pytest.mark.parametrize("name", PENALTY)
 def test_springs_of_shapes_act_where_contacts_are_springs(name: str) -> None:
     edit = scaled(name, SHAPES)

@@ -16,6 +16,11 @@ using articulation::LinkJoint;
 
 static_assert(sizeof(Link) == 8 * sizeof(int32_t) && sizeof(ArticulationRows) == 5 * 4);
 
+void check_dynamic(int64_t body, int32_t flags, const char* user) {
+  require(!has_flag(flags, BodyFlags::KINEMATIC), ErrorKind::NotImplemented, user, ": model: body ",
+          body, ": kinematic bodies are not covered");
+}
+
 // The links of one articulation, joint by joint.
 class TreeMaker {
  public:
@@ -34,9 +39,7 @@ class TreeMaker {
     require(type != JointType::DISTANCE, ErrorKind::NotImplemented, user_, ": model: joint ", joint,
             " ('", model_.joint_label[static_cast<size_t>(joint)],
             "'): DISTANCE joints are not covered");
-    require(!has_flag(model_.body_flags.data()[child], BodyFlags::KINEMATIC),
-            ErrorKind::NotImplemented, user_, ": model: body ", child,
-            ": kinematic bodies are not covered");
+    check_dynamic(child, model_.body_flags.data()[child], user_);
     int32_t parent = parent_body < 0 ? -1 : link_of_body_[static_cast<size_t>(parent_body)];
     const int32_t coord = model_.joint_q_start.data()[joint];
     const int32_t dof = model_.joint_qd_start.data()[joint];
@@ -190,7 +193,7 @@ void Articulations::check_values(const Model& m, const Control* control, bool fr
   const DeviceArray<float>& joint_act = control ? control->joint_act : m.joint_act;
   const Array* const arrays[] = {&m.joint_enabled,     &m.joint_friction,   &joint_act,
                                  &m.joint_target_ke,   &m.joint_target_kd,  &m.joint_damping,
-                                 &m.joint_limit_lower, &m.joint_limit_upper};
+                                 &m.joint_limit_lower, &m.joint_limit_upper, &m.body_flags};
   values_.check_joints(m);
   checked_.resize(std::size(arrays));
   bool same = true;
@@ -199,6 +202,9 @@ void Articulations::check_values(const Model& m, const Control* control, bool fr
   const Unobserved unobserved;
   const OnHost<uint8_t> enabled(m.joint_enabled);
   const OnHost<float> dry(m.joint_friction), act(joint_act);
+  const OnHost<int32_t> flags(m.body_flags);
+  for (size_t b = 0; b < flags.size(); ++b)
+    check_dynamic(static_cast<int64_t>(b), flags[b], user);
   for (size_t j = 0; j < enabled.size(); ++j)
     require(enabled[j] != 0, ErrorKind::NotImplemented, user, ": model.joint_enabled[", j,
             "]: joints that are not enabled are not covered");

@@ -188,6 +188,28 @@ TEST_P(CustomOps, BetweenCheckpointsAndInCapturesHaveTheBitsOfStepByStep) {
 }
 INSTANTIATE_TEST_SUITE_P(Sizes, CustomOps, ::testing::Values(1, 3, 6001));
 
+TEST(CustomOp, ATapeGoesBackAgainWhereAdjointsReadOutputsThatAreRunOnceMore) {
+  Rollout rollout(3, 5);
+  Tape tape;
+  const TapeScope scope(tape);
+  for (int32_t first = 0; first < kSteps; first += rollout.interval) {
+    const nova::RecomputedScope once_more(true);
+    for (int32_t t = first; t < std::min(first + rollout.interval, kSteps); ++t) {
+      CustomOp op = rollout.op(t);
+      op.reads.push_back(op.outputs[0]);
+      step(op);
+    }
+  }
+  const Tensor loss = nova::dot(rollout.states.back(), rollout.states.back());
+  tape.backward(loss);
+  Floats expected = rollout.states[0].grad().to_host();
+  for (float& x : expected) x *= 2.0f;
+  tape.backward(loss);
+  EXPECT_TRUE(same_bits<float>(rollout.states[0].grad().to_host(), expected));
+  rollout.states[5].fill_(0.5f);  // a kept one
+  EXPECT_ERROR(tape.backward(loss), ErrorKind::Runtime, "was modified after recording");
+}
+
 TEST(CustomOp, ItsGradientIsThatOfTheGeneratedAdjoint) {
   const Floats got = gradient(3, 5);
   Rollout rollout(3, 1);

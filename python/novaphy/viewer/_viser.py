@@ -210,10 +210,10 @@ class ViewerViser(SceneViewer):
         initial.position, initial.look_at = tuple(camera.pos), tuple(camera.target)
         initial.up, initial.fov = tuple(camera.up), float(np.radians(FIELD_OF_VIEW))
         for client in self._server.get_clients().values():
-            if before is not None and self.follows:  # from where somebody turned it to
-                client.camera.position = client.camera.position + (seen[1] - before[1])
-            else:
-                client.camera.position, client.camera.look_at = map(tuple, seen)
+            eye = seen[0]
+            if before is not None and self.follows:  # as far and from the side that the user chose
+                eye = seen[1] + (client.camera.position - client.camera.look_at)
+            client.camera.position, client.camera.look_at = tuple(eye), tuple(seen[1])
 
     def _pull(self, name: str, rows: np.ndarray, event: Any) -> None:
         """Pull what the rows of an object show of the model, as the pointer does."""

@@ -4,8 +4,8 @@ A frame is stepped forward once and kept; `pull` then carries adjoints of its en
 and to its forces. States are differentiated as tangents {worlds, 14} of the dofs: of the torso its
 centre and the turn about it, world axes, then the hinges.
 
-Frozen: per substep the velocity's change goes through the mass matrix, damping and the springs of
-limits, projected into the null space of the contacts that push (their normals, with `tangents`
+Frozen: per substep the velocity's change goes through the mass matrix, damping, drives and springs
+of limits, projected into the null space of the contacts that push (their normals, with `tangents`
 also the friction of those that stick). Not differentiated are: contact creation and loss, mass
 matrix, bias and the contacts' Jacobians, by the state. Exact: DiffFeatherstoneSolver, whose
 gradient_info says how exact.
@@ -62,6 +62,8 @@ class FrozenFrames:
         self.eye = np.eye(DOFS)
         # Feet {worlds, 4} whose contacts are not held, because a gait wants them to lift.
         self.released = np.zeros((n, len(FEET)), bool)
+        # Called with every substep before it, to set targets of the drives.
+        self.lead = None
 
     def label(self) -> str:
         """What the derivative is."""
@@ -74,7 +76,11 @@ class FrozenFrames:
         a, kept = self.ants, []
         forces = a.joint_forces(actions)
         a.control.joint_f.assign(forces.ravel())
-        for _ in range(a.substeps):
+        drives = (a.model.joint_target_ke, a.model.joint_target_kd)
+        self.drives = [x.numpy().reshape(self.worlds, DOFS) for x in drives]
+        for substep in range(a.substeps):
+            if self.lead is not None:
+                self.lead(substep)
             a.pipeline.collide(a.state, a.contacts)
             q = a.q
             mass = novaphy.eval_mass_matrix(a.model, a.state).astype(np.float64)
@@ -92,8 +98,8 @@ class FrozenFrames:
         x = np.concatenate([np.zeros((self.worlds, 6), np.float32), q[:, 7:]], axis=1)
         outside = (x < self.lower) | (x > self.upper)
         outside[:, :6] = False
-        k = np.where(outside, self.ke, 0.0).astype(np.float64)
-        d = (self.damping + np.where(outside, self.kd, 0.0)).astype(np.float64)
+        k = (self.drives[0] + np.where(outside, self.ke, 0.0)).astype(np.float64)
+        d = self.drives[1] + self.damping + np.where(outside, self.kd, 0.0).astype(np.float64)
         inverse = np.linalg.inv(mass + (dt * d + dt * dt * k)[..., None] * self.eye)
         rows = self.rows(jacobian, poses)
         y = rows @ inverse
@@ -175,6 +181,7 @@ class ExactFrames:
         """For a batch of worlds, whose solver and states are taken."""
         self.ants, self.worlds = ants, ants.num_worlds
         self.solver = novaphy.solvers.DiffFeatherstoneSolver(ants.model, angular_damping=0.0)
+        self.lead = None  # as of FrozenFrames; called once a frame, for its middle
 
     def label(self) -> str:
         """What the derivative is."""
@@ -198,6 +205,10 @@ class ExactFrames:
         trajectory, control = diff.Trajectory(a.model, a.substeps), a.model.control()
         control.joint_f.assign(a.joint_forces(kept[2]).ravel())
         control.joint_f.requires_grad = True
+        if self.lead is not None:
+            self.lead(a.substeps // 2)
+        for name in ("joint_target_q", "joint_target_qd"):
+            getattr(control, name).assign(getattr(a.control, name))
         first, last = trajectory[0], trajectory[a.substeps]
         first.joint_q.assign(kept[0].ravel())
         first.joint_qd.assign(kept[1].ravel())

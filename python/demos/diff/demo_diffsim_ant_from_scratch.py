@@ -29,69 +29,51 @@ from pathlib import Path
 import numpy as np
 from ant_common import DATA, FPS, GaitMeter, make_stage, provenance, tilt
 from ant_gradients import frame_jacobians, make_frames
+from ant_objective import (
+    ANKLE,
+    ANKLE_SIGN,
+    PERIOD,
+    SIDES,
+    SPEED,
+    Servo,
+    axis,
+    phase,
+    residuals,
+)
 from demo_common import run, save_figure, verdict
 
 from novaphy import nova, viewer
-from novaphy.envs import ACTIONS, AntWorlds, asset_hash, check_meta, rotate
+from novaphy.envs import ACTIONS, AntWorlds, asset_hash, check_meta
 
 GAIT = DATA / "periodic_ant_natural_gait.npz"
-PERIOD = 16  # frames of a phase
 FEATURES = 10
-HEIGHT = 0.60  # m, of the torso when it stands
-# Of height, velocities and tilts.
-SCALE = np.array([5.0, 1.0, 1.0, 5.0, 5.0])
-NATURAL = ("1", "sin p", "cos p", "sin 2p", "cos 2p", "height", "vx", "vy", "tilt x", "tilt y")
-HEADING = ("1", "sin p", "cos p", "sin 2p", "cos 2p", "y", "heading", "vy", "tilt x", "tilt y")
-# Name, frames, iterations, part of the gait's amplitude. Standing comes first over all horizons:
-# what has learned to walk over few frames falls later, where derivatives no longer help.
+HEIGHT = 0.64  # m, of the torso when it walks
+WAVES = ("1", "sin p", "cos p", "sin 2p", "cos 2p")
+NATURAL = (*WAVES, "height", "velocity", "tilt", "angle", "rate")
+HEADING = (*WAVES, "y", "heading", "tilt", "angle", "rate")
+# Of what follows the waves.
+SCALE = np.array([5.0, 1.0, 5.0, 2.0, 0.2])
+ANGLES = ANKLE * np.stack([0.0 * ANKLE_SIGN, ANKLE_SIGN], axis=1).ravel()  # of hinges, rad
+OUTWARD = np.repeat(SIDES / np.sqrt(2.0), 2, axis=0)  # where the leg of a hinge points {8, 2}
+# Name, frames, iterations, strength of the servo.
+STRENGTHS = (0.7, 0.5, 0.35, 0.25, 0.18, 0.12, 0.08, 0.05, 0.03, 0.015)
 STAGES = (
-    ("stand", 24, 5, 0.0),
-    ("stand-60", 60, 8, 0.0),
-    ("stand-200", 200, 8, 0.0),
-    ("200", 200, 12, 0.05),
-    ("400", 400, 8, 0.05),
+    ("led-24", 24, 4, 1.0),
+    ("led", 90, 6, 1.0),
+    *((f"led-{strength}", 90, 6, strength) for strength in STRENGTHS),
+    ("free", 90, 10, 0.0),
+    ("free-200", 200, 12, 0.0),
 )
-# The pose that distortion is measured from: a trot, of hips and ankles (rad).
-SWAY, ANKLE, LIFT = 0.30, 1.15, 0.55
-HIP_SIGN, ANKLE_SIGN = np.array([1.0, 1.0, -1.0, -1.0]), np.array([1.0, -1.0, -1.0, 1.0])
-DIAGONAL = np.array([0.0, np.pi, 0.0, np.pi])  # phase of the legs
-SPEED = 2.0  # m/s, times the amplitude
-WEIGHTS = {
-    "speed": 2.0, "tilt": 6.0, "heading": 3.0, "drift": 2.0, "pose": 4.0, "jump": 0.01,
-    "symmetry": 1.0,
-}  # fmt: skip
-SMALL = 3e-3  # weight of the squares of the weights
-LENGTHS = (8, 16, 30)  # frames of segments, in turn
-CLIP = 1.0  # norm of the gradient
-DAMPING = 10.0 ** np.linspace(-6.0, 3.0, 16)  # over the largest curvature
-
-
-def phase(frame: np.ndarray) -> np.ndarray:
-    """Of a frame."""
-    return 2.0 * np.pi * np.asarray(frame) / PERIOD
-
-
-def reference(frame: np.ndarray, amplitude: float) -> np.ndarray:
-    """Hinges {n, 8} of the trot at the end of frames {n}."""
-    p = phase(np.asarray(frame) + 1.0)[:, None] + DIAGONAL
-    pose = np.empty((len(p), 8))
-    pose[:, 0::2] = -HIP_SIGN * amplitude * SWAY * np.cos(p)
-    pose[:, 1::2] = ANKLE_SIGN * (ANKLE - amplitude * LIFT * np.maximum(0.0, -np.sin(p)))
-    return pose
-
-
-def swings(frame: np.ndarray) -> np.ndarray:
-    """Which feet {n, 4} the trot has in the air in the middle of frames {n}."""
-    return np.sin(phase(np.asarray(frame) + 0.5)[:, None] + DIAGONAL) < 0.0
-
-
-def axis(q: np.ndarray, k: int) -> np.ndarray:
-    """An axis of the torso in the world {n, 3}."""
-    return rotate(q[:, 3:7].astype(np.float64), np.broadcast_to(np.eye(3)[k], (len(q), 3)))
+SMALL = 1e-3  # weight of the squares of the weights
+LENGTHS = (4, 8, 16)  # frames of segments; candidates of all of them are tried
+CLIP = 2.0  # norm of a step
+DAMPING = 10.0 ** np.linspace(-3.5, 3.0, 8)  # over the largest curvature
+CANDIDATES = len(LENGTHS) * len(DAMPING)
+FALLEN = 50.0  # loss of a frame of an Ant that fell
 
 
 class Actor:
-    """80 weights {8, 10}; the features it sees, and their derivatives."""
+    """80 weights {8, 10}; the features every action sees, and their derivatives."""
 
     def __init__(self, names: tuple[str, ...], weights: np.ndarray | None = None) -> None:
         """From zeros."""
@@ -99,60 +81,42 @@ class Actor:
         self.weights = np.zeros((ACTIONS, FEATURES)) if weights is None else weights
 
     def features(self, q: np.ndarray, qd: np.ndarray, frame: np.ndarray) -> np.ndarray:
-        """{n, 10}."""
+        """{n, 8, 10}: phase and torso are the same for all actions, tilt is that towards the leg,
+        velocity that along y for hips and along x for ankles, angle and rate are the hinge's."""
+        q, qd = q.astype(np.float64), qd.astype(np.float64)
         p = np.broadcast_to(phase(frame), (len(q),))
-        up = axis(q, 2)
-        if self.names == HEADING:
-            body = [q[:, 1], axis(q, 0)[:, 1], qd[:, 1], up[:, 0], up[:, 1]]
-        else:
-            body = [q[:, 2] - HEIGHT, qd[:, 0], qd[:, 1], up[:, 0], up[:, 1]]
+        out = np.empty((len(q), ACTIONS, FEATURES))
         waves = [np.ones_like(p), np.sin(p), np.cos(p), np.sin(2 * p), np.cos(2 * p)]
-        return np.concatenate([np.stack(waves, 1), np.stack(body, 1) * SCALE], axis=1)
+        out[:, :, :5] = np.stack(waves, axis=1)[:, None]
+        if self.names == HEADING:
+            out[:, :, 5], out[:, :, 6] = q[:, 1:2], axis(q, 0)[:, 1:2]
+        else:
+            out[:, :, 5] = q[:, 2:3] - HEIGHT
+            out[:, 0::2, 6], out[:, 1::2, 6] = qd[:, 1:2], qd[:, :1] - SPEED
+        out[:, :, 7] = axis(q, 2)[:, :2] @ OUTWARD.T
+        out[:, :, 8], out[:, :, 9] = q[:, 7:] - ANGLES, qd[:, 6:]
+        out[:, :, 5:] *= SCALE
+        return out
 
     def feature_jacobian(self, q: np.ndarray) -> np.ndarray:
-        """The features' derivatives by tangents and rates {n, 10, 28}."""
-        out = np.zeros((len(q), FEATURES, 28))
+        """The features' derivatives by tangents and rates {n, 8, 10, 28}."""
+        out = np.zeros((len(q), ACTIONS, FEATURES, 28))
         if self.names == HEADING:
-            out[:, 5, 1] = 1.0
-            out[:, 6, 3:6] = np.cross(axis(q, 0), np.eye(3)[1])
+            out[:, :, 5, 1] = 1.0
+            out[:, :, 6, 3:6] = np.cross(axis(q, 0), np.eye(3)[1])[:, None]
         else:
-            out[:, 5, 2] = out[:, 6, 14] = 1.0
-        out[:, 7, 15] = 1.0
-        out[:, 8:, 3:6] = np.stack([np.cross(axis(q, 2), np.eye(3)[k]) for k in range(2)], 1)
-        out[:, 5:] *= SCALE[:, None]
+            out[:, :, 5, 2] = out[:, 0::2, 6, 15] = out[:, 1::2, 6, 14] = 1.0
+        turned = np.stack([np.cross(axis(q, 2), np.eye(3)[k]) for k in range(2)], axis=1)
+        out[:, :, 7, 3:6] = np.einsum("ak,nks->nas", OUTWARD, turned)
+        hinge = np.arange(ACTIONS)
+        out[:, hinge, 8, 6 + hinge] = out[:, hinge, 9, 20 + hinge] = 1.0
+        out[:, :, 5:] *= SCALE[:, None]
         return out
 
     def act(self, features: np.ndarray, weights: np.ndarray | None = None) -> np.ndarray:
         """Actions {n, 8}; with weights {n, 8, 10} each row by its own."""
         w = self.weights if weights is None else weights
-        return np.tanh(np.einsum("...af,nf->na" if w.ndim == 2 else "naf,nf->na", w, features))
-
-
-def residuals(q, qd, a, last, frame, amplitude: float):
-    """What the loss of frames {n} sums the squares of {n, 26}, at their ends; its derivatives by
-    tangents and rates {n, 26, 28}, and by the actions {n, 26, 8}: by those before, less that."""
-    w = {name: np.sqrt(value) for name, value in WEIGHTS.items()}
-    n = len(q)
-    q, qd = q.astype(np.float64), qd.astype(np.float64)
-    r, by_state, by_action = np.zeros((n, 26)), np.zeros((n, 26, 28)), np.zeros((n, 26, 8))
-    up, ahead = axis(q, 2), axis(q, 0)
-    r[:, 0] = w["speed"] * (qd[:, 0] - SPEED * amplitude)
-    by_state[:, 0, 14] = w["speed"]
-    r[:, 1:3] = w["tilt"] * up[:, :2]
-    r[:, 3] = w["heading"] * ahead[:, 1]
-    for row, vector, k in ((1, up, 0), (2, up, 1), (3, ahead, 1)):  # e x vector, component k
-        by_state[:, row, 3:6] = w["heading" if row == 3 else "tilt"] * np.cross(
-            vector, np.eye(3)[k]
-        )
-    r[:, 4], by_state[:, 4, 1] = w["drift"] * q[:, 1], w["drift"]
-    r[:, 5], by_state[:, 5, 15] = 0.5 * w["drift"] * qd[:, 1], 0.5 * w["drift"]
-    r[:, 6:14] = w["pose"] * (q[:, 7:] - reference(frame, amplitude))
-    by_state[:, 6:14, 6:14] = w["pose"] * np.eye(8)
-    # Hinges of diagonal legs mirror each other: their sums vanish.
-    r[:, 14:18] = w["symmetry"] * (q[:, 7:11] + q[:, 11:15])
-    by_state[:, 14:18, 6:10] = by_state[:, 14:18, 10:14] = w["symmetry"] * np.eye(4)
-    r[:, 18:26], by_action[:, 18:26] = w["jump"] * (a - last), w["jump"] * np.eye(8)
-    return r, by_state, by_action
+        return np.tanh((w * features).sum(axis=-1))
 
 
 class Trainer:
@@ -161,58 +125,58 @@ class Trainer:
     def __init__(self, actor: Actor, kind: str, ant: str, seed: int, verbose: bool) -> None:
         """With the gradient of the kind "frozen" or "exact"."""
         self.actor, self.kind, self.ant, self.seed, self.verbose = actor, kind, ant, seed, verbose
-        self.search = AntWorlds(len(DAMPING), ant=ant, seed=seed)
+        self.search = AntWorlds(CANDIDATES, ant=ant, seed=seed)
+        self.servo = Servo(self.search)
         self.frames = {}
         self.label = ""
         self.losses: list[float] = []
 
-    def rollouts(self, weights: np.ndarray, horizon: int, amplitude: float, keep: bool = False):
-        """Losses {n} of weights {n, 8, 10} over the horizon; with `keep` the first one's states."""
-        ants = self.search
-        n = ants.num_worlds
+    def rollouts(self, weights: np.ndarray, horizon: int):
+        """Losses {n} of weights {n, 8, 10} over the horizon; states and actions of every frame
+        {horizon, n, ...}."""
+        ants, n = self.search, self.search.num_worlds
         ants.reset()
-        last, total, kept = np.zeros((n, ACTIONS)), np.zeros(n), []
-        alive = np.ones(n, bool)
+        last, total, alive, kept = np.zeros((n, ACTIONS)), np.zeros(n), np.ones(n, bool), []
         for k in range(horizon):
+            frame = np.full(n, k)
             q, qd = ants.q, ants.qd
-            a = self.actor.act(self.actor.features(q, qd, k), weights)
-            if keep:
-                kept.append((q[0], qd[0], a[0]))
-            ants.step(a)
+            a = self.actor.act(self.actor.features(q, qd, frame), weights)
+            kept.append((q, qd, a))
+            self.servo.lead(frame, 0)
+            # Behind a substep the targets of the next one are set.
+            ants.step(a, each=lambda s, _, frame=frame: self.servo.lead(frame, s + 1))
             alive &= ants.healthy()
-            r = residuals(ants.q, ants.qd, a, last, np.full(n, k), amplitude)[0]
-            loss = (r**2).sum(axis=1)
-            total += np.where(alive, loss, 50.0)
+            r = residuals(ants.q, ants.qd, a, last, frame)[0]
+            total += np.where(alive, (r**2).sum(axis=1), FALLEN)
             last = a
         total = total / horizon + SMALL * (weights**2).sum(axis=(1, 2))
-        return np.nan_to_num(total, nan=1e9), kept
+        return np.nan_to_num(total, nan=1e9), [np.stack(x) for x in zip(*kept, strict=True)]
 
-    def gradient(self, kept, horizon: int, amplitude: float, length: int):
-        """The gradient {80} of the loss, and the Gauss-Newton matrix {80, 80}: both summed over
-        segments of `length` frames that begin in every frame of the rollout."""
-        actor, n = self.actor, horizon
+    def gradients(self, q: np.ndarray, qd: np.ndarray, a: np.ndarray):
+        """Of all lengths of segments: the gradient {80} of the loss of a rollout {horizon, ...} and
+        its Gauss-Newton matrix {80, 80}, summed over segments that begin in every frame."""
+        actor, n = self.actor, len(q)
         if n not in self.frames:
-            self.frames = {n: make_frames(AntWorlds(n, ant=self.ant), self.kind)}
-        frames = self.frames[n]
-        q, qd, a = (np.stack([row[i] for row in kept]) for i in range(3))
-        f = actor.features(q, qd, np.arange(n))
-        if self.kind == "frozen" and amplitude > 0.0:
-            # A derivative with a contact held does not see that its foot could lift.
-            frames.released[:] = swings(np.arange(n))
+            frames = make_frames(AntWorlds(n, ant=self.ant), self.kind)
+            self.frames = {n: (frames, Servo(frames.ants))}
+        (frames, servo), at = self.frames[n], np.arange(n)
+        servo.set(self.servo.strength)
+        frames.lead = lambda substep: servo.lead(at, substep)
         by_state, by_action = frame_jacobians(frames, q, qd, a)
-        ends = frames.ants.q, frames.ants.qd
         before = np.concatenate([np.zeros((1, ACTIONS)), a[:-1]])
-        r, r_state, r_action = residuals(*ends, a, before, np.arange(n), amplitude)
+        r, r_state, r_action = residuals(frames.ants.q, frames.ants.qd, a, before, at)
         self.label = frames.label()
-        slope = (1.0 - a**2)[..., None]
-        # Of actions with features, and of features with states.
-        by_features = slope * actor.weights
-        of_state = by_features @ actor.feature_jacobian(q)
-        direct = np.einsum("nab,nf->nabf", slope * np.eye(ACTIONS), f).reshape(n, ACTIONS, -1)
-        gradient, matrix = np.zeros(80), np.zeros((80, 80))
+        slope = 1.0 - a**2
+        # Of actions by states, and by weights.
+        of_state = np.einsum(
+            "na,af,nafs->nas", slope, actor.weights, actor.feature_jacobian(q), optimize=True
+        )
+        direct = np.einsum("na,ab,naf->nabf", slope, np.eye(ACTIONS), actor.features(q, qd, at))
+        direct = direct.reshape(n, ACTIONS, -1)
+        gradient, matrix, found = np.zeros(80), np.zeros((80, 80)), []
         change = np.zeros((n, 28, 80))  # of the segment that began `step` frames ago
         last = np.zeros((n, ACTIONS, 80))
-        for step in range(min(length, n)):
+        for step in range(min(LENGTHS[-1], n)):
             rows = slice(step, n)  # frames that are the step-th of a segment
             action = direct[rows] + of_state[rows] @ change[: n - step]
             change = by_state[rows] @ change[: n - step] + by_action[rows] @ action
@@ -221,47 +185,49 @@ class Trainer:
             gradient += np.einsum("nrp,nr->p", j, r[rows])
             flat = j.reshape(-1, 80)
             matrix += flat.T @ flat
-        return gradient / (n * length), matrix / (n * length)
+            if step + 1 in LENGTHS:
+                found.append((gradient / (n * (step + 1)), matrix / (n * (step + 1))))
+        return found
+
+    def candidates(self, q: np.ndarray, qd: np.ndarray, a: np.ndarray) -> np.ndarray:
+        """Weights {n, 8, 10}: steps of all lengths of segments and all dampings."""
+        steps = []
+        for g, matrix in self.gradients(q, qd, a):
+            g = g + SMALL * self.actor.weights.ravel()
+            values, vectors = np.linalg.eigh(matrix + SMALL * np.eye(80))
+            for damping in DAMPING * max(values[-1], 1e-12):
+                step = vectors @ ((vectors.T @ g) / (np.maximum(values, 0.0) + damping))
+                steps.append(step / max(1.0, np.linalg.norm(step) / CLIP))
+        return self.actor.weights - np.array(steps).reshape(-1, ACTIONS, FEATURES)
 
     def stage(
-        self, name: str, horizon: int, iterations: int, amplitude: float, until: float
+        self, name: str, horizon: int, iterations: int, strength: float, until: float
     ) -> float:
-        """Iterations of one horizon; the part of them that found a lower loss."""
+        """Iterations of one horizon; the part of them that found a lower loss. Ends with the
+        first that did not."""
         actor, accepted, tried = self.actor, 0, 0
-        n = self.search.num_worlds
-        first = None
+        self.servo.set(strength)
+        losses, kept = self.rollouts(np.tile(actor.weights, (CANDIDATES, 1, 1)), horizon)
+        first = before = losses[0]
+        kept = [x[:, 0] for x in kept]
         for k in range(iterations):
             if time.perf_counter() > until:
                 break
-            losses, kept = self.rollouts(
-                np.tile(actor.weights, (n, 1, 1)), horizon, amplitude, True
-            )
-            before = losses[0]
-            first = before if first is None else first
-            g, matrix = self.gradient(kept, horizon, amplitude, LENGTHS[k % len(LENGTHS)])
-            g = g + SMALL * actor.weights.ravel()
-            matrix = matrix + SMALL * np.eye(80)
-            values, vectors = np.linalg.eigh(matrix)
-            size = max(values[-1], 1e-12)
-            steps = []
-            for damping in DAMPING:
-                step = vectors @ ((vectors.T @ g) / (np.maximum(values, 0.0) + damping * size))
-                steps.append(step / max(1.0, np.linalg.norm(step) / CLIP))
-            steps = np.array(steps).reshape(n, ACTIONS, FEATURES)
-            candidates = actor.weights - steps
-            losses, _ = self.rollouts(candidates, horizon, amplitude)
+            candidates = self.candidates(*kept)
+            losses, found = self.rollouts(candidates, horizon)
             best = int(np.argmin(losses))
             tried += 1
-            if losses[best] < before:
-                actor.weights = candidates[best]
-                accepted += 1
-            self.losses.append(min(losses[best], before))
             if self.verbose:
                 print(f"    {name} {k}: {before:.4f} -> {losses[best]:.4f} ({best})", flush=True)
-        last = self.losses[-1] if self.losses else np.nan
+            if losses[best] >= before:
+                break
+            actor.weights, before = candidates[best], losses[best]
+            kept = [x[:, best] for x in found]
+            accepted += 1
+            self.losses.append(before)
         print(
             f"stage {name}: {horizon} frames, {accepted} of {tried} steps accepted, loss "
-            f"{first if first is not None else np.nan:.4f} -> {last:.4f}, gradient: {self.label}",
+            f"{first:.4f} -> {before:.4f}, gradient: {self.label}",
             flush=True,
         )
         return accepted / max(tried, 1) if tried else 1.0
@@ -274,11 +240,11 @@ def random_search(
     trainer = Trainer(actor, "frozen", ant, seed, False)
     n, rng = trainer.search.num_worlds, np.random.Generator(np.random.Philox(key=[seed, 9]))
     until, width = time.perf_counter() + seconds, 0.1
-    best = trainer.rollouts(np.tile(actor.weights, (n, 1, 1)), horizon, 1.0)[0][0]
+    best = trainer.rollouts(np.tile(actor.weights, (n, 1, 1)), horizon)[0][0]
     losses = [best]
     while time.perf_counter() < until:
         candidates = actor.weights + width * rng.standard_normal((n, ACTIONS, FEATURES))
-        found, _ = trainer.rollouts(candidates, horizon, 1.0)
+        found, _ = trainer.rollouts(candidates, horizon)
         k = int(np.argmin(found))
         width *= 1.3 if found[k] < best else 0.9
         if found[k] < best:
@@ -444,10 +410,10 @@ def train(args: argparse.Namespace) -> tuple[Actor, list[float], dict[str, bool]
         return actor, losses, {}
     trainer = Trainer(actor, args.gradient, args.ant, args.seed, args.verbose)
     checks = {}
-    for name, horizon, iterations, amplitude in STAGES:
+    for name, horizon, iterations, strength in STAGES:
         if name in args.stages:
             count = max(1, round(iterations * args.repeat))
-            rate = trainer.stage(name, horizon, count, amplitude, begun + args.seconds)
+            rate = trainer.stage(name, horizon, count, strength, begun + args.seconds)
             checks[f"steps that are accepted in stage {name}"] = rate > 0.0
             save(args.out, actor, args.ant, args.seed, args.gradient)
     print(f"trained for {time.perf_counter() - begun:.0f} s")

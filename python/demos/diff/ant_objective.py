@@ -1,0 +1,165 @@
+"""What the Ant that learns from zero should do: a trot, the servo that leads it, and the loss.
+
+The trot is a reference of the hinges, diagonal legs together. It breaks the symmetry that zero
+weights have. At first a servo at the hinges follows it, so that the Ant walks before its actor
+knows anything; the servo is faded out while the actor learns. Trained actors play without it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from novaphy.envs import ACTIONS, FEET, AntWorlds, rotate
+
+FPS = 20
+PERIOD = 14  # frames of a phase
+# The trot (rad): sway of the hips about an offset; bend and lift of the ankles, and what hind legs
+# bend and lift more, front legs less.
+SWAY, OFFSET = 0.24, 0.04
+ANKLE, LIFT, HIND_BEND, HIND_LIFT = 1.41, 0.29, 0.045, 0.05
+HIP_SIGN, ANKLE_SIGN = np.array([1.0, 1.0, -1.0, -1.0]), np.array([1.0, -1.0, -1.0, 1.0])
+FRONT = np.array([1.0, -1.0, -1.0, 1.0])
+DIAGONAL = np.array([0.0, np.pi, 0.0, np.pi])  # phase of the legs
+STIFFNESS, DAMPING = 500.0, 50.0  # of the servo, N m/rad and N m s/rad
+SERVO_SAMPLE = 5  # substeps between two targets
+SPEED = 0.8  # m/s
+CLEARANCE = 0.05  # m, of a foot that swings
+RATE = 0.06  # s, weight of the rates in the pose
+WEIGHTS = {
+    "speed": 1.0, "tilt": 100.0, "heading": 8.0, "drift": 0.5, "pose": 5.0, "jump": 0.05,
+    "symmetry": 0.25, "clearance": 60.0, "slip": 0.1, "turn": 0.09,
+}  # fmt: skip
+# Anchors of the hips, from the torso's centre; lengths of leg and foot (m).
+SIDES = np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])
+LEG, FOOT, TIP_RADIUS = 0.2 * np.sqrt(2.0), 0.4 * np.sqrt(2.0), 0.08
+ROWS = 40
+
+
+def phase(frame: np.ndarray) -> np.ndarray:
+    """Of a frame."""
+    return 2.0 * np.pi * np.asarray(frame) / PERIOD
+
+
+def reference(frame: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Hinges {n, 8} of the trot at the start of frames {n} (any real numbers), and their rates."""
+    p, w = phase(frame)[:, None] + DIAGONAL, 2.0 * np.pi * FPS / PERIOD
+    bend, lift = ANKLE - HIND_BEND * FRONT, LIFT - HIND_LIFT * FRONT
+    pose, rate = np.empty((2, len(p), ACTIONS))
+    pose[:, 0::2] = HIP_SIGN * (OFFSET - SWAY * np.sin(p))
+    rate[:, 0::2] = -HIP_SIGN * SWAY * w * np.cos(p)
+    pose[:, 1::2] = ANKLE_SIGN * (bend - lift * np.cos(p))
+    rate[:, 1::2] = ANKLE_SIGN * lift * w * np.sin(p)
+    return pose, rate
+
+
+def swings(frame: np.ndarray) -> np.ndarray:
+    """Which feet {n, 4} the trot has in the air in the middle of frames {n}."""
+    return np.cos(phase(np.asarray(frame) + 0.5)[:, None] + DIAGONAL) > 0.2
+
+
+class Servo:
+    """Drives at the hinges of a batch that follow the trot, implicit in every substep."""
+
+    def __init__(self, ants: AntWorlds) -> None:
+        """Without strength."""
+        self.ants, self.strength = ants, 0.0
+        self.q = ants.control.joint_target_q.numpy().reshape(ants.num_worlds, -1)
+        self.qd = ants.control.joint_target_qd.numpy().reshape(ants.num_worlds, -1)
+
+    def set(self, strength: float) -> None:
+        """Take a part of the stiffness and damping."""
+        if strength == self.strength:
+            return
+        self.strength, model = strength, self.ants.model
+        for array, value in ((model.joint_target_ke, STIFFNESS), (model.joint_target_kd, DAMPING)):
+            numbers = array.numpy().reshape(self.ants.num_worlds, -1)
+            numbers[:, 6:] = strength * value
+            array.assign(numbers.ravel())
+        self.ants.solver.notify_model_changed(0)
+
+    def lead(self, frame: np.ndarray, substep: int) -> None:
+        """Set the targets before a substep of frames {worlds}, every few of them."""
+        if self.strength > 0.0 and substep % SERVO_SAMPLE == 0:
+            middle = (substep + 0.5 * (SERVO_SAMPLE - 1)) / self.ants.substeps
+            self.q[:, -ACTIONS:], self.qd[:, -ACTIONS:] = reference(frame + middle)
+            self.ants.control.joint_target_q.assign(self.q.ravel())
+            self.ants.control.joint_target_qd.assign(self.qd.ravel())
+
+
+def axis(q: np.ndarray, k: int) -> np.ndarray:
+    """An axis of the torso in the world {n, 3}."""
+    return rotate(q[:, 3:7].astype(np.float64), np.broadcast_to(np.eye(3)[k], (len(q), 3)))
+
+
+def foot_motion(q: np.ndarray, qd: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Heights of the feet {n, 4}, their derivatives by tangents {n, 4, 14}; horizontal velocities
+    of their lowest points {n, 4, 2}, their derivatives by rates {n, 4, 2, 14}."""
+    n, legs = len(q), len(FEET)
+    bend = q[:, 8::2] * ANKLE_SIGN
+    turn = np.arctan2(SIDES[:, 1], SIDES[:, 0]) + q[:, 7::2]
+    c, s, zero = np.cos(turn), np.sin(turn), np.zeros_like(turn)
+    reach, fall = LEG + FOOT * np.cos(bend), -FOOT * np.sin(bend)
+
+    def world(*parts: np.ndarray) -> np.ndarray:
+        v = np.stack(parts, axis=-1)
+        return rotate(np.broadcast_to(q[:, None, 3:7], (n, legs, 4)), v)
+
+    tip = world(0.2 * SIDES[:, 0] + reach * c, 0.2 * SIDES[:, 1] + reach * s, fall)
+    by_hip = world(-reach * s, reach * c, zero)
+    by_bend = world(fall * c, fall * s, -FOOT * np.cos(bend))
+    # Turning a foot moves its lowest point back.
+    down = np.array([0.0, 0.0, -TIP_RADIUS])
+    up = world(zero, zero, zero + 1.0)
+    bending = np.cross(up, world(c, s, zero))
+    j, k = np.zeros((2, n, legs, 3, 14))
+    j[..., :3] = k[..., :3] = np.eye(3)
+    for i in range(3):
+        e = np.eye(3)[i]
+        j[..., 3 + i], k[..., 3 + i] = np.cross(e, tip), np.cross(e, tip + down)
+    for leg in range(legs):
+        hip, ankle, sign = 6 + 2 * leg, 7 + 2 * leg, ANKLE_SIGN[leg]
+        j[:, leg, :, hip], j[:, leg, :, ankle] = by_hip[:, leg], sign * by_bend[:, leg]
+        k[:, leg, :, hip] = by_hip[:, leg] + np.cross(up[:, leg], down)
+        k[:, leg, :, ankle] = sign * (by_bend[:, leg] + np.cross(bending[:, leg], down))
+    height = q[:, 2:3] + tip[..., 2] - TIP_RADIUS
+    k = k[:, :, :2]
+    return height, j[:, :, 2], np.einsum("nlks,ns->nlk", k, qd), k
+
+
+def residuals(q, qd, a, last, frame):
+    """What the loss of frames {n} sums the squares of {n, 40}, at their ends; its derivatives by
+    tangents and rates {n, 40, 28}, and by the actions {n, 40, 8}: by those before, less that."""
+    w = {name: np.sqrt(value) for name, value in WEIGHTS.items()}
+    n = len(q)
+    q, qd = q.astype(np.float64), qd.astype(np.float64)
+    r, by_state, by_action = np.zeros((n, ROWS)), np.zeros((n, ROWS, 28)), np.zeros((n, ROWS, 8))
+    up, ahead = axis(q, 2), axis(q, 0)
+    r[:, 0] = w["speed"] * (qd[:, 0] - SPEED)
+    by_state[:, 0, 14] = w["speed"]
+    r[:, 1:3] = w["tilt"] * up[:, :2]
+    r[:, 3] = w["heading"] * ahead[:, 1]
+    for row, vector, k in ((1, up, 0), (2, up, 1), (3, ahead, 1)):  # e x vector, component k
+        by_state[:, row, 3:6] = w["heading" if row == 3 else "tilt"] * np.cross(
+            vector, np.eye(3)[k]
+        )
+    r[:, 4], by_state[:, 4, 1] = w["drift"] * q[:, 1], w["drift"]
+    pose, rate = reference(np.asarray(frame) + 1.0)
+    r[:, 6:14] = w["pose"] * (q[:, 7:] - pose + RATE * (qd[:, 6:] - rate))
+    by_state[:, 6:14, 6:14] = w["pose"] * np.eye(8)
+    by_state[:, 6:14, 20:28] = w["pose"] * RATE * np.eye(8)
+    # Hinges of diagonal legs mirror each other: their sums vanish.
+    r[:, 14:18] = w["symmetry"] * (q[:, 7:11] + q[:, 11:15])
+    by_state[:, 14:18, 6:10] = by_state[:, 14:18, 10:14] = w["symmetry"] * np.eye(4)
+    r[:, 18:26], by_action[:, 18:26] = w["jump"] * (a - last), w["jump"] * np.eye(8)
+    # Feet that swing are high enough, those that stand do not slip.
+    height, by_tangent, speed, by_rate = foot_motion(q, qd)
+    wave = np.cos(phase(np.asarray(frame) + 1.0)[:, None] + DIAGONAL)
+    low = np.where(wave > 0.4, np.minimum(height - CLEARANCE, 0.0), 0.0)
+    r[:, 26:30] = w["clearance"] * low
+    by_state[:, 26:30, :14] = w["clearance"] * by_tangent * (low < 0.0)[..., None]
+    stands = (wave < -0.2)[..., None]
+    r[:, 30:38] = (w["slip"] * speed * stands).reshape(n, 8)
+    by_state[:, 30:38, 14:] = (w["slip"] * by_rate * stands[..., None]).reshape(n, 8, 14)
+    r[:, 38:40] = w["turn"] * qd[:, 3:5]
+    by_state[:, 38, 17] = by_state[:, 39, 18] = w["turn"]
+    return r, by_state, by_action

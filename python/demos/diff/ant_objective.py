@@ -26,8 +26,8 @@ SPEED = 0.8  # m/s
 CLEARANCE = 0.05  # m, of a foot that swings
 RATE = 0.06  # s, weight of the rates in the pose
 WEIGHTS = {
-    "speed": 1.0, "tilt": 100.0, "heading": 8.0, "drift": 0.5, "pose": 5.0, "jump": 0.05,
-    "symmetry": 0.25, "clearance": 60.0, "slip": 0.1, "turn": 0.09,
+    "speed": 1.0, "tilt": 100.0, "heading": 10.0, "drift": 2.0, "pose": 5.0, "jump": 0.05,
+    "symmetry": 0.25, "clearance": 60.0, "slip": 0.15, "turn": 0.09,
 }  # fmt: skip
 # Anchors of the hips, from the torso's centre; lengths of leg and foot (m).
 SIDES = np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])

@@ -49,25 +49,26 @@ GAIT = DATA / "periodic_ant_natural_gait.npz"
 FEATURES = 10
 HEIGHT = 0.64  # m, of the torso when it walks
 WAVES = ("1", "sin p", "cos p", "sin 2p", "cos 2p")
-NATURAL = (*WAVES, "height", "velocity", "tilt", "angle", "rate")
-HEADING = (*WAVES, "y", "heading", "tilt", "angle", "rate")
+# Of ankles and hips differ the height of the torso or y, and its velocity or heading.
+NAMES = (*WAVES, "height/y", "velocity/heading", "tilt", "angle", "rate")
 # Of what follows the waves.
-SCALE = np.array([5.0, 1.0, 5.0, 2.0, 0.2])
+SCALE = np.array([[1.0, 3.0, 5.0, 2.0, 0.2], [5.0, 1.0, 5.0, 2.0, 0.2]] * 4)
 ANGLES = ANKLE * np.stack([0.0 * ANKLE_SIGN, ANKLE_SIGN], axis=1).ravel()  # of hinges, rad
 OUTWARD = np.repeat(SIDES / np.sqrt(2.0), 2, axis=0)  # where the leg of a hinge points {8, 2}
 # Name, frames, iterations, strength of the servo.
 STRENGTHS = (0.7, 0.5, 0.35, 0.25, 0.18, 0.12, 0.08, 0.05, 0.03, 0.015)
 STAGES = (
     ("led-24", 24, 4, 1.0),
-    ("led", 90, 6, 1.0),
+    ("led", 90, 10, 1.0),
     *((f"led-{strength}", 90, 6, strength) for strength in STRENGTHS),
-    ("free", 90, 10, 0.0),
-    ("free-200", 200, 12, 0.0),
+    ("free", 120, 8, 0.0),
+    ("free-300", 300, 8, 0.0),
 )
 SMALL = 1e-3  # weight of the squares of the weights
 LENGTHS = (4, 8, 16)  # frames of segments; candidates of all of them are tried
 CLIP = 2.0  # norm of a step
 DAMPING = 10.0 ** np.linspace(-3.5, 3.0, 8)  # over the largest curvature
+SHORTEST = 0.05  # part of a step that is tried
 CANDIDATES = len(LENGTHS) * len(DAMPING)
 FALLEN = 50.0  # loss of a frame of an Ant that fell
 
@@ -75,24 +76,20 @@ FALLEN = 50.0  # loss of a frame of an Ant that fell
 class Actor:
     """80 weights {8, 10}; the features every action sees, and their derivatives."""
 
-    def __init__(self, names: tuple[str, ...], weights: np.ndarray | None = None) -> None:
+    def __init__(self, weights: np.ndarray | None = None) -> None:
         """From zeros."""
-        self.names = names
         self.weights = np.zeros((ACTIONS, FEATURES)) if weights is None else weights
 
     def features(self, q: np.ndarray, qd: np.ndarray, frame: np.ndarray) -> np.ndarray:
-        """{n, 8, 10}: phase and torso are the same for all actions, tilt is that towards the leg,
-        velocity that along y for hips and along x for ankles, angle and rate are the hinge's."""
+        """{n, 8, 10}: waves; of ankles height and velocity of the torso, of hips its y and heading;
+        the tilt towards the leg; angle and rate of the hinge."""
         q, qd = q.astype(np.float64), qd.astype(np.float64)
         p = np.broadcast_to(phase(frame), (len(q),))
         out = np.empty((len(q), ACTIONS, FEATURES))
         waves = [np.ones_like(p), np.sin(p), np.cos(p), np.sin(2 * p), np.cos(2 * p)]
         out[:, :, :5] = np.stack(waves, axis=1)[:, None]
-        if self.names == HEADING:
-            out[:, :, 5], out[:, :, 6] = q[:, 1:2], axis(q, 0)[:, 1:2]
-        else:
-            out[:, :, 5] = q[:, 2:3] - HEIGHT
-            out[:, 0::2, 6], out[:, 1::2, 6] = qd[:, 1:2], qd[:, :1] - SPEED
+        out[:, 0::2, 5], out[:, 0::2, 6] = q[:, 1:2], axis(q, 0)[:, 1:2]
+        out[:, 1::2, 5], out[:, 1::2, 6] = q[:, 2:3] - HEIGHT, qd[:, :1] - SPEED
         out[:, :, 7] = axis(q, 2)[:, :2] @ OUTWARD.T
         out[:, :, 8], out[:, :, 9] = q[:, 7:] - ANGLES, qd[:, 6:]
         out[:, :, 5:] *= SCALE
@@ -101,16 +98,13 @@ class Actor:
     def feature_jacobian(self, q: np.ndarray) -> np.ndarray:
         """The features' derivatives by tangents and rates {n, 8, 10, 28}."""
         out = np.zeros((len(q), ACTIONS, FEATURES, 28))
-        if self.names == HEADING:
-            out[:, :, 5, 1] = 1.0
-            out[:, :, 6, 3:6] = np.cross(axis(q, 0), np.eye(3)[1])[:, None]
-        else:
-            out[:, :, 5, 2] = out[:, 0::2, 6, 15] = out[:, 1::2, 6, 14] = 1.0
+        out[:, 0::2, 5, 1] = out[:, 1::2, 5, 2] = out[:, 1::2, 6, 14] = 1.0
+        out[:, 0::2, 6, 3:6] = np.cross(axis(q, 0), np.eye(3)[1])[:, None]
         turned = np.stack([np.cross(axis(q, 2), np.eye(3)[k]) for k in range(2)], axis=1)
         out[:, :, 7, 3:6] = np.einsum("ak,nks->nas", OUTWARD, turned)
         hinge = np.arange(ACTIONS)
         out[:, hinge, 8, 6 + hinge] = out[:, hinge, 9, 20 + hinge] = 1.0
-        out[:, :, 5:] *= SCALE[:, None]
+        out[:, :, 5:] *= SCALE[..., None]
         return out
 
     def act(self, features: np.ndarray, weights: np.ndarray | None = None) -> np.ndarray:
@@ -189,8 +183,8 @@ class Trainer:
                 found.append((gradient / (n * (step + 1)), matrix / (n * (step + 1))))
         return found
 
-    def candidates(self, q: np.ndarray, qd: np.ndarray, a: np.ndarray) -> np.ndarray:
-        """Weights {n, 8, 10}: steps of all lengths of segments and all dampings."""
+    def steps(self, q: np.ndarray, qd: np.ndarray, a: np.ndarray) -> np.ndarray:
+        """Of the weights {n, 8, 10}, of all lengths of segments and all dampings."""
         steps = []
         for g, matrix in self.gradients(q, qd, a):
             g = g + SMALL * self.actor.weights.ravel()
@@ -198,32 +192,34 @@ class Trainer:
             for damping in DAMPING * max(values[-1], 1e-12):
                 step = vectors @ ((vectors.T @ g) / (np.maximum(values, 0.0) + damping))
                 steps.append(step / max(1.0, np.linalg.norm(step) / CLIP))
-        return self.actor.weights - np.array(steps).reshape(-1, ACTIONS, FEATURES)
+        return np.array(steps).reshape(-1, ACTIONS, FEATURES)
 
     def stage(
         self, name: str, horizon: int, iterations: int, strength: float, until: float
     ) -> float:
-        """Iterations of one horizon; the part of them that found a lower loss. Ends with the
-        first that did not."""
+        """Iterations of one horizon; the part of them that found a lower loss. Behind one
+        that did not the same steps are tried, shorter; behind three the stage ends."""
         actor, accepted, tried = self.actor, 0, 0
         self.servo.set(strength)
         losses, kept = self.rollouts(np.tile(actor.weights, (CANDIDATES, 1, 1)), horizon)
         first = before = losses[0]
-        kept = [x[:, 0] for x in kept]
+        kept, scale, steps = [x[:, 0] for x in kept], 1.0, None
         for k in range(iterations):
-            if time.perf_counter() > until:
+            if time.perf_counter() > until or scale < SHORTEST:
                 break
-            candidates = self.candidates(*kept)
+            steps = self.steps(*kept) if steps is None else steps
+            candidates = actor.weights - scale * steps
             losses, found = self.rollouts(candidates, horizon)
             best = int(np.argmin(losses))
             tried += 1
             if self.verbose:
                 print(f"    {name} {k}: {before:.4f} -> {losses[best]:.4f} ({best})", flush=True)
-            if losses[best] >= before:
-                break
-            actor.weights, before = candidates[best], losses[best]
-            kept = [x[:, best] for x in found]
-            accepted += 1
+            if losses[best] < before:
+                actor.weights, before = candidates[best], losses[best]
+                kept, steps = [x[:, best] for x in found], None
+                accepted, scale = accepted + 1, min(1.0, 3.0 * scale)
+            else:
+                scale *= 0.3
             self.losses.append(before)
         print(
             f"stage {name}: {horizon} frames, {accepted} of {tried} steps accepted, loss "
@@ -323,7 +319,7 @@ def save(path: str, actor: Actor, ant: str, seed: int, kind: str) -> None:
         "ant": ant,
         "asset": asset_hash(ant),
         "commit": provenance(),
-        "features": list(actor.names),
+        "features": list(NAMES),
         "gradient": kind,
         "period": PERIOD,
         "script": shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]),
@@ -342,9 +338,9 @@ def load(path: str, ant: str) -> Actor:
     values, meta = nova.load_parameters(path, like)
     check_meta(path, meta, ant)
     names = tuple(meta.get("features", ()))
-    if names not in (NATURAL, HEADING) or meta.get("period") != PERIOD:
-        raise ValueError(f"{path}: expected features {NATURAL} or {HEADING} and period {PERIOD}")
-    return Actor(names, values["weights"].numpy().astype(np.float64))
+    if names != NAMES or meta.get("period") != PERIOD:
+        raise ValueError(f"{path}: expected features {NAMES} and period {PERIOD}")
+    return Actor(values["weights"].numpy().astype(np.float64))
 
 
 def plot(path: str, losses: list[float], result: dict[str, np.ndarray]) -> None:
@@ -378,7 +374,6 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--load", metavar="PATH.npz", help="play this file; no training")
     parser.add_argument("--out", metavar="PATH.npz", default="ant_gait.npz", help="what is written")
     parser.add_argument("--gradient", choices=("frozen", "exact"), default="frozen")
-    parser.add_argument("--heading", action="store_true", help="features y and heading")
     parser.add_argument("--ant", choices=("dva", "gym"), default="dva")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--start", metavar="PATH.npz", help="weights to go on from, instead of 0")
@@ -400,7 +395,7 @@ def arguments() -> argparse.Namespace:
 
 def train(args: argparse.Namespace) -> tuple[Actor, list[float], dict[str, bool]]:
     """Train as asked; the actor, the losses, and what failed."""
-    actor = Actor(HEADING if args.heading else NATURAL)
+    actor = Actor()
     if args.start:
         actor = load(args.start, args.ant)
     begun = time.perf_counter()

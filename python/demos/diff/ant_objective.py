@@ -52,11 +52,6 @@ def reference(frame: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return pose, rate
 
 
-def swings(frame: np.ndarray) -> np.ndarray:
-    """Which feet {n, 4} the trot has in the air in the middle of frames {n}."""
-    return np.cos(phase(np.asarray(frame) + 0.5)[:, None] + DIAGONAL) > 0.2
-
-
 class Servo:
     """Drives at the hinges of a batch that follow the trot, implicit in every substep."""
 

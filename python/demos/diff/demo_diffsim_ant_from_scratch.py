@@ -1,14 +1,15 @@
 """Teach an Ant of 182 kg to walk from zero, with 80 parameters and analytic gradients.
 
-The actor gives 8 torques 20 times a second: the tanh of 80 weights times 10 features, which are 1,
-the first and second harmonic of a phase, height, velocity and tilt of the torso. All weights start
-at 0. A curriculum lets it stand over longer and longer horizons, then move. Frames of the actor's
-own rollout are the worlds of one batch; their derivatives give the gradient and the Gauss-Newton
-matrix of segments of some frames, summed over the horizon. A step is kept only when the regular
-solver, over the whole horizon, measures a lower loss; all candidates are one batch too.
+The actor gives 8 torques 20 times a second: the tanh of 80 weights times 10 features of each hinge.
+These are 1 and two harmonics of a phase; height and velocity of the torso (ankles) or its y and
+heading (hips); its tilt towards the leg; the hinge's own angle and rate. All weights start at 0.
 
-The Ant learns to stand, upright and still, and does not yet walk: what it reaches of a gait and
-what it does not is printed (docs/guide/trained-policy.md).
+At first a servo of the hinges leads the Ant through a trot (ant_objective.py); stage by stage it
+is faded out, and the actor alone walks. Frames of the rollout are the worlds of one batch; their
+derivatives give the gradient and the Gauss-Newton matrix of segments of some frames, summed over
+the horizon. A step is kept only when the regular solver, over the whole horizon, measures a lower
+loss; all candidates are one batch too. What is asked of the gait and what is reached is printed
+(docs/guide/trained-policy.md).
 
     python demo_diffsim_ant_from_scratch.py
     python demo_diffsim_ant_from_scratch.py --headless 600 --out gait.npz

@@ -15,19 +15,19 @@ FPS = 20
 PERIOD = 14  # frames of a phase
 # The trot (rad): sway of the hips about an offset; bend and lift of the ankles, and what hind legs
 # bend and lift more, front legs less.
-SWAY, OFFSET = 0.24, 0.04
+SWAY, OFFSET = 0.16, 0.04
 ANKLE, LIFT, HIND_BEND, HIND_LIFT = 1.41, 0.29, 0.045, 0.05
 HIP_SIGN, ANKLE_SIGN = np.array([1.0, 1.0, -1.0, -1.0]), np.array([1.0, -1.0, -1.0, 1.0])
 FRONT = np.array([1.0, -1.0, -1.0, 1.0])
 DIAGONAL = np.array([0.0, np.pi, 0.0, np.pi])  # phase of the legs
 STIFFNESS, DAMPING = 500.0, 50.0  # of the servo, N m/rad and N m s/rad
 SERVO_SAMPLE = 5  # substeps between two targets
-SPEED = 0.8  # m/s
+SPEED = 0.12  # m/s
 CLEARANCE = 0.05  # m, of a foot that swings
 RATE = 0.06  # s, weight of the rates in the pose
 WEIGHTS = {
-    "speed": 1.0, "tilt": 100.0, "heading": 10.0, "drift": 2.0, "pose": 5.0, "jump": 0.05,
-    "symmetry": 0.25, "clearance": 60.0, "slip": 0.15, "turn": 0.09,
+    "speed": 1.0, "tilt": 130.0, "heading": 20.0, "drift": 8.0, "pose": 5.0, "jump": 0.05,
+    "symmetry": 0.25, "clearance": 60.0, "slip": 1.0, "turn": 0.09,
 }  # fmt: skip
 # Anchors of the hips, from the torso's centre; lengths of leg and foot (m).
 SIDES = np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])

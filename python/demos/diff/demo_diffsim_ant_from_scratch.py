@@ -57,13 +57,16 @@ SCALE = np.array([[1.0, 3.0, 5.0, 2.0, 0.2], [5.0, 1.0, 5.0, 2.0, 0.2]] * 4)
 ANGLES = ANKLE * np.stack([0.0 * ANKLE_SIGN, ANKLE_SIGN], axis=1).ravel()  # of hinges, rad
 OUTWARD = np.repeat(SIDES / np.sqrt(2.0), 2, axis=0)  # where the leg of a hinge points {8, 2}
 # Name, frames, iterations, strength of the servo.
-STRENGTHS = (0.7, 0.5, 0.35, 0.25, 0.18, 0.12, 0.08, 0.05, 0.03, 0.015)
+STRENGTHS = (
+    0.75, 0.6, 0.5, 0.42, 0.35, 0.28, 0.22, 0.17, 0.13,
+    0.1, 0.075, 0.055, 0.04, 0.028, 0.018, 0.01, 0.004,
+)  # fmt: skip
 STAGES = (
     ("led-24", 24, 4, 1.0),
     ("led", 90, 10, 1.0),
-    *((f"led-{strength}", 90, 6, strength) for strength in STRENGTHS),
-    ("free", 120, 8, 0.0),
-    ("free-300", 300, 8, 0.0),
+    *((f"led-{strength}", 150 if strength < 0.4 else 90, 5, strength) for strength in STRENGTHS),
+    ("free", 150, 10, 0.0),
+    ("free-300", 300, 12, 0.0),
 )
 SMALL = 1e-3  # weight of the squares of the weights
 LENGTHS = (4, 8, 16)  # frames of segments; candidates of all of them are tried

@@ -1,7 +1,11 @@
 #include "novaphy/diff/diff_featherstone_solver.h"
 
+#include <algorithm>
+#include <cmath>
+
 #include "novaphy/core/error.h"
 #include "novaphy/dynamics/diff_model_reads.h"
+#include "novaphy/dynamics/joint_coordinates.h"
 #include "novaphy/nova/op_list.h"
 #include "novaphy/nova/tape.h"
 
@@ -25,7 +29,32 @@ void check_shapes(const Model& m, bool touching) {
                               {"shape_gap", m.shape_gap}});
 }
 
+float distance(const Transformf& a, const Transformf& b) {
+  const float dot = a.q.x * b.q.x + a.q.y * b.q.y + a.q.z * b.q.z + a.q.w * b.q.w;
+  const auto along = [&](float x, float y) { return std::abs(x - std::copysign(1.0f, dot) * y); };
+  const float turn = std::max(
+      {along(a.q.x, b.q.x), along(a.q.y, b.q.y), along(a.q.z, b.q.z), along(a.q.w, b.q.w)});
+  const float size = 1.0f + std::max({std::abs(a.p.x), std::abs(a.p.y), std::abs(a.p.z)});
+  const float away =
+      std::max({std::abs(a.p.x - b.p.x), std::abs(a.p.y - b.p.y), std::abs(a.p.z - b.p.z)});
+  return std::max(turn, away / size);
+}
+
 }  // namespace
+
+// Whether body_q is that of joint_q, to rounding; NaN is not.
+bool DiffFeatherstoneSolver::poses_follow(const SimState& state) {
+  const Model& m = *model();
+  if (!m.device().is_cpu()) return false;
+  const nova::NoGrad no_grad;
+  const Unobserved unobserved;
+  if (poses_ == nullptr) poses_ = std::make_shared<SimState>(m.state(false));
+  eval_fk(m, state.joint_q, state.joint_qd, *poses_);
+  const Transformf *const a = state.body_q.data(), *const b = poses_->body_q.data();
+  for (int32_t k = 0; k < m.body_count(); ++k)
+    if (!(distance(a[k], b[k]) < 1e-5f)) return false;
+  return true;
+}
 
 DiffFeatherstoneSolver::DiffFeatherstoneSolver(std::shared_ptr<const Model> model,
                                                const FeatherstoneOptions& options)
@@ -50,8 +79,9 @@ void DiffFeatherstoneSolver::step(SimState& state_in, SimState& state_out, const
   step_.begin(m, control, kStep);
   if (nova::Tape::active() != nullptr) make_leaves(state_in);
   const auto scratch = make_scratch(step_.scratch(m, most_contacts(contacts)), 1, device());
-  const bool follow =
-      contacts != nullptr && contacts->rigid_contacts_found_from(m, state_in.body_q);
+  const bool follow = contacts != nullptr &&
+                      contacts->rigid_contacts_found_from(m, state_in.body_q) &&
+                      poses_follow(state_in);
   step_.record(m, state_in, state_out, control, contacts,
                follow ? FoundContacts::Now : FoundContacts::Before,
                nova::operand_of(state_in.body_f), dt, scratch[0]);

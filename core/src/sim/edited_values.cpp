@@ -182,17 +182,31 @@ void EditedValues::check_arrays(const Model& m) {
   }
 }
 
-void EditedValues::check(const Model& model) {
+// Now and, while a capture records on the CPU, before every replay.
+template <class Check>
+void EditedValues::check_all(const Model& model, Check check) {
   const Unobserved unobserved;
-  check_bodies(model);
-  check_arrays(model);
+  check(*this, model);
   LaunchRecorder* const recorder = launch_recorder();
   if (recorder == nullptr || !model.device().is_cpu()) return;
-  recorder->before_replay(
-      id_, [values = *this, owner = model.shared_from_this()]() mutable { values.check(*owner); });
+  recorder->before_replay(id_, [check, values = *this, owner = model.shared_from_this()]() mutable {
+    const Unobserved of_replays;
+    check(values, *owner);
+  });
 }
 
-void EditedValues::check_joints(const Model& m) {
+void EditedValues::check(const Model& model) {
+  check_all(model, [](EditedValues& values, const Model& m) {
+    values.check_bodies(m);
+    values.check_arrays(m);
+  });
+}
+
+void EditedValues::check_joints(const Model& model) {
+  check_all(model, [](EditedValues& values, const Model& m) { values.check_joint_arrays(m); });
+}
+
+void EditedValues::check_joint_arrays(const Model& m) {
   const Numbers arrays[] = {
       {"joint_armature", m.joint_armature, Rule::NotNegative},
       {"joint_damping", m.joint_damping, Rule::NotNegative},
@@ -216,10 +230,14 @@ void EditedValues::check_joints(const Model& m) {
       {"shape_material_ke", m.shape_material_ke, Rule::NotNegative},
       {"shape_material_kd", m.shape_material_kd, Rule::NotNegative},
       {"shape_material_kf", m.shape_material_kf, Rule::NotNegative},
-      {"shape_material_ka", m.shape_material_ka, Rule::NotNegative}};
+      {"shape_material_ka", m.shape_material_ka, Rule::NotNegative},
+      {"shape_transform", m.shape_transform, Rule::UnitPose},
+      {"shape_scale", m.shape_scale, Rule::NotNegative},
+      {"shape_gap", m.shape_gap, Rule::NotNegative},
+      {"shape_margin", m.shape_margin, Rule::Finite},
+      {"gravity", m.gravity, Rule::Finite}};
   constexpr size_t kCount = std::size(arrays), kLower = 9;
   joints_.resize(kCount + 1);
-  const Unobserved unobserved;
   const bool new_limits = must_read(joints_[kLower], m.joint_limit_lower) ||
                           must_read(joints_[kLower + 1], m.joint_limit_upper);
   for (size_t k = 0; k < kCount; ++k) {

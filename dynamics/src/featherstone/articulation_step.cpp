@@ -75,8 +75,13 @@ void check_status(const Model& m, const Articulations& articulations,
            "expected mass or armature, and finite coordinates, velocities and forces");
 }
 
+void depend_on_modes(const Model& m, const Control* control) {
+  depend_on({&m.joint_enabled, control ? &control->joint_act : &m.joint_act});
+}
+
 void depend_on_values(const Model& m, const Control* control) {
-  depend_on({&m.joint_enabled, &m.joint_friction, control ? &control->joint_act : &m.joint_act});
+  depend_on_modes(m, control);
+  depend_on({&m.joint_friction});
 }
 
 int64_t step_workspace(const Articulations& articulations) {

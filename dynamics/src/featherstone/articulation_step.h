@@ -22,6 +22,7 @@ void check_status(const Model& model, const Articulations& articulations,
 
 // What the host has looked at, and no launch looks at: a replay throws once it was written.
 void depend_on_values(const Model& model, const Control* control);
+void depend_on_modes(const Model& model, const Control* control);  // of them, but for friction
 
 // Numbers of memory per articulation, for a step and its adjoint; 0: the stack of the host holds
 // it.

@@ -313,6 +313,7 @@ void run_forward(const Step& s) {
     a.status = s.shared->status.mutable_data();
     s.shared->pgs->step(a, *s.model, contact_rows_of(s), s.options, nullptr);
     s.shared->pgs->write_impulses(kept.impulses, kept.friction);
+    for (const Named& out : s.outputs) out.tensor.range()->mark_written();
     return;
   }
   kernels().step.launch(s.shared->device, s.count, words);
@@ -340,6 +341,11 @@ void submit_forward(const std::shared_ptr<const Step>& step, bool tell) {
     if (tell && step->contacts.defined()) tell_contacts(*step);
   };
   if (!nova::current_capture() || !step->contacts.defined()) return run();
+  const auto replay = [run, step] {
+    run();
+    const DeviceArray<int32_t>& status = step->shared->status;
+    check_status(*step->model, step->shared->articulations, {status.data(), status.rows()}, kName);
+  };
   std::vector<Tensor> results, writes = {step->contacts};
   for (const Named& out : step->outputs) results.push_back(out.tensor);
   if (step->force) writes.push_back(tensor_of(*step->force));
@@ -355,7 +361,7 @@ void submit_forward(const std::shared_ptr<const Step>& step, bool tell) {
                            .results = results,
                            .writes = writes,
                            .failure = &step->shared->failure,
-                           .run = run});
+                           .run = replay});
 }
 
 void run_all(const std::shared_ptr<const Step>& step) {
@@ -751,6 +757,7 @@ void ArticulationStep::begin(const Model& model, const Control* control, const c
   const nova::Tape* const tape = nova::Tape::active();
   shared_->dry = tape != nullptr && tape->carries_gradient(*model.joint_friction.range());
   if (on_cpu) {
+    depend_on_modes(model, control);
     const float* const friction = model.joint_friction.data();
     shared_->dry = shared_->dry || std::any_of(friction, friction + model.joint_dof_count(),
                                                [](float f) { return f > 0.0f; });

@@ -71,7 +71,7 @@ class NOVAPHY_CORE_API EditedValues {
   void check(const Model& model);
   // Likewise, of what articulations read: joint_armature, _damping, _friction, _target_ke, _kd,
   // _limit_ke, _kd, _effort_limit, _velocity_limit, body_mass (links may have none), the diagonal
-  // of body_inertia and shape_material_* finite and >= 0, restitution <= 1; joint_limit_lower at
+  // of body_inertia, shape_material_*, shape_scale and _gap finite and >= 0, restitution <= 1; joint_limit_lower at
   // most joint_limit_upper; joint_target_mode a JointTargetMode; joint_axis and the quaternions of
   // joint_X_p, _X_c of length 1 (to 1e-3); all of these and body_com finite.
   void check_joints(const Model& model);
@@ -82,6 +82,9 @@ class NOVAPHY_CORE_API EditedValues {
 #undef NOVAPHY_COUNT
   void check_bodies(const Model& model);
   void check_arrays(const Model& model);
+  void check_joint_arrays(const Model& model);
+  template <class Check>
+  void check_all(const Model& model, Check check);
 
   const char* solver_;
   std::shared_ptr<const int> id_ = std::make_shared<const int>(0);  // to recordings

@@ -9,7 +9,6 @@
 #include "novaphy/core/error.h"
 #include "novaphy/core/recorder.h"
 #include "novaphy/core/sim/enums.h"
-#include "novaphy/core/sim/on_host.h"
 
 namespace novaphy {
 namespace {
@@ -46,7 +45,6 @@ class NumbersOnHost {
     }
     width_ = count / array.rows();
   }
-  std::span<const float> all() const { return values_; }
   const float* row(size_t r) const { return &values_[r * width_]; }
   size_t width() const { return width_; }
 

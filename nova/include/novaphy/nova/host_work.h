@@ -13,7 +13,7 @@ struct HostWork {
   const char* name;                     // in errors
   std::vector<Tensor> reads, results;   // results: float32, which it writes
   std::vector<Tensor> writes = {};      // what it writes besides
-  std::string* failure = nullptr;       // lives as long as `run`
+  std::string* failure = nullptr;       // null, or lives as long as `run`
   std::function<void()> run = nullptr;  // keeps what it uses alive
 };
 

@@ -72,9 +72,9 @@ class NOVAPHY_CORE_API EditedValues {
   // Likewise, of what articulations read: joint_armature, _damping, _friction, _target_ke, _kd,
   // _limit_ke, _kd, _effort_limit, _velocity_limit, body_mass (links may have none), the diagonal
   // of body_inertia, shape_material_*, shape_scale and _gap finite and >= 0, restitution <= 1;
-  // joint_limit_lower at most joint_limit_upper; joint_target_mode a JointTargetMode; joint_axis and
-  // the quaternions of joint_X_p, _X_c of length 1 (to 1e-3), that of shape_transform (to 1e-5); all
-  // of these, gravity, shape_margin and body_com finite.
+  // joint_limit_lower at most joint_limit_upper; joint_target_mode a JointTargetMode; joint_axis
+  // and the quaternions of joint_X_p, _X_c of length 1 (to 1e-3), that of shape_transform (to
+  // 1e-5); all of these, gravity, shape_margin and body_com finite.
   void check_joints(const Model& model);
 
  private:

@@ -17,7 +17,7 @@ import numpy as np
 
 import novaphy
 from novaphy import diff, nova
-from novaphy.envs import FEET, AntWorlds, rotate
+from novaphy.envs import AntWorlds, rotate
 
 DOFS = 14
 STICKING = 0.98  # of the friction cone: below it a contact sticks
@@ -60,16 +60,13 @@ class FrozenFrames:
         self.mu = model.shape_material_mu.numpy()
         self.com = model.body_com.numpy().reshape(n, per_world, 3)
         self.eye = np.eye(DOFS)
-        # Feet {worlds, 4} whose contacts are not held, because a gait wants them to lift.
-        self.released = np.zeros((n, len(FEET)), bool)
         # Called with every substep before it, to set targets of the drives.
         self.lead = None
 
     def label(self) -> str:
         """What the derivative is."""
         held = "sticking feet held" if self.tangents else "normals of contacts held"
-        released = ", those that should swing released" if self.released.any() else ""
-        return f"frozen, {held}{released}"
+        return f"frozen, {held}"
 
     def run(self, actions: np.ndarray) -> list[tuple[np.ndarray, ...]]:
         """Step a frame; per substep what `pull` needs."""
@@ -121,11 +118,7 @@ class FrozenFrames:
             for x in (c.rigid_contact_force, c.rigid_contact_normal)
         )
         push = np.abs((force * normal).sum(axis=1))
-        ant = np.where(self.link_of_shape[shapes[1]] >= 0, shapes[1], shapes[0])
-        free = np.zeros((self.worlds, len(poses) // self.worlds), bool)
-        free[:, FEET] = self.released
-        held = ~free[self.world_of_shape[ant], self.link_of_shape[ant]]
-        i = np.flatnonzero((push > 0.0) & held)
+        i = np.flatnonzero(push > 0.0)
         if not len(i):
             return np.zeros((self.worlds, 1, DOFS))
         shapes, force, normal, push = shapes[:, i], force[i], normal[i], push[i]

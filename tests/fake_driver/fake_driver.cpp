@@ -6,9 +6,12 @@
 //   FAKE_DRIVER_DEVICES   how many devices there are (1)
 //   FAKE_DRIVER_INIT      what cuInit returns (0)
 //   FAKE_DRIVER_MEMORY    bytes of a device (1 GiB)
-//   FAKE_DRIVER_HOSTILE   1: new memory is full of NaNs, and rows run from the last to the first
-//   (0) FAKE_DRIVER_LOSE      the launch or fill, counted from 1, after which the device is lost
+//   FAKE_DRIVER_HOSTILE   1: new memory is full of NaNs, rows run from the last to the first, and
+//   who reads memory of the device elsewhere than in work of the device crashes (0)
+//   FAKE_DRIVER_LOSE      the launch or fill, counted from 1, after which the device is lost
 // Built with FAKE_DRIVER_LACKS_SYMBOL it does not export cuMemAllocAsync, as an old driver.
+#include <sys/mman.h>
+
 #include <algorithm>
 #include <atomic>
 #include <cstdint>
@@ -49,15 +52,66 @@ std::map<void*, size_t>& blocks() {
 }
 size_t g_used = 0;
 
-int allocate(void** pointer, size_t bytes) {
+// Of a hostile device: memory that only its work can touch. Addresses are not used again.
+class Guarded {
+ public:
+  void* allocate(size_t bytes) {
+    bytes = (bytes + 4095) / 4096 * 4096;
+    if (bytes > kRoom - used_) return nullptr;
+    used_ += bytes;
+    return begin_ + used_ - bytes;
+  }
+  bool holds(const void* pointer) const {
+    return pointer >= begin_ && pointer < begin_ + used_;
+  }
+  void enter() {
+    const std::lock_guard lock(mutex_);
+    if (inside_++ == 0) protect(PROT_READ | PROT_WRITE);
+  }
+  void leave() {
+    const std::lock_guard lock(mutex_);
+    if (--inside_ == 0) protect(PROT_NONE);
+  }
+
+ private:
+  static constexpr size_t kRoom = size_t{64} << 30;
+  void protect(int how) {
+    if (mprotect(begin_, kRoom, how) != 0) std::abort();
+  }
+  char* const begin_ = static_cast<char*>(
+      mmap(nullptr, kRoom, PROT_NONE, MAP_PRIVATE | MAP_ANONYMOUS | MAP_NORESERVE, -1, 0));
+  size_t used_ = 0;
+  int inside_ = 0;
+  std::mutex mutex_;
+};
+Guarded* guarded() {
+  static Guarded* const memory = setting("FAKE_DRIVER_HOSTILE", 0) != 0 ? new Guarded : nullptr;
+  return memory;
+}
+// While it lives, the device works.
+struct Works {
+  Works() {
+    if (guarded() != nullptr) guarded()->enter();
+  }
+  ~Works() {
+    if (guarded() != nullptr) guarded()->leave();
+  }
+};
+
+int allocate(void** pointer, size_t bytes, bool of_host = false) {
   if (lost()) return kIllegalAddress;
   const std::lock_guard lock(g_mutex);
   const auto memory = static_cast<size_t>(setting("FAKE_DRIVER_MEMORY", 1L << 30));
   if (bytes == 0) return kInvalidValue;
   if (bytes > memory - g_used) return kOutOfMemory;
-  void* made = std::aligned_alloc(4096, (bytes + 4095) / 4096 * 4096);
+  void* made = guarded() != nullptr && !of_host
+                   ? guarded()->allocate(bytes)
+                   : std::aligned_alloc(4096, (bytes + 4095) / 4096 * 4096);
   if (made == nullptr) return kOutOfMemory;
-  if (setting("FAKE_DRIVER_HOSTILE", 0) != 0) std::memset(made, 0xFF, bytes);
+  if (guarded() != nullptr) {
+    const Works now;
+    std::memset(made, 0xFF, bytes);
+  }
   blocks()[made] = bytes;
   g_used += bytes;
   *pointer = made;
@@ -69,7 +123,7 @@ int release(void* pointer) {
   if (found == blocks().end()) return kInvalidValue;
   g_used -= found->second;
   blocks().erase(found);
-  std::free(pointer);
+  if (guarded() == nullptr || !guarded()->holds(pointer)) std::free(pointer);
   return 0;
 }
 
@@ -92,6 +146,7 @@ int submit(void* stream, std::function<void()> work) {
   if (capturing(stream)) {
     static_cast<Handle*>(stream)->work.push_back(std::move(work));
   } else {
+    const Works now;
     work();
   }
   return 0;
@@ -181,7 +236,9 @@ FAKE cuMemAllocAsync(uint64_t* target, size_t bytes, void*) {
 FAKE cuMemFreeAsync(uint64_t target, void* stream) {
   return capturing(stream) ? result() : release(pointer(target));
 }
-FAKE cuMemHostAlloc(void** target, size_t bytes, unsigned) { return allocate(target, bytes); }
+FAKE cuMemHostAlloc(void** target, size_t bytes, unsigned) {
+  return allocate(target, bytes, true);
+}
 FAKE cuMemFreeHost(void* target) { return release(target); }
 FAKE cuMemHostGetDevicePointer_v2(uint64_t* target, void* source, unsigned) {
   *target = reinterpret_cast<uint64_t>(source);
@@ -285,7 +342,9 @@ FAKE cuGraphDestroy(void* graph) { return destroy(graph); }
 FAKE cuGraphExecDestroy(void* exec) { return destroy(exec); }
 FAKE cuGraphLaunch(void* exec, void*) {
   ++g_launches;
-  if (!lost())
+  if (!lost()) {
+    const Works now;
     for (const auto& work : static_cast<Handle*>(exec)->work) work();
+  }
   return result();
 }

@@ -842,7 +842,7 @@ void ArticulationStep::record(const Model& m, const SimState& in, SimState& out,
   submit_forward(step, true);
   if (nova::Tape::active() == nullptr) return;
   pending_ = std::move(step);
-  if (!join || solves || nova::current_capture()) return flush();
+  if (!join || solves || !shared_->runs_on_host() || nova::current_capture()) return flush();
   pending_->host = host_arguments(*pending_);
 }
 

@@ -256,6 +256,8 @@ void Emitter::steps() {
         if (!in_items_) break;
         in_items_ = false;  // once more, for the items that are not in registers
         looked_ = looked_before_;
+        for (size_t v = 0; v < p_.instrs.size(); ++v)
+          if (plan_.loop[v] == step.value) computed_[v] = 0, chosen_[v] = kNone;
         loop_begin(step.value);
         s = begin;
         break;

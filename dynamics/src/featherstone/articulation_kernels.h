@@ -61,11 +61,9 @@ inline articulation::StepOptions<float> articulation_options(const ArticulationA
   return {a.dt.value, a.angular_damping.value, a.implicit_drives != 0};
 }
 
-// On the host small trees work on the stack, which stays in the cache; the others, and all on
-// devices, in memory of their own.
-inline constexpr int64_t kLocalWorkspace = 16384;
+// Small trees work on the stack, the others in memory of their own; so do adjoints on devices.
 struct LocalWorkspace {
-  alignas(16) unsigned char bytes[kLocalWorkspace];
+  alignas(16) unsigned char bytes[kRowStack];
 };
 inline unsigned char* workspace_of(float* workspace, int64_t stride, int64_t row,
                                    LocalWorkspace& local) {
@@ -107,8 +105,7 @@ NOVAPHY_ROW_KERNEL(articulation_step, 39, ArticulationStepArguments) {
   const articulation::Tree<float> tree = articulation_tree(a.in, rows);
   const articulation::StepInputs<float> in = articulation_inputs(a.in);
   const articulation::StepOptions<float> options = articulation_options(a.in);
-  NOVAPHY_ROW_SCRATCH(LocalWorkspace, local,
-                      reinterpret_cast<LocalWorkspace*>(a.workspace + row * a.stride));
+  LocalWorkspace local;
   articulation::Workspace<float> ws = articulation::make_workspace<float>(
       workspace_of(a.workspace, a.stride, row, local), rows.link_count, rows.dof_count);
   const int32_t failed = articulation::forward_step(tree, in, options, ws);

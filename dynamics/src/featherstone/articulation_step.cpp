@@ -89,7 +89,7 @@ int64_t step_workspace(const Articulations& articulations) {
   const int64_t bytes = articulation::workspace_bytes<float>(links, dofs) +
                         articulation::adjoint_bytes<float>(links, dofs);
   const bool on_host = articulations.rows().device().is_cpu();
-  return on_host && bytes <= kLocalWorkspace ? 0 : bytes / static_cast<int64_t>(sizeof(float));
+  return on_host && bytes <= kRowStack ? 0 : bytes / static_cast<int64_t>(sizeof(float));
 }
 
 ArticulationArguments articulation_arguments(const Model& m, const Articulations& articulations,

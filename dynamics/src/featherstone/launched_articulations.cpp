@@ -25,9 +25,9 @@ LaunchedArticulations::LaunchedArticulations(const Model& m)
   const Device device = m.device();
   const auto count = static_cast<size_t>(articulations_.count());
   const auto dofs = static_cast<size_t>(m.joint_dof_count());
-  stride_ =
-      articulation::workspace_bytes<float>(articulations_.max_links(), articulations_.max_dofs()) /
-      static_cast<int64_t>(sizeof(float));
+  const int64_t bytes =
+      articulation::workspace_bytes<float>(articulations_.max_links(), articulations_.max_dofs());
+  stride_ = bytes <= kDeviceRowStack && !getenv("NOLOCAL") ? 0 : bytes / static_cast<int64_t>(sizeof(float));
   status_ = DeviceArray<int32_t>(count, device);
   qdd_ = DeviceArray<float>(dofs, device);
   branch_ = DeviceArray<float>(dofs, device);

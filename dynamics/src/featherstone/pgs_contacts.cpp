@@ -42,12 +42,7 @@ PgsContacts::PgsContacts(const Model& m, const Articulations& articulations)
     rates_begin_.push_back(rates);
     words += art::workspace_bytes<float>(tree.link_count, tree.dof_count) / 8 + 1;
     rates += width(i);
-    for (int32_t k = 0; k < tree.link_count; ++k) {
-      uint32_t bits = 0;
-      for (int32_t d = art::last_dof(tree, k); d >= 0; d = tree.dof_parent[d])
-        if (d < art::kTreeContactDofs) bits |= 1u << d;
-      moved_by_.push_back(static_cast<int32_t>(bits));
-    }
+    for (int32_t k = 0; k < tree.link_count; ++k) moved_by_.push_back(art::moving_dofs(tree, k));
   }
   memory_.resize(static_cast<size_t>(words));
   rates_.resize(static_cast<size_t>(rates));
@@ -107,7 +102,6 @@ void PgsContacts::gather(const Model& m, const ContactRows& c) {
     Row row;
     row.contact = i;
     row.numbers = numbers;
-    int32_t widths[2] = {0, 0};
     for (int side = 0; side < 2; ++side) {
       const int32_t shape = shapes[side][i];
       require(shape >= 0 && shape < m.shape_count(), ErrorKind::Index,
@@ -116,12 +110,12 @@ void PgsContacts::gather(const Model& m, const ContactRows& c) {
       require(body[shape] >= -1 && body[shape] < m.body_count(), ErrorKind::Index,
               "step: model.shape_body[", shape, "]: expected -1 to ", m.body_count() - 1, ", got ",
               body[shape]);
-      if (body[shape] < 0) continue;
-      row.sides[side] = of_body_[static_cast<size_t>(body[shape])];
-      widths[side] = width(row.sides[side].tree);
+      if (body[shape] >= 0) row.sides[side] = of_body_[static_cast<size_t>(body[shape])];
     }
-    if (row.sides[0].tree == row.sides[1].tree) widths[1] = 0;  // one row holds both sides
-    if (widths[0] + widths[1] == 0) continue;
+    int32_t widths[2];
+    if (!art::set_widths(
+            row.sides, [&](int32_t tree) { return width(tree); }, widths))
+      continue;
     for (int side = 0; c.found && side < 2; ++side)
       row.follows = row.follows || (row.sides[side].tree < 0 &&
                                     type[shapes[side][i]] == static_cast<int32_t>(GeoType::PLANE) &&
@@ -153,22 +147,12 @@ bool PgsContacts::prepare(const Model& m, const ContactRows& contacts) {
   return true;
 }
 
-// The trees of an island have the root of the smallest index.
-int32_t PgsContacts::find_root(int32_t tree) {
-  while (root_[static_cast<size_t>(tree)] != tree) {
-    int32_t& up = root_[static_cast<size_t>(tree)];
-    up = root_[static_cast<size_t>(up)];
-    tree = up;
-  }
-  return tree;
-}
-
 void PgsContacts::find_islands() {
   for (size_t i = 0; i < root_.size(); ++i) root_[i] = static_cast<int32_t>(i);
   for (const Row& row : rows_) {
     if (row.solver.sides[0].width == 0 || row.solver.sides[1].width == 0) continue;
-    const int32_t a = find_root(row.sides[0].tree), b = find_root(row.sides[1].tree);
-    root_[static_cast<size_t>(std::max(a, b))] = std::min(a, b);
+    art::join_trees([this](int32_t i) -> int32_t& { return root_[static_cast<size_t>(i)]; },
+                    row.sides[0].tree, row.sides[1].tree);
   }
   std::fill(island_of_tree_.begin(), island_of_tree_.end(), -1);
   int32_t islands = 0;
@@ -188,23 +172,15 @@ void PgsContacts::find_islands() {
   island_residual_.assign(static_cast<size_t>(islands), 0.0f);
   island_joined_.assign(static_cast<size_t>(islands), 0);
   for (size_t i = 0; i < rows_.size(); ++i) {
-    const Side *const a = &rows_[i].sides[0], *const b = &rows_[i].sides[1];
-    const auto island_row = static_cast<size_t>(island_of_row_[i]);
-    if ((a->tree >= 0 && b->tree >= 0) ||
-        trees_[a->tree < 0 ? b->tree : a->tree].dof_count > art::kTreeContactDofs)
-      island_joined_[island_row] = 1;
+    const Side* const sides = rows_[i].sides;
+    const int32_t tree = sides[sides[0].tree < 0 ? 1 : 0].tree;
+    if (art::joins_more(sides, trees_[tree].dof_count))
+      island_joined_[static_cast<size_t>(island_of_row_[i])] = 1;
   }
   for (const int32_t i : island_of_friction_) island_joined_[static_cast<size_t>(i)] = 1;
   for (size_t i = 0; i < island_joined_.size(); ++i)
     if (island_rows_.items(static_cast<int64_t>(i)).size() > kMostTreeContacts)
       island_joined_[i] = 1;
-}
-
-// The means of the two shapes.
-art::ContactMaterial<float> PgsContacts::material(const Step& s, const Row& row) {
-  const int32_t a = s.contacts.shape0[row.contact], b = s.contacts.shape1[row.contact];
-  const auto mean = [&](const float* of) { return 0.5f * (of[a] + of[b]); };
-  return {mean(s.mu), mean(s.restitution), mean(s.ke), mean(s.kd)};
 }
 
 // The trees that TreeSteps may take, and the others.
@@ -231,31 +207,17 @@ int32_t PgsContacts::fill(int64_t tree, int32_t i, float* numbers, int32_t strid
   const auto at = static_cast<size_t>(
       island_rows_.items(island_of_tree_[static_cast<size_t>(tree)])[static_cast<size_t>(i)]);
   const Row& row = rows_[at];
-  const size_t side = row.sides[0].tree >= 0 ? 0 : 1;
-  const ContactRows& c = s.contacts;
-  const int32_t k = row.contact;
-  const Vec3f points[2] = {c.point0[k], c.point1[k]};
-  const float margins[2] = {c.margin0[k], -c.margin1[k]};
-  art::TreeContact<float> contact;
-  contact.moved_by = moved_by_[static_cast<size_t>(trees_[tree].first_link + row.sides[side].link)];
-  contact.sign = side == 0 ? -1.0f : 1.0f;
-  contact.normal = c.normal[k];
-  contact.core = points[side];
-  contact.world = points[1 - side];
-  contact.margin = margins[side];
-  contact.world_margin = margins[1 - side];
-  contact.material = material(s, row);
-  if (const Kept* const kept = warm_[at]) {
-    contact.start_normal = kept->normal * s.warm_scale;
-    contact.start_tangent = kept->tangent * s.warm_scale;
-  }
+  const int32_t side = row.sides[0].tree >= 0 ? 0 : 1, link = row.sides[side].link;
+  const art::TreeContact<float> contact = art::tree_contact(
+      s.contacts, row.contact, side, moved_by_[static_cast<size_t>(trees_[tree].first_link + link)],
+      s.material(row), kept_of(at), s.warm_scale);
   float values[sizeof(contact) / sizeof(float)];
   std::memcpy(values, &contact, sizeof(contact));
   for (const float value : values) {
     *numbers = value;
     numbers += stride;
   }
-  return row.sides[side].link;
+  return link;
 }
 
 void PgsContacts::take(int64_t tree, int32_t i, const float* impulses, int32_t stride) {
@@ -271,73 +233,26 @@ void PgsContacts::solved(int64_t tree, int32_t sweeps, float residual) {
   island_residual_[island] = residual;
 }
 
-// The impulses of the same point in the step before. `next` is where the pair before stood: both
-// lists are in the order of shapes.
-const PgsContacts::Kept* PgsContacts::find_kept(size_t& next, const ContactRows& c,
-                                                int32_t contact) const {
-  const std::pair<int32_t, int32_t> pair = {c.shape0[contact], c.shape1[contact]};
-  const auto pair_of = [&](size_t i) { return std::pair{kept_[i].shape0, kept_[i].shape1}; };
-  while (next < kept_.size() && pair_of(next) < pair) ++next;
-  for (size_t i = next; i < kept_.size() && pair_of(i) == pair; ++i)
-    if (kept_[i].point == c.point_id[contact]) return &kept_[i];
-  return nullptr;
+const art::KeptContact* PgsContacts::kept_of(size_t row) const {
+  return warm_[row] < 0 ? nullptr : &kept_[static_cast<size_t>(warm_[row])];
+}
+
+art::IslandTree PgsContacts::island_tree(const ArticulationArguments& in, int32_t tree) {
+  const ArticulationRows& rows = trees_[tree];
+  return {articulation_tree(in, rows), workspace(rows, tree),
+          rates_.data() + rates_begin_[static_cast<size_t>(tree)], in.qd + rows.first_dof};
 }
 
 void PgsContacts::build_row(const Step& s, Row& row) {
-  const ContactRows& c = s.contacts;
-  const int32_t i = row.contact;
-  const Vec3f normal = c.normal[i];
-  const Vec3f cores[2] = {c.point0[i], c.point1[i]};
-  const float margins[2] = {c.margin0[i], -c.margin1[i]};
-  art::SurfacePoint<float> points[2];
-  for (size_t side = 0; side < 2; ++side) {
-    const Side& at = row.sides[side];
-    const art::LinkState<float>* link =
-        at.tree < 0 ? nullptr : &workspace(trees_[at.tree], at.tree).links[at.link];
-    points[side] = art::surface_point(link, cores[side], normal * margins[side]);
-    row.cores[side] = art::surface_point(link, cores[side], Vec3f{}).at;
-  }
-  const art::ContactPlace<float> place = art::contact_place(points[0], points[1], normal);
-  row.place = place;
-  row.frame = art::contact_frame(normal);
-  float* numbers = numbers_.data() + row.numbers;
-  const bool itself = row.sides[0].tree == row.sides[1].tree;
-  float before = 0.0f;
-  for (size_t side = 0; side < 2; ++side) {
-    art::RowSide<float>& to = row.solver.sides[side];
-    if (to.width == 0) continue;
-    const int64_t tree_row = row.sides[side].tree;
-    const ArticulationRows& rows = trees_[tree_row];
-    const art::Tree<float> tree = articulation_tree(s.in, rows);
-    const art::Workspace<float> ws = workspace(rows, tree_row);
-    float *const jacobian = numbers, *const response = numbers + 3 * to.width;
-    numbers += 6 * to.width;
-    std::fill_n(jacobian, 3 * to.width, 0.0f);
-    art::add_point_rows(tree, ws.axes, row.sides[side].link, side == 0 ? place.a : place.b,
-                        row.frame, side == 0 ? -1.0f : 1.0f, to.width, jacobian);
-    if (itself)
-      art::add_point_rows(tree, ws.axes, row.sides[1].link, place.b, row.frame, 1.0f, to.width,
-                          jacobian);
-    const int32_t last = itself ? -1 : art::last_dof(tree, row.sides[side].link);
-    art::response_rows(tree, ws.matrix, last, to.width, jacobian, response);
-    to.rates = rates_.data() + rates_begin_[static_cast<size_t>(tree_row)];
-    to.jacobian = jacobian;
-    to.response = response;
-    for (int32_t k = 0; k < rows.dof_count; ++k)
-      before += jacobian[k] * s.in.qd[rows.first_dof + k];
-  }
-  row.before = before;
-  art::set_diagonals(row.solver);
+  art::build_contact(
+      s.contacts, [&](int32_t tree) { return island_tree(s.in, tree); },
+      numbers_.data() + row.numbers, row);
 }
 
 void PgsContacts::set_target(const Step& s, Row& row) {
-  const art::ContactMaterial<float> of = material(s, row);
-  row.target = art::normal_target(s.law, of, row.place.gap, row.before, art::slip(row.solver, 0));
+  const art::ContactMaterial<float> of = s.material(row);
+  art::set_target(s.law, of, row);
   row.elastic = of.restitution > 0.0f;
-  row.solver.bias = row.target.bias;
-  row.solver.cfm = row.target.cfm;
-  row.solver.friction = of.friction;
-  art::set_steps<float>(row.solver);
 }
 
 void PgsContacts::place_friction() {
@@ -353,13 +268,10 @@ void PgsContacts::place_friction() {
 void PgsContacts::build_friction(const Step& s, int32_t i) {
   const Friction& f = friction_[static_cast<size_t>(i)];
   art::PgsJointFriction<float>& row = friction_rows_[static_cast<size_t>(i)];
-  const ArticulationRows& tree = trees_[f.tree];
-  auto* const response = const_cast<float*>(row.response);
-  std::fill_n(response, row.width, 0.0f);
-  response[f.dof] = 1.0f;
-  art::solve(articulation_tree(s.in, tree), workspace(tree, f.tree).matrix, response);
-  row.limit = s.model.joint_friction.data()[tree.first_dof + f.dof] * s.law.dt;
-  row.impulse = 0.0f;
+  const int32_t dof = trees_[f.tree].first_dof + f.dof;
+  art::build_friction(island_tree(s.in, f.tree), f.dof,
+                      s.model.joint_friction.data()[dof] * s.law.dt,
+                      const_cast<float*>(row.response), row);
 }
 
 void PgsContacts::solve_island(const Step& s, int64_t island) {
@@ -373,26 +285,20 @@ void PgsContacts::solve_island(const Step& s, int64_t island) {
   for (const int32_t i : friction) build_friction(s, i);
   for (const int32_t i : rows) {
     Row& row = rows_[static_cast<size_t>(i)];
-    const Kept* const kept = warm_[static_cast<size_t>(i)];
-    if (kept == nullptr) continue;
-    const Vec3f tangent = kept->tangent * s.warm_scale;
-    art::warm_start(row.solver, s.law.cone, kept->normal * s.warm_scale,
-                    math::dot(tangent, row.frame.axes[1]), math::dot(tangent, row.frame.axes[2]));
+    if (const art::KeptContact* const kept = kept_of(static_cast<size_t>(i)))
+      art::start_from_kept(*kept, s.warm_scale, s.law.cone, row);
   }
-  int32_t sweeps = 0;
-  float worst = 0.0f;
-  do {
-    worst = 0.0f;
-    const bool back = sweeps % 2 != 0;
-    for (size_t k = 0; k < rows.size(); ++k) {
-      const auto i = static_cast<size_t>(rows[back ? rows.size() - 1 - k : k]);
-      worst = std::max(worst, art::sweep(rows_[i].solver, s.law.cone));
-    }
-    for (const int32_t i : friction)
-      worst = std::max(worst, art::sweep(friction_rows_[static_cast<size_t>(i)]));
-  } while (++sweeps < s.options.pgs_iterations && !(worst < s.options.pgs_tolerance));
-  island_sweeps_[static_cast<size_t>(island)] = sweeps;
-  island_residual_[static_cast<size_t>(island)] = worst;
+  const auto contacts = [&](bool back, const auto& f) {
+    for (size_t k = 0; k < rows.size(); ++k)
+      f(rows_[static_cast<size_t>(rows[back ? rows.size() - 1 - k : k])].solver);
+  };
+  const auto dry = [&](const auto& f) {
+    for (const int32_t i : friction) f(friction_rows_[static_cast<size_t>(i)]);
+  };
+  const art::IslandResult result = art::sweep_island(s.law.cone, s.options.pgs_iterations,
+                                                     s.options.pgs_tolerance, contacts, dry);
+  island_sweeps_[static_cast<size_t>(island)] = result.sweeps;
+  island_residual_[static_cast<size_t>(island)] = result.residual;
 }
 
 // Writes the forces, and keeps the impulses for the next step.
@@ -400,13 +306,9 @@ void PgsContacts::keep(const ContactRows& c, float dt, Vec3f* force) {
   kept_.clear();
   kept_dt_ = dt;
   for (const Row& row : rows_) {
-    const float* impulse = row.solver.impulse;
-    const Vec3f tangent = row.frame.axes[1] * impulse[1] + row.frame.axes[2] * impulse[2];
-    if (force != nullptr)
-      force[row.contact] = (row.frame.axes[0] * impulse[0] + tangent) * (1.0f / dt);
-    if (impulse[0] > 0.0f && c.point_id != nullptr)
-      kept_.push_back({c.shape0[row.contact], c.shape1[row.contact], c.point_id[row.contact],
-                       impulse[0], tangent});
+    const art::KeptContact kept = art::kept_contact(c, row.contact, row.frame, row.solver.impulse);
+    if (force != nullptr) force[row.contact] = art::contact_force(row.frame, kept, dt);
+    if (kept.normal > 0.0f && c.point_id != nullptr) kept_.push_back(kept);
   }
 }
 
@@ -417,11 +319,12 @@ void PgsContacts::step(const ArticulationStepArguments& a, const Model& m,
   const art::StepOptions<float> how = articulation_options(a.in);
   const float dt = how.dt;
   split_trees(alone != nullptr);
-  warm_.assign(rows_.size(), nullptr);
-  size_t next = 0;
+  warm_.assign(rows_.size(), -1);
+  int32_t next = 0;
   if (options.warm_start && !kept_.empty())
     for (size_t i = 0; i < rows_.size(); ++i)
-      warm_[i] = find_kept(next, contacts, rows_[i].contact);
+      warm_[i] = art::find_kept(kept_.data(), static_cast<int32_t>(kept_.size()), next, contacts,
+                                rows_[i].contact);
   const Step s = make_step(a.in, m, contacts, options, kept_dt_ > 0.0f ? dt / kept_dt_ : 1.0f);
   if (!alone_.empty()) {
     current_ = &s;
@@ -468,19 +371,11 @@ void PgsContacts::step(const ArticulationStepArguments& a, const Model& m,
 
   for_trees([&](int32_t i, const ArticulationRows& rows, const art::Tree<float>& tree,
                 art::Workspace<float>& ws, const float* rates) {
-    for (int32_t k = 0; k < rows.dof_count && a.status[i] == 0; ++k) {
-      if (!art::is_finite(rates[k])) a.status[i] = 1 + k + rows.first_dof;
-      if (rates[k] == ws.qd_next[k]) continue;
-      ws.qdd[k] = (rates[k] - in.qd[rows.first_dof + k]) / dt;
-      ws.qd_next[k] = rates[k];
-    }
-    if (a.status[i] != 0) return;
+    const int32_t failed = art::take_rates(rates, in.qd + rows.first_dof, dt, rows.dof_count, ws);
+    if (failed >= 0) a.status[i] = 1 + failed + rows.first_dof;
+    if (failed >= 0) return;
     art::clamp_rates(tree, in, ws);
-    for (int32_t k = 0; k < rows.dof_count; ++k) {
-      a.qdd[rows.first_dof + k] = ws.qdd[k];
-      a.branch[rows.first_dof + k] = static_cast<float>(ws.branch[k]);
-    }
-    art::finish_step(tree, in, how, ws, a.q_next, a.qd_next, a.body_q, a.body_qd);
+    write_step(a, rows, tree, in, how, ws);
   });
 }
 

@@ -9,9 +9,8 @@
 #include "novaphy/core/array_stamp.h"
 #include "novaphy/core/sim/contacts.h"
 #include "novaphy/core/sim/index_rows.h"
-#include "novaphy/dynamics/articulation/contact_rows.h"
 #include "novaphy/dynamics/articulation/dual.h"
-#include "novaphy/dynamics/articulation/pgs.h"
+#include "novaphy/dynamics/articulation/islands.h"
 #include "novaphy/dynamics/featherstone/articulations.h"
 #include "novaphy/dynamics/featherstone/contact_branches.h"
 #include "novaphy/dynamics/featherstone/solver_featherstone.h"
@@ -19,16 +18,8 @@
 
 namespace novaphy {
 
-// Rigid contacts, host pointers. `points` of ids may be null, where nothing starts warm. `found`:
-// the search found them from the state of the step, so that derivatives let them follow it.
-struct ContactRows {
-  int32_t count = 0;
-  const int32_t *shape0 = nullptr, *shape1 = nullptr, *point_id = nullptr;
-  const Vec3f *point0 = nullptr, *point1 = nullptr, *normal = nullptr;
-  const float *margin0 = nullptr, *margin1 = nullptr;
-  bool found = false;
-};
-ContactRows contact_rows(const Contacts* contacts);  // null: none
+using articulation::ContactRows;
+ContactRows contact_rows(const Contacts* contacts);  // host pointers; null: none
 
 // Gradients of what only contacts and dry friction read; null: nobody wants it. They are added to.
 struct ContactGradient {
@@ -82,28 +73,13 @@ class PgsContacts : private TreeContacts {
   float residual() const { return residual_; }
 
  private:
-  struct Side {
-    int32_t tree = -1, link = -1;  // -1: the world, or what no dof moves
-  };
-  struct Row {
-    int32_t contact = 0;  // row of the contacts
-    Side sides[2] = {};
+  using Side = articulation::ContactSide;
+  struct Row : articulation::IslandContact {
     int64_t numbers = 0;  // first of J and Y
     // Found from the state, of a point that is fixed to its shape and a plane of the world: so the
     // normal is constant, and the point of the plane goes along it below the other.
     bool follows = false;
-    articulation::ContactFrame<float> frame = {};
-    articulation::ContactPlace<float> place = {};
-    Vec3f cores[2] = {};  // about the origins
-    float before = 0.0f;  // J_n qd
     bool elastic = false;
-    articulation::NormalTarget<float> target = {};
-    articulation::PgsContact<float> solver = {};
-  };
-  struct Kept {  // of the step before
-    int32_t shape0, shape1, point;
-    float normal;
-    Vec3f tangent;
   };
   struct Friction {
     int32_t tree = 0, dof = 0;  // of the tree
@@ -116,7 +92,6 @@ class PgsContacts : private TreeContacts {
   void take(int64_t tree, int32_t i, const float* impulses, int32_t stride) override;
   void solved(int64_t tree, int32_t sweeps, float residual) override;
   void split_trees(bool alone);
-  static articulation::ContactMaterial<float> material(const Step& step, const Row& row);
   static Step make_step(const ArticulationArguments& in, const Model& model,
                         const ContactRows& contacts, const FeatherstoneOptions& options,
                         float warm_scale);
@@ -131,7 +106,7 @@ class PgsContacts : private TreeContacts {
   void add_material_gradients(const Step& step, const Row& row, const double* z,
                               const ContactGradient& to) const;
   void add_friction_gradients(float* to);
-  const Kept* find_kept(size_t& next, const ContactRows& contacts, int32_t contact) const;
+  const articulation::KeptContact* kept_of(size_t row) const;  // null: it starts from nothing
   void solve_island(const Step& step, int64_t island);
   void keep(const ContactRows& contacts, float dt, Vec3f* force);
   void solve_adjoint(int64_t island, bool cone);
@@ -139,9 +114,13 @@ class PgsContacts : private TreeContacts {
   void add_geometry(const Row& row, const Vec3f& push, const Vec3f& pull, float normal,
                     const ArticulationArguments& in);
   articulation::AdjointMemory<float> adjoint(int64_t tree);
-  int32_t find_root(int32_t tree);
+  int32_t find_root(int32_t tree) {
+    return articulation::find_root(
+        [this](int32_t i) -> int32_t& { return root_[static_cast<size_t>(i)]; }, tree);
+  }
   articulation::Workspace<float> workspace(const ArticulationRows& rows, int64_t tree);
-  int32_t width(int64_t tree) const { return (trees_[tree].dof_count + 3) / 4 * 4; }
+  articulation::IslandTree island_tree(const ArticulationArguments& in, int32_t tree);
+  int32_t width(int64_t tree) const { return articulation::padded_dofs(trees_[tree].dof_count); }
 
   const ArticulationRows* trees_;
   int64_t count_;
@@ -164,8 +143,8 @@ class PgsContacts : private TreeContacts {
   IndexRows island_rows_, island_friction_;
   std::vector<int32_t> island_sweeps_;
   std::vector<float> island_residual_;
-  std::vector<Kept> kept_;
-  std::vector<const Kept*> warm_;  // of each row
+  std::vector<articulation::KeptContact> kept_;  // of the step before
+  std::vector<int32_t> warm_;                    // of each row, find_kept
   float kept_dt_ = 0.0f;
   std::vector<uint64_t> adjoint_;  // memory of all trees, of vjp
   std::vector<int64_t> adjoint_begin_;

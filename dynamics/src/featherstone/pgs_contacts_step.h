@@ -12,8 +12,11 @@ struct PgsContacts::Step {
   const ContactRows& contacts;
   articulation::ContactLaw<float> law;
   const FeatherstoneOptions& options;
-  float warm_scale;                         // of the impulses of the step before
-  const float *mu, *restitution, *ke, *kd;  // of shapes
+  float warm_scale;  // of the impulses of the step before
+  articulation::ShapeMaterials materials;
+  articulation::ContactMaterial<float> material(const Row& row) const {
+    return articulation::contact_material(materials, contacts, row.contact);
+  }
 };
 
 inline articulation::ContactLaw<float> contact_law(const FeatherstoneOptions& o, float dt) {
@@ -37,10 +40,8 @@ inline PgsContacts::Step PgsContacts::make_step(const ArticulationArguments& in,
           contact_law(options, in.dt.value),
           options,
           warm_scale,
-          m.shape_material_mu.data(),
-          m.shape_material_restitution.data(),
-          m.shape_material_ke.data(),
-          m.shape_material_kd.data()};
+          {m.shape_material_mu.data(), m.shape_material_restitution.data(),
+           m.shape_material_ke.data(), m.shape_material_kd.data()}};
 }
 
 }  // namespace novaphy

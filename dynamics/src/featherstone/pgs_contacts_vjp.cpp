@@ -370,7 +370,7 @@ void PgsContacts::add_material_gradients(const Step& s, const Row& row, const do
   give(to.mu, -(z[1] * by_friction[0] + z[2] * by_friction[1]));
   if (row.target.bounce > 0.0f) give(to.restitution, -z[0] * row.before);
   if (!s.law.compliant) return;
-  const art::ContactMaterial<float> of = material(s, row);
+  const art::ContactMaterial<float> of = s.material(row);
   const double dt = s.law.dt, soft = dt * of.stiffness + of.damping;
   const bool spring =
       !(row.place.gap > 0.0f) && !(row.target.bounce > 0.0f) && c.bias > -s.law.max_depenetration;

@@ -11,14 +11,13 @@
 #include "lane_step.h"
 #include "novaphy/core/array_stamp.h"
 #include "novaphy/core/sim/index_rows.h"
-#include "novaphy/dynamics/articulation/tree_contacts.h"
+#include "novaphy/dynamics/articulation/islands.h"
 #include "novaphy/dynamics/featherstone/articulations.h"
 #include "novaphy/dynamics/featherstone/solver_featherstone.h"
 
 namespace novaphy {
 
-// Contacts of a tree, at most, that TreeSteps takes.
-inline constexpr int32_t kMostTreeContacts = 32;
+using articulation::kMostTreeContacts;  // of a tree that TreeSteps takes
 // The contacts of trees with the world, for TreeSteps.
 class TreeContacts {
  public:

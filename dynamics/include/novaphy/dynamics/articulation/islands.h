@@ -1,0 +1,263 @@
+// Islands: trees that touch each other, directly or by others, with their contacts and the dry
+// friction of their joints, which are solved together (pgs.h). The solver on the host and the
+// kernel of devices (articulation_contact_kernels.h) share this text; where rows are kept, and in
+// which lists, is theirs.
+// A tree that touches nothing but the world, without dry friction, is solved by tree_contacts.h.
+#pragma once
+
+#include "novaphy/dynamics/articulation/contact_rows.h"
+#include "novaphy/dynamics/articulation/pgs.h"
+#include "novaphy/dynamics/articulation/tree_contacts.h"
+
+namespace novaphy::articulation {
+
+inline constexpr int32_t kMostTreeContacts = 32;
+
+// Rigid contacts (core/sim/contacts.h). `point_id` may be null where nothing starts warm. `found`:
+// the search found them from the state of the step, so that derivatives let them follow it.
+struct ContactRows {
+  int32_t count = 0;
+  const int32_t *shape0 = nullptr, *shape1 = nullptr, *point_id = nullptr;
+  const Vec3f *point0 = nullptr, *point1 = nullptr, *normal = nullptr;
+  const float *margin0 = nullptr, *margin1 = nullptr;
+  bool found = false;
+};
+
+struct ShapeMaterials {
+  const float *mu, *restitution, *ke, *kd;
+};
+// The means of the two shapes.
+inline ContactMaterial<float> contact_material(const ShapeMaterials& of, const ContactRows& c,
+                                               int32_t contact) {
+  const int32_t a = c.shape0[contact], b = c.shape1[contact];
+  const auto mean = [&](const float* x) { return 0.5f * (x[a] + x[b]); };
+  return {mean(of.mu), mean(of.restitution), mean(of.ke), mean(of.kd)};
+}
+
+struct ContactSide {
+  int32_t tree = -1, link = -1;  // -1: the world, or what no dof moves
+};
+
+// Of the rates of a tree, and of its rows.
+inline int32_t padded_dofs(int32_t dofs) { return (dofs + 3) / 4 * 4; }
+
+// The widths of the rows of a contact, from those of its trees; false: it moves nothing.
+template <class WidthOf>
+bool set_widths(const ContactSide* sides, const WidthOf& width_of, int32_t* widths) {
+  for (int side = 0; side < 2; ++side)
+    widths[side] = sides[side].tree < 0 ? 0 : width_of(sides[side].tree);
+  if (sides[0].tree == sides[1].tree) widths[1] = 0;  // one row holds both sides
+  return widths[0] + widths[1] > 0;
+}
+
+// Whether the island of a contact is more than one tree with the world, or has too many `dofs` for
+// tree_contacts.h; more than kMostTreeContacts contacts and dry friction make it so too.
+inline bool joins_more(const ContactSide* sides, int32_t dofs) {
+  return (sides[0].tree >= 0 && sides[1].tree >= 0) || dofs > kTreeContactDofs;
+}
+
+// Trees that touch have the root of the smallest index. root_of(tree) is a tree nearer to it.
+template <class RootOf>
+int32_t find_root(const RootOf& root_of, int32_t tree) {
+  while (root_of(tree) != tree) {
+    int32_t& up = root_of(tree);
+    up = root_of(up);
+    tree = up;
+  }
+  return tree;
+}
+template <class RootOf>
+void join_trees(const RootOf& root_of, int32_t tree, int32_t other) {
+  const int32_t a = find_root(root_of, tree), b = find_root(root_of, other);
+  root_of(a < b ? b : a) = a < b ? a : b;
+}
+
+// The impulses of a point, for the next step.
+struct KeptContact {
+  int32_t shape0 = 0, shape1 = 0, point = 0;
+  float normal = 0.0f;  // 0: nobody starts from it
+  Vec3f tangent = {};
+};
+inline KeptContact kept_contact(const ContactRows& c, int32_t contact,
+                                const ContactFrame<float>& frame, const float* impulse) {
+  const Vec3f tangent = frame.axes[1] * impulse[1] + frame.axes[2] * impulse[2];
+  return {c.shape0[contact], c.shape1[contact], c.point_id == nullptr ? -1 : c.point_id[contact],
+          impulse[0], tangent};
+}
+// The mean force of a step on B, N.
+inline Vec3f contact_force(const ContactFrame<float>& frame, const KeptContact& of, float dt) {
+  return (frame.axes[0] * of.normal + of.tangent) * (1.0f / dt);
+}
+
+// Where the impulses of the same point stand in those of the step before, or -1. `next` is where
+// the pair before stood, 0 at first: both lists are in the order of shapes.
+inline int32_t find_kept(const KeptContact* kept, int32_t count, int32_t& next,
+                         const ContactRows& c, int32_t contact) {
+  const int32_t a = c.shape0[contact], b = c.shape1[contact];
+  while (next < count &&
+         (kept[next].shape0 < a || (kept[next].shape0 == a && kept[next].shape1 < b)))
+    ++next;
+  for (int32_t i = next; i < count && kept[i].shape0 == a && kept[i].shape1 == b; ++i)
+    if (kept[i].point == c.point_id[contact] && kept[i].normal > 0.0f) return i;
+  return -1;
+}
+
+// What the rows of an island read of a tree, and move.
+struct IslandTree {
+  Tree<float> tree;
+  Workspace<float> ws;  // behind free_rates
+  float* rates;         // {padded_dofs}: ws.qd_next, which contacts change, and zeros
+  const float* qd;      // of before
+};
+
+// A contact of an island; `contact` is its row, and the widths are those of set_widths.
+struct IslandContact {
+  int32_t contact = 0;
+  ContactSide sides[2] = {};
+  ContactFrame<float> frame = {};
+  ContactPlace<float> place = {};
+  Vec3f cores[2] = {};  // about the origins
+  float before = 0.0f;  // J_n qd
+  NormalTarget<float> target = {};
+  PgsContact<float> solver = {};
+};
+
+// Its rows, in `numbers` {6, widths of both sides}.
+template <class TreeOf>
+void build_contact(const ContactRows& c, const TreeOf& tree_of, float* numbers,
+                   IslandContact& row) {
+  const int32_t i = row.contact;
+  const Vec3f normal = c.normal[i];
+  const Vec3f cores[2] = {c.point0[i], c.point1[i]};
+  const float margins[2] = {c.margin0[i], -c.margin1[i]};
+  SurfacePoint<float> points[2];
+  for (int side = 0; side < 2; ++side) {
+    const ContactSide& at = row.sides[side];
+    const LinkState<float>* link = at.tree < 0 ? nullptr : tree_of(at.tree).ws.links + at.link;
+    points[side] = surface_point(link, cores[side], normal * margins[side]);
+    row.cores[side] = surface_point(link, cores[side], Vec3f{}).at;
+  }
+  const ContactPlace<float> place = contact_place(points[0], points[1], normal);
+  row.place = place;
+  row.frame = contact_frame(normal);
+  const bool itself = row.sides[0].tree == row.sides[1].tree;
+  float before = 0.0f;
+  for (int side = 0; side < 2; ++side) {
+    RowSide<float>& to = row.solver.sides[side];
+    if (to.width == 0) continue;
+    const IslandTree of = tree_of(row.sides[side].tree);
+    float *const jacobian = numbers, *const response = numbers + 3 * to.width;
+    numbers += 6 * to.width;
+    for (int32_t k = 0; k < 3 * to.width; ++k) jacobian[k] = 0.0f;
+    add_point_rows(of.tree, of.ws.axes, row.sides[side].link, side == 0 ? place.a : place.b,
+                   row.frame, side == 0 ? -1.0f : 1.0f, to.width, jacobian);
+    if (itself)
+      add_point_rows(of.tree, of.ws.axes, row.sides[1].link, place.b, row.frame, 1.0f, to.width,
+                     jacobian);
+    const int32_t last = itself ? -1 : last_dof(of.tree, row.sides[side].link);
+    response_rows(of.tree, of.ws.matrix, last, to.width, jacobian, response);
+    to.rates = of.rates;
+    to.jacobian = jacobian;
+    to.response = response;
+    for (int32_t k = 0; k < of.tree.dof_count; ++k) before += jacobian[k] * of.qd[k];
+  }
+  row.before = before;
+  set_diagonals(row.solver);
+}
+
+// What its normal wants, behind build_contact and at the rates without impulses.
+inline void set_target(const ContactLaw<float>& law, const ContactMaterial<float>& material,
+                       IslandContact& row) {
+  row.target = normal_target(law, material, row.place.gap, row.before, slip(row.solver, 0));
+  row.solver.bias = row.target.bias;
+  row.solver.cfm = row.target.cfm;
+  row.solver.friction = material.friction;
+  set_steps<float>(row.solver);
+}
+
+// Starts from the impulses of the step before, times `scale`.
+inline void start_from_kept(const KeptContact& kept, float scale, bool cone, IslandContact& row) {
+  const Vec3f tangent = kept.tangent * scale;
+  warm_start(row.solver, cone, kept.normal * scale, math::dot(tangent, row.frame.axes[1]),
+             math::dot(tangent, row.frame.axes[2]));
+}
+
+// Dry friction of a dof, with its `response` {padded_dofs}; `limit`: friction dt.
+inline void build_friction(const IslandTree& of, int32_t dof, float limit, float* response,
+                           PgsJointFriction<float>& row) {
+  const int32_t width = padded_dofs(of.tree.dof_count);
+  for (int32_t k = 0; k < width; ++k) response[k] = 0.0f;
+  response[dof] = 1.0f;
+  solve(of.tree, of.ws.matrix, response);
+  row.rates = of.rates;
+  row.response = response;
+  row.width = width;
+  row.dof = dof;
+  row.limit = limit;
+  row.impulse = 0.0f;
+}
+
+struct IslandResult {
+  int32_t sweeps = 0;
+  float residual = 0.0f;  // the largest change of velocity of the last, m/s
+};
+// for_contacts(back, f) calls f for each contact, for_friction(f) for each dry friction.
+template <class ForContacts, class ForFriction>
+IslandResult sweep_island(bool cone, int32_t most_sweeps, float tolerance,
+                          const ForContacts& for_contacts, const ForFriction& for_friction) {
+  IslandResult result;
+  do {
+    float worst = 0.0f;
+    const auto note = [&](float moved) { worst = worst < moved ? moved : worst; };
+    for_contacts(result.sweeps % 2 != 0, [&](PgsContact<float>& c) { note(sweep(c, cone)); });
+    for_friction([&](PgsJointFriction<float>& f) { note(sweep(f)); });
+    result.residual = worst;
+  } while (++result.sweeps < most_sweeps && !(result.residual < tolerance));
+  return result;
+}
+
+// The rates that an island left, into qd_next and qdd. The first dof whose rate is not finite, or
+// -1; there it stops.
+inline int32_t take_rates(const float* rates, const float* qd, float dt, int32_t dofs,
+                          Workspace<float>& ws) {
+  for (int32_t k = 0; k < dofs; ++k) {
+    if (!is_finite(rates[k])) return k;
+    if (rates[k] == ws.qd_next[k]) continue;
+    ws.qdd[k] = (rates[k] - qd[k]) / dt;
+    ws.qd_next[k] = rates[k];
+  }
+  return -1;
+}
+
+// Bits of the dofs that move a link, for tree_contacts.h.
+template <class T>
+int32_t moving_dofs(const Tree<T>& tree, int32_t link) {
+  uint32_t bits = 0;
+  for (int32_t d = last_dof(tree, link); d >= 0; d = tree.dof_parent[d])
+    if (d < kTreeContactDofs) bits |= 1u << d;
+  return static_cast<int32_t>(bits);
+}
+// The contact of a tree with the world, for tree_contacts.h. `moved_by`: bits of the dofs that move
+// its link; `kept` null: it starts from nothing.
+inline TreeContact<float> tree_contact(const ContactRows& c, int32_t i, int32_t side,
+                                       int32_t moved_by, const ContactMaterial<float>& material,
+                                       const KeptContact* kept, float scale) {
+  const Vec3f points[2] = {c.point0[i], c.point1[i]};
+  const float margins[2] = {c.margin0[i], -c.margin1[i]};
+  TreeContact<float> contact;
+  contact.moved_by = moved_by;
+  contact.sign = side == 0 ? -1.0f : 1.0f;
+  contact.normal = c.normal[i];
+  contact.core = points[side];
+  contact.world = points[1 - side];
+  contact.margin = margins[side];
+  contact.world_margin = margins[1 - side];
+  contact.material = material;
+  if (kept != nullptr) {
+    contact.start_normal = kept->normal * scale;
+    contact.start_tangent = kept->tangent * scale;
+  }
+  return contact;
+}
+
+}  // namespace novaphy::articulation

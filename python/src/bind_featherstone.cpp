@@ -166,10 +166,11 @@ void bind_featherstone(py::module_& m, py::module_& solvers) {
       "for any number of threads. What has no effect (joint_enabled, joint_act, ...) raises "
       "NotImplementedError. On a tape a step runs and is not "
       "recorded; what it wrote may not be used there: DiffFeatherstoneSolver is the differentiable "
-      "one.\n\nA model on a device is stepped there without contacts and dry friction, which "
-      "raise NotImplementedError, with the bits of the cpu. That was not verified on hardware and "
+      "one.\n\nA model on a device is stepped there with the bits of the cpu, contacts only by "
+      "\"pgs\" (\"penalty\" raises NotImplementedError). That was not verified on hardware and "
       "needs NOVAPHY_UNVERIFIED_DEVICE_ARTICULATIONS=on. Nobody waits for such a step, which a "
-      "capture records: an articulation that fails gets NaN, and check_last_step() says why.");
+      "capture records: an articulation that fails, and with contacts its island, gets NaN, and "
+      "check_last_step() says why.");
   solver
       .def(py::init(&make_solver), py::arg("model").none(false), py::kw_only(),
            "angular_damping"_a = d.angular_damping, "implicit_drives"_a = d.implicit_drives,
@@ -205,7 +206,8 @@ void bind_featherstone(py::module_& m, py::module_& solvers) {
       .def("check_last_step", &SolverFeatherstone::check_last_step,
            py::call_guard<py::gil_scoped_release>(),
            "Of a model on a device: waits for the last step or replay. novaphy.Error where it "
-           "failed, naming the dof, as step does on the cpu.")
+           "failed, naming the dof, as step does on the cpu; IndexError for a row of the contacts "
+           "that names a shape that is not there, or joins two worlds.")
       .def_property_readonly("pgs_sweeps", &SolverFeatherstone::pgs_sweeps,
                              "The most sweeps that an island of the last step took.")
       .def_property_readonly("pgs_residual", &SolverFeatherstone::pgs_residual,

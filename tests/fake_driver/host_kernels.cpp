@@ -144,6 +144,9 @@ namespace bodies {
 namespace trees {
 #include "articulation_kernels.cuh"
 }
+namespace tree_contacts {
+#include "articulation_contact_kernels.cuh"
+}
 namespace joints {
 #include "joint_coordinates_kernels.cuh"
 }
@@ -216,6 +219,9 @@ const HostKernel* find_host_kernel(const char* name) {
       OF_TEXT(trees::novaphy, articulation_step),
       OF_TEXT(trees::novaphy, articulation_step_vjp),
       OF_TEXT(trees::novaphy, gravity_gradient),
+      OF_TEXT(tree_contacts::novaphy, articulation_contact_group),
+      OF_TEXT(tree_contacts::novaphy, articulation_contact_step),
+      OF_TEXT(tree_contacts::novaphy, articulation_contact_keep),
       OF_TEXT(joints::novaphy, eval_fk_articulation),
 #ifdef FAKE_DRIVER_HAS_VBD
       OF_VBD(vbd_predict, false),

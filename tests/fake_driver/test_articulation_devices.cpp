@@ -3,16 +3,15 @@
 #include <gtest/gtest.h>
 
 #include <cmath>
-#include <cstdlib>
 #include <limits>
 #include <optional>
 #include <string>
 #include <utility>
 #include <vector>
 
+#include "articulation_devices.h"
 #include "dynamics/all_joints_scene.h"
 #include "novaphy/collision/collision_pipeline.h"
-#include "novaphy/core/error.h"
 #include "novaphy/core/sim/model_builder.h"
 #include "novaphy/diff/diff_featherstone_solver.h"
 #include "novaphy/diff/tensor_views.h"
@@ -22,54 +21,19 @@
 #include "novaphy/nova/op_list.h"
 #include "novaphy/nova/ops.h"
 #include "novaphy/nova/tape.h"
-#include "support/device_bits.h"
 
 namespace novaphy {
 namespace {
 
+using testing::add;
 using testing::AllJointsScene;
 using testing::bytes;
 using testing::expect_same;
 using testing::expect_same_bits;
+using testing::expect_thrown;
 using testing::Result;
 
 constexpr float kDt = 1.0f / 240.0f;
-constexpr const char* kOptIn = "NOVAPHY_UNVERIFIED_DEVICE_ARTICULATIONS";
-
-class ArticulationDevices : public ::testing::Test {
- protected:
-  void SetUp() override {
-    try {
-      device_info(Device::cuda());
-    } catch (const Error& error) {
-      GTEST_SKIP() << "needs a CUDA device: " << error.what();
-    }
-    setenv(kOptIn, "on", 1);
-  }
-  void TearDown() override { unsetenv(kOptIn); }
-};
-
-// Kind and text of what a call throws.
-std::pair<ErrorKind, std::string> thrown(const std::function<void()>& call) {
-  try {
-    call();
-  } catch (const Error& error) {
-    return {error.kind(), error.what()};
-  }
-  return {ErrorKind::Runtime, "nothing was thrown"};
-}
-void expect_thrown(ErrorKind kind, const char* words, const std::function<void()>& call) {
-  const auto [of, text] = thrown(call);
-  EXPECT_EQ(of, kind) << text;
-  EXPECT_NE(text.find(words), std::string::npos) << text;
-}
-
-void add(Result& result, const SimState& s, const std::string& when) {
-  result.emplace_back(when + " joint_q", bytes(s.joint_q.to_host()));
-  result.emplace_back(when + " joint_qd", bytes(s.joint_qd.to_host()));
-  result.emplace_back(when + " body_q", bytes(s.body_q.to_host()));
-  result.emplace_back(when + " body_qd", bytes(s.body_qd.to_host()));
-}
 
 struct Steps {
   FeatherstoneOptions options = {};
@@ -252,8 +216,9 @@ Result trained(Device device, bool captured, int32_t checkpoint) {
 }
 
 TEST_F(ArticulationDevices, RolloutsAndGradientsHaveTheBitsOfTheCpu) {
+  const Result direct = trained(Device::cuda(), false, 1);  // first: nothing of the CPU is around
   const Result expected = trained(Device::cpu(), false, 1);
-  expect_same(trained(Device::cuda(), false, 1), expected, ", direct");
+  expect_same(direct, expected, ", direct");
   // A replay adds to zeros, so zeros may have another sign.
   expect_same(trained(Device::cuda(), true, 1), trained(Device::cpu(), true, 1), ", replayed");
   expect_same(trained(Device::cuda(), false, 4), expected, ", from checkpoints");
@@ -357,12 +322,10 @@ TEST_F(ArticulationDevices, WhatIsNotThereIsRefusedByName) {
   builder.add_shape_sphere(0, {.radius = 0.1f});
   const auto model = builder.finalize(Device::cuda());
   SimState a = model->state(), b = model->state();
-  SolverFeatherstone solver(model);
-  setenv("NOVAPHY_UNVERIFIED_DEVICE_CONTACTS", "on", 1);
+  SolverFeatherstone solver(model), penalty(model, {.contact = ArticulationContact::Penalty});
   const Contacts contacts = CollisionPipeline(model).contacts();
-  unsetenv("NOVAPHY_UNVERIFIED_DEVICE_CONTACTS");
-  expect_thrown(kNot, "contacts: expected none on cuda:0",
-                [&] { solver.step(a, b, nullptr, &contacts, kDt); });
+  expect_thrown(kNot, "contacts: expected none of contact \"penalty\" on cuda:0",
+                [&] { penalty.step(a, b, nullptr, &contacts, kDt); });
   Control control = model->control();
   control.joint_act.fill(0.5f);
   expect_thrown(kNot, "joint_act[0]", [&] { solver.step(a, b, &control, nullptr, kDt); });
@@ -378,7 +341,8 @@ TEST_F(ArticulationDevices, WhatIsNotThereIsRefusedByName) {
   scope.graph()->launch();
   model->joint_friction.fill(0.1f);
   EXPECT_THROW(scope.graph()->launch(), Error);
-  expect_thrown(kNot, "joint_friction[0]", [&] { solver.step(a, b, nullptr, nullptr, kDt); });
+  expect_thrown(kNot, "joint_friction[0]",
+                [&] { differentiable.step(a, b, nullptr, nullptr, kDt); });
 
   for (const char* off : {"", "off"}) {
     setenv(kOptIn, off, 1);

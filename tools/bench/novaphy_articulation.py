@@ -8,8 +8,8 @@ installed are left out.
     NOVAPHY_NUM_THREADS=1 python tools/bench/novaphy_articulation.py
     NOVAPHY_NUM_THREADS=1 python tools/bench/novaphy_articulation.py --page
 
-With --device, world-steps per second of FR3 arms there, by the clock, captured, as lines of JSON
-with a hash of the arms' last joint_q: that of the CPU, if the bits are.
+With --device, world-steps per second there of FR3 arms and of Ants with their contacts, by the
+clock, captured, as lines of JSON with a hash of the last joint_q: that of the CPU, if the bits are.
 
     python tools/bench/novaphy_articulation.py --device cuda:0 --worlds 1024 65536
 """
@@ -195,9 +195,44 @@ def time_steps(builder: novaphy.ModelBuilder, worlds: int, steps: int) -> float:
     return fastest(run, steps * worlds)
 
 
+def replayed(device: str, pair: Callable[[], None]) -> Callable[[], None]:
+    """Two steps, captured on a device."""
+    if device == "cpu":
+        return pair
+    from novaphy import nova
+
+    with nova.ScopedCapture() as capture:
+        pair()
+    return capture.graph.launch
+
+
+def time_on(
+    device: str, worlds: int, steps: int, reset: Callable[[], None], run: Callable[[], None]
+) -> dict[str, object]:
+    """What a line says of so many steps behind `reset`, two in a `run`."""
+    times = []
+    for _ in range(TURNS):
+        reset()
+        novaphy.synchronize(device)
+        begin = time.perf_counter()
+        for _ in range(steps // 2):
+            run()
+        novaphy.synchronize(device)
+        times.append(time.perf_counter() - begin)
+    return {
+        "device": novaphy.get_device(device).name,
+        "worlds": worlds,
+        "world_steps_per_second": round(worlds * steps / min(times)),
+    }
+
+
+def hash_of(state: novaphy.State) -> str:
+    """Of the bits of joint_q."""
+    return hashlib.sha256(state.joint_q.numpy().tobytes()).hexdigest()[:16]
+
+
 def time_device(device: str, worlds: int, steps: int = 100) -> dict[str, object]:
     """Steps of arms that swing to their pose, replayed on a device; on the CPU direct."""
-    os.environ["NOVAPHY_UNVERIFIED_DEVICE_ARTICULATIONS"] = "on"
     model = replicated(arm(), worlds, device)
     solver = novaphy.solvers.SolverFeatherstone(model)
     state, after = model.state(), model.state()
@@ -207,30 +242,23 @@ def time_device(device: str, worlds: int, steps: int = 100) -> dict[str, object]
         solver.step(state, after, None, None, DT)
         solver.step(after, state, None, None, DT)
 
-    run = pair
-    if device != "cpu":
-        from novaphy import nova
-
-        with nova.ScopedCapture() as capture:
-            pair()
-        run = capture.graph.launch
-    times = []
-    for _ in range(TURNS):
+    def reset() -> None:
         state.joint_q.assign(start.ravel().astype(np.float32))
         state.joint_qd.zero_()
-        novaphy.synchronize(device)
-        begin = time.perf_counter()
-        for _ in range(steps // 2):
-            run()
-        novaphy.synchronize(device)
-        times.append(time.perf_counter() - begin)
+
+    line = time_on(device, worlds, steps, reset, replayed(device, pair))
     solver.check_last_step()
-    return {
-        "device": novaphy.get_device(device).name,
-        "worlds": worlds,
-        "world_steps_per_second": round(worlds * steps / min(times)),
-        "hash": hashlib.sha256(state.joint_q.numpy().tobytes()).hexdigest()[:16],
-    }
+    return {"scene": "FR3", **line, "hash": hash_of(state)}
+
+
+def time_device_ants(device: str, worlds: int, steps: int = 100) -> dict[str, object]:
+    """Collide and step of Ants that have landed, likewise, under the torques of last."""
+    ants = Ants(worlds, device)
+    line = time_on(device, worlds, steps, ants.land, ants.run_pair)
+    ants.solver.check_last_step()
+    assert not ants.contacts.overflowed()
+    count = {"contacts": round(ants.contact_count, 1)}
+    return {"scene": "Ant, collide and step", **line, **count, "hash": hash_of(ants.state)}
 
 
 def planar_arm() -> novaphy.ModelBuilder:
@@ -308,39 +336,48 @@ def time_ant_gradient(steps: int = 100) -> tuple[float, float]:
 class Ants:
     """Ants that have landed, under torques."""
 
-    def __init__(self, worlds: int) -> None:
+    def __init__(self, worlds: int, device: str = "cpu") -> None:
         """Let them fall."""
-        self.model = replicated(demo_articulated_scenes.build_ant(), worlds)
+        self.model = replicated(demo_articulated_scenes.build_ant(), worlds, device)
         self.solver = novaphy.solvers.SolverFeatherstone(self.model)
         self.pipeline = novaphy.CollisionPipeline(self.model)
         self.contacts, self.control = self.pipeline.contacts(), self.model.control()
         self.state, self.after = self.model.state(), self.model.state()
         novaphy.eval_fk(self.model, self.state.joint_q, self.state.joint_qd, self.state)
+        self.run_pair = replayed(device, self.pair)
         self.rng = np.random.default_rng(0)
         self.contact_count = 0.0
         self.worlds = worlds
         self.run(800)
         self.landed = [x.numpy().copy() for x in (self.state.joint_q, self.state.joint_qd)]
 
-    def turn(self, steps: int) -> None:
-        """Step from where they have landed."""
+    def land(self) -> None:
+        """Put them where they have landed."""
         self.state.joint_q.assign(self.landed[0])
         self.state.joint_qd.assign(self.landed[1])
         novaphy.eval_fk(self.model, self.state.joint_q, self.state.joint_qd, self.state)
+
+    def turn(self, steps: int) -> None:
+        """Step from there."""
+        self.land()
         self.run(steps)
+
+    def pair(self) -> None:
+        """Two steps."""
+        for now, then in ((self.state, self.after), (self.after, self.state)):
+            self.pipeline.collide(now, self.contacts)
+            self.solver.step(now, then, self.control, self.contacts, DT)
 
     def run(self, steps: int) -> None:
         """Step, with other torques every 50."""
         found = 0
-        for t in range(steps):
+        for t in range(0, steps, 2):
             if t % 50 == 0:
                 torques = self.rng.uniform(-60.0, 60.0, (self.worlds, 14))
                 torques[:, :6] = 0.0
                 self.control.joint_f.assign(torques.ravel().astype(np.float32))
                 found += int(self.contacts.rigid_contact_count.numpy()[0])
-            self.pipeline.collide(self.state, self.contacts)
-            self.solver.step(self.state, self.after, self.control, self.contacts, DT)
-            self.state, self.after = self.after, self.state
+            self.run_pair()
         self.contact_count = found / (steps / 50) / self.worlds
 
 
@@ -579,8 +616,11 @@ def main() -> None:
     parser.add_argument("--worlds", type=int, nargs="+", default=[1024, 8192, 65536])
     args = parser.parse_args()
     if args.device:
+        for name in ("ARTICULATIONS", "CONTACTS"):
+            os.environ[f"NOVAPHY_UNVERIFIED_DEVICE_{name}"] = "on"
         for worlds in args.worlds:
-            print(json.dumps(time_device(args.device, worlds)), flush=True)
+            for timed in (time_device, time_device_ants):
+                print(json.dumps(timed(args.device, worlds)), flush=True)
         return
     if os.environ.get("NOVAPHY_NUM_THREADS") != "1":
         parser.error("set NOVAPHY_NUM_THREADS=1")

@@ -21,76 +21,90 @@ const DeviceKernel& step_kernel() {
 }  // namespace
 
 LaunchedArticulations::LaunchedArticulations(const Model& m)
-    : model_(m), articulations_(m, "SolverFeatherstone", Articulations::Devices::All) {
+    : model_(m),
+      articulations_(m, "SolverFeatherstone", Articulations::Devices::All),
+      contacts_(m, articulations_),
+      materials_(unread_materials(ArticulationContact::Pgs, kName)) {
   const Device device = m.device();
   const auto count = static_cast<size_t>(articulations_.count());
   const auto dofs = static_cast<size_t>(m.joint_dof_count());
-  const int64_t bytes =
-      articulation::workspace_bytes<float>(articulations_.max_links(), articulations_.max_dofs());
-  stride_ = bytes <= kDeviceRowStack && !getenv("NOLOCAL") ? 0 : bytes / static_cast<int64_t>(sizeof(float));
   status_ = DeviceArray<int32_t>(count, device);
   qdd_ = DeviceArray<float>(dofs, device);
   branch_ = DeviceArray<float>(dofs, device);
-  workspace_ = DeviceArray<float>(count * static_cast<size_t>(stride_), device);
+  workspace_ = DeviceArray<float>(count * static_cast<size_t>(contacts_.tree_stride()), device);
 }
 
 void LaunchedArticulations::step(const SimState& in, const SimState& out, const Control* control,
-                                 const FeatherstoneOptions& options, float dt,
-                                 const std::shared_ptr<ExclusiveUse>& in_use) {
+                                 const Contacts* contacts, const FeatherstoneOptions& options,
+                                 float dt, const std::shared_ptr<ExclusiveUse>& in_use) {
   const Model& m = model_;
   const Articulations& a = articulations_;
-  articulations_.check_values(m, control, false, kName);
+  articulations_.check_values(m, control, true, kName);
+  if (contacts != nullptr) materials_.check(m);
   if (LaunchRecorder* recorder = launch_recorder()) recorder->uses(in_use);
   depend_on_values(m, control);
+  if (contacts != nullptr)
+    depend_on({&m.shape_material_ka, &m.shape_material_mu_torsional, &m.shape_material_mu_rolling});
   // What a tape makes of the results, mark_unrecorded_step says.
   const auto value = [](const char* name, const Array& array) {
     return reads(name, array).detached();
   };
-  step_kernel().launch(
-      m.device(), a.count(),
-      {reads_row("rows", a.rows()),
-       reads("links", a.links()),
-       reads("dof_parent", a.dof_parent()),
-       value("model.joint_X_p", m.joint_X_p),
-       value("model.joint_X_c", m.joint_X_c),
-       value("model.joint_axis", m.joint_axis),
-       value("model.body_mass", m.body_mass),
-       value("model.body_com", m.body_com),
-       value("model.body_inertia", m.body_inertia),
-       value("model.gravity", m.gravity),
-       value("model.joint_target_mode", m.joint_target_mode),
-       value("joint_target_q", control ? control->joint_target_q : m.joint_target_q),
-       value("joint_target_qd", control ? control->joint_target_qd : m.joint_target_qd),
-       value("model.joint_target_ke", m.joint_target_ke),
-       value("model.joint_target_kd", m.joint_target_kd),
-       value("model.joint_damping", m.joint_damping),
-       value("model.joint_armature", m.joint_armature),
-       value("model.joint_limit_lower", m.joint_limit_lower),
-       value("model.joint_limit_upper", m.joint_limit_upper),
-       value("model.joint_limit_ke", m.joint_limit_ke),
-       value("model.joint_limit_kd", m.joint_limit_kd),
-       value("model.joint_effort_limit", m.joint_effort_limit),
-       value("model.joint_velocity_limit", m.joint_velocity_limit),
-       value("state_in.joint_q", in.joint_q),
-       value("state_in.joint_qd", in.joint_qd),
-       value("joint_f", control ? control->joint_f : m.joint_f),
-       value("state_in.body_f", in.body_f),
-       number(dt),
-       number(options.angular_damping),
-       number(int64_t{options.implicit_drives}),
-       writes("state_out.joint_q", out.joint_q),
-       writes("state_out.joint_qd", out.joint_qd),
-       writes("state_out.body_q", out.body_q),
-       writes("state_out.body_qd", out.body_qd),
-       writes("qdd", qdd_),
-       writes("branch", branch_),
-       writes_row("status", status_),
-       writes("workspace", workspace_),
-       number(stride_)});
+  // Launches of contacts share the memory of a tree.
+  const bool has_rows = contacts_.has_rows(contacts);
+  const int64_t bytes = contacts_.tree_stride() * static_cast<int64_t>(sizeof(float));
+  const bool on_stack = !has_rows && bytes <= kDeviceRowStack && !getenv("NOLOCAL");
+  const std::vector<LaunchArgument> arguments = {
+      reads("rows", a.rows()),
+      reads("links", a.links()),
+      reads("dof_parent", a.dof_parent()),
+      value("model.joint_X_p", m.joint_X_p),
+      value("model.joint_X_c", m.joint_X_c),
+      value("model.joint_axis", m.joint_axis),
+      value("model.body_mass", m.body_mass),
+      value("model.body_com", m.body_com),
+      value("model.body_inertia", m.body_inertia),
+      value("model.gravity", m.gravity),
+      value("model.joint_target_mode", m.joint_target_mode),
+      value("joint_target_q", control ? control->joint_target_q : m.joint_target_q),
+      value("joint_target_qd", control ? control->joint_target_qd : m.joint_target_qd),
+      value("model.joint_target_ke", m.joint_target_ke),
+      value("model.joint_target_kd", m.joint_target_kd),
+      value("model.joint_damping", m.joint_damping),
+      value("model.joint_armature", m.joint_armature),
+      value("model.joint_limit_lower", m.joint_limit_lower),
+      value("model.joint_limit_upper", m.joint_limit_upper),
+      value("model.joint_limit_ke", m.joint_limit_ke),
+      value("model.joint_limit_kd", m.joint_limit_kd),
+      value("model.joint_effort_limit", m.joint_effort_limit),
+      value("model.joint_velocity_limit", m.joint_velocity_limit),
+      value("state_in.joint_q", in.joint_q),
+      value("state_in.joint_qd", in.joint_qd),
+      value("joint_f", control ? control->joint_f : m.joint_f),
+      value("state_in.body_f", in.body_f),
+      number(dt),
+      number(options.angular_damping),
+      number(int64_t{options.implicit_drives}),
+      writes("state_out.joint_q", out.joint_q),
+      writes("state_out.joint_qd", out.joint_qd),
+      writes("state_out.body_q", out.body_q),
+      writes("state_out.body_qd", out.body_qd),
+      writes("qdd", qdd_),
+      writes("branch", branch_),
+      writes("status", status_),
+      writes("workspace", workspace_),
+      number(on_stack ? 0 : contacts_.tree_stride())};
+  if (has_rows)
+    contacts_.step(arguments, contacts, options, dt);
+  else
+    step_kernel().launch(m.device(), a.count(), arguments);
 }
 
 void LaunchedArticulations::check() const {
-  check_status(model_, articulations_, status_.to_host(), kName);
+  const std::vector<int32_t> status = status_.to_host();
+  for (const int32_t s : status)
+    require(s >= 0, ErrorKind::Index, kName, ": contacts: row ", -1 - s,
+            ": expected two shapes of the model, of bodies of one world");
+  check_status(model_, articulations_, status, kName);
 }
 
 }  // namespace novaphy

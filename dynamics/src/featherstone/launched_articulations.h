@@ -1,10 +1,13 @@
-// Steps of articulations without contacts as launches (core/device_kernel.h), on devices: a thread
-// for each articulation, which does what it does on the cpu (articulation_kernels.h).
+// Steps of articulations as launches (core/device_kernel.h), on devices. Without contacts and dry
+// friction one with a thread for each articulation, which does what it does on the cpu
+// (articulation_kernels.h); else those of launched_contacts.h.
 #pragma once
 
 #include <memory>
 
+#include "launched_contacts.h"
 #include "novaphy/core/exclusive_use.h"
+#include "novaphy/core/sim/unread_materials.h"
 #include "novaphy/dynamics/featherstone/articulations.h"
 #include "novaphy/dynamics/featherstone/solver_featherstone.h"
 
@@ -15,20 +18,24 @@ class LaunchedArticulations {
   // Errors as Articulations.
   explicit LaunchedArticulations(const Model& model);
 
-  // ErrorKind::NotImplemented as Articulations::check_values; dry friction of joints too. `in_use`:
-  // the use of this memory, which a recording takes.
+  // ErrorKind::NotImplemented as Articulations::check_values and UnreadMaterials. `in_use`: the use
+  // of this memory, which a recording takes. Contacts are those of pgs.
   void step(const SimState& in, const SimState& out, const Control* control,
-            const FeatherstoneOptions& options, float dt,
+            const Contacts* contacts, const FeatherstoneOptions& options, float dt,
             const std::shared_ptr<ExclusiveUse>& in_use);
-  // Waits for the last step that ran. ErrorKind::Runtime, naming the dof that failed.
+  // These wait for the last step that ran. ErrorKind::Runtime, naming the dof that failed;
+  // ErrorKind::Index: a contact of shapes that are not there, or of two worlds.
   void check() const;
+  int32_t sweeps() const { return contacts_.sweeps(); }
+  float residual() const { return contacts_.residual(); }
 
  private:
   const Model& model_;
   Articulations articulations_;
+  LaunchedContacts contacts_;
+  UnreadMaterials materials_;
   DeviceArray<int32_t> status_;
   DeviceArray<float> qdd_, branch_, workspace_;
-  int64_t stride_;  // numbers of an articulation's workspace
 };
 
 }  // namespace novaphy

@@ -112,8 +112,12 @@ void SolverFeatherstone::notify_model_changed(ModelFlags) {
   make_cache();
 }
 
-int32_t SolverFeatherstone::pgs_sweeps() const { return cache_ ? cache_->pgs.sweeps() : 0; }
-float SolverFeatherstone::pgs_residual() const { return cache_ ? cache_->pgs.residual() : 0.0f; }
+int32_t SolverFeatherstone::pgs_sweeps() const {
+  return cache_ ? cache_->pgs.sweeps() : launched_->sweeps();
+}
+float SolverFeatherstone::pgs_residual() const {
+  return cache_ ? cache_->pgs.residual() : launched_->residual();
+}
 
 void SolverFeatherstone::check_last_step() const {
   const ExclusiveUse::Scope scope = use("SolverFeatherstone.check_last_step");
@@ -146,10 +150,13 @@ void SolverFeatherstone::step(SimState& state_in, SimState& state_out, const Con
   check_contacts(contacts, options_.contact);
   m.check_numbers(kName);
   if (launched_) {
-    require(contacts == nullptr || contacts->rigid_contact_max() == 0, ErrorKind::NotImplemented,
-            kName, ": contacts: expected none on ", device().str(),
-            " (contacts of articulations are solved on the cpu)");
-    launched_->step(state_in, state_out, control, options_, dt, in_use());
+    const bool penalty = options_.contact == ArticulationContact::Penalty;
+    require(contacts == nullptr || !penalty || contacts->rigid_contact_max() == 0,
+            ErrorKind::NotImplemented, kName,
+            ": contacts: expected none of contact \"penalty\" on ", device().str(),
+            " (there it is on the cpu only)");
+    launched_->step(state_in, state_out, control, penalty ? nullptr : contacts, options_, dt,
+                    in_use());
     return mark_unrecorded_step(m, state_in, state_out, control);
   }
   m.update_derived();

@@ -59,10 +59,13 @@ struct FeatherstoneOptions {
 // input there, unless diff::record_planar_2r_featherstone_step records it. DiffFeatherstoneSolver
 // is the differentiable one.
 //
-// A model on a device is stepped there, without contacts and dry friction, with the bits of the
-// cpu: one launch, which a capture records. That was not verified on hardware, so it needs
-// NOVAPHY_UNVERIFIED_DEVICE_ARTICULATIONS=on. Nobody waits for it: an articulation that fails gets
-// NaN, and check_last_step says why.
+// A model on a device is stepped there with the bits of the cpu, by launches, which a capture
+// records; contacts by Penalty throw ErrorKind::NotImplemented. With contacts or dry friction a
+// thread steps a world (all of them where an articulation belongs to all), in memory that the first
+// step with contacts takes, and a later one with a larger capacity, which also forgets impulses.
+// That was not verified on hardware, so it needs NOVAPHY_UNVERIFIED_DEVICE_ARTICULATIONS=on. Nobody
+// waits for it: an articulation that fails, and with rows its island, gets NaN, and check_last_step
+// says why.
 class NOVAPHY_DYNAMICS_API SolverFeatherstone : public SolverBase {
  public:
   // ErrorKind::Value: a bad option; ErrorKind::NotImplemented: what is not covered.
@@ -82,7 +85,8 @@ class NOVAPHY_DYNAMICS_API SolverFeatherstone : public SolverBase {
   // False on the cpu.
   bool supports_graph_capture() const override { return !device().is_cpu(); }
   // Of a model on a device: waits for the last step or replay. ErrorKind::Runtime where it failed,
-  // naming the dof as step does on the cpu.
+  // naming the dof as step does on the cpu; ErrorKind::Index for a row of the contacts that names
+  // no shape, or joins two worlds.
   void check_last_step() const;
   // Also forgets the impulses that a step starts from.
   void notify_model_changed(ModelFlags flags) override;

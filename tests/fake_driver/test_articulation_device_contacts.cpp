@@ -1,0 +1,323 @@
+// Articulations with contacts and dry friction on a CUDA device: collide and step have the bits of
+// the CPU, direct and replayed. On a GPU, or on the fake driver (CMakeLists.txt).
+#include <cmath>
+#include <cstring>
+#include <limits>
+#include <optional>
+#include <vector>
+
+#include "articulation_devices.h"
+#include "novaphy/collision/collision_pipeline.h"
+#include "novaphy/core/sim/model_builder.h"
+#include "novaphy/dynamics/featherstone/solver_featherstone.h"
+#include "novaphy/dynamics/joint_coordinates.h"
+#include "novaphy/nova/op_list.h"
+
+namespace novaphy {
+namespace {
+
+using testing::add;
+using testing::bytes;
+using testing::expect_same;
+using testing::expect_thrown;
+using testing::Result;
+
+constexpr float kDt = 1.0f / 240.0f;
+const ShapeConfig kSurface = {.mu = 0.6f};
+
+Transformf at(float x, float y, float z) { return {{x, y, z}, Quatf::identity()}; }
+
+void add_box(ModelBuilder& b, const Vec3f& place, float size, const ShapeConfig& surface,
+             const SpatialVectorf& qd = {}) {
+  const int32_t body = b.add_body({.xform = {place, {0.0f, 0.0998334f, 0.0f, 0.9950042f}}});
+  b.add_shape_box(body, {.hx = size, .hy = size, .hz = size, .cfg = surface});
+  const size_t first = b.joint_qd.size() - 6;
+  const float v[6] = {qd.linear.x,  qd.linear.y,  qd.linear.z,
+                      qd.angular.x, qd.angular.y, qd.angular.z};
+  for (size_t k = 0; k < 6; ++k) b.joint_qd[first + k] = v[k];
+}
+
+// Boxes that land, slide, roll and bounce on a plane, apart from each other.
+ModelBuilder boxes() {
+  ModelBuilder b;
+  b.add_ground_plane({.cfg = kSurface});
+  for (int k = 0; k < 5; ++k) {
+    const auto x = static_cast<float>(k);
+    add_box(b, {x, 0.1f * x, 0.13f}, 0.1f,
+            {.mu = 0.2f * x, .restitution = k % 2 == 0 ? 0.0f : 0.5f},
+            {{0.5f * x, 0.3f, -0.5f * x}, {x, 0.2f, -0.1f}});
+  }
+  return b;
+}
+
+// Cubes upon each other, and one that flies into them.
+ModelBuilder stack() {
+  ModelBuilder b;
+  b.add_ground_plane({.cfg = kSurface});
+  for (int k = 0; k < 4; ++k) {
+    const auto z = static_cast<float>(k);
+    const int32_t body =
+        b.add_body({.xform = at(0.003f * (k % 2 == 0 ? 1.0f : -1.0f), 0.0f, 0.1f + 0.2f * z)});
+    b.add_shape_box(body, {.hx = 0.1f, .hy = 0.1f, .hz = 0.1f, .cfg = kSurface});
+  }
+  add_box(b, {-0.5f, 0.02f, 0.5f}, 0.08f, kSurface, {{6.0f, 0.0f, 1.0f}, {0.0f, 3.0f, 0.0f}});
+  return b;
+}
+
+// A ball with four legs of a hinge each. `group` -1: it meets the ground only.
+void add_walker(ModelBuilder& b, float x, float z, int32_t group, float friction) {
+  const ShapeConfig surface = {.mu = 0.75f, .collision_group = group};
+  const int32_t torso = b.add_link({.xform = at(x, 0.0f, z)});
+  b.add_shape_sphere(torso, {.radius = 0.15f, .cfg = surface});
+  std::vector<int32_t> joints = {b.add_joint_free(torso)};
+  for (int k = 0; k < 4; ++k) {
+    const float c = k < 2 ? 0.2f : -0.2f, s = k % 2 == 0 ? 0.2f : -0.2f;
+    const int32_t leg = b.add_link();
+    b.add_shape_capsule(leg, {.radius = 0.05f, .half_height = 0.12f, .cfg = surface});
+    const JointDofConfig dof = {.axis = {-s, c, 0.0f},
+                                .limit_lower = -0.6f,
+                                .limit_upper = 0.6f,
+                                .limit_ke = 1e3f,
+                                .target_q = 0.2f,
+                                .target_ke = 20.0f,
+                                .damping = 0.5f,
+                                .armature = 0.02f,
+                                .friction = friction};
+    joints.push_back(b.add_joint_revolute(
+        torso, leg,
+        {.parent_xform = at(c, s, 0.0f), .child_xform = at(0.0f, 0.0f, 0.15f), .dof = dof}));
+  }
+  b.add_articulation(joints);
+}
+ModelBuilder walker() {
+  ModelBuilder b;
+  b.add_ground_plane({.cfg = kSurface});
+  add_walker(b, 0.0f, 0.33f, -1, 0.0f);
+  return b;
+}
+
+// Two walkers, whose legs meet everything, upon each other and among boxes: one island with dry
+// friction, of trees and free bodies. And an arm that reaches into it from the world.
+ModelBuilder crowd() {
+  ModelBuilder b;
+  b.add_ground_plane({.cfg = kSurface});
+  add_walker(b, 0.0f, 0.33f, 1, 0.3f);
+  add_walker(b, 0.1f, 0.75f, 1, 0.0f);
+  add_box(b, {0.35f, 0.0f, 0.12f}, 0.1f, kSurface, {{-1.0f, 0.0f, 0.0f}, {}});
+  add_box(b, {-0.4f, 0.05f, 0.12f}, 0.1f, kSurface, {{1.5f, 0.0f, 0.0f}, {}});
+  const int32_t arm = b.add_link();
+  b.add_shape_capsule(arm, {.radius = 0.05f, .half_height = 0.3f, .cfg = kSurface});
+  const JointDofConfig hinge = {.axis = {0.0f, 1.0f, 0.0f}, .friction = 2.0f};
+  b.add_articulation(std::vector<int32_t>{b.add_joint_revolute(
+      -1, arm,
+      {.parent_xform = at(0.8f, 0.0f, 0.5f), .child_xform = at(0.0f, 0.0f, 0.35f), .dof = hinge})});
+  return b;
+}
+
+struct Steps {
+  FeatherstoneOptions options = {};
+  CollisionOptions search = {};
+  int pairs = 20;
+  bool captured = false, contacts = true;
+};
+// States, forces and what the sweeps say after pairs of collide and step. `found`: the most
+// contacts.
+Result stepped(const ModelBuilder& builder, Device device, const Steps& how,
+               int32_t* found = nullptr) {
+  const auto model = builder.finalize(device);
+  SolverFeatherstone solver(model, how.options);
+  CollisionPipeline pipeline(model, how.search);
+  Contacts contacts = pipeline.contacts();
+  SimState a = model->state(), b = model->state();
+  eval_fk(*model, a.joint_q, a.joint_qd, a);
+  const auto one = [&](SimState& from, SimState& to) {
+    if (how.contacts) pipeline.collide(from, contacts);
+    solver.step(from, to, nullptr, how.contacts ? &contacts : nullptr, kDt);
+  };
+  const auto pair = [&] {
+    one(a, b);
+    one(b, a);
+  };
+  std::optional<nova::ScopedCapture> scope;
+  if (how.captured) {
+    scope.emplace();
+    pair();
+    scope->end();
+  }
+  Result result;
+  for (int k = 0; k < how.pairs; ++k) {
+    if (how.captured)
+      scope->graph()->launch();
+    else
+      pair();
+    const int32_t count = contacts.rigid_contact_count.to_host()[0];
+    if (found != nullptr) *found = std::max(*found, count);
+    if (k % 4 != 3 && k + 1 != how.pairs) continue;
+    const std::string when = "pair " + std::to_string(k);
+    add(result, a, when);
+    add(result, b, when + ", first");
+    result.emplace_back(when + " count", bytes(std::vector<int32_t>{count}));
+    result.emplace_back(when + " force", bytes(contacts.rigid_contact_force.to_host()));
+    result.emplace_back(when + " sweeps", bytes(std::vector<int32_t>{solver.pgs_sweeps()}));
+    result.emplace_back(when + " residual", bytes(std::vector<float>{solver.pgs_residual()}));
+  }
+  solver.check_last_step();
+  return result;
+}
+
+void expect_bits_of_the_cpu(const ModelBuilder& builder, Steps how, int32_t fewest) {
+  int32_t found = 0;
+  const Result expected = stepped(builder, Device::cpu(), how, &found);
+  EXPECT_GE(found, fewest);
+  expect_same(stepped(builder, Device::cuda(), how), expected, ", direct");
+  how.captured = true;
+  expect_same(stepped(builder, Device::cuda(), how), expected, ", replayed");
+}
+
+class ArticulationContactDevices : public ArticulationDevices {};
+
+TEST_F(ArticulationContactDevices, BoxesOnAPlaneHaveTheBitsOfTheCpu) {
+  expect_bits_of_the_cpu(boxes(), {.pairs = 8}, 16);
+}
+TEST_F(ArticulationContactDevices, AStackHasTheBitsOfTheCpu) {
+  expect_bits_of_the_cpu(stack(), {.pairs = 8}, 18);
+}
+TEST_F(ArticulationContactDevices, AWalkerHasTheBitsOfTheCpu) {
+  expect_bits_of_the_cpu(walker(), {.pairs = 12}, 4);
+}
+TEST_F(ArticulationContactDevices, TreesAndFreeBodiesInOneIslandHaveTheBitsOfTheCpu) {
+  expect_bits_of_the_cpu(crowd(), {.pairs = 8}, 20);
+}
+
+TEST_F(ArticulationContactDevices, EveryOptionActsAsOnTheCpu) {
+  const FeatherstoneOptions all[] = {{.friction_cone = FrictionCone::Pyramid},
+                                     {.pgs_iterations = 3},
+                                     {.pgs_tolerance = 1e-3f},
+                                     {.pgs_erp = 0.8f},
+                                     {.pgs_slop = 0.0f},
+                                     {.pgs_cfm = 1e-3f},
+                                     {.max_depenetration_velocity = 0.01f},
+                                     {.restitution_threshold = 0.0f},
+                                     {.warm_start = false},
+                                     {.compliant_contacts = true}};
+  ModelBuilder scene = crowd();
+  add_box(scene, {3.0f, 0.0f, 0.1185f}, 0.1f, {.restitution = 0.6f}, {{0.0f, 0.0f, -0.1f}, {}});
+  add_box(scene, {4.0f, 0.0f, 0.05f}, 0.1f, kSurface);
+  const Result plain = stepped(scene, Device::cpu(), {.pairs = 4});
+  for (size_t k = 0; k < std::size(all); ++k) {
+    const Steps how = {.options = all[k], .pairs = 4};
+    const Result expected = stepped(scene, Device::cpu(), how);
+    EXPECT_TRUE(expected != plain) << k;
+    expect_same(stepped(scene, Device::cuda(), how), expected, ", option " + std::to_string(k));
+  }
+}
+
+// Also with one body that belongs to all worlds: then the worlds are one group.
+TEST_F(ArticulationContactDevices, SixtyFourWorldsHaveTheBitsOfTheCpu) {
+  for (const bool shared : {false, true}) {
+    ModelBuilder all, one;
+    all.add_ground_plane({.cfg = kSurface});
+    add_walker(one, 0.0f, 0.33f, -1, 0.0f);
+    add_box(one, {0.5f, 0.0f, 0.12f}, 0.1f, kSurface, {{-0.5f, 0.0f, 0.0f}, {}});
+    add_box(one, {0.5f, 0.0f, 0.34f}, 0.1f, kSurface);
+    for (int w = 0; w < 64; ++w) {
+      all.add_world(one);
+      for (size_t k = all.joint_qd.size() - 12; k < all.joint_qd.size(); ++k)
+        all.joint_qd[k] += 0.01f * static_cast<float>(w);
+    }
+    if (shared) add_box(all, {0.5f, 0.1f, 0.6f}, 0.1f, kSurface);
+    expect_bits_of_the_cpu(all, {.pairs = 3}, 64 * 8);
+  }
+}
+
+TEST_F(ArticulationContactDevices, DryFrictionActsWithoutContactsToo) {
+  Steps how = {.pairs = 20, .contacts = false};
+  const ModelBuilder scene = crowd();
+  const Result expected = stepped(scene, Device::cpu(), how);
+  expect_same(stepped(scene, Device::cuda(), how), expected, ", direct");
+  how.captured = true;
+  expect_same(stepped(scene, Device::cuda(), how), expected, ", replayed");
+}
+
+// The impulses of the step before are forgotten where one had no contacts, and scale with dt.
+TEST_F(ArticulationContactDevices, WarmStartsAreThoseOfTheCpu) {
+  testing::expect_same_bits([](Device device) {
+    const auto model = stack().finalize(device);
+    SolverFeatherstone solver(model);
+    CollisionPipeline pipeline(model);
+    Contacts contacts = pipeline.contacts();
+    SimState a = model->state(), b = model->state();
+    eval_fk(*model, a.joint_q, a.joint_qd, a);
+    Result result;
+    for (int k = 0; k < 16; ++k) {
+      pipeline.collide(a, contacts);
+      solver.step(a, b, nullptr, k % 6 == 5 ? nullptr : &contacts, k % 3 == 0 ? kDt : 0.5f * kDt);
+      if (k == 9) solver.notify_model_changed(ModelFlags::ALL);
+      std::swap(a, b);
+      add(result, a, "step " + std::to_string(k));
+      result.emplace_back("sweeps", bytes(std::vector<int32_t>{solver.pgs_sweeps()}));
+    }
+    return result;
+  });
+}
+
+TEST_F(ArticulationContactDevices, RowsBeyondTheCapacityAreLeftOutAsOnTheCpu) {
+  const Steps how = {.search = {.rigid_contact_max = 9}, .pairs = 4};
+  expect_bits_of_the_cpu(stack(), how, 10);
+}
+
+// What fails takes its island along, and nothing else.
+TEST_F(ArticulationContactDevices, AnIslandThatFailsIsNaNAndNamedAndTheOthersMove) {
+  const ModelBuilder builder = stack();
+  const auto run = [&](Device device, bool bad) {
+    const auto model = builder.finalize(device);
+    SolverFeatherstone solver(model);
+    CollisionPipeline pipeline(model);
+    Contacts contacts = pipeline.contacts();
+    SimState a = model->state(), b = model->state();
+    eval_fk(*model, a.joint_q, a.joint_qd, a);
+    pipeline.collide(a, contacts);
+    if (bad) {
+      std::vector<float> qd = a.joint_qd.to_host();
+      qd[8] = std::numeric_limits<float>::infinity();  // of the second cube
+      a.joint_qd.copy_from_host(std::span<const float>(qd));
+    }
+    solver.step(a, b, nullptr, &contacts, kDt);
+    if (bad)
+      expect_thrown(ErrorKind::Runtime, "SolverFeatherstone.step: dof ",
+                    [&] { solver.check_last_step(); });
+    return b.joint_qd.to_host();
+  };
+  const std::vector<float> good = run(Device::cpu(), false), failed = run(Device::cuda(), true);
+  ASSERT_EQ(good.size(), 30u);
+  for (size_t k = 0; k < good.size(); ++k)
+    EXPECT_TRUE(k < 24 ? std::isnan(failed[k]) : failed[k] == good[k]) << k;
+}
+
+TEST_F(ArticulationContactDevices, RowsOfShapesThatAreNotThereAndOfTwoWorldsAreNamed) {
+  ModelBuilder all;
+  all.add_ground_plane({.cfg = kSurface});
+  for (int w = 0; w < 2; ++w) all.add_world(boxes());
+  const auto model = all.finalize(Device::cuda());
+  SolverFeatherstone solver(model);
+  CollisionPipeline pipeline(model);
+  SimState a = model->state(), b = model->state();
+  eval_fk(*model, a.joint_q, a.joint_qd, a);
+  for (const int32_t other : {-1, 1000, model->shape_count() - 1}) {
+    Contacts contacts = pipeline.contacts();
+    pipeline.collide(a, contacts);
+    std::vector<int32_t> shape0 = contacts.rigid_contact_shape0.to_host();
+    shape0[3] = other;
+    contacts.rigid_contact_shape0.copy_from_host(std::span<const int32_t>(shape0));
+    solver.step(a, b, nullptr, &contacts, kDt);
+    expect_thrown(ErrorKind::Index, "SolverFeatherstone.step: contacts: row 3: expected two shapes",
+                  [&] { solver.check_last_step(); });
+  }
+  Contacts contacts = pipeline.contacts();
+  pipeline.collide(a, contacts);
+  solver.step(a, b, nullptr, &contacts, kDt);
+  solver.check_last_step();
+}
+
+}  // namespace
+}  // namespace novaphy

@@ -5,7 +5,8 @@
 # which gives null without a backend for devices or where the condition is false. Headers take the place of their includes,
 # each once. core/device/ holds the twins of those that devices read otherwise; system headers are left out. The lines
 # "// kernel NAME WORDS NOVAPHY_ROW" (or _BLOCK, _GRID) that backends look for are made from the declarations. The text is
-# C++17, which compilers of all vendors know.
+# C++17, which compilers of all vendors know. #include "<code>.inc" stays, for code that the build makes: the .cuh includes
+# it, and the text <code>_text.inc, the same as string literals.
 set(NOVAPHY_DEVICE_INCLUDES core/device core/include collision/include dynamics/include vbd/include)
 
 # Appends a file to the global property NOVAPHY_DEVICE_TEXT, behind the headers that it includes.
@@ -24,6 +25,7 @@ function(novaphy_append_device_text path)
     novaphy_append_device_text(${included})
   endforeach()
   file(READ ${path} text)
+  string(REGEX REPLACE "#include \"([a-z_]+).inc\"" "NOVAPHY_MADE_BY_THE_BUILD \\1" text "${text}")
   string(REGEX REPLACE "#(include|pragma once)[^\n]*\n" "" text "${text}")
   # Comparisons that C++20 writes by itself: devices compare vectors only.
   string(REPLACE "bool operator==(const Vec3&) const = default;"
@@ -52,9 +54,11 @@ function(novaphy_add_device_module target header)
     endif()
     list(TRANSFORM kernels REPLACE "\n(NOVAPHY_[A-Z]+)_KERNEL.([a-z0-9_]+), ([0-9]+)" "// kernel \\2 \\3 \\1\n")
     string(JOIN "" kernels ${kernels})
-    file(CONFIGURE OUTPUT ${CMAKE_CURRENT_BINARY_DIR}/${name}.cuh CONTENT "${kernels}${text}" @ONLY)
+    string(REGEX REPLACE "NOVAPHY_MADE_BY_THE_BUILD ([a-z_]+)" "#include \"\\1.inc\"" code "${text}")
+    file(CONFIGURE OUTPUT ${CMAKE_CURRENT_BINARY_DIR}/${name}.cuh CONTENT "${kernels}${code}" @ONLY)
     # A string literal has a length that every compiler takes; the pieces are joined by the compiler.
     string(REPLACE "\n\n" "\n)==\"\n    R\"==(\n" text "${kernels}${text}")
+    string(REGEX REPLACE "NOVAPHY_MADE_BY_THE_BUILD ([a-z_]+)" ")==\"\n#include \"\\1_text.inc\"\nR\"==(" text "${text}")
     set(result "R\"==(${text})==\"")
   endif()
   file(CONFIGURE OUTPUT ${CMAKE_CURRENT_BINARY_DIR}/${name}_text.cpp @ONLY CONTENT

@@ -20,6 +20,8 @@ const char* articulation_kernels_text();
 const char* joint_coordinates_kernels_text();
 #ifdef FAKE_DRIVER_HAS_VBD
 const char* vbd_kernels_text();
+const char* vbd_adjoint_kernels_text();
+const char* vbd_gradient_kernels_text();
 #endif
 }  // namespace novaphy::detail
 
@@ -38,6 +40,8 @@ AheadData ahead_data() {
         detail::joint_coordinates_kernels_text,
 #ifdef FAKE_DRIVER_HAS_VBD
         detail::vbd_kernels_text,
+        detail::vbd_adjoint_kernels_text,
+        detail::vbd_gradient_kernels_text,
 #endif
     };
     AheadEntry entries[2 + std::size(kHandWritten)];

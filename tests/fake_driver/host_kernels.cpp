@@ -156,6 +156,12 @@ namespace joints {
 namespace vbd_text {
 #include "vbd_kernels.cuh"
 }
+namespace vbd_adjoint_text {
+#include "vbd_adjoint_kernels.cuh"
+}
+namespace vbd_gradient_text {
+#include "vbd_gradient_kernels.cuh"
+}
 #endif
 
 template <class... P>
@@ -237,6 +243,26 @@ const HostKernel* find_host_kernel(const char* name) {
       OF_VBD(vbd_residual, false),
       OF_VBD(vbd_move_team, true),
       OF_VBD(vbd_sweep, true),
+      OF_TEXT(vbd_adjoint_text::novaphy, vbd_adjoint_solve),
+      OF_TEXT(vbd_adjoint_text::novaphy, vbd_adjoint_slots),
+      OF_TEXT(vbd_adjoint_text::novaphy, vbd_adjoint_weights),
+      OF_TEXT(vbd_adjoint_text::novaphy, vbd_adjoint_start),
+      OF_TEXT(vbd_adjoint_text::novaphy, vbd_adjoint_start_weights),
+      OF_TEXT(vbd_gradient_text::novaphy, vbd_clear),
+      OF_TEXT(vbd_gradient_text::novaphy, vbd_keep),
+      OF_TEXT(vbd_gradient_text::novaphy, vbd_adjoint_begin),
+      OF_TEXT(vbd_gradient_text::novaphy, vbd_adjoint_end),
+      OF_TEXT(vbd_gradient_text::novaphy, vbd_receive),
+      OF_TEXT(vbd_gradient_text::novaphy, vbd_particle_gradient),
+      OF_TEXT(vbd_gradient_text::novaphy, vbd_target_gradient),
+      OF_TEXT(vbd_gradient_text::novaphy, vbd_gravity_gradient),
+      OF_TEXT(vbd_gradient_text::novaphy, vbd_spring_gradient),
+      OF_TEXT(vbd_gradient_text::novaphy, vbd_edge_gradient),
+      OF_TEXT(vbd_gradient_text::novaphy, vbd_triangle_gradient),
+      OF_TEXT(vbd_gradient_text::novaphy, vbd_tetrahedron_gradient),
+      OF_TEXT(vbd_gradient_text::novaphy, vbd_radius_gradient),
+      OF_TEXT(vbd_gradient_text::novaphy, vbd_contact_shape),
+      OF_TEXT(vbd_gradient_text::novaphy, vbd_shape_gradient),
 #endif
   };
   for (const HostKernel& kernel : kKernels)

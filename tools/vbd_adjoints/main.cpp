@@ -1,6 +1,9 @@
-// Writes the adjoints of VBD's laws as straight code over lanes.
+// Writes the adjoints of VBD's laws as straight code over lanes, which may be floats.
 //
-//   novaphy_vbd_adjoints OUTPUT_FILE
+//   novaphy_vbd_adjoints FOLDER/slot_adjoints.inc
+//
+// writes FOLDER/slot_adjoints_text.inc besides: what of it is not at rest, as string literals for
+// the text that compilers of devices get (cmake/NovaPhyDeviceModule.cmake).
 //
 // The laws run once with scalars that are expressions (symbol.h). Of a block f, H with bars u and B
 // the derivatives of u.f + B:H by positions and numbers are written, operation by operation, each
@@ -251,19 +254,52 @@ void write_contact(std::ostream& out, bool at_rest) {
   out << "}\n";
 }
 
-void write_all(std::ostream& out) {
-  out << "// Written by tools/vbd_adjoints from the laws (vbd/*_trace.h).\n";
-  for (const bool at_rest : {false, true}) {
-    write_contact(out, at_rest);
-    write_slot<kSpring>(out, at_rest, true, false);
-    write_slot<kHingeOpposite>(out, at_rest, true, false);
-    write_slot<kHingeEnd>(out, at_rest, true, false);
-    for (const bool damped : {false, true})
-      for (const bool weights : {false, true}) {
-        write_slot<kTriangle>(out, at_rest, damped, weights);
-        write_slot<kTetrahedron>(out, at_rest, damped, weights);
-      }
-  }
+// Of u.f + B:H, where `bar` holds u as f and B as h_ij, each entry once. What reads the code has
+// Lanes, Point (Vec3 of them) and Slot<role>, whose number(k) are Lanes.
+constexpr const char* kDeclarations = R"(
+template <Role role>
+struct SlotPoints {
+  Point own, others[kOthers[role]];
+};
+template <Role role>
+struct SlotBars {
+  Point own, others[kOthers[role]];
+  Lanes numbers[kFloats[role]];
+};
+struct ContactBars {
+  Point x, start;
+  Lanes law[kContactLawFloats];
+};
+
+// `at_rest`: B is 0. `weights`: also by the weights of the other particles.
+template <bool at_rest, bool damped, bool weights, Role role>
+void slot_adjoint(const Slot<role>& slot, const SlotPoints<role>& x, const Block<Lanes>& bar,
+                  SlotBars<role>& to);
+// Of what the slot has of the start.
+template <bool weights, Role role>
+void start_adjoint(const Slot<role>& slot, const SlotPoints<role>& x,
+                   const Lanes (&bar)[kStartFloats[role]], SlotBars<role>& to);
+template <bool at_rest>
+void contact_adjoint(const Point& x, const Point& start, const ParticleContact<Lanes>& c,
+                     const Block<Lanes>& bar, ContactBars& to);
+
+)";
+
+void write_blocks(std::ostream& out, bool at_rest) {
+  write_contact(out, at_rest);
+  write_slot<kSpring>(out, at_rest, true, false);
+  write_slot<kHingeOpposite>(out, at_rest, true, false);
+  write_slot<kHingeEnd>(out, at_rest, true, false);
+  for (const bool damped : {false, true})
+    for (const bool weights : {false, true}) {
+      write_slot<kTriangle>(out, at_rest, damped, weights);
+      write_slot<kTetrahedron>(out, at_rest, damped, weights);
+    }
+}
+
+void write_unrolled(std::ostream& out) {
+  out << "// Written by tools/vbd_adjoints from the laws (vbd/*_trace.h).\n" << kDeclarations;
+  write_blocks(out, false);
   write_start<kSpring>(out, false);
   write_start<kHingeOpposite>(out, false);
   write_start<kHingeEnd>(out, false);
@@ -273,15 +309,33 @@ void write_all(std::ostream& out) {
   }
 }
 
+// As string literals of some lines each.
+void write_text(std::ostream& out, const std::string& code) {
+  constexpr size_t kPiece = 8000;
+  for (size_t begin = 0; begin < code.size();) {
+    const size_t end =
+        std::min(code.find('\n', std::min(begin + kPiece, code.size() - 1)) + 1, code.size());
+    out << "R\"==(" << code.substr(begin, end - begin) << ")==\"\n";
+    begin = end;
+  }
+}
+
 }  // namespace
 }  // namespace novaphy::vbd::adjoints
 
 int main(int argc, char** argv) {
-  if (argc != 2) {
-    std::cerr << "usage: novaphy_vbd_adjoints OUTPUT_FILE\n";
+  using namespace novaphy::vbd::adjoints;
+  const std::string path = argc == 2 ? argv[1] : "", suffix = ".inc";
+  if (!path.ends_with(suffix)) {
+    std::cerr << "usage: novaphy_vbd_adjoints FOLDER/slot_adjoints.inc\n";
     return 2;
   }
-  std::ofstream out(argv[1]);
-  novaphy::vbd::adjoints::write_all(out);
-  return out.flush() ? 0 : 1;
+  std::ostringstream code;
+  write_unrolled(code);
+  std::ofstream text(path.substr(0, path.size() - suffix.size()) + "_text.inc");
+  write_text(text, code.str());
+  std::ofstream out(path);
+  out << code.str();
+  write_blocks(out, true);
+  return text.flush() && out.flush() ? 0 : 1;
 }

@@ -335,6 +335,15 @@ void ColorSlots::set_constants(const Model& model, const Constants& constants) {
   });
 }
 
+IndexRows particles_of_worlds(const Model& model) {
+  std::vector<int32_t> world = model.particle_world.to_host();
+  for (int32_t& w : world)
+    if (w < 0) w = model.world_count() - 1;
+  IndexRows rows;
+  rows.build(world, model.world_count());
+  return rows;
+}
+
 void ColorSlots::fill(Sweep& sweep) const {
   sweep.particle = particle_.data();
   sweep.filled = filled_.data();

@@ -4,6 +4,7 @@
 #include <cstdint>
 #include <vector>
 
+#include "novaphy/core/sim/index_rows.h"
 #include "novaphy/core/sim/model.h"
 #include "sweep.h"
 
@@ -40,6 +41,7 @@ class ColorSlots {
   void set_constants(const Model& model, const Constants& constants);
 
   const std::vector<int32_t>& held() const { return held_; }
+  const std::vector<int32_t>& held_flags() const { return is_held_; }  // of each particle
   bool is_held(int32_t particle) const { return is_held_[static_cast<size_t>(particle)] != 0; }
   // The groups of colour c are [color_begin()[c], color_begin()[c + 1]).
   const std::vector<int64_t>& color_begin() const { return color_begin_; }
@@ -58,7 +60,7 @@ class ColorSlots {
   void lay_slots(const Model& model);
 
   int lanes_ = 1;
-  std::vector<uint8_t> is_held_;
+  std::vector<int32_t> is_held_;
   std::vector<int32_t> held_;
   std::vector<int64_t> color_begin_;
   std::vector<int32_t> particle_, filled_;
@@ -66,5 +68,8 @@ class ColorSlots {
   Table tables_[kRoles];
   bool has_conflicts_ = false;
 };
+
+// By the world whose gravity they feel.
+IndexRows particles_of_worlds(const Model& model);
 
 }  // namespace novaphy::vbd

@@ -25,6 +25,13 @@ const Vec3f* rows_of(const Tensor& tensor) {
   return reinterpret_cast<const Vec3f*>(tensor.data<float>());
 }
 
+// Rows of three numbers; without rows where the tensor is not defined.
+DeviceArray<Vec3f> array_of(const Tensor& tensor) {
+  if (!tensor.defined() || tensor.size() == 0) return {};
+  return DeviceArray<Vec3f>(
+      Array(novaphy::DType::vec3, static_cast<size_t>(tensor.size() / 3), 1, tensor.range()));
+}
+
 // Rows of a tensor, as memory of its own.
 Tensor part_of(const Tensor& all, size_t first_row, size_t rows) {
   const auto row = static_cast<size_t>(all.shape().back()) * sizeof(float);
@@ -65,7 +72,8 @@ struct DiffSolverVBD::Step {
   std::shared_ptr<DifferentiableVbd> steps;
   std::shared_ptr<const Contacts> contacts;
   std::shared_ptr<std::string> failure;  // of replays; see DiffSolverVBD::gradient_info
-  Tensor q, qd, f, targets;              // the targets of all steps; undefined: none
+  std::shared_ptr<ExclusiveUse> in_use;
+  Tensor q, qd, f, targets;  // the targets of all steps; undefined: none
   size_t first_target = 0, target_count = 0;
   DeviceArray<float> tri_activation, tet_activation;
   DeviceArray<Vec3f> q_out, qd_out;
@@ -91,7 +99,32 @@ struct DiffSolverVBD::Step {
     return {rows_of(q),      rows_of(qd),    rows_of(f), &tri_activation,
             &tet_activation, contacts.get(), dt,         to};
   }
-  void forward() { steps->forward(inputs(), q_out.mutable_data(), qd_out.mutable_data()); }
+  VbdLaunchInputs launch_inputs() const {
+    check_numbers();
+    return {array_of(q),
+            array_of(qd),
+            array_of(f),
+            tri_activation,
+            tet_activation,
+            contacts.get(),
+            targets.defined() ? array_of(part_of(targets, first_target, target_count))
+                              : DeviceArray<Vec3f>(),
+            dt};
+  }
+  bool on_device() const { return !model->device().is_cpu(); }
+  void forward() {
+    if (!on_device()) return steps->forward(inputs(), q_out.mutable_data(), qd_out.mutable_data());
+    const nova::NoGrad no_grad;
+    steps->forward(launch_inputs(), q_out, qd_out, in_use);
+  }
+  // Now, or in the replays of a capture.
+  static void submit_forward(const std::shared_ptr<Step>& step) {
+    if (nova::current_capture() != nullptr && !step->on_device()) {
+      capture_forward(step);
+    } else {
+      step->forward();
+    }
+  }
 
   // What forward reads, besides what has a gradient.
   std::vector<Tensor> reads() const {
@@ -139,24 +172,29 @@ struct DiffSolverVBD::Step {
     const float* VbdStepTangents::*slopes = nullptr;
     Vec3f* VbdStepGradients::*vector_bars = nullptr;
     const Vec3f* VbdStepTangents::*vector_slopes = nullptr;
+    Array VbdStepArrays::*array_bars = nullptr;
     bool is_targets = false;
+
+    // Of those that a step reads.
+    size_t size(const Step& step) const {
+      return static_cast<size_t>(is_targets ? 3 * step.target_count : tensor.size());
+    }
   };
   std::vector<Input> differentiable() const {
     std::vector<Input> all;
-    const auto add = [&](const Tensor& tensor, auto bars, auto slopes) {
+    const auto add = [&](const Tensor& tensor, auto bars, auto slopes,
+                         Array VbdStepArrays::*array_bars) {
       if constexpr (std::is_same_v<decltype(bars), float * VbdStepGradients::*>) {
-        all.push_back({tensor, bars, slopes});
+        all.push_back({tensor, bars, slopes, nullptr, nullptr, array_bars});
       } else {
-        all.push_back({tensor, nullptr, nullptr, bars, slopes});
+        all.push_back({tensor, nullptr, nullptr, bars, slopes, array_bars});
       }
     };
     const Model& m = *model;
-    const auto add_array = [&](const Array& array, auto bars, auto slopes) {
-      if (array.rows() != 0) add(tensor_of(nova::operand_of(array)), bars, slopes);
-    };
-#define NOVAPHY_ADD(input, name) add(input, &VbdStepGradients::name, &VbdStepTangents::name)
+#define NOVAPHY_ADD(input, name) \
+  add(input, &VbdStepGradients::name, &VbdStepTangents::name, &VbdStepArrays::name)
 #define NOVAPHY_ADD_ARRAY(array, name) \
-  add_array(array, &VbdStepGradients::name, &VbdStepTangents::name)
+  if ((array).rows() != 0) NOVAPHY_ADD(tensor_of(nova::operand_of(array)), name)
     NOVAPHY_ADD(q, particle_q);
     NOVAPHY_ADD(qd, particle_qd);
     NOVAPHY_ADD(f, particle_f);
@@ -182,8 +220,7 @@ struct DiffSolverVBD::Step {
     std::vector<std::vector<float>> values(all.size());
     for (size_t k = 0; k < all.size(); ++k) {
       if (!to[k].wanted()) continue;
-      values[k].resize(
-          static_cast<size_t>(all[k].is_targets ? 3 * target_count : all[k].tensor.size()));
+      values[k].resize(all[k].size(*this));
       if (all[k].bars != nullptr) {
         gradients.*all[k].bars = values[k].data();
       } else {
@@ -195,8 +232,38 @@ struct DiffSolverVBD::Step {
     return values;
   }
 
+  // The same on a device.
+  std::vector<Array> device_derivatives(std::span<const Tensor> outputs,
+                                        std::span<const nova::InputGradient> to) const {
+    const std::vector<Input> all = differentiable();
+    VbdStepArrays gradients;
+    std::vector<Array> values(all.size());
+    for (size_t k = 0; k < all.size(); ++k) {
+      if (!to[k].wanted()) continue;
+      const Unobserved unobserved;
+      values[k] = Array(novaphy::DType::float32, all[k].size(*this), model->device());
+      gradients.*all[k].array_bars = values[k];
+    }
+    steps->backward(launch_inputs(), array_of(outputs[0]), array_of(outputs[1]), gradients, in_use);
+    return values;
+  }
+
   void backward(std::span<const Tensor> outputs, std::span<const nova::InputGradient> to) const {
+    if (on_device()) {
+      const nova::NoGrad no_grad;
+      const std::vector<Array> values = device_derivatives(outputs, to);
+      return put(to, [&](size_t k, const nova::Shape& shape) {
+        return Tensor(values[k].range(), shape, nova::DType::F32);
+      });
+    }
     const std::vector<std::vector<float>> values = derivatives(outputs, to);
+    put(to, [&](size_t k, const nova::Shape& shape) {
+      return Tensor::from_host(values[k], shape, Device::cpu());
+    });
+  }
+  // `value`: the derivative by an input, as a tensor of a shape.
+  template <class Value>
+  void put(std::span<const nova::InputGradient> to, const Value& value) const {
     const std::vector<Input> all = differentiable();
     for (size_t k = 0; k < all.size(); ++k) {
       if (!to[k].wanted()) continue;
@@ -205,7 +272,7 @@ struct DiffSolverVBD::Step {
         if (!where.add) where.put({});
         where = {part_of(where.grad, first_target, target_count), true};
       }
-      where.put(Tensor::from_host(values[k], where.grad.shape(), Device::cpu()));
+      where.put(value(k, where.grad.shape()));
     }
   }
   // The same, as part of a replay: what lies there is written by nobody else meanwhile.
@@ -334,7 +401,7 @@ void DiffSolverVBD::step(SimState& state_in, SimState& state_out, const Control*
 
 // What replays would find out on the host, whose errors are NaN, they throw before they begin.
 void DiffSolverVBD::begin() {
-  if (nova::current_capture() == nullptr) return;
+  if (nova::current_capture() == nullptr || !device().is_cpu()) return;
   model()->depend_on_numbers();
   values_.check(*model());
 }
@@ -353,8 +420,12 @@ void DiffSolverVBD::record_step(const SimState& in, SimState& out, const StepInp
   auto step = std::make_shared<Step>(model());
   step->steps = steps_;
   step->failure = failure_;
-  const bool captured = nova::current_capture() != nullptr;
-  if (captured && inputs.contacts != nullptr) {  // a copy that every replay makes
+  step->in_use = in_use();
+  const bool captured = nova::current_capture() != nullptr, on_device = step->on_device();
+  if (on_device && tape == nullptr) {  // nobody goes back through them
+    step->contacts = {std::shared_ptr<void>(), inputs.contacts};
+  } else if ((captured || on_device) && inputs.contacts != nullptr) {
+    const nova::NoGrad no_grad;  // in a capture a copy that every replay makes
     step->contacts = std::make_shared<const Contacts>(inputs.contacts->clone());
   } else {
     step->contacts = kept(inputs.contacts);
@@ -376,12 +447,8 @@ void DiffSolverVBD::record_step(const SimState& in, SimState& out, const StepInp
   step->qd_out = out.particle_qd;
   step->dt = inputs.dt;
   if (tape != nullptr) step->check_others(*tape, inputs.contacts);
-  if (captured) {
-    nova::current_capture()->uses(in_use());
-    Step::capture_forward(step);
-  } else {
-    step->forward();
-  }
+  if (captured) nova::current_capture()->uses(in_use());
+  Step::submit_forward(step);
   if (tape == nullptr) return;
   nova::CustomOp op;
   op.name = "vbd_step";
@@ -391,25 +458,21 @@ void DiffSolverVBD::record_step(const SimState& in, SimState& out, const StepInp
   op.reads = op.inputs;
   op.reads.push_back(Tensor::view(m.particle_inv_mass));
   op.vjp = [step](std::span<const Tensor> outputs, std::span<const nova::InputGradient> to) {
-    if (nova::current_capture() != nullptr) {
+    if (nova::current_capture() != nullptr && !step->on_device()) {
       Step::capture_backward(step, {outputs.begin(), outputs.end()}, {to.begin(), to.end()});
     } else {
       step->backward(outputs, to);
     }
   };
   op.jvp = [step](std::span<const Tensor> slopes, std::span<const Tensor> outputs) {
+    require(!step->on_device(), ErrorKind::NotImplemented, kName, ": jvp on ",
+            step->model->device().str(), " is not there yet");
     require(nova::current_capture() == nullptr, ErrorKind::NotImplemented, kName,
             ": jvp inside a ScopedCapture is not there yet");
     step->tangent(slopes, outputs);
   };
-  op.forward = [step] {
-    if (nova::current_capture() != nullptr) {
-      Step::capture_forward(step);
-    } else {
-      step->forward();
-    }
-  };
-  op.submits_only = captured;
+  op.forward = [step] { Step::submit_forward(step); };
+  op.submits_only = captured || on_device;
   tape->record_custom(std::move(op));
 }
 

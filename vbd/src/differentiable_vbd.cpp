@@ -4,6 +4,7 @@
 #include <utility>
 #include <vector>
 
+#include "launched_reverse.h"
 #include "model_derivatives.h"
 #include "novaphy/core/error.h"
 #include "novaphy/core/exclusive_use.h"
@@ -90,27 +91,44 @@ struct DifferentiableVbd::Work {
   ExclusiveUse in_use;
 };
 
+struct DifferentiableVbd::Launched {
+  Launched(const Model& model, const VbdOptions& options) : step(model, options), reverse(step) {}
+
+  vbd::LaunchedStep step;
+  vbd::LaunchedReverse reverse;
+  bool has_info = false;
+};
+
 DifferentiableVbd::DifferentiableVbd(std::shared_ptr<const Model> model, const VbdOptions& options,
                                      const VbdGradientOptions& gradient_options)
     : model_(std::move(model)) {
   check_covered(options);
   check_gradient_options(options, gradient_options);
-  require(model_ == nullptr || model_->device().is_cpu(), ErrorKind::NotImplemented,
-          "DiffSolverVBD: model: expected one on the cpu, got one on ",
-          model_ == nullptr ? "" : model_->device().str());
   SolverVBD(model_, options);  // makes its checks
+  if (const Device device = model_->device(); !device.is_cpu()) {
+    require(!gradient_options.implicit, ErrorKind::NotImplemented,
+            "DiffSolverVBD: gradient: expected \"unrolled\" for a model on ", device.str(),
+            ", got \"implicit\", which is there on the cpu only");
+    require_opt_in(
+        "NOVAPHY_UNVERIFIED_DEVICE_VBD_GRADIENTS",
+        "DiffSolverVBD: gradients are found on the cpu; finding them on " + device.str());
+    launched_ = std::make_unique<Launched>(*model_, options);
+    return;
+  }
   work_ = std::make_unique<Work>(*model_, options, gradient_options);
 }
 
 DifferentiableVbd::~DifferentiableVbd() = default;
 
 int32_t DifferentiableVbd::held_count() const {
-  return static_cast<int32_t>(work_->step.slots.held().size());
+  return launched_ != nullptr ? launched_->step.held_count()
+                              : static_cast<int32_t>(work_->step.slots.held().size());
 }
 
 VbdGradientInfo DifferentiableVbd::info() const {
-  require(work_->has_info, ErrorKind::Runtime,
+  require(launched_ != nullptr ? launched_->has_info : work_->has_info, ErrorKind::Runtime,
           "DiffSolverVBD.gradient_info: expected a backward before");
+  if (launched_ != nullptr) return {"exact", launched_->step.last_residual(), 0.0, 0, true};
   return work_->info;
 }
 
@@ -135,6 +153,29 @@ void DifferentiableVbd::backward(const VbdStepInputs& in, const Vec3f* q_out_bar
     w.tell();
   }
   vbd::put_gradients(w.reverse, in, gradients);
+}
+
+void DifferentiableVbd::forward(const VbdLaunchInputs& in, const DeviceArray<Vec3f>& q_out,
+                                const DeviceArray<Vec3f>& qd_out,
+                                const std::shared_ptr<ExclusiveUse>& in_use) {
+  {
+    const Unobserved of_the_model;
+    model_->update_derived();
+  }
+  launched_->step.update(in.dt);
+  launched_->step.run(in, {q_out, qd_out, {}}, in_use);
+}
+
+void DifferentiableVbd::backward(const VbdLaunchInputs& in, const Array& q_out_bar,
+                                 const Array& qd_out_bar, const VbdStepArrays& gradients,
+                                 const std::shared_ptr<ExclusiveUse>& in_use) {
+  {
+    const Unobserved of_the_model;
+    model_->update_derived();
+  }
+  launched_->step.update(in.dt);
+  launched_->reverse.run(in, q_out_bar, qd_out_bar, gradients, in_use);
+  launched_->has_info = true;
 }
 
 void DifferentiableVbd::tangent(const VbdStepInputs& in, const VbdStepTangents& direction,

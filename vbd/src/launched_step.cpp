@@ -9,11 +9,13 @@
 
 #include "novaphy/core/error.h"
 #include "step_options.h"
+#include "vbd_gradient_kernels.h"
 #include "vbd_kernels.h"
 
 namespace novaphy::detail {
 const char* vbd_kernels_text();
-}
+const char* vbd_gradient_kernels_text();
+}  // namespace novaphy::detail
 
 namespace novaphy::vbd {
 namespace {
@@ -73,6 +75,8 @@ struct Kernels {
   NOVAPHY_VBD_KERNEL(finish)
   NOVAPHY_VBD_KERNEL(residual)
 #undef NOVAPHY_VBD_KERNEL
+  DeviceKernel clear{vbd_clear, detail::vbd_gradient_kernels_text};
+  DeviceKernel keep{vbd_keep, detail::vbd_gradient_kernels_text};
   DeviceKernel prepare_groups{kPrepareGroups, nullptr};
   DeviceKernel move_groups{kMoveGroups, nullptr};
   DeviceKernel residual_groups{kResidualGroups, nullptr};
@@ -90,16 +94,6 @@ bool has_code_for(Device device) {
 constexpr int64_t kTeamThreads = 128;
 // Colours of at least so many large teams fill a device.
 constexpr int64_t kManyTeams = 256;
-
-template <class T, class U>
-DeviceArray<T> upload(const U* values, size_t count, Device device) {
-  static_assert(sizeof(T) == sizeof(U));
-  return DeviceArray<T>::from_host(std::span(reinterpret_cast<const T*>(values), count), device);
-}
-template <class T, class U>
-DeviceArray<T> upload(const std::vector<U>& values, Device device) {
-  return upload<T>(values.data(), values.size(), device);
-}
 
 }  // namespace
 
@@ -164,9 +158,8 @@ void LaunchedStep::build_slots() {
   slots_.build(m, on_cpu_ ? level_.lanes : kVbdLanes);
   const Device device = model_.device();
   const auto n = static_cast<size_t>(m.particle_count());
-  std::vector<int32_t> is_held(n);
-  for (const int32_t p : slots_.held()) is_held[static_cast<size_t>(p)] = 1;
-  is_held_ = upload<int32_t>(is_held, device);
+  ++builds_;
+  is_held_ = upload<int32_t>(slots_.held_flags(), device);
   held_ = upload<int32_t>(slots_.held(), device);
   if (slots_.has_conflicts() && next_.rows() != n) next_ = DeviceArray<Vec4f>(n, device);
   value_stamps_.resize(values_.size());
@@ -389,10 +382,19 @@ void LaunchedStep::find_contacts(const Contacts& c) const {
        writes("contacts", contact_numbers_)});
 }
 
-void LaunchedStep::iterate(bool with_contacts) const {
+void LaunchedStep::commit(int64_t first_group, int64_t end_group,
+                          const DeviceArray<Vec4f>& from) const {
+  const auto lanes = static_cast<int64_t>(slots_.lanes());
+  kernels().commit.launch(model_.device(), (end_group - first_group) * lanes,
+                          {reads("particle", tables_->particle), number(first_group * lanes),
+                           reads("from", from), updates("x", x_)});
+}
+
+void LaunchedStep::iterate(bool with_contacts, std::span<const DeviceArray<Vec4f>> iterates) const {
   const Tables& t = *tables_;
   const Device device = model_.device();
-  const Mover how = mover();
+  Mover how = mover();
+  if (how == Mover::Grid && !iterates.empty()) how = Mover::Team;
   const auto teams = [&t](int64_t groups) { return (groups + t.team - 1) / t.team; };
   if (how == Mover::Grid) {
     if (options_.iterations > 0)
@@ -404,6 +406,10 @@ void LaunchedStep::iterate(bool with_contacts) const {
                              : options_.safeguard ? kernels().move_guarded
                                                   : kernels().move;
   for (int32_t k = 1; k <= options_.iterations; ++k) {
+    if (!iterates.empty())
+      kernels().keep.launch(
+          device, model_.particle_count(),
+          {reads_row("x", x_), writes_row("iterate", iterates[static_cast<size_t>(k - 1)])});
     for (size_t c = 0; c + 1 < t.colors.size(); ++c) {
       const int64_t first = t.colors[c], groups = t.colors[c + 1] - first;
       if (how == Mover::Team) {
@@ -412,10 +418,7 @@ void LaunchedStep::iterate(bool with_contacts) const {
       } else {
         launch(move, kernels().move_groups, groups, with_contacts, first);
       }
-      if (t.has_conflicts)
-        kernels().commit.launch(device, groups * slots_.lanes(),
-                                {reads("particle", t.particle), number(first * slots_.lanes()),
-                                 reads("from", next_), updates("x", x_)});
+      if (t.has_conflicts) commit(first, first + groups, next_);
     }
     if (options_.acceleration)
       kernels().accelerate.launch(
@@ -428,11 +431,11 @@ void LaunchedStep::iterate(bool with_contacts) const {
   }
 }
 
-void LaunchedStep::run(const SimState& in, SimState& out, const Control* control,
-                       const Contacts* contacts, const DeviceArray<Vec3f>* targets,
+void LaunchedStep::run(const VbdLaunchInputs& in, const VbdLaunchResults& out,
                        const std::shared_ptr<ExclusiveUse>& in_use) {
   const Device device = model_.device();
-  const bool with_contacts = contacts != nullptr && contacts->soft_contact_max() > 0;
+  const Contacts* const contacts = in.contacts;
+  const bool with_contacts = in.have_contacts();
   if (with_contacts && contact_items_.rows() < static_cast<size_t>(contacts->soft_contact_max())) {
     const Unobserved unobserved;
     const float dt = tables_->dt;
@@ -446,9 +449,9 @@ void LaunchedStep::run(const SimState& in, SimState& out, const Control* control
   const bool adaptive = options_.initial_guess == VbdInitialGuess::Adaptive;
   const auto particles = static_cast<int64_t>(model_.particle_count());
   std::vector<LaunchArgument> predict = {
-      reads_row("state_in.particle_q", in.particle_q),
-      reads_row("state_in.particle_qd", in.particle_qd),
-      reads_row("state_in.particle_f", in.particle_f),
+      reads_row("state_in.particle_q", in.q),
+      reads_row("state_in.particle_qd", in.qd),
+      reads_row("state_in.particle_f", in.f),
       reads_row("model.particle_inv_mass", model_.particle_inv_mass),
       reads_row("model.particle_world", model_.particle_world),
       reads("model.gravity", model_.gravity),
@@ -474,29 +477,37 @@ void LaunchedStep::run(const SimState& in, SimState& out, const Control* control
       "model.particle_inv_mass",           "model.particle_flags"};
   for (size_t k = 0; k < values_.size(); ++k) predict.push_back(reads(kValueNames[k], *values_[k]));
   kernels().predict.launch(device, particles, predict);
-  activate(tables_->triangle, kTriangle,
-           control != nullptr ? control->particle_tri_activation : model_.particle_tri_activation);
-  activate(tables_->tetrahedron, kTetrahedron,
-           control != nullptr ? control->particle_tet_activation : model_.particle_tet_activation);
+  activate(tables_->triangle, kTriangle, in.tri_activation);
+  activate(tables_->tetrahedron, kTetrahedron, in.tet_activation);
   if (with_contacts) find_contacts(*contacts);
   launch(kernels().prepare, kernels().prepare_groups, tables_->colors.back(), with_contacts, 0);
-  if (targets != nullptr)
+  if (in.targets.rows() != 0)
     kernels().target.launch(
         device, held_count(),
-        {reads_row("held", held_), reads_row("targets", *targets), updates("x", x_)});
-  iterate(with_contacts);
-  kernels().finish.launch(device, particles,
-                          {reads_row("start", start_), reads_row("x", x_), number(tables_->dt),
-                           writes_row("state_out.particle_q", out.particle_q),
-                           writes_row("state_out.particle_qd", out.particle_qd),
-                           adaptive ? writes("has_last", has_last_) : number(int64_t{0})});
+        {reads_row("held", held_), reads_row("targets", in.targets), updates("x", x_)});
+  iterate(with_contacts, out.iterates);
+  kernels().finish.launch(
+      device, particles,
+      {reads_row("start", start_), reads_row("x", x_), number(tables_->dt),
+       writes_row("state_out.particle_q", out.q), writes_row("state_out.particle_qd", out.qd),
+       adaptive ? writes("has_last", has_last_) : number(int64_t{0})});
   has_stepped_ = true;
   had_contacts_ = with_contacts;
 }
 
+void LaunchedStep::find_residuals(bool with_contacts) {
+  kernels().clear.launch(model_.device(), static_cast<int64_t>(of_particles_.rows()),
+                         {writes_row("residual", of_particles_)});
+  launch(kernels().residual, kernels().residual_groups, tables_->colors.back(), with_contacts, 0);
+}
+
 VbdResidual LaunchedStep::residual() {
-  of_particles_.zero();
-  launch(kernels().residual, kernels().residual_groups, tables_->colors.back(), had_contacts_, 0);
+  find_residuals(had_contacts_);
+  return last_residual();
+}
+
+// Of what find_residuals found.
+VbdResidual LaunchedStep::last_residual() const {
   const std::vector<float> numbers = of_particles_.to_host();
   return sum_residuals(
       std::span(reinterpret_cast<const ParticleResidual*>(numbers.data()), numbers.size() / 3),

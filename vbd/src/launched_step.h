@@ -4,6 +4,7 @@
 
 #include <array>
 #include <memory>
+#include <span>
 #include <vector>
 
 #include "color_slots.h"
@@ -12,10 +13,26 @@
 #include "novaphy/core/recorder.h"
 #include "novaphy/core/sim/edited_values.h"
 #include "novaphy/core/sim/unread_materials.h"
-#include "novaphy/vbd/solver_vbd.h"
+#include "novaphy/vbd/differentiable_vbd.h"
 #include "sweep.h"
 
 namespace novaphy::vbd {
+
+struct VbdLaunchResults {
+  DeviceArray<Vec3f> q, qd;
+  // As many as there are iterations: the positions before each of them; none: they are not kept.
+  std::span<const DeviceArray<Vec4f>> iterates = {};
+};
+
+template <class T, class U>
+DeviceArray<T> upload(const U* values, size_t count, Device device) {
+  static_assert(sizeof(T) == sizeof(U));
+  return DeviceArray<T>::from_host(std::span(reinterpret_cast<const T*>(values), count), device);
+}
+template <class T, class U>
+DeviceArray<T> upload(const std::vector<U>& values, Device device) {
+  return upload<T>(values.data(), values.size(), device);
+}
 
 class LaunchedStep {
  public:
@@ -29,14 +46,16 @@ class LaunchedStep {
   // SolverVBD::step.
   void update(float dt);
   // `in_use`: the use of the solver's memory, which a recording takes.
-  void run(const SimState& in, SimState& out, const Control* control, const Contacts* contacts,
-           const DeviceArray<Vec3f>* targets, const std::shared_ptr<ExclusiveUse>& in_use);
+  void run(const VbdLaunchInputs& in, const VbdLaunchResults& out,
+           const std::shared_ptr<ExclusiveUse>& in_use);
   VbdResidual residual();
+  VbdResidual last_residual() const;
   void forget_last();
   int32_t held_count() const { return static_cast<int32_t>(held_.rows()); }
   bool has_stepped() const { return has_stepped_; }
 
  private:
+  friend class LaunchedReverse;
   // Where the number of an activation lies, for each lane of each slot of a role.
   struct Activated {
     DeviceArray<int32_t> element;
@@ -69,7 +88,10 @@ class LaunchedStep {
               bool with_contacts, int64_t first_group) const;
   void find_contacts(const Contacts& contacts) const;
   void activate(const Activated& to, Role role, const DeviceArray<float>& activation) const;
-  void iterate(bool with_contacts) const;
+  void iterate(bool with_contacts, std::span<const DeviceArray<Vec4f>> iterates) const;
+  // The particles of some groups are where rows of `from` say.
+  void commit(int64_t first_group, int64_t end_group, const DeviceArray<Vec4f>& from) const;
+  void find_residuals(bool with_contacts);
   Mover mover() const;
 
   const Model& model_;
@@ -82,6 +104,7 @@ class LaunchedStep {
   std::vector<const Array*> mesh_, values_;
   std::vector<ArrayStamp> mesh_stamps_, value_stamps_;
   ColorSlots slots_;
+  uint64_t builds_ = 0;  // of the slots
   std::shared_ptr<const Tables> tables_;
   DeviceArray<int32_t> is_held_, held_;
   // Rows of four floats, one per particle.

@@ -1,34 +1,27 @@
-// Who gets what slots compute for the other particles of their elements.
+// Who gets what slots compute for the positions of their elements.
 #pragma once
 
 #include <cstdint>
-#include <span>
 #include <vector>
 
 #include "color_slots.h"
 
 namespace novaphy::vbd {
 
-class Receivers {
- public:
-  // Three numbers of a slot, `stride` apart, in the table Adjoint::others[role].
-  struct Entry {
-    int32_t role = 0;
-    int64_t offset = 0;
-  };
+// Slots of all roles lie in one table of terms: for each of them three rows of lanes for every
+// other particle, behind three for its own if `own_terms`.
+//
+// For each colour there are rows, one for every particle to which slots of the particles of that
+// colour give something; with `own_terms` for these particles too. Entries are where terms begin,
+// whose three numbers are `lanes` apart; first those of the particle's own slots, then others, each
+// in the order of role, element and corner, which does not depend on how particles are grouped.
+struct Receivers {
+  void build(const ColorSlots& slots, int32_t particle_count, bool own_terms);
 
-  void build(const ColorSlots& slots, int32_t particle_count);
-  // For a particle, of the slots of the particles of one colour, in the order of role, element and
-  // corner, which does not depend on how particles are grouped.
-  std::span<const Entry> of(size_t color, int64_t particle) const {
-    const size_t row = color * particles_ + static_cast<size_t>(particle);
-    return std::span(entries_).subspan(begin_[row], begin_[row + 1] - begin_[row]);
-  }
-
- private:
-  size_t particles_ = 0;
-  std::vector<size_t> begin_;
-  std::vector<Entry> entries_;
+  std::vector<int64_t> terms_begin;  // by role, and behind the last
+  std::vector<int64_t> color_begin;  // rows of each colour, and behind the last
+  std::vector<int32_t> particle, is_own;
+  std::vector<int64_t> begin, others, entries;  // `begin` also behind the last
 };
 
 }  // namespace novaphy::vbd

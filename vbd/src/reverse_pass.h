@@ -6,6 +6,7 @@
 #include "receivers.h"
 #include "rows.h"
 #include "step_work.h"
+#include "vbd_gradient_kernels.h"
 
 namespace novaphy::vbd {
 
@@ -20,10 +21,10 @@ class ReversePass {
   // At the solution. Returns how well the linear system was solved: the residual is the true one.
   KrylovResult implicit(const Vec3f* q_bar, const Vec3f* qd_bar, double tolerance, int32_t sweeps);
 
-  // By number k of the law of an element, over the corners that have it; by the weight of a
-  // corner's slot: of its m-th other, component c.
-  float law_bar(Role role, size_t element, int k) const;
-  float weight_bar(Role role, size_t element, size_t corner, int number) const;
+  // By the numbers of the slots of a role.
+  VbdLawBars law_bars(Role role) const {
+    return {step.slots.table(role).places.data(), numbers_[role].data(), step.level.lanes};
+  }
 
   StepWork& step;
   Rows x_bar;  // of the initial guess; of held particles: of where they are
@@ -36,15 +37,14 @@ class ReversePass {
   void reverse_color(size_t color, const Rows& before);
   template <class Function>
   void for_groups(int64_t begin, int64_t end, Function&& function);
-  void receive(size_t first_color, size_t last_color, Rows& rows);
+  void receive(size_t color, Rows& rows);
   void clear_parameters();
-  void finish(const Vec3f* qd_bar);
   bool is_held(size_t p) const { return step.slots.is_held(static_cast<int32_t>(p)); }
+  void end(Row* guess, const Vec3f* qd_bar);
 
   Receivers receivers_;
   Adjoint bars_;
-  Rows own_bar_, multiplier_;
-  std::vector<float> others_[kRoles], numbers_[kRoles];
+  std::vector<float> terms_, numbers_[kRoles];
   uint64_t builds_ = 0;  // of the tables that the receivers were made from
 };
 

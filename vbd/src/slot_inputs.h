@@ -14,11 +14,6 @@ template <Role role, class S>
 struct SlotInputs {
   Vec3<S> own, others[3];
   S numbers[kFloats[role]];  // as in the slot
-
-  // The row of indices of the k-th other.
-  static constexpr int place(int k) {
-    return kOwnPlace[role] < 0 || k < kOwnPlace[role] ? k : k + 1;
-  }
 };
 
 template <class S>

@@ -136,7 +136,17 @@ void SolverVBD::step(SimState& state_in, SimState& state_out, const Control* con
   if (w.last_was_launched) {
     vbd::LaunchedStep& step = w.host == nullptr ? *w.launched : w.recorded();
     step.update(dt);
-    return step.run(state_in, state_out, control, contacts, targets, in_use());
+    VbdLaunchInputs inputs;
+    inputs.q = state_in.particle_q;
+    inputs.qd = state_in.particle_qd;
+    inputs.f = state_in.particle_f;
+    inputs.tri_activation =
+        control != nullptr ? control->particle_tri_activation : m.particle_tri_activation;
+    inputs.tet_activation =
+        control != nullptr ? control->particle_tet_activation : m.particle_tet_activation;
+    inputs.contacts = contacts;
+    if (targets != nullptr) inputs.targets = *targets;
+    return step.run(inputs, {state_out.particle_q, state_out.particle_qd, {}}, in_use());
   }
   w.host->update(control != nullptr ? &control->particle_tri_activation : nullptr,
                  control != nullptr ? &control->particle_tet_activation : nullptr, contacts, dt);

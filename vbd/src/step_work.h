@@ -8,19 +8,14 @@
 #include "color_slots.h"
 #include "novaphy/core/sim/edited_values.h"
 #include "novaphy/core/sim/unread_materials.h"
+#include "novaphy/vbd/rows_kernels.h"
 #include "novaphy/vbd/solver_vbd.h"
 #include "step_contacts.h"
 #include "sweep.h"
 
 namespace novaphy::vbd {
 
-// A row of the tables of a sweep.
-struct Row {
-  float x = 0.0f, y = 0.0f, z = 0.0f, unused = 0.0f;
-  Row() = default;
-  Row(const Vec3f& v) : x(v.x), y(v.y), z(v.z) {}
-  operator Vec3f() const { return {x, y, z}; }
-};
+using Row = VbdRow;
 
 // What a step reads and writes.
 struct StepArrays {

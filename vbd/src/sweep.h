@@ -47,10 +47,10 @@ struct ParticleResidual {
 // Derivatives of a scalar, called bars, as a sweep in reverse reads and makes them. Rows of 4
 // floats per particle, and per slot rows of lanes. "Added to" unless said otherwise.
 struct Adjoint {
-  const float* x = nullptr;           // by the positions after a colour: what u is solved from
+  float* x =
+      nullptr;  // by the positions: what u is solved from, and what particles add to their own
   const float* multiplier = nullptr;  // u itself, instead
   float* multiplier_sum = nullptr;    // of u; null: not wanted
-  float* own = nullptr;               // what the particles of the colour add to their own
   float* start = nullptr;             // by xn
   float* target = nullptr;            // by y
   float* mass_by_h2 = nullptr;        // per particle

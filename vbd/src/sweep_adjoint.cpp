@@ -3,7 +3,6 @@
 // A particle moves by d = H^-1 f. With u = H^-T xbar, the derivative of d.xbar by anything that f
 // and H read is that of u.f - u.(H d), u and d held constant: a sum over slots.
 #include "slot_adjoints.h"
-#include "slot_inputs.h"
 
 namespace novaphy::vbd::NOVAPHY_LEVEL {
 namespace {
@@ -15,25 +14,11 @@ void add_row(float* rows, int32_t particle, const Point& value, int32_t lane) {
   row[2] += value.z.v[lane];
 }
 
-// The derivative of -u.(H d) by the entries of H, beside u.
-Block<Lanes> bars_of(const Point& u, const Point& d) {
-  Block<Lanes> bar;
-  bar.f = u;
-  bar.h00 = -(u.x * d.x);
-  bar.h11 = -(u.y * d.y);
-  bar.h22 = -(u.z * d.z);
-  bar.h01 = -(u.x * d.y + u.y * d.x);
-  bar.h02 = -(u.x * d.z + u.z * d.x);
-  bar.h12 = -(u.y * d.z + u.z * d.y);
-  return bar;
-}
-
 template <Role role>
 SlotPoints<role> points_of(const Slot<role>& slot, const Point& own, const float* q) {
   SlotPoints<role> x;
   x.own = own;
-  for (int k = 0; k < kOthers[role]; ++k)
-    x.others[k] = gather(q, slot.index(SlotInputs<role, Lanes>::place(k)));
+  for (int k = 0; k < kOthers[role]; ++k) x.others[k] = gather(q, slot.index(other_place<role>(k)));
   return x;
 }
 
@@ -174,7 +159,7 @@ void adjoint(const Sweep& sweep, const Adjoint& bars, int64_t group) {
     adjoint_elements<false, false>(sweep, bars, group, x, bar, own, by_start);
   }
   for (int32_t l = 0; l < filled; ++l) {
-    add_row(bars.own, particle[l], own, l);
+    add_row(bars.x, particle[l], own, l);
     add_row(bars.target, particle[l], inertia, l);
     add_row(bars.start, particle[l], by_start, l);
     bars.mass_by_h2[particle[l]] += by_mass.v[l];
@@ -187,16 +172,19 @@ void adjoint_start(const Sweep& sweep, const Adjoint& bars, int64_t group) {
   const Point x = gather(sweep.start, particle);
   Point own;
   adjoint_start_slots<kSpring, false>(sweep, bars, group, x, own);
+  if (bars.weights) {
+    adjoint_start_slots<kTriangle, true>(sweep, bars, group, x, own);
+  } else {
+    adjoint_start_slots<kTriangle, false>(sweep, bars, group, x, own);
+  }
   adjoint_start_slots<kHingeOpposite, false>(sweep, bars, group, x, own);
   adjoint_start_slots<kHingeEnd, false>(sweep, bars, group, x, own);
   if (bars.weights) {
-    adjoint_start_slots<kTriangle, true>(sweep, bars, group, x, own);
     adjoint_start_slots<kTetrahedron, true>(sweep, bars, group, x, own);
   } else {
-    adjoint_start_slots<kTriangle, false>(sweep, bars, group, x, own);
     adjoint_start_slots<kTetrahedron, false>(sweep, bars, group, x, own);
   }
-  for (int32_t l = 0; l < sweep.filled[group]; ++l) add_row(bars.own, particle[l], own, l);
+  for (int32_t l = 0; l < sweep.filled[group]; ++l) add_row(bars.start, particle[l], own, l);
 }
 
 }  // namespace novaphy::vbd::NOVAPHY_LEVEL

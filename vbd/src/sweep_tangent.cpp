@@ -26,7 +26,7 @@ SlotInputs<role, Tangent> inputs_of(const Slot<role>& slot, const Vec3<Tangent>&
   SlotInputs<role, Tangent> in;
   in.own = x;
   for (int k = 0; k < kOthers[role]; ++k) {
-    const int32_t* const index = slot.index(in.place(k));
+    const int32_t* const index = slot.index(other_place<role>(k));
     in.others[k] = with_slope(gather(q, index), rows_or_zero(dq, index));
   }
   for (int k = 0; k < kFloats[role]; ++k)

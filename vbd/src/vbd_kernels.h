@@ -8,27 +8,11 @@
 #pragma once
 
 #include "novaphy/core/row_kernel.h"
-#include "novaphy/vbd/bending_trace.h"
 #include "novaphy/vbd/contact_numbers_trace.h"
-#include "novaphy/vbd/membrane_trace.h"
-#include "novaphy/vbd/particle_contact_trace.h"
+#include "novaphy/vbd/lane_slots_kernels.h"
 #include "novaphy/vbd/particle_step_trace.h"
-#include "novaphy/vbd/slot_layout_trace.h"
-#include "novaphy/vbd/spring_trace.h"
-#include "novaphy/vbd/tetrahedron_trace.h"
 
 namespace novaphy {
-
-// Lanes of a group on devices; groups of a team where there are many; terms that a team has room
-// for (see vbd_move_team).
-constexpr int kVbdLanes = 4, kVbdLargeTeam = 8, kVbdTeamTerms = 832;
-
-// A row of the tables of a sweep.
-struct alignas(16) VbdRow {
-  float x, y, z, unused;
-};
-inline Vec3f to_vec3(const VbdRow& row) { return {row.x, row.y, row.z}; }
-inline VbdRow to_row(const Vec3f& v) { return {v.x, v.y, v.z, 0.0f}; }
 
 struct VbdPredictArguments {
   const Vec3f* q;  // these three: a row per particle
@@ -124,131 +108,7 @@ NOVAPHY_ROW_KERNEL(vbd_contact, 18, VbdContactArguments) {
                            {a.ke[s], a.kd[s], a.mu[s]}, a.h.value);
 }
 
-struct VbdSweepArguments {
-  const int32_t* particle;  // of each lane of each group
-  const int32_t* filled;    // lanes of a group that are particles
-  const float* mass_by_h2;  // of each lane
-  const int64_t* begin[5];  // by role: the slots of a group
-  const int32_t* ints[5];
-  float* floats[5];
-  const int32_t* contact_begin;  // null: no contacts
-  const float* contacts;
-  const VbdRow* start;
-  const VbdRow* target;
-  VbdRow* moved;
-  VbdRow* x;
-  VbdRow* to;  // where the particles of a colour go: x, or memory of its own
-  FloatWord regularization, slip;
-  int64_t damped;  // bit of each role
-  int64_t first_group, end_group;
-  int64_t team;                // groups of a team: 1 or kVbdLargeTeam
-  const int32_t* color_begin;  // of vbd_sweep: groups of each colour, and behind the last
-  int64_t colors, iterations;
-  uint32_t* barrier;  // 0 at the beginning
-  float* residual;    // of vbd_residual
-};
-
 namespace vbd {
-
-inline Vec3f at(const VbdRow* rows, int32_t p) { return to_vec3(rows[p]); }
-
-// Slot s of a role, for one lane.
-template <int role>
-struct LaneSlot {
-  const int32_t* ints;
-  float* floats;
-  LaneSlot(const VbdSweepArguments& a, int64_t s, int32_t lane)
-      : ints(a.ints[role] + s * (kInts[role] * kVbdLanes) + lane),
-        floats(a.floats[role] + s * (kFloats[role] * kVbdLanes) + lane) {}
-  int32_t index(int k) const { return ints[k * kVbdLanes]; }
-  float number(int k) const { return floats[k * kVbdLanes]; }
-  void set(int k, float value) const { floats[k * kVbdLanes] = value; }
-};
-
-inline MembraneWeights<float> weights_of(const LaneSlot<kTriangle>& s) {
-  return {{s.number(0), s.number(1)}, {s.number(2), s.number(3)}};
-}
-inline TetrahedronWeights<float> weights_of(const LaneSlot<kTetrahedron>& s) {
-  return {{s.number(0), s.number(1), s.number(2)},
-          {s.number(3), s.number(4), s.number(5)},
-          {s.number(6), s.number(7), s.number(8)}};
-}
-template <int role>
-BendingLaw<float> bending_law(const LaneSlot<role>& s) {
-  return {s.number(0), s.number(1), s.number(2)};
-}
-
-// The block of one slot for the particle at x.
-inline Block<float> block_of(const LaneSlot<kSpring>& s, const VbdSweepArguments& a,
-                             const Vec3f& x) {
-  return spring_block(x, at(a.x, s.index(0)),
-                      SpringLaw<float>{s.number(0), s.number(1), s.number(2)}, s.number(3));
-}
-inline Block<float> block_of(const LaneSlot<kTriangle>& s, const VbdSweepArguments& a,
-                             const Vec3f& x) {
-  return membrane_block(x, at(a.x, s.index(0)), at(a.x, s.index(1)), weights_of(s),
-                        MembraneLaw<float>{s.number(4), s.number(5), s.number(6), s.number(7)},
-                        MembraneStrain<float>{s.number(8), s.number(9), s.number(10)},
-                        (a.damped >> kTriangle) & 1);
-}
-inline Block<float> block_of(const LaneSlot<kHingeOpposite>& s, const VbdSweepArguments& a,
-                             const Vec3f& x) {
-  return bending_opposite_block(x, at(a.x, s.index(1)), at(a.x, s.index(2)), at(a.x, s.index(3)),
-                                bending_law(s), s.number(3));
-}
-inline Block<float> block_of(const LaneSlot<kHingeEnd>& s, const VbdSweepArguments& a,
-                             const Vec3f& x) {
-  return bending_end_block(at(a.x, s.index(0)), at(a.x, s.index(1)), x, at(a.x, s.index(3)),
-                           bending_law(s), s.number(3));
-}
-inline Block<float> block_of(const LaneSlot<kTetrahedron>& s, const VbdSweepArguments& a,
-                             const Vec3f& x) {
-  TetrahedronStrain<float> start;
-  for (int k = 0; k < 6; ++k) start.c[k] = s.number(13 + k);
-  return tetrahedron_block(
-      x, at(a.x, s.index(0)), at(a.x, s.index(1)), at(a.x, s.index(2)), weights_of(s),
-      TetrahedronLaw<float>{s.number(9), s.number(10), s.number(11), s.number(12)}, start,
-      (a.damped >> kTetrahedron) & 1);
-}
-
-template <int role, class Body>
-void for_lane_slots(const VbdSweepArguments& a, int64_t group, int32_t lane, const Body& body) {
-  if (a.begin[role] == nullptr) return;
-  for (int64_t s = a.begin[role][group]; s < a.begin[role][group + 1]; ++s)
-    body(LaneSlot<role>(a, s, lane));
-}
-
-inline ParticleContact<float> contact_of(const VbdSweepArguments& a, int32_t k) {
-  const float* const n = a.contacts + static_cast<int64_t>(k) * kContactFloats;
-  return {{n[0], n[1], n[2]}, {n[3], n[4], n[5]}, {n[6], n[7], n[8]}, n[9], n[10], n[11], n[12],
-          a.slip.value};
-}
-// What the contacts of a particle add up to.
-inline Block<float> contact_blocks(const VbdSweepArguments& a, int32_t p, const Vec3f& x) {
-  Block<float> outer;
-  if (a.contact_begin == nullptr) return outer;
-  const Vec3f start = at(a.start, p);
-  for (int32_t k = a.contact_begin[p]; k < a.contact_begin[p + 1]; ++k)
-    outer = outer + particle_contact_block(x, start, contact_of(a, k));
-  return outer;
-}
-
-// The block of a particle, in the order of sweep_slots.h.
-inline Block<float> block_at(const VbdSweepArguments& a, int64_t group, int32_t lane,
-                             const Vec3f& x) {
-  const int64_t k = group * kVbdLanes + lane;
-  const int32_t p = a.particle[k];
-  Block<float> outer = contact_blocks(a, p, x);
-  for_lane_slots<kSpring>(a, group, lane,
-                          [&](const LaneSlot<kSpring>& s) { outer = outer + block_of(s, a, x); });
-  Block<float> block = inertia_block(x, at(a.target, p), a.mass_by_h2[k]);
-  const auto add = [&](const auto& s) { block = block + block_of(s, a, x); };
-  for_lane_slots<kTriangle>(a, group, lane, add);
-  for_lane_slots<kHingeOpposite>(a, group, lane, add);
-  for_lane_slots<kHingeEnd>(a, group, lane, add);
-  for_lane_slots<kTetrahedron>(a, group, lane, add);
-  return block + outer;
-}
 
 // The energy of the elements of a particle at x, its contacts under the loads that they have at
 // `from`.
@@ -467,7 +327,7 @@ inline void store_block(float* to, int stride, const Block<float>& b) {
   to[8 * stride] = b.h12;
 }
 
-template <int role, int G>
+template <Role role, int G>
 inline void put_term(const VbdSweepArguments& a, TeamMemory& m, int32_t begin, int32_t term) {
   const int32_t k = term - begin, lane = k % kVbdLanes, group = k / kVbdLanes % G,
                 slot = k / (kVbdLanes * G);

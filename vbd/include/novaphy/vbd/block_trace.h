@@ -100,6 +100,20 @@ math::Ldlt<T, 3> factorize(const Block<T>& b, const T& regularization) {
   return factors(select(is_regular, zero, regularization * mean));
 }
 
+// The derivative of -u.(H d) by the entries of H, beside u: what a law is read backwards with.
+template <class T>
+Block<T> bars_of(const Vec3<T>& u, const Vec3<T>& d) {
+  Block<T> bar;
+  bar.f = u;
+  bar.h00 = -(u.x * d.x);
+  bar.h11 = -(u.y * d.y);
+  bar.h22 = -(u.z * d.z);
+  bar.h01 = -(u.x * d.y + u.y * d.x);
+  bar.h02 = -(u.x * d.z + u.z * d.x);
+  bar.h12 = -(u.y * d.z + u.z * d.y);
+  return bar;
+}
+
 // The step d of H d = f.
 template <class T>
 Vec3<T> solve_block(const math::Ldlt<T, 3>& factors, const Vec3<T>& f) {

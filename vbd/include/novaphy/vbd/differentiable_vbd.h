@@ -23,40 +23,54 @@ struct VbdStepInputs {
   const Vec3f* targets = nullptr;                      // of the held particles; null: they stay
 };
 
+// The same on the device of the model. Contacts: null: none; targets without rows: held particles
+// stay.
+struct VbdLaunchInputs {
+  DeviceArray<Vec3f> q, qd, f;
+  DeviceArray<float> tri_activation, tet_activation;
+  const Contacts* contacts = nullptr;
+  DeviceArray<Vec3f> targets;
+  float dt = 0.0f;  // s
+
+  bool have_contacts() const { return contacts != nullptr && contacts->soft_contact_max() > 0; }
+};
+
 // One derivative for each number that a step reads: with the rows and columns of the arrays of
 // Model of these names, and of the targets. As VbdStepGradients those of a scalar by what a step
 // reads, written in full (null: not wanted); as VbdStepTangents those of what it reads along a
-// direction (null: 0). Held particles have none by mass. Where friction has no part (the product of
+// direction (null: 0); as VbdStepArrays those of a scalar on a device, as arrays without rows where
+// they are not wanted. Held particles have none by mass. Where friction has no part (the product of
 // the coefficients is 0) there is none by shape_material_mu.
-template <class Number, class Vector>
+template <class Numbers, class Vectors>
 struct VbdStepDerivatives {
-  Vector* particle_q = nullptr;
-  Vector* particle_qd = nullptr;
-  Vector* particle_f = nullptr;
-  Vector* targets = nullptr;
-  Vector* gravity = nullptr;
-  Number* particle_mass = nullptr;
-  Number* particle_radius = nullptr;
-  Number* particle_spring_stiffness = nullptr;
-  Number* particle_spring_damping = nullptr;
-  Number* particle_spring_rest_length = nullptr;
-  Number* particle_tri_pose = nullptr;
-  Number* particle_tri_area = nullptr;
-  Number* particle_tri_material = nullptr;  // columns 3 and 4 (drag, lift): 0
-  Number* particle_tri_activation = nullptr;
-  Number* particle_edge_material = nullptr;
-  Number* particle_edge_rest_angle = nullptr;
-  Number* particle_edge_rest_length = nullptr;
-  Number* particle_tet_pose = nullptr;
-  Number* particle_tet_material = nullptr;
-  Number* particle_tet_activation = nullptr;
-  Number* shape_margin = nullptr;
-  Number* shape_material_ke = nullptr;
-  Number* shape_material_kd = nullptr;
-  Number* shape_material_mu = nullptr;
+  Vectors particle_q = {};
+  Vectors particle_qd = {};
+  Vectors particle_f = {};
+  Vectors targets = {};
+  Vectors gravity = {};
+  Numbers particle_mass = {};
+  Numbers particle_radius = {};
+  Numbers particle_spring_stiffness = {};
+  Numbers particle_spring_damping = {};
+  Numbers particle_spring_rest_length = {};
+  Numbers particle_tri_pose = {};
+  Numbers particle_tri_area = {};
+  Numbers particle_tri_material = {};  // columns 3 and 4 (drag, lift): 0
+  Numbers particle_tri_activation = {};
+  Numbers particle_edge_material = {};
+  Numbers particle_edge_rest_angle = {};
+  Numbers particle_edge_rest_length = {};
+  Numbers particle_tet_pose = {};
+  Numbers particle_tet_material = {};
+  Numbers particle_tet_activation = {};
+  Numbers shape_margin = {};
+  Numbers shape_material_ke = {};
+  Numbers shape_material_kd = {};
+  Numbers shape_material_mu = {};
 };
-using VbdStepGradients = VbdStepDerivatives<float, Vec3f>;
-using VbdStepTangents = VbdStepDerivatives<const float, const Vec3f>;
+using VbdStepGradients = VbdStepDerivatives<float*, Vec3f*>;
+using VbdStepTangents = VbdStepDerivatives<const float*, const Vec3f*>;
+using VbdStepArrays = VbdStepDerivatives<Array, Array>;
 
 struct VbdGradientOptions {
   // False: of the sweeps that run. True: of the solution of the step, which forward then finds.
@@ -93,7 +107,8 @@ struct VbdGradientInfo {
 // positions or targets. The result has the same bits for any number of threads and any processor.
 class NOVAPHY_VBD_API DifferentiableVbd {
  public:
-  // ErrorKind::NotImplemented: acceleration, tolerance, safeguard, the adaptive guess.
+  // ErrorKind::NotImplemented: acceleration, tolerance, safeguard, the adaptive guess; on a device
+  // implicit gradients, and unless NOVAPHY_UNVERIFIED_DEVICE_VBD_GRADIENTS is on.
   // ErrorKind::Value: bad options; implicit without an iteration. Other errors as SolverVBD.
   explicit DifferentiableVbd(std::shared_ptr<const Model> model, const VbdOptions& options = {},
                              const VbdGradientOptions& gradient_options = {});
@@ -109,13 +124,22 @@ class NOVAPHY_VBD_API DifferentiableVbd {
   // The derivatives of the results along a direction.
   void tangent(const VbdStepInputs& inputs, const VbdStepTangents& direction, Vec3f* q_out_slope,
                Vec3f* qd_out_slope);
+  // On a device, where there is no tangent: launches, which may be recorded. Errors as
+  // SolverVBD::step there; `in_use`: the use of the memory, which a recording takes. Bars without
+  // rows: 0.
+  void forward(const VbdLaunchInputs& inputs, const DeviceArray<Vec3f>& q_out,
+               const DeviceArray<Vec3f>& qd_out, const std::shared_ptr<ExclusiveUse>& in_use);
+  void backward(const VbdLaunchInputs& inputs, const Array& q_out_bar, const Array& qd_out_bar,
+                const VbdStepArrays& gradients, const std::shared_ptr<ExclusiveUse>& in_use);
   // Of the last backward or tangent. ErrorKind::Runtime: there was none.
   VbdGradientInfo info() const;
 
  private:
   struct Work;
   std::shared_ptr<const Model> model_;
-  std::unique_ptr<Work> work_;
+  struct Launched;
+  std::unique_ptr<Work> work_;          // on the CPU
+  std::unique_ptr<Launched> launched_;  // on a device
 };
 
 }  // namespace novaphy

@@ -28,6 +28,12 @@ constexpr int kLawFloats[kRoles] = {3, 4, 3, 3, 4};
 constexpr int law_begin(int role) { return kFloats[role] - kStartFloats[role] - kLawFloats[role]; }
 constexpr int kOthers[kRoles] = {1, 2, 3, 3, 3};
 constexpr int kOwnPlace[kRoles] = {-1, -1, 0, 2, -1};
+constexpr int kCorners[kRoles] = {2, 3, 4, 4, 4};  // of an element
+// The row of indices of the k-th other.
+template <int role>
+constexpr int other_place(int k) {
+  return kOwnPlace[role] < 0 || k < kOwnPlace[role] ? k : k + 1;
+}
 
 // A contact of a particle in the step: point (3), normal (3), travel (3), radius, ke, kd/h, mu.
 // Derivatives are by the last four.

@@ -1,0 +1,118 @@
+// Gradients of DiffSolverVBD on a CUDA device have the bits of the CPU. On a GPU, or on the fake
+// driver (CMakeLists.txt).
+#include <gtest/gtest.h>
+
+#include <cstdlib>
+#include <cstring>
+#include <functional>
+#include <string>
+
+#include "novaphy/core/error.h"
+#include "vbd/gradients_scene.h"
+
+namespace novaphy {
+namespace {
+
+using testing::NamedValues;
+using testing::VbdGradientRun;
+
+constexpr const char* kOptIn = "NOVAPHY_UNVERIFIED_DEVICE_VBD_GRADIENTS";
+
+class VbdDevices : public ::testing::Test {
+ protected:
+  void SetUp() override {
+    try {
+      device_info(Device::cuda());
+    } catch (const Error& error) {
+      GTEST_SKIP() << "needs a CUDA device: " << error.what();
+    }
+    setenv(kOptIn, "on", 1);
+  }
+  void TearDown() override { unsetenv(kOptIn); }
+};
+
+NamedValues gradients(Device device, const VbdGradientRun& how) {
+  NamedValues all = testing::vbd_gradients(device, how);
+  for (const auto& [name, values] : all) {
+    bool any = false;
+    for (const float x : values) any = any || x != 0.0f;
+    EXPECT_TRUE(any) << name;
+  }
+  return all;
+}
+void expect_same(const NamedValues& actual, const NamedValues& expected, const char* what = "") {
+  ASSERT_EQ(actual.size(), expected.size());
+  for (size_t k = 0; k < actual.size(); ++k) {
+    const auto& [name, values] = actual[k];
+    const std::vector<float>& others = expected[k].second;
+    EXPECT_EQ(name, expected[k].first);
+    ASSERT_EQ(values.size(), others.size());
+    for (size_t i = 0; i < values.size(); ++i)
+      if (std::memcmp(&values[i], &others[i], sizeof(float)) != 0) {
+        ADD_FAILURE() << name << "[" << i << "]" << what << ": " << values[i] << ", expected "
+                      << others[i];
+        break;
+      }
+  }
+}
+void expect_bits_of_the_cpu(const VbdGradientRun& how) {
+  expect_same(gradients(Device::cuda(), how), gradients(Device::cpu(), how));
+}
+
+TEST_F(VbdDevices, GradientsByEverythingHaveTheBitsOfTheCpu) {
+  expect_bits_of_the_cpu({.steps = 1});
+  expect_bits_of_the_cpu({});
+}
+TEST_F(VbdDevices, SomeGradientsHaveTheBitsOfTheCpu) {
+  expect_bits_of_the_cpu({.contacts = false, .targets = false, .only = {"particle_q"}});
+  expect_bits_of_the_cpu({.kd = 0.0f, .only = {"particle_tri_material", "shape_material_mu"}});
+}
+TEST_F(VbdDevices, OptionsHaveTheBitsOfTheCpu) {
+  expect_bits_of_the_cpu(
+      {.options = {.iterations = 3, .initial_guess = VbdInitialGuess::Previous}});
+  expect_bits_of_the_cpu({.conflicts = true});
+}
+TEST_F(VbdDevices, CheckpointsAndReplaysHaveTheBitsOfTheCpu) {
+  const NamedValues expected = gradients(Device::cpu(), {.steps = 5});
+  expect_same(gradients(Device::cuda(), {.steps = 5, .checkpoint = 2}), expected, ", checkpoints");
+  expect_same(gradients(Device::cuda(), {.steps = 5, .replays = 2}),
+              gradients(Device::cpu(), {.steps = 5, .replays = 2}), ", replayed");
+  expect_same(gradients(Device::cuda(), {.steps = 5, .checkpoint = 2, .replays = 2}),
+              gradients(Device::cpu(), {.steps = 5, .checkpoint = 2, .replays = 2}),
+              ", checkpoints replayed");
+}
+
+void expect_thrown(ErrorKind kind, const std::string& words, const std::function<void()>& call) {
+  try {
+    call();
+    ADD_FAILURE() << "nothing was thrown: " << words;
+  } catch (const Error& error) {
+    EXPECT_EQ(error.kind(), kind) << error.what();
+    EXPECT_NE(std::string(error.what()).find(words), std::string::npos) << error.what();
+  }
+}
+
+TEST_F(VbdDevices, WhatIsNotThereIsRefusedByName) {
+  const auto model = testing::EverythingScene::make(0.0f, Device::cuda());
+  expect_thrown(ErrorKind::NotImplemented, "gradient: expected \"unrolled\" for a model on cuda:0",
+                [&] { diff::DiffSolverVBD made(model, {.gradient = {.implicit = true}}); });
+  diff::DiffSolverVBD solver(model);
+  expect_thrown(ErrorKind::Runtime, "expected a backward before", [&] { solver.gradient_info(); });
+  SimState a = model->state(), b = model->state();
+  const nova::Tensor q = diff::state_particle_q_tensor(a, true);
+  nova::Tape tape;
+  {
+    const nova::TapeScope on_tape(tape);
+    solver.step(a, b, nullptr, nullptr, 1.0f / 120.0f);
+  }
+  expect_thrown(ErrorKind::NotImplemented, "jvp on cuda:0 is not there yet",
+                [&] { tape.jvp({diff::state_particle_q_tensor(b)}, {q}, {q.detach().clone()}); });
+  for (const char* off : {"", "off"}) {
+    setenv(kOptIn, off, 1);
+    expect_thrown(ErrorKind::NotImplemented, "NOVAPHY_UNVERIFIED_DEVICE_VBD_GRADIENTS=on lets it",
+                  [&] { diff::DiffSolverVBD made(model); });
+  }
+}
+
+}  // namespace
+}  // namespace novaphy

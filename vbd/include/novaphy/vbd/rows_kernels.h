@@ -1,0 +1,17 @@
+// A row of the tables of a sweep: three numbers of a particle.
+#pragma once
+
+#include "novaphy/math/types.h"
+
+namespace novaphy {
+
+struct alignas(16) VbdRow {
+  float x = 0.0f, y = 0.0f, z = 0.0f, unused = 0.0f;
+  VbdRow() = default;
+  VbdRow(const Vec3f& v) : x(v.x), y(v.y), z(v.z) {}
+  operator Vec3f() const { return {x, y, z}; }
+};
+inline Vec3f to_vec3(const VbdRow& row) { return row; }
+inline VbdRow to_row(const Vec3f& v) { return v; }
+
+}  // namespace novaphy

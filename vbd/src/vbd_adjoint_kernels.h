@@ -1,0 +1,215 @@
+// A colour of VBD in reverse on devices, as three launches; sweep_adjoint.cpp is the same on the
+// CPU, and explains it. vbd_adjoint_solve finds the multipliers u and the steps d of the particles,
+// a thread for each; vbd_adjoint_slots what their slots give to positions and numbers, a thread for
+// each lane of a slot; vbd_receive (vbd_gradient_kernels.h) adds that up in slot order.
+#pragma once
+
+#include "novaphy/vbd/lane_slots_kernels.h"
+
+namespace novaphy {
+
+struct VbdAdjointArguments {
+  VbdSweepArguments sweep;
+  const VbdRow* before;  // where the particles of the colour stood; null: they are there
+  const VbdRow* x_bar;
+  VbdRow* u;
+  VbdRow* d;
+  VbdRow* own;  // what a particle gives to its own position, but for its slots
+  VbdRow* start_bar;
+  VbdRow* target_bar;
+  float* mass_bar;               // by mass/h^2
+  float* contact_bars;           // kContactLawFloats for each contact of the step
+  const int32_t* slot_particle;  // of each lane of each slot of each role; -1: none
+  float* terms;                  // of slots, 3 rows for their own and each other particle
+  float* numbers;                // of slots, by all their numbers
+  const int64_t* begins;         // where roles begin in these three: 5 numbers for each
+  int64_t first[5];              // by role: the first lane of the slots of the launch
+  int64_t ends[5];               // by role: threads up to its last one
+};
+
+// The last four also by the weights of slots, and of what slots have of the start.
+NOVAPHY_BLOCK_KERNEL(vbd_adjoint_solve, 59, VbdAdjointArguments);
+NOVAPHY_BLOCK_KERNEL(vbd_adjoint_slots, 59, VbdAdjointArguments);
+NOVAPHY_BLOCK_KERNEL(vbd_adjoint_weights, 59, VbdAdjointArguments);
+NOVAPHY_BLOCK_KERNEL(vbd_adjoint_start, 59, VbdAdjointArguments);
+NOVAPHY_BLOCK_KERNEL(vbd_adjoint_start_weights, 59, VbdAdjointArguments);
+
+#ifdef NOVAPHY_KERNEL
+namespace vbd {
+// The derivatives of the laws, of floats.
+namespace floats {
+using Lanes = float;
+using Point = Vec3f;
+template <Role role>
+using Slot = LaneSlot<role>;
+using math::both;
+using math::select;
+using math::sqrt;
+#define NOVAPHY_LANE_FN inline
+#include "slot_adjoints.inc"
+#undef NOVAPHY_LANE_FN
+}  // namespace floats
+
+inline void add(VbdRow* rows, int32_t p, const Vec3f& v) { rows[p] = to_row(at(rows, p) + v); }
+
+// One lane of a slot, the k-th of its role in the launch: where it is, and what it reads at q.
+template <Role role>
+struct AdjointSlot {
+  int64_t number;
+  int32_t lane, particle;
+  floats::SlotPoints<role> x;
+  AdjointSlot(const VbdAdjointArguments& a, const VbdRow* q, int64_t k) {
+    const int64_t i = a.first[role] + k;
+    number = i / kVbdLanes;
+    lane = static_cast<int32_t>(i - number * kVbdLanes);
+    particle = a.slot_particle[a.begins[role] + i];
+    if (particle < 0) return;
+    const LaneSlot<role> slot(a.sweep, number, lane);
+    x.own = at(q, particle);
+#pragma unroll
+    for (int o = 0; o < kOthers[role]; ++o) x.others[o] = at(q, slot.index(other_place<role>(o)));
+  }
+  float* numbers(const VbdAdjointArguments& a) const {
+    return a.numbers + a.begins[2 * kRoles + role] + number * (kFloats[role] * kVbdLanes) + lane;
+  }
+  void put_terms(const VbdAdjointArguments& a, const floats::SlotBars<role>& of) const {
+    constexpr int kPoints = 1 + kOthers[role];
+    float* const to = a.terms + a.begins[kRoles + role] + number * (kPoints * 3 * kVbdLanes) + lane;
+#pragma unroll
+    for (int o = 0; o < kPoints; ++o) {
+      const Vec3f& v = o == 0 ? of.own : of.others[o > 0 ? o - 1 : 0];
+      to[(3 * o) * kVbdLanes] = v.x;
+      to[(3 * o + 1) * kVbdLanes] = v.y;
+      to[(3 * o + 2) * kVbdLanes] = v.z;
+    }
+  }
+  // The numbers [first, last).
+  void add_numbers(const VbdAdjointArguments& a, const floats::SlotBars<role>& of, int first,
+                   int last) const {
+    float* const to = numbers(a);
+#pragma unroll
+    for (int k = 0; k < kFloats[role]; ++k)
+      if (k >= first && k < last) to[k * kVbdLanes] = to[k * kVbdLanes] + of.numbers[k];
+  }
+};
+
+template <Role role, bool damped, bool weights>
+inline void reverse_slot(const VbdAdjointArguments& a, int64_t k) {
+  const AdjointSlot<role> at_slot(a, a.sweep.x, k);
+  if (at_slot.particle < 0) return;
+  const Block<float> bar = bars_of(at(a.u, at_slot.particle), at(a.d, at_slot.particle));
+  floats::SlotBars<role> to;
+  floats::slot_adjoint<false, damped, weights>(
+      LaneSlot<role>(a.sweep, at_slot.number, at_slot.lane), at_slot.x, bar, to);
+  at_slot.put_terms(a, to);
+  at_slot.add_numbers(a, to, weights ? 0 : law_begin(role), kFloats[role]);
+}
+template <Role role, bool weights>
+inline void reverse_start(const VbdAdjointArguments& a, int64_t k) {
+  constexpr int kLaw = law_begin(role), kStart = kLaw + kLawFloats[role];
+  const AdjointSlot<role> at_slot(a, a.sweep.start, k);
+  if (at_slot.particle < 0) return;
+  float bar[kStartFloats[role]];
+  const float* const numbers = at_slot.numbers(a);
+#pragma unroll
+  for (int i = 0; i < kStartFloats[role]; ++i) bar[i] = numbers[(kStart + i) * kVbdLanes];
+  floats::SlotBars<role> to;
+  floats::start_adjoint<weights>(LaneSlot<role>(a.sweep, at_slot.number, at_slot.lane), at_slot.x,
+                                 bar, to);
+  at_slot.put_terms(a, to);
+  if (weights) at_slot.add_numbers(a, to, 0, kLaw);
+}
+
+template <bool weights>
+inline void reverse_slots(const VbdAdjointArguments& a, int64_t row) {
+  if (row < a.ends[0]) {
+    reverse_slot<kSpring, true, false>(a, row);
+  } else if (row < a.ends[1]) {
+    const int64_t k = row - a.ends[0];
+    if ((a.sweep.damped >> kTriangle) & 1) {
+      reverse_slot<kTriangle, true, weights>(a, k);
+    } else {
+      reverse_slot<kTriangle, false, weights>(a, k);
+    }
+  } else if (row < a.ends[2]) {
+    reverse_slot<kHingeOpposite, true, false>(a, row - a.ends[1]);
+  } else if (row < a.ends[3]) {
+    reverse_slot<kHingeEnd, true, false>(a, row - a.ends[2]);
+  } else if (row < a.ends[4]) {
+    const int64_t k = row - a.ends[3];
+    if ((a.sweep.damped >> kTetrahedron) & 1) {
+      reverse_slot<kTetrahedron, true, weights>(a, k);
+    } else {
+      reverse_slot<kTetrahedron, false, weights>(a, k);
+    }
+  }
+}
+template <bool weights>
+inline void reverse_starts(const VbdAdjointArguments& a, int64_t row) {
+  if (row < a.ends[0]) {
+    reverse_start<kSpring, false>(a, row);
+  } else if (row < a.ends[1]) {
+    reverse_start<kTriangle, weights>(a, row - a.ends[0]);
+  } else if (row < a.ends[2]) {
+    reverse_start<kHingeOpposite, false>(a, row - a.ends[1]);
+  } else if (row < a.ends[3]) {
+    reverse_start<kHingeEnd, false>(a, row - a.ends[2]);
+  } else if (row < a.ends[4]) {
+    reverse_start<kTetrahedron, weights>(a, row - a.ends[3]);
+  }
+}
+
+inline int64_t row_of(int64_t block) { return block * 128 + static_cast<int64_t>(threadIdx.x); }
+
+}  // namespace vbd
+
+NOVAPHY_BLOCK_BODY(vbd_adjoint_solve, VbdAdjointArguments) {
+  using namespace vbd;
+  const VbdSweepArguments& s = a.sweep;
+  const int64_t row = row_of(block), of_color = row / kVbdLanes, group = s.first_group + of_color;
+  const auto lane = static_cast<int32_t>(row - of_color * kVbdLanes);
+  if (group >= s.end_group || lane >= s.filled[group]) return;
+  const int64_t k = group * kVbdLanes + lane;
+  const int32_t p = s.particle[k];
+  if (a.before != nullptr) s.x[p] = a.before[p];
+  const Vec3f x = at(s.x, p);
+  const Block<float> block_of_p = block_at(s, group, lane, x);
+  const auto factors = factorize(block_of_p, s.regularization.value);
+  const Vec3f d = solve_block(factors, block_of_p.f), u = solve_block(factors, at(a.x_bar, p));
+  const Block<float> bar = bars_of(u, d);
+  const Vec3f inertia = u * s.mass_by_h2[k];
+  Vec3f own = -inertia, by_start{};
+  if (s.contact_begin != nullptr) {
+    const Vec3f start = at(s.start, p);
+    for (int32_t c = s.contact_begin[p]; c < s.contact_begin[p + 1]; ++c) {
+      floats::ContactBars to;
+      floats::contact_adjoint<false>(x, start, contact_of(s, c), bar, to);
+      own = own + to.x;
+      by_start = by_start + to.start;
+      float* const law = a.contact_bars + static_cast<int64_t>(c) * kContactLawFloats;
+#pragma unroll
+      for (int i = 0; i < kContactLawFloats; ++i) law[i] = law[i] + to.law[i];
+    }
+  }
+  a.mass_bar[p] = a.mass_bar[p] + math::dot(u, (at(s.target, p) - x) - d);
+  a.u[p] = to_row(u);
+  a.d[p] = to_row(d);
+  a.own[p] = to_row(own);
+  add(a.target_bar, p, inertia);
+  add(a.start_bar, p, by_start);
+}
+NOVAPHY_BLOCK_BODY(vbd_adjoint_slots, VbdAdjointArguments) {
+  vbd::reverse_slots<false>(a, vbd::row_of(block));
+}
+NOVAPHY_BLOCK_BODY(vbd_adjoint_weights, VbdAdjointArguments) {
+  vbd::reverse_slots<true>(a, vbd::row_of(block));
+}
+NOVAPHY_BLOCK_BODY(vbd_adjoint_start, VbdAdjointArguments) {
+  vbd::reverse_starts<false>(a, vbd::row_of(block));
+}
+NOVAPHY_BLOCK_BODY(vbd_adjoint_start_weights, VbdAdjointArguments) {
+  vbd::reverse_starts<true>(a, vbd::row_of(block));
+}
+#endif
+
+}  // namespace novaphy

@@ -26,6 +26,7 @@
 #include "support/soft_body_scene.h"
 
 #ifdef DLAN_HAS_VBD
+#include "vbd/gradients_scene.h"
 void step_vbd(const std::string& options, novaphy::Device device);  // fake_driver/probe_vbd.cpp
 #endif
 
@@ -222,6 +223,25 @@ void articulations(Device device) {
   std::printf("\n");
 }
 
+#ifdef DLAN_HAS_VBD
+// A rollout of DiffSolverVBD and its gradients by everything, direct and replayed.
+std::vector<float> vbd_gradients(Device device, int32_t replays) {
+  std::vector<float> all;
+  for (const auto& [name, values] :
+       novaphy::testing::vbd_gradients(device, {.steps = 2, .replays = replays}))
+    append(all, values);
+  return all;
+}
+void vbd_gradients(Device device) {
+  for (const int32_t replays : {0, 1}) {
+    const std::vector<float> cpu = vbd_gradients(Device::cpu(), replays);
+    if (replays == 0) std::printf("%zu numbers", cpu.size());
+    std::printf(", %s", same_bits(vbd_gradients(device, replays), cpu) ? "same" : "other");
+  }
+  std::printf("\n");
+}
+#endif
+
 // The loss and the gradients of the first state of an articulation: of a captured iteration.
 std::vector<float> articulation(Device device) {
   using namespace novaphy;
@@ -338,6 +358,7 @@ int main(int argc, char** argv) {
     // That is what is compared.
     setenv("NOVAPHY_UNVERIFIED_DEVICE_CONTACTS", "on", 1);
     setenv("NOVAPHY_UNVERIFIED_DEVICE_ARTICULATIONS", "on", 1);
+    setenv("NOVAPHY_UNVERIFIED_DEVICE_VBD_GRADIENTS", "on", 1);
     const std::string scene = argv[1];
     const Device device = Device::parse(argv[2]);
     if (scene == "ball") {
@@ -355,6 +376,8 @@ int main(int argc, char** argv) {
     } else if (scene == "articulations") {
       articulations(device);
 #ifdef DLAN_HAS_VBD
+    } else if (scene == "vbd_gradients") {
+      vbd_gradients(device);
     } else if (scene.rfind("vbd", 0) == 0) {
       step_vbd(scene, device);
 #endif

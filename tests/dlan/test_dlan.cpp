@@ -166,6 +166,9 @@ TEST_P(OnWarps, OptionsOfVbdHaveTheBitsOfTheCpu) {
   for (const char* option : {"vbd-safeguard", "vbd-acceleration", "vbd-previous"})
     EXPECT_EQ(probe(fake(), option, SCENES).output, kSameVbd) << option;
 }
+TEST_P(OnWarps, GradientsOfVbdHaveTheBitsOfTheCpuDirectAndReplayed) {
+  EXPECT_EQ(probe(fake(), "vbd_gradients", SCENES).output, "1694 numbers, same, same\n");
+}
 // Its blocks would wait for each other.
 TEST(FakeDlan, VbdInOneLaunchIsRefusedByName) {
   const Outcome outcome = probe(kFake + "NOVAPHY_VBD_SWEEP=grid", "vbd", SCENES);

@@ -107,6 +107,14 @@ TEST_F(VbdDevices, WhatIsNotThereIsRefusedByName) {
   }
   expect_thrown(ErrorKind::NotImplemented, "jvp on cuda:0 is not there yet",
                 [&] { tape.jvp({diff::state_particle_q_tensor(b)}, {q}, {q.detach().clone()}); });
+  nova::ScopedCapture scope;
+  solver.step(a, b, nullptr, nullptr, 1.0f / 120.0f);
+  scope.end();
+  scope.graph()->launch();
+  model->particle_tet_material.copy_from_host(std::span<const float>(
+      std::vector<float>(model->particle_tet_material.to_host().size(), 30.0f)));
+  EXPECT_THROW(scope.graph()->launch(), Error);
+
   for (const char* off : {"", "off"}) {
     setenv(kOptIn, off, 1);
     expect_thrown(ErrorKind::NotImplemented, "NOVAPHY_UNVERIFIED_DEVICE_VBD_GRADIENTS=on lets it",

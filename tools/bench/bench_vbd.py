@@ -2,11 +2,13 @@
 """Time a substep of VBD: a cloth of 64 x 32 cells with bending and damping, 10 iterations.
 
     python tools/bench/bench_vbd.py [--engine novaphy|newton] [--threads N] [--sphere]
-        [--cells X Y] [--device cuda:0] [--capture]
+        [--cells X Y] [--device cuda:0] [--capture] [--backward] [--gradient]
 
 Prints a JSON line: wall and CPU time of a substep in turns (the fastest), and a hash of the last
 positions. With --sphere the cloth falls on a sphere with friction. --backward also times the
-derivative of a step. --capture replays a graph of ten substeps.
+derivative of a step, in CPU time. --capture replays a graph of ten substeps. --gradient also times
+a rollout of ten substeps with its derivative, in wall time for a substep, and hashes the gradient
+by the first positions and velocities; on a device, or with --capture, as the replay of a graph.
 """
 
 from __future__ import annotations
@@ -96,7 +98,43 @@ def novaphy_run(args):
         tape.backward(loss)
         return time.process_time() - start
 
-    return run, lambda: states[0].particle_q.numpy(), backward
+    def gradient():
+        from novaphy import diff, nova
+
+        solver = novaphy.solvers.DiffSolverVBD(model, iterations=ITERATIONS)
+        trajectory = diff.Trajectory(model, CAPTURED)
+        start, end = trajectory[0], trajectory[CAPTURED]
+        start.particle_q.assign(states[0].particle_q.numpy())
+        start.particle_qd.assign(states[0].particle_qd.numpy())
+        leaves = [
+            diff.state_particle_q_tensor(start, True), diff.state_particle_qd_tensor(start, True)
+        ]  # fmt: skip
+
+        def iterate():
+            for leaf in leaves:
+                leaf.zero_grad()
+            with nova.Tape() as tape:
+                solver.rollout(trajectory, None, contacts, DT)
+                q = diff.state_particle_q_tensor(end)
+                loss = nova.sum(q * q)
+            tape.backward(loss)
+
+        if args.capture or args.device != "cpu":
+            with nova.ScopedCapture() as capture:
+                iterate()
+            capture.graph.prepare()
+            iterate = capture.graph.launch
+        times = []
+        for _ in range(TURNS):
+            novaphy.synchronize(args.device)
+            start_of_turn = time.perf_counter()
+            iterate()
+            novaphy.synchronize(args.device)
+            times.append((time.perf_counter() - start_of_turn) / CAPTURED)
+        found = b"".join(np.ascontiguousarray(leaf.grad.numpy()).tobytes() for leaf in leaves)
+        return min(times), hashlib.sha256(found).hexdigest()[:16]
+
+    return run, lambda: states[0].particle_q.numpy(), backward, gradient
 
 
 def newton_run(args):
@@ -121,7 +159,7 @@ def newton_run(args):
             solver.step(states[0], states[1], control, contacts, DT)
             states.reverse()
 
-    return run, lambda: states[0].particle_q.numpy(), None
+    return run, lambda: states[0].particle_q.numpy(), None, None
 
 
 def main() -> None:
@@ -134,9 +172,11 @@ def main() -> None:
     parser.add_argument("--device", default="cpu", help="of NovaPhy")
     parser.add_argument("--capture", action="store_true", help="replay a graph")
     parser.add_argument("--backward", action="store_true", help="also the derivative of a step")
+    parser.add_argument("--gradient", action="store_true", help="also a rollout with its gradient")
     parser.add_argument("--substeps", type=int, default=200, help="of a turn")
     args = parser.parse_args()
-    run, positions, backward = (novaphy_run if args.engine == "novaphy" else newton_run)(args)
+    make = novaphy_run if args.engine == "novaphy" else newton_run
+    run, positions, backward, gradient = make(args)
     run(WARM_UP)
     wall, cpu = [], []
     for _ in range(TURNS):
@@ -152,6 +192,9 @@ def main() -> None:
     }  # fmt: skip
     if args.backward and backward is not None:
         result["backward_cpu_ms"] = 1e3 * min(backward() for _ in range(TURNS))
+    if args.gradient and gradient is not None:
+        seconds, result["gradient_hash"] = gradient()
+        result["gradient_wall_ms"] = 1e3 * seconds
     print(json.dumps(result))
 
 

@@ -97,6 +97,7 @@ struct DifferentiableVbd::Launched {
   vbd::LaunchedStep step;
   vbd::LaunchedReverse reverse;
   bool has_info = false;
+  ExclusiveUse in_use;
 };
 
 DifferentiableVbd::DifferentiableVbd(std::shared_ptr<const Model> model, const VbdOptions& options,
@@ -158,6 +159,7 @@ void DifferentiableVbd::backward(const VbdStepInputs& in, const Vec3f* q_out_bar
 void DifferentiableVbd::forward(const VbdLaunchInputs& in, const DeviceArray<Vec3f>& q_out,
                                 const DeviceArray<Vec3f>& qd_out,
                                 const std::shared_ptr<ExclusiveUse>& in_use) {
+  const ExclusiveUse::Scope scope(launched_->in_use, "DifferentiableVbd.forward", "the solver");
   {
     const Unobserved of_the_model;
     model_->update_derived();
@@ -169,6 +171,7 @@ void DifferentiableVbd::forward(const VbdLaunchInputs& in, const DeviceArray<Vec
 void DifferentiableVbd::backward(const VbdLaunchInputs& in, const Array& q_out_bar,
                                  const Array& qd_out_bar, const VbdStepArrays& gradients,
                                  const std::shared_ptr<ExclusiveUse>& in_use) {
+  const ExclusiveUse::Scope scope(launched_->in_use, "DifferentiableVbd.backward", "the solver");
   {
     const Unobserved of_the_model;
     model_->update_derived();

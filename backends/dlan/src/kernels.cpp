@@ -6,9 +6,11 @@
 
 #include <algorithm>
 #include <cctype>
+#include <cstdio>
 #include <cstdlib>
 #include <cstring>
 #include <set>
+#include <sstream>
 #include <tuple>
 #include <vector>
 
@@ -132,9 +134,12 @@ std::set<std::string> kernel_names(std::string source) {
       ++end;
     return source.substr(at, end - at);
   };
-  const std::string listed = "// kernel ";
-  for (size_t at = source.find(listed); at != std::string::npos; at = source.find(listed, at + 1))
-    if (at == 0 || source[at - 1] == '\n') names.insert(word_at(at + listed.size()));
+  std::istringstream lines(source);
+  for (std::string line; std::getline(lines, line);) {
+    char name[64];
+    uint32_t words = 0;
+    if (std::sscanf(line.c_str(), "// kernel %63s %u", name, &words) == 2) names.insert(name);
+  }
   if (!names.empty()) return names;
   for (const std::string entry : {"\nVENDOR_ENTRY ", "\nBUILTIN "})
     for (size_t at = source.find(entry); at != std::string::npos; at = source.find(entry, at + 1)) {

@@ -167,7 +167,7 @@ TEST_P(OnWarps, OptionsOfVbdHaveTheBitsOfTheCpu) {
     EXPECT_EQ(probe(fake(), option, SCENES).output, kSameVbd) << option;
 }
 TEST_P(OnWarps, GradientsOfVbdHaveTheBitsOfTheCpuDirectAndReplayed) {
-  EXPECT_EQ(probe(fake(), "vbd_gradients", SCENES).output, "1694 numbers, same, same\n");
+  EXPECT_EQ(probe(fake(), "vbd_gradients", SCENES).output, "2467 numbers, same, same\n");
 }
 // Its blocks would wait for each other.
 TEST(FakeDlan, VbdInOneLaunchIsRefusedByName) {

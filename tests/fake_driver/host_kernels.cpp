@@ -244,6 +244,9 @@ const HostKernel* find_host_kernel(const char* name) {
       OF_VBD(vbd_move_team, true),
       OF_VBD(vbd_sweep, true),
       OF_TEXT(vbd_adjoint_text::novaphy, vbd_adjoint_solve),
+      entry<device::vbd_adjoint_text::novaphy::vbd_adjoint_solve_team>(
+          "vbd_adjoint_solve_team", true,
+          device::vbd_adjoint_text::novaphy::vbd_adjoint_solve_team),
       OF_TEXT(vbd_adjoint_text::novaphy, vbd_adjoint_slots),
       OF_TEXT(vbd_adjoint_text::novaphy, vbd_adjoint_weights),
       OF_TEXT(vbd_adjoint_text::novaphy, vbd_adjoint_start),

@@ -15,6 +15,7 @@ namespace {
 struct Kernels {
 #define NOVAPHY_VBD_KERNEL(name) DeviceKernel name{vbd_##name, detail::vbd_adjoint_kernels_text};
   NOVAPHY_VBD_KERNEL(adjoint_solve)
+  NOVAPHY_VBD_KERNEL(adjoint_solve_team)
   NOVAPHY_VBD_KERNEL(adjoint_slots)
   NOVAPHY_VBD_KERNEL(adjoint_weights)
   NOVAPHY_VBD_KERNEL(adjoint_start)
@@ -183,6 +184,7 @@ void LaunchedReverse::reverse_colors(bool with_contacts, bool weights) const {
   const Device device = step_.model_.device();
   const std::vector<int64_t>& colors = step_.tables_->colors;
   const DeviceKernel& slots_kernel = weights ? kernels().adjoint_weights : kernels().adjoint_slots;
+  const bool by_teams = step_.mover() != LaunchedStep::Mover::Thread;
   for (size_t k = iterates_.size(); k-- > 0;)
     for (size_t color = colors.size() - 1; color-- > 0;) {
       const int64_t first = colors[color], end = colors[color + 1];
@@ -190,7 +192,11 @@ void LaunchedReverse::reverse_colors(bool with_contacts, bool weights) const {
       if (has_conflicts) step_.commit(first, end, iterates_[k]);
       const std::vector<LaunchArgument> a =
           arguments(with_contacts, has_conflicts ? nullptr : &iterates_[k], first, end);
-      kernels().adjoint_solve.launch(device, (end - first) * kVbdLanes, a);
+      if (by_teams) {
+        kernels().adjoint_solve_team.launch(device, step_.team_rows(end - first), a);
+      } else {
+        kernels().adjoint_solve.launch(device, (end - first) * kVbdLanes, a);
+      }
       slots_kernel.launch(device, static_cast<int64_t>(a.back().word), a);
       receive(color, &own_, x_bar_);
     }

@@ -346,6 +346,11 @@ LaunchedStep::Mover LaunchedStep::mover() const {
   return wanted == "grid" ? Mover::Grid : Mover::Team;
 }
 
+// Of a launch over the teams of some groups.
+int64_t LaunchedStep::team_rows(int64_t groups) const {
+  return (groups + tables_->team - 1) / tables_->team * kTeamThreads;
+}
+
 void LaunchedStep::activate(const Activated& to, Role role,
                             const DeviceArray<float>& activation) const {
   const auto rows = static_cast<int64_t>(to.element.rows());
@@ -395,10 +400,9 @@ void LaunchedStep::iterate(bool with_contacts, std::span<const DeviceArray<Vec4f
   const Device device = model_.device();
   Mover how = mover();
   if (how == Mover::Grid && !iterates.empty()) how = Mover::Team;
-  const auto teams = [&t](int64_t groups) { return (groups + t.team - 1) / t.team; };
   if (how == Mover::Grid) {
     if (options_.iterations > 0)
-      kernels().sweep.launch(device, teams(t.most_groups) * kTeamThreads,
+      kernels().sweep.launch(device, team_rows(t.most_groups),
                              sweep_arguments(with_contacts, 0, 0));
     return;
   }
@@ -413,7 +417,7 @@ void LaunchedStep::iterate(bool with_contacts, std::span<const DeviceArray<Vec4f
     for (size_t c = 0; c + 1 < t.colors.size(); ++c) {
       const int64_t first = t.colors[c], groups = t.colors[c + 1] - first;
       if (how == Mover::Team) {
-        move.launch(device, teams(groups) * kTeamThreads,
+        move.launch(device, team_rows(groups),
                     sweep_arguments(with_contacts, first, first + groups));
       } else {
         launch(move, kernels().move_groups, groups, with_contacts, first);

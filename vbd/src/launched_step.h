@@ -93,6 +93,7 @@ class LaunchedStep {
   void commit(int64_t first_group, int64_t end_group, const DeviceArray<Vec4f>& from) const;
   void find_residuals(bool with_contacts);
   Mover mover() const;
+  int64_t team_rows(int64_t groups) const;
 
   const Model& model_;
   const VbdOptions options_;

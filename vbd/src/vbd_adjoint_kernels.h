@@ -1,10 +1,12 @@
 // A colour of VBD in reverse on devices, as three launches; sweep_adjoint.cpp is the same on the
 // CPU, and explains it. vbd_adjoint_solve finds the multipliers u and the steps d of the particles,
-// a thread for each; vbd_adjoint_slots what their slots give to positions and numbers, a thread for
-// each lane of a slot; vbd_receive (vbd_gradient_kernels.h) adds that up in slot order.
+// a thread for each, or vbd_adjoint_solve_team by teams; vbd_adjoint_slots what their slots give to
+// positions and numbers, a thread for each lane of a slot; vbd_receive (vbd_gradient_kernels.h)
+// adds that up in slot order.
 #pragma once
 
 #include "novaphy/vbd/lane_slots_kernels.h"
+#include "novaphy/vbd/slot_teams_kernels.h"
 
 namespace novaphy {
 
@@ -27,8 +29,9 @@ struct VbdAdjointArguments {
   int64_t ends[5];               // by role: threads up to its last one
 };
 
-// The last four also by the weights of slots, and of what slots have of the start.
+// "weights": also by the weights of slots; "start": of what slots have of the start.
 NOVAPHY_BLOCK_KERNEL(vbd_adjoint_solve, 59, VbdAdjointArguments);
+NOVAPHY_BLOCK_KERNEL(vbd_adjoint_solve_team, 59, VbdAdjointArguments);
 NOVAPHY_BLOCK_KERNEL(vbd_adjoint_slots, 59, VbdAdjointArguments);
 NOVAPHY_BLOCK_KERNEL(vbd_adjoint_weights, 59, VbdAdjointArguments);
 NOVAPHY_BLOCK_KERNEL(vbd_adjoint_start, 59, VbdAdjointArguments);
@@ -159,6 +162,42 @@ inline void reverse_starts(const VbdAdjointArguments& a, int64_t row) {
   }
 }
 
+// Finds u and d of a particle from its block, and what its inertia and contacts give.
+struct SolveParticle {
+  const VbdAdjointArguments& a;
+  explicit SolveParticle(const VbdAdjointArguments& arguments) : a(arguments) {}
+  void ask(int32_t) {}
+  Vec3f place(int32_t p) const { return at(a.before != nullptr ? a.before : a.sweep.x, p); }
+  void put(int32_t p, int64_t k, const Block<float>& block) {
+    const VbdSweepArguments& s = a.sweep;
+    const Vec3f x = place(p);
+    if (a.before != nullptr) s.x[p] = to_row(x);
+    const auto factors = factorize(block, s.regularization.value);
+    const Vec3f d = solve_block(factors, block.f), u = solve_block(factors, at(a.x_bar, p));
+    const Block<float> bar = bars_of(u, d);
+    const Vec3f inertia = u * s.mass_by_h2[k];
+    Vec3f own = -inertia, by_start{};
+    if (s.contact_begin != nullptr) {
+      const Vec3f start = at(s.start, p);
+      for (int32_t c = s.contact_begin[p]; c < s.contact_begin[p + 1]; ++c) {
+        floats::ContactBars to;
+        floats::contact_adjoint<false>(x, start, contact_of(s, c), bar, to);
+        own = own + to.x;
+        by_start = by_start + to.start;
+        float* const law = a.contact_bars + static_cast<int64_t>(c) * kContactLawFloats;
+#pragma unroll
+        for (int i = 0; i < kContactLawFloats; ++i) law[i] = law[i] + to.law[i];
+      }
+    }
+    a.mass_bar[p] = a.mass_bar[p] + math::dot(u, (at(s.target, p) - x) - d);
+    a.u[p] = to_row(u);
+    a.d[p] = to_row(d);
+    a.own[p] = to_row(own);
+    add(a.target_bar, p, inertia);
+    add(a.start_bar, p, by_start);
+  }
+};
+
 inline int64_t row_of(int64_t block) { return block * 128 + static_cast<int64_t>(threadIdx.x); }
 
 }  // namespace vbd
@@ -171,32 +210,13 @@ NOVAPHY_BLOCK_BODY(vbd_adjoint_solve, VbdAdjointArguments) {
   if (group >= s.end_group || lane >= s.filled[group]) return;
   const int64_t k = group * kVbdLanes + lane;
   const int32_t p = s.particle[k];
-  if (a.before != nullptr) s.x[p] = a.before[p];
-  const Vec3f x = at(s.x, p);
-  const Block<float> block_of_p = block_at(s, group, lane, x);
-  const auto factors = factorize(block_of_p, s.regularization.value);
-  const Vec3f d = solve_block(factors, block_of_p.f), u = solve_block(factors, at(a.x_bar, p));
-  const Block<float> bar = bars_of(u, d);
-  const Vec3f inertia = u * s.mass_by_h2[k];
-  Vec3f own = -inertia, by_start{};
-  if (s.contact_begin != nullptr) {
-    const Vec3f start = at(s.start, p);
-    for (int32_t c = s.contact_begin[p]; c < s.contact_begin[p + 1]; ++c) {
-      floats::ContactBars to;
-      floats::contact_adjoint<false>(x, start, contact_of(s, c), bar, to);
-      own = own + to.x;
-      by_start = by_start + to.start;
-      float* const law = a.contact_bars + static_cast<int64_t>(c) * kContactLawFloats;
-#pragma unroll
-      for (int i = 0; i < kContactLawFloats; ++i) law[i] = law[i] + to.law[i];
-    }
-  }
-  a.mass_bar[p] = a.mass_bar[p] + math::dot(u, (at(s.target, p) - x) - d);
-  a.u[p] = to_row(u);
-  a.d[p] = to_row(d);
-  a.own[p] = to_row(own);
-  add(a.target_bar, p, inertia);
-  add(a.start_bar, p, by_start);
+  SolveParticle finish(a);
+  finish.put(p, k, block_at(s, group, lane, finish.place(p)));
+}
+NOVAPHY_BLOCK_BODY(vbd_adjoint_solve_team, VbdAdjointArguments) {
+  __shared__ vbd::TeamMemory memory;
+  vbd::for_teams<vbd::SolveParticle>(a.sweep, a, a.sweep.first_group, a.sweep.end_group, block,
+                                     blocks, memory);
 }
 NOVAPHY_BLOCK_BODY(vbd_adjoint_slots, VbdAdjointArguments) {
   vbd::reverse_slots<false>(a, vbd::row_of(block));

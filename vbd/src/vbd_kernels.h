@@ -11,6 +11,7 @@
 #include "novaphy/vbd/contact_numbers_trace.h"
 #include "novaphy/vbd/lane_slots_kernels.h"
 #include "novaphy/vbd/particle_step_trace.h"
+#include "novaphy/vbd/slot_teams_kernels.h"
 
 namespace novaphy {
 
@@ -300,153 +301,22 @@ NOVAPHY_GRID_KERNEL(vbd_sweep, 36, VbdSweepArguments);
 #ifdef NOVAPHY_KERNEL
 namespace vbd {
 
-// A team is a block of kTeam threads, for the particles of up to G groups. Its terms are lanes of
-// slots, by role in the order of their sums; those of a role begin at a multiple of kAlign, so that
-// the threads of a warp have one role where it has no more.
-constexpr int kTeam = 128, kAlign = 32, kComponents = 9;
-
-// Shared memory has no constructors.
-struct TeamMemory {
-  float terms[kComponents][kVbdTeamTerms];
-  float outer[kComponents][kVbdLanes * kVbdLargeTeam],
-      inner[kComponents][kVbdLanes * kVbdLargeTeam];
-  float x[kVbdLanes * kVbdLargeTeam][3];
-  int64_t first[kRoles][kVbdLargeTeam];  // slots of the groups
-  int32_t count[kRoles][kVbdLargeTeam];
-};
-
-inline void store_block(float* to, int stride, const Block<float>& b) {
-  to[0] = b.f.x;
-  to[stride] = b.f.y;
-  to[2 * stride] = b.f.z;
-  to[3 * stride] = b.h00;
-  to[4 * stride] = b.h11;
-  to[5 * stride] = b.h22;
-  to[6 * stride] = b.h01;
-  to[7 * stride] = b.h02;
-  to[8 * stride] = b.h12;
-}
-
-template <Role role, int G>
-inline void put_term(const VbdSweepArguments& a, TeamMemory& m, int32_t begin, int32_t term) {
-  const int32_t k = term - begin, lane = k % kVbdLanes, group = k / kVbdLanes % G,
-                slot = k / (kVbdLanes * G);
-  if (slot >= m.count[role][group]) return;
-  const float* const x = m.x[group * kVbdLanes + lane];
-  store_block(
-      &m.terms[0][term], kVbdTeamTerms,
-      block_of(LaneSlot<role>(a, m.first[role][group] + slot, lane), a, Vec3f{x[0], x[1], x[2]}));
-}
-
-// One step of the particles of the groups [first, end), at most G. All threads of the block call
-// it.
-template <int G>
-inline void move_team(const VbdSweepArguments& a, int64_t first, int64_t end, TeamMemory& m) {
-  constexpr int32_t kLanes = kVbdLanes * G;
-  const auto thread = static_cast<int32_t>(threadIdx.x);
-  const auto groups = static_cast<int32_t>(end - first < G ? end - first : G);
-  // What one thread of each particle needs in the end is asked for at once.
-  int32_t p = 0;
-  bool moves = false;
+// One step of the particles of some groups.
+struct MoveParticle {
+  const VbdSweepArguments& a;
   Vec3f start, moved;
-  if (thread < groups * kVbdLanes) {
-    const int64_t k = first * kVbdLanes + thread;
-    p = a.particle[k];
-    moves = thread % kVbdLanes < a.filled[first + thread / kVbdLanes];
+  explicit MoveParticle(const VbdSweepArguments& arguments) : a(arguments) {}
+  void ask(int32_t p) {
     start = at(a.start, p);
     moved = at(a.moved, p);
-    const Vec3f x = at(a.x, p);
-    m.x[thread][0] = x.x;
-    m.x[thread][1] = x.y;
-    m.x[thread][2] = x.z;
-    store_block(&m.inner[0][thread], kLanes, inertia_block(x, at(a.target, p), a.mass_by_h2[k]));
   }
-  if (const int32_t v = thread - (kTeam - kLanes); v >= 0 && v < groups * kVbdLanes) {
-    const int32_t of = a.particle[first * kVbdLanes + v];
-    store_block(&m.outer[0][v], kLanes, contact_blocks(a, of, at(a.x, of)));
-  }
-  for (int32_t k = thread - 2 * kAlign; k >= 0 && k < kRoles * G; k += kTeam) {
-    const int32_t role = k / G, group = k % G;
-    const bool any = group < groups && a.begin[role] != nullptr;
-    const int64_t begin = any ? a.begin[role][first + group] : 0;
-    m.first[role][group] = begin;
-    m.count[role][group] = any ? static_cast<int32_t>(a.begin[role][first + group + 1] - begin) : 0;
-  }
-  __syncthreads();
-
-  int32_t begin[kRoles + 1];
-  begin[0] = 0;
-#pragma unroll
-  for (int role = 0; role < kRoles; ++role) {
-    int32_t most = 0;
-#pragma unroll
-    for (int g = 0; g < G; ++g) most = m.count[role][g] > most ? m.count[role][g] : most;
-    begin[role + 1] = begin[role] + (most * kLanes + kAlign - 1) / kAlign * kAlign;
-  }
-  for (int32_t term = thread; term < begin[kRoles]; term += kTeam) {
-    if (term < begin[1]) {
-      put_term<kSpring, G>(a, m, begin[0], term);
-    } else if (term < begin[2]) {
-      put_term<kTriangle, G>(a, m, begin[1], term);
-    } else if (term < begin[3]) {
-      put_term<kHingeOpposite, G>(a, m, begin[2], term);
-    } else if (term < begin[4]) {
-      put_term<kHingeEnd, G>(a, m, begin[3], term);
-    } else {
-      put_term<kTetrahedron, G>(a, m, begin[4], term);
-    }
-  }
-  __syncthreads();
-
-  for (int32_t k = thread; k < kComponents * kLanes; k += kTeam) {
-    const int32_t v = k % kLanes, component = k / kLanes, group = v / kVbdLanes;
-    float outer = (&m.outer[0][0])[component * kLanes + v];
-    float inner = (&m.inner[0][0])[component * kLanes + v];
-#pragma unroll
-    for (int role = 0; role < kRoles; ++role) {
-      const float* term = &m.terms[component][begin[role] + v];
-      const int32_t count = m.count[role][group];
-      float sum = role == kSpring ? outer : inner;
-#pragma unroll 8
-      for (int32_t s = 0; s < count; ++s) sum = sum + term[s * kLanes];
-      (role == kSpring ? outer : inner) = sum;
-    }
-    (&m.inner[0][0])[component * kLanes + v] = inner + outer;
-  }
-  __syncthreads();
-
-  if (moves) {
-    const float* const of = &m.inner[0][0] + thread;
-    const Block<float> b = {{of[0], of[kLanes], of[2 * kLanes]},
-                            of[3 * kLanes],
-                            of[4 * kLanes],
-                            of[5 * kLanes],
-                            of[6 * kLanes],
-                            of[7 * kLanes],
-                            of[8 * kLanes]};
+  Vec3f place(int32_t p) const { return at(a.x, p); }
+  void put(int32_t p, int64_t, const Block<float>& b) {
     moved = moved + solve_block(factorize(b, a.regularization.value), b.f);
     a.moved[p] = to_row(moved);
     a.to[p] = to_row(start + moved);
   }
-}
-
-// Moves the particles of some groups, by the teams `block`, `block` + `blocks`, ... of them.
-template <int G>
-inline void move_groups(const VbdSweepArguments& a, int64_t first, int64_t end, int64_t block,
-                        int64_t blocks, TeamMemory& memory) {
-  for (int64_t group = first + block * G; group < end; group += blocks * G) {
-    move_team<G>(a, group, end, memory);
-    __syncthreads();
-  }
-}
-inline void move_groups(const VbdSweepArguments& a, int64_t first, int64_t end, int64_t block,
-                        int64_t blocks, TeamMemory& memory) {
-  if (a.team == 1) {
-    move_groups<1>(a, first, end, block, blocks, memory);
-  } else {
-    move_groups<kVbdLargeTeam>(a, first, end, block, blocks, memory);
-  }
-}
+};
 
 // Waits until all blocks of the grid have been here `turn` times.
 inline void wait_for_grid(uint32_t* barrier, uint32_t turn) {
@@ -466,7 +336,7 @@ inline void wait_for_grid(uint32_t* barrier, uint32_t turn) {
 
 NOVAPHY_BLOCK_BODY(vbd_move_team, VbdSweepArguments) {
   __shared__ vbd::TeamMemory memory;
-  vbd::move_groups(a, a.first_group, a.end_group, block, blocks, memory);
+  vbd::for_teams<vbd::MoveParticle>(a, a, a.first_group, a.end_group, block, blocks, memory);
 }
 
 NOVAPHY_BLOCK_BODY(vbd_sweep, VbdSweepArguments) {
@@ -475,7 +345,8 @@ NOVAPHY_BLOCK_BODY(vbd_sweep, VbdSweepArguments) {
     for (int64_t color = 0; color < a.colors; ++color) {
       const int64_t turn = k * a.colors + color;
       if (turn > 0) vbd::wait_for_grid(a.barrier, static_cast<uint32_t>(turn));
-      vbd::move_groups(a, a.color_begin[color], a.color_begin[color + 1], block, blocks, memory);
+      vbd::for_teams<vbd::MoveParticle>(a, a, a.color_begin[color], a.color_begin[color + 1], block,
+                                        blocks, memory);
     }
 }
 #endif

@@ -1,0 +1,159 @@
+// Teams: the threads of a block share the slots of the particles of some groups, and a thread for
+// each component of their blocks adds them in slot order (for devices only).
+#pragma once
+
+#include "novaphy/vbd/lane_slots_kernels.h"
+
+#ifdef NOVAPHY_KERNEL
+namespace novaphy::vbd {
+
+// A team is a block of kTeam threads, for the particles of up to G groups. Its terms are lanes of
+// slots, by role in the order of their sums; those of a role begin at a multiple of kAlign, so that
+// the threads of a warp have one role where it has no more.
+constexpr int kTeam = 128, kAlign = 32, kComponents = 9;
+
+// Shared memory has no constructors.
+struct TeamMemory {
+  float terms[kComponents][kVbdTeamTerms];
+  float outer[kComponents][kVbdLanes * kVbdLargeTeam],
+      inner[kComponents][kVbdLanes * kVbdLargeTeam];
+  float x[kVbdLanes * kVbdLargeTeam][3];
+  int64_t first[kRoles][kVbdLargeTeam];  // slots of the groups
+  int32_t count[kRoles][kVbdLargeTeam];
+};
+
+inline void store_block(float* to, int stride, const Block<float>& b) {
+  to[0] = b.f.x;
+  to[stride] = b.f.y;
+  to[2 * stride] = b.f.z;
+  to[3 * stride] = b.h00;
+  to[4 * stride] = b.h11;
+  to[5 * stride] = b.h22;
+  to[6 * stride] = b.h01;
+  to[7 * stride] = b.h02;
+  to[8 * stride] = b.h12;
+}
+
+template <Role role, int G>
+inline void put_term(const VbdSweepArguments& a, TeamMemory& m, int32_t begin, int32_t term) {
+  const int32_t k = term - begin, lane = k % kVbdLanes, group = k / kVbdLanes % G,
+                slot = k / (kVbdLanes * G);
+  if (slot >= m.count[role][group]) return;
+  const float* const x = m.x[group * kVbdLanes + lane];
+  store_block(
+      &m.terms[0][term], kVbdTeamTerms,
+      block_of(LaneSlot<role>(a, m.first[role][group] + slot, lane), a, Vec3f{x[0], x[1], x[2]}));
+}
+
+// The blocks of the particles of the groups [first, end), at most G, as block_at has them. All
+// threads of the block call it. A thread for each particle has a `Finish`, made of the arguments:
+// ask(p) asks for what is needed in the end at the beginning, also for lanes that are no particles;
+// put(p, k, block) gets the block of lane k. place(p): where a particle is.
+template <int G, class Finish, class Arguments>
+inline void for_team(const VbdSweepArguments& a, const Arguments& arguments, int64_t first,
+                     int64_t end, TeamMemory& m) {
+  constexpr int32_t kLanes = kVbdLanes * G;
+  const auto thread = static_cast<int32_t>(threadIdx.x);
+  const auto groups = static_cast<int32_t>(end - first < G ? end - first : G);
+  Finish finish(arguments);
+  int32_t p = 0;
+  bool is_particle = false;
+  if (thread < groups * kVbdLanes) {
+    const int64_t k = first * kVbdLanes + thread;
+    p = a.particle[k];
+    is_particle = thread % kVbdLanes < a.filled[first + thread / kVbdLanes];
+    finish.ask(p);
+    const Vec3f x = finish.place(p);
+    m.x[thread][0] = x.x;
+    m.x[thread][1] = x.y;
+    m.x[thread][2] = x.z;
+    store_block(&m.inner[0][thread], kLanes, inertia_block(x, at(a.target, p), a.mass_by_h2[k]));
+  }
+  if (const int32_t v = thread - (kTeam - kLanes); v >= 0 && v < groups * kVbdLanes) {
+    const int32_t of = a.particle[first * kVbdLanes + v];
+    store_block(&m.outer[0][v], kLanes, contact_blocks(a, of, finish.place(of)));
+  }
+  for (int32_t k = thread - 2 * kAlign; k >= 0 && k < kRoles * G; k += kTeam) {
+    const int32_t role = k / G, group = k % G;
+    const bool any = group < groups && a.begin[role] != nullptr;
+    const int64_t begin = any ? a.begin[role][first + group] : 0;
+    m.first[role][group] = begin;
+    m.count[role][group] = any ? static_cast<int32_t>(a.begin[role][first + group + 1] - begin) : 0;
+  }
+  __syncthreads();
+
+  int32_t begin[kRoles + 1];
+  begin[0] = 0;
+#pragma unroll
+  for (int role = 0; role < kRoles; ++role) {
+    int32_t most = 0;
+#pragma unroll
+    for (int g = 0; g < G; ++g) most = m.count[role][g] > most ? m.count[role][g] : most;
+    begin[role + 1] = begin[role] + (most * kLanes + kAlign - 1) / kAlign * kAlign;
+  }
+  for (int32_t term = thread; term < begin[kRoles]; term += kTeam) {
+    if (term < begin[1]) {
+      put_term<kSpring, G>(a, m, begin[0], term);
+    } else if (term < begin[2]) {
+      put_term<kTriangle, G>(a, m, begin[1], term);
+    } else if (term < begin[3]) {
+      put_term<kHingeOpposite, G>(a, m, begin[2], term);
+    } else if (term < begin[4]) {
+      put_term<kHingeEnd, G>(a, m, begin[3], term);
+    } else {
+      put_term<kTetrahedron, G>(a, m, begin[4], term);
+    }
+  }
+  __syncthreads();
+
+  for (int32_t k = thread; k < kComponents * kLanes; k += kTeam) {
+    const int32_t v = k % kLanes, component = k / kLanes, group = v / kVbdLanes;
+    float outer = (&m.outer[0][0])[component * kLanes + v];
+    float inner = (&m.inner[0][0])[component * kLanes + v];
+#pragma unroll
+    for (int role = 0; role < kRoles; ++role) {
+      const float* term = &m.terms[component][begin[role] + v];
+      const int32_t count = m.count[role][group];
+      float sum = role == kSpring ? outer : inner;
+#pragma unroll 8
+      for (int32_t s = 0; s < count; ++s) sum = sum + term[s * kLanes];
+      (role == kSpring ? outer : inner) = sum;
+    }
+    (&m.inner[0][0])[component * kLanes + v] = inner + outer;
+  }
+  __syncthreads();
+
+  if (is_particle) {
+    const float* const of = &m.inner[0][0] + thread;
+    const Block<float> b = {{of[0], of[kLanes], of[2 * kLanes]},
+                            of[3 * kLanes],
+                            of[4 * kLanes],
+                            of[5 * kLanes],
+                            of[6 * kLanes],
+                            of[7 * kLanes],
+                            of[8 * kLanes]};
+    finish.put(p, first * kVbdLanes + thread, b);
+  }
+}
+
+// The same for the groups of the teams `block`, `block` + `blocks`, ... of those of [first, end).
+template <int G, class Finish, class Arguments>
+inline void for_teams_of(const VbdSweepArguments& a, const Arguments& arguments, int64_t first,
+                         int64_t end, int64_t block, int64_t blocks, TeamMemory& memory) {
+  for (int64_t group = first + block * G; group < end; group += blocks * G) {
+    for_team<G, Finish>(a, arguments, group, end, memory);
+    __syncthreads();
+  }
+}
+template <class Finish, class Arguments>
+inline void for_teams(const VbdSweepArguments& a, const Arguments& arguments, int64_t first,
+                      int64_t end, int64_t block, int64_t blocks, TeamMemory& memory) {
+  if (a.team == 1) {
+    for_teams_of<1, Finish>(a, arguments, first, end, block, blocks, memory);
+  } else {
+    for_teams_of<kVbdLargeTeam, Finish>(a, arguments, first, end, block, blocks, memory);
+  }
+}
+
+}  // namespace novaphy::vbd
+#endif

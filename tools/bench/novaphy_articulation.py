@@ -256,7 +256,7 @@ def time_device_ants(device: str, worlds: int, steps: int = 100) -> dict[str, ob
     ants = Ants(worlds, device)
     line = time_on(device, worlds, steps, ants.land, ants.run_pair)
     ants.solver.check_last_step()
-    assert not ants.contacts.overflowed()
+    assert not ants.contacts.overflowed
     count = {"contacts": round(ants.contact_count, 1)}
     return {"scene": "Ant, collide and step", **line, **count, "hash": hash_of(ants.state)}
 

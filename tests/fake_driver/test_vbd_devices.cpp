@@ -82,6 +82,42 @@ TEST_F(VbdDevices, CheckpointsAndReplaysHaveTheBitsOfTheCpu) {
               ", checkpoints replayed");
 }
 
+// Of a step of cloths in three worlds and a particle in all of them, or of particles without
+// elements.
+NamedValues gradients_of_worlds(Device device, bool with_cloths) {
+  ModelBuilder cloth, all;
+  cloth.add_cloth_grid({.dim_x = 3,
+                        .dim_y = 2,
+                        .cell_x = 0.1,
+                        .cell_y = 0.1,
+                        .mass = 0.1f,
+                        .fix_left = true,
+                        .tri = {.ke = 100.0f, .ka = 100.0f, .kd = 0.1f}});
+  if (with_cloths) all.replicate(cloth, 3);
+  for (const float x : {0.0f, 1.0f}) all.add_particle({x, 0.0f, 2.0f}, {0.0f, x, 0.0f}, 1.0f);
+  all.color();
+  const auto model = all.finalize(device);
+  diff::DiffSolverVBD solver(model, {.iterations = 3});
+  SimState a = model->state(), b = model->state();
+  const nova::Tensor q = diff::state_particle_q_tensor(a, true),
+                     gravity = nova::Tensor::view(model->gravity, true);
+  nova::Tape tape;
+  nova::Tensor loss;
+  {
+    const nova::TapeScope on_tape(tape);
+    solver.step(a, b, nullptr, nullptr, 1.0f / 120.0f);
+    const nova::Tensor end = diff::state_particle_q_tensor(b);
+    loss = nova::sum(nova::mul(end, end));
+    tape.backward(loss);
+  }
+  return {{"particle_q", q.grad().to_host()}, {"gravity", gravity.grad().to_host()}};
+}
+TEST_F(VbdDevices, WorldsAndParticlesWithoutElementsHaveTheBitsOfTheCpu) {
+  for (const bool with_cloths : {true, false})
+    expect_same(gradients_of_worlds(Device::cuda(), with_cloths),
+                gradients_of_worlds(Device::cpu(), with_cloths));
+}
+
 void expect_thrown(ErrorKind kind, const std::string& words, const std::function<void()>& call) {
   try {
     call();

@@ -1,0 +1,182 @@
+// The arrays of a step of articulations, and its forward.
+#include "diff_articulation_parts.h"
+#include "novaphy/core/sim/on_host.h"
+#include "novaphy/nova/host_work.h"
+
+namespace novaphy::diff::detail {
+namespace {
+
+// Never destroyed: recordings refer to it.
+const DeviceKernel& step_kernel() {
+  static const auto& kernel =
+      *new DeviceKernel{articulation_step, novaphy::detail::articulation_kernels_text};
+  return kernel;
+}
+
+}  // namespace
+
+LaunchArgument argument(const char* name, const Tensor& tensor, bool write) {
+  LaunchArgument made;
+  if (!tensor.defined()) return made;
+  made.word = reinterpret_cast<uint64_t>(tensor.range()->data());
+  made.name = name;
+  made.range = tensor.range();
+  made.read = true;
+  made.write = write;
+  return made;
+}
+
+// Also of an array that may not be written through this handle.
+Tensor tensor_of(const Array& array) {
+  const nova::Operand operand = nova::operand_of(array);
+  const bool is_float = dtype_info(array.dtype()).scalar == Scalar::F32;
+  return {
+      operand.range, {operand.rows, operand.width}, is_float ? nova::DType::F32 : nova::DType::I32};
+}
+
+void add_arguments(const Step& s, std::vector<LaunchArgument>& words) {
+  const auto value = [&](size_t i) {
+    words.push_back(argument(s.values[i].name, s.values[i].tensor, false));
+  };
+  const auto in = [&](G::Member m) { words.push_back(argument(s.inputs[m].name, s.in(m), false)); };
+  for (size_t i = 0; i < 6; ++i) value(i);
+  for (const G::Member m : {G::kMass, G::kCom, G::kInertia}) in(m);
+  words.push_back(argument(s.inputs[kGravity].name, s.in(kGravity), false));
+  value(6);
+  for (const G::Member m :
+       {G::kTargetQ, G::kTargetQd, G::kTargetKe, G::kTargetKd, G::kDamping, G::kArmature,
+        G::kLimitLower, G::kLimitUpper, G::kLimitKe, G::kLimitKd, G::kEffortLimit,
+        G::kVelocityLimit, G::kQ, G::kQd, G::kJointF, G::kBodyF})
+    in(m);
+  words.push_back(number(s.dt));
+  words.push_back(number(s.options.angular_damping));
+  words.push_back(number(static_cast<int64_t>(s.options.implicit_drives ? 1 : 0)));
+}
+
+bool prepare_contacts(const Step& s) {
+  return s.contacts.defined() && s.shared->pgs->prepare(*s.model, contact_rows_of(s));
+}
+
+ArticulationArguments host_arguments(const Step& s) {
+  std::vector<LaunchArgument> words;
+  add_arguments(s, words);
+  return to_arguments<ArticulationArguments>(words);
+}
+void run_host(const Step& s, const ArticulationArguments& in, const StepOutputs* from,
+              const StepOutputs& to) {
+  ArticulationStepArguments a = {in,
+                                 numbers(to[0]),
+                                 numbers(to[1]),
+                                 reinterpret_cast<Transformf*>(numbers(to[2])),
+                                 reinterpret_cast<SpatialVectorf*>(numbers(to[3])),
+                                 numbers(to[4]),
+                                 numbers(to[5]),
+                                 s.shared->status.mutable_data(),
+                                 nullptr,
+                                 0};
+  if (from != nullptr) {
+    a.in.q = numbers((*from)[0]);
+    a.in.qd = numbers((*from)[1]);
+  }
+  s.shared->trees->step(a, *s.model, s.shared->all, s.options, nullptr, true);
+  for (const Tensor& tensor : to) tensor.range()->mark_written();
+}
+StepOutputs outputs_of(const Step& s) {
+  StepOutputs first;
+  for (size_t i = 0; i < first.size(); ++i) first[i] = s.outputs[i].tensor;
+  return first;
+}
+
+namespace {
+
+void run_forward(const Step& s) {
+  const nova::NoGrad no_grad;
+  if (s.contacts.defined() && s.copies_contacts())
+    kept_contacts(s).copy(s.found ? s.found->rows() : ContactRows{});
+  const bool touches = prepare_contacts(s);
+  if (!touches && s.shared->runs_on_host())
+    return run_host(s, host_arguments(s), nullptr, outputs_of(s));
+  std::vector<LaunchArgument> words;
+  add_arguments(s, words);
+  for (const Named& out : s.outputs) words.push_back(argument(out.name, out.tensor, true));
+  words.push_back(writes_row("status", s.status));
+  words.push_back(writes("workspace", s.workspace));
+  words.push_back(number(s.stride));
+  if (touches) {
+    const KeptContacts kept = kept_contacts(s);
+    auto a = to_arguments<ArticulationStepArguments>(words);
+    a.status = s.shared->status.mutable_data();
+    s.shared->pgs->step(a, *s.model, contact_rows_of(s), s.options, nullptr);
+    s.shared->pgs->write_impulses(kept.impulses, kept.friction);
+    for (const Named& out : s.outputs) out.tensor.range()->mark_written();
+    return;
+  }
+  step_kernel().launch(s.shared->device, s.count, words);
+}
+
+// rigid_contact_force from the impulses of a step.
+void write_forces(const KeptContacts& kept, const DeviceArray<Vec3f>& to, float dt) {
+  DeviceArray<Vec3f> forces = to;
+  Vec3f* const force = forces.mutable_data();
+  for (int32_t i = 0; i < *kept.count; ++i) {
+    const articulation::ContactFrame<float> frame = articulation::contact_frame(kept.normal[i]);
+    const Vec3f& x = kept.impulses[i];
+    force[i] = (frame.axes[0] * x.x + (frame.axes[1] * x.y + frame.axes[2] * x.z)) * (1.0f / dt);
+  }
+}
+
+// Behind the step as it is recorded: what its contacts say.
+void tell_contacts(const Step& s) {
+  s.shared->pgs->add_branches(s.shared->branches, s.shared->options, s.by_restitution);
+  if (s.force) write_forces(kept_contacts(s), *s.force, s.dt);
+}
+
+}  // namespace
+
+std::vector<Tensor> reads_of(const Step& s) {
+  std::vector<Tensor> all;
+  for (const Named& in : s.inputs) all.push_back(in.tensor);
+  for (size_t i = 3; i < s.values.size(); ++i) all.push_back(s.values[i].tensor);
+  return all;
+}
+
+void submit_forward(const std::shared_ptr<const Step>& step, bool tell) {
+  const auto run = [step, tell] {
+    run_forward(*step);
+    if (tell && step->contacts.defined()) tell_contacts(*step);
+  };
+  if (!nova::current_capture() || !step->contacts.defined()) return run();
+  const auto replay = [run, step] {
+    run();
+    const DeviceArray<int32_t>& status = step->shared->status;
+    check_status(*step->model, step->shared->articulations, {status.data(), status.rows()}, kName);
+  };
+  std::vector<Tensor> results, writes = {step->contacts};
+  for (const Named& out : step->outputs) results.push_back(out.tensor);
+  if (step->force) writes.push_back(tensor_of(*step->force));
+  std::vector<Tensor> reads = reads_of(*step);
+  if (step->found) {
+    const FoundRows& f = *step->found;
+    const Array* const arrays[] = {&f.count,  &f.shape0, &f.shape1,  &f.point0,
+                                   &f.point1, &f.normal, &f.margin0, &f.margin1};
+    for (const Array* array : arrays) reads.push_back(tensor_of(*array));
+  }
+  nova::capture_host_work({.name = kName,
+                           .reads = reads,
+                           .results = results,
+                           .writes = writes,
+                           .failure = &step->shared->failure,
+                           .run = replay});
+}
+
+void run_all(const std::shared_ptr<const Step>& step) {
+  const Step& s = *step;
+  submit_forward(step, false);
+  StepOutputs from = outputs_of(s);
+  for (const StepOutputs& to : s.following) {
+    run_host(s, s.host, &from, to);
+    from = to;
+  }
+}
+
+}  // namespace novaphy::diff::detail

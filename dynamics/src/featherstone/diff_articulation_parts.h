@@ -1,0 +1,236 @@
+// What the files of ArticulationStep share: the arrays of a step for the tape, its forward, adjoint
+// and tangent.
+#pragma once
+
+#include <algorithm>
+#include <array>
+#include <cstring>
+#include <memory>
+#include <optional>
+#include <span>
+#include <string>
+#include <vector>
+
+#include "articulation_step.h"
+#include "novaphy/core/device_kernel.h"
+#include "novaphy/core/error.h"
+#include "novaphy/dynamics/featherstone/diff_articulation_step.h"
+#include "novaphy/nova/op_list.h"
+#include "novaphy/nova/tape.h"
+#include "pgs_contacts.h"
+
+namespace novaphy::detail {
+const char* articulation_kernels_text();
+}
+
+namespace novaphy::diff {
+namespace detail {
+
+using nova::Tensor;
+inline constexpr const char* kName = "articulation_step";
+using G = articulation::StepGradient<float>;
+// Inputs behind the members of G. Those of shapes only with contacts.
+enum MoreInputs : size_t {
+  kGravity = G::kMembers,
+  kJointFriction,
+  kShapeInputs,
+  kMu = kShapeInputs,
+  kRestitution,
+  kStiffness,
+  kDamping,
+  kInputs
+};
+
+struct Named {
+  const char* name;
+  Tensor tensor;
+};
+
+// The contacts of a step as it keeps them: numbers per contact, array after array, with the
+// impulses behind; indices as the bits of floats. Then how many there are, and the impulses of
+// joints' dry friction, a row per dof.
+inline constexpr int64_t kContactNumbers = 16;
+struct KeptContacts {
+  static int64_t size(int64_t most, int64_t dofs) { return kContactNumbers * most + 1 + dofs; }
+  KeptContacts(float* memory, int64_t most)
+      : shape0(reinterpret_cast<int32_t*>(memory)),
+        shape1(shape0 + most),
+        point0(reinterpret_cast<Vec3f*>(memory + 2 * most)),
+        point1(point0 + most),
+        normal(point1 + most),
+        impulses(normal + most),
+        margin0(memory + 14 * most),
+        margin1(margin0 + most),
+        count(reinterpret_cast<int32_t*>(memory + kContactNumbers * most)),
+        friction(memory + kContactNumbers * most + 1) {}
+  void copy(const ContactRows& c) const {
+    const auto n = static_cast<size_t>(c.count);
+    *count = c.count;
+    std::copy_n(c.shape0, n, shape0);
+    std::copy_n(c.shape1, n, shape1);
+    std::copy_n(c.point0, n, point0);
+    std::copy_n(c.point1, n, point1);
+    std::copy_n(c.normal, n, normal);
+    std::copy_n(c.margin0, n, margin0);
+    std::copy_n(c.margin1, n, margin1);
+    std::fill_n(impulses, n, Vec3f{});
+  }
+  ContactRows rows(bool found) const {
+    return {*count, shape0, shape1, nullptr, point0, point1, normal, margin0, margin1, found};
+  }
+  int32_t *shape0, *shape1;
+  Vec3f *point0, *point1, *normal, *impulses;
+  float *margin0, *margin1;
+  int32_t* count;
+  float* friction;
+};
+
+// The arrays of contacts that a rollout finds anew whenever its steps run.
+struct FoundRows {
+  explicit FoundRows(const Contacts& c)
+      : most(c.rigid_contact_max()),
+        count(c.rigid_contact_count),
+        shape0(c.rigid_contact_shape0),
+        shape1(c.rigid_contact_shape1),
+        point0(c.rigid_contact_point0),
+        point1(c.rigid_contact_point1),
+        normal(c.rigid_contact_normal),
+        margin0(c.rigid_contact_margin0),
+        margin1(c.rigid_contact_margin1) {}
+  ContactRows rows() const {
+    return {std::clamp(*count.data(), 0, most),
+            shape0.data(),
+            shape1.data(),
+            nullptr,
+            point0.data(),
+            point1.data(),
+            normal.data(),
+            margin0.data(),
+            margin1.data()};
+  }
+  int32_t most;
+  DeviceArray<int32_t> count, shape0, shape1;
+  DeviceArray<Vec3f> point0, point1, normal;
+  DeviceArray<float> margin0, margin1;
+};
+
+// What a step gives: q, qd, body_q, body_qd, and for its adjoint qdd and branch.
+using StepOutputs = std::array<Tensor, 6>;
+inline constexpr size_t kMostSteps = 8;  // of an operation: a tape takes 32 outputs
+
+}  // namespace detail
+
+struct ArticulationStep::Shared {
+  Shared(const Model& m, const FeatherstoneOptions& o, const char* user)
+      : options(o),
+        device(m.device()),
+        articulations(m, user, Articulations::Devices::All),
+        materials(unread_materials(o.contact, user)) {
+    const auto count = static_cast<size_t>(articulations.count());
+    for (size_t i = 0; i < count; ++i) all.push_back(static_cast<int32_t>(i));
+    if (device.is_cpu()) trees.emplace(m, articulations);
+    stride = step_workspace(articulations);
+    status = DeviceArray<int32_t>(count, device);
+    workspace = DeviceArray<float>(count * static_cast<size_t>(stride), device);
+  }
+  // Where nothing records on the cpu, which steps without launches.
+  bool runs_on_host() const { return device.is_cpu() && !nova::current_capture(); }
+  FeatherstoneOptions options;
+  Device device;
+  Articulations articulations;
+  std::optional<TreeSteps> trees;  // on the cpu
+  std::vector<int32_t> all;        // articulations
+  int64_t stride = 0;
+  DeviceArray<int32_t> status;
+  DeviceArray<float> workspace;
+  std::unique_ptr<PgsContacts> pgs;  // made by the first step with contacts
+  ContactBranches branches;
+  UnreadMaterials materials;
+  std::vector<float> between;   // gradients of states between the steps of an operation
+  DeviceArray<float> wrenches;  // gradients of body_f, where gravity's is asked for
+  std::string failure;          // of a replay
+  bool dry = false;             // joints have dry friction, or its gradient is asked for
+};
+
+// The arrays of a step, and of those behind it that are one operation with it: handles, and what
+// they are for the tape.
+struct ArticulationStep::Step {
+  std::shared_ptr<ArticulationStep::Shared> shared;
+  std::shared_ptr<const Model> model;
+  detail::Tensor contacts = {};                       // KeptContacts; undefined without
+  int64_t contact_max = 0;                            // of them
+  std::optional<detail::FoundRows> found = {};        // copied whenever the step runs
+  bool follow = false;                                // they are of the state that it starts from
+  std::optional<DeviceArray<Vec3f>> force = {};       // of the contacts
+  bool by_restitution = false;                        // its gradient is asked for
+  std::array<detail::Named, detail::kInputs> inputs;  // in the order of StepGradient, MoreInputs
+  std::array<detail::Named, 7> values;   // rows, links, dof_parent, X_p, X_c, axis, target_mode
+  std::array<detail::Named, 6> outputs;  // q, qd, body_q, body_qd, qdd, branch
+  FeatherstoneOptions options;
+  float dt = 0.0f;
+  int64_t count = 0, stride = 0;
+  DeviceArray<int32_t> status;
+  DeviceArray<float> workspace;
+  ArticulationArguments host = {};                  // of the first step, where others follow
+  std::vector<detail::StepOutputs> following = {};  // each starts where the one before ended
+
+  // Whether its forward fills `contacts` anew, so that nobody minds who wrote there.
+  bool copies_contacts() const { return found.has_value() || contact_max == 0; }
+  const detail::Tensor& in(size_t member) const { return inputs[member].tensor; }
+};
+
+namespace detail {
+
+using Step = ArticulationStep::Step;
+
+// Words of launches.
+LaunchArgument argument(const char* name, const Tensor& tensor, bool write);
+// Those of ArticulationArguments.
+void add_arguments(const Step& s, std::vector<LaunchArgument>& words);
+// The words of a launch as the arguments of its kernel.
+template <class Arguments>
+Arguments to_arguments(const std::vector<LaunchArgument>& words) {
+  std::vector<uint64_t> values;
+  for (const LaunchArgument& word : words) values.push_back(word.word);
+  require(values.size() * sizeof(uint64_t) == sizeof(Arguments), ErrorKind::Runtime, kName,
+          ": wrong number of arguments");
+  Arguments a;
+  std::memcpy(&a, values.data(), sizeof(a));
+  return a;
+}
+
+// Also of an array that may not be written through this handle.
+Tensor tensor_of(const Array& array);
+inline float* numbers(const Tensor& tensor) {
+  return tensor.defined() ? static_cast<float*>(tensor.range()->data()) : nullptr;
+}
+inline KeptContacts kept_contacts(const Step& s) { return {numbers(s.contacts), s.contact_max}; }
+inline ContactRows contact_rows_of(const Step& s) { return kept_contacts(s).rows(s.follow); }
+// Whether a step has contacts that act; those are then in shared->pgs.
+bool prepare_contacts(const Step& s);
+StepOutputs outputs_of(const Step& s);
+// What a replay of the step or of its adjoint reads and others may write.
+std::vector<Tensor> reads_of(const Step& s);
+
+// What the first step of an operation reads and does, on the host.
+ArticulationArguments host_arguments(const Step& s);
+// The step from the state `from`, or the first one's, into `to`.
+void run_host(const Step& s, const ArticulationArguments& in, const StepOutputs* from,
+              const StepOutputs& to);
+// The step now, or in the replays of a capture. `tell`: counts its branches and writes the forces
+// of its contacts.
+void submit_forward(const std::shared_ptr<const Step>& step, bool tell);
+// All steps of the operation again.
+void run_all(const std::shared_ptr<const Step>& step);
+// The adjoint of a step now, or in the replays of a capture.
+void submit_vjp(const std::shared_ptr<const Step>& step, std::span<const Tensor> outputs,
+                std::span<const nova::InputGradient> gradients);
+// The adjoint of some steps, from the last on. The gradients of the states between them stay here.
+void run_vjp_of_steps(const Step& s, std::span<const Tensor> outputs,
+                      std::span<const nova::InputGradient> gradients);
+// The tangents of all steps of the operation now, or in the replays of a capture.
+void submit_jvp(const std::shared_ptr<const Step>& step, std::span<const Tensor> inputs,
+                std::span<const Tensor> outputs);
+
+}  // namespace detail
+}  // namespace novaphy::diff

@@ -59,6 +59,7 @@ void detail::add_derived_kernels(std::vector<nova::EngineKernel>& list) {
 
 void begin_model_reads(const Model& model, const char* function) {
   model.check_numbers(function);
+  model.check_structure(function);
   if (nova::Tape::active() != nullptr) check_leaves(model);
   update_derived(model);
   model.depend_on_numbers();

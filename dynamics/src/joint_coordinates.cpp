@@ -23,6 +23,7 @@ const DeviceKernel& fk_kernel() {
 
 void check_arguments(const char* name, const Model& m, const SimState& state,
                      const DeviceArray<float>& q, const DeviceArray<float>& qd) {
+  m.check_structure(name);
   require(state.model_id() == m.id(), ErrorKind::Value, name,
           ": state: expected one of the model, got one of another model");
   const auto check = [&](const char* argument, const DeviceArray<float>& array, int32_t rows) {

@@ -67,6 +67,7 @@ using ModelClass = py::class_<Model, std::shared_ptr<Model>>;
 void add_model_pickle(ModelClass& c) {
   c.def(py::pickle(
       [](const Model& model) {
+        model.check_structure("Model, pickle");
         model.update_derived();
         py::dict kept = keep_fields(model);
         kept["model_id"] = model.id();
@@ -89,6 +90,7 @@ void add_model_pickle(ModelClass& c) {
             to_axis(kept_value(kept, "up_axis")), kept_value(kept, "model_id").cast<uint64_t>());
         take_fields(*model, kept);
         model->accept_derived();
+        model->keep_structure();
 #define NOVAPHY_TAKE(name, by_default, infinite, unit, doc) \
   model->name = kept_value(kept, #name).cast<float>();
         NOVAPHY_MODEL_NUMBERS(NOVAPHY_TAKE)

@@ -104,23 +104,81 @@ JOINTS = [
     ("joint_limit_lower", NAN, NUMBER),
     ("joint_limit_kd", -0.5, NUMBER),
     ("joint_effort_limit", NAN, NUMBER),
+    ("joint_axis", 0.0, "expected a vector that is not zero, got 0"),
+    ("joint_X_c", 0.0, "expected a quaternion that is not zero, got 0"),
+    ("joint_limit_lower", 2e10, r"expected at most joint_limit_upper, 1e\+10, got 2e\+10"),
 ]
+
+
+def hinge():
+    builder = novaphy.ModelBuilder()
+    links = [builder.add_link(mass=1.0, inertia=np.eye(3)) for _ in range(2)]
+    fixed = builder.add_joint_fixed(-1, links[0])
+    builder.add_articulation([fixed, builder.add_joint_revolute(*links, axis=(0, 1, 0))])
+    return builder.finalize()
 
 
 @pytest.mark.parametrize("solver", SOLVERS[:2])
 @pytest.mark.parametrize(("array", "value", "message"), JOINTS)
 def test_a_bad_number_of_a_penalty_joint_is_named(solver, array, value, message):
-    builder = novaphy.ModelBuilder()
-    links = [builder.add_link(mass=1.0, inertia=np.eye(3)) for _ in range(2)]
-    fixed = builder.add_joint_fixed(-1, links[0])
-    builder.add_articulation([fixed, builder.add_joint_revolute(*links, axis=(0, 1, 0))])
-    m = builder.finalize()
+    """In every step behind a first one, too."""
+    m = hinge()
     step, state, after = make(solver, m).step, m.state(), m.state()
-    values = getattr(m, array).numpy()
+    step(state, after, None, None, DT)
+    good = getattr(m, array).numpy()
+    values = good.copy()
     values.reshape(len(values), -1)[-1] = value
     getattr(m, array).assign(values)
-    with pytest.raises(ValueError, match=rf"model.{array}\[{len(values) - 1}\]: {message}"):
-        step(state, after, None, None, DT)
+    for _ in range(2):
+        with pytest.raises(ValueError, match=rf"model.{array}\[{len(values) - 1}\]: {message}"):
+            step(state, after, None, None, DT)
+    getattr(m, array).assign(good)
+    step(state, after, None, None, DT)
+
+
+@pytest.mark.parametrize("solver", SOLVERS[:2])
+@pytest.mark.parametrize(
+    "inertia",
+    [
+        [[1, 2, 0], [2, 1, 0], [0, 0, 1]],
+        [[1, 0.1, 0], [0, 1, 0], [0, 0, 1]],
+        [[1, 0.9, 0.9], [0.9, 1, -0.9], [0.9, -0.9, 1]],
+    ],
+    ids=["indefinite", "not symmetric", "indefinite by its determinant"],
+)
+def test_an_inertia_that_no_body_has_is_named(solver, inertia):
+    m = hinge()
+    step, state, after = make(solver, m).step, m.state(), m.state()
+    step(state, after, None, None, DT)
+    values = m.body_inertia.numpy()
+    values[1] = inertia
+    m.body_inertia.assign(values)
+    for _ in range(2):
+        with pytest.raises(ValueError, match=r"body_inertia\[1\]: expected a symmetric, positive"):
+            step(state, after, None, None, DT)
+
+
+@pytest.mark.parametrize("solver", SOLVERS[:2])
+@pytest.mark.parametrize("array", ["joint_armature", "joint_friction", "joint_velocity_limit"])
+def test_what_penalty_joints_do_not_have_is_refused_behind_the_first_step(solver, array):
+    m = hinge()
+    step, state, after = make(solver, m).step, m.state(), m.state()
+    step(state, after, None, None, DT)
+    getattr(m, array).fill_(0.5)
+    for _ in range(2):
+        with pytest.raises(NotImplementedError, match=rf"model.{array}\[0\]: expected .* got 0.5"):
+            step(state, after, None, None, DT)
+
+
+def test_a_launch_refuses_what_penalty_joints_do_not_have():
+    m = hinge()
+    solver, trajectory = make("DiffSemiImplicitSolver", m), diff.Trajectory(m, 2)
+    with nova.ScopedCapture() as capture:
+        solver.rollout(trajectory, None, None, DT)
+    capture.graph.launch()
+    m.joint_armature.fill_(0.5)
+    with pytest.raises(novaphy.Error, match="graph.launch"):
+        capture.graph.launch()
 
 
 LEGAL_ZEROS = [

@@ -19,6 +19,7 @@ enum class Rule {
   AtMostOne,
   Mass,
   Diagonal,
+  NotZero,
   UnitVector,
   UnitFrame,
   UnitPose,
@@ -111,6 +112,10 @@ void check_numbers(const char* solver, const Numbers& numbers) {
         expect(v[0] == 0.0f || std::isfinite(1.0f / v[0]), "0 or a mass whose inverse is finite",
                double{v[0]});
         break;
+      case Rule::NotZero:
+        expect(length(v, width == 7 ? 3 : 0, width) > 0.0,
+               width == 7 ? "a quaternion that is not zero" : "a vector that is not zero", 0.0);
+        break;
       case Rule::UnitVector:
         expect(std::abs(length(v, 0, 3) - 1.0) <= 1e-3, "a vector of length 1", length(v, 0, 3));
         break;
@@ -127,6 +132,25 @@ void check_numbers(const char* solver, const Numbers& numbers) {
         break;
     }
   }
+}
+
+// As the builder takes it.
+bool is_symmetric(const float* m) {
+  double largest = 0.0;
+  for (size_t k = 0; k < 9; ++k) largest = std::max(largest, std::abs(double{m[k]}));
+  const auto same = [&](size_t a, size_t b) {
+    return std::abs(double{m[a]} - double{m[b]}) <= 1e-5 * largest;
+  };
+  return same(1, 3) && same(2, 6) && same(5, 7);
+}
+bool is_positive_definite(const float* m) {
+  const double minor = double{m[0]} * double{m[4]} - double{m[3]} * double{m[3]};
+  const double lower[9] = {m[0], m[3], m[6], m[3], m[4], m[7], m[6], m[7], m[8]};
+  const auto at = [&](size_t k) { return lower[k]; };
+  const double whole = at(0) * (at(4) * at(8) - at(5) * at(7)) -
+                       at(1) * (at(3) * at(8) - at(5) * at(6)) +
+                       at(2) * (at(3) * at(7) - at(4) * at(6));
+  return m[0] > 0.0f && minor > 0.0 && whole > 0.0;
 }
 
 bool is_finite(const float* v, size_t count) {
@@ -158,6 +182,12 @@ void EditedValues::check_bodies(const Model& m) {
               ": model.body_inertia[", b, "]: expected finite numbers, > 0 on the diagonal, got ",
               x, " in row ", k / 3, ", column ", k % 3);
     }
+    require(is_symmetric(inertia.row(b)) && is_positive_definite(inertia.row(b)), ErrorKind::Value,
+            solver_, ": model.body_inertia[", b,
+            "]: expected a symmetric, positive definite matrix, got ((", inertia.row(b)[0], ", ",
+            inertia.row(b)[1], ", ", inertia.row(b)[2], "), (", inertia.row(b)[3], ", ",
+            inertia.row(b)[4], ", ", inertia.row(b)[5], "), (", inertia.row(b)[6], ", ",
+            inertia.row(b)[7], ", ", inertia.row(b)[8], "))");
     require(is_finite(inv_mass.row(b), 1) && *inv_mass.row(b) >= 0.0f, ErrorKind::Value, solver_,
             ": model.body_inv_mass[", b, "]: expected a finite number >= 0, got ",
             *inv_mass.row(b));
@@ -165,6 +195,17 @@ void EditedValues::check_bodies(const Model& m) {
             ": model.body_inv_inertia[", b, "]: expected finite numbers");
   }
   for (size_t k = 0; k < kBodyArrays; ++k) bodies_[k].set(*arrays[k]);
+}
+
+void EditedValues::check_limits(const Model& m) {
+  if (!must_read(limits_[0], m.joint_limit_lower) && !must_read(limits_[1], m.joint_limit_upper))
+    return;
+  const NumbersOnHost lower(m.joint_limit_lower), upper(m.joint_limit_upper);
+  for (size_t k = 0; k < m.joint_limit_lower.rows(); ++k)
+    require(*lower.row(k) <= *upper.row(k), ErrorKind::Value, solver_, ": model.joint_limit_lower[",
+            k, "]: expected at most joint_limit_upper, ", *upper.row(k), ", got ", *lower.row(k));
+  limits_[0].set(m.joint_limit_lower);
+  limits_[1].set(m.joint_limit_upper);
 }
 
 void EditedValues::check_arrays(const Model& m) {
@@ -178,6 +219,7 @@ void EditedValues::check_arrays(const Model& m) {
     check_numbers(solver_, all[k]);
     arrays_[k].set(all[k].array);
   }
+  check_limits(m);
 }
 
 // Now and, while a capture records on the CPU, before every replay.
@@ -234,24 +276,14 @@ void EditedValues::check_joint_arrays(const Model& m) {
       {"shape_gap", m.shape_gap, Rule::NotNegative},
       {"shape_margin", m.shape_margin, Rule::Finite},
       {"gravity", m.gravity, Rule::Finite}};
-  constexpr size_t kCount = std::size(arrays), kLower = 9;
+  constexpr size_t kCount = std::size(arrays);
   joints_.resize(kCount + 1);
-  const bool new_limits = must_read(joints_[kLower], m.joint_limit_lower) ||
-                          must_read(joints_[kLower + 1], m.joint_limit_upper);
   for (size_t k = 0; k < kCount; ++k) {
     if (!must_read(joints_[k], arrays[k].array)) continue;
     check_numbers(solver_, arrays[k]);
     joints_[k].set(arrays[k].array);
   }
-  if (new_limits) {
-    const std::vector<float> lower = m.joint_limit_lower.to_host(),
-                             upper = m.joint_limit_upper.to_host();
-    for (size_t k = 0; k < lower.size(); ++k) {
-      if (!(lower[k] <= upper[k])) joints_[kLower].reset();  // so that the next call finds it too
-      require(lower[k] <= upper[k], ErrorKind::Value, solver_, ": model.joint_limit_lower[", k,
-              "]: expected at most joint_limit_upper, ", upper[k], ", got ", lower[k]);
-    }
-  }
+  check_limits(m);
   if (!must_read(joints_[kCount], m.joint_target_mode)) return;
   const std::vector<int32_t> modes = m.joint_target_mode.to_host();
   for (size_t k = 0; k < modes.size(); ++k)

@@ -130,6 +130,7 @@ std::shared_ptr<Model> Model::to(Device device) const {
   if (derived_stamps_.derived.matches(source)) copy->derived_stamps_.derived.set(copy->source);
   NOVAPHY_DERIVED_MODEL_FIELDS(NOVAPHY_COPY_STAMP)
 #undef NOVAPHY_COPY_STAMP
+  copy->structure_ = structure_;
   return copy;
 }
 

@@ -147,6 +147,7 @@ std::shared_ptr<Model> ModelBuilder::finalize(Device device, const FinalizeOptio
     upload(m.gravity, world_gravity_);
   }
   m.update_derived();
+  m.keep_structure();
   return model;
 }
 

@@ -49,26 +49,21 @@ struct Place {
   }
 };
 
-// The trees of the model that this thread asked for last, while its joints are as they were.
+// The trees of the model that this thread asked for last.
 const Articulations& trees_of(const Model& m, const char* function) {
   struct Last {
     uint64_t model = 0;
-    std::vector<ArrayStamp> stamps = {};
+    ArrayStamp flags = {};
     std::unique_ptr<Articulations> trees = {};
   };
   static thread_local Last last;
-  const Array* const arrays[] = {&m.joint_type,       &m.joint_parent,       &m.joint_child,
-                                 &m.joint_q_start,    &m.joint_qd_start,     &m.joint_dof_dim,
-                                 &m.joint_world,      &m.joint_articulation, &m.articulation_start,
-                                 &m.articulation_end, &m.body_flags};
-  bool same = last.trees != nullptr && last.model == m.id();
-  for (size_t i = 0; same && i < std::size(arrays); ++i) same = last.stamps[i].matches(*arrays[i]);
-  if (same) return *last.trees;
+  m.check_structure(function);
+  if (last.trees != nullptr && last.model == m.id() && last.flags.matches(m.body_flags))
+    return *last.trees;
   last.trees = nullptr;
   last.trees = std::make_unique<Articulations>(m, function);
   last.model = m.id();
-  last.stamps.resize(std::size(arrays));
-  for (size_t i = 0; i < std::size(arrays); ++i) last.stamps[i].set(*arrays[i]);
+  last.flags.set(m.body_flags);
   return *last.trees;
 }
 

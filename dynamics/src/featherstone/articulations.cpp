@@ -97,6 +97,7 @@ class TreeMaker {
 
 Articulations::Articulations(const Model& model, const char* user, Devices devices)
     : values_(user) {
+  model.check_structure(user);
   const Device device = model.device();
   std::shared_ptr<const Model> copy;
   if (!device.is_cpu()) {

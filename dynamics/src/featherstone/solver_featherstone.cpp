@@ -149,6 +149,7 @@ void SolverFeatherstone::step(SimState& state_in, SimState& state_out, const Con
   check_step(kName, state_in, state_out, control, contacts, dt);
   check_contacts(contacts, options_.contact);
   m.check_numbers(kName);
+  m.check_structure(kName);
   if (launched_) {
     const bool penalty = options_.contact == ArticulationContact::Penalty;
     require(contacts == nullptr || !penalty || contacts->rigid_contact_max() == 0,

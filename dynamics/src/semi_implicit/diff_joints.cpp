@@ -167,6 +167,9 @@ DiffJoints::DiffJoints(const Model& model, const Attach& attach)
   check("joint_attach_ke", attach.ke);
   check("joint_attach_kd", attach.kd);
   JointForces::check_covered(model, "DiffSemiImplicitSolver");
+  hold_ = std::ranges::any_of(model.joint_type.to_host(), [](int32_t type) {
+    return type != static_cast<int32_t>(JointType::FREE);
+  });
 }
 DiffJoints::~DiffJoints() = default;
 DiffJoints::DiffJoints(DiffJoints&&) noexcept = default;
@@ -212,25 +215,14 @@ void DiffJoints::find_tables(const Model& m) {
 void DiffJoints::begin(const Model& m, const Control* control, float dt) {
   act_ = false;
   if (m.joint_count() == 0) return;
-  // Types and bodies of joints are no part of what a capture records, and a graph refuses to run
-  // once they were written.
-  depend_on({&m.joint_type, &m.joint_parent, &m.joint_child, &m.joint_enabled});
+  // No part of what a capture records: a graph refuses to run once it was written.
+  depend_on({&m.joint_enabled});
   const Unobserved unobserved;
-  if (!seen_type_.matches(m.joint_type)) {
-    const std::vector<int32_t> type = m.joint_type.to_host();
-    hold_ = std::ranges::any_of(
-        type, [](int32_t t) { return t != static_cast<int32_t>(JointType::FREE); });
-    seen_type_.set(m.joint_type);
-  }
+  checks_->check_edits(m, "DiffSemiImplicitSolver");
   if (!hold_ && !any(control != nullptr ? control->joint_f : m.joint_f)) return;
   checks_->prepare(m, {attach_.ke, attach_.kd}, dt);
-  const bool known = type_.matches(m.joint_type) && parent_.matches(m.joint_parent) &&
-                     child_.matches(m.joint_child) && enabled_.matches(m.joint_enabled);
-  if (!known) {
+  if (!enabled_.matches(m.joint_enabled)) {
     find_tables(m);
-    type_.set(m.joint_type);
-    parent_.set(m.joint_parent);
-    child_.set(m.joint_child);
     enabled_.set(m.joint_enabled);
   }
   act_ = kernel_ != nullptr;

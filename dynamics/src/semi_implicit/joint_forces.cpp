@@ -5,6 +5,7 @@
 #include <limits>
 
 #include "novaphy/core/error.h"
+#include "novaphy/core/recorder.h"
 #include "novaphy/core/sim/for_chunks.h"
 #include "novaphy/core/sim/joint_args.h"
 #include "novaphy/dynamics/semi_implicit/penalty_joint_trace.h"
@@ -199,6 +200,7 @@ struct DofArrays {
 }  // namespace
 
 void JointForces::check_covered(const Model& m, const char* solver) {
+  m.check_structure(solver);
   const std::vector<int32_t> type = m.joint_type.to_host(), start = m.joint_qd_start.to_host();
   const std::vector<Vec2i> dims = m.joint_dof_dim.to_host();
   const std::vector<Vec3f> axes = m.joint_axis.to_host();
@@ -218,6 +220,25 @@ void JointForces::check_covered(const Model& m, const char* solver) {
             mass[b]);
   check_unused(m, solver);
   check_without_drive(m, solver);
+}
+
+void JointForces::check_edits(const Model& m, const char* solver) {
+  depend_on({&m.joint_armature, &m.joint_friction, &m.joint_velocity_limit});
+  const Array* const arrays[] = {
+      &m.joint_armature,    &m.joint_friction,    &m.joint_velocity_limit,
+      &m.joint_target_ke,   &m.joint_target_kd,   &m.joint_damping,
+      &m.joint_limit_lower, &m.joint_limit_upper, &m.joint_axis};
+  covered_.resize(std::size(arrays));
+  bool same = true;
+  for (size_t i = 0; i < std::size(arrays); ++i)
+    same = same && (covered_[i].matches(*arrays[i]) ||
+                    // Of a device, what others may write is not read again in every step.
+                    (!m.device().is_cpu() && arrays[i]->range() != nullptr &&
+                     arrays[i]->range()->writable_export()));
+  if (same) return;
+  const Unobserved unobserved;
+  check_covered(m, solver);
+  for (size_t i = 0; i < std::size(arrays); ++i) covered_[i].set(*arrays[i]);
 }
 
 // The longest stable step of the attachment of one joint, s: of the stiffest direction that it
@@ -254,13 +275,9 @@ static float joint_stable_dt(const HostJoints& m, size_t joint, const JointAttac
 void JointForces::find_sides(const HostJoints& m, int32_t body_count) {
   bodies_.assign(2 * m.type.size(), -1);
   for (size_t j = 0; j < m.type.size(); ++j) {
-    const int32_t parent = m.parent[j], child = m.child[j];
-    require(parent >= -1 && parent < body_count && child >= 0 && child < body_count,
-            ErrorKind::Index, "step: model.joint_parent, joint_child[", j, "]: expected bodies to ",
-            body_count - 1, ", got ", parent, " and ", child);
     if (m.enabled[j] == 0) continue;
-    bodies_[2 * j] = m.type_of(j) == JointType::FREE ? -1 : parent;
-    bodies_[2 * j + 1] = child;
+    bodies_[2 * j] = m.type_of(j) == JointType::FREE ? -1 : m.parent[j];
+    bodies_[2 * j + 1] = m.child[j];
   }
   sides_.build(bodies_, body_count);
   wrenches_.assign(bodies_.size(), {});
@@ -268,12 +285,10 @@ void JointForces::find_sides(const HostJoints& m, int32_t body_count) {
 
 void JointForces::prepare(const Model& m, const JointAttachOptions& attach, float dt) {
   if (m.joint_count() == 0) return;
-  const bool known = type_.matches(m.joint_type) && parent_.matches(m.joint_parent) &&
-                     child_.matches(m.joint_child) && enabled_.matches(m.joint_enabled) &&
-                     mass_.matches(m.body_mass) && inertia_.matches(m.body_inertia) &&
-                     flags_.matches(m.body_flags);
+  const bool known = enabled_.matches(m.joint_enabled) && mass_.matches(m.body_mass) &&
+                     inertia_.matches(m.body_inertia) && flags_.matches(m.body_flags);
   if (!known) {
-    type_.reset();
+    enabled_.reset();
     const HostJoints joints(m);
     find_sides(joints, m.body_count());
     stable_dt_ = std::numeric_limits<float>::infinity();
@@ -283,9 +298,6 @@ void JointForces::prepare(const Model& m, const JointAttachOptions& attach, floa
       if (limit < stable_dt_) unstable_joint_ = static_cast<int32_t>(j);
       stable_dt_ = std::min(stable_dt_, limit);
     }
-    type_.set(m.joint_type);
-    parent_.set(m.joint_parent);
-    child_.set(m.joint_child);
     enabled_.set(m.joint_enabled);
     mass_.set(m.body_mass);
     inertia_.set(m.body_inertia);

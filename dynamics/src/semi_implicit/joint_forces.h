@@ -25,8 +25,11 @@ class JointForces {
   // `solver` starts the messages.
   static void check_covered(const Model& model, const char* solver);
 
-  // Finds the sides of every body where the joints were written since. ErrorKind::Index: a joint of
-  // a body or a row that is not there. ErrorKind::Value: a step above stable_dt.
+  // check_covered again, where one of its arrays was written since. In a capture a replay throws
+  // once one was that has no effect.
+  void check_edits(const Model& model, const char* solver);
+  // Finds the sides of every body where the joints were written since. ErrorKind::Value: a step
+  // above stable_dt.
   void prepare(const Model& model, const JointAttachOptions& attach, float dt);
   // control null: the model's forces and targets.
   void evaluate(const Model& model, const SimState& state, const Control* control,
@@ -37,7 +40,8 @@ class JointForces {
  private:
   void find_sides(const HostJoints& joints, int32_t body_count);
 
-  ArrayStamp type_, parent_, child_, enabled_, mass_, inertia_, flags_;
+  std::vector<ArrayStamp> covered_;
+  ArrayStamp enabled_, mass_, inertia_, flags_;
   float stable_dt_ = 0.0f;       // s: above it the attachment of a joint diverges by itself
   int32_t unstable_joint_ = -1;  // that joint
   std::vector<int32_t> bodies_;  // of the two sides of every joint; -1: the world, or no force

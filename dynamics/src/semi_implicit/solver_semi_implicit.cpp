@@ -102,6 +102,7 @@ void SolverSemiImplicit::step(SimState& state_in, SimState& state_out, const Con
   const Model& m = *model();
   check_step(kName, state_in, state_out, control, contacts, dt);
   m.check_numbers(kName);
+  m.check_structure(kName);
   cache_->materials.check(m);
   if (on_device_ != nullptr) return on_device_->step(state_in, state_out, control, contacts, dt);
   m.update_derived();
@@ -110,6 +111,7 @@ void SolverSemiImplicit::step(SimState& state_in, SimState& state_out, const Con
   if (contacts != nullptr) cache_->contacts.update(m, *contacts);
   cache_->bodies.prepare(m, contacts);
   const JointAttachOptions attach = {options_.joint_attach_ke, options_.joint_attach_kd};
+  cache_->joints.check_edits(m, "SolverSemiImplicit");
   cache_->joints.prepare(m, attach, dt);
 
   const Vec3f* q = state_in.particle_q.data();

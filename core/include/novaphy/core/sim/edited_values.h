@@ -14,8 +14,8 @@
 namespace novaphy {
 
 // X(array, rule). All numbers must be finite. NotNegative: and >= 0. Mass: and have a finite
-// inverse, or be 0. UnitPose: the quaternion has length 1 (frames of joints,
-// which have a gradient, may leave that). RestPose: the determinant is > 0.
+// inverse, or be 0. UnitPose: the quaternion has length 1. NotZero: axis or quaternion has a length
+// (those of joints have a gradient, and may leave 1). RestPose: the determinant is > 0.
 #define NOVAPHY_EDITED_ARRAYS(X)              \
   X(gravity, Finite)                          \
   X(particle_mass, Mass)                      \
@@ -34,9 +34,9 @@ namespace novaphy {
   X(particle_tet_pose, RestPose)              \
   X(particle_tet_activation, Finite)          \
   X(particle_tet_material, NotNegative)       \
-  X(joint_X_p, Finite)                        \
-  X(joint_X_c, Finite)                        \
-  X(joint_axis, Finite)                       \
+  X(joint_X_p, NotZero)                       \
+  X(joint_X_c, NotZero)                       \
+  X(joint_axis, NotZero)                      \
   X(joint_f, Finite)                          \
   X(joint_target_q, Finite)                   \
   X(joint_target_qd, Finite)                  \
@@ -63,8 +63,9 @@ class NOVAPHY_CORE_API EditedValues {
   explicit EditedValues(const char* solver) : solver_(solver) {}
 
   // Cheap while the arrays were not written since the last call. ErrorKind::Value names array and
-  // row: what NOVAPHY_EDITED_ARRAYS asks for; body_com finite; of dynamic bodies body_mass and the
-  // diagonal of body_inertia > 0, all of body_inertia and the inverses finite. The derived arrays
+  // row: what NOVAPHY_EDITED_ARRAYS asks for; joint_limit_lower at most joint_limit_upper; body_com
+  // finite; of dynamic bodies body_mass > 0, body_inertia symmetric (to 1e-5 of its largest number)
+  // and positive definite, the inverses finite. The derived arrays
   // must be those of their sources. On other devices than the CPU, arrays that another library may
   // write are not read. Host reads are not observed: no kernel depends on them. While a capture
   // records on the CPU, every replay will check too.
@@ -84,6 +85,7 @@ class NOVAPHY_CORE_API EditedValues {
   void check_bodies(const Model& model);
   void check_arrays(const Model& model);
   void check_joint_arrays(const Model& model);
+  void check_limits(const Model& model);
   template <class Check>
   void check_all(const Model& model, Check check);
 
@@ -92,6 +94,7 @@ class NOVAPHY_CORE_API EditedValues {
   std::array<ArrayStamp, kBodyArrays> bodies_;
   std::array<ArrayStamp, kArrays> arrays_;
   std::vector<ArrayStamp> joints_;  // of the arrays of check_joints, in its order
+  ArrayStamp limits_[2];            // lower, upper
 };
 
 }  // namespace novaphy

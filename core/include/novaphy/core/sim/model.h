@@ -79,6 +79,20 @@ namespace novaphy {
   X(articulation_end, int32_t, 1, articulation_count, "", "",                                     \
     "behind the last joint")
 
+// Which joints and articulations there are: does not change once a model is made.
+#define NOVAPHY_MODEL_STRUCTURE(X) \
+  X(joint_type)                    \
+  X(joint_parent)                  \
+  X(joint_child)                   \
+  X(joint_dof_dim)                 \
+  X(joint_q_start)                 \
+  X(joint_qd_start)                \
+  X(joint_articulation)            \
+  X(joint_ancestor)                \
+  X(joint_world)                   \
+  X(articulation_start)            \
+  X(articulation_end)
+
 #define NOVAPHY_MODEL_FIELDS(X)                                                                   \
   X(particle_q, Vec3f, 1, particle_count, "m", "world", "initial particle positions")             \
   X(particle_qd, Vec3f, 1, particle_count, "m/s", "world", "initial particle velocities")         \
@@ -292,6 +306,12 @@ class NOVAPHY_CORE_API Model : public ModelFields,
   }
   // Says that what the derived arrays hold now stays until their source is written.
   void accept_derived() const;
+  // Says that the joints are those that the arrays hold now, for check_structure.
+  void keep_structure();
+  // ErrorKind::Value naming array and row: one of NOVAPHY_MODEL_STRUCTURE was changed, so that what
+  // walks the joints would leave its arrays. Cheap while they were not written. What this thread
+  // submits next holds for them as they are. `function` starts the message.
+  void check_structure(std::string_view function) const;
   // check_number of all of them; `function` starts the messages.
   void check_numbers(std::string_view function) const;
   // What this thread submits next has the present numbers as arguments: a replay throws
@@ -311,11 +331,24 @@ class NOVAPHY_CORE_API Model : public ModelFields,
 #undef NOVAPHY_DERIVED_STAMP
   };
 
+  struct Structure {
+#define NOVAPHY_STRUCTURE_NUMBERS(name) std::vector<int32_t> name;
+    NOVAPHY_MODEL_STRUCTURE(NOVAPHY_STRUCTURE_NUMBERS)
+#undef NOVAPHY_STRUCTURE_NUMBERS
+  };
+  struct StructureStamps {
+#define NOVAPHY_STRUCTURE_STAMP(name) DerivedStamp name;
+    NOVAPHY_MODEL_STRUCTURE(NOVAPHY_STRUCTURE_STAMP)
+#undef NOVAPHY_STRUCTURE_STAMP
+  };
+
   ModelCounts counts_;
   Device device_;
   Axis up_axis_ = Axis::Z;
   uint64_t id_ = 0;
   mutable DerivedStamps derived_stamps_;
+  std::shared_ptr<const Structure> structure_;
+  mutable StructureStamps structure_stamps_;
   mutable std::mutex derived_mutex_;
 };
 

@@ -42,7 +42,7 @@ class NOVAPHY_DYNAMICS_API DiffJoints {
 
   // What the steps of a call have in common. FREE joints count where a force acts along them: in
   // the model, or in `control` (null: none). ErrorKind::Value: dt is above the stable step of a
-  // joint; ErrorKind::Index: a body that is not there.
+  // joint; ErrorKind::NotImplemented: as the constructor, of what was written since.
   void begin(const Model& model, const Control* control, float dt);
   // False: no joint exerts a force.
   bool act() const { return act_; }
@@ -57,7 +57,7 @@ class NOVAPHY_DYNAMICS_API DiffJoints {
   Attach attach_;
   bool act_ = false, hold_ = false;  // hold_: there are joints that are not FREE
   std::unique_ptr<JointForces> checks_;
-  ArrayStamp type_, parent_, child_, enabled_, seen_type_;
+  ArrayStamp enabled_;
   DeviceArray<int32_t> sides_, layout_, dofs_, coordinates_;
   nova::Incidence sides_of_bodies_;
   const nova::Kernel* kernel_ = nullptr;

@@ -51,7 +51,7 @@ void check_quaternions(const Model& m, const float* q) {
     const bool ball = joints.is(j, JointType::BALL);
     if (m.joint_articulation.data()[j] < 0 || !(ball || joints.is_six(j))) continue;
     const float* const r = q + joints.q_start[j] + (ball ? 0 : 3);
-    const float square = square_length({r[0], r[1], r[2], r[3]});
+    const float square = ((r[0] * r[0] + r[1] * r[1]) + r[2] * r[2]) + r[3] * r[3];
     require(square > 0.0f && std::isfinite(square), ErrorKind::Value, "eval_fk: joint_q of joint ",
             j, ": expected a quaternion that is not zero, got (", r[0], ", ", r[1], ", ", r[2],
             ", ", r[3], ")");
@@ -80,6 +80,12 @@ void eval_fk(const Model& m, const DeviceArray<float>& joint_q, const DeviceArra
   }
   check_arguments(kName, m, state, joint_q, joint_qd);
   if (m.device().is_cpu()) check_quaternions(m, joint_q.data());
+  DeviceArray<float> places;  // rows of BodyPlace
+  {
+    const Unobserved unobserved;
+    constexpr size_t kNumbers = sizeof(BodyPlace) / sizeof(float);
+    places = DeviceArray<float>(static_cast<size_t>(m.body_count()), m.device(), kNumbers);
+  }
   fk_kernel().launch(
       m.device(), m.articulation_count(),
       {reads("model.joint_type", m.joint_type), reads("model.joint_parent", m.joint_parent),
@@ -91,7 +97,7 @@ void eval_fk(const Model& m, const DeviceArray<float>& joint_q, const DeviceArra
        reads_row("model.articulation_start", m.articulation_start),
        reads_row("model.articulation_end", m.articulation_end), reads("joint_q", joint_q),
        reads("joint_qd", joint_qd), updates("state.body_q", state.body_q).detached(),
-       updates("state.body_qd", state.body_qd).detached()});
+       updates("state.body_qd", state.body_qd).detached(), writes("places", places)});
 }
 
 void eval_ik(const Model& m, const SimState& state, DeviceArray<float> joint_q,

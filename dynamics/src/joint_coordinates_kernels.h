@@ -1,8 +1,11 @@
-// eval_fk, a row per articulation: joint_kinematics_trace.h over the arrays of models and states.
+// eval_fk, a row per articulation: articulation/kinematics.h over the arrays of models and states,
+// so that bodies are where a step of articulations would have them, to the bit.
 #pragma once
 
 #include "novaphy/core/row_kernel.h"
 #include "novaphy/core/sim/enums.h"
+#include "novaphy/dynamics/articulation/joint_links.h"
+#include "novaphy/dynamics/articulation/kinematics.h"
 #include "novaphy/dynamics/joint_kinematics_trace.h"
 
 namespace novaphy {
@@ -20,6 +23,10 @@ struct JointArrays {
   JointAxes<float> axes(int32_t j) const {
     return {axis + qd_start[j], dims[j].x, dims[j].y, is(j, JointType::BALL)};
   }
+  articulation::JointRows rows(int32_t j) const {
+    return {static_cast<JointType>(type[j]), j,        child[j], q_start[j], qd_start[j],
+            qd_start[j + 1] - qd_start[j],   dims[j].x};
+  }
 };
 
 struct BodyFrame {
@@ -36,16 +43,11 @@ inline BodyFrame body_frame(const JointArrays& joints, const Transformf* q,
   return {q[body], qd[body], math::transform_point(q[body], joints.com[body])};
 }
 
-inline float square_length(const Quatf& q) {
-  return ((q.x * q.x + q.y * q.y) + q.z * q.z) + q.w * q.w;
-}
-// A unit quaternion keeps its bits; one of length 0 becomes NaN.
-inline Quatf unit_quat(const Quatf& q) {
-  const float square = square_length(q);
-  if (math::abs(square - 1.0f) <= 0x1p-22f) return q;
-  const float scale = 1.0f / math::sqrt(square);
-  return {q.x * scale, q.y * scale, q.z * scale, q.w * scale};
-}
+// What a body's links have, besides body_q.
+struct BodyPlace {
+  Vec3f p, origin;
+  SpatialVectorf v;
+};
 
 struct EvalFkArguments {
   JointArrays joints;
@@ -53,31 +55,40 @@ struct EvalFkArguments {
   const float *q, *qd;
   Transformf* body_q;
   SpatialVectorf* body_qd;
+  BodyPlace* places;  // {bodies}
 };
-NOVAPHY_ROW_KERNEL(eval_fk_articulation, 16, EvalFkArguments) {
+NOVAPHY_ROW_KERNEL(eval_fk_articulation, 17, EvalFkArguments) {
   const JointArrays& joints = a.joints;
+  articulation::Tree<float> tree;
+  tree.X_p = joints.x_p;
+  tree.X_c = joints.x_c;
+  tree.axis = joints.axis;
+  tree.com = joints.com;
+  articulation::LinkState<float> links[2];  // a link and the one before it
   for (int32_t j = a.begin[row]; j < a.end[row]; ++j) {
-    const float *const c = a.q + joints.q_start[j], *const rate = a.qd + joints.qd_start[j];
-    const BodyFrame parent = body_frame(joints, a.body_q, a.body_qd, joints.parent[j]);
-    const Transformf anchor = math::multiply(parent.pose, joints.x_p[j]);
-    JointMotion<float> motion;
-    if (joints.is_six(j)) {
-      motion.pose = {{c[0], c[1], c[2]}, unit_quat({c[3], c[4], c[5], c[6]})};
-      motion.rate = {{rate[0], rate[1], rate[2]}, {rate[3], rate[4], rate[5]}};
-    } else {
-      motion = joint_motion(joints.axes(j), c, rate);
-      if (joints.is(j, JointType::BALL)) motion.pose.q = unit_quat(motion.pose.q);
+    const articulation::JointRows joint = joints.rows(j);
+    tree.first_dof = joint.dof;
+    articulation::LinkState<float>* last = nullptr;
+    if (joints.parent[j] >= 0) {
+      const BodyPlace& place = a.places[joints.parent[j]];
+      last = &links[1];
+      last->q = a.body_q[joints.parent[j]].q;
+      last->p = place.p;
+      last->origin = place.origin;
+      last->v = place.v;
     }
-    const int32_t child = joints.child[j];
-    const Transformf at = math::multiply(anchor, motion.pose);
-    const Transformf pose = math::multiply(at, math::inverse(joints.x_c[j]));
-    const Vec3f com = math::transform_point(pose, joints.com[child]);
-    const Vec3f w = math::rotate(anchor.q, motion.rate.angular);
-    // The rate is that of the centre of mass for FREE, of the joint frame's origin for the others.
-    const Vec3f arm = joints.is_six(j) ? Vec3f{} : com - at.p;
-    const Vec3f v = math::rotate(anchor.q, motion.rate.linear) + math::cross(w, arm);
-    a.body_q[child] = pose;
-    a.body_qd[child] = {parent.velocity(com) + v, parent.twist.angular + w};
+    SpatialVectorf axes[6];
+    for (int32_t k = 0; k < articulation::link_count(joint); ++k) {
+      const articulation::Link link = articulation::joint_link(joint, k, last == nullptr ? -1 : 0);
+      articulation::LinkState<float>& s = links[k % 2];
+      articulation::link_frame(tree, link, last, a.q, s);
+      articulation::set_axes(tree, link, s, axes);
+      const SpatialVectorf v = articulation::joint_motion(tree, link, axes, a.qd + joint.dof);
+      s.v = last == nullptr ? v : last->v + v;
+      last = &s;
+    }
+    a.places[joint.child] = {last->p, last->origin, last->v};
+    articulation::write_body(joint.child, *last, a.body_q, a.body_qd);
   }
 }
 

@@ -7,6 +7,7 @@
 #include "novaphy/core/error.h"
 #include "novaphy/core/sim/joint_args.h"
 #include "novaphy/core/sim/on_host.h"
+#include "novaphy/dynamics/articulation/joint_links.h"
 
 namespace novaphy {
 namespace {
@@ -41,27 +42,17 @@ class TreeMaker {
             "'): DISTANCE joints are not covered");
     check_dynamic(child, model_.body_flags.data()[child], user_);
     int32_t parent = parent_body < 0 ? -1 : link_of_body_[static_cast<size_t>(parent_body)];
-    const int32_t coord = model_.joint_q_start.data()[joint];
     const int32_t dof = model_.joint_qd_start.data()[joint];
-    const int32_t dofs = model_.joint_qd_start.data()[joint + 1] - dof;
-    const int32_t linear = model_.joint_dof_dim.data()[joint].x;
-    const bool chain = type == JointType::D6;
-    const int32_t count = chain ? std::max(dofs, 1) : 1;
-    for (int32_t k = 0; k < count; ++k) {
-      Link link;
-      link.joint = !chain       ? static_cast<LinkJoint>(type)
-                   : dofs == 0  ? LinkJoint::Fixed
-                   : k < linear ? LinkJoint::Prismatic
-                                : LinkJoint::Revolute;
-      link.parent = parent;
-      link.frame_p = k == 0 ? joint : -1;
-      link.frame_c = k == count - 1 ? joint : -1;
-      link.body = k == count - 1 ? child : -1;
-      link.coord = coord + (chain ? k : 0);
-      link.dof = dof + (chain ? k : 0);
-      link.dofs = chain ? std::min(dofs, 1) : dofs;
-      parent = link_count();
-      links.push_back(link);
+    const articulation::JointRows rows = {type,
+                                          joint,
+                                          child,
+                                          model_.joint_q_start.data()[joint],
+                                          dof,
+                                          model_.joint_qd_start.data()[joint + 1] - dof,
+                                          model_.joint_dof_dim.data()[joint].x};
+    for (int32_t k = 0; k < articulation::link_count(rows); ++k) {
+      links.push_back(articulation::joint_link(rows, k, parent));
+      parent = link_count() - 1;
     }
     link_of_body_[static_cast<size_t>(child)] = parent;
   }

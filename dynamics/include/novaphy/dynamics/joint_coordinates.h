@@ -1,4 +1,5 @@
-// Bodies from joint coordinates, and joint coordinates from bodies (joint_kinematics_trace.h).
+// Bodies from joint coordinates (articulation/kinematics.h), and joint coordinates from bodies
+// (joint_kinematics_trace.h).
 #pragma once
 
 #include "novaphy/core/device_array.h"
@@ -8,11 +9,11 @@
 
 namespace novaphy {
 
-// Poses and velocities, body_q and body_qd, of the children of all joints of articulations; other
-// bodies stay as they are. Quaternions in joint_q are made unit. Arrays: joint_q {coordinates},
-// joint_qd {degrees of freedom}; those of `state` itself may be given.
-// ErrorKind::Value: rows that are not the model's, a state of another model, a quaternion of length
-// 0. On a tape it raises.
+// Poses and velocities, body_q and body_qd, of the children of all joints of articulations, with
+// the bits of a step that ends at these coordinates; other bodies stay as they are. Quaternions in
+// joint_q are made unit. Arrays: joint_q {coordinates}, joint_qd {degrees of freedom}; those of
+// `state` itself may be given. ErrorKind::Value: rows that are not the model's, a state of another
+// model, a quaternion of length 0, Model::check_structure. On a tape it raises.
 //
 // On a device it is one launch, which a capture records, with the bits of the CPU; a quaternion of
 // length 0 gives NaN. ErrorKind::NotImplemented unless NOVAPHY_UNVERIFIED_DEVICE_ARTICULATIONS is

@@ -1,4 +1,5 @@
-// Joint coordinates to the pose and motion of the child, and back.
+// Joint coordinates from the pose and motion of the child. The way there:
+// articulation/kinematics.h.
 //
 // Symbols, world frame unless said:
 //   X_p, X_c     pose of the joint frame in the parent and in the child
@@ -41,34 +42,6 @@ struct JointMotion {
   // Of the child's joint frame relative to the parent's: at its own origin, axes of the parent's.
   SpatialVector<T> rate{};
 };
-
-template <class T>
-Quat<T> rotation_about(const Vec3<T>& axis, const T& angle) {
-  const T half = angle * T(0.5f);
-  const Vec3<T> v = axis * math::sin(half);
-  return {v.x, v.y, v.z, math::cos(half)};
-}
-
-template <class T>
-JointMotion<T> joint_motion(const JointAxes<T>& joint, const T* q, const T* qd) {
-  JointMotion<T> motion;
-  for (int i = 0; i < joint.linear; ++i) {
-    motion.pose.p = motion.pose.p + joint.axis[i] * q[i];
-    motion.rate.linear = motion.rate.linear + joint.axis[i] * qd[i];
-  }
-  const T *angle = q + joint.linear, *speed = qd + joint.linear;
-  if (joint.is_ball) {
-    motion.pose.q = {angle[0], angle[1], angle[2], angle[3]};
-    motion.rate.angular = {speed[0], speed[1], speed[2]};
-    return motion;
-  }
-  for (int i = 0; i < joint.angular; ++i) {
-    const Vec3<T>& axis = joint.axis[joint.linear + i];
-    motion.rate.angular = motion.rate.angular + math::rotate(motion.pose.q, axis) * speed[i];
-    motion.pose.q = math::multiply(motion.pose.q, rotation_about(axis, angle[i]));
-  }
-  return motion;
-}
 
 // The angles of a rotation about perpendicular axes, and the dual basis of the turned axes: rate i
 // is dual[i] . w. Two axes are completed by the third direction, whose angle is what is left.

@@ -97,39 +97,45 @@ void set_axes(const Tree<T>& tree, const Link& link, const LinkState<T>& s,
   }
 }
 
-// Frames and axes of all links, from q (rows of the arrays).
+// Frames of a link behind its parent's (null: the world), from q (rows of the arrays).
+template <class T>
+void link_frame(const Tree<T>& tree, const Link& link, const LinkState<T>* parent, const T* q,
+                LinkState<T>& s) {
+  const Vec3<T> none = {T(0.0f), T(0.0f), T(0.0f)};
+  const Transform<T> x_p = link.frame_p < 0 ? Transform<T>::identity() : tree.X_p[link.frame_p];
+  const Transform<T> x_j = joint_transform(tree, link, q + link.coord, s.quat_length);
+  const Transform<T> x_c = link.frame_c < 0 ? Transform<T>::identity() : tree.X_c[link.frame_c];
+  const Vec3<T> com = link.body < 0 ? none : tree.com[link.body];
+  s.anchor_q = parent ? math::multiply(parent->q, x_p.q) : x_p.q;
+  const Quat<T> joint_q = math::multiply(s.anchor_q, x_j.q);
+  s.q = math::multiply(joint_q, math::conjugate(x_c.q));
+  const Vec3<T> along = math::rotate(s.anchor_q, x_j.p) - math::rotate(s.q, x_c.p);
+  const Vec3<T> c = math::rotate(s.q, com);
+  if (parent) {
+    s.origin = parent->origin;
+    s.anchor_p = parent->p + math::rotate(parent->q, x_p.p);
+    s.p = s.anchor_p + along;
+  } else if (is_free(link)) {
+    s.origin = x_p.p + (along + c);
+    s.anchor_p = -(along + c);
+    s.p = -c;
+  } else {
+    s.origin = x_p.p;
+    s.anchor_p = none;
+    s.p = along;
+  }
+  s.com = s.p + c;
+  if (!parent && is_free(link)) s.com = none;
+}
+
+// Frames and axes of all links.
 template <class T>
 void link_frames(const Tree<T>& tree, const T* q, Workspace<T>& ws) {
-  const Vec3<T> none = {T(0.0f), T(0.0f), T(0.0f)};
   for (int32_t i = 0; i < tree.link_count; ++i) {
     const Link& link = tree.links[i];
-    LinkState<T>& s = ws.links[i];
-    const Transform<T> x_p = link.frame_p < 0 ? Transform<T>::identity() : tree.X_p[link.frame_p];
-    const Transform<T> x_j = joint_transform(tree, link, q + link.coord, s.quat_length);
-    const Transform<T> x_c = link.frame_c < 0 ? Transform<T>::identity() : tree.X_c[link.frame_c];
-    const Vec3<T> com = link.body < 0 ? none : tree.com[link.body];
     const LinkState<T>* parent = link.parent < 0 ? nullptr : &ws.links[link.parent];
-    s.anchor_q = parent ? math::multiply(parent->q, x_p.q) : x_p.q;
-    const Quat<T> joint_q = math::multiply(s.anchor_q, x_j.q);
-    s.q = math::multiply(joint_q, math::conjugate(x_c.q));
-    const Vec3<T> along = math::rotate(s.anchor_q, x_j.p) - math::rotate(s.q, x_c.p);
-    const Vec3<T> c = math::rotate(s.q, com);
-    if (parent) {
-      s.origin = parent->origin;
-      s.anchor_p = parent->p + math::rotate(parent->q, x_p.p);
-      s.p = s.anchor_p + along;
-    } else if (is_free(link)) {
-      s.origin = x_p.p + (along + c);
-      s.anchor_p = -(along + c);
-      s.p = -c;
-    } else {
-      s.origin = x_p.p;
-      s.anchor_p = none;
-      s.p = along;
-    }
-    s.com = s.p + c;
-    if (!parent && is_free(link)) s.com = none;
-    set_axes(tree, link, s, ws.axes);
+    link_frame(tree, link, parent, q, ws.links[i]);
+    set_axes(tree, link, ws.links[i], ws.axes);
   }
 }
 
@@ -153,14 +159,17 @@ void link_motions(const Tree<T>& tree, const T* qd, Workspace<T>& ws) {
 
 // body_q and body_qd (rows of the bodies), behind link_frames and link_motions.
 template <class T>
+void write_body(int32_t body, const LinkState<T>& s, Transform<T>* body_q,
+                SpatialVector<T>* body_qd) {
+  body_q[body] = {s.origin + s.p, s.q};
+  body_qd[body] = math::motion_at(s.v, s.com);
+}
+template <class T>
 void write_bodies(const Tree<T>& tree, const Workspace<T>& ws, Transform<T>* body_q,
                   SpatialVector<T>* body_qd) {
   for (int32_t i = 0; i < tree.link_count; ++i) {
     const int32_t body = tree.links[i].body;
-    if (body < 0) continue;
-    const LinkState<T>& s = ws.links[i];
-    body_q[body] = {s.origin + s.p, s.q};
-    body_qd[body] = math::motion_at(s.v, s.com);
+    if (body >= 0) write_body(body, ws.links[i], body_q, body_qd);
   }
 }
 

@@ -1,0 +1,38 @@
+// The links of a joint of a model: one, of a D6 joint a chain of them (tree.h).
+#pragma once
+
+#include "novaphy/core/sim/enums.h"
+#include "novaphy/dynamics/articulation/tree.h"
+
+namespace novaphy::articulation {
+
+// Rows of the arrays, and numbers of dofs: all, and the linear ones.
+struct JointRows {
+  JointType type = JointType::FIXED;
+  int32_t joint = 0, child = 0, coord = 0, dof = 0, dofs = 0, linear = 0;
+};
+
+inline int32_t link_count(const JointRows& j) {
+  return j.type == JointType::D6 && j.dofs > 1 ? j.dofs : 1;
+}
+
+// Link k of them. `parent`: the link before it. A DISTANCE joint moves as a FREE one.
+inline Link joint_link(const JointRows& j, int32_t k, int32_t parent) {
+  const bool chain = j.type == JointType::D6, last = k == link_count(j) - 1;
+  const LinkJoint whole =
+      j.type == JointType::DISTANCE ? LinkJoint::Free : static_cast<LinkJoint>(j.type);
+  const LinkJoint part = j.dofs == 0    ? LinkJoint::Fixed
+                         : k < j.linear ? LinkJoint::Prismatic
+                                        : LinkJoint::Revolute;
+  const int32_t at = chain ? k : 0;
+  return {.joint = chain ? part : whole,
+          .parent = parent,
+          .frame_p = k == 0 ? j.joint : -1,
+          .frame_c = last ? j.joint : -1,
+          .body = last ? j.child : -1,
+          .coord = j.coord + at,
+          .dof = j.dof + at,
+          .dofs = chain && j.dofs > 1 ? 1 : j.dofs};
+}
+
+}  // namespace novaphy::articulation

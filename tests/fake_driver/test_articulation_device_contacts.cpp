@@ -114,6 +114,23 @@ ModelBuilder crowd() {
   return b;
 }
 
+// A kinematic slab that moves and turns, with a walker and boxes on it, and a body that is fixed to
+// the world.
+ModelBuilder turntable() {
+  ModelBuilder b;
+  const int32_t slab = b.add_body({.xform = at(0.0f, 0.0f, -0.1f), .is_kinematic = true});
+  b.add_shape_box(slab, {.hx = 2.0f, .hy = 2.0f, .hz = 0.1f, .cfg = kSurface});
+  b.body_qd[static_cast<size_t>(slab)] = {{0.4f, 0.1f, 0.05f}, {0.0f, 0.02f, 0.5f}};
+  add_walker(b, 0.0f, 0.33f, 1, 0.3f);
+  add_box(b, {0.6f, 0.1f, 0.13f}, 0.1f, kSurface, {{1.0f, 0.0f, -0.5f}, {}});
+  add_box(b, {-0.7f, 0.4f, 0.13f}, 0.1f, kSurface);
+  const int32_t post = b.add_link();
+  b.add_shape_box(post, {.hx = 0.05f, .hy = 0.5f, .hz = 0.2f, .cfg = kSurface});
+  b.add_articulation(
+      std::vector<int32_t>{b.add_joint_fixed(-1, post, {.parent_xform = at(0.8f, 0.0f, 0.25f)})});
+  return b;
+}
+
 struct Steps {
   FeatherstoneOptions options = {};
   CollisionOptions search = {};
@@ -187,6 +204,10 @@ TEST_F(ArticulationContactDevices, AWalkerHasTheBitsOfTheCpu) {
 }
 TEST_F(ArticulationContactDevices, TreesAndFreeBodiesInOneIslandHaveTheBitsOfTheCpu) {
   expect_bits_of_the_cpu(crowd(), {.pairs = 8}, 20);
+}
+
+TEST_F(ArticulationContactDevices, WhatAKinematicBodyCarriesHasTheBitsOfTheCpu) {
+  expect_bits_of_the_cpu(turntable(), {.pairs = 12}, 8);
 }
 
 TEST_F(ArticulationContactDevices, EveryOptionActsAsOnTheCpu) {

@@ -84,6 +84,28 @@ def free_below_a_swinging_body():
     return builder
 
 
+def on_a_kinematic_table(speed: float):
+    """A ball, and a trunk on a leg with a round foot, on a slab that moves and turns."""
+    builder = novaphy.ModelBuilder()
+    surface = novaphy.ShapeConfig(mu=0.5)
+    slab = builder.add_body(
+        is_kinematic=True, xform=((0.0, 0.0, -0.1), UPRIGHT), com=(0.1, -0.2, 0.05)
+    )
+    builder.add_shape_box(slab, hx=1.0, hy=1.0, hz=0.1, cfg=surface)
+    body = builder.add_body(xform=((0.3, 0.2, 0.102), (0.0, 0.0, 0.1, 0.995)))
+    builder.add_shape_sphere(body, radius=0.1, cfg=surface)
+    trunk = builder.add_link(mass=2.0, inertia=np.diag([0.02, 0.03, 0.04]))
+    leg = builder.add_link(mass=0.5, inertia=np.diag([0.005, 0.006, 0.004]), com=(0.01, 0, -0.2))
+    builder.add_shape_sphere(leg, xform=((0.0, 0.0, -0.4), UPRIGHT), radius=0.1, cfg=surface)
+    joints = [builder.add_joint_free(trunk)]
+    joints.append(builder.add_joint_revolute(trunk, leg, axis=(0.0, 1.0, 0.0)))
+    builder.add_articulation(joints)
+    builder.joint_q[-8:] = [-0.5, 0.1, 0.498, *UPRIGHT, 0.05]
+    builder.body_qd[slab] = (speed, 0.1, 0.2, 0.05, -0.1, 0.3)
+    builder.body_qd[body] = (0.2, 0.1, -0.4, 0.2, -0.3, 0.4)
+    return builder
+
+
 CASES = {
     "breaking": (lambda: ball((0.1, 0.1, 1.0, 0.2, 0.3, 0.4)), {}, (1, 0, 0)),
     "sticking": (lambda: ball((0.1, 0.05, -0.5, -0.5, 1.0, 0.3)), {}, (0, 1, 0)),
@@ -105,6 +127,8 @@ CASES = {
     "sliding box": (lambda: box(1.0), {"pgs_slop": 0.0}, (0, 0, 4)),
     "walker": (walker, {}, (1, 3, 0)),
     "walker on a pyramid": (walker, {"friction_cone": "pyramid"}, (1, 3, 0)),
+    "sticking to a moving table": (lambda: on_a_kinematic_table(0.1), {}, (0, 2, 0)),
+    "sliding on a moving table": (lambda: on_a_kinematic_table(1.5), {}, (0, 0, 2)),
     "free below a body": (free_below_a_swinging_body, {}, (0, 1, 0)),
 }
 
@@ -130,7 +154,7 @@ def tilted_box():
 # Where the points follow the state, and where they are held on their shapes: a plane with what
 # meets it in points, and pairs of others.
 FOUND = {
-    **{name: CASES[name] for name in CASES if "walker" not in name},
+    **{name: CASES[name] for name in CASES if "walker" not in name and "table" not in name},
     "capsule": (capsule, {}, (0, 0, 1)),
     "tilted box": (tilted_box, {"pgs_slop": 0.0}, (3, 0, 1)),
 }

@@ -288,6 +288,11 @@ def refused(kind: str) -> novaphy.ModelBuilder:
         builder.add_articulation([builder.add_joint_distance(-1, link, max_distance=1.0)])
     elif kind == "loose":
         builder.add_joint_revolute(-1, link, axis=(0.0, 1.0, 0.0))
+    elif kind == "disabled":
+        builder.add_articulation([builder.add_joint_free(link, enabled=False, label="off")])
+    elif kind == "loop":
+        builder.add_articulation([builder.add_joint_free(link)])
+        builder.add_joint_ball(0, link, label="closing")
     else:
         builder.add_articulation([builder.add_joint_free(link)])
     if kind == "particles":
@@ -298,6 +303,8 @@ def refused(kind: str) -> novaphy.ModelBuilder:
 REFUSED = {
     "distance": "DISTANCE joints are not covered",
     "loose": "belongs to no articulation: name it in add_articulation",
+    "loop": r"joint 6 \('closing'\) belongs to no articulation: its child has another joint",
+    "disabled": r"joint 5 \('off'\): joints that are not enabled are not covered: give the child",
     "particles": "expected particle_count 0",
 }
 
@@ -308,8 +315,18 @@ def test_what_is_not_covered_is_refused_by_name(kind: str, solver: str) -> None:
     if solver.startswith("Diff") and not novaphy.has_diff():
         pytest.skip("needs NOVAPHY_WITH_DIFF")
     model = refused(kind).finalize()
-    with pytest.raises(NotImplementedError, match=f"{solver}: model: .*{REFUSED[kind]}"):
+    with pytest.raises(NotImplementedError, match=f"{solver}: model.*{REFUSED[kind]}"):
         getattr(novaphy.solvers, solver)(model)
+
+
+def test_a_body_without_a_joint_is_refused_by_name() -> None:
+    builder = scene()
+    builder.add_link(mass=1.0, inertia=np.eye(3), label="lost")
+    model = builder.finalize(skip_validation=True)
+    with pytest.raises(
+        NotImplementedError, match=r"body 5 \('lost'\) has no joint: add_body gives"
+    ):
+        novaphy.solvers.SolverFeatherstone(model)
 
 
 diff = pytest.mark.skipif(not novaphy.has_diff(), reason="needs NOVAPHY_WITH_DIFF")

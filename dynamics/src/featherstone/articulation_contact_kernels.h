@@ -34,12 +34,6 @@ inline bool contact_sides(const ContactShapes& s, int32_t contact,
   }
   return there;
 }
-inline bool contact_widths(const ArticulationRows* rows, const articulation::ContactSide* sides,
-                           int32_t* widths) {
-  return articulation::set_widths(
-      sides, [&](int32_t tree) { return articulation::padded_dofs(rows[tree].dof_count); }, widths);
-}
-
 struct ArticulationContactGroupArguments {
   ContactShapes shapes;
   const ArticulationRows* rows;
@@ -54,9 +48,9 @@ NOVAPHY_ROW_KERNEL(articulation_contact_group, 11, ArticulationContactGroupArgum
   articulation::ContactSide sides[2];
   int32_t widths[2];
   const bool there = contact_sides(a.shapes, static_cast<int32_t>(row), sides);
-  const bool moves = contact_widths(a.rows, sides, widths);
+  const bool moves = articulation::set_widths(a.rows, sides, widths);
   if (moves)
-    a.group[row] = a.shapes.group_of_tree[sides[widths[0] > 0 ? 0 : 1].tree];
+    a.group[row] = a.shapes.group_of_tree[articulation::moved_tree(a.rows, sides)];
   else if (!there)
     a.group[row] = 0;  // which says so
 }
@@ -161,14 +155,14 @@ struct GroupStep {
             articulation::make_workspace<float>(at, r.link_count, r.dof_count),
             reinterpret_cast<float*>(
                 at + articulation::workspace_bytes<float>(r.link_count, r.dof_count)),
-            a.step.in.qd + r.first_dof};
+            a.step.in.qd + r.first_dof, r.moves != 0};
   }
   articulation::PgsJointFriction<float>* friction(int32_t i) const {
     return reinterpret_cast<articulation::PgsJointFriction<float>*>(
         tree(i).rates + articulation::padded_dofs(rows(i).dof_count));
   }
   bool has_friction(int32_t i, int32_t dof) const {
-    return a.joint_friction[rows(i).first_dof + dof] > 0.0f;
+    return rows(i).moves != 0 && a.joint_friction[rows(i).first_dof + dof] > 0.0f;
   }
   int32_t& root(int32_t i) const { return a.nodes[i].root; }
   int32_t find_root(int32_t i) const {
@@ -206,9 +200,7 @@ inline void join_contact(const GroupStep& s, int32_t place) {
   const ArticulationContactStepArguments& a = s.a;
   const int32_t contact = a.contacts[place];
   articulation::ContactSide sides[2];
-  int32_t widths[2];
   bool here = contact_sides(a.shapes, contact, sides);
-  contact_widths(a.step.in.rows, sides, widths);
   int32_t mine = a.trees[a.tree_begin[s.group]];
   for (int side = 0; side < 2; ++side) {
     if (sides[side].tree < 0) continue;
@@ -224,7 +216,8 @@ inline void join_contact(const GroupStep& s, int32_t place) {
   a.chain[place].kept = -1;
   if (!here)
     a.step.status[mine] = -1 - contact;
-  else if (widths[0] > 0 && widths[1] > 0)
+  else if (articulation::moves(a.step.in.rows, sides[0]) &&
+           articulation::moves(a.step.in.rows, sides[1]))
     articulation::join_trees([&](int32_t t) -> int32_t& { return s.root(t); }, sides[0].tree,
                              sides[1].tree);
 }
@@ -235,10 +228,8 @@ inline void list_contact(const GroupStep& s, int32_t place, int32_t& next_kept) 
   if (a.chain[place].next == -2) return;
   const int32_t contact = a.contacts[place];
   articulation::ContactSide sides[2];
-  int32_t widths[2];
   contact_sides(a.shapes, contact, sides);
-  contact_widths(a.step.in.rows, sides, widths);
-  const int32_t tree = sides[widths[0] > 0 ? 0 : 1].tree;
+  const int32_t tree = articulation::moved_tree(a.step.in.rows, sides);
   IslandNode& node = a.nodes[s.find_root(tree)];
   (node.rows == 0 ? node.first_row : a.chain[node.last_row].next) = place;
   node.last_row = place;
@@ -306,7 +297,7 @@ inline articulation::IslandResult solve_joined(const GroupStep& s, int32_t root)
     row.contact = a.contacts[place];
     contact_sides(a.shapes, row.contact, row.sides);
     int32_t widths[2];
-    contact_widths(a.step.in.rows, row.sides, widths);
+    articulation::set_widths(a.step.in.rows, row.sides, widths);
     for (int side = 0; side < 2; ++side) row.solver.sides[side].width = widths[side];
     articulation::build_contact(s.contacts, tree_of, numbers, row);
     articulation::set_target(s.law, s.material(row.contact), row);

@@ -15,17 +15,44 @@ namespace {
 using articulation::Link;
 using articulation::LinkJoint;
 
-static_assert(sizeof(Link) == 8 * sizeof(int32_t) && sizeof(ArticulationRows) == 5 * 4);
+static_assert(sizeof(Link) == 8 * sizeof(int32_t) && sizeof(ArticulationRows) == 6 * 4);
 
-void check_dynamic(int64_t body, int32_t flags, const char* user) {
-  require(!has_flag(flags, BodyFlags::KINEMATIC), ErrorKind::NotImplemented, user, ": model: body ",
-          body, ": kinematic bodies are not covered");
+std::string joint_name(const Model& m, int64_t joint) {
+  return "joint " + std::to_string(joint) + " ('" + m.joint_label[static_cast<size_t>(joint)] +
+         "')";
+}
+
+// Coordinates are those of a tree: a joint that is not enabled would have none.
+void check_enabled(const Model& m, int64_t joint, bool enabled, const char* user) {
+  if (enabled) return;
+  fail(ErrorKind::NotImplemented, user, ": model.joint_enabled[", joint, "], of ",
+       joint_name(m, joint),
+       ": joints that are not enabled are not covered: give the child a FREE joint in another "
+       "model, "
+       "or use SolverSemiImplicit");
+}
+
+// A joint outside of the articulations: one that was forgotten, or one that closes a loop.
+void check_in_articulation(const Model& m, int32_t joint, const char* user) {
+  const int32_t* const articulation = m.joint_articulation.data();
+  if (articulation[joint] >= 0) return;
+  const int32_t* const child = m.joint_child.data();
+  bool closes_loop = false;
+  for (int32_t j = 0; j < m.joint_count(); ++j)
+    closes_loop = closes_loop || (j != joint && child[j] == child[joint]);
+  fail(ErrorKind::NotImplemented, user, ": model: ", joint_name(m, joint),
+       " belongs to no articulation: ",
+       closes_loop
+           ? "its child has another joint, and loops are not covered: leave one of them out, "
+             "or use SolverSemiImplicit"
+           : "name it in add_articulation");
 }
 
 // The links of one articulation, joint by joint.
 class TreeMaker {
  public:
-  TreeMaker(const Model& model, const char* user) : model_(model), user_(user) {
+  TreeMaker(const Model& model, const char* user, bool has_kinematic)
+      : model_(model), user_(user), has_kinematic_(has_kinematic) {
     const auto bodies = static_cast<size_t>(model.body_count());
     link_of_body_.assign(bodies, -1);
   }
@@ -37,10 +64,11 @@ class TreeMaker {
     const auto type = static_cast<JointType>(model_.joint_type.data()[joint]);
     const int32_t parent_body = model_.joint_parent.data()[joint];
     const int32_t child = model_.joint_child.data()[joint];
-    require(type != JointType::DISTANCE, ErrorKind::NotImplemented, user_, ": model: joint ", joint,
-            " ('", model_.joint_label[static_cast<size_t>(joint)],
-            "'): DISTANCE joints are not covered");
-    check_dynamic(child, model_.body_flags.data()[child], user_);
+    if (type == JointType::DISTANCE)
+      fail(ErrorKind::NotImplemented, user_, ": model: ", joint_name(model_, joint),
+           ": DISTANCE joints are not covered: SolverSemiImplicit holds the distance by springs");
+    const bool kinematic = has_flag(model_.body_flags.data()[child], BodyFlags::KINEMATIC);
+    if (kinematic) check_kinematic(child, type, parent_body);
     int32_t parent = parent_body < 0 ? -1 : link_of_body_[static_cast<size_t>(parent_body)];
     const int32_t dof = model_.joint_qd_start.data()[joint];
     const articulation::JointRows rows = {type,
@@ -52,9 +80,17 @@ class TreeMaker {
                                           model_.joint_dof_dim.data()[joint].x};
     for (int32_t k = 0; k < articulation::link_count(rows); ++k) {
       links.push_back(articulation::joint_link(rows, k, parent));
+      if (kinematic && type == JointType::FREE) links.back().joint = LinkJoint::Kinematic;
       parent = link_count() - 1;
     }
     link_of_body_[static_cast<size_t>(child)] = parent;
+  }
+
+  // Behind all joints.
+  void check_bodies() const {
+    for (size_t b = 0; b < link_of_body_.size(); ++b)
+      require(link_of_body_[b] >= 0, ErrorKind::NotImplemented, user_, ": model: body ", b, " ('",
+              model_.body_label[b], "') has no joint: add_body gives it a FREE one");
   }
 
   // Of the articulation's dofs, counted from the first.
@@ -78,21 +114,33 @@ class TreeMaker {
   std::vector<LinkJoint> joint_of_dof;
 
  private:
+  void check_kinematic(int32_t body, JointType type, int32_t parent) const {
+    const std::string name = "body " + std::to_string(body) + " ('" +
+                             model_.body_label[static_cast<size_t>(body)] + "')";
+    require(has_kinematic_, ErrorKind::NotImplemented, user_, ": model: ", name,
+            ": kinematic bodies are not covered");
+    require(parent < 0 && (type == JointType::FREE || type == JointType::FIXED),
+            ErrorKind::NotImplemented, user_, ": model: ", name,
+            ": expected a kinematic body to have a joint FREE or FIXED to the world, got ",
+            joint_type_name(type), parent < 0 ? "" : " to another body",
+            "; motions of other joints are prescribed by a stiff drive (target_ke, target_kd)");
+  }
+
   const Model& model_;
   const char* user_;
+  bool has_kinematic_;
   std::vector<int32_t> link_of_body_;
   int32_t first_ = 0;
 };
 
 }  // namespace
 
-Articulations::Articulations(const Model& model, const char* user, Devices devices)
-    : values_(user) {
+Articulations::Articulations(const Model& model, const char* user, For purpose) : values_(user) {
   model.check_structure(user);
   const Device device = model.device();
   std::shared_ptr<const Model> copy;
   if (!device.is_cpu()) {
-    require(devices == Devices::All, ErrorKind::NotImplemented, user,
+    require(purpose == For::Steps, ErrorKind::NotImplemented, user,
             ": model: expected one on the cpu, got one on ", device.str());
     require_opt_in(
         "NOVAPHY_UNVERIFIED_DEVICE_ARTICULATIONS",
@@ -101,11 +149,13 @@ Articulations::Articulations(const Model& model, const char* user, Devices devic
     copy = model.to(Device::cpu());
   }
   const Model& m = copy != nullptr ? *copy : model;
-  for (int32_t j = 0; j < m.joint_count(); ++j)
-    require(m.joint_articulation.data()[j] >= 0, ErrorKind::NotImplemented, user, ": model: joint ",
-            j, " ('", m.joint_label[static_cast<size_t>(j)],
-            "') belongs to no articulation: name it in add_articulation");
-  TreeMaker trees(m, user);
+  for (int32_t j = 0; j < m.joint_count(); ++j) {
+    check_in_articulation(m, j, user);
+    if (purpose == For::Steps) check_enabled(m, j, m.joint_enabled.data()[j] != 0, user);
+  }
+  for (int32_t b = 0; b < m.body_count(); ++b)
+    kinematic_.push_back(has_flag(m.body_flags.data()[b], BodyFlags::KINEMATIC) ? 1 : 0);
+  TreeMaker trees(m, user, purpose == For::Steps);
   std::vector<int32_t> rows;
   for (int32_t i = 0; i < m.articulation_count(); ++i) {
     const int32_t start = m.articulation_start.data()[i], end = m.articulation_end.data()[i];
@@ -116,14 +166,18 @@ Articulations::Articulations(const Model& model, const char* user, Devices devic
     for (int32_t j = start; j < end; ++j) trees.add(j);
     trees.end(first_dof);
     const int32_t world = m.joint_world.data()[start];
-    for (const int32_t value :
-         {first_link, trees.link_count(), first_dof, dofs, world < 0 ? m.world_count() - 1 : world})
+    const bool moves = std::any_of(
+        trees.links.begin() + first_link, trees.links.end(),
+        [](const Link& link) { return link.dofs > 0 && !articulation::is_kinematic(link); });
+    for (const int32_t value : {first_link, trees.link_count(), first_dof, dofs,
+                                world < 0 ? m.world_count() - 1 : world, moves ? 1 : 0})
       rows.push_back(value);
     max_links_ = std::max(max_links_, trees.link_count());
     max_dofs_ = std::max(max_dofs_, dofs);
   }
+  trees.check_bodies();
   const auto* words = reinterpret_cast<const int32_t*>(trees.links.data());
-  rows_ = DeviceArray<int32_t>::from_host(rows, device, 5);
+  rows_ = DeviceArray<int32_t>::from_host(rows, device, 6);
   links_ = DeviceArray<int32_t>::from_host({words, 8 * trees.links.size()}, device, 8);
   dof_parent_ = DeviceArray<int32_t>::from_host(trees.dof_parent, device);
   joint_of_dof_ = std::move(trees.joint_of_dof);
@@ -183,8 +237,8 @@ void Articulations::check_without_drive(const Model& m, const char* user) const 
 void Articulations::check_values(const Model& m, const Control* control, bool friction,
                                  const char* user) {
   const DeviceArray<float>& joint_act = control ? control->joint_act : m.joint_act;
-  const Array* const arrays[] = {&m.joint_enabled,     &m.joint_friction,   &joint_act,
-                                 &m.joint_target_ke,   &m.joint_target_kd,  &m.joint_damping,
+  const Array* const arrays[] = {&m.joint_enabled,     &m.joint_friction,    &joint_act,
+                                 &m.joint_target_ke,   &m.joint_target_kd,   &m.joint_damping,
                                  &m.joint_limit_lower, &m.joint_limit_upper, &m.body_flags};
   values_.check_joints(m);
   checked_.resize(std::size(arrays));
@@ -196,10 +250,14 @@ void Articulations::check_values(const Model& m, const Control* control, bool fr
   const OnHost<float> dry(m.joint_friction), act(joint_act);
   const OnHost<int32_t> flags(m.body_flags);
   for (size_t b = 0; b < flags.size(); ++b)
-    check_dynamic(static_cast<int64_t>(b), flags[b], user);
+    require(has_flag(flags[b], BodyFlags::KINEMATIC) == (kinematic_[b] != 0),
+            ErrorKind::NotImplemented, user, ": model.body_flags[", b,
+            "]: expected a body that is ", kinematic_[b] != 0 ? "" : "not ",
+            "kinematic, as it was when the solver was made; call its notify_model_changed, or make "
+            "another, got ",
+            flags[b]);
   for (size_t j = 0; j < enabled.size(); ++j)
-    require(enabled[j] != 0, ErrorKind::NotImplemented, user, ": model.joint_enabled[", j,
-            "]: joints that are not enabled are not covered");
+    check_enabled(m, static_cast<int64_t>(j), enabled[j] != 0, user);
   for (size_t k = 0; k < dry.size(); ++k) {
     require(friction || dry[k] == 0.0f, ErrorKind::NotImplemented, user, ": model.joint_friction[",
             k, "]: expected 0 (dry friction is not followed here), got ", dry[k]);

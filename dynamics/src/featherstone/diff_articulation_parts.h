@@ -124,7 +124,7 @@ struct ArticulationStep::Shared {
   Shared(const Model& m, const FeatherstoneOptions& o, const char* user)
       : options(o),
         device(m.device()),
-        articulations(m, user, Articulations::Devices::All),
+        articulations(m, user, Articulations::For::Steps),
         materials(unread_materials(o.contact, user)) {
     const auto count = static_cast<size_t>(articulations.count());
     for (size_t i = 0; i < count; ++i) all.push_back(static_cast<int32_t>(i));

@@ -22,7 +22,7 @@ const DeviceKernel& step_kernel() {
 
 LaunchedArticulations::LaunchedArticulations(const Model& m)
     : model_(m),
-      articulations_(m, "SolverFeatherstone", Articulations::Devices::All),
+      articulations_(m, "SolverFeatherstone", Articulations::For::Steps),
       contacts_(m, articulations_),
       materials_(unread_materials(ArticulationContact::Pgs, kName)) {
   const Device device = m.device();

@@ -74,7 +74,7 @@ void PgsContacts::find_friction(const Model& m) {
   friction_.clear();
   const float* friction = m.joint_friction.data();
   for (int64_t i = 0; i < count_; ++i)
-    for (int32_t k = 0; k < trees_[i].dof_count; ++k)
+    for (int32_t k = 0; trees_[i].moves != 0 && k < trees_[i].dof_count; ++k)
       if (friction[trees_[i].first_dof + k] > 0.0f)
         friction_.push_back({static_cast<int32_t>(i), k});
   friction_stamp_.set(m.joint_friction);
@@ -113,9 +113,7 @@ void PgsContacts::gather(const Model& m, const ContactRows& c) {
       if (body[shape] >= 0) row.sides[side] = of_body_[static_cast<size_t>(body[shape])];
     }
     int32_t widths[2];
-    if (!art::set_widths(
-            row.sides, [&](int32_t tree) { return width(tree); }, widths))
-      continue;
+    if (!art::set_widths(trees_, row.sides, widths)) continue;
     for (int side = 0; c.found && side < 2; ++side)
       row.follows = row.follows || (row.sides[side].tree < 0 &&
                                     type[shapes[side][i]] == static_cast<int32_t>(GeoType::PLANE) &&
@@ -150,7 +148,7 @@ bool PgsContacts::prepare(const Model& m, const ContactRows& contacts) {
 void PgsContacts::find_islands() {
   for (size_t i = 0; i < root_.size(); ++i) root_[i] = static_cast<int32_t>(i);
   for (const Row& row : rows_) {
-    if (row.solver.sides[0].width == 0 || row.solver.sides[1].width == 0) continue;
+    if (!art::moves(trees_, row.sides[0]) || !art::moves(trees_, row.sides[1])) continue;
     art::join_trees([this](int32_t i) -> int32_t& { return root_[static_cast<size_t>(i)]; },
                     row.sides[0].tree, row.sides[1].tree);
   }
@@ -163,8 +161,7 @@ void PgsContacts::find_islands() {
   };
   island_of_row_.clear();
   island_of_friction_.clear();
-  for (const Row& row : rows_)
-    island_of_row_.push_back(island(row.sides[row.solver.sides[0].width > 0 ? 0 : 1].tree));
+  for (const Row& row : rows_) island_of_row_.push_back(island(art::moved_tree(trees_, row.sides)));
   for (const Friction& f : friction_) island_of_friction_.push_back(island(f.tree));
   island_rows_.build(island_of_row_, islands);
   island_friction_.build(island_of_friction_, islands);
@@ -188,10 +185,16 @@ void PgsContacts::split_trees(bool alone) {
   alone_.clear();
   together_.clear();
   islands_together_.clear();
+  met_.assign(static_cast<size_t>(count_), 0);
+  for (const Row& row : rows_)
+    for (size_t side = 0; side < 2; ++side)
+      if (row.sides[side].tree >= 0 && !art::moves(trees_, row.sides[side]))
+        met_[static_cast<size_t>(row.sides[side].tree)] = 1;
   for (int32_t i = 0; i < static_cast<int32_t>(count_); ++i) {
     const int32_t island = island_of_tree_[static_cast<size_t>(find_root(i))];
     const bool by_itself = island < 0 || island_joined_[static_cast<size_t>(island)] == 0;
-    (alone && by_itself ? alone_ : together_).push_back(i);
+    const bool needed = met_[static_cast<size_t>(i)] != 0;
+    (alone && by_itself && !needed ? alone_ : together_).push_back(i);
   }
   for (size_t i = 0; i < island_joined_.size(); ++i)
     if (!alone || island_joined_[i] != 0) islands_together_.push_back(static_cast<int32_t>(i));
@@ -240,7 +243,8 @@ const art::KeptContact* PgsContacts::kept_of(size_t row) const {
 art::IslandTree PgsContacts::island_tree(const ArticulationArguments& in, int32_t tree) {
   const ArticulationRows& rows = trees_[tree];
   return {articulation_tree(in, rows), workspace(rows, tree),
-          rates_.data() + rates_begin_[static_cast<size_t>(tree)], in.qd + rows.first_dof};
+          rates_.data() + rates_begin_[static_cast<size_t>(tree)], in.qd + rows.first_dof,
+          rows.moves != 0};
 }
 
 void PgsContacts::build_row(const Step& s, Row& row) {

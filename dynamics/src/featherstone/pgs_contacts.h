@@ -138,6 +138,7 @@ class PgsContacts : private TreeContacts {
   std::vector<int32_t> moved_by_;  // of each link: bits of the tree's dofs
   const Step* current_ = nullptr;  // while TreeSteps asks
   std::vector<int32_t> alone_, together_, islands_together_;  // trees, and islands of the latter
+  std::vector<char> met_;            // trees that impulses do not move, in a row
   std::vector<char> island_joined_;  // more than one tree with the world, or what only we have
   std::vector<int32_t> root_, island_of_tree_, island_of_row_, island_of_friction_;
   IndexRows island_rows_, island_friction_;

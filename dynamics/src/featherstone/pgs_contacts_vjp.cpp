@@ -51,7 +51,7 @@ double coupling(const art::PgsContact<float>& a, int i, const art::PgsContact<fl
   double sum = 0.0;
   for (const art::RowSide<float>& s : a.sides)
     for (const art::RowSide<float>& t : b.sides)
-      if (s.width > 0 && s.rates == t.rates)
+      if (t.response != nullptr && s.rates == t.rates)
         sum += art::row_dot(s.jacobian + i * s.width, t.response + j * t.width, s.width);
   return sum;
 }
@@ -240,7 +240,7 @@ void PgsContacts::solve_adjoint(int64_t island, bool cone) {
       double sum = 0.0;
       for (size_t side = 0; side < 2; ++side) {
         const art::RowSide<float>& s = other.sides[side];
-        if (s.width == 0) continue;
+        if (s.response == nullptr) continue;
         const int32_t tree = rows_[static_cast<size_t>(active_[d])].sides[side].tree;
         const float* const g = adjoint(tree).rate;
         for (int32_t x = 0; x < trees_[tree].dof_count; ++x)

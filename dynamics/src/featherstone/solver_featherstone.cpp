@@ -59,7 +59,7 @@ class EarlierState {
 
 struct SolverFeatherstone::Cache {
   Cache(const Model& m, ArticulationContact contact)
-      : articulations(m, "SolverFeatherstone"),
+      : articulations(m, "SolverFeatherstone", Articulations::For::Steps),
         trees(m, articulations),
         pgs(m, articulations),
         materials(unread_materials(contact, kName)) {

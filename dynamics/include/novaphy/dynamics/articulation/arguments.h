@@ -10,6 +10,7 @@ namespace novaphy {
 // Where an articulation's rows are.
 struct ArticulationRows {
   int32_t first_link, link_count, first_dof, dof_count, world;
+  int32_t moves;  // 0: impulses move none of its dofs
 };
 
 // What a step reads. The arrays of a model, state and control; rows, links and dof_parent are those

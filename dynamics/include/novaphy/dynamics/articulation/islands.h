@@ -41,13 +41,23 @@ struct ContactSide {
 // Of the rates of a tree, and of its rows.
 inline int32_t padded_dofs(int32_t dofs) { return (dofs + 3) / 4 * 4; }
 
-// The widths of the rows of a contact, from those of its trees; false: it moves nothing.
-template <class WidthOf>
-bool set_widths(const ContactSide* sides, const WidthOf& width_of, int32_t* widths) {
+// Whether impulses move the tree of a side; `trees`: rows with `moves` and `dof_count`.
+template <class TreeRows>
+bool moves(const TreeRows* trees, const ContactSide& side) {
+  return side.tree >= 0 && trees[side.tree].moves != 0;
+}
+// The first tree of a contact that they move, whose island has it.
+template <class TreeRows>
+int32_t moved_tree(const TreeRows* trees, const ContactSide* sides) {
+  return sides[moves(trees, sides[0]) ? 0 : 1].tree;
+}
+// The widths of the rows of a contact; false: it moves nothing.
+template <class TreeRows>
+bool set_widths(const TreeRows* trees, const ContactSide* sides, int32_t* widths) {
   for (int side = 0; side < 2; ++side)
-    widths[side] = sides[side].tree < 0 ? 0 : width_of(sides[side].tree);
+    widths[side] = sides[side].tree < 0 ? 0 : padded_dofs(trees[sides[side].tree].dof_count);
   if (sides[0].tree == sides[1].tree) widths[1] = 0;  // one row holds both sides
-  return widths[0] + widths[1] > 0;
+  return moves(trees, sides[0]) || moves(trees, sides[1]);
 }
 
 // Whether the island of a contact is more than one tree with the world, or has too many `dofs` for
@@ -108,6 +118,7 @@ struct IslandTree {
   Workspace<float> ws;  // behind free_rates
   float* rates;         // {padded_dofs}: ws.qd_next, which contacts change, and zeros
   const float* qd;      // of before
+  bool moves;           // by impulses
 };
 
 // A contact of an island; `contact` is its row, and the widths are those of set_widths.
@@ -155,10 +166,10 @@ void build_contact(const ContactRows& c, const TreeOf& tree_of, float* numbers,
       add_point_rows(of.tree, of.ws.axes, row.sides[1].link, place.b, row.frame, 1.0f, to.width,
                      jacobian);
     const int32_t last = itself ? -1 : last_dof(of.tree, row.sides[side].link);
-    response_rows(of.tree, of.ws.matrix, last, to.width, jacobian, response);
+    if (of.moves) response_rows(of.tree, of.ws.matrix, last, to.width, jacobian, response);
     to.rates = of.rates;
     to.jacobian = jacobian;
-    to.response = response;
+    to.response = of.moves ? response : nullptr;
     for (int32_t k = 0; k < of.tree.dof_count; ++k) before += jacobian[k] * of.qd[k];
   }
   row.before = before;

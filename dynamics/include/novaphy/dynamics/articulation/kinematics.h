@@ -32,7 +32,8 @@ Transform<T> joint_transform(const Tree<T>& tree, const Link& link, const T* q, 
       length = quat_length(r);
       return {none, scaled(r, T(1.0f) / length)};
     }
-    case LinkJoint::Free: {
+    case LinkJoint::Free:
+    case LinkJoint::Kinematic: {
       const Quat<T> r = {q[3], q[4], q[5], q[6]};
       length = quat_length(r);
       return {{q[0], q[1], q[2]}, scaled(r, T(1.0f) / length)};
@@ -87,6 +88,7 @@ void set_axes(const Tree<T>& tree, const Link& link, const LinkState<T>& s,
       for (int k = 0; k < 3; ++k) column[k] = turn(unit_vector<T>(k), s.anchor_p);
       break;
     case LinkJoint::Free:
+    case LinkJoint::Kinematic:
       for (int k = 0; k < 3; ++k) {
         column[k + 3] = turn(unit_vector<T>(k), s.com);
         column[k] = {column[k + 3].angular, none};

@@ -73,7 +73,8 @@ NormalTarget<T> normal_target(const ContactLaw<T>& law, const ContactMaterial<T>
   return to;
 }
 
-// What a tree has of a row: its rates, J and Y. `width` is a multiple of 4, padded with zeros.
+// What a tree has of a row: its rates, J and Y (null: nothing moves the tree). `width` is a
+// multiple of 4, padded with zeros.
 template <class T>
 struct RowSide {
   T* rates = nullptr;
@@ -118,6 +119,7 @@ T slip(const PgsContact<T>& c, int32_t row) {
 template <class T>
 void push(const PgsContact<T>& c, int32_t row, const T& impulse) {
   for (const RowSide<T>& s : c.sides) {
+    if (s.response == nullptr) continue;
     const T* const y = s.response + row * s.width;
     for (int32_t k = 0; k < s.width; ++k) s.rates[k] = s.rates[k] + y[k] * impulse;
   }
@@ -127,7 +129,7 @@ template <class T>
 T row_product(const PgsContact<T>& c, int32_t i, int32_t j) {
   T sum = T(0.0f);
   for (const RowSide<T>& s : c.sides)
-    if (s.width > 0)
+    if (s.response != nullptr)
       sum = sum + row_dot(s.jacobian + i * s.width, s.response + j * s.width, s.width);
   return sum;
 }

@@ -5,9 +5,11 @@
 //   q' = q moved by v over dt (quaternions by the Cayley map), then qd' = v, of angular dofs
 //   times 1 - angular_damping dt
 //   body_q, body_qd of (q', qd')
-// Contacts (pgs.h) change v between the first and the second line; qdd is then what they leave.
-// Wrenches on bodies, and joint_f of FREE joints, are world wrenches about the centre of mass. All
-// but where the roots are has the same bits wherever the roots are.
+// Kinematic dofs have endless inertia: their qdd is 0, whatever pulls at them, nothing damps them,
+// and what hangs on them moves as they do. Contacts (pgs.h) change v between the first and the
+// second line; qdd is then what they leave. Wrenches on bodies, and joint_f of FREE joints, are
+// world wrenches about the centre of mass. All but where the roots are has the same bits wherever
+// the roots are.
 #pragma once
 
 #include "novaphy/dynamics/articulation/drives.h"
@@ -65,7 +67,9 @@ void add_drives(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<
       }
       const T applied = is_free(link) ? T(0.0f) : in.joint_f[row];
       ws.rhs[k] = (applied - ws.bias[k]) + term.force;
-      ws.matrix[k * n + k] = ws.matrix[k * n + k] + (d.armature[row] + term.diagonal);
+      ws.matrix[k * n + k] = is_kinematic(link)
+                                 ? T(math::bits_float(0x7f800000))
+                                 : ws.matrix[k * n + k] + (d.armature[row] + term.diagonal);
     }
   }
 }

@@ -27,8 +27,15 @@
 
 namespace novaphy::articulation {
 
-// The numbers are those of JointType.
-enum class LinkJoint : int32_t { Prismatic = 0, Revolute = 1, Ball = 2, Fixed = 3, Free = 4 };
+// The numbers are those of JointType, but Kinematic: a FREE joint whose rates nothing changes.
+enum class LinkJoint : int32_t {
+  Prismatic = 0,
+  Revolute = 1,
+  Ball = 2,
+  Fixed = 3,
+  Free = 4,
+  Kinematic = 7
+};
 
 struct Link {
   LinkJoint joint = LinkJoint::Fixed;
@@ -114,7 +121,10 @@ Workspace<T> make_workspace(void* memory, int32_t links, int32_t dofs) {
   return ws;
 }
 
-inline bool is_free(const Link& link) { return link.joint == LinkJoint::Free; }
+inline bool is_kinematic(const Link& link) { return link.joint == LinkJoint::Kinematic; }
+inline bool is_free(const Link& link) {
+  return link.joint == LinkJoint::Free || is_kinematic(link);
+}
 // The rows of a link among the tree's dofs.
 template <class T>
 int32_t local_dof(const Tree<T>& tree, const Link& link) {

@@ -18,18 +18,19 @@ namespace novaphy {
 // once, when it is made; everything else at every use.
 class NOVAPHY_DYNAMICS_API Articulations {
  public:
-  // Who steps articulations on devices too, where that is asked for.
-  enum class Devices { Cpu, All };
+  // Steps: also on devices, where that is asked for, and of kinematic bodies.
+  enum class For { Functions, Steps };
   // `user` starts the messages. ErrorKind::NotImplemented: a model on another device than the cpu,
-  // unless devices are All and NOVAPHY_UNVERIFIED_DEVICE_ARTICULATIONS is on; a joint that belongs
-  // to no articulation, a DISTANCE joint, a kinematic body.
-  Articulations(const Model& model, const char* user, Devices devices = Devices::Cpu);
+  // unless it is for steps and NOVAPHY_UNVERIFIED_DEVICE_ARTICULATIONS is on; a joint that belongs
+  // to no articulation, a DISTANCE joint, a kinematic body (of steps: one whose joint is not FREE
+  // or FIXED to the world). ErrorKind::Value: Model::check_structure.
+  Articulations(const Model& model, const char* user, For purpose = For::Functions);
 
   int64_t count() const { return static_cast<int64_t>(rows_.rows()); }
   int32_t max_links() const { return max_links_; }
   int32_t max_dofs() const { return max_dofs_; }
   // These three on the model's device.
-  // {count} rows of 5: first link, links, first dof, dofs, world.
+  // {count} rows of articulation/arguments.h.
   const DeviceArray<int32_t>& rows() const { return rows_; }
   const DeviceArray<int32_t>& links() const { return links_; }  // rows of articulation::Link
   const DeviceArray<int32_t>& dof_parent() const { return dof_parent_; }
@@ -38,8 +39,9 @@ class NOVAPHY_DYNAMICS_API Articulations {
 
   // ErrorKind::NotImplemented, naming the array: a value that would have no effect: joint_friction
   // unless there is `friction`, a joint that is not enabled, an actuator input; gains, damping or
-  // limits of dofs that have no drive. `control` null: the model's. ErrorKind::Value:
-  // EditedValues::check_joints. Looks at arrays again when they were written.
+  // limits of dofs that have no drive; body_flags by which other bodies are kinematic. `control`
+  // null: the model's. ErrorKind::Value: EditedValues::check_joints. Looks at arrays again when
+  // they were written.
   void check_values(const Model& model, const Control* control, bool friction, const char* user);
   // "dof 3 (joint 'elbow')"
   std::string dof_name(const Model& model, int32_t dof) const;
@@ -49,6 +51,7 @@ class NOVAPHY_DYNAMICS_API Articulations {
 
   DeviceArray<int32_t> rows_, links_, dof_parent_;
   std::vector<articulation::LinkJoint> joint_of_dof_;
+  std::vector<char> kinematic_;  // bodies
   int32_t max_links_ = 0, max_dofs_ = 0;
   EditedValues values_;
   std::vector<ArrayStamp> checked_;

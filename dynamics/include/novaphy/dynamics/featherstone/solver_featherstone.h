@@ -48,7 +48,8 @@ struct FeatherstoneOptions {
 // armature, joint forces, wrenches on bodies (body_f, and joint_f of FREE joints: world axes, about
 // the centre of mass), gravity, angular damping, dry friction (joint_friction), and contacts of the
 // shapes of articulations with each other and the world. Friction, restitution, stiffness and
-// damping of a contact are the mean of the two shapes'. Other parts of a model throw
+// damping of a contact are the mean of the two shapes'. Kinematic bodies, with a joint FREE or
+// FIXED to the world, follow their joint_qd; their mass has no end. Other parts of a model throw
 // ErrorKind::NotImplemented.
 //
 // One step: articulation/step.h, with Pgs between velocities and positions; rigid_contact_force of

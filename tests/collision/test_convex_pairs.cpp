@@ -136,6 +136,27 @@ TEST(ConvexPairs, MoveWithTheirFrame) {
   EXPECT_LE(different, poses / 50);
 }
 
+// Shapes that are their own mirror image: the contacts are mirrored with the poses.
+TEST(ConvexPairs, AreMirroredWithTheirPoses) {
+  int poses = 0, different = 0;
+  const auto mirrored = [](Transformf t) {  // in the plane x = 0
+    return Transformf{{-t.p.x, t.p.y, t.p.z}, {t.q.x, -t.q.y, -t.q.z, t.q.w}};
+  };
+  for_all_pairs(20, 1.0, [&](Solid a, Solid b) {
+    if (a.shape.type == GeoType::CONVEX_MESH || b.shape.type == GeoType::CONVEX_MESH) return;
+    const geometry::Manifold before = collide(a, b);
+    a.pose = mirrored(a.pose);
+    b.pose = mirrored(b.pose);
+    const geometry::Manifold after = collide(a, b);
+    EXPECT_NEAR(deepest(before), deepest(after), 1e-5);
+    ++poses;
+    const Vec3f n = {-before.normal.x, before.normal.y, before.normal.z};
+    different += norm(widen(n - after.normal)) > 0.02 ? 1 : 0;  // two equally good directions
+  });
+  EXPECT_GT(poses, 300);
+  EXPECT_LE(different, poses / 50);
+}
+
 // Depth and position scale with the shapes, from millimetres to kilometres.
 TEST(ConvexPairs, AreAsExactAtEveryScale) {
   for (const double scale : {1e-3, 1e3}) {

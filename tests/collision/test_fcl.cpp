@@ -1,4 +1,5 @@
-// Convex hulls by FCL's solver: where its answer is taken, and where not.
+// Convex hulls by FCL's solver: where its answer is taken, and where not; and what is published of
+// failures of FCL and others, for our own solver too.
 #include <gtest/gtest.h>
 
 #include <algorithm>
@@ -98,9 +99,17 @@ TEST(Fcl, HasTheDepthsOfAutoAndCountsWhereItsOwnAreWrong) {
   RecordProperty("fallbacks", int(fcl.fcl_fallback_count()));
 }
 
+#endif
+
+#ifdef NOVAPHY_WITH_FCL
+constexpr NarrowPhase kPhases[] = {NarrowPhase::Auto, NarrowPhase::Fcl};
+#else
+constexpr NarrowPhase kPhases[] = {NarrowPhase::Auto};
+#endif
+
 // What is published of FCL and libccd: stacked cubes that touch (libccd #25, FCL #493), the same
 // shape twice in one place, a NaN; none may end the process, and all have Auto's rows or FCL's.
-TEST(Fcl, TheCasesThatAreKnownToFailHaveRows) {
+void check_cubes(NarrowPhase narrow_phase) {
   const auto cube = testing::cube(0.5f);
   for (const float height : {1.0f, 0.9999999f, 0.0f, 1e-7f, 0.5f, 1.0000001f}) {
     ModelBuilder builder;
@@ -109,7 +118,7 @@ TEST(Fcl, TheCasesThatAreKnownToFailHaveRows) {
     builder.add_body({.xform = {{0.0f, 0.0f, height}, Quatf::identity()}});
     builder.add_shape_convex_hull(1, {.vertices = cube.vertices});
     const auto model = builder.finalize(Device::cpu());
-    CollisionPipeline pipeline(model, {.narrow_phase = NarrowPhase::Fcl});
+    CollisionPipeline pipeline(model, {.narrow_phase = narrow_phase});
     Contacts contacts = pipeline.contacts();
     pipeline.collide(model->state(), contacts);
     const auto rows = contacts.rigid_contacts();
@@ -127,8 +136,99 @@ TEST(Fcl, TheCasesThatAreKnownToFailHaveRows) {
     EXPECT_EQ(contacts.rigid_contact_count.to_host()[0], 0);
   }
 }
+TEST(PublishedFailures, TouchingAndCoincidingCubesHaveRows) {
+  for (const NarrowPhase phase : kPhases) check_cubes(phase);
+}
 
-#endif
+// The deepest row of two bodies with one shape each: normal from the first to the second, depth.
+struct Answer {
+  Vec3f normal{};
+  float depth = -1e9f;
+};
+template <class First, class Second>
+Answer answer(First first, Second second, const Transformf& pose) {
+  ModelBuilder builder;
+  builder.add_body();
+  first(builder, 0);
+  builder.add_body({.xform = pose});
+  second(builder, 1);
+  const auto model = builder.finalize(Device::cpu());
+  CollisionPipeline pipeline(model);
+  Contacts contacts = pipeline.contacts();
+  pipeline.collide(model->state(), contacts);
+  const std::vector<Transformf> q = model->body_q.to_host();
+  Answer deepest;
+  for (const RigidContact& c : contacts.rigid_contacts()) {
+    const auto of = [&](int32_t shape, const Vec3f& point) {
+      return math::transform_point(q[size_t(shape)], point);
+    };
+    const float depth = (c.margin0 + c.margin1) -
+                        math::dot(of(c.shape1, c.point1) - of(c.shape0, c.point0), c.normal);
+    if (depth > deepest.depth) deepest = {c.shape0 == 0 ? c.normal : -c.normal, depth};
+  }
+  return deepest;
+}
+auto box(float hx, float hy, float hz) {
+  return
+      [=](ModelBuilder& b, int32_t body) { b.add_shape_box(body, {.hx = hx, .hy = hy, .hz = hz}); };
+}
+auto cylinder(float radius, float half) {
+  return [=](ModelBuilder& b, int32_t body) {
+    b.add_shape_cylinder(body, {.radius = radius, .half_height = half});
+  };
+}
+auto capsule(float radius, float half) {
+  return [=](ModelBuilder& b, int32_t body) {
+    b.add_shape_capsule(body, {.radius = radius, .half_height = half});
+  };
+}
+Transformf at(float x, float y, float z, const Quatf& q = Quatf::identity()) {
+  return {{x, y, z}, q};
+}
+
+// Two parallel capsules throw in FCL ("origin is outside of the polytope").
+TEST(PublishedFailures, ParallelCapsulesPartAcross) {
+  const Answer a = answer(capsule(0.1f, 0.3f), capsule(0.1f, 0.3f), at(0.15f, 0.0f, 0.0f));
+  EXPECT_NEAR(a.depth, 0.05f, 1e-5f);
+  EXPECT_NEAR(a.normal.x, 1.0f, 1e-5f);
+}
+
+// FCL #407: a box and a cylinder that touch end the process.
+TEST(PublishedFailures, ABoxAndACylinderPartAlongTheShorterWay) {
+  const Answer above = answer(box(0.5f, 0.5f, 0.5f), cylinder(0.3f, 0.5f), at(0.1f, 0.0f, 0.95f));
+  EXPECT_NEAR(above.depth, 0.05f, 1e-5f);
+  EXPECT_NEAR(above.normal.z, 1.0f, 1e-4f);
+  const Answer beside = answer(box(0.5f, 0.5f, 0.5f), cylinder(0.3f, 0.5f), at(0.78f, 0.0f, 0.1f));
+  EXPECT_NEAR(beside.depth, 0.02f, 1e-5f);
+  EXPECT_NEAR(beside.normal.x, 1.0f, 1e-4f);
+}
+
+// FCL #578: an endless loop for boxes with almost parallel faces; #375: a normal of length 0.
+TEST(PublishedFailures, BoxesWithAlmostParallelFacesEnd) {
+  for (const float turn : {0.0f, 1e-7f, 1e-5f, 1e-3f}) {
+    const Quatf q = {turn, -turn, turn, std::sqrt(1.0f - 3.0f * turn * turn)};
+    const Answer a = answer(box(0.25f, 0.25f, 0.5f), box(0.5f, 0.5f, 0.1f), at(0, 0, 0.59f, q));
+    EXPECT_NEAR(a.depth, 0.01f, 2e-3f) << turn;
+    EXPECT_NEAR(a.normal.z, 1.0f, 1e-4f) << turn;
+  }
+}
+
+// Coal has a wrong depth where the centre of a sphere is deep in a cylinder, MuJoCo for a capsule
+// that passes through a box.
+TEST(PublishedFailures, DeepSpheresAndCapsulesLeaveByTheShorterWay) {
+  const auto sphere = [](ModelBuilder& b, int32_t body) {
+    b.add_shape_sphere(body, {.radius = 0.1f});
+  };
+  const Answer side = answer(cylinder(0.5f, 1.0f), sphere, at(0.4f, 0.0f, 0.2f));
+  EXPECT_NEAR(side.depth, 0.2f, 1e-5f);
+  EXPECT_NEAR(side.normal.x, 1.0f, 1e-4f);
+  const Answer cap = answer(cylinder(0.5f, 1.0f), sphere, at(0.1f, 0.0f, 0.9f));
+  EXPECT_NEAR(cap.depth, 0.2f, 1e-5f);
+  EXPECT_NEAR(cap.normal.z, 1.0f, 1e-4f);
+  const Answer through = answer(box(0.2f, 0.2f, 0.2f), capsule(0.05f, 1.0f), at(0.15f, 0, 0.03f));
+  EXPECT_NEAR(through.depth, 0.1f, 1e-5f);
+  EXPECT_NEAR(through.normal.x, 1.0f, 1e-4f);
+}
 
 }  // namespace
 }  // namespace novaphy

@@ -158,3 +158,46 @@ def test_the_gradient_of_a_bounce_off_a_mesh_is_that_of_frozen_contacts() -> Non
     difference = (height(-2.0 + eps)[0] - height(-2.0 - eps)[0]) / (2 * eps)
     assert difference != 0.0
     assert abs(gradient - difference) < 2e-2 * abs(difference)
+
+
+def test_a_height_field_is_a_terrain_that_carries_what_lies_on_it() -> None:
+    """A slope of heights carries a ball as the plane does, and triangles look up."""
+    slope = 0.3
+    columns = np.arange(9)
+    mesh = novaphy.io.height_field(np.tile(slope * 0.5 * columns, (5, 1)), 0.5, 0.25)
+    assert mesh.vertices.shape == (45, 3) and mesh.indices.shape == (64, 3)
+    np.testing.assert_allclose(mesh.vertices[[0, -1]], [(-2, -0.5, 0), (2, 0.5, 1.2)], atol=1e-6)
+    a, b, c = (mesh.vertices[mesh.indices[:, k]] for k in range(3))
+    normal = np.cross(b - a, c - a)
+    np.testing.assert_allclose(
+        np.linalg.norm(normal, axis=1) / 2, 0.0625 * np.sqrt(1.09), rtol=1e-5
+    )
+    up = np.array([-slope, 0, 1]) / np.sqrt(1.09)
+    np.testing.assert_allclose(normal / np.linalg.norm(normal, axis=1)[:, None] @ up, 1, rtol=1e-6)
+
+    builder = novaphy.ModelBuilder()
+    builder.add_shape_mesh(-1, mesh=mesh)
+    place = np.array([0.1, 0.05, 0.6 + slope * 0.1]) + 0.095 * up
+    ball = builder.add_body(xform=(tuple(place), (0, 0, 0, 1)))
+    builder.add_shape_sphere(ball, radius=0.1)
+    model = builder.finalize()
+    pipeline = novaphy.CollisionPipeline(model)
+    contacts = pipeline.contacts()
+    pipeline.collide(model.state(), contacts)
+    (row,) = contacts.rigid_contacts()
+    normal = row["normal"] * (1 if row["shape1"] == 1 else -1)
+    np.testing.assert_allclose(normal, up, atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("heights", "cell", "text"),
+    [
+        ([1.0, 2.0], 1.0, r"heights: expected at least 2 rows and 2 columns, got \(2,\)"),
+        ([[1.0, 2.0]], 1.0, "got \\(1, 2\\)"),
+        ([[0, 0], [0, np.nan]], 1.0, r"heights\[1, 1\]: expected a finite number, got nan"),
+        ([[0, 0], [0, 0]], 0.0, "cell_x: expected a finite number > 0, got 0.0"),
+    ],
+)
+def test_bad_heights_are_refused(heights, cell, text) -> None:
+    with pytest.raises(ValueError, match=text):
+        novaphy.io.height_field(heights, cell)

@@ -11,9 +11,17 @@ from typing import Any
 
 import numpy as np
 
-from ._mesh import Mesh, TetMesh, load_mesh, load_tet_mesh
+from ._mesh import Mesh, TetMesh, height_field, load_mesh, load_tet_mesh
 
-__all__ = ["Mesh", "TetMesh", "atomic_path", "load_mesh", "load_tet_mesh", "save_npz"]
+__all__ = [
+    "Mesh",
+    "TetMesh",
+    "atomic_path",
+    "height_field",
+    "load_mesh",
+    "load_tet_mesh",
+    "save_npz",
+]
 
 
 @contextlib.contextmanager

@@ -6,7 +6,7 @@ import os
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from .. import _core
 
@@ -27,6 +27,46 @@ class TetMesh(NamedTuple):
     """(n, 3) positions."""
     indices: NDArray[np.int32]
     """(m, 4) corners of tetrahedra, of positive volume."""
+
+
+def height_field(heights: ArrayLike, cell_x: float, cell_y: float | None = None) -> Mesh:
+    """Make the triangles of a terrain: a height for every point of a grid.
+
+    The front of the mesh is above. Terrains have no inside, so they belong to the world, or to a
+    body by ``density=0``: ``builder.add_shape_mesh(-1, mesh=height_field(z, 0.25), cfg=...)``.
+
+    Args:
+        heights: (rows, columns) in m: ``heights[j, i]`` at x = i ``cell_x``, y = j ``cell_y``, with
+            the middle of the grid at the origin. At least 2 of each.
+        cell_x: Distance of columns, m.
+        cell_y: Distance of rows, m; None: ``cell_x``.
+
+    Returns:
+        rows * columns vertices, row by row, and two triangles in every cell, which meet in the
+        diagonal from its corner of the smallest x and y.
+
+    Raises:
+        ValueError: another shape, a height that is not finite, a distance that is not > 0.
+    """
+    z = np.asarray(heights, dtype=np.float32)
+    if z.ndim != 2 or min(z.shape) < 2:
+        raise ValueError(f"heights: expected at least 2 rows and 2 columns, got {z.shape}")
+    if not np.isfinite(z).all():
+        j, i = np.argwhere(~np.isfinite(z))[0]
+        raise ValueError(f"heights[{j}, {i}]: expected a finite number, got {z[j, i]}")
+    cells = {"cell_x": cell_x, "cell_y": cell_x if cell_y is None else cell_y}
+    for name, cell in cells.items():
+        if not (np.isfinite(cell) and cell > 0):
+            raise ValueError(f"{name}: expected a finite number > 0, got {cell}")
+    rows, columns = z.shape
+    x = (np.arange(columns) - (columns - 1) / 2) * cells["cell_x"]
+    y = (np.arange(rows) - (rows - 1) / 2) * cells["cell_y"]
+    vertices = np.stack([*np.meshgrid(x, y), z], axis=-1).reshape(-1, 3).astype(np.float32)
+    corner = np.arange(rows - 1)[:, None] * columns + np.arange(columns - 1)
+    right, up = 1, columns
+    of_cell = np.array([(0, right, right + up), (0, right + up, up)])
+    triangles = corner.reshape(-1, 1, 1) + of_cell
+    return Mesh(vertices, triangles.reshape(-1, 3).astype(np.int32))
 
 
 def _check_opens(path: str | os.PathLike[str]) -> None:

@@ -78,12 +78,13 @@ int32_t CollisionPipeline::rigid_contact_max() const {
   return static_cast<int32_t>(std::min(most, std::max(kFew, kPerShape * model_->shape_count())));
 }
 
-Contacts CollisionPipeline::contacts() const {
+Contacts CollisionPipeline::contacts(bool per_contact_shape_properties) const {
   return Contacts({.soft_contact_max = soft_contact_max(),
                    .soft_contact_pair_count = soft_contact_pair_count(),
                    .rigid_contact_max = rigid_contact_max(),
                    .model_id = model_->id(),
-                   .requires_grad = options_.requires_grad.value_or(model_->requires_grad)},
+                   .requires_grad = options_.requires_grad.value_or(model_->requires_grad),
+                   .per_contact_shape_properties = per_contact_shape_properties},
                   model_->device());
 }
 
@@ -116,6 +117,12 @@ void CollisionPipeline::collide(const SimState& state, Contacts& contacts,
                        ContactFields::expected_rows(contacts.counts()), model_->device(),
                        "collide: contacts");
   if (LaunchRecorder* recorder = launch_recorder()) recorder->uses(in_use_);
+  if (contacts.per_contact_shape_properties()) {
+    require(launch_recorder() == nullptr, ErrorKind::NotImplemented, name,
+            ": contacts with per_contact_shape_properties cannot be recorded: the materials are "
+            "those of the rows of one call, and every call sets them to 0");
+    contacts.clear_materials();
+  }
   soft_contacts_->collide(state, contacts, gap);
   const uint64_t version = contacts.rigid_contact_count.version();
   rigid_contacts_->collide(state, contacts);

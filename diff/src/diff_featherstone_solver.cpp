@@ -60,6 +60,16 @@ DiffFeatherstoneSolver::DiffFeatherstoneSolver(std::shared_ptr<const Model> mode
                                                const FeatherstoneOptions& options)
     : DiffSolverBase(std::move(model)), options_(options), step_(*this->model(), options, kUser) {}
 
+void DiffFeatherstoneSolver::check_contacts(const char* function, const Contacts* contacts,
+                                            bool touching) const {
+  require(!touching || options_.contact != ArticulationContact::None, ErrorKind::Value, function,
+          ", contacts: expected none of a solver without a way of contact");
+  require(contacts == nullptr || !contacts->per_contact_shape_properties(),
+          ErrorKind::NotImplemented, function,
+          ", contacts: expected none with per_contact_shape_properties, which this solver does not "
+          "read");
+}
+
 void DiffFeatherstoneSolver::notify_model_changed(ModelFlags) {
   const ExclusiveUse::Scope scope = use("DiffFeatherstoneSolver.notify_model_changed");
   step_ = ArticulationStep(*model(), options_, kUser);
@@ -72,8 +82,7 @@ void DiffFeatherstoneSolver::step(SimState& state_in, SimState& state_out, const
   const ExclusiveUse::Scope scope = use(kStep);
   const Model& m = *model();
   check_step(kStep, state_in, state_out, control, contacts, dt);
-  require(contacts == nullptr || options_.contact != ArticulationContact::None, ErrorKind::Value,
-          kStep, ", contacts: expected none of a solver without a way of contact");
+  check_contacts(kStep, contacts, contacts != nullptr);
   check_shapes(m, contacts != nullptr);
   begin_model_reads(m, kStep);
   step_.begin(m, control, kStep);
@@ -108,8 +117,7 @@ std::vector<ScratchSpec> DiffFeatherstoneSolver::step_scratch() const {
 
 bool DiffFeatherstoneSolver::begin_rollout(const RolloutInputs& inputs) {
   const bool touching = inputs.contacts() != nullptr || inputs.pipeline() != nullptr;
-  require(!touching || options_.contact != ArticulationContact::None, ErrorKind::Value, kRollout,
-          ", contacts: expected none of a solver without a way of contact");
+  check_contacts(kRollout, inputs.contacts(), touching);
   rollout_contacts_ = most_contacts(inputs.contacts());
   if (inputs.pipeline() != nullptr) {
     const Unobserved unobserved;  // memory that no capture records

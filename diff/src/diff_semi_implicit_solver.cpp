@@ -183,6 +183,7 @@ void DiffSemiImplicitSolver::begin(const char* function, const Control* control,
   values_.check(*model());
   if (joints_) joints_->begin(*model(), control, dt);
   if (contacts != nullptr) {
+    contacts->check_materials(function);
     ContactTables::Wanted wanted = wanted_tables();
     wanted.of_this_state = of_this_state;
     tables_.update(*model(), *contacts, wanted);

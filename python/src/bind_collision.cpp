@@ -75,7 +75,11 @@ void bind_collision(py::module_& m) {
                              "Slots of contacts().")
       .def_property_readonly("soft_contact_pair_count", &CollisionPipeline::soft_contact_pair_count,
                              "Candidate pairs: particles times colliding shapes.")
-      .def("contacts", &CollisionPipeline::contacts, "Empty contacts that collide takes.")
+      .def("contacts", py::overload_cast<bool>(&CollisionPipeline::contacts, py::const_),
+           py::kw_only(), "per_contact_shape_properties"_a = false,
+           "Empty contacts that collide takes. per_contact_shape_properties: rows may have a "
+           "rigid_contact_stiffness, _damping and _friction of their own, written behind collide, "
+           "which sets them to 0; such a collide cannot be captured.")
       .def("collide", &CollisionPipeline::collide, "state"_a, "contacts"_a, py::kw_only(),
            "soft_contact_margin"_a = py::none(), release_gil(),
            "Replaces the contacts by those of the state. soft_contact_margin (m) holds for this "

@@ -326,18 +326,22 @@ void bind_contacts(py::module_& m) {
       "soft_contact_max (rigid_contact_max) are kept and overflowed is True.");
   using Fields = ContactFields;
   c.def(py::init([](int32_t rigid_contact_max, int32_t soft_contact_max, py::handle device,
-                    bool requires_grad) {
+                    bool requires_grad, bool per_contact_shape_properties) {
           return Contacts({.soft_contact_max = soft_contact_max,
                            .rigid_contact_max = rigid_contact_max,
-                           .requires_grad = requires_grad},
+                           .requires_grad = requires_grad,
+                           .per_contact_shape_properties = per_contact_shape_properties},
                           to_device(device));
         }),
         "rigid_contact_max"_a = 0, "soft_contact_max"_a = 0, py::kw_only(), "device"_a = py::none(),
-        "requires_grad"_a = false,
+        "requires_grad"_a = false, "per_contact_shape_properties"_a = false,
         "Empty contacts of no model; pipelines take only those that they made.");
   NOVAPHY_CONTACT_FIELDS(NOVAPHY_BIND_FIELD)
   c.def_property_readonly("soft_contact_max", &Contacts::soft_contact_max, "Slots.")
       .def_property_readonly("rigid_contact_max", &Contacts::rigid_contact_max, "Rows.")
+      .def_property_readonly("per_contact_shape_properties",
+                             &Contacts::per_contact_shape_properties,
+                             "Whether rows may have materials of their own.")
       .def_property_readonly("active_rigid_contact_count", &Contacts::active_rigid_contact_count,
                              "min(rigid_contact_count, rigid_contact_max). Reads from the device.")
       .def("rigid_contacts", &rigid_contact_rows,

@@ -1,9 +1,11 @@
 #include "novaphy/core/sim/contacts.h"
 
 #include <algorithm>
+#include <cmath>
 #include <utility>
 
 #include "novaphy/core/error.h"
+#include "novaphy/core/recorder.h"
 #include "novaphy/core/sim/model.h"
 
 namespace novaphy {
@@ -19,7 +21,9 @@ ContactCounts checked_counts(const ContactsOptions& options) {
           "Contacts: rigid_contact_max: expected >= 0, got ", options.rigid_contact_max);
   return {.soft_contact_max = options.soft_contact_max,
           .soft_contact_pair_count = options.soft_contact_pair_count,
-          .rigid_contact_max = options.rigid_contact_max};
+          .rigid_contact_max = options.rigid_contact_max,
+          .rigid_contact_materials =
+              options.per_contact_shape_properties ? options.rigid_contact_max : 0};
 }
 
 // What rows are found from.
@@ -83,8 +87,29 @@ void Contacts::clear() {
     array->zero();
   rigid_contact_margin0.zero();
   rigid_contact_margin1.zero();
+  clear_materials();
   rigid_contact_point_id.fill(-1);
   contact_generation.fill(contact_generation.to_host()[0] + 1);
+}
+
+void Contacts::clear_materials() {
+  rigid_contact_stiffness.zero();
+  rigid_contact_damping.zero();
+  rigid_contact_friction.zero();
+}
+
+void Contacts::check_materials(const char* function) const {
+  if (!device_.is_cpu()) return;
+  const Unobserved unobserved;
+  const auto check = [&](const char* name, const DeviceArray<float>& array) {
+    const float* const values = array.data();
+    for (size_t row = 0; row < array.rows(); ++row)
+      require(std::isfinite(values[row]) && values[row] >= 0.0f, ErrorKind::Value, function,
+              ": contacts.", name, "[", row, "]: expected a finite number >= 0, got ", values[row]);
+  };
+  check("rigid_contact_stiffness", rigid_contact_stiffness);
+  check("rigid_contact_damping", rigid_contact_damping);
+  check("rigid_contact_friction", rigid_contact_friction);
 }
 
 int32_t Contacts::active_soft_contact_count() const {

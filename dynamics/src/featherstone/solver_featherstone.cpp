@@ -88,6 +88,11 @@ namespace {
 void check_contacts(const Contacts* contacts, ArticulationContact contact) {
   require(contacts == nullptr || contact != ArticulationContact::None, ErrorKind::Value, kName,
           ": contacts: expected none of a solver without a way of contact");
+  require(contacts == nullptr || contact == ArticulationContact::Penalty ||
+              !contacts->per_contact_shape_properties(),
+          ErrorKind::NotImplemented, kName,
+          ": contacts: expected none with per_contact_shape_properties, which contact=\"pgs\" does "
+          "not read");
 }
 
 }  // namespace

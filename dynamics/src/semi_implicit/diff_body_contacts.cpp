@@ -78,8 +78,12 @@ ContactShape<Bool, Real> load_shape(TraceContext& c, const Int& shape) {
           constant(Columns(c, "shape_scale", &shape).vec3())};
 }
 
-// `follow`: points and normals follow the bodies.
-std::vector<Real> rigid_wrenches(TraceContext& c, FrictionLaw law, bool follow) {
+struct RigidKernel {
+  FrictionLaw law = FrictionLaw::Huber;
+  bool follow = false;   // points and normals follow the bodies
+  bool of_rows = false;  // rows have materials of their own
+};
+std::vector<Real> rigid_wrenches(TraceContext& c, const RigidKernel& of) {
   const size_t bodies = c.source("bodies");
   const auto side = [&](int32_t k, const char* point, const char* margin) {
     const ContactBody body = load_body(c, c.i32(bodies, k));
@@ -95,21 +99,23 @@ std::vector<Real> rigid_wrenches(TraceContext& c, FrictionLaw law, bool follow) 
   at.a = at_a;
   at.b = at_b;
   at.normal = normal;
-  if (follow)
+  if (of.follow)
     at = turning_contact(contact_feature_of(load_shape(c, shape0), a.pose, a.point, at_b, normal),
                          contact_feature_of(load_shape(c, shape1), b.pose, b.point, at_a, normal),
                          normal);
+  RigidContactMaterial<Real> material = mean_rigid_contact_material(
+      detail::load_material(c, shape0), detail::load_material(c, shape1));
+  if (of.of_rows)
+    material = rigid_contact_material_of_row(material, Columns(c, "stiffness")[0],
+                                             Columns(c, "damping")[0], Columns(c, "friction")[0]);
   const RigidContactForce<Real> f =
-      rigid_contact_force_at(law, a, b, at.a, at.b, at.normal,
-                             mean_rigid_contact_material(detail::load_material(c, shape0),
-                                                         detail::load_material(c, shape1)),
-                             c.param(0));
+      rigid_contact_force_at(of.law, a, b, at.a, at.b, at.normal, material, c.param(0));
   std::vector<Real> out = list(-f.force, -math::cross(f.arm_a, f.force));
   for (const Real& x : list(f.force, math::cross(f.arm_b, f.force))) out.push_back(x);
   return out;
 }
 
-nova::Kernel make_rigid_kernel(const char* name, FrictionLaw law, bool follow) {
+nova::Kernel make_rigid_kernel(const char* name, const RigidKernel& of) {
   std::vector<nova::SourceSpec> sources = {
       {"bodies", DType::I32, 2, Access::Direct},  {"shape0", DType::I32, 1, Access::Direct},
       {"shape1", DType::I32, 1, Access::Direct},  {"point0", DType::F32, 3, Access::Direct},
@@ -117,23 +123,35 @@ nova::Kernel make_rigid_kernel(const char* name, FrictionLaw law, bool follow) {
       {"margin1", DType::F32, 1, Access::Direct}, {"normal", DType::F32, 3, Access::Direct}};
   sources.insert(sources.end(), kBodySources.begin(), kBodySources.end());
   for (const nova::SourceSpec& s : detail::material_sources()) sources.push_back(s);
-  if (follow) sources.insert(sources.end(), kShapeSources.begin(), kShapeSources.end());
-  return nova::with_one_gradient_set(
-      nova::make_kernel(name, sources, {{"wrench", 12}},
-                        [=](TraceContext& c) { return rigid_wrenches(c, law, follow); }));
+  if (of.follow) sources.insert(sources.end(), kShapeSources.begin(), kShapeSources.end());
+  if (of.of_rows)
+    for (const char* own : {"stiffness", "damping", "friction"})
+      sources.push_back({own, DType::F32, 1, Access::Direct});
+  return nova::with_one_gradient_set(nova::make_kernel(
+      name, sources, {{"wrench", 12}}, [of](TraceContext& c) { return rigid_wrenches(c, of); }));
 }
 const nova::Kernel& rigid_kernel(bool follow) {
-  static const nova::Kernel following = make_rigid_kernel("rigid_contact_wrenches",
-                                                          FrictionLaw::Huber, true),
-                            held = make_rigid_kernel("held_rigid_contact_wrenches",
-                                                     FrictionLaw::Huber, false);
+  static const nova::Kernel following =
+                                make_rigid_kernel("rigid_contact_wrenches", {.follow = true}),
+                            held = make_rigid_kernel("held_rigid_contact_wrenches", {});
+  return follow ? following : held;
+}
+// Of rows with materials of their own.
+const nova::Kernel& own_rigid_kernel(bool follow) {
+  static const nova::Kernel following = make_rigid_kernel("own_rigid_contact_wrenches",
+                                                          {.follow = true, .of_rows = true}),
+                            held = make_rigid_kernel("own_held_rigid_contact_wrenches",
+                                                     {.of_rows = true});
   return follow ? following : held;
 }
 // For comparison only, so it is no kernel of the engine.
-const nova::Kernel& newton17_kernel() {
-  static const nova::Kernel kernel =
-      make_rigid_kernel("newton17_contact_wrenches", FrictionLaw::Newton17, false);
-  return kernel;
+const nova::Kernel& newton17_kernel(bool of_rows) {
+  const auto make = [](const char* name, bool own) {
+    return make_rigid_kernel(name, {.law = FrictionLaw::Newton17, .of_rows = own});
+  };
+  static const nova::Kernel kernel = make("newton17_contact_wrenches", false),
+                            own = make("own_newton17_contact_wrenches", true);
+  return of_rows ? own : kernel;
 }
 
 // The force on body B.
@@ -335,8 +353,15 @@ void eval_rigid_contacts(const Model& m, const Contacts& c, const ContactTables&
   const bool newton17 = friction_law == FrictionLaw::Newton17;
   const bool follow = tables.of_this_state() && !newton17;
   if (follow) add_shapes(m, in);
+  const bool of_rows = c.per_contact_shape_properties();
+  if (of_rows)
+    for (const Array* own : std::initializer_list<const Array*>{
+             &c.rigid_contact_stiffness, &c.rigid_contact_damping, &c.rigid_contact_friction})
+      in.push_back(nova::operand_of(*own));
   const nova::Param params[] = {friction_law == FrictionLaw::Viscous ? 0.0f : friction_smoothing};
-  (newton17 ? newton17_kernel() : rigid_kernel(follow))
+  (newton17  ? newton17_kernel(of_rows)
+   : of_rows ? own_rigid_kernel(follow)
+             : rigid_kernel(follow))
       .launch(wrenches.rows, in, {&wrenches, 1}, {.params = params});
 }
 
@@ -381,8 +406,9 @@ void add_wrenches(const Operand& body_f, const Operand& wrenches, const nova::In
 }
 
 void detail::add_body_contact_kernels(std::vector<nova::EngineKernel>& list) {
-  for (const nova::Kernel& k : {rigid_kernel(true), rigid_kernel(false), soft_kernel(true),
-                                soft_kernel(false), sum_kernel()})
+  for (const nova::Kernel& k :
+       {rigid_kernel(true), rigid_kernel(false), own_rigid_kernel(true), own_rigid_kernel(false),
+        soft_kernel(true), soft_kernel(false), sum_kernel()})
     list.push_back({k, k.gradients()});
   list.push_back({force_kernel(), {}});
 }

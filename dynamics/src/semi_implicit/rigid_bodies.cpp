@@ -30,6 +30,7 @@ void RigidBodies::prepare(const Model& m, const Contacts* contacts) {
   }
   if (contacts == nullptr) return;
   const Contacts& c = *contacts;
+  c.check_materials("step");
   if (count_.matches(c.rigid_contact_count) && shape0_.matches(c.rigid_contact_shape0) &&
       shape1_.matches(c.rigid_contact_shape1) && shape_body_.matches(m.shape_body)) {
     return;
@@ -72,6 +73,10 @@ void RigidBodies::evaluate(const Model& m, const Transformf* q, const SpatialVec
   const float *const ke = m.shape_material_ke.data(), *const kd = m.shape_material_kd.data(),
                      *const kf = m.shape_material_kf.data(), *const ka = m.shape_material_ka.data(),
                      *const mu = m.shape_material_mu.data();
+  const bool of_rows = c.per_contact_shape_properties();
+  const float *const row_ke = c.rigid_contact_stiffness.data(),
+                     *const row_kd = c.rigid_contact_damping.data(),
+                     *const row_mu = c.rigid_contact_friction.data();
   DeviceArray<Vec3f> forces = c.rigid_contact_force;
   Vec3f* const force = forces.mutable_data();
 
@@ -93,6 +98,8 @@ void RigidBodies::evaluate(const Model& m, const Transformf* q, const SpatialVec
                                     b = side(bodies_[first + 1], point1[row], margin1[row]);
       RigidContactMaterial<float> both =
           mean_rigid_contact_material(material(shape0[row]), material(shape1[row]));
+      if (of_rows)
+        both = rigid_contact_material_of_row(both, row_ke[row], row_kd[row], row_mu[row]);
       const float kf_of_row = both.kf;
       if (sticks) both.kf = 0.0f;  // and no friction of the law
       RigidContactForce<float> f =

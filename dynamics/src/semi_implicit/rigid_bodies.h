@@ -28,7 +28,7 @@ class RigidBodies {
  public:
   // Checks what step reads, and finds the rows of every body if the contacts are others than at the
   // last call. Keeps its memory. ErrorKind::Index: a contact of a shape, a shape of a body, or a
-  // body of a world that is not there.
+  // body of a world that is not there. ErrorKind::Value: a material of a row that none can have.
   void prepare(const Model& model, const Contacts* contacts);
   // Adds the wrenches of `joints`, which were evaluated, to body_f, then those of the contacts.
   // Writes the bodies of `out`, and rigid_contact_force of the contacts that were prepared.

@@ -514,6 +514,7 @@ class Contacts(_Native):
         *,
         device: _DeviceLike = None,
         requires_grad: bool = False,
+        per_contact_shape_properties: bool = False,
     ) -> None: ...
     soft_contact_count: _Field
     soft_contact_particle: _Field
@@ -533,6 +534,9 @@ class Contacts(_Native):
     rigid_contact_margin0: _Field
     rigid_contact_margin1: _Field
     rigid_contact_point_id: _Field
+    rigid_contact_stiffness: _Field
+    rigid_contact_damping: _Field
+    rigid_contact_friction: _Field
     rigid_contact_force: _Field
     contact_generation: _Field
     requires_grad: bool
@@ -540,6 +544,8 @@ class Contacts(_Native):
     def soft_contact_max(self) -> int: ...
     @property
     def rigid_contact_max(self) -> int: ...
+    @property
+    def per_contact_shape_properties(self) -> bool: ...
     @property
     def active_rigid_contact_count(self) -> int: ...
     @property
@@ -589,7 +595,7 @@ class CollisionPipeline(_Native):
     def soft_contact_max(self) -> int: ...
     @property
     def soft_contact_pair_count(self) -> int: ...
-    def contacts(self) -> Contacts: ...
+    def contacts(self, *, per_contact_shape_properties: bool = False) -> Contacts: ...
     def collide(
         self,
         state: SimState,

@@ -96,8 +96,10 @@ class NOVAPHY_COLLISION_API CollisionPipeline : public ContactFinder {
   int32_t soft_contact_max() const;         // slots of contacts()
   int32_t soft_contact_pair_count() const;  // candidate_pairs.h
 
-  // Empty contacts that collide takes.
-  Contacts contacts() const override;
+  // Empty contacts that collide takes; with true, rows may have materials of their own
+  // (Contacts::rigid_contact_stiffness, ...), and no collide with them can be recorded.
+  Contacts contacts() const override { return contacts(false); }
+  Contacts contacts(bool per_contact_shape_properties) const;
 
   // Replaces the contacts by those of the state and raises contact_generation. May stand in a
   // capture: a replay finds the contacts of what the state then holds, and refuses once the flags,

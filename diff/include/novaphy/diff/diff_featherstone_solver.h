@@ -44,6 +44,7 @@ class NOVAPHY_DIFF_API DiffFeatherstoneSolver : public DiffSolverBase {
                    StepScratch scratch) override;
 
  private:
+  void check_contacts(const char* function, const Contacts* contacts, bool touching) const;
   bool poses_follow(const SimState& state);
 
   FeatherstoneOptions options_;

@@ -17,6 +17,7 @@ struct ContactCounts {
   int32_t soft_contact_max = 0;         // slots
   int32_t soft_contact_pair_count = 0;  // candidate (particle, shape) pairs
   int32_t rigid_contact_max = 0;        // rows
+  int32_t rigid_contact_materials = 0;  // rows with a material of their own: all or none
   int32_t one = 1;
   bool operator==(const ContactCounts&) const = default;
 };
@@ -57,6 +58,10 @@ struct ContactCounts {
   X(rigid_contact_margin1, float, 1, rigid_contact_max, "m", "", "the same of B")                 \
   X(rigid_contact_point_id, int32_t, 1, rigid_contact_max, "", "",                                \
     "feature of the pair that touches; -1 in an unused row")                                      \
+  X(rigid_contact_stiffness, float, 1, rigid_contact_materials, "N/m", "",                        \
+    "where it is > 0 the row's ke, instead of its shapes'; no rows unless asked for")             \
+  X(rigid_contact_damping, float, 1, rigid_contact_materials, "N*s/m", "", "kd likewise")         \
+  X(rigid_contact_friction, float, 1, rigid_contact_materials, "1", "", "mu likewise")            \
   X(rigid_contact_force, Vec3f, 1, rigid_contact_max, "N", "world",                               \
     "force on B, written by solvers; A gets the opposite")                                        \
   X(contact_generation, int32_t, 1, one, "", "", "raised by clear() and by every collide")
@@ -87,6 +92,7 @@ struct ContactsOptions {
   int32_t rigid_contact_max = 0;
   uint64_t model_id = 0;  // Model::id() of their model; 0: none, and no pipeline takes them
   bool requires_grad = false;
+  bool per_contact_shape_properties = false;  // rigid_contact_stiffness, _damping, _friction
 };
 
 // Contacts of particles with shapes ("soft contacts") and of shapes with each other ("rigid
@@ -106,12 +112,20 @@ class NOVAPHY_CORE_API Contacts : public ContactFields {
   int32_t soft_contact_max() const { return counts_.soft_contact_max; }
   int32_t soft_contact_pair_count() const { return counts_.soft_contact_pair_count; }
   int32_t rigid_contact_max() const { return counts_.rigid_contact_max; }
+  // Whether rows may have materials of their own. They belong to the rows that are there: collide
+  // and clear() set them to 0, so that the shapes' count.
+  bool per_contact_shape_properties() const { return counts_.rigid_contact_materials > 0; }
   Device device() const { return device_; }
   uint64_t model_id() const { return model_id_; }
   bool requires_grad = false;
 
   // No contacts: the count 0, every slot unused; raises contact_generation.
   void clear();
+  // Every row has the material of its shapes again.
+  void clear_materials();
+  // ErrorKind::Value, naming `function`, unless the materials of rows are finite and >= 0. On other
+  // devices than the CPU they are not read.
+  void check_materials(const char* function) const;
   // min(count, max) on the host: the slots that hold a contact. Read from the device.
   int32_t active_soft_contact_count() const;
   int32_t active_rigid_contact_count() const;

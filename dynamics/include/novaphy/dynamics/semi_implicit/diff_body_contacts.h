@@ -15,6 +15,7 @@
 //       shapes follow both where a rollout finds them in every step (of hulls and meshes as if
 //       their face went on); else they are held
 //   model: body_com, particle_radius, shape_material_ke, _kd, _kf, _mu    exact
+//   contacts: rigid_contact_stiffness, _damping, _friction    exact where > 0, else 0
 //   which contacts exist, shape_material_ka, particle_adhesion, smoothing    none
 #pragma once
 

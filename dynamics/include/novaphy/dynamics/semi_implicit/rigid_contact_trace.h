@@ -19,7 +19,9 @@
 //   ...);
 //                the world: identity, 0
 //   p, m, normal Contacts::rigid_contact_point0, margin0, ...
-//   ke, kd, kf   N/m, N*s/m, N*s/m; mu 1; ka m: each the mean of the two shapes'
+//   ke, kd, kf   N/m, N*s/m, N*s/m; mu 1; ka m: each the mean of the two shapes', but for ke, kd
+//   and
+//                mu of a row that has its own (Contacts::rigid_contact_stiffness, ...)
 //   e            friction_smoothing (m/s), e > 0 for newton17
 //   F            N, world frame
 // Source: Newton 1.8.0 for viscous, the same bits on the cpu but that margins act on world-owned
@@ -51,6 +53,18 @@ RigidContactMaterial<T> mean_rigid_contact_material(const RigidContactMaterial<T
   const T half = T(0.5f);
   return {(a.ke + b.ke) * half, (a.kd + b.kd) * half, (a.kf + b.kf) * half, (a.ka + b.ka) * half,
           (a.mu + b.mu) * half};
+}
+
+// With the stiffness, damping and coefficient of friction of the row, where they are > 0.
+template <class T>
+RigidContactMaterial<T> rigid_contact_material_of_row(RigidContactMaterial<T> of_shapes,
+                                                      const T& ke, const T& kd, const T& mu) {
+  using namespace math;
+  const T zero = T(0.0f);
+  of_shapes.ke = select(ke > zero, ke, of_shapes.ke);
+  of_shapes.kd = select(kd > zero, kd, of_shapes.kd);
+  of_shapes.mu = select(mu > zero, mu, of_shapes.mu);
+  return of_shapes;
 }
 
 // One side of a contact.

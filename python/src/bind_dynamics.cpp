@@ -73,7 +73,8 @@ void bind_dynamics(py::module_& m, py::module_& solvers) {
            "is kept from step to step by rigid_contact_point_id, so that friction holds what is at "
            "rest; 0: it creeps. It starts anew from a state that the last step has not written. "
            "joint_attach_ke (N/m, N*m/rad) and joint_attach_kd (N*s/m, 0.01 of it N*m*s/rad) hold "
-           "joints together; step refuses a dt at which one of them diverges by itself. "
+           "joints together; step refuses a dt at which one of them diverges by itself, and warns "
+           "(RuntimeWarning, once, on the cpu) of one at which ke or kd of what touches does. "
            "enable_tri_contact acts on contacts of particles with triangles, of which there are "
            "none yet. "
            "NotImplementedError for parts of a model "
@@ -102,6 +103,13 @@ void bind_dynamics(py::module_& m, py::module_& solvers) {
           "enable_tri_contact",
           [](const SolverSemiImplicit& s) { return s.options().enable_tri_contact; },
           "Stored; particles do not meet triangles yet.");
+  semi_implicit.def(
+      "stable_dt", &SolverSemiImplicit::stable_dt, "state"_a, "contacts"_a,
+      "The longest dt (s) at which springs and dampers of the contacts that touch in the state are "
+      "stable, friction as far as it sticks, whatever the neighbours of a body do; inf where none "
+      "touches. A longer one may do, for friction ends at its cone. ValueError: a state or "
+      "contacts "
+      "of another model.");
   add_fast_step(semi_implicit);
   m.def(
       "eval_fk",

@@ -5,6 +5,7 @@
 #include "fast_step.h"
 #include "novaphy/core/parallel.h"
 #include "novaphy/core/version.h"
+#include "novaphy/core/warning.h"
 #include "part_bindings.h"
 
 namespace novaphy::python {
@@ -44,6 +45,12 @@ void bind_errors(py::module_& m) {
       PyErr_SetString(python_type(error.kind()), error.what());
     }
   });
+}
+
+void make_warning(const std::string& text) {
+  if (!Py_IsInitialized()) return;
+  const py::gil_scoped_acquire gil;
+  if (PyErr_WarnEx(PyExc_RuntimeWarning, text.c_str(), 1) != 0) throw py::error_already_set();
 }
 
 // Ctrl-C in a long native loop: Python's handlers run on its main thread only. Elsewhere this ends
@@ -151,6 +158,7 @@ PYBIND11_MODULE(_core, m) {
 #endif
   explain_argument_errors(m);
   set_interrupt_check(&check_signals);
+  set_warning_handler(&make_warning);
   wait_at_exit();
 }
 

@@ -1,0 +1,157 @@
+#include "contact_stability.h"
+
+#include <array>
+#include <cmath>
+#include <limits>
+#include <vector>
+
+#include "novaphy/core/error.h"
+#include "novaphy/core/sim/enums.h"
+#include "novaphy/dynamics/semi_implicit/rigid_contact_trace.h"
+#include "novaphy/math/matrix.h"
+#include "novaphy/math/spatial.h"
+
+namespace novaphy {
+namespace {
+
+constexpr size_t kModes = 4;  // ke, kd, kf, stick_ke
+
+using Six = std::array<float, 6>;
+struct Matrix {
+  float m[6][6] = {};
+  void add(float k, const Six& j) {
+    for (size_t a = 0; a < 6; ++a)
+      for (size_t b = 0; b < 6; ++b) m[a][b] += k * j[a] * j[b];
+  }
+};
+using Modes = std::array<Matrix, kModes>;
+
+Six motion(const Vec3f& u, const Vec3f& arm) {
+  const Vec3f turn = math::cross(arm, u);
+  return {u.x, u.y, u.z, turn.x, turn.y, turn.z};
+}
+
+// M^-1 y of a body that is turned by q.
+Six accelerate(const Six& y, float inv_mass, const Mat33f& inv_inertia, const Quatf& q) {
+  const Vec3f t = math::rotate(
+      q, math::multiply(inv_inertia, math::rotate_inverse(q, Vec3f{y[3], y[4], y[5]})));
+  return {y[0] * inv_mass, y[1] * inv_mass, y[2] * inv_mass, t.x, t.y, t.z};
+}
+
+// The largest eigenvalue of M^-1 A, by power iteration.
+template <class Accelerate>
+float largest(const Matrix& a, Accelerate accelerate) {
+  Six x = {1.0f, 0.9f, -0.8f, 0.7f, 0.6f, -0.5f};
+  float w = 0.0f;
+  for (int k = 0; k < 48; ++k) {
+    Six y{};
+    for (size_t i = 0; i < 6; ++i)
+      for (size_t j = 0; j < 6; ++j) y[i] += a.m[i][j] * x[j];
+    const Six z = accelerate(y);
+    float xy = 0.0f, yz = 0.0f, zz = 0.0f;
+    for (size_t i = 0; i < 6; ++i) {
+      xy += x[i] * y[i];
+      yz += y[i] * z[i];
+      zz += z[i] * z[i];
+    }
+    if (!(xy > 0.0f) || !(zz > 0.0f)) return w;
+    w = yz / xy;
+    for (size_t i = 0; i < 6; ++i) x[i] = z[i] / std::sqrt(zz);
+  }
+  return w;
+}
+
+// What the model and the contacts hold, on the host.
+struct Rows {
+  Rows(const Model& m, const SimState& state, const Contacts& c)
+      : q(state.body_q.to_host()),
+        com(m.body_com.to_host()),
+        flags(m.body_flags.to_host()),
+        body(m.shape_body.to_host()),
+        ke(m.shape_material_ke.to_host()),
+        kd(m.shape_material_kd.to_host()),
+        kf(m.shape_material_kf.to_host()),
+        row_ke(c.rigid_contact_stiffness.to_host()),
+        row_kd(c.rigid_contact_damping.to_host()),
+        contacts(c.rigid_contacts()) {
+    const auto count = static_cast<int32_t>(body.size());
+    for (const RigidContact& row : contacts)
+      require(row.shape0 >= 0 && row.shape0 < count && row.shape1 >= 0 && row.shape1 < count,
+              ErrorKind::Index, "contacts: rigid_contact_shape0, _shape1: expected 0 to ",
+              count - 1, ", got ", row.shape0, " and ", row.shape1);
+  }
+
+  bool moves(int32_t b) const {
+    return b >= 0 && !has_flag(flags[static_cast<size_t>(b)], BodyFlags::KINEMATIC);
+  }
+  Transformf pose(int32_t b) const {
+    return b < 0 ? Transformf::identity() : q[static_cast<size_t>(b)];
+  }
+
+  std::vector<Transformf> q;
+  std::vector<Vec3f> com;
+  std::vector<int32_t> flags, body;
+  std::vector<float> ke, kd, kf, row_ke, row_kd;
+  std::vector<RigidContact> contacts;
+};
+
+void add_row(const Rows& rows, size_t k, OtherBodies others, float stick_ke,
+             std::vector<Modes>& modes) {
+  const RigidContact& c = rows.contacts[k];
+  const size_t shapes[2] = {static_cast<size_t>(c.shape0), static_cast<size_t>(c.shape1)};
+  const int32_t bodies[2] = {rows.body[shapes[0]], rows.body[shapes[1]]};
+  const Vec3f at[2] = {
+      math::transform_point(rows.pose(bodies[0]), c.point0) + c.normal * c.margin0,
+      math::transform_point(rows.pose(bodies[1]), c.point1) - c.normal * c.margin1};
+  if (!(math::dot(c.normal, at[1] - at[0]) < 0.0f)) return;
+  const auto mean = [&](const std::vector<float>& of) {
+    return (of[shapes[0]] + of[shapes[1]]) * 0.5f;
+  };
+  const auto own = [&](const std::vector<float>& of_rows, float of_shapes) {
+    return of_rows.empty() || !(of_rows[k] > 0.0f) ? of_shapes : of_rows[k];
+  };
+  const bool both = rows.moves(bodies[0]) && rows.moves(bodies[1]);
+  const float f = both && others == OtherBodies::InAntiphase ? 2.0f : 1.0f;
+  const float normal[2] = {f * own(rows.row_ke, mean(rows.ke)),
+                           f * own(rows.row_kd, mean(rows.kd))},
+              along[2] = {f * mean(rows.kf), f * stick_ke};
+  for (size_t side = 0; side < 2; ++side) {
+    if (!rows.moves(bodies[side])) continue;
+    const auto b = static_cast<size_t>(bodies[side]);
+    const Vec3f arm = at[side] - math::transform_point(rows.q[b], rows.com[b]);
+    const Six n = motion(c.normal, arm);
+    Modes& m = modes[b];
+    for (size_t i = 0; i < 2; ++i) {
+      m[i].add(normal[i], n);
+      for (const Vec3f& u : {Vec3f{1, 0, 0}, Vec3f{0, 1, 0}, Vec3f{0, 0, 1}})
+        m[2 + i].add(along[i], motion(u, arm));
+      m[2 + i].add(-along[i], n);
+    }
+  }
+}
+
+}  // namespace
+
+ContactStability contact_stability(const Model& model, const SimState& state,
+                                   const Contacts& contacts, OtherBodies others, float stick_ke) {
+  const Rows rows(model, state, contacts);
+  std::vector<Modes> modes(rows.q.size());
+  for (size_t k = 0; k < rows.contacts.size(); ++k) add_row(rows, k, others, stick_ke, modes);
+  const std::vector<float> inv_mass = model.body_inv_mass.to_host();
+  const std::vector<Mat33f> inv_inertia = model.body_inv_inertia.to_host();
+  constexpr float kNone = std::numeric_limits<float>::infinity();
+  ContactStability limits = {{kNone}, {kNone}, {kNone}, {kNone}};
+  ContactStability::Limit* const of[kModes] = {&limits.ke, &limits.kd, &limits.kf,
+                                               &limits.stick_ke};
+  for (size_t b = 0; b < modes.size(); ++b)
+    for (size_t i = 0; i < kModes; ++i) {
+      const float w = largest(modes[b][i], [&](const Six& y) {
+        return accelerate(y, inv_mass[b], inv_inertia[b], rows.q[b].q);
+      });
+      const float dt = 2.0f / (i == 0 || i == 3 ? std::sqrt(w) : w);
+      if (w > 0.0f && dt < of[i]->dt) *of[i] = {dt, static_cast<int32_t>(b)};
+    }
+  return limits;
+}
+
+}  // namespace novaphy

@@ -9,8 +9,10 @@
 
 #include "fcl_penetration.h"
 #include "novaphy/collision/box_pairs.h"
+#include "novaphy/core/array_stamp.h"
 #include "novaphy/core/device_kernel.h"
 #include "novaphy/core/error.h"
+#include "novaphy/core/recorder.h"
 #include "novaphy/core/sim/model_builder.h"
 #include "rigid_contact_kernels.h"
 #include "rigid_mesh_kernels.h"
@@ -94,6 +96,9 @@ struct RigidContacts::Impl {
   // Scratch, kept from call to call.
   std::shared_ptr<Storage> shapes, manifolds, mesh_rows, mesh_scratch;
   DeviceArray<int32_t> counts, before;
+  // rigid_contact_shape0 as the last call left it, empty behind `used` rows.
+  ArrayStamp emptied;
+  int64_t used = 0;
 
   std::array<const Array*, 7> choosing() const {
     const Model& m = *model;
@@ -387,6 +392,9 @@ void RigidContacts::collide(const SimState& state, Contacts& c) {
                       writes("rigid_contact_margin1", c.rigid_contact_margin1),
                       writes("rigid_contact_point_id", c.rigid_contact_point_id)};
   };
+  // Where the host waits for the rows, those behind the last one need no second look.
+  const bool waits = device.is_cpu() && launch_recorder() == nullptr;
+  const bool knows_empty = waits && impl_->emptied.matches(c.rigid_contact_shape0);
   if (sweeps || impl_->pair_count > 0) {
     kernels().shape.launch(
         device, m.shape_count(),
@@ -432,7 +440,13 @@ void RigidContacts::collide(const SimState& state, Contacts& c) {
                     reads("shapes", shapes), reads("mesh_rows", bytes(impl_->mesh_rows)),
                     reads("before", impl_->before)));
   }
-  kernels().clear.launch(device, rows + 1,
+  int64_t used = rows;
+  if (waits) {
+    const Unobserved unobserved;
+    used = pairs > 0 ? std::min<int64_t>(rows, *c.rigid_contact_count.data()) : 0;
+  }
+  const int64_t last = knows_empty ? std::max(used, impl_->used) : rows;
+  kernels().clear.launch(device, last + 1,
                          {number(pairs), updates("rigid_contact_count", c.rigid_contact_count),
                           updates("rigid_contact_shape0", c.rigid_contact_shape0),
                           writes("rigid_contact_shape1", c.rigid_contact_shape1),
@@ -445,6 +459,9 @@ void RigidContacts::collide(const SimState& state, Contacts& c) {
                           writes("rigid_contact_margin1", c.rigid_contact_margin1),
                           writes("rigid_contact_point_id", c.rigid_contact_point_id),
                           writes("rigid_contact_force", c.rigid_contact_force)});
+  impl_->emptied.reset();
+  if (waits) impl_->emptied.set(c.rigid_contact_shape0);
+  impl_->used = used;
 }
 
 }  // namespace novaphy::detail

@@ -173,6 +173,40 @@ TEST(RigidContacts, UnusedRowsAreEmptyAgainWhenTheBodyHasLeft) {
   }
 }
 
+// Whatever the call before has left in them, and whoever has written there since.
+TEST(RigidContacts, AreThoseOfEmptyContactsWhateverWasInThem) {
+  ModelBuilder builder;
+  builder.add_ground_plane();
+  for (int32_t b = 0; b < 3; ++b) {
+    builder.add_body({.xform = at(0.5f * float(b), 0.0f, 0.1f)});
+    builder.add_shape_box(b, {.hx = 0.1f, .hy = 0.1f, .hz = 0.1f});
+  }
+  const auto model = builder.finalize(Device::cpu());
+  CollisionPipeline pipeline(model, {.broad_phase = BroadPhase::Sap});
+  Contacts used[2] = {pipeline.contacts(), pipeline.contacts()};
+  SimState state = model->state();
+  const size_t rows = size_t(used[0].rigid_contact_max());
+  for (int trial = 0; trial < 40; ++trial) {
+    std::vector<Transformf> q;
+    for (int32_t b = 0; b < 3; ++b)
+      q.push_back(at(0.5f * float(b), 0.0f, (trial * 7 + b * 3) % 5 < 2 ? 5.0f : 0.1f));
+    state.body_q.copy_from_host(std::span<const Transformf>(q));
+    Contacts& contacts = used[trial % 3 == 0 ? 1 : 0];
+    if (trial % 5 == 0) contacts.rigid_contact_shape0.copy_from_host(std::vector<int32_t>(rows, 2));
+    if (trial % 7 == 0) contacts.rigid_contact_count.fill(0);
+    pipeline.collide(state, contacts);
+    Contacts fresh = pipeline.contacts();
+    CollisionPipeline(model).collide(state, fresh);
+    EXPECT_EQ(contacts.rigid_contacts(), fresh.rigid_contacts()) << trial;
+    EXPECT_EQ(contacts.rigid_contact_shape0.to_host(), fresh.rigid_contact_shape0.to_host())
+        << trial;
+    EXPECT_EQ(contacts.rigid_contact_shape1.to_host(), fresh.rigid_contact_shape1.to_host())
+        << trial;
+    EXPECT_EQ(contacts.rigid_contact_normal.to_host(), fresh.rigid_contact_normal.to_host())
+        << trial;
+  }
+}
+
 TEST(RigidContacts, KnowWhichPosesTheyWereFoundFrom) {
   ModelBuilder builder;
   builder.add_ground_plane();

@@ -55,7 +55,9 @@ float largest(const Matrix& a, Accelerate accelerate) {
       zz += z[i] * z[i];
     }
     if (!(xy > 0.0f) || !(zz > 0.0f)) return w;
+    const float before = w;
     w = yz / xy;
+    if (std::abs(w - before) <= 1e-4f * w) return w;
     for (size_t i = 0; i < 6; ++i) x[i] = z[i] / std::sqrt(zz);
   }
   return w;

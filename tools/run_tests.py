@@ -263,8 +263,11 @@ def io() -> None:
 @step
 def cpu() -> None:
     """The forward engine, without the tensor runtime."""
-    build("cpu")
+    tree = build("cpu")
     ctest("cpu", "--preset", "cpu")
+    # 10^4 poses against exact distances, 10^6 pairs of all kinds: a minute.
+    many = ("--gtest_also_run_disabled_tests", "--gtest_filter=ConvexPairs.DISABLED_*")
+    run("cpu", tree / "bin" / "test_geometry", *many)
 
 
 @step

@@ -20,9 +20,12 @@ void bind_collision(py::module_& m) {
                        int32_t contacts_per_pair, std::optional<int32_t> soft_contact_max,
                        std::optional<float> soft_contact_margin,
                        std::optional<float> soft_contact_gap, std::optional<bool> requires_grad,
-                       bool deterministic) {
+                       bool deterministic, bool reduce_contacts) {
              require(!soft_contact_margin || !soft_contact_gap, ErrorKind::Value,
                      "soft_contact_gap: another name of soft_contact_margin; give one of them");
+             require(reduce_contacts, ErrorKind::NotImplemented,
+                     "reduce_contacts: expected True: the contacts of a mesh with a shape are always "
+                     "reduced, to at most 32 rows");
              CollisionOptions options;
              options.broad_phase = parse_broad_phase(broad_phase);
              options.narrow_phase = parse_narrow_phase(narrow_phase);
@@ -39,7 +42,7 @@ void bind_collision(py::module_& m) {
            "narrow_phase"_a = "auto", "rigid_contact_max"_a = py::none(), "contacts_per_pair"_a = 8,
            "soft_contact_max"_a = py::none(), "soft_contact_margin"_a = py::none(),
            "soft_contact_gap"_a = py::none(), "requires_grad"_a = py::none(),
-           "deterministic"_a = true,
+           "deterministic"_a = true, "reduce_contacts"_a = true,
            "broad_phase: \"explicit\" (model.shape_contact_pairs), \"nxn\" (the pairs that flags, "
            "groups and worlds of shapes now allow) or \"sap\" (the same by sweep and prune; in a "
            "capture or on a tape with room for 16 pairs of each shape, or for a quarter more than a "
@@ -51,7 +54,7 @@ void bind_collision(py::module_& m) {
            "shapes that are no planes; soft_contact_max None: as many "
            "slots as candidate pairs; soft_contact_margin, "
            "m, 0.01 by default "
-           "(soft_contact_gap is another name for it).")
+           "(soft_contact_gap is another name for it); reduce_contacts: True, of meshes only.")
       .def_property_readonly(
           "model",
           [](const CollisionPipeline& p) { return std::const_pointer_cast<Model>(p.model()); },

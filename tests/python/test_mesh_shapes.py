@@ -160,6 +160,13 @@ def test_the_gradient_of_a_bounce_off_a_mesh_is_that_of_frozen_contacts() -> Non
     assert abs(gradient - difference) < 2e-2 * abs(difference)
 
 
+def test_contacts_of_meshes_are_always_reduced() -> None:
+    model = novaphy.ModelBuilder().finalize()
+    novaphy.CollisionPipeline(model, reduce_contacts=True)
+    with pytest.raises(NotImplementedError, match="reduce_contacts: expected True"):
+        novaphy.CollisionPipeline(model, reduce_contacts=False)
+
+
 def test_a_height_field_is_a_terrain_that_carries_what_lies_on_it() -> None:
     """A slope of heights carries a ball as the plane does, and triangles look up."""
     slope = 0.3

@@ -576,6 +576,7 @@ class CollisionPipeline(_Native):
         soft_contact_gap: SupportsFloat | None = None,
         requires_grad: bool | None = None,
         deterministic: bool = True,
+        reduce_contacts: bool = True,
     ) -> None: ...
     @property
     def model(self) -> Model: ...

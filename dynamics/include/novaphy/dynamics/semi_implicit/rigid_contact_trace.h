@@ -57,14 +57,12 @@ RigidContactMaterial<T> mean_rigid_contact_material(const RigidContactMaterial<T
 
 // With the stiffness, damping and coefficient of friction of the row, where they are > 0.
 template <class T>
-RigidContactMaterial<T> rigid_contact_material_of_row(RigidContactMaterial<T> of_shapes,
+RigidContactMaterial<T> rigid_contact_material_of_row(const RigidContactMaterial<T>& of_shapes,
                                                       const T& ke, const T& kd, const T& mu) {
   using namespace math;
   const T zero = T(0.0f);
-  of_shapes.ke = select(ke > zero, ke, of_shapes.ke);
-  of_shapes.kd = select(kd > zero, kd, of_shapes.kd);
-  of_shapes.mu = select(mu > zero, mu, of_shapes.mu);
-  return of_shapes;
+  return {select(ke > zero, ke, of_shapes.ke), select(kd > zero, kd, of_shapes.kd), of_shapes.kf,
+          of_shapes.ka, select(mu > zero, mu, of_shapes.mu)};
 }
 
 // One side of a contact.

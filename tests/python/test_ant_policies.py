@@ -72,20 +72,70 @@ def test_flags_and_files_that_are_wrong_are_named(tmp_path):
         assert done.returncode == 1 and message in done.stderr, (name, done.stderr)
     done = walk("--train", "1", "--train-horizon", "5000", "--headless", "0")
     assert done.returncode == 2 and "--train-horizon: expected 1 to 400" in done.stderr
+    done = walk("--train", "1", "--segment", "0", "--headless", "0")
+    assert done.returncode == 2 and "--segment: expected a number of frames" in done.stderr
+    for flag, message in (("--policy", "no-such.npz"), ("--save-policy", "no-such/x.npz")):
+        done = walk(flag, str(tmp_path / message), "--headless", "1")
+        assert done.returncode != 0 and message in done.stderr and "Traceback" not in done.stderr
 
 
-def test_the_frozen_gradient_is_that_of_its_linearised_replay(demos, monkeypatch):
+def tuning_of(monkeypatch, *flags: str):
     import demo_diffsim_ant_walk as demo
 
-    monkeypatch.setattr(sys, "argv", ["demo", "--train-horizon", "2", "--headless", "0"])
+    monkeypatch.setattr(sys, "argv", ["demo", "--headless", "0", *flags])
     actor, _ = demo.load_actor(demo.POLICY, "dva")
-    tuning = demo.Tuning(actor, demo.arguments())
+    return demo, actor, demo.Tuning(actor, demo.arguments())
+
+
+@pytest.mark.parametrize(("frames", "segment"), [("2", "8"), ("5", "2")])
+def test_the_frozen_gradient_is_that_of_its_linearised_replay(demos, monkeypatch, frames, segment):
+    flags = ("--train-horizon", frames, "--segment", segment)
+    _, _, tuning = tuning_of(monkeypatch, *flags)
     records = tuning.record(tuning.bias)
     gradient = tuning.gradient(tuning.bias, records)
     for k in range(8):
         step = 1e-4 * np.eye(8)[k]
         ends = [tuning.replay(records, tuning.bias + s * step) for s in (1.0, -1.0)]
         assert gradient[k] == pytest.approx((ends[0] - ends[1]) / 2e-4, rel=1e-3, abs=1e-6)
+
+
+def test_segments_begin_where_the_rollout_of_the_actor_passes(demos, monkeypatch):
+    demo, _, tuning = tuning_of(monkeypatch, "--train-horizon", "6", "--segment", "2")
+    q, qd, last, first = tuning.begin(tuning.bias)
+    assert len(q) == 3 * demo.STARTS
+    ants = tuning.worlds(demo.STARTS)
+    ants.set_state(*tuning.starts)
+    for k in range(5):
+        if k % 2 == 0:
+            rows = slice(k // 2 * demo.STARTS, (k // 2 + 1) * demo.STARTS)
+            np.testing.assert_array_equal(q[rows], ants.q)
+            np.testing.assert_array_equal(qd[rows], ants.qd)
+            np.testing.assert_array_equal(first[rows], tuning.starts[0])
+        a = np.tanh(tuning.means(ants.observations(), tuning.bias))
+        ants.step(a)
+        if k == 3:
+            np.testing.assert_allclose(last[2 * demo.STARTS :], a)
+
+
+def test_an_ant_that_changed_walks_less_and_tuning_is_judged_on_its_whole_way(
+    demos, monkeypatch, capsys
+):
+    flags = ("--adapt", "--train-horizon", "40", "--segment", "4")
+    demo, actor, tuning = tuning_of(monkeypatch, *flags)
+    changed = tuning.frames.ants
+    assert np.all(changed.varied["friction"] == 0.5) and np.all(changed.varied["gear"][:, 0] == 0.7)
+    assert changed.model.body_mass.numpy()[0] == pytest.approx(1.2 * 96.776, rel=1e-4)
+    before, after, kept = tuning.train()
+    assert after < before if kept else after == before
+    moved = tuning.bias != actor["mu.bias"].numpy()
+    assert kept == moved.any()
+    monkeypatch.setattr(demo, "HELD_OUT", (777,))
+    monkeypatch.setattr(demo, "HELD_OUT_FRAMES", 20)
+    demo.report_adaptation(actor, actor, tuning, demo.arguments())
+    told = capsys.readouterr().out
+    assert "tuned: 0% of the loss is back" in told or "-0%" in told, told
+    nominal, lost = (float(told.split(", ")[k].split(" m")[0].split()[-1]) for k in (2, 3))
+    assert nominal != lost
 
 
 def test_exact_derivatives_of_a_frame_point_where_differences_of_the_solver_do(demos):

@@ -5,11 +5,11 @@ With --train the biases before the last tanh move against the gradient of
 
     -(x_H - x_0) / (0.05 H) + mean y^2 + mean tilt^2 + 1e-3 mean |change of the actions|^2
 
-over H frames, from eight states of a walking Ant in one batch. The gradient is a direct force
-sensitivity: the biases' torques go through the mass matrix of every step of 1 ms, projected into
-the null space of the contacts' normals. Longer horizons are cut into segments of --segment frames,
-whose gradients are summed: a gradient through many contacts tells nothing. A candidate is kept only
-when the ordinary solver measures a lower loss over the whole horizon.
+over H frames, from eight states of walking Ants (--starts) in one batch. The gradient is a direct
+force sensitivity: the biases' torques go through the mass matrix of every step of 1 ms, projected
+into the null space of the contacts' normals. Longer horizons are cut into segments of --segment
+frames, whose gradients are summed: one through many contacts tells nothing. A candidate is kept
+only when the ordinary solver measures a lower loss over the whole horizon.
 
     python demo_diffsim_ant_walk.py
     python demo_diffsim_ant_walk.py --headless 200
@@ -17,7 +17,7 @@ when the ordinary solver measures a lower loss over the whole horizon.
     python demo_diffsim_ant_walk.py --train 5 --headless 200
     python demo_diffsim_ant_walk.py --policy tuned.npz --headless 200
     python demo_diffsim_ant_walk.py --check-gradient
-    python demo_diffsim_ant_walk.py --adapt --train 10 --train-horizon 200 --headless 0
+    python demo_diffsim_ant_walk.py --adapt --train 10 --train-horizon 100 --starts 32 --headless 0
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ from novaphy import nova, viewer
 from novaphy.envs import ACTIONS, AntWorlds, rotate, rotate_back
 
 POLICY = DATA / "ant_walker.npz"
-STARTS, WARM_UP = 8, 40  # states of a walking Ant, frames that it walked before
+WARM_UP = 40  # frames that the Ants walked before the starts
 STEPS = 2.0 ** -np.arange(0.0, 6.0)  # of the candidates, times the largest
 LARGEST = 0.03  # change of a bias in a step
 LEFT_OUT = (
@@ -73,19 +73,20 @@ class Tuning:
 
     def __init__(self, actor: Actor, args: argparse.Namespace) -> None:
         """Let the starts walk."""
+        self.starts_count = args.starts
         self.actor, self.ant, self.adapt = actor, args.ant, args.adapt
         self.horizon, self.segment, self.kind = args.train_horizon, args.segment, args.gradient
         self.bias = actor["mu.bias"].numpy().astype(np.float64)
         self.shift = 0  # frames before the first segment; others behind a step that was not kept
-        warm = self.worlds(STARTS, seed=args.seed, noise=0.1)
+        warm = self.worlds(self.starts_count, seed=args.seed, noise=0.1)
         for _ in range(WARM_UP):
             warm.step(act(actor, warm.observations()))
         self.starts = warm.q, warm.qd
         self.last = act(actor, warm.observations())
         kind = "exact" if self.kind == "exact" else "frozen"
-        worlds = self.worlds(STARTS * self.segments())
+        worlds = self.worlds(self.starts_count * self.segments())
         self.frames = make_frames(worlds, kind, tangents=self.kind == "sticking")
-        self.search = self.worlds(STARTS * len(STEPS))
+        self.search = self.worlds(self.starts_count * len(STEPS))
 
     def worlds(self, count: int, **options) -> AntWorlds:
         """Ants, with the changes that are to be adapted to."""
@@ -111,10 +112,10 @@ class Tuning:
 
     def losses(self, biases: np.ndarray) -> np.ndarray:
         """Of real rollouts with biases {m, 8} from all starts, {m}."""
-        count = len(biases) * STARTS
+        count = len(biases) * self.starts_count
         ants = self.search if count == self.search.num_worlds else self.worlds(count)
         ants.set_state(*(np.tile(x, (len(biases), 1)) for x in self.starts))
-        bias = np.repeat(biases, STARTS, axis=0)
+        bias = np.repeat(biases, self.starts_count, axis=0)
         last = np.tile(self.last, (len(biases), 1))
         first, total = ants.q, np.zeros(count)
         for _ in range(self.horizon):
@@ -123,7 +124,7 @@ class Tuning:
             total += self.frame_loss(ants.q, first, a, last)
             last = a
         total -= (ants.q[:, 0] - first[:, 0]) / (0.05 * self.horizon)
-        return np.nan_to_num(total, nan=1e9).reshape(len(biases), STARTS).mean(axis=1)
+        return np.nan_to_num(total, nan=1e9).reshape(len(biases), self.starts_count).mean(axis=1)
 
     def frame_loss(self, q, first, a, last) -> np.ndarray:
         """Of the end of a frame, without the way."""
@@ -147,7 +148,7 @@ class Tuning:
 
     def begin(self, bias: np.ndarray):
         """Where the segments of a rollout begin: states, actions before, starts of the rollout."""
-        ants, found, last = self.worlds(STARTS), [], self.last
+        ants, found, last = self.worlds(self.starts_count), [], self.last
         ants.set_state(*self.starts)
         for k in range(self.shift + self.segment * (self.segments() - 1) + 1):
             if k >= self.shift and (k - self.shift) % self.segment == 0:
@@ -195,7 +196,7 @@ class Tuning:
             total += g_mean
             if self.kind == "exact":
                 g = g + np.einsum("na,nas->ns", g_mean, self.policy_jacobian(r))
-        return total.sum(axis=0) / STARTS
+        return total.sum(axis=0) / self.starts_count
 
     def policy_jacobian(self, r: dict) -> np.ndarray:
         """Of the means by tangents and rates {n, 8, 28}, through the observations."""
@@ -255,7 +256,7 @@ class Tuning:
             total += self.frame_loss(q, r["first"], a, last)
             last = a
         way = records[-1]["end"][:, 0].astype(np.float64) + e[:, 0] - records[0]["q"][:, 0]
-        return float((total - way / (0.05 * self.horizon)).sum() / STARTS)
+        return float((total - way / (0.05 * self.horizon)).sum() / self.starts_count)
 
     def check_gradient(self) -> bool:
         """Against differences of the linearised replay, and of real rollouts."""
@@ -273,7 +274,9 @@ class Tuning:
             print(f"linearised replay: relative error {error:.1e} (tolerance 1e-03)")
         wanted, one = (self.horizon, self.segment, self.frames), None
         kind = "exact" if self.kind == "exact" else "frozen"
-        self.frames = make_frames(self.worlds(STARTS), kind, tangents=self.kind == "sticking")
+        self.frames = make_frames(
+            self.worlds(self.starts_count), kind, tangents=self.kind == "sticking"
+        )
         print("real rollouts:  H   eps     cosine  ratio of norms")
         for self.horizon in (1, 2, 4, 8):
             self.segment = self.horizon
@@ -306,16 +309,22 @@ def moved(q: np.ndarray, e: np.ndarray) -> np.ndarray:
     return q
 
 
-def returns(actor: Actor, ants: AntWorlds, seed: int) -> float:
-    """The mean way (m) of an actor from starts of a seed."""
+def returns(actor: Actor, ants: AntWorlds, tuning: Tuning, seed: int) -> np.ndarray:
+    """The mean return (what the tuning's loss is the negative of) and way (m) of an actor from
+    starts of a seed."""
     ants.reseed(seed)
     ants.reset()
-    alive, way = np.ones(ants.num_worlds, bool), np.zeros(ants.num_worlds)
+    first, last = ants.q, np.zeros((ants.num_worlds, ACTIONS))
+    alive, way, cost = np.ones(ants.num_worlds, bool), *np.zeros((2, ants.num_worlds))
     for _ in range(HELD_OUT_FRAMES):
-        ants.step(act(actor, ants.observations()))
+        a = act(actor, ants.observations())
+        ants.step(a)
         alive &= ants.healthy()
-        way[alive] = ants.q[alive, 0]
-    return float(way.mean())
+        way[alive] = ants.q[alive, 0] - first[alive, 0]
+        cost += np.where(alive, tuning.frame_loss(ants.q, first, a, last) * tuning.horizon, 1.0)
+        last = a
+    gained = way / (0.05 * HELD_OUT_FRAMES) - cost / HELD_OUT_FRAMES
+    return np.array([gained.mean(), way.mean()])
 
 
 def play(actor: Actor, args: argparse.Namespace) -> dict[str, bool]:
@@ -356,6 +365,9 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--save-policy", metavar="PATH.npz", help="write the tuned actor")
     parser.add_argument("--train", type=int, default=0, metavar="N", help="steps of fine-tuning")
     parser.add_argument("--train-horizon", type=int, default=8, metavar="H", help="frames")
+    parser.add_argument(
+        "--starts", type=int, default=8, metavar="N", help="states that are tuned on"
+    )
     parser.add_argument("--segment", type=int, default=8, metavar="S", help="frames of a gradient")
     parser.add_argument("--check-gradient", action="store_true", help="compare with differences")
     parser.add_argument(
@@ -378,8 +390,9 @@ def arguments() -> argparse.Namespace:
             "--train-horizon: expected 1 to 400 frames, whose steps fit into memory, got "
             f"{args.train_horizon}"
         )
-    if args.segment < 1:
-        parser.error(f"--segment: expected a number of frames >= 1, got {args.segment}")
+    for name, value in (("segment", args.segment), ("starts", args.starts)):
+        if value < 1:
+            parser.error(f"--{name}: expected a number >= 1, got {value}")
     if args.save_policy and not Path(args.save_policy).resolve().parent.is_dir():
         parser.error(f"--save-policy: the folder of {args.save_policy} does not exist")
     if args.check_gradient and args.live:
@@ -393,18 +406,21 @@ def report_adaptation(
     """The share of the lost way that is back, on held-out starts."""
     plain = AntWorlds(32, ant=args.ant, noise=0.1)
     changed = tuning.worlds(32, noise=0.1)
-    ways = []
-    for seed in HELD_OUT:
-        ways.append([returns(before, plain, seed)] + [returns(x, changed, seed)
-                    for x in (before, after)])  # fmt: skip
-    nominal, lost, found = np.array(ways).T
-    shares = (found - lost) / (nominal - lost)
-    print(
-        f"adaptation, {len(HELD_OUT)} times 32 held-out starts, {HELD_OUT_FRAMES} frames: "
-        f"{nominal.mean():.3f} m before the changes, {lost.mean():.3f} m with them, "
-        f"{found.mean():.3f} m tuned: {(found - lost).sum() / (nominal - lost).sum():.0%} of the "
-        f"loss is back (by seed {', '.join(f'{x:.0%}' for x in shares)})"
-    )
+    found = np.array([
+        [returns(before, plain, tuning, seed)]
+        + [returns(x, changed, tuning, seed) for x in (before, after)]
+        for seed in HELD_OUT
+    ])  # fmt: skip
+    print(f"adaptation, {len(HELD_OUT)} times 32 held-out starts, {HELD_OUT_FRAMES} frames")
+    for k, name in enumerate(("return", "way (m)")):
+        nominal, lost, tuned = found[:, :, k].T
+        share = (tuned - lost).sum() / (nominal - lost).sum()
+        shares = (tuned - lost) / (nominal - lost)
+        print(
+            f"  {name}: {nominal.mean():.3f} before the changes, {lost.mean():.3f} with them, "
+            f"{tuned.mean():.3f} tuned: {share:.0%} of the loss is back "
+            f"(by seed {', '.join(f'{x:.0%}' for x in shares)})"
+        )
 
 
 def main() -> int:

@@ -173,7 +173,7 @@ class ExactFrames:
     def __init__(self, ants: AntWorlds) -> None:
         """For a batch of worlds, whose solver and states are taken."""
         self.ants, self.worlds = ants, ants.num_worlds
-        self.solver = novaphy.solvers.DiffFeatherstoneSolver(ants.model, angular_damping=0.0)
+        self.solver = novaphy.solvers.DiffFeatherstoneSolver(ants.model, **ants.solver_options)
         self.lead = None  # as of FrozenFrames; called once a frame, for its middle
 
     def label(self) -> str:

@@ -33,14 +33,18 @@ from ant_gradients import frame_jacobians, make_frames
 from ant_objective import (
     ANKLE,
     ANKLE_SIGN,
+    FREE,
     PERIOD,
     SIDES,
     SPEED,
+    WEIGHTS,
     Servo,
     axis,
     phase,
     residuals,
 )
+from ant_robustness import NAMES as NAMES_OF_DISTURBANCES
+from ant_robustness import Disturbances
 from demo_common import run, save_figure, verdict
 
 from novaphy import nova, viewer
@@ -48,7 +52,7 @@ from novaphy.envs import ACTIONS, AntWorlds, asset_hash, check_meta
 
 GAIT = DATA / "periodic_ant_natural_gait.npz"
 FEATURES = 10
-HEIGHT = 0.64  # m, of the torso when it walks
+HEIGHT = 0.61  # m, of the torso when it walks
 WAVES = ("1", "sin p", "cos p", "sin 2p", "cos 2p")
 # Of ankles and hips differ the height of the torso or y, and its velocity or heading.
 NAMES = (*WAVES, "height/y", "velocity/heading", "tilt", "angle", "rate")
@@ -75,6 +79,12 @@ DAMPING = 10.0 ** np.linspace(-3.5, 3.0, 8)  # over the largest curvature
 SHORTEST = 0.05  # part of a step that is tried
 CANDIDATES = len(LENGTHS) * len(DAMPING)
 FALLEN = 50.0  # loss of a frame of an Ant that fell
+CONTACTS = {"pgs_slop": 5e-4}  # m, an overlap of feet and ground that stays
+
+
+def make_worlds(count: int, ant: str) -> AntWorlds:
+    """Ants of this demo."""
+    return AntWorlds(count, ant=ant, **CONTACTS)
 
 
 class Actor:
@@ -120,12 +130,15 @@ class Actor:
 class Trainer:
     """Gradient steps on an actor over a horizon."""
 
-    def __init__(self, actor: Actor, kind: str, ant: str, seed: int, verbose: bool) -> None:
+    def __init__(
+        self, actor: Actor, kind: str, ant: str, verbose: bool = False, candidates: int = CANDIDATES
+    ) -> None:
         """With the gradient of the kind "frozen" or "exact"."""
-        self.actor, self.kind, self.ant, self.seed, self.verbose = actor, kind, ant, seed, verbose
-        self.search = AntWorlds(CANDIDATES, ant=ant, seed=seed)
+        self.actor, self.kind, self.ant, self.verbose = actor, kind, ant, verbose
+        self.search = make_worlds(candidates, ant)
         self.servo = Servo(self.search)
         self.frames = {}
+        self.weights = FREE
         self.label = ""
         self.losses: list[float] = []
 
@@ -144,7 +157,7 @@ class Trainer:
             # Behind a substep the targets of the next one are set.
             ants.step(a, each=lambda s, _, frame=frame: self.servo.lead(frame, s + 1))
             alive &= ants.healthy()
-            r = residuals(ants.q, ants.qd, a, last, frame)[0]
+            r = residuals(ants.q, ants.qd, a, last, frame, self.weights)[0]
             total += np.where(alive, (r**2).sum(axis=1), FALLEN)
             last = a
         total = total / horizon + SMALL * (weights**2).sum(axis=(1, 2))
@@ -155,14 +168,14 @@ class Trainer:
         its Gauss-Newton matrix {80, 80}, summed over segments that begin in every frame."""
         actor, n = self.actor, len(q)
         if n not in self.frames:
-            frames = make_frames(AntWorlds(n, ant=self.ant), self.kind)
+            frames = make_frames(make_worlds(n, self.ant), self.kind)
             self.frames = {n: (frames, Servo(frames.ants))}
         (frames, servo), at = self.frames[n], np.arange(n)
         servo.set(self.servo.strength)
         frames.lead = lambda substep: servo.lead(at, substep)
         by_state, by_action = frame_jacobians(frames, q, qd, a)
         before = np.concatenate([np.zeros((1, ACTIONS)), a[:-1]])
-        r, r_state, r_action = residuals(frames.ants.q, frames.ants.qd, a, before, at)
+        r, r_state, r_action = residuals(frames.ants.q, frames.ants.qd, a, before, at, self.weights)
         self.label = frames.label()
         slope = 1.0 - a**2
         # Of actions by states, and by weights.
@@ -205,6 +218,7 @@ class Trainer:
         that did not the same steps are tried, shorter; behind three the stage ends."""
         actor, accepted, tried = self.actor, 0, 0
         self.servo.set(strength)
+        self.weights = WEIGHTS if strength > 0.0 else FREE
         losses, kept = self.rollouts(np.tile(actor.weights, (CANDIDATES, 1, 1)), horizon)
         first = before = losses[0]
         kept, scale, steps = [x[:, 0] for x in kept], 1.0, None
@@ -233,16 +247,16 @@ class Trainer:
         return accepted / max(tried, 1) if tried else 1.0
 
 
-def random_search(
-    actor: Actor, ant: str, seed: int, seconds: float, horizon: int = 60
-) -> list[float]:
-    """The yardstick: gaussian steps of changing length on the same loss; the losses."""
-    trainer = Trainer(actor, "frozen", ant, seed, False)
-    n, rng = trainer.search.num_worlds, np.random.Generator(np.random.Philox(key=[seed, 9]))
-    until, width = time.perf_counter() + seconds, 0.1
+def random_search(trainer: Trainer, seed: int, seconds: float, horizon: int = 150) -> list[float]:
+    """The yardstick: gaussian steps of changing length on the same loss, without the servo; the
+    losses. Seconds are those of the processor."""
+    actor, n = trainer.actor, trainer.search.num_worlds
+    rng = np.random.Generator(np.random.Philox(key=[seed, 9]))
+    until, width = time.process_time() + seconds, 0.1
+    trainer.servo.set(0.0)
     best = trainer.rollouts(np.tile(actor.weights, (n, 1, 1)), horizon)[0][0]
     losses = [best]
-    while time.perf_counter() < until:
+    while time.process_time() < until:
         candidates = actor.weights + width * rng.standard_normal((n, ACTIONS, FEATURES))
         found, _ = trainer.rollouts(candidates, horizon)
         k = int(np.argmin(found))
@@ -258,6 +272,7 @@ def validate(
     ants: AntWorlds,
     frames: Iterable[int],
     each: Callable[[int, AntWorlds], None] | None = None,
+    push: Callable[[int], np.ndarray | None] = lambda _: None,
 ) -> dict[str, np.ndarray]:
     """Play the actor in all worlds: what GaitMeter measures, and where the Ants end."""
     ants.reset()
@@ -267,7 +282,7 @@ def validate(
     path = [ants.q]
     for k, _ in enumerate(frames):
         q, qd = ants.q, ants.qd
-        ants.step(actor.act(actor.features(q, qd, k)), each=meter)
+        ants.step(actor.act(actor.features(q, qd, k)), push=push(k), each=meter)
         meter.end_frame()
         alive &= ants.healthy()
         drift = np.maximum(drift, np.abs(ants.q[:, 1]))
@@ -311,10 +326,26 @@ def checks_of(result: dict[str, np.ndarray], ratio: float) -> dict[str, tuple[bo
 
 def friction_ratio(actor: Actor, ant: str, frames: int) -> float:
     """The shorter of the distances at friction 0.5 and 1.2 over the longer one."""
-    ants = AntWorlds(2, ant=ant)
+    ants = make_worlds(2, ant)
     ants.vary(friction=[0.5, 1.2])
     distance = validate(actor, ants, range(frames))["distance"]
     return float(max(distance.min(), 0.0) / max(distance.max(), 1e-6))
+
+
+def robustness(actor: Actor, ant: str, seeds: int, frames: int) -> float:
+    """Print what becomes of Ants that differ and are pushed; the part that stays upright."""
+    parts = [(), *((name,) for name in NAMES_OF_DISTURBANCES), NAMES_OF_DISTURBANCES]
+    upright = np.ones(1)
+    for names in parts:
+        ants = make_worlds(seeds if names else 1, ant)
+        result = validate(actor, ants, range(frames), push=Disturbances(ants, 0, names).push)
+        upright, way = result["upright"], result["distance"]
+        told = [*np.percentile(way[upright], (0, 50, 100)), np.median(result["drift"][upright])]
+        print(
+            f"  {', '.join(names) or 'nothing'}: {upright.sum()} of {len(upright)} upright, "
+            + "way {:.2f} / {:.2f} / {:.2f} m (least, median, most), drift {:.2f} m".format(*told)
+        )
+    return float(upright.mean())
 
 
 def save(path: str, actor: Actor, ant: str, seed: int, kind: str) -> None:
@@ -385,10 +416,15 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--repeat", type=float, default=1.0, help="factor of all iterations")
     parser.add_argument("--seconds", type=float, default=np.inf, help="of training at most")
     parser.add_argument("--random-search", action="store_true", help="the yardstick, no gradient")
+    parser.add_argument(
+        "--robustness", type=int, default=0, metavar="N", help="play N seeds that differ, pushed"
+    )
     parser.add_argument("--verbose", action="store_true")
     parser.add_argument("--plot", metavar="PATH.png", help="draw loss and motion")
     args = parser.parse_args()
     viewer.check_arguments(parser, args)
+    if args.robustness < 0 or (args.robustness and not args.headless):
+        parser.error("--robustness: expected a number of seeds >= 0, and --headless with it")
     known = [stage[0] for stage in STAGES]
     args.stages = args.stages.split(",") if args.stages else known
     for name in args.stages:
@@ -402,12 +438,12 @@ def train(args: argparse.Namespace) -> tuple[Actor, list[float], dict[str, bool]
     actor = Actor()
     if args.start:
         actor = load(args.start, args.ant)
+    trainer = Trainer(actor, args.gradient, args.ant, args.verbose)
     begun = time.perf_counter()
     if args.random_search:
-        losses = random_search(actor, args.ant, args.seed, min(args.seconds, 1200.0))
+        losses = random_search(trainer, args.seed, min(args.seconds, 1200.0))
         print(f"random search: loss {losses[0]:.4f} -> {losses[-1]:.4f}, {len(losses)} batches")
         return actor, losses, {}
-    trainer = Trainer(actor, args.gradient, args.ant, args.seed, args.verbose)
     checks = {}
     for name, horizon, iterations, strength in STAGES:
         if name in args.stages:
@@ -428,7 +464,7 @@ def main() -> int:
     else:
         actor, losses, checks = train(args)
         save(args.out, actor, args.ant, args.seed, args.gradient)
-    ants = AntWorlds(1, ant=args.ant)
+    ants = make_worlds(1, args.ant)
     with make_stage(args, ants) as stage:
         for frames in stage.runs(args.headless):
             ants.reset()
@@ -440,6 +476,9 @@ def main() -> int:
     told = checks_of(result, ratio)
     for name, (passed, figure) in told.items():
         print(f"  {'reached' if passed else 'NOT REACHED'}: {name}: {figure}")
+    if args.robustness:
+        upright = robustness(actor, args.ant, args.robustness, args.headless)
+        checks[f"95 % of {args.robustness} seeds upright"] = upright >= 0.95
     if args.headless >= 600:
         checks |= {name: passed for name, (passed, _) in told.items()}
     print(

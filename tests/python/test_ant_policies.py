@@ -19,6 +19,7 @@ pytestmark = [
     pytest.mark.skipif(not novaphy.has_diff(), reason="built with NOVAPHY_WITH_DIFF=OFF"),
 ]
 DEMOS = Path(__file__).parents[2] / "python" / "demos" / "diff"
+GAIT = "periodic_ant_natural_gait.npz"
 POLICIES = DEMOS.parent / "data" / "ant" / "rl_policies"
 
 
@@ -257,6 +258,23 @@ def test_files_of_the_first_actor_that_are_wrong_are_named(tmp_path):
     np.savez(path, weights=np.zeros((8, 10), np.float32), meta=np.array('{"ant": "dva"}'))
     done = scratch("--load", str(path), "--headless", "1")
     assert done.returncode == 1 and "expected features" in done.stderr
+    np.savez(path, weights=np.full((8, 10), np.nan, np.float32), meta=np.array('{"ant": "dva"}'))
+    done = scratch("--load", str(path), "--headless", "1")
+    assert done.returncode == 1 and "weights: expected finite numbers" in done.stderr
+    np.savez(path, weights=np.array([{}]), meta=np.array('{"ant": "dva"}'))
+    done = scratch("--load", str(path), "--headless", "1")
+    assert done.returncode == 1 and "without pickled" in done.stderr
+    np.savez(path, meta=np.array('{"ant": "dva"}'))
+    done = scratch("--load", str(path), "--headless", "1")
+    assert done.returncode == 1 and "it misses weights" in done.stderr
+    done = scratch("--load", str(POLICIES / GAIT), "--ant", "gym", "--headless", "1")
+    assert done.returncode == 1 and "expected a policy of the Ant 'gym'" in done.stderr
+    for flags, message in (
+        (("--robustness", "4"), "--robustness: expected"),
+        (("--variants", "-1"), "--variants: expected"),
+    ):
+        done = scratch("--load", str(POLICIES / GAIT), *flags)
+        assert done.returncode == 2 and message in done.stderr, done.stderr
     done = scratch("--stages", "run", "--headless", "1")
     assert done.returncode == 2 and "--stages: expected names of led-24" in done.stderr
 
@@ -309,13 +327,83 @@ def test_the_loss_of_the_first_actor_sees_the_feet_where_they_are(demos):
     assert np.abs(speed).max() > 0.5
 
 
+def test_worlds_that_differ_are_drawn_from_their_seeds(demos):
+    from ant_robustness import FRICTION, IMPULSE, MASS, SLOPE, Disturbances
+
+    from novaphy.envs import AntWorlds
+
+    ants, one = AntWorlds(40), AntWorlds(1)
+    many, alone = Disturbances(ants, np.arange(40)), Disturbances(one, [7])
+    for name, rows in many.changes.items():
+        assert rows[7] == alone.changes[name][0]
+        np.testing.assert_array_equal(ants.varied[name], np.float32(rows))
+    for name, (low, high) in (("friction", FRICTION), ("mass", MASS)):
+        assert low <= many.changes[name].min() < low + 0.1 * (high - low)
+        assert high >= many.changes[name].max() > high - 0.1 * (high - low)
+    gravity = ants.model.gravity.numpy().reshape(-1, 3)
+    np.testing.assert_allclose(np.arccos(-gravity[:, 2] / 9.81), np.radians(SLOPE), atol=2e-3)
+    pushes = np.stack([many.push(k) for k in range(600)])
+    np.testing.assert_array_equal(pushes[:, 7], [alone.push(k)[0] for k in range(600)])
+    sizes = np.linalg.norm(pushes, axis=2)
+    assert np.all((sizes > 0).sum(axis=0) == 10) and np.all(pushes[..., 2] == 0.0)
+    np.testing.assert_allclose(sizes[sizes > 0] / 20.0, IMPULSE, rtol=1e-5)
+    assert np.abs(pushes.sum(axis=(0, 1))).max() < 0.2 * sizes.sum()
+
+
+def test_training_in_worlds_that_differ_takes_the_mean_of_their_losses(demos):
+    import demo_diffsim_ant_from_scratch as demo
+
+    actor = demo.load(str(demo.GAIT), "dva")
+    weights = np.stack([actor.weights, 0.9 * actor.weights])
+    both = demo.Trainer(actor, "frozen", "dva", candidates=2, variants=2)
+    first = demo.Trainer(actor, "frozen", "dva", candidates=2, variants=1)
+    losses, kept = both.rollouts(weights, 12)
+    of_first, alone = first.rollouts(weights, 12)
+    np.testing.assert_array_equal(kept[0][:, :, 0], alone[0][:, :, 0])
+    assert kept[0].shape == (12, 2, 2, 15) and np.any(kept[0][:, :, 0] != kept[0][:, :, 1])
+    first.disturbed = demo.Disturbances(first.search, [demo.TRAINED_ON + 1] * 2)
+    of_second, _ = first.rollouts(weights, 12)
+    np.testing.assert_allclose(losses, 0.5 * (of_first + of_second), rtol=1e-6)
+    q, qd, a = (x[:, 0] for x in kept)
+    for (g, matrix), (other, _) in zip(
+        both.gradients(q[:, 0], qd[:, 0], a[:, 0], 0),
+        both.gradients(q[:, 1], qd[:, 1], a[:, 1], 1),
+        strict=True,
+    ):
+        assert np.abs(g - other).max() > 1e-3 * np.abs(g).max()
+        np.testing.assert_allclose(matrix, matrix.T, atol=1e-6 * np.abs(matrix).max())
+
+
+def told_of(path: Path) -> tuple[subprocess.CompletedProcess[str], list[str], float]:
+    done = scratch("--load", str(path), "--headless", "600")
+    told = done.stdout.splitlines()
+    return done, told, float(told[-1].split("frames, ")[1].split(" m,")[0])
+
+
 def test_the_ant_that_learned_from_zero_walks_for_half_a_minute():
     """What the file reaches whatever the rounding; the demo says what it does not."""
-    done = scratch("--load", str(POLICIES / "periodic_ant_natural_gait.npz"), "--headless", "600")
-    told = done.stdout.splitlines()
-    for name in ("upright", "more than 0.792 m", "tilt below", "swing clearance", "at most half"):
+    done, told, way = told_of(POLICIES / GAIT)
+    reached = (
+        "upright", "more than 0.792 m", "tilt below", "a final velocity", "0.5 to 2 touchdowns",
+        "swing clearance", "no foot below", "joints in range", "at most half",
+    )  # fmt: skip
+    for name in reached:
         assert any(line.startswith(f"  reached: {name}") for line in told), done.stdout
-    assert float(told[-1].split("frames, ")[1].split(" m,")[0]) > 2.0
-    for name in ("slip below", "no foot below"):
-        assert any(line.startswith(f"  NOT REACHED: {name}") for line in told), done.stdout
+    assert way > 4.0
+    slip = next(line for line in told if "slip below" in line)
+    assert slip.startswith("  NOT REACHED"), slip
+    assert 20.0 < float(slip.split(": ")[2].rstrip("%")) < 70.0, slip
     assert done.returncode == 1 and "CHECK FAILED" in told[-1]
+
+
+def test_the_ant_that_sees_its_heading_withstands_pushes_slopes_and_other_floors(demos):
+    import demo_diffsim_ant_from_scratch as demo
+
+    done, told, way = told_of(POLICIES / "periodic_ant_heading.npz")
+    assert way > 4.0 and any(line.startswith("  reached: upright") for line in told), done.stdout
+    actor, ants = (
+        demo.load(str(POLICIES / "periodic_ant_heading.npz"), "dva"),
+        demo.make_worlds(20, "dva"),
+    )
+    push = demo.Disturbances(ants, np.arange(20)).push
+    assert demo.validate(actor, ants, range(600), push=push)["upright"].mean() >= 0.95

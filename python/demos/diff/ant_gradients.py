@@ -63,6 +63,11 @@ class FrozenFrames:
         # Called with every substep before it, to set targets of the drives.
         self.lead = None
 
+    def vary(self, **values: float) -> None:
+        """Change numbers of the worlds, as AntWorlds.vary."""
+        self.ants.vary(**values)
+        self.mu = self.ants.model.shape_material_mu.numpy()
+
     def label(self) -> str:
         """What the derivative is."""
         held = "sticking feet held" if self.tangents else "normals of contacts held"
@@ -175,6 +180,10 @@ class ExactFrames:
         self.ants, self.worlds = ants, ants.num_worlds
         self.solver = novaphy.solvers.DiffFeatherstoneSolver(ants.model, **ants.solver_options)
         self.lead = None  # as of FrozenFrames; called once a frame, for its middle
+
+    def vary(self, **values: float) -> None:
+        """Change numbers of the worlds, as AntWorlds.vary."""
+        self.ants.vary(**values)
 
     def label(self) -> str:
         """What the derivative is."""

@@ -13,37 +13,37 @@ from novaphy.envs import AntWorlds
 FRICTION, MASS = (0.5, 1.2), (0.9, 1.1)
 SLOPE = 3.0  # degrees
 IMPULSE = 20.0  # N s, of a push; an Ant of 182 kg gets 0.11 m/s
-EVERY, FPS = 60, 20  # frames between two pushes; frames of a second
+EVERY, MOST, FPS = 60, 64, 20  # frames between two pushes; directions; frames of a second
 NAMES = ("pushes", "friction", "mass", "slope")
 
 
 class Disturbances:
     """What differs from world to world, drawn from a seed for each."""
 
-    def __init__(self, ants: AntWorlds, seed: int = 0, names: tuple[str, ...] = NAMES) -> None:
-        """Change the worlds: world k has what seed + k draws, of what is named."""
+    def __init__(self, ants: AntWorlds, seeds: np.ndarray, names: tuple[str, ...] = NAMES) -> None:
+        """Change the worlds: each by what its seed draws, of what is named."""
         self.worlds, self.names = ants.num_worlds, names
-        rngs = [
-            np.random.Generator(np.random.Philox(key=[seed + k, 17])) for k in range(len(ants.q))
-        ]
+        rngs = [np.random.Generator(np.random.Philox(key=[int(seed), 17])) for seed in seeds]
         draws = np.array([rng.uniform(0.0, 1.0, 4) for rng in rngs])
-        self.rngs, self.first = rngs, (EVERY * draws[:, 3]).astype(int)
+        self.angles = np.array([rng.uniform(0.0, 2.0 * np.pi, MOST) for rng in rngs])
+        self.first = (EVERY * draws[:, 3]).astype(int)
         spans = {"friction": FRICTION, "mass": MASS}
-        changes = {
+        self.changes = {
             name: low + (high - low) * draws[:, k]
             for k, (name, (low, high)) in enumerate(spans.items())
             if name in names
         }
         if "slope" in names:
-            changes |= {"slope": np.radians(SLOPE), "slope_heading": 2.0 * np.pi * draws[:, 2]}
-        ants.vary(**changes)
+            slope = np.full(len(draws), np.radians(SLOPE))
+            self.changes |= {"slope": slope, "slope_heading": 2.0 * np.pi * draws[:, 2]}
+        ants.vary(**self.changes)
 
     def push(self, frame: int) -> np.ndarray | None:
         """Forces on the torsos in a frame {worlds, 3} (N), world axes."""
         if "pushes" not in self.names:
             return None
         force = np.zeros((self.worlds, 3), np.float32)
-        for k in np.flatnonzero(frame % EVERY == self.first):
-            angle = self.rngs[k].uniform(0.0, 2.0 * np.pi)
-            force[k, :2] = IMPULSE * FPS * np.array([np.cos(angle), np.sin(angle)])
+        pushed = frame % EVERY == self.first
+        angle = self.angles[pushed, frame // EVERY % MOST]
+        force[pushed, :2] = IMPULSE * FPS * np.stack([np.cos(angle), np.sin(angle)], axis=1)
         return force

@@ -15,6 +15,8 @@ loss; all candidates are one batch too. What is asked of the gait and what is re
     python demo_diffsim_ant_from_scratch.py --headless 600 --out gait.npz
     python demo_diffsim_ant_from_scratch.py --load gait.npz --headless 600  # 1, while a check fails
     python demo_diffsim_ant_from_scratch.py --load gait.npz --record gait.html
+    python demo_diffsim_ant_from_scratch.py --load gait.npz --headless 600 --robustness 100
+    python demo_diffsim_ant_from_scratch.py --start gait.npz --stages heading --variants 4
     python demo_diffsim_ant_from_scratch.py --random-search --seconds 300
 """
 
@@ -33,6 +35,7 @@ from ant_gradients import frame_jacobians, make_frames
 from ant_objective import (
     ANKLE,
     ANKLE_SIGN,
+    FAST,
     FREE,
     PERIOD,
     SIDES,
@@ -43,7 +46,7 @@ from ant_objective import (
     phase,
     residuals,
 )
-from ant_robustness import NAMES as NAMES_OF_DISTURBANCES
+from ant_robustness import NAMES as ALL
 from ant_robustness import Disturbances
 from demo_common import run, save_figure, verdict
 
@@ -72,6 +75,9 @@ STAGES = (
     ("free", 150, 10, 0.0),
     ("free-300", 300, 12, 0.0),
 )
+# Behind these, with --variants.
+HEADING = (("heading", 200, 8, 0.0),)
+TRAINED_ON = 10_000  # the first seed of worlds that differ; none of those that judge
 SMALL = 1e-3  # weight of the squares of the weights
 LENGTHS = (4, 8, 16)  # frames of segments; candidates of all of them are tried
 CLIP = 2.0  # norm of a step
@@ -131,11 +137,21 @@ class Trainer:
     """Gradient steps on an actor over a horizon."""
 
     def __init__(
-        self, actor: Actor, kind: str, ant: str, verbose: bool = False, candidates: int = CANDIDATES
+        self,
+        actor: Actor,
+        kind: str,
+        ant: str,
+        verbose: bool = False,
+        candidates: int = CANDIDATES,
+        variants: int = 0,
     ) -> None:
-        """With the gradient of the kind "frozen" or "exact"."""
+        """With the gradient of the kind "frozen" or "exact"; in a number of worlds that differ and
+        are pushed, 0: in one that does not."""
         self.actor, self.kind, self.ant, self.verbose = actor, kind, ant, verbose
-        self.search = make_worlds(candidates, ant)
+        self.variants = max(1, variants)
+        self.search = make_worlds(candidates * self.variants, ant)
+        seeds = np.tile(TRAINED_ON + np.arange(self.variants), candidates)
+        self.disturbed = Disturbances(self.search, seeds, ALL if variants else ())
         self.servo = Servo(self.search)
         self.frames = {}
         self.weights = FREE
@@ -144,8 +160,9 @@ class Trainer:
 
     def rollouts(self, weights: np.ndarray, horizon: int):
         """Losses {n} of weights {n, 8, 10} over the horizon; states and actions of every frame
-        {horizon, n, ...}."""
+        {horizon, n, variants, ...}."""
         ants, n = self.search, self.search.num_worlds
+        weights = np.repeat(weights, self.variants, axis=0)
         ants.reset()
         last, total, alive, kept = np.zeros((n, ACTIONS)), np.zeros(n), np.ones(n, bool), []
         for k in range(horizon):
@@ -155,22 +172,32 @@ class Trainer:
             kept.append((q, qd, a))
             self.servo.lead(frame, 0)
             # Behind a substep the targets of the next one are set.
-            ants.step(a, each=lambda s, _, frame=frame: self.servo.lead(frame, s + 1))
+            ants.step(
+                a,
+                push=self.disturbed.push(k),
+                each=lambda s, _, frame=frame: self.servo.lead(frame, s + 1),
+            )
             alive &= ants.healthy()
             r = residuals(ants.q, ants.qd, a, last, frame, self.weights)[0]
             total += np.where(alive, (r**2).sum(axis=1), FALLEN)
             last = a
         total = total / horizon + SMALL * (weights**2).sum(axis=(1, 2))
-        return np.nan_to_num(total, nan=1e9), [np.stack(x) for x in zip(*kept, strict=True)]
+        total = np.nan_to_num(total, nan=1e9).reshape(-1, self.variants).mean(axis=1)
+        kept = [np.stack(x) for x in zip(*kept, strict=True)]
+        return total, [x.reshape(horizon, len(total), self.variants, -1) for x in kept]
 
-    def gradients(self, q: np.ndarray, qd: np.ndarray, a: np.ndarray):
-        """Of all lengths of segments: the gradient {80} of the loss of a rollout {horizon, ...} and
-        its Gauss-Newton matrix {80, 80}, summed over segments that begin in every frame."""
+    def gradients(self, q: np.ndarray, qd: np.ndarray, a: np.ndarray, variant: int = 0):
+        """Of all lengths of segments: the gradient {80} of the loss of a rollout {horizon, ...} of
+        a variant and its Gauss-Newton matrix {80, 80}, summed over segments that begin in every
+        frame. Pushes are left out."""
         actor, n = self.actor, len(q)
         if n not in self.frames:
             frames = make_frames(make_worlds(n, self.ant), self.kind)
             self.frames = {n: (frames, Servo(frames.ants))}
         (frames, servo), at = self.frames[n], np.arange(n)
+        changes = {name: rows[variant] for name, rows in self.disturbed.changes.items()}
+        if changes:
+            frames.vary(**changes)
         servo.set(self.servo.strength)
         frames.lead = lambda substep: servo.lead(at, substep)
         by_state, by_action = frame_jacobians(frames, q, qd, a)
@@ -203,7 +230,9 @@ class Trainer:
     def steps(self, q: np.ndarray, qd: np.ndarray, a: np.ndarray) -> np.ndarray:
         """Of the weights {n, 8, 10}, of all lengths of segments and all dampings."""
         steps = []
-        for g, matrix in self.gradients(q, qd, a):
+        of_all = [self.gradients(q[:, v], qd[:, v], a[:, v], v) for v in range(self.variants)]
+        for found in zip(*of_all, strict=True):
+            g, matrix = (np.mean(x, axis=0) for x in zip(*found, strict=True))
             g = g + SMALL * self.actor.weights.ravel()
             values, vectors = np.linalg.eigh(matrix + SMALL * np.eye(80))
             for damping in DAMPING * max(values[-1], 1e-12):
@@ -218,7 +247,7 @@ class Trainer:
         that did not the same steps are tried, shorter; behind three the stage ends."""
         actor, accepted, tried = self.actor, 0, 0
         self.servo.set(strength)
-        self.weights = WEIGHTS if strength > 0.0 else FREE
+        self.weights = WEIGHTS if strength > 0.0 else FREE if self.variants == 1 else FAST
         losses, kept = self.rollouts(np.tile(actor.weights, (CANDIDATES, 1, 1)), horizon)
         first = before = losses[0]
         kept, scale, steps = [x[:, 0] for x in kept], 1.0, None
@@ -334,11 +363,13 @@ def friction_ratio(actor: Actor, ant: str, frames: int) -> float:
 
 def robustness(actor: Actor, ant: str, seeds: int, frames: int) -> float:
     """Print what becomes of Ants that differ and are pushed; the part that stays upright."""
-    parts = [(), *((name,) for name in NAMES_OF_DISTURBANCES), NAMES_OF_DISTURBANCES]
+    parts = [(), *((name,) for name in ALL), ALL]
     upright = np.ones(1)
     for names in parts:
         ants = make_worlds(seeds if names else 1, ant)
-        result = validate(actor, ants, range(frames), push=Disturbances(ants, 0, names).push)
+        result = validate(
+            actor, ants, range(frames), push=Disturbances(ants, np.arange(len(ants.q)), names).push
+        )
         upright, way = result["upright"], result["distance"]
         told = [*np.percentile(way[upright], (0, 50, 100)), np.median(result["drift"][upright])]
         print(
@@ -417,16 +448,21 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--seconds", type=float, default=np.inf, help="of training at most")
     parser.add_argument("--random-search", action="store_true", help="the yardstick, no gradient")
     parser.add_argument(
+        "--variants", type=int, default=0, metavar="N", help="train in N worlds that differ, pushed"
+    )
+    parser.add_argument(
         "--robustness", type=int, default=0, metavar="N", help="play N seeds that differ, pushed"
     )
     parser.add_argument("--verbose", action="store_true")
     parser.add_argument("--plot", metavar="PATH.png", help="draw loss and motion")
     args = parser.parse_args()
     viewer.check_arguments(parser, args)
-    if args.robustness < 0 or (args.robustness and not args.headless):
+    if args.variants < 0:
+        parser.error(f"--variants: expected a number of worlds >= 0, got {args.variants}")
+    if args.robustness < 0 or (args.robustness and args.live):
         parser.error("--robustness: expected a number of seeds >= 0, and --headless with it")
-    known = [stage[0] for stage in STAGES]
-    args.stages = args.stages.split(",") if args.stages else known
+    known = [stage[0] for stage in (*STAGES, *HEADING)]
+    args.stages = args.stages.split(",") if args.stages else known[: len(STAGES)]
     for name in args.stages:
         if name not in known:
             parser.error(f"--stages: expected names of {', '.join(known)}, got {name}")
@@ -438,14 +474,14 @@ def train(args: argparse.Namespace) -> tuple[Actor, list[float], dict[str, bool]
     actor = Actor()
     if args.start:
         actor = load(args.start, args.ant)
-    trainer = Trainer(actor, args.gradient, args.ant, args.verbose)
+    trainer = Trainer(actor, args.gradient, args.ant, args.verbose, variants=args.variants)
     begun = time.perf_counter()
     if args.random_search:
         losses = random_search(trainer, args.seed, min(args.seconds, 1200.0))
         print(f"random search: loss {losses[0]:.4f} -> {losses[-1]:.4f}, {len(losses)} batches")
         return actor, losses, {}
     checks = {}
-    for name, horizon, iterations, strength in STAGES:
+    for name, horizon, iterations, strength in (*STAGES, *HEADING):
         if name in args.stages:
             count = max(1, round(iterations * args.repeat))
             rate = trainer.stage(name, horizon, count, strength, begun + args.seconds)
@@ -464,6 +500,7 @@ def main() -> int:
     else:
         actor, losses, checks = train(args)
         save(args.out, actor, args.ant, args.seed, args.gradient)
+        actor = load(args.out, args.ant)  # what is played is what the file says, in float32
     ants = make_worlds(1, args.ant)
     with make_stage(args, ants) as stage:
         for frames in stage.runs(args.headless):

@@ -240,14 +240,18 @@ class Trainer:
                 steps.append(step / max(1.0, np.linalg.norm(step) / CLIP))
         return np.array(steps).reshape(-1, ACTIONS, FEATURES)
 
+    def enter(self, strength: float) -> None:
+        """Set the servo, and the loss that belongs to it."""
+        self.servo.set(strength)
+        self.weights = WEIGHTS if strength > 0.0 else FREE if self.variants == 1 else FAST
+
     def stage(
         self, name: str, horizon: int, iterations: int, strength: float, until: float
     ) -> float:
         """Iterations of one horizon; the part of them that found a lower loss. Behind one
         that did not the same steps are tried, shorter; behind three the stage ends."""
         actor, accepted, tried = self.actor, 0, 0
-        self.servo.set(strength)
-        self.weights = WEIGHTS if strength > 0.0 else FREE if self.variants == 1 else FAST
+        self.enter(strength)
         losses, kept = self.rollouts(np.tile(actor.weights, (CANDIDATES, 1, 1)), horizon)
         first = before = losses[0]
         kept, scale, steps = [x[:, 0] for x in kept], 1.0, None
@@ -276,23 +280,26 @@ class Trainer:
         return accepted / max(tried, 1) if tried else 1.0
 
 
-def random_search(trainer: Trainer, seed: int, seconds: float, horizon: int = 150) -> list[float]:
-    """The yardstick: gaussian steps of changing length on the same loss, without the servo; the
-    losses. Seconds are those of the processor."""
+def random_search(trainer: Trainer, seed: int, seconds: float, stages=None) -> list[float]:
+    """The yardstick: gaussian steps of changing length on the same losses over the same frames, in
+    one stage without the servo, or in those given, which share the time by their frames. Seconds
+    are those of the processor. The losses."""
     actor, n = trainer.actor, trainer.search.num_worlds
     rng = np.random.Generator(np.random.Philox(key=[seed, 9]))
-    until, width = time.process_time() + seconds, 0.1
-    trainer.servo.set(0.0)
-    best = trainer.rollouts(np.tile(actor.weights, (n, 1, 1)), horizon)[0][0]
-    losses = [best]
-    while time.process_time() < until:
-        candidates = actor.weights + width * rng.standard_normal((n, ACTIONS, FEATURES))
-        found, _ = trainer.rollouts(candidates, horizon)
-        k = int(np.argmin(found))
-        width *= 1.3 if found[k] < best else 0.9
-        if found[k] < best:
-            best, actor.weights = found[k], candidates[k]
-        losses.append(best)
+    stages, losses = stages or (("free", 300, 1, 0.0),), []
+    share = seconds / sum(horizon * count for _, horizon, count, _ in stages)
+    for _, horizon, count, strength in stages:
+        until, width = time.process_time() + share * horizon * count, 0.1
+        trainer.enter(strength)
+        best = trainer.rollouts(np.tile(actor.weights, (n, 1, 1)), horizon)[0][0]
+        while time.process_time() < until:
+            candidates = actor.weights + width * rng.standard_normal((n, ACTIONS, FEATURES))
+            found, _ = trainer.rollouts(candidates, horizon)
+            k = int(np.argmin(found))
+            width *= 1.3 if found[k] < best else 0.9
+            if found[k] < best:
+                best, actor.weights = found[k], candidates[k]
+            losses.append(best)
     return losses
 
 

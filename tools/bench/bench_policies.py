@@ -237,7 +237,8 @@ def measure(part: str, what: object, threads: int, seconds: float) -> dict[str, 
         found["missing"] = f"more than {seconds:.0f} s"
     except subprocess.CalledProcessError as error:
         last = (error.stderr.strip().splitlines() or ["no output"])[-1]
-        found["missing"] = last[:160]
+        absent = last.startswith(("ImportError", "ModuleNotFoundError"))
+        found["missing"] = "not installed" if absent else last[:160]
     print(json.dumps(found), flush=True)
     return found
 
@@ -251,7 +252,7 @@ def everything(seconds: float) -> list[dict[str, object]]:
             for part in ("novaphy", "mujoco", "mjx", "newton"):
                 if part not in gone:
                     found.append(measure(part, worlds, threads, seconds))
-                if "ImportError" in str(found[-1].get("missing")):
+                if found[-1].get("missing") == "not installed":
                     gone.add(part)
     found += [measure("gradient", kind, 1, seconds) for kind in ("frozen", "exact")]
     return [
@@ -296,8 +297,8 @@ def page(rows: list[dict[str, object]], load: float) -> str:
         "A frame is 1/20 s, 50 steps of 1 ms with contacts found anew, under torques. The others",
         "read the same file. Contacts and limits are each engine's own, so the motions differ:",
         "NovaPhy projected Gauss-Seidel, MuJoCo and MJX soft contacts by Newton's method, Newton",
-        "SolverFeatherstone with penalty contacts. MuJoCo computes in float64, the others in",
-        "float32.",
+        "SolverFeatherstone with penalty contacts, launched step by step, without torques. MuJoCo",
+        "computes in float64, the others in float32.",
         "",
         "| worlds | threads | NovaPhy | "
         + " | ".join(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import re
 import subprocess
 import sys
 import zipfile
@@ -18,6 +19,7 @@ pytestmark = [
     pytest.mark.skipif(not novaphy.has_diff(), reason="built with NOVAPHY_WITH_DIFF=OFF"),
 ]
 DEMOS = Path(__file__).parents[2] / "python" / "demos" / "diff"
+GAIT = "periodic_ant_natural_gait.npz"
 POLICIES = DEMOS.parent / "data" / "ant" / "rl_policies"
 
 
@@ -72,20 +74,73 @@ def test_flags_and_files_that_are_wrong_are_named(tmp_path):
         assert done.returncode == 1 and message in done.stderr, (name, done.stderr)
     done = walk("--train", "1", "--train-horizon", "5000", "--headless", "0")
     assert done.returncode == 2 and "--train-horizon: expected 1 to 400" in done.stderr
+    done = walk("--train", "1", "--segment", "0", "--headless", "0")
+    assert done.returncode == 2 and "--segment: expected a number" in done.stderr
+    for flag, message in (("--policy", "no-such.npz"), ("--save-policy", "no-such/x.npz")):
+        done = walk(flag, str(tmp_path / message), "--headless", "1")
+        assert done.returncode != 0 and message in done.stderr and "Traceback" not in done.stderr
 
 
-def test_the_frozen_gradient_is_that_of_its_linearised_replay(demos, monkeypatch):
+def tuning_of(monkeypatch, *flags: str):
     import demo_diffsim_ant_walk as demo
 
-    monkeypatch.setattr(sys, "argv", ["demo", "--train-horizon", "2", "--headless", "0"])
+    monkeypatch.setattr(sys, "argv", ["demo", "--headless", "0", *flags])
     actor, _ = demo.load_actor(demo.POLICY, "dva")
-    tuning = demo.Tuning(actor, demo.arguments())
+    return demo, actor, demo.Tuning(actor, demo.arguments())
+
+
+@pytest.mark.parametrize(("frames", "segment"), [("2", "8"), ("5", "2")])
+def test_the_frozen_gradient_is_that_of_its_linearised_replay(demos, monkeypatch, frames, segment):
+    flags = ("--train-horizon", frames, "--segment", segment)
+    _, _, tuning = tuning_of(monkeypatch, *flags)
     records = tuning.record(tuning.bias)
     gradient = tuning.gradient(tuning.bias, records)
     for k in range(8):
         step = 1e-4 * np.eye(8)[k]
         ends = [tuning.replay(records, tuning.bias + s * step) for s in (1.0, -1.0)]
         assert gradient[k] == pytest.approx((ends[0] - ends[1]) / 2e-4, rel=1e-3, abs=1e-6)
+
+
+def test_segments_begin_where_the_rollout_of_the_actor_passes(demos, monkeypatch):
+    _, _, tuning = tuning_of(monkeypatch, "--train-horizon", "6", "--segment", "2")
+    q, qd, last, first = tuning.begin(tuning.bias)
+    assert len(q) == 3 * tuning.starts_count
+    ants = tuning.worlds(tuning.starts_count)
+    ants.set_state(*tuning.starts)
+    for k in range(5):
+        if k % 2 == 0:
+            rows = slice(k // 2 * tuning.starts_count, (k // 2 + 1) * tuning.starts_count)
+            np.testing.assert_array_equal(q[rows], ants.q)
+            np.testing.assert_array_equal(qd[rows], ants.qd)
+            np.testing.assert_array_equal(first[rows], tuning.starts[0])
+        a = np.tanh(tuning.means(ants.observations(), tuning.bias))
+        ants.step(a)
+        if k == 3:
+            np.testing.assert_allclose(last[2 * tuning.starts_count :], a)
+
+
+def test_an_ant_that_changed_walks_less_and_tuning_is_judged_on_its_whole_way(
+    demos, monkeypatch, capsys
+):
+    flags = ("--adapt", "--train-horizon", "40", "--segment", "4")
+    demo, actor, tuning = tuning_of(monkeypatch, *flags)
+    changed = tuning.frames.ants
+    assert np.all(changed.varied["friction"] == 0.5) and np.all(changed.varied["gear"][:, 0] == 0.7)
+    assert changed.model.body_mass.numpy()[0] == pytest.approx(1.2 * 96.776, rel=1e-4)
+    before, after, kept = tuning.train()
+    assert after < before if kept else after == before
+    moved = tuning.bias != actor["mu.bias"].numpy()
+    assert kept == moved.any()
+    monkeypatch.setattr(demo, "HELD_OUT", (777,))
+    monkeypatch.setattr(demo, "HELD_OUT_FRAMES", 20)
+    demo.report_adaptation(actor, actor, tuning, demo.arguments())
+    told = capsys.readouterr().out
+    assert told.count(" tuned: 0% of the loss is back") + told.count(" tuned: -0% of") == 2, told
+    for line in told.splitlines()[1:]:
+        nominal, lost, same = (
+            float(x.split()[0]) for x in re.split(r"(?:: |, )(?=-?\d)", line)[1:4]
+        )
+        assert nominal != lost and lost == same, line
 
 
 def test_exact_derivatives_of_a_frame_point_where_differences_of_the_solver_do(demos):
@@ -203,6 +258,23 @@ def test_files_of_the_first_actor_that_are_wrong_are_named(tmp_path):
     np.savez(path, weights=np.zeros((8, 10), np.float32), meta=np.array('{"ant": "dva"}'))
     done = scratch("--load", str(path), "--headless", "1")
     assert done.returncode == 1 and "expected features" in done.stderr
+    np.savez(path, weights=np.full((8, 10), np.nan, np.float32), meta=np.array('{"ant": "dva"}'))
+    done = scratch("--load", str(path), "--headless", "1")
+    assert done.returncode == 1 and "weights: expected finite numbers" in done.stderr
+    np.savez(path, weights=np.array([{}]), meta=np.array('{"ant": "dva"}'))
+    done = scratch("--load", str(path), "--headless", "1")
+    assert done.returncode == 1 and "without pickled" in done.stderr
+    np.savez(path, meta=np.array('{"ant": "dva"}'))
+    done = scratch("--load", str(path), "--headless", "1")
+    assert done.returncode == 1 and "it misses weights" in done.stderr
+    done = scratch("--load", str(POLICIES / GAIT), "--ant", "gym", "--headless", "1")
+    assert done.returncode == 1 and "expected a policy of the Ant 'gym'" in done.stderr
+    for flags, message in (
+        (("--robustness", "4"), "--robustness: expected"),
+        (("--variants", "-1"), "--variants: expected"),
+    ):
+        done = scratch("--load", str(POLICIES / GAIT), *flags)
+        assert done.returncode == 2 and message in done.stderr, done.stderr
     done = scratch("--stages", "run", "--headless", "1")
     assert done.returncode == 2 and "--stages: expected names of led-24" in done.stderr
 
@@ -255,13 +327,83 @@ def test_the_loss_of_the_first_actor_sees_the_feet_where_they_are(demos):
     assert np.abs(speed).max() > 0.5
 
 
+def test_worlds_that_differ_are_drawn_from_their_seeds(demos):
+    from ant_robustness import FRICTION, IMPULSE, MASS, SLOPE, Disturbances
+
+    from novaphy.envs import AntWorlds
+
+    ants, one = AntWorlds(40), AntWorlds(1)
+    many, alone = Disturbances(ants, np.arange(40)), Disturbances(one, [7])
+    for name, rows in many.changes.items():
+        assert rows[7] == alone.changes[name][0]
+        np.testing.assert_array_equal(ants.varied[name], np.float32(rows))
+    for name, (low, high) in (("friction", FRICTION), ("mass", MASS)):
+        assert low <= many.changes[name].min() < low + 0.1 * (high - low)
+        assert high >= many.changes[name].max() > high - 0.1 * (high - low)
+    gravity = ants.model.gravity.numpy().reshape(-1, 3)
+    np.testing.assert_allclose(np.arccos(-gravity[:, 2] / 9.81), np.radians(SLOPE), atol=2e-3)
+    pushes = np.stack([many.push(k) for k in range(600)])
+    np.testing.assert_array_equal(pushes[:, 7], [alone.push(k)[0] for k in range(600)])
+    sizes = np.linalg.norm(pushes, axis=2)
+    assert np.all((sizes > 0).sum(axis=0) == 10) and np.all(pushes[..., 2] == 0.0)
+    np.testing.assert_allclose(sizes[sizes > 0] / 20.0, IMPULSE, rtol=1e-5)
+    assert np.abs(pushes.sum(axis=(0, 1))).max() < 0.2 * sizes.sum()
+
+
+def test_training_in_worlds_that_differ_takes_the_mean_of_their_losses(demos):
+    import demo_diffsim_ant_from_scratch as demo
+
+    actor = demo.load(str(demo.GAIT), "dva")
+    weights = np.stack([actor.weights, 0.9 * actor.weights])
+    both = demo.Trainer(actor, "frozen", "dva", candidates=2, variants=2)
+    first = demo.Trainer(actor, "frozen", "dva", candidates=2, variants=1)
+    losses, kept = both.rollouts(weights, 12)
+    of_first, alone = first.rollouts(weights, 12)
+    np.testing.assert_array_equal(kept[0][:, :, 0], alone[0][:, :, 0])
+    assert kept[0].shape == (12, 2, 2, 15) and np.any(kept[0][:, :, 0] != kept[0][:, :, 1])
+    first.disturbed = demo.Disturbances(first.search, [demo.TRAINED_ON + 1] * 2)
+    of_second, _ = first.rollouts(weights, 12)
+    np.testing.assert_allclose(losses, 0.5 * (of_first + of_second), rtol=1e-6)
+    q, qd, a = (x[:, 0] for x in kept)
+    for (g, matrix), (other, _) in zip(
+        both.gradients(q[:, 0], qd[:, 0], a[:, 0], 0),
+        both.gradients(q[:, 1], qd[:, 1], a[:, 1], 1),
+        strict=True,
+    ):
+        assert np.abs(g - other).max() > 1e-3 * np.abs(g).max()
+        np.testing.assert_allclose(matrix, matrix.T, atol=1e-6 * np.abs(matrix).max())
+
+
+def told_of(path: Path) -> tuple[subprocess.CompletedProcess[str], list[str], float]:
+    done = scratch("--load", str(path), "--headless", "600")
+    told = done.stdout.splitlines()
+    return done, told, float(told[-1].split("frames, ")[1].split(" m,")[0])
+
+
 def test_the_ant_that_learned_from_zero_walks_for_half_a_minute():
     """What the file reaches whatever the rounding; the demo says what it does not."""
-    done = scratch("--load", str(POLICIES / "periodic_ant_natural_gait.npz"), "--headless", "600")
-    told = done.stdout.splitlines()
-    for name in ("upright", "more than 0.792 m", "tilt below", "swing clearance", "at most half"):
+    done, told, way = told_of(POLICIES / GAIT)
+    reached = (
+        "upright", "more than 0.792 m", "tilt below", "a final velocity", "0.5 to 2 touchdowns",
+        "swing clearance", "no foot below", "joints in range", "at most half",
+    )  # fmt: skip
+    for name in reached:
         assert any(line.startswith(f"  reached: {name}") for line in told), done.stdout
-    assert float(told[-1].split("frames, ")[1].split(" m,")[0]) > 2.0
-    for name in ("slip below", "no foot below"):
-        assert any(line.startswith(f"  NOT REACHED: {name}") for line in told), done.stdout
+    assert way > 4.0
+    slip = next(line for line in told if "slip below" in line)
+    assert slip.startswith("  NOT REACHED"), slip
+    assert 20.0 < float(slip.split(": ")[2].rstrip("%")) < 70.0, slip
     assert done.returncode == 1 and "CHECK FAILED" in told[-1]
+
+
+def test_the_ant_that_sees_its_heading_withstands_pushes_slopes_and_other_floors(demos):
+    import demo_diffsim_ant_from_scratch as demo
+
+    done, told, way = told_of(POLICIES / "periodic_ant_heading.npz")
+    assert way > 4.0 and any(line.startswith("  reached: upright") for line in told), done.stdout
+    actor, ants = (
+        demo.load(str(POLICIES / "periodic_ant_heading.npz"), "dva"),
+        demo.make_worlds(20, "dva"),
+    )
+    push = demo.Disturbances(ants, np.arange(20)).push
+    assert demo.validate(actor, ants, range(600), push=push)["upright"].mean() >= 0.95

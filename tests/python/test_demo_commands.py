@@ -37,7 +37,8 @@ def commands(name: str) -> list[tuple[str, str]]:
 def shortened(name: str, words: list[str]) -> list[str]:
     """The words, and what makes the command short: the last of two flags wins."""
     if name == "ant_from_scratch":
-        return [*words, "--seconds", "4"]
+        fewer = ["--robustness", "3", "--headless", "60"] if "--robustness" in words else []
+        return [*words, "--seconds", "4", *fewer]
     return [*words, "--train", "1"] if "--adapt" in words else words
 
 

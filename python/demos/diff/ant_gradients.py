@@ -63,6 +63,11 @@ class FrozenFrames:
         # Called with every substep before it, to set targets of the drives.
         self.lead = None
 
+    def vary(self, **values: float) -> None:
+        """Change numbers of the worlds, as AntWorlds.vary."""
+        self.ants.vary(**values)
+        self.mu = self.ants.model.shape_material_mu.numpy()
+
     def label(self) -> str:
         """What the derivative is."""
         held = "sticking feet held" if self.tangents else "normals of contacts held"
@@ -173,8 +178,12 @@ class ExactFrames:
     def __init__(self, ants: AntWorlds) -> None:
         """For a batch of worlds, whose solver and states are taken."""
         self.ants, self.worlds = ants, ants.num_worlds
-        self.solver = novaphy.solvers.DiffFeatherstoneSolver(ants.model, angular_damping=0.0)
+        self.solver = novaphy.solvers.DiffFeatherstoneSolver(ants.model, **ants.solver_options)
         self.lead = None  # as of FrozenFrames; called once a frame, for its middle
+
+    def vary(self, **values: float) -> None:
+        """Change numbers of the worlds, as AntWorlds.vary."""
+        self.ants.vary(**values)
 
     def label(self) -> str:
         """What the derivative is."""

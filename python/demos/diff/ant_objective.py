@@ -13,22 +13,27 @@ from novaphy.envs import ACTIONS, FEET, AntWorlds, rotate
 
 FPS = 20
 PERIOD = 14  # frames of a phase
-# The trot (rad): sway of the hips about an offset; bend and lift of the ankles, and what hind legs
-# bend and lift more, front legs less.
-SWAY, OFFSET = 0.16, 0.04
-ANKLE, LIFT, HIND_BEND, HIND_LIFT = 1.41, 0.29, 0.045, 0.05
+# The trot (rad): sway of the hips about an offset, ahead of the lift; bend and lift of the ankles;
+# what hind legs bend and lift more, front legs less; how the ankles reach forward and back with
+# the sway, so that feet which stand go straight back below the torso. The second harmonics let a
+# foot stand still for half of the period (lift) and go back at an even speed (sway).
+SWAY, OFFSET, AHEAD = 0.056, 0.05, 0.12
+ANKLE, LIFT, HIND_BEND, HIND_LIFT, REACH = 1.264, 0.30, 0.079, 0.1, 0.075
+SWAY_2, LIFT_2 = 0.28, 0.28
 HIP_SIGN, ANKLE_SIGN = np.array([1.0, 1.0, -1.0, -1.0]), np.array([1.0, -1.0, -1.0, 1.0])
 FRONT = np.array([1.0, -1.0, -1.0, 1.0])
 DIAGONAL = np.array([0.0, np.pi, 0.0, np.pi])  # phase of the legs
-STIFFNESS, DAMPING = 500.0, 50.0  # of the servo, N m/rad and N m s/rad
+STIFFNESS, DAMPING = 1000.0, 70.0  # of the servo, N m/rad and N m s/rad
 SERVO_SAMPLE = 5  # substeps between two targets
-SPEED = 0.12  # m/s
-CLEARANCE = 0.05  # m, of a foot that swings
+SPEED = 0.3  # m/s
+CLEARANCE, TOUCHING = 0.06, 0.004  # m: of a foot in the middle of its swing; of one that touches
 RATE = 0.06  # s, weight of the rates in the pose
 WEIGHTS = {
-    "speed": 1.0, "tilt": 130.0, "heading": 20.0, "drift": 8.0, "pose": 5.0, "jump": 0.05,
-    "symmetry": 0.25, "clearance": 60.0, "slip": 1.0, "turn": 0.09,
+    "speed": 5.0, "tilt": 130.0, "heading": 20.0, "drift": 8.0, "pose": 5.0, "jump": 0.05,
+    "symmetry": 0.25, "clearance": 150.0, "slip": 1.0, "turn": 0.09,
 }  # fmt: skip
+FREE = {**WEIGHTS, "speed": 25.0, "slip": 1.5}  # without the servo
+FAST = {**FREE, "speed": 150.0}  # in worlds that differ
 # Anchors of the hips, from the torso's centre; lengths of leg and foot (m).
 SIDES = np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])
 LEG, FOOT, TIP_RADIUS = 0.2 * np.sqrt(2.0), 0.4 * np.sqrt(2.0), 0.08
@@ -43,12 +48,17 @@ def phase(frame: np.ndarray) -> np.ndarray:
 def reference(frame: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Hinges {n, 8} of the trot at the start of frames {n} (any real numbers), and their rates."""
     p, w = phase(frame)[:, None] + DIAGONAL, 2.0 * np.pi * FPS / PERIOD
-    bend, lift = ANKLE - HIND_BEND * FRONT, LIFT - HIND_LIFT * FRONT
+    ahead = p + AHEAD
+    sway, sway_rate = np.sin(ahead) + SWAY_2 * np.sin(2 * ahead), np.cos(ahead)
+    sway_rate = w * (sway_rate + 2.0 * SWAY_2 * np.cos(2 * ahead))
+    lift = 0.5 * (np.cos(p) + LIFT_2 * np.cos(2 * p) + 1.0 - LIFT_2)
+    lift_rate = -0.5 * w * (np.sin(p) + 2.0 * LIFT_2 * np.sin(2 * p))
+    high = LIFT - HIND_LIFT * FRONT
+    bend = ANKLE - HIND_BEND * FRONT - REACH * FRONT * sway - high * lift
     pose, rate = np.empty((2, len(p), ACTIONS))
-    pose[:, 0::2] = HIP_SIGN * (OFFSET - SWAY * np.sin(p))
-    rate[:, 0::2] = -HIP_SIGN * SWAY * w * np.cos(p)
-    pose[:, 1::2] = ANKLE_SIGN * (bend - lift * np.cos(p))
-    rate[:, 1::2] = ANKLE_SIGN * lift * w * np.sin(p)
+    pose[:, 0::2], rate[:, 0::2] = HIP_SIGN * (OFFSET - SWAY * sway), -HIP_SIGN * SWAY * sway_rate
+    pose[:, 1::2] = ANKLE_SIGN * bend
+    rate[:, 1::2] = -ANKLE_SIGN * (REACH * FRONT * sway_rate + high * lift_rate)
     return pose, rate
 
 
@@ -121,10 +131,10 @@ def foot_motion(q: np.ndarray, qd: np.ndarray) -> tuple[np.ndarray, ...]:
     return height, j[:, :, 2], np.einsum("nlks,ns->nlk", k, qd), k
 
 
-def residuals(q, qd, a, last, frame):
+def residuals(q, qd, a, last, frame, weights=WEIGHTS):
     """What the loss of frames {n} sums the squares of {n, 40}, at their ends; its derivatives by
     tangents and rates {n, 40, 28}, and by the actions {n, 40, 8}: by those before, less that."""
-    w = {name: np.sqrt(value) for name, value in WEIGHTS.items()}
+    w = {name: np.sqrt(value) for name, value in weights.items()}
     n = len(q)
     q, qd = q.astype(np.float64), qd.astype(np.float64)
     r, by_state, by_action = np.zeros((n, ROWS)), np.zeros((n, ROWS, 28)), np.zeros((n, ROWS, 8))
@@ -146,13 +156,13 @@ def residuals(q, qd, a, last, frame):
     r[:, 14:18] = w["symmetry"] * (q[:, 7:11] + q[:, 11:15])
     by_state[:, 14:18, 6:10] = by_state[:, 14:18, 10:14] = w["symmetry"] * np.eye(4)
     r[:, 18:26], by_action[:, 18:26] = w["jump"] * (a - last), w["jump"] * np.eye(8)
-    # Feet that swing are high enough, those that stand do not slip.
+    # Feet that swing are high enough, those that stand or touch do not slip.
     height, by_tangent, speed, by_rate = foot_motion(q, qd)
     wave = np.cos(phase(np.asarray(frame) + 1.0)[:, None] + DIAGONAL)
-    low = np.where(wave > 0.4, np.minimum(height - CLEARANCE, 0.0), 0.0)
+    low = np.minimum(height - CLEARANCE * np.maximum(wave, 0.0), 0.0) * (wave > 0.0)
     r[:, 26:30] = w["clearance"] * low
     by_state[:, 26:30, :14] = w["clearance"] * by_tangent * (low < 0.0)[..., None]
-    stands = (wave < -0.2)[..., None]
+    stands = ((wave < -0.2) | (height < TOUCHING))[..., None]
     r[:, 30:38] = (w["slip"] * speed * stands).reshape(n, 8)
     by_state[:, 30:38, 14:] = (w["slip"] * by_rate * stands[..., None]).reshape(n, 8, 14)
     r[:, 38:40] = w["turn"] * qd[:, 3:5]

@@ -15,6 +15,8 @@ loss; all candidates are one batch too. What is asked of the gait and what is re
     python demo_diffsim_ant_from_scratch.py --headless 600 --out gait.npz
     python demo_diffsim_ant_from_scratch.py --load gait.npz --headless 600  # 1, while a check fails
     python demo_diffsim_ant_from_scratch.py --load gait.npz --record gait.html
+    python demo_diffsim_ant_from_scratch.py --load gait.npz --headless 600 --robustness 100
+    python demo_diffsim_ant_from_scratch.py --start gait.npz --stages heading --variants 4
     python demo_diffsim_ant_from_scratch.py --random-search --seconds 300
 """
 
@@ -33,14 +35,19 @@ from ant_gradients import frame_jacobians, make_frames
 from ant_objective import (
     ANKLE,
     ANKLE_SIGN,
+    FAST,
+    FREE,
     PERIOD,
     SIDES,
     SPEED,
+    WEIGHTS,
     Servo,
     axis,
     phase,
     residuals,
 )
+from ant_robustness import NAMES as ALL
+from ant_robustness import Disturbances
 from demo_common import run, save_figure, verdict
 
 from novaphy import nova, viewer
@@ -48,7 +55,7 @@ from novaphy.envs import ACTIONS, AntWorlds, asset_hash, check_meta
 
 GAIT = DATA / "periodic_ant_natural_gait.npz"
 FEATURES = 10
-HEIGHT = 0.64  # m, of the torso when it walks
+HEIGHT = 0.61  # m, of the torso when it walks
 WAVES = ("1", "sin p", "cos p", "sin 2p", "cos 2p")
 # Of ankles and hips differ the height of the torso or y, and its velocity or heading.
 NAMES = (*WAVES, "height/y", "velocity/heading", "tilt", "angle", "rate")
@@ -68,6 +75,9 @@ STAGES = (
     ("free", 150, 10, 0.0),
     ("free-300", 300, 12, 0.0),
 )
+# Behind these, with --variants.
+HEADING = (("heading", 200, 8, 0.0),)
+TRAINED_ON = 10_000  # the first seed of worlds that differ; none of those that judge
 SMALL = 1e-3  # weight of the squares of the weights
 LENGTHS = (4, 8, 16)  # frames of segments; candidates of all of them are tried
 CLIP = 2.0  # norm of a step
@@ -75,6 +85,12 @@ DAMPING = 10.0 ** np.linspace(-3.5, 3.0, 8)  # over the largest curvature
 SHORTEST = 0.05  # part of a step that is tried
 CANDIDATES = len(LENGTHS) * len(DAMPING)
 FALLEN = 50.0  # loss of a frame of an Ant that fell
+CONTACTS = {"pgs_slop": 5e-4}  # m, an overlap of feet and ground that stays
+
+
+def make_worlds(count: int, ant: str) -> AntWorlds:
+    """Ants of this demo."""
+    return AntWorlds(count, ant=ant, **CONTACTS)
 
 
 class Actor:
@@ -120,19 +136,33 @@ class Actor:
 class Trainer:
     """Gradient steps on an actor over a horizon."""
 
-    def __init__(self, actor: Actor, kind: str, ant: str, seed: int, verbose: bool) -> None:
-        """With the gradient of the kind "frozen" or "exact"."""
-        self.actor, self.kind, self.ant, self.seed, self.verbose = actor, kind, ant, seed, verbose
-        self.search = AntWorlds(CANDIDATES, ant=ant, seed=seed)
+    def __init__(
+        self,
+        actor: Actor,
+        kind: str,
+        ant: str,
+        verbose: bool = False,
+        candidates: int = CANDIDATES,
+        variants: int = 0,
+    ) -> None:
+        """With the gradient of the kind "frozen" or "exact"; in a number of worlds that differ and
+        are pushed, 0: in one that does not."""
+        self.actor, self.kind, self.ant, self.verbose = actor, kind, ant, verbose
+        self.variants = max(1, variants)
+        self.search = make_worlds(candidates * self.variants, ant)
+        seeds = np.tile(TRAINED_ON + np.arange(self.variants), candidates)
+        self.disturbed = Disturbances(self.search, seeds, ALL if variants else ())
         self.servo = Servo(self.search)
         self.frames = {}
+        self.weights = FREE
         self.label = ""
         self.losses: list[float] = []
 
     def rollouts(self, weights: np.ndarray, horizon: int):
         """Losses {n} of weights {n, 8, 10} over the horizon; states and actions of every frame
-        {horizon, n, ...}."""
+        {horizon, n, variants, ...}."""
         ants, n = self.search, self.search.num_worlds
+        weights = np.repeat(weights, self.variants, axis=0)
         ants.reset()
         last, total, alive, kept = np.zeros((n, ACTIONS)), np.zeros(n), np.ones(n, bool), []
         for k in range(horizon):
@@ -142,27 +172,37 @@ class Trainer:
             kept.append((q, qd, a))
             self.servo.lead(frame, 0)
             # Behind a substep the targets of the next one are set.
-            ants.step(a, each=lambda s, _, frame=frame: self.servo.lead(frame, s + 1))
+            ants.step(
+                a,
+                push=self.disturbed.push(k),
+                each=lambda s, _, frame=frame: self.servo.lead(frame, s + 1),
+            )
             alive &= ants.healthy()
-            r = residuals(ants.q, ants.qd, a, last, frame)[0]
+            r = residuals(ants.q, ants.qd, a, last, frame, self.weights)[0]
             total += np.where(alive, (r**2).sum(axis=1), FALLEN)
             last = a
         total = total / horizon + SMALL * (weights**2).sum(axis=(1, 2))
-        return np.nan_to_num(total, nan=1e9), [np.stack(x) for x in zip(*kept, strict=True)]
+        total = np.nan_to_num(total, nan=1e9).reshape(-1, self.variants).mean(axis=1)
+        kept = [np.stack(x) for x in zip(*kept, strict=True)]
+        return total, [x.reshape(horizon, len(total), self.variants, -1) for x in kept]
 
-    def gradients(self, q: np.ndarray, qd: np.ndarray, a: np.ndarray):
-        """Of all lengths of segments: the gradient {80} of the loss of a rollout {horizon, ...} and
-        its Gauss-Newton matrix {80, 80}, summed over segments that begin in every frame."""
+    def gradients(self, q: np.ndarray, qd: np.ndarray, a: np.ndarray, variant: int = 0):
+        """Of all lengths of segments: the gradient {80} of the loss of a rollout {horizon, ...} of
+        a variant and its Gauss-Newton matrix {80, 80}, summed over segments that begin in every
+        frame. Pushes are left out."""
         actor, n = self.actor, len(q)
         if n not in self.frames:
-            frames = make_frames(AntWorlds(n, ant=self.ant), self.kind)
+            frames = make_frames(make_worlds(n, self.ant), self.kind)
             self.frames = {n: (frames, Servo(frames.ants))}
         (frames, servo), at = self.frames[n], np.arange(n)
+        changes = {name: rows[variant] for name, rows in self.disturbed.changes.items()}
+        if changes:
+            frames.vary(**changes)
         servo.set(self.servo.strength)
         frames.lead = lambda substep: servo.lead(at, substep)
         by_state, by_action = frame_jacobians(frames, q, qd, a)
         before = np.concatenate([np.zeros((1, ACTIONS)), a[:-1]])
-        r, r_state, r_action = residuals(frames.ants.q, frames.ants.qd, a, before, at)
+        r, r_state, r_action = residuals(frames.ants.q, frames.ants.qd, a, before, at, self.weights)
         self.label = frames.label()
         slope = 1.0 - a**2
         # Of actions by states, and by weights.
@@ -190,7 +230,9 @@ class Trainer:
     def steps(self, q: np.ndarray, qd: np.ndarray, a: np.ndarray) -> np.ndarray:
         """Of the weights {n, 8, 10}, of all lengths of segments and all dampings."""
         steps = []
-        for g, matrix in self.gradients(q, qd, a):
+        of_all = [self.gradients(q[:, v], qd[:, v], a[:, v], v) for v in range(self.variants)]
+        for found in zip(*of_all, strict=True):
+            g, matrix = (np.mean(x, axis=0) for x in zip(*found, strict=True))
             g = g + SMALL * self.actor.weights.ravel()
             values, vectors = np.linalg.eigh(matrix + SMALL * np.eye(80))
             for damping in DAMPING * max(values[-1], 1e-12):
@@ -198,13 +240,18 @@ class Trainer:
                 steps.append(step / max(1.0, np.linalg.norm(step) / CLIP))
         return np.array(steps).reshape(-1, ACTIONS, FEATURES)
 
+    def enter(self, strength: float) -> None:
+        """Set the servo, and the loss that belongs to it."""
+        self.servo.set(strength)
+        self.weights = WEIGHTS if strength > 0.0 else FREE if self.variants == 1 else FAST
+
     def stage(
         self, name: str, horizon: int, iterations: int, strength: float, until: float
     ) -> float:
         """Iterations of one horizon; the part of them that found a lower loss. Behind one
         that did not the same steps are tried, shorter; behind three the stage ends."""
         actor, accepted, tried = self.actor, 0, 0
-        self.servo.set(strength)
+        self.enter(strength)
         losses, kept = self.rollouts(np.tile(actor.weights, (CANDIDATES, 1, 1)), horizon)
         first = before = losses[0]
         kept, scale, steps = [x[:, 0] for x in kept], 1.0, None
@@ -233,23 +280,26 @@ class Trainer:
         return accepted / max(tried, 1) if tried else 1.0
 
 
-def random_search(
-    actor: Actor, ant: str, seed: int, seconds: float, horizon: int = 60
-) -> list[float]:
-    """The yardstick: gaussian steps of changing length on the same loss; the losses."""
-    trainer = Trainer(actor, "frozen", ant, seed, False)
-    n, rng = trainer.search.num_worlds, np.random.Generator(np.random.Philox(key=[seed, 9]))
-    until, width = time.perf_counter() + seconds, 0.1
-    best = trainer.rollouts(np.tile(actor.weights, (n, 1, 1)), horizon)[0][0]
-    losses = [best]
-    while time.perf_counter() < until:
-        candidates = actor.weights + width * rng.standard_normal((n, ACTIONS, FEATURES))
-        found, _ = trainer.rollouts(candidates, horizon)
-        k = int(np.argmin(found))
-        width *= 1.3 if found[k] < best else 0.9
-        if found[k] < best:
-            best, actor.weights = found[k], candidates[k]
-        losses.append(best)
+def random_search(trainer: Trainer, seed: int, seconds: float, stages=None) -> list[float]:
+    """The yardstick: gaussian steps of changing length on the same losses over the same frames, in
+    one stage without the servo, or in those given, which share the time by their frames. Seconds
+    are those of the processor. The losses."""
+    actor, n = trainer.actor, trainer.search.num_worlds
+    rng = np.random.Generator(np.random.Philox(key=[seed, 9]))
+    stages, losses = stages or (("free", 300, 1, 0.0),), []
+    share = seconds / sum(horizon * count for _, horizon, count, _ in stages)
+    for _, horizon, count, strength in stages:
+        until, width = time.process_time() + share * horizon * count, 0.1
+        trainer.enter(strength)
+        best = trainer.rollouts(np.tile(actor.weights, (n, 1, 1)), horizon)[0][0]
+        while time.process_time() < until:
+            candidates = actor.weights + width * rng.standard_normal((n, ACTIONS, FEATURES))
+            found, _ = trainer.rollouts(candidates, horizon)
+            k = int(np.argmin(found))
+            width *= 1.3 if found[k] < best else 0.9
+            if found[k] < best:
+                best, actor.weights = found[k], candidates[k]
+            losses.append(best)
     return losses
 
 
@@ -258,6 +308,7 @@ def validate(
     ants: AntWorlds,
     frames: Iterable[int],
     each: Callable[[int, AntWorlds], None] | None = None,
+    push: Callable[[int], np.ndarray | None] = lambda _: None,
 ) -> dict[str, np.ndarray]:
     """Play the actor in all worlds: what GaitMeter measures, and where the Ants end."""
     ants.reset()
@@ -267,7 +318,7 @@ def validate(
     path = [ants.q]
     for k, _ in enumerate(frames):
         q, qd = ants.q, ants.qd
-        ants.step(actor.act(actor.features(q, qd, k)), each=meter)
+        ants.step(actor.act(actor.features(q, qd, k)), push=push(k), each=meter)
         meter.end_frame()
         alive &= ants.healthy()
         drift = np.maximum(drift, np.abs(ants.q[:, 1]))
@@ -311,10 +362,28 @@ def checks_of(result: dict[str, np.ndarray], ratio: float) -> dict[str, tuple[bo
 
 def friction_ratio(actor: Actor, ant: str, frames: int) -> float:
     """The shorter of the distances at friction 0.5 and 1.2 over the longer one."""
-    ants = AntWorlds(2, ant=ant)
+    ants = make_worlds(2, ant)
     ants.vary(friction=[0.5, 1.2])
     distance = validate(actor, ants, range(frames))["distance"]
     return float(max(distance.min(), 0.0) / max(distance.max(), 1e-6))
+
+
+def robustness(actor: Actor, ant: str, seeds: int, frames: int) -> float:
+    """Print what becomes of Ants that differ and are pushed; the part that stays upright."""
+    parts = [(), *((name,) for name in ALL), ALL]
+    upright = np.ones(1)
+    for names in parts:
+        ants = make_worlds(seeds if names else 1, ant)
+        result = validate(
+            actor, ants, range(frames), push=Disturbances(ants, np.arange(len(ants.q)), names).push
+        )
+        upright, way = result["upright"], result["distance"]
+        told = [*np.percentile(way[upright], (0, 50, 100)), np.median(result["drift"][upright])]
+        print(
+            f"  {', '.join(names) or 'nothing'}: {upright.sum()} of {len(upright)} upright, "
+            + "way {:.2f} / {:.2f} / {:.2f} m (least, median, most), drift {:.2f} m".format(*told)
+        )
+    return float(upright.mean())
 
 
 def save(path: str, actor: Actor, ant: str, seed: int, kind: str) -> None:
@@ -385,12 +454,22 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--repeat", type=float, default=1.0, help="factor of all iterations")
     parser.add_argument("--seconds", type=float, default=np.inf, help="of training at most")
     parser.add_argument("--random-search", action="store_true", help="the yardstick, no gradient")
+    parser.add_argument(
+        "--variants", type=int, default=0, metavar="N", help="train in N worlds that differ, pushed"
+    )
+    parser.add_argument(
+        "--robustness", type=int, default=0, metavar="N", help="play N seeds that differ, pushed"
+    )
     parser.add_argument("--verbose", action="store_true")
     parser.add_argument("--plot", metavar="PATH.png", help="draw loss and motion")
     args = parser.parse_args()
     viewer.check_arguments(parser, args)
-    known = [stage[0] for stage in STAGES]
-    args.stages = args.stages.split(",") if args.stages else known
+    if args.variants < 0:
+        parser.error(f"--variants: expected a number of worlds >= 0, got {args.variants}")
+    if args.robustness < 0 or (args.robustness and args.live):
+        parser.error("--robustness: expected a number of seeds >= 0, and --headless with it")
+    known = [stage[0] for stage in (*STAGES, *HEADING)]
+    args.stages = args.stages.split(",") if args.stages else known[: len(STAGES)]
     for name in args.stages:
         if name not in known:
             parser.error(f"--stages: expected names of {', '.join(known)}, got {name}")
@@ -402,14 +481,14 @@ def train(args: argparse.Namespace) -> tuple[Actor, list[float], dict[str, bool]
     actor = Actor()
     if args.start:
         actor = load(args.start, args.ant)
+    trainer = Trainer(actor, args.gradient, args.ant, args.verbose, variants=args.variants)
     begun = time.perf_counter()
     if args.random_search:
-        losses = random_search(actor, args.ant, args.seed, min(args.seconds, 1200.0))
+        losses = random_search(trainer, args.seed, min(args.seconds, 1200.0))
         print(f"random search: loss {losses[0]:.4f} -> {losses[-1]:.4f}, {len(losses)} batches")
         return actor, losses, {}
-    trainer = Trainer(actor, args.gradient, args.ant, args.seed, args.verbose)
     checks = {}
-    for name, horizon, iterations, strength in STAGES:
+    for name, horizon, iterations, strength in (*STAGES, *HEADING):
         if name in args.stages:
             count = max(1, round(iterations * args.repeat))
             rate = trainer.stage(name, horizon, count, strength, begun + args.seconds)
@@ -428,7 +507,8 @@ def main() -> int:
     else:
         actor, losses, checks = train(args)
         save(args.out, actor, args.ant, args.seed, args.gradient)
-    ants = AntWorlds(1, ant=args.ant)
+        actor = load(args.out, args.ant)  # what is played is what the file says, in float32
+    ants = make_worlds(1, args.ant)
     with make_stage(args, ants) as stage:
         for frames in stage.runs(args.headless):
             ants.reset()
@@ -440,6 +520,9 @@ def main() -> int:
     told = checks_of(result, ratio)
     for name, (passed, figure) in told.items():
         print(f"  {'reached' if passed else 'NOT REACHED'}: {name}: {figure}")
+    if args.robustness:
+        upright = robustness(actor, args.ant, args.robustness, args.headless)
+        checks[f"95 % of {args.robustness} seeds upright"] = upright >= 0.95
     if args.headless >= 600:
         checks |= {name: passed for name, (passed, _) in told.items()}
     print(

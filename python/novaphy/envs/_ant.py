@@ -89,7 +89,8 @@ class AntWorlds:
         self.ant, self.seed, self.noise = ant, seed, noise
         self.num_worlds, self.substeps, self.dt = num_worlds, substeps, 0.05 / substeps
         self.model = build_ants(file, num_worlds)
-        self.solver = SolverFeatherstone(self.model, **{"angular_damping": 0.0, **solver_options})
+        self.solver_options = {"angular_damping": 0.0, **solver_options}
+        self.solver = SolverFeatherstone(self.model, **self.solver_options)
         self.pipeline = CollisionPipeline(self.model)
         self.contacts, self.control = self.pipeline.contacts(), self.model.control()
         self.state, self._after = self.model.state(), self.model.state()

@@ -24,6 +24,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+from run_peers import cpu_name
 
 ROOT = Path(__file__).resolve().parents[2]
 WORLDS = (1, 16, 256, 4096)
@@ -278,17 +279,12 @@ def cell(row: dict[str, object], worlds: int) -> str:
 def page(rows: list[dict[str, object]], load: float) -> str:
     """docs/performance-policies.md."""
     by = {(r["part"], r["what"], r["threads"]): r for r in rows}
-    processor = platform.processor() or platform.machine()
-    for line in Path("/proc/cpuinfo").read_text().splitlines():
-        if line.startswith("model name"):
-            processor = line.split(":")[1].strip()
-            break
     lines = [
         "# Performance of policies",
         "",
         "Written by `tools/bench/bench_policies.py --page`; do not edit.",
         "",
-        f"On {processor}, Python {platform.python_version()}, by the clock, the fastest of some",
+        f"On {cpu_name()}, Python {platform.python_version()}, by the clock, the fastest of some",
         f"turns. Load average before the first: {load:.1f}"
         + (" (other work ran beside: times are upper bounds)." if load > 0.5 else "."),
         "",

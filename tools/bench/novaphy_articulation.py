@@ -28,6 +28,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+from run_peers import cpu_name
 
 import novaphy
 
@@ -573,17 +574,12 @@ def curves() -> list[str]:
 def write_page(rows: list[tuple[str, float, str, float | None]]) -> None:
     """docs/performance-articulations.md."""
     load = os.getloadavg()[0]
-    processor = platform.processor() or platform.machine()
-    for line in Path("/proc/cpuinfo").read_text().splitlines():
-        if line.startswith("model name"):
-            processor = line.split(":")[1].strip()
-            break
     lines = [
         "# Performance of articulations",
         "",
         "Written by `tools/bench/novaphy_articulation.py --page`; do not edit.",
         "",
-        f"One thread of {processor}, Python {platform.python_version()}. Times are those of the",
+        f"One thread of {cpu_name()}, Python {platform.python_version()}. Times are those of the",
         f"processor, not of the clock, of the fastest of {TURNS} turns.",
         *(
             [

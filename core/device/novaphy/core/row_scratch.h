@@ -1,5 +1,8 @@
 // <novaphy/core/row_scratch.h> for device code.
+#include "novaphy/core/row_stack.h"
+
 #define NOVAPHY_ROW_SCRATCH(TYPE, NAME, MEMORY) TYPE& NAME = *(MEMORY)
+
 namespace novaphy {
-constexpr int64_t kRowStack = 4096;
+constexpr int64_t kRowStack = kDeviceRowStack;
 }  // namespace novaphy

@@ -3,12 +3,10 @@
 // those of the last launch.
 #pragma once
 
-#include <cstdint>
+#include "novaphy/core/row_stack.h"
 
 #define NOVAPHY_ROW_SCRATCH(TYPE, NAME, MEMORY) TYPE NAME
 
 namespace novaphy {
-// Bytes that a row may have on the stack: here, and on a device, where the stacks of a group of
-// threads are interleaved, so that they read them together, and all that can run have theirs.
-inline constexpr int64_t kRowStack = 16384, kDeviceRowStack = 4096;
+inline constexpr int64_t kRowStack = kHostRowStack;
 }  // namespace novaphy

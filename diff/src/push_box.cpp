@@ -10,6 +10,7 @@
 #include "novaphy/diff/engine_kernels.h"
 #include "novaphy/nova/host_work.h"
 #include "novaphy/nova/kernel.h"
+#include "novaphy/nova/launch_argument.h"
 #include "novaphy/nova/op_list.h"
 #include "novaphy/nova/tape.h"
 #include "push_box_kernels.h"
@@ -17,6 +18,7 @@
 namespace novaphy::diff {
 
 using nova::Access;
+using nova::argument;
 using nova::DType;
 using nova::Real;
 using nova::Tensor;
@@ -113,17 +115,6 @@ const DeviceKernel& rollout_kernel() {
 const DeviceKernel& rollout_vjp_kernel() {
   static const DeviceKernel kernel(push_box_rollout_vjp, nullptr);
   return kernel;
-}
-
-LaunchArgument argument(const char* name, const Tensor& tensor, bool write) {
-  LaunchArgument made;
-  if (!tensor.defined()) return made;
-  made.word = reinterpret_cast<uint64_t>(tensor.range()->data());
-  made.name = name;
-  made.range = tensor.range();
-  made.read = true;
-  made.write = write;
-  return made;
 }
 
 struct Rollout {

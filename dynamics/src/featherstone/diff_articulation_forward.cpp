@@ -15,17 +15,6 @@ const DeviceKernel& step_kernel() {
 
 }  // namespace
 
-LaunchArgument argument(const char* name, const Tensor& tensor, bool write) {
-  LaunchArgument made;
-  if (!tensor.defined()) return made;
-  made.word = reinterpret_cast<uint64_t>(tensor.range()->data());
-  made.name = name;
-  made.range = tensor.range();
-  made.read = true;
-  made.write = write;
-  return made;
-}
-
 // Also of an array that may not be written through this handle.
 Tensor tensor_of(const Array& array) {
   const nova::Operand operand = nova::operand_of(array);

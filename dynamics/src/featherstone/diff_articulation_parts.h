@@ -15,6 +15,7 @@
 #include "novaphy/core/device_kernel.h"
 #include "novaphy/core/error.h"
 #include "novaphy/dynamics/featherstone/diff_articulation_step.h"
+#include "novaphy/nova/launch_argument.h"
 #include "novaphy/nova/op_list.h"
 #include "novaphy/nova/tape.h"
 #include "pgs_contacts.h"
@@ -26,6 +27,7 @@ const char* articulation_kernels_text();
 namespace novaphy::diff {
 namespace detail {
 
+using nova::argument;
 using nova::Tensor;
 inline constexpr const char* kName = "articulation_step";
 using G = articulation::StepGradient<float>;
@@ -184,7 +186,6 @@ namespace detail {
 using Step = ArticulationStep::Step;
 
 // Words of launches.
-LaunchArgument argument(const char* name, const Tensor& tensor, bool write);
 // Those of ArticulationArguments.
 void add_arguments(const Step& s, std::vector<LaunchArgument>& words);
 // The words of a launch as the arguments of its kernel.

@@ -3,7 +3,7 @@
 #include <cmath>
 #include <cstring>
 #include <limits>
-#include <optional>
+#include <functional>
 #include <vector>
 
 #include "articulation_devices.h"
@@ -155,18 +155,10 @@ Result stepped(const ModelBuilder& builder, Device device, const Steps& how,
     one(a, b);
     one(b, a);
   };
-  std::optional<nova::ScopedCapture> scope;
-  if (how.captured) {
-    scope.emplace();
-    pair();
-    scope->end();
-  }
+  const std::function<void()> run = testing::replayed_if(how.captured, pair);
   Result result;
   for (int k = 0; k < how.pairs; ++k) {
-    if (how.captured)
-      scope->graph()->launch();
-    else
-      pair();
+    run();
     const int32_t count = contacts.rigid_contact_count.to_host()[0];
     if (found != nullptr) *found = std::max(*found, count);
     if (k % 4 != 3 && k + 1 != how.pairs) continue;

@@ -4,7 +4,7 @@
 
 #include <cmath>
 #include <limits>
-#include <optional>
+#include <functional>
 #include <string>
 #include <utility>
 #include <vector>
@@ -51,18 +51,10 @@ Result stepped(const Model& m, const Steps& how) {
     solver.step(a, b, &control, nullptr, kDt);
     solver.step(b, a, &control, nullptr, kDt);
   };
-  std::optional<nova::ScopedCapture> scope;
-  if (how.captured) {
-    scope.emplace();
-    pair();
-    scope->end();
-  }
+  const std::function<void()> run = testing::replayed_if(how.captured, pair);
   Result result;
   for (int k = 0; k < how.pairs; ++k) {
-    if (how.captured)
-      scope->graph()->launch();
-    else
-      pair();
+    run();
     if (k % 5 == 4 || k + 1 == how.pairs) {
       add(result, a, "pair " + std::to_string(k));
       add(result, b, "pair " + std::to_string(k) + ", first");

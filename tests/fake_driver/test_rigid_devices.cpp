@@ -26,6 +26,7 @@
 #include "novaphy/nova/ops.h"
 #include "novaphy/nova/tape.h"
 #include "support/convex_shapes.h"
+#include "support/cuda_device.h"
 #include "support/device_bits.h"
 
 namespace novaphy {
@@ -33,17 +34,9 @@ namespace {
 
 constexpr float kDt = 1.0f / 960.0f;
 
-class RigidDevices : public ::testing::Test {
+class RigidDevices : public testing::OnCuda {
  protected:
-  void SetUp() override {
-    try {
-      device_info(Device::cuda());
-    } catch (const Error& error) {
-      GTEST_SKIP() << "needs a CUDA device: " << error.what();
-    }
-    setenv("NOVAPHY_UNVERIFIED_DEVICE_CONTACTS", "on", 1);
-  }
-  void TearDown() override { unsetenv("NOVAPHY_UNVERIFIED_DEVICE_CONTACTS"); }
+  RigidDevices() : OnCuda({"NOVAPHY_UNVERIFIED_DEVICE_CONTACTS"}) {}
 };
 
 using testing::bytes;

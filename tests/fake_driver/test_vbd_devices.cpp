@@ -4,31 +4,24 @@
 
 #include <cstdlib>
 #include <cstring>
-#include <functional>
 #include <string>
 
 #include "novaphy/core/error.h"
+#include "support/cuda_device.h"
 #include "vbd/gradients_scene.h"
 
 namespace novaphy {
 namespace {
 
+using testing::expect_thrown;
 using testing::NamedValues;
 using testing::VbdGradientRun;
 
 constexpr const char* kOptIn = "NOVAPHY_UNVERIFIED_DEVICE_VBD_GRADIENTS";
 
-class VbdDevices : public ::testing::Test {
+class VbdDevices : public testing::OnCuda {
  protected:
-  void SetUp() override {
-    try {
-      device_info(Device::cuda());
-    } catch (const Error& error) {
-      GTEST_SKIP() << "needs a CUDA device: " << error.what();
-    }
-    setenv(kOptIn, "on", 1);
-  }
-  void TearDown() override { unsetenv(kOptIn); }
+  VbdDevices() : OnCuda({kOptIn}) {}
 };
 
 NamedValues gradients(Device device, const VbdGradientRun& how) {
@@ -116,16 +109,6 @@ TEST_F(VbdDevices, WorldsAndParticlesWithoutElementsHaveTheBitsOfTheCpu) {
   for (const bool with_cloths : {true, false})
     expect_same(gradients_of_worlds(Device::cuda(), with_cloths),
                 gradients_of_worlds(Device::cpu(), with_cloths));
-}
-
-void expect_thrown(ErrorKind kind, const std::string& words, const std::function<void()>& call) {
-  try {
-    call();
-    ADD_FAILURE() << "nothing was thrown: " << words;
-  } catch (const Error& error) {
-    EXPECT_EQ(error.kind(), kind) << error.what();
-    EXPECT_NE(std::string(error.what()).find(words), std::string::npos) << error.what();
-  }
 }
 
 TEST_F(VbdDevices, WhatIsNotThereIsRefusedByName) {

@@ -34,7 +34,7 @@ VARIABLES = (
     "DLICC_PATH",
 )
 # How many iterations or frames run: of those that fall, until they have met something.
-DEMOS = {"ball": 3, "soft_body": 3, "cloth": 3, "dice": 3, "rigid_drop": 30, "vbd": 15}
+DEMOS = {"ball": 3, "soft_body": 3, "cloth": 5, "dice": 3, "rigid_drop": 30, "vbd": 15}
 DEVICE = """
 import novaphy
 for b in novaphy.backends():

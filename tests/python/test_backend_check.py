@@ -8,6 +8,7 @@ import sys
 import pytest
 
 import novaphy
+from novaphy._command import demos
 from novaphy.backend_check import DEMOS
 
 
@@ -32,6 +33,17 @@ def test_without_a_device_the_report_says_why(tmp_path):
     else:
         assert "[FAILED] the backend is there: configure the build with NOVAPHY_WITH_DLAN" in text
     assert text.splitlines()[-1].startswith("1 failed; ")
+
+
+@pytest.mark.parametrize("demo", DEMOS)
+def test_as_many_iterations_as_it_asks_for_pass_on_the_cpu(demo):
+    """Else the device is not reached."""
+    pytest.importorskip("novaphy.diff")
+    if demo == "vbd" and not novaphy.has_vbd():
+        pytest.skip("built with NOVAPHY_BUILD_VBD=OFF")
+    command = [sys.executable, str(demos()[demo]), "--headless", str(DEMOS[demo])]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
 
 
 @pytest.mark.skipif(

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import stat
+import sys
 
 import numpy as np
 import pytest
@@ -11,7 +13,7 @@ from scenes import DT, Ball
 
 import novaphy
 from novaphy import ViewerFile, ViewerNull, create_viewer
-from novaphy.viewer import Viewer
+from novaphy.viewer import Viewer, _file, _recording
 
 
 @pytest.fixture(scope="module")
@@ -75,6 +77,49 @@ def test_saving_happens_at_intervals_and_at_the_end(ball, tmp_path):
     assert not never.exists()
     assert [p.name for p in tmp_path.iterdir()] == ["ball.npz"]
     assert stat.S_IMODE(path.stat().st_mode) & 0o400
+
+
+def test_an_interrupt_at_any_line_leaves_a_whole_recording(ball, tmp_path):
+    path = tmp_path / "ball.nprec"
+    files = {_file.__file__, _recording.__file__}
+    left = 0
+
+    def trace(frame, event, arg):
+        nonlocal left
+        if frame.f_code.co_filename not in files:
+            return None
+        if event == "line":
+            left -= 1
+            if left == 0:
+                raise KeyboardInterrupt
+        return trace
+
+    counts, interrupts = set(), 0
+    before = sys.gettrace()
+    for k in itertools.count(1):
+        viewer = ViewerFile(path, save_interval=2)
+        viewer.set_model(ball.model)
+        left = k
+        sys.settrace(trace)
+        try:
+            for step in range(5):
+                viewer.time = float(step)
+                viewer.record(ball.states[step])
+        except KeyboardInterrupt:
+            interrupts += 1
+        finally:
+            sys.settrace(before)
+        viewer.close()
+        if viewer.frame_count:
+            other = ViewerFile(path, auto_save=False)
+            other.load_recording()
+            assert other.times.tolist() == list(range(other.frame_count)), k
+            assert other.frame_count >= viewer.frame_count
+            counts.add(other.frame_count)
+        path.unlink(missing_ok=True)
+        if left > 0:
+            break
+    assert interrupts > 100 and counts == {1, 2, 3, 4, 5}
 
 
 def test_only_the_last_frames_are_kept_when_asked(ball, tmp_path):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 from collections import deque
 from collections.abc import Callable, Mapping
@@ -76,8 +77,8 @@ class ViewerFile(Viewer):
         self._calls: list[Call] = []
         self._latest: dict[tuple[str, str], dict[str, Any]] = {}
         self._file: BinaryIO | None = None
-        self._recorded = 0
-        self._saved = 0
+        self._end = 0  # of what is whole in it, bytes
+        self._unsaved: list[Frame] = []  # with auto_save
 
     @property
     def frame_count(self) -> int:
@@ -129,10 +130,12 @@ class ViewerFile(Viewer):
         self.end_frame()
 
     def _add(self, state: dict[str, np.ndarray]) -> None:
-        self._frames.append(Frame(self.time, state, self._calls))
+        frame = Frame(self.time, state, self._calls)
         self._state, self._calls = None, []
-        self._recorded += 1
-        if self.auto_save and self._recorded - self._saved >= self.save_interval:
+        if self.auto_save:
+            self._unsaved.append(frame)
+        self._frames.append(frame)
+        if len(self._unsaved) >= self.save_interval:
             self._save_new()
 
     def _draw(self, call: str, arguments: dict[str, Any]) -> None:
@@ -146,17 +149,25 @@ class ViewerFile(Viewer):
         self._calls.append((call, plain))
 
     def _save_new(self) -> None:
-        """Write what was not written yet to output_path."""
-        new = self._recorded - self._saved
+        """Write what was not written yet to output_path.
+
+        An exception in between, as that of Ctrl-C, leaves it to the next call.
+        """
         if self._is_archive(self.output_path) or self._frames.maxlen is not None:
             self.save_recording()
             return
         if self._file is None:
+            self._end = 0
             self._file = open(self.output_path, "wb")  # noqa: SIM115, closed with the viewer
-            _recording.write_start(self._file, self._model_arrays, self._up_axis)
-            new = len(self._frames)
-        _write_runs(self._file, list(self._frames)[len(self._frames) - new :])
-        self._saved = self._recorded
+        new = io.BytesIO()
+        if self._end == 0:
+            _recording.write_start(new, self._model_arrays, self._up_axis)
+        _write_runs(new, self._unsaved if self._end else list(self._frames))
+        self._file.seek(self._end)
+        self._file.write(new.getbuffer())
+        self._file.truncate()
+        self._file.flush()
+        self._end, self._unsaved = self._file.tell(), []
 
     def save_recording(self, path: str | os.PathLike[str] | None = None) -> str:
         """Write the recording (None: to output_path) and return the path.
@@ -174,7 +185,7 @@ class ViewerFile(Viewer):
                 _write_runs(file, frames)
         if target == self.output_path:
             self._close_file()
-            self._saved = self._recorded
+            self._unsaved = []
         return target
 
     def load_recording(self, path: str | os.PathLike[str] | None = None) -> None:
@@ -186,7 +197,7 @@ class ViewerFile(Viewer):
         self._frames = deque(recording.frames, maxlen=self._frames.maxlen)
         self._model_arrays, self._up_axis = recording.model, recording.up_axis
         self._close_file()
-        self._recorded = self._saved = self.frame_count
+        self._unsaved = []
 
     def playback(self, state: SimState, frame: int) -> float:
         """Copy a held frame into a state and return its time (s).
@@ -263,7 +274,7 @@ class ViewerFile(Viewer):
         """End the viewer; with auto_save, write what was not written yet."""
         if self.is_running() and self.auto_save:
             self.end_frame()
-            if self._recorded != self._saved:
+            if self._unsaved:
                 self._save_new()
         self._close_file()
         super().close()

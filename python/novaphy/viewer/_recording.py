@@ -127,7 +127,6 @@ def _write_chunk(file: BinaryIO, arrays: Mapping[str, np.ndarray]) -> None:
     data = content.getbuffer()
     file.write(struct.pack("<II", len(data), zlib.crc32(data)))
     file.write(data)
-    file.flush()
 
 
 def _chunks(file: BinaryIO) -> Iterator[dict[str, np.ndarray]]:

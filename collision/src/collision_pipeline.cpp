@@ -107,6 +107,7 @@ void CollisionPipeline::collide(const SimState& state, Contacts& contacts,
   };
   check_rows("particle_q", state.particle_q, model_->particle_count());
   check_rows("body_q", state.body_q, model_->body_count());
+  model_->check_worlds(name);
   const int64_t pairs = count_pairs();
   require(pairs == contacts.soft_contact_pair_count(), ErrorKind::Value, name,
           ": contacts: expected ", pairs, " candidate pairs, got ",

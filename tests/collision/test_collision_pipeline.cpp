@@ -159,6 +159,10 @@ TEST(CollisionPipeline, KeepsWorldsApart) {
   ModelBuilder builder;
   for (int i = 0; i < 3; ++i) builder.add_particle({}, {}, 1.0f);
   builder.add_ground_plane();
+  for (int world = 0; world < 2; ++world) {
+    builder.begin_world();
+    builder.end_world();
+  }
   const auto model = builder.finalize(Device::cpu());
   model->particle_world.copy_from_host(std::vector<int32_t>{0, 1, -1});
   CollisionPipeline pipeline(model);

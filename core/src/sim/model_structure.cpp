@@ -1,5 +1,6 @@
-// Which joints and articulations there are: what may not change after a model is made.
+// Which joints and articulations there are, which may not change after a model is made, and worlds.
 #include <algorithm>
+#include <utility>
 
 #include "novaphy/core/error.h"
 #include "novaphy/core/recorder.h"
@@ -38,7 +39,28 @@ void Model::keep_structure() {
   structure_ = std::move(kept);
 }
 
+void Model::check_worlds(std::string_view function) const {
+  const std::pair<const char*, const DeviceArray<int32_t>*> arrays[] = {
+      {"particle_world", &particle_world},
+      {"body_world", &body_world},
+      {"shape_world", &shape_world}};
+  for (size_t k = 0; k < world_stamps_.size(); ++k) {
+    const auto& [name, array] = arrays[k];
+    if (world_stamps_[k].matches(*array)) [[likely]]
+      continue;
+    const Unobserved unobserved;
+    const std::lock_guard lock(derived_mutex_);
+    const std::vector<int32_t> world = array->to_host();
+    for (size_t row = 0; row < world.size(); ++row)
+      require(world[row] >= -1 && world[row] < world_count(), ErrorKind::Index, function,
+              ": model.", name, "[", row, "]: expected -1 to ", world_count() - 1, ", got ",
+              world[row]);
+    world_stamps_[k].set(*array);
+  }
+}
+
 void Model::check_structure(std::string_view function) const {
+  check_worlds(function);
   if (joint_count() == 0 || structure_ == nullptr) return;
 #define NOVAPHY_STRUCTURE_ARRAY(name) &name,
   const Array* const arrays[] = {NOVAPHY_MODEL_STRUCTURE(NOVAPHY_STRUCTURE_ARRAY)};

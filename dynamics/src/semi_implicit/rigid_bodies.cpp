@@ -12,22 +12,9 @@ namespace {
 
 constexpr int64_t kRowChunk = 128, kBodyChunk = 128;
 
-void check_worlds(const Model& m) {
-  const int32_t* world = m.body_world.data();
-  for (int32_t b = 0; b < m.body_count(); ++b) {
-    require(world[b] >= -1 && world[b] < m.world_count(), ErrorKind::Index,
-            "step: model.body_world[", b, "]: expected -1 to ", m.world_count() - 1, ", got ",
-            world[b]);
-  }
-}
-
 }  // namespace
 
 void RigidBodies::prepare(const Model& m, const Contacts* contacts) {
-  if (!body_world_.matches(m.body_world)) {
-    check_worlds(m);
-    body_world_.set(m.body_world);
-  }
   if (contacts == nullptr) return;
   const Contacts& c = *contacts;
   c.check_materials("step");

@@ -47,7 +47,7 @@ class RigidBodies {
                 const Contacts& contacts, const RigidStep& how);
 
   int32_t rows_ = 0;  // contacts that act
-  ArrayStamp count_, shape0_, shape1_, shape_body_, body_world_;
+  ArrayStamp count_, shape0_, shape1_, shape_body_;
   std::vector<int32_t> bodies_;           // of the two sides of every row; -1: the world
   IndexRows sides_;                       // of every body
   std::vector<SpatialVectorf> wrenches_;  // what every side adds to its body

@@ -44,7 +44,6 @@ struct SolverSemiImplicit::Cache {
   ElementForces elements;
   JointForces joints;
   RigidBodies bodies;
-  ArrayStamp particle_world;  // its values were checked
   UnreadMaterials materials;  // adhesion is of contacts of bodies
   EditedValues values{"SolverSemiImplicit"};
   uint64_t steps = 0;  // with contacts
@@ -78,17 +77,6 @@ struct SolverSemiImplicit::Cache {
     std::string text;
     for (const MessagePart& part : parts) text += part.text();
     warn(text);
-  }
-
-  void check_worlds(const Model& model) {
-    if (particle_world.matches(model.particle_world)) return;
-    const int32_t* world = model.particle_world.data();
-    for (int32_t p = 0; p < model.particle_count(); ++p) {
-      require(world[p] >= -1 && world[p] < model.world_count(), ErrorKind::Index, kName,
-              ": model.particle_world[", p, "]: expected -1 to ", model.world_count() - 1, ", got ",
-              world[p]);
-    }
-    particle_world.set(model.particle_world);
   }
 };
 
@@ -155,7 +143,6 @@ void SolverSemiImplicit::step(SimState& state_in, SimState& state_out, const Con
   if (on_device_ != nullptr) return on_device_->step(state_in, state_out, control, contacts, dt);
   m.update_derived();
   cache_->values.check(m);
-  cache_->check_worlds(m);
   if (contacts != nullptr) cache_->contacts.update(m, *contacts);
   cache_->bodies.prepare(m, contacts);
   const JointAttachOptions attach = {options_.joint_attach_ke, options_.joint_attach_kd};

@@ -108,6 +108,7 @@ class NOVAPHY_COLLISION_API CollisionPipeline : public ContactFinder {
   //   ErrorKind::Value  a state or contacts of another model or device; contacts for another number
   //                     of candidate pairs (shape flags were edited: call contacts() again); a bad
   //                     margin
+  //   ErrorKind::Index  a world of a particle, body or shape that is not there
   //   ErrorKind::NotImplemented  a colliding shape that is not covered
   //   ErrorKind::Runtime         NarrowPhase::Fcl is recorded; NotImplemented: so is Sap, with
   //   meshes

@@ -2,6 +2,7 @@
 // may be edited.
 #pragma once
 
+#include <array>
 #include <cstdint>
 #include <memory>
 #include <mutex>
@@ -310,8 +311,11 @@ class NOVAPHY_CORE_API Model : public ModelFields,
   void keep_structure();
   // ErrorKind::Value naming array and row: one of NOVAPHY_MODEL_STRUCTURE was changed, so that what
   // walks the joints would leave its arrays. Cheap while they were not written. What this thread
-  // submits next holds for them as they are. `function` starts the message.
+  // submits next holds for them as they are. Checks the worlds, too. `function` starts the message.
   void check_structure(std::string_view function) const;
+  // ErrorKind::Index naming array and row: a particle_world, body_world or shape_world that is
+  // neither -1 nor a world of the model. Cheap while they were not written.
+  void check_worlds(std::string_view function) const;
   // check_number of all of them; `function` starts the messages.
   void check_numbers(std::string_view function) const;
   // What this thread submits next has the present numbers as arguments: a replay throws
@@ -349,6 +353,7 @@ class NOVAPHY_CORE_API Model : public ModelFields,
   mutable DerivedStamps derived_stamps_;
   std::shared_ptr<const Structure> structure_;
   mutable StructureStamps structure_stamps_;
+  mutable std::array<DerivedStamp, 3> world_stamps_;  // the numbers of worlds were checked
   mutable std::mutex derived_mutex_;
 };
 

@@ -496,6 +496,16 @@ void bind_builder(py::module_& m) {
                      "Of shapes that are added without one.")
       .def_readwrite("rigid_gap", &ModelBuilder::rigid_gap,
                      "m: the gap of shapes whose ShapeConfig has none.")
+      .def_readwrite("balance_inertia", &ModelBuilder::balance_inertia,
+                     "Whether finalize raises all principal moments of an inertia, of which one "
+                     "exceeds the sum of the other two, until it does not, and warns "
+                     "(RuntimeWarning); False: a ValueError.")
+      .def_readwrite("bound_mass", &ModelBuilder::bound_mass,
+                     "kg, > 0: finalize raises smaller masses of dynamic bodies to it (their "
+                     "inertia stays) and warns; not those of 0. None: no bound.")
+      .def_readwrite("bound_inertia", &ModelBuilder::bound_inertia,
+                     "kg*m^2, > 0: where a principal moment of a dynamic body with a mass is below "
+                     "it, finalize raises all by what is missing, and warns. None: no bound.")
       .def_property_readonly("particle_count", &ModelBuilder::particle_count, "Particles so far.")
       .def_property_readonly("body_count", &ModelBuilder::body_count, "Bodies so far.")
       .def_property_readonly("shape_count", &ModelBuilder::shape_count, "Shapes so far.");

@@ -94,6 +94,7 @@ def test_bad_edits_are_found_by_finalize(name, value):
 )
 def test_an_inertia_that_no_body_has_is_refused(inertia, expected):
     builder = novaphy.ModelBuilder()
+    builder.balance_inertia = False
     with pytest.raises(ValueError, match=f"add_link: inertia: expected .*{expected}"):
         builder.add_link(mass=1.0, inertia=inertia)
     assert builder.body_count == 0

@@ -350,7 +350,6 @@ BAD = {
                 LIMIT.replace('"5"', '"-5"'), "revolute")), "damping: expected >= 0"),
     "mass": (robot(link("a", INERTIAL.replace('"2"', '"-2"'))), "value: expected >= 0"),
     "inertia": (robot(link("a", INERTIAL.replace('"0.03"', '"-0.03"'))), "positive definite"),
-    "triangle": (robot(link("a", INERTIAL.replace('"0.03"', '"3"'))), "exceeds the sum"),
     "no inertia": (robot(link("a", '<inertial><mass value="1"/></inertial>')),
                    "expected a <inertia>"),
     "radius": (robot(link("a", f"<collision>{SPHERE}</collision>".replace("0.1", "-1"))),
@@ -374,6 +373,21 @@ def test_bad_files_are_refused_and_the_builder_stays(name):
         builder.add_urdf(text)
     assert counts(builder) == before
     builder.finalize()
+
+
+def test_an_inertia_of_a_file_is_balanced_unless_the_builder_refuses_it():
+    text = robot(link("a", INERTIAL.replace('"0.03"', '"3"')))
+    builder = novaphy.ModelBuilder()
+    builder.add_urdf(text, floating=True)
+    with pytest.warns(RuntimeWarning, match=r"finalize: body_inertia\[0\] \(.*a\): all principal"):
+        model = builder.finalize()
+    least, middle, largest = np.linalg.eigvalsh(model.body_inertia.numpy()[0].astype(float))
+    assert least + middle == pytest.approx(largest, rel=1e-5)
+    builder = novaphy.ModelBuilder()
+    builder.balance_inertia = False
+    with pytest.raises(ValueError, match=r"(?s)exceeds the sum"):
+        builder.add_urdf(text)
+    assert builder.body_count == 0
 
 
 def test_many_links():

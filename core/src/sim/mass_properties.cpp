@@ -1,6 +1,7 @@
 #include "mass_properties.h"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <numbers>
 
@@ -85,6 +86,66 @@ bool is_positive(const Mat33d& a, double shift) {
   return factors.d[0] > 0.0 && factors.d[1] > 0.0 && factors.d[2] > 0.0;
 }
 
+// Whether it is positive definite, and would be with entries that differ by their rounding: judged
+// with a diagonal of ones, for the entries of a thin body are of very different sizes.
+bool is_surely_positive(const Mat33d& a) {
+  Mat33d scaled;
+  for (int i = 0; i < 3; ++i) {
+    if (!(a.m[i][i] > 0.0)) return false;
+    for (int j = 0; j < 3; ++j) scaled.m[i][j] = a.m[i][j] / std::sqrt(a.m[i][i] * a.m[j][j]);
+  }
+  return is_positive(scaled, -1e-7);
+}
+
+// The second moments of the mass, tr(I)/2 1 - I, are >= 0 exactly where the moments of inertia
+// meet the triangle inequality; a flat body has one of 0.
+bool meets_triangle_inequality(const Mat33d& a, double largest) {
+  const double half = trace(a) / 2.0;
+  return is_positive(sum(diagonal(half, half, half), a, -1.0), 1e-5 * largest);
+}
+
+struct Entries {
+  Mat33d a;
+  double largest = 0.0;  // magnitude
+  bool finite = true, symmetric = true;
+};
+Entries entries(const Mat33f& inertia) {
+  Entries e;
+  for (int i = 0; i < 3; ++i)
+    for (int j = 0; j < 3; ++j) {
+      e.a.m[i][j] = inertia.m[i][j];
+      e.finite = e.finite && std::isfinite(e.a.m[i][j]);
+      e.largest = std::max(e.largest, std::abs(e.a.m[i][j]));
+    }
+  for (int i = 0; i < 3; ++i)
+    for (int j = 0; j < i; ++j)
+      e.symmetric = e.symmetric && std::abs(e.a.m[i][j] - e.a.m[j][i]) <= 1e-5 * e.largest;
+  return e;
+}
+
+// Ascending, by Jacobi's rotations.
+std::array<double, 3> principal_moments(Mat33d a) {
+  for (int turn = 0; turn < 30; ++turn) {
+    const int p = turn % 3 == 2 ? 1 : 0, q = turn % 3 == 0 ? 1 : 2;
+    if (a.m[q][p] == 0.0) continue;
+    const double angle = 0.5 * std::atan2(2.0 * a.m[q][p], a.m[q][q] - a.m[p][p]);
+    const double c = std::cos(angle), s = std::sin(angle);
+    for (int k = 0; k < 3; ++k) {
+      const double x = a.m[k][p], y = a.m[k][q];
+      a.m[k][p] = c * x - s * y;
+      a.m[k][q] = s * x + c * y;
+    }
+    for (int k = 0; k < 3; ++k) {
+      const double x = a.m[p][k], y = a.m[q][k];
+      a.m[p][k] = c * x - s * y;
+      a.m[q][k] = s * x + c * y;
+    }
+  }
+  std::array<double, 3> moments = {a.m[0][0], a.m[1][1], a.m[2][2]};
+  std::sort(moments.begin(), moments.end());
+  return moments;
+}
+
 }  // namespace
 
 MassProperties shape_mass(std::string_view function, GeoType type, const Vec3f& scale,
@@ -147,35 +208,33 @@ MassProperties combined(const MassProperties& a, const MassProperties& b) {
               sum(b.inertia, parallel_axis(b.mass, b.com - com)))};
 }
 
-void check_inertia(const Where& where, const Mat33f& inertia) {
-  Mat33d a;
-  double largest = 0.0;
-  bool finite = true;
-  for (int i = 0; i < 3; ++i) {
-    for (int j = 0; j < 3; ++j) {
-      a.m[i][j] = inertia.m[i][j];
-      finite = finite && std::isfinite(a.m[i][j]);
-      largest = std::max(largest, std::abs(a.m[i][j]));
-    }
-  }
+void check_inertia(const Where& where, const Mat33f& inertia, const InertiaMending& later) {
+  const Entries e = entries(inertia);
   const auto check = [&](bool good, const char* expected) {
     const auto& m = inertia.m;
     require(good, ErrorKind::Value, where, ": expected ", expected, ", got ((", m[0][0], ", ",
             m[0][1], ", ", m[0][2], "), (", m[1][0], ", ", m[1][1], ", ", m[1][2], "), (", m[2][0],
             ", ", m[2][1], ", ", m[2][2], "))");
   };
-  check(finite, "finite numbers");
-  const double rounding = 1e-5 * largest;
-  check(std::abs(a.m[0][1] - a.m[1][0]) <= rounding &&
-            std::abs(a.m[0][2] - a.m[2][0]) <= rounding &&
-            std::abs(a.m[1][2] - a.m[2][1]) <= rounding,
-        "a symmetric matrix");
-  check(is_positive(a, -1e-7 * largest), "a positive definite matrix");
-  // The second moments of the mass, tr(I)/2 1 - I, are >= 0 exactly where the moments of inertia
-  // meet the triangle inequality; a flat body has one of 0.
-  const double half = trace(a) / 2.0;
-  check(is_positive(sum(diagonal(half, half, half), a, -1.0), rounding),
+  check(e.finite, "finite numbers");
+  check(e.symmetric, "a symmetric matrix");
+  check(later.bound || is_surely_positive(e.a),
+        "a positive definite matrix, to float32 (where the axes of the body are not its principal "
+        "axes, a moment below 1e-7 of the largest is lost)");
+  check(later.balance || meets_triangle_inequality(e.a, e.largest),
         "principal moments none of which exceeds the sum of the other two");
+}
+
+double mend_inertia(Mat33f& inertia, const InertiaMending& how) {
+  const Entries e = entries(inertia);
+  if (!e.finite || !e.symmetric) return 0.0;
+  const std::array<double, 3> moments = principal_moments(e.a);
+  double raise = how.bound ? std::max(double{*how.bound} - moments[0], 0.0) : 0.0;
+  if (how.balance && !meets_triangle_inequality(e.a, e.largest))
+    raise = std::max(raise, moments[2] - moments[1] - moments[0]);
+  if (raise > 0.0)
+    for (int k = 0; k < 3; ++k) inertia.m[k][k] = static_cast<float>(e.a.m[k][k] + raise);
+  return raise;
 }
 
 }  // namespace novaphy::detail

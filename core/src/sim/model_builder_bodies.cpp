@@ -6,6 +6,7 @@
 #include "mass_properties.h"
 #include "novaphy/core/error.h"
 #include "novaphy/core/sim/model_builder.h"
+#include "novaphy/core/warning.h"
 #include "novaphy/math/functions.h"
 
 namespace novaphy {
@@ -35,7 +36,7 @@ int32_t ModelBuilder::append_body(std::string_view name, const BodyArgs& args, b
   detail::check_finite({name, "com"}, args.com);
   detail::check_mass({name, "mass"}, args.mass);
   if (args.inertia) {
-    detail::check_inertia({name, "inertia"}, *args.inertia);
+    detail::check_inertia({name, "inertia"}, *args.inertia, {balance_inertia, bound_inertia});
     require(args.mass > 0.0f, ErrorKind::Value, name,
             ": mass: expected a number > 0 with an inertia, got ", args.mass);
   }
@@ -87,6 +88,27 @@ ModelBuilder::BodyMasses ModelBuilder::body_masses() const {
     masses.inertia.push_back(inertia);
   }
   return masses;
+}
+
+void ModelBuilder::mend_bodies(BodyMasses& masses) const {
+  constexpr std::string_view name = "finalize";
+  if (bound_mass) detail::check_positive({name, "bound_mass"}, *bound_mass);
+  if (bound_inertia) detail::check_positive({name, "bound_inertia"}, *bound_inertia);
+  for (size_t b = 0; b < bodies_.size(); ++b) {
+    float& mass = masses.mass[b];
+    if (bodies_[b].is_kinematic || !(mass > 0.0f)) continue;
+    if (bound_mass && mass < *bound_mass) {
+      warn_of(detail::Where{name, "body_mass", b}, " (", bodies_[b].label, "): raised from ", mass,
+              " kg to bound_mass, ", *bound_mass, " kg");
+      mass = *bound_mass;
+    }
+    const double raise = detail::mend_inertia(masses.inertia[b], {balance_inertia, bound_inertia});
+    if (raise > 0.0)
+      warn_of(detail::Where{name, "body_inertia", b}, " (", bodies_[b].label,
+              "): all principal moments were raised by ", raise,
+              " kg m^2, so that none is below bound_inertia (if there is one) and, with "
+              "balance_inertia, none exceeds the sum of the other two");
+  }
 }
 
 void ModelBuilder::check_bodies(const BodyMasses& masses) const {

@@ -43,8 +43,9 @@ std::shared_ptr<Model> ModelBuilder::finalize(Device device, const FinalizeOptio
     check_values();
     check_coloring("finalize");
   }
-  const BodyMasses masses = body_masses();
+  BodyMasses masses = body_masses();
   if (!options.skip_validation) {
+    mend_bodies(masses);
     check_bodies(masses);
     check_joints();
   }

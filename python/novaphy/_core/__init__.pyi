@@ -778,6 +778,9 @@ class ModelBuilder(_Native):
     default_particle_radius: float
     default_shape_cfg: _ShapeConfig
     rigid_gap: float
+    balance_inertia: bool
+    bound_mass: float | None
+    bound_inertia: float | None
     default_tri_ke: float
     default_tri_ka: float
     default_tri_kd: float

@@ -3,6 +3,7 @@
 
 #include <string>
 
+#include "novaphy/core/error.h"
 #include "novaphy/core/export.h"
 
 namespace novaphy {
@@ -11,5 +12,13 @@ namespace novaphy {
 using WarningHandler = void (*)(const std::string& text);
 NOVAPHY_CORE_API void set_warning_handler(WarningHandler handler);
 NOVAPHY_CORE_API void warn(const std::string& text);
+
+// The parts joined, as in an error.
+template <class... Parts>
+void warn_of(const Parts&... parts) {
+  std::string text;
+  (text.append(MessagePart(parts).text()), ...);
+  warn(text);
+}
 
 }  // namespace novaphy

@@ -167,6 +167,13 @@ class NOVAPHY_CORE_API ModelBuilder {
   ShapeConfig default_shape_cfg;
   JointDofConfig default_joint_cfg;
   float rigid_gap = 0.1f;  // m: the gap of shapes whose ShapeConfig has none
+  // Of dynamic bodies with a mass, read by finalize, which warns of what it changes; the same
+  // multiple of the identity is added to an inertia in all directions.
+  // A principal moment that exceeds the sum of the other two: they are raised until it does not.
+  // False: an error.
+  bool balance_inertia = true;
+  std::optional<float> bound_mass = {};     // kg, > 0: a smaller mass becomes this
+  std::optional<float> bound_inertia = {};  // kg m^2, > 0: smaller principal moments are raised
   // Materials of elements, where add_* is given none.
   float default_tri_ke = 100.0f, default_tri_ka = 100.0f, default_tri_kd = 10.0f;
   float default_tri_drag = 0.0f, default_tri_lift = 0.0f;
@@ -471,6 +478,7 @@ class NOVAPHY_CORE_API ModelBuilder {
   void upload_bodies(Model& model, const BodyMasses& masses) const;
   void check_sizes() const;
   void check_values() const;
+  void mend_bodies(BodyMasses& masses) const;
   void check_bodies(const BodyMasses& masses) const;
 
   Axis up_axis_;

@@ -157,9 +157,6 @@ void bind_builder_list(py::class_<ModelBuilder>& c, const char* name,
 // ---------------------------------------------------------------- shapes
 
 // add_shape_* options that may be None.
-std::optional<ShapeConfig> config(const ShapeConfig* cfg) {
-  return cfg != nullptr ? std::optional<ShapeConfig>(*cfg) : std::nullopt;
-}
 std::string text(const std::optional<std::string>& label) { return label.value_or(std::string()); }
 
 void bind_shape_config(py::module_& m) {
@@ -205,9 +202,10 @@ void bind_shape_config(py::module_& m) {
   NOVAPHY_MEMBER(kf, "N*s/m, friction below the Coulomb limit.")
   NOVAPHY_MEMBER(ka, "m, adhesion distance of rigid contacts; refused where there are no bodies.")
   NOVAPHY_MEMBER(mu, "Coulomb friction.")
-  NOVAPHY_MEMBER(restitution,
-                 "1, of bounces; read by pgs contacts of SolverFeatherstone. The other solvers refuse "
-                 "all but the default.")
+  NOVAPHY_MEMBER(
+      restitution,
+      "1, of bounces; read by pgs contacts of SolverFeatherstone. The other solvers refuse "
+      "all but the default.")
   NOVAPHY_MEMBER(mu_torsional, "Stored; solvers refuse all but the default, as no force uses it.")
   NOVAPHY_MEMBER(mu_rolling, "Stored; solvers refuse all but the default, as no force uses it.")
   NOVAPHY_MEMBER(margin,
@@ -325,28 +323,48 @@ void bind_bodies(py::class_<ModelBuilder>& c) {
 void bind_shapes(py::class_<ModelBuilder>& c) {
   c.def(
        "add_shape",
-       [](ModelBuilder& b, int32_t body, int32_t type, py::handle xform, const ShapeConfig* cfg,
-          py::handle scale, const std::optional<std::string>& label) {
+       [](py::object self, int32_t body, int32_t type, py::handle xform, const ShapeConfig* cfg,
+          py::handle scale, py::handle src, bool is_static, py::handle color,
+          const std::optional<std::string>& label) {
+         ModelBuilder& b = self.cast<ModelBuilder&>();
+         const auto geo_type = static_cast<GeoType>(type);
+         if (!src.is_none()) {
+           require(geo_type == GeoType::MESH || geo_type == GeoType::CONVEX_MESH, ErrorKind::Value,
+                   "add_shape: src: expected None, of types other than MESH and CONVEX_MESH");
+           ShapeConfig of_mesh = shape_config(b, cfg, color);
+           if (is_static) of_mesh.density = 0.0f;
+           return self
+               .attr(geo_type == GeoType::MESH ? "add_shape_mesh" : "add_shape_convex_hull")(
+                   body, "mesh"_a = src, "xform"_a = xform, "scale"_a = scale, "cfg"_a = of_mesh,
+                   "label"_a = label)
+               .cast<int32_t>();
+         }
          ShapeArgs args{.body = body,
-                        .type = static_cast<GeoType>(type),
+                        .type = geo_type,
                         .xform = to_transform(xform, "xform"),
-                        .cfg = config(cfg),
-                        .label = text(label)};
+                        .cfg = shape_config(b, cfg, color),
+                        .label = text(label),
+                        .is_static = is_static};
          if (!scale.is_none()) args.scale = to_vec3(scale, "scale");
          return b.add_shape(args);
        },
        py::kw_only(), "body"_a = -1, "type"_a, "xform"_a = py::none(), "cfg"_a = py::none(),
-       "scale"_a = py::none(), "label"_a = py::none(),
-       "A shape of a GeoType with its `scale` (m). Returns the index. NotImplementedError for a "
-       "type that is not built.")
+       "scale"_a = py::none(), "src"_a = py::none(), "is_static"_a = false, "color"_a = py::none(),
+       "label"_a = py::none(),
+       "A shape of a GeoType with its `scale` (m), and `src`, the mesh of a MESH or CONVEX_MESH, "
+       "as "
+       "of add_shape_mesh. is_static: it adds no mass to its body. color, of this and the other "
+       "add_shape functions: red, green and blue, 0 to 1, in which viewers show it; None: they "
+       "choose one. Returns the index. NotImplementedError for a type that is not built.")
       .def(
           "add_shape_plane",
           [](ModelBuilder& b, py::handle plane, py::handle xform, float width, float length,
-             int32_t body, const ShapeConfig* cfg, const std::optional<std::string>& label) {
+             int32_t body, const ShapeConfig* cfg, py::handle color,
+             const std::optional<std::string>& label) {
             ShapePlaneArgs args{.width = width,
                                 .length = length,
                                 .body = body,
-                                .cfg = config(cfg),
+                                .cfg = shape_config(b, cfg, color),
                                 .label = text(label)};
             args.plane = to_vec4(plane, "plane");
             if (!xform.is_none()) args.xform = to_transform(xform, "xform");
@@ -354,96 +372,100 @@ void bind_shapes(py::class_<ModelBuilder>& c) {
           },
           "plane"_a = py::make_tuple(0.0, 0.0, 1.0, 0.0), py::kw_only(), "xform"_a = py::none(),
           "width"_a = 10.0f, "length"_a = 10.0f, "body"_a = -1, "cfg"_a = py::none(),
-          "label"_a = py::none(),
+          "color"_a = py::none(), "label"_a = py::none(),
           "Plane a*x + b*y + c*z + d = 0 with the normal (a, b, c), or at `xform` with its +z as "
           "the normal. Width and "
           "length (m) along local x and y; infinite unless both are > 0. Returns the index.")
       .def(
           "add_ground_plane",
-          [](ModelBuilder& b, float height, const ShapeConfig* cfg,
+          [](ModelBuilder& b, float height, const ShapeConfig* cfg, py::handle color,
              const std::optional<std::string>& label) {
-            return b.add_ground_plane(
-                {.height = height, .cfg = config(cfg), .label = label.value_or("ground_plane")});
+            return b.add_ground_plane({.height = height,
+                                       .cfg = shape_config(b, cfg, color),
+                                       .label = label.value_or("ground_plane")});
           },
-          py::kw_only(), "height"_a = 0.0f, "cfg"_a = py::none(), "label"_a = py::none(),
+          py::kw_only(), "height"_a = 0.0f, "cfg"_a = py::none(), "color"_a = py::none(),
+          "label"_a = py::none(),
           "Infinite plane at a height (m) along the up axis. Returns the index.")
       .def(
           "add_shape_sphere",
           [](ModelBuilder& b, int32_t body, py::handle xform, float radius, const ShapeConfig* cfg,
-             const std::optional<std::string>& label) {
+             py::handle color, const std::optional<std::string>& label) {
             return b.add_shape_sphere(body, {.xform = to_transform(xform, "xform"),
                                              .radius = radius,
-                                             .cfg = config(cfg),
+                                             .cfg = shape_config(b, cfg, color),
                                              .label = text(label)});
           },
           "body"_a, py::kw_only(), "xform"_a = py::none(), "radius"_a = 1.0f, "cfg"_a = py::none(),
-          "label"_a = py::none(), "Sphere, radius in m. Returns the index.")
+          "color"_a = py::none(), "label"_a = py::none(), "Sphere, radius in m. Returns the index.")
       .def(
           "add_shape_box",
           [](ModelBuilder& b, int32_t body, py::handle xform, float hx, float hy, float hz,
-             const ShapeConfig* cfg, const std::optional<std::string>& label) {
+             const ShapeConfig* cfg, py::handle color, const std::optional<std::string>& label) {
             return b.add_shape_box(body, {.xform = to_transform(xform, "xform"),
                                           .hx = hx,
                                           .hy = hy,
                                           .hz = hz,
-                                          .cfg = config(cfg),
+                                          .cfg = shape_config(b, cfg, color),
                                           .label = text(label)});
           },
           "body"_a, py::kw_only(), "xform"_a = py::none(), "hx"_a = 0.5f, "hy"_a = 0.5f,
-          "hz"_a = 0.5f, "cfg"_a = py::none(), "label"_a = py::none(),
+          "hz"_a = 0.5f, "cfg"_a = py::none(), "color"_a = py::none(), "label"_a = py::none(),
           "Box of half extents (m). Returns the index.")
       .def(
           "add_shape_capsule",
           [](ModelBuilder& b, int32_t body, py::handle xform, float radius, float half_height,
-             const ShapeConfig* cfg, const std::optional<std::string>& label) {
+             const ShapeConfig* cfg, py::handle color, const std::optional<std::string>& label) {
             return b.add_shape_capsule(body, {.xform = to_transform(xform, "xform"),
                                               .radius = radius,
                                               .half_height = half_height,
-                                              .cfg = config(cfg),
+                                              .cfg = shape_config(b, cfg, color),
                                               .label = text(label)});
           },
           "body"_a, py::kw_only(), "xform"_a = py::none(), "radius"_a = 1.0f,
-          "half_height"_a = 0.5f, "cfg"_a = py::none(), "label"_a = py::none(),
+          "half_height"_a = 0.5f, "cfg"_a = py::none(), "color"_a = py::none(),
+          "label"_a = py::none(),
           "Capsule along local z; half_height (m) leaves out the caps. Returns the index.")
       .def(
           "add_shape_cylinder",
           [](ModelBuilder& b, int32_t body, py::handle xform, float radius, float half_height,
-             const ShapeConfig* cfg, const std::optional<std::string>& label) {
+             const ShapeConfig* cfg, py::handle color, const std::optional<std::string>& label) {
             return b.add_shape_cylinder(body, {.xform = to_transform(xform, "xform"),
                                                .radius = radius,
                                                .half_height = half_height,
-                                               .cfg = config(cfg),
+                                               .cfg = shape_config(b, cfg, color),
                                                .label = text(label)});
           },
           "body"_a, py::kw_only(), "xform"_a = py::none(), "radius"_a = 1.0f,
-          "half_height"_a = 0.5f, "cfg"_a = py::none(), "label"_a = py::none(),
-          "Cylinder along local z (m). Returns the index.")
+          "half_height"_a = 0.5f, "cfg"_a = py::none(), "color"_a = py::none(),
+          "label"_a = py::none(), "Cylinder along local z (m). Returns the index.")
       .def(
           "add_shape_cone",
           [](ModelBuilder& b, int32_t body, py::handle xform, float radius, float half_height,
-             const ShapeConfig* cfg, const std::optional<std::string>& label) {
+             const ShapeConfig* cfg, py::handle color, const std::optional<std::string>& label) {
             return b.add_shape_cone(body, {.xform = to_transform(xform, "xform"),
                                            .radius = radius,
                                            .half_height = half_height,
-                                           .cfg = config(cfg),
+                                           .cfg = shape_config(b, cfg, color),
                                            .label = text(label)});
           },
           "body"_a, py::kw_only(), "xform"_a = py::none(), "radius"_a = 1.0f,
-          "half_height"_a = 0.5f, "cfg"_a = py::none(), "label"_a = py::none(),
+          "half_height"_a = 0.5f, "cfg"_a = py::none(), "color"_a = py::none(),
+          "label"_a = py::none(),
           "Cone along local z (m), apex at +half_height. Returns the index.")
       .def(
           "add_shape_ellipsoid",
           [](ModelBuilder& b, int32_t body, py::handle xform, float rx, float ry, float rz,
-             const ShapeConfig* cfg, const std::optional<std::string>& label) {
+             const ShapeConfig* cfg, py::handle color, const std::optional<std::string>& label) {
             return b.add_shape_ellipsoid(body, {.xform = to_transform(xform, "xform"),
                                                 .rx = rx,
                                                 .ry = ry,
                                                 .rz = rz,
-                                                .cfg = config(cfg),
+                                                .cfg = shape_config(b, cfg, color),
                                                 .label = text(label)});
           },
           "body"_a, py::kw_only(), "xform"_a = py::none(), "rx"_a = 1.0f, "ry"_a = 0.75f,
-          "rz"_a = 0.5f, "cfg"_a = py::none(), "label"_a = py::none(),
+          "rz"_a = 0.5f, "cfg"_a = py::none(), "color"_a = py::none(), "label"_a = py::none(),
           "Ellipsoid of half axes (m). Returns the index.")
       .def("add_shape_collision_filter_pair", &ModelBuilder::add_shape_collision_filter_pair, "a"_a,
            "b"_a, "The two shapes never meet. IndexError: no such shape.");

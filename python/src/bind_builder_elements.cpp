@@ -337,7 +337,7 @@ void bind_mesh_shapes(Builder& c) {
        "add_shape_mesh",
        [](ModelBuilder& b, int32_t body, py::handle xform, const py::object& mesh,
           const py::object& vertices, const py::object& indices, py::handle scale,
-          const ShapeConfig* cfg, const std::optional<std::string>& label) {
+          const ShapeConfig* cfg, py::handle color, const std::optional<std::string>& label) {
          const py::object v = given_or(mesh, "vertices", vertices);
          const py::object t = given_or(mesh, "indices", indices);
          require(!v.is_none() && !t.is_none(), ErrorKind::Value,
@@ -346,12 +346,12 @@ void bind_mesh_shapes(Builder& c) {
                                         .vertices = to_vec3_list(v, "vertices"),
                                         .indices = flat_indices(t, "indices", 3),
                                         .scale = scale_of(scale),
-                                        .cfg = cfg ? std::optional(*cfg) : std::nullopt,
+                                        .cfg = shape_config(b, cfg, color),
                                         .label = label.value_or("")});
        },
        "body"_a, py::kw_only(), "xform"_a = py::none(), "mesh"_a = py::none(),
        "vertices"_a = py::none(), "indices"_a = py::none(), "scale"_a = py::none(),
-       "cfg"_a = py::none(), "label"_a = py::none(),
+       "cfg"_a = py::none(), "color"_a = py::none(), "label"_a = py::none(),
        "A surface of triangles: vertices (n, 3; m), indices (m, 3) or flat, counter-clockwise seen "
        "from outside, or a `mesh` with these as attributes; `scale` a number or three, > 0. It "
        "meets convex shapes, planes and particles, not other meshes. Vertices in one place count "
@@ -362,7 +362,7 @@ void bind_mesh_shapes(Builder& c) {
           "add_shape_convex_hull",
           [](ModelBuilder& b, int32_t body, py::handle xform, const py::object& mesh,
              const py::object& vertices, py::handle scale, int32_t max_vertices,
-             const ShapeConfig* cfg, const std::optional<std::string>& label) {
+             const ShapeConfig* cfg, py::handle color, const std::optional<std::string>& label) {
             const py::object v = given_or(mesh, "vertices", vertices);
             require(!v.is_none(), ErrorKind::Value,
                     "add_shape_convex_hull: expected `mesh` or `vertices`, got neither");
@@ -370,12 +370,12 @@ void bind_mesh_shapes(Builder& c) {
                                                   .vertices = to_vec3_list(v, "vertices"),
                                                   .scale = scale_of(scale),
                                                   .max_vertices = max_vertices,
-                                                  .cfg = cfg ? std::optional(*cfg) : std::nullopt,
+                                                  .cfg = shape_config(b, cfg, color),
                                                   .label = label.value_or("")});
           },
           "body"_a, py::kw_only(), "xform"_a = py::none(), "mesh"_a = py::none(),
           "vertices"_a = py::none(), "scale"_a = py::none(), "max_vertices"_a = kMaxHullVertices,
-          "cfg"_a = py::none(), "label"_a = py::none(),
+          "cfg"_a = py::none(), "color"_a = py::none(), "label"_a = py::none(),
           "The convex hull of points: vertices (n, 3; m), or those of a `mesh`; `scale` a number "
           "or three, > 0. It has at most max_vertices (4 to 64), of those that lie farthest out: "
           "then it is a little smaller than the hull of all. Returns the index. ValueError: fewer "

@@ -58,6 +58,29 @@ py::object soft_contact_rows(const Contacts& contacts) {
       .attr("copy")();
 }
 
+py::list shape_sources(const Model& model) {
+  const std::vector<int32_t> ranges = model.shape_mesh_range.to_host();
+  const auto copy_of = [](const Array& array) { return py::cast(array).attr("numpy")(); };
+  const py::object vertices = copy_of(model.mesh_vertices), indices = copy_of(model.mesh_indices);
+  std::map<std::pair<int32_t, int32_t>, py::object> meshes;  // by first vertex and triangle
+  py::list sources;
+  for (size_t k = 0; k < ranges.size(); k += 4) {
+    const auto rows = [&](const py::object& of, size_t first) {
+      return of[py::slice(ranges[k + first], ranges[k + first] + ranges[k + first + 1], 1)].attr(
+          "copy")();
+    };
+    if (ranges[k + 1] == 0) {
+      sources.append(py::none());
+      continue;
+    }
+    py::object& mesh = meshes[{ranges[k], ranges[k + 2]}];
+    if (!mesh)
+      mesh = py::module_::import("novaphy.io").attr("Mesh")(rows(vertices, 0), rows(indices, 2));
+    sources.append(mesh);
+  }
+  return sources;
+}
+
 [[noreturn]] void removed_name(const char* name, const char* other) {
   throw py::attribute_error(std::string("Control has no ") + name + "; its name is " + other);
 }
@@ -205,6 +228,10 @@ void bind_model(py::module_& m) {
           },
           "The shapes of every body, and of the world (-1), in ascending order.")
       .def_readonly("shape_label", &Model::shape_label, "One name per shape.")
+      .def_property_readonly(
+          "shape_source", &shape_sources,
+          "For every shape its mesh, a novaphy.io.Mesh of copies before shape_scale, of which "
+          "shapes of one mesh share one; None of what is no mesh or hull.")
       .def_readonly("joint_label", &Model::joint_label, "One name per joint.")
       .def_readonly("articulation_label", &Model::articulation_label, "One name per articulation.")
       .def_readonly("max_joints_per_articulation", &Model::max_joints_per_articulation,

@@ -124,6 +124,12 @@ Transformf to_transform(py::handle value, const char* name) {
   return {{v[0], v[1], v[2]}, {v[3], v[4], v[5], v[6]}};
 }
 
+ShapeConfig shape_config(const ModelBuilder& builder, const ShapeConfig* cfg, py::handle color) {
+  ShapeConfig config = cfg != nullptr ? *cfg : builder.default_shape_cfg;
+  if (!color.is_none()) config.color = to_vec3(color, "color");
+  return config;
+}
+
 std::vector<Vec3f> to_vec3_list(py::handle value, const char* name) {
   if (is_ndarray(value)) return list_from_array<Vec3f>(value, name, Scalar::F32, 3);
   const Items items(value, name, "a sequence of positions");

@@ -64,6 +64,8 @@ Vec3f to_vec3(py::handle value, const char* name);
 Vec4f to_vec4(py::handle value, const char* name);
 // None: the identity; else (px, py, pz, qx, qy, qz, qw), or a pair (position, quaternion).
 Transformf to_transform(py::handle value, const char* name);
+// `cfg` with a color (None: its own), null meaning the builder's default.
+ShapeConfig shape_config(const ModelBuilder& builder, const ShapeConfig* cfg, py::handle color);
 std::vector<Vec3f> to_vec3_list(py::handle value, const char* name);
 std::vector<float> to_float_list(py::handle value, const char* name);
 std::vector<int32_t> to_int_list(py::handle value, const char* name);

@@ -23,6 +23,11 @@ void check_shape_config(std::string_view function, const ShapeConfig& cfg) {
   check_not_negative({function, "cfg.mu_rolling"}, cfg.mu_rolling);
   check_finite({function, "cfg.margin"}, cfg.margin);
   if (cfg.gap) check_not_negative({function, "cfg.gap"}, *cfg.gap);
+  if (!cfg.color) return;
+  const auto part = [](float x) { return x >= 0.0f && x <= 1.0f; };
+  const Vec3f& c = *cfg.color;
+  require(part(c.x) && part(c.y) && part(c.z), ErrorKind::Value, function,
+          ": color: expected three numbers from 0 to 1, got (", c.x, ", ", c.y, ", ", c.z, ")");
 }
 
 Transformf checked_pose(const Where& where, const Transformf& xform) {

@@ -106,6 +106,9 @@ std::shared_ptr<Model> ModelBuilder::finalize(Device device, const FinalizeOptio
   upload(m.shape_flags, flags);
   upload(m.shape_collision_group, group);
   upload(m.shape_world, world);
+  upload(m.shape_color, column([](const Shape& s) {
+           return s.cfg.color.value_or(Vec3f{-1.0f, -1.0f, -1.0f});
+         }));
   upload(m.shape_contact_pairs, pairs);
   upload(m.shape_transform, column([](const Shape& s) { return s.xform; }));
   upload(m.shape_type, column([](const Shape& s) { return static_cast<int32_t>(s.type); }));

@@ -21,8 +21,9 @@ int32_t ModelBuilder::append_shape(std::string_view name, const ShapeArgs& args,
           ErrorKind::Value, name,
           ": body: expected -1 (the world) or a kinematic body for a plane, got the dynamic body ",
           args.body);
-  const ShapeConfig& cfg = args.cfg ? *args.cfg : default_shape_cfg;
+  ShapeConfig cfg = args.cfg ? *args.cfg : default_shape_cfg;
   detail::check_shape_config(name, cfg);
+  if (args.is_static) cfg.density = 0.0f;
   SolidProperties solid;
   if (args.type == GeoType::MESH || args.type == GeoType::CONVEX_MESH) {
     require(mesh != nullptr, ErrorKind::Value, name, ": type: ", geo_type_name(args.type),

@@ -8,6 +8,7 @@ from typing import Any, Final, Never, SupportsFloat, SupportsIndex, TypeAlias, o
 import numpy as np
 from numpy.typing import NDArray
 
+from ..io import Mesh as _Mesh
 from . import diff as diff
 from . import io as io
 from . import nova as nova
@@ -377,6 +378,7 @@ class Model(_Counts):
     shape_scale: _Field
     shape_flags: _Field
     shape_world: _Field
+    shape_color: _Field
     shape_collision_group: _Field
     shape_is_solid: _Field
     shape_margin: _Field
@@ -448,6 +450,8 @@ class Model(_Counts):
     def particle_color_groups(self) -> list[NDArray[np.int32]]: ...
     @property
     def shape_label(self) -> list[str]: ...
+    @property
+    def shape_source(self) -> list[_Mesh | None]: ...
     @property
     def joint_label(self) -> list[str]: ...
     @property
@@ -1301,6 +1305,9 @@ class ModelBuilder(_Native):
         xform: _Transform | None = None,
         cfg: _ShapeConfig | None = None,
         scale: _Vector | None = None,
+        src: object | None = None,
+        is_static: bool = False,
+        color: _Vector | None = None,
         label: str | None = None,
     ) -> int: ...
     def add_shape_plane(
@@ -1312,6 +1319,7 @@ class ModelBuilder(_Native):
         length: SupportsFloat = 10.0,
         body: SupportsIndex = -1,
         cfg: _ShapeConfig | None = None,
+        color: _Vector | None = None,
         label: str | None = None,
     ) -> int: ...
     def add_ground_plane(
@@ -1319,6 +1327,7 @@ class ModelBuilder(_Native):
         *,
         height: SupportsFloat = 0.0,
         cfg: _ShapeConfig | None = None,
+        color: _Vector | None = None,
         label: str | None = None,
     ) -> int: ...
     def add_shape_sphere(
@@ -1328,6 +1337,7 @@ class ModelBuilder(_Native):
         xform: _Transform | None = None,
         radius: SupportsFloat = 1.0,
         cfg: _ShapeConfig | None = None,
+        color: _Vector | None = None,
         label: str | None = None,
     ) -> int: ...
     def add_shape_box(
@@ -1339,6 +1349,7 @@ class ModelBuilder(_Native):
         hy: SupportsFloat = 0.5,
         hz: SupportsFloat = 0.5,
         cfg: _ShapeConfig | None = None,
+        color: _Vector | None = None,
         label: str | None = None,
     ) -> int: ...
     def add_shape_capsule(
@@ -1349,6 +1360,7 @@ class ModelBuilder(_Native):
         radius: SupportsFloat = 1.0,
         half_height: SupportsFloat = 0.5,
         cfg: _ShapeConfig | None = None,
+        color: _Vector | None = None,
         label: str | None = None,
     ) -> int: ...
     def add_shape_cylinder(
@@ -1359,6 +1371,7 @@ class ModelBuilder(_Native):
         radius: SupportsFloat = 1.0,
         half_height: SupportsFloat = 0.5,
         cfg: _ShapeConfig | None = None,
+        color: _Vector | None = None,
         label: str | None = None,
     ) -> int: ...
     def add_shape_cone(
@@ -1369,6 +1382,7 @@ class ModelBuilder(_Native):
         radius: SupportsFloat = 1.0,
         half_height: SupportsFloat = 0.5,
         cfg: _ShapeConfig | None = None,
+        color: _Vector | None = None,
         label: str | None = None,
     ) -> int: ...
     def add_shape_ellipsoid(
@@ -1380,6 +1394,7 @@ class ModelBuilder(_Native):
         ry: SupportsFloat = 0.75,
         rz: SupportsFloat = 0.5,
         cfg: _ShapeConfig | None = None,
+        color: _Vector | None = None,
         label: str | None = None,
     ) -> int: ...
     def add_shape_mesh(
@@ -1392,6 +1407,7 @@ class ModelBuilder(_Native):
         indices: Sequence[SupportsIndex] | NDArray[Any] | None = None,
         scale: SupportsFloat | _Vector | None = None,
         cfg: _ShapeConfig | None = None,
+        color: _Vector | None = None,
         label: str | None = None,
     ) -> int: ...
     def add_shape_convex_hull(
@@ -1404,6 +1420,7 @@ class ModelBuilder(_Native):
         scale: SupportsFloat | _Vector | None = None,
         max_vertices: SupportsIndex = 64,
         cfg: _ShapeConfig | None = None,
+        color: _Vector | None = None,
         label: str | None = None,
     ) -> int: ...
     def add_shape_collision_filter_pair(self, a: SupportsIndex, b: SupportsIndex) -> None: ...

@@ -40,6 +40,7 @@ MODEL_FIELDS = (
     "shape_transform",
     "shape_body",
     "shape_flags",
+    "shape_color",
     "shape_mesh_range",
     "mesh_vertices",
     "mesh_indices",
@@ -176,7 +177,11 @@ class ModelScene:
             item = Instances(mesh, len(rows))
             item.local.set(np.ascontiguousarray(self.arrays["shape_transform"][rows]))
             item.scales.set(shape_scales(int(geo_type), self.arrays["shape_scale"][rows]))
-            item.colors.set(_shape_colors(bodies[rows], geo_type == GeoType.PLANE))
+            colors = _shape_colors(bodies[rows], geo_type == GeoType.PLANE)
+            if "shape_color" in self.arrays:  # not in older recordings
+                given = self.arrays["shape_color"][rows]
+                colors[:, :3] = np.where(given < 0.0, colors[:, :3], given)
+            item.colors.set(colors)
             self.scene.instances[name] = item
             moving = bodies[rows]
             self._rows.append((item, rows, item.colors.values))

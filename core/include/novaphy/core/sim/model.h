@@ -157,6 +157,8 @@ namespace novaphy {
     "size; its meaning depends on the type, see GeoType")                                         \
   X(shape_flags, int32_t, 1, shape_count, "", "", "ShapeFlags")                                   \
   X(shape_world, int32_t, 1, shape_count, "", "", "world of the shape; -1: all worlds")           \
+  X(shape_color, Vec3f, 1, shape_count, "1", "",                                                  \
+    "red, green, blue, 0 to 1, that viewers show; negative: none was given, they choose one")     \
   X(shape_collision_group, int32_t, 1, shape_count, "", "", "collision group, see ShapeConfig")   \
   X(shape_is_solid, uint8_t, 1, shape_count, "", "", "1 if solid, 0 if a shell")                  \
   X(shape_margin, float, 1, shape_count, "m", "",                                                 \

@@ -60,6 +60,7 @@ struct ShapeArgs {
   Vec3f scale{};  // see GeoType
   std::optional<ShapeConfig> cfg = {};
   std::string label = {};
+  bool is_static = false;  // adds no mass to its body, whatever the density
 };
 struct ShapePlaneArgs {
   Vec4f plane{0.0f, 0.0f, 1.0f,

@@ -5,6 +5,7 @@
 #include <optional>
 
 #include "novaphy/core/sim/enums.h"
+#include "novaphy/math/types.h"
 
 namespace novaphy {
 
@@ -33,6 +34,8 @@ struct ShapeConfig {
   bool has_shape_collision = true;
   bool has_particle_collision = true;
   bool is_visible = true;
+  // Red, green, blue, 0 to 1, in which viewers show it; they choose one when empty.
+  std::optional<Vec3f> color = {};
 
   // The bits of Model::shape_flags.
   constexpr int32_t flags() const {

@@ -33,7 +33,8 @@ float huber_smoothing(const DiffSolverConfig& config) {
 }
 
 BodyStepOptions body_options(const DiffSolverConfig& config) {
-  return {.static_contacts = config.enable_static_contacts && config.enable_rigid_contacts,
+  return {.solver = "DiffSemiImplicitSolver",
+          .static_contacts = config.enable_static_contacts && config.enable_rigid_contacts,
           .angular_damping = config.angular_damping,
           .friction_smoothing = huber_smoothing(config)};
 }
@@ -213,6 +214,10 @@ void DiffSemiImplicitSolver::step(SimState& state_in, SimState& state_out, const
               joints_ ? &*joints_ : nullptr, control, contacts, tables_, particles_.wrenches(), dt,
               nova::operand_of(body_f_));
   if (contacts != nullptr) bodies_.write_contact_forces(*contacts);
+}
+
+float DiffSemiImplicitSolver::stable_dt(const SimState& state, const Contacts& contacts) const {
+  return stable_contact_dt("DiffSemiImplicitSolver.stable_dt", *model(), state, contacts, 0.0f);
 }
 
 std::vector<ScratchSpec> DiffSemiImplicitSolver::step_scratch() const {

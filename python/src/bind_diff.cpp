@@ -493,7 +493,11 @@ void bind_solver(py::module_& solvers) {
           [](const DiffSemiImplicitSolver& s) {
             return Settings{s.config(), true};
           },
-          "The settings that it was made with; AttributeError where one is set.");
+          "The settings that it was made with; AttributeError where one is set.")
+      .def("stable_dt", &DiffSemiImplicitSolver::stable_dt, "state"_a, "contacts"_a,
+           "As SolverSemiImplicit.stable_dt: the longest dt (s) for the contacts that touch in the "
+           "state, of bodies. A step of a longer one warns (RuntimeWarning, once) where ke or kd "
+           "diverges for certain. ValueError: a state or contacts of another model.");
   add_fast_step(solver);
 }
 

@@ -74,7 +74,7 @@ void bind_dynamics(py::module_& m, py::module_& solvers) {
            "rest; 0: it creeps. It starts anew from a state that the last step has not written. "
            "joint_attach_ke (N/m, N*m/rad) and joint_attach_kd (N*s/m, 0.01 of it N*m*s/rad) hold "
            "joints together; step refuses a dt at which one of them diverges by itself, and warns "
-           "(RuntimeWarning, once, on the cpu) of one at which ke or kd of what touches does. "
+           "(RuntimeWarning, once) of one at which ke or kd of what touches does. "
            "enable_tri_contact acts on contacts of particles with triangles, of which there are "
            "none yet. "
            "NotImplementedError for parts of a model "

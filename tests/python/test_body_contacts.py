@@ -9,6 +9,9 @@ import novaphy
 from novaphy import diff, nova, solvers
 from novaphy.testing import assert_same_bits
 
+# Steps of 0.01 s, of which one at a time is taken.
+pytestmark = pytest.mark.filterwarnings("ignore:DiffSemiImplicitSolver. dt")
+
 DT = 1 / 960
 SURFACE = novaphy.ShapeConfig(ke=1e4, kd=300.0, kf=500.0, mu=0.5)
 IDENTITY = (0.0, 0.0, 0.0, 1.0)

@@ -147,3 +147,101 @@ def test_a_warning_that_is_an_error_ends_the_step_before_it_writes():
         with pytest.raises(RuntimeWarning, match="dt: 0.1 s is longer than"):
             solver.step(state, after, None, contacts, 0.1)
     assert (after.body_q.numpy() == 9.0).all()
+
+
+def with_diff(model, **config):
+    pytest.importorskip("novaphy.diff")
+    return solvers.DiffSemiImplicitSolver(model, solvers.DiffSolverConfig(**config))
+
+
+def said_of(run):
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        run()
+    assert all(w.category is RuntimeWarning for w in said)
+    return [str(w.message) for w in said]
+
+
+def test_the_differentiable_solver_has_the_limit_of_the_forward_one():
+    model = stack(kd=640.0)
+    contacts, state = found(model), model.state()
+    limit = solvers.SolverSemiImplicit(model).stable_dt(state, contacts)
+    assert with_diff(model).stable_dt(state, contacts) == limit
+    with pytest.raises(ValueError, match="DiffSemiImplicitSolver.stable_dt: expected a state and"):
+        with_diff(ball(1e4)).stable_dt(state, contacts)
+
+
+@pytest.mark.parametrize("recorded", [False, True])
+@pytest.mark.parametrize("how", ["step", "contacts", "pipeline"])
+def test_the_differentiable_solver_warns_as_the_forward_one(how, recorded):
+    diff, nova = pytest.importorskip("novaphy.diff"), pytest.importorskip("novaphy.nova")
+    model = ball(1e4)
+    limit = limit_of(model)
+
+    def run(dt):
+        solver, contacts = with_diff(model), found(model)
+        trajectory = diff.Trajectory(model, 3)
+
+        def steps():
+            if how == "step":
+                state = model.state()
+                for _ in range(3):
+                    solver.step(state, model.state(), None, contacts, dt)
+            elif how == "contacts":
+                solver.rollout(trajectory, None, contacts, dt)
+            else:
+                pipeline = novaphy.CollisionPipeline(model)
+                solver.rollout(trajectory, None, None, dt, pipeline=pipeline)
+
+        if not recorded:
+            return steps()
+        with nova.Tape():
+            return steps()
+
+    assert said_of(lambda: run(0.98 * limit)) == []
+    (text,) = said_of(lambda: run(1.02 * limit))
+    assert (
+        text.startswith("DiffSemiImplicitSolver: dt: ") and "springs" in text and "body 0" in text
+    )
+
+
+def test_a_rollout_is_watched_when_the_ball_has_come_down():
+    diff = pytest.importorskip("novaphy.diff")
+    model = ball(1e4)
+    model.body_q.fill_(0)
+    model.body_q[:] = [(0, 0, 0.1 + 1e-4, *UPRIGHT)]
+    pipeline = novaphy.CollisionPipeline(model)
+    assert pipeline.contacts().rigid_contact_max > 0
+    trajectory = diff.Trajectory(model, 8)
+    run = with_diff(model).rollout
+    (text,) = said_of(lambda: run(trajectory, None, None, 0.05, pipeline=pipeline))
+    assert "dt: 0.05 s is longer than" in text
+
+
+@pytest.mark.parametrize(("material", "what"), [({}, "springs"), ({"kd": 400.0}, "dampers")])
+def test_static_contacts_warn_of_what_one_row_cannot_bear(material, what):
+    diff = pytest.importorskip("novaphy.diff")
+    model = ball(1e4, **material)
+    limit = limit_of(model)
+    for factor, count in ((0.98, 0), (1.02, 1)):
+        solver = with_diff(model, enable_static_contacts=True)
+        trajectory = diff.Trajectory(model, 3)
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            for _ in range(2):
+                solver.rollout(trajectory, None, None, factor * limit)
+        said = [str(w.message) for w in caught]
+        assert len(said) == count and all(what in text for text in said)
+
+
+def test_a_capture_says_nothing():
+    diff, nova = pytest.importorskip("novaphy.diff"), pytest.importorskip("novaphy.nova")
+    model = ball(1e4)
+    solver, contacts, trajectory = with_diff(model), found(model), diff.Trajectory(model, 3)
+
+    def capture():
+        with nova.ScopedCapture() as graph:
+            solver.rollout(trajectory, None, contacts, 0.1)
+        return graph
+
+    assert said_of(capture) == []

@@ -1,12 +1,16 @@
-#include "contact_stability.h"
+#include "novaphy/dynamics/semi_implicit/contact_stability.h"
 
+#include <algorithm>
 #include <array>
+#include <bit>
 #include <cmath>
 #include <limits>
 #include <vector>
 
 #include "novaphy/core/error.h"
 #include "novaphy/core/sim/enums.h"
+#include "novaphy/core/storage.h"
+#include "novaphy/core/warning.h"
 #include "novaphy/dynamics/semi_implicit/rigid_contact_trace.h"
 #include "novaphy/math/matrix.h"
 #include "novaphy/math/spatial.h"
@@ -15,6 +19,7 @@ namespace novaphy {
 namespace {
 
 constexpr size_t kModes = 4;  // ke, kd, kf, stick_ke
+constexpr float kNone = std::numeric_limits<float>::infinity();
 
 using Six = std::array<float, 6>;
 struct Matrix {
@@ -141,7 +146,6 @@ ContactStability contact_stability(const Model& model, const SimState& state,
   for (size_t k = 0; k < rows.contacts.size(); ++k) add_row(rows, k, others, stick_ke, modes);
   const std::vector<float> inv_mass = model.body_inv_mass.to_host();
   const std::vector<Mat33f> inv_inertia = model.body_inv_inertia.to_host();
-  constexpr float kNone = std::numeric_limits<float>::infinity();
   ContactStability limits = {{kNone}, {kNone}, {kNone}, {kNone}};
   ContactStability::Limit* const of[kModes] = {&limits.ke, &limits.kd, &limits.kf,
                                                &limits.stick_ke};
@@ -154,6 +158,63 @@ ContactStability contact_stability(const Model& model, const SimState& state,
       if (w > 0.0f && dt < of[i]->dt) *of[i] = {dt, static_cast<int32_t>(b)};
     }
   return limits;
+}
+
+float stable_contact_dt(const char* function, const Model& model, const SimState& state,
+                        const Contacts& contacts, float stick_ke) {
+  require(state.model_id() == model.id() && contacts.model_id() == model.id(), ErrorKind::Value,
+          function, ": expected a state and contacts of the solver's model, got others");
+  const Unobserved unobserved;
+  model.update_derived();
+  const ContactStability limits =
+      contact_stability(model, state, contacts, OtherBodies::InAntiphase, stick_ke);
+  return std::min({limits.ke.dt, limits.kd.dt, limits.kf.dt, limits.stick_ke.dt});
+}
+
+bool ContactWatch::is_due() {
+  constexpr uint64_t kOften = 1024;
+  ++steps_;
+  return !warned_ && (std::has_single_bit(steps_) || steps_ % kOften == 0);
+}
+
+void ContactWatch::look(const Model& model, const SimState& state, const Contacts& contacts,
+                        float dt) {
+  const Unobserved unobserved;
+  check(contact_stability(model, state, contacts, OtherBodies::Held, 0.0f), dt);
+}
+
+void ContactWatch::look_at_pairs(const Model& model, float dt) {
+  if (warned_ || dt <= longest_dt_) return;
+  longest_dt_ = dt;
+  const Unobserved unobserved;
+  const std::vector<float> ke = model.shape_material_ke.to_host(),
+                           kd = model.shape_material_kd.to_host(),
+                           inv_mass = model.body_inv_mass.to_host();
+  const std::vector<int32_t> body = model.shape_body.to_host(), flags = model.body_flags.to_host();
+  ContactStability limits = {{kNone}, {kNone}, {kNone}, {kNone}};
+  for (const Vec2i& pair : model.shape_contact_pairs.to_host()) {
+    const auto a = static_cast<size_t>(pair.x), b = static_cast<size_t>(pair.y);
+    for (const size_t shape : {a, b}) {
+      const int32_t of = body[shape];
+      if (of < 0 || has_flag(flags[static_cast<size_t>(of)], BodyFlags::KINEMATIC)) continue;
+      const float w = 0.5f * inv_mass[static_cast<size_t>(of)];
+      const float springs = 2.0f / std::sqrt((ke[a] + ke[b]) * w),
+                  dampers = 2.0f / ((kd[a] + kd[b]) * w);
+      if (springs < limits.ke.dt) limits.ke = {springs, of};
+      if (dampers < limits.kd.dt) limits.kd = {dampers, of};
+    }
+  }
+  check(limits, dt);
+}
+
+void ContactWatch::check(const ContactStability& limits, float dt) {
+  const bool springs = limits.ke.dt < limits.kd.dt;
+  const ContactStability::Limit& limit = springs ? limits.ke : limits.kd;
+  if (dt <= limit.dt) return;
+  warned_ = true;
+  warn_of(function_, ": dt: ", dt, " s is longer than the ", limit.dt, " s up to which the ",
+          springs ? "springs (ke)" : "dampers (kd)", " of contacts of body ", limit.body,
+          " are stable with its mass and inertia; stable_dt(state, contacts) says what is safe");
 }
 
 }  // namespace novaphy

@@ -1,5 +1,7 @@
 #include "novaphy/dynamics/semi_implicit/diff_body_step.h"
 
+#include "novaphy/nova/op_list.h"
+
 namespace novaphy::diff {
 
 using nova::Operand;
@@ -28,6 +30,7 @@ void BodyStep::run(const Model& model, const SimState& in, SimState& out, const 
                    DiffJoints* joints, const Control* control, const Contacts* contacts,
                    const ContactTables& tables, const Operand* of_particles, float dt,
                    const Operand& total) {
+  if (nova::current_capture() == nullptr) look(model, in, contacts, tables, dt);
   const Operand q = nova::operand_of(in.body_q), qd = nova::operand_of(in.body_qd);
   Operand f = body_f;
   if (joints != nullptr && joints->act()) {
@@ -58,6 +61,14 @@ void BodyStep::run(const Model& model, const SimState& in, SimState& out, const 
                                           .dt = dt},
                                          nova::operand_of(out.body_q),
                                          nova::operand_of(out.body_qd));
+}
+
+void BodyStep::look(const Model& model, const SimState& in, const Contacts* contacts,
+                    const ContactTables& tables, float dt) {
+  if (options_.static_contacts) return watch_.look_at_pairs(model, dt);
+  if (tables.sides_of_bodies() == nullptr || !watch_.is_due()) return;
+  nova::flush_deferred();
+  watch_.look(model, in, *contacts, dt);
 }
 
 void BodyStep::write_contact_forces(const Contacts& contacts) const {

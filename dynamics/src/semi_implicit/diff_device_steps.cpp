@@ -19,7 +19,8 @@ class DeviceSteps final : public diff::DiffSolverBase {
         particles_(
             *model,
             {.elements = {.springs = true, .triangles = true, .edges = true, .tetrahedra = true}}),
-        bodies_({.angular_damping = options.angular_damping,
+        bodies_({.solver = "SolverSemiImplicit.step",
+                 .angular_damping = options.angular_damping,
                  .friction_law = options.friction_law,
                  .friction_smoothing = *options.friction_smoothing}) {
     if (!moves_bodies()) return;

@@ -1,11 +1,9 @@
 #include "novaphy/dynamics/semi_implicit/solver_semi_implicit.h"
 
 #include <algorithm>
-#include <bit>
 #include <cmath>
 #include <utility>
 
-#include "contact_stability.h"
 #include "device_steps.h"
 #include "element_forces.h"
 #include "joint_forces.h"
@@ -15,7 +13,7 @@
 #include "novaphy/core/sim/for_chunks.h"
 #include "novaphy/core/sim/unread_materials.h"
 #include "novaphy/core/storage.h"
-#include "novaphy/core/warning.h"
+#include "novaphy/dynamics/semi_implicit/contact_stability.h"
 #include "novaphy/dynamics/semi_implicit/friction_law.h"
 #include "novaphy/dynamics/semi_implicit/particle_integrator_trace.h"
 #include "particle_contacts.h"
@@ -46,38 +44,7 @@ struct SolverSemiImplicit::Cache {
   RigidBodies bodies;
   UnreadMaterials materials;  // adhesion is of contacts of bodies
   EditedValues values{"SolverSemiImplicit"};
-  uint64_t steps = 0;  // with contacts
-  bool warned = false;
-
-  // Of a dt that is too long for what touches: in steps 1, 2, 4, 8, ... 1024, 2048, 3072, ...
-  void warn_of_unstable(const Model& model, const SimState& state, const Contacts& touching,
-                        float dt) {
-    constexpr uint64_t kOften = 1024;
-    ++steps;
-    if (warned || !(std::has_single_bit(steps) || steps % kOften == 0)) return;
-    const Unobserved unobserved;
-    const ContactStability limits =
-        contact_stability(model, state, touching, OtherBodies::Held, 0.0f);
-    const bool springs = limits.ke.dt < limits.kd.dt;
-    const ContactStability::Limit& limit = springs ? limits.ke : limits.kd;
-    if (dt <= limit.dt) return;
-    warned = true;
-    const MessagePart parts[] = {
-        kName,
-        ": dt: ",
-        dt,
-        " s is longer than the ",
-        limit.dt,
-        " s up to which the ",
-        springs ? "springs (ke)" : "dampers (kd)",
-        " of contacts of body ",
-        limit.body,
-        " are stable with its mass and inertia; stable_dt(state, contacts) "
-        "says what is safe"};
-    std::string text;
-    for (const MessagePart& part : parts) text += part.text();
-    warn(text);
-  }
+  ContactWatch watch{kName};
 };
 
 SolverSemiImplicit::SolverSemiImplicit(std::shared_ptr<const Model> model,
@@ -112,14 +79,8 @@ void SolverSemiImplicit::notify_model_changed(ModelFlags) {
 }
 
 float SolverSemiImplicit::stable_dt(const SimState& state, const Contacts& contacts) const {
-  constexpr const char* name = "SolverSemiImplicit.stable_dt";
-  const Model& m = *model();
-  require(state.model_id() == m.id() && contacts.model_id() == m.id(), ErrorKind::Value, name,
-          ": expected a state and contacts of the solver's model, got others");
-  m.update_derived();
-  const ContactStability limits =
-      contact_stability(m, state, contacts, OtherBodies::InAntiphase, options_.stick_ke);
-  return std::min({limits.ke.dt, limits.kd.dt, limits.kf.dt, limits.stick_ke.dt});
+  return stable_contact_dt("SolverSemiImplicit.stable_dt", *model(), state, contacts,
+                           options_.stick_ke);
 }
 
 void SolverSemiImplicit::rollout(Trajectory& trajectory, const Control* control,
@@ -148,8 +109,8 @@ void SolverSemiImplicit::step(SimState& state_in, SimState& state_out, const Con
   const JointAttachOptions attach = {options_.joint_attach_ke, options_.joint_attach_kd};
   cache_->joints.check_edits(m, "SolverSemiImplicit");
   cache_->joints.prepare(m, attach, dt);
-  if (contacts != nullptr && m.body_count() > 0)
-    cache_->warn_of_unstable(m, state_in, *contacts, dt);
+  if (contacts != nullptr && m.body_count() > 0 && cache_->watch.is_due())
+    cache_->watch.look(m, state_in, *contacts, dt);
 
   const Vec3f* q = state_in.particle_q.data();
   const Vec3f* qd = state_in.particle_qd.data();

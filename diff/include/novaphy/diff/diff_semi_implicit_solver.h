@@ -73,6 +73,10 @@ struct DiffSolverConfig {
 // that would not move (enable_rigid false), or whose shapes may meet while enable_static_contacts
 // is false, unless enable_rigid_contacts is false too.
 //
+// A dt that is too long for the stiffness of contacts of bodies warns, once, as in
+// SolverSemiImplicit; with enable_static_contacts as far as one row of a pair says. Not in
+// captures.
+//
 // The forces that a step leaves in state_in.particle_f are for reading. Using them as input of
 // another recorded step raises: clear_forces() first.
 class NOVAPHY_DIFF_API DiffSemiImplicitSolver : public DiffSolverBase {
@@ -88,6 +92,8 @@ class NOVAPHY_DIFF_API DiffSemiImplicitSolver : public DiffSolverBase {
   // contacts that overflowed their slots.
   void step(SimState& state_in, SimState& state_out, const Control* control,
             const Contacts* contacts, float dt) override;
+  // As SolverSemiImplicit::stable_dt: the longest dt (s) for what touches in `state`.
+  float stable_dt(const SimState& state, const Contacts& contacts) const;
   bool supports_graph_capture() const override {
     return false;
   }  // of step; rollout may be captured

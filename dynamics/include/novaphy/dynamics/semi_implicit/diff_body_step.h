@@ -4,6 +4,7 @@
 #pragma once
 
 #include "novaphy/core/sim/sim_state.h"
+#include "novaphy/dynamics/semi_implicit/contact_stability.h"
 #include "novaphy/dynamics/semi_implicit/diff_body_contacts.h"
 #include "novaphy/dynamics/semi_implicit/diff_joints.h"
 #include "novaphy/dynamics/semi_implicit/diff_rigid_bodies.h"
@@ -12,6 +13,7 @@
 namespace novaphy::diff {
 
 struct BodyStepOptions {
+  const char* solver = "";        // its step starts messages
   bool static_contacts = false;   // planes of the world, found inside of the kernel, instead
   float angular_damping = 0.05f;  // 1/s
   FrictionLaw friction_law = FrictionLaw::Huber;
@@ -21,7 +23,7 @@ struct BodyStepOptions {
 // Keeps memory from call to call; one thread at a time may use it.
 class NOVAPHY_DYNAMICS_API BodyStep {
  public:
-  explicit BodyStep(const BodyStepOptions& options) : options_(options) {}
+  explicit BodyStep(const BodyStepOptions& options) : options_(options), watch_(options.solver) {}
 
   // What the steps of a call have in common. ErrorKind::NotImplemented: with static contacts, a
   // pair of shapes that they do not cover.
@@ -29,7 +31,8 @@ class NOVAPHY_DYNAMICS_API BodyStep {
   // From `in` to `out`: the wrenches `body_f` {b, 6}, then those of `joints` (null: none) with
   // their control, of the contacts of shapes, and `of_particles` {slots, 6} (null: none), in the
   // order of SolverSemiImplicit. `tables`: of the contacts. `total` {b, 6}: where their sum is kept
-  // for the adjoint.
+  // for the adjoint. Warns of a dt that is too long for what touches (ContactWatch), not in a
+  // capture.
   void run(const Model& model, const SimState& in, SimState& out, const nova::Operand& body_f,
            DiffJoints* joints, const Control* control, const Contacts* contacts,
            const ContactTables& tables, const nova::Operand* of_particles, float dt,
@@ -38,8 +41,12 @@ class NOVAPHY_DYNAMICS_API BodyStep {
   void write_contact_forces(const Contacts& contacts) const;
 
  private:
+  void look(const Model& model, const SimState& in, const Contacts* contacts,
+            const ContactTables& tables, float dt);
+
   bool touches_ = false;  // in the last run
   BodyStepOptions options_;
+  ContactWatch watch_;
   PlanePairs plane_pairs_;
   nova::Operand wrenches_;                    // of each side of each row, which no adjoint reads
   nova::Operand sum_;                         // of these, where more follow: likewise

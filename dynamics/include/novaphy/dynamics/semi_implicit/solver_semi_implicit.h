@@ -72,9 +72,8 @@ class NOVAPHY_DYNAMICS_API SolverSemiImplicit : public SolverBase {
   // joint diverges by itself; ErrorKind::Index for a contact of a particle or shape,
   // or an element of a particle, that is not there; ErrorKind::NotImplemented for a contact with a
   // shape of a body; ErrorKind::Value for a number of the model
-  // that makes no sense (Model::check_numbers). On the CPU it warns, once, of a dt at which ke or
-  // kd of what touches diverges even with all but one body held; it asks now and then. On a tape it
-  // raises:
+  // that makes no sense (Model::check_numbers). It warns, once, of a dt at which ke or kd of what
+  // touches diverges even with all but one body held; it asks now and then. On a tape it raises:
   // DiffSemiImplicitSolver is the differentiable one.
   void step(SimState& state_in, SimState& state_out, const Control* control,
             const Contacts* contacts, float dt) override;
@@ -82,10 +81,7 @@ class NOVAPHY_DYNAMICS_API SolverSemiImplicit : public SolverBase {
   void rollout(Trajectory& trajectory, const Control* control, const Contacts* contacts, float dt,
                const RolloutOptions& options = {}) override;
   void notify_model_changed(ModelFlags flags) override;
-  // The longest dt (s) at which springs and dampers of the contacts that touch in `state` are
-  // stable, friction as far as it sticks, whatever the neighbours of a body do
-  // (src/semi_implicit/contact_stability.h); infinite: none touches. Reads from the device.
-  // ErrorKind::Value: a state or contacts of another model.
+  // stable_contact_dt (contact_stability.h) of the contacts that touch in `state`.
   float stable_dt(const SimState& state, const Contacts& contacts) const;
 
  private:

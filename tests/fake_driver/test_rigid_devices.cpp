@@ -17,6 +17,7 @@
 #include "novaphy/core/backend.h"
 #include "novaphy/core/error.h"
 #include "novaphy/core/sim/model_builder.h"
+#include "novaphy/core/warning.h"
 #include "novaphy/diff/diff_semi_implicit_solver.h"
 #include "novaphy/diff/rigid_losses.h"
 #include "novaphy/diff/tensor_views.h"
@@ -373,6 +374,42 @@ ModelBuilder hills() {
   const int32_t slab = builder.add_body({.xform = {{0.0f, 0.0f, 0.0f}, Quatf::identity()}});
   builder.add_shape_box(slab, {.hx = 0.7f, .hy = 0.7f, .hz = 0.05f, .cfg = kSurface});
   return builder;
+}
+
+// Of all warnings since the last call.
+std::vector<std::string>& warnings() {
+  static std::vector<std::string> said;
+  return said;
+}
+
+TEST_F(RigidDevices, AStepThatIsTooLongForItsContactsWarnsThereToo) {
+  set_warning_handler([](const std::string& text) { warnings().push_back(text); });
+  float limit[2] = {};
+  for (const bool on_device : {false, true}) {
+    ModelBuilder builder = heap(20, 0.3f);
+    const auto model = builder.finalize(on_device ? Device::cuda() : Device::cpu());
+    CollisionPipeline pipeline(model);
+    Contacts contacts = pipeline.contacts();
+    SimState state = model->state(), after = model->state();
+    pipeline.collide(state, contacts);
+    SolverSemiImplicit solver(model);
+    diff::DiffSemiImplicitSolver recorded(model);
+    limit[on_device] = solver.stable_dt(state, contacts);
+    EXPECT_EQ(recorded.stable_dt(state, contacts), limit[on_device]);
+    for (SolverBase* one :
+         {static_cast<SolverBase*>(&solver), static_cast<SolverBase*>(&recorded)}) {
+      warnings().clear();
+      one->step(state, after, nullptr, &contacts, 0.5f * limit[on_device]);
+      EXPECT_EQ(warnings().size(), 0u);
+      for (int k = 0; k < 3; ++k) one->step(state, after, nullptr, &contacts, 0.1f);
+      ASSERT_EQ(warnings().size(), 1u);
+      EXPECT_NE(warnings()[0].find("dt: 0.1 s is longer than the "), std::string::npos);
+    }
+  }
+  set_warning_handler(nullptr);
+  EXPECT_GT(limit[0], 0.0f);
+  EXPECT_LT(limit[0], 0.1f);
+  EXPECT_EQ(limit[1], limit[0]);
 }
 
 TEST_F(RigidDevices, WhatIsNotThereIsRefusedByName) {

@@ -18,6 +18,29 @@ void check_margin(const char* what, float margin) {
           ": soft_contact_margin: expected a finite number >= 0, got ", margin);
 }
 
+// Each pair once, the smaller shape first, in ascending order.
+void order_pairs(std::vector<Vec2i>& pairs, const Model& model) {
+  constexpr const char* name = "CollisionPipeline: shape_pairs_filtered";
+  const std::vector<int32_t> body = model.shape_body.to_host();
+  const auto less = [](const Vec2i& a, const Vec2i& b) {
+    return a.x != b.x ? a.x < b.x : a.y < b.y;
+  };
+  for (size_t k = 0; k < pairs.size(); ++k) {
+    Vec2i& pair = pairs[k];
+    for (const int32_t shape : {pair.x, pair.y})
+      require(shape >= 0 && shape < model.shape_count(), ErrorKind::Index, name, "[", k,
+              "]: expected shapes from 0 to ", model.shape_count() - 1, ", got ", shape);
+    require(body[static_cast<size_t>(pair.x)] != body[static_cast<size_t>(pair.y)],
+            ErrorKind::Value, name, "[", k,
+            "]: expected shapes of two bodies, or of one and the "
+            "world, got shapes ",
+            pair.x, " and ", pair.y, " of the body ", body[static_cast<size_t>(pair.x)]);
+    pair = {std::min(pair.x, pair.y), std::max(pair.x, pair.y)};
+  }
+  std::sort(pairs.begin(), pairs.end(), less);
+  pairs.erase(std::unique(pairs.begin(), pairs.end()), pairs.end());
+}
+
 }  // namespace
 
 CollisionPipeline::CollisionPipeline(std::shared_ptr<const Model> model,
@@ -48,10 +71,17 @@ CollisionPipeline::CollisionPipeline(std::shared_ptr<const Model> model,
           rigid_max);
   require(options.contacts_per_pair == 8 || options.contacts_per_pair == 4, ErrorKind::Value, name,
           ": contacts_per_pair: expected 8 or 4, got ", options.contacts_per_pair);
+  if (options_.shape_pairs_filtered) {
+    require(options.broad_phase == BroadPhase::Explicit, ErrorKind::Value, name,
+            ": shape_pairs_filtered: expected none with the broad phase \"",
+            broad_phase_name(options.broad_phase), "\", which finds its own pairs");
+    order_pairs(*options_.shape_pairs_filtered, *model_);
+  }
   const auto geometries = std::make_shared<detail::ShapeGeometries>(model_);
   soft_contacts_ = std::make_shared<detail::SoftContacts>(model_, geometries);
   rigid_contacts_ = std::make_shared<detail::RigidContacts>(
-      model_, geometries, options.broad_phase, options.narrow_phase, options.contacts_per_pair);
+      model_, geometries, options.broad_phase, options.narrow_phase, options.contacts_per_pair,
+      options_.shape_pairs_filtered);
   soft_contact_pair_count();
   rigid_contact_max();
 }

@@ -76,6 +76,7 @@ struct RigidContacts::Impl {
   BroadPhase broad_phase;
   NarrowPhase narrow_phase;
   int32_t contacts_per_pair = 0;
+  std::optional<std::vector<Vec2i>> explicit_pairs;  // instead of the model's
   std::shared_ptr<ShapeGeometries> geometries;
   // The candidate pairs follow from arrays of the model in these versions.
   ArrayVersions<7> versions;
@@ -273,7 +274,8 @@ struct RigidContacts::Impl {
       }
     } else {
       pairs = {};
-      most_rows = take(broad_phase == BroadPhase::Explicit
+      most_rows = take(explicit_pairs ? *explicit_pairs
+                       : broad_phase == BroadPhase::Explicit
                            ? m.shape_contact_pairs.to_host()
                            : make_shape_contact_pairs(body, flags, group, world,
                                                       m.shape_collision_filter_pairs));
@@ -336,13 +338,15 @@ struct RigidContacts::Impl {
 
 RigidContacts::RigidContacts(std::shared_ptr<const Model> model,
                              std::shared_ptr<ShapeGeometries> geometries, BroadPhase broad_phase,
-                             NarrowPhase narrow_phase, int32_t contacts_per_pair)
+                             NarrowPhase narrow_phase, int32_t contacts_per_pair,
+                             std::optional<std::vector<Vec2i>> explicit_pairs)
     : impl_(std::make_unique<Impl>()) {
   impl_->model = std::move(model);
   impl_->geometries = std::move(geometries);
   impl_->broad_phase = broad_phase;
   impl_->narrow_phase = narrow_phase;
   impl_->contacts_per_pair = contacts_per_pair;
+  impl_->explicit_pairs = std::move(explicit_pairs);
 }
 RigidContacts::~RigidContacts() = default;
 

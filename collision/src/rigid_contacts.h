@@ -4,6 +4,8 @@
 
 #include <cstdint>
 #include <memory>
+#include <optional>
+#include <vector>
 
 #include "novaphy/collision/broad_phase.h"
 #include "novaphy/collision/narrow_phase.h"
@@ -16,7 +18,8 @@ namespace novaphy::detail {
 class RigidContacts {
  public:
   RigidContacts(std::shared_ptr<const Model> model, std::shared_ptr<ShapeGeometries> geometries,
-                BroadPhase broad_phase, NarrowPhase narrow_phase, int32_t contacts_per_pair);
+                BroadPhase broad_phase, NarrowPhase narrow_phase, int32_t contacts_per_pair,
+                std::optional<std::vector<Vec2i>> explicit_pairs);
   ~RigidContacts();
 
   // Rows that no state can exceed. The model's arrays are read when they were written since the

@@ -4,6 +4,28 @@
 
 namespace novaphy::python {
 
+namespace {
+
+std::optional<std::vector<Vec2i>> to_shape_pairs(py::handle value) {
+  if (value.is_none()) return std::nullopt;
+  constexpr const char* name = "shape_pairs_filtered";
+  std::vector<Vec2i> pairs;
+  for (const py::handle row : py::iter(value)) {
+    int32_t shapes[2] = {};
+    size_t count = 0;
+    for (const py::handle shape : py::iter(row)) {
+      if (count < 2) shapes[count] = to_int32(shape, name);
+      ++count;
+    }
+    require(count == 2, ErrorKind::Value, name, ": expected rows of two shapes, got one of ",
+            count);
+    pairs.push_back({shapes[0], shapes[1]});
+  }
+  return pairs;
+}
+
+}  // namespace
+
 void bind_collision(py::module_& m) {
   py::class_<CollisionPipeline>(
       m, "CollisionPipeline",
@@ -15,46 +37,51 @@ void bind_collision(py::module_& m) {
       "ellipsoids, cylinders, boxes, cones, convex hulls, and meshes, which do not meet meshes; "
       "ordered by shape0, shape1, "
       "point. The geometry of both carries no gradient.")
-      .def(py::init([](const std::shared_ptr<Model>& model, const std::string& broad_phase,
-                       const std::string& narrow_phase, std::optional<int32_t> rigid_contact_max,
-                       int32_t contacts_per_pair, std::optional<int32_t> soft_contact_max,
-                       std::optional<float> soft_contact_margin,
-                       std::optional<float> soft_contact_gap, std::optional<bool> requires_grad,
-                       bool deterministic, bool reduce_contacts) {
-             require(!soft_contact_margin || !soft_contact_gap, ErrorKind::Value,
-                     "soft_contact_gap: another name of soft_contact_margin; give one of them");
-             require(reduce_contacts, ErrorKind::NotImplemented,
-                     "reduce_contacts: expected True: the contacts of a mesh with a shape are always "
-                     "reduced, to at most 32 rows");
-             CollisionOptions options;
-             options.broad_phase = parse_broad_phase(broad_phase);
-             options.narrow_phase = parse_narrow_phase(narrow_phase);
-             options.rigid_contact_max = rigid_contact_max;
-             options.contacts_per_pair = contacts_per_pair;
-             options.soft_contact_max = soft_contact_max;
-             if (soft_contact_margin) options.soft_contact_margin = *soft_contact_margin;
-             if (soft_contact_gap) options.soft_contact_margin = *soft_contact_gap;
-             options.deterministic = deterministic;
-             options.requires_grad = requires_grad;
-             return std::make_unique<CollisionPipeline>(model, options);
-           }),
-           py::arg("model").none(false), py::kw_only(), "broad_phase"_a = "explicit",
-           "narrow_phase"_a = "auto", "rigid_contact_max"_a = py::none(), "contacts_per_pair"_a = 8,
-           "soft_contact_max"_a = py::none(), "soft_contact_margin"_a = py::none(),
-           "soft_contact_gap"_a = py::none(), "requires_grad"_a = py::none(),
-           "deterministic"_a = true, "reduce_contacts"_a = true,
-           "broad_phase: \"explicit\" (model.shape_contact_pairs), \"nxn\" (the pairs that flags, "
-           "groups and worlds of shapes now allow) or \"sap\" (the same by sweep and prune; in a "
-           "capture or on a tape with room for 16 pairs of each shape, or for a quarter more than a "
-           "collide before has found), all with the same rows; narrow_phase: \"auto\", or \"fcl\", "
-           "which takes overlap, depth and normal of penetrating convex hulls from FCL, where its "
-           "answer holds, in builds with NOVAPHY_WITH_FCL; rigid_contact_max None: as many rows "
-           "as the "
-           "pairs can have, but no more than 1000 or 64 per shape; contacts_per_pair: 8 or 4, of "
-           "shapes that are no planes; soft_contact_max None: as many "
-           "slots as candidate pairs; soft_contact_margin, "
-           "m, 0.01 by default "
-           "(soft_contact_gap is another name for it); reduce_contacts: True, of meshes only.")
+      .def(
+          py::init([](const std::shared_ptr<Model>& model, const std::string& broad_phase,
+                      const std::string& narrow_phase, std::optional<int32_t> rigid_contact_max,
+                      int32_t contacts_per_pair, std::optional<int32_t> soft_contact_max,
+                      std::optional<float> soft_contact_margin,
+                      std::optional<float> soft_contact_gap, std::optional<bool> requires_grad,
+                      bool deterministic, bool reduce_contacts, py::handle shape_pairs_filtered) {
+            require(!soft_contact_margin || !soft_contact_gap, ErrorKind::Value,
+                    "soft_contact_gap: another name of soft_contact_margin; give one of them");
+            require(
+                reduce_contacts, ErrorKind::NotImplemented,
+                "reduce_contacts: expected True: the contacts of a mesh with a shape are always "
+                "reduced, to at most 32 rows");
+            CollisionOptions options;
+            options.broad_phase = parse_broad_phase(broad_phase);
+            options.narrow_phase = parse_narrow_phase(narrow_phase);
+            options.rigid_contact_max = rigid_contact_max;
+            options.contacts_per_pair = contacts_per_pair;
+            options.soft_contact_max = soft_contact_max;
+            if (soft_contact_margin) options.soft_contact_margin = *soft_contact_margin;
+            if (soft_contact_gap) options.soft_contact_margin = *soft_contact_gap;
+            options.deterministic = deterministic;
+            options.requires_grad = requires_grad;
+            options.shape_pairs_filtered = to_shape_pairs(shape_pairs_filtered);
+            return std::make_unique<CollisionPipeline>(model, options);
+          }),
+          py::arg("model").none(false), py::kw_only(), "broad_phase"_a = "explicit",
+          "narrow_phase"_a = "auto", "rigid_contact_max"_a = py::none(), "contacts_per_pair"_a = 8,
+          "soft_contact_max"_a = py::none(), "soft_contact_margin"_a = py::none(),
+          "soft_contact_gap"_a = py::none(), "requires_grad"_a = py::none(),
+          "deterministic"_a = true, "reduce_contacts"_a = true,
+          "shape_pairs_filtered"_a = py::none(),
+          "broad_phase: \"explicit\" (model.shape_contact_pairs, or shape_pairs_filtered (n, 2), "
+          "whatever flags, groups, worlds and filters say), \"nxn\" (the pairs that flags, "
+          "groups and worlds of shapes now allow) or \"sap\" (the same by sweep and prune; in a "
+          "capture or on a tape with room for 16 pairs of each shape, or for a quarter more than a "
+          "collide before has found), all with the same rows; narrow_phase: \"auto\", or \"fcl\", "
+          "which takes overlap, depth and normal of penetrating convex hulls from FCL, where its "
+          "answer holds, in builds with NOVAPHY_WITH_FCL; rigid_contact_max None: as many rows "
+          "as the "
+          "pairs can have, but no more than 1000 or 64 per shape; contacts_per_pair: 8 or 4, of "
+          "shapes that are no planes; soft_contact_max None: as many "
+          "slots as candidate pairs; soft_contact_margin, "
+          "m, 0.01 by default "
+          "(soft_contact_gap is another name for it); reduce_contacts: True, of meshes only.")
       .def_property_readonly(
           "model",
           [](const CollisionPipeline& p) { return std::const_pointer_cast<Model>(p.model()); },
@@ -67,6 +94,17 @@ void bind_collision(py::module_& m) {
           "narrow_phase",
           [](const CollisionPipeline& p) { return narrow_phase_name(p.narrow_phase()); },
           "\"auto\" or \"fcl\".")
+      .def_property_readonly(
+          "shape_pairs_filtered",
+          [](const CollisionPipeline& p) -> py::object {
+            if (!p.shape_pairs_filtered()) return py::none();
+            py::list pairs;
+            for (const Vec2i& pair : *p.shape_pairs_filtered())
+              pairs.append(py::make_tuple(pair.x, pair.y));
+            return pairs;
+          },
+          "The pairs (i < j) that are looked at instead of model.shape_contact_pairs, ascending; "
+          "None: those.")
       .def_property_readonly("fcl_pair_count", &CollisionPipeline::fcl_pair_count,
                              "Overlapping pairs of hulls so far, with narrow_phase \"fcl\".")
       .def_property_readonly("fcl_fallback_count", &CollisionPipeline::fcl_fallback_count,

@@ -107,6 +107,7 @@ class OwnStep(Step):
             setattr(self.contacts, array, np.float32(values))
 
 
+@pytest.mark.filterwarnings("ignore:DiffSemiImplicitSolver. dt")  # one step of 0.01 s
 @pytest.mark.parametrize("smoothing", [0.0, 0.1], ids=["viscous", "huber"])
 @pytest.mark.parametrize("name", ["a box on a box", "edges of two boxes", "on the ground"])
 def test_gradients_equal_the_differences(name, smoothing):

@@ -4,6 +4,7 @@
 #include <cstdint>
 #include <memory>
 #include <optional>
+#include <vector>
 
 #include "novaphy/collision/broad_phase.h"
 #include "novaphy/collision/export.h"
@@ -23,6 +24,9 @@ class SoftContacts;
 struct CollisionOptions {
   BroadPhase broad_phase = BroadPhase::Explicit;
   NarrowPhase narrow_phase = NarrowPhase::Auto;
+  // With BroadPhase::Explicit, the pairs of shapes to look at instead of
+  // Model::shape_contact_pairs, whatever flags, groups, worlds and filters say.
+  std::optional<std::vector<Vec2i>> shape_pairs_filtered = {};
   // Rows of the rigid contacts. When empty, as many as the candidate pairs can have, so that
   // nothing can overflow; but no more than 1000 or 64 per shape, whichever is larger.
   std::optional<int32_t> rigid_contact_max = {};
@@ -77,7 +81,9 @@ struct CollisionOptions {
 // One thread at a time may use a pipeline: another one gets ErrorKind::Runtime.
 class NOVAPHY_COLLISION_API CollisionPipeline : public ContactFinder {
  public:
-  // ErrorKind::Value: no model, a bad margin, a negative maximum, too many pairs for int32;
+  // ErrorKind::Value: no model, a bad margin, a negative maximum, too many pairs for int32; pairs
+  // with another broad phase, of two shapes of one body or of the world; ErrorKind::Index: of a
+  // shape that is not there;
   // ErrorKind::NotImplemented: a narrow phase that the build lacks, two shapes that may meet and
   // are not covered, a model on a device whose collision was not built, a colliding shape that is
   // not covered.
@@ -86,6 +92,10 @@ class NOVAPHY_COLLISION_API CollisionPipeline : public ContactFinder {
 
   const std::shared_ptr<const Model>& model() const { return model_; }
   BroadPhase broad_phase() const { return options_.broad_phase; }
+  // Those of the options, each once, the smaller shape first, in ascending order.
+  const std::optional<std::vector<Vec2i>>& shape_pairs_filtered() const {
+    return options_.shape_pairs_filtered;
+  }
   NarrowPhase narrow_phase() const { return options_.narrow_phase; }
   // With NarrowPhase::Fcl, over all calls so far: the pairs of hulls that overlap, and those of
   // them for which FCL's answer was not taken.

@@ -234,6 +234,18 @@ def test_static_contacts_warn_of_what_one_row_cannot_bear(material, what):
         assert len(said) == count and all(what in text for text in said)
 
 
+@pytest.mark.parametrize("solver", ["SolverSemiImplicit", "DiffSemiImplicitSolver"])
+def test_a_body_without_a_finite_pose_is_named_once(solver):
+    model = ball(1e4)
+    state, after = model.state(), model.state()
+    state.body_q = np.float32([[np.nan, 0, 0, *UPRIGHT]])
+    contacts = found(model, state)
+    assert contacts.rigid_contact_count.numpy()[0] == 0
+    stepper = with_diff(model) if solver.startswith("Diff") else getattr(solvers, solver)(model)
+    said = said_of(lambda: [stepper.step(state, after, None, contacts, 1e-3) for _ in range(4)])
+    assert len(said) == 1 and "body_q[0]: expected finite numbers" in said[0]
+
+
 def test_a_capture_says_nothing():
     diff, nova = pytest.importorskip("novaphy.diff"), pytest.importorskip("novaphy.nova")
     model = ball(1e4)

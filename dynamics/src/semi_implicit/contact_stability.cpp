@@ -174,13 +174,14 @@ float stable_contact_dt(const char* function, const Model& model, const SimState
 bool ContactWatch::is_due() {
   constexpr uint64_t kOften = 1024;
   ++steps_;
-  return !warned_ && (std::has_single_bit(steps_) || steps_ % kOften == 0);
+  return !(warned_ && warned_of_pose_) && (std::has_single_bit(steps_) || steps_ % kOften == 0);
 }
 
 void ContactWatch::look(const Model& model, const SimState& state, const Contacts& contacts,
                         float dt) {
   const Unobserved unobserved;
-  check(contact_stability(model, state, contacts, OtherBodies::Held, 0.0f), dt);
+  check_poses(state);
+  if (!warned_) check(contact_stability(model, state, contacts, OtherBodies::Held, 0.0f), dt);
 }
 
 void ContactWatch::look_at_pairs(const Model& model, float dt) {
@@ -205,6 +206,18 @@ void ContactWatch::look_at_pairs(const Model& model, float dt) {
     }
   }
   check(limits, dt);
+}
+
+void ContactWatch::check_poses(const SimState& state) {
+  if (warned_of_pose_) return;
+  const std::vector<Transformf> q = state.body_q.to_host();
+  const auto bad = std::find_if(q.begin(), q.end(), [](const Transformf& x) {
+    return !std::isfinite(((x.p.x + x.p.y) + x.p.z) + ((x.q.x + x.q.y) + (x.q.z + x.q.w)));
+  });
+  if (bad == q.end()) return;
+  warned_of_pose_ = true;
+  warn_of(function_, ": body_q[", bad - q.begin(),
+          "]: expected finite numbers; the body meets nothing as it is");
 }
 
 void ContactWatch::check(const ContactStability& limits, float dt) {

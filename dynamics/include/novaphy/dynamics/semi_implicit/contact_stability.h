@@ -39,7 +39,8 @@ NOVAPHY_DYNAMICS_API float stable_contact_dt(const char* function, const Model& 
                                              const SimState& state, const Contacts& contacts,
                                              float stick_ke);
 
-// Warns, once, of a dt at which ke or kd of what touches diverges even with all but one body held.
+// Warns, once each, of a dt at which ke or kd of what touches diverges even with all but one body
+// held, and of a body whose pose is not finite, which meets nothing.
 // It looks at steps 1, 2, 4, 8, ... 1024, 2048, 3072, ... that it is told of.
 class NOVAPHY_DYNAMICS_API ContactWatch {
  public:
@@ -55,10 +56,11 @@ class NOVAPHY_DYNAMICS_API ContactWatch {
 
  private:
   void check(const ContactStability& limits, float dt);
+  void check_poses(const SimState& state);
 
   const char* function_;
   uint64_t steps_ = 0;
-  bool warned_ = false;
+  bool warned_ = false, warned_of_pose_ = false;
   float longest_dt_ = 0.0f;  // s, of look_at_pairs
 };
 

@@ -191,7 +191,7 @@ STRUCTURE = (
     "shape_contact_pairs",
     "shape_mesh_range",
 )
-# Follow from others, or are of masses and bounds when a model is built.
+# Follow from others, are of masses and bounds when a model is built, or for viewers.
 DERIVED = (
     "body_q",
     "body_qd",
@@ -199,6 +199,7 @@ DERIVED = (
     "body_inv_inertia",
     "shape_is_solid",
     "shape_collision_radius",
+    "shape_color",
 )
 
 

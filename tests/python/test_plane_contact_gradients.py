@@ -9,6 +9,9 @@ from test_body_contacts import IDENTITY, SURFACE, TURNED, Step, along_unit_quate
 import novaphy
 from novaphy import diff
 
+# Steps of 0.01 s, of which one at a time is taken.
+pytestmark = pytest.mark.filterwarnings("ignore:DiffSemiImplicitSolver. dt")
+
 TETRAHEDRON = np.float32([(0.1, 0.1, 0.1), (-0.1, -0.1, 0.1), (-0.1, 0.1, -0.1), (0.1, -0.1, -0.1)])
 FACES = np.int32([(0, 2, 1), (0, 1, 3), (0, 3, 2), (1, 2, 3)])
 MOVING = (0.5, 0.2, -0.3, 0.3, 0.4, 1.0)

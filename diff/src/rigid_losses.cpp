@@ -16,7 +16,7 @@ using nova::TraceContext;
 
 namespace {
 
-void check_rows(const Tensor& tensor, int64_t width, const char* op, const char* name) {
+void check_width(const Tensor& tensor, int64_t width, const char* op, const char* name) {
   require(tensor.defined() && tensor.dtype() == DType::F32, ErrorKind::Type, op, ", ", name,
           ": expected a float32 tensor");
   require(tensor.ndim() == 2 && tensor.row_width() == width, ErrorKind::Value, op, ", ", name,
@@ -83,7 +83,7 @@ void detail::add_rigid_loss_kernels(std::vector<nova::EngineKernel>& list) {
 Tensor body_twist_from_omega_generated(const Tensor& omega, float linear_x, float linear_y,
                                        float linear_z) {
   const char* op = "body_twist_from_omega_generated";
-  check_rows(omega, 3, op, "omega");
+  check_width(omega, 3, op, "omega");
   check_finite(linear_x, op, "linear_x");
   check_finite(linear_y, op, "linear_y");
   check_finite(linear_z, op, "linear_z");
@@ -98,8 +98,8 @@ Tensor rigid_orientation_velocity_loss_generated(const Tensor& body_q, const Ten
                                                  const Vec3f& target_axis_b,
                                                  const OrientationLossOptions& options) {
   const char* op = "rigid_orientation_velocity_loss_generated";
-  check_rows(body_q, 7, op, "body_q");
-  check_rows(body_qd, 6, op, "body_qd");
+  check_width(body_q, 7, op, "body_q");
+  check_width(body_qd, 6, op, "body_qd");
   require(body_q.rows() == body_qd.rows(), ErrorKind::Value, op, ", body_qd: expected ",
           body_q.rows(), " rows as body_q has, got ", body_qd.rows());
   require(body_index >= 0 && body_index < body_q.rows(), ErrorKind::Index, op,

@@ -20,7 +20,7 @@ constexpr int64_t kWorthSharing = 1 << 17;
 // Every thread has a part of each chain, the same part in every phase, so that it wrote most of
 // what it reads; many rows are cut further, so that a thread can take over from another. A call for
 // a quarter of these rows costs up to a tenth more: compiled code is slow to begin.
-constexpr int64_t kFewRows = 1024, kMostEach = 32;
+constexpr int64_t kRowsPerPart = 1024, kMostEach = 32;
 constexpr int64_t kGroupRows = 16;  // that compiled code computes together, at most
 // Between two looks at an interrupt.
 constexpr size_t kPhasesPerRound = 64;
@@ -80,7 +80,7 @@ int64_t PhasedRun::Chain::begin(uint32_t part) const {
 
 uint32_t PhasedRun::parts_of(std::span<const OpList::Op> chain, int64_t rows) const {
   if (!std::all_of(chain.begin(), chain.end(), can_be_cut)) return 1;
-  const int64_t each = std::clamp<int64_t>(rows / (threads_ * kFewRows), 1, kMostEach);
+  const int64_t each = std::clamp<int64_t>(rows / (threads_ * kRowsPerPart), 1, kMostEach);
   return static_cast<uint32_t>(std::min(threads_ * each, (rows + kGroupRows - 1) / kGroupRows));
 }
 

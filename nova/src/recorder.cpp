@@ -66,16 +66,16 @@ class Recorder : public novaphy::LaunchRecorder {
 };
 
 thread_local Recorder recorder;
-thread_local int depth = 0;
-thread_local novaphy::LaunchRecorder* before = nullptr;
+thread_local int recorder_depth = 0;
+thread_local novaphy::LaunchRecorder* recorder_before = nullptr;
 
 }  // namespace
 
 void enter_recording() {
-  if (depth++ == 0) before = novaphy::set_launch_recorder(&recorder);
+  if (recorder_depth++ == 0) recorder_before = novaphy::set_launch_recorder(&recorder);
 }
 void leave_recording() {
-  if (--depth == 0) novaphy::set_launch_recorder(before);
+  if (--recorder_depth == 0) novaphy::set_launch_recorder(recorder_before);
 }
 
 }  // namespace nova::detail

@@ -358,7 +358,6 @@ int main(int argc, char** argv) {
     // That is what is compared.
     setenv("NOVAPHY_UNVERIFIED_DEVICE_CONTACTS", "on", 1);
     setenv("NOVAPHY_UNVERIFIED_DEVICE_ARTICULATIONS", "on", 1);
-    setenv("NOVAPHY_UNVERIFIED_DEVICE_VBD_GRADIENTS", "on", 1);
     const std::string scene = argv[1];
     const Device device = Device::parse(argv[2]);
     if (scene == "ball") {

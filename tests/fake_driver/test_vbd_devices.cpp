@@ -2,7 +2,6 @@
 // driver (CMakeLists.txt).
 #include <gtest/gtest.h>
 
-#include <cstdlib>
 #include <cstring>
 #include <string>
 
@@ -17,11 +16,9 @@ using testing::expect_thrown;
 using testing::NamedValues;
 using testing::VbdGradientRun;
 
-constexpr const char* kOptIn = "NOVAPHY_UNVERIFIED_DEVICE_VBD_GRADIENTS";
-
 class VbdDevices : public testing::OnCuda {
  protected:
-  VbdDevices() : OnCuda({kOptIn}) {}
+  VbdDevices() : OnCuda({}) {}
 };
 
 NamedValues gradients(Device device, const VbdGradientRun& how) {
@@ -133,12 +130,6 @@ TEST_F(VbdDevices, WhatIsNotThereIsRefusedByName) {
   model->particle_tet_material.copy_from_host(std::span<const float>(
       std::vector<float>(model->particle_tet_material.to_host().size(), 30.0f)));
   EXPECT_THROW(scope.graph()->launch(), Error);
-
-  for (const char* off : {"", "off"}) {
-    setenv(kOptIn, off, 1);
-    expect_thrown(ErrorKind::NotImplemented, "NOVAPHY_UNVERIFIED_DEVICE_VBD_GRADIENTS=on lets it",
-                  [&] { diff::DiffSolverVBD made(model); });
-  }
 }
 
 }  // namespace

@@ -16,7 +16,6 @@ from __future__ import annotations
 import argparse
 import hashlib
 import json
-import os
 import time
 
 import numpy as np
@@ -102,7 +101,6 @@ def novaphy_run(args):
     def gradient():
         from novaphy import diff, nova
 
-        os.environ["NOVAPHY_UNVERIFIED_DEVICE_VBD_GRADIENTS"] = "on"  # that is what is measured
         solver = novaphy.solvers.DiffSolverVBD(model, iterations=ITERATIONS)
         trajectory = diff.Trajectory(model, CAPTURED)
         start, end = trajectory[0], trajectory[CAPTURED]

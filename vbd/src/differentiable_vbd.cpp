@@ -110,9 +110,6 @@ DifferentiableVbd::DifferentiableVbd(std::shared_ptr<const Model> model, const V
     require(!gradient_options.implicit, ErrorKind::NotImplemented,
             "DiffSolverVBD: gradient: expected \"unrolled\" for a model on ", device.str(),
             ", got \"implicit\", which is there on the cpu only");
-    require_opt_in(
-        "NOVAPHY_UNVERIFIED_DEVICE_VBD_GRADIENTS",
-        "DiffSolverVBD: gradients are found on the cpu; finding them on " + device.str());
     launched_ = std::make_unique<Launched>(*model_, options);
     return;
   }

@@ -108,7 +108,7 @@ struct VbdGradientInfo {
 class NOVAPHY_VBD_API DifferentiableVbd {
  public:
   // ErrorKind::NotImplemented: acceleration, tolerance, safeguard, the adaptive guess; on a device
-  // implicit gradients, and unless NOVAPHY_UNVERIFIED_DEVICE_VBD_GRADIENTS is on.
+  // implicit gradients.
   // ErrorKind::Value: bad options; implicit without an iteration. Other errors as SolverVBD.
   explicit DifferentiableVbd(std::shared_ptr<const Model> model, const VbdOptions& options = {},
                              const VbdGradientOptions& gradient_options = {});

@@ -22,6 +22,7 @@ const char* joint_coordinates_kernels_text();
 const char* vbd_kernels_text();
 const char* vbd_adjoint_kernels_text();
 const char* vbd_gradient_kernels_text();
+const char* vbd_tangent_kernels_text();
 #endif
 }  // namespace novaphy::detail
 
@@ -42,6 +43,7 @@ AheadData ahead_data() {
         detail::vbd_kernels_text,
         detail::vbd_adjoint_kernels_text,
         detail::vbd_gradient_kernels_text,
+        detail::vbd_tangent_kernels_text,
 #endif
     };
     AheadEntry entries[2 + std::size(kHandWritten)];

@@ -162,6 +162,9 @@ namespace vbd_adjoint_text {
 namespace vbd_gradient_text {
 #include "vbd_gradient_kernels.cuh"
 }
+namespace vbd_tangent_text {
+#include "vbd_tangent_kernels.cuh"
+}
 #endif
 
 template <class... P>
@@ -249,6 +252,8 @@ const HostKernel* find_host_kernel(const char* name) {
           device::vbd_adjoint_text::novaphy::vbd_adjoint_solve_team),
       OF_TEXT(vbd_adjoint_text::novaphy, vbd_adjoint_slots),
       OF_TEXT(vbd_adjoint_text::novaphy, vbd_adjoint_weights),
+      OF_TEXT(vbd_adjoint_text::novaphy, vbd_adjoint_rest),
+      OF_TEXT(vbd_adjoint_text::novaphy, vbd_adjoint_rest_weights),
       OF_TEXT(vbd_adjoint_text::novaphy, vbd_adjoint_start),
       OF_TEXT(vbd_adjoint_text::novaphy, vbd_adjoint_start_weights),
       OF_TEXT(vbd_gradient_text::novaphy, vbd_clear),
@@ -266,6 +271,8 @@ const HostKernel* find_host_kernel(const char* name) {
       OF_TEXT(vbd_gradient_text::novaphy, vbd_radius_gradient),
       OF_TEXT(vbd_gradient_text::novaphy, vbd_contact_shape),
       OF_TEXT(vbd_gradient_text::novaphy, vbd_shape_gradient),
+      OF_TEXT(vbd_tangent_text::novaphy, vbd_tangent),
+      OF_TEXT(vbd_tangent_text::novaphy, vbd_tangent_move),
 #endif
   };
   for (const HostKernel& kernel : kKernels)

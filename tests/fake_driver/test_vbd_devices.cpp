@@ -72,6 +72,25 @@ TEST_F(VbdDevices, CheckpointsAndReplaysHaveTheBitsOfTheCpu) {
               ", checkpoints replayed");
 }
 
+TEST_F(VbdDevices, ImplicitGradientsHaveTheBitsOfTheCpu) {
+  const diff::DiffVbdOptions solved = {.iterations = 20, .gradient = {.implicit = true}};
+  expect_bits_of_the_cpu({.options = solved, .steps = 2, .kd = 0.0f});
+  expect_bits_of_the_cpu({.options = solved,
+                          .steps = 4,
+                          .checkpoint = 2,
+                          .kd = 0.0f,
+                          .contacts = false,
+                          .only = {"particle_q", "particle_tri_material"}});
+  // Far from the solution, with few steps of each method and colours that hold conflicts.
+  expect_bits_of_the_cpu({.options = {.iterations = 2,
+                                      .gradient = {.implicit = true,
+                                                   .newton_iterations = 3,
+                                                   .krylov_sweeps = 4,
+                                                   .allow_unconverged = true}},
+                          .steps = 2,
+                          .conflicts = true});
+}
+
 // Of a step of cloths in three worlds and a particle in all of them, or of particles without
 // elements.
 NamedValues gradients_of_worlds(Device device, bool with_cloths) {
@@ -108,10 +127,17 @@ TEST_F(VbdDevices, WorldsAndParticlesWithoutElementsHaveTheBitsOfTheCpu) {
                 gradients_of_worlds(Device::cpu(), with_cloths));
 }
 
+TEST_F(VbdDevices, AStepThatWasNotSolvedIsAnError) {
+  const auto model = testing::EverythingScene::make(0.0f, Device::cuda());
+  diff::DiffSolverVBD solver(
+      model, {.iterations = 1, .gradient = {.implicit = true, .newton_iterations = 0}});
+  SimState a = model->state(), b = model->state();
+  expect_thrown(ErrorKind::Runtime, "the step was not solved",
+                [&] { solver.step(a, b, nullptr, nullptr, 1.0f / 60.0f); });
+}
+
 TEST_F(VbdDevices, WhatIsNotThereIsRefusedByName) {
   const auto model = testing::EverythingScene::make(0.0f, Device::cuda());
-  expect_thrown(ErrorKind::NotImplemented, "gradient: expected \"unrolled\" for a model on cuda:0",
-                [&] { diff::DiffSolverVBD made(model, {.gradient = {.implicit = true}}); });
   diff::DiffSolverVBD solver(model);
   expect_thrown(ErrorKind::Runtime, "expected a backward before", [&] { solver.gradient_info(); });
   SimState a = model->state(), b = model->state();
@@ -124,6 +150,10 @@ TEST_F(VbdDevices, WhatIsNotThereIsRefusedByName) {
   expect_thrown(ErrorKind::NotImplemented, "jvp on cuda:0 is not there yet",
                 [&] { tape.jvp({diff::state_particle_q_tensor(b)}, {q}, {q.detach().clone()}); });
   nova::ScopedCapture scope;
+  diff::DiffSolverVBD implicit(model, {.gradient = {.implicit = true}});
+  expect_thrown(ErrorKind::NotImplemented,
+                "gradient: expected \"unrolled\" inside a ScopedCapture on cuda:0",
+                [&] { implicit.step(a, b, nullptr, nullptr, 1.0f / 120.0f); });
   solver.step(a, b, nullptr, nullptr, 1.0f / 120.0f);
   scope.end();
   scope.graph()->launch();

@@ -117,7 +117,10 @@ inline NamedValues vbd_gradients(Device device, const VbdGradientRun& how) {
   for (const auto& [name, tensor] : leaves) all.emplace_back(name, tensor.grad().to_host());
   const VbdGradientInfo info = solver.gradient_info();
   all.emplace_back(info.label, std::vector<float>{static_cast<float>(info.primal.relative),
-                                                  static_cast<float>(info.primal.force)});
+                                                  static_cast<float>(info.primal.force),
+                                                  static_cast<float>(info.primal.iterations),
+                                                  static_cast<float>(info.linear_residual),
+                                                  static_cast<float>(info.linear_sweeps)});
   return all;
 }
 

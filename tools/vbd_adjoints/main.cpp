@@ -26,10 +26,10 @@ using math::dot;
 #include "novaphy/vbd/bending_trace.h"
 #include "novaphy/vbd/membrane_trace.h"
 #include "novaphy/vbd/particle_contact_trace.h"
+#include "novaphy/vbd/slot_inputs_trace.h"
 #include "novaphy/vbd/slot_layout_trace.h"
 #include "novaphy/vbd/spring_trace.h"
 #include "novaphy/vbd/tetrahedron_trace.h"
-#include "slot_inputs.h"
 
 namespace novaphy::vbd::adjoints {
 namespace {

@@ -78,6 +78,7 @@ struct DiffSolverVBD::Step {
   DeviceArray<float> tri_activation, tet_activation;
   DeviceArray<Vec3f> q_out, qd_out;
   float dt = 0.0f;
+  bool implicit = false;
   // The model's numbers when the step was recorded.
   float soft_contact_ke = model->soft_contact_ke, soft_contact_kd = model->soft_contact_kd,
         soft_contact_mu = model->soft_contact_mu;
@@ -112,7 +113,15 @@ struct DiffSolverVBD::Step {
             dt};
   }
   bool on_device() const { return !model->device().is_cpu(); }
+  // ErrorKind::NotImplemented: a capture on a device of what the host decides about.
+  void check_capture() const {
+    require(!implicit || !on_device() || nova::current_capture() == nullptr,
+            ErrorKind::NotImplemented, kName,
+            ": gradient: expected \"unrolled\" inside a ScopedCapture on ", model->device().str(),
+            ", got \"implicit\", for which the host decides how far to go");
+  }
   void forward() {
+    check_capture();
     if (!on_device()) return steps->forward(inputs(), q_out.mutable_data(), qd_out.mutable_data());
     const nova::NoGrad no_grad;
     steps->forward(launch_inputs(), q_out, qd_out, in_use);
@@ -249,6 +258,7 @@ struct DiffSolverVBD::Step {
   }
 
   void backward(std::span<const Tensor> outputs, std::span<const nova::InputGradient> to) const {
+    check_capture();
     if (on_device()) {
       const nova::NoGrad no_grad;
       const std::vector<Array> values = device_derivatives(outputs, to);
@@ -446,6 +456,7 @@ void DiffSolverVBD::record_step(const SimState& in, SimState& out, const StepInp
   step->q_out = out.particle_q;
   step->qd_out = out.particle_qd;
   step->dt = inputs.dt;
+  step->implicit = options_.gradient.implicit;
   if (tape != nullptr) step->check_others(*tape, inputs.contacts);
   if (captured) nova::current_capture()->uses(in_use());
   Step::submit_forward(step);
@@ -472,7 +483,7 @@ void DiffSolverVBD::record_step(const SimState& in, SimState& out, const StepInp
     step->tangent(slopes, outputs);
   };
   op.forward = [step] { Step::submit_forward(step); };
-  op.submits_only = captured || on_device;
+  op.submits_only = captured || (on_device && !step->implicit);
   tape->record_custom(std::move(op));
 }
 

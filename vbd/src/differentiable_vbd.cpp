@@ -5,6 +5,7 @@
 #include <vector>
 
 #include "launched_reverse.h"
+#include "launched_solution.h"
 #include "model_derivatives.h"
 #include "novaphy/core/error.h"
 #include "novaphy/core/exclusive_use.h"
@@ -35,23 +36,10 @@ void check_gradient_options(const VbdOptions& o, const VbdGradientOptions& g) {
           "iterations: expected >= 1 with implicit gradients, got ", o.iterations);
 }
 
-}  // namespace
-
-struct DifferentiableVbd::Work {
-  Work(const Model& model, const VbdOptions& options, const VbdGradientOptions& gradient_options)
-      : step(model, options, !gradient_options.implicit),
-        reverse(step),
-        tangent(step),
-        gradient(gradient_options),
-        q_out(step.x.size()),
-        qd_out(step.x.size()) {}
-
-  void run(const VbdStepInputs& in, Vec3f* q, Vec3f* qd) {
-    step.update(in.tri_activation, in.tet_activation, in.contacts, in.dt);
-    step.run({in.particle_q, in.particle_qd, in.particle_f, q, qd}, in.targets);
-    if (!gradient.implicit) return;
-    primal = tangent.solve_step(static_cast<double>(gradient.tolerance), gradient.newton_iterations,
-                                gradient.krylov_sweeps);
+// What is told of implicit derivatives, and asked of them.
+struct Solved {
+  void see_step(const VbdResidual& found) {
+    primal = found;
     const double allowed = std::max(static_cast<double>(gradient.tolerance), 2.0 * primal.floor);
     is_solved = primal.relative <= allowed;
     require(is_solved || gradient.allow_unconverged, ErrorKind::Runtime,
@@ -60,11 +48,7 @@ struct DifferentiableVbd::Work {
             gradient.newton_iterations,
             " of Newton's method; raise iterations or newton_iterations, or allow_unconverged");
   }
-  void run_again(const VbdStepInputs& in) {
-    run(in, q_out.data(), qd_out.data());
-    if (!gradient.implicit) primal = step.residual();
-  }
-  void tell(const vbd::KrylovResult& linear) {
+  VbdGradientInfo see_linear(const vbd::KrylovResult& linear) const {
     const double allowed = static_cast<double>(gradient.tolerance);
     const bool solved = linear.residual <= allowed;
     require(solved || gradient.allow_unconverged, ErrorKind::Runtime,
@@ -72,11 +56,43 @@ struct DifferentiableVbd::Work {
             "residual of at most ",
             allowed, ", got ", linear.residual, " after ", linear.iterations,
             " sweeps; raise gradient_sweeps, or allow_unconverged");
-    info = {"implicit", primal, linear.residual, linear.iterations, solved && is_solved};
+    return {"implicit", primal, linear.residual, linear.iterations, solved && is_solved};
+  }
+
+  VbdGradientOptions gradient;
+  VbdResidual primal = {};
+  bool is_solved = true;
+};
+
+}  // namespace
+
+struct DifferentiableVbd::Work {
+  Work(const Model& model, const VbdOptions& options, const VbdGradientOptions& gradient_options)
+      : step(model, options, !gradient_options.implicit),
+        reverse(step),
+        tangent(step),
+        gradient(gradient_options),
+        solved{gradient_options},
+        q_out(step.x.size()),
+        qd_out(step.x.size()) {}
+
+  void run(const VbdStepInputs& in, Vec3f* q, Vec3f* qd) {
+    step.update(in.tri_activation, in.tet_activation, in.contacts, in.dt);
+    step.run({in.particle_q, in.particle_qd, in.particle_f, q, qd}, in.targets);
+    if (gradient.implicit)
+      solved.see_step(tangent.solve_step(static_cast<double>(gradient.tolerance),
+                                         gradient.newton_iterations, gradient.krylov_sweeps));
+  }
+  void run_again(const VbdStepInputs& in) {
+    run(in, q_out.data(), qd_out.data());
+    if (!gradient.implicit) solved.primal = step.residual();
+  }
+  void tell(const vbd::KrylovResult& linear) {
+    info = solved.see_linear(linear);
     has_info = true;
   }
   void tell() {
-    info = {"exact", primal, 0.0, 0, true};
+    info = {"exact", solved.primal, 0.0, 0, true};
     has_info = true;
   }
 
@@ -84,19 +100,23 @@ struct DifferentiableVbd::Work {
   vbd::ReversePass reverse;
   vbd::TangentPass tangent;
   const VbdGradientOptions gradient;
+  Solved solved;
   std::vector<Vec3f> q_out, qd_out;
-  VbdResidual primal;
-  bool is_solved = true, has_info = false;
+  bool has_info = false;
   VbdGradientInfo info;
   ExclusiveUse in_use;
 };
 
 struct DifferentiableVbd::Launched {
-  Launched(const Model& model, const VbdOptions& options) : step(model, options), reverse(step) {}
+  Launched(const Model& model, const VbdOptions& options, const VbdGradientOptions& gradient)
+      : step(model, options), reverse(step), solution(step, reverse), solved{gradient} {}
 
   vbd::LaunchedStep step;
   vbd::LaunchedReverse reverse;
+  vbd::LaunchedSolution solution;
+  Solved solved;
   bool has_info = false;
+  VbdGradientInfo info;  // implicit
   ExclusiveUse in_use;
 };
 
@@ -106,11 +126,8 @@ DifferentiableVbd::DifferentiableVbd(std::shared_ptr<const Model> model, const V
   check_covered(options);
   check_gradient_options(options, gradient_options);
   SolverVBD(model_, options);  // makes its checks
-  if (const Device device = model_->device(); !device.is_cpu()) {
-    require(!gradient_options.implicit, ErrorKind::NotImplemented,
-            "DiffSolverVBD: gradient: expected \"unrolled\" for a model on ", device.str(),
-            ", got \"implicit\", which is there on the cpu only");
-    launched_ = std::make_unique<Launched>(*model_, options);
+  if (!model_->device().is_cpu()) {
+    launched_ = std::make_unique<Launched>(*model_, options, gradient_options);
     return;
   }
   work_ = std::make_unique<Work>(*model_, options, gradient_options);
@@ -126,7 +143,9 @@ int32_t DifferentiableVbd::held_count() const {
 VbdGradientInfo DifferentiableVbd::info() const {
   require(launched_ != nullptr ? launched_->has_info : work_->has_info, ErrorKind::Runtime,
           "DiffSolverVBD.gradient_info: expected a backward before");
-  if (launched_ != nullptr) return {"exact", launched_->step.last_residual(), 0.0, 0, true};
+  if (launched_ != nullptr && !launched_->solved.gradient.implicit)
+    return {"exact", launched_->step.last_residual(), 0.0, 0, true};
+  if (launched_ != nullptr) return launched_->info;
   return work_->info;
 }
 
@@ -161,8 +180,13 @@ void DifferentiableVbd::forward(const VbdLaunchInputs& in, const DeviceArray<Vec
     const Unobserved of_the_model;
     model_->update_derived();
   }
-  launched_->step.update(in.dt);
-  launched_->step.run(in, {q_out, qd_out, {}}, in_use);
+  Launched& w = *launched_;
+  w.step.update(in.dt);
+  if (w.solved.gradient.implicit) {
+    w.solved.see_step(w.solution.run(in, {q_out, qd_out, {}}, w.solved.gradient, in_use));
+  } else {
+    w.step.run(in, {q_out, qd_out, {}}, in_use);
+  }
 }
 
 void DifferentiableVbd::backward(const VbdLaunchInputs& in, const Array& q_out_bar,
@@ -173,9 +197,16 @@ void DifferentiableVbd::backward(const VbdLaunchInputs& in, const Array& q_out_b
     const Unobserved of_the_model;
     model_->update_derived();
   }
-  launched_->step.update(in.dt);
-  launched_->reverse.run(in, q_out_bar, qd_out_bar, gradients, in_use);
-  launched_->has_info = true;
+  Launched& w = *launched_;
+  w.step.update(in.dt);
+  if (w.solved.gradient.implicit) {
+    w.info = w.solved.see_linear(
+        w.solution.run_back(in, q_out_bar, qd_out_bar, gradients, w.solved.gradient, in_use,
+                            [&w](const VbdResidual& found) { w.solved.see_step(found); }));
+  } else {
+    w.reverse.run(in, q_out_bar, qd_out_bar, gradients, in_use);
+  }
+  w.has_info = true;
 }
 
 void DifferentiableVbd::tangent(const VbdStepInputs& in, const VbdStepTangents& direction,

@@ -26,7 +26,7 @@ KrylovResult solve_krylov(Rows& x, Rows& residual, double tolerance, int32_t mos
   constexpr size_t kKept = 24;  // directions, before a restart
   std::vector<Rows> directions, images;
   std::vector<double> squares;
-  const double scale = std::sqrt(dot(residual, residual));
+  const double scale = std::sqrt(inner(residual, residual));
   KrylovResult result;
   x.assign(residual.size(), Row());
   if (scale == 0.0) return result;
@@ -41,19 +41,19 @@ KrylovResult solve_krylov(Rows& x, Rows& residual, double tolerance, int32_t mos
     precondition(residual, z, az);
     ++result.iterations;
     for (size_t k = 0; k < images.size(); ++k) {
-      const auto part = static_cast<float>(dot(az, images[k]) / squares[k]);
+      const auto part = static_cast<float>(inner(az, images[k]) / squares[k]);
       add_scaled(az, -part, images[k]);
       add_scaled(z, -part, directions[k]);
     }
-    const double square = dot(az, az);
+    const double square = inner(az, az);
     if (!(square > 0.0) || !std::isfinite(square)) break;
-    const auto step = static_cast<float>(dot(residual, az) / square);
+    const auto step = static_cast<float>(inner(residual, az) / square);
     add_scaled(x, step, z);
     add_scaled(residual, -step, az);
     directions.push_back(std::move(z));
     images.push_back(std::move(az));
     squares.push_back(square);
-    const double now = std::sqrt(dot(residual, residual)) / scale;
+    const double now = std::sqrt(inner(residual, residual)) / scale;
     if (!(now < result.residual) && directions.size() == 1) break;  // stagnates
     result.residual = now;
   }

@@ -18,6 +18,8 @@ struct Kernels {
   NOVAPHY_VBD_KERNEL(adjoint_solve_team)
   NOVAPHY_VBD_KERNEL(adjoint_slots)
   NOVAPHY_VBD_KERNEL(adjoint_weights)
+  NOVAPHY_VBD_KERNEL(adjoint_rest)
+  NOVAPHY_VBD_KERNEL(adjoint_rest_weights)
   NOVAPHY_VBD_KERNEL(adjoint_start)
   NOVAPHY_VBD_KERNEL(adjoint_start_weights)
 #undef NOVAPHY_VBD_KERNEL
@@ -105,7 +107,8 @@ void LaunchedReverse::build_tables() {
   numbers_ = DeviceArray<float>(static_cast<size_t>(tables_.numbers_begin.back()), device);
 }
 
-void LaunchedReverse::reserve() {
+// `iterates`: how many the step keeps.
+void LaunchedReverse::reserve(int32_t iterates) {
   const Unobserved unobserved;
   const Model& m = step_.model_;
   const Device device = m.device();
@@ -118,7 +121,7 @@ void LaunchedReverse::reserve() {
     q_out_ = DeviceArray<Vec3f>(n, device);
     qd_out_ = DeviceArray<Vec3f>(n, device);
     iterates_.clear();
-    for (int32_t k = 0; k < step_.options_.iterations; ++k) iterates_.emplace_back(n, device);
+    for (int32_t k = 0; k < iterates; ++k) iterates_.emplace_back(n, device);
   }
 }
 
@@ -142,7 +145,8 @@ void LaunchedReverse::clear(const Array& values) const {
 
 // Of the groups [first, end).
 std::vector<LaunchArgument> LaunchedReverse::arguments(bool with_contacts, const Array* before,
-                                                       int64_t first, int64_t end) const {
+                                                       int64_t first, int64_t end,
+                                                       const AtRest* rest) const {
   std::vector<LaunchArgument> a = step_.sweep_arguments(with_contacts, first, end);
   a.push_back(before != nullptr ? reads("before", *before) : number(kNone));
   a.push_back(reads("x_bar", x_bar_));
@@ -153,6 +157,12 @@ std::vector<LaunchArgument> LaunchedReverse::arguments(bool with_contacts, const
   a.push_back(updates("target_bar", target_bar_));
   a.push_back(updates("mass_bar", mass_bar_));
   a.push_back(with_contacts ? updates("contact_bars", contact_bars_) : number(kNone));
+  const auto row_if = [](const Array* rows) {
+    return rows != nullptr ? updates("multipliers", *rows) : number(kNone);
+  };
+  a.push_back(number(int64_t{rest != nullptr}));
+  a.push_back(row_if(rest != nullptr ? rest->multipliers : nullptr));
+  a.push_back(row_if(rest != nullptr ? rest->sum : nullptr));
   a.push_back(reads("slot_particle", tables_.slot_particle));
   a.push_back(updates("terms", terms_));
   a.push_back(updates("numbers", numbers_));
@@ -169,73 +179,100 @@ std::vector<LaunchArgument> LaunchedReverse::arguments(bool with_contacts, const
   return a;
 }
 
-void LaunchedReverse::receive(size_t color, const Array* own,
-                              const DeviceArray<Vec4f>& rows) const {
+void LaunchedReverse::receive(size_t color, const Array* own, const DeviceArray<Vec4f>& rows,
+                              int64_t parts) const {
   const Tables& t = tables_;
   kernels().receive.launch(
       step_.model_.device(), t.color_begin[color + 1] - t.color_begin[color],
       {reads("particle", t.particle), reads("begin", t.begin), reads("others", t.others),
        reads("entries", t.entries), number(t.color_begin[color]), number(int64_t{kVbdLanes}),
        reads("terms", terms_), reads("is_own", t.is_own),
-       own != nullptr ? reads("own", *own) : number(kNone), updates("rows", rows)});
+       own != nullptr ? reads("own", *own) : number(kNone), updates("rows", rows), number(parts)});
+}
+
+// Back through the step of the groups [first, end), up to what particles get.
+void LaunchedReverse::reverse_groups(bool with_contacts, bool weights, const Array* before,
+                                     int64_t first, int64_t end, const AtRest* rest) const {
+  const Device device = step_.model_.device();
+  const std::vector<LaunchArgument> a = arguments(with_contacts, before, first, end, rest);
+  const bool by_threads = step_.mover() == LaunchedStep::Mover::Thread ||
+                          (rest != nullptr && rest->multipliers != nullptr);
+  if (by_threads) {
+    kernels().adjoint_solve.launch(device, (end - first) * kVbdLanes, a);
+  } else {
+    kernels().adjoint_solve_team.launch(device, step_.team_rows(end - first), a);
+  }
+  const DeviceKernel& slots =
+      rest != nullptr ? (weights ? kernels().adjoint_rest_weights : kernels().adjoint_rest)
+                      : (weights ? kernels().adjoint_weights : kernels().adjoint_slots);
+  slots.launch(device, static_cast<int64_t>(a.back().word), a);
 }
 
 void LaunchedReverse::reverse_colors(bool with_contacts, bool weights) const {
-  const Device device = step_.model_.device();
   const std::vector<int64_t>& colors = step_.tables_->colors;
-  const DeviceKernel& slots_kernel = weights ? kernels().adjoint_weights : kernels().adjoint_slots;
-  const bool by_teams = step_.mover() != LaunchedStep::Mover::Thread;
+  const bool has_conflicts = step_.tables_->has_conflicts;
   for (size_t k = iterates_.size(); k-- > 0;)
     for (size_t color = colors.size() - 1; color-- > 0;) {
       const int64_t first = colors[color], end = colors[color + 1];
-      const bool has_conflicts = step_.tables_->has_conflicts;
       if (has_conflicts) step_.commit(first, end, iterates_[k]);
-      const std::vector<LaunchArgument> a =
-          arguments(with_contacts, has_conflicts ? nullptr : &iterates_[k], first, end);
-      if (by_teams) {
-        kernels().adjoint_solve_team.launch(device, step_.team_rows(end - first), a);
-      } else {
-        kernels().adjoint_solve.launch(device, (end - first) * kVbdLanes, a);
-      }
-      slots_kernel.launch(device, static_cast<int64_t>(a.back().word), a);
+      reverse_groups(with_contacts, weights, has_conflicts ? nullptr : &iterates_[k], first, end,
+                     nullptr);
       receive(color, &own_, x_bar_);
     }
 }
 
-void LaunchedReverse::end(bool with_contacts, bool weights, const Array& qd_bar) const {
+// `guess`: the bars of what iterations began with; null: of nothing.
+void LaunchedReverse::end(bool with_contacts, bool weights, const Array* guess,
+                          const Array& qd_bar) const {
   const Device device = step_.model_.device();
   const auto particles = static_cast<int64_t>(step_.model_.particle_count());
-  const bool from_target = step_.options_.initial_guess == VbdInitialGuess::Inertia;
   kernels().adjoint_end.launch(
       device, particles,
       {reads_row("is_held", step_.is_held_), reads_row("x_bar", x_bar_),
-       updates_row("guess", from_target ? target_bar_ : start_bar_), read_if("qd_bar", qd_bar),
+       guess != nullptr ? updates_row("guess", *guess) : number(kNone), read_if("qd_bar", qd_bar),
        number(1.0f / step_.tables_->dt), updates_row("start_bar", start_bar_)});
   const std::vector<int64_t>& colors = step_.tables_->colors;
-  const std::vector<LaunchArgument> a = arguments(with_contacts, nullptr, 0, colors.back());
+  const std::vector<LaunchArgument> a =
+      arguments(with_contacts, nullptr, 0, colors.back(), nullptr);
   (weights ? kernels().adjoint_start_weights : kernels().adjoint_start)
       .launch(device, static_cast<int64_t>(a.back().word), a);
   for (size_t color = 0; color + 1 < colors.size(); ++color) receive(color, nullptr, start_bar_);
 }
 
-void LaunchedReverse::run(const VbdLaunchInputs& in, const Array& q_bar, const Array& qd_bar,
-                          const VbdStepArrays& g, const std::shared_ptr<ExclusiveUse>& in_use) {
-  const Device device = step_.model_.device();
-  const bool with_contacts = in.have_contacts();
-  reserve();
-  step_.run(in, {q_out_, qd_out_, iterates_}, in_use);
-  if (with_contacts) reserve_contacts();
-  step_.find_residuals(with_contacts);
+void LaunchedReverse::clear_parameters(bool with_contacts) const {
   for (const Array* rows :
        std::initializer_list<const Array*>{&start_bar_, &target_bar_, &mass_bar_, &numbers_})
     clear(*rows);
   if (with_contacts) clear(contact_bars_);
-  kernels().adjoint_begin.launch(device, step_.model_.particle_count(),
+}
+
+// From the bars of the results, after the step ran.
+void LaunchedReverse::begin(bool with_contacts, const Array& q_bar, const Array& qd_bar) {
+  if (with_contacts) reserve_contacts();
+  clear_parameters(with_contacts);
+  kernels().adjoint_begin.launch(step_.model_.device(), step_.model_.particle_count(),
                                  {read_if("q_bar", q_bar), read_if("qd_bar", qd_bar),
                                   number(1.0f / step_.tables_->dt), writes_row("x_bar", x_bar_)});
-  const bool weights = any({&g.particle_tri_pose, &g.particle_tet_pose});
+}
+
+void LaunchedReverse::run(const VbdLaunchInputs& in, const Array& q_bar, const Array& qd_bar,
+                          const VbdStepArrays& g, const std::shared_ptr<ExclusiveUse>& in_use) {
+  const bool with_contacts = in.have_contacts();
+  reserve(step_.options_.iterations);
+  step_.run(in, {q_out_, qd_out_, iterates_}, in_use);
+  step_.find_residuals(with_contacts);
+  begin(with_contacts, q_bar, qd_bar);
+  const bool weights = wants_weights(g);
   reverse_colors(with_contacts, weights);
-  end(with_contacts, weights, qd_bar);
+  const bool from_target = step_.options_.initial_guess == VbdInitialGuess::Inertia;
+  end(with_contacts, weights, from_target ? &target_bar_ : &start_bar_, qd_bar);
+  put(in, g);
+}
+
+bool LaunchedReverse::wants_weights(const VbdStepArrays& g) {
+  return any({&g.particle_tri_pose, &g.particle_tet_pose});
+}
+void LaunchedReverse::put(const VbdLaunchInputs& in, const VbdStepArrays& g) {
   put_state(in, g);
   put_elements(g);
   put_contacts(in, g);

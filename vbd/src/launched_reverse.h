@@ -8,6 +8,7 @@
 #include "launched_step.h"
 #include "novaphy/vbd/differentiable_vbd.h"
 #include "receivers.h"
+#include "vbd_gradient_kernels.h"
 
 namespace novaphy::vbd {
 
@@ -21,6 +22,12 @@ class LaunchedReverse {
            const VbdStepArrays& gradients, const std::shared_ptr<ExclusiveUse>& in_use);
 
  private:
+  friend class LaunchedSolution;
+  // At a solution: given multipliers, or the sum of those that are found.
+  struct AtRest {
+    const Array* multipliers = nullptr;
+    const Array* sum = nullptr;
+  };
   // Made of the slots. Launches of captures keep them.
   struct Tables {
     uint64_t builds = 0;  // of the slots
@@ -34,14 +41,21 @@ class LaunchedReverse {
   };
 
   void build_tables();
-  void reserve();
+  void reserve(int32_t iterates);
   void reserve_contacts();
   void clear(const Array& values) const;
   std::vector<LaunchArgument> arguments(bool with_contacts, const Array* before, int64_t first,
-                                        int64_t end) const;
-  void receive(size_t color, const Array* own, const DeviceArray<Vec4f>& rows) const;
+                                        int64_t end, const AtRest* rest) const;
+  void receive(size_t color, const Array* own, const DeviceArray<Vec4f>& rows,
+               int64_t parts = kVbdReceiveAll) const;
+  void clear_parameters(bool with_contacts) const;
+  void begin(bool with_contacts, const Array& q_bar, const Array& qd_bar);
+  void reverse_groups(bool with_contacts, bool weights, const Array* before, int64_t first,
+                      int64_t end, const AtRest* rest) const;
   void reverse_colors(bool with_contacts, bool weights) const;
-  void end(bool with_contacts, bool weights, const Array& qd_bar) const;
+  void end(bool with_contacts, bool weights, const Array* guess, const Array& qd_bar) const;
+  static bool wants_weights(const VbdStepArrays& g);
+  void put(const VbdLaunchInputs& in, const VbdStepArrays& g);
   void put_state(const VbdLaunchInputs& in, const VbdStepArrays& g) const;
   void put_elements(const VbdStepArrays& g) const;
   void put_contacts(const VbdLaunchInputs& in, const VbdStepArrays& g);

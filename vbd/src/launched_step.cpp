@@ -395,6 +395,24 @@ void LaunchedStep::commit(int64_t first_group, int64_t end_group,
                            reads("from", from), updates("x", x_)});
 }
 
+// One iteration; not by all colours in one launch.
+void LaunchedStep::iterate_once(bool with_contacts, Mover how) const {
+  const Tables& t = *tables_;
+  const Device device = model_.device();
+  const DeviceKernel& move = how == Mover::Team   ? kernels().move_team
+                             : options_.safeguard ? kernels().move_guarded
+                                                  : kernels().move;
+  for (size_t c = 0; c + 1 < t.colors.size(); ++c) {
+    const int64_t first = t.colors[c], groups = t.colors[c + 1] - first;
+    if (how == Mover::Team) {
+      move.launch(device, team_rows(groups), sweep_arguments(with_contacts, first, first + groups));
+    } else {
+      launch(move, kernels().move_groups, groups, with_contacts, first);
+    }
+    if (t.has_conflicts) commit(first, first + groups, next_);
+  }
+}
+
 void LaunchedStep::iterate(bool with_contacts, std::span<const DeviceArray<Vec4f>> iterates) const {
   const Tables& t = *tables_;
   const Device device = model_.device();
@@ -406,24 +424,12 @@ void LaunchedStep::iterate(bool with_contacts, std::span<const DeviceArray<Vec4f
                              sweep_arguments(with_contacts, 0, 0));
     return;
   }
-  const DeviceKernel& move = how == Mover::Team   ? kernels().move_team
-                             : options_.safeguard ? kernels().move_guarded
-                                                  : kernels().move;
   for (int32_t k = 1; k <= options_.iterations; ++k) {
     if (!iterates.empty())
       kernels().keep.launch(
           device, model_.particle_count(),
           {reads_row("x", x_), writes_row("iterate", iterates[static_cast<size_t>(k - 1)])});
-    for (size_t c = 0; c + 1 < t.colors.size(); ++c) {
-      const int64_t first = t.colors[c], groups = t.colors[c + 1] - first;
-      if (how == Mover::Team) {
-        move.launch(device, team_rows(groups),
-                    sweep_arguments(with_contacts, first, first + groups));
-      } else {
-        launch(move, kernels().move_groups, groups, with_contacts, first);
-      }
-      if (t.has_conflicts) commit(first, first + groups, next_);
-    }
+    iterate_once(with_contacts, how);
     if (options_.acceleration)
       kernels().accelerate.launch(
           device, model_.particle_count(),
@@ -490,13 +496,26 @@ void LaunchedStep::run(const VbdLaunchInputs& in, const VbdLaunchResults& out,
         device, held_count(),
         {reads_row("held", held_), reads_row("targets", in.targets), updates("x", x_)});
   iterate(with_contacts, out.iterates);
+  iterations_run_ = options_.iterations;
+  finish(out);
+  has_stepped_ = true;
+  had_contacts_ = with_contacts;
+}
+
+void LaunchedStep::finish(const VbdLaunchResults& out) const {
+  const bool adaptive = options_.initial_guess == VbdInitialGuess::Adaptive;
   kernels().finish.launch(
-      device, particles,
+      model_.device(), model_.particle_count(),
       {reads_row("start", start_), reads_row("x", x_), number(tables_->dt),
        writes_row("state_out.particle_q", out.q), writes_row("state_out.particle_qd", out.qd),
        adaptive ? writes("has_last", has_last_) : number(int64_t{0})});
-  has_stepped_ = true;
-  had_contacts_ = with_contacts;
+}
+
+// After a run: one more iteration.
+void LaunchedStep::iterate_again(bool with_contacts) {
+  const Mover how = mover();
+  iterate_once(with_contacts, how == Mover::Grid ? Mover::Team : how);
+  ++iterations_run_;
 }
 
 void LaunchedStep::find_residuals(bool with_contacts) {
@@ -515,7 +534,7 @@ VbdResidual LaunchedStep::last_residual() const {
   const std::vector<float> numbers = of_particles_.to_host();
   return sum_residuals(
       std::span(reinterpret_cast<const ParticleResidual*>(numbers.data()), numbers.size() / 3),
-      options_.iterations);
+      iterations_run_);
 }
 
 }  // namespace novaphy::vbd

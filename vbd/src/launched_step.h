@@ -56,6 +56,7 @@ class LaunchedStep {
 
  private:
   friend class LaunchedReverse;
+  friend class LaunchedSolution;
   // Where the number of an activation lies, for each lane of each slot of a role.
   struct Activated {
     DeviceArray<int32_t> element;
@@ -89,6 +90,9 @@ class LaunchedStep {
   void find_contacts(const Contacts& contacts) const;
   void activate(const Activated& to, Role role, const DeviceArray<float>& activation) const;
   void iterate(bool with_contacts, std::span<const DeviceArray<Vec4f>> iterates) const;
+  void iterate_once(bool with_contacts, Mover how) const;
+  void iterate_again(bool with_contacts);
+  void finish(const VbdLaunchResults& out) const;
   // The particles of some groups are where rows of `from` say.
   void commit(int64_t first_group, int64_t end_group, const DeviceArray<Vec4f>& from) const;
   void find_residuals(bool with_contacts);
@@ -115,6 +119,7 @@ class LaunchedStep {
   DeviceArray<float> contact_numbers_, of_particles_;
   DeviceArray<uint32_t> barrier_;
   std::vector<float> chebyshev_;
+  int32_t iterations_run_ = 0;
   bool has_stepped_ = false, had_contacts_ = false;
 };
 

@@ -1,9 +1,9 @@
 #include "reverse_pass.h"
 
 #include <algorithm>
-#include <cmath>
 
 #include "novaphy/core/sim/for_chunks.h"
+#include "solution.h"
 
 namespace novaphy::vbd {
 namespace {
@@ -59,9 +59,10 @@ void ReversePass::for_groups(int64_t begin, int64_t end, Function&& function) {
 void ReversePass::receive(size_t color, Rows& rows) {
   const Receivers& r = receivers_;
   const int64_t first = r.color_begin[color];
-  const VbdReceiveArguments arguments = {
-      r.particle.data(), r.begin.data(), r.others.data(), r.entries.data(), first,
-      step.level.lanes,  terms_.data(),  r.is_own.data(), nullptr,          rows.data()};
+  const VbdReceiveArguments arguments = {r.particle.data(), r.begin.data(),  r.others.data(),
+                                         r.entries.data(),  first,           step.level.lanes,
+                                         terms_.data(),     r.is_own.data(), nullptr,
+                                         rows.data(),       kVbdReceiveAll};
   const int64_t n = r.color_begin[color + 1] - first;
   for_chunks(n, kParticlesPerChunk, [&](int64_t begin, int64_t end, int64_t) {
     for (int64_t row = begin; row < end; ++row) vbd_receive_row(arguments, row, n);
@@ -112,49 +113,33 @@ void ReversePass::unrolled(const Vec3f* q_bar, const Vec3f* qd_bar) {
   end((from_target ? target_bar : start_bar).data(), qd_bar);
 }
 
+void ReversePass::reverse_sweep(const Rows& load, Rows& multipliers, Rows& left) {
+  x_bar = load;
+  bars_.x = floats(x_bar);
+  bars_.multiplier_sum = floats(multipliers);
+  for (size_t color = step.slots.color_begin().size() - 1; color-- > 0;) reverse_color(color, {});
+  bars_.multiplier_sum = nullptr;
+  left = x_bar;
+}
+
+const Rows& ReversePass::balance(const Rows& given, Rows& multipliers) {
+  const size_t colors = step.slots.color_begin().size() - 1;
+  clear_parameters();
+  x_bar = given;
+  bars_.x = floats(x_bar);
+  bars_.multiplier = floats(multipliers);
+  for_groups(0, step.slots.color_begin().back(), step.level.adjoint);
+  for (size_t color = 0; color < colors; ++color) receive(color, x_bar);
+  bars_.multiplier = nullptr;
+  return x_bar;
+}
+
 KrylovResult ReversePass::implicit(const Vec3f* q_bar, const Vec3f* qd_bar, double tolerance,
                                    int32_t sweeps) {
   begin(q_bar, qd_bar);
   bars_.at_rest = true;
-  const size_t colors = step.slots.color_begin().size() - 1;
   const Rows given = x_bar;
-  const auto free_rows = [this](Rows rows) {
-    for (size_t p = 0; p < rows.size(); ++p)
-      if (is_held(p)) rows[p] = Row();
-    return rows;
-  };
-  Rows residual = free_rows(given), solution(x_bar.size());
-  const double scale = std::sqrt(dot(residual, residual));
-  KrylovResult result;
-  // Until the true residual is small enough: that of the recurrence drifts from it by rounding.
-  for (int round = 0; round < kRefinements; ++round) {
-    // A sweep in reverse from r takes away from r what the multipliers z that it finds balance.
-    Rows more;
-    const double asked = kMargin * tolerance * (round > 0 ? 1.0 / result.residual : 1.0);
-    const KrylovResult found = solve_krylov(more, residual, asked, sweeps - result.iterations,
-                                            [&](const Rows& r, Rows& z, Rows& image) {
-                                              x_bar = r;
-                                              bars_.x = floats(x_bar);
-                                              bars_.multiplier_sum = floats(z);
-                                              for (size_t color = colors; color-- > 0;)
-                                                reverse_color(color, {});
-                                              image = r;
-                                              add_scaled(image, -1.0f, free_rows(x_bar));
-                                            });
-    bars_.multiplier_sum = nullptr;
-    add_scaled(solution, 1.0f, more);
-    clear_parameters();
-    x_bar = given;
-    bars_.x = floats(x_bar);
-    bars_.multiplier = floats(solution);
-    for_groups(0, step.slots.color_begin().back(), step.level.adjoint);
-    for (size_t color = 0; color < colors; ++color) receive(color, x_bar);
-    bars_.multiplier = nullptr;
-    residual = free_rows(x_bar);
-    result.residual = scale > 0.0 ? std::sqrt(dot(residual, residual)) / scale : 0.0;
-    result.iterations += found.iterations;
-    if (result.residual <= tolerance || result.iterations >= sweeps) break;
-  }
+  const KrylovResult result = solve_transposed(*this, given, tolerance, sweeps);
   end(nullptr, qd_bar);
   return result;
 }

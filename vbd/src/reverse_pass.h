@@ -21,6 +21,11 @@ class ReversePass {
   // At the solution. Returns how well the linear system was solved: the residual is the true one.
   KrylovResult implicit(const Vec3f* q_bar, const Vec3f* qd_bar, double tolerance, int32_t sweeps);
 
+  // For solution.h.
+  void reverse_sweep(const Rows& load, Rows& multipliers, Rows& left);
+  const Rows& balance(const Rows& given, Rows& multipliers);
+  bool is_held(size_t p) const { return step.slots.is_held(static_cast<int32_t>(p)); }
+
   // By the numbers of the slots of a role.
   VbdLawBars law_bars(Role role) const {
     return {step.slots.table(role).places.data(), numbers_[role].data(), step.level.lanes};
@@ -39,7 +44,6 @@ class ReversePass {
   void for_groups(int64_t begin, int64_t end, Function&& function);
   void receive(size_t color, Rows& rows);
   void clear_parameters();
-  bool is_held(size_t p) const { return step.slots.is_held(static_cast<int32_t>(p)); }
   void end(Row* guess, const Vec3f* qd_bar);
 
   Receivers receivers_;

@@ -12,7 +12,7 @@ using Rows = std::vector<Row>;
 inline float* floats(Rows& rows) { return reinterpret_cast<float*>(rows.data()); }
 
 // In double precision, in the order of the particles.
-inline double dot(const Rows& a, const Rows& b) {
+inline double inner(const Rows& a, const Rows& b) {
   double sum = 0.0;
   for (size_t p = 0; p < a.size(); ++p)
     sum += (static_cast<double>(a[p].x) * static_cast<double>(b[p].x) +

@@ -1,12 +1,15 @@
 // The derivative of the sweep of one instruction set along a direction.
 //
 // A particle moves by d = H^-1 f, so d' = H^-1 (f' - H' d): at a solution, where f = 0, H^-1 f'.
-#include "slot_inputs.h"
+#include "novaphy/vbd/slot_inputs_trace.h"
 #include "sweep_slots.h"
-#include "tangent.h"
+// Behind lanes.h, which says what functions of lanes are.
+#include "novaphy/vbd/tangent_trace.h"
 
 namespace novaphy::vbd::NOVAPHY_LEVEL {
 namespace {
+
+using Tangent = TangentOf<Lanes>;
 
 Point rows_or_zero(const float* rows, const int32_t* particle) {
   return rows != nullptr ? gather(rows, particle) : Point{};

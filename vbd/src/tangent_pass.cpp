@@ -4,12 +4,12 @@
 #include <cmath>
 
 #include "novaphy/core/sim/for_chunks.h"
+#include "solution.h"
 
 namespace novaphy::vbd {
 namespace {
 
 constexpr int64_t kGroupsPerChunk = 8;
-constexpr int kIterationsInstead = 20;
 
 }  // namespace
 
@@ -67,35 +67,29 @@ void TangentPass::unrolled() {
   tangents_.step_slope = nullptr;
 }
 
-// J solution = load, J = -df/dx over the particles that move.
-KrylovResult TangentPass::solve(Rows& solution, Rows& load, double tolerance, int32_t sweeps) {
+// A sweep from 0 with the load, at a solution, and the derivative of the forces along it.
+void TangentPass::sweep(const Rows& load, Rows& z, Rows& image) {
   const Tangents kept = tangents_;
   tangents_ = {};
   tangents_.at_rest = true;
   const std::vector<int64_t>& colors = step.slots.color_begin();
   const auto lanes = static_cast<int64_t>(step.level.lanes);
   Rows moved(load.size());
-  const KrylovResult result =
-      solve_krylov(solution, load, tolerance, sweeps, [&](const Rows& r, Rows& z, Rows& image) {
-        tangents_.x = floats(z);
-        tangents_.load = reinterpret_cast<const float*>(r.data());
-        tangents_.step_slope = floats(moved);
-        for (size_t color = 0; color + 1 < colors.size(); ++color) {
-          for_groups(color, color + 1, step.level.tangent);
-          for (int64_t g = colors[color]; g < colors[color + 1]; ++g)
-            for (int64_t l = 0; l < step.sweep.filled[g]; ++l) {
-              const auto p = static_cast<size_t>(step.sweep.particle[g * lanes + l]);
-              z[p] = Vec3f(z[p]) + Vec3f(moved[p]);
-            }
-        }
-        tangents_.step_slope = nullptr;
-        tangents_.force_slope = floats(image);
-        for_groups(0, colors.size() - 1, step.level.tangent);
-        tangents_.force_slope = nullptr;
-        for (Row& row : image) row = -Vec3f(row);
-      });
+  tangents_.x = floats(z);
+  tangents_.load = reinterpret_cast<const float*>(load.data());
+  tangents_.step_slope = floats(moved);
+  for (size_t color = 0; color + 1 < colors.size(); ++color) {
+    for_groups(color, color + 1, step.level.tangent);
+    for (int64_t g = colors[color]; g < colors[color + 1]; ++g)
+      for (int64_t l = 0; l < step.sweep.filled[g]; ++l) {
+        const auto p = static_cast<size_t>(step.sweep.particle[g * lanes + l]);
+        z[p] = Vec3f(z[p]) + Vec3f(moved[p]);
+      }
+  }
+  tangents_.step_slope = nullptr;
+  tangents_.force_slope = floats(image);
+  for_groups(0, colors.size() - 1, step.level.tangent);
   tangents_ = kept;
-  return result;
 }
 
 KrylovResult TangentPass::implicit(double tolerance, int32_t sweeps) {
@@ -112,61 +106,35 @@ KrylovResult TangentPass::implicit(double tolerance, int32_t sweeps) {
   };
   tangents_.at_rest = true;
   Rows load = force_slope();
-  const double scale = std::sqrt(dot(load, load));
+  const double scale = std::sqrt(inner(load, load));
   KrylovResult result;
   for (int round = 0; round < kRefinements; ++round) {
     Rows more;
     const double asked = kMargin * tolerance * (round > 0 ? 1.0 / result.residual : 1.0);
-    result.iterations += solve(more, load, asked, sweeps - result.iterations).iterations;
+    result.iterations +=
+        solve_linear(*this, more, load, asked, sweeps - result.iterations).iterations;
     for (size_t p = 0; p < x_slope.size(); ++p)
       if (!is_held(p)) x_slope[p] = Vec3f(x_slope[p]) + Vec3f(more[p]);
     load = force_slope();
-    result.residual = scale > 0.0 ? std::sqrt(dot(load, load)) / scale : 0.0;
+    result.residual = scale > 0.0 ? std::sqrt(inner(load, load)) / scale : 0.0;
     if (result.residual <= tolerance || result.iterations >= sweeps) break;
   }
   return result;
 }
 
-// The step of Newton's method, halved until the force falls, up to four times; then iterations
-// instead, which cost less than the step did.
-void TangentPass::try_step(const Rows& newton, VbdResidual& now) {
-  const Rows x = step.x, moved = step.moved;
-  float part = 1.0f;
-  for (int halvings = 0; halvings <= 4; ++halvings, part *= 0.5f) {
-    for (size_t p = 0; p < x.size(); ++p) {
-      if (is_held(p)) continue;
-      step.moved[p] = Vec3f(moved[p]) + Vec3f(newton[p]) * part;
-      step.x[p] = Vec3f(step.start[p]) + Vec3f(step.moved[p]);
-    }
-    const VbdResidual next = step.residual();
-    if (next.force < now.force) {
-      now = next;
-      return;
-    }
-  }
-  step.x = x;
-  step.moved = moved;
-  for (int k = 0; k < kIterationsInstead; ++k) step.iterate_again();
-  now = step.residual();
+Rows TangentPass::force() {
+  Rows force(step.x.size());
+  tangents_.force = floats(force);
+  for_groups(0, step.slots.color_begin().size() - 1, step.level.tangent);
+  tangents_.force = nullptr;
+  return force;
 }
 
 VbdResidual TangentPass::solve_step(double tolerance, int32_t iterations, int32_t sweeps) {
   tangents_ = {};
-  VbdResidual now = step.residual();
-  const auto is_solved = [tolerance](const VbdResidual& r) {
-    return r.relative <= std::max(tolerance, 2.0 * r.floor);
-  };
-  for (int32_t k = 0; k < iterations && !is_solved(now); ++k) {
-    Rows force(step.x.size()), newton;
-    tangents_.force = floats(force);
-    for_groups(0, step.slots.color_begin().size() - 1, step.level.tangent);
-    tangents_.force = nullptr;
-    constexpr double kForcing = 1e-2;  // of the linear systems of an inexact Newton method
-    solve(newton, force, kForcing, sweeps);
-    try_step(newton, now);
-  }
+  const VbdResidual found = solve_nonlinear(*this, tolerance, iterations, sweeps);
   step.finish_again();
-  return now;
+  return found;
 }
 
 }  // namespace novaphy::vbd

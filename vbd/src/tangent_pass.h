@@ -21,6 +21,20 @@ class TangentPass {
   // tolerance, or twice what rounding allows, or `iterations` are over.
   VbdResidual solve_step(double tolerance, int32_t iterations, int32_t sweeps);
 
+  // For solution.h.
+  void sweep(const Rows& load, Rows& z, Rows& image);
+  Rows force();
+  const Rows& starts() const { return step.start; }
+  const Rows& positions() const { return step.x; }
+  const Rows& moves() const { return step.moved; }
+  void place(const Rows& x, const Rows& moved) const {
+    step.x = x;
+    step.moved = moved;
+  }
+  VbdResidual residual() const { return step.residual(); }
+  void iterate_again() const { step.iterate_again(); }
+  bool is_held(size_t p) const { return step.slots.is_held(static_cast<int32_t>(p)); }
+
   StepWork& step;
   Rows x_slope;  // of held particles the direction; of the others the result
   Rows start_slope, target_slope;
@@ -30,9 +44,6 @@ class TangentPass {
   template <class Function>
   void for_groups(size_t first_color, size_t last_color, Function&& function);
   void tangent_start();
-  KrylovResult solve(Rows& solution, Rows& load, double tolerance, int32_t sweeps);
-  void try_step(const Rows& newton, VbdResidual& now);
-  bool is_held(size_t p) const { return step.slots.is_held(static_cast<int32_t>(p)); }
 
   Tangents tangents_;
 };

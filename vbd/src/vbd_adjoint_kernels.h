@@ -21,6 +21,9 @@ struct VbdAdjointArguments {
   VbdRow* target_bar;
   float* mass_bar;               // by mass/h^2
   float* contact_bars;           // kContactLawFloats for each contact of the step
+  int64_t at_rest;               // at a solution, where f = 0: with d = 0
+  const VbdRow* multiplier;      // at rest: u, instead of solving for it; else null
+  VbdRow* multiplier_sum;        // of u; null: not wanted
   const int32_t* slot_particle;  // of each lane of each slot of each role; -1: none
   float* terms;                  // of slots, 3 rows for their own and each other particle
   float* numbers;                // of slots, by all their numbers
@@ -29,13 +32,16 @@ struct VbdAdjointArguments {
   int64_t ends[5];               // by role: threads up to its last one
 };
 
-// "weights": also by the weights of slots; "start": of what slots have of the start.
-NOVAPHY_BLOCK_KERNEL(vbd_adjoint_solve, 59, VbdAdjointArguments);
-NOVAPHY_BLOCK_KERNEL(vbd_adjoint_solve_team, 59, VbdAdjointArguments);
-NOVAPHY_BLOCK_KERNEL(vbd_adjoint_slots, 59, VbdAdjointArguments);
-NOVAPHY_BLOCK_KERNEL(vbd_adjoint_weights, 59, VbdAdjointArguments);
-NOVAPHY_BLOCK_KERNEL(vbd_adjoint_start, 59, VbdAdjointArguments);
-NOVAPHY_BLOCK_KERNEL(vbd_adjoint_start_weights, 59, VbdAdjointArguments);
+// "weights": also by the weights of slots; "rest": vbd_adjoint_slots at a solution; "start": of
+// what slots have of the start.
+NOVAPHY_BLOCK_KERNEL(vbd_adjoint_solve, 62, VbdAdjointArguments);
+NOVAPHY_BLOCK_KERNEL(vbd_adjoint_solve_team, 62, VbdAdjointArguments);
+NOVAPHY_BLOCK_KERNEL(vbd_adjoint_slots, 62, VbdAdjointArguments);
+NOVAPHY_BLOCK_KERNEL(vbd_adjoint_weights, 62, VbdAdjointArguments);
+NOVAPHY_BLOCK_KERNEL(vbd_adjoint_rest, 62, VbdAdjointArguments);
+NOVAPHY_BLOCK_KERNEL(vbd_adjoint_rest_weights, 62, VbdAdjointArguments);
+NOVAPHY_BLOCK_KERNEL(vbd_adjoint_start, 62, VbdAdjointArguments);
+NOVAPHY_BLOCK_KERNEL(vbd_adjoint_start_weights, 62, VbdAdjointArguments);
 
 #ifdef NOVAPHY_KERNEL
 namespace vbd {
@@ -96,13 +102,13 @@ struct AdjointSlot {
   }
 };
 
-template <Role role, bool damped, bool weights>
+template <bool at_rest, Role role, bool damped, bool weights>
 inline void reverse_slot(const VbdAdjointArguments& a, int64_t k) {
   const AdjointSlot<role> at_slot(a, a.sweep.x, k);
   if (at_slot.particle < 0) return;
   const Block<float> bar = bars_of(at(a.u, at_slot.particle), at(a.d, at_slot.particle));
   floats::SlotBars<role> to;
-  floats::slot_adjoint<false, damped, weights>(
+  floats::slot_adjoint<at_rest, damped, weights>(
       LaneSlot<role>(a.sweep, at_slot.number, at_slot.lane), at_slot.x, bar, to);
   at_slot.put_terms(a, to);
   at_slot.add_numbers(a, to, weights ? 0 : law_begin(role), kFloats[role]);
@@ -123,27 +129,27 @@ inline void reverse_start(const VbdAdjointArguments& a, int64_t k) {
   if (weights) at_slot.add_numbers(a, to, 0, kLaw);
 }
 
-template <bool weights>
+template <bool at_rest, bool weights>
 inline void reverse_slots(const VbdAdjointArguments& a, int64_t row) {
   if (row < a.ends[0]) {
-    reverse_slot<kSpring, true, false>(a, row);
+    reverse_slot<at_rest, kSpring, true, false>(a, row);
   } else if (row < a.ends[1]) {
     const int64_t k = row - a.ends[0];
     if ((a.sweep.damped >> kTriangle) & 1) {
-      reverse_slot<kTriangle, true, weights>(a, k);
+      reverse_slot<at_rest, kTriangle, true, weights>(a, k);
     } else {
-      reverse_slot<kTriangle, false, weights>(a, k);
+      reverse_slot<at_rest, kTriangle, false, weights>(a, k);
     }
   } else if (row < a.ends[2]) {
-    reverse_slot<kHingeOpposite, true, false>(a, row - a.ends[1]);
+    reverse_slot<at_rest, kHingeOpposite, true, false>(a, row - a.ends[1]);
   } else if (row < a.ends[3]) {
-    reverse_slot<kHingeEnd, true, false>(a, row - a.ends[2]);
+    reverse_slot<at_rest, kHingeEnd, true, false>(a, row - a.ends[2]);
   } else if (row < a.ends[4]) {
     const int64_t k = row - a.ends[3];
     if ((a.sweep.damped >> kTetrahedron) & 1) {
-      reverse_slot<kTetrahedron, true, weights>(a, k);
+      reverse_slot<at_rest, kTetrahedron, true, weights>(a, k);
     } else {
-      reverse_slot<kTetrahedron, false, weights>(a, k);
+      reverse_slot<at_rest, kTetrahedron, false, weights>(a, k);
     }
   }
 }
@@ -172,8 +178,14 @@ struct SolveParticle {
     const VbdSweepArguments& s = a.sweep;
     const Vec3f x = place(p);
     if (a.before != nullptr) s.x[p] = to_row(x);
-    const auto factors = factorize(block, s.regularization.value);
-    const Vec3f d = solve_block(factors, block.f), u = solve_block(factors, at(a.x_bar, p));
+    Vec3f u, d{};
+    if (a.multiplier != nullptr) {
+      u = at(a.multiplier, p);
+    } else {
+      const auto factors = factorize(block, s.regularization.value);
+      if (a.at_rest == 0) d = solve_block(factors, block.f);
+      u = solve_block(factors, at(a.x_bar, p));
+    }
     const Block<float> bar = bars_of(u, d);
     const Vec3f inertia = u * s.mass_by_h2[k];
     Vec3f own = -inertia, by_start{};
@@ -181,7 +193,11 @@ struct SolveParticle {
       const Vec3f start = at(s.start, p);
       for (int32_t c = s.contact_begin[p]; c < s.contact_begin[p + 1]; ++c) {
         floats::ContactBars to;
-        floats::contact_adjoint<false>(x, start, contact_of(s, c), bar, to);
+        if (a.at_rest != 0) {
+          floats::contact_adjoint<true>(x, start, contact_of(s, c), bar, to);
+        } else {
+          floats::contact_adjoint<false>(x, start, contact_of(s, c), bar, to);
+        }
         own = own + to.x;
         by_start = by_start + to.start;
         float* const law = a.contact_bars + static_cast<int64_t>(c) * kContactLawFloats;
@@ -195,6 +211,7 @@ struct SolveParticle {
     a.own[p] = to_row(own);
     add(a.target_bar, p, inertia);
     add(a.start_bar, p, by_start);
+    if (a.multiplier_sum != nullptr) add(a.multiplier_sum, p, u);
   }
 };
 
@@ -211,7 +228,8 @@ NOVAPHY_BLOCK_BODY(vbd_adjoint_solve, VbdAdjointArguments) {
   const int64_t k = group * kVbdLanes + lane;
   const int32_t p = s.particle[k];
   SolveParticle finish(a);
-  finish.put(p, k, block_at(s, group, lane, finish.place(p)));
+  finish.put(p, k,
+             a.multiplier != nullptr ? Block<float>{} : block_at(s, group, lane, finish.place(p)));
 }
 NOVAPHY_BLOCK_BODY(vbd_adjoint_solve_team, VbdAdjointArguments) {
   __shared__ vbd::TeamMemory memory;
@@ -219,10 +237,16 @@ NOVAPHY_BLOCK_BODY(vbd_adjoint_solve_team, VbdAdjointArguments) {
                                      blocks, memory);
 }
 NOVAPHY_BLOCK_BODY(vbd_adjoint_slots, VbdAdjointArguments) {
-  vbd::reverse_slots<false>(a, vbd::row_of(block));
+  vbd::reverse_slots<false, false>(a, vbd::row_of(block));
 }
 NOVAPHY_BLOCK_BODY(vbd_adjoint_weights, VbdAdjointArguments) {
-  vbd::reverse_slots<true>(a, vbd::row_of(block));
+  vbd::reverse_slots<false, true>(a, vbd::row_of(block));
+}
+NOVAPHY_BLOCK_BODY(vbd_adjoint_rest, VbdAdjointArguments) {
+  vbd::reverse_slots<true, false>(a, vbd::row_of(block));
+}
+NOVAPHY_BLOCK_BODY(vbd_adjoint_rest_weights, VbdAdjointArguments) {
+  vbd::reverse_slots<true, true>(a, vbd::row_of(block));
 }
 NOVAPHY_BLOCK_BODY(vbd_adjoint_start, VbdAdjointArguments) {
   vbd::reverse_starts<false>(a, vbd::row_of(block));

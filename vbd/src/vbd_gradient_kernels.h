@@ -48,6 +48,10 @@ NOVAPHY_ROW_KERNEL(vbd_adjoint_end, 6, VbdAdjointEndArguments) {
     a.start_bar[row] = to_row(to_vec3(a.start_bar[row]) - a.qd_bar[row] * a.inverse_h.value);
 }
 
+// What a particle gets: of its own slots, of those of others.
+constexpr int64_t kVbdReceiveOwn = 1, kVbdReceiveOthers = 2,
+                  kVbdReceiveAll = kVbdReceiveOwn | kVbdReceiveOthers;
+
 // See Receivers. `row`: from `first` on.
 struct VbdReceiveArguments {
   const int32_t* particle;
@@ -59,8 +63,9 @@ struct VbdReceiveArguments {
   const int32_t* is_own;
   const VbdRow* own;  // null: 0
   VbdRow* rows;
+  int64_t parts;
 };
-NOVAPHY_ROW_KERNEL(vbd_receive, 10, VbdReceiveArguments) {
+NOVAPHY_ROW_KERNEL(vbd_receive, 11, VbdReceiveArguments) {
   const int64_t r = a.first + row;
   const int32_t p = a.particle[r];
   const auto term = [&a](int64_t k) {
@@ -68,12 +73,13 @@ NOVAPHY_ROW_KERNEL(vbd_receive, 10, VbdReceiveArguments) {
     return Vec3f{v[0], v[a.lanes], v[2 * a.lanes]};
   };
   Vec3f sum = to_vec3(a.rows[p]);
-  if (a.is_own[r] != 0) {
+  if (a.is_own[r] != 0 && (a.parts & kVbdReceiveOwn) != 0) {
     Vec3f own = a.own != nullptr ? to_vec3(a.own[p]) : Vec3f{};
     for (int64_t k = a.begin[r]; k < a.others[r]; ++k) own = own + term(k);
     sum = sum + own;
   }
-  for (int64_t k = a.others[r]; k < a.begin[r + 1]; ++k) sum = sum + term(k);
+  if ((a.parts & kVbdReceiveOthers) != 0)
+    for (int64_t k = a.others[r]; k < a.begin[r + 1]; ++k) sum = sum + term(k);
   a.rows[p] = to_row(sum);
 }
 

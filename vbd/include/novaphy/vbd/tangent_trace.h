@@ -1,19 +1,26 @@
-// Tangent: lanes with their derivative along one direction. The formulas are instantiated with it
-// as they stand. The rules are those of tools/vbd_adjoints/symbol.h.
+// Tangent: lanes, or a float, with their derivative along one direction. The formulas are
+// instantiated with it as they stand. The rules are those of tools/vbd_adjoints/symbol.h.
 #pragma once
 
-#include "lanes.h"
 #include "novaphy/math/functions.h"
+#include "novaphy/math/types.h"
 
-namespace novaphy::vbd::NOVAPHY_LEVEL {
+#ifndef NOVAPHY_LANE_FN  // of floats
+#define NOVAPHY_LANE_FN inline
+#endif
 
-struct Tangent {
+namespace novaphy::vbd {
+
+template <class Lanes>
+struct TangentOf {
+  using Tangent = TangentOf;
+  using Mask = decltype(Lanes() < Lanes());
   Lanes v{}, d{};
 
-  Tangent() = default;
-  explicit Tangent(float value) : v(value) {}
-  explicit Tangent(Lanes value) : v(value) {}
-  Tangent(Lanes value, Lanes slope) : v(value), d(slope) {}
+  TangentOf() = default;
+  template <class Value>
+  explicit TangentOf(Value value) : v(value) {}  // of a float, too
+  TangentOf(Lanes value, Lanes slope) : v(value), d(slope) {}
 
   NOVAPHY_LANE_FN friend Tangent operator+(const Tangent& a, const Tangent& b) {
     return {a.v + b.v, a.d + b.d};
@@ -33,6 +40,7 @@ struct Tangent {
   NOVAPHY_LANE_FN friend Mask operator>(const Tangent& a, const Tangent& b) { return a.v > b.v; }
   NOVAPHY_LANE_FN friend Mask operator>=(const Tangent& a, const Tangent& b) { return a.v >= b.v; }
   NOVAPHY_LANE_FN friend Tangent select(Mask c, const Tangent& a, const Tangent& b) {
+    using math::select;
     return {select(c, a.v, b.v), select(c, a.d, b.d)};
   }
   NOVAPHY_LANE_FN friend Tangent min(const Tangent& a, const Tangent& b) {
@@ -42,7 +50,9 @@ struct Tangent {
     return select(a.v >= b.v, a, b);
   }
   friend Tangent sqrt(const Tangent& a) {
-    const Lanes root = sqrt(a.v), zero;
+    using math::select;
+    using math::sqrt;
+    const Lanes root = sqrt(a.v), zero{};
     return {root, a.d * select(root > zero, Lanes(0.5f) / root, zero)};
   }
   friend Tangent atan2(const Tangent& y, const Tangent& x) {
@@ -51,10 +61,17 @@ struct Tangent {
   }
 };
 
-inline Vec3<Tangent> with_slope(const Vec3<Lanes>& value, const Vec3<Lanes>& slope) {
+template <class Lanes>
+Vec3<TangentOf<Lanes>> with_slope(const Vec3<Lanes>& value, const Vec3<Lanes>& slope) {
   return {{value.x, slope.x}, {value.y, slope.y}, {value.z, slope.z}};
 }
-inline Vec3<Lanes> value_of(const Vec3<Tangent>& a) { return {a.x.v, a.y.v, a.z.v}; }
-inline Vec3<Lanes> slope_of(const Vec3<Tangent>& a) { return {a.x.d, a.y.d, a.z.d}; }
+template <class Lanes>
+Vec3<Lanes> value_of(const Vec3<TangentOf<Lanes>>& a) {
+  return {a.x.v, a.y.v, a.z.v};
+}
+template <class Lanes>
+Vec3<Lanes> slope_of(const Vec3<TangentOf<Lanes>>& a) {
+  return {a.x.d, a.y.d, a.z.d};
+}
 
-}  // namespace novaphy::vbd::NOVAPHY_LEVEL
+}  // namespace novaphy::vbd

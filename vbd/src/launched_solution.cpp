@@ -1,0 +1,147 @@
+#include "launched_solution.h"
+
+#include <cstring>
+#include <vector>
+
+#include "vbd_tangent_kernels.h"
+
+namespace novaphy::detail {
+const char* vbd_tangent_kernels_text();
+}  // namespace novaphy::detail
+
+namespace novaphy::vbd {
+namespace {
+
+// Never destroyed, as those of LaunchedStep.
+struct Kernels {
+  DeviceKernel tangent{vbd_tangent, detail::vbd_tangent_kernels_text};
+  DeviceKernel move{vbd_tangent_move, detail::vbd_tangent_kernels_text};
+};
+const Kernels& kernels() {
+  static const auto& all = *new Kernels;
+  return all;
+}
+
+static_assert(sizeof(Row) == sizeof(Vec4f));
+Rows download(const DeviceArray<Vec4f>& rows) {
+  const std::vector<Vec4f> values = rows.to_host();
+  Rows found(values.size());
+  for (size_t p = 0; p < found.size(); ++p) found[p] = Vec3f{values[p].x, values[p].y, values[p].z};
+  return found;
+}
+void upload_rows(DeviceArray<Vec4f>& to, const Rows& rows) {
+  std::vector<Vec4f> values;
+  for (const Row& row : rows) values.push_back({row.x, row.y, row.z, 0.0f});
+  to.copy_from_host(std::span<const Vec4f>(values));
+}
+
+}  // namespace
+
+void LaunchedSolution::tangent(size_t first_color, size_t last_color, const Array* x,
+                               const Array* load, const Array* force, const Array* force_slope,
+                               const Array* step_slope) const {
+  const std::vector<int64_t>& colors = step_.tables_->colors;
+  const int64_t first = colors[first_color], end = colors[last_color];
+  std::vector<LaunchArgument> a = step_.sweep_arguments(with_contacts_, first, end);
+  for (const Array* read : {x, load})
+    a.push_back(read != nullptr ? reads("rows", *read) : number(int64_t{0}));
+  for (const Array* written : {force, force_slope, step_slope})
+    a.push_back(written != nullptr ? updates("slopes", *written) : number(int64_t{0}));
+  kernels().tangent.launch(step_.model_.device(), (end - first) * kVbdLanes, a);
+}
+
+void LaunchedSolution::sweep(const Rows& load, Rows& z, Rows& image) {
+  const Device device = step_.model_.device();
+  const LaunchedStep::Tables& t = *step_.tables_;
+  upload_rows(load_, load);
+  reverse_.clear(x_);
+  for (size_t color = 0; color + 1 < t.colors.size(); ++color) {
+    tangent(color, color + 1, &x_, &load_, nullptr, nullptr, &moved_);
+    kernels().move.launch(device, (t.colors[color + 1] - t.colors[color]) * kVbdLanes,
+                          {reads("particle", t.particle), reads("filled", t.filled),
+                           number(t.colors[color]), reads("step", moved_), updates("x", x_)});
+  }
+  reverse_.clear(result_);
+  tangent(0, t.colors.size() - 1, &x_, nullptr, nullptr, &result_, nullptr);
+  z = download(x_);
+  image = download(result_);
+}
+
+Rows LaunchedSolution::force() {
+  reverse_.clear(result_);
+  tangent(0, step_.tables_->colors.size() - 1, nullptr, nullptr, &result_, nullptr, nullptr);
+  return download(result_);
+}
+
+Rows LaunchedSolution::starts() const { return download(step_.start_); }
+Rows LaunchedSolution::positions() const { return download(step_.x_); }
+Rows LaunchedSolution::moves() const { return download(step_.moved_); }
+void LaunchedSolution::place(const Rows& x, const Rows& moved) {
+  upload_rows(step_.x_, x);
+  upload_rows(step_.moved_, moved);
+}
+
+VbdResidual LaunchedSolution::residual() {
+  step_.find_residuals(with_contacts_);
+  return step_.last_residual();
+}
+
+void LaunchedSolution::reverse_sweep(const Rows& load, Rows& multipliers, Rows& left) {
+  const std::vector<int64_t>& colors = step_.tables_->colors;
+  upload_rows(reverse_.x_bar_, load);
+  reverse_.clear(x_);
+  const LaunchedReverse::AtRest rest = {.sum = &x_};
+  for (size_t color = colors.size() - 1; color-- > 0;) {
+    reverse_.reverse_groups(with_contacts_, weights_, nullptr, colors[color], colors[color + 1],
+                            &rest);
+    reverse_.receive(color, &reverse_.own_, reverse_.x_bar_);
+  }
+  multipliers = download(x_);
+  left = download(reverse_.x_bar_);
+}
+
+// All groups at once, then what particles have of themselves before what others give them.
+Rows LaunchedSolution::balance(const Rows& given, const Rows& multipliers) {
+  const std::vector<int64_t>& colors = step_.tables_->colors;
+  reverse_.clear_parameters(with_contacts_);
+  upload_rows(reverse_.x_bar_, given);
+  upload_rows(x_, multipliers);
+  const LaunchedReverse::AtRest rest = {.multipliers = &x_};
+  reverse_.reverse_groups(with_contacts_, weights_, nullptr, 0, colors.back(), &rest);
+  for (const int64_t parts : {kVbdReceiveOwn, kVbdReceiveOthers})
+    for (size_t color = 0; color + 1 < colors.size(); ++color)
+      reverse_.receive(color, &reverse_.own_, reverse_.x_bar_, parts);
+  return download(reverse_.x_bar_);
+}
+
+VbdResidual LaunchedSolution::run(const VbdLaunchInputs& in, const VbdLaunchResults& out,
+                                  const VbdGradientOptions& options,
+                                  const std::shared_ptr<ExclusiveUse>& in_use) {
+  const Unobserved unobserved;
+  with_contacts_ = in.have_contacts();
+  const auto n = static_cast<size_t>(step_.model_.particle_count());
+  if (x_.rows() != n)
+    for (DeviceArray<Vec4f>* rows : {&x_, &load_, &result_, &moved_})
+      *rows = DeviceArray<Vec4f>(n, step_.model_.device());
+  step_.run(in, out, in_use);
+  const VbdResidual found = solve_nonlinear(*this, static_cast<double>(options.tolerance),
+                                            options.newton_iterations, options.krylov_sweeps);
+  step_.finish(out);
+  return found;
+}
+
+KrylovResult LaunchedSolution::reverse(const VbdLaunchInputs& in, const Array& q_bar,
+                                       const Array& qd_bar, const VbdStepArrays& gradients,
+                                       const VbdGradientOptions& options) {
+  const Unobserved unobserved;
+  weights_ = LaunchedReverse::wants_weights(gradients);
+  reverse_.begin(with_contacts_, q_bar, qd_bar);
+  const Rows given = download(reverse_.x_bar_);
+  const KrylovResult found =
+      solve_transposed(*this, given, static_cast<double>(options.tolerance), options.krylov_sweeps);
+  reverse_.end(with_contacts_, weights_, nullptr, qd_bar);
+  reverse_.put(in, gradients);
+  return found;
+}
+
+}  // namespace novaphy::vbd

@@ -82,7 +82,7 @@ void bind_diff_vbd(py::module_& solvers) {
       "positions, velocities, forces, targets, gravity, masses, radii, materials, rest shapes, "
       "activations, and margins and materials of shapes; points and normals of contacts are "
       "frozen. Other arrays that carry a gradient raise NotImplementedError by name. On a device "
-      "unrolled gradients by backward only.")
+      "there is no jvp, and no capture with gradient=\"implicit\".")
       .def(py::init(
                [](const std::shared_ptr<Model>& model, int32_t iterations, float friction_epsilon,
                   const std::string& initial_guess, float lhs_regularization,

@@ -274,10 +274,66 @@ def test_every_row_of_the_table_is_tested():
         assert sum(row.startswith(begin) for begin in ROWS) == 1, row
 
 
-def test_there_are_no_gradients_on_cuda():
-    if not HAS_CUDA:
-        pytest.skip("no CUDA device")
+def differentiate(device: str, captured: bool, kind: str, way: str) -> np.ndarray:
+    """The derivative of a step, or of its replay, by the positions."""
+    nova, diff = pytest.importorskip("novaphy.nova"), pytest.importorskip("novaphy.diff")
     b = builder()
     b.color()
-    with pytest.raises(NotImplementedError, match="cpu"):
-        differentiable(b.finalize("cuda"))
+    model = b.finalize(device)
+    solver = novaphy.solvers.DiffSolverVBD(model, iterations=20, gradient=kind)
+    before, after = model.state(), model.state()
+    q = diff.state_particle_q_tensor(before, True)
+
+    def run():
+        with nova.Tape() as tape:
+            solver.step(before, after, None, None, DT)
+            loss = nova.sum(
+                diff.state_particle_q_tensor(after) * diff.state_particle_q_tensor(after)
+            )
+        if way != "jvp":
+            tape.backward(loss)
+            return q.grad
+        (slope,) = tape.jvp([loss], [q], [nova.tensor(np.ones(q.shape, np.float32), device=device)])
+        return slope
+
+    if captured:
+        with nova.ScopedCapture() as capture:
+            found = run()
+        capture.graph.launch()
+    else:
+        found = run()
+    if way == "edit":
+        model.particle_tet_material.assign(2 * model.particle_tet_material.numpy())
+        if captured:
+            capture.graph.launch()
+        else:
+            found = run()
+    return found.numpy()
+
+
+def on_device(begin: str, captured: bool) -> None:
+    """What a row of "On a device" says is there has the bits of the cpu."""
+    kind = "implicit" if "implicit" in begin else "unrolled"
+    way = {"`Tape.jvp`": "jvp", "after an edit": "edit"}.get(begin, "backward")
+    try:
+        found = differentiate("cuda", captured, kind, way)
+    except novaphy.Error as error:
+        if way != "edit":
+            raise
+        assert "particle_tet_material" in str(error)
+        raise NotImplementedError from error
+    assert (found == differentiate("cpu", False, kind, way)).all()
+
+
+@pytest.mark.skipif(not HAS_CUDA, reason="no CUDA device")
+@pytest.mark.parametrize("captured", [False, True], ids=["direct", "captured"])
+@pytest.mark.parametrize(
+    "begin",
+    ['`gradient="unrolled"`', '`gradient="implicit"`', "`Tape.jvp`", "after an edit"],
+)
+def test_a_row_of_the_table_of_devices_is_as_it_says(begin, captured):
+    text = GUIDE.read_text("utf-8").split("## Gradients on devices")[1].split("\n\n")[2]
+    rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in text.splitlines()[2:]]
+    assert len(rows) == 4
+    (cells,) = [row for row in rows if row[0].startswith(begin)]
+    try_cell(cells[2 if captured else 1], lambda: on_device(begin, captured))

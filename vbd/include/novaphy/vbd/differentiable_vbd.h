@@ -107,8 +107,7 @@ struct VbdGradientInfo {
 // positions or targets. The result has the same bits for any number of threads and any processor.
 class NOVAPHY_VBD_API DifferentiableVbd {
  public:
-  // ErrorKind::NotImplemented: acceleration, tolerance, safeguard, the adaptive guess; on a device
-  // implicit gradients.
+  // ErrorKind::NotImplemented: acceleration, tolerance, safeguard, the adaptive guess.
   // ErrorKind::Value: bad options; implicit without an iteration. Other errors as SolverVBD.
   explicit DifferentiableVbd(std::shared_ptr<const Model> model, const VbdOptions& options = {},
                              const VbdGradientOptions& gradient_options = {});
@@ -124,7 +123,8 @@ class NOVAPHY_VBD_API DifferentiableVbd {
   // The derivatives of the results along a direction.
   void tangent(const VbdStepInputs& inputs, const VbdStepTangents& direction, Vec3f* q_out_slope,
                Vec3f* qd_out_slope);
-  // On a device, where there is no tangent: launches, which may be recorded. Errors as
+  // On a device, where there is no tangent: launches, which may be recorded; with implicit
+  // gradients the host waits for them, so they may not. Errors as
   // SolverVBD::step there; `in_use`: the use of the memory, which a recording takes. Bars without
   // rows: 0.
   void forward(const VbdLaunchInputs& inputs, const DeviceArray<Vec3f>& q_out,

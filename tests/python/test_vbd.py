@@ -502,6 +502,35 @@ def test_a_tape_has_the_forward_derivative_of_a_rollout(gradient):
     assert abs(forwards - backwards) < 1e-5 * scale
 
 
+@pytest.mark.parametrize("gradient", ["unrolled", "implicit"])
+def test_a_captured_forward_derivative_replays_direct_ones(gradient):
+    nova = pytest.importorskip("novaphy.nova")
+    diff = pytest.importorskip("novaphy.diff")
+    solver = diff_solver(cloth(), iterations=6, gradient=gradient)
+    trajectory = diff.Trajectory(solver.model, 2)
+    velocity = nova.tensor(np.zeros((49, 3), np.float32), requires_grad=True)
+    direction = nova.tensor(np.ones((49, 3), np.float32))
+
+    def once():
+        with nova.Tape() as tape:
+            diff.state_particle_qd_tensor(trajectory[0]).copy_(velocity)
+            solver.rollout(trajectory, None, None, 1 / 60)
+            last = diff.state_particle_q_tensor(trajectory[2])
+        return tape.jvp([last], [velocity], [direction])[0]
+
+    at_rest = once().numpy().copy()
+    with nova.ScopedCapture() as capture:
+        slope = once()
+    capture.graph.launch()
+    assert np.abs(at_rest).max() > 0 and (slope.numpy() == at_rest).all()
+    rng = np.random.default_rng(3)
+    velocity.assign(rng.normal(size=(49, 3)).astype(np.float32))
+    direction.assign(rng.normal(size=(49, 3)).astype(np.float32))
+    capture.graph.launch()
+    replayed = slope.numpy().copy()
+    assert (replayed == once().numpy()).all() and not (replayed == at_rest).all()
+
+
 def test_a_step_that_is_not_solved_is_an_error_unless_allowed():
     nova = pytest.importorskip("novaphy.nova")
     solver = diff_solver(cloth(), iterations=2, gradient="implicit", newton_iterations=0)

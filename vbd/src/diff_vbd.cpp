@@ -1,5 +1,7 @@
 #include "novaphy/vbd/diff_vbd.h"
 
+#include <algorithm>
+#include <array>
 #include <cstring>
 #include <string_view>
 #include <type_traits>
@@ -300,7 +302,8 @@ struct DiffSolverVBD::Step {
     }
   }
 
-  void tangent(std::span<const Tensor> slopes, std::span<const Tensor> outputs) const {
+  // The slopes of positions and velocities, along those of the inputs.
+  std::array<std::vector<Vec3f>, 2> tangents(std::span<const Tensor> slopes) const {
     const std::vector<Input> all = differentiable();
     VbdStepTangents direction;
     for (size_t k = 0; k < all.size(); ++k) {
@@ -314,12 +317,31 @@ struct DiffSolverVBD::Step {
       }
     }
     const auto n = static_cast<size_t>(model->particle_count());
-    std::vector<Vec3f> q_slope(n), qd_slope(n);
-    steps->tangent(inputs(), direction, q_slope.data(), qd_slope.data());
-    const std::vector<Vec3f>* const values[] = {&q_slope, &qd_slope};
+    std::array<std::vector<Vec3f>, 2> found = {std::vector<Vec3f>(n), std::vector<Vec3f>(n)};
+    steps->tangent(inputs(), direction, found[0].data(), found[1].data());
+    return found;
+  }
+  void tangent(std::span<const Tensor> slopes, std::span<const Tensor> outputs) const {
+    const std::array<std::vector<Vec3f>, 2> found = tangents(slopes);
     for (size_t k = 0; k < 2; ++k)
       nova::InputGradient{outputs[k], false}.put(Tensor::from_host(
-          std::span(&values[k]->front().x, 3 * n), outputs[k].shape(), Device::cpu()));
+          std::span(&found[k].front().x, 3 * found[k].size()), outputs[k].shape(), Device::cpu()));
+  }
+  static void capture_tangent(const std::shared_ptr<Step>& step, std::vector<Tensor> slopes,
+                              const std::vector<Tensor>& outputs) {
+    std::vector<Tensor> reads = step->reads();
+    for (const Tensor& slope : slopes)
+      if (slope.defined()) reads.push_back(slope);
+    nova::capture_host_work({.name = kName,
+                             .reads = reads,
+                             .results = outputs,
+                             .failure = step->failure.get(),
+                             .run = [step, slopes, outputs] {
+                               const auto found = step->tangents(slopes);
+                               for (size_t k = 0; k < 2; ++k)
+                                 std::copy(found[k].begin(), found[k].end(),
+                                           static_cast<Vec3f*>(outputs[k].range()->data()));
+                             }});
   }
 
   // ErrorKind::NotImplemented, by name: an array that carries a gradient but has none in a step.
@@ -478,9 +500,11 @@ void DiffSolverVBD::record_step(const SimState& in, SimState& out, const StepInp
   op.jvp = [step](std::span<const Tensor> slopes, std::span<const Tensor> outputs) {
     require(!step->on_device(), ErrorKind::NotImplemented, kName, ": jvp on ",
             step->model->device().str(), " is not there yet");
-    require(nova::current_capture() == nullptr, ErrorKind::NotImplemented, kName,
-            ": jvp inside a ScopedCapture is not there yet");
-    step->tangent(slopes, outputs);
+    if (nova::current_capture() != nullptr) {
+      Step::capture_tangent(step, {slopes.begin(), slopes.end()}, {outputs.begin(), outputs.end()});
+    } else {
+      step->tangent(slopes, outputs);
+    }
   };
   op.forward = [step] { Step::submit_forward(step); };
   op.submits_only = captured || (on_device && !step->implicit);

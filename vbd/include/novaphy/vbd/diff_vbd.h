@@ -35,8 +35,8 @@ struct DiffVbdOptions {
 //                                                        where it has requires_grad
 // particle_q and particle_qd of the model are read by states, not by steps.
 // "Exact" is of the iterations that ran, or with implicit gradients of the solution, within the
-// residuals: see gradient_info(). Steps, rollouts and their backward can be captured (jvp cannot);
-// a replay runs them on the host, or on the device of the model. On a device there is no jvp,
+// residuals: see gradient_info(). Steps, rollouts, their backward and jvp can be captured; a
+// replay runs them on the host, or on the device of the model. On a device there is no jvp,
 // and no capture with implicit gradients (see DifferentiableVbd).
 class NOVAPHY_VBD_API DiffSolverVBD : public DiffSolverBase {
  public:

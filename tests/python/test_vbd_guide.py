@@ -154,6 +154,17 @@ def bodies(solver: Callable) -> Callable[[], None]:
     return check
 
 
+def self_contact(solver: Callable) -> Callable[[], None]:
+    """It is no argument; the error names it."""
+
+    def check() -> None:
+        with pytest.raises(TypeError, match="particle_enable_self_contact"):
+            solver(finalized(builder()), particle_enable_self_contact=True)
+        raise NotImplementedError
+
+    return check
+
+
 def plain(model, **options):
     return novaphy.solvers.SolverVBD(model, **options)
 
@@ -233,6 +244,7 @@ ROWS = {
     ),
     "drag and lift": Row(each_number(plain), lambda kind: each_number(differentiable)()),
     "bodies, joints": Row(bodies(plain), lambda kind: bodies(differentiable)()),
+    "self-contact": Row(self_contact(plain), lambda kind: self_contact(differentiable)()),
 }  # fmt: skip
 
 

@@ -224,19 +224,22 @@ void articulations(Device device) {
 }
 
 #ifdef DLAN_HAS_VBD
-// A rollout of DiffSolverVBD and its gradients by everything, direct and replayed.
-std::vector<float> vbd_gradients(Device device, int32_t replays) {
+// A rollout of DiffSolverVBD and its gradients by everything: direct, replayed, implicit.
+std::vector<float> numbers_of(Device device, const novaphy::testing::VbdGradientRun& how) {
   std::vector<float> all;
-  for (const auto& [name, values] :
-       novaphy::testing::vbd_gradients(device, {.steps = 2, .replays = replays}))
+  for (const auto& [name, values] : novaphy::testing::vbd_gradients(device, how))
     append(all, values);
   return all;
 }
 void vbd_gradients(Device device) {
-  for (const int32_t replays : {0, 1}) {
-    const std::vector<float> cpu = vbd_gradients(Device::cpu(), replays);
-    if (replays == 0) std::printf("%zu numbers", cpu.size());
-    std::printf(", %s", same_bits(vbd_gradients(device, replays), cpu) ? "same" : "other");
+  const novaphy::testing::VbdGradientRun runs[] = {
+      {.steps = 2},
+      {.steps = 2, .replays = 1},
+      {.options = {.iterations = 20, .gradient = {.implicit = true}}, .steps = 2, .kd = 0.0f}};
+  for (const auto& how : runs) {
+    const std::vector<float> cpu = numbers_of(Device::cpu(), how);
+    if (&how == runs) std::printf("%zu numbers", cpu.size());
+    std::printf(", %s", same_bits(numbers_of(device, how), cpu) ? "same" : "other");
   }
   std::printf("\n");
 }

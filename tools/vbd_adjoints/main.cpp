@@ -2,8 +2,8 @@
 //
 //   novaphy_vbd_adjoints FOLDER/slot_adjoints.inc
 //
-// writes FOLDER/slot_adjoints_text.inc besides: what of it is not at rest, as string literals for
-// the text that compilers of devices get (cmake/NovaPhyDeviceModule.cmake).
+// writes FOLDER/slot_adjoints_text.inc besides: the same as string literals, for the text that
+// compilers of devices get (cmake/NovaPhyDeviceModule.cmake).
 //
 // The laws run once with scalars that are expressions (symbol.h). Of a block f, H with bars u and B
 // the derivatives of u.f + B:H by positions and numbers are written, operation by operation, each
@@ -297,9 +297,9 @@ void write_blocks(std::ostream& out, bool at_rest) {
     }
 }
 
-void write_unrolled(std::ostream& out) {
+void write_all(std::ostream& out) {
   out << "// Written by tools/vbd_adjoints from the laws (vbd/*_trace.h).\n" << kDeclarations;
-  write_blocks(out, false);
+  for (const bool at_rest : {false, true}) write_blocks(out, at_rest);
   write_start<kSpring>(out, false);
   write_start<kHingeOpposite>(out, false);
   write_start<kHingeEnd>(out, false);
@@ -331,11 +331,10 @@ int main(int argc, char** argv) {
     return 2;
   }
   std::ostringstream code;
-  write_unrolled(code);
+  write_all(code);
   std::ofstream text(path.substr(0, path.size() - suffix.size()) + "_text.inc");
   write_text(text, code.str());
   std::ofstream out(path);
   out << code.str();
-  write_blocks(out, true);
   return text.flush() && out.flush() ? 0 : 1;
 }

@@ -17,7 +17,7 @@ only when the ordinary solver measures a lower loss over the whole horizon.
     python demo_diffsim_ant_walk.py --train 5 --headless 200
     python demo_diffsim_ant_walk.py --policy tuned.npz --headless 200
     python demo_diffsim_ant_walk.py --check-gradient
-    python demo_diffsim_ant_walk.py --adapt --train 10 --train-horizon 100 --starts 32 --headless 0
+    python demo_diffsim_ant_walk.py --adapt --train 10 --train-horizon 100 --segment 4 --starts 32
 """
 
 from __future__ import annotations

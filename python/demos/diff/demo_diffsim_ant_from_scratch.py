@@ -84,6 +84,7 @@ CLIP = 2.0  # norm of a step
 DAMPING = 10.0 ** np.linspace(-3.5, 3.0, 8)  # over the largest curvature
 SHORTEST = 0.05  # part of a step that is tried
 CANDIDATES = len(LENGTHS) * len(DAMPING)
+ROWS_AT_ONCE = 256  # of the loss: frames times worlds
 FALLEN = 50.0  # loss of a frame of an Ant that fell
 CONTACTS = {"pgs_slop": 5e-4}  # m, an overlap of feet and ground that stays
 
@@ -164,7 +165,7 @@ class Trainer:
         ants, n = self.search, self.search.num_worlds
         weights = np.repeat(weights, self.variants, axis=0)
         ants.reset()
-        last, total, alive, kept = np.zeros((n, ACTIONS)), np.zeros(n), np.ones(n, bool), []
+        alive, upright, kept = np.ones(n, bool), [], []
         for k in range(horizon):
             frame = np.full(n, k)
             q, qd = ants.q, ants.qd
@@ -177,14 +178,30 @@ class Trainer:
                 push=self.disturbed.push(k),
                 each=lambda s, _, frame=frame: self.servo.lead(frame, s + 1),
             )
-            alive &= ants.healthy()
-            r = residuals(ants.q, ants.qd, a, last, frame, self.weights)[0]
-            total += np.where(alive, (r**2).sum(axis=1), FALLEN)
-            last = a
+            alive = alive & ants.healthy()
+            upright.append(alive)
+        kept = [np.stack(x) for x in zip(*kept, strict=True)]
+        squares = self.squares(*kept, (ants.q, ants.qd))
+        total = sum(np.where(upright, squares, FALLEN))
         total = total / horizon + SMALL * (weights**2).sum(axis=(1, 2))
         total = np.nan_to_num(total, nan=1e9).reshape(-1, self.variants).mean(axis=1)
-        kept = [np.stack(x) for x in zip(*kept, strict=True)]
         return total, [x.reshape(horizon, len(total), self.variants, -1) for x in kept]
+
+    def squares(self, q: np.ndarray, qd: np.ndarray, a: np.ndarray, end) -> np.ndarray:
+        """Sums of the squares {horizon, n} at the ends of frames with states and actions
+        {horizon, n, ...}; the last frame ends in `end`."""
+        horizon, n = a.shape[:2]
+        q, qd = (np.concatenate([x[1:], x_end[None]]) for x, x_end in zip((q, qd), end))
+        last = np.concatenate([np.zeros((1, n, ACTIONS)), a[:-1]])
+        frame = np.broadcast_to(np.arange(horizon)[:, None, None], (horizon, n, 1))
+        sums, count = np.empty((horizon, n)), max(1, ROWS_AT_ONCE // n)
+        for k in range(0, horizon, count):
+            rows = slice(k, k + count)
+            flat = (x[rows].reshape(-1, x.shape[-1]) for x in (q, qd, a, last, frame))
+            q_, qd_, a_, last_, frame_ = flat
+            r = residuals(q_, qd_, a_, last_, frame_[:, 0], self.weights)[0]
+            sums[rows] = (r**2).sum(axis=1).reshape(-1, n)
+        return sums
 
     def gradients(self, q: np.ndarray, qd: np.ndarray, a: np.ndarray, variant: int = 0):
         """Of all lengths of segments: the gradient {80} of the loss of a rollout {horizon, ...} of

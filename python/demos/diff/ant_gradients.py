@@ -86,7 +86,7 @@ class FrozenFrames:
             a.pipeline.collide(a.state, a.contacts)
             q = a.q
             mass = novaphy.eval_mass_matrix(a.model, a.state).astype(np.float64)
-            jacobian = novaphy.eval_jacobian(a.model, a.state).astype(np.float64)
+            jacobian = novaphy.eval_jacobian(a.model, a.state)
             poses = a.state.body_q.numpy()
             a.solver.step(a.state, a._after, a.control, a.contacts, a.dt)
             a.state, a._after = a._after, a.state
@@ -147,7 +147,7 @@ class FrozenFrames:
         one /= np.linalg.norm(one, axis=1, keepdims=True)
         axes = np.stack([normal, one, np.cross(normal, one)], axis=1)  # {n, 3 rows, 3}
         axes[~sticks, 1:] = 0.0
-        links = jacobian.reshape(self.worlds, -1, 6, DOFS)[world, link]
+        links = jacobian.reshape(self.worlds, -1, 6, DOFS)[world, link].astype(np.float64)
         j = axes @ links[:, :3] + np.cross(arm[:, None], axes) @ links[:, 3:]
         slot = np.zeros(len(i), int)  # of a contact in its world
         order = np.argsort(world, kind="stable")

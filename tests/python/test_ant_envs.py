@@ -103,10 +103,21 @@ def test_bad_input_names_the_argument_and_leaves_the_worlds():
         (lambda: AntWorlds(1, ant="horse"), "ant: expected one of dva, gym"),
         (lambda: AntWorlds(0), "num_worlds: expected a number >= 1"),
         (lambda: ants.step(np.zeros((3, 8))), "actions: expected {2, 8}"),
+        (lambda: ants.step(np.full((2, 8), np.nan)), "actions: expected finite numbers"),
+        (lambda: ants.step(np.zeros((2, 8)), push=np.zeros((1, 3))), "push: expected {2, 3}"),
         (lambda: ants.set_state(np.full((2, 15), np.nan), np.zeros((2, 14))), "q: expected"),
         (lambda: ants.reset([True]), "worlds: expected {2}"),
         (lambda: ants.vary(colour=1.0), "vary: expected names of friction"),
         (lambda: ants.vary(friction=[1.0, 2.0, 3.0]), "friction: expected"),
+        (
+            lambda: ants.vary(slope=0.1, friction=-0.5),
+            "friction: expected finite numbers >= 0, got",
+        ),
+        (
+            lambda: ants.vary(torso_mass=[1.0, 0.0]),
+            "torso_mass: expected finite numbers > 0, got 0",
+        ),
+        (lambda: ants.vary(gear=np.nan), "gear: expected finite numbers, got nan"),
         (lambda: check_meta("x.npz", {"ant": "gym"}, "dva"), "expected a policy of the Ant 'dva'"),
     ]
     for call, message in cases:
@@ -114,6 +125,7 @@ def test_bad_input_names_the_argument_and_leaves_the_worlds():
             call()
         assert message in str(caught.value)
     np.testing.assert_array_equal(ants.q, before)
+    assert all(np.all(ants.varied[name] == AntWorlds(1).varied[name][0]) for name in ants.varied)
 
 
 def test_the_environment_passes_the_checks_of_gymnasium():
@@ -127,8 +139,11 @@ def test_the_environment_passes_the_checks_of_gymnasium():
     first, _ = env.reset(seed=4)
     second, _ = env.reset(seed=4)
     np.testing.assert_array_equal(first, second)
-    with pytest.raises(ValueError, match="randomise: expected"):
-        AntEnv(randomise={"colour": (0.0, 1.0)})
+    for wrong in ({"colour": (0.0, 1.0)}, {"friction": 1.0}, {"mass": (1.2, 0.8)}):
+        with pytest.raises(ValueError, match="randomise: expected"):
+            AntEnv(randomise=wrong)
+    with pytest.raises(ValueError, match="mass: expected finite numbers > 0, got -1"):
+        AntEnv(randomise={"mass": (-1.0, 1.0)})
 
 
 def test_the_vector_environment_separates_ends_and_begins_again_in_the_same_step():

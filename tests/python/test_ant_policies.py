@@ -76,6 +76,8 @@ def test_flags_and_files_that_are_wrong_are_named(tmp_path):
     assert done.returncode == 2 and "--train-horizon: expected 1 to 400" in done.stderr
     done = walk("--train", "1", "--segment", "0", "--headless", "0")
     assert done.returncode == 2 and "--segment: expected a number" in done.stderr
+    done = walk("--train", "1", "--starts", "2001", "--headless", "0")
+    assert done.returncode == 2 and "--starts: expected at most 2000" in done.stderr
     for flag, message in (("--policy", "no-such.npz"), ("--save-policy", "no-such/x.npz")):
         done = walk(flag, str(tmp_path / message), "--headless", "1")
         assert done.returncode != 0 and message in done.stderr and "Traceback" not in done.stderr
@@ -258,6 +260,10 @@ def test_files_of_the_first_actor_that_are_wrong_are_named(tmp_path):
     np.savez(path, weights=np.zeros((8, 10), np.float32), meta=np.array('{"ant": "dva"}'))
     done = scratch("--load", str(path), "--headless", "1")
     assert done.returncode == 1 and "expected features" in done.stderr
+    features = np.array('{"ant": "dva", "features": 5, "period": 14}')
+    np.savez(path, weights=np.zeros((8, 10), np.float32), meta=features)
+    done = scratch("--load", str(path), "--headless", "1")
+    assert done.returncode == 1 and "expected features" in done.stderr
     np.savez(path, weights=np.full((8, 10), np.nan, np.float32), meta=np.array('{"ant": "dva"}'))
     done = scratch("--load", str(path), "--headless", "1")
     assert done.returncode == 1 and "weights: expected finite numbers" in done.stderr
@@ -274,6 +280,13 @@ def test_files_of_the_first_actor_that_are_wrong_are_named(tmp_path):
         (("--variants", "-1"), "--variants: expected"),
     ):
         done = scratch("--load", str(POLICIES / GAIT), *flags)
+        assert done.returncode == 2 and message in done.stderr, done.stderr
+    for flags, message in (
+        (("--repeat", "nan"), "--repeat: expected a number > 0"),
+        (("--seconds", "-1"), "--seconds: expected a number > 0"),
+        (("--out", str(path.parent / "none" / "x.npz")), "--out: the folder of"),
+    ):
+        done = scratch(*flags, "--headless", "1")
         assert done.returncode == 2 and message in done.stderr, done.stderr
     done = scratch("--stages", "run", "--headless", "1")
     assert done.returncode == 2 and "--stages: expected names of led-24" in done.stderr

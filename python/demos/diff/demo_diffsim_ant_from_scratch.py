@@ -427,8 +427,7 @@ def load(path: str, ant: str) -> Actor:
     like = {"weights": nova.zeros((ACTIONS, FEATURES))}
     values, meta = nova.load_parameters(path, like)
     check_meta(path, meta, ant)
-    names = tuple(meta.get("features", ()))
-    if names != NAMES or meta.get("period") != PERIOD:
+    if meta.get("features") != list(NAMES) or meta.get("period") != PERIOD:
         raise ValueError(f"{path}: expected features {NAMES} and period {PERIOD}")
     return Actor(values["weights"].numpy().astype(np.float64))
 
@@ -483,6 +482,11 @@ def arguments() -> argparse.Namespace:
     viewer.check_arguments(parser, args)
     if args.variants < 0:
         parser.error(f"--variants: expected a number of worlds >= 0, got {args.variants}")
+    for name, value in (("repeat", args.repeat), ("seconds", args.seconds)):
+        if not value > 0.0:
+            parser.error(f"--{name}: expected a number > 0, got {value}")
+    if not args.load and not Path(args.out).resolve().parent.is_dir():
+        parser.error(f"--out: the folder of {args.out} does not exist")
     if args.robustness < 0 or (args.robustness and args.live):
         parser.error("--robustness: expected a number of seeds >= 0, and --headless with it")
     known = [stage[0] for stage in (*STAGES, *HEADING)]

@@ -54,6 +54,7 @@ LEFT_OUT = (
     "frozen: contact creation and loss, derivatives of mass matrix and bias, {tangents}"
     "observations across the 20 Hz refresh"
 )
+MOST_FRAMES = 16_000  # starts times horizon; the steps of a frame are kept in 0.17 MB
 ADAPTED = {"friction": 0.5, "torso_mass": 1.2}  # and the gear of one hip by -30 %
 HELD_OUT, HELD_OUT_FRAMES = (777, 778, 779), 200  # seeds of starts that nothing was tuned on
 EYE = np.eye(3)
@@ -393,6 +394,12 @@ def arguments() -> argparse.Namespace:
     for name, value in (("segment", args.segment), ("starts", args.starts)):
         if value < 1:
             parser.error(f"--{name}: expected a number >= 1, got {value}")
+    most = MOST_FRAMES // args.train_horizon
+    if args.starts > most:
+        parser.error(
+            f"--starts: expected at most {most} with this horizon, whose steps fit into memory, "
+            f"got {args.starts}"
+        )
     if args.save_policy and not Path(args.save_policy).resolve().parent.is_dir():
         parser.error(f"--save-policy: the folder of {args.save_policy} does not exist")
     if args.check_gradient and args.live:

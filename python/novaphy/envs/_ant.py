@@ -196,8 +196,10 @@ class AntWorlds:
             values: a number, or one per world; of `gear` also {worlds, 8}.
 
         Raises:
-            ValueError: an unknown name, another shape.
+            ValueError: an unknown name, another shape, numbers that no Ant can have; nothing
+                is changed then.
         """
+        changed = {}
         for name, value in values.items():
             if name not in VARIED:
                 raise ValueError(f"vary: expected names of {', '.join(VARIED)}, got {name!r}")
@@ -206,11 +208,14 @@ class AntWorlds:
             if name == "gear" and rows.ndim == 1 and rows.shape == (self.num_worlds,):
                 rows = rows[:, None]
             try:
-                to[...] = rows
+                changed[name] = np.broadcast_to(rows, to.shape)
             except ValueError:
                 raise ValueError(
                     f"{name}: expected {to.shape} or a number, got {rows.shape}"
                 ) from None
+            check_varied(name, rows)
+        for name, rows in changed.items():
+            self.varied[name][...] = rows
         if "friction" in values:
             mu = self.model.shape_material_mu.numpy().reshape(self.num_worlds, -1)
             mu[:] = self.varied["friction"][:, None]
@@ -236,6 +241,9 @@ class AntWorlds:
         a = np.asarray(actions, np.float32)
         if a.shape != (self.num_worlds, ACTIONS):
             raise ValueError(f"actions: expected {{{self.num_worlds}, {ACTIONS}}}, got {a.shape}")
+        if not np.isfinite(a).all():
+            world = int(np.flatnonzero(~np.isfinite(a).all(axis=1))[0])
+            raise ValueError(f"actions: expected finite numbers, got {a[world]} in world {world}")
         forces = np.zeros((self.num_worlds, DOFS), np.float32)
         columns = 6 + np.array(self.hinge_of_action)
         forces[:, columns] = self.gear * self.varied["gear"] * np.clip(a, -1.0, 1.0)
@@ -257,7 +265,12 @@ class AntWorlds:
         """
         forces = self.joint_forces(actions)
         if push is not None:
-            forces[:, :3] = push
+            force = np.asarray(push, np.float32)
+            if force.shape != (self.num_worlds, 3) or not np.isfinite(force).all():
+                raise ValueError(
+                    f"push: expected {{{self.num_worlds}, 3}} finite numbers, got {force.shape}"
+                )
+            forces[:, :3] = force
         self.control.joint_f.assign(forces.ravel())
         for k in range(self.substeps):
             self.pipeline.collide(self.state, self.contacts)
@@ -280,6 +293,17 @@ class AntWorlds:
         q, qd = self.q, self.qd
         finite = np.isfinite(q).all(axis=1) & np.isfinite(qd).all(axis=1)
         return finite & (q[:, 2] >= self.lowest) & (q[:, 2] <= HIGHEST)
+
+
+def check_varied(name: str, values: ArrayLike) -> None:
+    """Refuse values of `AntWorlds.vary` that are not finite, negative friction, masses of 0."""
+    rows = np.asarray(values, np.float32)
+    masses = name in ("mass", "torso_mass")
+    good = rows > 0.0 if masses else rows >= 0.0 if name == "friction" else np.isfinite(rows)
+    good &= np.isfinite(rows)
+    if not good.all():
+        wanted = " > 0" if masses else " >= 0" if name == "friction" else ""
+        raise ValueError(f"{name}: expected finite numbers{wanted}, got {rows[~good].ravel()[0]}")
 
 
 def build_ants(file: str, num_worlds: int, requires_grad: bool = False) -> Model:

@@ -16,7 +16,7 @@ except ImportError:
         "novaphy.envs.AntEnv and AntVectorEnv need the package gymnasium: pip install gymnasium"
     ) from None
 
-from ._ant import ACTIONS, ACTIONS_LIMIT, OBSERVATIONS, VARIED, AntWorlds, Array
+from ._ant import ACTIONS, ACTIONS_LIMIT, OBSERVATIONS, VARIED, AntWorlds, Array, check_varied
 
 Ranges = Mapping[str, tuple[float, float]]
 
@@ -30,12 +30,12 @@ class _Rules:
         if episode < 1:
             raise ValueError(f"episode: expected a number of frames >= 1, got {episode}")
         for name, bounds in (randomise or {}).items():
-            low, high = bounds
-            if name not in VARIED or not low <= high:
+            if name not in VARIED or np.shape(bounds) != (2,) or not bounds[0] <= bounds[1]:
                 raise ValueError(
                     f"randomise: expected (low, high) of {', '.join(VARIED)}, got {name!r}: "
                     f"{bounds}"
                 )
+            check_varied(name, bounds)
         self.ants, self.episode = ants, episode
         self.randomise, self.forward_weight = dict(randomise or {}), forward_weight
 

@@ -38,6 +38,8 @@ import demo_articulated_scenes  # noqa: E402
 
 DT = 1e-3
 TURNS = 7
+# The line of the page from which on it is written by hand.
+BY_HAND = "## What was asked for"
 UPRIGHT = (0.0, 0.0, 0.0, 1.0)
 POSE = (0.0, -np.pi / 4, 0.0, -3 * np.pi / 4, 0.0, np.pi / 2, np.pi / 4)
 KE, KD = (
@@ -572,12 +574,14 @@ def curves() -> list[str]:
 
 
 def write_page(rows: list[tuple[str, float, str, float | None]]) -> None:
-    """docs/performance-articulations.md."""
+    """The tables of docs/performance-articulations.md; what is written by hand below them stays."""
+    page = ROOT / "docs" / "performance-articulations.md"
+    by_hand = page.read_text("utf-8").partition(BY_HAND)[1:] if page.exists() else ()
     load = os.getloadavg()[0]
     lines = [
         "# Performance of articulations",
         "",
-        "Written by `tools/bench/novaphy_articulation.py --page`; do not edit.",
+        "Written by `tools/bench/novaphy_articulation.py --page`, but for the last part.",
         "",
         f"One thread of {cpu_name()}, Python {platform.python_version()}. Times are those of the",
         f"processor, not of the clock, of the fastest of {TURNS} turns.",
@@ -601,7 +605,10 @@ def write_page(rows: list[tuple[str, float, str, float | None]]) -> None:
         other = f"{peer} {theirs:.2f}" if theirs is not None else ""
         lines.append(f"| {what} | {ours:.2f} | {other} | {1e6 / ours:,.0f} |")
     lines += curves()
-    (ROOT / "docs" / "performance-articulations.md").write_text("\n".join(lines) + "\n", "utf-8")
+    text = "\n".join(lines) + "\n"
+    if any(by_hand):
+        text += "\n" + "".join(by_hand)
+    page.write_text(text, "utf-8")
 
 
 def main() -> None:

@@ -122,6 +122,63 @@ def test_an_interrupt_at_any_line_leaves_a_whole_recording(ball, tmp_path):
     assert interrupts > 100 and counts == {1, 2, 3, 4, 5}
 
 
+def test_a_recording_that_goes_on_is_never_lost(ball, tmp_path, monkeypatch):
+    path = tmp_path / "ball.nprec"
+    record(ball, path).close()
+    viewer = ViewerFile(path, save_interval=1)
+    viewer.load_recording()
+
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(_recording, "write_start", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            viewer.record(ball.states[0])
+    other = ViewerFile(path, auto_save=False)
+    other.load_recording()
+    assert other.frame_count == 21
+    viewer.close()
+    other.load_recording()
+    assert other.frame_count == 22
+
+
+def test_what_stands_when_frames_are_dropped_is_drawn(ball, tmp_path):
+    path = tmp_path / "ball.nprec"
+    whole = ViewerFile(tmp_path / "whole.nprec", auto_save=False)
+    for viewer in (whole, ViewerFile(path, max_history_size=2, save_interval=1)):
+        for k in range(5):
+            viewer.begin_frame(float(k))
+            viewer.log_points("still", [[1.0, 2.0, 3.0]])
+            viewer.log_points("moves", [[float(k), 0.0, 0.0]])
+            viewer.log_scalar("loss", float(k))
+            viewer.log_state(ball.states[k])
+            viewer.end_frame()
+    whole.save_recording()
+    for file in (path, tmp_path / "whole.nprec"):
+        loaded = ViewerFile(tmp_path / "x.nprec", auto_save=False, max_history_size=2)
+        loaded.load_recording(file)
+        shown = ViewerFile(tmp_path / "y.nprec", auto_save=False)
+        loaded.show_frame(shown, 1, from_start=True)
+        calls = [(call, options["name"]) for call, options in shown._frames[0].calls]
+        expected = [("log_points", "moves"), ("log_points", "still")] + 2 * [("log_scalar", "loss")]
+        assert sorted(calls) == expected
+        points = [o["points"] for call, o in shown._frames[0].calls if o["name"] == "moves"]
+        assert points[0].tolist() == [[4.0, 0.0, 0.0]]
+
+
+def test_a_model_that_comes_late_is_in_the_recording(ball, tmp_path):
+    path = tmp_path / "ball.nprec"
+    viewer = ViewerFile(path, save_interval=1)
+    viewer.record(ball.states[0])
+    viewer.set_model(ball.model)
+    with pytest.raises(ValueError, match="numbers or text"):
+        viewer.log_array("name", np.array([None], object))
+    viewer.close()
+    viewer.load_recording()
+    assert viewer.frame_count == 1 and "particle_radius" in viewer._model_arrays
+
+
 def test_only_the_last_frames_are_kept_when_asked(ball, tmp_path):
     viewer = record(ball, tmp_path / "ball.npz", max_history_size=5)
     assert viewer.frame_count == 5

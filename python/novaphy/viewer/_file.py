@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import itertools
 import os
 from collections import deque
 from collections.abc import Callable, Mapping
@@ -99,6 +100,9 @@ class ViewerFile(Viewer):
         """Put a model of which only the arrays are there into the recording."""
         self._model_arrays = dict(arrays)
         self._up_axis = int(up_axis)
+        if self._file is not None:  # it begins with the model: write it anew
+            self._close_file()
+            self._unsaved = list(self._frames)
 
     def log_state(self, state: SimState) -> None:
         """Record the state with the frame. ValueError when its sizes differ from the others'."""
@@ -132,6 +136,8 @@ class ViewerFile(Viewer):
     def _add(self, state: dict[str, np.ndarray]) -> None:
         frame = Frame(self.time, state, self._calls)
         self._state, self._calls = None, []
+        if len(self._frames) == self._frames.maxlen:
+            _carry_drawings(self._frames[0], self._frames[1] if len(self._frames) > 1 else frame)
         if self.auto_save:
             self._unsaved.append(frame)
         self._frames.append(frame)
@@ -151,18 +157,19 @@ class ViewerFile(Viewer):
     def _save_new(self) -> None:
         """Write what was not written yet to output_path.
 
-        An exception in between, as that of Ctrl-C, leaves it to the next call.
+        What is in the file stays, whenever this ends: an exception, as that of Ctrl-C, leaves the
+        rest to the next call.
         """
         if self._is_archive(self.output_path) or self._frames.maxlen is not None:
             self.save_recording()
             return
         if self._file is None:
-            self._end = 0
-            self._file = open(self.output_path, "wb")  # noqa: SIM115, closed with the viewer
+            self.save_recording()
+            file = open(self.output_path, "r+b")  # noqa: SIM115, closed with the viewer
+            self._end, self._file = file.seek(0, os.SEEK_END), file
+            return
         new = io.BytesIO()
-        if self._end == 0:
-            _recording.write_start(new, self._model_arrays, self._up_axis)
-        _write_runs(new, self._unsaved if self._end else list(self._frames))
+        _write_runs(new, self._unsaved)
         self._file.seek(self._end)
         self._file.write(new.getbuffer())
         self._file.truncate()
@@ -183,7 +190,7 @@ class ViewerFile(Viewer):
             else:
                 _recording.write_start(file, self._model_arrays, self._up_axis)
                 _write_runs(file, frames)
-        if target == self.output_path:
+        if os.path.realpath(target) == os.path.realpath(self.output_path):
             self._close_file()
             self._unsaved = []
         return target
@@ -194,8 +201,14 @@ class ViewerFile(Viewer):
         ValueError when the file is no recording that this version reads; what was held stays then.
         """
         recording = _recording.read(self.output_path if path is None else os.fspath(path))
+        kept = self._frames.maxlen or len(recording.frames)
+        for before, after in itertools.pairwise(
+            recording.frames[: len(recording.frames) - kept + 1]
+        ):
+            _carry_drawings(before, after)
         self._frames = deque(recording.frames, maxlen=self._frames.maxlen)
         self._model_arrays, self._up_axis = recording.model, recording.up_axis
+        self._state, self._calls, self._latest = None, [], {}
         self._close_file()
         self._unsaved = []
 
@@ -312,11 +325,24 @@ def _plain(value: Any) -> Any:
     """A number, text, None or an array of its own."""
     if value is None or isinstance(value, (bool, int, float, str)):
         return value
-    return np.array(value.numpy() if hasattr(value, "numpy") else value)
+    array = np.array(value.numpy() if hasattr(value, "numpy") else value)
+    if array.dtype.hasobject:
+        raise ValueError(f"ViewerFile: expected numbers or text, got an array of {array.dtype}")
+    return array
 
 
 def _same(a: Mapping[str, Any], b: Mapping[str, Any]) -> bool:
     return a.keys() == b.keys() and all(np.array_equal(a[name], b[name]) for name in a)
+
+
+def _carry_drawings(dropped: Frame, after: Frame) -> None:
+    """Let a frame draw first what still stands of one before it, which is dropped."""
+    replaced = {(call, arguments.get("name")) for call, arguments in after.calls}
+    after.calls = [
+        (call, arguments)
+        for call, arguments in dropped.calls
+        if call != "log_scalar" and (call, arguments.get("name")) not in replaced
+    ] + after.calls
 
 
 def _write_runs(file: BinaryIO, frames: list[Frame]) -> None:

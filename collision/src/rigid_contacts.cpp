@@ -36,14 +36,6 @@ const Kernels& kernels() {
   return all;
 }
 
-// Compilers of devices were seen to get this search wrong (docs/design/0023), and what
-// followed has not run on hardware.
-void check_verified(Device device) {
-  require_opt_in(
-      "NOVAPHY_UNVERIFIED_DEVICE_CONTACTS",
-      "CollisionPipeline: rigid contacts are found on the cpu; finding them on " + device.str());
-}
-
 // The most contacts of a pair of types, in their order; 0 if the pair is not covered.
 int32_t most_contacts(GeoType a, GeoType b, int32_t per_pair) {
   using geometry::is_convex_type;
@@ -267,11 +259,7 @@ struct RigidContacts::Impl {
     kernel_sweep_known = false;
     if (broad_phase == BroadPhase::Sap) {
       most_rows = std::numeric_limits<int64_t>::max();
-      if (!m.device().is_cpu()) {
-        check_all_pairs();
-        if (std::any_of(body.begin(), body.end(), [](int32_t b) { return b >= 0; }))
-          check_verified(m.device());
-      }
+      if (!m.device().is_cpu()) check_all_pairs();
     } else {
       pairs = {};
       most_rows = take(explicit_pairs ? *explicit_pairs
@@ -279,7 +267,6 @@ struct RigidContacts::Impl {
                            ? m.shape_contact_pairs.to_host()
                            : make_shape_contact_pairs(body, flags, group, world,
                                                       m.shape_collision_filter_pairs));
-      if (!m.device().is_cpu() && pair_count > 0) check_verified(m.device());
     }
     versions.set(choosing());
   }

@@ -126,15 +126,6 @@ DeviceInfo device_info(Device device) {
           .supports_graph_capture = (info.capabilities & NOVAPHY_CAP_GRAPH_CAPTURE) != 0};
 }
 
-void require_opt_in(const char* variable, const std::string& what) {
-  const char* const text = std::getenv(variable);
-  const std::string_view value = text != nullptr ? text : "";
-  require(value.empty() || value == "on" || value == "off", ErrorKind::Value, variable,
-          ": expected on or off, got \"", value, "\"");
-  require(value == "on", ErrorKind::NotImplemented, what, " is not verified on hardware, and ",
-          variable, "=on lets it");
-}
-
 void synchronize(Device device) {
   const DeviceContext& context = device_context(device);
   novaphy_error error = make_error();

@@ -74,9 +74,6 @@ void eval_fk(const Model& m, const DeviceArray<float>& joint_q, const DeviceArra
   constexpr const char* kName = "eval_fk";
   if (m.device().is_cpu()) {
     if (ArrayObserver* observer = array_observer()) observer->untracked_operation(kName);
-  } else {
-    require_opt_in("NOVAPHY_UNVERIFIED_DEVICE_ARTICULATIONS",
-                   "eval_fk: articulations move on the cpu; moving them on " + m.device().str());
   }
   check_arguments(kName, m, state, joint_q, joint_qd);
   if (m.device().is_cpu()) check_quaternions(m, joint_q.data());

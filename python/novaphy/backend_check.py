@@ -71,8 +71,6 @@ class Report:
         start = time.perf_counter()
         done = subprocess.run(
             words,
-            # Contacts of bodies on devices, which this compares with the CPU's.
-            env=os.environ | {"NOVAPHY_UNVERIFIED_DEVICE_CONTACTS": "on"},
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
             text=True,

@@ -120,8 +120,7 @@ void bind_dynamics(py::module_& m, py::module_& solvers) {
       "Writes body_q and body_qd of the state: poses and velocities of the children of all joints "
       "of articulations, from joint_q {coordinates} and joint_qd {degrees of freedom}. Other "
       "bodies stay. Quaternions are made unit. No gradient: on a tape it raises. ValueError: wrong "
-      "rows, a state of another model, a quaternion of length 0 (on a device that gives NaN); "
-      "NotImplementedError: a device without NOVAPHY_UNVERIFIED_DEVICE_ARTICULATIONS=on.");
+      "rows, a state of another model, a quaternion of length 0 (on a device that gives NaN).");
   m.def(
       "eval_ik",
       [](const Model& model, const SimState& state, const Array& joint_q, const Array& joint_qd) {

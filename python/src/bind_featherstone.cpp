@@ -167,8 +167,7 @@ void bind_featherstone(py::module_& m, py::module_& solvers) {
       "NotImplementedError. On a tape a step runs and is not "
       "recorded; what it wrote may not be used there: DiffFeatherstoneSolver is the differentiable "
       "one.\n\nA model on a device is stepped there with the bits of the cpu, contacts only by "
-      "\"pgs\" (\"penalty\" raises NotImplementedError). That was not verified on hardware and "
-      "needs NOVAPHY_UNVERIFIED_DEVICE_ARTICULATIONS=on. Nobody waits for such a step, which a "
+      "\"pgs\" (\"penalty\" raises NotImplementedError). Nobody waits for such a step, which a "
       "capture records: an articulation that fails, and with contacts its island, gets NaN, and "
       "check_last_step() says why.");
   solver

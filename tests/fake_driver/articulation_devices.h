@@ -11,11 +11,7 @@
 
 namespace novaphy {
 
-class ArticulationDevices : public testing::OnCuda {
- protected:
-  static constexpr const char* kOptIn = "NOVAPHY_UNVERIFIED_DEVICE_ARTICULATIONS";
-  ArticulationDevices() : OnCuda({kOptIn, "NOVAPHY_UNVERIFIED_DEVICE_CONTACTS"}) {}
-};
+class ArticulationDevices : public testing::OnCuda {};
 
 namespace testing {
 

@@ -335,19 +335,6 @@ TEST_F(ArticulationDevices, WhatIsNotThereIsRefusedByName) {
   EXPECT_THROW(scope.graph()->launch(), Error);
   expect_thrown(kNot, "joint_friction[0]",
                 [&] { differentiable.step(a, b, nullptr, nullptr, kDt); });
-
-  for (const char* off : {"", "off"}) {
-    setenv(kOptIn, off, 1);
-    expect_thrown(kNot,
-                  "SolverFeatherstone: articulations move on the cpu; moving them on cuda:0 "
-                  "is not verified on hardware, and "
-                  "NOVAPHY_UNVERIFIED_DEVICE_ARTICULATIONS=on lets it",
-                  [&] { SolverFeatherstone made(model); });
-    expect_thrown(kNot, "eval_fk: ", [&] { eval_fk(*model, a.joint_q, a.joint_qd, a); });
-  }
-  setenv(kOptIn, "yes", 1);
-  expect_thrown(ErrorKind::Value, "expected on or off, got \"yes\"",
-                [&] { SolverFeatherstone made(model); });
 }
 
 // As on the CPU: what a step wrote carries no gradient in silence.

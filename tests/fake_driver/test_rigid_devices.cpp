@@ -3,7 +3,6 @@
 #include <gtest/gtest.h>
 
 #include <cmath>
-#include <cstdlib>
 #include <cstring>
 #include <functional>
 #include <optional>
@@ -35,10 +34,7 @@ namespace {
 
 constexpr float kDt = 1.0f / 960.0f;
 
-class RigidDevices : public testing::OnCuda {
- protected:
-  RigidDevices() : OnCuda({"NOVAPHY_UNVERIFIED_DEVICE_CONTACTS"}) {}
-};
+class RigidDevices : public testing::OnCuda {};
 
 using testing::bytes;
 using testing::expect_same_bits;
@@ -586,38 +582,13 @@ TEST_F(RigidDevices, TheGradientThroughJointsHasTheBitsOfTheCpu) {
   expect_trained(builder, false, BroadPhase::Explicit);
 }
 
-TEST_F(RigidDevices, RigidContactsNeedAnOptIn) {
-  const auto model = heap(3, 0.1f).finalize(Device::cuda());
-  const auto refusal = [&](BroadPhase phase) {
-    try {
-      CollisionPipeline(model, {.broad_phase = phase});
-    } catch (const Error& error) {
-      return std::pair(error.kind(), std::string(error.what()));
-    }
-    return std::pair(ErrorKind::Runtime, std::string("nothing was thrown"));
-  };
-  for (const BroadPhase phase : kPhases) {
-    for (const char* off : {"", "off"}) {
-      setenv("NOVAPHY_UNVERIFIED_DEVICE_CONTACTS", off, 1);
-      const auto [kind, text] = refusal(phase);
-      EXPECT_EQ(kind, ErrorKind::NotImplemented);
-      EXPECT_NE(text.find("is not verified on hardware"), std::string::npos) << text;
-      EXPECT_NE(text.find("NOVAPHY_UNVERIFIED_DEVICE_CONTACTS=on"), std::string::npos) << text;
-    }
-    setenv("NOVAPHY_UNVERIFIED_DEVICE_CONTACTS", "yes", 1);
-    const auto [kind, text] = refusal(phase);
-    EXPECT_EQ(kind, ErrorKind::Value);
-    EXPECT_NE(text.find("expected on or off, got \"yes\""), std::string::npos) << text;
-  }
-  // Without bodies there is nothing to refuse, and the fused operator finds its own.
-  setenv("NOVAPHY_UNVERIFIED_DEVICE_CONTACTS", "", 1);
+TEST_F(RigidDevices, AModelWithoutBodiesHasNoRows) {
   ModelBuilder still;
   still.add_ground_plane();
   still.add_shape_box(-1, {});
   const auto world = still.finalize(Device::cuda());
   EXPECT_EQ(CollisionPipeline(world).contacts().rigid_contact_max(), 0);
   EXPECT_NO_THROW(CollisionPipeline(world, {.broad_phase = BroadPhase::Sap}));
-  expect_trained(die({1.0f, 5.0f, 2.0f}), true, BroadPhase::Explicit);
 }
 
 // Boxes on boxes, turned so that faces meet in eight corners, of which four stay.

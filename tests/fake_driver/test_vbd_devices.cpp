@@ -16,10 +16,7 @@ using testing::expect_thrown;
 using testing::NamedValues;
 using testing::VbdGradientRun;
 
-class VbdDevices : public testing::OnCuda {
- protected:
-  VbdDevices() : OnCuda({}) {}
-};
+class VbdDevices : public testing::OnCuda {};
 
 NamedValues gradients(Device device, const VbdGradientRun& how) {
   NamedValues all = testing::vbd_gradients(device, how);

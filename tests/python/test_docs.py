@@ -100,7 +100,7 @@ def test_every_environment_variable_is_in_the_table() -> None:
         "core", "backends", "nova", "collision", "dynamics", "vbd", "diff", "python"
     ):
         text = path.read_text(encoding="utf-8")
-        read |= set(re.findall(r'(?:getenv|require_opt_in)\(\s*"(\w+)"', text))
+        read |= set(re.findall(r'getenv\(\s*"(\w+)"', text))
         read |= set(re.findall(r'environ(?:\.get\(|\[)"(\w+)"', text))
     documented = set(
         re.findall(r"^\| `(NOVA\w+)`", (ROOT / "docs/environment.md").read_text(), re.MULTILINE)

@@ -619,8 +619,6 @@ def main() -> None:
     parser.add_argument("--worlds", type=int, nargs="+", default=[1024, 8192, 65536])
     args = parser.parse_args()
     if args.device:
-        for name in ("ARTICULATIONS", "CONTACTS"):
-            os.environ[f"NOVAPHY_UNVERIFIED_DEVICE_{name}"] = "on"
         for worlds in args.worlds:
             for timed in (time_device, time_device_ants):
                 print(json.dumps(timed(args.device, worlds)), flush=True)

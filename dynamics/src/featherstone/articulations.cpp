@@ -142,9 +142,6 @@ Articulations::Articulations(const Model& model, const char* user, For purpose) 
   if (!device.is_cpu()) {
     require(purpose == For::Steps, ErrorKind::NotImplemented, user,
             ": model: expected one on the cpu, got one on ", device.str());
-    require_opt_in(
-        "NOVAPHY_UNVERIFIED_DEVICE_ARTICULATIONS",
-        std::string(user) + ": articulations move on the cpu; moving them on " + device.str());
     const Unobserved unobserved;
     copy = model.to(Device::cpu());
   }

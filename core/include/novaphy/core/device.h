@@ -47,10 +47,6 @@ NOVAPHY_CORE_API bool device_available(Device device);
 NOVAPHY_CORE_API void require_device(Device device);
 NOVAPHY_CORE_API DeviceInfo device_info(Device device);
 NOVAPHY_CORE_API void synchronize(Device device);
-// For what runs on devices and was not verified on hardware: ErrorKind::NotImplemented, beginning
-// with `what`, unless the environment variable is "on"; ErrorKind::Value where it is neither that
-// nor "off".
-NOVAPHY_CORE_API void require_opt_in(const char* variable, const std::string& what);
 
 }  // namespace novaphy
 

@@ -64,9 +64,8 @@ struct FeatherstoneOptions {
 // records; contacts by Penalty throw ErrorKind::NotImplemented. With contacts or dry friction a
 // thread steps a world (all of them where an articulation belongs to all), in memory that the first
 // step with contacts takes, and a later one with a larger capacity, which also forgets impulses.
-// That was not verified on hardware, so it needs NOVAPHY_UNVERIFIED_DEVICE_ARTICULATIONS=on. Nobody
-// waits for it: an articulation that fails, and with rows its island, gets NaN, and check_last_step
-// says why.
+// Nobody waits for it: an articulation that fails, and with rows its island, gets NaN, and
+// check_last_step says why.
 class NOVAPHY_DYNAMICS_API SolverFeatherstone : public SolverBase {
  public:
   // ErrorKind::Value: a bad option; ErrorKind::NotImplemented: what is not covered.

@@ -349,6 +349,14 @@ TEST_F(ArticulationDevices, AStepOnATapeIsNotRecordedAndSaysSo) {
   expect_thrown(ErrorKind::Runtime, "SolverFeatherstone.step wrote it",
                 [&] { tape.backward(nova::sum(diff::state_joint_qd_tensor(b))); });
 }
+TEST_F(ArticulationDevices, ForwardKinematicsOnATapeTakesNoGradients) {
+  const auto model = AllJointsScene::make().finalize(Device::cuda());
+  SimState a = model->state(), b = model->state();
+  const nova::Tensor qd = diff::state_joint_qd_tensor(a, true);
+  nova::Tape tape;
+  const nova::TapeScope scope(tape);
+  expect_thrown(ErrorKind::Runtime, "joint_qd", [&] { eval_fk(*model, a.joint_q, a.joint_qd, b); });
+}
 
 }  // namespace
 }  // namespace novaphy

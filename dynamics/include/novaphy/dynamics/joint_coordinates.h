@@ -16,7 +16,7 @@ namespace novaphy {
 // model, a quaternion of length 0, Model::check_structure. On a tape it raises.
 //
 // On a device it is one launch, which a capture records, with the bits of the CPU; a quaternion of
-// length 0 gives NaN.
+// length 0 gives NaN, and on a tape it raises for joint_q or joint_qd that carry a gradient.
 NOVAPHY_DYNAMICS_API void eval_fk(const Model& model, const DeviceArray<float>& joint_q,
                                   const DeviceArray<float>& joint_qd, SimState& state);
 

@@ -22,6 +22,15 @@ void TangentPass::for_groups(size_t first_color, size_t last_color, Function&& f
   });
 }
 
+template <class Function>
+void TangentPass::for_particles(size_t color, Function&& function) {
+  const std::vector<int64_t>& colors = step.slots.color_begin();
+  const auto lanes = static_cast<int64_t>(step.level.lanes);
+  for (int64_t g = colors[color]; g < colors[color + 1]; ++g)
+    for (int64_t l = 0; l < step.sweep.filled[g]; ++l)
+      function(static_cast<size_t>(step.sweep.particle[g * lanes + l]));
+}
+
 void TangentPass::prepare() {
   const size_t n = step.x.size();
   for (Rows* rows : {&x_slope, &start_slope, &target_slope}) rows->assign(n, {});
@@ -52,17 +61,14 @@ void TangentPass::unrolled() {
   Rows moved(x_slope.size());
   tangents_.step_slope = floats(moved);
   step.x = step.iterates.front();
-  const std::vector<int64_t>& colors = step.slots.color_begin();
-  const auto lanes = static_cast<int64_t>(step.level.lanes);
+  const size_t colors = step.slots.color_begin().size() - 1;
   for (size_t k = 0; k + 1 < step.iterates.size(); ++k)
-    for (size_t color = 0; color + 1 < colors.size(); ++color) {
+    for (size_t color = 0; color < colors; ++color) {
       for_groups(color, color + 1, step.level.tangent);
-      for (int64_t g = colors[color]; g < colors[color + 1]; ++g)
-        for (int64_t l = 0; l < step.sweep.filled[g]; ++l) {
-          const auto p = static_cast<size_t>(step.sweep.particle[g * lanes + l]);
-          x_slope[p] = Vec3f(x_slope[p]) + Vec3f(moved[p]);
-          step.x[p] = step.iterates[k + 1][p];
-        }
+      for_particles(color, [&](size_t p) {
+        x_slope[p] = Vec3f(x_slope[p]) + Vec3f(moved[p]);
+        step.x[p] = step.iterates[k + 1][p];
+      });
     }
   tangents_.step_slope = nullptr;
 }
@@ -72,23 +78,18 @@ void TangentPass::sweep(const Rows& load, Rows& z, Rows& image) {
   const Tangents kept = tangents_;
   tangents_ = {};
   tangents_.at_rest = true;
-  const std::vector<int64_t>& colors = step.slots.color_begin();
-  const auto lanes = static_cast<int64_t>(step.level.lanes);
+  const size_t colors = step.slots.color_begin().size() - 1;
   Rows moved(load.size());
   tangents_.x = floats(z);
   tangents_.load = reinterpret_cast<const float*>(load.data());
   tangents_.step_slope = floats(moved);
-  for (size_t color = 0; color + 1 < colors.size(); ++color) {
+  for (size_t color = 0; color < colors; ++color) {
     for_groups(color, color + 1, step.level.tangent);
-    for (int64_t g = colors[color]; g < colors[color + 1]; ++g)
-      for (int64_t l = 0; l < step.sweep.filled[g]; ++l) {
-        const auto p = static_cast<size_t>(step.sweep.particle[g * lanes + l]);
-        z[p] = Vec3f(z[p]) + Vec3f(moved[p]);
-      }
+    for_particles(color, [&](size_t p) { z[p] = Vec3f(z[p]) + Vec3f(moved[p]); });
   }
   tangents_.step_slope = nullptr;
   tangents_.force_slope = floats(image);
-  for_groups(0, colors.size() - 1, step.level.tangent);
+  for_groups(0, colors, step.level.tangent);
   tangents_ = kept;
 }
 

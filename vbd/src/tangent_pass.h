@@ -43,6 +43,8 @@ class TangentPass {
  private:
   template <class Function>
   void for_groups(size_t first_color, size_t last_color, Function&& function);
+  template <class Function>
+  void for_particles(size_t color, Function&& function);
   void tangent_start();
 
   Tangents tangents_;

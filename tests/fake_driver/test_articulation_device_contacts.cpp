@@ -252,6 +252,32 @@ TEST_F(ArticulationContactDevices, DryFrictionActsWithoutContactsToo) {
   expect_same(stepped(scene, Device::cuda(), how), expected, ", replayed");
 }
 
+// Also of steps that were captured before.
+TEST_F(ArticulationContactDevices, ANotifiedChangeForgetsImpulses) {
+  testing::expect_same_bits([](Device device) {
+    const auto model = stack().finalize(device);
+    SolverFeatherstone solver(model);
+    CollisionPipeline pipeline(model);
+    Contacts contacts = pipeline.contacts();
+    SimState a = model->state(), b = model->state();
+    eval_fk(*model, a.joint_q, a.joint_qd, a);
+    const auto pair = [&] {
+      for (auto [in, out] : {std::pair(&a, &b), std::pair(&b, &a)}) {
+        pipeline.collide(*in, contacts);
+        solver.step(*in, *out, nullptr, &contacts, kDt);
+      }
+    };
+    const std::function<void()> run = testing::replayed_if(!device.is_cpu(), pair);
+    Result result;
+    for (int k = 0; k < 8; ++k) {
+      if (k == 5) solver.notify_model_changed(ModelFlags::ALL);
+      run();
+      add(result, a, "pair " + std::to_string(k));
+    }
+    return result;
+  });
+}
+
 // The impulses of the step before are forgotten where one had no contacts, and scale with dt.
 TEST_F(ArticulationContactDevices, WarmStartsAreThoseOfTheCpu) {
   testing::expect_same_bits([](Device device) {

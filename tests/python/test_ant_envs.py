@@ -47,6 +47,22 @@ def test_a_reset_of_some_worlds_leaves_the_others():
     assert not np.array_equal(ants.q[1], same.q[1])
 
 
+@pytest.mark.skipif(not novaphy.is_device_available("cuda:0"), reason="no CUDA device")
+@pytest.mark.parametrize("substeps", [4, 5])
+def test_worlds_on_a_device_have_the_bits_of_the_cpu(substeps):
+    from novaphy.envs import AntWorlds
+
+    pair = [AntWorlds(3, noise=0.1, seed=3, substeps=substeps, device=d) for d in ("cpu", "cuda:0")]
+    for frame, a in enumerate(torques(5, 3, 12)):
+        for ants in pair:
+            if frame == 6:
+                ants.vary(friction=[0.5, 0.6, 0.7], mass=1.1, slope=0.05)
+            if frame == 9:
+                ants.reset([True, False, True])
+            ants.step(a, push=np.full((3, 3), 50.0) if frame == 3 else None)
+        np.testing.assert_array_equal(pair[0].observations(), pair[1].observations())
+
+
 @pytest.mark.parametrize(
     ("ant", "mass", "gear"), [("dva", 182.176, 200.0), ("gym", 0.91088, 150.0)]
 )

@@ -7,6 +7,7 @@ fastest of some turns. Peers that are not installed are left out, and named.
 
     python tools/bench/bench_policies.py           # lines of JSON
     python tools/bench/bench_policies.py --page    # docs/performance-policies.md
+    python tools/bench/bench_policies.py --device cuda:0  # frames there alone
 """
 
 from __future__ import annotations
@@ -28,6 +29,7 @@ from run_peers import cpu_name
 
 ROOT = Path(__file__).resolve().parents[2]
 WORLDS = (1, 16, 256, 4096)
+DEVICE_WORLDS = (1, 16, 256, 1024, 4096, 16384)
 THREADS = (1, 2)
 SUBSTEPS, DT = 50, 1e-3
 FRAMES = 60  # of the gradients
@@ -57,11 +59,11 @@ def torques(worlds: int) -> np.ndarray:
     return np.random.default_rng(0).uniform(-0.3, 0.3, (worlds, 8)).astype(np.float32)
 
 
-def novaphy_frames(worlds: int) -> dict[str, object]:
+def novaphy_frames(worlds: int, device: str | None = None) -> dict[str, object]:
     """AntWorlds: a frame and the observations."""
     from novaphy.envs import AntWorlds
 
-    ants, a = AntWorlds(worlds), torques(worlds)
+    ants, a = AntWorlds(worlds, device=device), torques(worlds)
     for _ in range(LANDED):
         ants.step(a)
     where = hashlib.sha256(ants.q.tobytes()).hexdigest()[:16]
@@ -361,6 +363,7 @@ def main() -> None:
     parser.add_argument("--page", action="store_true", help="write the page of the results")
     parser.add_argument("--limit", type=float, default=180.0, help="seconds of a measurement")
     parser.add_argument("--part", choices=PARTS, help="one measurement, in this process")
+    parser.add_argument("--device", help="NovaPhy's frames there, and nothing else")
     parser.add_argument("--what", default="1", help="its number of worlds, or its kind")
     args = parser.parse_args()
     if args.part:
@@ -369,6 +372,11 @@ def main() -> None:
             os.sched_setaffinity(0, cores[: int(os.environ["NOVAPHY_NUM_THREADS"])])
         what = int(args.what) if args.what.isdigit() else args.what
         print(json.dumps(PARTS[args.part](what)))
+        return
+    if args.device:
+        for worlds in DEVICE_WORLDS:
+            row = {"worlds": worlds, **novaphy_frames(worlds, args.device)}
+            print(json.dumps(row | {"frames/s": round(worlds / row["seconds"])}), flush=True)
         return
     load = os.getloadavg()[0]
     rows = everything(args.limit)

@@ -28,6 +28,7 @@ class LaunchedArticulations {
   void check() const;
   int32_t sweeps() const { return contacts_.sweeps(); }
   float residual() const { return contacts_.residual(); }
+  void forget_impulses() { contacts_.forget_impulses(); }
 
  private:
   const Model& model_;

@@ -25,6 +25,9 @@ class LaunchedContacts {
   void step(std::vector<LaunchArgument> step, const Contacts* contacts,
             const FeatherstoneOptions& options, float dt);
 
+  // Lets the next step, and captures that replay one, start without impulses of the step before.
+  void forget_impulses() { kept_begin_.zero(); }
+
   // Numbers of memory for an articulation.
   int64_t tree_stride() const { return tree_stride_; }
   // Of the last step that ran; they wait for it.

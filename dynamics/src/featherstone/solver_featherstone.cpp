@@ -114,6 +114,7 @@ void SolverFeatherstone::make_cache() {
 
 void SolverFeatherstone::notify_model_changed(ModelFlags) {
   const ExclusiveUse::Scope scope = use("SolverFeatherstone.notify_model_changed");
+  if (launched_) launched_->forget_impulses();  // captures keep what they were made with
   make_cache();
 }
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .. import assets
+from .. import assets, nova
 from .._core import CollisionPipeline, Model, ModelBuilder, SimState, eval_fk
 from ..solvers import SolverFeatherstone
 
@@ -62,6 +62,7 @@ class AntWorlds:
         seed: int = 0,
         substeps: int = 50,
         noise: float = 0.0,
+        device: str | None = None,
         **solver_options: Any,
     ) -> None:
         """Build the worlds and put all Ants at their start.
@@ -72,6 +73,8 @@ class AntWorlds:
             seed: of the noise of starts.
             substeps: of a frame; 50 are steps of 1 ms.
             noise: of starts: positions uniform in +-noise, velocities normal with this deviation.
+            device: where the worlds are stepped, with the same bits (None: the default device);
+                the arrays here stay NumPy's. Other devices than the CPU replay a captured frame.
             solver_options: of SolverFeatherstone.
 
         Raises:
@@ -88,12 +91,14 @@ class AntWorlds:
         file, self.gear, self.lowest, self.hinge_of_action = ANTS[ant]
         self.ant, self.seed, self.noise = ant, seed, noise
         self.num_worlds, self.substeps, self.dt = num_worlds, substeps, 0.05 / substeps
-        self.model = build_ants(file, num_worlds)
+        self.model = build_ants(file, num_worlds, device=device)
         self.solver_options = {"angular_damping": 0.0, **solver_options}
         self.solver = SolverFeatherstone(self.model, **self.solver_options)
         self.pipeline = CollisionPipeline(self.model)
         self.contacts, self.control = self.pipeline.contacts(), self.model.control()
         self.state, self._after = self.model.state(), self.model.state()
+        self._replays = not self.model.device.is_cpu
+        self._graphs: dict[int, nova.Graph] = {}  # of a frame, by the state that it begins with
         self._masses = self.model.body_mass.numpy().reshape(num_worlds, -1)
         self._inertias = self.model.body_inertia.numpy().reshape(num_worlds, -1, 3, 3)
         self._gravity = float(np.abs(self.model.gravity.numpy()).max())
@@ -136,8 +141,13 @@ class AntWorlds:
                     f"got {rows.shape}"
                 )
         self._write(np.asarray(q, np.float32), np.asarray(qd, np.float32))
-        self.solver.notify_model_changed(0)
+        self._forget()
         self.frame[:] = frame
+
+    def _forget(self) -> None:
+        """Let the solver read the model again, without impulses of contacts."""
+        self.solver.notify_model_changed(0)
+        self._graphs.clear()  # they would go on with what was read before
 
     def _write(self, q: Array, qd: Array) -> None:
         self.state.joint_q.assign(np.ascontiguousarray(q).ravel())
@@ -186,7 +196,7 @@ class AntWorlds:
             for array, before in ((self.state.body_q, poses), (self.state.body_qd, rates)):
                 array.assign(np.where(keep, before, array.numpy()))
             if worlds is None:
-                self.solver.notify_model_changed(0)
+                self._forget()
         return self.observations()
 
     def vary(self, **values: ArrayLike) -> None:
@@ -234,7 +244,7 @@ class AntWorlds:
                 -np.cos(slope),
             ]
             self.model.gravity.assign(np.float32(self._gravity * np.stack(down, axis=1)))
-        self.solver.notify_model_changed(0)
+        self._forget()
 
     def joint_forces(self, actions: ArrayLike) -> Array:
         """Forces of the dofs {worlds, 14} (N m) of actions {worlds, 8}, clipped to +-1."""
@@ -272,13 +282,32 @@ class AntWorlds:
                 )
             forces[:, :3] = force
         self.control.joint_f.assign(forces.ravel())
+        if self._replays and each is None:
+            self._replay()
+        else:
+            self._run(each)
+        self.frame += 1
+
+    def _run(self, each: Callable[[int, SimState], None] | None = None) -> None:
+        """The substeps of a frame."""
         for k in range(self.substeps):
             self.pipeline.collide(self.state, self.contacts)
             self.solver.step(self.state, self._after, self.control, self.contacts, self.dt)
             self.state, self._after = self._after, self.state
             if each is not None:
                 each(k, self.state)
-        self.frame += 1
+
+    def _replay(self) -> None:
+        """The substeps of a frame, from the graph that the first call captures."""
+        begins = id(self.state)
+        if begins not in self._graphs:
+            with nova.ScopedCapture() as capture:
+                self._run()
+            self._graphs[begins] = capture.graph
+        elif self.substeps % 2:
+            self.state, self._after = self._after, self.state
+        self._graphs[begins].launch()
+        self.solver.check_last_step()
 
     def observations(self) -> Array:
         """What a policy of Gymnasium's Ant-v3 sees, {worlds, 111}.
@@ -306,13 +335,15 @@ def check_varied(name: str, values: ArrayLike) -> None:
         raise ValueError(f"{name}: expected finite numbers{wanted}, got {rows[~good].ravel()[0]}")
 
 
-def build_ants(file: str, num_worlds: int, requires_grad: bool = False) -> Model:
+def build_ants(
+    file: str, num_worlds: int, requires_grad: bool = False, device: str | None = None
+) -> Model:
     """Ants of a file of `novaphy.assets`, each in a world of its own over its own ground."""
     one = ModelBuilder()
     one.add_mjcf(assets.path(file))
     many = ModelBuilder()
     many.replicate(one, num_worlds)
-    model = many.finalize(requires_grad=requires_grad)
+    model = many.finalize(device, requires_grad=requires_grad)
     for name, value in (("limit_ke", LIMIT_KE), ("limit_kd", LIMIT_KD)):
         numbers = getattr(model, f"joint_{name}").numpy().reshape(num_worlds, DOFS)
         numbers[:, 6:] = value

@@ -88,7 +88,9 @@ class NOVAPHY_DYNAMICS_API SolverFeatherstone : public SolverBase {
   // naming the dof as step does on the cpu; ErrorKind::Index for a row of the contacts that names
   // no shape, or joins two worlds.
   void check_last_step() const;
-  // Also forgets the impulses that a step starts from.
+  // Also forgets the impulses that a step starts from, those of captured steps too. What else was
+  // read from the model stays in captures as it was when they were made; check_last_step,
+  // pgs_sweeps and pgs_residual speak of steps and captures made since.
   void notify_model_changed(ModelFlags flags) override;
   // Of the last step: the most sweeps of an island, and the largest change of velocity (m/s) of a
   // last sweep. 0 without rows.

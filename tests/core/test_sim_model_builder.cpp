@@ -2,9 +2,12 @@
 
 #include <cmath>
 #include <limits>
+#include <random>
+#include <set>
 #include <vector>
 
 #include "novaphy/core/sim/model_builder.h"
+#include "novaphy/core/sim/shape_pair_rules.h"
 #include "support/bits.h"
 
 namespace novaphy {
@@ -283,6 +286,30 @@ TEST(ShapeContactPairs, LeaveOutStaticAndSameBodyPairs) {
             (std::vector<Vec2i>{{0, 2}, {1, 3}}));
   EXPECT_TRUE(
       make_shape_contact_pairs(std::vector<int32_t>(4, -1), flags, group, world, {}).empty());
+}
+
+// Worlds are searched one by one: the pairs are those of a search of all by all, in its order.
+TEST(ShapeContactPairs, OfManyWorldsAreThoseOfASearchOfAllByAll) {
+  std::mt19937 random(3);
+  const auto draw = [&](int32_t least, int32_t most) {
+    return std::uniform_int_distribution<int32_t>(least, most)(random);
+  };
+  std::vector<int32_t> body, flags, group, world;
+  std::set<std::pair<int32_t, int32_t>> filtered;
+  for (int32_t s = 0; s < 120; ++s) {
+    body.push_back(draw(-1, 40));
+    flags.push_back(draw(0, 3) == 0 ? 5 : 7);
+    group.push_back(draw(-2, 2));
+    world.push_back(draw(-1, 4));
+    if (s > 0) filtered.insert({draw(0, s - 1), s});
+  }
+  const ShapePairRules rules{body, flags, group, world, &filtered};
+  std::vector<Vec2i> expected;
+  for (int32_t i = 0; i < 120; ++i)
+    for (int32_t j = i + 1; j < 120; ++j)
+      if (may_touch(rules, i, j)) expected.push_back({i, j});
+  EXPECT_GT(expected.size(), 100u);
+  EXPECT_EQ(make_shape_contact_pairs(body, flags, group, world, filtered), expected);
 }
 
 TEST(ShapeContactPairs, FollowFlagsWorldsAndGroups) {

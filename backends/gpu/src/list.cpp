@@ -36,7 +36,7 @@ novaphy_status create(novaphy_device* device, int64_t n, std::span<const novaphy
   made->device = device;
   made->n = n;
   made->words = std::move(source.words);
-  made->threads = threads_of_block(n);
+  made->threads = threads_of_block(n, device->units);
   made->blocks = (n + made->threads - 1) / made->threads;
   const novaphy_status status = load_list(*made, source.text, contract, source.table, {}, error);
   if (status == NOVAPHY_OK) *list = made.release();

@@ -94,7 +94,7 @@ novaphy_status launch_grid(novaphy_stream* stream, const novaphy_kernel& kernel,
 }
 
 // Text whose kernels are named in lines "// kernel NAME WORDS", of a grid kernel with
-// " NOVAPHY_GRID" behind.
+// " NOVAPHY_GRID" behind, of one whose threads know their block " NOVAPHY_BLOCK".
 novaphy_status create_source(novaphy_device* device, const void* data, uint64_t bytes,
                              novaphy_module& module, novaphy_error* error) {
   const std::string text(static_cast<const char*>(data), bytes);
@@ -113,6 +113,7 @@ novaphy_status create_source(novaphy_device* device, const void* data, uint64_t 
     kernel.device = device;
     kernel.name = name;
     kernel.is_grid = std::string_view(kind) == "NOVAPHY_GRID";
+    kernel.is_block = std::string_view(kind) == "NOVAPHY_BLOCK";
     kernel.argument_count = words;
     kernel.number = remember_kernel(device, {name, {}});
     status =
@@ -253,7 +254,7 @@ novaphy_status launch_active(novaphy_stream* stream, novaphy_kernel* kernel, int
   void* pointers[] = {const_cast<uint64_t*>(arguments), &n, &sink};
   if (kernel->is_grid)
     return launch_grid(stream, *kernel, (n + kBlock - 1) / kBlock, pointers, error);
-  const unsigned threads = threads_of_block(n);
+  const unsigned threads = kernel->is_block ? kBlock : threads_of_block(n, device->units);
   return launch_function(stream, kernel->function, (n + threads - 1) / threads, threads, pointers,
                          kernel->name.c_str(), error);
 }

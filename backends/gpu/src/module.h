@@ -15,7 +15,8 @@ struct novaphy_kernel {
   novaphy::gpu::Function function = nullptr;
   novaphy_status (*run)(novaphy_stream* stream, const novaphy_kernel& kernel, int64_t n,
                         const uint64_t* arguments, novaphy_error* error) = nullptr;
-  bool is_grid = false;  // its blocks wait for each other, so all run at the same time
+  bool is_grid = false;   // its blocks wait for each other, so all run at the same time
+  bool is_block = false;  // its threads know the size of a block
   uint32_t argument_count = 0;
   uint32_t number = 0;  // by which a failing read names the kernel
   uint64_t hash = 0;
@@ -36,8 +37,11 @@ struct novaphy_module {
 namespace novaphy::gpu {
 
 inline constexpr unsigned kBlock = 128, kSmallBlock = 32;
-inline unsigned threads_of_block(int64_t rows) {
-  return rows <= kSmallBlock ? kSmallBlock : kBlock;
+// As many threads as leave a block to every unit of a device.
+inline unsigned threads_of_block(int64_t rows, int32_t units) {
+  unsigned threads = kBlock;
+  while (threads > kSmallBlock && rows <= (units - 1) * int64_t{threads}) threads /= 2;
+  return threads;
 }
 
 // Code for the device from text: built ahead, from the cache on disk, or compiled now.

@@ -1,4 +1,6 @@
 #include <algorithm>
+#include <map>
+#include <numeric>
 
 #include "novaphy/core/error.h"
 #include "novaphy/core/sim/enums.h"
@@ -36,10 +38,30 @@ std::vector<Vec2i> make_shape_contact_pairs(
   std::vector<Vec2i> pairs;
   // Without a moving shape there is no pair; this spares large static scenes the search.
   if (std::all_of(body.begin(), body.end(), [](int32_t b) { return b < 0; })) return pairs;
+  // A shape meets those of its world and those of all worlds, one of all worlds meets any.
   const auto count = static_cast<int32_t>(body.size());
+  std::map<int32_t, std::vector<int32_t>> of_world;  // ascending; -1: of all worlds
+  for (int32_t s = 0; s < count; ++s)
+    of_world[std::max(world[static_cast<size_t>(s)], -1)].push_back(s);
+  const std::vector<int32_t>& shared = of_world[-1];
+  std::vector<int32_t> others;
   for (int32_t i = 0; i < count; ++i) {
     if (!has_flag(flags[static_cast<size_t>(i)], ShapeFlags::COLLIDE_SHAPES)) continue;
-    for (int32_t j = i + 1; j < count; ++j)
+    const int32_t w = world[static_cast<size_t>(i)];
+    others.clear();
+    const auto add_behind = [&](const std::vector<int32_t>& shapes) {
+      others.insert(others.end(), std::upper_bound(shapes.begin(), shapes.end(), i), shapes.end());
+    };
+    if (w < 0) {
+      others.resize(static_cast<size_t>(count - i - 1));
+      std::iota(others.begin(), others.end(), i + 1);
+    } else {
+      add_behind(of_world[w]);
+      const auto own = static_cast<std::ptrdiff_t>(others.size());
+      add_behind(shared);
+      std::inplace_merge(others.begin(), others.begin() + own, others.end());
+    }
+    for (const int32_t j : others)
       if (may_touch(rules, i, j)) pairs.push_back({i, j});
   }
   return pairs;

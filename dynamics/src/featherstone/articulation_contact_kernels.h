@@ -116,9 +116,17 @@ inline int64_t island_contact_bytes(int32_t dofs) {
   return ((joined > alone ? joined : alone) + 7) / 8 * 8;
 }
 
+// A group of one tree works on the stack, if the tree fits, and its contacts if they do too: stacks
+// of threads are interleaved, so that those of a warp read together.
+inline constexpr int64_t kIslandStack = 12288;
+struct LocalIsland {
+  alignas(16) unsigned char bytes[kIslandStack];
+};
+
 // A group's step.
 struct GroupStep {
   const ArticulationContactStepArguments& a;
+  unsigned char* const local;  // null: in memory of their own
   const int32_t group;
   const articulation::StepInputs<float> in;
   const articulation::StepOptions<float> how;
@@ -126,9 +134,10 @@ struct GroupStep {
   const articulation::ContactLaw<float> law;
   const float warm_scale;
 
-  explicit GroupStep(const ArticulationContactStepArguments& arguments, int32_t of_group,
-                     float scale)
+  explicit GroupStep(const ArticulationContactStepArguments& arguments, unsigned char* stack,
+                     int32_t of_group, float scale)
       : a(arguments),
+        local(stack),
         group(of_group),
         in(articulation_inputs(a.step.in)),
         how(articulation_options(a.step.in)),
@@ -146,7 +155,9 @@ struct GroupStep {
 
   const ArticulationRows& rows(int32_t tree) const { return a.step.in.rows[tree]; }
   unsigned char* memory(int32_t tree) const {
-    return reinterpret_cast<unsigned char*>(a.step.workspace + tree * a.step.stride);
+    return local != nullptr
+               ? local
+               : reinterpret_cast<unsigned char*>(a.step.workspace + tree * a.step.stride);
   }
   articulation::IslandTree tree(int32_t i) const {
     const ArticulationRows& r = rows(i);
@@ -168,8 +179,12 @@ struct GroupStep {
   int32_t find_root(int32_t i) const {
     return articulation::find_root([&](int32_t t) -> int32_t& { return root(t); }, i);
   }
-  unsigned char* island_memory() const {
-    return reinterpret_cast<unsigned char*>(a.memory + a.contact_begin[group] * a.contact_stride);
+  // For so many bytes, behind `used` of a tree on the stack.
+  unsigned char* island_memory(int64_t used, int64_t bytes) const {
+    return local != nullptr && used + bytes <= kIslandStack
+               ? local + used
+               : reinterpret_cast<unsigned char*>(a.memory +
+                                                  a.contact_begin[group] * a.contact_stride);
   }
   const articulation::KeptContact* kept(int32_t place) const {
     const int32_t k = a.chain[place].kept;
@@ -253,7 +268,15 @@ inline articulation::IslandResult solve_alone(const GroupStep& s, int32_t root) 
   const ArticulationContactStepArguments& a = s.a;
   const IslandNode& node = a.nodes[root];
   const articulation::IslandTree of = s.tree(root);
-  auto* const found = reinterpret_cast<articulation::TreeContact<float>*>(s.island_memory());
+  const int32_t dofs = of.tree.dof_count;
+  const int64_t used = articulation::workspace_bytes<float>(of.tree.link_count, dofs) +
+                       articulation::padded_dofs(dofs) * static_cast<int64_t>(sizeof(float));
+  const int64_t bytes =
+      node.rows * static_cast<int64_t>(sizeof(articulation::TreeContact<float>) +
+                                       sizeof(articulation::TreeContactLink<float>)) +
+      articulation::tree_contact_bytes<float>(node.rows, dofs);
+  auto* const found =
+      reinterpret_cast<articulation::TreeContact<float>*>(s.island_memory(used, bytes));
   auto* const links = reinterpret_cast<articulation::TreeContactLink<float>*>(found + node.rows);
   const articulation::TreeContactMemory<float> m = articulation::make_tree_contact_memory<float>(
       links + node.rows, node.rows, of.tree.dof_count);
@@ -288,7 +311,8 @@ inline articulation::IslandResult solve_joined(const GroupStep& s, int32_t root)
   const ArticulationContactStepArguments& a = s.a;
   const IslandNode& node = a.nodes[root];
   const auto tree_of = [&](int32_t i) { return s.tree(i); };
-  auto* const rows = reinterpret_cast<articulation::IslandContact*>(s.island_memory());
+  auto* const rows =
+      reinterpret_cast<articulation::IslandContact*>(s.island_memory(kIslandStack, 1));
   auto* numbers = reinterpret_cast<float*>(rows + node.rows);
   int32_t n = 0;
   for (int32_t place = node.first_row; place >= 0; place = a.chain[place].next, ++n) {
@@ -377,7 +401,9 @@ inline void finish_tree(const GroupStep& s, int32_t i) {
 NOVAPHY_ROW_KERNEL(articulation_contact_step, 83, ArticulationContactStepArguments) {
   const auto group = static_cast<int32_t>(row);
   const float dt = a.step.in.dt.value, kept_dt = a.warm_start != 0 ? *a.kept_dt : 0.0f;
-  const GroupStep s(a, group, kept_dt > 0.0f ? dt / kept_dt : 1.0f);
+  LocalIsland local;
+  const GroupStep s(a, a.step.stride > 0 ? nullptr : local.bytes, group,
+                    kept_dt > 0.0f ? dt / kept_dt : 1.0f);
   const int32_t first = a.tree_begin[group], end = a.tree_begin[group + 1];
   const int32_t first_place = a.contact_begin[group], end_place = a.contact_begin[group + 1];
   for (int32_t k = first; k < end; ++k) start_tree(s, a.trees[k]);

@@ -52,7 +52,7 @@ void LaunchedArticulations::step(const SimState& in, const SimState& out, const 
   // Launches of contacts share the memory of a tree.
   const bool has_rows = contacts_.has_rows(contacts);
   const int64_t bytes = contacts_.tree_stride() * static_cast<int64_t>(sizeof(float));
-  const bool on_stack = !has_rows && bytes <= kDeviceRowStack;
+  const bool on_stack = has_rows ? contacts_.on_stack() : bytes <= kDeviceRowStack;
   const std::vector<LaunchArgument> arguments = {
       reads("rows", a.rows()),
       reads("links", a.links()),

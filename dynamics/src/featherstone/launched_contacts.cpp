@@ -90,6 +90,8 @@ LaunchedContacts::LaunchedContacts(const Model& m, const Articulations& articula
   groups_ = find_groups(m, group_of_tree);
   IndexRows lists;
   lists.build(group_of_tree, static_cast<int32_t>(groups_));
+  on_stack_ = static_cast<size_t>(groups_) == count &&
+              tree_stride_ * static_cast<int64_t>(sizeof(float)) <= kIslandStack;
   side_of_body_ = DeviceArray<int32_t>::from_host(sides, device, 2);
   moved_by_ = DeviceArray<int32_t>::from_host(moved_by, device);
   group_of_tree_ = DeviceArray<int32_t>::from_host(group_of_tree, device);

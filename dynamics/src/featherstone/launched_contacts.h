@@ -28,6 +28,8 @@ class LaunchedContacts {
   // Lets the next step, and captures that replay one, start without impulses of the step before.
   void forget_impulses() { kept_begin_.zero(); }
 
+  // Whether a step needs no memory for articulations.
+  bool on_stack() const { return on_stack_; }
   // Numbers of memory for an articulation.
   int64_t tree_stride() const { return tree_stride_; }
   // Of the last step that ran; they wait for it.
@@ -43,7 +45,7 @@ class LaunchedContacts {
   int64_t groups_ = 0, tree_stride_, contact_stride_;
   DeviceArray<int32_t> side_of_body_, moved_by_, group_of_tree_, tree_begin_, trees_;
   ArrayStamp friction_stamp_;
-  bool has_friction_ = false;
+  bool has_friction_ = false, on_stack_;
   Contacts none_;
   int32_t capacity_ = -1;  // contacts; -1: no memory was taken
   DeviceArray<int32_t> group_, contact_begin_, contacts_, chain_, nodes_, kept_begin_, sweeps_;

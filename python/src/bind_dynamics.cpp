@@ -105,11 +105,10 @@ void bind_dynamics(py::module_& m, py::module_& solvers) {
           "Stored; particles do not meet triangles yet.");
   semi_implicit.def(
       "stable_dt", &SolverSemiImplicit::stable_dt, "state"_a, "contacts"_a,
-      "The longest dt (s) at which springs and dampers of the contacts that touch in the state are "
-      "stable, friction as far as it sticks, whatever the neighbours of a body do; inf where none "
-      "touches. A longer one may do, for friction ends at its cone. ValueError: a state or "
-      "contacts "
-      "of another model.");
+      "The longest dt (s) at which springs, dampers and friction as far as it sticks are stable "
+      "together, of the contacts that touch in the state, whatever the neighbours of a body do; "
+      "inf where none touches. A longer one may do, for friction ends at its cone. ValueError: a "
+      "state or contacts of another model, contacts that have overflowed.");
   add_fast_step(semi_implicit);
   m.def(
       "eval_fk",

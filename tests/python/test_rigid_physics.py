@@ -172,7 +172,7 @@ def test_bodies_spawned_in_one_point_part_with_finite_numbers():
             builder.add_shape_box(body, hx=0.1, hy=0.1, hz=0.1, cfg=SURFACE)
     model = builder.finalize()
     run = Run(model, pipeline={"broad_phase": "sap"})
-    with pytest.warns(RuntimeWarning, match="dampers"):
+    with pytest.warns(RuntimeWarning, match="contacts of body"):
         run.go(1)
     count = run.contacts.rigid_contact_count.numpy()[0]
     assert count >= 150 * 149 / 2 and run.contacts.overflowed == (

@@ -192,6 +192,7 @@ def test_shapes_materials_and_what_is_shown():
         shapes.append(model.shape_flags.numpy().tolist())
         if not options:
             assert result.shape_colors == {0: (1.0, 0.0, 0.0, 0.5)}
+            assert_allclose(model.shape_color.numpy()[0], (1, 0, 0))
     meets = flags.COLLIDE_SHAPES | flags.COLLIDE_PARTICLES
     assert shapes == [[1, meets], [meets | 1], [1, meets | 1], [meets | 1]]
     model, _, _ = loaded(text, ignore_inertial_definitions=True)

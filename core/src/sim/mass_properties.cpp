@@ -104,6 +104,8 @@ bool meets_triangle_inequality(const Mat33d& a, double largest) {
   return is_positive(sum(diagonal(half, half, half), a, -1.0), 1e-5 * largest);
 }
 
+constexpr double kLeastMoment = 1e-30;  // kg m^2
+
 struct Entries {
   Mat33d a;
   double largest = 0.0;  // magnitude
@@ -221,6 +223,8 @@ void check_inertia(const Where& where, const Mat33f& inertia, const InertiaMendi
   check(later.bound || is_surely_positive(e.a),
         "a positive definite matrix, to float32 (where the axes of the body are not its principal "
         "axes, a moment below 1e-7 of the largest is lost)");
+  const bool invertible = std::min({e.a.m[0][0], e.a.m[1][1], e.a.m[2][2]}) >= kLeastMoment;
+  check(later.bound || invertible, "moments of at least 1e-30 kg m^2, so that float32 holds 1/I");
   check(later.balance || meets_triangle_inequality(e.a, e.largest),
         "principal moments none of which exceeds the sum of the other two");
 }

@@ -18,7 +18,6 @@
 namespace novaphy {
 namespace {
 
-constexpr size_t kModes = 4;  // ke, kd, kf, stick_ke
 constexpr float kNone = std::numeric_limits<float>::infinity();
 
 using Six = std::array<float, 6>;
@@ -28,8 +27,22 @@ struct Matrix {
     for (size_t a = 0; a < 6; ++a)
       for (size_t b = 0; b < 6; ++b) m[a][b] += k * j[a] * j[b];
   }
+  Six times(const Six& x) const {
+    Six y{};
+    for (size_t i = 0; i < 6; ++i)
+      for (size_t j = 0; j < 6; ++j) y[i] += m[i][j] * x[j];
+    return y;
+  }
 };
-using Modes = std::array<Matrix, kModes>;
+struct Terms {
+  Matrix springs, dampers;
+};
+
+float dot(const Six& a, const Six& b) {
+  float sum = 0.0f;
+  for (size_t i = 0; i < 6; ++i) sum += a[i] * b[i];
+  return sum;
+}
 
 Six motion(const Vec3f& u, const Vec3f& arm) {
   const Vec3f turn = math::cross(arm, u);
@@ -43,29 +56,51 @@ Six accelerate(const Six& y, float inv_mass, const Mat33f& inv_inertia, const Qu
   return {y[0] * inv_mass, y[1] * inv_mass, y[2] * inv_mass, t.x, t.y, t.z};
 }
 
-// The largest eigenvalue of M^-1 A, by power iteration.
+// The largest eigenvalue of M^-1 A, by power iteration from x, which becomes its vector.
 template <class Accelerate>
-float largest(const Matrix& a, Accelerate accelerate) {
-  Six x = {1.0f, 0.9f, -0.8f, 0.7f, 0.6f, -0.5f};
+float largest(const Matrix& a, Accelerate accelerate, Six& x) {
   float w = 0.0f;
   for (int k = 0; k < 48; ++k) {
-    Six y{};
-    for (size_t i = 0; i < 6; ++i)
-      for (size_t j = 0; j < 6; ++j) y[i] += a.m[i][j] * x[j];
-    const Six z = accelerate(y);
-    float xy = 0.0f, yz = 0.0f, zz = 0.0f;
-    for (size_t i = 0; i < 6; ++i) {
-      xy += x[i] * y[i];
-      yz += y[i] * z[i];
-      zz += z[i] * z[i];
-    }
+    const Six y = a.times(x), z = accelerate(y);
+    const float xy = dot(x, y), zz = dot(z, z);
     if (!(xy > 0.0f) || !(zz > 0.0f)) return w;
     const float before = w;
-    w = yz / xy;
-    if (std::abs(w - before) <= 1e-4f * w) return w;
+    w = dot(y, z) / xy;
     for (size_t i = 0; i < 6; ++i) x[i] = z[i] / std::sqrt(zz);
+    if (std::abs(w - before) <= 1e-4f * w) return w;
   }
   return w;
+}
+
+// The dt with springs dt^2 + dampers dt = 4.
+float longest_dt(float springs, float dampers) {
+  return 8.0f / (dampers + std::sqrt(dampers * dampers + 16.0f * springs));
+}
+
+// The dt at which the largest eigenvalue of M^-1 (dt^2 springs + dt dampers) is 4. The quotients of
+// any vector give a longer one, those of the vector that belongs to it give the next.
+template <class Accelerate>
+float longest_dt(const Terms& terms, Accelerate accelerate) {
+  Six x = {1.0f, 0.9f, -0.8f, 0.7f, 0.6f, -0.5f}, y = x;
+  const float springs = largest(terms.springs, accelerate, x),
+              dampers = largest(terms.dampers, accelerate, y);
+  if (!(springs + dampers > 0.0f)) return kNone;
+  if (springs == 0.0f || dampers == 0.0f) return longest_dt(springs, dampers);
+  float dt = longest_dt(springs, dampers);
+  for (size_t i = 0; i < 6; ++i) x[i] += y[i];
+  for (int k = 0; k < 16; ++k) {
+    Matrix sum;
+    for (size_t i = 0; i < 6; ++i)
+      for (size_t j = 0; j < 6; ++j)
+        sum.m[i][j] = (dt * terms.springs.m[i][j] + terms.dampers.m[i][j]) * dt;
+    const float w = largest(sum, accelerate, x), before = dt;
+    // x is M^-1 y for some y, so x^T M x is x^T y; w x^T M x = x^T A x.
+    const float of_sum = dot(x, sum.times(x)) / w;
+    dt = longest_dt(dot(x, terms.springs.times(x)) / of_sum,
+                    dot(x, terms.dampers.times(x)) / of_sum);
+    if (std::abs(dt - before) <= 1e-4f * dt) break;
+  }
+  return dt;
 }
 
 // What the model and the contacts hold, on the host.
@@ -102,8 +137,8 @@ struct Rows {
   std::vector<RigidContact> contacts;
 };
 
-void add_row(const Rows& rows, size_t k, OtherBodies others, float stick_ke,
-             std::vector<Modes>& modes) {
+void add_row(const Rows& rows, size_t k, Stability stability, float stick_ke,
+             std::vector<Terms>& terms) {
   const RigidContact& c = rows.contacts[k];
   const size_t shapes[2] = {static_cast<size_t>(c.shape0), static_cast<size_t>(c.shape1)};
   const int32_t bodies[2] = {rows.body[shapes[0]], rows.body[shapes[1]]};
@@ -117,47 +152,46 @@ void add_row(const Rows& rows, size_t k, OtherBodies others, float stick_ke,
   const auto own = [&](const std::vector<float>& of_rows, float of_shapes) {
     return of_rows.empty() || !(of_rows[k] > 0.0f) ? of_shapes : of_rows[k];
   };
+  const float ke = own(rows.row_ke, mean(rows.ke)), kd = own(rows.row_kd, mean(rows.kd));
+  const bool enough = stability == Stability::Enough;
   const bool both = rows.moves(bodies[0]) && rows.moves(bodies[1]);
-  const float f = both && others == OtherBodies::InAntiphase ? 2.0f : 1.0f;
-  const float normal[2] = {f * own(rows.row_ke, mean(rows.ke)),
-                           f * own(rows.row_kd, mean(rows.kd))},
-              along[2] = {f * mean(rows.kf), f * stick_ke};
+  const float f = both && enough ? 2.0f : 1.0f;
   for (size_t side = 0; side < 2; ++side) {
     if (!rows.moves(bodies[side])) continue;
     const auto b = static_cast<size_t>(bodies[side]);
     const Vec3f arm = at[side] - math::transform_point(rows.q[b], rows.com[b]);
     const Six n = motion(c.normal, arm);
-    Modes& m = modes[b];
-    for (size_t i = 0; i < 2; ++i) {
-      m[i].add(normal[i], n);
-      for (const Vec3f& u : {Vec3f{1, 0, 0}, Vec3f{0, 1, 0}, Vec3f{0, 0, 1}})
-        m[2 + i].add(along[i], motion(u, arm));
-      m[2 + i].add(-along[i], n);
+    Terms& m = terms[b];
+    m.springs.add(f * ke, n);
+    m.dampers.add(enough ? 2.0f * f * kd : kd, n);
+    if (!enough) continue;
+    const float kf = 2.0f * f * mean(rows.kf), stick = f * stick_ke;
+    for (const Vec3f& u : {Vec3f{1, 0, 0}, Vec3f{0, 1, 0}, Vec3f{0, 0, 1}}) {
+      m.springs.add(stick, motion(u, arm));
+      m.dampers.add(kf, motion(u, arm));
     }
+    m.springs.add(-stick, n);
+    m.dampers.add(-kf, n);
   }
 }
 
 }  // namespace
 
-ContactStability contact_stability(const Model& model, const SimState& state,
-                                   const Contacts& contacts, OtherBodies others, float stick_ke) {
+ContactLimit contact_limit(const Model& model, const SimState& state, const Contacts& contacts,
+                           Stability stability, float stick_ke) {
   const Rows rows(model, state, contacts);
-  std::vector<Modes> modes(rows.q.size());
-  for (size_t k = 0; k < rows.contacts.size(); ++k) add_row(rows, k, others, stick_ke, modes);
+  std::vector<Terms> terms(rows.q.size());
+  for (size_t k = 0; k < rows.contacts.size(); ++k) add_row(rows, k, stability, stick_ke, terms);
   const std::vector<float> inv_mass = model.body_inv_mass.to_host();
   const std::vector<Mat33f> inv_inertia = model.body_inv_inertia.to_host();
-  ContactStability limits = {{kNone}, {kNone}, {kNone}, {kNone}};
-  ContactStability::Limit* const of[kModes] = {&limits.ke, &limits.kd, &limits.kf,
-                                               &limits.stick_ke};
-  for (size_t b = 0; b < modes.size(); ++b)
-    for (size_t i = 0; i < kModes; ++i) {
-      const float w = largest(modes[b][i], [&](const Six& y) {
-        return accelerate(y, inv_mass[b], inv_inertia[b], rows.q[b].q);
-      });
-      const float dt = 2.0f / (i == 0 || i == 3 ? std::sqrt(w) : w);
-      if (w > 0.0f && dt < of[i]->dt) *of[i] = {dt, static_cast<int32_t>(b)};
-    }
-  return limits;
+  ContactLimit least = {kNone};
+  for (size_t b = 0; b < terms.size(); ++b) {
+    const float dt = longest_dt(terms[b], [&](const Six& y) {
+      return accelerate(y, inv_mass[b], inv_inertia[b], rows.q[b].q);
+    });
+    if (dt < least.dt) least = {dt, static_cast<int32_t>(b)};
+  }
+  return least;
 }
 
 float stable_contact_dt(const char* function, const Model& model, const SimState& state,
@@ -165,10 +199,11 @@ float stable_contact_dt(const char* function, const Model& model, const SimState
   require(state.model_id() == model.id() && contacts.model_id() == model.id(), ErrorKind::Value,
           function, ": expected a state and contacts of the solver's model, got others");
   const Unobserved unobserved;
+  require(!contacts.overflowed(), ErrorKind::Value, function,
+          ": contacts: expected room for all rows, got fewer than there are; raise "
+          "rigid_contact_max");
   model.update_derived();
-  const ContactStability limits =
-      contact_stability(model, state, contacts, OtherBodies::InAntiphase, stick_ke);
-  return std::min({limits.ke.dt, limits.kd.dt, limits.kf.dt, limits.stick_ke.dt});
+  return contact_limit(model, state, contacts, Stability::Enough, stick_ke).dt;
 }
 
 bool ContactWatch::is_due() {
@@ -181,31 +216,35 @@ void ContactWatch::look(const Model& model, const SimState& state, const Contact
                         float dt) {
   const Unobserved unobserved;
   check_poses(state);
-  if (!warned_) check(contact_stability(model, state, contacts, OtherBodies::Held, 0.0f), dt);
+  if (!warned_) check(contact_limit(model, state, contacts, Stability::Needed, 0.0f), dt);
 }
 
 void ContactWatch::look_at_pairs(const Model& model, float dt) {
-  if (warned_ || dt <= longest_dt_) return;
+  if (warned_) return;
+  const Array* const read[] = {&model.shape_material_ke, &model.shape_material_kd,
+                               &model.body_inv_mass};
+  bool known = dt <= longest_dt_;
+  for (size_t i = 0; i < std::size(read); ++i) known = known && read_[i].matches(*read[i]);
+  if (known) return;
   longest_dt_ = dt;
+  for (size_t i = 0; i < std::size(read); ++i) read_[i].set(*read[i]);
   const Unobserved unobserved;
   const std::vector<float> ke = model.shape_material_ke.to_host(),
                            kd = model.shape_material_kd.to_host(),
                            inv_mass = model.body_inv_mass.to_host();
   const std::vector<int32_t> body = model.shape_body.to_host(), flags = model.body_flags.to_host();
-  ContactStability limits = {{kNone}, {kNone}, {kNone}, {kNone}};
+  ContactLimit least = {kNone};
   for (const Vec2i& pair : model.shape_contact_pairs.to_host()) {
     const auto a = static_cast<size_t>(pair.x), b = static_cast<size_t>(pair.y);
     for (const size_t shape : {a, b}) {
       const int32_t of = body[shape];
       if (of < 0 || has_flag(flags[static_cast<size_t>(of)], BodyFlags::KINEMATIC)) continue;
       const float w = 0.5f * inv_mass[static_cast<size_t>(of)];
-      const float springs = 2.0f / std::sqrt((ke[a] + ke[b]) * w),
-                  dampers = 2.0f / ((kd[a] + kd[b]) * w);
-      if (springs < limits.ke.dt) limits.ke = {springs, of};
-      if (dampers < limits.kd.dt) limits.kd = {dampers, of};
+      const float limit = longest_dt((ke[a] + ke[b]) * w, (kd[a] + kd[b]) * w);
+      if (limit < least.dt) least = {limit, of};
     }
   }
-  check(limits, dt);
+  check(least, dt);
 }
 
 void ContactWatch::check_poses(const SimState& state) {
@@ -220,14 +259,13 @@ void ContactWatch::check_poses(const SimState& state) {
           "]: expected finite numbers; the body meets nothing as it is");
 }
 
-void ContactWatch::check(const ContactStability& limits, float dt) {
-  const bool springs = limits.ke.dt < limits.kd.dt;
-  const ContactStability::Limit& limit = springs ? limits.ke : limits.kd;
+void ContactWatch::check(const ContactLimit& limit, float dt) {
   if (dt <= limit.dt) return;
   warned_ = true;
-  warn_of(function_, ": dt: ", dt, " s is longer than the ", limit.dt, " s up to which the ",
-          springs ? "springs (ke)" : "dampers (kd)", " of contacts of body ", limit.body,
-          " are stable with its mass and inertia; stable_dt(state, contacts) says what is safe");
+  warn_of(function_, ": dt: ", dt, " s is longer than the ", limit.dt,
+          " s up to which the contacts of body ", limit.body,
+          " are stable with its mass and inertia and their ke and kd; stable_dt(state, contacts) "
+          "says what is safe");
 }
 
 }  // namespace novaphy

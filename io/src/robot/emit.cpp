@@ -21,6 +21,12 @@ auto at(std::string_view function, const std::string& where, Add&& add) {
   }
 }
 
+// What a viewer shows of the colour of a file, rgba; it has no alpha.
+Vec3f shown(const Vec4f& color) {
+  const auto in_range = [](float x) { return x > 0.0f ? std::min(x, 1.0f) : 0.0f; };
+  return {in_range(color.x), in_range(color.y), in_range(color.z)};
+}
+
 using Children = std::vector<std::vector<int32_t>>;  // per link, and last of the world: joints
 
 Children children_of(const Robot& robot) {
@@ -200,13 +206,15 @@ class Emitter {
     const int32_t body = link < 0 ? -1 : body_[static_cast<size_t>(link)];
     for (const RobotShape& shape : shapes) {
       const Posed pose = link < 0 ? math::multiply(options_.xform, shape.pose) : shape.pose;
+      ShapeConfig cfg = shape.cfg;
+      if (shape.color) cfg.color = shown(*shape.color);
       const int32_t index = at(options_.function, shape.where, [&] {
         if (shape.type != GeoType::MESH)
           return builder_.add_shape({.body = body,
                                      .type = shape.type,
                                      .xform = to_float(pose),
                                      .scale = to_float(shape.scale),
-                                     .cfg = shape.cfg,
+                                     .cfg = cfg,
                                      .label = shape.label});
         const Mesh& surface = mesh(shape);
         if (shape.hull_vertices)
@@ -214,13 +222,13 @@ class Emitter {
                                                        .vertices = surface.vertices,
                                                        .scale = to_float(shape.scale),
                                                        .max_vertices = *shape.hull_vertices,
-                                                       .cfg = shape.cfg,
+                                                       .cfg = cfg,
                                                        .label = shape.label});
         return builder_.add_shape_mesh(body, {.xform = to_float(pose),
                                               .vertices = surface.vertices,
                                               .indices = surface.indices,
                                               .scale = to_float(shape.scale),
-                                              .cfg = shape.cfg,
+                                              .cfg = cfg,
                                               .label = shape.label});
       });
       result_.shapes.push_back(index);

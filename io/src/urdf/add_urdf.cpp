@@ -136,6 +136,8 @@ class Reader {
   static std::optional<Vec4f> color_of(const urdf::Visual& visual) {
     if (visual.material == nullptr) return {};
     const urdf::Color& c = visual.material->color;
+    const bool is_textured = !visual.material->texture_filename.empty();
+    if (is_textured && c.r == 0.0f && c.g == 0.0f && c.b == 0.0f) return {};
     return Vec4f{c.r, c.g, c.b, c.a};
   }
 

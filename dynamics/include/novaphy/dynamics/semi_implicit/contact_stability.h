@@ -1,16 +1,17 @@
 // Up to which dt the springs and dampers of rigid contacts are stable.
 //
 // Law, for the rows that touch, n the normal and r the arm from the centre of mass of a body:
-//   A = sum k J(n) J(n)^T  for ke and kd,  sum k (sum_u J(u) J(u)^T - J(n) J(n)^T)  for kf and
-//   stick_ke, u the three axes,  J(u) = (u, r x u)
-//   w = the largest eigenvalue of M^-1 A of a body, M its mass and inertia
-//   springs (ke, stick_ke): dt < 2/sqrt(w),  dampers (kd, kf): dt < 2/w
-// With the other bodies held that is necessary; with twice the k of rows of two bodies that move,
-// which allows for neighbours in antiphase, it is enough.
+//   K = sum ke J(n) J(n)^T + stick_ke T,  D = sum kd J(n) J(n)^T + kf T,
+//   T = sum_u J(u) J(u)^T - J(n) J(n)^T, u the three axes,  J(u) = (u, r x u),  M mass and inertia
+//   x'' = -M^-1 (K x + D x') in steps of semi-implicit Euler leaves the unit circle at -1, where
+//   the largest eigenvalue of M^-1 (dt^2 K + 2 dt D) is 4.
+// Dampers along the normal only push apart: they act in every other of the steps that swing there,
+// and the eigenvalue is that of dt^2 K + dt D.
 #pragma once
 
 #include <cstdint>
 
+#include "novaphy/core/array_stamp.h"
 #include "novaphy/core/sim/contacts.h"
 #include "novaphy/core/sim/model.h"
 #include "novaphy/core/sim/sim_state.h"
@@ -18,30 +19,29 @@
 
 namespace novaphy {
 
-struct ContactStability {
-  struct Limit {
-    float dt;           // s; infinite: none
-    int32_t body = -1;  // that has it
-  };
-  Limit ke, kd, kf, stick_ke;
+struct ContactLimit {
+  float dt;           // s; infinite: none
+  int32_t body = -1;  // that has it
 };
 
-enum class OtherBodies { Held, InAntiphase };
+// Enough: K and D in full, those of rows of two bodies that move twice, which allows for neighbours
+// in antiphase. Needed: a longer dt diverges though the other bodies are held: ke, and kd once.
+enum class Stability { Enough, Needed };
 
 // Reads on the host. The rows must be of shapes and bodies that are there.
-ContactStability contact_stability(const Model& model, const SimState& state,
-                                   const Contacts& contacts, OtherBodies others, float stick_ke);
+ContactLimit contact_limit(const Model& model, const SimState& state, const Contacts& contacts,
+                           Stability stability, float stick_ke);
 // The longest dt (s) at which springs and dampers of what touches are stable, friction as far as it
 // sticks, whatever the neighbours of a body do; infinite: none touches. Reads from the device; no
 // tape sees it. `function` starts the message of ErrorKind::Value: a state or contacts of another
-// model.
+// model, contacts that have overflowed.
 NOVAPHY_DYNAMICS_API float stable_contact_dt(const char* function, const Model& model,
                                              const SimState& state, const Contacts& contacts,
                                              float stick_ke);
 
-// Warns, once each, of a dt at which ke or kd of what touches diverges even with all but one body
-// held, and of a body whose pose is not finite, which meets nothing.
-// It looks at steps 1, 2, 4, 8, ... 1024, 2048, 3072, ... that it is told of.
+// Warns, once each, of a dt at which what touches diverges even with all but one body held, and of
+// a body whose pose is not finite, which meets nothing. It looks at steps 1, 2, 4, 8, ... 1024,
+// 2048, 3072, ... that it is told of.
 class NOVAPHY_DYNAMICS_API ContactWatch {
  public:
   explicit ContactWatch(const char* function) : function_(function) {}  // starts the message
@@ -51,17 +51,19 @@ class NOVAPHY_DYNAMICS_API ContactWatch {
   // Reads on the host.
   void look(const Model& model, const SimState& state, const Contacts& contacts, float dt);
   // For contacts that nothing holds: what the softest contact of one of the model's pairs of shapes
-  // does, one row through the centre of mass. It looks only while dt is longer than before.
+  // does, one row through the centre of mass. It looks only while dt is longer than before, or ke,
+  // kd or masses were written.
   void look_at_pairs(const Model& model, float dt);
 
  private:
-  void check(const ContactStability& limits, float dt);
+  void check(const ContactLimit& limit, float dt);
   void check_poses(const SimState& state);
 
   const char* function_;
   uint64_t steps_ = 0;
   bool warned_ = false, warned_of_pose_ = false;
   float longest_dt_ = 0.0f;  // s, of look_at_pairs
+  ArrayStamp read_[3];       // likewise
 };
 
 }  // namespace novaphy

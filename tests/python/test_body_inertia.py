@@ -81,7 +81,7 @@ def moments_of(builder, warned):
 
 def test_an_inertia_that_breaks_the_triangle_inequality_is_balanced_along_its_axes():
     before = rotated((1.0, 1.0, 3.0))
-    moments, model = moments_of(of_one_body({}, mass=1.0, inertia=before), ["body_inertia[0] (body_0)"])
+    moments, model = moments_of(of_one_body(mass=1.0, inertia=before), ["body_inertia[0] (body_0)"])
     np.testing.assert_allclose(moments, (2.0, 2.0, 4.0), rtol=1e-6)
     np.testing.assert_allclose(model.body_inertia.numpy()[0] - before, np.eye(3), atol=1e-6)
     moments, _ = moments_of(of_one_body({}, mass=1.0, inertia=rotated((1.0, 2.0, 3.0))), [])
@@ -131,7 +131,9 @@ def test_kinematic_bodies_and_links_without_mass_keep_what_they_have():
 
 def test_moments_that_float32_cannot_invert_are_refused():
     for moment in (1e-31, 1e-40):
-        with pytest.raises(ValueError, match=r"inertia: expected moments of at least 1e-30 kg m\^2"):
+        with pytest.raises(
+            ValueError, match=r"inertia: expected moments of at least 1e-30 kg m\^2"
+        ):
             of_one_body(mass=1.0, inertia=np.eye(3) * moment)
     inverse = of_one_body(mass=1.0, inertia=np.eye(3) * 1e-30).finalize().body_inv_inertia.numpy()
     np.testing.assert_allclose(inverse[0], np.eye(3) * 1e30, rtol=1e-6)

@@ -127,14 +127,19 @@ def test_bad_input_names_the_argument_and_leaves_the_worlds():
         (lambda: ants.vary(friction=[1.0, 2.0, 3.0]), "friction: expected"),
         (
             lambda: ants.vary(slope=0.1, friction=-0.5),
-            "friction: expected finite numbers >= 0, got",
+            "friction: expected finite numbers from 0 to 1000, got",
         ),
         (
             lambda: ants.vary(torso_mass=[1.0, 0.0]),
-            "torso_mass: expected finite numbers > 0, got 0",
+            "torso_mass: expected finite numbers from 0.001 to 1000, got 0",
         ),
+        (lambda: ants.vary(mass=1e20), "mass: expected finite numbers from 0.001 to 1000, got 1"),
         (lambda: ants.vary(gear=np.nan), "gear: expected finite numbers, got nan"),
         (lambda: check_meta("x.npz", {"ant": "gym"}, "dva"), "expected a policy of the Ant 'dva'"),
+        (
+            lambda: check_meta("x.npz", {"ant": "dva", "asset": "0123456789abcdef"}, "dva"),
+            "x.npz: expected a policy of ant_heavy.xml with hash b15f0b97fa5317bc, got one of 0123",
+        ),
     ]
     for call, message in cases:
         with pytest.raises(ValueError) as caught:
@@ -158,7 +163,9 @@ def test_the_environment_passes_the_checks_of_gymnasium():
     for wrong in ({"colour": (0.0, 1.0)}, {"friction": 1.0}, {"mass": (1.2, 0.8)}):
         with pytest.raises(ValueError, match="randomise: expected"):
             AntEnv(randomise=wrong)
-    with pytest.raises(ValueError, match="mass: expected finite numbers > 0, got -1"):
+    with pytest.raises(
+        ValueError, match="mass: expected finite numbers from 0.001 to 1000, got -1"
+    ):
         AntEnv(randomise={"mass": (-1.0, 1.0)})
 
 

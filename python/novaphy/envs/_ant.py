@@ -40,6 +40,8 @@ VARIED = {
     "slope": 0.0,  # rad, uphill along +x; the ground stays level and gravity turns
     "slope_heading": 0.0,  # rad, where uphill is
 }
+# Of these no others: masses far from those of the file leave the range of float32.
+VARIED_RANGES = {"friction": (0.0, 1e3), "mass": (1e-3, 1e3), "torso_mass": (1e-3, 1e3)}
 
 
 class AntWorlds:
@@ -325,13 +327,12 @@ class AntWorlds:
 
 
 def check_varied(name: str, values: ArrayLike) -> None:
-    """Refuse values of `AntWorlds.vary` that are not finite, negative friction, masses of 0."""
+    """Refuse values of `AntWorlds.vary` that are not finite, or that no Ant can have."""
     rows = np.asarray(values, np.float32)
-    masses = name in ("mass", "torso_mass")
-    good = rows > 0.0 if masses else rows >= 0.0 if name == "friction" else np.isfinite(rows)
-    good &= np.isfinite(rows)
+    least, most = VARIED_RANGES.get(name, (-np.inf, np.inf))
+    good = np.isfinite(rows) & (rows >= least) & (rows <= most)
     if not good.all():
-        wanted = " > 0" if masses else " >= 0" if name == "friction" else ""
+        wanted = f" from {least:g} to {most:g}" if name in VARIED_RANGES else ""
         raise ValueError(f"{name}: expected finite numbers{wanted}, got {rows[~good].ravel()[0]}")
 
 
@@ -404,7 +405,13 @@ def check_meta(path: str, meta: Mapping[str, Any], ant: str) -> None:
     """Refuse a policy of another Ant.
 
     Raises:
-        ValueError: meta names no Ant, or another.
+        ValueError: meta names no Ant, or another, or another version of its file.
     """
     if meta.get("ant") != ant:
         raise ValueError(f"{path}: expected a policy of the Ant {ant!r}, got {meta.get('ant')!r}")
+    asset = meta.get("asset", asset_hash(ant))
+    if asset != asset_hash(ant):
+        raise ValueError(
+            f"{path}: expected a policy of {ANTS[ant][0]} with hash {asset_hash(ant)}, "
+            f"got one of {asset}"
+        )

@@ -130,7 +130,11 @@ def each_number(solver: Callable) -> Callable[[], None]:
     def check() -> None:
         with pytest.raises(NotImplementedError, match="drag"):
             solver(finalized(builder(tri_drag=1.0)))
-        for name, value in (("particle_adhesion", 0.1), ("particle_max_velocity", 1.0)):
+        for name, value in (
+            ("particle_adhesion", 0.1),
+            ("particle_max_velocity", 1.0),
+            ("soft_contact_kf", 10.0),
+        ):
             model = finalized(builder())
             setattr(model, name, value)
             with pytest.raises(NotImplementedError, match=name):

@@ -22,6 +22,10 @@ inline void check_numbers(const Model& model) {
           ErrorKind::NotImplemented, kName,
           ": model.particle_max_velocity: not there yet, expected the default, got ",
           model.particle_max_velocity);
+  require(model.soft_contact_kf == ModelNumbers{}.soft_contact_kf, ErrorKind::NotImplemented, kName,
+          ": model.soft_contact_kf: expected the default ", ModelNumbers{}.soft_contact_kf,
+          ", because friction of VBD has no part of it (friction_epsilon), got ",
+          model.soft_contact_kf);
 }
 
 // Chebyshev's factors: 1, 2/(2 - rho^2), then 4/(4 - rho^2 omega).

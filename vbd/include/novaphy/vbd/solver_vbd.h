@@ -41,10 +41,10 @@ struct VbdResidual {
 // Covers particles and elements over them: springs, triangles, bending edges, tetrahedra, external
 // forces, gravity, and soft contacts with world-owned shapes. ErrorKind::NotImplemented names what
 // is not covered: bodies, joints, drag and lift of triangles, particle_adhesion, a
-// particle_max_velocity below its default; on a device also `tolerance`, and a build without
-// NOVAPHY_WITH_VBD_CUDA. There is no contact between
-// particles or of particles with triangles. soft_contact_kf and shape_material_kf have no part in
-// its law of friction.
+// particle_max_velocity below its default, a soft_contact_kf or shape_material_kf that is not the
+// default (friction below the cone is that of friction_epsilon); on a device also `tolerance`, and
+// a build without NOVAPHY_WITH_VBD_CUDA. There is no contact between particles or of particles with
+// triangles.
 //
 // One step minimises, over the positions x of the particles that move,
 //   sum m/(2h^2) |x - y|^2 + E(x; xn),  y = xn + h vn + h^2 (g + f/m)

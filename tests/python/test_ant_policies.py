@@ -393,20 +393,44 @@ def told_of(path: Path) -> tuple[subprocess.CompletedProcess[str], list[str], fl
     return done, told, float(told[-1].split("frames, ")[1].split(" m,")[0])
 
 
+def test_the_last_stage_finds_what_nothing_lacks(demos):
+    """On a gait whose slip is the distance of the weights from some that are known."""
+    from ant_polish import CANDIDATES, FLOORS, excess, polish
+
+    rng = np.random.default_rng(4)
+    good = 0.05 * rng.normal(size=(8, 10))
+
+    def gait(weights: np.ndarray) -> dict[str, np.ndarray]:
+        n = len(weights) * len(FLOORS)
+        off = np.repeat(np.linalg.norm(weights - good, axis=(1, 2)), len(FLOORS))
+        like = {"tilt": 2.0, "drift": 0.1, "distance": 3.0, "clearance": 0.05, "lowest": 0.0}
+        return {
+            **{name: np.full(n, value) for name, value in like.items()},
+            "slip": off, "excess": np.full(n, -0.1), "touchdowns": np.ones((n, 4)),
+            "upright": np.ones(n, bool),
+        }  # fmt: skip
+
+    zero = np.zeros((8, 10))
+    first = excess(gait(zero[None]), 1.3)
+    assert first.shape == (len(FLOORS),) and np.all(first > 0.2)
+    found, lacks = polish(gait, zero, 1.3, 1, 400)
+    assert lacks[-1] == 0.0 and len(lacks) < 400
+    assert np.linalg.norm(found - good) <= 0.12
+    again, _ = polish(gait, zero, 1.3, 1, 400)
+    np.testing.assert_array_equal(found, again)
+    np.testing.assert_array_equal(found, np.float32(found))
+    broken = gait(np.zeros((CANDIDATES, 8, 10)))
+    broken["upright"][3] = False
+    broken["slip"][4] = np.nan
+    lack = excess(broken, 1.3)
+    assert lack[3] > 20.0 and lack[4] == 1e3
+
+
 def test_the_ant_that_learned_from_zero_walks_for_half_a_minute():
-    """What the file reaches whatever the rounding; the demo says what it does not."""
     done, told, way = told_of(POLICIES / GAIT)
-    reached = (
-        "upright", "more than 0.792 m", "tilt below", "a final velocity", "0.5 to 2 touchdowns",
-        "swing clearance", "no foot below", "joints in range", "at most half",
-    )  # fmt: skip
-    for name in reached:
-        assert any(line.startswith(f"  reached: {name}") for line in told), done.stdout
-    assert way > 4.0
-    slip = next(line for line in told if "slip below" in line)
-    assert slip.startswith("  NOT REACHED"), slip
-    assert 20.0 < float(slip.split(": ")[2].rstrip("%")) < 70.0, slip
-    assert done.returncode == 1 and "CHECK FAILED" in told[-1]
+    assert done.returncode == 0 and told[-1].endswith("ok"), done.stdout
+    assert sum(line.startswith("  reached: ") for line in told) == 11, done.stdout
+    assert way > 6.0
 
 
 def test_the_ant_that_sees_its_heading_withstands_pushes_slopes_and_other_floors(demos):

@@ -1,0 +1,94 @@
+"""The last stage of the Ant that learns from zero: what is asked of the gait, measured.
+
+Slip, clearance and touchdowns are those of contacts that come and go; the loss that has derivatives
+knows only shapes of them. So an evolution strategy ((mu/mu_w, lambda) with cumulative step-size
+adaptation: N. Hansen, The CMA Evolution Strategy: A Tutorial, 2016, eq. 6, 9, 31, 32, without the
+covariance) moves the weights that derivatives have found, and plays each candidate on three floors.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+import numpy as np
+
+FLOORS = (0.5, 0.75, 1.2)  # friction
+FRAMES, CANDIDATES, WIDTH = 300, 24, 0.02
+GENERATIONS = 80
+
+
+def over(x: np.ndarray, most: float) -> np.ndarray:
+    """By how much."""
+    return np.maximum(x - most, 0.0)
+
+
+def excess(result: dict[str, np.ndarray], way: float) -> np.ndarray:
+    """What the gait of every world {n} lacks, with room to what is asked; 0: nothing.
+
+    `result`: what `validate` says after FRAMES frames, in which it should go so far (m).
+    """
+    missing = (
+        over(result["slip"], 0.12)
+        + 0.3 * over(result["tilt"], 4.6)  # degrees
+        + 4.0 * over(result["drift"], 0.15)  # m
+        + 2.0 * over(-result["distance"], -way)  # m
+        + 40.0 * over(-result["clearance"], -0.026)  # m
+        + over(-result["touchdowns"], -0.7).sum(axis=1)  # per period
+        + over(result["touchdowns"], 1.8).sum(axis=1)
+        + 150.0 * over(-result["lowest"], 3.5e-3)  # m
+        + 10.0 * over(result["excess"], 0.05)  # rad
+        + 20.0 * ~result["upright"]
+    )
+    return np.where(np.isfinite(missing), missing, 1e3)
+
+
+def polish(
+    play: Callable[[np.ndarray], dict[str, np.ndarray]],
+    weights: np.ndarray,
+    way: float,
+    seed: int,
+    generations: int,
+    until: float = np.inf,
+) -> tuple[np.ndarray, list[float]]:
+    """Search from weights {8, 10} until nothing lacks, at most so many generations.
+
+    Args:
+        play: what `validate` says of weights {n, 8, 10} on all floors {n * floors}, in this order.
+        weights: to begin with.
+        way: how far they should go, m.
+        seed: of the draws.
+        generations: at most.
+        until: when to end (time.perf_counter, s).
+
+    Returns:
+        The best weights {8, 10}, and what the best of every generation lacks.
+    """
+    rng = np.random.Generator(np.random.Philox(key=[seed, 11]))
+    n, parents = weights.size, CANDIDATES // 2
+    share = np.log(parents + 0.5) - np.log(np.arange(1, parents + 1))
+    share /= share.sum()
+    mass = 1.0 / (share**2).sum()
+    decay = (mass + 2.0) / (n + mass + 5.0)
+    damping = 1.0 + 2.0 * max(0.0, np.sqrt((mass - 1.0) / (n + 1.0)) - 1.0) + decay
+    length = np.sqrt(n) * (1.0 - 1.0 / (4.0 * n) + 1.0 / (21.0 * n**2))  # of a normal draw
+    mean, width, path = weights.ravel(), WIDTH, np.zeros(n)
+    best, least, lacks = weights, np.inf, []
+    for _ in range(generations):
+        if time.perf_counter() > until or least == 0.0:
+            break
+        draws = rng.standard_normal((CANDIDATES, n))
+        if not lacks:
+            draws[0] = 0.0  # those that it begins with
+        # What a file holds of them.
+        candidates = np.float32(mean + width * draws).astype(float).reshape(-1, *weights.shape)
+        lack = excess(play(candidates), way).reshape(CANDIDATES, -1).mean(axis=1)
+        order = np.argsort(lack, kind="stable")
+        lacks.append(float(lack[order[0]]))
+        if lacks[-1] < least:
+            best, least = candidates[order[0]], lacks[-1]
+        step = share @ draws[order[:parents]]
+        mean = mean + width * step
+        path = (1.0 - decay) * path + np.sqrt(decay * (2.0 - decay) * mass) * step
+        width *= np.exp(decay / damping * (np.linalg.norm(path) / length - 1.0))
+    return best, lacks

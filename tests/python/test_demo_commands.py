@@ -88,8 +88,8 @@ def test_the_texts_name_every_way_to_start():
     named = {name: " ".join(line for other, line in COMMANDS if other == name) for name in NAMES}
     for name, flags in {
         "ant_walk": ("--train 10 --train-horizon 8 --save-policy", "--policy", "--check-gradient"),
-        "ant_from_scratch": ("--load", "--headless 600"),
-        "franka_push_box": ("--train 5", "--check-gradient"),
+        "ant_from_scratch": ("--load", "--headless 600", "--stages stride"),
+        "franka_push_box": ("--train 5", "--check-gradient", "--contact full"),
     }.items():
         assert all(flag in named[name] for flag in flags), named[name]
         assert (name, "") in COMMANDS

@@ -583,6 +583,21 @@ def test_a_franka_pushes_its_box_to_the_mark_with_the_gradients_it_claims(tmp_pa
 
 
 @needs_robots
+def test_a_franka_whose_box_pushes_back_has_the_slopes_of_the_differences(common):
+    """Contacts that come and go roughen the loss, so differences are of some milliradians."""
+    import franka_contact
+
+    scene = franka_contact.FullPush("cpu", exact=False)
+    direction = np.random.default_rng(7).normal(size=(2, *scene.keys.shape))[1]
+    direction /= np.linalg.norm(direction)
+    loss, gradient = scene.gradient()
+    assert 0.6 < scene.box[-1] < 0.64 and loss > 1e-3
+    slope = float(direction.ravel() @ gradient)
+    assert slope > 5e-3
+    np.testing.assert_allclose(slope, scene.difference(direction), rtol=0.15)
+
+
+@needs_robots
 def test_a_franka_that_does_not_reach_the_box_says_no_contact(common):
     import demo_diffsim_franka_push_box as franka
 

@@ -6,11 +6,13 @@ against friction (integrate_push_box_rollout_generated). Optimised are the key p
 box stops at x = 0.70 m, with the tip on its line and slow joints. The gradient: adjoints of the
 contact, by the tape, times the change of the tip's motion with the key poses, by
 FeatherstoneAnalyticControlSensitivity. The contact is a smooth surrogate, the arm's mass matrix and
-forces are frozen in the derivative (--gradient exact: not), and the box does not push back.
+forces are frozen in the derivative (--gradient exact: not), and the box does not push back. With
+--contact full arm and box are one simulation (franka_contact.py).
 
     python demo_diffsim_franka_push_box.py
     python demo_diffsim_franka_push_box.py --train 5 --plot franka.png
     python demo_diffsim_franka_push_box.py --check-gradient
+    python demo_diffsim_franka_push_box.py --train 5 --contact full
     python demo_diffsim_franka_push_box.py --headless 5 --record franka.html
 """
 
@@ -169,6 +171,10 @@ class FrankaPush:
         """
         if self.sensitivity.label == "frozen":
             return np.eye(AXES)
+        return self.exact_target_by_pose()
+
+    def exact_target_by_pose(self) -> np.ndarray:
+        """With the change of gravity, {axes, axes}."""
         still = np.zeros(self.model.joint_dof_count, np.float32)
         stiffness = novaphy.eval_inverse_dynamics_derivatives(self.model, self.at_rest, still)[0][0]
         return np.eye(AXES) + stiffness[np.ix_(self.dofs, self.dofs)] / np.array(KE)[:, None]
@@ -355,6 +361,12 @@ def arguments() -> argparse.Namespace:
     parser.add_argument(
         "--gradient", choices=("frozen", "exact"), default="frozen", help="of the arm's dynamics"
     )
+    parser.add_argument(
+        "--contact",
+        choices=("surrogate", "full"),
+        default="surrogate",
+        help="of tip and box: a smooth law without reaction, or rigid, in one simulation",
+    )
     args = parse(parser)
     if args.device != "cpu":
         parser.error(f"--device: expected cpu, articulations run there only, got {args.device}")
@@ -363,10 +375,19 @@ def arguments() -> argparse.Namespace:
     return args
 
 
+def make_scene(args: argparse.Namespace) -> FrankaPush:
+    """Of the contact that is asked for."""
+    if args.contact == "full":
+        from franka_contact import FullPush  # made of what is here
+
+        return FullPush(args.device, args.gradient == "exact")
+    return FrankaPush(args.device, args.gradient == "exact")
+
+
 def main() -> int:
     """Train, check, dump and plot as asked; 0 when every check passed."""
     args = arguments()
-    scene = FrankaPush(args.device, args.gradient == "exact")
+    scene = make_scene(args)
     print(scene.label())
     checks = {}
     if args.check_grad:

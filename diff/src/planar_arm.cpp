@@ -127,6 +127,7 @@ void check_arm(const Model& m, const char* function) {
   for (int j = 0; j < 2; ++j) {
     need(type[j] == static_cast<int32_t>(JointType::REVOLUTE), "REVOLUTE joints");
     need(m.joint_enabled.data()[j] != 0, "joints that are enabled");
+    need(m.joint_mimic.data()[j] < 0, "joints that follow no other");
   }
   need(parent[0] == -1, "the first link on the world");
   need(parent[1] == child[0], "the second link on the first");

@@ -249,6 +249,13 @@ void bind_articulations(Builder& c) {
        "children. Returns the index. ValueError: another order, two joints with one child, a "
        "second "
        "root, a joint of another articulation or world.")
+      .def("add_constraint_mimic", &ModelBuilder::add_constraint_mimic, "joint0"_a, "joint1"_a,
+           "coef0"_a = 0.0f, "coef1"_a = 1.0f,
+           "joint0 follows joint1: q0 = coef0 + coef1 q1 (m or rad), exactly, at the end of every "
+           "step of an articulation. Both are REVOLUTE or PRISMATIC joints of one articulation; a "
+           "follower may lead others. Drives, limits, forces and inertia of joint0 act on joint1; "
+           "its velocity limit does not. Solvers without articulations raise NotImplementedError. "
+           "IndexError: no such joint. ValueError: another type, a second leader, a cycle.")
       .def(
           "collapse_fixed_joints",
           [](ModelBuilder& b, const std::optional<std::vector<std::string>>& joints_to_keep) {

@@ -136,7 +136,8 @@ RobotImport add_urdf_to(ModelBuilder& builder, py::handle source, py::handle xfo
           {{"passive", JointDampingMode::Passive}, {"drive", JointDampingMode::Drive}}),
       .package_dirs = to_folders(package_dirs),
       .mimic = word<MimicMode>(name, "mimic", mimic,
-                               {{"refuse", MimicMode::Refuse},
+                               {{"follow", MimicMode::Follow},
+                                {"refuse", MimicMode::Refuse},
                                 {"fixed", MimicMode::Fixed},
                                 {"independent", MimicMode::Independent}})};
   return with_warnings(add_urdf(builder, text, options));
@@ -205,7 +206,8 @@ void bind_robots(py::class_<ModelBuilder>& builder, py::module_& io) {
       "angular_axes. scale: of all lengths; masses stay. ignore_inertial_definitions: masses from "
       "the colliders and default_shape_cfg. joint_ordering: \"dfs\", \"bfs\" or None (the file's). "
       "Joints start at 0 or the nearest limit. mesh_maxhullvert: colliders of meshes become hulls. "
-      "joint_damping_mode: \"passive\" or \"drive\" (target_kd). mimic: \"refuse\", \"fixed\" or "
+      "joint_damping_mode: \"passive\" or \"drive\" (target_kd). mimic: \"follow\", \"refuse\", "
+      "\"fixed\" or "
       "\"independent\". ValueError and "
       "NotImplementedError name file, line and element; the builder is then as it was. OSError: "
       "no such file. What is not read gives a UserWarning.";
@@ -223,7 +225,7 @@ void bind_robots(py::class_<ModelBuilder>& builder, py::module_& io) {
               "ignore_inertial_definitions"_a = false, "joint_ordering"_a = "dfs",
               "bodies_follow_joint_ordering"_a = true, "collapse_fixed_joints"_a = false,
               "mesh_maxhullvert"_a = py::none(), "joint_damping_mode"_a = "passive",
-              "package_dirs"_a = py::none(), "mimic"_a = "refuse", urdf_doc);
+              "package_dirs"_a = py::none(), "mimic"_a = "follow", urdf_doc);
   builder.def("add_mjcf", &add_mjcf_to, "source"_a, py::kw_only(), "xform"_a = py::none(),
               "collapse_fixed_joints"_a = false, "enable_self_collisions"_a = true, mjcf_doc);
 #else

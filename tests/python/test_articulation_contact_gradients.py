@@ -63,6 +63,13 @@ def walker():
     return builder
 
 
+def walker_that_follows():
+    """The walker, one of whose legs follows the other."""
+    builder = walker()
+    builder.add_constraint_mimic(2, 1, 0.0, -0.7)
+    return builder
+
+
 def free_below_a_swinging_body():
     """A ball that is free, but whose joint hangs on a body that turns."""
     builder = novaphy.ModelBuilder()
@@ -126,6 +133,7 @@ CASES = {
     "standing box": (lambda: box(0.02), {"pgs_slop": 0.0}, (0, 4, 0)),
     "sliding box": (lambda: box(1.0), {"pgs_slop": 0.0}, (0, 0, 4)),
     "walker": (walker, {}, (1, 3, 0)),
+    "legs that follow": (walker_that_follows, {}, (1, 1, 2)),
     "walker on a pyramid": (walker, {"friction_cone": "pyramid"}, (1, 3, 0)),
     "sticking to a moving table": (lambda: on_a_kinematic_table(0.1), {}, (0, 2, 0)),
     "sliding on a moving table": (lambda: on_a_kinematic_table(1.5), {}, (0, 0, 2)),
@@ -154,7 +162,11 @@ def tilted_box():
 # Where the points follow the state, and where they are held on their shapes: a plane with what
 # meets it in points, and pairs of others.
 FOUND = {
-    **{name: CASES[name] for name in CASES if "walker" not in name and "table" not in name},
+    **{
+        name: CASES[name]
+        for name in CASES
+        if not any(word in name for word in ("walker", "legs", "table"))
+    },
     "capsule": (capsule, {}, (0, 0, 1)),
     "tilted box": (tilted_box, {"pgs_slop": 0.0}, (3, 0, 1)),
 }

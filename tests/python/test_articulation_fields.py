@@ -182,6 +182,8 @@ STRUCTURE = (
     "joint_articulation",
     "joint_ancestor",
     "joint_world",
+    "joint_mimic",
+    "joint_mimic_coef",
     "body_world",
     "shape_body",
     "shape_type",

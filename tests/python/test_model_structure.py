@@ -20,6 +20,8 @@ ARRAYS = (
     "joint_articulation",
     "joint_ancestor",
     "joint_world",
+    "joint_mimic",
+    "joint_mimic_coef",
     "articulation_start",
     "articulation_end",
 )

@@ -252,11 +252,11 @@ def test_limits_and_damping():
     assert [model.joint_limit_lower.numpy()[0], model.joint_limit_upper.numpy()[0]] == [-2, 4]
 
 
-def test_a_mimic_is_refused_fixed_or_freed():
+def test_a_mimic_is_refused_fixed_or_freed_if_asked():
     mimic = '<mimic joint="j" multiplier="2" offset="0.5"/>'
     text = robot(*TWO, link("c"), joint("k", "b", "c", mimic))
     with pytest.raises(NotImplementedError, match=r'<text>:1: <joint name="k">: mimic'):
-        novaphy.ModelBuilder().add_urdf(text)
+        novaphy.ModelBuilder().add_urdf(text, mimic="refuse")
     model, state, result = loaded(text, mimic="fixed")
     assert model.joint_dof_count == 1
     assert_allclose(

@@ -158,6 +158,7 @@ CollapsedJoints ModelBuilder::drop_merged(const std::vector<int32_t>& into,
       joint.parent = new_body(into[parent]);
     }
     joint.child = new_body(joint.child);
+    if (joint.mimic >= 0) joint.mimic = result.joint_remap[static_cast<size_t>(joint.mimic)];
   }
   // A FIXED joint has no coordinates: those of the others stay as they are.
   keep_rows(joints_, joint_stays);

@@ -380,6 +380,7 @@ void ModelBuilder::append_joints(const ModelBuilder& b, int32_t first_body,
     joint.qd_start += first_dof;
     joint.child += first_body;
     if (joint.articulation >= 0) joint.articulation += first_articulation;
+    if (joint.mimic >= 0) joint.mimic += first_joint;
     if (joint.parent >= 0) {
       joint.parent += first_body;
     } else if (moves && joint.type == JointType::FREE && joint.parent_xform == identity) {
@@ -425,10 +426,41 @@ std::set<std::pair<int32_t, int32_t>> ModelBuilder::all_filter_pairs() const {
   return pairs;
 }
 
+void ModelBuilder::add_constraint_mimic(int32_t joint0, int32_t joint1, float coef0, float coef1) {
+  constexpr std::string_view name = "add_constraint_mimic";
+  detail::check_finite({name, "coef0"}, coef0);
+  detail::check_finite({name, "coef1"}, coef1);
+  const auto one_dof = [&](const char* argument, int32_t index) {
+    require(index >= 0 && index < joint_count(), ErrorKind::Index, name, ": ", argument,
+            ": expected 0 to ", joint_count() - 1, ", got ", index);
+    const Joint& joint = joints_[static_cast<size_t>(index)];
+    require(joint.type == JointType::REVOLUTE || joint.type == JointType::PRISMATIC,
+            ErrorKind::Value, name, ": ", argument, ": joint ", index, " (\"", joint.label,
+            "\"): expected a REVOLUTE or PRISMATIC joint, got ", joint_type_name(joint.type));
+  };
+  one_dof("joint0", joint0);
+  one_dof("joint1", joint1);
+  Joint& joint = joints_[static_cast<size_t>(joint0)];
+  require(joint.mimic < 0, ErrorKind::Value, name, ": joint0: joint ", joint0, " (\"", joint.label,
+          "\"): expected one that follows no other, it follows joint ", joint.mimic);
+  for (int32_t j = joint1; j >= 0; j = joints_[static_cast<size_t>(j)].mimic)
+    require(j != joint0, ErrorKind::Value, name,
+            ": joint1: expected a joint that does not follow joint ", joint0, " (\"", joint.label,
+            "\"), got ", joint1);
+  joint.mimic = joint1;
+  joint.mimic_coef = {coef0, coef1};
+}
+
 void ModelBuilder::check_joints() const {
   constexpr std::string_view name = "finalize";
   std::vector<char> held(bodies_.size());
   for (const Joint& joint : joints_) {
+    if (joint.mimic >= 0) {
+      const Joint& leader = joints_[static_cast<size_t>(joint.mimic)];
+      require(joint.articulation == leader.articulation, ErrorKind::Value, name, ": joint \"",
+              joint.label, "\": expected the joint that it follows, \"", leader.label,
+              "\", in the same articulation");
+    }
     held[static_cast<size_t>(joint.child)] = 1;
     const int32_t at = quaternion_at(joint.type);
     if (at < 0) continue;
@@ -483,6 +515,8 @@ void ModelBuilder::upload_joints(Model& m) const {
   upload(m.joint_articulation, column([](const Joint& j) { return j.articulation; }));
   upload(m.joint_world,
          column([&](const Joint& j) { return bodies_[static_cast<size_t>(j.child)].world; }));
+  upload(m.joint_mimic, column([](const Joint& j) { return j.mimic; }));
+  upload(m.joint_mimic_coef, column([](const Joint& j) { return j.mimic_coef; }));
   m.joint_label = column([](const Joint& j) { return j.label; });
 
   std::vector<int32_t> q_start = column([](const Joint& j) { return j.q_start; });
@@ -516,6 +550,19 @@ void ModelBuilder::upload_joints(Model& m) const {
       const float twist[] = {v.x, v.y, v.z, w.x, w.y, w.z};
       std::copy_n(twist, 6, rate);
     }
+  }
+  for (const Joint& joint : joints_) {
+    if (joint.mimic < 0) continue;
+    double offset = 0.0, ratio = 1.0;
+    const Joint* leader = &joint;
+    for (; leader->mimic >= 0; leader = &joints_[static_cast<size_t>(leader->mimic)]) {
+      offset += ratio * static_cast<double>(leader->mimic_coef.x);
+      ratio *= static_cast<double>(leader->mimic_coef.y);
+    }
+    const auto b = static_cast<float>(ratio);
+    q[static_cast<size_t>(joint.q_start)] =
+        b * q[static_cast<size_t>(leader->q_start)] + static_cast<float>(offset);
+    qd[static_cast<size_t>(joint.qd_start)] = b * qd[static_cast<size_t>(leader->qd_start)];
   }
   upload(m.joint_axis, axes);
   upload(m.joint_q, q);

@@ -1,5 +1,7 @@
 // Which joints and articulations there are, which may not change after a model is made, and worlds.
 #include <algorithm>
+#include <bit>
+#include <type_traits>
 #include <utility>
 
 #include "novaphy/core/error.h"
@@ -15,16 +17,21 @@ std::vector<int32_t> numbers_of(const Array& array) {
   return numbers;
 }
 
+// `real`: the numbers are the bits of floats.
 void check_same(std::string_view function, const char* name, const Array& array,
-                const std::vector<int32_t>& made) {
+                const std::vector<int32_t>& made, bool real) {
   const std::vector<int32_t> now = numbers_of(array);
   const auto at =
       static_cast<size_t>(std::mismatch(now.begin(), now.end(), made.begin()).first - now.begin());
   if (at == now.size()) return;
   const size_t width = now.size() / array.rows();
-  fail(ErrorKind::Value, function, ": model.", name, "[", at / width, "]: expected ", made[at],
+  const auto number = [real](int32_t value) {
+    return real ? static_cast<double>(std::bit_cast<float>(value)) : value;
+  };
+  fail(ErrorKind::Value, function, ": model.", name, "[", at / width, "]: expected ",
+       number(made[at]),
        " as the model was made (which joints there are does not change; make another model), got ",
-       now[at]);
+       number(now[at]));
 }
 
 }  // namespace
@@ -68,15 +75,16 @@ void Model::check_structure(std::string_view function) const {
   depend_on(arrays);
   const Unobserved unobserved;
   const auto check = [&](const char* name, const Array& array, DerivedStamp& stamp,
-                         const std::vector<int32_t>& made) {
+                         const std::vector<int32_t>& made, bool real) {
     if (stamp.matches(array)) [[likely]]
       return;
     const std::lock_guard lock(derived_mutex_);
-    check_same(function, name, array, made);
+    check_same(function, name, array, made, real);
     stamp.set(array);
   };
-#define NOVAPHY_CHECK_STRUCTURE(name) \
-  check(#name, this->name, structure_stamps_.name, structure_->name);
+#define NOVAPHY_CHECK_STRUCTURE(name)                                \
+  check(#name, this->name, structure_stamps_.name, structure_->name, \
+        std::is_same_v<decltype(Model::name), DeviceArray<Vec2f>>);
   NOVAPHY_MODEL_STRUCTURE(NOVAPHY_CHECK_STRUCTURE)
 #undef NOVAPHY_CHECK_STRUCTURE
 }

@@ -15,7 +15,7 @@ namespace {
 using articulation::Link;
 using articulation::LinkJoint;
 
-static_assert(sizeof(Link) == 8 * sizeof(int32_t) && sizeof(ArticulationRows) == 6 * 4);
+static_assert(sizeof(Link) == 11 * sizeof(int32_t) && sizeof(ArticulationRows) == 7 * 4);
 
 std::string joint_name(const Model& m, int64_t joint) {
   return "joint " + std::to_string(joint) + " ('" + m.joint_label[static_cast<size_t>(joint)] +
@@ -58,6 +58,11 @@ class TreeMaker {
   }
 
   void begin() { first_ = static_cast<int32_t>(links.size()); }
+  // Of the articulation that is being made.
+  int32_t followers() const {
+    return static_cast<int32_t>(
+        std::count_if(links.begin() + first_, links.end(), articulation::follows));
+  }
   int32_t link_count() const { return static_cast<int32_t>(links.size()) - first_; }
 
   void add(int32_t joint) {
@@ -91,6 +96,27 @@ class TreeMaker {
     for (size_t b = 0; b < link_of_body_.size(); ++b)
       require(link_of_body_[b] >= 0, ErrorKind::NotImplemented, user_, ": model: body ", b, " ('",
               model_.body_label[b], "') has no joint: add_body gives it a FREE one");
+  }
+
+  // The link of a joint with one dof that follows another, and of the one that it follows in the
+  // end: a follower may lead others.
+  void follow(int32_t joint) {
+    const int32_t* const leaders = model_.joint_mimic.data();
+    if (leaders[joint] < 0) return;
+    const Vec2f* const coefs = model_.joint_mimic_coef.data();
+    const auto link_of = [&](int32_t j) {
+      return link_of_body_[static_cast<size_t>(model_.joint_child.data()[j])];
+    };
+    int32_t leader = joint;
+    double offset = 0.0, multiplier = 1.0;
+    for (; leaders[leader] >= 0; leader = leaders[leader]) {
+      offset += multiplier * coefs[leader].x;
+      multiplier *= coefs[leader].y;
+    }
+    Link& link = links[static_cast<size_t>(first_ + link_of(joint))];
+    link.leader = link_of(leader);
+    link.multiplier = static_cast<float>(multiplier);
+    link.offset = static_cast<float>(offset);
   }
 
   // Of the articulation's dofs, counted from the first.
@@ -161,21 +187,23 @@ Articulations::Articulations(const Model& model, const char* user, For purpose) 
     trees.begin();
     const auto first_link = static_cast<int32_t>(trees.links.size());
     for (int32_t j = start; j < end; ++j) trees.add(j);
+    for (int32_t j = start; j < end; ++j) trees.follow(j);
     trees.end(first_dof);
     const int32_t world = m.joint_world.data()[start];
     const bool moves = std::any_of(
         trees.links.begin() + first_link, trees.links.end(),
         [](const Link& link) { return link.dofs > 0 && !articulation::is_kinematic(link); });
-    for (const int32_t value : {first_link, trees.link_count(), first_dof, dofs,
-                                world < 0 ? m.world_count() - 1 : world, moves ? 1 : 0})
+    for (const int32_t value :
+         {first_link, trees.link_count(), first_dof, dofs, world < 0 ? m.world_count() - 1 : world,
+          moves ? 1 : 0, trees.followers()})
       rows.push_back(value);
     max_links_ = std::max(max_links_, trees.link_count());
     max_dofs_ = std::max(max_dofs_, dofs);
   }
   trees.check_bodies();
   const auto* words = reinterpret_cast<const int32_t*>(trees.links.data());
-  rows_ = DeviceArray<int32_t>::from_host(rows, device, 6);
-  links_ = DeviceArray<int32_t>::from_host({words, 8 * trees.links.size()}, device, 8);
+  rows_ = DeviceArray<int32_t>::from_host(rows, device, 7);
+  links_ = DeviceArray<int32_t>::from_host({words, 11 * trees.links.size()}, device, 11);
   dof_parent_ = DeviceArray<int32_t>::from_host(trees.dof_parent, device);
   joint_of_dof_ = std::move(trees.joint_of_dof);
 }
@@ -193,7 +221,8 @@ articulation::Tree<float> Articulations::tree(const Model& m, int64_t i) const {
           m.body_mass.data(),
           m.body_com.data(),
           m.body_inertia.data(),
-          m.gravity.data()[rows.world]};
+          m.gravity.data()[rows.world],
+          rows.followers};
 }
 
 std::string Articulations::dof_name(const Model& m, int32_t dof) const {

@@ -119,6 +119,10 @@ struct FeatherstoneAnalyticControlSensitivity::Impl {
         single(articulations.max_links(), articulations.max_dofs()),
         dual(articulations.max_links(), articulations.max_dofs()) {
     const Tree<float> tree = articulations.tree(*m, o.articulation);
+    for (int32_t i = 0; i < tree.link_count; ++i)
+      require(!articulation::follows(tree.links[i]), ErrorKind::NotImplemented, kName,
+              ": model: ", articulations.dof_name(*m, tree.links[i].dof),
+              ": joints that follow others are not covered");
     dofs = static_cast<size_t>(tree.dof_count);
     first_dof = tree.first_dof;
     for (int32_t i = 0; i < tree.link_count; ++i)

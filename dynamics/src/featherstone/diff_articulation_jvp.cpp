@@ -76,6 +76,7 @@ void run_jvp(const Step& s, const StepOutputs* from, const StepOutputs& to,
     of.dof_parent = s.values[2].tensor.data<int32_t>() + rows[i].first_dof;
     of.first_dof = rows[i].first_dof;
     of.gravity = gravity[rows[i].world];
+    of.followers = rows[i].followers;
     memory[i].resize(
         static_cast<size_t>(articulation::workspace_bytes<D>(of.link_count, of.dof_count) / 8 + 1));
     workspaces[i] = articulation::make_workspace<D>(memory[i].data(), of.link_count, of.dof_count);

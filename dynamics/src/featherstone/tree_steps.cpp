@@ -124,8 +124,9 @@ void TreeSteps::find_groups(const Model& m) {
           last_joint = std::max(last_joint, joint);
         }
     }
-    // Only of trees whose rows stand together.
-    if (last_joint < 0 || last_body - first.body + 1 != shape.bodies || rows.dof_count == 0)
+    // Only of trees whose rows stand together, and in which no joint follows another.
+    if (rows.followers > 0 || last_joint < 0 || last_body - first.body + 1 != shape.bodies ||
+        rows.dof_count == 0)
       continue;
     shape.joints = last_joint - first.joint + 1;
     for (art::Link& link : links) {

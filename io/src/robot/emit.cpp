@@ -105,6 +105,7 @@ class Emitter {
 
   RobotImport run(ModelBuilder& target) {
     for (RobotJoint& joint : robot_.joints) start_within_limits(joint);
+    start_followers();
     const size_t old_links = robot_.links.size();
     std::vector<std::string> link_names, joint_names;
     for (const RobotLink& link : robot_.links) link_names.push_back(link.name);
@@ -119,6 +120,7 @@ class Emitter {
     order();
     add_links();
     add_joints();
+    add_followers();
     filter();
 
     for (size_t k = 0; k < old_links; ++k) {
@@ -251,6 +253,57 @@ class Emitter {
                                      : robot_.links[static_cast<size_t>(root.child)].name;
       result_.articulations.push_back(at(options_.function, root.where,
                                          [&] { return builder_.add_articulation(added, label); }));
+    }
+  }
+
+  // The joint that `joint` follows; null: none.
+  const RobotJoint* leader_of(const RobotJoint& joint) const {
+    const auto found = std::find_if(robot_.joints.begin(), robot_.joints.end(),
+                                    [&](const RobotJoint& j) { return j.name == joint.leader; });
+    return joint.leader.empty() || found == robot_.joints.end() ? nullptr : &*found;
+  }
+
+  // They start where their leaders do.
+  void start_followers() {
+    for (RobotJoint& joint : robot_.joints) {
+      double offset = 0.0, ratio = 1.0;
+      const RobotJoint* end = &joint;
+      // A cycle is refused later.
+      for (size_t steps = 0; steps <= robot_.joints.size(); ++steps) {
+        const RobotJoint* const next = leader_of(*end);
+        if (next == nullptr) break;
+        offset += ratio * end->coef0;
+        ratio *= end->coef1;
+        end = next;
+      }
+      if (end == &joint || joint.start.size() != 1 || end->start.size() != 1) continue;
+      joint.start[0] = offset + ratio * end->start[0];
+    }
+  }
+
+  // The leader keeps to the velocity limit of what follows it, which has none of its own.
+  void add_followers() {
+    for (size_t j = 0; j < robot_.joints.size(); ++j) {
+      const RobotJoint& joint = robot_.joints[j];
+      const RobotJoint* const leader = leader_of(joint);
+      if (leader == nullptr) continue;
+      const auto l = static_cast<size_t>(leader - robot_.joints.data());
+      at(options_.function, joint.where, [&] {
+        builder_.add_constraint_mimic(joint_[j], joint_[l], static_cast<float>(joint.coef0),
+                                      static_cast<float>(joint.coef1));
+      });
+    }
+    for (size_t j = 0; j < robot_.joints.size(); ++j) {
+      double ratio = 1.0;
+      const RobotJoint* end = &robot_.joints[j];
+      for (const RobotJoint* next; (next = leader_of(*end)) != nullptr; end = next)
+        ratio *= end->coef1;
+      const auto l = static_cast<size_t>(end - robot_.joints.data());
+      if (l == j || ratio == 0.0) continue;
+      std::vector<float>& limits = builder_.joint_velocity_limit;
+      float& limit = limits[static_cast<size_t>(dof_[l])];
+      limit = std::min(limit,
+                       limits[static_cast<size_t>(dof_[j])] / static_cast<float>(std::abs(ratio)));
     }
   }
 

@@ -48,7 +48,9 @@ struct RobotJoint {
   int32_t parent, child;  // links
   Posed parent_pose, child_pose;
   std::vector<JointDofConfig> linear = {}, angular = {};
-  std::vector<double> start = {};  // coordinates of linear and angular; empty: 0
+  std::vector<double> start = {};   // coordinates of linear and angular; empty: 0
+  std::string leader = {};          // joint that it follows; empty: none
+  double coef0 = 0.0, coef1 = 1.0;  // its coordinate: coef0 + coef1 times the leader's
 };
 
 struct Robot {

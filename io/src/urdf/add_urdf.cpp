@@ -49,6 +49,7 @@ class Reader {
       robot_.links.push_back(read_link(*link, e));
     }
     add_base(index.at(elements_.root));
+    for (const auto& [name, joint] : model.joints_) types_[name] = joint->type;
     for (const std::string& name : elements_.joint_order) {
       const Element& e = *elements_.joints.at(name);
       const auto joint = model.getJoint(name);
@@ -198,9 +199,10 @@ class Reader {
     const bool frozen = joint.mimic != nullptr && options_.mimic == MimicMode::Fixed;
     if (joint.mimic != nullptr && options_.mimic == MimicMode::Refuse)
       file_.refuse(e,
-                   "mimic: no joint here follows another one; mimic=\"fixed\" holds it at its "
-                   "offset, mimic=\"independent\" makes it a joint of its own",
+                   "mimic: mimic=\"follow\" makes it follow the other joint, mimic=\"fixed\" holds "
+                   "it at its offset, mimic=\"independent\" makes it a joint of its own",
                    ErrorKind::NotImplemented);
+    if (joint.mimic != nullptr && options_.mimic == MimicMode::Follow) follow(joint, result);
     const Vec3d given = to_vec(joint.axis);
     const double length = std::sqrt(math::dot(given, given));
     const Vec3d axis = length > 0.0 ? given / length : Vec3d{1.0, 0.0, 0.0};
@@ -240,6 +242,19 @@ class Reader {
     }
   }
 
+  // Lengths of the file are scaled, angles are not.
+  double scale_of(int type) const { return type == urdf::Joint::PRISMATIC ? scale_ : 1.0; }
+
+  void follow(const urdf::Joint& joint, RobotJoint& to) const {
+    if (joint.type == urdf::Joint::FIXED) return;
+    to.leader = joint.mimic->joint_name;
+    const auto leader = types_.find(to.leader);
+    const double scale = scale_of(joint.type);
+    to.coef0 = joint.mimic->offset * scale;
+    to.coef1 = joint.mimic->multiplier * scale /
+               scale_of(leader == types_.end() ? joint.type : leader->second);
+  }
+
   // Files that leave effort and velocity open often say 0.
   void warn_of_zero_limits(const urdf::Joint& joint, const Element& e) {
     const bool is_read = robot_.joints.back().type != JointType::FIXED && joint.limits != nullptr;
@@ -262,6 +277,8 @@ class Reader {
       dof.effort_limit = static_cast<float>(joint.limits->effort);
       dof.velocity_limit = static_cast<float>(joint.limits->velocity * scale);
     }
+    if (joint.mimic != nullptr && options_.mimic == MimicMode::Follow)
+      dof.target_ke = dof.target_kd = 0.0f;  // the leader's drive moves both
     if (joint.dynamics != nullptr) {
       const auto damping = static_cast<float>(joint.dynamics->damping);
       (options_.joint_damping_mode == JointDampingMode::Passive ? dof.damping : dof.target_kd) =
@@ -276,6 +293,7 @@ class Reader {
   const UrdfOptions& options_;
   const double scale_;
   UrdfElements elements_;
+  std::map<std::string, int> types_;  // of joints
   Robot robot_;
 };
 

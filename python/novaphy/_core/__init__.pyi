@@ -412,6 +412,8 @@ class Model(_Counts):
     joint_articulation: _Field
     joint_ancestor: _Field
     joint_world: _Field
+    joint_mimic: _Field
+    joint_mimic_coef: _Field
     joint_q: _Field
     joint_target_q: _Field
     joint_axis: _Field
@@ -1058,6 +1060,13 @@ class ModelBuilder(_Native):
         enabled: bool = True,
         label: str | None = None,
     ) -> int: ...
+    def add_constraint_mimic(
+        self,
+        joint0: SupportsIndex,
+        joint1: SupportsIndex,
+        coef0: SupportsFloat = 0.0,
+        coef1: SupportsFloat = 1.0,
+    ) -> None: ...
     def add_joint_distance(
         self,
         parent: SupportsIndex,
@@ -1473,7 +1482,7 @@ class ModelBuilder(_Native):
         mesh_maxhullvert: SupportsIndex | None = None,
         joint_damping_mode: str = "passive",
         package_dirs: Sequence[str | os.PathLike[str]] | None = None,
-        mimic: str = "refuse",
+        mimic: str = "follow",
     ) -> io.RobotImport: ...
     def finalize(
         self,

@@ -26,8 +26,9 @@ enum class JointOrdering {
   File           // as in the file, which must have parents before children
 };
 
-// What a <mimic> element of URDF becomes: the engine has no joint that follows another.
+// What a <mimic> element of URDF becomes.
 enum class MimicMode {
+  Follow,      // ModelBuilder::add_constraint_mimic, without a drive of its own
   Refuse,      // ErrorKind::NotImplemented
   Fixed,       // the joint is fixed where the other one is at 0: at its offset
   Independent  // a joint of its own
@@ -61,7 +62,7 @@ struct UrdfOptions {
   JointDampingMode joint_damping_mode = JointDampingMode::Passive;
   // Where package://NAME/... is: a folder that has a folder NAME, or that is called NAME.
   std::vector<std::filesystem::path> package_dirs = {};
-  MimicMode mimic = MimicMode::Refuse;
+  MimicMode mimic = MimicMode::Follow;
 };
 
 struct MjcfOptions {

@@ -68,6 +68,9 @@ namespace novaphy {
   X(joint_ancestor, int32_t, 1, joint_count, "", "",                                              \
     "joint of the same articulation whose child is the parent; -1: none")                         \
   X(joint_world, int32_t, 1, joint_count, "", "", "world of the joint; -1: all worlds")           \
+  X(joint_mimic, int32_t, 1, joint_count, "", "", "joint that this one follows; -1: none")        \
+  X(joint_mimic_coef, Vec2f, 1, joint_count, "m or rad, and their ratio", "joint",                \
+    "(a, b) of a follower: its coordinate is a + b times the other's")                            \
   X(joint_q, float, 1, joint_coord_count, "m or rad", "joint", "initial joint coordinates, see "  \
     "JointType")                                                                                  \
   X(joint_target_q, float, 1, joint_coord_count, "m or rad", "joint",                             \
@@ -91,6 +94,8 @@ namespace novaphy {
   X(joint_articulation)            \
   X(joint_ancestor)                \
   X(joint_world)                   \
+  X(joint_mimic)                   \
+  X(joint_mimic_coef)              \
   X(articulation_start)            \
   X(articulation_end)
 

@@ -291,6 +291,13 @@ class NOVAPHY_CORE_API ModelBuilder {
   // with one child, a second root, a joint of another articulation or world, a kinematic body that
   // is not the root's; a cycle has no such order.
   int32_t add_articulation(std::span<const int32_t> joints, std::string label = {});
+  // Makes joint0 follow joint1: q0 = coef0 + coef1 q1, in every step of articulations; both are
+  // REVOLUTE or PRISMATIC, and of one articulation. Drives, limits, forces and inertia of joint0
+  // act on joint1; its velocity limit does not. A follower may lead others. The model's first
+  // joint_q and joint_qd of joint0 are those of joint1. ErrorKind::Index: no such joint.
+  // ErrorKind::Value: a joint of another type, one that follows already, a cycle, numbers that are
+  // not finite; when the model is made: joints of different articulations.
+  void add_constraint_mimic(int32_t joint0, int32_t joint1, float coef0 = 0.0f, float coef1 = 1.0f);
   // Merges the child of every enabled FIXED joint into the parent: mass, shapes and joints. Joints
   // with a label in `keep` stay; so do those whose child has another joint to a parent, or is
   // kinematic under a body, and a root with more than one child in its articulation.
@@ -373,6 +380,8 @@ class NOVAPHY_CORE_API ModelBuilder {
     bool filter_parent, enabled;
     int32_t articulation = -1;
     std::string label = {};
+    int32_t mimic = -1;  // joint that it follows
+    Vec2f mimic_coef = {};
   };
   struct Articulation {
     int32_t start, end;  // joints

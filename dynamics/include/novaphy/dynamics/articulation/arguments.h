@@ -10,7 +10,8 @@ namespace novaphy {
 // Where an articulation's rows are.
 struct ArticulationRows {
   int32_t first_link, link_count, first_dof, dof_count, world;
-  int32_t moves;  // 0: impulses move none of its dofs
+  int32_t moves;      // 0: impulses move none of its dofs
+  int32_t followers;  // links that follow others
 };
 
 // What a step reads. The arrays of a model, state and control; rows, links and dof_parent are those
@@ -47,7 +48,8 @@ inline articulation::Tree<float> articulation_tree(const ArticulationArguments& 
           a.mass,
           a.com,
           a.inertia,
-          a.gravity[rows.world]};
+          a.gravity[rows.world],
+          rows.followers};
 }
 inline articulation::StepInputs<float> articulation_inputs(const ArticulationArguments& a) {
   return {a.q,

@@ -174,6 +174,25 @@ void solve_columns(const Tree<T>& tree, const T* m, T* x) {
     const T* const z = x + from * n;
     for (int64_t c = 0; c < n; ++c) y[c] = y[c] - l * z[c];
   };
+  const auto scale = [&](int64_t to, const T& l) {
+    for (int64_t c = 0; c < n; ++c) x[to * n + c] = l * x[to * n + c];
+  };
+  if (tree.followers > 0) {
+    for_followers(tree, [&](int32_t follower, int32_t leader, const T& multiplier) {
+      subtract(leader, follower, -multiplier);
+      scale(follower, T(0.0f));
+    });
+    for (int32_t k = tree.dof_count; k-- > 0;)
+      for (int32_t j = k; j-- > 0;) subtract(j, k, m[k * n + j]);
+    for (int32_t k = 0; k < tree.dof_count; ++k) {
+      scale(k, T(1.0f) / m[k * n + k]);
+      for (int32_t j = k; j-- > 0;) subtract(k, j, m[k * n + j]);
+    }
+    for_followers(tree, [&](int32_t follower, int32_t leader, const T& multiplier) {
+      subtract(follower, leader, -multiplier);  // the follower's row is 0
+    });
+    return;
+  }
   for (int32_t k = tree.dof_count; k-- > 0;)
     for (int32_t j = tree.dof_parent[k]; j >= 0; j = tree.dof_parent[j])
       subtract(j, k, m[k * n + j]);

@@ -1,8 +1,9 @@
 // M = L^T D L of a matrix with a tree's sparsity (Featherstone 2008, section 6.5): rows are
-// eliminated from the leaves, so L has entries only where M has, and no fill-in.
+// eliminated from the leaves, so L has entries only where M has, and no fill-in. With followers
+// (mimic.h) M stands for T^T M T, and M^-1 for T (T^T M T)^-1 T^T.
 #pragma once
 
-#include "novaphy/dynamics/articulation/tree.h"
+#include "novaphy/dynamics/articulation/mimic.h"
 
 namespace novaphy::articulation {
 
@@ -10,6 +11,7 @@ namespace novaphy::articulation {
 // the first dof from the leaves whose pivot is not positive (in any lane), or -1; there it stops.
 template <class T>
 int32_t factor(const Tree<T>& tree, T* m) {
+  if (tree.followers > 0) return factor_whole(tree, m);
   const int64_t n = tree.dof_count;
   for (int32_t k = tree.dof_count; k-- > 0;) {
     T* const row = m + k * n;
@@ -27,6 +29,7 @@ int32_t factor(const Tree<T>& tree, T* m) {
 // x of M x = b, in place.
 template <class T>
 void solve(const Tree<T>& tree, const T* m, T* x) {
+  if (tree.followers > 0) return solve_whole(tree, m, x);
   const int64_t n = tree.dof_count;
   for (int32_t k = tree.dof_count; k-- > 0;)
     for (int32_t j = tree.dof_parent[k]; j >= 0; j = tree.dof_parent[j])

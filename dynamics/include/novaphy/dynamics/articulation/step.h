@@ -4,7 +4,7 @@
 //   v  = qd + dt qdd, clamped to the velocity limits of joints with one dof
 //   q' = q moved by v over dt (quaternions by the Cayley map), then qd' = v, of angular dofs
 //   times 1 - angular_damping dt
-//   body_q, body_qd of (q', qd')
+//   q' and qd' of joints that follow others from theirs (mimic.h); body_q, body_qd of (q', qd')
 // Kinematic dofs have endless inertia: their qdd is 0, whatever pulls at them, nothing damps them,
 // and what hangs on them moves as they do. Contacts (pgs.h) change v between the first and the
 // second line; qdd is then what they leave. Wrenches on bodies, and joint_f of FREE joints, are
@@ -193,6 +193,7 @@ void finish_step(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions
       qd_next[link.dof + j] =
           ws.qd_next[local_dof(tree, link) + j] * damping_factor(link, j, options);
   }
+  follow(tree, q_next, qd_next);
   link_frames(tree, q_next, ws);
   link_motions(tree, qd_next + tree.first_dof, ws);
   write_bodies(tree, ws, body_q, body_qd);

@@ -230,10 +230,16 @@ void step_vjp_rates(const Tree<T>& tree, const StepInputs<T>& in, const StepOpti
       memory.moved_com[i] =
           memory.moved_com[i] + free_com_gradient(tree, link, in.q, q_next, moved);
     }
+    for (int32_t j = 0; out.qd && j < link.dofs; ++j)
+      rate[first + j] = rate[first + j] + out.qd[link.dof + j];
+  }
+  gather_followers(tree, tangent);
+  gather_followers(tree, rate);
+  for (int32_t i = 0; i < tree.link_count; ++i) {
+    const Link& link = tree.links[i];
     for (int32_t j = 0; j < link.dofs; ++j) {
-      const int32_t k = first + j;
-      if (out.qd) rate[k] = rate[k] + out.qd[link.dof + j];
-      rate[k] = rate[k] * damping_factor(link, j, options);
+      T& to = rate[local_dof(tree, link) + j];
+      to = to * damping_factor(link, j, options);
     }
   }
 

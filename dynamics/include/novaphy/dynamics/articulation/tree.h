@@ -46,6 +46,8 @@ struct Link {
   int32_t coord = 0;     // first row of q
   int32_t dof = 0;       // first row of qd, and of the axis
   int32_t dofs = 0;
+  int32_t leader = -1;                     // link that it follows (mimic.h), which follows none
+  float multiplier = 1.0f, offset = 0.0f;  // of the leader's coordinate
   bool operator==(const Link&) const = default;
 };
 
@@ -65,6 +67,7 @@ struct Tree {
   const Mat33<T>* inertia = nullptr;  // kg m^2 about the centre of mass, body axes; (I + I^T) / 2
                                       // is what acts
   Vec3<T> gravity = {};               // m/s^2
+  int32_t followers = 0;              // links that follow others
 };
 
 // What kinematics, inverse_dynamics and mass_matrix leave of a link.

@@ -89,6 +89,10 @@ void tree_contact_rows(const Tree<T>& tree, const Workspace<T>& ws, const TreeCo
     y1[k] = j1[k];
     y2[k] = j2[k];
   }
+  if (tree.followers > 0) {
+    for (int r = 0; r < 3; ++r) solve_whole(tree, ws.matrix, response + r * n);
+    return;
+  }
   for (int32_t k = tree.dof_count; k-- > 0;) {
     if (!any(has(contact.moved_by, static_cast<int32_t>(1u << k)))) continue;
     const T a0 = y0[k], a1 = y1[k], a2 = y2[k];

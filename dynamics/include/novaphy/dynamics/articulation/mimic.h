@@ -1,0 +1,114 @@
+// Links whose joint follows that of another one (URDF's mimic): q_f = multiplier q_l + offset, of
+// joints with one dof. With the constant T of qd = T qd_reduced a step moves
+//   T^T M T qdd_reduced = T^T f,   qdd = T qdd_reduced
+// so M^-1 becomes the symmetric T (T^T M T)^-1 T^T in every formula (contacts, adjoints,
+// derivatives), and nothing else changes. A follower's coordinates are written from the leader's at
+// the end of a step; at its start they are read as they stand. Followers join branches, so the
+// matrix is factored whole, without the tree's sparsity.
+// Source: Featherstone, Rigid Body Dynamics Algorithms (2008), section 3.4 (implicit constraints
+// made explicit).
+#pragma once
+
+#include "novaphy/dynamics/articulation/tree.h"
+
+namespace novaphy::articulation {
+
+inline bool follows(const Link& link) { return link.leader >= 0; }
+
+// f(follower's dof, leader's dof, multiplier) for each follower; dofs among the tree's.
+template <class T, class F>
+void for_followers(const Tree<T>& tree, F&& f) {
+  if (tree.followers == 0) return;
+  for (int32_t i = 0; i < tree.link_count; ++i) {
+    const Link& link = tree.links[i];
+    if (follows(link))
+      f(local_dof(tree, link), local_dof(tree, tree.links[link.leader]), T(link.multiplier));
+  }
+}
+
+// x = T^T x: numbers of dofs that act (forces, gradients).
+template <class T>
+void gather_followers(const Tree<T>& tree, T* x) {
+  for_followers(tree, [x](int32_t follower, int32_t leader, const T& multiplier) {
+    x[leader] = x[leader] + multiplier * x[follower];
+    x[follower] = T(0.0f);
+  });
+}
+// x = T x: numbers of dofs that move (rates, accelerations).
+template <class T>
+void spread_leaders(const Tree<T>& tree, T* x) {
+  for_followers(tree, [x](int32_t follower, int32_t leader, const T& multiplier) {
+    x[follower] = multiplier * x[leader];
+  });
+}
+
+// A new state's coordinates and rates of followers; rows of the arrays.
+template <class T>
+void follow(const Tree<T>& tree, T* q, T* qd) {
+  if (tree.followers == 0) return;
+  for (int32_t i = 0; i < tree.link_count; ++i) {
+    const Link& link = tree.links[i];
+    if (!follows(link)) continue;
+    const Link& leader = tree.links[link.leader];
+    q[link.coord] = T(link.multiplier) * q[leader.coord] + T(link.offset);
+    qd[link.dof] = T(link.multiplier) * qd[leader.dof];
+  }
+}
+
+// T^T M T in place of what mass_matrix wrote, with 1 on the diagonal of followers.
+template <class T>
+void reduce_matrix(const Tree<T>& tree, T* m) {
+  const int64_t n = tree.dof_count;
+  for (int32_t k = 0; k < tree.dof_count; ++k) {
+    int32_t above = tree.dof_parent[k];
+    for (int32_t j = k; j-- > 0;)
+      if (j == above)
+        above = tree.dof_parent[j];
+      else
+        m[k * n + j] = T(0.0f);
+  }
+  for_followers(tree, [m, n](int32_t f, int32_t l, const T& multiplier) {
+    const auto at = [m, n](int64_t a, int64_t b) -> T& {
+      return a > b ? m[a * n + b] : m[b * n + a];
+    };
+    at(l, l) = at(l, l) + multiplier * (at(f, l) + at(f, l) + multiplier * at(f, f));
+    for (int32_t k = 0; k < static_cast<int32_t>(n); ++k) {
+      if (k == f) continue;
+      if (k != l) at(l, k) = at(l, k) + multiplier * at(f, k);
+      at(f, k) = T(0.0f);
+    }
+    at(f, f) = T(1.0f);
+  });
+}
+
+// factor and solve (factor.h) of trees with followers.
+template <class T>
+int32_t factor_whole(const Tree<T>& tree, T* m) {
+  reduce_matrix(tree, m);
+  const int64_t n = tree.dof_count;
+  for (int32_t k = tree.dof_count; k-- > 0;) {
+    T* const row = m + k * n;
+    if (!all(row[k] > T(0.0f))) return k;
+    const T inverse = T(1.0f) / row[k];
+    for (int32_t i = k; i-- > 0;) {
+      const T a = row[i] * inverse;
+      for (int32_t j = i; j >= 0; --j) m[i * n + j] = m[i * n + j] - a * row[j];
+      row[i] = a;
+    }
+  }
+  return -1;
+}
+template <class T>
+void solve_whole(const Tree<T>& tree, const T* m, T* x) {
+  const int64_t n = tree.dof_count;
+  gather_followers(tree, x);
+  for (int32_t k = tree.dof_count; k-- > 0;)
+    for (int32_t j = k; j-- > 0;) x[j] = x[j] - m[k * n + j] * x[k];
+  for (int32_t k = 0; k < tree.dof_count; ++k) {
+    x[k] = x[k] / m[k * n + k];
+    for (int32_t j = k; j-- > 0;) x[k] = x[k] - m[k * n + j] * x[j];
+  }
+  spread_leaders(tree, x);
+}
+
+}  // namespace novaphy::articulation

@@ -485,7 +485,14 @@ def demos() -> None:
     """The demos: training, gradient check, states and picture."""
     interpreter = wheel_python()
     iterations = {"ball": 5, "soft_body": 10, "cloth": 5, "spring_cage": 20, "dice": 3}
-    iterations |= {"push": 3, "drone": 3, "featherstone": 3, "cart_pole": 3, "franka_push_box": 2}
+    iterations |= {
+        "push": 3,
+        "drone": 3,
+        "featherstone": 3,
+        "cart_pole": 3,
+        "fr3_reach": 3,
+        "franka_push_box": 2,
+    }
     iterations |= {"vbd_cloth": 2, "vbd_gripper": 2}
     for demo, count in iterations.items():
         with tempfile.TemporaryDirectory() as folder:

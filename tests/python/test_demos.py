@@ -166,7 +166,9 @@ def test_the_die_is_trained_to_land_on_its_face():
     assert "of 1 random spins" in done.stdout
 
 
-@pytest.mark.parametrize(("name", "iterations"), [("featherstone", "10"), ("cart_pole", "2")])
+@pytest.mark.parametrize(
+    ("name", "iterations"), [("featherstone", "10"), ("cart_pole", "2"), ("fr3_reach", "150")]
+)
 def test_articulations_are_trained_with_the_right_gradient(name, iterations):
     pytest.importorskip("novaphy.diff")
     done = demo(name, "--headless", iterations, "--check-grad")
@@ -338,6 +340,7 @@ def check_ways(recorder: Recorder, name: str, shown: int, points: int) -> None:
         ("push", 7, 3, None, None),
         ("drone", 11, 3, None, None),
         ("cart_pole", 21, 3, None, None),
+        ("fr3_reach", 11, 3, None, None),
     ],
 )
 def test_a_demo_shows_its_iterations(monkeypatch, name, iterations, shown, frames, points):

@@ -233,6 +233,56 @@ def test_the_recorder_refuses_what_it_does_not_model(edit: object, message: str)
         recorded(model, 0.05, steps=2)
 
 
+def set_row(name: str, row: int, values: list) -> object:
+    """Make an edit of one row of the model."""
+
+    def edit(model: novaphy.Model) -> None:
+        array = getattr(model, name)
+        now = array.numpy()
+        now[row] = values
+        array.assign(now)
+
+    return edit
+
+
+@diff
+@pytest.mark.parametrize(
+    ("edit", "message"),
+    [
+        (set_to("joint_friction", 0.1, 1), "joint_friction 0, got 0.1"),
+        (set_row("joint_axis", 1, [1.0, 0.0, 0.0]), r"axes of exactly \+Y"),
+        (set_row("joint_X_p", 1, [0.25, 0, 0, 0, 1, 0, 0]), "joint frames without rotation"),
+        (set_to("joint_X_p", 0.1, 8), "the second joint on the first link's x axis"),
+    ],
+)
+def test_the_recorder_refuses_joints_of_another_kind(edit: object, message: str) -> None:
+    model = arm().finalize(requires_grad=True)
+    edit(model)  # type: ignore[operator]
+    with pytest.raises(novaphy.Error, match=message):
+        recorded(model, 0.05, steps=2)
+
+
+def third_link(builder: novaphy.ModelBuilder) -> None:
+    """An arm beside the arm."""
+    link = builder.add_link(mass=1.0, inertia=np.eye(3))
+    builder.add_articulation([builder.add_joint_revolute(-1, link)])
+
+
+@diff
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (third_link, "one articulation"),
+        (lambda builder: builder.add_constraint_mimic(1, 0), "joints that follow no other"),
+    ],
+)
+def test_the_recorder_refuses_other_mechanisms(change: object, message: str) -> None:
+    builder = arm()
+    change(builder)  # type: ignore[operator]
+    with pytest.raises(novaphy.Error, match=message):
+        recorded(builder.finalize(requires_grad=True), 0.05, steps=2)
+
+
 @diff
 def test_the_recorder_refuses_another_angular_damping() -> None:
     model = arm().finalize(requires_grad=True)

@@ -12,20 +12,6 @@ namespace {
 namespace art = articulation;
 constexpr int64_t kTreeChunk = 8, kIslandChunk = 4;
 
-// Whether the point that meets a plane is fixed to its shape: a centre, an end, a corner.
-bool meets_planes_in_points(int32_t shape_type) {
-  switch (static_cast<GeoType>(shape_type)) {
-    case GeoType::SPHERE:
-    case GeoType::CAPSULE:
-    case GeoType::BOX:
-    case GeoType::CONVEX_MESH:
-    case GeoType::MESH:
-      return true;
-    default:
-      return false;
-  }
-}
-
 }  // namespace
 
 PgsContacts::PgsContacts(const Model& m, const Articulations& articulations)
@@ -96,7 +82,7 @@ ContactRows contact_rows(const Contacts* contacts) {
 
 void PgsContacts::gather(const Model& m, const ContactRows& c) {
   const int32_t* const shapes[2] = {c.shape0, c.shape1};
-  const int32_t *const body = m.shape_body.data(), *const type = m.shape_type.data();
+  const int32_t* const body = m.shape_body.data();
   int64_t numbers = 0;
   for (int32_t i = 0; i < c.count; ++i) {
     Row row;
@@ -114,10 +100,7 @@ void PgsContacts::gather(const Model& m, const ContactRows& c) {
     }
     int32_t widths[2];
     if (!art::set_widths(trees_, row.sides, widths)) continue;
-    for (int side = 0; c.found && side < 2; ++side)
-      row.follows = row.follows || (row.sides[side].tree < 0 &&
-                                    type[shapes[side][i]] == static_cast<int32_t>(GeoType::PLANE) &&
-                                    meets_planes_in_points(type[shapes[1 - side][i]]));
+    row.follows = art::follows_plane(c, m.shape_type.data(), i, row.sides);
     for (int side = 0; side < 2; ++side) {
       row.solver.sides[side].width = widths[side];
       numbers += 6 * widths[side];
@@ -254,9 +237,7 @@ void PgsContacts::build_row(const Step& s, Row& row) {
 }
 
 void PgsContacts::set_target(const Step& s, Row& row) {
-  const art::ContactMaterial<float> of = s.material(row);
-  art::set_target(s.law, of, row);
-  row.elastic = of.restitution > 0.0f;
+  art::set_target(s.law, s.material(row), row);
 }
 
 void PgsContacts::place_friction() {

@@ -9,8 +9,8 @@
 #include "novaphy/core/array_stamp.h"
 #include "novaphy/core/sim/contacts.h"
 #include "novaphy/core/sim/index_rows.h"
+#include "novaphy/dynamics/articulation/contact_adjoint.h"
 #include "novaphy/dynamics/articulation/dual.h"
-#include "novaphy/dynamics/articulation/islands.h"
 #include "novaphy/dynamics/featherstone/articulations.h"
 #include "novaphy/dynamics/featherstone/contact_branches.h"
 #include "novaphy/dynamics/featherstone/solver_featherstone.h"
@@ -54,7 +54,7 @@ class PgsContacts : private TreeContacts {
   void add_branches(ContactBranches& to, const FeatherstoneOptions& options, bool by_restitution);
   // Behind prepare: the adjoint of step, as articulation_step_vjp, from its impulses. Branches stay
   // as they are, and so do normals. Points are fixed to their shapes; that of a plane of the world
-  // stays below the other, where that is exact (Row::follows).
+  // stays below the other, where that is exact (IslandContact::follows).
   void vjp(const ArticulationStepVjpArguments& step, const Model& model,
            const ContactRows& contacts, const Vec3f* impulses, const float* friction,
            const FeatherstoneOptions& options, const ContactGradient& more);
@@ -74,18 +74,15 @@ class PgsContacts : private TreeContacts {
 
  private:
   using Side = articulation::ContactSide;
-  struct Row : articulation::IslandContact {
+  struct Row : articulation::AdjointContact {
     int64_t numbers = 0;  // first of J and Y
-    // Found from the state, of a point that is fixed to its shape and a plane of the world: so the
-    // normal is constant, and the point of the plane goes along it below the other.
-    bool follows = false;
-    bool elastic = false;
   };
   struct Friction {
     int32_t tree = 0, dof = 0;  // of the tree
     float impulse = 0.0f;
   };
   struct Step;
+  struct AdjointIsland;
 
   int32_t count(int64_t tree) const override;
   int32_t fill(int64_t tree, int32_t i, float* numbers, int32_t stride) override;
@@ -102,17 +99,13 @@ class PgsContacts : private TreeContacts {
   void set_target(const Step& step, Row& row);  // behind it, at the rates without impulses
   void place_friction();
   void build_friction(const Step& step, int32_t row);
-  bool sticks(int32_t friction) const;
-  void add_material_gradients(const Step& step, const Row& row, const double* z,
-                              const ContactGradient& to) const;
+  void add_material_gradients(const Step& step, const Row& row, const ContactGradient& to) const;
   void add_friction_gradients(float* to);
   const articulation::KeptContact* kept_of(size_t row) const;  // null: it starts from nothing
   void solve_island(const Step& step, int64_t island);
   void keep(const ContactRows& contacts, float dt, Vec3f* force);
   void solve_adjoint(int64_t island, bool cone);
   bool sharing_matters(int64_t island, bool cone);
-  void add_geometry(const Row& row, const Vec3f& push, const Vec3f& pull, float normal,
-                    const ArticulationArguments& in);
   articulation::AdjointMemory<float> adjoint(int64_t tree);
   int32_t find_root(int32_t tree) {
     return articulation::find_root(
@@ -150,11 +143,7 @@ class PgsContacts : private TreeContacts {
   std::vector<uint64_t> adjoint_;  // memory of all trees, of vjp
   std::vector<int64_t> adjoint_begin_;
   std::vector<double> system_;
-  std::vector<int32_t> active_;
-  std::vector<Vec3f> pulls_;          // of each row: adjoint of its velocity along n, t1, t2
-  std::vector<Vec3f> multipliers_;    // likewise, of its equations: z
-  std::vector<float> friction_push_;  // of each dof: the sign of its friction
-  std::vector<int32_t> sticking_;     // dry friction of an island that holds its dof
+  std::vector<float> friction_push_;  // of each dof: friction_push
   int32_t sweeps_ = 0;
   float residual_ = 0.0f;
 };

@@ -1,10 +1,9 @@
 // Forward derivatives of contacts and dry friction, by the set of rows that are active: the
-// transpose of pgs_contacts_vjp.cpp. Dual numbers carry the step with the impulses as they are; the
+// transpose of articulation/contact_adjoint.h. Dual numbers carry the step with the impulses as they are; the
 // rows then have the derivatives r, and the impulses answer by (B J M^-1 J^T + R) lambda' = -r.
 #include <algorithm>
 #include <cmath>
 
-#include "pgs_branches.h"
 #include "pgs_contacts_step.h"
 
 namespace novaphy {
@@ -154,7 +153,7 @@ void PgsContacts::jvp(const std::vector<art::Tree<D>>& trees, const D* qd,
     const int32_t row = tree.first_dof + dry.dof;
     const D limit = of.joint_friction[row] * D(dt);
     D impulse(friction[row]);
-    holds[i] = std::fabs(impulse.value) < limit.value * (1.0f - kSlides);
+    holds[i] = art::holds(impulse.value, limit.value);
     if (!holds[i]) impulse.tangent = impulse.value < 0.0f ? -limit.tangent : limit.tangent;
     for (int32_t k = 0; k < tree.dof_count; ++k)
       w.qd_next[k] = w.qd_next[k] + responses[i][static_cast<size_t>(k)] * impulse;
@@ -188,11 +187,12 @@ void PgsContacts::jvp(const std::vector<art::Tree<D>>& trees, const D* qd,
       const art::PgsContact<float>& solver = rows_[active[d]].solver;
       D w[3];
       for (int r = 0; r < 3; ++r) w[r] = slip(row, r, ws, nullptr, trees);
-      const double along[2] = {w[1].value, w[2].value};
-      const ContactBranch branch = branch_of(solver, f.cone);
-      const ContactBlocks k = blocks_of(solver, branch, f.cone, along);
+      const float along[2] = {w[1].value, w[2].value};
+      const art::ContactBranch branch = art::branch_of(solver, f.cone);
+      art::ContactBlocks k;
+      art::set_blocks(solver, branch, f.cone, along, k);
       double by_friction[2];
-      rows_by_friction(solver, branch, f.cone, along, by_friction);
+      art::rows_by_friction(solver, branch, f.cone, along, by_friction);
       for (size_t e = 0; e < 3; ++e) {
         double* const to = system_.data() + (3 * d + e) * width;
         for (size_t other = 0; other < active.size(); ++other)
@@ -203,7 +203,7 @@ void PgsContacts::jvp(const std::vector<art::Tree<D>>& trees, const D* qd,
             if (other != d) continue;
             a += k.r[e][i];
             if (static_cast<int>(e) == i && (i == 0 || !branch.slides[i - 1]))
-              a += kRegularity * coupling(row, i, row, i);
+              a += art::kRegularity * coupling(row, i, row, i);
           }
         for (size_t h = 0; h < held.size(); ++h) {
           const Friction& dry = friction_[held[h]];
@@ -231,10 +231,10 @@ void PgsContacts::jvp(const std::vector<art::Tree<D>>& trees, const D* qd,
       for (size_t g = 0; g < held.size(); ++g)
         if (friction_[held[g]].tree == dry.tree)
           to[contacts + g] = responses[held[g]][static_cast<size_t>(dry.dof)].value;
-      to[contacts + h] *= 1.0 + kRegularity;
+      to[contacts + h] *= 1.0 + art::kRegularity;
       to[n] = -ws[static_cast<size_t>(dry.tree)].qd_next[dry.dof].tangent;
     }
-    solve_dense(system_, n);
+    art::solve_dense(system_.data(), static_cast<int64_t>(n));
     for (size_t d = 0; d < active.size(); ++d)
       for (int r = 0; r < 3; ++r) {
         const double x = system_[(3 * d + static_cast<size_t>(r)) * width + n];

@@ -5,6 +5,7 @@
 // A tree that touches nothing but the world, without dry friction, is solved by tree_contacts.h.
 #pragma once
 
+#include "novaphy/core/sim/enums.h"
 #include "novaphy/dynamics/articulation/contact_rows.h"
 #include "novaphy/dynamics/articulation/pgs.h"
 #include "novaphy/dynamics/articulation/tree_contacts.h"
@@ -112,6 +113,31 @@ inline int32_t find_kept(const KeptContact* kept, int32_t count, int32_t& next,
   return -1;
 }
 
+// Whether the point of a shape that meets a plane is fixed to it: a centre, an end, a corner.
+inline bool meets_planes_in_points(int32_t shape_type) {
+  switch (static_cast<GeoType>(shape_type)) {
+    case GeoType::SPHERE:
+    case GeoType::CAPSULE:
+    case GeoType::BOX:
+    case GeoType::CONVEX_MESH:
+    case GeoType::MESH:
+      return true;
+    default:
+      return false;
+  }
+}
+// IslandContact::follows of a contact.
+inline bool follows_plane(const ContactRows& c, const int32_t* shape_type, int32_t contact,
+                          const ContactSide* sides) {
+  const int32_t types[2] = {shape_type[c.shape0[contact]], shape_type[c.shape1[contact]]};
+  bool follows = false;
+  for (int side = 0; c.found && side < 2; ++side)
+    follows =
+        follows || (sides[side].tree < 0 && types[side] == static_cast<int32_t>(GeoType::PLANE) &&
+                    meets_planes_in_points(types[1 - side]));
+  return follows;
+}
+
 // What the rows of an island read of a tree, and move.
 struct IslandTree {
   Tree<float> tree;
@@ -131,6 +157,12 @@ struct IslandContact {
   float before = 0.0f;  // J_n qd
   NormalTarget<float> target = {};
   PgsContact<float> solver = {};
+  // For derivatives (active_rows.h). Found from the state, of a point that is fixed to its shape
+  // and a plane of the world: so the normal is constant, and the point of the plane goes along it
+  // below the other.
+  bool follows = false;
+  bool elastic = false;  // it has restitution
+  int32_t listed = 0;    // of a list of rows, that of this place
 };
 
 // Its rows, in `numbers` {6, widths of both sides}.
@@ -183,6 +215,7 @@ inline void set_target(const ContactLaw<float>& law, const ContactMaterial<float
   row.solver.bias = row.target.bias;
   row.solver.cfm = row.target.cfm;
   row.solver.friction = material.friction;
+  row.elastic = material.restitution > 0.0f;
   set_steps<float>(row.solver);
 }
 

@@ -13,7 +13,7 @@
 //
 // With contacts (FeatherstoneOptions::contact Pgs) the sweeps start from nothing and go on to
 // pgs_tolerance, at most 1000 times (more where pgs_iterations is more). The gradient is that of
-// the converged impulses by the rows that are active (src/featherstone/pgs_contacts_vjp.cpp): exact
+// the converged impulses by the rows that are active (articulation/contact_adjoint.h): exact
 // where they converged and no contact is just breaking, sticking or sliding, else a surrogate;
 // ContactBranches counts them. Points of contacts and normals move as the search moves them where a
 // plane of the world meets spheres, capsules, boxes, hulls or meshes and they were found from the

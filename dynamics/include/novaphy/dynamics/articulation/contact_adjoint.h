@@ -1,0 +1,284 @@
+// The adjoint of a step with contacts, by the set of rows that are active (pgs.h, active_rows.h).
+//
+// With the converged impulses lambda, v' solves M (v' - v) = J^T lambda together with one row per
+// active direction:
+//   breaking (lambda_n = 0)             no row
+//   normal                              J_n v' + beta + cfm lambda_n = 0
+//   sticking                            J_t v' = 0
+//   sliding                             lambda_t + mu lambda_n t = 0, t = w_t / |w_t|, w_t = J_t v'
+//   sliding of a pyramid's tangent      lambda_t -+ mu lambda_n = 0
+//   dry friction that holds its dof     v'_k = 0; else a constant: lambda -+ friction dt = 0
+// Rows move velocities by B J (B 3 x 3 per contact: 1; a sliding cone mu lambda_n (1 - t
+// t^T)/|w_t|) and impulses by R. With the gradient g of v':
+//   (J M^-1 J^T B^T + R^T) z = J M^-1 g,   gradient of M v:  p = M^-1 (g - J^T B^T z)
+// so B^T z, as pushes at the contacts, leaves g, and the adjoint without contacts does the rest.
+// A material p gives -z . d(rows)/dp, dry friction +-dt p_k. What is left is the geometry: J's own
+// change with q in  -lambda . (J of p) + (B^T z) . (J of v'). Turning by S_k all that hangs on link
+// i changes a motion T of link b by S_k x (T_b - T_i). Source: Featherstone (2008), section 3.3,
+// for motions; the implicit function theorem.
+#pragma once
+
+#include "novaphy/dynamics/articulation/active_rows.h"
+#include "novaphy/dynamics/articulation/step_vjp.h"
+
+namespace novaphy::articulation {
+
+struct AdjointContact : IslandContact {
+  Vec3f z{};     // multipliers of its equations
+  Vec3f pull{};  // B^T z, along n, t1, t2
+};
+
+// The numbers of the system of an island.
+inline int64_t adjoint_numbers(int64_t contacts, int64_t held) {
+  const int64_t n = 3 * contacts + held;
+  return n * (n + 1);
+}
+
+// z of an island; their pulls and those of dry friction leave the gradients of the rates. Of
+// `island`:
+//   for_contacts(f)     f(contact), of the rows with impulses, in their order
+//   for_held(f)         f(friction, tree), of the dry friction that holds its dof
+//   system(numbers)     memory, or null: then nothing is done and the result is false
+//   rate_gradient(tree), dofs(tree)
+template <class Island>
+bool solve_adjoint(const Island& island, bool cone) {
+  using Dry = PgsJointFriction<float>;
+  int64_t contacts = 0, held = 0;
+  island.for_contacts([&](const AdjointContact&) { ++contacts; });
+  island.for_held([&](const Dry&, int32_t) { ++held; });
+  double* const system = island.system(adjoint_numbers(contacts, held));
+  if (system == nullptr) return false;
+  const int64_t first_held = 3 * contacts, n = first_held + held, width = n + 1;
+  for (int64_t k = 0; k < n * width; ++k) system[k] = 0.0;
+
+  double* of_held = system + first_held * width;
+  int64_t own = first_held;
+  island.for_held([&](const Dry& row, int32_t tree) {
+    double* other = of_held + first_held;
+    island.for_held([&](const Dry& to, int32_t other_tree) {
+      if (other_tree == tree) *other = row.response[to.dof];
+      ++other;
+    });
+    of_held[own] += kRegularity * of_held[own];
+    const float* const g = island.rate_gradient(tree);
+    for (int32_t x = 0; x < island.dofs(tree); ++x) of_held[n] += double{row.response[x]} * g[x];
+    of_held += width;
+    ++own;
+  });
+  int64_t column = 0;  // of a contact's normal
+  island.for_contacts([&](const AdjointContact& at) {
+    const PgsContact<float>& other = at.solver;
+    const ContactBranch branch = branch_of(other, cone);
+    float along[2];
+    slip_along(other, branch, along);
+    ContactBlocks k;
+    set_blocks(other, branch, cone, along, k);
+    double* rows = system;
+    island.for_contacts([&](const AdjointContact& one) {
+      for (int i = 0; i < 3; ++i) {
+        double a[3];
+        for (int j = 0; j < 3; ++j) a[j] = coupling(one.solver, i, other, j);
+        double* const row = rows + i * width + column;
+        for (int e = 0; e < 3; ++e) {
+          row[e] = (a[0] * k.b[e][0] + a[1] * k.b[e][1]) + a[2] * k.b[e][2];
+          if (&one != &at) continue;
+          row[e] += k.r[e][i];
+          const bool slides = i > 0 && branch.slides[i - 1];
+          if (e == i && !slides) row[e] += kRegularity * a[i];
+        }
+      }
+      rows += 3 * width;
+    });
+    // J M^-1 g: Y times the gradient of the rates.
+    for (int i = 0; i < 3; ++i) {
+      double* const row = system + (column + i) * width;
+      int64_t f = first_held;
+      island.for_held([&](const Dry& dry, int32_t) {
+        double y[3] = {};  // of the contact's rows, for the dof
+        for (const RowSide<float>& s : other.sides) {
+          if (s.response == nullptr || s.rates != dry.rates) continue;
+          for (int j = 0; j < 3; ++j) y[j] += s.response[j * s.width + dry.dof];
+        }
+        row[f] = y[i];
+        system[f * width + column + i] = (y[0] * k.b[i][0] + y[1] * k.b[i][1]) + y[2] * k.b[i][2];
+        ++f;
+      });
+      double sum = 0.0;
+      for (int side = 0; side < 2; ++side) {
+        const RowSide<float>& s = other.sides[side];
+        if (s.response == nullptr) continue;
+        const int32_t tree = at.sides[side].tree;
+        const float* const g = island.rate_gradient(tree);
+        for (int32_t x = 0; x < island.dofs(tree); ++x)
+          sum += double{s.response[i * s.width + x]} * g[x];
+      }
+      row[n] = sum;
+    }
+    column += 3;
+  });
+  solve_dense(system, n);
+
+  column = 0;
+  island.for_contacts([&](AdjointContact& at) {
+    const ContactBranch branch = branch_of(at.solver, cone);
+    float along[2];
+    slip_along(at.solver, branch, along);
+    ContactBlocks k;
+    set_blocks(at.solver, branch, cone, along, k);
+    double z[3];
+    float pull[3];
+    for (int e = 0; e < 3; ++e) z[e] = system[(column + e) * width + n];
+    for (int j = 0; j < 3; ++j)
+      pull[j] = static_cast<float>((z[0] * k.b[0][j] + z[1] * k.b[1][j]) + z[2] * k.b[2][j]);
+    at.pull = {pull[0], pull[1], pull[2]};
+    at.z = {static_cast<float>(z[0]), static_cast<float>(z[1]), static_cast<float>(z[2])};
+    column += 3;
+  });
+  int64_t f = first_held;
+  island.for_held([&](const Dry& dry, int32_t tree) {
+    float& g = island.rate_gradient(tree)[dry.dof];
+    g -= static_cast<float>(system[f++ * width + n]);
+  });
+  island.for_contacts([&](const AdjointContact& at) {
+    const float pull[3] = {at.pull.x, at.pull.y, at.pull.z};
+    for (int side = 0; side < 2; ++side) {
+      const RowSide<float>& s = at.solver.sides[side];
+      if (s.width == 0) continue;
+      const int32_t tree = at.sides[side].tree;
+      float* const g = island.rate_gradient(tree);
+      for (int r = 0; r < 3; ++r)
+        for (int32_t x = 0; x < island.dofs(tree); ++x)
+          g[x] -= s.jacobian[r * s.width + x] * pull[r];
+    }
+  });
+  return true;
+}
+
+// Behind step_vjp_solve: of the links, w becomes the motion of lambda = dt p and a_adjoint that of
+// `rates`, those behind the impulses; v is that of qd.
+inline void set_contact_motions(const Tree<float>& tree, const float* rates, Workspace<float>& ws,
+                                const AdjointMemory<float>& memory) {
+  for (int32_t i = 0; i < tree.link_count; ++i) {
+    const Link& link = tree.links[i];
+    LinkState<float>& to = ws.links[i];
+    to.w = joint_motion(tree, link, ws.axes, memory.scratch);
+    to.a_adjoint = joint_motion(tree, link, ws.axes, rates);
+    if (link.parent < 0) continue;
+    to.w = ws.links[link.parent].w + to.w;
+    to.a_adjoint = ws.links[link.parent].a_adjoint + to.a_adjoint;
+  }
+}
+
+// A row's own change with q, and of a bounce with qd, into the gradients of its trees. The midpoint
+// moves with half of each core, and below a point that is followed with all of its movement along
+// the plane. tree_of(i) is an IslandTree, memory_of(i) an AdjointMemory.
+template <class TreeOf, class MemoryOf>
+void add_contact_geometry(const AdjointContact& row, float dt, const TreeOf& tree_of,
+                          const MemoryOf& memory_of) {
+  const Vec3f* const axes = row.frame.axes;
+  const auto world = [&](float x, float y, float z) {
+    return axes[0] * x + (axes[1] * y + axes[2] * z);
+  };
+  const float* const impulse = row.solver.impulse;
+  const float normal = row.z.x;
+  const Vec3f push = world(impulse[0], impulse[1], impulse[2]) * (1.0f / dt);
+  const Vec3f bounce = axes[0] * (normal * row.target.bounce);
+  const Vec3f forces[3] = {-push, world(row.pull.x, row.pull.y, row.pull.z), bounce};
+  const Vec3f points[2] = {row.place.a, row.place.b};
+  SpatialVectorf motions[2][3] = {};
+  Vec3f by_point{};  // how the sum changes with the midpoint
+  for (int side = 0; side < 2; ++side) {
+    const ContactSide& at = row.sides[side];
+    if (at.tree < 0) continue;
+    const LinkState<float>& s = tree_of(at.tree).ws.links[at.link];
+    const SpatialVectorf of[3] = {s.w, s.a_adjoint, s.v};
+    for (int f = 0; f < 3; ++f) {
+      motions[side][f] = of[f];
+      by_point = by_point + math::cross(forces[f], of[f].angular) * (side == 0 ? -0.5f : 0.5f);
+    }
+  }
+  if (row.follows) by_point = by_point * 2.0f - axes[0] * math::dot(axes[0], by_point);
+  for (int side = 0; side < 2; ++side) {
+    const ContactSide& at = row.sides[side];
+    if (at.tree < 0) continue;
+    const float sign = side == 0 ? -1.0f : 1.0f;
+    const Vec3f by_core = by_point + axes[0] * (sign * normal * row.target.slope);
+    const IslandTree of = tree_of(at.tree);
+    const Tree<float>& tree = of.tree;
+    const AdjointMemory<float> memory = memory_of(at.tree);
+    for (int32_t i = at.link; i >= 0; i = tree.links[i].parent) {
+      const Link& link = tree.links[i];
+      const LinkState<float>& s = of.ws.links[i];
+      const SpatialVectorf own[3] = {s.w, s.a_adjoint, s.v};
+      // The rates of a FREE joint are about its centre of mass, which moves with its translation
+      // and with body_com: how they turn, without what carries the joint.
+      Vec3f turning[3] = {};
+      if (is_free(link)) {
+        Vec3f by_com{};
+        for (int f = 0; f < 3; ++f) {
+          turning[f] = own[f].angular;
+          if (link.parent >= 0) {
+            const LinkState<float>& parent = of.ws.links[link.parent];
+            const SpatialVectorf& carried = f == 0   ? parent.w
+                                            : f == 1 ? parent.a_adjoint
+                                                     : parent.v;
+            turning[f] = turning[f] - carried.angular;
+          }
+          by_com = by_com + math::cross(turning[f], forces[f]);
+        }
+        memory.moved_com[i] = memory.moved_com[i] - math::rotate_inverse(s.q, by_com * sign);
+      }
+      for (int32_t j = 0; j < link.dofs; ++j) {
+        const int32_t k = local_dof(tree, link) + j;
+        const SpatialVectorf& axis = of.ws.axes[k];
+        float sum = math::dot(by_core, math::motion_at(axis, row.cores[side]).linear);
+        for (int f = 0; f < 3; ++f) {
+          SpatialVectorf d = math::cross_motion(axis, motions[side][f] - own[f]);
+          if (is_free(link) && j < 3) d.linear = d.linear + math::cross(axis.linear, turning[f]);
+          sum += sign * math::dot(forces[f], math::motion_at(d, points[side]).linear);
+        }
+        memory.tangent[k] -= sum;
+        if (row.target.bounce > 0.0f)
+          memory.rate[k] -= sign * math::dot(bounce, math::motion_at(axis, points[side]).linear);
+      }
+    }
+  }
+}
+
+// -z . d(rows)/dp of a contact, of which each of the two shapes gets this: they are half of their
+// means.
+struct MaterialGradient {
+  float mu = 0.0f, restitution = 0.0f, ke = 0.0f, kd = 0.0f;
+};
+inline MaterialGradient material_gradient(const ContactLaw<float>& law,
+                                          const ContactMaterial<float>& of,
+                                          const AdjointContact& row) {
+  const PgsContact<float>& c = row.solver;
+  const double z[3] = {row.z.x, row.z.y, row.z.z};
+  const auto half = [](double value) { return static_cast<float>(0.5 * value); };
+  MaterialGradient to;
+  const ContactBranch branch = branch_of(c, law.cone);
+  float along[2];
+  slip_along(c, branch, along);
+  double by_friction[2];
+  rows_by_friction(c, branch, law.cone, along, by_friction);
+  to.mu = half(-(z[1] * by_friction[0] + z[2] * by_friction[1]));
+  if (row.target.bounce > 0.0f) to.restitution = half(-z[0] * row.before);
+  if (!law.compliant) return to;
+  const double dt = law.dt, soft = dt * of.stiffness + of.damping;
+  const bool spring =
+      !(row.place.gap > 0.0f) && !(row.target.bounce > 0.0f) && c.bias > -law.max_depenetration;
+  const double gap = spring ? row.place.gap : 0.0, impulse = c.impulse[0];
+  to.ke = half(-z[0] * (gap * of.damping - impulse) / (soft * soft));
+  to.kd = half(-z[0] * (-gap * of.stiffness - impulse / dt) / (soft * soft));
+  return to;
+}
+
+// How lambda of a dof changes with its friction: it slides against it, or would if it had some.
+// `has`: it has some, with this `impulse` of at most `limit`.
+inline float friction_push(bool has, float impulse, float limit, float rate) {
+  if (has) return holds(impulse, limit) ? 0.0f : (impulse < 0.0f ? -1.0f : 1.0f);
+  return rate > 0.0f ? -1.0f : (rate < 0.0f ? 1.0f : 0.0f);
+}
+
+}  // namespace novaphy::articulation

@@ -8,7 +8,7 @@
 namespace novaphy {
 namespace {
 
-constexpr size_t kMostWords = 96;
+constexpr size_t kMostWords = 128;
 
 LaunchArgument argument(const char* name, const Array& array, bool read, bool write, bool own_row) {
   const DTypeInfo& type = dtype_info(array.dtype());

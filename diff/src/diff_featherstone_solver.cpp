@@ -4,6 +4,7 @@
 #include <cmath>
 
 #include "novaphy/core/error.h"
+#include "novaphy/core/sim/on_host.h"
 #include "novaphy/dynamics/diff_model_reads.h"
 #include "novaphy/dynamics/joint_coordinates.h"
 #include "novaphy/nova/op_list.h"
@@ -45,13 +46,12 @@ float distance(const Transformf& a, const Transformf& b) {
 // Whether body_q is that of joint_q, to rounding; NaN is not.
 bool DiffFeatherstoneSolver::poses_follow(const SimState& state) {
   const Model& m = *model();
-  if (!m.device().is_cpu()) return false;
   const nova::NoGrad no_grad;
   const Unobserved unobserved;
   if (poses_ == nullptr) poses_ = std::make_shared<SimState>(m.state(false));
   eval_fk(m, state.joint_q, state.joint_qd, *poses_);
-  const Transformf *const a = state.body_q.data(), *const b = poses_->body_q.data();
-  for (int32_t k = 0; k < m.body_count(); ++k)
+  const OnHost<Transformf> a(state.body_q), b(poses_->body_q);
+  for (size_t k = 0; k < a.size(); ++k)
     if (!(distance(a[k], b[k]) < 1e-5f)) return false;
   return true;
 }

@@ -3,6 +3,7 @@
 namespace novaphy {
 namespace detail {
 const char* articulation_contact_kernels_text();
+const char* articulation_contact_vjp_kernels_text();
 const char* articulation_kernels_text();
 const char* joint_coordinates_kernels_text();
 }  // namespace detail
@@ -10,7 +11,8 @@ const char* joint_coordinates_kernels_text();
 std::vector<std::string> dynamics_device_modules() {
   std::vector<std::string> modules;
   for (const char* text :
-       {detail::articulation_contact_kernels_text(), detail::articulation_kernels_text(),
+       {detail::articulation_contact_kernels_text(),
+        detail::articulation_contact_vjp_kernels_text(), detail::articulation_kernels_text(),
         detail::joint_coordinates_kernels_text()})
     if (text != nullptr) modules.emplace_back(text);
   return modules;

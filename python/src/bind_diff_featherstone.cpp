@@ -60,7 +60,7 @@ void bind_diff_featherstone(py::module_& m, py::module_& solvers) {
       .def(
           "gradient_info",
           [](const DiffFeatherstoneSolver& s) {
-            const ContactBranches& b = s.branches();
+            const ContactBranches b = s.branches();
             const auto margin = [](float x) {
               return x < ContactBranches::kNone ? py::object(py::float_(x)) : py::none();
             };

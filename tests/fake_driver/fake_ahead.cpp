@@ -16,6 +16,7 @@ const char* rigid_mesh_kernels_text();
 const char* rigid_sweep_kernels_text();
 const char* contact_body_kernels_text();
 const char* articulation_contact_kernels_text();
+const char* articulation_contact_vjp_kernels_text();
 const char* articulation_kernels_text();
 const char* joint_coordinates_kernels_text();
 #ifdef FAKE_DRIVER_HAS_VBD
@@ -37,6 +38,7 @@ AheadData ahead_data() {
         detail::rigid_sweep_kernels_text,
         detail::contact_body_kernels_text,
         detail::articulation_contact_kernels_text,
+        detail::articulation_contact_vjp_kernels_text,
         detail::articulation_kernels_text,
         detail::joint_coordinates_kernels_text,
 #ifdef FAKE_DRIVER_HAS_VBD

@@ -147,6 +147,9 @@ namespace trees {
 namespace tree_contacts {
 #include "articulation_contact_kernels.cuh"
 }
+namespace tree_contacts_vjp {
+#include "articulation_contact_vjp_kernels.cuh"
+}
 namespace joints {
 #include "joint_coordinates_kernels.cuh"
 }
@@ -231,6 +234,12 @@ const HostKernel* find_host_kernel(const char* name) {
       OF_TEXT(tree_contacts::novaphy, articulation_contact_group),
       OF_TEXT(tree_contacts::novaphy, articulation_contact_step),
       OF_TEXT(tree_contacts::novaphy, articulation_contact_keep),
+      OF_TEXT(tree_contacts::novaphy, articulation_contact_copy),
+      OF_TEXT(tree_contacts::novaphy, articulation_note_some),
+      OF_TEXT(tree_contacts::novaphy, articulation_note_step),
+      OF_TEXT(tree_contacts_vjp::novaphy, articulation_contact_vjp),
+      OF_TEXT(tree_contacts_vjp::novaphy, articulation_material_clear),
+      OF_TEXT(tree_contacts_vjp::novaphy, articulation_material_gradient),
       OF_TEXT(joints::novaphy, eval_fk_articulation),
 #ifdef FAKE_DRIVER_HAS_VBD
       OF_VBD(vbd_predict, false),

@@ -4,8 +4,7 @@
 
 #include "novaphy/core/row_kernel.h"
 #include "novaphy/core/row_scratch.h"
-#include "novaphy/dynamics/articulation/arguments.h"
-#include "novaphy/dynamics/articulation/step_vjp.h"
+#include "novaphy/dynamics/articulation/vjp_arguments.h"
 
 namespace novaphy {
 
@@ -33,16 +32,6 @@ NOVAPHY_ROW_KERNEL(articulation_step, 39, ArticulationStepArguments) {
   write_step(a, rows, tree, in, options, ws);
 }
 
-struct ArticulationStepVjpArguments {
-  ArticulationArguments in;
-  const float* qdd;
-  const float* branch;
-  const float *q_next, *qd_next;
-  articulation::StepOutputGradient<float> out;
-  articulation::StepGradient<float> gradient;  // ends with `add`, in a word of its own
-  float* workspace;
-  int64_t stride;
-};
 NOVAPHY_ROW_KERNEL(articulation_step_vjp, 60, ArticulationStepVjpArguments) {
   const ArticulationRows& rows = a.in.rows[row];
   NOVAPHY_ROW_SCRATCH(LocalWorkspace, local,

@@ -75,6 +75,11 @@ void check_status(const Model& m, const Articulations& articulations,
            "expected mass or armature, and finite coordinates, velocities and forces");
 }
 
+void check_contact_status(int32_t status, const char* user) {
+  require(status >= 0, ErrorKind::Index, user, ": contacts: row ", -1 - status,
+          ": expected two shapes of the model, of bodies of one world");
+}
+
 void depend_on_modes(const Model& m, const Control* control) {
   depend_on({&m.joint_enabled, control ? &control->joint_act : &m.joint_act});
 }

@@ -20,6 +20,9 @@ UnreadMaterials unread_materials(ArticulationContact contact, const char* user);
 void check_status(const Model& model, const Articulations& articulations,
                   std::span<const int32_t> status, const char* user);
 
+// ErrorKind::Index: a status that names a row of contacts.
+void check_contact_status(int32_t status, const char* user);
+
 // What the host has looked at, and no launch looks at: a replay throws once it was written.
 void depend_on_values(const Model& model, const Control* control);
 void depend_on_modes(const Model& model, const Control* control);  // of them, but for friction

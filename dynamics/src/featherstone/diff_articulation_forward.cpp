@@ -42,6 +42,45 @@ void add_arguments(const Step& s, std::vector<LaunchArgument>& words) {
   words.push_back(number(static_cast<int64_t>(s.options.implicit_drives ? 1 : 0)));
 }
 
+ContactRowArguments kept_arguments(const Step& s, bool write) {
+  const auto part = [&](const char* name, int64_t first) {
+    LaunchArgument a = argument(name, s.contacts, write);
+    a.read = !write;
+    a.word += static_cast<uint64_t>(first) * sizeof(float);
+    return a;
+  };
+  const int64_t most = s.contact_max;
+  ContactRowArguments rows;
+  rows.shape0 = part("contact_shape0", 0);
+  rows.shape1 = part("contact_shape1", most);
+  rows.point0 = part("contact_point0", 2 * most);
+  rows.point1 = part("contact_point1", 5 * most);
+  rows.normal = part("contact_normal", 8 * most);
+  rows.margin0 = part("contact_margin0", 14 * most);
+  rows.margin1 = part("contact_margin1", 15 * most);
+  rows.count = part("contact_count", kContactNumbers * most);
+  rows.most = most;
+  return rows;
+}
+ContactRecord contact_record(const Step& s, bool write) {
+  const auto part = [&](const char* name, int64_t first) {
+    LaunchArgument a = argument(name, s.contacts, write);
+    a.word += static_cast<uint64_t>(first) * sizeof(float);
+    return a;
+  };
+  ContactRecord record;
+  record.impulses = part("impulses", 11 * s.contact_max);
+  record.friction = part("friction_impulses", kContactNumbers * s.contact_max + 1);
+  record.found = s.follow;
+  record.by_restitution = s.by_restitution;
+  record.dry = s.dry;
+  record.records = true;
+  return record;
+}
+bool works_on_host(const Step& s) {
+  return nova::current_capture() && s.contacts.defined() && s.shared->device.is_cpu();
+}
+
 bool prepare_contacts(const Step& s) {
   return s.contacts.defined() && s.shared->pgs->prepare(*s.model, contact_rows_of(s));
 }
@@ -78,11 +117,28 @@ StepOutputs outputs_of(const Step& s) {
 
 namespace {
 
-void run_forward(const Step& s) {
-  const nova::NoGrad no_grad;
+void copy_found(const Step& s) {
   if (s.contacts.defined() && s.copies_contacts())
     kept_contacts(s).copy(s.found ? s.found->rows() : ContactRows{});
-  const bool touches = prepare_contacts(s);
+}
+
+// With contacts on a device. `tell`: notes its branches and writes the forces of its contacts.
+void launch_contacts(const Step& s, std::vector<LaunchArgument> words, bool tell) {
+  LaunchedContacts& launched = *s.shared->launched;
+  if (s.copies_contacts())
+    launched.copy(s.found ? s.found->arguments() : ContactRowArguments(), kept_arguments(s, true));
+  ContactRowArguments rows = kept_arguments(s, false);
+  ContactRecord record = contact_record(s, true);
+  if (tell && s.force) rows.force = writes("rigid_contact_force", *s.force);
+  record.notes = tell;
+  launched.step(std::move(words), rows, s.options, s.dt, record);
+}
+
+void run_forward(const Step& s, bool tell) {
+  const nova::NoGrad no_grad;
+  const bool on_host = s.shared->device.is_cpu();
+  if (on_host) copy_found(s);
+  const bool touches = on_host && prepare_contacts(s);
   if (!touches && s.shared->runs_on_host())
     return run_host(s, host_arguments(s), nullptr, outputs_of(s));
   std::vector<LaunchArgument> words;
@@ -91,6 +147,7 @@ void run_forward(const Step& s) {
   words.push_back(writes_row("status", s.status));
   words.push_back(writes("workspace", s.workspace));
   words.push_back(number(s.stride));
+  if (!on_host && s.contacts.defined()) return launch_contacts(s, std::move(words), tell);
   if (touches) {
     const KeptContacts kept = kept_contacts(s);
     auto a = to_arguments<ArticulationStepArguments>(words);
@@ -131,10 +188,11 @@ std::vector<Tensor> reads_of(const Step& s) {
 
 void submit_forward(const std::shared_ptr<const Step>& step, bool tell) {
   const auto run = [step, tell] {
-    run_forward(*step);
-    if (tell && step->contacts.defined()) tell_contacts(*step);
+    const bool on_host = step->shared->device.is_cpu();
+    run_forward(*step, tell);
+    if (tell && step->contacts.defined() && on_host) tell_contacts(*step);
   };
-  if (!nova::current_capture() || !step->contacts.defined()) return run();
+  if (!works_on_host(*step)) return run();
   const auto replay = [run, step] {
     run();
     const DeviceArray<int32_t>& status = step->shared->status;

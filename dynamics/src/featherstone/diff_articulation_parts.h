@@ -12,6 +12,7 @@
 #include <vector>
 
 #include "articulation_step.h"
+#include "launched_contacts.h"
 #include "novaphy/core/device_kernel.h"
 #include "novaphy/core/error.h"
 #include "novaphy/dynamics/featherstone/diff_articulation_step.h"
@@ -110,6 +111,22 @@ struct FoundRows {
             margin0.data(),
             margin1.data()};
   }
+  ContactRowArguments arguments() const {
+    const auto value = [](const char* name, const Array& array) {
+      return reads(name, array).detached();
+    };
+    ContactRowArguments a;
+    a.count = reads("rigid_contact_count", count);
+    a.shape0 = reads("rigid_contact_shape0", shape0);
+    a.shape1 = reads("rigid_contact_shape1", shape1);
+    a.point0 = value("rigid_contact_point0", point0);
+    a.point1 = value("rigid_contact_point1", point1);
+    a.normal = value("rigid_contact_normal", normal);
+    a.margin0 = value("rigid_contact_margin0", margin0);
+    a.margin1 = value("rigid_contact_margin1", margin1);
+    a.most = most;
+    return a;
+  }
   int32_t most;
   DeviceArray<int32_t> count, shape0, shape1;
   DeviceArray<Vec3f> point0, point1, normal;
@@ -130,8 +147,11 @@ struct ArticulationStep::Shared {
         materials(unread_materials(o.contact, user)) {
     const auto count = static_cast<size_t>(articulations.count());
     for (size_t i = 0; i < count; ++i) all.push_back(static_cast<int32_t>(i));
-    if (device.is_cpu()) trees.emplace(m, articulations);
-    stride = step_workspace(articulations);
+    if (device.is_cpu())
+      trees.emplace(m, articulations);
+    else
+      launched.emplace(m, articulations);
+    stride = launched ? launched->adjoint_tree_stride() : step_workspace(articulations);
     status = DeviceArray<int32_t>(count, device);
     workspace = DeviceArray<float>(count * static_cast<size_t>(stride), device);
   }
@@ -140,12 +160,13 @@ struct ArticulationStep::Shared {
   FeatherstoneOptions options;
   Device device;
   Articulations articulations;
-  std::optional<TreeSteps> trees;  // on the cpu
-  std::vector<int32_t> all;        // articulations
+  std::optional<TreeSteps> trees;            // on the cpu
+  std::optional<LaunchedContacts> launched;  // on devices
+  std::vector<int32_t> all;                  // articulations
   int64_t stride = 0;
   DeviceArray<int32_t> status;
   DeviceArray<float> workspace;
-  std::unique_ptr<PgsContacts> pgs;  // made by the first step with contacts
+  std::unique_ptr<PgsContacts> pgs;  // on the cpu, made by the first step with contacts
   ContactBranches branches;
   UnreadMaterials materials;
   std::vector<float> between;   // gradients of states between the steps of an operation
@@ -165,6 +186,7 @@ struct ArticulationStep::Step {
   bool follow = false;                                // they are of the state that it starts from
   std::optional<DeviceArray<Vec3f>> force = {};       // of the contacts
   bool by_restitution = false;                        // its gradient is asked for
+  bool dry = false;                                   // Shared::dry
   std::array<detail::Named, detail::kInputs> inputs;  // in the order of StepGradient, MoreInputs
   std::array<detail::Named, 7> values;   // rows, links, dof_parent, X_p, X_c, axis, target_mode
   std::array<detail::Named, 6> outputs;  // q, qd, body_q, body_qd, qdd, branch
@@ -205,6 +227,11 @@ Tensor tensor_of(const Array& array);
 inline float* numbers(const Tensor& tensor) {
   return tensor.defined() ? static_cast<float*>(tensor.range()->data()) : nullptr;
 }
+// Whether a capture records the step as work of the host.
+bool works_on_host(const Step& s);
+// Of launches: the arguments of the contacts that the step keeps, and of its impulses.
+ContactRowArguments kept_arguments(const Step& s, bool write);
+ContactRecord contact_record(const Step& s, bool write);
 inline KeptContacts kept_contacts(const Step& s) { return {numbers(s.contacts), s.contact_max}; }
 inline ContactRows contact_rows_of(const Step& s) { return kept_contacts(s).rows(s.follow); }
 // Whether a step has contacts that act; those are then in shared->pgs.

@@ -82,7 +82,7 @@ void ArticulationStep::begin(const Model& model, const Control* control, const c
          ": a replay of a captured step failed, its results are NaN: ",
          std::exchange(shared_->failure, {}));
   const bool on_cpu = shared_->device.is_cpu();
-  shared_->articulations.check_values(model, control, on_cpu, function);
+  shared_->articulations.check_values(model, control, true, function);
   const nova::Tape* const tape = nova::Tape::active();
   shared_->dry = tape != nullptr && tape->carries_gradient(*model.joint_friction.range());
   if (on_cpu) {
@@ -92,9 +92,11 @@ void ArticulationStep::begin(const Model& model, const Control* control, const c
                                                [](float f) { return f > 0.0f; });
     return;
   }
-  require(!shared_->dry, ErrorKind::NotImplemented, function,
-          ": model.joint_friction: expected no gradient of it on ", shared_->device.str());
-  depend_on_values(model, control);
+  shared_->dry = shared_->dry || shared_->launched->has_friction();
+  if (shared_->dry)  // which kernels read
+    depend_on_modes(model, control);
+  else
+    depend_on_values(model, control);
 }
 
 void ArticulationStep::record(const Model& m, const SimState& in, SimState& out,
@@ -111,9 +113,6 @@ void ArticulationStep::record(const Model& m, const SimState& in, SimState& out,
   const auto& target_q = control ? control->joint_target_q : m.joint_target_q;
   const auto& target_qd = control ? control->joint_target_qd : m.joint_target_qd;
   const bool touching = contacts != nullptr && contacts->rigid_contact_max() > 0;
-  require(!touching || shared_->device.is_cpu(), ErrorKind::NotImplemented,
-          "DiffFeatherstoneSolver: contacts: expected none on ", shared_->device.str(),
-          " (contacts of articulations are solved on the cpu)");
   auto step = std::make_shared<Step>(Step{
       shared_,
       m.shared_from_this(),
@@ -126,6 +125,7 @@ void ArticulationStep::record(const Model& m, const SimState& in, SimState& out,
       touching ? std::optional<DeviceArray<Vec3f>>(contacts->rigid_contact_force) : std::nullopt,
       nova::Tape::active() != nullptr &&
           nova::Tape::active()->carries_gradient(*m.shape_material_restitution.range()),
+      shared_->dry,
       {view("joint_q", in.joint_q),
        view("joint_qd", in.joint_qd),
        view("joint_f", joint_f),
@@ -165,8 +165,14 @@ void ArticulationStep::record(const Model& m, const SimState& in, SimState& out,
   if (touching) shared_->materials.check(m);
   const bool solves = step->contacts.defined();
   if (solves) {
-    if (!shared_->pgs) shared_->pgs = std::make_unique<PgsContacts>(m, a);
-    if (!step->copies_contacts()) kept_contacts(*step).copy(contact_rows(contacts));
+    if (shared_->launched) {
+      if (!step->copies_contacts())
+        shared_->launched->copy(detail::FoundRows(*contacts).arguments(),
+                                kept_arguments(*step, true));
+    } else {
+      if (!shared_->pgs) shared_->pgs = std::make_unique<PgsContacts>(m, a);
+      if (!step->copies_contacts()) kept_contacts(*step).copy(contact_rows(contacts));
+    }
   }
   submit_forward(step, true);
   if (nova::Tape::active() == nullptr) return;
@@ -208,11 +214,18 @@ void ArticulationStep::flush() {
 }
 void ArticulationStep::forget() { pending_ = nullptr; }
 
-const ContactBranches& ArticulationStep::branches() const { return shared_->branches; }
-void ArticulationStep::clear_branches() { shared_->branches = {}; }
+ContactBranches ArticulationStep::branches() const {
+  return shared_->launched ? shared_->launched->branches() : shared_->branches;
+}
+void ArticulationStep::clear_branches() {
+  if (shared_->launched) shared_->launched->clear_branches();
+  shared_->branches = {};
+}
 
 void ArticulationStep::check(const Model& model, const char* function) const {
   const OnHost<int32_t> status(shared_->status);
+  for (size_t i = 0; i < status.size(); ++i) check_contact_status(status[i], function);
+  if (shared_->launched) shared_->launched->check_adjoint(function);
   check_status(model, shared_->articulations, {status.data(), status.size()}, function);
 }
 

@@ -157,7 +157,17 @@ void run_vjp(const Step& s, std::span<const Tensor> outputs,
     words[kGradientWords + G::kBodyF] = writes("gradient of body_f", wrench_memory(s));
     words[kGradientWords + G::kMembers] = number(add & ~(int64_t{1} << G::kBodyF));
   }
-  kernels().vjp.launch(s.shared->device, s.count, words);
+  if (s.contacts.defined() && s.shared->launched) {
+    const auto to = [&](size_t i) {
+      return i < gradients.size() ? argument(s.inputs[i].name, gradients[i].grad, true)
+                                  : LaunchArgument();
+    };
+    s.shared->launched->vjp(
+        words, kept_arguments(s, false), s.options, contact_record(s, false),
+        {to(kJointFriction), to(kMu), to(kRestitution), to(kStiffness), to(kDamping)});
+  } else {
+    kernels().vjp.launch(s.shared->device, s.count, words);
+  }
   if (gravity.defined())
     kernels().gravity.launch(s.shared->device, 1,
                              gravity_words(s, gravity, add_gravity, body_f, add_body_f));
@@ -167,8 +177,7 @@ void run_vjp(const Step& s, std::span<const Tensor> outputs,
 
 void submit_vjp(const std::shared_ptr<const Step>& step, std::span<const Tensor> outputs,
                 std::span<const nova::InputGradient> gradients) {
-  if (!nova::current_capture() || !step->contacts.defined())
-    return run_vjp(*step, outputs, gradients);
+  if (!works_on_host(*step)) return run_vjp(*step, outputs, gradients);
   std::vector<Tensor> reads = reads_of(*step), results;
   reads.insert(reads.end(), outputs.begin(), outputs.end());
   for (const size_t i : {0, 1, 4, 5}) reads.push_back(step->outputs[i].tensor);

@@ -101,9 +101,7 @@ void LaunchedArticulations::step(const SimState& in, const SimState& out, const 
 
 void LaunchedArticulations::check() const {
   const std::vector<int32_t> status = status_.to_host();
-  for (const int32_t s : status)
-    require(s >= 0, ErrorKind::Index, kName, ": contacts: row ", -1 - s,
-            ": expected two shapes of the model, of bodies of one world");
+  for (const int32_t s : status) check_contact_status(s, kName);
   check_status(model_, articulations_, status, kName);
 }
 

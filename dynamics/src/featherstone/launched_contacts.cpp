@@ -5,31 +5,23 @@
 #include <utility>
 
 #include "articulation_contact_kernels.h"
-#include "novaphy/core/device_kernel.h"
+#include "articulation_contact_vjp_kernels.h"
+#include "contact_launches.h"
 #include "novaphy/core/sim/index_rows.h"
 #include "novaphy/core/sim/on_host.h"
 
 namespace novaphy {
-namespace detail {
-const char* articulation_contact_kernels_text();
-}
 namespace {
 
 namespace art = articulation;
 constexpr size_t kKeptNumbers = sizeof(art::KeptContact) / sizeof(float),
                  kNodeNumbers = sizeof(IslandNode) / sizeof(int32_t),
-                 kLinkNumbers = sizeof(ContactLink) / sizeof(int32_t);
+                 kLinkNumbers = sizeof(ContactLink) / sizeof(int32_t),
+                 kNoteNumbers = sizeof(art::BranchNotes) / sizeof(int32_t);
+constexpr int64_t kSomeNotes = 128;  // rows that add up the notes of groups
 
-struct Kernels {
-  DeviceKernel group{articulation_contact_group, detail::articulation_contact_kernels_text};
-  DeviceKernel lists{"incidence_i32"};
-  DeviceKernel step{articulation_contact_step, detail::articulation_contact_kernels_text};
-  DeviceKernel keep{articulation_contact_keep, detail::articulation_contact_kernels_text};
-};
-const Kernels& kernels() {
-  static const auto& all = *new Kernels;
-  return all;
-}
+// What a tape makes of the results, those who record them say.
+LaunchArgument value(const char* name, const Array& array) { return reads(name, array).detached(); }
 
 int64_t numbers(int64_t bytes) { return bytes / static_cast<int64_t>(sizeof(float)); }
 
@@ -60,8 +52,11 @@ LaunchedContacts::LaunchedContacts(const Model& m, const Articulations& articula
     : model_(m),
       articulations_(articulations),
       tree_stride_(numbers(island_tree_bytes(articulations.max_links(), articulations.max_dofs()))),
+      adjoint_tree_stride_(
+          numbers(island_adjoint_bytes(articulations.max_links(), articulations.max_dofs()))),
       contact_stride_(numbers(island_contact_bytes(articulations.max_dofs()))),
-      none_({}, m.device()) {
+      none_({}, m.device()),
+      adjoint_stride_(numbers(adjoint_contact_bytes(articulations.max_dofs()))) {
   const Unobserved unobserved;
   const Device device = m.device();
   const std::vector<int32_t> rows = articulations.rows().to_host(),
@@ -99,6 +94,10 @@ LaunchedContacts::LaunchedContacts(const Model& m, const Articulations& articula
   trees_ = DeviceArray<int32_t>::from_host(lists.all(), device);
   nodes_ = DeviceArray<int32_t>(count, device, kNodeNumbers);
   const auto groups = static_cast<size_t>(groups_);
+  std::vector<int64_t> dofs(groups);
+  for (size_t i = 0; i < count; ++i)
+    group_dofs_ =
+        std::max(group_dofs_, dofs[static_cast<size_t>(group_of_tree[i])] += all_rows[i].dof_count);
   contact_begin_ = DeviceArray<int32_t>(groups + 1, device);
   kept_begin_ = DeviceArray<int32_t>(groups + 1, device);
   kept_dt_ = DeviceArray<float>(1, device);
@@ -106,7 +105,20 @@ LaunchedContacts::LaunchedContacts(const Model& m, const Articulations& articula
   residual_ = DeviceArray<float>(groups, device);
 }
 
-void LaunchedContacts::reserve(int32_t contacts) {
+ContactRowArguments::ContactRowArguments(const Contacts& c)
+    : count(reads("rigid_contact_count", c.rigid_contact_count)),
+      shape0(reads("rigid_contact_shape0", c.rigid_contact_shape0)),
+      shape1(reads("rigid_contact_shape1", c.rigid_contact_shape1)),
+      point_id(reads("rigid_contact_point_id", c.rigid_contact_point_id)),
+      point0(value("rigid_contact_point0", c.rigid_contact_point0)),
+      point1(value("rigid_contact_point1", c.rigid_contact_point1)),
+      normal(value("rigid_contact_normal", c.rigid_contact_normal)),
+      margin0(value("rigid_contact_margin0", c.rigid_contact_margin0)),
+      margin1(value("rigid_contact_margin1", c.rigid_contact_margin1)),
+      force(writes("rigid_contact_force", c.rigid_contact_force)),
+      most(c.rigid_contact_max()) {}
+
+void LaunchedContacts::reserve(int64_t contacts) {
   if (contacts <= capacity_) return;
   const Device device = model_.device();
   const auto count = static_cast<size_t>(contacts);
@@ -120,7 +132,7 @@ void LaunchedContacts::reserve(int32_t contacts) {
   capacity_ = contacts;
 }
 
-bool LaunchedContacts::has_rows(const Contacts* contacts) {
+bool LaunchedContacts::has_friction() {
   if (!friction_stamp_.matches(model_.joint_friction)) {
     const Unobserved unobserved;
     const OnHost<float> friction(model_.joint_friction);
@@ -128,14 +140,19 @@ bool LaunchedContacts::has_rows(const Contacts* contacts) {
                                 [](float x) { return x > 0.0f; });
     friction_stamp_.set(model_.joint_friction);
   }
-  return groups_ > 0 && (has_friction_ || capacity_ > 0 ||
-                         (contacts != nullptr && contacts->rigid_contact_max() > 0));
+  return has_friction_;
+}
+
+bool LaunchedContacts::has_rows(const Contacts* contacts) {
+  const bool friction = has_friction();
+  return groups_ > 0 &&
+         (friction || capacity_ > 0 || (contacts != nullptr && contacts->rigid_contact_max() > 0));
 }
 
 // The words of ContactShapes.
-std::vector<LaunchArgument> LaunchedContacts::shapes(const Contacts& c) const {
-  return {reads("rigid_contact_shape0", c.rigid_contact_shape0),
-          reads("rigid_contact_shape1", c.rigid_contact_shape1),
+std::vector<LaunchArgument> LaunchedContacts::shapes(const ContactRowArguments& rows) const {
+  return {rows.shape0,
+          rows.shape1,
           reads("model.shape_body", model_.shape_body),
           reads("side_of_body", side_of_body_),
           reads("group_of_tree", group_of_tree_),
@@ -143,69 +160,92 @@ std::vector<LaunchArgument> LaunchedContacts::shapes(const Contacts& c) const {
           number(int64_t{model_.body_count()})};
 }
 
+// The contacts of each group, in their order.
+void LaunchedContacts::list_rows(const ContactRowArguments& rows,
+                                 const ContactRecord& record) const {
+  std::vector<LaunchArgument> group = shapes(rows);
+  add_words(group, {reads("rows", articulations_.rows()), rows.count, writes_row("group", group_),
+                    rows.force, record.impulses});
+  contact_kernels().group.launch(model_.device(), rows.most, group);
+  contact_kernels().lists.launch(
+      model_.device(), groups_,
+      {reads("group", group_), number(rows.most), writes("contact_begin", contact_begin_),
+       writes("contacts", contacts_)});
+}
+
+// The words of ContactGroupArguments.
+std::vector<LaunchArgument> LaunchedContacts::group_words(const ContactRowArguments& rows,
+                                                          const FeatherstoneOptions& o,
+                                                          const ContactRecord& record,
+                                                          const DeviceArray<float>& memory,
+                                                          int64_t stride) const {
+  std::vector<LaunchArgument> words = shapes(rows);
+  add_words(words, {rows.point0,
+                    rows.point1,
+                    rows.normal,
+                    rows.margin0,
+                    rows.margin1,
+                    value("model.shape_material_mu", model_.shape_material_mu),
+                    value("model.shape_material_restitution", model_.shape_material_restitution),
+                    value("model.shape_material_ke", model_.shape_material_ke),
+                    value("model.shape_material_kd", model_.shape_material_kd),
+                    value("model.joint_friction", model_.joint_friction),
+                    reads("tree_begin", tree_begin_),
+                    reads("trees", trees_),
+                    reads("contact_begin", contact_begin_),
+                    reads("contacts", contacts_),
+                    number(o.pgs_erp),
+                    number(o.pgs_slop),
+                    number(o.pgs_cfm),
+                    number(o.max_depenetration_velocity),
+                    number(o.restitution_threshold),
+                    number(int64_t{o.compliant_contacts}),
+                    number(int64_t{o.friction_cone == FrictionCone::Cone}),
+                    reads("model.shape_type", model_.shape_type),
+                    number(int64_t{record.found}),
+                    writes("chain", chain_),
+                    writes("nodes", nodes_),
+                    writes("memory", memory),
+                    number(stride)});
+  return words;
+}
+
 void LaunchedContacts::step(std::vector<LaunchArgument> words, const Contacts* contacts,
                             const FeatherstoneOptions& o, float dt) {
-  const Contacts& c = contacts == nullptr ? none_ : *contacts;
+  step(std::move(words), ContactRowArguments(contacts == nullptr ? none_ : *contacts), o, dt, {});
+}
+
+void LaunchedContacts::step(std::vector<LaunchArgument> words, const ContactRowArguments& rows,
+                            const FeatherstoneOptions& o, float dt, const ContactRecord& record) {
   const Device device = model_.device();
-  const int64_t slots = c.rigid_contact_max();
-  reserve(c.rigid_contact_max());
-  const Kernels& k = kernels();
-  // What a tape makes of the results, mark_unrecorded_step says.
-  const auto value = [](const char* name, const Array& array) {
-    return reads(name, array).detached();
-  };
-  const auto add = [](std::vector<LaunchArgument>& to, std::vector<LaunchArgument> more) {
-    to.insert(to.end(), std::make_move_iterator(more.begin()), std::make_move_iterator(more.end()));
-  };
-  std::vector<LaunchArgument> group = shapes(c);
-  add(group,
-      {reads("rows", articulations_.rows()), reads("rigid_contact_count", c.rigid_contact_count),
-       writes_row("group", group_), writes_row("rigid_contact_force", c.rigid_contact_force)});
-  k.group.launch(device, slots, group);
-  k.lists.launch(device, groups_,
-                 {reads("group", group_), number(slots), writes("contact_begin", contact_begin_),
-                  writes("contacts", contacts_)});
-  add(words, shapes(c));
-  add(words, {reads("rigid_contact_point_id", c.rigid_contact_point_id),
-              value("rigid_contact_point0", c.rigid_contact_point0),
-              value("rigid_contact_point1", c.rigid_contact_point1),
-              value("rigid_contact_normal", c.rigid_contact_normal),
-              value("rigid_contact_margin0", c.rigid_contact_margin0),
-              value("rigid_contact_margin1", c.rigid_contact_margin1),
-              value("model.shape_material_mu", model_.shape_material_mu),
-              value("model.shape_material_restitution", model_.shape_material_restitution),
-              value("model.shape_material_ke", model_.shape_material_ke),
-              value("model.shape_material_kd", model_.shape_material_kd),
-              value("model.joint_friction", model_.joint_friction),
-              reads("tree_begin", tree_begin_),
-              reads("trees", trees_),
-              reads("contact_begin", contact_begin_),
-              reads("contacts", contacts_),
-              reads("moved_by", moved_by_),
-              number(o.pgs_erp),
-              number(o.pgs_slop),
-              number(o.pgs_cfm),
-              number(o.max_depenetration_velocity),
-              number(o.restitution_threshold),
-              number(o.pgs_tolerance),
-              number(int64_t{o.compliant_contacts}),
-              number(int64_t{o.friction_cone == FrictionCone::Cone}),
-              number(int64_t{o.pgs_iterations}),
-              number(int64_t{o.warm_start}),
-              reads("kept_begin", kept_begin_),
-              reads("kept", kept_),
-              reads("kept_dt", kept_dt_),
-              writes("now", now_),
-              writes("chain", chain_),
-              writes("nodes", nodes_),
-              writes("rigid_contact_force", c.rigid_contact_force),
-              writes_row("sweeps", sweeps_),
-              writes_row("residual", residual_),
-              writes("memory", memory_),
-              number(contact_stride_)});
+  reserve(rows.most);
+  if (record.notes) reserve_notes();
+  const ContactKernels& k = contact_kernels();
+  list_rows(rows, record);
+  add_words(words, group_words(rows, o, record, memory_, contact_stride_));
+  const LaunchArgument none;
+  add_words(
+      words,
+      {rows.point_id, reads("moved_by", moved_by_), number(o.pgs_tolerance),
+       number(int64_t{o.pgs_iterations}), number(int64_t{o.warm_start}),
+       number(int64_t{record.records ? 0 : art::kMostTreeContacts}),
+       reads("kept_begin", kept_begin_), reads("kept", kept_), reads("kept_dt", kept_dt_),
+       writes("now", now_), rows.force, writes_row("sweeps", sweeps_),
+       writes_row("residual", residual_), record.impulses, record.friction,
+       record.notes ? writes_row("notes", notes_) : none,
+       record.notes ? writes("sharing", sharing_) : none, number(int64_t{record.by_restitution})});
   k.step.launch(device, groups_, words);
+  if (record.notes) {
+    const int64_t some = std::min(groups_, kSomeNotes);
+    k.note_some.launch(
+        device, some,
+        {reads("notes", notes_), writes_row("some_notes", some_notes_), number(groups_)});
+    k.note_step.launch(
+        device, 1,
+        {reads("some_notes", some_notes_), updates("branches", branches_), number(some)});
+  }
   if (o.warm_start)
-    k.keep.launch(device, std::max(slots, groups_ + 1),
+    k.keep.launch(device, std::max(rows.most, groups_ + 1),
                   {reads("contact_begin", contact_begin_), reads("now", now_),
                    writes("kept_begin", kept_begin_), updates("kept", kept_),
                    writes("kept_dt", kept_dt_), number(dt), number(groups_)});

@@ -10,9 +10,9 @@
 #include "novaphy/core/sim/contacts.h"
 #include "novaphy/core/sim/index_rows.h"
 #include "novaphy/dynamics/articulation/contact_adjoint.h"
+#include "novaphy/dynamics/featherstone/contact_branches.h"
 #include "novaphy/dynamics/articulation/dual.h"
 #include "novaphy/dynamics/featherstone/articulations.h"
-#include "novaphy/dynamics/featherstone/contact_branches.h"
 #include "novaphy/dynamics/featherstone/solver_featherstone.h"
 #include "tree_steps.h"
 

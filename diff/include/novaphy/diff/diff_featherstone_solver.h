@@ -23,7 +23,7 @@ class NOVAPHY_DIFF_API DiffFeatherstoneSolver : public DiffSolverBase {
 
   const FeatherstoneOptions& options() const { return options_; }
   // Of the contacts of all steps since the last clear: what their gradients are.
-  const ContactBranches& branches() const { return step_.branches(); }
+  ContactBranches branches() const { return step_.branches(); }
   void clear_branches() { step_.clear_branches(); }
 
   // Errors as SolverFeatherstone::step; ErrorKind::Runtime inside a ScopedCapture.
@@ -50,8 +50,8 @@ class NOVAPHY_DIFF_API DiffFeatherstoneSolver : public DiffSolverBase {
   FeatherstoneOptions options_;
   ArticulationStep step_;
   std::shared_ptr<SimState> poses_;  // memory of poses_follow
-  bool join_ = false;             // steps of the rollout become operations together
-  int32_t rollout_contacts_ = 0;  // at most, in a step of the rollout that has begun
+  bool join_ = false;                // steps of the rollout become operations together
+  int32_t rollout_contacts_ = 0;     // at most, in a step of the rollout that has begun
 };
 
 }  // namespace novaphy::diff

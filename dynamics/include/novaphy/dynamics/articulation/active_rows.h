@@ -6,8 +6,8 @@
 // alike.
 #pragma once
 
+#include "novaphy/dynamics/articulation/contact_branches.h"
 #include "novaphy/dynamics/articulation/islands.h"
-#include "novaphy/dynamics/featherstone/contact_branches.h"
 
 namespace novaphy::articulation {
 

@@ -23,8 +23,10 @@
 // which counts as a step with contacts. A capture records such steps and their adjoints as work of
 // the host; where a replay fails its results are NaN, and begin says why.
 //
-// Models on devices as SolverFeatherstone, steps and adjoints with the bits of the cpu.
-// ErrorKind::NotImplemented there: contacts, dry friction and its gradient, forward derivatives.
+// Models on devices as SolverFeatherstone, steps and adjoints with the bits of the cpu, and
+// captures record launches. ErrorKind::NotImplemented there: forward derivatives. Where an island
+// of contacts has no room there for its system (launched_contacts_vjp.cpp), its gradients are NaN
+// and check says so.
 #pragma once
 
 #include <cstdint>
@@ -33,8 +35,8 @@
 
 #include "novaphy/core/sim/model.h"
 #include "novaphy/core/sim/trajectory.h"
-#include "novaphy/dynamics/export.h"
 #include "novaphy/dynamics/featherstone/contact_branches.h"
+#include "novaphy/dynamics/export.h"
 #include "novaphy/dynamics/featherstone/solver_featherstone.h"
 #include "novaphy/nova/kernel.h"
 
@@ -68,8 +70,8 @@ class NOVAPHY_DYNAMICS_API ArticulationStep {
               StepScratch scratch, bool join = false);
   void flush();
   void forget();
-  // Of all steps with contacts since the last clear.
-  const ContactBranches& branches() const;
+  // Of all steps with contacts since the last clear. Waits for a device.
+  ContactBranches branches() const;
   void clear_branches();
   // ErrorKind::Runtime, naming the dof, when the last step failed. Waits for a device.
   void check(const Model& model, const char* function) const;

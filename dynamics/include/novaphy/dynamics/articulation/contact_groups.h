@@ -1,0 +1,241 @@
+// Groups of articulations that may touch each other, those of a world, with the contacts of each:
+// what the kernels of a step with contacts and of its adjoint share. A row of them is a group,
+// which splits into islands (islands.h).
+#pragma once
+
+#include "novaphy/dynamics/articulation/active_rows.h"
+#include "novaphy/dynamics/articulation/arguments.h"
+#include "novaphy/dynamics/articulation/step_vjp.h"
+
+namespace novaphy {
+
+// What the sides of contacts are found by.
+struct ContactShapes {
+  const int32_t *shape0, *shape1;  // {contacts}
+  const int32_t* shape_body;       // {shapes}
+  const articulation::ContactSide* side_of_body;
+  const int32_t* group_of_tree;
+  int64_t shapes, bodies;
+};
+// False: there is no such shape or body.
+inline bool contact_sides(const ContactShapes& s, int32_t contact,
+                          articulation::ContactSide* sides) {
+  bool there = true;
+  for (int side = 0; side < 2; ++side) {
+    sides[side].tree = sides[side].link = -1;
+    const int32_t shape = side == 0 ? s.shape0[contact] : s.shape1[contact];
+    const bool is_shape = shape >= 0 && shape < s.shapes;
+    const int32_t body = is_shape ? s.shape_body[shape] : -1;
+    there = there && is_shape && body >= -1 && body < s.bodies;
+    if (body >= 0 && body < s.bodies) sides[side] = s.side_of_body[body];
+  }
+  return there;
+}
+
+// Of a tree, in a step. Lists end with -1.
+struct IslandNode {
+  int32_t root;                       // of its island
+  int32_t next;                       // tree of the island, ascending
+  int32_t joined;                     // what is below is of roots
+  int32_t last;                       // tree
+  int32_t first_row, last_row, rows;  // its contacts, places in the list of the group
+  int32_t solved;
+};
+// Of a place in the list of a group.
+struct ContactLink {
+  int32_t next;  // place of the island's next contact; -2: the group cannot have it
+  int32_t kept;  // find_kept
+};
+
+struct ContactGroupArguments {
+  ContactShapes shapes;
+  const Vec3f *point0, *point1, *normal;
+  const float *margin0, *margin1;
+  articulation::ShapeMaterials materials;
+  const float* joint_friction;
+  const int32_t *tree_begin, *trees;        // the trees of each group, ascending
+  const int32_t *contact_begin, *contacts;  // likewise its contacts
+  FloatWord erp, slop, cfm, max_depenetration, restitution_threshold;
+  int64_t compliant, cone;
+  const int32_t* shape_type;
+  int64_t found;  // ContactRows::found
+  ContactLink* chain;
+  IslandNode* nodes;
+  float* memory;
+  int64_t contact_stride;  // numbers of it for a contact
+};
+
+// Memory of a tree: its workspace, its rates, the dry friction of its joints, and what an adjoint
+// needs.
+inline int64_t tree_rates_offset(int32_t links, int32_t dofs) {
+  return articulation::workspace_bytes<float>(links, dofs);
+}
+inline int64_t island_tree_bytes(int32_t links, int32_t dofs) {
+  const int64_t width = articulation::padded_dofs(dofs) * static_cast<int64_t>(sizeof(float));
+  return tree_rates_offset(links, dofs) + width +
+         dofs * (static_cast<int64_t>(sizeof(articulation::PgsJointFriction<float>)) + width);
+}
+inline int64_t island_adjoint_bytes(int32_t links, int32_t dofs) {
+  return island_tree_bytes(links, dofs) + articulation::adjoint_bytes<float>(links, dofs);
+}
+// Numbers of the rows of a contact, of trees with so many dofs.
+inline int64_t contact_row_bytes(int32_t dofs) {
+  return 12 * articulation::padded_dofs(dofs) * static_cast<int64_t>(sizeof(float));
+}
+
+struct ContactGroup {
+  const ArticulationArguments& step;
+  const ContactGroupArguments& a;
+  float* const workspace;
+  const int64_t stride;
+  const int32_t group;
+  const articulation::StepInputs<float> in;
+  const articulation::StepOptions<float> how;
+  const articulation::ContactRows contacts;
+  const articulation::ContactLaw<float> law;
+
+  ContactGroup(const ArticulationArguments& of_step, const ContactGroupArguments& arguments,
+               float* workspaces, int64_t numbers, int64_t row, const int32_t* point_id)
+      : step(of_step),
+        a(arguments),
+        workspace(workspaces),
+        stride(numbers),
+        group(static_cast<int32_t>(row)),
+        in(articulation_inputs(of_step)),
+        how(articulation_options(of_step)),
+        contacts{0,        a.shapes.shape0, a.shapes.shape1, point_id,  a.point0,
+                 a.point1, a.normal,        a.margin0,       a.margin1, a.found != 0},
+        law{how.dt,
+            a.erp.value,
+            a.slop.value,
+            a.cfm.value,
+            a.max_depenetration.value,
+            a.restitution_threshold.value,
+            a.compliant != 0,
+            a.cone != 0} {}
+
+  int32_t first_tree() const { return a.tree_begin[group]; }
+  int32_t end_tree() const { return a.tree_begin[group + 1]; }
+  int32_t first_place() const { return a.contact_begin[group]; }
+  int32_t end_place() const { return a.contact_begin[group + 1]; }
+  const ArticulationRows& rows(int32_t tree) const { return step.rows[tree]; }
+  unsigned char* memory(int32_t tree) const {
+    return reinterpret_cast<unsigned char*>(workspace + tree * stride);
+  }
+  articulation::IslandTree tree(int32_t i) const {
+    const ArticulationRows& r = rows(i);
+    unsigned char* const at = memory(i);
+    return {articulation_tree(step, r),
+            articulation::make_workspace<float>(at, r.link_count, r.dof_count),
+            reinterpret_cast<float*>(at + tree_rates_offset(r.link_count, r.dof_count)),
+            step.qd + r.first_dof, r.moves != 0};
+  }
+  articulation::PgsJointFriction<float>* friction(int32_t i) const {
+    return reinterpret_cast<articulation::PgsJointFriction<float>*>(
+        tree(i).rates + articulation::padded_dofs(rows(i).dof_count));
+  }
+  bool has_friction(int32_t i, int32_t dof) const {
+    return rows(i).moves != 0 && a.joint_friction[rows(i).first_dof + dof] > 0.0f;
+  }
+  articulation::AdjointMemory<float> adjoint(int32_t i) const {
+    const ArticulationRows& r = rows(i);
+    return articulation::make_adjoint_memory<float>(
+        memory(i) + island_tree_bytes(r.link_count, r.dof_count), r.link_count, r.dof_count);
+  }
+  int32_t& root(int32_t i) const { return a.nodes[i].root; }
+  int32_t find_root(int32_t i) const {
+    return articulation::find_root([&](int32_t t) -> int32_t& { return root(t); }, i);
+  }
+  // Of the first place of the group.
+  unsigned char* island_memory() const {
+    return reinterpret_cast<unsigned char*>(a.memory + a.contact_begin[group] * a.contact_stride);
+  }
+  articulation::ContactMaterial<float> material(int32_t contact) const {
+    return articulation::contact_material(a.materials, contacts, contact);
+  }
+  bool follows(int32_t contact, const articulation::ContactSide* sides) const {
+    return articulation::follows_plane(contacts, a.shape_type, contact, sides);
+  }
+};
+
+// Makes a tree an island of its own.
+inline void start_node(const ContactGroup& s, int32_t i) {
+  IslandNode& node = s.a.nodes[i];
+  node.root = node.last = i;
+  node.next = node.first_row = node.last_row = -1;
+  node.joined = node.rows = node.solved = 0;
+}
+
+// Joins the trees of a contact. The result: -1, or a tree of the group whose contact is with
+// something that is not of it.
+inline int32_t join_contact(const ContactGroup& s, int32_t place) {
+  const ContactGroupArguments& a = s.a;
+  articulation::ContactSide sides[2];
+  bool here = contact_sides(a.shapes, a.contacts[place], sides);
+  int32_t mine = a.trees[a.tree_begin[s.group]];
+  for (int side = 0; side < 2; ++side) {
+    if (sides[side].tree < 0) continue;
+    const bool of_group = a.shapes.group_of_tree[sides[side].tree] == s.group;
+    here = here && of_group;
+    if (of_group) mine = sides[side].tree;
+  }
+  a.chain[place].next = here ? -1 : -2;
+  a.chain[place].kept = -1;
+  if (here && articulation::moves(s.step.rows, sides[0]) &&
+      articulation::moves(s.step.rows, sides[1]))
+    articulation::join_trees([&](int32_t t) -> int32_t& { return s.root(t); }, sides[0].tree,
+                             sides[1].tree);
+  return here ? -1 : mine;
+}
+
+// Lists the trees of each island, behind all joins.
+inline void list_trees(const ContactGroup& s) {
+  const ContactGroupArguments& a = s.a;
+  for (int32_t k = s.first_tree(); k < s.end_tree(); ++k) {
+    const int32_t i = a.trees[k], root = s.find_root(i);
+    if (root == i) continue;
+    a.nodes[a.nodes[root].last].next = i;
+    a.nodes[root].last = i;
+  }
+}
+
+// Puts a contact at the end of its island's list, whose root is the result; -1: it has none.
+inline int32_t list_contact(const ContactGroup& s, int32_t place) {
+  const ContactGroupArguments& a = s.a;
+  if (a.chain[place].next == -2) return -1;
+  articulation::ContactSide sides[2];
+  contact_sides(a.shapes, a.contacts[place], sides);
+  const int32_t tree = articulation::moved_tree(s.step.rows, sides), root = s.find_root(tree);
+  IslandNode& node = a.nodes[root];
+  (node.rows == 0 ? node.first_row : a.chain[node.last_row].next) = place;
+  node.last_row = place;
+  ++node.rows;
+  if (articulation::joins_more(sides, s.rows(tree).dof_count)) node.joined = 1;
+  return root;
+}
+
+// The rows of a contact, in `numbers`, which then point behind them.
+inline void build_row(const ContactGroup& s, int32_t contact, float*& numbers,
+                      articulation::IslandContact& row) {
+  row.contact = contact;
+  contact_sides(s.a.shapes, contact, row.sides);
+  row.follows = s.follows(contact, row.sides);
+  int32_t widths[2];
+  articulation::set_widths(s.step.rows, row.sides, widths);
+  for (int side = 0; side < 2; ++side) row.solver.sides[side].width = widths[side];
+  articulation::build_contact(
+      s.contacts, [&](int32_t i) { return s.tree(i); }, numbers, row);
+  numbers += 6 * (widths[0] + widths[1]);
+}
+inline void build_dry(const ContactGroup& s, int32_t i) {
+  const articulation::IslandTree of = s.tree(i);
+  articulation::PgsJointFriction<float>* const dry = s.friction(i);
+  const int32_t dofs = of.tree.dof_count, width = articulation::padded_dofs(dofs);
+  auto* const responses = reinterpret_cast<float*>(dry + dofs);
+  for (int32_t k = 0; k < dofs; ++k)
+    if (s.has_friction(i, k))
+      articulation::build_friction(of, k, s.a.joint_friction[s.rows(i).first_dof + k] * s.law.dt,
+                                   responses + k * width, dry[k]);
+}
+
+}  // namespace novaphy

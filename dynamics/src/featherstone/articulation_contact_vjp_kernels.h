@@ -1,0 +1,232 @@
+// The adjoint of a step of articulations with contacts and dry friction
+// (articulation/contact_adjoint.h), for devices; a row differentiates a group.
+//
+//   articulation_contact_vjp        all gradients but those of materials, which it leaves by
+//   contact articulation_material_clear     of contacts that have none
+//   articulation_material_gradient  those of a shape, in the order of its contacts
+#pragma once
+
+#include "novaphy/core/row_kernel.h"
+#include "novaphy/dynamics/articulation/contact_adjoint.h"
+#include "novaphy/dynamics/articulation/contact_groups.h"
+#include "novaphy/dynamics/articulation/vjp_arguments.h"
+
+namespace novaphy {
+
+struct ArticulationContactVjpArguments {
+  ArticulationStepVjpArguments step;
+  ContactGroupArguments of;
+  const Vec3f* impulses;           // {contacts}, of the step
+  const float* friction_impulses;  // {dofs}
+  float* joint_friction;           // its gradient, added to; null: nobody wants it
+  // A row per contact; null: nobody wants them. shape_of {2 contacts}: whose they are.
+  articulation::MaterialGradient* materials;
+  int32_t* shape_of;
+  double* system;  // of a group: so many numbers for each contact, and so many besides
+  int64_t system_of_contact, system_of_group;
+  int32_t* status;  // {groups}: 0, or 1 + the numbers that there was no room for
+};
+
+// Memory of a contact of trees with so many dofs.
+inline int64_t adjoint_contact_bytes(int32_t dofs) {
+  return (static_cast<int64_t>(sizeof(articulation::AdjointContact)) + contact_row_bytes(dofs) +
+          7) /
+         8 * 8;
+}
+
+// A group's adjoint.
+struct GroupAdjoint : ContactGroup {
+  const ArticulationContactVjpArguments& all;
+
+  GroupAdjoint(const ArticulationContactVjpArguments& arguments, int64_t row)
+      : ContactGroup(arguments.step.in, arguments.of, arguments.step.workspace,
+                     arguments.step.stride, row, nullptr),
+        all(arguments) {}
+
+  articulation::AdjointContact& row(int32_t place) const {
+    return reinterpret_cast<articulation::AdjointContact*>(island_memory())[place - first_place()];
+  }
+};
+
+// What solve_adjoint reads of an island.
+struct GroupIsland {
+  const GroupAdjoint& s;
+  int32_t root;
+
+  template <class F>
+  void for_contacts(const F& f) const {
+    for (int32_t place = s.a.nodes[root].first_row; place >= 0; place = s.a.chain[place].next)
+      if (s.row(place).solver.impulse[0] > 0.0f) f(s.row(place));
+  }
+  template <class F>
+  void for_held(const F& f) const {
+    for (int32_t i = root; i >= 0; i = s.a.nodes[i].next) {
+      const articulation::PgsJointFriction<float>* const dry = s.friction(i);
+      for (int32_t k = 0; k < s.rows(i).dof_count; ++k)
+        if (s.has_friction(i, k) && articulation::holds(dry[k].impulse, dry[k].limit)) f(dry[k], i);
+    }
+  }
+  double* system(int64_t numbers) const {
+    const int64_t contacts = s.end_place() - s.first_place();
+    const ArticulationContactVjpArguments& a = s.all;
+    const int64_t most = contacts * a.system_of_contact + a.system_of_group;
+    if (numbers > most) {
+      a.status[s.group] = numbers < 0x7ffffffe ? static_cast<int32_t>(1 + numbers) : 0x7fffffff;
+      return nullptr;
+    }
+    return a.system + (s.first_place() * a.system_of_contact + s.group * a.system_of_group);
+  }
+  float* rate_gradient(int32_t tree) const { return s.adjoint(tree).rate; }
+  int32_t dofs(int32_t tree) const { return s.rows(tree).dof_count; }
+};
+
+// The dynamics of a tree at the start of the step, its rates behind the impulses, and the gradients
+// of those.
+inline void start_adjoint(const GroupAdjoint& s, int32_t i) {
+  const ArticulationStepVjpArguments& a = s.all.step;
+  articulation::IslandTree of = s.tree(i);
+  articulation::AdjointMemory<float> memory = s.adjoint(i);
+  articulation::step_vjp_rates(of.tree, s.in, s.how, a.qdd, a.branch, a.q_next, a.qd_next, a.out,
+                               a.gradient, of.ws, memory);
+  articulation::step_vjp_dynamics(of.tree, s.in, s.how, of.ws);
+  const int32_t dofs = s.rows(i).dof_count;
+  for (int32_t k = 0; k < articulation::padded_dofs(dofs); ++k)
+    of.rates[k] = k < dofs ? of.qd[k] + s.how.dt * of.ws.qdd[k] : 0.0f;
+  start_node(s, i);
+}
+
+// Takes the impulses out of the rates, or puts them back.
+inline void apply_impulses(const GroupAdjoint& s, float sign) {
+  for (int32_t place = s.first_place(); place < s.end_place(); ++place) {
+    const articulation::AdjointContact& row = s.row(place);
+    for (int32_t r = 0; r < 3; ++r) articulation::push(row.solver, r, sign * row.solver.impulse[r]);
+  }
+  for (int32_t t = s.first_tree(); t < s.end_tree(); ++t) {
+    const int32_t i = s.a.trees[t];
+    const articulation::PgsJointFriction<float>* const dry = s.friction(i);
+    for (int32_t k = 0; k < s.rows(i).dof_count; ++k) {
+      if (!s.has_friction(i, k)) continue;
+      const articulation::PgsJointFriction<float>& f = dry[k];
+      for (int32_t x = 0; x < f.width; ++x) f.rates[x] += sign * f.impulse * f.response[x];
+    }
+  }
+}
+
+// The rows of all contacts and of dry friction, as the step had them.
+inline void build_rows(const GroupAdjoint& s) {
+  auto* numbers = reinterpret_cast<float*>(&s.row(s.end_place()));
+  for (int32_t place = s.first_place(); place < s.end_place(); ++place) {
+    articulation::AdjointContact& row = s.row(place);
+    row = articulation::AdjointContact{};
+    if (s.a.chain[place].next == -2) continue;
+    const int32_t contact = s.a.contacts[place];
+    build_row(s, contact, numbers, row);
+    const Vec3f& impulse = s.all.impulses[contact];
+    row.solver.impulse[0] = impulse.x;
+    row.solver.impulse[1] = impulse.y;
+    row.solver.impulse[2] = impulse.z;
+  }
+  for (int32_t t = s.first_tree(); t < s.end_tree(); ++t) {
+    const int32_t i = s.a.trees[t];
+    build_dry(s, i);
+    for (int32_t k = 0; k < s.rows(i).dof_count; ++k)
+      if (s.has_friction(i, k))
+        s.friction(i)[k].impulse = s.all.friction_impulses[s.rows(i).first_dof + k];
+  }
+  apply_impulses(s, -1.0f);
+  for (int32_t place = s.first_place(); place < s.end_place(); ++place)
+    if (s.a.chain[place].next != -2)
+      articulation::set_target(s.law, s.material(s.row(place).contact), s.row(place));
+  apply_impulses(s, 1.0f);
+}
+
+// Where there is no room for its system, the gradients of an island are NaN.
+inline void solve_island_adjoint(const GroupAdjoint& s, int32_t root) {
+  if (s.a.nodes[root].solved != 0) return;
+  s.a.nodes[root].solved = 1;
+  const GroupIsland island = {s, root};
+  if (articulation::solve_adjoint(island, s.law.cone)) return;
+  const float nan = math::bits_float(0x7fc00000);
+  for (int32_t i = root; i >= 0; i = s.a.nodes[i].next)
+    for (int32_t k = 0; k < s.rows(i).dof_count; ++k) s.adjoint(i).rate[k] = nan;
+  island.for_contacts([&](articulation::AdjointContact& row) {
+    row.z = row.pull = {nan, nan, nan};
+  });
+}
+
+inline void add_contact(const GroupAdjoint& s, int32_t place) {
+  const articulation::AdjointContact& row = s.row(place);
+  if (!(row.solver.impulse[0] > 0.0f)) return;
+  articulation::add_contact_geometry(
+      row, s.how.dt, [&](int32_t i) { return s.tree(i); }, [&](int32_t i) { return s.adjoint(i); });
+  if (s.all.materials == nullptr) return;
+  s.all.materials[row.contact] =
+      articulation::material_gradient(s.law, s.material(row.contact), row);
+  s.all.shape_of[2 * row.contact] = s.a.shapes.shape0[row.contact];
+  s.all.shape_of[2 * row.contact + 1] = s.a.shapes.shape1[row.contact];
+}
+
+inline void finish_adjoint(const GroupAdjoint& s, int32_t i) {
+  articulation::IslandTree of = s.tree(i);
+  articulation::AdjointMemory<float> memory = s.adjoint(i);
+  if (s.all.joint_friction != nullptr) {
+    const articulation::PgsJointFriction<float>* const dry = s.friction(i);
+    for (int32_t k = 0; k < s.rows(i).dof_count; ++k) {
+      const bool has = s.has_friction(i, k);
+      const float push = articulation::friction_push(has, has ? dry[k].impulse : 0.0f,
+                                                     has ? dry[k].limit : 0.0f, of.rates[k]);
+      s.all.joint_friction[s.rows(i).first_dof + k] += push * memory.scratch[k];
+    }
+  }
+  articulation::step_vjp_inputs(of.tree, s.in, s.how, s.all.step.gradient, of.ws, memory);
+}
+
+// Islands in the order of their first contacts, as on the host: they meet in kinematic bodies.
+NOVAPHY_ROW_KERNEL(articulation_contact_vjp, 103, ArticulationContactVjpArguments) {
+  const GroupAdjoint s(a, row);
+  const int32_t* const trees = a.of.trees;
+  a.status[row] = 0;
+  for (int32_t t = s.first_tree(); t < s.end_tree(); ++t) start_adjoint(s, trees[t]);
+  for (int32_t place = s.first_place(); place < s.end_place(); ++place) join_contact(s, place);
+  list_trees(s);
+  for (int32_t place = s.first_place(); place < s.end_place(); ++place) list_contact(s, place);
+  build_rows(s);
+  for (int32_t place = s.first_place(); place < s.end_place(); ++place)
+    if (a.of.chain[place].next != -2)
+      solve_island_adjoint(s,
+                           s.find_root(articulation::moved_tree(s.step.rows, s.row(place).sides)));
+  for (int32_t t = s.first_tree(); t < s.end_tree(); ++t)
+    if (s.root(trees[t]) == trees[t]) solve_island_adjoint(s, trees[t]);
+  for (int32_t t = s.first_tree(); t < s.end_tree(); ++t) {
+    articulation::IslandTree of = s.tree(trees[t]);
+    articulation::AdjointMemory<float> memory = s.adjoint(trees[t]);
+    articulation::step_vjp_solve(of.tree, s.how, of.ws, memory);
+    articulation::set_contact_motions(of.tree, of.rates, of.ws, memory);
+  }
+  for (int32_t place = s.first_place(); place < s.end_place(); ++place) add_contact(s, place);
+  for (int32_t t = s.first_tree(); t < s.end_tree(); ++t) finish_adjoint(s, trees[t]);
+}
+
+struct ArticulationMaterialClearArguments {
+  int32_t* shape_of;
+};
+NOVAPHY_ROW_KERNEL(articulation_material_clear, 1, ArticulationMaterialClearArguments) {
+  a.shape_of[2 * row] = a.shape_of[2 * row + 1] = -1;
+}
+// Added to what is there; null: nobody wants it.
+struct ArticulationMaterialGradientArguments {
+  const int32_t *begin, *sides;  // of each shape: its contacts, times 2, and the side
+  const articulation::MaterialGradient* materials;
+  float *mu, *restitution, *ke, *kd;
+};
+NOVAPHY_ROW_KERNEL(articulation_material_gradient, 7, ArticulationMaterialGradientArguments) {
+  for (int32_t k = a.begin[row]; k < a.begin[row + 1]; ++k) {
+    const articulation::MaterialGradient& of = a.materials[a.sides[k] / 2];
+    if (a.mu != nullptr) a.mu[row] += of.mu;
+    if (a.restitution != nullptr) a.restitution[row] += of.restitution;
+    if (a.ke != nullptr) a.ke[row] += of.ke;
+    if (a.kd != nullptr) a.kd[row] += of.kd;
+  }
+}
+
+}  // namespace novaphy

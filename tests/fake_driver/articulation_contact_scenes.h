@@ -1,0 +1,119 @@
+// Scenes of articulations in contact, for tests on devices.
+#pragma once
+
+#include <vector>
+
+#include "novaphy/core/sim/model_builder.h"
+
+namespace novaphy::testing::contact_scenes {
+
+inline constexpr float kDt = 1.0f / 240.0f;
+inline const ShapeConfig kSurface = {.mu = 0.6f};
+
+inline Transformf at(float x, float y, float z) { return {{x, y, z}, Quatf::identity()}; }
+
+inline void add_box(ModelBuilder& b, const Vec3f& place, float size, const ShapeConfig& surface,
+                    const SpatialVectorf& qd = {}) {
+  const int32_t body = b.add_body({.xform = {place, {0.0f, 0.0998334f, 0.0f, 0.9950042f}}});
+  b.add_shape_box(body, {.hx = size, .hy = size, .hz = size, .cfg = surface});
+  const size_t first = b.joint_qd.size() - 6;
+  const float v[6] = {qd.linear.x,  qd.linear.y,  qd.linear.z,
+                      qd.angular.x, qd.angular.y, qd.angular.z};
+  for (size_t k = 0; k < 6; ++k) b.joint_qd[first + k] = v[k];
+}
+
+// Boxes that land, slide, roll and bounce on a plane, apart from each other.
+inline ModelBuilder boxes() {
+  ModelBuilder b;
+  b.add_ground_plane({.cfg = kSurface});
+  for (int k = 0; k < 5; ++k) {
+    const auto x = static_cast<float>(k);
+    add_box(b, {x, 0.1f * x, 0.13f}, 0.1f,
+            {.mu = 0.2f * x, .restitution = k % 2 == 0 ? 0.0f : 0.5f},
+            {{0.5f * x, 0.3f, -0.5f * x}, {x, 0.2f, -0.1f}});
+  }
+  return b;
+}
+
+// Cubes upon each other, and one that flies into them.
+inline ModelBuilder stack() {
+  ModelBuilder b;
+  b.add_ground_plane({.cfg = kSurface});
+  for (int k = 0; k < 4; ++k) {
+    const auto z = static_cast<float>(k);
+    const int32_t body =
+        b.add_body({.xform = at(0.003f * (k % 2 == 0 ? 1.0f : -1.0f), 0.0f, 0.1f + 0.2f * z)});
+    b.add_shape_box(body, {.hx = 0.1f, .hy = 0.1f, .hz = 0.1f, .cfg = kSurface});
+  }
+  add_box(b, {-0.5f, 0.02f, 0.5f}, 0.08f, kSurface, {{6.0f, 0.0f, 1.0f}, {0.0f, 3.0f, 0.0f}});
+  return b;
+}
+
+// A ball with four legs of a hinge each. `group` -1: it meets the ground only.
+inline void add_walker(ModelBuilder& b, float x, float z, int32_t group, float friction) {
+  const ShapeConfig surface = {.mu = 0.75f, .collision_group = group};
+  const int32_t torso = b.add_link({.xform = at(x, 0.0f, z)});
+  b.add_shape_sphere(torso, {.radius = 0.15f, .cfg = surface});
+  std::vector<int32_t> joints = {b.add_joint_free(torso)};
+  for (int k = 0; k < 4; ++k) {
+    const float c = k < 2 ? 0.2f : -0.2f, s = k % 2 == 0 ? 0.2f : -0.2f;
+    const int32_t leg = b.add_link();
+    b.add_shape_capsule(leg, {.radius = 0.05f, .half_height = 0.12f, .cfg = surface});
+    const JointDofConfig dof = {.axis = {-s, c, 0.0f},
+                                .limit_lower = -0.6f,
+                                .limit_upper = 0.6f,
+                                .limit_ke = 1e3f,
+                                .target_q = 0.2f,
+                                .target_ke = 20.0f,
+                                .damping = 0.5f,
+                                .armature = 0.02f,
+                                .friction = friction};
+    joints.push_back(b.add_joint_revolute(
+        torso, leg,
+        {.parent_xform = at(c, s, 0.0f), .child_xform = at(0.0f, 0.0f, 0.15f), .dof = dof}));
+  }
+  b.add_articulation(joints);
+}
+inline ModelBuilder walker() {
+  ModelBuilder b;
+  b.add_ground_plane({.cfg = kSurface});
+  add_walker(b, 0.0f, 0.33f, -1, 0.0f);
+  return b;
+}
+
+// Two walkers, whose legs meet everything, upon each other and among boxes: one island with dry
+// friction, of trees and free bodies. And an arm that reaches into it from the world.
+inline ModelBuilder crowd() {
+  ModelBuilder b;
+  b.add_ground_plane({.cfg = kSurface});
+  add_walker(b, 0.0f, 0.33f, 1, 0.3f);
+  add_walker(b, 0.1f, 0.75f, 1, 0.0f);
+  add_box(b, {0.35f, 0.0f, 0.12f}, 0.1f, kSurface, {{-1.0f, 0.0f, 0.0f}, {}});
+  add_box(b, {-0.4f, 0.05f, 0.12f}, 0.1f, kSurface, {{1.5f, 0.0f, 0.0f}, {}});
+  const int32_t arm = b.add_link();
+  b.add_shape_capsule(arm, {.radius = 0.05f, .half_height = 0.3f, .cfg = kSurface});
+  const JointDofConfig hinge = {.axis = {0.0f, 1.0f, 0.0f}, .friction = 2.0f};
+  b.add_articulation(std::vector<int32_t>{b.add_joint_revolute(
+      -1, arm,
+      {.parent_xform = at(0.8f, 0.0f, 0.5f), .child_xform = at(0.0f, 0.0f, 0.35f), .dof = hinge})});
+  return b;
+}
+
+// A kinematic slab that moves and turns, with a walker and boxes on it, and a body that is fixed to
+// the world.
+inline ModelBuilder turntable() {
+  ModelBuilder b;
+  const int32_t slab = b.add_body({.xform = at(0.0f, 0.0f, -0.1f), .is_kinematic = true});
+  b.add_shape_box(slab, {.hx = 2.0f, .hy = 2.0f, .hz = 0.1f, .cfg = kSurface});
+  b.body_qd[static_cast<size_t>(slab)] = {{0.4f, 0.1f, 0.05f}, {0.0f, 0.02f, 0.5f}};
+  add_walker(b, 0.0f, 0.33f, 1, 0.3f);
+  add_box(b, {0.6f, 0.1f, 0.13f}, 0.1f, kSurface, {{1.0f, 0.0f, -0.5f}, {}});
+  add_box(b, {-0.7f, 0.4f, 0.13f}, 0.1f, kSurface);
+  const int32_t post = b.add_link();
+  b.add_shape_box(post, {.hx = 0.05f, .hy = 0.5f, .hz = 0.2f, .cfg = kSurface});
+  b.add_articulation(
+      std::vector<int32_t>{b.add_joint_fixed(-1, post, {.parent_xform = at(0.8f, 0.0f, 0.25f)})});
+  return b;
+}
+
+}  // namespace novaphy::testing::contact_scenes

@@ -10,6 +10,8 @@ installed are left out.
 
 With --device, world-steps per second there of FR3 arms and of Ants with their contacts, by the
 clock, captured, as lines of JSON with a hash of the last joint_q: that of the CPU, if the bits are.
+Also of Ants with the exact gradient through their contacts, a rollout of 20 steps and its adjoint,
+with a hash of the gradient of the first joint_qd and the label of the gradient.
 
     python tools/bench/novaphy_articulation.py --device cuda:0 --worlds 1024 65536
 """
@@ -262,6 +264,61 @@ def time_device_ants(device: str, worlds: int, steps: int = 100) -> dict[str, ob
     assert not ants.contacts.overflowed
     count = {"contacts": round(ants.contact_count, 1)}
     return {"scene": "Ant, collide and step", **line, **count, "hash": hash_of(ants.state)}
+
+
+def time_device_ant_gradients(device: str, worlds: int, steps: int = 20) -> dict[str, object]:
+    """A rollout of Ants that have landed and its adjoint through their contacts, likewise."""
+    from novaphy import nova
+    from novaphy.diff import (
+        Trajectory,
+        control_joint_f_tensor,
+        state_joint_q_tensor,
+        state_joint_qd_tensor,
+    )
+
+    ants = Ants(worlds, device)
+    many = novaphy.ModelBuilder()
+    many.replicate(demo_articulated_scenes.build_ant(), worlds, (3.0, 0.0, 0.0))
+    model = many.finalize(device, requires_grad=True)
+    solver = novaphy.solvers.DiffFeatherstoneSolver(model, pgs_slop=0.0, pgs_erp=1.0)
+    pipeline = novaphy.CollisionPipeline(model)
+    trajectory, control = Trajectory(model, steps), model.control()
+    control.joint_f.assign(ants.control.joint_f.numpy())
+    start = trajectory[0]
+    start.joint_q.assign(ants.landed[0])
+    start.joint_qd.assign(ants.landed[1])
+    novaphy.eval_fk(model, start.joint_q, start.joint_qd, start)
+    leaves = (state_joint_qd_tensor(start, True), control_joint_f_tensor(control, True))
+
+    def iteration() -> None:
+        with nova.Tape() as tape:
+            solver.rollout(trajectory, control, None, DT, pipeline=pipeline)
+            end = state_joint_q_tensor(trajectory[steps])
+            loss = nova.sum(nova.mul(end, end))
+        tape.backward(loss)
+
+    run = replayed(device, iteration)
+    times = []
+    for _ in range(TURNS):
+        for leaf in leaves:
+            leaf.zero_grad()
+        novaphy.synchronize(device)
+        begin = time.perf_counter()
+        run()
+        novaphy.synchronize(device)
+        times.append(time.perf_counter() - begin)
+    gradient = leaves[0].grad.numpy()
+    assert np.isfinite(gradient).all()
+    info = solver.gradient_info()
+    return {
+        "scene": "Ant, collide, step and exact gradient",
+        "device": novaphy.get_device(device).name,
+        "worlds": worlds,
+        "world_steps_per_second": round(worlds * steps / min(times)),
+        "label": info["label"],
+        "exact_steps": f"{info['exact_steps']} of {info['contact_steps']}",
+        "hash": hashlib.sha256(gradient.tobytes()).hexdigest()[:16],
+    }
 
 
 def planar_arm() -> novaphy.ModelBuilder:
@@ -617,10 +674,12 @@ def main() -> None:
     parser.add_argument("--page", action="store_true", help="write the page of the results")
     parser.add_argument("--device", help="measure there, and nothing else")
     parser.add_argument("--worlds", type=int, nargs="+", default=[1024, 8192, 65536])
+    parser.add_argument("--gradients", action="store_true", help="with --device: those alone")
     args = parser.parse_args()
     if args.device:
         for worlds in args.worlds:
-            for timed in (time_device, time_device_ants):
+            forward = (time_device, time_device_ants)
+            for timed in (time_device_ant_gradients,) if args.gradients else forward:
                 print(json.dumps(timed(args.device, worlds)), flush=True)
         return
     if os.environ.get("NOVAPHY_NUM_THREADS") != "1":

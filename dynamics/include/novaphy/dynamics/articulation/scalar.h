@@ -44,7 +44,7 @@ inline SinCos<float> sin_cos(float x) {
 inline float square_root(float x) { return math::sqrt(x); }
 inline bool is_finite(float x) { return x - x == 0.0f; }
 
-#ifndef NOVAPHY_KERNEL  // devices have no doubles
+#ifndef NOVAPHY_KERNEL  // devices have doubles, but not these functions of them
 inline int32_t to_branches(double x) { return static_cast<int32_t>(x); }
 inline SinCos<double> sin_cos(double x) { return {std::sin(x), std::cos(x)}; }
 inline double square_root(double x) { return std::sqrt(x); }

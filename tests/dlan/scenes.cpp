@@ -7,6 +7,7 @@
 
 #include "diff/ball_scene.h"
 #include "dynamics/all_joints_scene.h"
+#include "fake_driver/articulation_contact_scenes.h"
 #include "novaphy/collision/collision_pipeline.h"
 #include "novaphy/core/error.h"
 #include "novaphy/diff/diff_featherstone_solver.h"
@@ -244,6 +245,53 @@ void vbd_gradients(Device device) {
 }
 #endif
 
+// Gradients through the contacts and the dry friction of a walker that lands, and its labels.
+std::vector<float> articulation_contact_gradients(Device device, bool capture) {
+  using namespace novaphy;
+  ModelBuilder b;
+  b.add_ground_plane({.cfg = testing::contact_scenes::kSurface});
+  for (const float x : {0.0f, 2.0f})
+    testing::contact_scenes::add_walker(b, x, 0.318f, -1, 0.5f * x);
+  const auto model = b.finalize(device, {.requires_grad = true});
+  diff::DiffFeatherstoneSolver solver(model);
+  CollisionPipeline pipeline(model, {.rigid_contact_max = 100});
+  constexpr int32_t kSteps = 12;
+  Trajectory trajectory(model, kSteps);
+  const Tensor leaves[] = {diff::state_joint_q_tensor(trajectory.state(0), true),
+                           diff::state_joint_qd_tensor(trajectory.state(0), true),
+                           diff::model_joint_friction_tensor(*model, true),
+                           diff::model_shape_material_mu_tensor(*model, true)};
+  nova::ScopedCapture scope;
+  if (!capture) scope.end();
+  {
+    nova::Tape tape;
+    const nova::TapeScope on_tape(tape);
+    RolloutOptions options;
+    options.pipeline = &pipeline;
+    solver.rollout(trajectory, nullptr, nullptr, kRigidDt, options);
+    const Tensor last = diff::state_body_q_tensor(trajectory.state(kSteps));
+    tape.backward(nova::sum(nova::mul(last, last)));
+  }
+  scope.end();
+  if (capture) scope.graph()->launch();
+  std::vector<float> results;
+  for (const Tensor& leaf : leaves) append(results, leaf.grad().to_host());
+  const ContactBranches said = solver.branches();
+  for (const int64_t count : {said.exact, said.sticking, said.sliding})
+    results.push_back(static_cast<float>(count));
+  return results;
+}
+void contact_gradients(Device device) {
+  std::vector<float> cpu = articulation_contact_gradients(Device::cpu(), false);
+  std::printf("%s", cpu[cpu.size() - 2] + cpu.back() > 0.0f ? "contacts" : "no contacts");
+  for (const bool capture : {false, true})
+    std::printf(", %s", same_bits(articulation_contact_gradients(device, capture),
+                                  articulation_contact_gradients(Device::cpu(), capture))
+                            ? "same"
+                            : "other");
+  std::printf("\n");
+}
+
 // The loss and the gradients of the first state of an articulation: of a captured iteration.
 std::vector<float> articulation(Device device) {
   using namespace novaphy;
@@ -371,6 +419,8 @@ int main(int argc, char** argv) {
       rigid_contacts(device);
     } else if (scene == "articulation") {
       compare(articulation, device);
+    } else if (scene == "contact_gradients") {
+      contact_gradients(device);
     } else if (scene == "articulations") {
       articulations(device);
 #ifdef DLAN_HAS_VBD

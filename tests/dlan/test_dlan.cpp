@@ -151,6 +151,9 @@ TEST_P(OnWarps, ACapturedIterationOfRigidBodiesHasTheBitsOfTheCpu) {
 TEST_P(OnWarps, ArticulationsStepWithTheBitsOfTheCpuDirectAndReplayed) {
   EXPECT_EQ(probe(fake(), "articulations", SCENES).output, "18300 numbers, same, same\n");
 }
+TEST_P(OnWarps, GradientsThroughContactsOfArticulationsHaveTheBitsOfTheCpuDirectAndReplayed) {
+  EXPECT_EQ(probe(fake(), "contact_gradients", SCENES).output, "contacts, same, same\n");
+}
 TEST_P(OnWarps, ACapturedIterationOfAnArticulationHasTheBitsOfTheCpu) {
   const std::string output = probe(fake(), "articulation", SCENES).output;
   EXPECT_NE(output.find(" and 53 gradients have the same bits\n"), std::string::npos) << output;

@@ -1,6 +1,7 @@
 // Gradients through contacts and dry friction of articulations on a CUDA device: the bits of the
 // CPU, direct, replayed and from checkpoints, and the same labels. On a GPU, or on the fake driver
 // (CMakeLists.txt).
+#include <cmath>
 #include <string>
 #include <utility>
 #include <vector>
@@ -170,6 +171,30 @@ TEST_F(ArticulationGradientDevices, SingleStepsHaveTheBitsOfTheCpu) {
   EXPECT_EQ(said.held, 0);
   EXPECT_GT(said.sticking + said.sliding, 0);
   expect_same(trained(walker(), Device::cuda(), how), expected, "");
+}
+
+// Two worlds that could have so many contacts that each has room for 16: a stack has more.
+TEST_F(ArticulationGradientDevices, AnIslandWithoutRoomHasNaNAndTheNextStepSaysSo) {
+  ModelBuilder all;
+  all.add_ground_plane({.cfg = kSurface});
+  for (int w = 0; w < 2; ++w) all.add_world(stack());
+  const auto model = all.finalize(Device::cuda(), {.requires_grad = true});
+  diff::DiffFeatherstoneSolver solver(model);
+  CollisionPipeline pipeline(model, {.rigid_contact_max = 120000});
+  Contacts contacts = pipeline.contacts();
+  SimState a = model->state(), b = model->state();
+  eval_fk(*model, a.joint_q, a.joint_qd, a);
+  const nova::Tensor qd = diff::state_joint_qd_tensor(a, true);
+  pipeline.collide(a, contacts);
+  nova::Tape tape;
+  {
+    const nova::TapeScope on_tape(tape);
+    solver.step(a, b, nullptr, &contacts, kDt);
+    tape.backward(squares(b));
+  }
+  EXPECT_TRUE(std::isnan(qd.grad().to_host()[0]));
+  expect_thrown(ErrorKind::Runtime, "backward: an island of contacts needs a system of",
+                [&] { solver.step(a, b, nullptr, &contacts, kDt); });
 }
 
 // Also with a body that belongs to all worlds: then they are one group, with one large system.

@@ -14,8 +14,8 @@ constexpr size_t kNoteNumbers = sizeof(art::BranchNotes) / sizeof(int32_t),
                  kBranchNumbers = sizeof(ContactBranches) / sizeof(int32_t),
                  kMaterialNumbers = sizeof(art::MaterialGradient) / sizeof(float);
 // Of the systems of all groups: as much as any contacts need where it is less than kMostSystems,
-// else so much that groups with kLeastContacts for each of their contacts have room.
-constexpr int64_t kMostSystems = int64_t{1} << 22;  // numbers of 8 bytes
+// else that; but of several groups so much that those with kLeastContacts have room.
+constexpr int64_t kMostSystems = int64_t{1} << 24;  // numbers of 8 bytes
 constexpr int64_t kLeastContacts = 16;
 
 }  // namespace
@@ -70,6 +70,10 @@ void LaunchedContacts::reserve_adjoint(bool dry, bool materials) {
     // (3 c + d) (3 c + d + 1) for c contacts and d dofs.
     system_of_contact_ = 9 * contacts + 6 * dofs + 3;
     system_of_group_ = dofs * (dofs + 1) + 1;
+    if (groups_ == 1) {
+      system_of_contact_ = 0;
+      system_of_group_ = std::min(art::adjoint_numbers(slots, dofs) + 1, kMostSystems);
+    }
     system_ = DeviceArray<float>(
         static_cast<size_t>(2 * (slots * system_of_contact_ + groups_ * system_of_group_)), device);
     adjoint_memory_ = DeviceArray<float>(static_cast<size_t>(slots * adjoint_stride_), device);

@@ -99,6 +99,7 @@ class AntWorlds:
         self.pipeline = CollisionPipeline(self.model)
         self.contacts, self.control = self.pipeline.contacts(), self.model.control()
         self.state, self._after = self.model.state(), self.model.state()
+        self._starts = self.model.state()  # of a reset
         self._replays = not self.model.device.is_cpu
         self._graphs: dict[int, nova.Graph] = {}  # of a frame, by the state that it begins with
         self._masses = self.model.body_mass.numpy().reshape(num_worlds, -1)
@@ -142,7 +143,7 @@ class AntWorlds:
                     f"{name}: expected {{{self.num_worlds}, {width}}} finite numbers, "
                     f"got {rows.shape}"
                 )
-        self._write(np.asarray(q, np.float32), np.asarray(qd, np.float32))
+        self._write(np.asarray(q, np.float32), np.asarray(qd, np.float32), self.state)
         self._forget()
         self.frame[:] = frame
 
@@ -151,10 +152,10 @@ class AntWorlds:
         self.solver.notify_model_changed(0)
         self._graphs.clear()  # they would go on with what was read before
 
-    def _write(self, q: Array, qd: Array) -> None:
-        self.state.joint_q.assign(np.ascontiguousarray(q).ravel())
-        self.state.joint_qd.assign(np.ascontiguousarray(qd).ravel())
-        eval_fk(self.model, self.state.joint_q, self.state.joint_qd, self.state)
+    def _write(self, q: Array, qd: Array, state: SimState) -> None:
+        state.joint_q.assign(np.ascontiguousarray(q).ravel())
+        state.joint_qd.assign(np.ascontiguousarray(qd).ravel())
+        eval_fk(self.model, state.joint_q, state.joint_qd, state)
 
     def reseed(self, seed: int) -> None:
         """Draw the starts from now on with another seed."""
@@ -186,17 +187,18 @@ class AntWorlds:
                 f"worlds: expected {{{self.num_worlds}}} truth values, got {mask.shape}"
             )
         if worlds is None or mask.any():
-            first_q, first_qd = self.start()
-            q, qd = self.q, self.qd
-            q[mask], qd[mask] = first_q[mask], first_qd[mask]
+            q, qd = self.start()
             self._resets += 1
             self.frame[mask] = 0
-            poses, rates = self.state.body_q.numpy(), self.state.body_qd.numpy()
-            self._write(q, qd)
-            # The others keep the bits that their last step gave.
-            keep = np.repeat(~mask, self._masses.shape[1])[:, None]
-            for array, before in ((self.state.body_q, poses), (self.state.body_qd, rates)):
-                array.assign(np.where(keep, before, array.numpy()))
+            # On the device; the others keep the bits that their last step gave.
+            self._write(q, qd, self._starts)
+            begins = nova.tensor(mask.astype(np.int32)[:, None], device=self.model.device)
+            for name in ("joint_q", "joint_qd", "body_q", "body_qd"):
+                start, now = (
+                    nova.from_device_array(getattr(state, name)).reshape(self.num_worlds, -1)
+                    for state in (self._starts, self.state)
+                )
+                now.copy_(nova.where(begins, start, now))
             if worlds is None:
                 self._forget()
         return self.observations()

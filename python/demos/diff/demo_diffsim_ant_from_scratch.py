@@ -1,4 +1,4 @@
-"""Teach an Ant of 182 kg to walk from zero, with 80 parameters and analytic gradients.
+"""Teach an Ant of 182 kg to walk from zero: 80 parameters, analytic gradients, a search at the end.
 
 The actor gives 8 torques 20 times a second: the tanh of 80 weights times 10 features of each hinge.
 These are 1 and two harmonics of a phase; height and velocity of the torso (ankles) or its y and
@@ -432,19 +432,20 @@ def robustness(actor: Actor, ant: str, seeds: int, frames: int) -> float:
     return float(upright.mean())
 
 
-def save(path: str, actor: Actor, ant: str, seed: int, kind: str) -> None:
+def save(actor: Actor, args: argparse.Namespace) -> None:
     """Write the weights with what they are."""
     meta = {
-        "ant": ant,
-        "asset": asset_hash(ant),
+        "ant": args.ant,
+        "asset": asset_hash(args.ant),
         "commit": provenance(),
         "features": list(NAMES),
-        "gradient": kind,
+        "gradient": args.gradient,
         "period": PERIOD,
         "script": shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]),
-        "seed": seed,
+        "seed": args.seed,
+        "without_gradient": [name for name in args.stages if name in POLISH],
     }
-    nova.save_parameters(path, {"weights": nova.tensor(np.float32(actor.weights))}, meta)
+    nova.save_parameters(args.out, {"weights": nova.tensor(np.float32(actor.weights))}, meta)
 
 
 def load(path: str, ant: str) -> Actor:
@@ -543,7 +544,7 @@ def train(args: argparse.Namespace) -> tuple[Actor, list[float], dict[str, bool]
             count = max(1, round(iterations * args.repeat))
             rate = trainer.stage(name, horizon, count, strength, begun + args.seconds)
             checks[f"steps that are accepted in stage {name}"] = rate > 0.0
-            save(args.out, actor, args.ant, args.seed, args.gradient)
+            save(actor, args)
     for name in POLISH:
         if name in args.stages:
             count, until = max(1, round(GENERATIONS * args.repeat)), begun + args.seconds
@@ -561,7 +562,7 @@ def main() -> int:
         actor, losses = load(args.load, args.ant), []
     else:
         actor, losses, checks = train(args)
-        save(args.out, actor, args.ant, args.seed, args.gradient)
+        save(actor, args)
         actor = load(args.out, args.ant)  # what is played is what the file says, in float32
     ants = make_worlds(1, args.ant)
     with make_stage(args, ants) as stage:

@@ -372,3 +372,28 @@ def test_collapsing_and_copies_keep_who_follows_whom():
     many = novaphy.ModelBuilder()
     many.replicate(b, 2)
     assert many.finalize().joint_mimic.numpy().tolist() == [-1, 0, -1, 2]
+
+
+@needs_diff
+@pytest.mark.skipif(not novaphy.is_device_available("cuda:0"), reason="no CUDA device")
+def test_followers_on_a_device_have_the_bits_of_the_cpu():
+    from novaphy import diff, nova
+
+    found = []
+    for device in ("cpu", "cuda:0"):
+        model = tree(worlds=3).finalize(device, requires_grad=True)
+        control = model.control()
+        control.joint_f.assign(np.linspace(-2, 2, model.joint_dof_count, dtype=np.float32))
+        control.joint_f.requires_grad = True
+        solver = solvers.DiffFeatherstoneSolver(model, angular_damping=0.0)
+        trajectory = diff.Trajectory(model, 8)
+        with nova.Tape() as tape:
+            solver.rollout(trajectory, control, None, DT)
+            q = diff.state_joint_q_tensor(trajectory[8])
+            tape.backward(nova.sum(q * q))
+        end = trajectory[8]
+        arrays = (end.joint_q, end.joint_qd, end.body_q, control.joint_f.grad)
+        found.append([a.numpy() for a in arrays])
+    for on_cpu, on_device in zip(*found, strict=True):
+        np.testing.assert_array_equal(on_cpu, on_device)
+    assert np.abs(found[0][3]).max() > 0.0

@@ -33,6 +33,7 @@ DEVICE_WORLDS = (1, 16, 256, 1024, 4096, 16384)
 THREADS = (1, 2)
 SUBSTEPS, DT = 50, 1e-3
 FRAMES = 60  # of the gradients
+BY_HAND = "## On a GPU"  # where the part of the page begins that is kept
 LANDED = 20  # frames before the first that is timed
 ANT = ROOT / "python" / "novaphy" / "assets" / "ant_heavy.xml"
 START_JOINTS = (0, 1, 0, -1, 0, -1, 0, 1)
@@ -284,7 +285,7 @@ def page(rows: list[dict[str, object]], load: float) -> str:
     lines = [
         "# Performance of policies",
         "",
-        "Written by `tools/bench/bench_policies.py --page`; do not edit.",
+        "Written by `tools/bench/bench_policies.py --page`, but for the last part.",
         "",
         f"On {cpu_name()}, Python {platform.python_version()}, by the clock, the fastest of some",
         f"turns. Load average before the first: {load:.1f}"
@@ -381,7 +382,9 @@ def main() -> None:
     load = os.getloadavg()[0]
     rows = everything(args.limit)
     if args.page:
-        (ROOT / "docs" / "performance-policies.md").write_text(page(rows, load), "utf-8")
+        path = ROOT / "docs" / "performance-policies.md"
+        by_hand = path.read_text("utf-8").partition(BY_HAND)
+        path.write_text("\n".join([page(rows, load), "".join(by_hand[1:])]), "utf-8")
 
 
 if __name__ == "__main__":

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <numeric>
+#include <tuple>
 #include <utility>
 
 #include "novaphy/core/error.h"
@@ -52,6 +53,54 @@ void set_rings(MeshTree& tree) {
     tree.ring.push_back(j);
   }
   std::partial_sum(tree.ring_starts.begin(), tree.ring_starts.end(), tree.ring_starts.begin());
+}
+
+// Where more than two triangles meet, or two with opposite sides, each has a border.
+void set_edges(MeshTree& tree) {
+  constexpr float kConvexSine = 1e-3f;
+  struct Side {
+    int32_t a, b, triangle, corner;  // a, b: as the triangle goes round
+  };
+  std::vector<Side> sides;
+  for (size_t t = 0; t < tree.triangles.size(); ++t) {
+    const Vec3i& c = tree.triangles[t];
+    if (tree.normals[t] == Vec3f{}) continue;
+    const auto triangle = static_cast<int32_t>(t);
+    sides.insert(sides.end(),
+                 {{c.x, c.y, triangle, 0}, {c.y, c.z, triangle, 1}, {c.z, c.x, triangle, 2}});
+  }
+  const auto key = [](const Side& s) {
+    return std::tuple(std::min(s.a, s.b), std::max(s.a, s.b), s.triangle);
+  };
+  std::sort(sides.begin(), sides.end(),
+            [&](const Side& s, const Side& other) { return key(s) < key(other); });
+  const auto third = [&](const Side& s) {
+    const Vec3i& c = tree.triangles[static_cast<size_t>(s.triangle)];
+    return s.corner == 0 ? c.z : s.corner == 1 ? c.x : c.y;
+  };
+  tree.own_edges.assign(tree.triangles.size(), {-1, -1, -1});
+  const auto add = [&](const Side& s, int32_t right) {
+    Vec3i& own = tree.own_edges[static_cast<size_t>(s.triangle)];
+    (s.corner == 0   ? own.x
+     : s.corner == 1 ? own.y
+                     : own.z) = static_cast<int32_t>(tree.edges.size());
+    tree.edges.push_back({s.a, s.b, third(s), right, s.triangle});
+  };
+  for (size_t i = 0, end = 0; i < sides.size(); i = end) {
+    for (end = i + 1; end < sides.size() &&
+                      std::min(sides[end].a, sides[end].b) == std::min(sides[i].a, sides[i].b) &&
+                      std::max(sides[end].a, sides[end].b) == std::max(sides[i].a, sides[i].b);)
+      ++end;
+    if (end - i == 2 && sides[i].a == sides[i + 1].b) {
+      const int32_t right = third(sides[i + 1]);
+      const Vec3f d = tree.vertices[static_cast<size_t>(right)] -
+                      tree.vertices[static_cast<size_t>(sides[i].a)];
+      const Vec3f& n = tree.normals[static_cast<size_t>(sides[i].triangle)];
+      if (math::dot(n, d) < -kConvexSine * math::length(d)) add(sides[i], right);
+      continue;
+    }
+    for (size_t k = i; k < end; ++k) add(sides[k], -1);
+  }
 }
 
 class Builder {
@@ -136,10 +185,13 @@ geometry::MeshView mesh_view(const MeshTree& tree) {
   view.normals = tree.normals.data();
   view.ring_starts = tree.ring_starts.data();
   view.ring = tree.ring.data();
+  view.edges = tree.edges.data();
+  view.own_edges = tree.own_edges.data();
   view.nodes = tree.nodes.data();
   view.order = tree.order.data();
   view.node_count = static_cast<int32_t>(tree.nodes.size());
   view.vertex_count = static_cast<int32_t>(tree.vertices.size());
+  view.edge_count = static_cast<int32_t>(tree.edges.size());
   return view;
 }
 
@@ -158,6 +210,7 @@ MeshTree build_mesh_tree(std::span<const Vec3f> vertices, std::span<const int32_
         {static_cast<float>(n.x), static_cast<float>(n.y), static_cast<float>(n.z)});
   }
   set_rings(tree);
+  set_edges(tree);
   Builder{tree};
   return tree;
 }

@@ -30,7 +30,7 @@ inline float reach_along(const RigidShape& shape, const Vec3f& axis) {
   return 1.0e6f;  // a plane
 }
 
-// Of types in their order: a mesh and a convex shape, which rigid_mesh_kernels.h handles.
+// Of types in their order: a mesh and a convex shape or mesh, which rigid_mesh_kernels.h handles.
 inline bool is_mesh_pair(GeoType a, GeoType b) {
   return a == GeoType::MESH || (b == GeoType::MESH && a != GeoType::PLANE);
 }

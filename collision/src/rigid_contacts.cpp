@@ -39,8 +39,10 @@ const Kernels& kernels() {
 // The most contacts of a pair of types, in their order; 0 if the pair is not covered.
 int32_t most_contacts(GeoType a, GeoType b, int32_t per_pair) {
   using geometry::is_convex_type;
-  if (is_mesh_pair(a, b))
-    return is_convex_type(a == GeoType::MESH ? b : a) ? geometry::kMeshContacts : 0;
+  if (is_mesh_pair(a, b)) {
+    const GeoType other = a == GeoType::MESH ? b : a;
+    return is_convex_type(other) || other == GeoType::MESH ? geometry::kMeshContacts : 0;
+  }
   if (a != GeoType::PLANE)
     return !is_convex_type(a) || !is_convex_type(b) ? 0 : a == GeoType::SPHERE ? 1 : per_pair;
   switch (b) {
@@ -85,7 +87,7 @@ struct RigidContacts::Impl {
   uint64_t fcl_version = 0;
   int64_t fcl_pairs = 0, fcl_fallbacks = 0;
   int64_t mesh_pair_count = 0;
-  DeviceArray<int32_t> mesh_pairs;  // rows of `pairs` with a mesh and a convex shape
+  DeviceArray<int32_t> mesh_pairs;  // rows of `pairs` with a mesh and no plane
   // Scratch, kept from call to call.
   std::shared_ptr<Storage> shapes, manifolds, mesh_rows, mesh_scratch;
   DeviceArray<int32_t> counts, before;
@@ -116,11 +118,10 @@ struct RigidContacts::Impl {
     const int32_t most = most_contacts(a, b, contacts_per_pair);
     require(most > 0, ErrorKind::NotImplemented, "CollisionPipeline: shapes ", pair.x, " (",
             geo_type_name(a), ") and ", pair.y, " (", geo_type_name(b),
-            ") may meet, and this pair of types is not there yet; "
-            "ModelBuilder.add_shape_collision_filter_pair or collision groups part them",
-            a == GeoType::MESH && b == GeoType::MESH
-                ? ", and add_shape_convex_hull makes a shape that meets meshes"
-                : "");
+            ") may meet, and this pair of types is not there yet; ",
+            explicit_pairs ? "leave it out of shape_pairs_filtered"
+                           : "ModelBuilder.add_shape_collision_filter_pair or collision groups "
+                             "part them");
     // On a GPU their normals and names were seen to differ from the CPU's in some rows.
     require(model->device().is_cpu() || !is_mesh_pair(a, b), ErrorKind::NotImplemented,
             "CollisionPipeline: shapes ", pair.x, " (", geo_type_name(a), ") and ", pair.y, " (",

@@ -1,8 +1,8 @@
-// The contacts of pairs of a triangle mesh and a convex shape, between rigid_contact_find and
-// rigid_contact_write (rigid_contact_kernels.h), which leave such pairs out.
+// The contacts of pairs of a triangle mesh and a convex shape or another mesh, between
+// rigid_contact_find and rigid_contact_write (rigid_contact_kernels.h), which leave such pairs out.
 #pragma once
 
-#include "novaphy/collision/geometry/mesh_pair.h"
+#include "novaphy/collision/geometry/mesh_mesh.h"
 #include "novaphy/collision/geometry/rigid_shape.h"
 #include "novaphy/core/row_kernel.h"
 #include "novaphy/core/row_scratch.h"
@@ -52,6 +52,22 @@ struct MeshContacts {
     });
     count = geometry::reduce_mesh_contacts(contacts, count);
   }
+  // Of two meshes, likewise.
+  void find(const geometry::MeshView& a, const geometry::MeshView& b, const Transformf& b_in_a,
+            const geometry::MeshReach& reach) {
+    count = 0;
+    const Quatf& q = b_in_a.q;
+    if (!geometry::is_finite(b_in_a.p) || !geometry::is_finite((q.x + q.y) + (q.z + q.w))) return;
+    geometry::collide_meshes(a, b, b_in_a, reach, [&](const geometry::MeshContact& contact) {
+      if (count == kCapacity) {
+        count = geometry::drop_long_ways(contacts, count);
+        count = geometry::reduce_mesh_contacts(contacts, count, kCapacity / 2);
+      }
+      contacts[count++] = contact;
+    });
+    count = geometry::drop_long_ways(contacts, count);
+    count = geometry::reduce_mesh_contacts(contacts, count);
+  }
 };
 
 struct RigidMeshFindArguments {
@@ -75,8 +91,13 @@ NOVAPHY_ROW_KERNEL(rigid_mesh_find, 6, RigidMeshFindArguments) {
   const RigidShape& other = mesh_is_first ? s1 : s0;
   const float gap = s0.gap + s1.gap;
   NOVAPHY_ROW_SCRATCH(MeshContacts, found, a.scratch + row);
-  found.find(mesh.geometry->mesh, convex_shape(other),
-             geometry::relative_pose(mesh.pose, other.pose), reach_of(s0, s1));
+  const Transformf relative = geometry::relative_pose(mesh.pose, other.pose);
+  const float reach = reach_of(s0, s1);
+  if (other.type == GeoType::MESH)
+    found.find(mesh.geometry->mesh, other.geometry->mesh, relative,
+               geometry::mesh_reach(mesh.geometry->box, other.geometry->box, reach, reach - gap));
+  else
+    found.find(mesh.geometry->mesh, convex_shape(other), relative, reach);
   const float inside = ((core_radius(s0) + core_radius(s1)) + s0.margin) + s1.margin;
   for (int32_t k = 0; k < found.count; ++k) {
     const geometry::MeshContact& contact = found.contacts[k];

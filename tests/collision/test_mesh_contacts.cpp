@@ -71,7 +71,6 @@ TEST(MeshContacts, ABoxOfAnyKindRestsOnABoxAsTheBoxDoes) {
     std::vector<double> depths;
     for (const As lower : {As::Primitive, As::Hull, As::Mesh})
       for (const As upper : {As::Primitive, As::Hull, As::Mesh}) {
-        if (lower == As::Mesh && upper == As::Mesh) continue;
         ModelBuilder builder;
         add_box(builder, -1, lower, 0.5f, 0.5f, 0.1f);
         builder.add_body({.xform = {{0.03f, 0.02f, 0.198f}, turn(tilt, 0.5f * tilt, 0.2f, 1.0f)}});
@@ -314,16 +313,6 @@ TEST(MeshContacts, APoseThatIsNoNumberHasNone) {
   state.body_q.copy_from_host(std::span<const Transformf>(bad));
   pipeline.collide(state, contacts);
   EXPECT_EQ(contacts.rigid_contact_count.to_host()[0], 0);
-}
-
-TEST(MeshContacts, TwoMeshesAreRefusedByName) {
-  const Triangles cube = testing::cube(0.1f);
-  ModelBuilder builder;
-  builder.add_shape_mesh(-1, {.vertices = cube.vertices, .indices = cube.indices});
-  builder.add_body();
-  builder.add_shape_mesh(0, {.vertices = cube.vertices, .indices = cube.indices});
-  EXPECT_ERROR(CollisionPipeline(builder.finalize(Device::cpu())), ErrorKind::NotImplemented,
-               "shapes 0 (MESH) and 1 (MESH) may meet");
 }
 
 }  // namespace

@@ -23,16 +23,26 @@ struct MeshNode {
   int32_t count;  // 0: not a leaf
 };
 
+// An edge of the border, or where the mesh is convex by more than rounding.
+struct MeshEdge {
+  int32_t a, b;
+  int32_t left, right;  // the third corners of its triangles; right is -1 on a border
+  int32_t triangle;     // that of `left`
+};
+
 struct MeshView {
   const Vec3f* vertices{};
   const Vec3i* triangles{};      // counter-clockwise seen from outside
   const Vec3f* normals{};        // of the triangles, unit; zero without area
   const int32_t* ring_starts{};  // vertices + 1 into ring
   const int32_t* ring{};         // of a vertex: those it shares an edge with
+  const MeshEdge* edges{};
+  const Vec3i* own_edges{};  // of a triangle: the edges that it is the left of, or -1
   const MeshNode* nodes{};
   const int32_t* order{};
   int32_t node_count = 0;
   int32_t vertex_count = 0;
+  int32_t edge_count = 0;
 };
 
 // Calls visit(triangle) for each triangle of the leaves that meet the box.

@@ -1,0 +1,284 @@
+// Two triangle meshes, concave ones too: the contacts of A with B before their reduction, which is
+// that of mesh_pair.h. Two kinds, as of any two polyhedra:
+//
+// Vertices of each mesh on the other (vertices_on_mesh). Outside, the normal is that of the nearest
+// point (point_to_mesh). Inside, it is that of the nearest face over the vertex; in a hollow edge
+// or corner, whose faces are all beside it, of two or three faces, each with the distance to its
+// plane (faces_over). A normal counts only if the vertex stands on it: no neighbour of it lies
+// farther along the inward normal than kStandSine of the way there, so what is flush with a side
+// is not pushed off that side.
+//
+// Edges on edges (edges_on_edges), those of the border and where the mesh is convex: the normal is
+// across both, and must lie in the cones of both. Where they overlap each point must lie in or on
+// the other mesh, and of several directions at one place that with the shortest way out counts
+// (drop_long_ways).
+//
+// Sides are those of point_to_mesh: a closed mesh has an inside, an open one a side behind its
+// triangles. What lies deep in a closed mesh is pushed out by its vertices. Every loop is over
+// vertices, edges or nodes of a tree: the time is bounded, and results are in their order.
+// Frame of A, m.
+#pragma once
+
+#include "novaphy/collision/geometry/mesh_pair.h"
+#include "novaphy/collision/geometry/point_distance.h"
+
+namespace novaphy::geometry {
+
+inline constexpr float kStandSine = 0.3f;      // about 17 deg
+inline constexpr float kMeshTouch = 1e-5f;     // of the size: on the surface
+inline constexpr float kOverFace = 1e-4f;      // of an edge: beside a face and yet over it
+inline constexpr float kBeside = 0.01f;        // of the size: beside a face in a hollow
+inline constexpr float kCrossingSine = 1e-2f;  // edges that are less turned are parallel
+inline constexpr float kMeshNear = 0.1f;       // of the size: mesh_reach
+inline constexpr int32_t kEdgeFeature = 16;    // and above: contacts of edges
+inline constexpr int32_t kVertexKinds = 8;     // features of a vertex of B; of A they follow
+inline constexpr float kFarDeeper = 10.0f;
+
+// Contacts that are farther than the gap or a tenth of the smaller mesh beyond the margins are not
+// looked for, nor are edges that overlap by more.
+struct MeshReach {
+  float size, gap, edges;  // m
+};
+inline MeshReach mesh_reach(const Box3& a, const Box3& b, float gap, float margins) {
+  MeshReach reach;
+  reach.size = math::min(math::length(a.hi - a.lo), math::length(b.hi - b.lo));
+  reach.edges = margins + kMeshNear * reach.size;
+  reach.gap = math::min(gap, reach.edges);
+  return reach;
+}
+
+// A mesh in the frame of another.
+struct PlacedMesh {
+  const MeshView* mesh;
+  Transformf pose;
+
+  Vec3f at(int32_t vertex) const { return math::transform_point(pose, mesh->vertices[vertex]); }
+  // Whether the mesh about the vertex x lies on the side of n.
+  bool stands(int32_t vertex, const Vec3f& n) const {
+    const Vec3f along = math::rotate_inverse(pose.q, n), x = mesh->vertices[vertex];
+    for (int32_t i = mesh->ring_starts[vertex]; i < mesh->ring_starts[vertex + 1]; ++i) {
+      const Vec3f d = mesh->vertices[mesh->ring[i]] - x;
+      if (math::dot(along, d) < -kStandSine * math::length(d)) return false;
+    }
+    return true;
+  }
+};
+
+// 1 to 6, the same while a normal turns little: it tells contacts of one vertex apart.
+inline int32_t side_of_normal(const Vec3f& n) {
+  const float x = math::abs(n.x), y = math::abs(n.y), z = math::abs(n.z);
+  const int32_t axis = x >= y && x >= z ? 0 : y >= z ? 1 : 2;
+  return 1 + 2 * axis + (component(n, axis) < 0.0f ? 0 : 1);
+}
+
+// The faces on which a vertex in or on a mesh stands, seen from behind, one for each side of
+// side_of_normal: the nearest, and the others of a hollow edge or corner.
+struct FacePoint {
+  Vec3f normal{};
+  float distance = -kFarAway;
+};
+struct FacesOver {
+  FacePoint over;       // the nearest of those that are over the point
+  FacePoint beside[6];  // that are not, but nearly: the nearest of each side
+};
+inline FacesOver faces_over(const MeshView& onto, const PlacedMesh& of, int32_t vertex,
+                            const Vec3f& x, const MeshReach& reach) {
+  FacesOver found;
+  const float touch = kMeshTouch * reach.size, slack = kBeside * reach.size;
+  float nearest = kFarAway;
+  for (int32_t i = 0; i < onto.node_count;) {
+    const MeshNode& node = onto.nodes[i];
+    // What is beside by as much as is wanted, and as deep as is wanted.
+    const float bound = 3.0f * (kLongWay * nearest + slack) + slack;
+    if (square_outside(node.box, x) > bound * bound) {
+      i = node.skip;
+      continue;
+    }
+    for (int32_t k = node.first; k < node.first + node.count; ++k) {
+      const int32_t t = onto.order[k];
+      const Vec3f n = onto.normals[t];
+      const Vec3i c = onto.triangles[t];
+      const Vec3f v[3] = {onto.vertices[c.x], onto.vertices[c.y], onto.vertices[c.z]};
+      const float distance = math::dot(n, x - v[0]);
+      if (n == Vec3f{} || !(distance <= touch)) continue;
+      float beside = 0.0f;
+      for (int32_t e = 0; e < 3; ++e) {
+        const Vec3f edge = v[(e + 1) % 3] - v[e];
+        const float length = math::length(edge);
+        beside = math::max(
+            beside, -math::dot(math::cross(edge, x - v[e]), n) / length - kOverFace * length);
+      }
+      FacePoint& best = beside > 0.0f ? found.beside[side_of_normal(n) - 1] : found.over;
+      // Written so that a NaN is none.
+      if (!(distance > best.distance) || !(beside <= slack + kLongWay * math::abs(distance)) ||
+          !of.stands(vertex, n))
+        continue;
+      best = {n, distance};
+      nearest = math::min(nearest, math::abs(distance));
+    }
+    ++i;
+  }
+  // A face that is over the point and no farther than those beside it is all that counts.
+  bool hollow = false;
+  for (const FacePoint& face : found.beside) hollow = hollow || face.distance > found.over.distance;
+  if (hollow) found.over = {};
+  for (FacePoint& face : found.beside)
+    if (!hollow || face.distance < -(kLongWay * nearest + slack)) face = {};
+  return found;
+}
+
+// Calls emit(vertex, feature, x, normal, distance) for the vertices of a mesh on another, in whose
+// frame x and the normal, outward, are.
+template <class Emit>
+void vertices_on_mesh(const MeshView& onto, const PlacedMesh& of, const MeshReach& reach,
+                      Emit emit) {
+  const float touch = kMeshTouch * reach.size;
+  for (int32_t vertex = 0; vertex < of.mesh->vertex_count; ++vertex) {
+    if (of.mesh->ring_starts[vertex] == of.mesh->ring_starts[vertex + 1]) continue;
+    const Vec3f x = of.at(vertex);
+    const SolidPoint at = point_to_mesh(x, onto, reach.gap);
+    if (!(at.distance <= reach.gap)) continue;
+    if (at.distance > touch) {
+      if (of.stands(vertex, at.normal)) emit(vertex, 0, x, at.normal, at.distance);
+      continue;
+    }
+    const FacesOver faces = faces_over(onto, of, vertex, x, reach);
+    const auto take = [&](const FacePoint& face) {
+      // Nothing but the mesh may be between: halfway is inside too.
+      const Vec3f between = x - face.normal * (0.5f * face.distance);
+      if (face.distance > -kFarAway && point_to_mesh(between, onto, touch).distance <= touch)
+        emit(vertex, side_of_normal(face.normal), x, face.normal, face.distance);
+    };
+    take(faces.over);
+    for (const FacePoint& face : faces.beside) take(face);
+  }
+}
+
+// Whether n, across the edge, lies between the normals of its two faces, or before the one.
+inline bool in_cone(const MeshView& mesh, const MeshEdge& edge, const Vec3f& n) {
+  const Vec3f a = mesh.vertices[edge.a], along = mesh.vertices[edge.b] - a;
+  const float square = math::dot(along, along);
+  // Along the face that goes on to a third corner.
+  const auto below = [&](int32_t corner) {
+    Vec3f d = mesh.vertices[corner] - a;
+    d = d - along * (math::dot(d, along) / square);
+    return math::dot(n, d) <= kStandSine * math::length(d);
+  };
+  return below(edge.left) &&
+         (edge.right >= 0 ? below(edge.right)
+                          : math::dot(n, mesh.normals[edge.triangle]) >= -kBehindCosine);
+}
+
+// Calls emit(edge of A, edge of B, point on A, point on B, normal, distance).
+template <class Emit>
+void edges_on_edges(const MeshView& a, const PlacedMesh& b, const MeshReach& reach, Emit emit) {
+  const float touch = kMeshTouch * reach.size;
+  const Vec3f grow = {reach.edges, reach.edges, reach.edges};
+  const Transformf a_in_b = math::inverse(b.pose);
+  for (int32_t j = 0; j < b.mesh->edge_count; ++j) {
+    const MeshEdge& edge_b = b.mesh->edges[j];
+    const Vec3f b0 = b.at(edge_b.a), b1 = b.at(edge_b.b), along_b = b1 - b0;
+    const Box3 box = {
+        Vec3f{math::min(b0.x, b1.x), math::min(b0.y, b1.y), math::min(b0.z, b1.z)} - grow,
+        Vec3f{math::max(b0.x, b1.x), math::max(b0.y, b1.y), math::max(b0.z, b1.z)} + grow};
+    for_triangles_in(a, box, [&](int32_t t) {
+      const int32_t own[3] = {a.own_edges[t].x, a.own_edges[t].y, a.own_edges[t].z};
+      for (int32_t k = 0; k < 3; ++k) {
+        if (own[k] < 0) continue;
+        const MeshEdge& edge_a = a.edges[own[k]];
+        const Vec3f a0 = a.vertices[edge_a.a], along_a = a.vertices[edge_a.b] - a0;
+        const Vec3f across = math::cross(along_a, along_b);
+        const float square = math::dot(across, across);
+        if (!(square > kCrossingSine * kCrossingSine * math::dot(along_a, along_a) *
+                           math::dot(along_b, along_b)))
+          continue;
+        const float s = math::dot(math::cross(b0 - a0, along_b), across) / square;
+        const float r = math::dot(math::cross(b0 - a0, along_a), across) / square;
+        if (!(s >= 0.0f && s <= 1.0f && r >= 0.0f && r <= 1.0f)) continue;
+        const Vec3f on_a = a0 + along_a * s, on_b = b0 + along_b * r;
+        Vec3f n = across * (1.0f / math::sqrt(square));
+        float distance = math::dot(on_b - on_a, n);
+        const auto faces = [&](const Vec3f& normal) {
+          return in_cone(a, edge_a, normal) &&
+                 in_cone(*b.mesh, edge_b, -math::rotate_inverse(b.pose.q, normal));
+        };
+        if (distance < 0.0f) {
+          n = -n;
+          distance = -distance;
+        }
+        if (!(distance <= reach.edges)) continue;
+        if (!faces(n)) {  // not apart, so maybe they overlap
+          n = -n;
+          distance = -distance;
+          const float in = touch - 0.1f * distance;
+          if (!faces(n) || !(point_to_mesh(on_b, a, in).distance <= in) ||
+              !(point_to_mesh(math::transform_point(a_in_b, on_a), *b.mesh, in).distance <= in))
+            continue;
+        }
+        if (distance <= reach.gap) emit(own[k], j, on_a, on_b, n, distance);
+      }
+    });
+  }
+}
+
+// All contacts, in a fixed order, each given to add(contact). Normals are from A to B.
+template <class Add>
+void collide_meshes(const MeshView& a, const MeshView& b, const Transformf& b_in_a,
+                    const MeshReach& reach, Add add) {
+  const Transformf a_in_b = math::inverse(b_in_a);
+  vertices_on_mesh(a, {&b, b_in_a}, reach,
+                   [&](int32_t vertex, int32_t side, const Vec3f& x, const Vec3f& n, float d) {
+                     MeshContact contact;
+                     contact.point = {x - n * (0.5f * d), d, side};
+                     contact.normal = n;
+                     contact.triangle = vertex;
+                     add(contact);
+                   });
+  vertices_on_mesh(
+      b, {&a, a_in_b}, reach,
+      [&](int32_t vertex, int32_t side, const Vec3f& x, const Vec3f& n, float d) {
+        MeshContact contact;
+        contact.point = {math::transform_point(b_in_a, x - n * (0.5f * d)), d, kVertexKinds + side};
+        contact.normal = -math::rotate(b_in_a.q, n);
+        contact.triangle = vertex;
+        add(contact);
+      });
+  edges_on_edges(a, {&b, b_in_a}, reach,
+                 [&](int32_t edge_a, int32_t edge_b, const Vec3f& on_a, const Vec3f& on_b,
+                     const Vec3f& n, float d) {
+                   MeshContact contact;
+                   contact.point = {(on_a + on_b) * 0.5f, d, kEdgeFeature + edge_b};
+                   contact.normal = n;
+                   contact.triangle = edge_a;
+                   add(contact);
+                 });
+}
+
+// Drops overlaps near which another contact has a shorter way out in another direction: of edges
+// where it is shorter, of vertices where it is so by far, as where a vertex that is flush with one
+// side would be pushed off the far side. The number that stays, in order.
+inline int32_t drop_long_ways(MeshContact* c, int32_t count) {
+  const auto is_long = [&](const MeshContact& contact) {
+    const float distance = contact.point.distance;
+    if (!(distance < 0.0f)) return false;
+    const bool of_edges = contact.point.feature >= kEdgeFeature;
+    const float times = of_edges ? kAsDeep : kFarDeeper, near = of_edges ? -kLongWay : -1.0f;
+    for (int32_t i = 0; i < count; ++i) {
+      const MeshContact& other = c[i];
+      if (other.point.distance <= 0.0f && times * other.point.distance > distance &&
+          math::dot(other.normal, contact.normal) < kGroupCosine &&
+          math::length(other.point.position - contact.point.position) <= near * distance &&
+          (of_edges || other.triangle != contact.triangle ||
+           other.point.feature / kVertexKinds != contact.point.feature / kVertexKinds))
+        return true;
+    }
+    return false;
+  };
+  for (int32_t i = 0; i < count; ++i) c[i].kept = !is_long(c[i]);
+  int32_t n = 0;
+  for (int32_t i = 0; i < count; ++i)
+    if (c[i].kept) c[n++] = c[i];
+  return n;
+}
+
+}  // namespace novaphy::geometry

@@ -78,7 +78,7 @@ STAGES = (
     ("free-300", 300, 12, 0.0),
 )
 # Behind these, by `polish`: how far it should go in FRAMES frames (m). The second on request.
-POLISH = {"polish": 1.3, "stride": 4.6}
+POLISH = {"polish": 1.3, "stride": 4.1}
 # Instead, with --variants.
 HEADING = (("heading", 200, 8, 0.0),)
 TRAINED_ON = 10_000  # the first seed of worlds that differ; none of those that judge

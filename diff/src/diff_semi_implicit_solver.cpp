@@ -59,11 +59,12 @@ DiffSemiImplicitSolver::DiffSemiImplicitSolver(std::shared_ptr<const Model> mode
       bodies_(body_options(config)),
       materials_("DiffSemiImplicitSolver", {.ka = moves_bodies()}) {
   materials_.check(*this->model());
-  require(std::isfinite(config.static_contact_margin) && config.static_contact_margin >= 0.0f,
-          ErrorKind::Value,
-          "DiffSolverConfig, static_contact_margin: expected a finite distance "
-          ">= 0, got ",
-          config.static_contact_margin);
+  const auto check_option = [](const char* name, float value) {
+    require(std::isfinite(value) && value >= 0.0f, ErrorKind::Value,
+            "DiffSemiImplicitSolver: ", name, ": expected a finite number >= 0, got ", value);
+  };
+  check_option("static_contact_margin", config.static_contact_margin);
+  check_option("angular_damping", config.angular_damping);
   require(!config.strict || config.enable_particles || this->model()->particle_count() == 0,
           ErrorKind::NotImplemented,
           "DiffSemiImplicitSolver: the model has particles, and enable_particles is false: enable "

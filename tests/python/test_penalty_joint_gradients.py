@@ -275,8 +275,13 @@ def test_what_is_not_covered_is_named():
     config = solvers.DiffSolverConfig
     with pytest.raises(NotImplementedError, match=r"model.joint_type\[1\].*enable_joints"):
         solvers.DiffSemiImplicitSolver(model, config(enable_joints=False))
-    with pytest.raises(ValueError, match="joint_attach_ke"):
-        solvers.DiffSemiImplicitSolver(model, config(joint_attach_ke=-1.0))
+    for option in ("joint_attach_ke", "joint_attach_kd", "angular_damping"):
+        for bad in (-1.0, np.nan):
+            said = f": {option}: expected a finite number >= 0, got {bad:g}"
+            with pytest.raises(ValueError, match="DiffSemiImplicitSolver" + said):
+                solvers.DiffSemiImplicitSolver(model, config(**{option: bad}))
+            with pytest.raises(ValueError, match="^SolverSemiImplicit" + said):
+                solvers.SolverSemiImplicit(model, **{option: bad})
     stiff = solvers.DiffSemiImplicitSolver(model, config(joint_attach_ke=1e9))
     with pytest.raises(ValueError, match="dt: expected at most"):
         stiff.step(model.state(), model.state(), None, None, DT)

@@ -161,7 +161,7 @@ bool any(const Array& force) {
 DiffJoints::DiffJoints(const Model& model, const Attach& attach)
     : attach_(attach), checks_(std::make_unique<JointForces>()) {
   const auto check = [](const char* name, float value) {
-    require(std::isfinite(value) && value >= 0.0f, ErrorKind::Value, "DiffSolverConfig, ", name,
+    require(std::isfinite(value) && value >= 0.0f, ErrorKind::Value, "DiffSemiImplicitSolver: ", name,
             ": expected a finite number >= 0, got ", value);
   };
   check("joint_attach_ke", attach.ke);

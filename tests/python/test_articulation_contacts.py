@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -399,3 +401,35 @@ def test_a_coordinate_that_is_not_finite_is_named(solver):
         state.joint_q.assign(q)
         with pytest.raises(novaphy.Error, match=rf"dof {min(coordinate, 5)} \(joint"):
             solver(model).step(state, model.state(), None, None, 0.01)
+
+
+@pytest.mark.skipif(not novaphy.has_io(), reason="built without io")
+@pytest.mark.parametrize("torque", [0.0, 60.0])
+def test_an_ant_stands_for_ten_seconds(monkeypatch, torque: float) -> None:
+    """Under torques that change every 50 ms it stays on the ground, and finite; without any its
+    height does not change once it has settled."""
+    monkeypatch.syspath_prepend(str(Path(__file__).parents[2] / "python/demos"))
+    import demo_articulated_scenes
+
+    model = demo_articulated_scenes.build_ant().finalize()
+    solver = novaphy.solvers.SolverFeatherstone(model)
+    pipeline = novaphy.CollisionPipeline(model)
+    contacts, control = pipeline.contacts(), model.control()
+    state, after = model.state(), model.state()
+    novaphy.eval_fk(model, state.joint_q, state.joint_qd, state)
+    rng = np.random.default_rng(5)
+    heights = []
+    for step in range(15000):
+        if step % 50 == 0:
+            force = rng.uniform(-torque, torque, model.joint_dof_count)
+            force[:6] = 0.0
+            control.joint_f.assign(force.astype(np.float32))
+        pipeline.collide(state, contacts)
+        solver.step(state, after, control, contacts, 1e-3)
+        state, after = after, state
+        if step % 100 == 99:
+            heights.append(float(state.joint_q.numpy()[2]))
+    assert np.isfinite(state.joint_q.numpy()).all() and np.isfinite(state.joint_qd.numpy()).all()
+    if torque == 0.0:
+        assert np.ptp(heights[50:]) < 1e-4  # 10 s
+    assert min(heights) > 0.05 and max(heights) < 1.5

@@ -192,6 +192,10 @@ geometry::MeshView mesh_view(const MeshTree& tree) {
   view.node_count = static_cast<int32_t>(tree.nodes.size());
   view.vertex_count = static_cast<int32_t>(tree.vertices.size());
   view.edge_count = static_cast<int32_t>(tree.edges.size());
+  for (const geometry::MeshEdge& e : tree.edges)
+    view.longest_edge =
+        std::max(view.longest_edge, math::length(tree.vertices[static_cast<size_t>(e.b)] -
+                                                 tree.vertices[static_cast<size_t>(e.a)]));
   return view;
 }
 

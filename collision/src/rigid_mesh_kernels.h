@@ -95,7 +95,7 @@ NOVAPHY_ROW_KERNEL(rigid_mesh_find, 6, RigidMeshFindArguments) {
   const float reach = reach_of(s0, s1);
   if (other.type == GeoType::MESH)
     found.find(mesh.geometry->mesh, other.geometry->mesh, relative,
-               geometry::mesh_reach(mesh.geometry->box, other.geometry->box, reach, reach - gap));
+               geometry::mesh_reach(*mesh.geometry, *other.geometry, reach, reach - gap));
   else
     found.find(mesh.geometry->mesh, convex_shape(other), relative, reach);
   const float inside = ((core_radius(s0) + core_radius(s1)) + s0.margin) + s1.margin;

@@ -35,15 +35,18 @@ inline constexpr int32_t kVertexKinds = 8;     // features of a vertex of B; of 
 inline constexpr float kFarDeeper = 10.0f;
 
 // Contacts that are farther than the gap or a tenth of the smaller mesh beyond the margins are not
-// looked for, nor are edges that overlap by more.
+// looked for. Nor are edges that are farther apart or overlap by more, or by more than the longest
+// edge of both: there vertices tell.
 struct MeshReach {
   float size, gap, edges;  // m
 };
-inline MeshReach mesh_reach(const Box3& a, const Box3& b, float gap, float margins) {
+inline MeshReach mesh_reach(const GeometryView& a, const GeometryView& b, float gap,
+                            float margins) {
   MeshReach reach;
-  reach.size = math::min(math::length(a.hi - a.lo), math::length(b.hi - b.lo));
-  reach.edges = margins + kMeshNear * reach.size;
-  reach.gap = math::min(gap, reach.edges);
+  reach.size = math::min(math::length(a.box.hi - a.box.lo), math::length(b.box.hi - b.box.lo));
+  const float near = kMeshNear * reach.size;
+  reach.gap = math::min(gap, margins + near);
+  reach.edges = margins + math::min(near, math::max(a.mesh.longest_edge, b.mesh.longest_edge));
   return reach;
 }
 
@@ -133,10 +136,18 @@ template <class Emit>
 void vertices_on_mesh(const MeshView& onto, const PlacedMesh& of, const MeshReach& reach,
                       Emit emit) {
   const float touch = kMeshTouch * reach.size;
+  // On the surface, near the vertex before: it bounds how far the surface is.
+  Vec3f known{};
+  float knows = kFarAway;
   for (int32_t vertex = 0; vertex < of.mesh->vertex_count; ++vertex) {
     if (of.mesh->ring_starts[vertex] == of.mesh->ring_starts[vertex + 1]) continue;
     const Vec3f x = of.at(vertex);
-    const SolidPoint at = point_to_mesh(x, onto, reach.gap);
+    const float within = math::max(knows, 1.01f * math::length(x - known) + kBeside * reach.size);
+    const SolidPoint at = point_to_mesh(x, onto, reach.gap, within);
+    if (at.distance < kFarAway) {
+      known = x - at.normal * at.distance;
+      knows = 0.0f;
+    }
     if (!(at.distance <= reach.gap)) continue;
     if (at.distance > touch) {
       if (of.stands(vertex, at.normal)) emit(vertex, 0, x, at.normal, at.distance);

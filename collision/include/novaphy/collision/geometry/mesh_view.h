@@ -43,6 +43,7 @@ struct MeshView {
   int32_t node_count = 0;
   int32_t vertex_count = 0;
   int32_t edge_count = 0;
+  float longest_edge = 0.0f;  // m
 };
 
 // Calls visit(triangle) for each triangle of the leaves that meet the box.

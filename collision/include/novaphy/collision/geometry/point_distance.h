@@ -85,8 +85,10 @@ inline float square_outside(const Box3& box, const Vec3f& x) {
   return math::dot(d, d);
 }
 
-// Farther than `reach` (m) outside of the mesh's box: kFarAway.
-inline SolidPoint point_to_mesh(const Vec3f& x, const MeshView& mesh, float reach) {
+// Farther than `reach` (m) outside of the mesh's box: kFarAway. `within` (m): the surface is known
+// to be no farther, which saves time.
+inline SolidPoint point_to_mesh(const Vec3f& x, const MeshView& mesh, float reach,
+                                float within = kFarAway) {
   SolidPoint far{kFarAway, {0.0f, 0.0f, 1.0f}};
   // Written so that a NaN is far.
   if (!(square_outside(mesh.nodes[0].box, x) <= reach * reach)) return far;
@@ -95,7 +97,7 @@ inline SolidPoint point_to_mesh(const Vec3f& x, const MeshView& mesh, float reac
   int32_t meeting = 0, needed = 1;
   for (int32_t i = 0; i < mesh.node_count;) {
     const MeshNode& node = mesh.nodes[i];
-    const float bound = least + tolerance;
+    const float bound = math::min(least + tolerance, within);
     if (square_outside(node.box, x) > bound * bound) {
       i = node.skip;
       continue;

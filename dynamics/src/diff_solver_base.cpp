@@ -182,7 +182,9 @@ void DiffSolverBase::rollout(Trajectory& trajectory, const Control* control,
   const auto slot = [recording, interval, start = inputs.start()](int32_t t) {
     return static_cast<size_t>(!recording ? 0 : 1 + (interval == 1 ? t - start : t % interval));
   };
-  const auto step = [this, inputs, own, on_particles, on_bodies, found](
+  std::shared_ptr<StepInputs::Checkpoints> checkpoints;
+  if (interval > 1) checkpoints = std::make_shared<StepInputs::Checkpoints>();
+  const auto step = [this, inputs, own, on_particles, on_bodies, found, checkpoints](
                         int32_t t, const SimState& from, SimState& to, StepScratch scratch,
                         size_t contact_slot) {
     StepInputs now{.control = inputs.control(t),
@@ -190,7 +192,8 @@ void DiffSolverBase::rollout(Trajectory& trajectory, const Control* control,
                    .forces = on_particles.of_step(t, scratch),
                    .body_forces = on_bodies.of_step(t, scratch),
                    .targets = {},
-                   .dt = inputs.dt()};
+                   .dt = inputs.dt(),
+                   .checkpoints = checkpoints};
     if (inputs.targets().any()) {
       now.targets = nova::operand_of(inputs.targets().rows);
       now.first_target = inputs.targets().first(t);
@@ -210,17 +213,26 @@ void DiffSolverBase::rollout(Trajectory& trajectory, const Control* control,
     const nova::RecomputedScope once_more(interval > 1, later);
     for (int32_t t = first; t < std::min(first + interval, inputs.stop()); ++t) {
       if (t % kStepsPerInterruptCheck == 0) check_interrupt();
+      if (checkpoints != nullptr) {
+        checkpoints->step = t;
+        checkpoints->next_is_kept = trajectory.keeps(t + 1);
+      }
       step(t, trajectory.any_state(t), trajectory.any_state(t + 1),
            recording ? trajectory.scratch(t) : StepScratch(alone[0]), slot(t));
     }
   }
   deferred.flush();
-  trajectory.set_last_rollout(inputs.start(), inputs.stop(),
-                              [this, step, alone](int32_t t, const SimState& from, SimState& to) {
-                                const ExclusiveUse::Scope again = use("Trajectory.recompute");
-                                const nova::NoGrad no_grad;
-                                step(t, from, to, alone[0], 0);
-                              });
+  trajectory.set_last_rollout(
+      inputs.start(), inputs.stop(),
+      [this, step, alone, checkpoints](int32_t t, const SimState& from, SimState& to) {
+        const ExclusiveUse::Scope again = use("Trajectory.recompute");
+        const nova::NoGrad no_grad;
+        if (checkpoints != nullptr) {
+          checkpoints->step = t;
+          checkpoints->is_recomputed = true;
+        }
+        step(t, from, to, alone[0], 0);
+      });
 }
 
 }  // namespace novaphy::diff

@@ -81,8 +81,10 @@ void bind_diff_vbd(py::module_& solvers) {
       "which Newton's method then takes it; the solution is what step returns. Gradients by "
       "positions, velocities, forces, targets, gravity, masses, radii, materials, rest shapes, "
       "activations, and margins and materials of shapes; points and normals of contacts are "
-      "frozen. Other arrays that carry a gradient raise NotImplementedError by name. On a device "
-      "there is no jvp, and no capture with gradient=\"implicit\".")
+      "frozen. Other arrays that carry a gradient raise NotImplementedError by name. What "
+      "initial_guess=\"adaptive\" keeps of a step goes from step to step and rollout to rollout "
+      "until reset(), with its gradient where it is unrolled (a solution does not depend on it). "
+      "On a device there is no jvp, and no capture with gradient=\"implicit\".")
       .def(py::init(
                [](const std::shared_ptr<Model>& model, int32_t iterations, float friction_epsilon,
                   const std::string& initial_guess, float lhs_regularization,
@@ -122,6 +124,8 @@ void bind_diff_vbd(py::module_& solvers) {
                              "Particles that are held: the rows of targets.")
       .def("gradient_info", &DiffSolverVBD::gradient_info,
            "VbdGradientInfo of the last backward or jvp. novaphy.Error: there was none.")
+      .def("reset", &DiffSolverVBD::reset, release_gil(),
+           "Forgets the last step, which initial_guess=\"adaptive\" looks at. Can be captured.")
       .def(
           "step",
           [](DiffSolverVBD& s, SimState& state_in, SimState& state_out, const Control* control,
@@ -224,7 +228,8 @@ void bind_vbd(py::module_& solvers) {
           "Advances state_in by dt (s) into state_out. targets: {held_count, 3} positions (m, "
           "world frame) where the held particles are at the end, in the order of their indices; "
           "None: where they are. Errors as SolverBase.step; ValueError: indices or colours that "
-          "were edited after the solver was made, numbers that are not finite; novaphy.Error: contacts "
+          "were edited after the solver was made, numbers that are not finite; novaphy.Error: "
+          "contacts "
           "that overflowed, positions that do not stay finite.")
       .def("residual", &SolverVBD::residual, release_gil(),
            "VbdResidual of the last step. novaphy.Error: there was none.")

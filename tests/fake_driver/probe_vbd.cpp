@@ -89,7 +89,7 @@ void step_vbd(const std::string& options, novaphy::Device device) {
     std::printf(", %s %s", what, same(cpu, r) ? "same" : "other");
   };
   std::printf("%zu particles", cpu.q.size());
-  if (!has("adaptive")) say("cpu replayed", run(o, Device::cpu(), true));
+  say("cpu replayed", run(o, Device::cpu(), true));
   say("device", run(o, device, false));
   say("device replayed", run(o, device, true));
   std::printf(", rollout %s", same(roll(o, Device::cpu()), roll(o, device)) ? "same" : "other");

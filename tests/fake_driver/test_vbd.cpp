@@ -33,7 +33,7 @@ INSTANTIATE_TEST_SUITE_P(Options, VbdDeviceOptions,
 
 TEST(VbdDevice, TheAdaptiveGuessKeepsItsVelocityOnTheDevice) {
   EXPECT_EQ(probe("", "vbd-adaptive"),
-            "47 particles, device same, device replayed same, rollout same\n");
+            "47 particles, cpu replayed same, device same, device replayed same, rollout same\n");
 }
 
 TEST(VbdDevice, AnUnknownWayIsRefusedByName) {

@@ -249,8 +249,6 @@ def test_the_differentiable_step_has_the_bits_of_the_plain_one():
         novaphy.solvers.DiffSolverVBD(solver.model, gradient="frozen")
     with pytest.raises(ValueError, match="gradient_tolerance: expected none"):
         novaphy.solvers.DiffSolverVBD(solver.model, gradient_tolerance=1e-3)
-    with pytest.raises(NotImplementedError, match="adaptive"):
-        novaphy.solvers.DiffSolverVBD(solver.model, initial_guess="adaptive")
 
 
 @pytest.mark.parametrize("interval", [1, 3])
@@ -303,6 +301,76 @@ def test_gradients_of_a_rollout_are_those_of_differences(interval):
     model.tri_materials.assign(material)
     expected = float((by_material * change).sum())
     assert (found[0] - found[1]) / 8 == pytest.approx(expected, rel=1e-2)
+
+
+def test_the_adaptive_guess_is_carried_from_step_to_step():
+    nova = pytest.importorskip("novaphy.nova")
+    diff = pytest.importorskip("novaphy.diff")
+    options = {"iterations": 2, "initial_guess": "adaptive"}
+    solver = diff_solver(cloth(tri_ke=50.0, tri_ka=50.0, tri_kd=0.01), **options)
+    model, steps = solver.model, 7
+    rng = np.random.default_rng(5)
+    weights = rng.normal(size=(49, 3)).astype(np.float32)
+    speed = np.float32(0.1) * rng.normal(size=(49, 3)).astype(np.float32)
+
+    def rolled(checkpoint, parts=((0, None),), begin=solver.reset):
+        trajectory = diff.Trajectory(model, steps, checkpoint=checkpoint)
+        trajectory[0].particle_qd.assign(speed)
+        begin()
+        with nova.Tape() as tape:
+            for start, stop in parts:
+                solver.rollout(trajectory, None, None, 1 / 60, start=start, stop=stop)
+            loss = loss_of(trajectory[steps], weights)
+        tape.backward(loss)
+        return trajectory, trajectory[0].particle_qd.grad.numpy().copy()
+
+    trajectory, gradient = rolled(1)
+    last = trajectory[steps].particle_q.numpy().copy()
+    # The same as steps of SolverVBD, which carries it too.
+    plain = novaphy.solvers.SolverVBD(model, **options)
+    states = [model.state(), model.state()]
+    states[0].particle_qd.assign(speed)
+    for _ in range(steps):
+        plain.step(states[0], states[1], None, None, 1 / 60)
+        states.reverse()
+    assert (states[0].particle_q.numpy() == last).all()
+    # Checkpoints keep it, and a rollout goes on where the one before ended.
+    for other in (rolled(3), rolled(1, ((0, 3), (3, None))), rolled(3, ((0, 3), (3, None)))):
+        assert (other[0][steps].particle_q.numpy() == last).all()
+        assert (other[1] == gradient).all()
+    kept, _ = rolled(3)
+    for t in (1, 2, 4, 5):
+        again = kept.recompute(t)
+        assert (again.particle_q.numpy() == trajectory[t].particle_q.numpy()).all()
+    unrecorded = diff.Trajectory(model, steps, checkpoint=3)
+    unrecorded[0].particle_qd.assign(speed)
+    solver.reset()
+    solver.rollout(unrecorded, None, None, 1 / 60)
+    assert (unrecorded[steps].particle_q.numpy() == last).all()
+    assert (unrecorded.recompute(5).particle_q.numpy() == trajectory[5].particle_q.numpy()).all()
+    # Without reset() the guess of the first step looks at what was before.
+    assert (rolled(1, begin=lambda: None)[0][steps].particle_q.numpy() != last).any()
+
+    direction = rng.normal(size=(49, 3)).astype(np.float32)
+    values = []
+    for sign in (1, -1):
+        moved = diff.Trajectory(model, steps)
+        moved[0].particle_qd.assign(speed + np.float32(sign * 1e-3) * direction)
+        solver.reset()
+        solver.rollout(moved, None, None, 1 / 60)
+        q = moved[steps].particle_q.numpy().astype(np.float64)
+        values.append(float((q * weights).sum()))
+    expected = float((gradient * direction).sum())
+    assert (values[0] - values[1]) / 2e-3 == pytest.approx(expected, rel=1e-2)
+
+    trajectory[0].particle_qd.assign(speed)
+    solver.reset()
+    qd = diff.state_particle_qd_tensor(trajectory[0], True)
+    with nova.Tape() as tape:
+        solver.rollout(trajectory, None, None, 1 / 60)
+        loss = loss_of(trajectory[steps], weights)
+    (slope,) = tape.jvp([loss], [qd], [nova.tensor(direction)])
+    assert float(slope.numpy().sum()) == pytest.approx(expected, rel=1e-4)
 
 
 def test_contacts_of_every_step_are_kept_and_inputs_without_a_rule_raise():

@@ -60,13 +60,13 @@ def step(solver, model, captured=False, **options):
     return after
 
 
-def gradients(arrays: tuple[str, ...]) -> Callable[[str], None]:
+def gradients(arrays: tuple[str, ...], **options) -> Callable[[str], None]:
     """Whether every array has a gradient that is not 0."""
 
     def check(kind: str) -> None:
         nova, diff = pytest.importorskip("novaphy.nova"), pytest.importorskip("novaphy.diff")
         model = finalized(builder())
-        solver = novaphy.solvers.DiffSolverVBD(model, iterations=20, gradient=kind)
+        solver = novaphy.solvers.DiffSolverVBD(model, iterations=20, gradient=kind, **options)
         for name in arrays:
             getattr(model, name).requires_grad = True
         with nova.Tape() as tape:
@@ -240,7 +240,7 @@ ROWS = {
     ),
     "`initial_guess": Row(
         forward(initial_guess="adaptive"),
-        option_gradient(initial_guess="adaptive"),
+        gradients(("particle_mass", "gravity"), initial_guess="adaptive"),
         {"initial_guess": "adaptive"},
     ),
     "`tolerance`": Row(

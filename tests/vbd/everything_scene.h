@@ -18,6 +18,7 @@ struct EverythingScene {
   std::unique_ptr<Contacts> contacts;
   std::vector<Vec3f> q, qd, f, w_q, w_qd, targets;  // no targets: the held particles stay
   Control control;
+  std::vector<Vec4f> last;  // none: there was no step before
 
   explicit EverythingScene(float kd = 0.0f) : model(make(kd)), control(model->control()) {
     CollisionPipeline pipeline(model, {.soft_contact_margin = 0.05f});
@@ -73,7 +74,8 @@ struct EverythingScene {
             &control.particle_tet_activation,
             contacts.get(),
             1.0f / 60.0f,
-            targets.empty() ? nullptr : targets.data()};
+            targets.empty() ? nullptr : targets.data(),
+            last.empty() ? nullptr : last.data()};
   }
   double loss(DifferentiableVbd& step) const {
     std::vector<Vec3f> q_out(q.size()), qd_out(q.size());

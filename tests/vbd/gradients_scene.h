@@ -102,6 +102,7 @@ inline NamedValues vbd_gradients(Device device, const VbdGradientRun& how) {
     {
       nova::Tape tape;
       const nova::TapeScope on_tape(tape);
+      solver.reset();
       solver.rollout(trajectory, &control, nullptr, 1.0f / 120.0f, options);
       const Tensor q = diff::state_particle_q_tensor(last),
                    qd = diff::state_particle_qd_tensor(last);

@@ -10,6 +10,7 @@
 
 #include "novaphy/core/error.h"
 #include "novaphy/nova/host_work.h"
+#include "novaphy/nova/kernel.h"
 #include "novaphy/nova/op_list.h"
 #include "novaphy/nova/tape.h"
 
@@ -41,6 +42,20 @@ Tensor part_of(const Tensor& all, size_t first_row, size_t rows) {
   return {range->storage().range(range->offset() + first_row * row, rows * row),
           {static_cast<int64_t>(rows), all.shape().back()},
           nova::DType::F32};
+}
+
+// What the adaptive guess of the next step looks at.
+const nova::Kernel& keep_velocity_kernel() {
+  static const nova::Kernel kernel = nova::make_kernel(
+      "vbd_keep_velocity", {{"particle_qd", nova::DType::F32, 3, nova::Access::Direct}},
+      {{"last_velocity", 4}}, [](nova::TraceContext& c) {
+        return std::vector{c.f32(0, 0), c.f32(0, 1), c.f32(0, 2), nova::Real(1.0f)};
+      });
+  return kernel;
+}
+void keep_velocity_as(const nova::Operand& qd, const Tensor& rows) {
+  const nova::Operand to = rows.operand();
+  keep_velocity_kernel().launch(qd.rows, {&qd, 1}, {&to, 1});
 }
 
 }  // namespace
@@ -76,6 +91,7 @@ struct DiffSolverVBD::Step {
   std::shared_ptr<std::string> failure;  // of replays; see DiffSolverVBD::gradient_info
   std::shared_ptr<ExclusiveUse> in_use;
   Tensor q, qd, f, targets;  // the targets of all steps; undefined: none
+  Tensor last;               // of the adaptive guess, else undefined
   size_t first_target = 0, target_count = 0;
   DeviceArray<float> tri_activation, tet_activation;
   DeviceArray<Vec3f> q_out, qd_out;
@@ -99,8 +115,10 @@ struct DiffSolverVBD::Step {
   VbdStepInputs inputs() const {
     check_numbers();
     const Vec3f* const to = targets.defined() ? rows_of(targets) + first_target : nullptr;
-    return {rows_of(q),      rows_of(qd),    rows_of(f), &tri_activation,
-            &tet_activation, contacts.get(), dt,         to};
+    const auto* const before =
+        last.defined() ? reinterpret_cast<const Vec4f*>(last.data<float>()) : nullptr;
+    return {rows_of(q),     rows_of(qd), rows_of(f), &tri_activation, &tet_activation,
+            contacts.get(), dt,          to,         before};
   }
   VbdLaunchInputs launch_inputs() const {
     check_numbers();
@@ -112,7 +130,11 @@ struct DiffSolverVBD::Step {
             contacts.get(),
             targets.defined() ? array_of(part_of(targets, first_target, target_count))
                               : DeviceArray<Vec3f>(),
-            dt};
+            dt,
+            last.defined()
+                ? DeviceArray<Vec4f>(Array(novaphy::DType::vec4,
+                                           static_cast<size_t>(last.size() / 4), 1, last.range()))
+                : DeviceArray<Vec4f>()};
   }
   bool on_device() const { return !model->device().is_cpu(); }
   // ErrorKind::NotImplemented: a capture on a device of what the host decides about.
@@ -213,6 +235,7 @@ struct DiffSolverVBD::Step {
       NOVAPHY_ADD(targets, targets);
       all.back().is_targets = true;
     }
+    if (last.defined()) NOVAPHY_ADD(last, last_velocity);
     NOVAPHY_ADD_ARRAY(tri_activation, particle_tri_activation);
     NOVAPHY_ADD_ARRAY(tet_activation, particle_tet_activation);
 #define NOVAPHY_ADD_MODEL(name) NOVAPHY_ADD_ARRAY(m.name, name);
@@ -376,7 +399,89 @@ DiffSolverVBD::DiffSolverVBD(std::shared_ptr<const Model> model, const DiffVbdOp
                      .friction_epsilon = options.friction_epsilon,
                      .initial_guess = options.initial_guess,
                      .lhs_regularization = options.lhs_regularization},
-          options.gradient)) {}
+          options.gradient)) {
+  if (looks_back())
+    last_velocity_ =
+        DeviceArray<Vec4f>(static_cast<size_t>(this->model()->particle_count()), device());
+}
+
+void DiffSolverVBD::reset() {
+  const ExclusiveUse::Scope scope = use("DiffSolverVBD.reset");
+  recorded_velocity_ = {};
+  if (last_velocity_.rows() == 0) return;
+  const nova::NoGrad no_grad;
+  if (nova::OpList* capture = nova::current_capture()) capture->uses(in_use());
+  nova::submit_fill(last_velocity_.range(), 0.0f);
+}
+
+std::vector<ScratchSpec> DiffSolverVBD::step_scratch() const {
+  if (!looks_back()) return {};
+  return {{novaphy::DType::vec4, static_cast<size_t>(model()->particle_count()), 1}};
+}
+
+DeviceArray<Vec4f> DiffSolverVBD::new_velocities() const {
+  const Unobserved unobserved;
+  return DeviceArray<Vec4f>(static_cast<size_t>(model()->particle_count()), device());
+}
+
+// What the step reads: on a tape memory that stays as it is until backward has read it.
+Tensor DiffSolverVBD::last_velocity(StepInputs::Checkpoints* checkpoints) {
+  if (!looks_back()) return {};
+  const auto rows = static_cast<int64_t>(model()->particle_count());
+  const auto tensor = [&](const Array& array) {
+    return Tensor(array.range(), {rows, 4}, nova::DType::F32);
+  };
+  if (checkpoints != nullptr && checkpoints->is_recomputed)
+    return tensor(checkpoints->kept.contains(checkpoints->step)
+                      ? checkpoints->kept.at(checkpoints->step)
+                      : checkpoints->kept.at(-1));
+  const nova::Tape* const tape = nova::Tape::active();
+  const bool is_recorded = tape != nullptr && recorded_velocity_.rows.defined() &&
+                           recorded_velocity_.capture == nova::current_capture() &&
+                           tape->carries_gradient(*recorded_velocity_.rows.range());
+  const bool keep = checkpoints != nullptr && checkpoints->kept.empty();  // the first step
+  Tensor last = is_recorded ? recorded_velocity_.rows : tensor(last_velocity_);
+  if (!is_recorded && (tape != nullptr || keep)) {
+    const nova::NoGrad no_grad;
+    const DeviceArray<Vec4f> copy = new_velocities();
+    nova::submit_copy(copy.range(), last.range());
+    nova::flush_deferred();
+    if (tape != nullptr) last = tensor(copy);
+    if (keep) checkpoints->kept[checkpoints->step] = copy;
+  } else if (keep) {
+    checkpoints->kept[checkpoints->step] =
+        Array(novaphy::DType::vec4, static_cast<size_t>(rows), 1, last.range());
+  }
+  return last;
+}
+
+// `in`: where the step began.
+void DiffSolverVBD::keep_velocity(const SimState& in, StepInputs::Checkpoints* checkpoints,
+                                  StepScratch scratch) {
+  if (!looks_back()) return;
+  const nova::Operand qd = nova::operand_of(in.particle_qd);
+  const auto rows = static_cast<int64_t>(model()->particle_count());
+  const auto keep = [&](const Array& to) {
+    const Tensor tensor(to.range(), {rows, 4}, nova::DType::F32);
+    keep_velocity_as(qd, tensor);
+    return tensor;
+  };
+  if (checkpoints != nullptr && checkpoints->is_recomputed) {
+    if (!checkpoints->kept.contains(-1)) checkpoints->kept[-1] = new_velocities();
+    keep(checkpoints->kept.at(-1));
+    return;
+  }
+  const bool is_kept = checkpoints != nullptr && checkpoints->next_is_kept;
+  const nova::Tape* const tape = nova::Tape::active();
+  if (tape != nullptr || is_kept) {
+    const Array to = is_kept || scratch.empty() ? Array(new_velocities()) : scratch[0];
+    const Tensor kept = keep(to);
+    if (is_kept) checkpoints->kept[checkpoints->step + 1] = to;
+    if (tape != nullptr) recorded_velocity_ = {nova::current_capture(), kept};
+  }
+  const nova::NoGrad no_grad;
+  keep(last_velocity_);
+}
 
 VbdGradientInfo DiffSolverVBD::gradient_info() const {
   check_replays();
@@ -445,7 +550,7 @@ bool DiffSolverVBD::begin_rollout(const RolloutInputs&) {
 }
 
 void DiffSolverVBD::record_step(const SimState& in, SimState& out, const StepInputs& inputs,
-                                StepScratch) {
+                                StepScratch scratch) {
   const Model& m = *model();
   nova::flush_deferred();
   nova::Tape* const tape = nova::Tape::active();
@@ -475,6 +580,7 @@ void DiffSolverVBD::record_step(const SimState& in, SimState& out, const StepInp
       control != nullptr ? control->particle_tri_activation : m.particle_tri_activation;
   step->tet_activation =
       control != nullptr ? control->particle_tet_activation : m.particle_tet_activation;
+  step->last = last_velocity(inputs.checkpoints.get());
   step->q_out = out.particle_q;
   step->qd_out = out.particle_qd;
   step->dt = inputs.dt;
@@ -482,7 +588,7 @@ void DiffSolverVBD::record_step(const SimState& in, SimState& out, const StepInp
   if (tape != nullptr) step->check_others(*tape, inputs.contacts);
   if (captured) nova::current_capture()->uses(in_use());
   Step::submit_forward(step);
-  if (tape == nullptr) return;
+  if (tape == nullptr) return keep_velocity(in, inputs.checkpoints.get(), scratch);
   nova::CustomOp op;
   op.name = "vbd_step";
   for (const Step::Input& input : step->differentiable()) op.inputs.push_back(input.tensor);
@@ -509,6 +615,7 @@ void DiffSolverVBD::record_step(const SimState& in, SimState& out, const StepInp
   op.forward = [step] { Step::submit_forward(step); };
   op.submits_only = captured || (on_device && !step->implicit);
   tape->record_custom(std::move(op));
+  keep_velocity(in, inputs.checkpoints.get(), scratch);
 }
 
 }  // namespace novaphy::diff

@@ -21,7 +21,6 @@ void check_covered(const VbdOptions& o) {
   refuse(o.acceleration.has_value(), "acceleration");
   refuse(o.tolerance.has_value(), "tolerance");
   refuse(o.safeguard, "safeguard");
-  refuse(o.initial_guess == VbdInitialGuess::Adaptive, "initial_guess \"adaptive\"");
 }
 
 void check_gradient_options(const VbdOptions& o, const VbdGradientOptions& g) {
@@ -78,7 +77,7 @@ struct DifferentiableVbd::Work {
 
   void run(const VbdStepInputs& in, Vec3f* q, Vec3f* qd) {
     step.update(in.tri_activation, in.tet_activation, in.contacts, in.dt);
-    step.run({in.particle_q, in.particle_qd, in.particle_f, q, qd}, in.targets);
+    step.run({in.particle_q, in.particle_qd, in.particle_f, q, qd, in.last_velocity}, in.targets);
     if (gradient.implicit)
       solved.see_step(tangent.solve_step(static_cast<double>(gradient.tolerance),
                                          gradient.newton_iterations, gradient.krylov_sweeps));
@@ -169,7 +168,7 @@ void DifferentiableVbd::backward(const VbdStepInputs& in, const Vec3f* q_out_bar
     w.reverse.unrolled(q_out_bar, qd_out_bar);
     w.tell();
   }
-  vbd::put_gradients(w.reverse, in, gradients);
+  vbd::put_gradients(w.reverse, in, gradients, w.gradient.implicit);
 }
 
 void DifferentiableVbd::forward(const VbdLaunchInputs& in, const DeviceArray<Vec3f>& q_out,

@@ -115,7 +115,8 @@ void LaunchedReverse::reserve(int32_t iterates) {
   const auto n = static_cast<size_t>(m.particle_count());
   if (tables_.builds != step_.builds_) build_tables();
   if (x_bar_.rows() != n) {
-    for (DeviceArray<Vec4f>* rows : {&x_bar_, &u_, &d_, &own_, &start_bar_, &target_bar_})
+    for (DeviceArray<Vec4f>* rows :
+         {&x_bar_, &u_, &d_, &own_, &start_bar_, &target_bar_, &gravity_bar_})
       *rows = DeviceArray<Vec4f>(n, device);
     mass_bar_ = DeviceArray<float>(n, device);
     q_out_ = DeviceArray<Vec3f>(n, device);
@@ -264,32 +265,50 @@ void LaunchedReverse::run(const VbdLaunchInputs& in, const Array& q_bar, const A
   begin(with_contacts, q_bar, qd_bar);
   const bool weights = wants_weights(g);
   reverse_colors(with_contacts, weights);
-  const bool from_target = step_.options_.initial_guess == VbdInitialGuess::Inertia;
-  end(with_contacts, weights, from_target ? &target_bar_ : &start_bar_, qd_bar);
-  put(in, g);
+  const bool from_start = step_.options_.initial_guess == VbdInitialGuess::Previous;
+  const Array* const guess = from_start ? &start_bar_ : &target_bar_;
+  end(with_contacts, weights, in.last_velocity.rows() != 0 ? nullptr : guess, qd_bar);
+  put(in, g, false);
 }
 
 bool LaunchedReverse::wants_weights(const VbdStepArrays& g) {
   return any({&g.particle_tri_pose, &g.particle_tet_pose});
 }
-void LaunchedReverse::put(const VbdLaunchInputs& in, const VbdStepArrays& g) {
-  put_state(in, g);
+void LaunchedReverse::put(const VbdLaunchInputs& in, const VbdStepArrays& g, bool at_solution) {
+  put_state(in, g, at_solution);
   put_elements(g);
   put_contacts(in, g);
 }
 
-void LaunchedReverse::put_state(const VbdLaunchInputs& in, const VbdStepArrays& g) const {
+void LaunchedReverse::put_state(const VbdLaunchInputs& in, const VbdStepArrays& g,
+                                bool at_solution) const {
   const Model& m = step_.model_;
   const float h = step_.tables_->dt;
-  if (any({&g.particle_q, &g.particle_qd, &g.particle_f, &g.particle_mass}))
+  const bool guessed = !at_solution && in.last_velocity.rows() != 0;
+  if (any({&g.particle_q, &g.particle_qd, &g.particle_f, &g.particle_mass, &g.gravity,
+           &g.last_velocity}))
     kernels().particle_gradient.launch(
         m.device(), m.particle_count(),
-        {reads_row("is_held", step_.is_held_), reads_row("inv_mass", m.particle_inv_mass),
-         reads_row("f", in.f), reads_row("x_bar", x_bar_), reads_row("start_bar", start_bar_),
-         reads_row("target_bar", target_bar_), reads_row("mass_bar", mass_bar_), number(h),
-         number(int64_t{in.targets.rows() != 0}), write_if("particle_q", g.particle_q),
-         write_if("particle_qd", g.particle_qd), write_if("particle_f", g.particle_f),
-         write_if("particle_mass", g.particle_mass)});
+        {reads_row("is_held", step_.is_held_),
+         reads_row("inv_mass", m.particle_inv_mass),
+         reads_row("f", in.f),
+         reads_row("x_bar", x_bar_),
+         reads_row("start_bar", start_bar_),
+         reads_row("target_bar", target_bar_),
+         reads_row("mass_bar", mass_bar_),
+         number(h),
+         number(int64_t{in.targets.rows() != 0}),
+         write_if("particle_q", g.particle_q),
+         write_if("particle_qd", g.particle_qd),
+         write_if("particle_f", g.particle_f),
+         write_if("particle_mass", g.particle_mass),
+         any({&g.gravity}) ? writes_row("gravity_bar", gravity_bar_) : number(kNone),
+         write_if("last_velocity", g.last_velocity),
+         guessed ? reads_row("last_velocity", in.last_velocity) : number(kNone),
+         reads_row("qd", in.qd),
+         reads_row("world", m.particle_world),
+         reads("gravity", m.gravity),
+         number(int64_t{m.world_count()} - 1)});
   if (any({&g.targets}))
     kernels().target_gradient.launch(
         m.device(), step_.held_count(),
@@ -298,7 +317,7 @@ void LaunchedReverse::put_state(const VbdLaunchInputs& in, const VbdStepArrays& 
     kernels().gravity_gradient.launch(
         m.device(), m.world_count(),
         {reads("begin", tables_.world_begin), reads("particles", tables_.of_worlds),
-         reads("target_bar", target_bar_), number(h), writes("gravity", g.gravity)});
+         reads("gravity_bar", gravity_bar_), writes("gravity", g.gravity)});
 }
 
 std::vector<LaunchArgument> LaunchedReverse::law_bars(Role role) const {

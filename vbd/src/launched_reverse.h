@@ -55,8 +55,9 @@ class LaunchedReverse {
   void reverse_colors(bool with_contacts, bool weights) const;
   void end(bool with_contacts, bool weights, const Array* guess, const Array& qd_bar) const;
   static bool wants_weights(const VbdStepArrays& g);
-  void put(const VbdLaunchInputs& in, const VbdStepArrays& g);
-  void put_state(const VbdLaunchInputs& in, const VbdStepArrays& g) const;
+  // `at_solution`: the derivatives of the solution, which does not depend on the guess.
+  void put(const VbdLaunchInputs& in, const VbdStepArrays& g, bool at_solution);
+  void put_state(const VbdLaunchInputs& in, const VbdStepArrays& g, bool at_solution) const;
   void put_elements(const VbdStepArrays& g) const;
   void put_contacts(const VbdLaunchInputs& in, const VbdStepArrays& g);
   std::vector<LaunchArgument> law_bars(Role role) const;
@@ -65,7 +66,7 @@ class LaunchedReverse {
   Tables tables_;
   std::vector<DeviceArray<Vec4f>> iterates_;
   DeviceArray<Vec3f> q_out_, qd_out_;
-  DeviceArray<Vec4f> x_bar_, u_, d_, own_, start_bar_, target_bar_;
+  DeviceArray<Vec4f> x_bar_, u_, d_, own_, start_bar_, target_bar_, gravity_bar_;
   DeviceArray<float> mass_bar_, terms_, numbers_, contact_bars_;
   DeviceArray<int32_t> shape_of_contact_, shape_begin_, of_shapes_;
 };

@@ -140,7 +140,7 @@ KrylovResult LaunchedSolution::reverse(const VbdLaunchInputs& in, const Array& q
   const KrylovResult found =
       solve_transposed(*this, given, static_cast<double>(options.tolerance), options.krylov_sweeps);
   reverse_.end(with_contacts_, weights_, nullptr, qd_bar);
-  reverse_.put(in, gradients);
+  reverse_.put(in, gradients, true);
   return found;
 }
 

@@ -129,10 +129,6 @@ LaunchedStep::LaunchedStep(const Model& m, const VbdOptions& o)
     older_ = DeviceArray<Vec4f>(n, device);
     chebyshev_ = chebyshev_factors(*o.acceleration, o.iterations);
   }
-  if (o.initial_guess == VbdInitialGuess::Adaptive) {
-    last_velocity_ = DeviceArray<Vec3f>(n, device);
-    has_last_ = DeviceArray<int32_t>(1, device);
-  }
   const Unobserved unobserved;
   edited_.check(m);
   build_slots();
@@ -281,11 +277,6 @@ void LaunchedStep::update(float dt) {
       break;
     }
   if (tables_ == nullptr || tables_->dt != dt) build_tables(dt);
-}
-
-void LaunchedStep::forget_last() {
-  has_stepped_ = false;
-  if (has_last_.rows() != 0) has_last_.zero();
 }
 
 std::vector<LaunchArgument> LaunchedStep::sweep_arguments(bool with_contacts, int64_t first_group,
@@ -456,7 +447,11 @@ void LaunchedStep::run(const VbdLaunchInputs& in, const VbdLaunchResults& out,
   model_.depend_on_numbers();
   depend_on(std::span<const Array* const>(mesh_));
   depend_on(std::span<const Array* const>(values_));
-  const bool adaptive = options_.initial_guess == VbdInitialGuess::Adaptive;
+  const auto last = [&] {
+    if (in.last_velocity.rows() == 0) return number(int64_t{0});
+    return out.updates_last ? updates_row("last_velocity", in.last_velocity)
+                            : reads_row("last_velocity", in.last_velocity);
+  };
   const auto particles = static_cast<int64_t>(model_.particle_count());
   std::vector<LaunchArgument> predict = {
       reads_row("state_in.particle_q", in.q),
@@ -469,8 +464,8 @@ void LaunchedStep::run(const VbdLaunchInputs& in, const VbdLaunchResults& out,
       reads_row("is_held", is_held_),
       number(tables_->dt),
       number(static_cast<int64_t>(options_.initial_guess)),
-      adaptive ? updates_row("last_velocity", last_velocity_) : number(int64_t{0}),
-      adaptive ? reads("has_last", has_last_) : number(int64_t{0}),
+      last(),
+      number(int64_t{out.updates_last}),
       writes_row("start", start_),
       writes_row("target", target_),
       writes_row("moved", moved_),
@@ -503,12 +498,10 @@ void LaunchedStep::run(const VbdLaunchInputs& in, const VbdLaunchResults& out,
 }
 
 void LaunchedStep::finish(const VbdLaunchResults& out) const {
-  const bool adaptive = options_.initial_guess == VbdInitialGuess::Adaptive;
   kernels().finish.launch(
       model_.device(), model_.particle_count(),
       {reads_row("start", start_), reads_row("x", x_), number(tables_->dt),
-       writes_row("state_out.particle_q", out.q), writes_row("state_out.particle_qd", out.qd),
-       adaptive ? writes("has_last", has_last_) : number(int64_t{0})});
+       writes_row("state_out.particle_q", out.q), writes_row("state_out.particle_qd", out.qd)});
 }
 
 // After a run: one more iteration.

@@ -22,6 +22,7 @@ struct VbdLaunchResults {
   DeviceArray<Vec3f> q, qd;
   // As many as there are iterations: the positions before each of them; none: they are not kept.
   std::span<const DeviceArray<Vec4f>> iterates = {};
+  bool updates_last = false;  // the velocity of the step goes to the inputs' last_velocity
 };
 
 template <class T, class U>
@@ -50,7 +51,7 @@ class LaunchedStep {
            const std::shared_ptr<ExclusiveUse>& in_use);
   VbdResidual residual();
   VbdResidual last_residual() const;
-  void forget_last();
+  void forget_last() { has_stepped_ = false; }
   int32_t held_count() const { return static_cast<int32_t>(held_.rows()); }
   bool has_stepped() const { return has_stepped_; }
 
@@ -114,8 +115,7 @@ class LaunchedStep {
   DeviceArray<int32_t> is_held_, held_;
   // Rows of four floats, one per particle.
   DeviceArray<Vec4f> start_, target_, moved_, x_, next_, newer_, older_;
-  DeviceArray<Vec3f> last_velocity_;
-  DeviceArray<int32_t> has_last_, contact_begin_, contact_items_;
+  DeviceArray<int32_t> contact_begin_, contact_items_;
   DeviceArray<float> contact_numbers_, of_particles_;
   DeviceArray<uint32_t> barrier_;
   std::vector<float> chebyshev_;

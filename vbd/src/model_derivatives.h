@@ -10,8 +10,9 @@ namespace novaphy::vbd {
 
 // Whether a derivative by a rest shape is wanted.
 bool wants_weights(const VbdStepGradients& gradients);
+// `at_solution`: those of the solution, which does not depend on the guess.
 void put_gradients(const ReversePass& pass, const VbdStepInputs& inputs,
-                   const VbdStepGradients& gradients);
+                   const VbdStepGradients& gradients, bool at_solution);
 void set_direction(TangentPass& pass, const VbdStepInputs& inputs,
                    const VbdStepTangents& direction);
 

@@ -1,5 +1,6 @@
 // The derivatives of a scalar by the arrays of the model and the state.
 #include <algorithm>
+#include <cstring>
 #include <vector>
 
 #include "model_derivatives.h"
@@ -16,17 +17,38 @@ void for_rows(void (*kernel)(const Arguments&, int64_t, int64_t), const Argument
 
 class Gradients {
  public:
-  Gradients(const ReversePass& from, const VbdStepInputs& inputs, const VbdStepGradients& to)
-      : pass(from), in(inputs), g(to), m(from.step.model), h{inputs.dt, 0} {}
+  Gradients(const ReversePass& from, const VbdStepInputs& inputs, const VbdStepGradients& to,
+            bool solved)
+      : pass(from), in(inputs), g(to), m(from.step.model), h{inputs.dt, 0}, at_solution(solved) {}
 
   void put_state() const {
+    const bool guessed = !at_solution && pass.step.looked_back();
+    Rows by_gravity(g.gravity != nullptr ? pass.x_bar.size() : 0), by_last(pass.x_bar.size());
     for_rows<VbdParticleGradientArguments>(
         vbd_particle_gradient_row,
-        {pass.step.slots.held_flags().data(), m.particle_inv_mass.data(), in.particle_f,
-         pass.x_bar.data(), pass.start_bar.data(), pass.target_bar.data(), pass.mass_bar.data(), h,
-         int64_t{in.targets != nullptr}, g.particle_q, g.particle_qd, g.particle_f,
-         g.particle_mass},
+        {pass.step.slots.held_flags().data(),
+         m.particle_inv_mass.data(),
+         in.particle_f,
+         pass.x_bar.data(),
+         pass.start_bar.data(),
+         pass.target_bar.data(),
+         pass.mass_bar.data(),
+         h,
+         int64_t{in.targets != nullptr},
+         g.particle_q,
+         g.particle_qd,
+         g.particle_f,
+         g.particle_mass,
+         g.gravity != nullptr ? by_gravity.data() : nullptr,
+         by_last.data(),
+         guessed ? reinterpret_cast<const VbdRow*>(in.last_velocity) : nullptr,
+         in.particle_qd,
+         m.particle_world.data(),
+         m.gravity.data(),
+         int64_t{m.world_count()} - 1},
         pass.x_bar.size());
+    if (g.last_velocity != nullptr)
+      std::memcpy(g.last_velocity, by_last.data(), by_last.size() * sizeof(VbdRow));
     if (g.targets != nullptr) {
       const std::vector<int32_t>& held = pass.step.slots.held();
       if (in.targets != nullptr) {
@@ -40,7 +62,7 @@ class Gradients {
     const IndexRows of_worlds = particles_of_worlds(m);
     for_rows<VbdGravityGradientArguments>(
         vbd_gravity_gradient_row,
-        {of_worlds.begins().data(), of_worlds.all().data(), pass.target_bar.data(), h, g.gravity},
+        {of_worlds.begins().data(), of_worlds.all().data(), by_gravity.data(), g.gravity},
         static_cast<size_t>(m.world_count()));
   }
 
@@ -100,6 +122,7 @@ class Gradients {
   const VbdStepGradients& g;
   const Model& m;
   FloatWord h;
+  bool at_solution;
 };
 
 }  // namespace
@@ -109,8 +132,8 @@ bool wants_weights(const VbdStepGradients& g) {
 }
 
 void put_gradients(const ReversePass& pass, const VbdStepInputs& inputs,
-                   const VbdStepGradients& gradients) {
-  const Gradients g(pass, inputs, gradients);
+                   const VbdStepGradients& gradients, bool at_solution) {
+  const Gradients g(pass, inputs, gradients, at_solution);
   g.put_state();
   g.put_elements();
   g.put_contacts();

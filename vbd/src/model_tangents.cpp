@@ -5,6 +5,7 @@
 
 #include "model_derivatives.h"
 #include "novaphy/math/matrix.h"
+#include "novaphy/vbd/particle_step_trace.h"
 
 namespace novaphy::vbd {
 namespace {
@@ -20,6 +21,7 @@ class Direction {
   void set_state() const {
     const float* const inv_mass = m.particle_inv_mass.data();
     const auto worlds = static_cast<size_t>(m.world_count());
+    const bool previous = pass.step.options.initial_guess == VbdInitialGuess::Previous;
     size_t held = 0;
     for (size_t p = 0; p < pass.x_slope.size(); ++p) {
       const Vec3f start = at(t.particle_q, p);
@@ -31,11 +33,20 @@ class Direction {
       }
       const int32_t world = m.particle_world.data()[p];
       const float w = inv_mass[p], mass = at(t.particle_mass, p);
+      const auto of = world < 0 ? worlds - 1 : static_cast<size_t>(world);
+      const Vec3f gravity = at(t.gravity, of), velocity = at(t.particle_qd, p);
       const Vec3f acceleration =
-          (at(t.gravity, world < 0 ? worlds - 1 : static_cast<size_t>(world)) +
-           at(t.particle_f, p) * w) -
-          in.particle_f[p] * ((w * w) * mass);
-      pass.target_slope[p] = start + (at(t.particle_qd, p) + acceleration * h) * h;
+          (gravity + at(t.particle_f, p) * w) - in.particle_f[p] * ((w * w) * mass);
+      pass.target_slope[p] = start + (velocity + acceleration * h) * h;
+      pass.guess_slope[p] = previous ? start : Vec3f(pass.target_slope[p]);
+      if (pass.step.looked_back() && in.last_velocity[p].w != 0.0f) {
+        const Vec4f last = in.last_velocity[p];
+        const Vec3f slope = {at(t.last_velocity, 4 * p), at(t.last_velocity, 4 * p + 1),
+                             at(t.last_velocity, 4 * p + 2)};
+        pass.guess_slope[p] =
+            start + adaptive_guess_slope(in.particle_qd[p], m.gravity.data()[of], h,
+                                         {last.x, last.y, last.z}, velocity, gravity, slope);
+      }
       pass.mass_slope[p] = mass / (h * h);
     }
   }

@@ -109,8 +109,9 @@ void ReversePass::unrolled(const Vec3f* q_bar, const Vec3f* qd_bar) {
   const size_t colors = step.slots.color_begin().size() - 1;
   for (size_t k = step.iterates.size() - 1; k-- > 0;)
     for (size_t color = colors; color-- > 0;) reverse_color(color, step.iterates[k]);
-  const bool from_target = step.options.initial_guess == VbdInitialGuess::Inertia;
-  end((from_target ? target_bar : start_bar).data(), qd_bar);
+  if (step.looked_back()) return end(nullptr, qd_bar);  // see vbd_particle_gradient
+  const bool from_start = step.options.initial_guess == VbdInitialGuess::Previous;
+  end((from_start ? start_bar : target_bar).data(), qd_bar);
 }
 
 void ReversePass::reverse_sweep(const Rows& load, Rows& multipliers, Rows& left) {

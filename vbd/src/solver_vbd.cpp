@@ -50,6 +50,8 @@ void check_covered(const Model& model) {
 // what this thread does, as launches.
 struct SolverVBD::Work {
   Work(const Model& m, const VbdOptions& o) : model(m), options(o) {
+    if (o.initial_guess == VbdInitialGuess::Adaptive)
+      last = DeviceArray<Vec4f>(static_cast<size_t>(m.particle_count()), m.device());
     if (m.device().is_cpu()) {
       host = std::make_unique<vbd::StepWork>(m, o);
     } else {
@@ -57,8 +59,6 @@ struct SolverVBD::Work {
     }
   }
   vbd::LaunchedStep& recorded() {
-    require(options.initial_guess != VbdInitialGuess::Adaptive, ErrorKind::NotImplemented, kName,
-            ": initial_guess \"adaptive\": on the cpu it cannot be captured");
     if (launched == nullptr) launched = std::make_unique<vbd::LaunchedStep>(model, options);
     return *launched;
   }
@@ -67,6 +67,7 @@ struct SolverVBD::Work {
   const VbdOptions options;
   std::unique_ptr<vbd::StepWork> host;  // null: on a device
   std::unique_ptr<vbd::LaunchedStep> launched;
+  DeviceArray<Vec4f> last;  // of the adaptive guess, see VbdStepInputs; else without rows
   bool last_was_launched = false;
 };
 
@@ -85,10 +86,7 @@ int32_t SolverVBD::held_count() const {
                                 : work_->launched->held_count();
 }
 
-bool SolverVBD::supports_graph_capture() const {
-  return !options_.tolerance &&
-         (!device().is_cpu() || options_.initial_guess != VbdInitialGuess::Adaptive);
-}
+bool SolverVBD::supports_graph_capture() const { return !options_.tolerance; }
 
 void SolverVBD::notify_model_changed(ModelFlags) {
   const ExclusiveUse::Scope scope = use("SolverVBD.notify_model_changed");
@@ -99,8 +97,9 @@ void SolverVBD::notify_model_changed(ModelFlags) {
 
 void SolverVBD::reset() {
   const ExclusiveUse::Scope scope = use("SolverVBD.reset");
-  if (work_->host != nullptr) work_->host->has_last = work_->host->has_stepped = false;
+  if (work_->host != nullptr) work_->host->has_stepped = false;
   if (work_->launched != nullptr) work_->launched->forget_last();
+  if (work_->last.rows() != 0) work_->last.zero();
 }
 
 VbdResidual SolverVBD::residual() const {
@@ -146,13 +145,21 @@ void SolverVBD::step(SimState& state_in, SimState& state_out, const Control* con
         control != nullptr ? control->particle_tet_activation : m.particle_tet_activation;
     inputs.contacts = contacts;
     if (targets != nullptr) inputs.targets = *targets;
-    return step.run(inputs, {state_out.particle_q, state_out.particle_qd, {}}, in_use());
+    inputs.last_velocity = w.last;
+    return step.run(inputs,
+                    {.q = state_out.particle_q, .qd = state_out.particle_qd, .updates_last = true},
+                    in_use());
   }
   w.host->update(control != nullptr ? &control->particle_tri_activation : nullptr,
                  control != nullptr ? &control->particle_tet_activation : nullptr, contacts, dt);
   w.host->run({state_in.particle_q.data(), state_in.particle_qd.data(), state_in.particle_f.data(),
-               state_out.particle_q.mutable_data(), state_out.particle_qd.mutable_data()},
+               state_out.particle_q.mutable_data(), state_out.particle_qd.mutable_data(),
+               w.last.rows() != 0 ? w.last.data() : nullptr},
               targets == nullptr ? nullptr : targets->data());
+  if (w.last.rows() == 0) return;
+  const Vec3f* const qd = state_in.particle_qd.data();
+  Vec4f* const last = w.last.mutable_data();
+  for (size_t p = 0; p < w.last.rows(); ++p) last[p] = {qd[p].x, qd[p].y, qd[p].z, 1.0f};
 }
 
 }  // namespace novaphy

@@ -156,10 +156,6 @@ void StepWork::run(const StepArrays& step_arrays, const Vec3f* targets) {
   }
   check_positions();
   run_phases(last, ends_.size());
-  if (options.initial_guess == VbdInitialGuess::Adaptive) {
-    last_velocity.assign(arrays_.qd, arrays_.qd + x.size());
-    has_last = true;
-  }
   has_stepped = true;
 }
 
@@ -220,7 +216,7 @@ void StepWork::run_chunk(const Chunk& chunk) {
 }
 
 void StepWork::predict(int64_t begin, int64_t end) {
-  const auto [q, qd, f, q_out, qd_out] = arrays_;
+  const auto [q, qd, f, q_out, qd_out, last] = arrays_;
   const float* inv_mass = model.particle_inv_mass.data();
   const int32_t* worlds = model.particle_world.data();
   const int32_t last_world = model.world_count() - 1;
@@ -236,10 +232,10 @@ void StepWork::predict(int64_t begin, int64_t end) {
       continue;
     }
     const Vec3f& g = model.gravity.data()[worlds[p] < 0 ? last_world : worlds[p]];
-    const bool looks_back = options.initial_guess == VbdInitialGuess::Adaptive && has_last;
+    const Vec4f before = last != nullptr ? last[p] : Vec4f{};
     const Prediction prediction = predict_particle(
         q[p], qd[p], f[p], inv_mass[p], g, h, static_cast<int32_t>(options.initial_guess),
-        looks_back, looks_back ? last_velocity[p] : Vec3f{});
+        before.w != 0.0f, {before.x, before.y, before.z});
     target[p] = prediction.target;
     moved[p] = prediction.moved;
     good &= is_finite(prediction.target);

@@ -21,6 +21,7 @@ using Row = VbdRow;
 struct StepArrays {
   const Vec3f *q = nullptr, *qd = nullptr, *f = nullptr;
   Vec3f *q_out = nullptr, *qd_out = nullptr;
+  const Vec4f* last = nullptr;  // see VbdStepInputs
 };
 
 class StepWork {
@@ -39,6 +40,10 @@ class StepWork {
   // After a run that kept no iterates: one more iteration, and the results of x as it is now.
   void iterate_again();
   void finish_again();
+  // Whether the last run began where the velocity before says.
+  bool looked_back() const {
+    return options.initial_guess == VbdInitialGuess::Adaptive && arrays_.last != nullptr;
+  }
 
   const Model& model;
   const VbdOptions options;
@@ -50,8 +55,7 @@ class StepWork {
 
   std::vector<Row> start, target, moved, x;
   std::vector<std::vector<Row>> iterates;  // x after 0, 1, ... iterations
-  std::vector<Vec3f> last_velocity;        // of the step before, for the adaptive guess
-  bool has_last = false, has_stepped = false;
+  bool has_stepped = false;
   uint64_t builds = 0;  // how often the tables were made
 
  private:

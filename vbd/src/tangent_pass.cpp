@@ -33,7 +33,7 @@ void TangentPass::for_particles(size_t color, Function&& function) {
 
 void TangentPass::prepare() {
   const size_t n = step.x.size();
-  for (Rows* rows : {&x_slope, &start_slope, &target_slope}) rows->assign(n, {});
+  for (Rows* rows : {&x_slope, &start_slope, &target_slope, &guess_slope}) rows->assign(n, {});
   mass_slope.assign(n, 0.0f);
   contact_slopes.assign(step.contacts.count() * kContactLawFloats, 0.0f);
   tangents_ = {};
@@ -55,9 +55,8 @@ void TangentPass::tangent_start() {
 
 void TangentPass::unrolled() {
   tangent_start();
-  const bool from_target = step.options.initial_guess == VbdInitialGuess::Inertia;
   for (size_t p = 0; p < x_slope.size(); ++p)
-    if (!is_held(p)) x_slope[p] = from_target ? target_slope[p] : start_slope[p];
+    if (!is_held(p)) x_slope[p] = guess_slope[p];
   Rows moved(x_slope.size());
   tangents_.step_slope = floats(moved);
   step.x = step.iterates.front();

@@ -38,6 +38,7 @@ class TangentPass {
   StepWork& step;
   Rows x_slope;  // of held particles the direction; of the others the result
   Rows start_slope, target_slope;
+  Rows guess_slope;  // of where iterations began
   std::vector<float> mass_slope, contact_slopes, number_slopes[kRoles];  // see Tangents
 
  private:

@@ -5,6 +5,7 @@
 
 #include "novaphy/core/row_kernel.h"
 #include "novaphy/math/matrix.h"
+#include "novaphy/vbd/particle_step_trace.h"
 #include "novaphy/vbd/rows_kernels.h"
 #include "novaphy/vbd/slot_layout_trace.h"
 
@@ -97,15 +98,39 @@ struct VbdParticleGradientArguments {
   Vec3f* by_qd;
   Vec3f* by_f;
   float* by_mass;
+  VbdRow* by_gravity;  // of the particle's world, from this particle
+  VbdRow* by_last;
+  // Of the adaptive guess, whose bars are then x_bar; null: those of the guess are in another bar.
+  const VbdRow* last;
+  const Vec3f* qd;
+  const int32_t* world;
+  const Vec3f* gravity;
+  int64_t last_world;
 };
-NOVAPHY_ROW_KERNEL(vbd_particle_gradient, 13, VbdParticleGradientArguments) {
+NOVAPHY_ROW_KERNEL(vbd_particle_gradient, 20, VbdParticleGradientArguments) {
   const float h = a.h.value, w = a.inv_mass[row];
   const bool is_held = a.is_held[row] != 0;
-  const Vec3f by_target = to_vec3(a.target_bar[row]);
-  Vec3f by_start = to_vec3(a.start_bar[row]) + by_target;
+  Vec3f by_target = to_vec3(a.target_bar[row]);
+  Vec3f by_start = to_vec3(a.start_bar[row]);
+  vbd::GuessBars guess;
+  if (a.last != nullptr && !is_held) {
+    const Vec3f bar = to_vec3(a.x_bar[row]);
+    const VbdRow last = a.last[row];
+    if (last.w == 0.0f) {
+      by_target = by_target + bar;
+    } else {
+      const int32_t of = a.world[row];
+      by_start = by_start + bar;
+      guess = vbd::adaptive_guess_bars(bar, a.qd[row], a.gravity[of < 0 ? a.last_world : of], h,
+                                       to_vec3(last));
+    }
+  }
+  by_start = by_start + by_target;
   if (is_held && a.have_targets == 0) by_start = by_start + to_vec3(a.x_bar[row]);
   if (a.by_q != nullptr) a.by_q[row] = by_start;
-  if (a.by_qd != nullptr) a.by_qd[row] = by_target * h;
+  if (a.by_qd != nullptr) a.by_qd[row] = by_target * h + guess.by_velocity;
+  if (a.by_gravity != nullptr) a.by_gravity[row] = to_row(by_target * (h * h) + guess.by_gravity);
+  if (a.by_last != nullptr) a.by_last[row] = to_row(guess.by_last);
   if (a.by_f != nullptr) a.by_f[row] = by_target * ((h * h) * w);
   // m/h^2, and 1/m in the target.
   const float by_inverse = math::dot(by_target, a.f[row]) * (h * h);
@@ -125,15 +150,13 @@ NOVAPHY_ROW_KERNEL(vbd_target_gradient, 3, VbdTargetGradientArguments) {
 struct VbdGravityGradientArguments {
   const int32_t* begin;  // of each world, and behind the last
   const int32_t* particles;
-  const VbdRow* target_bar;
-  FloatWord h;
+  const VbdRow* of_particles;  // see VbdParticleGradientArguments
   Vec3f* by_gravity;
 };
-NOVAPHY_ROW_KERNEL(vbd_gravity_gradient, 5, VbdGravityGradientArguments) {
-  const float h = a.h.value;
+NOVAPHY_ROW_KERNEL(vbd_gravity_gradient, 4, VbdGravityGradientArguments) {
   Vec3f sum{};
   for (int32_t k = a.begin[row]; k < a.begin[row + 1]; ++k)
-    sum = sum + to_vec3(a.target_bar[a.particles[k]]) * (h * h);
+    sum = sum + to_vec3(a.of_particles[a.particles[k]]);
   a.by_gravity[row] = sum;
 }
 

@@ -25,9 +25,9 @@ struct VbdPredictArguments {
   int64_t last_world;
   const int32_t* is_held;
   FloatWord h;
-  int64_t guess;         // VbdInitialGuess
-  Vec3f* last_velocity;  // of the adaptive guess: that of the step before, then of this; else null
-  const int32_t* has_last;
+  int64_t guess;  // VbdInitialGuess
+  VbdRow* last;   // of the adaptive guess, else null: the velocity before the last step, and 1
+  int64_t updates_last;  // not 0: then that of this step
   VbdRow* start;
   VbdRow* target;
   VbdRow* moved;
@@ -41,10 +41,10 @@ NOVAPHY_ROW_KERNEL(vbd_predict, 32, VbdPredictArguments) {
   if (row == 0) *a.barrier = 0;
   const Vec3f q = a.q[row];
   a.start[row] = to_row(q);
-  Vec3f last;
-  if (a.last_velocity != nullptr) {
-    last = a.last_velocity[row];
-    a.last_velocity[row] = a.qd[row];
+  VbdRow last;
+  if (a.last != nullptr) {
+    last = a.last[row];
+    if (a.updates_last != 0) a.last[row] = vbd::to_last_velocity(a.qd[row]);
   }
   if (a.is_held[row] != 0) {
     a.x[row] = a.target[row] = to_row(q);
@@ -54,7 +54,7 @@ NOVAPHY_ROW_KERNEL(vbd_predict, 32, VbdPredictArguments) {
   const int32_t w = a.world[row];
   const vbd::Prediction p = vbd::predict_particle(
       q, a.qd[row], a.f[row], a.inv_mass[row], a.gravity[w < 0 ? a.last_world : w], a.h.value,
-      static_cast<int32_t>(a.guess), a.has_last != nullptr && *a.has_last != 0, last);
+      static_cast<int32_t>(a.guess), last.w != 0.0f, to_vec3(last));
   a.target[row] = to_row(p.target);
   a.moved[row] = to_row(p.moved);
   a.x[row] = to_row(q + p.moved);
@@ -268,13 +268,11 @@ struct VbdFinishArguments {
   FloatWord h;
   Vec3f* q;
   Vec3f* qd;
-  int32_t* has_last;  // of the adaptive guess, else null
 };
-NOVAPHY_ROW_KERNEL(vbd_finish, 6, VbdFinishArguments) {
+NOVAPHY_ROW_KERNEL(vbd_finish, 5, VbdFinishArguments) {
   const Vec3f x = to_vec3(a.x[row]);
   a.q[row] = x;
   a.qd[row] = (x - to_vec3(a.start[row])) / a.h.value;
-  if (row == 0 && a.has_last != nullptr) *a.has_last = 1;
 }
 
 // As ParticleResidual: 3 numbers for each particle. `row`: over the lanes of all groups.

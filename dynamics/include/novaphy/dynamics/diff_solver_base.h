@@ -2,6 +2,8 @@
 // not. It gives one step; the rollout is here. Compiled into novaphy::dynamics where nova is built.
 #pragma once
 
+#include <map>
+#include <memory>
 #include <vector>
 
 #include "novaphy/core/sim/solver_base.h"
@@ -25,6 +27,15 @@ struct StepInputs {
   nova::Operand targets;
   size_t first_target = 0;
   float dt = 0.0f;
+
+  // Of a rollout over a trajectory that does not keep all states.
+  struct Checkpoints {
+    int32_t step = 0;               // from state `step` to the next
+    bool next_is_kept = false;      // the state after it
+    bool is_recomputed = false;     // by Trajectory::recompute, after the rollout
+    std::map<int32_t, Array> kept;  // what a solver carries besides the state, at kept states
+  };
+  std::shared_ptr<Checkpoints> checkpoints;  // null: all are kept, or no rollout
 };
 
 class NOVAPHY_DYNAMICS_API DiffSolverBase : public SolverBase {

@@ -7,14 +7,15 @@
 
 #include "novaphy/core/sim/edited_values.h"
 #include "novaphy/dynamics/diff_solver_base.h"
+#include "novaphy/nova/op_list.h"
 #include "novaphy/vbd/differentiable_vbd.h"
 
 namespace novaphy::diff {
 
 struct DiffVbdOptions {
-  int32_t iterations = 10;                                   // sweeps over all colours, >= 0
-  float friction_epsilon = 1e-2f;                            // m/s, > 0, see VbdOptions
-  VbdInitialGuess initial_guess = VbdInitialGuess::Inertia;  // not Adaptive
+  int32_t iterations = 10;         // sweeps over all colours, >= 0
+  float friction_epsilon = 1e-2f;  // m/s, > 0, see VbdOptions
+  VbdInitialGuess initial_guess = VbdInitialGuess::Inertia;
   float lhs_regularization = 1e-6f;
   VbdGradientOptions gradient = {};
 };
@@ -34,6 +35,12 @@ struct DiffVbdOptions {
 //   all else of the model and the contacts               none: ErrorKind::NotImplemented, by name,
 //                                                        where it has requires_grad
 // particle_q and particle_qd of the model are read by states, not by steps.
+//
+// The adaptive guess looks at the velocity before the last step, which the solver carries from step
+// to step and from rollout to rollout until reset(). Unrolled gradients by it are exact, over the
+// steps and rollouts of a tape; a solution does not depend on the guess, so implicit ones are 0.
+// Trajectories with checkpoints keep it where they keep states. A replay of a capture begins where
+// the last step ended, or with reset() where the capture does.
 // "Exact" is of the iterations that ran, or with implicit gradients of the solution, within the
 // residuals: see gradient_info(). Steps, rollouts, their backward and jvp can be captured; a
 // replay runs them on the host, or on the device of the model. On a device there is no jvp,
@@ -52,6 +59,8 @@ class NOVAPHY_VBD_API DiffSolverVBD : public DiffSolverBase {
   // particle_f is only read. Errors as SolverVBD::step; ErrorKind::Runtime with implicit
   // gradients where the step was not solved.
   bool supports_graph_capture() const override { return true; }
+  // Forgets the last step, which the adaptive guess looks at. Can be captured.
+  void reset();
   void step(SimState& state_in, SimState& state_out, const Control* control,
             const Contacts* contacts, float dt) override {
     step(state_in, state_out, control, contacts, dt, nullptr);
@@ -62,6 +71,7 @@ class NOVAPHY_VBD_API DiffSolverVBD : public DiffSolverBase {
 
  protected:
   int32_t target_count() const override { return held_count(); }
+  std::vector<ScratchSpec> step_scratch() const override;
   bool begin_rollout(const RolloutInputs& inputs) override;
   void record_step(const SimState& in, SimState& out, const StepInputs& inputs,
                    StepScratch scratch) override;
@@ -70,6 +80,10 @@ class NOVAPHY_VBD_API DiffSolverVBD : public DiffSolverBase {
   struct Step;
   void check_replays() const;
   void begin();
+  bool looks_back() const { return options_.initial_guess == VbdInitialGuess::Adaptive; }
+  DeviceArray<Vec4f> new_velocities() const;
+  nova::Tensor last_velocity(StepInputs::Checkpoints* checkpoints);
+  void keep_velocity(const SimState& in, StepInputs::Checkpoints* checkpoints, StepScratch scratch);
   std::shared_ptr<const Contacts> kept(const Contacts* contacts);
 
   DiffVbdOptions options_;
@@ -77,6 +91,13 @@ class NOVAPHY_VBD_API DiffSolverVBD : public DiffSolverBase {
   std::shared_ptr<DifferentiableVbd> steps_;
   std::shared_ptr<std::string> failure_ = std::make_shared<std::string>();  // of a replay
   std::shared_ptr<const Contacts> last_contacts_;  // a copy of those of the last step
+  // Of the adaptive guess: see VbdStepInputs::last_velocity; and the same as the last step on a
+  // tape and in a capture wrote it.
+  DeviceArray<Vec4f> last_velocity_;
+  struct {
+    const nova::OpList* capture = nullptr;
+    nova::Tensor rows;
+  } recorded_velocity_;
 };
 
 }  // namespace novaphy::diff

@@ -21,16 +21,20 @@ struct VbdStepInputs {
   const Contacts* contacts = nullptr;                  // null: none
   float dt = 0.0f;                                     // s
   const Vec3f* targets = nullptr;                      // of the held particles; null: they stay
+  // Of the adaptive guess: the velocity at the start of the step before (m/s), and 1, or 0 where
+  // there was none; null: none.
+  const Vec4f* last_velocity = nullptr;
 };
 
 // The same on the device of the model. Contacts: null: none; targets without rows: held particles
-// stay.
+// stay; last_velocity without rows: there was no step before.
 struct VbdLaunchInputs {
   DeviceArray<Vec3f> q, qd, f;
   DeviceArray<float> tri_activation, tet_activation;
   const Contacts* contacts = nullptr;
   DeviceArray<Vec3f> targets;
   float dt = 0.0f;  // s
+  DeviceArray<Vec4f> last_velocity = {};
 
   bool have_contacts() const { return contacts != nullptr && contacts->soft_contact_max() > 0; }
 };
@@ -47,6 +51,7 @@ struct VbdStepDerivatives {
   Vectors particle_qd = {};
   Vectors particle_f = {};
   Vectors targets = {};
+  Numbers last_velocity = {};  // column 3: 0; implicit: 0, the solution does not know the guess
   Vectors gravity = {};
   Numbers particle_mass = {};
   Numbers particle_radius = {};
@@ -107,7 +112,7 @@ struct VbdGradientInfo {
 // positions or targets. The result has the same bits for any number of threads and any processor.
 class NOVAPHY_VBD_API DifferentiableVbd {
  public:
-  // ErrorKind::NotImplemented: acceleration, tolerance, safeguard, the adaptive guess.
+  // ErrorKind::NotImplemented: acceleration, tolerance, safeguard.
   // ErrorKind::Value: bad options; implicit without an iteration. Other errors as SolverVBD.
   explicit DifferentiableVbd(std::shared_ptr<const Model> model, const VbdOptions& options = {},
                              const VbdGradientOptions& gradient_options = {});

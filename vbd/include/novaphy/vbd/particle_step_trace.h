@@ -1,7 +1,10 @@
 // Where a particle begins a step: its inertial target, and the guess from which iterations start.
 //
 //   y = xn + h (vn + h (g + f/m)),  x0 = y, or xn, or xn + h vn + h^2 a g
-// a is the part of gravity, 0 to 1, in the acceleration of the step before (Chen et al. 2024).
+// a is the part of gravity in the acceleration of the step before (Chen et al. 2024):
+//   a = s clamped to 0 to 1,  s = (vn - vl).g / (h |g|^2)
+// with the velocity vl at the start of that step; without one x0 = y. The derivatives are exact;
+// that of the clamp is 0 at and beyond its ends, and so is all of a's without gravity.
 //
 // Freestanding: device code reads it too.
 #pragma once
@@ -17,9 +20,10 @@ struct Prediction {
   Vec3f target, moved;  // y; x0 - xn
 };
 
+// s, before it is clamped.
 inline float gravity_that_acted(const Vec3f& g, const Vec3f& acceleration) {
   const float squared = math::dot(g, g);
-  return squared > 0.0f ? math::clamp(math::dot(acceleration, g) / squared, 0.0f, 1.0f) : 0.0f;
+  return squared > 0.0f ? math::dot(acceleration, g) / squared : 0.0f;
 }
 
 inline Prediction predict_particle(const Vec3f& q, const Vec3f& qd, const Vec3f& f, float inv_mass,
@@ -29,8 +33,37 @@ inline Prediction predict_particle(const Vec3f& q, const Vec3f& qd, const Vec3f&
   Prediction p = {q + travel, travel};
   if (guess == kGuessPrevious) p.moved = Vec3f{};
   if (guess == kGuessAdaptive && has_last)
-    p.moved = qd * h + (g * gravity_that_acted(g, (qd - last_velocity) / h)) * (h * h);
+    p.moved =
+        qd * h +
+        (g * math::clamp(gravity_that_acted(g, (qd - last_velocity) / h), 0.0f, 1.0f)) * (h * h);
   return p;
+}
+
+// The derivatives of a scalar by what the adaptive guess reads besides xn, from those by x0.
+struct GuessBars {
+  Vec3f by_velocity, by_last, by_gravity;
+};
+inline GuessBars adaptive_guess_bars(const Vec3f& bar, const Vec3f& qd, const Vec3f& g, float h,
+                                     const Vec3f& last_velocity) {
+  const Vec3f acceleration = (qd - last_velocity) / h;
+  const float s = gravity_that_acted(g, acceleration), a = math::clamp(s, 0.0f, 1.0f);
+  const float by_s = s > 0.0f && s < 1.0f ? (math::dot(g, bar) * (h * h)) / math::dot(g, g) : 0.0f;
+  const Vec3f by_speed = (g * by_s) / h;
+  return {bar * h + by_speed, by_speed * -1.0f,
+          bar * (a * (h * h)) + (acceleration - g * (2.0f * s)) * by_s};
+}
+
+// The derivative of x0 - xn along slopes of vn, g and vl.
+inline Vec3f adaptive_guess_slope(const Vec3f& qd, const Vec3f& g, float h,
+                                  const Vec3f& last_velocity, const Vec3f& qd_slope,
+                                  const Vec3f& g_slope, const Vec3f& last_slope) {
+  const Vec3f acceleration = (qd - last_velocity) / h;
+  const float s = gravity_that_acted(g, acceleration), a = math::clamp(s, 0.0f, 1.0f);
+  const float a_slope = s > 0.0f && s < 1.0f ? (math::dot((qd_slope - last_slope) / h, g) +
+                                                math::dot(acceleration - g * (2.0f * s), g_slope)) /
+                                                   math::dot(g, g)
+                                             : 0.0f;
+  return qd_slope * h + (g_slope * a + g * a_slope) * (h * h);
 }
 
 }  // namespace novaphy::vbd

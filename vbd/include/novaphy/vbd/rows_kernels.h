@@ -1,4 +1,4 @@
-// A row of the tables of a sweep: three numbers of a particle.
+// A row of the tables of a sweep: three numbers of a particle, and a fourth that few tables use.
 #pragma once
 
 #include "novaphy/math/types.h"
@@ -6,12 +6,23 @@
 namespace novaphy {
 
 struct alignas(16) VbdRow {
-  float x = 0.0f, y = 0.0f, z = 0.0f, unused = 0.0f;
+  float x = 0.0f, y = 0.0f, z = 0.0f, w = 0.0f;
   VbdRow() = default;
   VbdRow(const Vec3f& v) : x(v.x), y(v.y), z(v.z) {}
   operator Vec3f() const { return {x, y, z}; }
 };
 inline Vec3f to_vec3(const VbdRow& row) { return row; }
 inline VbdRow to_row(const Vec3f& v) { return v; }
+
+namespace vbd {
+
+// What the adaptive guess keeps of a step for the next: its velocity, and 1. Without a step: 0.
+inline VbdRow to_last_velocity(const Vec3f& qd) {
+  VbdRow row(qd);
+  row.w = 1.0f;
+  return row;
+}
+
+}  // namespace vbd
 
 }  // namespace novaphy

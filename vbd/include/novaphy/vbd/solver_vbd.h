@@ -73,7 +73,7 @@ class NOVAPHY_VBD_API SolverVBD : public SolverBase {
   const VbdOptions& options() const { return options_; }
   // Particles that are held, see above: the rows of `targets`, in the order of their indices.
   int32_t held_count() const;
-  // True without `tolerance`, and on the CPU without the adaptive guess.
+  // True without `tolerance`.
   bool supports_graph_capture() const override;
 
   // Besides the errors of SolverBase::step and of the constructor: ErrorKind::Value when the

@@ -3,8 +3,10 @@
 Five scenes: a cloth that hangs from one side, one that falls over a sphere, a bar that is twisted
 by its ends, a block that starts crushed, flat and turned inside out, and a net of springs that
 catches heavy particles, which hit it at 3 m/s and stay in its knots. Each ends with a check.
+--check-grad compares the gradient of one more frame, by its velocities, with differences.
 
     python demo_vbd.py draped --headless 120 --plot draped.png
+    python demo_vbd.py draped --headless 60 --check-grad
 """
 
 from __future__ import annotations
@@ -140,8 +142,10 @@ def turned(rest: np.ndarray, angle: float) -> np.ndarray:
     return np.stack([x, c * y - s * z, s * y + c * z], 1).astype(np.float32) + centre
 
 
-def simulate(scene: Scene, frames: int, stage: viewer.Stage) -> tuple[np.ndarray, SolverVBD]:
-    """Positions {frames + 1, n, 3} of every frame, and the solver."""
+def simulate(
+    scene: Scene, frames: int, stage: viewer.Stage
+) -> tuple[np.ndarray, SolverVBD, novaphy.SimState]:
+    """Positions {frames + 1, n, 3} of every frame, the solver and the last state."""
     model = scene.model
     held = model.particle_q.numpy()[model.particle_mass.numpy() == 0.0]
     dt = 1.0 / (FPS * scene.substeps)
@@ -166,7 +170,49 @@ def simulate(scene: Scene, frames: int, stage: viewer.Stage) -> tuple[np.ndarray
                 state, after = after, state
             stage.show(frame / FPS, state)
             positions.append(state.particle_q.numpy())
-    return np.array(positions), solver
+    return np.array(positions), solver, state
+
+
+def check_gradient(scene: Scene, start: novaphy.SimState) -> bool:
+    """Whether the gradient of a frame from the state agrees with differences along it.
+
+    The loss is a random sum of positions; the contacts are those of the state.
+    """
+    from novaphy import diff, nova
+
+    model = scene.model
+    solver = novaphy.solvers.DiffSolverVBD(model, iterations=scene.iterations)
+    contacts = None
+    if model.shape_count:
+        pipeline = novaphy.CollisionPipeline(model)
+        contacts = pipeline.contacts()
+        pipeline.collide(start, contacts)
+    trajectory = diff.Trajectory(model, scene.substeps)
+    trajectory[0].particle_q.assign(start.particle_q.numpy())
+    velocity = start.particle_qd.numpy()
+    weights = np.random.default_rng(0).normal(size=velocity.shape).astype(np.float32)
+    weight = nova.tensor(weights, device=model.device)
+
+    def loss(v: np.ndarray) -> nova.Tensor:
+        trajectory[0].particle_qd.assign(v)
+        solver.rollout(trajectory, None, contacts, 1.0 / (FPS * scene.substeps))
+        return nova.sum(diff.state_particle_q_tensor(trajectory[scene.substeps]) * weight)
+
+    with nova.Tape() as tape:
+        value = loss(velocity)
+    tape.backward(value)
+    gradient = trajectory[0].particle_qd.grad.numpy()
+    direction = gradient / np.sqrt(np.mean(np.square(gradient)))  # 1 m/s, root mean square
+    expected = float((gradient * direction).sum())
+    sums, size = [], 2e-3
+    for sign in (1.0, -1.0):
+        loss(velocity + np.float32(sign * size) * direction)
+        q = trajectory[scene.substeps].particle_q.numpy().astype(np.float64)
+        sums.append(float((q * weights).sum()))
+    found = (sums[0] - sums[1]) / (2.0 * size)
+    error = abs(found - expected) / abs(expected)
+    print(f"gradient {expected:.6g}, by differences {found:.6g}: apart by {100 * error:.2f} %")
+    return error < 1e-2
 
 
 def least_volume(model: novaphy.Model, q: np.ndarray) -> float:
@@ -242,6 +288,7 @@ def main() -> int:
     parser.add_argument("--device", default="cpu", help="cpu, cuda, cuda:1, dlan, ...")
     parser.add_argument("--plot", metavar="PATH.png", help="draw the surface at four times")
     parser.add_argument("--dump-states", metavar="PATH.npz", help="write the positions")
+    parser.add_argument("--check-grad", action="store_true", help="compare with differences")
     args = parser.parse_args()
     viewer.check_arguments(parser, args)
     if args.dump_states and not Path(args.dump_states).resolve().parent.is_dir():
@@ -250,7 +297,7 @@ def main() -> int:
     novaphy.set_default_device(args.device)
     scene = SCENES[args.scene]()
     with viewer.Stage(args, scene.model, fps=FPS, look=LOOKS[args.scene]) as stage:
-        positions, solver = simulate(scene, args.headless, stage)
+        positions, solver, last = simulate(scene, args.headless, stage)
     if args.dump_states:
         np.savez_compressed(args.dump_states, particle_q=positions)
     if args.plot:
@@ -258,6 +305,8 @@ def main() -> int:
     if args.headless > 0:
         print(f"relative residual of the last step {solver.residual().relative:.1e}")
     faults = check(args.scene, scene, positions) if args.headless >= 150 else []
+    if args.check_grad and not check_gradient(scene, last):
+        faults.append("a gradient within 1 % of differences")
     for fault in faults:
         print(f"CHECK FAILED: expected {fault}")
     if not faults:

@@ -211,6 +211,18 @@ def test_a_gripper_holds_what_it_dropped(tmp_path):
     assert loss[0] > 0.1 and loss[-1] < 1e-3
 
 
+@pytest.mark.skipif(not novaphy.has_diff(), reason="needs NOVAPHY_WITH_DIFF")
+@pytest.mark.parametrize("scene", ["hanging", "draped", "twisted", "crushed", "net"])
+def test_gradients_of_the_scenes_are_those_of_differences(scene):
+    done = subprocess.run(
+        [sys.executable, str(DEMO), scene, "--headless", "20", "--check-grad"],
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
+    assert done.returncode == 0 and ", by differences" in done.stdout, done.stdout + done.stderr
+
+
 @pytest.mark.parametrize("scene", ["crushed", "net"])
 def test_a_crushed_block_recovers_and_a_net_catches(scene):
     done = subprocess.run(

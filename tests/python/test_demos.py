@@ -20,6 +20,7 @@ from novaphy.viewer._scene_viewer import SceneViewer
 
 DEMOS = Path(__file__).parents[2] / "python" / "demos" / "diff"
 GAIT = DEMOS.parent / "data" / "ant" / "rl_policies" / "periodic_ant_natural_gait.npz"
+needs_robots = pytest.mark.skipif(not novaphy.has_io(), reason="needs NOVAPHY_WITH_IO")
 
 
 def demo(name: str, *flags: str) -> subprocess.CompletedProcess[str]:
@@ -167,7 +168,12 @@ def test_the_die_is_trained_to_land_on_its_face():
 
 
 @pytest.mark.parametrize(
-    ("name", "iterations"), [("featherstone", "10"), ("cart_pole", "2"), ("fr3_reach", "150")]
+    ("name", "iterations"),
+    [
+        ("featherstone", "10"),
+        ("cart_pole", "2"),
+        pytest.param("fr3_reach", "150", marks=needs_robots),
+    ],
 )
 def test_articulations_are_trained_with_the_right_gradient(name, iterations):
     pytest.importorskip("novaphy.diff")
@@ -340,7 +346,7 @@ def check_ways(recorder: Recorder, name: str, shown: int, points: int) -> None:
         ("push", 7, 3, None, None),
         ("drone", 11, 3, None, None),
         ("cart_pole", 21, 3, None, None),
-        ("fr3_reach", 11, 3, None, None),
+        pytest.param("fr3_reach", 11, 3, None, None, marks=needs_robots),
     ],
 )
 def test_a_demo_shows_its_iterations(monkeypatch, name, iterations, shown, frames, points):
@@ -563,9 +569,6 @@ def test_an_interrupt_leaves_a_whole_file(tmp_path, ending):
         recording = viewer.ViewerFile(tmp_path / "other.nprec", auto_save=False)
         recording.load_recording(file)
         assert recording.frame_count > 31
-
-
-needs_robots = pytest.mark.skipif(not novaphy.has_io(), reason="needs NOVAPHY_WITH_IO")
 
 
 @needs_robots

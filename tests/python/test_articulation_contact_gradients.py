@@ -507,6 +507,37 @@ def test_the_label_falls_where_sweeps_do_not_converge_or_a_branch_is_near() -> N
     assert info["label"] == "surrogate" and info["gap_margin"] < 1e-6
 
 
+@pytest.mark.parametrize("shape", ["sphere", "box"])
+def test_a_contact_whose_gap_is_exactly_zero_has_the_slope_of_its_neighbours(shape: str) -> None:
+    from novaphy import nova
+    from novaphy.diff import state_joint_qd_tensor
+
+    builder = novaphy.ModelBuilder()
+    builder.add_ground_plane()
+    body = builder.add_body(xform=((0.0, 0.0, 0.5), (0.0, 0.0, 0.0, 1.0)))
+    if shape == "sphere":
+        builder.add_shape_sphere(body, radius=0.5)
+    else:
+        builder.add_shape_box(body, hx=0.5, hy=0.5, hz=0.5)
+    model = builder.finalize(requires_grad=True)
+    solver = novaphy.solvers.DiffFeatherstoneSolver(model, pgs_slop=0.0, pgs_erp=1.0)
+    pipeline = novaphy.CollisionPipeline(model)
+    state, after = model.state(), model.state()
+    height = state.joint_q[2]
+    slopes = []
+    for offset in (-1e-5, 0.0, 1e-5):
+        state.joint_q[2] = height + offset
+        novaphy.eval_fk(model, state.joint_q, state.joint_qd, state)
+        contacts = pipeline.contacts()
+        pipeline.collide(state, contacts)
+        state.joint_q.grad.zero_()
+        with nova.Tape() as tape:
+            solver.step(state, after, None, contacts, DT)
+            tape.backward(nova.sum(state_joint_qd_tensor(after)[2:3]))
+        slopes.append(state.joint_q.grad.numpy()[2])
+    np.testing.assert_allclose(slopes, -1.0 / DT, rtol=1e-3)
+
+
 def test_what_has_no_gradient_through_contacts_raises() -> None:
     from novaphy import nova
     from novaphy.diff import Trajectory

@@ -56,7 +56,7 @@ NormalTarget<T> normal_target(const ContactLaw<T>& law, const ContactMaterial<T>
     to.bias = select(open, to.bias, to.slope * gap);
   } else {
     const T depth = gap + law.slop;
-    to.slope = select(open, to.slope, select(depth < o, law.erp / law.dt, o));
+    to.slope = select(open, to.slope, select(depth > o, o, law.erp / law.dt));
     to.bias = select(open, to.bias, to.slope * depth);
   }
   const auto deep = to.bias < -law.max_depenetration;

@@ -21,8 +21,9 @@ int32_t most_contacts(const Contacts* contacts) {
   return contacts == nullptr ? 0 : contacts->rigid_contact_max();
 }
 
-// Of contacts, whose points and normals are frozen.
-void check_shapes(const Model& m, bool touching) {
+// Points and normals of contacts are frozen.
+void check_frozen(const Model& m, bool touching) {
+  check_no_gradient(kUser, {{"joint_mimic_coef", m.joint_mimic_coef}});
   if (touching)
     check_no_gradient(kUser, {{"shape_transform", m.shape_transform},
                               {"shape_scale", m.shape_scale},
@@ -83,7 +84,7 @@ void DiffFeatherstoneSolver::step(SimState& state_in, SimState& state_out, const
   const Model& m = *model();
   check_step(kStep, state_in, state_out, control, contacts, dt);
   check_contacts(kStep, contacts, contacts != nullptr);
-  check_shapes(m, contacts != nullptr);
+  check_frozen(m, contacts != nullptr);
   begin_model_reads(m, kStep);
   step_.begin(m, control, kStep);
   if (nova::Tape::active() != nullptr) make_leaves(state_in);
@@ -108,7 +109,7 @@ void DiffFeatherstoneSolver::rollout(Trajectory& trajectory, const Control* cont
     step_.forget();
     throw;
   }
-  if (!nova::current_capture()) step_.check(*model(), kRollout);
+  if (!nova::current_capture() && !device().is_cpu()) step_.check(*model(), kRollout);
 }
 
 std::vector<ScratchSpec> DiffFeatherstoneSolver::step_scratch() const {
@@ -124,7 +125,7 @@ bool DiffFeatherstoneSolver::begin_rollout(const RolloutInputs& inputs) {
     const Contacts contacts = inputs.pipeline()->contacts();
     rollout_contacts_ = most_contacts(&contacts);
   }
-  check_shapes(*model(), touching);
+  check_frozen(*model(), touching);
   begin_model_reads(*model(), kRollout);
   for (int32_t t = inputs.start(); t < inputs.stop(); ++t)
     if (t == inputs.start() || inputs.control(t) != inputs.control(t - 1))
@@ -137,6 +138,8 @@ void DiffFeatherstoneSolver::record_step(const SimState& in, SimState& out,
   step_.record(*model(), in, out, inputs.control, inputs.contacts,
                inputs.tables != nullptr ? FoundContacts::Always : FoundContacts::Before,
                inputs.body_forces, inputs.dt, scratch, join_);
+  // A device writes NaN where a step fails, which the last one tells; here a state stays as it was.
+  if (device().is_cpu() && !nova::current_capture()) step_.check(*model(), kRollout);
 }
 
 }  // namespace novaphy::diff

@@ -80,3 +80,26 @@ def test_a_failing_step_leaves_the_new_state_as_it_was(fault, count, touching) -
         solver.step(state, after, None, contacts, 1e-3)
     for name in STATE:
         np.testing.assert_array_equal(getattr(after, name).numpy(), before[name], err_msg=name)
+
+
+@pytest.mark.parametrize("count", [1, 3, 40])
+@pytest.mark.parametrize("recorded", [False, True])
+@pytest.mark.parametrize("checkpoint", [None, 3])
+@pytest.mark.parametrize("solver", ["SolverFeatherstone", "DiffFeatherstoneSolver"])
+def test_a_rollout_tells_of_a_step_in_its_middle_that_fails(solver, checkpoint, recorded, count):
+    diff = pytest.importorskip("novaphy.diff")
+    from novaphy import nova
+
+    model = worlds(count, False)
+    if recorded and solver == "SolverFeatherstone":
+        pytest.skip("it records nothing")
+    made = getattr(novaphy.solvers, solver)(model)
+    trajectory = diff.Trajectory(model, 6, checkpoint=checkpoint)
+    good, bad = model.control(), model.control()
+    made.rollout(trajectory, good, None, 1e-3)
+    bad.joint_f[model.joint_dof_count - 1] = np.inf
+    with nova.Tape() if recorded else nova.no_grad():
+        with pytest.raises(novaphy.Error, match="'.*lower.*'.*not finite"):
+            made.rollout(trajectory, [good, bad, good], None, 1e-3)
+    made.rollout(trajectory, good, None, 1e-3)  # it can go on
+    assert np.isfinite(trajectory[6].joint_q.numpy()).all()

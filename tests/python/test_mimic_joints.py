@@ -357,6 +357,14 @@ def test_who_cannot_follow_says_so():
         solvers.SolverFeatherstone(model)
 
 
+def test_no_gradient_reaches_the_coefficients():
+    nova = pytest.importorskip("novaphy.nova")
+    model = tree().finalize()
+    model.joint_mimic_coef.requires_grad = True
+    with nova.Tape(), pytest.raises(NotImplementedError, match="joint_mimic_coef"):
+        solvers.DiffFeatherstoneSolver(model).step(model.state(), model.state(), None, None, 1e-3)
+
+
 def test_collapsing_and_copies_keep_who_follows_whom():
     b = novaphy.ModelBuilder()
     links = [b.add_link(mass=1.0, inertia=np.eye(3)) for _ in range(4)]

@@ -3,6 +3,7 @@
 #include <cmath>
 
 #include "novaphy/core/error.h"
+#include "novaphy/dynamics/diff_model_reads.h"
 #include "novaphy/dynamics/diff_solver_base.h"
 #include "novaphy/math/functions.h"
 #include "novaphy/nova/tape.h"
@@ -167,6 +168,34 @@ void check_forces(const Model& m, const SimState& state, const Control* control)
             " at body ", i / 6);
 }
 
+// The closed form has derivatives by q and qd alone.
+void check_gradients(const nova::Tape& tape, const Model& m, const SimState& state,
+                     const Control* control) {
+  check_no_gradient(kRecorder, {{"gravity", m.gravity},
+                                {"body_mass", m.body_mass},
+                                {"body_com", m.body_com},
+                                {"body_inertia", m.body_inertia},
+                                {"joint_X_p", m.joint_X_p},
+                                {"joint_X_c", m.joint_X_c},
+                                {"joint_axis", m.joint_axis},
+                                {"joint_armature", m.joint_armature},
+                                {"joint_damping", m.joint_damping},
+                                {"joint_friction", m.joint_friction},
+                                {"joint_target_ke", m.joint_target_ke},
+                                {"joint_target_kd", m.joint_target_kd},
+                                {"joint_limit_lower", m.joint_limit_lower},
+                                {"joint_limit_upper", m.joint_limit_upper},
+                                {"joint_limit_ke", m.joint_limit_ke},
+                                {"joint_limit_kd", m.joint_limit_kd}});
+  const auto check = [&](const char* name, const Array& array) {
+    require(!tape.carries_gradient(*array.range()), ErrorKind::NotImplemented, kRecorder, ": ",
+            name, ": expected requires_grad False, because no gradient reaches it, got True");
+  };
+  check("joint_f", control ? control->joint_f : m.joint_f);
+  check("joint_act", control ? control->joint_act : m.joint_act);
+  check("body_f", state.body_f);
+}
+
 void check_pair(const char* function, const char* name, const Tensor& tensor) {
   require(tensor.defined() && tensor.dtype() == nova::DType::F32, ErrorKind::Type, function, ", ",
           name, ": expected a float32 tensor");
@@ -208,6 +237,7 @@ void record_planar_2r_featherstone_step(const Model& model, const SimState& stat
   check_result("qd_out", qd_out.data<float>(), s.v);
   nova::Tape* const tape = nova::Tape::active();
   if (tape == nullptr) return;
+  check_gradients(*tape, model, state_in, control);
   make_leaves(state_in);
   tape->record_custom(
       "planar_2r_featherstone_step", {q, qd}, {q_out, qd_out}, [=](const std::vector<Tensor>& g) {

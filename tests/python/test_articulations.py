@@ -194,6 +194,17 @@ def test_the_recorder_has_the_gradient_of_the_general_step(damping: float, limit
 
 
 @diff
+@pytest.mark.parametrize(
+    "name", ["gravity", "body_mass", "body_com", "joint_armature", "joint_X_p", "joint_f"]
+)
+def test_the_recorder_refuses_gradients_that_it_has_not(name: str) -> None:
+    model = arm().finalize()
+    getattr(model, name).requires_grad = True
+    with pytest.raises(NotImplementedError, match=f"{name}: expected requires_grad False"):
+        recorded(model, 0.0, steps=2)
+
+
+@diff
 def test_a_forgotten_recorder_raises_and_names_both_ways_on() -> None:
     model = arm().finalize(requires_grad=True)
     with pytest.raises(novaphy.Error, match="DiffFeatherstoneSolver, or record_planar_2r"):

@@ -2,6 +2,9 @@
 #include <cstring>
 
 #include "pickle.h"
+#ifdef NOVAPHY_PYTHON_DIFF
+#include "nova_types.h"
+#endif
 
 namespace novaphy::python {
 namespace {
@@ -81,6 +84,18 @@ Array construct(py::handle data, py::handle dtype, py::handle device) {
 
 void assign_array(Array& array, py::handle source) {
   array.require_writable("assign");
+#ifdef NOVAPHY_PYTHON_DIFF
+  if (py::isinstance<nova::TensorImpl>(source)) {
+    const View from = view_of(source.cast<nova::Tensor>()), to = view_of(array);
+    if (from.scalar == to.scalar) {  // a tape records it
+      check_assignable(to.shape, from.shape, "assign");
+      const ReleasedGil release;
+      Array flat = to.flat();
+      if (flat.rows() != 0) flat.assign(from.flat());
+      return;
+    }
+  }
+#endif
   if (!py::isinstance<Array>(source)) return assign_host_values(view_of(array), source, "assign");
   const auto& other = source.cast<const Array&>();
   const View target = view_of(array), from = view_of(other);
@@ -234,9 +249,10 @@ void bind_array(py::module_& m) {
           "makes tapes compare contents, because it can change values behind their back. "
           "novaphy.Error in a capture.")
       .def("assign", &assign_array, "source"_a,
-           "Copies values from a DeviceArray, NumPy array or list. The same number of values, (3,) "
-           "into (1, 3) included, "
-           "else ValueError; TypeError for a float64 array.")
+           "Copies values from a DeviceArray, Tensor, NumPy array or list. The same number of "
+           "values, (3,) into (1, 3) included, "
+           "else ValueError; TypeError for a float64 array. A tape records the copy of an array or "
+           "tensor.")
       .def("copy_from", &assign_array, "other"_a, "As assign.")
       .def(
           "fill_",

@@ -2,6 +2,10 @@
 
 #include <cstring>
 
+#ifdef NOVAPHY_PYTHON_DIFF
+#include "nova_types.h"
+#endif
+
 namespace novaphy::python {
 namespace {
 
@@ -189,8 +193,27 @@ py::dict cuda_array_interface(const View& view) {
                   "strides"_a = py::none(), "stream"_a = 1);  // 1: the device's default stream
 }
 
+namespace {
+
+// Of values that are copied where no tape records it.
+void refuse_gradient([[maybe_unused]] py::handle source, [[maybe_unused]] const char* what) {
+#ifdef NOVAPHY_PYTHON_DIFF
+  const nova::Tape* const tape = nova::Tape::active();
+  if (tape == nullptr) return;
+  std::shared_ptr<Range> range;
+  if (py::isinstance<nova::TensorImpl>(source)) range = source.cast<nova::Tensor>().range();
+  if (py::isinstance<Array>(source)) range = source.cast<const Array&>().range();
+  require(range == nullptr || !tape->carries_gradient(*range), ErrorKind::Runtime, what,
+          ": expected values without a gradient, which would silently stop here: assign or copy_ "
+          "all of an array, which the tape records, or take detach()");
+#endif
+}
+
+}  // namespace
+
 py::object host_values(py::handle source, Scalar scalar, const char* what) {
   const NumPy& np = numpy();
+  refuse_gradient(source, what);
   const bool is_array = is_array_like(source);
   py::object array;
   try {

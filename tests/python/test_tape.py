@@ -343,6 +343,40 @@ def test_copies_are_recorded():
     np.testing.assert_allclose(q.grad.numpy(), 2 * q.numpy())
 
 
+def test_assigned_tensors_and_arrays_are_recorded_and_parts_are_refused():
+    model = ball_model()
+    x = nova.tensor([[1.0, 2.0, 3.0]], requires_grad=True)
+
+    def attribute(state, values):
+        state.particle_qd = values
+
+    for assign in (
+        lambda state, values: state.particle_qd.assign(values),
+        lambda state, values: state.particle_qd.copy_from(values),
+        lambda state, values: diff.state_particle_qd_tensor(state).assign(values),
+        attribute,
+    ):
+        state = model.state()
+        x.zero_grad()
+        with nova.Tape() as tape:
+            assign(state, x * 3.0)
+            tape.backward(square_of(diff.state_particle_qd_tensor(state)))
+        np.testing.assert_allclose(x.grad.numpy(), 18.0 * x.numpy())
+    state = model.state()
+    with nova.Tape():
+        y = x * 3.0
+        for silent in (
+            lambda: state.particle_qd.__setitem__(slice(None), y),
+            lambda: state.particle_qd.fill_(y),
+            lambda: nova.tensor(y),
+        ):
+            with pytest.raises(novaphy.Error, match="without a gradient"):
+                silent()
+        state.particle_qd[:] = y.detach()
+        state.particle_qd[:] = y.numpy()
+    np.testing.assert_array_equal(state.particle_qd.numpy(), y.numpy())
+
+
 def test_a_forward_solver_refuses_a_tape():
     ball = Ball(steps=1)
     solver = novaphy.solvers.SolverSemiImplicit(ball.model)

@@ -385,6 +385,38 @@ def test_the_adaptive_guess_is_carried_from_step_to_step():
     assert float(slope.numpy().sum()) == pytest.approx(expected, rel=1e-4)
 
 
+@pytest.mark.parametrize("gradient", ["unrolled", "implicit"])
+def test_friction_acts_on_what_begins_at_rest(gradient):
+    diff = pytest.importorskip("novaphy.diff")
+    from novaphy import nova
+
+    builder = novaphy.ModelBuilder()
+    builder.add_ground_plane(cfg=novaphy.ShapeConfig(mu=0.5, ke=2e3, kd=0.0))
+    builder.add_particle((0, 0, 0.0195), (0, 0, 0), 0.1, radius=0.02)
+    builder.color()
+    model = builder.finalize()
+    model.soft_contact_kd = 0.0
+    model.soft_contact_ke = 2e3
+    solver = novaphy.solvers.DiffSolverVBD(model, iterations=20, gradient=gradient)
+    trajectory = diff.Trajectory(model, 1)
+    pipeline = novaphy.CollisionPipeline(model)
+    contacts = pipeline.contacts()
+    pipeline.collide(trajectory[0], contacts)
+    velocity = diff.state_particle_qd_tensor(trajectory[0], requires_grad=True)
+
+    def end(vx):
+        velocity.assign([[vx, 0.0, 0.0]])
+        solver.rollout(trajectory, None, contacts, 0.01)
+        return diff.state_particle_q_tensor(trajectory[1])
+
+    difference = (end(1e-3).numpy()[0, 0] - end(-1e-3).numpy()[0, 0]) / 2e-3
+    with nova.Tape() as tape:
+        tape.backward(nova.sum(end(0.0)[:, 0]))
+    slope = velocity.grad.numpy()[0, 0]
+    assert slope == pytest.approx(difference, rel=0.02)
+    assert slope < 0.2 * 0.01  # a fifth of the way without friction
+
+
 def test_contacts_of_every_step_are_kept_and_inputs_without_a_rule_raise():
     nova = pytest.importorskip("novaphy.nova")
     builder = cloth()

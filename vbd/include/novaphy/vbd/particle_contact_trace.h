@@ -16,7 +16,9 @@
 // friction is no potential.
 //
 // Source: Newton 1.8.0's SolverVBD; friction of Li et al., "Incremental Potential Contact" (2020).
-// Not smooth: pen = 0, where f jumps by the damping; n.u = 0 in H; u_t = 0, where friction is 0.
+// Newton leaves c out of f and H where u_t is 0, which makes a particle at rest and one that creeps
+// two laws; here c keeps its limit 2/eps.
+// Not smooth: pen = 0, where f jumps by the damping; n.u = 0 in H.
 // Gradient: exact in x, xn, p, n, v_s, ke, kd, mu away from these; R and eps carry none.
 #pragma once
 
@@ -43,9 +45,10 @@ Block<T> particle_contact_block(const Vec3<T>& x, const Vec3<T>& start,
   const Vec3<T> ut = u - n * un;
   const T squared = dot(ut, ut);
   const auto slides = squared > zero;
-  const T slip = sqrt(select(slides, squared, one));
-  const T shape = select(slip > c.slip, one / slip, (T(2.0f) - slip / c.slip) / c.slip);
-  const T friction = select(slides, ((c.mu * c.ke) * depth) * shape, zero);
+  const T root = sqrt(select(slides, squared, one));
+  const T slip = select(slides, root, zero);
+  const T shape = select(slip > c.slip, one / root, (T(2.0f) - slip / c.slip) / c.slip);
+  const T friction = ((c.mu * c.ke) * depth) * shape;
   const T damping = select(un < zero, c.kd_by_h, zero);
   Block<T> block;
   block.f = n * (c.ke * depth - damping * un) - ut * friction;

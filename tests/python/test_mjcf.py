@@ -231,6 +231,8 @@ BAD = {
     "friction": (mjcf(hinged(geom='size="1" friction="-1"')), "friction: expected numbers >= 0"),
     "fluid": (mjcf(hinged(geom='size="1" fluidshape="ellipsoid"')), "fluidshape is not read"),
     "joint type": (mjcf(hinged('type="screw"')), 'got "screw"'),
+    "orientations": (mjcf('<body quat="1 0 0 0" euler="0 0 9"><geom size="1"/></body>'),
+                     "expected one orientation"),
     "axis": (mjcf(hinged('axis="0 0 0"')), "axis: expected a vector"),
     "range": (mjcf(hinged('range="2 1"')), "range: expected two numbers, the lower one first"),
     "limited": (mjcf(hinged('limited="true"')), "range: expected two numbers"),

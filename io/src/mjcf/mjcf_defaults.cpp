@@ -116,6 +116,10 @@ void MjcfDefaults::check_known(const Element& e, const std::string& childclass,
 
 Quatd MjcfDefaults::orientation(const Element& e, const std::string& childclass,
                                 const MjcfCompiler& compiler) const {
+  const auto ways = {"quat", "axisangle", "euler", "zaxis", "xyaxes"};
+  if (std::count_if(ways.begin(), ways.end(), [&](auto* way) { return e.Attribute(way); }) > 1)
+    file_.refuse(e,
+                 "expected one orientation, got several of quat, axisangle, euler, zaxis, xyaxes");
   double v[6];
   const auto three = std::span(v).first(3), four = std::span(v).first(4);
   if (numbers(e, "quat", childclass, four)) {

@@ -3,6 +3,7 @@
 #include <array>
 #include <cmath>
 #include <memory>
+#include <span>
 #include <string>
 
 #include "novaphy/core/device_kernel.h"
@@ -53,17 +54,34 @@ void check_rows(const Tensor& tensor, int64_t rows, const char* op, const char* 
           ": expected {", rows, "}, got ", nova::shape_str(tensor.shape()));
 }
 
+// The values that can be read now: on the cpu, and not of a capture, whose replays have others.
+std::span<const float> values_of(const Tensor& tensor) {
+  if (!tensor.device().is_cpu() || nova::current_capture()) return {};
+  return {tensor.data<float>(), static_cast<size_t>(tensor.size())};
+}
+
+void check_states(const Tensor& tensor, const char* op, const char* name) {
+  for (const float value : values_of(tensor))
+    require(std::isfinite(value), ErrorKind::Value, op, ", ", name,
+            ": expected finite numbers, got ", value);
+}
+
+void check_number(float value, const NumberInfo& info, const char* op) {
+  require(std::isfinite(value) && (info.positive ? value > 0.0f : value >= 0.0f), ErrorKind::Value,
+          op, ", ", info.name, ": expected a finite number ", info.positive ? "> 0" : ">= 0",
+          ", got ", value);
+}
+
 Tensor number_tensor(const PushBoxParameters& parameters, const NumberInfo& info, Device device,
                      const char* op) {
   const PushBoxNumber& number = parameters.*info.member;
   if (const auto* tensor = std::get_if<Tensor>(&number)) {
     check_rows(*tensor, 1, op, info.name);
+    for (const float value : values_of(*tensor)) check_number(value, info, op);
     return *tensor;
   }
   const float value = std::get<float>(number);
-  require(std::isfinite(value) && (info.positive ? value > 0.0f : value >= 0.0f), ErrorKind::Value,
-          op, ", ", info.name, ": expected a finite number ", info.positive ? "> 0" : ">= 0",
-          ", got ", value);
+  check_number(value, info, op);
   return Tensor::full({1}, value, device);
 }
 
@@ -78,6 +96,7 @@ Inputs inputs_of(const Tensor& box_x, const Tensor& box_v, const Tensor& pusher_
   for (size_t k = 0; k < kPushBoxNumbers; ++k)
     in[4 + k] = number_tensor(parameters, kNumbers[k], box_x.device(), op);
   const char* const names[4] = {"pusher_x", "pusher_v", "box_x", "box_v"};
+  for (size_t k = 0; k < 4; ++k) check_states(in[k], op, names[k]);
   for (size_t k = 0; k < kInputs; ++k)
     require(in[k].device() == box_x.device(), ErrorKind::Value, op, ", ",
             k < 4 ? names[k] : kNumbers[k - 4].name, ": expected device ", box_x.device().str(),

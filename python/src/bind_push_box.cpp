@@ -55,8 +55,9 @@ void bind_push_box(py::module_& m) {
       "pusher_radius - pusher_x) / softness: N = ke softness softplus(z) + kd sigmoid(z) v_s "
       "softplus((pusher_v - box_v) / v_s), friction = -mu m g tanh(box_v / v_s), symplectic Euler. "
       "Gradients exact for all inputs, of a law that is a surrogate of contact: smooth, without a "
-      "reaction on the pusher. ValueError: another shape or device, a number out of its range "
-      "(values of tensors are not looked at).");
+      "reaction on the pusher. ValueError, naming the argument: another shape or device, a number "
+      "out of its range, a state that is not finite. Values of tensors are looked at on the cpu "
+      "outside of captures; elsewhere what is not finite goes into the results.");
   bind_operator(
       m, "integrate_push_box_rollout_generated", &diff::integrate_push_box_rollout_generated,
       "integrate_push_box_generated n times as one operation, with its bits: pusher_x and pusher_v "

@@ -295,6 +295,46 @@ def test_numbers_out_of_their_range_are_named(change, message):
         step(tensors(start(0.0, 0.0, 0.0)), NUMBERS | change)
 
 
+@pytest.mark.parametrize("bad", [float("nan"), float("inf")])
+@pytest.mark.parametrize("name", [*STATES, *NUMBERS])
+def test_values_that_are_not_finite_are_named(name, bad):
+    from novaphy import nova
+    from novaphy.diff import integrate_push_box_rollout_generated
+
+    states, numbers = tensors(start(0.0, 0.0, 0.0)), dict(NUMBERS)
+    given = [bad]
+    if name in NUMBERS:
+        numbers[name] = tensors(given)[0]
+        with pytest.raises(ValueError, match=f", {name}: expected a finite number"):
+            step(states, numbers | {name: bad})
+    else:
+        states[STATES.index(name)] = tensors(given)[0]
+    with pytest.raises(ValueError, match=f"generated, {name}: expected .*finite number.*, got "):
+        step(states, numbers)
+    for k in (2, 3):  # of a rollout the last row
+        row = states[k].item()
+        states[k] = nova.tensor(np.float32([0.1, 0.1, row]))
+    with pytest.raises(ValueError, match=f"rollout_generated, {name}: expected .*finite number"):
+        integrate_push_box_rollout_generated(*states, **numbers)
+
+
+def test_tensors_of_numbers_have_the_ranges_of_numbers():
+    for name, value in (("mass", 0.0), ("dt", -1e-3), ("friction", -0.1)):
+        with pytest.raises(ValueError, match=f"{name}: expected a finite number >=? 0, got"):
+            step(tensors(start(0.0, 0.0, 0.0)), NUMBERS | {name: tensors([value])[0]})
+
+
+def test_a_capture_passes_on_what_is_not_finite_as_it_says():
+    from novaphy import nova
+
+    states = tensors(start(0.0, 0.0, 0.0), grad=False)
+    with nova.ScopedCapture() as capture:
+        x, v = step(states, NUMBERS)
+    states[3].assign(np.float32([np.nan]))
+    capture.graph.launch()
+    assert np.isnan(x.item()) and np.isnan(v.item())
+
+
 def test_wrong_tensors_are_named():
     from novaphy import nova
     from novaphy.diff import integrate_push_box_rollout_generated

@@ -13,11 +13,11 @@
 
 namespace novaphy::diff {
 
-// A number, or a tensor {1} with the device of the box, whose gradient is wanted. Values of tensors
-// are not looked at.
+// A number, or a tensor {1} with the device of the box, whose gradient is wanted.
 using PushBoxNumber = std::variant<float, nova::Tensor>;
 
-// mass, dt, softness and friction_velocity are > 0, the others >= 0; all finite.
+// mass, dt, softness and friction_velocity are > 0, the others >= 0; all finite. Values of tensors
+// are looked at on the cpu outside of captures; elsewhere what is not finite goes into the results.
 struct PushBoxParameters {
   PushBoxNumber mass;                       // kg
   PushBoxNumber half_extent;                // m, of the box along the axis
@@ -33,7 +33,7 @@ struct PushBoxParameters {
 
 // (box_x', box_v') {1}: position (m) and velocity (m/s) of the box's centre after dt, from those of
 // the box and of the pusher's centre {1}. ErrorKind::Type: no float32 tensor; ErrorKind::Value,
-// naming the argument: another shape or device, a number out of its range.
+// naming the argument: another shape or device, a number out of its range, a state not finite.
 NOVAPHY_DIFF_API std::pair<nova::Tensor, nova::Tensor> integrate_push_box_generated(
     const nova::Tensor& box_x, const nova::Tensor& box_v, const nova::Tensor& pusher_x,
     const nova::Tensor& pusher_v, const PushBoxParameters& parameters);

@@ -1,69 +1,219 @@
 #!/usr/bin/env python3
 """The yardstick of analytic gradients: random search for the Ant that learns from zero.
 
-Both begin with 80 zeros, and both may use the same seconds of the processor. The gradient has its
-stages with the servo (demo_diffsim_ant_from_scratch.py). Random search, gaussian steps of
-changing length, judges the same loss over the same frames: --plain without the servo, else in
-the same stages. All are played for 600 frames behind, and the loss of the last stage is told.
+All methods begin with 80 zeros and end with the stage `polish`, which has no gradient
+(demo_diffsim_ant_from_scratch.py). Before it,
 
-    NOVAPHY_NUM_THREADS=1 python tools/bench/bench_ant_search.py --seconds 119
-    NOVAPHY_NUM_THREADS=1 python tools/bench/bench_ant_search.py --seconds 119 --plain
+    derivatives  take the demo's stages;
+    staged       is random search in the same stages, with the servo: the same losses and frames;
+    plain        is random search in the last of these stages alone, without the servo.
+
+Random search, gaussian steps of changing length, has the seconds of the processor that derivatives
+took, and as many generations of `polish`; --seconds and --generations say them before they are
+measured. Each seed is a process of two threads, and a file of JSON in the folder, from which an
+interrupted one goes on behind its last stage. Derivatives draw nothing before `polish`: one seed.
+
+    python tools/bench/bench_ant_search.py results               # what is missing, then the table
+    python tools/bench/bench_ant_search.py results --jobs 8      # 8 processes at once
+    python tools/bench/bench_ant_search.py results --page        # the table of the guide
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import os
+import subprocess
 import sys
+import time
+from collections.abc import Iterable
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
 
 ROOT = Path(__file__).resolve().parents[2]
+GUIDE = ROOT / "docs" / "guide" / "trained-policy.md"
 sys.path[:0] = [str(ROOT / "python" / "demos"), str(ROOT / "python" / "demos" / "diff")]
 import demo_diffsim_ant_from_scratch as demo  # noqa: E402
 
+from novaphy.io import atomic_path  # noqa: E402
 
-def told(actor: demo.Actor, horizon: int, **more: object) -> dict[str, object]:
-    """The loss without the servo, and what of the gait is reached."""
+METHODS = {
+    "derivatives": "derivatives",
+    "staged": "random search, the same stages with the servo",
+    "plain": "random search without the servo",
+}
+THREADS = 2  # of a process
+COLUMNS = (
+    "| method | seeds | cores, s | loss before `polish` | checks before | checks reached | "
+    "way in 30 s | slip |"
+)
+
+
+def judged(actor: demo.Actor) -> dict[str, object]:
+    """The loss of the last stage, and what of the gait is reached."""
     trainer = demo.Trainer(actor, "frozen", "dva", candidates=1)
+    name, horizon, _, strength = demo.STAGES[-1]
+    trainer.enter(name, strength)
     loss = trainer.rollouts(actor.weights[None], horizon)[0][0]
     result = demo.validate(actor, demo.make_worlds(1, "dva"), range(600))
     checks = demo.checks_of(result, demo.friction_ratio(actor, "dva", 600))
-    row = {
-        **more,
-        "loss": round(float(loss), 4),
+    return {
+        "loss": float(loss),
         "reached": sum(bool(passed) for passed, _ in checks.values()),
         "asked": len(checks),
+        "way": float(result["distance"][0]),
+        "slip": float(result["slip"][0]),
         "upright": bool(result["upright"][0]),
-        "way": round(float(result["distance"][0]), 3),
-        "touchdowns": round(float(result["touchdowns"].mean()), 2),
-        "slip": round(float(result["slip"][0]), 2),
     }
-    print(json.dumps(row), flush=True)
-    return row
+
+
+class Run:
+    """A method with a seed; its file says how far it is."""
+
+    def __init__(self, folder: Path, method: str, seed: int, budget: tuple[float, int]) -> None:
+        """Go on where the file ends; `budget`: seconds of the stages, generations of `polish`."""
+        self.folder, self.method, self.seed, self.budget = folder, method, seed, budget
+        self.stages = demo.STAGES[-1:] if method == "plain" else demo.STAGES
+        self.told = read(folder, method, seed) or {
+            "method": method, "seed": seed, "weights": np.zeros((8, 10)).tolist(), "stages": [],
+            "seconds": 0.0,
+        }  # fmt: skip
+
+    def save(self, actor: demo.Actor, begun: float, **more: object) -> None:
+        """Write the file."""
+        self.told |= {"weights": actor.weights.tolist(), **more}
+        self.told["seconds"] += time.process_time() - begun
+        with atomic_path(self.folder / f"{self.method}-{self.seed}.json") as path:
+            Path(path).write_text(json.dumps(self.told, indent=1), "utf-8")
+
+    def run(self) -> None:
+        """Do what is missing."""
+        actor = demo.Actor(np.array(self.told["weights"]))
+        trainer, (seconds, generations) = demo.Trainer(actor, "frozen", "dva"), self.budget
+        share = seconds / sum(stage[1] * stage[2] for stage in self.stages)
+        for k, stage in enumerate(self.stages):
+            if k < len(self.told["stages"]):
+                continue
+            begun = time.process_time()
+            if self.method == "derivatives":
+                trainer.stage(*stage, np.inf)
+                batches = len(trainer.losses)
+            else:
+                rng = demo.search_rng(self.seed, k)
+                batches = len(demo.search_stage(trainer, rng, stage, share * stage[1] * stage[2]))
+            stages = [*self.told["stages"], {"name": stage[0], "batches": batches}]
+            self.save(actor, begun, stages=stages)
+        if "before" not in self.told:
+            seconds, before = self.told["seconds"], judged(actor)
+            self.save(actor, time.process_time(), before=before, stages_seconds=seconds)
+        if "after" not in self.told:
+            begun = time.process_time()
+            lacks = demo.polished(actor, "polish", "dva", self.seed, generations)
+            self.save(actor, begun, generations=len(lacks), lacks=lacks)
+            after = judged(actor)
+            self.save(actor, time.process_time(), after=after)
+
+
+def read(folder: Path, method: str, seed: int) -> dict | None:
+    """The file of a run, if it has begun."""
+    path = folder / f"{method}-{seed}.json"
+    return json.loads(path.read_text("utf-8")) if path.exists() else None
+
+
+def budget_of(args: argparse.Namespace, method: str) -> tuple[float, int]:
+    """Seconds of the stages and generations of `polish` of a method."""
+    if method == "derivatives":
+        return 0.0, args.generations or demo.GENERATIONS
+    first = read(args.folder, "derivatives", 0) or {}
+    if args.seconds and args.generations:
+        return args.seconds, args.generations
+    if "after" not in first:
+        raise SystemExit(f"{args.folder}: expected derivatives-0.json, or --seconds, --generations")
+    return args.seconds or first["stages_seconds"], args.generations or first["generations"]
+
+
+def start(args: argparse.Namespace, method: str, seed: int) -> None:
+    """Run in a process of its own; say how it ended."""
+    done = read(args.folder, method, seed)
+    if done and "after" in done:
+        return
+    number = str(THREADS)
+    threads = {"NOVAPHY_NUM_THREADS": number, "OPENBLAS_NUM_THREADS": number}
+    seconds, generations = map(str, budget_of(args, method))
+    words = [sys.executable, __file__, str(args.folder), "--method", method, "--seed", str(seed)]
+    words += ["--seconds", seconds, "--generations", generations]
+    done = subprocess.run(words, env={**os.environ, **threads}, capture_output=True, text=True)
+    last = (done.stdout + done.stderr).strip().splitlines()[-1:]
+    print(f"{method}, seed {seed}: {'done' if done.returncode == 0 else last}", flush=True)
+
+
+def spread(values: Iterable[float], digits: int, unit: str = "") -> str:
+    """Median and range."""
+    values = list(values)
+    text = f"{np.median(values):.{digits}f}{unit}"
+    if len(values) > 1:
+        text += f" ({min(values):.{digits}f} to {max(values):.{digits}f})"
+    return text
+
+
+def table(folder: Path, seeds: int) -> list[str]:
+    """Rows of the guide."""
+    lines = [COLUMNS, "|" + "---|" * (COLUMNS.count("|") - 1)]
+    for method, name in METHODS.items():
+        found = [read(folder, method, seed) for seed in range(seeds)]
+        rows = [row for row in found if row and "after" in row]
+        if rows:
+            before, after = ([row[key] for row in rows] for key in ("before", "after"))
+            cells = [
+                name,
+                str(len(rows)),
+                spread((row["seconds"] for row in rows), 0),
+                spread((row["loss"] for row in before), 2),
+                spread((row["reached"] for row in before), 0),
+                f"{spread((row['reached'] for row in after), 0)} of {after[0]['asked']}",
+                spread((row["way"] for row in after), 2, " m"),
+                spread((100.0 * row["slip"] for row in after), 0, " %"),
+            ]
+            lines.append(f"| {' | '.join(cells)} |")
+    return lines
+
+
+def write_page(lines: list[str]) -> None:
+    """Put the table where the guide has it."""
+    text = GUIDE.read_text("utf-8").splitlines()
+    first = text.index(COLUMNS)
+    last = next(k for k in range(first, len(text)) if not text[k].startswith("|"))
+    GUIDE.write_text("\n".join([*text[:first], *lines, *text[last:]]) + "\n", "utf-8")
 
 
 def main() -> None:
-    """A line of JSON for each, then median and range of random search."""
+    """Run what is missing, and print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--weights", default=str(demo.GAIT), help="what the gradient trained")
-    parser.add_argument("--seconds", type=float, default=300.0, help="that it took")
+    parser.add_argument("folder", type=Path, help="of the files of JSON")
     parser.add_argument("--seeds", type=int, default=5)
-    parser.add_argument("--plain", action="store_true", help="no stages and no servo")
-    parser.add_argument("--horizon", type=int, default=300, help="frames of the loss")
+    parser.add_argument("--jobs", type=int, default=1, help="processes at once")
+    parser.add_argument("--seconds", type=float, default=0.0, help="of random search in the stages")
+    parser.add_argument("--generations", type=int, default=0, help="of polish, at most")
+    parser.add_argument("--method", choices=METHODS, help="one run, in this process")
+    parser.add_argument("--seed", type=int, default=0, help="its seed")
+    parser.add_argument("--page", action="store_true", help="write the table into the guide")
     args = parser.parse_args()
-    told(demo.load(args.weights, "dva"), args.horizon, method="gradient")
-    rows = []
-    for seed in range(args.seeds):
-        trainer = demo.Trainer(demo.Actor(), "frozen", "dva")
-        stages = None if args.plain else demo.STAGES
-        losses = demo.random_search(trainer, seed, args.seconds, stages)
-        rows.append(told(trainer.actor, args.horizon, method="random search", seed=seed,
-                         batches=len(losses), first=round(float(losses[0]), 4)))  # fmt: skip
-    for key in ("loss", "reached", "way", "touchdowns", "slip"):
-        values = [row[key] for row in rows]
-        print(f"random search, {key}: {np.median(values)} ({min(values)} to {max(values)})")
+    args.folder.mkdir(parents=True, exist_ok=True)
+    if args.method:
+        Run(args.folder, args.method, args.seed, budget_of(args, args.method)).run()
+        return
+    if not args.page:
+        first = [("derivatives", 0)]
+        rest = [(method, seed) for seed in range(args.seeds) for method in ("staged", "plain")]
+        for runs in [first + rest] if args.seconds else [first, rest]:
+            with ThreadPoolExecutor(args.jobs) as pool:
+                list(pool.map(lambda run: start(args, *run), runs))
+    lines = table(args.folder, args.seeds)
+    print("\n".join(lines))
+    if args.page:
+        write_page(lines)
 
 
 if __name__ == "__main__":

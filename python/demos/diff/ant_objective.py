@@ -45,14 +45,17 @@ def phase(frame: np.ndarray) -> np.ndarray:
     return 2.0 * np.pi * np.asarray(frame) / PERIOD
 
 
-def reference(frame: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Hinges {n, 8} of the trot at the start of frames {n} (any real numbers), and their rates."""
+def reference(frame: np.ndarray, trot: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
+    """Hinges {n, 8} of the trot at the start of frames {n} (any real numbers), and their rates.
+
+    `trot` is a part of its strides; 0 is its stance.
+    """
     p, w = phase(frame)[:, None] + DIAGONAL, 2.0 * np.pi * FPS / PERIOD
     ahead = p + AHEAD
     sway, sway_rate = np.sin(ahead) + SWAY_2 * np.sin(2 * ahead), np.cos(ahead)
-    sway_rate = w * (sway_rate + 2.0 * SWAY_2 * np.cos(2 * ahead))
-    lift = 0.5 * (np.cos(p) + LIFT_2 * np.cos(2 * p) + 1.0 - LIFT_2)
-    lift_rate = -0.5 * w * (np.sin(p) + 2.0 * LIFT_2 * np.sin(2 * p))
+    sway, sway_rate = trot * sway, trot * w * (sway_rate + 2.0 * SWAY_2 * np.cos(2 * ahead))
+    lift = trot * 0.5 * (np.cos(p) + LIFT_2 * np.cos(2 * p) + 1.0 - LIFT_2)
+    lift_rate = trot * -0.5 * w * (np.sin(p) + 2.0 * LIFT_2 * np.sin(2 * p))
     high = LIFT - HIND_LIFT * FRONT
     bend = ANKLE - HIND_BEND * FRONT - REACH * FRONT * sway - high * lift
     pose, rate = np.empty((2, len(p), ACTIONS))
@@ -67,12 +70,13 @@ class Servo:
 
     def __init__(self, ants: AntWorlds) -> None:
         """Without strength."""
-        self.ants, self.strength = ants, 0.0
+        self.ants, self.strength, self.trot = ants, 0.0, 1.0
         self.q = ants.control.joint_target_q.numpy().reshape(ants.num_worlds, -1)
         self.qd = ants.control.joint_target_qd.numpy().reshape(ants.num_worlds, -1)
 
-    def set(self, strength: float) -> None:
-        """Take a part of the stiffness and damping."""
+    def set(self, strength: float, trot: float = 1.0) -> None:
+        """Take a part of the stiffness and damping, and of the trot's strides."""
+        self.trot = trot
         if strength == self.strength:
             return
         self.strength, model = strength, self.ants.model
@@ -86,7 +90,8 @@ class Servo:
         """Set the targets before a substep of frames {worlds}, every few of them."""
         if self.strength > 0.0 and substep % SERVO_SAMPLE == 0:
             middle = (substep + 0.5 * (SERVO_SAMPLE - 1)) / self.ants.substeps
-            self.q[:, -ACTIONS:], self.qd[:, -ACTIONS:] = reference(frame + middle)
+            now = reference(frame + middle, self.trot)
+            self.q[:, -ACTIONS:], self.qd[:, -ACTIONS:] = now
             self.ants.control.joint_target_q.assign(self.q.ravel())
             self.ants.control.joint_target_qd.assign(self.qd.ravel())
 
@@ -131,15 +136,16 @@ def foot_motion(q: np.ndarray, qd: np.ndarray) -> tuple[np.ndarray, ...]:
     return height, j[:, :, 2], np.einsum("nlks,ns->nlk", k, qd), k
 
 
-def residuals(q, qd, a, last, frame, weights=WEIGHTS):
+def residuals(q, qd, a, last, frame, weights=WEIGHTS, trot=1.0):
     """What the loss of frames {n} sums the squares of {n, 40}, at their ends; its derivatives by
-    tangents and rates {n, 40, 28}, and by the actions {n, 40, 8}: by those before, less that."""
+    tangents and rates {n, 40, 28}, and by the actions {n, 40, 8}: by those before, less that.
+    `trot` is a part of the strides and of the speed; 0: to stand."""
     w = {name: np.sqrt(value) for name, value in weights.items()}
     n = len(q)
     q, qd = q.astype(np.float64), qd.astype(np.float64)
     r, by_state, by_action = np.zeros((n, ROWS)), np.zeros((n, ROWS, 28)), np.zeros((n, ROWS, 8))
     up, ahead = axis(q, 2), axis(q, 0)
-    r[:, 0] = w["speed"] * (qd[:, 0] - SPEED)
+    r[:, 0] = w["speed"] * (qd[:, 0] - trot * SPEED)
     by_state[:, 0, 14] = w["speed"]
     r[:, 1:3] = w["tilt"] * up[:, :2]
     r[:, 3] = w["heading"] * ahead[:, 1]
@@ -148,7 +154,7 @@ def residuals(q, qd, a, last, frame, weights=WEIGHTS):
             vector, np.eye(3)[k]
         )
     r[:, 4], by_state[:, 4, 1] = w["drift"] * q[:, 1], w["drift"]
-    pose, rate = reference(np.asarray(frame) + 1.0)
+    pose, rate = reference(np.asarray(frame) + 1.0, trot)
     r[:, 6:14] = w["pose"] * (q[:, 7:] - pose + RATE * (qd[:, 6:] - rate))
     by_state[:, 6:14, 6:14] = w["pose"] * np.eye(8)
     by_state[:, 6:14, 20:28] = w["pose"] * RATE * np.eye(8)
@@ -158,7 +164,7 @@ def residuals(q, qd, a, last, frame, weights=WEIGHTS):
     r[:, 18:26], by_action[:, 18:26] = w["jump"] * (a - last), w["jump"] * np.eye(8)
     # Feet that swing are high enough, those that stand or touch do not slip.
     height, by_tangent, speed, by_rate = foot_motion(q, qd)
-    wave = np.cos(phase(np.asarray(frame) + 1.0)[:, None] + DIAGONAL)
+    wave = trot * (np.cos(phase(np.asarray(frame) + 1.0)[:, None] + DIAGONAL) + 1.0) - 1.0
     low = np.minimum(height - CLEARANCE * np.maximum(wave, 0.0), 0.0) * (wave > 0.0)
     r[:, 26:30] = w["clearance"] * low
     by_state[:, 26:30, :14] = w["clearance"] * by_tangent * (low < 0.0)[..., None]

@@ -5,13 +5,15 @@ and to its forces. States are differentiated as tangents {worlds, 14} of the dof
 centre and the turn about it, world axes, then the hinges.
 
 Frozen: per substep the velocity's change goes through the mass matrix, damping, drives and springs
-of limits, projected into the null space of the contacts that push (their normals, with `tangents`
-also the friction of those that stick). Not differentiated are: contact creation and loss, mass
-matrix, bias and the contacts' Jacobians, by the state. Exact: DiffFeatherstoneSolver, whose
-gradient_info says how exact.
+of limits, projected into the null space of the normals of the contacts that push. Not
+differentiated are: contact creation and loss, mass matrix, bias and the contacts' Jacobians, by the
+state. Terms add to it: "sticking" the friction of the contacts that stick, "dynamics" mass matrix
+and bias by the state. Exact: DiffFeatherstoneSolver, whose gradient_info says how exact.
 """
 
 from __future__ import annotations
+
+from collections.abc import Collection
 
 import numpy as np
 
@@ -43,9 +45,10 @@ def to_coordinates(q: np.ndarray, tangent: np.ndarray) -> np.ndarray:
 class FrozenFrames:
     """Frames with frozen dynamics, of the regular solver."""
 
-    def __init__(self, ants: AntWorlds, tangents: bool) -> None:
-        """For a batch of worlds."""
-        self.ants, self.tangents = ants, tangents
+    def __init__(self, ants: AntWorlds, terms: Collection[str]) -> None:
+        """For a batch of worlds, with terms "sticking" and "dynamics"."""
+        self.ants = ants
+        self.tangents, self.dynamics = "sticking" in terms, "dynamics" in terms
         model = ants.model
         n = self.worlds = ants.num_worlds
         self.damping = model.joint_damping.numpy().reshape(n, DOFS)
@@ -71,7 +74,7 @@ class FrozenFrames:
     def label(self) -> str:
         """What the derivative is."""
         held = "sticking feet held" if self.tangents else "normals of contacts held"
-        return f"frozen, {held}"
+        return f"frozen, {held}" + (", mass matrix and bias by the state" if self.dynamics else "")
 
     def run(self, actions: np.ndarray) -> list[tuple[np.ndarray, ...]]:
         """Step a frame; per substep what `pull` needs."""
@@ -90,9 +93,19 @@ class FrozenFrames:
             poses = a.state.body_q.numpy()
             a.solver.step(a.state, a._after, a.control, a.contacts, a.dt)
             a.state, a._after = a._after, a.state
-            kept.append(self.substep(q, mass, jacobian, poses))
+            kept.append((*self.substep(q, mass, jacobian, poses), self.by_state()))
         a.frame += 1
         return kept
+
+    def by_state(self) -> tuple[np.ndarray, np.ndarray] | None:
+        """What mass matrix times acceleration, and bias, of the step before change by with tangents
+        and rates {worlds, 14, 14}, when that is a term."""
+        if not self.dynamics:
+            return None
+        a = self.ants
+        qdd = (a.state.joint_qd.numpy() - a._after.joint_qd.numpy()) / np.float32(a.dt)
+        by_q, by_qd, _ = novaphy.eval_inverse_dynamics_derivatives(a.model, a._after, qdd)
+        return by_q.astype(np.float64), by_qd.astype(np.float64)
 
     def substep(self, q, mass, jacobian, poses) -> tuple[np.ndarray, ...]:
         """Inverse of the step's matrix, stiffness, damping, and the transposed projection."""
@@ -163,12 +176,14 @@ class FrozenFrames:
         dt = self.ants.dt
         g_q, g_v = g[..., :DOFS].astype(np.float64), g[..., DOFS:].astype(np.float64)
         g_f = np.zeros_like(g_v)
-        for inverse, k, d, back in reversed(kept):
+        for inverse, k, d, back, by_state in reversed(kept):
             g_star = (g_v + dt * g_q) @ back.transpose(0, 2, 1)
             force = dt * (g_star @ inverse)
             g_f += force
             g_q = g_q - k[:, None] * force
             g_v = g_star - (d + dt * k)[:, None] * force
+            if by_state is not None:
+                g_q, g_v = (g - force @ by for g, by in zip((g_q, g_v), by_state, strict=True))
         return np.concatenate([g_q, g_v], axis=-1), g_f
 
 
@@ -255,6 +270,8 @@ def frame_jacobians(frames, q: np.ndarray, qd: np.ndarray, actions: np.ndarray):
     return by_state, by_force[..., 6 + np.array(ants.hinge_of_action)] * gear
 
 
-def make_frames(ants: AntWorlds, kind: str, tangents: bool = True) -> FrozenFrames | ExactFrames:
-    """Frames of the kind "frozen" or "exact"."""
-    return ExactFrames(ants) if kind == "exact" else FrozenFrames(ants, tangents)
+def make_frames(
+    ants: AntWorlds, kind: str, terms: Collection[str] = ("sticking",)
+) -> FrozenFrames | ExactFrames:
+    """Frames of the kind "frozen", with terms, or "exact"."""
+    return ExactFrames(ants) if kind == "exact" else FrozenFrames(ants, terms)

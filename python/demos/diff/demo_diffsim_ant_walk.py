@@ -1,4 +1,4 @@
-"""Play a trained Ant, and fine-tune the eight biases of its last layer by an analytic gradient.
+"""Play a trained Ant, and fine-tune the biases of its last layer by an analytic gradient.
 
 The actor (111-256-256-8) sees the Ant 20 times a second and gives torques for 50 steps of 1 ms.
 With --train the biases before the last tanh move against the gradient of
@@ -9,13 +9,15 @@ over H frames, from eight states of walking Ants (--starts) in one batch. The gr
 force sensitivity: the biases' torques go through the mass matrix of every step of 1 ms, projected
 into the null space of the contacts' normals. Longer horizons are cut into segments of --segment
 frames, whose gradients are summed: one through many contacts tells nothing. A candidate is kept
-only when the ordinary solver measures a lower loss over the whole horizon.
+only when the ordinary solver measures a lower loss over the whole horizon. --train-weights all
+moves all weights of the actor in the same way.
 
     python demo_diffsim_ant_walk.py
     python demo_diffsim_ant_walk.py --headless 200
     python demo_diffsim_ant_walk.py --train 10 --train-horizon 8 --save-policy tuned.npz
     python demo_diffsim_ant_walk.py --train 5 --headless 200
     python demo_diffsim_ant_walk.py --policy tuned.npz --headless 200
+    python demo_diffsim_ant_walk.py --train 2 --train-horizon 2 --gradient exact --train-weights all
     python demo_diffsim_ant_walk.py --check-gradient
     python demo_diffsim_ant_walk.py --adapt --train 10 --train-horizon 100 --segment 4 --starts 32
 """
@@ -33,7 +35,6 @@ from ant_common import (
     FPS,
     GaitMeter,
     act,
-    hidden,
     load_actor,
     make_stage,
     mean_action,
@@ -49,11 +50,16 @@ from novaphy.envs import ACTIONS, AntWorlds, rotate, rotate_back
 POLICY = DATA / "ant_walker.npz"
 WARM_UP = 40  # frames that the Ants walked before the starts
 STEPS = 2.0 ** -np.arange(0.0, 6.0)  # of the candidates, times the largest
-LARGEST = 0.03  # change of a bias in a step
-LEFT_OUT = (
-    "frozen: contact creation and loss, derivatives of mass matrix and bias, {tangents}"
-    "observations across the 20 Hz refresh"
-)
+LARGEST = 0.03  # change of a bias in a step; of all weights the norm
+# What a gradient has beyond frozen dynamics with normals held; exact frames have more than terms.
+KINDS = {"frozen": (), "sticking": ("sticking",), "exact": ("observations",)}
+# What is frozen unless a term of that name is there.
+LEFT_OUT = {
+    "dynamics": "derivatives of mass matrix and bias",
+    "sticking": "friction tangents",
+    "observations": "observations across the 20 Hz refresh",
+}
+BIASES = ("mu.bias",)  # what is tuned, but for --train-weights all
 MOST_FRAMES = 16_000  # starts times horizon; the steps of a frame are kept in 0.17 MB
 ADAPTED = {"friction": 0.5, "torso_mass": 1.2}  # and the gear of one hip by -30 %
 HELD_OUT, HELD_OUT_FRAMES = (777, 778, 779), 200  # seeds of starts that nothing was tuned on
@@ -70,23 +76,26 @@ def adapted_gear() -> np.ndarray:
 
 
 class Tuning:
-    """The loss of a batch of starts, and its gradient by the eight biases."""
+    """The loss of a batch of starts, and its gradient by the values that are tuned.
+
+    These are one vector: the eight biases, or the actor's arrays, flat, in the order of its names.
+    """
 
     def __init__(self, actor: Actor, args: argparse.Namespace) -> None:
         """Let the starts walk."""
         self.starts_count = args.starts
         self.actor, self.ant, self.adapt = actor, args.ant, args.adapt
-        self.horizon, self.segment, self.kind = args.train_horizon, args.segment, args.gradient
-        self.bias = actor["mu.bias"].numpy().astype(np.float64)
+        self.horizon, self.segment = args.train_horizon, args.segment
+        self.kind, self.terms = args.gradient, KINDS[args.gradient]
+        self.names = BIASES if args.train_weights == "biases" else tuple(actor)
+        self.values = np.concatenate([actor[k].numpy().ravel() for k in self.names]).astype(float)
         self.shift = 0  # frames before the first segment; others behind a step that was not kept
         warm = self.worlds(self.starts_count, seed=args.seed, noise=0.1)
         for _ in range(WARM_UP):
             warm.step(act(actor, warm.observations()))
         self.starts = warm.q, warm.qd
         self.last = act(actor, warm.observations())
-        kind = "exact" if self.kind == "exact" else "frozen"
-        worlds = self.worlds(self.starts_count * self.segments())
-        self.frames = make_frames(worlds, kind, tangents=self.kind == "sticking")
+        self.frames = self.make_frames(self.starts_count * self.segments())
         self.search = self.worlds(self.starts_count * len(STEPS))
 
     def worlds(self, count: int, **options) -> AntWorlds:
@@ -96,6 +105,11 @@ class Tuning:
             ants.vary(**ADAPTED, gear=np.tile(adapted_gear(), (count, 1)))
         return ants
 
+    def make_frames(self, count: int):
+        """Frames of so many worlds, with derivatives as asked."""
+        kind = "exact" if self.kind == "exact" else "frozen"
+        return make_frames(self.worlds(count), kind, self.terms)
+
     def segments(self) -> int:
         """How many of them the horizon has."""
         return max(1, self.horizon // self.segment)
@@ -104,28 +118,46 @@ class Tuning:
         """What the gradient is."""
         if self.kind == "exact":
             return f"{self.frames.label()}; observations across the refresh included"
-        return LEFT_OUT.format(tangents="" if self.kind == "sticking" else "friction tangents, ")
+        left = (text for term, text in LEFT_OUT.items() if term not in self.terms)
+        return "frozen: " + ", ".join(("contact creation and loss", *left))
 
-    def means(self, observations: np.ndarray, bias: np.ndarray) -> np.ndarray:
-        """Means before the tanh {n, 8} with biases {8} or {n, 8}."""
+    def with_values(self, values: np.ndarray) -> Actor:
+        """The actor with other values of what is tuned, in float32."""
+        sizes = [self.actor[name].numpy().size for name in self.names]
+        parts = np.split(np.float32(values), np.cumsum(sizes)[:-1])
+        shaped = (part.reshape(self.actor[k].shape) for k, part in zip(self.names, parts))
+        return {**self.actor, **dict(zip(self.names, map(nova.tensor, shaped)))}
+
+    def means(self, observations: np.ndarray, values: np.ndarray) -> np.ndarray:
+        """Means before the tanh {n, 8}, with values {m, ...}, each for n / m rows, or {...}."""
+        values = np.atleast_2d(values)
+        if self.names != BIASES:
+            blocks = zip(values, np.split(observations, len(values)))
+            means = [mean_action(self.with_values(v), nova.tensor(x)).numpy() for v, x in blocks]
+            return np.concatenate(means).astype(np.float64)
+        # Added in double precision: small differences of biases are seen.
         plain = mean_action(self.actor, nova.tensor(observations)).numpy().astype(np.float64)
+        bias = np.repeat(values, len(observations) // len(values), axis=0)
         return plain - self.actor["mu.bias"].numpy() + bias
 
-    def losses(self, biases: np.ndarray) -> np.ndarray:
-        """Of real rollouts with biases {m, 8} from all starts, {m}."""
-        count = len(biases) * self.starts_count
+    def losses(self, values: np.ndarray) -> np.ndarray:
+        """Of real rollouts with values {m, ...} from all starts, {m}."""
+        return self.losses_by_start(values).mean(axis=1)
+
+    def losses_by_start(self, values: np.ndarray) -> np.ndarray:
+        """Of real rollouts with values {m, ...}, {m, starts}."""
+        count = len(values) * self.starts_count
         ants = self.search if count == self.search.num_worlds else self.worlds(count)
-        ants.set_state(*(np.tile(x, (len(biases), 1)) for x in self.starts))
-        bias = np.repeat(biases, self.starts_count, axis=0)
-        last = np.tile(self.last, (len(biases), 1))
+        ants.set_state(*(np.tile(x, (len(values), 1)) for x in self.starts))
+        last = np.tile(self.last, (len(values), 1))
         first, total = ants.q, np.zeros(count)
         for _ in range(self.horizon):
-            a = np.tanh(self.means(ants.observations(), bias))
+            a = np.tanh(self.means(ants.observations(), values))
             ants.step(a)
             total += self.frame_loss(ants.q, first, a, last)
             last = a
         total -= (ants.q[:, 0] - first[:, 0]) / (0.05 * self.horizon)
-        return np.nan_to_num(total, nan=1e9).reshape(len(biases), self.starts_count).mean(axis=1)
+        return np.nan_to_num(total, nan=1e9).reshape(len(values), self.starts_count)
 
     def frame_loss(self, q, first, a, last) -> np.ndarray:
         """Of the end of a frame, without the way."""
@@ -147,40 +179,50 @@ class Tuning:
         g[:, 3:6] = np.cross(up, g_up)
         return g / self.horizon
 
-    def begin(self, bias: np.ndarray):
+    def begin(self, values: np.ndarray):
         """Where the segments of a rollout begin: states, actions before, starts of the rollout."""
         ants, found, last = self.worlds(self.starts_count), [], self.last
         ants.set_state(*self.starts)
         for k in range(self.shift + self.segment * (self.segments() - 1) + 1):
             if k >= self.shift and (k - self.shift) % self.segment == 0:
                 found.append((ants.q, ants.qd, last))
-            last = np.tanh(self.means(ants.observations(), bias))
+            last = np.tanh(self.means(ants.observations(), values))
             ants.step(last)
         q, qd, last = (np.concatenate(x) for x in zip(*found, strict=True))
         return q, qd, last, np.tile(self.starts[0], (len(found), 1))
 
-    def record(self, bias: np.ndarray) -> list[dict]:
+    def record(self, values: np.ndarray) -> list[dict]:
         """The frames of all segments, which are worlds of one batch, with what the gradient
         needs."""
         ants = self.frames.ants
-        start, rate, last, first = self.begin(bias)
+        start, rate, last, first = self.begin(values)
         ants.set_state(start, rate)
         records = []
         for _ in range(min(self.segment, self.horizon)):
             seen, q, qd = ants.observations(), ants.q, ants.qd
-            mean = self.means(seen, bias)
-            a = np.tanh(mean)
+            a = np.tanh(self.means(seen, values))
             kept = self.frames.run(a)
             records.append(
-                {"kept": kept, "mean": mean, "a": a, "last": last, "q": q, "qd": qd, "end": ants.q,
+                {"kept": kept, "a": a, "last": last, "q": q, "qd": qd, "end": ants.q,
                  "seen": seen, "first": first}
             )  # fmt: skip
             last = a
         return records
 
-    def gradient(self, bias: np.ndarray, records: list[dict] | None = None) -> np.ndarray:
-        """By the biases {8}, the mean over the starts."""
-        records = records or self.record(bias)
+    def gradient(self, values: np.ndarray, records: list[dict] | None = None) -> np.ndarray:
+        """By the values, the mean over the starts."""
+        actor = self.with_values(values)
+        for name in self.names:
+            actor[name].requires_grad = True
+        by_bias = self.pull(actor, records or self.record(values))
+        if self.names == BIASES:  # in double precision
+            return by_bias.sum(axis=0) / self.starts_count
+        found = [actor[name].grad.numpy().ravel() for name in self.names]
+        return np.concatenate(found).astype(float) / self.starts_count
+
+    def pull(self, actor: Actor, records: list[dict]) -> np.ndarray:
+        """By the biases {worlds, 8}, summed over the frames; of other arrays that are tuned the sum
+        over all worlds is added to their grad."""
         ants = self.frames.ants
         columns = 6 + np.array(ants.hinge_of_action)
         g = np.zeros((ants.num_worlds, 28))
@@ -195,61 +237,52 @@ class Tuning:
             g_later = -jump
             g_mean = g_a * (1.0 - r["a"] ** 2)
             total += g_mean
-            if self.kind == "exact":
-                g = g + np.einsum("na,nas->ns", g_mean, self.policy_jacobian(r))
-        return total.sum(axis=0) / self.starts_count
-
-    def policy_jacobian(self, r: dict) -> np.ndarray:
-        """Of the means by tangents and rates {n, 8, 28}, through the observations."""
-        p = {k: v.numpy().astype(np.float64) for k, v in self.actor.items()}
-        one = r["seen"] @ p["latent_pi.0.weight"].T + p["latent_pi.0.bias"] > 0.0
-        x = nova.tensor(r["seen"])
-        two = hidden(self.actor, x).numpy() > 0.0
-        inner = p["latent_pi.0.weight"][:, :27] * one[..., None]
-        by_seen = p["mu.weight"] @ (two[..., None] * (p["latent_pi.2.weight"] @ inner))
-        q, qd = r["q"].astype(np.float64), r["qd"].astype(np.float64)
-        d = np.zeros((len(q), 27, 28))
-        d[:, 0, 2] = 1.0
-        d[:, 5:13, 6:14] = d[:, 19:27, 20:28] = np.eye(8)
-        d[:, 13:16, 14:17] = EYE
-        for k in range(3):
-            d[:, 1, 3 + k] = -0.5 * q[:, 3 + k]
-            turn = np.broadcast_to(EYE[k], (len(q), 3))
-            d[:, 2:5, 3 + k] = 0.5 * (q[:, 6:7] * turn + np.cross(turn, q[:, 3:6]))
-            d[:, 16:19, 3 + k] = rotate_back(q[:, 3:7], np.cross(qd[:, 3:6], turn))
-            d[:, 16:19, 17 + k] = rotate_back(q[:, 3:7], turn)
-        return by_seen @ d
+            if self.names == BIASES and "observations" not in self.terms:
+                continue
+            seen = nova.tensor(r["seen"], requires_grad="observations" in self.terms)
+            with nova.Tape() as tape:
+                mean = mean_action(actor, seen)
+            tape.backward(mean, nova.tensor(np.float32(g_mean)))
+            if "observations" in self.terms:
+                by_seen = seen.grad.numpy()[:, None, :27].astype(np.float64)
+                g = g + (by_seen @ observation_jacobian(r["q"], r["qd"]))[:, 0]
+        return total
 
     def train(self) -> tuple[float, float, bool]:
         """One step; the loss before and behind it, and whether a candidate was kept."""
-        gradient = self.gradient(self.bias)
-        direction = gradient / max(np.abs(gradient).max(), 1e-12)
-        candidates = self.bias - LARGEST * STEPS[:, None] * direction
-        before = self.losses(self.bias[None])[0]
+        gradient = self.gradient(self.values)
+        # Of all weights the norm: they act together.
+        size = np.linalg.norm(gradient, np.inf if self.names == BIASES else 2)
+        direction = gradient / max(size, 1e-12)
+        candidates = self.values - LARGEST * STEPS[:, None] * direction
+        before = self.losses(self.values[None])[0]
         losses = self.losses(candidates)
         best = int(np.argmin(losses))
         if losses[best] < before:
-            self.bias = candidates[best].astype(np.float32).astype(np.float64)
+            self.values = candidates[best].astype(np.float32).astype(np.float64)
             return before, losses[best], True
         self.shift = (self.shift + 1) % self.segment if self.segments() > 1 else 0
         return before, before, False
 
     def tuned(self) -> Actor:
-        """The actor with the new biases."""
-        return {**self.actor, "mu.bias": nova.tensor(np.float32(self.bias))}
+        """The actor with the new values."""
+        return self.with_values(self.values)
 
-    def replay(self, records: list[dict], bias: np.ndarray) -> float:
-        """The loss along the linearised frames, with the stored matrices and other biases."""
+    def replay(self, records: list[dict], values: np.ndarray) -> float:
+        """The loss along the linearised frames, with the stored matrices and other values."""
         ants, dt = self.frames.ants, self.frames.ants.dt
         columns = 6 + np.array(ants.hinge_of_action)
         e, v = np.zeros((2, ants.num_worlds, DOFS))
         last, total = records[0]["last"].astype(np.float64), np.zeros(ants.num_worlds)
         for r in records:
-            a = np.tanh(r["mean"] + bias - self.bias)
+            a = np.tanh(self.means(r["seen"], values))
             force = np.zeros_like(v)
             force[:, columns] = (a - r["a"]) * ants.gear * ants.varied["gear"]
-            for inverse, k, d, back in r["kept"]:
+            for inverse, k, d, back, by_state in r["kept"]:
                 push = force - k * (e + dt * v) - d * v
+                if by_state is not None:
+                    for by, x in zip(by_state, (e, v)):
+                        push = push - (by @ x[..., None])[..., 0]
                 v = v + dt * np.einsum("nij,nj->ni", inverse, push)
                 v = np.einsum("nji,nj->ni", back, v)
                 e = e + dt * v
@@ -259,32 +292,32 @@ class Tuning:
         way = records[-1]["end"][:, 0].astype(np.float64) + e[:, 0] - records[0]["q"][:, 0]
         return float((total - way / (0.05 * self.horizon)).sum() / self.starts_count)
 
+    def directions(self) -> np.ndarray:
+        """In which gradients are compared {8, ...}: of every bias, or of all weights at random."""
+        if self.names == BIASES:
+            return np.eye(ACTIONS)
+        return np.random.default_rng(0).standard_normal((ACTIONS, self.values.size))
+
     def check_gradient(self) -> bool:
         """Against differences of the linearised replay, and of real rollouts."""
-        passed = True
+        passed, ways = True, self.directions()
         if self.kind != "exact":
-            records = self.record(self.bias)
-            ad, fd = self.gradient(self.bias, records), np.zeros(ACTIONS)
-            for k in range(ACTIONS):
-                ends = [
-                    self.replay(records, self.bias + s * 1e-4 * np.eye(ACTIONS)[k]) for s in (1, -1)
-                ]
+            records = self.record(self.values)
+            ad, fd = ways @ self.gradient(self.values, records), np.zeros(ACTIONS)
+            for k, way in enumerate(ways):
+                ends = [self.replay(records, self.values + s * 1e-4 * way) for s in (1, -1)]
                 fd[k] = (ends[0] - ends[1]) / 2e-4
             error = float(np.abs(ad - fd).max() / np.abs(fd).max())
             passed = error <= 1e-3
             print(f"linearised replay: relative error {error:.1e} (tolerance 1e-03)")
         wanted, one = (self.horizon, self.segment, self.frames), None
-        kind = "exact" if self.kind == "exact" else "frozen"
-        self.frames = make_frames(
-            self.worlds(self.starts_count), kind, tangents=self.kind == "sticking"
-        )
+        self.frames = self.make_frames(self.starts_count)
         print("real rollouts:  H   eps     cosine  ratio of norms")
         for self.horizon in (1, 2, 4, 8):
             self.segment = self.horizon
-            ad = self.gradient(self.bias)
+            ad = ways @ self.gradient(self.values)
             for eps in (1e-4, 3e-4, 1e-3, 3e-3, 1e-2):
-                moves = np.concatenate([np.eye(ACTIONS), -np.eye(ACTIONS)]) * eps
-                losses = self.losses(self.bias + moves)
+                losses = self.losses(self.values + eps * np.concatenate([ways, -ways]))
                 fd = (losses[:ACTIONS] - losses[ACTIONS:]) / (2.0 * eps)
                 sizes = np.linalg.norm(ad), np.linalg.norm(fd)
                 cosine = float(ad @ fd / max(sizes[0] * sizes[1], 1e-12))
@@ -295,6 +328,22 @@ class Tuning:
         self.horizon, self.segment, self.frames = wanted
         print(f"gradient at H = 1: cosine {one:.3f} (0.9 or more away from events)")
         return passed
+
+
+def observation_jacobian(q: np.ndarray, qd: np.ndarray) -> np.ndarray:
+    """Of the first 27 observations by tangents and rates {n, 27, 28}; the others are 0."""
+    q, qd = q.astype(np.float64), qd.astype(np.float64)
+    d = np.zeros((len(q), 27, 28))
+    d[:, 0, 2] = 1.0
+    d[:, 5:13, 6:14] = d[:, 19:27, 20:28] = np.eye(8)
+    d[:, 13:16, 14:17] = EYE
+    for k in range(3):
+        d[:, 1, 3 + k] = -0.5 * q[:, 3 + k]
+        turn = np.broadcast_to(EYE[k], (len(q), 3))
+        d[:, 2:5, 3 + k] = 0.5 * (q[:, 6:7] * turn + np.cross(turn, q[:, 3:6]))
+        d[:, 16:19, 3 + k] = rotate_back(q[:, 3:7], np.cross(qd[:, 3:6], turn))
+        d[:, 16:19, 17 + k] = rotate_back(q[:, 3:7], turn)
+    return d
 
 
 def moved(q: np.ndarray, e: np.ndarray) -> np.ndarray:
@@ -373,9 +422,15 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--check-gradient", action="store_true", help="compare with differences")
     parser.add_argument(
         "--gradient",
-        choices=("frozen", "sticking", "exact"),
+        choices=tuple(KINDS),
         default="frozen",
         help="frozen: normals of contacts held; sticking: their friction too where they stick",
+    )
+    parser.add_argument(
+        "--train-weights",
+        choices=("biases", "all"),
+        default="biases",
+        help="what is tuned: the biases of the last layer, or all weights",
     )
     parser.add_argument(
         "--adapt", action="store_true", help="friction 0.5, torso +20 %%, one hip -30 %%"

@@ -154,30 +154,50 @@ def test_the_model_of_the_arm_is_where_it_should_be() -> None:
     )
 
 
+Part = tuple[np.ndarray, np.ndarray, np.ndarray]  # a target, by the parameters, and by q
+
+
+class LinearisedReplay:
+    """Small motions about a rollout of the arm, with the matrices that its steps had."""
+
+    def __init__(self, rollout: Rollout) -> None:
+        """Record by `each` of Rollout.run."""
+        self.model, self.q, self.inverses = rollout.model, [], []
+        self.ke, self.kd = np.diag(fr3.KE), np.diag(fr3.KD) + 0.003 * np.eye(7)
+
+    def record(self, t: int, now: novaphy.SimState, then: novaphy.SimState) -> None:
+        """A step."""
+        mass = novaphy.eval_mass_matrix(self.model, now)[0].astype(np.float64)
+        self.inverses.append(np.linalg.inv(mass + DT * self.kd + DT**2 * self.ke))
+        self.q.append(now.joint_q.numpy().astype(np.float64))
+        rows = novaphy.eval_jacobian(self.model, then)[0, 36:42].astype(np.float64)
+        arm = quat_matrix(then.body_q.numpy()[6, 3:].astype(np.float64))
+        arm = arm @ (np.array(fr3.TCP) - np.array(fr3.COM[6]))
+        self.point = rows[:3] + np.cross(rows[3:].T, arm).T
+
+    def end(self, policy: Callable[..., Part], theta: np.ndarray, moved: np.ndarray) -> np.ndarray:
+        """By how much the end differs with parameters `moved` instead of theta."""
+        dq, dv = np.zeros((2, 7))
+        for t, (q, inverse) in enumerate(zip(self.q, self.inverses, strict=True)):
+            shift = policy(moved, t, q + dq)[0] - policy(theta, t, q)[0]
+            dv = dv + DT * inverse @ (self.ke @ (shift - dq - DT * dv) - self.kd @ dv)
+            dq = dq + DT * dv
+            dv = (1.0 - 0.05 * DT) * dv
+        return np.concatenate([dq, dv, self.point @ dq, self.point @ dv])
+
+
 def test_frozen_is_the_linearised_replay_and_exact_the_real_rollout() -> None:
     rollout = arm_rollout()
     frozen, exact = rollout.sensitivity(7), rollout.sensitivity(7, exact=True)
     assert (frozen.label, exact.label) == ("frozen", "exact")
-    dq, dv, last = np.zeros((7, 7)), np.zeros((7, 7)), {}
-    ke, kd = np.diag(fr3.KE), np.diag(fr3.KD) + 0.003 * np.eye(7)
+    replay = LinearisedReplay(rollout)
+    watch = [frozen, exact]
+    rollout.run(300, START, target(GOAL), watch, lambda t, x, s: np.eye(7), replay.record)
 
-    def replay(t: int, now: novaphy.SimState, then: novaphy.SimState) -> None:
-        # In double precision, with the mass matrix of every step.
-        nonlocal dq, dv
-        mass = novaphy.eval_mass_matrix(rollout.model, now)[0].astype(np.float64)
-        mass += DT * kd + DT**2 * ke
-        dv = dv + DT * np.linalg.solve(mass, ke @ (np.eye(7) - dq - DT * dv) - kd @ dv)
-        dq = dq + DT * dv
-        dv = (1.0 - 0.05 * DT) * dv
-        if t == 299:
-            rows = novaphy.eval_jacobian(rollout.model, then)[0, 36:42].astype(np.float64)
-            pose = then.body_q.numpy()[6].astype(np.float64)
-            turn = quat_matrix(pose[3:])
-            arm = turn @ (np.array(fr3.TCP) - np.array(fr3.COM[6]))
-            last["j"] = rows[:3] + np.cross(rows[3:].T, arm).T
+    def hold(theta: np.ndarray, t: int, q: np.ndarray) -> Part:
+        return theta, np.eye(7), np.zeros((7, 7))
 
-    rollout.run(300, START, target(GOAL), [frozen, exact], lambda t, x, s: np.eye(7), replay)
-    expected = np.concatenate([dq, dv, last["j"] @ dq, last["j"] @ dv])
+    expected = differences(lambda x: replay.end(hold, GOAL, x), GOAL, 0.02)
     worst, _, _ = agreement(result(frozen), expected)
     assert worst < 1e-3
     fd = differences(lambda x: rollout.run(300, START, target(x)), GOAL, 0.02)
@@ -198,52 +218,86 @@ def quat_matrix(q: np.ndarray) -> np.ndarray:
     return np.eye(3) + 2.0 * w * cross + 2.0 * cross @ cross
 
 
-def test_key_poses_a_spline_and_gains_of_a_net() -> None:
-    """Any parameterisation: what moves the target enters by dcontrol."""
+SPAN = 120  # steps of the parameterisations
+MIX = np.random.default_rng(5).normal(size=(7, 3)) * 0.1
+
+
+def along(weights: np.ndarray, theta: np.ndarray) -> Part:
+    """A target between poses {n, 7} by their weights {n}."""
+    return weights @ theta.reshape(-1, 7), np.kron(weights, np.eye(7)), np.zeros((7, 7))
+
+
+def key_poses(theta: np.ndarray, t: int, q: np.ndarray) -> Part:
+    """Three poses, at rest at each of them."""
+    k, x = divmod(2.0 * (t + 1) / SPAN, 1.0)
+    k, x = (1, 1.0) if k == 2 else (int(k), x)
+    weights, rise = np.zeros(3), 3.0 * x**2 - 2.0 * x**3
+    weights[k], weights[k + 1] = 1.0 - rise, rise
+    return along(weights, theta)
+
+
+def spline(theta: np.ndarray, t: int, q: np.ndarray) -> Part:
+    """A uniform cubic B-spline of five control points."""
+    k, x = divmod(2.0 * t / SPAN, 1.0)
+    weights = np.zeros(5)
+    weights[int(k) : int(k) + 4] = (
+        np.array([(1 - x) ** 3, 3 * x**3 - 6 * x**2 + 4, -3 * x**3 + 3 * x**2 + 3 * x + 1, x**3])
+        / 6.0
+    )
+    return along(weights, theta)
+
+
+def net(theta: np.ndarray, t: int, q: np.ndarray) -> Part:
+    """GOAL + MIX tanh(a (q - GOAL)) + b, by its gains a {3, 7} and b {7}."""
+    a, b = theta[:21].reshape(3, 7), theta[21:]
+    hidden = np.tanh(a @ (q - GOAL))
+    slope = (1 - hidden**2)[:, None]
+    by_a = np.einsum("ih,hj->ihj", MIX * slope[:, 0], np.tile(q - GOAL, (3, 1)))
+    by_theta = np.concatenate([by_a.reshape(7, 21), np.eye(7)], axis=1)
+    return GOAL + MIX @ hidden + b, by_theta, MIX @ (slope * a)
+
+
+def poses(count: int) -> np.ndarray:
+    """From START to GOAL."""
+    return np.concatenate([START + x * (GOAL - START) for x in np.linspace(0.0, 1.0, count)])
+
+
+def gains() -> np.ndarray:
+    """Of the net."""
+    rng = np.random.default_rng(6)
+    return np.concatenate([rng.normal(size=21) * 0.5, rng.normal(size=7) * 0.02])
+
+
+@pytest.mark.parametrize(
+    ("policy", "theta"),
+    [
+        pytest.param(key_poses, poses(3), id="key poses"),
+        pytest.param(spline, poses(5), id="spline"),
+        pytest.param(net, gains(), id="gains of a net"),
+    ],
+)
+def test_any_parameterisation_enters_by_what_moves_the_target(
+    policy: Callable[..., Part], theta: np.ndarray
+) -> None:
     rollout = arm_rollout()
-    rng = np.random.default_rng(5)
-    steps = 120
+    replay = LinearisedReplay(rollout)
 
-    def key_poses(theta: np.ndarray, t: int) -> tuple[np.ndarray, np.ndarray]:
-        x = (t + 1) / steps
-        w = np.array([(1 - x) ** 2, 2 * x * (1 - x), x * x])
-        return theta.reshape(3, 7).T @ w, np.kron(w, np.eye(7))
-
-    def net(theta: np.ndarray, q: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        # target = GOAL + B tanh(a (q - GOAL)) + b, by a {3, 7} and b {7}: its derivatives
-        a, b = theta[:21].reshape(3, 7), theta[21:]
-        hidden = np.tanh(a @ (q - GOAL))
-        slope = (1 - hidden**2)[:, None]
-        by_a = np.einsum("ih,hj->ihj", mix * slope[:, 0], np.tile(q - GOAL, (3, 1)))
-        by_theta = np.concatenate([by_a.reshape(7, 21), np.eye(7)], axis=1)
-        return GOAL + mix @ hidden + b, by_theta, mix @ (slope * a)
-
-    mix = rng.normal(size=(7, 3)) * 0.1
-    keys = np.concatenate([START, 0.5 * (START + GOAL), GOAL])
-    gains = np.concatenate([rng.normal(size=21) * 0.5, rng.normal(size=7) * 0.02])
-
-    def apply_keys(theta: np.ndarray) -> Callable:
+    def apply(theta: np.ndarray) -> Callable:
         return lambda control, t, state: control.joint_target_q.assign(
-            np.float32(key_poses(theta, t)[0])
+            np.float32(policy(theta, t, state.joint_q.numpy().astype(np.float64))[0])
         )
 
-    def apply_net(theta: np.ndarray) -> Callable:
-        return lambda control, t, state: control.joint_target_q.assign(
-            np.float32(net(theta, state.joint_q.numpy().astype(np.float64))[0])
-        )
-
-    def net_change(t: int, state: novaphy.SimState, s: object) -> np.ndarray:
-        _, by_theta, by_q = net(gains, state.joint_q.numpy().astype(np.float64))
+    def change(t: int, state: novaphy.SimState, s: object) -> np.ndarray:
+        _, by_theta, by_q = policy(theta, t, state.joint_q.numpy().astype(np.float64))
         return by_theta + by_q @ s.dq
 
-    for theta, apply, change in (
-        (keys, apply_keys, lambda t, state, s: key_poses(keys, t)[1]),
-        (gains, apply_net, net_change),
-    ):
-        s = rollout.sensitivity(theta.size, exact=True)
-        rollout.run(steps, START, apply(theta), [s], change)
-        fd = differences(lambda x, a=apply: rollout.run(steps, START, a(x)), theta, 0.02)
-        assert agreement(result(s), fd)[0] < 1e-2
+    frozen, exact = (rollout.sensitivity(theta.size, exact=e) for e in (False, True))
+    rollout.run(SPAN, START, apply(theta), [frozen, exact], change, replay.record)
+    fd = differences(lambda x: replay.end(policy, theta, x), theta, 1e-4)
+    assert agreement(result(frozen), fd)[0] < 1e-3
+    fd = differences(lambda x: rollout.run(SPAN, START, apply(x)), theta, 0.02)
+    assert agreement(result(exact), fd)[0] < 1e-2
+    assert agreement(frozen.dq, fd[:7])[1] > 0.99
 
 
 def quadruped() -> novaphy.ModelBuilder:

@@ -23,6 +23,7 @@ from novaphy.envs import AntWorlds, rotate
 
 DOFS = 14
 STICKING = 0.98  # of the friction cone: below it a contact sticks
+ROWS_AT_ONCE = 512  # worlds times substeps, in the cache
 SOFTEST = 1e-6  # part of the diagonal that is added to rows that are not independent
 
 
@@ -78,24 +79,31 @@ class FrozenFrames:
 
     def run(self, actions: np.ndarray) -> list[tuple[np.ndarray, ...]]:
         """Step a frame; per substep what `pull` needs."""
-        a, kept = self.ants, []
+        a, steps = self.ants, []
         forces = a.joint_forces(actions)
         a.control.joint_f.assign(forces.ravel())
         drives = (a.model.joint_target_ke, a.model.joint_target_kd)
         self.drives = [x.numpy().reshape(self.worlds, DOFS) for x in drives]
+        by_state = []
         for substep in range(a.substeps):
             if self.lead is not None:
                 self.lead(substep)
             a.pipeline.collide(a.state, a.contacts)
-            q = a.q
-            mass = novaphy.eval_mass_matrix(a.model, a.state).astype(np.float64)
-            jacobian = novaphy.eval_jacobian(a.model, a.state)
-            poses = a.state.body_q.numpy()
+            before = (
+                a.q,
+                novaphy.eval_mass_matrix(a.model, a.state),
+                novaphy.eval_jacobian(a.model, a.state),
+                a.state.body_q.numpy().reshape(self.worlds, -1, 7),
+            )
             a.solver.step(a.state, a._after, a.control, a.contacts, a.dt)
             a.state, a._after = a._after, a.state
-            kept.append((*self.substep(q, mass, jacobian, poses), self.by_state()))
+            steps.append((*before, self.pushes()))
+            by_state.append(self.by_state())
         a.frame += 1
-        return kept
+        kept, most = [], max(1, ROWS_AT_ONCE // self.worlds)
+        for k in range(0, len(steps), most):  # many at once: most of the time is that of calls
+            kept += self.linearised(*zip(*steps[k : k + most], strict=True))
+        return [(*x, y) for x, y in zip(kept, by_state, strict=True)]
 
     def by_state(self) -> tuple[np.ndarray, np.ndarray] | None:
         """What mass matrix times acceleration, and bias, of the step before change by with tangents
@@ -107,68 +115,81 @@ class FrozenFrames:
         by_q, by_qd, _ = novaphy.eval_inverse_dynamics_derivatives(a.model, a._after, qdd)
         return by_q.astype(np.float64), by_qd.astype(np.float64)
 
-    def substep(self, q, mass, jacobian, poses) -> tuple[np.ndarray, ...]:
-        """Inverse of the step's matrix, stiffness, damping, and the transposed projection."""
-        dt = self.ants.dt
-        x = np.concatenate([np.zeros((self.worlds, 6), np.float32), q[:, 7:]], axis=1)
-        outside = (x < self.lower) | (x > self.upper)
-        outside[:, :6] = False
+    def linearised(self, q, mass, jacobian, poses, pushes) -> list[tuple[np.ndarray, ...]]:
+        """Of each of some substeps: the inverse of its matrix, stiffness, damping, and the
+        transposed projection."""
+        dt, shape = self.ants.dt, (len(q), self.worlds)
+        x = np.stack(q)
+        outside = np.zeros((*shape, DOFS), bool)
+        hinges = x[..., 7:]
+        outside[..., 6:] = (hinges < self.lower[:, 6:]) | (hinges > self.upper[:, 6:])
         k = (self.drives[0] + np.where(outside, self.ke, 0.0)).astype(np.float64)
         d = self.drives[1] + self.damping + np.where(outside, self.kd, 0.0).astype(np.float64)
-        inverse = np.linalg.inv(mass + (dt * d + dt * dt * k)[..., None] * self.eye)
-        rows = self.rows(jacobian, poses)
+        matrix = np.stack(mass).astype(np.float64)
+        np.einsum("...ii->...i", matrix)[...] += dt * d + dt * dt * k
+        inverse = np.linalg.inv(matrix)
+        rows = self.rows(np.stack(jacobian), np.stack(poses), pushes)
         y = rows @ inverse
-        a = y @ rows.transpose(0, 2, 1)
-        diagonal = np.einsum("nii->ni", a)
-        diagonal += np.where(diagonal > 0.0, SOFTEST * diagonal.max(axis=1, keepdims=True), 1.0)
-        back = self.eye - rows.transpose(0, 2, 1) @ np.linalg.solve(a, y)
-        return inverse, k, d, back
+        a = y @ rows.swapaxes(-1, -2)
+        diagonal = np.einsum("...ii->...i", a)
+        diagonal += np.where(diagonal > 0.0, SOFTEST * diagonal.max(axis=-1, keepdims=True), 1.0)
+        back = self.eye - rows.swapaxes(-1, -2) @ np.linalg.solve(a, y)
+        return list(zip(inverse, k, d, back, strict=True))
 
-    def rows(self, jacobian: np.ndarray, poses: np.ndarray) -> np.ndarray:
-        """Rows of the contacts that push {worlds, most, 14}, padded with 0."""
+    def pushes(self) -> tuple[np.ndarray, ...]:
+        """Of the contacts that push: world, link of the Ant, point on it, margin, normal, and
+        whether they stick."""
         c = self.ants.contacts
         count = int(c.rigid_contact_count.numpy()[0])
-        shapes = np.stack(
-            [c.rigid_contact_shape0.numpy()[:count], c.rigid_contact_shape1.numpy()[:count]]
-        )
         force, normal = (
             x.numpy()[:count].astype(np.float64)
             for x in (c.rigid_contact_force, c.rigid_contact_normal)
         )
         push = np.abs((force * normal).sum(axis=1))
         i = np.flatnonzero(push > 0.0)
-        if not len(i):
-            return np.zeros((self.worlds, 1, DOFS))
-        shapes, force, normal, push = shapes[:, i], force[i], normal[i], push[i]
+        force, normal, push = force[i], normal[i], push[i]
+        shapes = np.stack([c.rigid_contact_shape0.numpy()[i], c.rigid_contact_shape1.numpy()[i]])
         side = self.link_of_shape[shapes[1]] >= 0  # the Ant's side; the other: ground
         shape = np.where(side, shapes[1], shapes[0])
-        world, link = self.world_of_shape[shape], self.link_of_shape[shape]
         point = np.where(
             side[:, None], c.rigid_contact_point1.numpy()[i], c.rigid_contact_point0.numpy()[i]
         )
         margin = np.where(
             side, c.rigid_contact_margin1.numpy()[i], c.rigid_contact_margin0.numpy()[i]
         )
-        pose = poses[world * (len(poses) // self.worlds) + link].astype(np.float64)
+        sticks = np.zeros(len(i), bool)
+        if self.tangents:
+            slip = force - (force * normal).sum(axis=1, keepdims=True) * normal
+            limit = 0.5 * (self.mu[shapes[0]] + self.mu[shapes[1]]) * push
+            sticks = (slip**2).sum(axis=1) < (STICKING * limit) ** 2
+        return self.world_of_shape[shape], self.link_of_shape[shape], point, margin, normal, sticks
+
+    def rows(self, jacobian: np.ndarray, poses: np.ndarray, pushes) -> np.ndarray:
+        """Rows of the contacts that push {substeps, worlds, most, 14}, padded with 0."""
+        shape, n = poses.shape[:2], self.worlds
+        substep = np.repeat(np.arange(shape[0]), [len(x[0]) for x in pushes])
+        parts = (np.concatenate(x) for x in zip(*pushes, strict=True))
+        world, link, point, margin, normal, sticks = parts
+        if not len(world):
+            return np.zeros((*shape, 1, DOFS))
+        pose = poses[substep, world, link].astype(np.float64)
         # From the centre of mass to the surface.
         arm = rotate(pose[:, 3:], point - self.com[world, link])
         arm[:, 2] -= margin
-        slip = np.linalg.norm(force - (force * normal).sum(axis=1, keepdims=True) * normal, axis=1)
-        limit = 0.5 * (self.mu[shapes[0]] + self.mu[shapes[1]]) * push
-        sticks = self.tangents & (slip < STICKING * limit)
         one = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal), axis=1)])
-        one /= np.linalg.norm(one, axis=1, keepdims=True)
+        one /= np.sqrt((one**2).sum(axis=1, keepdims=True))
         axes = np.stack([normal, one, np.cross(normal, one)], axis=1)  # {n, 3 rows, 3}
-        axes[~sticks, 1:] = 0.0
-        links = jacobian.reshape(self.worlds, -1, 6, DOFS)[world, link].astype(np.float64)
-        j = axes @ links[:, :3] + np.cross(arm[:, None], axes) @ links[:, 3:]
-        slot = np.zeros(len(i), int)  # of a contact in its world
-        order = np.argsort(world, kind="stable")
-        first = np.searchsorted(world[order], world[order])
-        slot[order] = np.arange(len(i)) - first
-        rows = np.zeros((self.worlds, slot.max() + 1, 3, DOFS))
-        rows[world, slot] = j
-        return rows.reshape(self.worlds, -1, DOFS)
+        links = jacobian.reshape(*shape, -1, 6, DOFS)[substep, world, link].astype(np.float64)
+        j = np.concatenate([axes, np.cross(arm[:, None], axes)], axis=2) @ links
+        contact, axis = np.nonzero(np.stack([np.ones_like(sticks), sticks, sticks], axis=1))
+        batch = (substep * n + world)[contact]
+        slot = np.zeros(len(batch), int)  # of a row in its world
+        order = np.argsort(batch, kind="stable")
+        first = np.searchsorted(batch[order], batch[order])
+        slot[order] = np.arange(len(batch)) - first
+        rows = np.zeros((shape[0] * n, slot.max() + 1, DOFS))
+        rows[batch, slot] = j[contact, axis]
+        return rows.reshape(*shape, -1, DOFS)
 
     def pull(self, kept, g: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Adjoints {worlds, m, 28} of tangents and rates at the end: to those at the start, and to

@@ -233,9 +233,13 @@ class Trainer:
         )
         direct = np.einsum("na,ab,naf->nabf", slope, np.eye(ACTIONS), actor.features(q, qd, at))
         direct = direct.reshape(n, ACTIONS, -1)
+        # Products of these are most of the work: in single precision.
+        r, by_state, by_action, of_state, direct, r_state, r_action = map(
+            np.float32, (r, by_state, by_action, of_state, direct, r_state, r_action)
+        )
         gradient, matrix, found = np.zeros(80), np.zeros((80, 80)), []
-        change = np.zeros((n, 28, 80))  # of the segment that began `step` frames ago
-        last = np.zeros((n, ACTIONS, 80))
+        change = np.zeros((n, 28, 80), np.float32)  # of the segment that began `step` frames ago
+        last = np.zeros((n, ACTIONS, 80), np.float32)
         lengths = {min(length, n) for length in LENGTHS}
         for step in range(max(lengths)):
             rows = slice(step, n)  # frames that are the step-th of a segment
@@ -243,8 +247,8 @@ class Trainer:
             change = by_state[rows] @ change[: n - step] + by_action[rows] @ action
             j = r_state[rows] @ change + r_action[rows] @ (action - last[: n - step])
             last = action
-            gradient += np.einsum("nrp,nr->p", j, r[rows])
             flat = j.reshape(-1, 80)
+            gradient += r[rows].ravel() @ flat
             matrix += flat.T @ flat
             if step + 1 in lengths:
                 found.append((gradient / (n * (step + 1)), matrix / (n * (step + 1))))

@@ -179,6 +179,21 @@ def test_the_frozen_gradient_is_that_of_its_linearised_replay(
         assert gradient[k] == pytest.approx((ends[0] - ends[1]) / 2e-4, rel=1e-3, abs=1e-6)
 
 
+@pytest.mark.parametrize(
+    ("gradient", "frames", "least"), [("frozen", 1, 0.9), ("exact", 1, 0.99), ("exact", 4, 0.95)]
+)
+def test_gradients_point_where_differences_of_real_rollouts_do(
+    demos, monkeypatch, gradient, frames, least
+):
+    flags = ("--gradient", gradient, "--train-horizon", str(frames))
+    _, _, tuning = tuning_of(monkeypatch, *flags)
+    ad, ways = tuning.gradient(tuning.values), tuning.directions()
+    losses = tuning.losses(tuning.values + 3e-3 * np.concatenate([ways, -ways]))
+    fd = (losses[:8] - losses[8:]) / 6e-3
+    cosine = ad @ fd / (np.linalg.norm(ad) * np.linalg.norm(fd))
+    assert cosine >= least, (cosine, ad, fd)
+
+
 def test_segments_begin_where_the_rollout_of_the_actor_passes(demos, monkeypatch):
     _, _, tuning = tuning_of(monkeypatch, "--train-horizon", "6", "--segment", "2")
     q, qd, last, first = tuning.begin(tuning.values)

@@ -19,8 +19,8 @@ moves all weights of the actor in the same way.
     python demo_diffsim_ant_walk.py --policy tuned.npz --headless 200
     python demo_diffsim_ant_walk.py --train 2 --train-horizon 2 --gradient exact --train-weights all
     python demo_diffsim_ant_walk.py --check-gradient
-    python demo_diffsim_ant_walk.py --adapt --train 10 --train-horizon 100 --segment 4 --starts 32
-"""
+    python demo_diffsim_ant_walk.py --adapt --train 10 --gradient exact --train-weights all --train-horizon 50 --segment 2 --starts 96
+"""  # noqa: E501
 
 from __future__ import annotations
 

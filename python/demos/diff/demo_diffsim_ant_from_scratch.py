@@ -66,12 +66,15 @@ SCALE = np.array([[1.0, 3.0, 5.0, 2.0, 0.2], [5.0, 1.0, 5.0, 2.0, 0.2]] * 4)
 ANGLES = ANKLE * np.stack([0.0 * ANKLE_SIGN, ANKLE_SIGN], axis=1).ravel()  # of hinges, rad
 OUTWARD = np.repeat(SIDES / np.sqrt(2.0), 2, axis=0)  # where the leg of a hinge points {8, 2}
 # Name, frames, iterations, strength of the servo.
-STRENGTHS = (0.75, 0.5, 0.35, 0.22, 0.13, 0.075, 0.04, 0.018, 0.004)
+STRENGTHS = (
+    0.75, 0.6, 0.5, 0.42, 0.35, 0.28, 0.22, 0.17, 0.13,
+    0.1, 0.075, 0.055, 0.04, 0.028, 0.018, 0.01, 0.004,
+)  # fmt: skip
 STAGES = (
     ("stand", 20, 5, 1.0),
     *((str(frames), frames, 5, 1.0) for frames in (4, 8, 12, 16, 24, 36)),
     ("60", 60, 10, 1.0),
-    *((f"400-{strength}", 400, 6, strength) for strength in STRENGTHS),
+    *((f"400-{strength}", 400, 3, strength) for strength in STRENGTHS),
     ("400", 400, 12, 0.0),
 )
 TROTS = {"stand": 0.0}  # the part of the trot's strides in a stage, where it is not all of them

@@ -46,8 +46,8 @@ METHODS = {
 }
 THREADS = 2  # of a process
 COLUMNS = (
-    "| method | seeds | cores, s | loss before `polish` | checks before | checks reached | "
-    "way in 30 s | slip |"
+    "| method | seeds | cores, s | loss | checks | way in 30 s | "
+    "checks behind `polish` | way behind it |"
 )
 
 
@@ -163,18 +163,19 @@ def table(folder: Path, seeds: int) -> list[str]:
     lines = [COLUMNS, "|" + "---|" * (COLUMNS.count("|") - 1)]
     for method, name in METHODS.items():
         found = [read(folder, method, seed) for seed in range(seeds)]
-        rows = [row for row in found if row and "after" in row]
+        rows = [row for row in found if row and "before" in row]
         if rows:
-            before, after = ([row[key] for row in rows] for key in ("before", "after"))
+            before, after = ([r[k] for r in rows if k in r] for k in ("before", "after"))
+            of = before[0]["asked"]
             cells = [
                 name,
                 str(len(rows)),
-                spread((row["seconds"] for row in rows), 0),
-                spread((row["loss"] for row in before), 2),
-                spread((row["reached"] for row in before), 0),
-                f"{spread((row['reached'] for row in after), 0)} of {after[0]['asked']}",
-                spread((row["way"] for row in after), 2, " m"),
-                spread((100.0 * row["slip"] for row in after), 0, " %"),
+                spread((row["stages_seconds"] for row in rows), 0),
+                spread((row["loss"] for row in before), 1),
+                f"{spread((row['reached'] for row in before), 0)} of {of}",
+                spread((row["way"] for row in before), 2, " m"),
+                f"{spread((row['reached'] for row in after), 0)} of {of}" if after else "–",
+                spread((row["way"] for row in after), 2, " m") if after else "–",
             ]
             lines.append(f"| {' | '.join(cells)} |")
     return lines

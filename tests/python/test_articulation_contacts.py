@@ -404,15 +404,20 @@ def test_a_coordinate_that_is_not_finite_is_named(solver):
 
 
 @pytest.mark.skipif(not novaphy.has_io(), reason="built without io")
-@pytest.mark.parametrize("torque", [0.0, 60.0])
-def test_an_ant_stands_for_ten_seconds(monkeypatch, torque: float) -> None:
-    """Under torques that change every 50 ms it stays on the ground, and finite; without any its
-    height hardly changes once it has settled."""
+@pytest.mark.parametrize(
+    ("torque", "softness", "moves"), [(0, 0, 2e-3), (0, 1e-5, 1e-4), (60, 0, 1)]
+)
+def test_an_ant_stands_for_ten_seconds(
+    monkeypatch, torque: float, softness: float, moves: float
+) -> None:
+    """Under torques (N m) that change every 50 ms it stays on the ground, and finite; without any
+    its height hardly changes once it has settled: less than `moves` (m). How four feet share a load
+    is not determined, and wanders by rounding until one slides; a little softness determines it."""
     monkeypatch.syspath_prepend(str(Path(__file__).parents[2] / "python/demos"))
     import demo_articulated_scenes
 
     model = demo_articulated_scenes.build_ant().finalize()
-    solver = novaphy.solvers.SolverFeatherstone(model)
+    solver = novaphy.solvers.SolverFeatherstone(model, pgs_cfm=softness)
     pipeline = novaphy.CollisionPipeline(model)
     contacts, control = pipeline.contacts(), model.control()
     state, after = model.state(), model.state()
@@ -430,6 +435,5 @@ def test_an_ant_stands_for_ten_seconds(monkeypatch, torque: float) -> None:
         if step % 100 == 99:
             heights.append(float(state.joint_q.numpy()[2]))
     assert np.isfinite(state.joint_q.numpy()).all() and np.isfinite(state.joint_qd.numpy()).all()
-    if torque == 0.0:
-        assert np.ptp(heights[50:]) < 2e-3  # m, in 10 s
+    assert np.ptp(heights[50:]) < moves  # in 10 s
     assert min(heights) > 0.05 and max(heights) < 1.5

@@ -248,6 +248,70 @@ def test_the_fingers_of_the_fr3_close_on_a_box_together():
     assert across == pytest.approx(30.0, rel=0.01)
 
 
+def branched_urdf(seed: int) -> str:
+    """Two branches of random links on a base; the joint 4 follows 2, and 5 follows 1."""
+    rng = np.random.default_rng(seed)
+
+    def numbers(size: int, scale: float) -> str:
+        return " ".join(f"{x:.4f}" for x in rng.normal(size=size) * scale)
+
+    text = '<robot name="r"><link name="l0"/>'
+    for k, parent in enumerate((0, 1, 2, 1, 4, 5), 1):
+        moments = rng.uniform(0.02, 0.03, 3)
+        inertia = " ".join(f'{n}="{x:.5f}"' for n, x in zip(("ixx", "iyy", "izz"), moments))
+        follows = {
+            4: '<mimic joint="j2" multiplier="-0.4" offset="0.1"/>',
+            5: '<mimic joint="j1" multiplier="1.5" offset="-0.2"/>',
+        }.get(k, "")
+        text += (
+            f'<link name="l{k}"><inertial><origin xyz="{numbers(3, 0.1)}" rpy="{numbers(3, 1)}"/>'
+            f'<mass value="{rng.uniform(0.5, 2):.4f}"/>'
+            f'<inertia {inertia} ixy="0" ixz="0" iyz="0"/></inertial></link>'
+            f'<joint name="j{k}" type="{"prismatic" if k == 2 else "revolute"}">'
+            f'<parent link="l{parent}"/><child link="l{k}"/>'
+            f'<origin xyz="{numbers(3, 0.3)}" rpy="{numbers(3, 1)}"/><axis xyz="{numbers(3, 1)}"/>'
+            f'<limit lower="-9" upper="9" effort="9" velocity="9"/>{follows}</joint>'
+        )
+    return text + "</robot>"
+
+
+@needs_io
+@pytest.mark.parametrize("seed", range(3))
+def test_the_reduced_matrix_is_that_of_pinocchio(seed):
+    """Its crba of the joined model; and T^T M T with its M of the free one."""
+    pin = pytest.importorskip("pinocchio", reason="the oracle of this test: pip install pin")
+    text = branched_urdf(seed)
+    b = novaphy.ModelBuilder()
+    found = b.add_urdf(text, joint_ordering=None)
+    model = b.finalize()
+    leaders = [found.joint_dofs[f"j{k}"] for k in (1, 2, 3, 6)]
+    reduce = np.zeros((6, 4))
+    for row, (k, column, factor) in enumerate(
+        [(1, 0, 1), (2, 1, 1), (3, 2, 1), (4, 1, -0.4), (5, 0, 1.5), (6, 3, 1)]
+    ):
+        assert found.joint_dofs[f"j{k}"] == row
+        reduce[row, column] = factor
+    draw = np.random.default_rng(seed)
+    joined, free = (pin.buildModelFromXML(text, mimic=mimic) for mimic in (True, False))
+    assert joined.nv == 4 and free.nv == 6
+    state = model.state()
+    for _ in range(5):
+        q = draw.uniform(-1, 1, 4)
+        whole = reduce @ q + [0, 0, 0, 0.1, -0.2, 0]
+        state.joint_q.assign(whole.astype(np.float32))
+        inverse = novaphy.eval_forward_dynamics_derivatives(model, state, np.zeros(6, np.float32))[
+            2
+        ]
+        ours = np.linalg.inv(inverse[0].astype(float)[np.ix_(leaders, leaders)])
+        for exact, at, t in ((joined, q, np.eye(4)), (free, whole, reduce)):
+            data = exact.createData()
+            pin.crba(exact, data, at)
+            mass = t.T @ (np.triu(data.M) + np.triu(data.M, 1).T) @ t
+            assert_allclose(
+                ours, mass, atol=1e-5 * np.abs(mass).max()
+            )
+
+
 @needs_io
 def test_a_mimic_of_a_file_follows_by_default():
     inertial = (

@@ -8,6 +8,10 @@ installed are left out.
     NOVAPHY_NUM_THREADS=1 python tools/bench/novaphy_articulation.py
     NOVAPHY_NUM_THREADS=1 python tools/bench/novaphy_articulation.py --page
 
+With --humanoid, only Pinocchio's sample humanoid (34 dofs): steps and functions of the dynamics.
+
+    NOVAPHY_NUM_THREADS=1 python tools/bench/novaphy_articulation.py --humanoid
+
 With --device, world-steps per second there of FR3 arms and of Ants with their contacts, by the
 clock, captured, as lines of JSON with a hash of the last joint_q: that of the CPU, if the bits are.
 Also of Ants with the exact gradient through their contacts, a rollout of 20 steps and its adjoint,
@@ -515,11 +519,34 @@ def pinocchio_arm() -> object:
     return model
 
 
-def time_functions(calls: int = 2000) -> dict[str, tuple[float, float | None]]:
-    """Functions of the dynamics from Python: NovaPhy, Pinocchio (None: not there)."""
-    model = arm().finalize()
+def humanoid(pin: object) -> tuple[novaphy.ModelBuilder, object]:
+    """Pinocchio's sample humanoid, a free root and 28 hinges: for NovaPhy and for Pinocchio."""
+    tree = pin.buildSampleModelHumanoid()
+    builder = novaphy.ModelBuilder()
+    joints = []
+    for k in range(1, tree.njoints):
+        body = tree.inertias[k]
+        inertia = {"mass": body.mass, "com": tuple(body.lever), "inertia": body.inertia}
+        link = builder.add_link(**inertia, lock_inertia=True)
+        at = tree.jointPlacements[k]
+        pose = (tuple(at.translation), tuple(pin.Quaternion(at.rotation).coeffs()))
+        kind, parent = tree.joints[k].shortname(), tree.parents[k] - 1
+        if kind == "JointModelFreeFlyer":
+            joints.append(builder.add_joint_free(link))
+            continue
+        axis = {"X": (1, 0, 0), "Y": (0, 1, 0), "Z": (0, 0, 1)}[kind.removeprefix("JointModelR")]
+        joints.append(builder.add_joint_revolute(parent, link, axis=axis, parent_xform=pose))
+    builder.add_articulation(joints)
+    return builder, tree
+
+
+def time_functions(
+    builder: novaphy.ModelBuilder, tree: object, calls: int = 2000
+) -> dict[str, tuple[float, float | None]]:
+    """Functions of the dynamics from Python: NovaPhy, Pinocchio (tree None: not there)."""
+    model = builder.finalize()
     state = model.state()
-    tau = np.zeros(7, np.float32)
+    tau = np.zeros(model.joint_dof_count, np.float32)
 
     def repeat(call: Callable[[], object]) -> Callable[[], None]:
         def run() -> None:
@@ -536,10 +563,9 @@ def time_functions(calls: int = 2000) -> dict[str, tuple[float, float | None]]:
         ),
     }
     theirs: dict[str, Callable[[], object]] = {}
-    try:
+    if tree is not None:
         pin = importlib.import_module("pinocchio")
-        tree = pinocchio_arm()
-        data, q, v = tree.createData(), np.array(POSE), np.zeros(7)
+        data, q, v = tree.createData(), model.joint_q.numpy().astype(float), np.zeros(tree.nv)
         theirs = {
             "inverse dynamics": lambda: pin.rnea(tree, data, q, v, v),
             "forward dynamics": lambda: pin.aba(tree, data, q, v, v),
@@ -547,8 +573,8 @@ def time_functions(calls: int = 2000) -> dict[str, tuple[float, float | None]]:
                 tree, data, q, v, v
             ),
         }
-    except ImportError:
-        pass
+        # The same tree: the same torques. Rates of the root are in other axes, and 0 here.
+        assert np.allclose(ours["inverse dynamics"](), pin.rnea(tree, data, q, v, v), atol=1e-3)
     return {
         name: (
             fastest(repeat(call), calls),
@@ -556,6 +582,20 @@ def time_functions(calls: int = 2000) -> dict[str, tuple[float, float | None]]:
         )
         for name, call in ours.items()
     }
+
+
+def measure_humanoid() -> list[tuple[str, float, str, float | None]]:
+    """Rows, as those of measure; none without Pinocchio, whose model it is."""
+    if importlib.util.find_spec("pinocchio") is None:
+        return []
+    builder, tree = humanoid(importlib.import_module("pinocchio"))
+    rows = [
+        ("humanoid, a step, one world, from Python", time_steps(builder, 1, 2000), "", None),
+        ("humanoid, a step per world, 256 worlds", time_steps(builder, 256, 40), "", None),
+    ]
+    for name, (ours, theirs) in time_functions(builder, tree, 500).items():
+        rows.append((f"humanoid, {name}, from Python", ours, "Pinocchio", theirs))
+    return rows
 
 
 def measure() -> list[tuple[str, float, str, float | None]]:
@@ -577,8 +617,11 @@ def measure() -> list[tuple[str, float, str, float | None]]:
             (f"Ant, collide and {gradient}", ant, "", None),
             ("of these, the adjoint through contacts", ant_adjoint, "", None),
         ]
-    for name, (ours, theirs) in time_functions().items():
+    has_pinocchio = importlib.util.find_spec("pinocchio") is not None
+    tree = pinocchio_arm() if has_pinocchio else None
+    for name, (ours, theirs) in time_functions(arm(), tree).items():
         rows.append((f"FR3, {name}, from Python", ours, "Pinocchio", theirs))
+    rows += measure_humanoid()
     for worlds, steps in ((1, 400), (256, 100)):
         ants = Ants(worlds)
         count = f"{ants.contact_count:.1f} contacts"
@@ -672,6 +715,7 @@ def main() -> None:
     """Measure, and say or write it."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--page", action="store_true", help="write the page of the results")
+    parser.add_argument("--humanoid", action="store_true", help="measure that alone")
     parser.add_argument("--device", help="measure there, and nothing else")
     parser.add_argument("--worlds", type=int, nargs="+", default=[1024, 8192, 65536])
     parser.add_argument("--gradients", action="store_true", help="with --device: those alone")
@@ -684,7 +728,9 @@ def main() -> None:
         return
     if os.environ.get("NOVAPHY_NUM_THREADS") != "1":
         parser.error("set NOVAPHY_NUM_THREADS=1")
-    rows = measure()
+    if args.humanoid and args.page:
+        parser.error("--page: expected all rows, got --humanoid")
+    rows = measure_humanoid() if args.humanoid else measure()
     for what, ours, peer, theirs in rows:
         print(f"{ours:9.3f} us  {what}" + (f"   {peer} {theirs:.3f}" if theirs else ""))
     if args.page:

@@ -218,7 +218,7 @@ void DiffJoints::begin(const Model& m, const Control* control, float dt) {
   // No part of what a capture records: a graph refuses to run once it was written.
   depend_on({&m.joint_enabled});
   const Unobserved unobserved;
-  checks_->check_edits(m, "DiffSemiImplicitSolver");
+  checks_->check_edits(m, control, "DiffSemiImplicitSolver");
   if (!hold_ && !any(control != nullptr ? control->joint_f : m.joint_f)) return;
   checks_->prepare(m, {attach_.ke, attach_.kd}, dt);
   if (!enabled_.matches(m.joint_enabled)) {

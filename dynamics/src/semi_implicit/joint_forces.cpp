@@ -227,10 +227,11 @@ void JointForces::check_covered(const Model& m, const char* solver) {
   check_without_drive(m, solver);
 }
 
-void JointForces::check_edits(const Model& m, const char* solver) {
-  depend_on({&m.joint_armature, &m.joint_friction, &m.joint_velocity_limit});
+void JointForces::check_edits(const Model& m, const Control* control, const char* solver) {
+  const DeviceArray<float>& joint_act = control ? control->joint_act : m.joint_act;
+  depend_on({&m.joint_armature, &m.joint_friction, &m.joint_velocity_limit, &joint_act});
   const Array* const arrays[] = {
-      &m.joint_armature,    &m.joint_friction,    &m.joint_velocity_limit,
+      &m.joint_armature,    &m.joint_friction,    &m.joint_velocity_limit, &joint_act,
       &m.joint_target_ke,   &m.joint_target_kd,   &m.joint_damping,
       &m.joint_limit_lower, &m.joint_limit_upper, &m.joint_axis};
   covered_.resize(std::size(arrays));
@@ -243,6 +244,10 @@ void JointForces::check_edits(const Model& m, const char* solver) {
   if (same) return;
   const Unobserved unobserved;
   check_covered(m, solver);
+  const std::vector<float> act = joint_act.to_host();
+  for (size_t k = 0; k < act.size(); ++k)
+    require(act[k] == 0.0f, ErrorKind::NotImplemented, solver, ": joint_act[", k,
+            "]: expected 0 (there are no actuators; joint_f takes forces), got ", act[k]);
   for (size_t i = 0; i < std::size(arrays); ++i) covered_[i].set(*arrays[i]);
 }
 

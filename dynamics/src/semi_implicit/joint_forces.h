@@ -25,9 +25,9 @@ class JointForces {
   // `solver` starts the messages.
   static void check_covered(const Model& model, const char* solver);
 
-  // check_covered again, where one of its arrays was written since. In a capture a replay throws
-  // once one was that has no effect.
-  void check_edits(const Model& model, const char* solver);
+  // check_covered again, where one of its arrays was written since, and joint_act, the control's or
+  // the model's. In a capture a replay throws once one was that has no effect.
+  void check_edits(const Model& model, const Control* control, const char* solver);
   // Finds the sides of every body where the joints were written since. ErrorKind::Value: a step
   // above stable_dt.
   void prepare(const Model& model, const JointAttachOptions& attach, float dt);

@@ -107,7 +107,7 @@ void SolverSemiImplicit::step(SimState& state_in, SimState& state_out, const Con
   if (contacts != nullptr) cache_->contacts.update(m, *contacts);
   cache_->bodies.prepare(m, contacts);
   const JointAttachOptions attach = {options_.joint_attach_ke, options_.joint_attach_kd};
-  cache_->joints.check_edits(m, "SolverSemiImplicit");
+  cache_->joints.check_edits(m, control, "SolverSemiImplicit");
   cache_->joints.prepare(m, attach, dt);
   if (contacts != nullptr && m.body_count() > 0 && cache_->watch.is_due())
     cache_->watch.look(m, state_in, *contacts, dt);

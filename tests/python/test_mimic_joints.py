@@ -307,9 +307,7 @@ def test_the_reduced_matrix_is_that_of_pinocchio(seed):
             data = exact.createData()
             pin.crba(exact, data, at)
             mass = t.T @ (np.triu(data.M) + np.triu(data.M, 1).T) @ t
-            assert_allclose(
-                ours, mass, atol=1e-5 * np.abs(mass).max()
-            )
+            assert_allclose(ours, mass, atol=1e-5 * np.abs(mass).max())
 
 
 @needs_io

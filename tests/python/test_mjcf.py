@@ -194,6 +194,26 @@ def fallen(model: novaphy.Model, state: novaphy.SimState, steps: int) -> novaphy
     return state
 
 
+def test_options_place_a_robot_and_keep_its_shapes_apart():
+    half = np.sqrt(0.5)
+    _, state, result = loaded(ANT, xform=(1, 2, 3, 0, 0, half, half))
+    torso = state.body_q.numpy()[result.links["torso"]]
+    assert_allclose(torso, [1, 2, 3.75, 0, 0, half, half], atol=1e-6)
+    foot = state.body_q.numpy()[result.links["front_left_leg"], :3]
+    assert_allclose(foot, [0.8, 2.2, 3.75], atol=1e-6)  # (0.2, 0.2, 0) turned
+    assert_allclose(state.joint_q.numpy()[:3], [1, 2, 3.75])
+    robot = novaphy.assets.path("humanoid.xml")
+    pairs = {on: loaded(robot, enable_self_collisions=on)[0] for on in (True, False)}
+    body = pairs[True].shape_body.numpy()
+    own = [p for p in pairs[True].shape_contact_pairs.numpy() if (body[p] >= 0).all()]
+    left = pairs[False].shape_contact_pairs.numpy()
+    assert len(own) > 50 and len(left) == pairs[True].shape_contact_pair_count - len(own)
+    assert (body[left] < 0).any(axis=1).all()
+    for bad, message in (((0,), "xform: expected 7 numbers"), ((0,) * 7, "xform.q: expected a q")):
+        with pytest.raises(ValueError, match=message):
+            novaphy.ModelBuilder().add_mjcf(ANT, xform=bad)
+
+
 def test_stiffness_frames_and_merged_bodies():
     text = mjcf(
         '<body pos="0 0 1">'

@@ -304,7 +304,84 @@ def test_meshes_are_looked_for_in_packages_and_beside_the_file(tmp_path):
         novaphy.ModelBuilder().add_urdf(tmp_path / "nothing.urdf")
 
 
+def test_a_hull_has_at_most_so_many_corners(tmp_path):
+    """Of 200 points on a ball; the hull lies within it, and keeps most of the extent."""
+    draw = np.random.default_rng(0).normal(size=(200, 3))
+    points = draw / np.linalg.norm(draw, axis=1, keepdims=True)
+    faces = "".join(f"f {k} {k + 1} {k + 2}\n" for k in range(1, 199))
+    ball = tmp_path / "ball.obj"
+    ball.write_text("".join("v {:.5f} {:.5f} {:.5f}\n".format(*p) for p in points) + faces)
+    mesh = f'<geometry><mesh filename="{ball}"/></geometry>'
+    text = robot(link("a", INERTIAL + f"<collision>{mesh}</collision>"))
+    for corners in (8, 32):
+        model, _, _ = loaded(text, mesh_maxhullvert=corners, package_dirs=[tmp_path])
+        vertices = model.mesh_vertices.numpy()
+        assert 4 <= len(vertices) <= corners
+        assert np.ptp(vertices, axis=0).min() > 1.2
+        assert np.linalg.norm(vertices, axis=1).max() < 1 + 1e-4
+
+
+def test_a_mesh_that_is_only_seen_may_be_missing_where_nothing_is_seen():
+    mesh = '<geometry><mesh filename="nothing.obj"/></geometry>'
+    text = robot(link("a", INERTIAL + f"<visual>{mesh}</visual>"))
+    with pytest.raises(ValueError, match=r"<visual>: nothing\.obj needs package_dirs"):
+        loaded(text)
+    assert loaded(text, hide_visuals=True)[0].shape_count == 0
+
+
+def test_scale_is_of_places_and_sizes():
+    box = '<collision><origin xyz="1 2 3"/><geometry><box size="2 4 6"/></geometry></collision>'
+    text = robot(
+        link("a", INERTIAL + box), link("b"), joint("j", "a", "b", '<origin xyz="1 2 3"/>')
+    )
+    model, _, _ = loaded(text, scale=2.0)
+    assert_allclose(model.shape_scale.numpy()[0], [2, 4, 6])  # half extents
+    assert_allclose(model.shape_transform.numpy()[0, :3], [2, 4, 6])
+    assert_allclose(model.joint_X_p.numpy()[1, :3], [2, 4, 6])
+
+
+def test_planar_and_floating_joints_have_the_dofs_of_their_names():
+    axis = '<axis xyz="0 0 1"/>'
+    for kind, dims, axes in (("planar", [2, 0], 2), ("floating", [3, 3], 6)):
+        model, _, _ = loaded(robot(link("a"), link("b"), joint("j", "a", "b", axis, kind)))
+        assert model.joint_dof_dim.numpy()[1].tolist() == dims
+        assert model.joint_dof_count == axes
+        if kind == "planar":  # within the plane
+            assert_allclose(model.joint_axis.numpy() @ [0, 0, 1], [0, 0])
+
+
+@pytest.mark.parametrize(
+    ("options", "error", "message"),
+    [
+        *(({"scale": x}, ValueError, "scale: expected a finite number > 0") for x in (0, np.nan)),
+        ({"parent_body": 3}, IndexError, r"parent_body: expected -1 \(the world\) to -1, got 3"),
+        ({"up_axis": "w"}, ValueError, 'expected "x", "y" or "z", got "w"'),
+        ({"joint_damping_mode": "x"}, ValueError, 'one of "passive", "drive", got "x"'),
+        ({"mimic": "x"}, ValueError, 'mimic: expected one of "follow", .*got "x"'),
+        ({"base_joint": 3}, TypeError, "base_joint: expected a dict, got int"),
+        ({"base_joint": {}}, ValueError, "base_joint: expected a joint_type, got none"),
+        ({"base_joint": {"type": 1}}, ValueError, "base_joint: expected joint_type, .*got type"),
+        *(
+            ({"mesh_maxhullvert": n}, ValueError, f"mesh_maxhullvert: expected 4 to 64, got {n}")
+            for n in (3, 65)
+        ),
+        ({"package_dirs": "x"}, TypeError, "package_dirs: expected a list of folders, got str"),
+        ({"package_dirs": [3]}, TypeError, r"package_dirs\[0\]: expected a folder"),
+        ({"xform": (0,) * 7}, ValueError, "xform.q: expected a quaternion of length 1"),
+        ({"xform": (0, 0, np.nan, 0, 0, 0, 1)}, ValueError, "xform.p: expected finite numbers"),
+    ],
+)
+def test_a_bad_option_is_named(options, error, message):
+    builder = novaphy.ModelBuilder()
+    with pytest.raises(error, match=message):
+        builder.add_urdf(robot(*TWO), **options)
+    assert counts(builder) == [0] * 6
+
+
 def test_what_is_not_read_is_said():
+    with pytest.warns(UserWarning, match="<safety_controller>: not read"):
+        safety = LIMIT + '<safety_controller k_velocity="1"/>'
+        loaded(robot(link("a"), link("b"), joint("j", "a", "b", safety, "revolute")))
     with pytest.warns(UserWarning, match="<gazebo>"):
         loaded(robot(link("a"), "<gazebo/>"))
     with pytest.warns(UserWarning, match='<link name="b">: it moves and has no <inertial>'):
@@ -340,6 +417,12 @@ BAD = {
     "no such link": (robot(link("a"), joint("x", "a", "b")), 'there is no link "b"'),
     "no such mimic": (robot(*TWO, link("c"), joint("k", "b", "c", '<mimic joint="?"/>')),
                       'there is no joint "\\?"'),
+    "mimic cycle": (robot(*TWO, link("c"), link("d"), joint("k", "b", "c", '<mimic joint="m"/>'),
+                          joint("m", "c", "d", '<mimic joint="k"/>')), "that does not follow"),
+    "mimics itself": (robot(*TWO, link("c"), joint("k", "b", "c", '<mimic joint="k"/>')),
+                      "that does not follow"),
+    "axis nan": (robot(link("a"), link("b"), joint("j", "a", "b", '<axis xyz="0 nan 1"/>')),
+                 "xyz: expected finite numbers"),
     "type": (robot(link("a"), link("b"), joint("j", "a", "b", kind="screw")), 'got "screw"'),
     "axis": (robot(link("a"), link("b"), joint("j", "a", "b", '<axis xyz="0 0 0"/>')),
              "expected a vector that is not zero"),

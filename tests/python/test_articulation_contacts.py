@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -272,6 +273,46 @@ def test_penalty_contacts_rest_where_the_springs_carry() -> None:
     weight = model.body_mass.numpy()[0] * GRAVITY
     assert 0.1 - poses[-1, 0, 2] == pytest.approx(weight / 2e4, rel=2e-3)
     assert contacts.rigid_contact_force.numpy()[0, 2] == pytest.approx(weight, rel=1e-3)
+
+
+def on_springs(ke: float, kd: float, hinged: bool = False) -> novaphy.ModelBuilder:
+    """A ball of 2 kg that springs of the ground bear, a little deeper than at rest; perhaps at the
+    end of an arm, which adds to its mass."""
+    surface = novaphy.ShapeConfig(density=0.0, ke=ke, kd=kd, kf=0.0)
+    builder = novaphy.ModelBuilder()
+    builder.add_ground_plane(cfg=surface)
+    place = (0.0, 0.0, 0.1 - 1.02 * 2.0 * GRAVITY / ke)
+    inertia = {"mass": 2.0, "inertia": 0.008 * np.eye(3)}
+    if hinged:
+        ball = builder.add_link(**inertia)
+        at = {"parent_xform": ((-0.5, 0.0, place[2]), UPRIGHT)}
+        at["child_xform"] = ((-0.5, 0.0, 0.0), UPRIGHT)
+        joint = builder.add_joint_revolute(-1, ball, axis=(0.0, 1.0, 0.0), armature=1.0, **at)
+        builder.add_articulation([joint])
+    else:
+        ball = builder.add_body(xform=(place, UPRIGHT), **inertia)
+    builder.add_shape_sphere(ball, radius=0.1, cfg=surface)
+    return builder
+
+
+@pytest.mark.parametrize("kd", [20.0, 200.0])
+def test_penalties_warn_of_a_step_that_throws_a_free_body_off(kd: float) -> None:
+    """The damper acts on every other step: kd w dt + ke w dt^2 = 4. An arm has more than the ball's
+    own mass, so that its own limit is a longer step, and nothing is said."""
+    springs, dampers = 1e4 / 2.0, 0.5 * kd
+    limit = 8.0 / (dampers + np.sqrt(dampers**2 + 16.0 * springs))
+    for factor, hinged, thrown in ((0.98, False, False), (1.02, False, True), (1.02, True, False)):
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            _, poses, _, _ = simulate(
+                on_springs(1e4, kd, hinged), 600 * limit, factor * limit, contact="penalty"
+            )
+        said = [str(w.message) for w in caught]
+        assert (poses[:, 0, 2].max() > 0.12) == thrown, factor
+        assert len(said) == thrown, said
+        if thrown:
+            assert "SolverFeatherstone.step: dt: " in said[0] and "contacts of body 0" in said[0]
+            assert said[0].endswith('lower dt, ke or kd, or take contact="pgs"')
 
 
 def test_islands_have_the_bits_that_they_have_alone() -> None:

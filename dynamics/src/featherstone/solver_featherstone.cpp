@@ -11,6 +11,7 @@
 #include "launched_articulations.h"
 #include "novaphy/core/error.h"
 #include "novaphy/core/storage.h"
+#include "novaphy/dynamics/semi_implicit/contact_stability.h"
 #include "pgs_contacts.h"
 #include "tree_steps.h"
 #include "unrecorded_step.h"
@@ -68,7 +69,13 @@ struct SolverFeatherstone::Cache {
     qdd.resize(dofs);
     branch.resize(dofs);
     status.resize(count);
-    for (size_t i = 0; i < count; ++i) all.push_back(static_cast<int32_t>(i));
+    free_bodies.assign(static_cast<size_t>(m.body_count()), 0);
+    for (size_t i = 0; i < count; ++i) {
+      all.push_back(static_cast<int32_t>(i));
+      const articulation::Tree<float> tree = articulations.tree(m, static_cast<int64_t>(i));
+      if (tree.link_count == 1 && tree.dof_count == 6)
+        free_bodies[static_cast<size_t>(tree.links[0].body)] = 1;
+    }
   }
   Articulations articulations;
   std::vector<float> qdd, branch;
@@ -78,6 +85,9 @@ struct SolverFeatherstone::Cache {
   EarlierState earlier;
   PgsContacts pgs;
   RigidBodies penalty;
+  // Of bodies on FREE joints: those that others hold have more than their own mass.
+  std::vector<uint8_t> free_bodies;
+  ContactWatch watch{kName, "lower dt, ke or kd, or take contact=\"pgs\""};
   UnreadMaterials materials;
   std::vector<Transformf> body_q;
   std::vector<SpatialVectorf> body_qd, body_f;
@@ -182,7 +192,10 @@ void SolverFeatherstone::step(SimState& state_in, SimState& state_out, const Con
       nullptr,
       0};
   const bool penalty = options_.contact == ArticulationContact::Penalty;
-  if (penalty && contacts != nullptr) add_penalties(*contacts, a);
+  if (penalty && contacts != nullptr) {
+    add_penalties(*contacts, a);
+    if (c.watch.is_due()) c.watch.look(m, state_in, *contacts, dt, &c.free_bodies);
+  }
   const ContactRows rows = contact_rows(penalty ? nullptr : contacts);
   Vec3f* force = nullptr;
   if (!penalty && contacts != nullptr) {

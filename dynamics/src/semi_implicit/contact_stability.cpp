@@ -178,7 +178,8 @@ void add_row(const Rows& rows, size_t k, Stability stability, float stick_ke,
 }  // namespace
 
 ContactLimit contact_limit(const Model& model, const SimState& state, const Contacts& contacts,
-                           Stability stability, float stick_ke) {
+                           Stability stability, float stick_ke,
+                           const std::vector<uint8_t>* bodies) {
   const Rows rows(model, state, contacts);
   std::vector<Terms> terms(rows.q.size());
   for (size_t k = 0; k < rows.contacts.size(); ++k) add_row(rows, k, stability, stick_ke, terms);
@@ -186,6 +187,7 @@ ContactLimit contact_limit(const Model& model, const SimState& state, const Cont
   const std::vector<Mat33f> inv_inertia = model.body_inv_inertia.to_host();
   ContactLimit least = {kNone};
   for (size_t b = 0; b < terms.size(); ++b) {
+    if (bodies != nullptr && (*bodies)[b] == 0) continue;
     const float dt = longest_dt(terms[b], [&](const Six& y) {
       return accelerate(y, inv_mass[b], inv_inertia[b], rows.q[b].q);
     });
@@ -213,10 +215,10 @@ bool ContactWatch::is_due() {
 }
 
 void ContactWatch::look(const Model& model, const SimState& state, const Contacts& contacts,
-                        float dt) {
+                        float dt, const std::vector<uint8_t>* bodies) {
   const Unobserved unobserved;
   check_poses(state);
-  if (!warned_) check(contact_limit(model, state, contacts, Stability::Needed, 0.0f), dt);
+  if (!warned_) check(contact_limit(model, state, contacts, Stability::Needed, 0.0f, bodies), dt);
 }
 
 void ContactWatch::look_at_pairs(const Model& model, float dt) {
@@ -264,8 +266,7 @@ void ContactWatch::check(const ContactLimit& limit, float dt) {
   warned_ = true;
   warn_of(function_, ": dt: ", dt, " s is longer than the ", limit.dt,
           " s up to which the contacts of body ", limit.body,
-          " are stable with its mass and inertia and their ke and kd; stable_dt(state, contacts) "
-          "says what is safe");
+          " are stable with its mass and inertia and their ke and kd; ", advice_);
 }
 
 }  // namespace novaphy

@@ -230,10 +230,10 @@ void JointForces::check_covered(const Model& m, const char* solver) {
 void JointForces::check_edits(const Model& m, const Control* control, const char* solver) {
   const DeviceArray<float>& joint_act = control ? control->joint_act : m.joint_act;
   depend_on({&m.joint_armature, &m.joint_friction, &m.joint_velocity_limit, &joint_act});
-  const Array* const arrays[] = {
-      &m.joint_armature,    &m.joint_friction,    &m.joint_velocity_limit, &joint_act,
-      &m.joint_target_ke,   &m.joint_target_kd,   &m.joint_damping,
-      &m.joint_limit_lower, &m.joint_limit_upper, &m.joint_axis};
+  const Array* const arrays[] = {&m.joint_armature, &m.joint_friction,    &m.joint_velocity_limit,
+                                 &joint_act,        &m.joint_target_ke,   &m.joint_target_kd,
+                                 &m.joint_damping,  &m.joint_limit_lower, &m.joint_limit_upper,
+                                 &m.joint_axis};
   covered_.resize(std::size(arrays));
   bool same = true;
   for (size_t i = 0; i < std::size(arrays); ++i)

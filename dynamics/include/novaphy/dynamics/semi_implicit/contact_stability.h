@@ -10,6 +10,7 @@
 #pragma once
 
 #include <cstdint>
+#include <vector>
 
 #include "novaphy/core/array_stamp.h"
 #include "novaphy/core/sim/contacts.h"
@@ -28,9 +29,11 @@ struct ContactLimit {
 // in antiphase. Needed: a longer dt diverges though the other bodies are held: ke, and kd once.
 enum class Stability { Enough, Needed };
 
-// Reads on the host. The rows must be of shapes and bodies that are there.
+// Reads on the host. The rows must be of shapes and bodies that are there. `bodies`: nonzero for
+// those to look at; null: all.
 ContactLimit contact_limit(const Model& model, const SimState& state, const Contacts& contacts,
-                           Stability stability, float stick_ke);
+                           Stability stability, float stick_ke,
+                           const std::vector<uint8_t>* bodies = nullptr);
 // The longest dt (s) at which springs and dampers of what touches are stable, friction as far as it
 // sticks, whatever the neighbours of a body do; infinite: none touches. Reads from the device; no
 // tape sees it. `function` starts the message of ErrorKind::Value: a state or contacts of another
@@ -44,12 +47,16 @@ NOVAPHY_DYNAMICS_API float stable_contact_dt(const char* function, const Model& 
 // 2048, 3072, ... that it is told of.
 class NOVAPHY_DYNAMICS_API ContactWatch {
  public:
-  explicit ContactWatch(const char* function) : function_(function) {}  // starts the message
+  // `function` starts the messages, `advice` ends that of dt.
+  explicit ContactWatch(const char* function,
+                        const char* advice = "stable_dt(state, contacts) says what is safe")
+      : function_(function), advice_(advice) {}
 
   // Counts a step, and says whether it is one to look at. The others cost nothing more.
   bool is_due();
-  // Reads on the host.
-  void look(const Model& model, const SimState& state, const Contacts& contacts, float dt);
+  // Reads on the host. `bodies` as in contact_limit.
+  void look(const Model& model, const SimState& state, const Contacts& contacts, float dt,
+            const std::vector<uint8_t>* bodies = nullptr);
   // For contacts that nothing holds: what the softest contact of one of the model's pairs of shapes
   // does, one row through the centre of mass. It looks only while dt is longer than before, or ke,
   // kd or masses were written.
@@ -59,7 +66,7 @@ class NOVAPHY_DYNAMICS_API ContactWatch {
   void check(const ContactLimit& limit, float dt);
   void check_poses(const SimState& state);
 
-  const char* function_;
+  const char *function_, *advice_;
   uint64_t steps_ = 0;
   bool warned_ = false, warned_of_pose_ = false;
   float longest_dt_ = 0.0f;  // s, of look_at_pairs

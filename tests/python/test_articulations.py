@@ -294,6 +294,80 @@ def test_the_recorder_refuses_other_mechanisms(change: object, message: str) -> 
         recorded(builder.finalize(requires_grad=True), 0.05, steps=2)
 
 
+def of_joints(*kinds: str, **last: float) -> novaphy.ModelBuilder:
+    """A chain of joints of these kinds about +Y; `last` of the last link's body and joint."""
+    builder, parent, joints = novaphy.ModelBuilder(), -1, []
+    for k, kind in enumerate(kinds):
+        own = last if k == len(kinds) - 1 else {}
+        body = {"mass": 1.0, "inertia": np.eye(3)} if own.get("mass", 1.0) > 0.0 else {}
+        link = builder.add_link(**body)
+        add = getattr(builder, f"add_joint_{kind}")
+        joints.append(add(parent, link, axis=(0, 1, 0), armature=own.get("armature", 0.0)))
+        parent = link
+    builder.add_articulation(joints)
+    return builder
+
+
+@diff
+@pytest.mark.parametrize(
+    ("builder", "message"),
+    [
+        (of_joints("revolute"), "two joints and two bodies"),
+        (of_joints("revolute", "revolute", "revolute"), "two joints and two bodies"),
+        (of_joints("revolute", "prismatic"), "REVOLUTE joints"),
+        (of_joints("revolute", "revolute", mass=0.0, armature=0.1), "bodies with mass"),
+    ],
+)
+def test_the_recorder_refuses_other_chains(builder: novaphy.ModelBuilder, message: str) -> None:
+    with pytest.raises(novaphy.Error, match=f"recor.*: expected {message}"):
+        recorded(builder.finalize(requires_grad=True), 0.05, steps=2)
+
+
+@diff
+@pytest.mark.parametrize("case", ["body_f", "joint_act", "dt", "size", "another state"])
+def test_the_recorder_names_what_it_is_given_wrong(case: str) -> None:
+    from novaphy import nova
+    from novaphy.diff import (
+        record_planar_2r_featherstone_step,
+        state_joint_q_tensor,
+        state_joint_qd_tensor,
+    )
+
+    model = arm().finalize(requires_grad=True)
+    solver = novaphy.solvers.SolverFeatherstone(model)
+    old, new, control = model.state(), model.state(), model.control()
+    error, message = {
+        "body_f": (novaphy.Error, "expected body_f 0, got 0.5 at body 1"),
+        "joint_act": (novaphy.Error, "expected joint_act 0, got 0.5 at 0"),
+        "dt": (ValueError, "dt: expected a finite number > 0, got 0"),
+        "size": (ValueError, r"q: expected \{2\} on the cpu, got \{3\}"),
+        "another state": (novaphy.Error, "expected q and qd to be state_in's"),
+    }[case]
+    with nova.Tape():
+        solver.step(old, new, control, None, DT)
+        q = state_joint_q_tensor(new if case == "another state" else old)
+        if case == "size":
+            q = nova.tensor(np.zeros(3, np.float32))
+        if case == "body_f":
+            wrenches = np.zeros((2, 6), np.float32)
+            wrenches[1, 2] = 0.5
+            old.body_f.assign(wrenches)
+        if case == "joint_act":
+            control.joint_act.fill_(0.5)
+        with pytest.raises(error, match=message):
+            record_planar_2r_featherstone_step(
+                model,
+                old,
+                control,
+                q,
+                state_joint_qd_tensor(old),
+                state_joint_q_tensor(new),
+                state_joint_qd_tensor(new),
+                0.0 if case == "dt" else DT,
+                0.05,
+            )
+
+
 @diff
 def test_the_recorder_refuses_another_angular_damping() -> None:
     model = arm().finalize(requires_grad=True)

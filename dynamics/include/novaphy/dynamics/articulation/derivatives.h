@@ -10,7 +10,8 @@
 //   d tau_r / d qd_k = S_r . (Y sigma + B S_k), and with Y_j, B_j likewise.
 // B m = v x* Y m - Y (v x m) + m x* Y v has no part from m's linear half: it is
 //   (-2 P x m_w,  (2 (v.h) 1 - 2 v h^T + 2 [w] I - tr(I) [w]) m_w)
-// with P = m v + w x h of the link, so it takes 12 numbers and adds up.
+// with P = m v + w x h of the link, so it takes 12 numbers and adds up. Rows of joints that hang on
+// that of k take (Y_j S_r) . psi' + (B_j^T S_r) . psi, whose factors serve all columns.
 // Source: Carpentier and Mansard, Analytical derivatives of rigid body dynamics algorithms (RSS
 // 2018), for columns of S that stay in the parent.
 #pragma once
@@ -53,12 +54,18 @@ template <class T>
 SpatialVector<T> apply(const MotionBias<T>& b, const SpatialVector<T>& m) {
   return {math::cross(b.momentum, m.angular) * T(-2.0f), math::multiply(b.angular, m.angular)};
 }
+// The angular half of B^T m; the linear one is 0.
+template <class T>
+Vec3<T> apply_transposed(const MotionBias<T>& b, const SpatialVector<T>& m) {
+  return math::multiply(math::transpose(b.angular), m.angular) -
+         math::cross(m.linear, b.momentum) * T(2.0f);
+}
 
-// Of dof k: psi, psi' and sigma, and what a FREE joint below a body has more.
+// Of dof k: psi, psi' and sigma. psi and psi' of linear dofs of a FREE joint are 0 at a root, whose
+// place nothing depends on; below a body they have how the joint's twist turns with its place.
 template <class T>
 struct DofMotion {
   SpatialVector<T> psi{}, psi_rate{}, sigma{};
-  SpatialVector<T> dv{}, da{};  // of its linear dofs
 };
 
 // Memory: `motions` {dofs}, `biases` {links}.
@@ -84,25 +91,18 @@ DofMotion<T> dof_motion(const Tree<T>& tree, const Link& link, int32_t k, const 
     m.sigma.linear = m.sigma.linear + math::cross(turned(s.anchor_q, qd + first), axis.angular);
     return m;
   }
-  m.sigma.linear = m.sigma.linear + math::cross(axis.linear, omega);
-  m.dv = {math::cross(axis.linear, omega), {T(0.0f), T(0.0f), T(0.0f)}};
+  const Vec3<T> none = {T(0.0f), T(0.0f), T(0.0f)};
+  const SpatialVector<T> dv = {math::cross(axis.linear, omega), none};
+  m.sigma = m.sigma + dv;
+  if (link.parent < 0) {
+    m.psi = m.psi_rate = zero_spatial<T>();
+    return m;
+  }
   const Vec3<T> alpha = turned(s.anchor_q, qdd + first + 3);
-  m.da = SpatialVector<T>{math::cross(axis.linear, alpha), {T(0.0f), T(0.0f), T(0.0f)}} +
-         math::cross_motion(v_parent, m.dv);
+  m.psi = m.psi + dv;
+  m.psi_rate = m.psi_rate + (SpatialVector<T>{math::cross(axis.linear, alpha), none} +
+                             (math::cross_motion(v_parent, dv) - math::cross_motion(dv, s.v)));
   return m;
-}
-
-// The force that a unit of the tangent of q_k of `link` makes in what hangs on link j, which hangs
-// on it or is it: without S_k x* F.
-template <class T>
-SpatialVector<T> force_by_position(const DofMotion<T>& m, bool free_linear, bool root,
-                                   const LinkState<T>& s, const LinkState<T>& on,
-                                   const MotionBias<T>& b) {
-  if (free_linear && root) return zero_spatial<T>();
-  SpatialVector<T> f = math::apply(on.composite, m.psi_rate) + apply(b, m.psi);
-  if (free_linear)
-    f = f + (math::apply(on.composite, m.da - math::cross_motion(m.dv, s.v)) + apply(b, m.dv));
-  return f;
 }
 
 // {dofs, dofs} each, row-major, stored in full: d tau / d q (tangent columns of q) and d tau / d qd
@@ -131,7 +131,7 @@ void inverse_dynamics_derivatives(const Tree<T>& tree, const T* qd, const T* qdd
       const DofMotion<T>& m = memory.motions[k];
       const bool free_linear = is_free(link) && k < first + 3;
       const bool still = free_linear && link.parent < 0;
-      SpatialVector<T> fq = force_by_position(m, free_linear, link.parent < 0, s, s, b);
+      SpatialVector<T> fq = math::apply(s.composite, m.psi_rate) + apply(b, m.psi);
       if (!still) fq = fq + math::cross_force(axis, s.f);
       const SpatialVector<T> fv = math::apply(s.composite, m.sigma) + apply(b, axis);
       // Rows of the joint itself and towards the root.
@@ -145,19 +145,13 @@ void inverse_dynamics_derivatives(const Tree<T>& tree, const T* qd, const T* qdd
               dq[r * n + k] + math::dot(math::cross(axis.linear, ws.axes[r].angular), s.f.linear);
     }
     // Columns of the joints towards the root.
-    for (int32_t j = link.parent; j >= 0; j = tree.links[j].parent) {
-      const Link& above = tree.links[j];
-      const int32_t first_above = local_dof(tree, above);
-      for (int32_t k = first_above; k < first_above + above.dofs; ++k) {
+    for (int32_t r = first; r < first + link.dofs; ++r) {
+      const SpatialVector<T> y = math::apply(s.composite, ws.axes[r]);
+      const Vec3<T> turning = apply_transposed(b, ws.axes[r]);
+      for (int32_t k = tree.dof_parent[first]; k >= 0; k = tree.dof_parent[k]) {
         const DofMotion<T>& m = memory.motions[k];
-        const bool free_linear = is_free(above) && k < first_above + 3;
-        const SpatialVector<T> fq =
-            force_by_position(m, free_linear, above.parent < 0, ws.links[j], s, b);
-        const SpatialVector<T> fv = math::apply(s.composite, m.sigma) + apply(b, ws.axes[k]);
-        for (int32_t r = first; r < first + link.dofs; ++r) {
-          dq[r * n + k] = math::dot(ws.axes[r], fq);
-          dqd[r * n + k] = math::dot(ws.axes[r], fv);
-        }
+        dq[r * n + k] = math::dot(y, m.psi_rate) + math::dot(turning, m.psi.angular);
+        dqd[r * n + k] = math::dot(y, m.sigma) + math::dot(turning, ws.axes[k].angular);
       }
     }
     if (link.parent >= 0) memory.biases[link.parent] = memory.biases[link.parent] + b;

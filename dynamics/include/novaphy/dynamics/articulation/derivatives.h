@@ -159,41 +159,42 @@ void inverse_dynamics_derivatives(const Tree<T>& tree, const T* qd, const T* qdd
 }
 
 // X of M X = B, {dofs, dofs} row-major, in place, by the factor of M; solve (factor.h) of all its
-// columns.
+// columns. `upper`: B is the identity and no joint follows another, so that X is symmetric, and of
+// row k only the columns from k on are computed.
 template <class T>
-void solve_columns(const Tree<T>& tree, const T* m, T* x) {
+void solve_columns(const Tree<T>& tree, const T* m, T* x, bool upper = false) {
   const int64_t n = tree.dof_count;
-  const auto subtract = [&](int64_t to, int64_t from, const T& l) {
+  const auto subtract = [&](int64_t to, int64_t from, const T& l, int64_t begin) {
     T* const y = x + to * n;
     const T* const z = x + from * n;
-    for (int64_t c = 0; c < n; ++c) y[c] = y[c] - l * z[c];
+    for (int64_t c = begin; c < n; ++c) y[c] = y[c] - l * z[c];
   };
-  const auto scale = [&](int64_t to, const T& l) {
-    for (int64_t c = 0; c < n; ++c) x[to * n + c] = l * x[to * n + c];
+  const auto scale = [&](int64_t to, const T& l, int64_t begin) {
+    for (int64_t c = begin; c < n; ++c) x[to * n + c] = l * x[to * n + c];
   };
   if (tree.followers > 0) {
     for_followers(tree, [&](int32_t follower, int32_t leader, const T& multiplier) {
-      subtract(leader, follower, -multiplier);
-      scale(follower, T(0.0f));
+      subtract(leader, follower, -multiplier, 0);
+      scale(follower, T(0.0f), 0);
     });
     for (int32_t k = tree.dof_count; k-- > 0;)
-      for (int32_t j = k; j-- > 0;) subtract(j, k, m[k * n + j]);
+      for (int32_t j = k; j-- > 0;) subtract(j, k, m[k * n + j], 0);
     for (int32_t k = 0; k < tree.dof_count; ++k) {
-      scale(k, T(1.0f) / m[k * n + k]);
-      for (int32_t j = k; j-- > 0;) subtract(k, j, m[k * n + j]);
+      scale(k, T(1.0f) / m[k * n + k], 0);
+      for (int32_t j = k; j-- > 0;) subtract(k, j, m[k * n + j], 0);
     }
     for_followers(tree, [&](int32_t follower, int32_t leader, const T& multiplier) {
-      subtract(follower, leader, -multiplier);  // the follower's row is 0
+      subtract(follower, leader, -multiplier, 0);  // the follower's row is 0
     });
     return;
   }
   for (int32_t k = tree.dof_count; k-- > 0;)
     for (int32_t j = tree.dof_parent[k]; j >= 0; j = tree.dof_parent[j])
-      subtract(j, k, m[k * n + j]);
+      subtract(j, k, m[k * n + j], upper ? k : 0);
   for (int32_t k = 0; k < tree.dof_count; ++k) {
-    for (int64_t c = 0; c < n; ++c) x[k * n + c] = x[k * n + c] / m[k * n + k];
+    scale(k, T(1.0f) / m[k * n + k], upper ? k : 0);
     for (int32_t j = tree.dof_parent[k]; j >= 0; j = tree.dof_parent[j])
-      subtract(k, j, m[k * n + j]);
+      subtract(k, j, m[k * n + j], upper ? k : 0);
   }
 }
 
@@ -209,7 +210,10 @@ void forward_dynamics_derivatives(const Tree<T>& tree, const T* factored, T* dq,
     dqd[i] = -dqd[i];
   }
   for (int64_t k = 0; k < n; ++k) inverse[k * n + k] = T(1.0f);
-  solve_columns(tree, factored, inverse);
+  const bool upper = tree.followers == 0;
+  solve_columns(tree, factored, inverse, upper);
+  for (int64_t i = 0; upper && i < n; ++i)
+    for (int64_t j = 0; j < i; ++j) inverse[i * n + j] = inverse[j * n + i];
   solve_columns(tree, factored, dq);
   solve_columns(tree, factored, dqd);
 }

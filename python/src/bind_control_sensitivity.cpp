@@ -48,8 +48,6 @@ std::unique_ptr<Sensitivity> make(const std::shared_ptr<Model>& model, int32_t a
                                   int32_t parameter_count, int32_t point_body,
                                   py::handle point_local, const std::string& kind, bool exact,
                                   bool contact_projection, const SolverFeatherstone* solver) {
-  require(!contact_projection, ErrorKind::NotImplemented,
-          "contact_projection: expected False, contacts of articulations are not projected yet");
   require(solver == nullptr || solver->model() == model, ErrorKind::Value,
           "solver: expected one of the model");
   return std::make_unique<Sensitivity>(
@@ -60,6 +58,7 @@ std::unique_ptr<Sensitivity> make(const std::shared_ptr<Model>& model, int32_t a
                  .point_local = to_vec3(point_local, "point_local"),
                  .kind = to_kind(kind),
                  .exact = exact,
+                 .contact_projection = contact_projection,
                  .solver = solver != nullptr ? solver->options() : FeatherstoneOptions{}});
 }
 
@@ -85,28 +84,36 @@ void bind_control_sensitivity(py::module_& solvers) {
           py::arg("solver").none(true) = py::none(),
           "point_local (m) in the frame of point_body, a body of the articulation. kind: dcontrol "
           "is the change of joint_target_q (\"position\") or joint_f (\"torque\"). solver: the one "
-          "that steps, whose options count; None: the defaults. contact_projection: "
-          "NotImplementedError.")
+          "that steps, whose options count; None: the defaults. contact_projection: changes of "
+          "rates "
+          "keep to the null space of the normals of the contacts that push, which step takes; "
+          "normals, points, friction and which contacts push are frozen. NotImplementedError with "
+          "exact, ValueError for a solver without contact \"pgs\".")
       .def("reset", &Sensitivity::reset, "state"_a,
            "The start, which does not depend on the parameters.")
       .def(
           "step",
           [](Sensitivity& s, const SimState& state_in, const SimState& state_out,
-             const Control* control, float dt, py::handle dcontrol, py::handle dtarget_qd) {
+             const Control* control, float dt, py::handle dcontrol, py::handle dtarget_qd,
+             const Contacts* contacts) {
             const std::vector<float> changes = to_changes(s, dcontrol, "dcontrol");
             std::vector<float> rates;
             if (!dtarget_qd.is_none()) rates = to_changes(s, dtarget_qd, "dtarget_qd");
             const ReleasedGil released;
-            s.step(state_in, state_out, control, dt, changes, rates);
+            s.step(state_in, state_out, control, dt, changes, rates, contacts);
           },
           "state_in"_a, "state_out"_a, "control"_a.none(true), "dt"_a, "dcontrol"_a,
-          "dtarget_qd"_a = py::none(),
+          "dtarget_qd"_a = py::none(), "contacts"_a.none(true) = py::none(),
           "After the solver's step from state_in to state_out with this control and dt (s). "
           "dcontrol {dofs, parameters}: the change of joint_target_q (or joint_f) per unit of each "
-          "parameter; dtarget_qd likewise of joint_target_qd. ValueError: another shape, numbers "
-          "that are not finite, a change of a target that no drive follows; novaphy.Error: a "
+          "parameter; dtarget_qd likewise of joint_target_qd. contacts, with contact_projection: "
+          "those of the step, with the rigid_contact_force that it wrote. ValueError: another "
+          "shape, numbers that are not finite, a change of a target that no drive follows, "
+          "contacts "
+          "without contact_projection; NotImplementedError: a contact that pushes another "
+          "articulation too; IndexError: contacts of shapes that are not there; novaphy.Error: a "
           "state_in that is not where the last step ended, a state_out that this step does not "
-          "give, so another solver, control or dt. Nothing has changed then.")
+          "give, so another solver, control, dt or contacts. Nothing has changed then.")
       .def_property_readonly(
           "dq", [](const Sensitivity& s) { return to_matrix(s.dq(), s.dof_count()); },
           "{dofs, parameters}: of joint_q; of a FREE root the tangent (its centre of mass, then "

@@ -4,6 +4,7 @@
 #include <cmath>
 #include <utility>
 
+#include "active_contacts.h"
 #include "articulation_step.h"
 #include "novaphy/core/error.h"
 #include "novaphy/dynamics/articulation/control_sensitivity.h"
@@ -116,6 +117,7 @@ struct FeatherstoneAnalyticControlSensitivity::Impl {
       : m(std::move(model)),
         options(o),
         articulations(*m, kName),
+        contacts(*m, articulations, o.articulation),
         single(articulations.max_links(), articulations.max_dofs()),
         dual(articulations.max_links(), articulations.max_dofs()) {
     const Tree<float> tree = articulations.tree(*m, o.articulation);
@@ -155,16 +157,21 @@ struct FeatherstoneAnalyticControlSensitivity::Impl {
             q.size(), " and ", qd.size(), " joint coordinates and velocities, got ",
             state.joint_q.rows(), " and ", state.joint_qd.rows());
   }
-  // The rows of the articulation's links that differ between a state and q_, qd_.
+  // Whether the articulation's rows of a state are q_ and qd_, whose rates may be `off` by some.
   bool same(const SimState& state, const std::vector<float>& q_, const std::vector<float>& qd_,
-            const Tree<float>& tree) const {
+            const Tree<float>& tree, float dt = 0.0f, float off = 0.0f) const {
+    const auto near = [&](const float* values, const std::vector<float>& expected, int32_t row,
+                          float by) {
+      const float x = expected[static_cast<size_t>(row)];
+      return std::abs(values[row] - x) <= (off == 0.0f ? 0.0f : by + 1e-6f * std::abs(x));
+    };
     for (int32_t i = 0; i < tree.link_count; ++i) {
       const articulation::Link& link = tree.links[i];
       const int32_t coords = articulation::is_free(link) ? 7 : link.dofs;
       for (int32_t k = link.coord; k < link.coord + coords; ++k)
-        if (!(state.joint_q.data()[k] == q_[static_cast<size_t>(k)])) return false;
+        if (!near(state.joint_q.data(), q_, k, dt * off)) return false;
       for (int32_t k = link.dof; k < link.dof + link.dofs; ++k)
-        if (!(state.joint_qd.data()[k] == qd_[static_cast<size_t>(k)])) return false;
+        if (!near(state.joint_qd.data(), qd_, k, off)) return false;
     }
     return true;
   }
@@ -219,10 +226,10 @@ struct FeatherstoneAnalyticControlSensitivity::Impl {
                      const float* from_dq, const float* from_dv, float* to_dv) {
     articulation::frozen_force_change(tree, in, o, single.ws, c, from_dq, from_dv, tangent.data());
     articulation::solve(tree, single.ws.matrix, tangent.data());
-    for (size_t k = 0; k < dofs; ++k) {
-      const bool held = (single.ws.branch[k] & articulation::kVelocityClamped) != 0;
-      to_dv[k] = held ? 0.0f : from_dv[k] + o.dt * tangent[k];
-    }
+    for (size_t k = 0; k < dofs; ++k) to_dv[k] = from_dv[k] + o.dt * tangent[k];
+    if (!contacts.empty()) contacts.project(to_dv);
+    for (size_t k = 0; k < dofs; ++k)
+      if ((single.ws.branch[k] & articulation::kVelocityClamped) != 0) to_dv[k] = 0.0f;
   }
 
   // By the dual numbers of the step; the arrays' tangents are zero again afterwards.
@@ -312,6 +319,7 @@ struct FeatherstoneAnalyticControlSensitivity::Impl {
   std::shared_ptr<const Model> m;
   ControlSensitivityOptions options;
   Articulations articulations;
+  ActiveContacts contacts;
   OwnWorkspace<float> single;
   OwnWorkspace<D> dual;
   DualStep duals;
@@ -341,6 +349,11 @@ FeatherstoneAnalyticControlSensitivity::FeatherstoneAnalyticControlSensitivity(
   require(std::isfinite(at.x) && std::isfinite(at.y) && std::isfinite(at.z), ErrorKind::Value,
           kName, ", point_local: expected finite numbers, got (", at.x, ", ", at.y, ", ", at.z,
           ")");
+  require(!o.contact_projection || !o.exact, ErrorKind::NotImplemented, kName,
+          ", contact_projection: expected false with exact, which has no contacts: "
+          "DiffFeatherstoneSolver has their exact gradient");
+  require(!o.contact_projection || o.solver.contact == ArticulationContact::Pgs, ErrorKind::Value,
+          kName, ", contact_projection: expected a solver with contact \"pgs\"");
   check_joints(*model, o);
   impl_ = std::make_unique<Impl>(std::move(model), o);
 }
@@ -373,7 +386,8 @@ void FeatherstoneAnalyticControlSensitivity::reset(const SimState& state) {
 void FeatherstoneAnalyticControlSensitivity::step(const SimState& state_in,
                                                   const SimState& state_out, const Control* control,
                                                   float dt, std::span<const float> dcontrol,
-                                                  std::span<const float> dtarget_qd) {
+                                                  std::span<const float> dtarget_qd,
+                                                  const Contacts* contacts) {
   Impl& s = *impl_;
   const Model& m = *s.m;
   s.require_reset("step");
@@ -383,6 +397,8 @@ void FeatherstoneAnalyticControlSensitivity::step(const SimState& state_in,
           ", dt: expected a finite number > 0, got ", dt);
   s.check_numbers(dcontrol, "dcontrol");
   if (!dtarget_qd.empty()) s.check_numbers(dtarget_qd, "dtarget_qd");
+  require(contacts == nullptr || s.options.contact_projection, ErrorKind::Value, kStep,
+          ", contacts: expected none without contact_projection");
   m.update_derived();
   s.articulations.check_values(m, control, false, kStep);
   const Tree<float> tree = s.articulations.tree(m, s.options.articulation);
@@ -394,7 +410,14 @@ void FeatherstoneAnalyticControlSensitivity::step(const SimState& state_in,
   if (!dtarget_qd.empty()) s.check_followed(tree, in.drives, dtarget_qd, true, "dtarget_qd");
   require(s.same(state_in, s.q, s.qd, tree), ErrorKind::Runtime, kStep,
           ", state_in: expected the state that reset or the last step ended with");
-  const bool stepped = articulation::forward_step(tree, in, options, s.single.ws) < 0;
+  const bool stepped = articulation::accelerate(tree, in, options, s.single.ws) < 0;
+  float off = 0.0f;  // rates may be, where contacts push: 1e-5 of what they are made of
+  if (stepped) {
+    articulation::free_rates(tree, in, options, s.single.ws);
+    s.contacts.find(m, contacts, state_out, tree, s.single.ws, kStep);
+    if (!s.contacts.empty()) off = 1e-5f * s.contacts.push(dt, s.single.ws.qd_next);
+    articulation::clamp_rates(tree, in, s.single.ws);
+  }
   if (s.options.exact && stepped) s.duals.load(m, tree, a);
   for (size_t p = 0; stepped && p < s.parameters(); ++p) {
     const auto c = s.control_tangent(dcontrol, dtarget_qd, p);
@@ -412,11 +435,17 @@ void FeatherstoneAnalyticControlSensitivity::step(const SimState& state_in,
     articulation::finish_step(tree, in, options, s.single.ws, s.q_next.data(), s.qd_next.data(),
                               s.body_q.data(), s.body_qd.data());
   require(
-      stepped && s.same(state_out, s.q_next, s.qd_next, tree), ErrorKind::Runtime, kStep,
+      stepped && s.same(state_out, s.q_next, s.qd_next, tree, dt, off), ErrorKind::Runtime, kStep,
       ", state_out: expected what SolverFeatherstone.step gives from state_in with this control, "
-      "dt, angular_damping (",
+      "dt, contacts, angular_damping (",
       s.options.solver.angular_damping, ") and implicit_drives (", s.options.solver.implicit_drives,
       ")");
+  if (!s.contacts.empty()) {  // to the bit where the next step starts
+    std::copy_n(state_out.joint_q.data(), s.q.size(), s.q_next.begin());
+    std::copy_n(state_out.joint_qd.data(), s.qd.size(), s.qd_next.begin());
+    articulation::link_frames(tree, s.q_next.data(), s.single.ws);
+    articulation::link_motions(tree, s.qd_next.data() + s.first_dof, s.single.ws);
+  }
   std::swap(s.q, s.q_next);
   std::swap(s.qd, s.qd_next);
   std::swap(s.dq, s.next_dq);

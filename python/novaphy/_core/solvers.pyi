@@ -269,6 +269,7 @@ class FeatherstoneAnalyticControlSensitivity(_Native):
         dt: SupportsFloat,
         dcontrol: Sequence[Sequence[SupportsFloat]] | NDArray[Any],
         dtarget_qd: Sequence[Sequence[SupportsFloat]] | NDArray[Any] | None = None,
+        contacts: Contacts | None = None,
     ) -> None: ...
     @property
     def dq(self) -> NDArray[np.float32]: ...

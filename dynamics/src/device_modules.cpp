@@ -4,6 +4,7 @@ namespace novaphy {
 namespace detail {
 const char* articulation_contact_kernels_text();
 const char* articulation_contact_vjp_kernels_text();
+const char* articulation_functions_kernels_text();
 const char* articulation_kernels_text();
 const char* joint_coordinates_kernels_text();
 }  // namespace detail
@@ -12,7 +13,8 @@ std::vector<std::string> dynamics_device_modules() {
   std::vector<std::string> modules;
   for (const char* text :
        {detail::articulation_contact_kernels_text(),
-        detail::articulation_contact_vjp_kernels_text(), detail::articulation_kernels_text(),
+        detail::articulation_contact_vjp_kernels_text(),
+        detail::articulation_functions_kernels_text(), detail::articulation_kernels_text(),
         detail::joint_coordinates_kernels_text()})
     if (text != nullptr) modules.emplace_back(text);
   return modules;

@@ -1,11 +1,13 @@
 #include "novaphy/dynamics/joint_coordinates.h"
 
-#include <algorithm>
 #include <cmath>
+#include <initializer_list>
+#include <vector>
 
 #include "joint_coordinates_kernels.h"
 #include "novaphy/core/device_kernel.h"
 #include "novaphy/core/error.h"
+#include "novaphy/core/sim/on_host.h"
 #include "novaphy/core/storage.h"
 #include "novaphy/math/functions.h"
 
@@ -15,10 +17,14 @@ const char* joint_coordinates_kernels_text();
 }
 namespace {
 
-const DeviceKernel& fk_kernel() {
-  static const auto& kernel =
-      *new DeviceKernel(eval_fk_articulation, detail::joint_coordinates_kernels_text);
-  return kernel;
+// Never destroyed: recordings refer to them.
+struct Kernels {
+  DeviceKernel fk{eval_fk_articulation, detail::joint_coordinates_kernels_text};
+  DeviceKernel ik{eval_ik_joint, detail::joint_coordinates_kernels_text};
+};
+const Kernels& kernels() {
+  static const auto& all = *new Kernels;
+  return all;
 }
 
 void check_arguments(const char* name, const Model& m, const SimState& state,
@@ -58,13 +64,40 @@ void check_quaternions(const Model& m, const float* q) {
   }
 }
 
-void check_perpendicular(const JointArrays& joints, int32_t j) {
-  const JointAxes<float> axes = joints.axes(j);
-  if (!joints.is(j, JointType::D6)) return;
-  for (int a = 0; a < axes.linear + axes.angular; ++a)
-    for (int b = a + 1; b < (a < axes.linear ? axes.linear : axes.linear + axes.angular); ++b)
-      require(std::abs(math::dot(axes.axis[a], axes.axis[b])) < 1e-3f, ErrorKind::NotImplemented,
-              "eval_ik: joint ", j, ": expected perpendicular axes of a D6 joint");
+void check_perpendicular(const Model& m) {
+  const OnHost<int32_t> type(m.joint_type), start(m.joint_qd_start);
+  const OnHost<Vec2i> dims(m.joint_dof_dim);
+  const OnHost<Vec3f> axis(m.joint_axis);
+  for (int32_t j = 0; j < m.joint_count(); ++j) {
+    const auto joint = static_cast<size_t>(j);
+    if (type[joint] != static_cast<int32_t>(JointType::D6)) continue;
+    const Vec3f* const axes = axis.data() + start[joint];
+    const int linear = dims[joint].x, all = linear + dims[joint].y;
+    for (int a = 0; a < all; ++a)
+      for (int b = a + 1; b < (a < linear ? linear : all); ++b)
+        require(std::abs(math::dot(axes[a], axes[b])) < 1e-3f, ErrorKind::NotImplemented,
+                "eval_ik: joint ", j, ": expected perpendicular axes of a D6 joint");
+  }
+}
+
+// The arguments that are JointArrays.
+std::vector<LaunchArgument> joint_arguments(const Model& m) {
+  return {reads("model.joint_type", m.joint_type),
+          reads("model.joint_parent", m.joint_parent),
+          reads("model.joint_child", m.joint_child),
+          reads("model.joint_q_start", m.joint_q_start),
+          reads("model.joint_qd_start", m.joint_qd_start),
+          reads("model.joint_dof_dim", m.joint_dof_dim),
+          reads("model.joint_X_p", m.joint_X_p),
+          reads("model.joint_X_c", m.joint_X_c),
+          reads("model.joint_axis", m.joint_axis),
+          reads("model.body_com", m.body_com)};
+}
+void launch(const DeviceKernel& kernel, const Model& m, int64_t rows,
+            std::initializer_list<LaunchArgument> more) {
+  std::vector<LaunchArgument> arguments = joint_arguments(m);
+  arguments.insert(arguments.end(), more);
+  kernel.launch(m.device(), rows, arguments);
 }
 
 }  // namespace
@@ -83,54 +116,28 @@ void eval_fk(const Model& m, const DeviceArray<float>& joint_q, const DeviceArra
     constexpr size_t kNumbers = sizeof(BodyPlace) / sizeof(float);
     places = DeviceArray<float>(static_cast<size_t>(m.body_count()), m.device(), kNumbers);
   }
-  fk_kernel().launch(
-      m.device(), m.articulation_count(),
-      {reads("model.joint_type", m.joint_type), reads("model.joint_parent", m.joint_parent),
-       reads("model.joint_child", m.joint_child), reads("model.joint_q_start", m.joint_q_start),
-       reads("model.joint_qd_start", m.joint_qd_start),
-       reads("model.joint_dof_dim", m.joint_dof_dim), reads("model.joint_X_p", m.joint_X_p),
-       reads("model.joint_X_c", m.joint_X_c), reads("model.joint_axis", m.joint_axis),
-       reads("model.body_com", m.body_com),
-       reads_row("model.articulation_start", m.articulation_start),
-       reads_row("model.articulation_end", m.articulation_end), reads("joint_q", joint_q),
-       reads("joint_qd", joint_qd), updates("state.body_q", state.body_q).detached(),
-       updates("state.body_qd", state.body_qd).detached(), writes("places", places)});
+  launch(kernels().fk, m, m.articulation_count(),
+         {reads_row("model.articulation_start", m.articulation_start),
+          reads_row("model.articulation_end", m.articulation_end), reads("joint_q", joint_q),
+          reads("joint_qd", joint_qd), updates("state.body_q", state.body_q).detached(),
+          updates("state.body_qd", state.body_qd).detached(), writes("places", places)});
 }
 
 void eval_ik(const Model& m, const SimState& state, DeviceArray<float> joint_q,
              DeviceArray<float> joint_qd) {
-  if (ArrayObserver* observer = array_observer()) observer->untracked_operation("eval_ik");
-  require(m.device().is_cpu(), ErrorKind::NotImplemented,
-          "eval_ik: model: expected one on the cpu, got one on ", m.device().str());
-  check_arguments("eval_ik", m, state, joint_q, joint_qd);
-  const JointArrays joints = joints_of(m);
-  for (int32_t j = 0; j < m.joint_count(); ++j) check_perpendicular(joints, j);
-  const Transformf* const poses = state.body_q.data();
-  const SpatialVectorf* const twists = state.body_qd.data();
-  float *const q = joint_q.mutable_data(), *const qd = joint_qd.mutable_data();
-  for (int32_t j = 0; j < m.joint_count(); ++j) {
-    float *const c = q + joints.q_start[j], *const rate = qd + joints.qd_start[j];
-    const BodyFrame parent = body_frame(joints, poses, twists, joints.parent[j]);
-    const BodyFrame child = body_frame(joints, poses, twists, joints.child[j]);
-    const Transformf anchor = math::multiply(parent.pose, joints.x_p[j]);
-    const Transformf at = math::multiply(child.pose, joints.x_c[j]);
-    JointMotion<float> motion;
-    motion.pose = {math::rotate_inverse(anchor.q, at.p - anchor.p),
-                   math::multiply(math::conjugate(anchor.q), at.q)};
-    const Vec3f point = joints.is_six(j) ? child.com : at.p;
-    motion.rate = {math::rotate_inverse(anchor.q, child.velocity(point) - parent.velocity(point)),
-                   math::rotate_inverse(anchor.q, child.twist.angular - parent.twist.angular)};
-    if (!joints.is_six(j)) {
-      joint_coordinates(joints.axes(j), motion, c, rate);
-      continue;
-    }
-    const Transformf& x = motion.pose;
-    const float pose[] = {x.p.x, x.p.y, x.p.z, x.q.x, x.q.y, x.q.z, x.q.w};
-    const Vec3f &v = motion.rate.linear, &w = motion.rate.angular;
-    const float twist[] = {v.x, v.y, v.z, w.x, w.y, w.z};
-    std::copy_n(pose, 7, c);
-    std::copy_n(twist, 6, rate);
+  constexpr const char* kName = "eval_ik";
+  if (m.device().is_cpu()) {
+    if (ArrayObserver* observer = array_observer()) observer->untracked_operation(kName);
   }
+  check_arguments(kName, m, state, joint_q, joint_qd);
+  {
+    const Unobserved unobserved;
+    check_perpendicular(m);
+  }
+  depend_on({&m.joint_axis});
+  launch(kernels().ik, m, m.joint_count(),
+         {reads("state.body_q", state.body_q), reads("state.body_qd", state.body_qd),
+          writes("joint_q", joint_q), writes("joint_qd", joint_qd)});
 }
 
 }  // namespace novaphy

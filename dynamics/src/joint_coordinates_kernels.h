@@ -1,5 +1,6 @@
 // eval_fk, a row per articulation: articulation/kinematics.h over the arrays of models and states,
-// so that bodies are where a step of articulations would have them, to the bit.
+// so that bodies are where a step of articulations would have them, to the bit. eval_ik, a row per
+// joint: joint_kinematics_trace.h.
 #pragma once
 
 #include "novaphy/core/row_kernel.h"
@@ -90,6 +91,35 @@ NOVAPHY_ROW_KERNEL(eval_fk_articulation, 17, EvalFkArguments) {
     a.places[joint.child] = {last->p, last->origin, last->v};
     articulation::write_body(joint.child, *last, a.body_q, a.body_qd);
   }
+}
+
+struct EvalIkArguments {
+  JointArrays joints;
+  const Transformf* body_q;
+  const SpatialVectorf* body_qd;
+  float *q, *qd;
+};
+NOVAPHY_ROW_KERNEL(eval_ik_joint, 14, EvalIkArguments) {
+  const JointArrays& joints = a.joints;
+  const int32_t j = static_cast<int32_t>(row);
+  float *const c = a.q + joints.q_start[j], *const rate = a.qd + joints.qd_start[j];
+  const BodyFrame parent = body_frame(joints, a.body_q, a.body_qd, joints.parent[j]);
+  const BodyFrame child = body_frame(joints, a.body_q, a.body_qd, joints.child[j]);
+  const Transformf anchor = math::multiply(parent.pose, joints.x_p[j]);
+  const Transformf at = math::multiply(child.pose, joints.x_c[j]);
+  JointMotion<float> motion;
+  motion.pose = {math::rotate_inverse(anchor.q, at.p - anchor.p),
+                 math::multiply(math::conjugate(anchor.q), at.q)};
+  const Vec3f point = joints.is_six(j) ? child.com : at.p;
+  motion.rate = {math::rotate_inverse(anchor.q, child.velocity(point) - parent.velocity(point)),
+                 math::rotate_inverse(anchor.q, child.twist.angular - parent.twist.angular)};
+  if (!joints.is_six(j)) return joint_coordinates(joints.axes(j), motion, c, rate);
+  const Transformf& x = motion.pose;
+  const float pose[] = {x.p.x, x.p.y, x.p.z, x.q.x, x.q.y, x.q.z, x.q.w};
+  const Vec3f &v = motion.rate.linear, &w = motion.rate.angular;
+  const float twist[] = {v.x, v.y, v.z, w.x, w.y, w.z};
+  for (int k = 0; k < 7; ++k) c[k] = pose[k];
+  for (int k = 0; k < 6; ++k) rate[k] = twist[k];
 }
 
 }  // namespace novaphy

@@ -130,7 +130,7 @@ void bind_dynamics(py::module_& m, py::module_& solvers) {
       "of "
       "the state. What the bodies do besides what their joint allows is left out; angles are those "
       "in [-pi, pi]. No gradient: on a tape it raises. ValueError: wrong rows, a state of another "
-      "model; NotImplementedError: not on the cpu, or a D6 whose axes are not perpendicular.");
+      "model; NotImplementedError: a D6 whose axes are not perpendicular.");
   bind_featherstone(m, solvers);
 }
 

@@ -150,6 +150,9 @@ namespace tree_contacts {
 namespace tree_contacts_vjp {
 #include "articulation_contact_vjp_kernels.cuh"
 }
+namespace tree_functions {
+#include "articulation_functions_kernels.cuh"
+}
 namespace joints {
 #include "joint_coordinates_kernels.cuh"
 }
@@ -240,7 +243,9 @@ const HostKernel* find_host_kernel(const char* name) {
       OF_TEXT(tree_contacts_vjp::novaphy, articulation_contact_vjp),
       OF_TEXT(tree_contacts_vjp::novaphy, articulation_material_clear),
       OF_TEXT(tree_contacts_vjp::novaphy, articulation_material_gradient),
+      OF_TEXT(tree_functions::novaphy, articulation_function),
       OF_TEXT(joints::novaphy, eval_fk_articulation),
+      OF_TEXT(joints::novaphy, eval_ik_joint),
 #ifdef FAKE_DRIVER_HAS_VBD
       OF_VBD(vbd_predict, false),
       OF_VBD(vbd_target, false),

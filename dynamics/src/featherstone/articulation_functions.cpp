@@ -1,55 +1,43 @@
 #include "novaphy/dynamics/featherstone/articulation_functions.h"
 
 #include <algorithm>
-#include <cmath>
-#include <iterator>
+#include <cstring>
 #include <memory>
 
+#include "articulation_functions_kernels.h"
 #include "novaphy/core/array_stamp.h"
+#include "novaphy/core/device_kernel.h"
 #include "novaphy/core/error.h"
 #include "novaphy/core/sim/for_chunks.h"
-#include "novaphy/dynamics/articulation/derivatives.h"
+#include "novaphy/core/storage.h"
 #include "novaphy/dynamics/featherstone/articulations.h"
 
 namespace novaphy {
+namespace detail {
+const char* articulation_functions_kernels_text();
+}
 namespace {
 
-using articulation::Tree;
-using articulation::Workspace;
+using Function = ArticulationFunction;
+
+const DeviceKernel& kernel() {
+  static const auto& kernel =
+      *new DeviceKernel(articulation_function, detail::articulation_functions_kernels_text);
+  return kernel;
+}
 
 // The algorithms with all that they call inlined.
-[[gnu::flatten]] void kinematics(const Tree<float>& tree, const float* q, Workspace<float>& ws) {
-  articulation::kinematics(tree, q, ws);
-  articulation::clear_wrenches(tree, ws);
-}
-[[gnu::flatten]] void inverse_dynamics(const Tree<float>& tree, const float* qd, const float* qdd,
-                                       Workspace<float>& ws, float* tau) {
-  articulation::inverse_dynamics(tree, qd, qdd, ws, tau);
-}
-[[gnu::flatten]] void mass_matrix(const Tree<float>& tree, Workspace<float>& ws) {
-  articulation::mass_matrix(tree, ws);
-}
-[[gnu::flatten]] void inverse_dynamics_derivatives(const Tree<float>& tree, const float* qd,
-                                                   const float* qdd, Workspace<float>& ws,
-                                                   articulation::DerivativeWorkspace<float>& memory,
-                                                   float* dq, float* dqd) {
-  articulation::composite_inertias(tree, ws);
-  articulation::inverse_dynamics_derivatives(tree, qd, qdd, ws, memory, dq, dqd);
+template <Function F>
+[[gnu::flatten]] void evaluate(const ArticulationFunctionArguments& a, int64_t i) {
+  ArticulationEvaluation(a, i).run<F>();
 }
 
-// Memory of one articulation at a time, which a thread keeps.
-struct Place {
-  Workspace<float> ws;
-  explicit Place(const Tree<float>& tree) {
-    static thread_local std::vector<uint64_t> memory;
-    const auto words = static_cast<size_t>(
-        articulation::workspace_bytes<float>(tree.link_count, tree.dof_count) / 8 + 1);
-    if (memory.size() < words) memory.resize(words);
-    ws = articulation::make_workspace<float>(memory.data(), tree.link_count, tree.dof_count);
-  }
-};
+// Numbers of memory for an articulation.
+size_t workspace_numbers(Function f, int32_t links, int32_t dofs) {
+  return static_cast<size_t>(function_workspace_bytes(f, links, dofs) / 16 + 1) * 4;
+}
 
-// The trees of the model that this thread asked for last.
+// The trees of the model that this thread asked for last. Results go to the host.
 const Articulations& trees_of(const Model& m, const char* function) {
   struct Last {
     uint64_t model = 0;
@@ -57,6 +45,7 @@ const Articulations& trees_of(const Model& m, const char* function) {
     std::unique_ptr<Articulations> trees = {};
   };
   static thread_local Last last;
+  if (ArrayObserver* const observer = array_observer()) observer->host_read(function);
   m.check_structure(function);
   if (last.trees != nullptr && last.model == m.id() && last.flags.matches(m.body_flags))
     return *last.trees;
@@ -67,113 +56,155 @@ const Articulations& trees_of(const Model& m, const char* function) {
   return *last.trees;
 }
 
-// What a function reads.
+// A function of the articulations of a model, where the model is.
 class Evaluation {
  public:
-  Evaluation(const Model& m, const SimState& state, const char* function)
-      : model_(m), function_(function), articulations_(trees_of(m, function)) {
+  Evaluation(const Model& m, const SimState& state, const char* name)
+      : model_(m), state_(state), name_(name), articulations_(trees_of(m, name)) {
     const auto dofs = static_cast<size_t>(m.joint_dof_count());
     const auto coords = static_cast<size_t>(m.joint_coord_count());
-    require(state.joint_q.rows() == coords && state.joint_qd.rows() == dofs, ErrorKind::Value,
-            function, ", state: expected one of the model, with ", coords, " and ", dofs,
-            " joint coordinates and velocities, got ", state.joint_q.rows(), " and ",
-            state.joint_qd.rows());
-    q_ = state.joint_q.data();
-    qd_ = state.joint_qd.data();
-    failed_.assign(static_cast<size_t>(count()), -1);
+    require(state.joint_q.rows() == coords && state.joint_qd.rows() == dofs &&
+                state.device() == m.device(),
+            ErrorKind::Value, name, ", state: expected one of the model, with ", coords, " and ",
+            dofs, " joint coordinates and velocities on ", m.device().str(), ", got ",
+            state.joint_q.rows(), " and ", state.joint_qd.rows(), " on ", state.device().str());
   }
-  int64_t count() const { return articulations_.count(); }
-  int32_t max_dofs() const { return articulations_.max_dofs(); }
-  const Model& model() const { return model_; }
-  const float* qd(const Tree<float>& tree) const { return qd_ + tree.first_dof; }
-  const float* armature(const Tree<float>& tree) const {
-    return model_.joint_armature.data() + tree.first_dof;
+  size_t count() const { return static_cast<size_t>(articulations_.count()); }
+  ArticulationMatrices matrices(int64_t rows = -1) const {
+    const int64_t n = articulations_.count(), columns = articulations_.max_dofs();
+    if (rows < 0) rows = columns;
+    return {n, rows, columns, std::vector<float>(static_cast<size_t>(n * rows * columns))};
   }
-  void check_dofs(std::span<const float> values, const char* name) const {
+  std::vector<float> dofs() const {
+    return std::vector<float>(static_cast<size_t>(model_.joint_dof_count()));
+  }
+  void give(std::span<const float> values, const char* name) {
     const auto dofs = static_cast<size_t>(model_.joint_dof_count());
-    require(values.size() == dofs, ErrorKind::Value, function_, ", ", name, ": expected ", dofs,
+    require(values.size() == dofs, ErrorKind::Value, name_, ", ", name, ": expected ", dofs,
             " numbers, one per degree of freedom, got ", values.size());
+    given_ = values;
   }
-  ArticulationMatrices matrices(int64_t rows, int64_t columns) const {
-    return {count(), rows, columns,
-            std::vector<float>(static_cast<size_t>(count() * rows * columns), 0.0f)};
+  void include_armature(bool include) { include_armature_ = include; }
+  void into(std::vector<float>& to) { results_[result_count_++] = {to.data(), to.size()}; }
+  void into(ArticulationMatrices& to) {
+    matrix_rows_ = to.rows;
+    into(to.values);
+  }
+  template <class Row>
+  void into(std::vector<Row>& to) {
+    results_[result_count_++] = {&to.data()->x, to.size() * sizeof(Row) / sizeof(float)};
   }
 
-  // body(i, tree, workspace) behind kinematics, for every articulation.
-  template <class Body>
-  void run(Body&& body) {
-    for_chunks(count(), 4, [&](int64_t begin, int64_t end, int64_t) {
-      for (int64_t i = begin; i < end; ++i) {
-        const Tree<float> tree = articulations_.tree(model_, i);
-        Place place(tree);
-        kinematics(tree, q_, place.ws);
-        body(i, tree, place.ws);
-      }
-    });
-    for (const int32_t dof : failed_)
-      if (dof >= 0)
-        fail(ErrorKind::Runtime, function_, ": ", articulations_.dof_name(model_, dof),
+  template <Function F>
+  void run() {
+    std::vector<int32_t> status(count());
+    if (model_.device().is_cpu())
+      run_on_host<F>(status);
+    else
+      launch(F, status);
+    for (const int32_t s : status)
+      if (s != 0)
+        fail(ErrorKind::Runtime, name_, ": ", articulations_.dof_name(model_, s - 1),
              ": the mass matrix is not positive definite there: expected mass or armature");
-  }
-  // M, factored; false: it is singular.
-  bool factored(int64_t i, const Tree<float>& tree, Workspace<float>& ws) {
-    mass_matrix(tree, ws);
-    for (int64_t k = 0; k < tree.dof_count; ++k)
-      ws.matrix[k * tree.dof_count + k] += armature(tree)[k];
-    const int32_t dof = articulation::factor(tree, ws.matrix);
-    if (dof >= 0) failed_[static_cast<size_t>(i)] = tree.first_dof + dof;
-    return dof < 0;
   }
 
  private:
-  const Model& model_;
-  const char* function_;
-  const Articulations& articulations_;
-  const float *q_ = nullptr, *qd_ = nullptr;
-  std::vector<int32_t> failed_;
-};
-
-// An {n, n} matrix into the i-th of {D, D}.
-void store(const float* matrix, int64_t n, ArticulationMatrices& to, int64_t i) {
-  float* target = to.values.data() + i * to.rows * to.columns;
-  for (int64_t r = 0; r < n; ++r)
-    std::copy(matrix + r * n, matrix + (r + 1) * n, target + r * to.columns);
-}
-// H of mass_matrix, both triangles.
-void store_symmetric(const Tree<float>& tree, const float* lower, const float* armature,
-                     ArticulationMatrices& to, int64_t i) {
-  const int64_t n = tree.dof_count;
-  float* target = to.values.data() + i * to.rows * to.columns;
-  for (int32_t k = 0; k < n; ++k)
-    for (int32_t j = k; j >= 0; j = tree.dof_parent[j])
-      target[k * to.columns + j] = target[j * to.columns + k] =
-          lower[k * n + j] + (j == k && armature ? armature[k] : 0.0f);
-}
-
-// qdd = M^-1 (tau - bias), and M's factor in the workspace.
-bool accelerations(Evaluation& e, int64_t i, const Tree<float>& tree, Workspace<float>& ws,
-                   const float* tau) {
-  inverse_dynamics(tree, e.qd(tree), nullptr, ws, ws.bias);
-  for (int32_t k = 0; k < tree.dof_count; ++k) ws.qdd[k] = tau[k] - ws.bias[k];
-  if (!e.factored(i, tree, ws)) return false;
-  articulation::solve(tree, ws.matrix, ws.qdd);
-  return true;
-}
-
-struct Derivatives {
-  std::vector<float> dq, dqd;
-  Derivatives(const Tree<float>& tree, const float* qd, const float* qdd, Workspace<float>& ws) {
-    const auto n = static_cast<size_t>(tree.dof_count);
-    dq.resize(n * n);
-    dqd.resize(n * n);
-    static thread_local std::vector<articulation::DofMotion<float>> motions;
-    static thread_local std::vector<articulation::MotionBias<float>> biases;
-    motions.resize(std::max(motions.size(), n));
-    biases.resize(std::max(biases.size(), static_cast<size_t>(tree.link_count)));
-    articulation::DerivativeWorkspace<float> memory{motions.data(), biases.data()};
-    inverse_dynamics(tree, qd, qdd, ws, ws.bias);
-    inverse_dynamics_derivatives(tree, qd, qdd, ws, memory, dq.data(), dqd.data());
+  template <Function F>
+  void run_on_host(std::vector<int32_t>& status) const {
+    const Model& m = model_;
+    const ArticulationFunctionArguments all = {
+        reinterpret_cast<const ArticulationRows*>(articulations_.rows().data()),
+        reinterpret_cast<const articulation::Link*>(articulations_.links().data()),
+        articulations_.dof_parent().data(),
+        m.joint_X_p.data(),
+        m.joint_X_c.data(),
+        m.joint_axis.data(),
+        m.body_mass.data(),
+        m.body_com.data(),
+        m.body_inertia.data(),
+        m.gravity.data(),
+        m.joint_armature.data(),
+        state_.joint_q.data(),
+        state_.joint_qd.data(),
+        given_.data(),
+        {results_[0].data(), results_[1].data(), results_[2].data()},
+        status.data(),
+        nullptr,
+        0,
+        static_cast<int64_t>(F),
+        include_armature_ ? 1 : 0,
+        matrix_rows_,
+        articulations_.max_dofs()};
+    const size_t numbers =
+        workspace_numbers(F, articulations_.max_links(), articulations_.max_dofs());
+    for_chunks(articulations_.count(), 4, [&](int64_t begin, int64_t end, int64_t) {
+      // Of one articulation at a time, which a thread keeps.
+      static thread_local std::vector<uint64_t> memory;
+      if (memory.size() < numbers / 2) memory.resize(numbers / 2);
+      ArticulationFunctionArguments a = all;
+      a.workspace = reinterpret_cast<float*>(memory.data());
+      for (int64_t i = begin; i < end; ++i) evaluate<F>(a, i);
+    });
   }
+  void launch(Function f, std::vector<int32_t>& status) const {
+    const Unobserved unobserved;
+    const Model& m = model_;
+    const Device device = m.device();
+    const auto value = [](const char* name, const Array& array) {
+      return reads(name, array).detached();
+    };
+    const size_t stride =
+        workspace_numbers(f, articulations_.max_links(), articulations_.max_dofs());
+    const DeviceArray<float> given = DeviceArray<float>::from_host(given_, device);
+    const DeviceArray<float> workspace(count() * stride, device);
+    const DeviceArray<int32_t> failed(count(), device);
+    DeviceArray<float> results[3];
+    LaunchArgument to[3] = {number(int64_t{0}), number(int64_t{0}), number(int64_t{0})};
+    for (size_t k = 0; k < result_count_; ++k) {
+      results[k] = DeviceArray<float>(results_[k].size(), device);
+      to[k] = writes("results", results[k]);
+    }
+    kernel().launch(device, articulations_.count(),
+                    {reads("rows", articulations_.rows()),
+                     reads("links", articulations_.links()),
+                     reads("dof_parent", articulations_.dof_parent()),
+                     value("model.joint_X_p", m.joint_X_p),
+                     value("model.joint_X_c", m.joint_X_c),
+                     value("model.joint_axis", m.joint_axis),
+                     value("model.body_mass", m.body_mass),
+                     value("model.body_com", m.body_com),
+                     value("model.body_inertia", m.body_inertia),
+                     value("model.gravity", m.gravity),
+                     value("model.joint_armature", m.joint_armature),
+                     value("state.joint_q", state_.joint_q),
+                     value("state.joint_qd", state_.joint_qd),
+                     value("given", given),
+                     to[0],
+                     to[1],
+                     to[2],
+                     writes("status", failed),
+                     writes("workspace", workspace),
+                     number(static_cast<int64_t>(stride)),
+                     number(static_cast<int64_t>(f)),
+                     number(int64_t{include_armature_}),
+                     number(matrix_rows_),
+                     number(int64_t{articulations_.max_dofs()})});
+    for (size_t k = 0; k < result_count_; ++k) {
+      const std::vector<float> values = results[k].to_host();
+      std::copy(values.begin(), values.end(), results_[k].begin());
+    }
+    status = failed.to_host();
+  }
+
+  const Model& model_;
+  const SimState& state_;
+  const char* name_;
+  const Articulations& articulations_;
+  std::span<const float> given_;
+  std::span<float> results_[3];
+  size_t result_count_ = 0;
+  bool include_armature_ = true;
+  int64_t matrix_rows_ = 0;
 };
 
 }  // namespace
@@ -181,69 +212,47 @@ struct Derivatives {
 std::vector<float> eval_inverse_dynamics(const Model& model, const SimState& state,
                                          std::span<const float> qdd) {
   Evaluation e(model, state, "eval_inverse_dynamics");
-  e.check_dofs(qdd, "qdd");
-  std::vector<float> tau(qdd.size());
-  e.run([&](int64_t, const Tree<float>& tree, Workspace<float>& ws) {
-    const float* const a = qdd.data() + tree.first_dof;
-    float* const t = tau.data() + tree.first_dof;
-    inverse_dynamics(tree, e.qd(tree), a, ws, t);
-    for (int32_t k = 0; k < tree.dof_count; ++k) t[k] += e.armature(tree)[k] * a[k];
-  });
+  e.give(qdd, "qdd");
+  std::vector<float> tau = e.dofs();
+  e.into(tau);
+  e.run<Function::InverseDynamics>();
   return tau;
 }
 
 std::vector<float> eval_bias(const Model& model, const SimState& state) {
   Evaluation e(model, state, "eval_bias");
-  std::vector<float> bias(static_cast<size_t>(model.joint_dof_count()));
-  e.run([&](int64_t, const Tree<float>& tree, Workspace<float>& ws) {
-    inverse_dynamics(tree, e.qd(tree), nullptr, ws, bias.data() + tree.first_dof);
-  });
+  std::vector<float> bias = e.dofs();
+  e.into(bias);
+  e.run<Function::Bias>();
   return bias;
 }
 
 std::vector<float> eval_forward_dynamics(const Model& model, const SimState& state,
                                          std::span<const float> tau) {
   Evaluation e(model, state, "eval_forward_dynamics");
-  e.check_dofs(tau, "tau");
-  std::vector<float> qdd(tau.size());
-  e.run([&](int64_t i, const Tree<float>& tree, Workspace<float>& ws) {
-    if (!accelerations(e, i, tree, ws, tau.data() + tree.first_dof)) return;
-    std::copy(ws.qdd, ws.qdd + tree.dof_count, qdd.data() + tree.first_dof);
-  });
+  e.give(tau, "tau");
+  std::vector<float> qdd = e.dofs();
+  e.into(qdd);
+  e.run<Function::ForwardDynamics>();
   return qdd;
 }
 
 ArticulationMatrices eval_mass_matrix(const Model& model, const SimState& state,
                                       bool include_armature) {
   Evaluation e(model, state, "eval_mass_matrix");
-  ArticulationMatrices h = e.matrices(e.max_dofs(), e.max_dofs());
-  e.run([&](int64_t i, const Tree<float>& tree, Workspace<float>& ws) {
-    mass_matrix(tree, ws);
-    store_symmetric(tree, ws.matrix, include_armature ? e.armature(tree) : nullptr, h, i);
-  });
+  e.include_armature(include_armature);
+  ArticulationMatrices h = e.matrices();
+  e.into(h);
+  e.run<Function::MassMatrix>();
   return h;
 }
 
 ArticulationMatrices eval_jacobian(const Model& model, const SimState& state) {
   Evaluation e(model, state, "eval_jacobian");
   ArticulationMatrices jacobian =
-      e.matrices(6 * static_cast<int64_t>(model.max_joints_per_articulation), e.max_dofs());
-  e.run([&](int64_t i, const Tree<float>& tree, Workspace<float>& ws) {
-    float* row = jacobian.values.data() + i * jacobian.rows * jacobian.columns;
-    for (int32_t link = 0; link < tree.link_count; ++link) {
-      if (tree.links[link].body < 0) continue;
-      for (int32_t on = link; on >= 0; on = tree.links[on].parent) {
-        const int32_t first = articulation::local_dof(tree, tree.links[on]);
-        for (int32_t k = first; k < first + tree.links[on].dofs; ++k) {
-          const SpatialVectorf m = math::motion_at(ws.axes[k], ws.links[link].com);
-          const float column[6] = {m.linear.x,  m.linear.y,  m.linear.z,
-                                   m.angular.x, m.angular.y, m.angular.z};
-          for (int64_t r = 0; r < 6; ++r) row[r * jacobian.columns + k] = column[r];
-        }
-      }
-      row += 6 * jacobian.columns;
-    }
-  });
+      e.matrices(6 * static_cast<int64_t>(model.max_joints_per_articulation));
+  e.into(jacobian);
+  e.run<Function::Jacobian>();
   return jacobian;
 }
 
@@ -251,16 +260,10 @@ InverseDynamicsDerivatives eval_inverse_dynamics_derivatives(const Model& model,
                                                              const SimState& state,
                                                              std::span<const float> qdd) {
   Evaluation e(model, state, "eval_inverse_dynamics_derivatives");
-  e.check_dofs(qdd, "qdd");
-  const ArticulationMatrices none = e.matrices(e.max_dofs(), e.max_dofs());
-  InverseDynamicsDerivatives all{none, none, none};
-  e.run([&](int64_t i, const Tree<float>& tree, Workspace<float>& ws) {
-    const Derivatives d(tree, e.qd(tree), qdd.data() + tree.first_dof, ws);
-    store(d.dq.data(), tree.dof_count, all.dtau_dq, i);
-    store(d.dqd.data(), tree.dof_count, all.dtau_dqd, i);
-    mass_matrix(tree, ws);
-    store_symmetric(tree, ws.matrix, e.armature(tree), all.mass_matrix, i);
-  });
+  e.give(qdd, "qdd");
+  InverseDynamicsDerivatives all{e.matrices(), e.matrices(), e.matrices()};
+  for (ArticulationMatrices* to : {&all.dtau_dq, &all.dtau_dqd, &all.mass_matrix}) e.into(*to);
+  e.run<Function::InverseDynamicsDerivatives>();
   return all;
 }
 
@@ -268,40 +271,28 @@ ForwardDynamicsDerivatives eval_forward_dynamics_derivatives(const Model& model,
                                                              const SimState& state,
                                                              std::span<const float> tau) {
   Evaluation e(model, state, "eval_forward_dynamics_derivatives");
-  e.check_dofs(tau, "tau");
-  const ArticulationMatrices none = e.matrices(e.max_dofs(), e.max_dofs());
-  ForwardDynamicsDerivatives all{none, none, none};
-  e.run([&](int64_t i, const Tree<float>& tree, Workspace<float>& ws) {
-    if (!accelerations(e, i, tree, ws, tau.data() + tree.first_dof)) return;
-    Derivatives d(tree, e.qd(tree), ws.qdd, ws);
-    std::vector<float> inverse(d.dq.size());
-    articulation::forward_dynamics_derivatives(tree, ws.matrix, d.dq.data(), d.dqd.data(),
-                                               inverse.data());
-    store(d.dq.data(), tree.dof_count, all.dqdd_dq, i);
-    store(d.dqd.data(), tree.dof_count, all.dqdd_dqd, i);
-    store(inverse.data(), tree.dof_count, all.inverse_mass_matrix, i);
-  });
+  e.give(tau, "tau");
+  ForwardDynamicsDerivatives all{e.matrices(), e.matrices(), e.matrices()};
+  for (ArticulationMatrices* to : {&all.dqdd_dq, &all.dqdd_dqd, &all.inverse_mass_matrix})
+    e.into(*to);
+  e.run<Function::ForwardDynamicsDerivatives>();
   return all;
 }
 
 std::vector<Vec3f> eval_center_of_mass(const Model& model, const SimState& state) {
   Evaluation e(model, state, "eval_center_of_mass");
-  std::vector<Vec3f> com(static_cast<size_t>(e.count()));
-  e.run([&](int64_t i, const Tree<float>& tree, Workspace<float>& ws) {
-    com[static_cast<size_t>(i)] = articulation::center_of_mass(tree, ws).com;
-  });
+  std::vector<Vec3f> com(e.count());
+  e.into(com);
+  e.run<Function::CenterOfMass>();
   return com;
 }
 
 std::vector<Vec2f> eval_energy(const Model& model, const SimState& state) {
   Evaluation e(model, state, "eval_energy");
-  std::vector<Vec2f> all(static_cast<size_t>(e.count()));
-  e.run([&](int64_t i, const Tree<float>& tree, Workspace<float>& ws) {
-    articulation::link_motions(tree, e.qd(tree), ws);
-    const articulation::TreeEnergy<float> energy = articulation::energy(tree, ws);
-    all[static_cast<size_t>(i)] = {energy.kinetic, energy.potential};
-  });
-  return all;
+  std::vector<Vec2f> energy(e.count());
+  e.into(energy);
+  e.run<Function::Energy>();
+  return energy;
 }
 
 }  // namespace novaphy

@@ -166,8 +166,6 @@ Articulations::Articulations(const Model& model, const char* user, For purpose) 
   const Device device = model.device();
   std::shared_ptr<const Model> copy;
   if (!device.is_cpu()) {
-    require(purpose == For::Steps, ErrorKind::NotImplemented, user,
-            ": model: expected one on the cpu, got one on ", device.str());
     const Unobserved unobserved;
     copy = model.to(Device::cpu());
   }

@@ -22,8 +22,9 @@ NOVAPHY_DYNAMICS_API void eval_fk(const Model& model, const DeviceArray<float>& 
 
 // Coordinates and rates of all joints, from body_q and body_qd. What the bodies do besides what
 // their joint allows is left out. Angles are those in [-pi, pi]: turns are not counted.
-// Errors as eval_fk; ErrorKind::NotImplemented: a model on a device; naming the joint, a D6 whose
-// axes are not perpendicular.
+// Errors as eval_fk; ErrorKind::NotImplemented, naming the joint: a D6 whose axes are not
+// perpendicular. On a device it is one launch, as eval_fk; on a tape it raises there for poses and
+// velocities that carry a gradient.
 NOVAPHY_DYNAMICS_API void eval_ik(const Model& model, const SimState& state,
                                   DeviceArray<float> joint_q, DeviceArray<float> joint_qd);
 

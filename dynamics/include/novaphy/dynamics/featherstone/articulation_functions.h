@@ -8,8 +8,10 @@
 // tangents, one column per dof. Armature is part of the mass matrix. Wrenches on bodies, drives and
 // limits take no part.
 //
-// `state`: joint_q and joint_qd are read. All throw ErrorKind::NotImplemented as Articulations
-// does, and ErrorKind::Value, naming the argument, for a state of another model or a wrong size.
+// They run where the model is, with the same bits, and wait for their results: ErrorKind::Runtime
+// inside a capture. `state`: joint_q and joint_qd are read. All throw ErrorKind::NotImplemented as
+// Articulations does, and ErrorKind::Value, naming the argument, for a state of another model or a
+// wrong size.
 #pragma once
 
 #include <span>

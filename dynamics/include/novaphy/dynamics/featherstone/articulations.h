@@ -18,11 +18,11 @@ namespace novaphy {
 // once, when it is made; everything else at every use.
 class NOVAPHY_DYNAMICS_API Articulations {
  public:
-  // Steps: also on devices, and of kinematic bodies.
+  // Steps: also of kinematic bodies.
   enum class For { Functions, Steps };
-  // `user` starts the messages. ErrorKind::NotImplemented: a model on another device than the cpu,
-  // unless it is for steps; a joint that belongs to no articulation, a DISTANCE joint, a kinematic
-  // body (of steps: one whose joint is not FREE or FIXED to the world). ErrorKind::Value:
+  // `user` starts the messages. ErrorKind::NotImplemented: a joint that belongs to no articulation,
+  // a DISTANCE joint, a kinematic body (of steps: one whose joint is not FREE or FIXED to the
+  // world). ErrorKind::Value:
   // Model::check_structure.
   Articulations(const Model& model, const char* user, For purpose = For::Functions);
 

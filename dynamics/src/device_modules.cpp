@@ -5,6 +5,7 @@ namespace detail {
 const char* articulation_contact_kernels_text();
 const char* articulation_contact_vjp_kernels_text();
 const char* articulation_functions_kernels_text();
+const char* articulation_jvp_kernels_text();
 const char* articulation_kernels_text();
 const char* joint_coordinates_kernels_text();
 }  // namespace detail
@@ -14,8 +15,8 @@ std::vector<std::string> dynamics_device_modules() {
   for (const char* text :
        {detail::articulation_contact_kernels_text(),
         detail::articulation_contact_vjp_kernels_text(),
-        detail::articulation_functions_kernels_text(), detail::articulation_kernels_text(),
-        detail::joint_coordinates_kernels_text()})
+        detail::articulation_functions_kernels_text(), detail::articulation_jvp_kernels_text(),
+        detail::articulation_kernels_text(), detail::joint_coordinates_kernels_text()})
     if (text != nullptr) modules.emplace_back(text);
   return modules;
 }

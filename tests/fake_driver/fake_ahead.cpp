@@ -18,6 +18,7 @@ const char* contact_body_kernels_text();
 const char* articulation_contact_kernels_text();
 const char* articulation_contact_vjp_kernels_text();
 const char* articulation_functions_kernels_text();
+const char* articulation_jvp_kernels_text();
 const char* articulation_kernels_text();
 const char* joint_coordinates_kernels_text();
 #ifdef FAKE_DRIVER_HAS_VBD
@@ -41,6 +42,7 @@ AheadData ahead_data() {
         detail::articulation_contact_kernels_text,
         detail::articulation_contact_vjp_kernels_text,
         detail::articulation_functions_kernels_text,
+        detail::articulation_jvp_kernels_text,
         detail::articulation_kernels_text,
         detail::joint_coordinates_kernels_text,
 #ifdef FAKE_DRIVER_HAS_VBD

@@ -2,6 +2,7 @@
 // or on the fake driver (CMakeLists.txt).
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <cmath>
 #include <functional>
 #include <limits>
@@ -216,21 +217,73 @@ TEST_F(ArticulationDevices, RolloutsAndGradientsHaveTheBitsOfTheCpu) {
   expect_same(trained(Device::cuda(), false, 4), expected, ", from checkpoints");
 }
 
-TEST_F(ArticulationDevices, WhatHasNoGradientThereIsRefusedByName) {
-  constexpr auto kNot = ErrorKind::NotImplemented;
+// Tangents of the last state of a rollout, along one direction of all that has any.
+Result tangents(Device device, bool captured, int32_t checkpoint) {
+  using namespace diff;
+  const auto model = AllJointsScene::make().finalize(device, {.requires_grad = true});
+  DiffFeatherstoneSolver solver(model);
+  constexpr int32_t kSteps = 6;
+  Trajectory trajectory(model, kSteps, true, checkpoint);
+  Control control = model->control();
+  const SimState &start = trajectory.state(0), &last = trajectory.any_state(kSteps);
+  const std::vector<nova::Tensor> leaves = {state_joint_q_tensor(start, true),
+                                            state_joint_qd_tensor(start, true),
+                                            state_body_f_tensor(start, true),
+                                            control_joint_f_tensor(control, true),
+                                            control_joint_target_q_tensor(control, true),
+                                            control_joint_target_qd_tensor(control, true),
+                                            model_joint_target_ke_tensor(*model, true),
+                                            model_joint_target_kd_tensor(*model, true),
+                                            model_joint_damping_tensor(*model, true),
+                                            model_body_mass_tensor(*model, true),
+                                            model_body_com_tensor(*model, true),
+                                            model_body_inertia_tensor(*model, true),
+                                            model_gravity_tensor(*model, true)};
+  std::vector<nova::Tensor> along;
+  for (const nova::Tensor& leaf : leaves) {
+    nova::Tensor to(leaf.shape(), nova::DType::F32, device);
+    std::vector<float> x(static_cast<size_t>(leaf.size()));
+    for (size_t k = 0; k < x.size(); ++k) x[k] = 0.1f * static_cast<float>(k % 7) - 0.25f;
+    to.copy_from_host(x.data(), x.size() * sizeof(float));
+    along.push_back(to);
+  }
+  std::vector<nova::Tensor> found;
+  nova::ScopedCapture scope;
+  if (!captured) scope.end();
+  {
+    nova::Tape tape;
+    const nova::TapeScope on_tape(tape);
+    solver.rollout(trajectory, &control, nullptr, kDt);
+    found = tape.jvp({state_joint_q_tensor(last), state_joint_qd_tensor(last),
+                      state_body_q_tensor(last), state_body_qd_tensor(last)},
+                     leaves, along);
+  }
+  scope.end();
+  if (captured) scope.graph()->launch();
+  Result result;
+  add(result, last, "last");
+  for (const nova::Tensor& tangent : found) {
+    const std::vector<float> values = tangent.to_host();
+    float most = 0.0f;
+    for (const float x : values) most = std::max(most, std::abs(x));
+    EXPECT_GT(most, 0.01f);
+    result.emplace_back("tangent", bytes(values));
+  }
+  return result;
+}
+
+TEST_F(ArticulationDevices, TangentsHaveTheBitsOfTheCpu) {
+  const Result direct = tangents(Device::cuda(), false, 1);
+  const Result expected = tangents(Device::cpu(), false, 1);
+  expect_same(direct, expected, ", direct");
+  expect_same(tangents(Device::cuda(), true, 1), expected, ", replayed");
+  expect_same(tangents(Device::cuda(), false, 3), expected, ", from checkpoints");
+}
+
+TEST_F(ArticulationDevices, AFailedStepOnATapeIsNamed) {
   const auto model = AllJointsScene::make().finalize(Device::cuda(), {.requires_grad = true});
   diff::DiffFeatherstoneSolver solver(model);
   SimState a = model->state(), b = model->state();
-  const nova::Tensor qd = diff::state_joint_qd_tensor(a, true);
-  nova::Tape tape;
-  {
-    const nova::TapeScope scope(tape);
-    solver.step(a, b, nullptr, nullptr, kDt);
-  }
-  const nova::Tensor end = diff::state_joint_qd_tensor(b);
-  expect_thrown(kNot, "forward derivatives are there on the cpu", [&] {
-    tape.jvp({end}, {qd}, {nova::Tensor(qd.shape(), nova::DType::F32, Device::cuda())});
-  });
   std::vector<float> bad = model->joint_qd.to_host();
   bad[7] = std::numeric_limits<float>::infinity();
   a.joint_qd.copy_from_host(std::span<const float>(bad));

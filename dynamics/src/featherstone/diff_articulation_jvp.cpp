@@ -1,5 +1,5 @@
-// The tangent of a step of articulations, by dual numbers on the host.
-#include "diff_articulation_parts.h"
+// The tangent of a step of articulations, by dual numbers; on the host.
+#include "diff_articulation_duals.h"
 #include "novaphy/nova/host_work.h"
 
 namespace novaphy::diff::detail {
@@ -7,23 +7,17 @@ namespace {
 
 class DualArrays {
  public:
-  using D = articulation::Dual<float>;
   // `tangent` undefined: zero.
-  template <class T>
-  const T* take(const Tensor& values, const Tensor& tangent) {
-    std::vector<D>& to = arrays_.emplace_back(static_cast<size_t>(values.size()));
+  DualFloat* take(const Tensor& values, const Tensor& tangent) {
+    std::vector<DualFloat>& to = arrays_.emplace_back(static_cast<size_t>(values.size()));
     const float* x = values.data<float>();
     const float* t = tangent.defined() ? tangent.data<float>() : nullptr;
     for (size_t i = 0; i < to.size(); ++i) to[i] = {x[i], t ? t[i] : 0.0f};
-    return reinterpret_cast<const T*>(to.data());
-  }
-  template <class T>
-  T* make(const Tensor& like) {
-    return const_cast<T*>(take<T>(like, {}));
+    return to.data();
   }
 
  private:
-  std::vector<std::vector<D>> arrays_;
+  std::vector<std::vector<DualFloat>> arrays_;
 };
 
 void write_tangent(const Tensor& to, const articulation::Dual<float>* values) {
@@ -34,59 +28,35 @@ void write_tangent(const Tensor& to, const articulation::Dual<float>* values) {
 
 void run_jvp(const Step& s, const StepOutputs* from, const StepOutputs& to,
              std::span<const Tensor> t, std::span<const Tensor> tangents) {
-  using D = articulation::Dual<float>;
   DualArrays duals;
-  const auto in = [&](G::Member m) { return duals.take<D>(s.in(m), t[m]); };
-  const auto* target_mode = s.values[6].tensor.data<int32_t>();
-  const articulation::StepInputs<D> inputs = {
-      duals.take<D>(from ? (*from)[0] : s.in(G::kQ), t[G::kQ]),
-      duals.take<D>(from ? (*from)[1] : s.in(G::kQd), t[G::kQd]),
-      in(G::kJointF),
-      duals.take<SpatialVector<D>>(s.in(G::kBodyF), t[G::kBodyF]),
-      {target_mode, in(G::kTargetQ), in(G::kTargetQd), in(G::kTargetKe), in(G::kTargetKd),
-       in(G::kDamping), in(G::kArmature), in(G::kLimitLower), in(G::kLimitUpper), in(G::kLimitKe),
-       in(G::kLimitKd), in(G::kEffortLimit), in(G::kVelocityLimit)}};
-  articulation::Tree<D> tree;
-  tree.X_p = duals.take<Transform<D>>(s.values[3].tensor, {});
-  tree.X_c = duals.take<Transform<D>>(s.values[4].tensor, {});
-  tree.axis = duals.take<Vec3<D>>(s.values[5].tensor, {});
-  tree.mass = in(G::kMass);
-  tree.com = duals.take<Vec3<D>>(s.in(G::kCom), t[G::kCom]);
-  tree.inertia = duals.take<Mat33<D>>(s.in(G::kInertia), t[G::kInertia]);
-  const auto* gravity = duals.take<Vec3<D>>(s.in(kGravity), t[kGravity]);
-  D* const q = duals.make<D>(to[0]);
-  D* const qd = duals.make<D>(to[1]);
-  auto* const body_q = duals.make<Transform<D>>(to[2]);
-  auto* const body_qd = duals.make<SpatialVector<D>>(to[3]);
-  const articulation::StepOptions<D> options = {D(s.dt), D(s.options.angular_damping),
-                                                s.options.implicit_drives};
-  const auto* rows = reinterpret_cast<const ArticulationRows*>(s.values[0].tensor.data<int32_t>());
-  const auto* links =
-      reinterpret_cast<const articulation::Link*>(s.values[1].tensor.data<int32_t>());
+  const auto take = [&](const Tensor& values, const Tensor& tangent) {
+    return duals.take(values, tangent);
+  };
+  const ArticulationArgumentsOf<DualFloat> a = dual_arguments(s, from, t, take);
+  const articulation::StepInputs<DualFloat> inputs = articulation_inputs(a);
+  const articulation::StepOptions<DualFloat> options = articulation_options(a);
+  DualFloat* const q = take(to[0], {});
+  DualFloat* const qd = take(to[1], {});
+  auto* const body_q = reinterpret_cast<Transform<DualFloat>*>(take(to[2], {}));
+  auto* const body_qd = reinterpret_cast<SpatialVector<DualFloat>*>(take(to[3], {}));
   const auto count = static_cast<size_t>(s.count);
   std::vector<std::vector<uint64_t>> memory(count);
-  std::vector<articulation::Tree<D>> all(count, tree);
-  std::vector<articulation::Workspace<D>> workspaces(count);
+  std::vector<articulation::Tree<DualFloat>> all;
+  std::vector<articulation::Workspace<DualFloat>> workspaces(count);
   std::vector<char> moves(count);
   for (size_t i = 0; i < count; ++i) {
-    articulation::Tree<D>& of = all[i];
-    of.link_count = rows[i].link_count;
-    of.dof_count = rows[i].dof_count;
-    of.links = links + rows[i].first_link;
-    of.dof_parent = s.values[2].tensor.data<int32_t>() + rows[i].first_dof;
-    of.first_dof = rows[i].first_dof;
-    of.gravity = gravity[rows[i].world];
-    of.followers = rows[i].followers;
-    memory[i].resize(
-        static_cast<size_t>(articulation::workspace_bytes<D>(of.link_count, of.dof_count) / 8 + 1));
-    workspaces[i] = articulation::make_workspace<D>(memory[i].data(), of.link_count, of.dof_count);
+    const articulation::Tree<DualFloat>& of = all.emplace_back(articulation_tree(a, a.rows[i]));
+    memory[i].resize(static_cast<size_t>(
+        articulation::workspace_bytes<DualFloat>(of.link_count, of.dof_count) / 8 + 1));
+    workspaces[i] =
+        articulation::make_workspace<DualFloat>(memory[i].data(), of.link_count, of.dof_count);
     moves[i] = articulation::accelerate(of, inputs, options, workspaces[i]) < 0;
     if (moves[i]) articulation::free_rates(of, inputs, options, workspaces[i]);
   }
   const bool all_move = std::all_of(moves.begin(), moves.end(), [](char m) { return m != 0; });
   if (all_move && (prepare_contacts(s) || t[kJointFriction].defined())) {
     const auto of = [&](size_t i) {
-      return s.in(i).defined() ? duals.take<D>(s.in(i), i < t.size() ? t[i] : Tensor()) : nullptr;
+      return s.in(i).defined() ? take(s.in(i), i < t.size() ? t[i] : Tensor()) : nullptr;
     };
     const ContactDuals more = {of(kJointFriction), of(kMu), of(kRestitution), of(kStiffness),
                                of(kDamping)};
@@ -130,6 +100,7 @@ void run_jvp_of_steps(const Step& s, std::span<const Tensor> t, std::span<const 
 
 void submit_jvp(const std::shared_ptr<const Step>& step, std::span<const Tensor> inputs,
                 std::span<const Tensor> outputs) {
+  if (!step->shared->device.is_cpu()) return launch_jvp(*step, inputs, outputs);
   if (!nova::current_capture()) return run_jvp_of_steps(*step, inputs, outputs);
   const std::vector<Tensor> t(inputs.begin(), inputs.end()), out(outputs.begin(), outputs.end());
   std::vector<Tensor> reads = reads_of(*step);

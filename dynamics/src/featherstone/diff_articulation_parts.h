@@ -171,6 +171,7 @@ struct ArticulationStep::Shared {
   UnreadMaterials materials;
   std::vector<float> between;   // gradients of states between the steps of an operation
   DeviceArray<float> wrenches;  // gradients of body_f, where gravity's is asked for
+  DeviceArray<float> duals;     // of tangents on devices
   std::string failure;          // of a replay
   bool dry = false;             // joints have dry friction, or its gradient is asked for
 };

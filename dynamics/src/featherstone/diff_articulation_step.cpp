@@ -39,9 +39,6 @@ nova::CustomOp make_op(const std::shared_ptr<const Step>& step) {
   };
   op.forward = [step] { run_all(step); };
   op.jvp = [step](std::span<const Tensor> inputs, std::span<const Tensor> outputs) {
-    require(step->shared->device.is_cpu(), ErrorKind::NotImplemented,
-            "articulation_step: forward derivatives are there on the cpu, got ",
-            step->shared->device.str());
     submit_jvp(step, inputs, outputs);
   };
   return op;

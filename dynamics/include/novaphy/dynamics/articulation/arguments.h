@@ -15,28 +15,31 @@ struct ArticulationRows {
 };
 
 // What a step reads. The arrays of a model, state and control; rows, links and dof_parent are those
-// of Articulations.
-struct ArticulationArguments {
+// of Articulations. With dual numbers as T, copies of them with their tangents.
+template <class T>
+struct ArticulationArgumentsOf {
   const ArticulationRows* rows;
   const articulation::Link* links;
   const int32_t* dof_parent;
-  const Transformf *X_p, *X_c;
-  const Vec3f* axis;
-  const float* mass;
-  const Vec3f* com;
-  const Mat33f* inertia;
-  const Vec3f* gravity;
+  const Transform<T>*X_p, *X_c;
+  const Vec3<T>* axis;
+  const T* mass;
+  const Vec3<T>* com;
+  const Mat33<T>* inertia;
+  const Vec3<T>* gravity;
   const int32_t* target_mode;
-  const float *target_q, *target_qd, *target_ke, *target_kd, *damping, *armature, *limit_lower,
+  const T *target_q, *target_qd, *target_ke, *target_kd, *damping, *armature, *limit_lower,
       *limit_upper, *limit_ke, *limit_kd, *effort_limit, *velocity_limit, *q, *qd, *joint_f;
-  const SpatialVectorf* body_f;
+  const SpatialVector<T>* body_f;
   FloatWord dt, angular_damping;
   int64_t implicit_drives;
 };
+using ArticulationArguments = ArticulationArgumentsOf<float>;
 inline constexpr int kArticulationWords = 30;
 
-inline articulation::Tree<float> articulation_tree(const ArticulationArguments& a,
-                                                   const ArticulationRows& rows) {
+template <class T>
+articulation::Tree<T> articulation_tree(const ArticulationArgumentsOf<T>& a,
+                                        const ArticulationRows& rows) {
   return {rows.link_count,
           rows.dof_count,
           a.links + rows.first_link,
@@ -51,7 +54,8 @@ inline articulation::Tree<float> articulation_tree(const ArticulationArguments& 
           a.gravity[rows.world],
           rows.followers};
 }
-inline articulation::StepInputs<float> articulation_inputs(const ArticulationArguments& a) {
+template <class T>
+articulation::StepInputs<T> articulation_inputs(const ArticulationArgumentsOf<T>& a) {
   return {a.q,
           a.qd,
           a.joint_f,
@@ -59,8 +63,9 @@ inline articulation::StepInputs<float> articulation_inputs(const ArticulationArg
           {a.target_mode, a.target_q, a.target_qd, a.target_ke, a.target_kd, a.damping, a.armature,
            a.limit_lower, a.limit_upper, a.limit_ke, a.limit_kd, a.effort_limit, a.velocity_limit}};
 }
-inline articulation::StepOptions<float> articulation_options(const ArticulationArguments& a) {
-  return {a.dt.value, a.angular_damping.value, a.implicit_drives != 0};
+template <class T>
+articulation::StepOptions<T> articulation_options(const ArticulationArgumentsOf<T>& a) {
+  return {T(a.dt.value), T(a.angular_damping.value), a.implicit_drives != 0};
 }
 
 struct ArticulationStepArguments {

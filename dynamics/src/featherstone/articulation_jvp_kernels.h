@@ -1,0 +1,50 @@
+// The tangent of a step of articulations without contacts and dry friction, for devices: the step's
+// text with dual numbers (articulation/dual.h), in copies of the arrays.
+//
+//   dual_pack              numbers and their tangents as dual numbers
+//   articulation_step_jvp  the step, a row per articulation
+//   dual_tangent           tangents of dual numbers
+#pragma once
+
+#include "novaphy/core/row_kernel.h"
+#include "novaphy/dynamics/articulation/arguments.h"
+#include "novaphy/dynamics/articulation/dual.h"
+
+namespace novaphy {
+
+using DualFloat = articulation::Dual<float>;
+
+struct DualPackArguments {
+  const float *values, *tangents;  // tangents null: 0
+  DualFloat* to;
+};
+NOVAPHY_ROW_KERNEL(dual_pack, 3, DualPackArguments) {
+  a.to[row] = DualFloat(a.values[row], a.tangents != nullptr ? a.tangents[row] : 0.0f);
+}
+
+struct DualTangentArguments {
+  const DualFloat* from;
+  float* to;
+};
+NOVAPHY_ROW_KERNEL(dual_tangent, 2, DualTangentArguments) { a.to[row] = a.from[row].tangent; }
+
+struct ArticulationJvpArguments {
+  ArticulationArgumentsOf<DualFloat> in;
+  DualFloat *q_next, *qd_next;  // what they were stays where a step fails
+  Transform<DualFloat>* body_q;
+  SpatialVector<DualFloat>* body_qd;
+  float* workspace;
+  int64_t stride;  // numbers of it for an articulation
+};
+NOVAPHY_ROW_KERNEL(articulation_step_jvp, 36, ArticulationJvpArguments) {
+  const ArticulationRows& rows = a.in.rows[row];
+  const articulation::Tree<DualFloat> tree = articulation_tree(a.in, rows);
+  const articulation::StepInputs<DualFloat> in = articulation_inputs(a.in);
+  const articulation::StepOptions<DualFloat> options = articulation_options(a.in);
+  articulation::Workspace<DualFloat> ws = articulation::make_workspace<DualFloat>(
+      a.workspace + row * a.stride, rows.link_count, rows.dof_count);
+  if (articulation::forward_step(tree, in, options, ws) >= 0) return;
+  articulation::finish_step(tree, in, options, ws, a.q_next, a.qd_next, a.body_q, a.body_qd);
+}
+
+}  // namespace novaphy

@@ -1,0 +1,23 @@
+// The kernels of tangents of steps of articulations on devices.
+#pragma once
+
+#include "articulation_jvp_kernels.h"
+#include "novaphy/core/device_kernel.h"
+
+namespace novaphy {
+namespace detail {
+const char* articulation_jvp_kernels_text();
+}  // namespace detail
+
+struct TangentKernels {
+  DeviceKernel pack{dual_pack, detail::articulation_jvp_kernels_text};
+  DeviceKernel step{articulation_step_jvp, detail::articulation_jvp_kernels_text};
+  DeviceKernel tangent{dual_tangent, detail::articulation_jvp_kernels_text};
+};
+// Never destroyed: recordings refer to them.
+inline const TangentKernels& tangent_kernels() {
+  static const auto& all = *new TangentKernels;
+  return all;
+}
+
+}  // namespace novaphy

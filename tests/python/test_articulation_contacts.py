@@ -236,6 +236,44 @@ def test_a_gripper_lifts_a_box() -> None:
     assert np.abs(pose[:2]).max() < 5e-3
 
 
+def test_an_effort_limit_is_decided_without_contacts() -> None:
+    """A light finger on a rail that a wall blocks presses with more than its limit, up to
+    limit (1 + (dt kd + dt^2 ke) / m), and from there on with its limit."""
+    ke, kd, mass, limit, dt = 2000.0, 100.0, 0.1, 20.0, 1 / 500
+    most = limit * (1 + (dt * kd + dt * dt * ke) / mass)
+    assert most == pytest.approx(61.6)
+
+    def pressed(depth: float) -> float:
+        builder = novaphy.ModelBuilder(gravity=0.0)
+        surface = novaphy.ShapeConfig(mu=0.0)
+        finger = builder.add_link(mass=mass, inertia=np.eye(3) * 1e-3, lock_inertia=True)
+        builder.add_shape_sphere(finger, radius=0.05, cfg=surface)
+        builder.add_shape_box(
+            -1, xform=((0.15, 0, 0), UPRIGHT), hx=0.1, hy=0.1, hz=0.1, cfg=surface
+        )
+        rail = builder.add_joint_prismatic(
+            -1, finger, axis=(1.0, 0.0, 0.0), target_ke=ke, target_kd=kd, effort_limit=limit
+        )
+        builder.add_articulation([rail])
+        model = builder.finalize()
+        solver = novaphy.solvers.SolverFeatherstone(model)
+        pipeline = novaphy.CollisionPipeline(model)
+        contacts, control = pipeline.contacts(), model.control()
+        state, after = model.state(), model.state()
+        for _ in range(100):
+            control.joint_target_q.assign(state.joint_q.numpy() + np.float32(depth))
+            pipeline.collide(state, contacts)
+            solver.step(state, after, control, contacts, dt)
+            state, after = after, state
+        assert abs(state.joint_qd.numpy()[0]) < 1e-4
+        return float(np.linalg.norm(contacts.rigid_contact_force.numpy()[0]))
+
+    for force in (10.0, 30.0, 0.98 * most):
+        assert pressed(force / ke) == pytest.approx(force, rel=1e-3)
+    for force in (1.02 * most, 200.0):
+        assert pressed(force / ke) == pytest.approx(limit, rel=1e-3)
+
+
 def test_dry_friction_holds_a_joint_and_slows_it_down() -> None:
     def hinge(friction: float, torque: float) -> novaphy.ModelBuilder:
         builder = novaphy.ModelBuilder(gravity=0.0)

@@ -21,17 +21,16 @@ namespace {
 struct Kernels {
   DeviceKernel fk{eval_fk_articulation, detail::joint_coordinates_kernels_text};
   DeviceKernel ik{eval_ik_joint, detail::joint_coordinates_kernels_text};
+  DeviceKernel mimic{eval_mimic_joint, detail::joint_coordinates_kernels_text};
 };
 const Kernels& kernels() {
   static const auto& all = *new Kernels;
   return all;
 }
 
-void check_arguments(const char* name, const Model& m, const SimState& state,
-                     const DeviceArray<float>& q, const DeviceArray<float>& qd) {
+void check_coordinates(const char* name, const Model& m, const DeviceArray<float>& q,
+                       const DeviceArray<float>& qd) {
   m.check_structure(name);
-  require(state.model_id() == m.id(), ErrorKind::Value, name,
-          ": state: expected one of the model, got one of another model");
   const auto check = [&](const char* argument, const DeviceArray<float>& array, int32_t rows) {
     require(array.rows() == static_cast<size_t>(rows) && array.width() == 1 &&
                 (rows == 0 || array.device() == m.device()),
@@ -40,6 +39,17 @@ void check_arguments(const char* name, const Model& m, const SimState& state,
   };
   check("joint_q", q, m.joint_coord_count());
   check("joint_qd", qd, m.joint_dof_count());
+}
+void check_arguments(const char* name, const Model& m, const SimState& state,
+                     const DeviceArray<float>& q, const DeviceArray<float>& qd) {
+  require(state.model_id() == m.id(), ErrorKind::Value, name,
+          ": state: expected one of the model, got one of another model");
+  check_coordinates(name, m, q, qd);
+}
+// What a launch on the cpu is for tapes and captures; on devices it is recorded.
+void check_recorders(const char* name, const Model& m) {
+  if (!m.device().is_cpu()) return;
+  if (ArrayObserver* observer = array_observer()) observer->untracked_operation(name);
 }
 
 // On the host.
@@ -105,9 +115,7 @@ void launch(const DeviceKernel& kernel, const Model& m, int64_t rows,
 void eval_fk(const Model& m, const DeviceArray<float>& joint_q, const DeviceArray<float>& joint_qd,
              SimState& state) {
   constexpr const char* kName = "eval_fk";
-  if (m.device().is_cpu()) {
-    if (ArrayObserver* observer = array_observer()) observer->untracked_operation(kName);
-  }
+  check_recorders(kName, m);
   check_arguments(kName, m, state, joint_q, joint_qd);
   if (m.device().is_cpu()) check_quaternions(m, joint_q.data());
   DeviceArray<float> places;  // rows of BodyPlace
@@ -126,9 +134,7 @@ void eval_fk(const Model& m, const DeviceArray<float>& joint_q, const DeviceArra
 void eval_ik(const Model& m, const SimState& state, DeviceArray<float> joint_q,
              DeviceArray<float> joint_qd) {
   constexpr const char* kName = "eval_ik";
-  if (m.device().is_cpu()) {
-    if (ArrayObserver* observer = array_observer()) observer->untracked_operation(kName);
-  }
+  check_recorders(kName, m);
   check_arguments(kName, m, state, joint_q, joint_qd);
   {
     const Unobserved unobserved;
@@ -138,6 +144,18 @@ void eval_ik(const Model& m, const SimState& state, DeviceArray<float> joint_q,
   launch(kernels().ik, m, m.joint_count(),
          {reads("state.body_q", state.body_q), reads("state.body_qd", state.body_qd),
           writes("joint_q", joint_q), writes("joint_qd", joint_qd)});
+}
+
+void eval_mimic(const Model& m, DeviceArray<float> joint_q, DeviceArray<float> joint_qd) {
+  constexpr const char* kName = "eval_mimic";
+  check_recorders(kName, m);
+  check_coordinates(kName, m, joint_q, joint_qd);
+  kernels().mimic.launch(
+      m.device(), m.joint_count(),
+      {reads("model.joint_mimic", m.joint_mimic), reads("model.joint_q_start", m.joint_q_start),
+       reads("model.joint_qd_start", m.joint_qd_start),
+       reads("model.joint_mimic_coef", m.joint_mimic_coef), updates("joint_q", joint_q),
+       updates("joint_qd", joint_qd)});
 }
 
 }  // namespace novaphy

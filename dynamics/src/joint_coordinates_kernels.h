@@ -1,6 +1,6 @@
 // eval_fk, a row per articulation: articulation/kinematics.h over the arrays of models and states,
 // so that bodies are where a step of articulations would have them, to the bit. eval_ik, a row per
-// joint: joint_kinematics_trace.h.
+// joint: joint_kinematics_trace.h. eval_mimic, a row per joint: q0 = coef0 + coef1 q1.
 #pragma once
 
 #include "novaphy/core/row_kernel.h"
@@ -120,6 +120,26 @@ NOVAPHY_ROW_KERNEL(eval_ik_joint, 14, EvalIkArguments) {
   const float twist[] = {v.x, v.y, v.z, w.x, w.y, w.z};
   for (int k = 0; k < 7; ++k) c[k] = pose[k];
   for (int k = 0; k < 6; ++k) rate[k] = twist[k];
+}
+
+struct EvalMimicArguments {
+  const int32_t *leader, *q_start, *qd_start;
+  const Vec2f* coefs;
+  float *q, *qd;
+};
+// A follower takes the joint that its leaders follow in the end, which nobody writes.
+NOVAPHY_ROW_KERNEL(eval_mimic_joint, 6, EvalMimicArguments) {
+  const int32_t joint = static_cast<int32_t>(row);
+  int32_t leader = joint;
+  double offset = 0.0, multiplier = 1.0;
+  for (; a.leader[leader] >= 0; leader = a.leader[leader]) {
+    offset += multiplier * a.coefs[leader].x;
+    multiplier *= a.coefs[leader].y;
+  }
+  if (leader == joint) return;
+  const float by = static_cast<float>(multiplier);
+  a.q[a.q_start[joint]] = by * a.q[a.q_start[leader]] + static_cast<float>(offset);
+  a.qd[a.qd_start[joint]] = by * a.qd[a.qd_start[leader]];
 }
 
 }  // namespace novaphy

@@ -119,7 +119,18 @@ void bind_dynamics(py::module_& m, py::module_& solvers) {
       "Writes body_q and body_qd of the state: poses and velocities of the children of all joints "
       "of articulations, from joint_q {coordinates} and joint_qd {degrees of freedom}. Other "
       "bodies stay. Quaternions are made unit. No gradient: on a tape it raises. ValueError: wrong "
-      "rows, a state of another model, a quaternion of length 0 (on a device that gives NaN).");
+      "rows, a state of another model, a quaternion of length 0 (on a device that gives NaN). "
+      "Joints that follow others stand where joint_q has them: see eval_mimic.");
+  m.def(
+      "eval_mimic",
+      [](const Model& model, const Array& joint_q, const Array& joint_qd) {
+        eval_mimic(model, DeviceArray<float>(joint_q), DeviceArray<float>(joint_qd));
+      },
+      "model"_a, "joint_q"_a, "joint_qd"_a,
+      "Writes the coordinates and rates of joints that follow others (add_constraint_mimic) from "
+      "those of their leaders, in joint_q {coordinates} and joint_qd {degrees of freedom}, as a "
+      "step does: after you have written the leaders'. No gradient: on a tape it raises. "
+      "ValueError: wrong rows.");
   m.def(
       "eval_ik",
       [](const Model& model, const SimState& state, const Array& joint_q, const Array& joint_qd) {

@@ -63,7 +63,8 @@ void bind_functions(py::module_& m) {
         return to_array(unlocked([&] { return eval_bias(model, state); }));
       },
       "model"_a, "state"_a,
-      "The forces of gravity and of velocities {dofs}: eval_inverse_dynamics at qdd = 0.");
+      "The forces of gravity and of velocities {dofs}: eval_inverse_dynamics at qdd = 0. Of the "
+      "free tree where joints follow others.");
   m.def(
       "eval_forward_dynamics",
       [](const Model& model, const SimState& state, py::handle tau) {
@@ -80,7 +81,8 @@ void bind_functions(py::module_& m) {
         return to_array(unlocked([&] { return eval_mass_matrix(model, state, include_armature); }));
       },
       "model"_a, "state"_a, "include_armature"_a = true,
-      "{articulations, D, D}, D the most dofs of one; padded with 0.");
+      "{articulations, D, D}, D the most dofs of one; padded with 0. Of the free tree where joints "
+      "follow others: T^T M T, qd = T qd_reduced, is that of the joined one.");
   m.def(
       "eval_jacobian",
       [](const Model& model, const SimState& state) {

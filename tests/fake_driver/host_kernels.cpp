@@ -252,6 +252,7 @@ const HostKernel* find_host_kernel(const char* name) {
       OF_TEXT(tree_tangents::novaphy, articulation_step_jvp),
       OF_TEXT(joints::novaphy, eval_fk_articulation),
       OF_TEXT(joints::novaphy, eval_ik_joint),
+      OF_TEXT(joints::novaphy, eval_mimic_joint),
 #ifdef FAKE_DRIVER_HAS_VBD
       OF_VBD(vbd_predict, false),
       OF_VBD(vbd_target, false),

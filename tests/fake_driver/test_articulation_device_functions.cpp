@@ -130,6 +130,26 @@ TEST_F(ArticulationDevices, WhatFunctionsCannotDoThereIsRefusedByName) {
                 [&] { FeatherstoneAnalyticControlSensitivity(one, {}); });
 }
 
+TEST_F(ArticulationDevices, FollowersAreWrittenWithTheBitsOfTheCpu) {
+  const ModelBuilder builder = trees();
+  const auto run = [&](Device device, bool captured) {
+    const auto model = builder.finalize(device);
+    SimState state = model->state();
+    std::vector<float> q = state.joint_q.to_host();
+    const float before = q.back();
+    for (float& x : q) x += 0.3f;
+    state.joint_q.copy_from_host(std::span<const float>(q));
+    testing::replayed_if(captured, [&] { eval_mimic(*model, state.joint_q, state.joint_qd); })();
+    const std::vector<float> got = state.joint_q.to_host();
+    EXPECT_NEAR(got.back(), 0.7f * (q[q.size() - 2]), 1e-6f);
+    EXPECT_NE(got.back(), before);
+    return Result{{"joint_q", bytes(got)}, {"joint_qd", bytes(state.joint_qd.to_host())}};
+  };
+  const Result expected = run(Device::cpu(), false);
+  for (const bool captured : {false, true})
+    expect_same(run(Device::cuda(), captured), expected, captured ? ", replayed" : "");
+}
+
 TEST_F(ArticulationDevices, InverseKinematicsHasTheBitsOfTheCpuDirectAndReplayed) {
   ModelBuilder builder;
   const BodyArgs body = {.com = {0.1f, -0.05f, 0.2f},

@@ -467,3 +467,43 @@ def test_followers_on_a_device_have_the_bits_of_the_cpu():
     for on_cpu, on_device in zip(*found, strict=True):
         np.testing.assert_array_equal(on_cpu, on_device)
     assert np.abs(found[0][3]).max() > 0.0
+
+
+def test_followers_are_written_from_their_leaders() -> None:
+    model = tree(worlds=2).finalize()
+    state, after = model.state(), model.state()
+    q, qd = state.joint_q.numpy(), state.joint_qd.numpy()
+    rng = np.random.default_rng(8)
+    for x in (q, qd):
+        x += rng.uniform(-1, 1, x.shape).astype(np.float32)
+    state.joint_q.assign(q)
+    state.joint_qd.assign(qd)
+    novaphy.eval_mimic(model, state.joint_q, state.joint_qd)
+    got, rates = (x.numpy().reshape(2, 6) for x in (state.joint_q, state.joint_qd))
+    assert np.array_equal(got[:, :4], q.reshape(2, 6)[:, :4])
+    assert_allclose(got[:, 4], 0.1 - 0.4 * got[:, 2], atol=1e-6)
+    assert_allclose(got[:, 5], -0.2 + 1.5 * got[:, 4], atol=1e-6)
+    assert_allclose(rates[:, 4:], rates[:, 2:3] * [[-0.4, -0.6]], atol=1e-6)
+    # As a step leaves them, to the bit.
+    solvers.SolverFeatherstone(model).step(state, after, None, None, DT)
+    q, qd = after.joint_q.numpy(), after.joint_qd.numpy()
+    novaphy.eval_mimic(model, after.joint_q, after.joint_qd)
+    assert np.array_equal(after.joint_q.numpy(), q)
+    assert np.array_equal(after.joint_qd.numpy(), qd)
+    with pytest.raises(ValueError, match="eval_mimic: joint_qd: expected 12 rows"):
+        novaphy.eval_mimic(model, after.joint_q, novaphy.DeviceArray(q[:1]))
+
+
+def test_reduced_matrices_are_those_of_the_joined_tree() -> None:
+    model = tree().finalize()
+    state = model.state()
+    t = np.zeros((6, 4))
+    t[:4] = np.eye(4)
+    t[4, 2], t[5, 2] = -0.4, -0.6
+    tau = np.linspace(-1.0, 1.0, 6)
+    mass = t.T @ novaphy.eval_mass_matrix(model, state)[0] @ t
+    bias = t.T @ novaphy.eval_bias(model, state)
+    expected = t @ np.linalg.solve(mass, t.T @ tau - bias)
+    assert_allclose(
+        novaphy.eval_forward_dynamics(model, state, tau), expected, rtol=2e-4, atol=1e-4
+    )

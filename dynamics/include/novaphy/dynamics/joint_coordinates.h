@@ -13,7 +13,8 @@ namespace novaphy {
 // the bits of a step that ends at these coordinates; other bodies stay as they are. Quaternions in
 // joint_q are made unit. Arrays: joint_q {coordinates}, joint_qd {degrees of freedom}; those of
 // `state` itself may be given. ErrorKind::Value: rows that are not the model's, a state of another
-// model, a quaternion of length 0, Model::check_structure. On a tape it raises.
+// model, a quaternion of length 0, Model::check_structure. On a tape it raises. Joints that follow
+// others stand where joint_q has them: eval_mimic puts them where their leaders want them.
 //
 // On a device it is one launch, which a capture records, with the bits of the CPU; a quaternion of
 // length 0 gives NaN, and on a tape it raises for joint_q or joint_qd that carry a gradient.
@@ -27,5 +28,11 @@ NOVAPHY_DYNAMICS_API void eval_fk(const Model& model, const DeviceArray<float>& 
 // velocities that carry a gradient.
 NOVAPHY_DYNAMICS_API void eval_ik(const Model& model, const SimState& state,
                                   DeviceArray<float> joint_q, DeviceArray<float> joint_qd);
+
+// Coordinates and rates of joints that follow others (ModelBuilder::add_constraint_mimic) from
+// those of their leaders, as a step writes them; the others stay. Errors, tapes and devices as
+// eval_fk.
+NOVAPHY_DYNAMICS_API void eval_mimic(const Model& model, DeviceArray<float> joint_q,
+                                     DeviceArray<float> joint_qd);
 
 }  // namespace novaphy

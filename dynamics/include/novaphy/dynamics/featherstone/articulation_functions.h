@@ -6,7 +6,8 @@
 // axes of the joint's frame in the parent. Forces of dofs do work on rates: of a FREE joint at the
 // world, in such axes, a force and a torque about the centre of mass. Derivatives by q are by
 // tangents, one column per dof. Armature is part of the mass matrix. Wrenches on bodies, drives and
-// limits take no part.
+// limits take no part. Where joints follow others, forward dynamics and its derivatives are those
+// of the joined tree, all else of the free one.
 //
 // They run where the model is, with the same bits, and wait for their results: ErrorKind::Runtime
 // inside a capture. `state`: joint_q and joint_qd are read. All throw ErrorKind::NotImplemented as

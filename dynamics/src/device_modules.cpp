@@ -3,6 +3,7 @@
 namespace novaphy {
 namespace detail {
 const char* articulation_contact_kernels_text();
+const char* articulation_contact_jvp_kernels_text();
 const char* articulation_contact_vjp_kernels_text();
 const char* articulation_functions_kernels_text();
 const char* articulation_jvp_kernels_text();
@@ -14,6 +15,7 @@ std::vector<std::string> dynamics_device_modules() {
   std::vector<std::string> modules;
   for (const char* text :
        {detail::articulation_contact_kernels_text(),
+        detail::articulation_contact_jvp_kernels_text(),
         detail::articulation_contact_vjp_kernels_text(),
         detail::articulation_functions_kernels_text(), detail::articulation_jvp_kernels_text(),
         detail::articulation_kernels_text(), detail::joint_coordinates_kernels_text()})

@@ -127,19 +127,19 @@ struct EvalMimicArguments {
   const Vec2f* coefs;
   float *q, *qd;
 };
-// A follower takes the joint that its leaders follow in the end, which nobody writes.
+// A follower takes the joint that its leaders follow in the end, which nobody writes; by the
+// numbers of Articulations.
 NOVAPHY_ROW_KERNEL(eval_mimic_joint, 6, EvalMimicArguments) {
   const int32_t joint = static_cast<int32_t>(row);
   int32_t leader = joint;
-  double offset = 0.0, multiplier = 1.0;
+  float offset = 0.0f, multiplier = 1.0f;
   for (; a.leader[leader] >= 0; leader = a.leader[leader]) {
     offset += multiplier * a.coefs[leader].x;
     multiplier *= a.coefs[leader].y;
   }
   if (leader == joint) return;
-  const float by = static_cast<float>(multiplier);
-  a.q[a.q_start[joint]] = by * a.q[a.q_start[leader]] + static_cast<float>(offset);
-  a.qd[a.qd_start[joint]] = by * a.qd[a.qd_start[leader]];
+  a.q[a.q_start[joint]] = multiplier * a.q[a.q_start[leader]] + offset;
+  a.qd[a.qd_start[joint]] = multiplier * a.qd[a.qd_start[leader]];
 }
 
 }  // namespace novaphy

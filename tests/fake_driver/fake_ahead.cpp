@@ -16,6 +16,7 @@ const char* rigid_mesh_kernels_text();
 const char* rigid_sweep_kernels_text();
 const char* contact_body_kernels_text();
 const char* articulation_contact_kernels_text();
+const char* articulation_contact_jvp_kernels_text();
 const char* articulation_contact_vjp_kernels_text();
 const char* articulation_functions_kernels_text();
 const char* articulation_jvp_kernels_text();
@@ -40,6 +41,7 @@ AheadData ahead_data() {
         detail::rigid_sweep_kernels_text,
         detail::contact_body_kernels_text,
         detail::articulation_contact_kernels_text,
+        detail::articulation_contact_jvp_kernels_text,
         detail::articulation_contact_vjp_kernels_text,
         detail::articulation_functions_kernels_text,
         detail::articulation_jvp_kernels_text,

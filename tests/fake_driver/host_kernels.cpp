@@ -153,6 +153,9 @@ namespace tree_contacts_vjp {
 namespace tree_functions {
 #include "articulation_functions_kernels.cuh"
 }
+namespace tree_contacts_jvp {
+#include "articulation_contact_jvp_kernels.cuh"
+}
 namespace tree_tangents {
 #include "articulation_jvp_kernels.cuh"
 }
@@ -247,6 +250,7 @@ const HostKernel* find_host_kernel(const char* name) {
       OF_TEXT(tree_contacts_vjp::novaphy, articulation_material_clear),
       OF_TEXT(tree_contacts_vjp::novaphy, articulation_material_gradient),
       OF_TEXT(tree_functions::novaphy, articulation_function),
+      OF_TEXT(tree_contacts_jvp::novaphy, articulation_contact_jvp),
       OF_TEXT(tree_tangents::novaphy, dual_pack),
       OF_TEXT(tree_tangents::novaphy, dual_tangent),
       OF_TEXT(tree_tangents::novaphy, articulation_step_jvp),

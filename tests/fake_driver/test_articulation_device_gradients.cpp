@@ -1,6 +1,7 @@
-// Gradients through contacts and dry friction of articulations on a CUDA device: the bits of the
-// CPU, direct, replayed and from checkpoints, and the same labels. On a GPU, or on the fake driver
-// (CMakeLists.txt).
+// Gradients and tangents through contacts and dry friction of articulations on a CUDA device: the
+// bits of the CPU, direct, replayed and from checkpoints, and the same labels. On a GPU, or on the
+// fake driver (CMakeLists.txt).
+#include <algorithm>
 #include <cmath>
 #include <string>
 #include <utility>
@@ -51,8 +52,17 @@ nova::Tensor squares(const SimState& s) {
   return loss;
 }
 
-// The last state of a rollout, gradients of a loss of it, and what is said of them. `single`: steps
-// one by one, each with its collide.
+// A direction.
+nova::Tensor along(const nova::Tensor& leaf) {
+  std::vector<float> x(static_cast<size_t>(leaf.size()));
+  for (size_t k = 0; k < x.size(); ++k) x[k] = 0.05f * static_cast<float>(k % 7) - 0.12f;
+  nova::Tensor to(leaf.shape(), nova::DType::F32, leaf.device());
+  to.copy_from_host(x.data(), x.size() * sizeof(float));
+  return to;
+}
+
+// The last state of a rollout, its tangents, gradients of a loss of it, and what is said of them.
+// `single`: steps one by one, each with its collide.
 Result trained(const ModelBuilder& builder, Device device, const Rollout& how,
                ContactBranches* said = nullptr) {
   using namespace diff;
@@ -85,6 +95,12 @@ Result trained(const ModelBuilder& builder, Device device, const Rollout& how,
       {"kd", model_shape_material_kd_tensor(*model, true)}};
   if (how.single) eval_fk(*model, states[0].joint_q, states[0].joint_qd, states[0]);
   nova::Tensor loss;
+  std::vector<nova::Tensor> inputs, directions, tangents;
+  for (const auto& [name, leaf] : leaves) {
+    if (!how.contacts && inputs.size() == 9) break;  // nothing reads materials
+    inputs.push_back(leaf);
+    directions.push_back(along(leaf));
+  }
   nova::ScopedCapture scope;
   if (!how.captured) scope.end();
   {
@@ -106,6 +122,9 @@ Result trained(const ModelBuilder& builder, Device device, const Rollout& how,
       solver.rollout(trajectory, &control, nullptr, kDt, options);
     }
     loss = squares(last);
+    tangents = tape.jvp({state_joint_q_tensor(last), state_joint_qd_tensor(last),
+                         state_body_q_tensor(last), state_body_qd_tensor(last)},
+                        inputs, directions);
     tape.backward(loss);
   }
   scope.end();
@@ -115,6 +134,13 @@ Result trained(const ModelBuilder& builder, Device device, const Rollout& how,
   result.emplace_back("loss", bytes(loss.to_host()));
   for (const auto& [name, leaf] : leaves)
     result.emplace_back(std::string("gradient of ") + name, bytes(leaf.grad().to_host()));
+  for (const nova::Tensor& tangent : tangents) {
+    const std::vector<float> values = tangent.to_host();
+    EXPECT_TRUE(std::any_of(values.begin(), values.end(), [](float x) { return x != 0.0f; }));
+    EXPECT_TRUE(
+        std::all_of(values.begin(), values.end(), [](float x) { return std::isfinite(x); }));
+    result.emplace_back("tangent", bytes(values));
+  }
   const ContactBranches b = solver.branches();
   if (said != nullptr) *said = b;
   result.emplace_back("branches", bytes(std::vector<int64_t>{b.steps, b.exact, b.frozen, b.held,
@@ -195,13 +221,16 @@ TEST_F(ArticulationGradientDevices, AnIslandWithoutRoomHasNaNAndTheNextStepSaysS
   const nova::Tensor qd = diff::state_joint_qd_tensor(a, true);
   pipeline.collide(a, contacts);
   nova::Tape tape;
+  nova::Tensor tangent;
   {
     const nova::TapeScope on_tape(tape);
     solver.step(a, b, nullptr, &contacts, kDt);
+    tangent = tape.jvp({diff::state_joint_qd_tensor(b)}, {qd}, {along(qd)})[0];
     tape.backward(squares(b));
   }
+  EXPECT_TRUE(std::isnan(tangent.to_host()[0]));
   EXPECT_TRUE(std::isnan(qd.grad().to_host()[0]));
-  expect_thrown(ErrorKind::Runtime, "backward: an island of contacts needs a system of",
+  expect_thrown(ErrorKind::Runtime, "backward or jvp: an island of contacts needs a system of",
                 [&] { solver.step(a, b, nullptr, &contacts, kDt); });
 }
 

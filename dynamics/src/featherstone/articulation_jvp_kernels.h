@@ -7,12 +7,9 @@
 #pragma once
 
 #include "novaphy/core/row_kernel.h"
-#include "novaphy/dynamics/articulation/arguments.h"
-#include "novaphy/dynamics/articulation/dual.h"
+#include "novaphy/dynamics/articulation/jvp_arguments.h"
 
 namespace novaphy {
-
-using DualFloat = articulation::Dual<float>;
 
 struct DualPackArguments {
   const float *values, *tangents;  // tangents null: 0
@@ -28,14 +25,6 @@ struct DualTangentArguments {
 };
 NOVAPHY_ROW_KERNEL(dual_tangent, 2, DualTangentArguments) { a.to[row] = a.from[row].tangent; }
 
-struct ArticulationJvpArguments {
-  ArticulationArgumentsOf<DualFloat> in;
-  DualFloat *q_next, *qd_next;  // what they were stays where a step fails
-  Transform<DualFloat>* body_q;
-  SpatialVector<DualFloat>* body_qd;
-  float* workspace;
-  int64_t stride;  // numbers of it for an articulation
-};
 NOVAPHY_ROW_KERNEL(articulation_step_jvp, 36, ArticulationJvpArguments) {
   const ArticulationRows& rows = a.in.rows[row];
   const articulation::Tree<DualFloat> tree = articulation_tree(a.in, rows);

@@ -108,15 +108,15 @@ class TreeMaker {
       return link_of_body_[static_cast<size_t>(model_.joint_child.data()[j])];
     };
     int32_t leader = joint;
-    double offset = 0.0, multiplier = 1.0;
+    float offset = 0.0f, multiplier = 1.0f;
     for (; leaders[leader] >= 0; leader = leaders[leader]) {
       offset += multiplier * coefs[leader].x;
       multiplier *= coefs[leader].y;
     }
     Link& link = links[static_cast<size_t>(first_ + link_of(joint))];
     link.leader = link_of(leader);
-    link.multiplier = static_cast<float>(multiplier);
-    link.offset = static_cast<float>(offset);
+    link.multiplier = multiplier;
+    link.offset = offset;
   }
 
   // Of the articulation's dofs, counted from the first.

@@ -47,16 +47,17 @@ int64_t dual_numbers(const Step& s) {
 }  // namespace
 
 void launch_jvp(const Step& s, std::span<const Tensor> t, std::span<const Tensor> tangents) {
-  require(!s.contacts.defined() && !t[kJointFriction].defined(), ErrorKind::NotImplemented,
-          "articulation_step: forward derivatives through contacts and dry friction are there on "
-          "the cpu, got ",
-          s.shared->device.str(), ": differentiate a copy, model.to(\"cpu\"), or go backward");
+  const bool solves = s.contacts.defined();
+  require(solves || !t[kJointFriction].defined(), ErrorKind::Runtime,
+          "articulation_step: expected joint_friction to carry a gradient when the step ran");
   const nova::NoGrad no_grad;
   ArticulationStep::Shared& shared = *s.shared;
   const Articulations& trees = shared.articulations;
   const int64_t duals = 2 * dual_numbers(s);
-  const int64_t stride =
-      articulation::workspace_bytes<DualFloat>(trees.max_links(), trees.max_dofs()) / 16 * 4 + 4;
+  const int64_t dofs = trees.max_dofs();
+  int64_t bytes = articulation::workspace_bytes<DualFloat>(trees.max_links(), trees.max_dofs());
+  if (solves) bytes += dofs * dofs * static_cast<int64_t>(sizeof(DualFloat));
+  const int64_t stride = bytes / 16 * 4 + 4;
   if (static_cast<int64_t>(shared.duals.size()) < duals + s.count * stride) {
     const Unobserved unobserved;
     shared.duals = DeviceArray<float>(static_cast<size_t>(duals + s.count * stride), shared.device);
@@ -81,7 +82,17 @@ void launch_jvp(const Step& s, std::span<const Tensor> t, std::span<const Tensor
     words[static_cast<size_t>(word)] = argument(s.values[static_cast<size_t>(value)].name,
                                                 s.values[static_cast<size_t>(value)].tensor, false);
   words[kArticulationWords] = memory.part(a.q_next, true);
-  tangent_kernels().step.launch(shared.device, s.count, words);
+  if (solves) {
+    const auto more = [&](size_t i) {
+      if (!s.in(i).defined()) return LaunchArgument();
+      return memory.part(take(s.in(i), i < t.size() ? t[i] : Tensor()), false);
+    };
+    shared.launched->jvp(
+        std::move(words), kept_arguments(s, false), s.options, contact_record(s, false),
+        {more(kJointFriction), more(kMu), more(kRestitution), more(kStiffness), more(kDamping)});
+  } else {
+    tangent_kernels().step.launch(shared.device, s.count, words);
+  }
   const DualFloat* const results[] = {a.q_next, a.qd_next,
                                       reinterpret_cast<const DualFloat*>(a.body_q),
                                       reinterpret_cast<const DualFloat*>(a.body_qd)};

@@ -5,7 +5,7 @@
 
 namespace novaphy::diff::detail {
 
-using DualFloat = articulation::Dual<float>;
+using articulation::DualFloat;
 
 // Over `take(values, tangent)`, the dual numbers of an array; an undefined tangent is 0. `t`: of
 // the inputs. `from` (null: the step's inputs): the state that it starts from. Indices are those of

@@ -7,8 +7,8 @@
 
 #include "novaphy/core/recorder.h"
 #include "novaphy/core/sim/contacts.h"
-#include "novaphy/dynamics/featherstone/contact_branches.h"
 #include "novaphy/dynamics/featherstone/articulations.h"
+#include "novaphy/dynamics/featherstone/contact_branches.h"
 #include "novaphy/dynamics/featherstone/solver_featherstone.h"
 
 namespace novaphy {
@@ -32,7 +32,8 @@ struct ContactRecord {
   bool records = false;
 };
 
-// Where the gradients go of what only contacts and dry friction read; they are added to.
+// Where the gradients go of what only contacts and dry friction read; they are added to. Or their
+// dual numbers.
 struct ContactGradientArguments {
   LaunchArgument joint_friction, mu, restitution, ke, kd;
   bool of_materials() const {
@@ -64,7 +65,12 @@ class LaunchedContacts {
   void vjp(std::vector<LaunchArgument> step, const ContactRowArguments& rows,
            const FeatherstoneOptions& options, const ContactRecord& record,
            const ContactGradientArguments& to);
-  // ErrorKind::Runtime: an adjoint that ran had an island too large for its memory.
+  // Likewise its tangent. `step`: the arguments of ArticulationJvpArguments; `duals`: dual numbers
+  // of joint_friction and of the materials.
+  void jvp(std::vector<LaunchArgument> step, const ContactRowArguments& rows,
+           const FeatherstoneOptions& options, const ContactRecord& record,
+           const ContactGradientArguments& duals);
+  // ErrorKind::Runtime: an adjoint or a tangent that ran had an island too large for its memory.
   void check_adjoint(const char* user) const;
   // Of the steps that noted theirs, since the last clear. Waits for them.
   ContactBranches branches() const;
@@ -107,7 +113,7 @@ class LaunchedContacts {
   int64_t group_dofs_ = 0;  // of the largest group
   int64_t adjoint_capacity_ = -1, adjoint_dofs_ = 0, adjoint_stride_, system_of_contact_ = 0,
           system_of_group_ = 0;
-  DeviceArray<float> sharing_, adjoint_memory_, system_, materials_;
+  DeviceArray<float> sharing_, adjoint_memory_, tangent_memory_, system_, materials_;
   DeviceArray<int32_t> notes_, some_notes_, branches_, adjoint_status_, shape_of_, shape_begin_,
       shape_sides_;
 };

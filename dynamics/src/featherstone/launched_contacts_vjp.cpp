@@ -1,10 +1,11 @@
-// The adjoints of LaunchedContacts, and what their steps note for them.
+// The adjoints and tangents of LaunchedContacts, and what their steps note for them.
 #include <algorithm>
 #include <cstring>
 
 #include "contact_launches.h"
 #include "launched_contacts.h"
 #include "novaphy/core/error.h"
+#include "tangent_launches.h"
 
 namespace novaphy {
 namespace {
@@ -118,14 +119,36 @@ void LaunchedContacts::vjp(std::vector<LaunchArgument> words, const ContactRowAr
        reads("materials", materials_).detached(), to.mu, to.restitution, to.ke, to.kd});
 }
 
+void LaunchedContacts::jvp(std::vector<LaunchArgument> words, const ContactRowArguments& rows,
+                           const FeatherstoneOptions& o, const ContactRecord& record,
+                           const ContactGradientArguments& duals) {
+  const Device device = model_.device();
+  reserve(rows.most);
+  reserve_adjoint(record.dry, false);
+  const int64_t stride = dual_contact_bytes(articulations_.max_dofs()) / 4;
+  const auto numbers = static_cast<size_t>(std::max<int64_t>(rows.most, 1) * stride);
+  if (tangent_memory_.size() < numbers) {
+    const Unobserved unobserved;
+    tangent_memory_ = DeviceArray<float>(numbers, device);
+  }
+  list_rows(rows, {});  // without results
+  add_words(words, group_words(rows, o, record, tangent_memory_, stride));
+  add_words(words,
+            {record.impulses, record.friction, duals.joint_friction, duals.mu, duals.restitution,
+             duals.ke, duals.kd, writes("system", system_), number(system_of_contact_),
+             number(system_of_group_), writes_row("status", adjoint_status_)});
+  tangent_kernels().contact_step.launch(device, groups_, words);
+}
+
 void LaunchedContacts::check_adjoint(const char* user) const {
   if (adjoint_status_.rows() == 0) return;
   const Unobserved unobserved;
   for (const int32_t s : adjoint_status_.to_host())
-    require(s == 0, ErrorKind::Runtime, user,
-            ": backward: an island of contacts needs a system of ", s - 1,
-            " numbers, more than there is memory for: its gradients are NaN; fewer worlds or more "
-            "rigid_contact_max give it more");
+    require(
+        s == 0, ErrorKind::Runtime, user,
+        ": backward or jvp: an island of contacts needs a system of ", s - 1,
+        " numbers, more than there is memory for: its derivatives are NaN; fewer worlds or more "
+        "rigid_contact_max give it more");
 }
 
 }  // namespace novaphy

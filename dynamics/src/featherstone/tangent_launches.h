@@ -1,17 +1,21 @@
 // The kernels of tangents of steps of articulations on devices.
 #pragma once
 
+#include "articulation_contact_jvp_kernels.h"
 #include "articulation_jvp_kernels.h"
 #include "novaphy/core/device_kernel.h"
 
 namespace novaphy {
 namespace detail {
+const char* articulation_contact_jvp_kernels_text();
 const char* articulation_jvp_kernels_text();
 }  // namespace detail
 
 struct TangentKernels {
   DeviceKernel pack{dual_pack, detail::articulation_jvp_kernels_text};
   DeviceKernel step{articulation_step_jvp, detail::articulation_jvp_kernels_text};
+  DeviceKernel contact_step{articulation_contact_jvp,
+                            detail::articulation_contact_jvp_kernels_text};
   DeviceKernel tangent{dual_tangent, detail::articulation_jvp_kernels_text};
 };
 // Never destroyed: recordings refer to them.

@@ -59,4 +59,6 @@ bool is_finite(const Dual<T>& a) {
   return is_finite(a.value);
 }
 
+using DualFloat = Dual<float>;
+
 }  // namespace novaphy::articulation

@@ -1,0 +1,261 @@
+// Forward derivatives of contacts and dry friction, by the set of rows that are active: the
+// transpose of contact_adjoint.h. Dual numbers carry the step with the impulses as they are; the
+// rows then have the derivatives r, and the impulses answer by (B J M^-1 J^T + R) lambda' = -r.
+// Freestanding: the host and the kernels of devices share it. Of `trees`:
+//   tree(i), workspace(i)   of tree i with dual numbers, behind free_rates
+#pragma once
+
+#include "novaphy/dynamics/articulation/active_rows.h"
+#include "novaphy/dynamics/articulation/dual.h"
+
+namespace novaphy::articulation {
+
+inline Vec3<DualFloat> constant(const Vec3f& v) {
+  return {DualFloat(v.x), DualFloat(v.y), DualFloat(v.z)};
+}
+inline Vec3f tangent(const Vec3<DualFloat>& v) { return {v.x.tangent, v.y.tangent, v.z.tangent}; }
+
+// What a tree has of a row: J and Y {3, dofs}. An absent one has no tree.
+struct DualSide {
+  int32_t tree = -1, dofs = 0;
+  DualFloat *jacobian = nullptr, *response = nullptr;
+};
+// Of IslandContact: the contact, its sides, `follows`, and of `solver` the widths, the impulses and
+// what is said of them.
+struct DualContact : IslandContact {
+  DualSide moved[2];
+  NormalTarget<DualFloat> goal;
+  DualFloat mu;
+};
+inline int64_t dual_contact_numbers(int32_t dofs) { return 12 * static_cast<int64_t>(dofs); }
+
+// What only contacts read, {shapes} each.
+struct DualMaterials {
+  const DualFloat *mu, *restitution, *ke, *kd;
+};
+
+inline ContactLaw<DualFloat> dual_law(const ContactLaw<float>& f) {
+  return {DualFloat(f.dt),
+          DualFloat(f.erp),
+          DualFloat(f.slop),
+          DualFloat(f.cfm),
+          DualFloat(f.max_depenetration),
+          DualFloat(f.restitution_threshold),
+          f.compliant,
+          f.cone};
+}
+
+// J qd; `qd` (rows of the arrays) null: of the new rates.
+template <class Trees>
+DualFloat dual_slip(const DualContact& row, int r, const Trees& trees, const DualFloat* qd) {
+  DualFloat sum(0.0f);
+  for (const DualSide& m : row.moved) {
+    if (m.tree < 0) continue;
+    const DualFloat* const rates =
+        qd != nullptr ? qd + trees.tree(m.tree).first_dof : trees.workspace(m.tree).qd_next;
+    for (int32_t k = 0; k < m.dofs; ++k) sum = sum + m.jacobian[r * m.dofs + k] * rates[k];
+  }
+  return sum;
+}
+// J_i Y_j.
+inline double dual_coupling(const DualContact& a, int i, const DualContact& b, int j) {
+  double sum = 0.0;
+  for (const DualSide& s : a.moved)
+    for (const DualSide& t : b.moved)
+      for (int32_t k = 0; s.tree >= 0 && s.tree == t.tree && k < s.dofs; ++k)
+        sum += double{s.jacobian[i * s.dofs + k].value} * t.response[j * t.dofs + k].value;
+  return sum;
+}
+// What an impulse along row j does to the rate of a dof.
+inline double dual_response(const DualContact& row, int j, int32_t tree, int32_t dof) {
+  double sum = 0.0;
+  for (const DualSide& m : row.moved)
+    if (m.tree == tree) sum += m.response[j * m.dofs + dof].value;
+  return sum;
+}
+template <class Trees>
+void dual_push(const DualContact& row, int r, const DualFloat& impulse, const Trees& trees) {
+  for (const DualSide& m : row.moved) {
+    if (m.tree < 0) continue;
+    DualFloat* const rates = trees.workspace(m.tree).qd_next;
+    for (int32_t k = 0; k < m.dofs; ++k) rates[k] = rates[k] + m.response[r * m.dofs + k] * impulse;
+  }
+}
+
+// Its rows, in `numbers` {dual_contact_numbers of the most dofs}, at the rates without impulses.
+template <class Trees>
+void build_dual_contact(const ContactRows& c, const Trees& trees, const DualFloat* qd,
+                        const ContactLaw<DualFloat>& law, const DualMaterials& of,
+                        const Vec3f& impulse, DualFloat* numbers, DualContact& row) {
+  const int32_t at = row.contact;
+  const Vec3<DualFloat> normal = constant(c.normal[at]);
+  const ContactFrame<float> axes = contact_frame(c.normal[at]);
+  const ContactFrame<DualFloat> frame = {
+      {constant(axes.axes[0]), constant(axes.axes[1]), constant(axes.axes[2])}};
+  const Vec3f cores[2] = {c.point0[at], c.point1[at]};
+  const float margins[2] = {c.margin0[at], -c.margin1[at]};
+  SurfacePoint<DualFloat> points[2];
+  for (int side = 0; side < 2; ++side) {
+    const ContactSide& on = row.sides[side];
+    points[side] =
+        surface_point<DualFloat>(on.tree < 0 ? nullptr : &trees.workspace(on.tree).links[on.link],
+                                 constant(cores[side]), normal * DualFloat(margins[side]));
+  }
+  if (row.follows) {
+    const int side = row.sides[0].tree >= 0 ? 0 : 1;
+    const Vec3f moved = tangent(points[side].at + points[side].origin);
+    const Vec3f n = c.normal[at], along = moved - n * math::dot(n, moved);
+    Vec3<DualFloat>& below = points[1 - side].at;
+    below.x.tangent = along.x;
+    below.y.tangent = along.y;
+    below.z.tangent = along.z;
+  }
+  const ContactPlace<DualFloat> place = contact_place(points[0], points[1], normal);
+  const bool itself = row.sides[0].tree == row.sides[1].tree;
+  for (int side = 0; side < 2; ++side) {
+    DualSide& m = row.moved[side];
+    m = DualSide{};
+    if (row.solver.sides[side].width == 0) continue;
+    m.tree = row.sides[side].tree;
+    const Tree<DualFloat> tree = trees.tree(m.tree);
+    const Workspace<DualFloat> w = trees.workspace(m.tree);
+    m.dofs = tree.dof_count;
+    m.jacobian = numbers;
+    m.response = numbers + 3 * m.dofs;
+    numbers += 6 * m.dofs;
+    for (int32_t k = 0; k < 6 * m.dofs; ++k) m.jacobian[k] = DualFloat(0.0f);
+    add_point_rows(tree, w.axes, row.sides[side].link, side == 0 ? place.a : place.b, frame,
+                   DualFloat(side == 0 ? -1.0f : 1.0f), m.dofs, m.jacobian);
+    if (itself)
+      add_point_rows(tree, w.axes, row.sides[1].link, place.b, frame, DualFloat(1.0f), m.dofs,
+                     m.jacobian);
+    response_rows(tree, w.matrix, itself ? -1 : last_dof(tree, row.sides[side].link), m.dofs,
+                  m.jacobian, m.response);
+  }
+  const auto mean = [&](const DualFloat* array) {
+    return DualFloat(0.5f) * (array[c.shape0[at]] + array[c.shape1[at]]);
+  };
+  const ContactMaterial<DualFloat> material = {mean(of.mu), mean(of.restitution), mean(of.ke),
+                                               mean(of.kd)};
+  row.goal = normal_target(law, material, place.gap, dual_slip(row, 0, trees, qd),
+                           dual_slip<Trees>(row, 0, trees, nullptr));
+  row.mu = material.friction;
+  row.solver.cfm = row.goal.cfm.value;
+  row.solver.friction = row.mu.value;
+  row.solver.impulse[0] = impulse.x;
+  row.solver.impulse[1] = impulse.y;
+  row.solver.impulse[2] = impulse.z;
+}
+
+// The impulse of the dry friction of a dof, whose `limit` is friction dt; makes its response.
+// Whether it holds the dof is the result.
+inline bool push_dual_friction(const Tree<DualFloat>& tree, Workspace<DualFloat>& w, int32_t dof,
+                               const DualFloat& limit, float value, DualFloat* response) {
+  for (int32_t k = 0; k < tree.dof_count; ++k) response[k] = DualFloat(k == dof ? 1.0f : 0.0f);
+  solve(tree, w.matrix, response);
+  DualFloat impulse(value);
+  const bool held = holds(value, limit.value);
+  if (!held) impulse.tangent = value < 0.0f ? -limit.tangent : limit.tangent;
+  for (int32_t k = 0; k < tree.dof_count; ++k) w.qd_next[k] = w.qd_next[k] + response[k] * impulse;
+  return held;
+}
+// Dofs without dry friction, as if they had it; `friction`: rows of the arrays.
+inline void push_absent_friction(const Tree<DualFloat>& tree, Workspace<DualFloat>& w,
+                                 const DualFloat* friction, float dt) {
+  DualFloat* const answer = w.rhs;
+  for (int32_t k = 0; k < tree.dof_count; ++k) {
+    const DualFloat& limit = friction[tree.first_dof + k];
+    const float rate = w.qd_next[k].value;
+    if (limit.value > 0.0f || limit.tangent == 0.0f || rate == 0.0f) continue;
+    for (int32_t x = 0; x < tree.dof_count; ++x)
+      answer[x] = DualFloat(0.0f, x == k ? (rate > 0.0f ? -dt : dt) * limit.tangent : 0.0f);
+    solve(tree, w.matrix, answer);
+    for (int32_t x = 0; x < tree.dof_count; ++x) w.qd_next[x] = w.qd_next[x] + answer[x];
+  }
+}
+
+// How the impulses of an island change, behind all of the above. Of `island`:
+//   for_contacts(f)  f(DualContact) of its contacts that push, in their order
+//   for_held(f)      f(tree, dof, response) of the dofs that dry friction holds
+//   system(n)        memory for n numbers; null: there is none
+// False: without memory; nothing has changed.
+template <class Trees, class Island>
+bool solve_dual_island(const Trees& trees, const Island& island, bool cone) {
+  int64_t contacts = 0, n = 0;
+  island.for_contacts([&](const DualContact&) { contacts += 3; });
+  n = contacts;
+  island.for_held([&](int32_t, int32_t, const DualFloat*) { ++n; });
+  const int64_t width = n + 1;
+  double* const system = island.system(n * width);
+  if (system == nullptr) return false;
+  for (int64_t i = 0; i < n * width; ++i) system[i] = 0.0;
+  int64_t at = 0;
+  island.for_contacts([&](const DualContact& row) {
+    DualFloat w[3];
+    for (int r = 0; r < 3; ++r) w[r] = dual_slip<Trees>(row, r, trees, nullptr);
+    const float along[2] = {w[1].value, w[2].value};
+    const ContactBranch branch = branch_of(row.solver, cone);
+    ContactBlocks k;
+    set_blocks(row.solver, branch, cone, along, k);
+    double by_friction[2];
+    rows_by_friction(row.solver, branch, cone, along, by_friction);
+    for (int e = 0; e < 3; ++e) {
+      double* const to = system + (at + e) * width;
+      int64_t column = 0;
+      island.for_contacts([&](const DualContact& other) {
+        for (int i = 0; i < 3; ++i) {
+          double& a = to[column + i];
+          for (int j = 0; j < 3; ++j)
+            if (k.b[e][j] != 0.0) a += k.b[e][j] * dual_coupling(row, j, other, i);
+          if (column != at) continue;
+          a += k.r[e][i];
+          if (e == i && (i == 0 || !branch.slides[i - 1]))
+            a += kRegularity * dual_coupling(row, i, row, i);
+        }
+        column += 3;
+      });
+      island.for_held([&](int32_t tree, int32_t, const DualFloat* response) {
+        for (const DualSide& m : row.moved)
+          for (int j = 0; m.tree == tree && j < 3; ++j)
+            for (int32_t x = 0; x < m.dofs; ++x)
+              to[column] += k.b[e][j] * m.jacobian[j * m.dofs + x].value * response[x].value;
+        ++column;
+      });
+      double change = 0.0;
+      for (int j = 0; j < 3; ++j) change += k.b[e][j] * w[j].tangent;
+      change += e == 0 ? row.goal.bias.tangent + row.goal.cfm.tangent * row.solver.impulse[0]
+                       : by_friction[e - 1] * row.mu.tangent;
+      to[n] = -change;
+    }
+    at += 3;
+  });
+  island.for_held([&](int32_t tree, int32_t dof, const DualFloat*) {
+    double* const to = system + at * width;
+    int64_t column = 0;
+    island.for_contacts([&](const DualContact& other) {
+      for (int i = 0; i < 3; ++i) to[column++] = dual_response(other, i, tree, dof);
+    });
+    island.for_held([&](int32_t of, int32_t, const DualFloat* response) {
+      if (of == tree) to[column] = response[dof].value;
+      ++column;
+    });
+    to[at] *= 1.0 + kRegularity;
+    to[n] = -trees.workspace(tree).qd_next[dof].tangent;
+    ++at;
+  });
+  solve_dense(system, n);
+  at = 0;
+  island.for_contacts([&](const DualContact& row) {
+    for (int r = 0; r < 3; ++r)
+      dual_push(row, r, DualFloat(0.0f, static_cast<float>(system[at++ * width + n])), trees);
+  });
+  island.for_held([&](int32_t tree, int32_t, const DualFloat* response) {
+    const DualFloat change(0.0f, static_cast<float>(system[at++ * width + n]));
+    DualFloat* const rates = trees.workspace(tree).qd_next;
+    for (int32_t k = 0; k < trees.tree(tree).dof_count; ++k)
+      rates[k] = rates[k] + response[k] * change;
+  });
+  return true;
+}
+
+}  // namespace novaphy::articulation

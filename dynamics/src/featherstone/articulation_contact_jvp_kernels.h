@@ -1,0 +1,174 @@
+// The tangent of a step of articulations with contacts and dry friction
+// (articulation/contact_jvp.h), for devices; a row takes a group.
+#pragma once
+
+#include "novaphy/core/row_kernel.h"
+#include "novaphy/dynamics/articulation/contact_groups.h"
+#include "novaphy/dynamics/articulation/contact_jvp.h"
+#include "novaphy/dynamics/articulation/jvp_arguments.h"
+
+namespace novaphy {
+
+struct ArticulationContactJvpArguments {
+  ArticulationJvpArguments step;  // the workspace has the responses of dry friction behind it
+  ContactGroupArguments of;
+  const Vec3f* impulses;           // {contacts}, of the step
+  const float* friction_impulses;  // {dofs}
+  const articulation::DualFloat* joint_friction;
+  articulation::DualMaterials materials;
+  double* system;  // of a group: so many numbers for each contact, and so many besides
+  int64_t system_of_contact, system_of_group;
+  int32_t* status;  // {groups}: 0, or 1 + the numbers that there was no room for
+};
+
+// Memory of a contact of trees with so many dofs.
+inline int64_t dual_contact_bytes(int32_t dofs) {
+  return (static_cast<int64_t>(sizeof(articulation::DualContact)) +
+          articulation::dual_contact_numbers(dofs) *
+              static_cast<int64_t>(sizeof(articulation::DualFloat)) +
+          7) /
+         8 * 8;
+}
+
+// What ContactGroup lists islands by.
+inline ArticulationArguments rows_of(const ArticulationJvpArguments& a) {
+  ArticulationArguments of = {};
+  of.rows = a.in.rows;
+  of.dt = a.in.dt;
+  return of;
+}
+
+struct GroupTangent : ContactGroup {
+  const ArticulationContactJvpArguments& all;
+
+  GroupTangent(const ArticulationArguments& rows, const ArticulationContactJvpArguments& arguments,
+               int64_t row)
+      : ContactGroup(rows, arguments.of, nullptr, 0, row, nullptr), all(arguments) {}
+
+  articulation::Tree<articulation::DualFloat> tree(int32_t i) const {
+    return articulation_tree(all.step.in, rows(i));
+  }
+  unsigned char* memory(int32_t i) const {
+    return reinterpret_cast<unsigned char*>(all.step.workspace + i * all.step.stride);
+  }
+  articulation::Workspace<articulation::DualFloat> workspace(int32_t i) const {
+    return articulation::make_workspace<articulation::DualFloat>(memory(i), rows(i).link_count,
+                                                                 rows(i).dof_count);
+  }
+  articulation::DualFloat* response(int32_t i, int32_t dof) const {
+    const int32_t dofs = rows(i).dof_count;
+    auto* const first = reinterpret_cast<articulation::DualFloat*>(
+        memory(i) +
+        articulation::workspace_bytes<articulation::DualFloat>(rows(i).link_count, dofs));
+    return first + dof * dofs;
+  }
+  articulation::DualFloat limit(int32_t i, int32_t dof) const {
+    return all.joint_friction[rows(i).first_dof + dof] * articulation::DualFloat(how.dt);
+  }
+  float friction_impulse(int32_t i, int32_t dof) const {
+    return all.friction_impulses[rows(i).first_dof + dof];
+  }
+  articulation::DualContact& row(int32_t place) const {
+    return reinterpret_cast<articulation::DualContact*>(island_memory())[place - first_place()];
+  }
+};
+
+// What solve_dual_island reads of an island.
+struct TangentIsland {
+  const GroupTangent& s;
+  int32_t root;
+
+  template <class F>
+  void for_contacts(const F& f) const {
+    for (int32_t place = s.a.nodes[root].first_row; place >= 0; place = s.a.chain[place].next)
+      if (s.row(place).solver.impulse[0] > 0.0f) f(s.row(place));
+  }
+  template <class F>
+  void for_held(const F& f) const {
+    for (int32_t i = root; i >= 0; i = s.a.nodes[i].next)
+      for (int32_t k = 0; k < s.rows(i).dof_count; ++k)
+        if (s.has_friction(i, k) &&
+            articulation::holds(s.friction_impulse(i, k), s.limit(i, k).value))
+          f(i, k, s.response(i, k));
+  }
+  double* system(int64_t numbers) const {
+    const ArticulationContactJvpArguments& a = s.all;
+    const int64_t contacts = s.end_place() - s.first_place();
+    if (numbers > contacts * a.system_of_contact + a.system_of_group) {
+      a.status[s.group] = numbers < 0x7ffffffe ? static_cast<int32_t>(1 + numbers) : 0x7fffffff;
+      return nullptr;
+    }
+    return a.system + (s.first_place() * a.system_of_contact + s.group * a.system_of_group);
+  }
+};
+
+// Without room for its system, the tangents of an island are NaN.
+inline void solve_island_tangent(const GroupTangent& s, int32_t root) {
+  if (s.a.nodes[root].solved != 0) return;
+  s.a.nodes[root].solved = 1;
+  if (articulation::solve_dual_island(s, TangentIsland{s, root}, s.law.cone)) return;
+  for (int32_t i = root; i >= 0; i = s.a.nodes[i].next)
+    for (int32_t k = 0; k < s.rows(i).dof_count; ++k)
+      s.workspace(i).qd_next[k].tangent = math::bits_float(0x7fc00000);
+}
+
+// As on the host: no tangent of a group in which a tree fails.
+NOVAPHY_ROW_KERNEL(articulation_contact_jvp, 81, ArticulationContactJvpArguments) {
+  using articulation::DualFloat;
+  const ArticulationArguments of = rows_of(a.step);
+  const GroupTangent s(of, a, row);
+  const int32_t* const trees = a.of.trees;
+  const articulation::StepInputs<DualFloat> in = articulation_inputs(a.step.in);
+  const articulation::StepOptions<DualFloat> options = articulation_options(a.step.in);
+  a.status[row] = 0;
+  for (int32_t t = s.first_tree(); t < s.end_tree(); ++t) {
+    const articulation::Tree<DualFloat> tree = s.tree(trees[t]);
+    articulation::Workspace<DualFloat> ws = s.workspace(trees[t]);
+    if (articulation::accelerate(tree, in, options, ws) >= 0) return;
+    articulation::free_rates(tree, in, options, ws);
+    start_node(s, trees[t]);
+  }
+  for (int32_t place = s.first_place(); place < s.end_place(); ++place) join_contact(s, place);
+  list_trees(s);
+  for (int32_t place = s.first_place(); place < s.end_place(); ++place) list_contact(s, place);
+  const articulation::ContactLaw<DualFloat> law = articulation::dual_law(s.law);
+  auto* numbers = reinterpret_cast<DualFloat*>(&s.row(s.end_place()));
+  for (int32_t place = s.first_place(); place < s.end_place(); ++place) {
+    articulation::DualContact& contact = s.row(place);
+    contact = articulation::DualContact{};
+    if (a.of.chain[place].next == -2) continue;
+    contact.contact = a.of.contacts[place];
+    contact_sides(a.of.shapes, contact.contact, contact.sides);
+    contact.follows = s.follows(contact.contact, contact.sides);
+    int32_t widths[2];
+    articulation::set_widths(a.step.in.rows, contact.sides, widths);
+    for (int side = 0; side < 2; ++side) contact.solver.sides[side].width = widths[side];
+    articulation::build_dual_contact(s.contacts, s, a.step.in.qd, law, a.materials,
+                                     a.impulses[contact.contact], numbers, contact);
+    for (const articulation::DualSide& m : contact.moved) numbers += 6 * m.dofs;
+  }
+  for (int32_t place = s.first_place(); place < s.end_place(); ++place)
+    for (int r = 0; r < 3; ++r)
+      articulation::dual_push(s.row(place), r, DualFloat(s.row(place).solver.impulse[r]), s);
+  for (int32_t t = s.first_tree(); t < s.end_tree(); ++t) {
+    const int32_t i = trees[t];
+    const articulation::Tree<DualFloat> tree = s.tree(i);
+    articulation::Workspace<DualFloat> ws = s.workspace(i);
+    for (int32_t k = 0; k < tree.dof_count; ++k)
+      if (s.has_friction(i, k))
+        articulation::push_dual_friction(tree, ws, k, s.limit(i, k), s.friction_impulse(i, k),
+                                         s.response(i, k));
+    articulation::push_absent_friction(tree, ws, a.joint_friction, s.how.dt);
+  }
+  for (int32_t t = s.first_tree(); t < s.end_tree(); ++t)
+    if (s.root(trees[t]) == trees[t]) solve_island_tangent(s, trees[t]);
+  for (int32_t t = s.first_tree(); t < s.end_tree(); ++t) {
+    const articulation::Tree<DualFloat> tree = s.tree(trees[t]);
+    articulation::Workspace<DualFloat> ws = s.workspace(trees[t]);
+    articulation::clamp_rates(tree, in, ws);
+    articulation::finish_step(tree, in, options, ws, a.step.q_next, a.step.qd_next, a.step.body_q,
+                              a.step.body_qd);
+  }
+}
+
+}  // namespace novaphy

@@ -23,8 +23,7 @@ void bind_diff_featherstone(py::module_& m, py::module_& solvers) {
       "is just reached; those of quaternions are tangent to the unit sphere. None for joint frames "
       "and axes: it raises. Contacts (pgs) and joint_friction have the gradient of the rows that "
       "are active, see gradient_info; shape_material_mu, _restitution, _ke and _kd too. A rollout "
-      "may be captured. Models on devices as SolverFeatherstone; there contacts, dry friction and "
-      "tape.jvp raise NotImplementedError, and step waits for the device.");
+      "may be captured. Models on devices as SolverFeatherstone; there step waits for the device.");
   solver
       .def(py::init([](const std::shared_ptr<Model>& model, float angular_damping,
                        bool implicit_drives, const std::optional<std::string>& contact,

@@ -23,10 +23,9 @@
 // which counts as a step with contacts. A capture records such steps and their adjoints as work of
 // the host; where a replay fails its results are NaN, and begin says why.
 //
-// Models on devices as SolverFeatherstone, steps and adjoints with the bits of the cpu, and
-// captures record launches. ErrorKind::NotImplemented there: forward derivatives. Where an island
-// of contacts has no room there for its system (launched_contacts_vjp.cpp), its gradients are NaN
-// and check says so.
+// Models on devices as SolverFeatherstone, steps, adjoints and tangents with the bits of the cpu,
+// and captures record launches. Where an island of contacts has no room there for its system
+// (launched_contacts_vjp.cpp), its gradients and tangents are NaN and check says so.
 #pragma once
 
 #include <cstdint>
@@ -35,8 +34,8 @@
 
 #include "novaphy/core/sim/model.h"
 #include "novaphy/core/sim/trajectory.h"
-#include "novaphy/dynamics/featherstone/contact_branches.h"
 #include "novaphy/dynamics/export.h"
+#include "novaphy/dynamics/featherstone/contact_branches.h"
 #include "novaphy/dynamics/featherstone/solver_featherstone.h"
 #include "novaphy/nova/kernel.h"
 

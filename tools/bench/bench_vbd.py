@@ -2,11 +2,13 @@
 """Time a substep of VBD: a cloth of 64 x 32 cells with bending and damping, 10 iterations.
 
     python tools/bench/bench_vbd.py [--engine novaphy|newton] [--threads N] [--sphere]
-        [--cells X Y] [--device cuda:0] [--capture] [--backward] [--gradient]
+        [--cells X Y] [--device cuda:0] [--capture] [--backward [unrolled|implicit]] [--gradient]
 
 Prints a JSON line: wall and CPU time of a substep in turns (the fastest), and a hash of the last
-positions. With --sphere the cloth falls on a sphere with friction. --backward also times the
-derivative of a step, in CPU time. --capture replays a graph of ten substeps. --gradient also times
+positions. With --sphere the cloth falls on a sphere with friction. --backward also times a step of
+DiffSolverVBD without a tape, one that a tape records, and its derivative, in CPU time, all that
+the tape does included, with the ratio of the last to the first; implicit with what is solved of it.
+--capture replays a graph of ten substeps. --gradient also times
 a rollout of ten substeps with its derivative, in wall time for a substep, and hashes the gradient
 by the first positions and velocities; on a device, or with --capture, as the replay of a graph.
 """
@@ -21,6 +23,7 @@ import time
 import numpy as np
 
 DT, ITERATIONS, WARM_UP, TURNS, CAPTURED = 1.0 / 300.0, 10, 20, 5, 10
+GRADIENT_TURNS = 15
 CLOTH = {
     "dim_x": 64, "dim_y": 32, "cell_x": 0.02, "cell_y": 0.02, "mass": 4e-4,
     "tri_ke": 1e3, "tri_ka": 1e3, "tri_kd": 1e-2, "edge_ke": 1e-2, "edge_kd": 1e-4,
@@ -86,17 +89,34 @@ def novaphy_run(args):
                 capture.graph.launch()
             novaphy.synchronize(args.device)
 
-    def backward():
+    def backward(kind):
         from novaphy import diff, nova
 
-        solver = novaphy.solvers.DiffSolverVBD(model, iterations=ITERATIONS)
+        solver = novaphy.solvers.DiffSolverVBD(model, iterations=ITERATIONS, gradient=kind)
         states[0].requires_grad = True
-        with nova.Tape() as tape:
+
+        def step():
             solver.step(states[0], states[1], None, contacts, DT)
-            loss = nova.sum(diff.state_particle_q_tensor(states[1]))
-        start = time.process_time()
-        tape.backward(loss)
-        return time.process_time() - start
+
+        def cpu_ms(work):
+            start = time.process_time()
+            work()
+            return 1e3 * (time.process_time() - start)
+
+        turns = []
+        for _ in range(GRADIENT_TURNS):
+            forward = cpu_ms(step)
+            with nova.Tape() as tape:
+                recorded = cpu_ms(step)
+                loss = nova.sum(diff.state_particle_q_tensor(states[1]))
+            turns.append((forward, recorded, cpu_ms(lambda t=tape, end=loss: t.backward(end))))
+        forward, recorded, back = (min(times) for times in zip(*turns, strict=True))
+        info = solver.gradient_info()
+        return {
+            "forward_cpu_ms": forward, "recorded_cpu_ms": recorded, "backward_cpu_ms": back,
+            "backward_by_forward": back / forward, "primal_residual": info.primal.relative,
+            "linear_residual": info.linear_residual, "linear_sweeps": info.linear_sweeps,
+        }  # fmt: skip
 
     def gradient():
         from novaphy import diff, nova
@@ -171,7 +191,10 @@ def main() -> None:
     parser.add_argument("--cells", type=int, nargs=2, default=(64, 32), help="of the cloth")
     parser.add_argument("--device", default="cpu", help="of NovaPhy")
     parser.add_argument("--capture", action="store_true", help="replay a graph")
-    parser.add_argument("--backward", action="store_true", help="also the derivative of a step")
+    parser.add_argument(
+        "--backward", nargs="?", const="unrolled", choices=("unrolled", "implicit"),
+        help="also the derivative of a step",
+    )  # fmt: skip
     parser.add_argument("--gradient", action="store_true", help="also a rollout with its gradient")
     parser.add_argument("--substeps", type=int, default=200, help="of a turn")
     args = parser.parse_args()
@@ -191,7 +214,7 @@ def main() -> None:
         "hash": hashlib.sha256(np.ascontiguousarray(positions()).tobytes()).hexdigest()[:16],
     }  # fmt: skip
     if args.backward and backward is not None:
-        result["backward_cpu_ms"] = 1e3 * min(backward() for _ in range(TURNS))
+        result |= {"gradient": args.backward} | backward(args.backward)
     if args.gradient and gradient is not None:
         seconds, result["gradient_hash"] = gradient()
         result["gradient_wall_ms"] = 1e3 * seconds

@@ -3,6 +3,7 @@
 #include <array>
 #include <cmath>
 #include <functional>
+#include <map>
 #include <optional>
 #include <span>
 #include <utility>
@@ -131,6 +132,36 @@ class ForwardSteps {
   std::optional<Contacts> found_;  // by the pipeline, anew in every step
 };
 
+// What a solver carries besides the state, where a trajectory with checkpoints keeps states; and
+// the same in steps that Trajectory::recompute runs once more, which leave the solver's as it is.
+class KeptCarried {
+ public:
+  KeptCarried(Array carried, int32_t interval) : now_(std::move(carried)), interval_(interval) {}
+
+  void keep(int32_t t) {
+    if (is_needed() && t % interval_ == 0) at_[t] = now_.clone();
+  }
+  template <class Step>
+  void recompute(int32_t t, const Step& step) {
+    if (!is_needed()) return step();
+    struct Restored {
+      Array now, before = now.clone();
+      explicit Restored(const Array& carried) : now(carried) {}
+      ~Restored() { now.assign(before); }
+    } const restored(now_);
+    now_.assign(t % interval_ == 0 ? at_.at(t) : again_);
+    step();
+    again_ = now_.clone();
+  }
+
+ private:
+  bool is_needed() const { return interval_ > 1 && now_.rows() != 0; }
+
+  Array now_, again_;
+  int32_t interval_;
+  std::map<int32_t, Array> at_;
+};
+
 }  // namespace
 
 SolverBase::SolverBase(std::shared_ptr<const Model> model) : model_(std::move(model)) {
@@ -187,14 +218,17 @@ void SolverBase::rollout(Trajectory& trajectory, const Control* control, const C
              const DeviceArray<Vec3f>& targets) {
         step_to_targets(in, out, of_step, found, h, targets);
       });
+  const auto kept = std::make_shared<KeptCarried>(carried(), trajectory.checkpoint_interval());
   constexpr int32_t kStepsPerInterruptCheck = 32;
   for (int32_t t = inputs.start(); t < inputs.stop(); ++t) {
     if (t % kStepsPerInterruptCheck == 0) check_interrupt();
+    kept->keep(t);
     steps->run(t, trajectory.any_state(t), trajectory.any_state(t + 1));
   }
-  trajectory.set_last_rollout(
-      inputs.start(), inputs.stop(),
-      [steps](int32_t t, const SimState& from, SimState& to) { steps->run(t, from, to); });
+  trajectory.set_last_rollout(inputs.start(), inputs.stop(),
+                              [steps, kept](int32_t t, const SimState& from, SimState& to) {
+                                kept->recompute(t, [&] { steps->run(t, from, to); });
+                              });
 }
 
 }  // namespace novaphy

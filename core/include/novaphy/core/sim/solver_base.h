@@ -58,6 +58,10 @@ class NOVAPHY_CORE_API SolverBase {
                                const Contacts* contacts, float dt,
                                const DeviceArray<Vec3f>& targets);
 
+  // What the solver carries from step to step besides the state, which the next step reads and
+  // overwrites; without rows: nothing. Rollouts keep it where they keep states.
+  virtual Array carried() const { return {}; }
+
  private:
   std::shared_ptr<const Model> model_;
   std::shared_ptr<ExclusiveUse> in_use_ = std::make_shared<ExclusiveUse>();

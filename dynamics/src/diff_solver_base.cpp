@@ -193,6 +193,7 @@ void DiffSolverBase::rollout(Trajectory& trajectory, const Control* control,
                    .body_forces = on_bodies.of_step(t, scratch),
                    .targets = {},
                    .dt = inputs.dt(),
+                   .step = t,
                    .checkpoints = checkpoints};
     if (inputs.targets().any()) {
       now.targets = nova::operand_of(inputs.targets().rows);

@@ -27,7 +27,7 @@ void run_guarded(const HostWork& work) {
   try {
     work.run();
   } catch (const std::exception& error) {
-    if (work.failure != nullptr) *work.failure = error.what();
+    if (work.failure != nullptr && work.failure->empty()) *work.failure = error.what();
     for (const Tensor& result : work.results)
       std::fill_n(static_cast<float*>(result.range()->data()), result.size(),
                   std::numeric_limits<float>::quiet_NaN());

@@ -123,7 +123,10 @@ void bind_diff_vbd(py::module_& solvers) {
       .def_property_readonly("held_count", &DiffSolverVBD::held_count,
                              "Particles that are held: the rows of targets.")
       .def("gradient_info", &DiffSolverVBD::gradient_info,
-           "VbdGradientInfo of the last backward or jvp. novaphy.Error: there was none.")
+           "VbdGradientInfo of the last backward or jvp. novaphy.Error: there was none; a replay, "
+           "or "
+           "a step on a device, since the last call failed (not finite, not solved, contacts that "
+           "overflowed).")
       .def("reset", &DiffSolverVBD::reset, release_gil(),
            "Forgets the last step, which initial_guess=\"adaptive\" looks at. Can be captured.")
       .def(
@@ -232,7 +235,9 @@ void bind_vbd(py::module_& solvers) {
           "contacts "
           "that overflowed, positions that do not stay finite.")
       .def("residual", &SolverVBD::residual, release_gil(),
-           "VbdResidual of the last step. novaphy.Error: there was none.")
+           "VbdResidual of the last step. novaphy.Error: there was none; a replay, or a step on a "
+           "device, since the last call read or made numbers that are not finite, or contacts that "
+           "had overflowed.")
       .def("reset", &SolverVBD::reset,
            "Forgets the last step, which the adaptive guess and residual() look at.");
 #ifdef NOVAPHY_PYTHON_DIFF

@@ -3,9 +3,11 @@
 #include <gtest/gtest.h>
 
 #include <cstring>
+#include <limits>
 #include <string>
 
 #include "novaphy/core/error.h"
+#include "novaphy/nova/optim.h"
 #include "support/cuda_device.h"
 #include "vbd/gradients_scene.h"
 
@@ -108,6 +110,88 @@ TEST_F(VbdDevices, ImplicitGradientsHaveTheBitsOfTheCpu) {
                           .conflicts = true});
 }
 
+// Three iterations of a training of materials and rest shapes, or three replays of one.
+NamedValues trained(Device device, bool replayed) {
+  const auto model = testing::EverythingScene::make(1.0f, device);
+  CollisionPipeline pipeline(model, {.soft_contact_margin = 0.05f});
+  diff::DiffSolverVBD solver(model, {.iterations = 3});
+  Trajectory trajectory(model, 2, true, 1);
+  NamedValues all;
+  std::vector<std::pair<const char*, nova::Tensor>> leaves;
+  for (const auto& [name, array] : std::initializer_list<std::pair<const char*, const Array*>>{
+           {"particle_spring_stiffness", &model->particle_spring_stiffness},
+           {"particle_spring_damping", &model->particle_spring_damping},
+           {"particle_spring_rest_length", &model->particle_spring_rest_length},
+           {"particle_tri_pose", &model->particle_tri_pose},
+           {"particle_tri_area", &model->particle_tri_area},
+           {"particle_tri_material", &model->particle_tri_material},
+           {"particle_edge_material", &model->particle_edge_material},
+           {"particle_edge_rest_angle", &model->particle_edge_rest_angle},
+           {"particle_edge_rest_length", &model->particle_edge_rest_length},
+           {"particle_tet_pose", &model->particle_tet_pose},
+           {"particle_tet_material", &model->particle_tet_material}}) {
+    leaves.emplace_back(name, nova::Tensor::view(*array, true));
+    all.emplace_back(std::string("old ") + name, leaves.back().second.to_host());
+  }
+  const auto iterate = [&] {
+    for (const auto& [name, leaf] : leaves) nova::Tensor(leaf).zero_grad();
+    nova::Tape tape;
+    {
+      const nova::TapeScope on_tape(tape);
+      solver.rollout(trajectory, nullptr, nullptr, 1.0f / 120.0f, {.pipeline = &pipeline});
+      const nova::Tensor q = diff::state_particle_q_tensor(trajectory.state(2));
+      tape.backward(nova::sum(nova::mul(q, q)));
+    }
+    for (const auto& [name, leaf] : leaves)
+      nova::sgd_update_f32(leaf, name == std::string("particle_spring_stiffness") ? 10.0f : 1e-2f);
+  };
+  nova::ScopedCapture scope;
+  if (!replayed) scope.end();
+  for (int k = 0; k < (replayed ? 1 : 3); ++k) iterate();
+  scope.end();
+  for (int k = 0; k < (replayed ? 3 : 0); ++k) scope.graph()->launch();
+  solver.gradient_info();
+  for (const auto& [name, leaf] : leaves) all.emplace_back(name, leaf.to_host());
+  for (size_t k = 0; k < leaves.size(); ++k)
+    EXPECT_NE(all[k].second, all[leaves.size() + k].second) << all[k].first;
+  return all;
+}
+// By value: in a replay a sum begins with 0, which is -0 in a direct run.
+TEST_F(VbdDevices, MaterialsAreTrainedInACaptureWithTheBitsOfTheCpu) {
+  const NamedValues expected = trained(Device::cpu(), false);
+  EXPECT_EQ(trained(Device::cpu(), true), expected);
+  EXPECT_EQ(trained(Device::cuda(), false), expected);
+  EXPECT_EQ(trained(Device::cuda(), true), expected);
+}
+TEST_F(VbdDevices, ATrainedMaterialThatTheTablesHaveNoPlaceForIsNamed) {
+  const auto model = testing::EverythingScene::make(0.0f, Device::cuda());
+  diff::DiffSolverVBD solver(model);
+  SimState a = model->state(), b = model->state();
+  const nova::Tensor leaf = nova::Tensor::view(model->particle_tri_material, true);
+  nova::ScopedCapture scope;
+  {
+    nova::Tape tape;
+    const nova::TapeScope on_tape(tape);
+    solver.step(a, b, nullptr, nullptr, 1.0f / 120.0f);
+    tape.backward(nova::sum(diff::state_particle_q_tensor(b)));
+  }
+  scope.end();
+  scope.graph()->launch();
+  solver.gradient_info();
+  const std::vector<float> good = model->particle_tri_material.to_host();
+  for (const auto& [column, value] : {std::pair(3, 1.0f), std::pair(0, -1.0f)}) {
+    std::vector<float> bad = good;
+    bad[static_cast<size_t>(5 * 7 + column)] = value;
+    model->particle_tri_material.copy_from_host(std::span<const float>(bad));
+    scope.graph()->launch();
+    expect_thrown(ErrorKind::Runtime, "model.particle_tri_material[7]: expected",
+                  [&] { solver.gradient_info(); });
+    model->particle_tri_material.copy_from_host(std::span<const float>(good));
+    scope.graph()->launch();
+    solver.gradient_info();
+  }
+}
+
 // Of a step of cloths in three worlds and a particle in all of them, or of particles without
 // elements.
 NamedValues gradients_of_worlds(Device device, bool with_cloths) {
@@ -151,6 +235,87 @@ TEST_F(VbdDevices, AStepThatWasNotSolvedIsAnError) {
   SimState a = model->state(), b = model->state();
   expect_thrown(ErrorKind::Runtime, "the step was not solved",
                 [&] { solver.step(a, b, nullptr, nullptr, 1.0f / 60.0f); });
+}
+
+// A solver that cannot throw says afterwards what was wrong, once.
+TEST_F(VbdDevices, WhatIsNotFiniteIsNamedWhereTheHostAsks) {
+  const float nan = std::numeric_limits<float>::quiet_NaN();
+  for (const bool replayed : {false, true})
+    for (const Device device : {Device::cpu(), Device::cuda()}) {
+      if (device.is_cpu() && !replayed) continue;  // throws at once
+      const auto model = testing::EverythingScene::make(0.0f, device);
+      SolverVBD solver(model);
+      SimState a = model->state(), b = model->state();
+      const auto step = [&] {
+        nova::ScopedCapture scope;
+        if (!replayed) scope.end();
+        solver.step(a, b, nullptr, nullptr, 1.0f / 120.0f);
+        scope.end();
+        if (replayed) scope.graph()->launch();
+      };
+      step();
+      solver.residual();
+      const auto set = [](DeviceArray<Vec3f>& array, size_t row, float value) {
+        std::vector<Vec3f> rows = array.to_host();
+        rows[row].y = value;
+        array.copy_from_host(std::span<const Vec3f>(rows));
+      };
+      for (const auto& [name, array] :
+           {std::pair("particle_q", &a.particle_q), std::pair("particle_qd", &a.particle_qd),
+            std::pair("particle_f", &a.particle_f)}) {
+        const std::vector<Vec3f> good = array->to_host();
+        set(*array, 31, nan);
+        step();
+        expect_thrown(ErrorKind::Runtime, "particle 31: state_in." + std::string(name),
+                      [&] { solver.residual(); });
+        array->copy_from_host(std::span<const Vec3f>(good));
+        step();
+        EXPECT_GE(solver.residual().relative, 0.0);
+      }
+      set(a.particle_qd, 33, 3e38f);
+      SimState c = model->state();
+      nova::ScopedCapture scope;
+      if (!replayed) scope.end();
+      solver.step(a, c, nullptr, nullptr, 1e3f);
+      scope.end();
+      if (replayed) scope.graph()->launch();
+      expect_thrown(ErrorKind::Runtime, "particle 33: state_in: the inertial target overflows",
+                    [&] { solver.residual(); });
+    }
+}
+TEST_F(VbdDevices, APositionThatDoesNotStayFiniteIsNamed) {
+  const auto model = testing::EverythingScene::make(0.0f, Device::cuda());
+  SolverVBD solver(model);
+  SimState a = model->state(), b = model->state();
+  const std::vector<Vec3f> goals(static_cast<size_t>(solver.held_count()),
+                                 {0.0f, std::numeric_limits<float>::infinity(), 0.0f});
+  const auto targets = DeviceArray<Vec3f>::from_host(goals, Device::cuda());
+  solver.step(a, b, nullptr, nullptr, 1.0f / 120.0f, &targets);
+  expect_thrown(ErrorKind::Runtime, "particle 0: its position did not stay finite",
+                [&] { solver.residual(); });
+}
+TEST_F(VbdDevices, ContactsThatOverflowAreNamedWhereTheHostAsks) {
+  const auto model = testing::EverythingScene::make(0.0f, Device::cuda());
+  CollisionPipeline pipeline(model, {.soft_contact_max = 2, .soft_contact_margin = 0.05f});
+  Contacts contacts = pipeline.contacts();
+  SimState a = model->state(), b = model->state();
+  pipeline.collide(a, contacts);
+  const int32_t found = contacts.soft_contact_count.to_host()[0];
+  ASSERT_GT(found, 2);
+  SolverVBD solver(model);
+  solver.step(a, b, nullptr, &contacts, 1.0f / 120.0f);
+  expect_thrown(ErrorKind::Runtime,
+                "contacts: " + std::to_string(found) + " were found, but there are slots for 2",
+                [&] { solver.residual(); });
+  diff::DiffSolverVBD differentiable(model);
+  differentiable.step(a, b, nullptr, &contacts, 1.0f / 120.0f);
+  expect_thrown(ErrorKind::Runtime, "but there are slots for 2",
+                [&] { differentiable.gradient_info(); });
+  expect_thrown(ErrorKind::Runtime, "expected a backward before",
+                [&] { differentiable.gradient_info(); });
+  diff::DiffSolverVBD implicit(model, {.gradient = {.implicit = true}});
+  expect_thrown(ErrorKind::Runtime, "but there are slots for 2",
+                [&] { implicit.step(a, b, nullptr, &contacts, 1.0f / 120.0f); });
 }
 
 TEST_F(VbdDevices, WhatIsNotThereIsRefusedByName) {

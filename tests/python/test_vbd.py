@@ -177,6 +177,37 @@ def test_numbers_that_are_not_finite_are_named():
     solver.step(model.state(), model.state(), None, None, 1 / 60)
 
 
+def test_a_replay_notes_what_is_not_finite_and_the_next_call_names_it():
+    nova = pytest.importorskip("novaphy.nova")
+    builder = cloth()
+    builder.add_ground_plane(height=1.0)
+    solver = solver_of(builder)
+    model = solver.model
+    state, after = model.state(), model.state()
+    pipeline = novaphy.CollisionPipeline(model, soft_contact_max=3)
+    contacts = pipeline.contacts()
+    with nova.ScopedCapture() as capture:
+        solver.step(state, after, None, None, 1 / 60)
+    good = state.particle_qd.numpy().copy()
+    bad = good.copy()
+    bad[20, 2] = np.inf
+    for ask in (solver.residual, lambda: solver.step(state, after, None, None, 1 / 60)):
+        state.particle_qd.assign(bad)
+        for _ in range(2):
+            capture.graph.launch()
+        state.particle_qd.assign(good)
+        with pytest.raises(novaphy.Error, match=r"particle 20: state_in\.particle_qd: expected"):
+            ask()
+        capture.graph.launch()
+        assert np.isfinite(solver.residual().relative)
+    with nova.ScopedCapture() as capture:
+        pipeline.collide(state, contacts)
+        solver.step(state, after, None, contacts, 1 / 60)
+    capture.graph.launch()
+    with pytest.raises(novaphy.Error, match=r"contacts: \d+ were found, but there are slots for 3"):
+        solver.residual()
+
+
 @pytest.mark.parametrize("scene", ["hanging", "draped", "twisted", "crushed", "net"])
 def test_the_demos_run(scene, tmp_path):
     states = tmp_path / "states.npz"
@@ -417,6 +448,31 @@ def test_friction_acts_on_what_begins_at_rest(gradient):
     assert slope < 0.2 * 0.01  # a fifth of the way without friction
 
 
+def test_checkpoints_keep_the_velocity_of_the_adaptive_guess():
+    """States between them are those of the rollout, and the solver goes on as if nobody asked."""
+    diff = pytest.importorskip("novaphy.diff")
+    builder = cloth(tri_ke=50.0, tri_ka=50.0, tri_kd=0.01, edge_ke=0.05, edge_kd=1e-4)
+    builder.color()
+    model = builder.finalize()
+
+    def run(interval, ask):
+        solver = novaphy.solvers.SolverVBD(model, iterations=2, initial_guess="adaptive")
+        found = []
+        for _ in range(2):  # the second begins with the velocity that the first one left
+            trajectory = diff.Trajectory(model, 7, checkpoint=interval)
+            solver.rollout(trajectory, None, None, 1 / 60)
+            if interval == 1:
+                found += [trajectory[t].particle_q.numpy() for t in range(8)]
+            else:
+                found += [trajectory.recompute(t).particle_q.numpy() for t in range(ask)]
+        return found
+
+    expected = run(1, 0)
+    for t, (one, other) in enumerate(zip(expected, run(3, 8), strict=True)):
+        assert (one == other).all(), t
+    assert not (expected[7] == expected[15]).all()
+
+
 def test_contacts_of_every_step_are_kept_and_inputs_without_a_rule_raise():
     nova = pytest.importorskip("novaphy.nova")
     builder = cloth()
@@ -514,6 +570,62 @@ def test_every_array_of_the_model_has_a_gradient_or_raises_by_name():
     assert {"particle_inv_mass", "shape_transform", "particle_tet_volume"} <= checked
     silent = {name for name, found in seen.items() if found == "none"}
     assert silent <= NOT_READ, silent
+
+
+@pytest.mark.parametrize("gradient", ["unrolled", "implicit"])
+def test_a_damping_of_zero_has_its_gradient(gradient):
+    """Against differences to one side, of bent cloth and a block."""
+    nova = pytest.importorskip("novaphy.nova")
+    builder = cloth(tri_ke=50.0, tri_ka=50.0, tri_kd=0.0, edge_ke=0.05, edge_kd=0.0)
+    builder.add_soft_grid(
+        pos=(0, 0, 0.2), dim_x=1, dim_y=1, dim_z=1, cell_x=0.1, cell_y=0.1, cell_z=0.1,
+        density=100, k_mu=100, k_lambda=100, k_damp=0.0,
+    )  # fmt: skip
+    solver = diff_solver(builder, iterations=60, gradient=gradient)
+    model = solver.model
+    rng = np.random.default_rng(4)
+    bent = model.particle_q.numpy() + rng.normal(0, 5e-3, (model.particle_count, 3))
+    speed = rng.normal(size=bent.shape).astype(np.float32)
+    weights = rng.normal(size=bent.shape).astype(np.float32)
+
+    def states(requires_grad=False):
+        pair = model.state(requires_grad=requires_grad), model.state()
+        pair[0].particle_q.assign(bent.astype(np.float32))
+        pair[0].particle_qd.assign(speed)
+        return pair
+
+    for name, column, step in (
+        ("particle_tri_material", 2, 2e-3),
+        ("particle_edge_material", 1, 2e-5),
+        ("particle_tet_material", 2, 2e-2),
+    ):
+        array = getattr(model, name)
+        assert (array.numpy()[:, column] == 0).all()
+        acts = (array.numpy() != 0).any(1)  # not the surface of the block
+        array.requires_grad = True
+        before, after = states(True)
+        with nova.Tape() as tape:
+            solver.step(before, after, None, None, 1 / 60)
+            loss = loss_of(after, weights)
+        tape.backward(loss)
+        found = array.grad.numpy()[:, column].astype(np.float64).sum()
+        array.requires_grad = False
+        values = []
+        for k in range(3):
+            numbers = array.numpy().copy()
+            numbers[acts, column] = k * step
+            array.assign(numbers)
+            before, after = states()
+            solver.step(before, after, None, None, 1 / 60)
+            values.append((after.particle_q.numpy().astype(np.float64) * weights).sum())
+        numbers[acts, column] = 0
+        array.assign(numbers)
+        expected = (4 * values[1] - values[2] - 3 * values[0]) / (2 * step)
+        assert abs(found) > 0 and abs(found - expected) <= 2e-2 * abs(expected), (
+            name,
+            found,
+            expected,
+        )
 
 
 def test_contacts_that_carry_a_gradient_raise_by_name():
@@ -659,6 +771,36 @@ def test_a_step_that_is_not_solved_is_an_error_unless_allowed():
     info = allowed.gradient_info()
     assert info.label == "implicit" and not info.converged and info.primal.relative > 1e-4
     assert info.linear_residual <= 1e-4 and info.linear_sweeps > 0
+
+
+def test_a_replay_names_the_first_step_that_was_not_solved():
+    nova = pytest.importorskip("novaphy.nova")
+    diff = pytest.importorskip("novaphy.diff")
+    solver = diff_solver(cloth(), iterations=2, gradient="implicit", newton_iterations=0)
+    model = solver.model
+    # Without gravity the cloth is at rest: solved. With it the first step already is not.
+    gravity = model.gravity.numpy().copy()
+    model.gravity.assign(0 * gravity)
+    force = np.zeros((3, model.particle_count, 3), np.float32)
+    forces = nova.tensor(force, requires_grad=True)
+    trajectory = diff.Trajectory(model, 3)
+    with nova.ScopedCapture() as capture:
+        with nova.Tape() as tape:
+            solver.rollout(trajectory, None, None, 1 / 60, forces=forces)
+            loss = loss_of(trajectory[3], np.ones((model.particle_count, 3), np.float32))
+            tape.backward(loss)
+    capture.graph.launch()
+    solver.gradient_info()
+    assert np.isfinite(trajectory[3].particle_q.numpy()).all()
+    force[1] = (0.0, 0.0, -0.1)
+    forces.assign(force)
+    capture.graph.launch()
+    assert np.isfinite(trajectory[1].particle_q.numpy()).all()
+    assert np.isnan(trajectory[3].particle_q.numpy()).all() and np.isnan(forces.grad.numpy()).all()
+    with pytest.raises(novaphy.Error, match="step 1 of the rollout: .*the step was not solved"):
+        solver.gradient_info()
+    with pytest.raises(novaphy.Error, match="step 1 of the rollout: .*the step was not solved"):
+        solver.rollout(trajectory, None, None, 1 / 60, forces=forces)
 
 
 def test_a_number_that_changed_after_recording_is_named():

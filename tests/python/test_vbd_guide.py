@@ -299,6 +299,7 @@ def differentiate(device: str, captured: bool, kind: str, way: str) -> np.ndarra
     solver = novaphy.solvers.DiffSolverVBD(model, iterations=20, gradient=kind)
     before, after = model.state(), model.state()
     q = diff.state_particle_q_tensor(before, True)
+    model.particle_tet_material.requires_grad = way == "train"
 
     def run():
         with nova.Tape() as tape:
@@ -318,7 +319,7 @@ def differentiate(device: str, captured: bool, kind: str, way: str) -> np.ndarra
         capture.graph.launch()
     else:
         found = run()
-    if way == "edit":
+    if way in ("edit", "train"):
         model.particle_tet_material.assign(2 * model.particle_tet_material.numpy())
         if captured:
             capture.graph.launch()
@@ -330,7 +331,8 @@ def differentiate(device: str, captured: bool, kind: str, way: str) -> np.ndarra
 def on_device(begin: str, captured: bool) -> None:
     """What a row of "On a device" says is there has the bits of the cpu."""
     kind = "implicit" if "implicit" in begin else "unrolled"
-    way = {"`Tape.jvp`": "jvp", "after an edit": "edit"}.get(begin, "backward")
+    ways = {"`Tape.jvp`": "jvp", "training of": "train", "after another": "edit"}
+    way = ways.get(begin, "backward")
     try:
         found = differentiate("cuda", captured, kind, way)
     except novaphy.Error as error:
@@ -345,11 +347,17 @@ def on_device(begin: str, captured: bool) -> None:
 @pytest.mark.parametrize("captured", [False, True], ids=["direct", "captured"])
 @pytest.mark.parametrize(
     "begin",
-    ['`gradient="unrolled"`', '`gradient="implicit"`', "`Tape.jvp`", "after an edit"],
+    [
+        '`gradient="unrolled"`',
+        '`gradient="implicit"`',
+        "`Tape.jvp`",
+        "training of",
+        "after another",
+    ],
 )
 def test_a_row_of_the_table_of_devices_is_as_it_says(begin, captured):
     text = GUIDE.read_text("utf-8").split("## Gradients on devices")[1].split("\n\n")[2]
     rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in text.splitlines()[2:]]
-    assert len(rows) == 4
+    assert len(rows) == 5
     (cells,) = [row for row in rows if row[0].startswith(begin)]
     try_cell(cells[2 if captured else 1], lambda: on_device(begin, captured))

@@ -22,7 +22,8 @@ class OnCuda : public ::testing::Test {
   }
 };
 
-inline void expect_thrown(ErrorKind kind, const char* words, const std::function<void()>& call) {
+inline void expect_thrown(ErrorKind kind, const std::string& words,
+                          const std::function<void()>& call) {
   try {
     call();
   } catch (const Error& error) {

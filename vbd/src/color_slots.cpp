@@ -5,9 +5,7 @@
 #include <numeric>
 
 #include "novaphy/core/error.h"
-#include "novaphy/math/matrix.h"
-#include "novaphy/vbd/membrane_trace.h"
-#include "novaphy/vbd/tetrahedron_trace.h"
+#include "novaphy/vbd/slot_numbers_trace.h"
 
 namespace novaphy::vbd {
 namespace {
@@ -90,15 +88,12 @@ void check_drag(const Kind& triangle) {
   }
 }
 
-// The rows of the inverse rest matrix that belong to the corners: that of corner 0 is minus the sum
-// of the others.
-void triangle_rows(const Mat22f& pose, Vec2f (&rows)[3]) {
-  for (int c = 1; c < 3; ++c) rows[c] = {pose.m[c - 1][0], pose.m[c - 1][1]};
-  rows[0] = {-(rows[1].x + rows[2].x), -(rows[1].y + rows[2].y)};
-}
-void tetrahedron_rows(const Mat33f& pose, Vec3f (&rows)[4]) {
-  for (int c = 1; c < 4; ++c) rows[c] = math::row(pose, c - 1);
-  rows[0] = -((rows[1] + rows[2]) + rows[3]);
+void check_control(const Model& model) {
+  const std::vector<float> control = model.particle_spring_control.to_host();
+  for (size_t e = 0; e < control.size(); ++e)
+    require(control[e] == 0.0f, ErrorKind::NotImplemented,
+            "SolverVBD: model.particle_spring_control[", e,
+            "]: expected 0, because no force of VBD uses it, got ", control[e]);
 }
 
 }  // namespace
@@ -248,6 +243,7 @@ void ColorSlots::build(const Model& model, int lanes) {
   for (const Kind* kind : {&kinds.spring_ke, &kinds.triangle, &kinds.edge, &kinds.tetrahedron})
     check_elements(*kind, model.particle_count());
   check_drag(kinds.triangle);
+  check_control(model);
   const std::vector<int32_t> colors = model.particle_colors.to_host();
   for (size_t p = 0; p < colors.size(); ++p)
     require(colors[p] >= 0, ErrorKind::Value, "SolverVBD: model: particle ", p,
@@ -268,69 +264,45 @@ void ColorSlots::set_constants(const Model& model, const Constants& constants) {
     const bool filled = k % lanes < static_cast<size_t>(filled_[k / lanes]);
     mass_by_h2_[k] = filled ? mass[particle_[k]] * inverse_h2 : 1.0f;
   }
-  // Calls put(source, number) for every lane of every slot; number(k) is its k-th constant.
+  // Calls put(element, corner, number) for every lane of every slot; number(k) is its k-th.
   const auto fill_table = [&](Role role, const auto& put) {
     Table& table = tables_[role];
     table.damped = false;
     for (size_t k = 0; k < table.sources.size(); ++k) {
-      if (table.sources[k].element < 0) continue;
+      const auto [e, corner] = table.sources[k];
+      if (e < 0) continue;
       float* const row =
           table.floats.data() + k / lanes * lanes * static_cast<size_t>(kFloats[role]) + k % lanes;
-      table.damped |= put(table.sources[k],
-                          [row, lanes](size_t number) -> float& { return row[number * lanes]; });
+      table.damped |= put(e, corner, [row, lanes](int number) -> float& {
+        return row[static_cast<size_t>(number) * lanes];
+      });
     }
   };
 
-  fill_table(kSpring, [&](const Source& s, const auto& number) {
-    number(0) = model.particle_spring_stiffness.data()[s.element];
-    number(1) = model.particle_spring_damping.data()[s.element] / dt;
-    number(2) = model.particle_spring_rest_length.data()[s.element];
+  fill_table(kSpring, [&](int32_t e, int32_t, const auto& number) {
+    put_spring_numbers(model.particle_spring_stiffness.data()[e],
+                       model.particle_spring_damping.data()[e],
+                       model.particle_spring_rest_length.data()[e], dt, number);
     return true;
   });
-  fill_table(kTriangle, [&](const Source& s, const auto& number) {
-    const float* const c = model.particle_tri_material.data() + 5 * s.element;
-    Vec2f rows[3];
-    triangle_rows(model.particle_tri_pose.data()[s.element], rows);
-    for (size_t m = 0; m < 2; ++m) {
-      const Vec2f& row = rows[(static_cast<size_t>(s.corner) + 1 + m) % 3];
-      number(2 * m) = row.x;
-      number(2 * m + 1) = row.y;
-    }
-    const auto law = membrane_law(model.particle_tri_area.data()[s.element], c[0], c[1],
-                                  constants.tri_activation[s.element], c[2] / dt);
-    number(4) = law.mu;
-    number(5) = law.ln;
-    number(6) = law.alpha;
-    number(7) = law.kd_by_h;
+  fill_table(kTriangle, [&](int32_t e, int32_t corner, const auto& number) {
+    const float* const c = model.particle_tri_material.data() + 5 * e;
+    put_triangle_numbers(corner, model.particle_tri_pose.data()[e],
+                         model.particle_tri_area.data()[e], c, constants.tri_activation[e], dt,
+                         number);
     return c[2] != 0.0f;
   });
   for (const Role role : {kHingeOpposite, kHingeEnd})
-    fill_table(role, [&](const Source& s, const auto& number) {
-      const float* const c = model.particle_edge_material.data() + 2 * s.element;
-      const float length = model.particle_edge_rest_length.data()[s.element];
-      number(0) = c[0] * length;
-      number(1) = (c[1] / dt) * length;
-      number(2) = model.particle_edge_rest_angle.data()[s.element];
+    fill_table(role, [&](int32_t e, int32_t, const auto& number) {
+      const float* const c = model.particle_edge_material.data() + 2 * e;
+      put_hinge_numbers(c, model.particle_edge_rest_length.data()[e],
+                        model.particle_edge_rest_angle.data()[e], dt, number);
       return c[1] != 0.0f;
     });
-  fill_table(kTetrahedron, [&](const Source& s, const auto& number) {
-    const float* const c = model.particle_tet_material.data() + 3 * s.element;
-    const Mat33f& pose = model.particle_tet_pose.data()[s.element];
-    Vec3f rows[4];
-    tetrahedron_rows(pose, rows);
-    for (size_t m = 0; m < 3; ++m) {
-      const Vec3f& row = rows[(static_cast<size_t>(s.corner) + 1 + m) % 4];
-      number(3 * m) = row.x;
-      number(3 * m + 1) = row.y;
-      number(3 * m + 2) = row.z;
-    }
-    const float volume = 1.0f / (math::determinant(pose) * 6.0f);
-    const auto law =
-        tetrahedron_law(volume, c[0], c[1], constants.tet_activation[s.element], c[2] / dt);
-    number(9) = law.mu;
-    number(10) = law.ln;
-    number(11) = law.alpha;
-    number(12) = law.kd_by_h;
+  fill_table(kTetrahedron, [&](int32_t e, int32_t corner, const auto& number) {
+    const float* const c = model.particle_tet_material.data() + 3 * e;
+    put_tetrahedron_numbers(corner, model.particle_tet_pose.data()[e], c,
+                            constants.tet_activation[e], dt, number);
     return c[2] != 0.0f;
   });
 }

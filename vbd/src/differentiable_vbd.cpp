@@ -140,6 +140,7 @@ int32_t DifferentiableVbd::held_count() const {
 }
 
 VbdGradientInfo DifferentiableVbd::info() const {
+  if (launched_ != nullptr) launched_->step.check();
   require(launched_ != nullptr ? launched_->has_info : work_->has_info, ErrorKind::Runtime,
           "DiffSolverVBD.gradient_info: expected a backward before");
   if (launched_ != nullptr && !launched_->solved.gradient.implicit)
@@ -151,6 +152,7 @@ VbdGradientInfo DifferentiableVbd::info() const {
 void DifferentiableVbd::forward(const VbdStepInputs& in, Vec3f* q_out, Vec3f* qd_out) {
   const ExclusiveUse::Scope scope(work_->in_use, "DifferentiableVbd.forward", "the solver");
   model_->update_derived();
+  work_->step.damps = false;
   work_->run(in, q_out, qd_out);
 }
 
@@ -159,6 +161,7 @@ void DifferentiableVbd::backward(const VbdStepInputs& in, const Vec3f* q_out_bar
   const ExclusiveUse::Scope scope(work_->in_use, "DifferentiableVbd.backward", "the solver");
   Work& w = *work_;
   model_->update_derived();
+  w.step.damps = vbd::wants_damping(gradients);
   w.run_again(in);
   w.reverse.prepare(vbd::wants_weights(gradients));
   if (w.gradient.implicit) {
@@ -181,6 +184,7 @@ void DifferentiableVbd::forward(const VbdLaunchInputs& in, const DeviceArray<Vec
   }
   Launched& w = *launched_;
   w.step.update(in.dt);
+  w.step.set_damps(in.trains_elements);
   if (w.solved.gradient.implicit) {
     w.solved.see_step(w.solution.run(in, {q_out, qd_out, {}}, w.solved.gradient, in_use));
   } else {
@@ -198,6 +202,7 @@ void DifferentiableVbd::backward(const VbdLaunchInputs& in, const Array& q_out_b
   }
   Launched& w = *launched_;
   w.step.update(in.dt);
+  w.step.set_damps(in.trains_elements || vbd::wants_damping(gradients));
   if (w.solved.gradient.implicit) {
     w.info = w.solved.see_linear(
         w.solution.run_back(in, q_out_bar, qd_out_bar, gradients, w.solved.gradient, in_use,
@@ -213,6 +218,7 @@ void DifferentiableVbd::tangent(const VbdStepInputs& in, const VbdStepTangents& 
   const ExclusiveUse::Scope scope(work_->in_use, "DifferentiableVbd.tangent", "the solver");
   Work& w = *work_;
   model_->update_derived();
+  w.step.damps = vbd::wants_damping(direction);
   w.run_again(in);
   w.tangent.prepare();
   vbd::set_direction(w.tangent, in, direction);

@@ -124,6 +124,7 @@ VbdResidual LaunchedSolution::run(const VbdLaunchInputs& in, const VbdLaunchResu
     for (DeviceArray<Vec4f>* rows : {&x_, &load_, &result_, &moved_})
       *rows = DeviceArray<Vec4f>(n, step_.model_.device());
   step_.run(in, out, in_use);
+  step_.check();
   const VbdResidual found = solve_nonlinear(*this, static_cast<double>(options.tolerance),
                                             options.newton_iterations, options.krylov_sweeps);
   step_.finish(out);

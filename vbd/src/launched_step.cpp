@@ -117,13 +117,16 @@ LaunchedStep::LaunchedStep(const Model& m, const VbdOptions& o)
              &m.particle_edge_rest_angle,    &m.particle_edge_rest_length,
              &m.particle_edge_material,      &m.particle_tet_pose,
              &m.particle_tet_material,       &m.particle_mass,
-             &m.particle_inv_mass,           &m.particle_flags};
+             &m.particle_inv_mass,           &m.particle_flags,
+             &m.particle_spring_control};
   const auto n = static_cast<size_t>(m.particle_count());
   const Device device = m.device();
   for (DeviceArray<Vec4f>* rows : {&start_, &target_, &moved_, &x_})
     *rows = DeviceArray<Vec4f>(n, device);
   of_particles_ = DeviceArray<float>(3 * n, device);
   barrier_ = DeviceArray<uint32_t>(1, device);
+  faults_ = DeviceArray<int32_t>(n, device);
+  overflow_ = DeviceArray<int32_t>(2, device);
   if (o.acceleration) {
     newer_ = DeviceArray<Vec4f>(n, device);
     older_ = DeviceArray<Vec4f>(n, device);
@@ -299,7 +302,7 @@ std::vector<LaunchArgument> LaunchedStep::sweep_arguments(bool with_contacts, in
   a.push_back(updates("to", t.has_conflicts ? next_ : x_));
   a.push_back(number(options_.lhs_regularization));
   a.push_back(number(options_.friction_epsilon * t.dt));
-  a.push_back(number(t.damped));
+  a.push_back(number(damps_ ? (int64_t{1} << kRoles) - 1 : t.damped));
   a.push_back(number(first_group));
   a.push_back(number(end_group));
   a.push_back(number(t.team));
@@ -362,20 +365,27 @@ void LaunchedStep::find_contacts(const Contacts& c) const {
       {reads("soft_contact_particle", c.soft_contact_particle),
        number(int64_t{c.soft_contact_max()}), writes("contact_begin", contact_begin_),
        writes("contact_items", contact_items_)});
-  kernels().contact.launch(
-      device, c.soft_contact_max(),
-      {reads("contact_begin", contact_begin_), reads("contact_items", contact_items_),
-       number(particles), reads("soft_contact_particle", c.soft_contact_particle),
-       reads("soft_contact_shape", c.soft_contact_shape),
-       reads("soft_contact_body_pos", c.soft_contact_body_pos),
-       reads("soft_contact_body_vel", c.soft_contact_body_vel),
-       reads("soft_contact_normal", c.soft_contact_normal),
-       reads("particle_radius", model_.particle_radius), reads("shape_margin", model_.shape_margin),
-       reads("shape_material_ke", model_.shape_material_ke),
-       reads("shape_material_kd", model_.shape_material_kd),
-       reads("shape_material_mu", model_.shape_material_mu), number(model_.soft_contact_ke),
-       number(model_.soft_contact_kd), number(model_.soft_contact_mu), number(tables_->dt),
-       writes("contacts", contact_numbers_)});
+  kernels().contact.launch(device, c.soft_contact_max(),
+                           {reads("contact_begin", contact_begin_),
+                            reads("contact_items", contact_items_),
+                            number(particles),
+                            reads("soft_contact_count", c.soft_contact_count),
+                            updates("overflow", overflow_),
+                            reads("soft_contact_particle", c.soft_contact_particle),
+                            reads("soft_contact_shape", c.soft_contact_shape),
+                            reads("soft_contact_body_pos", c.soft_contact_body_pos),
+                            reads("soft_contact_body_vel", c.soft_contact_body_vel),
+                            reads("soft_contact_normal", c.soft_contact_normal),
+                            reads("particle_radius", model_.particle_radius),
+                            reads("shape_margin", model_.shape_margin),
+                            reads("shape_material_ke", model_.shape_material_ke),
+                            reads("shape_material_kd", model_.shape_material_kd),
+                            reads("shape_material_mu", model_.shape_material_mu),
+                            number(model_.soft_contact_ke),
+                            number(model_.soft_contact_kd),
+                            number(model_.soft_contact_mu),
+                            number(tables_->dt),
+                            writes("contacts", contact_numbers_)});
 }
 
 void LaunchedStep::commit(int64_t first_group, int64_t end_group,
@@ -446,7 +456,8 @@ void LaunchedStep::run(const VbdLaunchInputs& in, const VbdLaunchResults& out,
   if (LaunchRecorder* recorder = launch_recorder()) recorder->uses(in_use);
   model_.depend_on_numbers();
   depend_on(std::span<const Array* const>(mesh_));
-  depend_on(std::span<const Array* const>(values_));
+  constexpr size_t kOfElements = 11;  // the first of values_
+  depend_on(std::span<const Array* const>(values_).subspan(in.trains_elements ? kOfElements : 0));
   const auto last = [&] {
     if (in.last_velocity.rows() == 0) return number(int64_t{0});
     return out.updates_last ? updates_row("last_velocity", in.last_velocity)
@@ -471,7 +482,8 @@ void LaunchedStep::run(const VbdLaunchInputs& in, const VbdLaunchResults& out,
       writes_row("moved", moved_),
       writes_row("x", x_),
       options_.acceleration ? writes_row("newer", newer_) : number(int64_t{0}),
-      writes("barrier", barrier_)};
+      writes("barrier", barrier_),
+      updates_row("faults", faults_)};
   static constexpr const char* kValueNames[] = {
       "model.particle_spring_stiffness",   "model.particle_spring_damping",
       "model.particle_spring_rest_length", "model.particle_tri_pose",
@@ -479,11 +491,17 @@ void LaunchedStep::run(const VbdLaunchInputs& in, const VbdLaunchResults& out,
       "model.particle_edge_rest_angle",    "model.particle_edge_rest_length",
       "model.particle_edge_material",      "model.particle_tet_pose",
       "model.particle_tet_material",       "model.particle_mass",
-      "model.particle_inv_mass",           "model.particle_flags"};
+      "model.particle_inv_mass",           "model.particle_flags",
+      "model.particle_spring_control"};
   for (size_t k = 0; k < values_.size(); ++k) predict.push_back(reads(kValueNames[k], *values_[k]));
   kernels().predict.launch(device, particles, predict);
-  activate(tables_->triangle, kTriangle, in.tri_activation);
-  activate(tables_->tetrahedron, kTetrahedron, in.tet_activation);
+  if (in.trains_elements) {
+    reserve_training();
+    put_numbers(in);
+  } else {
+    activate(tables_->triangle, kTriangle, in.tri_activation);
+    activate(tables_->tetrahedron, kTetrahedron, in.tet_activation);
+  }
   if (with_contacts) find_contacts(*contacts);
   launch(kernels().prepare, kernels().prepare_groups, tables_->colors.back(), with_contacts, 0);
   if (in.targets.rows() != 0)
@@ -501,7 +519,35 @@ void LaunchedStep::finish(const VbdLaunchResults& out) const {
   kernels().finish.launch(
       model_.device(), model_.particle_count(),
       {reads_row("start", start_), reads_row("x", x_), number(tables_->dt),
-       writes_row("state_out.particle_q", out.q), writes_row("state_out.particle_qd", out.qd)});
+       writes_row("state_out.particle_q", out.q), writes_row("state_out.particle_qd", out.qd),
+       updates_row("faults", faults_)});
+}
+
+void LaunchedStep::check() {
+  const Unobserved unobserved;
+  check_trained();
+  const std::vector<int32_t> faults = faults_.to_host(), overflow = overflow_.to_host();
+  const auto first_of = [&faults](auto&& is_kind) {
+    return std::find_if(faults.begin(), faults.end(), is_kind);
+  };
+  // Where a step reads what is not finite, that is why others are not.
+  auto found = first_of([](int32_t fault) { return fault != kNoFault && fault != kFaultResult; });
+  if (found == faults.end()) found = first_of([](int32_t fault) { return fault != kNoFault; });
+  if (found == faults.end() && overflow[0] == 0) return;
+  faults_.zero();
+  overflow_.zero();
+  constexpr const char* kSince = ": a step on a device, or a replay, since this was last asked: ";
+  require(overflow[0] == 0, ErrorKind::Runtime, kName, kSince, "contacts: ", overflow[0],
+          " were found, but there are slots for ", overflow[1],
+          "; make a pipeline with a larger soft_contact_max");
+  static constexpr const char* kWhat[] = {"",
+                                          "state_in.particle_q: expected finite numbers",
+                                          "state_in.particle_qd: expected finite numbers",
+                                          "state_in.particle_f: expected finite numbers",
+                                          "state_in: the inertial target overflows float32",
+                                          "its position did not stay finite"};
+  fail(ErrorKind::Runtime, kName, kSince, "particle ", found - faults.begin(), ": ", kWhat[*found],
+       "; its results are NaN");
 }
 
 // After a run: one more iteration.

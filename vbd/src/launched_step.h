@@ -49,8 +49,13 @@ class LaunchedStep {
   // `in_use`: the use of the solver's memory, which a recording takes.
   void run(const VbdLaunchInputs& in, const VbdLaunchResults& out,
            const std::shared_ptr<ExclusiveUse>& in_use);
+  // Waits for what was launched. ErrorKind::Runtime: a step since the last check read or made
+  // numbers that are not finite, or contacts that had overflowed; says so once.
+  void check();
   VbdResidual residual();
   VbdResidual last_residual() const;
+  // From the next run on: terms of damping although all coefficients are 0.
+  void set_damps(bool damps) { damps_ = damps; }
   void forget_last() { has_stepped_ = false; }
   int32_t held_count() const { return static_cast<int32_t>(held_.rows()); }
   bool has_stepped() const { return has_stepped_; }
@@ -58,6 +63,12 @@ class LaunchedStep {
  private:
   friend class LaunchedReverse;
   friend class LaunchedSolution;
+  // A material of elements, and which of its numbers may be other than 0: see vbd_material.
+  struct Trained {
+    const char* name;
+    const Array* array;
+    DeviceArray<int32_t> allowed;
+  };
   // Where the number of an activation lies, for each lane of each slot of a role.
   struct Activated {
     DeviceArray<int32_t> element;
@@ -76,6 +87,9 @@ class LaunchedStep {
     DeviceArray<int32_t> ints[kRoles];
     DeviceArray<float> floats[kRoles];
     Activated triangle, tetrahedron;
+    // Where elements are trained: of each lane of each slot, see LaneNumbers; and their materials.
+    DeviceArray<int32_t> sources[kRoles];
+    std::vector<Trained> trained;
     DeviceArray<uint8_t> sweeps;  // on the CPU: a Sweep without contacts, and one with them
   };
   enum class Mover { Thread, Team, Grid };
@@ -90,6 +104,10 @@ class LaunchedStep {
               bool with_contacts, int64_t first_group) const;
   void find_contacts(const Contacts& contacts) const;
   void activate(const Activated& to, Role role, const DeviceArray<float>& activation) const;
+  // launched_training.cpp
+  void reserve_training();
+  void put_numbers(const VbdLaunchInputs& in) const;
+  void check_trained() const;
   void iterate(bool with_contacts, std::span<const DeviceArray<Vec4f>> iterates) const;
   void iterate_once(bool with_contacts, Mover how) const;
   void iterate_again(bool with_contacts);
@@ -111,16 +129,19 @@ class LaunchedStep {
   std::vector<ArrayStamp> mesh_stamps_, value_stamps_;
   ColorSlots slots_;
   uint64_t builds_ = 0;  // of the slots
-  std::shared_ptr<const Tables> tables_;
+  std::shared_ptr<Tables> tables_;
+  std::vector<Trained> trained_;  // of all tables that graphs may hold
   DeviceArray<int32_t> is_held_, held_;
   // Rows of four floats, one per particle.
   DeviceArray<Vec4f> start_, target_, moved_, x_, next_, newer_, older_;
   DeviceArray<int32_t> contact_begin_, contact_items_;
   DeviceArray<float> contact_numbers_, of_particles_;
   DeviceArray<uint32_t> barrier_;
+  DeviceArray<int32_t> faults_;    // of each particle, see vbd::note_fault
+  DeviceArray<int32_t> overflow_;  // see VbdContactArguments
   std::vector<float> chebyshev_;
   int32_t iterations_run_ = 0;
-  bool has_stepped_ = false, had_contacts_ = false;
+  bool has_stepped_ = false, had_contacts_ = false, damps_ = false;
 };
 
 }  // namespace novaphy::vbd

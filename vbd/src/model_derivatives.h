@@ -10,6 +10,10 @@ namespace novaphy::vbd {
 
 // Whether a derivative by a rest shape is wanted.
 bool wants_weights(const VbdStepGradients& gradients);
+// Whether a derivative by a damping is wanted, for which its terms run although it is 0.
+bool wants_damping(const VbdStepGradients& gradients);
+bool wants_damping(const VbdStepTangents& direction);
+bool wants_damping(const VbdStepArrays& gradients);
 // `at_solution`: those of the solution, which does not depend on the guess.
 void put_gradients(const ReversePass& pass, const VbdStepInputs& inputs,
                    const VbdStepGradients& gradients, bool at_solution);

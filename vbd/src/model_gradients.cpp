@@ -131,6 +131,19 @@ bool wants_weights(const VbdStepGradients& g) {
   return g.particle_tri_pose != nullptr || g.particle_tet_pose != nullptr;
 }
 
+bool wants_damping(const VbdStepGradients& g) {
+  return g.particle_tri_material != nullptr || g.particle_edge_material != nullptr ||
+         g.particle_tet_material != nullptr;
+}
+bool wants_damping(const VbdStepTangents& direction) {
+  return direction.particle_tri_material != nullptr ||
+         direction.particle_edge_material != nullptr || direction.particle_tet_material != nullptr;
+}
+bool wants_damping(const VbdStepArrays& g) {
+  return g.particle_tri_material.rows() != 0 || g.particle_edge_material.rows() != 0 ||
+         g.particle_tet_material.rows() != 0;
+}
+
 void put_gradients(const ReversePass& pass, const VbdStepInputs& inputs,
                    const VbdStepGradients& gradients, bool at_solution) {
   const Gradients g(pass, inputs, gradients, at_solution);

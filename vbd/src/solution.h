@@ -91,7 +91,7 @@ KrylovResult solve_transposed(Step& step, const Rows& given, double tolerance, i
                                             });
     add_scaled(solution, 1.0f, more);
     residual = free_rows(step.balance(given, solution));
-    result.residual = scale > 0.0 ? std::sqrt(inner(residual, residual)) / scale : 0.0;
+    result.residual = scale == 0.0 ? 0.0 : std::sqrt(inner(residual, residual)) / scale;
     result.iterations += found.iterations;
     if (result.residual <= tolerance || result.iterations >= sweeps) break;
   }

@@ -86,6 +86,8 @@ int32_t SolverVBD::held_count() const {
                                 : work_->launched->held_count();
 }
 
+Array SolverVBD::carried() const { return work_->last; }
+
 bool SolverVBD::supports_graph_capture() const { return !options_.tolerance; }
 
 void SolverVBD::notify_model_changed(ModelFlags) {
@@ -105,6 +107,7 @@ void SolverVBD::reset() {
 VbdResidual SolverVBD::residual() const {
   const ExclusiveUse::Scope scope = use("SolverVBD.residual");
   Work& w = *work_;
+  if (w.launched != nullptr) w.launched->check();
   const bool launched = w.host == nullptr || w.last_was_launched;
   require(launched ? w.launched->has_stepped() : w.host->has_stepped, ErrorKind::Runtime,
           "SolverVBD.residual: expected a step before, since the solver was made or reset");
@@ -117,6 +120,7 @@ void SolverVBD::step(SimState& state_in, SimState& state_out, const Control* con
   const Model& m = *model();
   Work& w = *work_;
   check_step(kName, state_in, state_out, control, contacts, dt);
+  if (w.host != nullptr && w.launched != nullptr) w.launched->check();  // of replays; no waiting
   const auto held = static_cast<size_t>(held_count());
   require(targets == nullptr || (targets->rows() == held && targets->device() == m.device()),
           ErrorKind::Value, kName, ": targets: expected {", held,

@@ -26,6 +26,11 @@ inline void check_numbers(const Model& model) {
           ": model.soft_contact_kf: expected the default ", ModelNumbers{}.soft_contact_kf,
           ", because friction of VBD has no part of it (friction_epsilon), got ",
           model.soft_contact_kf);
+  require(model.soft_contact_restitution == ModelNumbers{}.soft_contact_restitution,
+          ErrorKind::NotImplemented, kName,
+          ": model.soft_contact_restitution: expected the default ",
+          ModelNumbers{}.soft_contact_restitution, ", because contacts of VBD do not bounce, got ",
+          model.soft_contact_restitution);
 }
 
 // Chebyshev's factors: 1, 2/(2 - rho^2), then 4/(4 - rho^2 omega).
@@ -50,7 +55,7 @@ inline VbdResidual sum_residuals(std::span<const ParticleResidual> of_particles,
     rounding += static_cast<double>(r.rounding);
   }
   const auto relative = [inertia](double squared) {
-    return squared > 0.0 ? std::sqrt(squared / inertia) : 0.0;
+    return squared == 0.0 ? 0.0 : std::sqrt(squared / inertia);
   };
   return {std::sqrt(force), std::sqrt(inertia), relative(force), relative(rounding), iterations};
 }

@@ -16,11 +16,6 @@ constexpr const char* kName = "SolverVBD.step";
 constexpr int64_t kParticlesPerChunk = 512;
 constexpr int64_t kLanesPerChunk = 64;  // particles of a colour that one thread takes at a time
 
-bool is_finite(const Vec3f& v) {
-  const float sum = (v.x - v.x) + (v.y - v.y) + (v.z - v.z);  // NaN, else 0
-  return sum == 0.0f;
-}
-
 float* floats(std::vector<Row>& rows) { return reinterpret_cast<float*>(rows.data()); }
 
 }  // namespace
@@ -37,10 +32,10 @@ StepWork::StepWork(const Model& m, const VbdOptions& o, bool keep_iterates) : mo
     mesh_.emplace_back(name, array);
   for (const Array* array : std::initializer_list<const Array*>{
            &m.particle_flags, &m.particle_mass, &m.particle_inv_mass, &m.particle_spring_stiffness,
-           &m.particle_spring_damping, &m.particle_spring_rest_length, &m.particle_tri_pose,
-           &m.particle_tri_area, &m.particle_tri_material, &m.particle_edge_rest_angle,
-           &m.particle_edge_rest_length, &m.particle_edge_material, &m.particle_tet_pose,
-           &m.particle_tet_material})
+           &m.particle_spring_damping, &m.particle_spring_control, &m.particle_spring_rest_length,
+           &m.particle_tri_pose, &m.particle_tri_area, &m.particle_tri_material,
+           &m.particle_edge_rest_angle, &m.particle_edge_rest_length, &m.particle_edge_material,
+           &m.particle_tet_pose, &m.particle_tet_material})
     values_.emplace_back("", array);
   const auto n = static_cast<size_t>(m.particle_count());
   for (std::vector<Row>* rows : {&start, &target, &moved, &x}) rows->resize(n);
@@ -129,6 +124,8 @@ void StepWork::update(const DeviceArray<float>* tri_activation,
   }
 
   slots.fill(sweep);
+  if (damps)
+    for (SlotTable& table : sweep.slots) table.damped = true;
   contacts.fill(sweep);
   sweep.start = floats(start);
   sweep.target = floats(target);

@@ -56,6 +56,7 @@ class StepWork {
   std::vector<Row> start, target, moved, x;
   std::vector<std::vector<Row>> iterates;  // x after 0, 1, ... iterations
   bool has_stepped = false;
+  bool damps = false;   // from the next update on: terms of damping although all coefficients are 0
   uint64_t builds = 0;  // how often the tables were made
 
  private:

@@ -116,7 +116,7 @@ KrylovResult TangentPass::implicit(double tolerance, int32_t sweeps) {
     for (size_t p = 0; p < x_slope.size(); ++p)
       if (!is_held(p)) x_slope[p] = Vec3f(x_slope[p]) + Vec3f(more[p]);
     load = force_slope();
-    result.residual = scale > 0.0 ? std::sqrt(inner(load, load)) / scale : 0.0;
+    result.residual = scale == 0.0 ? 0.0 : std::sqrt(inner(load, load)) / scale;
     if (result.residual <= tolerance || result.iterations >= sweeps) break;
   }
   return result;

@@ -11,6 +11,7 @@
 #include "novaphy/vbd/contact_numbers_trace.h"
 #include "novaphy/vbd/lane_slots_kernels.h"
 #include "novaphy/vbd/particle_step_trace.h"
+#include "novaphy/vbd/slot_numbers_trace.h"
 #include "novaphy/vbd/slot_teams_kernels.h"
 
 namespace novaphy {
@@ -34,10 +35,21 @@ struct VbdPredictArguments {
   VbdRow* x;
   VbdRow* newer;      // of Chebyshev's acceleration, else null
   uint32_t* barrier;  // of vbd_sweep
+  int32_t* faults;    // see vbd::note_fault
   // What the tables of the sweep were made of: not read here, but a gradient of it would stop.
-  const float* tables_of[14];
+  const float* tables_of[15];
 };
-NOVAPHY_ROW_KERNEL(vbd_predict, 32, VbdPredictArguments) {
+
+namespace vbd {
+
+// The first that was wrong with a particle since the host asked (LaunchedStep::check).
+inline void note_fault(int32_t* faults, int64_t particle, int32_t fault) {
+  if (fault != kNoFault && faults[particle] == kNoFault) faults[particle] = fault;
+}
+
+}  // namespace vbd
+
+NOVAPHY_ROW_KERNEL(vbd_predict, 34, VbdPredictArguments) {
   if (row == 0) *a.barrier = 0;
   const Vec3f q = a.q[row];
   a.start[row] = to_row(q);
@@ -47,6 +59,7 @@ NOVAPHY_ROW_KERNEL(vbd_predict, 32, VbdPredictArguments) {
     if (a.updates_last != 0) a.last[row] = vbd::to_last_velocity(a.qd[row]);
   }
   if (a.is_held[row] != 0) {
+    vbd::note_fault(a.faults, row, vbd::input_fault(q, {}, {}, {}));
     a.x[row] = a.target[row] = to_row(q);
     a.moved[row] = to_row({});
     return;
@@ -55,6 +68,7 @@ NOVAPHY_ROW_KERNEL(vbd_predict, 32, VbdPredictArguments) {
   const vbd::Prediction p = vbd::predict_particle(
       q, a.qd[row], a.f[row], a.inv_mass[row], a.gravity[w < 0 ? a.last_world : w], a.h.value,
       static_cast<int32_t>(a.guess), last.w != 0.0f, to_vec3(last));
+  vbd::note_fault(a.faults, row, vbd::input_fault(q, a.qd[row], a.f[row], p.target));
   a.target[row] = to_row(p.target);
   a.moved[row] = to_row(p.moved);
   a.x[row] = to_row(q + p.moved);
@@ -83,10 +97,113 @@ NOVAPHY_ROW_KERNEL(vbd_activation, 7, VbdActivationArguments) {
   a.floats[(slot * a.width + a.number) * a.lanes + lane] = a.alpha[row] - a.activation[e];
 }
 
+namespace vbd {
+
+// Of a lane of a slot: `source` is the corner plus 4 times the element, or -1.
+struct LaneNumbers {
+  float* first;
+  int64_t lanes;
+  LaneNumbers(float* floats, Role role, int64_t row, int64_t lanes_of_group)
+      : first(floats + row / lanes_of_group * (kFloats[role] * lanes_of_group) +
+              row % lanes_of_group),
+        lanes(lanes_of_group) {}
+  float& operator()(int number) const { return first[number * lanes]; }
+};
+
+}  // namespace vbd
+
+// The numbers of slots anew, from the model as it is: where its materials or rest shapes are
+// trained in a capture. `row`: over the lanes of all slots of a role.
+struct VbdSpringNumbersArguments {
+  const int32_t* source;
+  float* floats;
+  int64_t lanes;
+  FloatWord h;
+  const float* stiffness;
+  const float* damping;
+  const float* rest_length;
+};
+NOVAPHY_ROW_KERNEL(vbd_spring_numbers, 7, VbdSpringNumbersArguments) {
+  const int32_t e = a.source[row] >> 2;
+  if (e < 0) return;
+  vbd::put_spring_numbers(a.stiffness[e], a.damping[e], a.rest_length[e], a.h.value,
+                          vbd::LaneNumbers(a.floats, vbd::kSpring, row, a.lanes));
+}
+struct VbdTriangleNumbersArguments {
+  const int32_t* source;
+  float* floats;
+  int64_t lanes;
+  FloatWord h;
+  const Mat22f* pose;
+  const float* area;
+  const float* material;
+  const float* activation;
+};
+NOVAPHY_ROW_KERNEL(vbd_triangle_numbers, 8, VbdTriangleNumbersArguments) {
+  const int32_t e = a.source[row] >> 2;
+  if (e < 0) return;
+  vbd::put_triangle_numbers(a.source[row] & 3, a.pose[e], a.area[e], a.material + 5 * e,
+                            a.activation[e], a.h.value,
+                            vbd::LaneNumbers(a.floats, vbd::kTriangle, row, a.lanes));
+}
+struct VbdHingeNumbersArguments {
+  const int32_t* source;
+  float* floats;
+  int64_t lanes;
+  FloatWord h;
+  const float* material;
+  const float* rest_length;
+  const float* rest_angle;
+};
+NOVAPHY_ROW_KERNEL(vbd_hinge_numbers, 7, VbdHingeNumbersArguments) {
+  const int32_t e = a.source[row] >> 2;
+  if (e < 0) return;
+  static_assert(vbd::kFloats[vbd::kHingeOpposite] == vbd::kFloats[vbd::kHingeEnd]);
+  vbd::put_hinge_numbers(a.material + 2 * e, a.rest_length[e], a.rest_angle[e], a.h.value,
+                         vbd::LaneNumbers(a.floats, vbd::kHingeEnd, row, a.lanes));
+}
+struct VbdTetrahedronNumbersArguments {
+  const int32_t* source;
+  float* floats;
+  int64_t lanes;
+  FloatWord h;
+  const Mat33f* pose;
+  const float* material;
+  const float* activation;
+};
+NOVAPHY_ROW_KERNEL(vbd_tetrahedron_numbers, 7, VbdTetrahedronNumbersArguments) {
+  const int32_t e = a.source[row] >> 2;
+  if (e < 0) return;
+  vbd::put_tetrahedron_numbers(a.source[row] & 3, a.pose[e], a.material + 3 * e, a.activation[e],
+                               a.h.value,
+                               vbd::LaneNumbers(a.floats, vbd::kTetrahedron, row, a.lanes));
+}
+
+struct VbdMaterialArguments {
+  const float* material;
+  int64_t width;
+  int32_t* allowed;  // of each element
+};
+// Whether materials fit the slots, which were laid when they were others: a number is finite and
+// not negative, and may be other than 0 only where `allowed` has the bit of its column. Else the
+// bit kVbdBadMaterial is set there. kVbdAnyMaterial: of an element that has no part.
+constexpr int32_t kVbdBadMaterial = 1 << 30, kVbdAnyMaterial = 1 << 29;
+NOVAPHY_ROW_KERNEL(vbd_material, 3, VbdMaterialArguments) {
+  if ((a.allowed[row] & kVbdAnyMaterial) != 0) return;
+  for (int64_t k = 0; k < a.width; ++k) {
+    const float value = a.material[row * a.width + k];
+    const bool good = value >= 0.0f && value - value == 0.0f;
+    if (!good || (value != 0.0f && ((a.allowed[row] >> k) & 1) == 0))
+      a.allowed[row] |= kVbdBadMaterial;
+  }
+}
+
 struct VbdContactArguments {
   const int32_t* begin;  // of each particle, and behind the last
   const int32_t* items;  // slots of contacts, particle by particle
   int64_t particles;
+  const int32_t* count;
+  int32_t* overflow;  // contacts that were found, and slots, where these were too few
   const int32_t* particle;
   const int32_t* shape;
   const Vec3f* point;
@@ -100,7 +217,11 @@ struct VbdContactArguments {
   FloatWord model_ke, model_kd, model_mu, h;
   float* numbers;
 };
-NOVAPHY_ROW_KERNEL(vbd_contact, 18, VbdContactArguments) {
+NOVAPHY_ROW_KERNEL(vbd_contact, 20, VbdContactArguments) {
+  if (row == 0 && *a.count > n && a.overflow[0] == 0) {
+    a.overflow[0] = *a.count;
+    a.overflow[1] = static_cast<int32_t>(n);
+  }
   if (row >= a.begin[a.particles]) return;
   const int32_t slot = a.items[row], s = a.shape[slot];
   vbd::put_contact_numbers(a.numbers + row * vbd::kContactFloats, a.point[slot], a.normal[slot],
@@ -268,9 +389,11 @@ struct VbdFinishArguments {
   FloatWord h;
   Vec3f* q;
   Vec3f* qd;
+  int32_t* faults;
 };
-NOVAPHY_ROW_KERNEL(vbd_finish, 5, VbdFinishArguments) {
+NOVAPHY_ROW_KERNEL(vbd_finish, 6, VbdFinishArguments) {
   const Vec3f x = to_vec3(a.x[row]);
+  if (!vbd::is_finite(x)) vbd::note_fault(a.faults, row, vbd::kFaultResult);
   a.q[row] = x;
   a.qd[row] = (x - to_vec3(a.start[row])) / a.h.value;
 }

@@ -27,6 +27,7 @@ struct StepInputs {
   nova::Operand targets;
   size_t first_target = 0;
   float dt = 0.0f;
+  int32_t step = -1;  // of a rollout: from its state `step` to the next
 
   // Of a rollout over a trajectory that does not keep all states.
   struct Checkpoints {

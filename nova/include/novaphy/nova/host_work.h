@@ -13,13 +13,13 @@ struct HostWork {
   const char* name;                     // in errors
   std::vector<Tensor> reads, results;   // results: float32, which it writes
   std::vector<Tensor> writes = {};      // what it writes besides
-  std::string* failure = nullptr;       // null, or lives as long as `run`
+  std::string* failure = nullptr;       // null, or lives as long as `run`; empty: none yet
   std::function<void()> run = nullptr;  // keeps what it uses alive
 };
 
 // In a capture: every replay calls `run`, behind what writes `reads` and before what reads
-// `results` and `writes`. No replay passes on what it throws: `failure` says it then, and the
-// results are NaN.
+// `results` and `writes`. No replay passes on what it throws: `failure` says the first since it was
+// empty, of which others may be consequences, and the results are NaN.
 NOVAPHY_NOVA_API void capture_host_work(const HostWork& work);
 
 }  // namespace nova

@@ -34,7 +34,8 @@ struct DiffVbdOptions {
 //   contacts (those of the step are kept)                frozen: points, normals, which touch
 //   all else of the model and the contacts               none: ErrorKind::NotImplemented, by name,
 //                                                        where it has requires_grad
-// particle_q and particle_qd of the model are read by states, not by steps.
+// particle_q and particle_qd of the model are read by states, not by steps. An element whose
+// coefficients are all 0 is left out of a step, and has no gradient.
 //
 // The adaptive guess looks at the velocity before the last step, which the solver carries from step
 // to step and from rollout to rollout until reset(). Unrolled gradients by it are exact, over the
@@ -43,7 +44,9 @@ struct DiffVbdOptions {
 // the last step ended, or with reset() where the capture does.
 // "Exact" is of the iterations that ran, or with implicit gradients of the solution, within the
 // residuals: see gradient_info(). Steps, rollouts, their backward and jvp can be captured; a
-// replay runs them on the host, or on the device of the model. On a device there is no jvp,
+// replay runs them on the host, or on the device of the model, where materials and rest shapes of
+// elements that carry a gradient may change from replay to replay (an element whose coefficients
+// are all 0 keeps them, or gradient_info() throws). On a device there is no jvp,
 // and no capture with implicit gradients (see DifferentiableVbd).
 class NOVAPHY_VBD_API DiffSolverVBD : public DiffSolverBase {
  public:
@@ -53,7 +56,8 @@ class NOVAPHY_VBD_API DiffSolverVBD : public DiffSolverBase {
   const DiffVbdOptions& options() const { return options_; }
   int32_t held_count() const { return steps_->held_count(); }
   // Of the last backward or jvp. ErrorKind::Runtime: there was none; or a replay of a captured step
-  // or backward failed since the last call, and wrote NaN. (step and rollout say so, too.)
+  // or backward failed since the last call, and wrote NaN (the first, with the step of a rollout;
+  // step and rollout say so, too); on a device as SolverVBD::residual, of direct steps too.
   VbdGradientInfo gradient_info() const;
 
   // particle_f is only read. Errors as SolverVBD::step; ErrorKind::Runtime with implicit
@@ -77,7 +81,6 @@ class NOVAPHY_VBD_API DiffSolverVBD : public DiffSolverBase {
                    StepScratch scratch) override;
 
  private:
-  struct Step;
   void check_replays() const;
   void begin();
   bool looks_back() const { return options_.initial_guess == VbdInitialGuess::Adaptive; }

@@ -35,6 +35,9 @@ struct VbdLaunchInputs {
   DeviceArray<Vec3f> targets;
   float dt = 0.0f;  // s
   DeviceArray<Vec4f> last_velocity = {};
+  // In a capture: replays read the materials and rest shapes of elements as they are then, where an
+  // element whose coefficients are all 0 keeps them.
+  bool trains_elements = false;
 
   bool have_contacts() const { return contacts != nullptr && contacts->soft_contact_max() > 0; }
 };

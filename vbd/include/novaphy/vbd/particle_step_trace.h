@@ -16,6 +16,16 @@ namespace novaphy::vbd {
 // Of VbdInitialGuess.
 constexpr int32_t kGuessPrevious = 1, kGuessAdaptive = 2;
 
+inline bool is_finite(const Vec3f& v) {
+  const float sum = (v.x - v.x) + (v.y - v.y) + (v.z - v.z);  // NaN, else 0
+  return sum == 0.0f;
+}
+
+// What is not finite of a particle: what a step reads, its target though all of that is, or where
+// the step leaves it.
+constexpr int32_t kNoFault = 0, kFaultPosition = 1, kFaultVelocity = 2, kFaultForce = 3,
+                  kFaultTarget = 4, kFaultResult = 5;
+
 struct Prediction {
   Vec3f target, moved;  // y; x0 - xn
 };
@@ -37,6 +47,14 @@ inline Prediction predict_particle(const Vec3f& q, const Vec3f& qd, const Vec3f&
         qd * h +
         (g * math::clamp(gravity_that_acted(g, (qd - last_velocity) / h), 0.0f, 1.0f)) * (h * h);
   return p;
+}
+
+// Of what a step reads of a particle that moves, and the target it makes of it.
+inline int32_t input_fault(const Vec3f& q, const Vec3f& qd, const Vec3f& f, const Vec3f& target) {
+  if (!is_finite(q)) return kFaultPosition;
+  if (is_finite(target)) return kNoFault;
+  if (!is_finite(qd)) return kFaultVelocity;
+  return is_finite(f) ? kFaultTarget : kFaultForce;
 }
 
 // The derivatives of a scalar by what the adaptive guess reads besides xn, from those by x0.

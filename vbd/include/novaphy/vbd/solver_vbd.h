@@ -42,7 +42,8 @@ struct VbdResidual {
 // forces, gravity, and soft contacts with world-owned shapes. ErrorKind::NotImplemented names what
 // is not covered: bodies, joints, drag and lift of triangles, particle_adhesion, a
 // particle_max_velocity below its default, a soft_contact_kf or shape_material_kf that is not the
-// default (friction below the cone is that of friction_epsilon); on a device also `tolerance`, and
+// default (friction below the cone is that of friction_epsilon), restitution, and a
+// particle_spring_control that is not 0; on a device also `tolerance`, and
 // a build without NOVAPHY_WITH_VBD_CUDA. There is no contact between particles or of particles with
 // triangles.
 //
@@ -56,9 +57,9 @@ struct VbdResidual {
 //
 // A step can be captured; a graph keeps the dt with which it was recorded, and throws once a number
 // of the model (soft_contact_ke, ...) is another than then, or arrays that its tables were made of
-// were edited (materials of elements, rest shapes, masses, flags). On a device and in a capture
-// contacts that overflowed and numbers of states that are not finite are not found out: see
-// Contacts::overflowed().
+// were edited (materials of elements, rest shapes, masses, flags). A step on a device and a replay
+// cannot throw: numbers of states that are not finite and contacts that overflowed leave a note,
+// and the next residual() throws; on the CPU so does the next step(). Nothing waits for it before.
 //
 // Particles of mass 0 or without ParticleFlags.ACTIVE are held: they stay, or go where `targets`
 // say; their velocity is what they moved by in the step, and 0 otherwise.
@@ -90,7 +91,9 @@ class NOVAPHY_VBD_API SolverVBD : public SolverBase {
   // the step; null: where they are.
   void step(SimState& state_in, SimState& state_out, const Control* control,
             const Contacts* contacts, float dt, const DeviceArray<Vec3f>* targets);
-  // Of the last step. ErrorKind::Runtime: there was none since the solver was made or reset.
+  // Of the last step; waits for the device. ErrorKind::Runtime: there was none since the solver was
+  // made or reset; a step on a device or a replay since the last call read or made numbers that are
+  // not finite, or contacts that had overflowed (it says the first of a particle, once).
   VbdResidual residual() const;
   // Forgets the last step, which the adaptive guess and residual() look at.
   void reset();
@@ -98,6 +101,7 @@ class NOVAPHY_VBD_API SolverVBD : public SolverBase {
 
  protected:
   int32_t target_count() const override { return held_count(); }
+  Array carried() const override;  // of the adaptive guess
   void step_to_targets(SimState& state_in, SimState& state_out, const Control* control,
                        const Contacts* contacts, float dt,
                        const DeviceArray<Vec3f>& targets) override {

@@ -1,0 +1,100 @@
+// A step of DiffSolverVBD as a tape, a capture or a call keeps it: what it reads and writes, and
+// its derivatives between tensors.
+#pragma once
+
+#include <array>
+#include <memory>
+#include <span>
+#include <string>
+#include <vector>
+
+#include "novaphy/nova/tape.h"
+#include "novaphy/vbd/differentiable_vbd.h"
+
+namespace novaphy::diff {
+
+inline nova::Tensor tensor_of(const nova::Operand& operand) {
+  return {operand.range, {operand.rows, operand.width}, nova::DType::F32};
+}
+
+struct RecordedStep {
+  static constexpr const char* kName = "DiffSolverVBD.step";
+
+  explicit RecordedStep(std::shared_ptr<const Model> of) : model(std::move(of)) {}
+
+  std::shared_ptr<const Model> model;
+  std::shared_ptr<DifferentiableVbd> steps;
+  std::shared_ptr<const Contacts> contacts;
+  std::shared_ptr<std::string> failure;  // of replays; see DiffSolverVBD::gradient_info
+  std::shared_ptr<ExclusiveUse> in_use;
+  nova::Tensor q, qd, f, targets;  // the targets of all steps; undefined: none
+  nova::Tensor last;               // of the adaptive guess, else undefined
+  size_t first_target = 0, target_count = 0;
+  DeviceArray<float> tri_activation, tet_activation;
+  DeviceArray<Vec3f> q_out, qd_out;
+  float dt = 0.0f;
+  int32_t of_rollout = -1;  // which step of a rollout; -1: of none
+  bool implicit = false, trains_elements = false;
+  // The model's numbers when the step was recorded.
+  float soft_contact_ke = model->soft_contact_ke, soft_contact_kd = model->soft_contact_kd,
+        soft_contact_mu = model->soft_contact_mu;
+
+  // An input that has a gradient, and where it is among the derivatives of a step.
+  struct Input {
+    nova::Tensor tensor;
+    float* VbdStepGradients::*bars = nullptr;
+    const float* VbdStepTangents::*slopes = nullptr;
+    Vec3f* VbdStepGradients::*vector_bars = nullptr;
+    const Vec3f* VbdStepTangents::*vector_slopes = nullptr;
+    Array VbdStepArrays::*array_bars = nullptr;
+    bool is_targets = false;
+    // Of those that a step reads.
+    size_t size(const RecordedStep& step) const {
+      return static_cast<size_t>(is_targets ? 3 * step.target_count : tensor.size());
+    }
+  };
+  std::vector<Input> differentiable() const;
+  // A capture on a device in which materials or rest shapes of elements carry a gradient.
+  bool trains(const nova::Tape& tape) const;
+  bool on_device() const { return !model->device().is_cpu(); }
+  // ErrorKind::NotImplemented, by name: an array that carries a gradient but has none in a step.
+  void check_others(const nova::Tape& tape, const Contacts* given) const;
+
+  // Now, or in the replays of a capture. Errors name the step of a rollout.
+  static void submit_forward(const std::shared_ptr<RecordedStep>& step);
+  static void submit_backward(const std::shared_ptr<RecordedStep>& step,
+                              std::span<const nova::Tensor> outputs,
+                              std::span<const nova::InputGradient> to);
+  // ErrorKind::NotImplemented: on a device.
+  static void submit_tangent(const std::shared_ptr<RecordedStep>& step,
+                             std::span<const nova::Tensor> slopes,
+                             std::span<const nova::Tensor> outputs);
+
+ private:
+  using Slopes = std::array<std::vector<Vec3f>, 2>;  // of positions and velocities
+
+  void check_numbers() const;
+  void check_capture() const;
+  VbdStepInputs inputs() const;
+  VbdLaunchInputs launch_inputs() const;
+  std::vector<nova::Tensor> reads() const;
+  void forward();
+  std::vector<std::vector<float>> derivatives(std::span<const nova::Tensor> outputs,
+                                              std::span<const nova::InputGradient> to) const;
+  std::vector<Array> device_derivatives(std::span<const nova::Tensor> outputs,
+                                        std::span<const nova::InputGradient> to) const;
+  void backward(std::span<const nova::Tensor> outputs,
+                std::span<const nova::InputGradient> to) const;
+  void add_backward(std::span<const nova::Tensor> outputs,
+                    std::span<const nova::InputGradient> to) const;
+  template <class Value>
+  void put(std::span<const nova::InputGradient> to, const Value& value) const;
+  Slopes tangents(std::span<const nova::Tensor> slopes) const;
+  // As a launch of a capture on the CPU, which runs `run`.
+  void capture(std::vector<nova::Tensor> reads, std::vector<nova::Tensor> results,
+               std::function<void()> run) const;
+  template <class Run>
+  decltype(auto) named(const Run& run) const;
+};
+
+}  // namespace novaphy::diff

@@ -236,16 +236,6 @@ def test_an_ant_that_changed_walks_less_and_tuning_is_judged_on_its_whole_way(
         assert nominal != lost and lost == same, line
 
 
-def test_an_ant_that_changed_gets_a_part_of_its_return_back():
-    """By the first of ten steps, on starts that nothing was tuned on; the guide says how much."""
-    flags = ["--train-horizon", "50", "--segment", "2", "--starts", "96"]
-    flags += ["--gradient", "exact", "--train-weights", "all"]
-    done = walk("--adapt", "--train", "1", *flags, "--headless", "0")
-    assert done.returncode == 0 and "1 of 1 steps kept" in done.stdout, done.stdout + done.stderr
-    back = [int(x) for x in re.findall(r"tuned: (-?\d+)% of the loss is back", done.stdout)]
-    assert len(back) == 2 and back[0] >= 20 and back[1] >= 30, done.stdout
-
-
 def test_exact_derivatives_of_a_frame_point_where_differences_of_the_solver_do(demos):
     from ant_gradients import frame_jacobians, make_frames
 

@@ -38,8 +38,11 @@ def shortened(name: str, words: list[str]) -> list[str]:
     """The words, and what makes the command short: the last of two flags wins."""
     if name == "ant_from_scratch":
         fewer = ["--robustness", "3", "--headless", "60"] if "--robustness" in words else []
+        if not {"--load", "--stages", "--random-search"} & set(words):
+            fewer = ["--stages", "stand,4,24,400,polish"]
         return [*words, "--seconds", "4", *fewer]
-    return [*words, "--train", "1"] if "--adapt" in words else words
+    fewer = ["--train", "1", "--train-horizon", "20", "--starts", "8"]
+    return [*words, *fewer] if "--adapt" in words else words
 
 
 NAMES = ("ant_walk", "ant_from_scratch", "franka_push_box")

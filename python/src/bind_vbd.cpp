@@ -64,7 +64,8 @@ void bind_diff_vbd(py::module_& solvers) {
   py::class_<VbdGradientInfo>(solvers, "VbdGradientInfo", "What gradients of DiffSolverVBD are.")
       .def_readonly("label", &VbdGradientInfo::label,
                     "\"exact\": the derivative of the sweeps that ran; \"implicit\": of the "
-                    "solution of the step.")
+                    "solution of the step. Both hold the contacts that the step was given: where "
+                    "they are and their normals are frozen.")
       .def_readonly("primal", &VbdGradientInfo::primal,
                     "VbdResidual of the step that the last backward ran.")
       .def_readonly("linear_residual", &VbdGradientInfo::linear_residual,

@@ -84,27 +84,25 @@ Array construct(py::handle data, py::handle dtype, py::handle device) {
 
 void assign_array(Array& array, py::handle source) {
   array.require_writable("assign");
+  const View target = view_of(array);
+  View from;
+  if (py::isinstance<Array>(source)) {
+    const auto& other = source.cast<const Array&>();
+    from = view_of(other);
+    require(target.scalar == from.scalar, ErrorKind::Type, "assign: expected ",
+            dtype_info(array.dtype()).name, ", got ", dtype_info(other.dtype()).name);
 #ifdef NOVAPHY_PYTHON_DIFF
-  if (py::isinstance<nova::TensorImpl>(source)) {
-    const View from = view_of(source.cast<nova::Tensor>()), to = view_of(array);
-    if (from.scalar == to.scalar) {  // a tape records it
-      check_assignable(to.shape, from.shape, "assign");
-      const ReleasedGil release;
-      Array flat = to.flat();
-      if (flat.rows() != 0) flat.assign(from.flat());
-      return;
-    }
-  }
+  } else if (py::isinstance<nova::TensorImpl>(source) &&
+             view_of(source.cast<nova::Tensor>()).scalar == target.scalar) {
+    from = view_of(source.cast<nova::Tensor>());
 #endif
-  if (!py::isinstance<Array>(source)) return assign_host_values(view_of(array), source, "assign");
-  const auto& other = source.cast<const Array&>();
-  const View target = view_of(array), from = view_of(other);
-  require(target.scalar == from.scalar, ErrorKind::Type, "assign: expected ",
-          dtype_info(array.dtype()).name, ", got ", dtype_info(other.dtype()).name);
+  } else {
+    return assign_host_values(target, source, "assign");
+  }
   check_assignable(target.shape, from.shape, "assign");
   const ReleasedGil release;
   Array flat = target.flat();
-  if (flat.rows() != 0) flat.assign(from.flat());
+  if (flat.rows() != 0) flat.assign(from.flat());  // a tape records it
 }
 
 namespace {

@@ -67,12 +67,13 @@ void begin_model_reads(const Model& model, const char* function) {
     list->before_launch(model.shared_from_this(), [&model] { update_derived(model); });
 }
 
-void check_no_gradient(const char* solver, std::initializer_list<NamedArray> arrays) {
+void check_no_gradient(const char* solver, std::initializer_list<NamedArray> arrays,
+                       const char* owner) {
   const nova::Tape* const tape = nova::Tape::active();
   if (tape == nullptr) return;
   for (const NamedArray& a : arrays)
     require(a.array.rows() == 0 || !tape->carries_gradient(*a.array.range()),
-            ErrorKind::NotImplemented, solver, ": model.", a.name,
+            ErrorKind::NotImplemented, solver, ": ", owner, a.name,
             ": expected requires_grad False, because no gradient reaches it, got True");
 }
 

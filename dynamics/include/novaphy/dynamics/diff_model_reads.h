@@ -21,9 +21,11 @@ struct NamedArray {
   const Array& array;
 };
 // Of arrays of a model that steps read, or would have to, and that no gradient reaches:
-// ErrorKind::NotImplemented where one carries a gradient of the active tape.
+// ErrorKind::NotImplemented where one carries a gradient of the active tape. `owner` stands before
+// the names.
 NOVAPHY_DYNAMICS_API void check_no_gradient(const char* solver,
-                                            std::initializer_list<NamedArray> arrays);
+                                            std::initializer_list<NamedArray> arrays,
+                                            const char* owner = "model.");
 
 // particle_inv_mass = 1/particle_mass, 0 where the mass is 0, also where something else was
 // assigned to it. Not recorded on a tape. Solvers do so themselves where masses were written.

@@ -74,15 +74,7 @@ struct GroupTangent : ContactGroup {
 };
 
 // What solve_dual_island reads of an island.
-struct TangentIsland {
-  const GroupTangent& s;
-  int32_t root;
-
-  template <class F>
-  void for_contacts(const F& f) const {
-    for (int32_t place = s.a.nodes[root].first_row; place >= 0; place = s.a.chain[place].next)
-      if (s.row(place).solver.impulse[0] > 0.0f) f(s.row(place));
-  }
+struct TangentIsland : ActiveIsland<GroupTangent> {
   template <class F>
   void for_held(const F& f) const {
     for (int32_t i = root; i >= 0; i = s.a.nodes[i].next)
@@ -91,22 +83,13 @@ struct TangentIsland {
             articulation::holds(s.friction_impulse(i, k), s.limit(i, k).value))
           f(i, k, s.response(i, k));
   }
-  double* system(int64_t numbers) const {
-    const ArticulationContactJvpArguments& a = s.all;
-    const int64_t contacts = s.end_place() - s.first_place();
-    if (numbers > contacts * a.system_of_contact + a.system_of_group) {
-      a.status[s.group] = numbers < 0x7ffffffe ? static_cast<int32_t>(1 + numbers) : 0x7fffffff;
-      return nullptr;
-    }
-    return a.system + (s.first_place() * a.system_of_contact + s.group * a.system_of_group);
-  }
 };
 
 // Without room for its system, the tangents of an island are NaN.
 inline void solve_island_tangent(const GroupTangent& s, int32_t root) {
   if (s.a.nodes[root].solved != 0) return;
   s.a.nodes[root].solved = 1;
-  if (articulation::solve_dual_island(s, TangentIsland{s, root}, s.law.cone)) return;
+  if (articulation::solve_dual_island(s, TangentIsland{{s, root}}, s.law.cone)) return;
   for (int32_t i = root; i >= 0; i = s.a.nodes[i].next)
     for (int32_t k = 0; k < s.rows(i).dof_count; ++k)
       s.workspace(i).qd_next[k].tangent = math::bits_float(0x7fc00000);

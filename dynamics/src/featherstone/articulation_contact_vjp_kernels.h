@@ -49,15 +49,7 @@ struct GroupAdjoint : ContactGroup {
 };
 
 // What solve_adjoint reads of an island.
-struct GroupIsland {
-  const GroupAdjoint& s;
-  int32_t root;
-
-  template <class F>
-  void for_contacts(const F& f) const {
-    for (int32_t place = s.a.nodes[root].first_row; place >= 0; place = s.a.chain[place].next)
-      if (s.row(place).solver.impulse[0] > 0.0f) f(s.row(place));
-  }
+struct GroupIsland : ActiveIsland<GroupAdjoint> {
   template <class F>
   void for_held(const F& f) const {
     for (int32_t i = root; i >= 0; i = s.a.nodes[i].next) {
@@ -65,16 +57,6 @@ struct GroupIsland {
       for (int32_t k = 0; k < s.rows(i).dof_count; ++k)
         if (s.has_friction(i, k) && articulation::holds(dry[k].impulse, dry[k].limit)) f(dry[k], i);
     }
-  }
-  double* system(int64_t numbers) const {
-    const int64_t contacts = s.end_place() - s.first_place();
-    const ArticulationContactVjpArguments& a = s.all;
-    const int64_t most = contacts * a.system_of_contact + a.system_of_group;
-    if (numbers > most) {
-      a.status[s.group] = numbers < 0x7ffffffe ? static_cast<int32_t>(1 + numbers) : 0x7fffffff;
-      return nullptr;
-    }
-    return a.system + (s.first_place() * a.system_of_contact + s.group * a.system_of_group);
   }
   float* rate_gradient(int32_t tree) const { return s.adjoint(tree).rate; }
   int32_t dofs(int32_t tree) const { return s.rows(tree).dof_count; }
@@ -144,7 +126,7 @@ inline void build_rows(const GroupAdjoint& s) {
 inline void solve_island_adjoint(const GroupAdjoint& s, int32_t root) {
   if (s.a.nodes[root].solved != 0) return;
   s.a.nodes[root].solved = 1;
-  const GroupIsland island = {s, root};
+  const GroupIsland island = {{s, root}};
   if (articulation::solve_adjoint(island, s.law.cone)) return;
   const float nan = math::bits_float(0x7fc00000);
   for (int32_t i = root; i >= 0; i = s.a.nodes[i].next)

@@ -238,4 +238,29 @@ inline void build_dry(const ContactGroup& s, int32_t i) {
                                    responses + k * width, dry[k]);
 }
 
+// What is solved of an island behind its impulses, for an adjoint or a tangent: the contacts that
+// push, and memory for the system of those. `Group`: a ContactGroup with a row for each contact,
+// whose arguments (`all`) hold that memory, so many numbers for each contact and so many besides.
+template <class Group>
+struct ActiveIsland {
+  const Group& s;
+  int32_t root;
+
+  template <class F>
+  void for_contacts(const F& f) const {
+    for (int32_t place = s.a.nodes[root].first_row; place >= 0; place = s.a.chain[place].next)
+      if (s.row(place).solver.impulse[0] > 0.0f) f(s.row(place));
+  }
+  // Null: there is no room, and the group's status says for how many numbers.
+  double* system(int64_t numbers) const {
+    const int64_t contacts = s.end_place() - s.first_place();
+    if (numbers > contacts * s.all.system_of_contact + s.all.system_of_group) {
+      s.all.status[s.group] = numbers < 0x7ffffffe ? static_cast<int32_t>(1 + numbers) : 0x7fffffff;
+      return nullptr;
+    }
+    return s.all.system +
+           (s.first_place() * s.all.system_of_contact + s.group * s.all.system_of_group);
+  }
+};
+
 }  // namespace novaphy

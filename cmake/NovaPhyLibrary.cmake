@@ -11,6 +11,9 @@ if(NOVAPHY_WERROR)
   list(APPEND NOVAPHY_WARNINGS -Werror)
 endif()
 
+set(NOVAPHY_COLD_OPTIMIZATION -O1 CACHE STRING "Optimization of code that runs once: tests, and bindings that no loop runs")
+set(NOVAPHY_COLD_OPTIONS $<$<NOT:$<CONFIG:Debug>>:${NOVAPHY_COLD_OPTIMIZATION}>)
+
 # A user builds once, and changes nothing: no warnings then, which cost a twentieth of the time, and headers are parsed
 # once for several files. Off by default: a compiler cache finds nothing of other trees in such a build.
 option(NOVAPHY_QUICK_BUILD "No warnings, and headers parsed once for several files: for a build without a compiler cache" OFF)

@@ -50,7 +50,8 @@ endif()
 # The arithmetic contract, wrapping integers, and words that are read as float or int. The text is generated, so it is
 # not held to the warnings of written code; nor does it need the search for common subexpressions, which has been done:
 # that takes a sixth of the time to compile it.
-set(NOVAPHY_NATIVE_COMMON_OPTIONS -O2 "$<$<C_COMPILER_ID:GNU>:-fno-gcse;-fno-tree-pre>" -g0 -ffp-contract=off -fno-math-errno
+set(NOVAPHY_KERNEL_OPTIMIZATION -O2 CACHE STRING "Optimization of the compiled kernels")
+set(NOVAPHY_NATIVE_COMMON_OPTIONS ${NOVAPHY_KERNEL_OPTIMIZATION} "$<$<C_COMPILER_ID:GNU>:-fno-gcse;-fno-tree-pre>" -g0 -ffp-contract=off -fno-math-errno
     -fno-trapping-math -fwrapv -fno-strict-aliasing -w -Wno-psabi)
 
 function(novaphy_add_native_kernels target)

@@ -13,9 +13,12 @@ import tempfile
 import time
 import xml.etree.ElementTree as ElementTree
 import zipfile
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from pathlib import Path
+
+from test_results import Results, Step
 
 ROOT = Path(__file__).resolve().parents[1]
 BUILD = ROOT / "build"
@@ -26,10 +29,9 @@ JOBS = len(os.sched_getaffinity(0))
 MAX_WHEEL_BYTES = 10_000_000
 TAIL_LINES = 120
 BINDING_REQUIREMENTS = ("pybind11>=2.13",)
-VIEWER_REQUIREMENTS = (
-    "moderngl>=5.10", "pyglet>=2.0.10", "imgui-bundle>=1.92",
-    "viser>=1.1", "pillow", "websockets>=13.1",
-)  # fmt: skip
+TEST_REQUIREMENTS = ("numpy", "pytest", "pytest-xdist", "matplotlib", "tqdm", "gymnasium>=1.1")
+VIEWERS_WITHOUT_DISPLAY = ("moderngl>=5.10", "viser>=1.1", "pillow", "websockets>=13.1")
+VIEWER_REQUIREMENTS = (*VIEWERS_WITHOUT_DISPLAY, "pyglet>=2.0.10", "imgui-bundle>=1.92")
 
 # Component -> the components that its consumer's prefix holds. (The step io installs its own.)
 COMPONENTS = {
@@ -50,42 +52,7 @@ class StepError(Exception):
     """A step cannot go on."""
 
 
-@dataclass
-class Totals:
-    """What the tests gave so far."""
-
-    passed: int = 0
-    failed: int = 0
-    skipped: int = 0
-    problems: list[str] = field(default_factory=list)
-
-    def add_junit(self, path: Path, what: str) -> int:
-        """Add a JUnit file; returns its number of failed cases."""
-        cases = list(ElementTree.parse(path).iter("testcase"))
-        failed = [c for c in cases if c.find("failure") is not None or c.find("error") is not None]
-        skipped = [c for c in cases if c.find("skipped") is not None and c not in failed]
-        for case in failed:
-            group, name = case.get("classname"), case.get("name")
-            self.problems.append(f"{what}: {name if group in (None, name) else f'{group}.{name}'}")
-        self.failed += len(failed)
-        self.skipped += len(skipped)
-        self.passed += len(cases) - len(failed) - len(skipped)
-        print(
-            f"   {what}: {len(cases) - len(failed) - len(skipped)} passed, "
-            f"{len(failed)} failed, {len(skipped)} skipped"
-        )
-        for case in skipped:
-            reason = case.find("skipped").get("message", "")
-            print(f"   skipped: {case.get('name')} {reason}".rstrip())
-        return len(failed)
-
-    def fail(self, problem: str) -> None:
-        """Count something that failed without being a test."""
-        self.failed += 1
-        self.problems.append(problem)
-
-
-totals = Totals()
+results = Results()
 
 
 def environment(**extra: str) -> dict[str, str]:
@@ -144,37 +111,42 @@ def pip(log: str, python: str | Path, *arguments: str | Path, **options: object)
     run(log, python, "-m", "pip", "--disable-pip-version-check", *arguments, **options)
 
 
-def build(preset: str, *options: str) -> Path:
-    """Configure and build a preset; returns its build tree."""
-    run(preset, "cmake", "--preset", preset, *options)
-    run(preset, "cmake", "--build", "--preset", preset, f"-j{JOBS}")
+def build(preset: str, *options: str, targets: Iterable[str] = ()) -> Path:
+    """Configure and build a preset, with warnings as errors; returns its build tree."""
+    with results.timed("build"):
+        run(preset, "cmake", "--preset", preset, "-DNOVAPHY_WERROR=ON", *options)
+        chosen = [word for target in targets for word in ("--target", target)]
+        run(preset, "cmake", "--build", "--preset", preset, f"-j{JOBS}", *chosen)
     return BUILD / preset
 
 
-def ctest(what: str, *arguments: str | Path, cwd: Path = ROOT) -> None:
+def ctest(what: str, *arguments: str | Path) -> None:
     """Run CTest and add its results."""
     log = what.replace(" ", "-")
     junit = LOGS / f"{log}.ctest.xml"
     junit.unlink(missing_ok=True)
     options = ["--output-junit", junit, f"-j{JOBS}"]
-    code = run(log, "ctest", *arguments, *options, cwd=cwd, may_fail=True)
+    with results.timed("tests"):
+        code = run(log, "ctest", *arguments, *options, may_fail=True)
     if not junit.exists():
         raise StepError(f"{what}: ctest wrote no results")
-    if totals.add_junit(junit, what) == 0 and code != 0:
+    if results.add_junit(junit, what) == 0 and code != 0:
         raise StepError(f"{what}: ctest failed with exit code {code}")
 
 
 def pytest(
     what: str, python: Path, *arguments: str | Path, env: dict[str, str] | None = None
 ) -> None:
-    """Run pytest and add its results."""
+    """Run pytest on all cores and add its results."""
     junit = LOGS / f"{what}.pytest.xml"
     junit.unlink(missing_ok=True)
     options = ["-q", "-ra", "-p", "no:cacheprovider", f"--junitxml={junit}"]
-    code = run(what, python, "-m", "pytest", *options, *arguments, env=env, may_fail=True)
+    options += [f"--numprocesses={JOBS}", "--dist=worksteal"]
+    with results.timed("tests"):
+        code = run(what, python, "-m", "pytest", *options, *arguments, env=env, may_fail=True)
     if not junit.exists():
         raise StepError(f"{what}: pytest wrote no results")
-    if totals.add_junit(junit, what) == 0 and code != 0:
+    if results.add_junit(junit, what) == 0 and code != 0:
         raise StepError(f"{what}: pytest failed with exit code {code}")
 
 
@@ -194,20 +166,11 @@ def make_venv(name: str, *requirements: str) -> Path:
 
 STEPS: dict[str, Callable[[], None]] = {}
 DEFAULT = ("lint", "tests")  # what runs without --all
-WITH_TESTS = (
-    "tests",
-    "core-only",
-    "io",
-    "cpu",
-    "cpu-diff",
-    "asan",
-    "tsan",
-    "dev",
-    "cuda",
-    "install",
-    "python",
-    "editable",
-)  # fail if none ran
+LIBRARIES = ("core", "io", "nova", "collision", "dynamics", "vbd", "diff")
+# Steps that build and check without a test of their own.
+WITHOUT_TESTS = ("lint", "symbols", "demos")
+# What a slice of the build is looked at for: its libraries from outside.
+FROM_OUTSIDE = r"^exports\.|^install_consumer\."
 
 
 def step(function: Callable[[], None]) -> Callable[[], None]:
@@ -227,16 +190,26 @@ def lint() -> None:
         run("lint", "bash", "-n", script)
 
 
+def tests_options() -> tuple[Path, list[str]]:
+    """The Python of the tree `tests`, and the options of its build."""
+    packages = (*BINDING_REQUIREMENTS, *TEST_REQUIREMENTS, *VIEWERS_WITHOUT_DISPLAY)
+    python = make_venv("tests", *packages)
+    pybind11 = output_of(python, "-m", "pybind11", "--cmakedir").strip()
+    return python, [
+        "-DNOVAPHY_QUICK_BUILD=ON",
+        f"-DPython_EXECUTABLE={python}",
+        f"-Dpybind11_DIR={pybind11}",
+    ]
+
+
 @step
 def tests() -> None:
-    """One tree with everything but devices: CTest, pytest and the ball."""
-    python = make_venv("tests", *BINDING_REQUIREMENTS, "numpy", "pytest", "matplotlib", "tqdm")
-    pybind11 = output_of(python, "-m", "pybind11", "--cmakedir").strip()
-    options = (f"-DPython_EXECUTABLE={python}", f"-Dpybind11_DIR={pybind11}")
-    tree = build("tests", "-DNOVAPHY_QUICK_BUILD=ON", *options)
+    """One tree with everything but devices: CTest, pytest without its slow cases, and the ball."""
+    python, options = tests_options()
+    tree = build("tests", *options)
     ctest("tests", "--preset", "tests")
     package = environment(PYTHONPATH=str(tree / "python"))
-    pytest("tests", python, "tests/python", env=package)
+    pytest("tests", python, "tests/python", "-m", "not slow", env=package)
     with tempfile.TemporaryDirectory() as folder:
         picture = Path(folder) / "ball.png"
         run("ball", python, DEMO, "--headless", "5", "--plot", picture, env=package)
@@ -244,46 +217,60 @@ def tests() -> None:
             raise StepError("tests: the ball drew no picture")
 
 
+def library(name: str) -> None:
+    """The C++ tests of one library, in the tree of the step `tests`."""
+    _, options = tests_options()
+    tree = build("tests", *options, targets=[f"tests/{name}/all"])
+    ctest(name, "--test-dir", tree / "tests" / name, "--no-tests=error", "--output-on-failure")
+
+
+@step
+def dev() -> None:
+    """Everything that builds here, its tests, and backends of devices on stand-ins for a GPU."""
+    tree = build("dev", "-DNOVAPHY_WITH_IO=ON")
+    ctest("dev", "--preset", "dev")
+    # 10^4 poses against exact distances, 10^6 pairs of all kinds.
+    many = ("--gtest_also_run_disabled_tests", "--gtest_filter=ConvexPairs.DISABLED_*")
+    with results.timed("tests"):
+        run("dev", tree / "bin" / "test_geometry", *many)
+
+
+def build_slice(preset: str, *options: str, cases: str = "", folders: str = "none") -> Path:
+    """Build a slice and look at its libraries; its options change only some cases of the tests."""
+    tree = build(preset, f"-DNOVAPHY_TESTS={folders}", *options)
+    ctest(preset, "--preset", preset, "-R", "|".join(filter(None, (FROM_OUTSIDE, cases))))
+    return tree
+
+
 @step
 def core_only() -> None:
     """novaphy::core alone."""
-    build("core-only")
-    ctest("core-only", "--preset", "core-only")
+    build_slice("core-only", folders="core", cases=r"^core\.BackendRegistry\.")
 
 
 @step
 def io() -> None:
     """novaphy::core and novaphy::io, with the libraries of the system and of the wheel."""
-    build("io")
-    ctest("io", "--preset", "io")
-    build("io-source")
-    ctest("io-source", "--preset", "io-source", "-R", r"^io\.|^install_consumer\.(install|io)$")
+    build_slice("io")
+    build_slice("io-source", folders="io", cases=r"^io\.")
 
 
 @step
 def cpu() -> None:
     """The forward engine, without the tensor runtime."""
-    tree = build("cpu")
-    ctest("cpu", "--preset", "cpu")
-    # 10^4 poses against exact distances, 10^6 pairs of all kinds: a minute.
-    many = ("--gtest_also_run_disabled_tests", "--gtest_filter=ConvexPairs.DISABLED_*")
-    run("cpu", tree / "bin" / "test_geometry", *many)
+    build_slice("cpu")
 
 
 @step
 def fcl() -> None:
-    """Convex hulls by FCL's solver; skipped where the system has no FCL."""
-    if not list(Path("/usr").glob("lib*/**/fcl-config.cmake")):
-        print("fcl: skipped, this system has no libfcl-dev")
-        return
-    build("fcl")
-    ctest("fcl", "--preset", "fcl", "-R", r"^collision\.")
+    """Convex hulls by FCL's solver."""
+    build_slice("fcl", "-DNOVAPHY_BUILD_VBD=OFF", folders="collision", cases=r"^collision\.")
 
 
 @step
 def symbols() -> None:
     """The forward engine needs and holds nothing of the tensor runtime."""
-    tree = build("cpu")
+    tree = build("cpu", "-DNOVAPHY_TESTS=none")
     if found := list(tree.rglob("libnovaphy_nova*")) + list(tree.rglob("libnovaphy_diff*")):
         raise StepError(f"symbols: the slice cpu built {found[0].name}")
     for name in ("core", "collision", "dynamics"):
@@ -300,50 +287,25 @@ def symbols() -> None:
 
 
 @step
-def cpu_diff() -> None:
-    """The differentiable engine."""
-    build("cpu-diff")
-    ctest("cpu-diff", "--preset", "cpu-diff")
-
-
-@step
-def asan() -> None:
-    """The differentiable engine under AddressSanitizer and UndefinedBehaviorSanitizer."""
-    build("asan")
-    ctest("asan", "--preset", "asan")
-
-
-@step
-def tsan() -> None:
-    """What starts threads, under ThreadSanitizer."""
-    build("tsan")
-    ctest("tsan", "--preset", "tsan")
-
-
-@step
-def dev() -> None:
-    """Everything builds without a warning; backends of devices run on what stands in for them."""
-    build("dev")
-    ctest("dev", "--preset", "dev", "-R", r"^gpu\.|^conformance\.cuda|dlan")
-
-
-@step
 def cuda() -> None:
     """The forward engine without diff steps models on a fake CUDA device."""
-    tree = build("cuda")
+    tree = build_slice("cuda", folders="fake_driver", cases=r"^gpu\.Driver")
     if found := list(tree.rglob("libnovaphy_diff*")):
         raise StepError(f"cuda: the slice cuda built {found[0].name}")
     if "libnovaphy_nova" in output_of("readelf", "-d", tree / "lib" / "libnovaphy_collision.so"):
         raise StepError("cuda: libnovaphy_collision.so links libnovaphy_nova")
-    ctest(
-        "cuda", "--preset", "cuda", "-R", r"^gpu\.Driver|^dynamics\.|^exports\.|^install_consumer"
-    )
+
+
+@step
+def cpu_diff() -> None:
+    """The differentiable engine."""
+    build_slice("cpu-diff")
 
 
 @step
 def install() -> None:
     """A program per component builds against just the components that it needs, and runs."""
-    tree = build("release")
+    tree = build("cpu-diff", "-DNOVAPHY_TESTS=none")
     consumers = ROOT / "tests" / "install_consumer"
     work = BUILD / "install"
     shutil.rmtree(work, ignore_errors=True)
@@ -362,15 +324,31 @@ def install() -> None:
         ctest(f"install {name}", "--test-dir", binary, "--no-tests=error", "--output-on-failure")
 
 
+@step
+def asan() -> None:
+    """The differentiable engine under AddressSanitizer and UndefinedBehaviorSanitizer."""
+    build("asan", "-DNOVAPHY_QUICK_BUILD=ON")
+    ctest("asan", "--preset", "asan")
+
+
+@step
+def tsan() -> None:
+    """The cases that start threads, under ThreadSanitizer."""
+    build("tsan", "-DNOVAPHY_QUICK_BUILD=ON")
+    ctest("tsan", "--preset", "tsan")
+
+
 def make_wheel() -> Path:
     """Build the wheel, once per run of this script."""
     folder = BUILD / "wheel"
     if not make_wheel.made:
         shutil.rmtree(folder, ignore_errors=True)
         tree = BUILD / "wheel-tree"
-        place = f"--config-settings=build-dir={tree}"
-        options = ["--no-build-isolation", "--no-deps", place, "-w", folder]
-        pip("wheel", sys.executable, "wheel", *options, ROOT)
+        settings = {"build-dir": tree, "cmake.define.NOVAPHY_WERROR": "ON"}
+        options = ["--no-build-isolation", "--no-deps", "-w", folder]
+        options += [f"--config-settings={name}={value}" for name, value in settings.items()]
+        with results.timed("build"):
+            pip("wheel", sys.executable, "wheel", *options, ROOT)
         make_wheel.made = True
     wheels = list(folder.glob("novaphy-*.whl"))
     if len(wheels) != 1:
@@ -408,9 +386,7 @@ def check_wheel(wheel: Path) -> None:
 def wheel_python() -> Path:
     """The Python of an environment with the wheel of this run."""
     wheel = make_wheel()
-    packages = ("numpy", "pytest", "mypy", "matplotlib", "tqdm", "gymnasium>=1.1")
-    packages += VIEWER_REQUIREMENTS
-    python = make_venv("wheel", *packages)
+    python = make_venv("wheel", *TEST_REQUIREMENTS, *VIEWER_REQUIREMENTS, "mypy")
     if not wheel_python.installed:
         pip("wheel", python, "install", "--no-deps", "--force-reinstall", wheel)
         wheel_python.installed = True
@@ -444,18 +420,20 @@ def viewer_tests_ran(junit: Path) -> None:
         if skipped is None or "test_viewer" not in case.get("classname", ""):
             continue
         if not (reason := skipped.get("message", "")).startswith("no Chromium"):
-            totals.fail(f"python: {case.get('name')} was skipped: {reason}")
+            results.fail(f"python: {case.get('name')} was skipped: {reason}")
 
 
 @step
 def editable() -> None:
     """The documented editable install, here without io, and the ball from it."""
-    interpreter = make_venv("editable", "scikit-build-core>=0.10", "numpy", "pytest")
+    interpreter = make_venv(
+        "editable", "scikit-build-core>=0.10", "numpy", "pytest", "pytest-xdist"
+    )
     # The pybind11 that the wheel was built with: the compiler cache then knows the objects.
     pybind11 = output_of(sys.executable, "-m", "pybind11", "--cmakedir").strip()
     options = (
         "-DNOVAPHY_BUILD_TESTS=OFF -DNOVAPHY_BUILD_VBD=OFF -DNOVAPHY_WITH_IO=OFF "
-        f"-DCMAKE_PREFIX_PATH=/usr -Dpybind11_DIR={pybind11}"
+        f"-DNOVAPHY_WERROR=ON -DCMAKE_PREFIX_PATH=/usr -Dpybind11_DIR={pybind11}"
     )
     environ = environment(CMAKE_ARGS=options)
     pip(
@@ -494,7 +472,9 @@ def demos() -> None:
         "franka_push_box": 2,
     }
     iterations |= {"vbd_cloth": 2, "vbd_gripper": 2}
-    for demo, count in iterations.items():
+
+    def run_demo(item: tuple[str, int]) -> None:
+        demo, count = item
         with tempfile.TemporaryDirectory() as folder:
             outputs = [Path(folder) / "states.npz", Path(folder) / "picture.png"]
             run(
@@ -506,20 +486,28 @@ def demos() -> None:
                 if not path.exists() or path.stat().st_size == 0:
                     raise StepError(f"{demo}: the demo wrote no {path.name}")
 
+    with ThreadPoolExecutor(JOBS) as pool:
+        for demo in [pool.submit(run_demo, item) for item in iterations.items()]:
+            try:
+                demo.result()
+            except StepError as error:
+                results.fail(str(error))
 
-def run_step(name: str) -> None:
+
+def run_step(name: str, function: Callable[[], None]) -> None:
     """Run one step under its header."""
-    function = STEPS[name]
     print(f"== {name}: {function.__doc__.splitlines()[0]}", flush=True)
-    start, before = time.monotonic(), totals.passed + totals.failed
+    results.steps.append(Step(name))
+    start, before = time.monotonic(), results.passed + results.failed
     try:
         function()
-        if name in WITH_TESTS and totals.passed + totals.failed == before:
+        if name not in WITHOUT_TESTS and results.passed + results.failed == before:
             raise StepError(f"{name}: no test was run")
     except (StepError, OSError, subprocess.CalledProcessError) as error:
         print(f"   FAILED: {error}")
-        totals.fail(str(error))
-    print(f"   {time.monotonic() - start:.0f} s", flush=True)
+        results.fail(str(error))
+    results.steps[-1].total = time.monotonic() - start
+    print(f"   {results.steps[-1].total:.0f} s", flush=True)
 
 
 def main() -> int:
@@ -527,28 +515,42 @@ def main() -> int:
     parser = argparse.ArgumentParser(prog="tools/run_tests.sh", description="Run the tests.")
     parser.add_argument("steps", nargs="*", metavar="STEP", help="only these steps, in this order")
     parser.add_argument("--all", action="store_true", help="all steps, as CI runs them")
+    parser.add_argument(
+        "--library", choices=LIBRARIES, help="the C++ tests of one library, in the tree of `tests`"
+    )
+    parser.add_argument("--times", action="store_true", help="print times and the slowest cases")
     parser.add_argument("--list", action="store_true", help="list the steps")
     arguments = parser.parse_args()
     if arguments.list:
         for name, function in STEPS.items():
             print(f"{name:10} {function.__doc__.splitlines()[0]}")
         return 0
-    if arguments.all and arguments.steps:
-        parser.error(f"--all runs every step: expected no step besides, got {arguments.steps[0]!r}")
+    if (arguments.all or arguments.library) and arguments.steps:
+        parser.error(
+            "--all and --library choose what runs: expected no step besides, "
+            f"got {arguments.steps[0]!r}"
+        )
     if unknown := [name for name in arguments.steps if name not in STEPS]:
         parser.error(f"unknown step {unknown[0]!r}; there are: {', '.join(STEPS)}")
 
     shutil.rmtree(LOGS, ignore_errors=True)
     start = time.monotonic()
-    # The slice of the step tests is also cpu-diff's, with the kernels of every instruction set.
+    # dev and the wheel have all that the step tests has, with the kernels of every instruction set.
     every = [name for name in STEPS if name != "tests"]
-    for name in every if arguments.all else arguments.steps or DEFAULT:
-        run_step(name)
-    for problem in totals.problems:
+    if arguments.library:
+        run_step(arguments.library, partial(library, arguments.library))
+    else:
+        for name in every if arguments.all else arguments.steps or DEFAULT:
+            run_step(name, STEPS[name])
+    if arguments.all:
+        results.check_slow(ROOT / "tests" / "slow.txt")
+    if arguments.times:
+        results.print_times()
+    for problem in results.problems:
         print(f"failed: {problem}")
     print(f"{'all ' if arguments.all else ''}steps: {time.monotonic() - start:.0f} s")
-    print(f"tests: {totals.passed} passed, {totals.failed} failed, {totals.skipped} skipped")
-    return 1 if totals.failed else 0
+    print(f"tests: {results.passed} passed, {results.failed} failed, {results.skipped} skipped")
+    return 1 if results.failed else 0
 
 
 if __name__ == "__main__":

@@ -4,6 +4,8 @@
 #
 #   tools/run_tests.sh --all                        every slice, the wheel, sanitizers, the fake GPU: what CI runs
 #   tools/run_tests.sh [STEP]...                    for example: tools/run_tests.sh cpu-diff python
+#   tools/run_tests.sh --library vbd                the C++ tests of one library
+#   tools/run_tests.sh --times [...]                with the time of each step, and the slowest cases
 #   tools/run_tests.sh --list                       the steps
 #
 # The last line is `tests: N passed, M failed, K skipped`, over CTest and pytest together; what fails without being
@@ -13,13 +15,16 @@ set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
 . tools/setup.sh
 
-install_packages "${BUILD_PACKAGES[@]}" binutils libassimp-dev liburdfdom-dev libtinyxml2-dev libgtest-dev googletest zlib1g-dev
-case " $* " in
-  *" --all "* | *" python "*) install_packages "${VIEWER_PACKAGES[@]}" ;;
-esac
-case " $* " in
-  *" --all "* | *" dev "*) install_packages clang-14 ;; # a front end for CUDA, which stands in for a vendor's
-esac
+packages=("${BUILD_PACKAGES[@]}" binutils libassimp-dev liburdfdom-dev libtinyxml2-dev libgtest-dev googletest zlib1g-dev)
+for step in "${@:-tests}"; do
+  case $step in
+    --all | python) packages+=("${OPENGL_PACKAGES[@]}" "${DISPLAY_PACKAGES[@]}") ;;
+    tests | --times) packages+=("${OPENGL_PACKAGES[@]}") ;;
+  esac
+  case $step in --all | dev) packages+=(clang-14) ;; esac # a front end for CUDA, which stands in for a vendor's
+  case $step in --all | fcl) packages+=(libfcl-dev) ;; esac
+done
+install_packages "${packages[@]}"
 find_python
 make_venv build/venv/tools "${WHEEL_REQUIREMENTS[@]}" "ruff==0.17.6"  # a newer one may ask for more
 exec build/venv/tools/bin/python tools/run_tests.py "$@" </dev/null

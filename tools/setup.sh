@@ -61,9 +61,11 @@ make_venv() {
 
 # What compiles the project.
 BUILD_PACKAGES=(g++ cmake ninja-build ccache libtbb-dev python3 python3-dev python3-venv ca-certificates)
-# What the tests of the viewers draw with: OpenGL without a display, an X server and its library, videos, a browser.
-VIEWER_PACKAGES=(libegl1 libgl1 libgl1-mesa-dri libxrender1 xvfb ffmpeg)
+# OpenGL without a display, with which viewers draw pictures and videos.
+OPENGL_PACKAGES=(libegl1 libgl1 libgl1-mesa-dri ffmpeg)
+# An X server and its library, and a browser, for the tests of windows and pages.
+DISPLAY_PACKAGES=(libxrender1 xvfb)
 # Ubuntu has Chromium as a snap only, which no container runs: there the tests of pages need google-chrome.
-grep -qs '^ID=ubuntu' /etc/os-release || VIEWER_PACKAGES+=(chromium)
+grep -qs '^ID=ubuntu' /etc/os-release || DISPLAY_PACKAGES+=(chromium)
 # What makes its wheel, from PyPI.
 WHEEL_REQUIREMENTS=("scikit-build-core>=0.10" "pybind11>=2.13" "numpy>=1.26")

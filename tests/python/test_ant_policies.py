@@ -321,6 +321,7 @@ def scratch(*flags: str) -> subprocess.CompletedProcess[str]:
     return start("demo_diffsim_ant_from_scratch.py", *flags)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("gradient", ["frozen", "exact"])
 def test_an_ant_learns_from_zero_and_its_file_plays(tmp_path, gradient):
     path = str(tmp_path / "led.npz")

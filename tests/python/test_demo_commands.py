@@ -98,6 +98,7 @@ def test_the_texts_name_every_way_to_start():
         assert (name, "") in COMMANDS
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "line"),
     [pytest.param(*command, id=" ".join(command)) for command in COMMANDS if command[1]],
@@ -116,6 +117,7 @@ def test_a_command_of_the_text_without_a_window(tmp_path, name, line):
             assert (tmp_path / words[words.index(flag) + 1]).stat().st_size > 1000
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "line"),
     [

@@ -21,6 +21,7 @@ def rows_of(model, **options):
     return contacts.rigid_contacts()
 
 
+@pytest.mark.slow
 def test_a_mesh_of_a_million_triangles_has_the_contacts_of_its_plane():
     slope = np.tile(0.1 * 0.5 * np.arange(708, dtype=np.float32), (708, 1))
     builder = novaphy.ModelBuilder()

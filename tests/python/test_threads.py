@@ -367,6 +367,7 @@ except Stop:
     assert result.stdout.strip() == "stopped", result.stderr
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("begin, end", [("if True:", ""), ("try:", "except BaseException: pass")])
 def test_the_interpreter_ends_cleanly_while_daemon_threads_compute(begin, end):
     result = run(

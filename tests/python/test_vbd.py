@@ -254,7 +254,7 @@ def test_gradients_of_the_scenes_are_those_of_differences(scene):
     assert done.returncode == 0 and ", by differences" in done.stdout, done.stdout + done.stderr
 
 
-@pytest.mark.parametrize("scene", ["crushed", "net"])
+@pytest.mark.parametrize("scene", [pytest.param("crushed", marks=pytest.mark.slow), "net"])
 def test_a_crushed_block_recovers_and_a_net_catches(scene):
     done = subprocess.run(
         [sys.executable, str(DEMO), scene, "--headless", "150"],

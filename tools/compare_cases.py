@@ -1,0 +1,46 @@
+#!/usr/bin/env python3
+"""Compare the names of the cases in two sets of JUnit files.
+
+    tools/compare_cases.py BEFORE AFTER
+
+BEFORE and AFTER are folders with the JUnit files of a run (build/log). Prints every name that only
+BEFORE has, and how many names each side has. Exits with 1 when a name is missing from AFTER, with
+2 when a folder has no JUnit file.
+"""
+
+from __future__ import annotations
+
+import sys
+import xml.etree.ElementTree as ElementTree
+from pathlib import Path
+
+from test_results import case_name
+
+
+def names(folder: Path) -> set[str]:
+    """The names of all cases in a folder's JUnit files."""
+    files = sorted(folder.glob("*.xml"))
+    if not files:
+        print(f"{folder}: no JUnit file", file=sys.stderr)
+        sys.exit(2)
+    return {case_name(c) for file in files for c in ElementTree.parse(file).iter("testcase")}
+
+
+def main() -> int:
+    """Compare the two folders of the command line."""
+    if len(sys.argv) != 3:
+        print(__doc__, file=sys.stderr)
+        return 2
+    before, after = (names(Path(argument)) for argument in sys.argv[1:])
+    missing = sorted(before - after)
+    for name in missing:
+        print(f"missing: {name}")
+    print(
+        f"{len(before)} names before, {len(after)} after, {len(missing)} missing, "
+        f"{len(after - before)} new"
+    )
+    return 1 if missing else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -55,22 +55,25 @@ void set_rings(MeshTree& tree) {
   std::partial_sum(tree.ring_starts.begin(), tree.ring_starts.end(), tree.ring_starts.begin());
 }
 
-// Where more than two triangles meet, or two with opposite sides, each has a border.
+// Where more than two triangles meet, or two with opposite sides, each has a border. Triangles
+// without area have no edges, but what they touch is unclear.
 void set_edges(MeshTree& tree) {
   constexpr float kConvexSine = 1e-3f;
   struct Side {
     int32_t a, b, triangle, corner;  // a, b: as the triangle goes round
+    bool is_empty;                   // of a triangle without area
   };
   std::vector<Side> sides;
   for (size_t t = 0; t < tree.triangles.size(); ++t) {
     const Vec3i& c = tree.triangles[t];
-    if (tree.normals[t] == Vec3f{}) continue;
+    const bool is_empty = tree.normals[t] == Vec3f{};
     const auto triangle = static_cast<int32_t>(t);
-    sides.insert(sides.end(),
-                 {{c.x, c.y, triangle, 0}, {c.y, c.z, triangle, 1}, {c.z, c.x, triangle, 2}});
+    sides.insert(sides.end(), {{c.x, c.y, triangle, 0, is_empty},
+                               {c.y, c.z, triangle, 1, is_empty},
+                               {c.z, c.x, triangle, 2, is_empty}});
   }
   const auto key = [](const Side& s) {
-    return std::tuple(std::min(s.a, s.b), std::max(s.a, s.b), s.triangle);
+    return std::tuple(std::min(s.a, s.b), std::max(s.a, s.b), s.is_empty, s.triangle);
   };
   std::sort(sides.begin(), sides.end(),
             [&](const Side& s, const Side& other) { return key(s) < key(other); });
@@ -78,28 +81,38 @@ void set_edges(MeshTree& tree) {
     const Vec3i& c = tree.triangles[static_cast<size_t>(s.triangle)];
     return s.corner == 0 ? c.z : s.corner == 1 ? c.x : c.y;
   };
+  const auto of_side = [](std::vector<Vec3i>& table, const Side& s) -> int32_t& {
+    Vec3i& row = table[static_cast<size_t>(s.triangle)];
+    return s.corner == 0 ? row.x : s.corner == 1 ? row.y : row.z;
+  };
   tree.own_edges.assign(tree.triangles.size(), {-1, -1, -1});
+  tree.across.assign(tree.triangles.size(),
+                     {geometry::kMeshUnclear, geometry::kMeshUnclear, geometry::kMeshUnclear});
   const auto add = [&](const Side& s, int32_t right) {
-    Vec3i& own = tree.own_edges[static_cast<size_t>(s.triangle)];
-    (s.corner == 0   ? own.x
-     : s.corner == 1 ? own.y
-                     : own.z) = static_cast<int32_t>(tree.edges.size());
+    of_side(tree.own_edges, s) = static_cast<int32_t>(tree.edges.size());
     tree.edges.push_back({s.a, s.b, third(s), right, s.triangle});
   };
   for (size_t i = 0, end = 0; i < sides.size(); i = end) {
-    for (end = i + 1; end < sides.size() &&
-                      std::min(sides[end].a, sides[end].b) == std::min(sides[i].a, sides[i].b) &&
-                      std::max(sides[end].a, sides[end].b) == std::max(sides[i].a, sides[i].b);)
-      ++end;
-    if (end - i == 2 && sides[i].a == sides[i + 1].b) {
+    size_t full = i;  // behind those of triangles with an area
+    for (end = i; end < sides.size() &&
+                  std::min(sides[end].a, sides[end].b) == std::min(sides[i].a, sides[i].b) &&
+                  std::max(sides[end].a, sides[end].b) == std::max(sides[i].a, sides[i].b);
+         ++end)
+      if (!sides[end].is_empty) full = end + 1;
+    if (end == i + 1) of_side(tree.across, sides[i]) = geometry::kMeshBorder;
+    if (full == i + 2 && sides[i].a == sides[i + 1].b) {
       const int32_t right = third(sides[i + 1]);
+      if (end == full) {
+        of_side(tree.across, sides[i]) = right;
+        of_side(tree.across, sides[i + 1]) = third(sides[i]);
+      }
       const Vec3f d = tree.vertices[static_cast<size_t>(right)] -
                       tree.vertices[static_cast<size_t>(sides[i].a)];
       const Vec3f& n = tree.normals[static_cast<size_t>(sides[i].triangle)];
       if (math::dot(n, d) < -kConvexSine * math::length(d)) add(sides[i], right);
       continue;
     }
-    for (size_t k = i; k < end; ++k) add(sides[k], -1);
+    for (size_t k = i; k < full; ++k) add(sides[k], -1);
   }
 }
 
@@ -187,6 +200,7 @@ geometry::MeshView mesh_view(const MeshTree& tree) {
   view.ring = tree.ring.data();
   view.edges = tree.edges.data();
   view.own_edges = tree.own_edges.data();
+  view.across = tree.across.data();
   view.nodes = tree.nodes.data();
   view.order = tree.order.data();
   view.node_count = static_cast<int32_t>(tree.nodes.size());

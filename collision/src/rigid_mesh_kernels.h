@@ -38,19 +38,12 @@ struct MeshContacts {
   void find(const geometry::MeshView& mesh, const geometry::Shape& b, const Transformf& b_in_mesh,
             float reach) {
     count = 0;
-    const geometry::Shape none;
-    const geometry::ShapePair pair = geometry::shape_pair(none, b, b_in_mesh);
-    if (!geometry::is_finite(pair)) return;
-    for_triangles_in(mesh, geometry::box_in_mesh(pair, reach), [&](int32_t triangle) {
-      float way_out = 0.0f;
-      const geometry::ContactCandidates found =
-          geometry::collide_triangle(mesh, triangle, b, b_in_mesh, reach, way_out);
-      if (count + found.count > kCapacity)
-        count = geometry::reduce_mesh_contacts(contacts, count, kCapacity / 2);
-      for (int32_t i = 0; i < found.count; ++i)
-        contacts[count++] = {found.points[i], found.normal, triangle, way_out};
+    geometry::collide_mesh(mesh, b, b_in_mesh, reach, [&](const geometry::MeshContact& contact) {
+      if (count == kCapacity)
+        count = geometry::reduce_mesh_contacts(mesh, contacts, count, kCapacity / 2);
+      contacts[count++] = contact;
     });
-    count = geometry::reduce_mesh_contacts(contacts, count);
+    count = geometry::reduce_mesh_contacts(mesh, contacts, count);
   }
   // Of two meshes, likewise.
   void find(const geometry::MeshView& a, const geometry::MeshView& b, const Transformf& b_in_a,
@@ -61,12 +54,12 @@ struct MeshContacts {
     geometry::collide_meshes(a, b, b_in_a, reach, [&](const geometry::MeshContact& contact) {
       if (count == kCapacity) {
         count = geometry::drop_long_ways(contacts, count);
-        count = geometry::reduce_mesh_contacts(contacts, count, kCapacity / 2);
+        count = geometry::reduce_mesh_contacts(a, contacts, count, kCapacity / 2);
       }
       contacts[count++] = contact;
     });
     count = geometry::drop_long_ways(contacts, count);
-    count = geometry::reduce_mesh_contacts(contacts, count);
+    count = geometry::reduce_mesh_contacts(a, contacts, count);
   }
 };
 

@@ -45,7 +45,7 @@ class TableWriter {
       move(h.neighbour_starts), move(h.neighbours);
       geometry::MeshView& m = view.mesh;
       move(m.vertices), move(m.triangles), move(m.normals), move(m.ring_starts), move(m.ring);
-      move(m.edges), move(m.own_edges), move(m.nodes), move(m.order);
+      move(m.edges), move(m.own_edges), move(m.across), move(m.nodes), move(m.order);
     }
     if (!views.empty()) std::memcpy(bytes_.data(), views.data(), views.size() * sizeof(views[0]));
     Array(DType::uint8, bytes_.size(), 1, storage->range())
@@ -96,6 +96,7 @@ GeometryView add_mesh(TableWriter& writer, const std::vector<Vec3f>& vertices,
   view.mesh.ring = writer.add(tree.ring);
   view.mesh.edges = writer.add(tree.edges);
   view.mesh.own_edges = writer.add(tree.own_edges);
+  view.mesh.across = writer.add(tree.across);
   view.mesh.nodes = writer.add(tree.nodes);
   view.mesh.order = writer.add(tree.order);
   view.box = tree.nodes[0].box;

@@ -15,7 +15,7 @@ struct MeshTree {
   std::vector<Vec3f> normals;
   std::vector<int32_t> ring_starts, ring;
   std::vector<geometry::MeshEdge> edges;
-  std::vector<Vec3i> own_edges;
+  std::vector<Vec3i> own_edges, across;
   std::vector<geometry::MeshNode> nodes;
   std::vector<int32_t> order;
 };

@@ -1,14 +1,22 @@
 // A triangle mesh (A) against a convex shape (B): the contacts of B with each triangle near it,
 // without those of inner edges, and their reduction.
 //
-// Triangle against B: as any two convex shapes. The normal n stands if the mesh about the corners
-// of the triangle that lie farthest along n stays below the plane across n there (normal_stands):
-// over flat and concave edges it does not, since such an edge is only a cut. Then the triangle's
-// own normal takes its place, with the separation along it, and only what of B lies over the
-// triangle counts. So a shape slides over flat and concave edges as over one face. Where n does not
-// stand and points into the mesh, B is deep: such contacts count only where a pair has no others,
-// and of them those along the shortest way out. What is wholly behind a triangle does not touch it,
-// so a shape far inside of a mesh has no contacts.
+// Triangle against B: as any two convex shapes, with the normal n and a rank (MeshRank).
+// - Counts. The normal stands: the mesh about the part of the triangle that is farthest along n
+// stays
+//   below the plane across n there (normal_stands), so that part is one of the surface and not of
+//   its cut. Or n is within 3 degrees of the triangle's own normal, which takes its place with the
+//   separation along it; only what of B lies over the triangle counts then.
+// - Seam. In the second case B's deepest point lies over another triangle, and n stands: a convex
+//   edge of less than 6 degrees.
+// - WayOut. B overlaps the triangle, and n does not stand: B is deep, or the edge is flat or
+// concave.
+//   What of B lies over the triangle has the triangle's own normal.
+// - Beside. As before, but nothing of B over the triangle touches it: B's deepest point.
+// A contact that is no Counts stays only where no better one takes B off its triangle
+// (drop_explained). So a shape slides over flat and concave edges as over one face, and a touch at
+// one place takes nothing from another. What is wholly behind a triangle does not touch it, so a
+// shape far inside of a mesh has no contacts.
 //
 // Reduction (reduce_mesh_contacts): contacts are sorted by (distance, triangle, feature); each
 // joins the first group whose deepest contact has a normal within 5 degrees; of a group stay those
@@ -26,20 +34,26 @@ namespace novaphy::geometry {
 
 inline constexpr float kLeanSine = 1e-3f;     // a normal leans over an edge
 inline constexpr float kBehindCosine = 0.1f;  // a normal points into the mesh, not along it
-inline constexpr float kLongWay = 2.0f;
+inline constexpr float kSeamNear = 0.05f;     // of the triangle: in one place
+inline constexpr int32_t kBesideFace = 2;     // names what is not over the face
 inline constexpr float kAsDeep = 1.2f;
-inline constexpr float kSmallestWay = 1e-30f;      // m: not 0
+inline constexpr float kLongWay = 2.0f;            // of the shortest
 inline constexpr float kGroupCosine = 0.9961947f;  // 5 deg
 inline constexpr int32_t kGroupPoints = 9;
 inline constexpr int32_t kMeshContacts = 32;  // of a pair
 inline constexpr float kSamePoint = 1e-4f;    // of the extent of a group's points
 inline constexpr Vec3f kSteadyDirection = {0.83f, 0.47f, 0.31f};  // along nothing that is common
 
+enum class MeshRank : int32_t { Counts, Seam, WayOut, Beside };
+
 struct MeshContact {
   ContactPoint point{};
   Vec3f normal{};  // from the mesh to B
   int32_t triangle = 0;
-  float way_out = 0.0f;  // m: collide_triangle
+  MeshRank rank = MeshRank::Counts;
+  float way_out = 0.0f;  // m: the separation of B from the triangle along the normal
+  Vec3f shortest{};      // m: the way that takes B off the triangle, were it alone
+  float clears = 0.0f;   // m: how far along the normal B begins once it is out along it
   int32_t group = -1;    // within reduce_mesh_contacts
   bool kept = false;
 };
@@ -87,8 +101,9 @@ inline Feature corners_along(const TriangleHull& t, const Vec3f& n) {
   return feature;
 }
 
-// True if the mesh lies below the plane across n through each corner of the triangle that is
-// farthest along n, as far as the neighbours of the corner tell.
+// True if the mesh lies below the plane across n through the face, edge or corner of the triangle
+// that is farthest along n: about an edge as the triangle beyond it tells, about a corner as its
+// neighbours do.
 inline bool normal_stands(const MeshView& mesh, int32_t triangle, const Vec3f& n) {
   const Vec3i t = mesh.triangles[triangle];
   const int32_t corners[3] = {t.x, t.y, t.z};
@@ -98,6 +113,25 @@ inline bool normal_stands(const MeshView& mesh, int32_t triangle, const Vec3f& n
     height[k] = math::dot(n, from_first);
     size = math::max(size, math::length(from_first));
     if (k == 0 || height[k] > highest) highest = height[k];
+  }
+  int32_t count = 0, low = 0;
+  for (int32_t k = 0; k < 3; ++k)
+    if (height[k] >= highest - kLeanSine * size)
+      ++count;
+    else
+      low = k;
+  if (count == 3 && math::dot(n, mesh.normals[triangle]) >= kFaceCosine) return true;
+  if (count == 2) {
+    const Vec3i& all = mesh.across[triangle];
+    const int32_t across = low == 0 ? all.y : low == 1 ? all.z : all.x;
+    if (across == kMeshBorder) return true;
+    if (across >= 0) {
+      const Vec3f a = mesh.vertices[corners[(low + 1) % 3]];
+      const Vec3f edge = mesh.vertices[corners[(low + 2) % 3]] - a;
+      Vec3f d = mesh.vertices[across] - a;
+      d = d - edge * (math::dot(d, edge) / math::dot(edge, edge));
+      return math::dot(n, d) <= kLeanSine * math::length(d);
+    }
   }
   for (int32_t k = 0; k < 3; ++k) {
     if (height[k] < highest - kLeanSine * size) continue;
@@ -119,45 +153,74 @@ inline Proximity face_proximity(const ShapePair& pair, const TriangleHull& t) {
   return {n, distance, on_b - n * distance, on_b};
 }
 
-// The contacts of B with one triangle, before reduction. `way_out` (m) is 0, or, for contacts that
-// count only where there are no others, the distance along the triangle's normal, < 0.
-NOVAPHY_OUT_OF_LINE ContactCandidates collide_triangle(const MeshView& mesh, int32_t triangle,
-                                                       const Shape& b, const Transformf& b_in_mesh,
-                                                       float gap, float& way_out) {
-  ContactCandidates found;
-  way_out = 0.0f;
-  if (mesh.normals[triangle] == Vec3f{}) return found;
+// Calls add(contact) for the contacts of B with one triangle, before reduction.
+template <class Add>
+NOVAPHY_OUT_OF_LINE void collide_triangle(const MeshView& mesh, int32_t triangle, const Shape& b,
+                                          const Transformf& b_in_mesh, float gap, Add add) {
+  if (mesh.normals[triangle] == Vec3f{}) return;
   TriangleHull t;
   make_triangle(t, mesh, triangle);
   Shape a;
   a.type = GeoType::CONVEX_MESH;
   a.hull = view_of(t);
   const ShapePair pair = shape_pair(a, b, b_in_mesh);
-  Proximity proximity = convex_proximity(pair, gap);
-  if (!(proximity.distance <= gap)) return found;
-  const float along = math::dot(proximity.normal, t.normals[0]);
-  const bool stands = along >= kFaceCosine ||
-                      (along >= -kBehindCosine && normal_stands(mesh, triangle, proximity.normal));
+  const Proximity nearest = convex_proximity(pair, gap);
+  if (!(nearest.distance <= gap)) return;
+  const auto emit = [&](const ContactPoint& point, const Proximity& along, MeshRank rank) {
+    MeshContact contact;
+    contact.point = point;
+    contact.normal = along.normal;
+    contact.triangle = triangle;
+    contact.rank = rank;
+    contact.way_out = along.distance;
+    contact.shortest = nearest.normal * -nearest.distance;
+    contact.clears = math::dot(along.normal, along.on_b) + math::max(-point.distance, 0.0f);
+    add(contact);
+  };
+  const auto emit_all = [&](const ContactCandidates& found, const Proximity& along, MeshRank rank) {
+    for (int32_t i = 0; i < found.count; ++i) emit(found.points[i], along, rank);
+  };
+  const float cosine = math::dot(nearest.normal, t.normals[0]);
+  const bool stands = cosine >= -kBehindCosine && normal_stands(mesh, triangle, nearest.normal);
+  const bool faces = cosine >= kFaceCosine;
   Feature front, facing;
-  if (stands && along < kFaceCosine) {
-    facing_features(pair, proximity.normal, front, facing);
-    return clip_candidates(pair, proximity, corners_along(t, proximity.normal), facing, gap);
+  if (stands && !faces) {
+    facing_features(pair, nearest.normal, front, facing);
+    emit_all(clip_candidates(pair, nearest, corners_along(t, nearest.normal), facing, gap), nearest,
+             MeshRank::Counts);
+    return;
   }
-  if (!stands && proximity.distance > 0.0f) return found;
-  const float shortest = proximity.distance;
-  proximity = face_proximity(pair, t);
-  if (!stands && (along < -kBehindCosine || proximity.distance < kLongWay * shortest))
-    way_out = math::min(proximity.distance, -kSmallestWay);
-  facing_features(pair, proximity.normal, front, facing);
-  found.normal = proximity.normal;
-  const bool as_deep = clip_features(pair, proximity, front, facing, true, gap, found);
+  if (!faces && nearest.distance > 0.0f) return;
+  const Proximity over = face_proximity(pair, t);
+  facing_features(pair, over.normal, front, facing);
+  ContactCandidates found;
+  found.normal = over.normal;
+  const bool as_deep = clip_features(pair, over, front, facing, true, gap, found);
   // The deepest point of a round or turned shape is no corner of its feature.
   Feature deepest;
-  add_point(deepest, proximity.on_b);
-  if (!as_deep && proximity.distance <= gap && clip_to_face(front, deepest).count == 1)
-    add_contact(found, (proximity.on_a + proximity.on_b) * 0.5f, proximity.distance,
+  add_point(deepest, over.on_b);
+  if (!as_deep && over.distance <= gap && clip_to_face(front, deepest).count == 1)
+    add_contact(found, (over.on_a + over.on_b) * 0.5f, over.distance,
                 contact_feature(front.face, facing.face, kWitnessCode));
-  return found;
+  emit_all(found, over, faces ? MeshRank::Counts : MeshRank::WayOut);
+  if (!stands) {
+    if (nearest.distance > 0.0f || cosine < -kBehindCosine) return;
+    for (int32_t i = 0; i < found.count; ++i)
+      if (found.points[i].distance <= 0.0f) return;
+    emit({(over.on_a + over.on_b) * 0.5f, over.distance,
+          contact_feature(kBesideFace, facing.face, kWitnessCode)},
+         over, MeshRank::Beside);
+    return;
+  }
+  // B's deepest point may lie over a face that falls away from this one.
+  const float deep = nearest.distance + (kAsDeep - 1.0f) * math::abs(nearest.distance) +
+                     kDeepestShare * extent(front);
+  for (int32_t i = 0; i < found.count; ++i)
+    if (found.points[i].distance <= deep) return;
+  facing_features(pair, nearest.normal, front, facing);
+  Feature seam = corners_along(t, nearest.normal);
+  seam.face = kBesideFace;
+  emit_all(clip_candidates(pair, nearest, seam, facing, gap), nearest, MeshRank::Seam);
 }
 
 // The box of B in the mesh, grown by the gap.
@@ -175,20 +238,16 @@ inline Box3 box_in_mesh(const ShapePair& pair, float gap) {
   return box;
 }
 
-// All contacts within the gap, before reduction; the number found, of which the first `capacity`
-// are written.
-inline int32_t collide_mesh(const MeshView& mesh, const Shape& b, const Transformf& b_in_mesh,
-                            float gap, MeshContact* out, int32_t capacity) {
-  int32_t count = 0;
+// Calls add(contact) for all contacts within the gap, before reduction, in the order of the tree.
+template <class Add>
+void collide_mesh(const MeshView& mesh, const Shape& b, const Transformf& b_in_mesh, float gap,
+                  Add add) {
   Shape none;
   const ShapePair pair = shape_pair(none, b, b_in_mesh);
+  if (!is_finite(pair)) return;
   for_triangles_in(mesh, box_in_mesh(pair, gap), [&](int32_t triangle) {
-    float way_out = 0.0f;
-    const ContactCandidates found = collide_triangle(mesh, triangle, b, b_in_mesh, gap, way_out);
-    for (int32_t i = 0; i < found.count; ++i, ++count)
-      if (count < capacity) out[count] = {found.points[i], found.normal, triangle, way_out};
+    collide_triangle(mesh, triangle, b, b_in_mesh, gap, add);
   });
-  return count;
 }
 
 inline bool comes_before(const MeshContact& a, const MeshContact& b) {
@@ -217,29 +276,52 @@ inline void sort_mesh_contacts(MeshContact* c, int32_t count) {  // heap sort
   }
 }
 
-// Drops contacts with a way out where they do not count: where the pair has others, all but those
-// that one of these confirms, a contact with the same normal that is about as deep (a corner that
-// has just passed an inner edge); else all that do not lie along the shortest way. The number that
-// stays, in order.
-inline int32_t keep_ways_out(MeshContact* c, int32_t count) {
-  bool touches = false;
-  int32_t shortest = -1;
-  for (int32_t i = 0; i < count; ++i) {
-    if (c[i].way_out == 0.0f)
-      touches = touches || c[i].point.distance <= 0.0f;
-    else if (shortest < 0 || c[i].way_out > c[shortest].way_out)
-      shortest = i;
-  }
-  if (shortest < 0) return count;
-  const auto counts = [&](const MeshContact& contact) {
-    if (!touches) return math::dot(contact.normal, c[shortest].normal) >= kGroupCosine;
-    for (int32_t i = 0; i < count; ++i)
-      if (c[i].way_out == 0.0f && math::dot(contact.normal, c[i].normal) >= kGroupCosine &&
-          contact.point.distance >= kAsDeep * c[i].point.distance)
-        return true;
+// True if B no longer meets the triangle of `of` once it is out along `contact`. For a seam, which
+// only doubles what is in its place, they must be near.
+inline bool takes_off(const MeshView& mesh, const MeshContact& contact, const MeshContact& of) {
+  const Vec3i t = mesh.triangles[of.triangle];
+  const Vec3f &x = mesh.vertices[t.x], &y = mesh.vertices[t.y], &z = mesh.vertices[t.z];
+  const float size = math::max(math::length(y - x), math::length(z - x));
+  const Vec3f& n = contact.normal;
+  if (of.rank == MeshRank::Seam &&
+      !(math::length(contact.point.position - of.point.position) <= kSeamNear * size))
     return false;
+  if (math::max(math::dot(n, x), math::max(math::dot(n, y), math::dot(n, z))) <=
+      contact.clears + kLeanSine * size)
+    return true;
+  const float along = -kAsDeep * contact.point.distance * math::dot(n, of.shortest);
+  return along > 0.0f && along >= math::dot(of.shortest, of.shortest);
+}
+
+// Drops contacts that another one explains, which takes B off their triangle: one of a lower rank,
+// or of the same with a shorter way. For one that is far deeper than its triangle alone would have
+// it, any such contact will do. A way out over its triangle is not explained by contacts in
+// its own direction; where one that counts is about as deep, nothing explains it: a corner that has
+// just passed an inner edge. The number that stays, in order.
+inline int32_t drop_explained(const MeshView& mesh, MeshContact* c, int32_t count) {
+  const auto is_explained = [&](int32_t of) {
+    const MeshContact& contact = c[of];
+    const bool is_long = contact.rank != MeshRank::Seam &&
+                         contact.point.distance < -kLongWay * math::length(contact.shortest);
+    bool explained = false;
+    for (int32_t i = 0; i < count; ++i) {
+      const MeshContact& by = c[i];
+      if (by.rank > contact.rank || by.triangle == contact.triangle) continue;
+      if (by.rank == contact.rank &&
+          !(by.way_out > contact.way_out || (by.way_out == contact.way_out && i < of)))
+        continue;
+      if (contact.rank == MeshRank::WayOut &&
+          math::dot(contact.normal, by.normal) >= kGroupCosine) {
+        if (by.rank != MeshRank::WayOut && contact.point.distance >= kAsDeep * by.point.distance)
+          return false;
+        continue;
+      }
+      if (contact.rank != MeshRank::Seam && !(by.point.distance <= 0.0f)) continue;
+      explained = explained || is_long || takes_off(mesh, by, contact);
+    }
+    return explained;
   };
-  for (int32_t i = 0; i < count; ++i) c[i].kept = c[i].way_out == 0.0f || counts(c[i]);
+  for (int32_t i = 0; i < count; ++i) c[i].kept = c[i].rank == MeshRank::Counts || !is_explained(i);
   int32_t n = 0;
   for (int32_t i = 0; i < count; ++i)
     if (c[i].kept) c[n++] = c[i];
@@ -287,9 +369,10 @@ inline int32_t keep_extremes(MeshContact* c, int32_t count, int32_t group, float
 }
 
 // Reduces in place; the number that stays, sorted as above.
-inline int32_t reduce_mesh_contacts(MeshContact* c, int32_t count, int32_t limit = kMeshContacts) {
+inline int32_t reduce_mesh_contacts(const MeshView& mesh, MeshContact* c, int32_t count,
+                                    int32_t limit = kMeshContacts) {
   sort_mesh_contacts(c, count);
-  count = keep_ways_out(c, count);
+  count = drop_explained(mesh, c, count);
   for (int32_t i = 0; i < count; ++i) {
     c[i].group = -1;
     c[i].kept = false;

@@ -30,6 +30,10 @@ struct MeshEdge {
   int32_t triangle;     // that of `left`
 };
 
+// Where there is no third corner across an edge of a triangle: nothing is there, or more than one
+// triangle, one without area or one that is turned over.
+inline constexpr int32_t kMeshBorder = -1, kMeshUnclear = -2;
+
 struct MeshView {
   const Vec3f* vertices{};
   const Vec3i* triangles{};      // counter-clockwise seen from outside
@@ -38,6 +42,8 @@ struct MeshView {
   const int32_t* ring{};         // of a vertex: those it shares an edge with
   const MeshEdge* edges{};
   const Vec3i* own_edges{};  // of a triangle: the edges that it is the left of, or -1
+  const Vec3i*
+      across{};  // of a triangle: beyond its edges, third corners, kMeshBorder or kMeshUnclear
   const MeshNode* nodes{};
   const int32_t* order{};
   int32_t node_count = 0;

@@ -189,6 +189,26 @@ class Builder {
   std::vector<Vec3d> centres_;
 };
 
+// The box of the mesh. With a border, it goes on behind the triangles as far as the mesh is large.
+void set_behind(MeshTree& tree) {
+  Box3& box = tree.behind;
+  box = tree.nodes[0].box;
+  const float size = math::length(box.hi - box.lo);
+  const auto has_border = [](const Vec3i& across) {
+    constexpr int32_t kBorder = geometry::kMeshBorder;
+    return across.x == kBorder || across.y == kBorder || across.z == kBorder;
+  };
+  if (std::none_of(tree.across.begin(), tree.across.end(), has_border)) return;
+  Vec3f lo{}, hi{};  // of the normals
+  for (const Vec3f& n : tree.normals) {
+    lo = {std::min(lo.x, n.x), std::min(lo.y, n.y), std::min(lo.z, n.z)};
+    hi = {std::max(hi.x, n.x), std::max(hi.y, n.y), std::max(hi.z, n.z)};
+  }
+  const auto grow = [size](bool is_behind) { return is_behind ? size : 0.0f; };
+  box.lo = box.lo - Vec3f{grow(hi.x > 0.0f), grow(hi.y > 0.0f), grow(hi.z > 0.0f)};
+  box.hi = box.hi + Vec3f{grow(lo.x < 0.0f), grow(lo.y < 0.0f), grow(lo.z < 0.0f)};
+}
+
 }  // namespace
 
 geometry::MeshView mesh_view(const MeshTree& tree) {
@@ -203,6 +223,7 @@ geometry::MeshView mesh_view(const MeshTree& tree) {
   view.across = tree.across.data();
   view.nodes = tree.nodes.data();
   view.order = tree.order.data();
+  view.behind = tree.behind;
   view.node_count = static_cast<int32_t>(tree.nodes.size());
   view.vertex_count = static_cast<int32_t>(tree.vertices.size());
   view.edge_count = static_cast<int32_t>(tree.edges.size());
@@ -230,6 +251,7 @@ MeshTree build_mesh_tree(std::span<const Vec3f> vertices, std::span<const int32_
   set_rings(tree);
   set_edges(tree);
   Builder{tree};
+  set_behind(tree);
   return tree;
 }
 

@@ -118,6 +118,29 @@ TEST(MeshContacts, OnAPlaneHullsAndMeshesHaveTheCornersOfABox) {
   }
 }
 
+// Rows push the lower corners up by their depth, whether or not the floor is lower elsewhere.
+TEST(MeshContacts, AMeshInAnOpenFloorHasItsDepth) {
+  for (const float pit : {0.0f, 0.5f})
+    for (const float down : {1e-5f, 1e-3f, 0.01f, 0.03f, 0.08f}) {
+      const Triangles floor = testing::terrain(
+          6, 1.0f, [pit](float x, float y) { return x < -2.5f && y < -2.5f ? -pit : 0.0f; });
+      ModelBuilder builder;
+      builder.add_shape_mesh(-1, {.vertices = floor.vertices, .indices = floor.indices});
+      builder.add_body({.xform = {{0.33f, 0.21f, 0.1f - down}, turn(0.0f, 0.0f, 0.2f, 1.0f)}});
+      add_box(builder, 0, As::Mesh, 0.1f, 0.1f, 0.1f);
+      const auto model = builder.finalize(Device::cpu());
+      int touching = 0;
+      for (const RigidContact& c : rows(model)) {
+        EXPECT_NEAR(c.normal.z, 1.0f, 1e-5f);
+        const double d = depth(c, model->body_q.to_host(), model->shape_body.to_host());
+        if (d <= 0.0) continue;
+        ++touching;
+        EXPECT_NEAR(d, down, 1e-6);
+      }
+      EXPECT_EQ(touching, 4) << pit << " " << down;
+    }
+}
+
 TEST(MeshContacts, AMeshOffItsOriginIsFoundWhereItIs) {
   Triangles t = testing::cube(0.1f);
   for (Vec3f& v : t.vertices) v = v + Vec3f{5.0f, 0.0f, 0.0f};

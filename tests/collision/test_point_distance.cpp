@@ -92,6 +92,21 @@ TEST(PointDistance, OfATerrainHasItsSideAsSign) {
   }
 }
 
+// A pit elsewhere makes its box deeper.
+TEST(PointDistance, BehindAnOpenMeshIsInsideWhateverItsBox) {
+  for (const float pit : {0.0f, 0.5f}) {
+    const Triangles t = novaphy::testing::terrain(
+        4, 0.5f, [pit](float x, float y) { return x < -0.9f && y < -0.9f ? -pit : 0.0f; });
+    const MeshTree tree = build_mesh_tree(t.vertices, t.indices);
+    const auto at = [&](float z) {
+      return geometry::point_to_mesh({0.6f, 0.7f, z}, mesh_view(tree), 1e-3f).distance;
+    };
+    for (const float depth : {1e-4f, 0.01f, 0.2f, 2.0f}) EXPECT_FLOAT_EQ(at(-depth), -depth) << pit;
+    EXPECT_EQ(at(0.01f), geometry::kFarAway);
+    EXPECT_EQ(at(-4.0f), geometry::kFarAway) << "farther behind than it is large";
+  }
+}
+
 TEST(PointDistance, BesideTheBorderOfAnOpenMeshIsOutside) {
   const Triangles t = novaphy::testing::terrain(4, 0.5f, novaphy::testing::flat);
   const MeshTree tree = build_mesh_tree(t.vertices, t.indices);

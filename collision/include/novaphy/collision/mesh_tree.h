@@ -18,6 +18,7 @@ struct MeshTree {
   std::vector<Vec3i> own_edges, across;
   std::vector<geometry::MeshNode> nodes;
   std::vector<int32_t> order;
+  geometry::Box3 behind;
 };
 // Valid as long as the tree lives and stays as it is.
 NOVAPHY_COLLISION_API geometry::MeshView mesh_view(const MeshTree& tree);

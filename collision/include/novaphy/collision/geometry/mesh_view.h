@@ -50,6 +50,7 @@ struct MeshView {
   int32_t vertex_count = 0;
   int32_t edge_count = 0;
   float longest_edge = 0.0f;  // m
+  Box3 behind{};              // what is in or behind the mesh: point_to_mesh
 };
 
 // Calls visit(triangle) for each triangle of the leaves that meet the box.

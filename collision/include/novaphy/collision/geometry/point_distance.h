@@ -85,13 +85,14 @@ inline float square_outside(const Box3& box, const Vec3f& x) {
   return math::dot(d, d);
 }
 
-// Farther than `reach` (m) outside of the mesh's box: kFarAway. `within` (m): the surface is known
-// to be no farther, which saves time.
+// Farther than `reach` (m) outside of the mesh's box: kFarAway; of a mesh with a border, as far
+// outside of what lies behind it, which ends where the mesh is no larger. `within` (m): the surface
+// is known to be no farther, which saves time.
 inline SolidPoint point_to_mesh(const Vec3f& x, const MeshView& mesh, float reach,
                                 float within = kFarAway) {
   SolidPoint far{kFarAway, {0.0f, 0.0f, 1.0f}};
   // Written so that a NaN is far.
-  if (!(square_outside(mesh.nodes[0].box, x) <= reach * reach)) return far;
+  if (!(square_outside(mesh.behind, x) <= reach * reach)) return far;
   float least = kFarAway, tolerance = 0.0f;
   Vec3f nearest{}, normal{};
   int32_t meeting = 0, needed = 1;

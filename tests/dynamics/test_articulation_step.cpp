@@ -342,6 +342,89 @@ TEST(ArticulationStep, ForwardDerivativeIsTheTransposeOfTheGradient) {
   }
 }
 
+// tau of ID(q, qd, qdd) with armature and the scene's wrenches, less joint_f.
+std::vector<double> inverse_dynamics(Scene<double> s, const std::vector<float>& qdd) {
+  const auto tree = s.tree.view();
+  auto ws = s.tree.workspace();
+  const std::vector<double> a(qdd.begin(), qdd.end());
+  std::vector<double> tau(a.size());
+  articulation::kinematics(tree, s.q.data(), ws);
+  articulation::set_wrenches(tree, s.inputs(), ws);
+  articulation::inverse_dynamics(tree, s.qd.data(), a.data(), ws, tau.data());
+  for (size_t k = 0; k < tau.size(); ++k) tau[k] += s.armature[k] * a[k] - s.joint_f[k];
+  return tau;
+}
+std::vector<LinkJoint> hinges_and_slides(uint32_t seed, LinkJoint root) {
+  Random random(seed + 1000);
+  std::vector<LinkJoint> joints = {root};
+  for (int i = random.index(12); i >= 0; --i)
+    joints.push_back(random.index(3) == 0 ? LinkJoint::Prismatic : LinkJoint::Revolute);
+  return joints;
+}
+
+// Stiff drives with targets far away, so that most of them stop, and single Newton steps would go
+// round in circles in about a tenth of the scenes.
+TEST(ArticulationStep, DrivesKeepToTheirEffortLimits) {
+  int at_limit = 0;
+  double worst = 0.0;
+  for (uint32_t seed = 0; seed < 2000; ++seed) {
+    Random random(seed);
+    const LinkJoint root = seed % 2 ? LinkJoint::Free : LinkJoint::Revolute;
+    Scene<double> s = random_scene(seed, hinges_and_slides(seed, root));
+    const double gain = std::pow(10.0, random.uniform(1, 5)), far = random.uniform(0, 1);
+    s.options = {std::pow(10.0, random.uniform(-3.3, -2)), 0.0, true};
+    for (double& x : s.target_ke) x = gain * random.uniform(0.2, 1);
+    for (size_t i = 0; i < s.q.size(); ++i) s.target_q[i] = s.q[i] + far * random.normal();
+    for (auto* x : {&s.damping, &s.limit_ke, &s.limit_kd}) std::fill(x->begin(), x->end(), 0.0);
+    std::fill(s.velocity_limit.begin(), s.velocity_limit.end(), 1e6);
+    Scene<float> f = convert<float>(s);
+    const Result<float> r = step(f);
+    const std::vector<double> tau = inverse_dynamics(s, r.qdd);
+    for (const articulation::Link& link : s.tree.links) {
+      if (!articulation::has_one_dof(link)) continue;
+      const auto k = static_cast<size_t>(link.dof);
+      worst = std::fmax(worst, std::abs(tau[k]) / s.effort_limit[k]);
+      at_limit += (r.branch[k] & articulation::kEffortClamped) != 0;
+    }
+  }
+  EXPECT_LE(worst, 1.0 + 1e-3);
+  EXPECT_GT(at_limit, 4000);
+}
+
+// The base of a free tree feels no force of its joints, and so none of their velocity limits.
+TEST(ArticulationStep, VelocityLimitsKeepTheMomentumOfFreeTrees) {
+  int at_limit = 0;
+  for (uint32_t seed = 0; seed < 200; ++seed) {
+    Random random(seed);
+    Scene<double> s = random_scene(seed, hinges_and_slides(seed, LinkJoint::Free));
+    s.tree.gravity = {};
+    s.options.angular_damping = 0.0;
+    for (SpatialVector<double>& f : s.body_f) f = {};
+    for (double& x : s.armature) x = 0.0;
+    for (size_t k = 0; k < 6; ++k) s.joint_f[k] = 0.0;
+    for (double& x : s.velocity_limit) x = random.uniform(0.05, 2);
+    Scene<float> f = convert<float>(s);
+    const Result<float> r = step(f);
+    const std::vector<double> tau = inverse_dynamics(s, r.qdd);
+    const auto n = static_cast<size_t>(s.tree.dofs);
+    const auto tree = s.tree.view();
+    auto ws = s.tree.workspace();
+    articulation::kinematics(tree, s.q.data(), ws);
+    articulation::mass_matrix(tree, ws);
+    for (size_t k = 0; k < 6; ++k) {
+      double size = 0.0;
+      for (size_t j = 0; j < n; ++j)
+        size += std::abs(ws.matrix[j > k ? j * n + k : k * n + j] * static_cast<double>(r.qd[j]));
+      EXPECT_LT(std::abs(tau[k]) * s.options.dt, 1e-5 * size) << seed;
+    }
+    for (size_t k = 6; k < n; ++k) {
+      EXPECT_LE(std::abs(r.qd[k]), f.velocity_limit[k]) << seed;
+      at_limit += (r.branch[k] & articulation::kVelocityClamped) != 0;
+    }
+  }
+  EXPECT_GT(at_limit, 300);
+}
+
 Scene<double> without_forces(Scene<double> s) {
   for (SpatialVector<double>& f : s.body_f) f = {};
   for (auto* x :
@@ -357,7 +440,9 @@ TEST(ArticulationStep, MovesTheSameFarFromTheOriginToTheBit) {
     const std::vector<LinkJoint> joints = {seed % 2 ? LinkJoint::Free : LinkJoint::Revolute,
                                            LinkJoint::Ball, LinkJoint::Prismatic,
                                            LinkJoint::Revolute, LinkJoint::Free};
-    Scene<float> here = convert<float>(random_scene(seed, joints)), there = here;
+    Scene<float> here = convert<float>(random_scene(seed, joints));
+    here.options.dt = 2.5e-3f;
+    Scene<float> there = here;
     there.tree.X_p[0].p = there.tree.X_p[0].p + Vec3f{1000.0f, 1000.0f, 0.0f};
     for (int t = 0; t < 100; ++t) {
       const Result<float> a = step(here), b = step(there);
@@ -436,6 +521,32 @@ TEST(ArticulationStep, KeepsMomentumInFreeFlightToTheOrderOfTheStep) {
   EXPECT_LT(squared(fine.angular), 1e-6);
   EXPECT_NEAR(squared(coarse.linear) / squared(fine.linear), 4.0, 0.2);
   EXPECT_NEAR(squared(coarse.angular) / squared(fine.angular), 4.0, 0.2);
+}
+
+// A target beyond the limit of a hinge: the drive and the limit come to rest against each other.
+TEST(ArticulationStep, DrivesPressAgainstLimits) {
+  for (const double ke : {10.0, 400.0, 1e4}) {
+    Scene<double> s = without_forces(random_scene(1, {LinkJoint::Revolute}));
+    s.tree.gravity = {};
+    s.options.dt = 1e-3;
+    s.mode = {1};
+    s.target_ke = {ke};
+    s.target_kd = {1.0};
+    s.target_q = {1.5};
+    s.limit_upper = {1.0};
+    s.limit_ke = {1e4};
+    s.limit_kd = {10.0};
+    s.effort_limit = {1e9};
+    s.q = {0.0};
+    s.qd = {0.0};
+    for (int t = 0; t < 4000; ++t) {
+      const Result<double> r = step(s);
+      s.q = r.q;
+      s.qd = r.qd;
+    }
+    EXPECT_NEAR(s.q[0], (1.5 * ke + 1e4) / (ke + 1e4), 1e-6) << ke;
+    EXPECT_NEAR(s.qd[0], 0.0, 1e-6) << ke;
+  }
 }
 
 // Backward Euler of one hinge: v' = (I v + dt (ke (q* - q))) / (I + dt kd + dt^2 ke), with gains

@@ -214,6 +214,7 @@ TEST(SolverFeatherstone, EveryArrayOfDrivesChangesTheStep) {
   b.joint_target_ke = {100.0f, 100.0f};
   b.joint_target_kd = {1.0f, 1.0f};
   b.joint_limit_lower = {-2.0f, -0.5f};  // the second is outside
+  b.joint_target_q[1] = -1.0f;           // and pressed outwards
   const auto next = [&](const std::function<void(Model&)>& edit) {
     const auto model = b.finalize();
     edit(*model);

@@ -37,7 +37,7 @@ def box(speed: float):
     return builder
 
 
-def walker():
+def walker(**hip: float):
     """A trunk on two legs with round feet, one of which leans on a ball."""
     builder = novaphy.ModelBuilder()
     surface = novaphy.ShapeConfig(mu=0.5)
@@ -53,7 +53,7 @@ def walker():
         builder.add_shape_sphere(leg, xform=((0.0, 0.0, -0.4), UPRIGHT), radius=0.1, cfg=surface)
         joints.append(
             builder.add_joint_revolute(
-                trunk, leg, axis=(0.0, 1.0, 0.0), parent_xform=((side, 0.0, 0.0), UPRIGHT)
+                trunk, leg, axis=(0.0, 1.0, 0.0), parent_xform=((side, 0.0, 0.0), UPRIGHT), **hip
             )
         )
     builder.add_articulation(joints)
@@ -133,6 +133,12 @@ CASES = {
     "standing box": (lambda: box(0.02), {"pgs_slop": 0.0}, (0, 4, 0)),
     "sliding box": (lambda: box(1.0), {"pgs_slop": 0.0}, (0, 0, 4)),
     "walker": (walker, {}, (1, 3, 0)),
+    "walker with weak drives": (
+        lambda: walker(target_ke=500.0, target_kd=5.0, target_q=0.3, effort_limit=2.0),
+        {},
+        (1, 3, 0),
+    ),
+    "walker at its velocity limits": (lambda: walker(velocity_limit=0.4), {}, (1, 3, 0)),
     "legs that follow": (walker_that_follows, {}, (1, 1, 2)),
     "walker on a pyramid": (walker, {"friction_cone": "pyramid"}, (1, 3, 0)),
     "sticking to a moving table": (lambda: on_a_kinematic_table(0.1), {}, (0, 2, 0)),

@@ -437,7 +437,7 @@ def walker_builder() -> novaphy.ModelBuilder:
             hinge,
             axis=(0.0, 0.6, 0.8),
             parent_xform=(-0.2, 0.1, 0.0, *turned),
-            target_q=0.4,
+            target_q=0.3,
             target_ke=20.0,
             target_kd=0.5,
             limit_lower=-0.3,

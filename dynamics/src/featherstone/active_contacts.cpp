@@ -89,18 +89,22 @@ void ActiveContacts::find(const Model& m, const Contacts* contacts, const SimSta
         kept, [&](int32_t) { return of; }, numbers_.data() + i * numbers, rows_[i]);
 }
 
-float ActiveContacts::push(float dt, float* rates) {
+float ActiveContacts::push(float dt, art::Workspace<float>& ws) {
   const auto n = static_cast<size_t>(dofs_);
-  std::copy_n(rates, n, rates_.begin());
+  std::copy_n(ws.qd_next, n, rates_.begin());
+  std::fill_n(ws.given, n, 0.0f);
   float size = 0.0f;
-  for (size_t k = 0; k < n; ++k) size = std::max(size, std::abs(rates[k]));
+  for (size_t k = 0; k < n; ++k) size = std::max(size, std::abs(rates_[k]));
   for (size_t i = 0; i < rows_.size(); ++i) {
-    const art::IslandContact& row = rows_[i];
-    for (int r = 0; r < 3; ++r)
-      art::push(row.solver, r, math::dot(row.frame.axes[r], force_[i]) * dt);
+    art::IslandContact& row = rows_[i];
+    for (int r = 0; r < 3; ++r) {
+      row.solver.impulse[r] = math::dot(row.frame.axes[r], force_[i]) * dt;
+      art::push(row.solver, r, row.solver.impulse[r]);
+    }
+    art::add_impulses(row.solver, rates_.data(), dofs_, ws.given);
     for (size_t k = 0; k < n; ++k) size = std::max(size, std::abs(rates_[k]));
   }
-  std::copy_n(rates_.begin(), n, rates);
+  std::copy_n(rates_.begin(), n, ws.qd_next);
   return size;
 }
 

@@ -24,9 +24,9 @@ class ActiveContacts {
             const articulation::Tree<float>& tree, articulation::Workspace<float>& ws,
             const char* user);
   bool empty() const { return rows_.empty(); }
-  // Behind find. What their impulses do to the rates of the tree's dofs; the result is the largest
-  // sum of the sizes that a rate is made of.
-  float push(float dt, float* rates);
+  // Behind find. What their impulses do to the rates of the tree's dofs (qd_next), and what they
+  // push those with (given); the result is the largest sum of the sizes that a rate is made of.
+  float push(float dt, articulation::Workspace<float>& ws);
   // v - M^-1 N^T (N M^-1 N^T)^-1 N v, N the normals' rows: the nearest change of rates (by M) that
   // opens and closes none. What normals make up of others counts once.
   void project(float* v);

@@ -96,7 +96,7 @@ inline void solve_island_tangent(const GroupTangent& s, int32_t root) {
 }
 
 // As on the host: no tangent of a group in which a tree fails.
-NOVAPHY_ROW_KERNEL(articulation_contact_jvp, 81, ArticulationContactJvpArguments) {
+NOVAPHY_ROW_KERNEL(articulation_contact_jvp, 82, ArticulationContactJvpArguments) {
   using articulation::DualFloat;
   const ArticulationArguments of = rows_of(a.step);
   const GroupTangent s(of, a, row);
@@ -107,7 +107,7 @@ NOVAPHY_ROW_KERNEL(articulation_contact_jvp, 81, ArticulationContactJvpArguments
   for (int32_t t = s.first_tree(); t < s.end_tree(); ++t) {
     const articulation::Tree<DualFloat> tree = s.tree(trees[t]);
     articulation::Workspace<DualFloat> ws = s.workspace(trees[t]);
-    if (articulation::accelerate(tree, in, options, ws) >= 0) return;
+    if (articulation::accelerate_again(tree, in, options, a.step.branch, ws) >= 0) return;
     articulation::free_rates(tree, in, options, ws);
     start_node(s, trees[t]);
   }
@@ -148,7 +148,6 @@ NOVAPHY_ROW_KERNEL(articulation_contact_jvp, 81, ArticulationContactJvpArguments
   for (int32_t t = s.first_tree(); t < s.end_tree(); ++t) {
     const articulation::Tree<DualFloat> tree = s.tree(trees[t]);
     articulation::Workspace<DualFloat> ws = s.workspace(trees[t]);
-    articulation::clamp_rates(tree, in, ws);
     articulation::finish_step(tree, in, options, ws, a.step.q_next, a.step.qd_next, a.step.body_q,
                               a.step.body_qd);
   }

@@ -109,7 +109,7 @@ struct GroupStep : ContactGroup {
 inline void start_tree(const GroupStep& s, int32_t i) {
   articulation::IslandTree of = s.tree(i);
   const ArticulationRows& rows = s.rows(i);
-  const int32_t failed = articulation::accelerate(of.tree, s.in, s.how, of.ws);
+  const int32_t failed = articulation::accelerate(of.tree, s.in, s.how, false, of.ws);
   s.all.step.status[i] = failed < 0 ? 0 : 1 + failed + rows.first_dof;
   if (failed < 0) articulation::free_rates(of.tree, s.in, s.how, of.ws);
   for (int32_t k = 0; k < articulation::padded_dofs(rows.dof_count); ++k)
@@ -145,6 +145,16 @@ inline void take_contact(const GroupStep& s, int32_t place,
   if (s.all.impulses != nullptr) s.all.impulses[contact] = {impulse[0], impulse[1], impulse[2]};
 }
 
+// The velocity limits of a tree that touches nothing.
+inline void hold_rates(const GroupStep& s, int32_t i) {
+  const articulation::IslandTree of = s.tree(i);
+  articulation::Workspace<float> ws = of.ws;
+  int32_t failed = articulation::hold_rates(of.tree, s.in, s.how, true, ws);
+  if (failed < 0) failed = articulation::find_infinite(of.tree, ws);
+  if (failed >= 0) s.all.step.status[i] = 1 + failed + s.rows(i).first_dof;
+  if (failed < 0) articulation::free_rates(of.tree, s.in, s.how, ws);
+}
+
 // An island of one tree that touches the world.
 inline articulation::IslandResult solve_alone(const GroupStep& s, int32_t root) {
   const ContactGroupArguments& a = s.a;
@@ -176,12 +186,23 @@ inline articulation::IslandResult solve_alone(const GroupStep& s, int32_t root) 
     links[n].p = at.p;
     links[n].origin = at.origin;
   }
-  const articulation::TreeContactResult<float> result = articulation::solve_tree_contacts(
-      of.tree, of.ws, s.law, static_cast<int32_t>(s.all.most_sweeps), s.all.tolerance.value, found,
-      links, node.rows, of.qd, m, of.ws.qd_next);
-  for (int32_t k = 0; k < of.tree.dof_count && s.all.step.status[root] == 0; ++k)
-    if (!articulation::is_finite(of.ws.qd_next[k]))
-      s.all.step.status[root] = 1 + k + s.rows(root).first_dof;
+  if (!articulation::touching(found, node.rows)) hold_rates(s, root);
+  articulation::Workspace<float> ws = of.ws;
+  articulation::TreeContactResult<float> result;
+  int32_t failed = -1;
+  for (int32_t round = 0; failed < 0; ++round) {
+    result = articulation::solve_tree_contacts(
+        of.tree, ws, s.law, static_cast<int32_t>(s.all.most_sweeps), s.all.tolerance.value, found,
+        links, node.rows, of.qd, m, ws.qd_next);
+    for (int32_t k = 0; k < of.tree.dof_count && failed < 0; ++k)
+      if (!articulation::is_finite(ws.qd_next[k])) failed = k;
+    if (failed >= 0 ||
+        !articulation::renew_tree(of.tree, s.in, s.how, found, node.rows, m, round, ws))
+      break;
+    failed = articulation::solve_accelerations(of.tree, s.in, s.how, ws);
+    if (failed < 0) articulation::free_rates(of.tree, s.in, s.how, ws);
+  }
+  if (failed >= 0) s.all.step.status[root] = 1 + failed + s.rows(root).first_dof;
   n = 0;
   for (int32_t place = node.first_row; place >= 0; place = a.chain[place].next, ++n)
     take_contact(s, place, m.rows[n].frame, m.rows[n].impulse);
@@ -199,19 +220,6 @@ inline articulation::IslandResult solve_joined(const GroupStep& s, int32_t root)
   const ContactGroupArguments& a = s.a;
   const IslandNode& node = a.nodes[root];
   auto* const rows = reinterpret_cast<articulation::IslandContact*>(s.island_memory());
-  auto* numbers = reinterpret_cast<float*>(rows + node.rows);
-  int32_t n = 0;
-  for (int32_t place = node.first_row; place >= 0; place = a.chain[place].next, ++n) {
-    articulation::IslandContact& row = rows[n];
-    row = articulation::IslandContact{};
-    build_row(s, a.contacts[place], numbers, row);
-    articulation::set_target(s.law, s.material(row.contact), row);
-  }
-  for (int32_t i = root; i >= 0; i = a.nodes[i].next) build_dry(s, i);
-  n = 0;
-  for (int32_t place = node.first_row; place >= 0; place = a.chain[place].next, ++n)
-    if (const articulation::KeptContact* const kept = s.kept(place))
-      articulation::start_from_kept(*kept, s.warm_scale, s.law.cone, rows[n]);
   const auto contacts = [&](bool back, const auto& f) {
     for (int32_t k = 0; k < node.rows; ++k) f(rows[back ? node.rows - 1 - k : k].solver);
   };
@@ -222,9 +230,37 @@ inline articulation::IslandResult solve_joined(const GroupStep& s, int32_t root)
         if (s.has_friction(i, k)) f(dry[k]);
     }
   };
-  const articulation::IslandResult result =
-      articulation::sweep_island(s.law.cone, static_cast<int32_t>(s.all.most_sweeps),
-                                 s.all.tolerance.value, contacts, friction);
+  articulation::IslandResult result;
+  int32_t n = 0;
+  bool renewed = true;
+  for (int32_t round = 0; renewed; ++round) {
+    auto* numbers = reinterpret_cast<float*>(rows + node.rows);
+    n = 0;
+    for (int32_t place = node.first_row; place >= 0; place = a.chain[place].next, ++n) {
+      articulation::IslandContact& row = rows[n];
+      row = articulation::IslandContact{};
+      build_row(s, a.contacts[place], numbers, row);
+      articulation::set_target(s.law, s.material(row.contact), row);
+    }
+    for (int32_t i = root; i >= 0; i = a.nodes[i].next) build_dry(s, i);
+    n = 0;
+    for (int32_t place = node.first_row; place >= 0; place = a.chain[place].next, ++n)
+      if (const articulation::KeptContact* const kept = s.kept(place))
+        articulation::start_from_kept(*kept, s.warm_scale, s.law.cone, rows[n]);
+    result = articulation::sweep_island(s.law.cone, static_cast<int32_t>(s.all.most_sweeps),
+                                        s.all.tolerance.value, contacts, friction);
+    renewed = false;
+    for (int32_t i = root; i >= 0; i = a.nodes[i].next)
+      renewed =
+          articulation::renew_tree(s.tree(i), s.in, s.how, round, contacts, friction) || renewed;
+    for (int32_t i = root; renewed && i >= 0; i = a.nodes[i].next) {
+      const int32_t failed = articulation::restart_tree(s.tree(i), s.in, s.how);
+      if (failed < 0) continue;
+      renewed = false;
+      for (int32_t k = root; k >= 0; k = a.nodes[k].next)
+        s.all.step.status[k] = 1 + failed + s.rows(i).first_dof;
+    }
+  }
   n = 0;
   for (int32_t place = node.first_row; place >= 0; place = a.chain[place].next, ++n)
     take_contact(s, place, rows[n].frame, rows[n].solver.impulse);
@@ -265,7 +301,10 @@ inline void solve_island(const GroupStep& s, int32_t root, articulation::IslandR
     if (s.all.notes != nullptr) s.all.notes[s.group].exact = 0;
     return;
   }
-  if (node.rows == 0 && !friction) return;
+  if (node.rows == 0 && !friction) {
+    for (int32_t i = root; i >= 0; i = a.nodes[i].next) hold_rates(s, i);
+    return;
+  }
   if (friction || node.rows > s.all.most_alone) node.joined = 1;
   const articulation::IslandResult result =
       node.joined != 0 ? solve_joined(s, root) : solve_alone(s, root);
@@ -283,7 +322,6 @@ inline void finish_tree(const GroupStep& s, int32_t i) {
     if (failed >= 0) status = 1 + failed + rows.first_dof;
   }
   if (status != 0) return write_failure(s.all.step, rows);
-  articulation::clamp_rates(of.tree, s.in, of.ws);
   write_step(s.all.step, rows, of.tree, s.in, s.how, of.ws);
 }
 

@@ -69,7 +69,7 @@ inline void start_adjoint(const GroupAdjoint& s, int32_t i) {
   articulation::IslandTree of = s.tree(i);
   articulation::AdjointMemory<float> memory = s.adjoint(i);
   articulation::step_vjp_rates(of.tree, s.in, s.how, a.qdd, a.branch, a.q_next, a.qd_next, a.out,
-                               a.gradient, of.ws, memory);
+                               of.ws, memory);
   articulation::step_vjp_dynamics(of.tree, s.in, s.how, of.ws);
   const int32_t dofs = s.rows(i).dof_count;
   for (int32_t k = 0; k < articulation::padded_dofs(dofs); ++k)

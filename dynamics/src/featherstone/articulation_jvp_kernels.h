@@ -25,14 +25,15 @@ struct DualTangentArguments {
 };
 NOVAPHY_ROW_KERNEL(dual_tangent, 2, DualTangentArguments) { a.to[row] = a.from[row].tangent; }
 
-NOVAPHY_ROW_KERNEL(articulation_step_jvp, 36, ArticulationJvpArguments) {
+NOVAPHY_ROW_KERNEL(articulation_step_jvp, 37, ArticulationJvpArguments) {
   const ArticulationRows& rows = a.in.rows[row];
   const articulation::Tree<DualFloat> tree = articulation_tree(a.in, rows);
   const articulation::StepInputs<DualFloat> in = articulation_inputs(a.in);
   const articulation::StepOptions<DualFloat> options = articulation_options(a.in);
   articulation::Workspace<DualFloat> ws = articulation::make_workspace<DualFloat>(
       a.workspace + row * a.stride, rows.link_count, rows.dof_count);
-  if (articulation::forward_step(tree, in, options, ws) >= 0) return;
+  if (articulation::accelerate_again(tree, in, options, a.branch, ws) >= 0) return;
+  articulation::free_rates(tree, in, options, ws);
   articulation::finish_step(tree, in, options, ws, a.q_next, a.qd_next, a.body_q, a.body_qd);
 }
 

@@ -145,6 +145,7 @@ struct FeatherstoneAnalyticControlSensitivity::Impl {
     body_qd.resize(body_q.size());
     column.resize(3 * dofs);
     tangent.resize(dofs);
+    stopped.resize(2 * dofs);
   }
 
   size_t parameters() const { return static_cast<size_t>(options.parameter_count); }
@@ -225,11 +226,18 @@ struct FeatherstoneAnalyticControlSensitivity::Impl {
                      const StepOptions<float>& o, const articulation::ControlTangent<float>& c,
                      const float* from_dq, const float* from_dv, float* to_dv) {
     articulation::frozen_force_change(tree, in, o, single.ws, c, from_dq, from_dv, tangent.data());
+    const auto held = [&](size_t k) {
+      return articulation::has(single.ws.branch[k], articulation::kVelocityClamped);
+    };
+    if (articulation::holds_rates(tree, single.ws)) {  // their rates stop changing
+      for (size_t k = 0; k < dofs; ++k) stopped[k] = held(k) ? -from_dv[k] / o.dt : 0.0f;
+      float* const with_them = stopped.data() + dofs;
+      articulation::inverse_dynamics(tree, in.qd + first_dof, stopped.data(), single.ws, with_them);
+      for (size_t k = 0; k < dofs; ++k) tangent[k] -= with_them[k] - single.ws.bias[k];
+    }
     articulation::solve(tree, single.ws.matrix, tangent.data());
-    for (size_t k = 0; k < dofs; ++k) to_dv[k] = from_dv[k] + o.dt * tangent[k];
+    for (size_t k = 0; k < dofs; ++k) to_dv[k] = held(k) ? 0.0f : from_dv[k] + o.dt * tangent[k];
     if (!contacts.empty()) contacts.project(to_dv);
-    for (size_t k = 0; k < dofs; ++k)
-      if ((single.ws.branch[k] & articulation::kVelocityClamped) != 0) to_dv[k] = 0.0f;
   }
 
   // By the dual numbers of the step; the arrays' tangents are zero again afterwards.
@@ -331,7 +339,7 @@ struct FeatherstoneAnalyticControlSensitivity::Impl {
   std::vector<float> q, qd, q_next, qd_next;       // rows of the arrays: where the last step ended
   std::vector<Transformf> body_q;
   std::vector<SpatialVectorf> body_qd;
-  std::vector<float> column, tangent;
+  std::vector<float> column, tangent, stopped;
   Vec3f point{}, velocity{};
 };
 
@@ -413,13 +421,22 @@ void FeatherstoneAnalyticControlSensitivity::step(const SimState& state_in,
   if (!dtarget_qd.empty()) s.check_followed(tree, in.drives, dtarget_qd, true, "dtarget_qd");
   require(s.same(state_in, s.q, s.qd, tree), ErrorKind::Runtime, kStep,
           ", state_in: expected the state that reset or the last step ended with");
-  const bool stepped = articulation::accelerate(tree, in, options, s.single.ws) < 0;
+  bool stepped = articulation::accelerate(tree, in, options, false, s.single.ws) < 0;
   float off = 0.0f;  // rates may be, where contacts push: 1e-5 of what they are made of
-  if (stepped) {
+  for (int32_t round = 0; stepped; ++round) {
     articulation::free_rates(tree, in, options, s.single.ws);
     s.contacts.find(m, contacts, state_out, tree, s.single.ws, kStep);
-    if (!s.contacts.empty()) off = 1e-5f * s.contacts.push(dt, s.single.ws.qd_next);
-    articulation::clamp_rates(tree, in, s.single.ws);
+    if (s.contacts.empty()) {
+      stepped = articulation::hold_rates(tree, in, options, true, s.single.ws) < 0;
+      articulation::free_rates(tree, in, options, s.single.ws);
+      break;
+    }
+    off = 1e-5f * s.contacts.push(dt, s.single.ws);
+    for (size_t k = 0; k < s.dofs; ++k)
+      s.single.ws.qdd[k] =
+          (s.single.ws.qd_next[k] - in.qd[s.first_dof + static_cast<int32_t>(k)]) / dt;
+    if (!articulation::renew_branches(tree, in, options, true, round, s.single.ws)) break;
+    stepped = articulation::solve_accelerations(tree, in, options, s.single.ws) < 0;
   }
   if (s.options.exact && stepped) s.duals.load(m, tree, a);
   for (size_t p = 0; stepped && p < s.parameters(); ++p) {

@@ -66,7 +66,7 @@ void launch_jvp(const Step& s, std::span<const Tensor> t, std::span<const Tensor
   const auto take = [&](const Tensor& values, const Tensor& tangent) {
     return memory.take(values, tangent);
   };
-  ArticulationJvpArguments a;
+  ArticulationJvpArguments a = {};
   a.in = dual_arguments(s, nullptr, t, take);
   const auto out = [&](size_t i) { return take(s.outputs[i].tensor, Tensor()); };
   a.q_next = out(0);
@@ -82,6 +82,7 @@ void launch_jvp(const Step& s, std::span<const Tensor> t, std::span<const Tensor
     words[static_cast<size_t>(word)] = argument(s.values[static_cast<size_t>(value)].name,
                                                 s.values[static_cast<size_t>(value)].tensor, false);
   words[kArticulationWords] = memory.part(a.q_next, true);
+  words[kArticulationWords + 4] = argument(s.outputs[5].name, s.outputs[5].tensor, false);
   if (solves) {
     const auto more = [&](size_t i) {
       if (!s.in(i).defined()) return LaunchArgument();

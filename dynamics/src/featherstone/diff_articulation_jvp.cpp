@@ -50,7 +50,8 @@ void run_jvp(const Step& s, const StepOutputs* from, const StepOutputs& to,
         articulation::workspace_bytes<DualFloat>(of.link_count, of.dof_count) / 8 + 1));
     workspaces[i] =
         articulation::make_workspace<DualFloat>(memory[i].data(), of.link_count, of.dof_count);
-    moves[i] = articulation::accelerate(of, inputs, options, workspaces[i]) < 0;
+    moves[i] =
+        articulation::accelerate_again(of, inputs, options, numbers(to[5]), workspaces[i]) < 0;
     if (moves[i]) articulation::free_rates(of, inputs, options, workspaces[i]);
   }
   const bool all_move = std::all_of(moves.begin(), moves.end(), [](char m) { return m != 0; });
@@ -66,7 +67,6 @@ void run_jvp(const Step& s, const StepOutputs* from, const StepOutputs& to,
   }
   for (size_t i = 0; i < count; ++i) {
     if (!moves[i]) continue;
-    articulation::clamp_rates(all[i], inputs, workspaces[i]);
     articulation::finish_step(all[i], inputs, options, workspaces[i], q, qd, body_q, body_qd);
   }
   write_tangent(tangents[0], q);

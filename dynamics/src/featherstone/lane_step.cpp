@@ -161,14 +161,28 @@ Drives<Lanes> make_drives(const TreeShape& s, const Lanes* constants) {
 }
 
 [[gnu::flatten]] int32_t accelerate_lanes(const Tree<Lanes>& tree, const StepInputs<Lanes>& in,
-                                          const StepOptions<Lanes>& options, Workspace<Lanes>& ws) {
-  return accelerate(tree, in, options, ws);
+                                          const StepOptions<Lanes>& options, Mask alone,
+                                          Workspace<Lanes>& ws) {
+  return accelerate(tree, in, options, alone, ws);
 }
 [[gnu::flatten]] void finish_lanes(const Tree<Lanes>& tree, const StepInputs<Lanes>& in,
                                    const StepOptions<Lanes>& options, Workspace<Lanes>& ws,
                                    Lanes* q, Lanes* qd, Transform<Lanes>* body_q,
                                    SpatialVector<Lanes>* body_qd) {
   finish_step(tree, in, options, ws, q, qd, body_q, body_qd);
+}
+[[gnu::flatten]] bool renew_lanes(const Tree<Lanes>& tree, const StepInputs<Lanes>& in,
+                                  const StepOptions<Lanes>& options,
+                                  const TreeContact<Lanes>* contacts, int32_t count,
+                                  const TreeContactMemory<Lanes>& m, int32_t round,
+                                  Workspace<Lanes>& ws) {
+  return renew_tree(tree, in, options, contacts, count, m, round, ws);
+}
+[[gnu::flatten]] int32_t solve_accelerations_of_lanes(const Tree<Lanes>& tree,
+                                                      const StepInputs<Lanes>& in,
+                                                      const StepOptions<Lanes>& options,
+                                                      Workspace<Lanes>& ws) {
+  return solve_accelerations(tree, in, options, ws);
 }
 [[gnu::flatten]] TreeContactResult<Lanes> solve_lanes(
     const Tree<Lanes>& tree, const Workspace<Lanes>& ws, const ContactLaw<Lanes>& law,
@@ -207,7 +221,9 @@ bool run(const LaneStepArguments& a) {
   in.drives.target_qd = target_qd;
   const StepOptions<Lanes> options = {Lanes(a.dt), Lanes(a.angular_damping), a.implicit_drives};
   Workspace<Lanes> ws = make_workspace<Lanes>(next, s.links, s.dofs);
-  if (accelerate_lanes(tree, in, options, ws) >= 0) return false;
+  const auto* const contacts = static_cast<const TreeContact<Lanes>*>(a.contacts);
+  const Mask alone = negate(touching(contacts, a.contact_count));
+  if (accelerate_lanes(tree, in, options, alone, ws) >= 0) return false;
   free_rates(tree, in, options, ws);
   if (a.contact_count > 0) {
     auto* const links = reinterpret_cast<TreeContactLink<Lanes>*>(ws.branch + s.dofs);
@@ -222,15 +238,20 @@ bool run(const LaneStepArguments& a) {
                                    Lanes(a.restitution_threshold),
                                    a.compliant,
                                    a.cone};
-    const TreeContactResult<Lanes> result = solve_lanes(tree, ws, law, a, links, qd, m);
-    for (int32_t k = 0; k < s.dofs; ++k)
-      if (!is_finite(ws.qd_next[k])) return false;
+    TreeContactResult<Lanes> result;
+    for (int32_t round = 0;; ++round) {
+      result = solve_lanes(tree, ws, law, a, links, qd, m);
+      for (int32_t k = 0; k < s.dofs; ++k)
+        if (!is_finite(ws.qd_next[k])) return false;
+      if (!renew_lanes(tree, in, options, contacts, a.contact_count, m, round, ws)) break;
+      if (solve_accelerations_of_lanes(tree, in, options, ws) >= 0) return false;
+      free_rates(tree, in, options, ws);
+    }
     for (int32_t c = 0; c < a.contact_count; ++c)
       for (int32_t r = 0; r < 3; ++r) store(a.impulses + (3 * c + r) * LANES, m.rows[c].impulse[r]);
     store(a.sweeps, result.sweeps);
     store(a.residual, result.residual);
   }
-  clamp_rates(tree, in, ws);
   if (a.qdd != nullptr) {
     scatter(ws.qdd, a.dof, 1, s.dofs, a.used, a.qdd);
     for (int32_t k = 0; k < s.dofs; ++k) ws.rhs[k] = to_number(ws.branch[k]);
@@ -292,7 +313,7 @@ int64_t vjp_memory(const TreeShape& s) {
                                 const Lanes* branch, const Lanes* q_next, const Lanes* qd_next,
                                 const StepOutputGradient<Lanes>& out, const G& g,
                                 Workspace<Lanes>& ws, AdjointMemory<Lanes>& memory) {
-  step_vjp_rates(tree, in, options, qdd, branch, q_next, qd_next, out, g, ws, memory);
+  step_vjp_rates(tree, in, options, qdd, branch, q_next, qd_next, out, ws, memory);
   step_vjp_dynamics(tree, in, options, ws);
   step_vjp_solve(tree, options, ws, memory);
   step_vjp_inputs(tree, in, options, g, ws, memory);

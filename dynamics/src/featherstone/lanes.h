@@ -26,7 +26,8 @@ NOVAPHY_LANE_FN Mask has(Ints branches, int32_t any_bit) { return {(branches.v &
 NOVAPHY_LANE_FN Ints with(Ints branches, Mask c, int32_t bit) { return {branches.v | (c.v & bit)}; }
 NOVAPHY_LANE_FN Ints to_branches(Lanes a) { return {__builtin_convertvector(a.v, VectorI)}; }
 NOVAPHY_LANE_FN Lanes to_number(Ints a) { return Lanes(__builtin_convertvector(a.v, VectorF)); }
-NOVAPHY_LANE_FN bool differ(Ints a, Ints b) { return any({a.v != b.v}); }
+NOVAPHY_LANE_FN Mask differ(Ints a, Ints b) { return {a.v != b.v}; }
+NOVAPHY_LANE_FN Ints select(Mask c, Ints a, Ints b) { return {c.v ? a.v : b.v}; }
 
 NOVAPHY_LANE_FN Lanes min(Lanes a, Lanes b) { return select(negate(a > b), a, b); }
 NOVAPHY_LANE_FN Lanes max(Lanes a, Lanes b) { return select(negate(a < b), a, b); }

@@ -151,6 +151,7 @@ void PgsContacts::find_islands() {
   island_sweeps_.assign(static_cast<size_t>(islands), 0);
   island_residual_.assign(static_cast<size_t>(islands), 0.0f);
   island_joined_.assign(static_cast<size_t>(islands), 0);
+  island_solved_.assign(static_cast<size_t>(islands), 0);
   for (size_t i = 0; i < rows_.size(); ++i) {
     const Side* const sides = rows_[i].sides;
     const int32_t tree = sides[sides[0].tree < 0 ? 1 : 0].tree;
@@ -174,7 +175,8 @@ void PgsContacts::split_trees(bool alone) {
       if (row.sides[side].tree >= 0 && !art::moves(trees_, row.sides[side]))
         met_[static_cast<size_t>(row.sides[side].tree)] = 1;
   for (int32_t i = 0; i < static_cast<int32_t>(count_); ++i) {
-    const int32_t island = island_of_tree_[static_cast<size_t>(find_root(i))];
+    const int32_t island = island_of_tree_[static_cast<size_t>(i)] =
+        island_of_tree_[static_cast<size_t>(find_root(i))];
     const bool by_itself = island < 0 || island_joined_[static_cast<size_t>(island)] == 0;
     const bool needed = met_[static_cast<size_t>(i)] != 0;
     (alone && by_itself && !needed ? alone_ : together_).push_back(i);
@@ -259,11 +261,25 @@ void PgsContacts::build_friction(const Step& s, int32_t i) {
                       const_cast<float*>(row.response), row);
 }
 
+bool PgsContacts::renew_tree(const Step& s, int32_t tree, int32_t round) {
+  const int32_t island = island_of_tree_[static_cast<size_t>(tree)];
+  return art::renew_tree(
+      island_tree(s.in, tree), articulation_inputs(s.in), articulation_options(s.in), round,
+      [&](bool, const auto& f) {
+        for (const int32_t i : island_rows_.items(island)) f(rows_[static_cast<size_t>(i)].solver);
+      },
+      [&](const auto& f) {
+        for (const int32_t i : island_friction_.items(island))
+          f(friction_rows_[static_cast<size_t>(i)]);
+      });
+}
+
 void PgsContacts::solve_island(const Step& s, int64_t island) {
   const std::span<const int32_t> rows = island_rows_.items(island);
   const std::span<const int32_t> friction = island_friction_.items(island);
   for (const int32_t i : rows) {
     Row& row = rows_[static_cast<size_t>(i)];
+    std::fill_n(row.solver.impulse, 3, 0.0f);  // of the round before
     build_row(s, row);
     set_target(s, row);
   }
@@ -331,7 +347,8 @@ void PgsContacts::step(const ArticulationStepArguments& a, const Model& m,
   };
   for_trees([&](int32_t i, const ArticulationRows& rows, const art::Tree<float>& tree,
                 art::Workspace<float>& ws, float* rates) {
-    const int32_t failed = art::accelerate(tree, in, how, ws);
+    const bool is_alone = island_of_tree_[static_cast<size_t>(i)] < 0;
+    const int32_t failed = art::accelerate(tree, in, how, is_alone, ws);
     a.status[i] = failed < 0 ? 0 : 1 + failed + rows.first_dof;
     if (failed >= 0) return;
     art::free_rates(tree, in, how, ws);
@@ -341,11 +358,38 @@ void PgsContacts::step(const ArticulationStepArguments& a, const Model& m,
     if (a.status[i] != 0) return rows_.clear();  // nothing was solved
 
   place_friction();
-  for_chunks(static_cast<int64_t>(islands_together_.size()), kIslandChunk,
-             [&](int64_t begin, int64_t end, int64_t) {
-               for (int64_t i = begin; i < end; ++i)
-                 solve_island(s, islands_together_[static_cast<size_t>(i)]);
-             });
+  // Islands with a tree whose branches change are solved once more.
+  for (int32_t round = 0; !islands_together_.empty(); ++round) {
+    for_chunks(static_cast<int64_t>(islands_together_.size()), kIslandChunk,
+               [&](int64_t begin, int64_t end, int64_t) {
+                 for (int64_t i = begin; i < end; ++i)
+                   solve_island(s, islands_together_[static_cast<size_t>(i)]);
+               });
+    const auto unsolved = [&](int32_t tree) {
+      const int32_t island = island_of_tree_[static_cast<size_t>(tree)];
+      return island >= 0 && island_solved_[static_cast<size_t>(island)] == 0;
+    };
+    tree_renewed_.assign(static_cast<size_t>(count_), 0);
+    for_trees([&](int32_t i, const ArticulationRows&, const art::Tree<float>&,
+                  art::Workspace<float>&, float*) {
+      if (unsolved(i)) tree_renewed_[static_cast<size_t>(i)] = renew_tree(s, i, round);
+    });
+    for (const int32_t island : islands_together_) island_solved_[static_cast<size_t>(island)] = 1;
+    for (const int32_t i : together_)
+      if (tree_renewed_[static_cast<size_t>(i)] != 0)
+        island_solved_[static_cast<size_t>(island_of_tree_[static_cast<size_t>(i)])] = 0;
+    std::erase_if(islands_together_,
+                  [&](int32_t island) { return island_solved_[static_cast<size_t>(island)] != 0; });
+    if (islands_together_.empty()) break;
+    for_trees([&](int32_t i, const ArticulationRows& rows, const art::Tree<float>&,
+                  art::Workspace<float>&, float*) {
+      if (!unsolved(i)) return;
+      const int32_t failed = art::restart_tree(island_tree(a.in, i), in, how);
+      if (failed >= 0) a.status[i] = 1 + failed + rows.first_dof;
+    });
+    for (const int32_t i : together_)
+      if (a.status[i] != 0) return rows_.clear();
+  }
   sweeps_ = 0;
   residual_ = 0.0f;
   for (size_t i = 0; i < island_sweeps_.size(); ++i) {
@@ -359,7 +403,6 @@ void PgsContacts::step(const ArticulationStepArguments& a, const Model& m,
     const int32_t failed = art::take_rates(rates, in.qd + rows.first_dof, dt, rows.dof_count, ws);
     if (failed >= 0) a.status[i] = 1 + failed + rows.first_dof;
     if (failed >= 0) return;
-    art::clamp_rates(tree, in, ws);
     write_step(a, rows, tree, in, how, ws);
   });
 }

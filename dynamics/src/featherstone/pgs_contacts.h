@@ -10,9 +10,9 @@
 #include "novaphy/core/sim/contacts.h"
 #include "novaphy/core/sim/index_rows.h"
 #include "novaphy/dynamics/articulation/contact_adjoint.h"
-#include "novaphy/dynamics/featherstone/contact_branches.h"
 #include "novaphy/dynamics/articulation/dual.h"
 #include "novaphy/dynamics/featherstone/articulations.h"
+#include "novaphy/dynamics/featherstone/contact_branches.h"
 #include "novaphy/dynamics/featherstone/solver_featherstone.h"
 #include "tree_steps.h"
 
@@ -89,6 +89,7 @@ class PgsContacts : private TreeContacts {
   void take(int64_t tree, int32_t i, const float* impulses, int32_t stride) override;
   void solved(int64_t tree, int32_t sweeps, float residual) override;
   void split_trees(bool alone);
+  bool renew_tree(const Step& step, int32_t tree, int32_t round);
   static Step make_step(const ArticulationArguments& in, const Model& model,
                         const ContactRows& contacts, const FeatherstoneOptions& options,
                         float warm_scale);
@@ -132,6 +133,8 @@ class PgsContacts : private TreeContacts {
   const Step* current_ = nullptr;  // while TreeSteps asks
   std::vector<int32_t> alone_, together_, islands_together_;  // trees, and islands of the latter
   std::vector<char> met_;            // trees that impulses do not move, in a row
+  std::vector<char> tree_renewed_;   // in a round: its branches have changed
+  std::vector<char> island_solved_;  // no tree of it has changed
   std::vector<char> island_joined_;  // more than one tree with the world, or what only we have
   std::vector<int32_t> root_, island_of_tree_, island_of_row_, island_of_friction_;
   IndexRows island_rows_, island_friction_;

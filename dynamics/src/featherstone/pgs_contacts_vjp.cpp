@@ -138,8 +138,7 @@ void PgsContacts::vjp(const ArticulationStepVjpArguments& a, const Model& m,
   };
   for_trees([&](const ArticulationRows& rows, const art::Tree<float>& tree,
                 art::Workspace<float>& ws, art::AdjointMemory<float>& memory, float* rates) {
-    art::step_vjp_rates(tree, in, how, a.qdd, a.branch, a.q_next, a.qd_next, a.out, a.gradient, ws,
-                        memory);
+    art::step_vjp_rates(tree, in, how, a.qdd, a.branch, a.q_next, a.qd_next, a.out, ws, memory);
     art::step_vjp_dynamics(tree, in, how, ws);
     for (int32_t k = 0; k < rows.dof_count; ++k)
       rates[k] = in.qd[rows.first_dof + k] + how.dt * ws.qdd[k];

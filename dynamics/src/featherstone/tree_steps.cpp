@@ -254,13 +254,20 @@ namespace {
 
 // The algorithms with all that they call inlined.
 [[gnu::flatten]] int32_t accelerate(const art::Tree<float>& tree, const art::StepInputs<float>& in,
-                                    const art::StepOptions<float>& how, art::Workspace<float>& ws) {
-  return art::accelerate(tree, in, how, ws);
+                                    const art::StepOptions<float>& how, bool alone,
+                                    art::Workspace<float>& ws) {
+  return art::accelerate(tree, in, how, alone, ws);
 }
 [[gnu::flatten]] void finish(const art::Tree<float>& tree, const art::StepInputs<float>& in,
                              const art::StepOptions<float>& how, art::Workspace<float>& ws,
                              const ArticulationStepArguments& a) {
   art::finish_step(tree, in, how, ws, a.q_next, a.qd_next, a.body_q, a.body_qd);
+}
+[[gnu::flatten]] int32_t solve_accelerations(const art::Tree<float>& tree,
+                                             const art::StepInputs<float>& in,
+                                             const art::StepOptions<float>& how,
+                                             art::Workspace<float>& ws) {
+  return art::solve_accelerations(tree, in, how, ws);
 }
 [[gnu::flatten]] art::TreeContactResult<float> solve(const art::Tree<float>& tree,
                                                      const art::Workspace<float>& ws,
@@ -302,30 +309,37 @@ void TreeSteps::single(const ArticulationStepArguments& a, int64_t tree_row,
   auto* at = static_cast<unsigned char*>(
       memory.aligned(bytes + inputs + art::tree_contact_bytes<float>(count, rows.dof_count) + 64));
   art::Workspace<float> ws = art::make_workspace<float>(at, rows.link_count, rows.dof_count);
-  int32_t failed = accelerate(tree, in, how, ws);
+  auto* const found = reinterpret_cast<art::TreeContact<float>*>(at + bytes);
+  memory.links.resize(static_cast<size_t>(count));
+  for (int32_t i = 0; i < count; ++i)
+    memory.links[static_cast<size_t>(i)] =
+        contacts->fill(tree_row, i, reinterpret_cast<float*>(found + i), 1);
+  int32_t failed = accelerate(tree, in, how, !art::touching(found, count), ws);
   if (failed < 0) {
     art::free_rates(tree, in, how, ws);
     if (count > 0) {
-      auto* const found = reinterpret_cast<art::TreeContact<float>*>(at + bytes);
       auto* const links = reinterpret_cast<art::TreeContactLink<float>*>(found + count);
       const art::TreeContactMemory<float> m =
           art::make_tree_contact_memory<float>(links + count, count, rows.dof_count);
       for (int32_t i = 0; i < count; ++i) {
-        const int32_t link = contacts->fill(tree_row, i, reinterpret_cast<float*>(found + i), 1);
-        const art::LinkState<float>& s = ws.links[link];
+        const art::LinkState<float>& s = ws.links[memory.links[static_cast<size_t>(i)]];
         links[i] = {s.q, s.p, s.origin};
       }
-      const art::TreeContactResult<float> result =
-          solve(tree, ws, options, how.dt, found, links, count, in.qd + rows.first_dof, m);
-      for (int32_t k = 0; failed < 0 && k < rows.dof_count; ++k)
-        if (!art::is_finite(ws.qd_next[k])) failed = k;
+      art::TreeContactResult<float> result;
+      for (int32_t round = 0; failed < 0; ++round) {
+        result = solve(tree, ws, options, how.dt, found, links, count, in.qd + rows.first_dof, m);
+        for (int32_t k = 0; failed < 0 && k < rows.dof_count; ++k)
+          if (!art::is_finite(ws.qd_next[k])) failed = k;
+        if (failed >= 0 || !art::renew_tree(tree, in, how, found, count, m, round, ws)) break;
+        failed = solve_accelerations(tree, in, how, ws);
+        if (failed < 0) art::free_rates(tree, in, how, ws);
+      }
       for (int32_t i = 0; i < count; ++i) contacts->take(tree_row, i, m.rows[i].impulse, 1);
       contacts->solved(tree_row, static_cast<int32_t>(result.sweeps), result.residual);
     }
   }
   a.status[tree_row] = failed < 0 ? 0 : 1 + failed + rows.first_dof;
   if (failed >= 0) return;
-  art::clamp_rates(tree, in, ws);
   for (int32_t k = 0; keep && k < rows.dof_count; ++k) {
     a.qdd[rows.first_dof + k] = ws.qdd[k];
     a.branch[rows.first_dof + k] = static_cast<float>(ws.branch[k]);

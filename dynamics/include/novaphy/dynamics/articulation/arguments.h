@@ -98,7 +98,7 @@ inline void write_failure(const ArticulationStepArguments& a, const Articulation
   }
 }
 
-// The new state of an articulation, behind clamp_rates, and what the adjoint needs.
+// The new state of an articulation, behind its rates, and what the adjoint needs.
 inline void write_step(const ArticulationStepArguments& a, const ArticulationRows& rows,
                        const articulation::Tree<float>& tree,
                        const articulation::StepInputs<float>& in,

@@ -3,7 +3,7 @@
 // For a parameter, with x the change of the force of dofs (the target's or the torque's, and that
 // of drives and damping by the changes dq and dv of the state), M, branches and new rates those of
 // the step (step.h):
-//   dv' = dv + dt M^-1 x, 0 where the velocity clamp acted
+//   dv' = dv + dt M^-1 x, 0 for dofs at their velocity limits
 //   dq' = dq + dt dv' (FREE: angular tangents by the derivative of the Cayley map)
 //   then dv' of angular dofs times 1 - angular_damping dt
 // Frozen: x leaves out how mass matrix, bias and wrenches change with the state. dq and dv are
@@ -45,13 +45,17 @@ void frozen_force_change(const Tree<T>& tree, const StepInputs<T>& in,
     }
     if (!has_one_dof(link)) continue;
     const int32_t branch = ws.branch[k];
-    const bool clamped = (branch & kEffortClamped) != 0, outside = (branch & kOutside) != 0;
-    DriveLaw<T> law = drive_law(d, link.dof, link.coord, branch);
-    if (clamped) law.stiffness = law.rate = T(0.0f);
+    DriveLaw<T> law = drive_law(d, link.dof, link.coord, branch, options.implicit_drives);
+    if (has(branch, kEffortClamped)) law.stiffness = law.rate = T(0.0f);
     T force = control.force ? control.force[k] : T(0.0f);
-    if (control.target_q && !outside) force = force + law.stiffness * control.target_q[k];
-    if (control.target_qd && !outside && d.target_mode[link.dof] != 1)
+    if (control.target_q) force = force + law.stiffness * control.target_q[k];
+    if (control.target_qd && d.target_mode[link.dof] != 1)
       force = force + law.rate * control.target_qd[k];
+    if (limit_acts<T>(branch)) {
+      const DriveLaw<T> stop = limit_law(d, link.dof, branch);
+      law.stiffness = law.stiffness + stop.stiffness;
+      law.rate = law.rate + stop.rate;
+    }
     T rate = law.rate + d.damping[link.dof];
     if (options.implicit_drives) rate = rate + options.dt * law.stiffness;
     x[k] = (force - law.stiffness * dq[k]) - rate * dv[k];

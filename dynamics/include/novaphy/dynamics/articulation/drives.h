@@ -1,13 +1,14 @@
 // Drives, limits and damping of joints with one dof, and the damping of BALL joints.
 //
-// The force of a dof at q with the rate v, by its branch:
-//   inside the limits   t = ke (q* - q) + kd (qd* - v), as far as the target mode has it
-//   outside             t = limit_ke (limit - q) - limit_kd v, and no drive
-// and always - damping v. Implicit (the default): q and v are those of the end of the step, which
-// adds dt D + dt^2 K to the mass matrix, with the K and D of the branch; so a joint is stable
-// whatever its gains. |t| of a drive beyond the effort limit becomes the limit, and a limit that
-// would pull at the end of the step lets go; both are decided once, from a first solve.
-// Explicit: t at the beginning of the step, and limits that pull, as Newton 1.8.
+// The force of a dof at q with the rate v:
+//   drive      t = ke (q* - q) + kd (qd* - v), as far as the target mode has it, |t| <=
+//   effort_limit limit      where q is outside: t = limit_ke (limit - q) - limit_kd v, which pushes
+//   inwards only damping    t = -damping v
+// Implicit (the default): q and v are those of the end of the step, which adds dt D + dt^2 K to the
+// mass matrix, with the K and D of the branch: a drive at its effort limit and a limit that would
+// pull have none. The branches that a solve assumes are those that follow from it (step.h).
+// Explicit: t at the beginning of the step, limits that pull, and no drive outside them, as
+// Newton 1.8.
 #pragma once
 
 #include "novaphy/dynamics/articulation/tree.h"
@@ -49,25 +50,33 @@ inline bool is_angular(const Link& link, int32_t dof_of_link) {
          (link.joint == LinkJoint::Free && dof_of_link >= 3);
 }
 
-// t = stiffness (target - q) + rate (target_rate - v): the law of a dof's branch.
+// t = stiffness (target - q) + rate (target_rate - v).
 template <class T>
 struct DriveLaw {
   T stiffness{}, target{}, rate{}, target_rate{};
 };
-// `row` is the dof's, `coord` its coordinate's. Released limits have no law.
+// `row` is the dof's, `coord` its coordinate's.
 template <class T>
-DriveLaw<T> drive_law(const Drives<T>& d, int32_t row, int32_t coord, const Branches<T>& branch) {
+DriveLaw<T> drive_law(const Drives<T>& d, int32_t row, int32_t coord, const Branches<T>& branch,
+                      bool implicit) {
   const T o = T(0.0f);
   const int32_t mode = d.target_mode[row];
   const T ke = has_position_drive(mode) ? d.target_ke[row] : o;
   const T kd = has_velocity_drive(mode) ? d.target_kd[row] : o;
   const T qd = mode == 1 ? o : d.target_qd[row];
-  if (!any(has(branch, kOutside))) return {ke, d.target_q[coord], kd, qd};
-  const auto outside = has(branch, kOutside), released = has(branch, kLimitReleased);
-  const T limit = select(has(branch, kBelowLimit), d.limit_lower[row], d.limit_upper[row]);
-  return {select(released, o, select(outside, d.limit_ke[row], ke)),
-          select(released, o, select(outside, limit, d.target_q[coord])),
-          select(released, o, select(outside, d.limit_kd[row], kd)), select(outside, o, qd)};
+  if (implicit || !any(has(branch, kOutside))) return {ke, d.target_q[coord], kd, qd};
+  const auto outside = has(branch, kOutside);
+  return {select(outside, o, ke), d.target_q[coord], select(outside, o, kd), qd};
+}
+// Of the limit that q is outside of.
+template <class T>
+DriveLaw<T> limit_law(const Drives<T>& d, int32_t row, const Branches<T>& branch) {
+  return {d.limit_ke[row], select(has(branch, kBelowLimit), d.limit_lower[row], d.limit_upper[row]),
+          d.limit_kd[row], T(0.0f)};
+}
+template <class T>
+auto limit_acts(const Branches<T>& branch) {
+  return both(has(branch, kOutside), negate(has(branch, kLimitReleased)));
 }
 
 // The branch that q is in. A limit without stiffness and damping is none.
@@ -94,39 +103,81 @@ DriveTerm<T> drive_term(const DriveLaw<T>& law, const T& q, const T& v, const T&
   return {force - damped * v, dt * (law.rate + damped)};
 }
 
-// The term of a dof of a joint with one, in its branch, damping included.
+// Those of the drive and the limit of a dof of a joint with one, in its branch.
 template <class T>
-DriveTerm<T> dof_term(const Drives<T>& d, int32_t row, int32_t coord, const Branches<T>& branch,
-                      const T& q, const T& v, const T& dt, bool implicit) {
-  DriveTerm<T> term = drive_term(drive_law(d, row, coord, branch), q, v, dt, implicit);
-  const auto clamped = has(branch, kEffortClamped);
+DriveTerm<T> branch_term(const Drives<T>& d, int32_t row, int32_t coord, const Branches<T>& branch,
+                         const T& q, const T& v, const T& dt, bool implicit) {
+  DriveTerm<T> term = drive_term(drive_law(d, row, coord, branch, implicit), q, v, dt, implicit);
+  const auto clamped = has(branch, kEffortClamped), limits = limit_acts<T>(branch);
   if (any(clamped)) {
     const T limit = d.effort_limit[row];
     term = {select(clamped, select(has(branch, kEffortAtUpper), limit, -limit), term.force),
             select(clamped, T(0.0f), term.diagonal)};
   }
+  if (!any(limits)) return term;
+  const DriveTerm<T> stop = drive_term(limit_law(d, row, branch), q, v, dt, implicit);
+  return {select(limits, term.force + stop.force, term.force),
+          select(limits, term.diagonal + stop.diagonal, term.diagonal)};
+}
+
+// Likewise, damping included.
+template <class T>
+DriveTerm<T> dof_term(const Drives<T>& d, int32_t row, int32_t coord, const Branches<T>& branch,
+                      const T& q, const T& v, const T& dt, bool implicit) {
+  DriveTerm<T> term = branch_term(d, row, coord, branch, q, v, dt, implicit);
   term.force = term.force - d.damping[row] * v;
   if (implicit) term.diagonal = term.diagonal + dt * d.damping[row];
   return term;
 }
 
-// What the drive or limit gives at the end of a step with the acceleration qdd, and the branch that
-// follows from it.
+// What the drive and the limit of a dof ask for in a step with the acceleration qdd.
 template <class T>
-Branches<T> clamped_branch(const Drives<T>& d, int32_t row, int32_t coord,
-                           const Branches<T>& branch, const T& q, const T& v, const T& qdd,
-                           const T& dt, bool implicit) {
-  const DriveTerm<T> term = drive_term(drive_law(d, row, coord, branch), q, v, dt, implicit);
-  const T o = T(0.0f), force = term.force - term.diagonal * qdd, limit = d.effort_limit[row];
-  const auto outside = has(branch, kOutside), inside = negate(outside);
-  Branches<T> next = branch;
-  if (implicit && any(outside)) {
-    const auto below = has(branch, kBelowLimit);
-    const auto pulls = either(both(below, force < o), both(negate(below), force > o));
-    next = with(next, both(outside, pulls), kLimitReleased);
+struct AskedForces {
+  T drive{}, stop{};
+};
+template <class T>
+AskedForces<T> asked_forces(const Drives<T>& d, int32_t row, int32_t coord,
+                            const Branches<T>& branch, const T& q, const T& v, const T& qdd,
+                            const T& dt, bool implicit) {
+  const T o = T(0.0f);
+  const DriveTerm<T> drive =
+      drive_term(drive_law(d, row, coord, branch, implicit), q, v, dt, implicit);
+  AskedForces<T> asked{drive.force - drive.diagonal * qdd, o};
+  const auto outside = has(branch, kOutside);
+  if (!any(outside)) return asked;
+  const DriveTerm<T> stop = drive_term(limit_law(d, row, branch), q, v, dt, implicit);
+  asked.stop = select(outside, stop.force - stop.diagonal * qdd, o);
+  return asked;
+}
+template <class T>
+auto limit_pulls(const Branches<T>& branch, const T& stop) {
+  const T o = T(0.0f);
+  return either(both(has(branch, kBelowLimit), stop < o), both(has(branch, kAboveLimit), stop > o));
+}
+// What they give of it.
+template <class T>
+T given_force(const Branches<T>& branch, const AskedForces<T>& asked, const T& effort_limit,
+              bool implicit) {
+  const T limit = effort_limit, drive = asked.drive;
+  const T given = select(drive > limit, limit, select(drive < -limit, -limit, drive));
+  if (!implicit) return given + asked.stop;
+  return given + select(limit_pulls<T>(branch, asked.stop), T(0.0f), asked.stop);
+}
+// The branch in which they give that. `keep`: what has stopped or let go in `branch` stays so.
+template <class T>
+Branches<T> next_branch(const Branches<T>& branch, const AskedForces<T>& asked,
+                        const T& effort_limit, bool implicit, bool keep) {
+  auto upper = asked.drive > effort_limit, lower = asked.drive < -effort_limit;
+  auto released = limit_pulls<T>(branch, asked.stop);
+  if (keep) {
+    const auto was_upper = has(branch, kEffortAtUpper), was_lower = has(branch, kEffortAtLower);
+    upper = either(was_upper, both(upper, negate(was_lower)));
+    lower = either(was_lower, both(lower, negate(was_upper)));
+    released = either(released, has(branch, kLimitReleased));
   }
-  next = with(next, both(inside, force > limit), kEffortAtUpper);
-  return with(next, both(inside, force < -limit), kEffortAtLower);
+  Branches<T> next = branch & (kOutside | kVelocityClamped);
+  if (implicit) next = with(next, released, kLimitReleased);
+  return with(with(next, upper, kEffortAtUpper), lower, kEffortAtLower);
 }
 
 }  // namespace novaphy::articulation

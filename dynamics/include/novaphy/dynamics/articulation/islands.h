@@ -239,6 +239,9 @@ inline void build_friction(const IslandTree& of, int32_t dof, float limit, float
   row.dof = dof;
   row.limit = limit;
   row.impulse = 0.0f;
+  // Of a dof at its velocity limit nothing but the limit's force depends on it.
+  if (response[dof] == 0.0f && of.rates[dof] != 0.0f)
+    row.impulse = of.rates[dof] > 0.0f ? -limit : limit;
 }
 
 struct IslandResult {
@@ -271,6 +274,39 @@ inline int32_t take_rates(const float* rates, const float* qd, float dt, int32_t
     ws.qd_next[k] = rates[k];
   }
   return -1;
+}
+
+// Adds what a contact pushes the dofs of a tree with, N s or N m s. `rates`: those of the tree.
+inline void add_impulses(const PgsContact<float>& c, const float* rates, int32_t dofs, float* to) {
+  for (const RowSide<float>& s : c.sides)
+    for (int32_t r = 0; s.width > 0 && s.rates == rates && r < 3; ++r)
+      for (int32_t k = 0; k < dofs; ++k) to[k] += s.jacobian[r * s.width + k] * c.impulse[r];
+}
+// Behind sweep_island: accelerations, and renew_branches, of one of its trees.
+template <class ForContacts, class ForFriction>
+bool renew_tree(const IslandTree& of, const StepInputs<float>& in, const StepOptions<float>& how,
+                int32_t round, const ForContacts& for_contacts, const ForFriction& for_friction) {
+  Workspace<float> ws = of.ws;
+  const int32_t dofs = of.tree.dof_count;
+  if (take_rates(of.rates, of.qd, how.dt, dofs, ws) >= 0) return false;
+  for (int32_t k = 0; k < dofs; ++k) ws.given[k] = 0.0f;
+  if (holds_rates(of.tree, ws)) {
+    for_contacts(false,
+                 [&](const PgsContact<float>& c) { add_impulses(c, of.rates, dofs, ws.given); });
+    for_friction([&](const PgsJointFriction<float>& f) {
+      if (f.rates == of.rates) ws.given[f.dof] += f.impulse;
+    });
+  }
+  return renew_branches(of.tree, in, how, true, round, ws);
+}
+// Its rates without impulses once more. The dof that fails, or -1.
+inline int32_t restart_tree(const IslandTree& of, const StepInputs<float>& in,
+                            const StepOptions<float>& how) {
+  Workspace<float> ws = of.ws;
+  const int32_t failed = solve_accelerations(of.tree, in, how, ws);
+  if (failed < 0) free_rates(of.tree, in, how, ws);
+  for (int32_t k = 0; failed < 0 && k < of.tree.dof_count; ++k) of.rates[k] = ws.qd_next[k];
+  return failed;
 }
 
 // Bits of the dofs that move a link, for tree_contacts.h.

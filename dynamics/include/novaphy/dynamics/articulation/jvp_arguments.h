@@ -14,6 +14,7 @@ struct ArticulationJvpArguments {
   DualFloat *q_next, *qd_next;  // what they were stays where a step fails
   Transform<DualFloat>* body_q;
   SpatialVector<DualFloat>* body_qd;
+  const float* branch;  // of the step; a row per dof
   float* workspace;
   int64_t stride;  // numbers of it for an articulation
 };

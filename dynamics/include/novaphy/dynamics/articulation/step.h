@@ -1,7 +1,8 @@
 // One step of a tree without contact.
 //
-//   M = H(q) + diag(armature + what drives add),  M qdd = f - bias(q, qd) + drives (drives.h)
-//   v  = qd + dt qdd, clamped to the velocity limits of joints with one dof
+//   M = H(q) + diag(armature + what drives add),  M qdd = f - bias(q, qd) + drives (drives.h) + r
+//   v  = qd + dt qdd, |v| <= velocity_limit for joints with one dof: with the force r of a dof that
+//   is at its limit, which pushes inwards only, and which the rest of the tree feels
 //   q' = q moved by v over dt (quaternions by the Cayley map), then qd' = v, of angular dofs
 //   times 1 - angular_damping dt
 //   q' and qd' of joints that follow others from theirs (mimic.h); body_q, body_qd of (q', qd')
@@ -46,12 +47,46 @@ void set_wrenches(const Tree<T>& tree, const StepInputs<T>& in, Workspace<T>& ws
   }
 }
 
-// rhs = joint_f - bias + drives, and the drives' part of M's diagonal.
+// f(link, k) of joints with one dof, which have drives and limits.
+template <class T, class F>
+void for_drives(const Tree<T>& tree, const F& f) {
+  for (int32_t i = 0; i < tree.link_count; ++i)
+    if (has_one_dof(tree.links[i])) f(tree.links[i], local_dof(tree, tree.links[i]));
+}
+
+// The lanes of which a dof is at its velocity limit.
+template <class T>
+auto holds_rates(const Tree<T>& tree, const Workspace<T>& ws) {
+  Branches<T> all{};
+  for (int32_t k = 0; k < tree.dof_count; ++k) all = all | ws.branch[k];
+  return has(all, kVelocityClamped);
+}
+// The rate of a dof that is at its velocity limit, and else v.
+template <class T>
+T held_rate(const StepInputs<T>& in, int32_t row, const Branches<T>& branch, const T& v) {
+  const T limit = in.drives.velocity_limit[row];
+  return select(has(branch, kVelocityAtUpper), limit,
+                select(has(branch, kVelocityAtLower), -limit, v));
+}
+// The accelerations of dofs at their velocity limits, and of those that follow them.
+template <class T>
+void hold_accelerations(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<T>& options,
+                        Workspace<T>& ws) {
+  for_drives(tree, [&](const Link& link, int32_t k) {
+    const T v = in.qd[link.dof], to = held_rate(in, link.dof, ws.branch[k], v);
+    ws.qdd[k] = select(has(ws.branch[k], kVelocityClamped), (to - v) / options.dt, ws.qdd[k]);
+  });
+  spread_leaders(tree, ws.qdd);
+}
+
+// rhs = joint_f - bias + drives, and the drives' part of M's diagonal. Dofs whose accelerations are
+// given have endless inertia.
 template <class T>
 void add_drives(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<T>& options,
-                Workspace<T>& ws) {
+                const T* bias, Workspace<T>& ws) {
   const int64_t n = tree.dof_count;
   const Drives<T>& d = in.drives;
+  const T endless = T(math::bits_float(0x7f800000));
   for (int32_t i = 0; i < tree.link_count; ++i) {
     const Link& link = tree.links[i];
     for (int32_t j = 0; j < link.dofs; ++j) {
@@ -66,10 +101,11 @@ void add_drives(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<
         if (options.implicit_drives) term.diagonal = options.dt * d.damping[row];
       }
       const T applied = is_free(link) ? T(0.0f) : in.joint_f[row];
-      ws.rhs[k] = (applied - ws.bias[k]) + term.force;
-      ws.matrix[k * n + k] = is_kinematic(link)
-                                 ? T(math::bits_float(0x7f800000))
-                                 : ws.matrix[k * n + k] + (d.armature[row] + term.diagonal);
+      ws.rhs[k] = (applied - bias[k]) + term.force;
+      T& diagonal = ws.matrix[k * n + k];
+      diagonal = is_kinematic(link) ? endless : diagonal + (d.armature[row] + term.diagonal);
+      if (has_one_dof(link))
+        diagonal = select(has(ws.branch[k], kVelocityClamped), endless, diagonal);
     }
   }
 }
@@ -77,32 +113,160 @@ void add_drives(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<
 template <class T>
 int32_t solve_accelerations(const Tree<T>& tree, const StepInputs<T>& in,
                             const StepOptions<T>& options, Workspace<T>& ws) {
+  const auto holds = holds_rates(tree, ws);
+  const T* bias = ws.bias;
+  if (any(holds)) {  // with the accelerations that are given
+    for (int32_t k = 0; k < tree.dof_count; ++k) ws.qdd[k] = T(0.0f);
+    hold_accelerations(tree, in, options, ws);
+    inverse_dynamics<T>(tree, in.qd + tree.first_dof, ws.qdd, ws, ws.rhs);
+    for (int32_t k = 0; k < tree.dof_count; ++k) ws.rhs[k] = select(holds, ws.rhs[k], ws.bias[k]);
+    bias = ws.rhs;
+  }
   mass_matrix(tree, ws);
-  add_drives(tree, in, options, ws);
+  add_drives(tree, in, options, bias, ws);
   const int32_t failed = factor(tree, ws.matrix);
   if (failed >= 0) return failed;
   for (int32_t k = 0; k < tree.dof_count; ++k) ws.qdd[k] = ws.rhs[k];
   solve(tree, ws.matrix, ws.qdd);
+  if (any(holds)) hold_accelerations(tree, in, options, ws);
   return -1;
 }
 
-// The branches that follow from a first solve; false: none has changed (in any lane; the others'
-// come out of a second solve as they were).
+// The forces of drives and limits of joints with one dof in a step with the acceleration qdd.
 template <class T>
-bool clamp_branches(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<T>& options,
-                    Workspace<T>& ws) {
-  bool changed = false;
-  for (int32_t i = 0; i < tree.link_count; ++i) {
-    const Link& link = tree.links[i];
-    if (!has_one_dof(link)) continue;
-    const int32_t k = local_dof(tree, link);
-    const Branches<T> branch =
-        clamped_branch(in.drives, link.dof, link.coord, ws.branch[k], in.q[link.coord],
-                       in.qd[link.dof], ws.qdd[k], options.dt, options.implicit_drives);
-    changed = changed || differ(branch, ws.branch[k]);
-    ws.branch[k] = branch;
+struct StepDrives {
+  const StepInputs<T>& in;
+  const StepOptions<T>& options;
+
+  AskedForces<T> asked(const Link& link, const Branches<T>& branch, const T& qdd) const {
+    return asked_forces(in.drives, link.dof, link.coord, branch, in.q[link.coord], in.qd[link.dof],
+                        qdd, options.dt, options.implicit_drives);
   }
-  return changed;
+  T given(const Link& link, const Branches<T>& branch, const T& qdd) const {
+    return given_force(branch, asked(link, branch, qdd), in.drives.effort_limit[link.dof],
+                       options.implicit_drives);
+  }
+  // What a solve with the branch takes for it.
+  T assumed(const Link& link, const Branches<T>& branch, const T& qdd) const {
+    const DriveTerm<T> term = branch_term(in.drives, link.dof, link.coord, branch, in.q[link.coord],
+                                          in.qd[link.dof], options.dt, options.implicit_drives);
+    return term.force - term.diagonal * qdd;
+  }
+  Branches<T> next(const Link& link, const Branches<T>& branch, const T& qdd, bool keep) const {
+    return next_branch(branch, asked(link, branch, qdd), in.drives.effort_limit[link.dof],
+                       options.implicit_drives, keep);
+  }
+};
+
+// Forces t of drives and limits fall with qdd, so M qdd = f - bias + t(qdd) is where a convex
+// function is least. A solve with the branches of a point is a step of Newton's method for it. A
+// whole one may go round in circles, so the best point so far (qdd in qd_next, t in given) goes as
+// far towards the solution as the function falls. Its slope along p is p . (M qdd - f + bias - t).
+template <class T>
+T slope_towards(const Tree<T>& tree, const StepDrives<T>& drives, const Workspace<T>& ws,
+                const T& s) {
+  T sum = T(0.0f);
+  for_drives(tree, [&](const Link& link, int32_t k) {
+    const T p = ws.qdd[k] - ws.qd_next[k], from = ws.given[k];
+    const T force = from + s * (drives.assumed(link, ws.branch[k], ws.qdd[k]) - from);
+    sum = sum + p * (force - drives.given(link, ws.branch[k], ws.qd_next[k] + s * p));
+  });
+  return sum;
+}
+
+inline constexpr int32_t kFreeRounds = 32;  // behind them clamps stay
+inline constexpr int32_t kHalvings = 16;
+
+// The branches for the next round; false: those of the solve follow from it, in all lanes.
+template <class T>
+bool next_branches(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<T>& options,
+                   int32_t round, Workspace<T>& ws) {
+  const StepDrives<T> drives{in, options};
+  const bool keep = round >= kFreeRounds;
+  const T o = T(0.0f), one = T(1.0f);
+  auto changes = one < o;
+  for_drives(tree, [&](const Link& link, int32_t k) {
+    const Branches<T> next = drives.next(link, ws.branch[k], ws.qdd[k], keep);
+    changes = either(changes, differ(next, ws.branch[k]));
+  });
+  if (!any(changes)) return false;
+  T s = one;
+  if (round > 0 && !keep) {
+    const auto too_far = slope_towards(tree, drives, ws, one) > o;
+    T low = o, high = one;
+    for (int32_t i = 0; i < kHalvings && any(too_far); ++i) {
+      const T middle = T(0.5f) * (low + high);
+      const auto rises = slope_towards(tree, drives, ws, middle) > o;
+      high = select(rises, middle, high);
+      low = select(rises, low, middle);
+    }
+    s = select(too_far, high, one);
+  }
+  const auto whole = negate(s < one);
+  for_drives(tree, [&](const Link& link, int32_t k) {
+    const T qdd = ws.qdd[k], given = drives.assumed(link, ws.branch[k], qdd);
+    const bool first = round == 0;
+    const T p = first ? o : s * (qdd - ws.qd_next[k]), more = first ? o : s * (given - ws.given[k]);
+    ws.qd_next[k] = first ? qdd : select(whole, qdd, ws.qd_next[k] + p);
+    ws.given[k] = first ? given : select(whole, given, ws.given[k] + more);
+    const Branches<T> next = drives.next(link, ws.branch[k], ws.qd_next[k], keep);
+    ws.branch[k] = select(changes, next, ws.branch[k]);
+  });
+  return true;
+}
+
+// Solves, in rounds, until the branches that it assumes follow from it. At the latest some rounds
+// behind kFreeRounds: drives then keep to their limits all the same.
+template <class T>
+int32_t settle(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<T>& options,
+               Workspace<T>& ws) {
+  for (int32_t round = 0;; ++round) {
+    const int32_t failed = solve_accelerations(tree, in, options, ws);
+    if (failed >= 0 || !next_branches(tree, in, options, round, ws)) return failed;
+  }
+}
+
+// Takes dofs of some lanes to their velocity limits, or off them, behind a solve: those that would
+// be beyond, and those whose force r would pull outwards (not if `keep`). False: there are none.
+// given: what contacts and dry friction push the dofs with, N s or N m s; read where one is there.
+template <class T, class Mask>
+bool next_held_rates(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<T>& options,
+                     const Mask& lanes, bool keep, Workspace<T>& ws) {
+  const T o = T(0.0f);
+  const auto holds = holds_rates(tree, ws);
+  if (any(holds)) {  // r in rhs
+    inverse_dynamics<T>(tree, in.qd + tree.first_dof, ws.qdd, ws, ws.rhs);
+    for_drives(tree, [&](const Link& link, int32_t k) {
+      const int32_t row = link.dof;
+      const DriveTerm<T> term = dof_term(in.drives, row, link.coord, ws.branch[k], in.q[link.coord],
+                                         in.qd[row], options.dt, options.implicit_drives);
+      const T inertial = ws.rhs[k] + (in.drives.armature[row] + term.diagonal) * ws.qdd[k];
+      ws.rhs[k] = (inertial - (in.joint_f[row] + term.force)) - ws.given[k] / options.dt;
+    });
+    gather_followers(tree, ws.rhs);
+  }
+  bool changes = false;
+  for_drives(tree, [&](const Link& link, int32_t k) {
+    if (follows(link)) return;
+    const T limit = in.drives.velocity_limit[link.dof],
+            v = in.qd[link.dof] + options.dt * ws.qdd[k];
+    const Branches<T> branch = ws.branch[k];
+    const auto held = has(branch, kVelocityClamped), over = v > limit, under = v < -limit;
+    if (!any(either(held, either(over, under)))) return;
+    auto upper = has(branch, kVelocityAtUpper), lower = has(branch, kVelocityAtLower);
+    if (any(held) && !keep) {
+      upper = both(upper, negate(ws.rhs[k] > o));
+      lower = both(lower, negate(ws.rhs[k] < o));
+    }
+    upper = either(upper, both(negate(held), over));
+    lower = either(lower, both(negate(held), under));
+    ws.branch[k] = select(
+        lanes,
+        with(with(branch & ~kVelocityClamped, upper, kVelocityAtUpper), lower, kVelocityAtLower),
+        branch);
+    changes = changes || any(differ(ws.branch[k], branch));
+  });
+  return changes;
 }
 
 // v = qd + dt qdd.
@@ -111,36 +275,16 @@ void free_rates(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<
                 Workspace<T>& ws) {
   for (int32_t k = 0; k < tree.dof_count; ++k)
     ws.qd_next[k] = in.qd[tree.first_dof + k] + options.dt * ws.qdd[k];
+  if (!any(holds_rates(tree, ws))) return;
+  for_drives(tree, [&](const Link& link, int32_t k) {
+    ws.qd_next[k] = held_rate(in, link.dof, ws.branch[k], ws.qd_next[k]);
+  });
 }
 
-// v, clamped.
+// What a step starts from, in the workspace. The result is the dof of a coordinate that is not
+// finite, counted from the tree's first; -1: none.
 template <class T>
-void clamp_rates(const Tree<T>& tree, const StepInputs<T>& in, Workspace<T>& ws) {
-  for (int32_t i = 0; i < tree.link_count; ++i) {
-    const Link& link = tree.links[i];
-    if (!has_one_dof(link)) continue;
-    const int32_t k = local_dof(tree, link);
-    const T limit = in.drives.velocity_limit[link.dof], v = ws.qd_next[k];
-    const auto above = v > limit, below = v < -limit;
-    if (!any(either(above, below))) continue;
-    ws.qd_next[k] = select(above, limit, select(below, -limit, v));
-    ws.branch[k] = with(with(ws.branch[k], above, kVelocityAtUpper), below, kVelocityAtLower);
-  }
-}
-
-template <class T>
-void new_rates(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<T>& options,
-               Workspace<T>& ws) {
-  free_rates(tree, in, options, ws);
-  clamp_rates(tree, in, ws);
-}
-
-// qdd and the branches in the workspace, M's factor with them. The result is the dof whose pivot is
-// not positive or whose acceleration is not finite (in any lane), counted from the tree's first;
-// -1: none.
-template <class T>
-int32_t accelerate(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<T>& options,
-                   Workspace<T>& ws) {
+int32_t begin_step(const Tree<T>& tree, const StepInputs<T>& in, Workspace<T>& ws) {
   // Where a tree is does not change its accelerations: so coordinates are looked at on their own.
   for (int32_t i = 0; i < tree.link_count; ++i) {
     const Link& link = tree.links[i];
@@ -153,26 +297,81 @@ int32_t accelerate(const Tree<T>& tree, const StepInputs<T>& in, const StepOptio
   set_wrenches(tree, in, ws);
   inverse_dynamics<T>(tree, in.qd + tree.first_dof, nullptr, ws, ws.bias);
   for (int32_t k = 0; k < tree.dof_count; ++k) ws.branch[k] = {};
-  for (int32_t i = 0; i < tree.link_count; ++i) {
-    const Link& link = tree.links[i];
-    if (has_one_dof(link))
-      ws.branch[local_dof(tree, link)] = limit_branch(in.drives, link.dof, in.q[link.coord]);
-  }
-  int32_t failed = solve_accelerations(tree, in, options, ws);
-  if (failed < 0 && clamp_branches(tree, in, options, ws))
-    failed = solve_accelerations(tree, in, options, ws);
-  if (failed >= 0) return failed;
+  return -1;
+}
+template <class T>
+int32_t find_infinite(const Tree<T>& tree, const Workspace<T>& ws) {
   for (int32_t k = 0; k < tree.dof_count; ++k)
     if (!is_finite(ws.qdd[k])) return k;
   return -1;
+}
+
+// Settles once more with the velocity limits of some lanes, until none is taken or left.
+template <class T, class Mask>
+int32_t hold_rates(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<T>& options,
+                   const Mask& lanes, Workspace<T>& ws) {
+  for (int32_t round = 0;; ++round) {
+    for (int32_t k = 0; round > 0 && k < tree.dof_count; ++k) ws.given[k] = T(0.0f);
+    if (!next_held_rates(tree, in, options, lanes, round >= kFreeRounds, ws)) return -1;
+    const int32_t failed = settle(tree, in, options, ws);
+    if (failed >= 0) return failed;
+  }
+}
+
+// qdd and the branches in the workspace, M's factor with them. The result is the dof whose pivot is
+// not positive or whose acceleration is not finite (in any lane), counted from the tree's first;
+// -1: none. Velocity limits act in lanes that are `alone`: those of others act behind contacts,
+// which may push dofs off them (renew_branches).
+template <class T, class Mask>
+int32_t accelerate(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<T>& options,
+                   const Mask& alone, Workspace<T>& ws) {
+  int32_t failed = begin_step(tree, in, ws);
+  if (failed >= 0) return failed;
+  for_drives(tree, [&](const Link& link, int32_t k) {
+    ws.branch[k] = limit_branch(in.drives, link.dof, in.q[link.coord]);
+  });
+  failed = settle(tree, in, options, ws);
+  if (failed < 0) failed = hold_rates(tree, in, options, alone, ws);
+  return failed >= 0 ? failed : find_infinite(tree, ws);
+}
+
+// Likewise, with the branches of a step that ran; a row per dof of the arrays.
+template <class T>
+int32_t accelerate_again(const Tree<T>& tree, const StepInputs<T>& in,
+                         const StepOptions<T>& options, const float* branch, Workspace<T>& ws) {
+  int32_t failed = begin_step(tree, in, ws);
+  if (failed >= 0) return failed;
+  for (int32_t k = 0; k < tree.dof_count; ++k)
+    ws.branch[k] = to_branches(branch[tree.first_dof + k]);
+  failed = solve_accelerations(tree, in, options, ws);
+  return failed >= 0 ? failed : find_infinite(tree, ws);
+}
+
+inline constexpr int32_t kContactRounds = 8;
+
+// The branches that follow from the accelerations behind contacts, of some lanes. True:
+// solve_accelerations with those, and contacts once more. `given` as above.
+template <class T, class Mask>
+bool renew_branches(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<T>& options,
+                    const Mask& lanes, int32_t round, Workspace<T>& ws) {
+  const StepDrives<T> drives{in, options};
+  const bool keep = round >= kContactRounds;
+  bool changes = next_held_rates(tree, in, options, lanes, keep, ws);
+  for_drives(tree, [&](const Link& link, int32_t k) {
+    const Branches<T> next =
+        select(lanes, drives.next(link, ws.branch[k], ws.qdd[k], keep), ws.branch[k]);
+    changes = changes || any(differ(next, ws.branch[k]));
+    ws.branch[k] = next;
+  });
+  return changes;
 }
 
 // accelerate, and the undamped new rates.
 template <class T>
 int32_t forward_step(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<T>& options,
                      Workspace<T>& ws) {
-  const int32_t failed = accelerate(tree, in, options, ws);
-  if (failed < 0) new_rates(tree, in, options, ws);
+  const int32_t failed = accelerate(tree, in, options, T(0.0f) < T(1.0f), ws);
+  if (failed < 0) free_rates(tree, in, options, ws);
   return failed;
 }
 

@@ -1,8 +1,9 @@
 // The exact adjoint of a step (step.h), from its start, its accelerations and its branches.
 //
 // With the gradients h of q' (tangents) and g of qd', and u = qd + dt qdd:
-//   gu = dt h (BALL and FREE: through the Cayley map) + g (1 - angular_damping dt), 0 where the
-//   velocity clamp acted;  lambda = M^-1 dt gu
+//   gu = dt h (BALL and FREE: through the Cayley map) + g (1 - angular_damping dt)
+//   lambda = M^-1 dt gu, 0 for dofs at their velocity limits, which then have gu = (H lambda) / dt;
+//   what that takes from gu is the gradient of the limit
 //   gradient of joint_f = lambda, of q = h - dPhi/dq - K lambda, of qd = gu - dPhi/dqd - (D + dt K)
 //   lambda, with Phi of inverse_dynamics_vjp.h at (q, qd, qdd)
 // and those of drives and masses likewise. So a step needs no more memory than (q, qd, qdd,
@@ -147,39 +148,42 @@ void drive_gradient(const Link& link, int32_t dof_of_link, const StepInputs<T>& 
   const T o = T(0.0f), v = in.qd[row], dt = options.implicit_drives ? options.dt : o;
   const bool one = has_one_dof(link), damps = one || link.joint == LinkJoint::Ball;
   const auto outside = has(branch, kOutside), clamped = has(branch, kEffortClamped);
-  const auto drives = negate(either(outside, clamped));
-  const auto limits = both(outside, negate(has(branch, kLimitReleased)));
-  const auto acts = either(drives, limits);
-  DriveLaw<T> law{o, o, o, o};
+  auto drives = negate(clamped);
+  if (!options.implicit_drives) drives = both(drives, negate(outside));
+  const auto limits = limit_acts<T>(branch);
+  DriveLaw<T> drive{o, o, o, o}, stop{o, o, o, o};
   if (one) {
-    law = drive_law(d, row, link.coord, branch);
-    law = {select(acts, law.stiffness, o), select(acts, law.target, o), select(acts, law.rate, o),
-           select(acts, law.target_rate, o)};
+    drive = drive_law(d, row, link.coord, branch, options.implicit_drives);
+    drive.stiffness = select(drives, drive.stiffness, o);
+    drive.rate = select(drives, drive.rate, o);
+    stop = limit_law(d, row, branch);
+    stop.stiffness = select(limits, stop.stiffness, o);
+    stop.rate = select(limits, stop.rate, o);
   }
+  const T stiffness = drive.stiffness + stop.stiffness, by_v = drive.rate + stop.rate;
   const T q = one ? in.q[link.coord] : o, damping = damps ? d.damping[row] : o;
   const T v_end = v + dt * qdd, q_end = q + dt * v_end;
-  q_gradient = q_gradient - law.stiffness * lambda;
-  qd_gradient = qd_gradient - ((law.rate + damping) + dt * law.stiffness) * lambda;
+  q_gradient = q_gradient - stiffness * lambda;
+  qd_gradient = qd_gradient - ((by_v + damping) + dt * stiffness) * lambda;
   const bool position = one && has_position_drive(mode), velocity = one && has_velocity_drive(mode);
-  const T by_stiffness = (law.target - q_end) * lambda,
-          by_rate = (law.target_rate - v_end) * lambda;
   const auto of = [&](bool there, const auto& mask, const T& x) {
     return there ? select(mask, x, o) : o;
   };
   if (one)
-    put(g, g.target_q, G::kTargetQ, link.coord, of(position, drives, law.stiffness * lambda));
-  put(g, g.target_qd, G::kTargetQd, row, of(velocity && mode != 1, drives, law.rate * lambda));
-  put(g, g.target_ke, G::kTargetKe, row, of(position, drives, by_stiffness));
-  put(g, g.target_kd, G::kTargetKd, row, of(velocity, drives, by_rate));
+    put(g, g.target_q, G::kTargetQ, link.coord, of(position, drives, drive.stiffness * lambda));
+  put(g, g.target_qd, G::kTargetQd, row, of(velocity && mode != 1, drives, drive.rate * lambda));
+  put(g, g.target_ke, G::kTargetKe, row, of(position, drives, (drive.target - q_end) * lambda));
+  put(g, g.target_kd, G::kTargetKd, row,
+      of(velocity, drives, (drive.target_rate - v_end) * lambda));
   put(g, g.damping, G::kDamping, row, damps ? -(v_end * lambda) : o);
   put(g, g.armature, G::kArmature, row, -(lambda * qdd));
-  const T by_limit = of(one, limits, law.stiffness * lambda);
+  const T by_limit = of(one, limits, stop.stiffness * lambda);
   put(g, g.limit_lower, G::kLimitLower, row, of(one, has(branch, kBelowLimit), by_limit));
   put(g, g.limit_upper, G::kLimitUpper, row, of(one, has(branch, kAboveLimit), by_limit));
-  put(g, g.limit_ke, G::kLimitKe, row, of(one, limits, by_stiffness));
-  put(g, g.limit_kd, G::kLimitKd, row, of(one, limits, by_rate));
+  put(g, g.limit_ke, G::kLimitKe, row, of(one, limits, (stop.target - q_end) * lambda));
+  put(g, g.limit_kd, G::kLimitKd, row, of(one, limits, -(v_end * lambda)));
   const T by_effort = select(has(branch, kEffortAtUpper), lambda, -lambda);
-  put(g, g.effort_limit, G::kEffortLimit, row, of(one, both(negate(outside), clamped), by_effort));
+  put(g, g.effort_limit, G::kEffortLimit, row, of(one, clamped, by_effort));
 }
 
 template <class T>
@@ -202,9 +206,7 @@ void add_mass_gradients(const Tree<T>& tree, const StepGradient<T>& g,
 template <class T>
 void step_vjp_rates(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<T>& options,
                     const T* qdd, const T* branch, const T* q_next, const T* qd_next,
-                    const StepOutputGradient<T>& out, const StepGradient<T>& g, Workspace<T>& ws,
-                    AdjointMemory<T>& memory) {
-  using G = StepGradient<T>;
+                    const StepOutputGradient<T>& out, Workspace<T>& ws, AdjointMemory<T>& memory) {
   const T o = T(0.0f);
   const int32_t n = tree.dof_count, row0 = tree.first_dof;
   T *const tangent = memory.tangent, *const rate = memory.rate, *const lambda = memory.scratch;
@@ -243,19 +245,13 @@ void step_vjp_rates(const Tree<T>& tree, const StepInputs<T>& in, const StepOpti
     }
   }
 
-  // Of the coordinates' update and the velocity clamp.
+  // Of the coordinates' update.
   for (int32_t k = 0; k < n; ++k) {
     ws.branch[k] = to_branches(branch[row0 + k]);
     ws.qdd[k] = qdd[row0 + k];
   }
-  new_rates(tree, in, options, ws);
+  free_rates(tree, in, options, ws);
   integrate_coordinates_vjp(tree, ws.qd_next, options.dt, tangent, rate);
-  for (int32_t k = 0; k < n; ++k) {
-    const auto clamped = has(ws.branch[k], kVelocityClamped);
-    const T by_limit = select(has(ws.branch[k], kVelocityAtUpper), rate[k], -rate[k]);
-    put(g, g.velocity_limit, G::kVelocityLimit, row0 + k, select(clamped, by_limit, o));
-    rate[k] = select(clamped, o, rate[k]);
-  }
 }
 
 // The second: the dynamics at the start of the step once more, with M's factor.
@@ -266,7 +262,7 @@ void step_vjp_dynamics(const Tree<T>& tree, const StepInputs<T>& in, const StepO
   set_wrenches(tree, in, ws);
   inverse_dynamics(tree, in.qd + tree.first_dof, ws.qdd, ws, ws.bias);
   mass_matrix(tree, ws);
-  add_drives(tree, in, options, ws);
+  add_drives(tree, in, options, ws.bias, ws);
   factor(tree, ws.matrix);
 }
 // lambda = M^-1 dt gu, in `scratch`. What contacts do to u has left `rate` before.
@@ -286,13 +282,24 @@ void step_vjp_inputs(const Tree<T>& tree, const StepInputs<T>& in, const StepOpt
   const int32_t n = tree.dof_count, row0 = tree.first_dof;
   T *const tangent = memory.tangent, *const rate = memory.rate;
   T *const lambda = memory.scratch, *const phi_q = lambda + n, *const phi_qd = phi_q + n;
-  InverseDynamicsGradient<T> phi{phi_q,       phi_qd,     nullptr,        memory.wrench,
+  const auto holds = holds_rates(tree, ws);
+  T* const h_lambda = any(holds) ? ws.rhs : nullptr;
+  InverseDynamicsGradient<T> phi{phi_q,       phi_qd,     h_lambda,       memory.wrench,
                                  memory.mass, memory.com, memory.inertia, {}};
   inverse_dynamics_vjp(tree, in.qd + row0, ws.qdd, lambda, ws, phi);
+  if (any(holds)) gather_followers(tree, h_lambda);
   for (int32_t i = 0; i < tree.link_count; ++i) {
     const Link& link = tree.links[i];
     for (int32_t j = 0; j < link.dofs; ++j) {
       const int32_t k = local_dof(tree, link) + j;
+      T by_limit = o;
+      if (any(holds) && has_one_dof(link)) {
+        const auto held = has(ws.branch[k], kVelocityClamped);
+        const T left = h_lambda[k] / options.dt, pull = select(held, rate[k] - left, o);
+        by_limit = select(has(ws.branch[k], kVelocityAtUpper), pull, select(held, -pull, o));
+        rate[k] = select(held, left, rate[k]);
+      }
+      put(g, g.velocity_limit, G::kVelocityLimit, row0 + k, by_limit);
       tangent[k] = tangent[k] - phi_q[k];
       rate[k] = rate[k] - phi_qd[k];
       drive_gradient(link, j, in, options, ws.branch[k], ws.qdd[k], lambda[k], tangent[k], rate[k],
@@ -323,7 +330,7 @@ void step_vjp(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<T>
               const T* qdd, const T* branch, const T* q_next, const T* qd_next,
               const StepOutputGradient<T>& out, const StepGradient<T>& g, Workspace<T>& ws,
               AdjointMemory<T>& memory) {
-  step_vjp_rates(tree, in, options, qdd, branch, q_next, qd_next, out, g, ws, memory);
+  step_vjp_rates(tree, in, options, qdd, branch, q_next, qd_next, out, ws, memory);
   step_vjp_dynamics(tree, in, options, ws);
   step_vjp_solve(tree, options, ws, memory);
   step_vjp_inputs(tree, in, options, g, ws, memory);

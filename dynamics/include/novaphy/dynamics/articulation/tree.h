@@ -97,7 +97,7 @@ struct Workspace {
   LinkState<T>* links = nullptr;
   SpatialVector<T>* axes = nullptr;  // S
   T* matrix = nullptr;               // lower: H, or L and D
-  T *bias = nullptr, *qdd = nullptr, *qd_next = nullptr, *rhs = nullptr;
+  T *bias = nullptr, *qdd = nullptr, *qd_next = nullptr, *rhs = nullptr, *given = nullptr;
   Branches<T>* branch = nullptr;  // Branch bits of drives.h
 };
 
@@ -107,7 +107,7 @@ int64_t workspace_bytes(int32_t links, int32_t dofs) {
   const int64_t n = dofs, ints = (n * static_cast<int64_t>(sizeof(Branches<T>)) + 7) / 8 * 8;
   return links * static_cast<int64_t>(sizeof(LinkState<T>)) +
          n * static_cast<int64_t>(sizeof(SpatialVector<T>)) +
-         ((n * n + 4 * n) * static_cast<int64_t>(sizeof(T)) + 7) / 8 * 8 + ints + 8;
+         ((n * n + 5 * n) * static_cast<int64_t>(sizeof(T)) + 7) / 8 * 8 + ints + 8;
 }
 template <class T>
 Workspace<T> make_workspace(void* memory, int32_t links, int32_t dofs) {
@@ -120,7 +120,8 @@ Workspace<T> make_workspace(void* memory, int32_t links, int32_t dofs) {
   ws.qdd = ws.bias + n;
   ws.qd_next = ws.qdd + n;
   ws.rhs = ws.qd_next + n;
-  ws.branch = reinterpret_cast<Branches<T>*>(ws.rhs + n);
+  ws.given = ws.rhs + n;
+  ws.branch = reinterpret_cast<Branches<T>*>(ws.given + n);
   return ws;
 }
 

@@ -10,6 +10,7 @@
 
 #include "novaphy/dynamics/articulation/contact_rows.h"
 #include "novaphy/dynamics/articulation/pgs.h"
+#include "novaphy/dynamics/articulation/step.h"
 
 namespace novaphy::articulation {
 
@@ -254,6 +255,33 @@ TreeContactResult<T> solve_tree_contacts(const Tree<T>& tree, const Workspace<T>
     }
   for (int64_t k = 0; k < n; ++k) v[k] = v[k] + o;  // a zero is +0, whatever was skipped
   return result;
+}
+
+// The lanes that have contacts.
+template <class T>
+auto touching(const TreeContact<T>* contacts, int32_t count) {
+  auto touches = T(1.0f) < T(0.0f);
+  for (int32_t c = 0; c < count; ++c) touches = either(touches, has(contacts[c].moved_by, -1));
+  return touches;
+}
+// Behind them, the rates v in qd_next: accelerations and renew_branches of those lanes.
+template <class T>
+bool renew_tree(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<T>& options,
+                const TreeContact<T>* contacts, int32_t count, const TreeContactMemory<T>& m,
+                int32_t round, Workspace<T>& ws) {
+  const int64_t n = tree.dof_count;
+  const T o = T(0.0f);
+  const auto touches = touching(contacts, count);
+  for (int64_t k = 0; k < n; ++k) {
+    const T qdd = (ws.qd_next[k] - in.qd[tree.first_dof + k]) / options.dt;
+    ws.qdd[k] = select(touches, qdd, ws.qdd[k]);
+    ws.given[k] = o;
+  }
+  const bool holds = any(holds_rates(tree, ws));
+  for (int64_t row = 0; holds && row < 3 * count; ++row)
+    for (int64_t k = 0; k < n; ++k)
+      ws.given[k] = ws.given[k] + m.jacobian[row * n + k] * m.rows[row / 3].impulse[row % 3];
+  return renew_branches(tree, in, options, touches, round, ws);
 }
 
 }  // namespace novaphy::articulation

@@ -1,5 +1,5 @@
-# The options of the build. An option whose part is not built yet defaults to OFF, and asking for it is an error:
-# never a silent no-op.
+# The options of the build. An option that needs another one is an error without it, unless its text says that it is
+# without effect then.
 option(NOVAPHY_WITH_DIFF "Build the tensor runtime (nova), the differentiable solvers (diff) and their bindings" OFF)
 option(NOVAPHY_WITH_NOVA "Build the tensor runtime (nova), with which solvers step models on devices; ON with NOVAPHY_WITH_DIFF" OFF)
 if(NOVAPHY_WITH_DIFF)

@@ -29,14 +29,13 @@ std::optional<std::vector<Vec2i>> to_shape_pairs(py::handle value) {
 void bind_collision(py::module_& m) {
   py::class_<CollisionPipeline>(
       m, "CollisionPipeline",
-      "Finds contacts. Soft: a record for each active particle whose centre "
-      "is closer to a world-owned plane, box, sphere or capsule than "
-      "soft_contact_margin + shape_margin + particle_radius, in "
-      "candidate order. Rigid: rows of the points of two shapes, at "
-      "least one on a body, that are closer than both gaps: infinite planes, spheres, capsules, "
-      "ellipsoids, cylinders, boxes, cones, convex hulls, and meshes, which do not meet meshes; "
-      "ordered by shape0, shape1, "
-      "point. The geometry of both carries no gradient.")
+      "Finds contacts. Soft: a record for each active particle whose center is closer to a shape, "
+      "of the world or of a body, than soft_contact_margin + shape_margin + particle_radius, in "
+      "candidate order: planes, boxes, spheres, capsules, cylinders, cones, ellipsoids, convex "
+      "hulls and meshes. Rigid: rows of the points of two shapes, at least one on a body, that are "
+      "closer than both gaps: infinite planes, spheres, capsules, ellipsoids, cylinders, boxes, "
+      "cones, convex hulls and, on the CPU, meshes, which also meet meshes; ordered by shape0, "
+      "shape1, point. The geometry of both carries no gradient.")
       .def(
           py::init([](const std::shared_ptr<Model>& model, const std::string& broad_phase,
                       const std::string& narrow_phase, std::optional<int32_t> rigid_contact_max,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import novaphy
@@ -128,3 +129,66 @@ def test_every_changelog_fragment_has_a_kind() -> None:
     kinds = {"added", "changed", "removed", "fixed"}
     for path in (ROOT / "changelog").glob("*.md"):
         assert path.name == "README.md" or path.name.split(".")[-2] in kinds, path.name
+
+
+def test_the_guide_lists_the_libraries_that_are_installed() -> None:
+    words = ["one", "two", "three", "four", "five", "six", "seven", "eight", "nine"]
+    install = (ROOT / "cmake/NovaPhyInstall.cmake").read_text(encoding="utf-8")
+    components = re.search(r"NOVAPHY_KNOWN_COMPONENTS (.*)\)", install)[1].split()
+    guide = (ROOT / "docs/guide/cpp-one-library.md").read_text(encoding="utf-8")
+    assert f"NovaPhy is {words[len(components) - 1]} shared libraries" in guide
+    rows = dict(re.findall(r"^\| `(\w+)` \| `novaphy::\w+` \|(.*)\|$", guide, re.MULTILINE))
+    assert sorted(rows) == sorted(components)
+    for component in components:
+        needs = re.search(rf"set\(dependencies_{component} ?(.*)\)", install)[1].split()
+        assert all(need in rows[component] for need in needs), component
+
+
+def test_the_guide_lists_the_options_of_the_build() -> None:
+    options = (ROOT / "cmake/NovaPhyOptions.cmake").read_text(encoding="utf-8")
+    guide = (ROOT / "docs/guide/cpp-one-library.md").read_text(encoding="utf-8")
+    defined = re.findall(r"^option\((NOVA\w+) |^set\((NOVA\w+) .* CACHE ", options, re.M)
+    missing = [one or other for one, other in defined if f"`{one or other}`" not in guide]
+    assert defined and not missing
+
+
+def test_the_page_for_backends_names_the_version_of_the_abi() -> None:
+    header = (ROOT / "backends/abi/include/novaphy/abi/backend.h").read_text(encoding="utf-8")
+    major = re.search(r"NOVAPHY_ABI_MAJOR (\d+)u", header)[1]
+    pages = [ROOT / "docs/backend-authors.md", ROOT / "docs/design/0004-backend-abi.md"]
+    for page in pages:
+        named = re.findall(r"major version is (\d+)", page.read_text(encoding="utf-8"))
+        assert set(named) <= {major}, name(page)
+    assert f"major version is {major}" in pages[0].read_text(encoding="utf-8")
+
+
+def test_what_the_pipeline_says_of_meshes_is_so() -> None:
+    square = [(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)]
+    builder = novaphy.ModelBuilder()
+    weightless = novaphy.ShapeConfig(density=0.0)
+    builder.add_shape_mesh(-1, vertices=square, indices=[0, 1, 2, 0, 2, 3], cfg=weightless)
+    body = builder.add_body(xform=((0, 0, 0.05), (0, 0, 0, 1)), mass=1.0, inertia=np.eye(3))
+    builder.add_shape_mesh(body, vertices=square, indices=[0, 1, 2, 0, 2, 3], cfg=weightless)
+    model = builder.finalize()
+    pipeline = novaphy.CollisionPipeline(model)
+    contacts = pipeline.contacts()
+    pipeline.collide(model.state(), contacts)
+    assert contacts.active_rigid_contact_count > 0
+    assert "also meet meshes" in novaphy.CollisionPipeline.__doc__
+
+
+def test_poses_of_joints_have_no_gradient_as_the_guide_says() -> None:
+    nova = pytest.importorskip("novaphy.nova")
+    builder = novaphy.ModelBuilder()
+    body = builder.add_link(mass=1.0, inertia=np.eye(3))
+    builder.add_articulation([builder.add_joint_revolute(-1, body, axis=(1, 0, 0))])
+    model = builder.finalize()
+    state = model.state()
+    guide = (ROOT / "docs/guide/joints.md").read_text(encoding="utf-8")
+    assert "They have no gradient: on a tape they raise." in guide
+    for function in (
+        lambda: novaphy.eval_fk(model, state.joint_q, state.joint_qd, state),
+        lambda: novaphy.eval_ik(model, state, state.joint_q, state.joint_qd),
+    ):
+        with nova.Tape(), pytest.raises(novaphy.Error, match="Tape"):
+            function()

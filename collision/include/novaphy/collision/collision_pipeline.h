@@ -61,7 +61,7 @@ struct CollisionOptions {
 // with the core points a, b of Contacts::rigid_contact_point0, point1. Covered are infinite planes
 // with spheres, capsules, ellipsoids, cylinders, boxes (their four deepest corners), cones, convex
 // hulls and meshes (up to four vertices), and all but meshes with each other (geometry/collide.h),
-// up to eight points. On the CPU, meshes meet all of these but meshes (geometry/mesh_pair.h): up to
+// up to eight points. On the CPU, meshes meet these and each other (geometry/mesh_pair.h): up to
 // 32 points with normals of their own, ordered by distance, whose names may change when a point
 // passes to another triangle. Candidates are Model::shape_contact_pairs (BroadPhase::Explicit), or
 // the pairs that flags, groups and worlds of shapes now allow (NxN; Sap, by sweep and prune), of

@@ -98,7 +98,19 @@ if TYPE_CHECKING:
 
 State = SimState
 __version__ = version()
-ModelBuilder.__getattr__ = getattr_of_class("ModelBuilder")  # type: ignore[attr-defined]
+for _cls in (
+    CollisionPipeline,
+    Contacts,
+    Control,
+    JointDofConfig,
+    Model,
+    ModelBuilder,
+    ShapeConfig,
+    SimState,
+):
+    _cls.__getattr__ = getattr_of_class(  # type: ignore[attr-defined]
+        "State" if _cls is SimState else _cls.__name__
+    )
 
 _SUBPACKAGES = ("assets", "diff", "envs", "io", "nova", "solvers", "testing", "viewer")
 _FROM_VIEWER = (

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from . import _core
+from ._planned import ARGUMENTS
 
 _INT32 = range(-(2**31), 2**31)
 _OURS = "novaphy._core."
@@ -96,7 +97,10 @@ def _complaint(
     known = [p.name for p in parameters if p.name != "self"]
     for name in kwargs:
         if name not in known:
-            return _Complaint(0, f"no argument is called {name!r}; expected {', '.join(known)}")
+            hint = f"; use {ARGUMENTS[name]}" if name in ARGUMENTS else ""
+            return _Complaint(
+                0, f"no argument is called {name!r}{hint}; expected {', '.join(known)}"
+            )
         if name in given:
             return _Complaint(0, f"argument {name!r} was given twice")
     given |= kwargs

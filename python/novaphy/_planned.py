@@ -1,13 +1,14 @@
-"""Names that are agreed and not built yet: asking for one raises an error that says so.
+"""Names that are not here: what to use instead, or that they are not built.
 
-A name leaves the table when it is built; a test fails while it is in both places.
+The names are those of Newton 1.8 and of upstream NovaPhy, which users write from habit. A name
+leaves these tables when it is built; a test walks the lists of both projects.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 
-# Owner -> what its missing names belong to -> the names.
+# Owner -> what its missing names belong to -> the names. They are agreed.
 PLANNED: dict[str, dict[str, tuple[str, ...]]] = {
     "novaphy": {
         "streams": ("Stream", "ScopedStream", "get_stream"),
@@ -23,38 +24,272 @@ PLANNED: dict[str, dict[str, tuple[str, ...]]] = {
     },
 }
 
+# Owner -> what to use -> names, with * for any letters.
+INSTEAD: dict[str, dict[str, str]] = {
+    "novaphy": {
+        "novaphy.io.Mesh": "Mesh",
+        "novaphy.io.TetMesh": "TetMesh",
+        "novaphy.io.height_field, which makes a mesh": "Heightfield",
+        "Axis": "AxisType",
+        "ModelFlags": "SolverNotifyFlags",
+        "the state itself: a step writes all of it": "StateFlags",
+        "numpy.inf": "MAXVAL",
+        "RuntimeWarning and DeprecationWarning": "NewtonWarning NewtonDeprecationWarning",
+        "the functions of novaphy.nova": "math",
+        "eval_inverse_dynamics and eval_bias": "eval_inverse_dynamics_*",
+        "Contacts.rigid_contacts(model, state)": "eval_rigid_contact_kinematics",
+        "eval_fk": "forward_kinematics",
+        "eval_inverse_dynamics": "inverse_dynamics",
+        "eval_mass_matrix": "mass_matrix_crba",
+        "eval_forward_dynamics": "forward_dynamics",
+        "eval_jacobian": "compute_jacobian_*",
+        "State.body_q after eval_fk": "get_ee_position get_ee_rotation",
+        "ModelBuilder, whose add_ functions make them": "Joint RigidBody CollisionShape",
+        "a sequence of seven numbers: position, then quaternion (x, y, z, w)": "Transform",
+        "eval_jacobian and arrays of spatial vectors": "SpatialTransform",
+        "ModelBuilder.add_urdf": "UrdfParser UrdfImportOptions SceneBuild*",
+        "ViewerFile or novaphy.io.save_npz": "SimulationExporter",
+        "novaphy.backends()": "backend_info",
+        "the command `novaphy bench`": "PerformanceMonitor",
+        "the arguments of novaphy.solvers.SolverVBD": "VBDConfig VbdBackend",
+        "particle_q and particle_qd of a State": "ParticleState",
+    },
+    "novaphy.solvers": {
+        "the arguments of SolverVBD": "VBDConfig VbdBackend",
+    },
+    "ModelBuilder": {
+        "joint_target_q": "joint_target_pos",
+        "joint_target_qd": "joint_target_vel",
+        "joint_parent and joint_child of the model that finalize() makes": (
+            "joint_parents joint_children"
+        ),
+        "add_constraint_mimic; joint_mimic and joint_mimic_coef of the model hold them": (
+            "set_joint_mimic joint_mimic_* constraint_mimic_*"
+        ),
+        "the argument lock_inertia of add_body": "body_lock_inertia",
+        "the argument collision_filter_parent of the joint": "joint_collision_filter_parent",
+        "bound_mass, bound_inertia and balance_inertia; finalize() checks all": (
+            "inertia_absolute_tolerance inertia_relative_tolerance inertia_correction "
+            "validate_inertia_detailed"
+        ),
+        "finalize(), which checks the order of joints": "validate_joint_ordering",
+        "Model.set_gravity(value, world)": "world_gravity",
+        "rigid_contact_max of CollisionPipeline": "num_rigid_contacts_per_world",
+        "add_shape_mesh with novaphy.io.height_field": "add_shape_heightfield",
+        "add_shape_convex_hull, or mesh_maxhullvert of add_urdf": (
+            "approximate_meshes MeshApproximationConfig default_mesh_approximation_cfg"
+        ),
+    },
+    "Model": {
+        "joint_target_q": "joint_target_pos",
+        "joint_target_qd": "joint_target_vel",
+        "joint_q_start: joint_target_q runs over coordinates": "joint_target_q_start",
+        "joint_mimic and joint_mimic_coef": "joint_mimic_* constraint_mimic_*",
+        "rigid_contact_max and soft_contact_max of a CollisionPipeline or its Contacts": (
+            "contact_max rigid_contact_max soft_contact_max"
+        ),
+        "shape_source": "shape_source_ptr shape_edge_range mesh_edge_*",
+        "shape_collision_filter_pairs": "shape_collision_filter_* shape_filter",
+        "body_count": "num_bodies",
+        "the arrays body_*": "bodies",
+        "the arrays shape_*": "shapes",
+        "gravity, a row for every world": "gravity_for_world",
+        "the indices of triangles and tetrahedra": "soft_mesh_adjacency*",
+        "a mesh of novaphy.io.height_field": "heightfield_* shape_heightfield_index",
+    },
+    "Control": {
+        "joint_target_q": "joint_target_pos",
+        "joint_target_qd": "joint_target_vel",
+    },
+    "State": {
+        "eval_forward_dynamics, or differences of body_qd": "body_qdd",
+        "rigid_contact_force of the Contacts, or eval_inverse_dynamics": "body_parent_f",
+    },
+    "Contacts": {
+        "match(previous)": (
+            "contact_matching contact_matching_mode contact_report rigid_contact_match_* "
+            "rigid_contact_new_* rigid_contact_broken_*"
+        ),
+        "rigid_contact_force": "force",
+        "rigid_contacts(model, state), whose columns are body0, body1, position, penetration": (
+            "rigid_contact_body0 rigid_contact_body1 rigid_contact_position "
+            "rigid_contact_penetration rigid_contact_diff_*"
+        ),
+        "rigid_contact_count and soft_contact_count": "contact_counters",
+        "active_rigid_contact_count": "rigid_count",
+        "active_soft_contact_count": "soft_count",
+        "len(contacts) == 0": "empty",
+        "shape_material_restitution of the model": "rigid_contact_restitution",
+        "soft_contact_particle": "soft_contact_indices soft_contact_barycentric",
+        "soft_contact_shape": "soft_contact_rigid_indices",
+        "soft_contact_tids for particles; rows of shapes need none": "rigid_contact_tids",
+        "clear(), which writes all arrays": "clear_buffers",
+    },
+    "CollisionPipeline": {
+        "Contacts.match(previous)": "contact_matching contact_report reset_contact_matching",
+        "broad_phase": "broad_phase_mode",
+        "soft_contact_margin": "soft_contact_gap",
+        "model, which has it": "device requires_grad shape_count geom_data geom_transform",
+        "shape_pairs_filtered": (
+            "broad_phase_shape_pairs broad_phase_pair_count shape_pairs_excluded*"
+        ),
+        "Contacts.overflowed and Contacts.rigid_contact_count": (
+            "last_candidate_pair_count last_rigid_contact_overflow_count"
+        ),
+        "the rows as they are: meshes are always reduced": "reduce_contacts",
+        "the rows as they are: their order never depends on threads": "deterministic",
+        "rigid_contact_max: the memory for pairs needs no bound": "shape_pairs_max",
+        "soft_contact_pair_count": "soft_rigid_contact_pair*",
+        "shape_gap of the model": "speculative_contact_gap_max set_collision_detection_range",
+    },
+    "ShapeConfig": {
+        "finalize(), which checks all": "validate",
+    },
+    "JointDofConfig": {
+        "target_q": "target_pos",
+        "target_qd": "target_vel",
+    },
+}
+
+# What is not built -> names of any owner.
+NOT_BUILT: dict[str, str] = {
+    "tendons": "tendon_* add_tendon Tendon*",
+    "muscles": "muscle_* add_muscle",
+    "rods": "Rod add_rod add_joint_rod joint_twist_* curve_*",
+    "springs of joints towards a rest angle (a drive with joint_target_ke does that)": (
+        "joint_stiffness joint_rest_q stiffness rest_q"
+    ),
+    "constraint rows of joints as data": "joint_cts* joint_constraint_*",
+    "attachments of particles to bodies": "attachment_particle_body_* add_attachment_*",
+    "variants of bodies": "add_body_variants body_variant* select_body_variants",
+    "names of surfaces and volumes": "surface_* volume_*",
+    "meshes that are only drawn": "add_deformable_visual_mesh deformable_visual_*",
+    "Gaussian splats": "Gaussian add_shape_gaussian gaussians_*",
+    "sites": "Site add_site default_site_cfg is_site mark_as_site",
+    "ray casts": "intersect_ray BvhConfig default_bvh_cfg bvh_*",
+    "signed distance fields": (
+        "SDF *sdf* *hydroelastic* shape_material_kh kh include_static_kinematic_pairs"
+    ),
+    "custom attributes": (
+        "*custom_* CustomAttribute CustomFrequency add_attribute attribute_* Attribute* "
+        "get_attribute_* get_custom_* has_custom_* mujoco"
+    ),
+    "arrays on request": (
+        "request_*_attributes get_requested_* EXTENDED_ATTRIBUTE* ExtendedAttribute* "
+        "validate_extended_attributes"
+    ),
+    "actuators as objects (drives are joint_target_*)": (
+        "actuators add_actuator ActuatorEntry actuator_entries"
+    ),
+    "the first row of every world (body_world, joint_world, ... name the world of a row)": (
+        "*_world_start articulation_world"
+    ),
+    "bodies in SolverVBD": "body_color_groups body_colors",
+    "XPBD": "*_constraint_lambdas",
+    "contacts between particles": (
+        "particle_grid particle_ke particle_kd particle_kf particle_mu particle_cohesion "
+        "soft_self_contact_* init_soft_self_contact refit_soft_self_contact_bvh"
+    ),
+    "contacts of edges and faces of soft bodies": (
+        "soft_edge_rigid_pairs soft_face_rigid_pairs enable_rigid_soft_full_surface_contact"
+    ),
+    "reduced contacts of pairs of bodies": "*ody_pair_reduc* BodyPairReduction*",
+    "surfaces that move": "rigid_contact_surface_velocity",
+    "opacity and colors of triangles": "shape_opacity tri_opacity tri_color",
+    "pictures of the tree of joints": "plot_articulation",
+    "inverse kinematics by optimization": "ik solve_ik*",
+    "sensors": "sensors Sensor*",
+    "views of articulations by name": "selection",
+    "USD": "usd OpenUsdImporter UsdStageData",
+    "controllers, configuration and schedulers": (
+        "actuators controllers config CollisionSubstepScheduler"
+    ),
+    "fluids": "SolverPBF SolverSPH PBFConfig FluidBlockDef",
+    "incremental potential contact": "SolverIPC IPCConfig has_ipc",
+    "material points": "SolverImplicitMPM",
+    "this solver": "SolverKamino SolverSteel SolverStyle3D experimental style3d",
+}
+
+# What to use instead of an argument.
+ARGUMENTS: dict[str, str] = {
+    "target_pos": "target_q",
+    "target_vel": "target_qd",
+    "y": "height, along the up axis of the builder",
+    "contact_matching": "Contacts.match(previous) behind collide",
+    "contact_report": "Contacts.match(previous) behind collide",
+    "shape_pairs_max": "rigid_contact_max; the memory for pairs needs no bound",
+    "update_mass_matrix_interval": "nothing: every step factors the mass matrix",
+    "use_tile_gemm": "nothing: there is one way to factor the mass matrix",
+    "fuse_cholesky": "nothing: there is one way to factor the mass matrix",
+    "joint_mimic_ke": "SolverFeatherstone, whose mimic joints follow exactly",
+    "joint_mimic_kd": "SolverFeatherstone, whose mimic joints follow exactly",
+}
+
 
 class PlannedError(NotImplementedError, AttributeError):
-    """A planned member of an object was asked for: hasattr(builder, "add_usd") stays False."""
+    """A member of an object that is not built: hasattr(builder, "add_usd") stays False."""
 
 
 def missing_from_module(module: str, name: str) -> Exception:
     """Return what a module raises for a name that it does not have.
 
-    For a planned one not an AttributeError, which ``from module import name`` would replace by
-    "cannot import name".
+    For a name of the tables not an AttributeError, which ``from module import name`` would replace
+    by "cannot import name".
     """
-    planned = _sentence(module, name)
-    if planned:
-        return NotImplementedError(planned)
-    return AttributeError(f"module {module!r} has no attribute {name!r}")
+    told = _sentence(module, name)
+    if told:
+        return NotImplementedError(told)
+    return AttributeError(f"module {module!r} has no attribute {name!r}", name=name)
 
 
 def getattr_of_class(owner: str) -> Callable[[object, str], object]:
     """Make the __getattr__ of a class, which Python asks for what it did not find."""
 
     def get(self: object, name: str) -> object:
-        planned = _sentence(owner, name)
-        if planned:
-            raise PlannedError(planned)
-        raise AttributeError(f"{owner!r} object has no attribute {name!r}")
+        told = _sentence(owner, name)
+        if told:
+            raise PlannedError(told)
+        raise AttributeError(f"{owner!r} object has no attribute {name!r}", name=name, obj=self)
 
     return get
 
 
 def _sentence(owner: str, name: str) -> str | None:
-    """Say of a name what it belongs to; None when it is not planned."""
-    for part, names in PLANNED[owner].items():
-        if name in names:
+    """Say what to do without a name of another project; None for any other name."""
+    if name.startswith("_"):
+        return None
+    for part, planned in PLANNED.get(owner, {}).items():
+        if name in planned:
             return f"{owner}.{name} is planned, not built: it belongs to {part}"
+    for other, names in INSTEAD.get(owner, {}).items():
+        if _is_one_of(name, names):
+            return f"{owner} has no {name}: use {other}"
+    if owner == "ModelBuilder" and _is_in_model(name):
+        return (
+            f"ModelBuilder has no {name}: give it to the add_ function, or use {name} of the model "
+            "that finalize() makes, whose values may be edited"
+        )
+    if owner == "novaphy" and _is_in_solvers(name):
+        return f"novaphy has no {name}: use novaphy.solvers.{name}"
+    for part, names in NOT_BUILT.items():
+        if _is_one_of(name, names):
+            return f"{owner}.{name} is not built: {part}"
     return None
+
+
+def _is_one_of(name: str, patterns: str) -> bool:
+    from fnmatch import fnmatchcase
+
+    return any(fnmatchcase(name, pattern) for pattern in patterns.split())
+
+
+def _is_in_model(name: str) -> bool:
+    from ._core import Model
+
+    return hasattr(Model, name)
+
+
+def _is_in_solvers(name: str) -> bool:
+    from ._core import solvers
+
+    return name.startswith(("Solver", "Diff")) and hasattr(solvers, name)

@@ -81,10 +81,6 @@ py::list shape_sources(const Model& model) {
   return sources;
 }
 
-[[noreturn]] void removed_name(const char* name, const char* other) {
-  throw py::attribute_error(std::string("Control has no ") + name + "; its name is " + other);
-}
-
 using ModelClass = py::class_<Model, std::shared_ptr<Model>>;
 
 void add_model_pickle(ModelClass& c) {
@@ -333,15 +329,7 @@ void bind_control(py::module_& m) {
        "model"_a = py::none(), "Everything to zero; with a model joint_target_q to its own.")
       .def("assign", &Control::assign, "source"_a,
            "Copies all values. ValueError when sizes or devices differ.")
-      .def("clone", &Control::clone, "A copy.")
-      .def_property_readonly(
-          "joint_target_pos",
-          [](const Control&) { removed_name("joint_target_pos", "joint_target_q"); },
-          "Removed: joint_target_q.")
-      .def_property_readonly(
-          "joint_target_vel",
-          [](const Control&) { removed_name("joint_target_vel", "joint_target_qd"); },
-          "Removed: joint_target_qd.");
+      .def("clone", &Control::clone, "A copy.");
   add_field_pickle(c);
 }
 

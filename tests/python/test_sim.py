@@ -145,7 +145,7 @@ def test_removed_names_say_the_new_one():
     control = ball_model().control()
     control.clear()
     control.clear(ball_model())
-    with pytest.raises(AttributeError, match="joint_target_q"):
+    with pytest.raises(AttributeError, match="use joint_target_q"):
         _ = control.joint_target_pos
     with pytest.raises(AttributeError, match="joint_target_qd"):
         _ = control.joint_target_vel

@@ -11,6 +11,7 @@ void add_op_kernels(EngineKernels& list);       // ops.cpp
 void add_sum_kernels(EngineKernels& list);      // ops_sums.cpp
 void add_row_kernels(EngineKernels& list);      // ops_rows.cpp
 void add_matmul_kernels(EngineKernels& list);   // ops_matmul.cpp
+void add_vector_kernels(EngineKernels& list);   // ops_vectors.cpp
 void add_network_kernels(EngineKernels& list);  // ops_networks.cpp
 void add_optim_kernels(EngineKernels& list);    // optim.cpp, with the following three
 void add_sgd_kernels(EngineKernels& list);      // optim_sgd.cpp

@@ -102,6 +102,8 @@ NOVA_UNARY_OP(log, log(v))
 NOVA_UNARY_OP(sin, sin(v))
 NOVA_UNARY_OP(cos, cos(v))
 NOVA_UNARY_OP(tanh, tanh(v))
+NOVA_UNARY_OP(acos, acos(v))
+NOVA_BINARY_OP(atan2, atan2(x, y))
 
 // Which of the four ways in which two numbers can compare make a 1: bits of a launch parameter.
 enum Holds : int32_t { kLess = 1, kEqual = 2, kGreater = 4, kUnordered = 8 };
@@ -151,8 +153,8 @@ Tensor with_parameter(const Kernel& kernel, const Tensor& x, float value) {
   }
 #define NOVA_DEFINE_UNARY(function) \
   Tensor function(const Tensor& x) { return unary(function##_kernel(), x); }
-#define NOVA_BINARY_OPS(X) X(add) X(sub) X(mul) X(div) X(minimum) X(maximum) X(pow)
-#define NOVA_UNARY_OPS(X) X(abs) X(sqrt) X(exp) X(log) X(sin) X(cos) X(tanh)
+#define NOVA_BINARY_OPS(X) X(add) X(sub) X(mul) X(div) X(minimum) X(maximum) X(pow) X(atan2)
+#define NOVA_UNARY_OPS(X) X(abs) X(sqrt) X(exp) X(log) X(sin) X(cos) X(tanh) X(acos)
 #define NOVA_SCALAR_OPS(X) X(add_scalar) X(mul_scalar) X(div_scalar) X(scalar_sub) X(scalar_div)
 
 NOVA_BINARY_OPS(NOVA_DEFINE_BINARY)

@@ -223,4 +223,61 @@ Tensor concat(std::span<const Tensor> parts, int64_t axis) {
   return out;
 }
 
+Tensor stack(std::span<const Tensor> parts, int64_t axis) {
+  require(!parts.empty(), ErrorKind::Value, "stack, parts: expected at least one tensor");
+  check_words("stack", "parts[0]", parts[0]);
+  const Shape& shape = parts[0].shape();
+  const auto ndim = static_cast<int64_t>(shape.size());
+  require(axis >= -ndim - 1 && axis <= ndim, ErrorKind::Index, "stack, axis: expected ", -ndim - 1,
+          " to ", ndim, " for tensors of shape ", shape_str(shape), ", got ", axis);
+  if (axis < 0) axis += ndim + 1;
+  Shape with_one = shape;
+  with_one.insert(with_one.begin() + axis, 1);
+  std::vector<Tensor> rows;
+  for (size_t k = 0; k < parts.size(); ++k) {
+    require(parts[k].defined() && parts[k].shape() == shape, ErrorKind::Value, "stack, parts[", k,
+            "]: expected the shape of parts[0], ", shape_str(shape), ", got ",
+            parts[k].defined() ? shape_str(parts[k].shape()) : "an undefined tensor");
+    rows.push_back(parts[k].reshape(with_one));
+  }
+  return concat(rows, axis);
+}
+
+Tensor transpose(const Tensor& x, std::span<const int64_t> axes) {
+  check_words("transpose", "x", x);
+  const size_t ndim = x.ndim();
+  std::vector<size_t> from(ndim, ndim);  // the dimension of x that becomes dimension k
+  require(axes.empty() || axes.size() == ndim, ErrorKind::Value, "transpose, axes: expected ", ndim,
+          " for shape ", shape_str(x.shape()), ", got ", axes.size());
+  for (size_t k = 0; k < ndim; ++k)
+    from[k] = axes.empty() ? ndim - 1 - k : detail::along("transpose", x.shape(), axes[k]).axis;
+  for (size_t d = 0; d < ndim; ++d)
+    require(std::count(from.begin(), from.end(), d) == 1, ErrorKind::Value,
+            "transpose, axes: expected every dimension once, got dimension ", d, " ",
+            std::count(from.begin(), from.end(), d), " times");
+  if (ndim < 2) return x;
+  Shape shape;
+  std::vector<int64_t> stride(ndim), inner(ndim, 1);
+  for (size_t d = ndim - 1; d > 0; --d) inner[d - 1] = inner[d] * x.dim(d);
+  for (size_t k = 0; k < ndim; ++k) {
+    shape.push_back(x.dim(from[k]));
+    stride[k] = inner[from[k]];
+  }
+  if (x.size() == 0) return Tensor(shape, x.dtype(), x.device());
+  (void)int_param("transpose", x.size());
+  std::vector<int32_t> entries(static_cast<size_t>(x.size()));
+  std::vector<int64_t> at(ndim, 0);  // of an entry of the result
+  for (int32_t& entry : entries) {
+    int64_t place = 0;
+    for (size_t k = 0; k < ndim; ++k) place += at[k] * stride[k];
+    entry = static_cast<int32_t>(place);
+    for (size_t k = ndim; k > 0 && ++at[k - 1] == shape[k - 1]; --k) at[k - 1] = 0;
+  }
+  const Tensor index = [&] {
+    const novaphy::Unobserved fresh;  // memory that no capture has seen
+    return Tensor::from_host(entries, shape, x.device());
+  }();
+  return gather(x.reshape({x.size()}), index);
+}
+
 }  // namespace nova

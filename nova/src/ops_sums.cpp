@@ -39,6 +39,13 @@ const Kernel& broadcast_value_kernel() {
 
 Tensor repeat_along(const Tensor& x, const Along& along, const Shape& shape);
 
+// {1} if it was the only one.
+Shape without_dimension(Shape shape, size_t axis, bool keepdims) {
+  shape[axis] = 1;
+  if (!keepdims && shape.size() > 1) shape.erase(shape.begin() + static_cast<std::ptrdiff_t>(axis));
+  return shape;
+}
+
 // {outer, count, inner} to {outer, inner}, in the order of the row-sum rule.
 Tensor sum_along(const Tensor& x, const Along& along, const Shape& shape) {
   require(along.inner <= INT32_MAX, ErrorKind::Value,
@@ -160,11 +167,7 @@ Tensor sum(const Tensor& x) {
 Tensor sum(const Tensor& x, int64_t axis, bool keepdims) {
   check_f32(x, {"sum", "x"});
   const Along along = detail::along("sum", x.shape(), axis);
-  Shape shape = x.shape();
-  shape[along.axis] = 1;
-  if (!keepdims && shape.size() > 1)
-    shape.erase(shape.begin() + static_cast<std::ptrdiff_t>(along.axis));
-  return sum_along(x, along, shape);
+  return sum_along(x, along, without_dimension(x.shape(), along.axis, keepdims));
 }
 Tensor sum_rows(const Tensor& x) {
   check_f32(x, {"sum_rows", "x"});
@@ -174,22 +177,50 @@ Tensor sum_rows(const Tensor& x) {
 }
 
 namespace {
-void check_not_empty(const Tensor& x, int64_t count) {
-  require(count > 0, ErrorKind::Value, "mean, x: expected at least one value, got shape ",
+void check_not_empty(const char* call, const Tensor& x, int64_t count) {
+  require(count > 0, ErrorKind::Value, call, ", x: expected at least one value, got shape ",
           shape_str(x.shape()));
 }
 }  // namespace
 
 Tensor mean(const Tensor& x) {
   check_f32(x, {"mean", "x"});
-  check_not_empty(x, x.size());
+  check_not_empty("mean", x, x.size());
   return div(sum(x), static_cast<float>(x.size()));
 }
 Tensor mean(const Tensor& x, int64_t axis, bool keepdims) {
   check_f32(x, {"mean", "x"});
   const int64_t count = detail::along("mean", x.shape(), axis).count;
-  check_not_empty(x, count);
+  check_not_empty("mean", x, count);
   return div(sum(x, axis, keepdims), static_cast<float>(count));
+}
+namespace {
+// Both halves of a dimension are compared until one entry is left; of an odd number the middle one
+// is in both.
+Tensor fold(const char* call, Tensor x, int64_t axis, bool keepdims,
+            Tensor (*pick)(const Tensor&, const Tensor&)) {
+  check_f32(x, {call, "x"});
+  const size_t d = detail::along(call, x.shape(), axis).axis;
+  check_not_empty(call, x, x.dim(d));
+  for (int64_t n = x.dim(d); n > 1; n = x.dim(d)) {
+    const int64_t half = (n + 1) / 2;
+    x = pick(slice(x, axis, 0, half), slice(x, axis, n - half, half));
+  }
+  return x.reshape(without_dimension(x.shape(), d, keepdims));
+}
+Tensor all_values(const char* call, const Tensor& x) {
+  check_f32(x, {call, "x"});
+  return x.reshape({x.size()});
+}
+}  // namespace
+
+Tensor max(const Tensor& x) { return max(all_values("max", x), 0); }
+Tensor min(const Tensor& x) { return min(all_values("min", x), 0); }
+Tensor max(const Tensor& x, int64_t axis, bool keepdims) {
+  return fold("max", x, axis, keepdims, &maximum);
+}
+Tensor min(const Tensor& x, int64_t axis, bool keepdims) {
+  return fold("min", x, axis, keepdims, &minimum);
 }
 Tensor dot(const Tensor& a, const Tensor& b) {
   check_f32(a, {"dot", "a"});

@@ -15,6 +15,7 @@ std::vector<EngineKernel> engine_kernels() {
   detail::add_sum_kernels(list);
   detail::add_row_kernels(list);
   detail::add_matmul_kernels(list);
+  detail::add_vector_kernels(list);
   detail::add_network_kernels(list);
   detail::add_optim_kernels(list);
   detail::add_tape_kernels(list);

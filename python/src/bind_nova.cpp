@@ -211,10 +211,6 @@ float to_number(py::handle value, const char* name) {
   return to_float(value, name);
 }
 
-void check_keepdims(const char* call, std::optional<int64_t> axis, bool keepdims) {
-  require(axis || !keepdims, ErrorKind::Value, call, ", keepdims: expected an axis with it");
-}
-
 void bind_functions(py::module_& m) {
   NOVAPHY_BINARY(add, "a + b, broadcast as in NumPy.")
   NOVAPHY_BINARY(sub, "a - b, broadcast as in NumPy.")
@@ -248,6 +244,10 @@ void bind_functions(py::module_& m) {
   NOVAPHY_UNARY(sin, "Sine, rad.")
   NOVAPHY_UNARY(cos, "Cosine, rad.")
   NOVAPHY_UNARY(tanh, "Hyperbolic tangent.")
+  NOVAPHY_UNARY(acos, "Arc cosine of x limited to [-1, 1], rad; no gradient at the limits.")
+  m.def(
+      "atan2", [](const Tensor& y, const Tensor& x) { return nova::atan2(y, x); }, "y"_a, "x"_a,
+      release_gil(), "Angle of (x, y), rad, broadcast as in NumPy; no gradient at the origin.");
   m.def(
       "clamp",
       [](const Tensor& x, py::handle lower, py::handle upper) {
@@ -281,22 +281,18 @@ void bind_functions(py::module_& m) {
 }
 
 void bind_shapes(py::module_& m) {
-  m.def(
-       "sum",
-       [](const Tensor& x, std::optional<int64_t> axis, bool keepdims) {
-         check_keepdims("sum", axis, keepdims);
-         return axis ? nova::sum(x, *axis, keepdims) : nova::sum(x);
-       },
-       "x"_a, "axis"_a = py::none(), "keepdims"_a = false, release_gil(),
-       "Sum of all values, {1}, or over one dimension, in a fixed order.")
-      .def(
-          "mean",
-          [](const Tensor& x, std::optional<int64_t> axis, bool keepdims) {
-            check_keepdims("mean", axis, keepdims);
-            return axis ? nova::mean(x, *axis, keepdims) : nova::mean(x);
-          },
-          "x"_a, "axis"_a = py::none(), "keepdims"_a = false, release_gil(),
-          "Mean of all values, {1}, or over one dimension.")
+  m.def("sum", &reduced<Reduction::Sum>, "x"_a, "axis"_a = py::none(), "keepdims"_a = false,
+        release_gil(), "Sum of all values, {1}, or over one dimension, in a fixed order.")
+      .def("mean", &reduced<Reduction::Mean>, "x"_a, "axis"_a = py::none(), "keepdims"_a = false,
+           release_gil(), "Mean of all values, {1}, or over one dimension.")
+      .def("max", &reduced<Reduction::Max>, "x"_a, "axis"_a = py::none(), "keepdims"_a = false,
+           release_gil(),
+           "Largest of all values, {1}, or over one dimension; one of equal values gets the "
+           "gradient. Of two tensors: maximum.")
+      .def("min", &reduced<Reduction::Min>, "x"_a, "axis"_a = py::none(), "keepdims"_a = false,
+           release_gil(),
+           "Smallest of all values, {1}, or over one dimension; one of equal values gets the "
+           "gradient. Of two tensors: minimum.")
       .def(
           "broadcast_to",
           [](const Tensor& x, py::handle shape) { return nova::broadcast_to(x, to_shape(shape)); },
@@ -311,13 +307,56 @@ void bind_shapes(py::module_& m) {
           "concat",
           [](const std::vector<Tensor>& parts, int64_t axis) { return nova::concat(parts, axis); },
           "parts"_a, "axis"_a = 0, release_gil(),
-          "Tensors one after the other along a dimension; their other dimensions are equal.");
+          "Tensors one after the other along a dimension; their other dimensions are equal.")
+      .def(
+          "stack",
+          [](const std::vector<Tensor>& parts, int64_t axis) { return nova::stack(parts, axis); },
+          "parts"_a, "axis"_a = 0, release_gil(),
+          "Tensors of one shape along a new dimension, number `axis` of the result.")
+      .def(
+          "transpose",
+          [](const Tensor& x, const std::optional<std::vector<int64_t>>& axes) {
+            return nova::transpose(x, axes ? *axes : std::vector<int64_t>());
+          },
+          "x"_a, "axes"_a = py::none(), release_gil(),
+          "Dimension axes[k] of x becomes dimension k; None reverses their order. A copy.");
   NOVAPHY_BINARY(matmul,
                  "Matrix product of {n, k} or {k} by {k, m} or {k}: each value is a left fold in "
                  "ascending k.")
+  NOVAPHY_BINARY(cross, "a x b of vectors {..., 3}, broadcast in the dimensions before.")
+  NOVAPHY_BINARY(quat_mul,
+                 "The Hamilton product of quaternions {..., 4}, (x, y, z, w): the rotation b, then "
+                 "a.")
+  m.def(
+       "quat_rotate", [](const Tensor& q, const Tensor& v) { return nova::quat_rotate(q, v); },
+       "q"_a, "v"_a, release_gil(),
+       "Vectors v {..., 3} rotated by unit quaternions q {..., 4}, (x, y, z, w). The inverse "
+       "rotation is that by q * nova.tensor([-1, -1, -1, 1]).")
+      .def(
+          "quat_exp", [](const Tensor& r) { return nova::quat_exp(r); }, "r"_a, release_gil(),
+          "The unit quaternions {..., 4} of rotation vectors {..., 3}, rad.")
+      .def(
+          "quat_log", [](const Tensor& q) { return nova::quat_log(q); }, "q"_a, release_gil(),
+          "The rotation vectors {..., 3} of quaternions {..., 4}, rad, of length pi at most: q and "
+          "-q give the same. The gradient jumps at half a turn.");
 }
 
 }  // namespace
+
+template <Reduction R>
+Tensor reduced(const Tensor& x, std::optional<int64_t> axis, bool keepdims) {
+  constexpr const char* kNames[] = {"sum", "mean", "max", "min"};
+  require(axis || !keepdims, ErrorKind::Value, kNames[static_cast<size_t>(R)],
+          ", keepdims: expected an axis with it");
+  if constexpr (R == Reduction::Sum) return axis ? nova::sum(x, *axis, keepdims) : nova::sum(x);
+  if constexpr (R == Reduction::Mean) return axis ? nova::mean(x, *axis, keepdims) : nova::mean(x);
+  if constexpr (R == Reduction::Max) return axis ? nova::max(x, *axis, keepdims) : nova::max(x);
+  if constexpr (R == Reduction::Min) return axis ? nova::min(x, *axis, keepdims) : nova::min(x);
+}
+template Tensor reduced<Reduction::Sum>(const Tensor&, std::optional<int64_t>, bool);
+template Tensor reduced<Reduction::Mean>(const Tensor&, std::optional<int64_t>, bool);
+template Tensor reduced<Reduction::Max>(const Tensor&, std::optional<int64_t>, bool);
+template Tensor reduced<Reduction::Min>(const Tensor&, std::optional<int64_t>, bool);
 
 Tensor to_operand(py::handle value, const char* name, const Device& device) {
   if (py::isinstance<nova::TensorImpl>(value)) return value.cast<Tensor>();

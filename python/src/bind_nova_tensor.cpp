@@ -185,6 +185,17 @@ void bind_methods(TensorClass& c) {
           },
           "Sets all values to zero; returns self.")
       .def("zero_grad", method<&Tensor::zero_grad>, "Sets the gradient to zero.")
+      .def("sum", &reduced<Reduction::Sum>, "axis"_a = py::none(), "keepdims"_a = false,
+           release_gil(), "nova.sum of it.")
+      .def("mean", &reduced<Reduction::Mean>, "axis"_a = py::none(), "keepdims"_a = false,
+           release_gil(), "nova.mean of it.")
+      .def("max", &reduced<Reduction::Max>, "axis"_a = py::none(), "keepdims"_a = false,
+           release_gil(), "nova.max of it.")
+      .def("min", &reduced<Reduction::Min>, "axis"_a = py::none(), "keepdims"_a = false,
+           release_gil(), "nova.min of it.")
+      .def_property_readonly(
+          "T", [](const Tensor& t) { return nova::transpose(t); },
+          "nova.transpose of it: the dimensions in reverse order, a copy.")
       .def("__len__",
            [](const Tensor& t) {
              require(t.ndim() != 0, ErrorKind::Type, "len: the tensor has no dimension");

@@ -50,6 +50,11 @@ nova::Tensor to_operand(py::handle value, const char* name, const Device& device
 // x[key]: a recorded read. IndexError, or TypeError for what is no index.
 nova::Tensor get_item(const nova::Tensor& x, py::handle key);
 
+// Over all values, or over one dimension. ValueError: keepdims without an axis.
+enum class Reduction { Sum, Mean, Max, Min };
+template <Reduction R>
+nova::Tensor reduced(const nova::Tensor& x, std::optional<int64_t> axis, bool keepdims);
+
 // A Python callable that native code may call and drop on any thread.
 class Callback {
  public:

@@ -453,3 +453,199 @@ def test_an_overwritten_input_is_refused():
         w.fill_(1.0)
         with pytest.raises(RuntimeError, match="'matmul' was modified after recording"):
             tape.backward(y)
+
+
+# ------------------------------------------------------------------- words that users look for
+
+
+def checked(function, *inputs):
+    """gradcheck of a weighted sum, with the dot product against forward mode."""
+    result = nova.gradcheck(lambda *x: weighted(function(*x)), [nova.tensor(x) for x in inputs])
+    assert result.ok and result.has_tangent, result
+
+
+def test_methods_are_the_functions():
+    x = nova.tensor(values(4, 3))
+    for name in ("sum", "mean", "max", "min"):
+        for options in ({}, {"axis": 1}, {"axis": -2, "keepdims": True}):
+            method, function = getattr(x, name)(**options), getattr(nova, name)(x, **options)
+            assert_same_bits(method, function.numpy(), name)
+    assert_same_bits(x.T, x.numpy().T)
+
+
+@pytest.mark.parametrize("axis", [None, 0, 1, -1])
+@pytest.mark.parametrize("keepdims", [False, True])
+@pytest.mark.parametrize("name", ["max", "min"])
+def test_extremes_are_those_of_numpy_and_their_gradient_goes_to_one_value(name, axis, keepdims):
+    if axis is None and keepdims:
+        with pytest.raises(ValueError, match=f"{name}, keepdims"):
+            getattr(nova, name)(nova.tensor([1.0]), keepdims=True)
+        return
+    for shape in ((1, 1, 1), (2, 3, 5), (7, 4, 6)):
+        data = RANDOM.permutation(np.arange(np.prod(shape), dtype=np.float32)).reshape(shape)
+        x = nova.tensor(data)
+        y, (g,) = gradient(lambda t: getattr(nova, name)(t, axis, keepdims), x)
+        expected = getattr(np, name)(data, axis=axis, keepdims=keepdims)
+        assert_same_bits(y, np.atleast_1d(expected))
+        weights = np.cos(np.arange(expected.size, dtype=np.float32))
+        weights = weights.reshape(np.shape(getattr(np, name)(data, axis=axis, keepdims=True)))
+        is_it = data == getattr(np, name)(data, axis=axis, keepdims=True)
+        assert_same_bits(g, np.where(is_it, weights, np.float32(0)))
+    equal = nova.tensor([2.0, 2, 2, 1] if name == "max" else [2.0, 2, 2, 3])
+    assert gradient(lambda t: getattr(nova, name)(t), equal)[1][0].sum() == 1
+    with pytest.raises(ValueError, match=f"{name}, x: expected at least one value"):
+        getattr(nova, name)(nova.zeros((2, 0)), axis=1)
+    assert_same_bits(
+        getattr(nova, name)(equal, equal * 2.0),
+        getattr(nova, f"{name}imum")(equal, equal * 2.0).numpy(),
+    )
+
+
+@pytest.mark.parametrize("axes", [None, (0, 1, 2), (2, 0, 1), (-1, 1, 0)])
+def test_transpose_is_that_of_numpy(axes):
+    data = values(2, 3, 4)
+    x = nova.tensor(data)
+    y, (g,) = gradient(lambda t: nova.transpose(t, axes), x)
+    assert_same_bits(y, np.transpose(data, axes))
+    order = range(3)[::-1] if axes is None else axes
+    weights = np.cos(np.arange(data.size, dtype=np.float32)).reshape(y.shape)
+    assert_same_bits(g, np.transpose(weights, np.argsort([k % 3 for k in order])))
+    whole = nova.arange(6).reshape(2, 3)
+    assert whole.T.tolist() == [[0, 3], [1, 4], [2, 5]] and whole.T.dtype is nova.int32
+    assert nova.tensor([1.0, 2]).T.tolist() == [1, 2] and nova.zeros((0, 3)).T.shape == (3, 0)
+
+
+def test_transposes_and_stacks_are_recorded_in_a_capture():
+    x = nova.tensor(values(3, 2))
+    with nova.ScopedCapture() as capture:
+        y = nova.stack([x.T @ x, x.T @ x], axis=1) + nova.max(x)
+    x.assign(values(3, 2))
+    capture.graph.launch()
+    product = (x.T @ x).numpy()
+    assert_same_bits(y, np.stack([product, product], axis=1) + x.numpy().max())
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2, -1, -3])
+def test_stack_is_that_of_numpy(axis):
+    parts = [nova.tensor(values(2, 3)) for _ in range(3)]
+    y, gradients = gradient(lambda *p: nova.stack(p, axis), *parts)
+    assert_same_bits(y, np.stack([p.numpy() for p in parts], axis))
+    weights = np.cos(np.arange(18, dtype=np.float32)).reshape(y.shape)
+    for k, g in enumerate(gradients):
+        assert_same_bits(g, np.take(weights, k, axis))
+
+
+def test_what_stack_and_transpose_refuse():
+    x = nova.zeros((2, 3))
+    with pytest.raises(ValueError, match=r"stack, parts\[1\]: expected the shape of parts\[0\]"):
+        nova.stack([x, nova.zeros((3, 2))])
+    with pytest.raises(IndexError, match="stack, axis: expected -3 to 2"):
+        nova.stack([x], 3)
+    with pytest.raises(ValueError, match="at least one"):
+        nova.stack([])
+    with pytest.raises(ValueError, match="transpose, axes: expected every dimension once"):
+        nova.transpose(x, (0, 0))
+    with pytest.raises(ValueError, match="transpose, axes: expected 2"):
+        nova.transpose(x, (0, 1, 2))
+
+
+def test_angles_are_those_of_numpy_with_their_gradients():
+    x, y = values(40), values(1, 40)[:, ::-1].copy()
+    np.testing.assert_allclose(
+        nova.atan2(nova.tensor(y), nova.tensor(x)).numpy(), np.arctan2(y, x), rtol=3e-7
+    )
+    inside = (x / 2.2).astype(np.float32)
+    np.testing.assert_allclose(nova.acos(nova.tensor(inside)).numpy(), np.arccos(inside), rtol=3e-7)
+    checked(nova.atan2, y, x)
+    checked(nova.acos, inside[np.abs(inside) < 0.9])
+    edge = nova.tensor([-1.5, 1.0, 0.0])
+    assert gradient(nova.acos, edge)[1][0][:2].tolist() == [0, 0]
+    origin = nova.zeros(1)
+    assert gradient(lambda t: nova.atan2(t, nova.zeros(1)), origin)[1][0].tolist() == [0]
+
+
+def rotations(n):
+    q = RANDOM.normal(size=(n, 4))
+    return (q / np.linalg.norm(q, axis=1, keepdims=True)).astype(np.float32)
+
+
+def matrices(q):
+    x, y, z, w = np.asarray(q, np.float64).T
+    return np.moveaxis(
+        np.array(
+            [
+                [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+                [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+                [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+            ]
+        ),
+        2,
+        0,
+    )
+
+
+def test_quaternions_are_rotations():
+    a, b, v = rotations(20), rotations(20), values(20, 3)
+    product = nova.quat_mul(nova.tensor(a), nova.tensor(b)).numpy()
+    np.testing.assert_allclose(matrices(product), matrices(a) @ matrices(b), atol=1e-6)
+    rotated = nova.quat_rotate(nova.tensor(a), nova.tensor(v)).numpy()
+    np.testing.assert_allclose(rotated, np.einsum("nij,nj->ni", matrices(a), v), atol=2e-6)
+    np.testing.assert_allclose(
+        nova.cross(nova.tensor(v), nova.tensor(v[::-1].copy())).numpy(),
+        np.cross(v, v[::-1]),
+        atol=1e-6,
+    )
+    half = nova.tensor([0.0, 0.0, np.sin(np.pi / 4), np.cos(np.pi / 4)])  # 90 degrees about z
+    assert_close = np.testing.assert_allclose
+    assert_close(nova.quat_log(half).numpy(), [0, 0, np.pi / 2], atol=1e-6)
+    assert_close(nova.quat_rotate(half, nova.tensor([1.0, 0, 0])).numpy(), [0, 1, 0], atol=1e-6)
+    checked(nova.cross, values(3, 3), values(3, 3))
+    checked(nova.quat_mul, rotations(3), rotations(3))
+    checked(nova.quat_rotate, rotations(3), values(3, 3))
+    checked(nova.quat_rotate, rotations(1)[0], values(2, 2, 3))  # one quaternion for all
+
+
+@pytest.mark.parametrize(
+    "length", [0.0, 1e-30, 1e-6, 0.03, 0.0599, 0.0601, 0.1999, 0.2001, 1.0, 3.1]
+)
+def test_exponential_and_logarithm_are_inverse_at_every_angle(length):
+    axis = np.array([0.36, -0.48, 0.8])
+    r = np.float32(axis * length)
+    q = nova.quat_exp(nova.tensor(r))
+    s, c = np.sin(length / 2), np.cos(length / 2)
+    np.testing.assert_allclose(q.numpy(), [*(axis * s), c], rtol=1e-6, atol=3e-8 * length)
+    for same in (q, -q):
+        np.testing.assert_allclose(nova.quat_log(same).numpy(), r, rtol=2e-6)
+
+    # By hand: d exp/dr at r is a matrix of 4 by 3, by differences in float64.
+    def exact(v):
+        a = np.linalg.norm(v) / 2
+        return np.array([*(v * 0.5 * np.sinc(a / np.pi)), np.cos(a)])
+
+    step = 1e-6
+    columns = [
+        (exact(axis * length + e) - exact(axis * length - e)) / (2 * step) for e in step * np.eye(3)
+    ]
+    for row in range(4):
+        x = nova.tensor(r)
+        x.requires_grad = True
+        with nova.Tape() as tape:
+            tape.backward(nova.quat_exp(x)[row])
+        np.testing.assert_allclose(x.grad.numpy(), [c[row] for c in columns], atol=1e-6)
+    x = nova.tensor(r)
+    x.requires_grad = True
+    with nova.Tape() as tape:
+        tape.backward(nova.sum(nova.quat_log(nova.quat_exp(x)) * nova.tensor([1.0, 2, 3])))
+    np.testing.assert_allclose(x.grad.numpy(), [1, 2, 3], rtol=1e-5)  # the identity
+
+
+def test_rows_that_are_no_vectors_or_quaternions_are_refused():
+    q, v = nova.zeros((2, 4)), nova.zeros((2, 3))
+    with pytest.raises(ValueError, match="quat_rotate, v: expected a last dimension of 3"):
+        nova.quat_rotate(q, q)
+    with pytest.raises(ValueError, match="quat_mul, b: expected a last dimension of 4"):
+        nova.quat_mul(q, v)
+    with pytest.raises(ValueError, match="cross: shapes"):
+        nova.cross(v, nova.zeros((3, 3)))
+    with pytest.raises(TypeError, match="quat_log, q: expected float32"):
+        nova.quat_log(nova.arange(4))

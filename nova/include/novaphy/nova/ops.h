@@ -32,6 +32,8 @@ NOVAPHY_NOVA_API Tensor log(const Tensor& x);
 NOVAPHY_NOVA_API Tensor sin(const Tensor& x);
 NOVAPHY_NOVA_API Tensor cos(const Tensor& x);
 NOVAPHY_NOVA_API Tensor tanh(const Tensor& x);
+NOVAPHY_NOVA_API Tensor acos(const Tensor& x);  // x limited to [-1, 1]; there no gradient
+NOVAPHY_NOVA_API Tensor atan2(const Tensor& y, const Tensor& x);  // no gradient at the origin
 // x limited to [lower, upper]; gradient 1 inside and at the bounds, 0 outside. lower <= upper.
 NOVAPHY_NOVA_API Tensor clamp(const Tensor& x, float lower, float upper);
 // a to the power of b; values and derivatives are those of math::pow (<novaphy/math/functions.h>).
@@ -55,6 +57,12 @@ NOVAPHY_NOVA_API Tensor mean(const Tensor& x);
 // axis: -ndim to ndim - 1 (ErrorKind::Index).
 NOVAPHY_NOVA_API Tensor sum(const Tensor& x, int64_t axis, bool keepdims = false);
 NOVAPHY_NOVA_API Tensor mean(const Tensor& x, int64_t axis, bool keepdims = false);
+// The largest and the smallest value, likewise. Of equal values one gets the gradient.
+// ErrorKind::Value: no values.
+NOVAPHY_NOVA_API Tensor max(const Tensor& x);
+NOVAPHY_NOVA_API Tensor min(const Tensor& x);
+NOVAPHY_NOVA_API Tensor max(const Tensor& x, int64_t axis, bool keepdims = false);
+NOVAPHY_NOVA_API Tensor min(const Tensor& x, int64_t axis, bool keepdims = false);
 NOVAPHY_NOVA_API Tensor dot(const Tensor& a, const Tensor& b);
 NOVAPHY_NOVA_API Tensor norm(const Tensor& x);  // no gradient at 0
 // Sums of the rows of x {n, w}: {1, w}.
@@ -76,10 +84,28 @@ NOVAPHY_NOVA_API Tensor slice(const Tensor& x, int64_t axis, int64_t start, int6
 NOVAPHY_NOVA_API Tensor gather(const Tensor& x, const Tensor& index);
 // Tensors one after the other along a dimension; their other dimensions are equal.
 NOVAPHY_NOVA_API Tensor concat(std::span<const Tensor> parts, int64_t axis = 0);
+// Tensors of one shape along a new dimension, which is number `axis` of the result.
+NOVAPHY_NOVA_API Tensor stack(std::span<const Tensor> parts, int64_t axis = 0);
+// Dimension axes[k] of x becomes dimension k; without axes their order is reversed. A copy, but for
+// tensors of one dimension. ErrorKind::Value: axes that are not all dimensions, each once.
+NOVAPHY_NOVA_API Tensor transpose(const Tensor& x, std::span<const int64_t> axes = {});
 
 // The matrix product: {n, k} by {k, m}, where a vector {k} is a row on the left and a column on the
 // right, a dimension that the result lacks ({1} of two vectors). Each value is a left fold from +0
 // in ascending k, products rounded before they are added.
 NOVAPHY_NOVA_API Tensor matmul(const Tensor& a, const Tensor& b);
+
+// Functions of the last dimension: vectors {..., 3}, quaternions {..., 4} as (x, y, z, w). The
+// dimensions before are broadcast.
+NOVAPHY_NOVA_API Tensor cross(const Tensor& a, const Tensor& b);
+// The Hamilton product: the rotation b, then a.
+NOVAPHY_NOVA_API Tensor quat_mul(const Tensor& a, const Tensor& b);
+// The vector v rotated by the unit quaternion q.
+NOVAPHY_NOVA_API Tensor quat_rotate(const Tensor& q, const Tensor& v);
+// The unit quaternion of the rotation vector r (rad), and back: |r| <= pi, and q and -q give the
+// same r. Derivatives hold at r = 0 too; that of quat_log jumps at half a turn. quat_log does not
+// depend on the length of q, which is not 0.
+NOVAPHY_NOVA_API Tensor quat_exp(const Tensor& r);
+NOVAPHY_NOVA_API Tensor quat_log(const Tensor& q);
 
 }  // namespace nova

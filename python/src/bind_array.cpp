@@ -172,10 +172,9 @@ void bind_array(py::module_& m) {
           return construct(data, dtype, device);
         }),
         "data"_a, "dtype"_a = py::none(), "device"_a = py::none(),
-        "Copies numbers, lists (rounded to the dtype), NumPy arrays or another DeviceArray. "
-        "Without a dtype: float32, "
-        "int32 or uint8 rows; (n, width) makes a table. TypeError: a float64 array; ValueError: a "
-        "wrong shape.")
+        "Copies numbers, lists, NumPy arrays (float64 is rounded) or another DeviceArray. Without "
+        "a dtype: float32, int32 or uint8 rows; (n, width) makes a table. ValueError: a wrong "
+        "shape.")
       .def_static(
           "zeros",
           [](py::handle shape, py::handle dtype, py::handle device) {
@@ -248,9 +247,8 @@ void bind_array(py::module_& m) {
           "novaphy.Error in a capture.")
       .def("assign", &assign_array, "source"_a,
            "Copies values from a DeviceArray, Tensor, NumPy array or list. The same number of "
-           "values, (3,) into (1, 3) included, "
-           "else ValueError; TypeError for a float64 array. A tape records the copy of an array or "
-           "tensor.")
+           "values, (3,) into (1, 3) included, else ValueError. float64 values are rounded. A tape "
+           "records the copy of an array or tensor.")
       .def("copy_from", &assign_array, "other"_a, "As assign.")
       .def(
           "fill_",

@@ -55,6 +55,7 @@ Tensor with_grad(const Tensor& tensor, bool requires_grad) {
 }
 
 Tensor make_tensor(py::handle data, py::handle dtype, py::handle device, bool requires_grad) {
+  if (requires_grad) require_float32(data, "data");
   Scalar scalar = Scalar::F32;
   if (dtype.is_none()) {
     scalar = guess_scalar(data, "data");
@@ -125,8 +126,8 @@ void bind_creation(py::module_& m) {
   const py::object f32 = dtype_object(DType::float32);
   m.def("tensor", &make_tensor, "data"_a, "dtype"_a = py::none(), "device"_a = py::none(),
         "requires_grad"_a = false,
-        "A tensor from numbers, lists (rounded to float32) or arrays; a copy. TypeError for a "
-        "float64 array.")
+        "A tensor from numbers, lists or arrays; a copy. Numbers of more bits are rounded to "
+        "float32; TypeError for a float64 array with requires_grad=True.")
       .def(
           "from_numpy",
           [](py::handle a, py::handle device, bool requires_grad) {

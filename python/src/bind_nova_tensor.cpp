@@ -163,8 +163,7 @@ void bind_methods(TensorClass& c) {
           "source"_a, "Copies a tensor's values, recorded on an active tape; returns self.")
       .def("assign", &assign_tensor, "source"_a,
            "Copies values from a Tensor, NumPy array or list of the same number of values "
-           "(ValueError). TypeError for a "
-           "float64 array.")
+           "(ValueError). float64 values are rounded.")
       .def(
           "fill_",
           [](const py::object& self, float value) {

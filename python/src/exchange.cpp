@@ -226,17 +226,12 @@ py::object host_values(py::handle source, Scalar scalar, const char* what) {
   const py::object wanted = numpy_dtype(scalar), given = array.attr("dtype");
   if (given.equal(wanted)) return np.asarray(array, "order"_a = "C");
   const std::string kind = py::str(given.attr("kind")), given_name = py::str(given);
-  const auto item_bytes = given.attr("itemsize").cast<size_t>();
   const bool integers = kind == "i" || kind == "u" || kind == "b";
   // An empty list is float64 for NumPy.
   if (array.attr("size").cast<int64_t>() == 0 && !is_array)
     return np.empty(array.attr("shape"), wanted);
-  bool ok = false;
-  if (scalar == Scalar::F32) {
-    // Numbers and lists are rounded; arrays are taken only where no value changes.
-    ok = is_array ? (kind == "f" && item_bytes <= 4) || (integers && item_bytes <= 2)
-                  : kind == "f" || integers;
-  } else if (integers) {
+  bool ok = scalar == Scalar::F32 && (kind == "f" || integers);  // rounded
+  if (scalar != Scalar::F32 && integers) {
     const py::object limits = np.iinfo(wanted);
     if (array.attr("size").cast<int64_t>() != 0) {
       const py::object low = array.attr("min")(), high = array.attr("max")();
@@ -261,10 +256,18 @@ Scalar guess_scalar(py::handle source, const char* what) {
       if (dtype.equal(np.scalars[k])) return static_cast<Scalar>(k);
   if (kind == "b") return Scalar::U8;
   if (kind == "i" || kind == "u") return Scalar::I32;
-  if (kind == "f" && !(is_array && dtype.attr("itemsize").cast<size_t>() > 4)) return Scalar::F32;
-  fail(ErrorKind::Type, what, ": expected numbers of at most 32 bits, got ",
-       is_array ? "an array of " : "", std::string(py::str(dtype)),
-       is_array ? "; convert it with astype(numpy.float32)" : "");
+  if (kind == "f") return Scalar::F32;
+  fail(ErrorKind::Type, what, ": expected numbers, got ", is_array ? "an array of " : "",
+       std::string(py::str(dtype)));
+}
+
+void require_float32(py::handle source, const char* what) {
+  if (!is_array_like(source)) return;
+  const py::object dtype = numpy().asarray(source).attr("dtype");
+  const bool wide = dtype.attr("itemsize").cast<size_t>() > 4;
+  require(!wide || std::string(py::str(dtype.attr("kind"))) != "f", ErrorKind::Type, what,
+          ": expected float32 with requires_grad=True, as its gradient is, got an array of ",
+          std::string(py::str(dtype)), "; convert it with astype(numpy.float32)");
 }
 
 void check_assignable(const std::vector<int64_t>& target, const std::vector<int64_t>& source,

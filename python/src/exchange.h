@@ -45,12 +45,13 @@ py::dict array_interface(const View& view);
 py::dict cuda_array_interface(const View& view);
 
 // Host values of `source` (a number, sequence, NumPy array, or anything with __array__) as a packed
-// NumPy array. TypeError: a float64 array, or values that the scalar cannot hold without a change
-// of kind; ValueError: integers that do not fit.
+// NumPy array. For float32 numbers of any size are rounded. TypeError: values that the scalar
+// cannot hold without a change of kind; ValueError: integers that do not fit.
 py::object host_values(py::handle source, Scalar scalar, const char* what);
-// The scalar that fits values without a named one: float32, int32 or uint8. TypeError for a float64
-// array.
+// The scalar that fits values without a named one: float32, int32 or uint8. TypeError: no numbers.
 Scalar guess_scalar(py::handle source, const char* what);
+// TypeError for an array of floats of more than 32 bits, whose gradient would have another type.
+void require_float32(py::handle source, const char* what);
 // Copies host values; their shape must be the view's, or flat, or differ from it only in dimensions
 // of 1.
 void assign_host_values(const View& view, py::handle source, const char* what);

@@ -18,7 +18,7 @@ from . import solvers as solvers
 _Vector: TypeAlias = Sequence[SupportsFloat] | NDArray[Any]
 # (px, py, pz, qx, qy, qz, qw), or a pair (position, quaternion).
 _Transform: TypeAlias = _Vector | tuple[_Vector, _Vector]
-# _Values for an array: float64 NumPy arrays are refused at run time.
+# _Values for an array: float64 values are rounded to float32.
 _Values: TypeAlias = DeviceArray | nova.Tensor | NDArray[Any] | Sequence[Any] | SupportsFloat
 _DeviceLike: TypeAlias = Device | str | None
 _DTypeLike: TypeAlias = dtype | str | type[np.generic] | np.dtype[Any]

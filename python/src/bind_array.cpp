@@ -124,8 +124,9 @@ void fill(Array& array, py::handle value) {
 }
 
 std::string repr(const Array& array) {
-  return std::string("DeviceArray(shape=") + shape_text(array.shape()) +
-         ", dtype=" + dtype_info(array.dtype()).name + ", device='" + array.device().str() + "')";
+  return "DeviceArray(" + values_text(view_of(array), "DeviceArray(") +
+         "shape=" + shape_text(array.shape()) + ", dtype=" + dtype_info(array.dtype()).name +
+         ", device='" + array.device().str() + "')";
 }
 
 void bind_dtypes(py::module_& m) {

@@ -528,6 +528,18 @@ void bind_builder(py::module_& m) {
       .def_readwrite("bound_inertia", &ModelBuilder::bound_inertia,
                      "kg*m^2, > 0: where a principal moment of a dynamic body with a mass is below "
                      "it, finalize raises all by what is missing, and warns. None: no bound.")
+      .def("__repr__",
+           [](const py::object& self) {
+             std::string text = "ModelBuilder(", between;
+#define NOVAPHY_COUNT_SO_FAR(name, doc)                                                    \
+  if (const py::object n = py::getattr(self, #name, py::int_(0)); !n.equal(py::int_(0))) { \
+    text += between + #name "=" + std::string(py::str(n));                                 \
+    between = ", ";                                                                        \
+  }
+             NOVAPHY_MODEL_COUNTS(NOVAPHY_COUNT_SO_FAR)
+#undef NOVAPHY_COUNT_SO_FAR
+             return text + ")";
+           })
       .def_property_readonly("particle_count", &ModelBuilder::particle_count, "Particles so far.")
       .def_property_readonly("body_count", &ModelBuilder::body_count, "Bodies so far.")
       .def_property_readonly("shape_count", &ModelBuilder::shape_count, "Shapes so far.");

@@ -85,6 +85,14 @@ void bind_collision(py::module_& m) {
           "model",
           [](const CollisionPipeline& p) { return std::const_pointer_cast<Model>(p.model()); },
           "The model.")
+      .def("__repr__",
+           [](const CollisionPipeline& p) {
+             return std::string("CollisionPipeline(broad_phase='") +
+                    broad_phase_name(p.broad_phase()) +
+                    "', rigid_contact_max=" + std::to_string(p.rigid_contact_max()) +
+                    ", soft_contact_max=" + std::to_string(p.soft_contact_max()) + ", device='" +
+                    p.model()->device().str() + "')";
+           })
       .def_property_readonly(
           "broad_phase",
           [](const CollisionPipeline& p) { return broad_phase_name(p.broad_phase()); },

@@ -221,6 +221,14 @@ void bind_trajectory(py::module_& m) {
         "each stretch between two kept states once more: the same bits for more time. "
         "ValueError unless steps >= 0 and the interval >= 1, and where no interval is enough.")
       .def("__len__", [](const Trajectory& t) { return t.steps() + 1; })
+      .def("__repr__",
+           [](const Trajectory& t) {
+             const int32_t interval = t.checkpoint_interval();
+             return "Trajectory(steps=" + std::to_string(t.steps()) + ", " +
+                    (interval > 1 ? "checkpoint_interval=" + std::to_string(interval) + ", " : "") +
+                    counts_text(t.model()->counts()) + "device='" + t.model()->device().str() +
+                    "')";
+           })
       .def("__iter__",
            [](const py::object& self) {
              py::list states;

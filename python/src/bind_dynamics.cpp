@@ -1,5 +1,6 @@
 // Solvers.
 #include "fast_step.h"
+#include "fields.h"
 #include "friction_laws.h"
 #include "novaphy/dynamics/joint_coordinates.h"
 #include "novaphy/dynamics/semi_implicit/solver_semi_implicit.h"
@@ -16,6 +17,13 @@ void bind_dynamics(py::module_& m, py::module_& solvers) {
   base.def_property_readonly(
           "model", [](const SolverBase& s) { return std::const_pointer_cast<Model>(s.model()); },
           "The model; its arrays and settings are read at every step.")
+      .def("__repr__",
+           [](const py::object& self) {
+             const auto& solver = self.cast<const SolverBase&>();
+             return std::string(py::str(py::type::of(self).attr("__name__"))) + "(" +
+                    counts_text(solver.model()->counts()) + "device='" + solver.device().str() +
+                    "')";
+           })
       .def_property_readonly("device", &SolverBase::device, "Where it runs.")
       .def_property_readonly("supports_graph_capture", &SolverBase::supports_graph_capture,
                              "False: step may not be called in a capture.")

@@ -49,15 +49,8 @@ py::object grad_of(const Tensor& self) {
   return py::cast(self.grad());
 }
 
-// Large tensors are shortened, and a capture, in which no value is there yet, shows none.
 std::string repr(const Tensor& t) {
-  std::string values;
-  if (nova::current_capture() == nullptr)
-    values = std::string(py::str(py::module_::import("numpy").attr("array2string")(
-                 copy_to_numpy(view_of(t)), "separator"_a = ", ", "threshold"_a = 60,
-                 "prefix"_a = "Tensor("))) +
-             ", ";
-  return "Tensor(" + values + "shape=" + shape_text(t.shape()) +
+  return "Tensor(" + values_text(view_of(t), "Tensor(") + "shape=" + shape_text(t.shape()) +
          ", dtype=" + nova::dtype_name(t.dtype()) + ", device='" + t.device().str() + "'" +
          (t.requires_grad() ? ", requires_grad=True" : "") + ")";
 }

@@ -147,6 +147,15 @@ py::object copy_to_numpy(const View& view) {
   return array;
 }
 
+std::string values_text(const View& view, const char* prefix) {
+#ifdef NOVAPHY_PYTHON_DIFF
+  if (nova::current_capture() != nullptr) return "";
+#endif
+  return std::string(py::str(py::module_::import("numpy").attr("array2string")(
+             copy_to_numpy(view), "separator"_a = ", ", "threshold"_a = 60, "prefix"_a = prefix))) +
+         ", ";
+}
+
 py::object alias_as_numpy(const View& view, bool writable, const char* what) {
   open_to_host(view, what);
   if (view.bytes() == 0) return numpy().empty(shape_tuple(view.shape), numpy_dtype(view.scalar));

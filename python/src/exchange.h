@@ -35,6 +35,9 @@ std::vector<int64_t> to_shape(py::handle value);
 
 // A NumPy copy of the values.
 py::object copy_to_numpy(const View& view);
+// "[1, 2], " for a repr that begins with the prefix: many values are shortened; "" in a capture, in
+// which no value is there yet.
+std::string values_text(const View& view, const char* prefix);
 // A NumPy array over the memory itself. ErrorKind::Runtime where the host cannot see it.
 py::object alias_as_numpy(const View& view, bool writable, const char* what);
 py::object view_to_numpy(const View& view, bool copy, bool writable);

@@ -35,6 +35,16 @@ void bind_field(Class& c, const FieldInfo& info, DeviceArray<T> Owner::*member,
 #define NOVAPHY_BIND_FIELD(name, ...) \
   bind_field(c, NOVAPHY_FIELD_INFO(name, __VA_ARGS__), &Fields::name);
 
+// "body_count=2, shape_count=2, ": those that are not 0.
+inline std::string counts_text(const ModelCounts& counts) {
+  std::string text;
+#define NOVAPHY_COUNT_TEXT(count, doc) \
+  if (counts.count != 0) text += #count "=" + std::to_string(counts.count) + ", ";
+  NOVAPHY_MODEL_COUNTS(NOVAPHY_COUNT_TEXT)
+#undef NOVAPHY_COUNT_TEXT
+  return text;
+}
+
 // Counts, device, requires_grad, repr: what all objects of a model have.
 #define NOVAPHY_BIND_COUNT(name, doc) c.def_property_readonly(#name, &Object::name, doc);
 template <class Object, class... Options>
@@ -42,13 +52,7 @@ void bind_counts(py::class_<Object, Options...>& c) {
   NOVAPHY_MODEL_COUNTS(NOVAPHY_BIND_COUNT)
   const std::string name = py::str(c.attr("__name__"));
   c.def("__repr__", [name](const Object& self) {
-    std::string text = name + "(";
-    const ModelCounts& counts = self.counts();
-#define NOVAPHY_COUNT_TEXT(count, doc) \
-  if (counts.count != 0) text += #count "=" + std::to_string(counts.count) + ", ";
-    NOVAPHY_MODEL_COUNTS(NOVAPHY_COUNT_TEXT)
-#undef NOVAPHY_COUNT_TEXT
-    return text + "device='" + self.device().str() + "'" +
+    return name + "(" + counts_text(self.counts()) + "device='" + self.device().str() + "'" +
            (self.requires_grad ? ", requires_grad=True)" : ")");
   });
   c.def_property_readonly("device", &Object::device, "Where the arrays are.");

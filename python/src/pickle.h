@@ -88,7 +88,7 @@ void add_field_pickle(py::class_<Object>& c) {
 
 // ---------------------------------------------------------------- settings
 
-// Classes whose values are their writable properties.
+// Classes whose values are their writable properties; repr shows them too.
 template <class Settings>
 void add_settings_pickle(py::class_<Settings>& c) {
   const py::object writable = [](const py::object& type) {
@@ -109,6 +109,15 @@ void add_settings_pickle(py::class_<Settings>& c) {
         for (const auto& [name, value] : kept) self.attr(name) = value;
         return settings;
       }));
+  c.def("__repr__", [writable](const py::object& self) {
+    std::string text = py::str(py::type::of(self).attr("__name__"));
+    const char* between = "(";
+    for (const py::handle name : writable) {
+      text += between + std::string(py::str(name)) + "=" + std::string(py::repr(self.attr(name)));
+      between = ", ";
+    }
+    return text + ")";
+  });
 }
 
 }  // namespace novaphy::python

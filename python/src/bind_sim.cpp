@@ -1,7 +1,9 @@
 // Enumerations, Model, SimState, Control and Contacts.
 #include <map>
+#include <tuple>
 
 #include "novaphy/collision/collision_pipeline.h"
+#include "novaphy/core/recorder.h"
 #include "novaphy/core/sim/contacts.h"
 #include "novaphy/core/sim/model.h"
 #include "pickle.h"
@@ -26,9 +28,51 @@ constexpr int value_of(E e) {
   return static_cast<int>(e);
 }
 
-py::object rigid_contact_rows(const Contacts& contacts) {
+// A copy of rows of C++ as a structured NumPy array.
+template <class Row>
+py::object structured(const std::vector<Row>& rows, const py::list& fields) {
+  const py::bytes data(reinterpret_cast<const char*>(rows.data()), rows.size() * sizeof(Row));
+  return py::module_::import("numpy")
+      .attr("frombuffer")(data, numpy().dtype(fields))
+      .attr("copy")();
+}
+
+// A rigid contact with what follows from the model and a state.
+struct PlacedContact {
+  RigidContact contact;
+  int32_t body0, body1;
+  Vec3f position;
+  float penetration;
+};
+
+std::vector<PlacedContact> placed(const std::vector<RigidContact>& rows, const Model& model,
+                                  const SimState& state) {
+  const std::vector<int32_t> bodies = model.shape_body.to_host();
+  const std::vector<Transformf> poses = state.body_q.to_host();
+  std::vector<PlacedContact> result;
+  for (const RigidContact& c : rows) {
+    const auto body_of = [&](int32_t shape) {
+      require(shape >= 0 && shape < model.shape_count(), ErrorKind::Index,
+              "rigid_contacts: expected shapes 0 to ", model.shape_count() - 1, ", got ", shape);
+      return bodies[static_cast<size_t>(shape)];
+    };
+    const int32_t body0 = body_of(c.shape0), body1 = body_of(c.shape1);
+    const auto surface = [&](int32_t body, const Vec3f& point, float along) {
+      const Vec3f p =
+          body < 0 ? point : math::transform_point(poses[static_cast<size_t>(body)], point);
+      return p + c.normal * along;
+    };
+    const Vec3f a = surface(body0, c.point0, c.margin0), b = surface(body1, c.point1, -c.margin1);
+    result.push_back({c, body0, body1, (a + b) * 0.5f, math::dot(a - b, c.normal)});
+  }
+  return result;
+}
+
+py::object rigid_contact_rows(const Contacts& contacts, const Model* model, const SimState* state) {
+  require((model == nullptr) == (state == nullptr), ErrorKind::Value,
+          "rigid_contacts: expected a model and a state, or none of them");
   const std::vector<RigidContact> rows = contacts.rigid_contacts();
-  static_assert(sizeof(RigidContact) == 92);
+  static_assert(sizeof(RigidContact) == 92 && sizeof(PlacedContact) == 116);
   py::list fields;
   for (const char* name : {"shape0", "shape1"}) fields.append(py::make_tuple(name, "<i4"));
   for (const char* name : {"point0", "point1", "offset0", "offset1", "normal"})
@@ -36,11 +80,46 @@ py::object rigid_contact_rows(const Contacts& contacts) {
   for (const char* name : {"margin0", "margin1"}) fields.append(py::make_tuple(name, "<f4"));
   fields.append(py::make_tuple("point_id", "<i4"));
   fields.append(py::make_tuple("force", "<f4", 3));
-  const py::bytes data(reinterpret_cast<const char*>(rows.data()),
-                       rows.size() * sizeof(RigidContact));
-  return py::module_::import("numpy")
-      .attr("frombuffer")(data, numpy().dtype(fields))
-      .attr("copy")();
+  if (model == nullptr) return structured(rows, fields);
+  for (const uint64_t id : {state->model_id(), contacts.model_id()})
+    require(id == model->id(), ErrorKind::Value,
+            "rigid_contacts: expected contacts and a state of the model, got one of another");
+  for (const char* name : {"body0", "body1"}) fields.append(py::make_tuple(name, "<i4"));
+  fields.append(py::make_tuple("position", "<f4", 3));
+  fields.append(py::make_tuple("penetration", "<f4"));
+  return structured(placed(rows, *model, *state), fields);
+}
+
+// For every rigid contact the first one of `previous` with the same shapes and, unless `pairs`, the
+// same point; -1: there is none.
+py::object match(const Contacts& contacts, const Contacts& previous, bool pairs) {
+  require(contacts.model_id() == previous.model_id(), ErrorKind::Value,
+          "match, previous: expected contacts of the same model");
+  using Name = std::tuple<int32_t, int32_t, int32_t>;
+  const auto name_of = [pairs](const RigidContact& c) {
+    return Name(c.shape0, c.shape1, pairs ? 0 : c.point_id);
+  };
+  std::map<Name, int32_t> known;
+  int32_t row = 0;
+  for (const RigidContact& c : previous.rigid_contacts()) known.try_emplace(name_of(c), row++);
+  std::vector<int32_t> rows;
+  for (const RigidContact& c : contacts.rigid_contacts()) {
+    const auto found = known.find(name_of(c));
+    rows.push_back(found == known.end() ? -1 : found->second);
+  }
+  return numpy().asarray(rows, numpy_dtype(Scalar::I32));
+}
+
+// The counts are not there yet while a capture records.
+std::string contacts_repr(const Contacts& c) {
+  std::string rigid = std::to_string(c.rigid_contact_max()),
+              soft = std::to_string(c.soft_contact_max());
+  if (launch_recorder() == nullptr) {
+    rigid = std::to_string(c.active_rigid_contact_count()) + " of " + rigid;
+    soft = std::to_string(c.active_soft_contact_count()) + " of " + soft;
+  }
+  return "Contacts(rigid: " + rigid + ", soft: " + soft + ", device='" + c.device().str() + "'" +
+         (c.requires_grad ? ", requires_grad=True)" : ")");
 }
 
 py::object soft_contact_rows(const Contacts& contacts) {
@@ -51,11 +130,7 @@ py::object soft_contact_rows(const Contacts& contacts) {
   fields.append(py::make_tuple("shape", "<i4"));
   for (const char* name : {"body_pos", "body_vel", "normal"})
     fields.append(py::make_tuple(name, "<f4", 3));
-  const py::bytes data(reinterpret_cast<const char*>(rows.data()),
-                       rows.size() * sizeof(SoftContact));
-  return py::module_::import("numpy")
-      .attr("frombuffer")(data, numpy().dtype(fields))
-      .attr("copy")();
+  return structured(rows, fields);
 }
 
 py::list shape_sources(const Model& model) {
@@ -336,7 +411,8 @@ void bind_control(py::module_& m) {
 void bind_contacts(py::module_& m) {
   py::class_<Contacts> c(
       m, "Contacts",
-      "Contacts of particles with shapes (soft) and of shapes with each other (rigid). Made by "
+      "Contacts of particles with shapes (soft) and of shapes with each other (rigid). len(): "
+      "how many there are. Made by "
       "CollisionPipeline.contacts(). The capacities are fixed: when more are found, the first "
       "soft_contact_max (rigid_contact_max) are kept and overflowed is True.");
   using Fields = ContactFields;
@@ -359,9 +435,23 @@ void bind_contacts(py::module_& m) {
                              "Whether rows may have materials of their own.")
       .def_property_readonly("active_rigid_contact_count", &Contacts::active_rigid_contact_count,
                              "min(rigid_contact_count, rigid_contact_max). Reads from the device.")
-      .def("rigid_contacts", &rigid_contact_rows,
+      .def("__len__",
+           [](const Contacts& c) {
+             return c.active_rigid_contact_count() + c.active_soft_contact_count();
+           })
+      .def("__repr__", &contacts_repr)
+      .def("rigid_contacts", &rigid_contact_rows, "model"_a = py::none(), "state"_a = py::none(),
            "The rigid contacts in order, as a NumPy copy with the columns shape0, shape1, point0, "
-           "point1, offset0, offset1, normal, margin0, margin1, point_id, force.")
+           "point1, offset0, offset1, normal, margin0, margin1, point_id, force, as the arrays "
+           "rigid_contact_*. With a model and a state also body0, body1 (-1: the world), position "
+           "(m, world frame: the middle between both surfaces) and penetration (m, along the "
+           "normal; negative: the surfaces are apart, within the gaps). force (N, world frame, on "
+           "body1) is that of the last step. ValueError: another model.")
+      .def("match", &match, "previous"_a, "pairs"_a = false,
+           "For every rigid contact its row in `previous`, NumPy int32: that of the same shapes "
+           "and point_id, with pairs=True the first one of the same shapes; -1: there is none. So "
+           "contacts begin where now.match(before) is -1, and end where before.match(now) is; "
+           "before is now.clone() ahead of collide. ValueError: contacts of another model.")
       .def_property_readonly("soft_contact_pair_count", &Contacts::soft_contact_pair_count,
                              "Candidate (particle, shape) pairs.")
       .def_property_readonly("device", &Contacts::device, "Where the arrays are.")

@@ -78,6 +78,10 @@ void DiffFeatherstoneSolver::notify_model_changed(ModelFlags) {
 
 void DiffFeatherstoneSolver::step(SimState& state_in, SimState& state_out, const Control* control,
                                   const Contacts* contacts, float dt) {
+  if (&state_in == &state_out) {
+    step(state_in, next_state(kStep), control, contacts, dt);
+    return take_next(state_in);
+  }
   require(!nova::current_capture(), ErrorKind::Runtime, kStep,
           " inside a ScopedCapture: capture rollout instead (supports_graph_capture is False)");
   const ExclusiveUse::Scope scope = use(kStep);

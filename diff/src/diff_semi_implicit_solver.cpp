@@ -197,6 +197,10 @@ void DiffSemiImplicitSolver::begin(const char* function, const Control* control,
 void DiffSemiImplicitSolver::step(SimState& state_in, SimState& state_out, const Control* control,
                                   const Contacts* contacts, float dt) {
   constexpr const char* name = "DiffSemiImplicitSolver.step";
+  if (&state_in == &state_out) {
+    step(state_in, next_state(name), control, contacts, dt);
+    return take_next(state_in);
+  }
   require(!nova::current_capture(), ErrorKind::Runtime,
           "DiffSemiImplicitSolver.step inside a ScopedCapture: capture rollout instead "
           "(supports_graph_capture is False)");

@@ -30,10 +30,10 @@ void bind_dynamics(py::module_& m, py::module_& solvers) {
       .def("step", &SolverBase::step, "state_in"_a, "state_out"_a, "control"_a.none(true),
            "contacts"_a.none(true), "dt"_a, release_gil(),
            "Advances state_in by dt (s) into state_out. Forces in state_in act; afterwards it "
-           "holds also those that the "
-           "solver added. control None: the model's; contacts None: no contact. ValueError: one "
-           "state given twice, dt not "
-           "finite or <= 0, objects of another model or device.")
+           "holds also those that the solver added. One state may be given twice, where no tape "
+           "records (novaphy.Error): it gets the values that another one would get. control None: "
+           "the model's; contacts None: no contact. ValueError: two states that share memory, dt "
+           "not finite or <= 0, objects of another model or device.")
       .def(
           "notify_model_changed",
           [](SolverBase& s, int32_t flags) {

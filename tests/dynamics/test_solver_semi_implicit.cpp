@@ -294,8 +294,6 @@ TEST(SolverSemiImplicit, RefusesBadInput) {
                "angular_damping");
   EXPECT_ERROR(SolverSemiImplicit(model, {.joint_attach_ke = kNan}), ErrorKind::Value,
                "joint_attach_ke");
-  EXPECT_ERROR(solver.step(a, a, nullptr, nullptr, 0.01f), ErrorKind::Value,
-               "state_out: expected another state");
   for (const float dt : {0.0f, -0.01f, kNan, kInf}) {
     EXPECT_ERROR(solver.step(a, b, nullptr, nullptr, dt), ErrorKind::Value,
                  "dt: expected a finite number > 0");

@@ -157,6 +157,10 @@ std::shared_ptr<const Contacts> DiffSolverVBD::kept(const Contacts* contacts) {
 
 void DiffSolverVBD::step(SimState& state_in, SimState& state_out, const Control* control,
                          const Contacts* contacts, float dt, const DeviceArray<Vec3f>* targets) {
+  if (&state_in == &state_out) {
+    step(state_in, next_state(RecordedStep::kName), control, contacts, dt, targets);
+    return take_next(state_in);
+  }
   check_replays();
   const ExclusiveUse::Scope scope = use(RecordedStep::kName);
   check_step(RecordedStep::kName, state_in, state_out, control, contacts, dt);

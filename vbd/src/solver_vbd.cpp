@@ -116,6 +116,10 @@ VbdResidual SolverVBD::residual() const {
 
 void SolverVBD::step(SimState& state_in, SimState& state_out, const Control* control,
                      const Contacts* contacts, float dt, const DeviceArray<Vec3f>* targets) {
+  if (&state_in == &state_out) {
+    step(state_in, next_state(kName), control, contacts, dt, targets);
+    return take_next(state_in);
+  }
   const ExclusiveUse::Scope scope = use(kName);
   const Model& m = *model();
   Work& w = *work_;

@@ -9,6 +9,7 @@
 #include <utility>
 
 #include "novaphy/core/error.h"
+#include "novaphy/core/recorder.h"
 #include "novaphy/core/sim/for_chunks.h"
 #include "novaphy/math/spatial.h"
 
@@ -176,8 +177,6 @@ void SolverBase::check_step(const char* name, const SimState& state_in, const Si
                             const Control* control, const Contacts* contacts, float dt) const {
   require(std::isfinite(dt) && dt > 0.0f, ErrorKind::Value, name,
           ": dt: expected a finite number > 0, got ", dt);
-  require(&state_in != &state_out, ErrorKind::Value, name,
-          ": state_out: expected another state than state_in");
   const auto check_model = [&](const char* which, uint64_t id) {
     require(id == model_->id(), ErrorKind::Value, name, ": ", which,
             ": expected one of the solver's model, got one of another model");
@@ -198,6 +197,34 @@ void SolverBase::check_step(const char* name, const SimState& state_in, const Si
           fail(ErrorKind::Value, name, ": contacts.", info.name, ": expected ", rows, " rows on ",
                device().str(), ", got ", array.rows(), " rows on ", array.device().str());
       });
+}
+
+SimState& SolverBase::next_state(const char* name) {
+  const LaunchRecorder* const recorder = launch_recorder();
+  require(recorder == nullptr || !recorder->has_tape(), ErrorKind::Runtime, name,
+          " on an active Tape: state_out: expected another state than state_in, whose values the "
+          "gradient needs; take two states, rollout of a Trajectory, or nova.no_grad()");
+  if (next_ == nullptr) {
+    const Unobserved fresh;  // memory that no capture has seen
+    next_ = std::make_unique<SimState>(*model_);
+  }
+  size_t k = 0;
+  StateFields::visit(
+      *next_, [&](const FieldInfo&, const Array& array) { next_versions_[k++] = array.version(); });
+  return *next_;
+}
+
+void SolverBase::take_next(SimState& state) {
+  std::array<const Array*, StateFields::kFieldCount> written{};
+  size_t k = 0;
+  StateFields::visit(*next_, [&](const FieldInfo& info, const Array& array) {
+    const bool is_written = array.rows() != 0 && array.version() != next_versions_[k];
+    written[k++] = info.role == FieldRole::Carried && is_written ? &array : nullptr;
+  });
+  k = 0;
+  StateFields::visit(state, [&](const FieldInfo&, Array& array) {
+    if (const Array* const source = written[k++]) array.assign(*source);
+  });
 }
 
 void SolverBase::step_to_targets(SimState&, SimState&, const Control*, const Contacts*, float,

@@ -158,6 +158,10 @@ void SolverFeatherstone::add_penalties(const Contacts& contacts, ArticulationSte
 
 void SolverFeatherstone::step(SimState& state_in, SimState& state_out, const Control* control,
                               const Contacts* contacts, float dt) {
+  if (&state_in == &state_out) {
+    step(state_in, next_state(kName), control, contacts, dt);
+    return take_next(state_in);
+  }
   ArrayObserver* const observer = array_observer();
   if (observer != nullptr && !launched_) observer->host_read(kName);
   const ExclusiveUse::Scope scope = use(kName);

@@ -35,6 +35,8 @@ class RigidBodies {
   // `particles`: those that touch bodies, evaluated; null: none.
   void step(const Model& model, const SimState& in, SimState& out, const Contacts* contacts,
             const JointForces& joints, const ParticleContacts* particles, const RigidStep& how);
+  // The poses that a step wrote are now in `to`, from which the next step goes on.
+  void were_copied(const Array& from, const Array& to) { sticks_.were_copied(from, to); }
   // Adds what the contacts that were prepared do to the bodies at `q` with the velocities `qd` to
   // their wrenches {body_count}; writes rigid_contact_force. Reads friction_law and
   // friction_smoothing.

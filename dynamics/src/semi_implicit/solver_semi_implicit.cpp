@@ -94,6 +94,12 @@ void SolverSemiImplicit::rollout(Trajectory& trajectory, const Control* control,
 
 void SolverSemiImplicit::step(SimState& state_in, SimState& state_out, const Control* control,
                               const Contacts* contacts, float dt) {
+  if (&state_in == &state_out) {
+    SimState& next = next_state(kName);
+    step(state_in, next, control, contacts, dt);
+    take_next(state_in);
+    return cache_->bodies.were_copied(next.body_q, state_in.body_q);
+  }
   if (ArrayObserver* observer = array_observer()) observer->untracked_operation(kName);
   const ExclusiveUse::Scope scope = use(kName);
   const Model& m = *model();

@@ -28,6 +28,10 @@ class StickSprings {
                  float dt);
   // The step wrote these poses.
   void end(const Array& body_q);
+  // What the step wrote in `from` is now in `to`.
+  void were_copied(const Array& from, const Array& to) {
+    if (last_.matches(from)) last_.set(to);
+  }
 
  private:
   struct Point {

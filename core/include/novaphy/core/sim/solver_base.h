@@ -1,6 +1,7 @@
 // SolverBase: what every solver is.
 #pragma once
 
+#include <array>
 #include <memory>
 
 #include "novaphy/core/exclusive_use.h"
@@ -29,10 +30,11 @@ class NOVAPHY_CORE_API SolverBase {
 
   // Advances state_in by dt (s) into state_out. The forces in state_in act, and afterwards hold
   // those that the solver added; clear them before the next use. `control` null: the model's
-  // defaults; `contacts` null: no contact. ErrorKind::Value: state_in and state_out are one, or
-  // share memory; dt not finite or <= 0; a state, control or contacts of another model or device.
+  // defaults; `contacts` null: no contact. One state may be given twice: it gets the values that
+  // another one would get, by way of a state of the solver. ErrorKind::Value: two states that share
+  // memory; dt not finite or <= 0; a state, control or contacts of another model or device.
   // ErrorKind::Runtime: the forces in state_in may not be written (a Trajectory's, but for state
-  // 0).
+  // 0); one state twice on an active tape, which needs the values of both.
   virtual void step(SimState& state_in, SimState& state_out, const Control* control,
                     const Contacts* contacts, float dt) = 0;
   // The steps of a trajectory: the bits of a loop of step in which every step starts from the
@@ -49,6 +51,10 @@ class NOVAPHY_CORE_API SolverBase {
   // The checks that every step makes; `name` starts the messages.
   void check_step(const char* name, const SimState& state_in, const SimState& state_out,
                   const Control* control, const Contacts* contacts, float dt) const;
+  // For a step whose states are one: a state of the solver to step into, and the copy of what such
+  // a step has written. ErrorKind::Runtime, naming `name`, on an active tape.
+  SimState& next_state(const char* name);
+  void take_next(SimState& state);
   // The use of the memory that the solver keeps from call to call.
   ExclusiveUse::Scope use(const char* call) const { return {*in_use_, call, "the solver"}; }
   const std::shared_ptr<ExclusiveUse>& in_use() const { return in_use_; }
@@ -65,6 +71,8 @@ class NOVAPHY_CORE_API SolverBase {
  private:
   std::shared_ptr<const Model> model_;
   std::shared_ptr<ExclusiveUse> in_use_ = std::make_shared<ExclusiveUse>();
+  std::unique_ptr<SimState> next_;  // made by the first step whose states are one
+  std::array<uint64_t, StateFields::kFieldCount> next_versions_{};
 };
 
 }  // namespace novaphy

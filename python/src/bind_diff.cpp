@@ -1,6 +1,8 @@
 // Views, differentiable operators, losses, Trajectory and the differentiable solver.
+#include <algorithm>
 #include <charconv>
 #include <optional>
+#include <span>
 
 #include "fast_step.h"
 #include "friction_laws.h"
@@ -17,6 +19,7 @@
 #include "novaphy/dynamics/semi_implicit/diff_elements.h"
 #include "novaphy/dynamics/semi_implicit/diff_particles.h"
 #include "novaphy/dynamics/semi_implicit/diff_rigid_bodies.h"
+#include "novaphy/nova/ops.h"
 #include "part_bindings.h"
 #include "pickle.h"
 
@@ -313,10 +316,93 @@ DeviceArray<Vec3f> target_rows(const py::object& targets) {
       Array(DType::vec3, static_cast<size_t>(tensor.size()) / 3, 1, tensor.range()));
 }
 
-void rollout(SolverBase& solver, Trajectory& trajectory, const py::object& control,
+// A Tensor or DeviceArray {n} or {steps, n} for an array of a Control.
+class ControlRows {
+ public:
+  ControlRows(const char* name, DeviceArray<float> ControlFields::*member, const py::object& given,
+              int32_t steps, int32_t count)
+      : name_(name), member_(member) {
+    if (given.is_none()) return;
+    const bool is_array = py::isinstance<Array>(given);
+    require(is_array || py::isinstance<nova::TensorImpl>(given), ErrorKind::Type, "rollout, ", name,
+            ": expected a Tensor or a DeviceArray, got ", type_name(given));
+    values_ = is_array ? Tensor::view(given.cast<const Array&>()) : given.cast<Tensor>();
+    const nova::Shape& shape = values_.shape();
+    require(values_.dtype() == nova::DType::F32 &&
+                (shape == nova::Shape{count} || shape == nova::Shape{steps, count}),
+            ErrorKind::Value, "rollout, ", name, ": expected float32 {", count, "} or {", steps,
+            ", ", count, "}, got ", nova::dtype_name(values_.dtype()), " ", nova::shape_str(shape));
+    const nova::Tape* const tape = nova::Tape::active();
+    carries_ = tape != nullptr && tape->carries_gradient(*values_.range());
+  }
+  const char* name() const { return name_; }
+  bool any() const { return values_.defined(); }
+  bool change() const { return any() && values_.ndim() == 2; }
+  void put(ControlFields& fields, int32_t step) {
+    if (any() && values_.size() != 0)
+      fields.*member_ = DeviceArray<float>(
+          Array(DType::float32, static_cast<size_t>(values_.shape().back()), 1, row(step)));
+  }
+
+ private:
+  // A view, or where a gradient is asked a recorded copy, because a gradient belongs to one range.
+  // The copy is that of a row of a block: the gradient of a block is summed before that of the
+  // whole.
+  std::shared_ptr<Range> row(int32_t step) {
+    if (!change()) return values_.range();
+    constexpr int32_t kBlock = 32;
+    if (carries_) {
+      if (step % kBlock == 0)
+        block_ = nova::slice(values_, 0, step, std::min<int64_t>(kBlock, values_.dim(0) - step));
+      return nova::slice(block_, 0, step % kBlock, 1).range();
+    }
+    const Range& all = *values_.range();
+    const size_t bytes = all.bytes() / static_cast<size_t>(values_.dim(0));
+    return all.storage().range(all.offset() + static_cast<size_t>(step) * bytes, bytes);
+  }
+
+  const char* name_;
+  DeviceArray<float> ControlFields::*member_;
+  Tensor values_, block_;  // undefined: none
+  bool carries_ = false;
+};
+
+// The controls of a rollout whose arrays are given as tensors: one for all steps, or one for every
+// step. What no tensor gives is that of `control`, or the model's.
+py::object controls_of(const Model& model, const py::object& control, int32_t steps,
+                       std::span<ControlRows> given) {
+  const auto any = [](const ControlRows& g) { return g.any(); };
+  if (std::none_of(given.begin(), given.end(), any)) return control;
+  for (const ControlRows& g : given)
+    require(!g.any() || control.is_none() || py::isinstance<Control>(control), ErrorKind::Value,
+            "rollout, ", g.name(), ": expected one Control or None beside it, got ",
+            type_name(control));
+  const ControlFields base =
+      control.is_none() ? ControlFields{model.joint_f,
+                                        model.joint_target_q,
+                                        model.joint_target_qd,
+                                        model.joint_act,
+                                        model.particle_tri_activation,
+                                        model.particle_tet_activation}
+                        : static_cast<const ControlFields&>(control.cast<const Control&>());
+  const auto changes = [](const ControlRows& g) { return g.change(); };
+  const int32_t count = std::any_of(given.begin(), given.end(), changes) ? steps : 1;
+  if (count == 0) return control;
+  py::list controls;
+  for (int32_t t = 0; t < count; ++t) {
+    Control of_step(model.counts(), model.device(), model.id());
+    static_cast<ControlFields&>(of_step) = base;  // handles
+    for (ControlRows& g : given) g.put(of_step, t);
+    controls.append(py::cast(std::move(of_step)));
+  }
+  return controls;
+}
+
+void rollout(SolverBase& solver, Trajectory& trajectory, const py::object& given_control,
              const Contacts* contacts, float dt, const py::object& forces,
              const py::object& body_forces, const py::object& targets, CollisionPipeline* pipeline,
-             int32_t start, const std::optional<int32_t>& stop) {
+             int32_t start, const std::optional<int32_t>& stop, const py::object& joint_f,
+             const py::object& joint_target_q, const py::object& joint_target_qd) {
   require(stop.value_or(0) >= 0, ErrorKind::Value, "rollout, stop: expected a state from 0 to ",
           trajectory.steps(), " or None, got ", stop.value_or(0));
   RolloutOptions options{
@@ -337,6 +423,14 @@ void rollout(SolverBase& solver, Trajectory& trajectory, const py::object& contr
     places = target_rows(targets);
     options.targets = &places;
   }
+  const int32_t steps = options.stop - start;
+  ControlRows rows_of_controls[] = {
+      {"joint_f", &ControlFields::joint_f, joint_f, steps, model.joint_dof_count()},
+      {"joint_target_q", &ControlFields::joint_target_q, joint_target_q, steps,
+       model.joint_coord_count()},
+      {"joint_target_qd", &ControlFields::joint_target_qd, joint_target_qd, steps,
+       model.joint_dof_count()}};
+  const py::object control = controls_of(model, given_control, steps, rows_of_controls);
   const Control* one = nullptr;
   if (py::isinstance<Control>(control)) {
     one = control.cast<const Control*>();
@@ -369,7 +463,8 @@ void bind_rollout(py::module_& solvers) {
       &rollout, py::name("rollout"), py::is_method(base), py::arg("trajectory"),
       py::arg("control").none(true), py::arg("contacts").none(true), py::arg("dt"), py::kw_only(),
       "forces"_a = py::none(), "body_forces"_a = py::none(), "targets"_a = py::none(),
-      "pipeline"_a = py::none(), "start"_a = 0, "stop"_a = py::none(),
+      "pipeline"_a = py::none(), "start"_a = 0, "stop"_a = py::none(), "joint_f"_a = py::none(),
+      "joint_target_q"_a = py::none(), "joint_target_qd"_a = py::none(),
       "The steps of a trajectory from its state `start` (kept) to `stop` (None: the last), with "
       "the "
       "bits of a loop of step in which every step starts from the force in trajectory.particle_f. "
@@ -379,8 +474,10 @@ void bind_rollout(py::module_& solvers) {
       "particles of SolverVBD or DiffSolverVBD are at the end of a step; NotImplementedError for "
       "other solvers. pipeline: a CollisionPipeline that finds the contacts of every step anew, "
       "instead of `contacts`. control: one for all steps, or a sequence of m, each for a m-th of "
-      "them. What acts is "
-      "only read. A differentiable solver records on an active tape, with gradients for the forces "
+      "them. joint_f, joint_target_qd {dofs} or {steps, dofs} and joint_target_q {coordinates} or "
+      "{steps, coordinates} take the place of that array of the control, in every step or each in "
+      "its own. What acts is only read. A differentiable solver records on an active tape, with "
+      "gradients for the forces "
       "and the controls, and may be captured; others raise there. ValueError: an argument of "
       "another model or size.");
 }

@@ -48,6 +48,9 @@ class SolverBase(_Native):
         pipeline: CollisionPipeline | None = None,
         start: SupportsIndex = 0,
         stop: SupportsIndex | None = None,
+        joint_f: Tensor | DeviceArray | None = None,
+        joint_target_q: Tensor | DeviceArray | None = None,
+        joint_target_qd: Tensor | DeviceArray | None = None,
     ) -> None: ...
     def notify_model_changed(self, flags: ModelFlags | int) -> None: ...
 

@@ -70,6 +70,7 @@ from .._core.diff import (  # noqa: E402
     update_inverse_mass,
     vec3_point_loss_generated,
 )
+from ._linearize import linearize  # noqa: E402
 from ._poses import pose_tangent_gradient  # noqa: E402
 
 __all__ = [
@@ -93,6 +94,7 @@ __all__ = [
     "integrate_push_box_generated",
     "integrate_push_box_rollout_generated",
     "integrate_rigid_bodies_with_static_contacts_generated",
+    "linearize",
     "model_body_com_tensor",
     "model_body_inertia_tensor",
     "model_body_mass_tensor",

@@ -1,0 +1,170 @@
+"""The derivative of a step of articulations: x' = A x + B u."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from .._core import JointType
+from .._core.diff import (
+    control_joint_f_tensor,
+    control_joint_target_q_tensor,
+    control_joint_target_qd_tensor,
+    state_joint_q_tensor,
+    state_joint_qd_tensor,
+)
+from .._core.nova import Tape, zeros_like
+from .._core.solvers import DiffFeatherstoneSolver
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from .._core import Contacts, Control, Model, SimState
+
+_INPUTS = {
+    "joint_f": control_joint_f_tensor,
+    "joint_target_q": control_joint_target_q_tensor,
+    "joint_target_qd": control_joint_target_qd_tensor,
+}
+
+
+def linearize(
+    solver: DiffFeatherstoneSolver,
+    state: SimState,
+    control: Control | None,
+    dt: float,
+    *,
+    contacts: Contacts | None = None,
+    inputs: str = "joint_f",
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """The derivatives A, B of a step by its state and its input, for all worlds at once.
+
+    The state x of a world is (q, qd), n degrees of freedom each. Columns and rows of q are
+    tangents: a joint angle or distance (rad, m); of a BALL a small rotation r (rad) in the frame of
+    the joint, q -> q + (r, 0) q / 2; of a FREE joint a displacement (m) of its origin, then such a
+    rotation. Forward mode: one pass over all worlds for each column.
+
+    Args:
+        solver: a DiffFeatherstoneSolver; its device runs the passes.
+        state: where to linearize; its forces act. Nothing of it is written.
+        control: None: the model's.
+        dt: the time step, s.
+        contacts: those of the state, or None. Their points follow as in `step`.
+        inputs: what u is: "joint_f" (N or N m, n columns), "joint_target_qd" (n columns) or
+            "joint_target_q" (a column for each coordinate).
+
+    Returns:
+        A {worlds, 2 n, 2 n} and B {worlds, 2 n, m}, float32.
+
+    Raises:
+        TypeError: another solver.
+        ValueError: no such input, or worlds whose joints differ.
+    """
+    if not isinstance(solver, DiffFeatherstoneSolver):
+        raise TypeError(
+            f"linearize, solver: expected a DiffFeatherstoneSolver, got {type(solver).__name__}"
+        )
+    if inputs not in _INPUTS:
+        raise ValueError(f"linearize, inputs: expected one of {', '.join(_INPUTS)}, got {inputs!r}")
+    model = solver.model
+    rows = _Rows(model)
+    now, after = state.clone(), model.state()
+    now.requires_grad = True
+    control = model.control() if control is None else control.clone()
+    q, qd = state_joint_q_tensor(now, True), state_joint_qd_tensor(now, True)
+    u = _INPUTS[inputs](control, True)
+    with Tape() as tape:
+        solver.step(now, after, control, contacts, dt)
+    of_inputs = [q, qd, u]
+    results = [state_joint_q_tensor(after), state_joint_qd_tensor(after)]
+    into, back = rows.coordinates(q.numpy()), rows.tangents(results[0].numpy())
+
+    def column(k: int, direction: NDArray[np.float32]) -> NDArray[np.float32]:
+        """The tangents {worlds, 2 n} of the next state in a direction of one input."""
+        tangents = [zeros_like(x) for x in of_inputs]
+        tangents[k].assign(direction)
+        moved_q, moved_qd = (t.numpy() for t in tape.jvp(results, of_inputs, tangents))
+        dq = np.einsum("wij,wj->wi", back, moved_q[rows.q])
+        return np.concatenate([dq, moved_qd[rows.qd]], axis=1)
+
+    n, columns = rows.qd.shape[1], []
+    for k in range(n):
+        direction = np.zeros(q.shape, np.float32)
+        direction[rows.q] = into[:, :, k]
+        columns.append(column(0, direction))
+    of_input = rows.q if inputs == "joint_target_q" else rows.qd
+    for k, (which, shape) in enumerate([(rows.qd, qd.shape), (of_input, u.shape)], start=1):
+        for world_rows in which.T:
+            direction = np.zeros(shape, np.float32)
+            direction[world_rows] = 1.0
+            columns.append(column(k, direction))
+    both = np.stack(columns, axis=2).astype(np.float32)
+    return both[:, :, : 2 * n], both[:, :, 2 * n :]
+
+
+class _Rows:
+    """Which coordinates and degrees of freedom belong to each world."""
+
+    def __init__(self, model: Model) -> None:
+        worlds = model.joint_world.numpy()
+        q_start, qd_start = model.joint_q_start.numpy(), model.joint_qd_start.numpy()
+        kinds = model.joint_type.numpy()
+        joints = [np.flatnonzero(worlds == w) for w in np.unique(worlds)]
+        shape = [
+            [(kinds[j], q_start[j + 1] - q_start[j], qd_start[j + 1] - qd_start[j]) for j in some]
+            for some in joints
+        ]
+        if any(other != shape[0] for other in shape) or not joints:
+            raise ValueError("linearize: expected worlds of the same joints, at least one")
+
+        def rows_of(start: NDArray[np.int32]) -> NDArray[np.int64]:
+            """Those of the joints of every world, {worlds, count}."""
+            return np.array(
+                [[k for j in some for k in range(start[j], start[j + 1])] for some in joints], int
+            )
+
+        self.q, self.qd = rows_of(q_start), rows_of(qd_start)
+        # Joint by joint: its kind, its first coordinate and its first dof in the world.
+        self.joints: list[tuple[int, int, int, int]] = []
+        at_q = at_qd = 0
+        for kind, coordinates, dofs in shape[0]:
+            self.joints.append((int(kind), at_q, at_qd, int(dofs)))
+            at_q, at_qd = at_q + int(coordinates), at_qd + int(dofs)
+
+    def coordinates(self, q: NDArray[np.float32]) -> NDArray[np.float32]:
+        """The derivative of coordinates by tangents, {worlds, coordinates, n}."""
+        result = np.zeros((*self.q.shape, self.qd.shape[1]), np.float32)
+        for kind, at_q, at_qd, dofs in self.joints:
+            turn = {JointType.BALL: 0, JointType.FREE: 3}.get(JointType(kind), dofs)
+            for k in range(turn):
+                result[:, at_q + k, at_qd + k] = 1.0
+            if turn < dofs:
+                result[:, at_q + turn : at_q + turn + 4, at_qd + turn : at_qd + turn + 3] = (
+                    _half_turns(q[self.q][:, at_q + turn : at_q + turn + 4])
+                )
+        return result
+
+    def tangents(self, q: NDArray[np.float32]) -> NDArray[np.float32]:
+        """The derivative of tangents by coordinates, {worlds, n, coordinates}."""
+        result = self.coordinates(q).transpose(0, 2, 1).copy()
+        for kind, at_q, at_qd, _dofs in self.joints:
+            if kind in (JointType.BALL, JointType.FREE):
+                turn = 0 if kind == JointType.BALL else 3
+                # (r, 0) q / 2 has the length |r| / 2 in every direction.
+                result[:, at_qd + turn : at_qd + turn + 3, at_q + turn : at_q + turn + 4] *= 4.0
+        return result
+
+
+def _half_turns(q: NDArray[np.float32]) -> NDArray[np.float32]:
+    """The matrix {worlds, 4, 3} of r -> (r, 0) q / 2 for unit quaternions (x, y, z, w)."""
+    x, y, z, w = q.T
+    return 0.5 * np.stack(
+        [
+            np.stack([w, z, -y], axis=1),
+            np.stack([-z, w, x], axis=1),
+            np.stack([y, -x, w], axis=1),
+            np.stack([-x, -y, -z], axis=1),
+        ],
+        axis=1,
+    )

@@ -257,7 +257,10 @@ bool DiffSemiImplicitSolver::begin_rollout(const RolloutInputs& inputs) {
 void DiffSemiImplicitSolver::record_step(const SimState& in, SimState& out,
                                          const StepInputs& inputs, StepScratch scratch) {
   if (inputs.tables != nullptr) {
-    if (config_.strict && nova::current_capture() == nullptr) check_overflow(*inputs.contacts);
+    if (config_.strict && nova::current_capture() == nullptr) {
+      nova::flush_deferred();  // the search
+      check_overflow(*inputs.contacts);
+    }
     ContactTables::Wanted wanted = wanted_tables();
     wanted.particles_follow = true;  // the search before has found them
     inputs.tables->rebuild(*model(), *inputs.contacts, wanted);

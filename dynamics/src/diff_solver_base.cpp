@@ -160,7 +160,7 @@ void DiffSolverBase::rollout(Trajectory& trajectory, const Control* control,
   constexpr int32_t kStepsPerInterruptCheck = 32;
   // From here on the steps share the cache block by block.
   constexpr int32_t kLargeParticleCount = 2048;
-  nova::DeferredScope deferred(model()->particle_count() >= kLargeParticleCount);
+  nova::DeferredScope deferred(only_submits() && model()->particle_count() >= kLargeParticleCount);
   AppliedForces on_particles(trajectory.fields().particle_f, inputs.forces()),
       on_bodies(trajectory.fields().body_f, inputs.body_forces());
   std::vector<ScratchSpec> specs = step_scratch();

@@ -85,7 +85,6 @@ Tensor DiffSolverVBD::last_velocity(StepInputs::Checkpoints* checkpoints) {
     const nova::NoGrad no_grad;
     const DeviceArray<Vec4f> copy = new_velocities();
     nova::submit_copy(copy.range(), last.range());
-    nova::flush_deferred();
     if (tape != nullptr) last = tensor(copy);
     if (keep) checkpoints->kept[checkpoints->step] = copy;
   } else if (keep) {
@@ -196,7 +195,6 @@ bool DiffSolverVBD::begin_rollout(const RolloutInputs&) {
 void DiffSolverVBD::record_step(const SimState& in, SimState& out, const StepInputs& inputs,
                                 StepScratch scratch) {
   const Model& m = *model();
-  nova::flush_deferred();
   nova::Tape* const tape = nova::Tape::active();
   auto step = std::make_shared<RecordedStep>(model());
   step->steps = steps_;

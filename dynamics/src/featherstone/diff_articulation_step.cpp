@@ -31,6 +31,8 @@ nova::CustomOp make_op(const std::shared_ptr<const Step>& step) {
   if (step->contacts.defined()) op.writes.push_back(step->contacts);
   op.writes.push_back(tensor_of(step->status));
   if (step->stride > 0) op.writes.push_back(tensor_of(step->workspace));
+  // Outside of captures the CPU works at once, on what was submitted before.
+  op.submits_only = !step->shared->runs_on_host();
   op.vjp = [step](std::span<const Tensor> outputs, std::span<const nova::InputGradient> inputs) {
     if (step->following.empty())
       submit_vjp(step, outputs, inputs);

@@ -103,6 +103,7 @@ class NOVAPHY_DIFF_API DiffSemiImplicitSolver : public DiffSolverBase {
  protected:
   std::vector<ScratchSpec> step_scratch() const override;
   bool step_writes_kept_memory() const override;
+  bool only_submits() const override { return true; }
   bool begin_rollout(const RolloutInputs& inputs) override;
   void record_step(const SimState& in, SimState& out, const StepInputs& inputs,
                    StepScratch scratch) override;

@@ -56,6 +56,10 @@ class NOVAPHY_DYNAMICS_API DiffSolverBase : public SolverBase {
   // Whether a step writes memory that the solver keeps from call to call. Then graphs and backward,
   // which run steps later, are refused while another call uses the solver.
   virtual bool step_writes_kept_memory() const { return true; }
+  // Whether record_step only submits launches. A rollout of many particles then collects the
+  // launches of several steps; nothing may read memory on the host before it called
+  // nova::flush_deferred().
+  virtual bool only_submits() const { return false; }
   // Checks, and what the steps of a rollout have in common. False: no step does anything.
   virtual bool begin_rollout(const RolloutInputs& inputs) = 0;
   // Submits the launches of one step from `in` to `out`, the carried arrays of which it writes in

@@ -16,12 +16,15 @@ using novaphy::LaunchArgument;
 
 // No adjoint is known of such a launch.
 void refuse_gradients(const Tape& tape, const Launch& launch) {
-  for (const LaunchArgument& a : launch.arguments)
-    if (a.read && a.differentiable && a.range && tape.carries_gradient(*a.range))
+  for (const LaunchArgument& a : launch.arguments) {
+    if (!a.read || !a.differentiable || !a.range) continue;
+    tape.check_not_of_another(*a.range, launch.name, a.name);
+    if (tape.carries_gradient(*a.range))
       novaphy::fail(novaphy::ErrorKind::Runtime, launch.name, ", ", a.name,
                     ": it carries a gradient of the active Tape, which would silently stop in a "
                     "hand-written kernel. Launch it under nova.no_grad() and give its derivative "
                     "with Tape.record_custom");
+  }
 }
 
 class Recorder : public novaphy::LaunchRecorder {

@@ -91,18 +91,32 @@ bool Tape::Impl::was_written_outside(const Node& n) {
                        (n.has_checksum ? n.written_checksum : n.range->exported_checksum());
 }
 
+void Tape::Impl::check_not_of_another(const Range& range, const std::string& op,
+                                      const std::string& input) {
+  if (is_of_another(range)) [[unlikely]]
+    fail(ErrorKind::Runtime, "input '", input, "' of op '", op,
+         "' was recorded by another tape that is still alive; its gradient would silently stop "
+         "here. Record both on one tape, take detach(), or reset() the other tape");
+}
+
 // A value that the tape produced and that was then overwritten behind it would carry a wrong
 // gradient.
 void Tape::Impl::check_not_overwritten(const Operand& in, const std::string& op,
                                        const std::string& input) {
-  // Gradients belong to ranges: through another view of bytes that carry one it would stop.
-  const auto carries_gradient = [](const Range& other, void* self) {
-    return static_cast<Impl*>(self)->carries(other);
-  };
-  if (in.type == ir::Type::F32 && in.range->find_overlap(carries_gradient, this))
-    fail(ErrorKind::Runtime, "input '", input, "' of op '", op,
-         "' is a view of bytes whose gradient belongs to another view; use the view that was "
-         "recorded or requires it");
+  if (in.type == ir::Type::F32) {
+    check_not_of_another(*in.range, op, input);
+    // Gradients belong to ranges: through another view of bytes that carry one it would stop.
+    const auto has_gradient = [](const Range& other, void* self) {
+      return static_cast<Impl*>(self)->carries(other) ||
+             static_cast<Impl*>(self)->is_of_another(other);
+    };
+    if (const Range* const other = in.range->find_overlap(has_gradient, this)) {
+      check_not_of_another(*other, op, input);
+      fail(ErrorKind::Runtime, "input '", input, "' of op '", op,
+           "' is a view of bytes whose gradient belongs to another view; use the view that was "
+           "recorded or requires it");
+    }
+  }
   if (!find_grad_info(*in.range)) return;
   const Node* n = find(*in.range);
   if (n && n->untracked && n->untracked_version == in.range->version())
@@ -141,6 +155,8 @@ void Tape::Impl::mark_output(const std::shared_ptr<Range>& range, int32_t op) {
   n.carries = true;
   n.untracked = nullptr;
   ++info.producers;
+  info.last_tape = this;
+  info.recorded_version = range->version();
 }
 
 void Tape::Impl::mark_constant(const Range& range) {
@@ -154,7 +170,10 @@ void Tape::Impl::forget() {
   for (const Op& op : ops) {
     if (op.constant) continue;
     for (uint32_t o = 0; o < op.outputs; ++o)
-      if (GradInfo* info = find_grad_info(*output(op, o).range)) --info->producers;
+      if (GradInfo* info = find_grad_info(*output(op, o).range)) {
+        --info->producers;
+        if (info->last_tape == this) info->last_tape = nullptr;
+      }
   }
   ops.clear();
   groups.clear();
@@ -223,6 +242,15 @@ bool Tape::carries_gradient(const Range& range) const {
   return impl_->carries(range) || range.find_overlap(carries, impl_.get()) != nullptr;
 }
 void Tape::mark_constant(const Range& range) { impl_->mark_constant(range); }
+void Tape::check_not_of_another(const Range& range, const std::string& op,
+                                const std::string& input) const {
+  impl_->check_not_of_another(range, op, input);
+  const auto of_another = [](const Range& other, void* self) {
+    return static_cast<Impl*>(self)->is_of_another(other);
+  };
+  if (const Range* const other = range.find_overlap(of_another, impl_.get()))
+    impl_->check_not_of_another(*other, op, input);
+}
 
 void Tape::check_launch(const KernelImpl& kernel, std::span<const Operand> inputs,
                         std::span<const Operand> partly) const {

@@ -217,6 +217,8 @@ void Tape::Impl::run_group(const Group& group, DeferredScope& deferred) {
   for (const Use* use : same) {
     const Range& range = *use->operand.range;
     written_again[&range] = {use->version, range.version()};
+    if (GradInfo* info = find_grad_info(range); info && info->last_tape == this)
+      info->recorded_version = range.version();
   }
 }
 

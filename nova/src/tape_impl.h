@@ -173,10 +173,10 @@ struct Tape::Impl {
   std::vector<const std::shared_ptr<Range>*> places;
   std::vector<GradState> before;  // of every node
   GradientPool pool;
-  ScratchMemory scratch;  // of the adjoints of one backward
+  ScratchMemory scratch;          // of the adjoints of one backward
   std::vector<Operand> operands;  // of an operation that is run once more
-  // Of ranges that a group has written once more, with the same bits: the version that was recorded,
-  // and the one of now.
+  // Of ranges that a group has written once more, with the same bits: the version that was
+  // recorded, and the one of now.
   struct WrittenAgain {
     uint64_t recorded, now;
   };
@@ -224,6 +224,13 @@ struct Tape::Impl {
   bool note_exported_value(const Range& range, uint64_t& checksum);
   bool was_written_outside(const Node& n);
   void check_not_overwritten(const Operand& in, const std::string& op, const std::string& input);
+  // Whether the value of the range is one that another living tape recorded.
+  bool is_of_another(const Range& range) const {
+    const GradInfo* info = find_grad_info(range);
+    return info && info->last_tape && info->last_tape != this &&
+           info->recorded_version == range.version();
+  }
+  void check_not_of_another(const Range& range, const std::string& op, const std::string& input);
   // Whether the value of an input is not the recorded one any more.
   bool was_modified(const Use& use) {
     const Range& range = *use.operand.range;

@@ -631,3 +631,58 @@ def test_gradcheck_compares_the_two_directions():
     result = nova.gradcheck(lambda v: nova.sum(v * v), [nova.tensor([1.0, -2.0])])
     assert result.ok and result.has_tangent
     assert result.dot_product_error < 1e-6
+
+
+def test_a_value_of_another_living_tape_raises():
+    x = nova.tensor([1.0, 2.0], requires_grad=True)
+    first = nova.Tape()
+    with first:
+        y = x * 3.0
+    message = "was recorded by another tape that is still alive"
+    with nova.Tape() as second:
+        for use in (
+            lambda: y * x,
+            lambda: nova.sum(y.reshape(2, 1)),
+            lambda: nova.tensor([0.0, 0.0]).copy_(y),
+        ):
+            with pytest.raises(novaphy.Error, match=message):
+                use()
+        with pytest.raises(novaphy.Error, match=message):
+            second.record_custom("own", [y], [nova.zeros(2)], lambda grads: grads)
+        # Its values are there for whom no gradient is to follow.
+        loss = nova.sum(y.detach() * x)
+        second.backward(loss)
+    np.testing.assert_array_equal(x.grad.numpy(), [3.0, 6.0])
+    with nova.no_grad():
+        assert (y * x).tolist() == [3.0, 12.0]
+    # On its own tape it goes on; overwritten, or once the tape is gone, it is a constant.
+    x.zero_grad()
+    with first:
+        first.backward(nova.sum(y * x))
+    np.testing.assert_array_equal(x.grad.numpy(), [6.0, 12.0])
+    other = nova.tensor([5.0, 5.0])
+    with first:
+        z = x * 2.0
+    z.assign(other)
+    x.zero_grad()
+    with nova.Tape() as second:
+        second.backward(nova.sum(z * x))
+    np.testing.assert_array_equal(x.grad.numpy(), [5.0, 5.0])
+    first.reset()
+    x.zero_grad()
+    with nova.Tape() as second:
+        second.backward(nova.sum(y * x))
+    np.testing.assert_array_equal(x.grad.numpy(), [3.0, 6.0])
+
+
+@pytest.mark.parametrize("checkpoint", [None, 2])
+def test_a_rollout_that_begins_on_another_living_tape_raises(checkpoint):
+    model = ball_model()
+    trajectory = diff.Trajectory(model, 8, checkpoint=checkpoint)
+    contacts = ball_contacts(model, trajectory[0])
+    solver = novaphy.solvers.DiffSemiImplicitSolver(model)
+    with nova.Tape() as first:
+        solver.rollout(trajectory, None, contacts, DT, stop=4)
+        first.backward(nova.sum(diff.state_particle_q_tensor(trajectory[4])))
+    with nova.Tape(), pytest.raises(novaphy.Error, match="recorded by another tape"):
+        solver.rollout(trajectory, None, contacts, DT, start=4)

@@ -7,6 +7,7 @@
 //  - Operands are held by reference with their version. When an adjoint would read a value that was
 //    overwritten since, backward throws and names the operation and the input. Nothing is copied.
 //  - A leaf that was read with different values has no gradient of both: backward throws.
+//  - A value that another living tape recorded is neither a leaf nor a constant: reading it throws.
 //  - A tape that keeps the gradients of leaves only (KeepGradients::Leaves) gives the same bits; to
 //    read another gradient afterwards throws.
 //  - Kernels run and are recorded on the thread on which the tape is active.
@@ -109,6 +110,11 @@ class NOVAPHY_NOVA_API Tape {
   // a gradient; and that it now holds a constant.
   bool carries_gradient(const Range& range) const;
   void mark_constant(const Range& range);
+  // ErrorKind::Runtime where the value of the range, or of one that shares bytes with it, is one
+  // that another living tape recorded: its gradient would stop here. `input`, `op`: for the
+  // message.
+  void check_not_of_another(const Range& range, const std::string& op,
+                            const std::string& input) const;
 
  private:
   struct Impl;

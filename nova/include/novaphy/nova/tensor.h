@@ -120,9 +120,11 @@ struct GradInfo {
   bool requires_grad = false;
   std::shared_ptr<Range> grad;  // same layout as the range; null until needed
   GradState state = GradState::Zero;
-  uint64_t zeroed_in_capture = 0;  // the capture in which it was last zeroed
-  int32_t producers = 0;           // recorded operations of living tapes that write the range
-  std::weak_ptr<TensorImpl> view;  // the canonical view of an engine array
+  uint64_t zeroed_in_capture = 0;   // the capture in which it was last zeroed
+  int32_t producers = 0;            // recorded operations of living tapes that write the range
+  const void* last_tape = nullptr;  // the living one that recorded the last of these writes,
+  uint64_t recorded_version = 0;    // and the version after it
+  std::weak_ptr<TensorImpl> view;   // the canonical view of an engine array
   std::vector<std::shared_ptr<const IncidenceData>>
       incidences;  // of an index table, see cached_incidence
 };

@@ -235,8 +235,27 @@ void check_params(const detail::KernelImpl& k, const LaunchOptions& options) {
     require(k.param_types[p] == 0 || options.params[p].is_float == (k.param_types[p] == 1),
             ErrorKind::Type, k.name, ", parameter ", p, ": expected ",
             k.param_types[p] == 1 ? "float" : "int");
-  require(!k.has_fixed_loop || options.extent >= 0, ErrorKind::Value, k.name,
-          ", extent: expected >= 0, got ", options.extent);
+}
+
+// What says over which items a kernel sums, and only that, is given.
+void check_sum(const detail::KernelImpl& k, int64_t dim, const LaunchOptions& options) {
+  constexpr int32_t kNone = -1;
+  const bool has_csr = options.csr && *options.csr, has_extent = options.extent != kNone;
+  if (k.has_csr_loop) {
+    if (!has_csr || (*options.csr)->rows != dim) [[unlikely]]
+      fail(ErrorKind::Value, k.name, ", csr: expected an Incidence of ", dim, " rows, got ",
+           has_csr ? std::to_string((*options.csr)->rows) : "none");
+  } else if (options.csr) [[unlikely]] {
+    fail(ErrorKind::Value, k.name, ", csr: expected none, because ",
+         k.has_fixed_loop ? "no source of the sum has the access csr_row" : "the kernel has no sum",
+         ", got one");
+  }
+  if (k.has_fixed_loop ? options.extent < 0 : has_extent) [[unlikely]]
+    fail(ErrorKind::Value, k.name, ", extent: expected ",
+         k.has_fixed_loop ? "the number of items of the sum, >= 0"
+         : k.has_csr_loop ? "none, because the sum is over the items of csr"
+                          : "none, because the kernel has no sum",
+         ", got ", has_extent ? std::to_string(options.extent) : "none");
 }
 
 void check_active(const detail::KernelImpl& k, const Operand& active,
@@ -566,10 +585,7 @@ std::vector<Tensor> Kernel::operator()(int64_t dim, std::span<const Tensor> inpu
 void Kernel::launch(int64_t dim, std::span<const Operand> inputs, std::span<const Operand> outputs,
                     const LaunchOptions& options) const {
   detail::KernelImpl& k = *impl_;
-  if (k.has_csr_loop)
-    require(options.csr && *options.csr && (*options.csr)->rows == dim, ErrorKind::Value, k.name,
-            ", csr: expected an Incidence of ", dim, " rows, got ",
-            options.csr && *options.csr ? (*options.csr)->rows : -1);
+  check_sum(k, dim, options);
   check_inputs(k, dim, inputs, options.extent, k.has_csr_loop ? (*options.csr)->table.rows : 0);
   check_params(k, options);
   require(outputs.size() == k.outputs.size(), ErrorKind::Value, k.name, ": expected ",

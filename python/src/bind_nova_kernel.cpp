@@ -190,7 +190,7 @@ PyKernel make_reduce(const std::string& name, const py::sequence& sources, py::h
 }
 
 std::vector<Tensor> call(const PyKernel& k, int64_t dim, const std::vector<Tensor>& inputs,
-                         const py::sequence& params, int32_t extent,
+                         const py::sequence& params, std::optional<int32_t> extent,
                          const std::shared_ptr<nova::IncidenceData>& csr,
                          const std::optional<Tensor>& active) {
   std::vector<nova::Param> words;
@@ -207,7 +207,7 @@ std::vector<Tensor> call(const PyKernel& k, int64_t dim, const std::vector<Tenso
   const ReleasedGil release;
   return k.kernel(dim, inputs,
                   {.params = words,
-                   .extent = extent,
+                   .extent = extent.value_or(nova::LaunchOptions().extent),
                    .csr = csr ? &incidence : nullptr,
                    .active = active ? &count : nullptr});
 }
@@ -254,14 +254,18 @@ void bind_nova_kernel(py::module_& m) {
   py::class_<PyKernel>(m, "IndexedKernel",
                        "A kernel with generated adjoints: call it with tensors.")
       .def(
-          "__call__", &call, "dim"_a, "inputs"_a, "params"_a = py::tuple(), "extent"_a = 0,
+          "__call__", &call, "dim"_a, "inputs"_a, "params"_a = py::tuple(), "extent"_a = py::none(),
           "csr"_a = py::none(), "active"_a = py::none(),
           "Runs over `dim` output rows; returns a list with one new Tensor per output, {dim, "
           "width} ({dim} for width 1). Recorded on an active tape when an input carries a "
-          "gradient. extent: items of a fixed sum; csr: the Incidence of a CSR sum; active: int32 "
+          "gradient. extent: items of a fixed sum; csr: the Incidence of a CSR sum (a kernel with "
+          "a "
+          "\"csr_row\" source); active: int32 "
           "{1} in the device's memory, read when the launch runs: so "
           "many of the first rows are computed, the others stay zero and have no gradient (kernels "
-          "without a sum). ValueError: a shape that is not exactly the declared one.")
+          "without a sum). ValueError: a shape that is not exactly the declared one; an extent or "
+          "csr "
+          "that is missing, or that the kernel has no sum for.")
       .def_property_readonly(
           "name", [](const PyKernel& k) { return k.kernel.name(); }, "Its name.")
       .def_property_readonly(

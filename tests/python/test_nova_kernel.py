@@ -410,3 +410,31 @@ def test_a_negative_row_reads_0_and_passes_no_gradient():
     assert value.grad.numpy().tolist() == [0.0, 1.0]
     with pytest.raises(IndexError, match="row i = 1 reads row 5 of source .value., which has 2"):
         kernel(2, [nova.tensor([-1, 5]), value])[0].numpy()
+
+
+def test_what_says_over_what_a_kernel_sums_is_given_where_it_does_and_only_there():
+    x, u = nova.tensor([1.0, 2.0, 4.0, 8.0]), nova.tensor([3.0])
+    table = nova.make_incidence(nova.tensor(np.int32([0, 1, 1, 0])), 2)
+    plain = make(lambda c: c.f32("x"), name="plain")
+    fixed = nova.make_reduce_kernel("fixed", [("u", F32, 1, "uniform")], 1, lambda c: c.f32("u"))
+    csr = nova.make_reduce_kernel("csr", [("x", F32, 1, "csr_row")], 1, lambda c: c.f32("x"))
+    assert plain(4, [x])[0].tolist() == x.tolist()
+    assert fixed(2, [u], extent=2)[0].tolist() == [6.0, 6.0]
+    assert fixed(2, [u], extent=0)[0].tolist() == [0.0, 0.0]
+    assert csr(2, [x], csr=table)[0].tolist() == [9.0, 6.0]
+    for call, message in (
+        (lambda: fixed(2, [u], csr=table), "fixed, csr: expected none, because no source"),
+        (lambda: fixed(2, [u], extent=2, csr=table), "fixed, csr: expected none"),
+        (lambda: fixed(2, [u]), "fixed, extent: expected the number of items.*got none"),
+        (lambda: fixed(2, [u], extent=-3), "fixed, extent: expected the number.*got -3"),
+        (lambda: csr(2, [x], csr=table, extent=4), "csr, extent: expected none, because the sum"),
+        (lambda: csr(2, [x]), "csr, csr: expected an Incidence of 2 rows, got none"),
+        (lambda: csr(3, [x], csr=table), "csr, csr: expected an Incidence of 3 rows, got 2"),
+        (
+            lambda: plain(4, [x], extent=4),
+            "plain, extent: expected none, because the kernel has no",
+        ),
+        (lambda: plain(4, [x], csr=table), "plain, csr: expected none, because the kernel has no"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            call()

@@ -567,7 +567,7 @@ class IndexedKernel(_Native):
         dim: SupportsIndex,
         inputs: Sequence[Tensor],
         params: Sequence[SupportsFloat] = (),
-        extent: SupportsIndex = 0,
+        extent: SupportsIndex | None = None,
         csr: Incidence | None = None,
         active: Tensor | None = None,
     ) -> list[Tensor]: ...

@@ -106,7 +106,7 @@ struct KernelImpl;
 // Options of one call.
 struct LaunchOptions {
   std::span<const Param> params = {};
-  int32_t extent = 0;              // of a fixed sum
+  int32_t extent = -1;             // of a fixed sum; -1: none given
   const Incidence* csr = nullptr;  // of a CSR sum: one row per output row
   // int32 {1}, read when the launch runs: so many of the first rows are computed, and the others
   // stay as they are. Of kernels without a sum. On a tape, outputs are memory that the tape has

@@ -105,7 +105,6 @@ void DiffFeatherstoneSolver::step(SimState& state_in, SimState& state_out, const
 void DiffFeatherstoneSolver::rollout(Trajectory& trajectory, const Control* control,
                                      const Contacts* contacts, float dt,
                                      const RolloutOptions& options) {
-  join_ = trajectory.checkpoint_interval() == 1;
   try {
     DiffSolverBase::rollout(trajectory, control, contacts, dt, options);
     step_.flush();
@@ -141,7 +140,7 @@ void DiffFeatherstoneSolver::record_step(const SimState& in, SimState& out,
                                          const StepInputs& inputs, StepScratch scratch) {
   step_.record(*model(), in, out, inputs.control, inputs.contacts,
                inputs.tables != nullptr ? FoundContacts::Always : FoundContacts::Before,
-               inputs.body_forces, inputs.dt, scratch, join_);
+               inputs.body_forces, inputs.dt, scratch, inputs.checkpoints == nullptr);
   // A device writes NaN where a step fails, which the last one tells; here a state stays as it was.
   if (device().is_cpu() && !nova::current_capture()) step_.check(*model(), kRollout);
 }

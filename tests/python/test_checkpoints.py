@@ -81,3 +81,66 @@ def test_a_state_that_is_not_kept_is_refused_by_name():
         trajectory.recompute(21)
     with pytest.raises(RuntimeError, match="no rollout yet"):
         diff.Trajectory(ball_model(), STEPS, checkpoint=8).recompute(3)
+
+
+def bodies(contacts, particles=1):
+    """A box that lands, a pendulum, and particles beside them."""
+    builder = novaphy.ModelBuilder()
+    cfg = novaphy.ShapeConfig(density=125.0, ke=2e3, kd=10.0, kf=50.0, mu=0.5, gap=0.01)
+    body = builder.add_body(xform=((0, 0, 0.0995), (0, 0, 0, 1)))
+    of_body = cfg.copy()
+    of_body.has_particle_collision = False  # which static contacts do not cover
+    builder.add_shape_box(body, hx=0.1, hy=0.1, hz=0.1, cfg=of_body)
+    link = builder.add_link(mass=0.5, inertia=np.eye(3) * 1e-2, com=(0.2, 0, 0))
+    joint = builder.add_joint_revolute(-1, link, axis=(0, 1, 0), parent_xform=((2, 0, 1), UP))
+    builder.add_articulation([joint])
+    for _ in range(particles):
+        builder.add_particle((1, 0, 0.0199), (0.3, 0, 0), 0.02, radius=0.02)
+    builder.add_ground_plane(cfg=cfg)
+    model = builder.finalize(requires_grad=True)
+    config = solvers.DiffSolverConfig(enable_static_contacts=contacts == "static")
+    return model, solvers.DiffSemiImplicitSolver(model, config)
+
+
+def coordinates(contacts):
+    """The same bodies in joint coordinates."""
+    model, _ = bodies(contacts, particles=0)
+    return model, solvers.DiffFeatherstoneSolver(model)
+
+
+UP = (0.0, 0.0, 0.0, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("make", "contacts"),
+    [(bodies, "static"), (bodies, "pipeline"), (bodies, "contacts"), (coordinates, "pipeline")],
+)
+def test_states_of_bodies_are_recomputed(make, contacts):
+    model, solver = make(contacts)
+    pipeline = novaphy.CollisionPipeline(model)
+    forces = nova.tensor(np.full((STEPS, model.body_count, 6), 0.3, np.float32))
+    states = []
+    for checkpoint in (None, 7):
+        trajectory = diff.Trajectory(model, STEPS, checkpoint=checkpoint)
+        found, options = None, {"body_forces": forces}
+        if contacts == "pipeline":
+            options["pipeline"] = pipeline
+        elif contacts == "contacts":
+            found = pipeline.contacts()
+            pipeline.collide(trajectory[0], found)
+        solver.rollout(trajectory, None, found, 1e-3, **options)
+        states.append(trajectory)
+    whole, frugal = states
+    for t in range(STEPS + 1):
+        again = frugal.recompute(t)
+        for name in ("body_q", "body_qd", "joint_q", "joint_qd", "particle_q", "particle_qd"):
+            one, two = getattr(again, name).numpy(), getattr(whole[t], name).numpy()
+            np.testing.assert_array_equal(one, two, err_msg=f"{name} at {t}")
+    assert np.abs(whole[STEPS].body_qd.numpy() - whole[1].body_qd.numpy()).max() > 1e-3
+    # What a step does not write may be anything; what it writes may not.
+    if make is bodies:
+        frugal[7].joint_q.assign(np.full(model.joint_coord_count, 9.0, np.float32))
+        frugal.recompute(3)
+    frugal[7].body_qd.assign(np.zeros((model.body_count, 6), np.float32))
+    with pytest.raises(novaphy.Error, match="does not lead to the kept state 7"):
+        frugal.recompute(3)

@@ -50,7 +50,6 @@ class NOVAPHY_DIFF_API DiffFeatherstoneSolver : public DiffSolverBase {
   FeatherstoneOptions options_;
   ArticulationStep step_;
   std::shared_ptr<SimState> poses_;  // memory of poses_follow
-  bool join_ = false;                // steps of the rollout become operations together
   int32_t rollout_contacts_ = 0;     // at most, in a step of the rollout that has begun
 };
 

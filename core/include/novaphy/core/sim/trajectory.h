@@ -52,8 +52,8 @@ class NOVAPHY_CORE_API Trajectory {
   std::string kept_text() const;  // "0, 8, 16, ... and 100"
   // State t, kept or not, once more from the last kept one before it: a copy. What the last rollout
   // got (solver, contacts, controls, forces) must still be there; ErrorKind::Runtime when it did
-  // not run these steps, or when the next kept state does not come out again bit by bit, because
-  // something was changed.
+  // not run these steps, or when the next kept state does not come out again bit by bit, as far as
+  // steps write it, because something was changed.
   SimState recompute(int32_t t) const;
 
   // The whole arrays: carried ones {kept * rows}, time-major; applied ones {rows}.

@@ -45,7 +45,8 @@ def wrap(
     Returns:
         A `jax.custom_vjp` of as many float32 arrays, which may stand inside of jit (a
         `jax.pure_callback`), vmap (one call after the other) and grad, once. Arrays are copied on
-        the way in, because JAX's may not be written to.
+        the way in, because JAX's may not be written to. A result that depends on no input has the
+        gradient 0.
 
     Raises:
         ImportError: JAX is not installed.
@@ -71,10 +72,10 @@ def wrap(
 
     def pull(values: Any, gradients: Any) -> tuple[np.ndarray, ...]:
         inputs = [nova.tensor(_float32(value), requires_grad=True) for value in values]
-        with nova.Tape() as tape:
-            made = outputs(inputs)
+        with nova.Tape() as tape:  # with inputs among the results as copies that it recorded
+            made = [tensor.clone() if tensor.is_leaf else tensor for tensor in outputs(inputs)]
         for tensor, gradient in zip(made, gradients, strict=True):
-            if np.any(gradient):
+            if tape.follows(tensor) and np.any(gradient):
                 tape.backward(tensor, nova.tensor(_float32(gradient)))
         return tuple(
             np.zeros(tensor.shape, np.float32) if tensor.grad is None else tensor.grad.numpy()

@@ -40,6 +40,15 @@ class _Call:
         self.single = True
 
 
+def _results(result: Any, *, on_tape: bool) -> list[nova.Tensor]:
+    """The results of a function; on a tape, inputs among them as copies that it recorded."""
+    made = [result] if isinstance(result, nova.Tensor) else list(result)
+    for k, tensor in enumerate(made):
+        if not isinstance(tensor, nova.Tensor):
+            raise TypeError(f"function, result {k}: expected a nova.Tensor, got {type(tensor)}")
+    return [t.clone() if on_tape and t.is_leaf else t for t in made]
+
+
 def _forward(ctx: Any, function: Callable[..., Any], call: list[_Call], *values: Any) -> Any:
     """Run a function of nova Tensors, on a tape where a gradient is wanted."""
     torch = _torch()
@@ -52,14 +61,12 @@ def _forward(ctx: Any, function: Callable[..., Any], call: list[_Call], *values:
         made.tape = nova.Tape()
         with made.tape:
             result = function(*inputs)
+            made.outputs = _results(result, on_tape=True)
     else:
         with nova.no_grad():
             result = function(*inputs)
+            made.outputs = _results(result, on_tape=False)
     made.single = isinstance(result, nova.Tensor)
-    made.outputs = [result] if made.single else list(result)
-    for k, output in enumerate(made.outputs):
-        if not isinstance(output, nova.Tensor):
-            raise TypeError(f"function, result {k}: expected a nova.Tensor, got {type(output)}")
     ctx.save_for_backward(*values)
     ctx.call = made
     call.append(made)
@@ -78,7 +85,7 @@ def _backward(ctx: Any, *gradients: Any) -> Any:
         if needs:
             tensor.zero_grad()
     for output, gradient in zip(made.outputs, gradients, strict=True):
-        if gradient is not None:
+        if gradient is not None and made.tape.follows(output):
             made.tape.backward(output, nova.from_dlpack(gradient.detach().contiguous()))
     # Copies: the next backward pass of the same call writes there again.
     found = (
@@ -111,10 +118,11 @@ def wrap(function: Callable[..., Any]) -> Callable[..., Any]:
     Returns:
         A function of as many torch tensors, float32, on the same device, that returns a torch
         tensor, or a tuple of them. Inputs and results share memory with the nova Tensors, without
-        a copy; inputs that are not contiguous are copied. Writing in place to what a backward pass
-        still needs raises there. It can be differentiated once (create_graph=True raises
-        NotImplementedError); the gradients are those of the tape, with its labels (exact,
-        surrogate, frozen).
+        a copy; inputs that are not contiguous are copied, and so are inputs that are results, where
+        a gradient is wanted. A result that depends on no input has the gradient 0. Writing in
+        place to what a backward pass still needs raises there. It can be differentiated once
+        (create_graph=True raises NotImplementedError); the gradients are those of the tape, with
+        its labels (exact, surrogate, frozen).
 
     Raises:
         ImportError: PyTorch is not installed.

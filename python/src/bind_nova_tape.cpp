@@ -109,6 +109,14 @@ void bind_tape(py::module_& m) {
            "values that this reads must be as recorded (novaphy.Error). ValueError: an input that "
            "is no leaf with a gradient or given twice, an output that is not on the tape; "
            "NotImplementedError: a custom operation that was recorded without a tangent.")
+      .def(
+          "follows",
+          [](const nova::Tape& tape, const Tensor& tensor) {
+            return tape.carries_gradient(*tensor.range());
+          },
+          "tensor"_a,
+          "Whether a gradient flows through the tensor's value on this tape: a leaf, or the result "
+          "of an operation that it recorded. backward() takes the latter.")
       .def("zero", &nova::Tape::zero, release_gil(),
            "All gradients that the tape touched are zero.")
       .def("reset", &nova::Tape::reset, "Forgets all operations.")

@@ -66,3 +66,19 @@ def test_wrong_results_and_arguments_are_named():
         novaphy.jax.wrap(lambda x: x * 2.0, (3,))(jnp.zeros(2)).block_until_ready()
     with pytest.raises(Exception, match="expected a float32 array, got int32"):
         novaphy.jax.wrap(lambda x: x * 2.0, (3,))(jnp.zeros(3, jnp.int32)).block_until_ready()
+
+
+def test_results_that_do_not_depend_on_the_input_and_inputs_that_are_results():
+    mixed = novaphy.jax.wrap(
+        lambda x: (x * x, nova.ones((3,)), x, x.reshape(3, 1)), [(3,), (3,), (3,), (3, 1)]
+    )
+    x = jnp.array([1.0, 2.0, 3.0])
+    for results, slope in (
+        ((0, 1), 2 * x),
+        ((1,), 0 * x),
+        ((2,), 1 + 0 * x),
+        ((0, 2, 3), 2 * x + 2),
+    ):
+        gradient = jax.grad(lambda x, r=results: sum(mixed(x)[k].sum() for k in r))(x)
+        np.testing.assert_array_equal(gradient, slope)
+    np.testing.assert_array_equal(mixed(x)[2], x)

@@ -138,3 +138,16 @@ def test_on_a_gpu_it_is_the_same():
     x = torch.arange(4, dtype=torch.float32, device="cuda", requires_grad=True)
     novaphy.torch.wrap(lambda a: nova.sum(a * a))(x).backward()
     np.testing.assert_array_equal(x.grad.cpu().numpy(), [0.0, 2.0, 4.0, 6.0])
+
+
+def test_results_that_do_not_depend_on_the_input_and_inputs_that_are_results():
+    mixed = novaphy.torch.wrap(lambda x: (x * x, nova.ones((3,)), x, x.reshape(3, 1)))
+    x = torch.tensor([1.0, 2.0, 3.0], requires_grad=True)
+    for results, slope in (((0, 1), 2 * x), ((2,), 1 + 0 * x), ((0, 2, 3), 2 * x + 2)):
+        x.grad = None
+        sum(mixed(x)[k].sum() for k in results).backward()
+        np.testing.assert_array_equal(x.grad.numpy(), slope.detach().numpy())
+    x.grad = None
+    mixed(x)[1].sum().backward()
+    assert x.grad is None or (x.grad == 0).all()
+    np.testing.assert_array_equal(mixed(x)[2].detach().numpy(), x.detach().numpy())

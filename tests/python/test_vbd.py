@@ -881,3 +881,34 @@ def test_a_step_on_a_tape_refuses_a_state_that_wants_gradients():
     with nova.Tape(), nova.no_grad():
         solver.step(state, after, None, None, 1 / 60)
     solver.step(state, after, None, None, 1 / 60)
+
+
+@pytest.mark.parametrize("pressed", [1.0, 0.9])
+def test_an_implicit_step_is_where_sweeps_converge_or_it_raises(pressed):
+    builder = novaphy.ModelBuilder()
+    builder.add_cloth_grid(
+        dim_x=3, dim_y=3, cell_x=0.06, cell_y=0.06, mass=1e-3, fix_left=True,
+        tri_ke=300.0, tri_ka=300.0, tri_kd=1e-2, edge_ke=5e-3, edge_kd=1e-4,
+    )  # fmt: skip
+    solver = diff_solver(builder, iterations=10, gradient="implicit")
+    model, raised = solver.model, 0
+    for seed in (0, 1, 2, 3, 4, 5, 6, 7):
+        noise = np.random.default_rng(seed).normal(0, 0.004, (model.particle_count, 3))
+        start, ends = model.state(), []
+        start.particle_q.assign((model.particle_q.numpy() * pressed + noise).astype(np.float32))
+        for guess in ("inertia", "previous"):
+            ends.append(model.state())
+            sweeps = novaphy.solvers.SolverVBD(model, iterations=2000, initial_guess=guess)
+            sweeps.step(start, ends[-1], None, None, 1 / 120)
+        converged, other = (end.particle_q.numpy() for end in ends)
+        if np.abs(converged - other).max() > 1e-5:
+            continue  # more than one minimum within reach
+        end = model.state()
+        try:
+            solver.step(start, end, None, None, 1 / 120)
+        except novaphy.Error as error:
+            assert "the step was not solved" in str(error)
+            raised += 1
+            continue
+        assert np.abs(end.particle_q.numpy() - converged).max() < 1e-4
+    assert raised < 8

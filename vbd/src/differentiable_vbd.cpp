@@ -37,10 +37,14 @@ void check_gradient_options(const VbdOptions& o, const VbdGradientOptions& g) {
 
 // What is told of implicit derivatives, and asked of them.
 struct Solved {
-  void see_step(const VbdResidual& found) {
-    primal = found;
+  void see_step(const vbd::Solution& found) {
+    primal = found.residual;
     const double allowed = std::max(static_cast<double>(gradient.tolerance), 2.0 * primal.floor);
-    is_solved = primal.relative <= allowed;
+    is_solved = found.is_minimum && primal.relative <= allowed;
+    require(found.is_minimum || gradient.allow_unconverged, ErrorKind::Runtime,
+            "DiffSolverVBD: the step was not solved: expected a minimum of its energy, got a "
+            "saddle, where conjugate gradients met negative curvature; take shorter steps, raise "
+            "iterations, or allow_unconverged");
     require(is_solved || gradient.allow_unconverged, ErrorKind::Runtime,
             "DiffSolverVBD: the step was not solved: expected a relative residual of at most ",
             allowed, ", got ", primal.relative, " after ", primal.iterations, " iterations and ",
@@ -206,7 +210,7 @@ void DifferentiableVbd::backward(const VbdLaunchInputs& in, const Array& q_out_b
   if (w.solved.gradient.implicit) {
     w.info = w.solved.see_linear(
         w.solution.run_back(in, q_out_bar, qd_out_bar, gradients, w.solved.gradient, in_use,
-                            [&w](const VbdResidual& found) { w.solved.see_step(found); }));
+                            [&w](const vbd::Solution& found) { w.solved.see_step(found); }));
   } else {
     w.reverse.run(in, q_out_bar, qd_out_bar, gradients, in_use);
   }

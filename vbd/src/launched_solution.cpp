@@ -45,6 +45,7 @@ void LaunchedSolution::tangent(size_t first_color, size_t last_color, const Arra
   std::vector<LaunchArgument> a = step_.sweep_arguments(with_contacts_, first, end);
   for (const Array* read : {x, load})
     a.push_back(read != nullptr ? reads("rows", *read) : number(int64_t{0}));
+  a.push_back(number(int64_t{keeps_loads_}));
   for (const Array* written : {force, force_slope, step_slope})
     a.push_back(written != nullptr ? updates("slopes", *written) : number(int64_t{0}));
   kernels().tangent.launch(step_.model_.device(), (end - first) * kVbdLanes, a);
@@ -114,9 +115,9 @@ Rows LaunchedSolution::balance(const Rows& given, const Rows& multipliers) {
   return download(reverse_.x_bar_);
 }
 
-VbdResidual LaunchedSolution::run(const VbdLaunchInputs& in, const VbdLaunchResults& out,
-                                  const VbdGradientOptions& options,
-                                  const std::shared_ptr<ExclusiveUse>& in_use) {
+Solution LaunchedSolution::run(const VbdLaunchInputs& in, const VbdLaunchResults& out,
+                               const VbdGradientOptions& options,
+                               const std::shared_ptr<ExclusiveUse>& in_use) {
   const Unobserved unobserved;
   with_contacts_ = in.have_contacts();
   const auto n = static_cast<size_t>(step_.model_.particle_count());
@@ -125,8 +126,8 @@ VbdResidual LaunchedSolution::run(const VbdLaunchInputs& in, const VbdLaunchResu
       *rows = DeviceArray<Vec4f>(n, step_.model_.device());
   step_.run(in, out, in_use);
   step_.check();
-  const VbdResidual found = solve_nonlinear(*this, static_cast<double>(options.tolerance),
-                                            options.newton_iterations, options.krylov_sweeps);
+  const Solution found = solve_nonlinear(*this, static_cast<double>(options.tolerance),
+                                         options.newton_iterations, options.krylov_sweeps);
   step_.finish(out);
   return found;
 }

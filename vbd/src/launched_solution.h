@@ -14,8 +14,8 @@ class LaunchedSolution {
   LaunchedSolution(LaunchedStep& step, LaunchedReverse& reverse) : step_(step), reverse_(reverse) {}
 
   // Runs the step and moves it to its solution, as StepWork::run and TangentPass::solve_step.
-  VbdResidual run(const VbdLaunchInputs& in, const VbdLaunchResults& out,
-                  const VbdGradientOptions& options, const std::shared_ptr<ExclusiveUse>& in_use);
+  Solution run(const VbdLaunchInputs& in, const VbdLaunchResults& out,
+               const VbdGradientOptions& options, const std::shared_ptr<ExclusiveUse>& in_use);
   // The same, for itself; and back, once `check` has seen how far it is solved.
   template <class Check>
   KrylovResult run_back(const VbdLaunchInputs& in, const Array& q_bar, const Array& qd_bar,
@@ -37,6 +37,7 @@ class LaunchedSolution {
   void place(const Rows& x, const Rows& moved);
   VbdResidual residual();
   void iterate_again() { step_.iterate_again(with_contacts_); }
+  void keep_loads(bool keep) { keeps_loads_ = keep; }
   bool is_held(size_t p) const { return step_.slots_.is_held(static_cast<int32_t>(p)); }
 
  private:
@@ -49,6 +50,7 @@ class LaunchedSolution {
   LaunchedStep& step_;
   LaunchedReverse& reverse_;
   bool with_contacts_ = false, weights_ = false;  // of the step that runs
+  bool keeps_loads_ = false;                      // see Tangents
   DeviceArray<Vec4f> x_, load_, result_, moved_;
 };
 

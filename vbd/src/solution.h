@@ -5,6 +5,8 @@
 
 #include <algorithm>
 #include <cmath>
+#include <utility>
+#include <vector>
 
 #include "krylov.h"
 #include "novaphy/vbd/solver_vbd.h"
@@ -24,44 +26,122 @@ KrylovResult solve_linear(Step& step, Rows& solution, Rows& load, double toleran
   });
 }
 
-// The step of Newton's method, halved until the force falls, up to four times; then iterations
-// instead, which cost less than the step did.
+// Whether the energy falls along a step, all the way, from where the forces are `before`: they push
+// along it in its first half, and what they do in all, by Simpson's rule, is positive. The step
+// then is at its end.
 template <class Step>
-VbdResidual try_newton(Step& step, const Rows& newton, const VbdResidual& now) {
-  constexpr int kIterationsInstead = 20;
-  const Rows start = step.starts(), x = step.positions(), moved = step.moves();
-  Rows next_x = x, next_moved = moved;
-  float part = 1.0f;
-  for (int halvings = 0; halvings <= 4; ++halvings, part *= 0.5f) {
+bool falls_along(Step& step, const Rows& start, const Rows& before, const Rows& moved,
+                 const Rows& newton, float part) {
+  Rows x = start, now = moved;
+  const auto force_at = [&](float where) {
     for (size_t p = 0; p < x.size(); ++p) {
       if (step.is_held(p)) continue;
-      next_moved[p] = Vec3f(moved[p]) + Vec3f(newton[p]) * part;
-      next_x[p] = Vec3f(start[p]) + Vec3f(next_moved[p]);
+      now[p] = Vec3f(moved[p]) + Vec3f(newton[p]) * where;
+      x[p] = Vec3f(start[p]) + Vec3f(now[p]);
     }
-    step.place(next_x, next_moved);
-    const VbdResidual next = step.residual();
-    if (next.force < now.force) return next;
-  }
-  step.place(x, moved);
-  for (int k = 0; k < kIterationsInstead; ++k) step.iterate_again();
-  return step.residual();
+    step.place(x, now);
+    return step.force();
+  };
+  const double middle = inner(force_at(0.5f * part), newton), end = inner(force_at(part), newton);
+  const double first = inner(before, newton);
+  return first > 0.0 && middle > 0.0 && end > -0.5 * first && first + 4.0 * middle + end > 0.0;
 }
 
-// Until the relative residual is at most the tolerance, or twice what rounding allows, or
-// `iterations` are over.
+// The step of Newton's method, halved until the energy falls along it, up to four times; else none.
 template <class Step>
-VbdResidual solve_nonlinear(Step& step, double tolerance, int32_t iterations, int32_t sweeps) {
+bool try_newton(Step& step, const Rows& force, const Rows& newton) {
+  const Rows x = step.positions(), moved = step.moves();
+  // Held particles stay where they are.
+  Rows start = step.starts();
+  for (size_t p = 0; p < x.size(); ++p)
+    if (step.is_held(p)) start[p] = x[p];
+  float part = 1.0f;
+  for (int halvings = 0; halvings <= 4; ++halvings, part *= 0.5f)
+    if (falls_along(step, start, force, moved, newton, part)) return true;
+  step.place(x, moved);
+  return false;
+}
+
+// Whether conjugate gradients, preconditioned by sweeps, meet no direction along which the energy
+// curves down, on their way to a solution for a load that has a part along all: then the positions
+// are a minimum, not a saddle. The loads of friction stay, so that there is an energy.
+template <class Step>
+bool is_minimum(Step& step, size_t particles, int32_t sweeps) {
+  constexpr size_t kKept = 24;        // directions, before a restart
+  constexpr double kSmall = 1e-3;     // what may be left of the load
+  constexpr double kRounding = 1e-5;  // of a curvature
+  Rows load(particles);
+  for (size_t p = 0; p < particles; ++p) {
+    const auto scattered = [p](uint32_t axis) {
+      uint32_t h = (static_cast<uint32_t>(p) * 3u + axis + 1u) * 0x9E3779B9u;
+      h = (h ^ (h >> 15)) * 0x85EBCA6Bu;
+      return static_cast<float>((h ^ (h >> 13)) >> 8) * 0x1p-23f - 1.0f;
+    };
+    if (!step.is_held(p)) load[p] = Vec3f{scattered(0), scattered(1), scattered(2)};
+  }
+  const double enough = kSmall * kSmall * inner(load, load);
+  std::vector<Rows> directions, images;
+  std::vector<double> curvatures;
+  step.keep_loads(true);
+  bool curves_up = true;
+  for (int32_t k = 0; k < sweeps && inner(load, load) > enough; ++k) {
+    if (directions.size() == kKept) {
+      directions.clear();
+      images.clear();
+      curvatures.clear();
+    }
+    Rows z(particles), image(particles);
+    step.sweep(load, z, image);
+    for (Row& row : image) row = -Vec3f(row);
+    for (size_t d = 0; d < directions.size(); ++d) {
+      const auto part = static_cast<float>(inner(image, directions[d]) / curvatures[d]);
+      add_scaled(image, -part, images[d]);
+      add_scaled(z, -part, directions[d]);
+    }
+    const double curvature = inner(z, image);
+    const double size = std::sqrt(inner(z, z) * inner(image, image));
+    curves_up = curvature > -kRounding * size;
+    if (!(curvature > kRounding * size)) break;
+    const auto along = static_cast<float>(inner(load, z) / curvature);
+    add_scaled(load, -along, image);
+    directions.push_back(std::move(z));
+    images.push_back(std::move(image));
+    curvatures.push_back(curvature);
+  }
+  step.keep_loads(false);
+  return curves_up;
+}
+
+struct Solution {
+  VbdResidual residual;
+  bool is_minimum = true;
+};
+
+// Until the relative residual is at most the tolerance, or twice what rounding allows, or
+// `iterations` are over. Where the energy curves down, Newton's method leads to saddles and to
+// other minima than the iterations, so these go on instead; so they do where its step fails.
+template <class Step>
+Solution solve_nonlinear(Step& step, double tolerance, int32_t iterations, int32_t sweeps) {
+  constexpr int kIterationsInstead = 20;  // which cost less than a step of Newton's method
   VbdResidual now = step.residual();
   const auto is_solved = [tolerance](const VbdResidual& r) {
     return r.relative <= std::max(tolerance, 2.0 * r.floor);
   };
+  const auto curves_up = [&] { return is_minimum(step, step.positions().size(), sweeps); };
+  bool convex = false;
   for (int32_t k = 0; k < iterations && !is_solved(now); ++k) {
-    Rows force = step.force(), newton;
-    constexpr double kForcing = 1e-2;  // of the linear systems of an inexact Newton method
-    solve_linear(step, newton, force, kForcing, sweeps);
-    now = try_newton(step, newton, now);
+    convex = convex || curves_up();
+    if (convex) {
+      const Rows force = step.force();
+      Rows load = force, newton;
+      constexpr double kForcing = 1e-2;  // of the linear systems of an inexact Newton method
+      solve_linear(step, newton, load, kForcing, sweeps);
+      convex = try_newton(step, force, newton);
+    }
+    for (int i = 0; !convex && i < kIterationsInstead; ++i) step.iterate_again();
+    now = step.residual();
   }
-  return now;
+  return {now, !is_solved(now) || curves_up()};
 }
 
 // J^T solution = given, until the true residual is small enough: that of the recurrence drifts from

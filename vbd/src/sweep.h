@@ -72,6 +72,7 @@ struct Tangents {
   float* numbers[kRoles] = {};        // per slot, of all its numbers; read by `tangent`
   const float* load = nullptr;        // added to the derivative of f before it is solved with
   bool at_rest = false;               // as in Adjoint
+  bool keeps_loads = false;           // of friction, as its energy does: f has a potential then
   // Written, where not null: f, its derivative, and that of the steps of the particles.
   float* force = nullptr;
   float* force_slope = nullptr;

@@ -71,6 +71,7 @@ Block<Tangent> contacts_of(const Sweep& sweep, const Tangents& t, int64_t group,
       for (int n = 0; n < kContactLawFloats; ++n)
         slopes[n].v[l] = t.contacts[static_cast<int64_t>(k) * kContactLawFloats + n];
     }
+    if (t.keeps_loads) slopes[3] = slope_that_keeps_load(value_of(x), slope_of(x), c);
     const ParticleContact<Tangent> contact = {
         with_slope(c.point, still),  with_slope(c.normal, still),
         with_slope(c.travel, still), {c.radius, slopes[0]},

@@ -4,7 +4,6 @@
 #include <cmath>
 
 #include "novaphy/core/sim/for_chunks.h"
-#include "solution.h"
 
 namespace novaphy::vbd {
 namespace {
@@ -77,6 +76,7 @@ void TangentPass::sweep(const Rows& load, Rows& z, Rows& image) {
   const Tangents kept = tangents_;
   tangents_ = {};
   tangents_.at_rest = true;
+  tangents_.keeps_loads = kept.keeps_loads;
   const size_t colors = step.slots.color_begin().size() - 1;
   Rows moved(load.size());
   tangents_.x = floats(z);
@@ -130,9 +130,9 @@ Rows TangentPass::force() {
   return force;
 }
 
-VbdResidual TangentPass::solve_step(double tolerance, int32_t iterations, int32_t sweeps) {
+Solution TangentPass::solve_step(double tolerance, int32_t iterations, int32_t sweeps) {
   tangents_ = {};
-  const VbdResidual found = solve_nonlinear(*this, tolerance, iterations, sweeps);
+  const Solution found = solve_nonlinear(*this, tolerance, iterations, sweeps);
   step.finish_again();
   return found;
 }

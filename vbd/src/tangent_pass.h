@@ -3,6 +3,7 @@
 
 #include "krylov.h"
 #include "rows.h"
+#include "solution.h"
 #include "step_work.h"
 
 namespace novaphy::vbd {
@@ -19,7 +20,7 @@ class TangentPass {
   KrylovResult implicit(double tolerance, int32_t sweeps);
   // Moves a step that was run to its solution: until its relative residual is at most the
   // tolerance, or twice what rounding allows, or `iterations` are over.
-  VbdResidual solve_step(double tolerance, int32_t iterations, int32_t sweeps);
+  Solution solve_step(double tolerance, int32_t iterations, int32_t sweeps);
 
   // For solution.h.
   void sweep(const Rows& load, Rows& z, Rows& image);
@@ -33,6 +34,7 @@ class TangentPass {
   }
   VbdResidual residual() const { return step.residual(); }
   void iterate_again() const { step.iterate_again(); }
+  void keep_loads(bool keep) { tangents_.keeps_loads = keep; }
   bool is_held(size_t p) const { return step.slots.is_held(static_cast<int32_t>(p)); }
 
   StepWork& step;

@@ -11,13 +11,14 @@ namespace novaphy {
 
 struct VbdTangentArguments {
   VbdSweepArguments sweep;
-  const VbdRow* x;     // the direction; null: 0
-  const VbdRow* load;  // added to the derivative of f before it is solved with; null: 0
+  const VbdRow* x;      // the direction; null: 0
+  const VbdRow* load;   // added to the derivative of f before it is solved with; null: 0
+  int64_t keeps_loads;  // see Tangents
   VbdRow* force;  // f, its derivative, and that of the steps of the particles; null: not wanted
   VbdRow* force_slope;
   VbdRow* step_slope;
 };
-NOVAPHY_BLOCK_KERNEL(vbd_tangent, 41, VbdTangentArguments);
+NOVAPHY_BLOCK_KERNEL(vbd_tangent, 42, VbdTangentArguments);
 
 struct VbdTangentMoveArguments {
   const int32_t* particle;
@@ -72,9 +73,11 @@ struct TangentLane {
     const Vec3<Tangent> start = still(at(s.start, particle));
     for (int32_t k = s.contact_begin[particle]; k < s.contact_begin[particle + 1]; ++k) {
       const ParticleContact<float> c = contact_of(s, k);
+      const float by_mu =
+          a.keeps_loads != 0 ? slope_that_keeps_load(value_of(x), slope_of(x), c) : 0.0f;
       const ParticleContact<Tangent> contact = {
-          still(c.point), still(c.normal),    still(c.travel), Tangent(c.radius),
-          Tangent(c.ke),  Tangent(c.kd_by_h), Tangent(c.mu),   Tangent(c.slip)};
+          still(c.point), still(c.normal),    still(c.travel),      Tangent(c.radius),
+          Tangent(c.ke),  Tangent(c.kd_by_h), Tangent(c.mu, by_mu), Tangent(c.slip)};
       outer = outer + particle_contact_block(x, start, contact);
     }
     return outer;

@@ -80,4 +80,13 @@ T particle_contact_energy(const Vec3<T>& x, const Vec3<T>& start, const Particle
          (c.mu * load) * distance;
 }
 
+// The slope of mu, while x moves along dx, at which the load of friction stays: that of the energy.
+template <class T>
+T slope_that_keeps_load(const Vec3<T>& x, const Vec3<T>& dx, const ParticleContact<T>& c) {
+  using namespace math;
+  const T zero = T(0.0f), depth = c.radius - dot(c.normal, x - c.point);
+  const auto acts = depth > zero;
+  return select(acts, c.mu * dot(c.normal, dx) / select(acts, depth, T(1.0f)), zero);
+}
+
 }  // namespace novaphy::vbd

@@ -22,7 +22,7 @@ def found(model, state=None):
 
 def limit_of(model, contacts=None, **options):
     solver = solvers.SolverSemiImplicit(model, **options)
-    return solver.stable_dt(model.state(), contacts or found(model))
+    return solver.stable_dt(model.state(), found(model) if contacts is None else contacts)
 
 
 def stack(**material):

@@ -227,7 +227,7 @@ def test_overlapping_memory_is_refused():
     ball = Ball()
     state = ball.states[0]
     with nova.Tape():
-        with pytest.raises(ValueError, match="state"):
+        with pytest.raises(novaphy.Error, match="state_out: expected another state"):
             ball.solver.step(state, state, None, ball.contacts, DT)
     x = nova.tensor([1.0, 2.0], requires_grad=True)
     with nova.Tape() as tape, pytest.raises(ValueError, match="overlaps"):

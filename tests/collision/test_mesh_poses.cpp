@@ -12,7 +12,7 @@
 #include <vector>
 
 #include "collision/geometry_reference.h"
-#include "novaphy/collision/geometry/mesh_pair.h"
+#include "novaphy/collision/geometry/mesh_mesh.h"
 #include "novaphy/collision/mesh_tree.h"
 #include "support/triangles.h"
 
@@ -196,6 +196,68 @@ TEST(MeshPoses, OnBallsOfTrianglesHaveARowThatTouches) {
   EXPECT_GT(poses.count, 140);
   EXPECT_EQ(poses.missing, 0) << poses.count;
   EXPECT_LE(poses.too_deep, 1) << poses.count;
+}
+
+// A convex mesh: what is below all of its planes is in it.
+struct Round {
+  MeshTree tree;
+  geometry::GeometryView view;
+  explicit Round(const Triangles& t) : tree(build_mesh_tree(t.vertices, t.indices)) {
+    view.mesh = mesh_view(tree);
+    view.box = tree.nodes[0].box;
+  }
+  double level(const Vec3d& x) const {
+    double most = -1e9;
+    for (size_t t = 0; t < tree.triangles.size(); ++t)
+      most = std::max(most, math::dot(widen(tree.normals[t]),
+                                      x - widen(tree.vertices[size_t(tree.triangles[t].x)])));
+    return most;
+  }
+  // The least level of the edges of B.
+  double depth(const Round& b, const Transformf& pose) const {
+    const Rigid r = rigid(pose);
+    double best = 0.2;
+    for (const Vec3i& t : b.tree.triangles) {
+      const Vec3d x = r.point(widen(b.tree.vertices[size_t(t.x)])),
+                  y = r.point(widen(b.tree.vertices[size_t(t.y)]));
+      if (level((x + y) * 0.5) - 0.5 * norm(y - x) >= best) continue;
+      best = std::min(best, least_of([&](double u) { return level(x + (y - x) * u); }));
+    }
+    return best;
+  }
+};
+
+// Crossing edges between faces that are nearly one decide here.
+TEST(MeshPoses, RoundMeshesHaveARowThatTouches) {
+  Scenes scenes(13);
+  const Round coarse(ball(1, 0.5)), fine(ball(2, 0.5)), small(ball(1, 0.1));
+  const Round* pairs[][2] = {{&coarse, &fine}, {&fine, &fine}, {&coarse, &small}, {&small, &small}};
+  int count = 0, missing = 0;
+  for (const auto& [a, b] : pairs)
+    for (int k = 0; k < 40; ++k) {
+      Transformf pose{{}, scenes.rotation()};
+      const Vec3d d = scenes.direction();
+      Vec3d p = d * -1.3 + scenes.direction() * 0.05;
+      // By edges alone, so a corner of A may have touched before.
+      double gap = 0.2;
+      for (int i = 0; i < 60 && gap > 1e-5; ++i) {
+        pose.p = narrow(p);
+        gap = std::min(a->depth(*b, pose), b->depth(*a, math::inverse(pose)));
+        p = p + d * gap;
+      }
+      if (gap > 1e-5) continue;
+      pose.p = narrow(p + d * scenes.uniform(1e-4, 5e-3));
+      double deepest = 1.0;
+      geometry::collide_meshes(a->view.mesh, b->view.mesh, pose,
+                               geometry::mesh_reach(a->view, b->view, 0.01f, 0.0f),
+                               [&](const geometry::MeshContact& contact) {
+                                 deepest = std::min(deepest, double(contact.point.distance));
+                               });
+      ++count;
+      missing += !(deepest <= 0.0);
+    }
+  EXPECT_GT(count, 140);
+  EXPECT_EQ(missing, 0) << count;
 }
 
 }  // namespace

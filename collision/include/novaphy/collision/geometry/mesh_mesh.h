@@ -165,19 +165,24 @@ void vertices_on_mesh(const MeshView& onto, const PlacedMesh& of, const MeshReac
   }
 }
 
-// Whether n, across the edge, lies between the normals of its two faces, or before the one.
+// Whether n, across the edge, lies between the normals of its two faces, or before the one. Where
+// the faces are nearly one, -n is not.
 inline bool in_cone(const MeshView& mesh, const MeshEdge& edge, const Vec3f& n) {
   const Vec3f a = mesh.vertices[edge.a], along = mesh.vertices[edge.b] - a;
   const float square = math::dot(along, along);
   // Along the face that goes on to a third corner.
-  const auto below = [&](int32_t corner) {
-    Vec3f d = mesh.vertices[corner] - a;
-    d = d - along * (math::dot(d, along) / square);
+  const auto beside = [&](int32_t corner) {
+    const Vec3f d = mesh.vertices[corner] - a;
+    return d - along * (math::dot(d, along) / square);
+  };
+  const auto below = [&](const Vec3f& d) {
     return math::dot(n, d) <= kStandSine * math::length(d);
   };
-  return below(edge.left) &&
-         (edge.right >= 0 ? below(edge.right)
-                          : math::dot(n, mesh.normals[edge.triangle]) >= -kBehindCosine);
+  if (!below(beside(edge.left))) return false;
+  const bool before = math::dot(n, mesh.normals[edge.triangle]) >= -kBehindCosine;
+  if (edge.right < 0) return before;
+  const Vec3f right = beside(edge.right), normal = math::cross(right, along);
+  return below(right) && (before || math::dot(n, normal) >= -kBehindCosine * math::length(normal));
 }
 
 // Calls emit(edge of A, edge of B, point on A, point on B, normal, distance).

@@ -90,12 +90,12 @@ def bodies(articulated: bool) -> novaphy.Model:
         )
         for k in range(2)
     ]  # fmt: skip
-    drive = dict(
-        target_ke=20.0, target_kd=1.0, target_q=0.1, target_qd=0.1, damping=0.2, limit_ke=30.0,
-        limit_kd=1.0, axis=(0.0, 1.0, 0.0),
-    )  # fmt: skip
+    drive = {
+        "target_ke": 20.0, "target_kd": 1.0, "target_q": 0.1, "target_qd": 0.1, "damping": 0.2,
+        "limit_ke": 30.0, "limit_kd": 1.0, "axis": (0.0, 1.0, 0.0),
+    }  # fmt: skip
     if articulated:
-        drive |= dict(armature=0.05, friction=0.02)
+        drive |= {"armature": 0.05, "friction": 0.02}
     base = ((3.0, 0.0, 0.1), UPRIGHT)
     joints = [
         # Beyond its upper limit; the second at its effort limit.
@@ -129,10 +129,13 @@ def semi(**options):
     return make
 
 
-ELEMENTS = dict(
-    enable_springs=True, enable_triangles=True, enable_bending=True, enable_tetrahedra=True
-)
-STATIC = dict(enable_static_contacts=True)
+ELEMENTS = {
+    "enable_springs": True,
+    "enable_triangles": True,
+    "enable_bending": True,
+    "enable_tetrahedra": True,
+}
+STATIC = {"enable_static_contacts": True}
 
 
 def featherstone(model):
@@ -143,7 +146,10 @@ def featherstone(model):
 
 def vbd(gradient: str):
     return lambda model: novaphy.solvers.DiffSolverVBD(
-        model, iterations=30, gradient=gradient, **({"allow_unconverged": True} if gradient == "implicit" else {})
+        model,
+        iterations=30,
+        gradient=gradient,
+        **({"allow_unconverged": True} if gradient == "implicit" else {}),
     )
 
 
@@ -153,7 +159,9 @@ SCENES = {
     "semi, bodies": Scene(lambda: bodies(False), semi(), "given", True),
     "semi, bodies, pipeline": Scene(lambda: bodies(False), semi(), "found", True),
     "featherstone": Scene(lambda: bodies(True), featherstone, "given", True),
-    "featherstone, pipeline": Scene(lambda: bodies(True), featherstone, "found", False, follows=("state.body_q",)),
+    "featherstone, pipeline": Scene(
+        lambda: bodies(True), featherstone, "found", False, follows=("state.body_q",)
+    ),
     "featherstone, no contacts": Scene(lambda: bodies(True), featherstone, "none", False),
     "vbd": Scene(soft_for_vbd, vbd("unrolled"), "given", True, dt=5e-3),
     "vbd, implicit": Scene(soft_for_vbd, vbd("implicit"), "given", True, dt=5e-3),
@@ -212,9 +220,7 @@ class Run:
 
     def value(self) -> float:
         state = self.final()
-        return sum(
-            float((a.numpy().astype(float) * w).sum()) for a, _, w in self.parts(state)
-        )
+        return sum(float((a.numpy().astype(float) * w).sum()) for a, _, w in self.parts(state))
 
     def gradient(self, name: str) -> np.ndarray:
         self.arrays[name].requires_grad = True
@@ -232,7 +238,7 @@ class Run:
 
 
 def direction(name: str, values: np.ndarray, draw: np.random.Generator) -> np.ndarray:
-    """Of size 1, along what the array may hold: symmetric matrices, unit vectors and quaternions."""
+    """A step of size 1 within symmetric matrices, unit vectors or unit quaternions."""
     way = draw.normal(size=values.shape)
     is_unit = name.endswith(("joint_axis", "normal"))
     if not is_unit and (values >= 0).all() and values.any():

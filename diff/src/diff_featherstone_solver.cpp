@@ -21,7 +21,7 @@ int32_t most_contacts(const Contacts* contacts) {
   return contacts == nullptr ? 0 : contacts->rigid_contact_max();
 }
 
-constexpr std::string_view kWithGradient[] = {"body_com",           "body_mass",
+constexpr std::string_view kFeatherstoneGradients[] = {"body_com",           "body_mass",
                                               "body_inertia",       "joint_f",
                                               "joint_target_q",     "joint_target_qd",
                                               "joint_target_ke",    "joint_target_kd",
@@ -37,7 +37,7 @@ void check_gradients(const Model& m, const Control* control, const Contacts* con
                      bool touching) {
   check_other_gradients(kUser, m, control, contacts, [touching](std::string_view name) {
     const bool is_of_shapes = name.starts_with("shape_") || name.starts_with("mesh_");
-    return std::ranges::find(kWithGradient, name) != std::end(kWithGradient) ||
+    return std::ranges::find(kFeatherstoneGradients, name) != std::end(kFeatherstoneGradients) ||
            (is_of_shapes && !touching);
   });
 }

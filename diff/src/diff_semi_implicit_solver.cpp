@@ -15,7 +15,7 @@
 namespace novaphy::diff {
 
 namespace {
-constexpr std::string_view kWithGradient[] = {
+constexpr std::string_view kSemiImplicitGradients[] = {
     // of the model
     "particle_mass", "particle_radius", "particle_spring_rest_length", "particle_spring_stiffness",
     "particle_spring_damping", "particle_tri_pose", "particle_tri_activation",
@@ -187,7 +187,7 @@ void DiffSemiImplicitSolver::begin(const char* function, const Control* control,
   particles_.begin(*model(), function);
   check_other_gradients("DiffSemiImplicitSolver", *model(), control, contacts,
                         [](std::string_view name) {
-                          return std::ranges::find(kWithGradient, name) != std::end(kWithGradient);
+                          return std::ranges::find(kSemiImplicitGradients, name) != std::end(kSemiImplicitGradients);
                         });
   if (moves_bodies()) bodies_.begin(*model());
   values_.check(*model());

@@ -71,9 +71,9 @@ std::vector<Operand> soft_contact_operands(const Model& model, const Contacts& c
           nova::operand_of(model.shape_material_mu)};
 }
 
-std::array<nova::Param, kSoftContactParams> soft_contact_params(const Model& model) {
-  return {model.soft_contact_ke, model.soft_contact_kd, model.soft_contact_kf,
-          model.soft_contact_mu, model.particle_adhesion};
+std::array<nova::Param, kSoftContactParams> soft_contact_params(const Model& model, float kf_rate) {
+  return {model.soft_contact_ke, model.soft_contact_kd,   model.soft_contact_kf,
+          model.soft_contact_mu, model.particle_adhesion, kf_rate};
 }
 
 Vec3<Real> soft_contact_term(TraceContext& c, const Vec3<Real>& x, const Vec3<Real>& v,
@@ -87,7 +87,8 @@ Vec3<Real> soft_contact_term(TraceContext& c, const Vec3<Real>& x, const Vec3<Re
   return soft_contact_force_term(
       x, v, radius, load_vec3(c, "soft_contact_body_pos"), zero,
       load_vec3(c, "soft_contact_normal"),
-      mean_soft_contact_material(material_params(c, first_param), shape_material),
+      with_bounded_kf(mean_soft_contact_material(material_params(c, first_param), shape_material),
+                      c.f32(c.source("particle_mass")), c.param(first_param + 5)),
       c.param(first_param + 4));
 }
 
@@ -100,6 +101,7 @@ const nova::Kernel& soft_contact_kernel() {
     std::vector<nova::SourceSpec> sources = {{"particle_q", DType::F32, 3, Access::Direct},
                                              {"particle_qd", DType::F32, 3, Access::Direct},
                                              {"particle_f", DType::F32, 3, Access::Direct},
+                                             {"particle_mass", DType::F32, 1, Access::Direct},
                                              {"particle_radius", DType::F32, 1, Access::Direct}};
     for (const nova::SourceSpec& s : detail::soft_contact_sources()) sources.push_back(s);
     return nova::with_one_gradient_set(nova::make_reduce_kernel(
@@ -125,12 +127,13 @@ const nova::Kernel& soft_contact_kernel() {
 
 void eval_soft_contact_forces(const Model& model, const Contacts& contacts,
                               const nova::Incidence& contacts_of, const Operand& particle_q,
-                              const Operand& particle_qd, const Operand& particle_f,
+                              const Operand& particle_qd, const Operand& particle_f, float kf_rate,
                               const Operand& forces) {
   std::vector<Operand> in = {particle_q, particle_qd, particle_f,
+                             nova::operand_of(model.particle_mass),
                              nova::operand_of(model.particle_radius)};
   for (Operand& o : detail::soft_contact_operands(model, contacts)) in.push_back(std::move(o));
-  const std::array params = detail::soft_contact_params(model);
+  const std::array params = detail::soft_contact_params(model, kf_rate);
   soft_contact_kernel().launch(particle_q.rows, in, {&forces, 1},
                                {.params = params, .csr = &contacts_of});
 }
@@ -214,10 +217,11 @@ nova::LaunchOptions static_shape_options(const Model& model, const WorldRows& ro
   return {.params = params, .extent = model.shape_count()};
 }
 
-std::vector<nova::Param> static_shape_params(const Model& model, float soft_contact_margin) {
+std::vector<nova::Param> static_shape_params(const Model& model, float kf_rate,
+                                             float soft_contact_margin) {
   require(std::isfinite(soft_contact_margin) && soft_contact_margin >= 0.0f, ErrorKind::Value,
           "soft_contact_margin: expected a finite distance >= 0, got ", soft_contact_margin);
-  const std::array law = soft_contact_params(model);
+  const std::array law = soft_contact_params(model, kf_rate);
   std::vector<nova::Param> params(law.begin(), law.end());
   params.emplace_back(soft_contact_margin);
   return params;
@@ -267,7 +271,8 @@ Vec3<Real> static_shape_term(TraceContext& c, Worlds worlds, Shapes shapes, cons
   const Vec3<Real> zero{0.0f, 0.0f, 0.0f};
   const Vec3<Real> term = soft_contact_force_term(
       x, v, radius, contact.point, zero, contact.normal,
-      mean_soft_contact_material(material_params(c, first_param), shape_material),
+      with_bounded_kf(mean_soft_contact_material(material_params(c, first_param), shape_material),
+                      c.f32(c.source("particle_mass")), c.param(first_param + 5)),
       c.param(first_param + 4));
   const Bool collides =
       (flags & Int(static_cast<int32_t>(ShapeFlags::COLLIDE_PARTICLES))) != Int(0);
@@ -275,7 +280,7 @@ Vec3<Real> static_shape_term(TraceContext& c, Worlds worlds, Shapes shapes, cons
   // A NaN position is no distance away from anything: it reaches the force, as in the law.
   const Bool lost = contact.point.x != contact.point.x;
   const Bool detected = either(
-      lost, contact.distance < (c.param(first_param + 5) + of_shape("shape_margin")) + radius);
+      lost, contact.distance < (c.param(first_param + 6) + of_shape("shape_margin")) + radius);
   const Real none = -0.0f;
   return math::select(both(both(collides, world_owned), detected), term,
                       Vec3<Real>{none, none, none});
@@ -290,6 +295,7 @@ nova::Kernel make_static_contact_kernel(const char* name, detail::Worlds worlds,
   std::vector<nova::SourceSpec> sources = {{"particle_q", DType::F32, 3, Access::Direct},
                                            {"particle_qd", DType::F32, 3, Access::Direct},
                                            {"particle_f", DType::F32, 3, Access::Direct},
+                                           {"particle_mass", DType::F32, 1, Access::Direct},
                                            {"particle_radius", DType::F32, 1, Access::Direct},
                                            {"particle_flags", DType::I32, 1, Access::Direct}};
   for (const nova::SourceSpec& s : detail::static_shape_sources(worlds)) sources.push_back(s);
@@ -339,10 +345,14 @@ void detail::add_contact_kernels(std::vector<nova::EngineKernel>& list) {
 
 void eval_static_contact_forces(const Model& model, const WorldRows& rows,
                                 const Operand& particle_q, const Operand& particle_qd,
-                                const Operand& particle_f, float soft_contact_margin,
+                                const Operand& particle_f, float kf_rate, float soft_contact_margin,
                                 const Operand& forces) {
-  const std::vector<nova::Param> params = detail::static_shape_params(model, soft_contact_margin);
-  std::vector<Operand> in = {particle_q, particle_qd, particle_f,
+  const std::vector<nova::Param> params =
+      detail::static_shape_params(model, kf_rate, soft_contact_margin);
+  std::vector<Operand> in = {particle_q,
+                             particle_qd,
+                             particle_f,
+                             nova::operand_of(model.particle_mass),
                              nova::operand_of(model.particle_radius),
                              nova::operand_of(model.particle_flags)};
   for (const Operand& o : detail::static_shape_operands(model, rows)) in.push_back(o);
@@ -365,7 +375,7 @@ Tensor eval_static_particle_shape_contact_forces_generated(const Model& model,
   WorldRows rows;
   rows.update(model, true);
   eval_static_contact_forces(model, rows, particle_q.operand(), particle_qd.operand(),
-                             particle_f.operand(), soft_contact_margin, out.operand());
+                             particle_f.operand(), kNoKfBound, soft_contact_margin, out.operand());
   return out;
 }
 

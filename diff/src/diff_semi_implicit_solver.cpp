@@ -64,7 +64,8 @@ ParticleStepOptions step_options(const DiffSolverConfig& config) {
                        .tetrahedra = config.enable_tetrahedra},
           .contacts = config.enable_particle_contacts && !config.enable_static_contacts,
           .static_contacts = static_contacts,
-          .static_contact_margin = config.static_contact_margin};
+          .static_contact_margin = config.static_contact_margin,
+          .kf_bound = config.particle_kf_bound};
 }
 }  // namespace
 
@@ -81,6 +82,9 @@ DiffSemiImplicitSolver::DiffSemiImplicitSolver(std::shared_ptr<const Model> mode
             "DiffSemiImplicitSolver: ", name, ": expected a finite number >= 0, got ", value);
   };
   check_option("static_contact_margin", config.static_contact_margin);
+  require(config.particle_kf_bound >= 0.0f, ErrorKind::Value,
+          "DiffSemiImplicitSolver: particle_kf_bound: expected a number >= 0, got ",
+          config.particle_kf_bound);
   check_option("angular_damping", config.angular_damping);
   require(!config.strict || config.enable_particles || this->model()->particle_count() == 0,
           ErrorKind::NotImplemented,
@@ -191,6 +195,10 @@ void DiffSemiImplicitSolver::begin(const char* function, const Control* control,
                         });
   if (moves_bodies()) bodies_.begin(*model());
   values_.check(*model());
+  if (moves_particles() && nova::current_capture() == nullptr)
+    particle_watch_.look(
+        *model(), particle_forces(contacts != nullptr || found || config_.enable_static_contacts),
+        dt);
   if (joints_) joints_->begin(*model(), control, dt);
   if (contacts != nullptr) {
     contacts->check_materials(function);
@@ -229,8 +237,23 @@ void DiffSemiImplicitSolver::step(SimState& state_in, SimState& state_out, const
   if (contacts != nullptr) bodies_.write_contact_forces(*contacts);
 }
 
+ParticleForces DiffSemiImplicitSolver::particle_forces(bool contacts) const {
+  return {.springs = config_.enable_springs,
+          .triangles = config_.enable_triangles,
+          .edges = config_.enable_bending,
+          .tetrahedra = config_.enable_tetrahedra,
+          .contacts = contacts && config_.enable_particle_contacts,
+          .kf_bound = config_.particle_kf_bound};
+}
+
 float DiffSemiImplicitSolver::stable_dt(const SimState& state, const Contacts& contacts) const {
-  return stable_contact_dt("DiffSemiImplicitSolver.stable_dt", *model(), state, contacts, 0.0f);
+  constexpr const char* name = "DiffSemiImplicitSolver.stable_dt";
+  return std::min(stable_contact_dt(name, *model(), state, contacts, 0.0f),
+                  enough_particle_dt(name, *model(), state, &contacts, particle_forces(true)));
+}
+float DiffSemiImplicitSolver::stable_dt(const SimState& state) const {
+  return enough_particle_dt("DiffSemiImplicitSolver.stable_dt", *model(), state, nullptr,
+                            particle_forces(config_.enable_static_contacts));
 }
 
 std::vector<ScratchSpec> DiffSemiImplicitSolver::step_scratch() const {

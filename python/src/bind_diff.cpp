@@ -504,7 +504,8 @@ void bind_solver(py::module_& solvers) {
                   bool enable_static_contacts, float static_contact_margin, bool enable_rigid,
                   bool enable_rigid_contacts, float angular_damping,
                   const std::string& friction_law, std::optional<float> friction_smoothing,
-                  bool enable_joints, float joint_attach_ke, float joint_attach_kd, bool strict) {
+                  bool enable_joints, float joint_attach_ke, float joint_attach_kd, bool strict,
+                  float particle_kf_bound) {
         return Settings{{.enable_particles = enable_particles,
                          .enable_particle_contacts = enable_particle_contacts,
                          .enable_tetrahedra = enable_tetrahedra,
@@ -513,6 +514,7 @@ void bind_solver(py::module_& solvers) {
                          .enable_bending = enable_bending,
                          .enable_static_contacts = enable_static_contacts,
                          .static_contact_margin = static_contact_margin,
+                         .particle_kf_bound = particle_kf_bound,
                          .enable_rigid = enable_rigid,
                          .enable_rigid_contacts = enable_rigid_contacts,
                          .angular_damping = angular_damping,
@@ -532,7 +534,8 @@ void bind_solver(py::module_& solvers) {
       "enable_rigid_contacts"_a = d.enable_rigid_contacts, "angular_damping"_a = d.angular_damping,
       "friction_law"_a = friction_law_name(d.friction_law), "friction_smoothing"_a = py::none(),
       "enable_joints"_a = d.enable_joints, "joint_attach_ke"_a = d.joint_attach_ke,
-      "joint_attach_kd"_a = d.joint_attach_kd, "strict"_a = d.strict);
+      "joint_attach_kd"_a = d.joint_attach_kd, "strict"_a = d.strict,
+      "particle_kf_bound"_a = d.particle_kf_bound);
 #define NOVAPHY_MEMBER(name, doc)                               \
   config.def_property(                                          \
       #name, [](const Settings& s) { return s.name; },          \
@@ -551,6 +554,10 @@ void bind_solver(py::module_& solvers) {
       "Contacts with world-owned shapes at their true distance in every substep, instead "
       "of those of a Contacts, which must then be None.")
   NOVAPHY_MEMBER(static_contact_margin, "m: how far a static contact is looked for.")
+  NOVAPHY_MEMBER(particle_kf_bound,
+                 "The largest kf dt/m of a contact of a particle of mass m: a larger kf counts as "
+                 "that. From 2 on gradients grow in every step in which friction acts. inf: kf as "
+                 "it is, Newton's law.")
   NOVAPHY_MEMBER(enable_rigid, "Bodies move.")
   NOVAPHY_MEMBER(
       enable_rigid_contacts,
@@ -599,10 +606,17 @@ void bind_solver(py::module_& solvers) {
             return Settings{s.config(), true};
           },
           "The settings that it was made with; AttributeError where one is set.")
-      .def("stable_dt", &DiffSemiImplicitSolver::stable_dt, "state"_a, "contacts"_a,
-           "As SolverSemiImplicit.stable_dt: the longest dt (s) for the contacts that touch in the "
-           "state, of bodies. A step of a longer one warns (RuntimeWarning, once) where ke or kd "
-           "diverges for certain. ValueError: a state or contacts of another model.");
+      .def(
+          "stable_dt",
+          [](const DiffSemiImplicitSolver& s, const SimState& state, const Contacts* contacts) {
+            return contacts != nullptr ? s.stable_dt(state, *contacts) : s.stable_dt(state);
+          },
+          "state"_a, "contacts"_a = py::none(),
+          "As SolverSemiImplicit.stable_dt: the longest dt (s) for the elements of particles and "
+          "the contacts that touch in the state; without contacts, static ones count as one of "
+          "each particle with each of its shapes. A step of a longer one warns (RuntimeWarning, "
+          "once) where springs or dampers diverge for certain. ValueError: a state or contacts of "
+          "another model.");
   add_fast_step(solver);
 }
 

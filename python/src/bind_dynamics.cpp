@@ -57,9 +57,10 @@ void bind_dynamics(py::module_& m, py::module_& solvers) {
       .def(py::init([](const std::shared_ptr<Model>& model, float angular_damping,
                        const std::string& friction_law, std::optional<float> friction_smoothing,
                        float stick_ke, float joint_attach_ke, float joint_attach_kd,
-                       bool enable_tri_contact) {
+                       bool enable_tri_contact, float particle_kf_bound) {
              return std::make_unique<SolverSemiImplicit>(
-                 model, SemiImplicitOptions{.angular_damping = angular_damping,
+                 model, SemiImplicitOptions{.particle_kf_bound = particle_kf_bound,
+                                            .angular_damping = angular_damping,
                                             .friction_law = to_friction_law(friction_law),
                                             .friction_smoothing = friction_smoothing,
                                             .stick_ke = stick_ke,
@@ -71,6 +72,7 @@ void bind_dynamics(py::module_& m, py::module_& solvers) {
            "friction_law"_a = "viscous", "friction_smoothing"_a = py::none(),
            "stick_ke"_a = d.stick_ke, "joint_attach_ke"_a = d.joint_attach_ke,
            "joint_attach_kd"_a = d.joint_attach_kd, "enable_tri_contact"_a = d.enable_tri_contact,
+           "particle_kf_bound"_a = d.particle_kf_bound,
            "angular_damping (1/s) of bodies. friction_law of rigid contacts: \"viscous\" (kf times "
            "the slip, cut off at the Coulomb cone), \"huber\" (the same, smooth for slips below "
            "friction_smoothing, m/s), or \"newton17\" (that of Newton 1.7, which reads "
@@ -85,6 +87,9 @@ void bind_dynamics(py::module_& m, py::module_& solvers) {
            "(RuntimeWarning, once) of one at which ke or kd of what touches does. "
            "enable_tri_contact acts on contacts of particles with triangles, of which there are "
            "none yet. "
+           "particle_kf_bound: the largest kf dt/m of a contact of a particle of mass m, a larger "
+           "kf counts as that; from 2 on gradients grow in every step in which friction acts. inf: "
+           "kf as it is, Newton's law. "
            "NotImplementedError for parts of a model "
            "that are not covered.")
       .def_property_readonly(
@@ -99,6 +104,10 @@ void bind_dynamics(py::module_& m, py::module_& solvers) {
           [](const SolverSemiImplicit& s) { return s.options().friction_smoothing; },
           "m/s; \"viscous\" does not read it.")
       .def_property_readonly(
+          "particle_kf_bound",
+          [](const SolverSemiImplicit& s) { return s.options().particle_kf_bound; },
+          "The largest kf dt/m of contacts of particles.")
+      .def_property_readonly(
           "stick_ke", [](const SolverSemiImplicit& s) { return s.options().stick_ke; },
           "N/m, of every row of rigid contacts.")
       .def_property_readonly(
@@ -112,11 +121,16 @@ void bind_dynamics(py::module_& m, py::module_& solvers) {
           [](const SolverSemiImplicit& s) { return s.options().enable_tri_contact; },
           "Stored; particles do not meet triangles yet.");
   semi_implicit.def(
-      "stable_dt", &SolverSemiImplicit::stable_dt, "state"_a, "contacts"_a,
+      "stable_dt",
+      [](const SolverSemiImplicit& s, const SimState& state, const Contacts* contacts) {
+        return contacts != nullptr ? s.stable_dt(state, *contacts) : s.stable_dt(state);
+      },
+      "state"_a, "contacts"_a = py::none(),
       "The longest dt (s) at which springs, dampers and friction as far as it sticks are stable "
-      "together, of the contacts that touch in the state, whatever the neighbours of a body do; "
-      "inf where none touches. A longer one may do, for friction ends at its cone. ValueError: a "
-      "state or contacts of another model, contacts that have overflowed.");
+      "together, of the elements of particles at rest and of the contacts that touch in the state, "
+      "whatever the neighbours of a body or particle do; inf where none acts. A longer one may do, "
+      "for friction ends at its cone. ValueError: a state or contacts of another model, contacts "
+      "that have overflowed.");
   add_fast_step(semi_implicit);
   m.def(
       "eval_fk",

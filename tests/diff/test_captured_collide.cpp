@@ -4,6 +4,7 @@
 #include <optional>
 
 #include "ball_scene.h"
+#include "novaphy/collision/diff_soft_contact_trace.h"
 #include "novaphy/core/parallel.h"
 #include "novaphy/diff/diff_semi_implicit_solver.h"
 #include "novaphy/diff/losses.h"
@@ -124,7 +125,7 @@ struct Training {
           nova::operand_of(contacts[t].soft_contact_particle), model->particle_count());
       diff::step_particles(
           *model, contacts[t], of_particles, nova::operand_of(states[t].particle_q),
-          nova::operand_of(states[t].particle_qd), forces, kBallDt,
+          nova::operand_of(states[t].particle_qd), forces, kNoKfBound, kBallDt,
           nova::operand_of(states[t + 1].particle_q), nova::operand_of(states[t + 1].particle_qd));
     }
     const nova::Tensor centroid =

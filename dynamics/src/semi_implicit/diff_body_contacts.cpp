@@ -216,10 +216,11 @@ std::vector<Real> soft_forces(TraceContext& c, bool follow) {
       x, Columns(c, "particle_qd", &particle).vec3(), Columns(c, "particle_radius", &particle)[0],
       math::select(body.is_world, at.point, point.position),
       math::select(body.is_world, Columns(c, "body_vel").vec3(), point.velocity), at.normal,
-      mean_soft_contact_material<Real>(
-          {c.param(0), c.param(1), c.param(2), c.param(3)},
-          {of_shape("shape_material_ke"), of_shape("shape_material_kd"),
-           of_shape("shape_material_kf"), of_shape("shape_material_mu")}),
+      with_bounded_kf(mean_soft_contact_material<Real>(
+                          {c.param(0), c.param(1), c.param(2), c.param(3)},
+                          {of_shape("shape_material_ke"), of_shape("shape_material_kd"),
+                           of_shape("shape_material_kf"), of_shape("shape_material_mu")}),
+                      Columns(c, "particle_mass", &particle)[0], c.param(5)),
       c.param(4));
   std::vector<Real> out = list(term);
   for (const Real& t : list(-term, math::cross(point.arm, -term))) out.push_back(t);
@@ -235,6 +236,7 @@ nova::Kernel make_soft_kernel(const char* name, bool follow) {
                                            {"normal", DType::F32, 3, Access::Direct},
                                            {"particle_q", DType::F32, 3, Access::Indexed},
                                            {"particle_qd", DType::F32, 3, Access::Indexed},
+                                           {"particle_mass", DType::F32, 1, Access::Indexed},
                                            {"particle_radius", DType::F32, 1, Access::Indexed},
                                            {"shape_material_ke", DType::F32, 1, Access::Indexed},
                                            {"shape_material_kd", DType::F32, 1, Access::Indexed},
@@ -374,8 +376,8 @@ void write_rigid_contact_forces(const Contacts& c, const Operand& wrenches) {
 
 void eval_soft_contacts(const Model& m, const Contacts& c, const ContactTables& tables,
                         const Operand& particle_q, const Operand& particle_qd,
-                        const Operand& body_q, const Operand& body_qd, const Operand& forces,
-                        const Operand& wrenches) {
+                        const Operand& body_q, const Operand& body_qd, float kf_rate,
+                        const Operand& forces, const Operand& wrenches) {
   std::vector<Operand> in = {nova::operand_of(c.soft_contact_particle),
                              nova::operand_of(c.soft_contact_shape),
                              nova::operand_of(tables.soft_bodies()),
@@ -384,6 +386,7 @@ void eval_soft_contacts(const Model& m, const Contacts& c, const ContactTables& 
                              nova::operand_of(c.soft_contact_normal),
                              particle_q,
                              particle_qd,
+                             nova::operand_of(m.particle_mass),
                              nova::operand_of(m.particle_radius),
                              nova::operand_of(m.shape_material_ke),
                              nova::operand_of(m.shape_material_kd),
@@ -392,7 +395,7 @@ void eval_soft_contacts(const Model& m, const Contacts& c, const ContactTables& 
                              body_q,
                              body_qd,
                              nova::operand_of(m.body_com)};
-  const std::array params = detail::soft_contact_params(m);
+  const std::array params = detail::soft_contact_params(m, kf_rate);
   const Operand out[] = {forces, wrenches};
   const bool follow = tables.particles_follow();
   if (follow) add_shapes(m, in);

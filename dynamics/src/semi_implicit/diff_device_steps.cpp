@@ -7,6 +7,7 @@
 #include "novaphy/dynamics/diff_solver_base.h"
 #include "novaphy/dynamics/semi_implicit/diff_body_step.h"
 #include "novaphy/dynamics/semi_implicit/diff_particle_step.h"
+#include "novaphy/dynamics/semi_implicit/particle_stability.h"
 
 namespace novaphy {
 namespace {
@@ -18,7 +19,8 @@ class DeviceSteps final : public diff::DiffSolverBase {
       : DiffSolverBase(model),
         particles_(
             *model,
-            {.elements = {.springs = true, .triangles = true, .edges = true, .tetrahedra = true}}),
+            {.elements = {.springs = true, .triangles = true, .edges = true, .tetrahedra = true},
+             .kf_bound = options.particle_kf_bound}),
         bodies_({.solver = "SolverSemiImplicit.step",
                  .angular_damping = options.angular_damping,
                  .friction_law = options.friction_law,
@@ -84,6 +86,9 @@ class DeviceSteps final : public diff::DiffSolverBase {
     particles_.begin(*model(), function);
     if (moves_bodies()) bodies_.begin(*model());
     values_.check(*model());
+    if (moves_particles())
+      watch_.look(*model(), {.contacts = contacts != nullptr, .kf_bound = particles_.kf_bound()},
+                  dt);
     if (joints_) joints_->begin(*model(), control, dt);
     if (contacts != nullptr)
       tables_.update(*model(), *contacts, wanted());
@@ -98,6 +103,7 @@ class DeviceSteps final : public diff::DiffSolverBase {
   }
 
   EditedValues values_{"SolverSemiImplicit"};
+  ParticleWatch watch_{"SolverSemiImplicit.step"};
   diff::ParticleStep particles_;
   diff::BodyStep bodies_;
   std::optional<diff::DiffJoints> joints_;

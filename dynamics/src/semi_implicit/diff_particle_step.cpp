@@ -1,6 +1,7 @@
 #include "novaphy/dynamics/semi_implicit/diff_particle_step.h"
 
 #include "novaphy/collision/contact_bodies.h"
+#include "novaphy/collision/diff_soft_contact_trace.h"
 #include "novaphy/core/error.h"
 #include "novaphy/dynamics/diff_model_reads.h"
 #include "novaphy/dynamics/semi_implicit/diff_particles.h"
@@ -35,11 +36,13 @@ Operand ParticleStep::add_elements(const Model& model, const Control* control, c
 }
 
 void ParticleStep::add_contacts(const Model& model, const SimState& in, const Contacts& contacts,
-                                const ContactTables& tables, const Operand& f, const Operand& to) {
+                                const ContactTables& tables, const Operand& f, float dt,
+                                const Operand& to) {
+  const float rate = kf_rate(options_.kf_bound, dt);
   const Operand q = nova::operand_of(in.particle_q), qd = nova::operand_of(in.particle_qd);
   touches_ = tables.slots_of_bodies() != nullptr;
   if (!touches_) {
-    eval_soft_contact_forces(model, contacts, tables.slots_of_particles(), q, qd, f, to);
+    eval_soft_contact_forces(model, contacts, tables.slots_of_particles(), q, qd, f, rate, to);
     return;
   }
   if (forces_.rows != contacts.soft_contact_max()) {
@@ -47,7 +50,7 @@ void ParticleStep::add_contacts(const Model& model, const SimState& in, const Co
     wrenches_ = allocate(contacts.soft_contact_max(), 6, model.device());
   }
   eval_soft_contacts(model, contacts, tables, q, qd, nova::operand_of(in.body_q),
-                     nova::operand_of(in.body_qd), forces_, wrenches_);
+                     nova::operand_of(in.body_qd), rate, forces_, wrenches_);
   detail::add_contributions(f, forces_, tables.slots_of_particles(), to);
 }
 
@@ -81,9 +84,10 @@ void ParticleStep::run(const Model& model, SimState& in, SimState& out, const Co
   if (tables.slots_of_particles() || options_.static_contacts) {
     const Operand total = target();
     if (options_.static_contacts) {
-      eval_static_contact_forces(model, rows_, q, qd, f, options_.static_contact_margin, total);
+      eval_static_contact_forces(model, rows_, q, qd, f, kf_rate(options_.kf_bound, dt),
+                                 options_.static_contact_margin, total);
     } else {
-      add_contacts(model, in, *contacts, tables, f, total);
+      add_contacts(model, in, *contacts, tables, f, dt, total);
     }
     f = total;
   }
@@ -110,16 +114,17 @@ void ParticleStep::record(const Model& model, const SimState& in, SimState& out,
   const Operand f = elements_.empty() ? inputs.forces
                                       : add_elements(model, inputs.control, q, qd, inputs.forces,
                                                      nova::operand_of(scratch[0]));
+  const float rate = kf_rate(options_.kf_bound, inputs.dt);
   if (options_.static_contacts) {
-    step_particles_with_static_contacts(model, rows_, q, qd, f, options_.static_contact_margin,
-                                        inputs.dt, q_out, qd_out);
+    step_particles_with_static_contacts(model, rows_, q, qd, f, rate,
+                                        options_.static_contact_margin, inputs.dt, q_out, qd_out);
   } else if (tables.slots_of_bodies()) {
     const Operand total = nova::operand_of(scratch[has_elements() ? 1 : 0]);
-    add_contacts(model, in, *inputs.contacts, tables, f, total);
+    add_contacts(model, in, *inputs.contacts, tables, f, inputs.dt, total);
     integrate_particles(model, q, qd, total, inputs.dt, q_out, qd_out);
   } else if (tables.slots_of_particles()) {
-    step_particles(model, *inputs.contacts, tables.slots_of_particles(), q, qd, f, inputs.dt, q_out,
-                   qd_out);
+    step_particles(model, *inputs.contacts, tables.slots_of_particles(), q, qd, f, rate, inputs.dt,
+                   q_out, qd_out);
   } else {
     integrate_particles(model, q, qd, f, inputs.dt, q_out, qd_out);
   }

@@ -2,6 +2,7 @@
 
 #include <cmath>
 
+#include "novaphy/collision/diff_soft_contact_trace.h"
 #include "novaphy/collision/diff_soft_contacts.h"
 #include "novaphy/core/error.h"
 #include "novaphy/dynamics/diff_model_reads.h"
@@ -195,14 +196,14 @@ void integrate_particles(const Model& model, const Operand& particle_q, const Op
 
 void step_particles(const Model& model, const Contacts& contacts,
                     const nova::Incidence& contacts_of, const Operand& particle_q,
-                    const Operand& particle_qd, const Operand& particle_f, float dt,
+                    const Operand& particle_qd, const Operand& particle_f, float kf_rate, float dt,
                     const Operand& q_out, const Operand& qd_out) {
   check_dt(dt, "step_particles");
   std::vector<Operand> in = integration_operands(model, particle_q, particle_qd, particle_f);
   in.push_back(nova::operand_of(model.particle_radius));
   for (Operand& o : detail::soft_contact_operands(model, contacts)) in.push_back(std::move(o));
   std::vector<nova::Param> params = {model.particle_max_velocity, dt};
-  for (const nova::Param& p : detail::soft_contact_params(model)) params.push_back(p);
+  for (const nova::Param& p : detail::soft_contact_params(model, kf_rate)) params.push_back(p);
   const Operand out[] = {q_out, qd_out};
   kernels(detail::worlds_of(model))
       .step.launch(particle_q.rows, in, out, {.params = params, .csr = &contacts_of});
@@ -210,14 +211,15 @@ void step_particles(const Model& model, const Contacts& contacts,
 
 void step_particles_with_static_contacts(const Model& model, const WorldRows& rows,
                                          const Operand& particle_q, const Operand& particle_qd,
-                                         const Operand& particle_f, float soft_contact_margin,
-                                         float dt, const Operand& q_out, const Operand& qd_out) {
+                                         const Operand& particle_f, float kf_rate,
+                                         float soft_contact_margin, float dt, const Operand& q_out,
+                                         const Operand& qd_out) {
   check_dt(dt, "step_particles_with_static_contacts");
   std::vector<Operand> in = integration_operands(model, particle_q, particle_qd, particle_f);
   in.push_back(nova::operand_of(model.particle_radius));
   for (const Operand& o : detail::static_shape_operands(model, rows)) in.push_back(o);
   std::vector<nova::Param> params = {model.particle_max_velocity, dt};
-  for (const nova::Param& p : detail::static_shape_params(model, soft_contact_margin))
+  for (const nova::Param& p : detail::static_shape_params(model, kf_rate, soft_contact_margin))
     params.push_back(p);
   const Operand out[] = {q_out, qd_out};
   fused_kernel(detail::worlds_of(model), rows.shapes())
@@ -257,8 +259,8 @@ std::pair<Tensor, Tensor> integrate_particles_with_static_contacts_generated(
   WorldRows rows;
   rows.update(model, true);
   step_particles_with_static_contacts(model, rows, particle_q.operand(), particle_qd.operand(),
-                                      particle_f.operand(), soft_contact_margin, dt, q.operand(),
-                                      qd.operand());
+                                      particle_f.operand(), kNoKfBound, soft_contact_margin, dt,
+                                      q.operand(), qd.operand());
   return {q, qd};
 }
 

@@ -18,7 +18,7 @@ void ParticleContacts::reset() {
   body_rows_.clear();
 }
 
-void ParticleContacts::update(const Model& model, const Contacts& contacts) {
+void ParticleContacts::update(const Model &model, const Contacts &contacts) {
   if (count_.matches(contacts.soft_contact_count) &&
       particle_.matches(contacts.soft_contact_particle) &&
       shape_.matches(contacts.soft_contact_shape) && shape_body_.matches(model.shape_body)) {
@@ -27,9 +27,9 @@ void ParticleContacts::update(const Model& model, const Contacts& contacts) {
   reset();
   const int32_t active =
       std::clamp(*contacts.soft_contact_count.data(), 0, contacts.soft_contact_max());
-  const int32_t* particle = contacts.soft_contact_particle.data();
-  const int32_t* shape = contacts.soft_contact_shape.data();
-  const int32_t* body = model.shape_body.data();
+  const int32_t *particle = contacts.soft_contact_particle.data();
+  const int32_t *shape = contacts.soft_contact_shape.data();
+  const int32_t *body = model.shape_body.data();
   bodies_.resize(static_cast<size_t>(active));
   for (int32_t slot = 0; slot < active; ++slot) {
     require(particle[slot] >= 0 && particle[slot] < model.particle_count(), ErrorKind::Index,
@@ -52,7 +52,8 @@ void ParticleContacts::update(const Model& model, const Contacts& contacts) {
   shape_body_.set(model.shape_body);
 }
 
-void ParticleContacts::evaluate(const Model& m, const SimState& state, const Contacts& c) {
+void ParticleContacts::evaluate(const Model &m, const SimState &state, const Contacts &c,
+                                float kf_rate) {
   terms_.resize(bodies_.size());
   if (touches_bodies()) wrenches_.resize(bodies_.size());
   const SoftContactMaterial<float> model_material{m.soft_contact_ke, m.soft_contact_kd,
@@ -63,10 +64,10 @@ void ParticleContacts::evaluate(const Model& m, const SimState& state, const Con
                      *const body_vel = c.soft_contact_body_vel.data(),
                      *const normal = c.soft_contact_normal.data();
   const Vec3f *const x = state.particle_q.data(), *const v = state.particle_qd.data();
-  const float* const radius = m.particle_radius.data();
-  const Transformf* const q = state.body_q.data();
-  const SpatialVectorf* const qd = state.body_qd.data();
-  const Vec3f* const com = m.body_com.data();
+  const float *const radius = m.particle_radius.data(), *const mass = m.particle_mass.data();
+  const Transformf *const q = state.body_q.data();
+  const SpatialVectorf *const qd = state.body_qd.data();
+  const Vec3f *const com = m.body_com.data();
   const float *const ke = m.shape_material_ke.data(), *const kd = m.shape_material_kd.data(),
                      *const kf = m.shape_material_kf.data(), *const mu = m.shape_material_mu.data();
   for_chunks(static_cast<int64_t>(bodies_.size()), kSlotChunk,
@@ -79,7 +80,9 @@ void ParticleContacts::evaluate(const Model& m, const SimState& state, const Con
                    at = soft_contact_body(q[b], qd[b], com[b], body_pos[slot], body_vel[slot]);
                  const Vec3f term = soft_contact_force_term(
                      x[p], v[p], radius[p], at.position, at.velocity, normal[slot],
-                     mean_soft_contact_material(model_material, {ke[s], kd[s], kf[s], mu[s]}),
+                     with_bounded_kf(
+                         mean_soft_contact_material(model_material, {ke[s], kd[s], kf[s], mu[s]}),
+                         mass[p], kf_rate),
                      m.particle_adhesion);
                  terms_[static_cast<size_t>(slot)] = term;
                  if (b >= 0)

@@ -6,9 +6,9 @@
 #include <span>
 #include <vector>
 
-#include "novaphy/core/sim/index_rows.h"
 #include "novaphy/core/array_stamp.h"
 #include "novaphy/core/sim/contacts.h"
+#include "novaphy/core/sim/index_rows.h"
 #include "novaphy/core/sim/model.h"
 #include "novaphy/core/sim/sim_state.h"
 
@@ -23,7 +23,8 @@ class ParticleContacts {
 
   bool empty() const { return rows_.empty(); }
   // What every slot does in a state. Keeps its memory.
-  void evaluate(const Model& model, const SimState& state, const Contacts& contacts);
+  // kf_rate: r of diff_soft_contact_trace.h.
+  void evaluate(const Model& model, const SimState& state, const Contacts& contacts, float kf_rate);
   // f with the forces of the particle's contacts added in slot order.
   Vec3f add(int64_t particle, Vec3f f) const {
     for (const int32_t slot : rows_.items(particle)) f = f + terms_[static_cast<size_t>(slot)];

@@ -7,6 +7,7 @@
 #include "device_steps.h"
 #include "element_forces.h"
 #include "joint_forces.h"
+#include "novaphy/collision/diff_soft_contact_trace.h"
 #include "novaphy/core/error.h"
 #include "novaphy/core/recorder.h"
 #include "novaphy/core/sim/edited_values.h"
@@ -16,6 +17,7 @@
 #include "novaphy/dynamics/semi_implicit/contact_stability.h"
 #include "novaphy/dynamics/semi_implicit/friction_law.h"
 #include "novaphy/dynamics/semi_implicit/particle_integrator_trace.h"
+#include "novaphy/dynamics/semi_implicit/particle_stability.h"
 #include "particle_contacts.h"
 #include "rigid_bodies.h"
 
@@ -45,6 +47,7 @@ struct SolverSemiImplicit::Cache {
   UnreadMaterials materials;  // adhesion is of contacts of bodies
   EditedValues values{"SolverSemiImplicit"};
   ContactWatch watch{kName};
+  ParticleWatch particle_watch{kName};
 };
 
 SolverSemiImplicit::SolverSemiImplicit(std::shared_ptr<const Model> model,
@@ -52,6 +55,9 @@ SolverSemiImplicit::SolverSemiImplicit(std::shared_ptr<const Model> model,
     : SolverBase(std::move(model)),
       options_(options),
       cache_(std::make_unique<Cache>(*this->model())) {
+  require(options.particle_kf_bound >= 0.0f, ErrorKind::Value,
+          "SolverSemiImplicit: particle_kf_bound: expected a number >= 0, got ",
+          options.particle_kf_bound);
   check_option("angular_damping", options.angular_damping);
   options_.friction_smoothing = checked_friction_smoothing(
       "SolverSemiImplicit", options.friction_law, options.friction_smoothing);
@@ -79,8 +85,14 @@ void SolverSemiImplicit::notify_model_changed(ModelFlags) {
 }
 
 float SolverSemiImplicit::stable_dt(const SimState& state, const Contacts& contacts) const {
-  return stable_contact_dt("SolverSemiImplicit.stable_dt", *model(), state, contacts,
-                           options_.stick_ke);
+  return std::min(stable_contact_dt("SolverSemiImplicit.stable_dt", *model(), state, contacts,
+                                    options_.stick_ke),
+                  enough_particle_dt("SolverSemiImplicit.stable_dt", *model(), state, &contacts,
+                                     {.kf_bound = options_.particle_kf_bound}));
+}
+float SolverSemiImplicit::stable_dt(const SimState& state) const {
+  return enough_particle_dt("SolverSemiImplicit.stable_dt", *model(), state, nullptr,
+                            {.contacts = false, .kf_bound = options_.particle_kf_bound});
 }
 
 void SolverSemiImplicit::rollout(Trajectory& trajectory, const Control* control,
@@ -117,6 +129,9 @@ void SolverSemiImplicit::step(SimState& state_in, SimState& state_out, const Con
   cache_->joints.prepare(m, attach, dt);
   if (contacts != nullptr && m.body_count() > 0 && cache_->watch.is_due())
     cache_->watch.look(m, state_in, *contacts, dt);
+  if (m.particle_count() > 0)
+    cache_->particle_watch.look(
+        m, {.contacts = contacts != nullptr, .kf_bound = options_.particle_kf_bound}, dt);
 
   const Vec3f* q = state_in.particle_q.data();
   const Vec3f* qd = state_in.particle_qd.data();
@@ -141,7 +156,8 @@ void SolverSemiImplicit::step(SimState& state_in, SimState& state_out, const Con
   const bool deformable = ElementForces::any(m);
   if (deformable) cache_->elements.evaluate(m, control, q, qd);
   cache_->joints.evaluate(m, state_in, control, attach);
-  if (touching) cache_->contacts.evaluate(m, state_in, *contacts);
+  if (touching)
+    cache_->contacts.evaluate(m, state_in, *contacts, kf_rate(options_.particle_kf_bound, dt));
   const bool particles_touch = touching && cache_->contacts.touches_bodies();
   cache_->bodies.step(m, state_in, state_out, contacts, cache_->joints,
                       particles_touch ? &cache_->contacts : nullptr,

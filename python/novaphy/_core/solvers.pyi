@@ -66,6 +66,7 @@ class SolverSemiImplicit(SolverBase):
         joint_attach_ke: SupportsFloat = 1.0e4,
         joint_attach_kd: SupportsFloat = 1.0e2,
         enable_tri_contact: bool = True,
+        particle_kf_bound: SupportsFloat = 1.0,
     ) -> None: ...
     @property
     def angular_damping(self) -> float: ...
@@ -81,7 +82,9 @@ class SolverSemiImplicit(SolverBase):
     def joint_attach_kd(self) -> float: ...
     @property
     def enable_tri_contact(self) -> bool: ...
-    def stable_dt(self, state: SimState, contacts: Contacts) -> float: ...
+    @property
+    def particle_kf_bound(self) -> float: ...
+    def stable_dt(self, state: SimState, contacts: Contacts | None = None) -> float: ...
     def step(
         self,
         state_in: SimState,
@@ -216,6 +219,7 @@ class DiffSolverConfig(_Native):
         joint_attach_ke: SupportsFloat = 1e4,
         joint_attach_kd: SupportsFloat = 1e2,
         strict: bool = True,
+        particle_kf_bound: SupportsFloat = 1.0,
     ) -> None: ...
     enable_particles: bool
     enable_particle_contacts: bool
@@ -225,6 +229,7 @@ class DiffSolverConfig(_Native):
     enable_bending: bool
     enable_static_contacts: bool
     static_contact_margin: float
+    particle_kf_bound: float
     enable_rigid: bool
     enable_rigid_contacts: bool
     angular_damping: float
@@ -239,7 +244,7 @@ class DiffSemiImplicitSolver(SolverBase):
     def __init__(self, model: Model, config: DiffSolverConfig | None = None) -> None: ...
     @property
     def config(self) -> DiffSolverConfig: ...
-    def stable_dt(self, state: SimState, contacts: Contacts) -> float: ...
+    def stable_dt(self, state: SimState, contacts: Contacts | None = None) -> float: ...
     def step(
         self,
         state_in: SimState,

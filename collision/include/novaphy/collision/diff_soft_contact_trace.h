@@ -13,10 +13,15 @@
 //   n                unit normal, out of the shape, world frame
 //   c                gap between the two surfaces (m); < 0 is penetration
 //   ke, kd, kf, mu   N/m, N*s/m, N*s/m, 1: each the mean of the model's value and the shape's
+//   r                1/s: kf is at most r m, with m the particle's mass (kg) if that is not 0. A
+//                    solver has r = particle_kf_bound / dt, so that friction takes at most that
+//                    part of a slip in a step; of the operators, and for Newton's law, r =
+//                    kNoKfBound
 //   a                adhesion distance (m), 0 unless the model says otherwise
 //   f                N, world frame
 // The margin of a shape widens the search for contacts only; it is not part of the force.
-// Source: Newton 1.8.0, SolverSemiImplicit; its output on the cpu is the same bits.
+// Source: Newton 1.8.0, SolverSemiImplicit, without a bound; its output on the cpu is the same bits
+// wherever kf <= r m.
 //
 // Not smooth, and what is returned there (the derivative follows the same choice):
 //   c = a    the force acts. It jumps by the damping kd*vn at touch-down.
@@ -24,11 +29,12 @@
 //   |vt| = 0 (underflow included)   the force is 0. It is the smooth kf*vt below the Coulomb limit,
 //            whose derivative is returned: kf by vt where |(mu*c)*ke| > 0, else nothing.
 //   kf*|vt| = |(mu*c)*ke|   the Coulomb side; |.| has derivative +1 at 0.
+//   kf = r m the derivative by kf.
 //   The normal jumps on a box's faces, edges and symmetry planes (box_distance), at the centre of
 //   a sphere and on the axis of a capsule (sphere_distance, capsule_distance), on edges, axis and
 //   apex of a cylinder and a cone, and on the planes of symmetry within an ellipsoid.
-// Gradient: exact in x, v_p, R, p, v_s, n, ke, kd, kf, mu away from these. `a` only chooses and
-// passes nothing.
+// Gradient: exact in x, v_p, R, p, v_s, n, ke, kd, kf, mu, m away from these. `a` only chooses and
+// passes nothing, r is a number.
 //
 // Freestanding: T = float runs in the forward engine, T = nova::Real is traced. Every operator
 // rounds once, in the order written, so both give the same bits.
@@ -50,6 +56,22 @@ SoftContactMaterial<T> mean_soft_contact_material(const SoftContactMaterial<T>& 
   const T half = T(0.5f);
   return {half * (model.ke + shape.ke), half * (model.kd + shape.kd), half * (model.kf + shape.kf),
           half * (model.mu + shape.mu)};
+}
+
+// Finite, because 0 times the derivative of what it bounds has to be 0.
+inline constexpr float kNoKfBound = 1e30f;
+// r of the law, of a bound >= 0, perhaps infinite.
+inline float kf_rate(float bound, float dt) {
+  const float rate = bound / dt;
+  return rate < kNoKfBound ? rate : kNoKfBound;
+}
+template <class T>
+SoftContactMaterial<T> with_bounded_kf(SoftContactMaterial<T> material, const T& mass,
+                                       const T& rate) {
+  using namespace math;
+  const T most = rate * mass;
+  material.kf = select(both(mass > T(0.0f), most < material.kf), most, material.kf);
+  return material;
 }
 
 // What a contact adds to the particle's force: -f, or -0 where it does not act. acc + (-f) has the

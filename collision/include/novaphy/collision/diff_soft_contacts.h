@@ -60,12 +60,13 @@ NOVAPHY_DYNAMICS_API nova::Tensor eval_static_particle_shape_contact_forces_gene
     const Model& model, const nova::Tensor& particle_q, const nova::Tensor& particle_qd,
     const nova::Tensor& particle_f, float soft_contact_margin = 0.0f);
 
-// The same into given memory: what the solver calls, with `rows` that are up to date.
+// The same into given memory: what the solver calls, with `rows` that are up to date. kf_rate is r
+// of diff_soft_contact_trace.h; the operator has none.
 // ErrorKind::Value for a bad margin.
 NOVAPHY_DYNAMICS_API void eval_static_contact_forces(const Model& model, const WorldRows& rows,
                                                      const nova::Operand& particle_q,
                                                      const nova::Operand& particle_qd,
-                                                     const nova::Operand& particle_f,
+                                                     const nova::Operand& particle_f, float kf_rate,
                                                      float soft_contact_margin,
                                                      const nova::Operand& forces);
 
@@ -76,7 +77,7 @@ NOVAPHY_DYNAMICS_API void eval_soft_contact_forces(const Model& model, const Con
                                                    const nova::Incidence& contacts_of,
                                                    const nova::Operand& particle_q,
                                                    const nova::Operand& particle_qd,
-                                                   const nova::Operand& particle_f,
+                                                   const nova::Operand& particle_f, float kf_rate,
                                                    const nova::Operand& forces);
 
 namespace detail {
@@ -84,8 +85,9 @@ namespace detail {
 // parameters, and the term of one slot.
 std::vector<nova::SourceSpec> soft_contact_sources();
 std::vector<nova::Operand> soft_contact_operands(const Model& model, const Contacts& contacts);
-inline constexpr int32_t kSoftContactParams = 5;
-std::array<nova::Param, kSoftContactParams> soft_contact_params(const Model& model);
+// The kernels have the source particle_mass besides.
+inline constexpr int32_t kSoftContactParams = 6;
+std::array<nova::Param, kSoftContactParams> soft_contact_params(const Model& model, float kf_rate);
 Vec3<nova::Real> soft_contact_term(nova::TraceContext& c, const Vec3<nova::Real>& x,
                                    const Vec3<nova::Real>& v, const nova::Real& radius,
                                    int32_t first_param);
@@ -103,9 +105,11 @@ nova::LaunchOptions static_shape_options(const Model& model, const WorldRows& ro
 Vec3<nova::Real> static_shape_term(nova::TraceContext& c, Worlds worlds, Shapes shapes,
                                    const Vec3<nova::Real>& x, const Vec3<nova::Real>& v,
                                    const nova::Real& radius, int32_t first_param);
-// The parameters that static_shape_term reads: contact material of the model, adhesion, margin.
-std::vector<nova::Param> static_shape_params(const Model& model, float soft_contact_margin);
-inline constexpr int32_t kStaticShapeParams = 6;
+// The parameters that static_shape_term reads: contact material of the model, adhesion, rate of kf,
+// margin. The kernels have the source particle_mass besides.
+std::vector<nova::Param> static_shape_params(const Model& model, float kf_rate,
+                                             float soft_contact_margin);
+inline constexpr int32_t kStaticShapeParams = 7;
 // ErrorKind::NotImplemented unless every particle-colliding shape is world-owned and of a covered
 // type. Returns whether there are cylinders, cones or ellipsoids.
 Shapes check_static_shapes(const Model& model);

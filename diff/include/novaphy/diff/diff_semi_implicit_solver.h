@@ -12,6 +12,7 @@
 #include "novaphy/dynamics/semi_implicit/diff_body_step.h"
 #include "novaphy/dynamics/semi_implicit/diff_joints.h"
 #include "novaphy/dynamics/semi_implicit/diff_particle_step.h"
+#include "novaphy/dynamics/semi_implicit/particle_stability.h"
 #include "novaphy/dynamics/semi_implicit/rigid_contact_trace.h"
 
 namespace novaphy::diff {
@@ -29,9 +30,11 @@ struct DiffSolverConfig {
   // infinite planes of the world (diff_rigid_bodies.h).
   bool enable_static_contacts = false;
   float static_contact_margin = 0.0f;  // m, >= 0: how far a static contact is looked for
-  bool enable_rigid = true;            // bodies move
-  bool enable_rigid_contacts = true;   // their contacts act
-  float angular_damping = 0.05f;       // 1/s, of bodies
+  // As SemiImplicitOptions::particle_kf_bound: the largest kf dt/m of contacts of particles.
+  float particle_kf_bound = 1.0f;
+  bool enable_rigid = true;                         // bodies move
+  bool enable_rigid_contacts = true;                // their contacts act
+  float angular_damping = 0.05f;                    // 1/s, of bodies
   FrictionLaw friction_law = FrictionLaw::Viscous;  // of their contacts; or Huber
   // m/s, of the law huber: 0.1 when empty. ErrorKind::Value with viscous.
   std::optional<float> friction_smoothing = {};
@@ -74,8 +77,8 @@ struct DiffSolverConfig {
 // is false, unless enable_rigid_contacts is false too.
 //
 // A dt that is too long for the stiffness of contacts of bodies warns, once, as in
-// SolverSemiImplicit; with enable_static_contacts as far as one row of a pair says. Not in
-// captures.
+// SolverSemiImplicit; with enable_static_contacts as far as one row of a pair says. So does one at
+// which a particle diverges by its elements or a contact (needed_particle_dt). Not in captures.
 //
 // The forces that a step leaves in state_in.particle_f are for reading. Using them as input of
 // another recorded step raises: clear_forces() first.
@@ -92,8 +95,10 @@ class NOVAPHY_DIFF_API DiffSemiImplicitSolver : public DiffSolverBase {
   // contacts that overflowed their slots.
   void step(SimState& state_in, SimState& state_out, const Control* control,
             const Contacts* contacts, float dt) override;
-  // As SolverSemiImplicit::stable_dt: the longest dt (s) for what touches in `state`.
+  // As SolverSemiImplicit::stable_dt: the longest dt (s) for elements and for what touches in
+  // `state`. Without contacts, static ones are one of each particle with each of its shapes.
   float stable_dt(const SimState& state, const Contacts& contacts) const;
+  float stable_dt(const SimState& state) const;
   bool supports_graph_capture() const override {
     return false;
   }  // of step; rollout may be captured
@@ -118,11 +123,13 @@ class NOVAPHY_DIFF_API DiffSemiImplicitSolver : public DiffSolverBase {
              bool of_this_state, float dt);
   bool moves_particles() const;
   bool moves_bodies() const;
+  ParticleForces particle_forces(bool contacts) const;
   ContactTables::Wanted wanted_tables() const;
   DiffSolverConfig config_;
   // Under strict: those that need a Contacts to act.
   int32_t uncovered_shapes_ = 0, uncovered_pairs_ = 0;
   ParticleStep particles_;
+  ParticleWatch particle_watch_{"DiffSemiImplicitSolver"};
   BodyStep bodies_;
   std::optional<DiffJoints> joints_;  // null: they are left out
   UnreadMaterials materials_;         // adhesion is of contacts of bodies

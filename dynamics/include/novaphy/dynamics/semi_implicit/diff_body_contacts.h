@@ -87,7 +87,8 @@ NOVAPHY_DYNAMICS_API void write_rigid_contact_forces(const Contacts& contacts,
 NOVAPHY_DYNAMICS_API void eval_soft_contacts(
     const Model& model, const Contacts& contacts, const ContactTables& tables,
     const nova::Operand& particle_q, const nova::Operand& particle_qd, const nova::Operand& body_q,
-    const nova::Operand& body_qd, const nova::Operand& forces, const nova::Operand& wrenches);
+    const nova::Operand& body_qd, float kf_rate, const nova::Operand& forces,
+    const nova::Operand& wrenches);
 
 // sum {b, 6} = body_f plus the wrenches {n, 6} that belong to each body, in their order.
 NOVAPHY_DYNAMICS_API void add_wrenches(const nova::Operand& body_f, const nova::Operand& wrenches,

@@ -16,6 +16,7 @@ struct ParticleStepOptions {
   bool contacts = true;                // those of a Contacts act
   bool static_contacts = false;        // world-owned shapes at their true distance instead
   float static_contact_margin = 0.0f;  // m
+  float kf_bound = 1.0f;               // see SemiImplicitOptions::particle_kf_bound
 };
 
 // Keeps memory from call to call; one thread at a time may use it.
@@ -24,6 +25,7 @@ class NOVAPHY_DYNAMICS_API ParticleStep {
   // ErrorKind::NotImplemented: with static contacts, a shape that they do not cover.
   ParticleStep(const Model& model, const ParticleStepOptions& options);
 
+  float kf_bound() const { return options_.kf_bound; }
   bool has_elements() const { return !elements_.empty(); }
   bool meets_bodies() const { return meets_bodies_; }  // contacts may touch bodies
   // The arrays that `record` writes besides its outputs.
@@ -48,7 +50,8 @@ class NOVAPHY_DYNAMICS_API ParticleStep {
                              const nova::Operand& to);
   // f plus the forces of the contacts, of which some may touch bodies, into `to`.
   void add_contacts(const Model& model, const SimState& in, const Contacts& contacts,
-                    const ContactTables& tables, const nova::Operand& f, const nova::Operand& to);
+                    const ContactTables& tables, const nova::Operand& f, float dt,
+                    const nova::Operand& to);
 
   ParticleStepOptions options_;
   WorldRows rows_;  // of a model of several worlds

@@ -43,11 +43,12 @@ NOVAPHY_DYNAMICS_API void integrate_particles(const Model& model, const nova::Op
                                               const nova::Operand& q_out,
                                               const nova::Operand& qd_out);
 
-// The forces of all static shapes and the integration, into given memory.
+// The forces of all static shapes and the integration, into given memory. kf_rate is r of
+// diff_soft_contact_trace.h; the operators have none.
 NOVAPHY_DYNAMICS_API void step_particles_with_static_contacts(
     const Model& model, const WorldRows& rows, const nova::Operand& particle_q,
-    const nova::Operand& particle_qd, const nova::Operand& particle_f, float soft_contact_margin,
-    float dt, const nova::Operand& q_out, const nova::Operand& qd_out);
+    const nova::Operand& particle_qd, const nova::Operand& particle_f, float kf_rate,
+    float soft_contact_margin, float dt, const nova::Operand& q_out, const nova::Operand& qd_out);
 
 // The forces of recorded contacts (eval_soft_contact_forces) and the integration in one kernel: the
 // same bits as one after the other. `particle_f` is only read.
@@ -55,7 +56,7 @@ NOVAPHY_DYNAMICS_API void step_particles(const Model& model, const Contacts& con
                                          const nova::Incidence& contacts_of,
                                          const nova::Operand& particle_q,
                                          const nova::Operand& particle_qd,
-                                         const nova::Operand& particle_f, float dt,
+                                         const nova::Operand& particle_f, float kf_rate, float dt,
                                          const nova::Operand& q_out, const nova::Operand& qd_out);
 
 }  // namespace novaphy::diff

@@ -10,9 +10,13 @@
 
 namespace novaphy {
 
-// All numbers finite and >= 0. enable_tri_contact acts on contacts of particles with triangles, of
-// which there are none yet.
+// All numbers finite and >= 0, particle_kf_bound perhaps infinite. enable_tri_contact acts on
+// contacts of particles with triangles, of which there are none yet.
 struct SemiImplicitOptions {
+  // The largest kf dt/m of a contact of a particle of mass m: a larger kf counts as that. Friction
+  // then takes at most this part of a slip in a step, and from 2 on gradients grow in every step
+  // that it acts. Infinite: kf as it is, which is Newton's law.
+  float particle_kf_bound = 1.0f;
   float angular_damping = 0.05f;                    // 1/s, of rigid bodies
   FrictionLaw friction_law = FrictionLaw::Viscous;  // of rigid contacts
   // m/s, of the laws huber and newton17: 0.1 when empty. ErrorKind::Value with viscous.
@@ -73,7 +77,8 @@ class NOVAPHY_DYNAMICS_API SolverSemiImplicit : public SolverBase {
   // or an element of a particle, that is not there; ErrorKind::NotImplemented for a contact with a
   // shape of a body; ErrorKind::Value for a number of the model
   // that makes no sense (Model::check_numbers). It warns, once, of a dt at which ke or kd of what
-  // touches diverges even with all but one body held; it asks now and then. On a tape it raises:
+  // touches diverges even with all but one body held, and of one at which a particle diverges by
+  // its elements or contacts (needed_particle_dt); it asks now and then. On a tape it raises:
   // DiffSemiImplicitSolver is the differentiable one.
   void step(SimState& state_in, SimState& state_out, const Control* control,
             const Contacts* contacts, float dt) override;
@@ -81,8 +86,10 @@ class NOVAPHY_DYNAMICS_API SolverSemiImplicit : public SolverBase {
   void rollout(Trajectory& trajectory, const Control* control, const Contacts* contacts, float dt,
                const RolloutOptions& options = {}) override;
   void notify_model_changed(ModelFlags flags) override;
-  // stable_contact_dt (contact_stability.h) of the contacts that touch in `state`.
+  // The smaller of stable_contact_dt (contact_stability.h) and enough_particle_dt
+  // (particle_stability.h) of the contacts that touch in `state`; without contacts of elements.
   float stable_dt(const SimState& state, const Contacts& contacts) const;
+  float stable_dt(const SimState& state) const;
 
  private:
   struct Cache;

@@ -218,6 +218,7 @@ void DiffSolverBase::rollout(Trajectory& trajectory, const Control* control,
         checkpoints->step = t;
         checkpoints->next_is_kept = trajectory.keeps(t + 1);
       }
+      const nova::Tape::StepScope of_step(t);
       step(t, trajectory.any_state(t), trajectory.any_state(t + 1),
            recording ? trajectory.scratch(t) : StepScratch(alone[0]), slot(t));
     }

@@ -1,6 +1,11 @@
 // Internal: checks of arguments whose messages are put together only when something is wrong.
 #pragma once
 
+#include <algorithm>
+#include <bit>
+#include <cmath>
+#include <cstdint>
+#include <span>
 #include <string>
 
 #include "novaphy/core/error.h"
@@ -24,6 +29,18 @@ inline void check_f32(const Tensor& x, const Argument& argument) {
   novaphy::require(x.defined() && x.dtype() == DType::F32, ErrorKind::Type, argument,
                    "expected float32, got ",
                    x.defined() ? dtype_name(x.dtype()) : "an undefined tensor");
+}
+
+// The first value that is not finite, or -1.
+inline int64_t first_not_finite(std::span<const float> values) {
+  uint32_t found = 0;  // in a loop without branches
+  constexpr uint32_t kExponent = 0x7F800000;
+  for (const float v : values) found |= (std::bit_cast<uint32_t>(v) & kExponent) == kExponent;
+  if (found == 0) return -1;
+  return std::ranges::find_if(values, [](float v) { return !std::isfinite(v); }) - values.begin();
+}
+inline int64_t count_not_finite(std::span<const float> values) {
+  return std::ranges::count_if(values, [](float v) { return !std::isfinite(v); });
 }
 
 }  // namespace nova::detail

@@ -54,6 +54,7 @@ Tape::Impl::Use& Tape::Impl::add_input(const Op& op, const Operand& operand) {
 
 // The uses of the operation are the last ones.
 void Tape::Impl::append(Op op, bool recorded) {
+  op.step = of_step;
   ops.push_back(std::move(op));
   const auto number = static_cast<int32_t>(ops.size()) - 1;
   for (uint32_t o = 0; o < ops.back().outputs; ++o) {
@@ -361,6 +362,13 @@ void Tape::begin_recomputed(const std::shared_ptr<novaphy::ExclusiveUse>& memory
   impl_->groups.push_back({first, first});
 }
 void Tape::end_recomputed() { impl_->in_group = false; }
+
+Tape::StepScope::StepScope(int32_t step) : tape_(active()) {
+  if (tape_) tape_->impl_->of_step = step;
+}
+Tape::StepScope::~StepScope() {
+  if (tape_) tape_->impl_->of_step = -1;
+}
 
 void Tape::backward(const Tensor& loss, const Tensor& seed) {
   require(loss.defined(), ErrorKind::Value, "backward, loss: the tensor is undefined");

@@ -380,8 +380,7 @@ void Tape::Impl::backward(Node& loss, const Tensor& seed) {
     n.unread = 0;
     if (n.ever_written) info.state = GradState::Zero;
   }
-  std::vector<std::pair<std::shared_ptr<Range>, std::shared_ptr<Range>>>
-      kept;  // gradients that are added to, copies
+  Copies kept;  // of gradients that are added to
   bool running = false;
   try {
     begin_contribution(loss);
@@ -397,6 +396,7 @@ void Tape::Impl::backward(Node& loss, const Tensor& seed) {
     }
     running = true;
     run_steps(*loss_gradient, seed);
+    if (!current_capture()) tell_not_finite(*loss_gradient, seed, kept);
   } catch (...) {  // a call that was refused, or failed on the way, leaves the gradients of leaves
                    // as they were
     size_t k = 0;
@@ -413,7 +413,8 @@ void Tape::Impl::backward(Node& loss, const Tensor& seed) {
   scratch.clear();
 }
 
-void Tape::Impl::run_steps(const std::shared_ptr<Range>& loss_gradient, const Tensor& seed) {
+void Tape::Impl::run_steps(const std::shared_ptr<Range>& loss_gradient, const Tensor& seed,
+                           const std::function<bool(const Step&)>& stop) {
   std::vector<novaphy::ExclusiveUse::Scope> memory;
   if (OpList* graph = current_capture()) {
     for (const auto& use : group_memory.all()) graph->uses(use);
@@ -430,7 +431,7 @@ void Tape::Impl::run_steps(const std::shared_ptr<Range>& loss_gradient, const Te
   int64_t largest = 0;
   for (const Step& step : steps)
     if (step.op) largest = std::max(largest, step.op->dim);
-  DeferredScope deferred(largest >= detail::PlanLimits{}.min_rows);
+  DeferredScope deferred(!stop && largest >= detail::PlanLimits{}.min_rows);
   constexpr size_t kStepsPerInterruptCheck = 64, kMaxHeldBytes = size_t{64} << 20;
   for (size_t k = 0; k < steps.size(); ++k) {
     if (k % kStepsPerInterruptCheck == 0) novaphy::check_interrupt();
@@ -443,6 +444,7 @@ void Tape::Impl::run_steps(const std::shared_ptr<Range>& loss_gradient, const Te
       run_custom(steps[k], deferred);
       if (deferred.held_bytes() > kMaxHeldBytes) deferred.flush();
     }
+    if (stop && stop(steps[k])) return;
   }
   deferred.flush();
 }

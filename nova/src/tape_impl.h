@@ -3,6 +3,7 @@
 
 #include <bit>
 #include <deque>
+#include <functional>
 #include <string>
 #include <unordered_map>
 #include <vector>
@@ -47,6 +48,7 @@ struct Tape::Impl {
     int32_t hand_written = -1;
     int32_t group = -1;               // of operations that backward runs once more
     uint64_t capture = capture_id();  // that records it, or 0
+    int32_t step = -1;                // of the rollout that records it; -1: of none
     bool replayed = false;    // in a group: another operation of it reads what this one writes
     bool constant = false;    // in a group: no gradient flows through it
     bool has_active = false;  // its use comes after those of the outputs: see active_use
@@ -161,6 +163,7 @@ struct Tape::Impl {
   std::vector<HandWritten> hand_written;
   std::vector<Group> groups;
   bool in_group = false;  // the last of them is still growing
+  int32_t of_step = -1;   // see Tape::StepScope
   novaphy::ExclusiveUses group_memory;
   NodeTable nodes;
   // Checksums of what somebody outside can write: of the versions that were recorded since the last
@@ -250,7 +253,14 @@ struct Tape::Impl {
   // tape_backward.cpp
   void backward(Node& loss, const Tensor& seed);
   void plan_steps();
-  void run_steps(const std::shared_ptr<Range>& loss_gradient, const Tensor& seed);
+  // `stop`, if any, is asked after every one, which is not deferred then.
+  void run_steps(const std::shared_ptr<Range>& loss_gradient, const Tensor& seed,
+                 const std::function<bool(const Step&)>& stop = nullptr);
+  using Copies = std::vector<std::pair<std::shared_ptr<Range>, std::shared_ptr<Range>>>;
+  // After a backward on the CPU; `before`: gradients of leaves that it added to, as they were.
+  static bool is_finite_where_read(const Range& gradient, const Node& n);
+  void tell_not_finite(const std::shared_ptr<Range>& loss_gradient, const Tensor& seed,
+                       const Copies& before);
   const std::shared_ptr<Range>* output_place(const Step& step, uint32_t o) const {
     return places[step.first_place + o];
   }

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import gc
+import warnings
 
 import numpy as np
 import pytest
@@ -686,3 +687,68 @@ def test_a_rollout_that_begins_on_another_living_tape_raises(checkpoint):
         first.backward(nova.sum(diff.state_particle_q_tensor(trajectory[4])))
     with nova.Tape(), pytest.raises(novaphy.Error, match="recorded by another tape"):
         solver.rollout(trajectory, None, contacts, DT, start=4)
+
+
+def test_backward_tells_where_the_first_gradient_that_is_not_finite_comes_from():
+    def warned(run):
+        with pytest.warns(RuntimeWarning) as said:
+            run()
+        assert len(said) == 1
+        return str(said[0].message)
+
+    # log at 0: the gradient of x is infinite, and that of y, which comes after it, is not.
+    x = nova.tensor([0.0, 1.0], requires_grad=True)
+    y = nova.tensor([2.0, 2.0], requires_grad=True)
+    with nova.Tape() as tape:
+        loss = nova.sum(nova.log(x) * y * 1.0)
+        text = warned(lambda: tape.backward(loss, nova.tensor([1.0])))
+    assert "the gradients of 2 of 2 leaves are not finite" in text
+    assert "of op 'mul'" in text
+    np.testing.assert_array_equal(x.grad.numpy(), [np.inf, 2.0])
+    np.testing.assert_array_equal(y.grad.numpy(), [-np.inf, 0.0])
+    # What was not finite before is known; what adds to it is as it was.
+    with nova.Tape() as tape:
+        tape.backward(nova.sum(nova.log(x)))
+    # The seed.
+    w = nova.tensor([1.0], requires_grad=True)
+    with nova.Tape() as tape:
+        loss = w * 2.0
+        text = warned(lambda: tape.backward(loss, nova.tensor([np.nan])))
+    assert "that of the loss, which was given" in text
+    # A finite gradient that was there is kept where the warning is an error.
+    v = nova.tensor([0.0], requires_grad=True)
+    with nova.Tape() as tape:
+        tape.backward(nova.sum(v * 3.0))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        with nova.Tape() as tape:
+            loss = nova.sum(nova.log(v))
+            with pytest.raises(RuntimeWarning, match="not finite"):
+                tape.backward(loss)
+    assert v.grad.item() == 3.0
+
+
+@pytest.mark.parametrize("leaves_only", [False, True])
+@pytest.mark.parametrize("checkpoint", [None, 5])
+def test_the_step_of_a_rollout_is_named_whose_gradient_is_not_finite(checkpoint, leaves_only):
+    # At rest with kf dt/m = 20: the gradient by the slip is multiplied by -19 in every step.
+    builder = novaphy.ModelBuilder()
+    builder.add_particle((0, 0, 0.1 - 0.5 * 9.81 / 1e3), (0, 0, 0), 0.5, radius=0.1)
+    builder.add_ground_plane(cfg=novaphy.ShapeConfig(ke=1e3, kd=0.0, kf=2e4, mu=0.5))
+    model = builder.finalize(requires_grad=True)
+    model.soft_contact_ke, model.soft_contact_kd, model.soft_contact_kf = 1e3, 0.0, 0.0
+    config = novaphy.solvers.DiffSolverConfig(enable_static_contacts=True, particle_kf_bound=np.inf)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of the dt
+        solver = novaphy.solvers.DiffSemiImplicitSolver(model, config)
+        steps = 60
+        trajectory = diff.Trajectory(model, steps, checkpoint=checkpoint)
+        with nova.Tape(leaf_gradients_only=leaves_only) as tape:
+            solver.rollout(trajectory, None, None, 1e-3)
+            loss = nova.sum(diff.state_particle_qd_tensor(trajectory[steps]))
+    assert np.isfinite(trajectory[steps].particle_qd.numpy()).all()
+    with pytest.warns(RuntimeWarning, match="in step [0-9]+ of a rollout") as said:
+        tape.backward(loss)
+    named = int(str(said[0].message).split("in step ")[1].split()[0])
+    # 19^n > 3.4e38 from n = 31 on.
+    assert steps - 33 <= named <= steps - 30

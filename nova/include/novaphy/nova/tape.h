@@ -50,7 +50,9 @@ class NOVAPHY_NOVA_API Tape {
 
   // Pulls the gradient of `loss` back to every leaf. `loss` must be written by an operation of this
   // tape. Without `seed` it must hold one value. Throws ErrorKind::Value or Runtime, or what a
-  // custom operation threw; the gradients of leaves are then as before the call.
+  // custom operation threw; the gradients of leaves are then as before the call. On the CPU it
+  // warns of gradients of leaves that are not finite, with the operation, its input and the step of
+  // the rollout where the first came up, which it looks for only then.
   void backward(const Tensor& loss, const Tensor& seed = {});
   // Pushes tangents of leaves forward: for each of `outputs` its derivative in the direction of
   // `tangents`, one per input, in new memory. The tape may be used for backward before and after.
@@ -91,6 +93,18 @@ class NOVAPHY_NOVA_API Tape {
   // ErrorKind::Runtime inside another.
   void begin_recomputed(const std::shared_ptr<novaphy::ExclusiveUse>& memory = {});
   void end_recomputed();
+
+  // While one is alive, what this thread records belongs to a step of a rollout: for messages.
+  class NOVAPHY_NOVA_API StepScope {
+   public:
+    explicit StepScope(int32_t step);
+    ~StepScope();
+    StepScope(const StepScope&) = delete;
+    StepScope& operator=(const StepScope&) = delete;
+
+   private:
+    Tape* tape_;
+  };
 
   // For Kernel::launch: whether an input carries a gradient; refusals before anything is written;
   // the record.

@@ -41,22 +41,24 @@ Real bias_correction(const Int& count, const Real& beta) {
 }
 
 const Kernel& adam_advance_kernel() {
-  static const Kernel kernel =
-      make_kernel("adam_advance_f32", {{"t", DType::F32, 1, Access::Direct}},
-                  {{"t", 1}, {"correction", 2}}, [](TraceContext& c) {
-                    const Int count = detail::next_count(c.f32(0));
-                    return std::vector{to_real(count), bias_correction(count, c.param(0)),
-                                       bias_correction(count, c.param(1))};
-                  });
+  static const Kernel kernel = make_kernel(
+      "adam_advance_f32",
+      {{"t", DType::F32, 1, Access::Direct}, {"unfit", DType::F32, 1, Access::Direct}},
+      {{"t", 1}, {"correction", 2}}, [](TraceContext& c) {
+        const Int count = detail::next_count(c.f32(0));
+        return std::vector{detail::if_fit(c.f32(1), to_real(count), c.f32(0)),
+                           bias_correction(count, c.param(0)), bias_correction(count, c.param(1))};
+      });
   return kernel;
 }
 
 // t += 1, and both bias corrections for it: once a step, because they are many operations, and one
 // step of the class has one t for all parameters.
-void advance(const Tensor& t, const Tensor& correction, const AdamOptions& options) {
-  const Operand in = t.flat_operand(), out[] = {in, correction.operand()};
+void advance(const Tensor& t, const Tensor& correction, const Tensor& unfit,
+             const AdamOptions& options) {
+  const Operand in[] = {t.flat_operand(), unfit.operand()}, out[] = {in[0], correction.operand()};
   const Param params[] = {options.beta1, options.beta2};
-  adam_advance_kernel().launch(1, {&in, 1}, out, {.params = params});
+  adam_advance_kernel().launch(1, in, out, {.params = params});
 }
 
 const Kernel& adam_update_kernel() {
@@ -66,23 +68,26 @@ const Kernel& adam_update_kernel() {
                    {"m", DType::F32, 1, Access::Direct},
                    {"v", DType::F32, 1, Access::Direct},
                    {"grad", DType::F32, 1, Access::Direct},
-                   {"correction", DType::F32, 2, Access::Uniform}},
+                   {"correction", DType::F32, 2, Access::Uniform},
+                   {"unfit", DType::F32, 1, Access::Uniform}},
                   {{"param", 1}, {"m", 1}, {"v", 1}}, [](TraceContext& c) {
-                    const Real one(1.0f), g = c.f32(3);
+                    const Real one(1.0f), g = c.f32(3), unfit = c.f32(5);
                     const Real lr = c.param(0), beta1 = c.param(1), beta2 = c.param(2);
                     const Real new_m = beta1 * c.f32(1) + (one - beta1) * g;
                     const Real new_v = beta2 * c.f32(2) + (one - beta2) * g * g;
                     const Real m_hat = new_m / c.f32(4, 0), v_hat = new_v / c.f32(4, 1);
                     const Real p = c.f32(0) - lr * m_hat / (sqrt(v_hat) + c.param(3));
-                    return std::vector{p, new_m, new_v};
+                    return std::vector{detail::if_fit(unfit, p, c.f32(0)),
+                                       detail::if_fit(unfit, new_m, c.f32(1)),
+                                       detail::if_fit(unfit, new_v, c.f32(2))};
                   });
   return kernel;
 }
 
 void update(const Tensor& param, const Tensor& m, const Tensor& v, const Tensor& correction,
-            const AdamOptions& options) {
-  const Operand in[] = {param.flat_operand(), m.flat_operand(), v.flat_operand(),
-                        detail::grad_operand(param), correction.operand()};
+            const Tensor& unfit, const AdamOptions& options) {
+  const Operand in[] = {param.flat_operand(),        m.flat_operand(),     v.flat_operand(),
+                        detail::grad_operand(param), correction.operand(), unfit.operand()};
   const Param params[] = {options.lr, options.beta1, options.beta2, options.eps};
   adam_update_kernel().launch(param.size(), in, {in, 3}, {.params = params});
 }
@@ -129,8 +134,9 @@ void adam_update_f32(const Tensor& param, const Tensor& m, const Tensor& v, cons
   check_options("adam_update_f32", options);
   NoGrad no_grad;
   const Tensor correction = make_correction(param.device());
-  advance(t, correction, options);
-  update(param, m, v, correction, options);
+  const Tensor unfit({1}, DType::F32, param.device());
+  advance(t, correction, unfit, options);
+  update(param, m, v, correction, unfit, options);
 }
 
 namespace optim {
@@ -148,13 +154,13 @@ Adam::Adam(std::vector<Tensor> params, const AdamOptions& options)
 }
 
 void Adam::step() const {
-  detail::check_grads(params_, name_);
   NoGrad no_grad;
+  begin_step();
   AdamOptions options = options_;
   options.lr = lr_;
-  advance(t_, correction_, options);
+  advance(t_, correction_, unfit_, options);
   for (size_t k = 0; k < params_.size(); ++k)
-    update(params_[k], m_[k], v_[k], correction_, options);
+    update(params_[k], m_[k], v_[k], correction_, unfit_, options);
 }
 
 }  // namespace optim

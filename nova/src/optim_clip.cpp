@@ -1,9 +1,7 @@
 // Clipping of gradients, and the projection of a parameter on an interval.
-#include <algorithm>
 #include <cmath>
 
 #include "engine_kernels.h"
-#include "novaphy/nova/incidence.h"
 #include "novaphy/nova/kernel.h"
 #include "novaphy/nova/tape.h"
 #include "ops_impl.h"
@@ -12,7 +10,6 @@
 namespace nova {
 
 using novaphy::require;
-using novaphy::Storage;
 
 namespace {
 
@@ -21,22 +18,6 @@ const Kernel& square_kernel() {
       make_kernel("square_f32", {{"x", DType::F32, 1, Access::Direct}}, {{"out", 1}},
                   [](TraceContext& c) { return std::vector{c.f32(0) * c.f32(0)}; });
   return kernel;
-}
-
-// total = the sum of the squares of all gradients, as one row sum that goes on from one parameter
-// to the next.
-void sum_squares(const std::vector<Tensor>& params, const Operand& total) {
-  int64_t most = 0;
-  for (const Tensor& p : params) most = std::max(most, p.size());
-  const auto squares = Storage::allocate(static_cast<size_t>(most) * sizeof(float),
-                                         params[0].device(), /*zeroed=*/false)
-                           ->range();
-  for (size_t k = 0; k < params.size(); ++k) {
-    const int64_t n = params[k].size();
-    const Operand in = detail::grad_operand(params[k]), out{squares, n, 1};
-    square_kernel().launch(n, {&in, 1}, {&out, 1});
-    row_sum(out, 1, n, k == 0 ? nullptr : &total, total);
-  }
 }
 
 // PyTorch's, which keeps a norm of 0 from dividing.
@@ -99,7 +80,7 @@ Tensor clip_grad_norm_(const std::vector<Tensor>& params, float max_norm) {
   NoGrad no_grad;
   const Tensor norm({1}, DType::F32, params[0].device());
   const Tensor factor({1}, DType::F32, params[0].device());
-  sum_squares(params, norm.operand());
+  detail::sum_over_grads(params, square_kernel(), norm.operand());
   norm_and_factor(norm.operand(), factor.operand(), max_norm);
   for (const Tensor& p : params) scale(detail::grad_operand(p), factor.operand());
   return norm;

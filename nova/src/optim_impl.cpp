@@ -1,6 +1,9 @@
 #include "optim_impl.h"
 
+#include <algorithm>
 #include <cmath>
+
+#include "novaphy/nova/incidence.h"
 
 namespace nova::detail {
 
@@ -33,6 +36,33 @@ void check_params(std::span<const Tensor> params, const char* call) {
 void check_grads(std::span<const Tensor> params, const char* call) {
   for (size_t k = 0; k < params.size(); ++k)
     check_has_grad(params[k], {call, "params", static_cast<int64_t>(k)});
+}
+
+void check_finite_grads(std::span<const Tensor> params, const char* call) {
+  for (size_t k = 0; k < params.size(); ++k) {
+    const Operand grad = grad_operand(params[k]);
+    const std::span values(static_cast<const float*>(grad.range->data()),
+                           static_cast<size_t>(grad.rows));
+    if (const int64_t first = first_not_finite(values); first >= 0)
+      fail(ErrorKind::Runtime, Argument{call, "params", static_cast<int64_t>(k)},
+           "expected a finite gradient, got ", count_not_finite(values), " of ", values.size(),
+           " values that are not finite, the first ", values[static_cast<size_t>(first)], " at ",
+           first, "; nothing was written");
+  }
+}
+
+void sum_over_grads(std::span<const Tensor> params, const Kernel& f, const Operand& total) {
+  int64_t most = 0;
+  for (const Tensor& p : params) most = std::max(most, p.size());
+  const auto terms = novaphy::Storage::allocate(static_cast<size_t>(most) * sizeof(float),
+                                                params[0].device(), /*zeroed=*/false)
+                         ->range();
+  for (size_t k = 0; k < params.size(); ++k) {
+    const int64_t n = params[k].size();
+    const Operand in = grad_operand(params[k]), out{terms, n, 1};
+    f.launch(n, {&in, 1}, {&out, 1});
+    row_sum(out, 1, n, k == 0 ? nullptr : &total, total);
+  }
 }
 
 Operand grad_operand(const Tensor& param) {

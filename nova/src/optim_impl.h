@@ -4,6 +4,7 @@
 #include <span>
 
 #include "checks.h"
+#include "novaphy/nova/kernel.h"
 #include "novaphy/nova/optim.h"
 #include "novaphy/nova/trace.h"
 
@@ -17,6 +18,12 @@ void check_has_grad(const Tensor& param, const Argument& argument);
 void check_params(std::span<const Tensor> params, const char* call);
 void check_grads(std::span<const Tensor> params, const char* call);
 
+// ErrorKind::Runtime unless all gradients are finite; looks at them on the host.
+void check_finite_grads(std::span<const Tensor> params, const char* call);
+// total = the sum of f over the values of all gradients, as one row sum that goes on from one
+// parameter to the next.
+void sum_over_grads(std::span<const Tensor> params, const Kernel& f, const Operand& total);
+
 // The gradient, value by value; it is zero where no backward has filled it.
 Operand grad_operand(const Tensor& param);
 
@@ -25,5 +32,10 @@ Operand grad_operand(const Tensor& param);
 // at 2^24 - 1, the last step that float32 can make; bias corrections are long 1 by then.
 inline constexpr int kCountBits = 24;
 Int next_count(const Real& t);
+
+// What a step leaves: `unfit` is 0, or a gradient is not finite.
+inline Real if_fit(const Real& unfit, const Real& next, const Real& now) {
+  return select(unfit == Real(0.0f), next, now);
+}
 
 }  // namespace nova::detail

@@ -3,6 +3,7 @@
 
 #include "engine_kernels.h"
 #include "novaphy/nova/kernel.h"
+#include "novaphy/nova/op_list.h"
 #include "novaphy/nova/tape.h"
 #include "optim_impl.h"
 
@@ -14,6 +15,8 @@ Optimiser::Optimiser(const char* name, std::vector<Tensor> params, float lr)
     : name_(name), params_(std::move(params)), lr_(lr) {
   detail::check_params(params_, name_);
   set_lr(lr);
+  unfit_ = Tensor({1}, DType::F32, params_[0].device());
+  refused_ = Tensor({1}, DType::F32, params_[0].device());
 }
 void Optimiser::set_lr(float lr) {
   detail::check_rate({name_, "lr"}, lr);
@@ -25,6 +28,34 @@ void Optimiser::zero_grad() const {
 
 namespace {
 
+void check_refused(const char* name, const Tensor& refused, const Tensor& unfit) {
+  const float steps = refused.item();
+  if (steps == 0.0f) return;
+  for (const Tensor* flag : {&refused, &unfit}) submit_fill(flag->range(), 0.0f);
+  novaphy::fail(ErrorKind::Runtime, name,
+                ": steps on a device or in a replay: expected finite "
+                "gradients, got one that is not in ",
+                steps, " of them, which wrote nothing");
+}
+
+// 0, or NaN for a value that is not finite.
+const Kernel& unfit_kernel() {
+  static const Kernel kernel =
+      make_kernel("not_finite_f32", {{"x", DType::F32, 1, Access::Direct}}, {{"out", 1}},
+                  [](TraceContext& c) { return std::vector{c.f32(0) * Real(0.0f)}; });
+  return kernel;
+}
+
+const Kernel& count_refused_kernel() {
+  static const Kernel kernel = make_kernel(
+      "count_refused_f32",
+      {{"refused", DType::F32, 1, Access::Direct}, {"unfit", DType::F32, 1, Access::Direct}},
+      {{"refused", 1}}, [](TraceContext& c) {
+        return std::vector{c.f32(0) + select(c.f32(1) == Real(0.0f), Real(0.0f), Real(1.0f))};
+      });
+  return kernel;
+}
+
 // The gradient with the one of weight_decay / 2 * p^2 added. Without decay it keeps its bits (the
 // sum would turn -0 into +0), also where p is not finite.
 Real decayed(const Real& grad, const Real& p, const Real& weight_decay) {
@@ -34,61 +65,90 @@ Real decayed(const Real& grad, const Real& p, const Real& weight_decay) {
 const Kernel& sgd_step_kernel() {
   static const Kernel kernel = make_kernel(
       "sgd_step_f32",
-      {{"param", DType::F32, 1, Access::Direct}, {"grad", DType::F32, 1, Access::Direct}},
+      {{"param", DType::F32, 1, Access::Direct},
+       {"grad", DType::F32, 1, Access::Direct},
+       {"unfit", DType::F32, 1, Access::Uniform}},
       {{"param", 1}}, [](TraceContext& c) {
-        return std::vector{c.f32(0) - c.param(0) * decayed(c.f32(1), c.f32(0), c.param(1))};
+        const Real p = c.f32(0), next = p - c.param(0) * decayed(c.f32(1), p, c.param(1));
+        return std::vector{detail::if_fit(c.f32(2), next, p)};
       });
   return kernel;
 }
 
-void update(const Tensor& param, float lr, float weight_decay) {
-  const Operand in[] = {param.flat_operand(), detail::grad_operand(param)};
+void update(const Tensor& param, const Tensor& unfit, float lr, float weight_decay) {
+  const Operand in[] = {param.flat_operand(), detail::grad_operand(param), unfit.operand()};
   const Param params[] = {lr, weight_decay};
   sgd_step_kernel().launch(param.size(), in, {in, 1}, {.params = params});
 }
 
 const Kernel& sgd_momentum_kernel() {
-  static const Kernel kernel =
-      make_kernel("sgd_momentum_step_f32",
-                  {{"param", DType::F32, 1, Access::Direct},
-                   {"b", DType::F32, 1, Access::Direct},
-                   {"grad", DType::F32, 1, Access::Direct},
-                   {"t", DType::F32, 1, Access::Uniform}},
-                  {{"param", 1}, {"b", 1}}, [](TraceContext& c) {
-                    const Real momentum = c.param(1), dampening = c.param(2);
-                    const Real g = decayed(c.f32(2), c.f32(0), c.param(3));
-                    const Real later = momentum * c.f32(1) + (Real(1.0f) - dampening) * g;
-                    const Real new_b = select(c.f32(3) <= Real(1.0f), g, later);
-                    const Bool nesterov = c.param_i32(4) != Int(0);
-                    const Real move = select(nesterov, g + momentum * new_b, new_b);
-                    return std::vector{c.f32(0) - c.param(0) * move, new_b};
-                  });
+  static const Kernel kernel = make_kernel(
+      "sgd_momentum_step_f32",
+      {{"param", DType::F32, 1, Access::Direct},
+       {"b", DType::F32, 1, Access::Direct},
+       {"grad", DType::F32, 1, Access::Direct},
+       {"t", DType::F32, 1, Access::Uniform},
+       {"unfit", DType::F32, 1, Access::Uniform}},
+      {{"param", 1}, {"b", 1}}, [](TraceContext& c) {
+        const Real unfit = c.f32(4);
+        const Real momentum = c.param(1), dampening = c.param(2);
+        const Real g = decayed(c.f32(2), c.f32(0), c.param(3));
+        const Real later = momentum * c.f32(1) + (Real(1.0f) - dampening) * g;
+        const Real new_b = select(c.f32(3) <= Real(1.0f), g, later);
+        const Bool nesterov = c.param_i32(4) != Int(0);
+        const Real move = select(nesterov, g + momentum * new_b, new_b);
+        return std::vector{detail::if_fit(unfit, c.f32(0) - c.param(0) * move, c.f32(0)),
+                           detail::if_fit(unfit, new_b, c.f32(1))};
+      });
   return kernel;
 }
 
 // t counts the steps, this one included.
-void update_with_momentum(const Tensor& param, const Tensor& b, const Tensor& t, float lr,
-                          const SGDOptions& options) {
+void update_with_momentum(const Tensor& param, const Tensor& b, const Tensor& t,
+                          const Tensor& unfit, float lr, const SGDOptions& options) {
   const Operand in[] = {param.flat_operand(), b.flat_operand(), detail::grad_operand(param),
-                        t.operand()};
+                        t.operand(), unfit.operand()};
   const Param params[] = {lr, options.momentum, options.dampening, options.weight_decay,
                           static_cast<int32_t>(options.nesterov)};
   sgd_momentum_kernel().launch(param.size(), in, {in, 2}, {.params = params});
 }
 
 const Kernel& step_count_kernel() {
-  static const Kernel kernel = make_kernel(
-      "step_count_f32", {{"t", DType::F32, 1, Access::Direct}}, {{"t", 1}},
-      [](TraceContext& c) { return std::vector{to_real(detail::next_count(c.f32(0)))}; });
+  static const Kernel kernel =
+      make_kernel("step_count_f32",
+                  {{"t", DType::F32, 1, Access::Direct}, {"unfit", DType::F32, 1, Access::Direct}},
+                  {{"t", 1}}, [](TraceContext& c) {
+                    const Real t = c.f32(0);
+                    return std::vector{detail::if_fit(c.f32(1), to_real(detail::next_count(t)), t)};
+                  });
   return kernel;
 }
 
-void advance(const Tensor& t) {
-  const Operand operand = t.operand();
-  step_count_kernel().launch(1, {&operand, 1}, {&operand, 1});
+void advance(const Tensor& t, const Tensor& unfit) {
+  const Operand in[] = {t.operand(), unfit.operand()};
+  step_count_kernel().launch(1, in, {in, 1});
 }
 
 }  // namespace
+
+void Optimiser::check() const {
+  if (!current_capture()) check_refused(name_, refused_, unfit_);
+}
+
+void Optimiser::begin_step() const {
+  detail::check_grads(params_, name_);
+  if (!current_capture() && params_[0].device().is_cpu()) {
+    check();
+    return detail::check_finite_grads(params_, name_);
+  }
+  if (OpList* graph = current_capture(); graph && params_[0].device().is_cpu())
+    graph->before_launch(refused_.range(), [name = name_, refused = refused_, unfit = unfit_] {
+      check_refused(name, refused, unfit);
+    });
+  const Operand flags[] = {refused_.operand(), unfit_.operand()};
+  detail::sum_over_grads(params_, unfit_kernel(), flags[1]);
+  count_refused_kernel().launch(1, flags, {flags, 1});
+}
 
 SGD::SGD(std::vector<Tensor> params, const SGDOptions& options)
     : Optimiser("SGD", std::move(params), options.lr), options_(options) {
@@ -106,21 +166,22 @@ SGD::SGD(std::vector<Tensor> params, const SGDOptions& options)
 }
 
 void SGD::step() const {
-  detail::check_grads(params_, name_);
   NoGrad no_grad;
+  begin_step();
   if (t_.defined()) {
-    advance(t_);
+    advance(t_, unfit_);
     for (size_t k = 0; k < params_.size(); ++k)
-      update_with_momentum(params_[k], b_[k], t_, lr_, options_);
+      update_with_momentum(params_[k], b_[k], t_, unfit_, lr_, options_);
     return;
   }
-  for (const Tensor& p : params_) update(p, lr_, options_.weight_decay);
+  for (const Tensor& p : params_) update(p, unfit_, lr_, options_.weight_decay);
 }
 
 }  // namespace nova::optim
 
 void nova::detail::add_sgd_kernels(EngineKernels& list) {
   for (const Kernel* k :
-       {&optim::sgd_step_kernel(), &optim::sgd_momentum_kernel(), &optim::step_count_kernel()})
+       {&optim::sgd_step_kernel(), &optim::sgd_momentum_kernel(), &optim::step_count_kernel(),
+        &optim::unfit_kernel(), &optim::count_refused_kernel()})
     list.push_back({*k, {}});
 }

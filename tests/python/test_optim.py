@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from novaphy import nova
+from novaphy import Error, nova
 from novaphy.nova import optim
 from novaphy.testing import assert_same_bits
 
@@ -297,3 +297,73 @@ def test_what_an_optimiser_shows():
     adam.zero_grad()
     assert x.grad.tolist() == [0] and y.grad.tolist() == [[0, 0]]
     assert nova.optim is optim and sorted(optim.__all__) == ["Adam", "SGD"]
+
+
+def optimisers(x):
+    return (
+        optim.SGD([x], lr=0.1),
+        optim.SGD([x], lr=0.1, momentum=0.9, weight_decay=0.1),
+        optim.Adam([x], lr=0.1),
+    )
+
+
+def state_of(optimiser):
+    """The memory of a state, read without asking the optimiser."""
+    if isinstance(optimiser, optim.Adam):
+        return [*optimiser.m, *optimiser.v, optimiser.t]
+    return [*optimiser.b] + ([] if optimiser.t is None else [optimiser.t])
+
+
+@pytest.mark.parametrize("which", range(3))
+@pytest.mark.parametrize("bad", [NAN, INF, -INF])
+def test_a_gradient_that_is_not_finite_is_refused_before_anything_is_written(which, bad):
+    good, x = leaf([1.0], [0.5]), leaf([1.0, 2.0, 3.0], [0.1, 0.2, 0.3])
+    optimiser = optimisers(x)[which]
+    optimiser.step()
+    memory = [x, *state_of(optimiser)]
+    before = [t.numpy() for t in memory]
+    x.grad.assign([0.1, bad, bad])
+    message = r"params\[0\]: expected a finite gradient, got 2 of 3 values .* at 1"
+    with pytest.raises(Error, match=message):
+        optimiser.step()
+    for one, two in zip(before, memory, strict=True):
+        assert_same_bits(one, two.numpy())
+    x.grad.assign([0.1, 0.2, 0.3])
+    optimiser.step()
+    assert (x.numpy() != before[0]).all() and good.item() == 1.0
+
+
+@pytest.mark.parametrize("which", range(3))
+def test_a_replay_notes_a_gradient_that_is_not_finite_and_the_next_one_raises(which):
+    results = []
+    for captured in (False, True):
+        x = leaf([1.0, 2.0, 3.0], [0.1, 0.2, 0.3])
+        optimiser = optimisers(x)[which]
+        step = optimiser.step
+        if captured:
+            with nova.ScopedCapture() as capture:
+                optimiser.step()
+            step = capture.graph.launch
+        memory = [x, *state_of(optimiser)]
+        step()
+        step()
+        results.append([t.numpy() for t in memory])
+    for direct, replayed in zip(*results, strict=True):
+        assert_same_bits(direct, replayed)
+    x.grad.assign([0.1, NAN, 0.3])
+    step()
+    for one, two in zip(results[1], memory, strict=True):
+        assert_same_bits(one, two.numpy())
+    with pytest.raises(Error, match="wrote nothing"):
+        optimiser.check()
+    for read in (step, optimiser.step, optimiser.check, lambda: state_of(optimiser)):
+        if which == 0 and read not in (step, optimiser.step, optimiser.check):
+            continue  # there is no state
+        x.grad.assign([0.1, NAN, 0.3])
+        step()
+        x.grad.assign([0.1, 0.2, 0.3])
+        with pytest.raises(Error, match="expected finite gradients, got one that is not in 1 of"):
+            read()
+        optimiser.check()  # said once
+    step()
+    assert (x.numpy() != results[1][0]).all()

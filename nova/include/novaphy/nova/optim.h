@@ -1,7 +1,8 @@
 // Optimisers and gradient clipping as kernels: in place, never recorded on a tape, without a read
-// on the host. So all of it may stand in a ScopedCapture, and a launch of the graph gives the bits
-// of the same calls run at once. Numbers (rates, limits) are those of the moment of the capture;
-// what changes from step to step (moments, step counters) lives on the device.
+// on the host but for what direct steps on the CPU check. So all of it may stand in a
+// ScopedCapture, and a launch of the graph gives the bits of the same calls run at once. Numbers
+// (rates, limits) are those of the moment of the capture; what changes from step to step (moments,
+// step counters) lives on the device.
 //
 // All parameters are float32, of any shape; a parameter's gradient is param.grad(), which counts as
 // zero after zero_grad(). Units: a gradient has those of loss / param, a learning rate for SGD
@@ -44,7 +45,7 @@ NOVAPHY_NOVA_API void sgd_update_vec3_clipped_f32(const Tensor& param, float lea
 // 1 - beta^t is computed from the bits of t by products alone (no pow, and no difference of two
 // numbers near 1), to a relative error of 2e-6; it depends on t only, not on the way there.
 // lr finite, >= 0; beta1 and beta2 in [0, 1); eps finite, > 0. A value whose gradient is not
-// finite, or whose square overflows, spoils its moments, as everywhere: clip first.
+// finite, or whose square overflows, spoils its moments: clip first, or use the class.
 NOVAPHY_NOVA_API void adam_update_f32(const Tensor& param, const Tensor& m, const Tensor& v,
                                       const Tensor& t, float lr, float beta1 = 0.9f,
                                       float beta2 = 0.999f, float eps = 1e-8f);
@@ -81,6 +82,11 @@ struct AdamOptions {
 namespace optim {
 
 // The parameters and the learning rate. The parameters are on one device and share no memory.
+//
+// A step takes finite gradients only. Called directly on the CPU it throws otherwise. On a device
+// and in the replays of a capture it leaves parameters and state as they are and notes that: the
+// next check() throws, which direct steps on the CPU, the replays there and the accessors of the
+// state begin with.
 class NOVAPHY_NOVA_API Optimiser {
  public:
   Optimiser(const Optimiser&) = delete;  // a copy would share the state
@@ -89,13 +95,19 @@ class NOVAPHY_NOVA_API Optimiser {
   float lr() const { return lr_; }
   void set_lr(float lr);   // for steps from now on; a captured graph keeps its own
   void zero_grad() const;  // of every parameter
+  // ErrorKind::Runtime where steps since the last call met a gradient that is not finite. Waits for
+  // a device; in a capture it does nothing.
+  void check() const;
 
  protected:
   Optimiser(const char* name, std::vector<Tensor> params, float lr);
   ~Optimiser() = default;
+  // Before a step: the gradients are finite, or it throws, or unfit_ is NaN when the step runs.
+  void begin_step() const;
   const char* name_;
   std::vector<Tensor> params_;
   float lr_;
+  Tensor unfit_, refused_;  // {1}: 0, else a step changes nothing; such steps
 };
 
 // Stochastic gradient descent with momentum, in PyTorch's and Warp's form:
@@ -105,10 +117,11 @@ class NOVAPHY_NOVA_API Optimiser {
 class NOVAPHY_NOVA_API SGD : public Optimiser {
  public:
   explicit SGD(std::vector<Tensor> params, const SGDOptions& options = {});
-  void step() const;  // allocates nothing. ErrorKind::Value: a parameter has no gradient
+  // ErrorKind::Value: a parameter has no gradient; ErrorKind::Runtime: one that is not finite.
+  void step() const;
   // The state, all zero before the first step; empty and undefined without momentum.
-  const std::vector<Tensor>& b() const { return b_; }  // as the parameters
-  const Tensor& t() const { return t_; }               // {1}: the steps so far
+  const std::vector<Tensor>& b() const { return check(), b_; }  // as the parameters
+  const Tensor& t() const { return check(), t_; }               // {1}: the steps so far
 
  private:
   SGDOptions options_;
@@ -120,11 +133,11 @@ class NOVAPHY_NOVA_API SGD : public Optimiser {
 class NOVAPHY_NOVA_API Adam : public Optimiser {
  public:
   explicit Adam(std::vector<Tensor> params, const AdamOptions& options = {});
-  void step() const;  // allocates nothing. ErrorKind::Value: a parameter has no gradient
+  void step() const;  // errors as SGD's
   // The state, all zero before the first step.
-  const std::vector<Tensor>& m() const { return m_; }  // as the parameters
-  const std::vector<Tensor>& v() const { return v_; }
-  const Tensor& t() const { return t_; }  // {1}: the steps so far
+  const std::vector<Tensor>& m() const { return check(), m_; }  // as the parameters
+  const std::vector<Tensor>& v() const { return check(), v_; }
+  const Tensor& t() const { return check(), t_; }  // {1}: the steps so far
 
  private:
   AdamOptions options_;

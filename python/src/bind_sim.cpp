@@ -436,8 +436,8 @@ void bind_contacts(py::module_& m) {
       .def_property_readonly("active_rigid_contact_count", &Contacts::active_rigid_contact_count,
                              "min(rigid_contact_count, rigid_contact_max). Reads from the device.")
       .def("__len__",
-           [](const Contacts& c) {
-             return c.active_rigid_contact_count() + c.active_soft_contact_count();
+           [](const Contacts& found) {
+             return found.active_rigid_contact_count() + found.active_soft_contact_count();
            })
       .def("__repr__", &contacts_repr)
       .def("rigid_contacts", &rigid_contact_rows, "model"_a = py::none(), "state"_a = py::none(),

@@ -9,6 +9,7 @@
 
 #include "novaphy/core/error.h"
 #include "novaphy/core/sim/model_builder.h"
+#include "novaphy/core/warning.h"
 #include "novaphy/math/functions.h"
 #include "support/bits.h"
 #include "support/triangles.h"
@@ -263,6 +264,31 @@ TEST(ShapeMeshes, HullsOfAllKindsOfPointsAreClosed) {
     builder.add_body();
     EXPECT_NO_THROW(builder.add_shape_convex_hull(0, {.vertices = points})) << trial;
   }
+}
+
+std::vector<std::string>& warnings() {
+  static std::vector<std::string> said;
+  return said;
+}
+
+TEST(ShapeMeshes, AnInsideOutMeshOfTheWorldWarns) {
+  set_warning_handler([](const std::string& text) { warnings().push_back(text); });
+  const auto said = [](const Triangles& t, const ShapeConfig& cfg = {}) {
+    warnings().clear();
+    ModelBuilder().add_shape_mesh(-1, {.vertices = t.vertices, .indices = t.indices, .cfg = cfg});
+    return warnings().size();
+  };
+  Triangles room = testing::cube(0.5f);
+  EXPECT_EQ(said(room), 0u);
+  for (size_t i = 0; i < room.indices.size(); i += 3)
+    std::swap(room.indices[i], room.indices[i + 1]);
+  ASSERT_EQ(said(room), 1u);
+  EXPECT_NE(warnings()[0].find("add_shape_mesh: indices"), std::string::npos);
+  EXPECT_NE(warnings()[0].find("-1"), std::string::npos) << warnings()[0];
+  EXPECT_EQ(said(room, {.has_shape_collision = false, .has_particle_collision = false}), 0u);
+  room.indices.resize(room.indices.size() - 6);
+  EXPECT_EQ(said(room), 0u) << "an open one is a floor with walls";
+  set_warning_handler(nullptr);
 }
 
 }  // namespace

@@ -6,9 +6,11 @@
 #include <string>
 
 #include "builder_checks.h"
+#include "geometry/vector_double.h"
 #include "novaphy/core/error.h"
 #include "novaphy/core/geometry/join_vertices.h"
 #include "novaphy/core/sim/model_builder.h"
+#include "novaphy/core/warning.h"
 
 namespace novaphy {
 namespace {
@@ -39,6 +41,32 @@ std::vector<Vec3i> rows_of_three(std::span<const int32_t> indices) {
 template <class T>
 std::string_view bytes_of(const std::vector<T>& values) {
   return {reinterpret_cast<const char*>(values.data()), values.size() * sizeof(T)};
+}
+
+// The volume (m^3, < 0) of a closed mesh whose triangles face inward; 0 of any other.
+double inside_out_volume(const std::vector<Vec3f>& vertices, const std::vector<Vec3i>& triangles) {
+  using detail::Vec3d;
+  const Vec3d middle = detail::to_double(vertices[0]);
+  Vec3d sum{};
+  double area = 0.0, volume = 0.0;
+  std::vector<std::pair<int32_t, int32_t>> edges;
+  for (const Vec3i& t : triangles) {
+    const auto at = [&](int32_t i) {
+      return detail::to_double(vertices[static_cast<size_t>(i)]) - middle;
+    };
+    const Vec3d a = at(t.x), b = at(t.y), c = at(t.z), twice = math::cross(b - a, c - a);
+    sum = sum + twice;
+    area += detail::norm(twice);
+    volume += math::dot(a, math::cross(b, c)) / 6.0;
+  }
+  // The areas of a closed mesh sum to 0, those of a terrain do not.
+  if (!(volume < -1e-12 * area * std::sqrt(area)) || detail::norm(sum) > 1e-6 * area) return 0.0;
+  for (const Vec3i& t : triangles) edges.insert(edges.end(), {{t.x, t.y}, {t.y, t.z}, {t.z, t.x}});
+  std::sort(edges.begin(), edges.end());
+  const bool is_closed = std::all_of(edges.begin(), edges.end(), [&](const auto& edge) {
+    return std::binary_search(edges.begin(), edges.end(), std::pair(edge.second, edge.first));
+  });
+  return is_closed ? volume : 0.0;
 }
 
 }  // namespace
@@ -97,6 +125,18 @@ int32_t ModelBuilder::add_shape_mesh(int32_t body, const ShapeMeshArgs& args) {
     const Vec3i& v = mesh.triangles[t];
     require(v.x != v.y && v.y != v.z && v.z != v.x, ErrorKind::Value, name, ": indices: triangle ",
             t, " has two corners in one place");
+  }
+  const ShapeConfig& cfg = args.cfg ? *args.cfg : default_shape_cfg;
+  // One that gives a mass is refused.
+  if ((body < 0 || !(cfg.density > 0.0f)) &&
+      (cfg.has_shape_collision || cfg.has_particle_collision)) {
+    const double volume = inside_out_volume(mesh.vertices, mesh.triangles);
+    if (volume < 0.0)
+      warn_of(name,
+              ": indices: expected triangles counter-clockwise seen from outside, but the "
+              "closed mesh is inside out, its volume is ",
+              volume,
+              " m^3: it holds what is within, as a room does, and lets in what comes from outside");
   }
   return append_shape(name,
                       {.body = body,

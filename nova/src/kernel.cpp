@@ -250,7 +250,7 @@ void check_sum(const detail::KernelImpl& k, int64_t dim, const LaunchOptions& op
          k.has_fixed_loop ? "no source of the sum has the access csr_row" : "the kernel has no sum",
          ", got one");
   }
-  if (k.has_fixed_loop ? options.extent < 0 : has_extent) [[unlikely]]
+  if (k.has_fixed_loop ? options.extent < 0 : options.extent > 0) [[unlikely]]
     fail(ErrorKind::Value, k.name, ", extent: expected ",
          k.has_fixed_loop ? "the number of items of the sum, >= 0"
          : k.has_csr_loop ? "none, because the sum is over the items of csr"

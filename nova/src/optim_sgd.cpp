@@ -29,7 +29,8 @@ void Optimiser::zero_grad() const {
 namespace {
 
 void check_refused(const char* name, const Tensor& refused, const Tensor& unfit) {
-  const float steps = refused.item();
+  const bool on_cpu = refused.device().is_cpu();
+  const float steps = on_cpu ? *static_cast<const float*>(refused.range()->data()) : refused.item();
   if (steps == 0.0f) return;
   for (const Tensor* flag : {&refused, &unfit}) submit_fill(flag->range(), 0.0f);
   novaphy::fail(ErrorKind::Runtime, name,

@@ -404,14 +404,14 @@ TEST(KernelRefuses, WrongParametersExtentAndIncidence) {
                "parameter 0: expected float");
   EXPECT_ERROR(fixed(1, {r}, {.params = good, .extent = 4}), ErrorKind::Value, "r: expected {4}");
   EXPECT_ERROR(fixed(1, {r}, {.params = good, .extent = -1}), ErrorKind::Value,
-               "extent: expected >= 0");
+               "extent: expected the number of items of the sum, >= 0");
   const Kernel csr = make_reduce_kernel(
       "k", {{"e", DType::F32, 1, Access::CsrRow}}, {{"out", 1}},
       {.init = {}, .body = [](TraceContext& c) { return std::vector{c.f32(0)}; }, .epilogue = {}});
   const nova::Incidence rows = nova::make_incidence(table({0, 1, 1}).operand(), 2), none;
   EXPECT_EQ(csr(2, {tensor({1.0f, 2.0f, 4.0f})}, {.csr = &rows})[0].to_host(),
             (std::vector<float>{1.0f, 6.0f}));
-  EXPECT_ERROR(csr(2, {r}), ErrorKind::Value, "expected an Incidence of 2 rows, got -1");
+  EXPECT_ERROR(csr(2, {r}), ErrorKind::Value, "expected an Incidence of 2 rows, got none");
   EXPECT_ERROR(csr(2, {r}, {.csr = &none}), ErrorKind::Value, "expected an Incidence");
   EXPECT_ERROR(csr(3, {r}, {.csr = &rows}), ErrorKind::Value,
                "expected an Incidence of 3 rows, got 2");

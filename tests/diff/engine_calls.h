@@ -35,18 +35,21 @@ inline Call random_call(const Kernel& kernel, uint32_t seed) {
       call.inputs.push_back(table(values, s.width));
     }
   }
-  bool csr = false;
+  bool csr = false, fixed = false;
   int32_t params = p.param_count;
   for (const nova::ir::Loop& l : p.loops) {
     csr = csr || l.kind == nova::ir::LoopKind::Csr;
-    if (l.kind == nova::ir::LoopKind::Fixed) --params;  // the last one: the extent
+    fixed = fixed || l.kind == nova::ir::LoopKind::Fixed;
+  }
+  if (fixed) {
+    call.extent = 4;
+    --params;  // the last one: the extent
   }
   if (csr) {
     std::vector<int32_t> rows(kItems);
     for (int32_t& v : rows) v = random.below(static_cast<int32_t>(kRows) + 1) - 1;
     call.csr = nova::make_incidence(table(rows).operand(), kRows);
   }
-  call.extent = 4;
   std::vector<bool> is_int(static_cast<size_t>(params), false);
   for (const nova::ir::Instr& in : p.instrs)
     if (in.op == nova::ir::Op::PARAM_I && in.a < params) is_int[static_cast<size_t>(in.a)] = true;

@@ -134,7 +134,7 @@ def is_arm(robot: Robot) -> bool:
 
 
 def standing(path: Path, folder: Path) -> dict[str, float]:
-    options = dict(collapse_fixed_joints=True, enable_self_collisions=False)
+    options = {"collapse_fixed_joints": True, "enable_self_collisions": False}
     robot = Robot(path, folder, **options)
     robot.finalize()
     if robot.is_urdf and not is_arm(robot):

@@ -349,7 +349,8 @@ int32_t accelerate_again(const Tree<T>& tree, const StepInputs<T>& in,
 
 inline constexpr int32_t kContactRounds = 8;
 
-// The branches that follow from the accelerations behind contacts, of some lanes. True:
+// The branches that follow from the accelerations behind contacts, of some lanes: those of effort
+// and velocity limits. Whether a position limit lets go stays as it is without contacts. True:
 // solve_accelerations with those, and contacts once more. `given` as above.
 template <class T, class Mask>
 bool renew_branches(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<T>& options,
@@ -358,10 +359,9 @@ bool renew_branches(const Tree<T>& tree, const StepInputs<T>& in, const StepOpti
   const bool keep = round >= kContactRounds;
   bool changes = next_held_rates(tree, in, options, lanes, keep, ws);
   for_drives(tree, [&](const Link& link, int32_t k) {
-    const Branches<T> next =
-        select(lanes, drives.next(link, ws.branch[k], ws.qdd[k], keep), ws.branch[k]);
-    changes = changes || any(differ(next, ws.branch[k]));
-    ws.branch[k] = next;
+    const Branches<T> branch = ws.branch[k], next = drives.next(link, branch, ws.qdd[k], keep);
+    ws.branch[k] = select(lanes, (next & ~kLimitReleased) | (branch & kLimitReleased), branch);
+    changes = changes || any(differ(ws.branch[k], branch));
   });
   return changes;
 }

@@ -235,109 +235,6 @@ def dev() -> None:
         run("dev", tree / "bin" / "test_geometry", *many)
 
 
-def build_slice(preset: str, *options: str, cases: str = "", folders: str = "none") -> Path:
-    """Build a slice and look at its libraries; its options change only some cases of the tests."""
-    tree = build(preset, f"-DNOVAPHY_TESTS={folders}", *options)
-    ctest(preset, "--preset", preset, "-R", "|".join(filter(None, (FROM_OUTSIDE, cases))))
-    return tree
-
-
-@step
-def core_only() -> None:
-    """novaphy::core alone."""
-    build_slice("core-only", folders="core", cases=r"^core\.BackendRegistry\.")
-
-
-@step
-def io() -> None:
-    """novaphy::core and novaphy::io, with the libraries of the system and of the wheel."""
-    build_slice("io")
-    build_slice("io-source", folders="io", cases=r"^io\.")
-
-
-@step
-def cpu() -> None:
-    """The forward engine, without the tensor runtime."""
-    build_slice("cpu")
-
-
-@step
-def fcl() -> None:
-    """Convex hulls by FCL's solver."""
-    build_slice("fcl", "-DNOVAPHY_BUILD_VBD=OFF", folders="collision", cases=r"^collision\.")
-
-
-@step
-def symbols() -> None:
-    """The forward engine needs and holds nothing of the tensor runtime."""
-    tree = build("cpu", "-DNOVAPHY_TESTS=none")
-    if found := list(tree.rglob("libnovaphy_nova*")) + list(tree.rglob("libnovaphy_diff*")):
-        raise StepError(f"symbols: the slice cpu built {found[0].name}")
-    for name in ("core", "collision", "dynamics"):
-        library = tree / "lib" / f"libnovaphy_{name}.so"
-        dynamic = output_of("nm", "-DC", library)
-        # The reader of Programs (nova::ir) belongs to the CPU backend, which core links in.
-        pattern = re.compile(r"(?<![\w:])nova::" + (r"(?!ir::)" if name == "core" else ""))
-        lines = (output_of("nm", "-C", library) + dynamic).splitlines()
-        if bad := [line for line in lines if pattern.search(line)]:
-            raise StepError(f"symbols: {library.name} has {bad[:3]}")
-        if "libnovaphy_nova" in output_of("readelf", "-d", library):
-            raise StepError(f"symbols: {library.name} links libnovaphy_nova")
-        print(f"   {library.name}: {len(dynamic.splitlines())} dynamic symbols, none of nova")
-
-
-@step
-def cuda() -> None:
-    """The forward engine without diff steps models on a fake CUDA device."""
-    tree = build_slice("cuda", folders="fake_driver", cases=r"^gpu\.Driver")
-    if found := list(tree.rglob("libnovaphy_diff*")):
-        raise StepError(f"cuda: the slice cuda built {found[0].name}")
-    if "libnovaphy_nova" in output_of("readelf", "-d", tree / "lib" / "libnovaphy_collision.so"):
-        raise StepError("cuda: libnovaphy_collision.so links libnovaphy_nova")
-
-
-@step
-def cpu_diff() -> None:
-    """The differentiable engine."""
-    build_slice("cpu-diff")
-
-
-@step
-def install() -> None:
-    """A program per component builds against just the components that it needs, and runs."""
-    tree = build("cpu-diff", "-DNOVAPHY_TESTS=none")
-    consumers = ROOT / "tests" / "install_consumer"
-    work = BUILD / "install"
-    shutil.rmtree(work, ignore_errors=True)
-    missing = [name for name in COMPONENTS if not (consumers / name / "CMakeLists.txt").exists()]
-    if missing:
-        raise StepError(f"install: tests/install_consumer has none for {', '.join(missing)}")
-    for name, components in COMPONENTS.items():
-        prefix, binary = work / name / "prefix", work / name / "build"
-        for component in components:
-            run("install", "cmake", "--install", tree, "--component", component, "--prefix", prefix)
-        run(
-            "install", "cmake", "-G", "Ninja", "-S", consumers / name, "-B", binary,
-            f"-DCMAKE_PREFIX_PATH={prefix}", "-DCMAKE_BUILD_TYPE=Release",
-        )  # fmt: skip
-        run("install", "cmake", "--build", binary, f"-j{JOBS}")
-        ctest(f"install {name}", "--test-dir", binary, "--no-tests=error", "--output-on-failure")
-
-
-@step
-def asan() -> None:
-    """The differentiable engine under AddressSanitizer and UndefinedBehaviorSanitizer."""
-    build("asan", "-DNOVAPHY_QUICK_BUILD=ON")
-    ctest("asan", "--preset", "asan")
-
-
-@step
-def tsan() -> None:
-    """The cases that start threads, under ThreadSanitizer."""
-    build("tsan", "-DNOVAPHY_QUICK_BUILD=ON")
-    ctest("tsan", "--preset", "tsan")
-
-
 def make_wheel() -> Path:
     """Build the wheel, once per run of this script."""
     folder = BUILD / "wheel"
@@ -492,6 +389,109 @@ def demos() -> None:
                 demo.result()
             except StepError as error:
                 results.fail(str(error))
+
+
+def build_slice(preset: str, *options: str, cases: str = "", folders: str = "none") -> Path:
+    """Build a slice and look at its libraries; its options change only some cases of the tests."""
+    tree = build(preset, f"-DNOVAPHY_TESTS={folders}", *options)
+    ctest(preset, "--preset", preset, "-R", "|".join(filter(None, (FROM_OUTSIDE, cases))))
+    return tree
+
+
+@step
+def core_only() -> None:
+    """novaphy::core alone."""
+    build_slice("core-only", folders="core", cases=r"^core\.BackendRegistry\.")
+
+
+@step
+def io() -> None:
+    """novaphy::core and novaphy::io, with the libraries of the system and of the wheel."""
+    build_slice("io")
+    build_slice("io-source", folders="io", cases=r"^io\.")
+
+
+@step
+def cpu() -> None:
+    """The forward engine, without the tensor runtime."""
+    build_slice("cpu")
+
+
+@step
+def fcl() -> None:
+    """Convex hulls by FCL's solver."""
+    build_slice("fcl", "-DNOVAPHY_BUILD_VBD=OFF", folders="collision", cases=r"^collision\.")
+
+
+@step
+def symbols() -> None:
+    """The forward engine needs and holds nothing of the tensor runtime."""
+    tree = build("cpu", "-DNOVAPHY_TESTS=none")
+    if found := list(tree.rglob("libnovaphy_nova*")) + list(tree.rglob("libnovaphy_diff*")):
+        raise StepError(f"symbols: the slice cpu built {found[0].name}")
+    for name in ("core", "collision", "dynamics"):
+        library = tree / "lib" / f"libnovaphy_{name}.so"
+        dynamic = output_of("nm", "-DC", library)
+        # The reader of Programs (nova::ir) belongs to the CPU backend, which core links in.
+        pattern = re.compile(r"(?<![\w:])nova::" + (r"(?!ir::)" if name == "core" else ""))
+        lines = (output_of("nm", "-C", library) + dynamic).splitlines()
+        if bad := [line for line in lines if pattern.search(line)]:
+            raise StepError(f"symbols: {library.name} has {bad[:3]}")
+        if "libnovaphy_nova" in output_of("readelf", "-d", library):
+            raise StepError(f"symbols: {library.name} links libnovaphy_nova")
+        print(f"   {library.name}: {len(dynamic.splitlines())} dynamic symbols, none of nova")
+
+
+@step
+def cuda() -> None:
+    """The forward engine without diff steps models on a fake CUDA device."""
+    tree = build_slice("cuda", folders="fake_driver", cases=r"^gpu\.Driver")
+    if found := list(tree.rglob("libnovaphy_diff*")):
+        raise StepError(f"cuda: the slice cuda built {found[0].name}")
+    if "libnovaphy_nova" in output_of("readelf", "-d", tree / "lib" / "libnovaphy_collision.so"):
+        raise StepError("cuda: libnovaphy_collision.so links libnovaphy_nova")
+
+
+@step
+def cpu_diff() -> None:
+    """The differentiable engine."""
+    build_slice("cpu-diff")
+
+
+@step
+def install() -> None:
+    """A program per component builds against just the components that it needs, and runs."""
+    tree = build("cpu-diff", "-DNOVAPHY_TESTS=none")
+    consumers = ROOT / "tests" / "install_consumer"
+    work = BUILD / "install"
+    shutil.rmtree(work, ignore_errors=True)
+    missing = [name for name in COMPONENTS if not (consumers / name / "CMakeLists.txt").exists()]
+    if missing:
+        raise StepError(f"install: tests/install_consumer has none for {', '.join(missing)}")
+    for name, components in COMPONENTS.items():
+        prefix, binary = work / name / "prefix", work / name / "build"
+        for component in components:
+            run("install", "cmake", "--install", tree, "--component", component, "--prefix", prefix)
+        run(
+            "install", "cmake", "-G", "Ninja", "-S", consumers / name, "-B", binary,
+            f"-DCMAKE_PREFIX_PATH={prefix}", "-DCMAKE_BUILD_TYPE=Release",
+        )  # fmt: skip
+        run("install", "cmake", "--build", binary, f"-j{JOBS}")
+        ctest(f"install {name}", "--test-dir", binary, "--no-tests=error", "--output-on-failure")
+
+
+@step
+def asan() -> None:
+    """The differentiable engine under AddressSanitizer and UndefinedBehaviorSanitizer."""
+    build("asan", "-DNOVAPHY_QUICK_BUILD=ON")
+    ctest("asan", "--preset", "asan")
+
+
+@step
+def tsan() -> None:
+    """The cases that start threads, under ThreadSanitizer."""
+    build("tsan", "-DNOVAPHY_QUICK_BUILD=ON")
+    ctest("tsan", "--preset", "tsan")
 
 
 def run_step(name: str, function: Callable[[], None]) -> None:

@@ -257,10 +257,10 @@ struct Tape::Impl {
   void run_steps(const std::shared_ptr<Range>& loss_gradient, const Tensor& seed,
                  const std::function<bool(const Step&)>& stop = nullptr);
   using Copies = std::vector<std::pair<std::shared_ptr<Range>, std::shared_ptr<Range>>>;
-  // After a backward on the CPU; `before`: gradients of leaves that it added to, as they were.
+  // After a backward on the CPU; `earlier`: gradients of leaves that it added to, as they were.
   static bool is_finite_where_read(const Range& gradient, const Node& n);
   void tell_not_finite(const std::shared_ptr<Range>& loss_gradient, const Tensor& seed,
-                       const Copies& before);
+                       const Copies& earlier);
   const std::shared_ptr<Range>* output_place(const Step& step, uint32_t o) const {
     return places[step.first_place + o];
   }

@@ -29,14 +29,14 @@ bool Tape::Impl::is_finite_where_read(const Range& gradient, const Node& n) {
 }
 
 void Tape::Impl::tell_not_finite(const std::shared_ptr<Range>& loss_gradient, const Tensor& seed,
-                                 const Copies& before) {
+                                 const Copies& earlier) {
   if (!loss_gradient->storage().device().is_cpu()) return;
   std::vector<std::shared_ptr<Range>> leaves;
   for (const Node& n : nodes)
     if (n.set && !n.ever_written) leaves.push_back(grad_storage(*n.range));
   const int64_t bad = std::ranges::count_if(leaves, [](const auto& g) { return !is_finite(*g); });
   const bool known =
-      std::ranges::any_of(before, [](const auto& b) { return !is_finite(*b.second); });
+      std::ranges::any_of(earlier, [](const auto& b) { return !is_finite(*b.second); });
   if (bad == 0 || known) return;
   // The same once more, from the gradients before, up to the first.
   Copies results;
@@ -46,7 +46,7 @@ void Tape::Impl::tell_not_finite(const std::shared_ptr<Range>& loss_gradient, co
         Storage::allocate(gradient->bytes(), gradient->storage().device(), false)->range());
     submit_copy(results.back().second, gradient);
   }
-  for (const auto& [gradient, copy] : before) submit_copy(gradient, copy);
+  for (const auto& [gradient, copy] : earlier) submit_copy(gradient, copy);
   std::string first = "that of the loss, which was given";
   const auto stop = [&](const Step& step) {
     for (uint32_t s = 0; step.op && s < step.op->inputs; ++s) {

@@ -138,10 +138,13 @@ TEST(PlanePairs, ACapThatRollsTouchesAtItsDeepestPointOnly) {
       ASSERT_EQ(manifold.points[0].feature, 0);
       for (int i = 1; i < manifold.count - 1; ++i) {
         ASSERT_GT(flatness, std::cos(22.5f * 3.1415927f / 180.0f));
-        if (flatness < 0.998f)  // a quarter of the height of the disc
+        if (flatness < 0.998f) {  // a quarter of the height of the disc
           ASSERT_GT(manifold.points[i].distance, manifold.points[0].distance + 0.149f * sine);
+        }
       }
-      if (flatness < 0.92f) ASSERT_EQ(manifold.count, 2);
+      if (flatness < 0.92f) {
+        ASSERT_EQ(manifold.count, 2);
+      }
     }
   }
 }

@@ -62,7 +62,9 @@ def environment(**extra: str) -> dict[str, str]:
     # All build trees lie two folders below the root: the compiler cache then knows the objects of
     # one in the other.
     cache = {"CCACHE_BASEDIR": str(ROOT), "CCACHE_NOHASHDIR": "1"}
-    return kept | {"PYTHONDONTWRITEBYTECODE": "1"} | cache | extra
+    # Python calls the same compiler by another name, under which the cache knows no object.
+    compilers = {"CC": "cc", "CXX": "c++"}
+    return kept | {"PYTHONDONTWRITEBYTECODE": "1"} | cache | compilers | extra
 
 
 def output_of(*command: str | Path) -> str:

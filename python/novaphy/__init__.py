@@ -108,7 +108,7 @@ for _cls in (
     ShapeConfig,
     SimState,
 ):
-    _cls.__getattr__ = getattr_of_class(  # type: ignore[attr-defined]
+    _cls.__getattr__ = getattr_of_class(  # type: ignore[attr-defined, union-attr]
         "State" if _cls is SimState else _cls.__name__
     )
 

@@ -159,7 +159,7 @@ class _Rows:
 def _half_turns(q: NDArray[np.float32]) -> NDArray[np.float32]:
     """The matrix {worlds, 4, 3} of r -> (r, 0) q / 2 for unit quaternions (x, y, z, w)."""
     x, y, z, w = q.T
-    return 0.5 * np.stack(
+    return np.float32(0.5) * np.stack(
         [
             np.stack([w, z, -y], axis=1),
             np.stack([-z, w, x], axis=1),

@@ -31,7 +31,7 @@ def box(speed: float):
     builder = novaphy.ModelBuilder()
     surface = novaphy.ShapeConfig(mu=0.5)
     builder.add_ground_plane(cfg=surface)
-    body = builder.add_body(xform=((0.0, 0.0, 0.0998), UPRIGHT))
+    body = builder.add_body(xform=((0.0, 0.0, 0.098), UPRIGHT))
     builder.add_shape_box(body, hx=0.1, hy=0.15, hz=0.1, cfg=surface)
     builder.body_qd[body] = (speed, 0.3 * speed, 0.0, 0.0, 0.0, 0.0)
     return builder

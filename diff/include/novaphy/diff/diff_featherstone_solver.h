@@ -17,11 +17,9 @@ namespace novaphy::diff {
 // more.
 class NOVAPHY_DIFF_API DiffFeatherstoneSolver : public DiffSolverBase {
  public:
-  // Errors as SolverFeatherstone. `allow_unconverged`: gradients of steps whose sweeps ended far
-  // from converged do not throw.
+  // Errors as SolverFeatherstone.
   explicit DiffFeatherstoneSolver(std::shared_ptr<const Model> model,
-                                  const FeatherstoneOptions& options = {},
-                                  bool allow_unconverged = false);
+                                  const FeatherstoneOptions& options = {});
 
   const FeatherstoneOptions& options() const { return options_; }
   // Of the contacts of all steps since the last clear: what their gradients are.
@@ -50,7 +48,6 @@ class NOVAPHY_DIFF_API DiffFeatherstoneSolver : public DiffSolverBase {
   bool poses_follow(const SimState& state);
 
   FeatherstoneOptions options_;
-  bool allow_unconverged_;
   ArticulationStep step_;
   std::shared_ptr<SimState> poses_;  // memory of poses_follow
   int32_t rollout_contacts_ = 0;     // at most, in a step of the rollout that has begun

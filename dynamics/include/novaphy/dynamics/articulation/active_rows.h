@@ -136,7 +136,6 @@ inline double coupling(const PgsContact<float>& a, int i, const PgsContact<float
 // What branches the rows of a step have, or of a part of one: ContactBranches of it.
 struct BranchNotes {
   int32_t rows = 0, exact = 1;  // 0: a branch is too near; without regard to `held`
-  int32_t far = 0;              // an island is far from converged
   int32_t held = 0, breaking = 0, sticking = 0, sliding = 0;
   float normal_margin = ContactBranches::kNone, gap_margin = ContactBranches::kNone,
         cone_margin = ContactBranches::kNone, slip_margin = ContactBranches::kNone, residual = 0.0f;
@@ -146,7 +145,6 @@ inline void raise(float& to, float value) { to = to < value ? value : to; }
 inline void note_all(const BranchNotes& of, BranchNotes& to) {
   to.rows += of.rows;
   if (of.exact == 0) to.exact = 0;
-  if (of.far != 0) to.far = 1;
   to.held += of.held;
   to.breaking += of.breaking;
   to.sticking += of.sticking;
@@ -161,7 +159,6 @@ inline void note_all(const BranchNotes& of, BranchNotes& to) {
 inline void note_step(const BranchNotes& of, ContactBranches& to) {
   if (of.rows == 0) return;
   ++to.steps;
-  to.unconverged += of.far;
   to.held += of.held;
   if (of.exact != 0 && of.residual < kConverged) ++(of.held == 0 ? to.exact : to.frozen);
   to.breaking += of.breaking;
@@ -183,7 +180,7 @@ inline void note_contact(const ContactLaw<float>& law, bool by_restitution,
   const bool at_slop = !law.compliant && law.slop > 0.0f && law.erp > 0.0f;
   const ContactBranch branch = branch_of(c, law.cone);
   const bool jumps = !row.elastic && row.before < -law.restitution_threshold;
-  bool exact = !(by_restitution && jumps) && !(c.shifted > 0.0f);
+  bool exact = !(by_restitution && jumps);
   ++to.rows;
   const float normal = branch.active ? c.impulse[0] * c.normal : math::abs(slip(c, 0) + c.bias);
   lower(to.normal_margin, normal);

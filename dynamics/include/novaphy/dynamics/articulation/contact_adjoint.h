@@ -24,61 +24,9 @@
 namespace novaphy::articulation {
 
 struct AdjointContact : IslandContact {
-  float shift_z = 0.0f;  // multiplier of its shift
   Vec3f z{};     // multipliers of its equations
   Vec3f pull{};  // B^T z, along n, t1, t2
 };
-
-// Shifts (pgs.h) stand behind: with the gradient h of what moves the coordinates, the rows that
-// shift have  (J M^-1 J^T + softness) y = J M^-1 h;  J^T y leaves h and so g, and softness y the
-// gradient of lambda_n, which the equations above have on their right. How the softness changes
-// with q is left out.
-
-// y of an island, before solve_adjoint. Of `island`, besides what that takes:
-//   for_shifted(f)       f(contact), of the rows that shift, in their order
-//   move_gradient(tree)  h
-template <class Island>
-bool solve_shift_adjoint(const Island& island) {
-  int64_t n = 0;
-  island.for_shifted([&](const AdjointContact&) { ++n; });
-  if (n == 0) return true;
-  const int64_t width = n + 1;
-  double* const system = island.system(n * width);
-  if (system == nullptr) return false;
-  const auto for_sides = [&](const AdjointContact& at, const auto& f) {
-    for (int side = 0; side < 2; ++side)
-      if (at.solver.sides[side].width > 0) f(at.solver.sides[side], at.sides[side].tree);
-  };
-  double* row = system;
-  island.for_shifted([&](const AdjointContact& one) {
-    double* to = row;
-    island.for_shifted([&](const AdjointContact& other) {
-      *to = coupling(one.solver, 0, other.solver, 0);
-      if (&one == &other) *to += one.solver.softness;
-      ++to;
-    });
-    *to = 0.0;
-    for_sides(one, [&](const RowSide<float>& s, int32_t tree) {
-      const float* const h = island.move_gradient(tree);
-      for (int32_t x = 0; s.response != nullptr && x < island.dofs(tree); ++x)
-        *to += double{s.response[x]} * h[x];
-    });
-    row += width;
-  });
-  solve_dense(system, n);
-  int64_t k = 0;
-  island.for_shifted([&](AdjointContact& at) {
-    at.shift_z = static_cast<float>(system[k++ * width + n]);
-    for_sides(at, [&](const RowSide<float>& s, int32_t tree) {
-      float *const h = island.move_gradient(tree), *const g = island.rate_gradient(tree);
-      for (int32_t x = 0; x < island.dofs(tree); ++x) {
-        h[x] -= s.jacobian[x] * at.shift_z;
-        g[x] -= s.jacobian[x] * at.shift_z;
-      }
-    });
-  });
-  return true;
-}
 
 // The numbers of the system of an island.
 inline int64_t adjoint_numbers(int64_t contacts, int64_t held) {
@@ -164,7 +112,7 @@ bool solve_adjoint(const Island& island, bool cone) {
         for (int32_t x = 0; x < island.dofs(tree); ++x)
           sum += double{s.response[i * s.width + x]} * g[x];
       }
-      row[n] = i > 0 ? sum : sum - double{at.solver.softness} * at.shift_z;
+      row[n] = sum;
     }
     column += 3;
   });
@@ -295,36 +243,6 @@ void add_contact_geometry(const AdjointContact& row, float dt, const TreeOf& tre
       }
     }
   }
-}
-
-// What shifts of a tree do to its mass matrix, and the motions for add_shift_geometry, behind
-// solve_shift_adjoint. `rates`: with the shifts behind them.
-inline void set_shift_motions(const Tree<float>& tree, const StepInputs<float>& in,
-                              const StepOptions<float>& options, const float* rates,
-                              Workspace<float>& ws, AdjointMemory<float>& memory) {
-  const int32_t n = tree.dof_count;
-  const float* const shift = rates + padded_dofs(n);
-  float *const lambda = memory.scratch, *const h = lambda + n, *const x = h + n;
-  for (int32_t k = 0; k < n; ++k) {
-    lambda[k] = options.dt * h[k];
-    x[k] = shift[k] / options.dt;
-  }
-  solve(tree, ws.matrix, lambda);
-  matrix_vjp(tree, in, options, ws, memory);
-  for (int32_t k = 0; k < n; ++k) x[k] = rates[k] + shift[k];
-  set_contact_motions(tree, x, ws, memory);
-}
-// As add_contact_geometry, of a row that shifts.
-template <class TreeOf, class MemoryOf>
-void add_shift_geometry(const AdjointContact& row, float dt, const TreeOf& tree_of,
-                        const MemoryOf& memory_of) {
-  AdjointContact of = row;
-  of.solver.impulse[0] = row.solver.shifted;
-  of.solver.impulse[1] = of.solver.impulse[2] = 0.0f;
-  of.z = of.pull = {row.shift_z, 0.0f, 0.0f};
-  of.target.slope = row.target.shift_slope;
-  of.target.bounce = 0.0f;
-  add_contact_geometry(of, dt, tree_of, memory_of);
 }
 
 // -z . d(rows)/dp of a contact, of which each of the two shapes gets this: they are half of their

@@ -66,14 +66,14 @@ template <class T>
 struct AdjointMemory {
   T *tangent = nullptr, *rate = nullptr, *scratch = nullptr;
   SpatialVector<T>* wrench = nullptr;
-  T *mass = nullptr, *shift_mass = nullptr;
+  T* mass = nullptr;
   Vec3<T>*com = nullptr, *moved_com = nullptr;
-  Mat33<T>*inertia = nullptr, *shift_inertia = nullptr;
+  Mat33<T>* inertia = nullptr;
 };
 template <class T>
 int64_t adjoint_bytes(int32_t links, int32_t dofs) {
   const int64_t per_link =
-      sizeof(SpatialVector<T>) + 2 * (sizeof(T) + sizeof(Vec3<T>) + sizeof(Mat33<T>));
+      sizeof(SpatialVector<T>) + sizeof(T) + 2 * sizeof(Vec3<T>) + sizeof(Mat33<T>);
   return (5 * dofs * static_cast<int64_t>(sizeof(T)) + links * per_link + 7) / 8 * 8;
 }
 template <class T>
@@ -84,11 +84,9 @@ AdjointMemory<T> make_adjoint_memory(void* memory, int32_t links, int32_t dofs) 
   m.scratch = m.rate + dofs;
   m.wrench = reinterpret_cast<SpatialVector<T>*>(m.scratch + 3 * dofs);
   m.mass = reinterpret_cast<T*>(m.wrench + links);
-  m.shift_mass = m.mass + links;
-  m.com = reinterpret_cast<Vec3<T>*>(m.shift_mass + links);
+  m.com = reinterpret_cast<Vec3<T>*>(m.mass + links);
   m.moved_com = m.com + links;
   m.inertia = reinterpret_cast<Mat33<T>*>(m.moved_com + links);
-  m.shift_inertia = m.inertia + links;
   return m;
 }
 
@@ -196,14 +194,14 @@ void add_mass_gradients(const Tree<T>& tree, const StepGradient<T>& g,
     const int32_t body = tree.links[i].body;
     if (body < 0) continue;
     put(g, g.body_f, G::kBodyF, body, -memory.wrench[i]);
-    put(g, g.mass, G::kMass, body, -(memory.mass[i] + memory.shift_mass[i]));
+    put(g, g.mass, G::kMass, body, -memory.mass[i]);
     put(g, g.com, G::kCom, body, memory.moved_com[i] - memory.com[i]);
-    put(g, g.inertia, G::kInertia, body, math::scale(memory.inertia[i] + memory.shift_inertia[i], T(-1.0f)));
+    put(g, g.inertia, G::kInertia, body, math::scale(memory.inertia[i], T(-1.0f)));
   }
 }
 
 // The first of three parts: from the gradients of the new state to those of q and of u, in
-// `tangent` and `rate`; the part of the latter that comes from q' is the second of `scratch`. `qdd`, `branch` (as numbers), `q_next` and `qd_next` are those of the step;
+// `tangent` and `rate`. `qdd`, `branch` (as numbers), `q_next` and `qd_next` are those of the step;
 // rows of the arrays.
 template <class T>
 void step_vjp_rates(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<T>& options,
@@ -214,11 +212,7 @@ void step_vjp_rates(const Tree<T>& tree, const StepInputs<T>& in, const StepOpti
   T *const tangent = memory.tangent, *const rate = memory.rate, *const lambda = memory.scratch;
 
   // Of the poses, then of the numbers.
-  for (int32_t i = 0; i < tree.link_count; ++i) {
-    memory.moved_com[i] = {o, o, o};
-    memory.shift_mass[i] = o;
-    memory.shift_inertia[i] = Mat33<T>{};
-  }
+  for (int32_t i = 0; i < tree.link_count; ++i) memory.moved_com[i] = {o, o, o};
   for (int32_t k = 0; k < n; ++k) tangent[k] = rate[k] = o;
   if (out.body_q || out.body_qd) {
     link_frames(tree, q_next, ws);
@@ -257,10 +251,7 @@ void step_vjp_rates(const Tree<T>& tree, const StepInputs<T>& in, const StepOpti
     ws.qdd[k] = qdd[row0 + k];
   }
   free_rates(tree, in, options, ws);
-  T* const of_moves = memory.scratch + n;
-  for (int32_t k = 0; k < n; ++k) of_moves[k] = rate[k];
-  integrate_coordinates_vjp(tree, moving_rates(tree, ws), options.dt, tangent, rate);
-  for (int32_t k = 0; k < n; ++k) of_moves[k] = rate[k] - of_moves[k];
+  integrate_coordinates_vjp(tree, ws.qd_next, options.dt, tangent, rate);
 }
 
 // The second: the dynamics at the start of the step once more, with M's factor.
@@ -273,26 +264,6 @@ void step_vjp_dynamics(const Tree<T>& tree, const StepInputs<T>& in, const StepO
   mass_matrix(tree, ws);
   add_drives(tree, in, options, ws.bias, ws);
   factor(tree, ws.matrix);
-}
-// Between these: lambda . dM x leaves the gradients, lambda the first of `scratch`, x the third.
-template <class T>
-void matrix_vjp(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<T>& options,
-                Workspace<T>& ws, AdjointMemory<T>& memory) {
-  const T o = T(0.0f);
-  const int32_t n = tree.dof_count;
-  Tree<T> weightless = tree;
-  weightless.gravity = {o, o, o};
-  const T* const x = memory.scratch + 2 * n;
-  for (int32_t k = 0; k < n; ++k) ws.qd_next[k] = o;
-  for (int32_t i = 0; i < tree.link_count; ++i) ws.links[i].wrench = zero_spatial<T>();
-  inverse_dynamics(weightless, ws.qd_next, x, ws, ws.bias);
-  InverseDynamicsGradient<T> phi{ws.rhs,     nullptr,    nullptr,              nullptr,
-                                 memory.shift_mass, memory.com, memory.shift_inertia, {}};
-  inverse_dynamics_vjp(weightless, ws.qd_next, x, memory.scratch, ws, phi);
-  for (int32_t k = 0; k < n; ++k) memory.tangent[k] = memory.tangent[k] - ws.rhs[k];
-  for (int32_t i = 0; i < tree.link_count; ++i)
-    memory.moved_com[i] = memory.moved_com[i] - memory.com[i];
-  step_vjp_dynamics(tree, in, options, ws);
 }
 // lambda = M^-1 dt gu, in `scratch`. What contacts do to u has left `rate` before.
 template <class T>

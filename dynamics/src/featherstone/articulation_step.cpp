@@ -67,12 +67,13 @@ UnreadMaterials unread_materials(ArticulationContact contact, const char* user) 
 }
 
 void check_status(const Model& m, const Articulations& articulations,
-                  std::span<const int32_t> status, const char* user) {
+                  std::span<const int32_t> status, const char* user, const SimState* state) {
   for (const int32_t s : status)
     if (s != 0)
-      fail(ErrorKind::Runtime, user, ": ", articulations.dof_name(m, s - 1),
-           ": the mass matrix is not positive definite there, or its acceleration is not finite: "
-           "expected mass or armature, and finite coordinates, velocities and forces");
+      fail(ErrorKind::Runtime, user, ": ", articulations.dof_name(m, s - 1), ": ",
+           articulations.matrix_name(m, s - 1, state),
+           " is not positive definite there, or its acceleration is not finite: expected mass or "
+           "armature, and finite coordinates, velocities and forces");
 }
 
 void check_contact_status(int32_t status, const char* user) {

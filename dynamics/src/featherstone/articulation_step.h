@@ -16,9 +16,10 @@ void check_featherstone_model(const Model& model, const FeatherstoneOptions& opt
 // Of shapes in contact.
 UnreadMaterials unread_materials(ArticulationContact contact, const char* user);
 
-// ErrorKind::Runtime, naming the first dof that failed.
+// ErrorKind::Runtime, naming the first dof that failed; `state`: where the step began, if known.
 void check_status(const Model& model, const Articulations& articulations,
-                  std::span<const int32_t> status, const char* user);
+                  std::span<const int32_t> status, const char* user,
+                  const SimState* state = nullptr);
 
 // ErrorKind::Index: a status that names a row of contacts.
 void check_contact_status(int32_t status, const char* user);

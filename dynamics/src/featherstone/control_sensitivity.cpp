@@ -43,6 +43,7 @@ class DualStep {
     const auto bodies = static_cast<size_t>(m.body_count());
     const auto joints = static_cast<size_t>(m.joint_count());
     tree_ = {tree.link_count, tree.dof_count, tree.links, tree.dof_parent, tree.first_dof};
+    tree_.joints_in_a_row = tree.joints_in_a_row;
     tree_.X_p = take<Transform<D>>(a.X_p, joints);
     tree_.X_c = take<Transform<D>>(a.X_c, joints);
     tree_.axis = take<Vec3<D>>(a.axis, dofs);
@@ -225,7 +226,7 @@ struct FeatherstoneAnalyticControlSensitivity::Impl {
                      const StepOptions<float>& o, const articulation::ControlTangent<float>& c,
                      const float* from_dq, const float* from_dv, float* to_dv) {
     articulation::frozen_force_change(tree, in, o, single.ws, c, from_dq, from_dv, tangent.data());
-    articulation::solve(tree, single.ws.matrix, tangent.data());
+    articulation::solve(tree, single.ws, tangent.data());
     for (size_t k = 0; k < dofs; ++k) to_dv[k] = from_dv[k] + o.dt * tangent[k];
     if (!contacts.empty()) contacts.project(to_dv);
     for (size_t k = 0; k < dofs; ++k)

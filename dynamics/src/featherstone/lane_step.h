@@ -32,7 +32,7 @@ enum class TreeConstant : int32_t {
 inline constexpr int32_t kTreeConstants = static_cast<int32_t>(TreeConstant::Count);
 
 struct TreeShape {
-  int32_t links = 0, dofs = 0, coords = 0, bodies = 0, joints = 0;
+  int32_t links = 0, dofs = 0, coords = 0, bodies = 0, joints = 0, joints_in_a_row = 0;
   const Link* link_rows = nullptr;  // all rows counted from the tree's first
   const int32_t* dof_parent = nullptr;
   const int32_t* target_mode = nullptr;

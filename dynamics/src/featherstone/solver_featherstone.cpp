@@ -213,7 +213,7 @@ void SolverFeatherstone::step(SimState& state_in, SimState& state_out, const Con
   const bool failed =
       std::any_of(c.status.begin(), c.status.end(), [](int32_t s) { return s != 0; });
   if (failed && several) c.earlier.restore(state_out);
-  check_status(m, c.articulations, c.status, kName);
+  check_status(m, c.articulations, c.status, kName, &state_in);
   mark_unrecorded_step(m, state_in, state_out, control);
 }
 

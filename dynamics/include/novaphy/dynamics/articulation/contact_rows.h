@@ -86,14 +86,15 @@ void add_point_rows(const Tree<T>& tree, const SpatialVector<T>* axes, int32_t l
 // The responses Y {3, stride} of rows J, by the factor. J is zero but for `last` and the dofs above
 // it; -1: it may be anything.
 template <class T>
-void response_rows(const Tree<T>& tree, const T* matrix, int32_t last, int64_t stride,
+void response_rows(const Tree<T>& tree, const Workspace<T>& ws, int32_t last, int64_t stride,
                    const T* jacobian, T* response) {
   const int64_t n = tree.dof_count;
   for (int64_t k = 0; k < 3 * stride; ++k) response[k] = jacobian[k];
-  if (tree.followers > 0) {
-    for (int r = 0; r < 3; ++r) solve_whole(tree, matrix, response + r * stride);
+  if (!is_sparse(tree)) {
+    for (int r = 0; r < 3; ++r) solve(tree, ws, response + r * stride);
     return;
   }
+  const T* const matrix = ws.matrix;
   T *const y0 = response, *const y1 = y0 + stride, *const y2 = y1 + stride;
   const auto above = [&](int32_t k) { return last < 0 ? k - 1 : tree.dof_parent[k]; };
   const int32_t first = last < 0 ? tree.dof_count - 1 : last;

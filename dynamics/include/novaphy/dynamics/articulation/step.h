@@ -14,7 +14,6 @@
 
 #include "novaphy/dynamics/articulation/drives.h"
 #include "novaphy/dynamics/articulation/factor.h"
-#include "novaphy/dynamics/articulation/inverse_dynamics.h"
 
 namespace novaphy::articulation {
 
@@ -46,17 +45,16 @@ void set_wrenches(const Tree<T>& tree, const StepInputs<T>& in, Workspace<T>& ws
   }
 }
 
-// rhs = joint_f - bias + drives, and the drives' part of M's diagonal.
+// rhs = joint_f - bias + drives, and what armature and drives add to M's diagonal.
 template <class T>
 void add_drives(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<T>& options,
                 Workspace<T>& ws) {
-  const int64_t n = tree.dof_count;
   const Drives<T>& d = in.drives;
   for (int32_t i = 0; i < tree.link_count; ++i) {
     const Link& link = tree.links[i];
     for (int32_t j = 0; j < link.dofs; ++j) {
       const int32_t row = link.dof + j;
-      const int64_t k = row - tree.first_dof;
+      const int32_t k = row - tree.first_dof;
       DriveTerm<T> term{T(0.0f), T(0.0f)};
       if (has_one_dof(link)) {
         term = dof_term(d, row, link.coord, ws.branch[k], in.q[link.coord], in.qd[row], options.dt,
@@ -67,9 +65,8 @@ void add_drives(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<
       }
       const T applied = is_free(link) ? T(0.0f) : in.joint_f[row];
       ws.rhs[k] = (applied - ws.bias[k]) + term.force;
-      ws.matrix[k * n + k] = is_kinematic(link)
-                                 ? T(math::bits_float(0x7f800000))
-                                 : ws.matrix[k * n + k] + (d.armature[row] + term.diagonal);
+      ws.diagonal[k] =
+          is_kinematic(link) ? T(math::bits_float(0x7f800000)) : d.armature[row] + term.diagonal;
     }
   }
 }
@@ -77,13 +74,10 @@ void add_drives(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<
 template <class T>
 int32_t solve_accelerations(const Tree<T>& tree, const StepInputs<T>& in,
                             const StepOptions<T>& options, Workspace<T>& ws) {
-  mass_matrix(tree, ws);
   add_drives(tree, in, options, ws);
-  const int32_t failed = factor(tree, ws.matrix);
-  if (failed >= 0) return failed;
-  for (int32_t k = 0; k < tree.dof_count; ++k) ws.qdd[k] = ws.rhs[k];
-  solve(tree, ws.matrix, ws.qdd);
-  return -1;
+  const int32_t failed = factor(tree, in.q, ws);
+  if (failed < 0) find_accelerations(tree, in.qd + tree.first_dof, ws);
+  return failed;
 }
 
 // The branches that follow from a first solve; false: none has changed (in any lane; the others'
@@ -151,7 +145,7 @@ int32_t accelerate(const Tree<T>& tree, const StepInputs<T>& in, const StepOptio
   }
   kinematics(tree, in.q, ws);
   set_wrenches(tree, in, ws);
-  inverse_dynamics<T>(tree, in.qd + tree.first_dof, nullptr, ws, ws.bias);
+  bias_forces(tree, in.qd + tree.first_dof, ws);
   for (int32_t k = 0; k < tree.dof_count; ++k) ws.branch[k] = {};
   for (int32_t i = 0; i < tree.link_count; ++i) {
     const Link& link = tree.links[i];

@@ -125,6 +125,27 @@ TEST(PlanePairs, AStandingCylinderHasThreePointsAndALyingOneTwo) {
   EXPECT_EQ(near_ground(lying), 2);
 }
 
+// Points of the rim turn with the body: one that passes below a disc which rolls would brake it.
+TEST(PlanePairs, ACapThatRollsTouchesAtItsDeepestPointOnly) {
+  Poses poses;
+  for (int k = 0; k < 2000; ++k) {
+    const Transformf pose = poses.next();
+    const float flatness = std::abs(rotate(pose.q, Vec3f{0.0f, 0.0f, 1.0f}).z);
+    const float sine = std::sqrt(1.0f - std::min(1.0f, flatness * flatness));
+    for (const bool cone : {false, true}) {
+      const Manifold manifold = cone ? plane_cone(ground(), pose, 0.3f, 0.5f)
+                                     : plane_cylinder(ground(), pose, 0.3f, 0.5f);
+      ASSERT_EQ(manifold.points[0].feature, 0);
+      for (int i = 1; i < manifold.count - 1; ++i) {
+        ASSERT_GT(flatness, std::cos(22.5f * 3.1415927f / 180.0f));
+        if (flatness < 0.998f)  // a quarter of the height of the disc
+          ASSERT_GT(manifold.points[i].distance, manifold.points[0].distance + 0.149f * sine);
+      }
+      if (flatness < 0.92f) ASSERT_EQ(manifold.count, 2);
+    }
+  }
+}
+
 TEST(PlanePairs, APoseThatIsNoNumberGivesNoFiniteDistance) {
   const Manifold manifold =
       plane_box(ground(), {{NAN, 0.0f, 0.0f}, Quatf::identity()}, {0.1f, 0.1f, 0.1f}, 1.0f);

@@ -100,17 +100,26 @@ inline Vec3f deepest_of_rim(const Vec3f& n, const Vec3f& u, const Vec3f& v, floa
   return u * (x / length * radius) + v * (y / length * radius);
 }
 
-// A disc, feature 0 its deepest point and 1 to 3 three points of the rim, 120 degrees apart from u
-// on, without those that lie within 1 % of the radius of the deepest.
+inline constexpr float kFlatCap = 0.92387953f;     // cosine of 22.5 degrees
+inline constexpr float kRestingCap = 0.99862953f;  // of 3 degrees
+
+// A disc across the unit `axis`, feature 0 its deepest point. Of a disc flatter than 22.5 degrees
+// three points of the rim follow, features 1 to 3, 120 degrees apart from u on. These turn with the
+// body, so a steeper disc, which rolls on its rim, has none. The points nearest to the deepest are
+// left out: within 1 % of the radius, or within 60 degrees on a disc that is tilted by more than 3
+// degrees.
 inline void add_plane_disc(Manifold& manifold, const Plane& plane, const Vec3f& centre,
-                           const Vec3f& u, const Vec3f& v, float radius) {
+                           const Vec3f& u, const Vec3f& v, const Vec3f& axis, float radius) {
   const Vec3f deepest = deepest_of_rim(plane.normal, u, v, radius);
   add_plane_point(manifold, plane, centre + deepest, 0);
+  const float flatness = math::abs(math::dot(plane.normal, axis));
+  if (!(flatness > kFlatCap)) return;
+  const float apart = (flatness > kRestingCap ? 0.01f : 1.0f) * radius;
   constexpr float kSine = 0.8660254f;  // of 120 degrees
   const Vec3f rim[3] = {u * radius, (u * -0.5f + v * kSine) * radius,
                         (u * -0.5f - v * kSine) * radius};
   for (int32_t k = 0; k < 3; ++k) {
-    if (math::length(rim[k] - deepest) > 0.01f * radius)
+    if (math::length(rim[k] - deepest) > apart)
       add_plane_point(manifold, plane, centre + rim[k], k + 1);
   }
 }
@@ -125,7 +134,7 @@ inline Manifold plane_cylinder(const Plane& plane, const Transformf& cylinder, f
   const bool top_is_lower = math::dot(plane.normal, axis) < 0.0f;
   const Vec3f lower = axis * (top_is_lower ? half_height : -half_height);
   Manifold manifold = plane_manifold(plane);
-  add_plane_disc(manifold, plane, cylinder.p + lower, u, v, radius);
+  add_plane_disc(manifold, plane, cylinder.p + lower, u, v, axis, radius);
   add_plane_point(manifold, plane,
                   (cylinder.p - lower) + deepest_of_rim(plane.normal, u, v, radius), 4);
   return manifold;
@@ -136,9 +145,9 @@ inline Manifold plane_cone(const Plane& plane, const Transformf& cone, float rad
                            float half_height) {
   const Vec3f u = math::rotate(cone.q, Vec3f{1.0f, 0.0f, 0.0f});
   const Vec3f v = math::rotate(cone.q, Vec3f{0.0f, 1.0f, 0.0f});
-  const Vec3f half = math::rotate(cone.q, Vec3f{0.0f, 0.0f, 1.0f}) * half_height;
+  const Vec3f axis = math::rotate(cone.q, Vec3f{0.0f, 0.0f, 1.0f}), half = axis * half_height;
   Manifold manifold = plane_manifold(plane);
-  add_plane_disc(manifold, plane, cone.p - half, u, v, radius);
+  add_plane_disc(manifold, plane, cone.p - half, u, v, axis, radius);
   add_plane_point(manifold, plane, cone.p + half, 4);
   return manifold;
 }

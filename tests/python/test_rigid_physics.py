@@ -260,6 +260,21 @@ def test_with_a_stick_spring_a_box_below_the_cone_rests():
     assert speeds[0] == pytest.approx(speeds[1], rel=2e-2)
 
 
+@pytest.mark.parametrize("kf", [100.0, 1000.0])
+@pytest.mark.parametrize("stick_ke", [0.0, 100.0, 2e3, 1e5])
+def test_a_stick_spring_takes_no_friction_from_what_slides(stick_ke, kf):
+    """The law of Coulomb, v^2/(2 mu g), whatever the spring and the damper are."""
+    surface = novaphy.ShapeConfig(mu=0.3, kf=kf)
+    builder = novaphy.ModelBuilder()
+    builder.add_ground_plane(cfg=surface)
+    body = builder.add_body(xform=(0, 0, 0.0922, *UPRIGHT))
+    builder.add_shape_box(body, hx=0.1, hy=0.1, hz=0.1, cfg=surface)
+    builder.body_qd[body] = (2, 0, 0, 0, 0, 0)
+    run = Run(builder.finalize(), stick_ke=stick_ke)
+    farthest = max(float(now.state.body_q.numpy()[0, 0]) for now in run.steps(960))
+    assert farthest == pytest.approx(2.0**2 / (2 * 0.3 * 9.81), rel=0.02)
+
+
 def offset_stack():
     cfg = novaphy.ShapeConfig(ke=2e5, kd=300.0, kf=200.0, mu=0.5)
     builder = novaphy.ModelBuilder()

@@ -37,7 +37,7 @@ Vec3f StickSprings::friction(int64_t row, const Vec3f& normal, const Vec3f& ut, 
   const float size = math::length(f);
   if (!(size > limit)) return f;
   const Vec3f held = f * (limit / size);
-  slip = (held - ut * kf) * (1.0f / ke);
+  slip = held * (1.0f / ke);
   return held;
 }
 

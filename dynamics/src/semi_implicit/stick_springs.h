@@ -2,7 +2,8 @@
 // the name of its point.
 //
 //   s  <- P s + ut dt            P takes off what is along the normal; s = 0 in a row that is new
-//   f  = ke s + kf ut, cut off at the Coulomb limit c: f c/|f|, and then s = (f - kf ut)/ke
+//   f  = ke s + kf ut, cut off at the Coulomb limit c: f c/|f|, and then s = f/ke: the spring by
+//        itself ends at the cone, so what slides is braked by c whatever kf and ke are
 // Symbols: s slip (m), ut slip velocity (m/s) of A against B, world frame; f friction on B (N).
 // Under a load below the cone a body rests at s = load/(rows ke) instead of creeping.
 //

@@ -457,8 +457,8 @@ void bind_solver(py::module_& solvers) {
       [](Settings& s, const std::string& law) {
         set(s, "friction_law", &DiffSolverConfig::friction_law, to_friction_law(law));
       },
-      "Of contacts of bodies: \"viscous\" or \"huber\", as in SolverSemiImplicit; \"newton17\" is "
-      "refused by the solver, because it has no gradient here.");
+      "Of contacts of bodies: \"viscous\" or \"huber\", as in SolverSemiImplicit; \"newton17\" and "
+      "\"newton18\" are refused by the solver, because they have no gradient here.");
   NOVAPHY_MEMBER(friction_smoothing,
                  "m/s, of the friction law \"huber\"; None: 0.1. The solver refuses it with "
                  "\"viscous\", which does not read it.")

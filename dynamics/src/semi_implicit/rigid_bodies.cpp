@@ -69,7 +69,7 @@ void RigidBodies::evaluate(const Model& m, const Transformf* q, const SpatialVec
 
   const auto side = [&](int32_t body, const Vec3f& point, float margin) {
     RigidContactSide<float> s;
-    if (body >= 0) s = {q[body], qd[body], com[body]};
+    if (body >= 0) s = {.pose = q[body], .twist = qd[body], .com = com[body], .is_body = 1.0f};
     s.point = point;
     s.margin = margin;
     return s;

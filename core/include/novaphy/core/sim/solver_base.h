@@ -1,6 +1,7 @@
 // SolverBase: what every solver is.
 #pragma once
 
+#include <cstdint>
 #include <memory>
 
 #include "novaphy/core/exclusive_use.h"
@@ -30,7 +31,8 @@ class NOVAPHY_CORE_API SolverBase {
   // Advances state_in by dt (s) into state_out. The forces in state_in act, and afterwards hold
   // those that the solver added; clear them before the next use. `control` null: the model's
   // defaults; `contacts` null: no contact. ErrorKind::Value: state_in and state_out are one, or
-  // share memory; dt not finite or <= 0; a state, control or contacts of another model or device.
+  // share memory; dt not in (0, kLongestStep]; a state, control or contacts of another model or
+  // device; on the CPU rigid contacts with a normal that is no unit vector.
   // ErrorKind::Runtime: the forces in state_in may not be written (a Trajectory's, but for state
   // 0).
   virtual void step(SimState& state_in, SimState& state_out, const Control* control,
@@ -46,9 +48,13 @@ class NOVAPHY_CORE_API SolverBase {
   virtual void notify_model_changed(ModelFlags flags);
 
  protected:
-  // The checks that every step makes; `name` starts the messages.
+  // The checks that every step makes; `name` starts the messages. It watches for overflow.
   void check_step(const char* name, const SimState& state_in, const SimState& state_out,
                   const Control* control, const Contacts* contacts, float dt) const;
+  // Warns, once, of contacts that no slot was left for; `name` starts the message. On devices it
+  // looks at steps 1, 2, 4, 8, ... only, since it waits for them, and not while a tape or a capture
+  // records.
+  void watch_overflow(const char* name, const Contacts& contacts) const;
   // The use of the memory that the solver keeps from call to call.
   ExclusiveUse::Scope use(const char* call) const { return {*in_use_, call, "the solver"}; }
   const std::shared_ptr<ExclusiveUse>& in_use() const { return in_use_; }
@@ -65,6 +71,8 @@ class NOVAPHY_CORE_API SolverBase {
  private:
   std::shared_ptr<const Model> model_;
   std::shared_ptr<ExclusiveUse> in_use_ = std::make_shared<ExclusiveUse>();
+  mutable bool warned_of_overflow_ = false;
+  mutable uint64_t overflow_looks_ = 0;
 };
 
 }  // namespace novaphy

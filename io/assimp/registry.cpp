@@ -18,7 +18,6 @@ void DeleteImporterInstanceList(std::vector<BaseImporter*>& importers) {
   for (const BaseImporter* importer : importers) delete importer;
 }
 
-// The validation is no step of this list: assimp runs it before them.
 void GetPostProcessingStepInstanceList(std::vector<BaseProcess*>& out) {
   out = {new TriangulateProcess};
 }

@@ -24,6 +24,28 @@ void keep_one_importer(Assimp::Importer& importer, std::string_view extension) {
   }
 }
 
+// The cutting of polygons trusts the corners. Only what becomes triangles is looked at: assimp's
+// own validation also refuses a file for its cameras, lights, materials, bones and animations.
+void check_faces(const std::string& where, const aiScene& scene) {
+  constexpr unsigned kMostCorners = AI_MAX_FACE_INDICES;
+  for (unsigned m = 0; m < scene.mNumMeshes; ++m) {
+    const aiMesh& mesh = *scene.mMeshes[m];
+    for (unsigned f = 0; f < mesh.mNumFaces; ++f) {
+      const aiFace& face = mesh.mFaces[f];
+      const auto check = [&](bool good, const auto&... expected) {
+        require(good, ErrorKind::Value, where, ": mesh ", m, ", face ", f, ": expected ",
+                expected...);
+      };
+      check(face.mNumIndices > 0 && face.mNumIndices <= kMostCorners, "1 to ", kMostCorners,
+            " corners, got ", face.mNumIndices);
+      for (unsigned c = 0; c < face.mNumIndices; ++c)
+        check(face.mIndices[c] < mesh.mNumVertices, "corners from 0 to ",
+              int64_t{mesh.mNumVertices} - 1, ", got ", face.mIndices[c],
+              ", which is out of range");
+    }
+  }
+}
+
 Vec3f to_vec3(const aiVector3D& v) { return {v.x, v.y, v.z}; }
 
 void append_mesh(const aiMesh& mesh, const aiMatrix4x4& to_world, std::vector<Triangle>& out) {
@@ -50,15 +72,20 @@ void append_node(const aiScene& scene, const aiNode& node, const aiMatrix4x4& pa
 
 }  // namespace
 
-std::vector<Triangle> read_triangles(const std::string& where, const std::filesystem::path& path,
+std::vector<Triangle> read_triangles(const std::string& where, std::string_view bytes,
                                      std::string_view extension) {
   Assimp::Importer importer;
   keep_one_importer(importer, extension);
-  // The check of the indices comes before the cutting of polygons, which trusts them.
-  const aiScene* const scene =
-      importer.ReadFile(path.string(), aiProcess_ValidateDataStructure | aiProcess_Triangulate);
-  require(scene != nullptr && scene->mRootNode != nullptr, ErrorKind::Value, where,
-          ": expected a whole ", extension, " file; assimp says: ", importer.GetErrorString());
+  const std::string hint(extension.substr(1));
+  const aiScene* scene = importer.ReadFileFromMemory(bytes.data(), bytes.size(), 0, hint.c_str());
+  const auto check_read = [&] {
+    require(scene != nullptr && scene->mRootNode != nullptr, ErrorKind::Value, where,
+            ": expected a whole ", extension, " file; assimp says: ", importer.GetErrorString());
+  };
+  check_read();
+  check_faces(where, *scene);
+  scene = importer.ApplyPostProcessing(aiProcess_Triangulate);
+  check_read();
   // assimp turns COLLADA to y up; NovaPhy has z up.
   aiMatrix4x4 to_z_up;
   if (extension == ".dae") to_z_up = aiMatrix4x4(1, 0, 0, 0, 0, 0, -1, 0, 0, 1, 0, 0, 0, 0, 0, 1);

@@ -2,7 +2,6 @@
 #pragma once
 
 #include <array>
-#include <filesystem>
 #include <string>
 #include <string_view>
 #include <vector>
@@ -13,9 +12,10 @@ namespace novaphy::detail {
 
 using Triangle = std::array<Vec3f, 3>;
 
-// All triangles of the scene, placed by its nodes; a COLLADA scene in metres with z up. `where`
-// begins every message. ErrorKind::Value: assimp refuses the file.
-std::vector<Triangle> read_triangles(const std::string& where, const std::filesystem::path& path,
+// All triangles of the scene in the `bytes` of a file, placed by its nodes; a COLLADA scene in
+// metres with z up. `where` begins every message. ErrorKind::Value: assimp refuses the file, or a
+// face has a corner that is not there.
+std::vector<Triangle> read_triangles(const std::string& where, std::string_view bytes,
                                      std::string_view extension);
 
 }  // namespace novaphy::detail

@@ -74,8 +74,10 @@ Mesh load_mesh(const std::filesystem::path& path, const MeshOptions& options) {
   constexpr std::string_view name = "load_mesh";
   const std::string extension = format_of(name, path);
   const std::string where = std::string(name) + ": " + path.string();
-  detail::check_whole(where, extension, read_file(name, path));
-  std::vector<Triangle> triangles = detail::read_triangles(where, path, extension);
+  std::string bytes = read_file(name, path);
+  detail::check_whole(where, extension, bytes);
+  if (extension == ".obj") bytes = detail::obj_for_assimp(where, bytes);
+  std::vector<Triangle> triangles = detail::read_triangles(where, bytes, extension);
   require(!triangles.empty(), ErrorKind::Value, where,
           ": expected at least one triangle, got an empty mesh");
   require(triangles.size() <= std::numeric_limits<int32_t>::max() / 3, ErrorKind::Value, where,

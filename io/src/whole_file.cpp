@@ -177,7 +177,60 @@ void check_dae(const std::string& where, std::string_view bytes) {
   }
 }
 
+bool is_number(std::string_view word) {
+  if (word.starts_with('+')) word.remove_prefix(1);
+  double value = 0.0;
+  const char* const end = word.data() + word.size();
+  const auto parsed = std::from_chars(word.data(), end, value);
+  return parsed.ec != std::errc::invalid_argument && parsed.ptr == end;
+}
+
 }  // namespace
+
+std::string obj_for_assimp(const std::string& where, std::string_view bytes) {
+  if (bytes.starts_with("\xEF\xBB\xBF")) bytes.remove_prefix(3);
+  std::string text, line;
+  text.reserve(bytes.size() + bytes.size() / 8);
+  size_t next = 1;
+  while (!bytes.empty()) {
+    const size_t number = next;
+    for (line.clear(); !bytes.empty();) {  // a line, and the next where it ends in a backslash
+      const size_t end = std::min(bytes.find_first_of("\r\n"), bytes.size());
+      line.append(bytes.substr(0, end));
+      const bool two = bytes.substr(end).starts_with("\r\n");
+      bytes.remove_prefix(std::min(end + (two ? 2 : 1), bytes.size()));
+      ++next;
+      if (!line.ends_with('\\')) break;
+      line.back() = ' ';
+    }
+    line.erase(0, line.find_first_not_of(" \t"));
+    if (!line.starts_with('v')) {
+      if (!line.starts_with("mtllib")) text.append(line).push_back('\n');
+      continue;
+    }
+    const std::vector<std::string_view> words =
+        split(std::string_view(line).substr(0, line.find('#')));
+    if (words.empty() || words[0] != "v") continue;  // normals, coordinates of textures
+    const size_t numbers = words.size() - 1;
+    require((numbers == 3 || numbers == 4 || numbers == 6 || numbers == 7) &&
+                std::all_of(words.begin() + 1, words.end(), is_number),
+            ErrorKind::Value, where, ":", number,
+            ": expected v and 3 numbers, or 4, 6 or 7 with w, r g b or r g b a behind");
+    text.push_back('v');
+    for (size_t k = 1; k <= (numbers == 4 ? 4u : 3u); ++k) {
+      std::string_view word = words[k];
+      text.push_back(' ');
+      if (word.starts_with('-') || word.starts_with('+')) {
+        text.push_back(word[0]);
+        word.remove_prefix(1);
+      }
+      if (word.starts_with('.')) text.push_back('0');
+      text.append(word);
+    }
+    text.push_back('\n');
+  }
+  return text;
+}
 
 void check_whole(const std::string& where, std::string_view extension, std::string_view bytes) {
   if (extension == ".ply") check_ply(where, bytes);

@@ -1,4 +1,6 @@
-// Whether a file is all there, where assimp does not notice: it reads past the end of a PLY file,
+// What is done to a file before assimp reads it.
+//
+// Whether it is all there, where assimp does not notice: it reads past the end of a PLY file,
 // never ends on one without the end of its header or on a COLLADA with something else than numbers
 // among its indices, and makes a smaller mesh of an STL text that was cut. (An OBJ does not say how
 // much belongs to it; a COLLADA that was cut is no XML.)
@@ -11,5 +13,10 @@ namespace novaphy::detail {
 
 // `bytes`: the file. ErrorKind::Value, its message beginning with `where`.
 void check_whole(const std::string& where, std::string_view extension, std::string_view bytes);
+
+// The lines of an OBJ file from which triangles come, written so that assimp counts all numbers: it
+// passes over a vertex with a number that begins with a point, and over a line that begins with a
+// blank. ErrorKind::Value: a vertex that is not x y z, with w, r g b or r g b a behind.
+std::string obj_for_assimp(const std::string& where, std::string_view bytes);
 
 }  // namespace novaphy::detail

@@ -15,6 +15,7 @@ namespace novaphy {
 namespace {
 
 using namespace testing;  // NOLINT: the helpers of tests
+using namespace std::string_literals;
 
 double volume(const Mesh& mesh) {
   double sum = 0.0;
@@ -174,6 +175,68 @@ TEST_F(LoadMesh, OtherFormatsKeepTheirNumbers) {
   EXPECT_EQ(mesh.vertices, (std::vector<Vec3f>{{0, 0, 0}, {250, 0, 0}, {0, 0.5f, -3}}));
 }
 
+TEST_F(LoadMesh, NumbersMayLeaveOutWhatIsZero) {
+  const std::vector<Vec3f> expected = {{0.5f, -0.5f, 0.25f}, {2, -3, 40}, {50, 1, -100}};
+  const std::string rows[] = {".5 -.5 +.25", "2. -3. 4.e1", "5.E+1 +1 -1e2"};
+  const auto is_expected = [&](const Mesh& mesh) {
+    EXPECT_EQ(mesh.vertices, expected);
+    EXPECT_EQ(mesh.indices, (std::vector<int32_t>{0, 1, 2}));
+  };
+  is_expected(load("a.obj", "v " + rows[0] + "\nv " + rows[1] + "\nv " + rows[2] + "\nf 1 2 3\n"));
+  is_expected(load("a.stl", "solid a\nfacet normal 0 0 1\nouter loop\nvertex " + rows[0] +
+                                "\nvertex " + rows[1] + "\nvertex " + rows[2] +
+                                "\nendloop\nendfacet\nendsolid a\n"));
+  is_expected(load("a.ply",
+                   "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\n"
+                   "property float z\nelement face 1\nproperty list uchar int vertex_indices\n"
+                   "end_header\n" +
+                       rows[0] + "\n" + rows[1] + "\n" + rows[2] + "\n3 0 1 2\n"));
+  std::string dae = cube_dae(kMetresZUp, kCubeNode);
+  const size_t at = dae.find("count=\"24\">") + 11;
+  dae.replace(at, dae.find("</float_array>") - at,
+              rows[0] + " " + rows[1] + " " + rows[2] + " 0 0 0 0 0 0 0 0 0 0 0 0 0 0 0");
+  const Corners corners = corners_of(load("a.dae", dae, {.drop_degenerate = true}));
+  for (const Vec3f& v : expected) EXPECT_TRUE(corners.contains({v.x, v.y, v.z}));
+}
+
+TEST_F(LoadMesh, EveryVertexOfAnObjFileCounts) {
+  const std::vector<Vec3f> expected = {{0.5f, 0, 0}, {1, 0, 0}, {0, 2, 0}};
+  for (const std::string& text :
+       {"\xEF\xBB\xBFv .5 0 0\n  v 1 0 0\n\tv 0 2 0\n  f 1 2 3\n"s,      // set in
+        "v .5 0 0 .1 .2 .3\nv 1 0 0 1 1 1 .5\nv 0 1 0 0.5\nf 1 2 3\n"s,  // colours, w
+        "mtllib none.mtl\nvt .5\nvn .5 .5 .5\nv .5 0 0\nv 1 0 0 # 4\nv 0 2 0\n"
+        "f 1/1/1 2/1/1 3/1/1\n"s,
+        "v .5 0 \\\n0\nv 1 0 0\nv 0 2 0\nf 1 2 \\\n3\n"s,  // lines that go on
+        "v .5 0 0\rv 1 0 0\rv 0 2 0\rf 1 2 3\r"s,
+        "v .5 0 0\r\nv 1 0 0\r\nv 0 2 0\r\nf 1 2 3\r\n"s}) {
+    SCOPED_TRACE(text);
+    EXPECT_EQ(load("a.obj", text).vertices, expected);
+  }
+  for (const char* bad : {"v 1 2", "v 1 2 3 4 5", "v 1 2 x", "v 1,5 2 3", "v 1d2 2 3", "v"})
+    refuse("a.obj", std::string("v 0 0 0\n") + bad + "\nv 0 1 0\nf 1 2 3\n",
+           "a.obj:2: expected v and 3 numbers");
+}
+
+TEST_F(LoadMesh, WhatIsNoMeshIsNotChecked) {
+  const auto camera = [](const std::string& id) {
+    return "<camera id=\"" + id +
+           "\" name=\"C\"><optics><technique_common><perspective><xfov>49</xfov><znear>9</znear>"
+           "<zfar>1</zfar></perspective></technique_common></optics></camera>";
+  };
+  const std::string light =
+      "<library_lights><light id=\"l\" name=\"L\"><technique_common><point><color>1 1 1</color>"
+      "</point></technique_common></light></library_lights>";
+  std::string dae =
+      cube_dae(kMetresZUp, kCubeNode +
+                               "<node name=\"C\"><instance_camera url=\"#a\"/></node>"
+                               "<node name=\"C\"><instance_camera url=\"#b\"/></node>"
+                               "<node name=\"L\"><instance_light url=\"#l\"/></node>"
+                               "<node name=\"L\"><instance_light url=\"#l\"/></node>");
+  dae.insert(dae.find("<library_geometries>"),
+             "<library_cameras>" + camera("a") + camera("b") + "</library_cameras>" + light);
+  EXPECT_EQ(corners_of(load("a.dae", dae)), box({0, 0, 0}, {1, 1, 1}));
+}
+
 TEST_F(LoadMesh, RefusesWhatIsNoFileAndOtherEndings) {
   EXPECT_ERROR(load_mesh(folder_.path() / "none.obj"), ErrorKind::Value, "No such file");
   std::filesystem::create_directory(folder_.path() / "folder.obj");
@@ -234,7 +297,7 @@ TEST_F(LoadMesh, RefusesIndicesOutOfRange) {
   refuse("a.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 4\n", "assimp says");
   std::string ply = cube_ply();
   ply.replace(ply.find("4 0 2"), 5, "4 8 2");
-  refuse("a.ply", ply, "assimp says");
+  refuse("a.ply", ply, "mesh 0, face 0: expected corners from 0 to 7, got 8");
   ply.replace(ply.find("4 8 2"), 5, "4-1 2");
   refuse("a.ply", ply, "a.ply");
 }

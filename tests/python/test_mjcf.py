@@ -108,6 +108,75 @@ def test_mass_matrices_are_those_of_mujoco(name):
         assert_allclose(h[6:, 6:], h_exact[6:, 6:], atol=1e-5 * scale, rtol=0)
 
 
+def pairs_of_mujoco(text: str) -> set[tuple[str, str]]:
+    """The geoms that meet, by MuJoCo's own search with a margin that reaches all of them."""
+    mujoco = pytest.importorskip("mujoco", reason="the oracle of this test: pip install mujoco")
+    exact = mujoco.MjModel.from_xml_string(text)
+    exact.geom_margin[:] = 1e3
+    data = mujoco.MjData(exact)
+    mujoco.mj_forward(exact, data)
+    names = [mujoco.mj_id2name(exact, mujoco.mjtObj.mjOBJ_GEOM, g) for g in range(exact.ngeom)]
+    return {tuple(sorted(names[g] for g in pair)) for pair in data.contact.geom}
+
+
+def pairs_of(text: str, **options: object) -> set[tuple[str, str]]:
+    model, _, _ = loaded(text, **options)
+    pairs = model.shape_contact_pairs.numpy()
+    return {tuple(sorted(model.shape_label[s] for s in pair)) for pair in pairs}
+
+
+def test_a_door_meets_its_frame_that_is_fixed_to_the_world():
+    """In MuJoCo parent and child do not meet, unless the parent is a part of the world."""
+    geom = '<geom name="{}" size="0.1"/>'.format
+    door = f'<body pos="0 0 1"><joint type="slide"/>{geom("door")}</body>'
+    frame = f"<body>{geom('frame')}<body>{geom('hinge')}{door}</body></body>"
+    fixed = mjcf(geom("floor") + frame + f"<body>{geom('wall')}</body>")
+    expected = {("door", "floor"), ("door", "frame"), ("door", "hinge"), ("door", "wall")}
+    for collapse in (False, True):
+        assert pairs_of(fixed, collapse_fixed_joints=collapse) == expected
+    free = fixed.replace("<body><geom", '<body pos="0 0 1"><freejoint/><geom', 1)
+    assert pairs_of(free) == {
+        ("door", "floor"), ("door", "wall"), ("floor", "frame"), ("floor", "hinge"),
+        ("frame", "wall"), ("hinge", "wall"),
+    }  # fmt: skip
+    assert pairs_of_mujoco(fixed) == expected and pairs_of_mujoco(free) == pairs_of(free)
+
+
+def test_pairs_of_random_trees_are_those_of_mujoco():
+    draw = random.Random(3)
+    for _ in range(150):
+        names = ["world"]
+
+        def geoms(body: str, draw: random.Random = draw) -> str:
+            text = ""
+            for k in range(draw.randrange(3)):
+                bits = draw.choice(["", 'contype="2"', 'conaffinity="0"', 'contype="0"'])
+                text += f'<geom name="{body}{k}" size="0.1" mass="1" {bits}/>'
+            return text
+
+        def body(depth: int, draw: random.Random = draw, names: list[str] = names) -> str:
+            name = f"b{len(names)}"
+            names.append(name)
+            joint = draw.choice(["", "", "<joint/>", '<joint type="slide"/>'])
+            if depth == 0 and draw.random() < 0.3:
+                joint = "<freejoint/>"
+            below = "".join(body(depth + 1) for _ in range(draw.randrange(3)) if depth < 4)
+            mass = '<inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>'
+            return f'<body name="{name}">{joint}{mass}{geoms(name)}{below}</body>'
+
+        inside = geoms("world") + "".join(body(0) for _ in range(3))
+        excluded = {tuple(sorted(draw.sample(names, 2))) for _ in range(2)}
+        text = mjcf(
+            inside,
+            after="<contact>"
+            + "".join(f'<exclude body1="{a}" body2="{b}"/>' for a, b in excluded)
+            + "</contact>",
+        )
+        expected = pairs_of_mujoco(text)
+        assert pairs_of(text) == expected
+        assert pairs_of(text, collapse_fixed_joints=True) == expected
+
+
 def test_defaults_and_classes():
     before = (
         '<compiler angle="radian"/><default><joint damping="3" axis="1 0 0"/>'

@@ -110,10 +110,6 @@ std::vector<std::pair<int32_t, Posed>> collapse_links(Robot& robot,
     kept.child = renamed[static_cast<size_t>(kept.child)];
   }
   robot.joints = std::move(joints);
-  for (auto& [a, b] : robot.excluded) {
-    if (a >= 0) a = renamed[static_cast<size_t>(place[static_cast<size_t>(a)].first)];
-    if (b >= 0) b = renamed[static_cast<size_t>(place[static_cast<size_t>(b)].first)];
-  }
   std::vector<RobotLink> links;
   for (int32_t link = 0; link < count; ++link)
     if (renamed[static_cast<size_t>(link)] >= 0)

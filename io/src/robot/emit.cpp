@@ -107,6 +107,10 @@ class Emitter {
     for (RobotJoint& joint : robot_.joints) start_within_limits(joint);
     start_followers();
     const size_t old_links = robot_.links.size();
+    shapes_of_.resize(old_links + 1);
+    for (size_t k = 0; k < old_links; ++k)
+      for (RobotShape& shape : robot_.links[k].shapes) shape.link = static_cast<int32_t>(k);
+    find_parts();
     std::vector<std::string> link_names, joint_names;
     for (const RobotLink& link : robot_.links) link_names.push_back(link.name);
     for (const RobotJoint& joint : robot_.joints) joint_names.push_back(joint.name);
@@ -191,7 +195,6 @@ class Emitter {
       body_[static_cast<size_t>(index)] =
           at(options_.function, link.where, [&] { return builder_.add_link(args); });
     }
-    shapes_of_.resize(count + 1);
     for (const int32_t index : links)
       add_shapes(index, robot_.links[static_cast<size_t>(index)].shapes);
     add_shapes(kWorldLink, robot_.world_shapes);
@@ -235,8 +238,7 @@ class Emitter {
       });
       result_.shapes.push_back(index);
       if (shape.color) result_.shape_colors[index] = *shape.color;
-      shapes_of_[link < 0 ? shapes_of_.size() - 1 : static_cast<size_t>(link)].emplace_back(index,
-                                                                                            &shape);
+      shapes_of_[row_of(shape.link)].emplace_back(index, &shape);
     }
   }
 
@@ -313,6 +315,7 @@ class Emitter {
                    .child_xform = to_float(joint.child_pose),
                    .linear_axes = joint.linear,
                    .angular_axes = joint.angular,
+                   .collision_filter_parent = !joint.meets_parent,
                    .label = joint.name};
     int32_t parent =
         joint.parent < 0 ? options_.parent_body : body_[static_cast<size_t>(joint.parent)];
@@ -333,48 +336,54 @@ class Emitter {
     return index;
   }
 
+  // Of a link of the file, or of the world.
+  size_t row_of(int32_t link) const {
+    return link < 0 ? shapes_of_.size() - 1 : static_cast<size_t>(link);
+  }
+
+  // Links that fixed joints hold together are one part. Says which parts joints connect, and which
+  // joints hang on what is a part of the world.
+  void find_parts() {
+    const size_t world = row_of(kWorldLink);
+    part_.resize(world + 1);
+    std::iota(part_.begin(), part_.end(), size_t{0});
+    const auto part_of = [&](int32_t link) { return part_[row_of(link)]; };
+    for (const RobotJoint& joint : robot_.joints)
+      if (joint.type == JointType::FIXED && (joint.parent >= 0 || options_.pairs_of_mujoco)) {
+        // The world keeps its number, whatever the order of the joints.
+        const size_t to = part_of(joint.parent), from = part_of(joint.child);
+        std::replace(part_.begin(), part_.end(), std::min(to, from), std::max(to, from));
+      }
+    for (RobotJoint& joint : robot_.joints) {
+      joint.meets_parent = joint.parent >= 0 && part_of(joint.parent) == world;
+      if (part_of(joint.parent) != world)
+        neighbours_.insert(std::minmax(part_of(joint.parent), part_of(joint.child)));
+    }
+  }
+
   void filter_links(size_t a, size_t b) {
     for (const auto& [i, unused_i] : shapes_of_[a])
       for (const auto& [k, unused_k] : shapes_of_[b])
         if (i != k) builder_.add_shape_collision_filter_pair(i, k);
   }
 
-  // Links that fixed joints hold together meet neither each other nor the neighbours of any.
+  // The links of a part meet neither each other nor those of its neighbours.
   void filter() {
-    const size_t count = robot_.links.size();
-    std::vector<size_t> part(count);
-    std::iota(part.begin(), part.end(), size_t{0});
-    for (const auto& tree : trees_)
-      for (const int32_t j : tree) {
-        const RobotJoint& joint = robot_.joints[static_cast<size_t>(j)];
-        if (joint.type != JointType::FIXED || joint.parent < 0) continue;
-        const size_t from = part[static_cast<size_t>(joint.child)],
-                     to = part[static_cast<size_t>(joint.parent)];
-        std::replace(part.begin(), part.end(), from, to);
-      }
-    std::set<std::pair<size_t, size_t>> apart;
-    for (const RobotJoint& joint : robot_.joints)
-      if (joint.parent >= 0)
-        apart.insert(std::minmax(part[static_cast<size_t>(joint.parent)],
-                                 part[static_cast<size_t>(joint.child)]));
-    for (const auto& [a, b] : robot_.excluded)
-      apart.insert(std::minmax(a < 0 ? count : part[static_cast<size_t>(a)],
-                               b < 0 ? count : part[static_cast<size_t>(b)]));
-    std::vector<std::vector<size_t>> members(count + 1);
-    for (size_t k = 0; k < count; ++k) members[part[k]].push_back(k);
-    members[count].push_back(count);
+    std::vector<std::vector<size_t>> members(part_.size());
+    for (size_t k = 0; k < part_.size(); ++k) members[part_[k]].push_back(k);
     const auto meet = [&](size_t a, size_t b) {
       for (const size_t i : members[a])
         for (const size_t k : members[b]) filter_links(i, k);
     };
-    for (size_t a = 0; a < count; ++a)
+    for (size_t a = 0; a < members.size(); ++a)
       if (members[a].size() > 1) meet(a, a);
-    for (const auto& [a, b] : apart)
+    for (const auto& [a, b] : neighbours_)
       if (a != b) meet(a, b);
+    for (const auto& [a, b] : robot_.excluded) filter_links(row_of(a), row_of(b));
     if (!options_.self_collisions)
-      for (size_t a = 0; a < count; ++a)
-        for (size_t b = a; b < count; ++b) filter_links(a, b);
-    if (options_.filter_by_bits) filter_by_bits();
+      for (size_t a = 0; a + 1 < shapes_of_.size(); ++a)
+        for (size_t b = a; b + 1 < shapes_of_.size(); ++b) filter_links(a, b);
+    if (options_.pairs_of_mujoco) filter_by_bits();
   }
 
   void filter_by_bits() {
@@ -395,7 +404,9 @@ class Emitter {
   std::vector<std::vector<int32_t>> trees_;  // joints, in the order of the model
   std::vector<int32_t> body_, joint_;        // of links and joints
   std::vector<int32_t> dof_, coord_;         // of joints: their first rows
-  // Per link, and last of the world: the shapes.
+  std::vector<size_t> part_;                 // of the links of the file, and last of the world
+  std::set<std::pair<size_t, size_t>> neighbours_;  // parts that a joint connects
+  // Of each link of the file, and last of the world: the shapes.
   std::vector<std::vector<std::pair<int32_t, const RobotShape*>>> shapes_of_;
   std::unordered_map<std::string, Mesh> meshes_;
 };

@@ -32,6 +32,7 @@ struct RobotShape {
   std::optional<int32_t> hull_vertices = {};  // the convex hull of the mesh
   std::optional<Vec4f> color = {};
   uint32_t contype = 1, conaffinity = 1;  // of MJCF
+  int32_t link = kWorldLink;              // of the file, also where that was merged
 };
 
 struct RobotLink {
@@ -51,6 +52,7 @@ struct RobotJoint {
   std::vector<double> start = {};   // coordinates of linear and angular; empty: 0
   std::string leader = {};          // joint that it follows; empty: none
   double coef0 = 0.0, coef1 = 1.0;  // its coordinate: coef0 + coef1 times the leader's
+  bool meets_parent = false;        // the child's shapes do, and the parent's
 };
 
 struct Robot {
@@ -58,7 +60,7 @@ struct Robot {
   std::vector<RobotLink> links = {};
   std::vector<RobotShape> world_shapes = {};
   std::vector<RobotJoint> joints = {};
-  std::vector<std::pair<int32_t, int32_t>> excluded = {};  // links that do not meet
+  std::vector<std::pair<int32_t, int32_t>> excluded = {};  // links of the file that do not meet
   std::vector<std::string> warnings = {};
 };
 
@@ -68,7 +70,8 @@ struct EmitOptions {
   int32_t parent_body;
   bool collapse, self_collisions, bodies_follow;
   JointOrdering ordering;
-  bool filter_by_bits;  // contype and conaffinity
+  // Pairs as in MuJoCo: by contype and conaffinity; links welded to the world are a part of it.
+  bool pairs_of_mujoco;
 };
 
 inline Posed identity_pose() { return {{0.0, 0.0, 0.0}, {0.0, 0.0, 0.0, 1.0}}; }

@@ -341,7 +341,7 @@ RobotImport add_urdf(ModelBuilder& builder, std::string_view source, const UrdfO
                              .self_collisions = options.enable_self_collisions,
                              .bodies_follow = options.bodies_follow_joint_ordering,
                              .ordering = options.joint_ordering,
-                             .filter_by_bits = false});
+                             .pairs_of_mujoco = false});
 }
 
 }  // namespace novaphy

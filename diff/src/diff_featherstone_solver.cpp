@@ -21,14 +21,25 @@ int32_t most_contacts(const Contacts* contacts) {
   return contacts == nullptr ? 0 : contacts->rigid_contact_max();
 }
 
-// Points and normals of contacts are frozen.
-void check_frozen(const Model& m, bool touching) {
-  check_no_gradient(kUser, {{"joint_mimic_coef", m.joint_mimic_coef}});
-  if (touching)
-    check_no_gradient(kUser, {{"shape_transform", m.shape_transform},
-                              {"shape_scale", m.shape_scale},
-                              {"shape_margin", m.shape_margin},
-                              {"shape_gap", m.shape_gap}});
+constexpr std::string_view kWithGradient[] = {"body_com",           "body_mass",
+                                              "body_inertia",       "joint_f",
+                                              "joint_target_q",     "joint_target_qd",
+                                              "joint_target_ke",    "joint_target_kd",
+                                              "joint_limit_lower",  "joint_limit_upper",
+                                              "joint_limit_ke",     "joint_limit_kd",
+                                              "joint_damping",      "joint_armature",
+                                              "joint_effort_limit", "joint_velocity_limit",
+                                              "joint_friction",     "gravity",
+                                              "shape_material_ke",  "shape_material_kd",
+                                              "shape_material_mu",  "shape_material_restitution"};
+
+void check_gradients(const Model& m, const Control* control, const Contacts* contacts,
+                     bool touching) {
+  check_other_gradients(kUser, m, control, contacts, [touching](std::string_view name) {
+    const bool is_of_shapes = name.starts_with("shape_") || name.starts_with("mesh_");
+    return std::ranges::find(kWithGradient, name) != std::end(kWithGradient) ||
+           (is_of_shapes && !touching);
+  });
 }
 
 float distance(const Transformf& a, const Transformf& b) {
@@ -84,8 +95,8 @@ void DiffFeatherstoneSolver::step(SimState& state_in, SimState& state_out, const
   const Model& m = *model();
   check_step(kStep, state_in, state_out, control, contacts, dt);
   check_contacts(kStep, contacts, contacts != nullptr);
-  check_frozen(m, contacts != nullptr);
   begin_model_reads(m, kStep);
+  check_gradients(m, control, contacts, contacts != nullptr);
   step_.begin(m, control, kStep);
   if (nova::Tape::active() != nullptr) make_leaves(state_in);
   const auto scratch = make_scratch(step_.scratch(m, most_contacts(contacts)), 1, device());
@@ -125,11 +136,12 @@ bool DiffFeatherstoneSolver::begin_rollout(const RolloutInputs& inputs) {
     const Contacts contacts = inputs.pipeline()->contacts();
     rollout_contacts_ = most_contacts(&contacts);
   }
-  check_frozen(*model(), touching);
   begin_model_reads(*model(), kRollout);
   for (int32_t t = inputs.start(); t < inputs.stop(); ++t)
-    if (t == inputs.start() || inputs.control(t) != inputs.control(t - 1))
+    if (t == inputs.start() || inputs.control(t) != inputs.control(t - 1)) {
+      check_gradients(*model(), inputs.control(t), inputs.contacts(), touching);
       step_.begin(*model(), inputs.control(t), kRollout);
+    }
   return true;
 }
 

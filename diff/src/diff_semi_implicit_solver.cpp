@@ -15,6 +15,23 @@
 namespace novaphy::diff {
 
 namespace {
+constexpr std::string_view kWithGradient[] = {
+    // of the model
+    "particle_mass", "particle_radius", "particle_spring_rest_length", "particle_spring_stiffness",
+    "particle_spring_damping", "particle_tri_pose", "particle_tri_activation",
+    "particle_tri_material", "particle_edge_rest_angle", "particle_edge_material",
+    "particle_tet_pose", "particle_tet_activation", "particle_tet_material", "body_com",
+    "body_mass", "body_inertia", "shape_material_ke", "shape_material_kd", "shape_material_kf",
+    "shape_material_mu", "joint_X_p", "joint_X_c", "joint_axis", "joint_f", "joint_target_q",
+    "joint_target_qd", "joint_target_ke", "joint_target_kd", "joint_limit_lower",
+    "joint_limit_upper", "joint_limit_ke", "joint_limit_kd", "joint_damping", "joint_effort_limit",
+    "gravity",
+    // of contacts
+    "soft_contact_body_pos", "soft_contact_body_vel", "soft_contact_normal", "rigid_contact_point0",
+    "rigid_contact_point1", "rigid_contact_normal", "rigid_contact_margin0",
+    "rigid_contact_margin1", "rigid_contact_stiffness", "rigid_contact_damping",
+    "rigid_contact_friction"};
+
 int32_t shapes_for_particles(const Model& model) {
   const std::vector<int32_t> flags = model.shape_flags.to_host();
   return static_cast<int32_t>(std::count_if(flags.begin(), flags.end(), [](int32_t f) {
@@ -166,21 +183,12 @@ void DiffSemiImplicitSolver::begin(const char* function, const Control* control,
                                    const Contacts* contacts, bool found, bool of_this_state,
                                    float dt) {
   materials_.check(*model());
-  const Model& m = *model();
-  check_no_gradient("DiffSemiImplicitSolver",
-                    {{"shape_transform", m.shape_transform},
-                     {"shape_scale", m.shape_scale},
-                     {"shape_margin", m.shape_margin},
-                     {"shape_gap", m.shape_gap},
-                     {"shape_material_ka", m.shape_material_ka},
-                     {"shape_material_restitution", m.shape_material_restitution},
-                     {"shape_material_mu_torsional", m.shape_material_mu_torsional},
-                     {"shape_material_mu_rolling", m.shape_material_mu_rolling},
-                     {"joint_armature", m.joint_armature},
-                     {"joint_friction", m.joint_friction},
-                     {"joint_velocity_limit", m.joint_velocity_limit}});
   check_contacts(function, contacts, found);
   particles_.begin(*model(), function);
+  check_other_gradients("DiffSemiImplicitSolver", *model(), control, contacts,
+                        [](std::string_view name) {
+                          return std::ranges::find(kWithGradient, name) != std::end(kWithGradient);
+                        });
   if (moves_bodies()) bodies_.begin(*model());
   values_.check(*model());
   if (joints_) joints_->begin(*model(), control, dt);

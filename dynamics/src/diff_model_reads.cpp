@@ -77,6 +77,25 @@ void check_no_gradient(const char* solver, std::initializer_list<NamedArray> arr
             ": expected requires_grad False, because no gradient reaches it, got True");
 }
 
+void check_other_gradients(const char* solver, const Model& model, const Control* control,
+                           const Contacts* contacts,
+                           const std::function<bool(std::string_view)>& has_gradient) {
+  const nova::Tape* const tape = nova::Tape::active();
+  if (tape == nullptr) return;
+  const auto check = [&](const char* owner, const auto& object, auto... passed_over) {
+    for_each_field(object, [&](const FieldInfo& info, const Array& array) {
+      if (array.rows() == 0 || !tape->carries_gradient(*array.range())) return;
+      const bool is_passed_over = ((info.name == passed_over) || ...);
+      require(is_passed_over || has_gradient(info.name), ErrorKind::NotImplemented, solver, ": ",
+              owner, info.name,
+              ": expected requires_grad False, because no gradient reaches it, got True");
+    });
+  };
+  check("model.", model, "particle_q", "particle_qd", "body_q", "body_qd", "joint_q", "joint_qd");
+  if (control != nullptr) check("control.", *control);
+  if (contacts != nullptr) check("contacts.", *contacts);
+}
+
 void update_inverse_mass(Model& model) {
   launch(InverseOrZero{}, model.particle_mass, model.particle_inv_mass);
 }

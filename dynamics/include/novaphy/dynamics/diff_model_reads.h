@@ -2,8 +2,12 @@
 // current, and tells a capture what it holds of it.
 #pragma once
 
+#include <functional>
 #include <initializer_list>
+#include <string_view>
 
+#include "novaphy/core/sim/contacts.h"
+#include "novaphy/core/sim/control.h"
 #include "novaphy/core/sim/model.h"
 #include "novaphy/dynamics/export.h"
 
@@ -26,6 +30,13 @@ struct NamedArray {
 NOVAPHY_DYNAMICS_API void check_no_gradient(const char* solver,
                                             std::initializer_list<NamedArray> arrays,
                                             const char* owner = "model.");
+
+// Of the model, `control` and `contacts` (null: none) of a step: ErrorKind::NotImplemented, by
+// name, where an array carries a gradient of the active tape and has_gradient(its name) is false.
+// Positions and velocities of the model are not looked at, because a state starts with copies.
+NOVAPHY_DYNAMICS_API void check_other_gradients(
+    const char* solver, const Model& model, const Control* control, const Contacts* contacts,
+    const std::function<bool(std::string_view)>& has_gradient);
 
 // particle_inv_mass = 1/particle_mass, 0 where the mass is 0, also where something else was
 // assigned to it. Not recorded on a tape. Solvers do so themselves where masses were written.

@@ -2,11 +2,11 @@
 # own target files come from novaphy_add_library. A component may be installed without the others.
 include(CMakePackageConfigHelpers)
 
-set(NOVAPHY_KNOWN_COMPONENTS core io nova collision dynamics vbd diff)
+set(NOVAPHY_KNOWN_COMPONENTS core nova collision io dynamics vbd diff)
 set(dependencies_core)
-set(dependencies_io core)
 set(dependencies_nova core)
 set(dependencies_collision core)
+set(dependencies_io core collision)  # not in its headers
 set(dependencies_dynamics core collision)
 if(NOVAPHY_WITH_NOVA)
   list(APPEND dependencies_dynamics nova)  # not in its headers, but its library loads that one

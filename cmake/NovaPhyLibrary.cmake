@@ -42,7 +42,7 @@ endfunction()
 # leaving it to a crash.
 set(NOVAPHY_EXPORTS ${PROJECT_BINARY_DIR}/exports.map)
 set(header_globs "")
-foreach(layer backends/abi core io nova collision dynamics vbd diff)
+foreach(layer backends/abi core nova collision io dynamics vbd diff)
   list(APPEND header_globs ${PROJECT_SOURCE_DIR}/${layer}/include/*.h)
 endforeach()
 file(GLOB_RECURSE headers CONFIGURE_DEPENDS RELATIVE ${PROJECT_SOURCE_DIR} ${header_globs})

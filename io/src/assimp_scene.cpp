@@ -32,16 +32,13 @@ void check_faces(const std::string& where, const aiScene& scene) {
     const aiMesh& mesh = *scene.mMeshes[m];
     for (unsigned f = 0; f < mesh.mNumFaces; ++f) {
       const aiFace& face = mesh.mFaces[f];
-      const auto check = [&](bool good, const auto&... expected) {
-        require(good, ErrorKind::Value, where, ": mesh ", m, ", face ", f, ": expected ",
-                expected...);
-      };
-      check(face.mNumIndices > 0 && face.mNumIndices <= kMostCorners, "1 to ", kMostCorners,
-            " corners, got ", face.mNumIndices);
+      if (face.mNumIndices == 0 || face.mNumIndices > kMostCorners)
+        fail(ErrorKind::Value, where, ": mesh ", m, ", face ", f, ": expected 1 to ", kMostCorners,
+             " corners, got ", face.mNumIndices);
       for (unsigned c = 0; c < face.mNumIndices; ++c)
-        check(face.mIndices[c] < mesh.mNumVertices, "corners from 0 to ",
-              int64_t{mesh.mNumVertices} - 1, ", got ", face.mIndices[c],
-              ", which is out of range");
+        if (face.mIndices[c] >= mesh.mNumVertices)
+          fail(ErrorKind::Value, where, ": mesh ", m, ", face ", f, ": expected corners from 0 to ",
+               int64_t{mesh.mNumVertices} - 1, ", got ", face.mIndices[c]);
     }
   }
 }

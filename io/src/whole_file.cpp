@@ -212,10 +212,10 @@ std::string obj_for_assimp(const std::string& where, std::string_view bytes) {
         split(std::string_view(line).substr(0, line.find('#')));
     if (words.empty() || words[0] != "v") continue;  // normals, coordinates of textures
     const size_t numbers = words.size() - 1;
-    require((numbers == 3 || numbers == 4 || numbers == 6 || numbers == 7) &&
-                std::all_of(words.begin() + 1, words.end(), is_number),
-            ErrorKind::Value, where, ":", number,
-            ": expected v and 3 numbers, or 4, 6 or 7 with w, r g b or r g b a behind");
+    if (!(numbers == 3 || numbers == 4 || numbers == 6 || numbers == 7) ||
+        !std::all_of(words.begin() + 1, words.end(), is_number))
+      fail(ErrorKind::Value, where, ":", number,
+           ": expected v and 3 numbers, or 4, 6 or 7 with w, r g b or r g b a behind");
     text.push_back('v');
     for (size_t k = 1; k <= (numbers == 4 ? 4u : 3u); ++k) {
       std::string_view word = words[k];

@@ -76,6 +76,33 @@ TEST(Robots, HostileFilesAreRefusedAndTheBuilderStays) {
   }
 }
 
+TEST(Robots, OverlapsAreNamedOrLeftOut) {
+  const std::string ball =
+      R"(<collision><geometry><sphere radius="0.1"/></geometry></collision></link>)";
+  std::string text = R"(<robot name="r">)";
+  for (const char* name : {"a", "b", "c"})
+    text += std::string("<link name=\"") + name + "\">" + kInertial + ball;
+  const auto joint = [](const char* name, const char* parent, const char* child, const char* x) {
+    return std::string("<joint name=\"") + name + "\" type=\"continuous\"><parent link=\"" +
+           parent + "\"/><child link=\"" + child + "\"/><origin xyz=\"" + x + " 0 0\"/></joint>";
+  };
+  // The third ball is 0.17 m from the first: 0.03 m deep.
+  text += joint("i", "a", "b", "0.1") + joint("j", "b", "c", "0.07") + "</robot>";
+  ModelBuilder builder;
+  builder.add_ground_plane();
+  const RobotImport result = add_urdf(builder, text);
+  ASSERT_EQ(result.warnings.size(), 1u);
+  EXPECT_NE(result.warnings[0].find("1 pair of shapes overlaps at the start: \"a/collision_0\" and "
+                                    "\"c/collision_0\" by 0.03"),
+            std::string::npos)
+      << result.warnings[0];
+  const size_t pairs = builder.finalize()->shape_contact_pairs.rows();
+  ModelBuilder other;
+  other.add_ground_plane();
+  EXPECT_TRUE(add_urdf(other, text, {.filter_overlaps = true}).warnings.empty());
+  EXPECT_EQ(other.finalize()->shape_contact_pairs.rows(), pairs - 1);
+}
+
 TEST(Robots, AnMjcfFileBecomesBodiesAndMotors) {
   ModelBuilder builder;
   const RobotImport result = add_mjcf(builder, R"(<mujoco>

@@ -4,7 +4,7 @@
 The libraries stand in layers, and each may use only the ones below it:
 
     abi <- core <- nova          core <- collision <- dynamics          core, collision <- vbd
-    core <- io
+    core, collision <- io
     core, nova, collision, dynamics <- operators <- diff
     a backend uses abi and the Program reader
 
@@ -45,7 +45,7 @@ ALLOWED: dict[str, set[str]] = {
     "text": {"abi", "math"},
     "core": {"abi", "math", "cpu"},  # the CPU backend is linked into core
     "nova": {"abi", "math", "core", "program"},
-    "io": {"math", "core"},
+    "io": {"math", "core", "collision"},
     "formula": {"math"},
     "kernels": {"math", "formula", "text"},
     "collision": {"math", "core", "formula", "kernels"},

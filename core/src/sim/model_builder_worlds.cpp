@@ -164,6 +164,34 @@ void ModelBuilder::add_builder(const ModelBuilder& b, const Transformf& given) {
   (current_world_ < 0 ? gravity : world_gravity_[static_cast<size_t>(current_world_)]) = b.gravity;
 }
 
+ModelBuilder ModelBuilder::shapes_alone(std::span<const int32_t> shapes) const {
+  ModelBuilder alone(up_axis_);
+  std::unordered_map<int32_t, int32_t> body_of, shape_of;  // here: there
+  for (const int32_t s : shapes) {
+    require(s >= 0 && s < shape_count(), ErrorKind::Index, "shapes_alone: shapes: expected 0 to ",
+            shape_count() - 1, ", got ", s);
+    Shape shape = shapes_[static_cast<size_t>(s)];
+    shape.world = -1;
+    shape.gap = 0.0f;
+    if (const int32_t body = shape.body; body >= 0) {
+      const auto [at, is_new] = body_of.try_emplace(body, alone.body_count());
+      if (is_new)
+        alone.add_body(
+            {.xform = body_q[static_cast<size_t>(body)],
+             .mass = 1.0f,
+             .inertia = Mat33f{{{1.0f, 0.0f, 0.0f}, {0.0f, 1.0f, 0.0f}, {0.0f, 0.0f, 1.0f}}},
+             .lock_inertia = true});
+      shape.body = at->second;
+    }
+    shape_of[s] = alone.shape_count();
+    alone.shapes_.push_back(std::move(shape));
+  }
+  for (const auto& [i, j] : all_filter_pairs())
+    if (shape_of.contains(i) && shape_of.contains(j))
+      alone.filter_pairs_.insert(std::minmax(shape_of[i], shape_of[j]));
+  return alone;
+}
+
 int32_t ModelBuilder::add_world(const ModelBuilder& builder, const Transformf& xform) {
   check_addable("add_world", builder, 1);
   const Transformf pose = detail::checked_pose("add_world", xform);

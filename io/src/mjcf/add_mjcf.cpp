@@ -480,7 +480,8 @@ RobotImport add_mjcf(ModelBuilder& builder, std::string_view source, const MjcfO
                                            .self_collisions = options.enable_self_collisions,
                                            .bodies_follow = true,
                                            .ordering = JointOrdering::DepthFirst,
-                                           .pairs_of_mujoco = true});
+                                           .pairs_of_mujoco = true,
+                                           .filter_overlaps = options.filter_overlaps});
   // Hinges and slides of one body are one joint of several degrees of freedom.
   for (const auto& [joint, place] : reader.dofs()) {
     const std::string& whole = joints[static_cast<size_t>(place.first)];

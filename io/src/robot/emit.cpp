@@ -5,6 +5,7 @@
 #include <set>
 #include <unordered_map>
 
+#include "novaphy/collision/overlaps.h"
 #include "novaphy/io/mesh.h"
 #include "robot.h"
 
@@ -126,6 +127,7 @@ class Emitter {
     add_joints();
     add_followers();
     filter();
+    look_for_overlaps();
 
     for (size_t k = 0; k < old_links; ++k) {
       result_.links[link_names[k]] = body_[static_cast<size_t>(place[k].first)];
@@ -384,6 +386,32 @@ class Emitter {
       for (size_t a = 0; a + 1 < shapes_of_.size(); ++a)
         for (size_t b = a; b + 1 < shapes_of_.size(); ++b) filter_links(a, b);
     if (options_.pairs_of_mujoco) filter_by_bits();
+  }
+
+  // Those of each other only: of what the builder had before, a CollisionPipeline tells.
+  void look_for_overlaps() {
+    std::vector<int32_t> colliding;
+    for (const auto& shapes : shapes_of_)
+      for (const auto& [index, shape] : shapes)
+        if (shape->cfg.has_shape_collision) colliding.push_back(index);
+    std::sort(colliding.begin(), colliding.end());
+    std::shared_ptr<const Model> model;
+    std::vector<ShapeOverlap> overlaps;
+    try {
+      model = builder_.shapes_alone(colliding).finalize(Device::cpu());
+      overlaps = find_overlaps(model);
+    } catch (const Error& error) {  // a pipeline refuses them too
+      robot_.warnings.push_back(std::string(options_.function) +
+                                ": overlaps of shapes were not looked for: " + error.what());
+    }
+    const auto shape = [&](int32_t k) { return colliding[static_cast<size_t>(k)]; };
+    if (options_.filter_overlaps)
+      for (const ShapeOverlap& o : overlaps)
+        builder_.add_shape_collision_filter_pair(shape(o.shape0), shape(o.shape1));
+    else if (!overlaps.empty())
+      robot_.warnings.push_back(std::string(options_.function) + ": \"" + robot_.name +
+                                "\": " + overlap_text(*model, overlaps) +
+                                "; filter_overlaps leaves them out");
   }
 
   void filter_by_bits() {

@@ -72,6 +72,7 @@ struct EmitOptions {
   JointOrdering ordering;
   // Pairs as in MuJoCo: by contype and conaffinity; links welded to the world are a part of it.
   bool pairs_of_mujoco;
+  bool filter_overlaps;
 };
 
 inline Posed identity_pose() { return {{0.0, 0.0, 0.0}, {0.0, 0.0, 0.0, 1.0}}; }

@@ -341,7 +341,8 @@ RobotImport add_urdf(ModelBuilder& builder, std::string_view source, const UrdfO
                              .self_collisions = options.enable_self_collisions,
                              .bodies_follow = options.bodies_follow_joint_ordering,
                              .ordering = options.joint_ordering,
-                             .pairs_of_mujoco = false});
+                             .pairs_of_mujoco = false,
+                             .filter_overlaps = options.filter_overlaps});
 }
 
 }  // namespace novaphy

@@ -63,12 +63,16 @@ struct UrdfOptions {
   // Where package://NAME/... is: a folder that has a folder NAME, or that is called NAME.
   std::vector<std::filesystem::path> package_dirs = {};
   MimicMode mimic = MimicMode::Follow;
+  // Pairs of its shapes that overlap where its joints start (find_overlaps) never meet. False: they
+  // do, and a warning names them.
+  bool filter_overlaps = false;
 };
 
 struct MjcfOptions {
   Transformf xform = Transformf::identity();
   bool collapse_fixed_joints = false;  // merges a body without a joint into its parent
   bool enable_self_collisions = true;
+  bool filter_overlaps = false;  // as in UrdfOptions
 };
 
 // A motor of an MJCF file: joint_f[dof] = gear * clip(control, lower, upper).
@@ -89,7 +93,8 @@ struct RobotImport {
   std::map<int32_t, Vec4f> shape_colors;  // r, g, b, a of the shapes that have one
   std::vector<int32_t> shapes, articulations;
   std::vector<RobotActuator> actuators;  // in the order of the file
-  std::vector<std::string> warnings;     // what the file says and no option can take over
+  // What the file says and no option can take over, and which of its shapes overlap at the start.
+  std::vector<std::string> warnings;
 };
 
 // Adds a robot of a URDF file: a path, package://NAME/..., or the XML itself. Links become bodies,

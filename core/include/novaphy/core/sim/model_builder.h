@@ -322,6 +322,11 @@ class NOVAPHY_CORE_API ModelBuilder {
   // ErrorKind::Value: what convex_hull refuses, a scale <= 0.
   int32_t add_shape_convex_hull(int32_t body, const ShapeConvexHullArgs& args);
 
+  // A builder of these shapes alone, without gaps, on free bodies that are where theirs start, with
+  // their filters: for a search for overlaps. Shape k is shapes[k]. ErrorKind::Index: no such
+  // shape.
+  ModelBuilder shapes_alone(std::span<const int32_t> shapes) const;
+
   // The two shapes never meet. ErrorKind::Index: no such shape; ErrorKind::Value: a == b.
   void add_shape_collision_filter_pair(int32_t a, int32_t b);
 

@@ -1,0 +1,313 @@
+#!/usr/bin/env python3
+"""What robot files do that should do nothing: in the air, on their feet, at the limits of drives.
+
+For every URDF and MJCF file below FOLDER, on the CPU, a row of a table. Meshes of colliders are
+hulls of at most 32 vertices (--triangles: as in the file).
+
+* rate, force: the largest |joint_qd| (rad/s, m/s) and contact force (N) within 1 s in the air, with
+  the default self-collisions, steps of 2 ms and no drives. URDF robots hang by their root, and are
+  dropped; the larger numbers count.
+* creep: the farthest that a link moves (mm) within 60 s that begin 5 s after the robot was put on
+  the ground, where drives hold its joints. What tips over within these 5 s has no number. A robot
+  with less than two joints at its root, an arm, is held by its root.
+* torque: the largest torque of a drive by its effort limit. It is that of inverse dynamics of what
+  a step did, over 1 s in which stiff drives (2000 N m/rad) pull to other angles every 0.1 s, in
+  free space, without limits, friction and damping of joints.
+
+    python tools/bench/robots_at_rest.py robots/
+    python tools/bench/robots_at_rest.py robots/ --skip creep
+"""
+
+from __future__ import annotations
+
+import argparse
+import multiprocessing
+import sys
+import warnings
+from pathlib import Path
+
+import numpy as np
+
+import novaphy
+
+DT = 2e-3
+STIFF, STIFF_DAMPING = 2000.0, 20.0
+MEASURES = ("air", "creep", "torque")
+FREE = {
+    "joint_friction": 0.0,
+    "joint_damping": 0.0,
+    "joint_velocity_limit": 1e9,
+    "joint_limit_lower": -1e9,
+    "joint_limit_upper": 1e9,
+}
+LARGEST = {"rate": 50.0, "torque": 1.001}  # of a sound robot
+UPRIGHT = (0.0, 0.0, 0.0, 1.0)
+TRIANGLES = "--triangles" in sys.argv
+
+
+def find_files(folder: Path) -> list[Path]:
+    """URDF files, and XML files with an element <mujoco>."""
+    texts = ((path, path.read_bytes()) for path in folder.rglob("*.xml"))
+    mjcf = [path for path, text in texts if b"<mujoco" in text and b"<worldbody" in text]
+    return sorted([*folder.rglob("*.urdf"), *mjcf])
+
+
+class Robot:
+    """A builder with the robot of a file, at rest where its joints start."""
+
+    def __init__(self, path: Path, folder: Path, **options: object):
+        self.builder = novaphy.ModelBuilder()
+        self.is_urdf = path.suffix == ".urdf"
+        if self.is_urdf:
+            inside = [p for p in path.parents if p == folder or folder in p.parents]
+            self.result = self.builder.add_urdf(
+                path,
+                hide_visuals=True,
+                mesh_maxhullvert=None if TRIANGLES else 32,
+                mimic="independent",
+                package_dirs=inside,
+                **options,
+            )
+        else:
+            options.pop("floating", None)
+            self.result = self.builder.add_mjcf(path, **options)
+
+    def finalize(self) -> novaphy.Model:
+        self.model = self.builder.finalize()
+        self.state, self.after = self.model.state(), self.model.state()
+        novaphy.eval_fk(self.model, self.state.joint_q, self.state.joint_qd, self.state)
+        return self.model
+
+    def step(self, solver, control=None, contacts=None) -> None:
+        solver.step(self.state, self.after, control, contacts, DT)
+        self.state, self.after = self.after, self.state
+
+    def hinges(self) -> np.ndarray:
+        """The dofs of joints with one degree of freedom."""
+        starts, dims = self.model.joint_qd_start.numpy(), self.model.joint_dof_dim.numpy()
+        return starts[:-1][dims.sum(axis=1) == 1]
+
+    def links(self) -> np.ndarray:
+        return self.state.body_q.numpy()[:, :3].astype(float)
+
+
+def in_the_air(path: Path, folder: Path) -> dict[str, float]:
+    rate = force = 0.0
+    overlaps = 0
+    for floating in (False, True):
+        robot = Robot(path, folder, floating=floating)
+        model = robot.finalize()
+        solver, pipeline = (
+            novaphy.solvers.SolverFeatherstone(model),
+            novaphy.CollisionPipeline(model),
+        )
+        contacts = pipeline.contacts()
+        overlaps = max(overlaps, len(getattr(pipeline, "overlaps", ())))
+        pipeline.collide(robot.state, contacts)
+        robot.step(solver, contacts=contacts)  # an error here is of the file
+        try:
+            for _ in range(round(1 / DT)):
+                pipeline.collide(robot.state, contacts)
+                robot.step(solver, contacts=contacts)
+                forces = contacts.rigid_contact_force.numpy()
+                force = max(force, float(np.linalg.norm(forces, axis=1).max(initial=0.0)))
+                rate = max(rate, float(np.abs(robot.state.joint_qd.numpy()).max(initial=0.0)))
+                if not (rate < 1e9 and force < 1e18):
+                    break
+        except (novaphy.Error, ValueError):  # the step fails
+            rate = np.inf
+        if not robot.is_urdf:
+            break
+    return {"rate": rate, "force": force, "overlaps": overlaps}
+
+
+def is_arm(robot: Robot) -> bool:
+    """Whether less than two joints hang on what the root is welded to."""
+    model = robot.model
+    parent, child = model.joint_parent.numpy(), model.joint_child.numpy()
+    fixed = model.joint_type.numpy() == int(novaphy.JointType.FIXED)
+    root = {-1} | {int(c) for p, c in zip(parent, child, strict=True) if p < 0}
+    for p, c, f in zip(parent, child, fixed, strict=True):  # parents first
+        if f and p in root:
+            root.add(int(c))
+    return sum(p in root and c not in root for p, c in zip(parent, child, strict=True)) < 2
+
+
+def standing(path: Path, folder: Path) -> dict[str, float]:
+    options = dict(collapse_fixed_joints=True, enable_self_collisions=False)
+    robot = Robot(path, folder, **options)
+    robot.finalize()
+    if robot.is_urdf and not is_arm(robot):
+        low = lowest_point(robot)
+        robot = Robot(path, folder, floating=True, xform=((0, 0, 1e-3 - low), UPRIGHT), **options)
+        robot.builder.add_ground_plane(cfg=novaphy.ShapeConfig(mu=0.8))
+    model = robot.finalize()
+    weight = 9.81 * float(model.body_mass.numpy().sum())
+    size = float(np.ptp(robot.links(), axis=0).max(initial=0.0)) + 0.1
+    hinges = robot.hinges()
+    ke = np.zeros(model.joint_dof_count, np.float32)
+    ke[hinges] = 5.0 * weight * size  # sags by about 0.05 rad
+    model.joint_target_ke.assign(ke)
+    model.joint_target_kd.assign(0.05 * ke)
+    mode = model.joint_target_mode.numpy()
+    mode[hinges] = int(novaphy.JointTargetMode.POSITION)
+    model.joint_target_mode.assign(mode)
+    model.joint_target_q.assign(model.joint_q.numpy())
+    solver, pipeline = novaphy.solvers.SolverFeatherstone(model), novaphy.CollisionPipeline(model)
+    contacts = pipeline.contacts()
+
+    def run(seconds: float) -> None:
+        for _ in range(round(seconds / DT)):
+            pipeline.collide(robot.state, contacts)
+            robot.step(solver, contacts=contacts)
+
+    start = robot.state.body_q.numpy()[0].astype(float)
+    try:
+        run(5.0)
+        now = robot.state.body_q.numpy()[0].astype(float)
+        turned = 2 * np.arccos(min(1.0, abs(float(start[3:] @ now[3:]))))
+        if not turned < 0.3:
+            return {"creep": np.nan}
+        before = robot.links()
+        run(60.0)
+    except (novaphy.Error, ValueError):
+        return {"creep": np.inf}
+    return {"creep": 1e3 * float(np.linalg.norm(robot.links() - before, axis=1).max())}
+
+
+def lowest_point(robot: Robot) -> float:
+    """Of the boxes of its colliding shapes (m)."""
+    model, poses = robot.model, robot.state.body_q.numpy().astype(float)
+    lowest = 0.0
+    colliding = model.shape_flags.numpy() & int(novaphy.ShapeFlags.COLLIDE_SHAPES)
+    at, lower, upper = (
+        a.numpy().astype(float)
+        for a in (model.shape_transform, model.shape_aabb_lower, model.shape_aabb_upper)
+    )
+    for s in np.flatnonzero(colliding):
+        body = model.shape_body.numpy()[s]
+        corners = np.array([(x, y, z) for x in (0, 1) for y in (0, 1) for z in (0, 1)])
+        points = turn(at[s], lower[s] + corners * (upper[s] - lower[s]))
+        lowest = min(lowest, float(turn(poses[body], points)[:, 2].min()))
+    return lowest
+
+
+def turn(pose: np.ndarray, points: np.ndarray) -> np.ndarray:
+    v, w = pose[3:6], pose[6]
+    return pose[:3] + points + 2 * np.cross(v, np.cross(v, points) + w * points)
+
+
+def at_the_limit(path: Path, folder: Path) -> dict[str, float]:
+    robot = Robot(path, folder, collapse_fixed_joints=True, enable_self_collisions=False)
+    model = robot.finalize()
+    dofs, hinges = model.joint_dof_count, robot.hinges()
+    lower, upper = model.joint_limit_lower.numpy(), model.joint_limit_upper.numpy()
+    for name, value in FREE.items():
+        values = getattr(model, name).numpy()
+        values[hinges] = value
+        getattr(model, name).assign(values)
+    effort = model.joint_effort_limit.numpy()[hinges].astype(float)
+    hinges, effort = hinges[effort > 0], effort[effort > 0]
+    if len(hinges) == 0:
+        return {"torque": np.nan}
+    coords = {int(d): int(c) for d, c in zip(
+        model.joint_qd_start.numpy()[:-1], model.joint_q_start.numpy()[:-1], strict=True
+    )}  # fmt: skip
+    rows = [coords[int(d)] for d in hinges]
+    gains = np.zeros(dofs, np.float32)
+    gains[hinges] = 1.0
+    model.joint_target_ke.assign(STIFF * gains)
+    model.joint_target_kd.assign(STIFF_DAMPING * gains)
+    mode = model.joint_target_mode.numpy()
+    mode[hinges] = int(novaphy.JointTargetMode.POSITION)
+    model.joint_target_mode.assign(mode)
+    solver = novaphy.solvers.SolverFeatherstone(model, angular_damping=0.0)
+    control, draw = model.control(), np.random.default_rng(0)
+    low, high = np.clip(lower[hinges], -1.0, 1.0), np.clip(upper[hinges], -1.0, 1.0)
+    worst = 0.0
+    try:
+        for step in range(round(1 / DT)):
+            if step % round(0.1 / DT) == 0:
+                target = control.joint_target_q.numpy()
+                target[rows] = draw.uniform(low, high)
+                control.joint_target_q.assign(target)
+            before = robot.state.joint_qd.numpy().astype(float)
+            robot.step(solver, control)
+            change = (robot.state.joint_qd.numpy() - before) / DT
+            torque = np.asarray(
+                novaphy.eval_inverse_dynamics(model, robot.after, change.astype(np.float32))
+            ).ravel()
+            worst = max(worst, float((np.abs(torque[hinges]) / effort).max()))
+            if not worst < 1e9:
+                break
+    except (novaphy.Error, ValueError):
+        worst = np.inf
+    return {"torque": worst}
+
+
+def measure(path: Path, folder: Path, names: list[str]) -> dict[str, object]:
+    what = {"air": in_the_air, "creep": standing, "torque": at_the_limit}
+    row: dict[str, object] = {}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        for name in names:
+            try:
+                row |= what[name](path, folder)
+            except Exception as error:  # a file that is refused
+                row["note"] = str(error).replace("\n", " ")
+                break
+    return row
+
+
+def in_a_process(path: Path, folder: Path, names: list[str], seconds: float) -> dict[str, object]:
+    """A robot that takes too long, or ends the process, is a note in its row."""
+    context = multiprocessing.get_context("fork")
+    here, there = context.Pipe(duplex=False)
+    worker = context.Process(target=lambda: there.send(measure(path, folder, names)))
+    worker.start()
+    there.close()
+    try:
+        row = here.recv() if here.poll(seconds) else {"note": f"more than {seconds:.0f} s"}
+    except EOFError:
+        row = {"note": "the process ended"}
+    worker.kill()
+    worker.join()
+    return row
+
+
+def number(value: object) -> str:
+    if value is None or (isinstance(value, float) and np.isnan(value)):
+        return "–"
+    return f"{value:.3g}" if isinstance(value, float) else str(value)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("folder", type=Path, metavar="FOLDER")
+    parser.add_argument("--skip", nargs="+", choices=MEASURES, default=[])
+    parser.add_argument("--triangles", action="store_true", help="meshes do not become hulls")
+    parser.add_argument("--seconds", type=float, default=300.0, help="most time for a robot")
+    arguments = parser.parse_args()
+    folder = arguments.folder.resolve()
+    names = [name for name in MEASURES if name not in arguments.skip]
+    columns = ("rate", "force", "overlaps", "creep", "torque", "note")
+    print("| file | rate | force (N) | pairs that overlap | creep (mm) | torque by limit | |")
+    print("|---|" + "---|" * len(columns))
+    rows = []
+    for path in find_files(folder):
+        row = in_a_process(path, folder, names, arguments.seconds)
+        rows.append(row)
+        shown = [number(row.get(c)) if c != "note" else str(row.get(c, ""))[:90] for c in columns]
+        print(f"| {path.relative_to(folder)} | " + " | ".join(shown) + " |", flush=True)
+    counts = [f"{len(rows)} files, {sum('note' not in row for row in rows)} in full"]
+    for name, limit in LARGEST.items():
+        values = [row[name] for row in rows if name in row]
+        counts.append(f"{name} above {limit}: {sum(not v <= limit for v in values if v == v)}")
+    creeps = [row["creep"] for row in rows if "creep" in row]
+    stands = [c for c in creeps if c == c]
+    counts.append(f"{len(stands)} of {len(creeps)} stand, {sum(c > 0.1 for c in stands)} creep")
+    print("\n" + "; ".join(counts), file=sys.stderr)
+
+
+if __name__ == "__main__":
+    main()

@@ -99,6 +99,38 @@ void start_within_limits(RobotJoint& joint) {
     }
 }
 
+// Those of pairs that may touch, ascending.
+std::set<int32_t> shapes_whose_boxes_meet(const Model& m) {
+  const std::vector<Transformf> body_q = m.body_q.to_host(), at = m.shape_transform.to_host();
+  const std::vector<int32_t> body = m.shape_body.to_host();
+  const std::vector<Vec3f> lower = m.shape_aabb_lower.to_host(),
+                           upper = m.shape_aabb_upper.to_host();
+  struct Box {
+    Vec3f centre, half;  // in the world
+  };
+  std::vector<Box> boxes;
+  for (size_t s = 0; s < body.size(); ++s) {
+    const Transformf pose =
+        body[s] < 0 ? at[s] : math::multiply(body_q[static_cast<size_t>(body[s])], at[s]);
+    const Vec3f half = (upper[s] - lower[s]) * 0.5f;
+    Vec3f reach{};
+    for (const Vec3f& edge :
+         {Vec3f{half.x, 0.0f, 0.0f}, Vec3f{0.0f, half.y, 0.0f}, Vec3f{0.0f, 0.0f, half.z}}) {
+      const Vec3f e = math::rotate(pose.q, edge);
+      reach = reach + Vec3f{std::abs(e.x), std::abs(e.y), std::abs(e.z)};
+    }
+    boxes.push_back({math::transform_point(pose, (lower[s] + upper[s]) * 0.5f), reach});
+  }
+  std::set<int32_t> near;
+  for (const Vec2i& pair : m.shape_contact_pairs.to_host()) {
+    const Box &a = boxes[static_cast<size_t>(pair.x)], &b = boxes[static_cast<size_t>(pair.y)];
+    const Vec3f d = a.centre - b.centre, sum = a.half + b.half;
+    if (std::abs(d.x) <= sum.x && std::abs(d.y) <= sum.y && std::abs(d.z) <= sum.z)
+      near.insert({pair.x, pair.y});
+  }
+  return near;
+}
+
 class Emitter {
  public:
   Emitter(const ModelBuilder& builder, Robot robot, const EmitOptions& options)
@@ -398,6 +430,13 @@ class Emitter {
     std::shared_ptr<const Model> model;
     std::vector<ShapeOverlap> overlaps;
     try {
+      // The tables of large meshes take longer than reading them: most need none.
+      const auto all = builder_.shapes_alone(colliding).finalize(Device::cpu());
+      std::vector<int32_t> near;
+      for (const int32_t k : shapes_whose_boxes_meet(*all))
+        near.push_back(colliding[static_cast<size_t>(k)]);
+      if (near.empty()) return;
+      colliding = std::move(near);
       model = builder_.shapes_alone(colliding).finalize(Device::cpu());
       overlaps = find_overlaps(model);
     } catch (const Error& error) {  // a pipeline refuses them too

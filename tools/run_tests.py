@@ -18,7 +18,7 @@ from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
 
-from test_results import Results, Step
+from test_results import Results, Step, processor_seconds
 
 ROOT = Path(__file__).resolve().parents[1]
 BUILD = ROOT / "build"
@@ -403,7 +403,7 @@ def build_slice(preset: str, *options: str, cases: str = "", folders: str = "non
 @step
 def core_only() -> None:
     """novaphy::core alone."""
-    build_slice("core-only", folders="core", cases=r"^core\.BackendRegistry\.")
+    build_slice("core-only", folders="backends", cases=r"^core\.BackendRegistry\.")
 
 
 @step
@@ -500,7 +500,7 @@ def run_step(name: str, function: Callable[[], None]) -> None:
     """Run one step under its header."""
     print(f"== {name}: {function.__doc__.splitlines()[0]}", flush=True)
     results.steps.append(Step(name))
-    start, before = time.monotonic(), results.passed + results.failed
+    start, cpu, before = time.monotonic(), processor_seconds(), results.passed + results.failed
     try:
         function()
         if name not in WITHOUT_TESTS and results.passed + results.failed == before:
@@ -509,6 +509,7 @@ def run_step(name: str, function: Callable[[], None]) -> None:
         print(f"   FAILED: {error}")
         results.fail(str(error))
     results.steps[-1].total = time.monotonic() - start
+    results.steps[-1].cpu = processor_seconds() - cpu
     print(f"   {results.steps[-1].total:.0f} s", flush=True)
 
 

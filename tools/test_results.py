@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterator
@@ -19,6 +20,12 @@ def case_name(case: ElementTree.Element) -> str:
     """The name of a case, with its file or suite where the name alone lacks them."""
     group, name = case.get("classname"), case.get("name", "")
     return name if group in (None, name) else f"{group}.{name}"
+
+
+def processor_seconds() -> float:
+    """Seconds of all processors in the processes that this one started and that have ended."""
+    times = os.times()
+    return times.children_user + times.children_system
 
 
 def reference_work() -> float:
@@ -39,12 +46,13 @@ def slower_than_reference() -> float:
 
 @dataclass
 class Step:
-    """The seconds of one step, and the shares of its builds and of its test runs."""
+    """The seconds of one step, the shares of its builds and test runs, and its processor time."""
 
     name: str
     total: float = 0.0
     build: float = 0.0
     tests: float = 0.0
+    cpu: float = 0.0
 
 
 @dataclass
@@ -97,9 +105,10 @@ class Results:
 
     def print_times(self) -> None:
         """Print the seconds of every step, and the 20 slowest cases."""
-        print(f"{'step':<12}{'total':>8}{'build':>8}{'tests':>8}   (seconds)")
+        print(f"{'step':<12}{'total':>8}{'build':>8}{'tests':>8}{'cpu':>8}   (seconds)")
         for step in self.steps:
-            print(f"{step.name:<12}{step.total:>8.0f}{step.build:>8.0f}{step.tests:>8.0f}")
+            times = (step.total, step.build, step.tests, step.cpu)
+            print(f"{step.name:<12}" + "".join(f"{seconds:>8.0f}" for seconds in times))
         print("slowest cases (seconds)")
         for seconds, name in sorted(self.cases, reverse=True)[:20]:
             print(f"{seconds:>8.1f} {name}")

@@ -73,7 +73,8 @@ endif()
 find_program(NOVAPHY_CCACHE ccache)
 if(NOVAPHY_CCACHE AND NOT CMAKE_CXX_COMPILER_LAUNCHER)
   set(CMAKE_C_COMPILER_LAUNCHER "${NOVAPHY_CCACHE}")
-  set(CMAKE_CXX_COMPILER_LAUNCHER "${NOVAPHY_CCACHE}")
+  # Without these words the cache leaves out files with precompiled headers.
+  set(CMAKE_CXX_COMPILER_LAUNCHER "${CMAKE_COMMAND}" -E env CCACHE_SLOPPINESS=pch_defines,time_macros "${NOVAPHY_CCACHE}")
 endif()
 
 set(CMAKE_C_STANDARD 11)

@@ -7,7 +7,7 @@
 #include "novaphy/core/backend.h"
 #include "novaphy/core/error.h"
 #include "novaphy/core/stream.h"
-#include "probe.h"
+#include "support/probe.h"
 
 namespace novaphy {
 namespace {

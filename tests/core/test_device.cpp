@@ -3,7 +3,7 @@
 #include "novaphy/core/device.h"
 #include "novaphy/core/error.h"
 #include "novaphy/core/version.h"
-#include "probe.h"
+#include "support/probe.h"
 
 namespace novaphy {
 namespace {

@@ -13,7 +13,7 @@
 #include "novaphy/core/error.h"
 #include "novaphy/core/parallel.h"
 #include "novaphy/cpu/float_mode.h"
-#include "probe.h"
+#include "support/probe.h"
 
 namespace novaphy {
 namespace {

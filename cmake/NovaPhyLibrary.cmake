@@ -11,7 +11,7 @@ if(NOVAPHY_WERROR)
   list(APPEND NOVAPHY_WARNINGS -Werror)
 endif()
 
-set(NOVAPHY_COLD_OPTIMIZATION -O1 CACHE STRING "Optimization of code that runs once: tests, and bindings that no loop runs")
+set(NOVAPHY_COLD_OPTIMIZATION -O0 CACHE STRING "Optimization of code that runs once: tests, and bindings that no loop runs")
 set(NOVAPHY_COLD_OPTIONS $<$<NOT:$<CONFIG:Debug>>:${NOVAPHY_COLD_OPTIMIZATION}>)
 
 # A user builds once, and changes nothing: no warnings then, which cost a twentieth of the time, and headers are parsed
@@ -90,10 +90,11 @@ endfunction()
 # novaphy_add_lane_levels(<library> CHOOSER file SOURCES file ... [INCLUDES folder ...] [DEPENDS target ...])
 # Compiles sources that use core/lanes.h into a library once for each instruction set, in a namespace of the level each,
 # which keeps the linker from using code of one in another. The chooser, a source of the library, picks one (cpu_level.h).
+# Sanitizers see the code of one level: the levels differ in the number of lanes alone.
 function(novaphy_add_lane_levels library)
   cmake_parse_arguments(ARG "" "CHOOSER" "SOURCES;INCLUDES;DEPENDS" ${ARGN})
   set(levels "baseline 4")
-  if(CMAKE_SYSTEM_PROCESSOR MATCHES "^(x86_64|AMD64)$")
+  if(CMAKE_SYSTEM_PROCESSOR MATCHES "^(x86_64|AMD64)$" AND NOT NOVAPHY_SANITIZE)
     list(APPEND levels "avx2 8 -mavx2 -mfma")
     # GCC 12 takes its own intrinsics for uninitialised.
     list(APPEND levels "avx512 16 -mavx2 -mfma -mavx512f -mprefer-vector-width=512 -Wno-uninitialized")

@@ -1,4 +1,4 @@
-# novaphy_add_native_kernels(<target> NAME <name> PARTS <n> [PROGRAMS <file>])
+# novaphy_add_native_kernels(<target> NAME <name> PARTS <n> [PROGRAMS <file>] [OPTIMIZATION <option>])
 # Gives the plugin <target> the compiled kernels: runs the kernel generator in the build, compiles the C files that it
 # writes once per instruction set, and writes the C++ file that lists their tables. Without kernels the list is empty.
 #
@@ -51,11 +51,14 @@ endif()
 # not held to the warnings of written code; nor does it need the search for common subexpressions, which has been done:
 # that takes a sixth of the time to compile it.
 set(NOVAPHY_KERNEL_OPTIMIZATION -O2 CACHE STRING "Optimization of the compiled kernels")
-set(NOVAPHY_NATIVE_COMMON_OPTIONS ${NOVAPHY_KERNEL_OPTIMIZATION} "$<$<C_COMPILER_ID:GNU>:-fno-gcse;-fno-tree-pre>" -g0 -ffp-contract=off -fno-math-errno
+set(NOVAPHY_NATIVE_COMMON_OPTIONS "$<$<C_COMPILER_ID:GNU>:-fno-gcse;-fno-tree-pre>" -g0 -ffp-contract=off -fno-math-errno
     -fno-trapping-math -fwrapv -fno-strict-aliasing -w -Wno-psabi)
 
 function(novaphy_add_native_kernels target)
-  cmake_parse_arguments(ARG "" "NAME;PARTS;PROGRAMS" "" ${ARGN})
+  cmake_parse_arguments(ARG "" "NAME;PARTS;PROGRAMS;OPTIMIZATION" "" ${ARGN})
+  if(NOT ARG_OPTIMIZATION)
+    set(ARG_OPTIMIZATION ${NOVAPHY_KERNEL_OPTIMIZATION})
+  endif()
   set(folder ${CMAKE_CURRENT_BINARY_DIR}/${ARG_NAME})
   file(MAKE_DIRECTORY ${folder})
   set(prelude ${PROJECT_SOURCE_DIR}/backends/cpu/src ${PROJECT_SOURCE_DIR}/backends/program/include)
@@ -87,7 +90,8 @@ function(novaphy_add_native_kernels target)
       target_include_directories(${objects} PRIVATE ${prelude})
       target_compile_definitions(${objects} PRIVATE LANES=${NOVAPHY_NATIVE_LANES_${level}}
                                  NOVAPHY_NATIVE_LEVEL=${level})
-      target_compile_options(${objects} PRIVATE ${NOVAPHY_NATIVE_COMMON_OPTIONS} ${NOVAPHY_NATIVE_OPTIONS_${level}})
+      target_compile_options(${objects} PRIVATE ${ARG_OPTIMIZATION} ${NOVAPHY_NATIVE_COMMON_OPTIONS}
+                             ${NOVAPHY_NATIVE_OPTIONS_${level}})
       target_sources(${target} PRIVATE $<TARGET_OBJECTS:${objects}>)
       string(APPEND lists "constexpr const novaphy_native_table* k_${level}[] = {")
       foreach(part RANGE ${last})

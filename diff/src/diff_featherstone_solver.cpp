@@ -69,8 +69,12 @@ bool DiffFeatherstoneSolver::poses_follow(const SimState& state) {
 }
 
 DiffFeatherstoneSolver::DiffFeatherstoneSolver(std::shared_ptr<const Model> model,
-                                               const FeatherstoneOptions& options)
-    : DiffSolverBase(std::move(model)), options_(options), step_(*this->model(), options, kUser) {}
+                                               const FeatherstoneOptions& options,
+                                               bool allow_unconverged)
+    : DiffSolverBase(std::move(model)),
+      options_(options),
+      allow_unconverged_(allow_unconverged),
+      step_(*this->model(), options, kUser, allow_unconverged) {}
 
 void DiffFeatherstoneSolver::check_contacts(const char* function, const Contacts* contacts,
                                             bool touching) const {
@@ -84,7 +88,7 @@ void DiffFeatherstoneSolver::check_contacts(const char* function, const Contacts
 
 void DiffFeatherstoneSolver::notify_model_changed(ModelFlags) {
   const ExclusiveUse::Scope scope = use("DiffFeatherstoneSolver.notify_model_changed");
-  step_ = ArticulationStep(*model(), options_, kUser);
+  step_ = ArticulationStep(*model(), options_, kUser, allow_unconverged_);
 }
 
 void DiffFeatherstoneSolver::step(SimState& state_in, SimState& state_out, const Control* control,
@@ -140,6 +144,7 @@ bool DiffFeatherstoneSolver::begin_rollout(const RolloutInputs& inputs) {
     rollout_contacts_ = most_contacts(&contacts);
   }
   begin_model_reads(*model(), kRollout);
+  step_.count_from(inputs.start());
   for (int32_t t = inputs.start(); t < inputs.stop(); ++t)
     if (t == inputs.start() || inputs.control(t) != inputs.control(t - 1)) {
       check_gradients(*model(), inputs.control(t), inputs.contacts(), touching);

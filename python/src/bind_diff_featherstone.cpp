@@ -30,7 +30,7 @@ void bind_diff_featherstone(py::module_& m, py::module_& solvers) {
                        const std::string& friction_cone, int pgs_iterations, float pgs_tolerance,
                        float pgs_erp, float pgs_slop, float pgs_cfm,
                        float max_depenetration_velocity, float restitution_threshold,
-                       bool compliant_contacts) {
+                       bool compliant_contacts, bool allow_unconverged) {
              return std::make_unique<DiffFeatherstoneSolver>(
                  model,
                  FeatherstoneOptions{.angular_damping = angular_damping,
@@ -44,7 +44,8 @@ void bind_diff_featherstone(py::module_& m, py::module_& solvers) {
                                      .pgs_cfm = pgs_cfm,
                                      .max_depenetration_velocity = max_depenetration_velocity,
                                      .restitution_threshold = restitution_threshold,
-                                     .compliant_contacts = compliant_contacts});
+                                     .compliant_contacts = compliant_contacts},
+                 allow_unconverged);
            }),
            py::arg("model").none(false), py::kw_only(), "angular_damping"_a = d.angular_damping,
            "implicit_drives"_a = d.implicit_drives, "contact"_a = "pgs", "friction_cone"_a = "cone",
@@ -52,10 +53,13 @@ void bind_diff_featherstone(py::module_& m, py::module_& solvers) {
            "pgs_slop"_a = d.pgs_slop, "pgs_cfm"_a = d.pgs_cfm,
            "max_depenetration_velocity"_a = d.max_depenetration_velocity,
            "restitution_threshold"_a = d.restitution_threshold,
-           "compliant_contacts"_a = d.compliant_contacts,
+           "compliant_contacts"_a = d.compliant_contacts, "allow_unconverged"_a = false,
            "As SolverFeatherstone. With contacts sweeps "
            "start from nothing and go on to pgs_tolerance, at most pgs_iterations times (1000 at "
-           "least). NotImplementedError for contact=\"penalty\".")
+           "least). backward and jvp raise novaphy.Error, with the step and the pair of shapes or "
+           "the joint, where the last sweep of a step changed velocities by more than 1 % of its "
+           "largest impulse (as a velocity), unless allow_unconverged. NotImplementedError for "
+           "contact=\"penalty\".")
       .def(
           "gradient_info",
           [](const DiffFeatherstoneSolver& s) {
@@ -68,10 +72,11 @@ void bind_diff_featherstone(py::module_& m, py::module_& solvers) {
                             : b.exact + b.frozen == b.steps ? "frozen"
                                                             : "surrogate",
                 "contact_steps"_a = b.steps, "exact_steps"_a = b.exact, "frozen_steps"_a = b.frozen,
-                "frozen_contacts"_a = b.held, "breaking"_a = b.breaking, "sticking"_a = b.sticking,
-                "sliding"_a = b.sliding, "normal_margin"_a = margin(b.normal_margin),
-                "gap_margin"_a = margin(b.gap_margin), "cone_margin"_a = margin(b.cone_margin),
-                "slip_margin"_a = margin(b.slip_margin), "residual"_a = b.residual);
+                "unconverged_steps"_a = b.unconverged, "frozen_contacts"_a = b.held,
+                "breaking"_a = b.breaking, "sticking"_a = b.sticking, "sliding"_a = b.sliding,
+                "normal_margin"_a = margin(b.normal_margin), "gap_margin"_a = margin(b.gap_margin),
+                "cone_margin"_a = margin(b.cone_margin), "slip_margin"_a = margin(b.slip_margin),
+                "residual"_a = b.residual);
           },
           "What the gradient through the contacts of all steps since the last "
           "clear_gradient_info is. label: \"surrogate\" unless in all contact_steps the impulses "
@@ -80,7 +85,8 @@ void bind_diff_featherstone(py::module_& m, py::module_& solvers) {
           "them (exact_steps): planes of the world with spheres, capsules, boxes, hulls or meshes, "
           "found from the state of the step as it is; \"frozen\" where frozen_contacts of the "
           "others push, whose points stay in the frames of their bodies and whose normals stay in "
-          "the world (frozen_steps). breaking, sticking, sliding count contacts. Margins, None "
+          "the world (frozen_steps). unconverged_steps are those whose gradient raises. breaking, "
+          "sticking, sliding count contacts. Margins, None "
           "without a contact of the kind: normal_margin (m/s, the least normal impulse as a "
           "velocity, or speed of opening), gap_margin (m, to where an overlap begins or leaves "
           "pgs_slop, of contacts that push), cone_margin (1, the least distance of a sticking one "

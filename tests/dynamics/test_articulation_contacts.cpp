@@ -212,15 +212,45 @@ TEST(ArticulationContacts, NormalsFollowTheGap) {
   };
   EXPECT_DOUBLE_EQ(bias(0.02, 0.0), 2.0);       // may close
   EXPECT_DOUBLE_EQ(bias(-0.0005, 0.0), 0.0);    // within the slop
-  EXPECT_DOUBLE_EQ(bias(-0.006, 0.0), -0.1);    // erp of the rest
-  EXPECT_DOUBLE_EQ(bias(-1.0, 0.0), -1.0);      // no faster than that
+  EXPECT_DOUBLE_EQ(bias(-0.006, 0.0), 0.0);     // an overlap is no speed
   EXPECT_DOUBLE_EQ(bias(0.001, -2.0), -1.2);    // bounces
   EXPECT_DOUBLE_EQ(bias(0.03, -2.0), 3.0);      // does not reach the surface
   EXPECT_DOUBLE_EQ(bias(-0.0005, -0.05), 0.0);  // too slow to bounce
+  const auto shift = [&](double gap, double before) {
+    return normal_target(law, m, gap, before, before).shift;
+  };
+  EXPECT_DOUBLE_EQ(shift(0.02, 0.0), 2.0);
+  EXPECT_DOUBLE_EQ(shift(-0.0005, 0.0), 0.0);
+  EXPECT_DOUBLE_EQ(shift(-0.006, 0.0), -0.1);   // erp of what is beyond the slop
+  EXPECT_DOUBLE_EQ(shift(-1.0, 0.0), -1.0);     // no faster than that
+  EXPECT_DOUBLE_EQ(shift(-0.006, -2.0), -1.2);  // which the bounce does already
+  law.slop = 0.0;
+  law.erp = 1.0;
+  EXPECT_NEAR(bias(-5e-5, 0.0), -5e-3, 1e-15);  // a contact at rest, but for rounding
+  EXPECT_NEAR(bias(-0.005, 0.0), -0.01, 1e-9);  // its speed at most
+  EXPECT_DOUBLE_EQ(shift(-0.005, 0.0), -0.5);
   law.compliant = true;
   const NormalTarget<double> soft = normal_target(law, m, -0.003, 0.0, 0.0);
   // lambda = dt (k (depth - dt v) - c v) at v' = 0.
   EXPECT_NEAR(-soft.bias / soft.cfm, 0.01 * 1000.0 * 0.003, 1e-12);
+  EXPECT_DOUBLE_EQ(soft.shift, soft.bias);  // springs have no shifts
+}
+
+TEST(ArticulationContacts, NormalsThatJointsHardlyPartAreSoft) {
+  PgsNumbers<double> c;
+  c.apart = 2.0;
+  c.tangent[0] = c.tangent[2] = 1.0;
+  const double whole = c.apart + 1e-3 * (c.tangent[0] + c.tangent[2]);
+  for (const double mobility : {1e-12, 1e-6, 1e-4}) {
+    c.normal = mobility;
+    c.cfm = 0.0;
+    set_steps(c);
+    EXPECT_NEAR(1.0 / c.normal_step, 1e-3 * (whole + 1e-3 * mobility), 1e-8);
+  }
+  c.normal = 0.01;  // others stay as hard as they are
+  c.cfm = 0.0;
+  set_steps(c);
+  EXPECT_EQ(c.cfm, 0.0);
 }
 
 }  // namespace

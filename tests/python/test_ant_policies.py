@@ -188,8 +188,14 @@ def test_gradients_point_where_differences_of_real_rollouts_do(
     flags = ("--gradient", gradient, "--train-horizon", str(frames))
     _, _, tuning = tuning_of(monkeypatch, *flags)
     ad, ways = tuning.gradient(tuning.values), tuning.directions()
-    losses = tuning.losses(tuning.values + 3e-3 * np.concatenate([ways, -ways]))
-    fd = (losses[:8] - losses[8:]) / 6e-3
+    fd, finer = (
+        np.subtract(*tuning.losses(tuning.values + e * np.concatenate([ways, -ways])).reshape(2, 8))
+        / (2.0 * e)
+        for e in (3e-3, 1e-3)
+    )
+    settled = np.abs(fd - finer) <= 0.2 * np.abs(fd).max()  # elsewhere the loss jumps between them
+    assert settled.sum() >= 6, (fd, finer)
+    ad, fd = ad[settled], fd[settled]
     cosine = ad @ fd / (np.linalg.norm(ad) * np.linalg.norm(fd))
     assert cosine >= least, (cosine, ad, fd)
 

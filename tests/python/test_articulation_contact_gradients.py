@@ -26,27 +26,27 @@ def ball(velocity: tuple[float, ...], restitution: float = 0.0, z: float = 0.102
     return builder
 
 
-def box(speed: float):
+def box(speed: float, depth: float = 0.002, restitution: float = 0.0):
     """A box whose four corners are in the ground: rows that are not independent."""
     builder = novaphy.ModelBuilder()
-    surface = novaphy.ShapeConfig(mu=0.5)
+    surface = novaphy.ShapeConfig(mu=0.5, restitution=restitution)
     builder.add_ground_plane(cfg=surface)
-    body = builder.add_body(xform=((0.0, 0.0, 0.098), UPRIGHT))
+    body = builder.add_body(xform=((0.0, 0.0, 0.1 - depth), UPRIGHT))
     builder.add_shape_box(body, hx=0.1, hy=0.15, hz=0.1, cfg=surface)
     builder.body_qd[body] = (speed, 0.3 * speed, 0.0, 0.0, 0.0, 0.0)
     return builder
 
 
-def walker(**hip: float):
+def walker(depth: float = 0.002, spread: float = 0.2, **hip: float):
     """A trunk on two legs with round feet, one of which leans on a ball."""
     builder = novaphy.ModelBuilder()
     surface = novaphy.ShapeConfig(mu=0.5)
     builder.add_ground_plane(cfg=surface)
     trunk = builder.add_link(
-        xform=((0.0, 0.0, 0.498), UPRIGHT), mass=2.0, inertia=np.diag([0.02, 0.03, 0.04])
+        xform=((0.0, 0.0, 0.5 - depth), UPRIGHT), mass=2.0, inertia=np.diag([0.02, 0.03, 0.04])
     )
     joints = [builder.add_joint_free(trunk)]
-    for side in (-0.2, 0.2):
+    for side in (-spread, spread):
         leg = builder.add_link(
             mass=0.5, inertia=np.diag([0.005, 0.006, 0.004]), com=(0.01, 0.0, -0.2)
         )
@@ -130,8 +130,15 @@ CASES = {
         (0, 1, 0),
     ),
     "bouncing": (lambda: ball((1.0, 0.2, -1.0, 0.1, 0.2, 0.3), 0.7), {}, (0, 1, 0)),
+    "bouncing in the ground": (
+        lambda: ball((1.0, 0.2, -1.0, 0.1, 0.2, 0.3), 0.7, z=0.02),
+        {},
+        (0, 1, 0),
+    ),
     "standing box": (lambda: box(0.02), {"pgs_slop": 0.0}, (0, 4, 0)),
     "sliding box": (lambda: box(1.0), {"pgs_slop": 0.0}, (0, 0, 4)),
+    "box in the ground": (lambda: box(1.0, 0.02), {}, (0, 0, 4)),
+    "walker in the ground": (lambda: walker(0.02), {}, (1, 3, 0)),
     "walker": (walker, {}, (1, 3, 0)),
     "walker with weak drives": (
         lambda: walker(target_ke=500.0, target_kd=5.0, target_q=0.3, effort_limit=2.0),

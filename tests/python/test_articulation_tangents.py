@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from test_articulation_contact_gradients import CASES
+from test_articulation_contact_gradients import CASES, box, walker
 from test_articulation_parameter_gradients import arm, walker_with_friction
 
 import novaphy
@@ -13,9 +13,25 @@ pytestmark = pytest.mark.skipif(not novaphy.has_diff(), reason="needs NOVAPHY_WI
 
 DT = 0.01
 STATES = ("joint_q", "joint_qd")
-MODEL = ("gravity", "body_mass", "body_com", "joint_friction")
+BODIES = ("gravity", "body_mass", "body_com", "body_inertia")
+JOINTS = tuple(f"joint_{name}" for name in ("friction", "damping", "target_ke", "target_kd"))
+MODEL = BODIES + JOINTS
 MATERIALS = tuple(f"shape_material_{name}" for name in ("mu", "restitution", "ke", "kd"))
+SPRINGS = {"target_ke": 30.0, "target_kd": 0.5, "target_q": 0.2, "damping": 0.1, "armature": 0.01}
+
+
+def bouncing_box():
+    """A box of which some corners bounce, and others are deep in the ground."""
+    builder = box(0.3, restitution=0.7)
+    builder.joint_q[2:7] = [0.085, 0.05, 0.2, 0.0, np.sqrt(1.0 - 0.0425)]
+    builder.joint_qd[2:6] = [-1.0, 0.5, 1.0, 0.1]
+    return builder
+
+
 MORE_CASES = {
+    "bouncing box": (bouncing_box, {}, None),
+    "walker with drives in the ground": (lambda: walker(0.03, **SPRINGS), {}, None),
+    "legs in each other": (lambda: walker(-0.05, 0.09, **SPRINGS), {}, None),
     "hips slide": (lambda: walker_with_friction(0.2), {}, None),
     "hips stick": (lambda: walker_with_friction(200.0), {}, None),
     "hinges slide and stick": (lambda: arm(0.3, 5.0), {}, None),

@@ -561,9 +561,12 @@ def test_contacts_of_a_sensitivity_are_checked() -> None:
     plain.reset(now)
     with pytest.raises(ValueError, match="contacts: expected none without contact_projection"):
         plain.step(now, then, None, DT, column, contacts=run.contacts)
-    # A ball that lies below the base moves.
+    # A ball that pushes the base from below.
     start[9:12] = [-0.2, -0.1, -0.048]
+    rates = now.joint_qd.numpy()
+    rates[10] = 1.0
     now.joint_q.assign(np.float32(start))
+    now.joint_qd.assign(rates)
     novaphy.eval_fk(run.model, now.joint_q, now.joint_qd, now)
     run.pipeline.collide(now, run.contacts)
     run.solver.step(now, then, None, run.contacts, DT)

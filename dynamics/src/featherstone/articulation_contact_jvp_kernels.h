@@ -145,9 +145,16 @@ NOVAPHY_ROW_KERNEL(articulation_contact_jvp, 82, ArticulationContactJvpArguments
   }
   for (int32_t t = s.first_tree(); t < s.end_tree(); ++t)
     if (s.root(trees[t]) == trees[t]) solve_island_tangent(s, trees[t]);
+  for (int32_t t = s.first_tree(); t < s.end_tree(); ++t)
+    for (int32_t k = 0; k < s.rows(trees[t]).dof_count; ++k)
+      s.workspace(trees[t]).bias[k] = DualFloat();
+  for (int32_t t = s.first_tree(); t < s.end_tree(); ++t)
+    if (s.root(trees[t]) == trees[t])
+      articulation::add_dual_shifts(s, TangentIsland{{s, trees[t]}});
   for (int32_t t = s.first_tree(); t < s.end_tree(); ++t) {
     const articulation::Tree<DualFloat> tree = s.tree(trees[t]);
     articulation::Workspace<DualFloat> ws = s.workspace(trees[t]);
+    ws.shift = ws.bias;
     articulation::finish_step(tree, in, options, ws, a.step.q_next, a.step.qd_next, a.step.body_q,
                               a.step.body_qd);
   }

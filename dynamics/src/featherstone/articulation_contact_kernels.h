@@ -46,6 +46,7 @@ struct ArticulationContactStepArguments {
   const int32_t* kept_begin;  // of each group
   const articulation::KeptContact* kept;
   const float* kept_dt;
+  float* kept_friction;            // {dofs}, of the step before and of this
   articulation::KeptContact* now;  // a row per place in the lists
   Vec3f* force;
   int32_t* sweeps;  // the most of an island of the group
@@ -112,7 +113,7 @@ inline void start_tree(const GroupStep& s, int32_t i) {
   const int32_t failed = articulation::accelerate(of.tree, s.in, s.how, false, of.ws);
   s.all.step.status[i] = failed < 0 ? 0 : 1 + failed + rows.first_dof;
   if (failed < 0) articulation::free_rates(of.tree, s.in, s.how, of.ws);
-  for (int32_t k = 0; k < articulation::padded_dofs(rows.dof_count); ++k)
+  for (int32_t k = 0; k < 2 * articulation::padded_dofs(rows.dof_count); ++k)
     of.rates[k] = failed < 0 && k < rows.dof_count ? of.ws.qd_next[k] : 0.0f;
   start_node(s, i);
 }
@@ -180,8 +181,7 @@ inline articulation::IslandResult solve_alone(const GroupStep& s, int32_t root) 
   const IslandNode& node = a.nodes[root];
   const articulation::IslandTree of = s.tree(root);
   const int32_t dofs = of.tree.dof_count;
-  const int64_t used = tree_rates_offset(of.tree.link_count, dofs) +
-                       articulation::padded_dofs(dofs) * static_cast<int64_t>(sizeof(float));
+  const int64_t used = tree_rates_offset(of.tree.link_count, dofs) + tree_rates_bytes(dofs);
   const int64_t bytes =
       node.rows * static_cast<int64_t>(sizeof(articulation::TreeContact<float>) +
                                        sizeof(articulation::TreeContactLink<float>)) +
@@ -189,8 +189,9 @@ inline articulation::IslandResult solve_alone(const GroupStep& s, int32_t root) 
   auto* const found =
       reinterpret_cast<articulation::TreeContact<float>*>(s.memory_behind(used, bytes));
   auto* const links = reinterpret_cast<articulation::TreeContactLink<float>*>(found + node.rows);
-  const articulation::TreeContactMemory<float> m = articulation::make_tree_contact_memory<float>(
+  articulation::TreeContactMemory<float> m = articulation::make_tree_contact_memory<float>(
       links + node.rows, node.rows, of.tree.dof_count);
+  m.shift = of.rates + articulation::padded_dofs(dofs);
   int32_t n = 0;
   for (int32_t place = node.first_row; place >= 0; place = a.chain[place].next, ++n) {
     const int32_t contact = a.contacts[place];
@@ -213,8 +214,8 @@ inline articulation::IslandResult solve_alone(const GroupStep& s, int32_t root) 
     result = articulation::solve_tree_contacts(
         of.tree, ws, s.law, static_cast<int32_t>(s.all.most_sweeps), s.all.tolerance.value, found,
         links, node.rows, of.qd, m, ws.qd_next);
-    for (int32_t k = 0; k < of.tree.dof_count && failed < 0; ++k)
-      if (!articulation::is_finite(ws.qd_next[k])) failed = k;
+    ws.shift = m.shift;
+    failed = articulation::first_not_finite(ws, dofs);
     if (failed >= 0 ||
         !articulation::renew_tree(of.tree, s.in, s.how, found, node.rows, m, round, ws))
       break;
@@ -225,13 +226,21 @@ inline articulation::IslandResult solve_alone(const GroupStep& s, int32_t root) 
   n = 0;
   for (int32_t place = node.first_row; place >= 0; place = a.chain[place].next, ++n)
     take_contact(s, place, m.rows[n].frame, m.rows[n].impulse);
-  return {static_cast<int32_t>(result.sweeps), result.residual};
+  return {static_cast<int32_t>(result.sweeps), result.residual, result.largest};
 }
 
 inline bool sharing_matters(const GroupStep& s, articulation::IslandContact* rows, int32_t n) {
   return articulation::sharing_matters(
       n, [&](int32_t i) -> articulation::IslandContact& { return rows[i]; }, s.law.cone,
       s.all.sharing + s.first_place() * kSharingNumbers, n * kSharingNumbers);
+}
+
+// f(row, dof of the arrays) for the dry friction of an island.
+template <class F>
+void for_friction(const GroupStep& s, int32_t root, const F& f) {
+  for (int32_t i = root; i >= 0; i = s.a.nodes[i].next)
+    for (int32_t k = 0; k < s.rows(i).dof_count; ++k)
+      if (s.has_friction(i, k)) f(s.friction(i)[k], s.rows(i).first_dof + k);
 }
 
 // Any island.
@@ -243,11 +252,7 @@ inline articulation::IslandResult solve_joined(const GroupStep& s, int32_t root)
     for (int32_t k = 0; k < node.rows; ++k) f(rows[back ? node.rows - 1 - k : k].solver);
   };
   const auto friction = [&](const auto& f) {
-    for (int32_t i = root; i >= 0; i = a.nodes[i].next) {
-      articulation::PgsJointFriction<float>* const dry = s.friction(i);
-      for (int32_t k = 0; k < s.rows(i).dof_count; ++k)
-        if (s.has_friction(i, k)) f(dry[k]);
-    }
+    for_friction(s, root, [&](articulation::PgsJointFriction<float>& dry, int32_t) { f(dry); });
   };
   articulation::IslandResult result;
   int32_t n = 0;
@@ -266,6 +271,10 @@ inline articulation::IslandResult solve_joined(const GroupStep& s, int32_t root)
     for (int32_t place = node.first_row; place >= 0; place = a.chain[place].next, ++n)
       if (const articulation::KeptContact* const kept = s.kept(place))
         articulation::start_from_kept(*kept, s.warm_scale, s.law.cone, rows[n]);
+    for_friction(s, root, [&](articulation::PgsJointFriction<float>& f, int32_t row) {
+      if (s.all.warm_start != 0)
+        articulation::warm_start(f, s.warm_scale * s.all.kept_friction[row]);
+    });
     result = articulation::sweep_island(s.law.cone, static_cast<int32_t>(s.all.most_sweeps),
                                         s.all.tolerance.value, contacts, friction);
     renewed = false;
@@ -283,11 +292,10 @@ inline articulation::IslandResult solve_joined(const GroupStep& s, int32_t root)
   n = 0;
   for (int32_t place = node.first_row; place >= 0; place = a.chain[place].next, ++n)
     take_contact(s, place, rows[n].frame, rows[n].solver.impulse);
-  if (s.all.friction_impulses != nullptr)
-    for (int32_t i = root; i >= 0; i = a.nodes[i].next)
-      for (int32_t k = 0; k < s.rows(i).dof_count; ++k)
-        if (s.has_friction(i, k))
-          s.all.friction_impulses[s.rows(i).first_dof + k] = s.friction(i)[k].impulse;
+  for_friction(s, root, [&](const articulation::PgsJointFriction<float>& f, int32_t row) {
+    if (s.all.friction_impulses != nullptr) s.all.friction_impulses[row] = f.impulse;
+    if (s.all.warm_start != 0) s.all.kept_friction[row] = f.impulse;
+  });
   if (s.all.notes == nullptr) return result;
   articulation::BranchNotes& notes = s.all.notes[s.group];
   for (int32_t k = 0; k < node.rows; ++k)
@@ -296,6 +304,8 @@ inline articulation::IslandResult solve_joined(const GroupStep& s, int32_t root)
     articulation::note_friction(f, notes);
   });
   articulation::raise(notes.residual, result.residual);
+  if (articulation::far_from_converged(result.residual, result.largest, s.all.tolerance.value))
+    notes.far = 1;
   if (notes.exact != 0 && node.rows > 1 && sharing_matters(s, rows, node.rows)) notes.exact = 0;
   return result;
 }
@@ -341,10 +351,11 @@ inline void finish_tree(const GroupStep& s, int32_t i) {
     if (failed >= 0) status = 1 + failed + rows.first_dof;
   }
   if (status != 0) return write_failure(s.all.step, rows);
+  of.ws.shift = of.rates + articulation::padded_dofs(rows.dof_count);
   write_step(s.all.step, rows, of.tree, s.in, s.how, of.ws);
 }
 
-NOVAPHY_ROW_KERNEL(articulation_contact_step, 91, ArticulationContactStepArguments) {
+NOVAPHY_ROW_KERNEL(articulation_contact_step, 92, ArticulationContactStepArguments) {
   const float dt = a.step.in.dt.value, kept_dt = a.warm_start != 0 ? *a.kept_dt : 0.0f;
   LocalIsland local;
   const GroupStep s(a, local, row, kept_dt > 0.0f ? dt / kept_dt : 1.0f);

@@ -59,6 +59,7 @@ struct GroupIsland : ActiveIsland<GroupAdjoint> {
     }
   }
   float* rate_gradient(int32_t tree) const { return s.adjoint(tree).rate; }
+  float* move_gradient(int32_t tree) const { return s.adjoint(tree).scratch + dofs(tree); }
   int32_t dofs(int32_t tree) const { return s.rows(tree).dof_count; }
 };
 
@@ -72,7 +73,7 @@ inline void start_adjoint(const GroupAdjoint& s, int32_t i) {
                                of.ws, memory);
   articulation::step_vjp_dynamics(of.tree, s.in, s.how, of.ws);
   const int32_t dofs = s.rows(i).dof_count;
-  for (int32_t k = 0; k < articulation::padded_dofs(dofs); ++k)
+  for (int32_t k = 0; k < 2 * articulation::padded_dofs(dofs); ++k)
     of.rates[k] = k < dofs ? of.qd[k] + s.how.dt * of.ws.qdd[k] : 0.0f;
   start_node(s, i);
 }
@@ -122,9 +123,56 @@ inline void build_rows(const GroupAdjoint& s) {
   apply_impulses(s, 1.0f);
 }
 
+// The shifts of an island, from its impulses; whether there are some.
+inline bool solve_island_shifts(const GroupAdjoint& s, int32_t root) {
+  if (s.a.nodes[root].solved != 0) return false;
+  s.a.nodes[root].solved = -1;
+  const GroupIsland island = {{s, root}};
+  articulation::sweep_shifts([&](const auto& f) {
+    island.for_rows([&](articulation::AdjointContact& row) { f(row.solver); });
+  });
+  bool shifts = false;
+  island.for_shifted([&](const articulation::AdjointContact&) { shifts = true; });
+  return shifts;
+}
+// Their adjoint, of all islands.
+inline void add_shifts(const GroupAdjoint& s) {
+  const ArticulationStepVjpArguments& a = s.all.step;
+  for (int32_t t = s.first_tree(); t < s.end_tree(); ++t) {
+    const int32_t i = s.a.trees[t];
+    articulation::IslandTree of = s.tree(i);
+    articulation::AdjointMemory<float> memory = s.adjoint(i);
+    of.ws.shift = of.rates + articulation::padded_dofs(s.rows(i).dof_count);
+    articulation::step_vjp_rates(of.tree, s.in, s.how, a.qdd, a.branch, a.q_next, a.qd_next, a.out,
+                                 of.ws, memory);
+    articulation::step_vjp_dynamics(of.tree, s.in, s.how, of.ws);
+  }
+  for (int32_t place = s.first_place(); place < s.end_place(); ++place) {
+    if (s.a.chain[place].next == -2) continue;
+    IslandNode& node =
+        s.a.nodes[s.find_root(articulation::moved_tree(s.step.rows, s.row(place).sides))];
+    if (node.solved != -1) continue;
+    node.solved = -2;
+    articulation::solve_shift_adjoint(GroupIsland{{s, static_cast<int32_t>(&node - s.a.nodes)}});
+  }
+  const auto tree_of = [&](int32_t i) { return s.tree(i); };
+  const auto memory_of = [&](int32_t i) { return s.adjoint(i); };
+  for (int32_t place = s.first_place(); place < s.end_place(); ++place)
+    if (s.row(place).solver.shifted > 0.0f)
+      articulation::add_softness_gradient(s.row(place), s.how.dt, tree_of, memory_of);
+  for (int32_t t = s.first_tree(); t < s.end_tree(); ++t) {
+    articulation::IslandTree of = s.tree(s.a.trees[t]);
+    articulation::AdjointMemory<float> memory = s.adjoint(s.a.trees[t]);
+    articulation::set_shift_motions(of.tree, s.in, s.how, of.rates, of.ws, memory);
+  }
+  for (int32_t place = s.first_place(); place < s.end_place(); ++place)
+    if (s.row(place).solver.shifted > 0.0f)
+      articulation::add_shift_geometry(s.row(place), s.how.dt, tree_of, memory_of);
+}
+
 // Where there is no room for its system, the gradients of an island are NaN.
 inline void solve_island_adjoint(const GroupAdjoint& s, int32_t root) {
-  if (s.a.nodes[root].solved != 0) return;
+  if (s.a.nodes[root].solved > 0) return;
   s.a.nodes[root].solved = 1;
   const GroupIsland island = {{s, root}};
   if (articulation::solve_adjoint(island, s.law.cone)) return;
@@ -138,7 +186,7 @@ inline void solve_island_adjoint(const GroupAdjoint& s, int32_t root) {
 
 inline void add_contact(const GroupAdjoint& s, int32_t place) {
   const articulation::AdjointContact& row = s.row(place);
-  if (!(row.solver.impulse[0] > 0.0f)) return;
+  if (!articulation::has_geometry(row)) return;
   articulation::add_contact_geometry(
       row, s.how.dt, [&](int32_t i) { return s.tree(i); }, [&](int32_t i) { return s.adjoint(i); });
   if (s.all.materials == nullptr) return;
@@ -173,6 +221,13 @@ NOVAPHY_ROW_KERNEL(articulation_contact_vjp, 103, ArticulationContactVjpArgument
   list_trees(s);
   for (int32_t place = s.first_place(); place < s.end_place(); ++place) list_contact(s, place);
   build_rows(s);
+  bool shifts = false;
+  for (int32_t place = s.first_place(); place < s.end_place(); ++place)
+    if (a.of.chain[place].next != -2 &&
+        solve_island_shifts(s,
+                            s.find_root(articulation::moved_tree(s.step.rows, s.row(place).sides))))
+      shifts = true;
+  if (shifts) add_shifts(s);
   for (int32_t place = s.first_place(); place < s.end_place(); ++place)
     if (a.of.chain[place].next != -2)
       solve_island_adjoint(s,

@@ -75,6 +75,27 @@ void check_status(const Model& m, const Articulations& articulations,
            "expected mass or armature, and finite coordinates, velocities and forces");
 }
 
+void check_exploded(const Model& m, const Articulations& articulations,
+                    std::span<const int32_t> status, const SimState& from, float dt,
+                    const std::string& largest_force, const char* user) {
+  const float* const qd = from.joint_qd.data();
+  const auto* const rows = reinterpret_cast<const ArticulationRows*>(articulations.rows().data());
+  int32_t fastest = -1;
+  float rate = 0.0f;
+  for (size_t i = 0; i < status.size(); ++i)
+    for (int32_t k = 0; status[i] != 0 && k < rows[i].dof_count; ++k) {
+      const int32_t dof = rows[i].first_dof + k;
+      if (std::abs(qd[dof]) <= rate) continue;
+      fastest = dof;
+      rate = std::abs(qd[dof]);
+    }
+  if (!(rate * dt >= 1.0f) || std::isinf(rate)) return check_status(m, articulations, status, user);
+  fail(ErrorKind::Runtime, user, ": the motion has exploded: state_in.joint_qd of ",
+       articulations.dof_name(m, fastest), " is ", qd[fastest],
+       " rad/s or m/s, expected less than 1 rad or m a step (dt ", dt, " s)",
+       largest_force.empty() ? "" : "; the largest force of a contact was ", largest_force);
+}
+
 void check_contact_status(int32_t status, const char* user) {
   require(status >= 0, ErrorKind::Index, user, ": contacts: row ", -1 - status,
           ": expected two shapes of the model, of bodies of one world");

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <span>
+#include <string>
 
 #include "articulation_kernels.h"
 #include "novaphy/core/sim/unread_materials.h"
@@ -19,6 +20,12 @@ UnreadMaterials unread_materials(ArticulationContact contact, const char* user);
 // ErrorKind::Runtime, naming the first dof that failed.
 void check_status(const Model& model, const Articulations& articulations,
                   std::span<const int32_t> status, const char* user);
+
+// Likewise, of a step from a state on the cpu. Where a dof of what failed moves so fast that this
+// is why, it names that and the contact with the largest force (empty: none).
+void check_exploded(const Model& model, const Articulations& articulations,
+                    std::span<const int32_t> status, const SimState& from, float dt,
+                    const std::string& largest_force, const char* user);
 
 // ErrorKind::Index: a status that names a row of contacts.
 void check_contact_status(int32_t status, const char* user);

@@ -159,20 +159,20 @@ struct FeatherstoneAnalyticControlSensitivity::Impl {
             state.joint_q.rows(), " and ", state.joint_qd.rows());
   }
   // Whether the articulation's rows of a state are q_ and qd_, whose rates may be `off` by some.
+  // `touches`: contacts may have shifted q_.
   bool same(const SimState& state, const std::vector<float>& q_, const std::vector<float>& qd_,
-            const Tree<float>& tree, float dt = 0.0f, float off = 0.0f) const {
-    const auto near = [&](const float* values, const std::vector<float>& expected, int32_t row,
-                          float by) {
+            const Tree<float>& tree, float off = 0.0f, bool touches = false) const {
+    const auto near = [&](const float* values, const std::vector<float>& expected, int32_t row) {
       const float x = expected[static_cast<size_t>(row)];
-      return std::abs(values[row] - x) <= (off == 0.0f ? 0.0f : by + 1e-6f * std::abs(x));
+      return std::abs(values[row] - x) <= (off == 0.0f ? 0.0f : off + 1e-6f * std::abs(x));
     };
     for (int32_t i = 0; i < tree.link_count; ++i) {
       const articulation::Link& link = tree.links[i];
       const int32_t coords = articulation::is_free(link) ? 7 : link.dofs;
-      for (int32_t k = link.coord; k < link.coord + coords; ++k)
-        if (!near(state.joint_q.data(), q_, k, dt * off)) return false;
+      for (int32_t k = link.coord; !touches && k < link.coord + coords; ++k)
+        if (!near(state.joint_q.data(), q_, k)) return false;
       for (int32_t k = link.dof; k < link.dof + link.dofs; ++k)
-        if (!near(state.joint_qd.data(), qd_, k, off)) return false;
+        if (!near(state.joint_qd.data(), qd_, k)) return false;
     }
     return true;
   }
@@ -421,6 +421,7 @@ void FeatherstoneAnalyticControlSensitivity::step(const SimState& state_in,
   if (!dtarget_qd.empty()) s.check_followed(tree, in.drives, dtarget_qd, true, "dtarget_qd");
   require(s.same(state_in, s.q, s.qd, tree), ErrorKind::Runtime, kStep,
           ", state_in: expected the state that reset or the last step ended with");
+  const bool touches = contacts != nullptr;
   bool stepped = articulation::accelerate(tree, in, options, false, s.single.ws) < 0;
   float off = 0.0f;  // rates may be, where contacts push: 1e-5 of what they are made of
   for (int32_t round = 0; stepped; ++round) {
@@ -455,12 +456,13 @@ void FeatherstoneAnalyticControlSensitivity::step(const SimState& state_in,
     articulation::finish_step(tree, in, options, s.single.ws, s.q_next.data(), s.qd_next.data(),
                               s.body_q.data(), s.body_qd.data());
   require(
-      stepped && s.same(state_out, s.q_next, s.qd_next, tree, dt, off), ErrorKind::Runtime, kStep,
+      stepped && s.same(state_out, s.q_next, s.qd_next, tree, off, touches), ErrorKind::Runtime,
+      kStep,
       ", state_out: expected what SolverFeatherstone.step gives from state_in with this control, "
       "dt, contacts, angular_damping (",
       s.options.solver.angular_damping, ") and implicit_drives (", s.options.solver.implicit_drives,
       ")");
-  if (!s.contacts.empty()) {  // to the bit where the next step starts
+  if (touches) {  // to the bit where the next step starts
     std::copy_n(state_out.joint_q.data(), s.q.size(), s.q_next.begin());
     std::copy_n(state_out.joint_qd.data(), s.qd.size(), s.qd_next.begin());
     articulation::link_frames(tree, s.q_next.data(), s.single.ws);

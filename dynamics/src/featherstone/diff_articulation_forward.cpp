@@ -70,7 +70,7 @@ ContactRecord contact_record(const Step& s, bool write) {
   };
   ContactRecord record;
   record.impulses = part("impulses", 11 * s.contact_max);
-  record.friction = part("friction_impulses", kContactNumbers * s.contact_max + 1);
+  record.friction = part("friction_impulses", kContactNumbers * s.contact_max + 1 + kFarNumbers);
   record.found = s.follow;
   record.by_restitution = s.by_restitution;
   record.dry = s.dry;
@@ -79,6 +79,25 @@ ContactRecord contact_record(const Step& s, bool write) {
 }
 bool works_on_host(const Step& s) {
   return nova::current_capture() && s.contacts.defined() && s.shared->device.is_cpu();
+}
+
+void require_converged(const Step& s, const char* what) {
+  if (!s.contacts.defined() || s.shared->allow_unconverged) return;
+  std::string of;
+  if (s.shared->device.is_cpu()) {
+    const KeptContacts kept = kept_contacts(s);
+    if (kept.far->sweeps == 0) return;
+    of = std::to_string(s.number) + ": " +
+         describe(*kept.far, *s.model, s.shared->articulations, kept.rows(false));
+  } else if (*s.far) {
+    of = std::to_string(s.number) + ", or one near it";
+  } else {
+    return;
+  }
+  fail(ErrorKind::Runtime, what,
+       ": contacts and dry friction of joints have not converged in step ", of,
+       ". Its gradient may be any number: shorten dt, raise pgs_iterations, bring masses that "
+       "touch nearer to each other, or pass allow_unconverged=True");
 }
 
 bool prepare_contacts(const Step& s, const ArticulationArguments* from) {
@@ -144,6 +163,7 @@ void run_forward(const Step& s, bool tell) {
     copy_found(s);
     const auto in = to_arguments<ArticulationArguments>(words);
     touches = prepare_contacts(s, &in);
+    if (s.contacts.defined()) *kept_contacts(s).far = {};
     if (!touches && s.shared->runs_on_host()) return run_host(s, in, nullptr, outputs_of(s));
   }
   for (const Named& out : s.outputs) words.push_back(argument(out.name, out.tensor, true));
@@ -157,6 +177,7 @@ void run_forward(const Step& s, bool tell) {
     a.status = s.shared->status.mutable_data();
     s.shared->pgs->step(a, *s.model, contact_rows_of(s), s.options, nullptr);
     s.shared->pgs->write_impulses(kept.impulses, kept.friction);
+    *kept.far = s.shared->pgs->far_island();
     for (const Named& out : s.outputs) out.tensor.range()->mark_written();
     return;
   }

@@ -28,6 +28,7 @@ void write_tangent(const Tensor& to, const articulation::Dual<float>* values) {
 
 void run_jvp(const Step& s, const StepOutputs* from, const StepOutputs& to,
              std::span<const Tensor> t, std::span<const Tensor> tangents) {
+  require_converged(s, "jvp");
   DualArrays duals;
   const auto take = [&](const Tensor& values, const Tensor& tangent) {
     return duals.take(values, tangent);
@@ -100,7 +101,10 @@ void run_jvp_of_steps(const Step& s, std::span<const Tensor> t, std::span<const 
 
 void submit_jvp(const std::shared_ptr<const Step>& step, std::span<const Tensor> inputs,
                 std::span<const Tensor> outputs) {
-  if (!step->shared->device.is_cpu()) return launch_jvp(*step, inputs, outputs);
+  if (!step->shared->device.is_cpu()) {
+    require_converged(*step, "jvp");
+    return launch_jvp(*step, inputs, outputs);
+  }
   if (!nova::current_capture()) return run_jvp_of_steps(*step, inputs, outputs);
   const std::vector<Tensor> t(inputs.begin(), inputs.end()), out(outputs.begin(), outputs.end());
   std::vector<Tensor> reads = reads_of(*step);

@@ -51,10 +51,13 @@ struct Named {
 
 // The contacts of a step as it keeps them: numbers per contact, array after array, with the
 // impulses behind; indices as the bits of floats. Then how many there are, and the impulses of
-// joints' dry friction, a row per dof.
-inline constexpr int64_t kContactNumbers = 16;
+// joints' dry friction, a row per dof; on the cpu also the island that is far from converged,
+// before the friction.
+inline constexpr int64_t kContactNumbers = 16, kFarNumbers = sizeof(FarIsland) / sizeof(float);
 struct KeptContacts {
-  static int64_t size(int64_t most, int64_t dofs) { return kContactNumbers * most + 1 + dofs; }
+  static int64_t size(int64_t most, int64_t dofs) {
+    return kContactNumbers * most + 1 + kFarNumbers + dofs;
+  }
   KeptContacts(float* memory, int64_t most)
       : shape0(reinterpret_cast<int32_t*>(memory)),
         shape1(shape0 + most),
@@ -65,7 +68,8 @@ struct KeptContacts {
         margin0(memory + 14 * most),
         margin1(margin0 + most),
         count(reinterpret_cast<int32_t*>(memory + kContactNumbers * most)),
-        friction(memory + kContactNumbers * most + 1) {}
+        far(reinterpret_cast<FarIsland*>(count + 1)),
+        friction(memory + kContactNumbers * most + 1 + kFarNumbers) {}
   void copy(const ContactRows& c) const {
     const auto n = static_cast<size_t>(c.count);
     *count = c.count;
@@ -85,6 +89,7 @@ struct KeptContacts {
   Vec3f *point0, *point1, *normal, *impulses;
   float *margin0, *margin1;
   int32_t* count;
+  FarIsland* far;
   float* friction;
 };
 
@@ -174,6 +179,11 @@ struct ArticulationStep::Shared {
   DeviceArray<float> duals;     // of tangents on devices
   std::string failure;          // of a replay
   bool dry = false;             // joints have dry friction, or its gradient is asked for
+  bool allow_unconverged = false;
+  int64_t next_step = 0;  // number of the next step that is recorded
+  // On devices, whether a step since the last check is far from converged, and how many were.
+  std::shared_ptr<bool> far = std::make_shared<bool>(false);
+  int64_t far_steps = 0;
 };
 
 // The arrays of a step, and of those behind it that are one operation with it: handles, and what
@@ -198,6 +208,8 @@ struct ArticulationStep::Step {
   DeviceArray<float> workspace;
   ArticulationArguments host = {};                  // of the first step, where others follow
   std::vector<detail::StepOutputs> following = {};  // each starts where the one before ended
+  int64_t number = 0;
+  std::shared_ptr<bool> far = {};  // Shared::far
 
   // Whether its forward fills `contacts` anew, so that nobody minds who wrote there.
   bool copies_contacts() const { return found.has_value() || contact_max == 0; }
@@ -235,6 +247,9 @@ ContactRowArguments kept_arguments(const Step& s, bool write);
 ContactRecord contact_record(const Step& s, bool write);
 inline KeptContacts kept_contacts(const Step& s) { return {numbers(s.contacts), s.contact_max}; }
 inline ContactRows contact_rows_of(const Step& s) { return kept_contacts(s).rows(s.follow); }
+// ErrorKind::Runtime where the step is far from converged and nobody allows it. `what`: backward or
+// jvp.
+void require_converged(const Step& s, const char* what);
 // Whether a step has contacts that act; those are then in shared->pgs. `from`: as for
 // PgsContacts::prepare.
 bool prepare_contacts(const Step& s, const ArticulationArguments* from);

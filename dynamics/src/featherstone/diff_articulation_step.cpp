@@ -49,7 +49,7 @@ nova::CustomOp make_op(const std::shared_ptr<const Step>& step) {
 }  // namespace
 
 ArticulationStep::ArticulationStep(const Model& model, const FeatherstoneOptions& options,
-                                   const char* user) {
+                                   const char* user, bool allow_unconverged) {
   check_featherstone_model(model, options, user);
   require(model.joint_dof_count() > 0, ErrorKind::Value, user,
           ": model: expected joints with degrees of freedom, got none");
@@ -59,6 +59,7 @@ ArticulationStep::ArticulationStep(const Model& model, const FeatherstoneOptions
   converged.warm_start = false;
   converged.pgs_iterations = std::max(options.pgs_iterations, kLeastSweeps);
   shared_ = std::make_shared<Shared>(model, converged, user);
+  shared_->allow_unconverged = allow_unconverged;
 }
 ArticulationStep::~ArticulationStep() = default;
 ArticulationStep::ArticulationStep(ArticulationStep&&) noexcept = default;
@@ -102,6 +103,7 @@ void ArticulationStep::record(const Model& m, const SimState& in, SimState& out,
                               const Control* control, const Contacts* contacts, FoundContacts found,
                               const nova::Operand& body_f, float dt, StepScratch scratch,
                               bool join) {
+  const int64_t number = shared_->next_step++;
   if (join && pending_ && joins(m, in, out, control, body_f, dt, scratch)) return;
   flush();
   const auto view = [](const char* name, const Array& array) {
@@ -161,6 +163,8 @@ void ArticulationStep::record(const Model& m, const SimState& in, SimState& out,
       shared_->stride,
       shared_->status,
       shared_->workspace});
+  step->number = number;
+  step->far = shared_->far;
   if (touching) shared_->materials.check(m);
   const bool solves = step->contacts.defined();
   if (solves) {
@@ -219,12 +223,19 @@ ContactBranches ArticulationStep::branches() const {
 void ArticulationStep::clear_branches() {
   if (shared_->launched) shared_->launched->clear_branches();
   shared_->branches = {};
+  shared_->far_steps = 0;
 }
+void ArticulationStep::count_from(int64_t number) { shared_->next_step = number; }
 
 void ArticulationStep::check(const Model& model, const char* function) const {
   const OnHost<int32_t> status(shared_->status);
   for (size_t i = 0; i < status.size(); ++i) check_contact_status(status[i], function);
-  if (shared_->launched) shared_->launched->check_adjoint(function);
+  if (shared_->launched) {
+    shared_->launched->check_adjoint(function);
+    const int64_t far = shared_->launched->branches().unconverged;
+    if (far > std::exchange(shared_->far_steps, far))
+      *std::exchange(shared_->far, std::make_shared<bool>(false)) = true;
+  }
   check_status(model, shared_->articulations, {status.data(), status.size()}, function);
 }
 

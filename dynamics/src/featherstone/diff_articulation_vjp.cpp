@@ -117,6 +117,7 @@ namespace {
 void run_vjp(const Step& s, std::span<const Tensor> outputs,
              std::span<const nova::InputGradient> gradients) {
   const nova::NoGrad no_grad;
+  require_converged(s, "backward");
   std::vector<LaunchArgument> words;
   add_arguments(s, words);
   for (const size_t i : {4, 5, 0, 1})

@@ -241,8 +241,8 @@ bool run(const LaneStepArguments& a) {
     TreeContactResult<Lanes> result;
     for (int32_t round = 0;; ++round) {
       result = solve_lanes(tree, ws, law, a, links, qd, m);
-      for (int32_t k = 0; k < s.dofs; ++k)
-        if (!is_finite(ws.qd_next[k])) return false;
+      ws.shift = m.shift;
+      if (first_not_finite(ws, s.dofs) >= 0) return false;
       if (!renew_lanes(tree, in, options, contacts, a.contact_count, m, round, ws)) break;
       if (solve_accelerations_of_lanes(tree, in, options, ws) >= 0) return false;
       free_rates(tree, in, options, ws);
@@ -251,6 +251,7 @@ bool run(const LaneStepArguments& a) {
       for (int32_t r = 0; r < 3; ++r) store(a.impulses + (3 * c + r) * LANES, m.rows[c].impulse[r]);
     store(a.sweeps, result.sweeps);
     store(a.residual, result.residual);
+    store(a.largest, result.largest);
   }
   if (a.qdd != nullptr) {
     scatter(ws.qdd, a.dof, 1, s.dofs, a.used, a.qdd);

@@ -60,7 +60,7 @@ struct LaneStepArguments {
   bool compliant = false, cone = true;
   int32_t most_sweeps = 1;
   float* impulses = nullptr;                     // {contacts, 3, lanes}, along n, t1, t2
-  float *sweeps = nullptr, *residual = nullptr;  // {lanes}
+  float *sweeps = nullptr, *residual = nullptr, *largest = nullptr;  // {lanes}
   void* memory = nullptr;                        // aligned to 64
 };
 

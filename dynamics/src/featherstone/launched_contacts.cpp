@@ -101,6 +101,7 @@ LaunchedContacts::LaunchedContacts(const Model& m, const Articulations& articula
   contact_begin_ = DeviceArray<int32_t>(groups + 1, device);
   kept_begin_ = DeviceArray<int32_t>(groups + 1, device);
   kept_dt_ = DeviceArray<float>(1, device);
+  kept_friction_ = DeviceArray<float>(static_cast<size_t>(m.joint_dof_count()), device);
   sweeps_ = DeviceArray<int32_t>(groups, device);
   residual_ = DeviceArray<float>(groups, device);
 }
@@ -230,9 +231,9 @@ void LaunchedContacts::step(std::vector<LaunchArgument> words, const ContactRowA
        number(int64_t{o.pgs_iterations}), number(int64_t{o.warm_start}),
        number(int64_t{record.records ? 0 : art::kMostTreeContacts}),
        reads("kept_begin", kept_begin_), reads("kept", kept_), reads("kept_dt", kept_dt_),
-       writes("now", now_), rows.force, writes_row("sweeps", sweeps_),
-       writes_row("residual", residual_), record.impulses, record.friction,
-       record.notes ? writes_row("notes", notes_) : none,
+       updates("kept_friction", kept_friction_), writes("now", now_), rows.force,
+       writes_row("sweeps", sweeps_), writes_row("residual", residual_), record.impulses,
+       record.friction, record.notes ? writes_row("notes", notes_) : none,
        record.notes ? writes("sharing", sharing_) : none, number(int64_t{record.by_restitution})});
   k.step.launch(device, groups_, words);
   if (record.notes) {

@@ -77,7 +77,10 @@ class LaunchedContacts {
   void clear_branches();
 
   // Lets the next step, and captures that replay one, start without impulses of the step before.
-  void forget_impulses() { kept_begin_.zero(); }
+  void forget_impulses() {
+    kept_begin_.zero();
+    kept_friction_.zero();
+  }
 
   // Whether a step needs no memory for articulations.
   bool on_stack() const { return on_stack_; }
@@ -108,7 +111,7 @@ class LaunchedContacts {
   Contacts none_;
   int64_t capacity_ = -1;  // contacts; -1: no memory was taken
   DeviceArray<int32_t> group_, contact_begin_, contacts_, chain_, nodes_, kept_begin_, sweeps_;
-  DeviceArray<float> now_, kept_, kept_dt_, memory_, residual_;
+  DeviceArray<float> now_, kept_, kept_dt_, kept_friction_, memory_, residual_;
   // Of steps that are recorded, and of adjoints.
   int64_t group_dofs_ = 0;  // of the largest group
   int64_t adjoint_capacity_ = -1, adjoint_dofs_ = 0, adjoint_stride_, system_of_contact_ = 0,

@@ -1,4 +1,5 @@
 #include <algorithm>
+#include <cmath>
 #include <cstring>
 #include <utility>
 
@@ -27,11 +28,12 @@ PgsContacts::PgsContacts(const Model& m, const Articulations& articulations)
     memory_begin_.push_back(words);
     rates_begin_.push_back(rates);
     words += art::workspace_bytes<float>(tree.link_count, tree.dof_count) / 8 + 1;
-    rates += width(i);
+    rates += 2 * width(i);
     for (int32_t k = 0; k < tree.link_count; ++k) moved_by_.push_back(art::moving_dofs(tree, k));
   }
   memory_.resize(static_cast<size_t>(words));
   rates_.resize(static_cast<size_t>(rates));
+  kept_friction_.resize(static_cast<size_t>(m.joint_dof_count()));
   root_.resize(static_cast<size_t>(count_));
   island_of_tree_.resize(static_cast<size_t>(count_));
 }
@@ -128,6 +130,7 @@ bool PgsContacts::prepare(const Model& m, const ContactRows& contacts,
     kept_.clear();
     sweeps_ = 0;
     residual_ = 0.0f;
+    far_ = {};
     return false;
   }
   int64_t numbers = friction_begin_;
@@ -157,8 +160,7 @@ void PgsContacts::find_islands() {
   for (const Friction& f : friction_) island_of_friction_.push_back(island(f.tree));
   island_rows_.build(island_of_row_, islands);
   island_friction_.build(island_of_friction_, islands);
-  island_sweeps_.assign(static_cast<size_t>(islands), 0);
-  island_residual_.assign(static_cast<size_t>(islands), 0.0f);
+  island_results_.assign(static_cast<size_t>(islands), {});
   island_joined_.assign(static_cast<size_t>(islands), 0);
   island_solved_.assign(static_cast<size_t>(islands), 0);
   for (size_t i = 0; i < rows_.size(); ++i) {
@@ -224,10 +226,56 @@ void PgsContacts::take(int64_t tree, int32_t i, const float* impulses, int32_t s
   for (int32_t r = 0; r < 3; ++r) row.solver.impulse[r] = impulses[r * stride];
 }
 
-void PgsContacts::solved(int64_t tree, int32_t sweeps, float residual) {
-  const auto island = static_cast<size_t>(island_of_tree_[static_cast<size_t>(tree)]);
-  island_sweeps_[island] = sweeps;
-  island_residual_[island] = residual;
+void PgsContacts::solved(int64_t tree, const art::IslandResult& result) {
+  island_results_[static_cast<size_t>(island_of_tree_[static_cast<size_t>(tree)])] = result;
+}
+
+int32_t PgsContacts::hardest_row(int64_t island) const {
+  const auto hardest = [](std::span<const int32_t> items, const auto& size) {
+    return *std::max_element(items.begin(), items.end(),
+                             [&](int32_t a, int32_t b) { return size(a) < size(b); });
+  };
+  const std::span<const int32_t> rows = island_rows_.items(island);
+  if (!rows.empty()) {
+    const auto push = [&](int32_t i) { return rows_[static_cast<size_t>(i)].solver.impulse[0]; };
+    return rows_[static_cast<size_t>(hardest(rows, push))].contact;
+  }
+  const auto hold = [&](int32_t i) {
+    return std::abs(friction_rows_[static_cast<size_t>(i)].impulse);
+  };
+  const Friction& f = friction_[static_cast<size_t>(hardest(island_friction_.items(island), hold))];
+  return -1 - (trees_[f.tree].first_dof + f.dof);
+}
+
+namespace {
+
+std::string pair_of_shapes(const Model& m, int32_t a, int32_t b) {
+  return "shapes '" + m.shape_label[static_cast<size_t>(a)] + "' and '" +
+         m.shape_label[static_cast<size_t>(b)] + "'";
+}
+
+}  // namespace
+
+std::string describe(const FarIsland& of, const Model& m, const Articulations& articulations,
+                     const ContactRows& c) {
+  std::string text;
+  for (const MessagePart& part :
+       {MessagePart("the last of "), MessagePart(of.sweeps),
+        MessagePart(" sweeps changed velocities by "), MessagePart(of.residual),
+        MessagePart(" m/s, the largest impulse by "), MessagePart(of.largest),
+        MessagePart(" m/s, at ")})
+    text.append(part.text());
+  return text + (of.at < 0 ? articulations.dof_name(m, -1 - of.at)
+                           : pair_of_shapes(m, c.shape0[of.at], c.shape1[of.at]));
+}
+
+std::string PgsContacts::largest_force(const Model& m) const {
+  const auto most = std::max_element(
+      kept_.begin(), kept_.end(),
+      [](const art::KeptContact& a, const art::KeptContact& b) { return a.normal < b.normal; });
+  if (most == kept_.end()) return {};
+  return std::string(MessagePart(most->normal / kept_dt_).text()) + " N between " +
+         pair_of_shapes(m, most->shape0, most->shape1);
 }
 
 const art::KeptContact* PgsContacts::kept_of(size_t row) const {
@@ -289,6 +337,7 @@ void PgsContacts::solve_island(const Step& s, int64_t island) {
   for (const int32_t i : rows) {
     Row& row = rows_[static_cast<size_t>(i)];
     std::fill_n(row.solver.impulse, 3, 0.0f);  // of the round before
+    row.solver.shifted = 0.0f;
     build_row(s, row);
     set_target(s, row);
   }
@@ -298,6 +347,9 @@ void PgsContacts::solve_island(const Step& s, int64_t island) {
     if (const art::KeptContact* const kept = kept_of(static_cast<size_t>(i)))
       art::start_from_kept(*kept, s.warm_scale, s.law.cone, row);
   }
+  for (const int32_t i : friction)
+    if (s.options.warm_start)
+      art::warm_start(friction_rows_[static_cast<size_t>(i)], s.warm_scale * kept_friction(i));
   const auto contacts = [&](bool back, const auto& f) {
     for (size_t k = 0; k < rows.size(); ++k)
       f(rows_[static_cast<size_t>(rows[back ? rows.size() - 1 - k : k])].solver);
@@ -305,10 +357,8 @@ void PgsContacts::solve_island(const Step& s, int64_t island) {
   const auto dry = [&](const auto& f) {
     for (const int32_t i : friction) f(friction_rows_[static_cast<size_t>(i)]);
   };
-  const art::IslandResult result = art::sweep_island(s.law.cone, s.options.pgs_iterations,
-                                                     s.options.pgs_tolerance, contacts, dry);
-  island_sweeps_[static_cast<size_t>(island)] = result.sweeps;
-  island_residual_[static_cast<size_t>(island)] = result.residual;
+  island_results_[static_cast<size_t>(island)] = art::sweep_island(
+      s.law.cone, s.options.pgs_iterations, s.options.pgs_tolerance, contacts, dry);
 }
 
 // Writes the forces, and keeps the impulses for the next step.
@@ -320,6 +370,8 @@ void PgsContacts::keep(const ContactRows& c, float dt, Vec3f* force) {
     if (force != nullptr) force[row.contact] = art::contact_force(row.frame, kept, dt);
     if (kept.normal > 0.0f && c.point_id != nullptr) kept_.push_back(kept);
   }
+  for (size_t i = 0; i < friction_.size(); ++i)
+    kept_friction(static_cast<int32_t>(i)) = friction_rows_[i].impulse;
 }
 
 void PgsContacts::step(const ArticulationStepArguments& a, const Model& m,
@@ -328,6 +380,7 @@ void PgsContacts::step(const ArticulationStepArguments& a, const Model& m,
   const art::StepInputs<float> in = articulation_inputs(a.in);
   const art::StepOptions<float> how = articulation_options(a.in);
   const float dt = how.dt;
+  far_ = {};
   split_trees(alone != nullptr);
   warm_.assign(rows_.size(), -1);
   int32_t next = 0;
@@ -362,6 +415,7 @@ void PgsContacts::step(const ArticulationStepArguments& a, const Model& m,
     if (failed >= 0) return;
     art::free_rates(tree, in, how, ws);
     std::copy_n(ws.qd_next, rows.dof_count, rates);
+    std::fill_n(rates + width(i), width(i), 0.0f);
   });
   for (const int32_t i : together_)
     if (a.status[i] != 0) return rows_.clear();  // nothing was solved
@@ -401,14 +455,20 @@ void PgsContacts::step(const ArticulationStepArguments& a, const Model& m,
   }
   sweeps_ = 0;
   residual_ = 0.0f;
-  for (size_t i = 0; i < island_sweeps_.size(); ++i) {
-    sweeps_ = std::max(sweeps_, island_sweeps_[i]);
-    residual_ = std::max(residual_, island_residual_[i]);
+  for (size_t i = 0; i < island_results_.size(); ++i) {
+    const art::IslandResult& of = island_results_[i];
+    sweeps_ = std::max(sweeps_, of.sweeps);
+    residual_ = std::max(residual_, of.residual);
+    if (!art::far_from_converged(of.residual, of.largest, options.pgs_tolerance) ||
+        of.residual <= far_.residual)
+      continue;
+    far_ = {of.sweeps, of.residual, of.largest, hardest_row(static_cast<int64_t>(i))};
   }
-  keep(contacts, dt, force);
+  if (std::all_of(a.status, a.status + count_, [](int32_t status) { return status == 0; }))
+    keep(contacts, dt, force);
 
   for_trees([&](int32_t i, const ArticulationRows& rows, const art::Tree<float>& tree,
-                art::Workspace<float>& ws, const float* rates) {
+                art::Workspace<float>& ws, float* rates) {
     const int32_t failed = art::take_rates(rates, in.qd + rows.first_dof, dt, rows.dof_count, ws);
     if (failed >= 0) a.status[i] = 1 + failed + rows.first_dof;
     if (failed >= 0) return;

@@ -3,6 +3,7 @@
 // nothing depends on the number of threads.
 #pragma once
 
+#include <string>
 #include <vector>
 
 #include "articulation_kernels.h"
@@ -20,6 +21,16 @@ namespace novaphy {
 
 using articulation::ContactRows;
 ContactRows contact_rows(const Contacts* contacts);  // host pointers; null: none
+
+// The island of a step that is the farthest from converged (pgs.h); without sweeps none is far.
+// `at` is its contact that pushes most, or -1 - that dof whose dry friction does.
+struct FarIsland {
+  int32_t sweeps = 0;
+  float residual = 0.0f, largest = 0.0f;
+  int32_t at = 0;
+};
+std::string describe(const FarIsland& of, const Model& model, const Articulations& articulations,
+                     const ContactRows& contacts);
 
 // Gradients of what only contacts and dry friction read; null: nobody wants it. They are added to.
 struct ContactGradient {
@@ -74,6 +85,9 @@ class PgsContacts : private TreeContacts {
   // of a last sweep.
   int32_t sweeps() const { return sweeps_; }
   float residual() const { return residual_; }
+  FarIsland far_island() const { return far_; }  // of the last step
+  // The largest force of a contact in the last step that had some, as text; empty: there was none.
+  std::string largest_force(const Model& model) const;
 
  private:
   using Side = articulation::ContactSide;
@@ -82,7 +96,6 @@ class PgsContacts : private TreeContacts {
   };
   struct Friction {
     int32_t tree = 0, dof = 0;  // of the tree
-    float impulse = 0.0f;
   };
   struct Step;
   struct AdjointIsland;
@@ -90,7 +103,7 @@ class PgsContacts : private TreeContacts {
   int32_t count(int64_t tree) const override;
   int32_t fill(int64_t tree, int32_t i, float* numbers, int32_t stride) override;
   void take(int64_t tree, int32_t i, const float* impulses, int32_t stride) override;
-  void solved(int64_t tree, int32_t sweeps, float residual) override;
+  void solved(int64_t tree, const articulation::IslandResult& result) override;
   void split_trees(bool alone);
   bool renew_tree(const Step& step, int32_t tree, int32_t round);
   static Step make_step(const ArticulationArguments& in, const Model& model,
@@ -100,12 +113,17 @@ class PgsContacts : private TreeContacts {
   void gather(const Model& model, const ContactRows& contacts, const ArticulationArguments* from);
   void find_islands();
   void build_row(const Step& step, Row& row);
+  int32_t hardest_row(int64_t island) const;    // FarIsland::at
   void set_target(const Step& step, Row& row);  // behind it, at the rates without impulses
   void place_friction();
   void build_friction(const Step& step, int32_t row);
   void add_material_gradients(const Step& step, const Row& row, const ContactGradient& to) const;
   void add_friction_gradients(float* to);
   const articulation::KeptContact* kept_of(size_t row) const;  // null: it starts from nothing
+  float& kept_friction(int32_t row) {
+    const Friction& f = friction_[static_cast<size_t>(row)];
+    return kept_friction_[static_cast<size_t>(trees_[f.tree].first_dof + f.dof)];
+  }
   void solve_island(const Step& step, int64_t island);
   void keep(const ContactRows& contacts, float dt, Vec3f* force);
   void solve_adjoint(int64_t island, bool cone);
@@ -124,7 +142,7 @@ class PgsContacts : private TreeContacts {
   std::vector<Side> of_body_;
   std::vector<uint64_t> memory_;       // workspaces
   std::vector<int64_t> memory_begin_;  // of each tree, in words
-  std::vector<float> rates_;           // of each tree, padded
+  std::vector<float> rates_;           // of each tree, padded, and shifts likewise
   std::vector<int64_t> rates_begin_;
   ArrayStamp friction_stamp_;
   std::vector<Friction> friction_;
@@ -141,10 +159,10 @@ class PgsContacts : private TreeContacts {
   std::vector<char> island_joined_;  // more than one tree with the world, or what only we have
   std::vector<int32_t> root_, island_of_tree_, island_of_row_, island_of_friction_;
   IndexRows island_rows_, island_friction_;
-  std::vector<int32_t> island_sweeps_;
-  std::vector<float> island_residual_;
+  std::vector<articulation::IslandResult> island_results_;
   std::vector<articulation::KeptContact> kept_;  // of the step before
   std::vector<int32_t> warm_;                    // of each row, find_kept
+  std::vector<float> kept_friction_;             // of the step before, of each dof
   float kept_dt_ = 0.0f;
   std::vector<uint64_t> adjoint_;  // memory of all trees, of vjp
   std::vector<int64_t> adjoint_begin_;
@@ -152,6 +170,7 @@ class PgsContacts : private TreeContacts {
   std::vector<float> friction_push_;  // of each dof: friction_push
   int32_t sweeps_ = 0;
   float residual_ = 0.0f;
+  FarIsland far_;
 };
 
 }  // namespace novaphy

@@ -26,15 +26,24 @@ struct Held {
 };
 struct Island {
   std::span<const int32_t> rows, friction;
-  const std::vector<art::DualContact>& contacts;
+  std::vector<art::DualContact>& contacts;
   const std::vector<Held>& held;
   std::vector<double>& memory;
   template <class F>
+  void for_rows(const F& f) const {
+    for (const int32_t i : rows) f(contacts[static_cast<size_t>(i)]);
+  }
+  template <class F>
   void for_contacts(const F& f) const {
-    for (const int32_t i : rows) {
-      const art::DualContact& row = contacts[static_cast<size_t>(i)];
+    for_rows([&](art::DualContact& row) {
       if (row.solver.impulse[0] > 0.0f) f(row);
-    }
+    });
+  }
+  template <class F>
+  void for_shifted(const F& f) const {
+    for_rows([&](art::DualContact& row) {
+      if (row.solver.shifted > 0.0f) f(row);
+    });
   }
   template <class F>
   void for_held(const F& f) const {
@@ -82,10 +91,16 @@ void PgsContacts::jvp(const std::vector<art::Tree<DualFloat>>& trees, const Dual
   }
   for (size_t i = 0; i < trees.size(); ++i)
     art::push_absent_friction(trees[i], ws[i], of.joint_friction, dt);
-  for (int64_t i = 0; i < static_cast<int64_t>(island_sweeps_.size()); ++i)
-    art::solve_dual_island(
-        all, Island{island_rows_.items(i), island_friction_.items(i), rows, held, system_},
-        law.cone);
+  const auto for_islands = [&](const auto& f) {
+    for (int64_t i = 0; i < static_cast<int64_t>(island_results_.size()); ++i)
+      f(Island{island_rows_.items(i), island_friction_.items(i), rows, held, system_});
+  };
+  for_islands([&](const Island& island) { art::solve_dual_island(all, island, law.cone); });
+  for (size_t i = 0; i < trees.size(); ++i) {
+    std::fill_n(ws[i].bias, trees[i].dof_count, DualFloat());
+    ws[i].shift = ws[i].bias;
+  }
+  for_islands([&](const Island& island) { art::add_dual_shifts(all, island); });
 }
 
 }  // namespace novaphy

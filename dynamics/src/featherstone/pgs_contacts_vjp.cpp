@@ -35,9 +35,10 @@ void PgsContacts::add_branches(ContactBranches& to, const FeatherstoneOptions& o
   art::BranchNotes notes;
   for (const Row& row : rows_) art::note_contact(law, by_restitution, row, notes);
   for (size_t i = 0; i < friction_.size(); ++i) art::note_friction(friction_rows_[i], notes);
-  for (size_t island = 0; notes.exact != 0 && island < island_sweeps_.size(); ++island)
+  for (size_t island = 0; notes.exact != 0 && island < island_results_.size(); ++island)
     if (sharing_matters(static_cast<int64_t>(island), law.cone)) notes.exact = 0;
   notes.residual = residual_;
+  notes.far = far_.sweeps > 0 ? 1 : 0;
   art::note_step(notes, to);
 }
 
@@ -56,6 +57,11 @@ struct PgsContacts::AdjointIsland {
       if (Row& row = all.rows_[static_cast<size_t>(i)]; row.solver.impulse[0] > 0.0f) f(row);
   }
   template <class F>
+  void for_shifted(const F& f) const {
+    for (const int32_t i : all.island_rows_.items(island))
+      if (Row& row = all.rows_[static_cast<size_t>(i)]; row.solver.shifted > 0.0f) f(row);
+  }
+  template <class F>
   void for_held(const F& f) const {
     for (const int32_t i : all.island_friction_.items(island)) {
       const auto& row = all.friction_rows_[static_cast<size_t>(i)];
@@ -68,6 +74,7 @@ struct PgsContacts::AdjointIsland {
     return all.system_.data();
   }
   float* rate_gradient(int32_t tree) const { return all.adjoint(tree).rate; }
+  float* move_gradient(int32_t tree) const { return all.adjoint(tree).scratch + dofs(tree); }
   int32_t dofs(int32_t tree) const { return all.trees_[tree].dof_count; }
 };
 
@@ -118,6 +125,11 @@ void PgsContacts::vjp(const ArticulationStepVjpArguments& a, const Model& m,
                       const FeatherstoneOptions& options, const ContactGradient& more) {
   const art::StepInputs<float> in = articulation_inputs(a.in);
   const art::StepOptions<float> how = articulation_options(a.in);
+  const auto start = [&](const art::Tree<float>& tree, art::Workspace<float>& ws,
+                         art::AdjointMemory<float>& memory) {
+    art::step_vjp_rates(tree, in, how, a.qdd, a.branch, a.q_next, a.qd_next, a.out, ws, memory);
+    art::step_vjp_dynamics(tree, in, how, ws);
+  };
   if (adjoint_.empty()) {
     int64_t words = 0;
     for (int64_t i = 0; i < count_; ++i) {
@@ -138,10 +150,11 @@ void PgsContacts::vjp(const ArticulationStepVjpArguments& a, const Model& m,
   };
   for_trees([&](const ArticulationRows& rows, const art::Tree<float>& tree,
                 art::Workspace<float>& ws, art::AdjointMemory<float>& memory, float* rates) {
-    art::step_vjp_rates(tree, in, how, a.qdd, a.branch, a.q_next, a.qd_next, a.out, ws, memory);
-    art::step_vjp_dynamics(tree, in, how, ws);
+    start(tree, ws, memory);
     for (int32_t k = 0; k < rows.dof_count; ++k)
       rates[k] = in.qd[rows.first_dof + k] + how.dt * ws.qdd[k];
+    const int32_t padded = art::padded_dofs(rows.dof_count);
+    std::fill_n(rates + padded, padded, 0.0f);
   });
 
   const Step s = make_step(a.in, m, contacts, options, 1.0f);
@@ -166,7 +179,34 @@ void PgsContacts::vjp(const ArticulationStepVjpArguments& a, const Model& m,
   apply(-1.0f);
   for (Row& row : rows_) set_target(s, row);
   apply(1.0f);
-  const auto islands = static_cast<int64_t>(island_sweeps_.size());
+  const auto islands = static_cast<int64_t>(island_results_.size());
+  bool shifts = false;
+  for (int64_t i = 0; i < islands; ++i) {
+    const std::span<const int32_t> of = island_rows_.items(i);
+    art::sweep_shifts([&](const auto& f) {
+      for (const int32_t k : of) f(rows_[static_cast<size_t>(k)].solver);
+    });
+    for (const int32_t k : of)
+      shifts = shifts || rows_[static_cast<size_t>(k)].solver.shifted > 0.0f;
+  }
+  const auto tree_of = [&](int32_t tree) { return island_tree(a.in, tree); };
+  const auto memory_of = [&](int32_t tree) { return adjoint(tree); };
+  if (shifts) {
+    for_trees([&](const ArticulationRows& rows, const art::Tree<float>& tree,
+                  art::Workspace<float>& ws, art::AdjointMemory<float>& memory, float* rates) {
+      ws.shift = rates + art::padded_dofs(rows.dof_count);
+      start(tree, ws, memory);
+    });
+    for (int64_t i = 0; i < islands; ++i) art::solve_shift_adjoint(AdjointIsland{*this, i});
+    for (const Row& row : rows_)
+      if (row.solver.shifted > 0.0f) art::add_softness_gradient(row, how.dt, tree_of, memory_of);
+    for_trees([&](const ArticulationRows&, const art::Tree<float>& tree, art::Workspace<float>& ws,
+                  art::AdjointMemory<float>& memory, const float* rates) {
+      art::set_shift_motions(tree, in, how, rates, ws, memory);
+    });
+    for (const Row& row : rows_)
+      if (row.solver.shifted > 0.0f) art::add_shift_geometry(row, how.dt, tree_of, memory_of);
+  }
   for (int64_t i = 0; i < islands; ++i) solve_adjoint(i, s.law.cone);
 
   for_trees([&](const ArticulationRows&, const art::Tree<float>& tree, art::Workspace<float>& ws,
@@ -175,10 +215,8 @@ void PgsContacts::vjp(const ArticulationStepVjpArguments& a, const Model& m,
     art::set_contact_motions(tree, rates, ws, memory);
   });
   for (const Row& row : rows_) {
-    if (!(row.solver.impulse[0] > 0.0f)) continue;
-    art::add_contact_geometry(
-        row, how.dt, [&](int32_t tree) { return island_tree(a.in, tree); },
-        [&](int32_t tree) { return adjoint(tree); });
+    if (!art::has_geometry(row)) continue;
+    art::add_contact_geometry(row, how.dt, tree_of, memory_of);
     add_material_gradients(s, row, more);
   }
   if (more.joint_friction != nullptr) add_friction_gradients(more.joint_friction);

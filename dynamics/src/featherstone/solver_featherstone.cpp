@@ -11,6 +11,7 @@
 #include "launched_articulations.h"
 #include "novaphy/core/error.h"
 #include "novaphy/core/storage.h"
+#include "novaphy/core/warning.h"
 #include "novaphy/dynamics/semi_implicit/contact_stability.h"
 #include "pgs_contacts.h"
 #include "tree_steps.h"
@@ -88,6 +89,16 @@ struct SolverFeatherstone::Cache {
   RigidBodies penalty;
   // Of bodies on FREE joints: those that others hold have more than their own mass.
   std::vector<uint8_t> free_bodies;
+  bool warned = false;  // of the residual
+  void warn_of_residual(const Model& m, const ContactRows& rows) {
+    const FarIsland far = pgs.far_island();
+    if (warned || far.sweeps == 0) return;
+    warned = true;
+    warn_of(kName, ": contacts and dry friction of joints have not converged: ",
+            describe(far, m, articulations, rows),
+            ". Loads may sink in or creep: raise pgs_iterations, shorten dt, or bring masses that "
+            "touch nearer to each other. pgs_residual has it of every step, this warning of one");
+  }
   ContactWatch watch{kName, "lower dt, ke or kd, or take contact=\"pgs\""};
   UnreadMaterials materials;
   std::vector<Transformf> body_q;
@@ -211,14 +222,17 @@ void SolverFeatherstone::step(SimState& state_in, SimState& state_out, const Con
   // One articulation that fails writes nothing; the others have written theirs by then.
   const bool several = c.all.size() > 1;
   if (several) c.earlier.keep(state_out);
-  if (c.pgs.prepare(m, rows, &a.in))
+  if (c.pgs.prepare(m, rows, &a.in)) {
     c.pgs.step(a, m, rows, options_, force, &c.trees);
-  else
+    c.warn_of_residual(m, rows);
+  } else {
     c.trees.step(a, m, c.all, options_, nullptr);
+  }
   const bool failed =
       std::any_of(c.status.begin(), c.status.end(), [](int32_t s) { return s != 0; });
   if (failed && several) c.earlier.restore(state_out);
-  check_status(m, c.articulations, c.status, kName);
+  if (failed)
+    check_exploded(m, c.articulations, c.status, state_in, dt, c.pgs.largest_force(m), kName);
   mark_unrecorded_step(m, state_in, state_out, control);
 }
 

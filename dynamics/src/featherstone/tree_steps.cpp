@@ -328,14 +328,15 @@ void TreeSteps::single(const ArticulationStepArguments& a, int64_t tree_row,
       art::TreeContactResult<float> result;
       for (int32_t round = 0; failed < 0; ++round) {
         result = solve(tree, ws, options, how.dt, found, links, count, in.qd + rows.first_dof, m);
-        for (int32_t k = 0; failed < 0 && k < rows.dof_count; ++k)
-          if (!art::is_finite(ws.qd_next[k])) failed = k;
+        ws.shift = m.shift;
+        failed = art::first_not_finite(ws, rows.dof_count);
         if (failed >= 0 || !art::renew_tree(tree, in, how, found, count, m, round, ws)) break;
         failed = solve_accelerations(tree, in, how, ws);
         if (failed < 0) art::free_rates(tree, in, how, ws);
       }
       for (int32_t i = 0; i < count; ++i) contacts->take(tree_row, i, m.rows[i].impulse, 1);
-      contacts->solved(tree_row, static_cast<int32_t>(result.sweeps), result.residual);
+      contacts->solved(tree_row,
+                       {static_cast<int32_t>(result.sweeps), result.residual, result.largest});
     }
   }
   a.status[tree_row] = failed < 0 ? 0 : 1 + failed + rows.first_dof;
@@ -407,7 +408,7 @@ bool TreeSteps::lanes(const ArticulationStepArguments& a, const Model& m, const 
   const int64_t found = pack.contacts * kContactNumbers * lanes;
   const int64_t own = int64_t{shape.constant_begin[art::kTreeConstants]} * lanes;
   auto* const bytes = static_cast<unsigned char*>(
-      memory.aligned(state + (found + own + (3 + 1) * pack.contacts * lanes + 2 * lanes + 64) * 4));
+      memory.aligned(state + (found + own + (3 + 1) * pack.contacts * lanes + 3 * lanes + 64) * 4));
   auto* const inputs = reinterpret_cast<float*>(bytes + (state + 63) / 64 * 64);
   float* const constants = inputs + found;
   float* const impulses = constants + own;
@@ -450,6 +451,7 @@ bool TreeSteps::lanes(const ArticulationStepArguments& a, const Model& m, const 
     s.impulses = impulses;
     s.sweeps = results;
     s.residual = results + lanes;
+    s.largest = results + 2 * lanes;
   }
   s.memory = bytes;
   if (!level_.step(s)) return false;
@@ -458,7 +460,8 @@ bool TreeSteps::lanes(const ArticulationStepArguments& a, const Model& m, const 
     a.status[tree] = 0;
     for (int32_t c = 0; c < count; ++c)
       contacts->take(tree, c, impulses + 3 * c * lanes + l, lanes);
-    if (count > 0) contacts->solved(tree, static_cast<int32_t>(s.sweeps[l]), s.residual[l]);
+    if (count > 0)
+      contacts->solved(tree, {static_cast<int32_t>(s.sweeps[l]), s.residual[l], s.largest[l]});
   }
   return true;
 }

@@ -26,7 +26,7 @@ class TreeContacts {
   virtual int32_t fill(int64_t tree, int32_t i, float* numbers, int32_t stride) = 0;
   // Its impulses along n, t1, t2, `stride` apart.
   virtual void take(int64_t tree, int32_t i, const float* impulses, int32_t stride) = 0;
-  virtual void solved(int64_t tree, int32_t sweeps, float residual) = 0;
+  virtual void solved(int64_t tree, const articulation::IslandResult& result) = 0;
 
  protected:
   ~TreeContacts() = default;

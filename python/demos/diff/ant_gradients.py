@@ -214,7 +214,11 @@ class ExactFrames:
     def __init__(self, ants: AntWorlds) -> None:
         """For a batch of worlds, whose solver and states are taken."""
         self.ants, self.worlds = ants, ants.num_worlds
-        self.solver = novaphy.solvers.DiffFeatherstoneSolver(ants.model, **ants.solver_options)
+        # Feet that slide and stick at once go round in the sweeps of some steps: one such step must
+        # not end a training. `label` tells how many steps are exact.
+        self.solver = novaphy.solvers.DiffFeatherstoneSolver(
+            ants.model, **ants.solver_options, allow_unconverged=True
+        )
         self.lead = None  # as of FrozenFrames; called once a frame, for its middle
 
     def vary(self, **values: float) -> None:

@@ -17,9 +17,11 @@ namespace novaphy::diff {
 // more.
 class NOVAPHY_DIFF_API DiffFeatherstoneSolver : public DiffSolverBase {
  public:
-  // Errors as SolverFeatherstone.
+  // Errors as SolverFeatherstone. `allow_unconverged`: gradients of steps whose sweeps ended far
+  // from converged do not throw.
   explicit DiffFeatherstoneSolver(std::shared_ptr<const Model> model,
-                                  const FeatherstoneOptions& options = {});
+                                  const FeatherstoneOptions& options = {},
+                                  bool allow_unconverged = false);
 
   const FeatherstoneOptions& options() const { return options_; }
   // Of the contacts of all steps since the last clear: what their gradients are.
@@ -48,6 +50,7 @@ class NOVAPHY_DIFF_API DiffFeatherstoneSolver : public DiffSolverBase {
   bool poses_follow(const SimState& state);
 
   FeatherstoneOptions options_;
+  bool allow_unconverged_;
   ArticulationStep step_;
   std::shared_ptr<SimState> poses_;  // memory of poses_follow
   int32_t rollout_contacts_ = 0;     // at most, in a step of the rollout that has begun

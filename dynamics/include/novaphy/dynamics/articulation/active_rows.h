@@ -136,6 +136,7 @@ inline double coupling(const PgsContact<float>& a, int i, const PgsContact<float
 // What branches the rows of a step have, or of a part of one: ContactBranches of it.
 struct BranchNotes {
   int32_t rows = 0, exact = 1;  // 0: a branch is too near; without regard to `held`
+  int32_t far = 0;              // an island is far from converged
   int32_t held = 0, breaking = 0, sticking = 0, sliding = 0;
   float normal_margin = ContactBranches::kNone, gap_margin = ContactBranches::kNone,
         cone_margin = ContactBranches::kNone, slip_margin = ContactBranches::kNone, residual = 0.0f;
@@ -145,6 +146,7 @@ inline void raise(float& to, float value) { to = to < value ? value : to; }
 inline void note_all(const BranchNotes& of, BranchNotes& to) {
   to.rows += of.rows;
   if (of.exact == 0) to.exact = 0;
+  if (of.far != 0) to.far = 1;
   to.held += of.held;
   to.breaking += of.breaking;
   to.sticking += of.sticking;
@@ -159,6 +161,7 @@ inline void note_all(const BranchNotes& of, BranchNotes& to) {
 inline void note_step(const BranchNotes& of, ContactBranches& to) {
   if (of.rows == 0) return;
   ++to.steps;
+  to.unconverged += of.far;
   to.held += of.held;
   if (of.exact != 0 && of.residual < kConverged) ++(of.held == 0 ? to.exact : to.frozen);
   to.breaking += of.breaking;
@@ -180,15 +183,22 @@ inline void note_contact(const ContactLaw<float>& law, bool by_restitution,
   const bool at_slop = !law.compliant && law.slop > 0.0f && law.erp > 0.0f;
   const ContactBranch branch = branch_of(c, law.cone);
   const bool jumps = !row.elastic && row.before < -law.restitution_threshold;
-  bool exact = !(by_restitution && jumps);
+  const bool softened = c.cfm > row.target.cfm;  // by a part of what changes with q
+  bool exact = !(by_restitution && jumps) && !(branch.active && softened);
   ++to.rows;
   const float normal = branch.active ? c.impulse[0] * c.normal : math::abs(slip(c, 0) + c.bias);
   lower(to.normal_margin, normal);
   exact = exact && normal >= kNearNormal;
+  const float moves = moving_slip(c), left = moves + c.shift + c.softness * c.shifted;
+  const bool shifts = c.shifted > 0.0f;
+  if (shifts || c.shift < c.bias || math::abs(moves - slip(c, 0)) > kNearNormal) {
+    exact = exact && (shifts ? c.shifted * c.normal >= kNearNormal && math::abs(left) < kConverged
+                             : left >= kNearNormal);
+  }
+  if (!row.follows && (branch.active || shifts)) ++to.held;
   if (branch.active) {
     const bool slides = branch.slides[0] || branch.slides[1];
     ++(slides ? to.sliding : to.sticking);
-    if (!row.follows) ++to.held;
     float gap = ContactBranches::kNone;
     if (at_contact) gap = math::abs(row.place.gap);
     if (at_slop) lower(gap, math::abs(row.place.gap + law.slop));

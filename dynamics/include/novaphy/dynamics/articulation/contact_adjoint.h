@@ -24,9 +24,63 @@
 namespace novaphy::articulation {
 
 struct AdjointContact : IslandContact {
-  Vec3f z{};     // multipliers of its equations
-  Vec3f pull{};  // B^T z, along n, t1, t2
+  Vec3f z{};             // multipliers of its equations
+  Vec3f pull{};          // B^T z, along n, t1, t2
+  float shift_z = 0.0f;  // multiplier of its shift
 };
+
+// Shifts (pgs.h) stand behind: with the gradient h of what moves the coordinates, the rows that
+// shift have  (J M^-1 J^T + softness) y = J M^-1 h,  and J^T y leaves h and so g. With
+// p_h = M^-1 (h - J^T y) and the shift p:
+//   -p_h . dM p + mu . (dJ of p_h) - y . (dJ of (v' + p) + d beta + d(softness) mu)
+// The softness is a part of j . M^-1 j of each side, which changes by 2 x . dj - x . dM x with
+// x = M^-1 j. Its small part by other axes is left out: it is 5e-5 of the shift.
+
+// y of an island, before solve_adjoint. Of `island`, besides what that takes:
+//   for_shifted(f)       f(contact), of the rows that shift, in their order
+//   move_gradient(tree)  h
+template <class Island>
+bool solve_shift_adjoint(const Island& island) {
+  int64_t n = 0;
+  island.for_shifted([&](const AdjointContact&) { ++n; });
+  if (n == 0) return true;
+  const int64_t width = n + 1;
+  double* const system = island.system(n * width);
+  if (system == nullptr) return false;
+  const auto for_sides = [&](const AdjointContact& at, const auto& f) {
+    for (int side = 0; side < 2; ++side)
+      if (at.solver.sides[side].width > 0) f(at.solver.sides[side], at.sides[side].tree);
+  };
+  double* row = system;
+  island.for_shifted([&](const AdjointContact& one) {
+    double* to = row;
+    island.for_shifted([&](const AdjointContact& other) {
+      *to = coupling(one.solver, 0, other.solver, 0);
+      if (&one == &other) *to += one.solver.softness;
+      ++to;
+    });
+    *to = 0.0;
+    for_sides(one, [&](const RowSide<float>& s, int32_t tree) {
+      const float* const h = island.move_gradient(tree);
+      for (int32_t x = 0; s.response != nullptr && x < island.dofs(tree); ++x)
+        *to += double{s.response[x]} * h[x];
+    });
+    row += width;
+  });
+  solve_dense(system, n);
+  int64_t k = 0;
+  island.for_shifted([&](AdjointContact& at) {
+    at.shift_z = static_cast<float>(system[k++ * width + n]);
+    for_sides(at, [&](const RowSide<float>& s, int32_t tree) {
+      float *const h = island.move_gradient(tree), *const g = island.rate_gradient(tree);
+      for (int32_t x = 0; x < island.dofs(tree); ++x) {
+        h[x] -= s.jacobian[x] * at.shift_z;
+        g[x] -= s.jacobian[x] * at.shift_z;
+      }
+    });
+  });
+  return true;
+}
 
 // The numbers of the system of an island.
 inline int64_t adjoint_numbers(int64_t contacts, int64_t held) {
@@ -171,10 +225,14 @@ inline void set_contact_motions(const Tree<float>& tree, const float* rates, Wor
 
 // A row's own change with q, and of a bounce with qd, into the gradients of its trees. The midpoint
 // moves with half of each core, and below a point that is followed with all of its movement along
-// the plane. tree_of(i) is an IslandTree, memory_of(i) an AdjointMemory.
+// the plane. tree_of(i) is an IslandTree, memory_of(i) an AdjointMemory; `signs`: of the sides in
+// the row, 0: it is not in the row, but moves the midpoint.
+struct RowSigns {
+  float of[2] = {-1.0f, 1.0f};
+};
 template <class TreeOf, class MemoryOf>
 void add_contact_geometry(const AdjointContact& row, float dt, const TreeOf& tree_of,
-                          const MemoryOf& memory_of) {
+                          const MemoryOf& memory_of, const RowSigns& signs = {}) {
   const Vec3f* const axes = row.frame.axes;
   const auto world = [&](float x, float y, float z) {
     return axes[0] * x + (axes[1] * y + axes[2] * z);
@@ -182,26 +240,27 @@ void add_contact_geometry(const AdjointContact& row, float dt, const TreeOf& tre
   const float* const impulse = row.solver.impulse;
   const float normal = row.z.x;
   const Vec3f push = world(impulse[0], impulse[1], impulse[2]) * (1.0f / dt);
-  const Vec3f bounce = axes[0] * (normal * row.target.bounce);
+  const Vec3f bounce =
+      axes[0] * (normal * row.target.bounce + row.shift_z * row.target.shift_bounce);
   const Vec3f forces[3] = {-push, world(row.pull.x, row.pull.y, row.pull.z), bounce};
   const Vec3f points[2] = {row.place.a, row.place.b};
   SpatialVectorf motions[2][3] = {};
   Vec3f by_point{};  // how the sum changes with the midpoint
   for (int side = 0; side < 2; ++side) {
     const ContactSide& at = row.sides[side];
-    if (at.tree < 0) continue;
+    if (at.tree < 0 || signs.of[side] == 0.0f) continue;
     const LinkState<float>& s = tree_of(at.tree).ws.links[at.link];
     const SpatialVectorf of[3] = {s.w, s.a_adjoint, s.v};
     for (int f = 0; f < 3; ++f) {
       motions[side][f] = of[f];
-      by_point = by_point + math::cross(forces[f], of[f].angular) * (side == 0 ? -0.5f : 0.5f);
+      by_point = by_point + math::cross(forces[f], of[f].angular) * (0.5f * signs.of[side]);
     }
   }
   if (row.follows) by_point = by_point * 2.0f - axes[0] * math::dot(axes[0], by_point);
   for (int side = 0; side < 2; ++side) {
     const ContactSide& at = row.sides[side];
     if (at.tree < 0) continue;
-    const float sign = side == 0 ? -1.0f : 1.0f;
+    const float sign = signs.of[side];
     const Vec3f by_core = by_point + axes[0] * (sign * normal * row.target.slope);
     const IslandTree of = tree_of(at.tree);
     const Tree<float>& tree = of.tree;
@@ -213,7 +272,7 @@ void add_contact_geometry(const AdjointContact& row, float dt, const TreeOf& tre
       // The rates of a FREE joint are about its centre of mass, which moves with its translation
       // and with body_com: how they turn, without what carries the joint.
       Vec3f turning[3] = {};
-      if (is_free(link)) {
+      if (is_free(link) && sign != 0.0f) {
         Vec3f by_com{};
         for (int f = 0; f < 3; ++f) {
           turning[f] = own[f].angular;
@@ -232,7 +291,7 @@ void add_contact_geometry(const AdjointContact& row, float dt, const TreeOf& tre
         const int32_t k = local_dof(tree, link) + j;
         const SpatialVectorf& axis = of.ws.axes[k];
         float sum = math::dot(by_core, math::motion_at(axis, row.cores[side]).linear);
-        for (int f = 0; f < 3; ++f) {
+        for (int f = 0; sign != 0.0f && f < 3; ++f) {
           SpatialVectorf d = math::cross_motion(axis, motions[side][f] - own[f]);
           if (is_free(link) && j < 3) d.linear = d.linear + math::cross(axis.linear, turning[f]);
           sum += sign * math::dot(forces[f], math::motion_at(d, points[side]).linear);
@@ -243,6 +302,84 @@ void add_contact_geometry(const AdjointContact& row, float dt, const TreeOf& tre
       }
     }
   }
+}
+
+// -y mu d(softness) of a row that shifts, behind solve_shift_adjoint, into the gradients of its
+// trees. The motions of their links are other ones then.
+template <class TreeOf, class MemoryOf>
+void add_softness_gradient(const AdjointContact& row, float dt, const TreeOf& tree_of,
+                           const MemoryOf& memory_of) {
+  const float weight = -kShiftSoftness * row.shift_z * row.solver.shifted;
+  AdjointContact of;
+  of.follows = row.follows;
+  of.frame = row.frame;
+  of.place = row.place;
+  of.solver.impulse[0] = 2.0f * dt;
+  const bool itself = row.sides[0].tree == row.sides[1].tree;
+  for (int side = 0; side < 2; ++side) {
+    of.sides[side] = row.sides[side];
+    of.cores[side] = row.cores[side];
+  }
+  for (int side = 0; side < 2; ++side) {
+    const ContactSide& at = row.sides[side];
+    const RowSide<float>& whole = row.solver.sides[itself ? 0 : side];
+    if (at.tree < 0 || whole.response == nullptr) continue;
+    const IslandTree on = tree_of(at.tree);
+    const Tree<float>& tree = on.tree;
+    Workspace<float> ws = on.ws;
+    AdjointMemory<float> memory = memory_of(at.tree);
+    const int32_t n = tree.dof_count;
+    RowSigns signs{{0.0f, 0.0f}};
+    signs.of[side] = RowSigns{}.of[side];
+    float *const lambda = memory.scratch, *const x = lambda + 2 * n;
+    for (int32_t k = 0; k < n; ++k) x[k] = itself ? 0.0f : whole.response[k];
+    if (itself) {
+      const Vec3f normal = row.frame.axes[0] * signs.of[side];
+      const Vec3f point = side == 0 ? row.place.a : row.place.b;
+      for (int32_t k = last_dof(tree, at.link); k >= 0; k = tree.dof_parent[k])
+        x[k] = math::dot(normal, math::motion_at(ws.axes[k], point).linear);
+      solve(tree, ws.matrix, x);
+    }
+    for (int32_t k = 0; k < n; ++k) lambda[k] = weight * x[k];
+    matrix_vjp(tree, ws, memory);
+    set_contact_motions(tree, x, ws, memory);
+    add_contact_geometry(of, dt, tree_of, memory_of, signs);
+  }
+}
+// What the shifts of a tree do to its mass matrix, and the motions for add_shift_geometry, behind
+// the softness. `rates`: with the shifts behind them.
+inline void set_shift_motions(const Tree<float>& tree, const StepInputs<float>& in,
+                              const StepOptions<float>& options, const float* rates,
+                              Workspace<float>& ws, AdjointMemory<float>& memory) {
+  const int32_t n = tree.dof_count;
+  const float* const shift = rates + padded_dofs(n);
+  float *const lambda = memory.scratch, *const h = lambda + n, *const x = h + n;
+  for (int32_t k = 0; k < n; ++k) {
+    lambda[k] = options.dt * h[k];
+    x[k] = shift[k] / options.dt;
+  }
+  solve(tree, ws.matrix, lambda);
+  matrix_vjp(tree, ws, memory);
+  step_vjp_dynamics(tree, in, options, ws);
+  for (int32_t k = 0; k < n; ++k) x[k] = rates[k] + shift[k];
+  set_contact_motions(tree, x, ws, memory);
+}
+// As add_contact_geometry, of a row that shifts.
+template <class TreeOf, class MemoryOf>
+void add_shift_geometry(const AdjointContact& row, float dt, const TreeOf& tree_of,
+                        const MemoryOf& memory_of) {
+  AdjointContact of = row;
+  of.solver.impulse[0] = row.solver.shifted;
+  of.solver.impulse[1] = of.solver.impulse[2] = 0.0f;
+  of.z = of.pull = {row.shift_z, 0.0f, 0.0f};
+  of.target.slope = row.target.shift_slope;
+  of.target.bounce = of.target.shift_bounce = 0.0f;  // with those of the rates
+  add_contact_geometry(of, dt, tree_of, memory_of);
+}
+// Whether add_contact_geometry has something of a row behind the rates' adjoint.
+inline bool has_geometry(const AdjointContact& row) {
+  return row.solver.impulse[0] > 0.0f ||
+         (row.solver.shifted > 0.0f && row.target.shift_bounce > 0.0f);
 }
 
 // -z . d(rows)/dp of a contact, of which each of the two shapes gets this: they are half of their
@@ -263,7 +400,10 @@ inline MaterialGradient material_gradient(const ContactLaw<float>& law,
   double by_friction[2];
   rows_by_friction(c, branch, law.cone, along, by_friction);
   to.mu = half(-(z[1] * by_friction[0] + z[2] * by_friction[1]));
-  if (row.target.bounce > 0.0f) to.restitution = half(-z[0] * row.before);
+  if (row.target.bounce > 0.0f) {
+    const float y = row.target.shift_bounce > 0.0f ? row.shift_z : 0.0f;
+    to.restitution = half(-(z[0] + y) * row.before);
+  }
   if (!law.compliant) return to;
   const double dt = law.dt, soft = dt * of.stiffness + of.damping;
   const bool spring =
@@ -274,11 +414,11 @@ inline MaterialGradient material_gradient(const ContactLaw<float>& law,
   return to;
 }
 
-// How lambda of a dof changes with its friction: it slides against it, or would if it had some.
-// `has`: it has some, with this `impulse` of at most `limit`.
+// How lambda of a dof changes with its friction: it slides against it, or would if it had some; at
+// rest it would not. `has`: it has some, with this `impulse` of at most `limit`.
 inline float friction_push(bool has, float impulse, float limit, float rate) {
   if (has) return holds(impulse, limit) ? 0.0f : (impulse < 0.0f ? -1.0f : 1.0f);
-  return rate > 0.0f ? -1.0f : (rate < 0.0f ? 1.0f : 0.0f);
+  return rate > kLeastSlip ? -1.0f : (rate < -kLeastSlip ? 1.0f : 0.0f);
 }
 
 }  // namespace novaphy::articulation

@@ -11,6 +11,7 @@ struct ContactBranches {
   // Those whose gradient is exact, and those where it would be if `held` contacts moved as the
   // search moves them: they push, and their points and normals are frozen.
   int64_t exact = 0, frozen = 0, held = 0;
+  int64_t unconverged = 0;  // those that are far from converged (pgs.h)
   int64_t breaking = 0, sticking = 0, sliding = 0;
   float normal_margin = kNone;  // m/s: the least impulse, or speed of opening
   float gap_margin = kNone;     // m: of contacts that push, to where another law of gaps begins

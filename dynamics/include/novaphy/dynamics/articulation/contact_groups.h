@@ -70,9 +70,13 @@ struct ContactGroupArguments {
 inline int64_t tree_rates_offset(int32_t links, int32_t dofs) {
   return articulation::workspace_bytes<float>(links, dofs);
 }
+// Rates and shifts.
+inline int64_t tree_rates_bytes(int32_t dofs) {
+  return 2 * articulation::padded_dofs(dofs) * static_cast<int64_t>(sizeof(float));
+}
 inline int64_t island_tree_bytes(int32_t links, int32_t dofs) {
   const int64_t width = articulation::padded_dofs(dofs) * static_cast<int64_t>(sizeof(float));
-  return tree_rates_offset(links, dofs) + width +
+  return tree_rates_offset(links, dofs) + tree_rates_bytes(dofs) +
          dofs * (static_cast<int64_t>(sizeof(articulation::PgsJointFriction<float>)) + width);
 }
 inline int64_t island_adjoint_bytes(int32_t links, int32_t dofs) {
@@ -132,7 +136,7 @@ struct ContactGroup {
   }
   articulation::PgsJointFriction<float>* friction(int32_t i) const {
     return reinterpret_cast<articulation::PgsJointFriction<float>*>(
-        tree(i).rates + articulation::padded_dofs(rows(i).dof_count));
+        tree(i).rates + 2 * articulation::padded_dofs(rows(i).dof_count));
   }
   bool has_friction(int32_t i, int32_t dof) const {
     return rows(i).moves != 0 && a.joint_friction[rows(i).first_dof + dof] > 0.0f;
@@ -247,9 +251,21 @@ struct ActiveIsland {
   int32_t root;
 
   template <class F>
-  void for_contacts(const F& f) const {
+  void for_rows(const F& f) const {
     for (int32_t place = s.a.nodes[root].first_row; place >= 0; place = s.a.chain[place].next)
-      if (s.row(place).solver.impulse[0] > 0.0f) f(s.row(place));
+      f(s.row(place));
+  }
+  template <class F>
+  void for_contacts(const F& f) const {
+    for_rows([&](auto& row) {
+      if (row.solver.impulse[0] > 0.0f) f(row);
+    });
+  }
+  template <class F>
+  void for_shifted(const F& f) const {
+    for_rows([&](auto& row) {
+      if (row.solver.shifted > 0.0f) f(row);
+    });
   }
   // Null: there is no room, and the group's status says for how many numbers.
   double* system(int64_t numbers) const {

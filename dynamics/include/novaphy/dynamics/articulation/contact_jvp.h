@@ -26,6 +26,7 @@ struct DualContact : IslandContact {
   DualSide moved[2];
   NormalTarget<DualFloat> goal;
   DualFloat mu;
+  float softness_tangent = 0.0f;
 };
 inline int64_t dual_contact_numbers(int32_t dofs) { return 12 * static_cast<int64_t>(dofs); }
 
@@ -132,6 +133,25 @@ void build_dual_contact(const ContactRows& c, const Trees& trees, const DualFloa
     response_rows(tree, w.matrix, itself ? -1 : last_dof(tree, row.sides[side].link), m.dofs,
                   m.jacobian, m.response);
   }
+  PgsContact<float>& solver = row.solver;
+  const auto product = [&](int i, int j) {
+    return static_cast<float>(dual_coupling(row, i, row, j));
+  };
+  solver.normal = solver.apart = product(0, 0);
+  solver.tangent[0] = product(1, 1);
+  solver.tangent[1] = product(1, 2);
+  solver.tangent[2] = product(2, 2);
+  DualFloat apart(0.0f);
+  for (const DualSide& m : row.moved)
+    for (int32_t k = 0; k < m.dofs; ++k) apart = apart + m.jacobian[k] * m.response[k];
+  if (itself && row.moved[0].tree >= 0) {
+    const int32_t i = row.moved[0].tree;
+    const DualFloat shared = shared_in_tree(trees.tree(i), trees.workspace(i), row.sides[0].link,
+                                            place.a, normal, row.moved[0].response);
+    solver.apart += shared.value;
+    apart = apart + shared;
+  }
+  row.softness_tangent = kShiftSoftness * apart.tangent;
   const auto mean = [&](const DualFloat* array) {
     return DualFloat(0.5f) * (array[c.shape0[at]] + array[c.shape1[at]]);
   };
@@ -140,8 +160,11 @@ void build_dual_contact(const ContactRows& c, const Trees& trees, const DualFloa
   row.goal = normal_target(law, material, place.gap, dual_slip(row, 0, trees, qd),
                            dual_slip<Trees>(row, 0, trees, nullptr));
   row.mu = material.friction;
+  row.solver.bias = row.goal.bias.value;
+  row.solver.shift = row.goal.shift.value;
   row.solver.cfm = row.goal.cfm.value;
   row.solver.friction = row.mu.value;
+  set_steps<float>(row.solver);
   row.solver.impulse[0] = impulse.x;
   row.solver.impulse[1] = impulse.y;
   row.solver.impulse[2] = impulse.z;
@@ -166,7 +189,7 @@ inline void push_absent_friction(const Tree<DualFloat>& tree, Workspace<DualFloa
   for (int32_t k = 0; k < tree.dof_count; ++k) {
     const DualFloat& limit = friction[tree.first_dof + k];
     const float rate = w.qd_next[k].value;
-    if (limit.value > 0.0f || limit.tangent == 0.0f || rate == 0.0f) continue;
+    if (limit.value > 0.0f || limit.tangent == 0.0f || math::abs(rate) <= kLeastSlip) continue;
     for (int32_t x = 0; x < tree.dof_count; ++x)
       answer[x] = DualFloat(0.0f, x == k ? (rate > 0.0f ? -dt : dt) * limit.tangent : 0.0f);
     solve(tree, w.matrix, answer);
@@ -254,6 +277,62 @@ bool solve_dual_island(const Trees& trees, const Island& island, bool cone) {
     DualFloat* const rates = trees.workspace(tree).qd_next;
     for (int32_t k = 0; k < trees.tree(tree).dof_count; ++k)
       rates[k] = rates[k] + response[k] * change;
+  });
+  return true;
+}
+
+// The shifts (pgs.h) of an island, behind solve_dual_island, into the workspaces' `bias`, which is
+// zero before. Of `island`, besides what that takes:
+//   for_rows(f), for_shifted(f)  f(DualContact) of all its contacts, of those that shift
+template <class Trees, class Island>
+bool add_dual_shifts(const Trees& trees, const Island& island) {
+  const auto slip_of = [&](const DualContact& row) {
+    DualFloat sum = dual_slip<Trees>(row, 0, trees, nullptr);
+    for (const DualSide& m : row.moved)
+      for (int32_t k = 0; m.tree >= 0 && k < m.dofs; ++k)
+        sum = sum + m.jacobian[k] * trees.workspace(m.tree).bias[k];
+    return sum;
+  };
+  const auto push = [&](const DualContact& row, const DualFloat& impulse) {
+    for (const DualSide& m : row.moved)
+      for (int32_t k = 0; m.tree >= 0 && k < m.dofs; ++k) {
+        DualFloat& to = trees.workspace(m.tree).bias[k];
+        to = to + m.response[k] * impulse;
+      }
+  };
+  bool overlap = false;
+  island.for_rows(
+      [&](const DualContact& row) { overlap = overlap || row.solver.shift < row.solver.bias; });
+  float moved = kShiftTolerance;
+  for (int32_t k = 0; overlap && k < kShiftSweeps && !(moved < kShiftTolerance); ++k) {
+    moved = 0.0f;
+    island.for_rows([&](DualContact& row) {
+      raise(moved, sweep_shift<float>(
+                       row.solver, true, [&] { return slip_of(row).value; },
+                       [&](float impulse) { push(row, DualFloat(impulse)); }));
+    });
+  }
+  int64_t n = 0, at = 0;
+  island.for_shifted([&](const DualContact&) { ++n; });
+  if (n == 0) return true;
+  const int64_t width = n + 1;
+  double* const system = island.system(n * width);
+  if (system == nullptr) return false;
+  island.for_shifted([&](const DualContact& row) {
+    double* const to = system + at++ * width;
+    int64_t column = 0;
+    island.for_shifted([&](const DualContact& other) {
+      to[column] = dual_coupling(row, 0, other, 0);
+      if (&row == &other) to[column] += row.solver.softness;
+      ++column;
+    });
+    to[n] = -(double{slip_of(row).tangent} + row.goal.shift.tangent +
+              double{row.softness_tangent} * row.solver.shifted);
+  });
+  solve_dense(system, n);
+  at = 0;
+  island.for_shifted([&](const DualContact& row) {
+    push(row, DualFloat(0.0f, static_cast<float>(system[at++ * width + n])));
   });
   return true;
 }

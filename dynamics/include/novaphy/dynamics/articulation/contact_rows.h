@@ -83,6 +83,24 @@ void add_point_rows(const Tree<T>& tree, const SpatialVector<T>* axes, int32_t l
   }
 }
 
+// Of a contact of a tree with itself: what J_n Y_n lacks of those of its two sides alone, summed,
+// by side A. `link`, `point`: of that; `response`: Y_n of both. Uses ws.rhs.
+template <class T>
+T shared_in_tree(const Tree<T>& tree, const Workspace<T>& ws, int32_t link, const Vec3<T>& point,
+                 const Vec3<T>& normal, const T* response) {
+  T* const x = ws.rhs;
+  for (int32_t k = 0; k < tree.dof_count; ++k) x[k] = T(0.0f);
+  T of_both = T(0.0f), alone = T(0.0f);
+  for (int32_t k = last_dof(tree, link); k >= 0; k = tree.dof_parent[k]) {
+    x[k] = -math::dot(normal, math::motion_at(ws.axes[k], point).linear);
+    of_both = of_both + x[k] * response[k];
+  }
+  solve(tree, ws.matrix, x);
+  for (int32_t k = last_dof(tree, link); k >= 0; k = tree.dof_parent[k])
+    alone = alone - x[k] * math::dot(normal, math::motion_at(ws.axes[k], point).linear);
+  return T(2.0f) * (alone - of_both);
+}
+
 // The responses Y {3, stride} of rows J, by the factor. J is zero but for `last` and the dofs above
 // it; -1: it may be anything.
 template <class T>

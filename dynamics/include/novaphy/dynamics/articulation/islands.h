@@ -142,7 +142,7 @@ inline bool follows_plane(const ContactRows& c, const int32_t* shape_type, int32
 struct IslandTree {
   Tree<float> tree;
   Workspace<float> ws;  // behind free_rates
-  float* rates;         // {padded_dofs}: ws.qd_next, which contacts change, and zeros
+  float* rates;         // {2, padded_dofs}: ws.qd_next, which contacts change, and shifts; zeros
   const float* qd;      // of before
   bool moves;           // by impulses
 };
@@ -231,6 +231,12 @@ void build_contact(const ContactRows& c, const TreeOf& tree_of, float* numbers,
   }
   row.before = before;
   set_diagonals(row.solver);
+  const RowSide<float>& inner = row.solver.sides[0];
+  if (itself && inner.response != nullptr) {
+    const IslandTree of = tree_of(row.sides[0].tree);
+    row.solver.apart +=
+        shared_in_tree(of.tree, of.ws, row.sides[0].link, place.a, normal, inner.response);
+  }
 }
 
 // What its normal wants, behind build_contact and at the rates without impulses.
@@ -238,6 +244,7 @@ inline void set_target(const ContactLaw<float>& law, const ContactMaterial<float
                        IslandContact& row) {
   row.target = normal_target(law, material, row.place.gap, row.before, slip(row.solver, 0));
   row.solver.bias = row.target.bias;
+  row.solver.shift = row.target.shift;
   row.solver.cfm = row.target.cfm;
   row.solver.friction = material.friction;
   row.elastic = material.restitution > 0.0f;
@@ -269,9 +276,25 @@ inline void build_friction(const IslandTree& of, int32_t dof, float limit, float
     row.impulse = of.rates[dof] > 0.0f ? -limit : limit;
 }
 
+// Sweeps of shifts, behind those of rates. for_rows(f) calls f for each contact.
+template <class ForRows>
+void sweep_shifts(const ForRows& for_rows) {
+  bool overlap = false;
+  for_rows([&](const PgsContact<float>& c) { overlap = overlap || c.shift < c.bias; });
+  float moved = kShiftTolerance;
+  for (int32_t k = 0; overlap && k < kShiftSweeps && !(moved < kShiftTolerance); ++k) {
+    moved = 0.0f;
+    for_rows([&](PgsContact<float>& c) {
+      const float by = sweep_shift(c);
+      moved = moved < by ? by : moved;
+    });
+  }
+}
+
 struct IslandResult {
   int32_t sweeps = 0;
   float residual = 0.0f;  // the largest change of velocity of the last, m/s
+  float largest = 0.0f;   // impulse, as a velocity, m/s
 };
 // for_contacts(back, f) calls f for each contact, for_friction(f) for each dry friction.
 template <class ForContacts, class ForFriction>
@@ -285,15 +308,23 @@ IslandResult sweep_island(bool cone, int32_t most_sweeps, float tolerance,
     for_friction([&](PgsJointFriction<float>& f) { note(sweep(f)); });
     result.residual = worst;
   } while (++result.sweeps < most_sweeps && !(result.residual < tolerance));
+  const auto note = [&](float size) {
+    result.largest = result.largest < size ? size : result.largest;
+  };
+  for_contacts(false, [&](const PgsContact<float>& c) { note(c.normal * c.impulse[0]); });
+  for_friction(
+      [&](const PgsJointFriction<float>& f) { note(math::abs(f.response[f.dof] * f.impulse)); });
+  sweep_shifts([&](const auto& f) { for_contacts(false, f); });
   return result;
 }
 
-// The rates that an island left, into qd_next and qdd. The first dof whose rate is not finite, or
-// -1; there it stops.
-inline int32_t take_rates(const float* rates, const float* qd, float dt, int32_t dofs,
+// The rates that an island left, into qd_next and qdd, and its shifts. The first dof whose rate is
+// not finite, or -1; there it stops.
+inline int32_t take_rates(float* rates, const float* qd, float dt, int32_t dofs,
                           Workspace<float>& ws) {
+  ws.shift = rates + padded_dofs(dofs);
   for (int32_t k = 0; k < dofs; ++k) {
-    if (!is_finite(rates[k])) return k;
+    if (!is_finite(rates[k]) || !is_finite(ws.shift[k])) return k;
     if (rates[k] == ws.qd_next[k]) continue;
     ws.qdd[k] = (rates[k] - qd[k]) / dt;
     ws.qd_next[k] = rates[k];
@@ -331,6 +362,8 @@ inline int32_t restart_tree(const IslandTree& of, const StepInputs<float>& in,
   const int32_t failed = solve_accelerations(of.tree, in, how, ws);
   if (failed < 0) free_rates(of.tree, in, how, ws);
   for (int32_t k = 0; failed < 0 && k < of.tree.dof_count; ++k) of.rates[k] = ws.qd_next[k];
+  const int32_t width = padded_dofs(of.tree.dof_count);
+  for (int32_t k = 0; k < width; ++k) of.rates[width + k] = 0.0f;  // shifts
   return failed;
 }
 

@@ -7,7 +7,10 @@
 //   joints     |lambda| <= friction dt, against the rate of the dof
 // with d the gap:
 //   d > 0      beta = d / dt: the gap may close, and no more
-//   d <= 0     beta = erp min(0, d + slop) / dt, not below -max_depenetration
+//   d <= 0     beta = erp min(0, d + slop) / dt, not below -max_depenetration: what an overlap
+//              wants. Of it the rates get what fits into kRestSpeed without a slop, where contacts
+//              at rest lie at d = 0 but for rounding. The rest moves positions alone, so that an
+//              overlap does not become speed
 //   an approach faster than the restitution threshold that touches within the step:
 //              beta = min(beta, restitution J_n qd), qd the rates before the step
 // A contact with the stiffness k and the damping c has instead, for d <= 0,
@@ -15,7 +18,13 @@
 // A sweep takes contact after contact: the normal first, then the tangents as a block, moved by
 // -w_t / s (s the largest eigenvalue of their 2 x 2 block of J Y) and projected radially. Sliding
 // does not lift a contact (no De Saxce correction).
-// Source: Preclik, Models and Algorithms for Ultrascale Simulations of Non-smooth Granular Dynamics
+// Behind these sweeps, where an overlap wants more than the rates have, positions move at v' + p:
+//   p = M^-1 J_n^T mu,  0 <= mu, J_n (v' + p) + beta + softness mu >= 0, one of both = 0
+// What the joints of a tree let part hardly or not at all would take endless impulses. A normal
+// gets at least the part kLeastMobility of the J_n Y_n that its sides have each alone, by cfm, and
+// in shifts the softness kShiftSoftness of it.
+// Source: Guendelman, Bridson, Fedkiw, Nonconvex Rigid Bodies with Stacking (2003), section 7, for
+// shifts; Preclik, Models and Algorithms for Ultrascale Simulations of Non-smooth Granular Dynamics
 // (2014), section 4; Catto, Iterative Dynamics with Temporal Coherence (2005).
 #pragma once
 
@@ -32,22 +41,29 @@ struct ContactLaw {
   bool compliant = false;     // by the stiffness and damping of the shapes
   bool cone = true;
 };
+inline constexpr float kRestSpeed = 0.01f;       // m/s
+inline constexpr float kLeastMobility = 1e-3f;   // 1
+inline constexpr float kShiftSoftness = 0.05f;   // 1
+inline constexpr int32_t kShiftSweeps = 100;     // at most
+inline constexpr float kShiftTolerance = 1e-6f;  // m/s
+inline constexpr float kOtherAxes = 1e-3f;       // of the tangents' J Y in that of a normal alone
 template <class T>
 struct ContactMaterial {
   T friction{}, restitution{}, stiffness{}, damping{};
 };
 
-// `slope`: the derivative of beta by the gap, on its branch; `bounce`: that by J_n qd.
+// `bias`: beta of the rates, `shift` that of positions; `slope`, `shift_slope`: their derivatives
+// by the gap, on their branches; `bounce`, `shift_bounce`: those by J_n qd.
 template <class T>
 struct NormalTarget {
-  T bias{}, cfm{}, slope{}, bounce{};
+  T bias{}, cfm{}, slope{}, bounce{}, shift{}, shift_slope{}, shift_bounce{};
 };
 // `before`: J_n qd at the beginning of the step; `after`: without impulses.
 template <class T>
 NormalTarget<T> normal_target(const ContactLaw<T>& law, const ContactMaterial<T>& material,
                               const T& gap, const T& before, const T& after) {
   const T o = T(0.0f);
-  NormalTarget<T> to{gap / law.dt, law.cfm, T(1.0f) / law.dt, o};
+  NormalTarget<T> to{gap / law.dt, law.cfm, T(1.0f) / law.dt, o, o, o, o};
   const auto open = gap > o;
   if (law.compliant) {
     const T softness = law.dt * material.stiffness + material.damping;
@@ -62,6 +78,15 @@ NormalTarget<T> normal_target(const ContactLaw<T>& law, const ContactMaterial<T>
   const auto deep = to.bias < -law.max_depenetration;
   to.bias = select(deep, -law.max_depenetration, to.bias);
   to.slope = select(deep, o, to.slope);
+  to.shift = to.bias;
+  to.shift_slope = to.slope;
+  if (!law.compliant) {
+    const T left = T(kRestSpeed) - law.erp * law.slop / law.dt;
+    const T least = select(left > o, -left, o);
+    const auto overlaps = to.bias < least;
+    to.bias = select(overlaps, least, to.bias);
+    to.slope = select(overlaps, o, to.slope);
+  }
   const auto bouncy = both(material.restitution > o, before < -law.restitution_threshold);
   if (!any(bouncy)) return to;
   const auto touches = gap + law.dt * select(after < before, after, before) < o;
@@ -70,14 +95,18 @@ NormalTarget<T> normal_target(const ContactLaw<T>& law, const ContactMaterial<T>
   to.bias = select(bounces, bounce, to.bias);
   to.slope = select(bounces, o, to.slope);
   to.bounce = select(bounces, material.restitution, o);
+  const auto ahead = to.bias < to.shift;
+  to.shift = select(ahead, to.bias, to.shift);
+  to.shift_slope = select(ahead, to.slope, to.shift_slope);
+  to.shift_bounce = select(ahead, to.bounce, o);
   return to;
 }
 
-// What a tree has of a row: its rates, J and Y (null: nothing moves the tree). `width` is a
-// multiple of 4, padded with zeros.
+// What a tree has of a row: its rates, with the shifts p behind them, J and Y (null: nothing moves
+// the tree). `width` is a multiple of 4, padded with zeros.
 template <class T>
 struct RowSide {
-  T* rates = nullptr;
+  T* rates = nullptr;  // {2 width}
   const T *jacobian = nullptr, *response = nullptr;
   int32_t width = 0;
 };
@@ -98,11 +127,12 @@ T row_dot(const T* a, const T* b, int32_t width) {
 // The numbers of a contact that a sweep takes.
 template <class T>
 struct PgsNumbers {
-  T bias{}, cfm{}, friction{};
-  T normal{};                                // J_n Y_n
+  T bias{}, shift{}, cfm{}, friction{};
+  T normal{}, apart{};                       // J_n Y_n; that of the sides each alone, summed
   T tangent[3] = {};                         // t1 t1, t1 t2, t2 t2 of J Y
   T normal_step{}, bound{}, tangent_step{};  // 1 / (J_n Y_n + cfm), s, 1 / s
   T impulse[3] = {};                         // along n, t1, t2
+  T softness{}, shifted{};                   // of shifts: mu
 };
 template <class T>
 struct PgsContact : PgsNumbers<T> {
@@ -114,6 +144,14 @@ T slip(const PgsContact<T>& c, int32_t row) {
   T v = T(0.0f);
   for (const RowSide<T>& s : c.sides)
     if (s.width > 0) v = v + row_dot(s.jacobian + row * s.width, s.rates, s.width);
+  return v;
+}
+// J_n (v' + p).
+template <class T>
+T moving_slip(const PgsContact<T>& c) {
+  T v = slip(c, 0);
+  for (const RowSide<T>& s : c.sides)
+    if (s.width > 0) v = v + row_dot(s.jacobian, s.rates + s.width, s.width);
   return v;
 }
 template <class T>
@@ -135,7 +173,7 @@ T row_product(const PgsContact<T>& c, int32_t i, int32_t j) {
 }
 template <class T>
 void set_diagonals(PgsContact<T>& c) {
-  c.normal = row_product(c, 0, 0);
+  c.normal = c.apart = row_product(c, 0, 0);
   c.tangent[0] = row_product(c, 1, 1);
   c.tangent[1] = row_product(c, 1, 2);
   c.tangent[2] = row_product(c, 2, 2);
@@ -151,6 +189,10 @@ T tangent_bound(const PgsNumbers<T>& c) {
 template <class T>
 void set_steps(PgsNumbers<T>& c) {
   const T o = T(0.0f);
+  const T whole = c.apart + T(kOtherAxes) * (c.normal + (c.tangent[0] + c.tangent[2]));
+  const T lack = T(kLeastMobility) * whole - c.normal;
+  c.cfm = select(lack > c.cfm, lack, c.cfm);
+  c.softness = T(kShiftSoftness) * whole;
   c.normal_step = select(c.normal > o, T(1.0f) / (c.normal + c.cfm), o);
   c.bound = tangent_bound(c);
   c.tangent_step = select(c.bound > o, T(1.0f) / c.bound, o);
@@ -227,11 +269,41 @@ T sweep_contact(PgsNumbers<T>& c, bool cone, const Active& active, const Slip& s
   }
   return worst;
 }
+// Behind the sweeps of rates: the normal's part of a sweep of shifts, likewise.
+template <class T, class Active, class Slip, class Push>
+T sweep_shift(PgsNumbers<T>& c, const Active& active, const Slip& slip_of, const Push& push_row) {
+  const T o = T(0.0f), soft = c.normal + c.softness;
+  const T residual = slip_of() + c.shift + c.softness * c.shifted;
+  const T x = c.shifted - residual / select(soft > o, soft, T(1.0f));
+  const T next = select(both(active, c.normal > o), select(x > o, x, o), c.shifted);
+  const T change = next - c.shifted;
+  if (all(change == o)) return o;
+  c.shifted = next;
+  push_row(change);
+  return c.normal * select(change < o, -change, change);
+}
+template <class T>
+T sweep_shift(PgsContact<T>& c) {
+  return sweep_shift<T>(
+      c, true, [&] { return moving_slip(c); },
+      [&](const T& impulse) {
+        for (const RowSide<T>& s : c.sides)
+          for (int32_t k = 0; s.response != nullptr && k < s.width; ++k)
+            s.rates[s.width + k] = s.rates[s.width + k] + s.response[k] * impulse;
+      });
+}
 template <class T>
 T sweep(PgsContact<T>& c, bool cone) {
   return sweep_contact<T>(
       c, cone, true, [&](int32_t row) { return slip(c, row); },
       [&](int32_t row, const T& impulse) { push(c, row, impulse); });
+}
+
+// Sweeps that ended with changes of velocity up to `residual` are far from converged where that is
+// more than this part of the largest impulse, as the velocity that it gives.
+inline constexpr float kFarPart = 1e-2f;
+inline bool far_from_converged(float residual, float largest, float tolerance) {
+  return !(residual < tolerance) && !(residual <= kFarPart * largest);
 }
 
 // Dry friction of a dof: the row is the dof itself.
@@ -243,14 +315,24 @@ struct PgsJointFriction {
   T limit{}, impulse{};  // friction dt, N s or N m s
 };
 template <class T>
+void push(const PgsJointFriction<T>& f, const T& impulse) {
+  for (int32_t k = 0; k < f.width; ++k) f.rates[k] = f.rates[k] + f.response[k] * impulse;
+}
+// Starts from the impulse of an earlier step, within its limit.
+template <class T>
+void warm_start(PgsJointFriction<T>& f, const T& impulse) {
+  f.impulse = clamped(impulse, f.limit);
+  push(f, f.impulse);
+}
+template <class T>
 T sweep(PgsJointFriction<T>& f) {
   const T diagonal = f.response[f.dof];
   if (!(diagonal > T(0.0f))) return T(0.0f);
   T x = f.impulse - f.rates[f.dof] / diagonal;
-  x = x > f.limit ? f.limit : x < -f.limit ? -f.limit : x;
+  x = clamped(x, f.limit);
   const T change = x - f.impulse;
   f.impulse = x;
-  for (int32_t k = 0; k < f.width; ++k) f.rates[k] = f.rates[k] + f.response[k] * change;
+  push(f, change);
   return diagonal * (change < T(0.0f) ? -change : change);
 }
 

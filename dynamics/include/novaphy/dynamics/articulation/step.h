@@ -3,8 +3,8 @@
 //   M = H(q) + diag(armature + what drives add),  M qdd = f - bias(q, qd) + drives (drives.h) + r
 //   v  = qd + dt qdd, |v| <= velocity_limit for joints with one dof: with the force r of a dof that
 //   is at its limit, which pushes inwards only, and which the rest of the tree feels
-//   q' = q moved by v over dt (quaternions by the Cayley map), then qd' = v, of angular dofs
-//   times 1 - angular_damping dt
+//   q' = q moved by v over dt (quaternions by the Cayley map; overlaps add shifts, pgs.h), then
+//   qd' = v, of angular dofs times 1 - angular_damping dt
 //   q' and qd' of joints that follow others from theirs (mimic.h); body_q, body_qd of (q', qd')
 // Kinematic dofs have endless inertia: their qdd is 0, whatever pulls at them, nothing damps them,
 // and what hangs on them moves as they do. Contacts (pgs.h) change v between the first and the
@@ -380,12 +380,28 @@ T damping_factor(const Link& link, int32_t dof_of_link, const StepOptions<T>& op
   return is_angular(link, dof_of_link) ? T(1.0f) - options.angular_damping * options.dt : T(1.0f);
 }
 
+// What moves the coordinates: the new rates, with the shifts of contacts.
+template <class T>
+const T* moving_rates(const Tree<T>& tree, Workspace<T>& ws) {
+  if (ws.shift == nullptr) return ws.qd_next;
+  for (int32_t k = 0; k < tree.dof_count; ++k) ws.rhs[k] = ws.qd_next[k] + ws.shift[k];
+  return ws.rhs;
+}
+
+// The first dof whose new rate, or shift, is not finite (in any lane); -1: none.
+template <class T>
+int32_t first_not_finite(const Workspace<T>& ws, int32_t dofs) {
+  for (int32_t k = 0; k < dofs; ++k)
+    if (!is_finite(ws.qd_next[k]) || !is_finite(ws.shift[k])) return k;
+  return -1;
+}
+
 // The new state, behind forward_step; rows of the arrays. Overwrites the links' states.
 template <class T>
 void finish_step(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<T>& options,
                  Workspace<T>& ws, T* q_next, T* qd_next, Transform<T>* body_q,
                  SpatialVector<T>* body_qd) {
-  integrate_coordinates(tree, in.q, ws.qd_next, options.dt, q_next);
+  integrate_coordinates(tree, in.q, moving_rates(tree, ws), options.dt, q_next);
   for (int32_t i = 0; i < tree.link_count; ++i) {
     const Link& link = tree.links[i];
     for (int32_t j = 0; j < link.dofs; ++j)

@@ -65,16 +65,17 @@ struct StepOutputGradient {
 template <class T>
 struct AdjointMemory {
   T *tangent = nullptr, *rate = nullptr, *scratch = nullptr;
+  T* diagonal = nullptr;  // {dofs}: matrix_vjp, of the diagonal that stands beside H
   SpatialVector<T>* wrench = nullptr;
-  T* mass = nullptr;
+  T *mass = nullptr, *moved_mass = nullptr;
   Vec3<T>*com = nullptr, *moved_com = nullptr;
-  Mat33<T>* inertia = nullptr;
+  Mat33<T>*inertia = nullptr, *moved_inertia = nullptr;
 };
 template <class T>
 int64_t adjoint_bytes(int32_t links, int32_t dofs) {
   const int64_t per_link =
-      sizeof(SpatialVector<T>) + sizeof(T) + 2 * sizeof(Vec3<T>) + sizeof(Mat33<T>);
-  return (5 * dofs * static_cast<int64_t>(sizeof(T)) + links * per_link + 7) / 8 * 8;
+      sizeof(SpatialVector<T>) + 2 * (sizeof(T) + sizeof(Vec3<T>) + sizeof(Mat33<T>));
+  return (6 * dofs * static_cast<int64_t>(sizeof(T)) + links * per_link + 7) / 8 * 8;
 }
 template <class T>
 AdjointMemory<T> make_adjoint_memory(void* memory, int32_t links, int32_t dofs) {
@@ -82,11 +83,14 @@ AdjointMemory<T> make_adjoint_memory(void* memory, int32_t links, int32_t dofs) 
   m.tangent = static_cast<T*>(memory);
   m.rate = m.tangent + dofs;
   m.scratch = m.rate + dofs;
-  m.wrench = reinterpret_cast<SpatialVector<T>*>(m.scratch + 3 * dofs);
+  m.diagonal = m.scratch + 3 * dofs;
+  m.wrench = reinterpret_cast<SpatialVector<T>*>(m.diagonal + dofs);
   m.mass = reinterpret_cast<T*>(m.wrench + links);
-  m.com = reinterpret_cast<Vec3<T>*>(m.mass + links);
+  m.moved_mass = m.mass + links;
+  m.com = reinterpret_cast<Vec3<T>*>(m.moved_mass + links);
   m.moved_com = m.com + links;
   m.inertia = reinterpret_cast<Mat33<T>*>(m.moved_com + links);
+  m.moved_inertia = m.inertia + links;
   return m;
 }
 
@@ -137,11 +141,13 @@ void integrate_coordinates_vjp(const Tree<T>& tree, const T* qd, const T& dt, T*
   }
 }
 
-// The gradients of a dof's drive, limits and damping, and what they give to q and qd.
+// The gradients of a dof's drive, limits and damping, and what they give to q and qd. `diagonal`:
+// what has left the gradient of M's diagonal besides lambda qdd.
 template <class T>
 void drive_gradient(const Link& link, int32_t dof_of_link, const StepInputs<T>& in,
                     const StepOptions<T>& options, const Branches<T>& branch, const T& qdd,
-                    const T& lambda, T& q_gradient, T& qd_gradient, const StepGradient<T>& g) {
+                    const T& lambda, const T& diagonal, T& q_gradient, T& qd_gradient,
+                    const StepGradient<T>& g) {
   using G = StepGradient<T>;
   const Drives<T>& d = in.drives;
   const int32_t row = link.dof + dof_of_link, mode = d.target_mode[row];
@@ -172,16 +178,18 @@ void drive_gradient(const Link& link, int32_t dof_of_link, const StepInputs<T>& 
   if (one)
     put(g, g.target_q, G::kTargetQ, link.coord, of(position, drives, drive.stiffness * lambda));
   put(g, g.target_qd, G::kTargetQd, row, of(velocity && mode != 1, drives, drive.rate * lambda));
-  put(g, g.target_ke, G::kTargetKe, row, of(position, drives, (drive.target - q_end) * lambda));
+  const T by_kd = dt * diagonal, by_ke = dt * by_kd;
+  put(g, g.target_ke, G::kTargetKe, row,
+      of(position, drives, (drive.target - q_end) * lambda - by_ke));
   put(g, g.target_kd, G::kTargetKd, row,
-      of(velocity, drives, (drive.target_rate - v_end) * lambda));
-  put(g, g.damping, G::kDamping, row, damps ? -(v_end * lambda) : o);
-  put(g, g.armature, G::kArmature, row, -(lambda * qdd));
+      of(velocity, drives, (drive.target_rate - v_end) * lambda - by_kd));
+  put(g, g.damping, G::kDamping, row, damps ? -(v_end * lambda) - by_kd : o);
+  put(g, g.armature, G::kArmature, row, -(lambda * qdd) - diagonal);
   const T by_limit = of(one, limits, stop.stiffness * lambda);
   put(g, g.limit_lower, G::kLimitLower, row, of(one, has(branch, kBelowLimit), by_limit));
   put(g, g.limit_upper, G::kLimitUpper, row, of(one, has(branch, kAboveLimit), by_limit));
-  put(g, g.limit_ke, G::kLimitKe, row, of(one, limits, (stop.target - q_end) * lambda));
-  put(g, g.limit_kd, G::kLimitKd, row, of(one, limits, -(v_end * lambda)));
+  put(g, g.limit_ke, G::kLimitKe, row, of(one, limits, (stop.target - q_end) * lambda - by_ke));
+  put(g, g.limit_kd, G::kLimitKd, row, of(one, limits, -(v_end * lambda) - by_kd));
   const T by_effort = select(has(branch, kEffortAtUpper), lambda, -lambda);
   put(g, g.effort_limit, G::kEffortLimit, row, of(one, clamped, by_effort));
 }
@@ -194,15 +202,16 @@ void add_mass_gradients(const Tree<T>& tree, const StepGradient<T>& g,
     const int32_t body = tree.links[i].body;
     if (body < 0) continue;
     put(g, g.body_f, G::kBodyF, body, -memory.wrench[i]);
-    put(g, g.mass, G::kMass, body, -memory.mass[i]);
+    put(g, g.mass, G::kMass, body, -(memory.mass[i] + memory.moved_mass[i]));
     put(g, g.com, G::kCom, body, memory.moved_com[i] - memory.com[i]);
-    put(g, g.inertia, G::kInertia, body, math::scale(memory.inertia[i], T(-1.0f)));
+    put(g, g.inertia, G::kInertia, body,
+        math::scale(memory.inertia[i] + memory.moved_inertia[i], T(-1.0f)));
   }
 }
 
 // The first of three parts: from the gradients of the new state to those of q and of u, in
-// `tangent` and `rate`. `qdd`, `branch` (as numbers), `q_next` and `qd_next` are those of the step;
-// rows of the arrays.
+// `tangent` and `rate`; the part of the latter that comes from q' is the second of `scratch`.
+// `qdd`, `branch` (as numbers), `q_next` and `qd_next` are those of the step; rows of the arrays.
 template <class T>
 void step_vjp_rates(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<T>& options,
                     const T* qdd, const T* branch, const T* q_next, const T* qd_next,
@@ -212,8 +221,12 @@ void step_vjp_rates(const Tree<T>& tree, const StepInputs<T>& in, const StepOpti
   T *const tangent = memory.tangent, *const rate = memory.rate, *const lambda = memory.scratch;
 
   // Of the poses, then of the numbers.
-  for (int32_t i = 0; i < tree.link_count; ++i) memory.moved_com[i] = {o, o, o};
-  for (int32_t k = 0; k < n; ++k) tangent[k] = rate[k] = o;
+  for (int32_t i = 0; i < tree.link_count; ++i) {
+    memory.moved_com[i] = {o, o, o};
+    memory.moved_mass[i] = o;
+    memory.moved_inertia[i] = Mat33<T>{};
+  }
+  for (int32_t k = 0; k < n; ++k) tangent[k] = rate[k] = memory.diagonal[k] = o;
   if (out.body_q || out.body_qd) {
     link_frames(tree, q_next, ws);
     link_motions(tree, qd_next + row0, ws);
@@ -251,7 +264,10 @@ void step_vjp_rates(const Tree<T>& tree, const StepInputs<T>& in, const StepOpti
     ws.qdd[k] = qdd[row0 + k];
   }
   free_rates(tree, in, options, ws);
-  integrate_coordinates_vjp(tree, ws.qd_next, options.dt, tangent, rate);
+  T* const of_moves = memory.scratch + n;
+  for (int32_t k = 0; k < n; ++k) of_moves[k] = rate[k];
+  integrate_coordinates_vjp(tree, moving_rates(tree, ws), options.dt, tangent, rate);
+  for (int32_t k = 0; k < n; ++k) of_moves[k] = rate[k] - of_moves[k];
 }
 
 // The second: the dynamics at the start of the step once more, with M's factor.
@@ -264,6 +280,30 @@ void step_vjp_dynamics(const Tree<T>& tree, const StepInputs<T>& in, const StepO
   mass_matrix(tree, ws);
   add_drives(tree, in, options, ws.bias, ws);
   factor(tree, ws.matrix);
+}
+// Between these: lambda . dM x leaves the gradients, lambda the first of `scratch`, x the third.
+// step_vjp_dynamics must follow.
+template <class T>
+void matrix_vjp(const Tree<T>& tree, Workspace<T>& ws, AdjointMemory<T>& memory) {
+  const T o = T(0.0f);
+  Tree<T> weightless = tree;
+  weightless.gravity = {o, o, o};
+  const T *const lambda = memory.scratch, *const x = lambda + 2 * tree.dof_count;
+  for (int32_t k = 0; k < tree.dof_count; ++k) {
+    ws.qd_next[k] = o;
+    memory.diagonal[k] = memory.diagonal[k] + lambda[k] * x[k];
+  }
+  for (int32_t i = 0; i < tree.link_count; ++i) ws.links[i].wrench = zero_spatial<T>();
+  inverse_dynamics(weightless, ws.qd_next, x, ws, ws.bias);
+  InverseDynamicsGradient<T> phi{ws.rhs,      nullptr,    nullptr,        nullptr,
+                                 memory.mass, memory.com, memory.inertia, {}};
+  inverse_dynamics_vjp(weightless, ws.qd_next, x, lambda, ws, phi);
+  for (int32_t k = 0; k < tree.dof_count; ++k) memory.tangent[k] = memory.tangent[k] - ws.rhs[k];
+  for (int32_t i = 0; i < tree.link_count; ++i) {
+    memory.moved_com[i] = memory.moved_com[i] - memory.com[i];
+    memory.moved_mass[i] = memory.moved_mass[i] + memory.mass[i];
+    memory.moved_inertia[i] = memory.moved_inertia[i] + memory.inertia[i];
+  }
 }
 // lambda = M^-1 dt gu, in `scratch`. What contacts do to u has left `rate` before.
 template <class T>
@@ -302,8 +342,8 @@ void step_vjp_inputs(const Tree<T>& tree, const StepInputs<T>& in, const StepOpt
       put(g, g.velocity_limit, G::kVelocityLimit, row0 + k, by_limit);
       tangent[k] = tangent[k] - phi_q[k];
       rate[k] = rate[k] - phi_qd[k];
-      drive_gradient(link, j, in, options, ws.branch[k], ws.qdd[k], lambda[k], tangent[k], rate[k],
-                     g);
+      drive_gradient(link, j, in, options, ws.branch[k], ws.qdd[k], lambda[k], memory.diagonal[k],
+                     tangent[k], rate[k], g);
       put(g, g.qd, G::kQd, row0 + k, rate[k]);
       T applied = lambda[k];
       if (is_free(link)) {  // a world wrench

@@ -98,6 +98,7 @@ struct Workspace {
   SpatialVector<T>* axes = nullptr;  // S
   T* matrix = nullptr;               // lower: H, or L and D
   T *bias = nullptr, *qdd = nullptr, *qd_next = nullptr, *rhs = nullptr, *given = nullptr;
+  T* shift = nullptr;             // of contacts (pgs.h), besides qd_next; null: none
   Branches<T>* branch = nullptr;  // Branch bits of drives.h
 };
 

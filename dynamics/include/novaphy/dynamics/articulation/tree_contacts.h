@@ -50,12 +50,13 @@ struct TreeContactMemory {
   T *jacobian = nullptr, *response = nullptr;  // {contacts, 3, n}
   T* coupling = nullptr;                       // {3 contacts, 3 contacts}: A, by columns
   T* slip = nullptr;                           // {3 contacts}: w
+  T* shift = nullptr;                          // {n}: p of pgs.h
 };
 template <class T>
 int64_t tree_contact_bytes(int64_t contacts, int64_t n) {
   const int64_t r = 3 * contacts, coupled = contacts > kCoupledContacts ? 0 : r * r;
   return contacts * static_cast<int64_t>(sizeof(TreeContactRow<T>)) +
-         (2 * r * n + r + coupled) * static_cast<int64_t>(sizeof(T)) + 8;
+         ((2 * r + 1) * n + r + coupled) * static_cast<int64_t>(sizeof(T)) + 8;
 }
 template <class T>
 TreeContactMemory<T> make_tree_contact_memory(void* memory, int64_t contacts, int64_t n) {
@@ -64,7 +65,8 @@ TreeContactMemory<T> make_tree_contact_memory(void* memory, int64_t contacts, in
   m.rows = static_cast<TreeContactRow<T>*>(memory);
   m.jacobian = reinterpret_cast<T*>(m.rows + contacts);
   m.response = m.jacobian + r * n;
-  m.slip = m.response + r * n;
+  m.shift = m.response + r * n;
+  m.slip = m.shift + n;
   m.coupling = m.slip + r;
   return m;
 }
@@ -145,11 +147,11 @@ Coupling<T> coupling(const Tree<T>& tree, const TreeContact<T>* contacts, int32_
 
 template <class T>
 struct TreeContactResult {
-  T sweeps{}, residual{};  // how many, and the largest change of velocity of the last
+  T sweeps{}, residual{}, largest{};  // as IslandResult
 };
 
 // The rates v of the tree, from those without impulses, in place. `contacts` and `links`: {count},
-// `qd`: the tree's rates before the step. The impulses stay in the memory's rows.
+// `qd`: the tree's rates before the step. The impulses and shifts stay in the memory.
 template <class T>
 TreeContactResult<T> solve_tree_contacts(const Tree<T>& tree, const Workspace<T>& ws,
                                          const ContactLaw<T>& law, int32_t most_sweeps,
@@ -184,6 +186,7 @@ TreeContactResult<T> solve_tree_contacts(const Tree<T>& tree, const Workspace<T>
     }
     const NormalTarget<T> target = normal_target(law, contact.material, gap, before, m.slip[3 * c]);
     row.bias = target.bias;
+    row.shift = target.shift;
     row.cfm = target.cfm;
     row.friction = contact.material.friction;
     for (int32_t b = 0; coupled && b < c; ++b) {
@@ -197,7 +200,8 @@ TreeContactResult<T> solve_tree_contacts(const Tree<T>& tree, const Workspace<T>
     const Coupling<T> own = coupling(tree, contacts, c, c, m);
     for (int r = 0; coupled && r < 3; ++r)
       for (int t = 0; t < 3; ++t) m.coupling[(3 * c + t) * rows + (3 * c + r)] = own.a[r][t];
-    row.normal = own.a[0][0];
+    row.normal = row.apart = own.a[0][0];
+    row.shifted = o;
     row.tangent[0] = own.a[1][1];
     row.tangent[1] = own.a[1][2];
     row.tangent[2] = own.a[2][2];
@@ -228,7 +232,7 @@ TreeContactResult<T> solve_tree_contacts(const Tree<T>& tree, const Workspace<T>
     for (int32_t r = 0; r < 3; ++r)
       if (!all(m.rows[c].impulse[r] == o)) push(3 * c + r, m.rows[c].impulse[r]);
 
-  TreeContactResult<T> result{o, o};
+  TreeContactResult<T> result{o, o, o};
   auto active = o < T(1.0f);
   int32_t sweeps = 0;
   do {
@@ -246,14 +250,44 @@ TreeContactResult<T> solve_tree_contacts(const Tree<T>& tree, const Workspace<T>
     active = both(active, negate(worst < tolerance));
   } while (sweeps < most_sweeps && any(active));
 
+  const auto add = [&](int64_t row, const T& impulse, T* to) {
+    if (all(impulse == o)) return;
+    const T* const y = m.response + row * n;
+    for (int64_t k = 0; k < n; ++k) to[k] = to[k] + y[k] * impulse;
+  };
   for (int32_t c = 0; coupled && c < count; ++c)
-    for (int32_t r = 0; r < 3; ++r) {
-      const T impulse = m.rows[c].impulse[r];
-      if (all(impulse == o)) continue;
-      const T* const y = m.response + (3 * c + r) * n;
-      for (int64_t k = 0; k < n; ++k) v[k] = v[k] + y[k] * impulse;
-    }
+    for (int32_t r = 0; r < 3; ++r) add(3 * c + r, m.rows[c].impulse[r], v);
   for (int64_t k = 0; k < n; ++k) v[k] = v[k] + o;  // a zero is +0, whatever was skipped
+
+  for (int32_t c = 0; c < count; ++c) {
+    const T size = m.rows[c].normal * m.rows[c].impulse[0];
+    result.largest = select(size > result.largest, size, result.largest);
+  }
+  for (int64_t k = 0; k < n; ++k) m.shift[k] = o;
+  active = o < o;
+  for (int32_t c = 0; c < count; ++c) active = either(active, m.rows[c].shift < m.rows[c].bias);
+  for (int32_t sweep = 0; sweep < kShiftSweeps && any(active); ++sweep) {
+    T worst = o;
+    for (int32_t c = 0; c < count; ++c) {
+      const T moved = sweep_shift<T>(
+          m.rows[c], active,
+          [&] {
+            T w = slip_of(3 * c);
+            for (int64_t k = 0; !coupled && k < n; ++k)
+              w = w + m.jacobian[3 * c * n + k] * m.shift[k];
+            return w;
+          },
+          [&](const T& impulse) {
+            if (coupled)
+              push(3 * c, impulse);
+            else
+              add(3 * c, impulse, m.shift);
+          });
+      worst = select(moved > worst, moved, worst);
+    }
+    active = both(active, negate(worst < T(kShiftTolerance)));
+  }
+  for (int32_t c = 0; coupled && c < count; ++c) add(3 * c, m.rows[c].shifted, m.shift);
   return result;
 }
 

@@ -15,13 +15,15 @@
 // pgs_tolerance, at most 1000 times (more where pgs_iterations is more). The gradient is that of
 // the converged impulses by the rows that are active (articulation/contact_adjoint.h): exact
 // where they converged and no contact is just breaking, sticking or sliding, else a surrogate;
-// ContactBranches counts them. Points of contacts and normals move as the search moves them where a
-// plane of the world meets spheres, capsules, boxes, hulls or meshes and they were found from the
-// state of the step (FoundContacts). Else they are frozen: points stay in the frames of their
-// bodies, normals in the world; ContactBranches counts such steps apart. That there are more or
-// fewer contacts is not differentiated. So it is with dry friction of joints (joint_friction),
-// which counts as a step with contacts. A capture records such steps and their adjoints as work of
-// the host; where a replay fails its results are NaN, and begin says why.
+// ContactBranches counts them. Where the sweeps of a step ended far from converged (pgs.h), its
+// adjoint and its tangent throw ErrorKind::Runtime, with the step and the pair. (On devices the
+// step or rollout that waits looks; captures do not.) Points of contacts and normals move as the
+// search moves them where a plane of the world meets spheres, capsules, boxes, hulls or meshes and
+// they were found from the state of the step (FoundContacts). Else they are frozen: points stay in
+// the frames of their bodies, normals in the world; ContactBranches counts such steps apart. That
+// there are more or fewer contacts is not differentiated. So it is with dry friction of joints
+// (joint_friction), which counts as a step with contacts. A capture records such steps and their
+// adjoints as work of the host; where a replay fails its results are NaN, and begin says why.
 //
 // Models on devices as SolverFeatherstone, steps, adjoints and tangents with the bits of the cpu,
 // and captures record launches. Where an island of contacts has no room there for its system
@@ -51,7 +53,9 @@ enum class FoundContacts : uint8_t {
 class NOVAPHY_DYNAMICS_API ArticulationStep {
  public:
   // Errors as SolverFeatherstone; ErrorKind::Value: a model whose joints have no dofs.
-  ArticulationStep(const Model& model, const FeatherstoneOptions& options, const char* user);
+  // `allow_unconverged`: adjoints and tangents of steps that are far from converged do not throw.
+  ArticulationStep(const Model& model, const FeatherstoneOptions& options, const char* user,
+                   bool allow_unconverged = false);
   ~ArticulationStep();
   ArticulationStep(ArticulationStep&&) noexcept;
   ArticulationStep& operator=(ArticulationStep&&) noexcept;
@@ -69,6 +73,8 @@ class NOVAPHY_DYNAMICS_API ArticulationStep {
               StepScratch scratch, bool join = false);
   void flush();
   void forget();
+  // The number of the next step, for errors; 0 at first.
+  void count_from(int64_t number);
   // Of all steps with contacts since the last clear. Waits for a device.
   ContactBranches branches() const;
   void clear_branches();

@@ -1,7 +1,9 @@
 // How articulations change with parameters of their control.
 #include <pybind11/numpy.h>
+#include <pybind11/stl.h>
 
 #include <algorithm>
+#include <optional>
 
 #include "convert.h"
 #include "novaphy/dynamics/featherstone/control_sensitivity.h"
@@ -46,8 +48,9 @@ ControlKind to_kind(const std::string& kind) {
 
 std::unique_ptr<Sensitivity> make(const std::shared_ptr<Model>& model, int32_t articulation,
                                   int32_t parameter_count, int32_t point_body,
-                                  py::handle point_local, const std::string& kind, bool exact,
-                                  bool contact_projection, const SolverFeatherstone* solver) {
+                                  py::handle point_local, const std::string& kind,
+                                  std::optional<bool> exact, bool contact_projection,
+                                  const SolverFeatherstone* solver) {
   require(solver == nullptr || solver->model() == model, ErrorKind::Value,
           "solver: expected one of the model");
   return std::make_unique<Sensitivity>(
@@ -57,7 +60,7 @@ std::unique_ptr<Sensitivity> make(const std::shared_ptr<Model>& model, int32_t a
                  .point_body = point_body,
                  .point_local = to_vec3(point_local, "point_local"),
                  .kind = to_kind(kind),
-                 .exact = exact,
+                 .exact = exact.value_or(!contact_projection),
                  .contact_projection = contact_projection,
                  .solver = solver != nullptr ? solver->options() : FeatherstoneOptions{}});
 }
@@ -74,21 +77,22 @@ void bind_control_sensitivity(py::module_& solvers) {
       "poses, a spline, gains, a network): they enter by dcontrol, the change of the control with "
       "them; where the control depends on the state, that part belongs in it too, by dq and dqd. "
       "Gradient: \"frozen\": mass matrix, bias (with the stiffness of gravity), wrenches and the "
-      "turning of the point's Jacobian are not differentiated; with exact=True they are. Joints: "
+      "turning of the point's Jacobian are not differentiated; \"exact\": they are. Joints: "
       "FIXED, PRISMATIC, REVOLUTE, and for kind \"torque\" a FREE root; NotImplementedError for "
       "others.")
-      .def(
-          py::init(&make), py::arg("model").none(false), "articulation"_a = 0, py::kw_only(),
-          "parameter_count"_a, "point_body"_a, "point_local"_a = py::make_tuple(0.0f, 0.0f, 0.0f),
-          "kind"_a = "position", "exact"_a = false, "contact_projection"_a = false,
-          py::arg("solver").none(true) = py::none(),
-          "point_local (m) in the frame of point_body, a body of the articulation. kind: dcontrol "
-          "is the change of joint_target_q (\"position\") or joint_f (\"torque\"). solver: the one "
-          "that steps, whose options count; None: the defaults. contact_projection: changes of "
-          "rates "
-          "keep to the null space of the normals of the contacts that push, which step takes; "
-          "normals, points, friction and which contacts push are frozen. NotImplementedError with "
-          "exact, ValueError for a solver without contact \"pgs\".")
+      .def(py::init(&make), py::arg("model").none(false), "articulation"_a = 0, py::kw_only(),
+           "parameter_count"_a, "point_body"_a, "point_local"_a = py::make_tuple(0.0f, 0.0f, 0.0f),
+           "kind"_a = "position", "exact"_a = py::none(), "contact_projection"_a = false,
+           py::arg("solver").none(true) = py::none(),
+           "point_local (m) in the frame of point_body, a body of the articulation. kind: dcontrol "
+           "is the change of joint_target_q (\"position\") or joint_f (\"torque\"). exact: True, "
+           "but "
+           "False (\"frozen\") with contact_projection, unless given. solver: the one "
+           "that steps, whose options count; None: the defaults. contact_projection: changes of "
+           "rates "
+           "keep to the null space of the normals of the contacts that push, which step takes; "
+           "normals, points, friction and which contacts push are frozen. NotImplementedError with "
+           "exact, ValueError for a solver without contact \"pgs\".")
       .def("reset", &Sensitivity::reset, "state"_a,
            "The start, which does not depend on the parameters.")
       .def(

@@ -264,7 +264,7 @@ class FeatherstoneAnalyticControlSensitivity(_Native):
         point_body: SupportsIndex,
         point_local: Sequence[SupportsFloat] | NDArray[Any] = (0.0, 0.0, 0.0),
         kind: Literal["position", "torque"] = "position",
-        exact: bool = False,
+        exact: bool | None = None,
         contact_projection: bool = False,
         solver: SolverFeatherstone | None = None,
     ) -> None: ...

@@ -27,7 +27,7 @@ struct ControlSensitivityOptions {
   int32_t point_body = 0;  // a body of the articulation
   Vec3f point_local = {};  // m, in its frame
   ControlKind kind = ControlKind::Position;
-  bool exact = false;
+  bool exact = true;
   // Of a solver with contact "pgs": changes of rates keep to the null space of the normals that
   // push. Not with exact.
   bool contact_projection = false;

@@ -6,6 +6,7 @@
 #include <string>
 #include <utility>
 
+#include "novaphy/collision/diff_soft_contact_trace.h"
 #include "novaphy/core/error.h"
 #include "novaphy/core/sim/input_checks.h"
 #include "novaphy/dynamics/diff_model_reads.h"
@@ -229,6 +230,7 @@ void DiffSemiImplicitSolver::step(SimState& state_in, SimState& state_out, const
   begin(name, control, contacts, false,
         contacts != nullptr && contacts->rigid_contacts_found_from(*model(), state_in.body_q), dt);
   if (nova::Tape::active() != nullptr) make_leaves(state_in);
+  note_step(state_in, state_out, contacts, tables_, dt, true);
   if (moves_particles())
     particles_.run(*model(), state_in, state_out, control, contacts, tables_, dt);
   if (!moves_bodies()) return;
@@ -238,6 +240,40 @@ void DiffSemiImplicitSolver::step(SimState& state_in, SimState& state_out, const
               joints_ ? &*joints_ : nullptr, control, contacts, tables_, particles_.wrenches(), dt,
               nova::operand_of(body_f_));
   if (contacts != nullptr) bodies_.write_contact_forces(*contacts);
+}
+
+// What gradient_info looks at of a step on a tape.
+void DiffSemiImplicitSolver::note_step(const SimState& in, const SimState& out,
+                                       const Contacts* contacts, const ContactTables& tables,
+                                       float dt, bool keeps) {
+  if (nova::Tape::active() == nullptr) return;
+  const bool particles = moves_particles() && config_.enable_particle_contacts,
+             bodies = moves_bodies() && config_.enable_rigid_contacts;
+  const auto place = [this](const SimState& state) {
+    return moves_bodies() ? state.body_q.range()->data() : state.particle_q.range()->data();
+  };
+  NotedStep step;
+  step.start = place(in);
+  step.end = place(out);
+  step.q = in.particle_q;
+  step.qd = in.particle_qd;
+  step.body_q = in.body_q;
+  step.body_qd = in.body_qd;
+  step.contacts = notes_.handles(contacts);
+  step.soft = particles;
+  step.rigid = bodies;
+  step.soft_follow = tables.particles_follow();
+  step.rigid_follow = tables.of_this_state();
+  step.kf_rate = kf_rate(config_.particle_kf_bound, dt);
+  step.smoothing = huber_smoothing(config_);
+  if (config_.enable_static_contacts) {
+    step.static_particles = particles;
+    step.static_reach = config_.static_contact_margin;
+    step.shapes_of = particles_.rows().pairs_of_particles();
+    step.shape = particles_.rows().shape();
+    if (bodies) step.plane_pairs = bodies_.plane_pairs().pairs();
+  }
+  notes_.add(*model(), std::move(step), keeps);
 }
 
 ParticleForces DiffSemiImplicitSolver::particle_forces(bool contacts) const {
@@ -300,6 +336,7 @@ void DiffSemiImplicitSolver::record_step(const SimState& in, SimState& out,
     inputs.tables->rebuild(*model(), *inputs.contacts, wanted);
   }
   const ContactTables& tables = inputs.tables != nullptr ? *inputs.tables : tables_;
+  note_step(in, out, inputs.contacts, tables, inputs.dt, inputs.checkpoints == nullptr);
   if (moves_particles()) particles_.record(*model(), in, out, inputs, tables, scratch);
   if (!moves_bodies()) return;
   const nova::Operand total = scratch.empty() ? nova::Operand{} : nova::operand_of(scratch.back());

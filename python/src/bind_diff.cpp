@@ -6,6 +6,7 @@
 
 #include "fast_step.h"
 #include "friction_laws.h"
+#include "gradient_info.h"
 #include "nova_types.h"
 #include "novaphy/collision/collision_pipeline.h"
 #include "novaphy/collision/diff_soft_contacts.h"
@@ -618,7 +619,18 @@ void bind_solver(py::module_& solvers) {
           "the contacts that touch in the state; without contacts, static ones count as one of "
           "each particle with each of its shapes. A step of a longer one warns (RuntimeWarning, "
           "once) where springs or dampers diverge for certain. ValueError: a state or contacts of "
-          "another model.");
+          "another model.")
+      .def(
+          "gradient_info",
+          [](const DiffSemiImplicitSolver& s) { return to_fields(s.gradient_info()); },
+          "GradientInfo of the last steps on a tape, each of which started where the one before "
+          "ended: a rollout or a loop of steps; of a captured one, of its last replay. It looks at "
+          "the states and contacts when it is called; with checkpoints steps are looked at as "
+          "they run. Steps are frozen where contacts push whose points and normals are held "
+          "(diff.rigid_contact_gradient_labels; those of particles of a Contacts that a rollout "
+          "does not find). The contacts of enable_static_contacts are exact, and count as events.")
+      .def("clear_gradient_info", &DiffSemiImplicitSolver::clear_gradient_info,
+           "Forgets what gradient_info counts.");
   add_fast_step(solver);
 }
 

@@ -3,6 +3,7 @@
 
 #include "contact_options.h"
 #include "fast_step.h"
+#include "gradient_info.h"
 #include "nova_types.h"
 #include "novaphy/diff/diff_featherstone_solver.h"
 #include "novaphy/diff/planar_arm.h"
@@ -67,32 +68,30 @@ void bind_diff_featherstone(py::module_& m, py::module_& solvers) {
             const auto margin = [](float x) {
               return x < ContactBranches::kNone ? py::object(py::float_(x)) : py::none();
             };
-            return py::dict(
-                "label"_a = b.exact == b.steps              ? "exact"
-                            : b.exact + b.frozen == b.steps ? "frozen"
-                                                            : "surrogate",
-                "contact_steps"_a = b.steps, "exact_steps"_a = b.exact, "frozen_steps"_a = b.frozen,
-                "unconverged_steps"_a = b.unconverged, "frozen_contacts"_a = b.held,
-                "breaking"_a = b.breaking, "sticking"_a = b.sticking, "sliding"_a = b.sliding,
-                "normal_margin"_a = margin(b.normal_margin), "gap_margin"_a = margin(b.gap_margin),
-                "cone_margin"_a = margin(b.cone_margin), "slip_margin"_a = margin(b.slip_margin),
-                "residual"_a = b.residual);
+            return to_fields(
+                s.gradient_info(),
+                py::dict("contact_steps"_a = b.steps, "frozen_contacts"_a = b.held,
+                         "unconverged_steps"_a = b.unconverged,
+                         "breaking"_a = b.breaking, "sticking"_a = b.sticking,
+                         "sliding"_a = b.sliding, "normal_margin"_a = margin(b.normal_margin),
+                         "gap_margin"_a = margin(b.gap_margin),
+                         "cone_margin"_a = margin(b.cone_margin),
+                         "slip_margin"_a = margin(b.slip_margin)));
           },
-          "What the gradient through the contacts of all steps since the last "
-          "clear_gradient_info is. label: \"surrogate\" unless in all contact_steps the impulses "
-          "converged (residual, m/s) and no contact was just about to break, stick or slide. Then "
-          "\"exact\" where points and normals of all contacts that push move as the search moves "
-          "them (exact_steps): planes of the world with spheres, capsules, boxes, hulls or meshes, "
-          "found from the state of the step as it is; \"frozen\" where frozen_contacts of the "
-          "others push, whose points stay in the frames of their bodies and whose normals stay in "
-          "the world (frozen_steps). unconverged_steps are those whose gradient raises. breaking, "
-          "sticking, sliding count contacts. Margins, None "
-          "without a contact of the kind: normal_margin (m/s, the least normal impulse as a "
+          "GradientInfo of all steps since the last clear_gradient_info. Steps are exact of the "
+          "code where points and normals of all contacts that push move as the search moves them: "
+          "planes of the world with spheres, capsules, boxes, hulls or meshes, found from the "
+          "state of the step as it is. They are frozen where frozen_contacts of the others push, "
+          "whose points stay in the frames of their bodies and whose normals stay in the world. "
+          "contact_steps: of the steps, those with contacts or dry friction; unconverged_steps: "
+          "those whose gradient raises; breaking, sticking, "
+          "sliding count contacts. Margins, None "
+          "without a contact of the kind, to where the gradient jumps: normal_margin (m/s, the "
+          "least normal impulse as a "
           "velocity, or speed of opening), gap_margin (m, to where an overlap begins or leaves "
           "pgs_slop, of contacts that push), cone_margin (1, the least distance of a sticking one "
-          "from its cone), slip_margin (m/s, the least slip). That contacts begin or end is not "
-          "differentiated.")
-      .def("clear_gradient_info", &DiffFeatherstoneSolver::clear_branches,
+          "from its cone), slip_margin (m/s, the least slip).")
+      .def("clear_gradient_info", &DiffFeatherstoneSolver::clear_gradient_info,
            "Forgets what gradient_info counts.")
       .def_property_readonly(
           "angular_damping",

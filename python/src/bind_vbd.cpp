@@ -2,6 +2,7 @@
 #include "exchange.h"
 #include "novaphy/vbd/solver_vbd.h"
 #ifdef NOVAPHY_PYTHON_DIFF
+#include "gradient_info.h"
 #include "nova_types.h"
 #include "novaphy/vbd/diff_vbd.h"
 #endif
@@ -61,18 +62,6 @@ VbdGradientOptions to_gradient_options(const std::string& gradient,
 
 void bind_diff_vbd(py::module_& solvers) {
   using diff::DiffSolverVBD, diff::DiffVbdOptions;
-  py::class_<VbdGradientInfo>(solvers, "VbdGradientInfo", "What gradients of DiffSolverVBD are.")
-      .def_readonly("label", &VbdGradientInfo::label,
-                    "\"exact\": the derivative of the sweeps that ran; \"implicit\": of the "
-                    "solution of the step. Both hold the contacts that the step was given: where "
-                    "they are and their normals are frozen.")
-      .def_readonly("primal", &VbdGradientInfo::primal,
-                    "VbdResidual of the step that the last backward ran.")
-      .def_readonly("linear_residual", &VbdGradientInfo::linear_residual,
-                    "Of the linear system of implicit gradients, relative; else 0.")
-      .def_readonly("linear_sweeps", &VbdGradientInfo::linear_sweeps, "That it took.")
-      .def_readonly("converged", &VbdGradientInfo::converged,
-                    "Whether both residuals are within the tolerance; True for \"exact\".");
   const DiffVbdOptions d;
   py::class_<DiffSolverVBD, SolverBase>(
       solvers, "DiffSolverVBD",
@@ -123,11 +112,26 @@ void bind_diff_vbd(py::module_& solvers) {
           "\"unrolled\" or \"implicit\".")
       .def_property_readonly("held_count", &DiffSolverVBD::held_count,
                              "Particles that are held: the rows of targets.")
-      .def("gradient_info", &DiffSolverVBD::gradient_info,
-           "VbdGradientInfo of the last backward or jvp. novaphy.Error: there was none; a replay, "
-           "or "
-           "a step on a device, since the last call failed (not finite, not solved, contacts that "
-           "overflowed).")
+      .def(
+          "gradient_info",
+          [](const DiffSolverVBD& s) {
+            const diff::DiffVbdGradientInfo i = s.gradient_info();
+            return to_fields(
+                i, py::dict("primal"_a = i.primal, "linear_residual"_a = i.linear_residual,
+                            "linear_sweeps"_a = i.linear_sweeps, "converged"_a = i.converged));
+          },
+          "GradientInfo of the last steps on a tape, each of which started where the one before "
+          "ended: a rollout or a loop of steps; of a captured one, of its last replay. Behind a "
+          "backward or jvp. Steps are frozen where particles push against shapes other than "
+          "endless planes: points and normals of contacts are held. Of the last backward or jvp: "
+          "primal, the VbdResidual of its step; of implicit gradients the relative residual of "
+          "the linear system (linear_residual, else 0), the sweeps that it took (linear_sweeps), "
+          "and whether both are within the tolerance (converged; True where unrolled). "
+          "novaphy.Error: there was no backward; a replay, or "
+          "a step on a device, since the last call failed (not finite, not solved, contacts that "
+          "overflowed).")
+      .def("clear_gradient_info", &DiffSolverVBD::clear_gradient_info,
+           "Forgets which steps gradient_info counts.")
       .def("reset", &DiffSolverVBD::reset, release_gil(),
            "Forgets the last step, which initial_guess=\"adaptive\" looks at. Can be captured.")
       .def(

@@ -3,6 +3,7 @@
 #include <new>
 
 #include "fast_step.h"
+#include "gradient_info.h"
 #include "novaphy/core/parallel.h"
 #include "novaphy/core/version.h"
 #include "novaphy/core/warning.h"
@@ -136,6 +137,9 @@ PYBIND11_MODULE(_core, m) {
   bind_builder(m);
   bind_collision(m);
   py::module_ solvers = m.def_submodule("solvers", "Solvers; import novaphy.solvers.");
+#ifdef NOVAPHY_PYTHON_DIFF
+  bind_gradient_info(solvers);
+#endif
   bind_dynamics(m, solvers);
 #ifdef NOVAPHY_PYTHON_VBD
   bind_vbd(solvers);

@@ -277,7 +277,7 @@ std::vector<float> articulation_contact_gradients(Device device, bool capture) {
   std::vector<float> results;
   for (const Tensor& leaf : leaves) append(results, leaf.grad().to_host());
   const ContactBranches said = solver.branches();
-  for (const int64_t count : {said.exact, said.sticking, said.sliding})
+  for (const int64_t count : {said.all.exact, said.sticking, said.sliding})
     results.push_back(static_cast<float>(count));
   return results;
 }

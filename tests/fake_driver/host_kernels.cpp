@@ -162,6 +162,9 @@ namespace tree_tangents {
 namespace joints {
 #include "joint_coordinates_kernels.cuh"
 }
+namespace notes {
+#include "gradient_notes_kernels.cuh"
+}
 #ifdef FAKE_DRIVER_HAS_VBD
 #undef __shared__
 #define __shared__ static
@@ -264,6 +267,12 @@ const HostKernel* find_host_kernel(const char* name) {
       OF_TEXT(joints::novaphy, eval_fk_articulation),
       OF_TEXT(joints::novaphy, eval_ik_joint),
       OF_TEXT(joints::novaphy, eval_mimic_joint),
+      OF_TEXT(notes::novaphy, note_soft_contacts),
+      OF_TEXT(notes::novaphy, note_static_particles),
+      OF_TEXT(notes::novaphy, note_rigid_contacts),
+      OF_TEXT(notes::novaphy, note_plane_pairs),
+      OF_TEXT(notes::novaphy, note_contact_events),
+      OF_TEXT(notes::novaphy, note_gradient_step),
 #ifdef FAKE_DRIVER_HAS_VBD
       OF_VBD(vbd_predict, false),
       OF_VBD(vbd_target, false),

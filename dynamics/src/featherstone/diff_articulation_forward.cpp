@@ -73,6 +73,7 @@ ContactRecord contact_record(const Step& s, bool write) {
   record.friction = part("friction_impulses", kContactNumbers * s.contact_max + 1 + kFarNumbers);
   record.found = s.follow;
   record.by_restitution = s.by_restitution;
+  record.continues = s.continues;
   record.dry = s.dry;
   record.records = true;
   return record;
@@ -149,6 +150,7 @@ void launch_contacts(const Step& s, std::vector<LaunchArgument> words, bool tell
   ContactRowArguments rows = kept_arguments(s, false);
   ContactRecord record = contact_record(s, true);
   if (tell && s.force) rows.force = writes("rigid_contact_force", *s.force);
+  if (tell && s.point_id) rows.point_id = reads("rigid_contact_point_id", *s.point_id);
   record.notes = tell;
   launched.step(std::move(words), rows, s.options, s.dt, record);
 }
@@ -197,7 +199,10 @@ void write_forces(const KeptContacts& kept, const DeviceArray<Vec3f>& to, float 
 
 // Behind the step as it is recorded: what its contacts say.
 void tell_contacts(const Step& s) {
-  s.shared->pgs->add_branches(s.shared->branches, s.shared->options, s.by_restitution);
+  const ContactRows rows =
+      kept_contacts(s).rows(s.follow, s.point_id ? s.point_id->data() : nullptr);
+  s.shared->pgs->add_branches(s.shared->branches, rows, s.shared->options, s.by_restitution,
+                              s.continues);
   if (s.force) write_forces(kept_contacts(s), *s.force, s.dt);
 }
 
@@ -226,6 +231,7 @@ void submit_forward(const std::shared_ptr<const Step>& step, bool tell) {
   for (const Named& out : step->outputs) results.push_back(out.tensor);
   if (step->force) writes.push_back(tensor_of(*step->force));
   std::vector<Tensor> reads = reads_of(*step);
+  if (step->point_id) reads.push_back(tensor_of(*step->point_id));
   if (step->found) {
     const FoundRows& f = *step->found;
     const Array* const arrays[] = {&f.count,  &f.shape0, &f.shape1,  &f.point0,

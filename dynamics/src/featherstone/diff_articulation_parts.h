@@ -82,8 +82,8 @@ struct KeptContacts {
     std::copy_n(c.margin1, n, margin1);
     std::fill_n(impulses, n, Vec3f{});
   }
-  ContactRows rows(bool found) const {
-    return {*count, shape0, shape1, nullptr, point0, point1, normal, margin0, margin1, found};
+  ContactRows rows(bool found, const int32_t* point_id = nullptr) const {
+    return {*count, shape0, shape1, point_id, point0, point1, normal, margin0, margin1, found};
   }
   int32_t *shape0, *shape1;
   Vec3f *point0, *point1, *normal, *impulses;
@@ -184,6 +184,8 @@ struct ArticulationStep::Shared {
   // On devices, whether a step since the last check is far from converged, and how many were.
   std::shared_ptr<bool> far = std::make_shared<bool>(false);
   int64_t far_steps = 0;
+  int64_t free_steps = 0;       // recorded without contacts and dry friction
+  const void* ended = nullptr;  // where the last step with contacts left joint_q
 };
 
 // The arrays of a step, and of those behind it that are one operation with it: handles, and what
@@ -196,6 +198,9 @@ struct ArticulationStep::Step {
   std::optional<detail::FoundRows> found = {};        // copied whenever the step runs
   bool follow = false;                                // they are of the state that it starts from
   std::optional<DeviceArray<Vec3f>> force = {};       // of the contacts
+  // Of the contacts, as long as they are those of the step: for the events between steps.
+  std::optional<DeviceArray<int32_t>> point_id = {};
+  bool continues = false;  // it starts where the last one with contacts ended
   bool by_restitution = false;                        // its gradient is asked for
   bool dry = false;                                   // Shared::dry
   std::array<detail::Named, detail::kInputs> inputs;  // in the order of StepGradient, MoreInputs

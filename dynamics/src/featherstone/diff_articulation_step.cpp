@@ -124,6 +124,9 @@ void ArticulationStep::record(const Model& m, const SimState& in, SimState& out,
           : std::nullopt,
       found != FoundContacts::Before,
       touching ? std::optional<DeviceArray<Vec3f>>(contacts->rigid_contact_force) : std::nullopt,
+      touching ? std::optional<DeviceArray<int32_t>>(contacts->rigid_contact_point_id)
+               : std::nullopt,
+      shared_->ended == in.joint_q.range()->data(),
       nova::Tape::active() != nullptr &&
           nova::Tape::active()->carries_gradient(*m.shape_material_restitution.range()),
       shared_->dry,
@@ -167,6 +170,8 @@ void ArticulationStep::record(const Model& m, const SimState& in, SimState& out,
   step->far = shared_->far;
   if (touching) shared_->materials.check(m);
   const bool solves = step->contacts.defined();
+  shared_->ended = solves ? out.joint_q.range()->data() : nullptr;
+  if (!solves) ++shared_->free_steps;
   if (solves) {
     if (shared_->launched) {
       if (!step->copies_contacts())
@@ -206,6 +211,7 @@ bool ArticulationStep::joins(const Model& m, const SimState& in, SimState& out,
                           tensor_of(out.body_qd), tensor_of(scratch[0]),   tensor_of(scratch[1])};
   run_host(first, first.host, &from, to);
   first.following.push_back(to);
+  ++shared_->free_steps;
   return true;
 }
 
@@ -218,9 +224,13 @@ void ArticulationStep::flush() {
 void ArticulationStep::forget() { pending_ = nullptr; }
 
 ContactBranches ArticulationStep::branches() const {
-  return shared_->launched ? shared_->launched->branches() : shared_->branches;
+  ContactBranches b = shared_->launched ? shared_->launched->branches() : shared_->branches;
+  b.all.steps += shared_->free_steps;
+  b.all.exact += shared_->free_steps;
+  return b;
 }
 void ArticulationStep::clear_branches() {
+  shared_->free_steps = 0;
   if (shared_->launched) shared_->launched->clear_branches();
   shared_->branches = {};
   shared_->far_steps = 0;

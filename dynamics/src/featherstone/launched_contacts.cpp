@@ -225,22 +225,36 @@ void LaunchedContacts::step(std::vector<LaunchArgument> words, const ContactRowA
   list_rows(rows, record);
   add_words(words, group_words(rows, o, record, memory_, contact_stride_));
   const LaunchArgument none;
-  add_words(
-      words,
-      {rows.point_id, reads("moved_by", moved_by_), number(o.pgs_tolerance),
-       number(int64_t{o.pgs_iterations}), number(int64_t{o.warm_start}),
-       number(int64_t{record.records ? 0 : art::kMostTreeContacts}),
-       reads("kept_begin", kept_begin_), reads("kept", kept_), reads("kept_dt", kept_dt_),
-       updates("kept_friction", kept_friction_), writes("now", now_), rows.force,
-       writes_row("sweeps", sweeps_), writes_row("residual", residual_), record.impulses,
-       record.friction, record.notes ? writes_row("notes", notes_) : none,
-       record.notes ? writes("sharing", sharing_) : none, number(int64_t{record.by_restitution})});
+  add_words(words, {rows.point_id,
+                    reads("moved_by", moved_by_),
+                    number(o.pgs_tolerance),
+                    number(int64_t{o.pgs_iterations}),
+                    number(int64_t{o.warm_start}),
+                    number(int64_t{record.records ? 0 : art::kMostTreeContacts}),
+                    reads("kept_begin", kept_begin_),
+                    reads("kept", kept_),
+                    reads("kept_dt", kept_dt_),
+                    updates("kept_friction", kept_friction_),
+                    writes("now", now_),
+                    rows.force,
+                    writes_row("sweeps", sweeps_),
+                    writes_row("residual", residual_),
+                    record.impulses,
+                    record.friction,
+                    record.notes ? writes_row("notes", notes_) : none,
+                    record.notes ? writes("seen", seen_) : none,
+                    record.notes ? reads("seen_before", seen_before_) : none,
+                    record.notes ? reads("seen_begin", seen_begin_) : none,
+                    number(int64_t{record.by_restitution}),
+                    number(int64_t{record.continues})});
   k.step.launch(device, groups_, words);
   if (record.notes) {
     const int64_t some = std::min(groups_, kSomeNotes);
     k.note_some.launch(
         device, some,
-        {reads("notes", notes_), writes_row("some_notes", some_notes_), number(groups_)});
+        {reads("notes", notes_), writes_row("some_notes", some_notes_), reads("seen", seen_),
+         reads("contact_begin", contact_begin_), updates("seen_before", seen_before_),
+         writes("seen_begin", seen_begin_), number(groups_)});
     k.note_step.launch(
         device, 1,
         {reads("some_notes", some_notes_), updates("branches", branches_), number(some)});

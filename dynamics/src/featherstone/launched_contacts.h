@@ -27,6 +27,7 @@ struct ContactRecord {
   LaunchArgument impulses = {}, friction = {};  // along n, t1, t2; of dofs with dry friction
   bool found = false;                           // ContactRows::found
   bool by_restitution = false;
+  bool continues = false;  // it starts where the last one that noted ended
   bool dry = false;    // joints have dry friction, or may have some in a replay
   bool notes = false;  // adds its branches to branches()
   bool records = false;
@@ -116,9 +117,9 @@ class LaunchedContacts {
   int64_t group_dofs_ = 0;  // of the largest group
   int64_t adjoint_capacity_ = -1, adjoint_dofs_ = 0, adjoint_stride_, system_of_contact_ = 0,
           system_of_group_ = 0;
-  DeviceArray<float> sharing_, adjoint_memory_, tangent_memory_, system_, materials_;
-  DeviceArray<int32_t> notes_, some_notes_, branches_, adjoint_status_, shape_of_, shape_begin_,
-      shape_sides_;
+  DeviceArray<float> adjoint_memory_, tangent_memory_, system_, materials_;
+  DeviceArray<int32_t> notes_, some_notes_, seen_, seen_before_, seen_begin_, branches_,
+      adjoint_status_, shape_of_, shape_begin_, shape_sides_;
 };
 
 }  // namespace novaphy

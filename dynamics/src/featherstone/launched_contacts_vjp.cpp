@@ -13,6 +13,7 @@ namespace {
 namespace art = articulation;
 constexpr size_t kNoteNumbers = sizeof(art::BranchNotes) / sizeof(int32_t),
                  kBranchNumbers = sizeof(ContactBranches) / sizeof(int32_t),
+                 kSeenNumbers = sizeof(SeenContact) / sizeof(int32_t),
                  kMaterialNumbers = sizeof(art::MaterialGradient) / sizeof(float);
 // Of the systems of all groups: as much as any contacts need where it is less than kMostSystems,
 // else that; but of several groups so much that those with kLeastContacts have room.
@@ -25,8 +26,12 @@ void LaunchedContacts::reserve_notes() {
   const Unobserved unobserved;
   const Device device = model_.device();
   const auto groups = static_cast<size_t>(groups_);
-  const auto sharing = static_cast<size_t>(2 * kSharingNumbers * std::max<int64_t>(capacity_, 1));
-  if (sharing_.size() < sharing) sharing_ = DeviceArray<float>(sharing, device);
+  const auto contacts = static_cast<size_t>(std::max<int64_t>(capacity_, 1));
+  if (seen_.rows() < contacts) {
+    seen_ = DeviceArray<int32_t>(contacts, device, kSeenNumbers);
+    seen_before_ = DeviceArray<int32_t>(contacts, device, kSeenNumbers);
+    seen_begin_ = DeviceArray<int32_t>(groups + 1, device);
+  }
   if (notes_.rows() == groups) return;
   notes_ = DeviceArray<int32_t>(groups, device, kNoteNumbers);
   some_notes_ = DeviceArray<int32_t>(groups, device, kNoteNumbers);

@@ -62,8 +62,9 @@ class PgsContacts : private TreeContacts {
   // (of the dofs that have it), and their branches.
   void write_impulses(Vec3f* impulses, float* friction) const;
   // `by_restitution`: for gradients by it, which an approach without any has none of: its law
-  // jumps.
-  void add_branches(ContactBranches& to, const FeatherstoneOptions& options, bool by_restitution);
+  // jumps. `continues`: the step starts where the last one that was added ended.
+  void add_branches(ContactBranches& to, const ContactRows& contacts,
+                    const FeatherstoneOptions& options, bool by_restitution, bool continues);
   // Behind prepare: the adjoint of step, as articulation_step_vjp, from its impulses. Branches stay
   // as they are, and so do normals. Points are fixed to their shapes; that of a plane of the world
   // stays below the other, where that is exact (IslandContact::follows).
@@ -127,7 +128,6 @@ class PgsContacts : private TreeContacts {
   void solve_island(const Step& step, int64_t island);
   void keep(const ContactRows& contacts, float dt, Vec3f* force);
   void solve_adjoint(int64_t island, bool cone);
-  bool sharing_matters(int64_t island, bool cone);
   articulation::AdjointMemory<float> adjoint(int64_t tree);
   int32_t find_root(int32_t tree) {
     return articulation::find_root(
@@ -168,6 +168,7 @@ class PgsContacts : private TreeContacts {
   std::vector<int64_t> adjoint_begin_;
   std::vector<double> system_;
   std::vector<float> friction_push_;  // of each dof: friction_push
+  std::vector<SeenContact> seen_, seen_now_;
   int32_t sweeps_ = 0;
   float residual_ = 0.0f;
   FarIsland far_;

@@ -19,26 +19,27 @@ void PgsContacts::write_impulses(Vec3f* impulses, float* friction) const {
     impulses[row.contact] = {row.solver.impulse[0], row.solver.impulse[1], row.solver.impulse[2]};
 }
 
-bool PgsContacts::sharing_matters(int64_t island, bool cone) {
-  const std::span<const int32_t> rows = island_rows_.items(island);
-  const size_t n = rows.size();
-  system_.resize(std::max(system_.size(), n * (n + 1) / 2));
-  return art::sharing_matters(
-      static_cast<int32_t>(n),
-      [&](int32_t i) -> Row& { return rows_[static_cast<size_t>(rows[static_cast<size_t>(i)])]; },
-      cone, system_.data(), static_cast<int64_t>(system_.size()));
-}
-
-void PgsContacts::add_branches(ContactBranches& to, const FeatherstoneOptions& options,
-                               bool by_restitution) {
+void PgsContacts::add_branches(ContactBranches& to, const ContactRows& contacts,
+                               const FeatherstoneOptions& options, bool by_restitution,
+                               bool continues) {
   const art::ContactLaw<float> law = contact_law(options, 0.0f);
   art::BranchNotes notes;
-  for (const Row& row : rows_) art::note_contact(law, by_restitution, row, notes);
+  seen_now_.clear();
+  for (const Row& row : rows_) {
+    art::note_contact(contacts, law, by_restitution, row, notes);
+    seen_now_.push_back(art::seen_contact(contacts, row, law.cone));
+  }
   for (size_t i = 0; i < friction_.size(); ++i) art::note_friction(friction_rows_[i], notes);
-  for (size_t island = 0; notes.exact != 0 && island < island_results_.size(); ++island)
-    if (sharing_matters(static_cast<int64_t>(island), law.cone)) notes.exact = 0;
-  notes.residual = residual_;
+  for (const art::IslandResult& of : island_results_)
+    art::raise(notes.all.residual,
+               art::relative_residual(of.residual, of.largest, options.pgs_tolerance));
   notes.far = far_.sweeps > 0 ? 1 : 0;
+  const auto count = [](const std::vector<SeenContact>& list) {
+    return static_cast<int32_t>(list.size());
+  };
+  if (continues)
+    note_events(seen_.data(), count(seen_), seen_now_.data(), count(seen_now_), notes.all);
+  std::swap(seen_, seen_now_);
   art::note_step(notes, to);
 }
 

@@ -4,8 +4,7 @@
 
 #include "novaphy/collision/geometry/clip_manifold.h"
 #include "novaphy/core/error.h"
-#include "novaphy/core/sim/enums.h"
-#include "novaphy/dynamics/semi_implicit/contact_turning_trace.h"
+#include "novaphy/dynamics/semi_implicit/contact_follows_kernels.h"
 
 namespace novaphy {
 
@@ -22,24 +21,17 @@ std::vector<bool> exact_contact_gradients(const Model& model, const SimState& st
           ": model: expected one on the cpu, got one on ", model.device().str());
   const int32_t rows =
       std::clamp(contacts.rigid_contact_count.data()[0], 0, contacts.rigid_contact_max());
-  const int32_t *const body = model.shape_body.data(), *const type = model.shape_type.data();
-  const auto pose_of = [&](int32_t shape) {
-    return body[shape] < 0 ? Transformf::identity() : state.body_q.data()[body[shape]];
-  };
-  const auto shape_of = [&](int32_t shape) {
-    const auto is = [&](GeoType wanted) { return type[shape] == static_cast<int32_t>(wanted); };
-    return ContactShape<bool, float>{is(GeoType::PLANE),
-                                     is(GeoType::SPHERE),
-                                     is(GeoType::CAPSULE),
-                                     is(GeoType::BOX),
-                                     is(GeoType::ELLIPSOID),
-                                     is(GeoType::CYLINDER),
-                                     is(GeoType::CONE),
-                                     is(GeoType::CONVEX_MESH) || is(GeoType::MESH),
-                                     model.shape_transform.data()[shape],
-                                     model.shape_scale.data()[shape]};
-  };
   const bool follow = contacts.rigid_contacts_found_from(model, state.body_q);
+  const FollowedContacts of = {contacts.rigid_contact_shape0.data(),
+                               contacts.rigid_contact_shape1.data(),
+                               contacts.rigid_contact_point0.data(),
+                               contacts.rigid_contact_point1.data(),
+                               contacts.rigid_contact_normal.data(),
+                               state.body_q.data(),
+                               model.shape_body.data(),
+                               model.shape_type.data(),
+                               model.shape_transform.data(),
+                               model.shape_scale.data()};
   std::vector<bool> exact(static_cast<size_t>(rows));
   for (int32_t row = 0; row < rows; ++row) {
     const int32_t shape[2] = {contacts.rigid_contact_shape0.data()[row],
@@ -49,17 +41,7 @@ std::vector<bool> exact_contact_gradients(const Model& model, const SimState& st
               ": contacts: rigid_contact_shape0, shape1[", row, "]: expected 0 to ",
               model.shape_count() - 1, ", got ", s);
     if (!follow) continue;
-    const Vec3f point[2] = {contacts.rigid_contact_point0.data()[row],
-                            contacts.rigid_contact_point1.data()[row]};
-    const Transformf pose[2] = {pose_of(shape[0]), pose_of(shape[1])};
-    const Vec3f world[2] = {math::transform_point(pose[0], point[0]),
-                            math::transform_point(pose[1], point[1])};
-    const Vec3f normal = contacts.rigid_contact_normal.data()[row];
-    exact[static_cast<size_t>(row)] =
-        turning_contact(contact_feature_of(shape_of(shape[0]), pose[0], point[0], world[1], normal),
-                        contact_feature_of(shape_of(shape[1]), pose[1], point[1], world[0], normal),
-                        normal)
-            .is_exact;
+    exact[static_cast<size_t>(row)] = contact_follows(of, row);
   }
   return exact;
 }

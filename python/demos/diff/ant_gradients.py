@@ -229,8 +229,8 @@ class ExactFrames:
         """What the derivative is."""
         info = self.solver.gradient_info()
         return (
-            f"{info['label']} ({info['exact_steps']} of {info['contact_steps']} steps "
-            "with contacts away from a change of branch)"
+            f"{info['label']} ({info['exact_steps']} of {info['steps']} steps are, "
+            f"{info['contact_steps']} have contacts; {info['events']} events)"
         )
 
     def run(self, actions: np.ndarray):

@@ -29,13 +29,20 @@ if has_diff():
         DiffFeatherstoneSolver,
         DiffSemiImplicitSolver,
         DiffSolverConfig,
+        GradientInfo,
     )
 
-    __all__ += ["DiffFeatherstoneSolver", "DiffSemiImplicitSolver", "DiffSolverConfig"]
+    __all__ += [
+        "DiffFeatherstoneSolver",
+        "DiffSemiImplicitSolver",
+        "DiffSolverConfig",
+        "GradientInfo",
+    ]
 
 if has_diff() and has_vbd():
-    from .._core.solvers import DiffSolverVBD, VbdGradientInfo
+    from .._core.solvers import DiffSolverVBD
 
+    VbdGradientInfo = GradientInfo  # its name before all solvers had one
     __all__ += ["DiffSolverVBD", "VbdGradientInfo"]
 
 
@@ -46,6 +53,7 @@ def __getattr__(name: str) -> object:
         "DiffSemiImplicitSolver",
         "DiffSolverConfig",
         "DiffSolverVBD",
+        "GradientInfo",
         "VbdGradientInfo",
     ):
         require_diff(f"novaphy.solvers.{name}")

@@ -7,6 +7,7 @@
 #include "novaphy/diff/trajectory.h"
 #include "novaphy/dynamics/diff_solver_base.h"
 #include "novaphy/dynamics/featherstone/diff_articulation_step.h"
+#include "novaphy/dynamics/gradient_info.h"
 
 namespace novaphy::diff {
 
@@ -24,9 +25,11 @@ class NOVAPHY_DIFF_API DiffFeatherstoneSolver : public DiffSolverBase {
                                   bool allow_unconverged = false);
 
   const FeatherstoneOptions& options() const { return options_; }
-  // Of the contacts of all steps since the last clear: what their gradients are.
+  // Of all steps since the last clear: what their gradients are, and their contacts and dry
+  // friction.
+  GradientInfo gradient_info() const { return novaphy::gradient_info(branches().all); }
   ContactBranches branches() const { return step_.branches(); }
-  void clear_branches() { step_.clear_branches(); }
+  void clear_gradient_info() { step_.clear_branches(); }
 
   // Errors as SolverFeatherstone::step; ErrorKind::Runtime inside a ScopedCapture.
   void step(SimState& state_in, SimState& state_out, const Control* control,

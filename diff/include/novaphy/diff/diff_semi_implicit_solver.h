@@ -8,7 +8,9 @@
 #include "novaphy/core/sim/unread_materials.h"
 #include "novaphy/diff/export.h"
 #include "novaphy/diff/trajectory.h"
+#include "novaphy/dynamics/diff_gradient_notes.h"
 #include "novaphy/dynamics/diff_solver_base.h"
+#include "novaphy/dynamics/gradient_info.h"
 #include "novaphy/dynamics/semi_implicit/diff_body_step.h"
 #include "novaphy/dynamics/semi_implicit/diff_joints.h"
 #include "novaphy/dynamics/semi_implicit/diff_particle_step.h"
@@ -90,6 +92,10 @@ class NOVAPHY_DIFF_API DiffSemiImplicitSolver : public DiffSolverBase {
                                   const DiffSolverConfig& config = {});
 
   const DiffSolverConfig& config() const { return config_; }
+  // What the gradients are of the last steps on a tape, each of which started where the one before
+  // ended; of a capture, of its last replay. ErrorKind::Runtime inside of one.
+  GradientInfo gradient_info() const { return novaphy::gradient_info(notes_.counts(*model())); }
+  void clear_gradient_info() { notes_.clear(); }
 
   // The activations of triangles and tetrahedra are the control's, or the model's without one.
   // Errors as SolverBase::step; ErrorKind::Runtime inside a ScopedCapture, and under `strict` for
@@ -122,6 +128,8 @@ class NOVAPHY_DIFF_API DiffSemiImplicitSolver : public DiffSolverBase {
   static void check_overflow(const Contacts& contacts);
   void begin(const char* function, const Control* control, const Contacts* contacts, bool found,
              bool of_this_state, float dt);
+  void note_step(const SimState& in, const SimState& out, const Contacts* contacts,
+                 const ContactTables& tables, float dt, bool keeps);
   bool moves_particles() const;
   bool moves_bodies() const;
   ParticleForces particle_forces(bool contacts) const;
@@ -135,6 +143,7 @@ class NOVAPHY_DIFF_API DiffSemiImplicitSolver : public DiffSolverBase {
   std::optional<DiffJoints> joints_;  // null: they are left out
   UnreadMaterials materials_;         // adhesion is of contacts of bodies
   EditedValues values_{"DiffSemiImplicitSolver"};
+  GradientNotes notes_;
   ContactTables tables_;                // of contacts that are given
   DeviceArray<SpatialVectorf> body_f_;  // of step: with the wrenches of contacts
 };

@@ -6,11 +6,21 @@
 #include <string>
 
 #include "novaphy/core/sim/edited_values.h"
+#include "novaphy/dynamics/diff_gradient_notes.h"
 #include "novaphy/dynamics/diff_solver_base.h"
+#include "novaphy/dynamics/gradient_info.h"
 #include "novaphy/nova/op_list.h"
 #include "novaphy/vbd/differentiable_vbd.h"
 
 namespace novaphy::diff {
+
+// `residual`: of implicit gradients, that of the step or of the linear system.
+struct DiffVbdGradientInfo : GradientInfo {
+  VbdResidual primal;          // how far the step of the last backward was from its solution
+  double linear_residual = 0;  // implicit: of its linear system, relative; else 0
+  int32_t linear_sweeps = 0;   // that it took
+  bool converged = true;       // implicit: both are within the tolerance
+};
 
 struct DiffVbdOptions {
   int32_t iterations = 10;         // sweeps over all colours, >= 0
@@ -58,7 +68,10 @@ class NOVAPHY_VBD_API DiffSolverVBD : public DiffSolverBase {
   // Of the last backward or jvp. ErrorKind::Runtime: there was none; or a replay of a captured step
   // or backward failed since the last call, and wrote NaN (the first, with the step of a rollout;
   // step and rollout say so, too); on a device as SolverVBD::residual, of direct steps too.
-  VbdGradientInfo gradient_info() const;
+  // The labels are of the last steps on a tape, each of which started where the one before ended;
+  // of a capture, of its last replay.
+  DiffVbdGradientInfo gradient_info() const;
+  void clear_gradient_info() { notes_.clear(); }
 
   // particle_f is only read. Errors as SolverVBD::step; ErrorKind::Runtime with implicit
   // gradients where the step was not solved.
@@ -94,6 +107,7 @@ class NOVAPHY_VBD_API DiffSolverVBD : public DiffSolverBase {
   std::shared_ptr<DifferentiableVbd> steps_;
   std::shared_ptr<std::string> failure_ = std::make_shared<std::string>();  // of a replay
   std::shared_ptr<const Contacts> last_contacts_;  // a copy of those of the last step
+  GradientNotes notes_;
   // Of the adaptive guess: see VbdStepInputs::last_velocity; and the same as the last step on a
   // tape and in a capture wrote it.
   DeviceArray<Vec4f> last_velocity_;

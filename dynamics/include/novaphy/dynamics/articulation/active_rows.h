@@ -14,12 +14,7 @@ namespace novaphy::articulation {
 inline constexpr float kSlides = 1e-5f;        // relative: nearer to the cone is on it
 inline constexpr double kRegularity = 1e-7;    // of redundant rows, relative to their diagonal
 inline constexpr float kLeastSlip = 1e-6f;     // m/s
-inline constexpr float kSameFriction = 1e-4f;  // 1
-inline constexpr double kDependent = 1e-5;     // of a normal that others make up, relative
-inline constexpr float kConverged = 1e-5f;     // m/s
-inline constexpr float kNearNormal = 1e-5f;    // m/s
-inline constexpr float kNearGap = 1e-6f;       // m
-inline constexpr float kNearCone = 1e-3f;      // 1
+inline constexpr float kConverged = 1e-5f;     // m/s: of shifts
 
 inline float tangent_length(float x, float y) { return math::sqrt(x * x + y * y); }
 
@@ -135,17 +130,16 @@ inline double coupling(const PgsContact<float>& a, int i, const PgsContact<float
 
 // What branches the rows of a step have, or of a part of one: ContactBranches of it.
 struct BranchNotes {
-  int32_t rows = 0, exact = 1;  // 0: a branch is too near; without regard to `held`
-  int32_t far = 0;              // an island is far from converged
-  int32_t held = 0, breaking = 0, sticking = 0, sliding = 0;
+  int32_t rows = 0, held = 0, breaking = 0, sticking = 0, sliding = 0;
+  int32_t far = 0;  // an island is far from converged
   float normal_margin = ContactBranches::kNone, gap_margin = ContactBranches::kNone,
-        cone_margin = ContactBranches::kNone, slip_margin = ContactBranches::kNone, residual = 0.0f;
+        cone_margin = ContactBranches::kNone, slip_margin = ContactBranches::kNone;
+  StepNotes all;
 };
 inline void lower(float& to, float value) { to = value < to ? value : to; }
 inline void raise(float& to, float value) { to = to < value ? value : to; }
 inline void note_all(const BranchNotes& of, BranchNotes& to) {
   to.rows += of.rows;
-  if (of.exact == 0) to.exact = 0;
   if (of.far != 0) to.far = 1;
   to.held += of.held;
   to.breaking += of.breaking;
@@ -155,15 +149,15 @@ inline void note_all(const BranchNotes& of, BranchNotes& to) {
   lower(to.gap_margin, of.gap_margin);
   lower(to.cone_margin, of.cone_margin);
   lower(to.slip_margin, of.slip_margin);
-  raise(to.residual, of.residual);
+  note_all(of.all, to.all);
 }
 // Those of a whole step.
 inline void note_step(const BranchNotes& of, ContactBranches& to) {
+  note_step(of.all, to.all);
   if (of.rows == 0) return;
   ++to.steps;
   to.unconverged += of.far;
   to.held += of.held;
-  if (of.exact != 0 && of.residual < kConverged) ++(of.held == 0 ? to.exact : to.frozen);
   to.breaking += of.breaking;
   to.sticking += of.sticking;
   to.sliding += of.sliding;
@@ -171,11 +165,24 @@ inline void note_step(const BranchNotes& of, ContactBranches& to) {
   lower(to.gap_margin, of.gap_margin);
   lower(to.cone_margin, of.cone_margin);
   lower(to.slip_margin, of.slip_margin);
-  raise(to.residual, of.residual);
+}
+
+// What a row has become, for the events of the next step (gradient_counts.h).
+inline SeenContact seen_contact(const ContactRows& c, const IslandContact& row, bool cone) {
+  const ContactBranch branch = branch_of(row.solver, cone);
+  const int32_t mode = 1 + (branch.slides[0] ? 1 : 0) + (branch.slides[1] ? 2 : 0);
+  return {c.shape0[row.contact], c.shape1[row.contact],
+          c.point_id == nullptr ? -1 : c.point_id[row.contact], branch.active ? mode : 0};
+}
+
+// How far an island is from its law: the last change of velocity, relative to the largest impulse
+// (IslandResult); 0 within the tolerance of the sweeps.
+inline float relative_residual(float residual, float largest, float tolerance) {
+  return residual < tolerance ? 0.0f : residual / largest;
 }
 
 // `by_restitution`: for gradients by it, which an approach without any has none of: its law jumps.
-inline void note_contact(const ContactLaw<float>& law, bool by_restitution,
+inline void note_contact(const ContactRows& of, const ContactLaw<float>& law, bool by_restitution,
                          const IslandContact& row, BranchNotes& to) {
   const PgsContact<float>& c = row.solver;
   // Where beta has another slope on the other side.
@@ -183,19 +190,18 @@ inline void note_contact(const ContactLaw<float>& law, bool by_restitution,
   const bool at_slop = !law.compliant && law.slop > 0.0f && law.erp > 0.0f;
   const ContactBranch branch = branch_of(c, law.cone);
   const bool jumps = !row.elastic && row.before < -law.restitution_threshold;
-  const bool softened = c.cfm > row.target.cfm;  // by a part of what changes with q
-  bool exact = !(by_restitution && jumps) && !(branch.active && softened);
+  const bool softened = branch.active && c.cfm > row.target.cfm;  // by a part of what changes with q
+  const bool shifts = c.shifted > 0.0f;
+  const bool shifting =
+      shifts && math::abs(moving_slip(c) + c.shift + c.softness * c.shifted) >= kConverged;
+  if ((by_restitution && jumps) || softened || shifting) to.all.jumps = 1;
   ++to.rows;
   const float normal = branch.active ? c.impulse[0] * c.normal : math::abs(slip(c, 0) + c.bias);
   lower(to.normal_margin, normal);
-  exact = exact && normal >= kNearNormal;
-  const float moves = moving_slip(c), left = moves + c.shift + c.softness * c.shifted;
-  const bool shifts = c.shifted > 0.0f;
-  if (shifts || c.shift < c.bias || math::abs(moves - slip(c, 0)) > kNearNormal) {
-    exact = exact && (shifts ? c.shifted * c.normal >= kNearNormal && math::abs(left) < kConverged
-                             : left >= kNearNormal);
+  if (!row.follows && (branch.active || shifts)) {
+    ++to.held;
+    take_first({of.shape0[row.contact], of.shape1[row.contact], 0}, to.all.held);
   }
-  if (!row.follows && (branch.active || shifts)) ++to.held;
   if (branch.active) {
     const bool slides = branch.slides[0] || branch.slides[1];
     ++(slides ? to.sliding : to.sticking);
@@ -203,80 +209,25 @@ inline void note_contact(const ContactLaw<float>& law, bool by_restitution,
     if (at_contact) gap = math::abs(row.place.gap);
     if (at_slop) lower(gap, math::abs(row.place.gap + law.slop));
     lower(to.gap_margin, gap);
-    exact = exact && gap >= kNearGap;
     const float limit = c.friction * c.impulse[0];
     const float t1 = math::abs(c.impulse[1]), t2 = math::abs(c.impulse[2]);
     const float most = law.cone ? tangent_length(t1, t2) : (t1 < t2 ? t2 : t1);
     if (!(limit > 0.0f)) {  // without friction there is no cone
     } else if (slides) {
-      const float along = tangent_length(slip(c, 1), slip(c, 2));
-      lower(to.slip_margin, along);
-      exact = exact && along >= kNearNormal;
+      lower(to.slip_margin, tangent_length(slip(c, 1), slip(c, 2)));
     } else {
       lower(to.cone_margin, 1.0f - most / limit);
-      exact = exact && 1.0f - most / limit >= kNearCone;
     }
   } else {
     ++to.breaking;
   }
-  if (!exact) to.exact = 0;
 }
 inline void note_friction(const PgsJointFriction<float>& f, BranchNotes& to) {
   ++to.rows;
-  bool exact = true;
-  if (holds(f.impulse, f.limit)) {
-    const float margin = 1.0f - math::abs(f.impulse) / f.limit;
-    lower(to.cone_margin, margin);
-    exact = margin >= kNearCone;
-  } else {
-    const float rate = math::abs(f.rates[f.dof]);
-    lower(to.slip_margin, rate);
-    exact = rate >= kNearNormal;
-  }
-  if (!exact) to.exact = 0;
-}
-
-// Whether the result depends on how the sweeps shared the force among normals that depend on each
-// other, as those of a box's face do: where contacts slide, and the friction for a unit of normal
-// force is not the same for all of them. The adjoint shares in its own way. `contact_of` gives the
-// n contacts of an island; `system` holds `most` numbers, and where they are too few the answer is
-// yes: a i (i + 1) / 2 are needed for i normals.
-template <class ContactOf>
-bool sharing_matters(int32_t n, const ContactOf& contact_of, bool cone, double* system,
-                     int64_t most) {
-  bool slides = false, same = true;
-  Vec3f first{};
-  int32_t listed = 0;
-  for (int32_t i = 0; i < n; ++i) {
-    const IslandContact& row = contact_of(i);
-    const PgsContact<float>& c = row.solver;
-    if (c.impulse[0] <= 0.0f || c.cfm > 0.0f) continue;
-    const ContactBranch branch = branch_of(c, cone);
-    slides = slides || (c.friction > 0.0f && (branch.slides[0] || branch.slides[1]));
-    const Vec3f friction = (row.frame.axes[1] * c.impulse[1] + row.frame.axes[2] * c.impulse[2]) *
-                           (1.0f / c.impulse[0]);
-    if (listed == 0) first = friction;
-    const Vec3f other = friction - first;
-    same = same && math::dot(other, other) <= kSameFriction * kSameFriction;
-    contact_of(listed++).listed = i;
-  }
-  if (!slides || same) return false;
-  // A factor L D L^T of the normals' part of the system loses a pivot where they depend.
-  if (int64_t{listed} * (listed + 1) / 2 > most) return true;
-  const auto at = [](int64_t i, int64_t j) { return i * (i + 1) / 2 + j; };
-  const auto normal_of = [&](int32_t i) -> const PgsContact<float>& {
-    return contact_of(contact_of(i).listed).solver;
-  };
-  for (int32_t i = 0; i < listed; ++i)
-    for (int32_t j = 0; j <= i; ++j) {
-      double left = coupling(normal_of(i), 0, normal_of(j), 0);
-      const double whole = left;
-      for (int32_t k = 0; k < j; ++k)
-        left -= system[at(i, k)] * system[at(j, k)] * system[at(k, k)];
-      if (i == j && left <= kDependent * whole) return true;
-      system[at(i, j)] = i == j ? left : left / system[at(j, j)];
-    }
-  return false;
+  if (holds(f.impulse, f.limit))
+    lower(to.cone_margin, 1.0f - math::abs(f.impulse) / f.limit);
+  else
+    lower(to.slip_margin, math::abs(f.rates[f.dof]));
 }
 
 }  // namespace novaphy::articulation

@@ -162,7 +162,6 @@ struct IslandContact {
   // below the other.
   bool follows = false;
   bool elastic = false;  // it has restitution
-  int32_t listed = 0;    // of a list of rows, that of this place
 };
 
 inline void contact_points(const ContactRows& c, int32_t contact,

@@ -42,6 +42,7 @@ class NOVAPHY_DYNAMICS_API BodyStep {
            DiffJoints* joints, const Control* control, const Contacts* contacts,
            const ContactTables& tables, const nova::Operand* of_particles, float dt,
            const nova::Operand& total);
+  const PlanePairs& plane_pairs() const { return plane_pairs_; }
   // Contacts::rigid_contact_force, of the last run, which these contacts were given to.
   void write_contact_forces(const Contacts& contacts) const;
 

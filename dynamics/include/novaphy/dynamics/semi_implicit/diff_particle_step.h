@@ -26,6 +26,7 @@ class NOVAPHY_DYNAMICS_API ParticleStep {
   ParticleStep(const Model& model, const ParticleStepOptions& options);
 
   float kf_bound() const { return options_.kf_bound; }
+  const WorldRows& rows() const { return rows_; }
   bool has_elements() const { return !elements_.empty(); }
   bool meets_bodies() const { return meets_bodies_; }  // contacts may touch bodies
   // The arrays that `record` writes besides its outputs.

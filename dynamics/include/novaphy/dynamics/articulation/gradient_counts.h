@@ -1,0 +1,124 @@
+// What steps say of their gradients, added up over steps (gradient_info.h), and the events of
+// contacts between two steps. Freestanding: the host and the kernels of devices share it.
+#pragma once
+
+#include <cstdint>
+
+namespace novaphy {
+
+// Where contacts miss their law by more than this part of the largest impulse, the gradient of a
+// step is a surrogate.
+inline constexpr float kSurrogateResidual = 1e-3f;
+
+inline constexpr int32_t kContactBegan = 0, kContactEnded = 1, kContactTurned = 2;
+
+// Two shapes, or a shape and kParticle plus a particle, and what happened to their contact. Of
+// several the one that comes first in the order of the numbers counts, so that nobody depends on
+// another order.
+struct ContactPair {
+  static constexpr int32_t kNone = 0x7fffffff, kParticle = 0x40000000;
+  int32_t first = kNone, second = kNone, event = kNone;
+  bool there() const { return first != kNone; }
+};
+inline void take_first(const ContactPair& of, ContactPair& to) {
+  const bool before = of.first != to.first     ? of.first < to.first
+                      : of.second != to.second ? of.second < to.second
+                                               : of.event < to.event;
+  if (before) to = of;
+}
+
+// Of a step, or of a part of one.
+struct StepNotes {
+  int32_t began = 0, ended = 0, turned = 0;  // contacts; turned: between sticking and slipping
+  ContactPair event;                         // the first of those
+  ContactPair held;                          // that pushes, with a point or normal that is held
+  int32_t jumps = 0;                         // a law has no derivative, or the step failed
+  float residual = 0.0f;                     // relative to the largest impulse
+};
+inline void note_all(const StepNotes& of, StepNotes& to) {
+  to.began += of.began;
+  to.ended += of.ended;
+  to.turned += of.turned;
+  take_first(of.event, to.event);
+  take_first(of.held, to.held);
+  if (of.jumps != 0) to.jumps = 1;
+  if (to.residual < of.residual) to.residual = of.residual;
+}
+
+struct GradientCounts {
+  int64_t steps = 0, exact = 0, frozen = 0, surrogate = 0;
+  int64_t began = 0, ended = 0, turned = 0;
+  int64_t event_step = -1, frozen_step = -1, surrogate_step = -1;  // the first of each
+  ContactPair event, held;                                         // of those steps
+  float residual = 0.0f;                                           // the largest
+  int32_t jumps = 0;                                               // of a surrogate step
+};
+inline void note_step(const StepNotes& of, GradientCounts& to) {
+  const bool surrogate = of.jumps != 0 || !(of.residual <= kSurrogateResidual);
+  if (of.event.there() && to.event_step < 0) {
+    to.event_step = to.steps;
+    to.event = of.event;
+  }
+  if (surrogate) {
+    if (to.surrogate_step < 0) to.surrogate_step = to.steps;
+    if (of.jumps != 0) to.jumps = 1;
+    ++to.surrogate;
+  } else if (of.held.there()) {
+    if (to.frozen_step < 0) {
+      to.frozen_step = to.steps;
+      to.held = of.held;
+    }
+    ++to.frozen;
+  } else {
+    ++to.exact;
+  }
+  to.began += of.began;
+  to.ended += of.ended;
+  to.turned += of.turned;
+  if (to.residual < of.residual) to.residual = of.residual;
+  ++to.steps;
+}
+
+// A contact of a step. `mode`: 0 where it does not push, 1 where it sticks, more where it slips;
+// `held`: its point or normal is.
+struct SeenContact {
+  int32_t first = ContactPair::kNone, second = 0, point = 0, mode = 0, held = 0;
+};
+
+// The mode of the same contact in a list in the order of pairs. `next`: where its pair begins, 0 at
+// first and for contacts that do not come in that order.
+inline int32_t mode_of(const SeenContact* list, int32_t count, int32_t& next,
+                       const SeenContact& of) {
+  while (next < count && (list[next].first < of.first ||
+                          (list[next].first == of.first && list[next].second < of.second)))
+    ++next;
+  for (int32_t i = next; i < count && list[i].first == of.first && list[i].second == of.second; ++i)
+    if (list[i].point == of.point && list[i].mode != 0) return list[i].mode;
+  return 0;
+}
+// Of a contact that pushes, and of its mode in the step before; of one that no longer does.
+inline void note_change(const SeenContact& c, int32_t mode, StepNotes& to) {
+  if (mode == c.mode) return;
+  ++(mode == 0 ? to.began : to.turned);
+  take_first({c.first, c.second, mode == 0 ? kContactBegan : kContactTurned}, to.event);
+}
+inline void note_end(const SeenContact& c, StepNotes& to) {
+  ++to.ended;
+  take_first({c.first, c.second, kContactEnded}, to.event);
+}
+// The events between two steps that follow each other; lists in the order of pairs.
+inline void note_events(const SeenContact* before, int32_t before_count, const SeenContact* now,
+                        int32_t now_count, StepNotes& to) {
+  int32_t next = 0;
+  for (int32_t i = 0; i < now_count; ++i) {
+    const SeenContact& c = now[i];
+    if (c.mode != 0) note_change(c, mode_of(before, before_count, next, c), to);
+  }
+  next = 0;
+  for (int32_t i = 0; i < before_count; ++i) {
+    const SeenContact& c = before[i];
+    if (c.mode != 0 && mode_of(now, now_count, next, c) == 0) note_end(c, to);
+  }
+}
+
+}  // namespace novaphy

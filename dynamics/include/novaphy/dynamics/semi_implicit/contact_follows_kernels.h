@@ -1,0 +1,53 @@
+// Which contacts of shapes follow the poses of their bodies (contact_turning_trace.h), row by row.
+// Freestanding: the host and the kernels of devices share it.
+#pragma once
+
+#include "novaphy/collision/diff_soft_contact_trace.h"
+#include "novaphy/core/sim/enums.h"
+#include "novaphy/dynamics/semi_implicit/contact_turning_trace.h"
+
+namespace novaphy {
+
+inline bool is_endless_plane(int32_t type, const Vec3f& scale) {
+  return type == static_cast<int32_t>(GeoType::PLANE) && !(scale.x > 0.0f && scale.y > 0.0f);
+}
+
+// Arrays of contacts, of the model and of a state.
+struct FollowedContacts {
+  const int32_t *shape0, *shape1;
+  const Vec3f *point0, *point1, *normal;
+  const Transformf* body_q;
+  const int32_t *shape_body, *shape_type;
+  const Transformf* shape_transform;
+  const Vec3f* shape_scale;
+};
+// Whether the points and the normal of a row that was found from the state follow it.
+inline bool contact_follows(const FollowedContacts& c, int64_t row) {
+  const int32_t shape[2] = {c.shape0[row], c.shape1[row]};
+  const Vec3f point[2] = {c.point0[row], c.point1[row]}, normal = c.normal[row];
+  Transformf pose[2];
+  Vec3f world[2];
+  for (int side = 0; side < 2; ++side) {
+    const int32_t body = c.shape_body[shape[side]];
+    pose[side] = body < 0 ? Transformf::identity() : c.body_q[body];
+    world[side] = math::transform_point(pose[side], point[side]);
+  }
+  const auto feature = [&](int side) {
+    const int32_t type = c.shape_type[shape[side]];
+    const auto is = [&](GeoType wanted) { return type == static_cast<int32_t>(wanted); };
+    const ContactShape<bool, float> of = {is(GeoType::PLANE),
+                                          is(GeoType::SPHERE),
+                                          is(GeoType::CAPSULE),
+                                          is(GeoType::BOX),
+                                          is(GeoType::ELLIPSOID),
+                                          is(GeoType::CYLINDER),
+                                          is(GeoType::CONE),
+                                          is(GeoType::CONVEX_MESH) || is(GeoType::MESH),
+                                          c.shape_transform[shape[side]],
+                                          c.shape_scale[shape[side]]};
+    return contact_feature_of(of, pose[side], point[side], world[1 - side], normal);
+  };
+  return turning_contact(feature(0), feature(1), normal).is_exact;
+}
+
+}  // namespace novaphy

@@ -1,0 +1,65 @@
+#include "novaphy/dynamics/gradient_info.h"
+
+namespace novaphy {
+namespace {
+
+std::string pair_text(const ContactPair& pair) {
+  const std::string shape = std::to_string(pair.first);
+  if (pair.second >= ContactPair::kParticle)
+    return "particle " + std::to_string(pair.second - ContactPair::kParticle) + " and shape " +
+           shape;
+  return "shapes " + shape + " and " + std::to_string(pair.second);
+}
+std::string some(int64_t count, int64_t of) {
+  return std::to_string(count) + " of " + std::to_string(of) + " steps";
+}
+
+std::string reason_of(const GradientCounts& c, bool implicit, int64_t events) {
+  if (c.steps == 0) return "no step has been taken since the last clear_gradient_info";
+  std::string text;
+  if (c.surrogate > 0) {
+    text = some(c.surrogate, c.steps) + " are a surrogate (the first is step " +
+           std::to_string(c.surrogate_step) + "), where ";
+    text += c.jumps != 0 ? "a contact law jumps or a step failed"
+                         : "contacts have not converged (" + std::to_string(c.residual) +
+                               " of the largest impulse)";
+    text += ": gradients through them may have any length and sign";
+  } else if (c.frozen > 0) {
+    text = some(c.frozen, c.steps) +
+           " hold points or normals of contacts that push (first in step " +
+           std::to_string(c.frozen_step) + ", " + pair_text(c.held) +
+           "): gradients by poses, velocities, masses and materials may be off, also in sign";
+  } else {
+    text = std::string("all steps are differentiated exactly as ") +
+           (implicit ? "their solutions" : "the code runs them");
+  }
+  if (events == 0) return text + (c.surrogate + c.frozen > 0 ? "" : ", and no contact changed");
+  static constexpr const char* kWhat[] = {"begins", "ends",
+                                          "changes between sticking and slipping"};
+  return text + "; contacts changed " + std::to_string(events) + " times (first in step " +
+         std::to_string(c.event_step) + ": that of " + pair_text(c.event) + " " +
+         kWhat[c.event.event] + "), so the gradient of the motion may have another length and sign";
+}
+
+}  // namespace
+
+GradientInfo gradient_info(const GradientCounts& c, bool implicit) {
+  GradientInfo info;
+  info.label = c.surrogate > 0 ? "surrogate"
+               : c.frozen > 0  ? "frozen"
+               : implicit      ? "implicit"
+                               : "exact of the code";
+  info.steps = c.steps;
+  info.exact_steps = c.exact;
+  info.frozen_steps = c.frozen;
+  info.surrogate_steps = c.surrogate;
+  info.began = c.began;
+  info.ended = c.ended;
+  info.turned = c.turned;
+  info.events = c.began + c.ended + c.turned;
+  info.residual = c.residual;
+  info.reason = reason_of(c, implicit, info.events);
+  return info;
+}
+
+}  // namespace novaphy

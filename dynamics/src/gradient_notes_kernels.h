@@ -1,0 +1,287 @@
+// What the contacts of a step do, for GradientNotes: which push, stick and slip, and which hold
+// their points or normals. Kernels for all devices, the host too.
+//
+//   note_soft_contacts   of a particle and a shape, by the laws of the semi-implicit solver and VBD
+//   note_rigid_contacts  of two shapes, by the law of the semi-implicit solver
+//   note_static_particles, note_plane_pairs  likewise those that steps find by themselves
+//   note_contact_events  what changed since the step before, in parts, or at once
+//   note_gradient_step   the parts of a step together
+#pragma once
+
+#include "novaphy/core/row_kernel.h"
+#include "novaphy/dynamics/articulation/gradient_counts.h"
+#include "novaphy/dynamics/semi_implicit/contact_follows_kernels.h"
+
+namespace novaphy {
+
+// A row of a list, which keeps that of the step before.
+struct SeenRows {
+  SeenContact *now, *before;
+  const int32_t* count;  // of contacts
+};
+inline bool next_seen(const SeenRows& of, int64_t row) {
+  of.before[row] = of.now[row];
+  of.now[row] = SeenContact{};
+  return row < *of.count;
+}
+
+struct NoteSoftContactsArguments {
+  SeenRows seen;
+  const int32_t *particle, *shape;
+  const Vec3f *point, *velocity, *normal;  // of the shape, in the frame of its body
+  const Vec3f *q, *qd;                     // of the particles
+  const Transformf* body_q;
+  const SpatialVectorf* body_qd;
+  const Vec3f* body_com;
+  const int32_t *shape_body, *shape_type;
+  const Vec3f* shape_scale;
+  const float *radius, *margin;      // margin null: no part of the law
+  const float *mass, *ke, *kf, *mu;  // of particles and shapes
+  FloatWord model_ke, model_kf, model_mu, kf_rate;
+  FloatWord slip;   // m/s, > 0: a contact sticks below it
+  int64_t follows;  // points and normals follow the particles
+  int64_t shapes;
+};
+struct SoftMode {
+  SoftContactMaterial<float> model, shape;
+  float mass, kf_rate, slip;
+};
+// `v`: of the particle against the shape.
+inline int32_t soft_mode(float gap, const Vec3f& n, const Vec3f& v, const SoftMode& of) {
+  if (!(gap < 0.0f) || !(of.mass > 0.0f)) return 0;
+  const Vec3f along = v - n * math::dot(n, v);
+  const float speed = math::sqrt(math::dot(along, along));
+  if (of.slip > 0.0f) return speed > of.slip || !(of.shape.mu * of.model.mu > 0.0f) ? 2 : 1;
+  const SoftContactMaterial<float> m =
+      with_bounded_kf(mean_soft_contact_material(of.model, of.shape), of.mass, of.kf_rate);
+  return m.kf * speed >= math::abs((m.mu * gap) * m.ke) ? 2 : 1;
+}
+
+NOVAPHY_ROW_KERNEL(note_soft_contacts, 29, NoteSoftContactsArguments) {
+  if (!next_seen(a.seen, row)) return;
+  const int32_t p = a.particle[row], s = a.shape[row];
+  if (p < 0 || s < 0 || s >= a.shapes) return;
+  const int32_t body = a.shape_body[s];
+  SoftContactBody<float> at{a.point[row], a.velocity[row], {}};
+  if (body >= 0)
+    at = soft_contact_body(a.body_q[body], a.body_qd[body], a.body_com[body], a.point[row],
+                           a.velocity[row]);
+  const float reach = a.radius[p] + (a.margin == nullptr ? 0.0f : a.margin[s]);
+  SeenContact& to = a.seen.now[row];
+  to.first = s;
+  to.second = ContactPair::kParticle + p;
+  to.held = a.follows != 0 || is_endless_plane(a.shape_type[s], a.shape_scale[s]) ? 0 : 1;
+  to.mode = soft_mode(math::dot(a.normal[row], a.q[p] - at.position) - reach, a.normal[row],
+                      a.qd[p] - at.velocity,
+                      {{a.model_ke.value, 0.0f, a.model_kf.value, a.model_mu.value},
+                       {a.ke[s], 0.0f, a.kf[s], a.mu[s]},
+                       a.mass[p],
+                       a.kf_rate.value,
+                       a.slip.value});
+}
+
+// Contacts of particles with shapes of the world, which a step finds by itself; a row per particle.
+struct NoteStaticParticlesArguments {
+  SeenRows seen;
+  const int32_t *begin, *shape;  // the shapes of each particle; null: all
+  const Vec3f *q, *qd;
+  const int32_t *shape_flags, *shape_body, *shape_type;
+  const Transformf* shape_transform;
+  const Vec3f* shape_scale;
+  const float *radius, *margin, *mass, *ke, *kf, *mu;
+  FloatWord model_ke, model_kf, model_mu, kf_rate, reach;
+  int64_t shapes;
+};
+NOVAPHY_ROW_KERNEL(note_static_particles, 24, NoteStaticParticlesArguments) {
+  const int64_t begin = a.begin == nullptr ? row * a.shapes : a.begin[row];
+  const int64_t end = a.begin == nullptr ? begin + a.shapes : a.begin[row + 1];
+  for (int64_t k = begin; k < end; ++k) {
+    const auto s = a.begin == nullptr ? static_cast<int32_t>(k - begin) : a.shape[k];
+    const int32_t type = a.shape_type[s];
+    const auto is = [&](GeoType wanted) { return type == static_cast<int32_t>(wanted); };
+    const StaticContact<float> at = static_shape_contact<true>(
+        StaticShapeType<bool>{is(GeoType::BOX), is(GeoType::SPHERE), is(GeoType::CAPSULE),
+                              is(GeoType::CYLINDER), is(GeoType::CONE), is(GeoType::ELLIPSOID)},
+        a.shape_transform[s], a.shape_scale[s], a.q[row]);
+    SeenContact& to = a.seen.now[k];
+    a.seen.before[k] = to;
+    to = SeenContact{};
+    to.first = s;
+    to.second = ContactPair::kParticle + static_cast<int32_t>(row);
+    constexpr auto kCollides = static_cast<int32_t>(ShapeFlags::COLLIDE_PARTICLES);
+    const bool acts = (a.shape_flags[s] & kCollides) != 0 && a.shape_body[s] < 0 &&
+                      at.distance < (a.reach.value + a.margin[s]) + a.radius[row];
+    if (acts)
+      to.mode =
+          soft_mode(math::dot(at.normal, a.q[row] - at.point) - a.radius[row], at.normal, a.qd[row],
+                    {{a.model_ke.value, 0.0f, a.model_kf.value, a.model_mu.value},
+                     {a.ke[s], 0.0f, a.kf[s], a.mu[s]},
+                     a.mass[row],
+                     a.kf_rate.value,
+                     0.0f});
+  }
+}
+
+// At two points, n from B to A and u the velocity of A against B (rigid_contact_trace.h).
+inline int32_t rigid_mode(const Vec3f& n, const Vec3f& p_a, const Vec3f& p_b, const Vec3f& u,
+                          const RigidContactMaterial<float>& of, float smoothing) {
+  const float d = math::dot(n, p_a - p_b), un = math::dot(n, u);
+  if (!(d < 0.0f)) return 0;
+  const Vec3f along = u - n * un;
+  float slip = math::sqrt(math::dot(along, along));
+  if (slip < smoothing) slip = (slip * slip + smoothing * smoothing) / (smoothing + smoothing);
+  const float limit = -of.mu * (of.ke * d + of.kd * (un < 0.0f ? un : 0.0f));
+  return of.kf * slip >= limit ? 2 : 1;
+}
+inline Vec3f point_velocity(const SpatialVectorf& twist, const Transformf& pose, const Vec3f& com,
+                            const Vec3f& at) {
+  return twist.linear + math::cross(twist.angular, at - math::transform_point(pose, com));
+}
+
+struct RigidModes {
+  const SpatialVectorf* body_qd;
+  const Vec3f* body_com;
+  const float *ke, *kd, *kf, *mu;  // of the shapes
+  FloatWord smoothing;
+};
+inline RigidContactMaterial<float> mean_of(const RigidModes& m, int32_t a, int32_t b) {
+  return mean_rigid_contact_material<float>({m.ke[a], m.kd[a], m.kf[a], 0.0f, m.mu[a]},
+                                            {m.ke[b], m.kd[b], m.kf[b], 0.0f, m.mu[b]});
+}
+
+struct NoteRigidContactsArguments {
+  SeenRows seen;
+  FollowedContacts of;
+  const int32_t* point_id;
+  const float *margin0, *margin1, *row_ke, *row_kd, *row_mu;
+  RigidModes modes;
+  int64_t follows, shapes;
+};
+NOVAPHY_ROW_KERNEL(note_rigid_contacts, 28, NoteRigidContactsArguments) {
+  if (!next_seen(a.seen, row)) return;
+  const int32_t shapes[2] = {a.of.shape0[row], a.of.shape1[row]};
+  for (const int32_t s : shapes)
+    if (s < 0 || s >= a.shapes) return;
+  const Vec3f out = -a.of.normal[row];
+  const float margins[2] = {-a.margin0[row], a.margin1[row]};
+  Vec3f at[2], v[2];
+  for (int side = 0; side < 2; ++side) {
+    const int32_t body = a.of.shape_body[shapes[side]];
+    const Transformf pose = body < 0 ? Transformf::identity() : a.of.body_q[body];
+    at[side] = math::transform_point(pose, side == 0 ? a.of.point0[row] : a.of.point1[row]) +
+               out * margins[side];
+    v[side] = body < 0
+                  ? Vec3f{}
+                  : point_velocity(a.modes.body_qd[body], pose, a.modes.body_com[body], at[side]);
+  }
+  SeenContact& to = a.seen.now[row];
+  to.first = shapes[0];
+  to.second = shapes[1];
+  to.point = a.point_id[row];
+  to.held = a.follows != 0 && contact_follows(a.of, row) ? 0 : 1;
+  const auto own = [&](const float* rows) { return rows == nullptr ? 0.0f : rows[row]; };
+  const RigidContactMaterial<float> of = rigid_contact_material_of_row(
+      mean_of(a.modes, shapes[0], shapes[1]), own(a.row_ke), own(a.row_kd), own(a.row_mu));
+  to.mode = rigid_mode(out, at[0], at[1], v[0] - v[1], of, a.modes.smoothing.value);
+}
+
+// Planes of the world and shapes of bodies, which a step finds by itself: eight points for each.
+struct NotePlanePairsArguments {
+  SeenRows seen;
+  const int32_t* pairs;  // {rows, 2}: plane, shape
+  const Transformf* body_q;
+  const int32_t *shape_body, *shape_type;
+  const Transformf* shape_transform;
+  const Vec3f* shape_scale;
+  const float* margin;
+  RigidModes modes;
+};
+inline constexpr int64_t kPlanePoints = 8;
+NOVAPHY_ROW_KERNEL(note_plane_pairs, 17, NotePlanePairsArguments) {
+  const int32_t plane = a.pairs[2 * row], shape = a.pairs[2 * row + 1], body = a.shape_body[shape];
+  const Transformf pose = math::multiply(a.body_q[body], a.shape_transform[shape]);
+  const Vec3f up = math::rotate(a.shape_transform[plane].q, Vec3f{0.0f, 0.0f, 1.0f});
+  const Vec3f on_plane = a.shape_transform[plane].p + up * a.margin[plane];
+  const Vec3f h = a.shape_scale[shape];
+  const int32_t type = a.shape_type[shape];
+  const bool is_box = type == static_cast<int32_t>(GeoType::BOX);
+  const int32_t points = is_box ? 8 : type == static_cast<int32_t>(GeoType::CAPSULE) ? 2 : 1;
+  const float beyond = (is_box ? 0.0f : h.x) + a.margin[shape];
+  const RigidContactMaterial<float> of = mean_of(a.modes, plane, shape);
+  for (int32_t k = 0; k < kPlanePoints; ++k) {
+    SeenContact& to = a.seen.now[row * kPlanePoints + k];
+    a.seen.before[row * kPlanePoints + k] = to;
+    to = SeenContact{};
+    to.first = plane;
+    to.second = shape;
+    to.point = k;
+    if (k >= points) continue;
+    Vec3f local{};
+    if (is_box)
+      local = {(k & 1) != 0 ? h.x : -h.x, (k & 2) != 0 ? h.y : -h.y, (k & 4) != 0 ? h.z : -h.z};
+    else if (points == 2)
+      local.z = k == 0 ? h.y : -h.y;
+    const Vec3f at = math::transform_point(pose, local) - up * beyond;
+    const Vec3f v =
+        point_velocity(a.modes.body_qd[body], a.body_q[body], a.modes.body_com[body], at);
+    to.mode = rigid_mode(-up, on_plane, at, -v, of, a.modes.smoothing.value);
+  }
+}
+
+// The mode of the same contact in a list of `count` rows in the order of pairs.
+inline int32_t mode_in(const SeenContact* list, int64_t count, int64_t guess,
+                       const SeenContact& of) {
+  const auto same = [&](const SeenContact& c) {
+    return c.first == of.first && c.second == of.second;
+  };
+  int64_t begin = 0;
+  if (guess < count && same(list[guess]) && list[guess].point == of.point) return list[guess].mode;
+  for (int64_t end = count; begin < end;) {
+    const int64_t middle = (begin + end) / 2;
+    const SeenContact& c = list[middle];
+    const bool before = c.first != of.first ? c.first < of.first : c.second < of.second;
+    (before ? begin : end) = before ? middle + 1 : middle;
+  }
+  for (; begin < count && same(list[begin]); ++begin)
+    if (list[begin].point == of.point && list[begin].mode != 0) return list[begin].mode;
+  return 0;
+}
+
+// Lists of contacts of particles and of shapes; without rows where a step has none.
+struct NoteContactEventsArguments {
+  const SeenContact *soft_now, *soft_before, *rigid_now, *rigid_before;
+  int64_t soft_count, rigid_count, continues;
+  StepNotes* notes;        // a part in each row
+  GradientCounts* counts;  // null: note_gradient_step adds the parts up
+};
+inline void note_list(const SeenContact* all_now, const SeenContact* all_before, int64_t count,
+                      bool continues, int64_t row, int64_t n, StepNotes& to) {
+  for (int64_t i = row; i < count; i += n) {
+    const SeenContact &now = all_now[i], &before = all_before[i];
+    if (now.mode != 0 && now.held != 0) take_first({now.first, now.second, 0}, to.held);
+    if (!continues) continue;
+    if (now.mode != 0) note_change(now, mode_in(all_before, count, i, now), to);
+    if (before.mode != 0 && mode_in(all_now, count, i, before) == 0) note_end(before, to);
+  }
+}
+NOVAPHY_ROW_KERNEL(note_contact_events, 9, NoteContactEventsArguments) {
+  StepNotes notes;
+  const bool continues = a.continues != 0;
+  note_list(a.soft_now, a.soft_before, a.soft_count, continues, row, n, notes);
+  note_list(a.rigid_now, a.rigid_before, a.rigid_count, continues, row, n, notes);
+  if (a.counts != nullptr) return note_step(notes, *a.counts);
+  a.notes[row] = notes;
+}
+
+struct NoteGradientStepArguments {
+  const StepNotes* notes;
+  GradientCounts* counts;
+  int64_t parts;
+};
+NOVAPHY_ROW_KERNEL(note_gradient_step, 3, NoteGradientStepArguments) {
+  StepNotes sum;
+  for (int64_t k = 0; k < a.parts; ++k) note_all(a.notes[k], sum);
+  note_step(sum, *a.counts);
+}
+
+}  // namespace novaphy

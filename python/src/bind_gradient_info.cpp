@@ -1,0 +1,101 @@
+#include <string>
+#include <utility>
+
+#include "convert.h"
+#include "gradient_info.h"
+
+namespace novaphy::python {
+
+GradientInfoFields to_fields(const GradientInfo& i, const py::dict& more) {
+  py::dict fields("label"_a = i.label, "reason"_a = i.reason, "steps"_a = i.steps,
+                  "exact_steps"_a = i.exact_steps, "frozen_steps"_a = i.frozen_steps,
+                  "surrogate_steps"_a = i.surrogate_steps, "events"_a = i.events,
+                  "began"_a = i.began, "ended"_a = i.ended, "turned"_a = i.turned,
+                  "residual"_a = i.residual);
+  for (const auto& [name, value] : more) fields[name] = value;
+  return {fields};
+}
+
+namespace {
+
+// Those that all solvers tell.
+constexpr std::pair<const char*, const char*> kFields[] = {
+    {"label",
+     "The worst of the steps: \"exact of the code\", \"implicit\", \"frozen\", \"surrogate\"."},
+    {"reason", "One sentence: what makes it so and what follows, with step and pair."},
+    {"steps", "How many."},
+    {"exact_steps", "Those exact of the code, or implicit."},
+    {"frozen_steps", "Those in which contacts push whose points or normals are held."},
+    {"surrogate_steps", "Those that miss their law, or whose law jumps."},
+    {"events", "began + ended + turned."},
+    {"began", "Contacts that began to push from one step to the next."},
+    {"ended", "Contacts that no longer push."},
+    {"turned", "Contacts that changed between sticking and slipping."},
+    {"residual", "The largest miss of the law of contacts, relative to the largest impulse (1)."}};
+
+}  // namespace
+
+void bind_gradient_info(py::module_& solvers) {
+  using Info = GradientInfoFields;
+  const auto find = [](const Info& info, const std::string& name, PyObject* error) {
+    if (info.fields.contains(name)) return py::object(info.fields[name.c_str()]);
+    std::string names;
+    for (const auto& [known, value] : info.fields)
+      names += (names.empty() ? "" : ", ") + py::cast<std::string>(known);
+    PyErr_SetString(error, ("GradientInfo has no field '" + name + "', only " + names).c_str());
+    throw py::error_already_set();
+  };
+  py::class_<Info> type(
+      solvers, "GradientInfo",
+      "What the gradients of the steps of a solver are; each field as "
+      "attribute and as key. label, the worst of the steps: \"exact of the code\", the derivative "
+      "of what each step computes, with the contacts that it has; \"implicit\", of the solutions "
+      "of the steps (DiffSolverVBD); \"frozen\", where contacts push whose points or normals are "
+      "held; \"surrogate\", where the contact solve missed its law by more than 1e-3 of the "
+      "largest impulse, or a law jumps. reason: one sentence that says what follows, with step "
+      "and pair. steps = exact_steps + frozen_steps + surrogate_steps, where exact_steps counts "
+      "implicit ones too. events = began + ended + turned: contacts that began or ended to push, "
+      "or "
+      "changed between sticking and slipping, between two steps that follow each other. How an "
+      "event moves in time is not differentiated, so with events the gradient of the motion may "
+      "differ from that of the code, also in sign. residual: the largest, relative to the "
+      "impulses. Solvers tell more.");
+  for (const auto& [field, doc] : kFields)
+    type.def_property_readonly(
+        field,
+        [find, name = std::string(field)](const Info& i) {
+          return find(i, name, PyExc_AttributeError);
+        },
+        doc);
+  type.def("__getattr__",
+           [find](const Info& i, const std::string& name) {
+             return find(i, name, PyExc_AttributeError);
+           })
+      .def("__getitem__",
+           [find](const Info& i, const std::string& name) { return find(i, name, PyExc_KeyError); })
+      .def("__contains__",
+           [](const Info& i, const std::string& name) { return i.fields.contains(name); })
+      .def("__len__", [](const Info& i) { return i.fields.size(); })
+      .def("__iter__", [](const Info& i) { return py::iter(i.fields); })
+      .def(
+          "keys", [](const Info& i) { return i.fields.attr("keys")(); }, "The names of the fields.")
+      .def(
+          "items", [](const Info& i) { return i.fields.attr("items")(); }, "Names and values.")
+      .def("__dir__",
+           [](const Info& i) {
+             return py::list(i.fields) +
+                    py::list(py::type::of<Info>().attr("__dict__").attr("keys")());
+           })
+      .def(
+          "__eq__", [](const Info& i, const Info& other) { return i.fields.equal(other.fields); },
+          py::is_operator())
+      .def("__repr__", [](const Info& i) {
+        std::string text;
+        for (const auto& [name, value] : i.fields)
+          text += (text.empty() ? "" : ", ") + py::cast<std::string>(name) + "=" +
+                  py::cast<std::string>(py::repr(value));
+        return "GradientInfo(" + text + ")";
+      });
+}
+
+}  // namespace novaphy::python

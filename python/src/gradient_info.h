@@ -1,0 +1,19 @@
+// GradientInfo in Python: the fields that all solvers have, and those of one.
+#pragma once
+
+#include <pybind11/pybind11.h>
+
+#include "novaphy/dynamics/gradient_info.h"
+
+namespace novaphy::python {
+
+// Each field is an attribute and a key.
+struct GradientInfoFields {
+  pybind11::dict fields;
+};
+// `more`: what this solver tells besides; it may not have the names of the others.
+GradientInfoFields to_fields(const GradientInfo& info, const pybind11::dict& more = {});
+
+void bind_gradient_info(pybind11::module_& solvers);
+
+}  // namespace novaphy::python

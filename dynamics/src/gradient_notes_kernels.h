@@ -122,7 +122,8 @@ NOVAPHY_ROW_KERNEL(note_static_particles, 24, NoteStaticParticlesArguments) {
   }
 }
 
-// At two points, n from B to A and u the velocity of A against B (rigid_contact_trace.h).
+// At two points, n from B to A and u the velocity of A against B at the point where the force acts
+// (rigid_contact_trace.h).
 inline int32_t rigid_mode(const Vec3f& n, const Vec3f& p_a, const Vec3f& p_b, const Vec3f& u,
                           const RigidContactMaterial<float>& of, float smoothing) {
   const float d = math::dot(n, p_a - p_b), un = math::dot(n, u);
@@ -164,16 +165,21 @@ NOVAPHY_ROW_KERNEL(note_rigid_contacts, 28, NoteRigidContactsArguments) {
     if (s < 0 || s >= a.shapes) return;
   const Vec3f out = -a.of.normal[row];
   const float margins[2] = {-a.margin0[row], a.margin1[row]};
+  const int32_t bodies[2] = {a.of.shape_body[shapes[0]], a.of.shape_body[shapes[1]]};
   Vec3f at[2], v[2];
-  for (int side = 0; side < 2; ++side) {
-    const int32_t body = a.of.shape_body[shapes[side]];
-    const Transformf pose = body < 0 ? Transformf::identity() : a.of.body_q[body];
-    at[side] = math::transform_point(pose, side == 0 ? a.of.point0[row] : a.of.point1[row]) +
+  const auto pose = [&](int side) {
+    return bodies[side] < 0 ? Transformf::identity() : a.of.body_q[bodies[side]];
+  };
+  for (int side = 0; side < 2; ++side)
+    at[side] = math::transform_point(pose(side), side == 0 ? a.of.point0[row] : a.of.point1[row]) +
                out * margins[side];
-    v[side] = body < 0
+  const bool both = bodies[0] >= 0 && bodies[1] >= 0;
+  for (int side = 0; side < 2; ++side)
+    v[side] = bodies[side] < 0
                   ? Vec3f{}
-                  : point_velocity(a.modes.body_qd[body], pose, a.modes.body_com[body], at[side]);
-  }
+                  : point_velocity(a.modes.body_qd[bodies[side]], pose(side),
+                                   a.modes.body_com[bodies[side]],
+                                   both ? (at[0] + at[1]) * 0.5f : at[side]);
   SeenContact& to = a.seen.now[row];
   to.first = shapes[0];
   to.second = shapes[1];

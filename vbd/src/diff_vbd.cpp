@@ -131,7 +131,7 @@ DiffVbdGradientInfo DiffSolverVBD::gradient_info() const {
   if (implicit) {
     counts.residual = static_cast<float>(std::max(of.primal.relative, of.linear_residual));
     // What was allowed to stay unsolved is told of the last step alone.
-    if (!(counts.residual <= kSurrogateResidual) && counts.surrogate == 0) {
+    if (counts.steps > 0 && counts.surrogate == 0 && !(counts.residual <= kSurrogateResidual)) {
       --(counts.exact > 0 ? counts.exact : counts.frozen);
       ++counts.surrogate;
       counts.surrogate_step = counts.steps - 1;

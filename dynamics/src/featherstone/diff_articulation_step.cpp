@@ -231,6 +231,7 @@ ContactBranches ArticulationStep::branches() const {
 }
 void ArticulationStep::clear_branches() {
   shared_->free_steps = 0;
+  shared_->ended = nullptr;
   if (shared_->launched) shared_->launched->clear_branches();
   shared_->branches = {};
   shared_->far_steps = 0;
@@ -243,8 +244,8 @@ void ArticulationStep::check(const Model& model, const char* function) const {
   if (shared_->launched) {
     shared_->launched->check_adjoint(function);
     const int64_t far = shared_->launched->branches().unconverged;
-    if (far > std::exchange(shared_->far_steps, far))
-      *std::exchange(shared_->far, std::make_shared<bool>(false)) = true;
+    *std::exchange(shared_->far, std::make_shared<bool>(false)) =
+        far > std::exchange(shared_->far_steps, far);
   }
   check_status(model, shared_->articulations, {status.data(), status.size()}, function);
 }

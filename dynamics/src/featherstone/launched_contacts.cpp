@@ -220,7 +220,7 @@ void LaunchedContacts::step(std::vector<LaunchArgument> words, const ContactRowA
                             const FeatherstoneOptions& o, float dt, const ContactRecord& record) {
   const Device device = model_.device();
   reserve(rows.most);
-  if (record.notes) reserve_notes();
+  const bool forgets = record.notes && reserve_notes();
   const ContactKernels& k = contact_kernels();
   list_rows(rows, record);
   add_words(words, group_words(rows, o, record, memory_, contact_stride_));
@@ -246,7 +246,7 @@ void LaunchedContacts::step(std::vector<LaunchArgument> words, const ContactRowA
                     record.notes ? reads("seen_before", seen_before_) : none,
                     record.notes ? reads("seen_begin", seen_begin_) : none,
                     number(int64_t{record.by_restitution}),
-                    number(int64_t{record.continues})});
+                    number(int64_t{record.continues && !forgets})});
   k.step.launch(device, groups_, words);
   if (record.notes) {
     const int64_t some = std::min(groups_, kSomeNotes);

@@ -94,7 +94,7 @@ class LaunchedContacts {
 
  private:
   void reserve(int64_t contacts);
-  void reserve_notes();
+  bool reserve_notes();  // whether what the step before saw was lost
   void reserve_adjoint(bool dry, bool materials);
   void list_rows(const ContactRowArguments& rows, const ContactRecord& record) const;
   std::vector<LaunchArgument> shapes(const ContactRowArguments& rows) const;

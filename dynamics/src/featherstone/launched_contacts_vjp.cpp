@@ -22,20 +22,22 @@ constexpr int64_t kLeastContacts = 16;
 
 }  // namespace
 
-void LaunchedContacts::reserve_notes() {
+bool LaunchedContacts::reserve_notes() {
   const Unobserved unobserved;
   const Device device = model_.device();
   const auto groups = static_cast<size_t>(groups_);
   const auto contacts = static_cast<size_t>(std::max<int64_t>(capacity_, 1));
-  if (seen_.rows() < contacts) {
+  const bool grows = seen_.rows() < contacts;
+  if (grows) {
     seen_ = DeviceArray<int32_t>(contacts, device, kSeenNumbers);
     seen_before_ = DeviceArray<int32_t>(contacts, device, kSeenNumbers);
     seen_begin_ = DeviceArray<int32_t>(groups + 1, device);
   }
-  if (notes_.rows() == groups) return;
+  if (notes_.rows() == groups) return grows;
   notes_ = DeviceArray<int32_t>(groups, device, kNoteNumbers);
   some_notes_ = DeviceArray<int32_t>(groups, device, kNoteNumbers);
   clear_branches();
+  return grows;
 }
 
 void LaunchedContacts::clear_branches() {

@@ -131,6 +131,7 @@ bool PgsContacts::prepare(const Model& m, const ContactRows& contacts,
     sweeps_ = 0;
     residual_ = 0.0f;
     far_ = {};
+    island_results_.clear();
     return false;
   }
   int64_t numbers = friction_begin_;

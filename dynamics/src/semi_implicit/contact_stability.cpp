@@ -414,7 +414,8 @@ void ContactWatch::check_depths(const TouchingRows& rows, const Model& model) {
 void ContactWatch::look_at_pairs(const Model& model, float dt) {
   if (warned_ && warned_of_friction_) return;
   const Array* const read[] = {&model.shape_material_ke, &model.shape_material_kd,
-                               &model.shape_material_kf, &model.body_inv_mass};
+                               &model.shape_material_kf, &model.shape_material_mu,
+                               &model.body_inv_mass};
   bool known = dt <= longest_dt_;
   for (size_t i = 0; i < std::size(read); ++i) known = known && read_[i].matches(*read[i]);
   if (known) return;
@@ -424,6 +425,7 @@ void ContactWatch::look_at_pairs(const Model& model, float dt) {
   const std::vector<float> ke = model.shape_material_ke.to_host(),
                            kd = model.shape_material_kd.to_host(),
                            kf = model.shape_material_kf.to_host(),
+                           mu = model.shape_material_mu.to_host(),
                            inv_mass = model.body_inv_mass.to_host();
   const std::vector<int32_t> body = model.shape_body.to_host(), flags = model.body_flags.to_host();
   ContactLimit least = {kNone}, least_of_friction = {kNone};
@@ -435,6 +437,7 @@ void ContactWatch::look_at_pairs(const Model& model, float dt) {
       const float w = 0.5f * inv_mass[static_cast<size_t>(of)];
       const float limit = longest_dt((ke[a] + ke[b]) * w, (kd[a] + kd[b]) * w);
       if (limit < least.dt) least = {limit, of};
+      if (!(mu[a] + mu[b] > 0.0f)) continue;
       const float of_friction = longest_dt(0.0f, 2.0f * (kf[a] + kf[b]) * w);
       if (of_friction < least_of_friction.dt) least_of_friction = {of_friction, of};
     }

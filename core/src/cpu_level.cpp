@@ -27,6 +27,9 @@ size_t choose_cpu_level(std::span<const char* const> best_first) {
     require(wanted.empty(), ErrorKind::Runtime, "NOVAPHY_CPU_ISA=", wanted,
             ": this processor does not have it");
   }
+  for (const std::string_view level : {"baseline", "avx2", "avx512"})
+    require(wanted != level, ErrorKind::Runtime, "NOVAPHY_CPU_ISA=", wanted,
+            ": this build does not have it");
   fail(ErrorKind::Runtime, "NOVAPHY_CPU_ISA: expected baseline, avx2 or avx512, got '", wanted,
        "'");
 }

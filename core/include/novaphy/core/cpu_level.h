@@ -11,7 +11,7 @@ namespace novaphy {
 
 // The place of the level that NOVAPHY_CPU_ISA names, else of the first that this processor has,
 // among "avx512", "avx2" and "baseline". ErrorKind::Runtime: the variable names none of these, or
-// one that the processor has not.
+// one that the processor or the build has not.
 NOVAPHY_CORE_API size_t choose_cpu_level(std::span<const char* const> best_first);
 
 // The same of levels with a name.

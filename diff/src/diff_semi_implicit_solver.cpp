@@ -41,9 +41,10 @@ int32_t shapes_for_particles(const Model& model) {
 
 // Of the law huber, whose bits at 0 are those of viscous.
 float huber_smoothing(const DiffSolverConfig& config) {
-  require(config.friction_law != FrictionLaw::Newton17, ErrorKind::NotImplemented,
-          "DiffSemiImplicitSolver: friction_law: expected \"viscous\" or \"huber\", got "
-          "\"newton17\", which is there for comparison in SolverSemiImplicit only");
+  require(!is_of_newton(config.friction_law), ErrorKind::NotImplemented,
+          "DiffSemiImplicitSolver: friction_law: expected \"viscous\" or \"huber\", got \"newton",
+          config.friction_law == FrictionLaw::Newton17 ? "17" : "18",
+          "\", which is there for comparison in SolverSemiImplicit only");
   const float smoothing = checked_friction_smoothing("DiffSemiImplicitSolver", config.friction_law,
                                                      config.friction_smoothing);
   return config.friction_law == FrictionLaw::Viscous ? 0.0f : smoothing;

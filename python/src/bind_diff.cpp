@@ -106,10 +106,12 @@ void bind_operators(py::module_& m) {
         "other: (q, qd).");
   m.def("integrate_rigid_bodies_with_static_contacts_generated",
         &diff::integrate_rigid_bodies_with_static_contacts_generated, "model"_a, "body_q"_a,
-        "body_qd"_a, "body_f"_a, "angular_damping"_a, "friction_smoothing"_a, "dt"_a, release_gil(),
+        "body_qd"_a, "body_f"_a, "angular_damping"_a, "friction_smoothing"_a, "dt"_a,
+        "newton_spin"_a = false, release_gil(),
         "Poses {b, 7} and twists {b, 6} after dt (s): contacts of boxes, spheres and capsules with "
         "infinite planes of the world, with the friction law \"huber\", then symplectic Euler; one "
-        "kernel. Exact gradients, for masses, inertias and contact materials too. "
+        "kernel. Exact gradients, for masses, inertias and contact materials too. newton_spin: the "
+        "bits of Newton 1.8, whose rounding makes spins grow by 2e-7 in each step. "
         "NotImplementedError names two shapes that may meet and are not covered.");
   m.def("body_twist_from_omega_generated", &diff::body_twist_from_omega_generated, "omega"_a,
         "linear_x"_a, "linear_y"_a, "linear_z"_a, release_gil(),
@@ -569,8 +571,8 @@ void bind_solver(py::module_& solvers) {
       [](Settings& s, const std::string& law) {
         set(s, "friction_law", &DiffSolverConfig::friction_law, to_friction_law(law));
       },
-      "Of contacts of bodies: \"viscous\" or \"huber\", as in SolverSemiImplicit; \"newton17\" is "
-      "refused by the solver, because it has no gradient here.");
+      "Of contacts of bodies: \"viscous\" or \"huber\", as in SolverSemiImplicit; \"newton17\" and "
+      "\"newton18\" are refused by the solver, because they have no gradient here.");
   NOVAPHY_MEMBER(friction_smoothing,
                  "m/s, of the friction law \"huber\"; None: 0.1. The solver refuses it with "
                  "\"viscous\", which does not read it.")

@@ -75,10 +75,12 @@ void bind_dynamics(py::module_& m, py::module_& solvers) {
            "particle_kf_bound"_a = d.particle_kf_bound,
            "angular_damping (1/s) of bodies. friction_law of rigid contacts: \"viscous\" (kf times "
            "the slip, cut off at the Coulomb cone), \"huber\" (the same, smooth for slips below "
-           "friction_smoothing, m/s), or \"newton17\" (that of Newton 1.7, which reads "
-           "friction_smoothing "
-           "too and leaves the cone; for comparison). "
-           "friction_smoothing None: 0.1; ValueError with \"viscous\", which does not read it. "
+           "friction_smoothing, m/s), and for comparison \"newton18\" (\"viscous\" with the bits "
+           "of Newton 1.8: two bodies get the force each at its own surface, and rounding makes "
+           "spins grow, so angular momentum is not kept) and \"newton17\" (that of Newton 1.7, "
+           "which reads friction_smoothing too and leaves the cone). "
+           "friction_smoothing None: 0.1; ValueError with \"viscous\" and \"newton18\", which do "
+           "not read it. "
            "stick_ke (N/m, of every row, with \"viscous\" only): a spring along the surface that "
            "is kept from step to step by rigid_contact_point_id, so that friction holds what is at "
            "rest; 0: it creeps. It starts anew from a state that the last step has not written. "
@@ -98,11 +100,11 @@ void bind_dynamics(py::module_& m, py::module_& solvers) {
       .def_property_readonly(
           "friction_law",
           [](const SolverSemiImplicit& s) { return friction_law_name(s.options().friction_law); },
-          "\"viscous\", \"huber\" or \"newton17\".")
+          "\"viscous\", \"huber\", \"newton17\" or \"newton18\".")
       .def_property_readonly(
           "friction_smoothing",
           [](const SolverSemiImplicit& s) { return s.options().friction_smoothing; },
-          "m/s; \"viscous\" does not read it.")
+          "m/s; \"viscous\" and \"newton18\" do not read it.")
       .def_property_readonly(
           "particle_kf_bound",
           [](const SolverSemiImplicit& s) { return s.options().particle_kf_bound; },

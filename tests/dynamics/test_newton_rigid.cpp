@@ -56,7 +56,7 @@ TEST_P(NewtonRigid, TheRolloutAndItsRowsAreNewtonsInAllBits) {
   EXPECT_TRUE(same_bits(std::span<const Mat33f>(model->body_inv_inertia.to_host()),
                         scene["model_body_inv_inertia"].as<Mat33f>()));
   CollisionPipeline pipeline(model);
-  SolverSemiImplicit solver(model);
+  SolverSemiImplicit solver(model, {.friction_law = FrictionLaw::Newton18});
   Contacts contacts = pipeline.contacts();
   SimState now = model->state(), next = model->state();
   scene.load(0, now);
@@ -85,7 +85,7 @@ INSTANTIATE_TEST_SUITE_P(Scenes, NewtonRigid,
 TEST(NewtonRigidRows, TwoStackedBoxesMoveAsNewtonsOnItsRows) {
   const Scene scene("stack2");
   const auto model = scene.model();
-  SolverSemiImplicit solver(model);
+  SolverSemiImplicit solver(model, {.friction_law = FrictionLaw::Newton18});
   SimState now = model->state(), next = model->state();
   for (const int32_t t : scene["contact_steps"].as<int32_t>()) {
     const std::string at = "contact" + std::to_string(t) + "_";
@@ -110,7 +110,7 @@ TEST(NewtonRigidRows, TwoStackedBoxesStayAtNewtonsHeights) {
   const Scene scene("stack2");
   const auto model = scene.model();
   CollisionPipeline pipeline(model, {.contacts_per_pair = 4});
-  SolverSemiImplicit solver(model);
+  SolverSemiImplicit solver(model, {.friction_law = FrictionLaw::Newton18});
   Contacts contacts = pipeline.contacts();
   SimState now = model->state(), next = model->state();
   scene.load(0, now);

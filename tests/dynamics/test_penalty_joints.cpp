@@ -84,7 +84,8 @@ TEST(PenaltyJoints, ThePendulumIsNewtons) {
   const auto model = b.finalize(Device::cpu());
   const auto q = array("body_q").as<Transformf>();
   const auto qd = array("body_qd").as<SpatialVectorf>();
-  SolverSemiImplicit solver(model, {.joint_attach_ke = array("joint_attach_ke").scalar<float>(),
+  SolverSemiImplicit solver(model, {.friction_law = FrictionLaw::Newton18,
+                                    .joint_attach_ke = array("joint_attach_ke").scalar<float>(),
                                     .joint_attach_kd = array("joint_attach_kd").scalar<float>()});
   const float dt = static_cast<float>(array("dt").scalar<double>());
   SimState now = model->state(), next = model->state();

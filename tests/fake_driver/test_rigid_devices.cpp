@@ -204,12 +204,14 @@ TEST_F(RigidDevices, PairsForWhichACaptureHasNoRoomAreAnOverflow) {
 
 TEST_F(RigidDevices, StepsOfAHeapHaveTheBitsOfTheCpu) {
   const ModelBuilder builder = heap(30, 0.4f);
-  for (const FrictionLaw law : {FrictionLaw::Viscous, FrictionLaw::Huber, FrictionLaw::Newton17})
+  for (const FrictionLaw law :
+       {FrictionLaw::Viscous, FrictionLaw::Huber, FrictionLaw::Newton17, FrictionLaw::Newton18})
     expect_same_bits([&](Device device) {
       const auto model = builder.finalize(device);
       CollisionPipeline pipeline(model);
       SemiImplicitOptions options{.angular_damping = 0.1f, .friction_law = law};
-      if (law != FrictionLaw::Viscous) options.friction_smoothing = 0.2f;
+      if (law == FrictionLaw::Huber || law == FrictionLaw::Newton17)
+        options.friction_smoothing = 0.2f;
       SolverSemiImplicit solver(model, options);
       Contacts contacts = pipeline.contacts();
       SimState now = model->state(), next = model->state();

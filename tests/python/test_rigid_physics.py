@@ -275,6 +275,54 @@ def test_a_stick_spring_takes_no_friction_from_what_slides(stick_ke, kf):
     assert farthest == pytest.approx(2.0**2 / (2 * 0.3 * 9.81), rel=0.02)
 
 
+def grazing(law, balls=2, **cfg):
+    """Balls that spin and graze each other in a row; how much their angular momentum changes."""
+    surface = novaphy.ShapeConfig(**({"ke": 2e4, "kd": 0.0, "kf": 20.0, "mu": 0.5} | cfg))
+    builder = novaphy.ModelBuilder(gravity=(0, 0, 0))
+    for k in range(balls):
+        side = 1 - 2 * (k % 2)
+        x = 0.3 * (k - (balls - 1) / 2) * 2
+        body = builder.add_body(xform=((x, 0.06 * side, 0.01 * k), UPRIGHT))
+        builder.add_shape_sphere(body, radius=0.1, cfg=surface)
+        builder.body_qd[body] = (-2 * np.sign(x), 0, 0, 3 * side, 5, 30)
+    model = builder.finalize()
+    run = Run(model, dt=1 / 2000, friction_law=law, angular_damping=0.0)
+    mass = model.body_mass.numpy().astype(float)[:, None]
+    inertia = model.body_inertia.numpy()[0, 0, 0].astype(float)
+
+    def parts(state):
+        q, v = state.body_q.numpy().astype(float), state.body_qd.numpy().astype(float)
+        return mass * np.cross(q[:, :3], v[:, :3]) + inertia * v[:, 3:]
+
+    before = parts(run.state)
+    moved = run.go(800)
+    assert np.abs(moved.state.body_qd.numpy()[:, 1]).max() > 0.1, "they have met"
+    return np.abs((parts(moved.state) - before).sum(axis=0)).max() / np.abs(before).sum()
+
+
+@pytest.mark.parametrize("cfg", [{}, {"ke": 2e3}, {"kd": 50.0, "kf": 200.0}])
+@pytest.mark.parametrize("balls", [2, 5])
+@pytest.mark.parametrize("law", ["viscous", "huber"])
+def test_contacts_keep_the_angular_momentum_of_bodies(law, balls, cfg):
+    assert grazing(law, balls, **cfg) < 1e-4
+
+
+def test_newtons_law_of_friction_makes_a_couple():
+    """Each ball gets it at its own surface, as far apart as they overlap."""
+    assert grazing("newton18") > 5e-3
+
+
+@pytest.mark.parametrize(("law", "gain"), [("viscous", 0.0), ("newton18", 8e-4)])
+def test_a_ball_keeps_its_spin_to_the_bit_but_in_newtons_rounding(law, gain):
+    builder = novaphy.ModelBuilder(gravity=(0, 0, 0))
+    body = builder.add_body()
+    builder.add_shape_sphere(body, radius=0.1)
+    builder.body_qd[body] = (0, 0, 0, 3, 5, 30)
+    run = Run(builder.finalize(), dt=1 / 2000, friction_law=law, angular_damping=0.0)
+    spin = run.go(4000).state.body_qd.numpy()[0, 3:].astype(float)
+    assert np.linalg.norm(spin) / np.linalg.norm((3, 5, 30)) - 1 == pytest.approx(gain, rel=0.5)
+
+
 def offset_stack():
     cfg = novaphy.ShapeConfig(ke=2e5, kd=300.0, kf=200.0, mu=0.5)
     builder = novaphy.ModelBuilder()

@@ -87,8 +87,12 @@ std::vector<Real> rigid_wrenches(TraceContext& c, const RigidKernel& of) {
   const size_t bodies = c.source("bodies");
   const auto side = [&](int32_t k, const char* point, const char* margin) {
     const ContactBody body = load_body(c, c.i32(bodies, k));
-    return RigidContactSide<Real>{body.pose, body.twist, body.com, Columns(c, point).vec3(),
-                                  Columns(c, margin)[0]};
+    return RigidContactSide<Real>{body.pose,
+                                  body.twist,
+                                  body.com,
+                                  Columns(c, point).vec3(),
+                                  Columns(c, margin)[0],
+                                  select(body.is_world, Real(0.0f), Real(1.0f))};
   };
   const Int shape0 = c.i32(c.source("shape0")), shape1 = c.i32(c.source("shape1"));
   const RigidContactSide<Real> a = side(0, "point0", "margin0"), b = side(1, "point1", "margin1");
@@ -144,14 +148,17 @@ const nova::Kernel& own_rigid_kernel(bool follow) {
                                                      {.of_rows = true});
   return follow ? following : held;
 }
-// For comparison only, so it is no kernel of the engine.
-const nova::Kernel& newton17_kernel(bool of_rows) {
-  const auto make = [](const char* name, bool own) {
-    return make_rigid_kernel(name, {.law = FrictionLaw::Newton17, .of_rows = own});
+// For comparison only, so they are no kernels of the engine.
+const nova::Kernel& newton_kernel(FrictionLaw law, bool of_rows) {
+  const auto make = [](const char* name, FrictionLaw of, bool own) {
+    return make_rigid_kernel(name, {.law = of, .of_rows = own});
   };
-  static const nova::Kernel kernel = make("newton17_contact_wrenches", false),
-                            own = make("own_newton17_contact_wrenches", true);
-  return of_rows ? own : kernel;
+  static const nova::Kernel kernels[2][2] = {
+      {make("newton17_contact_wrenches", FrictionLaw::Newton17, false),
+       make("own_newton17_contact_wrenches", FrictionLaw::Newton17, true)},
+      {make("newton18_contact_wrenches", FrictionLaw::Newton18, false),
+       make("own_newton18_contact_wrenches", FrictionLaw::Newton18, true)}};
+  return kernels[law == FrictionLaw::Newton18][of_rows];
 }
 
 // The force on body B.
@@ -352,8 +359,8 @@ void eval_rigid_contacts(const Model& m, const Contacts& c, const ContactTables&
                              body_qd,
                              nova::operand_of(m.body_com)};
   for (Operand& o : detail::material_operands(m)) in.push_back(std::move(o));
-  const bool newton17 = friction_law == FrictionLaw::Newton17;
-  const bool follow = tables.of_this_state() && !newton17;
+  const bool newton = is_of_newton(friction_law);
+  const bool follow = tables.of_this_state() && !newton;
   if (follow) add_shapes(m, in);
   const bool of_rows = c.per_contact_shape_properties();
   if (of_rows)
@@ -361,7 +368,7 @@ void eval_rigid_contacts(const Model& m, const Contacts& c, const ContactTables&
              &c.rigid_contact_stiffness, &c.rigid_contact_damping, &c.rigid_contact_friction})
       in.push_back(nova::operand_of(*own));
   const nova::Param params[] = {friction_law == FrictionLaw::Viscous ? 0.0f : friction_smoothing};
-  (newton17  ? newton17_kernel(of_rows)
+  (newton    ? newton_kernel(friction_law, of_rows)
    : of_rows ? own_rigid_kernel(follow)
              : rigid_kernel(follow))
       .launch(wrenches.rows, in, {&wrenches, 1}, {.params = params});

@@ -58,7 +58,8 @@ void BodyStep::run(const Model& model, const SimState& in, SimState& out, const 
   step_rigid_bodies_with_static_contacts(model, plane_pairs_, q, qd, f,
                                          {.angular_damping = options_.angular_damping,
                                           .friction_smoothing = options_.friction_smoothing,
-                                          .dt = dt},
+                                          .dt = dt,
+                                          .newton_spin = is_of_newton(options_.friction_law)},
                                          nova::operand_of(out.body_q),
                                          nova::operand_of(out.body_qd));
 }

@@ -128,7 +128,8 @@ RigidBodyMass<Real> load_mass(TraceContext& c) {
   return mass;
 }
 
-std::vector<Real> integrate(TraceContext& c, Worlds worlds, std::span<const Real> f) {
+std::vector<Real> integrate(TraceContext& c, Worlds worlds, bool newton_spin,
+                            std::span<const Real> f) {
   const RigidBodyState<Real> now = {Columns(c, "body_q").transform(),
                                     Columns(c, "body_qd").spatial()};
   const Real dt = c.param(kDt);
@@ -137,8 +138,9 @@ std::vector<Real> integrate(TraceContext& c, Worlds worlds, std::span<const Real
   if (worlds == Worlds::Several) world = c.i32(c.source("body_world"));
   const Vec3<Real> gravity =
       Columns(c, "gravity", worlds == Worlds::Several ? &world : nullptr).vec3();
-  const RigidBodyState<Real> moved = integrate_rigid_body(
-      now, {{f[0], f[1], f[2]}, {f[3], f[4], f[5]}}, mass, gravity, c.param(kAngularDamping), dt);
+  const RigidBodyState<Real> moved =
+      integrate_rigid_body(now, {{f[0], f[1], f[2]}, {f[3], f[4], f[5]}}, mass, gravity,
+                           c.param(kAngularDamping), dt, newton_spin);
   const RigidBodyState<Real> follows = move_kinematic_body(now, mass.com, dt);
   const Bool kinematic =
       (c.i32(c.source("body_flags")) & Int(static_cast<int32_t>(BodyFlags::KINEMATIC))) != Int(0);
@@ -154,7 +156,7 @@ std::vector<Real> integrate(TraceContext& c, Worlds worlds, std::span<const Real
   return out;
 }
 
-nova::Kernel make_kernel(const char* name, Worlds worlds) {
+nova::Kernel make_kernel(const char* name, Worlds worlds, bool newton_spin = false) {
   const nova::Kernel kernel = nova::make_reduce_kernel(
       name, sources(worlds), {{"body_q", 7, "body_q"}, {"body_qd", 6, "body_qd"}},
       {.init =
@@ -163,8 +165,10 @@ nova::Kernel make_kernel(const char* name, Worlds worlds) {
              return std::vector<Real>{f[0], f[1], f[2], f[3], f[4], f[5]};
            },
        .body = pair_wrench,
-       .epilogue = [worlds](TraceContext& c,
-                            std::span<const Real> sums) { return integrate(c, worlds, sums); }});
+       .epilogue =
+           [=](TraceContext& c, std::span<const Real> sums) {
+             return integrate(c, worlds, newton_spin, sums);
+           }});
   return nova::with_gradient_sets(kernel, {"body_q", "body_qd"});
 }
 
@@ -174,6 +178,16 @@ const nova::Kernel& kernel(Worlds worlds) {
                             several =
                                 make_kernel("integrate_rigid_bodies_with_static_contacts_of_worlds",
                                             Worlds::Several);
+  return worlds == Worlds::Several ? several : one;
+}
+
+// For comparison only, so they are no kernels of the engine.
+const nova::Kernel& newton_kernel(Worlds worlds) {
+  static const nova::Kernel one = make_kernel("newton_rigid_bodies_with_static_contacts",
+                                              Worlds::One, true),
+                            several =
+                                make_kernel("newton_rigid_bodies_with_static_contacts_of_worlds",
+                                            Worlds::Several, true);
   return worlds == Worlds::Several ? several : one;
 }
 
@@ -289,18 +303,19 @@ void step_rigid_bodies_with_static_contacts(const Model& model, const PlanePairs
   const std::vector<Operand> in = operands(model, pairs, body_q, body_qd, body_f);
   const Operand out[] = {q_out, qd_out};
   const nova::Param params[] = {numbers.angular_damping, numbers.friction_smoothing, numbers.dt};
-  kernel(detail::worlds_of(model))
+  const Worlds worlds = detail::worlds_of(model);
+  (numbers.newton_spin ? newton_kernel(worlds) : kernel(worlds))
       .launch(body_q.rows, in, out, {.params = params, .csr = &pairs.pairs_of_bodies()});
 }
 
 std::pair<Tensor, Tensor> integrate_rigid_bodies_with_static_contacts_generated(
     const Model& model, const Tensor& body_q, const Tensor& body_qd, const Tensor& body_f,
-    float angular_damping, float friction_smoothing, float dt) {
+    float angular_damping, float friction_smoothing, float dt, bool newton_spin) {
   const char* op = "integrate_rigid_bodies_with_static_contacts_generated";
   check_tensor(model, body_q, 7, op, "body_q");
   check_tensor(model, body_qd, 6, op, "body_qd");
   check_tensor(model, body_f, 6, op, "body_f");
-  const RigidStepNumbers numbers = {angular_damping, friction_smoothing, dt};
+  const RigidStepNumbers numbers = {angular_damping, friction_smoothing, dt, newton_spin};
   check_numbers(numbers, op);
   begin_model_reads(model, op);
   PlanePairs pairs;

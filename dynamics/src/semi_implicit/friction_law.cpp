@@ -9,14 +9,14 @@ namespace novaphy {
 float checked_friction_smoothing(const char* solver, FrictionLaw law,
                                  std::optional<float> smoothing) {
   constexpr float kDefault = 0.1f;
-  const bool known =
-      law == FrictionLaw::Viscous || law == FrictionLaw::Huber || law == FrictionLaw::Newton17;
+  const bool reads = law == FrictionLaw::Huber || law == FrictionLaw::Newton17;
+  const bool known = reads || law == FrictionLaw::Viscous || law == FrictionLaw::Newton18;
   require(known, ErrorKind::Value, solver, ": friction_law: expected a FrictionLaw, got ",
           static_cast<int>(law));
   if (!smoothing) return kDefault;
-  require(law != FrictionLaw::Viscous, ErrorKind::Value, solver,
-          ": friction_smoothing: expected none with the friction law \"viscous\", which does not "
-          "read it, got ",
+  require(reads, ErrorKind::Value, solver,
+          ": friction_smoothing: expected none with the friction law \"",
+          law == FrictionLaw::Viscous ? "viscous" : "newton18", "\", which does not read it, got ",
           *smoothing);
   require(std::isfinite(*smoothing) && *smoothing >= 0.0f, ErrorKind::Value, solver,
           ": friction_smoothing: expected a finite number >= 0, got ", *smoothing);

@@ -69,7 +69,7 @@ void RigidBodies::evaluate(const Model& m, const Transformf* q, const SpatialVec
 
   const auto side = [&](int32_t body, const Vec3f& point, float margin) {
     RigidContactSide<float> s;
-    if (body >= 0) s = {q[body], qd[body], com[body]};
+    if (body >= 0) s = {.pose = q[body], .twist = qd[body], .com = com[body], .is_body = 1.0f};
     s.point = point;
     s.margin = margin;
     return s;
@@ -154,7 +154,7 @@ void RigidBodies::step(const Model& m, const SimState& in, SimState& out, const 
         if (particles != nullptr) wrench = particles->add(b, wrench);
         next = integrate_rigid_body(now, wrench, {com[b], inv_mass[b], inertia[b], inv_inertia[b]},
                                     gravity[world[b] < 0 ? last_world : world[b]],
-                                    how.angular_damping, how.dt);
+                                    how.angular_damping, how.dt, is_of_newton(how.friction_law));
       }
       q_out[b] = next.q;
       qd_out[b] = next.qd;

@@ -118,6 +118,7 @@ def integrate_rigid_bodies_with_static_contacts_generated(
     angular_damping: SupportsFloat,
     friction_smoothing: SupportsFloat,
     dt: SupportsFloat,
+    newton_spin: bool = False,
 ) -> tuple[Tensor, Tensor]: ...
 def body_twist_from_omega_generated(
     omega: Tensor, linear_x: SupportsFloat, linear_y: SupportsFloat, linear_z: SupportsFloat

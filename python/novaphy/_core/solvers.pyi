@@ -60,7 +60,7 @@ class SolverSemiImplicit(SolverBase):
         model: Model,
         *,
         angular_damping: SupportsFloat = 0.05,
-        friction_law: Literal["viscous", "huber", "newton17"] = "viscous",
+        friction_law: Literal["viscous", "huber", "newton17", "newton18"] = "viscous",
         friction_smoothing: SupportsFloat | None = None,
         stick_ke: SupportsFloat = 0.0,
         joint_attach_ke: SupportsFloat = 1.0e4,
@@ -213,7 +213,7 @@ class DiffSolverConfig(_Native):
         enable_rigid: bool = True,
         enable_rigid_contacts: bool = True,
         angular_damping: SupportsFloat = 0.05,
-        friction_law: Literal["viscous", "huber", "newton17"] = "viscous",
+        friction_law: Literal["viscous", "huber", "newton17", "newton18"] = "viscous",
         friction_smoothing: SupportsFloat | None = None,
         enable_joints: bool = True,
         joint_attach_ke: SupportsFloat = 1e4,
@@ -233,7 +233,7 @@ class DiffSolverConfig(_Native):
     enable_rigid: bool
     enable_rigid_contacts: bool
     angular_damping: float
-    friction_law: Literal["viscous", "huber", "newton17"]
+    friction_law: Literal["viscous", "huber", "newton17", "newton18"]
     friction_smoothing: float | None
     enable_joints: bool
     joint_attach_ke: float

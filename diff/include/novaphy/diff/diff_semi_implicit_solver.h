@@ -84,7 +84,8 @@ struct DiffSolverConfig {
 // another recorded step raises: clear_forces() first.
 class NOVAPHY_DIFF_API DiffSemiImplicitSolver : public DiffSolverBase {
  public:
-  // ErrorKind::NotImplemented: the friction law newton17, which has no gradient here.
+  // ErrorKind::NotImplemented: the friction laws newton17 and newton18, which have no gradient
+  // here.
   explicit DiffSemiImplicitSolver(std::shared_ptr<const Model> model,
                                   const DiffSolverConfig& config = {});
 

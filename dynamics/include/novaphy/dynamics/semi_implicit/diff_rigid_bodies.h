@@ -42,19 +42,21 @@ class NOVAPHY_DYNAMICS_API PlanePairs {
 // shape_contact_pairs at the poses of body_q, found inside of the kernel, then
 // rigid_integrator_trace.h. body_q {b, 7}, body_qd {b, 6}, body_f {b, 6} tightly packed float32 on
 // the model's device (ErrorKind::Type, ErrorKind::Value); angular_damping (1/s) and
-// friction_smoothing (m/s) >= 0: 0 is the viscous law; pairs that are not covered:
-// ErrorKind::NotImplemented. The contacts of a pair are added up first, then the pairs on body_f in
-// their order.
+// friction_smoothing (m/s) >= 0: 0 is the viscous law; newton_spin: rigid_integrator_trace.h; pairs
+// that are not covered: ErrorKind::NotImplemented. The contacts of a pair are added up first, then
+// the pairs on body_f in their order.
 NOVAPHY_DYNAMICS_API std::pair<nova::Tensor, nova::Tensor>
 integrate_rigid_bodies_with_static_contacts_generated(
     const Model& model, const nova::Tensor& body_q, const nova::Tensor& body_qd,
-    const nova::Tensor& body_f, float angular_damping, float friction_smoothing, float dt);
+    const nova::Tensor& body_f, float angular_damping, float friction_smoothing, float dt,
+    bool newton_spin = false);
 
 // The same into given memory: what the solver calls, with pairs that are up to date.
 struct RigidStepNumbers {
   float angular_damping = 0.05f;    // 1/s
   float friction_smoothing = 0.1f;  // m/s
   float dt = 0.0f;                  // s
+  bool newton_spin = false;         // rigid_integrator_trace.h
 };
 NOVAPHY_DYNAMICS_API void step_rigid_bodies_with_static_contacts(
     const Model& model, const PlanePairs& pairs, const nova::Operand& body_q,

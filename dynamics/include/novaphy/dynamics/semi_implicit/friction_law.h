@@ -10,7 +10,7 @@ namespace novaphy {
 
 // The slip (m/s) up to which the law is smooth: that of the options, 0.1 when empty.
 // ErrorKind::Value names `solver`: an unknown law, a smoothing that is negative or not finite, or
-// one given with viscous, which does not read it, or 0 with newton17.
+// one given with viscous or newton18, which do not read it, or 0 with newton17.
 NOVAPHY_DYNAMICS_API float checked_friction_smoothing(const char* solver, FrictionLaw law,
                                                       std::optional<float> smoothing);
 

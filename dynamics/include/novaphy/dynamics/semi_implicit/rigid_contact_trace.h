@@ -3,16 +3,20 @@
 // Law, for the shapes A and B, N = -normal (from B to A):
 //   P_A = X_A(p_A) - N m_A,  P_B = X_B(p_B) + N m_B     points of the surfaces with their margins
 //   d  = dot(N, P_A - P_B)                              < 0 is penetration; no force where d >= ka
-//   u  = v_A - v_B at the points,  un = dot(N, u),  ut = u - N un
+//   P  = (P_A + P_B)/2 between two bodies; the body's own point where the other is the world
+//   u  = v_A - v_B at P,  un = dot(N, u),  ut = u - N un
 //   fn = ke d,  fd = kd min(un, 0) where d < 0, else 0
 //   F  = N (fn + fd) + friction(ut, c),  c = -mu (fn + fd) the Coulomb limit, 0 where d >= 0
-//   B gets F at P_B, A gets -F at P_A; moments are about the centres of mass
+//   B gets F at P, A gets -F there, so momentum and angular momentum of both stay; moments are
+//   about the centres of mass
 // Friction (c > 0, s = |ut|):
 //   viscous   kf ut, cut off at the cone: ut c/s where kf s > c
 //   huber     ut min(kf, c/h),  h = (s^2 + e^2)/(2 e) where s <= e, else s. Never leaves the cone,
 //             smooth for s < e. e = 0 has the bits of viscous
-//   newton17  ut/h min(kf h, c),  h = s^2/2 where s <= e, else e (s - e/2). Leaves the cone, for
-//             comparison only
+//   newton17  ut/h min(kf h, c),  h = s^2/2 where s <= e, else e (s - e/2). Leaves the cone
+//   newton18  viscous
+// With newton17 and newton18 A gets -F at P_A and B gets F at P_B, each with the velocity there, as
+// in Newton: friction makes a couple |ut part of F| |d|. They are for comparison only.
 // None of them sticks: under a load below the cone a contact creeps.
 // Symbols:
 //   X, v, w, c   pose, velocity, angular velocity and centre of mass of a body (Model::body_q,
@@ -24,8 +28,9 @@
 //                mu of a row that has its own (Contacts::rigid_contact_stiffness, ...)
 //   e            friction_smoothing (m/s), e > 0 for newton17
 //   F            N, world frame
-// Source: Newton 1.8.0 for viscous, the same bits on the cpu but that margins act on world-owned
-// shapes too; Newton 1.7 for newton17; huber is the Huber norm scaled to bound the cone.
+// Source: Newton 1.8.0 for newton18, the same bits on the cpu but that margins act on world-owned
+// shapes too; viscous has these bits where one side is the world. Newton 1.7 for newton17. huber is
+// the Huber norm scaled to bound the cone.
 //
 // Not smooth, and what is returned there (the derivative follows the same choice):
 //   d = ka, d = 0   no force, no damping. At touch-down the force jumps by kd un.
@@ -41,7 +46,13 @@
 
 namespace novaphy {
 
-enum class FrictionLaw { Viscous, Huber, Newton17 };
+enum class FrictionLaw { Viscous, Huber, Newton17, Newton18 };
+
+// Of Newton: each side has the force at its own point, and bodies have Newton's spin
+// (rigid_integrator_trace.h).
+inline bool is_of_newton(FrictionLaw law) {
+  return law == FrictionLaw::Newton17 || law == FrictionLaw::Newton18;
+}
 
 template <class T>
 struct RigidContactMaterial {
@@ -73,9 +84,10 @@ struct RigidContactSide {
   Vec3<T> com{};
   Vec3<T> point{};  // of the core, body frame
   T margin{};
+  T is_body{};  // 1; 0: the world
 };
 
-// The force on B, and the arms of the two points from the centres of mass.
+// The force on B, and the arms from the centres of mass to where it acts.
 template <class T>
 struct RigidContactForce {
   Vec3<T> force{}, arm_a{}, arm_b{};
@@ -91,7 +103,7 @@ Vec3<T> rigid_friction(FrictionLaw law, const Vec3<T>& ut, const T& limit, const
   const T cap = select(acts, limit, one), k = select(acts, kf, one);  // never divide by 0
   const T s2 = dot(ut, ut);
   T slope;  // friction per slip
-  if (law == FrictionLaw::Viscous) {
+  if (law == FrictionLaw::Viscous || law == FrictionLaw::Newton18) {
     const T at_cap = cap / k;
     const auto slides = s2 > at_cap * at_cap;
     slope = select(slides, cap / sqrt(select(slides, s2, one)), k);
@@ -142,8 +154,14 @@ RigidContactForce<T> rigid_contact_force_at(FrictionLaw law, const RigidContactS
   const Vec3<T> n = -normal;
   const Vec3<T> p_a = core_a - n * a.margin;
   const Vec3<T> p_b = core_b + n * b.margin;
-  const Vec3<T> arm_a = p_a - transform_point(a.pose, a.com);
-  const Vec3<T> arm_b = p_b - transform_point(b.pose, b.com);
+  Vec3<T> at_a = p_a, at_b = p_b;
+  if (!is_of_newton(law)) {
+    const T half = T(0.5f);
+    at_a = select(a.is_body < half, p_b, select(b.is_body < half, p_a, (p_a + p_b) * half));
+    at_b = at_a;
+  }
+  const Vec3<T> arm_a = at_a - transform_point(a.pose, a.com);
+  const Vec3<T> arm_b = at_b - transform_point(b.pose, b.com);
   const Vec3<T> u = (a.twist.linear + cross(a.twist.angular, arm_a)) -
                     (b.twist.linear + cross(b.twist.angular, arm_b));
   return {rigid_contact_law(law, n, p_a, p_b, u, material, smoothing), arm_a, arm_b};

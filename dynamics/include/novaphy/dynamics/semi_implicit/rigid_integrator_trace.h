@@ -4,7 +4,7 @@
 //   v1  = v0 + (f/m + g s) dt                    s = 1 if 1/m > 0, else 0
 //   x_c1 = x_c + v1 dt
 //   w_b = rotate^-1(q, w0),  t_b = rotate^-1(q, t) - w_b x (I w_b)
-//   w1  = rotate(q, w_b + (I^-1 t_b) dt)
+//   w1  = w0 + rotate(q, (I^-1 t_b) dt)
 //   q1  = unit(q + 1/2 (w1, 0) q dt)             quaternion product
 //   x1  = x_c1 - rotate(q1, c)
 //   the new angular velocity is w1 (1 - a dt)
@@ -17,8 +17,11 @@
 //   a         angular damping (1/s)
 // A kinematic body keeps its velocity and follows it: x_c1 = x_c + v0 dt, q1 from w0.
 //
-// Source: Newton 1.8.0, SolverSemiImplicit; its output on the cpu is the same bits, but that
-// Newton's kinematic bodies do not move. The gyroscopic term gains energy, of the order of
+// Newton's spin is w1 = rotate(q, w_b + (I^-1 t_b) dt), the same but for rounding: |q| is not quite
+// 1, so |w| grows by about 2e-7 in each step.
+//
+// Source: Newton 1.8.0, SolverSemiImplicit. With Newton's spin the output on the cpu has its bits,
+// but that Newton's kinematic bodies do not move. The gyroscopic term gains energy, of the order of
 // (|w| dt)^2 per step; the angle of a step is 2 atan(|w| dt / 2).
 // Gradient: exact in x, q, v, w, f, t, c, I, I^-1, 1/m, g, dt, with q four free numbers; s passes
 // nothing.
@@ -58,7 +61,8 @@ Quat<T> integrate_orientation(const Quat<T>& q, const Vec3<T>& w, const T& dt) {
 template <class T>
 RigidBodyState<T> integrate_rigid_body(const RigidBodyState<T>& body, const SpatialVector<T>& force,
                                        const RigidBodyMass<T>& mass, const Vec3<T>& gravity,
-                                       const T& angular_damping, const T& dt) {
+                                       const T& angular_damping, const T& dt,
+                                       bool newton_spin = false) {
   using namespace math;
   const Quat<T>& q = body.q.q;
   const Vec3<T> x_com = body.q.p + rotate(q, mass.com);
@@ -67,7 +71,8 @@ RigidBodyState<T> integrate_rigid_body(const RigidBodyState<T>& body, const Spat
   const Vec3<T> w_body = rotate_inverse(q, body.qd.angular);
   const Vec3<T> torque =
       rotate_inverse(q, force.angular) - cross(w_body, multiply(mass.inertia, w_body));
-  const Vec3<T> w = rotate(q, w_body + multiply(mass.inv_inertia, torque) * dt);
+  const Vec3<T> change = multiply(mass.inv_inertia, torque) * dt;
+  const Vec3<T> w = newton_spin ? rotate(q, w_body + change) : body.qd.angular + rotate(q, change);
   const Quat<T> turned = integrate_orientation(q, w, dt);
   const Vec3<T> x = (x_com + v * dt) - rotate(turned, mass.com);
   return {{x, turned}, {v, w * (T(1.0f) - angular_damping * dt)}};

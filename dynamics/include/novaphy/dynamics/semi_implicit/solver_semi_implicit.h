@@ -19,7 +19,7 @@ struct SemiImplicitOptions {
   float particle_kf_bound = 1.0f;
   float angular_damping = 0.05f;                    // 1/s, of rigid bodies
   FrictionLaw friction_law = FrictionLaw::Viscous;  // of rigid contacts
-  // m/s, of the laws huber and newton17: 0.1 when empty. ErrorKind::Value with viscous.
+  // m/s, of the laws huber and newton17: 0.1 when empty. ErrorKind::Value with the others.
   std::optional<float> friction_smoothing = {};
   // N/m, of every row of rigid contacts with the law viscous: a spring along the surface, kept from
   // step to step by rigid_contact_point_id (src/semi_implicit/stick_springs.h), with which friction

@@ -7,6 +7,7 @@
 #include "fcl_penetration.h"
 #include "novaphy/core/error.h"
 #include "novaphy/core/recorder.h"
+#include "novaphy/core/sim/input_checks.h"
 #include "rigid_contacts.h"
 #include "soft_contacts.h"
 
@@ -119,11 +120,13 @@ Contacts CollisionPipeline::contacts(bool per_contact_shape_properties) const {
 }
 
 void CollisionPipeline::collide(const SimState& state, Contacts& contacts,
-                                std::optional<float> soft_contact_margin) {
+                                std::optional<float> soft_contact_margin, std::optional<float> dt) {
   constexpr const char* name = "collide";
   const ExclusiveUse::Scope scope(*in_use_, name, "the pipeline");
   const float gap = soft_contact_margin.value_or(options_.soft_contact_margin);
   check_margin(name, gap);
+  require(!dt || (std::isfinite(*dt) && *dt > 0.0f), ErrorKind::Value, name,
+          ": dt: expected a finite number > 0, got ", dt.value_or(0.0f));
   require(state.model_id() == model_->id(), ErrorKind::Value, name,
           ": state: expected a state of the pipeline's model, got one of another model");
   require(contacts.model_id() == model_->id(), ErrorKind::Value, name,
@@ -137,6 +140,9 @@ void CollisionPipeline::collide(const SimState& state, Contacts& contacts,
   };
   check_rows("particle_q", state.particle_q, model_->particle_count());
   check_rows("body_q", state.body_q, model_->body_count());
+  if (dt) check_rows("body_qd", state.body_qd, model_->body_count());
+  // The states of a rollout are those of its steps, and may not be there yet.
+  if (launch_recorder() == nullptr && !dt) check_rotations(name, state);
   model_->check_worlds(name);
   const int64_t pairs = count_pairs();
   require(pairs == contacts.soft_contact_pair_count(), ErrorKind::Value, name,
@@ -156,7 +162,7 @@ void CollisionPipeline::collide(const SimState& state, Contacts& contacts,
   }
   soft_contacts_->collide(state, contacts, gap);
   const uint64_t version = contacts.rigid_contact_count.version();
-  rigid_contacts_->collide(state, contacts);
+  rigid_contacts_->collide(state, contacts, dt.value_or(0.0f));
   // Unless a capture has recorded the search: then nothing was written.
   if (contacts.rigid_contact_count.version() != version)
     contacts.set_rigid_contacts_found_from(*model_, state.body_q);

@@ -1,6 +1,7 @@
 // The search for rigid contacts as kernels: shapes are moved to the world, every candidate pair is
 // asked for its manifold, a scan of the counts gives the rows before each pair, and the pairs write
-// their rows. What a contact is: collision_pipeline.h.
+// their rows. Where there are more rows than room, pairs keep those within a common part of their
+// gaps. What a contact is: collision_pipeline.h.
 #pragma once
 
 #include "novaphy/collision/geometry/collide.h"
@@ -30,6 +31,21 @@ inline float reach_along(const RigidShape& shape, const Vec3f& axis) {
   return 1.0e6f;  // a plane
 }
 
+// The part of a shape in the distance up to which a step of dt may let its points touch: twice
+// their way, and kMoreSpeed (m/s) dt for what the step does to them. With both parts a little more
+// than what solvers leave out (dynamics/articulation/islands.h), so these solve the same rows.
+inline constexpr float kMoreSpeed = 2.1f;
+inline float step_gap(const RigidShape& shape, const SpatialVectorf& twist, const Vec3f& arm,
+                      float dt) {
+  const Vec3f reach = {reach_along(shape, {1.0f, 0.0f, 0.0f}),
+                       reach_along(shape, {0.0f, 1.0f, 0.0f}),
+                       reach_along(shape, {0.0f, 0.0f, 1.0f})};
+  const float speed =
+      math::length(twist.linear + math::cross(twist.angular, arm)) +
+      math::length(twist.angular) * (math::length(reach) + (shape.margin + shape.gap));
+  return (2.0f * speed + kMoreSpeed) * dt;
+}
+
 // Of types in their order: a mesh and a convex shape or mesh, which rigid_mesh_kernels.h handles.
 inline bool is_mesh_pair(GeoType a, GeoType b) {
   return a == GeoType::MESH || (b == GeoType::MESH && a != GeoType::PLANE);
@@ -43,11 +59,15 @@ struct RigidContactShapeArguments {
   const float* margin;
   const float* gap;
   const Transformf* body_q;
+  const SpatialVectorf* body_qd;
+  const Vec3f* body_com;
+  const float* ka;
+  FloatWord dt;             // of the step that takes the rows; 0: any
   const int32_t* geometry;  // of the shapes: rows of `views`, or -1
   const geometry::GeometryView* views;
   RigidShape* shapes;
 };
-NOVAPHY_ROW_KERNEL(rigid_contact_shape, 10, RigidContactShapeArguments) {
+NOVAPHY_ROW_KERNEL(rigid_contact_shape, 14, RigidContactShapeArguments) {
   RigidShape& shape = a.shapes[row];
   const int32_t body = a.body[row];
   shape.type = static_cast<GeoType>(a.type[row]);
@@ -57,17 +77,25 @@ NOVAPHY_ROW_KERNEL(rigid_contact_shape, 10, RigidContactShapeArguments) {
   shape.gap = a.gap[row];
   shape.owner = body < 0 ? Transformf::identity() : a.body_q[body];
   shape.pose = body < 0 ? a.xform[row] : math::multiply(shape.owner, a.xform[row]);
-  // Grown by rounding, so that the boxes part nothing that touches.
-  const float beyond = (shape.margin + shape.gap) + 1.0e-4f;
-  const Vec3f grow = {
-      beyond + reach_along(shape, math::rotate_inverse(shape.pose.q, Vec3f{1.0f, 0.0f, 0.0f})),
-      beyond + reach_along(shape, math::rotate_inverse(shape.pose.q, Vec3f{0.0f, 1.0f, 0.0f})),
-      beyond + reach_along(shape, math::rotate_inverse(shape.pose.q, Vec3f{0.0f, 0.0f, 1.0f}))};
   Vec3f centre = shape.pose.p;
   if (shape.geometry != nullptr) {
     const geometry::Box3& box = shape.geometry->box;
     centre = math::transform_point(shape.pose, (box.lo + box.hi) * 0.5f);
   }
+  shape.row_gap = shape.gap;
+  if (a.dt.value > 0.0f) {
+    const SpatialVectorf twist = body < 0 ? SpatialVectorf{} : a.body_qd[body];
+    const Vec3f com = body < 0 ? centre : math::transform_point(shape.owner, a.body_com[body]);
+    // Adhesion acts up to ka.
+    shape.row_gap =
+        math::min(shape.gap, step_gap(shape, twist, centre - com, a.dt.value) + a.ka[row]);
+  }
+  // Grown by rounding, so that the boxes part nothing that touches.
+  const float beyond = (shape.margin + shape.row_gap) + 1.0e-4f;
+  const Vec3f grow = {
+      beyond + reach_along(shape, math::rotate_inverse(shape.pose.q, Vec3f{1.0f, 0.0f, 0.0f})),
+      beyond + reach_along(shape, math::rotate_inverse(shape.pose.q, Vec3f{0.0f, 1.0f, 0.0f})),
+      beyond + reach_along(shape, math::rotate_inverse(shape.pose.q, Vec3f{0.0f, 0.0f, 1.0f}))};
   shape.box = {centre - grow, centre + grow};
 }
 
@@ -104,7 +132,7 @@ inline void keep_rows(const RigidShape& s0, const RigidShape& s1, const geometry
   for (int32_t k = 0; k < found.count; ++k) {
     const CorePoints core = core_points(s0, s1, kept.normal, found.points[k]);
     // Written so that a NaN is no contact.
-    if (math::dot(core.b - core.a, kept.normal) - inside <= s0.gap + s1.gap)
+    if (math::dot(core.b - core.a, kept.normal) - inside <= s0.row_gap + s1.row_gap)
       kept.points[kept.count++] = found.points[k];
   }
 }
@@ -129,8 +157,103 @@ NOVAPHY_ROW_KERNEL(rigid_contact_find, 6, RigidContactFindArguments) {
   a.counts[row] = kept.count;
 }
 
+inline constexpr int64_t kLimitSums = 128;  // rows that add up
+
+// How many rows there are within each part, in rows that add up to it; those of mesh pairs
+// rigid_mesh_limit_sum adds.
+struct RigidContactLimitSumArguments {
+  const Vec2i* pairs;
+  const RigidShape* shapes;
+  const geometry::Manifold* manifolds;
+  const int32_t* counts;
+  const int32_t* before;
+  int64_t pair_count, capacity;
+  int32_t* sums;  // kLimitParts of each row
+};
+NOVAPHY_ROW_KERNEL(rigid_contact_limit_sum, 8, RigidContactLimitSumArguments) {
+  const int64_t last = a.pair_count - 1;
+  if (a.before[last] + a.counts[last] <= a.capacity) return;
+  int32_t sums[kLimitParts] = {};
+  for (int64_t pair = row; pair < a.pair_count; pair += n) {
+    if (a.counts[pair] == 0) continue;
+    const RigidShape& s0 = a.shapes[a.pairs[pair].x];
+    const RigidShape& s1 = a.shapes[a.pairs[pair].y];
+    if (is_mesh_pair(s0.type, s1.type)) continue;
+    for (int32_t i = 0; i < a.counts[pair]; ++i)
+      for (int32_t k = 0; k < kLimitParts; ++k)
+        sums[k] += is_within(s0, s1, a.manifolds[pair].points[i], k) ? 1 : 0;
+  }
+  for (int32_t k = 0; k < kLimitParts; ++k) a.sums[row * kLimitParts + k] = sums[k];
+}
+
+struct RigidContactLimitArguments {
+  const int32_t* counts;
+  const int32_t* before;
+  const int32_t* sums;
+  int64_t pair_count, capacity, rows;  // of sums
+  RigidContactLimit* limit;
+};
+NOVAPHY_ROW_KERNEL(rigid_contact_limit, 7, RigidContactLimitArguments) {
+  const int64_t last = a.pair_count - 1;
+  *a.limit = {a.before[last] + a.counts[last], 0, 0};
+  if (a.limit->total <= a.capacity) return;
+  int64_t sum = a.limit->total;
+  while (sum > a.capacity) {
+    ++a.limit->part;
+    sum = 0;
+    for (int64_t i = 0; i < a.rows; ++i) sum += a.sums[i * kLimitParts + a.limit->part];
+  }
+  a.limit->room = static_cast<int32_t>(a.capacity - sum);
+}
+
+// How many rows of each pair only the part above the limit has.
+struct RigidContactFartherArguments {
+  const RigidContactLimit* limit;
+  const Vec2i* pairs;
+  const RigidShape* shapes;
+  const geometry::Manifold* manifolds;
+  const int32_t* counts;
+  int32_t* farther;
+};
+NOVAPHY_ROW_KERNEL(rigid_contact_farther, 6, RigidContactFartherArguments) {
+  const RigidShape& s0 = a.shapes[a.pairs[row].x];
+  const RigidShape& s1 = a.shapes[a.pairs[row].y];
+  int32_t count = 0;
+  const bool is_mesh = is_mesh_pair(s0.type, s1.type);
+  for (int32_t i = 0; a.limit->part > 0 && !is_mesh && i < a.counts[row]; ++i) {
+    const geometry::ContactPoint& point = a.manifolds[row].points[i];
+    if (!is_within(s0, s1, point, a.limit->part) && is_within(s0, s1, point, a.limit->part - 1))
+      ++count;
+  }
+  a.farther[row] = count;
+}
+
+struct RigidContactTrimArguments {
+  const RigidContactLimit* limit;
+  const Vec2i* pairs;
+  const RigidShape* shapes;
+  const int32_t* farther;  // before each pair
+  geometry::Manifold* manifolds;
+  int32_t* counts;
+};
+NOVAPHY_ROW_KERNEL(rigid_contact_trim, 6, RigidContactTrimArguments) {
+  if (a.limit->part == 0 || a.counts[row] == 0) return;
+  const RigidShape& s0 = a.shapes[a.pairs[row].x];
+  const RigidShape& s1 = a.shapes[a.pairs[row].y];
+  if (is_mesh_pair(s0.type, s1.type)) return;
+  geometry::Manifold& manifold = a.manifolds[row];
+  const int32_t count = manifold.count;
+  int32_t before = a.farther[row];
+  manifold.count = 0;
+  for (int32_t i = 0; i < count; ++i)
+    if (stays(*a.limit, s0, s1, manifold.points[i], before))
+      manifold.points[manifold.count++] = manifold.points[i];
+  a.counts[row] = manifold.count;
+}
+
 struct RigidContactWriteArguments {
-  const int32_t* pairs_found;  // may be more than there is room for; null: all
+  const RigidContactLimit* limit;  // null: all fit
+  const int32_t* pairs_found;      // may be more than there is room for; null: all
   const Vec2i* pairs;
   const RigidShape* shapes;
   const geometry::Manifold* manifolds;
@@ -139,12 +262,12 @@ struct RigidContactWriteArguments {
   int32_t* count;
   RigidContactRows rows;
 };
-NOVAPHY_ROW_KERNEL(rigid_contact_write, 18, RigidContactWriteArguments) {
+NOVAPHY_ROW_KERNEL(rigid_contact_write, 19, RigidContactWriteArguments) {
   const int32_t first = a.before[row], count = a.counts[row];
   if (row == n - 1) {
     // A pair for which there was no room counts as a row behind those that are there.
     const int64_t found = a.pairs_found == nullptr ? n : *a.pairs_found;
-    int64_t rows = first + count;
+    int64_t rows = a.limit == nullptr ? first + count : a.limit->total;
     if (found > n) rows = (rows > a.rows.capacity ? rows : a.rows.capacity) + (found - n);
     *a.count = rows < 0x7FFFFFFF ? static_cast<int32_t>(rows) : 0x7FFFFFFF;
   }

@@ -26,9 +26,16 @@ struct Kernels {
   DeviceKernel shape{rigid_contact_shape, rigid_contact_kernels_text};
   DeviceKernel find{rigid_contact_find, rigid_contact_kernels_text};
   DeviceKernel scan{"exclusive_scan_i32"};
+  DeviceKernel limit_sum{rigid_contact_limit_sum, rigid_contact_kernels_text};
+  DeviceKernel limit{rigid_contact_limit, rigid_contact_kernels_text};
+  DeviceKernel farther{rigid_contact_farther, rigid_contact_kernels_text};
+  DeviceKernel trim{rigid_contact_trim, rigid_contact_kernels_text};
   DeviceKernel write{rigid_contact_write, rigid_contact_kernels_text};
   DeviceKernel clear{rigid_contact_clear, rigid_contact_kernels_text};
   DeviceKernel find_mesh{rigid_mesh_find, rigid_mesh_kernels_text};
+  DeviceKernel limit_sum_mesh{rigid_mesh_limit_sum, rigid_mesh_kernels_text};
+  DeviceKernel farther_mesh{rigid_mesh_farther, rigid_mesh_kernels_text};
+  DeviceKernel trim_mesh{rigid_mesh_trim, rigid_mesh_kernels_text};
   DeviceKernel write_mesh{rigid_mesh_write, rigid_mesh_kernels_text};
 };
 const Kernels& kernels() {
@@ -91,6 +98,8 @@ struct RigidContacts::Impl {
   // Scratch, kept from call to call.
   std::shared_ptr<Storage> shapes, manifolds, mesh_rows, mesh_scratch;
   DeviceArray<int32_t> counts, before;
+  DeviceArray<int32_t> limit_sums, farther, farther_before;
+  std::shared_ptr<Storage> limit;  // a RigidContactLimit
   // rigid_contact_shape0 as the last call left it, empty behind `used` rows.
   ArrayStamp emptied;
   int64_t used = 0;
@@ -222,6 +231,62 @@ struct RigidContacts::Impl {
     return true;
   }
 
+  // Behind the scan, on the CPU.
+  int64_t rows_found() const {
+    const Unobserved unobserved;
+    const int64_t last = pair_count - 1;
+    return int64_t{before.data()[last]} + counts.data()[last];
+  }
+  // Leaves out the rows that are farthest apart where there are more than `capacity`.
+  void limit_rows(const Array& moved, const Array& found, int64_t capacity) {
+    const Device device = model->device();
+    if (!limit) {
+      limit_sums = DeviceArray<int32_t>(kLimitSums * kLimitParts, device);
+      limit = Storage::allocate(sizeof(RigidContactLimit), device);
+    }
+    if (farther.rows() != counts.rows())
+      for (DeviceArray<int32_t>* of_pairs : {&farther, &farther_before})
+        *of_pairs = DeviceArray<int32_t>(counts.rows(), device);
+    const Array to(DType::uint8, limit->bytes(), 1, limit->range());
+    kernels().limit_sum.launch(
+        device, kLimitSums,
+        {reads("pairs", pairs), reads("shapes", moved), reads("manifolds", found),
+         reads("counts", counts), reads("before", before), number(pair_count), number(capacity),
+         writes("limit_sums", limit_sums)});
+    const Array meshes =
+        mesh_rows ? Array(DType::uint8, mesh_rows->bytes(), 1, mesh_rows->range()) : Array();
+    if (mesh_pair_count > 0)
+      kernels().limit_sum_mesh.launch(
+          device, kLimitSums,
+          {reads("mesh_pairs", mesh_pairs), reads("pairs", pairs), reads("shapes", moved),
+           reads("mesh_rows", meshes), number(mesh_pair_count), updates("limit_sums", limit_sums)});
+    kernels().limit.launch(
+        device, 1,
+        {reads("counts", counts), reads("before", before), reads("limit_sums", limit_sums),
+         number(pair_count), number(capacity), number(kLimitSums), writes("limit", to)});
+    kernels().farther.launch(
+        device, pair_count,
+        {reads("limit", to), reads_row("pairs", pairs), reads("shapes", moved),
+         reads("manifolds", found), reads_row("counts", counts), writes_row("farther", farther)});
+    if (mesh_pair_count > 0)
+      kernels().farther_mesh.launch(
+          device, mesh_pair_count,
+          {reads("limit", to), reads_row("mesh_pairs", mesh_pairs), reads("pairs", pairs),
+           reads("shapes", moved), reads("mesh_rows", meshes), updates("farther", farther)});
+    kernels().scan.launch(device, pair_count,
+                          {reads("counts", farther), writes("before", farther_before)});
+    kernels().trim.launch(device, pair_count,
+                          {reads("limit", to), reads_row("pairs", pairs), reads("shapes", moved),
+                           reads_row("farther", farther_before), updates("manifolds", found),
+                           updates("counts", counts)});
+    if (mesh_pair_count > 0)
+      kernels().trim_mesh.launch(
+          device, mesh_pair_count,
+          {reads("limit", to), reads_row("mesh_pairs", mesh_pairs), reads("pairs", pairs),
+           reads("shapes", moved), reads("farther", farther_before), updates("mesh_rows", meshes),
+           updates("counts", counts)});
+  }
+
   void take_mesh_pairs(const std::vector<Vec2i>& found) {
     std::vector<int32_t> rows;
     const auto type_of = [&](int32_t s) {
@@ -346,7 +411,7 @@ int64_t RigidContacts::most_rows() {
   return impl_->most_rows;
 }
 
-void RigidContacts::collide(const SimState& state, Contacts& c) {
+void RigidContacts::collide(const SimState& state, Contacts& c, float dt) {
   const Model& m = *impl_->model;
   const Device device = m.device();
   impl_->find_candidates();
@@ -393,7 +458,9 @@ void RigidContacts::collide(const SimState& state, Contacts& c) {
         {reads_row("shape_body", m.shape_body), reads_row("shape_type", m.shape_type),
          constant("shape_scale", m.shape_scale), constant("shape_transform", m.shape_transform),
          constant("shape_margin", m.shape_margin), constant("shape_gap", m.shape_gap),
-         constant("body_q", state.body_q), reads_row("geometry", impl_->geometries->of_shape()),
+         constant("body_q", state.body_q), constant("body_qd", state.body_qd),
+         constant("body_com", m.body_com), constant("shape_material_ka", m.shape_material_ka),
+         number(dt), reads_row("geometry", impl_->geometries->of_shape()),
          reads("views", geometries), writes("shapes", shapes)});
   }
   if (by_kernels)
@@ -417,11 +484,22 @@ void RigidContacts::collide(const SimState& state, Contacts& c) {
            writes("scratch", impl_->mesh_scratch ? bytes(impl_->mesh_scratch) : Array()),
            writes("mesh_rows", bytes(impl_->mesh_rows)), updates("counts", impl_->counts)});
     if (asks_fcl) impl_->ask_fcl();
-    kernels().scan.launch(device, pairs,
-                          {reads("counts", impl_->counts), writes("before", impl_->before)});
+    const auto scan = [&] {
+      kernels().scan.launch(device, pairs,
+                            {reads("counts", impl_->counts), writes("before", impl_->before)});
+    };
+    scan();
+    // Where the host does not wait, kernels see whether there is room.
+    const bool limits = waits ? impl_->rows_found() > rows : rows < impl_->most_rows;
+    LaunchArgument limit = reads("limit", Array());
+    if (limits) {
+      impl_->limit_rows(shapes, manifolds, rows);
+      scan();
+      limit = reads("limit", bytes(impl_->limit));
+    }
     kernels().write.launch(
         device, pairs,
-        with_rows(found, reads_row("pairs", impl_->pairs), reads("shapes", shapes),
+        with_rows(limit, found, reads_row("pairs", impl_->pairs), reads("shapes", shapes),
                   reads("manifolds", manifolds), reads_row("counts", impl_->counts),
                   reads_row("before", impl_->before),
                   writes("rigid_contact_count", c.rigid_contact_count)));

@@ -28,8 +28,9 @@ class RigidContacts {
   // So far: pairs of hulls that overlap, and those for which FCL's answer was not taken.
   int64_t fcl_pairs() const;
   int64_t fcl_fallbacks() const;
-  // Recorded where the thread records.
-  void collide(const SimState& state, Contacts& contacts);
+  // Recorded where the thread records. `dt` (s) of the step that takes the rows: only those that
+  // may touch in it; 0: all.
+  void collide(const SimState& state, Contacts& contacts, float dt);
 
  private:
   struct Impl;

@@ -102,10 +102,71 @@ NOVAPHY_ROW_KERNEL(rigid_mesh_find, 6, RigidMeshFindArguments) {
     if (!mesh_is_first) candidate.normal = -candidate.normal;
     const CorePoints core = core_points(s0, s1, candidate.normal, candidate.point);
     // Written so that a NaN is no contact.
-    if (math::dot(core.b - core.a, candidate.normal) - inside <= gap)
+    if (math::dot(core.b - core.a, candidate.normal) - inside <= s0.row_gap + s1.row_gap)
       kept.rows[kept.count++] = candidate;
   }
   a.counts[a.mesh_pairs[row]] = kept.count;
+}
+
+// As rigid_contact_limit_sum, rigid_contact_farther and rigid_contact_trim do for other pairs.
+struct RigidMeshLimitSumArguments {
+  const int32_t* mesh_pairs;
+  const Vec2i* pairs;
+  const RigidShape* shapes;
+  const MeshRows* found;
+  int64_t mesh_pair_count;
+  int32_t* sums;
+};
+NOVAPHY_ROW_KERNEL(rigid_mesh_limit_sum, 6, RigidMeshLimitSumArguments) {
+  for (int64_t m = row; m < a.mesh_pair_count; m += n) {
+    const Vec2i pair = a.pairs[a.mesh_pairs[m]];
+    for (int32_t i = 0; i < a.found[m].count; ++i)
+      for (int32_t k = 0; k < kLimitParts; ++k)
+        if (is_within(a.shapes[pair.x], a.shapes[pair.y], a.found[m].rows[i].point, k))
+          ++a.sums[row * kLimitParts + k];
+  }
+}
+
+struct RigidMeshFartherArguments {
+  const RigidContactLimit* limit;
+  const int32_t* mesh_pairs;
+  const Vec2i* pairs;
+  const RigidShape* shapes;
+  const MeshRows* found;
+  int32_t* farther;
+};
+NOVAPHY_ROW_KERNEL(rigid_mesh_farther, 6, RigidMeshFartherArguments) {
+  const Vec2i pair = a.pairs[a.mesh_pairs[row]];
+  const RigidShape &s0 = a.shapes[pair.x], &s1 = a.shapes[pair.y];
+  int32_t count = 0;
+  for (int32_t i = 0; a.limit->part > 0 && i < a.found[row].count; ++i) {
+    const geometry::ContactPoint& point = a.found[row].rows[i].point;
+    if (!is_within(s0, s1, point, a.limit->part) && is_within(s0, s1, point, a.limit->part - 1))
+      ++count;
+  }
+  a.farther[a.mesh_pairs[row]] = count;
+}
+
+struct RigidMeshTrimArguments {
+  const RigidContactLimit* limit;
+  const int32_t* mesh_pairs;
+  const Vec2i* pairs;
+  const RigidShape* shapes;
+  const int32_t* farther;  // before each pair
+  MeshRows* found;
+  int32_t* counts;
+};
+NOVAPHY_ROW_KERNEL(rigid_mesh_trim, 7, RigidMeshTrimArguments) {
+  if (a.limit->part == 0) return;
+  const Vec2i pair = a.pairs[a.mesh_pairs[row]];
+  MeshRows& found = a.found[row];
+  const int32_t count = found.count;
+  int32_t before = a.farther[a.mesh_pairs[row]];
+  found.count = 0;
+  for (int32_t i = 0; i < count; ++i)
+    if (stays(*a.limit, a.shapes[pair.x], a.shapes[pair.y], found.rows[i].point, before))
+      found.rows[found.count++] = found.rows[i];
+  a.counts[a.mesh_pairs[row]] = found.count;
 }
 
 struct RigidMeshWriteArguments {

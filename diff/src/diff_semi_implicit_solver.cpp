@@ -7,6 +7,7 @@
 #include <utility>
 
 #include "novaphy/core/error.h"
+#include "novaphy/core/sim/input_checks.h"
 #include "novaphy/dynamics/diff_model_reads.h"
 #include "novaphy/dynamics/semi_implicit/friction_law.h"
 #include "novaphy/nova/op_list.h"
@@ -223,6 +224,7 @@ void DiffSemiImplicitSolver::step(SimState& state_in, SimState& state_out, const
           "(supports_graph_capture is False)");
   const ExclusiveUse::Scope scope = use(name);
   check_step(name, state_in, state_out, control, contacts, dt);
+  check_rotations(name, state_in);
   if (!moves_particles() && !moves_bodies()) return;
   begin(name, control, contacts, false,
         contacts != nullptr && contacts->rigid_contacts_found_from(*model(), state_in.body_q), dt);

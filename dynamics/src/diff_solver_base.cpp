@@ -155,6 +155,7 @@ void DiffSolverBase::rollout(Trajectory& trajectory, const Control* control,
   const RolloutInputs inputs(*model(), trajectory, control, contacts, dt, options, target_count());
   const ExclusiveUse::Scope scope = use("rollout");
   if (inputs.steps() == 0 || !begin_rollout(inputs)) return;
+  if (inputs.contacts() != nullptr) watch_overflow("rollout", *inputs.contacts());
   const bool recording = nova::Tape::active() != nullptr;
   if (recording) make_leaves(trajectory.any_state(inputs.start()));
   constexpr int32_t kStepsPerInterruptCheck = 32;
@@ -201,7 +202,8 @@ void DiffSolverBase::rollout(Trajectory& trajectory, const Control* control,
     }
     if (!found->empty()) {
       FoundContacts& here = (*found)[contact_slot];
-      inputs.pipeline()->collide(from, here.contacts);
+      inputs.pipeline()->collide(from, here.contacts, {}, inputs.dt());
+      watch_overflow("rollout", here.contacts);
       now.contacts = &here.contacts;
       now.tables = &here.tables;
     }

@@ -129,10 +129,11 @@ void bind_collision(py::module_& m) {
            "rigid_contact_stiffness, _damping and _friction of their own, written behind collide, "
            "which sets them to 0; such a collide cannot be captured.")
       .def("collide", &CollisionPipeline::collide, "state"_a, "contacts"_a, py::kw_only(),
-           "soft_contact_margin"_a = py::none(), release_gil(),
+           "soft_contact_margin"_a = py::none(), "dt"_a = py::none(), release_gil(),
            "Replaces the contacts by those of the state. soft_contact_margin (m) holds for this "
-           "call. ValueError: a state "
-           "or contacts of another model or device, a bad margin; nothing is written then.");
+           "call. dt (s) of the step that takes the contacts: rows of rigid contacts that are too "
+           "far apart to touch within the step are left out. ValueError: a state "
+           "or contacts of another model or device, a bad margin or dt; nothing is written then.");
 }
 
 }  // namespace novaphy::python

@@ -151,6 +151,93 @@ TEST(RigidContacts, OverflowKeepsTheFirstRowsAndTheTrueCount) {
   EXPECT_EQ(contacts.rigid_contacts(), std::vector<RigidContact>(all.begin(), all.begin() + 3));
 }
 
+// The gap of a row, with bodies that are not turned.
+float separation(const RigidContact& row, const Model& model, const std::vector<Transformf>& q) {
+  const std::vector<int32_t> body = model.shape_body.to_host();
+  const auto world = [&](int32_t shape, const Vec3f& p) {
+    const int32_t b = body[static_cast<size_t>(shape)];
+    return b < 0 ? p : p + q[static_cast<size_t>(b)].p;
+  };
+  return math::dot(world(row.shape1, row.point1) - world(row.shape0, row.point0), row.normal) -
+         row.margin0 - row.margin1;
+}
+
+// A block of cubes of 2 cm, of which each is within the gap of all others.
+std::shared_ptr<Model> block_of_cubes(int32_t side) {
+  ModelBuilder builder;
+  builder.add_ground_plane();
+  for (int32_t k = 0; k < side * side * side; ++k) {
+    const float edge = 0.02f, apart = 1.05f * edge;
+    builder.add_body({.xform = at(apart * static_cast<float>(k % side),
+                                  apart * static_cast<float>(k / side % side),
+                                  edge * (static_cast<float>(k / (side * side)) + 0.5f))});
+    builder.add_shape_box(k, {.hx = 0.01f, .hy = 0.01f, .hz = 0.01f});
+  }
+  return builder.finalize(Device::cpu());
+}
+
+TEST(RigidContacts, OfMoreRowsThanThereIsRoomForTheNearestStay) {
+  const auto model = block_of_cubes(5);
+  const std::vector<Transformf> q = model->state().body_q.to_host();
+  for (const BroadPhase phase : {BroadPhase::Explicit, BroadPhase::NxN, BroadPhase::Sap}) {
+    const auto all = rows(model, {.broad_phase = phase, .rigid_contact_max = 100000});
+    CollisionPipeline pipeline(model, {.broad_phase = phase});
+    Contacts contacts = pipeline.contacts();
+    pipeline.collide(model->state(), contacts);
+    EXPECT_EQ(contacts.rigid_contact_count.to_host()[0], static_cast<int32_t>(all.size()));
+    ASSERT_LT(contacts.rigid_contact_max(), static_cast<int32_t>(all.size()));
+    const std::vector<RigidContact> kept = contacts.rigid_contacts();
+    EXPECT_EQ(static_cast<int32_t>(kept.size()), contacts.rigid_contact_max());
+    auto from = all.begin();
+    float farthest = 0.0f;
+    for (const RigidContact& row : kept) {
+      farthest = std::max(farthest, separation(row, *model, q));
+      from = std::find(from, all.end(), row);
+      ASSERT_NE(from, all.end()) << "in their order";
+      ++from;
+    }
+    // All within half of the farthest are there.
+    size_t near = 0, kept_near = 0;
+    const auto is_near = [&](const RigidContact& row) {
+      return separation(row, *model, q) <= 0.49f * farthest;
+    };
+    for (const RigidContact& row : all) near += is_near(row);
+    for (const RigidContact& row : kept) kept_near += is_near(row);
+    EXPECT_GT(near, 1000u);
+    EXPECT_EQ(kept_near, near);
+  }
+}
+
+TEST(RigidContacts, ForAStepThereAreOnlyRowsThatMayTouchInIt) {
+  const auto model = block_of_cubes(3);
+  CollisionPipeline pipeline(model, {.rigid_contact_max = 100000});
+  Contacts contacts = pipeline.contacts();
+  SimState state = model->state();
+  const std::vector<Transformf> q = state.body_q.to_host();
+  const auto all = rows(model, {.rigid_contact_max = 100000});
+  const float dt = 1.0f / 240.0f, far = 4.2f * dt;
+  const auto found = [&] {
+    pipeline.collide(state, contacts, {}, dt);
+    return contacts.rigid_contacts();
+  };
+  std::vector<RigidContact> expected;
+  for (const RigidContact& row : all)
+    if (separation(row, *model, q) <= far) expected.push_back(row);
+  EXPECT_EQ(found(), expected);
+  EXPECT_LT(expected.size(), all.size());
+  // A cube that would come 0.2 m far has all of its rows.
+  std::vector<SpatialVectorf> qd(27);
+  qd[0].linear.x = 48.0f;
+  state.body_qd.copy_from_host(std::span<const SpatialVectorf>(qd));
+  const auto of_first = [](const std::vector<RigidContact>& some) {
+    return std::count_if(some.begin(), some.end(),
+                         [](const RigidContact& r) { return r.shape0 == 1 || r.shape1 == 1; });
+  };
+  const std::vector<RigidContact> of_fast = found();
+  EXPECT_GT(of_first(of_fast), of_first(expected));
+  EXPECT_ERROR(pipeline.collide(state, contacts, {}, -1.0f), ErrorKind::Value, "dt: expected");
+}
+
 TEST(RigidContacts, UnusedRowsAreEmptyAgainWhenTheBodyHasLeft) {
   ModelBuilder builder;
   builder.add_ground_plane();

@@ -4,8 +4,10 @@
 #include <cmath>
 #include <iterator>
 #include <span>
+#include <string>
 #include <vector>
 
+#include "builder_checks.h"
 #include "novaphy/core/error.h"
 #include "novaphy/core/recorder.h"
 #include "novaphy/core/sim/enums.h"
@@ -134,6 +136,16 @@ void check_numbers(const char* solver, const Numbers& numbers) {
   }
 }
 
+// Of shape_scale, as the builder takes them.
+void check_sizes(const char* solver, const Model& m) {
+  const std::vector<int32_t> type = m.shape_type.to_host();
+  const std::vector<Vec3f> scale = m.shape_scale.to_host();
+  for (size_t k = 0; k < scale.size(); ++k)
+    if (const auto of = static_cast<GeoType>(type[k]); of != GeoType::NONE)
+      detail::checked_scale(std::string(solver) + ": model.shape_scale[" + std::to_string(k) + "]",
+                            of, scale[k]);
+}
+
 // As the builder takes it.
 bool is_symmetric(const float* m) {
   double largest = 0.0;
@@ -217,6 +229,7 @@ void EditedValues::check_arrays(const Model& m) {
   for (size_t k = 0; k < kArrays; ++k) {
     if (!must_read(arrays_[k], all[k].array)) continue;
     check_numbers(solver_, all[k]);
+    if (&all[k].array == &m.shape_scale) check_sizes(solver_, m);
     arrays_[k].set(all[k].array);
   }
   check_limits(m);
@@ -281,6 +294,7 @@ void EditedValues::check_joint_arrays(const Model& m) {
   for (size_t k = 0; k < kCount; ++k) {
     if (!must_read(joints_[k], arrays[k].array)) continue;
     check_numbers(solver_, arrays[k]);
+    if (&arrays[k].array == &m.shape_scale) check_sizes(solver_, m);
     joints_[k].set(arrays[k].array);
   }
   check_limits(m);

@@ -37,8 +37,9 @@ RolloutInputs::RolloutInputs(const Model& model, const Trajectory& trajectory,
       pipeline_(options.pipeline) {
   require(trajectory.model()->id() == model.id(), ErrorKind::Value,
           "rollout, trajectory: it belongs to another model");
-  require(std::isfinite(dt) && dt > 0.0f, ErrorKind::Value,
-          "rollout, dt: expected a finite time step > 0, got ", dt);
+  require(dt > 0.0f && dt <= kLongestStep, ErrorKind::Value,
+          "rollout, dt: expected a finite time step > 0 and at most ", kLongestStep, " s, got ",
+          dt);
   require(start_ >= 0 && start_ <= stop_ && stop_ <= trajectory.steps(), ErrorKind::Value,
           "rollout, start and stop: expected 0 <= start <= stop <= ", trajectory.steps(), ", got ",
           start_, " and ", stop_);

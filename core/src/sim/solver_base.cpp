@@ -1,6 +1,7 @@
 #include "novaphy/core/sim/solver_base.h"
 
 #include <array>
+#include <bit>
 #include <cmath>
 #include <functional>
 #include <map>
@@ -11,6 +12,8 @@
 #include "novaphy/core/error.h"
 #include "novaphy/core/recorder.h"
 #include "novaphy/core/sim/for_chunks.h"
+#include "novaphy/core/sim/input_checks.h"
+#include "novaphy/core/warning.h"
 #include "novaphy/math/spatial.h"
 
 namespace novaphy {
@@ -97,7 +100,7 @@ class ForwardSteps {
     add_forces<SpatialVectorf>(inputs_.body_forces(), t, now_.body_f);
     const Contacts* contacts = inputs_.contacts();
     if (found_) {
-      inputs_.pipeline()->collide(from, *found_);
+      inputs_.pipeline()->collide(from, *found_, {}, inputs_.dt());
       contacts = &*found_;
     }
     const RolloutInputs::Forces& targets = inputs_.targets();
@@ -175,8 +178,8 @@ void SolverBase::notify_model_changed(ModelFlags) {}
 
 void SolverBase::check_step(const char* name, const SimState& state_in, const SimState& state_out,
                             const Control* control, const Contacts* contacts, float dt) const {
-  require(std::isfinite(dt) && dt > 0.0f, ErrorKind::Value, name,
-          ": dt: expected a finite number > 0, got ", dt);
+  require(dt > 0.0f && dt <= kLongestStep, ErrorKind::Value, name,
+          ": dt: expected a finite number > 0 and at most ", kLongestStep, " s, got ", dt);
   const auto check_model = [&](const char* which, uint64_t id) {
     require(id == model_->id(), ErrorKind::Value, name, ": ", which,
             ": expected one of the solver's model, got one of another model");
@@ -197,6 +200,31 @@ void SolverBase::check_step(const char* name, const SimState& state_in, const Si
           fail(ErrorKind::Value, name, ": contacts.", info.name, ": expected ", rows, " rows on ",
                device().str(), ", got ", array.rows(), " rows on ", array.device().str());
       });
+  check_normals(name, *contacts);
+  watch_overflow(name, *contacts);
+}
+
+void SolverBase::watch_overflow(const char* name, const Contacts& contacts) const {
+  if (warned_of_overflow_) return;
+  if (!device().is_cpu() &&
+      (launch_recorder() != nullptr || !std::has_single_bit(++overflow_looks_)))
+    return;
+  const Unobserved unobserved;
+  const auto found = [&](const DeviceArray<int32_t>& count) {
+    return device().is_cpu() ? *count.data() : count.to_host()[0];
+  };
+  const auto warn_if_over = [&](int32_t wanted, int32_t slots, const char* kind,
+                                const char* left_out) {
+    if (wanted <= slots) return;
+    warned_of_overflow_ = true;
+    warn_of(name, ": contacts: ", wanted, " ", kind, " contacts were found for ", slots, " slots (",
+            kind, "_contact_max), ", left_out, "; make the pipeline with a larger ", kind,
+            "_contact_max, or search within less");
+  };
+  warn_if_over(found(contacts.rigid_contact_count), contacts.rigid_contact_max(), "rigid",
+               "and those farthest apart act on nothing");
+  warn_if_over(found(contacts.soft_contact_count), contacts.soft_contact_max(), "soft",
+               "and the last act on nothing");
 }
 
 SimState& SolverBase::next_state(const char* name) {

@@ -117,10 +117,29 @@ inline void start_tree(const GroupStep& s, int32_t i) {
   start_node(s, i);
 }
 
-// Joins the trees of a contact. One that is not of this group makes a tree fail.
+// Whether a contact may touch in the step, or its trees fail or are not all of this group.
+inline bool is_near(const GroupStep& s, int32_t contact) {
+  articulation::ContactSide sides[2];
+  if (!contact_sides(s.a.shapes, contact, sides)) return true;
+  const articulation::LinkState<float>* links[2] = {};
+  for (int side = 0; side < 2; ++side) {
+    const int32_t tree = sides[side].tree;
+    if (tree < 0) continue;
+    if (s.a.shapes.group_of_tree[tree] != s.group || s.all.step.status[tree] != 0) return true;
+    links[side] = s.tree(tree).ws.links + sides[side].link;
+  }
+  return articulation::may_touch(s.contacts, contact, links, s.how.dt);
+}
+
+// Joins the trees of a contact that may touch. One that is not of this group makes a tree fail.
 inline void join_step_contact(const GroupStep& s, int32_t place) {
-  const int32_t contact = s.a.contacts[place], fails = join_contact(s, place);
-  if (fails >= 0) s.all.step.status[fails] = -1 - contact;
+  const int32_t contact = s.a.contacts[place];
+  if (is_near(s, contact)) {
+    const int32_t fails = join_contact(s, place);
+    if (fails >= 0) s.all.step.status[fails] = -1 - contact;
+  } else {
+    s.a.chain[place] = {-2, -1};
+  }
   articulation::KeptContact& now = s.all.now[place];
   now = articulation::KeptContact{};
   now.shape0 = s.a.shapes.shape0[contact];

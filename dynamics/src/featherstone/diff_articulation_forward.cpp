@@ -81,8 +81,8 @@ bool works_on_host(const Step& s) {
   return nova::current_capture() && s.contacts.defined() && s.shared->device.is_cpu();
 }
 
-bool prepare_contacts(const Step& s) {
-  return s.contacts.defined() && s.shared->pgs->prepare(*s.model, contact_rows_of(s));
+bool prepare_contacts(const Step& s, const ArticulationArguments* from) {
+  return s.contacts.defined() && s.shared->pgs->prepare(*s.model, contact_rows_of(s), from);
 }
 
 ArticulationArguments host_arguments(const Step& s) {
@@ -137,12 +137,15 @@ void launch_contacts(const Step& s, std::vector<LaunchArgument> words, bool tell
 void run_forward(const Step& s, bool tell) {
   const nova::NoGrad no_grad;
   const bool on_host = s.shared->device.is_cpu();
-  if (on_host) copy_found(s);
-  const bool touches = on_host && prepare_contacts(s);
-  if (!touches && s.shared->runs_on_host())
-    return run_host(s, host_arguments(s), nullptr, outputs_of(s));
   std::vector<LaunchArgument> words;
   add_arguments(s, words);
+  bool touches = false;
+  if (on_host) {
+    copy_found(s);
+    const auto in = to_arguments<ArticulationArguments>(words);
+    touches = prepare_contacts(s, &in);
+    if (!touches && s.shared->runs_on_host()) return run_host(s, in, nullptr, outputs_of(s));
+  }
   for (const Named& out : s.outputs) words.push_back(argument(out.name, out.tensor, true));
   words.push_back(writes_row("status", s.status));
   words.push_back(writes("workspace", s.workspace));

@@ -55,7 +55,7 @@ void run_jvp(const Step& s, const StepOutputs* from, const StepOutputs& to,
     if (moves[i]) articulation::free_rates(of, inputs, options, workspaces[i]);
   }
   const bool all_move = std::all_of(moves.begin(), moves.end(), [](char m) { return m != 0; });
-  if (all_move && (prepare_contacts(s) || t[kJointFriction].defined())) {
+  if (all_move && (prepare_contacts(s, nullptr) || t[kJointFriction].defined())) {
     const auto of = [&](size_t i) {
       return s.in(i).defined() ? take(s.in(i), i < t.size() ? t[i] : Tensor()) : nullptr;
     };

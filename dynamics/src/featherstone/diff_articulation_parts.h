@@ -235,8 +235,9 @@ ContactRowArguments kept_arguments(const Step& s, bool write);
 ContactRecord contact_record(const Step& s, bool write);
 inline KeptContacts kept_contacts(const Step& s) { return {numbers(s.contacts), s.contact_max}; }
 inline ContactRows contact_rows_of(const Step& s) { return kept_contacts(s).rows(s.follow); }
-// Whether a step has contacts that act; those are then in shared->pgs.
-bool prepare_contacts(const Step& s);
+// Whether a step has contacts that act; those are then in shared->pgs. `from`: as for
+// PgsContacts::prepare.
+bool prepare_contacts(const Step& s, const ArticulationArguments* from);
 StepOutputs outputs_of(const Step& s);
 // What a replay of the step or of its adjoint reads and others may write.
 std::vector<Tensor> reads_of(const Step& s);

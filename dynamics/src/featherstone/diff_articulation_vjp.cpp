@@ -144,7 +144,7 @@ void run_vjp(const Step& s, std::span<const Tensor> outputs,
                                   of(kDamping)};
     return with_gravity(s, to_arguments<ArticulationStepVjpArguments>(words), gravity, add_gravity,
                         body_f, [&](const ArticulationStepVjpArguments& a) {
-                          if (prepare_contacts(s) || more.joint_friction != nullptr) {
+                          if (prepare_contacts(s, nullptr) || more.joint_friction != nullptr) {
                             const KeptContacts kept = kept_contacts(s);
                             s.shared->pgs->vjp(a, *s.model, contact_rows_of(s), kept.impulses,
                                                kept.friction, s.options, more);

@@ -41,8 +41,8 @@ art::Workspace<float> PgsContacts::workspace(const ArticulationRows& rows, int64
                                     rows.link_count, rows.dof_count);
 }
 
-void PgsContacts::write_bodies(const ArticulationArguments& in, Transformf* body_q,
-                               SpatialVectorf* body_qd) {
+void PgsContacts::move_links(const ArticulationArguments& in, Transformf* body_q,
+                             SpatialVectorf* body_qd) {
   for_chunks(count_, kTreeChunk, [&](int64_t begin, int64_t end, int64_t) {
     for (int64_t i = begin; i < end; ++i) {
       const ArticulationRows& rows = trees_[i];
@@ -50,7 +50,7 @@ void PgsContacts::write_bodies(const ArticulationArguments& in, Transformf* body
       art::Workspace<float> ws = workspace(rows, i);
       art::link_frames(tree, in.q, ws);
       art::link_motions(tree, in.qd + rows.first_dof, ws);
-      art::write_bodies(tree, ws, body_q, body_qd);
+      if (body_q != nullptr) art::write_bodies(tree, ws, body_q, body_qd);
     }
   });
 }
@@ -80,7 +80,8 @@ ContactRows contact_rows(const Contacts* contacts) {
           c.rigid_contact_margin1.data()};
 }
 
-void PgsContacts::gather(const Model& m, const ContactRows& c) {
+void PgsContacts::gather(const Model& m, const ContactRows& c, const ArticulationArguments* from) {
+  if (from != nullptr && c.count > 0) move_links(*from);
   const int32_t* const shapes[2] = {c.shape0, c.shape1};
   const int32_t* const body = m.shape_body.data();
   int64_t numbers = 0;
@@ -100,6 +101,13 @@ void PgsContacts::gather(const Model& m, const ContactRows& c) {
     }
     int32_t widths[2];
     if (!art::set_widths(trees_, row.sides, widths)) continue;
+    if (from != nullptr) {
+      const art::LinkState<float>* links[2] = {};
+      for (int side = 0; side < 2; ++side)
+        if (const Side& at = row.sides[side]; at.tree >= 0)
+          links[side] = workspace(trees_[at.tree], at.tree).links + at.link;
+      if (!art::may_touch(c, i, links, from->dt.value)) continue;
+    }
     row.follows = art::follows_plane(c, m.shape_type.data(), i, row.sides);
     for (int side = 0; side < 2; ++side) {
       row.solver.sides[side].width = widths[side];
@@ -110,11 +118,12 @@ void PgsContacts::gather(const Model& m, const ContactRows& c) {
   friction_begin_ = numbers;
 }
 
-bool PgsContacts::prepare(const Model& m, const ContactRows& contacts) {
+bool PgsContacts::prepare(const Model& m, const ContactRows& contacts,
+                          const ArticulationArguments* from) {
   find_friction(m);
   rows_.clear();
   friction_begin_ = 0;
-  gather(m, contacts);
+  gather(m, contacts, from);
   if (rows_.empty() && friction_.empty()) {
     kept_.clear();
     sweeps_ = 0;

@@ -38,8 +38,9 @@ class PgsContacts : private TreeContacts {
  public:
   PgsContacts(const Model& model, const Articulations& articulations);
 
-  // Whether a step has rows: contacts of bodies, or dry friction.
-  bool prepare(const Model& model, const ContactRows& contacts);
+  // Whether a step has rows: contacts of bodies, or dry friction. `from`: the step's arguments, so
+  // that contacts which cannot touch in it are left out; null: none is.
+  bool prepare(const Model& model, const ContactRows& contacts, const ArticulationArguments* from);
   // Behind prepare: what articulation_step does for all rows, with contacts. `force` (null: not
   // asked for) {contacts}: on B, N. Where an articulation fails (`status`) before contacts, nothing
   // is written. `alone` (null: none) takes the articulations that touch nothing but the world, and
@@ -65,8 +66,10 @@ class PgsContacts : private TreeContacts {
            std::vector<articulation::Workspace<articulation::Dual<float>>>& workspaces,
            const ContactRows& contacts, const Vec3f* impulses, const float* friction,
            const FeatherstoneOptions& options, const ContactDuals& of, float dt);
-  // The poses and velocities of the bodies, from joint_q and joint_qd.
-  void write_bodies(const ArticulationArguments& in, Transformf* body_q, SpatialVectorf* body_qd);
+  // Where the links are and how they move, in the workspaces of all trees, and the poses and
+  // velocities of their bodies (null: not asked for), from joint_q and joint_qd.
+  void move_links(const ArticulationArguments& in, Transformf* body_q = nullptr,
+                  SpatialVectorf* body_qd = nullptr);
   // The most sweeps that an island of the last step took, and the largest change of velocity (m/s)
   // of a last sweep.
   int32_t sweeps() const { return sweeps_; }
@@ -94,7 +97,7 @@ class PgsContacts : private TreeContacts {
                         const ContactRows& contacts, const FeatherstoneOptions& options,
                         float warm_scale);
   void find_friction(const Model& model);
-  void gather(const Model& model, const ContactRows& contacts);
+  void gather(const Model& model, const ContactRows& contacts, const ArticulationArguments* from);
   void find_islands();
   void build_row(const Step& step, Row& row);
   void set_target(const Step& step, Row& row);  // behind it, at the rates without impulses

@@ -148,7 +148,7 @@ void SolverFeatherstone::add_penalties(const Contacts& contacts, ArticulationSte
   c.body_q.resize(bodies);
   c.body_qd.resize(bodies);
   c.body_f.assign(a.in.body_f, a.in.body_f + bodies);
-  c.pgs.write_bodies(a.in, c.body_q.data(), c.body_qd.data());
+  c.pgs.move_links(a.in, c.body_q.data(), c.body_qd.data());
   c.penalty.prepare(m, &contacts);
   const RigidStep how = {FrictionLaw::Huber, options_.friction_smoothing, 0.0f, a.in.dt.value};
   c.penalty.add_contact_wrenches(m, c.body_q.data(), c.body_qd.data(), contacts, how,
@@ -210,7 +210,7 @@ void SolverFeatherstone::step(SimState& state_in, SimState& state_out, const Con
   // One articulation that fails writes nothing; the others have written theirs by then.
   const bool several = c.all.size() > 1;
   if (several) c.earlier.keep(state_out);
-  if (c.pgs.prepare(m, rows))
+  if (c.pgs.prepare(m, rows, &a.in))
     c.pgs.step(a, m, rows, options_, force, &c.trees);
   else
     c.trees.step(a, m, c.all, options_, nullptr);

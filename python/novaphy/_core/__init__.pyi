@@ -612,6 +612,7 @@ class CollisionPipeline(_Native):
         contacts: Contacts,
         *,
         soft_contact_margin: SupportsFloat | None = None,
+        dt: SupportsFloat | None = None,
     ) -> None: ...
 
 # ------------------------------------------------------------------------------------ builder

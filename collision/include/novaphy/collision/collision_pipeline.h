@@ -69,9 +69,13 @@ struct CollisionOptions {
 // (on the CPU on the host, unless it is recorded). Outside of a recording it makes room for all of
 // them; a recording has the room that there is, at least 16 pairs for each shape, and each pair
 // beyond counts as a row behind rigid_contact_max, so that the contacts have overflowed. Rows are
-// in the order of (shape A, shape B, point of the manifold) for any number of threads; overflow as
-// for soft contacts. Source: Newton 1.8.0; its rows on the cpu are the same bits for planes with
-// spheres, capsules and boxes, but the order of pairs where shape A has the larger index.
+// in the order of (shape A, shape B, point of the manifold) for any number of threads. If there are
+// more than rigid_contact_max, those stay that are within the largest part of the gaps of their
+// pairs for which there is room (1/2, 1/4, ..., 1/1024, or what touches), and the first of those
+// within the next larger part, so that no slot is empty.
+// rigid_contact_count keeps the full number. Source: Newton 1.8.0; its rows on the cpu are the same
+// bits for planes with spheres, capsules and boxes, but the order of pairs where shape A has the
+// larger index.
 //
 // Candidate pairs (candidate_pairs.h) of soft contacts are ordered shape-major: the particles that
 // may meet the first colliding shape, then those of the second, ... The contacts have that order
@@ -114,16 +118,20 @@ class NOVAPHY_COLLISION_API CollisionPipeline : public ContactFinder {
   // Replaces the contacts by those of the state and raises contact_generation. May stand in a
   // capture: a replay finds the contacts of what the state then holds, and refuses once the flags,
   // types or bodies of shapes were written.
-  // `soft_contact_margin` replaces the pipeline's for this call. Nothing is written after an error:
+  // `soft_contact_margin` replaces the pipeline's for this call. `dt` (s) is that of the step that
+  // takes the contacts: rows of rigid contacts that are farther apart than twice the way of their
+  // shapes in it, and 4 m/s dt, are left out. Nothing is written after an error:
   //   ErrorKind::Value  a state or contacts of another model or device; contacts for another number
   //                     of candidate pairs (shape flags were edited: call contacts() again); a bad
-  //                     margin
+  //                     margin; dt not finite or <= 0; without dt, and unless it is
+  //                     recorded, check_rotations (input_checks.h)
   //   ErrorKind::Index  a world of a particle, body or shape that is not there
   //   ErrorKind::NotImplemented  a colliding shape that is not covered
   //   ErrorKind::Runtime         NarrowPhase::Fcl is recorded; NotImplemented: so is Sap, with
   //   meshes
   void collide(const SimState& state, Contacts& contacts,
-               std::optional<float> soft_contact_margin = {}) override;
+               std::optional<float> soft_contact_margin = {},
+               std::optional<float> dt = {}) override;
 
  private:
   int32_t count_pairs() const;  // within a use

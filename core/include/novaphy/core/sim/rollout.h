@@ -12,13 +12,18 @@
 
 namespace novaphy {
 
+inline constexpr float kLongestStep = 1.0e3f;  // s
+
 // What finds the contacts of a state: a CollisionPipeline, for those who know nothing of collision.
 class ContactFinder {
  public:
   virtual ~ContactFinder() = default;
   virtual Contacts contacts() const = 0;  // empty ones, which collide takes
+  // `dt` (s): of the step that takes the contacts; rows of rigid contacts that cannot touch within
+  // it need not be there. Empty: any step may take them.
   virtual void collide(const SimState& state, Contacts& contacts,
-                       std::optional<float> soft_contact_margin = {}) = 0;
+                       std::optional<float> soft_contact_margin = {},
+                       std::optional<float> dt = {}) = 0;
 };
 
 struct RolloutOptions {
@@ -44,10 +49,10 @@ struct RolloutOptions {
 // The checked arguments of a rollout, step by step.
 class NOVAPHY_CORE_API RolloutInputs {
  public:
-  // ErrorKind::Value, naming the argument: objects of another model, dt not finite or <= 0, forces
-  // of another size or device, a number of controls that does not divide the steps, states that are
-  // not there or not kept, contacts besides a pipeline. `held`: the particles that targets move;
-  // -1: none can be given.
+  // ErrorKind::Value, naming the argument: objects of another model, dt not in (0, kLongestStep],
+  // forces of another size or device, a number of controls that does not divide the steps, states
+  // that are not there or not kept, contacts besides a pipeline. `held`: the particles that targets
+  // move; -1: none can be given.
   RolloutInputs(const Model& model, const Trajectory& trajectory, const Control* control,
                 const Contacts* contacts, float dt, const RolloutOptions& options,
                 int32_t held = -1);

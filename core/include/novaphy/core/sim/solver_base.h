@@ -2,6 +2,7 @@
 #pragma once
 
 #include <array>
+#include <cstdint>
 #include <memory>
 
 #include "novaphy/core/exclusive_use.h"
@@ -32,7 +33,8 @@ class NOVAPHY_CORE_API SolverBase {
   // those that the solver added; clear them before the next use. `control` null: the model's
   // defaults; `contacts` null: no contact. One state may be given twice: it gets the values that
   // another one would get, by way of a state of the solver. ErrorKind::Value: two states that share
-  // memory; dt not finite or <= 0; a state, control or contacts of another model or device.
+  // memory; dt not in (0, kLongestStep]; a state, control or contacts of another model or device;
+  // on the CPU rigid contacts with a normal that is no unit vector.
   // ErrorKind::Runtime: the forces in state_in may not be written (a Trajectory's, but for state
   // 0); one state twice on an active tape, which needs the values of both.
   virtual void step(SimState& state_in, SimState& state_out, const Control* control,
@@ -48,13 +50,17 @@ class NOVAPHY_CORE_API SolverBase {
   virtual void notify_model_changed(ModelFlags flags);
 
  protected:
-  // The checks that every step makes; `name` starts the messages.
+  // The checks that every step makes; `name` starts the messages. It watches for overflow.
   void check_step(const char* name, const SimState& state_in, const SimState& state_out,
                   const Control* control, const Contacts* contacts, float dt) const;
   // For a step whose states are one: a state of the solver to step into, and the copy of what such
   // a step has written. ErrorKind::Runtime, naming `name`, on an active tape.
   SimState& next_state(const char* name);
   void take_next(SimState& state);
+  // Warns, once, of contacts that no slot was left for; `name` starts the message. On devices it
+  // looks at steps 1, 2, 4, 8, ... only, since it waits for them, and not while a tape or a capture
+  // records.
+  void watch_overflow(const char* name, const Contacts& contacts) const;
   // The use of the memory that the solver keeps from call to call.
   ExclusiveUse::Scope use(const char* call) const { return {*in_use_, call, "the solver"}; }
   const std::shared_ptr<ExclusiveUse>& in_use() const { return in_use_; }
@@ -73,6 +79,8 @@ class NOVAPHY_CORE_API SolverBase {
   std::shared_ptr<ExclusiveUse> in_use_ = std::make_shared<ExclusiveUse>();
   std::unique_ptr<SimState> next_;  // made by the first step whose states are one
   std::array<uint64_t, StateFields::kFieldCount> next_versions_{};
+  mutable bool warned_of_overflow_ = false;
+  mutable uint64_t overflow_looks_ = 0;
 };
 
 }  // namespace novaphy

@@ -43,7 +43,7 @@ struct IslandNode {
 };
 // Of a place in the list of a group.
 struct ContactLink {
-  int32_t next;  // place of the island's next contact; -2: the group cannot have it
+  int32_t next;  // place of the island's next contact; -2: the group does not have it
   int32_t kept;  // find_kept
 };
 

@@ -165,6 +165,31 @@ struct IslandContact {
   int32_t listed = 0;    // of a list of rows, that of this place
 };
 
+inline void contact_points(const ContactRows& c, int32_t contact,
+                           const LinkState<float>* const* links, SurfacePoint<float>* points) {
+  const Vec3f normal = c.normal[contact];
+  points[0] = surface_point(links[0], c.point0[contact], normal * c.margin0[contact]);
+  points[1] = surface_point(links[1], c.point1[contact], normal * -c.margin1[contact]);
+}
+
+// Whether a contact may touch in a step of dt: its gap is at most twice the way that its points
+// come together with the motions of the links (null: the world), and kMoreSpeed (m/s) dt for what
+// the step does to them. Only such contacts are solved. A gap that is no number may.
+inline constexpr float kMoreSpeed = 4.0f;
+inline bool may_touch(const ContactRows& c, int32_t contact, const LinkState<float>* const* links,
+                      float dt) {
+  const Vec3f normal = c.normal[contact];
+  SurfacePoint<float> points[2];
+  contact_points(c, contact, links, points);
+  const ContactPlace<float> place = contact_place(points[0], points[1], normal);
+  float closing = 0.0f;
+  if (links[0] != nullptr)
+    closing += math::dot(math::motion_at(links[0]->v, place.a).linear, normal);
+  if (links[1] != nullptr)
+    closing -= math::dot(math::motion_at(links[1]->v, place.b).linear, normal);
+  return !(place.gap > (2.0f * math::max(closing, 0.0f) + kMoreSpeed) * dt);
+}
+
 // Its rows, in `numbers` {6, widths of both sides}.
 template <class TreeOf>
 void build_contact(const ContactRows& c, const TreeOf& tree_of, float* numbers,
@@ -172,14 +197,14 @@ void build_contact(const ContactRows& c, const TreeOf& tree_of, float* numbers,
   const int32_t i = row.contact;
   const Vec3f normal = c.normal[i];
   const Vec3f cores[2] = {c.point0[i], c.point1[i]};
-  const float margins[2] = {c.margin0[i], -c.margin1[i]};
+  const LinkState<float>* links[2];
   SurfacePoint<float> points[2];
   for (int side = 0; side < 2; ++side) {
     const ContactSide& at = row.sides[side];
-    const LinkState<float>* link = at.tree < 0 ? nullptr : tree_of(at.tree).ws.links + at.link;
-    points[side] = surface_point(link, cores[side], normal * margins[side]);
-    row.cores[side] = surface_point(link, cores[side], Vec3f{}).at;
+    links[side] = at.tree < 0 ? nullptr : tree_of(at.tree).ws.links + at.link;
+    row.cores[side] = surface_point(links[side], cores[side], Vec3f{}).at;
   }
+  contact_points(c, i, links, points);
   const ContactPlace<float> place = contact_place(points[0], points[1], normal);
   row.place = place;
   row.frame = contact_frame(normal);

@@ -378,8 +378,10 @@ void bind_mesh_shapes(Builder& c) {
           "cfg"_a = py::none(), "color"_a = py::none(), "label"_a = py::none(),
           "The convex hull of points: vertices (n, 3; m), or those of a `mesh`; `scale` a number "
           "or three, > 0. It has at most max_vertices (4 to 64), of those that lie farthest out: "
-          "then it is a little smaller than the hull of all. Returns the index. ValueError: fewer "
-          "than 4 points, points in one plane, not finite.");
+          "then it is a little smaller than the hull of all, which has the mass. Returns the "
+          "index. "
+          "ValueError: fewer than 4 points, points in one plane, also once they are scaled, not "
+          "finite.");
 }
 
 void bind_coloring(Builder& c) {

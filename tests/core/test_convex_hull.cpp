@@ -9,6 +9,7 @@
 
 #include "novaphy/core/error.h"
 #include "novaphy/core/geometry/convex_hull.h"
+#include "novaphy/core/geometry/hull_of_all.h"
 #include "novaphy/core/geometry/mesh_mass.h"
 
 namespace novaphy {
@@ -126,6 +127,28 @@ TEST(ConvexHull, MergesFacesWithinATenthOfADegree) {
   EXPECT_EQ(face_count(convex_hull(points)), 6u);
   points.back().z = 1.01f;  // 0.6 degrees
   EXPECT_EQ(face_count(convex_hull(points)), 9u);
+}
+
+// Its faces lie within 0.1 degrees of each other; the hull of its corners is no thinner.
+TEST(ConvexHull, OfAThinTetrahedronKeepsItsCorners) {
+  std::mt19937 random(7);
+  std::uniform_real_distribution<float> uniform(-0.4f, 0.4f);
+  for (int k = 0; k < 2000; ++k) {
+    std::vector<Vec3f> points;
+    for (int i = 0; i < 4 + k % 5; ++i)
+      points.push_back({uniform(random), 1e-3f * uniform(random), uniform(random)});
+    const ConvexHull hull = convex_hull(points);
+    EXPECT_NO_THROW(convex_hull(hull.vertices)) << k;  // as the pipeline will
+    for (const Vec3f& p : points) ASSERT_LT(height_above(hull, p), 7e-4f) << k;  // faces merged
+  }
+}
+
+TEST(ConvexHull, OfAllPointsAsTrianglesHasTheirVolume) {
+  const std::vector<Vec3f> points = cloud(20000, 6);
+  const std::vector<int32_t> triangles = hull_of_all(points);
+  EXPECT_GT(triangles.size(), size_t(3 * (2 * 19900 - 4)));  // all but points in a face
+  const double volume = mesh_properties(points, triangles).volume;
+  EXPECT_NEAR(volume, 4.0 / 3.0 * 3.14159265358979, 4e-3);
 }
 
 TEST(ConvexHull, RefusesWhatSpansNoVolume) {

@@ -154,9 +154,20 @@ TEST(ShapeMeshes, AHullOfManyPointsHasAtMost64Vertices) {
   const auto model =
       one_body([&](ModelBuilder& b) { b.add_shape_convex_hull(0, {.vertices = points}); });
   EXPECT_EQ(model->mesh_vertex_count(), 64);
-  const float volume = model->body_mass.to_host()[0] / 1000.0f;
-  EXPECT_GT(volume, 3.4f);
-  EXPECT_LT(volume, 4.19f);
+  EXPECT_NEAR(model->body_mass.to_host()[0] / 1000.0f, 4.18879f, 1e-3f) << "that of all points";
+  EXPECT_NEAR(model->body_inertia.to_host()[0].m[0][0] / 1000.0f, 0.4f * 4.18879f, 1e-3f);
+}
+
+// A tetrahedron that is 0.7 mm thin: two faces on each side lie within 0.1 degrees.
+TEST(ShapeMeshes, AThinHullHasTheMassOfItsCorners) {
+  const std::vector<Vec3f> corners = {
+      {-0.4f, 2e-4f, 0.2f}, {0.1f, 3e-4f, 0.1f}, {0.06f, 1.5e-4f, -0.07f}, {0.2f, -1e-4f, -0.36f}};
+  const Vec3f a = corners[1] - corners[0], b = corners[2] - corners[0], c = corners[3] - corners[0];
+  const auto model = one_body(
+      [&](ModelBuilder& builder) { builder.add_shape_convex_hull(0, {.vertices = corners}); });
+  EXPECT_EQ(model->mesh_vertex_count(), 4);
+  EXPECT_NEAR(model->body_mass.to_host()[0],
+              std::abs(math::dot(a, math::cross(b, c))) / 6 * 1000.0f, 1e-6f);
 }
 
 TEST(ShapeMeshes, OfTheWorldOrWithoutDensityMayBeOpen) {
@@ -229,6 +240,9 @@ TEST(ShapeMeshes, BadInputIsRefusedAndLeavesNothingBehind) {
   EXPECT_ERROR(hull(cube.vertices, 3), ErrorKind::Value, "expected 4 to 64, got 3");
   EXPECT_ERROR(builder.add_shape_convex_hull(0, {.vertices = cube.vertices, .scale = {0, 1, 1}}),
                ErrorKind::Value, "add_shape_convex_hull: scale.x");
+  EXPECT_ERROR(
+      builder.add_shape_convex_hull(0, {.vertices = cube.vertices, .scale = {1, 1e-8f, 1}}),
+      ErrorKind::Value, "add_shape_convex_hull: scale: convex_hull: points: expected 4 that span");
   EXPECT_ERROR(builder.add_shape_convex_hull(1, {.vertices = cube.vertices}), ErrorKind::Index,
                "add_shape_convex_hull: body");
   EXPECT_EQ(builder.shape_count(), 0);

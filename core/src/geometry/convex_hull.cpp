@@ -3,13 +3,17 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <limits>
 #include <map>
 #include <numeric>
+#include <queue>
 #include <set>
+#include <span>
 #include <utility>
 
 #include "geometry/vector_double.h"
 #include "novaphy/core/error.h"
+#include "novaphy/core/geometry/hull_of_all.h"
 
 namespace novaphy {
 namespace {
@@ -19,6 +23,7 @@ using detail::Vec3d;
 constexpr double kFlat = 1e-6;                    // of the extent: no height above a face
 constexpr double kVisible = 1e-9;                 // of the extent: a face sees a point
 constexpr double kCoplanarCosine = 1 - 1.523e-6;  // 0.1 deg
+constexpr double kLost = 0.01;                    // of the thickness: a corner that a face may lose
 
 struct Triangle {
   std::array<int32_t, 3> v;
@@ -27,6 +32,7 @@ struct Triangle {
   std::vector<int32_t> outside;  // points above it, ascending
   int32_t farthest = -1;
   double height = 0.0;
+  bool is_gone = false, is_seen = false;
 };
 using Edge = std::pair<int32_t, int32_t>;
 
@@ -38,11 +44,25 @@ class Quickhull {
   double extent = 0.0;
 
  private:
+  // A triangle with a point above it: the highest first, of equal ones that of the smaller point.
+  struct Candidate {
+    double height;
+    int32_t point;
+    size_t triangle;
+    bool operator<(const Candidate& other) const {
+      return height != other.height ? height < other.height : point > other.point;
+    }
+  };
   void start();
   bool grow();  // by a point; false if no point is outside
   void add_triangle(int32_t i, int32_t j, int32_t k);
   void distribute(const std::vector<int32_t>& candidates, size_t first);
-  std::vector<bool> seen_by(const Triangle& start, const Vec3d& p) const;
+  std::vector<size_t> seen_by(size_t start, const Vec3d& p);
+  void drop_gone();
+
+  std::map<Edge, size_t> owner_;  // the triangle of each edge
+  std::priority_queue<Candidate> candidates_;
+  size_t gone_ = 0;
 };
 
 Quickhull::Quickhull(std::span<const Vec3f> input, int32_t max_vertices) {
@@ -58,6 +78,7 @@ Quickhull::Quickhull(std::span<const Vec3f> input, int32_t max_vertices) {
   extent = std::max({hi.x - lo.x, hi.y - lo.y, hi.z - lo.z});
   start();
   for (int32_t vertices = 4; vertices < max_vertices && grow();) ++vertices;
+  drop_gone();
 }
 
 // The index of the largest score, the smallest among equals.
@@ -119,7 +140,21 @@ void Quickhull::add_triangle(int32_t i, int32_t j, int32_t k) {
   t.v = {i, j, k};
   t.normal = detail::unit(math::cross(points[j] - points[i], points[k] - points[i]));
   t.offset = math::dot(t.normal, points[i]);
+  for (size_t e = 0; e < 3; ++e) owner_[{t.v[e], t.v[(e + 1) % 3]}] = triangles.size();
   triangles.push_back(std::move(t));
+}
+
+// Those that are left keep their order.
+void Quickhull::drop_gone() {
+  std::erase_if(triangles, [](const Triangle& t) { return t.is_gone; });
+  gone_ = 0;
+  owner_.clear();
+  candidates_ = {};
+  for (size_t t = 0; t < triangles.size(); ++t) {
+    const Triangle& of = triangles[t];
+    for (size_t e = 0; e < 3; ++e) owner_[{of.v[e], of.v[(e + 1) % 3]}] = t;
+    if (of.farthest >= 0) candidates_.push({of.height, of.farthest, t});
+  }
 }
 
 // Gives each point to the triangle, from `first` on, that it lies highest above.
@@ -142,59 +177,51 @@ void Quickhull::distribute(const std::vector<int32_t>& candidates, size_t first)
       t.farthest = i;
     }
   }
+  for (size_t t = first; t < triangles.size(); ++t)
+    if (triangles[t].farthest >= 0)
+      candidates_.push({triangles[t].height, triangles[t].farthest, t});
 }
 
-// The triangles that see p and hang together with `start`, which does.
-std::vector<bool> Quickhull::seen_by(const Triangle& start, const Vec3d& p) const {
-  std::map<Edge, size_t> owner;
-  for (size_t t = 0; t < triangles.size(); ++t)
-    for (int k = 0; k < 3; ++k) owner[{triangles[t].v[k], triangles[t].v[(k + 1) % 3]}] = t;
-  std::vector<bool> seen(triangles.size());
-  std::vector<size_t> open = {static_cast<size_t>(&start - triangles.data())};
-  seen[open[0]] = true;
-  while (!open.empty()) {
-    const Triangle& t = triangles[open.back()];
-    open.pop_back();
-    for (int k = 0; k < 3; ++k) {
-      const size_t next = owner.at({t.v[(k + 1) % 3], t.v[k]});
-      const Triangle& n = triangles[next];
-      if (seen[next] || !(math::dot(n.normal, p) - n.offset > kVisible * extent)) continue;
-      seen[next] = true;
-      open.push_back(next);
+// The triangles that see p and hang together with `start`, which does, ascending.
+std::vector<size_t> Quickhull::seen_by(size_t start, const Vec3d& p) {
+  std::vector<size_t> seen = {start};
+  triangles[start].is_seen = true;
+  for (size_t i = 0; i < seen.size(); ++i) {
+    const std::array<int32_t, 3> v = triangles[seen[i]].v;
+    for (size_t k = 0; k < 3; ++k) {
+      const size_t next = owner_.at({v[(k + 1) % 3], v[k]});
+      Triangle& n = triangles[next];
+      if (n.is_seen || !(math::dot(n.normal, p) - n.offset > kVisible * extent)) continue;
+      n.is_seen = true;
+      seen.push_back(next);
     }
   }
+  std::sort(seen.begin(), seen.end());
   return seen;
 }
 
 bool Quickhull::grow() {
-  const Triangle* from = nullptr;
-  for (const Triangle& t : triangles)
-    if (t.farthest >= 0 && (from == nullptr || t.height > from->height ||
-                            (t.height == from->height && t.farthest < from->farthest)))
-      from = &t;
-  if (from == nullptr) return false;
-  const int32_t vertex = from->farthest;
-  const std::vector<bool> seen = seen_by(*from, points[vertex]);
+  while (!candidates_.empty() && triangles[candidates_.top().triangle].is_gone) candidates_.pop();
+  if (candidates_.empty()) return false;
+  const Candidate from = candidates_.top();
   std::set<Edge> horizon;
   std::vector<int32_t> orphans;
-  std::vector<Triangle> kept;
-  for (size_t i = 0; i < triangles.size(); ++i) {
+  for (const size_t i : seen_by(from.triangle, points[from.point])) {
     Triangle& t = triangles[i];
-    if (!seen[i]) {
-      kept.push_back(std::move(t));
-      continue;
-    }
+    t.is_gone = true;
+    ++gone_;
     orphans.insert(orphans.end(), t.outside.begin(), t.outside.end());
+    t.outside = {};
     for (int k = 0; k < 3; ++k) {
       const Edge edge = {t.v[k], t.v[(k + 1) % 3]};
       if (horizon.erase({edge.second, edge.first}) == 0) horizon.insert(edge);
     }
   }
-  triangles = std::move(kept);
   const size_t first = triangles.size();
-  for (const auto& [i, j] : horizon) add_triangle(i, j, vertex);
+  for (const auto& [i, j] : horizon) add_triangle(i, j, from.point);
   std::sort(orphans.begin(), orphans.end());
   distribute(orphans, first);
+  if (gone_ > 1024 && 2 * gone_ > triangles.size()) drop_gone();
   return true;
 }
 
@@ -232,7 +259,8 @@ Vec3d vector_area(const std::vector<Vec3d>& points, const std::vector<int32_t>& 
   return sum;
 }
 
-// Larger triangles first take the neighbours that lie in their plane.
+// Larger triangles first take the neighbours that lie in their plane. A corner within the outline
+// is lost, so it may not be where the hull would become thinner, or flat.
 std::vector<Polygon> merge_coplanar(const Quickhull& hull) {
   const std::vector<Triangle>& triangles = hull.triangles;
   std::map<Edge, size_t> owner;
@@ -258,6 +286,21 @@ std::vector<Polygon> merge_coplanar(const Quickhull& hull) {
         return std::abs(math::dot(s.normal, hull.points[i]) - s.offset) <= kFlat * hull.extent;
       });
     };
+    double thickness = 0.0;  // of the hull below it
+    for (const Triangle& t : triangles)
+      for (const int32_t i : t.v)
+        thickness = std::max(thickness, s.offset - math::dot(s.normal, hull.points[i]));
+    // Whether `loop` is an outline of triangles that loses only corners which hardly matter.
+    const auto keeps_corners = [&](const std::vector<int32_t>& loop, std::span<const size_t> of) {
+      if (loop.empty()) return false;
+      const Vec3d up = detail::unit(vector_area(hull.points, loop));
+      return std::all_of(of.begin(), of.end(), [&](size_t t) {
+        return std::all_of(triangles[t].v.begin(), triangles[t].v.end(), [&](int32_t i) {
+          const double above = math::dot(up, hull.points[i] - hull.points[loop[0]]);
+          return above <= kLost * thickness || std::find(loop.begin(), loop.end(), i) != loop.end();
+        });
+      });
+    };
     std::vector<size_t> group = {seed};
     for (size_t g = 0; g < group.size(); ++g)
       for (int k = 0; k < 3; ++k) {
@@ -265,7 +308,7 @@ std::vector<Polygon> merge_coplanar(const Quickhull& hull) {
         const size_t other = owner.at({v[(k + 1) % 3], v[k]});
         if (taken[other] || !in_plane(triangles[other])) continue;
         group.push_back(other);
-        if (outline(triangles, group).empty()) {
+        if (!keeps_corners(outline(triangles, group), group)) {
           group.pop_back();
           continue;
         }
@@ -315,17 +358,29 @@ ConvexHull tables(std::span<const Vec3f> points, const std::vector<Triangle>& tr
   return hull;
 }
 
-}  // namespace
-
-ConvexHull convex_hull(std::span<const Vec3f> points, int32_t max_vertices) {
-  require(max_vertices >= 4 && max_vertices <= kMaxHullVertices, ErrorKind::Value,
-          "convex_hull: max_vertices: expected 4 to ", kMaxHullVertices, ", got ", max_vertices);
+void check_points(std::span<const Vec3f> points) {
   require(points.size() >= 4, ErrorKind::Value, "convex_hull: points: expected at least 4, got ",
           points.size());
   for (size_t i = 0; i < points.size(); ++i)
     require(std::isfinite(points[i].x) && std::isfinite(points[i].y) && std::isfinite(points[i].z),
             ErrorKind::Value, "convex_hull: points[", i, "]: expected finite numbers, got (",
             points[i].x, ", ", points[i].y, ", ", points[i].z, ")");
+}
+
+}  // namespace
+
+std::vector<int32_t> hull_of_all(std::span<const Vec3f> points) {
+  check_points(points);
+  std::vector<int32_t> out;
+  for (const Triangle& t : Quickhull(points, std::numeric_limits<int32_t>::max()).triangles)
+    out.insert(out.end(), t.v.begin(), t.v.end());
+  return out;
+}
+
+ConvexHull convex_hull(std::span<const Vec3f> points, int32_t max_vertices) {
+  require(max_vertices >= 4 && max_vertices <= kMaxHullVertices, ErrorKind::Value,
+          "convex_hull: max_vertices: expected 4 to ", kMaxHullVertices, ", got ", max_vertices);
+  check_points(points);
   const Quickhull hull(points, max_vertices);
   return tables(points, hull.triangles, merge_coplanar(hull));
 }

@@ -3,11 +3,13 @@
 #include <cmath>
 #include <limits>
 #include <map>
+#include <optional>
 #include <string>
 
 #include "builder_checks.h"
 #include "geometry/vector_double.h"
 #include "novaphy/core/error.h"
+#include "novaphy/core/geometry/hull_of_all.h"
 #include "novaphy/core/geometry/join_vertices.h"
 #include "novaphy/core/sim/model_builder.h"
 #include "novaphy/core/warning.h"
@@ -153,17 +155,35 @@ int32_t ModelBuilder::add_shape_convex_hull(int32_t body, const ShapeConvexHullA
   check_vertices(name, args.vertices);
   ConvexHull hull =
       named(name, "vertices", [&] { return convex_hull(args.vertices, args.max_vertices); });
+  const Vec3f scale = detail::checked_scale(name, GeoType::CONVEX_MESH, args.scale);
+  if (scale.x != scale.y || scale.y != scale.z) {  // as the pipeline will see it
+    std::vector<Vec3f> scaled;
+    for (const Vec3f& v : hull.vertices)
+      scaled.push_back({v.x * scale.x, v.y * scale.y, v.z * scale.z});
+    named(name, "scale", [&] { return convex_hull(scaled); });
+  }
+  const bool left_out = static_cast<int32_t>(hull.vertices.size()) == args.max_vertices;
   Mesh mesh;
-  mesh.triangles = rows_of_three(hull_triangles(hull));
+  mesh.triangles = rows_of_three(hull_of_all(hull.vertices));
   mesh.vertices = std::move(hull.vertices);
-  return append_shape(name,
-                      {.body = body,
-                       .type = GeoType::CONVEX_MESH,
-                       .xform = args.xform,
-                       .scale = args.scale,
-                       .cfg = args.cfg,
-                       .label = args.label},
-                      shared_mesh(std::move(mesh)));
+  // Where vertices were left out, the mass is that of the hull of all.
+  std::optional<SolidProperties> solid;
+  const ShapeConfig cfg = args.cfg.value_or(default_shape_cfg);
+  if (left_out && body >= 0 && cfg.density > 0.0f)
+    solid = solid_properties(
+        name, GeoType::CONVEX_MESH,
+        {{args.vertices.begin(), args.vertices.end()}, rows_of_three(hull_of_all(args.vertices))},
+        scale, cfg);
+  const int32_t shape = append_shape(name,
+                                     {.body = body,
+                                      .type = GeoType::CONVEX_MESH,
+                                      .xform = args.xform,
+                                      .scale = args.scale,
+                                      .cfg = args.cfg,
+                                      .label = args.label},
+                                     shared_mesh(std::move(mesh)));
+  if (solid) shapes_.back().solid = *solid;
+  return shape;
 }
 
 ModelBuilder::MeshPool ModelBuilder::mesh_pool() const {

@@ -27,9 +27,9 @@ struct ConvexHull {
 
 // Quickhull in double precision; the same points in the same order give the same hull. Points
 // within 1e-6 of the extent inside of the hull, or of a face, are left out, so duplicates do not
-// matter. Faces within 0.1 degrees of a larger neighbour become one with it. From max_vertices on
-// (4 .. kMaxHullVertices) points are left out: the hull of those that lay farthest out, within the
-// hull of all.
+// matter. Faces within 0.1 degrees of a larger neighbour become one with it, unless that loses a
+// vertex by which the hull is 1 % thicker. From max_vertices on (4 .. kMaxHullVertices) points are
+// left out: the hull of those that lay farthest out, within the hull of all (hull_of_all.h).
 // Source: Barber, Dobkin, Huhdanpaa, The Quickhull Algorithm for Convex Hulls (1996).
 //
 // ErrorKind::Value: fewer than 4 points; one that is not finite (its index is named); points in one

@@ -325,3 +325,61 @@ def test_a_capture_says_nothing():
         return graph
 
     assert said_of(capture) == []
+
+
+EDGES = (0.01, 0.02, 0.05, 0.1, 0.2, 0.3, 0.5, 1.0, 2.0)
+
+
+def drop(edge, height, solver_of, dt, seconds=1.5):
+    """A cube of default density and material that falls on the ground: how it ends, what is said."""
+    builder = novaphy.ModelBuilder()
+    builder.add_ground_plane()
+    body = builder.add_body(xform=((0, 0, edge / 2 + height), UPRIGHT))
+    builder.add_shape_box(body, hx=edge / 2, hy=edge / 2, hz=edge / 2)
+    model = builder.finalize()
+    pipeline, solver = novaphy.CollisionPipeline(model), solver_of(model)
+    contacts, state, after = pipeline.contacts(), model.state(), model.state()
+
+    def run():
+        now, then = state, after
+        for _ in range(int(seconds / dt)):
+            pipeline.collide(now, contacts)
+            solver.step(now, then, None, contacts, dt)
+            now, then = then, now
+        return now.body_q.numpy()[0, 2], np.abs(now.body_qd.numpy()).max()
+
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        return *run(), [str(w.message) for w in said]
+
+
+@pytest.mark.parametrize("height", [0.0, 0.02, 0.3])
+@pytest.mark.parametrize("edge", EDGES)
+def test_a_cube_of_any_size_lies_or_a_step_says_why_not(edge, height):
+    z, speed, said = drop(edge, height, solvers.SolverSemiImplicit, 1 / 960)
+    lies = abs(z - edge / 2) < 0.1 * edge and speed < 0.05
+    assert lies or any("ke" in text for text in said)
+    if 0.1 <= edge <= 0.3:
+        assert lies
+
+
+@pytest.mark.parametrize("edge", EDGES)
+def test_with_solver_featherstone_a_cube_of_any_size_lies(edge):
+    z, speed, said = drop(edge, 0.1, solvers.SolverFeatherstone, 1 / 240)
+    assert not said
+    assert z == pytest.approx(edge / 2, abs=2e-3) and speed < 1e-3
+
+
+def test_friction_that_shakes_is_said():
+    """2 dt kf Minv = 4 is the limit, with 1/m + r^2/I of the point that touches."""
+    for factor, count in ((0.95, 0), (1.05, 1)):
+        model = ball(1e5, kf=factor * 2.0 / (1 / 960 * (1 / 2.0 + 1 / (0.4 * 2.0))))
+        assert len(said_of(lambda m=model: heights(m, 1 / 960, 2))) == count
+
+
+def test_what_rests_too_deep_is_said():
+    """A ball of 0.1 m: its radius of gyration is 0.063 m."""
+    for ke, count in ((2.0 * 9.81 / 0.012, 0), (2.0 * 9.81 / 0.02, 1)):
+        said = said_of(lambda k=ke: heights(ball(k), 1 / 960, 2000))
+        assert len(said) == count
+        assert all("rests" in text and "SolverFeatherstone" in text for text in said)

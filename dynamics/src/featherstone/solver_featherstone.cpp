@@ -64,6 +64,7 @@ struct SolverFeatherstone::Cache {
         trees(m, articulations),
         pgs(m, articulations),
         materials(unread_materials(contact, kName)) {
+    watch.leave_out_friction();  // its law is huber
     const auto dofs = static_cast<size_t>(m.joint_dof_count());
     const auto count = static_cast<size_t>(articulations.count());
     qdd.resize(dofs);
@@ -198,7 +199,7 @@ void SolverFeatherstone::step(SimState& state_in, SimState& state_out, const Con
   const bool penalty = options_.contact == ArticulationContact::Penalty;
   if (penalty && contacts != nullptr) {
     add_penalties(*contacts, a);
-    if (c.watch.is_due()) c.watch.look(m, state_in, *contacts, dt, &c.free_bodies);
+    if (c.watch.is_due(false)) c.watch.look(m, state_in, *contacts, dt, true, &c.free_bodies);
   }
   const ContactRows rows = contact_rows(penalty ? nullptr : contacts);
   Vec3f* force = nullptr;

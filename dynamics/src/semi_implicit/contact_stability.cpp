@@ -4,11 +4,14 @@
 #include <array>
 #include <bit>
 #include <cmath>
+#include <iterator>
 #include <limits>
+#include <utility>
 #include <vector>
 
 #include "novaphy/core/error.h"
 #include "novaphy/core/sim/enums.h"
+#include "novaphy/core/sim/on_host.h"
 #include "novaphy/core/storage.h"
 #include "novaphy/core/warning.h"
 #include "novaphy/dynamics/semi_implicit/rigid_contact_trace.h"
@@ -20,12 +23,22 @@ namespace {
 
 constexpr float kNone = std::numeric_limits<float>::infinity();
 
+// Steps 1, 2, 4, 8, ... 1024, 2048, 3072, ...
+bool is_rare(uint64_t step) {
+  constexpr uint64_t kOften = 1024;
+  return std::has_single_bit(step) || step % kOften == 0;
+}
+
 using Six = std::array<float, 6>;
 struct Matrix {
   float m[6][6] = {};
   void add(float k, const Six& j) {
     for (size_t a = 0; a < 6; ++a)
       for (size_t b = 0; b < 6; ++b) m[a][b] += k * j[a] * j[b];
+  }
+  void add(const Matrix& other) {
+    for (size_t a = 0; a < 6; ++a)
+      for (size_t b = 0; b < 6; ++b) m[a][b] += other.m[a][b];
   }
   Six times(const Six& x) const {
     Six y{};
@@ -35,7 +48,7 @@ struct Matrix {
   }
 };
 struct Terms {
-  Matrix springs, dampers;
+  Matrix springs, dampers, friction;
 };
 
 float dot(const Six& a, const Six& b) {
@@ -72,6 +85,24 @@ float largest(const Matrix& a, Accelerate accelerate, Six& x) {
   return w;
 }
 
+constexpr Six kStart = {1.0f, 0.9f, -0.8f, 0.7f, 0.6f, -0.5f};
+
+// Whether the largest eigenvalue of M^-1 (dt^2 springs + dt dampers) is above 4.
+template <class Accelerate>
+bool grows(const Matrix& springs, const Matrix& dampers, float dt, Accelerate accelerate) {
+  Matrix sum;
+  for (size_t i = 0; i < 6; ++i)
+    for (size_t j = 0; j < 6; ++j) sum.m[i][j] = (dt * springs.m[i][j] + dampers.m[i][j]) * dt;
+  float trace = 0.0f;  // no eigenvalue is larger
+  for (size_t i = 0; i < 6; ++i) {
+    Six column;
+    for (size_t j = 0; j < 6; ++j) column[j] = sum.m[j][i];
+    trace += accelerate(column)[i];
+  }
+  Six x = kStart;
+  return trace > 4.0f && largest(sum, accelerate, x) > 4.0f;
+}
+
 // The dt with springs dt^2 + dampers dt = 4.
 float longest_dt(float springs, float dampers) {
   return 8.0f / (dampers + std::sqrt(dampers * dampers + 16.0f * springs));
@@ -81,7 +112,7 @@ float longest_dt(float springs, float dampers) {
 // any vector give a longer one, those of the vector that belongs to it give the next.
 template <class Accelerate>
 float longest_dt(const Terms& terms, Accelerate accelerate) {
-  Six x = {1.0f, 0.9f, -0.8f, 0.7f, 0.6f, -0.5f}, y = x;
+  Six x = kStart, y = x;
   const float springs = largest(terms.springs, accelerate, x),
               dampers = largest(terms.dampers, accelerate, y);
   if (!(springs + dampers > 0.0f)) return kNone;
@@ -103,98 +134,122 @@ float longest_dt(const Terms& terms, Accelerate accelerate) {
   return dt;
 }
 
+}  // namespace
+
 // What the model and the contacts hold, on the host.
-struct Rows {
-  Rows(const Model& m, const SimState& state, const Contacts& c)
-      : q(state.body_q.to_host()),
-        com(m.body_com.to_host()),
-        flags(m.body_flags.to_host()),
-        body(m.shape_body.to_host()),
-        ke(m.shape_material_ke.to_host()),
-        kd(m.shape_material_kd.to_host()),
-        kf(m.shape_material_kf.to_host()),
-        row_ke(c.rigid_contact_stiffness.to_host()),
-        row_kd(c.rigid_contact_damping.to_host()),
-        contacts(c.rigid_contacts()) {
-    const auto count = static_cast<int32_t>(body.size());
-    for (const RigidContact& row : contacts)
-      require(row.shape0 >= 0 && row.shape0 < count && row.shape1 >= 0 && row.shape1 < count,
+struct detail::TouchingRows {
+  TouchingRows(const Model& m, const SimState& state, const Contacts& c, bool pushed,
+               const std::vector<uint8_t>* of_bodies)
+      : q(state.body_q),
+        com(m.body_com),
+        flags(m.body_flags),
+        body(m.shape_body),
+        ke(m.shape_material_ke),
+        kd(m.shape_material_kd),
+        kf(m.shape_material_kf),
+        mu(m.shape_material_mu),
+        row_ke(c.rigid_contact_stiffness),
+        row_kd(c.rigid_contact_damping),
+        row_mu(c.rigid_contact_friction),
+        shape0(c.rigid_contact_shape0),
+        shape1(c.rigid_contact_shape1),
+        point0(c.rigid_contact_point0),
+        point1(c.rigid_contact_point1),
+        normal(c.rigid_contact_normal),
+        force(c.rigid_contact_force),
+        margin0(c.rigid_contact_margin0),
+        margin1(c.rigid_contact_margin1),
+        count(static_cast<size_t>(
+            std::clamp(OnHost<int32_t>(c.rigid_contact_count)[0], 0, c.rigid_contact_max()))),
+        is_pushed(pushed),
+        bodies(of_bodies) {
+    const auto shapes = static_cast<int32_t>(body.size());
+    for (size_t k = 0; k < count; ++k)
+      require(shape0[k] >= 0 && shape0[k] < shapes && shape1[k] >= 0 && shape1[k] < shapes,
               ErrorKind::Index, "contacts: rigid_contact_shape0, _shape1: expected 0 to ",
-              count - 1, ", got ", row.shape0, " and ", row.shape1);
+              shapes - 1, ", got ", shape0[k], " and ", shape1[k]);
   }
 
   bool moves(int32_t b) const {
     return b >= 0 && !has_flag(flags[static_cast<size_t>(b)], BodyFlags::KINEMATIC);
   }
+  bool counts(int32_t b) const {
+    return moves(b) && (bodies == nullptr || (*bodies)[static_cast<size_t>(b)] != 0);
+  }
   Transformf pose(int32_t b) const {
     return b < 0 ? Transformf::identity() : q[static_cast<size_t>(b)];
   }
+  // Of a row: its shapes, their bodies, the points of both surfaces, and how deep it is.
+  struct Row {
+    size_t shapes[2];
+    int32_t bodies[2];
+    Vec3f at[2];
+    float depth;
+  };
+  Row row(size_t k) const {
+    Row r;
+    r.shapes[0] = static_cast<size_t>(shape0[k]);
+    r.shapes[1] = static_cast<size_t>(shape1[k]);
+    for (size_t side = 0; side < 2; ++side) r.bodies[side] = body[r.shapes[side]];
+    const Vec3f n = normal[k];
+    r.at[0] = math::transform_point(pose(r.bodies[0]), point0[k]) + n * margin0[k];
+    r.at[1] = math::transform_point(pose(r.bodies[1]), point1[k]) - n * margin1[k];
+    r.depth = -math::dot(n, r.at[1] - r.at[0]);
+    return r;
+  }
+  bool touches(size_t k) const {
+    if (!is_pushed) return row(k).depth > 0.0f;
+    const Vec3f& f = force[k];
+    return f.x != 0.0f || f.y != 0.0f || f.z != 0.0f;
+  }
+  float mean(const OnHost<float>& of, const Row& r) const {
+    return (of[r.shapes[0]] + of[r.shapes[1]]) * 0.5f;
+  }
+  float own(const OnHost<float>& of_rows, size_t k, float of_shapes) const {
+    return of_rows.size() == 0 || !(of_rows[k] > 0.0f) ? of_shapes : of_rows[k];
+  }
+  float ke_of(size_t k, const Row& r) const { return own(row_ke, k, mean(ke, r)); }
+  float kd_of(size_t k, const Row& r) const { return own(row_kd, k, mean(kd, r)); }
+  bool slides(size_t k, const Row& r) const { return own(row_mu, k, mean(mu, r)) > 0.0f; }
 
-  std::vector<Transformf> q;
-  std::vector<Vec3f> com;
-  std::vector<int32_t> flags, body;
-  std::vector<float> ke, kd, kf, row_ke, row_kd;
-  std::vector<RigidContact> contacts;
+  const OnHost<Transformf> q;
+  const OnHost<Vec3f> com;
+  const OnHost<int32_t> flags, body;
+  const OnHost<float> ke, kd, kf, mu, row_ke, row_kd, row_mu;
+  const OnHost<int32_t> shape0, shape1;
+  const OnHost<Vec3f> point0, point1, normal, force;
+  const OnHost<float> margin0, margin1;
+  const size_t count;
+  const bool is_pushed;
+  const std::vector<uint8_t>* const bodies;
 };
 
-void add_row(const Rows& rows, size_t k, Stability stability, float stick_ke,
-             std::vector<Terms>& terms) {
-  const RigidContact& c = rows.contacts[k];
-  const size_t shapes[2] = {static_cast<size_t>(c.shape0), static_cast<size_t>(c.shape1)};
-  const int32_t bodies[2] = {rows.body[shapes[0]], rows.body[shapes[1]]};
-  const Vec3f at[2] = {
-      math::transform_point(rows.pose(bodies[0]), c.point0) + c.normal * c.margin0,
-      math::transform_point(rows.pose(bodies[1]), c.point1) - c.normal * c.margin1};
-  if (!(math::dot(c.normal, at[1] - at[0]) < 0.0f)) return;
-  const auto mean = [&](const std::vector<float>& of) {
-    return (of[shapes[0]] + of[shapes[1]]) * 0.5f;
-  };
-  const auto own = [&](const std::vector<float>& of_rows, float of_shapes) {
-    return of_rows.empty() || !(of_rows[k] > 0.0f) ? of_shapes : of_rows[k];
-  };
-  const float ke = own(rows.row_ke, mean(rows.ke)), kd = own(rows.row_kd, mean(rows.kd));
+namespace {
+
+using detail::TouchingRows;
+
+// Of a side of row k, of a body that moves.
+void add_side(const TouchingRows& rows, size_t k, const TouchingRows::Row& r, size_t side,
+              Stability stability, float stick_ke, Terms& m) {
   const bool enough = stability == Stability::Enough;
-  const bool both = rows.moves(bodies[0]) && rows.moves(bodies[1]);
+  const bool both = rows.moves(r.bodies[0]) && rows.moves(r.bodies[1]);
   const float f = both && enough ? 2.0f : 1.0f;
-  for (size_t side = 0; side < 2; ++side) {
-    if (!rows.moves(bodies[side])) continue;
-    const auto b = static_cast<size_t>(bodies[side]);
-    const Vec3f arm = at[side] - math::transform_point(rows.q[b], rows.com[b]);
-    const Six n = motion(c.normal, arm);
-    Terms& m = terms[b];
-    m.springs.add(f * ke, n);
-    m.dampers.add(enough ? 2.0f * f * kd : kd, n);
-    if (!enough) continue;
-    const float kf = 2.0f * f * mean(rows.kf), stick = f * stick_ke;
-    for (const Vec3f& u : {Vec3f{1, 0, 0}, Vec3f{0, 1, 0}, Vec3f{0, 0, 1}}) {
-      m.springs.add(stick, motion(u, arm));
-      m.dampers.add(kf, motion(u, arm));
-    }
-    m.springs.add(-stick, n);
-    m.dampers.add(-kf, n);
+  const auto b = static_cast<size_t>(r.bodies[side]);
+  const Vec3f arm = r.at[side] - math::transform_point(rows.q[b], rows.com[b]);
+  const Six n = motion(rows.normal[k], arm);
+  m.springs.add(f * rows.ke_of(k, r), n);
+  m.dampers.add((enough ? 2.0f * f : 1.0f) * rows.kd_of(k, r), n);
+  const float kf = enough || rows.slides(k, r) ? 2.0f * f * rows.mean(rows.kf, r) : 0.0f;
+  const float stick = enough ? f * stick_ke : 0.0f;
+  for (const Vec3f& u : {Vec3f{1, 0, 0}, Vec3f{0, 1, 0}, Vec3f{0, 0, 1}}) {
+    m.springs.add(stick, motion(u, arm));
+    m.friction.add(kf, motion(u, arm));
   }
+  m.springs.add(-stick, n);
+  m.friction.add(-kf, n);
 }
 
 }  // namespace
-
-ContactLimit contact_limit(const Model& model, const SimState& state, const Contacts& contacts,
-                           Stability stability, float stick_ke,
-                           const std::vector<uint8_t>* bodies) {
-  const Rows rows(model, state, contacts);
-  std::vector<Terms> terms(rows.q.size());
-  for (size_t k = 0; k < rows.contacts.size(); ++k) add_row(rows, k, stability, stick_ke, terms);
-  const std::vector<float> inv_mass = model.body_inv_mass.to_host();
-  const std::vector<Mat33f> inv_inertia = model.body_inv_inertia.to_host();
-  ContactLimit least = {kNone};
-  for (size_t b = 0; b < terms.size(); ++b) {
-    if (bodies != nullptr && (*bodies)[b] == 0) continue;
-    const float dt = longest_dt(terms[b], [&](const Six& y) {
-      return accelerate(y, inv_mass[b], inv_inertia[b], rows.q[b].q);
-    });
-    if (dt < least.dt) least = {dt, static_cast<int32_t>(b)};
-  }
-  return least;
-}
 
 float stable_contact_dt(const char* function, const Model& model, const SimState& state,
                         const Contacts& contacts, float stick_ke) {
@@ -205,26 +260,161 @@ float stable_contact_dt(const char* function, const Model& model, const SimState
           ": contacts: expected room for all rows, got fewer than there are; raise "
           "rigid_contact_max");
   model.update_derived();
-  return contact_limit(model, state, contacts, Stability::Enough, stick_ke).dt;
+  const TouchingRows rows(model, state, contacts, false, nullptr);
+  std::vector<Terms> terms(rows.q.size());
+  for (size_t k = 0; k < rows.count; ++k) {
+    const TouchingRows::Row r = rows.row(k);
+    if (!(r.depth > 0.0f)) continue;
+    for (size_t side = 0; side < 2; ++side)
+      if (rows.moves(r.bodies[side]))
+        add_side(rows, k, r, side, Stability::Enough, stick_ke,
+                 terms[static_cast<size_t>(r.bodies[side])]);
+  }
+  const OnHost<float> inv_mass(model.body_inv_mass);
+  const OnHost<Mat33f> inv_inertia(model.body_inv_inertia);
+  float least = kNone;
+  for (size_t b = 0; b < terms.size(); ++b) {
+    terms[b].dampers.add(terms[b].friction);
+    least = std::min(least, longest_dt(terms[b], [&](const Six& y) {
+                       return accelerate(y, inv_mass[b], inv_inertia[b], rows.q[b].q);
+                     }));
+  }
+  return least;
 }
 
-bool ContactWatch::is_due() {
-  constexpr uint64_t kOften = 1024;
+bool ContactWatch::is_due(bool is_dear) {
   ++steps_;
-  return !(warned_ && warned_of_pose_) && (std::has_single_bit(steps_) || steps_ % kOften == 0);
+  const bool all_said = warned_ && warned_of_friction_ && warned_of_depth_ && warned_of_pose_;
+  return !all_said && (!is_dear || is_rare(steps_));
 }
 
 void ContactWatch::look(const Model& model, const SimState& state, const Contacts& contacts,
-                        float dt, const std::vector<uint8_t>* bodies) {
+                        float dt, bool pushed, const std::vector<uint8_t>* bodies) {
+  constexpr uint64_t kDepths = 32;
   const Unobserved unobserved;
-  check_poses(state);
-  if (!warned_) check(contact_limit(model, state, contacts, Stability::Needed, 0.0f, bodies), dt);
+  if (is_rare(steps_)) check_poses(state);
+  if (contacts.rigid_contact_max() == 0) return;
+  const TouchingRows rows(model, state, contacts, pushed, bodies);
+  if (!warned_ || !warned_of_friction_) find_changed(rows, model, dt);
+  if (!warned_of_depth_ && (is_rare(steps_) || steps_ % kDepths == 0)) check_depths(rows, model);
+}
+
+void ContactWatch::find_changed(const TouchingRows& rows, const Model& model, float dt) {
+  const Array* const read[] = {&model.shape_material_ke, &model.shape_material_kd,
+                               &model.shape_material_kf, &model.body_inv_mass,
+                               &model.body_inv_inertia};
+  bool known = dt <= longest_dt_ && touched_.size() == rows.q.size();
+  for (size_t i = 0; i < std::size(read); ++i) known = known && read_[i].matches(*read[i]);
+  if (!known) {
+    longest_dt_ = dt;
+    for (size_t i = 0; i < std::size(read); ++i) read_[i].set(*read[i]);
+    touched_.assign(rows.q.size(), {});
+  }
+  touching_.clear();
+  changed_.clear();
+  const auto of = [&](int32_t b) -> Touched& { return touched_[static_cast<size_t>(b)]; };
+  for (size_t k = 0; k < rows.count; ++k) {
+    if (!rows.touches(k)) continue;
+    const auto a = static_cast<uint32_t>(rows.shape0[k]), b = static_cast<uint32_t>(rows.shape1[k]);
+    const uint32_t pair = (a * 0x9E3779B9u) ^ (b * 0x85EBCA6Bu) ^ 0xC2B2AE35u;
+    for (const uint32_t shape : {a, b}) {
+      const int32_t body = rows.body[shape];
+      if (!rows.counts(body)) continue;
+      if (of(body).now == 0) touching_.push_back(body);
+      of(body).now += pair | 1u;
+    }
+  }
+  for (const int32_t b : touching_) {
+    Touched& t = of(b);
+    t.changed = -1;
+    const uint32_t now = std::exchange(t.now, 0);
+    if (now == 0 || std::find(std::begin(t.seen), std::end(t.seen), now) != std::end(t.seen))
+      continue;
+    t.seen[t.next] = now;
+    t.next = (t.next + 1) % 4;
+    t.changed = static_cast<int32_t>(changed_.size());
+    changed_.push_back(b);
+  }
+  if (changed_.empty()) return;
+  std::vector<Terms> terms(changed_.size());
+  for (size_t k = 0; k < rows.count; ++k) {
+    if (!rows.touches(k)) continue;
+    const TouchingRows::Row r = rows.row(k);
+    for (size_t side = 0; side < 2; ++side)
+      if (rows.counts(r.bodies[side]) && of(r.bodies[side]).changed >= 0)
+        add_side(rows, k, r, side, Stability::Needed, 0.0f,
+                 terms[static_cast<size_t>(of(r.bodies[side]).changed)]);
+  }
+  const OnHost<float> inv_mass(model.body_inv_mass);
+  const OnHost<Mat33f> inv_inertia(model.body_inv_inertia);
+  ContactLimit least = {kNone}, least_of_friction = {kNone};
+  for (size_t i = 0; i < changed_.size(); ++i) {
+    const auto b = static_cast<size_t>(changed_[i]);
+    of(changed_[i]).changed = -1;
+    const auto by_mass = [&](const Six& y) {
+      return accelerate(y, inv_mass[b], inv_inertia[b], rows.q[b].q);
+    };
+    if (!warned_ && grows(terms[i].springs, terms[i].dampers, dt, by_mass)) {
+      const float limit = longest_dt(terms[i], by_mass);
+      if (limit < least.dt) least = {limit, changed_[i]};
+    }
+    Six x = kStart;
+    if (!warned_of_friction_ && grows({}, terms[i].friction, dt, by_mass)) {
+      const float limit = 4.0f / largest(terms[i].friction, by_mass, x);
+      if (limit < least_of_friction.dt) least_of_friction = {limit, changed_[i]};
+    }
+  }
+  check(least, dt);
+  check_friction(least_of_friction, dt);
+}
+
+void ContactWatch::check_depths(const TouchingRows& rows, const Model& model) {
+  constexpr float kDeep = 0.25f;  // of the radius of gyration
+  struct Load {
+    float depth = 0.0f, lift = 0.0f;
+  };
+  std::vector<Load> loads(rows.q.size());
+  const OnHost<Vec3f> gravity(model.gravity);
+  const OnHost<int32_t> world(model.body_world);
+  const auto gravity_of = [&](size_t b) {
+    return gravity[world[b] < 0 ? gravity.size() - 1 : static_cast<size_t>(world[b])];
+  };
+  for (size_t k = 0; k < rows.count; ++k) {
+    if (!rows.touches(k)) continue;
+    const TouchingRows::Row r = rows.row(k);
+    for (size_t side = 0; side < 2; ++side) {
+      if (!rows.counts(r.bodies[side])) continue;
+      const auto b = static_cast<size_t>(r.bodies[side]);
+      const Vec3f g = gravity_of(b);
+      const float size = math::length(g);
+      if (!(size > 0.0f)) continue;
+      const float up = math::dot(rows.normal[k], g) * (side == 0 ? 1.0f : -1.0f) / size;
+      loads[b].lift += rows.ke_of(k, r) * r.depth * up;
+      if (up > 0.5f) loads[b].depth = std::max(loads[b].depth, r.depth);
+    }
+  }
+  const OnHost<float> mass(model.body_mass);
+  const OnHost<Mat33f> inertia(model.body_inertia);
+  for (size_t b = 0; b < loads.size(); ++b) {
+    if (!(loads[b].depth > 0.0f)) continue;
+    const Mat33f& i = inertia[b];
+    const float radius = std::sqrt((i.m[0][0] + i.m[1][1] + i.m[2][2]) / (3.0f * mass[b]));
+    const float weight = mass[b] * math::length(gravity_of(b));
+    // Where springs carry about the weight, it rests, or would.
+    if (!(loads[b].depth > kDeep * radius) || loads[b].lift < 0.5f * weight ||
+        loads[b].lift > 1.05f * weight)
+      continue;
+    warned_of_depth_ = true;
+    return warn_of(function_, ": contacts: body ", b, " rests ", loads[b].depth,
+                   " m deep where springs of ke carry its weight of ", weight,
+                   " N; raise ke of its shapes, or take SolverFeatherstone, which needs none");
+  }
 }
 
 void ContactWatch::look_at_pairs(const Model& model, float dt) {
-  if (warned_) return;
+  if (warned_ && warned_of_friction_) return;
   const Array* const read[] = {&model.shape_material_ke, &model.shape_material_kd,
-                               &model.body_inv_mass};
+                               &model.shape_material_kf, &model.body_inv_mass};
   bool known = dt <= longest_dt_;
   for (size_t i = 0; i < std::size(read); ++i) known = known && read_[i].matches(*read[i]);
   if (known) return;
@@ -233,9 +423,10 @@ void ContactWatch::look_at_pairs(const Model& model, float dt) {
   const Unobserved unobserved;
   const std::vector<float> ke = model.shape_material_ke.to_host(),
                            kd = model.shape_material_kd.to_host(),
+                           kf = model.shape_material_kf.to_host(),
                            inv_mass = model.body_inv_mass.to_host();
   const std::vector<int32_t> body = model.shape_body.to_host(), flags = model.body_flags.to_host();
-  ContactLimit least = {kNone};
+  ContactLimit least = {kNone}, least_of_friction = {kNone};
   for (const Vec2i& pair : model.shape_contact_pairs.to_host()) {
     const auto a = static_cast<size_t>(pair.x), b = static_cast<size_t>(pair.y);
     for (const size_t shape : {a, b}) {
@@ -244,9 +435,12 @@ void ContactWatch::look_at_pairs(const Model& model, float dt) {
       const float w = 0.5f * inv_mass[static_cast<size_t>(of)];
       const float limit = longest_dt((ke[a] + ke[b]) * w, (kd[a] + kd[b]) * w);
       if (limit < least.dt) least = {limit, of};
+      const float of_friction = longest_dt(0.0f, 2.0f * (kf[a] + kf[b]) * w);
+      if (of_friction < least_of_friction.dt) least_of_friction = {of_friction, of};
     }
   }
   check(least, dt);
+  check_friction(least_of_friction, dt);
 }
 
 void ContactWatch::check_poses(const SimState& state) {
@@ -261,8 +455,16 @@ void ContactWatch::check_poses(const SimState& state) {
           "]: expected finite numbers; the body meets nothing as it is");
 }
 
+void ContactWatch::check_friction(const ContactLimit& limit, float dt) {
+  if (warned_of_friction_ || dt <= limit.dt) return;
+  warned_of_friction_ = true;
+  warn_of(function_, ": dt: ", dt, " s is longer than the ", limit.dt,
+          " s up to which friction of body ", limit.body,
+          " is stable with its mass and inertia and kf, so it shakes at the cone; ", advice_);
+}
+
 void ContactWatch::check(const ContactLimit& limit, float dt) {
-  if (dt <= limit.dt) return;
+  if (warned_ || dt <= limit.dt) return;
   warned_ = true;
   warn_of(function_, ": dt: ", dt, " s is longer than the ", limit.dt,
           " s up to which the contacts of body ", limit.body,

@@ -67,9 +67,11 @@ void BodyStep::run(const Model& model, const SimState& in, SimState& out, const 
 void BodyStep::look(const Model& model, const SimState& in, const Contacts* contacts,
                     const ContactTables& tables, float dt) {
   if (options_.static_contacts) return watch_.look_at_pairs(model, dt);
-  if (tables.sides_of_bodies() == nullptr || !watch_.is_due()) return;
+  // Steps of many particles may be deferred, which a look ends.
+  const bool is_dear = !model.device().is_cpu() || model.particle_count() > 0;
+  if (tables.sides_of_bodies() == nullptr || !watch_.is_due(is_dear)) return;
   nova::flush_deferred();
-  watch_.look(model, in, *contacts, dt);
+  watch_.look(model, in, *contacts, dt, false);
 }
 
 void BodyStep::write_contact_forces(const Contacts& contacts) const {

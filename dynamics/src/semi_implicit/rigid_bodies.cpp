@@ -120,11 +120,12 @@ void RigidBodies::add_contact_wrenches(const Model& m, const Transformf* q,
 
 void RigidBodies::step(const Model& m, const SimState& in, SimState& out, const Contacts* contacts,
                        const JointForces& joints, const ParticleContacts* particles,
-                       const RigidStep& how) {
+                       const RigidStep& how, ContactWatch& watch) {
   if (m.body_count() == 0) return;
   const bool touching = contacts != nullptr && rows_ > 0;
   if (touching && how.stick_ke > 0.0f) sticks_.begin(*contacts, rows_, in.body_q);
   if (touching) evaluate(m, in.body_q.data(), in.body_qd.data(), *contacts, how);
+  if (contacts != nullptr && watch.is_due(false)) watch.look(m, in, *contacts, how.dt, true);
 
   const Transformf* const q = in.body_q.data();
   const SpatialVectorf* const qd = in.body_qd.data();

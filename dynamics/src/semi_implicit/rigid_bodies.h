@@ -10,6 +10,7 @@
 #include "novaphy/core/sim/index_rows.h"
 #include "novaphy/core/sim/model.h"
 #include "novaphy/core/sim/sim_state.h"
+#include "novaphy/dynamics/semi_implicit/contact_stability.h"
 #include "novaphy/dynamics/semi_implicit/rigid_contact_trace.h"
 #include "particle_contacts.h"
 #include "stick_springs.h"
@@ -32,9 +33,11 @@ class RigidBodies {
   void prepare(const Model& model, const Contacts* contacts);
   // Adds the wrenches of `joints`, which were evaluated, to body_f, then those of the contacts.
   // Writes the bodies of `out`, and rigid_contact_force of the contacts that were prepared.
-  // `particles`: those that touch bodies, evaluated; null: none.
+  // `particles`: those that touch bodies, evaluated; null: none. `watch` looks at the contacts
+  // before bodies are written.
   void step(const Model& model, const SimState& in, SimState& out, const Contacts* contacts,
-            const JointForces& joints, const ParticleContacts* particles, const RigidStep& how);
+            const JointForces& joints, const ParticleContacts* particles, const RigidStep& how,
+            ContactWatch& watch);
   // The poses that a step wrote are now in `to`, from which the next step goes on.
   void were_copied(const Array& from, const Array& to) { sticks_.were_copied(from, to); }
   // Adds what the contacts that were prepared do to the bodies at `q` with the velocities `qd` to

@@ -12,6 +12,7 @@
 #include "novaphy/core/recorder.h"
 #include "novaphy/core/sim/edited_values.h"
 #include "novaphy/core/sim/for_chunks.h"
+#include "novaphy/core/sim/input_checks.h"
 #include "novaphy/core/sim/unread_materials.h"
 #include "novaphy/core/storage.h"
 #include "novaphy/dynamics/semi_implicit/contact_stability.h"
@@ -37,8 +38,10 @@ void check_covered(const Model& model) { JointForces::check_covered(model, "Solv
 }  // namespace
 
 struct SolverSemiImplicit::Cache {
-  explicit Cache(const Model& m) : materials("SolverSemiImplicit", {.ka = m.body_count() > 0}) {
+  Cache(const Model& m, FrictionLaw law)
+      : materials("SolverSemiImplicit", {.ka = m.body_count() > 0}) {
     materials.check(m);
+    if (law == FrictionLaw::Huber || law == FrictionLaw::Newton17) watch.leave_out_friction();
   }
   ParticleContacts contacts;
   ElementForces elements;
@@ -54,7 +57,7 @@ SolverSemiImplicit::SolverSemiImplicit(std::shared_ptr<const Model> model,
                                        const SemiImplicitOptions& options)
     : SolverBase(std::move(model)),
       options_(options),
-      cache_(std::make_unique<Cache>(*this->model())) {
+      cache_(std::make_unique<Cache>(*this->model(), options.friction_law)) {
   require(options.particle_kf_bound >= 0.0f, ErrorKind::Value,
           "SolverSemiImplicit: particle_kf_bound: expected a number >= 0, got ",
           options.particle_kf_bound);
@@ -80,7 +83,7 @@ SolverSemiImplicit::~SolverSemiImplicit() = default;
 
 void SolverSemiImplicit::notify_model_changed(ModelFlags) {
   const ExclusiveUse::Scope scope = use("SolverSemiImplicit.notify_model_changed");
-  *cache_ = Cache(*model());
+  *cache_ = Cache(*model(), options_.friction_law);
   on_device_ = detail::make_device_steps(model(), options_);
 }
 
@@ -116,6 +119,7 @@ void SolverSemiImplicit::step(SimState& state_in, SimState& state_out, const Con
   const ExclusiveUse::Scope scope = use(kName);
   const Model& m = *model();
   check_step(kName, state_in, state_out, control, contacts, dt);
+  check_rotations(kName, state_in);
   m.check_numbers(kName);
   m.check_structure(kName);
   cache_->materials.check(m);
@@ -127,8 +131,6 @@ void SolverSemiImplicit::step(SimState& state_in, SimState& state_out, const Con
   const JointAttachOptions attach = {options_.joint_attach_ke, options_.joint_attach_kd};
   cache_->joints.check_edits(m, control, "SolverSemiImplicit");
   cache_->joints.prepare(m, attach, dt);
-  if (contacts != nullptr && m.body_count() > 0 && cache_->watch.is_due())
-    cache_->watch.look(m, state_in, *contacts, dt);
   if (m.particle_count() > 0)
     cache_->particle_watch.look(
         m, {.contacts = contacts != nullptr, .kf_bound = options_.particle_kf_bound}, dt);
@@ -165,7 +167,8 @@ void SolverSemiImplicit::step(SimState& state_in, SimState& state_out, const Con
                        .friction_smoothing = *options_.friction_smoothing,
                        .angular_damping = options_.angular_damping,
                        .dt = dt,
-                       .stick_ke = options_.stick_ke});
+                       .stick_ke = options_.stick_ke},
+                      cache_->watch);
   if (!touching && !deformable) {
     const Vec3f* f = state_in.particle_f.data();
     for_chunks(m.particle_count(), kChunk, [&](int64_t begin, int64_t end, int64_t) {

@@ -26,14 +26,14 @@ struct ContactLimit {
 };
 
 // Enough: K and D in full, those of rows of two bodies that move twice, which allows for neighbours
-// in antiphase. Needed: a longer dt diverges though the other bodies are held: ke, and kd once.
+// in antiphase. Needed: a longer dt diverges though the other bodies are held: ke, and kd once; and
+// by itself kf, of rows with friction.
 enum class Stability { Enough, Needed };
 
-// Reads on the host. The rows must be of shapes and bodies that are there. `bodies`: nonzero for
-// those to look at; null: all.
-ContactLimit contact_limit(const Model& model, const SimState& state, const Contacts& contacts,
-                           Stability stability, float stick_ke,
-                           const std::vector<uint8_t>* bodies = nullptr);
+namespace detail {
+struct TouchingRows;
+}
+
 // The longest dt (s) at which springs and dampers of what touches are stable, friction as far as it
 // sticks, whatever the neighbours of a body do; infinite: none touches. Reads from the device; no
 // tape sees it. `function` starts the message of ErrorKind::Value: a state or contacts of another
@@ -42,35 +42,59 @@ NOVAPHY_DYNAMICS_API float stable_contact_dt(const char* function, const Model& 
                                              const SimState& state, const Contacts& contacts,
                                              float stick_ke);
 
-// Warns, once each, of a dt at which what touches diverges even with all but one body held, and of
-// a body whose pose is not finite, which meets nothing. It looks at steps 1, 2, 4, 8, ... 1024,
-// 2048, 3072, ... that it is told of.
+// Warns, once each:
+//   of a dt at which ke and kd of what touches diverge even with all but one body held
+//   of one at which kf does, of a friction law whose slope at rest is kf: it shakes at its cone
+//   of a body that rests deeper than a quarter of its radius of gyration
+//   of a body whose pose is not finite, which meets nothing
+// It looks at a body whenever the shapes that touch it, or in how many rows, are others than
+// before, at depths in every 32nd step, and at poses in steps 1, 2, 4, 8, ..., 1024, 2048, 3072,
+// ...
 class NOVAPHY_DYNAMICS_API ContactWatch {
  public:
-  // `function` starts the messages, `advice` ends that of dt.
+  // `function` starts the messages, `advice` ends those of dt.
   explicit ContactWatch(const char* function,
-                        const char* advice = "stable_dt(state, contacts) says what is safe")
+                        const char* advice =
+                            "stable_dt(state, contacts) says what is safe, and "
+                            "SolverFeatherstone needs none of them")
       : function_(function), advice_(advice) {}
+  // Of a law of friction whose slope at rest is less than kf.
+  void leave_out_friction() { warned_of_friction_ = true; }
 
-  // Counts a step, and says whether it is one to look at. The others cost nothing more.
-  bool is_due();
-  // Reads on the host. `bodies` as in contact_limit.
+  // Counts a step, and says whether it is one to look at: every one, or where looking is dear
+  // steps 1, 2, 4, 8, ... 1024, 2048, 3072, ...
+  bool is_due(bool is_dear);
+  // Reads on the host. The rows must be of shapes and bodies that are there. `bodies`: nonzero for
+  // those to look at; null: all. `pushed`: rigid_contact_force is that of the
+  // rows as they are, which says what touches.
   void look(const Model& model, const SimState& state, const Contacts& contacts, float dt,
-            const std::vector<uint8_t>* bodies = nullptr);
+            bool pushed, const std::vector<uint8_t>* bodies = nullptr);
   // For contacts that nothing holds: what the softest contact of one of the model's pairs of shapes
   // does, one row through the centre of mass. It looks only while dt is longer than before, or ke,
-  // kd or masses were written.
+  // kd, kf or masses were written.
   void look_at_pairs(const Model& model, float dt);
 
  private:
+  // What has touched a body, as numbers; 0: nothing.
+  struct Touched {
+    uint32_t now = 0, seen[4] = {};
+    int32_t next = 0;      // of seen
+    int32_t changed = -1;  // its place among those that changed
+  };
+  void find_changed(const detail::TouchingRows& rows, const Model& model, float dt);
   void check(const ContactLimit& limit, float dt);
+  void check_friction(const ContactLimit& limit, float dt);
   void check_poses(const SimState& state);
+  void check_depths(const detail::TouchingRows& rows, const Model& model);
 
   const char *function_, *advice_;
   uint64_t steps_ = 0;
-  bool warned_ = false, warned_of_pose_ = false;
-  float longest_dt_ = 0.0f;  // s, of look_at_pairs
-  ArrayStamp read_[3];       // likewise
+  bool warned_ = false, warned_of_friction_ = false, warned_of_depth_ = false,
+       warned_of_pose_ = false;
+  float longest_dt_ = 0.0f;                  // s, that was looked at
+  ArrayStamp read_[5];                       // as they were
+  std::vector<Touched> touched_;             // of bodies
+  std::vector<int32_t> touching_, changed_;  // bodies
 };
 
 }  // namespace novaphy

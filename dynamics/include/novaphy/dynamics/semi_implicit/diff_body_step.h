@@ -23,7 +23,12 @@ struct BodyStepOptions {
 // Keeps memory from call to call; one thread at a time may use it.
 class NOVAPHY_DYNAMICS_API BodyStep {
  public:
-  explicit BodyStep(const BodyStepOptions& options) : options_(options), watch_(options.solver) {}
+  explicit BodyStep(const BodyStepOptions& options) : options_(options), watch_(options.solver) {
+    const FrictionLaw law = options.friction_law;
+    if (options.friction_smoothing > 0.0f &&
+        (law == FrictionLaw::Huber || law == FrictionLaw::Newton17))
+      watch_.leave_out_friction();
+  }
 
   // What the steps of a call have in common. ErrorKind::NotImplemented: with static contacts, a
   // pair of shapes that they do not cover.

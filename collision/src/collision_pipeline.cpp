@@ -2,12 +2,15 @@
 
 #include <algorithm>
 #include <cmath>
+#include <set>
 #include <utility>
 
 #include "fcl_penetration.h"
 #include "novaphy/core/error.h"
 #include "novaphy/core/recorder.h"
 #include "novaphy/core/sim/input_checks.h"
+#include "novaphy/core/warning.h"
+#include "overlaps.h"
 #include "rigid_contacts.h"
 #include "soft_contacts.h"
 
@@ -80,11 +83,25 @@ CollisionPipeline::CollisionPipeline(std::shared_ptr<const Model> model,
   }
   const auto geometries = std::make_shared<detail::ShapeGeometries>(model_);
   soft_contacts_ = std::make_shared<detail::SoftContacts>(model_, geometries);
-  rigid_contacts_ = std::make_shared<detail::RigidContacts>(
-      model_, geometries, options.broad_phase, options.narrow_phase, options.contacts_per_pair,
-      options_.shape_pairs_filtered);
+  const auto rigid_contacts = [&](NarrowPhase narrow_phase) {
+    return std::make_shared<detail::RigidContacts>(model_, geometries, options.broad_phase,
+                                                   narrow_phase, options.contacts_per_pair,
+                                                   options_.shape_pairs_filtered);
+  };
+  rigid_contacts_ = rigid_contacts(options.narrow_phase);
   soft_contact_pair_count();
   rigid_contact_max();
+  // FCL counts its pairs.
+  overlaps_ = detail::overlaps_of(*model_, options.narrow_phase == NarrowPhase::Fcl
+                                               ? *rigid_contacts(NarrowPhase::Auto)
+                                               : *rigid_contacts_);
+  if (options.filter_overlaps) {
+    std::set<std::pair<int32_t, int32_t>> pairs;
+    for (const ShapeOverlap& overlap : overlaps_) pairs.insert({overlap.shape0, overlap.shape1});
+    rigid_contacts_->leave_out(std::move(pairs));
+  } else if (!overlaps_.empty()) {
+    warn_of(name, ": ", overlap_text(overlaps_), "; filter_overlaps leaves them out");
+  }
 }
 
 int32_t CollisionPipeline::soft_contact_pair_count() const {
@@ -104,9 +121,7 @@ int64_t CollisionPipeline::fcl_fallback_count() const { return rigid_contacts_->
 int32_t CollisionPipeline::rigid_contact_max() const {
   const ExclusiveUse::Scope scope(*in_use_, "rigid_contact_max", "the pipeline");
   const int64_t most = rigid_contacts_->most_rows();
-  if (options_.rigid_contact_max) return *options_.rigid_contact_max;
-  constexpr int64_t kFew = 1000, kPerShape = 64;
-  return static_cast<int32_t>(std::min(most, std::max(kFew, kPerShape * model_->shape_count())));
+  return options_.rigid_contact_max.value_or(detail::rigid_rows(*model_, most));
 }
 
 Contacts CollisionPipeline::contacts(bool per_contact_shape_properties) const {

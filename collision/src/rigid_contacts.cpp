@@ -78,6 +78,7 @@ struct RigidContacts::Impl {
   NarrowPhase narrow_phase;
   int32_t contacts_per_pair = 0;
   std::optional<std::vector<Vec2i>> explicit_pairs;  // instead of the model's
+  std::set<std::pair<int32_t, int32_t>> left_out;    // of all pairs
   std::shared_ptr<ShapeGeometries> geometries;
   // The candidate pairs follow from arrays of the model in these versions.
   ArrayVersions<7> versions;
@@ -147,6 +148,8 @@ struct RigidContacts::Impl {
   // Takes pairs (i < j) as those to look at. Returns the most rows that they can have.
   int64_t take(std::vector<Vec2i> found) {
     int64_t rows = 0;
+    if (!left_out.empty())
+      std::erase_if(found, [&](const Vec2i& p) { return left_out.contains({p.x, p.y}); });
     for (Vec2i& pair : found) rows += orient(pair);
     const auto before_other = [](const Vec2i& a, const Vec2i& b) {
       return a.x != b.x ? a.x < b.x : a.y < b.y;
@@ -360,7 +363,7 @@ struct RigidContacts::Impl {
     if (!kernel_sweep_known) {
       const Unobserved unobserved;  // the model is no part of what a capture records
       check_all_pairs();
-      kernel_sweep.update(*model, world);
+      kernel_sweep.update(*model, world, left_out);
       kernel_sweep_known = true;
     }
     const auto shapes_count = static_cast<int64_t>(type.size());
@@ -403,8 +406,18 @@ RigidContacts::RigidContacts(std::shared_ptr<const Model> model,
 }
 RigidContacts::~RigidContacts() = default;
 
+void RigidContacts::leave_out(std::set<std::pair<int32_t, int32_t>> pairs) {
+  impl_->left_out = std::move(pairs);
+  impl_->versions.reset();
+}
+
 int64_t RigidContacts::fcl_pairs() const { return impl_->fcl_pairs; }
 int64_t RigidContacts::fcl_fallbacks() const { return impl_->fcl_fallbacks; }
+
+int32_t rigid_rows(const Model& model, int64_t most) {
+  constexpr int64_t kFew = 1000, kPerShape = 64;
+  return static_cast<int32_t>(std::min(most, std::max(kFew, kPerShape * model.shape_count())));
+}
 
 int64_t RigidContacts::most_rows() {
   impl_->find_candidates();

@@ -5,6 +5,8 @@
 #include <cstdint>
 #include <memory>
 #include <optional>
+#include <set>
+#include <utility>
 #include <vector>
 
 #include "novaphy/collision/broad_phase.h"
@@ -22,6 +24,8 @@ class RigidContacts {
                 std::optional<std::vector<Vec2i>> explicit_pairs);
   ~RigidContacts();
 
+  // Pairs (i < j) that are no candidates any more.
+  void leave_out(std::set<std::pair<int32_t, int32_t>> pairs);
   // Rows that no state can exceed. The model's arrays are read when they were written since the
   // last call. ErrorKind::NotImplemented: two shapes that may meet and are not covered.
   int64_t most_rows();
@@ -36,6 +40,9 @@ class RigidContacts {
   struct Impl;
   std::unique_ptr<Impl> impl_;
 };
+
+// Rows that contacts have by default, of candidates that can have `most`.
+int32_t rigid_rows(const Model& model, int64_t most);
 
 // The texts of the kernels for devices; null: the build has none.
 const char* rigid_contact_kernels_text();

@@ -52,7 +52,8 @@ int64_t axis_of(const Model& m) {
 
 }  // namespace
 
-void RigidSweep::update(const Model& m, std::span<const int32_t> world) {
+void RigidSweep::update(const Model& m, std::span<const int32_t> world,
+                        const std::set<std::pair<int32_t, int32_t>>& left_out) {
   const Device device = m.device();
   const size_t shapes = world.size();
   for (size_t s = 0; s < shapes; ++s)
@@ -61,11 +62,12 @@ void RigidSweep::update(const Model& m, std::span<const int32_t> world) {
   axis_ = axis_of(m);
   segments_ = int64_t{m.world_count()} + 1;
   std::vector<std::vector<int32_t>> partners(shapes);
-  for (const auto& [i, j] : m.shape_collision_filter_pairs) {
-    if (i < 0 || j < 0 || static_cast<size_t>(std::max(i, j)) >= shapes) continue;
-    partners[static_cast<size_t>(i)].push_back(j);
-    partners[static_cast<size_t>(j)].push_back(i);
-  }
+  for (const auto* pairs : {&m.shape_collision_filter_pairs, &left_out})
+    for (const auto& [i, j] : *pairs) {
+      if (i < 0 || j < 0 || static_cast<size_t>(std::max(i, j)) >= shapes) continue;
+      partners[static_cast<size_t>(i)].push_back(j);
+      partners[static_cast<size_t>(j)].push_back(i);
+    }
   std::vector<int32_t> starts = {0}, filtered;
   for (const std::vector<int32_t>& of_shape : partners) {
     filtered.insert(filtered.end(), of_shape.begin(), of_shape.end());

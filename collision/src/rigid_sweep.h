@@ -4,7 +4,9 @@
 
 #include <cstdint>
 #include <memory>
+#include <set>
 #include <span>
+#include <utility>
 
 #include "novaphy/core/device_array.h"
 #include "novaphy/core/sim/model.h"
@@ -13,8 +15,10 @@ namespace novaphy::detail {
 
 class RigidSweep {
  public:
-  // Tables of a model whose shapes have these worlds. ErrorKind::Index: a world that is not there.
-  void update(const Model& model, std::span<const int32_t> world);
+  // Tables of a model whose shapes have these worlds. `left_out`: pairs that do not meet, besides
+  // those of the model. ErrorKind::Index: a world that is not there.
+  void update(const Model& model, std::span<const int32_t> world,
+              const std::set<std::pair<int32_t, int32_t>>& left_out);
   // Launches that sort the shapes (RigidShape) and count the partners of each.
   void sort(const Model& model, const Array& shapes);
   // Behind `sort`: launches that write the pairs (shape0, shape1), in ascending order, as many as

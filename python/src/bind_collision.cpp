@@ -42,7 +42,8 @@ void bind_collision(py::module_& m) {
                       int32_t contacts_per_pair, std::optional<int32_t> soft_contact_max,
                       std::optional<float> soft_contact_margin,
                       std::optional<float> soft_contact_gap, std::optional<bool> requires_grad,
-                      bool deterministic, bool reduce_contacts, py::handle shape_pairs_filtered) {
+                      bool deterministic, bool reduce_contacts, py::handle shape_pairs_filtered,
+                      bool filter_overlaps) {
             require(!soft_contact_margin || !soft_contact_gap, ErrorKind::Value,
                     "soft_contact_gap: another name of soft_contact_margin; give one of them");
             require(
@@ -60,6 +61,7 @@ void bind_collision(py::module_& m) {
             options.deterministic = deterministic;
             options.requires_grad = requires_grad;
             options.shape_pairs_filtered = to_shape_pairs(shape_pairs_filtered);
+            options.filter_overlaps = filter_overlaps;
             return std::make_unique<CollisionPipeline>(model, options);
           }),
           py::arg("model").none(false), py::kw_only(), "broad_phase"_a = "explicit",
@@ -67,7 +69,7 @@ void bind_collision(py::module_& m) {
           "soft_contact_max"_a = py::none(), "soft_contact_margin"_a = py::none(),
           "soft_contact_gap"_a = py::none(), "requires_grad"_a = py::none(),
           "deterministic"_a = true, "reduce_contacts"_a = true,
-          "shape_pairs_filtered"_a = py::none(),
+          "shape_pairs_filtered"_a = py::none(), "filter_overlaps"_a = false,
           "broad_phase: \"explicit\" (model.shape_contact_pairs, or shape_pairs_filtered (n, 2), "
           "whatever flags, groups, worlds and filters say), \"nxn\" (the pairs that flags, "
           "groups and worlds of shapes now allow) or \"sap\" (the same by sweep and prune; in a "
@@ -80,7 +82,9 @@ void bind_collision(py::module_& m) {
           "shapes that are no planes; soft_contact_max None: as many "
           "slots as candidate pairs; soft_contact_margin, "
           "m, 0.01 by default "
-          "(soft_contact_gap is another name for it); reduce_contacts: True, of meshes only.")
+          "(soft_contact_gap is another name for it); reduce_contacts: True, of meshes only; "
+          "filter_overlaps: leaves out the pairs of bodies that overlap at model.body_q, for good; "
+          "False: a RuntimeWarning names them, with their depth.")
       .def_property_readonly(
           "model",
           [](const CollisionPipeline& p) { return std::const_pointer_cast<Model>(p.model()); },
@@ -112,6 +116,19 @@ void bind_collision(py::module_& m) {
           },
           "The pairs (i < j) that are looked at instead of model.shape_contact_pairs, ascending; "
           "None: those.")
+      .def_property_readonly(
+          "overlaps",
+          [](const CollisionPipeline& p) {
+            py::list overlaps;
+            for (const ShapeOverlap& o : p.overlaps())
+              overlaps.append(py::make_tuple(o.shape0, o.shape1, o.depth));
+            return overlaps;
+          },
+          "(i, j, depth in m) of the pairs (i < j) that overlapped at model.body_q when the "
+          "pipeline "
+          "was made, by more than a thousandth of the smaller shape's collision radius, the "
+          "deepest "
+          "first. Shapes of the world and pairs of which neither body moves are not among them.")
       .def_property_readonly("fcl_pair_count", &CollisionPipeline::fcl_pair_count,
                              "Overlapping pairs of hulls so far, with narrow_phase \"fcl\".")
       .def_property_readonly("fcl_fallback_count", &CollisionPipeline::fcl_fallback_count,

@@ -2,6 +2,7 @@
 #include <pybind11/stl/filesystem.h>
 
 #include "convert.h"
+#include "novaphy/collision/overlaps.h"
 #ifdef NOVAPHY_PYTHON_IO
 #include "novaphy/io/robot.h"
 #endif
@@ -92,6 +93,14 @@ void check_opens(const std::string& source) {
   py::module_::import("builtins").attr("open")(source, "rb").attr("close")();
 }
 
+// Pairs of the robot's shapes that overlap at the start never meet. A pipeline tells of those that
+// are not left out: the tables that the search needs take longer than reading the file.
+RobotImport without_overlaps(ModelBuilder& builder, RobotImport result) {
+  for (const ShapeOverlap& o : find_overlaps(builder, result.shapes))
+    builder.add_shape_collision_filter_pair(o.shape0, o.shape1);
+  return result;
+}
+
 RobotImport with_warnings(RobotImport result) {
   for (const std::string& text : result.warnings)
     if (PyErr_WarnEx(PyExc_UserWarning, text.c_str(), 1) != 0) throw py::error_already_set();
@@ -107,7 +116,7 @@ RobotImport add_urdf_to(ModelBuilder& builder, py::handle source, py::handle xfo
                         bool bodies_follow_joint_ordering, bool collapse_fixed_joints,
                         std::optional<int32_t> mesh_maxhullvert,
                         const std::string& joint_damping_mode, py::handle package_dirs,
-                        const std::string& mimic) {
+                        const std::string& mimic, bool filter_overlaps) {
   constexpr const char* name = "add_urdf";
   const std::string text = source_text(name, source);
   check_opens(text);
@@ -140,17 +149,20 @@ RobotImport add_urdf_to(ModelBuilder& builder, py::handle source, py::handle xfo
                                 {"refuse", MimicMode::Refuse},
                                 {"fixed", MimicMode::Fixed},
                                 {"independent", MimicMode::Independent}})};
-  return with_warnings(add_urdf(builder, text, options));
+  RobotImport result = add_urdf(builder, text, options);
+  return with_warnings(filter_overlaps ? without_overlaps(builder, std::move(result)) : result);
 }
 
 RobotImport add_mjcf_to(ModelBuilder& builder, py::handle source, py::handle xform,
-                        bool collapse_fixed_joints, bool enable_self_collisions) {
+                        bool collapse_fixed_joints, bool enable_self_collisions,
+                        bool filter_overlaps) {
   const std::string text = source_text("add_mjcf", source);
   check_opens(text);
-  return with_warnings(add_mjcf(builder, text,
-                                {.xform = to_transform(xform, "xform"),
-                                 .collapse_fixed_joints = collapse_fixed_joints,
-                                 .enable_self_collisions = enable_self_collisions}));
+  const MjcfOptions options{.xform = to_transform(xform, "xform"),
+                            .collapse_fixed_joints = collapse_fixed_joints,
+                            .enable_self_collisions = enable_self_collisions};
+  RobotImport result = add_mjcf(builder, text, options);
+  return with_warnings(filter_overlaps ? without_overlaps(builder, std::move(result)) : result);
 }
 
 void bind_result(py::module_& io) {
@@ -208,14 +220,16 @@ void bind_robots(py::class_<ModelBuilder>& builder, py::module_& io) {
       "Joints start at 0 or the nearest limit. mesh_maxhullvert: colliders of meshes become hulls. "
       "joint_damping_mode: \"passive\" or \"drive\" (target_kd). mimic: \"follow\", \"refuse\", "
       "\"fixed\" or "
-      "\"independent\". ValueError and "
+      "\"independent\". filter_overlaps: pairs of its shapes that overlap where its joints start "
+      "never meet; False: a CollisionPipeline names them, with their depth. ValueError and "
       "NotImplementedError name file, line and element; the builder is then as it was. OSError: "
       "no such file. What is not read gives a UserWarning.";
   constexpr const char* mjcf_doc =
       "Adds the bodies, joints, geoms and motors of an MJCF file: a path, or the XML itself. A "
       "subset; what would change the physics and is not in it raises NotImplementedError by name. "
       "Returns a RobotImport. xform: pose of the file's world (m, xyzw). Joints start at 0, or "
-      "where init_qpos says, or at the nearest limit. Errors as of add_urdf.";
+      "where init_qpos says, or at the nearest limit. Shapes meet that meet in MuJoCo. "
+      "filter_overlaps and errors as of add_urdf.";
 #ifdef NOVAPHY_PYTHON_IO
   bind_result(io);
   builder.def("add_urdf", &add_urdf_to, "source"_a, py::kw_only(), "xform"_a = py::none(),
@@ -225,9 +239,11 @@ void bind_robots(py::class_<ModelBuilder>& builder, py::module_& io) {
               "ignore_inertial_definitions"_a = false, "joint_ordering"_a = "dfs",
               "bodies_follow_joint_ordering"_a = true, "collapse_fixed_joints"_a = false,
               "mesh_maxhullvert"_a = py::none(), "joint_damping_mode"_a = "passive",
-              "package_dirs"_a = py::none(), "mimic"_a = "follow", urdf_doc);
+              "package_dirs"_a = py::none(), "mimic"_a = "follow", "filter_overlaps"_a = false,
+              urdf_doc);
   builder.def("add_mjcf", &add_mjcf_to, "source"_a, py::kw_only(), "xform"_a = py::none(),
-              "collapse_fixed_joints"_a = false, "enable_self_collisions"_a = true, mjcf_doc);
+              "collapse_fixed_joints"_a = false, "enable_self_collisions"_a = true,
+              "filter_overlaps"_a = false, mjcf_doc);
 #else
   static_cast<void>(io);
   const auto missing = [&](const char* name, const char* doc) {

@@ -50,6 +50,58 @@ def test_order_and_repetition_of_the_pairs_do_not_matter():
     assert rows.tobytes() == rows_of(model, shape_pairs_filtered=[(0, 1), (1, 5)]).tobytes()
 
 
+def balls(gaps, fixed=()):
+    """Balls of radius 0.1 m in a row; `fixed` ones hang on the world."""
+    builder = novaphy.ModelBuilder(gravity=0.0)
+    x = 0.0
+    for k, gap in enumerate([*gaps, 0.0]):
+        pose = ((x, 0, 0), (0, 0, 0, 1))
+        if k in fixed:
+            body = builder.add_link(xform=pose)
+            builder.add_articulation([builder.add_joint_fixed(-1, body, parent_xform=pose)])
+        else:
+            body = builder.add_body(xform=pose)
+        builder.add_shape_sphere(body, radius=0.1)
+        x += 0.2 + gap
+    return builder.finalize()
+
+
+@pytest.mark.parametrize("broad_phase", ["explicit", "nxn", "sap"])
+def test_pairs_that_overlap_at_the_start_are_named_once_or_left_out(broad_phase):
+    model = balls([-0.01, 1e-5, -0.05, -1e-5, -0.02], fixed=(4, 5))
+    with pytest.warns(RuntimeWarning) as found:
+        pipeline = novaphy.CollisionPipeline(model, broad_phase=broad_phase)
+        contacts = pipeline.contacts()
+        for _ in range(3):
+            pipeline.collide(model.state(), contacts)
+    (warning,) = [str(w.message) for w in found]
+    assert warning == (
+        "CollisionPipeline: 2 pairs of shapes overlap at the start: "
+        '"shape_2" and "shape_3" by 0.05 m, "shape_0" and "shape_1" by 0.01 m; '
+        "filter_overlaps leaves them out"
+    )
+    assert [(i, j) for i, j, _ in pipeline.overlaps] == [(2, 3), (0, 1)]
+    np.testing.assert_allclose([d for *_, d in pipeline.overlaps], [0.05, 0.01], rtol=1e-5)
+    every = contacts.rigid_contacts()
+    apart = novaphy.CollisionPipeline(model, broad_phase=broad_phase, filter_overlaps=True)
+    contacts = apart.contacts()
+    for _ in range(2):
+        apart.collide(model.state(), contacts)
+        rows = contacts.rigid_contacts()
+        met = [tuple(sorted((r["shape0"], r["shape1"]))) for r in every]
+        kept = np.array([pair not in ((0, 1), (2, 3)) for pair in met])
+        assert rows.tobytes() == every[kept].tobytes() and 0 < len(rows) < len(every)
+
+
+def test_the_search_for_overlaps_stands_on_no_tape():
+    nova = pytest.importorskip("novaphy.nova")
+    model = balls([-0.01])
+    model.body_q.requires_grad = model.shape_transform.requires_grad = True
+    with nova.Tape() as tape:
+        pipeline = novaphy.CollisionPipeline(model, filter_overlaps=True)
+    assert len(pipeline.overlaps) == 1 and len(tape) == 0
+
+
 def test_a_pair_that_is_filtered_out_meets_when_it_is_given():
     rows = rows_of(heap(), shape_pairs_filtered=[(1, 3)])
     assert len(rows) > 0 and {(int(r["shape0"]), int(r["shape1"])) for r in rows} == {(1, 3)}

@@ -209,6 +209,32 @@ def test_self_collisions():
         assert loaded(fixed, collapse_fixed_joints=collapse)[0].shape_contact_pair_count == 0
 
 
+def test_overlaps_at_the_start_are_named_or_left_out():
+    ball = INERTIAL + f"<collision>{SPHERE}</collision>"
+    at = '<origin xyz="{} 0 0"/>'.format
+    # The third ball is 0.17 m from the first one: 0.03 m deep. Neighbours do not meet.
+    text = robot(
+        *(link(name, ball) for name in "abc"),
+        joint("i", "a", "b", at(0.1)),
+        joint("j", "b", "c", at(0.07)),
+    )
+
+    def pipeline(**options: bool):
+        builder = novaphy.ModelBuilder()
+        builder.add_ground_plane()  # which the robot touches
+        builder.add_urdf(text, **options)
+        return novaphy.CollisionPipeline(builder.finalize())
+
+    message = '1 pair of shapes overlaps at the start: "a/collision_0" and "c/collision_0" by 0.03'
+    with pytest.warns(RuntimeWarning, match=message) as said:
+        every = pipeline()
+    assert len(said) == len(every.overlaps) == 1
+    apart = pipeline(filter_overlaps=True)
+    assert apart.overlaps == pipeline(enable_self_collisions=False).overlaps == []
+    pairs = [len(of.model.shape_contact_pairs.numpy()) for of in (every, apart)]
+    assert pairs[1] == pairs[0] - 1
+
+
 def test_joints_start_within_their_limits():
     model, state, result = loaded(FR3)
     q, rows = model.joint_q.numpy(), result.joint_coords

@@ -584,6 +584,7 @@ class CollisionPipeline(_Native):
         deterministic: bool = True,
         reduce_contacts: bool = True,
         shape_pairs_filtered: Iterable[Sequence[SupportsIndex]] | NDArray[Any] | None = None,
+        filter_overlaps: bool = False,
     ) -> None: ...
     @property
     def model(self) -> Model: ...
@@ -593,6 +594,8 @@ class CollisionPipeline(_Native):
     def narrow_phase(self) -> str: ...
     @property
     def shape_pairs_filtered(self) -> list[tuple[int, int]] | None: ...
+    @property
+    def overlaps(self) -> list[tuple[int, int, float]]: ...
     @property
     def fcl_pair_count(self) -> int: ...
     @property
@@ -1461,6 +1464,7 @@ class ModelBuilder(_Native):
         xform: _Transform | None = None,
         collapse_fixed_joints: bool = False,
         enable_self_collisions: bool = True,
+        filter_overlaps: bool = False,
     ) -> io.RobotImport: ...
     def add_urdf(
         self,
@@ -1484,6 +1488,7 @@ class ModelBuilder(_Native):
         joint_damping_mode: str = "passive",
         package_dirs: Sequence[str | os.PathLike[str]] | None = None,
         mimic: str = "follow",
+        filter_overlaps: bool = False,
     ) -> io.RobotImport: ...
     def finalize(
         self,

@@ -9,6 +9,7 @@
 #include "novaphy/collision/broad_phase.h"
 #include "novaphy/collision/export.h"
 #include "novaphy/collision/narrow_phase.h"
+#include "novaphy/collision/overlaps.h"
 #include "novaphy/core/exclusive_use.h"
 #include "novaphy/core/sim/contacts.h"
 #include "novaphy/core/sim/model.h"
@@ -40,6 +41,9 @@ struct CollisionOptions {
   float soft_contact_margin = 0.01f;
   bool deterministic = true;  // contacts are always made in candidate order, also with false
   std::optional<bool> requires_grad = {};  // handed on to contacts(); the model's when empty
+  // Leaves out the pairs of shapes that overlap where the bodies start, for good. False: warns of
+  // them once, when the pipeline is made.
+  bool filter_overlaps = false;
 };
 
 // Soft contacts: a record for every active particle and every shape with
@@ -100,6 +104,10 @@ class NOVAPHY_COLLISION_API CollisionPipeline : public ContactFinder {
   const std::optional<std::vector<Vec2i>>& shape_pairs_filtered() const {
     return options_.shape_pairs_filtered;
   }
+  // The candidates that overlapped at Model::body_q when the pipeline was made, as find_overlaps
+  // (overlaps.h) has them; without shapes of the world, into which what rests on springs sinks, and
+  // pairs of which neither shape moves: of kinematic bodies, or fixed to such a one or the world.
+  const std::vector<ShapeOverlap>& overlaps() const { return overlaps_; }
   NarrowPhase narrow_phase() const { return options_.narrow_phase; }
   // With NarrowPhase::Fcl, over all calls so far: the pairs of hulls that overlap, and those of
   // them for which FCL's answer was not taken.
@@ -138,6 +146,7 @@ class NOVAPHY_COLLISION_API CollisionPipeline : public ContactFinder {
 
   std::shared_ptr<const Model> model_;
   CollisionOptions options_;
+  std::vector<ShapeOverlap> overlaps_;
   std::shared_ptr<detail::SoftContacts> soft_contacts_;
   std::shared_ptr<detail::RigidContacts> rigid_contacts_;
   std::shared_ptr<ExclusiveUse> in_use_ = std::make_shared<ExclusiveUse>();  // of both

@@ -322,6 +322,11 @@ class NOVAPHY_CORE_API ModelBuilder {
   // ErrorKind::Value: what convex_hull refuses, a scale <= 0.
   int32_t add_shape_convex_hull(int32_t body, const ShapeConvexHullArgs& args);
 
+  // For a search for overlaps: leaves in `indices` the shapes that may meet another one of them and
+  // whose boxes, without gaps, meet that one's where the bodies start. Returns a builder of these
+  // alone, on free bodies. ErrorKind::Index: no such shape.
+  ModelBuilder shapes_whose_boxes_meet(std::vector<int32_t>& indices) const;
+
   // The two shapes never meet. ErrorKind::Index: no such shape; ErrorKind::Value: a == b.
   void add_shape_collision_filter_pair(int32_t a, int32_t b);
 

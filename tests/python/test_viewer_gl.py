@@ -267,6 +267,8 @@ def test_pictures_and_videos_are_written(egl, tmp_path):
     ],
 )  # fmt: skip
 def test_what_is_missing_is_named(egl, blocked, options, variables, expected):
+    if not options and blocked != "pyglet":
+        pytest.importorskip("pyglet", reason="windows need pyglet")
     code = (
         f"import sys; sys.modules[{blocked!r}] = None; import novaphy\n"
         f"try: novaphy.ViewerGL({options})\nexcept ImportError as error: print(error)"

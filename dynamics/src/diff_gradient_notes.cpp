@@ -34,6 +34,31 @@ void fill(const DeviceArray<int32_t>& array, const T& with) {
   to.copy_from_host(std::span<const int32_t>(words));
 }
 
+// The words of SoftModes.
+std::vector<LaunchArgument> mode_words_of_particles(const Model& m, const NotedStep& step) {
+  return {value("particle_mass", m.particle_mass),
+          value("shape_material_ke", m.shape_material_ke),
+          value("shape_material_kf", m.shape_material_kf),
+          value("shape_material_mu", m.shape_material_mu),
+          number(m.soft_contact_ke),
+          number(m.soft_contact_kf),
+          number(m.soft_contact_mu),
+          number(step.kf_rate)};
+}
+// The words of RigidModes.
+std::vector<LaunchArgument> mode_words(const Model& m, const NotedStep& step) {
+  return {value("body_qd", step.body_qd),
+          value("body_com", m.body_com),
+          value("shape_material_ke", m.shape_material_ke),
+          value("shape_material_kd", m.shape_material_kd),
+          value("shape_material_kf", m.shape_material_kf),
+          value("shape_material_mu", m.shape_material_mu),
+          number(step.smoothing)};
+}
+void append(std::vector<LaunchArgument>& to, std::vector<LaunchArgument> more) {
+  to.insert(to.end(), more.begin(), more.end());
+}
+
 }  // namespace
 
 void GradientNotes::List::reserve(int64_t contacts, Device device) {
@@ -50,37 +75,29 @@ void GradientNotes::Looks::at_soft(const Model& m, const NotedStep& step) {
   const auto rows = static_cast<int64_t>(c.soft_contact_particle.rows());
   if (rows == 0) return;
   soft.reserve(rows, m.device());
-  note_kernels().soft.launch(
-      m.device(), rows,
-      {updates_row("now", soft.now),
-       updates_row("before", soft.before),
-       reads("soft_contact_count", c.soft_contact_count),
-       reads("soft_contact_particle", c.soft_contact_particle),
-       reads("soft_contact_shape", c.soft_contact_shape),
-       value("soft_contact_body_pos", c.soft_contact_body_pos),
-       value("soft_contact_body_vel", c.soft_contact_body_vel),
-       value("soft_contact_normal", c.soft_contact_normal),
-       value("particle_q", step.q),
-       value("particle_qd", step.qd),
-       value("body_q", step.body_q),
-       value("body_qd", step.body_qd),
-       value("body_com", m.body_com),
-       reads("shape_body", m.shape_body),
-       reads("shape_type", m.shape_type),
-       value("shape_scale", m.shape_scale),
-       value("particle_radius", m.particle_radius),
-       step.slip > 0.0f ? value("shape_margin", m.shape_margin) : LaunchArgument(),
-       value("particle_mass", m.particle_mass),
-       value("shape_material_ke", m.shape_material_ke),
-       value("shape_material_kf", m.shape_material_kf),
-       value("shape_material_mu", m.shape_material_mu),
-       number(m.soft_contact_ke),
-       number(m.soft_contact_kf),
-       number(m.soft_contact_mu),
-       number(step.kf_rate),
-       number(step.slip),
-       number(int64_t{step.soft_follow}),
-       number(int64_t{m.shape_count()})});
+  std::vector<LaunchArgument> words = {
+      updates_row("now", soft.now),
+      updates_row("before", soft.before),
+      reads("soft_contact_count", c.soft_contact_count),
+      reads("soft_contact_particle", c.soft_contact_particle),
+      reads("soft_contact_shape", c.soft_contact_shape),
+      value("soft_contact_body_pos", c.soft_contact_body_pos),
+      value("soft_contact_body_vel", c.soft_contact_body_vel),
+      value("soft_contact_normal", c.soft_contact_normal),
+      value("particle_q", step.q),
+      value("particle_qd", step.qd),
+      value("body_q", step.body_q),
+      value("body_qd", step.body_qd),
+      value("body_com", m.body_com),
+      reads("shape_body", m.shape_body),
+      reads("shape_type", m.shape_type),
+      value("shape_scale", m.shape_scale),
+      value("particle_radius", m.particle_radius),
+      step.slip > 0.0f ? value("shape_margin", m.shape_margin) : LaunchArgument()};
+  append(words, mode_words_of_particles(m, step));
+  append(words,
+         {number(step.slip), number(int64_t{step.soft_follow}), number(int64_t{m.shape_count()})});
+  note_kernels().soft.launch(m.device(), rows, words);
 }
 
 void GradientNotes::Looks::at_static_particles(const Model& m, const NotedStep& step) {
@@ -93,51 +110,25 @@ void GradientNotes::Looks::at_static_particles(const Model& m, const NotedStep& 
   const auto table = [&](const char* name, const std::shared_ptr<Range>& range) {
     return reads(name, Array(DType::int32, range->bytes() / sizeof(int32_t), 1, range));
   };
-  note_kernels().static_particles.launch(
-      m.device(), particles,
-      {updates("now", soft.now),
-       updates("before", soft.before),
-       none,
-       all ? none : table("pairs_of_particles", step.shapes_of->offsets),
-       all ? none : table("pair_shape", step.shape.range),
-       value("particle_q", step.q),
-       value("particle_qd", step.qd),
-       reads("shape_flags", m.shape_flags),
-       reads("shape_body", m.shape_body),
-       reads("shape_type", m.shape_type),
-       value("shape_transform", m.shape_transform),
-       value("shape_scale", m.shape_scale),
-       value("particle_radius", m.particle_radius),
-       value("shape_margin", m.shape_margin),
-       value("particle_mass", m.particle_mass),
-       value("shape_material_ke", m.shape_material_ke),
-       value("shape_material_kf", m.shape_material_kf),
-       value("shape_material_mu", m.shape_material_mu),
-       number(m.soft_contact_ke),
-       number(m.soft_contact_kf),
-       number(m.soft_contact_mu),
-       number(step.kf_rate),
-       number(step.static_reach),
-       number(int64_t{m.shape_count()})});
+  std::vector<LaunchArgument> words = {
+      updates("now", soft.now),
+      updates("before", soft.before),
+      none,
+      all ? none : table("pairs_of_particles", step.shapes_of->offsets),
+      all ? none : table("pair_shape", step.shape.range),
+      value("particle_q", step.q),
+      value("particle_qd", step.qd),
+      reads("shape_flags", m.shape_flags),
+      reads("shape_body", m.shape_body),
+      reads("shape_type", m.shape_type),
+      value("shape_transform", m.shape_transform),
+      value("shape_scale", m.shape_scale),
+      value("particle_radius", m.particle_radius),
+      value("shape_margin", m.shape_margin)};
+  append(words, mode_words_of_particles(m, step));
+  append(words, {number(step.static_reach), number(int64_t{m.shape_count()})});
+  note_kernels().static_particles.launch(m.device(), particles, words);
 }
-
-namespace {
-
-// The words of RigidModes.
-std::vector<LaunchArgument> mode_words(const Model& m, const NotedStep& step) {
-  return {value("body_qd", step.body_qd),
-          value("body_com", m.body_com),
-          value("shape_material_ke", m.shape_material_ke),
-          value("shape_material_kd", m.shape_material_kd),
-          value("shape_material_kf", m.shape_material_kf),
-          value("shape_material_mu", m.shape_material_mu),
-          number(step.smoothing)};
-}
-void append(std::vector<LaunchArgument>& to, std::vector<LaunchArgument> more) {
-  to.insert(to.end(), more.begin(), more.end());
-}
-
-}  // namespace
 
 void GradientNotes::Looks::at_rigid(const Model& m, const NotedStep& step) {
   const ContactFields& c = *step.contacts;

@@ -25,6 +25,12 @@ inline bool next_seen(const SeenRows& of, int64_t row) {
   return row < *of.count;
 }
 
+// The materials of particles and shapes.
+struct SoftModes {
+  const float *mass, *ke, *kf, *mu;
+  FloatWord model_ke, model_kf, model_mu, kf_rate;
+};
+
 struct NoteSoftContactsArguments {
   SeenRows seen;
   const int32_t *particle, *shape;
@@ -35,25 +41,23 @@ struct NoteSoftContactsArguments {
   const Vec3f* body_com;
   const int32_t *shape_body, *shape_type;
   const Vec3f* shape_scale;
-  const float *radius, *margin;      // margin null: no part of the law
-  const float *mass, *ke, *kf, *mu;  // of particles and shapes
-  FloatWord model_ke, model_kf, model_mu, kf_rate;
+  const float *radius, *margin;  // margin null: no part of the law
+  SoftModes modes;
   FloatWord slip;   // m/s, > 0: a contact sticks below it
   int64_t follows;  // points and normals follow the particles
   int64_t shapes;
 };
-struct SoftMode {
-  SoftContactMaterial<float> model, shape;
-  float mass, kf_rate, slip;
-};
-// `v`: of the particle against the shape.
-inline int32_t soft_mode(float gap, const Vec3f& n, const Vec3f& v, const SoftMode& of) {
-  if (!(gap < 0.0f) || !(of.mass > 0.0f)) return 0;
+// Of particle p and shape s; `v`: of the particle against the shape.
+inline int32_t soft_mode(float gap, const Vec3f& n, const Vec3f& v, const SoftModes& of, int64_t p,
+                         int32_t s, float slip) {
+  if (!(gap < 0.0f) || !(of.mass[p] > 0.0f)) return 0;
   const Vec3f along = v - n * math::dot(n, v);
   const float speed = math::sqrt(math::dot(along, along));
-  if (of.slip > 0.0f) return speed > of.slip || !(of.shape.mu * of.model.mu > 0.0f) ? 2 : 1;
-  const SoftContactMaterial<float> m =
-      with_bounded_kf(mean_soft_contact_material(of.model, of.shape), of.mass, of.kf_rate);
+  if (slip > 0.0f) return speed > slip || !(of.mu[s] * of.model_mu.value > 0.0f) ? 2 : 1;
+  const SoftContactMaterial<float> mean = mean_soft_contact_material<float>(
+      {of.model_ke.value, 0.0f, of.model_kf.value, of.model_mu.value},
+      {of.ke[s], 0.0f, of.kf[s], of.mu[s]});
+  const SoftContactMaterial<float> m = with_bounded_kf(mean, of.mass[p], of.kf_rate.value);
   return m.kf * speed >= math::abs((m.mu * gap) * m.ke) ? 2 : 1;
 }
 
@@ -72,12 +76,7 @@ NOVAPHY_ROW_KERNEL(note_soft_contacts, 29, NoteSoftContactsArguments) {
   to.second = ContactPair::kParticle + p;
   to.held = a.follows != 0 || is_endless_plane(a.shape_type[s], a.shape_scale[s]) ? 0 : 1;
   to.mode = soft_mode(math::dot(a.normal[row], a.q[p] - at.position) - reach, a.normal[row],
-                      a.qd[p] - at.velocity,
-                      {{a.model_ke.value, 0.0f, a.model_kf.value, a.model_mu.value},
-                       {a.ke[s], 0.0f, a.kf[s], a.mu[s]},
-                       a.mass[p],
-                       a.kf_rate.value,
-                       a.slip.value});
+                      a.qd[p] - at.velocity, a.modes, p, s, a.slip.value);
 }
 
 // Contacts of particles with shapes of the world, which a step finds by itself; a row per particle.
@@ -88,8 +87,9 @@ struct NoteStaticParticlesArguments {
   const int32_t *shape_flags, *shape_body, *shape_type;
   const Transformf* shape_transform;
   const Vec3f* shape_scale;
-  const float *radius, *margin, *mass, *ke, *kf, *mu;
-  FloatWord model_ke, model_kf, model_mu, kf_rate, reach;
+  const float *radius, *margin;
+  SoftModes modes;
+  FloatWord reach;
   int64_t shapes;
 };
 NOVAPHY_ROW_KERNEL(note_static_particles, 24, NoteStaticParticlesArguments) {
@@ -112,13 +112,8 @@ NOVAPHY_ROW_KERNEL(note_static_particles, 24, NoteStaticParticlesArguments) {
     const bool acts = (a.shape_flags[s] & kCollides) != 0 && a.shape_body[s] < 0 &&
                       at.distance < (a.reach.value + a.margin[s]) + a.radius[row];
     if (acts)
-      to.mode =
-          soft_mode(math::dot(at.normal, a.q[row] - at.point) - a.radius[row], at.normal, a.qd[row],
-                    {{a.model_ke.value, 0.0f, a.model_kf.value, a.model_mu.value},
-                     {a.ke[s], 0.0f, a.kf[s], a.mu[s]},
-                     a.mass[row],
-                     a.kf_rate.value,
-                     0.0f});
+      to.mode = soft_mode(math::dot(at.normal, a.q[row] - at.point) - a.radius[row], at.normal,
+                          a.qd[row], a.modes, row, s, 0.0f);
   }
 }
 
@@ -175,11 +170,10 @@ NOVAPHY_ROW_KERNEL(note_rigid_contacts, 28, NoteRigidContactsArguments) {
                out * margins[side];
   const bool both = bodies[0] >= 0 && bodies[1] >= 0;
   for (int side = 0; side < 2; ++side)
-    v[side] = bodies[side] < 0
-                  ? Vec3f{}
-                  : point_velocity(a.modes.body_qd[bodies[side]], pose(side),
-                                   a.modes.body_com[bodies[side]],
-                                   both ? (at[0] + at[1]) * 0.5f : at[side]);
+    v[side] = bodies[side] < 0 ? Vec3f{}
+                               : point_velocity(a.modes.body_qd[bodies[side]], pose(side),
+                                                a.modes.body_com[bodies[side]],
+                                                both ? (at[0] + at[1]) * 0.5f : at[side]);
   SeenContact& to = a.seen.now[row];
   to.first = shapes[0];
   to.second = shapes[1];

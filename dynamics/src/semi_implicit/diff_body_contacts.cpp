@@ -66,16 +66,9 @@ ContactShape<Bool, Real> load_shape(TraceContext& c, const Int& shape) {
   const Int type = c.i32(c.source("shape_type"), shape, 0);
   const auto is = [&](GeoType wanted) { return type == Int(static_cast<int32_t>(wanted)); };
   const Transform<Real> x = Columns(c, "shape_transform", &shape).transform();
-  return {is(GeoType::PLANE),
-          is(GeoType::SPHERE),
-          is(GeoType::CAPSULE),
-          is(GeoType::BOX),
-          is(GeoType::ELLIPSOID),
-          is(GeoType::CYLINDER),
-          is(GeoType::CONE),
-          either(is(GeoType::CONVEX_MESH), is(GeoType::MESH)),
-          {constant(x.p), {detach(x.q.x), detach(x.q.y), detach(x.q.z), detach(x.q.w)}},
-          constant(Columns(c, "shape_scale", &shape).vec3())};
+  return contact_shape<Bool, Real>(
+      is, {constant(x.p), {detach(x.q.x), detach(x.q.y), detach(x.q.z), detach(x.q.w)}},
+      constant(Columns(c, "shape_scale", &shape).vec3()));
 }
 
 struct RigidKernel {

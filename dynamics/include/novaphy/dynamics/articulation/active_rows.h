@@ -190,7 +190,8 @@ inline void note_contact(const ContactRows& of, const ContactLaw<float>& law, bo
   const bool at_slop = !law.compliant && law.slop > 0.0f && law.erp > 0.0f;
   const ContactBranch branch = branch_of(c, law.cone);
   const bool jumps = !row.elastic && row.before < -law.restitution_threshold;
-  const bool softened = branch.active && c.cfm > row.target.cfm;  // by a part of what changes with q
+  // By a part of what changes with q.
+  const bool softened = branch.active && c.cfm > row.target.cfm;
   const bool shifts = c.shifted > 0.0f;
   const bool shifting =
       shifts && math::abs(moving_slip(c) + c.shift + c.softness * c.shifted) >= kConverged;

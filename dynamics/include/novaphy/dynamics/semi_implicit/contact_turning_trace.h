@@ -35,6 +35,7 @@
 // Freestanding: T = float names what is exact, T = nova::Real is traced.
 #pragma once
 
+#include "novaphy/core/sim/enums.h"
 #include "novaphy/dynamics/semi_implicit/rigid_contact_trace.h"
 #include "novaphy/math/types.h"
 
@@ -48,6 +49,21 @@ struct ContactShape {
   Transform<T> pose{};  // in its body
   Vec3<T> scale{};      // as GeoType says
 };
+// `is(type)`: whether the shape is of this type.
+template <class B, class T, class Is>
+ContactShape<B, T> contact_shape(const Is& is, const Transform<T>& pose, const Vec3<T>& scale) {
+  using math::either;
+  return {is(GeoType::PLANE),
+          is(GeoType::SPHERE),
+          is(GeoType::CAPSULE),
+          is(GeoType::BOX),
+          is(GeoType::ELLIPSOID),
+          is(GeoType::CYLINDER),
+          is(GeoType::CONE),
+          either(is(GeoType::CONVEX_MESH), is(GeoType::MESH)),
+          pose,
+          scale};
+}
 
 // Directions are unit vectors in the world.
 template <class B, class T>

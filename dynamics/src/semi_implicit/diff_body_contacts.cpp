@@ -66,7 +66,7 @@ ContactShape<Bool, Real> load_shape(TraceContext& c, const Int& shape) {
   const Int type = c.i32(c.source("shape_type"), shape, 0);
   const auto is = [&](GeoType wanted) { return type == Int(static_cast<int32_t>(wanted)); };
   const Transform<Real> x = Columns(c, "shape_transform", &shape).transform();
-  return contact_shape<Bool, Real>(
+  return contact_shape<GeoType, Bool, Real>(
       is, {constant(x.p), {detach(x.q.x), detach(x.q.y), detach(x.q.z), detach(x.q.w)}},
       constant(Columns(c, "shape_scale", &shape).vec3()));
 }

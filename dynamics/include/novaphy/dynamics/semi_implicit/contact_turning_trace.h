@@ -35,7 +35,6 @@
 // Freestanding: T = float names what is exact, T = nova::Real is traced.
 #pragma once
 
-#include "novaphy/core/sim/enums.h"
 #include "novaphy/dynamics/semi_implicit/rigid_contact_trace.h"
 #include "novaphy/math/types.h"
 
@@ -49,18 +48,18 @@ struct ContactShape {
   Transform<T> pose{};  // in its body
   Vec3<T> scale{};      // as GeoType says
 };
-// `is(type)`: whether the shape is of this type.
-template <class B, class T, class Is>
+// `is(type)`: whether the shape is of this Type, GeoType, which formulas do not include.
+template <class Type, class B, class T, class Is>
 ContactShape<B, T> contact_shape(const Is& is, const Transform<T>& pose, const Vec3<T>& scale) {
   using math::either;
-  return {is(GeoType::PLANE),
-          is(GeoType::SPHERE),
-          is(GeoType::CAPSULE),
-          is(GeoType::BOX),
-          is(GeoType::ELLIPSOID),
-          is(GeoType::CYLINDER),
-          is(GeoType::CONE),
-          either(is(GeoType::CONVEX_MESH), is(GeoType::MESH)),
+  return {is(Type::PLANE),
+          is(Type::SPHERE),
+          is(Type::CAPSULE),
+          is(Type::BOX),
+          is(Type::ELLIPSOID),
+          is(Type::CYLINDER),
+          is(Type::CONE),
+          either(is(Type::CONVEX_MESH), is(Type::MESH)),
           pose,
           scale};
 }

@@ -174,7 +174,6 @@ inline void contact_points(const ContactRows& c, int32_t contact,
 // Whether a contact may touch in a step of dt: its gap is at most twice the way that its points
 // come together with the motions of the links (null: the world), and kMoreSpeed (m/s) dt for what
 // the step does to them. Only such contacts are solved. A gap that is no number may.
-inline constexpr float kMoreSpeed = 4.0f;
 inline bool may_touch(const ContactRows& c, int32_t contact, const LinkState<float>* const* links,
                       float dt) {
   const Vec3f normal = c.normal[contact];

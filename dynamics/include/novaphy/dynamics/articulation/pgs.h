@@ -22,7 +22,8 @@
 //   p = M^-1 J_n^T mu,  0 <= mu, J_n (v' + p) + beta + softness mu >= 0, one of both = 0
 // What the joints of a tree let part hardly or not at all would take endless impulses. A normal
 // gets at least the part kLeastMobility of the J_n Y_n that its sides have each alone, by cfm, and
-// in shifts the softness kShiftSoftness of it.
+// in shifts the softness kShiftSoftness of it. A contact without an impulse that only a speed above
+// kMoreSpeed closes in the step does not hold shifts: steps may leave such contacts out.
 // Source: Guendelman, Bridson, Fedkiw, Nonconvex Rigid Bodies with Stacking (2003), section 7, for
 // shifts; Preclik, Models and Algorithms for Ultrascale Simulations of Non-smooth Granular Dynamics
 // (2014), section 4; Catto, Iterative Dynamics with Temporal Coherence (2005).
@@ -42,6 +43,7 @@ struct ContactLaw {
   bool cone = true;
 };
 inline constexpr float kRestSpeed = 0.01f;       // m/s
+inline constexpr float kMoreSpeed = 4.0f;        // m/s
 inline constexpr float kLeastMobility = 1e-3f;   // 1
 inline constexpr float kShiftSoftness = 0.05f;   // 1
 inline constexpr int32_t kShiftSweeps = 100;     // at most
@@ -275,7 +277,8 @@ T sweep_shift(PgsNumbers<T>& c, const Active& active, const Slip& slip_of, const
   const T o = T(0.0f), soft = c.normal + c.softness;
   const T residual = slip_of() + c.shift + c.softness * c.shifted;
   const T x = c.shifted - residual / select(soft > o, soft, T(1.0f));
-  const T next = select(both(active, c.normal > o), select(x > o, x, o), c.shifted);
+  const auto holds = either(c.impulse[0] > o, c.shift < T(kMoreSpeed));
+  const T next = select(both(both(active, c.normal > o), holds), select(x > o, x, o), c.shifted);
   const T change = next - c.shifted;
   if (all(change == o)) return o;
   c.shifted = next;

@@ -14,7 +14,7 @@ std::string some(int64_t count, int64_t of) {
   return std::to_string(count) + " of " + std::to_string(of) + " steps";
 }
 
-std::string reason_of(const GradientCounts& c, bool implicit, int64_t events) {
+std::string reason_of(const GradientCounts& c, bool implicit, bool moves, int64_t events) {
   if (c.steps == 0) return "no step has been taken since the last clear_gradient_info";
   std::string text;
   if (c.surrogate > 0) {
@@ -38,12 +38,15 @@ std::string reason_of(const GradientCounts& c, bool implicit, int64_t events) {
                                           "changes between sticking and slipping"};
   return text + "; contacts changed " + std::to_string(events) + " times (first in step " +
          std::to_string(c.event_step) + ": that of " + pair_text(c.event) + " " +
-         kWhat[c.event.event] + "), so the gradient of the motion may have another length and sign";
+         kWhat[c.event.event] +
+         (moves ? "), and the times at which they begin move with the state; those of joint limits "
+                  "do not"
+                : "), so the gradient of the motion may have another length and sign");
 }
 
 }  // namespace
 
-GradientInfo gradient_info(const GradientCounts& c, bool implicit) {
+GradientInfo gradient_info(const GradientCounts& c, bool implicit, bool moves) {
   GradientInfo info;
   info.label = c.surrogate > 0 ? "surrogate"
                : c.frozen > 0  ? "frozen"
@@ -58,7 +61,7 @@ GradientInfo gradient_info(const GradientCounts& c, bool implicit) {
   info.turned = c.turned;
   info.events = c.began + c.ended + c.turned;
   info.residual = c.residual;
-  info.reason = reason_of(c, implicit, info.events);
+  info.reason = reason_of(c, implicit, moves, info.events);
   return info;
 }
 

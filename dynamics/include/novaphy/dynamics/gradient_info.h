@@ -24,8 +24,8 @@ struct GradientInfo {
 };
 
 // `implicit`: steps that are neither frozen nor a surrogate are of the solutions of the steps, and
-// `exact_steps` counts them.
-NOVAPHY_DYNAMICS_API GradientInfo gradient_info(const GradientCounts& counts,
-                                                bool implicit = false);
+// `exact_steps` counts them. `moves`: the times at which contacts begin move with the state.
+NOVAPHY_DYNAMICS_API GradientInfo gradient_info(const GradientCounts& counts, bool implicit = false,
+                                                bool moves = false);
 
 }  // namespace novaphy

@@ -52,12 +52,21 @@ enum class FoundContacts : uint8_t {
   Always   // so, anew whenever the step runs
 };
 
+// What gradients follow where contacts begin.
+enum class DerivativeOf : uint8_t {
+  Code,   // the steps as they ran: a contact begins in the same step
+  Motion  // its time moves with the state (on the CPU, outside of captures)
+};
+
 class NOVAPHY_DYNAMICS_API ArticulationStep {
  public:
   // Errors as SolverFeatherstone; ErrorKind::Value: a model whose joints have no dofs.
   // `allow_unconverged`: adjoints and tangents of steps that are far from converged do not throw.
+  // ErrorKind::NotImplemented: DerivativeOf::Motion of a model on a device, or with
+  // compliant_contacts.
   ArticulationStep(const Model& model, const FeatherstoneOptions& options, const char* user,
-                   bool allow_unconverged = false);
+                   bool allow_unconverged = false,
+                   DerivativeOf contact_gradient = DerivativeOf::Code);
   ~ArticulationStep();
   ArticulationStep(ArticulationStep&&) noexcept;
   ArticulationStep& operator=(ArticulationStep&&) noexcept;

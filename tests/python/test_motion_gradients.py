@@ -87,7 +87,10 @@ class Run:
                 self.of_q = path[0].joint_q.grad.numpy()
                 self.of_qd = path[0].joint_qd.grad.numpy()
                 if along is not None:
-                    start = [diff.state_joint_q_tensor(path[0]), diff.state_joint_qd_tensor(path[0])]
+                    start = [
+                        diff.state_joint_q_tensor(path[0]),
+                        diff.state_joint_qd_tensor(path[0]),
+                    ]
                     tangents = [nova.tensor(np.float32(x)) for x in along]
                     self.along = tape.jvp([loss], start, tangents)[0].item()
             self.info = solver.gradient_info()
@@ -120,9 +123,7 @@ def test_a_bounce_in_gravity_converges_to_the_closed_form() -> None:
     exact = e * G / speed * rise - e + G * rise / speed
     errors = []
     for rate in (960, 3840):
-        run = Run(
-            ball(height, e), "motion", round(time * rate), 1 / rate, np.zeros(6), HEIGHT
-        )
+        run = Run(ball(height, e), "motion", round(time * rate), 1 / rate, np.zeros(6), HEIGHT)
         errors.append(abs(run.of_q[2] - exact))
     assert errors[0] < 0.02 and errors[1] < 0.3 * errors[0] + 1e-3
 

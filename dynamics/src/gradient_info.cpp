@@ -39,8 +39,7 @@ std::string reason_of(const GradientCounts& c, bool implicit, bool moves, int64_
   return text + "; contacts changed " + std::to_string(events) + " times (first in step " +
          std::to_string(c.event_step) + ": that of " + pair_text(c.event) + " " +
          kWhat[c.event.event] +
-         (moves ? "), and the times at which they begin move with the state; those of joint limits "
-                  "do not"
+         (moves ? "), and the times at which they begin move with the state"
                 : "), so the gradient of the motion may have another length and sign");
 }
 

@@ -94,6 +94,7 @@ class Run:
                     tangents = [nova.tensor(np.float32(x)) for x in along]
                     self.along = tape.jvp([loss], start, tangents)[0].item()
             self.info = solver.gradient_info()
+        self.path, self.start = path, path[0].joint_q.numpy()
         self.end = path[steps].joint_q.numpy()
         self.loss = float(np.float64(weights) @ np.float64(self.end))
 
@@ -209,6 +210,37 @@ def test_the_control_of_an_event_is_that_of_its_step() -> None:
         controls.append(control)
     run = Run(model, "motion", steps, dt, speed, HEIGHT, controls=controls)
     assert abs(run.of_q[2] + 1.0) < 1e-3, run.of_q[2]
+
+
+@pytest.mark.parametrize("damping", [0.0, 20.0])
+@pytest.mark.parametrize("rate", [480, 3840])
+def test_a_slide_leaves_its_limit_with_minus_its_restitution(damping: float, rate: int) -> None:
+    """A spring turns a shift of the start to -(speed out / speed in), whatever the phase."""
+    builder = novaphy.ModelBuilder(gravity=0.0)
+    slide = builder.add_link(mass=1.0, inertia=np.eye(3) * 0.01)
+    joint = builder.add_joint_prismatic(
+        -1, slide, axis=(1, 0, 0), limit_lower=-9, limit_upper=0, limit_ke=1e4, limit_kd=damping
+    )
+    builder.add_articulation([joint])
+    model = finish(builder)
+    worst = 0.0
+    for phase in (0.0, 0.25, 0.5, 0.75):
+        run = Run(
+            model,
+            "motion",
+            round(0.25 * rate),
+            1 / rate,
+            np.ones(1),
+            np.ones(1),
+            q=np.full(1, -0.1 + phase / rate),
+            along=(np.ones(1), np.zeros(1)),
+        )
+        out = run.path[round(0.25 * rate)].joint_qd.numpy()[0]
+        assert out < -0.5
+        assert abs(run.of_q[0] - out) < 2e-3 and abs(run.along - run.of_q[0]) < 1e-4
+        code = Run(model, "code", round(0.25 * rate), 1 / rate, np.ones(1), np.ones(1), q=run.start)
+        worst = max(worst, abs(code.of_q[0] - out))
+    assert worst > 0.15
 
 
 def test_what_is_not_there_is_refused_by_name() -> None:

@@ -23,6 +23,7 @@ struct ContactEvent {
 struct ContactEvents {
   std::vector<ContactEvent> events;
   std::vector<int32_t> hits;  // rows of the contacts, ascending
+  std::vector<char> touched;  // {trees}: contacts push it; empty: none
 };
 
 }  // namespace novaphy

@@ -8,6 +8,10 @@
 // An event ends with its step or, where it closes a gap without a bounce, one step later, or more
 // where others begin then; D is that of all its steps. Its transpose, for y = D^T p:
 //   s = y . f- - p . f+,  and the gradient of q gets s J_n / |J_n v|.
+// A limit of a joint that begins or ends to push, in a tree that touches nothing, changes the step
+// from F_A to F_B where a number g(x) changes its sign. A move of x changes how many steps of each
+// there are, by a part of one:
+//   dx + (F_B(x) - F_A(x)) (dg . dx) / (dg . (F_A(x) - x)),  then D of F_B
 // Source: the saltation matrix of hybrid systems; Kong, Payne, Zhu, Johnson, Saltation Matrices
 // (2024).
 #pragma once
@@ -23,10 +27,20 @@
 
 namespace novaphy::diff::detail {
 
+// A change of a limit's branch, by raw coordinates and rates of its tree.
+struct LimitEvent {
+  int32_t tree = 0;
+  std::vector<float> jump_q, jump_qd;  // F_B(x) - F_A(x)
+  std::vector<float> by_q, by_qd;      // dg
+  float rate = 0.0f;                   // dg . (F_A(x) - x)
+};
+
 // What a step keeps of the events that begin in it, and of those in which it stands.
 struct MotionNotes {
   ContactEvents found;
   std::vector<float> smooth;  // {dofs}: accelerations at its start without what hits
+  std::vector<LimitEvent> limits;
+  std::vector<float> branch;  // {dofs}: of the step
   std::vector<float> after;   // {dofs}: under the controls of the event that ends at its start
   std::vector<char> inside;   // {trees}: its start is inside of an event; empty: of none
   std::weak_ptr<MotionNotes> next;
@@ -35,7 +49,8 @@ struct MotionNotes {
   std::vector<float> mismatch, delay;
 
   bool stands_in_event() const { return !inside.empty(); }
-  bool concerned() const { return stands_in_event() || !found.events.empty(); }
+  bool in_contact() const { return stands_in_event() || !found.events.empty(); }
+  bool concerned() const { return in_contact() || !limits.empty(); }
 };
 
 // Behind a step that has run, before the contacts of the solver are used again; `before` (null:

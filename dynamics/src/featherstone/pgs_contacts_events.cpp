@@ -45,6 +45,7 @@ ContactEvents PgsContacts::events(const ContactRows& contacts, const Featherston
   if (rows_.empty()) return found;
   const art::ContactLaw<float> law = contact_law(options, 0.0f);
   const std::vector<float> slips = free_slips();
+  found.touched.resize(static_cast<size_t>(count_));
   std::vector<char> hits(rows_.size());
   int32_t next = 0;
   for (size_t i = 0; i < rows_.size(); ++i) {
@@ -52,6 +53,9 @@ ContactEvents PgsContacts::events(const ContactRows& contacts, const Featherston
     const SeenContact now = art::seen_contact(contacts, row, law.cone);
     const auto count = continues ? static_cast<int32_t>(seen_.size()) : 0;
     const bool pushed = mode_of(seen_.data(), count, next, now) != 0;
+    for (const Side& side : row.sides)
+      if (side.tree >= 0 && row.solver.impulse[0] > 0.0f)
+        found.touched[static_cast<size_t>(side.tree)] = 1;
     const float rest = std::max(kLeastApproach, std::abs(slips[i] - row.before));
     hits[i] =
         row.solver.impulse[0] > 0.0f && row.before < -rest && (row.target.bounce > 0.0f || !pushed);

@@ -111,7 +111,8 @@ def test_a_bounce_turns_the_sign(dt: float) -> None:
     assert np.array_equal(code.end, motion.end)
     assert abs(code.of_q[2] - 1.0) < 1e-5  # of the steps
     assert abs(motion.of_q[2] + 1.0) < 1e-5 and abs(motion.of_qd[2] + 0.2) < 1e-5
-    assert "move with the state" in motion.info.reason and motion.info.events == 2
+    assert motion.info.label == "exact of the motion" and motion.info.events == 2
+    assert "move with the state" in motion.info.reason
     kept = Run(model, "motion", steps, dt, speed, HEIGHT, checkpoint=10)
     assert np.array_equal(kept.of_q, motion.of_q) and np.array_equal(kept.of_qd, motion.of_qd)
 
@@ -195,6 +196,7 @@ def test_a_ball_that_meets_two_walls_at_once_turns_both_signs() -> None:
         run = Run(model, "motion", 96, 1 / 480, speed, weights, along=(np.eye(7)[i], np.zeros(6)))
         assert abs(run.of_q[i] + 1.0) < 1e-4 and abs(run.of_q[2 - i]) < 1e-4
         assert abs(run.along + 1.0) < 1e-4
+        assert run.info.label == "exact of the code" and "several pairs hit" in run.info.reason
 
 
 def test_the_control_of_an_event_is_that_of_its_step() -> None:

@@ -228,11 +228,15 @@ void note_limits(const Step& s, const ArticulationArguments& in, const MotionNot
   };
   const std::vector<char>& touched = notes.found.touched;
   for (int32_t t = 0; t < static_cast<int32_t>(s.count); ++t) {
-    if (!touched.empty() && touched[static_cast<size_t>(t)] != 0) continue;
+    const bool touches = !touched.empty() && touched[static_cast<size_t>(t)] != 0;
     const ArticulationRows& of = rows_of(s)[t];
     for (int32_t k = of.first_dof; k < of.first_dof + of.dof_count; ++k) {
       const bool acted = acts(last->branch[static_cast<size_t>(k)]);
-      if (acted != acts(notes.branch[static_cast<size_t>(k)])) add_limit_event(s, in, t, k, acted);
+      if (acted == acts(notes.branch[static_cast<size_t>(k)])) continue;
+      if (touches)
+        ++s.shared->motion.unmoved;
+      else
+        add_limit_event(s, in, t, k, acted);
     }
   }
 }
@@ -259,6 +263,8 @@ void note_motion(const std::shared_ptr<const Step>& step,
       notes.inside = inside;
     if (follows) notes.controls = last->stands_in_event() ? last->controls : before;
   }
+  if (std::any_of(notes.found.events.begin(), notes.found.events.end(), is_apart))
+    ++s.shared->motion.several;
   if (notes.found.hits.empty()) {
     notes.smooth.resize(dofs);
     for (size_t k = 0; k < dofs; ++k) notes.smooth[k] = (qd_next[k] - in.qd[k]) / s.dt;

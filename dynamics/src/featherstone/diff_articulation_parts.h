@@ -182,6 +182,7 @@ struct ArticulationStep::Shared {
   bool dry = false;             // joints have dry friction, or its gradient is asked for
   bool allow_unconverged = false;
   DerivativeOf contact_gradient = DerivativeOf::Code;
+  MotionCounts motion;
   std::weak_ptr<const Step> last;  // with MotionNotes
   int64_t next_step = 0;  // number of the next step that is recorded
   // On devices, whether a step since the last check is far from converged, and how many were.

@@ -68,6 +68,7 @@ ArticulationStep::ArticulationStep(const Model& model, const FeatherstoneOptions
   shared_ = std::make_shared<Shared>(model, converged, user);
   shared_->allow_unconverged = allow_unconverged;
   shared_->contact_gradient = contact_gradient;
+  shared_->motion.rows_are_exact = options.pgs_slop == 0.0f && options.pgs_erp == 1.0f;
   require(contact_gradient == DerivativeOf::Code || model.device().is_cpu(),
           ErrorKind::NotImplemented, user,
           ": contact_gradient: motion is there for models on the cpu only");
@@ -261,7 +262,11 @@ void ArticulationStep::clear_branches() {
   shared_->ended = nullptr;
   if (shared_->launched) shared_->launched->clear_branches();
   shared_->branches = {};
+  shared_->motion.several = shared_->motion.unmoved = 0;
   shared_->far_steps = 0;
+}
+const MotionCounts* ArticulationStep::motion_counts() const {
+  return shared_->contact_gradient == DerivativeOf::Motion ? &shared_->motion : nullptr;
 }
 void ArticulationStep::count_from(int64_t number) { shared_->next_step = number; }
 

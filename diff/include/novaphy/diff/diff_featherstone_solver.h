@@ -29,7 +29,7 @@ class NOVAPHY_DIFF_API DiffFeatherstoneSolver : public DiffSolverBase {
   // Of all steps since the last clear: what their gradients are, and their contacts and dry
   // friction.
   GradientInfo gradient_info() const {
-    return novaphy::gradient_info(branches().all, false, contact_gradient_ == DerivativeOf::Motion);
+    return novaphy::gradient_info(branches().all, false, step_.motion_counts());
   }
   ContactBranches branches() const { return step_.branches(); }
   void clear_gradient_info() { step_.clear_branches(); }

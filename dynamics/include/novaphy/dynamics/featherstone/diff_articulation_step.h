@@ -41,6 +41,7 @@
 #include "novaphy/dynamics/export.h"
 #include "novaphy/dynamics/featherstone/contact_branches.h"
 #include "novaphy/dynamics/featherstone/solver_featherstone.h"
+#include "novaphy/dynamics/gradient_info.h"
 #include "novaphy/nova/kernel.h"
 
 namespace novaphy::diff {
@@ -89,6 +90,8 @@ class NOVAPHY_DYNAMICS_API ArticulationStep {
   // Of all steps with contacts since the last clear. Waits for a device.
   ContactBranches branches() const;
   void clear_branches();
+  // With DerivativeOf::Motion; else null.
+  const MotionCounts* motion_counts() const;
   // ErrorKind::Runtime, naming the dof, when the last step failed. Waits for a device.
   void check(const Model& model, const char* function) const;
 

@@ -241,6 +241,7 @@ TEST(ArticulationStep, GradientsEqualCentralDifferencesForEveryInput) {
   int clamped = 0, outside = 0, released = 0, fast = 0;
   for (uint32_t seed = 0; seed < 24; ++seed) {
     Scene<double> s = random_scene(seed, all_joints(seed));
+    if (seed % 4 > 1) s.tree.joints_in_a_row = TestTree<double>::kLong;
     s.options.implicit_drives = seed % 3 != 0;
     const Weights weights(s, seed + 7);
     const Result<double> r = step(s);
@@ -279,6 +280,7 @@ Scene<T> convert(const Scene<double>& s) {
   c.tree.dof_parent = s.tree.dof_parent;
   c.tree.coords = s.tree.coords;
   c.tree.dofs = s.tree.dofs;
+  c.tree.joints_in_a_row = s.tree.joints_in_a_row;
   c.mode = s.mode;
   const auto copy = [](const auto& from, auto& to) {
     to.resize(from.size());
@@ -319,6 +321,7 @@ TEST(ArticulationStep, ForwardDerivativeIsTheTransposeOfTheGradient) {
   using D = articulation::Dual<double>;
   for (uint32_t seed = 0; seed < 12; ++seed) {
     Scene<double> s = random_scene(seed, all_joints(seed));
+    if (seed % 4 > 1) s.tree.joints_in_a_row = TestTree<double>::kLong;
     const Weights weights(s, seed + 7);
     const Result<double> r = step(s);
     std::vector<Part> all = parts(s);
@@ -425,6 +428,23 @@ TEST(ArticulationStep, VelocityLimitsKeepTheMomentumOfFreeTrees) {
   EXPECT_GT(at_limit, 300);
 }
 
+// The mass matrix and articulated bodies, with all joints, FREE ones below bodies too.
+TEST(ArticulationStep, IsTheSameByBothFactors) {
+  int held = 0;
+  for (uint32_t seed = 0; seed < 24; ++seed) {
+    Scene<double> s = random_scene(seed, all_joints(seed)), by_links = s;
+    by_links.tree.joints_in_a_row = TestTree<double>::kLong;
+    if (seed % 4 == 0) s.tree.links[0].joint = by_links.tree.links[0].joint = LinkJoint::Kinematic;
+    const Result<double> a = step(s), b = step(by_links);
+    EXPECT_EQ(a.branch, b.branch);
+    for (size_t k = 0; k < a.qdd.size(); ++k) {
+      EXPECT_NEAR(a.qdd[k], b.qdd[k], 1e-9 * (1 + std::abs(a.qdd[k]))) << seed << " " << k;
+      held += (a.branch[k] & articulation::kVelocityClamped) != 0;
+    }
+  }
+  EXPECT_GT(held, 10);
+}
+
 Scene<double> without_forces(Scene<double> s) {
   for (SpatialVector<double>& f : s.body_f) f = {};
   for (auto* x :
@@ -442,6 +462,7 @@ TEST(ArticulationStep, MovesTheSameFarFromTheOriginToTheBit) {
                                            LinkJoint::Revolute, LinkJoint::Free};
     Scene<float> here = convert<float>(random_scene(seed, joints));
     here.options.dt = 2.5e-3f;
+    if (seed % 3 == 2) here.tree.joints_in_a_row = TestTree<float>::kLong;
     Scene<float> there = here;
     there.tree.X_p[0].p = there.tree.X_p[0].p + Vec3f{1000.0f, 1000.0f, 0.0f};
     for (int t = 0; t < 100; ++t) {

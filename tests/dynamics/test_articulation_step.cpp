@@ -25,7 +25,6 @@ struct Scene {
       limit_lower, limit_upper, limit_ke, limit_kd, effort_limit, velocity_limit;
   std::vector<SpatialVector<T>> body_f;
   articulation::StepOptions<T> options{T(0.01), T(0.5), true};
-
   articulation::StepInputs<T> inputs() const {
     return {q.data(),
             qd.data(),
@@ -92,6 +91,7 @@ class Random {
 Scene<double> random_scene(uint32_t seed, const std::vector<LinkJoint>& joints) {
   Random random(seed);
   Scene<double> s;
+  s.tree.joints_in_a_row = seed % 4 > 1 ? TestTree<double>::kLong : TestTree<double>::kShort;
   for (size_t i = 0; i < joints.size(); ++i) {
     const Vec3<double> axis = random.vector(1);
     const double m = random.uniform(0.3, 2), length = std::sqrt(math::dot(axis, axis));
@@ -241,7 +241,6 @@ TEST(ArticulationStep, GradientsEqualCentralDifferencesForEveryInput) {
   int clamped = 0, outside = 0, released = 0, fast = 0;
   for (uint32_t seed = 0; seed < 24; ++seed) {
     Scene<double> s = random_scene(seed, all_joints(seed));
-    if (seed % 4 > 1) s.tree.joints_in_a_row = TestTree<double>::kLong;
     s.options.implicit_drives = seed % 3 != 0;
     const Weights weights(s, seed + 7);
     const Result<double> r = step(s);
@@ -321,7 +320,6 @@ TEST(ArticulationStep, ForwardDerivativeIsTheTransposeOfTheGradient) {
   using D = articulation::Dual<double>;
   for (uint32_t seed = 0; seed < 12; ++seed) {
     Scene<double> s = random_scene(seed, all_joints(seed));
-    if (seed % 4 > 1) s.tree.joints_in_a_row = TestTree<double>::kLong;
     const Weights weights(s, seed + 7);
     const Result<double> r = step(s);
     std::vector<Part> all = parts(s);
@@ -410,10 +408,9 @@ TEST(ArticulationStep, VelocityLimitsKeepTheMomentumOfFreeTrees) {
     const Result<float> r = step(f);
     const std::vector<double> tau = inverse_dynamics(s, r.qdd);
     const auto n = static_cast<size_t>(s.tree.dofs);
-    const auto tree = s.tree.view();
     auto ws = s.tree.workspace();
-    articulation::kinematics(tree, s.q.data(), ws);
-    articulation::mass_matrix(tree, ws);
+    articulation::kinematics(s.tree.view(), s.q.data(), ws);
+    articulation::mass_matrix(s.tree.view(), ws);
     for (size_t k = 0; k < 6; ++k) {
       double size = 0.0;
       for (size_t j = 0; j < n; ++j)
@@ -432,15 +429,14 @@ TEST(ArticulationStep, VelocityLimitsKeepTheMomentumOfFreeTrees) {
 TEST(ArticulationStep, IsTheSameByBothFactors) {
   int held = 0;
   for (uint32_t seed = 0; seed < 24; ++seed) {
-    Scene<double> s = random_scene(seed, all_joints(seed)), by_links = s;
-    by_links.tree.joints_in_a_row = TestTree<double>::kLong;
-    if (seed % 4 == 0) s.tree.links[0].joint = by_links.tree.links[0].joint = LinkJoint::Kinematic;
-    const Result<double> a = step(s), b = step(by_links);
+    Scene<double> s = random_scene(seed, all_joints(seed)), other = s;
+    other.tree.joints_in_a_row = seed % 4 > 1 ? TestTree<double>::kShort : TestTree<double>::kLong;
+    if (seed % 4 == 0) s.tree.links[0].joint = other.tree.links[0].joint = LinkJoint::Kinematic;
+    const Result<double> a = step(s), b = step(other);
     EXPECT_EQ(a.branch, b.branch);
-    for (size_t k = 0; k < a.qdd.size(); ++k) {
+    for (size_t k = 0; k < a.qdd.size(); ++k)
       EXPECT_NEAR(a.qdd[k], b.qdd[k], 1e-9 * (1 + std::abs(a.qdd[k]))) << seed << " " << k;
-      held += (a.branch[k] & articulation::kVelocityClamped) != 0;
-    }
+    for (const int32_t branch : a.branch) held += (branch & articulation::kVelocityClamped) != 0;
   }
   EXPECT_GT(held, 10);
 }
@@ -462,7 +458,6 @@ TEST(ArticulationStep, MovesTheSameFarFromTheOriginToTheBit) {
                                            LinkJoint::Revolute, LinkJoint::Free};
     Scene<float> here = convert<float>(random_scene(seed, joints));
     here.options.dt = 2.5e-3f;
-    if (seed % 3 == 2) here.tree.joints_in_a_row = TestTree<float>::kLong;
     Scene<float> there = here;
     there.tree.X_p[0].p = there.tree.X_p[0].p + Vec3f{1000.0f, 1000.0f, 0.0f};
     for (int t = 0; t < 100; ++t) {
@@ -583,10 +578,9 @@ TEST(ArticulationStep, DrivesAreStableWhateverTheirGains) {
   s.target_qd = {0.0};
   s.q = {0.0};
   s.qd = {1.0};
-  const auto tree = s.tree.view();
   auto ws = s.tree.workspace();
-  articulation::kinematics(tree, s.q.data(), ws);
-  articulation::mass_matrix(tree, ws);
+  articulation::kinematics(s.tree.view(), s.q.data(), ws);
+  articulation::mass_matrix(s.tree.view(), ws);
   const double inertia = ws.matrix[0], dt = s.options.dt;
   double q = 0.0, v = 1.0;
   for (int t = 0; t < 300; ++t) {

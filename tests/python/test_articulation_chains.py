@@ -242,3 +242,31 @@ def test_a_mass_matrix_that_joints_need_names_its_condition() -> None:
     solver = novaphy.solvers.SolverFeatherstone(model)
     with pytest.raises(novaphy.Error, match=r"whose condition is .*float32 holds 1e7"):
         solver.step(state, model.state(), None, None, 1e-3)
+
+
+@pytest.mark.parametrize("exact", [False, True])
+def test_the_sensitivity_of_a_chain_is_that_of_its_steps(exact: bool) -> None:
+    """Some of its hinges come to their velocity limits on the way."""
+    model = snake(velocity_limit=0.4).finalize()
+    along = np.linspace(0.2, 1.0, model.joint_dof_count).astype(np.float32)
+    solver = novaphy.solvers.SolverFeatherstone(model)
+
+    def walk(force: float, sensitivity: object = None) -> np.ndarray:
+        control, now, after = model.control(), model.state(), model.state()
+        control.joint_f.assign(force * along)
+        if sensitivity is not None:
+            sensitivity.reset(now)
+        for _ in range(6):
+            solver.step(now, after, control, None, 2e-3)
+            if sensitivity is not None:
+                sensitivity.step(now, after, control, 2e-3, along[:, None])
+            now, after = after, now
+        return now.joint_qd.numpy().astype(float)
+
+    found = novaphy.solvers.FeatherstoneAnalyticControlSensitivity(
+        model, parameter_count=1, point_body=0, kind="torque", exact=exact, solver=solver
+    )
+    held = np.abs(np.abs(walk(1.0, found)) - 0.4) < 1e-2
+    assert 3 <= held.sum() <= 9
+    expected = (walk(1.01) - walk(0.99)) / 0.02
+    np.testing.assert_allclose(found.dqd[:, 0], expected, atol=5e-3 * np.abs(expected).max())

@@ -221,7 +221,7 @@ void build_contact(const ContactRows& c, const TreeOf& tree_of, float* numbers,
       add_point_rows(of.tree, of.ws.axes, row.sides[1].link, place.b, row.frame, 1.0f, to.width,
                      jacobian);
     const int32_t last = itself ? -1 : last_dof(of.tree, row.sides[side].link);
-    if (of.moves) response_rows(of.tree, of.ws.matrix, last, to.width, jacobian, response);
+    if (of.moves) response_rows(of.tree, of.ws, last, to.width, jacobian, response);
     to.rates = of.rates;
     to.jacobian = jacobian;
     to.response = of.moves ? response : nullptr;
@@ -262,7 +262,7 @@ inline void build_friction(const IslandTree& of, int32_t dof, float limit, float
   const int32_t width = padded_dofs(of.tree.dof_count);
   for (int32_t k = 0; k < width; ++k) response[k] = 0.0f;
   response[dof] = 1.0f;
-  solve(of.tree, of.ws.matrix, response);
+  solve(of.tree, of.ws, response);
   row.rates = of.rates;
   row.response = response;
   row.width = width;

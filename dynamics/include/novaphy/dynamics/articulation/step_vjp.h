@@ -287,9 +287,8 @@ void step_vjp_dynamics(const Tree<T>& tree, const StepInputs<T>& in, const StepO
   kinematics(tree, in.q, ws);
   set_wrenches(tree, in, ws);
   inverse_dynamics(tree, in.qd + tree.first_dof, ws.qdd, ws, ws.bias);
-  mass_matrix(tree, ws);
   add_drives(tree, in, options, ws.bias, ws);
-  factor(tree, ws.matrix);
+  factor(tree, in.q, ws);
 }
 // Between these: lambda . dM x leaves the gradients, lambda the first of `scratch`, x the third.
 // step_vjp_dynamics must follow.
@@ -320,7 +319,7 @@ template <class T>
 void step_vjp_solve(const Tree<T>& tree, const StepOptions<T>& options, Workspace<T>& ws,
                     AdjointMemory<T>& memory) {
   for (int32_t k = 0; k < tree.dof_count; ++k) memory.scratch[k] = options.dt * memory.rate[k];
-  solve(tree, ws.matrix, memory.scratch);
+  solve(tree, ws, memory.scratch);
 }
 
 // The last: gradients from lambda.

@@ -122,6 +122,13 @@ void bind_tape(py::module_& m) {
       .def("reset", &nova::Tape::reset, "Forgets all operations.")
       .def_property_readonly("size", &nova::Tape::size, "Recorded operations.")
       .def("__len__", &nova::Tape::size)
+      .def("__repr__",
+           [](const nova::Tape& tape) {
+             const std::vector<std::string> names = tape.op_names();
+             std::string text = "Tape(size=" + std::to_string(names.size());
+             if (!names.empty()) text += ", last='" + names.back() + "'";
+             return text + ", memory_bytes=" + std::to_string(tape.memory_bytes()) + ")";
+           })
       .def("op_names", &nova::Tape::op_names, "The names of the recorded operations, in order.")
       .def_property_readonly("memory_bytes", &nova::Tape::memory_bytes,
                              "Bytes of the records themselves.")
@@ -153,6 +160,10 @@ void bind_capture(py::module_& m) {
            "Plans and compiles what launches need to be as fast as they get, and runs nothing. For "
            "measurements. novaphy.Error inside a ScopedCapture.")
       .def("__len__", &nova::OpList::size)
+      .def("__repr__",
+           [](const nova::OpList& graph) {
+             return "Graph(size=" + std::to_string(graph.size()) + ")";
+           })
       .def_property_readonly("size", &nova::OpList::size, "Operations.");
   py::class_<CaptureContext>(m, "ScopedCapture",
                              "Context manager: launches, copies and fills of this thread are "

@@ -6,7 +6,6 @@ leaves these tables when it is built; a test walks the lists of both projects.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from itertools import chain
 
 # Owner -> what its missing names belong to -> the names. They are agreed.
@@ -17,8 +16,8 @@ PLANNED: dict[str, dict[str, tuple[str, ...]]] = {
         "helpers for poses and colours": ("utils",),
     },
     "novaphy.solvers": {
-        "rigid bodies": ("SolverXPBD", "SolverSequentialImpulse"),
-        "articulations": ("SolverMuJoCo",),
+        "rigid bodies, which SolverFeatherstone moves": ("SolverXPBD", "SolverSequentialImpulse"),
+        "articulations, which SolverFeatherstone moves": ("SolverMuJoCo",),
     },
     "ModelBuilder": {
         "robots from USD files": ("add_usd",),
@@ -306,11 +305,12 @@ def missing_from_module(module: str, name: str) -> Exception:
     return AttributeError(f"module {module!r} has no attribute {name!r}", name=name)
 
 
-def getattr_of_class(owner: str, base: str = "") -> Callable[[object, str], object]:
-    """Make the __getattr__ of a class, which Python asks for what it did not find.
+def explain_members(cls: type, owner: str = "", base: str = "") -> None:
+    """Let objects of a class say what to do without a name that they do not have.
 
     Args:
-        owner: what the tables call the class; "" for the name of the object's own class.
+        cls: the class, which gets __getattr__ and __setattr__.
+        owner: what the tables call it; "" for the name of the object's own class.
         base: what they call the class that all of them have in common.
     """
 
@@ -321,7 +321,16 @@ def getattr_of_class(owner: str, base: str = "") -> Callable[[object, str], obje
             raise PlannedError(told)
         raise AttributeError(f"{asked!r} object has no attribute {name!r}", name=name, obj=self)
 
-    return get
+    def assign(self: object, name: str, value: object) -> None:
+        try:
+            object.__setattr__(self, name, value)
+        except AttributeError:
+            if hasattr(type(self), name):
+                raise  # it can only be read
+            get(self, name)
+
+    cls.__getattr__ = get  # type: ignore[attr-defined]
+    cls.__setattr__ = assign  # type: ignore[assignment]
 
 
 def _sentence(owner: str, name: str, base: str = "") -> str | None:

@@ -85,6 +85,14 @@ def test_a_name_of_another_project_is_not_an_attribute() -> None:
         _ = contacts.rigid_contact_penetration
     with pytest.raises(NotImplementedError, match=r"Model\.tendon_count is not built: tendons"):
         _ = owner_named("Model").tendon_count
+    with pytest.raises(
+        AttributeError, match="Model has no rigid_contact_max: use rigid_contact_max"
+    ):
+        owner_named("Model").rigid_contact_max = 1000
+    with pytest.raises(AttributeError, match="Control has no joint_target_pos: use joint_target_q"):
+        owner_named("Control").joint_target_pos = [0.0]
+    with pytest.raises(AttributeError, match="no setter"):
+        owner_named("Model").body_count = 1
     with pytest.raises(NotImplementedError, match=r"SolverVBD\.rigid_avbd_gamma is not built: bod"):
         _ = owner_named("SolverVBD").rigid_avbd_gamma
     with pytest.raises(AttributeError, match="SolverFeatherstone has no H: use eval_mass_matrix"):
@@ -107,6 +115,8 @@ def test_a_misspelled_name_is_an_attribute_error_that_python_can_complete(owner:
     ) as raised:
         _ = asked.devize
     assert raised.value.name == "devize" and raised.value.obj is asked
+    with pytest.raises(AttributeError, match=f"{owner!r} object has no attribute 'devize'"):
+        asked.devize = "cpu"
 
 
 @pytest.mark.parametrize("owner", sorted(INSTEAD | NOT_BUILT_IN))

@@ -9,7 +9,7 @@ from .._core.solvers import (
     SolverFeatherstone,
     SolverSemiImplicit,
 )
-from .._planned import getattr_of_class, missing_from_module
+from .._planned import explain_members, missing_from_module
 from .._require import require_diff, require_vbd
 
 __all__ = [
@@ -45,7 +45,7 @@ if has_diff() and has_vbd():
     VbdGradientInfo = GradientInfo  # its name before all solvers had one
     __all__ += ["DiffSolverVBD", "VbdGradientInfo"]
 
-SolverBase.__getattr__ = getattr_of_class("", "SolverBase")  # type: ignore[attr-defined]
+explain_members(SolverBase, base="SolverBase")
 
 
 def __getattr__(name: str) -> object:

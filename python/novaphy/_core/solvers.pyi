@@ -323,7 +323,7 @@ class SolverFeatherstone(SolverBase):
         self,
         model: Model,
         *,
-        angular_damping: SupportsFloat = 0.05,
+        angular_damping: SupportsFloat = 0.0,
         implicit_drives: bool = True,
         contact: Literal["pgs", "penalty"] | None = "pgs",
         friction_cone: Literal["cone", "pyramid"] = "cone",
@@ -340,6 +340,8 @@ class SolverFeatherstone(SolverBase):
     ) -> None: ...
     @property
     def angular_damping(self) -> float: ...
+    @property
+    def friction_smoothing(self) -> float: ...
     @property
     def implicit_drives(self) -> bool: ...
     @property
@@ -365,7 +367,7 @@ class DiffFeatherstoneSolver(SolverBase):
         self,
         model: Model,
         *,
-        angular_damping: SupportsFloat = 0.05,
+        angular_damping: SupportsFloat = 0.0,
         implicit_drives: bool = True,
         contact: Literal["pgs"] | None = "pgs",
         friction_cone: Literal["cone", "pyramid"] = "cone",

@@ -12,7 +12,7 @@
 
 namespace novaphy::articulation {
 
-inline constexpr int32_t kMostTreeContacts = 32;
+inline constexpr int32_t kMostTreeContacts = 64;
 
 // Rigid contacts (core/sim/contacts.h). `point_id` may be null where nothing starts warm. `found`:
 // the search found them from the state of the step, so that derivatives let them follow it.

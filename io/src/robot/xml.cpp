@@ -118,10 +118,14 @@ XmlFile::XmlFile(std::string_view function, XmlSource source, const char* root)
     broken(document_.ErrorLineNum(), std::string("expected XML: ") + document_.ErrorStr());
   root_ = document_.RootElement();
   if (root_ == nullptr) broken(0, "expected an element, got none");
-  if (std::string_view(root_->Name()) != root)
+  if (root != nullptr && std::string_view(root_->Name()) != root)
     refuse(*root_, std::string("expected the root element <") + root + ">");
-  for (const Element* other = root_->NextSiblingElement(); other != nullptr;)
+  if (const Element* other = root_->NextSiblingElement())
     refuse(*other, "expected one root element, got a second one");
+  check_elements();
+}
+
+void XmlFile::check_elements() const {
   // No recursion: tinyxml2 itself has ended where it is too deep for that.
   int depth = 0;
   for (const tinyxml2::XMLNode* node = root_; node != nullptr;) {
@@ -149,11 +153,47 @@ XmlFile::XmlFile(std::string_view function, XmlSource source, const char* root)
   }
 }
 
+Element* XmlFile::replace(Element& element, const XmlFile& other) {
+  Element* first = nullptr;
+  tinyxml2::XMLNode *const parent = element.Parent(), *last = &element;
+  for (const Element* e = other.root().FirstChildElement(); e != nullptr;
+       e = e->NextSiblingElement()) {
+    last = parent->InsertAfterChild(last, e->DeepClone(&document_));
+    if (first == nullptr) first = last->ToElement();
+    keep_places(*e, *last->ToElement(), other);
+  }
+  parent->DeleteChild(&element);
+  return first;
+}
+
+void XmlFile::keep_places(const Element& from, Element& to, const XmlFile& other) {
+  const RobotNote place = other.note(from, {});
+  to.SetUserData(&origins_.emplace_back(place.file, place.line));
+  Element* copy = to.FirstChildElement();
+  for (const Element* e = from.FirstChildElement(); e != nullptr; e = e->NextSiblingElement()) {
+    keep_places(*e, *copy, other);
+    copy = copy->NextSiblingElement();
+  }
+}
+
+std::string XmlFile::text() const {
+  tinyxml2::XMLPrinter printer(nullptr, true);
+  document_.Print(&printer);
+  return {printer.CStr(), static_cast<size_t>(printer.CStrSize() - 1)};
+}
+
+RobotNote XmlFile::note(const Element& element, std::string text) const {
+  std::string name = std::string("<") + element.Name();
+  if (const char* given = element.Attribute("name")) name += std::string(" name=\"") + given + "\"";
+  name += ">";
+  if (const auto* origin = static_cast<const Origin*>(element.GetUserData()))
+    return {origin->file, origin->line, std::move(name), std::move(text)};
+  return {source_.name, element.GetLineNum(), std::move(name), std::move(text)};
+}
+
 std::string XmlFile::place(const Element& element) const {
-  std::string text = source_.name + ":" + std::to_string(element.GetLineNum()) + ": <";
-  text += element.Name();
-  if (const char* name = element.Attribute("name")) text += std::string(" name=\"") + name + "\"";
-  return text + ">";
+  const RobotNote at = note(element, {});
+  return at.file + ":" + std::to_string(at.line) + ": " + at.element;
 }
 
 void XmlFile::refuse(const Element& element, std::string_view why, ErrorKind kind) const {

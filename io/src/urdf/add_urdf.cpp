@@ -20,11 +20,11 @@ Posed to_pose(const urdf::Pose& pose, double scale) {
 
 class Reader {
  public:
-  Reader(const ModelBuilder& builder, const XmlFile& file, const UrdfOptions& options)
-      : builder_(builder), file_(file), options_(options), scale_(options.scale) {}
+  Reader(const ModelBuilder& builder, const XmlFile& file, const UrdfOptions& options, Notes& notes)
+      : builder_(builder), file_(file), options_(options), notes_(notes), scale_(options.scale) {}
 
   Robot run() {
-    elements_ = check_urdf(file_);
+    elements_ = check_urdf(file_, notes_);
     const auto model = parse_urdf("add_urdf: " + file_.source().name, file_.source().text);
     try {
       read(*model);
@@ -39,7 +39,6 @@ class Reader {
  private:
   void read(const urdf::ModelInterface& model) {
     robot_.name = model.getName();
-    robot_.warnings = elements_.warnings;
     std::map<std::string, int32_t> index;
     for (const std::string& name : elements_.link_order) {
       const Element& e = *elements_.links.at(name);
@@ -100,7 +99,7 @@ class Reader {
             if (value != 0.0) file_.refuse(e, "mass: expected > 0 with an inertia, got 0");
     } else if (link.inertial == nullptr && !options_.ignore_inertial_definitions &&
                link.parent_joint != nullptr && link.parent_joint->type != urdf::Joint::FIXED) {
-      robot_.warnings.push_back(file_.place(e) + ": it moves and has no <inertial>: its mass is 0");
+      notes_.mended(e, "it moves and has no <inertial>: its mass is 0");
     }
     read_shapes(link, e, result);
     return result;
@@ -260,10 +259,9 @@ class Reader {
     const bool is_read = robot_.joints.back().type != JointType::FIXED && joint.limits != nullptr;
     if (!is_read) return;
     if (joint.limits->velocity == 0.0)
-      robot_.warnings.push_back(file_.place(e) + ": velocity=\"0\" of its <limit>: it never moves");
+      notes_.ignored(e, "velocity=\"0\" of its <limit>: it never moves");
     if (joint.limits->effort == 0.0)
-      robot_.warnings.push_back(file_.place(e) +
-                                ": effort=\"0\" of its <limit>: its drive has no force");
+      notes_.ignored(e, "effort=\"0\" of its <limit>: its drive has no force");
   }
 
   JointDofConfig dof(const urdf::Joint& joint, const Vec3d& axis, double scale) const {
@@ -291,6 +289,7 @@ class Reader {
   const ModelBuilder& builder_;
   const XmlFile& file_;
   const UrdfOptions& options_;
+  Notes& notes_;
   const double scale_;
   UrdfElements elements_;
   std::map<std::string, int> types_;  // of joints
@@ -330,18 +329,21 @@ RobotImport add_urdf(ModelBuilder& builder, std::string_view source, const UrdfO
           ": xform.q: expected a quaternion of length 1 (to 1e-3), got one of length ", norm);
   const detail::XmlFile file(name, detail::read_source(name, source, options.package_dirs),
                              "robot");
-  detail::Robot robot = detail::Reader(builder, file, options).run();
+  detail::Notes notes(file, options.unsupported);
+  detail::Robot robot = detail::Reader(builder, file, options, notes).run();
   detail::Posed xform = detail::to_double(options.xform);
   xform.q = math::multiply(xform.q, detail::turn_up(options.up_axis, builder.up_axis()));
-  return detail::emit_robot(builder, std::move(robot),
-                            {.function = name,
-                             .xform = xform,
-                             .parent_body = options.parent_body,
-                             .collapse = options.collapse_fixed_joints,
-                             .self_collisions = options.enable_self_collisions,
-                             .bodies_follow = options.bodies_follow_joint_ordering,
-                             .ordering = options.joint_ordering,
-                             .pairs_of_mujoco = false});
+  RobotImport result = detail::emit_robot(builder, std::move(robot),
+                                          {.function = name,
+                                           .xform = xform,
+                                           .parent_body = options.parent_body,
+                                           .collapse = options.collapse_fixed_joints,
+                                           .self_collisions = options.enable_self_collisions,
+                                           .bodies_follow = options.bodies_follow_joint_ordering,
+                                           .ordering = options.joint_ordering,
+                                           .pairs_of_mujoco = false});
+  detail::set_report(result, notes.take());
+  return result;
 }
 
 }  // namespace novaphy

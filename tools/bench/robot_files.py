@@ -125,9 +125,15 @@ def compare(exact, model, robot) -> dict[str, float]:
         worst[what] = max(worst[what], float(error if np.isfinite(error) else np.inf))
 
     mass = model.body_mass.numpy()
-    note("mass", mass[rows], exact.body_mass[1:])
+    # Of bodies that are held together: what has no inertia of its own adds to the one it is on.
+    weld = exact.body_weldid[1:]
+    groups = np.unique(weld[weld > 0])
+    sums = [[of[weld == g].sum() for g in groups] for of in (mass[rows], exact.body_mass[1:])]
+    note("mass", *sums)
+    alike = np.isclose(mass[rows], exact.body_mass[1:], rtol=1e-5) & (exact.body_mass[1:] > 0)
     data = mujoco.MjData(exact)
     state = model.state()
+    coordinates = model.joint_q_start.numpy()[:-1]
     draw = np.random.default_rng(0)
     com = model.body_com.numpy().astype(float)
     inertia = model.body_inertia.numpy().astype(float)
@@ -151,10 +157,13 @@ def compare(exact, model, robot) -> dict[str, float]:
                     mujoco.mju_quat2Mat(turn, quat)
                     turn = turn.reshape(3, 3)
                 if kind == 0:
+                    row = int(np.flatnonzero(coordinates == len(q))[-1])
                     data.qpos[a : a + 3] = draw.uniform(-1, 1, 3)
                     data.qpos[a + 3 : a + 7] = quat
                     q += [*data.qpos[a : a + 3], *np.roll(quat, -1)]
                     arm = turn @ com[rows[body - 1]]
+                    if model.joint_type.numpy()[row] != novaphy.JointType.FREE:
+                        arm = 0 * arm  # slides and a ball joint, about the origin
                     block = np.zeros((6, 6))
                     block[:3, :3] = np.eye(3)
                     block[:3, 3:] = -cross_matrix(arm) @ turn
@@ -204,10 +213,9 @@ def compare(exact, model, robot) -> dict[str, float]:
             tensor.append(turn @ inertia[row] @ turn.T)
             axes = data.ximat[body].reshape(3, 3)
             tensor_exact.append(axes @ np.diag(exact.body_inertia[body]) @ axes.T)
-        moved = [k for k, b in enumerate(range(1, exact.nbody)) if exact.body_mass[b] > 0]
-        if moved:
-            note("poses", np.array(center)[moved], data.xipos[1:][moved])
-            note("inertia", tensor, tensor_exact)
+        if alike.any():
+            note("poses", np.array(center)[alike], data.xipos[1:][alike])
+            note("inertia", np.array(tensor)[alike], np.array(tensor_exact)[alike])
         note("origins", pose[rows, :3], data.xpos[1:])
         if not exact.nv:
             break
@@ -295,7 +303,8 @@ def pairs_of_mujoco(m):
     keep = not m.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_FILTERPARENT
     excluded = {int(s) for s in m.exclude_signature}
     pairs = set()
-    if m.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_CONTACT:
+    bits = mujoco.mjtDisableBit
+    if m.opt.disableflags & (bits.mjDSBL_CONTACT | bits.mjDSBL_CONSTRAINT):
         return pairs
     bodies, weld, parent = m.geom_bodyid, m.body_weldid, m.body_parentid
     welds = [int(weld[b]) for b in bodies]

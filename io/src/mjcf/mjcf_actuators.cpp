@@ -24,7 +24,7 @@ struct Law {
   std::string gain_type = "fixed", bias_type = "none", dynamics = "none";
   double gain[3] = {1.0, 0.0, 0.0}, bias[3] = {0.0, 0.0, 0.0};
   double inherit_range = 0.0;
-  std::string other = {};  // an element that no law of this kind says
+  std::string kind = {};  // of the element that said so last
 };
 
 struct Actuator {
@@ -52,52 +52,56 @@ class ActuatorReader {
   }
 
  private:
-  // Sets what an element of the file or of a default class says.
-  void apply(const Element& e, Law& law) const {
-    const std::string_view kind = e.Name();
+  // Sets what an element of the file or of a default class says. `outer`: the laws of the classes
+  // around that, outermost first.
+  void apply(const Element& e, Law& law, std::span<const Law> outer) const {
+    const std::string kind = e.Name();
     const auto first = [&](const char* name, std::span<double> to) {
       const char* const given = e.Attribute(name);
-      if (given == nullptr) return false;
+      if (given == nullptr) return;
       const std::vector<double> values = file_.parse(e, name, given);
       for (size_t k = 0; k < std::min(values.size(), to.size()); ++k) to[k] = values[k];
-      return !values.empty();
     };
     const auto one = [&](const char* name) {
       double value[1];
       return file_.numbers(e, name, value) ? std::optional(value[0]) : std::nullopt;
     };
-    law.other.clear();
     if (kind == "general") {
+      law.kind = kind;
       if (const char* type = e.Attribute("gaintype")) law.gain_type = type;
       if (const char* type = e.Attribute("biastype")) law.bias_type = type;
       if (const char* type = e.Attribute("dyntype")) law.dynamics = type;
       first("gainprm", law.gain);
       first("biasprm", law.bias);
-    } else if (kind == "motor") {
-      law.gain[0] = 1.0;
-      law.gain_type = "fixed";
-      law.bias_type = law.dynamics = "none";
-    } else if (kind == "position" || kind == "velocity") {
-      const auto gain = one(kind == "position" ? "kp" : "kv");
-      if (gain) law.gain[0] = *gain;
-      law.gain_type = "fixed";
-      law.bias_type = "affine";
-      if (kind == "velocity") {
-        law.bias[0] = law.bias[1] = 0.0;
-        law.bias[2] = -law.gain[0];
-        law.dynamics = "none";
-        return;
-      }
-      law.bias[1] = -law.gain[0];
-      const auto kv = one("kv"), ratio = one("dampratio"), lag = one("timeconst");
-      if (kv && ratio) file_.refuse(e, "kv, dampratio: expected one of them");
-      if (kv) law.bias[2] = -*kv;
-      if (ratio) law.bias[2] = *ratio;
-      if (lag) law.dynamics = *lag == 0.0 ? "none" : "filterexact";
-      if (const auto range = one("inheritrange")) law.inherit_range = *range;
-    } else {
-      law.other = kind;
+      return;
     }
+    // The others go on from what the same kind, or <general>, said last.
+    Law from;
+    const auto goes_on = [&](const Law& l) { return l.kind == kind || l.kind == "general"; };
+    if (goes_on(law)) {
+      from = law;
+    } else {
+      const auto found = std::find_if(outer.rbegin(), outer.rend(), goes_on);
+      if (found != outer.rend()) from = *found;
+    }
+    law = Law{};
+    law.kind = kind;
+    if (kind != "position" && kind != "velocity") return;
+    law.bias_type = "affine";
+    law.gain[0] = one(kind == "position" ? "kp" : "kv").value_or(from.gain[0]);
+    if (kind == "velocity") {
+      law.bias[2] = -law.gain[0];
+      return;
+    }
+    law.bias[1] = -law.gain[0];
+    law.bias[2] = from.bias[2];
+    law.dynamics = from.dynamics;
+    law.inherit_range = one("inheritrange").value_or(from.inherit_range);
+    const auto kv = one("kv"), ratio = one("dampratio"), lag = one("timeconst");
+    if (kv && ratio) file_.refuse(e, "kv, dampratio: expected one of them");
+    if (kv) law.bias[2] = -*kv;
+    if (ratio) law.bias[2] = *ratio;
+    if (lag) law.dynamics = *lag == 0.0 ? "none" : "filterexact";
   }
 
   void read(const Element& e) {
@@ -109,10 +113,14 @@ class ActuatorReader {
       context_.not_read(e, "this element");
     context_.notes.read("actuator");
     Law law;
-    for (const Element* of_class : defaults_.actuators(e)) apply(*of_class, law);
-    apply(e, law);
-    if (!law.other.empty())
-      return context_.notes.left_out(e, "an actuator of the kind <" + law.other + ">");
+    std::vector<Law> outer;
+    for (const auto& of_class : defaults_.actuators(e)) {
+      for (const Element* each : of_class) apply(*each, law, outer);
+      outer.push_back(law);
+    }
+    apply(e, law, outer);
+    if (kind != "general" && kind != "motor" && kind != "position" && kind != "velocity")
+      return context_.notes.left_out(e, "an actuator of the kind <" + law.kind + ">");
     const auto joint = text(e, "joint") ? text(e, "joint") : text(e, "jointinparent");
     for (const char* other : {"tendon", "site", "body", "cranksite", "slidersite"})
       if (!joint && text(e, other))
@@ -142,8 +150,9 @@ class ActuatorReader {
   std::optional<std::string> text(const Element& e, const char* name) const {
     if (const char* own = e.Attribute(name)) return own;
     std::optional<std::string> value;
-    for (const Element* of_class : defaults_.actuators(e))
-      if (const char* given = of_class->Attribute(name)) value = given;
+    for (const auto& of_class : defaults_.actuators(e))
+      for (const Element* each : of_class)
+        if (const char* given = each->Attribute(name)) value = given;
     return value;
   }
   std::vector<double> list(const Element& e, const char* name) const {

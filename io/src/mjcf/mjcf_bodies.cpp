@@ -118,6 +118,13 @@ class BodiesReader {
       robot.world_shapes.push_back(std::move(geom->shape));
       return;
     }
+    if (geom->shape.type == GeoType::PLANE && part.is_static) {
+      // Planes belong to the world.
+      geom->shape.pose = math::multiply(part.in_world, geom->shape.pose);
+      geom->shape.link = part.link;
+      robot.world_shapes.push_back(std::move(geom->shape));
+      return;
+    }
     RobotLink& link = robot.links[static_cast<size_t>(part.link)];
     if (part.with_mass)
       add_mass(link, geom->mass, math::transform_point(geom->shape.pose, geom->com),
@@ -171,7 +178,8 @@ class BodiesReader {
     BodyJoints joints(context_, e, outer, class_in(e, outer), name);
     const char* const mocap = e.Attribute("mocap");
     const bool is_mocap = mocap != nullptr && read_flag(file_, e, "mocap", mocap);
-    const int32_t index = joints.add(math::multiply(outer.frame, pose_of(e)), is_mocap);
+    const Posed pose = math::multiply(outer.frame, pose_of(e));
+    const int32_t index = joints.add(pose, is_mocap);
     if (robot.links.size() > kMostBodies) file_.refuse(e, "expected at most 10000 bodies");
     if (!context_.bodies.emplace(name, index).second)
       file_.refuse(e, "name: expected different names, got \"" + name + "\" twice");
@@ -179,13 +187,15 @@ class BodiesReader {
     const auto how = context_.settings.compiler.inertia_from_geom;
     BodyPart part{.link = index,
                   .childclass = class_in(e, outer),
+                  .is_static = outer.is_static && !joints.moves(),
+                  .in_world = math::multiply(outer.in_world, pose),
                   .suffix = outer.suffix,
                   .with_mass = how == MjcfCompiler::Inertia::Always ||
                                (how == MjcfCompiler::Inertia::Auto &&
                                 e.FirstChildElement("inertial") == nullptr)};
     read_children(e, part);
     const RobotLink& link = robot.links[static_cast<size_t>(index)];
-    if (link.mass == 0.0 && joints.moves() && e.FirstChildElement("body") == nullptr &&
+    if (link.mass == 0.0 && joints.moves() && !is_mocap && e.FirstChildElement("body") == nullptr &&
         !(context_.settings.compiler.bound_mass > 0.0))
       file_.refuse(e, "expected a mass: an <inertial>, or a geom with a density");
   }

@@ -10,6 +10,8 @@ struct BodyPart {
   int32_t link = kWorldLink;
   Posed frame = identity_pose();  // of the element in the link
   std::string childclass = {};
+  bool is_static = true;  // fixed to the world, in which it has the pose
+  Posed in_world = identity_pose();
   std::string suffix = {};  // of names, of a copy
   bool with_mass = false;   // geoms have one
   size_t geoms = 0;         // so far
@@ -52,6 +54,8 @@ class BodyJoints {
   void read_range(const Element& e, const std::string& childclass, double unit, MjcfJoint& to,
                   JointDofConfig& dof) const;
   void add_ball(const Found& found, const std::string& type);
+  void add_free(const Element& e, const std::string& name, double damping, double friction,
+                double armature);
   void add_group(std::span<const Scalar> group);
   // Adds a joint whose child is the body, or a link between where another one follows.
   RobotJoint& add_joint(std::string name, const Element& e, JointType type, bool is_last);

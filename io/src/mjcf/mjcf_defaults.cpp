@@ -42,11 +42,12 @@ void MjcfDefaults::read(const Element& e, const std::string& parent) {
   if (!parent.empty() && !classes_.emplace(name, classes_.at(parent)).second)
     file_.refuse(e, "class: expected different names, got \"" + name + "\" twice");
   Class& to = classes_.at(name);
+  if (!parent.empty() || to.actuators.empty()) to.actuators.emplace_back();
   for (const Element* c = e.FirstChildElement(); c != nullptr; c = c->NextSiblingElement()) {
     const std::string_view kind = c->Name();
     if (kind == "default") continue;
     if (std::find(std::begin(kActuators), std::end(kActuators), kind) != std::end(kActuators))
-      to.actuators.push_back(c);
+      to.actuators.back().push_back(c);
     for (const auto* a = c->FirstAttribute(); a != nullptr; a = a->Next())
       to.elements[c->Name()][a->Name()] = a->Value();
   }
@@ -75,7 +76,7 @@ const MjcfDefaults::Attributes* MjcfDefaults::of_class(const Element& e,
   return element == in.elements.end() ? nullptr : &element->second;
 }
 
-const std::vector<const Element*>& MjcfDefaults::actuators(const Element& e) const {
+const MjcfDefaults::ActuatorClasses& MjcfDefaults::actuators(const Element& e) const {
   return class_of(e, {}).actuators;
 }
 

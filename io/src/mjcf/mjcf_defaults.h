@@ -33,9 +33,9 @@ class MjcfDefaults {
   void check_known(const Element& e, const std::string& childclass,
                    std::span<const std::string_view> read,
                    std::span<const std::string_view> passed_over) const;
-  // The <general>, <motor>, ... in the class of an actuator and in those around it, outermost
-  // first.
-  const std::vector<const Element*>& actuators(const Element& e) const;
+  // The <general>, <motor>, ... of the classes around an actuator's, outermost first, and its own.
+  using ActuatorClasses = std::vector<std::vector<const Element*>>;
+  const ActuatorClasses& actuators(const Element& e) const;
   // The orientation of an element: axisangle, euler, zaxis or xyaxes, else quat; else the identity.
   Quatd orientation(const Element& e, const std::string& childclass,
                     const MjcfCompiler& compiler) const;
@@ -44,7 +44,7 @@ class MjcfDefaults {
   using Attributes = std::map<std::string, std::string>;
   struct Class {
     std::map<std::string, Attributes> elements;
-    std::vector<const Element*> actuators = {};
+    ActuatorClasses actuators = {};
   };
 
   void read(const Element& e, const std::string& parent);

@@ -50,8 +50,7 @@ class Includer {
     if (given == nullptr) file_.refuse(e, "file: missing");
     if (depth_of(e) > kDeepest)
       file_.refuse(e, "expected at most 100 elements inside of each other");
-    const std::string where = std::string(file_.function()) + ": " + file_.place(e);
-    const fs::path path = resolve_file(where, given, file_.source().folder, package_dirs_);
+    const fs::path path = file_.resolve(e, given, given, package_dirs_);
     if (!seen_.insert(path).second)
       file_.refuse(e, "expected each file once, got " + path.string() + " a second time");
     if (seen_.size() > kMostFiles) file_.refuse(e, "expected at most 1000 files");

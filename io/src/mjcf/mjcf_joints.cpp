@@ -168,34 +168,59 @@ void BodyJoints::add_ball(const Found& found, const std::string& type) {
   if (is_free && parent_ >= 0)
     file.refuse(e, "expected a free joint of a body in the world, got one below");
   const std::string name = new_name(e);
-  const bool is_last = found.element == found_.back().element;
-  RobotJoint& joint = add_joint(name, e, is_free ? JointType::FREE : JointType::BALL, is_last);
-  note_joint(name, {.element = &e}, 0);
-  if (std::string_view(e.Name()) == "freejoint") return;
-  const MjcfOption& option = context_.settings.option;
   const std::string& childclass = found.childclass;
+  const MjcfOption& option = context_.settings.option;
+  double damping = 0.0, friction = 0.0, armature = 0.0;
+  if (std::string_view(e.Name()) != "freejoint") {
+    damping = passive(e, "damping", childclass, option.damper);
+    friction = passive(e, "frictionloss", childclass, option.friction);
+    armature = passive(e, "armature", childclass, true);
+    if (passive(e, "stiffness", childclass, option.spring) > 0.0)
+      context_.notes.left_out(e, "stiffness of a " + type + " joint");
+  }
+  if (is_free) return add_free(e, name, damping, friction, armature);
+  RobotJoint& joint = add_joint(name, e, JointType::BALL, found.element == found_.back().element);
+  note_joint(name, {.element = &e}, 0);
+  joint.damping = damping;
+  joint.friction = friction;
+  joint.armature = armature;
   double v[3];
-  if (!is_free && context_.defaults.numbers(e, "pos", childclass, v)) {
+  if (context_.defaults.numbers(e, "pos", childclass, v)) {
     joint.child_pose.p = math::transform_point(found.frame, Vec3d{v[0], v[1], v[2]});
     joint.parent_pose = math::multiply(joint.parent_pose, joint.child_pose);
   }
-  joint.armature = passive(e, "armature", childclass, true);
-  const double damping = passive(e, "damping", childclass, option.damper);
-  const double friction = passive(e, "frictionloss", childclass, option.friction);
-  if (passive(e, "stiffness", childclass, option.spring) > 0.0)
-    context_.notes.left_out(e, "stiffness of a " + type + " joint");
-  if (is_free && (damping > 0.0 || friction > 0.0)) {
-    context_.notes.left_out(e, "damping and frictionloss of a free joint");
-  } else {
-    joint.damping = damping;
-    joint.friction = friction;
-  }
-  if (is_free && joint.armature > 0.0)
-    context_.notes.mended(e, "armature of a free joint acts at the centre of mass of the body");
   MjcfJoint limits;
   JointDofConfig unused;
-  if (!is_free) read_range(e, childclass, context_.settings.compiler.angle, limits, unused);
+  read_range(e, childclass, context_.settings.compiler.angle, limits, unused);
   if (limits.is_limited && option.limit) context_.notes.left_out(e, "range of a ball joint");
+}
+
+// One with forces or inertia of its own is three slides and a ball joint, which have these: the
+// coordinates are the same.
+void BodyJoints::add_free(const Element& e, const std::string& name, double damping,
+                          double friction, double armature) {
+  if (damping == 0.0 && friction == 0.0 && armature == 0.0) {
+    add_joint(name, e, JointType::FREE, true);
+    return note_joint(name, {.element = &e}, 0);
+  }
+  const Posed start = pose_;
+  pose_ = identity_pose();
+  RobotJoint& slides = add_joint(name, e, JointType::D6, false);
+  note_joint(name, {.element = &e}, 0);
+  for (const Axis axis : {Axis::X, Axis::Y, Axis::Z}) {
+    JointDofConfig dof;
+    dof.axis = axis_vector(axis);
+    dof.damping = static_cast<float>(damping);
+    dof.friction = static_cast<float>(friction);
+    dof.armature = static_cast<float>(armature);
+    slides.linear.push_back(dof);
+  }
+  slides.start = {start.p.x, start.p.y, start.p.z};
+  RobotJoint& ball = add_joint(name + "_ball", e, JointType::BALL, true);
+  ball.start = {start.q.x, start.q.y, start.q.z, start.q.w};
+  ball.damping = damping;
+  ball.friction = friction;
+  ball.armature = armature;
 }
 
 void BodyJoints::read_range(const Element& e, const std::string& childclass, double unit,

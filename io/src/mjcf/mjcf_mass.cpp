@@ -121,35 +121,6 @@ SolidMass mesh_mass(const Mesh& surface, MeshInertia how) {
   return mass;
 }
 
-PrincipalAxes principal_axes(const Mat33d& symmetric) {
-  PrincipalAxes p{{}, {{1.0, 0.0, 0.0}, {0.0, 1.0, 0.0}, {0.0, 0.0, 1.0}}};
-  Mat33d a = symmetric;
-  for (int sweep = 0; sweep < 30; ++sweep)  // Jacobi
-    for (const auto& [i, j] : {std::pair{0, 1}, {0, 2}, {1, 2}}) {
-      if (a.m[i][j] == 0.0) continue;
-      const double theta = (a.m[j][j] - a.m[i][i]) / (2.0 * a.m[i][j]);
-      const double t = (theta < 0.0 ? -1.0 : 1.0) / (std::abs(theta) + std::hypot(theta, 1.0));
-      const double c = 1.0 / std::hypot(t, 1.0), s = t * c;
-      for (int k = 0; k < 3; ++k) {
-        const double x = a.m[k][i], y = a.m[k][j];
-        a.m[k][i] = c * x - s * y;
-        a.m[k][j] = s * x + c * y;
-      }
-      for (int k = 0; k < 3; ++k) {
-        const double x = a.m[i][k], y = a.m[j][k];
-        a.m[i][k] = c * x - s * y;
-        a.m[j][k] = s * x + c * y;
-      }
-      for (auto& row : p.axes) {
-        const double x = row[i], y = row[j];
-        row[i] = c * x - s * y;
-        row[j] = s * x + c * y;
-      }
-    }
-  for (int k = 0; k < 3; ++k) p.moments[k] = a.m[k][k];
-  return p;
-}
-
 void mend_masses(Robot& robot, const MjcfCompiler& compiler) {
   if (compiler.bound_mass > 0.0)
     for (RobotLink& link : robot.links)
@@ -170,11 +141,7 @@ void mend_masses(Robot& robot, const MjcfCompiler& compiler) {
         m[0] = m[1] = m[2] = sum / 3.0;
       }
       if (!changes) continue;
-      for (int i = 0; i < 3; ++i)
-        for (int j = 0; j < 3; ++j) {
-          link.inertia.m[i][j] = 0.0;
-          for (int k = 0; k < 3; ++k) link.inertia.m[i][j] += p.axes[i][k] * m[k] * p.axes[j][k];
-        }
+      link.inertia = from_axes(p);
     }
   if (!(compiler.total_mass > 0.0)) return;
   double sum = 0.0;

@@ -23,11 +23,4 @@ SolidMass mesh_mass(const Mesh& surface, MeshInertia how);
 // boundmass, boundinertia, balanceinertia and settotalmass, in this order.
 void mend_masses(Robot& robot, const MjcfCompiler& compiler);
 
-// A symmetric matrix as R diag(moments) R^T.
-struct PrincipalAxes {
-  double moments[3];
-  double axes[3][3];  // columns
-};
-PrincipalAxes principal_axes(const Mat33d& symmetric);
-
 }  // namespace novaphy::detail

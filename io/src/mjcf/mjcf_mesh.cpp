@@ -101,12 +101,13 @@ std::string MjcfAssets::path_of(const std::string& file) const {
 bool MjcfAssets::is_there(const std::string& name) const {
   const auto found = meshes_.find(name);
   if (found == meshes_.end() || found->second.file.empty()) return true;
-  const fs::path path = path_of(found->second.file);
-  std::vector<fs::path> folders(package_dirs_.begin(), package_dirs_.end());
-  folders.push_back(file_.source().folder);
-  std::error_code error;
-  return std::any_of(folders.begin(), folders.end(),
-                     [&](const fs::path& folder) { return fs::exists(folder / path, error); });
+  try {
+    file_.resolve(*found->second.element, path_of(found->second.file), found->second.file,
+                  package_dirs_);
+    return true;
+  } catch (const Error&) {
+    return false;
+  }
 }
 
 const MjcfMesh& MjcfAssets::mesh(const Element& user, const std::string& name) {
@@ -148,9 +149,7 @@ MjcfMesh MjcfAssets::load(const Asset& asset) {
       if (mesh.indices.size() % 3 != 0) file_.refuse(e, "face: expected 3 numbers a triangle");
       if (mesh.indices.empty()) mesh.indices = hull_of_all(mesh.vertices);
     } else {
-      const std::string where = std::string(file_.function()) + ": " + file_.place(e);
-      const fs::path path =
-          resolve_file(where, path_of(asset.file), file_.source().folder, package_dirs_);
+      const fs::path path = file_.resolve(e, path_of(asset.file), asset.file, package_dirs_);
       std::error_code error;
       if (fs::file_size(path, error) > kLargest || error)
         file_.refuse(e, "expected a file of at most 256 MiB, got " + path.string());

@@ -4,6 +4,7 @@
 
 #include <cmath>
 #include <filesystem>
+#include <functional>
 #include <memory>
 #include <optional>
 #include <string>
@@ -107,6 +108,22 @@ Mat33d turned(const Quatd& q, const Mat33d& inertia);
 
 // Adds what has a mass, a centre and an inertia about that, in the frame of the link.
 void add_mass(RobotLink& to, double mass, const Vec3d& com, const Mat33d& inertia);
+
+// Whether a body may have this inertia: positive definite, also when it is rounded to float32.
+bool has_extent(const Mat33d& inertia);
+// A symmetric matrix as R diag(moments) R^T.
+struct PrincipalAxes {
+  double moments[3];
+  double axes[3][3];  // columns
+};
+PrincipalAxes principal_axes(const Mat33d& symmetric);
+// R diag(moments) R^T
+Mat33d from_axes(const PrincipalAxes& axes);
+// What a file gives a mass and no inertia, or the other way round. On a fixed joint its parent gets
+// both, which moves alike, and the world forgets them; else, if `moving`, principal moments are at
+// least those of a ball of water of that mass. `mended(link, text)` hears of the latter.
+void mend_inertias(Robot& robot, bool moving,
+                   const std::function<void(size_t, const std::string&)>& mended);
 
 // The pose of the child's joint frame in the parent's at the start.
 Posed start_pose(const RobotJoint& joint);

@@ -176,6 +176,19 @@ void XmlFile::keep_places(const Element& from, Element& to, const XmlFile& other
   }
 }
 
+fs::path XmlFile::resolve(const Element& element, std::string_view path, std::string_view beside,
+                          std::span<const fs::path> package_dirs) const {
+  const std::string where = std::string(function_) + ": " + place(element);
+  const auto* const origin = static_cast<const Origin*>(element.GetUserData());
+  std::error_code error;
+  if (origin != nullptr && !source_.folder.empty() && !fs::exists(source_.folder / path, error)) {
+    const fs::path other = fs::path(origin->file).parent_path() / beside;
+    if (fs::exists(other, error))
+      return resolve_file(where, other.string(), source_.folder, package_dirs);
+  }
+  return resolve_file(where, path, source_.folder, package_dirs);
+}
+
 std::string XmlFile::text() const {
   tinyxml2::XMLPrinter printer(nullptr, true);
   document_.Print(&printer);

@@ -50,6 +50,13 @@ class XmlFile {
   // ErrorKind::Value: elements nested too deep, attributes twice, macros.
   void check_elements() const;
 
+  // The path of a file that an element names: `path` in the folder of this file, else `beside` in
+  // the folder of the included file that the element comes from. ErrorKind::Value: see
+  // resolve_file.
+  std::filesystem::path resolve(const Element& element, std::string_view path,
+                                std::string_view beside,
+                                std::span<const std::filesystem::path> package_dirs) const;
+
   // File, line, and the element as `<link name="a">`.
   RobotNote note(const Element& element, std::string text) const;
   // "file:line: <link name="a">"

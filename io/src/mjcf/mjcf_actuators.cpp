@@ -3,6 +3,7 @@
 #include <cmath>
 
 #include "mjcf_context.h"
+#include "mjcf_start.h"
 
 namespace novaphy::detail {
 namespace {
@@ -236,45 +237,10 @@ class ActuatorReader {
     return k < in.linear.size() ? in.linear[k] : in.angular[k - in.linear.size()];
   }
 
-  // The diagonal of the mass matrix at the start, of everything that the dof moves.
+  // What the dof moves at the start, where all others may move.
   double dof_inertia(const MjcfJoint& joint) {
-    const Robot& robot = context_.robot;
-    if (poses_.empty()) {
-      poses_.resize(robot.links.size());
-      for (const RobotJoint& j : robot.joints) {
-        const Posed parent = j.parent < 0 ? identity_pose() : poses_[static_cast<size_t>(j.parent)];
-        poses_[static_cast<size_t>(j.child)] =
-            math::multiply(math::multiply(math::multiply(parent, j.parent_pose), start_pose(j)),
-                           math::inverse(j.child_pose));
-      }
-    }
-    const RobotJoint& of = robot.joints[static_cast<size_t>(joint.joint)];
-    const Posed& pose = poses_[static_cast<size_t>(of.child)];
-    const JointDofConfig& dof = dof_of(joint);
-    // Its axis at the start: those before it turn it, and their angles are 0 there but for a ref,
-    // with which a hinge is alone.
-    const bool is_linear = static_cast<size_t>(joint.dof) < of.linear.size();
-    const Vec3d axis = math::rotate(pose.q, Vec3d{dof.axis.x, dof.axis.y, dof.axis.z});
-    const Vec3d anchor = math::transform_point(pose, of.child_pose.p);
-    std::vector<bool> below(robot.links.size(), false);
-    double sum = dof.armature;
-    for (const RobotJoint& j : robot.joints) {  // parents first
-      const auto child = static_cast<size_t>(j.child);
-      below[child] = j.child == of.child || (j.parent >= 0 && below[static_cast<size_t>(j.parent)]);
-      if (!below[child]) continue;
-      const RobotLink& link = robot.links[child];
-      if (is_linear) {
-        sum += link.mass;
-        continue;
-      }
-      const Vec3d arm = math::cross(axis, math::transform_point(poses_[child], link.com) - anchor);
-      const Mat33d inertia = turned(poses_[child].q, link.inertia);
-      const double n[3] = {axis.x, axis.y, axis.z};
-      sum += link.mass * math::dot(arm, arm);
-      for (int i = 0; i < 3; ++i)
-        for (int k = 0; k < 3; ++k) sum += n[i] * inertia.m[i][k] * n[k];
-    }
-    return sum;
+    if (inertias_.empty()) inertias_ = free_inertias(context_.robot);
+    return inertias_[static_cast<size_t>(joint.joint)][static_cast<size_t>(joint.dof)];
   }
 
   // What a control does: a target of a drive, or a force.
@@ -381,8 +347,8 @@ class ActuatorReader {
   const MjcfDefaults& defaults_;
   std::vector<Actuator> found_;
   std::set<std::string> names_, springs_;
-  std::map<std::string, Gains> gains_;  // of joints
-  std::vector<Posed> poses_;            // of links at the start
+  std::map<std::string, Gains> gains_;         // of joints
+  std::vector<std::vector<double>> inertias_;  // of dofs, when they are needed
 };
 
 }  // namespace

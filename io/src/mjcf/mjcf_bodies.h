@@ -51,8 +51,8 @@ class BodyJoints {
   void collect(const Element& e, const Posed& frame, const std::string& childclass);
   std::string new_name(const Element& e);
   Scalar read_scalar(const Found& found, bool is_hinge);
-  void read_range(const Element& e, const std::string& childclass, double unit, MjcfJoint& to,
-                  JointDofConfig& dof) const;
+  void read_range(const Element& e, const std::string& childclass, double unit, bool is_ball,
+                  MjcfJoint& to, JointDofConfig& dof) const;
   void add_ball(const Found& found, const std::string& type);
   void add_free(const Element& e, const std::string& name, double damping, double friction,
                 double armature);

@@ -191,7 +191,7 @@ void BodyJoints::add_ball(const Found& found, const std::string& type) {
   }
   MjcfJoint limits;
   JointDofConfig unused;
-  read_range(e, childclass, context_.settings.compiler.angle, limits, unused);
+  read_range(e, childclass, context_.settings.compiler.angle, true, limits, unused);
   if (limits.is_limited && option.limit) context_.notes.left_out(e, "range of a ball joint");
 }
 
@@ -224,7 +224,7 @@ void BodyJoints::add_free(const Element& e, const std::string& name, double damp
 }
 
 void BodyJoints::read_range(const Element& e, const std::string& childclass, double unit,
-                            MjcfJoint& to, JointDofConfig& dof) const {
+                            bool is_ball, MjcfJoint& to, JointDofConfig& dof) const {
   const XmlFile& file = context_.file;
   const MjcfDefaults& defaults = context_.defaults;
   const bool automatic = context_.settings.compiler.auto_limits;
@@ -236,7 +236,7 @@ void BodyJoints::read_range(const Element& e, const std::string& childclass, dou
       file.refuse(e, std::string(flag) +
                          ": expected true or false, where the compiler has autolimits=\"false\"");
     const bool is_limited = limited == "auto" ? has_limits : read_flag(file, e, flag, limited);
-    if (is_limited && !(has_range && range[0] < range[1]))
+    if (is_limited && !(has_range && range[0] < range[1]) && !is_ball)
       file.refuse(e, std::string(name) + ": expected two numbers, the lower one first");
     return is_limited;
   };
@@ -273,7 +273,7 @@ BodyJoints::Scalar BodyJoints::read_scalar(const Found& found, bool is_hinge) {
   s.axis = math::rotate(found.frame.q, Vec3d{axis[0], axis[1], axis[2]} / length);
   s.dof.axis = to_float(s.axis);
   s.ref = defaults.number(e, "ref", childclass, 0.0) * unit;
-  read_range(e, childclass, unit, s.joint, s.dof);
+  read_range(e, childclass, unit, false, s.joint, s.dof);
   s.dof.damping = static_cast<float>(passive(e, "damping", childclass, option.damper));
   s.dof.armature = static_cast<float>(passive(e, "armature", childclass, true));
   s.dof.friction = static_cast<float>(passive(e, "frictionloss", childclass, option.friction));

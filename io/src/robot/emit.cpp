@@ -343,9 +343,7 @@ class Emitter {
     const auto is_one_part = [&](const RobotJoint& joint) {
       if (joint.parent >= 0 && robot_.links[static_cast<size_t>(joint.parent)].is_between)
         return true;
-      const bool is_held = joint.type == JointType::FIXED ||
-                           robot_.links[static_cast<size_t>(joint.child)].is_kinematic;
-      return is_held && (joint.parent >= 0 || options_.pairs_of_mujoco);
+      return joint.type == JointType::FIXED && (joint.parent >= 0 || options_.pairs_of_mujoco);
     };
     for (const RobotJoint& joint : robot_.joints)
       if (is_one_part(joint)) {
@@ -353,6 +351,8 @@ class Emitter {
         const size_t to = part_of(joint.parent), from = part_of(joint.child);
         std::replace(part_.begin(), part_.end(), std::min(to, from), std::max(to, from));
       }
+    for (size_t k = 0; k < robot_.links.size(); ++k)
+      if (robot_.links[k].is_kinematic) kinematic_.push_back(part_[k]);
     for (RobotJoint& joint : robot_.joints) {
       joint.meets_parent = joint.parent >= 0 && part_of(joint.parent) == world;
       if (part_of(joint.parent) != world && options_.filter_parent)
@@ -384,6 +384,11 @@ class Emitter {
       if (members[a].size() > 1) meet(a, a);
     for (const auto& [a, b] : neighbours_)
       if (a != b) meet(a, b);
+    // What follows a motion of its own moves neither what does so nor the world.
+    for (size_t k = 0; k < kinematic_.size(); ++k) {
+      if (options_.pairs_of_mujoco) meet(kinematic_[k], row_of(kWorldLink));
+      for (size_t l = 0; l < k; ++l) meet(kinematic_[l], kinematic_[k]);
+    }
     for (const auto& [a, b] : robot_.excluded) filter_links(row_of(a), row_of(b));
     if (!options_.self_collisions)
       for (size_t a = 0; a + 1 < shapes_of_.size(); ++a)
@@ -414,6 +419,7 @@ class Emitter {
   std::vector<int32_t> dof_, coord_;         // of joints: their first rows
   std::vector<size_t> part_;                 // of the links of the file, and last of the world
   std::set<std::pair<size_t, size_t>> neighbours_;  // parts that a joint connects
+  std::vector<size_t> kinematic_;                   // parts
   // Of each link of the file, and last of the world: the shapes.
   std::vector<std::vector<std::pair<int32_t, const RobotShape*>>> shapes_of_;
   std::unordered_map<std::string, Mesh> meshes_;

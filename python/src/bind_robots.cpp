@@ -112,7 +112,8 @@ RobotImport add_urdf_to(ModelBuilder& builder, py::handle source, py::handle xfo
                         bool bodies_follow_joint_ordering, bool collapse_fixed_joints,
                         std::optional<int32_t> mesh_maxhullvert,
                         const std::string& joint_damping_mode, py::handle package_dirs,
-                        const std::string& mimic, const std::string& unsupported) {
+                        const std::string& mimic, bool mend_inertias,
+                        const std::string& unsupported) {
   constexpr const char* name = "add_urdf";
   const std::string text = source_text(name, source);
   check_opens(text);
@@ -145,6 +146,7 @@ RobotImport add_urdf_to(ModelBuilder& builder, py::handle source, py::handle xfo
                                 {"refuse", MimicMode::Refuse},
                                 {"fixed", MimicMode::Fixed},
                                 {"independent", MimicMode::Independent}}),
+      .mend_inertias = mend_inertias,
       .unsupported = to_unsupported(name, unsupported)};
   return with_warnings(add_urdf(builder, text, options));
 }
@@ -307,8 +309,8 @@ void bind_robots(py::class_<ModelBuilder>& builder, py::module_& io) {
               "ignore_inertial_definitions"_a = false, "joint_ordering"_a = "dfs",
               "bodies_follow_joint_ordering"_a = true, "collapse_fixed_joints"_a = false,
               "mesh_maxhullvert"_a = py::none(), "joint_damping_mode"_a = "passive",
-              "package_dirs"_a = py::none(), "mimic"_a = "follow", "unsupported"_a = "error",
-              urdf_doc);
+              "package_dirs"_a = py::none(), "mimic"_a = "follow", "mend_inertias"_a = true,
+              "unsupported"_a = "error", urdf_doc);
   builder.def("add_mjcf", &add_mjcf_to, "source"_a, py::kw_only(), "xform"_a = py::none(),
               "collapse_fixed_joints"_a = false, "enable_self_collisions"_a = true,
               "package_dirs"_a = py::none(), "unsupported"_a = "error", mjcf_doc);

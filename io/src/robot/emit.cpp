@@ -5,7 +5,6 @@
 #include <set>
 #include <unordered_map>
 
-#include "novaphy/io/mesh.h"
 #include "robot.h"
 
 namespace novaphy::detail {
@@ -180,14 +179,6 @@ class Emitter {
     add_shapes(kWorldLink, robot_.world_shapes);
   }
 
-  const Mesh& mesh(const RobotShape& shape) {
-    if (shape.surface != nullptr) return *shape.surface;
-    const auto found = meshes_.find(shape.mesh.string());
-    if (found != meshes_.end()) return found->second;
-    return meshes_.emplace(shape.mesh.string(), load_mesh(shape.mesh, {.drop_degenerate = true}))
-        .first->second;
-  }
-
   void add_shapes(int32_t link, const std::vector<RobotShape>& shapes) {
     const int32_t body = link < 0 ? -1 : body_[static_cast<size_t>(link)];
     for (const RobotShape& shape : shapes) {
@@ -204,7 +195,7 @@ class Emitter {
                                      .scale = to_float(shape.scale),
                                      .cfg = cfg,
                                      .label = shape.label});
-        const Mesh& surface = mesh(shape);
+        const Mesh& surface = *shape.surface;
         if (shape.hull_vertices)
           return builder_.add_shape_convex_hull(body, {.xform = to_float(pose),
                                                        .vertices = surface.vertices,
@@ -422,7 +413,6 @@ class Emitter {
   std::vector<size_t> kinematic_;                   // parts
   // Of each link of the file, and last of the world: the shapes.
   std::vector<std::vector<std::pair<int32_t, const RobotShape*>>> shapes_of_;
-  std::unordered_map<std::string, Mesh> meshes_;
   std::set<std::string> in_pairs_;                         // labels of shapes
   std::unordered_map<std::string, int32_t> named_shapes_;  // of those
   std::set<std::pair<int32_t, int32_t>> kept_;             // pairs that no filter takes

@@ -120,9 +120,10 @@ PrincipalAxes principal_axes(const Mat33d& symmetric);
 // R diag(moments) R^T
 Mat33d from_axes(const PrincipalAxes& axes);
 // What a file gives a mass and no inertia, or the other way round. On a fixed joint its parent gets
-// both, which moves alike, and the world forgets them; else, if `moving`, principal moments are at
-// least those of a ball of water of that mass. `mended(link, text)` hears of the latter.
-void mend_inertias(Robot& robot, bool moving,
+// both, which moves alike, and the world, if it is below, forgets them; else, if `moving`,
+// principal moments are at least those of a ball of water of that mass. `mended(link, text)` hears
+// of the latter.
+void mend_inertias(Robot& robot, bool moving, bool on_world,
                    const std::function<void(size_t, const std::string&)>& mended);
 
 // The pose of the child's joint frame in the parent's at the start.

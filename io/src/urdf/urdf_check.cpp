@@ -33,7 +33,7 @@ constexpr Rule kRules[] = {
     {"cylinder", "radius", 1, true, Sign::Positive},
     {"cylinder", "length", 1, true, Sign::Positive},
     {"sphere", "radius", 1, true, Sign::Positive},
-    {"mesh", "scale", 3, false, Sign::Positive},
+    {"mesh", "scale", 3, false},
     {"color", "rgba", 4, true},
     {"axis", "xyz", 3, true},
     {"limit", "lower", 1, false},

@@ -69,6 +69,10 @@ struct UrdfOptions {
   // Where package://NAME/... is: a folder that has a folder NAME, or that is called NAME.
   std::vector<std::filesystem::path> package_dirs = {};
   MimicMode mimic = MimicMode::Follow;
+  // A mass without an inertia that a body can have gets one: on a fixed joint it is a part of its
+  // parent, else its principal moments are at least those of a ball of water. False: an error of
+  // ModelBuilder::finalize.
+  bool mend_inertias = true;
   Unsupported unsupported = Unsupported::Error;
 };
 

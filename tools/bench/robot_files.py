@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Which robot files of the world load, and whether what loads is right: NovaPhy beside MuJoCo.
+"""Which robot files of the world load, and whether what loads is right, beside MuJoCo or Pinocchio.
 
     python tools/bench/robot_files.py FOLDER [--kind mjcf|urdf] [--manifest OUT.json]
 
@@ -7,8 +7,9 @@ FOLDER has one folder a collection, such as an unpacked wheel of gymnasium or dm
 the same content count once, and so do pieces that other files include. A file is read when
 add_mjcf or add_urdf, finalize and one step give finite numbers. What NovaPhy reads with its default
 options is compared with MuJoCo at random states: masses, inertias, poses, mass matrix, inverse
-dynamics, forces of joints and actuators, pairs of geoms that may meet. Files are read in a process
-of their own, which may crash or take too long. Needs mujoco.
+dynamics, forces of joints and actuators, pairs of geoms that may meet; URDF files with Pinocchio:
+mass matrix and gravity, of those without mended parts. Files are read in a process of their own,
+which may crash or take too long. Needs mujoco, and pin for URDF.
 """
 
 from __future__ import annotations
@@ -75,24 +76,32 @@ def read_novaphy(path: str, kind: str, unsupported: str, folders: list[str]):
 
 
 def work(task: dict) -> dict:
-    result: dict = {"novaphy": "", "warn": "", "mujoco": "", "difference": {}}
+    result: dict = {"novaphy": "", "warn": "", "oracle": "", "difference": {}}
     path, kind, folders = task["path"], task["kind"], task["folders"]
     warnings.simplefilter("ignore")
     robot = model = exact = None
     try:
         robot, model = read_novaphy(path, kind, "error", folders)
-    except (ValueError, NotImplementedError, OSError, IndexError) as error:
+    except Exception as error:
         result["novaphy"] = f"{type(error).__name__}: {error}"
         try:
             read_novaphy(path, kind, "warn", folders)
-        except (ValueError, NotImplementedError, OSError, IndexError) as second:
+        except Exception as second:
             result["warn"] = f"{type(second).__name__}: {second}"
     try:
-        import mujoco
+        if kind == "mjcf":
+            import mujoco
 
-        exact = mujoco.MjModel.from_xml_path(path)
+            exact = mujoco.MjModel.from_xml_path(path)
+        else:
+            import pinocchio
+
+            exact = pinocchio.buildModelFromUrdf(path)
     except Exception as error:
-        result["mujoco"] = f"{type(error).__name__}: {error}"
+        result["oracle"] = f"{type(error).__name__}: {error}"
+    if kind == "urdf" and model is not None and exact is not None:
+        result["mended"] = len(robot.report.mended)
+        result["difference"] = compare_urdf(exact, model, robot)
     if kind == "mjcf" and model is not None and exact is not None:
         result["mended"] = len(robot.report.mended)
         result["difference"] = compare(exact, model, robot)
@@ -232,6 +241,47 @@ def compare(exact, model, robot) -> dict[str, float]:
         tau = change.T @ np.asarray(tau).ravel()
         note("inverse dynamics", tau, full @ acceleration + data.qfrc_bias)
     worst["pairs"] = len(pairs ^ pairs_of(model, bodies, exact)) if pairs is not None else 0
+    return dict(worst)
+
+
+def compare_urdf(exact, model, robot) -> dict[str, float]:
+    """Mass matrix and gravity of the joints that both have, at random angles."""
+    import numpy as np
+    import pinocchio
+
+    import novaphy
+
+    data, worst = exact.createData(), collections.defaultdict(float)
+    draw = np.random.default_rng(0)
+    state = model.state()
+    for _ in range(4):
+        q, full_q = model.joint_q.numpy(), pinocchio.neutral(exact)
+        ours, theirs = [], []
+        for k in range(1, exact.njoints):
+            joint, name = exact.joints[k], exact.names[k]
+            if joint.nv != 1 or name not in robot.joints:
+                return {}  # planar and floating joints have other velocities
+            value = draw.uniform(-1, 1)
+            q[robot.joint_coords[name]] = value
+            full_q[joint.idx_q : joint.idx_q + joint.nq] = (
+                [value] if joint.nq == 1 else [np.cos(value), np.sin(value)]
+            )
+            ours.append(robot.joint_dofs[name])
+            theirs.append(joint.idx_v)
+        if not ours:
+            return {}
+        state.joint_q.assign(q)
+        state.joint_qd.zero_()
+        full = np.asarray(pinocchio.crba(exact, data, full_q))
+        full = np.triu(full) + np.triu(full, 1).T
+        gravity = pinocchio.computeGeneralizedGravity(exact, data, full_q)
+        armature = np.diag(model.joint_armature.numpy()[ours])
+        blocks = assembled(model, novaphy.eval_mass_matrix(model, state))[np.ix_(ours, ours)]
+        bias = novaphy.eval_bias(model, state).astype(float).ravel()[ours]
+        for what, got, expected in (("mass matrix", blocks - armature, full[np.ix_(theirs, theirs)]),
+                                    ("gravity", bias, gravity[theirs])):  # fmt: skip
+            scale = max(np.abs(expected).max(), 1e-6)
+            worst[what] = max(worst[what], float(np.abs(got - expected).max() / scale))
     return dict(worst)
 
 
@@ -380,7 +430,7 @@ class Worker:
                 self.process.kill()
                 what = "took too long" if not ready else f"crashed ({self.process.wait()})"
                 self.process = None
-                return {"novaphy": what, "warn": what, "mujoco": "?", "difference": {}}
+                return {"novaphy": what, "warn": what, "oracle": "?", "difference": {}}
 
 
 def reason(text: str) -> str:
@@ -418,35 +468,36 @@ def main() -> None:
         rows.append(row)
     if args.manifest:
         args.manifest.write_text(json.dumps(rows, indent=1))
-    table(rows)
+    table(rows, args.kind)
 
 
-def table(rows: list[dict]) -> None:
-    print("| collection | files | MuJoCo | NovaPhy of these | left out listed | NovaPhy of all |")
+def table(rows: list[dict], kind: str) -> None:
+    oracle = "MuJoCo" if kind == "mjcf" else "Pinocchio"
+    print(f"| collection | files | {oracle} | NovaPhy of these | left out listed | NovaPhy of all |")
     print("|---|---|---|---|---|---|")
     names = sorted({r["collection"] for r in rows})
     for name in [*names, "all"]:
         mine = [r for r in rows if name in ("all", r["collection"])]
-        both = [r for r in mine if not r["mujoco"]]
+        both = [r for r in mine if not r["oracle"]]
         read = sum(not r["novaphy"] for r in both)
         warn = sum(not r["novaphy"] or not r["warn"] for r in both)
         print(
             f"| {name} | {len(mine)} | {len(both)} | {read} | {warn} "
             f"| {sum(not r['novaphy'] for r in mine)} |"
         )
-    for key, title in (("novaphy", "Refused, of those that MuJoCo reads"),
+    for key, title in (("novaphy", f"Refused, of those that {oracle} reads"),
                        ("warn", 'Refused with unsupported="warn"')):  # fmt: skip
-        ranks = collections.Counter(reason(r[key]) for r in rows if r[key] and not r["mujoco"])
+        ranks = collections.Counter(reason(r[key]) for r in rows if r[key] and not r["oracle"])
         print(f"\n{title}:")
         for text, count in ranks.most_common(25):
             print(f"{count:5d}  {text}")
-    compared = [r for r in rows if r["difference"]]
-    kinds = sorted({k for r in compared for k in r["difference"]})
+    compared = [r for r in rows if r["difference"] and not (r["mended"] and kind == "urdf")]
+    names = sorted({k for r in compared for k in r["difference"]})
     print(f"\nCompared: {len(compared)}. Largest difference, of the largest entry:")
-    for kind in kinds:
-        values = [(r["difference"].get(kind, 0.0), r["file"]) for r in compared]
-        bad = sum(v > (0 if kind == "pairs" else TOLERANCE) for v, _ in values)
-        print(f"{kind:18s} worst {max(values)[0]:9.2e}, {bad} files above: {max(values)[1]}")
+    for name in names:
+        values = [(r["difference"].get(name, 0.0), r["file"]) for r in compared]
+        bad = sum(v > (0 if name == "pairs" else TOLERANCE) for v, _ in values)
+        print(f"{name:18s} worst {max(values)[0]:9.2e}, {bad} files above: {max(values)[1]}")
 
 
 if __name__ == "__main__":

@@ -35,6 +35,12 @@ PrincipalAxes principal_axes(const Mat33d& symmetric) {
   return p;
 }
 
+namespace {
+
+constexpr float kLeastArmature = 1e-3f;
+
+}  // namespace
+
 Mat33d from_axes(const PrincipalAxes& axes) {
   Mat33d result{};
   for (int i = 0; i < 3; ++i)
@@ -102,6 +108,29 @@ void mend_inertias(Robot& robot, bool moving, bool on_world,
     mended(static_cast<size_t>(joint->child),
            "an inertia that no body has: its principal moments are at least those of a ball of "
            "water of its mass");
+  }
+  if (!moving) return;
+  // What moves nothing that has a mass has no acceleration.
+  std::vector<double> below(robot.links.size());
+  for (const RobotJoint* joint : joints) {
+    const auto child = static_cast<size_t>(joint->child);
+    below[child] += robot.links[child].mass;
+    if (joint->parent >= 0) below[static_cast<size_t>(joint->parent)] += below[child];
+  }
+  for (RobotJoint& joint : robot.joints) {
+    const auto child = static_cast<size_t>(joint.child);
+    if (below[child] > 0.0 || joint.type == JointType::FIXED || robot.links[child].is_kinematic)
+      continue;
+    bool changes = joint.armature == 0.0 &&
+                   (joint.type == JointType::FREE || joint.type == JointType::BALL);
+    if (changes) joint.armature = kLeastArmature;
+    for (auto* axes : {&joint.linear, &joint.angular})
+      for (JointDofConfig& dof : *axes) {
+        changes = changes || dof.armature == 0.0f;
+        if (dof.armature == 0.0f) dof.armature = kLeastArmature;
+      }
+    if (changes)
+      mended(child, "its joint moves no mass: it gets an armature of 0.001 (kg m^2 or kg)");
   }
 }
 

@@ -62,6 +62,9 @@ std::vector<fs::path> package_roots(std::string_view package, const fs::path& fo
     roots.push_back(each / package);
     if (resolved(each).filename() == package) roots.push_back(each);
   }
+  // What may be read anyway.
+  for (const fs::path& each : {folder, folder.parent_path()})
+    if (!folder.empty()) roots.push_back(each / package);
   int levels = 0;
   for (fs::path at = folder; at.has_relative_path() && levels < 8;
        at = at.parent_path(), ++levels) {
@@ -73,7 +76,8 @@ std::vector<fs::path> package_roots(std::string_view package, const fs::path& fo
 
 fs::path in_packages(const std::string& where, std::string_view file, const fs::path& folder,
                      std::span<const fs::path> package_dirs) {
-  const std::string_view path = file.substr(file.find("://") + 3);
+  std::string_view path = file.substr(file.find("://") + 3);
+  path.remove_prefix(std::min(path.find_first_not_of('/'), path.size()));
   const size_t slash = path.find('/');
   require(slash != std::string_view::npos && slash > 0 && slash + 1 < path.size(), ErrorKind::Value,
           where, ": expected package://NAME/FILE, got ", file);

@@ -43,10 +43,13 @@ class Mender {
         while (Element* other = first->NextSiblingElement(each))
           drop(*other, "there is one before it, which counts");
   }
-  // Elements that urdfdom has more to say of and no one reads.
-  static void drop_all(Element& parent, std::initializer_list<const char*> names) {
+  // Elements that urdfdom may refuse and no one reads.
+  void pass_over(Element& parent, std::initializer_list<const char*> names) {
     for (const char* each : names)
-      while (Element* e = parent.FirstChildElement(each)) drop(*e);
+      while (Element* e = parent.FirstChildElement(each)) {
+        notes_.ignored(*e, std::string("not read: <") + each + ">");
+        drop(*e);
+      }
   }
 
   static bool is_defined(const Element& material) {
@@ -129,6 +132,8 @@ class Mender {
     if (geometry == nullptr || geometry->FirstChildElement() == nullptr)
       return drop(e, "it has no shape");
     Element& shape = *geometry->FirstChildElement();
+    while (Element* other = shape.NextSiblingElement())
+      drop(*other, "there is a shape before it, which counts");
     std::string_view kind = shape.Name();
     if (kind == "capsule") {
       shape.SetName("cylinder");
@@ -156,7 +161,7 @@ class Mender {
 
   void mend_joint(Element& e) {
     keep_first(e, {"origin", "axis", "limit", "dynamics", "mimic", "parent", "child"});
-    drop_all(e, {"safety_controller", "calibration"});
+    pass_over(e, {"safety_controller", "calibration"});
     if (Element* axis = e.FirstChildElement("axis"))
       if (axis->Attribute("xyz") == nullptr) drop(*axis, "it has no xyz: the axis is x");
     if (Element* dynamics = e.FirstChildElement("dynamics"))

@@ -79,6 +79,10 @@ fs::path in_packages(const std::string& where, std::string_view file, const fs::
   std::string_view path = file.substr(file.find("://") + 3);
   path.remove_prefix(std::min(path.find_first_not_of('/'), path.size()));
   const size_t slash = path.find('/');
+  std::error_code none;
+  if (slash == std::string_view::npos && !path.empty() && path != ".." && !folder.empty() &&
+      fs::is_regular_file(folder / path, none))
+    return resolved(folder / path);
   require(slash != std::string_view::npos && slash > 0 && slash + 1 < path.size(), ErrorKind::Value,
           where, ": expected package://NAME/FILE, got ", file);
   const std::string_view package = path.substr(0, slash), rest = path.substr(slash + 1);

@@ -13,6 +13,9 @@ class Mender {
     Element& robot = file_.root();
     name(robot, "robot");
     collect_materials(robot);
+    for (const Element* e = robot.FirstChildElement("joint"); e != nullptr;
+         e = e->NextSiblingElement("joint"))
+      if (const char* given = e->Attribute("name")) joints_.insert(given);
     for (Element* e = robot.FirstChildElement(); e != nullptr;) {
       Element* const next = e->NextSiblingElement();
       const std::string_view kind = e->Name();
@@ -140,8 +143,8 @@ class Mender {
       kind = shape.Name();
       mended_.capsules.insert(&shape);
     }
-    if (kind == "plane") {
-      notes_.left_out(shape, "a plane");
+    if (kind != "box" && kind != "cylinder" && kind != "sphere" && kind != "mesh") {
+      notes_.left_out(shape, "a shape other than <box>, <cylinder>, <sphere>, <capsule> and <mesh>");
       return drop(e);
     }
     const auto is_empty = [&](const char* name, size_t count, bool all) {
@@ -167,6 +170,11 @@ class Mender {
     if (Element* dynamics = e.FirstChildElement("dynamics"))
       if (dynamics->Attribute("damping") == nullptr && dynamics->Attribute("friction") == nullptr)
         drop(*dynamics);
+    if (Element* mimic = e.FirstChildElement("mimic"))
+      if (const char* leader = mimic->Attribute("joint"); leader && !joints_.contains(leader)) {
+        notes_.left_out(*mimic, "a joint that follows one that is not there");
+        drop(*mimic);
+      }
     const char* const given = e.Attribute("type");
     const std::string_view type = given == nullptr ? "" : given;
     const bool needs_limit = type == "revolute" || type == "prismatic";
@@ -201,7 +209,7 @@ class Mender {
   Notes& notes_;
   MendedUrdf mended_;
   std::map<std::string, const Element*> materials_;
-  std::set<std::string> global_;
+  std::set<std::string> global_, joints_;
   int unnamed_ = 0;
 };
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import importlib.util
-import warnings
+import random
+import struct
 from pathlib import Path
 
 import numpy as np
@@ -135,3 +136,177 @@ def test_numbers_are_those_of_mujoco(name):
     differences = bench.compare(exact, *loaded(FEATURES[name]))
     assert len(differences) >= 6 and differences.pop("pairs") == 0
     assert max(differences.values()) < 1e-5, differences
+
+
+def write(folder: Path, files: dict[str, str | bytes]) -> Path:
+    for name, content in files.items():
+        path = folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    return folder / "main.xml"
+
+
+TETRAHEDRON = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
+CUBE_MSH = struct.pack("<4i", 4, 0, 0, 4) + struct.pack(
+    "<12f12i", 0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0, 1, 0, 2, 1, 0, 1, 3, 0, 3, 2, 1, 2, 3
+)
+MESH = '<asset><mesh name="m" file="{}"/></asset>'.format
+SHOWN = '<body><freejoint/><geom type="mesh" mesh="m"/></body>'
+
+
+@pytest.mark.parametrize("name", ["t.obj", "t.msh"])
+def test_files_are_where_mujoco_looks_for_them(tmp_path, name):
+    """Beside the main file, by meshdir, and beside the file that an element was included from."""
+    mesh = CUBE_MSH if name.endswith("msh") else TETRAHEDRON
+    main = mjcf(SHOWN, '<include file="inc/a.xml"/>')
+    for files in (
+        {"inc/a.xml": f"<mujocoinclude>{MESH(name)}</mujocoinclude>", name: mesh},
+        {"inc/a.xml": f"<mujoco>{MESH(name)}</mujoco>", f"inc/{name}": mesh},
+        {"inc/a.xml": f'<x><compiler meshdir="m"/>{MESH(name)}</x>', f"m/{name}": mesh},
+        {"inc/a.xml": '<x><include file="b.xml"/></x>', f"inc/{name}": mesh,
+         "inc/b.xml": f'<x><compiler assetdir="inc" strippath="true"/>{MESH("far/" + name)}</x>'},
+    ):  # fmt: skip
+        folder = tmp_path / str(len(list(tmp_path.iterdir())))
+        model, robot = loaded(write(folder, {"main.xml": main, **files}))
+        assert_allclose(model.body_mass.numpy()[0], 1000 / 6, rtol=1e-6)
+        assert robot.report.read["mesh"] == 1
+
+
+def test_included_elements_keep_their_places(tmp_path):
+    files = {"main.xml": mjcf('\n<include file="b.xml"/>'),
+             "b.xml": "<x>\n<!-- -->\n<body>\n<joint axis='0 0 0'/></body></x>"}  # fmt: skip
+    with pytest.raises(ValueError, match=r"b\.xml:4: <joint>: axis: expected a vector"):
+        loaded(write(tmp_path, files))
+
+
+@pytest.mark.parametrize(
+    ("files", "message"),
+    [
+        ({"a.xml": '<x><include file="main.xml"/></x>'}, "expected each file once"),
+        ({"a.xml": '<x><include file="b.xml"/></x>', "b.xml": '<x><include file="a.xml"/></x>'},
+         r"b\.xml:1: <include>: expected each file once"),
+        ({"a.xml": '<x><include file="../../far.xml"/></x>', "../../far.xml": "<x/>"},
+         "the one above it"),
+        ({"a.xml": '<!DOCTYPE m [<!ENTITY a "b">]><x/>'}, r"a\.xml:0: <!DOCTYPE: .* not read"),
+        ({"a.xml": "<x>" + "<body>" * 60 + '<include file="b.xml"/>' + "</body>" * 60 + "</x>",
+          "b.xml": "<x>" + "<body>" * 60 + "</body>" * 60 + "</x>"}, "at most 100 elements"),
+        ({"a.xml": "<x>" + " " * (33 << 20) + '<include file="b.xml"/></x>',
+          "b.xml": "<x>" + " " * (33 << 20) + "</x>"}, "at most 64 MiB in all"),
+        ({"a.xml": "<x"}, r"a\.xml:1: expected XML"),
+        ({"a.xml": "<x><include/></x>"}, "file: missing"),
+        ({"a.xml": '<x><include file="none.xml"/></x>'}, "there is no file none.xml"),
+        ({"a.xml": MESH("t.msh"), "t.msh": CUBE_MSH[:-1]}, "expected a whole .msh file"),
+        ({"a.xml": MESH("t.msh"), "t.msh": CUBE_MSH[:-4] + b"\x09\0\0\0"}, "corners from 0 to 3"),
+        ({"a.xml": "<x>" + MESH("../../t.obj") + "</x>", "../../t.obj": TETRAHEDRON},
+         "<mesh name=\"m\">: expected a file in the folder"),
+    ],
+)  # fmt: skip
+def test_files_of_files_are_not_trusted(tmp_path, files, message):
+    if files["a.xml"].startswith("<asset"):
+        files["a.xml"] = f"<x>{files['a.xml']}</x>"
+    main = write(tmp_path / "1/2", {"main.xml": mjcf(SHOWN, '<include file="a.xml"/>'), **files})
+    builder = novaphy.ModelBuilder()
+    with pytest.raises(ValueError, match=message):
+        builder.add_mjcf(main)
+    assert builder.body_count == builder.shape_count == 0
+
+
+def test_what_has_no_counterpart_is_left_out_and_listed():
+    text = actuated(
+        '<muscle name="m" joint="j"/><position joint="k" kp="3"/>', before=MESH("nothing.obj") +
+        '<option density="1.2"/>').replace(
+        "</mujoco>", '<equality>\n<connect body1="a" anchor="0 0 0"/></equality><sensor><jointpos '
+        'joint="j"/></sensor></mujoco>').replace(
+        "</worldbody>", '<geom type="mesh" mesh="m" contype="0" conaffinity="0"/></worldbody>')  # fmt: skip
+    with pytest.raises(NotImplementedError, match=r'density: .* \(unsupported="warn" leaves it out'):
+        loaded(text)
+    with pytest.warns(UserWarning, match=r"<text>:2: <connect>: left out: an equality of the kind"):
+        _, robot = loaded(text, unsupported="warn")
+    assert [n.element for n in robot.report.left_out] == [
+        "<option>", "<connect>", "<geom>", '<muscle name="m">',
+    ]  # fmt: skip
+    assert robot.report.read == {
+        "actuator": 2, "body": 2, "equality": 1, "geom": 2, "joint": 2, "mesh": 1, "sensor": 1,
+    }  # fmt: skip
+    assert len(robot.actuators) == 1 and "left out:" in str(robot.report)
+
+
+def test_what_only_looks_as_if_it_acted_is_read():
+    flags = '<option><flag constraint="disable" actuation="disable"/></option>'
+    inside = '<body name="b"><joint name="j" range="-1 1"/>' + GEOM + '<site name="s" pos="1 2 3"/></body>'
+    after = (
+        '<equality><joint joint1="j"/></equality><actuator><motor joint="j"/></actuator><tendon>'
+        '<fixed limited="true" range="0 1"><joint joint="j" coef="1"/></fixed></tendon>'
+    )
+    model, robot = loaded(mjcf(inside, flags, after), xform=(0, 0, 1, 0, 0, 0, 1))
+    assert robot.report.left_out == [] and robot.actuators == []
+    assert model.joint_limit_upper.numpy()[0] == 1e10 and model.shape_contact_pair_count == 0
+    assert robot.sites == {"s": (0, (1, 2, 3, 0, 0, 0, 1))}
+    assert robot.timestep is None and robot.report.read["tendon"] == 1
+
+
+def test_the_gravity_and_the_step_of_a_file():
+    """A builder that has nothing in it yet takes the gravity of the file."""
+    text = mjcf(ARM.format(joint=""), '<option gravity="0 1 0" timestep="0.003"/>')
+    model, robot = loaded(text)
+    assert model.gravity.numpy()[0].tolist() == [0, 1, 0]
+    assert_allclose(robot.timestep, 0.003)
+    off, _ = loaded(text.replace("/>", '><flag gravity="disable"/></option>', 1))
+    assert off.gravity.numpy()[0].tolist() == [0, 0, 0]
+    builder = novaphy.ModelBuilder()
+    builder.gravity = (0, 0, -1)
+    with pytest.warns(UserWarning, match="gravity: that of the builder stays"):
+        builder.add_mjcf(text)
+    assert builder.finalize().gravity.numpy()[0].tolist() == [0, 0, -1]
+
+
+def test_keyframes_are_rows_of_joint_q():
+    inside = '<body pos="1 0 0"><freejoint/>' + GEOM + '<body><joint type="ball"/>' + GEOM + "</body></body>"
+    inside += '<body mocap="true" pos="0 3 0"/><body><joint ref="90"/>' + GEOM + "</body>"
+    after = '<keyframe><key name="home" time="2" qpos="1 2 3 0 2 0 0 1 0 0 0 .5"/></keyframe>'
+    builder = novaphy.ModelBuilder()
+    builder.add_mjcf(mjcf(inside))
+    robot = builder.add_mjcf(mjcf(inside, after=after), xform=(0, 0, 1, 0, 0, 0, 1))
+    key = robot.keyframes["home"]
+    assert (key.time, key.coord, len(key.joint_q)) == (2, 19, 19)
+    assert key.joint_q[:11] == [1, 2, 4, 1, 0, 0, 0, 0, 0, 0, 1]
+    assert key.joint_q[11:] == [0, 3, 1, 0, 0, 0, 1, 0.5]
+    assert_allclose(builder.joint_q[-1], np.pi / 2)  # at its ref
+    with pytest.raises(ValueError, match="qpos: expected as many numbers"):
+        loaded(mjcf(inside, after=after.replace(".5", "")))
+
+
+def test_a_control_moves_what_its_actuator_says():
+    text = actuated('<position joint="j" kp="50" kv="20"/><motor joint="k" gear="2"/>',
+                    before='<option gravity="0 0 0"/>')  # fmt: skip
+    model, robot = loaded(text)
+    hold, push = robot.actuators
+    assert (hold.target, push.target) == ("joint_target_q", "joint_f")
+    control, state, after = model.control(), model.state(), model.state()
+    values = control.joint_target_q.numpy()
+    values[hold.row] = hold.gear * 0.02 + hold.offset
+    control.joint_target_q.assign(values)
+    solver = novaphy.solvers.SolverFeatherstone(model)
+    for _ in range(1500):
+        solver.step(state, after, control, None, 1e-2)
+        state, after = after, state
+    assert_allclose(state.joint_q.numpy()[0], 0.02, atol=1e-5)
+
+
+@pytest.mark.filterwarnings("ignore::UserWarning", "ignore::RuntimeWarning")
+def test_mutated_texts_are_read_or_refused():
+    from test_urdf import mutated
+
+    draw = random.Random(5)
+    texts = [*FEATURES.values()]
+    for k in range(400):
+        builder = novaphy.ModelBuilder()
+        how = ("error", "warn")[k % 2]
+        try:
+            builder.add_mjcf(mutated(draw, texts[k % len(texts)]), unsupported=how)
+            builder.finalize()
+        except (ValueError, NotImplementedError) as error:
+            named = "<text>" in str(error) or "source: expected" in str(error)
+            assert named or builder.body_count  # of finalize
+        except OSError:  # its first letter is no <: a path
+            assert builder.body_count == 0

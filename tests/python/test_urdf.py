@@ -357,6 +357,7 @@ def test_a_mesh_that_is_only_seen_may_be_missing():
         loaded(collider, unsupported="maybe")
 
 
+@pytest.mark.filterwarnings("ignore:.*moves no mass")
 def test_a_mirrored_mesh_keeps_its_outside_outside(tmp_path):
     (tmp_path / "t.obj").write_text(TETRAHEDRON)
     mesh = '<geometry><mesh filename="t.obj" scale="-1 2 1"/></geometry>'
@@ -373,7 +374,7 @@ def inertial(mass: float, moments: str) -> str:
             f'<inertia ixx="{x}" iyy="{y}" izz="{z}" {rest}/></inertial>')  # fmt: skip
 
 
-@pytest.mark.filterwarnings("ignore:.*that no body has|.*moves no mass|.*without a mass")
+@pytest.mark.filterwarnings("ignore::UserWarning")
 def test_what_has_no_inertia_gets_one():
     """A point on a fixed joint is a part of its parent: the same mass matrix, to rounding."""
     whole = robot(link("a"), link("b"), joint("j", "a", "b"), link("p", inertial(3, "0 0 0")),
@@ -613,7 +614,7 @@ def mutated(draw: random.Random, text: str) -> str:
     return text
 
 
-@pytest.mark.filterwarnings("ignore:.*not read|.*mass is 0")
+@pytest.mark.filterwarnings("ignore::UserWarning", "ignore::RuntimeWarning")
 def test_mutated_files_are_read_or_refused():
     draw = random.Random(1)
     base = re.sub(r"<!--.*?-->", "", FR3.read_text("utf-8"), flags=re.S)

@@ -121,8 +121,8 @@ void mend_inertias(Robot& robot, bool moving, bool on_world,
     const auto child = static_cast<size_t>(joint.child);
     if (below[child] > 0.0 || joint.type == JointType::FIXED || robot.links[child].is_kinematic)
       continue;
-    bool changes = joint.armature == 0.0 &&
-                   (joint.type == JointType::FREE || joint.type == JointType::BALL);
+    bool changes =
+        joint.armature == 0.0 && (joint.type == JointType::FREE || joint.type == JointType::BALL);
     if (changes) joint.armature = kLeastArmature;
     for (auto* axes : {&joint.linear, &joint.angular})
       for (JointDofConfig& dof : *axes) {

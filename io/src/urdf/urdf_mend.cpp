@@ -55,15 +55,23 @@ class Mender {
       }
   }
 
+  // An attribute of a child; null: there is none.
+  static const char* of_child(const Element& e, const char* child, const char* attribute) {
+    const Element* const found = e.FirstChildElement(child);
+    return found == nullptr ? nullptr : found->Attribute(attribute);
+  }
   static bool is_defined(const Element& material) {
-    return material.FirstChildElement("color") != nullptr ||
-           material.FirstChildElement("texture") != nullptr;
+    return of_child(material, "color", "rgba") != nullptr ||
+           of_child(material, "texture", "filename") != nullptr;
   }
   // Materials of the whole file by name: those of links count for all others.
   void collect_materials(const Element& robot) {
     const auto add = [&](const Element* e) {
       const char* const given = e->Attribute("name");
-      if (given != nullptr && is_defined(*e)) materials_.emplace(given, e);
+      const char* const rgba = of_child(*e, "color", "rgba");
+      const char* const file = of_child(*e, "texture", "filename");
+      if (given != nullptr && is_defined(*e))
+        materials_.try_emplace(given, rgba == nullptr ? "" : rgba, file == nullptr ? "" : file);
     };
     for (const Element* e = robot.FirstChildElement("material"); e != nullptr;
          e = e->NextSiblingElement("material"))
@@ -93,9 +101,10 @@ class Mender {
     if (is_defined(e)) return;
     const auto found = materials_.find(own);
     if (found == materials_.end()) return drop(e, "there is no material of that name with a color");
-    for (const Element* part = found->second->FirstChildElement(); part != nullptr;
-         part = part->NextSiblingElement())
-      e.InsertEndChild(part->DeepClone(e.GetDocument()));
+    const auto& [rgba, texture] = found->second;
+    if (!rgba.empty()) e.InsertNewChildElement("color")->SetAttribute("rgba", rgba.c_str());
+    if (!texture.empty())
+      e.InsertNewChildElement("texture")->SetAttribute("filename", texture.c_str());
   }
 
   void mend_link(Element& link) {
@@ -144,7 +153,8 @@ class Mender {
       mended_.capsules.insert(&shape);
     }
     if (kind != "box" && kind != "cylinder" && kind != "sphere" && kind != "mesh") {
-      notes_.left_out(shape, "a shape other than <box>, <cylinder>, <sphere>, <capsule> and <mesh>");
+      notes_.left_out(shape,
+                      "a shape other than <box>, <cylinder>, <sphere>, <capsule> and <mesh>");
       return drop(e);
     }
     const auto is_empty = [&](const char* name, size_t count, bool all) {
@@ -188,12 +198,14 @@ class Mender {
       notes_.mended(e, "it has no <limit>: it has no limits");
     }
     bool is_whole = true;
+    const bool is_new = limit->GetLineNum() == 0;
     for (const char* attribute : {"effort", "velocity"})
       if (limit->Attribute(attribute) == nullptr) {
         limit->SetAttribute(attribute, "1e6");
         is_whole = false;
       }
-    if (!is_whole) notes_.mended(*limit, "effort, velocity: what is missing has no limit");
+    if (!is_whole && !is_new)
+      notes_.mended(*limit, "effort, velocity: what is missing has no limit");
     double lower[1] = {0.0}, upper[1] = {0.0};
     file_.numbers(*limit, "lower", lower);
     file_.numbers(*limit, "upper", upper);
@@ -208,7 +220,7 @@ class Mender {
   XmlFile& file_;
   Notes& notes_;
   MendedUrdf mended_;
-  std::map<std::string, const Element*> materials_;
+  std::map<std::string, std::pair<std::string, std::string>> materials_;  // rgba, texture
   std::set<std::string> global_, joints_;
   int unnamed_ = 0;
 };

@@ -81,7 +81,10 @@ def work(task: dict) -> dict:
     warnings.simplefilter("ignore")
     robot = model = exact = None
     try:
-        robot, model = read_novaphy(path, kind, "error", folders)
+        with warnings.catch_warnings(record=True) as said:
+            warnings.simplefilter("always")
+            robot, model = read_novaphy(path, kind, "error", folders)
+        raised = sum("principal moments were raised" in str(w.message) for w in said)
     except Exception as error:
         result["novaphy"] = f"{type(error).__name__}: {error}"
         try:
@@ -100,7 +103,7 @@ def work(task: dict) -> dict:
     except Exception as error:
         result["oracle"] = f"{type(error).__name__}: {error}"
     if kind == "urdf" and model is not None and exact is not None:
-        result["mended"] = len(robot.report.mended)
+        result["mended"] = len(robot.report.mended) + raised
         result["difference"] = compare_urdf(exact, model, robot)
     if kind == "mjcf" and model is not None and exact is not None:
         result["mended"] = len(robot.report.mended)
@@ -394,9 +397,10 @@ def pairs_of(model, bodies, exact):
         body, _, k = label.rpartition("/geom_")
         return int(exact.body_geomadr[owner[body]]) + int(k)
 
-    table = [geom(label) if "/" in label or label in names else -1 for label in model.shape_label]
+    labels = model.shape_label
     return {
-        tuple(sorted((table[a], table[b]))) for a, b in model.shape_contact_pairs.numpy().tolist()
+        tuple(sorted((geom(labels[a]), geom(labels[b]))))
+        for a, b in model.shape_contact_pairs.numpy().tolist()
     }
 
 

@@ -170,6 +170,7 @@ class GeomReader {
     geom_.shape.conaffinity = static_cast<uint32_t>(bits[1]);
     if (is_seen_only() || !context_.settings.option.contact)
       cfg.has_shape_collision = cfg.has_particle_collision = false;
+    cfg.is_visible = number("group", 0.0) <= 2.0;  // what MuJoCo's viewers show at first
     const double margin = number("margin", 0.0);
     if (margin < 0.0) file_.refuse(e_, "margin: expected >= 0");
     if (margin > 0.0) cfg.gap = static_cast<float>(margin);

@@ -196,6 +196,10 @@ class Emitter {
                                      .cfg = cfg,
                                      .label = shape.label});
         const Mesh& surface = *shape.surface;
+        if (shape.hull_vertices && options_.pairs_of_mujoco && cfg.is_visible) {
+          show_mesh(body, pose, shape, cfg);
+          cfg.is_visible = false;
+        }
         if (shape.hull_vertices)
           return builder_.add_shape_convex_hull(body, {.xform = to_float(pose),
                                                        .vertices = surface.vertices,
@@ -215,6 +219,20 @@ class Emitter {
       shapes_of_[row_of(shape.link)].emplace_back(index, &shape);
       if (is_paired) named_shapes_[shape.label] = index;
     }
+  }
+
+  // The surface of which a hull collides.
+  void show_mesh(int32_t body, const Posed& pose, const RobotShape& shape, ShapeConfig cfg) {
+    cfg.has_shape_collision = cfg.has_particle_collision = false;
+    cfg.density = 0.0f;
+    const int32_t index = builder_.add_shape_mesh(body, {.xform = to_float(pose),
+                                                         .vertices = shape.surface->vertices,
+                                                         .indices = shape.surface->indices,
+                                                         .scale = to_float(shape.scale),
+                                                         .cfg = cfg,
+                                                         .label = shape.label + "/mesh"});
+    result_.shapes.push_back(index);
+    if (shape.color) result_.shape_colors[index] = *shape.color;
   }
 
   void add_joints() {

@@ -314,14 +314,16 @@ BAD = {
     "flag": (mjcf(hinged(), '<option><flag limit="off"/></option>'), "expected enable or disable"),
     "water": (mjcf(hinged(), '<option density="1000"/>'), "density: there are no forces of a fl"),
     "tendon": (mjcf(hinged('name="j"'),
-                    after='<tendon><fixed stiffness="1"><joint joint="j" coef="1"/></fixed></tendon>'),
+                    after='<tendon><fixed stiffness="1"><joint joint="j" '
+                          'coef="1"/></fixed></tendon>'),
                "<fixed>: a tendon that has forces"),
     "equality": (mjcf(hinged('name="j"'), after='<equality><joint joint1="j"/></equality>'),
                  "<joint>: an equality of the kind joint"),
     "mesh": (mjcf(hinged(geom='type="mesh" mesh="m"')), 'there is no mesh "m"'),
     "field": (mjcf(hinged(geom='type="hfield" hfield="h"')), "<geom>: a height field"),
     "mesh file": (mjcf(hinged(geom='type="mesh" mesh="m"'),
-                       '<asset><mesh name="m" file="../../etc/m.obj"/></asset>'), "needs package_d"),
+                       '<asset><mesh name="m" file="../../etc/m.obj"/></asset>'), "needs "
+                                                                                  "package_d"),
     "vertices": (mjcf(hinged(geom='type="mesh" mesh="m"'),
                       '<asset><mesh name="m" vertex="0 0 0 1"/></asset>'), "3 numbers a vertex"),
     "faces": (mjcf(hinged(geom='type="mesh" mesh="m"'),
@@ -356,7 +358,8 @@ BAD = {
                  after='<actuator><position joint="a" timeconst="1"/></actuator>'),
             "an actuator with dyntype filterexact"),
     "gear": (mjcf(hinged('name="a" stiffness="1"'), after='<actuator><position joint="a" '
-                  'forcerange="-1 1"/></actuator>'), "forcerange: the drive of the joint has other"),
+                  'forcerange="-1 1"/></actuator>'), "forcerange: the drive of the joint has "
+                                                     "other"),
     "motor": (mjcf(hinged(), after='<actuator><motor joint="a"/></actuator>'),
               'there is no joint "a"'),
     "mocap": (mjcf(hinged(body='mocap="true"')), "mocap: expected a body in the world without j"),

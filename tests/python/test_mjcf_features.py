@@ -54,17 +54,21 @@ FEATURES = {
     "eulerseq": mjcf('<body euler="10 20 30"><joint/>' + GEOM + "</body>",
                      '<compiler eulerseq="XzY" angle="radian"/>'),
     "frames": mjcf('<frame pos="1 0 0" euler="0 0 30"><body pos="0 1 0"><frame pos="0 0 .1" '
-                   'zaxis="1 1 0"><joint axis="0 1 0" pos=".1 0 0"/>' + GEOM + "</frame></body></frame>"),
+                   'zaxis="1 1 0"><joint axis="0 1 0" pos=".1 0 0"/>' + GEOM
+                   + "</frame></body></frame>"),
     "copies": mjcf('<replicate count="12" offset="1 0 .1" euler="0 0 20" sep="-"><body name="a" '
                    'pos="0 .3 0"><joint name="j"/>' + GEOM + '<site name="s"/></body></replicate>'),
-    "ref": mjcf('<body pos="0 0 1"><joint type="slide" axis="1 0 0"/><joint type="slide" axis="0 0 1" '
+    "ref": mjcf('<body pos="0 0 1"><joint type="slide" axis="1 0 0"/><joint type="slide" axis="0 '
+                '0 1" '
                 'ref="1.25"/><joint axis="0 1 0" ref="20" pos="0 0 .2"/>' + GEOM + "</body>"),
     "hinges in several places": mjcf(
         '<body><joint axis="0 1 0" pos=".1 0 0" damping="1"/><joint axis="1 0 0" pos="0 .2 0"/>'
         '<joint type="slide" axis="0 0 1" armature=".1"/><joint axis="0 1 0"/>' + GEOM + "</body>"),
-    "slide and ball": mjcf('<body><joint type="slide" axis="1 0 0"/><joint type="ball" pos=".1 0 0" '
+    "slide and ball": mjcf('<body><joint type="slide" axis="1 0 0"/><joint type="ball" pos=".1 0 '
+                           '0" '
                            'damping=".3" armature=".2"/>' + GEOM + "</body>"),
-    "free joint with damping": mjcf('<body pos="1 2 3"><joint type="free" damping=".3" armature=".2"/>'
+    "free joint with damping": mjcf('<body pos="1 2 3"><joint type="free" damping=".3" '
+                                    'armature=".2"/>'
                                     + GEOM + '<geom size=".1" pos="1 0 0"/></body>'),
     "fixed point mass": mjcf('<body><joint/>' + GEOM + '<body pos="0 0 1"><inertial pos="0 0 .1" '
                              'mass="2" diaginertia="0 0 0"/></body></body>'),
@@ -73,11 +77,13 @@ FEATURES = {
     "total mass": mjcf(ARM.format(joint=""), '<compiler settotalmass="14"/>'),
     "bounds": mjcf('<body><joint/><geom size=".01"/><body><joint/>' + GEOM + "</body></body>",
                    '<compiler boundmass="2" boundinertia=".3"/>'),
-    "balance": mjcf('<body><joint/><inertial pos="1 0 0" euler="0 9 0" mass="2" diaginertia="1 2 9"/>'
+    "balance": mjcf('<body><joint/><inertial pos="1 0 0" euler="0 9 0" mass="2" diaginertia="1 2 '
+                    '9"/>'
                     "</body>", '<compiler balanceinertia="true"/>'),
-    "masses of geoms": mjcf('<body><joint/><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>' + GEOM
-                            + '<geom type="capsule" size=".1 .2" mass="3" pos="1 0 0"/><geom type='
-                            '"ellipsoid" size=".1 .2 .3"/><geom type="cylinder" size=".1 .2"/></body>',
+    "masses of geoms": mjcf('<body><joint/><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>'
+                            + GEOM + '<geom type="capsule" size=".1 .2" mass="3" pos="1 0 0"/><geom type='
+                            '"ellipsoid" size=".1 .2 .3"/><geom type="cylinder" size=".1 '
+                            '.2"/></body>',
                             '<compiler inertiafromgeom="true"/>'),
     "legacy mesh": meshes(""),
     "exact mesh": meshes('inertia="exact"'),
@@ -86,7 +92,8 @@ FEATURES = {
     "mirrored mesh": meshes('inertia="exact" scale="-2 1 .5" refpos=".1 0 .2" refquat="1 .2 0 .4"'),
     "points": mjcf('<body><freejoint/><geom type="mesh" mesh="m"/></body>', '<asset><mesh name="m" '
                    'vertex="0 0 0 1 0 0 0 1 0 0 0 1 .2 .2 .2" inertia="exact"/></asset>'),
-    "motor": actuated('<motor joint="j" gear="3" ctrlrange="-.2 .5"/>', 'stiffness="2" springref="20"'),
+    "motor": actuated('<motor joint="j" gear="3" ctrlrange="-.2 .5"/>', 'stiffness="2" '
+                                                                        'springref="20"'),
     "two motors": actuated('<motor joint="j" gear="3"/><motor joint="j" forcerange="-.1 .2"/>'),
     "position": actuated('<position joint="j" kp="20" kv="3" gear="2" ctrlrange="-.5 .5"/>',
                          'stiffness="7" springref="30" damping="2"'),
@@ -99,8 +106,10 @@ FEATURES = {
                         '<general joint="k" gainprm="4" biastype="affine" biasprm="1 0 -2"/>'),
     "damping ratio of a free body": mjcf(
         "<body><freejoint/>" + GEOM + '<body><joint type="ball"/>' + GEOM + ARM.format(joint="")
-        + "</body></body>", after='<actuator><position joint="j" kp="3" dampratio="1"/></actuator>'),
-    "damping ratio": actuated('<position joint="j" kp="20" dampratio="1"/><position joint="k" kp="5" '
+        + "</body></body>", after='<actuator><position joint="j" kp="3" '
+                                  'dampratio="1"/></actuator>'),
+    "damping ratio": actuated('<position joint="j" kp="20" dampratio="1"/><position joint="k" '
+                              'kp="5" '
                               'dampratio=".7" gear="3"/>', 'ref="10" armature=".1"'),
     "inherited range": actuated('<position joint="j" kp="20" inheritrange=".8"/>'),
     "classes of actuators": actuated(
@@ -108,12 +117,16 @@ FEATURES = {
         before='<default><position kp="10" kv="2"/><velocity kv="3"/><default class="x"><motor '
         'ctrlrange="-.1 .2"/><position/></default><default class="y"><motor/></default></default>'),
     "flags": actuated('<motor joint="j" ctrlrange="-.1 .1"/>', 'damping="3" stiffness="4"',
-                      '<option gravity="1 2 3"><flag clampctrl="disable" damper="disable"/></option>'),
+                      '<option gravity="1 2 3"><flag clampctrl="disable" '
+                      'damper="disable"/></option>'),
     "pairs": mjcf(
         '<geom name="w" size=".1"/><body mocap="true"><geom name="m" size=".1"/><body><joint/>'
-        '<geom name="n" size=".1"/></body></body><body mocap="true"><geom name="o" size=".1"/></body>'
-        '<body name="a"><joint/><geom name="a" size=".1" contype="0" conaffinity="0"/><body name="b">'
-        '<joint/><geom name="b" size=".1"/></body></body><body><joint/><joint axis="1 0 0" pos="1 0 0"/>'
+        '<geom name="n" size=".1"/></body></body><body mocap="true"><geom name="o" '
+        'size=".1"/></body>'
+        '<body name="a"><joint/><geom name="a" size=".1" contype="0" conaffinity="0"/><body '
+        'name="b">'
+        '<joint/><geom name="b" size=".1"/></body></body><body><joint/><joint axis="1 0 0" '
+        'pos="1 0 0"/>'
         '<geom name="c" size=".1"/><body><joint/><geom name="d" size=".1"/></body></body>',
         after='<contact><pair geom1="a" geom2="b"/><pair geom1="c" geom2="d"/><exclude body1="b" '
         'body2="world"/></contact>'),
@@ -218,7 +231,9 @@ def test_what_has_no_counterpart_is_left_out_and_listed():
         "</mujoco>", '<equality>\n<connect body1="a" anchor="0 0 0"/></equality><sensor><jointpos '
         'joint="j"/></sensor></mujoco>').replace(
         "</worldbody>", '<geom type="mesh" mesh="m" contype="0" conaffinity="0"/></worldbody>')  # fmt: skip
-    with pytest.raises(NotImplementedError, match=r'density: .* \(unsupported="warn" leaves it out'):
+    with pytest.raises(
+        NotImplementedError, match=r'density: .* \(unsupported="warn" leaves it out'
+    ):
         loaded(text)
     with pytest.warns(UserWarning, match=r"<text>:2: <connect>: left out: an equality of the kind"):
         _, robot = loaded(text, unsupported="warn")
@@ -233,7 +248,11 @@ def test_what_has_no_counterpart_is_left_out_and_listed():
 
 def test_what_only_looks_as_if_it_acted_is_read():
     flags = '<option><flag constraint="disable" actuation="disable"/></option>'
-    inside = '<body name="b"><joint name="j" range="-1 1"/>' + GEOM + '<site name="s" pos="1 2 3"/></body>'
+    inside = (
+        '<body name="b"><joint name="j" range="-1 1"/>'
+        + GEOM
+        + '<site name="s" pos="1 2 3"/></body>'
+    )
     after = (
         '<equality><joint joint1="j"/></equality><actuator><motor joint="j"/></actuator><tendon>'
         '<fixed limited="true" range="0 1"><joint joint="j" coef="1"/></fixed></tendon>'
@@ -261,7 +280,13 @@ def test_the_gravity_and_the_step_of_a_file():
 
 
 def test_keyframes_are_rows_of_joint_q():
-    inside = '<body pos="1 0 0"><freejoint/>' + GEOM + '<body><joint type="ball"/>' + GEOM + "</body></body>"
+    inside = (
+        '<body pos="1 0 0"><freejoint/>'
+        + GEOM
+        + '<body><joint type="ball"/>'
+        + GEOM
+        + "</body></body>"
+    )
     inside += '<body mocap="true" pos="0 3 0"/><body><joint ref="90"/>' + GEOM + "</body>"
     after = '<keyframe><key name="home" time="2" qpos="1 2 3 0 2 0 0 1 0 0 0 .5"/></keyframe>'
     builder = novaphy.ModelBuilder()

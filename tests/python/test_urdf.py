@@ -344,7 +344,9 @@ def test_packages_are_where_ros_has_them(tmp_path, monkeypatch, variable):
 def test_a_mesh_that_is_only_seen_may_be_missing():
     mesh = '<geometry><mesh filename="nothing.obj"/></geometry>'
     text = robot(link("a", INERTIAL + f"<visual>{mesh}</visual>"))
-    with pytest.warns(UserWarning, match=r"<visual>: left out: its mesh is left out: .*nothing\.obj"):
+    with pytest.warns(
+        UserWarning, match=r"<visual>: left out: its mesh is left out: .*nothing\.obj"
+    ):
         model, _, result = loaded(text)
     assert model.shape_count == 0 and len(result.report.left_out) == 1
     assert loaded(text, hide_visuals=True)[2].warnings == []
@@ -379,7 +381,8 @@ def test_what_has_no_inertia_gets_one():
     """A point on a fixed joint is a part of its parent: the same mass matrix, to rounding."""
     whole = robot(link("a"), link("b"), joint("j", "a", "b"), link("p", inertial(3, "0 0 0")),
                   joint("f", "b", "p", '<origin xyz="1 0 0"/>', "fixed"))  # fmt: skip
-    near = robot(link("a"), link("b"), joint("j", "a", "b"), link("p", inertial(3, "1e-9 1e-9 1e-9")),
+    near = robot(link("a"), link("b"), joint("j", "a", "b"), link("p", inertial(3, "1e-9 1e-9 "
+                                                                                   "1e-9")),
                  joint("f", "b", "p", '<origin xyz="1 0 0"/>', "fixed"))  # fmt: skip
     masses = []
     for text in (whole, near):
@@ -389,14 +392,18 @@ def test_what_has_no_inertia_gets_one():
     assert_allclose(masses[0], masses[1], rtol=1e-6)
     assert masses[0] > 3  # 3 kg one metre from the axis
     # On a joint that moves: at least the inertia of a ball of water.
-    model, _, result = loaded(robot(link("a"), link("b", inertial(4, "0 5 5")), joint("j", "a", "b")))
+    model, _, result = loaded(
+        robot(link("a"), link("b", inertial(4, "0 5 5")), joint("j", "a", "b"))
+    )
     radius = (3 * 4 / (4000 * np.pi)) ** (1 / 3)
     got = np.linalg.eigvalsh(model.body_inertia.numpy()[1].astype(float))
     assert_allclose(got, [0.4 * 4 * radius**2, 5, 5], rtol=1e-5)
     assert [n.element for n in result.report.mended] == ['<link name="b">']
     with pytest.raises(ValueError, match="positive definite"):
-        loaded(robot(link("a"), link("b", inertial(4, "0 0 0")), joint("j", "a", "b")),
-               mend_inertias=False)
+        loaded(
+            robot(link("a"), link("b", inertial(4, "0 0 0")), joint("j", "a", "b")),
+            mend_inertias=False,
+        )
     # Nothing that has a mass.
     model, state, _ = loaded(robot(link("a"), link("b", ""), joint("j", "a", "b")))
     assert_allclose(novaphy.eval_mass_matrix(model, state).ravel()[0], 1e-3, rtol=1e-6)
@@ -420,7 +427,7 @@ MENDED = {
     "no geometry": (robot(link("a", "<collision/>")), "it has no shape"),
     "unknown material": (robot(link("a", f'<visual>{BOX}<material name="m"/></visual>')),
                          "there is no material of that name with a color"),
-    "material twice": (robot('<material name="m"><color rgba="1 0 0 1"/></material>' * 2, link("a")),
+    "material twice": (robot(link("a"), '<material name="m"><color rgba="1 0 0 1"/></material>' * 2),
                        "one of that name, which counts"),
     "no rgba": (robot(link("a", f'<visual>{BOX}<material name="m"><color/></material></visual>')),
                 "it has no rgba"),
@@ -439,8 +446,11 @@ def test_what_makers_write_is_mended_and_said(name):
 
 def test_what_is_mended_counts():
     red = '<material name="m"><color rgba="1 0 0 1"/></material>'
-    text = robot(link("a", f'<visual>{BOX}<material name="m"/></visual>'),
-                 link("z", f"<visual>{BOX}{red}</visual>"), joint("j", "a", "z", kind="fixed"))
+    text = robot(
+        link("a", f'<visual>{BOX}<material name="m"/></visual>'),
+        link("z", f"<visual>{BOX}{red}</visual>"),
+        joint("j", "a", "z", kind="fixed"),
+    )
     assert set(loaded(text)[2].shape_colors.values()) == {(1, 0, 0, 1)}  # of a link behind it
     capsule = '<collision><geometry><capsule radius="0.1" length="0.4"/></geometry></collision>'
     model, _, _ = loaded(robot(link("a", INERTIAL + capsule)) + "\0")

@@ -159,7 +159,9 @@ def compare(exact, model, robot) -> dict[str, float]:
                 q += [*data.mocap_pos[k], *np.roll(data.mocap_quat[k], -1)]
                 t.append(None)
                 continue
-            for j in range(exact.body_jntadr[body], exact.body_jntadr[body] + exact.body_jntnum[body]):
+            for j in range(
+                exact.body_jntadr[body], exact.body_jntadr[body] + exact.body_jntnum[body]
+            ):
                 a, d = exact.jnt_qposadr[j], exact.jnt_dofadr[j]
                 kind = exact.jnt_type[j]
                 if kind <= 1:
@@ -281,8 +283,11 @@ def compare_urdf(exact, model, robot) -> dict[str, float]:
         armature = np.diag(model.joint_armature.numpy()[ours])
         blocks = assembled(model, novaphy.eval_mass_matrix(model, state))[np.ix_(ours, ours)]
         bias = novaphy.eval_bias(model, state).astype(float).ravel()[ours]
-        for what, got, expected in (("mass matrix", blocks - armature, full[np.ix_(theirs, theirs)]),
-                                    ("gravity", bias, gravity[theirs])):  # fmt: skip
+        full = full[np.ix_(theirs, theirs)]
+        for what, got, expected in (
+            ("mass matrix", blocks - armature, full),
+            ("gravity", bias, gravity[theirs]),
+        ):
             scale = max(np.abs(expected).max(), 1e-6)
             worst[what] = max(worst[what], float(np.abs(got - expected).max() / scale))
     return dict(worst)
@@ -477,7 +482,9 @@ def main() -> None:
 
 def table(rows: list[dict], kind: str) -> None:
     oracle = "MuJoCo" if kind == "mjcf" else "Pinocchio"
-    print(f"| collection | files | {oracle} | NovaPhy of these | left out listed | NovaPhy of all |")
+    print(
+        f"| collection | files | {oracle} | NovaPhy of these | left out listed | NovaPhy of all |"
+    )
     print("|---|---|---|---|---|---|")
     names = sorted({r["collection"] for r in rows})
     for name in [*names, "all"]:

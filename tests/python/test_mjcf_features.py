@@ -77,11 +77,11 @@ FEATURES = {
     "total mass": mjcf(ARM.format(joint=""), '<compiler settotalmass="14"/>'),
     "bounds": mjcf('<body><joint/><geom size=".01"/><body><joint/>' + GEOM + "</body></body>",
                    '<compiler boundmass="2" boundinertia=".3"/>'),
-    "balance": mjcf('<body><joint/><inertial pos="1 0 0" euler="0 9 0" mass="2" diaginertia="1 2 '
-                    '9"/>'
-                    "</body>", '<compiler balanceinertia="true"/>'),
+    "balance": mjcf('<body><joint/><inertial pos="1 0 0" euler="0 9 0" mass="2" '
+                    'diaginertia="1 2 9"/></body>', '<compiler balanceinertia="true"/>'),
     "masses of geoms": mjcf('<body><joint/><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>'
-                            + GEOM + '<geom type="capsule" size=".1 .2" mass="3" pos="1 0 0"/><geom type='
+                            + GEOM + '<geom type="capsule" size=".1 .2" mass="3" pos="1 0 0"/>'
+                            '<geom type='
                             '"ellipsoid" size=".1 .2 .3"/><geom type="cylinder" size=".1 '
                             '.2"/></body>',
                             '<compiler inertiafromgeom="true"/>'),
@@ -230,7 +230,8 @@ def test_what_has_no_counterpart_is_left_out_and_listed():
         '<option density="1.2"/>').replace(
         "</mujoco>", '<equality>\n<connect body1="a" anchor="0 0 0"/></equality><sensor><jointpos '
         'joint="j"/></sensor></mujoco>').replace(
-        "</worldbody>", '<geom type="mesh" mesh="m" contype="0" conaffinity="0"/></worldbody>')  # fmt: skip
+        "</worldbody>",
+        '<geom type="mesh" mesh="m" contype="0" conaffinity="0"/></worldbody>')  # fmt: skip
     with pytest.raises(
         NotImplementedError, match=r'density: .* \(unsupported="warn" leaves it out'
     ):

@@ -1461,6 +1461,8 @@ class ModelBuilder(_Native):
         xform: _Transform | None = None,
         collapse_fixed_joints: bool = False,
         enable_self_collisions: bool = True,
+        package_dirs: Sequence[str | os.PathLike[str]] | None = None,
+        unsupported: str = "error",
     ) -> io.RobotImport: ...
     def add_urdf(
         self,
@@ -1484,6 +1486,8 @@ class ModelBuilder(_Native):
         joint_damping_mode: str = "passive",
         package_dirs: Sequence[str | os.PathLike[str]] | None = None,
         mimic: str = "follow",
+        mend_inertias: bool = True,
+        unsupported: str = "error",
     ) -> io.RobotImport: ...
     def finalize(
         self,

@@ -1461,6 +1461,7 @@ class ModelBuilder(_Native):
         xform: _Transform | None = None,
         collapse_fixed_joints: bool = False,
         enable_self_collisions: bool = True,
+        filter_overlaps: bool = False,
     ) -> io.RobotImport: ...
     def add_urdf(
         self,
@@ -1484,6 +1485,7 @@ class ModelBuilder(_Native):
         joint_damping_mode: str = "passive",
         package_dirs: Sequence[str | os.PathLike[str]] | None = None,
         mimic: str = "follow",
+        filter_overlaps: bool = False,
     ) -> io.RobotImport: ...
     def finalize(
         self,

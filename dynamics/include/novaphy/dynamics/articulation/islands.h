@@ -226,6 +226,7 @@ void build_contact(const ContactRows& c, const TreeOf& tree_of, float* numbers,
     to.rates = of.rates;
     to.jacobian = jacobian;
     to.response = of.moves ? response : nullptr;
+    row.solver.mass += moved_mass(of.tree, of.ws);
     for (int32_t k = 0; k < of.tree.dof_count; ++k) before += jacobian[k] * of.qd[k];
   }
   row.before = before;

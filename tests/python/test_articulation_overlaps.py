@@ -117,6 +117,46 @@ def test_what_no_motion_can_part_falls_as_if_it_did_not_overlap() -> None:
     assert strongest < 6.1 * GRAVITY
 
 
+def arm(offset: float, mass: float) -> novaphy.ModelBuilder:
+    """A base, and two links on hinges of one axis, of which the last one overlaps the base on it.
+
+    `offset` (m): the lever of the overlap about the axis.
+    """
+    builder = novaphy.ModelBuilder(gravity=0.0)
+    light = novaphy.ShapeConfig(density=0.0)
+    base, first, last = (
+        builder.add_link(mass=m, inertia=np.eye(3) * 0.01 * m) for m in (9.0, mass, mass)
+    )
+    builder.add_shape_sphere(base, radius=0.1, cfg=light)
+    at = ((offset, 0.0, 0.15), UPRIGHT)
+    builder.add_shape_sphere(last, radius=0.1, xform=at, cfg=light)
+    joints = [builder.add_joint_fixed(-1, base)]
+    joints.append(builder.add_joint_revolute(base, first, axis=(0, 0, 1)))
+    joints.append(builder.add_joint_revolute(first, last, axis=(0, 1e-4, 1)))
+    builder.add_articulation(joints)
+    return builder
+
+
+@pytest.mark.filterwarnings("ignore:.*overlaps at the start")
+@pytest.mark.parametrize("dt", [1e-3, 4e-3])
+@pytest.mark.parametrize("offset", [0.0, 1e-7, 1e-5, 1e-4, 1e-3])
+def test_contacts_that_nothing_moves_push_no_harder_than_the_moved_mass_allows(
+    offset: float, dt: float
+) -> None:
+    scene = Scene(arm(offset, mass=5.0))
+    strongest = fastest = 0.0
+    before = scene.state.joint_q.numpy()
+    for _ in range(50):
+        scene.step(dt)
+        strongest = max(strongest, scene.force())
+        fastest = max(fastest, float(np.abs(scene.state.joint_qd.numpy()).max()))
+        after = scene.state.joint_q.numpy()
+        assert np.abs(after - before).max() < 0.11  # no shift turns a joint farther
+        before = after
+    assert strongest < 10.0 / dt * 1.001  # N: 0.01 m/s of 10 kg, a hundred times
+    assert fastest < 10.0
+
+
 def random_tree(rng: np.random.Generator, root: int) -> str:
     def body(depth: int, name: str) -> str:
         place = rng.uniform(-0.15, 0.15, 3) + (np.array([0, 0, 0.4]) if depth == 3 else 0)

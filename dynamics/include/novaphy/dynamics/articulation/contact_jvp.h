@@ -147,6 +147,9 @@ void build_dual_contact(const ContactRows& c, const Trees& trees, const DualFloa
     if (m.tree >= 0) mass = mass + moved_mass(trees.tree(m.tree), trees.workspace(m.tree));
   }
   solver.mass = mass.value;
+  solver.reach = 0.0f;
+  for (const DualSide& m : row.moved)
+    for (int32_t k = 0; k < m.dofs; ++k) raise(solver.reach, math::abs(m.response[k].value));
   if (itself && row.moved[0].tree >= 0) {
     const int32_t i = row.moved[0].tree;
     const DualFloat shared = shared_in_tree(trees.tree(i), trees.workspace(i), row.sides[0].link,
@@ -167,7 +170,7 @@ void build_dual_contact(const ContactRows& c, const Trees& trees, const DualFloa
   row.solver.shift = row.goal.shift.value;
   row.solver.cfm = row.goal.cfm.value;
   row.solver.friction = row.mu.value;
-  set_steps<float>(row.solver);
+  set_steps<float>(law.dt.value, row.solver);
   row.solver.impulse[0] = impulse.x;
   row.solver.impulse[1] = impulse.y;
   row.solver.impulse[2] = impulse.z;

@@ -248,7 +248,7 @@ inline void set_target(const ContactLaw<float>& law, const ContactMaterial<float
   row.solver.cfm = row.target.cfm;
   row.solver.friction = material.friction;
   row.elastic = material.restitution > 0.0f;
-  set_steps<float>(row.solver);
+  set_steps<float>(law.dt, row.solver);
 }
 
 // Starts from the impulses of the step before, times `scale`.

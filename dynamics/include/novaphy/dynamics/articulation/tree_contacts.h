@@ -207,7 +207,8 @@ TreeContactResult<T> solve_tree_contacts(const Tree<T>& tree, const Workspace<T>
     row.tangent[0] = own.a[1][1];
     row.tangent[1] = own.a[1][2];
     row.tangent[2] = own.a[2][2];
-    set_steps<T>(row);
+    row.reach = largest(m.response + 3 * n * c, n, o);
+    set_steps<T>(law.dt, row);
     start_from<T>(row, law.cone, contact.start_normal,
                   math::dot(contact.start_tangent, row.frame.axes[1]),
                   math::dot(contact.start_tangent, row.frame.axes[2]));

@@ -143,7 +143,7 @@ def arm(offset: float, mass: float) -> novaphy.ModelBuilder:
 def test_contacts_that_nothing_moves_push_no_harder_than_the_moved_mass_allows(
     offset: float, dt: float
 ) -> None:
-    scene = Scene(arm(offset, mass=5.0))
+    scene = Scene(arm(offset, mass=5.0), pgs_slop=0.0)
     strongest = fastest = 0.0
     before = scene.state.joint_q.numpy()
     for _ in range(50):
@@ -194,6 +194,55 @@ def test_random_bodies_that_overlap_at_first_do_not_explode(seed: int) -> None:
         for _ in range(100):
             scene.step(2e-3)
             assert np.abs(scene.state.joint_qd.numpy()).max() < 100.0
+
+
+def violent_scene(seed: int) -> tuple[Scene, float]:
+    """Bodies in each other, of any density, with random speeds, options and time step."""
+    rng = np.random.default_rng([seed, 1])
+    builder = novaphy.ModelBuilder()
+    bodies = "".join(random_tree(rng, k) for k in range(rng.integers(1, 4)))
+    density = 10.0 ** rng.uniform(1, 5)
+    builder.add_mjcf(
+        f'<mujoco><default><geom density="{density}"/></default><worldbody>'
+        f'<geom type="plane" size="5 5 1"/>{bodies}</worldbody></mujoco>'
+    )
+    scene = Scene(
+        builder,
+        friction_cone=str(rng.choice(["cone", "pyramid"])),
+        compliant_contacts=bool(rng.random() < 0.2),
+        pgs_iterations=int(rng.choice([5, 30, 100])),
+    )
+    speeds = rng.normal(size=scene.model.joint_dof_count) * rng.choice([0.0, 1.0, 30.0])
+    scene.state.joint_qd.assign(speeds.astype(np.float32))
+    return scene, float(rng.choice([1e-3, 2e-3, 4e-3, 1e-2]))
+
+
+def check_violent_scenes(seeds: range, steps: int) -> None:
+    for seed in seeds:
+        scene, dt = violent_scene(seed)
+        try:
+            for _ in range(steps):
+                scene.step(dt)
+        except RuntimeError as error:
+            assert "SolverFeatherstone.step: " in str(error), seed
+        for state in (scene.state, scene.after):
+            for name in ("joint_q", "joint_qd", "body_q", "body_qd"):
+                assert np.isfinite(getattr(state, name).numpy()).all(), (seed, name)
+
+
+@pytest.mark.skipif(not novaphy.has_io(), reason="needs NOVAPHY_WITH_IO")
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("chunk", range(8))
+def test_violent_scenes_stay_finite_or_raise(chunk: int) -> None:
+    check_violent_scenes(range(25 * chunk, 25 * (chunk + 1)), steps=25)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not novaphy.has_io(), reason="needs NOVAPHY_WITH_IO")
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("chunk", range(20))
+def test_twenty_thousand_violent_scenes_stay_finite_or_raise(chunk: int) -> None:
+    check_violent_scenes(range(1000 * chunk, 1000 * (chunk + 1)), steps=100)
 
 
 def quadruped(friction: float) -> Scene:

@@ -264,7 +264,7 @@ def measure(path: Path, folder: Path, names: list[str]) -> dict[str, object]:
             try:
                 row |= what[name](path, folder)
             except Exception as error:  # a file that is refused
-                row["note"] = str(error).replace("\n", " ")
+                row["note"] = str(error).replace("\n", " ").split(f"{path.name}:")[-1].strip()
                 break
     return row
 

@@ -324,7 +324,7 @@ inline int32_t take_rates(float* rates, const float* qd, float dt, int32_t dofs,
                           Workspace<float>& ws) {
   ws.shift = rates + padded_dofs(dofs);
   for (int32_t k = 0; k < dofs; ++k) {
-    if (!is_finite(rates[k]) || !is_finite(ws.shift[k])) return k;
+    if (!has_finite_square(rates[k]) || !has_finite_square(ws.shift[k])) return k;
     if (rates[k] == ws.qd_next[k]) continue;
     ws.qdd[k] = (rates[k] - qd[k]) / dt;
     ws.qd_next[k] = rates[k];

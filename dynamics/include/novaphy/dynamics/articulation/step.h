@@ -303,10 +303,15 @@ int32_t begin_step(const Tree<T>& tree, const StepInputs<T>& in, Workspace<T>& w
   for (int32_t k = 0; k < tree.dof_count; ++k) ws.branch[k] = {};
   return -1;
 }
+// The squares of rates and accelerations must be finite too: new coordinates and body_qd take them.
+template <class T>
+auto has_finite_square(const T& x) {
+  return is_finite(x * x);
+}
 template <class T>
 int32_t find_infinite(const Tree<T>& tree, const Workspace<T>& ws) {
   for (int32_t k = 0; k < tree.dof_count; ++k)
-    if (!is_finite(ws.qdd[k])) return k;
+    if (!has_finite_square(ws.qdd[k])) return k;
   return -1;
 }
 
@@ -400,7 +405,7 @@ const T* moving_rates(const Tree<T>& tree, Workspace<T>& ws) {
 template <class T>
 int32_t first_not_finite(const Workspace<T>& ws, int32_t dofs) {
   for (int32_t k = 0; k < dofs; ++k)
-    if (!is_finite(ws.qd_next[k]) || !is_finite(ws.shift[k])) return k;
+    if (!has_finite_square(ws.qd_next[k]) || !has_finite_square(ws.shift[k])) return k;
   return -1;
 }
 

@@ -1,7 +1,8 @@
-# novaphy_add_library(<name> SOURCES ... [PUBLIC lib ...] [PRIVATE lib ...] [UNITY])
+# novaphy_add_library(<name> SOURCES ... [PUBLIC lib ...] [PRIVATE lib ...] [UNITY [APART ...]])
 # Declares the shared library novaphy_<name> (alias novaphy::<name>) of one layer: headers under include/,
 # hidden visibility, warnings, its install component <name> and its entry in the exported package. With UNITY a quick
-# build compiles its sources several at a time, in a third less time: names in their unnamed namespaces are its own then.
+# build compiles its sources several at a time, in a third less time; sources that share a name in unnamed namespaces
+# stand apart.
 set(NOVAPHY_WARNINGS -Wall -Wextra -Wpedantic -Wshadow -Wconversion -Wno-sign-conversion)
 if(CMAKE_CXX_COMPILER_ID STREQUAL "GNU" AND CMAKE_CXX_COMPILER_VERSION VERSION_LESS 13)
   # False positives of GCC 12's optimiser in inlined std::string and std::shared_ptr code.
@@ -58,7 +59,7 @@ add_custom_command(
 add_custom_target(novaphy_exports DEPENDS ${NOVAPHY_EXPORTS})
 
 function(novaphy_add_library name)
-  cmake_parse_arguments(ARG "UNITY" "" "SOURCES;PUBLIC;PRIVATE" ${ARGN})
+  cmake_parse_arguments(ARG "UNITY" "" "SOURCES;PUBLIC;PRIVATE;APART" ${ARGN})
   set(target novaphy_${name})
   add_library(${target} SHARED ${ARG_SOURCES})
   add_library(novaphy::${name} ALIAS ${target})
@@ -73,6 +74,7 @@ function(novaphy_add_library name)
   novaphy_precompile(${target})
   if(ARG_UNITY AND NOVAPHY_QUICK_BUILD)
     set_target_properties(${target} PROPERTIES UNITY_BUILD ON UNITY_BUILD_BATCH_SIZE 6)
+    set_source_files_properties(${ARG_APART} PROPERTIES SKIP_UNITY_BUILD_INCLUSION ON)
   endif()
   novaphy_limit_exports(${target} ${NOVAPHY_EXPORTS})
   add_dependencies(${target} novaphy_exports)

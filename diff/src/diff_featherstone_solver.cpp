@@ -70,11 +70,13 @@ bool DiffFeatherstoneSolver::poses_follow(const SimState& state) {
 
 DiffFeatherstoneSolver::DiffFeatherstoneSolver(std::shared_ptr<const Model> model,
                                                const FeatherstoneOptions& options,
-                                               bool allow_unconverged)
+                                               bool allow_unconverged,
+                                               DerivativeOf contact_gradient)
     : DiffSolverBase(std::move(model)),
       options_(options),
       allow_unconverged_(allow_unconverged),
-      step_(*this->model(), options, kUser, allow_unconverged) {}
+      contact_gradient_(contact_gradient),
+      step_(*this->model(), options, kUser, allow_unconverged, contact_gradient) {}
 
 void DiffFeatherstoneSolver::check_contacts(const char* function, const Contacts* contacts,
                                             bool touching) const {
@@ -88,7 +90,7 @@ void DiffFeatherstoneSolver::check_contacts(const char* function, const Contacts
 
 void DiffFeatherstoneSolver::notify_model_changed(ModelFlags) {
   const ExclusiveUse::Scope scope = use("DiffFeatherstoneSolver.notify_model_changed");
-  step_ = ArticulationStep(*model(), options_, kUser, allow_unconverged_);
+  step_ = ArticulationStep(*model(), options_, kUser, allow_unconverged_, contact_gradient_);
 }
 
 void DiffFeatherstoneSolver::step(SimState& state_in, SimState& state_out, const Control* control,

@@ -188,15 +188,14 @@ void GradientNotes::Looks::look(const Model& m, const NotedStep& step) {
   const int64_t contacts = soft.rows + rigid.rows;
   const bool continues = ended == step.start;
   ended = contacts > 0 ? step.end : nullptr;
-  if (contacts == 0) {
-    ++free_steps;
-    return;
-  }
+  const LaunchArgument number_of_step = number(steps++);
+  if (contacts == 0) return;
+  // A replay of a capture begins anew.
+  const LaunchArgument begins = number(int64_t{parts.rows() == 0});
   if (parts.rows() == 0) {
     const Unobserved unobserved;
     parts = DeviceArray<int32_t>(kParts, m.device(), kNumbers<StepNotes>);
     sums = DeviceArray<int32_t>(1, m.device(), kNumbers<GradientCounts>);
-    fill(sums, GradientCounts{});
   }
   const int64_t count = contacts > kFewContacts ? int64_t{kParts} : 1;
   const LaunchArgument none;
@@ -205,10 +204,11 @@ void GradientNotes::Looks::look(const Model& m, const NotedStep& step) {
       {reads("soft_now", soft.now), reads("soft_before", soft.before),
        reads("rigid_now", rigid.now), reads("rigid_before", rigid.before), number(soft.rows),
        number(rigid.rows), number(int64_t{continues}), writes_row("parts", parts),
-       count == 1 ? updates("sums", sums) : none});
+       count == 1 ? updates("sums", sums) : none, number_of_step, begins});
   if (count > 1)
-    note_kernels().step.launch(m.device(), 1,
-                               {reads("parts", parts), updates("sums", sums), number(count)});
+    note_kernels().step.launch(
+        m.device(), 1,
+        {reads("parts", parts), updates("sums", sums), number(count), number_of_step, begins});
 }
 
 GradientCounts GradientNotes::Looks::counts() const {
@@ -218,8 +218,8 @@ GradientCounts GradientNotes::Looks::counts() const {
     const std::vector<int32_t> words = sums.to_host();
     std::memcpy(static_cast<void*>(&all), words.data(), sizeof(all));
   }
-  all.steps += free_steps;
-  all.exact += free_steps;
+  all.exact += steps - all.steps;
+  all.steps = steps;
   return all;
 }
 

@@ -14,7 +14,25 @@ std::string some(int64_t count, int64_t of) {
   return std::to_string(count) + " of " + std::to_string(of) + " steps";
 }
 
-std::string reason_of(const GradientCounts& c, bool implicit, int64_t events) {
+bool is_of_the_motion(const MotionCounts& m) {
+  return m.several == 0 && m.unmoved == 0 && m.rows_are_exact;
+}
+std::string motion_of(const MotionCounts& m) {
+  std::string text = ", and the times at which they begin move with the state";
+  if (m.unmoved > 0)
+    text += ", but for " + std::to_string(m.unmoved) +
+            " limits of joints in what touches something, which may have any length";
+  if (m.several > 0)
+    text += "; in " + std::to_string(m.several) +
+            " steps several pairs hit at once, where the gradient is that of the motion only if "
+            "their impacts do not depend on each other";
+  if (!m.rows_are_exact)
+    text += "; overlaps are not of the motion but with pgs_slop=0 and pgs_erp=1";
+  return text;
+}
+
+std::string reason_of(const GradientCounts& c, bool implicit, const MotionCounts* motion,
+                      int64_t events) {
   if (c.steps == 0) return "no step has been taken since the last clear_gradient_info";
   std::string text;
   if (c.surrogate > 0) {
@@ -38,17 +56,20 @@ std::string reason_of(const GradientCounts& c, bool implicit, int64_t events) {
                                           "changes between sticking and slipping"};
   return text + "; contacts changed " + std::to_string(events) + " times (first in step " +
          std::to_string(c.event_step) + ": that of " + pair_text(c.event) + " " +
-         kWhat[c.event.event] + "), so the gradient of the motion may have another length and sign";
+         kWhat[c.event.event] +
+         (motion != nullptr ? ")" + motion_of(*motion)
+                            : "), so the gradient of the motion may have another length and sign");
 }
 
 }  // namespace
 
-GradientInfo gradient_info(const GradientCounts& c, bool implicit) {
+GradientInfo gradient_info(const GradientCounts& c, bool implicit, const MotionCounts* motion) {
   GradientInfo info;
-  info.label = c.surrogate > 0 ? "surrogate"
-               : c.frozen > 0  ? "frozen"
-               : implicit      ? "implicit"
-                               : "exact of the code";
+  info.label = c.surrogate > 0                                  ? "surrogate"
+               : c.frozen > 0                                   ? "frozen"
+               : implicit                                       ? "implicit"
+               : motion != nullptr && is_of_the_motion(*motion) ? "exact of the motion"
+                                                                : "exact of the code";
   info.steps = c.steps;
   info.exact_steps = c.exact;
   info.frozen_steps = c.frozen;
@@ -58,7 +79,7 @@ GradientInfo gradient_info(const GradientCounts& c, bool implicit) {
   info.turned = c.turned;
   info.events = c.began + c.ended + c.turned;
   info.residual = c.residual;
-  info.reason = reason_of(c, implicit, info.events);
+  info.reason = reason_of(c, implicit, motion, info.events);
   return info;
 }
 

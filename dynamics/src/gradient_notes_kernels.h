@@ -253,7 +253,15 @@ struct NoteContactEventsArguments {
   int64_t soft_count, rigid_count, continues;
   StepNotes* notes;        // a part in each row
   GradientCounts* counts;  // null: note_gradient_step adds the parts up
+  int64_t step, begins;
 };
+// Of step `step` of a chain; `begins`: the counts start here. Steps that nobody noted are exact.
+inline void note_step_of(const StepNotes& notes, int64_t step, bool begins, GradientCounts& to) {
+  if (begins) to = GradientCounts{};
+  to.exact += step - to.steps;
+  to.steps = step;
+  note_step(notes, to);
+}
 inline void note_list(const SeenContact* all_now, const SeenContact* all_before, int64_t count,
                       bool continues, int64_t row, int64_t n, StepNotes& to) {
   for (int64_t i = row; i < count; i += n) {
@@ -264,24 +272,24 @@ inline void note_list(const SeenContact* all_now, const SeenContact* all_before,
     if (before.mode != 0 && mode_in(all_now, count, i, before) == 0) note_end(before, to);
   }
 }
-NOVAPHY_ROW_KERNEL(note_contact_events, 9, NoteContactEventsArguments) {
+NOVAPHY_ROW_KERNEL(note_contact_events, 11, NoteContactEventsArguments) {
   StepNotes notes;
   const bool continues = a.continues != 0;
   note_list(a.soft_now, a.soft_before, a.soft_count, continues, row, n, notes);
   note_list(a.rigid_now, a.rigid_before, a.rigid_count, continues, row, n, notes);
-  if (a.counts != nullptr) return note_step(notes, *a.counts);
+  if (a.counts != nullptr) return note_step_of(notes, a.step, a.begins != 0, *a.counts);
   a.notes[row] = notes;
 }
 
 struct NoteGradientStepArguments {
   const StepNotes* notes;
   GradientCounts* counts;
-  int64_t parts;
+  int64_t parts, step, begins;
 };
-NOVAPHY_ROW_KERNEL(note_gradient_step, 3, NoteGradientStepArguments) {
+NOVAPHY_ROW_KERNEL(note_gradient_step, 5, NoteGradientStepArguments) {
   StepNotes sum;
   for (int64_t k = 0; k < a.parts; ++k) note_all(a.notes[k], sum);
-  note_step(sum, *a.counts);
+  note_step_of(sum, a.step, a.begins != 0, *a.counts);
 }
 
 }  // namespace novaphy

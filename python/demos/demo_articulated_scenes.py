@@ -184,7 +184,7 @@ def simulate(
     for run in stage.runs(frames):
         pipeline = novaphy.CollisionPipeline(model)
         contacts, control = pipeline.contacts(), model.control()
-        solver = novaphy.solvers.SolverFeatherstone(model)
+        solver = novaphy.solvers.SolverFeatherstone(model, angular_damping=0.05)
         state, after = model.state(), model.state()
         novaphy.eval_fk(model, state.joint_q, state.joint_qd, state)
         rng = np.random.default_rng(1)

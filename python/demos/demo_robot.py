@@ -81,7 +81,7 @@ def simulate(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Positions of the bodies {frames + 1, bodies, 3} (m) and energies {frames + 1} (J)."""
     for run in stage.runs(frames):
-        solver = novaphy.solvers.SolverFeatherstone(model)
+        solver = novaphy.solvers.SolverFeatherstone(model, angular_damping=0.05)
         pipeline = None if swings else novaphy.CollisionPipeline(model)
         contacts = None if pipeline is None else pipeline.contacts()
         state, after = model.state(), model.state()

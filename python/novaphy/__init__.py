@@ -83,7 +83,7 @@ from ._core import (
     vec4i,
     version,
 )
-from ._planned import getattr_of_class, missing_from_module
+from ._planned import explain_members, missing_from_module
 
 if TYPE_CHECKING:
     from . import assets, diff, envs, io, nova, solvers, testing, viewer
@@ -108,9 +108,7 @@ for _cls in (
     ShapeConfig,
     SimState,
 ):
-    _cls.__getattr__ = getattr_of_class(  # type: ignore[attr-defined, union-attr]
-        "State" if _cls is SimState else _cls.__name__
-    )
+    explain_members(_cls, "State" if _cls is SimState else _cls.__name__)
 
 _SUBPACKAGES = ("assets", "diff", "envs", "io", "nova", "solvers", "testing", "viewer")
 _FROM_VIEWER = (

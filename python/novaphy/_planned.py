@@ -6,7 +6,7 @@ leaves these tables when it is built; a test walks the lists of both projects.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from itertools import chain
 
 # Owner -> what its missing names belong to -> the names. They are agreed.
 PLANNED: dict[str, dict[str, tuple[str, ...]]] = {
@@ -16,8 +16,8 @@ PLANNED: dict[str, dict[str, tuple[str, ...]]] = {
         "helpers for poses and colours": ("utils",),
     },
     "novaphy.solvers": {
-        "rigid bodies": ("SolverXPBD", "SolverSequentialImpulse"),
-        "articulations": ("SolverMuJoCo",),
+        "rigid bodies, which SolverFeatherstone moves": ("SolverXPBD", "SolverSequentialImpulse"),
+        "articulations, which SolverFeatherstone moves": ("SolverMuJoCo",),
     },
     "ModelBuilder": {
         "robots from USD files": ("add_usd",),
@@ -149,6 +149,65 @@ INSTEAD: dict[str, dict[str, str]] = {
         "target_q": "target_pos",
         "target_qd": "target_vel",
     },
+    # Of all solvers, behind their own.
+    "SolverBase": {
+        "the keyword arguments of the solver, and its properties": "settings Config",
+        "novaphy.backends()": "backend_info",
+        "docs/coverage.md; a solver raises NotImplementedError for a joint that it does not take": (
+            "joint_support"
+        ),
+        "CollisionPipeline.collide(state, contacts) before step, or pipeline= of rollout": (
+            "collision_pipeline collision_frequency* set_collision_frequency CollisionSlot "
+            "CollisionFrequencyType supports_collision_pipeline contacts"
+        ),
+        "step": "integrate_bodies integrate_particles",
+        "rigid_contact_force of the Contacts, which step writes": "update_contacts",
+        "the State that step writes, the Contacts, and the eval_ functions": (
+            "observables supported_observables validate_observables ObservableKind Observables "
+            "SUPPORTED_OBSERVABLES"
+        ),
+        "body_inv_mass of the model": "body_inv_mass_effective",
+        "body_inv_inertia of the model": "body_inv_inertia_effective",
+        "a new solver: only contacts of the step before are kept in it": "reset",
+        "DiffFeatherstoneSolver, DiffSemiImplicitSolver or DiffSolverVBD": "gradient_info",
+    },
+    "SolverFeatherstone": {
+        "eval_mass_matrix": "H M L H_mimic articulation_H_rows articulation_M_rows",
+        "eval_jacobian": "J P articulation_J_cols articulation_J_rows",
+        "body_inertia of the model": "body_I_m",
+        "body_com of the model": "body_X_com",
+        "joint_armature of the model": "joint_armature_effective joint_armature_zero",
+        "body_flags of the model": "has_kinematic_bodies has_kinematic_joints",
+        "articulation_start and articulation_end of the model": (
+            "articulation_coord_start articulation_dof_start"
+        ),
+        "nothing: every step factors the mass matrix": "update_mass_matrix_interval",
+        "nothing: there is one way to factor the mass matrix": "use_tile_gemm fuse_cholesky",
+        "nothing: every step writes the poses below free joints": "descendant_free_distance_*",
+    },
+    "SolverSemiImplicit": {
+        "SolverFeatherstone, whose mimic joints follow exactly": "joint_mimic_ke joint_mimic_kd",
+    },
+}
+
+# Owner -> what is not built -> names with * for any letters.
+NOT_BUILT_IN: dict[str, dict[str, str]] = {
+    "SolverVBD": {
+        "contacts of particles with each other": (
+            "particle_enable_self_contact particle_self_contact_* particle_topological_* "
+            "particle_rest_shape_* particle_conservative_bounds particle_collision_detection_* "
+            "dat_* rebuild_bvh trimesh_* truncation_ts pos_prev_collision_detection"
+        ),
+        "bodies, joints and their contacts": (
+            "rigid_* body_* joint_* JointSlot coupling_* collect_rigid_contact_forces "
+            "integrate_with_external_rigid_solver enable_dahl_friction set_joint_constraint_mode "
+            "set_rigid_history_update"
+        ),
+        "the memory of its sweeps as arrays": (
+            "inertia particle_adjacency particle_displacements particle_forces "
+            "particle_hessians particle_q_prev particle_q_rest use_particle_tile_solve"
+        ),
+    },
 }
 
 # What is not built -> names of any owner.
@@ -221,6 +280,10 @@ ARGUMENTS: dict[str, str] = {
     "update_mass_matrix_interval": "nothing: every step factors the mass matrix",
     "use_tile_gemm": "nothing: there is one way to factor the mass matrix",
     "fuse_cholesky": "nothing: there is one way to factor the mass matrix",
+    "deterministic": "nothing: a step has the same bits in every run",
+    "enable_fast_math": "nothing: a step has the same bits everywhere",
+    "collision_pipeline": "CollisionPipeline.collide before step, or pipeline= of rollout",
+    "collision_frequency": "CollisionPipeline.collide as often as contacts are to be found",
     "joint_mimic_ke": "SolverFeatherstone, whose mimic joints follow exactly",
     "joint_mimic_kd": "SolverFeatherstone, whose mimic joints follow exactly",
 }
@@ -242,26 +305,42 @@ def missing_from_module(module: str, name: str) -> Exception:
     return AttributeError(f"module {module!r} has no attribute {name!r}", name=name)
 
 
-def getattr_of_class(owner: str) -> Callable[[object, str], object]:
-    """Make the __getattr__ of a class, which Python asks for what it did not find."""
+def explain_members(cls: type, owner: str = "", base: str = "") -> None:
+    """Let objects of a class say what to do without a name that they do not have.
+
+    Args:
+        cls: the class, which gets __getattr__ and __setattr__.
+        owner: what the tables call it; "" for the name of the object's own class.
+        base: what they call the class that all of them have in common.
+    """
 
     def get(self: object, name: str) -> object:
-        told = _sentence(owner, name)
+        asked = owner or type(self).__name__
+        told = _sentence(asked, name, base)
         if told:
             raise PlannedError(told)
-        raise AttributeError(f"{owner!r} object has no attribute {name!r}", name=name, obj=self)
+        raise AttributeError(f"{asked!r} object has no attribute {name!r}", name=name, obj=self)
 
-    return get
+    def assign(self: object, name: str, value: object) -> None:
+        try:
+            object.__setattr__(self, name, value)
+        except AttributeError:
+            if hasattr(type(self), name):
+                raise  # it can only be read
+            get(self, name)
+
+    cls.__getattr__ = get  # type: ignore[attr-defined]
+    cls.__setattr__ = assign  # type: ignore[assignment]
 
 
-def _sentence(owner: str, name: str) -> str | None:
+def _sentence(owner: str, name: str, base: str = "") -> str | None:
     """Say what to do without a name of another project; None for any other name."""
     if name.startswith("_"):
         return None
     for part, planned in PLANNED.get(owner, {}).items():
         if name in planned:
             return f"{owner}.{name} is planned, not built: it belongs to {part}"
-    for other, names in INSTEAD.get(owner, {}).items():
+    for other, names in chain(*(INSTEAD.get(of, {}).items() for of in (owner, base))):
         if _is_one_of(name, names):
             return f"{owner} has no {name}: use {other}"
     if owner == "ModelBuilder" and _is_in_model(name):
@@ -271,7 +350,7 @@ def _sentence(owner: str, name: str) -> str | None:
         )
     if owner == "novaphy" and _is_in_solvers(name):
         return f"novaphy has no {name}: use novaphy.solvers.{name}"
-    for part, names in NOT_BUILT.items():
+    for part, names in chain(NOT_BUILT_IN.get(owner, {}).items(), NOT_BUILT.items()):
         if _is_one_of(name, names):
             return f"{owner}.{name} is not built: {part}"
     return None

@@ -12,6 +12,19 @@ namespace novaphy::python {
 
 using diff::DiffFeatherstoneSolver;
 
+namespace {
+
+diff::DerivativeOf to_contact_gradient(const std::string& name) {
+  if (name == "code") return diff::DerivativeOf::Code;
+  require(name == "motion", ErrorKind::Value,
+          "DiffFeatherstoneSolver: contact_gradient: expected "
+          "\"code\" or \"motion\", got \"",
+          name, "\"");
+  return diff::DerivativeOf::Motion;
+}
+
+}  // namespace
+
 void bind_diff_featherstone(py::module_& m, py::module_& solvers) {
   const FeatherstoneOptions d;
   py::class_<DiffFeatherstoneSolver, SolverBase> solver(
@@ -31,7 +44,8 @@ void bind_diff_featherstone(py::module_& m, py::module_& solvers) {
                        const std::string& friction_cone, int pgs_iterations, float pgs_tolerance,
                        float pgs_erp, float pgs_slop, float pgs_cfm,
                        float max_depenetration_velocity, float restitution_threshold,
-                       bool compliant_contacts, bool allow_unconverged) {
+                       bool compliant_contacts, bool allow_unconverged,
+                       const std::string& contact_gradient) {
              return std::make_unique<DiffFeatherstoneSolver>(
                  model,
                  FeatherstoneOptions{.angular_damping = angular_damping,
@@ -46,7 +60,7 @@ void bind_diff_featherstone(py::module_& m, py::module_& solvers) {
                                      .max_depenetration_velocity = max_depenetration_velocity,
                                      .restitution_threshold = restitution_threshold,
                                      .compliant_contacts = compliant_contacts},
-                 allow_unconverged);
+                 allow_unconverged, to_contact_gradient(contact_gradient));
            }),
            py::arg("model").none(false), py::kw_only(), "angular_damping"_a = d.angular_damping,
            "implicit_drives"_a = d.implicit_drives, "contact"_a = "pgs", "friction_cone"_a = "cone",
@@ -55,12 +69,20 @@ void bind_diff_featherstone(py::module_& m, py::module_& solvers) {
            "max_depenetration_velocity"_a = d.max_depenetration_velocity,
            "restitution_threshold"_a = d.restitution_threshold,
            "compliant_contacts"_a = d.compliant_contacts, "allow_unconverged"_a = false,
+           "contact_gradient"_a = "code",
            "As SolverFeatherstone. With contacts sweeps "
            "start from nothing and go on to pgs_tolerance, at most pgs_iterations times (1000 at "
            "least). backward and jvp raise novaphy.Error, with the step and the pair of shapes or "
            "the joint, where the last sweep of a step changed velocities by more than 1 % of its "
-           "largest impulse (as a velocity), unless allow_unconverged. NotImplementedError for "
-           "contact=\"penalty\".")
+           "largest impulse (as a velocity), unless allow_unconverged. contact_gradient: \"code\", "
+           "the "
+           "derivative of the steps as they ran, in which a contact begins in the same step "
+           "whatever "
+           "the state; or \"motion\", in which the time of its begin moves with the state, so that "
+           "a bounce has the sign and length that differences over many steps have (saltation "
+           "matrix; CPU, outside of captures; second derivatives raise). States are the same. "
+           "NotImplementedError for contact=\"penalty\", and for \"motion\" on a device or with "
+           "compliant_contacts.")
       .def(
           "gradient_info",
           [](const DiffFeatherstoneSolver& s) {
@@ -71,9 +93,9 @@ void bind_diff_featherstone(py::module_& m, py::module_& solvers) {
             return to_fields(
                 s.gradient_info(),
                 py::dict("contact_steps"_a = b.steps, "frozen_contacts"_a = b.held,
-                         "unconverged_steps"_a = b.unconverged,
-                         "breaking"_a = b.breaking, "sticking"_a = b.sticking,
-                         "sliding"_a = b.sliding, "normal_margin"_a = margin(b.normal_margin),
+                         "unconverged_steps"_a = b.unconverged, "breaking"_a = b.breaking,
+                         "sticking"_a = b.sticking, "sliding"_a = b.sliding,
+                         "normal_margin"_a = margin(b.normal_margin),
                          "gap_margin"_a = margin(b.gap_margin),
                          "cone_margin"_a = margin(b.cone_margin),
                          "slip_margin"_a = margin(b.slip_margin)));

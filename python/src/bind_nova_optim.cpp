@@ -84,13 +84,25 @@ void bind_clipping(py::module_& m) {
 // What both classes have.
 template <class C>
 void bind_optimiser(py::class_<C>& c) {
-  c.def("step", &C::step, release_gil(),
-        "One step of all parameters, in place and not recorded on a tape. It may be captured: each "
-        "launch of the graph is a step then, at the rate of the capture. ValueError when a "
-        "parameter has no gradient, novaphy.Error when one is not finite; nothing was written "
-        "then. On a device, and in a launch of a graph, a gradient that is not finite is noted and "
-        "nothing is written: check() raises, which the next step or launch on the CPU and reads of "
-        "the state begin with.")
+  c.def("__repr__",
+        [](const py::object& self) {
+          const C& optimiser = self.cast<const C&>();
+          std::string shapes;
+          for (const Tensor& p : optimiser.params())
+            shapes += (shapes.empty() ? "" : ", ") + shape_text(p.shape());
+          return std::string(py::str(py::type::of(self).attr("__name__"))) + "(params=[" + shapes +
+                 "], lr=" + number_text(optimiser.lr()) + ")";
+        })
+      .def("step", &C::step, release_gil(),
+           "One step of all parameters, in place and not recorded on a tape. It may be captured: "
+           "each "
+           "launch of the graph is a step then, at the rate of the capture. ValueError when a "
+           "parameter has no gradient, novaphy.Error when one is not finite; nothing was written "
+           "then. On a device, and in a launch of a graph, a gradient that is not finite is noted "
+           "and "
+           "nothing is written: check() raises, which the next step or launch on the CPU and reads "
+           "of "
+           "the state begin with.")
       .def("check", &C::check, release_gil(),
            "novaphy.Error where steps since the last call met a gradient that is not finite. Waits "
            "for a device.")

@@ -29,6 +29,7 @@ class CaptureContext {
     graph_ = capture_->graph();
   }
   void exit() { capture_.reset(); }
+  bool ran() const { return graph_ != nullptr; }
   const std::shared_ptr<nova::OpList>& graph() const {
     require(graph_ != nullptr, ErrorKind::Runtime,
             "ScopedCapture: nothing was captured; use it in a with statement");
@@ -122,6 +123,13 @@ void bind_tape(py::module_& m) {
       .def("reset", &nova::Tape::reset, "Forgets all operations.")
       .def_property_readonly("size", &nova::Tape::size, "Recorded operations.")
       .def("__len__", &nova::Tape::size)
+      .def("__repr__",
+           [](const nova::Tape& tape) {
+             const std::vector<std::string> names = tape.op_names();
+             std::string text = "Tape(size=" + std::to_string(names.size());
+             if (!names.empty()) text += ", last='" + names.back() + "'";
+             return text + ", memory_bytes=" + std::to_string(tape.memory_bytes()) + ")";
+           })
       .def("op_names", &nova::Tape::op_names, "The names of the recorded operations, in order.")
       .def_property_readonly("memory_bytes", &nova::Tape::memory_bytes,
                              "Bytes of the records themselves.")
@@ -140,6 +148,10 @@ void bind_tape(py::module_& m) {
   m.def("grad_enabled", &nova::grad_enabled, "Whether this thread is outside of no_grad.");
 }
 
+std::string graph_text(const nova::OpList& graph) {
+  return "Graph(size=" + std::to_string(graph.size()) + ")";
+}
+
 void bind_capture(py::module_& m) {
   py::class_<nova::OpList, std::shared_ptr<nova::OpList>>(m, "Graph",
                                                           "Captured work on fixed memory.")
@@ -153,6 +165,7 @@ void bind_capture(py::module_& m) {
            "Plans and compiles what launches need to be as fast as they get, and runs nothing. For "
            "measurements. novaphy.Error inside a ScopedCapture.")
       .def("__len__", &nova::OpList::size)
+      .def("__repr__", &graph_text)
       .def_property_readonly("size", &nova::OpList::size, "Operations.");
   py::class_<CaptureContext>(m, "ScopedCapture",
                              "Context manager: launches, copies and fills of this thread are "
@@ -165,6 +178,10 @@ void bind_capture(py::module_& m) {
              return self;
            })
       .def("__exit__", [](CaptureContext& c, const py::args&) { c.exit(); })
+      .def("__repr__",
+           [](const CaptureContext& c) {
+             return "ScopedCapture(" + (c.ran() ? "graph=" + graph_text(*c.graph()) : "") + ")";
+           })
       .def_property_readonly("graph", &CaptureContext::graph, "What was captured.");
   m.def(
       "capture_launch", [](const nova::OpList& graph) { graph.launch(); }, "graph"_a, release_gil(),

@@ -1,5 +1,6 @@
 #include "exchange.h"
 
+#include <charconv>
 #include <cstring>
 
 #ifdef NOVAPHY_PYTHON_DIFF
@@ -118,6 +119,11 @@ py::tuple shape_tuple(const std::vector<int64_t>& shape) {
 }
 
 std::string shape_text(const std::vector<int64_t>& shape) { return py::str(shape_tuple(shape)); }
+
+std::string number_text(float number) {
+  char digits[32];
+  return {digits, std::to_chars(digits, digits + sizeof(digits), number).ptr};
+}
 
 std::vector<int64_t> to_shape(py::handle value) {
   std::vector<int64_t> shape;

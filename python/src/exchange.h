@@ -30,6 +30,8 @@ struct View {
 py::tuple shape_tuple(const std::vector<int64_t>& shape);
 // (2, 3)
 std::string shape_text(const std::vector<int64_t>& shape);
+// The fewest digits that give the float32 back: 0.1
+std::string number_text(float number);
 // An int, or a sequence of ints >= 0.
 std::vector<int64_t> to_shape(py::handle value);
 

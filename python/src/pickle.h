@@ -4,6 +4,7 @@
 
 #include <utility>
 
+#include "exchange.h"
 #include "fields.h"
 
 namespace novaphy::python {
@@ -113,7 +114,10 @@ void add_settings_pickle(py::class_<Settings>& c) {
     std::string text = py::str(py::type::of(self).attr("__name__"));
     const char* between = "(";
     for (const py::handle name : writable) {
-      text += between + std::string(py::str(name)) + "=" + std::string(py::repr(self.attr(name)));
+      const py::object value = self.attr(name);
+      text += between + std::string(py::str(name)) + "=";
+      text += py::isinstance<py::float_>(value) ? number_text(value.cast<float>())
+                                                : std::string(py::repr(value));
       between = ", ";
     }
     return text + ")";

@@ -172,14 +172,6 @@ TEST_P(OnWarps, OptionsOfVbdHaveTheBitsOfTheCpu) {
 TEST_P(OnWarps, GradientsOfVbdHaveTheBitsOfTheCpu) {
   EXPECT_EQ(probe(fake(), "vbd_gradients", SCENES).output, "2470 numbers, same, same, same\n");
 }
-// Its blocks would wait for each other.
-TEST(FakeDlan, VbdInOneLaunchIsRefusedByName) {
-  const Outcome outcome = probe(kFake + "NOVAPHY_VBD_SWEEP=grid", "vbd", SCENES);
-  EXPECT_EQ(outcome.code, 1);
-  EXPECT_NE(outcome.output.find("kernel 'vbd_sweep': its blocks wait for each other"),
-            std::string::npos)
-      << outcome.output;
-}
 #endif
 INSTANTIATE_TEST_SUITE_P(Widths, OnWarps, testing::Values(1, 32, 64));
 

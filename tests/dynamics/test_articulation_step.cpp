@@ -25,7 +25,6 @@ struct Scene {
       limit_lower, limit_upper, limit_ke, limit_kd, effort_limit, velocity_limit;
   std::vector<SpatialVector<T>> body_f;
   articulation::StepOptions<T> options{T(0.01), T(0.5), true};
-
   articulation::StepInputs<T> inputs() const {
     return {q.data(),
             qd.data(),
@@ -92,6 +91,7 @@ class Random {
 Scene<double> random_scene(uint32_t seed, const std::vector<LinkJoint>& joints) {
   Random random(seed);
   Scene<double> s;
+  s.tree.joints_in_a_row = seed % 4 > 1 ? TestTree<double>::kLong : TestTree<double>::kShort;
   for (size_t i = 0; i < joints.size(); ++i) {
     const Vec3<double> axis = random.vector(1);
     const double m = random.uniform(0.3, 2), length = std::sqrt(math::dot(axis, axis));
@@ -279,6 +279,7 @@ Scene<T> convert(const Scene<double>& s) {
   c.tree.dof_parent = s.tree.dof_parent;
   c.tree.coords = s.tree.coords;
   c.tree.dofs = s.tree.dofs;
+  c.tree.joints_in_a_row = s.tree.joints_in_a_row;
   c.mode = s.mode;
   const auto copy = [](const auto& from, auto& to) {
     to.resize(from.size());
@@ -407,10 +408,9 @@ TEST(ArticulationStep, VelocityLimitsKeepTheMomentumOfFreeTrees) {
     const Result<float> r = step(f);
     const std::vector<double> tau = inverse_dynamics(s, r.qdd);
     const auto n = static_cast<size_t>(s.tree.dofs);
-    const auto tree = s.tree.view();
     auto ws = s.tree.workspace();
-    articulation::kinematics(tree, s.q.data(), ws);
-    articulation::mass_matrix(tree, ws);
+    articulation::kinematics(s.tree.view(), s.q.data(), ws);
+    articulation::mass_matrix(s.tree.view(), ws);
     for (size_t k = 0; k < 6; ++k) {
       double size = 0.0;
       for (size_t j = 0; j < n; ++j)
@@ -423,6 +423,22 @@ TEST(ArticulationStep, VelocityLimitsKeepTheMomentumOfFreeTrees) {
     }
   }
   EXPECT_GT(at_limit, 300);
+}
+
+// The mass matrix and articulated bodies, with all joints, FREE ones below bodies too.
+TEST(ArticulationStep, IsTheSameByBothFactors) {
+  int held = 0;
+  for (uint32_t seed = 0; seed < 24; ++seed) {
+    Scene<double> s = random_scene(seed, all_joints(seed)), other = s;
+    other.tree.joints_in_a_row = seed % 4 > 1 ? TestTree<double>::kShort : TestTree<double>::kLong;
+    if (seed % 4 == 0) s.tree.links[0].joint = other.tree.links[0].joint = LinkJoint::Kinematic;
+    const Result<double> a = step(s), b = step(other);
+    EXPECT_EQ(a.branch, b.branch);
+    for (size_t k = 0; k < a.qdd.size(); ++k)
+      EXPECT_NEAR(a.qdd[k], b.qdd[k], 1e-9 * (1 + std::abs(a.qdd[k]))) << seed << " " << k;
+    for (const int32_t branch : a.branch) held += (branch & articulation::kVelocityClamped) != 0;
+  }
+  EXPECT_GT(held, 10);
 }
 
 Scene<double> without_forces(Scene<double> s) {
@@ -562,10 +578,9 @@ TEST(ArticulationStep, DrivesAreStableWhateverTheirGains) {
   s.target_qd = {0.0};
   s.q = {0.0};
   s.qd = {1.0};
-  const auto tree = s.tree.view();
   auto ws = s.tree.workspace();
-  articulation::kinematics(tree, s.q.data(), ws);
-  articulation::mass_matrix(tree, ws);
+  articulation::kinematics(s.tree.view(), s.q.data(), ws);
+  articulation::mass_matrix(s.tree.view(), ws);
   const double inertia = ws.matrix[0], dt = s.options.dt;
   double q = 0.0, v = 1.0;
   for (int t = 0; t < 300; ++t) {

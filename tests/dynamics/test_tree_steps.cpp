@@ -47,7 +47,8 @@ bool has_level(const char* name) {
 }
 
 // A floating body with arms of all joints; drives, limits, clamps of effort and velocity act.
-ModelBuilder creature() {
+// `tail`: so many hinges more in a row.
+ModelBuilder creature(int tail = 0) {
   ModelBuilder b;
   ShapeConfig surface;
   surface.mu = 0.6f;
@@ -84,6 +85,12 @@ ModelBuilder creature() {
   joints.push_back(b.add_joint_ball(trunk, shoulder, {.parent_xform = at(-0.3f, 0.1f, 0)}));
   joints.push_back(
       b.add_joint_revolute(shoulder, foot, {.parent_xform = at(0, 0.3f, 0), .dof = dof}));
+  for (int32_t k = 0, last = foot; k < tail; ++k) {
+    const int32_t next = link(0.05f);
+    joints.push_back(
+        b.add_joint_revolute(last, next, {.parent_xform = at(0.05f, 0.1f, 0), .dof = dof}));
+    last = next;
+  }
   b.add_articulation(joints);
   for (size_t k = 8; k < 11; ++k) b.joint_damping[k] = 0.5f;  // of the ball
   return b;
@@ -122,8 +129,9 @@ struct Run {
   int32_t most_contacts = 0;
 };
 // All worlds in one model; `spread`: every world has a mass of its own, `place` is the first's.
-Run run(const std::vector<World>& worlds, size_t place, bool spread, bool touching, int steps) {
-  ModelBuilder one = creature(), all;
+Run run(const std::vector<World>& worlds, size_t place, bool spread, bool touching, int steps,
+        int tail) {
+  ModelBuilder one = creature(tail), all;
   all.replicate(one, static_cast<int32_t>(worlds.size()), {});
   const auto model = all.finalize();
   if (spread) {
@@ -176,17 +184,17 @@ Run run(const std::vector<World>& worlds, size_t place, bool spread, bool touchi
 }
 
 // Worlds without their offsets, so each is where it would be alone.
-void expect_lanes_as_alone(bool spread, bool touching, int steps) {
-  const auto worlds = random_worlds(*creature().finalize(), 21);
+void expect_lanes_as_alone(bool spread, bool touching, int steps, int tail = 0) {
+  const auto worlds = random_worlds(*creature(tail).finalize(), 21);
   std::vector<Run> alone;
   for (size_t i = 0; i < worlds.size(); ++i)
-    alone.push_back(run({worlds[i]}, i, spread, touching, steps));
+    alone.push_back(run({worlds[i]}, i, spread, touching, steps, tail));
   for (const char* name : {"baseline", "avx2", "avx512"}) {
     if (!has_level(name)) continue;
     const Level level(name);
     for (const int threads : {1, 3}) {
       set_num_threads(threads);
-      const Run together = run(worlds, 0, spread, touching, steps);
+      const Run together = run(worlds, 0, spread, touching, steps, tail);
       EXPECT_EQ(together.most_contacts > 21, touching);
       for (size_t i = 0; i < worlds.size(); ++i) {
         ASSERT_EQ(together.values[i].size(), alone[i].values[0].size());
@@ -207,6 +215,9 @@ TEST(TreeSteps, LanesWithOtherMassesHaveTheBitsOfTreesAlone) {
 TEST(TreeSteps, LanesThatTouchHaveTheBitsOfTreesAlone) { expect_lanes_as_alone(false, true, 150); }
 TEST(TreeSteps, LanesOfOtherMassesThatTouchHaveTheBitsOfTreesAlone) {
   expect_lanes_as_alone(true, true, 100);
+}
+TEST(TreeSteps, LanesOfLongTreesThatTouchHaveTheBitsOfTreesAlone) {
+  expect_lanes_as_alone(true, true, 30, 8);
 }
 
 TEST(TreeSteps, AWorldThatFailsLeavesTheNewStateAsItWas) {

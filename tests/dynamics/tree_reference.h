@@ -1,6 +1,7 @@
 // Trees for tests: with their own arrays, from the file of reference trees or by hand.
 #pragma once
 
+#include <algorithm>
 #include <string>
 #include <vector>
 
@@ -12,6 +13,9 @@ namespace novaphy::testing {
 
 template <class T>
 struct TestTree {
+  // Whose factors are of the mass matrix, and of articulated bodies.
+  static constexpr int32_t kShort = 0, kLong = articulation::kMatrixJoints + 1;
+
   std::vector<articulation::Link> links;
   std::vector<int32_t> dof_parent;
   std::vector<Transform<T>> X_p, X_c;
@@ -22,6 +26,7 @@ struct TestTree {
   std::vector<T> armature;
   Vec3<T> gravity = {T(0), T(0), T(-9.81)};
   int32_t coords = 0, dofs = 0;
+  int32_t joints_in_a_row = 0;  // what the tree says, which chooses its factor
 
   std::vector<unsigned char> memory;
   std::vector<articulation::DofMotion<T>> motions;
@@ -66,14 +71,17 @@ struct TestTree {
             mass.data(),
             com.data(),
             inertia.data(),
-            gravity};
+            gravity,
+            0,
+            joints_in_a_row};
   }
   articulation::Workspace<T> workspace() {
     const auto count = static_cast<int32_t>(links.size());
-    memory.assign(static_cast<size_t>(articulation::workspace_bytes<T>(count, dofs)), 0);
+    const int32_t rows = std::max(dofs, joints_in_a_row);
+    memory.assign(static_cast<size_t>(articulation::workspace_bytes<T>(count, rows)), 0);
     motions.resize(static_cast<size_t>(dofs));
     biases.resize(links.size());
-    return articulation::make_workspace<T>(memory.data(), count, dofs);
+    return articulation::make_workspace<T>(memory.data(), count, rows);
   }
 };
 

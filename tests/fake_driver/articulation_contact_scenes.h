@@ -116,4 +116,43 @@ inline ModelBuilder turntable() {
   return b;
 }
 
+// Snakes of more hinges in a row than the mass matrix takes, one with dry friction, whose heads are
+// in the ground. Drives are at their effort limits, and hinges at their velocity limits.
+inline void add_snake(ModelBuilder& b, float y, float friction) {
+  const ShapeConfig surface = {.mu = 0.75f, .collision_group = -1};
+  const int32_t head = b.add_link({.xform = at(0.0f, y, 0.072f)});
+  b.add_shape_sphere(head, {.radius = 0.08f, .cfg = surface});
+  std::vector<int32_t> joints = {b.add_joint_free(head)};
+  for (int32_t k = 0, parent = head; k < 12; ++k) {
+    const int32_t link = b.add_link();
+    b.add_shape_sphere(link, {.radius = 0.07f, .cfg = surface});
+    const JointDofConfig hinge = {
+        .axis = {0.0f, k % 2 == 0 ? 1.0f : 0.0f, k % 2 == 0 ? 0.0f : 1.0f},
+        .limit_lower = -0.3f,
+        .limit_upper = 0.3f,
+        .limit_ke = 50.0f,
+        .limit_kd = 0.5f,
+        .target_q = k % 3 == 0 ? 0.5f : -0.2f,
+        .target_ke = 40.0f,
+        .target_kd = 0.5f,
+        .effort_limit = 2.0f,
+        .velocity_limit = k % 4 == 0 ? 0.5f : 8.0f,
+        .friction = k % 5 == 0 ? friction : 0.0f};
+    joints.push_back(b.add_joint_revolute(
+        parent, link, {.parent_xform = at(k == 0 ? 0.1f : 0.08f, 0.0f, 0.0f), .dof = hinge}));
+    parent = link;
+  }
+  b.add_articulation(joints);
+  b.joint_q[b.joint_q.size() - 12] = 0.05f;
+  for (size_t k = b.joint_qd.size() - 12; k < b.joint_qd.size(); ++k)
+    b.joint_qd[k] = k % 4 == 0 ? 0.45f : -0.2f;
+}
+inline ModelBuilder snakes() {
+  ModelBuilder b;
+  b.add_ground_plane({.cfg = kSurface});
+  add_snake(b, 0.0f, 0.0f);
+  add_snake(b, 1.0f, 0.05f);
+  return b;
+}
+
 }  // namespace novaphy::testing::contact_scenes

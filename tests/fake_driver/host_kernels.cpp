@@ -291,7 +291,6 @@ const HostKernel* find_host_kernel(const char* name) {
       OF_VBD(vbd_finish, false),
       OF_VBD(vbd_residual, false),
       OF_VBD(vbd_move_team, true),
-      OF_VBD(vbd_sweep, true),
       OF_TEXT(vbd_adjoint_text::novaphy, vbd_adjoint_solve),
       entry<device::vbd_adjoint_text::novaphy::vbd_adjoint_solve_team>(
           "vbd_adjoint_solve_team", true,

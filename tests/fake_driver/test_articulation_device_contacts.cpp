@@ -96,6 +96,11 @@ TEST_F(ArticulationContactDevices, WhatAKinematicBodyCarriesHasTheBitsOfTheCpu) 
   expect_bits_of_the_cpu(turntable(), {.pairs = 12}, 8);
 }
 
+TEST_F(ArticulationContactDevices, SnakesOfManyHingesHaveTheBitsOfTheCpu) {
+  expect_bits_of_the_cpu(snakes(), {.pairs = 3}, 12);
+  expect_bits_of_the_cpu(snakes(), {.pairs = 4, .contacts = false}, 0);
+}
+
 TEST_F(ArticulationContactDevices, EveryOptionActsAsOnTheCpu) {
   const FeatherstoneOptions all[] = {{.friction_cone = FrictionCone::Pyramid},
                                      {.pgs_iterations = 3},

@@ -7,6 +7,7 @@
 #include <utility>
 #include <vector>
 
+#include "articulation_contact_scenes.h"
 #include "articulation_devices.h"
 #include "dynamics/all_joints_scene.h"
 #include "novaphy/core/sim/model_builder.h"
@@ -25,10 +26,12 @@ using testing::expect_same_bits;
 using testing::expect_thrown;
 using testing::Result;
 
-// Trees of several sizes, one of them with a joint that follows another.
+// Trees of several sizes, one of them with many hinges in a row, one with a joint that follows
+// another.
 ModelBuilder trees() {
   ModelBuilder all;
   all.replicate(AllJointsScene::make(), 5, {2.0f, 0.0f, 0.0f});
+  testing::contact_scenes::add_snake(all, 0.0f, 0.0f);
   const BodyArgs body = {.com = {0.1f, 0.0f, 0.2f},
                          .mass = 1.0f,
                          .inertia = Mat33f{{{1, 0, 0}, {0, 1, 0}, {0, 0, 2}}}};

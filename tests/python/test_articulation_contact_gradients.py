@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from test_articulation_chains import TIGHT, snake
 
 import novaphy
 
@@ -147,6 +148,9 @@ CASES = {
     ),
     "walker at its velocity limits": (lambda: walker(velocity_limit=0.4), {}, (1, 3, 0)),
     "legs that follow": (walker_that_follows, {}, (1, 1, 2)),
+    "snake": (lambda: snake(mu=2.0), {}, (0, 3, 0)),
+    "snake in the ground": (lambda: snake(0.02), {}, (0, 0, 3)),
+    "snake at its limits": (lambda: snake(**TIGHT), {}, (0, 0, 3)),
     "walker on a pyramid": (walker, {"friction_cone": "pyramid"}, (1, 3, 0)),
     "sticking to a moving table": (lambda: on_a_kinematic_table(0.1), {}, (0, 2, 0)),
     "sliding on a moving table": (lambda: on_a_kinematic_table(1.5), {}, (0, 0, 2)),
@@ -178,7 +182,7 @@ FOUND = {
     **{
         name: CASES[name]
         for name in CASES
-        if not any(word in name for word in ("walker", "legs", "table"))
+        if not any(word in name for word in ("walker", "legs", "table", "snake"))
     },
     "capsule": (capsule, {}, (0, 0, 1)),
     # Its other corners cannot touch within the step.

@@ -491,7 +491,7 @@ def test_an_ant_stands_for_ten_seconds(
     import demo_articulated_scenes
 
     model = demo_articulated_scenes.build_ant().finalize()
-    solver = novaphy.solvers.SolverFeatherstone(model, pgs_cfm=softness)
+    solver = novaphy.solvers.SolverFeatherstone(model, pgs_cfm=softness, angular_damping=0.05)
     pipeline = novaphy.CollisionPipeline(model)
     contacts, control = pipeline.contacts(), model.control()
     state, after = model.state(), model.state()

@@ -39,7 +39,7 @@ def run(
 ) -> dict[str, np.ndarray]:
     """Coordinates, rates and energies (J) at the start and behind every so many steps."""
     model = builder.finalize()
-    solver = novaphy.solvers.SolverFeatherstone(model, angular_damping=0.0)
+    solver = novaphy.solvers.SolverFeatherstone(model)  # its default damps nothing
     state, after = model.state(), model.state()
     rows = [[], [], []]
 

@@ -11,6 +11,7 @@ import pytest
 import novaphy
 from novaphy.solvers import FeatherstoneAnalyticControlSensitivity, SolverFeatherstone
 
+ANGULAR_DAMPING = 0.05  # 1/s, so that the replays see it
 DT = 1e-3
 IDENTITY = (0.0, 0.0, 0.0, 1.0)
 START = np.array([0.0, 0.0654, 0.0, -2.7266, 0.0, 2.7920, 0.7854])
@@ -24,7 +25,9 @@ class Rollout:
     def __init__(self, builder: novaphy.ModelBuilder, body: int, local: tuple, **solver: object):
         """`body` and `local` name the point that is watched."""
         self.model = builder.finalize()
-        self.solver = SolverFeatherstone(self.model, **solver)
+        self.solver = SolverFeatherstone(
+            self.model, **{"angular_damping": ANGULAR_DAMPING, **solver}
+        )
         self.body, self.local = body, local
 
     def sensitivity(self, count: int, **options: object) -> FeatherstoneAnalyticControlSensitivity:
@@ -182,7 +185,7 @@ class LinearisedReplay:
             shift = policy(moved, t, q + dq)[0] - policy(theta, t, q)[0]
             dv = dv + DT * inverse @ (self.ke @ (shift - dq - DT * dv) - self.kd @ dv)
             dq = dq + DT * dv
-            dv = (1.0 - 0.05 * DT) * dv
+            dv = (1.0 - ANGULAR_DAMPING * DT) * dv
         return np.concatenate([dq, dv, self.point @ dq, self.point @ dv])
 
 
@@ -355,8 +358,8 @@ def test_frozen_torques_are_the_linearised_replay() -> None:
         mass = novaphy.eval_mass_matrix(rollout.model, now)[0].astype(np.float64)
         damping = np.diag([0.0] * 7 + [0.05])
         dv = dv + DT * np.linalg.solve(mass + DT * damping, np.eye(8) - damping @ dv)
-        factor = np.array([1.0] * 3 + [1.0 - 0.05 * DT] * 5)
-        w = then.joint_qd.numpy()[3:6].astype(np.float64) / (1.0 - 0.05 * DT)
+        factor = np.array([1.0] * 3 + [1.0 - ANGULAR_DAMPING * DT] * 5)
+        w = then.joint_qd.numpy()[3:6].astype(np.float64) / (1.0 - ANGULAR_DAMPING * DT)
         y = 0.5 * DT * w
         turn = quat_matrix(np.append(y, 1.0) / np.sqrt(1.0 + y @ y))
         old = de
@@ -380,7 +383,7 @@ class ContactRun:
     def __init__(self, builder: novaphy.ModelBuilder, body: int, start: np.ndarray):
         """`body`: whose origin is watched."""
         self.model = builder.finalize()
-        self.solver = SolverFeatherstone(self.model)
+        self.solver = SolverFeatherstone(self.model, angular_damping=ANGULAR_DAMPING)
         self.pipeline = novaphy.CollisionPipeline(self.model)
         self.contacts = self.pipeline.contacts()
         self.body, self.start = body, start
@@ -473,14 +476,14 @@ def test_normals_that_push_are_held_as_in_the_linearised_replay() -> None:
         pushed.append(len(n))
         response = np.linalg.solve(m, n.T)
         dv -= response @ np.linalg.lstsq(n @ response, n @ dv, rcond=1e-9)[0]
-        w = then.joint_qd.numpy()[3:6].astype(np.float64) / (1.0 - 0.05 * DT)
+        w = then.joint_qd.numpy()[3:6].astype(np.float64) / (1.0 - ANGULAR_DAMPING * DT)
         y = 0.5 * DT * w
         turn = quat_matrix(np.append(y, 1.0) / np.sqrt(1.0 + y @ y))
         old = de
         de = de + DT * dv
         de[3:6] = turn @ old[3:6]
         de[3:6] += DT / (1.0 + y @ y) * (dv[3:6] + np.cross(y, dv[3:6].T).T)
-        dv = np.array([1.0] * 3 + [1.0 - 0.05 * DT] * 5)[:, None] * dv
+        dv = np.array([1.0] * 3 + [1.0 - ANGULAR_DAMPING * DT] * 5)[:, None] * dv
         body = novaphy.eval_jacobian(run.model, then)[0, 12:].astype(np.float64)
         pose = then.body_q.numpy()[2].astype(np.float64)
         arm = quat_matrix(pose[3:]) @ -run.model.body_com.numpy()[2]

@@ -239,10 +239,13 @@ def body_rollout(
     dt: float,
     rates: list[list[float]],
     checkpoint: int | None = None,
-    captured: bool = False,
+    captured: int = 0,
     pipeline: bool = True,
 ) -> novaphy.solvers.GradientInfo:
-    """What is said of a rollout of free bodies from these velocities, and a backward."""
+    """What is said of a rollout of free bodies from these velocities, and a backward.
+
+    `captured`: replays of a capture of both.
+    """
     from novaphy import diff, nova
 
     model = solver.model
@@ -262,7 +265,8 @@ def body_rollout(
     if captured:
         with nova.ScopedCapture() as capture:
             once()
-        capture.graph.launch()
+        for _ in range(captured):
+            capture.graph.launch()
     else:
         once()
     return solver.gradient_info()
@@ -301,7 +305,7 @@ def test_a_bounce_is_an_event_of_articulations_with_its_step_and_pair() -> None:
     solver.clear_gradient_info()
     assert solver.gradient_info().steps == 0
     # Replays are counted, and so are rollouts that keep few of their states.
-    assert body_rollout(solver, 100, 1e-3, down, captured=True) == info
+    assert body_rollout(solver, 100, 1e-3, down, captured=1) == info
     solver.clear_gradient_info()
     assert body_rollout(solver, 100, 1e-3, down, checkpoint=10) == info
     solver.clear_gradient_info()
@@ -323,8 +327,11 @@ def test_a_bounce_is_an_event_of_the_semi_implicit_solver(kind: str) -> None:
     assert (info.began, info.ended, info.turned) == (1, 1, 0), info.reason
     assert "shapes 0 and 1" in info.reason or "shapes 1 and 0" in info.reason
     assert body_rollout(solver, 100, 1e-3, down, checkpoint=10, **options) == info
-    replayed = body_rollout(solver, 100, 1e-3, down, captured=True, **options)
+    replayed = body_rollout(solver, 100, 1e-3, down, captured=1, **options)
     assert replayed.events == info.events and replayed.steps == info.steps
+    # Every replay counts anew.
+    again = body_rollout(solver, 100, 1e-3, down, checkpoint=10, captured=2, **options)
+    assert again.events == info.events and again.steps == info.steps, again.reason
     up = body_rollout(solver, 100, 1e-3, [[0.0, 0.0, 1.0, 0.0, 0.0, 0.0]], **options)
     assert up.events == 0 and up.steps == 100
     solver.clear_gradient_info()

@@ -253,7 +253,7 @@ def test_the_ant_drops_and_stands(name):
 
 def fallen(model: novaphy.Model, state: novaphy.SimState, steps: int) -> novaphy.SimState:
     """The state after steps of 1/240 s with contact."""
-    solver = novaphy.solvers.SolverFeatherstone(model)
+    solver = novaphy.solvers.SolverFeatherstone(model, angular_damping=0.05)
     pipeline = novaphy.CollisionPipeline(model)
     contacts, after = pipeline.contacts(), model.state()
     for _ in range(steps):

@@ -52,6 +52,8 @@ def test_objects_show_what_they_are_made_of():
         shown = repr(thing)
         assert shown.startswith(text) and shown.endswith(")") and "0x" not in shown, shown
     assert "mu=0.25" in repr(novaphy.ShapeConfig(mu=0.25))
+    assert "mu_torsional=0.005, mu_rolling=1e-04," in repr(novaphy.ShapeConfig())  # as given
+    assert "limit_upper=1e+10," in repr(novaphy.JointDofConfig((1, 0, 0)))
     assert "target_q=0.5" in repr(novaphy.JointDofConfig((1, 0, 0), target_q=0.5))
 
 
@@ -61,5 +63,24 @@ def test_differentiable_objects_do_so_too():
     assert repr(diff.Trajectory(model, 6, checkpoint=2)).startswith(
         "Trajectory(steps=6, checkpoint_interval=2, body_count=1"
     )
-    assert "angular_damping=" in repr(solvers.DiffSolverConfig())
+    assert "angular_damping=0.05," in repr(solvers.DiffSolverConfig())
     assert repr(solvers.DiffSemiImplicitSolver(model)).startswith("DiffSemiImplicitSolver(body_")
+
+
+def test_tapes_graphs_and_optimizers_show_their_sizes():
+    nova = pytest.importorskip("novaphy.nova")
+    x = nova.tensor([[1.0, 2.0]], requires_grad=True)
+    tape = nova.Tape()
+    assert repr(tape).startswith("Tape(size=0, memory_bytes=")
+    with tape:
+        nova.sum(x * x)
+    assert repr(tape).startswith("Tape(size=2, last='sum', memory_bytes="), repr(tape)
+    capture = nova.ScopedCapture()
+    assert repr(capture) == "ScopedCapture()"
+    with capture:
+        _ = x * 2.0
+    assert repr(capture.graph) == f"Graph(size={len(capture.graph)})"
+    assert repr(capture) == f"ScopedCapture(graph={capture.graph!r})"
+    for name in ("SGD", "Adam"):
+        optimizer = getattr(nova.optim, name)([x, nova.zeros(3)], lr=0.1)
+        assert repr(optimizer) == f"{name}(params=[(1, 2), (3,)], lr=0.1)"

@@ -69,7 +69,6 @@ struct Kernels {
   NOVAPHY_VBD_KERNEL(move)
   NOVAPHY_VBD_KERNEL(move_guarded)
   NOVAPHY_VBD_KERNEL(move_team)
-  NOVAPHY_VBD_KERNEL(sweep)
   NOVAPHY_VBD_KERNEL(commit)
   NOVAPHY_VBD_KERNEL(accelerate)
   NOVAPHY_VBD_KERNEL(finish)
@@ -124,7 +123,6 @@ LaunchedStep::LaunchedStep(const Model& m, const VbdOptions& o)
   for (DeviceArray<Vec4f>* rows : {&start_, &target_, &moved_, &x_})
     *rows = DeviceArray<Vec4f>(n, device);
   of_particles_ = DeviceArray<float>(3 * n, device);
-  barrier_ = DeviceArray<uint32_t>(1, device);
   faults_ = DeviceArray<int32_t>(n, device);
   overflow_ = DeviceArray<int32_t>(2, device);
   if (o.acceleration) {
@@ -186,8 +184,6 @@ void LaunchedStep::build_tables(float dt) {
   t->particle = upload<int32_t>(host.particle, groups * lanes, device);
   t->filled = upload<int32_t>(host.filled, groups, device);
   t->mass_by_h2 = upload<float>(host.mass_by_h2, groups * lanes, device);
-  const std::vector<int32_t> color_begin(t->colors.begin(), t->colors.end());
-  t->color_begin = upload<int32_t>(color_begin, device);
   for (int role = 0; role < kRoles; ++role) {
     const ColorSlots::Table& table = slots_.table(static_cast<Role>(role));
     if (table.sources.empty()) continue;
@@ -306,10 +302,6 @@ std::vector<LaunchArgument> LaunchedStep::sweep_arguments(bool with_contacts, in
   a.push_back(number(first_group));
   a.push_back(number(end_group));
   a.push_back(number(t.team));
-  a.push_back(reads("color_begin", t.color_begin));
-  a.push_back(number(static_cast<int64_t>(t.colors.size()) - 1));
-  a.push_back(number(int64_t{options_.iterations}));
-  a.push_back(updates("barrier", barrier_));
   a.push_back(writes("residual", of_particles_));
   if (!on_cpu_) return a;
   LaunchArgument sweep = reads("sweep", t.sweeps);
@@ -331,13 +323,10 @@ void LaunchedStep::launch(const DeviceKernel& on_device, const DeviceKernel& on_
 LaunchedStep::Mover LaunchedStep::mover() const {
   const char* const variable = std::getenv("NOVAPHY_VBD_SWEEP");
   const std::string_view wanted = variable != nullptr ? variable : "";
-  require(wanted.empty() || wanted == "thread" || wanted == "team" || wanted == "grid",
-          ErrorKind::Value, "NOVAPHY_VBD_SWEEP: expected thread, team or grid, got '", wanted, "'");
-  if (on_cpu_ || options_.safeguard || tables_->team == 0 || wanted == "thread")
-    return Mover::Thread;
-  const bool can_be_grid = !tables_->has_conflicts && !options_.acceleration;
-  if (wanted == "team" || !can_be_grid) return Mover::Team;
-  return wanted == "grid" ? Mover::Grid : Mover::Team;
+  require(wanted.empty() || wanted == "thread" || wanted == "team", ErrorKind::Value,
+          "NOVAPHY_VBD_SWEEP: expected thread or team, got '", wanted, "'");
+  const bool by_thread = on_cpu_ || options_.safeguard || tables_->team == 0 || wanted == "thread";
+  return by_thread ? Mover::Thread : Mover::Team;
 }
 
 // Of a launch over the teams of some groups.
@@ -417,14 +406,7 @@ void LaunchedStep::iterate_once(bool with_contacts, Mover how) const {
 void LaunchedStep::iterate(bool with_contacts, std::span<const DeviceArray<Vec4f>> iterates) const {
   const Tables& t = *tables_;
   const Device device = model_.device();
-  Mover how = mover();
-  if (how == Mover::Grid && !iterates.empty()) how = Mover::Team;
-  if (how == Mover::Grid) {
-    if (options_.iterations > 0)
-      kernels().sweep.launch(device, team_rows(t.most_groups),
-                             sweep_arguments(with_contacts, 0, 0));
-    return;
-  }
+  const Mover how = mover();
   for (int32_t k = 1; k <= options_.iterations; ++k) {
     if (!iterates.empty())
       kernels().keep.launch(
@@ -482,7 +464,6 @@ void LaunchedStep::run(const VbdLaunchInputs& in, const VbdLaunchResults& out,
       writes_row("moved", moved_),
       writes_row("x", x_),
       options_.acceleration ? writes_row("newer", newer_) : number(int64_t{0}),
-      writes("barrier", barrier_),
       updates_row("faults", faults_)};
   static constexpr const char* kValueNames[] = {
       "model.particle_spring_stiffness",   "model.particle_spring_damping",
@@ -552,8 +533,7 @@ void LaunchedStep::check() {
 
 // After a run: one more iteration.
 void LaunchedStep::iterate_again(bool with_contacts) {
-  const Mover how = mover();
-  iterate_once(with_contacts, how == Mover::Grid ? Mover::Team : how);
+  iterate_once(with_contacts, mover());
   ++iterations_run_;
 }
 

@@ -81,7 +81,7 @@ class LaunchedStep {
     bool has_conflicts = false;
     int64_t damped = 0, most_groups = 0;
     int64_t team = 0;  // groups of a team; 0: one has too many slots
-    DeviceArray<int32_t> particle, filled, color_begin;
+    DeviceArray<int32_t> particle, filled;
     DeviceArray<float> mass_by_h2;
     DeviceArray<uint64_t> begin[kRoles];
     DeviceArray<int32_t> ints[kRoles];
@@ -92,7 +92,7 @@ class LaunchedStep {
     std::vector<Trained> trained;
     DeviceArray<uint8_t> sweeps;  // on the CPU: a Sweep without contacts, and one with them
   };
-  enum class Mover { Thread, Team, Grid };
+  enum class Mover { Thread, Team };
 
   const Model& on_host();
   void build_slots();
@@ -136,7 +136,6 @@ class LaunchedStep {
   DeviceArray<Vec4f> start_, target_, moved_, x_, next_, newer_, older_;
   DeviceArray<int32_t> contact_begin_, contact_items_;
   DeviceArray<float> contact_numbers_, of_particles_;
-  DeviceArray<uint32_t> barrier_;
   DeviceArray<int32_t> faults_;    // of each particle, see vbd::note_fault
   DeviceArray<int32_t> overflow_;  // see VbdContactArguments
   std::vector<float> chebyshev_;

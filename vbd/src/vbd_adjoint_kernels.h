@@ -34,14 +34,14 @@ struct VbdAdjointArguments {
 
 // "weights": also by the weights of slots; "rest": vbd_adjoint_slots at a solution; "start": of
 // what slots have of the start.
-NOVAPHY_BLOCK_KERNEL(vbd_adjoint_solve, 62, VbdAdjointArguments);
-NOVAPHY_BLOCK_KERNEL(vbd_adjoint_solve_team, 62, VbdAdjointArguments);
-NOVAPHY_BLOCK_KERNEL(vbd_adjoint_slots, 62, VbdAdjointArguments);
-NOVAPHY_BLOCK_KERNEL(vbd_adjoint_weights, 62, VbdAdjointArguments);
-NOVAPHY_BLOCK_KERNEL(vbd_adjoint_rest, 62, VbdAdjointArguments);
-NOVAPHY_BLOCK_KERNEL(vbd_adjoint_rest_weights, 62, VbdAdjointArguments);
-NOVAPHY_BLOCK_KERNEL(vbd_adjoint_start, 62, VbdAdjointArguments);
-NOVAPHY_BLOCK_KERNEL(vbd_adjoint_start_weights, 62, VbdAdjointArguments);
+NOVAPHY_BLOCK_KERNEL(vbd_adjoint_solve, 58, VbdAdjointArguments);
+NOVAPHY_BLOCK_KERNEL(vbd_adjoint_solve_team, 58, VbdAdjointArguments);
+NOVAPHY_BLOCK_KERNEL(vbd_adjoint_slots, 58, VbdAdjointArguments);
+NOVAPHY_BLOCK_KERNEL(vbd_adjoint_weights, 58, VbdAdjointArguments);
+NOVAPHY_BLOCK_KERNEL(vbd_adjoint_rest, 58, VbdAdjointArguments);
+NOVAPHY_BLOCK_KERNEL(vbd_adjoint_rest_weights, 58, VbdAdjointArguments);
+NOVAPHY_BLOCK_KERNEL(vbd_adjoint_start, 58, VbdAdjointArguments);
+NOVAPHY_BLOCK_KERNEL(vbd_adjoint_start_weights, 58, VbdAdjointArguments);
 
 #ifdef NOVAPHY_KERNEL
 namespace vbd {

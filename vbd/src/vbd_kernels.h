@@ -1,10 +1,9 @@
 // A step of VBD as kernels (row_kernel.h): what devices run, and what a capture records. The laws
 // and the order of their sums are those of sweep_slots.h, so the results have the same bits.
 //
-// A colour moves in one of three ways, of the same bits: vbd_move, a thread for each particle;
-// vbd_move_team, where the threads of a block share the slots of some groups and a thread for each
-// component of their blocks adds them in slot order; vbd_sweep, all colours of all iterations in
-// one launch of such blocks, which wait for each other. The last two are for devices only.
+// A colour moves in one of two ways, of the same bits: vbd_move, a thread for each particle;
+// vbd_move_team, for devices only, where the threads of a block share the slots of some groups and
+// a thread for each component of their blocks adds them in slot order.
 #pragma once
 
 #include "novaphy/core/row_kernel.h"
@@ -33,9 +32,8 @@ struct VbdPredictArguments {
   VbdRow* target;
   VbdRow* moved;
   VbdRow* x;
-  VbdRow* newer;      // of Chebyshev's acceleration, else null
-  uint32_t* barrier;  // of vbd_sweep
-  int32_t* faults;    // see vbd::note_fault
+  VbdRow* newer;    // of Chebyshev's acceleration, else null
+  int32_t* faults;  // see vbd::note_fault
   // What the tables of the sweep were made of: not read here, but a gradient of it would stop.
   const float* tables_of[15];
 };
@@ -49,8 +47,7 @@ inline void note_fault(int32_t* faults, int64_t particle, int32_t fault) {
 
 }  // namespace vbd
 
-NOVAPHY_ROW_KERNEL(vbd_predict, 34, VbdPredictArguments) {
-  if (row == 0) *a.barrier = 0;
+NOVAPHY_ROW_KERNEL(vbd_predict, 33, VbdPredictArguments) {
   const Vec3f q = a.q[row];
   a.start[row] = to_row(q);
   VbdRow last;
@@ -285,7 +282,7 @@ inline void put_step(const VbdSweepArguments& a, int32_t p, const Vec3f& d) {
 }  // namespace vbd
 
 // What the slots of a lane have of the start of the step. `row`: over the lanes of all groups.
-NOVAPHY_ROW_KERNEL(vbd_prepare, 36, VbdSweepArguments) {
+NOVAPHY_ROW_KERNEL(vbd_prepare, 32, VbdSweepArguments) {
   using namespace vbd;
   const int64_t group = row / kVbdLanes;
   const auto lane = static_cast<int32_t>(row - group * kVbdLanes);
@@ -318,7 +315,7 @@ NOVAPHY_ROW_KERNEL(vbd_prepare, 36, VbdSweepArguments) {
 }
 
 // One step of each particle of a colour. `row`: over the lanes of its groups.
-NOVAPHY_ROW_KERNEL(vbd_move, 36, VbdSweepArguments) {
+NOVAPHY_ROW_KERNEL(vbd_move, 32, VbdSweepArguments) {
   using namespace vbd;
   const int64_t of_color = row / kVbdLanes, group = a.first_group + of_color;
   const auto lane = static_cast<int32_t>(row - of_color * kVbdLanes);
@@ -329,7 +326,7 @@ NOVAPHY_ROW_KERNEL(vbd_move, 36, VbdSweepArguments) {
 }
 
 // The same, halved where the energy would rise, up to four times; then none.
-NOVAPHY_ROW_KERNEL(vbd_move_guarded, 36, VbdSweepArguments) {
+NOVAPHY_ROW_KERNEL(vbd_move_guarded, 32, VbdSweepArguments) {
   using namespace vbd;
   const int64_t of_color = row / kVbdLanes, group = a.first_group + of_color;
   const auto lane = static_cast<int32_t>(row - of_color * kVbdLanes);
@@ -399,7 +396,7 @@ NOVAPHY_ROW_KERNEL(vbd_finish, 6, VbdFinishArguments) {
 }
 
 // As ParticleResidual: 3 numbers for each particle. `row`: over the lanes of all groups.
-NOVAPHY_ROW_KERNEL(vbd_residual, 36, VbdSweepArguments) {
+NOVAPHY_ROW_KERNEL(vbd_residual, 32, VbdSweepArguments) {
   using namespace vbd;
   const int64_t group = row / kVbdLanes;
   const auto lane = static_cast<int32_t>(row - group * kVbdLanes);
@@ -416,8 +413,7 @@ NOVAPHY_ROW_KERNEL(vbd_residual, 36, VbdSweepArguments) {
   to[2] = math::dot(rounded, rounded);
 }
 
-NOVAPHY_BLOCK_KERNEL(vbd_move_team, 36, VbdSweepArguments);
-NOVAPHY_GRID_KERNEL(vbd_sweep, 36, VbdSweepArguments);
+NOVAPHY_BLOCK_KERNEL(vbd_move_team, 32, VbdSweepArguments);
 
 #ifdef NOVAPHY_KERNEL
 namespace vbd {
@@ -439,36 +435,11 @@ struct MoveParticle {
   }
 };
 
-// Waits until all blocks of the grid have been here `turn` times.
-inline void wait_for_grid(uint32_t* barrier, uint32_t turn) {
-  __syncthreads();
-  if (threadIdx.x == 0) {
-    __threadfence();
-    atomicAdd(barrier, 1u);
-    const volatile uint32_t* const here = barrier;
-    while (static_cast<int32_t>(*here - turn * gridDim.x) < 0) {
-    }
-    __threadfence();
-  }
-  __syncthreads();
-}
-
 }  // namespace vbd
 
 NOVAPHY_BLOCK_BODY(vbd_move_team, VbdSweepArguments) {
   __shared__ vbd::TeamMemory memory;
   vbd::for_teams<vbd::MoveParticle>(a, a, a.first_group, a.end_group, block, blocks, memory);
-}
-
-NOVAPHY_BLOCK_BODY(vbd_sweep, VbdSweepArguments) {
-  __shared__ vbd::TeamMemory memory;
-  for (int64_t k = 0; k < a.iterations; ++k)
-    for (int64_t color = 0; color < a.colors; ++color) {
-      const int64_t turn = k * a.colors + color;
-      if (turn > 0) vbd::wait_for_grid(a.barrier, static_cast<uint32_t>(turn));
-      vbd::for_teams<vbd::MoveParticle>(a, a, a.color_begin[color], a.color_begin[color + 1], block,
-                                        blocks, memory);
-    }
 }
 #endif
 

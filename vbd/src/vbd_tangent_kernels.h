@@ -18,7 +18,7 @@ struct VbdTangentArguments {
   VbdRow* force_slope;
   VbdRow* step_slope;
 };
-NOVAPHY_BLOCK_KERNEL(vbd_tangent, 42, VbdTangentArguments);
+NOVAPHY_BLOCK_KERNEL(vbd_tangent, 38, VbdTangentArguments);
 
 struct VbdTangentMoveArguments {
   const int32_t* particle;

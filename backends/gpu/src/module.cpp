@@ -1,7 +1,6 @@
 // Modules: from serialised Programs to launches.
 #include "module.h"
 
-#include <algorithm>
 #include <cstdio>
 #include <cstdlib>
 #include <cstring>
@@ -72,29 +71,8 @@ novaphy_status create_program(novaphy_device* device, const void* data, uint64_t
   return status;
 }
 
-// The blocks of a grid kernel, at most as many as run at the same time.
-novaphy_status launch_grid(novaphy_stream* stream, const novaphy_kernel& kernel, int64_t blocks,
-                           void** arguments, novaphy_error* error) {
-  if (vendor().warp == 0)
-    return fail(error, NOVAPHY_NOT_SUPPORTED,
-                "kernel '%s': its blocks wait for each other, for which there is no launch on %s "
-                "devices",
-                kernel.name.c_str(), vendor().toolkit);
-  const Driver& d = driver();
-  int fit = 0;
-  const novaphy_status status =
-      check(stream->device, d.blocks_per_unit(&fit, kernel.function, static_cast<int>(kBlock), 0),
-            kernel.name.c_str(), error);
-  if (status != NOVAPHY_OK) return status;
-  const auto most = std::min<int64_t>(blocks, int64_t{fit} * stream->device->units);
-  return check(stream->device,
-               d.launch_together(kernel.function, static_cast<unsigned>(most), 1, 1, kBlock, 1, 1,
-                                 0, stream->stream, arguments),
-               kernel.name.c_str(), error);
-}
-
-// Text whose kernels are named in lines "// kernel NAME WORDS", of a grid kernel with
-// " NOVAPHY_GRID" behind, of one whose threads know their block " NOVAPHY_BLOCK".
+// Text whose kernels are named in lines "// kernel NAME WORDS", of one whose threads know
+// their block with " NOVAPHY_BLOCK" behind.
 novaphy_status create_source(novaphy_device* device, const void* data, uint64_t bytes,
                              novaphy_module& module, novaphy_error* error) {
   const std::string text(static_cast<const char*>(data), bytes);
@@ -112,7 +90,6 @@ novaphy_status create_source(novaphy_device* device, const void* data, uint64_t 
     novaphy_kernel& kernel = *module.kernels.emplace_back(std::make_unique<novaphy_kernel>());
     kernel.device = device;
     kernel.name = name;
-    kernel.is_grid = std::string_view(kind) == "NOVAPHY_GRID";
     kernel.is_block = std::string_view(kind) == "NOVAPHY_BLOCK";
     kernel.argument_count = words;
     kernel.number = remember_kernel(device, {name, {}});
@@ -252,8 +229,6 @@ novaphy_status launch_active(novaphy_stream* stream, novaphy_kernel* kernel, int
   SinkArgument sink = sink_of(device, kernel->number, count);
   // The driver copies the arguments during the call.
   void* pointers[] = {const_cast<uint64_t*>(arguments), &n, &sink};
-  if (kernel->is_grid)
-    return launch_grid(stream, *kernel, (n + kBlock - 1) / kBlock, pointers, error);
   const unsigned threads = kernel->is_block ? kBlock : threads_of_block(n, device->units);
   return launch_function(stream, kernel->function, (n + threads - 1) / threads, threads, pointers,
                          kernel->name.c_str(), error);

@@ -15,7 +15,6 @@ struct novaphy_kernel {
   novaphy::gpu::Function function = nullptr;
   novaphy_status (*run)(novaphy_stream* stream, const novaphy_kernel& kernel, int64_t n,
                         const uint64_t* arguments, novaphy_error* error) = nullptr;
-  bool is_grid = false;   // its blocks wait for each other, so all run at the same time
   bool is_block = false;  // its threads know the size of a block
   uint32_t argument_count = 0;
   uint32_t number = 0;  // by which a failing read names the kernel

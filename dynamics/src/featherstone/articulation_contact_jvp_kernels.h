@@ -86,13 +86,17 @@ struct TangentIsland : ActiveIsland<GroupTangent> {
 };
 
 // Without room for its system, the tangents of an island are NaN.
+inline void fill_tangents(const GroupTangent& s, int32_t root) {
+  for (int32_t i = root; i >= 0; i = s.a.nodes[i].next)
+    for (int32_t k = 0; k < s.rows(i).dof_count; ++k)
+      s.workspace(i).qd_next[k].tangent = math::bits_float(0x7fc00000);
+}
+
 inline void solve_island_tangent(const GroupTangent& s, int32_t root) {
   if (s.a.nodes[root].solved != 0) return;
   s.a.nodes[root].solved = 1;
   if (articulation::solve_dual_island(s, TangentIsland{{s, root}}, s.law.cone)) return;
-  for (int32_t i = root; i >= 0; i = s.a.nodes[i].next)
-    for (int32_t k = 0; k < s.rows(i).dof_count; ++k)
-      s.workspace(i).qd_next[k].tangent = math::bits_float(0x7fc00000);
+  fill_tangents(s, root);
 }
 
 // As on the host: no tangent of a group in which a tree fails.
@@ -149,8 +153,9 @@ NOVAPHY_ROW_KERNEL(articulation_contact_jvp, 82, ArticulationContactJvpArguments
     for (int32_t k = 0; k < s.rows(trees[t]).dof_count; ++k)
       s.workspace(trees[t]).bias[k] = DualFloat();
   for (int32_t t = s.first_tree(); t < s.end_tree(); ++t)
-    if (s.root(trees[t]) == trees[t])
-      articulation::add_dual_shifts(s, TangentIsland{{s, trees[t]}});
+    if (s.root(trees[t]) == trees[t] &&
+        !articulation::add_dual_shifts(s, TangentIsland{{s, trees[t]}}))
+      fill_tangents(s, trees[t]);
   for (int32_t t = s.first_tree(); t < s.end_tree(); ++t) {
     const articulation::Tree<DualFloat> tree = s.tree(trees[t]);
     articulation::Workspace<DualFloat> ws = s.workspace(trees[t]);

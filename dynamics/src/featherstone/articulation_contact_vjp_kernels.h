@@ -135,6 +135,12 @@ inline bool solve_island_shifts(const GroupAdjoint& s, int32_t root) {
   island.for_shifted([&](const articulation::AdjointContact&) { shifts = true; });
   return shifts;
 }
+// Where there is no room for its system, the gradients of an island are NaN.
+inline void fill_rates(const GroupAdjoint& s, int32_t root) {
+  const float nan = math::bits_float(0x7fc00000);
+  for (int32_t i = root; i >= 0; i = s.a.nodes[i].next)
+    for (int32_t k = 0; k < s.rows(i).dof_count; ++k) s.adjoint(i).rate[k] = nan;
+}
 // Their adjoint, of all islands.
 inline void add_shifts(const GroupAdjoint& s) {
   const ArticulationStepVjpArguments& a = s.all.step;
@@ -153,7 +159,8 @@ inline void add_shifts(const GroupAdjoint& s) {
         s.a.nodes[s.find_root(articulation::moved_tree(s.step.rows, s.row(place).sides))];
     if (node.solved != -1) continue;
     node.solved = -2;
-    articulation::solve_shift_adjoint(GroupIsland{{s, static_cast<int32_t>(&node - s.a.nodes)}});
+    const auto root = static_cast<int32_t>(&node - s.a.nodes);
+    if (!articulation::solve_shift_adjoint(GroupIsland{{s, root}})) fill_rates(s, root);
   }
   const auto tree_of = [&](int32_t i) { return s.tree(i); };
   const auto memory_of = [&](int32_t i) { return s.adjoint(i); };
@@ -170,15 +177,13 @@ inline void add_shifts(const GroupAdjoint& s) {
       articulation::add_shift_geometry(s.row(place), s.how.dt, tree_of, memory_of);
 }
 
-// Where there is no room for its system, the gradients of an island are NaN.
 inline void solve_island_adjoint(const GroupAdjoint& s, int32_t root) {
   if (s.a.nodes[root].solved > 0) return;
   s.a.nodes[root].solved = 1;
   const GroupIsland island = {{s, root}};
   if (articulation::solve_adjoint(island, s.law.cone)) return;
+  fill_rates(s, root);
   const float nan = math::bits_float(0x7fc00000);
-  for (int32_t i = root; i >= 0; i = s.a.nodes[i].next)
-    for (int32_t k = 0; k < s.rows(i).dof_count; ++k) s.adjoint(i).rate[k] = nan;
   island.for_contacts([&](articulation::AdjointContact& row) {
     row.z = row.pull = {nan, nan, nan};
   });

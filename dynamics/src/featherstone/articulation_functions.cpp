@@ -104,8 +104,9 @@ class Evaluation {
       launch(F, status);
     for (const int32_t s : status)
       if (s != 0)
-        fail(ErrorKind::Runtime, name_, ": ", articulations_.dof_name(model_, s - 1),
-             ": the mass matrix is not positive definite there: expected mass or armature");
+        fail(ErrorKind::Runtime, name_, ": ", articulations_.dof_name(model_, s - 1), ": ",
+             articulations_.matrix_name(model_, s - 1, &state_),
+             " is not positive definite there: expected mass or armature");
   }
 
  private:

@@ -72,6 +72,7 @@ class ArticulationEvaluation {
     tree.inertia = a.inertia;
     tree.gravity = a.gravity[rows.world];
     tree.followers = rows.followers;
+    tree.joints_in_a_row = rows.joints_in_a_row;
     unsigned char* const memory = reinterpret_cast<unsigned char*>(a.workspace + i * a.stride);
     ws = articulation::make_workspace<float>(memory, tree.link_count, tree.dof_count);
     behind = memory + articulation::workspace_bytes<float>(tree.link_count, tree.dof_count);
@@ -88,15 +89,15 @@ class ArticulationEvaluation {
   }
   // ws.qdd = M^-1 (tau - bias), and M's factor. False: M is not positive.
   bool accelerate(const float* tau) {
-    articulation::inverse_dynamics<float>(tree, qd, nullptr, ws, ws.bias);
-    for (int32_t k = 0; k < tree.dof_count; ++k) ws.qdd[k] = tau[k] - ws.bias[k];
-    articulation::mass_matrix(tree, ws);
-    const int64_t n = tree.dof_count;
-    for (int64_t k = 0; k < n; ++k) ws.matrix[k * n + k] += armature[k];
-    const int32_t dof = articulation::factor(tree, ws.matrix);
+    articulation::bias_forces(tree, qd, ws);
+    for (int32_t k = 0; k < tree.dof_count; ++k) {
+      ws.rhs[k] = tau[k] - ws.bias[k];
+      ws.diagonal[k] = armature[k];
+    }
+    const int32_t dof = articulation::factor(tree, a.q, ws);
     if (dof >= 0) a.status[i] = 1 + tree.first_dof + dof;
     if (dof >= 0) return false;
-    articulation::solve(tree, ws.matrix, ws.qdd);
+    articulation::find_accelerations(tree, qd, ws);
     return true;
   }
   // H of both triangles.
@@ -167,7 +168,7 @@ class ArticulationEvaluation {
       if (!accelerate(given())) return;
       float* const dq = derivatives(ws.qdd);
       const int64_t square = static_cast<int64_t>(tree.dof_count) * tree.dof_count;
-      articulation::forward_dynamics_derivatives(tree, ws.matrix, dq, dq + square, dq + 2 * square);
+      articulation::forward_dynamics_derivatives(tree, ws, dq, dq + square, dq + 2 * square);
       write_derivatives(dq, 3);
     }
     if constexpr (F == Function::CenterOfMass) {

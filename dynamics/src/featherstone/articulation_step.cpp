@@ -67,12 +67,13 @@ UnreadMaterials unread_materials(ArticulationContact contact, const char* user) 
 }
 
 void check_status(const Model& m, const Articulations& articulations,
-                  std::span<const int32_t> status, const char* user) {
+                  std::span<const int32_t> status, const char* user, const SimState* state) {
   for (const int32_t s : status)
     if (s != 0)
-      fail(ErrorKind::Runtime, user, ": ", articulations.dof_name(m, s - 1),
-           ": the mass matrix is not positive definite there, or its acceleration is not finite: "
-           "expected mass or armature, and finite coordinates, velocities and forces");
+      fail(ErrorKind::Runtime, user, ": ", articulations.dof_name(m, s - 1), ": ",
+           articulations.matrix_name(m, s - 1, state),
+           " is not positive definite there, or its acceleration is not finite: expected mass or "
+           "armature, and finite coordinates, velocities and forces");
 }
 
 void check_exploded(const Model& m, const Articulations& articulations,
@@ -89,7 +90,8 @@ void check_exploded(const Model& m, const Articulations& articulations,
       fastest = dof;
       rate = std::abs(qd[dof]);
     }
-  if (!(rate * dt >= 1.0f) || std::isinf(rate)) return check_status(m, articulations, status, user);
+  if (!(rate * dt >= 1.0f) || std::isinf(rate))
+    return check_status(m, articulations, status, user, &from);
   fail(ErrorKind::Runtime, user, ": the motion has exploded: state_in.joint_qd of ",
        articulations.dof_name(m, fastest), " is ", qd[fastest],
        " rad/s or m/s, expected less than 1 rad or m a step (dt ", dt, " s)",

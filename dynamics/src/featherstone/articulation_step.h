@@ -17,9 +17,10 @@ void check_featherstone_model(const Model& model, const FeatherstoneOptions& opt
 // Of shapes in contact.
 UnreadMaterials unread_materials(ArticulationContact contact, const char* user);
 
-// ErrorKind::Runtime, naming the first dof that failed.
+// ErrorKind::Runtime, naming the first dof that failed; `state`: where the step began, if known.
 void check_status(const Model& model, const Articulations& articulations,
-                  std::span<const int32_t> status, const char* user);
+                  std::span<const int32_t> status, const char* user,
+                  const SimState* state = nullptr);
 
 // Likewise, of a step from a state on the cpu. Where a dof of what failed moves so fast that this
 // is why, it names that and the contact with the largest force (empty: none).

@@ -1,12 +1,17 @@
 #include "novaphy/dynamics/featherstone/articulations.h"
 
 #include <algorithm>
+#include <cmath>
 #include <initializer_list>
+#include <iomanip>
+#include <numeric>
+#include <sstream>
 
 #include "articulation_kernels.h"
 #include "novaphy/core/error.h"
 #include "novaphy/core/sim/joint_args.h"
 #include "novaphy/core/sim/on_host.h"
+#include "novaphy/dynamics/articulation/active_rows.h"
 #include "novaphy/dynamics/articulation/joint_links.h"
 
 namespace novaphy {
@@ -15,7 +20,7 @@ namespace {
 using articulation::Link;
 using articulation::LinkJoint;
 
-static_assert(sizeof(Link) == 11 * sizeof(int32_t) && sizeof(ArticulationRows) == 7 * 4);
+static_assert(sizeof(Link) == 11 * sizeof(int32_t) && sizeof(ArticulationRows) == 8 * 4);
 
 std::string joint_name(const Model& m, int64_t joint) {
   return "joint " + std::to_string(joint) + " ('" + m.joint_label[static_cast<size_t>(joint)] +
@@ -62,6 +67,18 @@ class TreeMaker {
   int32_t followers() const {
     return static_cast<int32_t>(
         std::count_if(links.begin() + first_, links.end(), articulation::follows));
+  }
+  // That move, from a root to a leaf.
+  int32_t joints_in_a_row() const {
+    std::vector<int32_t> above(links.size() - static_cast<size_t>(first_), 0);
+    int32_t most = 0;
+    for (size_t i = 0; i < above.size(); ++i) {
+      const Link& link = links[static_cast<size_t>(first_) + i];
+      above[i] =
+          (link.parent < 0 ? 0 : above[static_cast<size_t>(link.parent)]) + (link.dofs > 0 ? 1 : 0);
+      most = std::max(most, above[i]);
+    }
+    return most;
   }
   int32_t link_count() const { return static_cast<int32_t>(links.size()) - first_; }
 
@@ -159,6 +176,48 @@ class TreeMaker {
   int32_t first_ = 0;
 };
 
+// Of T^T M T: its largest eigenvalue over its smallest, by iteration with it and its inverse.
+double matrix_condition(const articulation::Tree<float>& tree, const float* q,
+                        const float* armature) {
+  const int64_t n = tree.dof_count, width = n + 1;
+  std::vector<uint64_t> memory(static_cast<size_t>(
+      articulation::workspace_bytes<float>(tree.link_count, tree.dof_count) / 8 + 1));
+  articulation::Workspace<float> ws =
+      articulation::make_workspace<float>(memory.data(), tree.link_count, tree.dof_count);
+  articulation::kinematics(tree, q, ws);
+  articulation::mass_matrix(tree, ws);
+  for (int64_t k = 0; k < n; ++k) ws.matrix[k * n + k] += armature[k];
+  articulation::reduce_matrix(tree, ws.matrix);
+  std::vector<double> system(static_cast<size_t>(n * width));
+  double sizes[2];  // of the matrix, and of its inverse
+  for (int inverse = 0; inverse < 2; ++inverse) {
+    std::vector<double> x(static_cast<size_t>(n), 1.0);
+    articulation::for_followers(
+        tree, [&](int32_t f, int32_t, float) { x[static_cast<size_t>(f)] = 0.0; });
+    for (int turn = 0; turn < 20; ++turn) {
+      const double length = std::sqrt(std::inner_product(x.begin(), x.end(), x.begin(), 0.0));
+      for (int64_t i = 0; i < n; ++i) {
+        double* const to = system.data() + i * width;
+        for (int64_t j = 0; j < n; ++j) to[j] = ws.matrix[i > j ? i * n + j : j * n + i];
+        to[n] = x[static_cast<size_t>(i)] / length;
+      }
+      if (inverse != 0) articulation::solve_dense(system.data(), n);
+      sizes[inverse] = 0.0;
+      for (int64_t i = 0; i < n; ++i) {
+        const double* const from = system.data() + i * width;
+        double& to = x[static_cast<size_t>(i)] = from[n];
+        if (inverse == 0) {
+          to = 0.0;
+          for (int64_t j = 0; j < n; ++j)
+            to += from[j] * system[static_cast<size_t>(j * width + n)];
+        }
+        sizes[inverse] += to * to;
+      }
+    }
+  }
+  return std::sqrt(sizes[0] * sizes[1]);
+}
+
 }  // namespace
 
 Articulations::Articulations(const Model& model, const char* user, For purpose) : values_(user) {
@@ -193,14 +252,14 @@ Articulations::Articulations(const Model& model, const char* user, For purpose) 
         [](const Link& link) { return link.dofs > 0 && !articulation::is_kinematic(link); });
     for (const int32_t value :
          {first_link, trees.link_count(), first_dof, dofs, world < 0 ? m.world_count() - 1 : world,
-          moves ? 1 : 0, trees.followers()})
+          moves ? 1 : 0, trees.followers(), trees.joints_in_a_row()})
       rows.push_back(value);
     max_links_ = std::max(max_links_, trees.link_count());
     max_dofs_ = std::max(max_dofs_, dofs);
   }
   trees.check_bodies();
   const auto* words = reinterpret_cast<const int32_t*>(trees.links.data());
-  rows_ = DeviceArray<int32_t>::from_host(rows, device, 7);
+  rows_ = DeviceArray<int32_t>::from_host(rows, device, 8);
   links_ = DeviceArray<int32_t>::from_host({words, 11 * trees.links.size()}, device, 11);
   dof_parent_ = DeviceArray<int32_t>::from_host(trees.dof_parent, device);
   joint_of_dof_ = std::move(trees.joint_of_dof);
@@ -220,7 +279,8 @@ articulation::Tree<float> Articulations::tree(const Model& m, int64_t i) const {
           m.body_com.data(),
           m.body_inertia.data(),
           m.gravity.data()[rows.world],
-          rows.followers};
+          rows.followers,
+          rows.joints_in_a_row};
 }
 
 std::string Articulations::dof_name(const Model& m, int32_t dof) const {
@@ -229,6 +289,22 @@ std::string Articulations::dof_name(const Model& m, int32_t dof) const {
   const auto joint = std::upper_bound(start, start + m.joint_count(), dof) - start - 1;
   return "dof " + std::to_string(dof) + " (joint '" + m.joint_label[static_cast<size_t>(joint)] +
          "')";
+}
+
+std::string Articulations::matrix_name(const Model& m, int32_t dof, const SimState* state) const {
+  const std::string name = "the mass matrix";
+  if (state == nullptr || !m.device().is_cpu()) return name;
+  int64_t row = 0;
+  articulation::Tree<float> tree = this->tree(m, row);
+  while (dof >= tree.first_dof + tree.dof_count) tree = this->tree(m, ++row);
+  if (tree.followers == 0) return name;
+  const double condition =
+      matrix_condition(tree, state->joint_q.data(), m.joint_armature.data() + tree.first_dof);
+  if (!(condition > 1e5)) return name;
+  std::ostringstream text;
+  text << name << ", whose condition is " << std::setprecision(1) << std::scientific << condition
+       << " (joints that follow others need it; float32 holds 1e7),";
+  return text.str();
 }
 
 void Articulations::check_without_drive(const Model& m, const char* user) const {

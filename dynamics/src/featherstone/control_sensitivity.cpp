@@ -43,6 +43,7 @@ class DualStep {
     const auto bodies = static_cast<size_t>(m.body_count());
     const auto joints = static_cast<size_t>(m.joint_count());
     tree_ = {tree.link_count, tree.dof_count, tree.links, tree.dof_parent, tree.first_dof};
+    tree_.joints_in_a_row = tree.joints_in_a_row;
     tree_.X_p = take<Transform<D>>(a.X_p, joints);
     tree_.X_c = take<Transform<D>>(a.X_c, joints);
     tree_.axis = take<Vec3<D>>(a.axis, dofs);
@@ -231,11 +232,13 @@ struct FeatherstoneAnalyticControlSensitivity::Impl {
     };
     if (articulation::holds_rates(tree, single.ws)) {  // their rates stop changing
       for (size_t k = 0; k < dofs; ++k) stopped[k] = held(k) ? -from_dv[k] / o.dt : 0.0f;
-      float* const with_them = stopped.data() + dofs;
-      articulation::inverse_dynamics(tree, in.qd + first_dof, stopped.data(), single.ws, with_them);
-      for (size_t k = 0; k < dofs; ++k) tangent[k] -= with_them[k] - single.ws.bias[k];
+      float *const with_them = stopped.data() + dofs, *const without = single.ws.rhs;
+      const float* const rates = in.qd + first_dof;
+      articulation::inverse_dynamics<float>(tree, rates, stopped.data(), single.ws, with_them);
+      articulation::inverse_dynamics<float>(tree, rates, nullptr, single.ws, without);
+      for (size_t k = 0; k < dofs; ++k) tangent[k] -= with_them[k] - without[k];
     }
-    articulation::solve(tree, single.ws.matrix, tangent.data());
+    articulation::solve(tree, single.ws, tangent.data());
     for (size_t k = 0; k < dofs; ++k) to_dv[k] = held(k) ? 0.0f : from_dv[k] + o.dt * tangent[k];
     if (!contacts.empty()) contacts.project(to_dv);
   }

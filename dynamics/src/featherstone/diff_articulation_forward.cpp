@@ -1,4 +1,5 @@
 // The arrays of a step of articulations, and its forward.
+#include "diff_articulation_motion.h"
 #include "diff_articulation_parts.h"
 #include "novaphy/core/sim/on_host.h"
 #include "novaphy/nova/host_work.h"
@@ -201,6 +202,8 @@ void write_forces(const KeptContacts& kept, const DeviceArray<Vec3f>& to, float 
 void tell_contacts(const Step& s) {
   const ContactRows rows =
       kept_contacts(s).rows(s.follow, s.point_id ? s.point_id->data() : nullptr);
+  if (s.motion)
+    s.motion->found = s.shared->pgs->events(rows, s.options, numbers(s.in(G::kQd)), s.continues);
   s.shared->pgs->add_branches(s.shared->branches, rows, s.shared->options, s.by_restitution,
                               s.continues);
   if (s.force) write_forces(kept_contacts(s), *s.force, s.dt);

@@ -31,6 +31,7 @@ namespace detail {
 using nova::argument;
 using nova::Tensor;
 inline constexpr const char* kName = "articulation_step";
+struct MotionNotes;
 using G = articulation::StepGradient<float>;
 // Inputs behind the members of G. Those of shapes only with contacts.
 enum MoreInputs : size_t {
@@ -180,6 +181,9 @@ struct ArticulationStep::Shared {
   std::string failure;          // of a replay
   bool dry = false;             // joints have dry friction, or its gradient is asked for
   bool allow_unconverged = false;
+  DerivativeOf contact_gradient = DerivativeOf::Code;
+  MotionCounts motion;
+  std::weak_ptr<const Step> last;  // with MotionNotes
   int64_t next_step = 0;  // number of the next step that is recorded
   // On devices, whether a step since the last check is far from converged, and how many were.
   std::shared_ptr<bool> far = std::make_shared<bool>(false);
@@ -215,6 +219,7 @@ struct ArticulationStep::Step {
   std::vector<detail::StepOutputs> following = {};  // each starts where the one before ended
   int64_t number = 0;
   std::shared_ptr<bool> far = {};  // Shared::far
+  std::shared_ptr<detail::MotionNotes> motion = {};  // null: gradients are of the code
 
   // Whether its forward fills `contacts` anew, so that nobody minds who wrote there.
   bool copies_contacts() const { return found.has_value() || contact_max == 0; }

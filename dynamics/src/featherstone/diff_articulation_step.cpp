@@ -2,6 +2,7 @@
 
 #include <utility>
 
+#include "diff_articulation_motion.h"
 #include "diff_articulation_parts.h"
 #include "novaphy/core/sim/on_host.h"
 
@@ -34,14 +35,19 @@ nova::CustomOp make_op(const std::shared_ptr<const Step>& step) {
   // Outside of captures the CPU works at once, on what was submitted before.
   op.submits_only = !step->shared->runs_on_host();
   op.vjp = [step](std::span<const Tensor> outputs, std::span<const nova::InputGradient> inputs) {
-    if (step->following.empty())
+    if (step->motion)
+      motion_vjp(*step, outputs, inputs,
+                 [&](std::span<const nova::InputGradient> to) { submit_vjp(step, outputs, to); });
+    else if (step->following.empty())
       submit_vjp(step, outputs, inputs);
     else
       run_vjp_of_steps(*step, outputs, inputs);
   };
   op.forward = [step] { run_all(step); };
   op.jvp = [step](std::span<const Tensor> inputs, std::span<const Tensor> outputs) {
-    submit_jvp(step, inputs, outputs);
+    if (!step->motion) return submit_jvp(step, inputs, outputs);
+    motion_jvp(*step, inputs, outputs,
+               [&](std::span<const Tensor> from) { submit_jvp(step, from, outputs); });
   };
   return op;
 }
@@ -49,7 +55,8 @@ nova::CustomOp make_op(const std::shared_ptr<const Step>& step) {
 }  // namespace
 
 ArticulationStep::ArticulationStep(const Model& model, const FeatherstoneOptions& options,
-                                   const char* user, bool allow_unconverged) {
+                                   const char* user, bool allow_unconverged,
+                                   DerivativeOf contact_gradient) {
   check_featherstone_model(model, options, user);
   require(model.joint_dof_count() > 0, ErrorKind::Value, user,
           ": model: expected joints with degrees of freedom, got none");
@@ -60,6 +67,14 @@ ArticulationStep::ArticulationStep(const Model& model, const FeatherstoneOptions
   converged.pgs_iterations = std::max(options.pgs_iterations, kLeastSweeps);
   shared_ = std::make_shared<Shared>(model, converged, user);
   shared_->allow_unconverged = allow_unconverged;
+  shared_->contact_gradient = contact_gradient;
+  shared_->motion.rows_are_exact = options.pgs_slop == 0.0f && options.pgs_erp == 1.0f;
+  require(contact_gradient == DerivativeOf::Code || model.device().is_cpu(),
+          ErrorKind::NotImplemented, user,
+          ": contact_gradient: motion is there for models on the cpu only");
+  require(contact_gradient == DerivativeOf::Code || !options.compliant_contacts,
+          ErrorKind::NotImplemented, user,
+          ": contact_gradient: motion is not there with compliant_contacts");
 }
 ArticulationStep::~ArticulationStep() = default;
 ArticulationStep::ArticulationStep(ArticulationStep&&) noexcept = default;
@@ -104,6 +119,11 @@ void ArticulationStep::record(const Model& m, const SimState& in, SimState& out,
                               const nova::Operand& body_f, float dt, StepScratch scratch,
                               bool join) {
   const int64_t number = shared_->next_step++;
+  const bool moves =
+      shared_->contact_gradient == DerivativeOf::Motion && nova::Tape::active() != nullptr;
+  require(!moves || !nova::current_capture(), ErrorKind::NotImplemented, kName,
+          ": contact_gradient: motion is not there inside a ScopedCapture");
+  join = join && !moves;
   if (join && pending_ && joins(m, in, out, control, body_f, dt, scratch)) return;
   flush();
   const auto view = [](const char* name, const Array& array) {
@@ -182,8 +202,16 @@ void ArticulationStep::record(const Model& m, const SimState& in, SimState& out,
       if (!step->copies_contacts()) kept_contacts(*step).copy(contact_rows(contacts));
     }
   }
+  if (moves) step->motion = std::make_shared<MotionNotes>();
   submit_forward(step, true);
   if (nova::Tape::active() == nullptr) return;
+  if (moves) {
+    std::shared_ptr<const Step> before = shared_->last.lock();
+    if (before && before->outputs[0].tensor.range()->data() != in.joint_q.range()->data())
+      before = nullptr;
+    note_motion(step, before);
+    shared_->last = step;
+  }
   pending_ = std::move(step);
   if (!join || solves || !shared_->runs_on_host() || nova::current_capture()) return flush();
   pending_->host = host_arguments(*pending_);
@@ -234,7 +262,11 @@ void ArticulationStep::clear_branches() {
   shared_->ended = nullptr;
   if (shared_->launched) shared_->launched->clear_branches();
   shared_->branches = {};
+  shared_->motion.several = shared_->motion.unmoved = 0;
   shared_->far_steps = 0;
+}
+const MotionCounts* ArticulationStep::motion_counts() const {
+  return shared_->contact_gradient == DerivativeOf::Motion ? &shared_->motion : nullptr;
 }
 void ArticulationStep::count_from(int64_t number) { shared_->next_step = number; }
 

@@ -129,6 +129,7 @@ Tree<Lanes> make_tree(const TreeShape& s, const Lanes* constants) {
   Tree<Lanes> tree;
   tree.link_count = s.links;
   tree.dof_count = s.dofs;
+  tree.joints_in_a_row = s.joints_in_a_row;
   tree.links = s.link_rows;
   tree.dof_parent = s.dof_parent;
   tree.X_p = reinterpret_cast<const Transform<Lanes>*>(at(TreeConstant::FrameP));

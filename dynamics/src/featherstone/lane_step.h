@@ -32,7 +32,7 @@ enum class TreeConstant : int32_t {
 inline constexpr int32_t kTreeConstants = static_cast<int32_t>(TreeConstant::Count);
 
 struct TreeShape {
-  int32_t links = 0, dofs = 0, coords = 0, bodies = 0, joints = 0;
+  int32_t links = 0, dofs = 0, coords = 0, bodies = 0, joints = 0, joints_in_a_row = 0;
   const Link* link_rows = nullptr;  // all rows counted from the tree's first
   const int32_t* dof_parent = nullptr;
   const int32_t* target_mode = nullptr;
@@ -59,9 +59,9 @@ struct LaneStepArguments {
         tolerance = 0.0f;
   bool compliant = false, cone = true;
   int32_t most_sweeps = 1;
-  float* impulses = nullptr;                     // {contacts, 3, lanes}, along n, t1, t2
+  float* impulses = nullptr;  // {contacts, 3, lanes}, along n, t1, t2
   float *sweeps = nullptr, *residual = nullptr, *largest = nullptr;  // {lanes}
-  void* memory = nullptr;                        // aligned to 64
+  void* memory = nullptr;                                            // aligned to 64
 };
 
 // The adjoint of a step without contacts (articulation/step_vjp.h).

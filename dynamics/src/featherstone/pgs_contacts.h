@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "articulation_kernels.h"
+#include "contact_events.h"
 #include "novaphy/core/array_stamp.h"
 #include "novaphy/core/sim/contacts.h"
 #include "novaphy/core/sim/index_rows.h"
@@ -65,6 +66,11 @@ class PgsContacts : private TreeContacts {
   // jumps. `continues`: the step starts where the last one that was added ended.
   void add_branches(ContactBranches& to, const ContactRows& contacts,
                     const FeatherstoneOptions& options, bool by_restitution, bool continues);
+  // Behind step, and before add_branches: the contacts that begin in it:
+  // they approach by more than 1 mm/s, and than the forces of a step make, and did not push in the
+  // step before. `qd` {dofs}: before the step.
+  ContactEvents events(const ContactRows& contacts, const FeatherstoneOptions& options,
+                       const float* qd, bool continues);
   // Behind prepare: the adjoint of step, as articulation_step_vjp, from its impulses. Branches stay
   // as they are, and so do normals. Points are fixed to their shapes; that of a plane of the world
   // stays below the other, where that is exact (IslandContact::follows).
@@ -114,6 +120,7 @@ class PgsContacts : private TreeContacts {
   void gather(const Model& model, const ContactRows& contacts, const ArticulationArguments* from);
   void find_islands();
   void build_row(const Step& step, Row& row);
+  std::vector<float> free_slips();              // J_n v' of each row
   int32_t hardest_row(int64_t island) const;    // FarIsland::at
   void set_target(const Step& step, Row& row);  // behind it, at the rates without impulses
   void place_friction();

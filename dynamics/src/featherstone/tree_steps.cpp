@@ -112,6 +112,7 @@ void TreeSteps::find_groups(const Model& m) {
     art::TreeShape shape;
     shape.links = rows.link_count;
     shape.dofs = rows.dof_count;
+    shape.joints_in_a_row = rows.joints_in_a_row;
     int32_t last_body = -1, last_joint = -1;
     for (const art::Link& link : links) {
       first.coord = std::min(first.coord, link.coord);

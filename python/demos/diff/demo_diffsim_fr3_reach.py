@@ -47,7 +47,9 @@ class Reach:
 
     def __init__(self, device: str) -> None:
         self.model, self.hand = build_model(device)
-        self.solver = novaphy.solvers.DiffFeatherstoneSolver(self.model, contact=None)
+        self.solver = novaphy.solvers.DiffFeatherstoneSolver(
+            self.model, angular_damping=0.05, contact=None
+        )
         self.trajectory = diff.Trajectory(self.model, STEPS)
         self.controls = [self.model.control() for _ in range(KNOTS)]
         for control in self.controls:

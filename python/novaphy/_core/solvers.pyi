@@ -323,7 +323,7 @@ class SolverFeatherstone(SolverBase):
         self,
         model: Model,
         *,
-        angular_damping: SupportsFloat = 0.05,
+        angular_damping: SupportsFloat = 0.0,
         implicit_drives: bool = True,
         contact: Literal["pgs", "penalty"] | None = "pgs",
         friction_cone: Literal["cone", "pyramid"] = "cone",
@@ -340,6 +340,8 @@ class SolverFeatherstone(SolverBase):
     ) -> None: ...
     @property
     def angular_damping(self) -> float: ...
+    @property
+    def friction_smoothing(self) -> float: ...
     @property
     def implicit_drives(self) -> bool: ...
     @property
@@ -365,7 +367,7 @@ class DiffFeatherstoneSolver(SolverBase):
         self,
         model: Model,
         *,
-        angular_damping: SupportsFloat = 0.05,
+        angular_damping: SupportsFloat = 0.0,
         implicit_drives: bool = True,
         contact: Literal["pgs"] | None = "pgs",
         friction_cone: Literal["cone", "pyramid"] = "cone",
@@ -378,6 +380,7 @@ class DiffFeatherstoneSolver(SolverBase):
         restitution_threshold: SupportsFloat = 0.2,
         compliant_contacts: bool = False,
         allow_unconverged: bool = False,
+        contact_gradient: str = "code",
     ) -> None: ...
     def gradient_info(self) -> GradientInfo: ...
     def clear_gradient_info(self) -> None: ...

@@ -9,7 +9,7 @@ from .._core.solvers import (
     SolverFeatherstone,
     SolverSemiImplicit,
 )
-from .._planned import missing_from_module
+from .._planned import explain_members, missing_from_module
 from .._require import require_diff, require_vbd
 
 __all__ = [
@@ -44,6 +44,8 @@ if has_diff() and has_vbd():
 
     VbdGradientInfo = GradientInfo  # its name before all solvers had one
     __all__ += ["DiffSolverVBD", "VbdGradientInfo"]
+
+explain_members(SolverBase, base="SolverBase")
 
 
 def __getattr__(name: str) -> object:

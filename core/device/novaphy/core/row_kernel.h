@@ -17,7 +17,6 @@ struct FloatWord {
   inline void NAME##_row(const ARGUMENTS& a, const int64_t row, const int64_t n)
 
 #define NOVAPHY_BLOCK_KERNEL(NAME, WORDS, ARGUMENTS) static_assert(sizeof(ARGUMENTS) == 8 * (WORDS))
-#define NOVAPHY_GRID_KERNEL(NAME, WORDS, ARGUMENTS) static_assert(sizeof(ARGUMENTS) == 8 * (WORDS))
 #define NOVAPHY_BLOCK_BODY(NAME, ARGUMENTS)                                                      \
   inline void NAME##_block(const ARGUMENTS& a, const int64_t block, const int64_t blocks);       \
   NOVAPHY_KERNEL NAME(const ARGUMENTS arguments, const int64_t, const device_sink) {             \

@@ -28,20 +28,17 @@ struct FloatWord {
 }  // namespace novaphy
 
 // Kernels for devices only, as a function of a block of 128 threads, which may share memory and
-// wait for each other; in a grid kernel all blocks may. The body follows within #ifdef
-// NOVAPHY_KERNEL, as
+// wait for each other. The body follows within #ifdef NOVAPHY_KERNEL, as
 //
-//   NOVAPHY_BLOCK_KERNEL(team, 3, Scale);  // or NOVAPHY_GRID_KERNEL
+//   NOVAPHY_BLOCK_KERNEL(team, 3, Scale);
 //   NOVAPHY_BLOCK_BODY(team, Scale) { ... }
 //
 // where `a` are the arguments, `block` is the block and `blocks` the number of blocks. A launch
-// over n rows has a block for every 128 of them; of a grid kernel at most as many as the device
-// runs at the same time. A CPU is refused (ErrorKind::NotImplemented).
+// over n rows has a block for every 128 of them. A CPU is refused (ErrorKind::NotImplemented).
 #define NOVAPHY_BLOCK_KERNEL(NAME, WORDS, ARGUMENTS)                                           \
   static_assert(sizeof(ARGUMENTS) == 8 * (WORDS), #NAME ": every argument has 8 bytes");       \
   inline constexpr novaphy_row_function NAME = {sizeof(novaphy_row_function), #NAME, WORDS, 0, \
                                                 nullptr}
-#define NOVAPHY_GRID_KERNEL(NAME, WORDS, ARGUMENTS) NOVAPHY_BLOCK_KERNEL(NAME, WORDS, ARGUMENTS)
 
 #define NOVAPHY_ROW_KERNEL(NAME, WORDS, ARGUMENTS)                                                \
   static_assert(sizeof(ARGUMENTS) == 8 * (WORDS), #NAME ": every argument has 8 bytes");          \

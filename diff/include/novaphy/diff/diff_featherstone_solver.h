@@ -19,15 +19,18 @@ namespace novaphy::diff {
 class NOVAPHY_DIFF_API DiffFeatherstoneSolver : public DiffSolverBase {
  public:
   // Errors as SolverFeatherstone. `allow_unconverged`: gradients of steps whose sweeps ended far
-  // from converged do not throw.
+  // from converged do not throw. `contact_gradient`: see ArticulationStep.
   explicit DiffFeatherstoneSolver(std::shared_ptr<const Model> model,
                                   const FeatherstoneOptions& options = {},
-                                  bool allow_unconverged = false);
+                                  bool allow_unconverged = false,
+                                  DerivativeOf contact_gradient = DerivativeOf::Code);
 
   const FeatherstoneOptions& options() const { return options_; }
   // Of all steps since the last clear: what their gradients are, and their contacts and dry
   // friction.
-  GradientInfo gradient_info() const { return novaphy::gradient_info(branches().all); }
+  GradientInfo gradient_info() const {
+    return novaphy::gradient_info(branches().all, false, step_.motion_counts());
+  }
   ContactBranches branches() const { return step_.branches(); }
   void clear_gradient_info() { step_.clear_branches(); }
 
@@ -54,6 +57,7 @@ class NOVAPHY_DIFF_API DiffFeatherstoneSolver : public DiffSolverBase {
 
   FeatherstoneOptions options_;
   bool allow_unconverged_;
+  DerivativeOf contact_gradient_;
   ArticulationStep step_;
   std::shared_ptr<SimState> poses_;  // memory of poses_follow
   int32_t rollout_contacts_ = 0;     // at most, in a step of the rollout that has begun

@@ -67,7 +67,7 @@ class NOVAPHY_DYNAMICS_API GradientNotes {
 
     List soft, rigid;
     DeviceArray<int32_t> parts, sums;
-    int64_t free_steps = 0;  // without contacts
+    int64_t steps = 0;
     const void* ended = nullptr;
   };
 

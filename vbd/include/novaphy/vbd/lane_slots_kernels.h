@@ -35,11 +35,8 @@ struct VbdSweepArguments {
   FloatWord regularization, slip;
   int64_t damped;  // bit of each role
   int64_t first_group, end_group;
-  int64_t team;                // groups of a team: 1 or kVbdLargeTeam
-  const int32_t* color_begin;  // of vbd_sweep: groups of each colour, and behind the last
-  int64_t colors, iterations;
-  uint32_t* barrier;  // 0 at the beginning
-  float* residual;    // of vbd_residual
+  int64_t team;     // groups of a team: 1 or kVbdLargeTeam
+  float* residual;  // of vbd_residual
 };
 
 namespace vbd {

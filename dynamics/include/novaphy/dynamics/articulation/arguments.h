@@ -12,6 +12,7 @@ struct ArticulationRows {
   int32_t first_link, link_count, first_dof, dof_count, world;
   int32_t moves;      // 0: impulses move none of its dofs
   int32_t followers;  // links that follow others
+  int32_t joints_in_a_row;
 };
 
 // What a step reads. The arrays of a model, state and control; rows, links and dof_parent are those
@@ -52,7 +53,8 @@ articulation::Tree<T> articulation_tree(const ArticulationArgumentsOf<T>& a,
           a.com,
           a.inertia,
           a.gravity[rows.world],
-          rows.followers};
+          rows.followers,
+          rows.joints_in_a_row};
 }
 template <class T>
 articulation::StepInputs<T> articulation_inputs(const ArticulationArgumentsOf<T>& a) {

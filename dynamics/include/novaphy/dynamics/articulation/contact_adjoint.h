@@ -342,7 +342,7 @@ void add_softness_gradient(const AdjointContact& row, float dt, const TreeOf& tr
       const Vec3f point = side == 0 ? row.place.a : row.place.b;
       for (int32_t k = last_dof(tree, at.link); k >= 0; k = tree.dof_parent[k])
         x[k] = math::dot(normal, math::motion_at(ws.axes[k], point).linear);
-      solve(tree, ws.matrix, x);
+      solve(tree, ws, x);
     }
     for (int32_t k = 0; k < n; ++k) lambda[k] = weight * x[k];
     matrix_vjp(tree, ws, memory);
@@ -362,7 +362,7 @@ inline void set_shift_motions(const Tree<float>& tree, const StepInputs<float>& 
     lambda[k] = options.dt * h[k];
     x[k] = shift[k] / options.dt;
   }
-  solve(tree, ws.matrix, lambda);
+  solve(tree, ws, lambda);
   matrix_vjp(tree, ws, memory);
   step_vjp_dynamics(tree, in, options, ws);
   for (int32_t k = 0; k < n; ++k) x[k] = rates[k] + shift[k];

@@ -130,8 +130,8 @@ void build_dual_contact(const ContactRows& c, const Trees& trees, const DualFloa
     if (itself)
       add_point_rows(tree, w.axes, row.sides[1].link, place.b, frame, DualFloat(1.0f), m.dofs,
                      m.jacobian);
-    response_rows(tree, w.matrix, itself ? -1 : last_dof(tree, row.sides[side].link), m.dofs,
-                  m.jacobian, m.response);
+    response_rows(tree, w, itself ? -1 : last_dof(tree, row.sides[side].link), m.dofs, m.jacobian,
+                  m.response);
   }
   PgsContact<float>& solver = row.solver;
   const auto product = [&](int i, int j) {
@@ -181,7 +181,7 @@ void build_dual_contact(const ContactRows& c, const Trees& trees, const DualFloa
 inline bool push_dual_friction(const Tree<DualFloat>& tree, Workspace<DualFloat>& w, int32_t dof,
                                const DualFloat& limit, float value, DualFloat* response) {
   for (int32_t k = 0; k < tree.dof_count; ++k) response[k] = DualFloat(k == dof ? 1.0f : 0.0f);
-  solve(tree, w.matrix, response);
+  solve(tree, w, response);
   DualFloat impulse(value);
   const bool held = holds(value, limit.value);
   if (!held) impulse.tangent = value < 0.0f ? -limit.tangent : limit.tangent;
@@ -198,7 +198,7 @@ inline void push_absent_friction(const Tree<DualFloat>& tree, Workspace<DualFloa
     if (limit.value > 0.0f || limit.tangent == 0.0f || math::abs(rate) <= kLeastSlip) continue;
     for (int32_t x = 0; x < tree.dof_count; ++x)
       answer[x] = DualFloat(0.0f, x == k ? (rate > 0.0f ? -dt : dt) * limit.tangent : 0.0f);
-    solve(tree, w.matrix, answer);
+    solve(tree, w, answer);
     for (int32_t x = 0; x < tree.dof_count; ++x) w.qd_next[x] = w.qd_next[x] + answer[x];
   }
 }

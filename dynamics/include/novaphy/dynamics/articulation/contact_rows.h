@@ -111,7 +111,7 @@ T shared_in_tree(const Tree<T>& tree, const Workspace<T>& ws, int32_t link, cons
     x[k] = -math::dot(normal, math::motion_at(ws.axes[k], point).linear);
     of_both = of_both + x[k] * response[k];
   }
-  solve(tree, ws.matrix, x);
+  solve(tree, ws, x);
   for (int32_t k = last_dof(tree, link); k >= 0; k = tree.dof_parent[k])
     alone = alone - x[k] * math::dot(normal, math::motion_at(ws.axes[k], point).linear);
   return T(2.0f) * (alone - of_both);
@@ -120,14 +120,15 @@ T shared_in_tree(const Tree<T>& tree, const Workspace<T>& ws, int32_t link, cons
 // The responses Y {3, stride} of rows J, by the factor. J is zero but for `last` and the dofs above
 // it; -1: it may be anything.
 template <class T>
-void response_rows(const Tree<T>& tree, const T* matrix, int32_t last, int64_t stride,
+void response_rows(const Tree<T>& tree, const Workspace<T>& ws, int32_t last, int64_t stride,
                    const T* jacobian, T* response) {
   const int64_t n = tree.dof_count;
   for (int64_t k = 0; k < 3 * stride; ++k) response[k] = jacobian[k];
-  if (tree.followers > 0) {
-    for (int r = 0; r < 3; ++r) solve_whole(tree, matrix, response + r * stride);
+  if (!is_sparse(tree)) {
+    for (int r = 0; r < 3; ++r) solve(tree, ws, response + r * stride);
     return;
   }
+  const T* const matrix = ws.matrix;
   T *const y0 = response, *const y1 = y0 + stride, *const y2 = y1 + stride;
   const auto above = [&](int32_t k) { return last < 0 ? k - 1 : tree.dof_parent[k]; };
   const int32_t first = last < 0 ? tree.dof_count - 1 : last;

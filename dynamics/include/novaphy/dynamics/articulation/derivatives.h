@@ -17,7 +17,6 @@
 #pragma once
 
 #include "novaphy/dynamics/articulation/factor.h"
-#include "novaphy/dynamics/articulation/inverse_dynamics.h"
 #include "novaphy/math/matrix.h"
 
 namespace novaphy::articulation {
@@ -159,11 +158,20 @@ void inverse_dynamics_derivatives(const Tree<T>& tree, const T* qd, const T* qdd
 }
 
 // X of M X = B, {dofs, dofs} row-major, in place, by the factor of M; solve (factor.h) of all its
-// columns. `upper`: B is the identity and no joint follows another, so that X is symmetric, and of
-// row k only the columns from k on are computed.
+// columns. `upper`: B is the identity and the factor is sparse, so that X is symmetric, and of row
+// k only the columns from k on are computed.
 template <class T>
-void solve_columns(const Tree<T>& tree, const T* m, T* x, bool upper = false) {
+void solve_columns(const Tree<T>& tree, const Workspace<T>& ws, T* x, bool upper = false) {
   const int64_t n = tree.dof_count;
+  const T* const m = ws.matrix;
+  if (!has_matrix(tree)) {
+    for (int64_t c = 0; c < n; ++c) {
+      for (int64_t k = 0; k < n; ++k) ws.rhs[k] = x[k * n + c];
+      solve(tree, ws, ws.rhs);
+      for (int64_t k = 0; k < n; ++k) x[k * n + c] = ws.rhs[k];
+    }
+    return;
+  }
   const auto subtract = [&](int64_t to, int64_t from, const T& l, int64_t begin) {
     T* const y = x + to * n;
     const T* const z = x + from * n;
@@ -172,36 +180,27 @@ void solve_columns(const Tree<T>& tree, const T* m, T* x, bool upper = false) {
   const auto scale = [&](int64_t to, const T& l, int64_t begin) {
     for (int64_t c = begin; c < n; ++c) x[to * n + c] = l * x[to * n + c];
   };
-  if (tree.followers > 0) {
-    for_followers(tree, [&](int32_t follower, int32_t leader, const T& multiplier) {
-      subtract(leader, follower, -multiplier, 0);
-      scale(follower, T(0.0f), 0);
-    });
+  for_followers(tree, [&](int32_t follower, int32_t leader, const T& multiplier) {
+    subtract(leader, follower, -multiplier, 0);
+    scale(follower, T(0.0f), 0);
+  });
+  with_rows_above(tree, [&](const auto& above) {
     for (int32_t k = tree.dof_count; k-- > 0;)
-      for (int32_t j = k; j-- > 0;) subtract(j, k, m[k * n + j], 0);
+      for (int32_t j = above(k); j >= 0; j = above(j)) subtract(j, k, m[k * n + j], upper ? k : 0);
     for (int32_t k = 0; k < tree.dof_count; ++k) {
-      scale(k, T(1.0f) / m[k * n + k], 0);
-      for (int32_t j = k; j-- > 0;) subtract(k, j, m[k * n + j], 0);
+      scale(k, T(1.0f) / m[k * n + k], upper ? k : 0);
+      for (int32_t j = above(k); j >= 0; j = above(j)) subtract(k, j, m[k * n + j], upper ? k : 0);
     }
-    for_followers(tree, [&](int32_t follower, int32_t leader, const T& multiplier) {
-      subtract(follower, leader, -multiplier, 0);  // the follower's row is 0
-    });
-    return;
-  }
-  for (int32_t k = tree.dof_count; k-- > 0;)
-    for (int32_t j = tree.dof_parent[k]; j >= 0; j = tree.dof_parent[j])
-      subtract(j, k, m[k * n + j], upper ? k : 0);
-  for (int32_t k = 0; k < tree.dof_count; ++k) {
-    scale(k, T(1.0f) / m[k * n + k], upper ? k : 0);
-    for (int32_t j = tree.dof_parent[k]; j >= 0; j = tree.dof_parent[j])
-      subtract(k, j, m[k * n + j], upper ? k : 0);
-  }
+  });
+  for_followers(tree, [&](int32_t follower, int32_t leader, const T& multiplier) {
+    subtract(follower, leader, -multiplier, 0);  // the follower's row is 0
+  });
 }
 
 // From those of inverse dynamics at the accelerations qdd = M^-1 (tau - ID(q, qd, 0)), and the
 // factor of M: d qdd / d q and d qdd / d qd in place of them, and M^-1 = d qdd / d tau.
 template <class T>
-void forward_dynamics_derivatives(const Tree<T>& tree, const T* factored, T* dq, T* dqd,
+void forward_dynamics_derivatives(const Tree<T>& tree, const Workspace<T>& ws, T* dq, T* dqd,
                                   T* inverse) {
   const int64_t n = tree.dof_count;
   for (int64_t i = 0; i < n * n; ++i) {
@@ -210,12 +209,12 @@ void forward_dynamics_derivatives(const Tree<T>& tree, const T* factored, T* dq,
     dqd[i] = -dqd[i];
   }
   for (int64_t k = 0; k < n; ++k) inverse[k * n + k] = T(1.0f);
-  const bool upper = tree.followers == 0;
-  solve_columns(tree, factored, inverse, upper);
+  const bool upper = is_sparse(tree);
+  solve_columns(tree, ws, inverse, upper);
   for (int64_t i = 0; upper && i < n; ++i)
     for (int64_t j = 0; j < i; ++j) inverse[i * n + j] = inverse[j * n + i];
-  solve_columns(tree, factored, dq);
-  solve_columns(tree, factored, dqd);
+  solve_columns(tree, ws, dq);
+  solve_columns(tree, ws, dqd);
 }
 
 }  // namespace novaphy::articulation

@@ -1,56 +1,95 @@
-// M = L^T D L of a matrix with a tree's sparsity (Featherstone 2008, section 6.5): rows are
-// eliminated from the leaves, so L has entries only where M has, and no fill-in. With followers
-// (mimic.h) M stands for T^T M T, and M^-1 for T (T^T M T)^-1 T^T.
+// M^-1 of a tree, with M = H(q) + diag(ws.diagonal): a factor, and what it does to forces and to
+// motions. There are two, and the tree alone says which:
+//
+//   M = L^T D L of a matrix with a tree's sparsity (Featherstone 2008, section 6.5): rows are
+//   eliminated from the leaves, so L has entries only where M has, and no fill-in. With followers
+//   (mimic.h) M stands for T^T M T, and M^-1 for T (T^T M T)^-1 T^T; rows have all entries.
+//
+//   Articulated bodies (articulated_body.h), for trees with more than kMatrixJoints in a row: float
+//   cannot hold the mass matrix of a long chain.
 #pragma once
 
+#include "novaphy/dynamics/articulation/articulated_body.h"
+#include "novaphy/dynamics/articulation/inverse_dynamics.h"
 #include "novaphy/dynamics/articulation/mimic.h"
 
 namespace novaphy::articulation {
 
-// In place, of what mass_matrix wrote: L below the diagonal (its own is 1), D on it. The index of
-// the first dof from the leaves whose pivot is not positive (in any lane), or -1; there it stops.
 template <class T>
-int32_t factor(const Tree<T>& tree, T* m) {
-  if (tree.followers > 0) return factor_whole(tree, m);
+bool has_matrix(const Tree<T>& tree) {
+  return tree.followers > 0 || tree.joints_in_a_row <= kMatrixJoints;
+}
+// Whether a solve may leave out what does not hang together.
+template <class T>
+bool is_sparse(const Tree<T>& tree) {
+  return tree.followers == 0 && tree.joints_in_a_row <= kMatrixJoints;
+}
+// f(above): above(k) is the next row towards the root that row k of L has an entry of; -1: none.
+template <class T, class F>
+auto with_rows_above(const Tree<T>& tree, const F& f) {
+  if (tree.followers > 0) return f([](int32_t k) { return k - 1; });
+  return f([above = tree.dof_parent](int32_t k) { return above[k]; });
+}
+
+// In the workspace's matrix, behind kinematics at q (rows of the arrays): L below the diagonal (its
+// own is 1), D on it; or the rows of articulated bodies. The index of the first dof from the leaves
+// whose pivot is not positive (in any lane), or -1; there it stops.
+template <class T>
+int32_t factor(const Tree<T>& tree, const T* q, Workspace<T>& ws) {
+  if (!has_matrix(tree)) return factor_links(tree, q, ws);
+  mass_matrix(tree, ws);
   const int64_t n = tree.dof_count;
-  for (int32_t k = tree.dof_count; k-- > 0;) {
-    T* const row = m + k * n;
-    if (!all(row[k] > T(0.0f))) return k;
-    const T inverse = T(1.0f) / row[k];
-    for (int32_t i = tree.dof_parent[k]; i >= 0; i = tree.dof_parent[i]) {
-      const T a = row[i] * inverse;
-      for (int32_t j = i; j >= 0; j = tree.dof_parent[j]) m[i * n + j] = m[i * n + j] - a * row[j];
-      row[i] = a;
+  T* const m = ws.matrix;
+  for (int64_t k = 0; k < n; ++k) m[k * n + k] = m[k * n + k] + ws.diagonal[k];
+  if (tree.followers > 0) reduce_matrix(tree, m);
+  return with_rows_above(tree, [&](const auto& above) -> int32_t {
+    for (int32_t k = tree.dof_count; k-- > 0;) {
+      T* const row = m + k * n;
+      if (!all(row[k] > T(0.0f))) return k;
+      const T inverse = T(1.0f) / row[k];
+      for (int32_t i = above(k); i >= 0; i = above(i)) {
+        const T a = row[i] * inverse;
+        for (int32_t j = i; j >= 0; j = above(j)) m[i * n + j] = m[i * n + j] - a * row[j];
+        row[i] = a;
+      }
     }
-  }
-  return -1;
+    return -1;
+  });
 }
 
 // x of M x = b, in place.
 template <class T>
-void solve(const Tree<T>& tree, const T* m, T* x) {
-  if (tree.followers > 0) return solve_whole(tree, m, x);
+void solve(const Tree<T>& tree, const Workspace<T>& ws, T* x) {
+  if (!has_matrix(tree)) return solve_links(tree, ws, x);
   const int64_t n = tree.dof_count;
-  for (int32_t k = tree.dof_count; k-- > 0;)
-    for (int32_t j = tree.dof_parent[k]; j >= 0; j = tree.dof_parent[j])
-      x[j] = x[j] - m[k * n + j] * x[k];
-  for (int32_t k = 0; k < tree.dof_count; ++k) {
-    x[k] = x[k] / m[k * n + k];
-    for (int32_t j = tree.dof_parent[k]; j >= 0; j = tree.dof_parent[j])
-      x[k] = x[k] - m[k * n + j] * x[j];
-  }
+  const T* const m = ws.matrix;
+  gather_followers(tree, x);
+  with_rows_above(tree, [&](const auto& above) {
+    for (int32_t k = tree.dof_count; k-- > 0;)
+      for (int32_t j = above(k); j >= 0; j = above(j)) x[j] = x[j] - m[k * n + j] * x[k];
+    for (int32_t k = 0; k < tree.dof_count; ++k) {
+      x[k] = x[k] / m[k * n + k];
+      for (int32_t j = above(k); j >= 0; j = above(j)) x[k] = x[k] - m[k * n + j] * x[j];
+    }
+  });
+  spread_leaders(tree, x);
 }
 
-// y = M x of what mass_matrix wrote.
+// ws.bias of ID(q, qd, 0), rows of the tree, and the links' motions. Of articulated bodies the bias
+// is 0: find_accelerations has it.
 template <class T>
-void apply_matrix(const Tree<T>& tree, const T* m, const T* x, T* y) {
-  const int64_t n = tree.dof_count;
-  for (int32_t k = 0; k < tree.dof_count; ++k) y[k] = m[k * n + k] * x[k];
-  for (int32_t k = 0; k < tree.dof_count; ++k)
-    for (int32_t j = tree.dof_parent[k]; j >= 0; j = tree.dof_parent[j]) {
-      y[k] = y[k] + m[k * n + j] * x[j];
-      y[j] = y[j] + m[k * n + j] * x[k];
-    }
+void bias_forces(const Tree<T>& tree, const T* qd, Workspace<T>& ws) {
+  if (has_matrix(tree)) return inverse_dynamics<T>(tree, qd, nullptr, ws, ws.bias);
+  link_motions(tree, qd, ws);
+  for (int32_t k = 0; k < tree.dof_count; ++k) ws.bias[k] = T(0.0f);
+}
+// ws.qdd, behind factor, of the forces ws.rhs, from which ws.bias is taken. Of articulated bodies,
+// dofs with endless diagonal keep theirs, and what hangs on them moves as they do.
+template <class T>
+void find_accelerations(const Tree<T>& tree, const T* qd, Workspace<T>& ws) {
+  if (!has_matrix(tree)) return accelerate_links(tree, qd, ws);
+  for (int32_t k = 0; k < tree.dof_count; ++k) ws.qdd[k] = ws.rhs[k];
+  solve(tree, ws, ws.qdd);
 }
 
 }  // namespace novaphy::articulation

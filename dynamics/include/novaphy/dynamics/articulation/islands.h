@@ -12,7 +12,7 @@
 
 namespace novaphy::articulation {
 
-inline constexpr int32_t kMostTreeContacts = 32;
+inline constexpr int32_t kMostTreeContacts = 64;
 
 // Rigid contacts (core/sim/contacts.h). `point_id` may be null where nothing starts warm. `found`:
 // the search found them from the state of the step, so that derivatives let them follow it.
@@ -174,7 +174,6 @@ inline void contact_points(const ContactRows& c, int32_t contact,
 // Whether a contact may touch in a step of dt: its gap is at most twice the way that its points
 // come together with the motions of the links (null: the world), and kMoreSpeed (m/s) dt for what
 // the step does to them. Only such contacts are solved. A gap that is no number may.
-inline constexpr float kMoreSpeed = 4.0f;
 inline bool may_touch(const ContactRows& c, int32_t contact, const LinkState<float>* const* links,
                       float dt) {
   const Vec3f normal = c.normal[contact];
@@ -222,7 +221,7 @@ void build_contact(const ContactRows& c, const TreeOf& tree_of, float* numbers,
       add_point_rows(of.tree, of.ws.axes, row.sides[1].link, place.b, row.frame, 1.0f, to.width,
                      jacobian);
     const int32_t last = itself ? -1 : last_dof(of.tree, row.sides[side].link);
-    if (of.moves) response_rows(of.tree, of.ws.matrix, last, to.width, jacobian, response);
+    if (of.moves) response_rows(of.tree, of.ws, last, to.width, jacobian, response);
     to.rates = of.rates;
     to.jacobian = jacobian;
     to.response = of.moves ? response : nullptr;
@@ -264,7 +263,7 @@ inline void build_friction(const IslandTree& of, int32_t dof, float limit, float
   const int32_t width = padded_dofs(of.tree.dof_count);
   for (int32_t k = 0; k < width; ++k) response[k] = 0.0f;
   response[dof] = 1.0f;
-  solve(of.tree, of.ws.matrix, response);
+  solve(of.tree, of.ws, response);
   row.rates = of.rates;
   row.response = response;
   row.width = width;

@@ -81,34 +81,4 @@ void reduce_matrix(const Tree<T>& tree, T* m) {
   });
 }
 
-// factor and solve (factor.h) of trees with followers.
-template <class T>
-int32_t factor_whole(const Tree<T>& tree, T* m) {
-  reduce_matrix(tree, m);
-  const int64_t n = tree.dof_count;
-  for (int32_t k = tree.dof_count; k-- > 0;) {
-    T* const row = m + k * n;
-    if (!all(row[k] > T(0.0f))) return k;
-    const T inverse = T(1.0f) / row[k];
-    for (int32_t i = k; i-- > 0;) {
-      const T a = row[i] * inverse;
-      for (int32_t j = i; j >= 0; --j) m[i * n + j] = m[i * n + j] - a * row[j];
-      row[i] = a;
-    }
-  }
-  return -1;
-}
-template <class T>
-void solve_whole(const Tree<T>& tree, const T* m, T* x) {
-  const int64_t n = tree.dof_count;
-  gather_followers(tree, x);
-  for (int32_t k = tree.dof_count; k-- > 0;)
-    for (int32_t j = k; j-- > 0;) x[j] = x[j] - m[k * n + j] * x[k];
-  for (int32_t k = 0; k < tree.dof_count; ++k) {
-    x[k] = x[k] / m[k * n + k];
-    for (int32_t j = k; j-- > 0;) x[k] = x[k] - m[k * n + j] * x[j];
-  }
-  spread_leaders(tree, x);
-}
-
 }  // namespace novaphy::articulation

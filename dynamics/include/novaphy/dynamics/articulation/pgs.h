@@ -25,10 +25,12 @@
 // kLeastOfMass / m, by cfm; in shifts it has the softness kShiftSoftness of the first and
 // kLeastOfMass / m. m is the mass of all that moves in the trees of the contact. A tree that hangs
 // on nothing has a J_n Y_n of at least 1 / m against others. An overlap deeper than the lever of a
-// joint is nothing that the joint can part: no shift moves a dof by more than kMostShift. Source:
-// Guendelman, Bridson, Fedkiw, Nonconvex Rigid Bodies with Stacking (2003), section 7, for shifts;
-// Preclik, Models and Algorithms for Ultrascale Simulations of Non-smooth Granular Dynamics (2014),
-// section 4; Catto, Iterative Dynamics with Temporal Coherence (2005).
+// joint is nothing that the joint can part: no contact shifts a dof by more than kMostShift. A
+// contact without an impulse that only a speed above kMoreSpeed closes in the step does not hold
+// shifts: steps may leave such contacts out.
+// Source: Guendelman, Bridson, Fedkiw, Nonconvex Rigid Bodies with Stacking (2003), section 7, for
+// shifts; Preclik, Models and Algorithms for Ultrascale Simulations of Non-smooth Granular Dynamics
+// (2014), section 4; Catto, Iterative Dynamics with Temporal Coherence (2005).
 #pragma once
 
 #include "novaphy/dynamics/articulation/scalar.h"
@@ -45,6 +47,7 @@ struct ContactLaw {
   bool cone = true;
 };
 inline constexpr float kRestSpeed = 0.01f;       // m/s
+inline constexpr float kMoreSpeed = 4.0f;        // m/s
 inline constexpr float kLeastMobility = 1e-3f;   // 1
 inline constexpr float kLeastOfMass = 1e-2f;     // 1
 inline constexpr float kShiftSoftness = 0.05f;   // 1
@@ -304,7 +307,8 @@ T sweep_shift(PgsNumbers<T>& c, const Active& active, const Slip& slip_of, const
   const T o = T(0.0f), soft = c.normal + c.softness;
   const T residual = slip_of() + c.shift + c.softness * c.shifted;
   const T x = c.shifted - residual / select(soft > o, soft, T(1.0f));
-  const T next = select(both(active, c.normal > o), select(x > o, x, o), c.shifted);
+  const auto holds = either(c.impulse[0] > o, c.shift < T(kMoreSpeed));
+  const T next = select(both(both(active, c.normal > o), holds), select(x > o, x, o), c.shifted);
   const T change = next - c.shifted;
   if (all(change == o)) return o;
   c.shifted = next;

@@ -15,7 +15,6 @@
 
 #include "novaphy/dynamics/articulation/drives.h"
 #include "novaphy/dynamics/articulation/factor.h"
-#include "novaphy/dynamics/articulation/inverse_dynamics.h"
 
 namespace novaphy::articulation {
 
@@ -79,19 +78,18 @@ void hold_accelerations(const Tree<T>& tree, const StepInputs<T>& in, const Step
   spread_leaders(tree, ws.qdd);
 }
 
-// rhs = joint_f - bias + drives, and the drives' part of M's diagonal. Dofs whose accelerations are
-// given have endless inertia.
+// rhs = joint_f - bias + drives, and what armature and drives add to M's diagonal. Dofs whose
+// accelerations are given have endless inertia.
 template <class T>
 void add_drives(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<T>& options,
                 const T* bias, Workspace<T>& ws) {
-  const int64_t n = tree.dof_count;
   const Drives<T>& d = in.drives;
   const T endless = T(math::bits_float(0x7f800000));
   for (int32_t i = 0; i < tree.link_count; ++i) {
     const Link& link = tree.links[i];
     for (int32_t j = 0; j < link.dofs; ++j) {
       const int32_t row = link.dof + j;
-      const int64_t k = row - tree.first_dof;
+      const int32_t k = row - tree.first_dof;
       DriveTerm<T> term{T(0.0f), T(0.0f)};
       if (has_one_dof(link)) {
         term = dof_term(d, row, link.coord, ws.branch[k], in.q[link.coord], in.qd[row], options.dt,
@@ -102,8 +100,8 @@ void add_drives(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<
       }
       const T applied = is_free(link) ? T(0.0f) : in.joint_f[row];
       ws.rhs[k] = (applied - bias[k]) + term.force;
-      T& diagonal = ws.matrix[k * n + k];
-      diagonal = is_kinematic(link) ? endless : diagonal + (d.armature[row] + term.diagonal);
+      T& diagonal = ws.diagonal[k];
+      diagonal = is_kinematic(link) ? endless : d.armature[row] + term.diagonal;
       if (has_one_dof(link))
         diagonal = select(has(ws.branch[k], kVelocityClamped), endless, diagonal);
     }
@@ -115,19 +113,19 @@ int32_t solve_accelerations(const Tree<T>& tree, const StepInputs<T>& in,
                             const StepOptions<T>& options, Workspace<T>& ws) {
   const auto holds = holds_rates(tree, ws);
   const T* bias = ws.bias;
-  if (any(holds)) {  // with the accelerations that are given
+  if (any(holds)) {
     for (int32_t k = 0; k < tree.dof_count; ++k) ws.qdd[k] = T(0.0f);
     hold_accelerations(tree, in, options, ws);
+  }
+  if (any(holds) && has_matrix(tree)) {  // with the accelerations that are given
     inverse_dynamics<T>(tree, in.qd + tree.first_dof, ws.qdd, ws, ws.rhs);
     for (int32_t k = 0; k < tree.dof_count; ++k) ws.rhs[k] = select(holds, ws.rhs[k], ws.bias[k]);
     bias = ws.rhs;
   }
-  mass_matrix(tree, ws);
   add_drives(tree, in, options, bias, ws);
-  const int32_t failed = factor(tree, ws.matrix);
+  const int32_t failed = factor(tree, in.q, ws);
   if (failed >= 0) return failed;
-  for (int32_t k = 0; k < tree.dof_count; ++k) ws.qdd[k] = ws.rhs[k];
-  solve(tree, ws.matrix, ws.qdd);
+  find_accelerations(tree, in.qd + tree.first_dof, ws);
   if (any(holds)) hold_accelerations(tree, in, options, ws);
   return -1;
 }
@@ -299,7 +297,7 @@ int32_t begin_step(const Tree<T>& tree, const StepInputs<T>& in, Workspace<T>& w
   }
   kinematics(tree, in.q, ws);
   set_wrenches(tree, in, ws);
-  inverse_dynamics<T>(tree, in.qd + tree.first_dof, nullptr, ws, ws.bias);
+  bias_forces(tree, in.qd + tree.first_dof, ws);
   for (int32_t k = 0; k < tree.dof_count; ++k) ws.branch[k] = {};
   return -1;
 }

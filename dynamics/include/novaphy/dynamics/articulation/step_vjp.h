@@ -209,13 +209,11 @@ void add_mass_gradients(const Tree<T>& tree, const StepGradient<T>& g,
   }
 }
 
-// The first of three parts: from the gradients of the new state to those of q and of u, in
-// `tangent` and `rate`; the part of the latter that comes from q' is the second of `scratch`.
-// `qdd`, `branch` (as numbers), `q_next` and `qd_next` are those of the step; rows of the arrays.
+// The gradients of the new coordinates (tangents) and rates, with those of the poses, in `tangent`
+// and `rate`; rows of the arrays.
 template <class T>
-void step_vjp_rates(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<T>& options,
-                    const T* qdd, const T* branch, const T* q_next, const T* qd_next,
-                    const StepOutputGradient<T>& out, Workspace<T>& ws, AdjointMemory<T>& memory) {
+void step_vjp_end(const Tree<T>& tree, const StepInputs<T>& in, const T* q_next, const T* qd_next,
+                  const StepOutputGradient<T>& out, Workspace<T>& ws, AdjointMemory<T>& memory) {
   const T o = T(0.0f);
   const int32_t n = tree.dof_count, row0 = tree.first_dof;
   T *const tangent = memory.tangent, *const rate = memory.rate, *const lambda = memory.scratch;
@@ -250,6 +248,18 @@ void step_vjp_rates(const Tree<T>& tree, const StepInputs<T>& in, const StepOpti
   }
   gather_followers(tree, tangent);
   gather_followers(tree, rate);
+}
+
+// The first of three parts: from the gradients of the new state to those of q and of u, in
+// `tangent` and `rate`; the part of the latter that comes from q' is the second of `scratch`.
+// `qdd`, `branch` (as numbers), `q_next` and `qd_next` are those of the step; rows of the arrays.
+template <class T>
+void step_vjp_rates(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<T>& options,
+                    const T* qdd, const T* branch, const T* q_next, const T* qd_next,
+                    const StepOutputGradient<T>& out, Workspace<T>& ws, AdjointMemory<T>& memory) {
+  step_vjp_end(tree, in, q_next, qd_next, out, ws, memory);
+  const int32_t n = tree.dof_count, row0 = tree.first_dof;
+  T *const tangent = memory.tangent, *const rate = memory.rate;
   for (int32_t i = 0; i < tree.link_count; ++i) {
     const Link& link = tree.links[i];
     for (int32_t j = 0; j < link.dofs; ++j) {
@@ -277,9 +287,8 @@ void step_vjp_dynamics(const Tree<T>& tree, const StepInputs<T>& in, const StepO
   kinematics(tree, in.q, ws);
   set_wrenches(tree, in, ws);
   inverse_dynamics(tree, in.qd + tree.first_dof, ws.qdd, ws, ws.bias);
-  mass_matrix(tree, ws);
   add_drives(tree, in, options, ws.bias, ws);
-  factor(tree, ws.matrix);
+  factor(tree, in.q, ws);
 }
 // Between these: lambda . dM x leaves the gradients, lambda the first of `scratch`, x the third.
 // step_vjp_dynamics must follow.
@@ -310,7 +319,7 @@ template <class T>
 void step_vjp_solve(const Tree<T>& tree, const StepOptions<T>& options, Workspace<T>& ws,
                     AdjointMemory<T>& memory) {
   for (int32_t k = 0; k < tree.dof_count; ++k) memory.scratch[k] = options.dt * memory.rate[k];
-  solve(tree, ws.matrix, memory.scratch);
+  solve(tree, ws, memory.scratch);
 }
 
 // The last: gradients from lambda.

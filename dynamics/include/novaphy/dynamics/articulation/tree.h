@@ -68,7 +68,10 @@ struct Tree {
                                       // is what acts
   Vec3<T> gravity = {};               // m/s^2
   int32_t followers = 0;              // links that follow others
+  int32_t joints_in_a_row = 0;        // that move, at most, from a root to a leaf
 };
+// Trees with more of them in a row have no mass matrix (factor.h).
+inline constexpr int32_t kMatrixJoints = 9;
 
 // What kinematics, inverse_dynamics and mass_matrix leave of a link.
 template <class T>
@@ -87,6 +90,7 @@ struct LinkState {
   SpatialVector<T> f{};           // force through the joint
   SpatialVector<T> wrench{};      // that acts on it: about its centre of mass, world axes
   // Of the adjoint sweeps: virtual motion, adjoints of acceleration and motion, torque of wrenches.
+  // Those of articulated bodies (articulated_body.h) use them too.
   SpatialVector<T> w{}, a_adjoint{}, v_adjoint{};
   Vec3<T> wrench_torque{};
 };
@@ -96,19 +100,26 @@ template <class T>
 struct Workspace {
   LinkState<T>* links = nullptr;
   SpatialVector<T>* axes = nullptr;  // S
-  T* matrix = nullptr;               // lower: H, or L and D
+  T* matrix = nullptr;               // lower: H; or a factor (factor.h)
+  T* diagonal = nullptr;             // what is added to H's
   T *bias = nullptr, *qdd = nullptr, *qd_next = nullptr, *rhs = nullptr, *given = nullptr;
   T* shift = nullptr;             // of contacts (pgs.h), besides qd_next; null: none
   Branches<T>* branch = nullptr;  // Branch bits of drives.h
 };
 
+// Numbers of the matrix, or of the rows of articulated bodies.
+inline int64_t matrix_numbers(int32_t links, int32_t dofs) {
+  const int64_t n = dofs, matrix = n * n, rows = int64_t{12} * links + 11 * n;
+  return dofs > kMatrixJoints && matrix < rows ? rows : matrix;
+}
 // In multiples of 8 bytes; memory is aligned to 8 (of lanes: to a lane type).
 template <class T>
 int64_t workspace_bytes(int32_t links, int32_t dofs) {
   const int64_t n = dofs, ints = (n * static_cast<int64_t>(sizeof(Branches<T>)) + 7) / 8 * 8;
   return links * static_cast<int64_t>(sizeof(LinkState<T>)) +
          n * static_cast<int64_t>(sizeof(SpatialVector<T>)) +
-         ((n * n + 5 * n) * static_cast<int64_t>(sizeof(T)) + 7) / 8 * 8 + ints + 8;
+         ((matrix_numbers(links, dofs) + 6 * n) * static_cast<int64_t>(sizeof(T)) + 7) / 8 * 8 +
+         ints + 8;
 }
 template <class T>
 Workspace<T> make_workspace(void* memory, int32_t links, int32_t dofs) {
@@ -117,7 +128,8 @@ Workspace<T> make_workspace(void* memory, int32_t links, int32_t dofs) {
   ws.links = static_cast<LinkState<T>*>(memory);
   ws.axes = reinterpret_cast<SpatialVector<T>*>(ws.links + links);
   ws.matrix = reinterpret_cast<T*>(ws.axes + n);
-  ws.bias = ws.matrix + n * n;
+  ws.diagonal = ws.matrix + matrix_numbers(links, dofs);
+  ws.bias = ws.diagonal + n;
   ws.qdd = ws.bias + n;
   ws.qd_next = ws.qdd + n;
   ws.rhs = ws.qd_next + n;

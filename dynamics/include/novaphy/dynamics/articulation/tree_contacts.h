@@ -92,8 +92,8 @@ void tree_contact_rows(const Tree<T>& tree, const Workspace<T>& ws, const TreeCo
     y1[k] = j1[k];
     y2[k] = j2[k];
   }
-  if (tree.followers > 0) {
-    for (int r = 0; r < 3; ++r) solve_whole(tree, ws.matrix, response + r * n);
+  if (!is_sparse(tree)) {
+    for (int r = 0; r < 3; ++r) solve(tree, ws, response + r * n);
     return;
   }
   for (int32_t k = tree.dof_count; k-- > 0;) {

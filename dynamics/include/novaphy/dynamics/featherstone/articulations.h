@@ -45,6 +45,9 @@ class NOVAPHY_DYNAMICS_API Articulations {
   void check_values(const Model& model, const Control* control, bool friction, const char* user);
   // "dof 3 (joint 'elbow')"
   std::string dof_name(const Model& model, int32_t dof) const;
+  // "the mass matrix" of the dof's articulation. Where joints follow others, with its condition at
+  // the state (null: without), if that is above 1e5.
+  std::string matrix_name(const Model& model, int32_t dof, const SimState* state) const;
 
  private:
   void check_without_drive(const Model& model, const char* user) const;

@@ -41,6 +41,7 @@
 #include "novaphy/dynamics/export.h"
 #include "novaphy/dynamics/featherstone/contact_branches.h"
 #include "novaphy/dynamics/featherstone/solver_featherstone.h"
+#include "novaphy/dynamics/gradient_info.h"
 #include "novaphy/nova/kernel.h"
 
 namespace novaphy::diff {
@@ -52,12 +53,21 @@ enum class FoundContacts : uint8_t {
   Always   // so, anew whenever the step runs
 };
 
+// What gradients follow where contacts begin.
+enum class DerivativeOf : uint8_t {
+  Code,   // the steps as they ran: a contact begins in the same step
+  Motion  // its time moves with the state (on the CPU, outside of captures)
+};
+
 class NOVAPHY_DYNAMICS_API ArticulationStep {
  public:
   // Errors as SolverFeatherstone; ErrorKind::Value: a model whose joints have no dofs.
   // `allow_unconverged`: adjoints and tangents of steps that are far from converged do not throw.
+  // ErrorKind::NotImplemented: DerivativeOf::Motion of a model on a device, or with
+  // compliant_contacts.
   ArticulationStep(const Model& model, const FeatherstoneOptions& options, const char* user,
-                   bool allow_unconverged = false);
+                   bool allow_unconverged = false,
+                   DerivativeOf contact_gradient = DerivativeOf::Code);
   ~ArticulationStep();
   ArticulationStep(ArticulationStep&&) noexcept;
   ArticulationStep& operator=(ArticulationStep&&) noexcept;
@@ -80,6 +90,8 @@ class NOVAPHY_DYNAMICS_API ArticulationStep {
   // Of all steps with contacts since the last clear. Waits for a device.
   ContactBranches branches() const;
   void clear_branches();
+  // With DerivativeOf::Motion; else null.
+  const MotionCounts* motion_counts() const;
   // ErrorKind::Runtime, naming the dof, when the last step failed. Waits for a device.
   void check(const Model& model, const char* function) const;
 

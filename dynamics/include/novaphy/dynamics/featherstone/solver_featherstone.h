@@ -22,7 +22,7 @@ enum class FrictionCone { Cone, Pyramid };
 // All numbers finite and >= 0. What only one way of contact reads must have its default in the
 // others.
 struct FeatherstoneOptions {
-  float angular_damping = 0.05f;  // 1/s, of angular dofs: velocities times 1 - dt angular_damping
+  float angular_damping = 0.0f;  // 1/s, of angular dofs: velocities times 1 - dt angular_damping
   // Drives, limits and damping of the end of the step, stable for any gains, with limits that only
   // push. False: those of its start, and limits that also pull, as Newton 1.8.
   bool implicit_drives = true;

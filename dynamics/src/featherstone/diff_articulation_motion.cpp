@@ -1,0 +1,538 @@
+#include "diff_articulation_motion.h"
+
+#include <algorithm>
+#include <cmath>
+
+#include "diff_articulation_duals.h"
+
+namespace novaphy::diff::detail {
+namespace {
+
+namespace art = articulation;
+using art::DualFloat;
+
+const ArticulationRows* rows_of(const Step& s) {
+  return static_cast<const ArticulationRows*>(s.values[0].tensor.range()->data());
+}
+
+// Some of the contacts that a step keeps.
+struct SomeContacts {
+  std::vector<int32_t> shape0, shape1;
+  std::vector<Vec3f> point0, point1, normal;
+  std::vector<float> margin0, margin1;
+  template <class Keep>
+  SomeContacts(const ContactRows& c, const Keep& keep) {
+    for (int32_t i = 0; i < c.count; ++i) {
+      if (!keep(i)) continue;
+      shape0.push_back(c.shape0[i]);
+      shape1.push_back(c.shape1[i]);
+      point0.push_back(c.point0[i]);
+      point1.push_back(c.point1[i]);
+      normal.push_back(c.normal[i]);
+      margin0.push_back(c.margin0[i]);
+      margin1.push_back(c.margin1[i]);
+    }
+  }
+  ContactRows rows() const {
+    return {static_cast<int32_t>(shape0.size()),
+            shape0.data(),
+            shape1.data(),
+            nullptr,
+            point0.data(),
+            point1.data(),
+            normal.data(),
+            margin0.data(),
+            margin1.data()};
+  }
+};
+
+// The accelerations of a step from in.q and in.qd with these contacts; NaN where it fails.
+std::vector<float> accelerations(const Step& s, const ArticulationArguments& in,
+                                 const ContactRows& contacts) {
+  ArticulationStep::Shared& shared = *s.shared;
+  const auto copy_of = [](const Tensor& t) {
+    return std::vector<float>(static_cast<size_t>(t.size()));
+  };
+  std::array<std::vector<float>, 6> out;
+  for (size_t i = 0; i < out.size(); ++i) out[i] = copy_of(s.outputs[i].tensor);
+  std::vector<int32_t> status(static_cast<size_t>(s.count));
+  const ArticulationStepArguments a = {in,
+                                       out[0].data(),
+                                       out[1].data(),
+                                       reinterpret_cast<Transformf*>(out[2].data()),
+                                       reinterpret_cast<SpatialVectorf*>(out[3].data()),
+                                       out[4].data(),
+                                       out[5].data(),
+                                       status.data(),
+                                       nullptr,
+                                       0};
+  if (s.contacts.defined() && shared.pgs->prepare(*s.model, contacts, &in))
+    shared.pgs->step(a, *s.model, contacts, s.options, nullptr);
+  else
+    shared.trees->step(a, *s.model, shared.all, s.options, nullptr, true);
+  const bool failed = std::any_of(status.begin(), status.end(), [](int32_t i) { return i != 0; });
+  std::vector<float> qdd(out[1].size());
+  for (size_t k = 0; k < qdd.size(); ++k)
+    qdd[k] = failed ? std::nanf("") : (out[1][k] - in.qd[k]) / s.dt;
+  return qdd;
+}
+
+bool same_controls(const Step& a, const Step& b) {
+  for (const G::Member m : {G::kJointF, G::kBodyF, G::kTargetQ, G::kTargetQd})
+    if (a.in(m).range()->data() != b.in(m).range()->data()) return false;
+  return true;
+}
+
+// At the end of a step that no other follows: the contacts that push in it go on.
+std::vector<float> last_accelerations(const Step& s) {
+  ArticulationArguments in = host_arguments(s);
+  in.q = numbers(s.outputs[0].tensor);
+  in.qd = numbers(s.outputs[1].tensor);
+  if (!s.contacts.defined()) return accelerations(s, in, {});
+  const KeptContacts kept = kept_contacts(s);
+  const SomeContacts pushing(contact_rows_of(s),
+                             [&](int32_t i) { return kept.impulses[i].x > 0.0f; });
+  return accelerations(s, in, pushing.rows());
+}
+
+// The acceleration of f behind a step: `inside` of each tree.
+struct EndOfStep {
+  std::vector<float> qdd;    // {dofs}
+  std::vector<char> inside;  // {trees}: an event goes on
+  std::shared_ptr<MotionNotes> next;
+  explicit EndOfStep(const Step& s) : next(s.motion->next.lock()) {
+    const auto trees = static_cast<size_t>(s.count);
+    inside.assign(trees, 0);
+    if (next == nullptr) {
+      qdd = last_accelerations(s);
+      return;
+    }
+    qdd = next->smooth;
+    if (!next->inside.empty()) inside = next->inside;
+    const ArticulationRows* const rows = rows_of(s);
+    for (size_t t = 0; t < trees && !next->after.empty(); ++t)
+      for (int32_t k = rows[t].first_dof;
+           inside[t] == 0 && k < rows[t].first_dof + rows[t].dof_count; ++k)
+        qdd[static_cast<size_t>(k)] = next->after[static_cast<size_t>(k)];
+  }
+};
+
+// The delays of an event by the groups' dp . dq, weighed: w_g / |dp_g . v|.
+float total_approach(const ContactEvent& event) {
+  float sum = 0.0f;
+  for (const ContactEvent::Group& g : event.groups) sum += g.approach;
+  return sum;
+}
+// Several pairs at once, none of which lands: each has a delay of its own.
+bool is_apart(const ContactEvent& event) { return event.groups.size() > 1 && !event.lands; }
+
+template <class F>
+void for_dofs(const Step& s, const ContactEvent& event, const F& f) {
+  const ArticulationRows* const rows = rows_of(s);
+  size_t at = 0;
+  for (const int32_t tree : event.trees)
+    for (int32_t k = 0; k < rows[tree].dof_count; ++k)
+      f(at++, static_cast<size_t>(rows[tree].first_dof + k));
+}
+
+}  // namespace
+
+namespace {
+
+// First and number of the coordinates of a tree.
+std::pair<int32_t, int32_t> coordinates_of(const art::Tree<float>& tree) {
+  int32_t begin = INT32_MAX, end = 0;
+  for (int32_t i = 0; i < tree.link_count; ++i) {
+    const art::Link& link = tree.links[i];
+    begin = std::min(begin, link.coord);
+    end = std::max(end, link.coord + link.dofs + (link.dofs > 1 ? 1 : 0));
+  }
+  return {begin, std::max(end - begin, 0)};
+}
+
+// A dof whose limit pushes in one of two steps that follow each other; `acts`: before the change.
+void add_limit_event(const Step& s, const ArticulationArguments& in, int32_t t, int32_t dof,
+                     bool acted) {
+  const ArticulationRows& of = rows_of(s)[t];
+  const art::Tree<float> tree = articulation_tree(in, of);
+  const art::StepInputs<float> inputs = articulation_inputs(in);
+  const art::StepOptions<float> options = articulation_options(in);
+  const art::Link* link = tree.links;
+  while (link->dof != dof) ++link;
+  const std::vector<float>& now = s.motion->branch;
+  std::vector<float> branch = now;
+  const auto bits = static_cast<int32_t>(now[static_cast<size_t>(dof)]);
+  const bool released = (bits & art::kLimitReleased) != 0;
+  if (!acted && (bits & art::kOutside) == 0) return;
+  // F_A: with the branch of before.
+  int32_t other = bits & ~(art::kOutside | art::kLimitReleased);
+  if (acted && released) other |= bits & art::kOutside;
+  if (acted && !released) return;  // inside again, behind a limit that had let go
+  branch[static_cast<size_t>(dof)] = static_cast<float>(other);
+  std::vector<uint64_t> work(
+      static_cast<size_t>(art::workspace_bytes<float>(of.link_count, of.dof_count) / 8 + 1));
+  auto ws = art::make_workspace<float>(work.data(), of.link_count, of.dof_count);
+  if (art::accelerate_again(tree, inputs, options, branch.data(), ws) >= 0) return;
+  art::free_rates(tree, inputs, options, ws);
+  std::vector<float> qdd(now.size()), q(static_cast<size_t>(s.in(G::kQ).size())), qd(now.size());
+  std::copy_n(ws.qdd, of.dof_count, qdd.data() + of.first_dof);
+  std::vector<Transformf> body_q(static_cast<size_t>(s.outputs[2].tensor.size() / 7));
+  std::vector<SpatialVectorf> body_qd(body_q.size());
+  art::finish_step(tree, inputs, options, ws, q.data(), qd.data(), body_q.data(), body_qd.data());
+
+  std::vector<float> by_q(q.size()), by_qd(qd.size());
+  if (acted) {  // by the force at the end of the step
+    std::vector<float> of_q(q.size()), of_qd(qd.size());
+    of_q[static_cast<size_t>(link->coord)] = in.limit_ke[dof];
+    of_qd[static_cast<size_t>(dof)] = in.limit_kd[dof];
+    std::vector<uint64_t> memory(
+        static_cast<size_t>(art::adjoint_bytes<float>(of.link_count, of.dof_count) / 8 + 1));
+    auto adjoint = art::make_adjoint_memory<float>(memory.data(), of.link_count, of.dof_count);
+    art::StepGradient<float> to{};
+    to.q = by_q.data();
+    to.qd = by_qd.data();
+    art::step_vjp(tree, inputs, options, qdd.data(), branch.data(), q.data(), qd.data(),
+                  {of_q.data(), of_qd.data(), nullptr, nullptr}, to, ws, adjoint);
+  } else {
+    by_q[static_cast<size_t>(link->coord)] = 1.0f;
+  }
+  const auto [first, count] = coordinates_of(tree);
+  const float *const q_next = numbers(s.outputs[0].tensor), *const qd_next =
+                                                                numbers(s.outputs[1].tensor);
+  LimitEvent event{.tree = t};
+  double rate = 0.0;
+  for (int32_t c = first; c < first + count; ++c) {
+    const auto i = static_cast<size_t>(c);
+    event.jump_q.push_back(q_next[c] - q[i]);
+    event.by_q.push_back(by_q[i]);
+    rate += double{by_q[i]} * (double{q[i]} - in.q[c]);
+  }
+  for (int32_t k = of.first_dof; k < of.first_dof + of.dof_count; ++k) {
+    const auto i = static_cast<size_t>(k);
+    event.jump_qd.push_back(qd_next[k] - qd[i]);
+    event.by_qd.push_back(by_qd[i]);
+    rate += double{by_qd[i]} * (double{qd[i]} - in.qd[k]);
+  }
+  event.rate = static_cast<float>(rate);
+  if (event.rate != 0.0f) s.motion->limits.push_back(std::move(event));
+}
+
+void note_limits(const Step& s, const ArticulationArguments& in, const MotionNotes* last) {
+  MotionNotes& notes = *s.motion;
+  const float* const branch = numbers(s.outputs[5].tensor);
+  notes.branch.assign(branch, branch + s.outputs[5].tensor.size());
+  if (last == nullptr) return;
+  const auto acts = [](float number) {
+    const auto bits = static_cast<int32_t>(number);
+    return (bits & art::kOutside) != 0 && (bits & art::kLimitReleased) == 0;
+  };
+  const std::vector<char>& touched = notes.found.touched;
+  for (int32_t t = 0; t < static_cast<int32_t>(s.count); ++t) {
+    const bool touches = !touched.empty() && touched[static_cast<size_t>(t)] != 0;
+    const ArticulationRows& of = rows_of(s)[t];
+    for (int32_t k = of.first_dof; k < of.first_dof + of.dof_count; ++k) {
+      const bool acted = acts(last->branch[static_cast<size_t>(k)]);
+      if (acted == acts(notes.branch[static_cast<size_t>(k)])) continue;
+      if (touches)
+        ++s.shared->motion.unmoved;
+      else
+        add_limit_event(s, in, t, k, acted);
+    }
+  }
+}
+
+}  // namespace
+
+void note_motion(const std::shared_ptr<const Step>& step,
+                 const std::shared_ptr<const Step>& before) {
+  const Step& s = *step;
+  MotionNotes& notes = *s.motion;
+  const ArticulationArguments in = host_arguments(s);
+  const float* const qd_next = numbers(s.outputs[1].tensor);
+  const auto dofs = static_cast<size_t>(s.in(G::kQd).size());
+  MotionNotes* const last = before ? before->motion.get() : nullptr;
+  bool follows = false;  // an event that has begun before ends at its start, or goes on
+  if (last != nullptr) {
+    last->next = s.motion;
+    follows = last->in_contact();
+    std::vector<char> inside(static_cast<size_t>(s.count));
+    for (const ContactEvent& event : last->found.events)
+      for (const int32_t tree : event.trees)
+        if (event.lands) inside[static_cast<size_t>(tree)] = 1;
+    if (std::any_of(inside.begin(), inside.end(), [](char i) { return i != 0; }))
+      notes.inside = inside;
+    if (follows) notes.controls = last->stands_in_event() ? last->controls : before;
+  }
+  if (std::any_of(notes.found.events.begin(), notes.found.events.end(), is_apart))
+    ++s.shared->motion.several;
+  if (notes.found.hits.empty()) {
+    notes.smooth.resize(dofs);
+    for (size_t k = 0; k < dofs; ++k) notes.smooth[k] = (qd_next[k] - in.qd[k]) / s.dt;
+  } else {
+    const std::vector<int32_t>& hits = notes.found.hits;
+    const SomeContacts others(contact_rows_of(s), [&](int32_t i) {
+      return !std::binary_search(hits.begin(), hits.end(), i);
+    });
+    notes.smooth = accelerations(s, in, others.rows());
+  }
+  note_limits(s, in, last);
+  if (!follows || same_controls(s, *notes.controls)) return;
+  ArticulationArguments held = in;
+  const ArticulationArguments of = host_arguments(*notes.controls);
+  held.joint_f = of.joint_f;
+  held.body_f = of.body_f;
+  held.target_q = of.target_q;
+  held.target_qd = of.target_qd;
+  const std::vector<int32_t>& hits = notes.found.hits;
+  if (!s.contacts.defined()) {
+    notes.after = accelerations(s, held, {});
+    return;
+  }
+  const SomeContacts others(contact_rows_of(s), [&](int32_t i) {
+    return !std::binary_search(hits.begin(), hits.end(), i);
+  });
+  notes.after = accelerations(s, held, others.rows());
+}
+
+void motion_vjp(const Step& s, std::span<const Tensor> outputs,
+                std::span<const nova::InputGradient> gradients, const Adjoint& run) {
+  MotionNotes& notes = *s.motion;
+  const nova::InputGradient &of_q = gradients[G::kQ], &of_qd = gradients[G::kQd];
+  if (!notes.concerned() || !of_q.grad.defined()) return run(gradients);
+  std::vector<nova::InputGradient> all(gradients.begin(), gradients.end());
+  const auto own = [](const Tensor& like) {
+    return Tensor(like.shape(), nova::DType::F32, Device::cpu());
+  };
+  all[G::kQ] = {own(s.in(G::kQ)), false};
+  all[G::kQd] = {own(s.in(G::kQd)), false};
+  run(all);
+  float *const y_q = numbers(all[G::kQ].grad), *const y_qd = numbers(all[G::kQd].grad);
+
+  const EndOfStep end(s);
+  const ArticulationArguments in = host_arguments(s);
+  const art::StepInputs<float> inputs = articulation_inputs(in);
+  const ArticulationRows* const rows = rows_of(s);
+  const float *const q_next = numbers(s.outputs[0].tensor), *const qd_next =
+                                                                numbers(s.outputs[1].tensor);
+  const art::StepOutputGradient<float> out = {
+      numbers(outputs[0]), numbers(outputs[1]),
+      reinterpret_cast<const Transformf*>(numbers(outputs[2])),
+      reinterpret_cast<const SpatialVectorf*>(numbers(outputs[3]))};
+  const auto dofs = static_cast<size_t>(s.in(G::kQd).size());
+  std::vector<float> p_q(dofs), correction(dofs), tangent(dofs);
+  std::vector<float> mismatch(static_cast<size_t>(s.count));
+  for (size_t t = 0; t < mismatch.size(); ++t) {
+    const ArticulationRows& of = rows[t];
+    const art::Tree<float> tree = articulation_tree(in, of);
+    std::vector<uint64_t> work(
+        static_cast<size_t>(art::workspace_bytes<float>(of.link_count, of.dof_count) / 8 + 1));
+    std::vector<uint64_t> memory(
+        static_cast<size_t>(art::adjoint_bytes<float>(of.link_count, of.dof_count) / 8 + 1));
+    auto ws = art::make_workspace<float>(work.data(), of.link_count, of.dof_count);
+    auto adjoint = art::make_adjoint_memory<float>(memory.data(), of.link_count, of.dof_count);
+    art::step_vjp_end(tree, inputs, q_next, qd_next, out, ws, adjoint);
+    art::gradient_to_tangent(tree, in.q, y_q, tangent.data() + of.first_dof);
+    double sum = end.inside[t] != 0 && !end.next->mismatch.empty() ? end.next->mismatch[t] : 0.0;
+    for (int32_t k = 0; k < of.dof_count; ++k) {
+      const auto row = static_cast<size_t>(of.first_dof + k);
+      p_q[row] = adjoint.tangent[k];
+      sum += double{tangent[row]} * in.qd[row] + double{y_qd[row]} * notes.smooth[row];
+      sum -= double{adjoint.tangent[k]} * qd_next[row] + double{adjoint.rate[k]} * end.qdd[row];
+    }
+    mismatch[t] = static_cast<float>(sum);
+  }
+  if (end.next) end.next->mismatch.clear();
+  for (const ContactEvent& event : notes.found.events) {
+    double s_all = 0.0;
+    for (const int32_t tree : event.trees) s_all += double{mismatch[static_cast<size_t>(tree)]};
+    const double approach = total_approach(event);
+    const bool apart = is_apart(event);
+    std::vector<double> by_push(event.groups.size());
+    double rest = s_all;
+    for (size_t g = 0; apart && g < event.groups.size(); ++g) {
+      for_dofs(s, event, [&](size_t at, size_t row) {
+        by_push[g] += double{p_q[row]} * event.groups[g].push[at];
+      });
+      rest -= by_push[g];
+    }
+    for (size_t g = 0; g < event.groups.size(); ++g) {
+      const ContactEvent::Group& group = event.groups[g];
+      const double by = apart ? by_push[g] / group.approach + rest / approach : s_all / approach;
+      for_dofs(s, event, [&](size_t at, size_t row) {
+        correction[row] += static_cast<float>(by * group.normal_push[at]);
+      });
+    }
+  }
+  for (size_t t = 0; t < mismatch.size(); ++t) {
+    const ArticulationRows& of = rows[t];
+    double back = 0.0;
+    for (int32_t k = of.first_dof; k < of.first_dof + of.dof_count; ++k)
+      back += double{correction[static_cast<size_t>(k)]} * in.qd[k];
+    mismatch[t] += static_cast<float>(back);
+    art::tangent_to_gradient(articulation_tree(in, of), in.q, correction.data() + of.first_dof,
+                             [&](int32_t row, float value) { y_q[row] += value; });
+  }
+  notes.mismatch = std::move(mismatch);
+  for (const LimitEvent& event : notes.limits) {
+    const art::Tree<float> tree = articulation_tree(in, rows[event.tree]);
+    const auto first = coordinates_of(tree).first;
+    double by = 0.0;
+    for (size_t i = 0; i < event.by_q.size(); ++i)
+      by += double{event.jump_q[i]} * y_q[static_cast<size_t>(first) + i];
+    for (size_t i = 0; i < event.by_qd.size(); ++i)
+      by += double{event.jump_qd[i]} * y_qd[static_cast<size_t>(tree.first_dof) + i];
+    for (size_t i = 0; i < event.by_q.size(); ++i)
+      y_q[static_cast<size_t>(first) + i] += static_cast<float>(by / event.rate * event.by_q[i]);
+    for (size_t i = 0; i < event.by_qd.size(); ++i)
+      y_qd[static_cast<size_t>(tree.first_dof) + i] +=
+          static_cast<float>(by / event.rate * event.by_qd[i]);
+  }
+  const auto give = [](const nova::InputGradient& to, const float* from) {
+    float* const x = numbers(to.grad);
+    for (int64_t i = 0; i < to.grad.size(); ++i) x[i] = to.add ? x[i] + from[i] : from[i];
+  };
+  give(of_q, y_q);
+  if (of_qd.grad.defined()) give(of_qd, y_qd);
+}
+
+namespace {
+
+// Adds to raw coordinates and rates what the motion f = (qd, qdd) makes of them in the times `dt`
+// {trees}, and likewise to poses.
+void move_on(const Step& s, const float* q, const float* qd, const float* qdd,
+             std::span<const float> dt, float* q_to, float* qd_to, Transformf* body_q,
+             SpatialVectorf* body_qd) {
+  std::vector<Tensor> none(kInputs);
+  std::vector<std::vector<DualFloat>> arrays;
+  const auto take = [&](const Tensor& values, const Tensor&) {
+    std::vector<DualFloat>& to = arrays.emplace_back(static_cast<size_t>(values.size()));
+    const float* const x = values.data<float>();
+    for (size_t i = 0; i < to.size(); ++i) to[i] = {x[i], 0.0f};
+    return to.data();
+  };
+  const ArticulationArgumentsOf<DualFloat> a = dual_arguments(s, nullptr, none, take);
+  const ArticulationRows* const rows = rows_of(s);
+  const auto coordinates = static_cast<size_t>(s.in(G::kQ).size());
+  const auto dofs = static_cast<size_t>(s.in(G::kQd).size());
+  std::vector<DualFloat> x(coordinates), moved(coordinates), v(dofs), faster(dofs);
+  for (size_t i = 0; i < coordinates; ++i) x[i] = {q[i], 0.0f};
+  for (size_t t = 0; t < dt.size(); ++t) {
+    if (dt[t] == 0.0f) continue;
+    const ArticulationRows& of = rows[t];
+    const art::Tree<DualFloat> tree = articulation_tree(a, of);
+    for (int32_t k = of.first_dof; k < of.first_dof + of.dof_count; ++k) {
+      v[static_cast<size_t>(k)] = {qd[k], 0.0f};
+      faster[static_cast<size_t>(k)] = {qd[k], qdd[k] * dt[t]};
+      if (qd_to != nullptr) qd_to[k] += qdd[k] * dt[t];
+    }
+    art::integrate_coordinates(tree, x.data(), v.data() + of.first_dof, DualFloat{0.0f, dt[t]},
+                               moved.data());
+    art::follow(tree, moved.data(), faster.data());
+    for (int32_t i = 0; i < of.link_count; ++i) {
+      const art::Link& link = tree.links[i];
+      for (int32_t c = link.coord; c < link.coord + link.dofs + (link.dofs > 1 ? 1 : 0); ++c)
+        if (q_to != nullptr) q_to[c] += moved[static_cast<size_t>(c)].tangent;
+    }
+    if (body_q == nullptr && body_qd == nullptr) continue;
+    std::vector<uint64_t> work(
+        static_cast<size_t>(art::workspace_bytes<DualFloat>(of.link_count, of.dof_count) / 8 + 1));
+    auto ws = art::make_workspace<DualFloat>(work.data(), of.link_count, of.dof_count);
+    art::link_frames(tree, moved.data(), ws);
+    art::link_motions(tree, faster.data() + of.first_dof, ws);
+    for (int32_t i = 0; i < of.link_count; ++i) {
+      const int32_t body = tree.links[i].body;
+      if (body < 0) continue;
+      Transform<DualFloat> pose;
+      SpatialVector<DualFloat> twist;
+      art::write_body(0, ws.links[i], &pose, &twist);
+      const auto add = [](float* to, const DualFloat* from, int n) {
+        for (int k = 0; k < n; ++k) to[k] += from[k].tangent;
+      };
+      if (body_q != nullptr) add(&body_q[body].p.x, &pose.p.x, 7);
+      if (body_qd != nullptr) add(&body_qd[body].linear.x, &twist.linear.x, 6);
+    }
+  }
+}
+
+}  // namespace
+
+void motion_jvp(const Step& s, std::span<const Tensor> inputs, std::span<const Tensor> outputs,
+                const Tangent& run) {
+  MotionNotes& notes = *s.motion;
+  if (!notes.concerned()) return run(inputs);
+  const ArticulationArguments in = host_arguments(s);
+  const ArticulationRows* const rows = rows_of(s);
+  const auto trees = static_cast<size_t>(s.count), dofs = static_cast<size_t>(s.in(G::kQd).size());
+  const auto copy_of = [](const Tensor& like, const Tensor& from) {
+    Tensor to(like.shape(), nova::DType::F32, Device::cpu());
+    float* const x = numbers(to);
+    for (int64_t i = 0; i < to.size(); ++i) x[i] = from.defined() ? numbers(from)[i] : 0.0f;
+    return to;
+  };
+  std::vector<Tensor> moved(inputs.begin(), inputs.end());
+  moved[G::kQ] = copy_of(s.in(G::kQ), inputs[G::kQ]);
+  moved[G::kQd] = copy_of(s.in(G::kQd), inputs[G::kQd]);
+  std::vector<float> delay(trees), jump(dofs);  // of the new coordinates, tangents
+  for (const ContactEvent& event : notes.found.events) {
+    const double approach = total_approach(event);
+    double all = 0.0;
+    std::vector<double> own(event.groups.size());
+    for (size_t g = 0; g < event.groups.size(); ++g) {
+      std::vector<float> covector(dofs);
+      for_dofs(s, event,
+               [&](size_t at, size_t row) { covector[row] = event.groups[g].normal_push[at]; });
+      double by = 0.0;
+      for (const int32_t tree : event.trees)
+        art::tangent_to_gradient(
+            articulation_tree(in, rows[tree]), in.q, covector.data() + rows[tree].first_dof,
+            [&](int32_t row, float value) { by += double{value} * numbers(moved[G::kQ])[row]; });
+      own[g] = by / event.groups[g].approach;
+      all += by / approach;
+    }
+    for (size_t g = 0; is_apart(event) && g < event.groups.size(); ++g)
+      for_dofs(s, event, [&](size_t at, size_t row) {
+        jump[row] += static_cast<float>((own[g] - all) * event.groups[g].push[at]);
+      });
+    for (const int32_t tree : event.trees)
+      delay[static_cast<size_t>(tree)] += static_cast<float>(all);
+  }
+  move_on(s, in.q, in.qd, notes.smooth.data(), delay, numbers(moved[G::kQ]), numbers(moved[G::kQd]),
+          nullptr, nullptr);
+  for (const LimitEvent& event : notes.limits) {
+    const art::Tree<float> tree = articulation_tree(in, rows[event.tree]);
+    float* const q = numbers(moved[G::kQ]) + coordinates_of(tree).first;
+    float* const qd = numbers(moved[G::kQd]) + tree.first_dof;
+    double by = 0.0;
+    for (size_t i = 0; i < event.by_q.size(); ++i) by += double{event.by_q[i]} * q[i];
+    for (size_t i = 0; i < event.by_qd.size(); ++i) by += double{event.by_qd[i]} * qd[i];
+    for (size_t i = 0; i < event.by_q.size(); ++i)
+      q[i] += static_cast<float>(by / event.rate * event.jump_q[i]);
+    for (size_t i = 0; i < event.by_qd.size(); ++i)
+      qd[i] += static_cast<float>(by / event.rate * event.jump_qd[i]);
+  }
+  run(moved);
+
+  const EndOfStep end(s);
+  std::vector<float> back(trees);
+  std::vector<float> waiting(trees);
+  for (size_t t = 0; t < trees; ++t) {
+    const float total = delay[t] + (notes.delay.empty() ? 0.0f : notes.delay[t]);
+    (end.inside[t] != 0 ? waiting : back)[t] = end.inside[t] != 0 ? total : -total;
+  }
+  notes.delay.clear();
+  if (end.next) end.next->delay = waiting;
+  const auto poses = [&](size_t i) { return i < outputs.size() ? numbers(outputs[i]) : nullptr; };
+  float *const q_to = poses(0), *const qd_to = poses(1);
+  auto* const body_q = reinterpret_cast<Transformf*>(poses(2));
+  auto* const body_qd = reinterpret_cast<SpatialVectorf*>(poses(3));
+  const float *const q_next = numbers(s.outputs[0].tensor), *const qd_next =
+                                                                numbers(s.outputs[1].tensor);
+  move_on(s, q_next, qd_next, end.qdd.data(), back, q_to, qd_to, body_q, body_qd);
+  // What several groups push apart: a motion with the rates `jump` for the time 1.
+  if (std::any_of(jump.begin(), jump.end(), [](float x) { return x != 0.0f; })) {
+    const std::vector<float> none(dofs), once(trees, 1.0f);
+    move_on(s, q_next, jump.data(), none.data(), once, q_to, nullptr, body_q, nullptr);
+  }
+}
+
+}  // namespace novaphy::diff::detail

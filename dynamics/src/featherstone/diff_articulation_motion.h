@@ -1,0 +1,70 @@
+// Gradients of the motion: the times at which contacts begin move with the state. On the host.
+//
+// A contact hits in step k, from the state x = (q, v). The step D_k has its impulse at the start. A
+// state that is moved by dx reaches the surface later by dt = -J_n dq / (J_n v): it moves on with
+// f- = (v, a-) so long, and is taken back by f+ at the end of the event:
+//   dx' = D (dx + f- dt) - f+ dt
+// a-: the accelerations without what hits; f+: at the end, under the controls of the event's step.
+// An event ends with its step or, where it closes a gap without a bounce, one step later, or more
+// where others begin then; D is that of all its steps. Its transpose, for y = D^T p:
+//   s = y . f- - p . f+,  and the gradient of q gets s J_n / |J_n v|.
+// A limit of a joint that begins or ends to push, in a tree that touches nothing, changes the step
+// from F_A to F_B where a number g(x) changes its sign. A move of x changes how many steps of each
+// there are, by a part of one:
+//   dx + (F_B(x) - F_A(x)) (dg . dx) / (dg . (F_A(x) - x)),  then D of F_B
+// Source: the saltation matrix of hybrid systems; Kong, Payne, Zhu, Johnson, Saltation Matrices
+// (2024).
+#pragma once
+
+#include <functional>
+#include <memory>
+#include <span>
+#include <vector>
+
+#include "contact_events.h"
+#include "novaphy/dynamics/featherstone/diff_articulation_step.h"
+#include "novaphy/nova/tape.h"
+
+namespace novaphy::diff::detail {
+
+// A change of a limit's branch, by raw coordinates and rates of its tree.
+struct LimitEvent {
+  int32_t tree = 0;
+  std::vector<float> jump_q, jump_qd;  // F_B(x) - F_A(x)
+  std::vector<float> by_q, by_qd;      // dg
+  float rate = 0.0f;                   // dg . (F_A(x) - x)
+};
+
+// What a step keeps of the events that begin in it, and of those in which it stands.
+struct MotionNotes {
+  ContactEvents found;
+  std::vector<float> smooth;  // {dofs}: accelerations at its start without what hits
+  std::vector<LimitEvent> limits;
+  std::vector<float> branch;  // {dofs}: of the step
+  std::vector<float> after;   // {dofs}: under the controls of the event that ends at its start
+  std::vector<char> inside;   // {trees}: its start is inside of an event; empty: of none
+  std::weak_ptr<MotionNotes> next;
+  std::shared_ptr<const ArticulationStep::Step> controls;  // of the event in which it stands
+  // {trees}: from the step behind, in an adjoint; from the step before, in a tangent.
+  std::vector<float> mismatch, delay;
+
+  bool stands_in_event() const { return !inside.empty(); }
+  bool in_contact() const { return stands_in_event() || !found.events.empty(); }
+  bool concerned() const { return in_contact() || !limits.empty(); }
+};
+
+// Behind a step that has run, before the contacts of the solver are used again; `before` (null:
+// none): the step that ended where it starts.
+void note_motion(const std::shared_ptr<const ArticulationStep::Step>& step,
+                 const std::shared_ptr<const ArticulationStep::Step>& before);
+
+// The adjoint of a step: `run` is that of the code.
+using Adjoint = std::function<void(std::span<const nova::InputGradient>)>;
+void motion_vjp(const ArticulationStep::Step& step, std::span<const nova::Tensor> outputs,
+                std::span<const nova::InputGradient> gradients, const Adjoint& run);
+// Its tangent likewise.
+using Tangent = std::function<void(std::span<const nova::Tensor>)>;
+void motion_jvp(const ArticulationStep::Step& step, std::span<const nova::Tensor> inputs,
+                std::span<const nova::Tensor> outputs, const Tangent& run);
+
+}  // namespace novaphy::diff::detail
